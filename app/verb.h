@@ -25,8 +25,8 @@ struct ConfigOptions {
 /// that live as long as the verb.
 ///
 /// The name of an option is followed by what stands for its value, "--out FOLDER": FILE, PATH and CONFIG complete to
-/// files, FOLDER and RUN to folders. A value that the variable holds already is told as the default. A number has a
-/// range, which is checked here and told in the help.
+/// files, FOLDER and RUN to folders. A value that the variable holds already is stated as the default. A number has a
+/// range, which is checked here and stated in the help.
 class VerbWords {
  public:
   explicit VerbWords(VerbGrammar& verb) : verb_(verb) {}

@@ -1,14 +1,21 @@
-# semfield_add_test(NAME name SOURCES a.cpp ... [LIBRARIES ...] [LABELS ...] [DEVICE]): one GoogleTest program linked with the
-# framework, the linked plugins and the testkit. Without DEVICE its tests see no device of the machine: `runtime.device: auto` is the
-# processor, and golden values are the same everywhere.
+# semfield_add_test(NAME name SOURCES a.cpp ... [LIBRARIES ...] [LABELS ...] [PROGRAM target] [NEEDS target ...] [DEVICE]): one
+# GoogleTest program linked with the framework, the linked plugins and the testkit. PROGRAM is what its tests start, SEMFIELD_BINARY in
+# their sources; it and NEEDS are built before. Without DEVICE its tests see no device of the machine: `runtime.device: auto` is the
+# CPU, and golden values are the same everywhere.
 include(GoogleTest)
 add_library(semfield_no_cache OBJECT ${PROJECT_SOURCE_DIR}/tests/no_cache.cpp)
 function(semfield_add_test)
-  cmake_parse_arguments(ARG "DEVICE" "NAME" "SOURCES;LIBRARIES;LABELS" ${ARGN})
+  cmake_parse_arguments(ARG "DEVICE" "NAME;PROGRAM" "SOURCES;LIBRARIES;LABELS;NEEDS" ${ARGN})
   add_executable(${ARG_NAME} ${ARG_SOURCES} $<TARGET_OBJECTS:semfield_no_cache>)
   target_link_libraries(${ARG_NAME} PRIVATE semfield semfield_plugins semfield_testkit semfield_warnings GTest::gtest_main ${ARG_LIBRARIES})
   target_compile_definitions(${ARG_NAME} PRIVATE SEMFIELD_SOURCE_DIR="${PROJECT_SOURCE_DIR}" SEMFIELD_BINARY_DIR="${PROJECT_BINARY_DIR}")
   target_include_directories(${ARG_NAME} PRIVATE ${PROJECT_SOURCE_DIR})
+  if(ARG_PROGRAM)
+    target_compile_definitions(${ARG_NAME} PRIVATE SEMFIELD_BINARY="$<TARGET_FILE:${ARG_PROGRAM}>")
+  endif()
+  if(ARG_PROGRAM OR ARG_NEEDS)
+    add_dependencies(${ARG_NAME} ${ARG_PROGRAM} ${ARG_NEEDS})
+  endif()
   foreach(companion semfield_images)  # loaded at run time, so no link asks for them
     if(TARGET ${companion})
       add_dependencies(${ARG_NAME} ${companion})

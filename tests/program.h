@@ -10,12 +10,11 @@
 #include <chrono>
 #include <cstdlib>
 #include <optional>
-#include <string>
 #include <thread>
-#include <vector>
 
 #include "core/text.h"
 #include "system/files.h"
+#include "tests/says.h"
 
 namespace semfield::testing_program {
 

@@ -1,22 +1,23 @@
-// What a refusal says, where a test asks for its meaning: the code, the place and the values found, in any words.
+// What a text or a refusal says, where a test checks its meaning: the code, the place and the values found, in any
+// words.
 #pragma once
 
-#include <exception>
+#include <gtest/gtest.h>
+
 #include <initializer_list>
-#include <string>
-#include <string_view>
-#include <vector>
 
 #include "core/findings.h"
 #include "core/text.h"
 
 namespace semfield {
 
+inline constexpr std::size_t kShown = 4000;  ///< of a text, in a failure: pages are long
+
 /// "" when `text` holds every one of `parts`; else the first that it does not hold, and the text.
 inline std::string unsaid(std::string_view text, std::initializer_list<std::string_view> parts) {
   for (const std::string_view part : parts) {
     if (text.find(part) == std::string_view::npos)
-      return "no '" + std::string(part) + "' in '" + std::string(text) + "'";
+      return "no '" + std::string(part) + "' in '" + std::string(text.substr(0, kShown)) + "'";
   }
   return "";
 }
@@ -64,7 +65,43 @@ std::string unrefused(const Work& work, Code code, std::initializer_list<std::st
   return std::string("nothing was refused, and ") + code.text() + " is expected";
 }
 
+/// "" when `text` holds none of `parts`; else the first that it holds, and the text.
+inline std::string unwanted(std::string_view text, std::initializer_list<std::string_view> parts) {
+  for (const std::string_view part : parts) {
+    if (text.find(part) != std::string_view::npos)
+      return "'" + std::string(part) + "' in '" + std::string(text.substr(0, kShown)) + "'";
+  }
+  return "";
+}
+
+/// What the Error says that `call` throws, "" when it throws none.
+template <class Call>
+[[nodiscard]] std::string error_of(Call&& call) {
+  try {
+    call();
+  } catch (const Error& error) {
+    return error.what();
+  }
+  return "";
+}
+/// The same, of an Error that is of `kind`.
+template <class Call>
+[[nodiscard]] std::string error_of(ErrorKind kind, Call&& call) {
+  return error_of([&] {
+    try {
+      call();
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), kind) << error.what();
+      throw;
+    }
+  });
+}
+
 }  // namespace semfield
+
+/// EXPECT_HAS(text, "room.yaml:3", "rays"): the text holds each of the words.
+#define EXPECT_HAS(text, ...) EXPECT_EQ(::semfield::unsaid(text, {__VA_ARGS__}), "")
+#define EXPECT_LACKS(text, ...) EXPECT_EQ(::semfield::unwanted(text, {__VA_ARGS__}), "")
 
 /// EXPECT_ERROR(read(path), "scene.pose.format", "poses.txt:3", "12"): the expression throws an Error with the code,
 /// and its text holds each of the words behind.

@@ -27,7 +27,7 @@ class VideoWriter {
   VideoWriter(const VideoWriter&) = delete;
   VideoWriter& operator=(const VideoWriter&) = delete;
 
-  /// rgb [height * width * 3]. Throws Error(io) when ffmpeg has ended, with the cause where the disk tells it.
+  /// rgb [height * width * 3]. Throws Error(io) when ffmpeg has ended, with the cause where the disk reports it.
   void add(std::span<const std::uint8_t> rgb);
   void finish();
 

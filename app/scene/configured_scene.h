@@ -20,7 +20,7 @@ OpenedDataset dataset_of(const ConfigOptions& options, AppContext& context);
 /// The same of a tree that no file holds.
 OpenedDataset dataset_of(const ConfigNode& tree, const std::vector<std::string>& set, AppContext& context);
 
-/// The scene with what its label steps ask for.
+/// The scene with what its label steps require.
 LoadedScene load_for_labels(OpenedDataset& opened, Diagnostics& diagnostics);
 
 }  // namespace semfield::app

@@ -9,14 +9,14 @@
 
 namespace semfield {
 
-/// Frames, splits, sizes, extent, bounds, near and far, class table with pixel shares of train and test and how many
+/// Frames, splits, sizes, extent, bounds, near and far, class table with pixel fractions of train and test and how many
 /// labelled training frames see each class, then every problem with its remedy. `depth_use`: what training makes of
 /// depth images (settings/loss_config.h). Ends with a line feed.
 std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use = "");
 /// The same for programs.
 app::Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use = "");
 
-/// Camera frusta as binary PLY: a pyramid a frame of `depth_m` height (0 = 2 % of the bounds' diagonal), train blue,
+/// Camera frusta as binary PLY: a pyramid per frame of `depth_m` height (0 = 2 % of the bounds' diagonal), train blue,
 /// test orange.
 void write_frusta_ply(const std::string& path, const LoadedScene& scene, double depth_m = 0);
 

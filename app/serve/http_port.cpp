@@ -1,4 +1,4 @@
-// Which port the server may take, asked of the system before the server starts, so that a refusal has its cause.
+// Which port the server may take, checked with the system before the server starts, so that a refusal has its cause.
 #include <arpa/inet.h>
 #include <netinet/in.h>
 #include <sys/socket.h>

@@ -19,7 +19,7 @@ struct HttpRequest {
   std::string body;
   std::shared_ptr<const std::atomic<bool>> gone{};  ///< set once the client has closed its connection
 
-  /// Nobody waits for the answer any more.
+  /// Nobody waits for the response any more.
   bool abandoned() const { return gone != nullptr && *gone; }
   /// Value of a header by its name in small letters; none where it is missing.
   std::optional<std::string> header(const std::string& name) const;

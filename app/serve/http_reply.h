@@ -1,4 +1,4 @@
-// An answer as the bytes that are sent, piece by piece.
+// A response as the bytes that are sent, piece by piece.
 #pragma once
 
 #include <chrono>
@@ -23,7 +23,7 @@ class HttpReply {
   bool keeps() const { return keep_; }
   /// All that the head promised could be read.
   bool whole() const { return left_ == 0; }
-  /// The client has taken less than 20 kB a second.
+  /// The client has taken less than 20 kB per second.
   bool too_slow() const { return std::chrono::steady_clock::now() > end_; }
 
  private:

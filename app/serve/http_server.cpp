@@ -61,7 +61,8 @@ struct HttpServer::Impl {
     int number_;
   };
 
-  // A connection, and what it is at: a request is read, answered and sent, then the next one; or the connection closes.
+  // A connection, and what it is at: a request is read and its response made and sent, then the next one; or the
+  // connection closes.
   struct Peer {
     enum class At { reading, answering, sending, closing };
 
@@ -73,7 +74,7 @@ struct HttpServer::Impl {
     At at = At::reading;
     bool begun = false, admitted = false;  // the head's first byte is here; all of it, and it was not refused
     Clock::time_point deadline;
-    std::shared_ptr<std::atomic<bool>> gone;  // told to whoever makes the answer
+    std::shared_ptr<std::atomic<bool>> gone;  // reported to whoever makes the response
     std::optional<HttpReply> reply;
 
     bool idle() const { return at == At::reading && !begun; }
@@ -350,7 +351,7 @@ void HttpServer::Impl::send(Peer& peer) {
     peer.deadline = in(options.head_ms);
     return peer.reader.next();
   }
-  // Closed at once, what the client still sends would make the system take the answer back.
+  // Closed at once, what the client still sends would make the system drop the response.
   shutdown(peer.socket.get(), SHUT_WR);
   peer.at = Peer::At::closing;
   peer.deadline = Clock::now() + kLinger;

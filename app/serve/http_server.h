@@ -20,11 +20,11 @@ struct HttpResponse {
   std::string location{}, allow{};  ///< headers of 308 and 405
 };
 
-/// What a server asks for every request. Neither function throws.
+/// What a server calls for every request. Neither function throws.
 class HttpHandler {
  public:
   virtual ~HttpHandler() = default;
-  /// Called with an empty body, before one is read: an answer refuses the request. Quick, for every connection waits.
+  /// Called with an empty body, before one is read: a response refuses the request. Quick, for every connection waits.
   virtual std::optional<HttpResponse> refuse(const HttpRequest& head) noexcept = 0;
   /// Called from several threads at once.
   virtual HttpResponse answer(const HttpRequest& request) noexcept = 0;
@@ -33,7 +33,7 @@ class HttpHandler {
 struct HttpOptions {
   std::string address = "127.0.0.1";  ///< IPv4, numbers
   int port = 8787;                    ///< a free_port()
-  int threads = 64;                   ///< requests answered at a time; the others wait
+  int threads = 64;                   ///< requests handled at a time; the others wait
   std::size_t connections = 512;      ///< with more, the one that has been idle the longest is closed
   std::size_t most_body_bytes = std::size_t{256} << 10;
   int head_ms =
@@ -42,12 +42,12 @@ struct HttpOptions {
 };
 
 /// One thread watches all connections, so that one that is idle, slow or gone costs no more than its place; the others
-/// make answers.
+/// make responses.
 class HttpServer {
  public:
   /// Listens when it returns. The handler must outlive the server. Throws Error(unavailable).
   HttpServer(const HttpOptions& options, HttpHandler& handler);
-  /// Answers that are being made get a second to be sent; those that take longer are told that nobody waits for them
+  /// Responses that are being made get a second to be sent; those that take longer are marked as awaited by nobody
   /// (HttpRequest::abandoned), waited for and not sent.
   ~HttpServer();
   HttpServer(const HttpServer&) = delete;

@@ -1,4 +1,4 @@
-// Who may ask: whoever knows the secret folder of the address, from a page of this server.
+// Who has access: whoever knows the secret folder of the address, from a page of this server.
 #pragma once
 
 #include <optional>
@@ -23,7 +23,7 @@ class PageAccess {
   /// None: the request may go on. A wrong token gives 404 without a detail; what follows is for whoever knows the
   /// token.
   std::optional<HttpResponse> refuse(const HttpRequest& head) const;
-  /// What a path that was not refused asks for, below the secret folder: "" or "state".
+  /// What a path that was not refused names, below the secret folder: "" or "state".
   std::string name_of(const std::string& path) const { return path.substr(token_.size() + 2); }
   int port() const { return port_; }
   /// The address to open, with the token.

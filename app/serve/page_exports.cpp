@@ -24,7 +24,7 @@ namespace {
 constexpr int kLowPriority = 10;  // of 19: training goes first
 constexpr auto kProgramLook = std::chrono::milliseconds(100);
 constexpr const char* kLabelEnd = "_label.png";
-constexpr int kSideBySide = 2;        // more would only take the processor from each other
+constexpr int kSideBySide = 2;        // more would only take the CPU from each other
 constexpr std::size_t kMostOpen = 8;  // that wait or are being made
 
 std::vector<std::string> files_of(ExportKind kind) {

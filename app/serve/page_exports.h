@@ -1,4 +1,4 @@
-// Exports that the page asks for: a checkpoint, then this program's own verbs as a process beside the training.
+// Exports that the page requests: a checkpoint, then this program's own verbs as a process beside the training.
 #pragma once
 
 #include <atomic>

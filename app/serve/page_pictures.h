@@ -15,7 +15,7 @@ inline constexpr int kMostPageClasses = 255;  ///< a palette has an entry for ea
 std::vector<std::uint8_t> label_png(std::int32_t width_px, std::int32_t height_px, std::span<const std::int16_t> label,
                                     const std::vector<ClassState>& classes);
 
-/// What answers a request for a picture: JSON of its facts, then JPEG, PNG of labels and PNG of entropy, each behind
+/// The response to a request for a picture: JSON of its facts, then JPEG, PNG of labels and PNG of entropy, each behind
 /// its length in four bytes, little-endian; 0 for one that there is not. `is_spot`: the request was about a point.
 std::string picture_bytes(const Picture& picture, const std::vector<ClassState>& classes, bool is_spot);
 

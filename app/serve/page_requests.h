@@ -1,4 +1,4 @@
-// What the page asks for, as it comes over the wire: JSON of pictures and exports, numbers of queries.
+// What the page requests, as it comes over the wire: JSON of pictures and exports, numbers of queries.
 #pragma once
 
 #include <optional>

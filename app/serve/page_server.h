@@ -1,4 +1,4 @@
-// The page over HTTP: every address below the secret folder, and what it answers.
+// The page over HTTP: every address below the secret folder, and what it returns.
 #pragma once
 
 #include <atomic>
@@ -29,7 +29,7 @@ class PageServer final : private HttpHandler {
  public:
   /// Serves when it returns; the source must outlive it. Throws as free_port does.
   PageServer(PageSource& source, PageOptions options);
-  /// Requests that wait for news are answered, pictures are waited for.
+  /// Requests that wait for news get a response, pictures are waited for.
   ~PageServer() override;
   PageServer(const PageServer&) = delete;
   PageServer& operator=(const PageServer&) = delete;

@@ -28,7 +28,7 @@ struct PageRevision {
 std::string state_json(const LabelState& state, const PageSource& source, const std::vector<ExportState>& exports,
                        const std::string& run_id, std::uint64_t known, const PageRevision& revision);
 
-/// {"position", "rotation", "fov_deg"}, as pictures of a free camera ask for it.
+/// {"position", "rotation", "fov_deg"}, as requests for pictures of a free camera state it.
 std::string camera_json(const FreeCamera& camera);
 
 /// {"error", "code", "remedy"}.

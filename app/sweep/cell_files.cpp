@@ -43,7 +43,7 @@ void forget_cell_failure(const std::string& sweep_folder, const std::string& id)
 bool notice_cell(EndedCells& ended, const std::string& sweep_folder, const std::string& id) {
   if (ended.has(id)) return true;
   bool done = false, failed = false;
-  // By listing the folder: on NFS this asks the server, which looking for a file need not do for a minute.
+  // By listing the folder: on NFS this queries the server, which looking for a file need not do for a minute.
   std::error_code not_there;
   for (const fs::directory_entry& entry : fs::directory_iterator(cell_folder(sweep_folder, id), not_there)) {
     done = done || entry.path().filename() == kResult;

@@ -1,4 +1,4 @@
-// What cells of a sweep leave in its folder, by which the processes of the sweep tell each other how far they are.
+// What cells of a sweep leave in its folder, by which the processes of the sweep show each other how far they are.
 #pragma once
 
 #include <map>

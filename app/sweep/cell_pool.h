@@ -14,7 +14,7 @@ struct PoolOptions {
   std::string program;               ///< whose verbs train and fuse: own_program()
   int jobs = 1;                      ///< cells at a time
   int threads = 1;                   ///< of each
-  double memory_gb = 0;              ///< of all together; 0: of what the machine has available, this process's share
+  double memory_gb = 0;              ///< of all together; 0: of what the machine has available, this process's part
   int processes_of_host = 1;         ///< of the sweep, which share what is available
   std::vector<std::string> devices;  ///< by the names of runtime.device: a cell at a time on each; none: as cells say
   bool keep_checkpoints = false;

@@ -14,8 +14,8 @@ namespace semfield::app {
 /// A sentence for the user.
 using SweepNote = std::function<void(const std::string&)>;
 
-/// Takes the lock of `folder`, which is created where it is missing, as soon as nobody else has it; `note` is told once
-/// for whom it waits. A stop signal that was received while others have it ends the wait, and the lock is not held
+/// Takes the lock of `folder`, which is created where it is missing, as soon as nobody else has it; `note` is called
+/// once for whom it waits. A stop signal that was received while others have it ends the wait, and the lock is not held
 /// then. Throws write_error where the folder cannot be written.
 FolderLock lock_when_free(const std::string& folder, const SweepNote& note);
 

@@ -30,10 +30,10 @@ struct MeshOptions {
   std::optional<double> voxel;          ///< edge of a cell instead, world units
   std::optional<double> level;          ///< density of the surface, 1/m
   bool keep_unseen = false;             ///< also faces that no training camera sees
-  double keep_components = 0.002;       ///< least share of the faces: a chair is one, a floater is not
+  double keep_components = 0.002;       ///< least fraction of the faces: a chair is one, a floater is not
   bool points = false;                  ///< also a point cloud from the training views
   std::string color;                    ///< photo, class or both; "": both where there are classes
-  std::string up;                       ///< axis that GLB files show upright; "": told by the cameras
+  std::string up;                       ///< axis that GLB files show upright; "": taken from the cameras
   std::vector<std::string> set;
 };
 

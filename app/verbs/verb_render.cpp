@@ -30,7 +30,7 @@ namespace fs = std::filesystem;
 
 using FrameSink = std::function<void(const NamedView& view, const RenderedFrame& frame)>;
 
-constexpr double kToldBytes = 1e9;  // of probabilities; below, nobody needs to be told
+constexpr double kToldBytes = 1e9;  // of probabilities; below, no note is needed
 
 void write_frame(const std::string& base, const RenderedFrame& frame, const Session& s, bool npy) {
   const MapSize size{frame.width_px, frame.height_px};

@@ -118,7 +118,7 @@ PageOptions page_options(const ServeOptions& options, const AppContext& context,
   return page;
 }
 
-// Does what signals ask while the main thread trains.
+// Does what signals request while the main thread trains.
 class SignalWatch {
  public:
   SignalWatch(LabelSession& session, PageServer& server, const AppContext& context)

@@ -46,7 +46,7 @@ struct Place {
   std::optional<Launched> launched;  // none: started by hand
   int of_host() const { return launched ? launched->local_size : 1; }
   int of_all() const { return launched ? launched->size : 1; }
-  // Of several that a launcher started, one tells what is said once.
+  // Of several that a launcher started, one prints what is said once.
   bool reports() const { return !launched || launched->rank == 0; }
   std::string prefix() const { return launched ? fmt::format("rank {}: ", launched->rank) : ""; }
 };
@@ -135,7 +135,7 @@ int list_cells(const std::vector<Cell>& cells, const std::string& folder, const 
   return 0;
 }
 
-// What the user is told while cells run, and in the end.
+// What the user sees while cells run, and in the end.
 class SweepProgress {
  public:
   SweepProgress(const Sweep& sweep, const std::vector<Cell>& cells, const Place& place, AppContext& context)
@@ -242,7 +242,7 @@ int run(const SweepOptions& options, AppContext& context) {
     return work(options, sweep, cells, place, context);
   } catch (const Error& error) {
     if (place.reports()) throw;
-    // What is wrong with the file rank 0 tells for all; it gets the time, because launchers end all when one fails.
+    // What is wrong with the file rank 0 reports for all; it gets the time, because launchers end all when one fails.
     if (planned) {
       std::fprintf(stderr, "semfield: %s%s\n", place.prefix().c_str(), shown(error).c_str());
     } else {

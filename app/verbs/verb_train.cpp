@@ -90,7 +90,7 @@ std::string progress_text(const TrainProgress& p) {
                      p.loss, terms, p.psnr, scored, p.rays_per_s, clock_text(p.train_s), clock_text(p.remaining_s));
 }
 
-// A run as the terminal shows it, and what signals ask of it.
+// A run as the terminal shows it, and what signals request of it.
 class ShownRun final : public RunListener {
  public:
   ShownRun(const AppContext& context, std::string out_dir) : context_(context), out_dir_(std::move(out_dir)) {}

@@ -65,7 +65,7 @@ std::string report_split(const std::vector<MetricsRow>& rows);
 /// The page: no scripts, no network, images inside. Throws Error(internal) without runs.
 std::string make_report(const ReportInput& input);
 
-/// A frame with a low score: its name and the score in words. One object a frame in worst_frames.json, worst first.
+/// A frame with a low score: its name and the score in words. One object per frame in worst_frames.json, worst first.
 struct WorstFrame {
   std::string name, note;
 };

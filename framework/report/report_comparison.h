@@ -28,7 +28,7 @@ std::vector<const MetricsRow*> curve_rows(const ReportRun& run, const std::strin
 /// every run, else those of the figures.
 std::vector<std::vector<const MetricsRow*>> level_rows(const ReportInput& input, const std::string& split);
 
-/// When a run came to a level, as far as its evaluations tell.
+/// When a run came to a level, as far as its evaluations show.
 struct LevelTime {
   double not_before_s = 0, not_after_s = 0;
   bool at_first = false;  ///< its first evaluation was there already

@@ -1,4 +1,4 @@
-// What the final evaluation tells beside figures: confusions, calibration and the scores of every frame.
+// What the final evaluation reports beside figures: confusions, calibration and the scores of every frame.
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -88,7 +88,7 @@ std::string confusion_cell(const FinalEval& eval, const Totals& totals, std::siz
   const std::int64_t pixels = eval.count(t, p);
   if (pixels == 0) return "<td></td>";
   const double share = ratio(pixels, totals.truth[t]);
-  // The root shows small shares; half of full colour keeps the figures legible.
+  // The root shows small fractions; half of full colour keeps the figures legible.
   return fmt::format("<td class=\"{}\" style=\"--p:{:.0f}%\" title=\"{} read as {}: {} of {}, {}\">{}</td>",
                      t == p ? "ok" : "no", 60 * std::sqrt(share), html_escape(eval.classes[t].name),
                      html_escape(eval.classes[p].name), percent_text(share), html_escape(eval.classes[t].name),

@@ -71,7 +71,7 @@ std::string card(std::string_view label, const std::string& value, std::string_v
 std::string facts_section(const ReportInput& input, const std::string& split) {
   std::vector<std::vector<Fact>> facts;
   for (const ReportRun& run : input.runs) facts.push_back(facts_of(run, split));
-  // A fact that no run tells is left out.
+  // A fact that no run states is left out.
   const auto told = [&](std::size_t f) {
     return std::any_of(facts.begin(), facts.end(), [&](const auto& of_run) { return !of_run[f].value.empty(); });
   };

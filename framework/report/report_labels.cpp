@@ -14,7 +14,7 @@ namespace semfield {
 
 namespace {
 
-// A scene without classes has no labels to tell of.
+// A scene without classes has no labels to report.
 bool has_labels(const ReportRun& run) { return run.labels && !run.labels->classes.empty(); }
 
 struct Abscissa {

@@ -93,7 +93,7 @@ std::string CheckpointStore::kept_text() const {
     return found ? fmt::format("the checkpoint of step {} is kept", found->step)
                  : "there is no checkpoint yet: a resume begins at step 0";
   } catch (const std::exception& error) {
-    return error.what();  // of another failure beside the one that is told
+    return error.what();  // of another failure beside the one that is reported
   }
 }
 

@@ -1,4 +1,4 @@
-// metrics.jsonl, the source of truth of a run: one JSON object a line, appended and flushed.
+// metrics.jsonl, the source of truth of a run: one JSON object per line, appended and flushed.
 #pragma once
 
 #include <cstdint>

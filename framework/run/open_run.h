@@ -17,7 +17,7 @@ struct OpenedRun {
   std::string run_dir;
 };
 enum class OpenFor { evaluation, evaluation_of_training_frames, rendering };
-/// `ranks`: SessionOptions::ranks. For rendering alone no pixel is read, unless the checkpoint does not tell what
+/// `ranks`: SessionOptions::ranks. For rendering alone no pixel is read, unless the checkpoint does not state what
 /// training knew of the scene.
 OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& overrides, Registry& registry,
                    Diagnostics& diagnostics, OpenFor purpose = OpenFor::evaluation, Ranks* ranks = nullptr);

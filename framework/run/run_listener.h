@@ -1,4 +1,4 @@
-// Whoever a run tells how it goes, and asks between steps.
+// Who gets a run's progress, and is checked between steps.
 #pragma once
 
 #include <cstdint>
@@ -37,16 +37,16 @@ struct TrainProgress {
   double remaining_s = 0;  ///< estimate
 };
 
-/// What a run tells, and what it asks between steps; every call comes from the thread that trains.
+/// What a run reports, and what it checks between steps; every call comes from the thread that trains.
 class RunListener : public TrainingListener {
  public:
   virtual void progress(const TrainProgress&) {}
   /// A row for metrics.jsonl is made, whether or not the run has a folder.
   virtual void row(const MetricsRow&) {}
   virtual void scoring(const ScoreProgress&) {}  ///< an evaluation or a round of self-training is under way
-  /// 0, or the number of the signal that asks for an orderly end.
+  /// 0, or the number of the signal that requests an orderly end.
   virtual int stop_signal() { return 0; }
-  /// Whether a checkpoint was asked for since the last call.
+  /// Whether a checkpoint was requested since the last call.
   virtual bool save_request() { return false; }
   /// true: from now on a stop waits for the step under way and its checkpoint; false: nothing is left to save, so the
   /// process may end at once.

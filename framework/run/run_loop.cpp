@@ -20,7 +20,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr double kProgressEvery_s = 0.2;
-// A process that is asked to end gets at least this before it is killed; drivers look at the signal after each step.
+// A process that is to end gets at least this before it is killed; drivers look at the signal after each step.
 constexpr double kStopDeadline_s = 10;
 constexpr std::size_t kMostWaiting = 100'000;  // rows of a run with a folder, while they cannot be written
 
@@ -100,7 +100,7 @@ std::span<const StepLosses> RunLoop::make_steps(std::int64_t most) {
   return made;
 }
 
-// What it takes is training. False: a stop was asked for, and the round waits for whoever goes on.
+// What it takes is training. False: a stop was requested, and the round waits for whoever goes on.
 bool RunLoop::make_round() {
   if (!options_.rounds || !self_training_.due(training_.step())) return true;
   const Clock::time_point start = Clock::now();

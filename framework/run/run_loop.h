@@ -22,7 +22,7 @@ namespace semfield {
 /// What may happen between steps beside the rows of metrics.jsonl, and what ends training.
 struct RunLoopOptions {
   bool scores = false;     ///< evaluations every report.eval_every_s and events for TensorBoard; needs a folder
-  bool saves = false;      ///< checkpoints every report.checkpoint_every_s and when the listener asks; needs a folder
+  bool saves = false;      ///< checkpoints every report.checkpoint_every_s and on request; needs a folder
   bool rounds = true;      ///< rounds of self-training, and labels.json
   bool rows_wait = false;  ///< advance() leaves rows to write_rows() and save(), so a full disk does not end training
 };

@@ -37,7 +37,7 @@ void require_same_run(const std::vector<ConfigDifference>& identity, const RunFo
                           shell_word(folder.path()), keep, shell_word(folder.config_path()), anew));
 }
 
-// What the run settled after the checkpoint, and the legs that it was asked for, are no changes of a setting.
+// What the run settled after the checkpoint, and the legs that were requested, are no changes of a setting.
 bool is_of_the_length(const std::string& key, bool was_open) {
   return key.starts_with("train.schedule.legs") ||
          (was_open && (key == "train.steps" || key == "train.time_s" || key == "train.schedule.hold_steps" ||
@@ -88,7 +88,7 @@ void compare_with_training(const CheckpointFacts& facts, const SceneInputs& inpu
   if (facts.inputs) warn_of_other_inputs(*facts.inputs, inputs, diagnostics);
   warn_of_other_modules(facts.modules, session.config.plugins, diagnostics);
   if (!facts.scene) return;
-  // Clicks are meant to come, and other labels are told already where both checksums are known.
+  // Clicks are meant to come, and other labels are reported already where both checksums are known.
   const bool told = facts.inputs && !facts.inputs->training_labels.value_or("").empty() &&
                     !inputs.training_labels.value_or("").empty();
   Diagnostics ignored;

@@ -34,7 +34,7 @@ void compare_with_training(const CheckpointFacts& facts, const SceneInputs& inpu
 
 /// For a run that is looked at by `config`, its run.yaml with `overrides`: throws Error(config) naming each setting of
 /// the run's identity that run.yaml says otherwise than the checkpoint, and notes those that `overrides` say otherwise.
-/// False where they ask for other frames, sizes or bounds than those of training: then other inputs are no news.
+/// False where they name other frames, sizes or bounds than those of training: then other inputs are no news.
 bool compare_settings_with_training(const CheckpointFacts& facts, const RunConfig& config, const RunFolder& folder,
                                     const std::vector<std::string>& overrides, Registry& registry,
                                     Diagnostics& diagnostics);

@@ -34,12 +34,12 @@ class RunScores {
     double train_s = 0;
   };
 
-  /// `session`, `listener` and what `files` names must outlive the object. The listener is told and asked as in a
+  /// `session`, `listener` and what `files` names must outlive the object. The listener is called as in a
   /// training; a stop signal ends a sample between its frames.
   RunScores(const Session& session, const ScoreFiles& files, RunListener& listener, const Moment& start);
 
   /// A row of metrics.jsonl for `report.eval_frames` test frames; none when a stop came between them, or when
-  /// evaluations took their share of the time already.
+  /// evaluations took their part of the time already.
   void score_sample(const Moment& at);
   /// The end of training: a sample where there are others, then test frames with final_eval.json and the report's
   /// frames, then training frames. Values of the test frames; none without any.
@@ -55,7 +55,7 @@ class RunScores {
   std::int64_t pixels_of(const EvalJob& job) const;
   // A stride leaves a map of this many pixels at least.
   std::int32_t most_stride(const EvalJob& job) const;
-  // What a pixel costs, from a few of the job's, unless an evaluation told already.
+  // What a pixel costs, from a few of the job's, unless an evaluation showed it already.
   void measure_cost(EvalJob job);
   void plan_sample();
   SplitScore score(EvalJob job, Split split);

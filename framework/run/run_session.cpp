@@ -40,7 +40,7 @@ bool RunSession::apply(const LabelEvent& event) {
     throw Error(ErrorKind::usage, "labels.clicks.missing", "the run has no file of clicks",
                 "open it with a folder and scene.labels.class_room, or with scene.labels.clicks");
   if (!clicks_) {  // not before somebody clicks: to learn from another run's clicks is no reason to hold their file
-    Diagnostics ignored;  // told when the scene was opened by the file
+    Diagnostics ignored;  // stated when the scene was opened by the file
     clicks_.emplace(open_click_log(labels, run_dir(), ignored));
   }
   Annotations next = *annotations_;

@@ -20,7 +20,7 @@ struct OpenedForTraining {
 };
 
 /// Opens the scene and, for a run that goes on, finds its newest checkpoint; makes the folder of a new one when nothing
-/// can refuse it any more; writes run.yaml. Findings are told. Throws Error, and then a new run has left nothing. A
+/// can refuse it any more; writes run.yaml. Findings are reported. Throws Error, and then a new run has left nothing. A
 /// request without out_dir gets no folder.
 OpenedForTraining open_for_training(RunConfig config, Registry& registry, const TrainRequest& request,
                                     TrainingListener& listener);

@@ -58,7 +58,7 @@ TrainOutcome train_to_the_end(RunLoop& loop, RunListener& listener) {
   return outcome;
 }
 
-// A write that fails ends the run; the message then tells what is left of it.
+// A write that fails ends the run; the message then states what is left of it.
 void add_what_is_left(Error& error, const RunLoop& loop) {
   const bool lost = dynamic_cast<const RankLost*>(&error) != nullptr;
   const bool writing = error.kind() == ErrorKind::io || error.kind() == ErrorKind::cannot_create;

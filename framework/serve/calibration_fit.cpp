@@ -13,7 +13,7 @@ constexpr std::size_t kLeastHeld = 8;  // clicks that say something of the tempe
 constexpr double kLowest = 0.25, kHighest = 5;
 constexpr double kPriorWidth = 0.5;  // standard deviation of log T
 constexpr double kWrongClicks =
-    0.1;  // share of clicks that say nothing: slips, and places that no other click resembles
+    0.1;  // fraction of clicks that say nothing: slips, and places that no other click resembles
 
 // Of the clicks at a temperature: weighted log likelihoods, as many as there are in effect, less the prior.
 double misfit(std::span<const HeldBack> held, double temperature) {

@@ -17,7 +17,7 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr float kMostLead = 6;           // of a way, beyond which it tells no more
+constexpr float kMostLead = 6;           // of a way, beyond which it says no more
 constexpr std::int64_t kCellPixels = 8;  // of maps, for a cell of the pool: with fewer, cells of a surface do not touch
 
 }  // namespace

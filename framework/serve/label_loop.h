@@ -37,7 +37,7 @@ struct LabelLoopOptions {
 struct ViewLabels {
   std::int32_t width_px = 0, height_px = 0;
   std::vector<std::int16_t> label;    ///< class indices, kVoid where the view meets nothing
-  std::vector<std::uint8_t> entropy;  ///< 0 to 255: a share of the largest there can be
+  std::vector<std::uint8_t> entropy;  ///< 0 to 255: a fraction of the largest there can be
 };
 
 /// One thread at a time, and no step of the training meanwhile.
@@ -66,7 +66,7 @@ class LabelLoop {
   /// Places of the same clicks that were found on an earlier surface are found anew, for about this long.
   void refresh_places(std::span<const LabelledPixels> clicks, double budget_s);
 
-  /// Learns the semantic part anew from these; with none there is nothing to tell any more. A click names the pixels
+  /// Learns the semantic part anew from these; with none there is nothing to state any more. A click names the pixels
   /// around it too that lie on the same surface and have its colour.
   /// `quickly`: in fewer steps, for labels that are to be seen at once.
   void learn(std::span<const LabelledPixels> clicks, bool quickly = false);
@@ -89,7 +89,7 @@ class LabelLoop {
   SurfaceMap map_of(int view, std::int32_t stride);
 
   std::optional<Asked> propose(Acquisition how, std::uint64_t seed, std::uint64_t round) const;
-  /// Clicks that were passed over count as answered, for where to ask next.
+  /// Clicks that were passed over count as done, for the next proposal.
   void set_skipped(std::vector<LabelledPixels> skipped);
 
   /// The clicks of a fold (calibration_fit.h) by what is learned from the others, for a temperature. What was learned
@@ -101,7 +101,7 @@ class LabelLoop {
   void set_temperature(double temperature);
   double temperature() const { return temperature_; }
 
-  /// Pixels [height * width] of a view that have no label and are not asked about; empty: none of it.
+  /// Pixels [height * width] of a view that have no label and are not proposed; empty: none of it.
   void set_ignored(int view, std::vector<bool> pixels) { ignored_[static_cast<std::size_t>(view)] = std::move(pixels); }
 
   PointLearner& learner() { return learner_; }

@@ -1,4 +1,4 @@
-// What a labelling session answers with between steps: labels of a view, the next question, clicks held back.
+// What a labelling session returns between steps: labels of a view, the next question, clicks held back.
 #include <algorithm>
 #include <cmath>
 

@@ -34,24 +34,24 @@ class LabelRun {
   bool knows_all() const { return !unlearned_ || !loop_.ready(); }
   /// Trains for about this long, while there is something to train; false: there is not.
   bool train(double budget_s);
-  /// Surfaces that are due, within the share of time that training grants them; clicks whose places are found; in a
+  /// Surfaces that are due, within the fraction of time that training grants them; clicks whose places are found; in a
   /// pause between clicks what was learned quickly is learned well; when nobody has clicked for long a fold of the
   /// clicks for the temperature. True when labels or questions have changed.
   bool tend(bool looked_at, bool pause, bool quiet);
   /// Everything of the state but events, marks and names.
   void describe(LabelState& state) const;
-  /// Rows of the log and classes.yaml, where they have changed, and a checkpoint where one is due or `checkpoint` asks
-  /// for it. Throws write_error; what could not be written stays due, and keep_is_due() is false for a while.
+  /// Rows of the log and classes.yaml, where they have changed, and a checkpoint where one is due or `checkpoint`
+  /// requires for it. Throws write_error; what could not be written stays due, and keep_is_due() is false for a while.
   void keep(bool checkpoint);
   bool keep_is_due() const;
-  /// What the run's report tells of the labelling; `state` has the classes and marks.
+  /// What the run's report says of the labelling; `state` has the classes and marks.
   void write_record(LabelState state);
 
  private:
   using Clock = std::chrono::steady_clock;
   // What the pool's probabilities add up to; made when they change.
   struct Summary {
-    std::vector<double> area, sure;  // of classes: share of the surface, and mean confidence
+    std::vector<double> area, sure;  // of classes: fraction of the surface, and mean confidence
     std::vector<double> entropy;     // of views
   };
   void summarise();
@@ -74,7 +74,7 @@ class LabelRun {
   std::vector<LabelledPixels> clicks_;  // and given labels
   std::vector<LabelledPixels> given_;
   std::vector<std::vector<LabelledPixels>> named_;  // of each frame, by its marks
-  std::vector<std::uint64_t> marked_;               // frames, by a checksum of their marks, to tell which have changed
+  std::vector<std::uint64_t> marked_;               // frames, by a checksum of their marks, to see which have changed
   bool taken_ = false, unlearned_ = false, learned_quickly_ = false;
   std::uint64_t skips_ = 0;  // a checksum of their ids
   std::size_t marks_ = 0, fitted_at_ = 0;

@@ -16,7 +16,7 @@ namespace {
 
 constexpr int kClassRoom = 32;
 constexpr auto kAbandonedLook = std::chrono::milliseconds(100);
-constexpr std::size_t kMostOrders = 16;  // each holds a thread of whoever asks
+constexpr std::size_t kMostOrders = 16;  // each holds a thread of its caller
 
 // Keeps warnings for the page.
 class Noting final : public RunListener {

@@ -1,4 +1,4 @@
-// A scene that is labelled while its field trains: one thread trains, any others click, look and ask.
+// A scene that is labelled while its field trains: one thread trains, any others click, look and query.
 #pragma once
 
 #include <chrono>
@@ -37,7 +37,7 @@ class LabelSession {
   std::shared_ptr<const LabelState> state() const;
   /// The state once its revision is above `after`, or after `most` as it is then.
   std::shared_ptr<const LabelState> wait_state(std::uint64_t after, std::chrono::milliseconds most) const;
-  /// Waits for the thread that trains, until `abandoned` (looked at several times a second) says that nobody wants the
+  /// Waits for the thread that trains, until `abandoned` (checked several times per second) says that nobody wants the
   /// picture any more. Quick pictures come before those of PictureRequest::full; of more than 16 that wait the oldest
   /// is stale. Throws Error for a request that is wrong or a training that has failed.
   Picture picture(const PictureRequest& request, const std::function<bool()>& abandoned = {});

@@ -35,7 +35,7 @@ struct LabelSession::Parts {
       : notes(std::move(warnings)),
         annotations(*opened.session.config.labels.clicks),
         log([&] {
-          Diagnostics ignored;  // told when the scene was opened by the file
+          Diagnostics ignored;  // stated when the scene was opened by the file
           return open_click_log(opened.session.config.labels, opened.folder->path(), ignored);
         }()),
         run(std::move(opened), registry, listener) {}
@@ -70,7 +70,7 @@ struct LabelSession::Parts {
   std::optional<Error> save_error;
   bool stopping = false, ended = false, poked = false;  // poked: look again before going to sleep
   std::string trouble_told;
-  std::optional<Error> failure;  // of the thread that trains: it trains no longer, and answers all the same
+  std::optional<Error> failure;  // of the thread that trains: it trains no longer, and responds all the same
   Clock::time_point last_event = Clock::now() - kQuietAfter, last_look = Clock::now() - kLookedFor;
 
   LabelRun run;

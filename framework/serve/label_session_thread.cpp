@@ -118,7 +118,7 @@ void LabelSession::Parts::end() {
 
 void LabelSession::run() {
   Parts& p = *parts_;
-  // However it ends, whoever waits is answered.
+  // However it ends, whoever waits gets a response.
   const std::unique_ptr<Parts, void (*)(Parts*)> ending(&p, [](Parts* parts) { parts->end(); });
   Parts::Clock::time_point published = Parts::Clock::now();
   const auto asked_to_stop = [&] {

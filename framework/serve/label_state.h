@@ -1,4 +1,4 @@
-// What a labelling session tells, and what it is asked for.
+// What a labelling session reports, and what is requested of it.
 #pragma once
 
 #include <array>
@@ -27,7 +27,7 @@ struct ViewState {
   std::string frame;
   std::int32_t width_px = 0, height_px = 0;
   int clicks = 0;
-  double entropy = 0;     ///< mean over its pixels, as a share of the largest there can be
+  double entropy = 0;     ///< mean over its pixels, as a fraction of the largest there can be
   bool ready = false;     ///< its surface is known, so it has labels
   std::string photo;      ///< a checksum of its photograph
   bool held_out = false;  ///< a test frame, which is only looked at
@@ -94,21 +94,21 @@ struct PictureRequest {
   std::optional<FreeCamera> camera;  ///< a camera of its own
   std::int32_t most_px = 0;          ///< longest side of a free camera's picture; 0: that of the views
   std::optional<PixelPoint>
-      at;              ///< of a camera: the point asked about, as shares of its width and height; no map is made
+      at;              ///< of a camera: the point in question, as fractions of its width and height; no map is made
   bool color = false;  ///< rendered colour
   bool labels = true;
   bool entropy = false;
   bool full = false;  ///< every pixel rendered: a free camera that stands still, or a view's final labels
 };
 
-/// Maps row by row; those that were not asked for are empty.
+/// Maps row by row; those that were not requested are empty.
 struct Picture {
   std::int32_t width_px = 0, height_px = 0;
   std::vector<std::uint8_t> rgb;
   std::vector<std::int16_t> label;    ///< class indices, kVoid for none
-  std::vector<std::uint8_t> entropy;  ///< 0 to 255: a share of the largest there can be
+  std::vector<std::uint8_t> entropy;  ///< 0 to 255: a fraction of the largest there can be
   std::vector<SeenMark> seen;         ///< clicks of other views; with labels alone
-  std::optional<Spot> spot;           ///< what was asked about `at`: where a photograph shows it best
+  std::optional<Spot> spot;           ///< about `at`: where a photograph shows it best
   bool meets_surface = false;         ///< the ray through `at` meets something
   int nearest_view = -1;              ///< of a camera with `at`: the view that is taken from about there
   std::uint64_t overlay_revision = 0;

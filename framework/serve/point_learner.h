@@ -25,12 +25,12 @@ struct PointLearning {
   std::int64_t steps = 200;
   std::int64_t batch = 512;
   double learning_rate = 5e-3;  ///< falls to a tenth along half a cosine
-  double weight_decay = 1e-2;   ///< share of a value times the learning rate [Loshchilov19]
-  double class_power = 0.75;    ///< a class is drawn as often as the weight of its points to this power tells
+  double weight_decay = 1e-2;   ///< fraction of a value times the learning rate [Loshchilov19]
+  double class_power = 0.75;    ///< a class is drawn as often as the weight of its points to this power says
   std::uint64_t seed = 1;       ///< of the order of points and of dropout
 };
 
-/// Works on the tensors of the pipeline's last pass on the processor: those of its branch, if it has one, and of its
+/// Works on the tensors of the pipeline's last pass on the CPU: those of its branch, if it has one, and of its
 /// head. Nothing else of the pipeline may run meanwhile. Where a pipeline runs on another device, the caller brings the
 /// store up to date first (Executor::download) and hands it back afterwards (Executor::upload).
 class PointLearner {

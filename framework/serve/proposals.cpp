@@ -20,7 +20,7 @@ std::ptrdiff_t named_classes(const ProposalInput& in) {
   return std::count(named.begin(), named.end(), true);
 }
 
-// [N] entropy as a share of the largest there can be; all 1 while nothing is learned.
+// [N] entropy as a fraction of the largest there can be; all 1 while nothing is learned.
 std::vector<double> entropies(const ProposalInput& in) {
   const std::size_t count = in.pool->points.size();
   std::vector<double> out(count, 1.0);

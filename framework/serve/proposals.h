@@ -1,4 +1,4 @@
-// Which click to ask for next.
+// Which click to propose next.
 #pragma once
 
 #include <array>
@@ -37,7 +37,7 @@ struct ProposalRules {
   float reach = 1.5;           ///< a click settles what it spreads to for this
   std::size_t most = 400;      ///< points that one click settles
   double area_power = 0.35;    ///< a region counts by this power of its area: small things have classes too
-  double entropy_share = 0.8;  ///< of a point's doubt that the network's entropy tells; the rest is the way to a click
+  double entropy_share = 0.8;  ///< of a point's doubt that the network's entropy shows; the rest is the way to a click
   std::int64_t candidates = 256;
 };
 
@@ -50,7 +50,7 @@ struct ProposalInput {
   std::int32_t classes = 0;
   std::span<const Vec3d> answered;
   std::span<const std::int32_t> passed;
-  const std::vector<bool>* barred = nullptr;  ///< [N] points that are never asked about; null or empty: none
+  const std::vector<bool>* barred = nullptr;  ///< [N] points that are never proposed; null or empty: none
   std::uint64_t seed = 1, round = 0;
   ProposalRules rules{};
 };

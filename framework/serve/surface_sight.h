@@ -43,7 +43,7 @@ class MarkPlaces {
     int view = -1;
     std::vector<PixelPlace> pixels;
     std::vector<Vec3d> places;
-    std::int64_t step = -1;  // of the map that told the places
+    std::int64_t step = -1;  // of the map that gave the places
   };
   std::vector<Placed> marks_;
 };

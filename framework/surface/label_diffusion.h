@@ -1,4 +1,4 @@
-// Votes of some nodes of a weighted graph spread over all of it, by one linear system a class.
+// Votes of some nodes of a weighted graph spread over all of it, by one linear system per class.
 #pragma once
 
 #include <cstdint>
@@ -23,8 +23,8 @@ struct Diffusion {
 /// the diagonal of all votes times `vote_weight`: the chance that a walker from a node, who takes edges and votes by
 /// their weights, ends at a vote for c [Zhu03, with votes on nodes of their own; Grady06, with seeds that hold softly].
 /// `votes` [nodes * classes], not negative. Conjugate gradients with an incomplete factor, classes in parallel; the
-/// bits do not depend on threads. `done` is told the classes solved, from any thread but one at a time; may be null.
-/// Throws Error(failure) when the iteration does not converge.
+/// bits do not depend on threads. `done` gets the number of classes solved, from any thread but one at a time; may be
+/// null. Throws Error(failure) when the iteration does not converge.
 Diffusion diffuse_votes(std::span<const GraphEdge> edges, std::span<const double> votes, int classes,
                         double vote_weight, const std::function<void(int done, int of)>& done);
 

@@ -89,7 +89,7 @@ SurfacePool make_surface_pool(std::span<const PoolView> views, const RayLimits& 
   pool.point_of_pixel.resize(views.size());
   for (std::size_t v = 0; v < views.size(); ++v) pool.point_of_pixel[v].assign(seen[v].place.size(), -1);
   if (!(extent > 0)) return pool;
-  // A surface has as many cells as the square of their number an axis; the second turn corrects the first guess.
+  // A surface has as many cells as the square of their number per axis; the second turn corrects the first guess.
   double cell_m = extent / std::sqrt(static_cast<double>(wanted));
   for (int turn = 0; turn < 3; ++turn) {
     pool = SurfacePool(cell_m, views.size());

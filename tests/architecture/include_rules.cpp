@@ -199,9 +199,8 @@ std::string why_forbidden(const std::string& path, const std::string& target) {
       ends_with(path, "_test.cpp") || ends_with(path, "_sample.cpp") || path.find("/tests/") != std::string::npos;
   if (starts_with(path, "framework/") && !of_a_test)
     return forbidden_in_framework(path.substr(std::string("framework/").size()), target);
-  if (starts_with(path, "plugins/") && !of_a_test) {
+  if (starts_with(path, "plugins/") && !of_a_test)
     return forbidden_in_plugin(path.substr(std::string("plugins/").size()), target);
-  }
   if (starts_with(path, "app/") && names_plugin(target))
     return "the application knows plugins by their names in the registry alone";
   if (starts_with(path, "app/") && starts_with(target, "testkit/")) return "the application does not use the testkit";

@@ -1,15 +1,13 @@
 // Kernel files are compiled once per instruction set. A function that such a file shares with others (an inline one
 // that was not inlined, an instantiated template of the standard library) is kept once by the linker, perhaps the copy
-// of an instruction set that the processor lacks: the program would die on machines that no developer has.
-#include <gtest/gtest.h>
-
+// of an instruction set that the CPU lacks: the program would die on machines that no developer has.
 #include <array>
 #include <cstdio>
 #include <fstream>
 #include <sstream>
-#include <string>
 
 #include "core/text.h"
+#include "tests/says.h"
 
 namespace semfield {
 namespace {
@@ -36,7 +34,7 @@ TEST(KernelSymbols, NoFunctionIsSharedBetweenInstructionSets) {
       ++symbols;
       const char kind = line[17];
       if (kind != 'W' && kind != 'u') continue;
-      EXPECT_NE(line.find("semfield::isa_"), std::string::npos) << object << " shares " << line.substr(19);
+      EXPECT_HAS(line, "semfield::isa_") << object << " shares " << line.substr(19);
     }
   }
   EXPECT_GT(objects, 0);

@@ -1,6 +1,4 @@
 // Rules on the text of sources: length, the CUDA switch, fast math.
-#include <gtest/gtest.h>
-
 #include <algorithm>
 #include <cstdint>
 #include <filesystem>
@@ -10,9 +8,9 @@
 #include <regex>
 #include <set>
 #include <sstream>
-#include <string>
 
 #include "tests/architecture/include_rules.h"
+#include "tests/says.h"
 
 namespace semfield::architecture {
 namespace {
@@ -32,10 +30,9 @@ std::vector<SourceFile> all_sources() {
 TEST(SourceRules, NoFileIsTooLong) {
   const std::vector<SourceFile> files = all_sources();
   EXPECT_GT(files.size(), 50u);
-  for (const SourceFile& file : files) {
+  for (const SourceFile& file : files)
     EXPECT_LE(std::count(file.text.begin(), file.text.end(), '\n'), kMostLines)
         << file.path << " wants to be two files";
-  }
 }
 
 TEST(SourceRules, NoFolderOfTheFrameworkIsTooFull) {
@@ -109,7 +106,7 @@ TEST(SourceRules, StateOfTheProcessIsListed) {
         const std::filesystem::path path(source.path);
         const std::string name = path.parent_path().filename().string() + "/" + path.filename().string();
         found.insert(name);
-        EXPECT_NE(section.find("`" + name + "`"), std::string::npos)
+        EXPECT_HAS(section, "`" + name + "`")
             << source.path << " keeps state of the process, which docs/reference/inside.md does not list: " << line;
       }
     }

@@ -5,8 +5,6 @@
 #include <filesystem>
 #include <map>
 #include <set>
-#include <string>
-#include <vector>
 
 #include "tests/architecture/include_rules.h"
 

@@ -1,22 +1,17 @@
 // Rules of the rendering integral: references, the orders and constants that theory predicts, and `semfield-study
 // quadrature`.
-#include <gtest/gtest.h>
-#include <unistd.h>
-
-#include <cmath>
-#include <filesystem>
 #include <nlohmann/json.hpp>
 #include <regex>
 
 #include "plugin/linked_plugins.h"
 #include "studies/quadrature_bench.h"
 #include "tests/program.h"
+#include "tests/temp_dir.h"
 
 namespace semfield {
 namespace {
 
 using nlohmann::json;
-namespace fs = std::filesystem;
 
 const Registry& registry() {
   static const Registry* const all = [] {
@@ -58,24 +53,23 @@ double order(const std::string& problem, const std::string& rule, std::int64_t r
 TEST(QuadratureReferences, AgreeWithClosedForms) {
   const double e4 = std::exp(-4.0);
   const PerQuantity linear = exact_values(problem_named("linear_colour"), 0);
-  EXPECT_NEAR(static_cast<double>(linear[0]), (1 - 5 * e4) / 4, 1e-16);
-  EXPECT_NEAR(static_cast<double>(linear[1]), 1 - e4, 1e-16);
-  EXPECT_NEAR(static_cast<double>(linear[2]), 1 - 5 * e4, 1e-15);
+  EXPECT_NEAR(linear[0], (1 - 5 * e4) / 4, 1e-16);
+  EXPECT_NEAR(linear[1], 1 - e4, 1e-16);
+  EXPECT_NEAR(linear[2], 1 - 5 * e4, 1e-15);
   const PerQuantity ramp = exact_values(problem_named("linear_density"), 0);
-  EXPECT_NEAR(static_cast<double>(ramp[1]), 1 - std::exp(-8.0), 1e-16);
+  EXPECT_NEAR(ramp[1], 1 - std::exp(-8.0), 1e-16);
   // int t^2 e^(-t^2/2) from 0 to 4.
-  EXPECT_NEAR(static_cast<double>(ramp[2]), std::sqrt(M_PI / 2) * std::erf(4 / std::sqrt(2.0)) - 4 * std::exp(-8.0),
-              1e-15);
+  EXPECT_NEAR(ramp[2], std::sqrt(M_PI / 2) * std::erf(4 / std::sqrt(2.0)) - 4 * std::exp(-8.0), 1e-15);
   for (const double sigma : {1.0, 1e3, 1e8}) {
     const PerQuantity fog = exact_values(constant_medium(sigma), 0);
     const double through = std::exp(-4 * sigma);
-    EXPECT_NEAR(static_cast<double>(fog[0]), (1 / sigma - (4 + 1 / sigma) * through) / 4, 1e-15 / sigma) << sigma;
+    EXPECT_NEAR(fog[0], (1 / sigma - (4 + 1 / sigma) * through) / 4, 1e-15 / sigma) << sigma;
   }
   // Slabs 5 and 1, moved by 0.25: colour of a slab from a to b is int sigma e^(-sigma (t - a)) t/4.
   const auto slab = [](double s, double a, double b) { return (a + 1 / s - (b + 1 / s) * std::exp(-s * (b - a))) / 4; };
-  EXPECT_NEAR(static_cast<double>(exact_values(problem_named("slabs"), 0.25)[0]),
-              slab(5, 0.95, 1.55) + std::exp(-3.0) * slab(1, 2.35, 3.45), 1e-15);
-  EXPECT_NEAR(static_cast<double>(exact_values(problem_named("wall"), 0.25)[0]), (1.484 + 1e-4) / 4, 1e-15);
+  EXPECT_NEAR(exact_values(problem_named("slabs"), 0.25)[0], slab(5, 0.95, 1.55) + std::exp(-3.0) * slab(1, 2.35, 3.45),
+              1e-15);
+  EXPECT_NEAR(exact_values(problem_named("wall"), 0.25)[0], (1.484 + 1e-4) / 4, 1e-15);
 }
 
 TEST(QuadratureOrders, SmoothMedium) {  // A07
@@ -199,9 +193,8 @@ TEST(QuadratureBench, CrossingsAreWhereTheCurveStaysBelow) {
 }
 
 TEST(QuadratureVerb, WritesTablesPlotsAndJson) {
-  const std::string folder = testing::TempDir() + "bench_quadrature_" + std::to_string(::getpid());
-  fs::remove_all(folder);
-  fs::create_directories(folder);
+  const TempDir dir;
+  const std::string& folder = dir.path();
   const auto r = testing_program::semfield_run("-q quadrature --rays 64 --out out", folder);
   const std::size_t end = r.out.find_last_not_of('\n'), begin = r.out.rfind('\n', end);
   std::smatch words;
@@ -212,8 +205,7 @@ TEST(QuadratureVerb, WritesTablesPlotsAndJson) {
   EXPECT_GE(std::stoi(words[1]), 8);
   EXPECT_GE(std::stoi(words[3]), 60);
   EXPECT_EQ(r.code == 0, words[2] == words[3]);
-  EXPECT_NE(r.out.find("## Omissions"), std::string::npos);
-  EXPECT_NE(r.out.find("does not converge"), std::string::npos);
+  EXPECT_HAS(r.out, "## Omissions", "does not converge");
   const json out = json::parse(read_text_file(folder + "/out/quadrature.json"));
   EXPECT_EQ(out["curves"].size(), 2 * 6 * std::stoul(words[1]));
   for (const json& curve : out["curves"]) {
@@ -223,7 +215,7 @@ TEST(QuadratureVerb, WritesTablesPlotsAndJson) {
     }
   }
   for (const RayProblem& p : quadrature_problems())
-    EXPECT_NE(read_text_file(folder + "/out/" + p.key + ".svg").find("</svg>"), std::string::npos) << p.key;
+    EXPECT_HAS(read_text_file(folder + "/out/" + p.key + ".svg"), "</svg>") << p.key;
 }
 
 }  // namespace

@@ -1,12 +1,10 @@
-// The model of steps on many devices: its limits, what must grow, and sums that can be done by hand.
+// The model of steps on many devices: its limits, what must grow, sums that can be done by hand; and its page.
 #include "studies/scale_model.h"
 
-#include <gtest/gtest.h>
-
-#include <array>
-#include <cmath>
-
 #include "core/error.h"
+#include "studies/scale_page.h"
+#include "system/files.h"
+#include "tests/says.h"
 
 namespace semfield {
 namespace {
@@ -18,13 +16,7 @@ ScaleSystem all_reduce() {
 ScaleSystem free_of_charge(ScaleExchange how) {
   return {"free", how, 4, {"near", 0, INFINITY}, {"far", 0, INFINITY}, 1e6};
 }
-ScaleStep paper() {
-  ScaleStep step;
-  step.fixed_s = 0.01;
-  step.split_s_per_ray = 7e-3;
-  step.gradient_bytes = 5e6;
-  return step;
-}
+ScaleStep paper() { return ScaleStep{.fixed_s = 0.01, .split_s_per_ray = 7e-3, .gradient_bytes = 5e6}; }
 
 TEST(ScaleModel, OneDeviceTakesWhatItTakes) {
   ScaleStep step = paper();
@@ -54,9 +46,7 @@ TEST(ScaleModel, WithoutCostOfExchangeTheSplitPartScalesPerfectly) {
 }
 
 TEST(ScaleModel, WhatEveryDeviceRepeatsBoundsTheSpeedUp) {
-  ScaleStep step;
-  step.split_s_per_ray = 9e-3;
-  step.repeated_s_per_ray = 1e-3;
+  ScaleStep step{.split_s_per_ray = 9e-3, .repeated_s_per_ray = 1e-3};
   const ScaleSystem system = free_of_charge(ScaleExchange::chain);
   EXPECT_NEAR(predict_speedup(step, system, 1 << 20, 1000, true), 10, 1e-3);
   EXPECT_NEAR(predict_speedup(step, system, 1 << 20, 1000, false), 10, 1e-3);
@@ -73,10 +63,9 @@ TEST(ScaleModel, AChainTakesItsHopsAndThenTheOtherMessages) {
 
 TEST(ScaleModel, ARingMovesTwiceTheShareOfAllOthers) {
   const double bytes = 100e6;  // latency does not count
-  for (const int devices : {2, 4, 8}) {
+  for (const int devices : {2, 4, 8})
     EXPECT_NEAR(sum_seconds(all_reduce(), devices, bytes), 2.0 * (devices - 1) * (4e-6 + bytes / devices / 300e9),
                 1e-12);
-  }
   // Few bytes on many hosts go by a tree, whose latency grows with the logarithm.
   const double small = sum_seconds(all_reduce(), 1024, 8);
   EXPECT_LT(small, 2 * 7 * 10e-6 + 2 * 7 * 4e-6 + 1e-6);
@@ -114,9 +103,7 @@ TEST(ScaleModel, NoSpeedUpAboveTheNumberOfDevices) {
 }
 
 TEST(ScaleModel, LanesAreDealtOutWhole) {
-  ScaleStep step;
-  step.split_s_per_ray = 1e-3;
-  step.lanes = 48;
+  ScaleStep step{.split_s_per_ray = 1e-3, .lanes = 48};
   EXPECT_DOUBLE_EQ(largest_share(step, 16), 3.0 / 48);
   EXPECT_DOUBLE_EQ(largest_share(step, 32), 2.0 / 48);
   EXPECT_DOUBLE_EQ(largest_share(step, 48), 1.0 / 48);
@@ -184,14 +171,13 @@ TEST(ScaleModel, AFitIsNeverNegative) {
 }
 
 TEST(ScaleModel, WhatIsRepeatedIsFoundFromTwoRanks) {
-  ScaleStep truth;
-  truth.fixed_s = 1e-3;
-  truth.split_s_per_ray = 2e-5;
-  truth.repeated_s_per_ray = 1e-5;
-  truth.gradient_bytes = 1e5;
-  truth.gathered_bytes_per_ray = 4560;
+  ScaleStep truth{.fixed_s = 1e-3,
+                  .split_s_per_ray = 2e-5,
+                  .repeated_s_per_ray = 1e-5,
+                  .gradient_bytes = 1e5,
+                  .gathered_bytes_per_ray = 4560};
   const ScaleSample two{1024, predict_step(truth, chain(), 2, 1024).step_s()};
-  ScaleStep known = truth;  // what one rank tells: not who repeats what
+  ScaleStep known = truth;  // what one rank reports: not who repeats what
   known.split_s_per_ray = 3e-5;
   known.repeated_s_per_ray = 0;
   const ScaleStep found = with_repeated(known, chain(), 2, two);
@@ -205,6 +191,138 @@ TEST(ScaleModel, NoDevicesAndNoRaysAreRefused) {
   EXPECT_THROW(predict_step(paper(), chain(), 0, 10), Error);
   EXPECT_THROW(predict_step(paper(), chain(), 2, 0), Error);
   EXPECT_THROW(predict_step(paper(), chain(), 2, NAN), Error);
+}
+
+// What `semfield-study scale` makes of measurements: goals, files, tables, and that the page shows its data.
+
+ScaleRow row(const std::string& machine, const std::string& device, const std::string& step, int ranks,
+             std::int64_t rays, double seconds) {
+  return {
+      machine, step, device, ranks, rays, {seconds, 0.9 * seconds, 1.1 * seconds}, 4, 5e6, step == "hash" ? 1e6 : 0};
+}
+
+ScaleResults two_cores() {
+  return ScaleResults{
+      .machines = {{"two cores", "cpu", 2, "build"}},
+      .rows = {row("two cores", "cpu", "paper", 1, 1024, 10), row("two cores", "cpu", "paper", 2, 1024, 5.25),
+               row("two cores", "cpu", "paper", 1, 256, 2.5), row("two cores", "cpu", "paper", 2, 512, 2.6)}};
+}
+
+std::string goal(const ScaleResults& results, const std::string& name) {
+  for (const auto& [key, value] : scale_goals(results)) {
+    if (key == name) return value;
+  }
+  return "no such goal";
+}
+
+TEST(ScaleResults, GoalsAreRatiosOfTheRightRows) {
+  const ScaleResults r = two_cores();
+  EXPECT_EQ(goal(r, "cpu2_strong"), "1.90");
+  EXPECT_EQ(goal(r, "cpu2_weak"), "1.92");
+  EXPECT_EQ(goal(r, "cpu16_strong"), "-");
+  EXPECT_EQ(goal(r, "bits_equal"), "-");
+  EXPECT_EQ(scale_line(r),
+            "scale: cpu2_strong=1.90 cpu2_weak=1.92 cpu16_strong=- gpu2_weak_paper=- gpu2_strong_paper4096=- "
+            "gpu2_weak_hash=- bits_equal=- sweep2=-");
+}
+
+TEST(ScaleResults, GoalsOfGpusAreOfTheirOwnSizes) {
+  ScaleResults r{.machines = {{"gpus", "cuda", 2, "build"}},
+                 .rows = {row("gpus", "cuda", "paper", 1, 1024, 2.2e-3), row("gpus", "cuda", "paper", 2, 2048, 2.2e-3),
+                          row("gpus", "cuda", "paper", 1, 4096, 8e-3), row("gpus", "cuda", "paper", 2, 4096, 5e-3),
+                          row("gpus", "cuda", "hash", 1, 8192, 1e-3), row("gpus", "cuda", "hash", 2, 16384, 1.25e-3)}};
+  EXPECT_EQ(goal(r, "gpu2_weak_paper"), "2.00");
+  EXPECT_EQ(goal(r, "gpu2_strong_paper4096"), "1.60");
+  EXPECT_EQ(goal(r, "gpu2_weak_hash"), "1.60");
+  EXPECT_EQ(goal(r, "cpu2_strong"), "-");
+}
+
+TEST(ScaleResults, ARatioIsOfOneMachine) {
+  ScaleResults r = two_cores();
+  r.machines.push_back({"other", "cpu", 16, "build"});
+  r.rows.push_back(row("other", "cpu", "paper", 16, 1024, 0.5));  // without its own single rank
+  EXPECT_EQ(goal(r, "cpu16_strong"), "-");
+  r.rows.push_back(row("other", "cpu", "paper", 1, 1024, 7));
+  EXPECT_EQ(goal(r, "cpu16_strong"), "14.00");
+}
+
+TEST(ScaleResults, BitsAreEqualWhenAllAreAndSomethingWasCompared) {
+  ScaleResults r{.bits = {{"m", "quickstart", 1, 1, ""}}};
+  EXPECT_EQ(goal(r, "bits_equal"), "-");
+  r.bits.push_back({"m", "quickstart", 2, 1, ""});
+  EXPECT_EQ(goal(r, "bits_equal"), "yes");
+  r.bits.push_back({"m", "quickstart", 3, 1, "tensor 'x' differs from element 4 on"});
+  r.bits.push_back({"m", "quickstart", 3, 2, ""});
+  EXPECT_EQ(goal(r, "bits_equal"), "no");
+  EXPECT_HAS(scale_measured(r), "3 x 1: tensor 'x' differs from element 4 on");
+}
+
+TEST(ScaleResults, FilesKeepEverything) {
+  ScaleResults r = two_cores();
+  r.bits = {{"two cores", "quickstart", 2, 1, "differs"}};
+  r.sweeps = {{"two cores", "processes of one thread", 8, 20, 11}};
+  const ScaleResults back = parse_scale_json(scale_json(r), "x");
+  EXPECT_EQ(back.machines, r.machines);
+  EXPECT_EQ(back.rows, r.rows);
+  EXPECT_EQ(back.bits, r.bits);
+  EXPECT_EQ(back.sweeps, r.sweeps);
+  EXPECT_EQ(goal(back, "sweep2"), "1.82");
+}
+
+TEST(ScaleResults, WrongFilesAreRefusedByName) {
+  for (const std::string text : {"{", "{}", "[]", R"({"quick": false, "machines": 3})"})
+    EXPECT_HAS(error_of(ErrorKind::data, [&] { parse_scale_json(text, "some/results.json"); }), "some/results.json")
+        << text;
+  ScaleResults r = two_cores();
+  r.rows[0].seconds.min = 0;
+  EXPECT_THROW(parse_scale_json(scale_json(r), "x"), Error);
+}
+
+TEST(ScaleResults, FreshFiguresReplaceTheirOwn) {
+  ScaleResults fresh{.machines = {{"two cores", "cpu", 2, "another build"}},
+                     .rows = {row("two cores", "cpu", "paper", 2, 1024, 5)}};
+  const ScaleResults all = merged(two_cores(), fresh);
+  EXPECT_EQ(all.rows.size(), two_cores().rows.size());
+  EXPECT_EQ(all.machines.size(), 1U);
+  EXPECT_EQ(all.machines[0].about, "another build");
+  EXPECT_EQ(goal(all, "cpu2_strong"), "2.00");
+  ScaleResults without_times{.machines = {{"two cores", "cpu", 2, "a third build"}},
+                             .bits = {{"two cores", "quickstart", 2, 1, ""}}};
+  EXPECT_EQ(merged(all, without_times).machines[0].about, "another build");
+  EXPECT_EQ(goal(merged(all, without_times), "bits_equal"), "yes");
+  fresh.quick = true;
+  EXPECT_THROW(merged(two_cores(), fresh), Error);
+}
+
+TEST(ScalePage, TheModelStandsOnOneRankAlone) {
+  ScaleResults r = two_cores();
+  const std::vector<ScaleCase> cases = scale_cases(r);
+  ASSERT_EQ(cases.size(), 1U);
+  EXPECT_NEAR(predict_step(cases[0].cost, cases[0].system, 1, 1024).step_s(), 10, 0.01);
+  r.rows[1].seconds.median = 100;  // of two ranks
+  EXPECT_EQ(scale_cases(r)[0].cost.split_s_per_ray, cases[0].cost.split_s_per_ray);
+}
+
+TEST(ScalePage, MarksThatAreMissingAreNamed) {
+  EXPECT_THROW(with_scale("# A page\n", two_cores(), "page.md"), Error);
+  const std::string page = with_scale(
+      "a\n<!-- study scale: measured begin -->\nold\n<!-- study scale: measured end -->\nb\n<!-- study scale: model "
+      "begin "
+      "--><!-- study scale: model end -->\nc\n",
+      two_cores(), "page.md");
+  EXPECT_LACKS(page, "old", "`cpu2_strong` on a machine");  // measured
+  EXPECT_HAS(page, "| 2 | 5250 (4725 .. 5775) | 1.90 |", "`gpu2_weak_paper` on a machine with two GPUs");
+  EXPECT_EQ(page, with_scale(page, two_cores(), "page.md"));
+}
+
+// Whoever changes the model, or how it is shown, renews the page: semfield-study scale --combine
+// docs/evidence/scale.json --write-docs docs.
+TEST(ScalePage, TheShippedPageShowsItsData) {
+  const std::string docs = SEMFIELD_SOURCE_DIR "/docs/", name = docs + "evidence/scale.md";
+  const ScaleResults results = parse_scale_json(read_text_file(docs + "evidence/scale.json"), "scale.json");
+  EXPECT_FALSE(results.quick);
+  EXPECT_EQ(read_text_file(name), with_scale(read_text_file(name), results, name));
+  EXPECT_TRUE(read_text_file(docs + "images/scale.svg") == scale_figure(results));
 }
 
 }  // namespace

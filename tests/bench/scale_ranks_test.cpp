@@ -1,11 +1,8 @@
 // `semfield-study scale` with real ranks of mpirun.
-#include <gtest/gtest.h>
-#include <unistd.h>
-
-#include <filesystem>
 #include <nlohmann/json.hpp>
 
 #include "../program.h"
+#include "tests/temp_dir.h"
 
 namespace semfield {
 namespace {
@@ -13,11 +10,9 @@ namespace {
 using nlohmann::json;
 
 TEST(ScaleRanks, TwoRanksAreTimedAndEndInTheBitsOfOne) {
-  const std::string folder = testing::TempDir() + "scale_ranks_" + std::to_string(::getpid());
-  std::filesystem::create_directories(folder);
+  const TempDir dir;
   const testing_program::Result r =
-      testing_program::semfield_run("scale --quick --repeats 1 --only cpu,bits,sweep --json", folder);
-  std::filesystem::remove_all(folder);
+      testing_program::semfield_run("scale --quick --repeats 1 --only cpu,bits,sweep --json", dir.path());
   ASSERT_EQ(r.code, 0) << r.err;
   const json out = json::parse(r.out);
   const int cores = out["machines"][0]["units"];

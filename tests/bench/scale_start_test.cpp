@@ -1,29 +1,19 @@
 // What `semfield-study scale` makes of ranks that cannot be had, and of trainings that fail.
-#include <gtest/gtest.h>
-#include <unistd.h>
-
 #include <algorithm>
-#include <filesystem>
 
 #include "../program.h"
 #include "core/error.h"
 #include "core/text.h"
 #include "studies/scale_bench.h"
 #include "studies/scale_page.h"
+#include "tests/temp_dir.h"
 
 namespace semfield {
 namespace {
 
-namespace fs = std::filesystem;
-
 // Trainings on one rank run; those on more end with `code_of_ranks`.
 class ScaleStarts : public testing::Test {
  protected:
-  ScaleStarts() : folder_(testing::TempDir() + "scale_starts_" + std::to_string(::getpid())) {
-    fs::create_directories(folder_);
-  }
-  ~ScaleStarts() override { fs::remove_all(folder_); }
-
   ScaleResults measure(std::vector<std::string> only, int code_of_ranks, int cores = 2) {
     const StudyTools study{registry_, [](const std::string&) {},
                            [](const std::string& path) { return SEMFIELD_SOURCE_DIR "/" + path; }};
@@ -49,7 +39,8 @@ class ScaleStarts : public testing::Test {
   }
 
   Registry registry_;
-  std::string folder_;
+  const TempDir dir_;
+  const std::string& folder_ = dir_.path();
   std::vector<ScaleStart> started_;
   int asked_ = 0;  // for a launcher
   bool other_seed_on_two_threads_ = false;
@@ -69,14 +60,8 @@ TEST_F(ScaleStarts, RanksThatCannotBeHadAreToldOnceAndTheRestIsMeasured) {
 }
 
 TEST_F(ScaleStarts, ATrainingThatFailsEndsTheStudyWithWhatItSaid) {
-  try {
-    measure({"cpu"}, static_cast<int>(ErrorKind::failure));
-    FAIL();
-  } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), ErrorKind::failure);
-    const std::string text = error.what();
-    EXPECT_NE(text.find("paper step of 32 rays on 2 ranks failed: this build has no MPI"), std::string::npos) << text;
-  }
+  EXPECT_HAS(error_of(ErrorKind::failure, [&] { measure({"cpu"}, static_cast<int>(ErrorKind::failure)); }),
+             "paper step of 32 rays on 2 ranks failed: this build has no MPI");
 }
 
 TEST_F(ScaleStarts, ATrainingThatEndsInOtherBitsIsFound) {
@@ -86,19 +71,19 @@ TEST_F(ScaleStarts, ATrainingThatEndsInOtherBitsIsFound) {
   EXPECT_EQ(results.bits[0].difference, "");
   EXPECT_EQ(results.bits[1].threads, 2);
   EXPECT_NE(results.bits[1].difference, "");
-  EXPECT_NE(scale_line(results).find("bits_equal=no"), std::string::npos);
+  EXPECT_HAS(scale_line(results), "bits_equal=no");
 }
 
 TEST_F(ScaleStarts, OneThreadOnEachOfManyPinnedRanks) {
   measure({"cpu"}, static_cast<int>(ErrorKind::unavailable), 1);
-  EXPECT_EQ(asked_, 0);  // one core, so nothing asks for several ranks
+  EXPECT_EQ(asked_, 0);  // one core, so nothing calls for several ranks
   ASSERT_FALSE(started_.empty());
   for (const ScaleStart& start : started_) {
     EXPECT_EQ(start.ranks, 1);
     EXPECT_TRUE(start.pinned);
     ASSERT_EQ(start.words.front(), "train");
     const std::string config = read_text_file(start.words[1]);
-    EXPECT_NE(config.find("\"threads\": 1"), std::string::npos) << config;
+    EXPECT_HAS(config, "\"threads\": 1");
   }
 }
 

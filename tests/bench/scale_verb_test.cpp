@@ -1,13 +1,8 @@
 // `semfield-study scale` through the program: one rank, several ranks where there is mpirun, and its mistakes.
-#include <gtest/gtest.h>
-#include <unistd.h>
-
-#include <cstdlib>
-#include <filesystem>
 #include <nlohmann/json.hpp>
-#include <regex>
 
 #include "../program.h"
+#include "tests/temp_dir.h"
 
 namespace semfield {
 namespace {
@@ -18,18 +13,13 @@ using testing_program::Result;
 
 class ScaleVerb : public testing::Test {
  protected:
-  ScaleVerb()
-      : folder_(testing::TempDir() + "scale_" + std::to_string(::getpid()) + "_" +
-                testing::UnitTest::GetInstance()->current_test_info()->name()) {
-    fs::create_directories(folder_);
-  }
-  ~ScaleVerb() override { fs::remove_all(folder_); }
   Result run(const std::string& words, const std::string& before = "") const {
     return testing_program::semfield_run("scale " + words, folder_, before);
   }
   std::string file(const std::string& name) const { return read_text_file(folder_ + "/" + name); }
   bool has(const std::string& name) const { return fs::exists(folder_ + "/" + name); }
-  std::string folder_;
+  const TempDir dir_;
+  const std::string& folder_ = dir_.path();
 };
 
 std::string last_line(const std::string& text) {
@@ -44,7 +34,7 @@ TEST_F(ScaleVerb, OneRankNeedsNoLauncherAndSaysWhatItCannotMeasure) {
   EXPECT_EQ(last_line(r.out),
             "scale: cpu2_strong=- cpu2_weak=- cpu16_strong=- gpu2_weak_paper=- gpu2_strong_paper4096=- "
             "gpu2_weak_hash=- bits_equal=yes sweep2=-");
-  EXPECT_NE(r.out.find("not measured: sweep2: "), std::string::npos) << r.out;
+  EXPECT_HAS(r.out, "not measured: sweep2: ");
   const json results = json::parse(file("kept/results.json"));
   ASSERT_GE(results["rows"].size(), 5U);
   for (const json& row : results["rows"]) {
@@ -62,8 +52,7 @@ TEST_F(ScaleVerb, OneRankNeedsNoLauncherAndSaysWhatItCannotMeasure) {
 TEST_F(ScaleVerb, WithoutALauncherThePackageIsNamed) {
   const Result r = run("--quick", "PATH=/nowhere ");
   EXPECT_EQ(r.code, 69);
-  EXPECT_NE(r.err.find("mpirun"), std::string::npos) << r.err;
-  EXPECT_NE(r.err.find("openmpi-bin"), std::string::npos) << r.err;
+  EXPECT_HAS(r.err, "mpirun", "openmpi-bin");
 }
 
 TEST_F(ScaleVerb, AsARankItIsRefused) {
@@ -71,7 +60,7 @@ TEST_F(ScaleVerb, AsARankItIsRefused) {
                        "OMPI_COMM_WORLD_RANK=0 OMPI_COMM_WORLD_SIZE=2 OMPI_COMM_WORLD_LOCAL_RANK=0 "
                        "OMPI_COMM_WORLD_LOCAL_SIZE=2 ");
   EXPECT_EQ(r.code, 2);
-  EXPECT_NE(r.err.find("works in one"), std::string::npos) << r.err;
+  EXPECT_HAS(r.err, "works in one");
 }
 
 TEST_F(ScaleVerb, FiguresOfOthersAreCombined) {

@@ -1,8 +1,6 @@
 // The tree: what it takes, where it says things stand, what it refuses, and writing it back.
 #include "config/config_tree.h"
 
-#include <gtest/gtest.h>
-
 #include "config_testing.h"
 
 namespace semfield {
@@ -98,7 +96,7 @@ TEST(ConfigTree, RefusesDuplicateKeys) {
             "room.yaml:3:1: duplicate key 'a' (first at room.yaml:1:1); keep one of them");
   EXPECT_EQ(refused("x: {a: 1, 'a': 2}\n"),
             "room.yaml:1:11: duplicate key 'a' (first at room.yaml:1:5); keep one of them");
-  EXPECT_EQ(refusal([] { parse("x: {a: 1}\ny: {a: 1}\n"); }), "nothing was thrown");
+  EXPECT_EQ(refusal([] { parse("x: {a: 1}\ny: {a: 1}\n"); }), "");
 }
 
 TEST(ConfigTree, RefusesAnchorsAliasesTagsMergeKeysAndDocuments) {
@@ -114,15 +112,6 @@ TEST(ConfigTree, RefusesAnchorsAliasesTagsMergeKeysAndDocuments) {
             "room.yaml:1:1: merge keys are not allowed; use 'include' or write the values out");
   EXPECT_EQ(refused("a: 1\n---\nb: 2\n"), "room.yaml:2:1: more than one YAML document; keep one document in a file");
   EXPECT_EQ(refused("- a\nb: 1\n"), "room.yaml:2:1: more than one YAML document; keep one document in a file");
-}
-
-TEST(ConfigTree, RefusesAliasBomb) {
-  std::string bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n";
-  for (int i = 1; i < 9; ++i) {
-    const std::string last = "*a" + std::to_string(i - 1), name = "a" + std::to_string(i);
-    bomb += name + ": &" + name + " [" + times(last + ", ", 8) + last + "]\n";
-  }
-  EXPECT_EQ(refused(bomb), "room.yaml:1:5: anchors are not allowed ('&a0'); use 'include' or write the value out");
 }
 
 TEST(ConfigTree, RefusesKeysThatAreNoWords) {
@@ -180,7 +169,7 @@ TEST(ConfigTree, SizeOfOneMebibyteIsTheLast) {
   ASSERT_EQ(text.size(), std::size_t{1} << 20);
   EXPECT_TRUE(parse(text).is_map());
   EXPECT_EQ(refused(text + "\n"), "room.yaml: larger than 1 MiB; keep big tables in files of their own");
-  const TempFolder folder;
+  const TempDir folder;
   const std::string path = folder.write("big.yaml", text + "\n");
   EXPECT_EQ(refusal([&] { parse_config_file(path); }),
             path + ": larger than 1 MiB; keep big tables in files of their own");
@@ -203,13 +192,8 @@ TEST(ConfigTree, HostileInputIsRefused) {
 }
 
 TEST(ConfigTree, MissingFileIsNoInput) {
-  try {
-    parse_config_file("/nonexistent/room.yaml");
-    FAIL() << "a missing file was read";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), ErrorKind::no_input);
-    EXPECT_NE(error.message().find("/nonexistent/room.yaml"), std::string::npos);
-  }
+  EXPECT_HAS(error_of(ErrorKind::no_input, [&] { parse_config_file("/nonexistent/room.yaml"); }),
+             "/nonexistent/room.yaml");
 }
 
 TEST(ConfigWrite, BlockAndInlineForms) {

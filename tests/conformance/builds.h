@@ -3,15 +3,12 @@
 
 #include <gtest/gtest.h>
 
-#include <string>
-#include <vector>
-
 #include "testkit/law_builds.h"
 #include "tests/conformance/rows.h"
 
 namespace semfield::testkit {
 
-/// "", or "encoder 'waves' has no cuda kernels": a plugin of the processor alone is left out of a device's laws by
+/// "", or "encoder 'waves' has no cuda kernels": a plugin of the CPU alone is left out of a device's laws by
 /// name.
 inline std::string lacks_kernels(const Registry& registry, PluginKind kind, const std::string& name, Device device) {
   const std::string owner = std::string(kind_name(kind)) + " '" + name + "'";

@@ -1,14 +1,26 @@
-// The dataset laws for every registered dataset, on a tiny scene written in its own format.
-#include <gtest/gtest.h>
-#include <unistd.h>
+// Every registered dataset on a tiny scene in its own format: its laws, what `semfield init` finds, pose conventions.
+#include <nlohmann/json.hpp>
+#include <sstream>
 
-#include <filesystem>
-
+#include "app/scene/folder_scene.h"
+#include "compute/parallel.h"
+#include "config/compose.h"
+#include "core/text.h"
+#include "formats/image_io.h"
+#include "loading/frame_source.h"
+#include "plugin/linked_plugins.h"
+#include "system/files.h"
 #include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/rows.h"
+#include "tests/scene/tiny_scene.h"
+#include "tests/temp_dir.h"
 
 namespace semfield::testkit {
 namespace {
+
+using testing_room::fresh_folder;
+namespace fs = std::filesystem;
+using namespace app;
 
 std::string name_of(const testing::TestParamInfo<Row>& info) { return info.param.text(); }
 
@@ -19,40 +31,289 @@ TEST_P(DatasetConformance, Laws) {
   const auto found = dataset_samples().find(row.name);
   ASSERT_NE(found, dataset_samples().end())
       << "dataset '" << row.name << "' has no " << row.name << "_sample.cpp that writes a tiny scene";
-  const std::filesystem::path folder =
-      std::filesystem::path(testing::TempDir()) / ("semfield_sample_" + row.text() + "_" + std::to_string(::getpid()));
-  std::filesystem::remove_all(folder);
-  std::filesystem::create_directories(folder);
-  const DatasetSample sample = found->second(folder.string());
+  const TempDir folder;
+  const DatasetSample sample = found->second(folder.path());
   if (!sample.absent.empty()) GTEST_SKIP() << sample.absent;
   Settings settings = sample.settings;
   for (const auto& [name, value] : row.settings) settings[name] = value;
   const Failures failures =
-      dataset_laws(linked_registry(), row.name, settings, DatasetBuild{folder.string()}, sample.expected);
+      dataset_laws(linked_registry(), row.name, settings, DatasetBuild{folder.path()}, sample.expected);
   EXPECT_TRUE(failures.empty()) << to_text(failures);
-  std::filesystem::remove_all(folder);
 }
 
 // `semfield init` finds a reader by this: what a dataset recognises in a folder, it opens with those parameters.
 TEST_P(DatasetConformance, WhatIsRecognisedOpens) {
-  const std::filesystem::path folder = std::filesystem::path(testing::TempDir()) /
-                                       ("semfield_recognised_" + GetParam().text() + "_" + std::to_string(::getpid()));
-  std::filesystem::remove_all(folder);
-  std::filesystem::create_directories(folder);
+  const TempDir folder;
   const PluginEntry& entry = linked_registry().get(PluginKind::dataset, GetParam().name);
-  EXPECT_EQ(entry.new_params()->recognise(folder.string()), "") << "an empty folder";
-  EXPECT_EQ(entry.new_params()->recognise((folder / "none").string()), "");
-  const DatasetSample sample = dataset_samples().at(GetParam().name)(folder.string());
+  EXPECT_EQ(entry.new_params()->recognise(folder.path()), "") << "an empty folder";
+  EXPECT_EQ(entry.new_params()->recognise(folder / "none"), "");
+  const DatasetSample sample = dataset_samples().at(GetParam().name)(folder.path());
   if (!sample.absent.empty()) GTEST_SKIP() << sample.absent;
   const std::unique_ptr<PluginParams> params = entry.new_params();
-  if (!params->recognise(folder.string()).empty()) {
+  if (!params->recognise(folder.path()).empty()) {
     Diagnostics diagnostics;
     EXPECT_FALSE(entry.dataset(*params, {})->open(diagnostics).frames.empty());
   }
-  std::filesystem::remove_all(folder);
 }
 
 INSTANTIATE_TEST_SUITE_P(Linked, DatasetConformance, testing::ValuesIn(rows_of(PluginKind::dataset)), name_of);
+
+// What `semfield init` finds in folders: the reader that each dataset's own files call for, and the configuration.
+
+class FolderScenes : public testing::Test {
+ protected:
+  FolderScenes() { register_linked_plugins(context.registry); }
+  FolderScene find(const std::string& path, const std::string& type = "") { return find_scene(path, type, context); }
+  AppContext context;
+};
+
+TEST_F(FolderScenes, EveryDatasetKnowsItsOwnFiles) {
+  for (const auto& [name, write] : testkit::dataset_samples()) {
+    const std::string folder = fresh_folder(name);
+    if (!write(folder).absent.empty()) continue;
+    EXPECT_TRUE(names_a_scene(folder, context)) << name;
+    const FolderScene scene = find(folder + "/");
+    EXPECT_EQ(scene.type, name);
+    EXPECT_NE(scene.what, "");
+    EXPECT_GT(scene.train_frames + scene.test_frames, 0) << name;
+    const ConfigNode tree = compose_config_tree(config_of(scene, kUsualPreset), std::vector<std::string>{});
+    const RunConfig config = run_config_of(tree, context.registry);
+    Diagnostics diagnostics;
+    EXPECT_EQ(std::ssize(config.dataset.entry->dataset(*config.dataset.params, {})->open(diagnostics).frames),
+              scene.train_frames + scene.test_frames)
+        << name;
+  }
+}
+
+TEST_F(FolderScenes, OfTwoReadersThatWhichBringsMostIsTaken) {
+  const std::string folder = fresh_folder("both");
+  testkit::dataset_samples().at("transforms_json")(folder);
+  testkit::dataset_samples().at("colmap")(folder);
+  const FolderScene both = find(folder);
+  EXPECT_EQ(both.type, "transforms_json");
+  EXPECT_EQ(both.others, std::vector<std::string>{"colmap (a COLMAP model in sparse/0)"});
+  EXPECT_EQ(find(folder, "colmap").type, "colmap");
+  EXPECT_EQ(error_of([&] { find(folder, "replica"); }).find("'" + folder + "' holds nothing that replica knows"), 0u);
+}
+
+TEST_F(FolderScenes, LargeImagesAreDividedAndNamesArePlain) {
+  FolderScene scene{.section = ConfigNode::make_map({}, {})};
+  for (const auto& [longest, by] : {std::pair{800, 1}, {801, 2}, {1600, 2}, {4032, 6}}) {
+    scene.width_px = 600;
+    scene.height_px = longest;
+    EXPECT_EQ(downscale_of(scene), by);
+  }
+  const std::string folder = fresh_folder("my photos (2)");
+  testkit::dataset_samples().at("packed")(folder);
+  const std::string name = find(folder).name;
+  EXPECT_TRUE(name.ends_with("my_photos__2_")) << name;
+}
+
+TEST_F(FolderScenes, PhotographsWithoutPosesGetTheCommandsThatFindThem) {
+  const std::string folder = fresh_folder("it's mine");
+  std::filesystem::create_directories(folder + "/images");
+  for (const char* name : {"a", "b", "c"})
+    write_png_rgb(folder + "/images/" + name + ".png", 4, 2, std::vector<std::uint8_t>(24, 9));
+  const std::string said = error_of([&] { find(folder); });
+  EXPECT_HAS(said, "holds 3 photographs and no camera poses",
+             "colmap feature_extractor --database_path " + shell_word(folder + "/database.db") + " --image_path " +
+                 shell_word(folder + "/images") + " --ImageReader.camera_model OPENCV --ImageReader.single_camera 1\n",
+             "colmap exhaustive_matcher ", "colmap mapper ", "then: semfield init ");
+  write_png_rgb(folder + "/images/d.png", 2, 4, std::vector<std::uint8_t>(24, 9));
+  EXPECT_LACKS(error_of([&] { find(folder); }), "single_camera") << "two cameras took them";
+}
+
+TEST_F(FolderScenes, WhatIsNoSceneIsRefused) {
+  const std::string folder = fresh_folder("empty");
+  EXPECT_EQ(error_of([&] {
+              find(folder);
+            }).find("'" + folder + "' holds no scene that a dataset knows: colmap, llff, obj_room, packed, replica, "),
+            0u);
+  EXPECT_EQ(error_of([&] { find(folder + "/none"); }), "no folder '" + folder + "/none'; check the path");
+  write_file_atomic(folder + "/run.yaml", "name: x\n");
+  EXPECT_FALSE(names_a_scene(folder, context)) << "a run";
+  EXPECT_FALSE(names_a_scene(folder + "/run.yaml", context));
+}
+
+// Files whose poses or depth keep another convention than their dataset expects: named, with keys that mend them.
+
+using Matrix = std::vector<double>;  // 16 numbers, row by row
+using Break = std::function<Matrix(const Matrix&)>;
+
+Matrix product(const Matrix& a, const Matrix& b) {
+  Matrix out(16);
+  for (std::size_t i = 0; i < 16; ++i) {
+    for (std::size_t k = 0; k < 4; ++k) out[i] += a[i / 4 * 4 + k] * b[k * 4 + i % 4];
+  }
+  return out;
+}
+const Matrix kFlip{1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1};
+Matrix flipped(const Matrix& m) { return product(m, kFlip); }
+Matrix inverted(const Matrix& m) {
+  Matrix out{m[0], m[4], m[8], 0, m[1], m[5], m[9], 0, m[2], m[6], m[10], 0, 0, 0, 0, 1};
+  for (std::size_t r = 0; r < 3; ++r) out[4 * r + 3] = -(m[r] * m[3] + m[4 + r] * m[7] + m[8 + r] * m[11]);
+  return out;
+}
+Matrix scaled(Matrix m, double by) {
+  for (const std::size_t i : {3u, 7u, 11u}) m[i] *= by;
+  return m;
+}
+
+Matrix numbers_of(std::istream& in) {
+  Matrix out(16);
+  for (double& v : out) in >> v;
+  return out;
+}
+std::string text_of(const Matrix& m, const char* after = "\n") {
+  std::ostringstream out;
+  out.precision(17);
+  for (std::size_t i = 0; i < 16; ++i) out << m[i] << (i % 4 == 3 ? after : " ");
+  return out.str();
+}
+
+// Rewrites every pose of a sample's files.
+void break_poses(const std::string& dataset, const fs::path& root, const Break& how) {
+  if (dataset == "replica") {
+    std::istringstream in(read_text_file((root / "traj_w_c.txt").string()));
+    std::string out;
+    for (std::string line; std::getline(in, line);) {
+      std::istringstream row(line);
+      out += text_of(how(numbers_of(row)), " ") + "\n";
+    }
+    write_file_atomic((root / "traj_w_c.txt").string(), out);
+  } else if (dataset == "scannet") {
+    for (const auto& entry : fs::directory_iterator(root / "pose")) {
+      std::istringstream in(read_text_file(entry.path().string()));
+      write_file_atomic(entry.path().string(), text_of(how(numbers_of(in))));
+    }
+  } else {
+    nlohmann::json index = nlohmann::json::parse(read_text_file((root / "transforms.json").string()));
+    for (nlohmann::json& frame : index["frames"]) {
+      Matrix m;
+      for (const nlohmann::json& row : frame["transform_matrix"]) {
+        for (const double v : row) m.push_back(v);
+      }
+      m = how(m);
+      for (std::size_t i = 0; i < 16; ++i) frame["transform_matrix"][i / 4][i % 4] = m[i];
+    }
+    write_file_atomic((root / "transforms.json").string(), index.dump());
+  }
+}
+
+struct Opened {
+  LoadedScene scene;
+  Diagnostics diagnostics;
+};
+
+struct Sample {
+  explicit Sample(const std::string& dataset) : name(dataset) {
+    settings = dataset_samples().at(dataset)(root.path()).settings;
+  }
+
+  std::unique_ptr<Opened> open(const SceneLoadOptions& options = {}) const {
+    const PluginEntry& entry = linked_registry().get(PluginKind::dataset, name);
+    const std::unique_ptr<Dataset> dataset = entry.dataset(*make_params(entry, settings), DatasetBuild{root.path()});
+    auto out = std::make_unique<Opened>();
+    out->scene = load_scene(*dataset, options, out->diagnostics);
+    return out;
+  }
+
+  std::string name;
+  const TempDir root;
+  Settings settings;
+};
+
+// What `--set scene.load.KEY=VALUE` in the remedy says.
+SceneLoadOptions by_remedy(const std::string& remedy) {
+  SceneLoadOptions out;
+  std::istringstream words(remedy);
+  for (std::string word; words >> word;) {
+    const std::string prefix = "scene.load.";
+    if (word.rfind(prefix, 0) != 0 || word.find('=') == std::string::npos) continue;
+    const std::string key = word.substr(prefix.size(), word.find('=') - prefix.size());
+    const std::string value = word.substr(word.find('=') + 1);
+    if (key == "flip_camera_axes") out.convention.flip_camera_axes = value == "true";
+    if (key == "invert_poses") out.convention.invert_poses = value == "true";
+    if (key == "pose_scale") out.convention.pose_scale = std::stod(value);
+    if (key == "depth_scale") out.convention.depth_scale = std::stod(value);
+  }
+  return out;
+}
+
+std::vector<Diagnostic> findings(const Diagnostics& diagnostics) {
+  std::vector<Diagnostic> out;
+  for (const Diagnostic& d : diagnostics.all()) {
+    if (d.severity != Severity::note) out.push_back(d);
+  }
+  return out;
+}
+
+struct Case {
+  const char* what;
+  Break how;
+  PoseConvention convention;
+  std::vector<std::string> named;
+};
+
+const std::vector<Case>& cases() {
+  static const std::vector<Case> all{
+      {"axes", flipped, {.flip_camera_axes = true}, {"OpenGL axes"}},
+      {"inverse", inverted, {.invert_poses = true}, {"world-to-camera"}},
+      {"inverse_of_other_axes",
+       [](const Matrix& m) { return inverted(flipped(m)); },
+       {.flip_camera_axes = true, .invert_poses = true},
+       {"OpenGL axes", "world-to-camera"}},
+      {"millimetres", [](const Matrix& m) { return scaled(m, 1000); }, {.pose_scale = 0.001}, {"millimetres"}},
+      {"kilometres", [](const Matrix& m) { return scaled(m, 0.001); }, {.pose_scale = 1000}, {"1000 times too small"}},
+      {"inverse_in_millimetres",
+       [](const Matrix& m) { return scaled(inverted(m), 1000); },
+       {.invert_poses = true, .pose_scale = 0.001},
+       {"world-to-camera", "millimetres"}},
+      {"axes_in_millimetres",
+       [](const Matrix& m) { return scaled(flipped(m), 1000); },
+       {.flip_camera_axes = true, .pose_scale = 0.001},
+       {"OpenGL axes", "millimetres"}},
+  };
+  return all;
+}
+
+class PoseConventions : public testing::TestWithParam<const char*> {};
+
+TEST_P(PoseConventions, EachBreakIsNamedAndItsRemedyRestoresTheScene) {
+  if (!images_available()) GTEST_SKIP() << "this build reads no images (SEMFIELD_WITH_IMAGES=OFF)";
+  const Sample whole(GetParam());
+  const std::unique_ptr<Opened> right = whole.open();
+  EXPECT_TRUE(findings(right->diagnostics).empty()) << findings(right->diagnostics).front().text();
+  EXPECT_HAS(right->scene.geometry, "poses agree with depth");
+  for (const Case& c : cases()) {
+    SCOPED_TRACE(c.what);
+    const Sample sample(GetParam());
+    break_poses(GetParam(), sample.root.path(), c.how);
+    const std::unique_ptr<Opened> wrong = sample.open();
+    const std::vector<Diagnostic> said = findings(wrong->diagnostics);
+    ASSERT_EQ(said.size(), 1u) << wrong->scene.geometry;  // and no consequence beside it
+    EXPECT_EQ(said[0].severity, Severity::error);
+    for (const std::string& name : c.named) EXPECT_HAS(said[0].message, name) << said[0].text();
+    const SceneLoadOptions options = by_remedy(said[0].remedy);
+    EXPECT_EQ(options.convention, c.convention) << said[0].remedy;
+    const std::unique_ptr<Opened> mended = sample.open(options);
+    EXPECT_TRUE(findings(mended->diagnostics).empty()) << findings(mended->diagnostics).front().text();
+    EXPECT_EQ(mended->scene.geometry, right->scene.geometry);
+    for (std::size_t f = 0; f < right->scene.info.frames.size(); ++f) {
+      const Pose &a = right->scene.info.frames[f].world_from_camera,
+                 &b = mended->scene.info.frames[f].world_from_camera;
+      EXPECT_LT(length(a.t - b.t), 1e-9);
+      for (int axis = 0; axis < 3; ++axis) EXPECT_LT(length(a.axis(axis) - b.axis(axis)), 1e-9);
+    }
+    EXPECT_LT(length(mended->scene.bounds.lo - right->scene.bounds.lo), 1e-6);
+    EXPECT_LT(length(mended->scene.bounds.hi - right->scene.bounds.hi), 1e-6);
+    SceneLoadOptions unchecked{.check_geometry = false};
+    EXPECT_FALSE(sample.open(unchecked)->diagnostics.has_errors());
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Files, PoseConventions, testing::Values("replica", "transforms_json", "scannet"),
+                         [](const auto& dataset) { return std::string(dataset.param); });
 
 }  // namespace
 }  // namespace semfield::testkit

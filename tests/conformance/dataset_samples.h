@@ -1,10 +1,6 @@
 // A tiny scene on disk for each dataset, so that its laws run on files and not on hope.
 #pragma once
 
-#include <functional>
-#include <map>
-#include <string>
-
 #include "testkit/laws.h"
 
 namespace semfield::testkit {

@@ -2,8 +2,6 @@
 #pragma once
 
 #include <ostream>
-#include <string>
-#include <vector>
 
 #include "plugin/registry.h"
 #include "testkit/settings.h"

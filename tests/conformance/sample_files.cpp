@@ -1,7 +1,6 @@
 // Writing the analytic room.
 #include "tests/conformance/sample_files.h"
 
-#include <cmath>
 #include <filesystem>
 
 #include "formats/image_io.h"

@@ -1,8 +1,6 @@
 // The analytic room as image files, for samples of datasets made of images.
 #pragma once
 
-#include <string>
-
 #include "plugin/dataset.h"
 
 namespace semfield::testkit {

@@ -2,17 +2,18 @@
 // they must not touch.
 #include <gtest/gtest.h>
 
-#include <cmath>
-#include <cstring>
 #include <limits>
-#include <memory>
-#include <vector>
 
+#include "compute/bf16/tile_layers.h"
+#include "compute/isa.h"
 #include "compute/layers.h"
 #include "core/rng.h"
 
 namespace semfield {
 namespace {
+
+namespace on_tiles = SEMFIELD_ISA::tiles;
+using Plain = SEMFIELD_ISA::EmulatedTiles;
 
 /// Activations in memory of their own, between guards.
 class Rows {
@@ -106,8 +107,7 @@ TEST(Bf16Layers, StayWithinTheirErrorBoundForEveryShapeAndStart) {
     std::vector<float> turned(w.size()), rounded(w.size());
     for (std::size_t i = 0; i < w.size(); ++i) rounded[i] = as_bf16(w[i]);
     for (std::int32_t i = 0; i < s.in; ++i) {
-      for (std::int32_t j = 0; j < s.out; ++j)
-        turned[static_cast<std::size_t>(j * s.in + i)] = w[static_cast<std::size_t>(i * s.out + j)];
+      for (std::int32_t j = 0; j < s.out; ++j) turned[j * s.in + i] = w[i * s.out + j];
     }
     std::vector<std::int32_t> ray(static_cast<std::size_t>(s.rows));
     for (std::size_t i = 0; i < ray.size(); ++i) ray[i] = static_cast<std::int32_t>(i * 5 / ray.size());
@@ -136,26 +136,23 @@ TEST(Bf16Layers, StayWithinTheirErrorBoundForEveryShapeAndStart) {
             for (std::int32_t j = 0; j < s.out; ++j) {
               double sum = 0, magnitude = 0;
               if (start != Start::none) {
-                const std::int64_t row = start == Start::one       ? 0
-                                         : start == Start::per_row ? m
-                                                                   : ray[static_cast<std::size_t>(m)];
-                sum = starts[static_cast<std::size_t>(row * s.out + j)];
+                const std::int64_t row = start == Start::one ? 0 : start == Start::per_row ? m : ray[m];
+                sum = starts[row * s.out + j];
               }
               for (std::int32_t k = 0; k < s.in; ++k) {
-                const double product = static_cast<double>(wide(x.view()(m, k))) *
-                                       static_cast<double>(rounded[static_cast<std::size_t>(k * s.out + j)]);
+                const double product =
+                    static_cast<double>(wide(x.view()(m, k))) * static_cast<double>(rounded[k * s.out + j]);
                 sum += product;
                 magnitude += std::fabs(product);
               }
               if (l.relu) sum = std::max(sum, 0.0);
               if (!l.mask.empty() && !(wide(mask.view()(m, j)) > 0)) sum = 0;
-              const float got = exact[static_cast<std::size_t>(m * (s.out + 3) + j)];
+              const float got = exact[m * (s.out + 3) + j];
               ASSERT_NEAR(got, sum, (s.in + 2) * std::ldexp(1.0, -23) * (magnitude + 1))
                   << s.rows << " x " << s.in << " x " << s.out << " at " << m << ", " << j;
               ASSERT_EQ(wide(y.view()(m, j)), as_bf16(got));
             }
-            for (std::int64_t j = s.out; j < s.out + 3; ++j)
-              ASSERT_EQ(exact[static_cast<std::size_t>(m * (s.out + 3) + j)], 12345.0F);
+            for (std::int64_t j = s.out; j < s.out + 3; ++j) ASSERT_EQ(exact[m * (s.out + 3) + j], 12345.0F);
           }
           ++cases;
         }
@@ -190,13 +187,12 @@ TEST(Bf16Layers, WeightGradientsAddUpTheRows) {
     weight_gradient(x.view(), dz.view(), View<float>(dw.data(), s.in, s.out, s.out + 2),
                     View<float>(db.data(), 1, s.out));
     for (std::int32_t j = 0; j < s.out; ++j) {
-      double bias = db_before[static_cast<std::size_t>(j)], size = 0;
+      double bias = db_before[j], size = 0;
       for (std::int64_t m = 0; m < s.rows; ++m) {
         bias += static_cast<double>(wide(dz.view()(m, j)));
         size += std::fabs(static_cast<double>(wide(dz.view()(m, j))));
       }
-      ASSERT_NEAR(db[static_cast<std::size_t>(j)], bias,
-                  static_cast<double>(s.rows + 1) * std::ldexp(1.0, -23) * (size + 1));
+      ASSERT_NEAR(db[j], bias, static_cast<double>(s.rows + 1) * std::ldexp(1.0, -23) * (size + 1));
       for (std::int32_t i = 0; i < s.in; ++i) {
         const auto at = static_cast<std::size_t>(i * (s.out + 2) + j);
         double sum = dw_before[at], magnitude = 0;
@@ -248,19 +244,18 @@ TEST(Bf16Layers, SumsOfWeightedRowsAndTheirGradients) {
     for (std::int32_t c = 0; c < cols; ++c) {
       double want = 0;
       for (std::int64_t k = 0; k < rows; ++k) {
-        const float w_k = weight[static_cast<std::size_t>(k)], d = d_sum[static_cast<std::size_t>(c)];
+        const float w_k = weight[k], d = d_sum[c];
         const float h = wide(hidden.view()(k, c));
         want += static_cast<double>(w_k) * static_cast<double>(h);
         EXPECT_EQ(wide(d_hidden.view()(k, c)), h > 0 ? as_bf16(w_k * d) : 0.0F);
       }
-      EXPECT_NEAR(sum[static_cast<std::size_t>(c)], want, 1e-5);
+      EXPECT_NEAR(sum[c], want, 1e-5);
     }
     for (std::int64_t k = 0; k < rows; ++k) {
       double want = 0;
       for (std::int32_t c = 0; c < cols; ++c)
-        want +=
-            static_cast<double>(wide(hidden.view()(k, c))) * static_cast<double>(d_sum[static_cast<std::size_t>(c)]);
-      EXPECT_NEAR(dots[static_cast<std::size_t>(k)], want, 1e-4);
+        want += static_cast<double>(wide(hidden.view()(k, c))) * static_cast<double>(d_sum[c]);
+      EXPECT_NEAR(dots[k], want, 1e-4);
     }
   }
 }
@@ -279,7 +274,7 @@ TEST(Bf16Layers, RowsAreRoundedThroughAMaskAndWidened) {
     for (std::int64_t m = 0; m < rows; ++m) {
       for (std::int32_t c = 0; c < cols; ++c) {
         const float want = as_bf16(from(m, c));
-        EXPECT_EQ(back[static_cast<std::size_t>(m * cols + c)], want);
+        EXPECT_EQ(back[m * cols + c], want);
         EXPECT_EQ(wide(masked.view()(m, c)), wide(mask.view()(m, c)) > 0 ? want : 0.0F);
       }
     }
@@ -295,9 +290,9 @@ TEST(Bf16Layers, SumsARaysRowsInOrder) {
     for (std::int32_t c = 0; c < 70; ++c) {
       float want = 0;
       for (std::int64_t m = 0; m < 6; ++m) {
-        if (ray_of[static_cast<std::size_t>(m)] == ray) want += wide(dz.view()(m, c));
+        if (ray_of[m] == ray) want += wide(dz.view()(m, c));
       }
-      EXPECT_EQ(sums[static_cast<std::size_t>(ray * 70 + c)], want);
+      EXPECT_EQ(sums[ray * 70 + c], want);
     }
   }
 }
@@ -312,6 +307,92 @@ TEST(Bf16Layers, RefuseShapesThatDoNotFit) {
   const View<Bf16> dense(y.view().data, 4, 8);
   EXPECT_THROW(apply(Layer<Bf16>{.x = x.view(), .weight = weight.weight(), .y = dense}), std::exception)
       << "rows not padded";
+}
+
+// Layers on tiles with every instruction that is not the build's own written in plain C++: what a CPU without
+// AVX-512 can check of them.
+
+struct Operands {
+  Operands(std::int64_t rows, std::int32_t in, std::int32_t out, bool integers)
+      : x(activation_bytes<Bf16>(rows, in) / sizeof(Bf16)),
+        y(activation_bytes<Bf16>(rows, out) / sizeof(Bf16)),
+        weight(static_cast<std::size_t>(in * out)),
+        start(static_cast<std::size_t>(rows * out)) {
+    std::uint64_t seed = 1;
+    const auto value = [&](std::size_t i) {
+      const double u = 2 * uniform01({seed, 0, 1}, i) - 1;
+      return static_cast<float>(integers ? std::round(15 * u) : u);
+    };
+    layer.x = activation_rows<Bf16>(reinterpret_cast<std::byte*>(x.data()), rows, in);
+    layer.y = activation_rows<Bf16>(reinterpret_cast<std::byte*>(y.data()), rows, out);
+    for (std::int64_t m = 0; m < rows; ++m) {
+      for (std::int32_t k = 0; k < in; ++k)
+        x[m * layer.x.row_stride + k] = SEMFIELD_ISA::rounded(value(static_cast<std::size_t>(m * in + k)));
+    }
+    for (std::vector<float>* values : {&weight, &start}) {
+      ++seed;
+      for (std::size_t i = 0; i < values->size(); ++i) (*values)[i] = value(i);
+    }
+    layer.start = View<const float>(start.data(), rows, out);
+    layer.relu = true;
+    words.resize(static_cast<std::size_t>(on_tiles::packed_words(in, out)));
+    on_tiles::pack_weight(
+        in, out, [&](std::int64_t k, std::int64_t n) { return weight[k * out + n]; }, words.data());
+    layer.weight = {words.data(), in, out};
+  }
+  std::vector<Bf16> x, y;
+  std::vector<float> weight, start;
+  std::vector<std::uint32_t> words;
+  Layer<Bf16> layer;
+};
+
+constexpr Shape kTileShapes[] = {{1, 9, 9}, {16, 32, 16}, {33, 65, 17}, {64, 64, 64}, {40, 600, 300}, {70, 130, 29}};
+
+TEST(LayersOnTiles, AreExactWhereNothingNeedsRounding) {
+  for (const auto& [rows, in, out] : kTileShapes) {
+    Operands o(rows, in, out, true);
+    std::vector<float> sums(o.start.size()), gradient(static_cast<std::size_t>(in * in), 1.0F);
+    o.layer.y = {};
+    o.layer.exact = View<float>(sums.data(), rows, out);
+    on_tiles::layer<Plain>(o.layer);
+    on_tiles::weight_gradient<Plain>(o.layer.x, o.layer.x, View<float>(gradient.data(), in, in));
+    for (std::int32_t i = 0; i < in; ++i) {
+      for (std::int32_t j = 0; j < in; ++j) {
+        double sum = 1;
+        for (std::int64_t m = 0; m < rows; ++m)
+          sum += static_cast<double>(SEMFIELD_ISA::widen(o.layer.x(m, i))) *
+                 static_cast<double>(SEMFIELD_ISA::widen(o.layer.x(m, j)));
+        ASSERT_EQ(gradient[i * in + j], sum) << i << ", " << j << " of " << in;
+      }
+    }
+    for (std::int64_t m = 0; m < rows; ++m) {
+      for (std::int32_t n = 0; n < out; ++n) {
+        double sum = o.start[m * out + n];
+        for (std::int32_t k = 0; k < in; ++k)
+          sum += static_cast<double>(SEMFIELD_ISA::widen(o.layer.x(m, k))) * static_cast<double>(o.weight[k * out + n]);
+        ASSERT_EQ(sums[m * out + n], std::max(sum, 0.0))
+            << rows << " x " << in << " x " << out << " at " << m << ", " << n;
+      }
+    }
+  }
+}
+
+// Where the program itself runs on tiles, in registers or emulated with AVX-512, its bits are these.
+TEST(LayersOnTiles, HaveTheBitsOfTheProgramsOwn) {
+  if (isa() != Isa::amx_emulated && isa() != Isa::amx_bf16)
+    GTEST_SKIP() << "layers run by " << isa_name(isa()) << "; SEMFIELD_ISA=amx_emulated compares";
+  for (const auto& [rows, in, out] : kTileShapes) {
+    Operands plain(rows, in, out, false), own(rows, in, out, false);
+    on_tiles::layer<Plain>(plain.layer);
+    apply(own.layer);
+    EXPECT_EQ(std::memcmp(plain.y.data(), own.y.data(), plain.y.size() * sizeof(Bf16)), 0)
+        << rows << " x " << in << " x " << out;
+    std::vector<float> expected(plain.weight), found(plain.weight);
+    on_tiles::weight_gradient<Plain>(plain.layer.x, plain.layer.y, View<float>(expected.data(), in, out));
+    weight_gradient(own.layer.x, own.layer.y, View<float>(found.data(), in, out), {});
+    EXPECT_EQ(std::memcmp(expected.data(), found.data(), found.size() * sizeof(float)), 0)
+        << rows << " x " << in << " x " << out;
+  }
 }
 
 }  // namespace

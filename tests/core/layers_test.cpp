@@ -5,11 +5,9 @@
 
 #include <algorithm>
 #include <bit>
-#include <cmath>
 #include <cstring>
 #include <limits>
 #include <string>
-#include <vector>
 
 #include "compute/math_functions.h"
 #include "compute/row_loops.h"
@@ -115,7 +113,7 @@ TEST(Layers, RayTermEqualsConcatenatedInputWithGradients) {
   loss();
   for (std::int64_t m = 0; m < samples; ++m) {
     for (int n = 0; n < 6; ++n) {
-      double sum = term.view(ray_of[static_cast<std::size_t>(m)], n);
+      double sum = term.view(ray_of[m], n);
       for (int k = 0; k < 4; ++k) sum += x.view(m, k) * w.view(k, n);
       EXPECT_NEAR(y.view(m, n), std::max(sum, 0.0), 1e-14);
     }
@@ -147,7 +145,7 @@ TEST(Layers, BiasGradientSumsRowsInOrderWhateverTheWidth) {
     const Owned x(33, 1), dz(33, cols, 15), db(1, cols, 16);
     auto expected = db.values;
     for (int m = 0; m < 33; ++m) {
-      for (int n = 0; n < cols; ++n) expected[static_cast<std::size_t>(n)] += dz.view(m, n);
+      for (int n = 0; n < cols; ++n) expected[n] += dz.view(m, n);
     }
     weight_gradient(x.read(), dz.read(), {}, db.view);
     EXPECT_EQ(expected, db.values);
@@ -310,15 +308,15 @@ TEST(RowReductions, AgreeWithPlainLoopsForEveryLength) {
     std::vector<float> x(static_cast<std::size_t>(n));
     double sum = 0;
     for (std::int64_t i = 0; i < n; ++i) {
-      x[static_cast<std::size_t>(i)] = static_cast<float>((i * 37 + 11) % 64) - 40;
-      sum += static_cast<double>(x[static_cast<std::size_t>(i)]);
+      x[i] = static_cast<float>((i * 37 + 11) % 64) - 40;
+      sum += static_cast<double>(x[i]);
     }
     EXPECT_EQ(largest_of(x.data(), n), *std::max_element(x.begin(), x.end()));
     EXPECT_EQ(sum_of(x.data(), n), sum);  // whole numbers: exact in any order
     EXPECT_TRUE(all_finite(x.data(), n));
     for (const float bad : {HUGE_VALF, -HUGE_VALF, std::nanf("")}) {
       std::vector<float> broken = x;
-      broken[static_cast<std::size_t>(n / 2)] = bad;
+      broken[n / 2] = bad;
       EXPECT_FALSE(all_finite(broken.data(), n));
     }
   }

@@ -2,7 +2,7 @@
 // the process or fails the call.
 //
 // SEMFIELD_FAULT_BELOW  absolute path; only calls on paths below it (or on files opened there) count, from 1
-// SEMFIELD_FAULT_LOG    file that gets one line a call: number, name, descriptor, path, second path, offset, size
+// SEMFIELD_FAULT_LOG    file that gets one line per call: number, name, descriptor, path, second path, offset, size
 // (flags
 //                       of an open), result, errno, separated by tabs; written bytes follow one another in LOG.data
 // SEMFIELD_FAULT_CALL   number of the call that is hit
@@ -98,7 +98,7 @@ bool watched(const char* path) {
 
 const char* path_of(int descriptor) {
   if (descriptor < 0 || static_cast<std::size_t>(descriptor) >= kDescriptors) return nullptr;
-  const std::string& path = paths()[static_cast<std::size_t>(descriptor)];
+  const std::string& path = paths()[descriptor];
   return path.empty() ? nullptr : path.c_str();
 }
 
@@ -166,7 +166,7 @@ int open_counted(const char* name, int folder, const char* path, int flags, mode
   const std::lock_guard<std::recursive_mutex> lock(guard());
   return static_cast<int>(counted(call, [&](long long) {
     const int file = real(folder, path, flags, mode);
-    if (file >= 0 && static_cast<std::size_t>(file) < kDescriptors) paths()[static_cast<std::size_t>(file)] = full;
+    if (file >= 0 && static_cast<std::size_t>(file) < kDescriptors) paths()[file] = full;
     return file;
   }));
 }
@@ -274,7 +274,7 @@ int close(int file) {
   const int result =
       static_cast<int>(on_descriptor("close", file, 0, 0, nullptr, false, [&](long long) { return real(file); }));
   const int cause = errno;
-  if (path_of(file) != nullptr) paths()[static_cast<std::size_t>(file)].clear();
+  if (path_of(file) != nullptr) paths()[file].clear();
   errno = cause;
   return result;
 }

@@ -1,11 +1,7 @@
 // What a disk may hold after a power cut in the middle of recorded file calls.
 #pragma once
 
-#include <cstdint>
-#include <functional>
 #include <map>
-#include <string>
-#include <vector>
 
 #include "tests/crash/victim_runs.h"
 

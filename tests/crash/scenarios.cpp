@@ -1,8 +1,6 @@
 #include "tests/crash/scenarios.h"
 
 #include <algorithm>
-#include <filesystem>
-#include <vector>
 
 #include "labels/clicks/click_log.h"
 #include "loading/packed_scene.h"
@@ -27,24 +25,22 @@ void save_step(CheckpointStore& store, int step) {
 }
 
 void write_scene(const std::string& folder, int version) {
-  SceneInfo info;
-  info.name = "room " + std::to_string(version);
-  info.classes = ClassTable({{0, "void", {}, true},
-                             {1, "west", {}, false},
-                             {2, "east", {}, false},
-                             {3, "up", {}, false},
-                             {4, "down", {}, false},
-                             {5, "south", {}, false},
-                             {6, "north", {}, false}});
+  SceneInfo info{.name = "room " + std::to_string(version),
+                 .classes = ClassTable({{0, "void", {}, true},
+                                        {1, "west", {}, false},
+                                        {2, "east", {}, false},
+                                        {3, "up", {}, false},
+                                        {4, "down", {}, false},
+                                        {5, "south", {}, false},
+                                        {6, "north", {}, false}})};
   for (int i = 0; i < 2; ++i) {
-    FrameInfo frame;
-    frame.name = "frame_" + std::to_string(i);
-    frame.camera = testing_room::room_camera(8, 6);
-    frame.world_from_camera = testing_room::room_pose(i + version);
+    FrameInfo frame{.name = "frame_" + std::to_string(i),
+                    .camera = testing_room::room_camera(8, 6),
+                    .world_from_camera = testing_room::room_pose(i + version)};
     info.frames.push_back(frame);
   }
   write_packed_scene(folder + "/room.sfpack", info, [&](int i, FrameBuffer& out) {
-    const FrameInfo& frame = info.frames[static_cast<std::size_t>(i)];
+    const FrameInfo& frame = info.frames[i];
     out = testing_room::render_room(frame.camera, frame.world_from_camera);
   });
 }
@@ -116,15 +112,13 @@ Save save_of(const std::string& name) {
 std::string click_log_path(const std::string& folder) { return folder + "/clicks.jsonl"; }
 
 LabelEvent click_event(int number) {
-  LabelEvent event;
-  event.id = "click-" + std::to_string(number);
-  event.frame = "rgb_12";
-  event.width_px = 320;
-  event.height_px = 240;
-  event.points = {{0.5 + number % 320, 33}, {12.25, 0.1 * (number % 2000)}};
-  event.radius_px = 4;
-  event.class_name = "chair";
-  return event;
+  return LabelEvent{.id = "click-" + std::to_string(number),
+                    .frame = "rgb_12",
+                    .width_px = 320,
+                    .height_px = 240,
+                    .points = {{0.5 + number % 320, 33}, {12.25, 0.1 * (number % 2000)}},
+                    .radius_px = 4,
+                    .class_name = "chair"};
 }
 
 void prepare(Save what, const std::string& folder) {

@@ -1,9 +1,6 @@
 // The saves that faults are thrown into, and what a fresh process finds after one.
 #pragma once
 
-#include <cstdint>
-#include <string>
-
 #include "labels/clicks/label_event.h"
 
 namespace semfield::testing_crash {

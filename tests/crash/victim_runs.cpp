@@ -1,9 +1,7 @@
 #include "tests/crash/victim_runs.h"
 
 #include <fmt/format.h>
-#include <gtest/gtest.h>
 
-#include <filesystem>
 #include <fstream>
 #include <map>
 #include <sstream>
@@ -11,8 +9,7 @@
 namespace semfield::testing_crash {
 
 namespace fs = std::filesystem;
-using testing_program::Process;
-using testing_program::Result;
+using namespace testing_program;
 
 std::vector<FileCall> read_calls(const std::string& log) {
   std::vector<FileCall> calls;
@@ -59,28 +56,20 @@ std::vector<std::string> fault_environment(const std::string& folder, const std:
 }
 
 Trial::Trial(Save what) : what_(what) {
-  root_ = (fs::temp_directory_path() / "semfield_crash_XXXXXX").string();
-  if (mkdtemp(root_.data()) == nullptr) throw Error(ErrorKind::io, "test.error.made", "cannot make " + root_);
-  folder_ = root_ + "/work";
-  log_ = root_ + "/log";
   fs::create_directories(folder_);
   prepare(what, folder_);
-}
-
-Trial::~Trial() {
-  std::error_code ignored;
-  fs::remove_all(root_, ignored);
 }
 
 Result Trial::save(const Fault& fault) {
   fs::remove(log_);
   fs::remove(log_ + ".data");
-  return Process(SEMFIELD_VICTIM, {"save", name_of(what_), folder_}, root_, fault_environment(folder_, log_, fault))
+  return Process(SEMFIELD_VICTIM, {"save", name_of(what_), folder_}, root_.path(),
+                 fault_environment(folder_, log_, fault))
       .wait();
 }
 
 Look Trial::look() const {
-  const Result r = Process(SEMFIELD_VICTIM, {"look", name_of(what_), folder_}, root_).wait();
+  const Result r = Process(SEMFIELD_VICTIM, {"look", name_of(what_), folder_}, root_.path()).wait();
   std::istringstream words(r.out);
   Look found;
   words >> std::hex >> found.crc >> std::dec >> found.temporaries;

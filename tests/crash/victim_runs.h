@@ -1,12 +1,9 @@
 // Runs the victim with a fault planned, and reads back the record of its file calls.
 #pragma once
 
-#include <cstdint>
-#include <string>
-#include <vector>
-
 #include "tests/crash/scenarios.h"
 #include "tests/program.h"
+#include "tests/temp_dir.h"
 
 namespace semfield::testing_crash {
 
@@ -33,7 +30,6 @@ struct Fault {
 class Trial {
  public:
   explicit Trial(Save what);
-  ~Trial();
   Trial(const Trial&) = delete;
   Trial& operator=(const Trial&) = delete;
 
@@ -46,13 +42,14 @@ class Trial {
 
  private:
   Save what_;
-  std::string root_, folder_, log_;
+  const TempDir root_;
+  const std::string folder_ = root_ / "work", log_ = root_ / "log";
 };
 
 /// The environment that preloads the shim and plans `fault` for calls below `folder`.
 std::vector<std::string> fault_environment(const std::string& folder, const std::string& log, const Fault& fault);
 
-/// What an undisturbed save goes through and ends in; made once a kind.
+/// What an undisturbed save goes through and ends in; made once per kind.
 struct Undisturbed {
   std::uint32_t old_crc = 0, new_crc = 0;
   std::vector<FileCall> calls;

@@ -1,11 +1,5 @@
-// Adam on the device against the processor's: the same bits where that one has fused multiply-add.
+// Adam on the device against the CPU's: the same bits where that one has fused multiply-add.
 #include "cuda/kernels/adam.h"
-
-#include <gtest/gtest.h>
-
-#include <cmath>
-#include <limits>
-#include <memory>
 
 #include "compute/isa.h"
 #include "device_fixture.h"
@@ -16,7 +10,6 @@ namespace {
 
 using AdamTensor = AdamTensor<float>;
 using cuda::Stage;
-using testing::DeviceLaunch;
 using testing::DeviceMatrix;
 using testing::NotedFault;
 
@@ -116,7 +109,7 @@ cuda::StepCell cell_of(const AdamStep& step, std::uint64_t number, bool labelled
   return cell;
 }
 
-// The same bits, or a unit of the last place where the processor rounds products.
+// The same bits, or a unit of the last place where the CPU rounds products.
 void expect_same(const std::vector<float>& got, const std::vector<float>& want, const char* what) {
   ASSERT_EQ(got.size(), want.size());
   const bool fused = isa() != Isa::generic;
@@ -151,8 +144,7 @@ std::vector<Shape> shapes() {
 }
 
 TEST(CudaAdam, TheBitsOfTheProcessor) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   Model model(shapes());
   AdamParams rule;
   for (std::int64_t number = 0; number < 3; ++number) {
@@ -179,8 +171,7 @@ TEST(CudaAdam, TheBitsOfTheProcessor) {
 }
 
 TEST(CudaAdam, WithoutLabelsTheSemanticTensorsStay) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   const Model model({{64, 3}, {64, 29, false, true}, {64, 3}});
   launch.set_cell(cell_of(adam_step({}, kRate, 0), 0, false));
   model.update();
@@ -192,8 +183,7 @@ TEST(CudaAdam, WithoutLabelsTheSemanticTensorsStay) {
 }
 
 TEST(CudaAdam, AFaultOfAnyStageLeavesAllAlone) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   const Model model({{64, 3}, {4097, 2, true}});
   launch.set_cell(cell_of(adam_step({}, kRate, 0), 0));
   launch.set_fault((static_cast<cuda::FaultKey>(Stage::density) << cuda::kFaultRowBits) | 3);
@@ -209,8 +199,7 @@ TEST(CudaAdam, AFaultOfAnyStageLeavesAllAlone) {
 }
 
 TEST(CudaAdam, UnsoundElementsAreFoundInEveryArray) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   const Model model({{3, 5}, {0, 7}, {700, 3}, {700, 3, false, false, 1}, {5000, 2, true}, {999, 3, true}, {2, 2}});
   const float inf = std::numeric_limits<float>::infinity(), nan = std::numeric_limits<float>::quiet_NaN();
   for (std::size_t tensor = 0; tensor < model.twins.size(); ++tensor) {

@@ -1,11 +1,6 @@
 // Batches drawn on the device are those that the host fills, bit by bit.
 #include "cuda/steps/batch_drawer.h"
 
-#include <gtest/gtest.h>
-
-#include <cmath>
-#include <cstring>
-
 #include "core/rng.h"
 #include "session/trainer.h"
 #include "tests/cuda/device_fixture.h"
@@ -16,7 +11,6 @@ namespace {
 
 using namespace testing_train;
 using cuda::BatchDrawer;
-using testing::DeviceLaunch;
 
 constexpr int kAhead = 5;
 
@@ -121,8 +115,7 @@ void expect_same_batches(const RaySource& source, const PixelPool& pool, BatchDr
 }
 
 TEST(CudaBatchDrawer, GivesTheBitsThatTheHostFills) {
-  SEMFIELD_NEEDS_DEVICE();
-  const DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   for (const RaySourceKind kind :
        {RaySourceKind::all_images, RaySourceKind::one_image, RaySourceKind::label_balanced}) {
     for (const bool teach : {true, false}) {
@@ -132,11 +125,8 @@ TEST(CudaBatchDrawer, GivesTheBitsThatTheHostFills) {
         frames.limits.z_depth = tile == 32;
         frames.limits.clip = tile == 333;
         frames.limits.bounds = {{-1, -1, -1}, {1.5, 1, 2}};
-        RaySourceOptions options;
-        options.train.rays = 2500;
-        options.train.ray_source = kind;
-        options.train.labelled_share = 0.3;
-        options.train.label_rays_teach_color = teach;
+        RaySourceOptions options{
+            .train = {.rays = 2500, .ray_source = kind, .labelled_share = 0.3, .label_rays_teach_color = teach}};
         if (tile != 333) options.targets = {std::string(channel::depth)};
         options.seed = 11 + static_cast<std::uint64_t>(tile);
         options.tile_rays = tile;
@@ -151,12 +141,9 @@ TEST(CudaBatchDrawer, GivesTheBitsThatTheHostFills) {
 }
 
 TEST(CudaBatchDrawer, TakesNewLabelsOfTheSamePixels) {
-  SEMFIELD_NEEDS_DEVICE();
-  const DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   Frames frames;
-  RaySourceOptions options;
-  options.train.rays = 640;
-  options.train.ray_source = RaySourceKind::label_balanced;
+  RaySourceOptions options{.train = {.rays = 640, .ray_source = RaySourceKind::label_balanced}};
   RaySource source = frames.make(options);
   BatchDrawer drawer(*source.pool(), kAhead);
   expect_same_batches(source, *source.pool(), drawer);
@@ -206,7 +193,7 @@ TEST(CudaBatchDrawer, PixelsThatDoNotFitStayOnTheHostWhichIsSaidOnce) {
   EXPECT_FALSE(executor.hold(*pool));
   const std::vector<std::string> notes = executor.take_notes();
   ASSERT_EQ(notes.size(), 1u);
-  EXPECT_NE(notes[0].find("pixels stay in the host's memory"), std::string::npos) << notes[0];
+  EXPECT_HAS(notes[0], "pixels stay in the host's memory");
   EXPECT_FALSE(executor.hold(*pool));
   EXPECT_TRUE(executor.take_notes().empty());
 }

@@ -1,8 +1,5 @@
-// Compositing on the device against the processor's in float64.
-#include <gtest/gtest.h>
-
+// Compositing on the device against the CPU's in float64.
 #include <algorithm>
-#include <limits>
 
 #include "cuda/kernels/rendering.h"
 #include "device_fixture.h"
@@ -12,7 +9,6 @@
 namespace semfield {
 namespace {
 
-using testing::DeviceLaunch;
 using testing::DeviceMatrix;
 using testing::RayBuffers;
 using testing::TestNumbers;
@@ -34,17 +30,7 @@ void fill(RayBuffers<float>& rays, std::uint64_t seed, double density) {
 // The same numbers in float64.
 RayBuffers<double> widened(const RayBuffers<float>& rays, const std::vector<int>& counts) {
   RayBuffers<double> wide(counts, rays.channels);
-  const auto copy = [](const std::vector<float>& from, std::vector<double>& to) { to = testing::widen(from); };
-  copy(rays.t, wide.t);
-  copy(rays.delta, wide.delta);
-  copy(rays.sigma, wide.sigma);
-  copy(rays.rgb, wide.rgb);
-  copy(rays.hidden, wide.hidden);
-  copy(rays.g_color, wide.g_color);
-  copy(rays.g_depth, wide.g_depth);
-  copy(rays.g_opacity, wide.g_opacity);
-  copy(rays.g_hidden, wide.g_hidden);
-  copy(rays.g_weight, wide.g_weight);
+  wide.take_inputs(rays);
   wide.samples = {wide.col(wide.t), wide.col(wide.delta), View<std::int32_t>(wide.ray.data(), wide.rows(), 1),
                   View<std::int32_t>(wide.first.data(), static_cast<std::int64_t>(wide.first.size()), 1), wide.rows()};
   wide.far = rays.far;
@@ -192,8 +178,7 @@ const std::vector<int>& awkward_counts() {
 }
 
 TEST(CudaCompositor, EveryModeAndWidthAsTheProcessor) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   for (const FarMode mode : {FarMode::open, FarMode::closed, FarMode::background}) {
     for (const std::int32_t channels : {0, 1, 4, 29, 32, 36, 64, 100, 128, 132, 300}) {
       for (const int gap : {0, 1, 4}) expect_same({awkward_counts(), channels, gap, 77, 1.0}, mode, -1);
@@ -203,15 +188,13 @@ TEST(CudaCompositor, EveryModeAndWidthAsTheProcessor) {
 }
 
 TEST(CudaCompositor, LabelledRaysAreTheFirst) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   for (const std::int64_t labelled : {0, 1, 6, 14})
     expect_same({awkward_counts(), 64, 0, 50, 1.0}, FarMode::open, labelled);
 }
 
 TEST(CudaCompositor, EmptyBatchesAndSingleRays) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   for (const std::int64_t unused : {0, 40}) {
     for (const auto& counts : std::vector<std::vector<int>>{{}, {0}, {1}, {0, 0, 3}})
       expect_same({counts, 8, 0, unused, 1.0}, FarMode::background, -1);
@@ -219,22 +202,19 @@ TEST(CudaCompositor, EmptyBatchesAndSingleRays) {
 }
 
 TEST(CudaCompositor, LongRays) {  // more than 32 tiles of 32 samples, whose optical depths a warp holds at once
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   expect_same({{1023, 1024, 1025, 1056, 2049, 5000}, 16, 0, 9, 0.5}, FarMode::open, -1);
 }
 
 TEST(CudaCompositor, ManyRays) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   std::vector<int> counts;
   for (int r = 0; r < 4097; ++r) counts.push_back(r * 7 % 40);
   expect_same({counts, 64, 0, 1000, 1.0}, FarMode::open, 3001);
 }
 
 TEST(CudaCompositor, GradientKeepsItsSignInFogOfAnyDepth) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   for (const double tau : {0.1, 1.0, 5.0, 20.0, 80.0}) {
     RayBuffers<float> host({192, 192, 192}, 0);
     fill(host, 20, tau);
@@ -260,8 +240,7 @@ TEST(CudaCompositor, GradientKeepsItsSignInFogOfAnyDepth) {
 }
 
 TEST(CudaCompositor, InfiniteIntervalsAndHugeDensities) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   RayBuffers<float> host({2, 2, 1}, 0);
   host.delta = {std::numeric_limits<float>::infinity(), 1, 10, 1, 1e-20F};
   host.sigma = {0, 1, 3e38F, 1, 1e-20F};
@@ -282,22 +261,10 @@ TEST(CudaCompositor, InfiniteIntervalsAndHugeDensities) {
 }
 
 TEST(CudaCompositor, ARayDoesNotDependOnItsNeighbours) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   RayBuffers<float> both({40, 170}, 64), alone({170}, 64);
   fill(both, 3, 1.0);
-  alone.space_evenly(2);
-  const auto tail = [](const std::vector<float>& from, std::vector<float>& to) {
-    to.assign(from.end() - static_cast<std::ptrdiff_t>(to.size()), from.end());
-  };
-  tail(both.sigma, alone.sigma);
-  tail(both.rgb, alone.rgb);
-  tail(both.hidden, alone.hidden);
-  tail(both.g_color, alone.g_color);
-  tail(both.g_depth, alone.g_depth);
-  tail(both.g_opacity, alone.g_opacity);
-  tail(both.g_hidden, alone.g_hidden);
-  tail(both.g_weight, alone.g_weight);
+  alone.take_inputs(both);
   DeviceRays a(both, 0, 0), b(alone, 33, 0);
   for (DeviceRays* rays : {&a, &b}) {
     rays->forward();
@@ -314,8 +281,7 @@ TEST(CudaCompositor, ARayDoesNotDependOnItsNeighbours) {
 }
 
 TEST(CudaCompositor, DetachedHiddenLeavesDensityAlone) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   RayBuffers<float> host({8, 40}, 12);
   fill(host, 11, 1.0);
   for (auto* v : {&host.g_color, &host.g_depth, &host.g_opacity, &host.g_weight}) std::fill(v->begin(), v->end(), 0.F);
@@ -329,8 +295,7 @@ TEST(CudaCompositor, DetachedHiddenLeavesDensityAlone) {
 }
 
 TEST(CudaCompositor, OutputsThatNobodyWantsAreLeftOut) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   RayBuffers<float> host(awkward_counts(), 8);
   fill(host, 5, 1.0);
   DeviceRays device(host, 3, 0);
@@ -351,8 +316,7 @@ TEST(CudaCompositor, OutputsThatNobodyWantsAreLeftOut) {
 }
 
 TEST(CudaCompositor, AColourThatIsNotFiniteIsAFaultOfItsSample) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   RayBuffers<float> host({40, 40}, 0);
   fill(host, 5, 1.0);
   host.rgb[3 * 70 + 1] = std::numeric_limits<float>::infinity();

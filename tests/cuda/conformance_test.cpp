@@ -32,13 +32,10 @@ const Registry& registry_with_cuda() {
 TwinOptions on_device(bool deterministic) { return {cuda_library().calls, deterministic}; }
 
 LawOptions device_laws(int gradient_elements) {
-  LawOptions options;
-  options.gradient_elements = gradient_elements;
-  options.scratch = cuda_library().calls.memory;
-  return options;
+  return LawOptions{.gradient_elements = gradient_elements, .scratch = cuda_library().calls.memory};
 }
 
-// A plugin may be of processors alone: that is said, and its device's laws do not apply.
+// A plugin may be of CPUs alone: that is said, and its device's laws do not apply.
 #define SEMFIELD_NEEDS_KERNELS()                                                                                   \
   if (const std::string why = lacks_kernels(registry_with_cuda(), GetParam().kind, GetParam().name, Device::cuda); \
       !why.empty())                                                                                                \
@@ -137,7 +134,7 @@ TEST(CudaConformance, TheProgramsMatrixShowsTheKernelsOfTheBuild) {
   EXPECT_EQ(result.code, 0) << result.err;
   EXPECT_EQ(result.err, "");
   EXPECT_EQ(result.out, support_matrix_text(registry_with_cuda()));
-  EXPECT_NE(result.out.find("| encoder | hash_grid | cpu, cuda |"), std::string::npos) << result.out;
+  EXPECT_HAS(result.out, "| encoder | hash_grid | cpu, cuda |");
   std::filesystem::remove_all(folder);
 }
 

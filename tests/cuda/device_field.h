@@ -3,10 +3,6 @@
 
 #include <cuda_bf16.h>
 
-#include <memory>
-#include <string>
-#include <vector>
-
 #include "device_fixture.h"
 #include "plugin/field.h"
 #include "testkit/compare.h"
@@ -55,8 +51,7 @@ class DeviceField {
   }
 
   FieldIn<float> in() const {
-    FieldIn<float> inputs;
-    inputs.position = position->view();
+    FieldIn<float> inputs{.position = position->view()};
     if (direction) inputs.direction = direction->view();
     inputs.ray_of_sample = ray_of_sample->view();
     return inputs;

@@ -1,16 +1,13 @@
-// What tests of kernels for NVIDIA processors share: matrices in device memory whose surroundings are watched, a launch
+// What tests of kernels for NVIDIA GPUs share: matrices in device memory whose surroundings are watched, a launch
 // with its own stream, step numbers and fault cell, and test data.
 #pragma once
 
 #include <cuda_runtime_api.h>
 #include <gtest/gtest.h>
 
-#include <cstdint>
 #include <cstring>
 #include <initializer_list>
 #include <optional>
-#include <string>
-#include <vector>
 
 #include "core/rng.h"
 #include "core/view.h"
@@ -34,6 +31,10 @@ inline bool has_device() {
   if (!::semfield::testing::has_device())                                 \
   GTEST_SKIP() << "this machine has no NVIDIA processor that its driver " \
                   "offers"
+/// The same, with a launch of that name.
+#define SEMFIELD_ON_DEVICE(launch) \
+  SEMFIELD_NEEDS_DEVICE();         \
+  ::semfield::testing::DeviceLaunch launch
 
 /// What these functions add: `x_kernels` of plugins, cuda::add_plugin_kernels.
 inline KernelTables tables_of(std::initializer_list<void (*)(KernelTables&)> adders) {
@@ -72,17 +73,14 @@ class DeviceMatrix {
   template <class U>
   void write(const std::vector<U>& values) {
     std::vector<T> all = whole();
-    for (std::int64_t i = 0; i < rows_ * cols_; ++i)
-      all[static_cast<std::size_t>(i / cols_ * stride_ + i % cols_)] =
-          static_cast<T>(values[static_cast<std::size_t>(i)]);
+    for (std::int64_t i = 0; i < rows_ * cols_; ++i) all[i / cols_ * stride_ + i % cols_] = static_cast<T>(values[i]);
     cuda::check(cudaMemcpy(data_, all.data(), bytes(), cudaMemcpyHostToDevice), "copying to the device");
   }
   /// Waits for the device; row by row without gaps.
   std::vector<T> read() const {
     const std::vector<T> all = whole();
     std::vector<T> values;
-    for (std::int64_t i = 0; i < rows_ * cols_; ++i)
-      values.push_back(all[static_cast<std::size_t>(i / cols_ * stride_ + i % cols_)]);
+    for (std::int64_t i = 0; i < rows_ * cols_; ++i) values.push_back(all[i / cols_ * stride_ + i % cols_]);
     return values;
   }
   /// "" when nothing outside rows and columns was written, else where.

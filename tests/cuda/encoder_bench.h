@@ -2,10 +2,6 @@
 // encoded.
 #pragma once
 
-#include <cmath>
-#include <string>
-#include <vector>
-
 #include "core/error.h"
 #include "cuda/kernel_tables.h"
 #include "plugin/encoder.h"
@@ -18,9 +14,7 @@ namespace semfield::testing {
 template <class Encoder, class Params>
 Encoder make_encoder(void (*kernels)(KernelTables&), const Params& params, std::int32_t dims, Device device) {
   static const KernelTables tables = tables_of({kernels, cuda::add_plugin_kernels});
-  EncoderBuild build;
-  build.device = device;
-  build.in_dims = dims;
+  EncoderBuild build{.device = device, .in_dims = dims};
   return Encoder(params, build, tables);
 }
 
@@ -50,8 +44,7 @@ void expect_twins(const Real32& device, const Real64& host, const std::vector<do
   host.backward({}, {}, x_host, host_view(std::as_const(dy64), traits.out_dims), host_view(dx64, traits.in_dims));
 
   DeviceLaunch launch(true);
-  StepContext ctx;
-  ctx.workspace = &launch.arena();
+  StepContext ctx{.workspace = &launch.arena()};
   const DeviceMatrix<double> x_device(x, traits.in_dims, traits.in_dims + strides.x);
   const DeviceMatrix<float> dy_device(dy, traits.out_dims, traits.out_dims + strides.y);
   const DeviceMatrix<float> y(rows, traits.out_dims, traits.out_dims + strides.y);
@@ -70,8 +63,8 @@ void expect_twins(const Real32& device, const Real64& host, const std::vector<do
   EXPECT_EQ(launch.take_fault(), std::nullopt);
 }
 
-// A coordinate that cannot be encoded is noted with its first row, or thrown where faults are told at once; every value
-// is finite all the same.
+// A coordinate that cannot be encoded is noted with its first row, or thrown where faults are reported at once; every
+// value is finite all the same.
 inline void expect_fault_of(const Encoder<float>& encoder, double bad) {
   std::vector<double> x = random_doubles(3 * 200, 1, -1, 1);
   x[3 * 150 + 1] = bad;

@@ -1,17 +1,17 @@
 // What an executor on a device promises beside steps: the gradient hook, and which of several devices it runs on.
-#include <gtest/gtest.h>
-
-#include <algorithm>
-#include <cmath>
-#include <string>
-
 #include "core/error.h"
+#include "core/workspace.h"
+#include "cuda/memory.h"
+#include "device_fixture.h"
 #include "session/trainer.h"
 #include "tests/cuda/device_fixture.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {
 namespace {
+
+using testing::DeviceLaunch;
+using testing::DeviceMatrix;
 
 using namespace testing_train;
 
@@ -111,7 +111,7 @@ TEST(CudaGradientHook, HalfOfTheGradientsIsHalfOfTheWeight) {
     for (std::int64_t e = 0; e < t.size(); ++e) {
       ASSERT_EQ(of_halved[e], 0.5F * t.moment1.data()[e]) << t.name << ' ' << e;
       ASSERT_TRUE(!t.rule.semantic || of_halved[e] == of_light[e]) << t.name << ' ' << e;
-      largest = std::max(largest, std::abs(static_cast<double>(of_halved[e])));
+      largest = std::max<double>(largest, std::abs(of_halved[e]));
     }
     EXPECT_GT(largest, 0) << t.name;
     semantic += t.rule.semantic ? 1 : 0;
@@ -128,12 +128,7 @@ TEST(CudaGradientHook, AnErrorEndsTheStepAndChangesNothing) {
   hooked.call([](const StepGradients<float>& gradients) {
     if (gradients.step == 7) throw Error(ErrorKind::failure, "test.error.made", "rank 3 is gone", "start it again");
   });
-  try {
-    hooked.to(10);
-    FAIL() << "the step went on";
-  } catch (const Error& error) {
-    EXPECT_NE(error.message().find("rank 3 is gone"), std::string::npos) << error.message();
-  }
+  EXPECT_HAS(error_of([&] { hooked.to(10); }), "rank 3 is gone");
   EXPECT_EQ(hooked.trainer.step(), 7);
   hooked.call(nullptr);
   plain.to(9);
@@ -145,15 +140,9 @@ TEST(CudaDevices, AnOrdinalThatIsNotThereIsRefusedWithThoseThatAre) {
   SEMFIELD_NEEDS_DEVICE();
   Registry registry = make_registry();
   const std::string missing = "cuda:" + std::to_string(devices());
-  try {
-    const Subject run(hash_config(), missing, registry);
-    FAIL() << missing << " was taken";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), ErrorKind::unavailable);
-    EXPECT_NE(error.message().find("runtime.device: " + missing + ": this machine has "), std::string::npos)
-        << error.message();
-    EXPECT_NE(error.message().find("cuda:" + std::to_string(devices() - 1)), std::string::npos) << error.message();
-  }
+  EXPECT_HAS(error_of(ErrorKind::unavailable, [&] { const Subject run(hash_config(), missing, registry); }),
+             "runtime.device: " + missing + ": this machine has ", "cuda:" + std::to_string(devices() - 1))
+      << missing;
 }
 
 TEST(CudaDevices, TheCallersDeviceIsLeftAsItWas) {
@@ -188,6 +177,67 @@ TEST(CudaDevices, TwoDevicesOfAKindGiveTheSameBitsAndTakeOverFromEachOther) {
     c.to(40);
     EXPECT_EQ(a.bits(), c.bits()) << precision;
   }
+}
+
+// Device memory: what is copied there comes back, arenas and launches.
+
+TEST(CudaMemory, MatricesComeBackAndTheirSurroundingsAreWatched) {
+  SEMFIELD_NEEDS_DEVICE();
+  const std::vector<float> values = testing::random_floats(33 * 3, 1, -1, 1);
+  const DeviceMatrix<float> matrix(values, 3, 5);
+  EXPECT_EQ(matrix.read(), values);
+  EXPECT_EQ(matrix.surroundings(), "");
+  cuda::check(cudaMemset(matrix.data() + 3, 0, sizeof(float)), "writing into a gap");
+  EXPECT_NE(matrix.surroundings(), "");
+}
+
+TEST(CudaMemory, BuffersStartAsZerosAndArenasGiveAlignedDeviceMemory) {
+  SEMFIELD_ON_DEVICE(launch);
+  const cuda::Buffer<float> buffer(1001, "a test");
+  std::vector<float> back(1001, 7);
+  cuda::download<float>(buffer.data(), back);
+  cuda::synchronize();
+  EXPECT_EQ(back, std::vector<float>(1001, 0));
+  const Workspace::Scope scope(launch.arena());
+  for (const std::int64_t rows : {0, 1, 33}) {
+    const View<float> view = launch.arena().take<float>(rows, 3);
+    EXPECT_EQ(view.device, Device::cuda);
+    EXPECT_EQ(reinterpret_cast<std::uintptr_t>(view.data) % 256, 0u);
+  }
+}
+
+TEST(CudaMemory, ABufferIsClearedBeforeOtherStreamsUseIt) {
+  SEMFIELD_NEEDS_DEVICE();
+  constexpr std::size_t kCount = 1001, kBusyBytes = std::size_t{1} << 28;
+  const cuda::Buffer<std::byte> busy(kBusyBytes, "a test");
+  cudaStream_t stream = nullptr;
+  cuda::check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking), "a stream of a test");
+  const std::vector<float> values = testing::random_floats(kCount, 1, -1, 1);
+  std::vector<float> back(kCount);
+  {
+    cuda::Launch own{.stream = stream};
+    const cuda::LaunchScope scope(own);
+    for (int i = 0; i < 400; ++i) {  // the default stream has work for some 20 ms
+      cuda::check(cudaMemsetAsync(busy.data(), i, kBusyBytes, nullptr), "work of a test");
+    }
+    const cuda::Buffer<float> buffer(kCount, "a test");
+    cuda::upload<float>(values, buffer.data());
+    cuda::check(cudaDeviceSynchronize(), "waiting for both streams");
+    cuda::download<float>(buffer.data(), back);
+    cuda::synchronize();
+  }
+  cuda::check(cudaStreamDestroy(stream), "a stream of a test");
+  EXPECT_EQ(back, values);
+}
+
+TEST(CudaLaunch, AFaultIsTakenOutOfItsCellOnce) {
+  SEMFIELD_NEEDS_DEVICE();
+  DeviceLaunch launch(true);
+  EXPECT_EQ(launch.take_fault(), std::nullopt);
+  launch.set_fault((cuda::FaultKey{4} << cuda::kFaultRowBits) | 77);
+  EXPECT_EQ(cuda::first_fault_row(cuda::Stage::density), -1);  // another stage's
+  EXPECT_EQ(cuda::first_fault_row(static_cast<cuda::Stage>(4)), 77);
+  EXPECT_EQ(launch.take_fault(), std::nullopt);
 }
 
 }  // namespace

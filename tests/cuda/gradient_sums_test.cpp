@@ -2,14 +2,10 @@
 // between ranks that are threads with one device.
 #include "cuda/ranks/gradient_sums.h"
 
-#include <gtest/gtest.h>
-
-#include <array>
-#include <mutex>
-
 #include "cuda/ranks/shard_sums.h"
 #include "tests/cuda/device_fixture.h"
 #include "tests/ranks/thread_ranks.h"
+#include "tests/says.h"
 
 namespace semfield {
 namespace {
@@ -63,10 +59,7 @@ struct Place {
     sums.agree([&] { sums.reserve({}); });
   }
   static DeviceOptions options(Ranks* ranks, bool deterministic) {
-    DeviceOptions with;
-    with.deterministic = deterministic;
-    with.ranks = ranks;
-    return with;
+    return DeviceOptions{.deterministic = deterministic, .ranks = ranks};
   }
   void write(const std::vector<float>& values) {
     cuda::upload<float>(values, gradients.data());
@@ -85,8 +78,7 @@ struct Place {
 };
 
 TEST(CudaShards, GradientsAreAddedAsATree) {
-  SEMFIELD_NEEDS_DEVICE();
-  const DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   constexpr std::size_t kCount = 64 * 20, kFirst = 64 * 3;  // two tensors of a block, in the other order in the sum
   cuda::Buffer<float> blocks(cuda::kShards * kCount, "a test"), sum_there(kCount, "a test");
   std::array<const float*, cuda::kShards> block{};
@@ -112,8 +104,7 @@ TEST(CudaShards, GradientsAreAddedAsATree) {
 }
 
 TEST(CudaShards, RowsInUseAreJoinedInOrder) {
-  SEMFIELD_NEEDS_DEVICE();
-  const DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   constexpr std::int64_t kRoom = 40;
   for (const std::int32_t dims : {3, 8}) {
     const std::vector<std::int32_t> counts{7, 0, 40, 1};
@@ -241,10 +232,9 @@ TEST(CudaGradientSums, RanksThatShareADeviceMeetOnTheHostAndSaySoOnce) {
     ASSERT_EQ(notes.size(), 1u);
     EXPECT_TRUE(place.sums.take_notes().empty());
 #ifdef SEMFIELD_NCCL
-    EXPECT_NE(notes[0].find("rank 0 of this test and rank 1 of this test share a device"), std::string::npos)
-        << notes[0];
+    EXPECT_HAS(notes[0], "rank 0 of this test and rank 1 of this test share a device");
 #else
-    EXPECT_NE(notes[0].find("NCCL"), std::string::npos) << notes[0];
+    EXPECT_HAS(notes[0], "NCCL");
 #endif
   });
 }
@@ -270,7 +260,7 @@ TEST(CudaGradientSums, MoreRanksThanShardsAreRefusedOnAll) {
       const Place place(&ranks, true, 64, {64});
     } catch (const Error& error) {
       const std::lock_guard lock(mutex);
-      EXPECT_NE(error.remedy().find("at most 8 processes"), std::string::npos) << error.what();
+      EXPECT_HAS(error.remedy(), "at most 8 processes") << error.what();
       ++refused;
     }
   });

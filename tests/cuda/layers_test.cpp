@@ -2,10 +2,7 @@
 #include "cuda/kernels/layers.h"
 
 #include <algorithm>
-#include <cmath>
 #include <cstdio>
-#include <string>
-#include <vector>
 
 #include "cuda/matmul.h"
 #include "device_fixture.h"
@@ -60,11 +57,9 @@ struct Case {
     const std::vector<double> av = read(a), bv = read(b), dv = read(d);
     for (std::int64_t i = 0; i < s.m; ++i) {
       for (std::int32_t j = 0; j < s.n; ++j) {
-        double sum = s.add ? dv[static_cast<std::size_t>(i * s.n + j)] : 0;
-        for (std::int32_t k = 0; k < s.k; ++k) {
-          sum += av[static_cast<std::size_t>(s.transpose_a ? k * s.m + i : i * s.k + k)] *
-                 bv[static_cast<std::size_t>(s.transpose_b ? j * s.k + k : k * s.n + j)];
-        }
+        double sum = s.add ? dv[i * s.n + j] : 0;
+        for (std::int32_t k = 0; k < s.k; ++k)
+          sum += av[s.transpose_a ? k * s.m + i : i * s.k + k] * bv[s.transpose_b ? j * s.k + k : k * s.n + j];
         want.push_back(sum);
       }
     }
@@ -111,15 +106,13 @@ void expect_products(double tolerance, bool plain) {
 }
 
 TEST(CudaProduct, IsTheProductInFp32) {
-  SEMFIELD_NEEDS_DEVICE();
-  const DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   expect_products<float, float>(3e-6, false);  // TF32 would be off by 5e-4
   expect_products<float, float>(3e-6, true);
 }
 
 TEST(CudaProduct, SmallOnesRunSeveralInALaunch) {
-  SEMFIELD_NEEDS_DEVICE();
-  const DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   // D1 = A B; D2 = C + A2^T B2 + u v^T, added to what is there; D3 = C.
   const Case<float, float> first({70, 33, 65}), second({33, 40, 129, true, false, true, 3});
   const std::vector<float> u = random_floats(33, 5, -1, 1), v = random_floats(40, 6, -1, 1);
@@ -142,8 +135,7 @@ TEST(CudaProduct, SmallOnesRunSeveralInALaunch) {
 }
 
 TEST(CudaProduct, SmallOnesOfManyTermsAreSummedInParts) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   // D1 += A^T B over 5,000 terms; D2 = A2 B2 over a few.
   Case<float, float> many({40, 29, 5000, true, false, true, 2}), few({33, 40, 129});
   cuda::SmallProduct products[2];
@@ -164,28 +156,25 @@ TEST(CudaProduct, SmallOnesOfManyTermsAreSummedInParts) {
 }
 
 TEST(CudaProduct, OfBf16OperandsSumsInFp32) {
-  SEMFIELD_NEEDS_DEVICE();
-  const DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   expect_products<Bf16, float>(1e-5, false);  // matrix units cut the digits of a sum that they do not keep
   expect_products<Bf16, Bf16>(8e-3, false);   // cuBLASLt may round the product before it adds D
   expect_products<Bf16, Bf16>(4e-3, true);
 }
 
 TEST(CudaProduct, RepeatsBitForBit) {
-  SEMFIELD_NEEDS_DEVICE();
-  const DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   constexpr std::int64_t kRows = 65536;
   const DeviceMatrix<Bf16> x(random_floats(kRows * 256, 1, -1, 1), 256), dz(random_floats(kRows * 256, 2, -1, 1), 256);
   std::vector<float> first, first_sums;
   for (int run = 0; run < 3; ++run) {
     const DeviceMatrix<float> d(std::vector<float>(256 * 256), 256), sums(std::vector<float>(256), 256);
-    Product p;
-    p.a = Matrix(x.view(), true);
-    p.b = Matrix(dz.view());
-    p.d = Matrix(d.view());
-    p.add = true;
-    p.epilogue = Epilogue::column_sums;
-    p.sums = sums.data();
+    Product p{.a = Matrix(x.view(), true),
+              .b = Matrix(dz.view()),
+              .d = Matrix(d.view()),
+              .add = true,
+              .epilogue = Epilogue::column_sums,
+              .sums = sums.data()};
     if (!cuda::product(p)) {
       p.epilogue = Epilogue::none;
       cuda::product(p);
@@ -198,8 +187,7 @@ TEST(CudaProduct, RepeatsBitForBit) {
 
 // No assertion but that the calls are accepted: what cuBLASLt lacks is made up for by further passes, and costs time.
 TEST(CudaProduct, TellsWhichEpiloguesCublasLtHas) {
-  SEMFIELD_NEEDS_DEVICE();
-  const DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   constexpr std::int64_t kRows = 4096;
   const DeviceMatrix<Bf16> x(random_floats(kRows * 256, 1, -1, 1), 256), w(random_floats(256 * 256, 2, -1, 1), 256);
   const DeviceMatrix<Bf16> y(kRows, 256), bias(random_floats(256, 3, -1, 1), 256);
@@ -213,9 +201,8 @@ TEST(CudaProduct, TellsWhichEpiloguesCublasLtHas) {
     p.a = Matrix(x.view());
     p.b = Matrix(w.view());
     p.d = Matrix(y.view());
-    if (p.epilogue == Epilogue::bias || p.epilogue == Epilogue::bias_relu || p.epilogue == Epilogue::bias_relu_mask) {
+    if (p.epilogue == Epilogue::bias || p.epilogue == Epilogue::bias_relu || p.epilogue == Epilogue::bias_relu_mask)
       p.bias = bias.data();
-    }
     if (p.epilogue >= Epilogue::relu_mask && p.epilogue <= Epilogue::masked) p.mask = mask.data();
     if (p.epilogue == Epilogue::column_sums) {
       p.a = Matrix(x.view(), true);
@@ -253,9 +240,8 @@ void expect_layer(std::int64_t rows, std::int32_t in, std::int32_t out, bool mas
   std::vector<double> want;
   for (std::int64_t i = 0; i < rows; ++i) {
     for (std::int32_t j = 0; j < out; ++j) {
-      double sum = bv[static_cast<std::size_t>(j)];
-      for (std::int32_t k = 0; k < in; ++k)
-        sum += xv[static_cast<std::size_t>(i * in + k)] * wv[static_cast<std::size_t>(k * out + j)];
+      double sum = bv[j];
+      for (std::int32_t k = 0; k < in; ++k) sum += xv[i * in + k] * wv[k * out + j];
       want.push_back(std::max(0.0, sum));
     }
   }
@@ -282,16 +268,14 @@ void expect_layer(std::int64_t rows, std::int32_t in, std::int32_t out, bool mas
     const std::vector<double> zv = read(dz), nv = read(next);
     for (std::int64_t i = 0; i < rows; ++i) {
       for (std::int32_t n = 0; n < kNext; ++n) {
-        const double z = zv[static_cast<std::size_t>(i * kNext + n)];
-        want_bias[static_cast<std::size_t>(n)] += z;
-        for (std::int32_t j = 0; j < out; ++j)
-          want_weight[static_cast<std::size_t>(j * kNext + n)] += got[static_cast<std::size_t>(i * out + j)] * z;
+        const double z = zv[i * kNext + n];
+        want_bias[n] += z;
+        for (std::int32_t j = 0; j < out; ++j) want_weight[j * kNext + n] += got[i * out + j] * z;
       }
       for (std::int32_t j = 0; j < out; ++j) {
-        double sum = start[static_cast<std::size_t>(i * out + j)];
-        for (std::int32_t n = 0; n < kNext; ++n)
-          sum += zv[static_cast<std::size_t>(i * kNext + n)] * nv[static_cast<std::size_t>(j * kNext + n)];
-        want_dx.push_back(got[static_cast<std::size_t>(i * out + j)] > 0 ? sum : 0);
+        double sum = start[i * out + j];
+        for (std::int32_t n = 0; n < kNext; ++n) sum += zv[i * kNext + n] * nv[j * kNext + n];
+        want_dx.push_back(got[i * out + j] > 0 ? sum : 0);
       }
     }
     const auto near = [&](const std::vector<double>& is, const std::vector<double>& should, std::int32_t cols,
@@ -317,8 +301,7 @@ TEST(CudaLayers, ForwardAndGradientsFollowTheFormulas) {
 }
 
 TEST(CudaLayers, PassesOverMatrices) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   for (const std::int64_t rows : {0, 1, 31, 33, 4097}) {
     for (const std::int32_t padding : {0, 3}) {
       SCOPED_TRACE(std::to_string(rows) + " rows, padding " + std::to_string(padding));
@@ -330,7 +313,7 @@ TEST(CudaLayers, PassesOverMatrices) {
       const std::vector<double> got = read(wide), added = read(sum);
       for (std::int64_t i = 0; i < rows * 8; ++i) {
         const auto from = static_cast<std::size_t>(i / 8 * 5 + i % 8);
-        ASSERT_EQ(got[static_cast<std::size_t>(i)], i % 8 < 5 ? number(Bf16(values[from])) : 0) << i;
+        ASSERT_EQ(got[i], i % 8 < 5 ? number(Bf16(values[from])) : 0) << i;
       }
       for (std::size_t i = 0; i < added.size(); ++i) ASSERT_EQ(added[i], others[i] + values[i]) << i;
       cuda::relu_backward<float>(in.view(), sum.view());
@@ -339,9 +322,8 @@ TEST(CudaLayers, PassesOverMatrices) {
       const DeviceMatrix<float> turned(5, static_cast<std::int32_t>(rows));
       cuda::transpose(in.view(), turned.view());
       const std::vector<float> t = turned.read();
-      for (std::size_t i = 0; i < t.size(); ++i) {
+      for (std::size_t i = 0; i < t.size(); ++i)
         ASSERT_EQ(t[i], values[i % static_cast<std::size_t>(rows) * 5 + i / static_cast<std::size_t>(rows)]) << i;
-      }
       const DeviceMatrix<float> sums(std::vector<float>(5, 1.0F), 5);
       cuda::add_column_sums<float>(in.view(), sums.view(), launch.arena());
       std::vector<double> want(5, 1.0);
@@ -355,8 +337,7 @@ TEST(CudaLayers, PassesOverMatrices) {
 }
 
 TEST(CudaLayers, SumsOverRaysLeaveOutUnusedRows) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   const std::vector<std::int32_t> rays{0, 0, 2, 2, 2, 4, 5, 5};  // 1 and 3 have none; the last two rows are not in use
   const DeviceMatrix<std::int32_t> of(rays, 1), live(std::vector<std::int32_t>{6}, 1);
   const DeviceMatrix<float> dz(std::vector<float>{1, 2, 3, 4, 5, 6, 7, 8}, 1), sums(6, 1);

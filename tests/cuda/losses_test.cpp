@@ -1,11 +1,7 @@
-// Losses on the device against the processor's in float64.
+// Losses on the device against the CPU's in float64.
 #include "cuda/kernels/losses.h"
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
-#include <cmath>
-#include <limits>
 
 #include "device_fixture.h"
 #include "losses/photometric.h"
@@ -24,8 +20,7 @@ constexpr float kInf = std::numeric_limits<float>::infinity();
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 
 TEST(CudaPhotometric, LossAndGradient) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   for (const std::int64_t rays : {0, 1, 31, 33, 1365, 1366, 4097, 400000}) {
     const std::vector<float> color = testing::random_floats(3 * rays, 1, 0, 1);
     const std::vector<float> target = testing::random_floats(3 * rays, 2, 0, 1);
@@ -50,14 +45,13 @@ TEST(CudaPhotometric, LossAndGradient) {
 }
 
 TEST(CudaCounts, SamplesAndDensity) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   for (const std::int32_t count : {0, 1, 1023, 1025, 300001}) {
     const DeviceMatrix<std::int32_t> first(std::vector<std::int32_t>{0, count / 2, count}, 1);
     for (const int kind : {0, 1, 2}) {  // none; the last sample; one behind those in use
       std::vector<float> sigma(static_cast<std::size_t>(count) + 9, 0.F);
       if (kind == 1 && count > 0) sigma[static_cast<std::size_t>(count) - 1] = 1e-30F;
-      if (kind == 2) sigma[static_cast<std::size_t>(count)] = 1;
+      if (kind == 2) sigma[count] = 1;
       const DeviceMatrix<float> there(sigma, 1);
       const DeviceMatrix<LossSums> sums(1, 1);
       cuda::count_samples(first.read_only(), there.read_only(), sums.data());
@@ -85,8 +79,7 @@ struct Semantic {
 void expect_same(DeviceLaunch& launch, const Semantic& s, bool is_hard, bool weighted, double normaliser) {
   SCOPED_TRACE(std::to_string(s.rays) + " rays, " + std::to_string(s.classes) + " classes, hard " +
                std::to_string(is_hard) + ", weighted " + std::to_string(weighted));
-  cuda::StepCell cell;
-  cell.semantic_normaliser = normaliser;
+  cuda::StepCell cell{.semantic_normaliser = normaliser};
   launch.set_cell(cell);
   const DeviceMatrix<float> logits(s.logits, s.classes, s.classes + 3), soft(s.soft, s.classes, s.classes + 1),
       weight(s.weight, s.classes), d_logits(s.rays, s.classes, s.classes + 2);
@@ -128,8 +121,7 @@ void expect_same(DeviceLaunch& launch, const Semantic& s, bool is_hard, bool wei
 }
 
 TEST(CudaCrossEntropy, LossAndGradientAsTheProcessor) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   for (const std::int64_t rays : {0, 1, 31, 33, 4097}) {
     for (const std::int32_t classes : {1, 2, 29, 33, 101}) {
       const Semantic s(rays, classes, 8);
@@ -147,8 +139,7 @@ TEST(CudaCrossEntropy, LossAndGradientAsTheProcessor) {
 }
 
 TEST(CudaCrossEntropy, AlmostCertainRowsKeepTheirDigits) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   Semantic s(6, 3, 1);
   s.hard = {0, 0, 0, 1, 2, 0};
   s.logits = {0, -60, -70, 0, -100, -300, 5, 5, 5, 1e18F, -1e18F, 0, -200, 0, 200, 120, 0, -1e30F};
@@ -156,10 +147,8 @@ TEST(CudaCrossEntropy, AlmostCertainRowsKeepTheirDigits) {
 }
 
 TEST(CudaCrossEntropy, FaultsOfLogitsAndLabels) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
-  cuda::StepCell cell;
-  cell.semantic_normaliser = 1;
+  SEMFIELD_ON_DEVICE(launch);
+  cuda::StepCell cell{.semantic_normaliser = 1};
   launch.set_cell(cell);
   const auto fault_of = [&](bool is_hard, auto&& spoil) {
     Semantic s(40, 37, 5);
@@ -190,8 +179,7 @@ TEST(CudaCrossEntropy, FaultsOfLogitsAndLabels) {
 }
 
 TEST(CudaCrossEntropy, TheFirstOfEqualLogitsIsTheClass) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   Semantic s(3, 70, 1);
   s.logits.assign(s.logits.size(), 2);  // all equal: class 0
   s.logits[70 + 40] = s.logits[70 + 33] = 3;
@@ -200,15 +188,13 @@ TEST(CudaCrossEntropy, TheFirstOfEqualLogitsIsTheClass) {
   expect_same(launch, s, true, false, 3);
   const DeviceMatrix<float> logits(s.logits, 70);
   const DeviceMatrix<std::int16_t> label(3, 1);
-  ClassResults<float> results;
-  results.label = label.view();
+  ClassResults<float> results{.label = label.view()};
   cuda::class_results(logits.view(), results);
   EXPECT_EQ(label.read(), s.hard);
 }
 
 TEST(CudaClassResults, AsRenderingOnTheProcessor) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   for (const std::int64_t rays : {0, 1, 31, 33, 4097}) {
     for (const std::int32_t classes : {1, 29, 101, 1024}) {
       const Semantic s(rays, classes, classes == 29 ? 40 : 6);

@@ -1,8 +1,5 @@
 // Steps that several ranks make together on devices against those of one. Ranks are threads of this process; where they
 // share a device, gradients meet in the host's memory.
-#include <gtest/gtest.h>
-
-#include <cmath>
 #include <cstdlib>
 
 #include "execution/ranks_executor.h"
@@ -227,7 +224,7 @@ TEST(CudaRanks, AFaultOfOneRankKeepsAllFromUpdating) {
             const std::int16_t right = batch.label.back();
             batch.label.back() = 99;
             queue(step);
-            queue(step + 1);  // on the way already when the fault is told
+            queue(step + 1);  // on the way already when the fault is reported
             const StepResults results = executor.finish();
             EXPECT_EQ(results.failed, step);
             EXPECT_TRUE(results.losses.empty());

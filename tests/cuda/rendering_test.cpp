@@ -1,10 +1,7 @@
-// Places of samples, densities, opacity resolution and the finite check on the device against the processor's.
+// Places of samples, densities, opacity resolution and the finite check on the device against the CPU's.
 #include "cuda/kernels/rendering.h"
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
-#include <limits>
 
 #include "device_fixture.h"
 #include "model/opacity_resolution.h"
@@ -14,7 +11,6 @@ namespace semfield {
 namespace {
 
 using cuda::Stage;
-using testing::DeviceLaunch;
 using testing::DeviceMatrix;
 using testing::NotedFault;
 
@@ -65,8 +61,7 @@ struct DeviceBatch {
 };
 
 TEST(CudaLocate, PlacesOfSamplesInFloat64) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   for (const int gap : {0, 2}) {
     // With the gap also the map that draws all of space in.
     const DomainMap map{{0.5, -2, 3}, 0.37, 0.5, gap == 0 ? 0 : 0.8};
@@ -97,8 +92,7 @@ TEST(CudaLocate, PlacesOfSamplesInFloat64) {
 }
 
 TEST(CudaLocate, FaultsOfSamplesInUse) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   const auto fault_of = [&](auto&& spoil) {
     Batch host(40, 5);
     spoil(host);
@@ -116,8 +110,7 @@ TEST(CudaLocate, FaultsOfSamplesInUse) {
 }
 
 TEST(CudaLocate, MapsPositions) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   for (const double radius : {0.0, 1.5}) {
     const DomainMap map{{0.5, -2, 3}, 0.37, 0.5, radius};
     for (const std::int64_t count : {0, 1, 33, 4097}) {
@@ -136,8 +129,7 @@ TEST(CudaLocate, MapsPositions) {
 }
 
 TEST(CudaDensity, ActivationsAndTheirSlopes) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   for (const auto activation : {DensityActivation::relu, DensityActivation::softplus, DensityActivation::trunc_exp}) {
     for (const std::int64_t count : {0, 1, 31, 33, 4097}) {
       std::vector<float> raw = testing::random_floats(count, 5, -30, 20);
@@ -145,9 +137,7 @@ TEST(CudaDensity, ActivationsAndTheirSlopes) {
         raw[i] = std::vector<float>{0, -0.F, 1e-30F, -100, 15, 80}[i];
       const std::vector<float> d_sigma = testing::random_floats(count, 6, -1, 1);
       const DeviceMatrix<float> raw_there(raw, 1, 3), sigma(count, 1, 2), d_there(d_sigma, 1, 2);
-      DensityRule rule;
-      rule.activation = activation;
-      rule.bias = -0.25;
+      DensityRule rule{.activation = activation, .bias = -0.25};
       cuda::density_forward(rule, nullptr, raw_there.view(), sigma.view());
       for (float& x : raw) x -= 0.25F;
       EXPECT_EQ(raw_there.read(), raw);
@@ -171,18 +161,12 @@ TEST(CudaDensity, ActivationsAndTheirSlopes) {
 }
 
 TEST(CudaDensity, NoiseIsThatOfTheProcessor) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
-  cuda::StepCell cell;
-  cell.step = (std::uint64_t{1} << 33) + 5;
+  SEMFIELD_ON_DEVICE(launch);
+  cuda::StepCell cell{.step = (std::uint64_t{1} << 33) + 5};
   launch.set_cell(cell);
   const Batch host(100, 40);
   const DeviceBatch device(host);
-  DensityRule rule;
-  rule.deviation = 1.5;
-  rule.bias = 0.5;
-  rule.first_ray = 7000;
-  rule.random = {3, 0, 99};
+  DensityRule rule{.bias = 0.5, .deviation = 1.5, .random = {3, 0, 99}, .first_ray = 7000};
   const std::vector<float> raw = testing::random_floats(device.rows, 5, -2, 2);
   const DeviceMatrix<float> there(raw, 1), sigma(device.rows, 1);
   cuda::density_forward(rule, &device.samples, there.view(), sigma.view());
@@ -202,17 +186,14 @@ TEST(CudaDensity, NoiseIsThatOfTheProcessor) {
 }
 
 TEST(CudaDensity, FaultsNameTheStage) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   const Batch host(100, 40);
   const DeviceBatch device(host);
   const auto fault_of = [&](std::size_t at, float value, double bias, DensityActivation activation) {
     std::vector<float> raw(host.t.size(), 0.5F);
     raw[at] = value;
     const DeviceMatrix<float> there(raw, 1), sigma(device.rows, 1);
-    DensityRule rule;
-    rule.activation = activation;
-    rule.bias = bias;
+    DensityRule rule{.activation = activation, .bias = bias};
     cuda::density_forward(rule, &device.samples, there.view(), sigma.view());
     return launch.take_fault();
   };
@@ -223,8 +204,7 @@ TEST(CudaDensity, FaultsNameTheStage) {
 }
 
 TEST(CudaOpacityResolution, AsTheProcessor) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   for (const FarMode far : {FarMode::open, FarMode::background}) {
     for (const std::int64_t rays : {0, 1, 33, 4097}) {
       Batch host(rays, 11);
@@ -240,7 +220,7 @@ TEST(CudaOpacityResolution, AsTheProcessor) {
       std::int64_t kinds[3] = {};
       for (std::int64_t r = 0; r < rays; ++r) {
         const auto want = opacity_resolution<float>(samples, testing::host_view(std::as_const(weight), 1), far, r, 0.1);
-        ASSERT_EQ(got[static_cast<std::size_t>(r)], want) << r;
+        ASSERT_EQ(got[r], want) << r;
         kinds[static_cast<int>(want)] += 1;
       }
       for (const std::int64_t n : kinds) EXPECT_TRUE(rays < 4097 || n > 0);
@@ -250,8 +230,7 @@ TEST(CudaOpacityResolution, AsTheProcessor) {
 }
 
 TEST(CudaGuard, NamesTheFirstRowThatIsNotFinite) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch;
+  SEMFIELD_ON_DEVICE(launch);
   for (const std::int32_t cols : {1, 3, 64}) {
     for (const int gap : {0, 1}) {
       for (const std::int64_t rows : {0, 1, 33, 4097, 300001}) {
@@ -263,8 +242,8 @@ TEST(CudaGuard, NamesTheFirstRowThatIsNotFinite) {
         for (const std::int64_t row : {std::int64_t{0}, rows / 2, rows - 1}) {
           for (const float bad : {kNan, kInf, -kInf}) {
             values.assign(values.size(), 1);
-            values[static_cast<std::size_t>(row * cols + cols / 2)] = bad;
-            values[static_cast<std::size_t>((rows - 1) * cols)] = bad;
+            values[row * cols + cols / 2] = bad;
+            values[(rows - 1) * cols] = bad;
             const DeviceMatrix<float> matrix(values, cols, cols + gap);
             cuda::guard_finite(Stage::feature, matrix.read_only());
             ASSERT_EQ(launch.take_fault(), (NotedFault{Stage::feature, row})) << rows << " x " << cols;

@@ -2,10 +2,6 @@
 #pragma once
 
 #include <algorithm>
-#include <cmath>
-#include <memory>
-#include <string>
-#include <vector>
 
 #include "cuda/kernel_tables.h"
 #include "plugin/kernels.h"
@@ -26,12 +22,7 @@ inline const KernelTables& sampler_tables() {
 }
 
 inline SamplerBuild room_on(Device device) {
-  SamplerBuild build;
-  build.device = device;
-  build.bounds = {{-2, -2, -1}, {3, 2, 2}};
-  build.near_m = 0.05;
-  build.far_m = 12;
-  return build;
+  return SamplerBuild{.device = device, .bounds = {{-2, -2, -1}, {3, 2, 2}}, .near_m = 0.05, .far_m = 12};
 }
 
 /// One sampler with the kernels of both devices.
@@ -165,8 +156,7 @@ class DeviceBatch {
 
 /// A context whose step stands in the launch's cell alone, as in a captured step.
 inline StepContext device_context(const StepContext& ctx, DeviceLaunch& launch) {
-  cuda::StepCell cell;
-  cell.step = static_cast<std::uint64_t>(ctx.step);
+  cuda::StepCell cell{.step = static_cast<std::uint64_t>(ctx.step)};
   launch.set_cell(cell);
   StepContext on_device = ctx;
   on_device.step = 0;
@@ -196,13 +186,7 @@ inline std::string difference(const HostSamples& cpu, const HostSamples& device)
 }
 
 inline StepContext context_at(std::int64_t step, bool training) {
-  StepContext ctx;
-  ctx.seed = 11;
-  ctx.step = step;
-  ctx.training = training;
-  ctx.first_ray = 5;
-  ctx.pass = 1;
-  return ctx;
+  return StepContext{.seed = 11, .step = step, .training = training, .first_ray = 5, .pass = 1};
 }
 
 /// The message of the Error that `body` throws.
@@ -228,17 +212,16 @@ inline std::string compare(const Sampler<float>& cpu, const Sampler<float>& devi
   return difference(want, got);
 }
 
-/// Previous samples of `rays`: up to `per_ray` a ray, fewer on every third ray if ragged, with weights of many sizes,
+/// Previous samples of `rays`: up to `per_ray` per ray, fewer on every third ray if ragged, with weights of many sizes,
 /// spikes, and rays without any weight.
 inline HostProposal previous_of(const HostRays& rays, std::int64_t per_ray, bool ragged) {
   const Twins<Stratified> twins(StratifiedParams{std::max<std::int64_t>(1, per_ray), Quadrature::paper});
   const HostSamples all = sample_on_cpu(twins.cpu, context_at(3, true), {}, rays);
-  HostProposal previous;
-  previous.per_ray = per_ray;
+  HostProposal previous{.per_ray = per_ray};
   previous.samples.first.push_back(0);
   for (std::int64_t r = 0; r < rays.count(); ++r) {
-    const std::int32_t begin = all.first[static_cast<std::size_t>(r)];
-    const std::int64_t given = all.first[static_cast<std::size_t>(r + 1)] - begin;
+    const std::int32_t begin = all.first[r];
+    const std::int64_t given = all.first[r + 1] - begin;
     const std::int64_t kept = std::min(per_ray, ragged && r % 3 == 1 ? r % (given + 1) : given);
     for (std::int64_t k = 0; k < kept; ++k) {
       const auto at = static_cast<std::size_t>(begin + k);

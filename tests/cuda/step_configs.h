@@ -1,8 +1,6 @@
 // Configurations of the steps that tests compare: labels of few frames, branches, terms of the loss.
 #pragma once
 
-#include <string>
-
 #include "tests/session/train_testing.h"
 
 namespace semfield::testing_train {

@@ -1,10 +1,12 @@
-// inspect and pack over the Replica layout: what a user reads, and that a packed scene is the scene.
-#include <gtest/gtest.h>
-
+// inspect, pack and the choice of a preset: what a user reads, and that a packed scene is the scene.
 #include "app/scene/inspect_report.h"
 #include "app/scene/pack_scene.h"
+#include "app/scene/preset_advice.h"
+#include "datasets/colmap/colmap.h"
+#include "datasets/llff/llff.h"
 #include "datasets/packed/packed.h"
 #include "datasets/replica/replica.h"
+#include "datasets/transforms_json/transforms_json.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -13,12 +15,7 @@ namespace {
 using namespace testing_room;
 
 ReplicaParams room_params(const std::string& folder) {
-  ReplicaParams p;
-  p.root = folder;
-  p.train_step = 2;
-  p.test_step = 2;
-  p.test_offset = 1;
-  return p;
+  return ReplicaParams{.root = folder, .train_step = 2, .test_step = 2, .test_offset = 1};
 }
 
 TEST(Pack, PackedSceneIsTheScene) {
@@ -26,14 +23,12 @@ TEST(Pack, PackedSceneIsTheScene) {
   write_replica(folder, 6);
   Replica replica(room_params(folder), {});
   Diagnostics d;
-  SceneLoadOptions half;
-  half.downscale = 2;
+  SceneLoadOptions half{.downscale = 2};
   const PackSummary summary = pack_scene(replica, folder + "/room.semfield", half, {}, d);
   EXPECT_EQ(summary.frames, 6);
   EXPECT_EQ(summary.bytes, std::filesystem::file_size(folder + "/room.semfield"));
   Packed packed(PackedParams{"room.semfield"}, DatasetBuild{folder});
-  SceneLoadOptions whole;
-  whole.with_instances = half.with_instances = true;
+  SceneLoadOptions whole{.with_instances = half.with_instances = true};
   const LoadedScene a = load_scene(replica, half, d), b = load_scene(packed, whole, d);
   EXPECT_FALSE(d.has_errors());
   ASSERT_EQ(b.frames.size(), 6u);
@@ -55,14 +50,12 @@ TEST(Pack, WhatIsPackedIsMended) {
   write_replica(folder, 6);
   Replica replica(room_params(folder), {});
   Diagnostics d;
-  SceneLoadOptions options;
-  options.convention = {true, true, 0.5, 2};
+  SceneLoadOptions options{.convention = {true, true, 0.5, 2}};
   (void)pack_scene(replica, folder + "/room.semfield", options, {}, d);
   Packed packed(PackedParams{"room.semfield"}, DatasetBuild{folder});
   options.check_geometry = false;
   const LoadedScene a = load_scene(replica, options, d);
-  SceneLoadOptions plain;
-  plain.check_geometry = false;
+  SceneLoadOptions plain{.check_geometry = false};
   const LoadedScene b = load_scene(packed, plain, d);
   EXPECT_FALSE(d.has_errors());
   for (std::size_t i = 0; i < 6; ++i) {
@@ -106,18 +99,11 @@ TEST(Inspect, ReportTellsFramesClassesAndProblems) {
   Diagnostics d;
   const LoadedScene scene = load_scene(replica, {}, d);
   const std::string report = inspect_report(scene, d);
-  EXPECT_NE(report.find("frames      6 (3 train, 3 test), 5 read, 6 with depth\n"), std::string::npos) << report;
-  EXPECT_NE(report.find("size        40 x 30 (6 frames)\n"), std::string::npos) << report;
-  EXPECT_NE(report.find("bounds      ("), std::string::npos);
-  EXPECT_NE(report.find(" from depth of 3 training frames\n"), std::string::npos) << report;
-  EXPECT_NE(report.find("near, far   0.1, 10 from the dataset\n"), std::string::npos) << report;
-  EXPECT_NE(report.find("labelled frames: 3 train, 2 test"), std::string::npos) << report;
-  EXPECT_NE(report.find("north"), std::string::npos);
-  EXPECT_NE(report.find("3 of 3"), std::string::npos);
-  EXPECT_NE(report.find("error       frame 'rgb_3' (" + folder + "/rgb/rgb_3.png): '" + folder +
-                        "/rgb/rgb_3.png': PNG is truncated"),
-            std::string::npos)
-      << report;
+  EXPECT_HAS(
+      report, "frames      6 (3 train, 3 test), 5 read, 6 with depth\n", "size        40 x 30 (6 frames)\n",
+      "bounds      (", " from depth of 3 training frames\n", "near, far   0.1, 10 from the dataset\n",
+      "labelled frames: 3 train, 2 test", "north", "3 of 3",
+      "error       frame 'rgb_3' (" + folder + "/rgb/rgb_3.png): '" + folder + "/rgb/rgb_3.png': PNG is truncated");
 }
 
 TEST(Inspect, FrustaFileHasTheStatedSize) {
@@ -129,8 +115,89 @@ TEST(Inspect, FrustaFileHasTheStatedSize) {
   write_frusta_ply(folder + "/cameras.ply", scene);
   const std::string file = read_text_file(folder + "/cameras.ply");
   const std::size_t body = file.find("end_header\n") + 11;
-  EXPECT_NE(file.find("element vertex 20\n"), std::string::npos);
+  EXPECT_HAS(file, "element vertex 20\n");
   EXPECT_EQ(file.size() - body, 20u * 15 + 4u * (4 * 13 + 17));
+}
+
+// The preset that `semfield inspect` advises is the one that trained best: docs/evidence/scenes.md has the figures.
+
+std::string data(const std::string& name) { return std::string(SEMFIELD_SOURCE_DIR) + "/../shared/data/" + name; }
+
+template <class Reader, class Params>
+std::function<std::unique_ptr<Dataset>(const std::string&)> reads() {
+  return [](const std::string& root) -> std::unique_ptr<Dataset> {
+    Params params;
+    params.root = root;
+    return std::make_unique<Reader>(params, DatasetBuild{});
+  };
+}
+const auto kTransforms = reads<TransformsJson, TransformsJsonParams>();
+
+struct Measured {
+  const char *name, *folder, *preset;
+  std::function<std::unique_ptr<Dataset>(const std::string&)> reader;
+  int width_px;
+};
+void PrintTo(const Measured& m, std::ostream* out) { *out << m.name; }
+
+class PresetAdviceOf : public testing::TestWithParam<Measured> {};
+
+TEST_P(PresetAdviceOf, IsWhatTrainedBest) {
+  const Measured& scene = GetParam();
+  if (!std::filesystem::exists(data(scene.folder)))
+    GTEST_SKIP() << "the optional scene " << scene.folder << " is not at hand";
+  SceneLoadOptions options{.width_px = scene.width_px, .depth = DepthKept::none};
+  Diagnostics d;
+  const LoadedScene loaded = load_scene(*scene.reader(data(scene.folder)), options, d);
+  EXPECT_FALSE(d.has_errors());
+  const std::optional<PresetAdvice> advice = advised_preset(loaded);
+  ASSERT_TRUE(advice);
+  EXPECT_EQ(advice->preset, std::string("parts/") + scene.preset) << advice->why;
+  EXPECT_FALSE(advice->background) << "white is the preset's own";
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    RealScenes, PresetAdviceOf,
+    testing::Values(Measured{"bonsai", "bonsai360", "hash_room.yaml", kTransforms, 400},
+                    Measured{"bonsai_llff", "bonsai360", "hash_room.yaml", reads<Llff, LlffParams>(), 400},
+                    Measured{"llff_room", "llff_room", "hash_room.yaml", kTransforms, 400},
+                    Measured{"studio", "studio_room", "hash_room.yaml", kTransforms, 480},
+                    Measured{"studio_colmap", "studio_room", "hash_room.yaml", reads<Colmap, ColmapParams>(), 480},
+                    Measured{"hololens", "hololens_room", "hash_room.yaml", kTransforms, 180},
+                    Measured{"shelf", "shelf_bin", "hash_room.yaml", kTransforms, 160},
+                    Measured{"lego", "lego", "object.yaml", kTransforms, 200},
+                    Measured{"replica", "replica_apartment0", "hash_room.yaml", reads<Replica, ReplicaParams>(), 160}),
+    [](const auto& row) { return row.param.name; });
+
+// Forward-facing photographs: the box of what is seen and not that of the view cones.
+TEST(SceneBounds, CornersTellWhereAForwardFacingRoomIs) {
+  if (!std::filesystem::exists(data("llff_room"))) GTEST_SKIP() << "the optional scene llff_room is not at hand";
+  SceneLoadOptions options{.width_px = 400};
+  Diagnostics d;
+  const LoadedScene scene = load_scene(*kTransforms(data("llff_room")), options, d);
+  EXPECT_HAS(scene.bounds_from, "corners found again");
+  EXPECT_GT(scene.near_m, 3);  // LLFF's own figures are 8.9 to 47
+  EXPECT_LT(scene.near_m, 14);
+  EXPECT_GT(scene.far_m, 45);
+  EXPECT_LT(scene.far_m, 70);
+}
+
+LoadedScene inward_scene(double reach, std::size_t corners) {
+  LoadedScene scene{.bounds = {{-1, -1, -1}, {1, 1, 1}}, .rig = {.inward = true, .distance_m = 2}};
+  for (std::size_t i = 0; i < corners; ++i) {
+    const double away = i % 3 == 0 ? 2 * reach : 1;
+    scene.corners.x.push_back(static_cast<float>(away));
+    scene.corners.y.push_back(0);
+    scene.corners.z.push_back(0);
+    scene.corners.distance.push_back(1);
+  }
+  return scene;
+}
+
+TEST(PresetAdvice, SurroundingsThatEndAreARoom) {
+  EXPECT_EQ(advised_preset(inward_scene(3, 600))->preset, "parts/hash_room.yaml");
+  EXPECT_EQ(advised_preset(inward_scene(20, 600))->preset, "parts/unbounded.yaml");
+  EXPECT_EQ(advised_preset(inward_scene(3, 20))->preset, "parts/unbounded.yaml") << "too few corners to say";
 }
 
 }  // namespace

@@ -1,8 +1,4 @@
 // The datasets on real scenes, where they are at hand.
-#include <gtest/gtest.h>
-
-#include <map>
-
 #include "datasets/colmap/colmap.h"
 #include "datasets/llff/llff.h"
 #include "datasets/replica/replica.h"
@@ -19,15 +15,10 @@ std::string data(const std::string& name) { return std::string(SEMFIELD_SOURCE_D
 TEST(RealData, ReplicaApartment) {
   if (!std::filesystem::exists(data("replica_apartment0")))
     GTEST_SKIP() << "the optional Replica frames are not at hand";
-  ReplicaParams p;
-  p.root = data("replica_apartment0");
-  p.train_step = 2;
-  p.test_step = 2;
-  p.test_offset = 1;
+  ReplicaParams p{.root = data("replica_apartment0"), .train_step = 2, .test_step = 2, .test_offset = 1};
   Replica replica(p, {});
   Diagnostics d;
-  SceneLoadOptions o;
-  o.width_px = 160;
+  SceneLoadOptions o{.width_px = 160};
   const LoadedScene s = load_scene(replica, o, d);
   for (const Diagnostic& x : d.all()) EXPECT_EQ(x.severity, Severity::note) << x.text();
   EXPECT_EQ(s.frames_of(Split::train).size(), 35u);
@@ -40,8 +31,7 @@ TEST(RealData, ReplicaApartment) {
 
 TEST(RealData, StudioRoomPhotographs) {
   if (!std::filesystem::exists(data("studio_room"))) GTEST_SKIP() << "the optional studio photographs are not at hand";
-  TransformsJsonParams p;
-  p.root = data("studio_room");
+  TransformsJsonParams p{.root = data("studio_room")};
   TransformsJson scene(p, {});
   Diagnostics d;
   const SceneInfo info = scene.open(d);
@@ -119,9 +109,7 @@ TEST(RealData, LlffAndTransformsOfOneSceneAgree) {
 
 TEST(RealData, ShelfBinWithDepthAndLabels) {
   if (!std::filesystem::exists(data("shelf_bin"))) GTEST_SKIP() << "the optional shelf bin is not at hand";
-  TransformsJsonParams p;
-  p.root = data("shelf_bin");
-  p.test_every = 5;
+  TransformsJsonParams p{.root = data("shelf_bin"), .test_every = 5};
   TransformsJson scene(p, {});
   Diagnostics d;
   const LoadedScene s = load_scene(scene, {}, d);
@@ -132,17 +120,13 @@ TEST(RealData, ShelfBinWithDepthAndLabels) {
   std::int64_t labelled = 0;
   for (const auto& counts : s.class_pixels) labelled += counts[0] + counts[1] + counts[2] + counts[3];
   EXPECT_GT(labelled, 10000);
-  EXPECT_NE(s.bounds_from.find("view cones"), std::string::npos);
+  EXPECT_HAS(s.bounds_from, "view cones");
 }
 
 TEST(RealData, ReplicaConventionsAreTold) {
   if (!std::filesystem::exists(data("replica_apartment0")))
     GTEST_SKIP() << "the optional Replica frames are not at hand";
-  ReplicaParams p;
-  p.root = data("replica_apartment0");
-  p.train_step = 2;
-  p.test_step = 2;
-  p.test_offset = 1;
+  ReplicaParams p{.root = data("replica_apartment0"), .train_step = 2, .test_step = 2, .test_offset = 1};
   Replica replica(p, {});
   expect_conventions_told(replica, "poses agree with depth");
 }
@@ -160,8 +144,7 @@ TEST(RealData, StudioRoomConventionsAreToldFromPhotographs) {
 
 TEST(RealData, ShelfBinConventionsAreToldFromSparseDepth) {
   if (!std::filesystem::exists(data("shelf_bin"))) GTEST_SKIP() << "the optional shelf bin is not at hand";
-  TransformsJsonParams p;
-  p.root = data("shelf_bin");
+  TransformsJsonParams p{.root = data("shelf_bin")};
   TransformsJson scene(p, {});
   expect_conventions_told(scene, "poses agree with depth");
 }

@@ -3,8 +3,6 @@
 
 #include <gtest/gtest.h>
 
-#include <string>
-
 #include "loading/frame_source.h"
 
 namespace semfield {
@@ -25,8 +23,7 @@ struct Rewritten {
 /// What is said of a scene as it is, and of its poses in each other convention.
 template <class Real>
 void expect_conventions_told(Real& dataset, const std::string& agrees) {
-  SceneLoadOptions load;
-  load.depth = DepthKept::none;
+  SceneLoadOptions load{.depth = DepthKept::none};
   Diagnostics right;
   EXPECT_NE(load_scene(dataset, load, right).geometry.find(agrees), std::string::npos);
   for (const Diagnostic& d : right.all()) {

@@ -29,10 +29,9 @@ std::string cell(const std::string& text) {
 std::string heading_and_table(const std::string& heading, const std::vector<ParamDoc>& params) {
   std::string text = "\n### " + heading + "\n\n";
   text += "| key | type | default | allowed | meaning |\n|---|---|---|---|---|\n";
-  for (const ParamDoc& doc : params) {
+  for (const ParamDoc& doc : params)
     text += "| `" + doc.name + "` | " + doc.type + " | " + code(doc.default_value) + " | " +
             cell(doc.choices.empty() ? doc.range : join(doc.choices)) + " | " + cell(doc.help) + " |\n";
-  }
   return text;
 }
 

@@ -5,13 +5,102 @@
 #include <regex>
 #include <set>
 
+#include "config/params_read.h"
 #include "core/text.h"
+#include "plugin/linked_plugins.h"
+#include "plugin/registry.h"
+#include "settings/run_config.h"
 #include "system/files.h"
-#include "tests/docs/keys.h"
 #include "tests/docs/pages.h"
 
 namespace semfield::docs {
 namespace {
+
+/// Every key that `--set` takes; an index of a list is N: "passes.N.sampler.samples".
+class Keys {
+ public:
+  Keys();
+
+  /// `dataset`: the one whose keys count beside the framework's; "": none.
+  bool known(const std::string& key, const std::string& dataset) const;
+  /// Whether the framework or any dataset has it.
+  bool known_somewhere(const std::string& key) const;
+  /// Last parts of keys that a message could name bare: "near_m" for "scene.load.near_m".
+  std::set<std::string> bare() const;
+
+ private:
+  void add(const std::string& path, const std::vector<ParamDoc>& params);
+
+  Registry registry_;
+  std::set<std::string> keys_;
+  std::map<std::string, std::set<std::string>> datasets_;
+};
+
+std::vector<ParamDoc> params_of(const PluginEntry& entry) {
+  const std::unique_ptr<PluginParams> params = entry.new_params();
+  return describe_params([&](ParamVisitor& visit) { params->describe(visit); });
+}
+
+Keys::Keys() {
+  for (const SectionDoc& section : describe_sections()) add(section.path, section.params);
+  // By convention every dataset of files has these.
+  for (const char* key : {"train.schedule.legs", "scene.root", "scene.file", "scene.classes", "scene.type",
+                          "scene.unknown_labels", "passes.N"})
+    keys_.insert(key);
+  register_linked_plugins(registry_);
+  for (const PluginEntry* entry : registry_.entries()) {
+    const std::vector<ParamDoc> params = params_of(*entry);
+    if (entry->kind == PluginKind::dataset) {
+      for (const ParamDoc& doc : params) datasets_[entry->name].insert("scene." + doc.name);
+      continue;
+    }
+    if (entry->kind == PluginKind::loss) {
+      add("losses.N", params);
+      continue;
+    }
+    if (entry->kind == PluginKind::head) {
+      add("heads.N", params);
+      continue;
+    }
+    if (entry->kind == PluginKind::label_reader || entry->kind == PluginKind::degradation) {
+      add(entry->kind == PluginKind::degradation ? "scene.labels.degrade.N" : "scene.labels.from", params);
+      continue;
+    }
+    for (const char* slot : {"sampler", "position", "direction", "field", "semantic.position", "semantic.field"})
+      add("passes.N." + std::string(slot), params);
+    for (const char* slot : {"position", "field"}) add("heads.N.branch." + std::string(slot), params);
+  }
+}
+
+bool Keys::known(const std::string& key, const std::string& dataset) const {
+  const auto own = datasets_.find(dataset);
+  return keys_.contains(key) || (own != datasets_.end() && own->second.contains(key));
+}
+
+bool Keys::known_somewhere(const std::string& key) const {
+  for (const auto& [dataset, own] : datasets_)
+    if (known(key, dataset)) return true;
+  return false;
+}
+
+std::set<std::string> Keys::bare() const {
+  std::set<std::string> out;
+  const auto take = [&](const std::string& key) {
+    const std::string last = key.substr(key.rfind('.') + 1);
+    if (key.starts_with("scene.") && last.find('_') != std::string::npos) out.insert(last);
+  };
+  for (const std::string& key : keys_) take(key);
+  for (const auto& [name, keys] : datasets_)
+    for (const std::string& key : keys) take(key);
+  return out;
+}
+
+void Keys::add(const std::string& path, const std::vector<ParamDoc>& params) {
+  for (std::size_t dot = path.find('.'); dot != std::string::npos; dot = path.find('.', dot + 1))
+    keys_.insert(path.substr(0, dot));
+  keys_.insert(path);
+  for (const ParamDoc& doc : params) keys_.insert(path + "." + doc.name);
+}
 
 namespace fs = std::filesystem;
 

@@ -5,7 +5,7 @@ data/ (what page_scenes.py made), and `semfield` in PATH. Blocks with `file=NAME
 own_data.md, are saved there before. Every command of
 a block marked `sh`, or behind `$ ` in one marked `console`, has to end with exit code 0; `semfield serve` is stopped when it serves, and
 minutes of `--time` are 2 seconds.
-A comment before a block says what a reader need not see, a thing a line:
+A comment before a block says what a reader need not see, one thing per line:
 
   <!-- not run: needs a GPU -->                     the block is not run, for this reason
   <!-- run: first cp -r runs/a runs/b -->           a command before the block
@@ -79,7 +79,7 @@ class Scratch:
                                 SEMFIELD_CACHE=os.path.join(folder, ".cache"), OMP_WAIT_POLICY="passive")
 
     def save_named(self, text):
-        """Writes the blocks that a page asks to save; of two with one name the first."""
+        """Writes the blocks that a page has to save; of two with one name the first."""
         for block in reversed(list(BLOCK.finditer(text))):
             name = re.fullmatch(r"(?:yaml|json|csv|text) file=(\S+)", block["info"])
             if name:

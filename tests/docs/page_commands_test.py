@@ -6,7 +6,7 @@ import sys
 import tempfile
 
 SOURCE = sys.argv[1]
-# Stands for the program: writes down what it is asked, and fails when asked to.
+# Stands for the program: writes down what it is called with, and fails on request.
 PROGRAM = """#!/bin/sh
 echo "$*" >> said
 [ "$1" != serve ] || { trap 'exit 130' INT; echo 'serve: open http://127.0.0.1/'; while :; do sleep 0.05; done; }

@@ -2,8 +2,6 @@
 // links.
 #include "tests/docs/pages.h"
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
 #include <array>
 #include <cstdio>
@@ -17,6 +15,7 @@
 
 #include "core/text.h"
 #include "system/files.h"
+#include "tests/says.h"
 
 namespace semfield::docs {
 namespace {
@@ -82,8 +81,8 @@ TEST(Architecture, EveryFolderOfTheFrameworkHasItsPlace) {
     if (!entry.is_directory()) continue;
     ++folders;
     const std::string name = entry.path().filename().string();
-    EXPECT_NE(text.find("\n  " + name + "/ "), std::string::npos) << "the tree lacks framework/" << name;
-    EXPECT_NE(text.find("\n| `" + name + "` |"), std::string::npos) << "the table of floors lacks " << name;
+    EXPECT_HAS(text, "\n  " + name + "/ ") << "the tree lacks framework/" << name;
+    EXPECT_HAS(text, "\n| `" + name + "` |") << "the table of floors lacks " << name;
   }
   EXPECT_GE(folders, 8);
 }
@@ -127,9 +126,9 @@ TEST(VerbsPage, HasEveryVerbOfTheHelp) {
   const std::set<std::string> verbs = matches(output_of("--help"), R"(\n  ([a-z-]+) )");
   EXPECT_GE(verbs.size(), 20u);
   for (const std::string& verb : verbs) {
-    EXPECT_NE(text.find("\n## " + verb + "\n"), std::string::npos) << verb;
+    EXPECT_HAS(text, "\n## " + verb + "\n") << verb;
     for (const std::string& option : matches(help_of(verb), R"(\n +(--[a-z][a-z-]*))"))
-      EXPECT_NE(text.find("`" + option), std::string::npos) << verb << " " << option;
+      EXPECT_HAS(text, "`" + option) << verb << " " << option;
   }
 }
 
@@ -178,7 +177,7 @@ TEST(CommandLinePage, ExitCodesAreThoseOfTheProgram) {
   const std::string text = page("docs/reference/command_line.md");
   int compared = 0;
   for (auto it = std::sregex_iterator(text.begin(), text.end(), row); it != std::sregex_iterator(); ++it, ++compared)
-    EXPECT_NE(manual.find(".B " + (*it)[1].str() + "\n" + (*it)[2].str() + "\n"), std::string::npos) << (*it)[0];
+    EXPECT_HAS(manual, ".B " + (*it)[1].str() + "\n" + (*it)[2].str() + "\n") << (*it)[0];
   EXPECT_EQ(compared, 11);
 }
 
@@ -193,10 +192,10 @@ TEST(Pages, ShellBlocksUseRealOptions) {
       for (const std::string& line : matches("\n" + block.text, "\n(semfield [^\n#]*)")) {
         const std::string verb = *matches(line, "^semfield ([a-z-]+)").begin();
         if (!help.contains(verb)) help[verb] = help_of(verb) + root_help;
-        EXPECT_NE(help[verb].find("Usage: semfield " + verb), std::string::npos) << path << ": " << line;
+        EXPECT_HAS(help[verb], "Usage: semfield " + verb) << path << ": " << line;
         for (const std::string& option : matches(line, R"((--[a-z][a-z-]*))")) {
           ++checked;
-          EXPECT_NE(help[verb].find(option + " "), std::string::npos) << path << ": " << line;
+          EXPECT_HAS(help[verb], option + " ") << path << ": " << line;
         }
       }
     }

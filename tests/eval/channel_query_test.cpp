@@ -1,48 +1,33 @@
 // Vectors that a channel is asked by: their files, and the cosines.
 #include "eval/channel_query.h"
 
-#include <gtest/gtest.h>
-
-#include <cmath>
-
-#include "core/error.h"
 #include "formats/image_io.h"
-#include "system/files.h"
-#include "tests/config/config_testing.h"
+#include "tests/says.h"
+#include "tests/temp_dir.h"
 
 namespace semfield {
 namespace {
 
-std::string error_of(const std::string& path, std::int32_t length) {
-  try {
-    (void)read_queries(path, length);
-  } catch (const Error& error) {
-    return error.what();
-  }
-  return "accepted";
-}
-
 TEST(ChannelQuery, WordsComeFromJsonAndVectorsFromNumpy) {
-  const TempFolder dir;
+  const TempDir dir;
   dir.write("words.json", R"({"a chair": [1, 0, 2], "lamp": [0, 1, 0]})");
-  const std::vector<QueryVector> words = read_queries(dir.at("words.json"), 3);
+  const std::vector<QueryVector> words = read_queries(dir / "words.json", 3);
   ASSERT_EQ(words.size(), 2U);
   EXPECT_EQ(words[0].name, "a_chair");
   EXPECT_EQ(words[0].values, (std::vector<float>{1, 0, 2}));
-  write_npy(dir.at("one.npy"), std::vector<std::int64_t>{3}, std::vector<float>{1, 2, 3});
-  write_npy(dir.at("two.npy"), std::vector<std::int64_t>{2, 3}, std::vector<float>{1, 2, 3, 4, 5, 6});
-  EXPECT_EQ(read_queries(dir.at("one.npy"), 3)[0].name, "one");
-  const std::vector<QueryVector> two = read_queries(dir.at("two.npy"), 3);
+  write_npy(dir / "one.npy", std::vector<std::int64_t>{3}, std::vector<float>{1, 2, 3});
+  write_npy(dir / "two.npy", std::vector<std::int64_t>{2, 3}, std::vector<float>{1, 2, 3, 4, 5, 6});
+  EXPECT_EQ(read_queries(dir / "one.npy", 3)[0].name, "one");
+  const std::vector<QueryVector> two = read_queries(dir / "two.npy", 3);
   EXPECT_EQ(two[1].name, "two_1");
   EXPECT_EQ(two[1].values, (std::vector<float>{4, 5, 6}));
 }
 
 TEST(ChannelQuery, WrongVectorsAreNamed) {
-  const TempFolder dir;
+  const TempDir dir;
+  const auto refusal = [](const std::string& path) { return error_of([&] { (void)read_queries(path, 2); }); };
   const auto expect = [&](const std::string& text, const std::string& said) {
-    dir.write("w.json", text);
-    const std::string found = error_of(dir.at("w.json"), 2);
-    EXPECT_NE(found.find(said), std::string::npos) << found;
+    EXPECT_HAS(refusal(dir.write("w.json", text)), said);
   };
   expect("{", "is no JSON");
   expect("[1, 2]", "expected a map from words to vectors");
@@ -53,9 +38,9 @@ TEST(ChannelQuery, WrongVectorsAreNamed) {
   expect(R"({"chair": [0, 0]})", "vector 'chair' is zero");
   expect(R"({"chair": [1e300, 0]})", "vector 'chair' has a number that is not finite");
   expect(R"({"a b": [1, 0], "a.b": [0, 1]})", "two vectors would be written as 'a_b'");
-  write_npy(dir.at("deep.npy"), std::vector<std::int64_t>{1, 1, 2}, std::vector<float>{1, 2});
-  EXPECT_NE(error_of(dir.at("deep.npy"), 2).find("has the shape (1, 1, 2)"), std::string::npos);
-  EXPECT_NE(error_of(dir.at("none.npy"), 2).find("none.npy"), std::string::npos);
+  write_npy(dir / "deep.npy", std::vector<std::int64_t>{1, 1, 2}, std::vector<float>{1, 2});
+  EXPECT_HAS(refusal(dir / "deep.npy"), "has the shape (1, 1, 2)");
+  EXPECT_HAS(refusal(dir / "none.npy"), "none.npy");
 }
 
 TEST(ChannelQuery, CosinesAreThoseOfTheWholeVector) {

@@ -4,7 +4,6 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Dense>
-#include <cmath>
 
 #include "core/rng.h"
 
@@ -12,18 +11,10 @@ namespace semfield {
 namespace {
 
 Camera camera(std::int32_t size = 8, double focal = 8) {
-  Camera c;
-  c.width_px = c.height_px = size;
-  c.fx = c.fy = focal;
-  c.cx = c.cy = size / 2.0;
-  return c;
+  return Camera{.width_px = size, .height_px = size, .fx = focal, .fy = focal, .cx = size / 2.0, .cy = size / 2.0};
 }
 
-Pose at(double x, double y, double z) {
-  Pose pose;
-  pose.t = {x, y, z};
-  return pose;
-}
+Pose at(double x, double y, double z) { return Pose{.t = {x, y, z}}; }
 
 TEST(Correspondence, PixelCentresOnAPlaneTwoMetresAhead) {
   // Pixel (1, 3) has its centre at (1.5, 3.5): x = (1.5 - 4) / 8 * 2 = -0.625, y = -0.125, z = 2 (not along the ray).
@@ -60,9 +51,7 @@ TEST(Correspondence, OwnViewIsTheIdentity) {
   const double s = std::sin(0.7), c = std::cos(0.7);
   pose.r = {{{c, 0, s}, {0, 1, 0}, {-s, 0, c}}};
   const PosedDepth view{camera(), pose, depth};
-  FusionParams exact;
-  exact.tolerance = 1e-12;
-  exact.relative_tolerance = 0;
+  FusionParams exact{.tolerance = 1e-12, .relative_tolerance = 0};
   for (int row = 0; row < 8; ++row) {
     for (int column = 0; column < 8; ++column) {
       const auto hit = seen_at(view, *surface_point(view, column, row), exact);
@@ -90,9 +79,7 @@ TEST(Correspondence, BoundsAreThePixelsEdges) {
 }
 
 TEST(Correspondence, AnotherDepthIsAnotherSurface) {
-  FusionParams params;
-  params.tolerance = 0.05;
-  params.relative_tolerance = 0.01;
+  FusionParams params{.tolerance = 0.05, .relative_tolerance = 0.01};
   // At z = 2 the two allow 0.07 m.
   std::vector<float> depth(64, 2.0F);
   const PosedDepth first{camera(), {}, depth};

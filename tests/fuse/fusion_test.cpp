@@ -1,8 +1,6 @@
 // Whole frames fused: two views by hand, a box in front, windows, noise, threads.
 #include "surface/fuse/fusion.h"
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
 
 #include "compute/parallel.h"
@@ -43,8 +41,7 @@ struct Row {
   FusedFrame fuse(int target, int classes, const FusionParams& params = {}) const {
     std::vector<FusionView> views;
     for (std::size_t i = 0; i < x.size(); ++i) {
-      Pose pose;
-      pose.t = {x[i], 0, 0};
+      Pose pose{.t = {x[i], 0, 0}};
       views.push_back({{camera, pose, depth[i]}, &prediction[i]});
     }
     return LabelFusion(views, classes, params).fuse(target);
@@ -118,8 +115,7 @@ TEST(LabelFusion, ABoxInFrontHidesTheWall) {
   // The box's own pixels (x = 0.5 - 0.1875 m and on) fall on columns 6.. of view 0, which sees the wall there.
   out = row.fuse(1, 2);
   EXPECT_EQ(out.label[kBayesian], (Labels{1, 1, 1, 1, 1, 1, 1, 1}));
-  FusionParams loose;
-  loose.tolerance = 1.5;
+  FusionParams loose{.tolerance = 1.5};
   out = row.fuse(0, 2, loose);
   EXPECT_EQ(out.label[kBayesian], (Labels{0, 0, 1, 1, 1, 1, 1, 1}));
 }
@@ -136,7 +132,7 @@ TEST(LabelFusion, PixelsWithoutDepthKeepTheirLabel) {
   EXPECT_EQ(out.label[kAverage], out.label[kBayesian]);
   EXPECT_EQ(out.counts, (FusionCounts{8, 2, 1, 1, 5 * 3 + 2}));
   EXPECT_DOUBLE_EQ(out.counts.views_mean(), 17.0 / 6);
-  // Nor can a view without depth be asked.
+  // Nor can a view without depth be used.
   EXPECT_EQ(row.fuse(1, 2).label[kBayesian], (Labels(8, 1)));
   EXPECT_EQ(row.fuse(1, 2).counts.votes, 8 + 8 + 5);
 }
@@ -172,9 +168,7 @@ TEST(LabelFusion, AWindowAveragesOneSurface) {
   std::vector<float> step = wall();
   for (std::size_t i = 5; i < 8; ++i) step[i] = 3;
   row.add(0, step, hard({2, 0, 0, 2, 1, 1, 1, 1}));
-  FusionParams params;
-  params.neighbourhood = 3;
-  params.hard_confidence = 0.8;
+  FusionParams params{.neighbourhood = 3, .hard_confidence = 0.8};
   // 0: {2, 0} equal, the first | 1: {2, 0, 0} | 2: {0, 0, 2} | 3: {0, 2, 1} equal | 4: {2, 1}, column 5 is another
   // surface | 5..7: seen by nobody.
   const FusedFrame out = row.fuse(0, 3, params);
@@ -186,11 +180,11 @@ TEST(LabelFusion, AWindowAveragesOneSurface) {
 TEST(LabelFusion, WrongInputsAreRefused) {
   Row row;
   row.add(0, wall(), hard(Labels(8, 3)));
-  EXPECT_EQ(testing_room::error_of([&] { row.fuse(0, 3); }),
+  EXPECT_EQ(error_of([&] { row.fuse(0, 3); }),
             "view 0: pixel 0 has class index 3, there are 3; predict with the scene's class table");
   Row small;
   small.add(0, wall(), hard(Labels(7, 0)));
-  EXPECT_NE(testing_room::error_of([&] { small.fuse(0, 3); }).find("size of its camera"), std::string::npos);
+  EXPECT_HAS(error_of([&] { small.fuse(0, 3); }), "size of its camera");
 }
 
 /// The analytic room with predictions made from its truth: each pixel of each frame is wrong with probability `noise`,
@@ -203,8 +197,7 @@ struct NoisyRoom {
 
   explicit NoisyRoom(float noise, bool probabilities) {
     Diagnostics diagnostics;
-    testkit::AnalyticSceneOptions options;
-    options.frames = 24;
+    testkit::AnalyticSceneOptions options{.frames = 24};
     scene = load_scene(*testkit::make_analytic_scene(options), {}, diagnostics);
     const int classes = scene.info.classes.valid_count();
     const std::size_t frames = scene.frames.size();
@@ -220,7 +213,7 @@ struct NoisyRoom {
           labels[i] = static_cast<std::int16_t>((labels[i] + 1 + static_cast<int>(other)) % classes);
         }
         std::vector<float> row(static_cast<std::size_t>(classes), 0.3F / static_cast<float>(classes));
-        row[static_cast<std::size_t>(labels[i])] += wrong ? 0.4F : 0.7F;
+        row[labels[i]] += wrong ? 0.4F : 0.7F;
         map.set_row(i, row);
       }
       prediction.push_back(probabilities ? TrainingLabels::Frame{{}, map} : hard(labels));
@@ -267,8 +260,7 @@ TEST(LabelFusion, CleanLabelsStayCleanButAtEdges) {
 
 TEST(LabelFusion, SameBitsForAnyThreads) {
   const NoisyRoom room(0.4F, true);
-  FusionParams params;
-  params.neighbourhood = 3;
+  FusionParams params{.neighbourhood = 3};
   const LabelFusion fusion(room.views, room.classes(), params);
   const int before = thread_count();
   std::vector<FusedFrame> frames;
@@ -286,11 +278,9 @@ TEST(LabelFusion, SameBitsForAnyThreads) {
 TEST(FusionParams, MethodsAndWindowsAreChecked) {
   EXPECT_EQ(fusion_methods({"average", "bayesian", "average"}),
             (std::vector<FusionMethod>{FusionMethod::average, FusionMethod::bayesian}));
-  EXPECT_EQ(testing_room::error_of([] { (void)fusion_methods({"bayesan"}); }),
+  EXPECT_EQ(error_of([] { (void)fusion_methods({"bayesan"}); }),
             "fuse.methods: there is no method 'bayesan'; did you mean 'bayesian'?");
-  FusionParams params;
-  params.neighbourhood = 4;
-  params.methods = {"mean"};
+  FusionParams params{.methods = {"mean"}, .neighbourhood = 4};
   Diagnostics d;
   validate(params, d);
   ASSERT_EQ(d.error_count(), 2);

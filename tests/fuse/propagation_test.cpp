@@ -1,11 +1,7 @@
 // Labels spread over surfaces: cells and normals, a painted wall, the analytic room, pooled votes by hand, refusals.
 #include "surface/fuse/propagation.h"
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
-#include <cmath>
-#include <limits>
 
 #include "compute/parallel.h"
 #include "core/rng.h"
@@ -72,14 +68,9 @@ struct PaintedWall {
 
   static constexpr std::size_t kWidth = 16, kHeight = 8, kPixels = kWidth * kHeight;
   PaintedWall() {
-    FrameInfo info;
-    info.name = "wall";
-    info.split = Split::train;
-    info.camera.width_px = kWidth;
-    info.camera.height_px = kHeight;
-    info.camera.fx = info.camera.fy = 16.8;
-    info.camera.cx = 8;
-    info.camera.cy = 4;
+    FrameInfo info{.name = "wall",
+                   .camera = {.width_px = kWidth, .height_px = kHeight, .fx = 16.8, .fy = 16.8, .cx = 8, .cy = 4},
+                   .split = Split::train};
     scene.info.frames = {info};
     scene.info.classes = ClassTable({{1, "dark", {}, false}, {2, "bright", {}, false}, {3, "other", {}, false}});
     StoredFrame frame;
@@ -191,15 +182,14 @@ TEST(Propagation, VotesPooledByHand) {
   EXPECT_EQ(out.steps.back().type, "propagate vote");
 }
 
-// The analytic room with a share of its labels, of which some are wrong.
+// The analytic room with a fraction of its labels, of which some are wrong.
 struct Room {
   LoadedScene scene;
   TrainingLabels labels;
   FrameMaps maps;
   Room(double kept, float wrong) {
     Diagnostics diagnostics;
-    testkit::AnalyticSceneOptions options;
-    options.frames = 16;
+    testkit::AnalyticSceneOptions options{.frames = 16};
     scene = load_scene(*testkit::make_analytic_scene(options), {}, diagnostics);
     maps = true_depth(scene);
     labels.frames.resize(scene.frames.size());
@@ -225,10 +215,10 @@ struct Room {
   ConfusionMatrix score(const TrainingLabels& of) const {
     ConfusionMatrix out(scene.info.classes.valid_count());
     for (const int f : maps.frames) {
-      const TrainingLabels::Frame& frame = of.frames[static_cast<std::size_t>(f)];
+      const TrainingLabels::Frame& frame = of.frames[f];
       std::vector<std::int16_t> given(frame.size());
       for (std::size_t p = 0; p < given.size(); ++p) given[p] = frame[p];
-      out.add(scene.frames[static_cast<std::size_t>(f)].label.expand(), given);
+      out.add(scene.frames[f].label.expand(), given);
     }
     return out;
   }
@@ -247,8 +237,7 @@ TEST(Propagation, FewLabelsFillTheAnalyticRoom) {
 
 TEST(Propagation, PoolingTakesNoiseOut) {
   const Room room(1, 0.8F);
-  PropagationParams params;
-  params.method = PropagationMethod::vote;
+  PropagationParams params{.method = PropagationMethod::vote};
   const double before = *room.score(room.labels).total_accuracy();
   const double after = *room.score(room.spread(params)).total_accuracy();
   EXPECT_LT(before, 0.45);
@@ -260,15 +249,13 @@ TEST(Propagation, PoolingTakesNoiseOut) {
 TEST(Propagation, ThreadsDoNotChangeABit) {
   const Room room(0.05, 0.2F);
   for (const PropagationMethod method : {PropagationMethod::surface, PropagationMethod::vote}) {
-    PropagationParams params;
-    params.method = method;
+    PropagationParams params{.method = method};
     set_thread_count(1);
     const TrainingLabels one = room.spread(params);
     set_thread_count(4);
     const TrainingLabels four = room.spread(params);
     set_thread_count(0);
-    for (const int f : room.maps.frames)
-      EXPECT_EQ(one.frames[static_cast<std::size_t>(f)].soft, four.frames[static_cast<std::size_t>(f)].soft) << f;
+    for (const int f : room.maps.frames) EXPECT_EQ(one.frames[f].soft, four.frames[f].soft) << f;
   }
 }
 
@@ -287,20 +274,18 @@ TEST(Propagation, SoftLabelsVoteWithTheirProbabilities) {
 
 TEST(Propagation, Refusals) {
   PaintedWall wall;
-  EXPECT_NE(testing_room::error_of([&] { (void)wall.spread(); }).find("no training pixel carries a label"),
-            std::string::npos);
+  EXPECT_HAS(error_of([&] { (void)wall.spread(); }), "no training pixel carries a label");
   std::vector<std::int16_t> clicks(PaintedWall::kPixels, kVoid);
   clicks[0] = 0;
   wall.give(clicks);
   wall.params.cell_m = 0;
-  EXPECT_NE(testing_room::error_of([&] { (void)wall.spread(); }).find("propagate.cell_m"), std::string::npos);
+  EXPECT_HAS(error_of([&] { (void)wall.spread(); }), "propagate.cell_m");
   wall.scene.pixel_footprint_m = 0.1;  // three of them, or 200 m / 500
   EXPECT_EQ(fact(wall.spread(), "edge of a cell, m"), "0.3");
   wall.scene.bounds = {{0, 0, 0}, {200, 1, 1}};
   EXPECT_EQ(fact(wall.spread(), "edge of a cell, m"), "0.4");
   wall.maps.depth_m[0].assign(PaintedWall::kPixels, 0);
-  EXPECT_NE(testing_room::error_of([&] { (void)wall.spread(); }).find("no training pixel has depth"),
-            std::string::npos);
+  EXPECT_HAS(error_of([&] { (void)wall.spread(); }), "no training pixel has depth");
 }
 
 }  // namespace

@@ -1,14 +1,20 @@
-// Configuration files: the tree, composition with includes and values of the command line, runs and sweeps.
+// Configurations, what a run left behind, and the table of all targets.
+#include <algorithm>
 #include <sstream>
 
 #include "config/compose.h"
 #include "config/config_tree.h"
+#include "formats/safetensors.h"
 #include "report/sweep/sweep_file.h"
+#include "run/metrics_log.h"
+#include "session/checkpoint_facts.h"
 #include "settings/run_config.h"
 #include "tests/fuzz/inputs.h"
 #include "tests/fuzz/targets.h"
 
 namespace semfield::fuzz {
+
+// Configuration files: the tree, composition with includes and values of the command line, runs and sweeps.
 
 namespace {
 
@@ -60,6 +66,50 @@ void fuzz_sweep(std::string_view bytes) {
   const std::string main = put("sweep.yaml", parts[0]);
   put("part.yaml", parts[1]);
   accepted([&] { (void)read_sweep(main); });
+}
+
+// What a run left behind: checkpoints and metrics.
+
+void fuzz_checkpoint(std::string_view bytes) {
+  for (const bool with_checksums : {true, false}) {
+    TensorFile::Limits limits{.require_checksums = with_checksums};
+    accepted([&] {
+      const TensorFile file = TensorFile::decode(std::string(bytes), "a.safetensors", limits);
+      for (const TensorRef& tensor : file.tensors()) {
+        std::uint64_t count = 1;
+        for (const std::int64_t axis : tensor.shape) count *= static_cast<std::uint64_t>(axis);
+        promise(tensor.bytes.size() == count * tensor_type_bytes(tensor.type), "bytes that do not fill the shape");
+        accepted([&] { (void)file.floats(tensor.name, static_cast<std::int64_t>(count)); });
+      }
+      accepted([&] { (void)read_manifest_text(file.metadata()); });
+      (void)read_checkpoint_facts(file, 2);
+    });
+  }
+}
+
+void fuzz_metrics(std::string_view bytes) {
+  accepted([&] {
+    const std::vector<MetricsRow> rows = parse_metrics(bytes, "metrics.jsonl");
+    std::string written;
+    for (const MetricsRow& row : rows) written += metrics_line(row) + "\n";
+    std::vector<MetricsRow> again;
+    promise(accepted([&] { again = parse_metrics(written, "written"); }), "what is written cannot be read");
+    promise(again.size() == rows.size(), "what is written has other rows");
+  });
+}
+
+std::span<const Target> targets() {
+  static constexpr Target kTargets[] = {
+#define TARGET(name) {#name, fuzz_##name},
+#include "targets.inc"
+  };
+  return kTargets;
+}
+
+const Target* find_target(std::string_view name) {
+  const auto all = targets();
+  const auto found = std::find_if(all.begin(), all.end(), [&](const Target& t) { return t.name == name; });
+  return found == all.end() ? nullptr : &*found;
 }
 
 }  // namespace semfield::fuzz

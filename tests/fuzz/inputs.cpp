@@ -1,7 +1,6 @@
 #include "tests/fuzz/inputs.h"
 
 #include <algorithm>
-#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
@@ -121,7 +120,7 @@ void open_dataset(const std::string& name, const std::string& yaml) {
       promise(frame.camera.fx > 0 && frame.camera.fy > 0, "an accepted frame has no focal length");
       for (int a = 0; a < 3; ++a) {
         promise(std::isfinite(frame.world_from_camera.t[a]), "an accepted pose is not finite");
-        for (const double v : frame.world_from_camera.r[static_cast<std::size_t>(a)])
+        for (const double v : frame.world_from_camera.r[a])
           promise(std::abs(v) < 1.01, "an accepted pose has no rotation");
       }
       FrameBuffer buffer;

@@ -1,12 +1,6 @@
 // What the targets share: bytes as files in a folder of this process, several files in one input, datasets by name.
 #pragma once
 
-#include <functional>
-#include <memory>
-#include <string>
-#include <string_view>
-#include <vector>
-
 #include "plugin/registry.h"
 
 namespace semfield::fuzz {

@@ -1,7 +1,6 @@
 // Scenes: poses, indexes of the dataset plugins, meshes, packed scenes, PNG.
 #include <zlib.h>
 
-#include <cmath>
 #include <cstring>
 
 #include "datasets/obj_room/mesh_io.h"

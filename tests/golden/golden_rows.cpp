@@ -1,10 +1,6 @@
-// Trains every golden configuration for 20 steps on the processor and prints a line for each: its name and the checksum
+// Trains every golden configuration for 20 steps on the CPU and prints a line for each: its name and the checksum
 // of all parameters, moments and states.
 #include <cstdio>
-#include <exception>
-#include <memory>
-#include <string>
-#include <vector>
 
 #include "run/checkpoint_store.h"
 #include "session/trainer.h"

@@ -1,9 +1,6 @@
 // I07: every finite check of this build, on every instruction set, sees a NaN and an infinity at every position.
 #include <gtest/gtest.h>
 
-#include <cmath>
-#include <limits>
-
 #include "compute/math_functions.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
@@ -47,7 +44,7 @@ TYPED_TEST(FiniteChecks, SeeEveryPosition) {
     EXPECT_NO_THROW(check_density<Real>(samples, column));
     for (std::int32_t at = 0; at < n; ++at) {
       for (const Real bad : bad_values<Real>()) {
-        x[static_cast<std::size_t>(at)] = bad;
+        x[at] = bad;
         EXPECT_FALSE(all_finite(x.data(), n));
         EXPECT_EQ(first_non_finite<Real>(column), at);
         for (const bool touched : {false, true}) {
@@ -67,7 +64,7 @@ TYPED_TEST(FiniteChecks, SeeEveryPosition) {
         samples.delta = {x.data(), n, 1};
         EXPECT_THROW(guard.samples({}), RayFault);
         samples.delta = {half.data(), n, 1};
-        x[static_cast<std::size_t>(at)] = Real(0.25);
+        x[at] = Real(0.25);
       }
     }
   }

@@ -1,11 +1,7 @@
 #include "tests/guards/poison.h"
 
-#include <gtest/gtest.h>
-
-#include <cmath>
 #include <cstdio>
 #include <cstring>
-#include <limits>
 
 namespace semfield::testing_guards {
 
@@ -16,7 +12,7 @@ bool armed(const char* stage, const StepContext& ctx) {
   return p.stage == stage && ctx.training == p.in_training;
 }
 
-// The sampler, field and encoders of a pass are told apart by the pass's name: the wrappers of one pass are made one
+// The sampler, field and encoders of a pass differ by the pass's name: the wrappers of one pass are made one
 // after the other, and a configuration's passes in order. Random numbers know passes by number.
 bool of_pass(const StepContext& ctx) { return poison().pass.empty() || std::to_string(ctx.pass) == poison().pass; }
 
@@ -205,7 +201,7 @@ std::string Subject::aim(std::int64_t row) {
   p.origin = {o[0], o[1], o[2]};
   p.direction = {d[0], d[1], d[2]};
   for (const int f : session.scene.frames_of(Split::train)) {
-    const FrameInfo& info = session.scene.info.frames[static_cast<std::size_t>(f)];
+    const FrameInfo& info = session.scene.info.frames[f];
     for (std::int32_t y = 0; y < info.camera.height_px; ++y) {
       for (std::int32_t x = 0; x < info.camera.width_px; ++x) {
         double origin[3], direction[3], limits[2];

@@ -1,12 +1,6 @@
 // Plugins of the registry behind a wrapper that spoils one value of one ray: the seam that the library does not have.
 #pragma once
 
-#include <cstdint>
-#include <map>
-#include <memory>
-#include <string>
-#include <vector>
-
 #include "session/trainer.h"
 #include "tests/session/train_testing.h"
 
@@ -15,7 +9,7 @@ namespace semfield::testing_guards {
 /// What the wrappers spoil now. The address is a ray, so that it is the same in a tile, in a whole batch and alone.
 struct Poison {
   std::string stage;  ///< "" = nothing: the wrappers pass everything through
-  std::string pass;   ///< name of the pass, as its wrappers were told
+  std::string pass;   ///< name of the pass, as its wrappers were given
   float value = 0;
   std::int64_t ray = 0;     ///< in the batch, or in the call that renders
   Vec3d origin, direction;  ///< of that ray

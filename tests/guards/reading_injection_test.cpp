@@ -1,10 +1,5 @@
-// Bad numbers that a dataset tells or delivers: refused at reading, or of no effect where the conventions say so; and
+// Bad numbers that a dataset states or delivers: refused at reading, or of no effect where the conventions say so; and
 // bad rays and labels that reach a batch all the same: named with frame and pixel.
-#include <gtest/gtest.h>
-
-#include <cmath>
-#include <limits>
-
 #include "testkit/analytic_scene.h"
 #include "tests/guards/poison.h"
 
@@ -31,10 +26,7 @@ void validate(const SpoiledRoomParams&, Diagnostics&) {}
 class SpoiledRoom final : public Dataset {
  public:
   SpoiledRoom(const SpoiledRoomParams& p, const DatasetBuild&) {
-    testkit::AnalyticSceneOptions options;
-    options.frames = p.frames;
-    options.width_px = 16;
-    options.height_px = 12;
+    testkit::AnalyticSceneOptions options{.frames = p.frames, .width_px = 16, .height_px = 12};
     inner_ = testkit::make_analytic_scene(options);
   }
   SceneInfo open(Diagnostics& diagnostics) override {
@@ -72,12 +64,7 @@ std::string spoiled_yaml(const std::string& more = "") {
 }
 
 std::string message_of_opening(const std::string& yaml, Registry& registry) {
-  std::string message;
-  try {
-    testing_train::open_text(yaml, registry);
-  } catch (const Error& error) {
-    message = error.what();
-  }
+  const std::string message = error_of([&] { testing_train::open_text(yaml, registry); });
   spoil_manifest() = nullptr;
   spoil_pixels() = nullptr;
   return message;
@@ -186,21 +173,13 @@ struct BadRays {
     buffer.rgb.assign(96, 128);
   }
   RaySource make(const RayCamera& camera, const Subject& subject) {
-    RaySourceOptions options;
-    options.train.rays = 12;
-    options.tile_rays = subject.session.pipeline->tile_rays();
+    RaySourceOptions options{.train = {.rays = 12}, .tile_rays = subject.session.pipeline->tile_rays()};
     stored = StoredFrame(buffer);
     return RaySource({{camera, &stored, labels.empty() ? nullptr : &labels, "bad_one"}}, {0, 1, 2, 3, 4},
                      subject.session.limits, options);
   }
   static RayCamera camera() {
-    RayCamera c;
-    c.camera.width_px = 8;
-    c.camera.height_px = 4;
-    c.camera.fx = c.camera.fy = 4;
-    c.camera.cx = 4;
-    c.camera.cy = 2;
-    return c;
+    return RayCamera{.camera = {.width_px = 8, .height_px = 4, .fx = 4, .fy = 4, .cx = 4, .cy = 2}};
   }
 };
 
@@ -247,7 +226,7 @@ TEST(ReadingInjection, LabelsOfABatch) {
   }
 }
 
-// What only a caller of the pipeline can do: colours and soft labels of a batch. The ray is told.
+// What only a caller of the pipeline can do: colours and soft labels of a batch. The ray is named.
 TEST(ReadingInjection, ColoursAndSoftLabelsOfABatch) {
   Registry registry = testing_train::make_registry();
   Subject subject(testing_train::two_pass_config(), registry, 1);
@@ -261,17 +240,12 @@ TEST(ReadingInjection, ColoursAndSoftLabelsOfABatch) {
       std::vector<float> rows(static_cast<std::size_t>(rays * classes), 1.0F / static_cast<float>(classes));
       RayBatch view = batch.view(true);
       if (soft) {
-        rows[static_cast<std::size_t>(7 * classes + 1)] = static_cast<float>(bad);
+        rows[7 * classes + 1] = static_cast<float>(bad);
         view.targets.more.set(channel::soft_label, {rows.data(), rays, classes});
       } else {
         batch.target[3 * 7 + 1] = static_cast<float>(bad);
       }
-      std::string message;
-      try {
-        subject.session.pipeline->gradients(1, view);
-      } catch (const Error& error) {
-        message = error.what();
-      }
+      const std::string message = error_of([&] { subject.session.pipeline->gradients(1, view); });
       const std::optional<RayFault> fault = subject.session.pipeline->find_fault(1, view);
       const bool caught = message.find("ray 7") != std::string::npos && (!soft || (fault && fault->ray() == 7));
       EXPECT_TRUE(caught) << soft << ' ' << bad << ": " << message;

@@ -1,13 +1,5 @@
 // Clicks in the analytic room: what they name, what undoing them leaves, what a surface made anew keeps of them, and
 // how sure the labels are.
-#include <gtest/gtest.h>
-
-#include <algorithm>
-#include <cmath>
-#include <cstdint>
-#include <optional>
-#include <vector>
-
 #include "compute/parallel.h"
 #include "tests/label_loop/looped_room.h"
 
@@ -26,7 +18,7 @@ TEST(LabelLoop, BeforeTheFirstClickNothingIsNamed) {
   room.training->train(20);
   for (std::size_t v = 0; v < loop.views().size(); ++v) {
     EXPECT_FALSE(loop.ready());
-    const bool made = loop.update_surfaces(0);  // no time: one view a call
+    const bool made = loop.update_surfaces(0);  // no time: one view per call
     EXPECT_FALSE(made);
     EXPECT_FALSE(loop.views()[v].map.empty());
   }
@@ -40,7 +32,7 @@ TEST(LabelLoop, BeforeTheFirstClickNothingIsNamed) {
   EXPECT_EQ(loop.propose(Acquisition::surface, 1, 0)->why, "unseen");
 }
 
-// The loop asks, and is answered truly.
+// The loop proposes, and gets true labels.
 TEST(LabelLoop, AFewClicksNameMostOfTheRoom) {
   LoopedRoom room;
   LabelLoop& loop = *room.loop;
@@ -48,20 +40,19 @@ TEST(LabelLoop, AFewClicksNameMostOfTheRoom) {
   for (std::uint64_t round = 0; round < 16; ++round) {
     const std::optional<Asked> asked = loop.propose(Acquisition::surface, 1, round);
     ASSERT_TRUE(asked.has_value());
-    const PoolPoint& point = loop.pool().points[static_cast<std::size_t>(asked->point)];
+    const PoolPoint& point = loop.pool().points[asked->point];
     clicks.push_back(room.click(point.view, point.pixel));
     loop.learn(clicks);
   }
   EXPECT_TRUE(loop.learned());
   std::vector<bool> named(5, false);
-  for (const LabelledPixels& click : clicks) named[static_cast<std::size_t>(click.class_index)] = true;
+  for (const LabelledPixels& click : clicks) named[click.class_index] = true;
   EXPECT_EQ(loop.live(), named);
   EXPECT_EQ(std::count(named.begin(), named.end(), true), 5) << "questions find the small classes, too";
   EXPECT_GT(room.share_right(), 0.85) << "more than half of all is wall";
   for (std::size_t v = 0; v < loop.views().size(); ++v) {
-    for (const std::int16_t label : loop.labels_of(static_cast<int>(v)).label) {
-      EXPECT_TRUE(label == kVoid || named[static_cast<std::size_t>(label)]) << label;
-    }
+    for (const std::int16_t label : loop.labels_of(static_cast<int>(v)).label)
+      EXPECT_TRUE(label == kVoid || named[label]) << label;
   }
 }
 
@@ -146,7 +137,7 @@ TEST(LabelLoop, ASurfaceMadeAnewKeepsTheClicksWhereTheyAre) {
   loop.learn(clicks);
   std::vector<Vec3d> places;
   for (const LabelledPixels& click : clicks) {
-    const PoolView& view = loop.views()[static_cast<std::size_t>(click.view)];
+    const PoolView& view = loop.views()[click.view];
     const std::vector<float> found = surface_distances(*room.training->session().pipeline, view.camera,
                                                        room.training->session().limits, click.pixels);
     ASSERT_GT(found[0], 0);
@@ -157,13 +148,12 @@ TEST(LabelLoop, ASurfaceMadeAnewKeepsTheClicksWhereTheyAre) {
     int lying = 0;
     std::vector<Vec3d> begun;
     for (const Settled& s : loop.graph().settled())
-      if (s.cost[0] == 0)
-        begun.push_back(loop.pool().points[static_cast<std::size_t>(&s - loop.graph().settled().data())].position);
+      if (s.cost[0] == 0) begun.push_back(loop.pool().points[&s - loop.graph().settled().data()].position);
     for (std::size_t k = 0; k < places.size(); ++k) {
       const std::int32_t point = loop.pool().cells.near(places[k]);
       if (point < 0) continue;
       ++lying;
-      const Settled& s = loop.graph().settled()[static_cast<std::size_t>(point)];
+      const Settled& s = loop.graph().settled()[point];
       EXPECT_EQ(s.cost[0], 0) << "click " << k;
       EXPECT_EQ(s.class_index[0], clicks[k].class_index) << "click " << k;
     }
@@ -210,7 +200,7 @@ TEST(LabelLoop, WhatWasPassedOverIsNotAskedForAgain) {
   std::vector<Vec3d> places;
   for (std::uint64_t round = 0; round < 5; ++round) {
     const Asked asked = *loop.propose(Acquisition::surface, 1, round);
-    const PoolPoint& point = loop.pool().points[static_cast<std::size_t>(asked.point)];
+    const PoolPoint& point = loop.pool().points[asked.point];
     for (const Vec3d& place : places) EXPECT_GT(length(place - point.position), 2 * loop.pool().cell_m());
     places.push_back(point.position);
     skipped.push_back({point.view, 0, {point.pixel}});

@@ -1,20 +1,12 @@
 // What the training thread of a labelling session makes of events that come together: clicks, skips, undos.
 #include "serve/label_run.h"
 
-#include <gtest/gtest.h>
-
-#include <algorithm>
-#include <cstdint>
-#include <string>
-#include <vector>
-
 #include "tests/label_loop/running_session.h"
 
 namespace semfield {
 namespace {
 
 using namespace testing_loop;
-using testing_train::TempDir;
 
 // A run that has a surface, and whose events a test applies by itself.
 struct PreparedRun {
@@ -33,8 +25,7 @@ struct PreparedRun {
   OpenedForTraining opened() {
     const std::string yaml =
         session_config("analytic_room, with_labels: false, with_classes: false, labels: {class_room: 4}");
-    TrainRequest request;
-    request.out_dir = dir / "run";
+    TrainRequest request{.out_dir = dir / "run"};
     return open_for_training(run_config_of(parse_config_text(yaml, "test.yaml"), RunningSession::registry()),
                              RunningSession::registry(), request, nobody);
   }
@@ -45,26 +36,20 @@ struct PreparedRun {
     return out;
   }
   LabelEvent event(const std::string& id, LabelEventKind kind, int view = 0, PixelPoint at = {}) const {
-    const int frame = run.loop().views()[static_cast<std::size_t>(view)].frame;
-    LabelEvent made;
-    made.id = id;
-    made.kind = kind;
-    made.frame = run.session().scene.info.frames[static_cast<std::size_t>(frame)].name;
-    made.width_px = 48;
-    made.height_px = 36;
-    made.points = {at};
-    return made;
+    const int frame = run.loop().views()[view].frame;
+    return LabelEvent{.id = id,
+                      .kind = kind,
+                      .frame = run.session().scene.info.frames[frame].name,
+                      .width_px = 48,
+                      .height_px = 36,
+                      .points = {at}};
   }
   LabelEvent undo(const std::string& id, const std::string& of) const {
-    LabelEvent made;
-    made.id = id;
-    made.kind = LabelEventKind::undo;
-    made.of = of;
-    return made;
+    return LabelEvent{.id = id, .kind = LabelEventKind::undo, .of = of};
   }
   Vec3d place_of(const ProposalState& proposal) const {
     const PixelPlace pixel{static_cast<std::int32_t>(proposal.at.x), static_cast<std::int32_t>(proposal.at.y)};
-    const PoolView& view = run.loop().views()[static_cast<std::size_t>(proposal.view)];
+    const PoolView& view = run.loop().views()[proposal.view];
     return point_at(view.camera, run.session().limits, pixel,
                     static_cast<double>(view.map.at(pixel.column, pixel.row)));
   }
@@ -89,7 +74,7 @@ TEST(LabelRun, ASkipInTheSteadOfAnotherCounts) {
   }
 }
 
-// A region that nobody shall label has no label and is not asked about; undone, it is as before.
+// A region that nobody shall label has no label and is not proposed; undone, it is as before.
 TEST(LabelRun, WhatIsIgnoredIsNotAskedAbout) {
   PreparedRun room;
   room.annotations.apply([&] {
@@ -123,11 +108,7 @@ TEST(LabelRun, WhatIsIgnoredIsNotAskedAbout) {
     room.run.take(room.annotations);
   }
   const auto labelled = [&](int view) {
-    room.run.pictures().begin([&] {
-      PictureRequest request;
-      request.view = view;
-      return request;
-    }());
+    room.run.pictures().begin([&] { return PictureRequest{.view = view}; }());
     const Picture picture = *room.run.pictures().work(1e9);
     return picture.label.size() -
            static_cast<std::size_t>(std::count(picture.label.begin(), picture.label.end(), kVoid));

@@ -1,12 +1,9 @@
 // The folder of a labelling session: files that cannot be written for a while, a folder that is moved or copied, clicks
 // that are lost, and a scene that has changed.
-#include <gtest/gtest.h>
 #include <sys/stat.h>
 
-#include <algorithm>
-#include <filesystem>
-#include <string>
-#include <vector>
+#include <cstdlib>
+#include <future>
 
 #include "loading/packed_scene.h"
 #include "run/metrics_log.h"
@@ -21,7 +18,6 @@ namespace semfield {
 namespace {
 
 using namespace testing_loop;
-using testing_train::TempDir;
 
 std::size_t lines_of(const std::string& path) {
   const std::string text = read_text_file(path);
@@ -43,7 +39,7 @@ TEST(LabelSession, FilesThatCannotBeWrittenForAWhileEndNothing) {
     std::filesystem::rename(folder + "/checkpoints", dir / "aside");
     testing_room::plain_write(folder + "/checkpoints", "");
     const auto troubled = run.wait_until([](const LabelState& s) { return !s.trouble.empty(); });
-    EXPECT_NE(troubled->trouble.find("checkpoints"), std::string::npos) << troubled->trouble;
+    EXPECT_HAS(troubled->trouble, "checkpoints");
     EXPECT_EQ(troubled->failure, "");
     EXPECT_TRUE(run.session.apply(run.add("1", "wall")));
     run.wait_until([&](const LabelState& s) { return s.step > troubled->step + 20 && s.overlay_events == 1; });
@@ -74,7 +70,7 @@ TEST(LabelSession, ARunWhoseLastCheckpointCannotBeWrittenEndsWithThatError) {
   std::filesystem::remove_all(dir / "run/checkpoints");
   testing_room::plain_write(dir / "run/checkpoints", "");
   run.stop();
-  EXPECT_NE(run.ended_with.find("checkpoints"), std::string::npos) << run.ended_with;
+  EXPECT_HAS(run.ended_with, "checkpoints");
 }
 
 ino_t inode_of(const std::string& path) {
@@ -91,7 +87,7 @@ TEST(LabelSession, TheTableOfClassesIsWrittenWhenItChangesAlone) {
   run.session.apply(run.add("1", "wall"));
   run.settled();
   run.session.save();
-  EXPECT_NE(read_text_file(table).find("wall"), std::string::npos);
+  EXPECT_HAS(read_text_file(table), "wall");
   const ino_t before = inode_of(table);
   for (const char* id : {"2", "3", "4"}) run.session.apply(run.click(id, 2, "wall", {24.5, 5.5}));
   run.settled();
@@ -101,19 +97,16 @@ TEST(LabelSession, TheTableOfClassesIsWrittenWhenItChangesAlone) {
   run.settled();
   run.session.save();
   EXPECT_NE(inode_of(table), before);
-  EXPECT_NE(read_text_file(table).find("floor"), std::string::npos);
+  EXPECT_HAS(read_text_file(table), "floor");
 }
 
 // --- a folder that is moved, copied, or lacks its clicks ---
 
 std::string resume_refusal(const std::string& folder) {
-  try {
+  return error_of([&] {
     RunConfig config = load_run_config(folder + "/run.yaml", {}, RunningSession::registry());
     const RunningSession run(std::move(config), folder);
-  } catch (const Error& error) {
-    return error.what();
-  }
-  return "";
+  });
 }
 
 std::vector<std::string> classes_of(const LabelSession& session) {
@@ -138,7 +131,7 @@ TEST(LabelSession, AFolderThatWasMovedOrCopiedHasItsOwnClicks) {
     run.stop();
     ASSERT_EQ(run.ended_with, "");
   }
-  EXPECT_NE(read_text_file(here + "/run.yaml").find("clicks: clicks.jsonl"), std::string::npos);
+  EXPECT_HAS(read_text_file(here + "/run.yaml"), "clicks: clicks.jsonl");
   fs::copy(here, copied, fs::copy_options::recursive);
   fs::rename(here, moved);
   {  // another run of the old name
@@ -167,12 +160,9 @@ TEST(LabelSession, AFolderThatWasMovedOrCopiedHasItsOwnClicks) {
                              "scene.labels.clicks=FILE";
     EXPECT_EQ(resume_refusal(folder), said);
     Diagnostics findings;
-    EXPECT_EQ(testing_room::error_of([&] { (void)open_run(folder, {}, RunningSession::registry(), findings); }), said);
-    TrainRequest request;
-    request.out_dir = folder;
-    request.resume = true;
-    EXPECT_EQ(testing_room::error_of(
-                  [&] { (void)run_training(resumed(folder), RunningSession::registry(), request, nullptr); }),
+    EXPECT_EQ(error_of([&] { (void)open_run(folder, {}, RunningSession::registry(), findings); }), said);
+    TrainRequest request{.out_dir = folder, .resume = true};
+    EXPECT_EQ(error_of([&] { (void)run_training(resumed(folder), RunningSession::registry(), request, nullptr); }),
               said);
     EXPECT_FALSE(fs::exists(folder + "/clicks.jsonl")) << "nothing is made in its place";
   }
@@ -201,6 +191,125 @@ TEST(LabelSession, WarningsReachThePage) {
   ASSERT_EQ(notes.size(), 1u);
   EXPECT_EQ(notes.front(),
             "scene: it is not as it was when the run was trained: other images; restore the data, or train anew");
+}
+
+// Pictures that a labelling session makes between its steps: of views, of free cameras, for several who look.
+
+PictureRequest of_camera(const FreeCamera& camera, const std::string& client) {
+  return PictureRequest{.client = client, .camera = camera, .most_px = 48, .color = true};
+}
+
+TEST(LabelSessionPictures, ViewsAndFreeCamerasAreDrawnWhileItTrains) {
+  const TempDir dir;
+  RunningSession run(session_config(), dir / "run");
+  run.session.apply(run.add("1", "wall"));
+  run.session.apply(run.click("2", 0, "wall", {24.5, 5.5}));
+  run.start();
+  const std::uint64_t overlay = run.settled()->overlay_revision;
+  PictureRequest view{.client = "a", .view = 3, .entropy = true};
+  const Picture labels = run.session.picture(view);
+  EXPECT_FALSE(labels.stale);
+  EXPECT_EQ(labels.label.size(), 48u * 36u);
+  EXPECT_EQ(labels.entropy.size(), labels.label.size());
+  EXPECT_TRUE(labels.rgb.empty());
+  EXPECT_GE(labels.overlay_revision, overlay);
+  const Picture seen = run.session.picture(of_camera(run.session.camera_of(3), "a"));
+  EXPECT_EQ(seen.width_px, 48);
+  EXPECT_EQ(seen.height_px, 36);
+  EXPECT_EQ(seen.rgb.size(), 3u * 48 * 36);
+  EXPECT_EQ(seen.label.size(), 48u * 36u);
+  // The camera of a view sees what its photograph shows.
+  const StoredFrame& photo = run.session.opened().scene.frames[run.session.frame_of(3)];
+  double wrong = 0;
+  for (std::size_t i = 0; i < seen.rgb.size(); ++i) wrong += std::abs(int{seen.rgb[i]} - int{photo.rgb[i]});
+  EXPECT_LT(wrong / static_cast<double>(seen.rgb.size()), 40);
+  view.color = view.full = true;
+  EXPECT_EQ(run.session.picture(view).rgb.size(), 3u * 48 * 36);
+}
+
+TEST(LabelSessionPictures, ALaterRequestOfTheSameClientTakesThePlace) {
+  const TempDir dir;
+  RunningSession run(session_config(), dir / "run");
+  const FreeCamera camera = run.session.camera_of(0);
+  const auto ask = [&](const std::string& client) {
+    return std::async(std::launch::async,
+                      [&run, camera, client] { return run.session.picture(of_camera(camera, client)); });
+  };
+  // Nobody trains yet, so both wait: the earlier one gets its response when the later one comes.
+  std::future<Picture> one = ask("a"), two = ask("a"), other = ask("b");
+  bool one_first = false, answered = false;
+  for (int turn = 0; !answered && turn < 2000; ++turn) {
+    one_first = one.wait_for(std::chrono::milliseconds(5)) == std::future_status::ready;
+    answered = one_first || two.wait_for(std::chrono::milliseconds(5)) == std::future_status::ready;
+  }
+  if (!answered) run.start();  // there would never be a response
+  ASSERT_TRUE(answered);
+  const Picture stale = (one_first ? one : two).get();
+  EXPECT_TRUE(stale.stale);
+  EXPECT_TRUE(stale.rgb.empty());
+  run.start();
+  const Picture made = (one_first ? two : one).get();
+  EXPECT_FALSE(made.stale);
+  EXPECT_FALSE(made.rgb.empty());
+  EXPECT_FALSE(other.get().stale) << "another client's has nothing to do with it";
+}
+
+// Nobody trains in these two, so whoever gets a response did not wait for a picture.
+TEST(LabelSessionPictures, OneThatNobodyWantsAnyMoreIsGivenUp) {
+  const TempDir dir;
+  RunningSession run(session_config(), dir / "run");
+  std::atomic<int> looks{0};
+  const Picture none = run.session.picture(of_camera(run.session.camera_of(0), "a"), [&] { return ++looks == 3; });
+  EXPECT_TRUE(none.stale);
+  EXPECT_EQ(looks, 3);
+}
+
+TEST(LabelSessionPictures, OfTooManyThatWaitTheOldestIsStale) {
+  const TempDir dir;
+  RunningSession run(session_config(), dir / "run");
+  std::vector<std::future<Picture>> waiting;
+  std::atomic<int> answered{0};
+  for (int k = 0; k < 40; ++k)
+    waiting.push_back(std::async(std::launch::async, [&, k] {
+      const Picture picture = run.session.picture(of_camera(run.session.camera_of(0), "c" + std::to_string(k)));
+      ++answered;
+      return picture;
+    }));
+  for (int turn = 0; answered < 24 && turn < 2000; ++turn) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  EXPECT_EQ(answered, 24) << "16 wait";
+  run.session.stop();
+  run.start();
+  for (std::future<Picture>& picture : waiting) EXPECT_TRUE(picture.get().stale);
+}
+
+TEST(LabelSessionPictures, WrongRequestsAreRefusedAndTheSessionGoesOn) {
+  const TempDir dir;
+  RunningSession run(session_config(), dir / "run");
+  run.start();
+  const auto refusal = [&](const PictureRequest& request) { return error_of([&] { run.session.picture(request); }); };
+  PictureRequest nothing{.client = "a"};
+  EXPECT_HAS(refusal(nothing), "picture: ");
+  PictureRequest far = nothing;
+  far.view = 1000;
+  EXPECT_HAS(refusal(far), "view 1000 is none of the 12");
+  PictureRequest large = of_camera(run.session.camera_of(0), "a");
+  large.most_px = 100000;
+  EXPECT_HAS(refusal(large), "most_px 100000");
+  EXPECT_FALSE(run.session.picture(of_camera(run.session.camera_of(0), "a")).stale);
+  EXPECT_TRUE(run.session.state()->failure.empty());
+}
+
+TEST(LabelSessionPictures, AfterTheEndTheyAreStale) {
+  const TempDir dir;
+  RunningSession run(session_config(), dir / "run");
+  std::future<Picture> waits =
+      std::async(std::launch::async, [&] { return run.session.picture(of_camera(run.session.camera_of(0), "a")); });
+  run.session.stop();
+  run.start();
+  EXPECT_TRUE(waits.get().stale);
+  run.stop();
+  EXPECT_TRUE(run.session.picture(of_camera(run.session.camera_of(0), "b")).stale);
+  EXPECT_EQ(run.ended_with, "");
 }
 
 }  // namespace

@@ -1,16 +1,7 @@
 // A labelling session: events from several threads, labels that follow, undo, what a run's folder holds and goes on
 // with, and what happens when training fails.
-#include <gtest/gtest.h>
-
-#include <algorithm>
-#include <atomic>
-#include <chrono>
-#include <filesystem>
 #include <future>
 #include <stdexcept>
-#include <string>
-#include <thread>
-#include <vector>
 
 #include "labels/clicks/click_log.h"
 #include "report/report.h"
@@ -23,23 +14,11 @@ namespace semfield {
 namespace {
 
 using namespace testing_loop;
-using testing_train::TempDir;
 
-PictureRequest labels_of(int view) {
-  PictureRequest request;
-  request.client = "test";
-  request.view = view;
-  return request;
-}
+PictureRequest labels_of(int view) { return PictureRequest{.client = "test", .view = view}; }
 
 std::string refusal(LabelSession& session, const LabelEvent& event) {
-  try {
-    session.apply(event);
-  } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), ErrorKind::data);
-    return error.what();
-  }
-  return "";
+  return error_of(ErrorKind::data, [&] { session.apply(event); });
 }
 
 std::size_t lines_of(const std::string& path) {
@@ -151,14 +130,14 @@ TEST(LabelSession, WrongEventsChangeNothing) {
   EXPECT_TRUE(session.apply(run.add("1", std::string(kMostClassNameBytes, 'x'))));
   EXPECT_TRUE(session.apply(run.add("2", "floor")));
   const auto before = session.state();
-  EXPECT_NE(refusal(session, run.add("3", "one more")).find("room"), std::string::npos);
-  EXPECT_NE(refusal(session, run.click("4", 0, "door", {1, 1})).find("door"), std::string::npos);
+  EXPECT_HAS(refusal(session, run.add("3", "one more")), "room");
+  EXPECT_HAS(refusal(session, run.click("4", 0, "door", {1, 1})), "door");
   EXPECT_NE(refusal(session, run.click("5", 0, "floor", {48.5, 1})), "");
   EXPECT_NE(refusal(session, run.undo("6", "99")), "");
   LabelEvent stranger = run.click("7", 0, "floor", {1, 1});
   const LoadedScene& scene = session.opened().scene;
-  stranger.frame = scene.info.frames[static_cast<std::size_t>(scene.frames_of(Split::test).front())].name;
-  EXPECT_NE(refusal(session, stranger).find(stranger.frame), std::string::npos) << "a test frame";
+  stranger.frame = scene.info.frames[scene.frames_of(Split::test).front()].name;
+  EXPECT_HAS(refusal(session, stranger), stranger.frame) << "a test frame";
   EXPECT_EQ(session.state()->revision, before->revision);
   EXPECT_EQ(lines_of(dir / "run/clicks.jsonl"), 2u);
   // Every number at its bound.
@@ -247,7 +226,7 @@ TEST(LabelSession, ARunIsSavedOpenedByVerbsAndGoesOn) {
   EXPECT_GT(std::count(label.begin(), label.end(), 1), 100);
 }
 
-// The report of a run that was clicked tells of the clicks, without a scene or a checkpoint being opened.
+// The report of a run that was clicked lists the clicks, without a scene or a checkpoint being opened.
 TEST(LabelSession, WhatWasClickedIsInTheRunsReport) {
   const TempDir dir;
   const std::string folder = dir / "run";
@@ -275,7 +254,7 @@ TEST(LabelSession, WhatWasClickedIsInTheRunsReport) {
   EXPECT_EQ(input.clicked[0].note, "3 clicks");
   EXPECT_EQ(input.clicked[1].note, "1 click");
   for (const ReportStrip& strip : input.clicked) EXPECT_EQ(strip.images.size(), 3u) << "photograph, labels, entropy";
-  EXPECT_NE(make_report(input).find("4 clicks in 2 of 9 frames"), std::string::npos);
+  EXPECT_HAS(make_report(input), "4 clicks in 2 of 9 frames");
   const ClassTable table = ClassTable::load(folder + "/classes.yaml");
   EXPECT_EQ(table.valid_count(), 2) << "those that nobody has named wait outside";
 }
@@ -292,14 +271,14 @@ TEST(LabelSession, LabelsOfTheConfigurationCountAsGiven) {
   EXPECT_TRUE(state->marks.empty());
   const int other = 4;
   const std::vector<std::int16_t> label = run.session.picture(labels_of(other)).label;
-  const StoredFrame& photo = run.session.opened().scene.frames[static_cast<std::size_t>(run.session.frame_of(other))];
+  const StoredFrame& photo = run.session.opened().scene.frames[run.session.frame_of(other)];
   const Session& opened = run.session.opened();
   const auto frame = static_cast<std::size_t>(opened.drawn_frames()[other]);
   const RayCamera camera{opened.scene.info.frames[frame].camera, opened.scene.info.frames[frame].world_from_camera,
                          false};
   int right = 0;
   for (std::int32_t i = 0; i < photo.width_px * photo.height_px; ++i)
-    right += hit_at(camera, {i % 48, i / 48}).label == label[static_cast<std::size_t>(i)];
+    right += hit_at(camera, {i % 48, i / 48}).label == label[i];
   EXPECT_GT(right, 48 * 36 * 8 / 10);
   run.session.apply(run.add("1", "poster"));
   run.session.apply(run.click("2", 0, "poster", {24.5, 8.5}, 3));
@@ -335,7 +314,7 @@ TEST(LabelSession, AfterAFailurePicturesAndEventsGoOn) {
   EXPECT_EQ(run.session.failure()->kind(), ErrorKind::unavailable) << "the program ends with its exit code";
 }
 
-// Whatever a training throws: whoever waits is answered.
+// Whatever a training throws: whoever waits gets a response.
 TEST(LabelSession, AnyExceptionIsAFailure) {
   class Stranger final : public RunListener {
    public:

@@ -1,12 +1,6 @@
 // The analytic room while it is labelled: a short training whose geometry is learned, and clicks with the true class.
 #pragma once
 
-#include <cstdint>
-#include <memory>
-#include <optional>
-#include <string>
-#include <vector>
-
 #include "serve/label_loop.h"
 #include "tests/label_loop/seen_room.h"
 #include "tests/session/train_testing.h"
@@ -24,12 +18,7 @@ inline std::string room_config(const std::string& scene = "analytic_room", const
   return yaml;
 }
 
-inline LabelLoopOptions quick_options() {
-  LabelLoopOptions options;
-  options.learning.steps = 60;
-  options.learning.batch = 128;
-  return options;
-}
+inline LabelLoopOptions quick_options() { return LabelLoopOptions{.learning = {.steps = 60, .batch = 128}}; }
 
 struct LoopedRoom {
   Registry registry = testing_train::make_registry();
@@ -48,7 +37,7 @@ struct LoopedRoom {
     if (steps > 0) (void)loop->update_surfaces(1e9);
   }
   std::int16_t truth(int view, const PixelPlace& pixel) const {
-    return static_cast<std::int16_t>(hit_at(loop->views()[static_cast<std::size_t>(view)].camera, pixel).label);
+    return static_cast<std::int16_t>(hit_at(loop->views()[view].camera, pixel).label);
   }
   LabelledPixels click(int view, const PixelPlace& pixel) const { return {view, truth(view, pixel), {pixel}}; }
   /// Pixels here and there in the views, each with its true class.
@@ -64,7 +53,7 @@ struct LoopedRoom {
     for (int v = 0; v < std::ssize(loop->views()); ++v) {
       const ViewLabels labels = loop->labels_of(v);
       for (std::int32_t i = 0; i < labels.width_px * labels.height_px; ++i) {
-        right += labels.label[static_cast<std::size_t>(i)] == truth(v, {i % labels.width_px, i / labels.width_px});
+        right += labels.label[i] == truth(v, {i % labels.width_px, i / labels.width_px});
         all += 1;
       }
     }

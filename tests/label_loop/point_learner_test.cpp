@@ -1,14 +1,6 @@
 // The semantic part learned anew from points: what it learns, what it leaves alone, and the same bits for any threads.
 #include "serve/point_learner.h"
 
-#include <gtest/gtest.h>
-
-#include <algorithm>
-#include <cmath>
-#include <cstdint>
-#include <string>
-#include <vector>
-
 #include "compute/parallel.h"
 #include "core/rng.h"
 #include "session/trainer.h"
@@ -44,12 +36,7 @@ struct Toy {
   }
 };
 
-PointLearning quick(std::int64_t steps = 120) {
-  PointLearning options;
-  options.steps = steps;
-  options.batch = 192;
-  return options;
-}
+PointLearning quick(std::int64_t steps = 120) { return PointLearning{.steps = steps, .batch = 192}; }
 
 double share_right(PointLearner& learner, const Toy& toy, const std::vector<bool>& live) {
   const std::vector<float> p = learner.probabilities(learner.rows_at(toy.places), live);
@@ -64,8 +51,7 @@ double share_right(PointLearner& learner, const Toy& toy, const std::vector<bool
 
 TEST(PointLearner, LearnsWhatCanBeToldApart) {
   const Toy seen(1), other(2);
-  Registry registry = make_registry();
-  const Session session = open_text(config_of(true), registry);
+  const Session session = open_text(config_of(true));
   PointLearner learner(*session.pipeline);
   ASSERT_EQ(learner.classes(), 5);
   const std::vector<bool> live(5, true);
@@ -82,8 +68,7 @@ TEST(PointLearner, LearnsTheSameBitsForAnyThreads) {
     std::vector<std::vector<float>> logits;
     for (const int threads : {1, 2, 3}) {
       set_thread_count(threads);
-      Registry registry = make_registry();
-      const Session session = open_text(config_of(branch), registry);
+      const Session session = open_text(config_of(branch));
       PointLearner learner(*session.pipeline);
       const PointRows rows = learner.rows_at(toy.places);
       learner.learn(rows, toy.logit, {}, quick(20));
@@ -98,13 +83,12 @@ TEST(PointLearner, LearnsTheSameBitsForAnyThreads) {
   }
 }
 
-// Whatever was learned before: points tell everything, and colour and geometry stand.
+// Whatever was learned before: points state everything, and colour and geometry stand.
 TEST(PointLearner, ChangesSemanticTensorsAloneAndForgetsWhatWasBefore) {
   const Toy toy(4), other(5);
   for (const bool branch : {false, true}) {
     SCOPED_TRACE(branch);
-    Registry registry = make_registry();
-    Session session = open_text(config_of(branch), registry);
+    Session session = open_text(config_of(branch));
     const auto rays = session.make_ray_source();
     Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule);
     for (int i = 0; i < 4; ++i) trainer.advance();
@@ -144,8 +128,7 @@ TEST(PointLearner, ChangesSemanticTensorsAloneAndForgetsWhatWasBefore) {
 
 TEST(PointLearner, ClassesWithoutLabelsHaveNoProbability) {
   const Toy toy(6, 30);
-  Registry registry = make_registry();
-  const Session session = open_text(config_of(true), registry);
+  const Session session = open_text(config_of(true));
   PointLearner learner(*session.pipeline);
   const PointRows rows = learner.rows_at(toy.places);
   const std::vector<bool> live{true, false, false, true, true};
@@ -168,8 +151,7 @@ TEST(PointLearner, ClassesWithoutLabelsHaveNoProbability) {
 }
 
 TEST(PointLearner, NoPointsAreFine) {
-  Registry registry = make_registry();
-  const Session session = open_text(config_of(true), registry);
+  const Session session = open_text(config_of(true));
   PointLearner learner(*session.pipeline);
   const std::uint32_t start = fingerprint(session.pipeline->store());
   const PointRows none = learner.rows_at({});
@@ -190,8 +172,7 @@ TEST(PointLearner, NoPointsAreFine) {
 
 // One place named as two classes: the heavier is believed.
 TEST(PointLearner, WeightsTellHowOftenAPointIsDrawn) {
-  Registry registry = make_registry();
-  const Session session = open_text(config_of(true), registry);
+  const Session session = open_text(config_of(true));
   PointLearner learner(*session.pipeline);
   const Toy toy(8, 60);
   std::vector<Vec3d> places = toy.places;

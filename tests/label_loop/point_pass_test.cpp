@@ -1,13 +1,5 @@
 // Semantics of points apart from rays: the logits of a ray's sample, gradients of head and branch alone, and tensors
 // that start anew.
-#include <gtest/gtest.h>
-
-#include <algorithm>
-#include <cmath>
-#include <cstdint>
-#include <string>
-#include <vector>
-
 #include "core/rng.h"
 #include "session/trainer.h"
 #include "testkit/gradient_check.h"
@@ -41,8 +33,7 @@ std::vector<double> places(std::int64_t count) {
 template <class Real>
 std::vector<Real> rows_of(const Pass<Real>& pass, std::vector<double> at) {
   Workspace arena;
-  StepContext ctx;
-  ctx.workspace = &arena;
+  StepContext ctx{.workspace = &arena};
   const auto count = std::ssize(at) / 3;
   std::vector<Real> rows(static_cast<std::size_t>(count * pass.point_dims()));
   pass.point_rows(ctx, {at.data(), count, 3}, {rows.data(), count, pass.point_dims()});
@@ -57,12 +48,8 @@ struct Asking {
 template <class Real>
 std::vector<Real> logits_of(const Pass<Real>& pass, std::vector<Real> rows, const Asking& asking = {}) {
   Workspace arena;
-  StepContext ctx;
-  ctx.seed = 3;
-  ctx.workspace = &arena;
-  ctx.training = asking.training;
-  ctx.step = asking.step;
-  ctx.first_ray = asking.first;
+  StepContext ctx{
+      .seed = 3, .step = asking.step, .training = asking.training, .first_ray = asking.first, .workspace = &arena};
   const std::int64_t count = std::ssize(rows) / pass.point_dims();
   const std::int32_t classes = pass.parts().head->width();
   std::vector<Real> logits(static_cast<std::size_t>(count * classes));
@@ -81,8 +68,7 @@ TEST(PointPass, LogitsAreThoseOfASampleOfWeightOne) {
                   registry);
     const Pass<double>& pass = oracle.pipeline->passes().back();
     Workspace arena;
-    StepContext ctx;
-    ctx.workspace = &arena;
+    StepContext ctx{.workspace = &arena};
     oracle.pipeline->derive(0);
     const RayBatch batch = oracle.batch.view(true);
     const PassTrace<double> trace =
@@ -102,7 +88,7 @@ TEST(PointPass, LogitsAreThoseOfASampleOfWeightOne) {
       for (std::int32_t c = 0; c < trace.semantic.sample_rows.cols; ++c) {
         const double expected = trace.semantic.sample_rows(k, c);
         largest = std::max(largest, std::abs(expected));
-        ASSERT_NEAR(logits[static_cast<std::size_t>(k * trace.semantic.sample_rows.cols + c)], expected, 1e-9) << k;
+        ASSERT_NEAR(logits[k * trace.semantic.sample_rows.cols + c], expected, 1e-9) << k;
       }
     }
     EXPECT_GT(largest, 1e-3);
@@ -124,10 +110,7 @@ TEST(PointPass, GradientsAreThoseOfFiniteDifferencesAndNoneReachesTheField) {
     const View<double> all(rows.data(), 40, pass.point_dims());
     const auto evaluate = [&](bool backward) {
       Workspace arena;
-      StepContext ctx;
-      ctx.seed = 3;
-      ctx.training = true;
-      ctx.workspace = &arena;
+      StepContext ctx{.seed = 3, .training = true, .workspace = &arena};
       pass.derive(ctx);
       const PointTrace<double> trace = pass.point_forward(ctx, 0, all, {logits.data(), 40, classes});
       if (backward) {
@@ -150,8 +133,7 @@ TEST(PointPass, GradientsAreThoseOfFiniteDifferencesAndNoneReachesTheField) {
       }
       if (!tensor.learned()) continue;
       EXPECT_NE(found, std::vector<double>(found.size(), 0.0)) << tensor.name;
-      testkit::GradientCheck options;
-      options.max_elements = 12;
+      testkit::GradientCheck options{.max_elements = 12};
       EXPECT_EQ(testkit::check_gradient([&] { return evaluate(false); }, tensor.view(tensor.value),
                                         {found.data(), tensor.spec.rows, tensor.spec.cols}, options),
                 "")
@@ -182,8 +164,7 @@ TEST(PointPass, DropoutIsForTrainingAlone) {
 TEST(PointPass, RowsDoNotDependOnHowABatchIsSplit) {
   for (const std::string& form : {kForms[0], kForms[1], kForms[2], kBranch + ", dropout: 0.3"}) {
     SCOPED_TRACE(form);
-    Registry registry = make_registry();
-    const Session session = open_text(config_of(form), registry);
+    const Session session = open_text(config_of(form));
     const Pass<float>& pass = session.pipeline->passes().back();
     session.pipeline->derive(0);
     const std::vector<double> at = places(83);
@@ -210,9 +191,8 @@ TEST(PointPass, RowsDoNotDependOnHowABatchIsSplit) {
 }
 
 TEST(PointPass, RestartedTensorsAreThoseOfTheBeginning) {
-  Registry registry = make_registry();
   for (const std::string& yaml : {config_of(""), config_of(kBranch), two_pass_config()}) {
-    Session session = open_text(yaml, registry), fresh = open_text(yaml, registry);
+    Session session = open_text(yaml), fresh = open_text(yaml);
     ParamStore<float>& store = session.pipeline->store();
     const std::uint32_t start = fingerprint(store);
     const auto rays = session.make_ray_source();

@@ -1,12 +1,6 @@
 // A labelling session of the analytic room whose training runs in a thread of its own.
 #pragma once
 
-#include <gtest/gtest.h>
-
-#include <chrono>
-#include <functional>
-#include <memory>
-#include <string>
 #include <thread>
 
 #include "core/error.h"
@@ -69,30 +63,20 @@ class RunningSession {
   }
 
   LabelEvent add(const std::string& id, const std::string& name) const {
-    LabelEvent event;
-    event.id = id;
-    event.kind = LabelEventKind::add_class;
-    event.class_name = name;
-    return event;
+    return LabelEvent{.id = id, .kind = LabelEventKind::add_class, .class_name = name};
   }
   LabelEvent undo(const std::string& id, const std::string& of) const {
-    LabelEvent event;
-    event.id = id;
-    event.kind = LabelEventKind::undo;
-    event.of = of;
-    return event;
+    return LabelEvent{.id = id, .kind = LabelEventKind::undo, .of = of};
   }
   LabelEvent click(const std::string& id, int view, const std::string& name, PixelPoint at, double radius = 1) const {
     const ViewState& shown = session.state()->views.at(static_cast<std::size_t>(view));
-    LabelEvent event;
-    event.id = id;
-    event.frame = shown.frame;
-    event.width_px = shown.width_px;
-    event.height_px = shown.height_px;
-    event.points = {at};
-    event.radius_px = radius;
-    event.class_name = name;
-    return event;
+    return LabelEvent{.id = id,
+                      .frame = shown.frame,
+                      .width_px = shown.width_px,
+                      .height_px = shown.height_px,
+                      .points = {at},
+                      .radius_px = radius,
+                      .class_name = name};
   }
 
   LabelSession session;

@@ -1,20 +1,12 @@
 // The analytic room as the views of a labelling session see it, with exact distances: surfaces without a field.
 #pragma once
 
-#include <cstdint>
-#include <vector>
-
 #include "surface/surface_pool.h"
 #include "testkit/analytic_scene.h"
 
 namespace semfield::testing_loop {
 
-inline RayLimits room_limits() {
-  RayLimits limits;
-  limits.near_m = 0.05;
-  limits.far_m = 10;
-  return limits;
-}
+inline RayLimits room_limits() { return RayLimits{.near_m = 0.05, .far_m = 10}; }
 
 inline testkit::AnalyticHit hit_at(const RayCamera& camera, const PixelPlace& pixel) {
   double o[3], d[3], near_far[2];
@@ -29,8 +21,7 @@ struct SeenRoom {
   std::vector<PoolView> views;
 
   explicit SeenRoom(std::int32_t stride = 2, int frames = 6) {
-    testkit::AnalyticSceneOptions options;
-    options.frames = frames;
+    testkit::AnalyticSceneOptions options{.frames = frames};
     const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene(options);
     Diagnostics diagnostics;
     info = scene->open(diagnostics);
@@ -39,10 +30,9 @@ struct SeenRoom {
       FrameBuffer buffer;
       scene->read(static_cast<int>(f), buffer);
       photos.emplace_back(std::move(buffer));
-      PoolView view;
-      view.frame = static_cast<int>(f);
-      view.camera = {info.frames[f].camera, info.frames[f].world_from_camera, false};
-      view.photo = &photos.back();
+      PoolView view{.frame = static_cast<int>(f),
+                    .camera = {info.frames[f].camera, info.frames[f].world_from_camera, false},
+                    .photo = &photos.back()};
       SurfaceMap& map = view.map;
       map.stride = stride;
       map.width_px = strided_px(view.camera.camera.width_px, stride);

@@ -1,23 +1,16 @@
 // What tests of annotations share: events of two small frames, and what they add up to as text.
 #pragma once
 
-#include <gtest/gtest.h>
-
-#include <string>
-#include <vector>
-
 #include "labels/clicks/annotations.h"
 #include "tests/labels/reader_case.h"
 
 namespace semfield::testing_annotations {
 
 using namespace testing_labels;
-using testing_room::error_of;
 
 // Frames a (8 x 6), b (8 x 6) and t (test).
 inline SceneInfo scene_of(const ClassTable& classes = {}) {
-  SceneInfo scene;
-  scene.frames = {frame_of("a", 8, 6), frame_of("b", 8, 6), frame_of("t", 8, 6)};
+  SceneInfo scene{.frames = {frame_of("a", 8, 6), frame_of("b", 8, 6), frame_of("t", 8, 6)}};
   scene.frames[2].split = Split::test;
   scene.classes = classes;
   return scene;
@@ -25,23 +18,12 @@ inline SceneInfo scene_of(const ClassTable& classes = {}) {
 
 inline LabelEvent click(const std::string& id, const std::string& name, PixelPoint at, double radius = 0,
                         const std::string& frame = "a") {
-  LabelEvent event;
-  event.id = id;
-  event.frame = frame;
-  event.width_px = 8;
-  event.height_px = 6;
-  event.points = {at};
-  event.radius_px = radius;
-  event.class_name = name;
-  return event;
+  return LabelEvent{
+      .id = id, .frame = frame, .width_px = 8, .height_px = 6, .points = {at}, .radius_px = radius, .class_name = name};
 }
 
 inline LabelEvent add(const std::string& id, const std::string& name) {
-  LabelEvent event;
-  event.id = id;
-  event.kind = LabelEventKind::add_class;
-  event.class_name = name;
-  return event;
+  return LabelEvent{.id = id, .kind = LabelEventKind::add_class, .class_name = name};
 }
 
 inline LabelEvent rename(const std::string& id, const std::string& from, const std::string& to) {
@@ -52,11 +34,7 @@ inline LabelEvent rename(const std::string& id, const std::string& from, const s
 }
 
 inline LabelEvent undo(const std::string& id, const std::string& of) {
-  LabelEvent event;
-  event.id = id;
-  event.kind = LabelEventKind::undo;
-  event.of = of;
-  return event;
+  return LabelEvent{.id = id, .kind = LabelEventKind::undo, .of = of};
 }
 
 inline std::string names_of_table(const ClassTable& table) {

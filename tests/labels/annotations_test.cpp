@@ -1,10 +1,7 @@
 // What label events add up to: classes that keep their places, clicks in order, undo and redo, and what they paint.
 #include "labels/clicks/annotations.h"
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
-#include <cmath>
 
 #include "labels/outline_fill.h"
 #include "tests/labels/annotations_case.h"
@@ -14,7 +11,6 @@ namespace {
 
 using namespace testing_labels;
 using namespace testing_annotations;
-using testing_room::error_of;
 
 TEST(Annotations, ClassesGetTheNextFreeIdsBehindTheScenesOwn) {
   Annotations bare(scene_of(), 3);
@@ -224,11 +220,10 @@ TEST(Annotations, NamesAreOnce) {
     EXPECT_EQ(refusal(annotations, taken == std::string("sofa") ? add("2", taken) : rename("2", "sofa", taken)),
               std::string("event '2': there is a class '") + taken + "' already; choose another name");
   }
-  for (const char* name : {"Unlabelled", "unnamed 77"}) {
+  for (const char* name : {"Unlabelled", "unnamed 77"})
     EXPECT_EQ(refusal(annotations, add("2", name)), std::string("event '2': '") + name +
                                                         "' stands for pixels and classes without a name; choose "
                                                         "another name");
-  }
   EXPECT_EQ(refusal(annotations, rename("2", "void", "nothing")),
             "event '2': 'void' stands for pixels without a class");
   EXPECT_EQ(refusal(annotations, rename("2", "soffa", "x")), "event '2': no class 'soffa'; did you mean 'sofa'?");
@@ -272,7 +267,7 @@ TEST(Strokes, OfOnePointAreDiscs) {
     for (const PixelPoint at : {PixelPoint{4.5, 3.5}, PixelPoint{0.2, 5.9}, PixelPoint{8.7, 1.1}}) {
       LabelRaster disc = void_raster(9, 7);
       paint(disc_runs(at, radius, 9, 7), 1, disc);
-      disc.hard[static_cast<std::size_t>(static_cast<int>(at.y) * 9 + static_cast<int>(at.x))] = 1;
+      disc.hard[static_cast<int>(at.y) * 9 + static_cast<int>(at.x)] = 1;
       EXPECT_EQ(stroke({at}, radius, 9, 7), rows_of(disc)) << radius << " at " << at.x << ", " << at.y;
     }
   }
@@ -292,7 +287,7 @@ TEST(Strokes, CoverEveryPixelWhoseCentreIsNear) {
           const double t = std::clamp((px * dx + py * dy) / (dx * dx + dy * dy), 0.0, 1.0);
           nearest = std::min(nearest, std::hypot(px - t * dx, py - t * dy));
         }
-        const bool set = rows[static_cast<std::size_t>(y)][static_cast<std::size_t>(x)] == '1';
+        const bool set = rows[y][x] == '1';
         EXPECT_EQ(set, nearest <= radius) << x << ", " << y << " at " << nearest << " of " << radius;
       }
     }

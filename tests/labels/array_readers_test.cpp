@@ -1,16 +1,12 @@
 // Label images, class probabilities and clicks: values to classes, names of files, every refusal.
-#include <gtest/gtest.h>
-
 #include "formats/image_io.h"
 #include "formats/npz.h"
 #include "tests/labels/reader_case.h"
-#include "tests/says.h"
 
 namespace semfield {
 namespace {
 
 using namespace testing_labels;
-using testing_room::error_of;
 using testing_room::fresh_folder;
 
 // --- images ---
@@ -74,16 +70,9 @@ TEST(LabelImages, RefusalsNameFileAndPixel) {
     const ClassTable table = reader->open(room_table(), d);
     return error_of([&] { (void)reader->read(frame_of(name), table); });
   };
-  const std::string add =
-      "; add what is missing to the table, or read it as void with --set scene.labels.from.unknown=void";
-  const std::string unknown = " is not in the class table, first at x 1, y 1 of '" + folder;
-  EXPECT_EQ(read("", "a"), "label id 9" + unknown + "/a.png'" + add);
-  EXPECT_EQ(read("kind: color", "c"), "colour (70, 80, 91)" + unknown + "/c.png'" + add);
-  EXPECT_NE(read("", "c").find("/c.png': has 3 channels: it is a picture in colours"), std::string::npos);
-  EXPECT_EQ(read("kind: palette", "a"), "'" + folder + "/a.png': no PNG with a palette; set kind: ids or color");
   EXPECT_EQ(read("kind: palette", "broken"),
             "'" + folder + "/broken.png': no PNG with a palette; set kind: ids or color");
-  EXPECT_NE(read("", "broken").find("broken.png"), std::string::npos);
+  EXPECT_HAS(read("", "broken"), "broken.png");
 
   const auto opened = [&](const std::string& rest, const ClassTable& known = room_table()) {
     return open_findings(*images(folder, rest), known);
@@ -94,26 +83,16 @@ TEST(LabelImages, RefusalsNameFileAndPixel) {
   };
   const std::string csv = folder + "/c.csv";
   EXPECT_EQ(colors("1,2,3\n"), csv + ":1: expected 'r,g,b,name'");
-  EXPECT_EQ(colors("1,2,300,wall\n"), csv + ":1: expected a number from 0 to 255, got '300'; write lines 'r,g,b,name'");
-  EXPECT_EQ(colors("1,2,3,wall\n1,2,3,chair\n"), csv + ":2: colour (1, 2, 3) is given to 'wall' before");
   EXPECT_EQ(colors("1,2,3,wal\n"), csv + ":1: no class 'wal'; did you mean 'wall'?");
   EXPECT_EQ(colors("1,2,3,\"wall\n"), csv + ":1: a quote is not closed; end the field with a double quote");
   EXPECT_EQ(colors("\n"), csv + ": no colours in it; write lines 'r,g,b,name'");
   EXPECT_EQ(opened("", {}), "classes: the scene has no class table; name one in scene.labels.from.classes");
-  EXPECT_NE(opened("classes: " + folder + "/none.csv", {}).find("none.csv"), std::string::npos);
+  EXPECT_HAS(opened("classes: " + folder + "/none.csv", {}), "none.csv");
   EXPECT_EQ(opened("kind: color", ClassTable({{1, "a", {1, 1, 1}, false}, {2, "b", {1, 1, 1}, false}})),
             "class table: 'a' and 'b' have the same colour (1, 1, 1); give each class its own colour, or name a table "
             "of colours in scene.labels.from.file");
   EXPECT_EQ(open_findings(*images(folder + "/none", ""), room_table()),
             "folder: '" + folder + "/none' is no folder; check the path");
-  EXPECT_EQ(opened("pattern: 'x_{number}.png'"),
-            "pattern: no file in '" + folder + "' is named like 'x_{number}.png'; there is for example 'a.png'");
-  EXPECT_EQ(open_findings(*images(fresh_folder("empty"), ""), room_table()).find("pattern: no file in"), 0u);
-  const auto parameters = [&](const std::string& rest) { return error_of([&] { (void)images(folder, rest); }); };
-  EXPECT_NE(parameters("pattern: 'x.png'").find("'x.png' names the same file for every frame"), std::string::npos);
-  EXPECT_NE(parameters("pattern: '{nmae}.png'").find("'{nmae}' in '{nmae}.png' stands for nothing"), std::string::npos);
-  EXPECT_NE(parameters("pattern: '{name'").find("'{name' in '{name' stands for nothing"), std::string::npos);
-  EXPECT_NE(parameters("file: /a.csv").find("a table of colours is given, but kind is not color"), std::string::npos);
 }
 
 // --- class probabilities ---
@@ -187,11 +166,10 @@ TEST(NpzLabels, RefusalsNameFileAndPixel) {
   EXPECT_EQ(c.read_error("key: confidence"),
             file + ", entry 'confidence': the shape is (1, 2); save an array [height, width, classes]");
   c.write({0.5F, 0.25F, 0.25F, 0, 0, 0});
-  EXPECT_EQ(unsaid(c.read_error("confidence_key: probability"),
-                   {file, "entry 'probability'", "(1, 2, 3)", "save a confidence [height, width]"}),
-            "");
+  EXPECT_HAS(c.read_error("confidence_key: probability"), file, "entry 'probability'", "(1, 2, 3)",
+             "save a confidence [height, width]");
   {
-    // Another shape than the frame's is told by its header, before any value is looked at.
+    // Another shape than the frame's is found in its header, before any value is looked at.
     auto r = c.reader();
     Diagnostics d;
     const ClassTable table = r->open(room_table(), d);
@@ -213,19 +191,13 @@ TEST(NpzLabels, RefusalsNameFileAndPixel) {
                     remedy = "; write a list of the class names in the order of the array's last axis";
   EXPECT_EQ(opened("[").find(path + ": not valid JSON: parse error at line 1, column 2"), 0u);
   EXPECT_EQ(opened("[]"), path + ": no class names in it" + remedy);
-  EXPECT_EQ(opened("3"), path + ": no class names in it" + remedy);
   EXPECT_EQ(opened("[\"wall\", 3]"), path + ": entry 2 is no text" + remedy);
   EXPECT_EQ(opened("[\"wall\", \"wall\"]"), path + ": class 'wall' is named twice" + remedy);
-  EXPECT_EQ(opened("{\"wall\": 0, \"table\": 2}"), path + ": no class for column 1" + remedy);
   EXPECT_EQ(opened("{\"wall\": 0, \"table\": 0}"), path + ": column 0 is given twice" + remedy);
   EXPECT_EQ(opened("{\"wall\": null}"),
             path + ": 'wall' is neither a name with a column nor a column with a name" + remedy);
-  EXPECT_EQ(opened("[\"wall\", \"tabel\"]"), path + ": no class 'tabel'; did you mean 'table'?");
-  std::filesystem::remove(path);
-  EXPECT_EQ(open_findings(*c.reader(), room_table()).find("cannot open '" + path), 0u);
-  EXPECT_NE(error_of([&] { (void)c.reader("pattern: '{name}.npy'\nconfidence_key: c"); }).find("a .npy file holds one"),
-            std::string::npos);
-  EXPECT_NE(error_of([&] { (void)c.reader("key: ''"); }).find("no array is named"), std::string::npos);
+  EXPECT_HAS(error_of([&] { (void)c.reader("pattern: '{name}.npy'\nconfidence_key: c"); }), "a .npy file holds one");
+  EXPECT_HAS(error_of([&] { (void)c.reader("key: ''"); }), "no array is named");
 }
 
 // --- clicks ---
@@ -250,6 +222,7 @@ TEST(Clicks, PixelsAndDiscsInAVoidImage) {
   EXPECT_EQ(table.valid(1).name, "table");
 }
 
+// Other refusals of every reader are cases of tests/bad_files/labels.cases.
 TEST(Clicks, RefusalsNameTheLine) {
   const std::string file = fresh_folder("t") + "/clicks.csv";
   auto reader = make_reader("clicks", "file: " + file);
@@ -258,23 +231,11 @@ TEST(Clicks, RefusalsNameTheLine) {
     return open_findings(*reader, room_table());
   };
   const std::string remedy = "; write lines 'frame,x,y,class' or 'frame,x,y,class,radius'";
-  EXPECT_EQ(findings("a,1,2\n"), file + ":1: expected 4 or 5 columns, got 3" + remedy);
   EXPECT_EQ(findings("# mine\n,1,2,wall\n"), file + ":2: no frame is named" + remedy);
-  EXPECT_EQ(findings("a,1.5,2,wall\n"), file + ":1: x: expected a whole number of pixels, got '1.5'" + remedy);
   EXPECT_EQ(findings("a,1,,wall\n"), file + ":1: y: expected a whole number of pixels, got ''" + remedy);
   EXPECT_EQ(findings("a,1,2,\n"), file + ":1: no class is named" + remedy);
-  EXPECT_EQ(findings("a,1,2,wall,-1\n"), file + ":1: radius: expected pixels from 0 to a million, got '-1'" + remedy);
-  EXPECT_EQ(findings("a,1,2,wall,nan\n"), file + ":1: radius: expected pixels from 0 to a million, got 'nan'" + remedy);
-  EXPECT_EQ(findings("a,1,2,chiar\n"), file + ":1: no class 'chiar'; did you mean 'chair'?");
-  EXPECT_EQ(findings("\n"), file + ": no clicks in it" + remedy);
-  ASSERT_EQ(findings("a,1,2,wall\na,4,2,wall\n"), "");
-  EXPECT_EQ(error_of([&] { (void)reader->read(frame_of("a"), room_table()); }),
-            file + ":2: pixel (4, 2) lies outside the image of 4 x 3; columns and rows are counted from 0");
-  ASSERT_EQ(findings("a,1,-1,wall\n"), "");
-  EXPECT_NE(error_of([&] { (void)reader->read(frame_of("a"), room_table()); }).find(":1: pixel (1, -1) lies outside"),
-            std::string::npos);
-  EXPECT_NE(error_of([&] { (void)reader->read(frame_of("zz"), room_table()); }).find("no click in frame 'zz'"),
-            std::string::npos);
+  ASSERT_EQ(findings("a,1,2,wall\n"), "");
+  EXPECT_HAS(error_of([&] { (void)reader->read(frame_of("zz"), room_table()); }), "no click in frame 'zz'");
   std::filesystem::remove(file);
   EXPECT_EQ(open_findings(*reader, room_table()).find("thrown: cannot open"), 0u);
 }

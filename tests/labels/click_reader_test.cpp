@@ -1,6 +1,4 @@
 // `scene.labels.from: {type: clicks}` of a log of label events, and scene.labels.clicks and .class_room over labels.
-#include <gtest/gtest.h>
-
 #include "labels/clicks/click_log.h"
 #include "labels/training_labels.h"
 #include "system/files.h"
@@ -10,7 +8,6 @@ namespace semfield {
 namespace {
 
 using namespace testing_labels;
-using testing_room::error_of;
 using testing_room::fresh_folder;
 
 const std::string kLog =
@@ -82,9 +79,7 @@ LoadedScene loaded_scene(bool own) {
   for (const char* name : {"a", "b"}) {
     scene.info.frames.push_back(frame_of(name));
     scene.info.frames.back().has_labels = own && name[0] == 'a';
-    FrameBuffer buffer;
-    buffer.width_px = 4;
-    buffer.height_px = 3;
+    FrameBuffer buffer{.width_px = 4, .height_px = 3};
     buffer.rgb.assign(36, 0);
     if (scene.info.frames.back().has_labels) buffer.label.assign(12, 0);
     scene.frames.emplace_back(buffer);
@@ -102,8 +97,7 @@ Rows rows_of_frame(const TrainingLabels& labels, std::size_t frame) {
 
 TEST(ClickedLabels, ArePaintedOverThoseOfTheConfiguration) {
   LoadedScene scene = loaded_scene(true);
-  LabelConfig config;
-  config.selection.clicks = log_file(kLog);
+  LabelConfig config{.selection = {.clicks = log_file(kLog)}};
   Diagnostics diagnostics;
   open_label_files(scene, config, diagnostics);
   EXPECT_EQ(names_of_table(scene.info.classes), "0=void 1=wall 4=chair 7=table 8=light ");
@@ -144,9 +138,7 @@ TEST(ClickedLabels, OverSoftOnesAreSure) {
 
 TEST(ClickedLabels, RoomWaitsForNames) {
   LoadedScene scene = loaded_scene(false);
-  LabelConfig config;
-  config.selection.class_room = 3;
-  config.selection.clicks = fresh_folder("none") + "/clicks.jsonl";
+  LabelConfig config{.selection = {.clicks = fresh_folder("none") + "/clicks.jsonl", .class_room = 3}};
   Diagnostics diagnostics;
   open_label_files(scene, config, diagnostics);
   EXPECT_EQ(names_of_table(scene.info.classes), "0=void 1=unnamed 1 2=unnamed 2 3=unnamed 3 ");
@@ -163,8 +155,7 @@ TEST(ClickedLabels, RoomWaitsForNames) {
 
 TEST(ClickedLabels, ATornLineIsTold) {
   LoadedScene scene = loaded_scene(true);
-  LabelConfig config;
-  config.selection.clicks = log_file(kLog + "{\"id\":\"7");
+  LabelConfig config{.selection = {.clicks = log_file(kLog + "{\"id\":\"7")}};
   Diagnostics diagnostics;
   open_label_files(scene, config, diagnostics);
   ASSERT_EQ(diagnostics.all().size(), 1u);

@@ -1,23 +1,20 @@
 // Every degradation on cases small enough to be worked out by hand, and the exact counts that it promises.
 #include <algorithm>
-#include <cmath>
 #include <set>
 
 #include "tests/labels/degradation_testing.h"
-#include "tests/says.h"
 
 namespace semfield {
 namespace {
 
 using namespace testing_degrade;
-using testing_room::error_of;
 using Labels = std::vector<std::int16_t>;
 
 constexpr std::int16_t V = kVoid;
 
 std::int64_t count(const Labels& labels, std::int16_t value) { return std::count(labels.begin(), labels.end(), value); }
 
-// Frame of one class, which is the last of the table: pixels that were drawn and got another one can be told.
+// Frame of one class, which is the last of the table: pixels that were drawn and got another one can be recognised.
 Case one_colour(int classes, int width, int height) {
   Case c = scene_of(classes);
   Labels all;
@@ -44,7 +41,7 @@ TEST(PixelNoise, DrawnPixelsAreDistinct) {
   // and the own class, each value has 1/1000 of the pixels: the own one about 100, not 100,000 / e.
   Case c = one_colour(999, 400, 250);
   c.apply(*step("pixel_noise", "{ratio: 1}"));
-  EXPECT_NEAR(static_cast<double>(count(c.labels[1].hard, 998)), 100, 50);
+  EXPECT_NEAR(count(c.labels[1].hard, 998), 100, 50);
 }
 
 TEST(PixelNoise, ClassesAndVoidAreEquallyLikely) {
@@ -188,8 +185,7 @@ TEST(RegionNoise, RefusalsAreExact) {
             "region_noise.instances: no labelled training frame sees instance 6; there are 5, 9");
   EXPECT_EQ(message("{classes: [class_22]}"),
             "region_noise.classes: the class table has no class 'class_22'; did you mean 'class_2'?");
-  EXPECT_EQ(unsaid(message("{min_frames: 7}"), {"region_noise", "7 labelled training frames", "lower its min_frames"}),
-            "");
+  EXPECT_HAS(message("{min_frames: 7}"), "region_noise", "7 labelled training frames", "lower its min_frames");
   Case without = scene_of(2);
   without.add(2, 1, {0, 1});
   EXPECT_EQ(error_of([&] { without.apply(*step("region_noise")); }),
@@ -239,7 +235,7 @@ std::int64_t connected(const Labels& labels, int width, std::int16_t label) {
   while (!todo.empty()) {
     const int p = todo.back();
     todo.pop_back();
-    if (p < 0 || p >= size || labels[static_cast<std::size_t>(p)] != label || !reached.insert(p).second) continue;
+    if (p < 0 || p >= size || labels[p] != label || !reached.insert(p).second) continue;
     if (p % width != 0) todo.push_back(p - 1);
     if (p % width != width - 1) todo.push_back(p + 1);
     todo.push_back(p - width);
@@ -304,7 +300,7 @@ TEST(Propagation, ASmallComponentIsFollowedByTheNextInReadingOrder) {
     const StepFacts facts = c.apply(*step("propagation", "{share: 0.5}"), seed);
     std::string kept;
     for (const std::size_t p : pieces) kept += c.labels[0].hard[p] == 0 ? 'x' : '.';
-    EXPECT_NE((kept + kept).find("xxx..."), std::string::npos) << kept;
+    EXPECT_HAS((kept + kept), "xxx...") << kept;
     EXPECT_EQ(fact(facts, "regions, where one was too small for the share"), "6");  // three of each class
   }
 }

@@ -1,13 +1,6 @@
 // Shared by the tests of degradations: a step from YAML, and scenes of a few labelled pixels.
 #pragma once
 
-#include <gtest/gtest.h>
-
-#include <map>
-#include <memory>
-#include <string>
-#include <vector>
-
 #include "compute/parallel.h"
 #include "core/rng.h"
 #include "tests/labels/label_plugins.h"
@@ -27,12 +20,8 @@ struct Case {
   /// Adds a training frame; the scene's class table has classes 0 .. classes - 1 with ids 1 .. classes.
   void add(int width, int height, const std::vector<std::int16_t>& label,
            const std::vector<std::int32_t>& instance = {}, const std::vector<float>& depth_m = {}) {
-    FrameBuffer buffer;
-    buffer.width_px = width;
-    buffer.height_px = height;
-    buffer.label = label;
-    buffer.instance = instance;
-    buffer.depth_m = depth_m;
+    FrameBuffer buffer{
+        .width_px = width, .height_px = height, .depth_m = depth_m, .label = label, .instance = instance};
     FrameInfo info;
     info.name = "rgb_" + std::to_string(scene.frames.size());
     info.has_labels = true;

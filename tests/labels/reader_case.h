@@ -1,23 +1,14 @@
 // Label readers as `scene.labels.from` makes them, on small files of a test.
 #pragma once
 
-#include <memory>
-#include <string>
-#include <vector>
-
-#include "core/findings.h"
 #include "tests/labels/label_plugins.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield::testing_labels {
 
 inline FrameInfo frame_of(const std::string& name, int width = 4, int height = 3) {
-  FrameInfo frame;
-  frame.name = name;
-  frame.source = "/nowhere/" + name + ".png";
-  frame.camera.width_px = width;
-  frame.camera.height_px = height;
-  return frame;
+  return FrameInfo{
+      .name = name, .source = "/nowhere/" + name + ".png", .camera = {.width_px = width, .height_px = height}};
 }
 
 /// wall 1, chair 4, table 7 -> indices 0, 1, 2; id 0 void.
@@ -34,12 +25,12 @@ inline std::string open_findings(LabelReader& reader, const ClassTable& known) {
   try {
     (void)reader.open(known, diagnostics);
   } catch (const Error& e) {
-    return "thrown: " + shown(e);
+    return std::string("thrown: ") + e.what();
   }
   std::string out;
   for (const Diagnostic& d : diagnostics.all()) {
     if (!out.empty()) out += "\n";
-    out += d.shown();
+    out += d.text();
   }
   return out;
 }

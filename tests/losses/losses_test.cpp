@@ -1,22 +1,20 @@
-// Losses: log-sum-exp at the extremes, void batches, normalisation, soft labels, class weights, gradients.
-#include <gtest/gtest.h>
-
-#include <algorithm>
-#include <cmath>
-#include <limits>
-#include <string>
-#include <vector>
-
+// Losses: class weights, gradients, the list. Cases D01 to D10 of tests/numerics compare cross-entropy with long
+// double.
 #include "core/error.h"
 #include "core/rng.h"
+#include "losses/loss_list.h"
 #include "losses/photometric.h"
 #include "losses/semantic_cross_entropy.h"
+#include "plugin/linked_plugins.h"
 #include "testkit/gradient_check.h"
+#include "testkit/loss/loss_rays.h"
+#include "testkit/settings.h"
+#include "tests/says.h"
 
 namespace semfield {
 namespace {
 
-using Logits = std::vector<double>;
+using testkit::LossRays;
 
 double uniform(std::uint64_t i) { return static_cast<double>(uniform01({5, 0, stream_id("loss test")}, i)); }
 
@@ -32,8 +30,7 @@ Run<Real> run_hard(const std::vector<Real>& logits, int classes, const std::vect
   Run<Real> run;
   run.d.assign(logits.size(), Real(7));
   const auto rows = static_cast<std::int64_t>(labels.size());
-  SemanticTargets targets;
-  targets.hard = View<const std::int16_t>(labels.data(), rows, 1);
+  SemanticTargets targets{.hard = View<const std::int16_t>(labels.data(), rows, 1)};
   const View<const float> w = weights.empty() ? View<const float>() : View<const float>(weights.data(), 1, classes);
   run.loss = semantic_cross_entropy<Real>(View<const Real>(logits.data(), rows, classes), targets, w, normaliser, scale,
                                           View<Real>(run.d.data(), rows, classes));
@@ -45,8 +42,7 @@ Run<Real> run_soft(const std::vector<Real>& logits, int classes, const std::vect
   Run<Real> run;
   run.d.assign(logits.size(), Real(7));
   const auto rows = static_cast<std::int64_t>(logits.size()) / classes;
-  SemanticTargets targets;
-  targets.soft = View<const float>(soft.data(), rows, classes);
+  SemanticTargets targets{.soft = View<const float>(soft.data(), rows, classes)};
   run.loss = semantic_cross_entropy<Real>(View<const Real>(logits.data(), rows, classes), targets, {}, normaliser, 1,
                                           View<Real>(run.d.data(), rows, classes));
   return run;
@@ -64,141 +60,19 @@ TEST(Photometric, SumOfSquaresAndGradient) {
   EXPECT_EQ(photometric_loss<float>({nullptr, 0, 3}, {nullptr, 0, 3}, 1, 1, {}), 0);  // B12
 }
 
-TEST(CrossEntropy, LogitSweepAgainstLongDouble) {  // D01
-  for (const int classes : {2, 29, 1024}) {
-    for (const double size : {0.0, 11.0, 88.0, 89.0, 1e4, 1e30}) {
-      for (const int winner : {0, 1}) {
-        std::vector<float> logits;
-        for (int c = 0; c < classes; ++c)
-          logits.push_back(static_cast<float>(size * (c == winner ? 1 : -uniform(static_cast<std::uint64_t>(c)))));
-        const auto run = run_hard<float>(logits, classes, {0}, 1);
-        long double largest = -1e4900L, z = 0;
-        for (const float s : logits) largest = std::max(largest, static_cast<long double>(s));
-        for (const float s : logits) z += std::exp(static_cast<long double>(s) - largest);
-        // With the winner first, log z = log1p(rest): only that keeps the digits of an almost certain row.
-        long double rest = 0;
-        for (int c = 0; c < classes; ++c)
-          rest +=
-              c == winner ? 0.0L : std::exp(static_cast<long double>(logits[static_cast<std::size_t>(c)]) - largest);
-        const auto want = static_cast<double>((largest - static_cast<long double>(logits[0])) + std::log1p(rest));
-        EXPECT_NEAR(run.loss.sum, want, 1e-6 * want) << classes << " classes, " << size;
-        EXPECT_EQ(run.loss.correct, logits[0] >= largest ? 1 : 0);
-        std::vector<float> p(logits.size());
-        float entropy = -1;
-        softmax<float>(View<const float>(logits.data(), 1, classes), View<float>(p.data(), 1, classes));
-        softmax_entropy<float>(View<const float>(logits.data(), 1, classes), View<float>(&entropy, 1, 1));
-        long double h = 0;
-        for (int c = 0; c < classes; ++c) {
-          const auto gap = static_cast<long double>(logits[static_cast<std::size_t>(c)]) - largest;
-          const long double pc = std::exp(gap) / z;
-          if (pc > 1e-30L) {
-            EXPECT_NEAR(p[static_cast<std::size_t>(c)], static_cast<double>(pc), 1e-6 * static_cast<double>(pc));
-          }
-          if (pc > 0) h += pc * (std::log1p(rest) - gap);
-        }
-        EXPECT_NEAR(entropy, static_cast<double>(h), 1e-6 * static_cast<double>(h) + 1e-38);
-      }
-    }
-  }
+TEST(CrossEntropy, AnUnlabelledRowIsNotRead) {
+  EXPECT_NO_THROW(run_hard<float>({0, 1, 2, 0, std::numeric_limits<float>::infinity(), 2}, 3, {0, -1}, 1));
 }
 
-TEST(CrossEntropy, InfiniteLogitsAreRefused) {  // D02
-  const float inf = std::numeric_limits<float>::infinity();
-  for (const float bad : {inf, -inf, std::nanf("")}) {
-    try {
-      run_hard<float>({0, 1, 2, 0, bad, 2}, 3, {0, 1}, 1);
-      FAIL() << bad << " was accepted";
-    } catch (const Error& e) {
-      EXPECT_NE(e.message().find("ray 1, class 1"), std::string::npos) << e.what();
-    }
-  }
-  EXPECT_NO_THROW(run_hard<float>({0, 1, 2, 0, inf, 2}, 3, {0, -1}, 1));  // an unlabelled row is not read
-}
-
-TEST(CrossEntropy, CertainRowHasNoEntropyAndNoGradient) {  // D03, D04
-  std::vector<float> entropy(2, -1);
-  const std::vector<float> logits{1e4f, 0, 0, 0, 1e30f, -1e30f};
-  softmax_entropy<float>(View<const float>(logits.data(), 2, 3), View<float>(entropy.data(), 2, 1));
-  EXPECT_EQ(entropy, (std::vector<float>{0, 0}));
-  const auto certain = run_hard<float>(logits, 3, {0, 1}, 1);
-  EXPECT_EQ(certain.loss.sum, 0);
-  for (const float d : certain.d) EXPECT_EQ(d, 0);
-  const auto one = run_hard<float>({3, -4}, 1, {0, 0}, 2);
-  EXPECT_EQ(one.loss.sum, 0);
-  EXPECT_EQ(one.d, (std::vector<float>{0, 0}));
-}
-
-TEST(CrossEntropy, AllVoidBatchIsExactlyNothing) {  // D05
-  const std::vector<std::int16_t> labels(1024, -1);
-  const std::vector<float> logits(1024 * 3, 0.5f);
-  SemanticTargets targets;
-  targets.hard = View<const std::int16_t>(labels.data(), 1024, 1);
-  const double normaliser =
-      semantic_normaliser(SemanticNormalisation::mean_labelled, labelled_weight(targets, {}), 1024);
-  EXPECT_EQ(normaliser, 0);
-  const auto run = run_hard<float>(logits, 3, labels, normaliser, 0.04);
-  EXPECT_EQ(run.loss.sum, 0);
-  EXPECT_EQ(run.loss.labelled, 0);
-  for (const float d : run.d) EXPECT_TRUE(d == 0 && !std::signbit(d));
-}
-
-TEST(CrossEntropy, OneLabelledRayUnderEachNormalisation) {  // D06
-  std::vector<std::int16_t> labels(1024, -1);
-  labels[17] = 1;
-  std::vector<double> logits(2048, 0.0);
-  logits[34] = 1;
-  SemanticTargets targets;
-  targets.hard = View<const std::int16_t>(labels.data(), 1024, 1);
-  const double count = labelled_weight(targets, {});
-  EXPECT_EQ(count, 1);
-  const double want = std::log1p(std::exp(1.0)), p = 1 / (1 + std::exp(1.0));
-  const double ratio[] = {1, 1, 1.0 / 1024};
-  for (int kind = 0; kind < 3; ++kind) {
-    const double normaliser = semantic_normaliser(static_cast<SemanticNormalisation>(kind), count, 1024);
-    const auto run = run_hard<double>(logits, 2, labels, normaliser, 0.04);
-    EXPECT_NEAR(run.loss.sum / normaliser, want * ratio[kind], 1e-12);
-    EXPECT_NEAR(run.d[34], 0.04 * (1 - p) * ratio[kind], 1e-14);
-    EXPECT_NEAR(run.d[35], 0.04 * (p - 1) * ratio[kind], 1e-14);
-  }
-}
-
-TEST(CrossEntropy, LabelOutsideTheClassesIsRefused) {  // D07
-  for (const std::int16_t bad : {std::int16_t{3}, std::int16_t{-2}, std::int16_t{255}}) {
-    try {
-      run_hard<float>({0, 1, 2}, 3, {bad}, 1);
-      FAIL() << bad << " was accepted";
-    } catch (const Error& e) {
-      EXPECT_EQ(e.kind(), ErrorKind::data);
-      EXPECT_NE(e.message().find("is " + std::to_string(bad)), std::string::npos) << e.what();
-    }
-  }
-}
-
-TEST(CrossEntropy, SoftRowsAreNormalisedOrRefused) {  // D10
+TEST(CrossEntropy, ASoftRowOfOneClassIsThatLabel) {
   const std::vector<double> logits{0.3, -0.2, 1.1};
-  const auto exact = run_soft<double>(logits, 3, {0.25f, 0.5f, 0.25f}, 1);
-  for (const float scale : {0.5f, 2.0f}) {
-    const auto scaled = run_soft<double>(logits, 3, {0.25f * scale, 0.5f * scale, 0.25f * scale}, 1);
-    EXPECT_NEAR(scaled.loss.sum, exact.loss.sum, 1e-14);
-    for (std::size_t c = 0; c < 3; ++c) EXPECT_NEAR(scaled.d[c], exact.d[c], 1e-14);
-  }
-  const auto none = run_soft<double>(logits, 3, {0, 0, 0}, 1);
-  EXPECT_EQ(none.loss.labelled, 0);
-  EXPECT_EQ(none.d, (std::vector<double>{0, 0, 0}));
-  EXPECT_THROW(run_soft<double>(logits, 3, {0.5f, -0.1f, 0.6f}, 1), Error);
-  EXPECT_THROW(run_soft<double>(logits, 3, {0.5f, std::nanf(""), 0.6f}, 1), Error);
   const auto one_hot = run_soft<double>(logits, 3, {0, 1, 0}, 1);
   const auto hard = run_hard<double>(logits, 3, {1}, 1);
   EXPECT_NEAR(one_hot.loss.sum, hard.loss.sum, 1e-15);
   for (std::size_t c = 0; c < 3; ++c) EXPECT_NEAR(one_hot.d[c], hard.d[c], 1e-15);
 }
 
-TEST(CrossEntropy, ClassWeights) {  // D12
-  const auto weights = inverse_log_frequency_weights({0, 30, 70});
-  for (const float w : weights) EXPECT_TRUE(std::isfinite(w) && w > 0 && w <= 50.5f);
-  EXPECT_NEAR(weights[0], 1 / std::log(1.02), 1e-4);
-  EXPECT_GT(weights[1], weights[2]);
-  for (const float w : inverse_log_frequency_weights({0, 0})) EXPECT_TRUE(std::isfinite(w));
+TEST(CrossEntropy, ClassWeights) {
   const std::vector<double> logits{0, 1, 2, 0, 1, 2};
   const auto plain = run_hard<double>(logits, 3, {1, 2}, 1);
   const auto weighted = run_hard<double>(logits, 3, {1, 2}, 1, 1, {1, 2, 5});
@@ -206,8 +80,7 @@ TEST(CrossEntropy, ClassWeights) {  // D12
   EXPECT_NEAR(weighted.d[3], 5 * plain.d[3], 1e-14);
   const std::vector<std::int16_t> labels{1, 2, -1};
   const std::vector<float> w{1, 2, 5};
-  SemanticTargets targets;
-  targets.hard = View<const std::int16_t>(labels.data(), 3, 1);
+  SemanticTargets targets{.hard = View<const std::int16_t>(labels.data(), 3, 1)};
   EXPECT_EQ(labelled_weight(targets, View<const float>(w.data(), 1, 3)), 7);
 }
 
@@ -234,16 +107,87 @@ TEST(CrossEntropy, GradientAgainstFiniteDifferences) {
   }
 }
 
-TEST(Softmax, EmptyRayIsUniform) {  // D08, D09
-  std::vector<float> p(28), logits(28, 0.f);
-  float entropy = 0;
-  softmax<float>(View<const float>(logits.data(), 1, 28), View<float>(p.data(), 1, 28));
-  softmax_entropy<float>(View<const float>(logits.data(), 1, 28), View<float>(&entropy, 1, 1));
-  for (const float x : p) EXPECT_EQ(x, 1.f / 28);
-  EXPECT_FLOAT_EQ(entropy, std::log(28.f));
-  logits[3] = 5;  // half of a margin of 10
-  softmax<float>(View<const float>(logits.data(), 1, 28), View<float>(logits.data(), 1, 28));
-  EXPECT_NEAR(logits[3], 1 / (1 + 27 * std::exp(-5.0)), 1e-6);  // 0.8461
+// The list of losses: which work, what their means are over, and what a list may not hold.
+
+const std::vector<int> kCounts{7, 0, 1, 12, 3, 5};
+
+LossList list_of(const std::vector<std::pair<std::string, testkit::Settings>>& losses) {
+  static const Registry registry = [] {
+    Registry filled;
+    register_linked_plugins(filled);
+    return filled;
+  }();
+  std::vector<LossEntry> entries;
+  for (const auto& [type, settings] : losses) {
+    const PluginEntry& entry = registry.get(PluginKind::loss, type);
+    entries.push_back({type, entry.loss(*testkit::make_params(entry, settings)), nullptr, "here"});
+  }
+  return LossList(std::move(entries));
+}
+
+TEST(LossList, ActiveLossesAreMeansOverTheRaysThatCount) {
+  const LossList list = list_of({{"distortion", {{"weight", "0.5"}}}, {"depth", {{"weight", "0.25"}}}});
+  LossRays<double> rays(kCounts);
+  const LossScales early = list.scales(2, rays.targets(), rays.rays()), late = list.scales(~0U, rays.targets(), 6);
+  EXPECT_EQ(early.active, 2u);
+  EXPECT_EQ(late.active, 3u);
+  EXPECT_EQ(early.scale[0], 0);
+  EXPECT_EQ(late.count[0], 6);
+  EXPECT_EQ(late.count[1], 3) << "rays 0, 3 and 4 have depth";
+  EXPECT_EQ(late.scale[0], 0.5 / 6);
+  EXPECT_EQ(late.scale[1], 0.25 / 3);
+  EXPECT_EQ(list.moving(channel::depth), 2u);
+  EXPECT_EQ(list.moving(channel::weight), 1u);
+  EXPECT_EQ(list.on_logits() | list.on_heads() | list.reading_heads(), 0u);
+  LossNumbers sums{};
+  list.add(late.active, late, rays.targets(), rays.values(), rays.gradients(), sums);
+  LossRays<double> alone(kCounts);
+  const double distortion = alone.add(*list.entries()[0].loss, 0), depth = alone.add(*list.entries()[1].loss, 0);
+  EXPECT_DOUBLE_EQ(list.finish(late, sums), 0.5 * distortion / 6 + 0.25 * depth / 3);
+  EXPECT_DOUBLE_EQ(sums[1], depth / 3);
+}
+
+TEST(LossList, ABatchWithoutDepthIsNoLossAndNoDivisionByZero) {
+  const LossList list = list_of({{"depth", {}}});
+  LossRays<double> rays(kCounts);
+  std::fill(rays.depth_target.begin(), rays.depth_target.end(), 0.0F);
+  const LossScales scales = list.scales(~0U, rays.targets(), rays.rays());
+  LossNumbers sums{};
+  list.add(scales.active, scales, rays.targets(), rays.values(), rays.gradients(), sums);
+  EXPECT_EQ(list.finish(scales, sums), 0);
+  EXPECT_EQ(sums[0], 0);
+  for (const double d : rays.d_depth) EXPECT_EQ(d, 0);
+}
+
+TEST(LossList, LossesOnLogitsAndOnOtherHeadsAreApart) {
+  const LossList list = list_of({{"distortion", {}}, {"cosine_distance", {}}, {"generalised_cross_entropy", {}}});
+  EXPECT_EQ(list.on_heads(), 2u);
+  EXPECT_EQ(list.reading_heads(), 2u);
+  EXPECT_EQ(list.on_logits(), 4u);
+}
+
+struct BothParams : LossRule {};
+class Both final : public LossOf<Both, BothParams> {
+ public:
+  using LossOf::LossOf;
+  LossTraits traits() const override {
+    LossTraits traits;
+    traits.moves = {channel::logits, channel::color};
+    return traits;
+  }
+  template <class Real>
+  double sum(const RayTargets&, const RayValues<Real>&, double, const RayGradients<Real>&) const {
+    return 0;
+  }
+};
+
+// Gradients of heads are made before the others where a branch stands between.
+TEST(LossList, ALossMovesHeadsOrThePassAndNotBoth) {
+  EXPECT_HAS(error_of(ErrorKind::config,
+                      [&] {
+                        const LossList list({{"both", std::make_shared<Both>(), nullptr, ""}});
+                      }),
+             "'both'");
 }
 
 }  // namespace

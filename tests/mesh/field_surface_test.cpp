@@ -1,11 +1,6 @@
 // Density through the pipeline against its float64 twin, and surfaces of fields against that twin and formulas.
 #include "surface/mesh/field_surface.h"
 
-#include <gtest/gtest.h>
-
-#include <algorithm>
-#include <cmath>
-
 #include "compute/parallel.h"
 #include "core/rng.h"
 #include "session/trainer.h"
@@ -54,7 +49,7 @@ void expect_twins_agree(const std::string& yaml) {
   twin->density({points.data(), kCount, 3}, {exact.data(), kCount, 1});
   double largest = 0, least = HUGE_VAL;
   for (std::size_t i = 0; i < kCount; ++i) {
-    ASSERT_NEAR(static_cast<double>(sigma[i]), exact[i], 1e-4 * std::max(1.0, exact[i])) << i;
+    ASSERT_NEAR(sigma[i], exact[i], 1e-4 * std::max(1.0, exact[i])) << i;
     largest = std::max(largest, exact[i]);
     least = std::min(least, exact[i]);
   }
@@ -92,16 +87,16 @@ class TrainedRoom : public ::testing::Test {
   static std::vector<RayCamera> cameras() {
     std::vector<RayCamera> out;
     for (const int f : session_->scene.frames_of(Split::train)) {
-      const FrameInfo& info = session_->scene.info.frames[static_cast<std::size_t>(f)];
+      const FrameInfo& info = session_->scene.info.frames[f];
       out.push_back({info.camera, info.world_from_camera, false});
     }
     return out;
   }
   static SurfaceRequest request() {
     const Vec3d size = session_->extent.bounds.size();
-    SurfaceRequest request;
-    request.grid = VoxelGrid::covering(session_->extent.bounds, std::max({size.x, size.y, size.z}) / 96);
-    request.opaque_border = true;
+    SurfaceRequest request{
+        .grid = VoxelGrid::covering(session_->extent.bounds, std::max({size.x, size.y, size.z}) / 96),
+        .opaque_border = true};
     request.level_per_m =
         choose_level(*session_->pipeline, request, look(*session_->pipeline, cameras(), session_->limits, 1024));
     return request;
@@ -157,7 +152,7 @@ double share_below(const std::vector<double>& values, double limit) {
 }
 
 // Tests of what is made of a field, not of how well it was trained: what is expected comes from the field itself, in
-// float64 and without the grid. A fold between two points of the grid is lost, hence shares.
+// float64 and without the grid. A fold between two points of the grid is lost, hence fractions.
 TEST_F(TrainedRoom, VerticesLieWhereTheDensityCrossesTheLevel) {
   const SurfaceRequest asked = request();
   const double cell = asked.grid.spacing, reach = 2;
@@ -168,9 +163,8 @@ TEST_F(TrainedRoom, VerticesLieWhereTheDensityCrossesTheLevel) {
   for (std::size_t v = 0; v < surface.positions.size(); v += 7) {
     const Vec3d p = surface.positions[v], n = surface.normals[v];
     double off = reach;
-    for (const double t : rises(*twin, asked, p + n * (reach * cell), n * -1.0, 2 * reach * cell, 0)) {
+    for (const double t : rises(*twin, asked, p + n * (reach * cell), n * -1.0, 2 * reach * cell, 0))
       off = std::min(off, std::abs(t / cell - reach));
-    }
     (cells_to_border(asked.grid, p) < 1 ? border : inside).push_back(off);
   }
   ASSERT_GT(inside.size(), 100U);
@@ -230,13 +224,12 @@ TEST_F(TrainedRoom, VerticesGetWhatAShortRayRenders) {
   const auto count = static_cast<std::int64_t>(vertex.size());
   std::vector<double> color(3 * vertex.size()), entropy(vertex.size());
   std::vector<std::int16_t> label(vertex.size());
-  RenderJob<double> job;
-  job.origin = {origin.data(), count, 3};
-  job.direction = {direction.data(), count, 3};
-  job.near_far = {near_far.data(), count, 2};
-  job.color = {color.data(), count, 3};
-  job.label = {label.data(), count, 1};
-  job.entropy = {entropy.data(), count, 1};
+  RenderJob<double> job{.origin = {origin.data(), count, 3},
+                        .direction = {direction.data(), count, 3},
+                        .near_far = {near_far.data(), count, 2},
+                        .color = {color.data(), count, 3},
+                        .label = {label.data(), count, 1},
+                        .entropy = {entropy.data(), count, 1}};
   twin_of(*session_, *registry_)->render(job);
   std::vector<double> color_off, entropy_off;
   std::int64_t same = 0;
@@ -244,7 +237,7 @@ TEST_F(TrainedRoom, VerticesGetWhatAShortRayRenders) {
     const std::size_t v = vertex[i];
     for (std::size_t c = 0; c < 3; ++c) color_off.push_back(std::abs(known.color[v][c] - 255 * color[3 * i + c]));
     entropy_off.push_back(std::abs(static_cast<double>(known.entropy[v]) - entropy[i]));
-    same += known.label[v] == session_->plan.class_of_logit[static_cast<std::size_t>(label[i])] ? 1 : 0;
+    same += known.label[v] == session_->plan.class_of_logit[label[i]] ? 1 : 0;
   }
   EXPECT_GT(static_cast<double>(same) / static_cast<double>(count), 0.99);
   EXPECT_GT(share_below(color_off, 1), 0.99) << "of 255";
@@ -278,12 +271,11 @@ TEST_F(TrainedRoom, VerticesGetTheColourThatTheirCamerasSee) {
   ASSERT_GT(vertex.size(), 300U);
   const auto count = static_cast<std::int64_t>(vertex.size());
   std::vector<double> color(3 * vertex.size()), opacity(vertex.size());
-  RenderJob<double> job;
-  job.origin = {origin.data(), count, 3};
-  job.direction = {direction.data(), count, 3};
-  job.near_far = {near_far.data(), count, 2};
-  job.color = {color.data(), count, 3};
-  job.opacity = {opacity.data(), count, 1};
+  RenderJob<double> job{.origin = {origin.data(), count, 3},
+                        .direction = {direction.data(), count, 3},
+                        .near_far = {near_far.data(), count, 2},
+                        .color = {color.data(), count, 3},
+                        .opacity = {opacity.data(), count, 1}};
   twin_of(*session_, *registry_)->render(job);
   std::vector<double> off;
   for (std::size_t i = 0; i < vertex.size();) {

@@ -1,16 +1,14 @@
 // Surfaces of known solids: closed, oriented, accurate to second order; every sign pattern, random ones too.
 #include "surface/mesh/marching_cubes.h"
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
-#include <cmath>
 #include <map>
 #include <set>
 
 #include "compute/parallel.h"
 #include "core/error.h"
 #include "core/rng.h"
+#include "tests/says.h"
 
 namespace semfield {
 namespace {
@@ -20,10 +18,9 @@ using Solid = std::function<double(Vec3d)>;
 Surface surface_of(const VoxelGrid& grid, const Solid& solid, double level = 0) {
   return marching_cubes(grid, level, [&](std::int64_t z, std::span<double> values) {
     ASSERT_EQ(static_cast<std::int64_t>(values.size()), grid.layer_points());
-    for (std::int64_t i = 0; i < grid.layer_points(); ++i) {
-      values[static_cast<std::size_t>(i)] = solid(
+    for (std::int64_t i = 0; i < grid.layer_points(); ++i)
+      values[i] = solid(
           grid.world({static_cast<double>(i % grid.nx), static_cast<double>(i / grid.nx), static_cast<double>(z)}));
-    }
   });
 }
 
@@ -42,7 +39,7 @@ std::int64_t expect_closed(const Surface& surface, const VoxelGrid& grid, bool b
   std::set<std::uint32_t> used;
   for (const Triangle& t : surface.triangles) {
     for (int i = 0; i < 3; ++i) {
-      const std::uint32_t a = t[static_cast<std::size_t>(i)], b = t[static_cast<std::size_t>((i + 1) % 3)];
+      const std::uint32_t a = t[i], b = t[(i + 1) % 3];
       EXPECT_NE(a, b);
       ++directed[{a, b}];
       used.insert(a);
@@ -91,9 +88,8 @@ SphereErrors sphere_errors(double spacing) {
     errors.normal = std::max(errors.normal, length(surface.normals[v] - normalized(out)));
   }
   double volume = 0;
-  for (const Triangle& t : surface.triangles) {
+  for (const Triangle& t : surface.triangles)
     volume += dot(surface.positions[t[0]], cross(surface.positions[t[1]], surface.positions[t[2]])) / 6;
-  }
   errors.volume = std::abs(volume - 4.0 / 3 * 3.141592653589793 * kRadius * kRadius * kRadius);
   return errors;
 }
@@ -160,11 +156,10 @@ TEST(MarchingCubes, ThreadsChangeNeitherVerticesNorTriangles) {
     const Surface many = surface_on(threads);
     EXPECT_EQ(many.triangles, one.triangles) << threads << " threads";
     ASSERT_EQ(many.positions.size(), one.positions.size());
-    for (std::size_t i = 0; i < one.positions.size(); ++i) {
+    for (std::size_t i = 0; i < one.positions.size(); ++i)
       ASSERT_TRUE(many.positions[i].x == one.positions[i].x && many.positions[i].y == one.positions[i].y &&
                   many.positions[i].z == one.positions[i].z)
           << "vertex " << i << ", " << threads << " threads";
-    }
   }
 }
 
@@ -174,9 +169,8 @@ TEST(MarchingCubes, ValuesOnTheLevelStayClosed) {
   const Surface surface = surface_of(
       grid, [](Vec3d p) { return 3 - std::abs(p.x - 4) - std::abs(p.y - 4) - std::abs(p.z - 4); }, 0);
   EXPECT_EQ(expect_closed(surface, grid, false), 2);
-  for (const Vec3d& p : surface.positions) {
+  for (const Vec3d& p : surface.positions)
     EXPECT_NEAR(std::abs(p.x - 4) + std::abs(p.y - 4) + std::abs(p.z - 4), 3, 1e-12);
-  }
 }
 
 TEST(MarchingCubes, InfiniteDensityIsAWall) {
@@ -189,13 +183,11 @@ TEST(MarchingCubes, InfiniteDensityIsAWall) {
 
 TEST(MarchingCubes, RefusesWhatIsNoNumberAndGridsThatAreNone) {
   const VoxelGrid grid{{0, 0, 0}, 0.5, 3, 3, 3};
-  try {
-    surface_of(grid, [](Vec3d p) { return p.z > 0.7 && p.x > 0.2 && p.y > 0.7 ? std::nan("") : 0.0; });
-    FAIL();
-  } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), ErrorKind::data);
-    EXPECT_NE(error.message().find("(0.500000, 1.000000, 1.000000)"), std::string::npos) << error.message();
-  }
+  EXPECT_HAS(
+      error_of(
+          ErrorKind::data,
+          [&] { surface_of(grid, [](Vec3d p) { return p.z > 0.7 && p.x > 0.2 && p.y > 0.7 ? std::nan("") : 0.0; }); }),
+      "(0.500000, 1.000000, 1.000000)");
   EXPECT_THROW(VoxelGrid::covering({}, 0.1), Error);
   EXPECT_THROW(VoxelGrid::covering({{0, 0, 0}, {1, 1, 1}}, 0), Error);
   EXPECT_THROW(VoxelGrid::covering({{0, 0, 0}, {1, 1, 1}}, std::nan("")), Error);

@@ -1,14 +1,10 @@
 // The program itself: `mesh` and `render --video` of a small run, read back by other programs.
 #include <fcntl.h>
-#include <gtest/gtest.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <algorithm>
 #include <cstdio>
 #include <cstdlib>
-#include <filesystem>
-#include <map>
 #include <nlohmann/json.hpp>
 #include <numeric>
 
@@ -24,7 +20,6 @@ namespace semfield {
 namespace {
 
 namespace fs = std::filesystem;
-using testing_train::TempDir;
 
 struct Result {
   int code = -1;
@@ -73,8 +68,8 @@ class Verbs : public ::testing::Test {
     const SceneInfo info = scene->open(diagnostics);
     write_packed_scene(*dir_ / "room.sfpack", info,
                        [&](int frame, FrameBuffer& buffer) { scene->read(frame, buffer); });
-    std::string yaml = testing_train::hash_config("report: {eval_every_s: 0, strips: 0}\n");
-    yaml.replace(yaml.find("{type: analytic_room}"), 21, "{type: packed, file: room.sfpack}");
+    std::string yaml = testing_train::with_scene(testing_train::hash_config("report: {eval_every_s: 0, strips: 0}\n"),
+                                                 "{type: packed, file: room.sfpack}");
     write_file_atomic(*dir_ / "config.yaml", yaml);
     const Result trained = run(*dir_, {"train", *dir_ / "config.yaml", "--out", *dir_ / "run"});
     ASSERT_EQ(trained.code, 0) << trained.err;
@@ -106,21 +101,19 @@ TEST_F(Verbs, MeshWritesEveryFormatAndSaysSo) {
   EXPECT_EQ(said["files"], files);
   for (const std::string& file : files) EXPECT_GT(fs::file_size(file), 1000U) << file;
   EXPECT_EQ(said["up"], (nlohmann::json{0.0, 0.0, 1.0}));
-  EXPECT_NE(r.err.find("GLB files show +z upright"), std::string::npos) << r.err;
-  EXPECT_NE(read_text_file(stem + ".glb").find("KHR_materials_unlit"), std::string::npos);
-  EXPECT_EQ(read_text_file(stem + "_classes.glb").find("KHR_materials_unlit"), std::string::npos);
+  EXPECT_HAS(r.err, "GLB files show +z upright");
+  EXPECT_HAS(read_text_file(stem + ".glb"), "KHR_materials_unlit");
+  EXPECT_LACKS(read_text_file(stem + "_classes.glb"), "KHR_materials_unlit");
   EXPECT_TRUE(fs::exists(stem + ".mtl"));
   const std::string head = read_file_start(stem + ".ply", 400);
-  EXPECT_NE(head.find("element vertex " + std::to_string(said["vertices"].get<int>()) + "\n"), std::string::npos);
-  EXPECT_NE(head.find("property int label\n"), std::string::npos);
+  EXPECT_HAS(head, "element vertex " + std::to_string(said["vertices"].get<int>()) + "\n", "property int label\n");
 }
 
 TEST_F(Verbs, MeshIsTheSameForAnyNumberOfThreadsAndItsDefaultsStandInTheRun) {
   const Result first = run(*dir_, {"mesh", run_dir(), "--resolution", "32"});
   ASSERT_EQ(first.code, 0) << first.err;
   EXPECT_EQ(first.out.find("mesh: vertices="), 0U) << first.out;
-  EXPECT_NE(first.out.find(" file=" + run_dir() + "/mesh.ply," + run_dir() + "/mesh_classes.ply\n"), std::string::npos)
-      << first.out;
+  EXPECT_HAS(first.out, " file=" + run_dir() + "/mesh.ply," + run_dir() + "/mesh_classes.ply\n");
   const Result second =
       run(*dir_, {"mesh", run_dir(), "--resolution", "32", "--set", "runtime.threads=1", "--out", *dir_ / "one.ply"});
   ASSERT_EQ(second.code, 0) << second.err;
@@ -159,7 +152,7 @@ TEST_F(Verbs, MeshColorsAreThoseAskedFor) {
   for (const char* color : {"class", "both"}) {
     const Result r = run(*dir_, {"mesh", plain, "--color", color});
     EXPECT_EQ(r.code, 65) << r.err;
-    EXPECT_NE(r.err.find("has no semantics; train with labels, or leave --color out"), std::string::npos) << r.err;
+    EXPECT_HAS(r.err, "has no semantics; train with labels, or leave --color out");
   }
 }
 
@@ -188,7 +181,7 @@ TEST_F(Verbs, MeshIsUprightAsTold) {
       run(*dir_, {"mesh", run_dir(), "--resolution", "24", "--up", "-y", "--out", *dir_ / "up.glb", "--json"});
   ASSERT_EQ(r.code, 0) << r.err;
   EXPECT_EQ(nlohmann::json::parse(r.out)["up"], (nlohmann::json{0.0, -1.0, 0.0}));
-  EXPECT_EQ(r.err.find("upright"), std::string::npos) << r.err;
+  EXPECT_LACKS(r.err, "upright");
 }
 
 TEST_F(Verbs, MeshRefusesWhatMakesNoSense) {
@@ -197,7 +190,7 @@ TEST_F(Verbs, MeshRefusesWhatMakesNoSense) {
     words.insert(words.end(), more.begin(), more.end());
     const Result r = run(*dir_, words);
     EXPECT_EQ(r.code, code) << r.err;
-    EXPECT_NE(r.err.find(sentence), std::string::npos) << r.err;
+    EXPECT_HAS(r.err, sentence);
   };
   refused({"--format", "gbl"}, 2, "did you mean glb?");
   refused({"--out", *dir_ / "mesh.stl"}, 2, "unknown mesh format 'stl'");
@@ -218,15 +211,14 @@ TEST_F(Verbs, VideoIsDecodedByAnotherProgram) {
   const Result r = run(
       *dir_, {"render", run_dir(), "--trajectory", "smooth", "--frames", "7", "--video", "--fps", "10", "--out", file});
   ASSERT_EQ(r.code, 0) << r.err;
-  EXPECT_NE(r.out.find("render: frames=7 "), std::string::npos) << r.out;
-  EXPECT_NE(r.out.find("file=" + file), std::string::npos) << r.out;
+  EXPECT_HAS(r.out, "render: frames=7 ", "file=" + file);
   // Four panels of 48 x 36 pixels.
   EXPECT_EQ(answer_of("ffprobe -v error -count_frames -show_entries stream=width,height,nb_read_frames,r_frame_rate "
                       "-of csv=p=0 " +
                       shell_word("file:" + file)),
             "192,36,10/1,7\n");
   for (const fs::directory_entry& entry : fs::directory_iterator(dir_->path()))
-    EXPECT_EQ(entry.path().string().find(".part"), std::string::npos) << entry.path();
+    EXPECT_LACKS(entry.path().string(), ".part") << entry.path();
   // Its first panel is the rendered colour, within what the coding loses.
   const Result still =
       run(*dir_, {"render", run_dir(), "--split", "test", "--video", "--panels", "rgb", "--out", *dir_ / "t.mkv"});
@@ -239,7 +231,7 @@ TEST_F(Verbs, PicturesHaveTheWidthThatIsAskedForAndOnesForTheEye) {
   const std::string folder = *dir_ / "narrow";
   const Result r = run(*dir_, {"render", run_dir(), "--split", "test", "--width", "24", "--out", folder});
   ASSERT_EQ(r.code, 0) << r.err;
-  EXPECT_NE(r.out.find(" size=24x18 "), std::string::npos) << r.out;
+  EXPECT_HAS(r.out, " size=24x18 ");
   std::map<std::string, int> kinds;
   for (const fs::directory_entry& entry : fs::directory_iterator(folder)) {
     if (entry.path().extension() != ".png") continue;
@@ -258,14 +250,14 @@ TEST_F(Verbs, PicturesHaveTheWidthThatIsAskedForAndOnesForTheEye) {
   const Result video = run(*dir_, {"render", run_dir(), "--split", "test", "--video", "--width", "24", "--panels",
                                    "rgb,depth", "--out", file});
   ASSERT_EQ(video.code, 0) << video.err;
-  EXPECT_NE(video.out.find(" size=48x18 "), std::string::npos) << video.out;
+  EXPECT_HAS(video.out, " size=48x18 ");
   EXPECT_EQ(answer_of("ffprobe -v error -show_entries stream=width,height -of csv=p=0 " + shell_word(file)), "48,18\n");
 }
 
 TEST_F(Verbs, VideoWithoutFfmpegNamesTheRemedy) {
   const Result r = run(*dir_, {"render", run_dir(), "--video"}, dir_->path());
   EXPECT_EQ(r.code, 69) << r.err;
-  EXPECT_NE(r.err.find("ffmpeg is not in PATH; install it"), std::string::npos) << r.err;
+  EXPECT_HAS(r.err, "ffmpeg is not in PATH; install it");
 }
 
 TEST_F(Verbs, VideoSurvivesAnFfmpegThatDies) {
@@ -280,7 +272,7 @@ TEST_F(Verbs, VideoSurvivesAnFfmpegThatDies) {
     const Result r =
         run(*dir_, {"render", run_dir(), "--trajectory", "smooth", "--frames", "40", "--video", "--out", file}, folder);
     EXPECT_EQ(r.code, 74) << r.err;
-    EXPECT_NE(r.err.find("(exit code 3)"), std::string::npos) << r.err;
+    EXPECT_HAS(r.err, "(exit code 3)");
     EXPECT_FALSE(fs::exists(file));
   }
 }
@@ -306,7 +298,7 @@ TEST_F(Verbs, VideoOnAFullDiskKeepsTheOldFilm) {
                         "  echo \"$free code $? $(grep -c 'an old film' disk/room.mp4) $(ls -A disk | wc -l)\" \\\n"
                         "    \"$(grep -c 'disk full: need .* have .*free some space or choose another disk' err)\"\n"
                         "done\n");
-  // Exit code, the old film is there, two files in the folder, the cause is told.
+  // Exit code, the old film is there, two files in the folder, the cause is reported.
   EXPECT_EQ(answer_of("unshare -rm sh " + shell_word(script)),
             "0 code 74 1 2 1\n4 code 74 1 2 1\n8 code 74 1 2 1\n12 code 74 1 2 1\n400 code 0 0 2 0\n")
       << read_text_file(*dir_ / "err");
@@ -332,13 +324,10 @@ TEST_F(Verbs, VideoRefusesUnknownPanelsAndCounts) {
   if (!found("ffmpeg")) GTEST_SKIP() << "no ffmpeg here";
   const Result panel = run(*dir_, {"render", run_dir(), "--video", "--panels", "rgb,normals"});
   EXPECT_EQ(panel.code, 2);
-  EXPECT_NE(panel.err.find("--panels rgb,normals: expected rgb, label, depth or entropy"), std::string::npos)
-      << panel.err;
+  EXPECT_HAS(panel.err, "--panels rgb,normals: expected rgb, label, depth or entropy");
   const Result ending = run(*dir_, {"render", run_dir(), "--video", "--out", *dir_ / "room.mpx"});
   EXPECT_EQ(ending.code, 2);
-  EXPECT_NE(ending.err.find("'.mpx' is not the ending of a video file; name a file such as room.mp4; known: .mp4, "),
-            std::string::npos)
-      << ending.err;
+  EXPECT_HAS(ending.err, "'.mpx' is not the ending of a video file; name a file such as room.mp4; known: .mp4, ");
   EXPECT_EQ(run(*dir_, {"render", run_dir(), "--trajectory", "smooth", "--frames", "0"}).code, 2);
   EXPECT_EQ(run(*dir_, {"render", run_dir(), "--video", "--fps", "0"}).code, 2);
 }
@@ -418,9 +407,9 @@ TEST_F(Verbs, ProbabilitiesTellTheirSizeBeforeTheyAreRendered) {
     return r.err;
   };
   // Four bytes for each of five classes.
-  EXPECT_EQ(said_for(1000).find("probabilities of"), std::string::npos);
+  EXPECT_LACKS(said_for(1000), "probabilities of");
   const std::string large = said_for(16000);
-  EXPECT_NE(large.find("probabilities of 1 view and 5 classes take 5.1 GB of disk"), std::string::npos) << large;
+  EXPECT_HAS(large, "probabilities of 1 view and 5 classes take 5.1 GB of disk");
 }
 
 TEST_F(Verbs, RenderRefusesWhatAVideoCannotHold) {

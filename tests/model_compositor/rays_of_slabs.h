@@ -1,14 +1,17 @@
 // Buffers for compositing a few rays, and the same integral in long double.
 #pragma once
 
-#include <cmath>
-#include <cstdint>
-#include <vector>
-
 #include "core/rng.h"
 #include "model/compositor.h"
 
 namespace semfield::testing {
+
+/// Addressed uniform numbers for test data.
+struct TestNumbers {
+  std::uint64_t seed, next = 0;
+  double uniform() { return static_cast<double>(uniform01({seed, 0, stream_id("compositor test")}, next++)); }
+  double in(double low, double high) { return low + (high - low) * uniform(); }
+};
 
 /// Rays of given sample counts with owned buffers; hidden has `channels` columns.
 template <class Real>
@@ -37,30 +40,21 @@ struct RayBuffers {
     return View<Real>(v.data(), cols == 0 ? 0 : static_cast<std::int64_t>(v.size()) / cols, cols);
   }
   CompositeIn<Real> in() {
-    CompositeIn<Real> in;
-    in.samples = &samples;
-    in.sigma = col(sigma);
-    in.rgb = mat(rgb, 3);
+    CompositeIn<Real> in{.samples = &samples, .sigma = col(sigma), .rgb = mat(rgb, 3)};
     if (channels > 0) in.hidden = mat(hidden, channels);
     in.far = far;
     in.background = background;
     return in;
   }
   CompositeOut<Real> out() {
-    CompositeOut<Real> out;
-    out.color = mat(color, 3);
-    out.depth = col(depth);
-    out.opacity = col(opacity);
+    CompositeOut<Real> out{.color = mat(color, 3), .depth = col(depth), .opacity = col(opacity)};
     if (channels > 0) out.hidden = mat(out_hidden, channels);
     out.weight = col(weight);
     return out;
   }
   CompositeGrad<Real> grad() {
-    CompositeGrad<Real> grad;
-    grad.color = mat(g_color, 3);
-    grad.depth = col(g_depth);
-    grad.opacity = col(g_opacity);
-    grad.weight = col(g_weight);
+    CompositeGrad<Real> grad{
+        .color = mat(g_color, 3), .depth = col(g_depth), .opacity = col(g_opacity), .weight = col(g_weight)};
     if (channels > 0) grad.hidden = mat(g_hidden, channels);
     return grad;
   }
@@ -72,13 +66,45 @@ struct RayBuffers {
   /// Samples at k * length / n with equal intervals, for every ray.
   void space_evenly(double length) {
     for (std::int64_t r = 0; r < rays(); ++r) {
-      const std::int64_t begin = first[static_cast<std::size_t>(r)], n = first[static_cast<std::size_t>(r) + 1] - begin;
+      const std::int64_t begin = first[r], n = first[static_cast<std::size_t>(r) + 1] - begin;
       for (std::int64_t k = 0; k < n; ++k) {
-        t[static_cast<std::size_t>(begin + k)] =
-            static_cast<Real>((static_cast<double>(k) + 0.5) * length / static_cast<double>(n));
-        delta[static_cast<std::size_t>(begin + k)] = static_cast<Real>(length / static_cast<double>(n));
+        t[begin + k] = static_cast<Real>((static_cast<double>(k) + 0.5) * length / static_cast<double>(n));
+        delta[begin + k] = static_cast<Real>(length / static_cast<double>(n));
       }
     }
+  }
+
+  /// Densities of 0 to twice `density`, all else in +-1; no gradient of weights.
+  void fill_random(std::uint64_t seed, double density) {
+    TestNumbers random{seed};
+    for (auto& s : sigma) s = static_cast<Real>(random.in(0, 2 * density));
+    for (auto* v : {&rgb, &hidden, &g_color, &g_depth, &g_opacity, &g_hidden}) {
+      for (auto& x : *v) x = static_cast<Real>(random.in(-1, 1));
+    }
+  }
+  /// The inputs of the last rays of `from`, as many as there are here.
+  template <class From>
+  void take_inputs(const RayBuffers<From>& from) {
+    const auto take = [](const std::vector<From>& all, std::vector<Real>& own) {
+      own.assign(all.end() - static_cast<std::ptrdiff_t>(own.size()), all.end());
+    };
+    take(from.t, t), take(from.delta, delta), take(from.sigma, sigma), take(from.rgb, rgb), take(from.hidden, hidden);
+    take(from.g_color, g_color), take(from.g_depth, g_depth), take(from.g_opacity, g_opacity);
+    take(from.g_hidden, g_hidden), take(from.g_weight, g_weight);
+  }
+  /// Sum of gradient times output, of a new forward: what backward differentiates.
+  double loss() {
+    forward();
+    double sum = 0;
+    for (const auto& [output, gradient] : {std::pair{&color, &g_color},
+                                           {&depth, &g_depth},
+                                           {&opacity, &g_opacity},
+                                           {&out_hidden, &g_hidden},
+                                           {&weight, &g_weight}}) {
+      for (std::size_t i = 0; i < output->size(); ++i)
+        sum += static_cast<double>((*output)[i]) * static_cast<double>((*gradient)[i]);
+    }
+    return sum;
   }
 
   std::int32_t channels;
@@ -88,13 +114,6 @@ struct RayBuffers {
   Samples<Real> samples;
   FarMode far = FarMode::open;
   std::array<double, 3> background{};
-};
-
-/// Addressed uniform numbers for test data.
-struct TestNumbers {
-  std::uint64_t seed, next = 0;
-  double uniform() { return static_cast<double>(uniform01({seed, 0, stream_id("compositor test")}, next++)); }
-  double in(double low, double high) { return low + (high - low) * uniform(); }
 };
 
 }  // namespace semfield::testing

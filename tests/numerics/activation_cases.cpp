@@ -76,10 +76,7 @@ auto make_field(const Registry& registry, const std::string& name, const FieldBu
 /// Colour and its bias gradient of a field whose colour layer has bias `raw` and no weights, for dL/drgb = 1.
 template <class Real>
 void check_saturated_field(CaseRun& run, const std::string& name, Precision precision, Real raw) {
-  FieldBuild build;
-  build.position_dims = 6;
-  build.direction_dims = 4;
-  build.precision = precision;
+  FieldBuild build{.position_dims = 6, .direction_dims = 4, .precision = precision};
   const auto field = make_field<Real>(run.registry(), name, build);
   testkit::TensorBox<Real> box(*field, 1);
   int bias = -1;
@@ -94,8 +91,7 @@ void check_saturated_field(CaseRun& run, const std::string& name, Precision prec
   if (bias < 0) return;
   constexpr int kSamples = 5;
   Workspace workspace;
-  StepContext ctx;
-  ctx.workspace = &workspace;
+  StepContext ctx{.workspace = &workspace};
   field->derive(ctx, box.tensors());
   std::vector<Real> position(6 * kSamples, Real(0.3)), direction(4, Real(0.5)), sigma(kSamples), rgb(3 * kSamples);
   std::vector<Real> feature(static_cast<std::size_t>(kSamples * field->traits().feature_dims));
@@ -108,14 +104,13 @@ void check_saturated_field(CaseRun& run, const std::string& name, Precision prec
   const Saved memory(saved.data, static_cast<std::size_t>(saved.cols));
   field->forward(ctx, box.tensors(), in, out, memory);
   const std::vector<Real> ones(3 * kSamples, Real(1));
-  FieldGrad<Real> grad;
-  grad.rgb = {ones.data(), kSamples, 3};
+  FieldGrad<Real> grad{.rgb = {ones.data(), kSamples, 3}};
   field->backward(ctx, box.tensors(), in, out, grad, memory, {});
   field->derive_backward(ctx, box.tensors());
   const long double y = sigmoid_of(static_cast<long double>(raw));
   for (const Real c : rgb) {
     run.expect(c >= 0 && c <= 1, "a colour lies in 0..1");
-    run.measure(error_above_quantum<Real>(static_cast<long double>(c), y), tolerance_of<Real>(1e-6), "colour");
+    run.measure(error_above_quantum<Real>(c, y), tolerance_of<Real>(1e-6), "colour");
   }
   for (int c = 0; c < 3; ++c) {
     const Real g = box.grad(static_cast<std::size_t>(bias))(0, c);
@@ -131,9 +126,8 @@ void check_saturated_field(CaseRun& run, const std::string& name, Precision prec
 void saturated_sigmoid(CaseRun& run) {
   const auto sweep = [&]<class Real>(Real, Precision precision) {
     for (const char* name : {"tiny_mlp", "nerf_mlp"}) {
-      for (const double raw : {0.0, 10.0, -10.0, 17.0, 89.0, -89.0, 100.0, -100.0, 1e4, -1e4}) {
+      for (const double raw : {0.0, 10.0, -10.0, 17.0, 89.0, -89.0, 100.0, -100.0, 1e4, -1e4})
         check_saturated_field<Real>(run, name, precision, static_cast<Real>(raw));
-      }
     }
   };
   in_both_precisions(run, [&]<class Real>(Real) {
@@ -142,8 +136,8 @@ void saturated_sigmoid(CaseRun& run) {
     y = x;
     sigmoid_inplace<Real>(y.data(), static_cast<std::int64_t>(y.size()));
     for (std::size_t i = 0; i < x.size(); ++i) {
-      run.measure(error_above_quantum<Real>(static_cast<long double>(y[i]), sigmoid_of(static_cast<long double>(x[i]))),
-                  tolerance_of<Real>(1e-6), "sigmoid");
+      run.measure(error_above_quantum<Real>(y[i], sigmoid_of(static_cast<long double>(x[i]))), tolerance_of<Real>(1e-6),
+                  "sigmoid");
       run.expect(y[i] >= 0 && y[i] <= 1, "a sigmoid lies in 0..1");
     }
     sweep(Real{}, Precision::fp32);
@@ -166,10 +160,10 @@ void hdr_target(CaseRun& run) {
       const long double error = static_cast<long double>(color[i]) - static_cast<long double>(target[i]);
       want += error * error;
     }
-    run.measure(relative_error(static_cast<long double>(loss()), want), tolerance_of<Real>(1e-6), "loss, not clamped");
+    run.measure(relative_error(loss(), want), tolerance_of<Real>(1e-6), "loss, not clamped");
     for (std::size_t i = 0; i < 6; ++i) {
       const long double error = static_cast<long double>(color[i]) - static_cast<long double>(target[i]);
-      run.measure(relative_error(static_cast<long double>(slope[i]), error / 3), tolerance_of<Real>(1e-6), "gradient");
+      run.measure(relative_error(slope[i], error / 3), tolerance_of<Real>(1e-6), "gradient");
     }
     target[4] = nan;
     run.expect(std::isnan(loss()), "a NaN target shows in the loss");
@@ -177,7 +171,7 @@ void hdr_target(CaseRun& run) {
     target[4] = std::numeric_limits<float>::infinity();
     run.expect(!std::isfinite(loss()), "so does an infinite one");
     run.expect(std::is_same_v<decltype(StoredFrame::rgb)::value_type, std::uint8_t>,
-               "frames in memory hold 8 bits a channel: training cannot meet such targets");
+               "frames in memory hold 8 bits per channel: training cannot meet such targets");
   });
   run.row("fp32");
   // Were one in a batch all the same, the ray is found and named, and no other.
@@ -208,19 +202,18 @@ void density_activations(CaseRun& run) {
       const std::vector<Real> sigma = density_of(kind, raw), slope = density_slope(kind, raw);
       for (std::size_t i = 0; i < raw.size(); ++i) {
         const auto x = static_cast<long double>(raw[i]);
-        run.measure(error_above_quantum<Real>(static_cast<long double>(sigma[i]), density_reference(kind, x), kQuanta),
-                    tolerance_of<Real>(1e-6), name_of(kind));
-        run.measure(error_above_quantum<Real>(static_cast<long double>(slope[i]), slope_reference(kind, x), kQuanta),
-                    tolerance_of<Real>(1e-6), name_of(kind) + " slope");
+        run.measure(error_above_quantum<Real>(sigma[i], density_reference(kind, x), kQuanta), tolerance_of<Real>(1e-6),
+                    name_of(kind));
+        run.measure(error_above_quantum<Real>(slope[i], slope_reference(kind, x), kQuanta), tolerance_of<Real>(1e-6),
+                    name_of(kind) + " slope");
       }
     }
     run.expect(density_of<Real>(DensityActivation::trunc_exp, {Real(1e4)})[0] ==
                    density_of<Real>(DensityActivation::trunc_exp, {Real(15)})[0],
                "trunc_exp stays at e^15 above 15");
-    for (const DensityActivation kind : kActivations) {
+    for (const DensityActivation kind : kActivations)
       run.expect(std::isnan(density_of<Real>(kind, {std::numeric_limits<Real>::quiet_NaN()})[0]),
                  name_of(kind) + " keeps NaN, so that it is found");
-    }
   });
 }
 
@@ -254,10 +247,9 @@ void large_exponents(CaseRun& run) {
                             static_cast<long double>(rays.sigma[1]) * static_cast<long double>(rays.delta[1]);
         const long double behind = std::exp(-before) * -std::expm1(-static_cast<long double>(rays.sigma[2]) *
                                                                    static_cast<long double>(rays.delta[2]));
-        run.measure(error_above_quantum<Real>(static_cast<long double>(rays.weight[2]), behind),
-                    tolerance_of<Real>(2e-5), "weight behind");
+        run.measure(error_above_quantum<Real>(rays.weight[2], behind), tolerance_of<Real>(2e-5), "weight behind");
         const long double want = density_reference(kind, static_cast<long double>(raw));
-        run.measure(relative_error(static_cast<long double>(rays.sigma[1]), want), tolerance_of<Real>(1e-6), "density");
+        run.measure(relative_error(rays.sigma[1], want), tolerance_of<Real>(1e-6), "density");
       }
     }
   });

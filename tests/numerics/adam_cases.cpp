@@ -2,15 +2,12 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <cmath>
 #include <cstring>
-#include <limits>
-#include <vector>
 
 #include "encoder_box.h"
+#include "named_case.h"
 #include "optim/adam.h"
 #include "optim/schedule.h"
-#include "optimiser_cases.h"
 
 namespace semfield::numerics {
 
@@ -84,12 +81,11 @@ void adam_sizes(CaseRun& run) {
       for (std::size_t i = 0; i < kSizes; ++i) {
         const std::string at = fmt::format("gradients near 1e{}", static_cast<int>(i) - 20);
         check(run, state, i, want[i], tolerance_of<Real>(1e-5), at);
-        run.measure(relative_error(static_cast<long double>(state.m[i]), want[i].m), tolerance_of<Real>(1e-5), at);
+        run.measure(relative_error(state.m[i], want[i].m), tolerance_of<Real>(1e-5), at);
         // Squares of gradients below 1e-15 leave the normal range of fp32; the root of them stands beside epsilon. In
         // fp32 beta2 = 0.999 is off by 1.3e-8, so 1,000 steps leave v off by up to 1.3e-5, and its root by half of it.
-        if (std::is_same_v<Real, double> || want[i].v > 1e-33L) {
-          run.measure(relative_error(static_cast<long double>(state.v[i]), want[i].v), tolerance_of<Real>(2e-5), at);
-        }
+        if (std::is_same_v<Real, double> || want[i].v > 1e-33L)
+          run.measure(relative_error(state.v[i], want[i].v), tolerance_of<Real>(2e-5), at);
       }
     }
   });
@@ -138,8 +134,7 @@ void adam_epsilon(CaseRun& run) {
   in_both_precisions(run, [&]<class Real>(Real) {
     std::string first_zero = "none";
     for (const double epsilon : {1e-15, 1e-8}) {
-      AdamParams params;
-      params.epsilon = epsilon;
+      AdamParams params{.epsilon = epsilon};
       constexpr int kSizes = 14;
       Parameters<Real> state(kSizes);
       std::vector<Reference> want(kSizes);
@@ -200,9 +195,7 @@ void counters(CaseRun& run) {
   const std::int64_t steps[] = {
       0, 1, 9, 999, 100000, (std::int64_t{1} << 31) - 1, std::int64_t{1} << 31, std::int64_t{1} << 53};
   for (const auto& [beta1, beta2] : {std::pair{0.9, 0.999}, std::pair{0.0, 0.99999999}, std::pair{0.999999, 0.9}}) {
-    AdamParams params;
-    params.beta1 = beta1;
-    params.beta2 = beta2;
+    AdamParams params{.beta1 = beta1, .beta2 = beta2};
     for (const std::int64_t step : steps) {
       const AdamStep rule = adam_step(params, 5e-4, step);
       const long double t = static_cast<long double>(step) + 1;
@@ -212,10 +205,8 @@ void counters(CaseRun& run) {
       const auto correction = [&](double beta) {
         return beta == 0 ? 1.0L : -std::expm1(t * std::log(static_cast<long double>(beta)));
       };
-      run.measure(relative_error(static_cast<long double>(rule.step_size), 5e-4 / correction(beta1)), 1e-12,
-                  "step size");
-      run.measure(relative_error(static_cast<long double>(rule.root_scale), 1 / std::sqrt(correction(beta2))), 1e-12,
-                  "root scale");
+      run.measure(relative_error(rule.step_size, 5e-4 / correction(beta1)), 1e-12, "step size");
+      run.measure(relative_error(rule.root_scale, 1 / std::sqrt(correction(beta2))), 1e-12, "root scale");
       run.expect(power(beta1) < 1 && std::isfinite(rule.step_size) && std::isfinite(rule.root_scale), "finite");
     }
   }
@@ -228,9 +219,7 @@ void counters(CaseRun& run) {
         const long double progress = static_cast<long double>(step) / static_cast<long double>(end);
         const long double rise =
             step < warmup ? static_cast<long double>(step + 1) / static_cast<long double>(warmup) : 1.0L;
-        ScheduleParams schedule;
-        schedule.decay_steps = end;
-        schedule.warmup_steps = warmup;
+        ScheduleParams schedule{.decay_steps = end, .warmup_steps = warmup};
         const auto check_factor = [&](ScheduleKind kind, long double want, const char* what) {
           schedule.kind = kind;
           run.measure(std::max(0.0, static_cast<double>(
@@ -257,8 +246,7 @@ void counters(CaseRun& run) {
   state.v[0] = 0.0625f;
   state.dense(adam_step({}, 5e-4, std::int64_t{1} << 31));
   const long double m = 0.9L * 0.25L + 0.1L * 0.5L, v = 0.999L * 0.0625L + 0.001L * 0.25L;
-  run.measure(relative_error(static_cast<long double>(state.value[0]), -5e-4L * m / (std::sqrt(v) + 1e-8L)), 1e-6,
-              "step after 2^31 steps");
+  run.measure(relative_error(state.value[0], -5e-4L * m / (std::sqrt(v) + 1e-8L)), 1e-6, "step after 2^31 steps");
 }
 
 }  // namespace semfield::numerics

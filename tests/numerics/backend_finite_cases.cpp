@@ -2,10 +2,6 @@
 #include <dlfcn.h>
 
 #include <algorithm>
-#include <cmath>
-#include <filesystem>
-#include <fstream>
-#include <limits>
 
 #include "backend_parts.h"
 #include "box_room.h"

@@ -2,7 +2,6 @@
 // millions of elements apart, and only the pages that they touch are ever filled.
 #include <sys/mman.h>
 
-#include <cmath>
 #include <cstring>
 
 #include "backend_parts.h"
@@ -58,8 +57,7 @@ template <class Real>
 double differing(View<const Real> far, const std::vector<Real>& packed) {
   int count = 0;
   for (std::int64_t r = 0; r < far.rows; ++r) {
-    for (std::int32_t c = 0; c < far.cols; ++c)
-      count += far(r, c) == packed[static_cast<std::size_t>(r * far.cols + c)] ? 0 : 1;
+    for (std::int32_t c = 0; c < far.cols; ++c) count += far(r, c) == packed[r * far.cols + c] ? 0 : 1;
   }
   return count;
 }
@@ -142,16 +140,12 @@ void strided_compositing(CaseRun& run) {
       for (std::int32_t c = 0; c < channels; ++c)
         h(k, c) = static_cast<Real>(number(100 * (n + 1) + static_cast<std::uint64_t>(c)));
     }
-    Samples<Real> s;
-    s.t = t;
-    s.delta = delta;
-    s.ray_of_sample = View<std::int32_t>(rays.as<std::int32_t>(), rows, 1);
-    s.first = View<std::int32_t>(first, 2, 1);
-    s.count = rows;
-    CompositeIn<Real> in;
-    in.samples = &s;
-    in.sigma = sigma;
-    in.hidden = h;
+    Samples<Real> s{.t = t,
+                    .delta = delta,
+                    .ray_of_sample = View<std::int32_t>(rays.as<std::int32_t>(), rows, 1),
+                    .first = View<std::int32_t>(first, 2, 1),
+                    .count = rows};
+    CompositeIn<Real> in{.samples = &s, .sigma = sigma, .hidden = h};
     CompositeOut<Real> out;
     out_hidden.assign(channels, Real(0));
     out.hidden = View<Real>(out_hidden.data(), 1, channels);
@@ -191,8 +185,7 @@ void long_index(CaseRun& run) {
   StoredFrame frame;
   frame.width_px = frame.height_px = 16384;
   std::vector<TrainFrame> frames(15, TrainFrame{{}, &frame, nullptr});
-  RaySourceOptions options;
-  options.train.rays = 3000;
+  RaySourceOptions options{.train = {.rays = 3000}};
   const RaySource rays(frames, {}, {}, options);
   run.expect(rays.pixel_count() == 15 * (std::int64_t{1} << 28), "4,026,531,840 pixels");
   std::vector<int> drawn(15);
@@ -202,7 +195,7 @@ void long_index(CaseRun& run) {
     const RaySource::Pixel pixel = rays.choose(1, ray);
     inside = inside && pixel.frame >= 0 && pixel.frame < 15 && pixel.index >= 0 && pixel.index < (1 << 28);
     if (!inside) break;
-    ++drawn[static_cast<std::size_t>(pixel.frame)];
+    ++drawn[pixel.frame];
     mean += pixel.index / static_cast<double>(options.train.rays) / (1 << 28);
   }
   run.expect(inside, "every pixel drawn lies in a frame");

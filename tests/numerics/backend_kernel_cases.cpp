@@ -1,11 +1,8 @@
 // I01 to I04: the kernels of every instruction set side by side.
 #include <algorithm>
 #include <atomic>
-#include <bit>
-#include <cmath>
 #include <cstdio>
 #include <cstring>
-#include <limits>
 
 #if defined(__x86_64__)
 #include <xmmintrin.h>
@@ -99,8 +96,7 @@ double worst_sine(const Encoder<Real>& encoder) {
     std::vector<long double> truth;
     for (int k = 0; k < kBands; ++k) {
       for (int a = 0; a < 3; ++a) {
-        const long double turn =
-            std::remainder(std::ldexp(static_cast<long double>(x[static_cast<std::size_t>(3 * row + a)]), k), 2.0L);
+        const long double turn = std::remainder(std::ldexp(static_cast<long double>(x[3 * row + a]), k), 2.0L);
         truth.push_back(std::sin(3.14159265358979323846264338327950288L * turn));
         truth.push_back(std::cos(3.14159265358979323846264338327950288L * turn));
       }
@@ -166,7 +162,7 @@ void min_max_nan(CaseRun& run) {
       g.relu = true;
       k.gemm(g);
       for (std::int32_t i = 0; i < rows * cols; ++i) {
-        const Real value = c[static_cast<std::size_t>(i)];
+        const Real value = c[i];
         run.expect(i / cols == 4 ? std::isnan(value) : value == 0, "a ReLU keeps NaN in its row" + on);
       }
       std::vector<Real> dy(c.size(), Real(1));
@@ -190,8 +186,7 @@ void fused_or_not(CaseRun& run) {
       for (std::size_t t = 1; t < tables.size(); ++t) {
         std::vector<Real> fused = x;
         (tables[t].kernels.*f.loop)(fused.data(), static_cast<std::int64_t>(x.size()));
-        for (std::size_t i = 0; i < x.size(); ++i)
-          worst = std::max(worst, relative_error(fused[i], static_cast<long double>(plain[i])) / u);
+        for (std::size_t i = 0; i < x.size(); ++i) worst = std::max(worst, relative_error(fused[i], plain[i]) / u);
       }
       run.measure(worst, 4, std::string(f.name) + ", in u");
       figures += std::string(figures.empty() ? "" : ", ") + f.name + " " + two_digits(worst) + " u";
@@ -215,8 +210,7 @@ void fused_or_not(CaseRun& run) {
     for (std::int64_t i = 0; i < m * n; ++i) {
       long double scale = 0;
       for (std::int64_t j = 0; j < k; ++j)
-        scale += std::abs(static_cast<long double>(a[static_cast<std::size_t>(i / n * k + j)]) *
-                          b[static_cast<std::size_t>(j * n + i % n)]);
+        scale += std::abs(static_cast<long double>(a[i / n * k + j]) * b[j * n + i % n]);
       for (std::size_t t = 1; t < c.size(); ++t) {
         const auto e = static_cast<std::size_t>(i);
         worst = std::max(worst, static_cast<double>(std::abs(static_cast<long double>(c[t][e]) - c[0][e]) / scale) / u);

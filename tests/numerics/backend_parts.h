@@ -1,10 +1,5 @@
-// What the files of group I give its list of cases, and the kernels of every instruction set side by side.
+// What the files of group I share: the kernels of every instruction set side by side, and a device under test.
 #pragma once
-
-#include <map>
-#include <optional>
-#include <string>
-#include <vector>
 
 #include "compute/cpu_kernels.h"
 #include "compute/isa.h"
@@ -28,23 +23,7 @@ SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE)
 
 namespace numerics {
 
-void min_max_nan(CaseRun& run);
-void fused_or_not(CaseRun& run);
-void flush_to_zero(CaseRun& run);
-void ulp_table(CaseRun& run);
-void long_index(CaseRun& run);
-void whole_step(CaseRun& run);
-void finite_checks(CaseRun& run);
-
-/// The same cases' rows on a device beside the processor, "fp32 on cuda" (device_cases.cpp, device_step_cases.cpp).
-void nan_on_device(CaseRun& run);
-void fused_on_device(CaseRun& run);
-void subnormals_on_device(CaseRun& run);
-void sines_on_device(CaseRun& run);
-void long_index_on_device(CaseRun& run);
-void whole_step_on_device(CaseRun& run);
-void finite_checks_on_device(CaseRun& run);
-
+/// The same cases' rows on a device beside the CPU, "fp32 on cuda" (device_cases.cpp, device_step_cases.cpp).
 struct DeviceUnderTest {
   Registry registry;  ///< with the device's kernels
   DeviceCalls calls;

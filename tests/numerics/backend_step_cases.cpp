@@ -3,11 +3,7 @@
 #include <dlfcn.h>
 
 #include <algorithm>
-#include <cmath>
-#include <cstdio>
 #include <cstdlib>
-#include <filesystem>
-#include <optional>
 #include <sstream>
 
 #include "backend_parts.h"
@@ -87,12 +83,10 @@ void whole_step(CaseRun& run) {
   for (const auto* kind : {&hash, &deep}) {
     for (const Measured& m : *kind) {
       // Against the same step in float64, and against the weakest set.
-      run.measure(relative_error(m.step.loss, static_cast<long double>(m.step.oracle_loss)), 1e-5, "loss on " + m.set);
-      run.measure(relative_error(m.step.norm, static_cast<long double>(m.step.oracle_norm)), 1e-4, "norm on " + m.set);
-      run.measure(relative_error(m.step.loss, static_cast<long double>(kind->front().step.loss)), 1e-5,
-                  "loss between sets");
-      run.measure(relative_error(m.step.norm, static_cast<long double>(kind->front().step.norm)), 1e-4,
-                  "norm between sets");
+      run.measure(relative_error(m.step.loss, m.step.oracle_loss), 1e-5, "loss on " + m.set);
+      run.measure(relative_error(m.step.norm, m.step.oracle_norm), 1e-4, "norm on " + m.set);
+      run.measure(relative_error(m.step.loss, kind->front().step.loss), 1e-5, "loss between sets");
+      run.measure(relative_error(m.step.norm, kind->front().step.norm), 1e-4, "norm between sets");
       psnr = std::max(psnr, std::abs(m.step.psnr_db - kind->front().step.psnr_db));
     }
   }
@@ -112,18 +106,16 @@ void whole_step(CaseRun& run) {
   run.row("float64");
   for (const auto* kind : {&hash, &deep}) {
     for (const Measured& m : *kind) {
-      run.measure(relative_error(m.step.oracle_loss, static_cast<long double>(kind->front().step.oracle_loss)), 1e-12,
-                  "loss");
-      run.measure(relative_error(m.step.oracle_norm, static_cast<long double>(kind->front().step.oracle_norm)), 1e-12,
-                  "norm");
+      run.measure(relative_error(m.step.oracle_loss, kind->front().step.oracle_loss), 1e-12, "loss");
+      run.measure(relative_error(m.step.oracle_norm, kind->front().step.oracle_norm), 1e-12, "norm");
     }
   }
   run.row("bf16");
   const Step& bf16 = more[1].step;
   run.expect(bf16.state != deep.back().step.state, "it is another arithmetic");
   // Products of 8 significant bits: 2^-8 a factor.
-  run.measure(relative_error(bf16.loss, static_cast<long double>(bf16.oracle_loss)), 0x1p-8, "loss");
-  run.measure(relative_error(bf16.norm, static_cast<long double>(bf16.oracle_norm)), 0x1p-4, "gradient norm");
+  run.measure(relative_error(bf16.loss, bf16.oracle_loss), 0x1p-8, "loss");
+  run.measure(relative_error(bf16.norm, bf16.oracle_norm), 0x1p-4, "gradient norm");
   run.measure(std::abs(bf16.psnr_db - deep.back().step.psnr_db), 0.5, "PSNR after training, dB");
 }
 

@@ -63,10 +63,7 @@ std::unique_ptr<Dataset> shifted_room(Vec3d shift_m) { return std::make_unique<S
 
 Registry with_room(const Registry& known, Vec3d shift_m) {
   Registry registry = known;
-  PluginEntry entry;
-  entry.kind = PluginKind::dataset;
-  entry.name = "box_room";
-  entry.summary = "A room of formulas.";
+  PluginEntry entry{.kind = PluginKind::dataset, .name = "box_room", .summary = "A room of formulas."};
   entry.new_params = [] { return std::unique_ptr<PluginParams>(std::make_unique<ParamsOf<NoParams>>()); };
   entry.dataset = [shift_m](const PluginParams&, const DatasetBuild&) { return shifted_room(shift_m); };
   registry.add(std::move(entry));

@@ -1,10 +1,6 @@
 // The analytic room as a dataset of the suite, and small networks on it: whole steps and whole pictures.
 #pragma once
 
-#include <memory>
-#include <string>
-#include <vector>
-
 #include "plugin/registry.h"
 #include "session/session.h"
 
@@ -21,7 +17,7 @@ std::unique_ptr<Dataset> shifted_room(Vec3d shift_m);
 /// `known` and the dataset 'box_room', moved by `shift_m`: 12 frames of 48 x 36 pixels.
 Registry with_room(const Registry& known, Vec3d shift_m = {});
 
-/// Reads and opens a configuration, for the processor unless it names a device. Throws Error with every problem.
+/// Reads and opens a configuration, for the CPU unless it names a device. Throws Error with every problem.
 Session open_room(const std::string& yaml, Registry& registry);
 
 /// Colours of the first frame before any training.

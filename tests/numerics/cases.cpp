@@ -5,23 +5,31 @@
 
 namespace semfield::numerics {
 
-std::vector<Case> all_cases() {
-  std::vector<Case> all;
-  for (const std::span<const Case> group :
-       {transfer_cases(), sampling_cases(), encoder_cases(), loss_cases(), optimiser_cases(), geometry_cases(),
-        input_cases(), metric_cases(), backend_cases()}) {
-    all.insert(all.end(), group.begin(), group.end());
-  }
-  return all;
+namespace {
+
+/// A case's rows on the CPU, then those on a device.
+template <void (*kHost)(CaseRun&), void (*kDevice)(CaseRun&)>
+void both(CaseRun& run) {
+  kHost(run);
+  kDevice(run);
 }
 
+constexpr Case kCases[] = {
+#define CASE(id, name, what, reference, measure) {id, name, what, reference, measure},
+#define DEVICE_CASE(id, name, what, reference, on_cpu, on_device) {id, name, what, reference, both<on_cpu, on_device>},
+#include "cases.inc"
+};
+
+}  // namespace
+
+std::span<const Case> all_cases() { return kCases; }
+
 std::vector<app::NumericsRow> run_suite(const Registry& registry, const std::vector<std::string>& ids) {
-  const std::vector<Case> all = all_cases();
+  const std::span<const Case> all = all_cases();
   for (const std::string& id : ids) {
-    if (std::none_of(all.begin(), all.end(), [&](const Case& one) { return one.id.starts_with(id); })) {
+    if (std::none_of(all.begin(), all.end(), [&](const Case& one) { return one.id.starts_with(id); }))
       throw Error(ErrorKind::usage, "usage.case.unknown", "no case begins with '" + id + "'",
                   "ids are A01 to I07; A stands for all of its group");
-    }
   }
   std::vector<app::NumericsRow> rows;
   for (const Case& one : all) {

@@ -1,6 +1,8 @@
 // Cases D01 to D04, D06, D10, D12 and D13: cross-entropy, softmax and entropy.
 #include <fmt/format.h>
 
+#include <algorithm>
+
 #include "encoder_box.h"
 #include "loss_cases.h"
 #include "losses/semantic_cross_entropy.h"
@@ -44,8 +46,7 @@ struct Softmax {
 template <class Real>
 SemanticLoss loss_of(const std::vector<Real>& logits, std::int16_t label, std::vector<Real>* gradient,
                      double normaliser = 1) {
-  SemanticTargets targets;
-  targets.hard = {&label, 1, 1};
+  SemanticTargets targets{.hard = {&label, 1, 1}};
   return semantic_cross_entropy<Real>(row_of(logits), targets, {}, normaliser, 1.0,
                                       gradient != nullptr ? row_of(*gradient) : View<Real>());
 }
@@ -83,26 +84,23 @@ void check_row(CaseRun& run, const std::vector<Real>& s) {
   const auto quanta = static_cast<double>(s.size());
   // Terms are p (largest - s): below the normal range of double the quantum counts that many times, up to 745.
   const double entropy_quanta = std::is_same_v<Real, double> ? 745 * quanta : 1;
-  run.measure(error_above_quantum<Real>(static_cast<long double>(entropy_of(s)), want.entropy, entropy_quanta),
-              tolerance_of<Real>(1e-6), "entropy");
+  run.measure(error_above_quantum<Real>(entropy_of(s), want.entropy, entropy_quanta), tolerance_of<Real>(1e-6),
+              "entropy");
   const std::vector<Real> p = softmax_of(s);
-  for (std::size_t c = 0; c < s.size(); ++c) {
-    run.measure(error_above_quantum<Real>(static_cast<long double>(p[c]), want.p[c], quanta), tolerance_of<Real>(1e-6),
-                "probability");
-  }
+  for (std::size_t c = 0; c < s.size(); ++c)
+    run.measure(error_above_quantum<Real>(p[c], want.p[c], quanta), tolerance_of<Real>(1e-6), "probability");
   for (const std::size_t label : {std::size_t{0}, s.size() / 2, s.size() - 1}) {
     const auto y = static_cast<std::int16_t>(label);
     std::vector<Real> gradient(s.size());
     // The sum is double whatever Real is; with a gradient the exponentials are Real's.
-    for (const double sum : {loss_of<Real>(s, y, nullptr).sum, loss_of<Real>(s, y, &gradient).sum}) {
-      run.measure(error_above_quantum<double>(static_cast<long double>(sum), want.surprise(s, label), quanta),
-                  tolerance_of<Real>(1e-6), "cross-entropy");
-    }
+    for (const double sum : {loss_of<Real>(s, y, nullptr).sum, loss_of<Real>(s, y, &gradient).sum})
+      run.measure(error_above_quantum<double>(sum, want.surprise(s, label), quanta), tolerance_of<Real>(1e-6),
+                  "cross-entropy");
     for (std::size_t c = 0; c < s.size(); ++c) {
       // The difference of two logits is rounded once, half an ulp of up to |s_c - largest|.
       const double rounded = std::min(200.0, std::abs(static_cast<double>(s[c]) - static_cast<double>(want.largest)));
       const double unit = static_cast<double>(std::numeric_limits<Real>::epsilon()) / 2;
-      run.measure(error_above_quantum<Real>(static_cast<long double>(gradient[c]), want.slope(c, label), quanta),
+      run.measure(error_above_quantum<Real>(gradient[c], want.slope(c, label), quanta),
                   tolerance_of<Real>(1e-6) + unit * rounded, "gradient");
     }
   }
@@ -148,11 +146,10 @@ void one_hot_entropy(CaseRun& run) {
         s[1] = v;
         run.measure(static_cast<double>(entropy_of(s)), 0, "entropy");
         const std::vector<Real> p = softmax_of(s);
-        for (std::size_t c = 0; c < classes; ++c) {
+        for (std::size_t c = 0; c < classes; ++c)
           run.measure(std::abs(static_cast<double>(p[c]) - (c == 1 ? 1 : 0)), 0, "probability");
-        }
         run.measure(loss_of<Real>(s, 1, &gradient).sum, 0, "loss");
-        for (const Real g : gradient) run.measure(std::abs(static_cast<double>(g)), 0, "gradient");
+        for (const Real g : gradient) run.measure(std::abs(g), 0, "gradient");
       }
     }
   });
@@ -164,7 +161,7 @@ void one_class(CaseRun& run) {
       const std::vector<Real> s{v};
       std::vector<Real> gradient{Real(-9)};
       run.measure(loss_of<Real>(s, 0, &gradient).sum, 0, "loss");
-      run.measure(std::abs(static_cast<double>(gradient[0])), 0, "gradient");
+      run.measure(std::abs(gradient[0]), 0, "gradient");
       run.measure(static_cast<double>(entropy_of(s)), 0, "entropy");
       run.measure(std::abs(static_cast<double>(softmax_of(s)[0]) - 1), 0, "probability");
       run.expect(loss_of<Real>(s, 0, nullptr).correct == 1, "the only class is right");
@@ -183,29 +180,26 @@ void one_labelled(CaseRun& run) {
     label[700] = 9;
     one.assign(logits.begin() + 700 * kClasses, logits.begin() + 701 * kClasses);
     const Softmax want(one);
-    SemanticTargets targets;
-    targets.hard = {label.data(), kRays, 1};
+    SemanticTargets targets{.hard = {label.data(), kRays, 1}};
     const std::pair<SemanticNormalisation, long double> kinds[] = {{SemanticNormalisation::sum, 1},
                                                                    {SemanticNormalisation::mean_labelled, 1},
                                                                    {SemanticNormalisation::mean_rays, kRays}};
     double first = 0;
     for (const auto& [kind, divisor] : kinds) {
       const double normaliser = semantic_normaliser(kind, labelled_weight(targets, {}), kRays);
-      run.measure(relative_error(static_cast<long double>(normaliser), divisor), 0, "normaliser");
+      run.measure(relative_error(normaliser, divisor), 0, "normaliser");
       std::vector<Real> gradient(logits.size(), Real(-9));
       const SemanticLoss loss = semantic_cross_entropy<Real>({logits.data(), kRays, kClasses}, targets, {}, normaliser,
                                                              1.0, {gradient.data(), kRays, kClasses});
       const double value = loss.sum / normaliser;
       run.expect(loss.labelled == 1, "one ray is labelled");
-      run.measure(relative_error(static_cast<long double>(value), want.surprise(one, 9) / divisor),
-                  tolerance_of<Real>(1e-6), "loss");
+      run.measure(relative_error(value, want.surprise(one, 9) / divisor), tolerance_of<Real>(1e-6), "loss");
       if (first == 0) first = value;
       run.measure(std::abs(value * static_cast<double>(divisor) - first), 0, "ratio 1 : 1 : 1/1,024");
       for (std::size_t i = 0; i < gradient.size(); ++i) {
         const std::size_t ray = i / kClasses;
         const long double slope = ray == 700 ? want.slope(i % kClasses, 9) / divisor : 0.0L;
-        run.measure(relative_error(static_cast<long double>(gradient[i]), slope),
-                    ray == 700 ? tolerance_of<Real>(1e-6) : 0.0, "gradient");
+        run.measure(relative_error(gradient[i], slope), ray == 700 ? tolerance_of<Real>(1e-6) : 0.0, "gradient");
       }
     }
   });
@@ -226,12 +220,11 @@ void soft_labels(CaseRun& run) {
       const Softmax row(s);
       long double want = 0;
       for (std::size_t c = 0; c < s.size(); ++c) want += static_cast<long double>(target[c]) / sum * row.surprise(s, c);
-      SemanticTargets targets;
-      targets.soft = row_of(std::as_const(target));
+      SemanticTargets targets{.soft = row_of(std::as_const(target))};
       std::vector<Real> gradient(s.size());
       const double loss =
           semantic_cross_entropy<Real>(row_of(std::as_const(s)), targets, {}, 1.0, 1.0, row_of(gradient)).sum;
-      run.measure(relative_error(static_cast<long double>(loss), want), tolerance_of<Real>(1e-6), "loss");
+      run.measure(relative_error(loss, want), tolerance_of<Real>(1e-6), "loss");
       for (std::size_t c = 0; c < s.size(); ++c) {
         const long double slope = row.p[c] - static_cast<long double>(target[c]) / sum;
         run.measure(static_cast<double>(std::abs(static_cast<long double>(gradient[c]) - slope)),
@@ -241,17 +234,15 @@ void soft_labels(CaseRun& run) {
     }
     const std::vector<Real> s(4, Real(1));
     const std::vector<float> zeros(4, 0.f);
-    SemanticTargets none;
-    none.soft = row_of(zeros);
+    SemanticTargets none{.soft = row_of(zeros)};
     std::vector<Real> gradient(4, Real(-9));
     const SemanticLoss unlabelled = semantic_cross_entropy<Real>(row_of(s), none, {}, 1.0, 1.0, row_of(gradient));
     run.measure(unlabelled.sum, 0, "a row of zeros is unlabelled");
-    for (const Real g : gradient) run.measure(std::abs(static_cast<double>(g)), 0, "its gradient");
+    for (const Real g : gradient) run.measure(std::abs(g), 0, "its gradient");
     for (const float bad : {-0.1f, std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity()}) {
       std::vector<float> p(4, 0.25f);
       p[2] = bad;
-      SemanticTargets refused;
-      refused.soft = row_of(std::as_const(p));
+      SemanticTargets refused{.soft = row_of(std::as_const(p))};
       run.expect_error(ErrorKind::data, {"ray 0", "class 2"},
                        [&] { semantic_cross_entropy<Real>(row_of(s), refused, {}, 1.0, 1.0, row_of(gradient)); });
       run.expect_error(ErrorKind::data, {"ray 0", "class 2"}, [&] { labelled_weight(refused, {}); });
@@ -270,8 +261,7 @@ void class_weights(CaseRun& run) {
     const std::vector<float> weights = inverse_log_frequency_weights(pixels);
     for (std::size_t c = 0; c < pixels.size(); ++c) {
       const long double frequency = total > 0 ? static_cast<long double>(pixels[c]) / total : 0.0L;
-      run.measure(relative_error(static_cast<long double>(weights[c]), 1 / std::log(1.02L + frequency)), 1e-6,
-                  "weight");
+      run.measure(relative_error(weights[c], 1 / std::log(1.02L + frequency)), 1e-6, "weight");
       run.expect(weights[c] > 0 && weights[c] <= 50.5f, "at most 1 / ln 1.02");
     }
   }
@@ -285,13 +275,12 @@ void double_softmax(CaseRun& run) {
     std::vector<Real> s(28, Real(0)), gradient(28);
     s[4] = 40;
     const long double want = std::log1p(27 * std::exp(-40.0L));
-    run.measure(relative_error(static_cast<long double>(loss_of<Real>(s, 4, &gradient).sum), want),
-                tolerance_of<Real>(1e-6), "cross-entropy of a margin of 40");
+    run.measure(relative_error(loss_of<Real>(s, 4, &gradient).sum, want), tolerance_of<Real>(1e-6),
+                "cross-entropy of a margin of 40");
     const std::vector<Real> twice = softmax_of(s);
     const double floor = std::log1p(27 * std::exp(-1.0));
-    run.measure(
-        relative_error(static_cast<long double>(loss_of<Real>(twice, 4, nullptr).sum), static_cast<long double>(floor)),
-        tolerance_of<Real>(1e-6), "what a second softmax would give");
+    run.measure(relative_error(loss_of<Real>(twice, 4, nullptr).sum, floor), tolerance_of<Real>(1e-6),
+                "what a second softmax would give");
     run.expect(!std::is_invocable_v<decltype(&semantic_cross_entropy<Real>), View<Real>, View<const float>,
                                     View<const float>, double, double, View<Real>, std::int64_t>,
                "bare probabilities are no targets to the compiler");

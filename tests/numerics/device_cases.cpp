@@ -1,9 +1,5 @@
-// I01 to I05 and the kernels' part of I07 on a device beside the processor, one call of a plugin at a time.
+// I01 to I05 and the kernels' part of I07 on a device beside the CPU, one call of a plugin at a time.
 #include <algorithm>
-#include <cmath>
-#include <cstring>
-#include <limits>
-#include <memory>
 
 #include "backend_parts.h"
 #include "encoder_box.h"
@@ -16,11 +12,7 @@ namespace {
 
 constexpr std::int64_t kRows = 40;
 
-EncoderBuild on_device() {
-  EncoderBuild build;
-  build.device = Device::cuda;
-  return build;
-}
+EncoderBuild on_device() { return EncoderBuild{.device = Device::cuda}; }
 
 // An encoder on the device as one on the host, with its tensors.
 struct DeviceEncoder {
@@ -36,11 +28,7 @@ struct DeviceEncoder {
     here.forward(context(), box.tensors(), {x.data(), rows, shape.in_dims}, {y.data(), rows, shape.out_dims});
     return y;
   }
-  StepContext context() {
-    StepContext ctx;
-    ctx.workspace = &workspace;
-    return ctx;
-  }
+  StepContext context() { return StepContext{.workspace = &workspace}; }
 
   std::unique_ptr<Encoder<float>> there;
   testkit::HostEncoder here;
@@ -70,15 +58,10 @@ std::vector<double> positions(std::int64_t rows) {
 // A field whose first trunk layers meet NaN in one row: it stays in that row, and no ReLU hides it.
 void nan_through_a_field(CaseRun& run, const DeviceUnderTest& device, const std::string& name, Precision precision) {
   const PluginEntry& entry = device.registry.get(PluginKind::field, name);
-  FieldBuild build;
-  build.device = Device::cuda;
-  build.position_dims = 16;
-  build.direction_dims = 9;
-  build.precision = precision;
+  FieldBuild build{.device = Device::cuda, .position_dims = 16, .direction_dims = 9, .precision = precision};
   const auto there = entry.field32(*testkit::make_params(entry, {}), build, device.registry.kernels());
   const testkit::HostField here(*there, {device.calls, false});
-  testkit::LawOptions options;
-  options.scratch = device.calls.memory;
+  testkit::LawOptions options{.scratch = device.calls.memory};
   testkit::FieldBench<float> sound(here, build, kRows, 0, options), bad(here, build, kRows, 0, options);
   constexpr std::int64_t kBad = 17;
   bad.position(kBad, 3) = std::numeric_limits<float>::quiet_NaN();
@@ -129,7 +112,7 @@ void fused_on_device(CaseRun& run) {
     double worst = 0, largest = 0;
     for (std::size_t i = 0; i < a.size(); ++i) {
       worst = std::max(worst, std::abs(static_cast<double>(a[i]) - static_cast<double>(b[i])));
-      largest = std::max(largest, std::abs(static_cast<double>(b[i])));
+      largest = std::max<double>(largest, std::abs(b[i]));
       if (std::isnan(a[i])) worst = a[i];
     }
     run.measure(worst / largest / u, 4, std::string(kind.name) + ", in u of the largest value");

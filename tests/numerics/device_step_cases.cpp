@@ -1,7 +1,5 @@
-// I06 and I07 on a device beside the processor: whole steps, and their guards.
-#include <cmath>
+// I06 and I07 on a device beside the CPU: whole steps, and their guards.
 #include <cstdio>
-#include <limits>
 
 #include "backend_parts.h"
 #include "box_room.h"
@@ -61,8 +59,8 @@ void step_in(CaseRun& run, Registry& registry, bool bf16) {
     Training cuda(network.yaml, std::string("device: cuda") + network.tile + (bf16 ? ", precision: bf16" : ""),
                   registry);
     const double want = cpu.train(1).total, got = cuda.train(1).total;
-    // In bf16 products of 8 significant bits; all as on the processor's own rows.
-    run.measure(relative_error(got, static_cast<long double>(want)), bf16 ? 0x1p-8 : 1e-5, "loss of a step");
+    // In bf16 products of 8 significant bits; all as on the CPU's own rows.
+    run.measure(relative_error(got, want), bf16 ? 0x1p-8 : 1e-5, "loss of a step");
     run.measure(relative_error(cuda.gradient_norm(), cpu.gradient_norm()), bf16 ? 0x1p-4 : 1e-4, "gradient norm");
     cpu.train(network.steps);
     cuda.train(network.steps);

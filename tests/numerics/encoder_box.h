@@ -1,9 +1,5 @@
-// An encoder of the registry with its own tensors, and the functions of group C's cases.
+// An encoder of the registry with its own tensors.
 #pragma once
-
-#include <memory>
-#include <string>
-#include <vector>
 
 #include "core/rng.h"
 #include "core/workspace.h"
@@ -51,18 +47,10 @@ class EncoderBox {
                        {dx.data(), rows(x), in_dims()});
     return dx;
   }
-  StepContext context() {
-    StepContext ctx;
-    ctx.workspace = &workspace_;
-    return ctx;
-  }
+  StepContext context() { return StepContext{.workspace = &workspace_}; }
 
  private:
-  static EncoderBuild build_of(std::int32_t in_dims) {
-    EncoderBuild build;
-    build.in_dims = in_dims;
-    return build;
-  }
+  static EncoderBuild build_of(std::int32_t in_dims) { return EncoderBuild{.in_dims = in_dims}; }
   std::int64_t rows(const std::vector<double>& x) const { return static_cast<std::int64_t>(x.size()) / in_dims(); }
   std::unique_ptr<Encoder<Real>> encoder_;
   testkit::TensorBox<Real> box_;
@@ -82,21 +70,5 @@ class Numbers {
  private:
   std::uint64_t seed_, next_ = 0;
 };
-
-// The cases: frequency_cases.cpp, hash_grid_cases.cpp, hash_gradient_cases.cpp.
-void pe_ten_bands(CaseRun& run);
-void pe_stored_x(CaseRun& run);
-void pe_geometry(CaseRun& run);
-void pe_gradient(CaseRun& run);
-void pe_double_angle(CaseRun& run);
-void pe_bad_input(CaseRun& run);
-void directions(CaseRun& run);
-void hash_faces(CaseRun& run);
-void hash_continuity(CaseRun& run);
-void hash_resolution(CaseRun& run);
-void hash_index(CaseRun& run);
-void hash_small_gradients(CaseRun& run);
-void hash_one_entry(CaseRun& run);
-void hash_gradient(CaseRun& run);
 
 }  // namespace semfield::numerics

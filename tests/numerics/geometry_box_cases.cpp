@@ -1,13 +1,11 @@
 // F01 to F04: rays against boxes. Geometry is float64 throughout, so these cases have that row alone.
 #include <algorithm>
-#include <array>
-#include <cmath>
 #include <cstdlib>
 
 #include "core/rng.h"
 #include "core/small_math.h"
 #include "eval/rays.h"
-#include "geometry_parts.h"
+#include "named_case.h"
 
 namespace semfield::numerics {
 
@@ -32,30 +30,19 @@ long double exit_of(const Box& box, Vec3d o, Vec3d d) {
 
 // A camera at `o` whose only pixel looks along the unit axis d exactly.
 RayCamera looking_along(Vec3d o, int axis, double sign) {
-  RayCamera camera;
-  camera.camera.width_px = camera.camera.height_px = 1;
-  camera.camera.fx = camera.camera.fy = 1;
-  camera.camera.cx = camera.camera.cy = 0.5;
+  RayCamera camera{.camera = {.width_px = 1, .height_px = 1, .fx = 1, .fy = 1, .cx = 0.5, .cy = 0.5}};
   Vec3d columns[3];
   columns[2][axis] = sign;
   columns[0][(axis + 1) % 3] = 1;
   columns[1] = cross(columns[2], columns[0]);
   for (int row = 0; row < 3; ++row) {
-    for (int col = 0; col < 3; ++col)
-      camera.world_from_camera.r[static_cast<std::size_t>(row)][static_cast<std::size_t>(col)] = columns[col][row];
+    for (int col = 0; col < 3; ++col) camera.world_from_camera.r[row][col] = columns[col][row];
   }
   camera.world_from_camera.t = o;
   return camera;
 }
 
-RayLimits limits_of(const Box& box) {
-  RayLimits limits;
-  limits.near_m = 0;
-  limits.far_m = 1e9;
-  limits.clip = true;
-  limits.bounds = box;
-  return limits;
-}
+RayLimits limits_of(const Box& box) { return RayLimits{.near_m = 0, .far_m = 1e9, .clip = true, .bounds = box}; }
 
 }  // namespace
 
@@ -139,7 +126,7 @@ void box_every_place(CaseRun& run) {
   for (int place = 0; place < 125; ++place) {
     const std::array<int, 3> o{place % 5 - 2, place / 5 % 5 - 2, place / 25 - 2};
     for (int turn = 0; turn < 54; ++turn) {
-      // Signs -1, 0, 1 an axis; the second half has components of 1, 2 and 3.
+      // Signs -1, 0, 1 per axis; the second half has components of 1, 2 and 3.
       const int signs = turn % 27, spread = turn / 27;
       const std::array<int, 3> d{signs % 3 - 1, (signs / 3 % 3 - 1) * (1 + spread), (signs / 9 - 1) * (1 + 2 * spread)};
       if (d == std::array<int, 3>{}) continue;

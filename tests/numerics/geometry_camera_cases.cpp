@@ -1,15 +1,10 @@
 // F05 to F09: poses and cameras. They are float64 throughout, so these cases have that row alone.
 #include <algorithm>
-#include <array>
-#include <cmath>
-#include <filesystem>
-#include <fstream>
-#include <limits>
 
 #include "eval/rays.h"
-#include "geometry_parts.h"
 #include "input_parts.h"
 #include "loading/frame_source.h"
+#include "named_case.h"
 #include "scene/camera_path.h"
 #include "scene/scene_checks.h"
 #include "tests/scene/room_files.h"
@@ -165,10 +160,9 @@ void rotation_check(CaseRun& run) {
     run.expect(check_pose(pose, "frame 'x'", found) == state, std::string("state of: ") + words);
     run.expect(found.error_count() == errors && static_cast<int>(found.all().size()) == errors + warnings,
                std::string("number of findings of: ") + words);
-    if (errors + warnings > 0) {
+    if (errors + warnings > 0)
       run.expect(found.all()[0].text().find(words) != std::string::npos && found.all()[0].where == "frame 'x'",
                  std::string("words: ") + words);
-    }
     if (state != PoseState::good) return;
     run.measure(off_orthonormal(pose), off > 1e-9 ? 1e-15 : 1e-9, "what is accepted is orthonormal");
     // Making it orthonormal moves no axis further than it was off.
@@ -184,8 +178,7 @@ void rotation_check(CaseRun& run) {
   check(changed(0.9e-3, 1, 1), PoseState::good, 0, 1, "0.0009 off orthonormal and was made orthonormal");
   check(changed(1.1e-5, 1, 1), PoseState::good, 0, 1, "1.1e-05 off orthonormal and was made orthonormal");
   check(changed(0.9e-5, 1, 1), PoseState::good, 0, 0, "below the warning");
-  Pose zeros;
-  zeros.r = {};
+  Pose zeros{.r = {}};
   check(zeros, PoseState::refused, 1, 0, "1 off orthonormal");
   // A file of poses to render along holds to the same bound.
   const std::string path = run.folder() + "/path.txt";
@@ -270,12 +263,7 @@ void bad_pose(CaseRun& run) {
 
 void intrinsics(CaseRun& run) {
   run.row("float64");
-  Camera good;
-  good.width_px = 64;
-  good.height_px = 48;
-  good.fx = good.fy = 60;
-  good.cx = 32;
-  good.cy = 24;
+  Camera good{.width_px = 64, .height_px = 48, .fx = 60, .fy = 60, .cx = 32, .cy = 24};
   const auto check = [&](const Camera& camera, bool accepted, Severity severity, const char* words) {
     Diagnostics found;
     run.expect(check_camera(camera, "frame 'x'", found) == accepted, std::string("verdict on: ") + words);

@@ -1,12 +1,10 @@
 // F10 to F12: scenes far from the origin, slivers, broken meshes.
 #include <algorithm>
-#include <cmath>
-#include <limits>
 
 #include "box_room.h"
 #include "datasets/obj_room/mesh_io.h"
 #include "datasets/obj_room/raycast.h"
-#include "geometry_parts.h"
+#include "named_case.h"
 #include "surface/mesh/marching_cubes.h"
 #include "surface/mesh/mesh_files.h"
 #include "tests/scene/room_files.h"

@@ -2,13 +2,11 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <cmath>
 #include <cstring>
-#include <limits>
 
 #include "formats/safetensors.h"
+#include "named_case.h"
 #include "optim/adam.h"
-#include "optimiser_cases.h"
 #include "training_box.h"
 
 namespace semfield::numerics {

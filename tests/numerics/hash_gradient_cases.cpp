@@ -1,10 +1,6 @@
 // Cases C12 to C14: gradients of the hash grid.
 #include <fmt/format.h>
 
-#include <algorithm>
-#include <cmath>
-#include <limits>
-
 #include "hash_reference.h"
 #include "thread_scope.h"
 
@@ -64,15 +60,14 @@ void hash_one_entry(CaseRun& run) {
     std::vector<long double> want(2, 0), mass(2, 0);
     for (int i = 0; i < 2 * kRows; ++i) {
       dy.push_back(static_cast<Real>(numbers.in(-1, 1)));
-      want[static_cast<std::size_t>(i % 2)] += static_cast<long double>(dy.back());
-      mass[static_cast<std::size_t>(i % 2)] += std::abs(static_cast<long double>(dy.back()));
+      want[i % 2] += static_cast<long double>(dy.back());
+      mass[i % 2] += std::abs(static_cast<long double>(dy.back()));
     }
     EncoderBox<Real> box(run.registry(), "hash_grid", one_level(1024, 10));  // hashed: entry 0
     Real first[2] = {};
     int differ = 0;
     Workspace workspace;
-    StepContext ctx;
-    ctx.workspace = &workspace;
+    StepContext ctx{.workspace = &workspace};
     for (int repeat = 0; repeat < 100; ++repeat) {
       const ThreadScope threads(1 + repeat % 2);
       box.tensors().fill_grads(Real(0));
@@ -86,10 +81,9 @@ void hash_one_entry(CaseRun& run) {
     run.measure(differ, 0, "repeats with other bits");
     // Added one after another, in fp32: roundings walk at random, by about sqrt(n) of them; of the sum of magnitudes
     // that is below 2e-7. The same bits for any thread count is what atomics cannot give.
-    for (std::size_t f = 0; f < 2; ++f) {
+    for (std::size_t f = 0; f < 2; ++f)
       run.measure(static_cast<double>(std::abs(static_cast<long double>(first[f]) - want[f]) / mass[f]),
                   tolerance_of<Real>(2e-7), "sum");
-    }
     run.note("100 repeats on 1 and 2 threads: the same bits");
   });
 }
@@ -121,7 +115,7 @@ void hash_gradient(CaseRun& run) {
         const std::vector<Real> dx = box.backward(x, dy);
         const double h = 1e-3 / static_cast<double>(resolution);
         double largest = 0;
-        for (const Real g : dx) largest = std::max(largest, std::abs(static_cast<double>(g)));
+        for (const Real g : dx) largest = std::max<double>(largest, std::abs(g));
         for (std::size_t i = 0; i < x.size(); ++i) {
           const double keep = x[i];
           // Along an axis features are linear, or cubic: a fourth-order difference is exact for both.
@@ -142,8 +136,7 @@ void hash_gradient(CaseRun& run) {
         const View<Real> grad = box.tensors().grad(0);
         const View<double> value = oracle.tensors().value(0);
         double scale = 0;
-        for (std::int64_t i = 0; i < grad.size(); ++i)
-          scale = std::max(scale, std::abs(static_cast<double>(grad.data[i])));
+        for (std::int64_t i = 0; i < grad.size(); ++i) scale = std::max<double>(scale, std::abs(grad.data[i]));
         for (std::int64_t i = 0; i < grad.size(); ++i) {
           if (i % 7 != 0 && grad.data[i] == Real(0))
             continue;  // every entry with a gradient, and a seventh of the rest

@@ -1,8 +1,6 @@
 // Cases C08 to C11: faces, continuity, resolutions and addresses of the hash grid.
 #include <fmt/format.h>
 
-#include <cmath>
-
 #include "hash_reference.h"
 #include "plugins/encoders/hash_grid/hash_grid_math.h"
 #include "testkit/guarded.h"
@@ -76,8 +74,7 @@ void hash_faces(CaseRun& run) {
         run.expect(grads.broken_guard().empty(), "gradients stay inside the table");
         long double spread = 0;
         for (std::int64_t r = 0; r < spec.rows; ++r) spread += static_cast<long double>(grad(r, 0));
-        run.measure(relative_error(spread, static_cast<long double>(rows)), tolerance_of<Real>(2e-6),
-                    "gradient handed to the table");
+        run.measure(relative_error(spread, rows), tolerance_of<Real>(2e-6), "gradient handed to the table");
       }
     }
   });
@@ -110,7 +107,7 @@ void hash_continuity(CaseRun& run) {
       for (std::size_t i = 0; i < a.size(); ++i) {
         double step = 0;
         for (std::size_t d = 0; d < 3; ++d) step += above[3 * (i / 2) + d] - below[3 * (i / 2) + d];
-        // Entries lie in +-1, so a step across an axis changes at most 2 a cell.
+        // Entries lie in +-1, so a step across an axis changes at most 2 per cell.
         const double allowed = 2 * static_cast<double>(resolution) * step;
         const double jump = std::abs(static_cast<double>(a[i]) - static_cast<double>(b[i]));
         run.measure(std::max(0.0, jump - allowed), tolerance_of<Real>(2e-6), "jump above the Lipschitz bound");
@@ -139,21 +136,19 @@ void hash_resolution(CaseRun& run) {
                   fmt::format("N = 2^{}", bits));
       const std::vector<Real> fine = box.forward(x), coarse = box.forward(stored);
       double off = 0;
-      for (std::size_t i = 0; i < fine.size(); ++i) {
+      for (std::size_t i = 0; i < fine.size(); ++i)
         off = std::max(off, std::abs(static_cast<double>(fine[i]) - static_cast<double>(coarse[i])));
-      }
-      // Half a quantum 2^(log2 N - 24) along each axis, 2 a cell.
+      // Half a quantum 2^(log2 N - 24) along each axis, 2 per cell.
       run.expect(off <= 3 * std::ldexp(1.0, bits - 24) + tolerance_of<Real>(1e-6), "fp32 coordinates: half a quantum");
       quantum = off;
     }
-    // No power of two: x N is rounded once, to 2^-53 N of a cell, 2 a cell along each axis.
+    // No power of two: x N is rounded once, to 2^-53 N of a cell, 2 per cell along each axis.
     EncoderBox<Real> odd(run.registry(), "hash_grid", one_level(1048573, 14));
     run.measure(interpolation_error(odd, 1048573, x), tolerance_of<Real>(5e-7, 6 * 1048573 * 0x1p-53), "N = 1,048,573");
     run.note(fmt::format("fp32 coordinates would be off by {:.2f} at N = 2^20", quantum));
-    for (const std::int64_t resolution : {(std::int64_t{1} << 20) + 1, std::int64_t{1} << 21, std::int64_t{1} << 22}) {
+    for (const std::int64_t resolution : {(std::int64_t{1} << 20) + 1, std::int64_t{1} << 21, std::int64_t{1} << 22})
       run.expect_error(ErrorKind::config, {"finest_resolution", "1048576"},
                        [&] { EncoderBox<Real>(run.registry(), "hash_grid", one_level(resolution, 14)); });
-    }
   });
 }
 

@@ -2,9 +2,6 @@
 #pragma once
 
 #include <algorithm>
-#include <cmath>
-#include <cstdint>
-#include <string>
 
 #include "core/view.h"
 #include "encoder_box.h"
@@ -18,7 +15,7 @@ inline Wide128 vertices_of(std::uint64_t resolution) {
   return n * n * n;
 }
 
-/// Row of the level's table that holds vertex (x, y, z) of N cells an axis [Mueller22 Eq. 4].
+/// Row of the level's table that holds vertex (x, y, z) of N cells per axis [Mueller22 Eq. 4].
 inline std::int64_t reference_entry(std::uint64_t resolution, std::int64_t entries, const std::uint64_t* v) {
   if (vertices_of(resolution) <= static_cast<Wide128>(entries)) {
     const Wide128 n = static_cast<Wide128>(resolution) + 1;
@@ -53,7 +50,7 @@ long double reference_feature(std::uint64_t resolution, View<const Real> table, 
   return sum;
 }
 
-/// Settings of a grid with one level of N cells an axis.
+/// Settings of a grid with one level of N cells per axis.
 inline testkit::Settings one_level(std::int64_t resolution, int log2_entries, int features = 2,
                                    const std::string& interpolation = "linear") {
   return {{"levels", "1"},

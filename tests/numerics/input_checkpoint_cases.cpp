@@ -3,9 +3,7 @@
 #include <sys/resource.h>
 
 #include <algorithm>
-#include <cmath>
 #include <cstring>
-#include <limits>
 
 #include "box_room.h"
 #include "core/rng.h"
@@ -88,7 +86,7 @@ void checkpoint_flips(CaseRun& run) {
   const int flips = 10'000;
   int accepted = 0;
   for (int i = 0; i < flips; ++i) {
-    // Evenly over the file, at a random place of each part: header, metadata and every tensor get their share.
+    // Evenly over the file, at a random place of each part: header, metadata and every tensor get their part.
     const auto part = static_cast<std::size_t>(i) * bits / flips, next = static_cast<std::size_t>(i + 1) * bits / flips;
     const std::size_t bit = part + uniform_below({3, 0, stream_id("stiff flip")}, static_cast<std::uint64_t>(i),
                                                  std::max<std::size_t>(1, next - part));
@@ -109,7 +107,7 @@ void checkpoint_cuts(CaseRun& run) {
   accepted += refused_as_data(good.substr(0, good.size() - 1)) ? 0 : 1;
   accepted += refused_as_data(good + '\0') ? 0 : 1;
   run.measure(accepted, 0, "lengths accepted");
-  // On the disk: the newest one cut short, the one before is found and the damage is told.
+  // On the disk: the newest one cut short, the one before is found and the damage is reported.
   CheckpointStore store(run.folder() + "/c");
   save(store, 100);
   save(store, 200);
@@ -132,8 +130,7 @@ void checkpoint_cuts(CaseRun& run) {
 
 void checkpoint_shapes(CaseRun& run) {
   run.row("-");
-  TensorFile::Limits no_sums;
-  no_sums.require_checksums = false;
+  TensorFile::Limits no_sums{.require_checksums = false};
   const auto decode = [&](const std::string& file) { (void)TensorFile::decode(file, "hostile.safetensors", no_sums); };
   decode(with_header(R"({"a":{"dtype":"F32","shape":[2],"data_offsets":[0,8]}})", 8));  // the control
   const struct {

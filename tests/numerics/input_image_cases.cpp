@@ -1,7 +1,5 @@
 // G01 to G05: images, and frames made of them.
-#include <cmath>
 #include <cstring>
-#include <limits>
 #include <numeric>
 
 #include "eval/metrics.h"
@@ -17,8 +15,7 @@ namespace semfield::numerics {
 
 namespace {
 
-using testing_room::plain_write;
-using testing_room::png_of;
+using namespace testing_room;
 
 void put_bytes(const std::string& path, const std::vector<std::uint8_t>& bytes) {
   plain_write(path, {bytes.begin(), bytes.end()});
@@ -67,7 +64,7 @@ std::string exr_of(std::int32_t width, std::int32_t height, const std::vector<fl
   for (std::int32_t y = 0; y < height; ++y) {
     put(y);
     put(static_cast<std::uint32_t>(4 * width));
-    for (std::int32_t x = 0; x < width; ++x) put(values[static_cast<std::size_t>(y * width + x)]);
+    for (std::int32_t x = 0; x < width; ++x) put(values[y * width + x]);
   }
   return out;
 }
@@ -80,7 +77,7 @@ void lying_images(CaseRun& run) {
   run.row("-");
   const std::string path = run.folder() + "/lie.png";
   const std::vector<std::uint8_t> body(10, 7);
-  if (images_available()) {  // the library of the other formats is loaded when it is first asked
+  if (images_available()) {  // the library of the other formats is loaded when it is first needed
     plain_write(run.folder() + "/small.exr", exr_of(2, 2, {1, 2, 3, 4}));
     run.expect(read_float(run.folder() + "/small.exr").pixels.size() == 4, "a sound image is read");
   }
@@ -252,7 +249,7 @@ void special_depth(CaseRun& run) {
   const LoadedScene special = load();
   run.expect(masked.frames[0].depth_m == special.frames[0].depth_m, "65535 reads as 0 does: no depth");
   for (std::size_t i = 0; i < wanted.size(); ++i)
-    run.measure(std::abs(static_cast<double>(special.frames[0].depth_m[i] - wanted[i])), 0, "depth of the others");
+    run.measure(std::abs(special.frames[0].depth_m[i] - wanted[i]), 0, "depth of the others");
   for (int a = 0; a < 3; ++a) {
     run.measure(std::abs(masked.bounds.lo[a] - special.bounds.lo[a]), 0, "bounds");
     run.measure(std::abs(masked.bounds.hi[a] - special.bounds.hi[a]), 0, "bounds");
@@ -279,7 +276,7 @@ void special_depth(CaseRun& run) {
     run.expect(term->counted_rays(spoilt.targets(), 5) == 1, name + " counts one pixel");
     run.measure(std::abs(spoilt.add(*term, 1) - sound.add(*term, 1)), 0, name);
     run.expect(spoilt.d_depth == sound.d_depth && spoilt.d_weight == sound.d_weight, name + " has the same gradients");
-    run.measure(std::abs(static_cast<double>(spoilt.d_depth[2])), 0, name + ", gradient of a pixel without depth");
+    run.measure(std::abs(spoilt.d_depth[2]), 0, name + ", gradient of a pixel without depth");
   }
 }
 

@@ -1,30 +1,13 @@
-// What the files of group G give its list of cases, and what they share.
+// What the files of group G share.
 #pragma once
 
 #include <ctime>
-#include <filesystem>
 #include <fstream>
-#include <memory>
-#include <string>
 
 #include "named_case.h"
 #include "testkit/settings.h"
 
 namespace semfield::numerics {
-
-void lying_images(CaseRun& run);
-void odd_images(CaseRun& run);
-void frame_files_at_odds(CaseRun& run);
-void float_depth(CaseRun& run);
-void special_depth(CaseRun& run);
-void deep_yaml(CaseRun& run);
-void alias_bombs(CaseRun& run);
-void yaml_mistakes(CaseRun& run);
-void checkpoint_flips(CaseRun& run);
-void checkpoint_cuts(CaseRun& run);
-void checkpoint_shapes(CaseRun& run);
-void broken_plugins(CaseRun& run);
-void full_disk(CaseRun& run);
 
 /// CPU time of this thread and growth of the process's largest memory since it was made.
 class ResourceUse {
@@ -34,7 +17,7 @@ class ResourceUse {
     begin_kib_ = status_kib("VmRSS:");
   }
   double seconds() const { return cpu_s() - begin_s_; }
-  /// 0 where the system does not tell, and under a sanitizer, whose own memory would be counted.
+  /// 0 where the system does not state it, and under a sanitizer, whose own memory would be counted.
   double grown_mib() const {
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
     return 0;

@@ -2,7 +2,6 @@
 #include <fmt/format.h>
 
 #include <cstring>
-#include <fstream>
 
 #include "encoder_box.h"
 #include "formats/image_io.h"
@@ -82,15 +81,13 @@ void label_range(CaseRun& run) {
     const std::vector<float> weights(28, 1.f);
     for (const int bad : {28, -2, 255, 32767, -32768}) {
       const std::vector<std::int16_t> label{27, static_cast<std::int16_t>(bad), -1};
-      SemanticTargets targets;
-      targets.hard = {label.data(), 3, 1};
+      SemanticTargets targets{.hard = {label.data(), 3, 1}};
       run.expect_error(ErrorKind::data, {"ray 1001 ", fmt::format("is {};", bad), "0 to 27"}, [&] {
         semantic_cross_entropy<Real>({logits.data(), 3, 28}, targets, {}, 1.0, 1.0, {gradient.data(), 3, 28}, 1000);
       });
-      if (bad > 0) {
+      if (bad > 0)
         run.expect_error(ErrorKind::data, {"ray 1 ", fmt::format("is {};", bad)},
                          [&] { labelled_weight(targets, row_of(weights)); });
-      }
     }
   });
   // Where labels enter: an image whose pixel (3, 2) holds an id that no class has. 65535 must not become void, -1.
@@ -98,10 +95,7 @@ void label_range(CaseRun& run) {
   std::vector<ClassEntry> entries;
   for (int c = 0; c < 28; ++c) entries.push_back({c + 1, "class " + std::to_string(c), {}, false});
   const ClassTable classes(entries);
-  FrameInfo frame;
-  frame.name = "view_7";
-  frame.camera.width_px = 6;
-  frame.camera.height_px = 4;
+  FrameInfo frame{.name = "view_7", .camera = {.width_px = 6, .height_px = 4}};
   FrameFiles files{run.folder() + "/color.png", "", run.folder() + "/label.png", ""};
   write_png_rgb(files.color, 6, 4, std::vector<std::uint8_t>(72, 100));
   for (const int bad : {0, 29, 255, 65534, 65535}) {
@@ -111,8 +105,7 @@ void label_range(CaseRun& run) {
     FrameBuffer buffer;
     run.expect_error(ErrorKind::data, {"frame 'view_7'", "label.png", fmt::format("id {} ", bad), "x 3", "y 2"},
                      [&] { read_frame_files(frame, files, {}, classes, buffer); });
-    FrameReadRules lenient;
-    lenient.unknown_labels = UnknownLabels::as_void;
+    FrameReadRules lenient{.unknown_labels = UnknownLabels::as_void};
     read_frame_files(frame, files, lenient, classes, buffer);
     run.expect(buffer.label[15] == kVoid && buffer.label[14] == 4, "unknown_labels: void makes it void, and it alone");
   }

@@ -1,12 +1,7 @@
-// The functions of group D's cases, and what they share.
+// What the files of group D share.
 #pragma once
 
-#include <algorithm>
-#include <cmath>
-#include <cstdint>
-#include <limits>
 #include <utility>
-#include <vector>
 
 #include "core/view.h"
 #include "named_case.h"
@@ -31,29 +26,5 @@ template <class Real>
 View<Real> row_of(std::vector<Real>& values) {
   return {values.data(), 1, static_cast<std::int32_t>(values.size())};
 }
-
-// cross_entropy_cases.cpp
-void logit_sweep(CaseRun& run);
-void infinite_logit(CaseRun& run);
-void one_hot_entropy(CaseRun& run);
-void one_class(CaseRun& run);
-void one_labelled(CaseRun& run);
-void soft_labels(CaseRun& run);
-void class_weights(CaseRun& run);
-void double_softmax(CaseRun& run);
-// label_cases.cpp
-void all_void(CaseRun& run);
-void label_range(CaseRun& run);
-// semantic_ray_cases.cpp
-void empty_ray(CaseRun& run);
-void half_opacity(CaseRun& run);
-void detached(CaseRun& run);
-// activation_cases.cpp
-void saturated_sigmoid(CaseRun& run);
-void hdr_target(CaseRun& run);
-void density_activations(CaseRun& run);
-void large_exponents(CaseRun& run);
-// dead_start_case.cpp
-void dead_start(CaseRun& run);
 
 }  // namespace semfield::numerics

@@ -1,8 +1,5 @@
 // Group H: metrics of images and labels that have nothing, or nothing sound, to compare. Metrics read fp32 and sum in
 // float64.
-#include <cmath>
-#include <limits>
-#include <vector>
 
 #include "classes/class_table.h"
 #include "core/rng.h"
@@ -26,6 +23,8 @@ MetricsRow written_and_read(const MetricsRow& row) {
 }
 
 bool is(const std::optional<double>& value, double truth) { return value && std::abs(*value - truth) < 1e-15; }
+
+}  // namespace
 
 void psnr_identical(CaseRun& run) {
   run.row("fp32");
@@ -88,7 +87,7 @@ void nan_pixel(CaseRun& run) {
   }
 }
 
-void all_void(CaseRun& run) {
+void void_frames(CaseRun& run) {
   run.row("fp32");
   const std::vector<std::int16_t> nothing(100, kVoid), some(100, 1);
   ConfusionMatrix confusion(5);
@@ -166,17 +165,5 @@ void depth_zero(CaseRun& run) {
   run.expect(!dark.rmse() && !dark.delta(1), "a dark picture has no depth error");
   run.measure(dark.coverage().value_or(1), 0, "and says so: its coverage is 0");
 }
-
-constexpr Case kCases[] = {
-    {"H01", "psnr-identical", "equal images, one rounding apart, noise", "exact, long double", psnr_identical},
-    {"H02", "nan-pixel", "one NaN or infinite value in an image", "no value, counted", nan_pixel},
-    {"H03", "all-void", "frames without a labelled pixel", "no data", all_void},
-    {"H04", "absent-classes", "classes absent from truth, from both, void on either side", "by hand", absent_classes},
-    {"H05", "depth-pred-0", "predicted depth of 0 and less", "by hand", depth_zero},
-};
-
-}  // namespace
-
-std::span<const Case> metric_cases() { return kCases; }
 
 }  // namespace semfield::numerics

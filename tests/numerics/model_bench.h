@@ -1,10 +1,6 @@
 // A small model of real parts: one pass of stratified samples, frequency encoding, a small network and a class head.
 #pragma once
 
-#include <memory>
-#include <utility>
-#include <vector>
-
 #include "core/small_math.h"
 #include "execution/pipeline.h"
 #include "ray_bench.h"
@@ -28,14 +24,11 @@ PassParts<Real> small_pass(const Registry& registry, const std::string& samples 
                            const std::string& encoding = "frequency",
                            const testkit::Settings& encoder_settings = {{"frequencies", "4"}},
                            const DomainMap& domain = {{0, 0, 0}, 0.2, 0}) {
-  PassParts<Real> parts;
-  parts.name = "main";
-  parts.sampler = make_sampler<Real>(registry, "stratified", {{"samples", samples}});
+  PassParts<Real> parts{.name = "main", .sampler = make_sampler<Real>(registry, "stratified", {{"samples", samples}})};
   const PluginEntry& encoder = registry.get(PluginKind::encoder, encoding);
   parts.position =
       make_part<Real>(encoder.encoder32, encoder.encoder64, encoder, encoder_settings, EncoderBuild{}, registry);
-  FieldBuild build;
-  build.position_dims = parts.position->traits().out_dims;
+  FieldBuild build{.position_dims = parts.position->traits().out_dims};
   const PluginEntry& field = registry.get(PluginKind::field, "tiny_mlp");
   parts.field = make_part<Real>(field.field32, field.field64, field, {{"hidden_width", "16"}, {"color_width", "16"}},
                                 build, registry);

@@ -2,9 +2,7 @@
 
 #include <stdlib.h>
 
-#include <cmath>
 #include <filesystem>
-#include <limits>
 
 namespace semfield::numerics {
 
@@ -47,9 +45,8 @@ void CaseRun::measure(double error, double tolerance, std::string_view what) {
     row.error = error;
     row.tolerance = tolerance;
   }
-  if (!(error <= tolerance)) {
+  if (!(error <= tolerance))
     fail(std::string(what.empty() ? "error" : what) + " " + std::to_string(ratio) + " times its tolerance");
-  }
 }
 
 void CaseRun::expect(bool holds, std::string_view claim) {
@@ -64,9 +61,8 @@ void CaseRun::expect_error(ErrorKind kind, const std::vector<std::string>& words
   } catch (const Error& error) {
     if (error.kind() != kind) fail("another kind of error: " + std::string(error.what()));
     for (const std::string& word : words) {
-      if (std::string_view(error.what()).find(word) == std::string_view::npos) {
+      if (std::string_view(error.what()).find(word) == std::string_view::npos)
         fail("no '" + word + "' in: " + error.what());
-      }
     }
     return;
   }

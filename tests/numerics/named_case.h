@@ -2,12 +2,6 @@
 #pragma once
 
 #include <chrono>
-#include <functional>
-#include <span>
-#include <string>
-#include <string_view>
-#include <type_traits>
-#include <vector>
 
 #include "app/numerics_suite.h"
 #include "core/error.h"
@@ -63,18 +57,17 @@ struct Case {
   std::string_view known_failure = {};  ///< why it fails today; it is then shown as failing, and must fail
 };
 
-/// The groups, each a list in the order of ids; cases.cpp joins them.
-std::span<const Case> transfer_cases();   // A
-std::span<const Case> sampling_cases();   // B
-std::span<const Case> encoder_cases();    // C
-std::span<const Case> loss_cases();       // D
-std::span<const Case> optimiser_cases();  // E
-std::span<const Case> geometry_cases();   // F
-std::span<const Case> input_cases();      // G
-std::span<const Case> metric_cases();     // H
-std::span<const Case> backend_cases();    // I
+// The functions that measure them.
+#define CASE(id, name, what, reference, measure) void measure(CaseRun& run);
+#define DEVICE_CASE(id, name, what, reference, on_cpu, on_device) \
+  void on_cpu(CaseRun& run);                                      \
+  void on_device(CaseRun& run);
+#include "cases.inc"
+#undef CASE
+#undef DEVICE_CASE
 
-std::vector<Case> all_cases();
+/// In the order of ids.
+std::span<const Case> all_cases();
 std::vector<app::NumericsRow> run_case(const Case& one, const Registry& registry);
 
 template <class Real>

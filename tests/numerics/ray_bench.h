@@ -2,10 +2,7 @@
 #pragma once
 
 #include <algorithm>
-#include <memory>
-#include <string>
 #include <utility>
-#include <vector>
 
 #include "named_case.h"
 #include "testkit/settings.h"
@@ -18,11 +15,7 @@ using testing::RayBuffers;
 using testing::TestNumbers;
 
 inline SamplerBuild unit_build() {
-  SamplerBuild build;
-  build.bounds = {{-1, -1, -1}, {1, 1, 1}};
-  build.near_m = 0.1;
-  build.far_m = 10;
-  return build;
+  return SamplerBuild{.bounds = {{-1, -1, -1}, {1, 1, 1}}, .near_m = 0.1, .far_m = 10};
 }
 
 template <class Real>
@@ -123,8 +116,8 @@ RayBuffers<Real> lattice(int n, double near_m, double far_m, double share) {
   RayBuffers<Real> rays({n}, 0);
   const double h = (far_m - near_m) / n;
   for (int k = 0; k < n; ++k) {
-    rays.t[static_cast<std::size_t>(k)] = static_cast<Real>(near_m + (k + share) * h);
-    rays.delta[static_cast<std::size_t>(k)] = static_cast<Real>(h);
+    rays.t[k] = static_cast<Real>(near_m + (k + share) * h);
+    rays.delta[k] = static_cast<Real>(h);
   }
   return rays;
 }

@@ -1,10 +1,7 @@
 // Group B: sampling. Here: the inverse CDF, ties and strata.
 #include "sampling_cases.h"
 
-#include <algorithm>
 #include <cstring>
-#include <limits>
-#include <memory>
 
 #include "compute/isa.h"
 #include "plugins/samplers/importance/importance_math.h"
@@ -76,7 +73,7 @@ void measure_inverse(CaseRun& run, const RayBench<Real>& bench, const InverseCdf
                      double far_m) {
   const auto n = static_cast<std::int64_t>(bench.t.size());
   for (std::int64_t j = 0; j < n; ++j) {
-    const double u = u_of(bench.ctx, j, n), got = static_cast<double>(bench.t[static_cast<std::size_t>(j)]);
+    const double u = u_of(bench.ctx, j, n), got = static_cast<double>(bench.t[j]);
     // The CDF is a sum of doubles: in a cell of little mass its rounding is many metres.
     const double rounding = 64 * 0x1p-53 * truth.slope(static_cast<long double>(u));
     run.measure(std::abs(got - static_cast<double>(truth.at(static_cast<long double>(u)))),
@@ -84,6 +81,8 @@ void measure_inverse(CaseRun& run, const RayBench<Real>& bench, const InverseCdf
     run.expect(got >= near_m && got <= far_m, "a sample lies between near and far");
   }
 }
+
+}  // namespace
 
 void zero_weights(CaseRun& run) {
   in_both_precisions(run, [&]<class Real>(Real) {
@@ -174,11 +173,7 @@ void u_edges(CaseRun& run) {
     for (const double mass : {0.0, 1e-300, 0x1p-53, 1e-7, 0.5, 1 - 1e-7}) {
       for (const double begin : {0.0, 2.0, 1e6}) {
         for (const double width : {0.0, 1e-12, 1.0}) {
-          CdfWalk cell;
-          cell.below = below;
-          cell.mass = mass;
-          cell.begin = begin;
-          cell.end = begin + width;
+          CdfWalk cell{.below = below, .mass = mass, .begin = begin, .end = begin + width};
           for (const double u : {0.0, 0x1p-24, 0.25, 0.5, 1 - 0x1p-24, 1 - 0x1p-53, 1.0}) {
             cell.is_last = false;
             run.expect(cell.holds(u) == (u < below + mass), "the border of a cell belongs to the next one");
@@ -192,11 +187,7 @@ void u_edges(CaseRun& run) {
       }
     }
   }
-  CdfWalk cell;
-  cell.begin = 2;
-  cell.end = 3;
-  cell.mass = 0.25;
-  cell.below = 0.5;
+  CdfWalk cell{.below = 0.5, .mass = 0.25, .begin = 2, .end = 3};
   for (int i = 0; i <= 100; ++i) {
     const double u = 0.5 + 0.25 * i / 100;
     run.measure(std::abs(cell.point(u) - (2 + static_cast<double>(i) / 100)), 1e-15, "place in a cell");
@@ -213,7 +204,7 @@ void cdf_end(CaseRun& run) {
       for (auto& w : weights) w = static_cast<Real>(kind == 0 ? 0.1 : kind == 1 ? random.uniform() : 1e-30);
       const Earlier<Real> earlier(bin_middles<Real>(0, 1, kBins), weights);
       const InverseCdf<Real> truth(earlier, 0, 1, 1e-3);
-      run.measure(std::abs(static_cast<double>(truth.cdf.back() - 1)), 1e-15, "the reference ends at 1");
+      run.measure(std::abs(truth.cdf.back() - 1), 1e-15, "the reference ends at 1");
       for (const std::int64_t step : {-1, 0, 1, 2}) {
         const auto bench = importance<Real>(run, fresh_only(2 * kBins), 0, 1, earlier, step);
         measure_inverse(run, *bench, truth, 0, 1);
@@ -262,12 +253,11 @@ void ties(CaseRun& run) {
           run.expect(std::isfinite(rays.d_sigma[k]), "gradients are finite");
           if (rays.delta[k] != 0) continue;
           ++none;
-          run.measure(std::abs(static_cast<double>(rays.weight[k])), 0, "weight of an interval without length");
-          run.measure(std::abs(static_cast<double>(rays.d_sigma[k])), 0, "its gradient");
+          run.measure(std::abs(rays.weight[k]), 0, "weight of an interval without length");
+          run.measure(std::abs(rays.d_sigma[k]), 0, "its gradient");
         }
         run.expect(none >= at_two - 2, "ties have intervals without length");
-        run.measure(relative_error(static_cast<long double>(rays.opacity[0]),
-                                   -std::expm1(-3 * static_cast<long double>(covered))),
+        run.measure(relative_error(rays.opacity[0], -std::expm1(-3 * static_cast<long double>(covered))),
                     tolerance_of<Real>(2e-6), "opacity of the union");
       }
     }
@@ -287,6 +277,8 @@ void dynamic_range(CaseRun& run) {
     }
   });
 }
+
+namespace {
 
 // Known answers of Philox4x32-10: counter and key of zeros, of ones, and of the digits of pi [Salmon11].
 void measure_philox(CaseRun& run) {
@@ -310,6 +302,8 @@ void measure_philox(CaseRun& run) {
   }
 }
 
+}  // namespace
+
 void strata(CaseRun& run) {
   in_both_precisions(run, [&]<class Real>(Real) {
     measure_philox(run);
@@ -322,16 +316,16 @@ void strata(CaseRun& run) {
         bench.ctx.step = step;
         bench.ctx.first_ray = 1000 * step;
         bench.draw();
-        run.expect(bench.out.count == 3 * kBins, "one sample a bin");
+        run.expect(bench.out.count == 3 * kBins, "one sample per bin");
         for (std::int64_t i = 0; i < 3 * kBins; ++i) {
           const std::int64_t r = i / kBins, k = i % kBins;
-          const double near_m = bench.near_far[static_cast<std::size_t>(2 * r)];
-          const double length = bench.near_far[static_cast<std::size_t>(2 * r + 1)] - near_m;
+          const double near_m = bench.near_far[2 * r];
+          const double length = bench.near_far[2 * r + 1] - near_m;
           const auto address = static_cast<std::uint64_t>((bench.ctx.first_ray + r) * kBins + k);
           const auto u = static_cast<double>(uniform01(bench.ctx.random("sampler/stratified"), address));
           // This file is compiled for the weakest instruction set: whatever the kernel runs on, the bits are these.
           const double place = near_m + length * ((static_cast<double>(k) + u) / kBins);
-          const Real got = bench.t[static_cast<std::size_t>(i)];
+          const Real got = bench.t[i];
           run.expect(got == static_cast<Real>(place), "the place has the bits of near + (far - near) (k + u) / N");
           const auto low = static_cast<Real>(near_m + length * (static_cast<double>(k) / kBins));
           const auto high = static_cast<Real>(near_m + length * (static_cast<double>(k + 1) / kBins));
@@ -342,24 +336,5 @@ void strata(CaseRun& run) {
     run.note("instruction set " + std::string(isa_name(isa())) + "; the tests run each in turn");
   });
 }
-
-constexpr Case kCases[] = {
-    {"B01", "zero-weights", "no weight anywhere, and no earlier sample", "uniform", zero_weights},
-    {"B02", "spike", "all weight in one of 62 bins, floors 1e-2 and 1e-9", "long double", spike},
-    {"B03", "end-spikes", "weight in the first and the last bin", "long double", end_spikes},
-    {"B04", "nan-weight", "NaN, negative, infinite weight", "named error", nan_weight},
-    {"B05", "u-edges", "u = 0, 1 - 2^-24, 1 in cells without mass or width", "inside the cell", u_edges},
-    {"B06", "cdf-end", "4,096 bins whose weights do not add up to 1", "long double", cdf_end},
-    {"B07", "ties", "three equal places with most of the weight", "stable merge", ties},
-    {"B08", "dynamic-range", "weights 1e-8 to 1, floors 1e-3 and 1e-9", "long double", dynamic_range},
-    {"B09", "strata", "64 jittered bins, 150 rays", "the formula's bits", strata},
-    {"B10", "bounds", "near = far, near > far, far infinite or NaN, near = 0", "empty, named error", bounds},
-    {"B11", "stall", "rays 1e5 m to 1e7 m long, steps of 1 mm", "integer steps", stall},
-    {"B12", "empty-batch", "0 rays, rays without samples, through the whole model", "loss 0", empty_batch},
-};
-
-}  // namespace
-
-std::span<const Case> sampling_cases() { return kCases; }
 
 }  // namespace semfield::numerics

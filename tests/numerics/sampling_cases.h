@@ -1,15 +1,9 @@
-// The cases of group B by file, and proposals for the importance sampler.
+// Proposals for the importance sampler.
 #pragma once
 
 #include "ray_bench.h"
 
 namespace semfield::numerics {
-
-// sampling_cases.cpp: inverse CDF, ties, strata.
-// sampling_limit_cases.cpp: limits of rays, long ways, nothing at all.
-void bounds(CaseRun& run);
-void stall(CaseRun& run);
-void empty_batch(CaseRun& run);
 
 /// What an earlier pass left on one ray: places and weights.
 template <class Real>
@@ -33,10 +27,9 @@ struct Earlier {
 template <class Real>
 std::vector<Real> bin_middles(double near_m, double far_m, std::size_t bins) {
   std::vector<Real> t;
-  for (std::size_t k = 0; k < bins; ++k) {
+  for (std::size_t k = 0; k < bins; ++k)
     t.push_back(
         static_cast<Real>(near_m + (far_m - near_m) * (static_cast<double>(k) + 0.5) / static_cast<double>(bins)));
-  }
   return t;
 }
 

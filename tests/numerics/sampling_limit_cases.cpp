@@ -1,6 +1,4 @@
 // Group B: limits of rays, very long ways, and nothing at all.
-#include <algorithm>
-#include <limits>
 
 #include "loading/frame_source.h"
 #include "losses/photometric.h"
@@ -56,7 +54,7 @@ void bounds(CaseRun& run) {
       run.expect(bench->first[3] > 0, "near = 0 has samples: " + sampler);
       run.expect(bench->first[4] == bench->first[3], "near = far = 0 is an empty ray: " + sampler);
       for (std::int32_t k = 0; k < bench->first[3]; ++k) {
-        const auto t = static_cast<double>(bench->t[static_cast<std::size_t>(k)]);
+        const auto t = static_cast<double>(bench->t[k]);
         run.expect(t >= 0 && t <= 1, "samples from near = 0 lie inside: " + sampler);
       }
       for (const Real d : bench->delta) run.expect(d >= 0 && std::isfinite(d), "intervals are finite: " + sampler);
@@ -70,9 +68,7 @@ void bounds(CaseRun& run) {
   });
   run.row("-");
   const auto expect_refused = [&](double near_m, double far_m, const std::string& word) {
-    SceneLoadOptions options;
-    options.near_m = near_m;
-    options.far_m = far_m;
+    SceneLoadOptions options{.near_m = near_m, .far_m = far_m};
     const std::string text = errors_of(options);
     run.expect(text.find(word) != std::string::npos,
                "near " + figure(near_m) + ", far " + figure(far_m) + " is refused with '" + word + "': " + text);
@@ -124,10 +120,9 @@ void stall(CaseRun& run) {
         for (std::int64_t i = 0; i < n; ++i) {
           const long double place =
               static_cast<long double>(begin) + (static_cast<long double>(i) + static_cast<long double>(jitter)) * step;
-          const auto t = static_cast<long double>(bench.t[static_cast<std::size_t>(i)]);
+          const auto t = static_cast<long double>(bench.t[i]);
           run.measure(static_cast<double>(std::abs(t - place)), 4 * kUlp * end, "place");
-          run.expect(i == 0 || bench.t[static_cast<std::size_t>(i)] >= bench.t[static_cast<std::size_t>(i - 1)],
-                     "places ascend");
+          run.expect(i == 0 || bench.t[i] >= bench.t[i - 1], "places ascend");
         }
         if (static_cast<double>(n) < wanted)
           run.expect(static_cast<double>(bench.delta[0]) > 1.5 * way.step_m, "longer steps stand in their intervals");
@@ -151,10 +146,7 @@ namespace {
 
 template <class Real>
 std::unique_ptr<Pipeline<Real>> pipeline(const Registry& registry, bool learned_encoding) {
-  PipelineOptions options;
-  options.lanes = 2;
-  options.rules.rendering.background = {0.5, 0.5, 0.5};
-  options.rules.rendering.early_stop = 0;
+  PipelineOptions options{.rules = {.rendering = {.background = {0.5, 0.5, 0.5}, .early_stop = 0}}, .lanes = 2};
   std::vector<PassParts<Real>> passes;
   passes.push_back(learned_encoding
                        ? small_pass<Real>(registry, "8", "hash_grid",
@@ -179,13 +171,10 @@ struct Batch {
     if (rays == 0) origin = near_far = direction = {0}, target = {0}, label = {kVoid};  // an address without rows
   }
   RayBatch view() const {
-    RayBatch batch;
-    batch.origin = {origin.data(), count, 3};
-    batch.direction = {direction.data(), count, 3};
-    batch.near_far = {near_far.data(), count, 2};
-    batch.targets.color = {target.data(), count, 3};
-    batch.targets.label = {label.data(), count, 1};
-    return batch;
+    return RayBatch{.origin = {origin.data(), count, 3},
+                    .direction = {direction.data(), count, 3},
+                    .near_far = {near_far.data(), count, 2},
+                    .targets = {.color = {target.data(), count, 3}, .label = {label.data(), count, 1}}};
   }
   std::int64_t count;
   std::vector<double> origin, direction, near_far;
@@ -209,14 +198,13 @@ void empty_batch(CaseRun& run) {
     }
     run.measure(std::abs(static_cast<double>(no_samples.color[2]) - 1), 0,
                 "a ray without samples shows the background");
-    run.measure(std::abs(static_cast<double>(no_samples.opacity[1])), 0, "its opacity");
+    run.measure(std::abs(no_samples.opacity[1]), 0, "its opacity");
     Real nothing = 0;
     const float no_target = 0;
     const std::int16_t no_label = kVoid;
     run.measure(photometric_loss<Real>(View<const Real>(&nothing, 0, 3), View<const float>(&no_target, 0, 3), 1, 1, {}),
                 0, "colour loss");
-    SemanticTargets targets;
-    targets.hard = {&no_label, 0, 1};
+    SemanticTargets targets{.hard = {&no_label, 0, 1}};
     run.measure(semantic_cross_entropy<Real>(View<const Real>(&nothing, 0, 5), targets, {}, 0, 1, {}).sum, 0,
                 "semantic loss");
     for (const bool learned_encoding : {false, true}) {
@@ -225,7 +213,7 @@ void empty_batch(CaseRun& run) {
         double largest = 0;
         for (const Tensor<Real>& tensor : model->store().all()) {
           for (std::size_t i = 0; i < tensor.grad.size(); ++i)
-            largest = std::max(largest, std::abs(static_cast<double>(tensor.grad.data()[i])));
+            largest = std::max<double>(largest, std::abs(tensor.grad.data()[i]));
         }
         return largest;
       };
@@ -252,7 +240,7 @@ void empty_batch(CaseRun& run) {
       job.opacity = {opacity.data(), 3, 1};
       model->render(job);
       for (const Real c : color) run.measure(std::abs(static_cast<double>(c) - 0.5), 0, "rendered background");
-      for (const Real o : opacity) run.measure(std::abs(static_cast<double>(o)), 0, "rendered opacity");
+      for (const Real o : opacity) run.measure(std::abs(o), 0, "rendered opacity");
     }
   });
 }

@@ -1,6 +1,7 @@
 // Cases D08, D09 and D11: class logits of rays that are empty, half opaque, or may not move the density.
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cstring>
 
 #include "encoder_box.h"
@@ -39,8 +40,7 @@ struct SemanticRay {
     rays.forward();
     head.output_forward(ctx, box.tensors(), {rays.out_hidden.data(), 1, kHidden}, {rays.opacity.data(), 1, 1},
                         row_of(logits));
-    SemanticTargets targets;
-    targets.hard = {&kLabel, 1, 1};
+    SemanticTargets targets{.hard = {&kLabel, 1, 1}};
     return semantic_cross_entropy<Real>(row_of(std::as_const(logits)), targets, {}, 1.0, 1.0, row_of(slope)).sum;
   }
   void backward() {
@@ -65,14 +65,11 @@ void empty_ray(CaseRun& run) {
   in_both_precisions(run, [&]<class Real>(Real) {
     SemanticRay<Real> ray(6);  // density 0
     const double loss = ray.loss();
-    for (const Real s : ray.logits) run.measure(std::abs(static_cast<double>(s)), 0, "logit");
+    for (const Real s : ray.logits) run.measure(std::abs(s), 0, "logit");
     std::vector<Real> p(kClasses);
     softmax<Real>(row_of(std::as_const(ray.logits)), row_of(p));
-    for (const Real one : p) {
-      run.measure(std::abs(static_cast<double>(one - Real(1) / Real(kClasses))), 0, "probability 1/C");
-    }
-    run.measure(relative_error(static_cast<long double>(loss), std::log(static_cast<long double>(kClasses))), 4e-16,
-                "loss ln C");
+    for (const Real one : p) run.measure(std::abs(one - Real(1) / Real(kClasses)), 0, "probability 1/C");
+    run.measure(relative_error(loss, std::log(static_cast<long double>(kClasses))), 4e-16, "loss ln C");
     // At density 0 only the sample's own weight moves: dL/dsigma_k = delta_k (h_k W + b) . (1/C - [label]).
     ray.backward();
     SemanticRay<double> oracle(6);
@@ -80,15 +77,13 @@ void empty_ray(CaseRun& run) {
       long double want = 0;
       for (std::int32_t c = 0; c < kClasses; ++c) {
         auto s = static_cast<long double>(ray.bias()(0, c));
-        for (std::int32_t h = 0; h < kHidden; ++h) {
+        for (std::int32_t h = 0; h < kHidden; ++h)
           s += static_cast<long double>(ray.rays.hidden[k * kHidden + static_cast<std::size_t>(h)]) *
                static_cast<long double>(ray.weight()(h, c));
-        }
         want += s * (1.0L / kClasses - (c == kLabel ? 1 : 0));
       }
       want *= static_cast<long double>(ray.rays.delta[k]);
-      run.measure(relative_error(static_cast<long double>(ray.rays.d_sigma[k]), want), tolerance_of<Real>(1e-5),
-                  "density gradient");
+      run.measure(relative_error(ray.rays.d_sigma[k], want), tolerance_of<Real>(1e-5), "density gradient");
       // The same by differences of the whole way, one-sided and extrapolated twice: densities are not negative.
       double at[4];
       for (int i = 0; i < 4; ++i) {
@@ -142,12 +137,12 @@ void detached(CaseRun& run) {
     grad.hidden_moves_density = false;
     composite_backward(rays.in(), rays.out(), grad, rays.col(rays.d_sigma), rays.mat(rays.d_rgb, 3),
                        rays.mat(rays.d_hidden, 5));
-    for (const Real g : rays.d_sigma) run.measure(std::abs(static_cast<double>(g)), 0, "dL/dsigma when detached");
+    for (const Real g : rays.d_sigma) run.measure(std::abs(g), 0, "dL/dsigma when detached");
     for (std::size_t i = 0; i < rays.d_hidden.size(); ++i) {
       const std::size_t sample = i / 5, ray = static_cast<std::size_t>(rays.ray[sample]);
       const long double want =
           static_cast<long double>(rays.weight[sample]) * static_cast<long double>(rays.g_hidden[5 * ray + i % 5]);
-      run.measure(relative_error(static_cast<long double>(rays.d_hidden[i]), want), tolerance_of<Real>(1e-6), "dL/dh");
+      run.measure(relative_error(rays.d_hidden[i], want), tolerance_of<Real>(1e-6), "dL/dh");
     }
     rays.backward();
     run.expect(std::any_of(rays.d_sigma.begin(), rays.d_sigma.end(), [](Real g) { return g != Real(0); }),

@@ -1,6 +1,5 @@
 // One step and a short training of a small network, under the instruction set that SEMFIELD_ISA names: the suite
 // compares what several of these print. step_probe CONFIGURATION STEPS: a line of numbers.
-#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <iostream>

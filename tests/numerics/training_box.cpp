@@ -47,9 +47,8 @@ std::vector<TrainingBox::Kept> TrainingBox::state() {
   std::vector<Kept> out;
   for (const Tensor<float>& t : pipeline().store().all()) {
     Kept kept{t.name, {t.value.data(), t.value.data() + t.value.size()}, {}};
-    for (const AlignedBuffer<float>* moments : {&t.moment1, &t.moment2}) {
+    for (const AlignedBuffer<float>* moments : {&t.moment1, &t.moment2})
       kept.moments.insert(kept.moments.end(), moments->data(), moments->data() + moments->size());
-    }
     out.push_back(std::move(kept));
   }
   return out;

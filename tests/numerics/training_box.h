@@ -1,10 +1,6 @@
 // A small scene of formulas with its pipeline, rays and trainer, from a configuration in text.
 #pragma once
 
-#include <memory>
-#include <string>
-#include <vector>
-
 #include "plugin/registry.h"
 #include "session/session.h"
 #include "session/trainer.h"

@@ -1,9 +1,7 @@
 // Group A: the transfer equation and compositing. Here: closed forms.
-#include "transfer_cases.h"
-
 #include <fmt/format.h>
 
-#include <algorithm>
+#include "ray_bench.h"
 
 namespace semfield::numerics {
 
@@ -17,6 +15,8 @@ double tau_rounding(double tau) {
   return std::is_same_v<Real, float> ? 0x1p-23 * tau : 0x1p-52 * tau;
 }
 
+}  // namespace
+
 void vacuum(CaseRun& run) {
   in_both_precisions(run, [&]<class Real>(Real) {
     for (const int count : {1, 2, 7, 64, 1024}) {
@@ -26,9 +26,9 @@ void vacuum(CaseRun& run) {
         rays.far = far;
         rays.background = {1, 0.5, 0.25};
         rays.forward();
-        run.measure(std::abs(static_cast<double>(rays.opacity[0])), 0, "opacity");
-        run.measure(std::abs(static_cast<double>(rays.depth[0])), 0, "depth");
-        for (const Real weight : rays.weight) run.measure(std::abs(static_cast<double>(weight)), 0, "weight");
+        run.measure(std::abs(rays.opacity[0]), 0, "opacity");
+        run.measure(std::abs(rays.depth[0]), 0, "depth");
+        for (const Real weight : rays.weight) run.measure(std::abs(weight), 0, "weight");
         const double seen = far == FarMode::open ? 1 : 0;  // T = 1: the background as it is
         run.measure(std::abs(static_cast<double>(rays.color[0]) - seen), 0, "background");
         rays.g_color = {1, 1, 1};
@@ -48,9 +48,9 @@ void constant_sweep(CaseRun& run) {
         RayBuffers<Real> rays = sampled_ray<Real>(run.registry(), "midpoint", n, 0, 1);
         render(rays, [&](double) { return std::pair(sigma, 1.0); });
         const long double want = -std::expm1(-static_cast<long double>(sigma));
-        run.measure(relative_error(static_cast<long double>(rays.opacity[0]), want), tolerance_of<Real>(4e-6),
+        run.measure(relative_error(rays.opacity[0], want), tolerance_of<Real>(4e-6),
                     "opacity at sigma 1e" + std::to_string(exponent) + ", N " + std::to_string(n));
-        run.measure(relative_error(static_cast<long double>(rays.color[kOpacity]), want), tolerance_of<Real>(4e-6));
+        run.measure(relative_error(rays.color[kOpacity], want), tolerance_of<Real>(4e-6));
       }
     }
   });
@@ -64,8 +64,7 @@ void linear_sigma(CaseRun& run) {
         RayBuffers<Real> rays = sampled_ray<Real>(run.registry(), "midpoint", n, 0, 1);
         render(rays, [&](double t) { return std::pair(a * t, 1.0); });
         const long double want = -std::expm1(-static_cast<long double>(tau));
-        run.measure(relative_error(static_cast<long double>(rays.opacity[0]), want), tolerance_of<Real>(2e-6),
-                    "opacity");
+        run.measure(relative_error(rays.opacity[0], want), tolerance_of<Real>(2e-6), "opacity");
         if (tau > 80) continue;  // e^-tau leaves fp32
         run.measure(relative_error(channel(rays, 0, kTransmittance), std::exp(-static_cast<long double>(tau))),
                     tolerance_of<Real>(2e-6) + tau_rounding<Real>(tau), "transmittance");
@@ -73,6 +72,8 @@ void linear_sigma(CaseRun& run) {
     }
   });
 }
+
+namespace {
 
 // T_k (1 - e^-tau_k) of every sample against long double from the same inputs.
 template <class Real>
@@ -90,6 +91,8 @@ void measure_weights(CaseRun& run, const RayBuffers<Real>& rays, double toleranc
     }
   }
 }
+
+}  // namespace
 
 void slab_stack(CaseRun& run) {
   in_both_precisions(run, [&]<class Real>(Real) {
@@ -130,10 +133,8 @@ void two_semantics(CaseRun& run) {
     for (std::size_t r = 0; r < 3; ++r) {
       const auto tau = static_cast<long double>(rays.sigma[2 * r]);
       const long double a = -std::expm1(-tau), b = std::exp(-tau) * -std::expm1(-20.0L);
-      run.measure(relative_error(static_cast<long double>(rays.out_hidden[2 * r]), a), tolerance_of<Real>(2e-6),
-                  "logit in front");
-      run.measure(relative_error(static_cast<long double>(rays.out_hidden[2 * r + 1]), b), tolerance_of<Real>(2e-6),
-                  "logit behind");
+      run.measure(relative_error(rays.out_hidden[2 * r], a), tolerance_of<Real>(2e-6), "logit in front");
+      run.measure(relative_error(rays.out_hidden[2 * r + 1], b), tolerance_of<Real>(2e-6), "logit behind");
     }
     run.expect(rays.out_hidden[2] < rays.out_hidden[3], "just below tau = ln 2 the class behind wins");
     run.expect(rays.out_hidden[4] > rays.out_hidden[5], "just above it the class in front wins");
@@ -156,8 +157,8 @@ void literal_eq_trap(CaseRun& run) {
     const double got = channel(rays, 0, kColour);
     run.measure(relative_error(got, want), tolerance_of<Real>(1e-6), "against the sum in long double");
     run.measure(std::abs(got - 0.455285), 1e-5, "against the printed value");
-    run.measure(relative_error(static_cast<long double>(rays.weight[16]), std::exp(-0.5L) * -std::expm1(-5.0L / 32)),
-                tolerance_of<Real>(1e-6), "first weight of the second slab");
+    run.measure(relative_error(rays.weight[16], std::exp(-0.5L) * -std::expm1(-5.0L / 32)), tolerance_of<Real>(1e-6),
+                "first weight of the second slab");
     run.note("colour " + figure(got) + ", the misprint gives 0.140");
   });
 }
@@ -187,10 +188,9 @@ void last_interval(CaseRun& run) {
         run.measure(relative_error(opacity, -std::expm1(-static_cast<long double>(tau))), tolerance_of<Real>(2e-7),
                     "opacity sigma delta");
         run.measure(std::abs(channel(rays, 0, kColour) - (tau + behind * (1 - tau))), tolerance_of<Real>(1e-7));
-        run.measure(relative_error(slope, static_cast<long double>(delta * std::exp(-tau) * (1 - behind))),
-                    tolerance_of<Real>(1e-6), "gradient");
+        run.measure(relative_error(slope, delta * std::exp(-tau) * (1 - behind)), tolerance_of<Real>(1e-6), "gradient");
       }
-      run.measure(std::abs(static_cast<double>(rays.opacity[1])), 0, "a ray without samples");
+      run.measure(std::abs(rays.opacity[1]), 0, "a ray without samples");
       run.measure(std::abs(channel(rays, 1, kColour) - (far == FarMode::closed ? 0 : 0.5)), 0, "what it shows");
     }
   });
@@ -205,10 +205,9 @@ void unity(CaseRun& run) {
       rays.space_evenly(1);
       for (std::size_t r = 0; r < static_cast<std::size_t>(rays_at_once); ++r) {
         const double tau = std::pow(10.0, random.in(-8, 8));
-        for (int k = 0; k < n; ++k) {
+        for (int k = 0; k < n; ++k)
           rays.sigma[r * static_cast<std::size_t>(n) + static_cast<std::size_t>(k)] =
               static_cast<Real>(2 * tau * random.uniform());
-        }
       }
       rays.background = {1, 1, 1};
       rays.forward();  // black medium: the colour is T
@@ -241,8 +240,7 @@ void many(CaseRun& run) {
       long double tau = 0;
       for (std::size_t k = 0; k < rays.sigma.size(); ++k)
         tau += static_cast<long double>(rays.sigma[k]) * static_cast<long double>(rays.delta[k]);
-      run.measure(relative_error(static_cast<long double>(rays.opacity[0]), -std::expm1(-tau)),
-                  tolerance_of<Real>(1e-5), "opacity");
+      run.measure(relative_error(rays.opacity[0], -std::expm1(-tau)), tolerance_of<Real>(1e-5), "opacity");
       run.measure(relative_error(channel(rays, 0, kColour), std::exp(-tau)), tolerance_of<Real>(1e-5), "T");
       measure_weights(run, rays, tolerance_of<Real>(1e-5));
     }
@@ -265,43 +263,5 @@ void euler_trap(CaseRun& run) {
     run.note("T = " + figure(behind));
   });
 }
-
-constexpr Case kCases[] = {
-    {"A01", "vacuum", "density 0, 1 to 1,024 samples", "exact", vacuum},
-    {"A02", "constant-sweep", "density 1e-12 to 1e8 over 1 m, N = 1 to 1,024", "1 - e^(-sigma L)", constant_sweep},
-    {"A03", "linear-sigma", "density a t, a = 1e-3 to 1e6, midpoint rule", "e^(-a L^2 / 2)", linear_sigma},
-    {"A04", "exp-sigma", "density e^(-t/H) / H, H = 1e-3 to 1e3 m, midpoint rule", "closed form", exp_sigma},
-    {"A05", "gauss-bump", "a bump of width 1e-3 to 1 m, intervals of 1/4 to 1/64 m", "erf, Poisson sum", gauss_bump},
-    {"A06", "linear-colour", "constant density, colour t / 4", "predicted errors", linear_colour},
-    {"A07", "order-smooth", "density e^-t, colour cos t on [0, 4]", "predicted orders", order_smooth},
-    {"A08", "stiff-wall", "density 10 to 1e8 behind 1.25 m, linear colour", "closed form", stiff_wall},
-    {"A09", "onset-between", "a wall at 1,000 places of an interval", "closed form", onset_between},
-    {"A10", "thin-slab", "a slab of 1 m to 1e-5 m in an interval of 1 m, 1e5 jittered rays", "expected value",
-     thin_slab},
-    {"A11", "slab-stack", "64 slabs of density 1e-2 and 1e4 in turn", "long double", slab_stack},
-    {"A12", "two-semantics", "class A of depth 0.7 and ln 2 +- 1e-4 before class B of depth 20", "closed form",
-     two_semantics},
-    {"A13", "literal-eq-trap", "slabs 1 | 5 over 1 m, colour t, 32 intervals", "long double", literal_eq_trap},
-    {"A14", "last-interval", "density 1e-6 in the last interval, each far mode", "1 or 1e-6 delta", last_interval},
-    {"A15", "unity", "1e5 random rays of depth 1e-8 to 1e8", "sum w + T = 1", unity},
-    {"A16", "many", "65,536 samples, optical depth 1", "long double", many},
-    {"A17", "early-stop", "rays cut at T < 1e-4 against whole ones", "certified bound", early_stop},
-    {"A18", "bad-density", "-1, NaN, +inf, -inf", "named error", bad_density},
-    {"A19", "denormal", "sigma delta = 1e-40 (1e-310), kept outside compute threads and flushed on them", "long double",
-     denormal},
-    {"A20", "grad-depth-of-fog", "gradients in fog of depth 0.1 to 80, N = 192", "long double", grad_depth_of_fog},
-    {"A21", "grad-opaque", "gradients around an opaque sample", "long double", grad_opaque},
-    {"A22", "grad-all-outputs", "colour, hidden, depth, opacity in all far modes", "Ridders, float64",
-     grad_all_outputs},
-    {"A23", "split-invariance", "each interval cut into 2 to 64", "same integral", split_invariance},
-    {"A24", "euler-trap", "64 intervals of depth 2.016", "9.5e-57", euler_trap},
-    {"A25", "inf-delta", "density 0 over an infinite interval, 3e38 over 10 m", "alpha 0, alpha 1", inf_delta},
-    {"A26", "nonunit-dirs", "pixel directions of length 1 to 1e3, scenes scaled by 1e-3 to 1e3", "scale law",
-     nonunit_dirs},
-};
-
-}  // namespace
-
-std::span<const Case> transfer_cases() { return kCases; }
 
 }  // namespace semfield::numerics

@@ -1,10 +1,7 @@
 // Group A: convergence of the rules, and what they do with walls and slabs.
 #include <fmt/format.h>
 
-#include <algorithm>
-#include <functional>
-
-#include "transfer_cases.h"
+#include "ray_bench.h"
 
 namespace semfield::numerics {
 
@@ -264,7 +261,7 @@ void thin_slab(CaseRun& run) {
       const double w = std::pow(10.0, exponent), sigma = 10 / w;
       render(rays, [&](double t) { return std::pair(std::abs(t - 3.5) <= 0.5 * w ? sigma : 0.0, 1.0); });
       double mean = 0;
-      for (std::int64_t r = 0; r < kRays; ++r) mean += static_cast<double>(rays.opacity[static_cast<std::size_t>(r)]);
+      for (std::int64_t r = 0; r < kRays; ++r) mean += static_cast<double>(rays.opacity[r]);
       mean /= static_cast<double>(kRays);
       const double hit = -std::expm1(-sigma), expected = w * hit;  // h = 1 m: a ray sees it with probability w / h
       const double standard_error = hit * std::sqrt(w * (1 - w) / static_cast<double>(kRays));

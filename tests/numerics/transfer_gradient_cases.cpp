@@ -1,20 +1,10 @@
 // Group A: gradients of compositing.
-#include <algorithm>
 
-#include "transfer_cases.h"
+#include "ray_bench.h"
 
 namespace semfield::numerics {
 
 namespace {
-
-template <class Real>
-void fill_random(RayBuffers<Real>& rays, std::uint64_t seed, double mean_density) {
-  TestNumbers random{seed};
-  for (auto& s : rays.sigma) s = static_cast<Real>(random.in(0, 2 * mean_density));
-  for (auto* v : {&rays.rgb, &rays.hidden, &rays.g_color, &rays.g_depth, &rays.g_opacity, &rays.g_hidden}) {
-    for (auto& x : *v) x = static_cast<Real>(random.in(-1, 1));
-  }
-}
 
 // dL/dsigma of a single ray of which colour alone has a gradient: from back to front in long double.
 template <class Real>
@@ -41,7 +31,7 @@ template <class Real>
 RayBuffers<Real> colour_alone(int samples, std::uint64_t seed, double tau) {
   RayBuffers<Real> rays({samples}, 0);
   rays.space_evenly(1);
-  fill_random(rays, seed, tau);
+  rays.fill_random(seed, tau);
   rays.g_depth = {0};
   rays.g_opacity = {0};
   return rays;
@@ -89,35 +79,20 @@ void grad_opaque(CaseRun& run) {
         const Real got = rays.d_sigma[k];
         run.expect(std::isfinite(got), "a gradient is finite");
         if (k < 10) {
-          run.measure(relative_error(static_cast<long double>(got), want[k]), tolerance_of<Real>(1e-5),
-                      "before the wall");
+          run.measure(relative_error(got, want[k]), tolerance_of<Real>(1e-5), "before the wall");
         } else if (std::is_same_v<Real, float> || wall > 745) {
-          run.measure(std::abs(static_cast<double>(got)), 0, "at and behind the wall");
+          run.measure(std::abs(got), 0, "at and behind the wall");
         } else {
-          run.measure(relative_error(static_cast<long double>(got), want[k]), 1e-11, "e^-200 behind the wall");
+          run.measure(relative_error(got, want[k]), 1e-11, "e^-200 behind the wall");
         }
-        if (k > 10 && (std::is_same_v<Real, float> || wall > 745)) {
-          run.measure(std::abs(static_cast<double>(rays.d_rgb[3 * k])), 0, "colour behind the wall");
-        }
+        if (k > 10 && (std::is_same_v<Real, float> || wall > 745))
+          run.measure(std::abs(rays.d_rgb[3 * k]), 0, "colour behind the wall");
       }
     }
   });
 }
 
 namespace {
-
-double loss_of(RayBuffers<double>& rays) {
-  rays.forward();
-  double loss = 0;
-  const auto add = [&loss](const std::vector<double>& out, const std::vector<double>& grad) {
-    for (std::size_t i = 0; i < out.size(); ++i) loss += out[i] * grad[i];
-  };
-  add(rays.color, rays.g_color);
-  add(rays.depth, rays.g_depth);
-  add(rays.opacity, rays.g_opacity);
-  add(rays.out_hidden, rays.g_hidden);
-  return loss;
-}
 
 // dL/dx by central differences, extrapolated to step 0 (Ridders): the estimate with the smallest change.
 double ridders(RayBuffers<double>& rays, double& x) {
@@ -127,9 +102,9 @@ double ridders(RayBuffers<double>& rays, double& x) {
   const double at = x;
   for (int i = 0; i < kSteps; ++i, step /= kShrink) {
     x = at + step;
-    const double above = loss_of(rays), up = x;
+    const double above = rays.loss(), up = x;
     x = at - step;
-    const double below = loss_of(rays), down = x;
+    const double below = rays.loss(), down = x;
     table[i][0] = (above - below) / (up - down);
     double factor = 1;
     for (int j = 1; j <= i; ++j) {
@@ -166,7 +141,7 @@ template <class Real>
 RayBuffers<Real> all_outputs(FarMode far) {
   RayBuffers<Real> rays(kCounts, kChannels);
   rays.space_evenly(3);
-  fill_random(rays, 22, 1.0);
+  rays.fill_random(22, 1.0);
   for (auto& s : rays.sigma) s += Real(0.25);  // room for the first step of the differences
   rays.far = far;
   rays.background = {0.3, -0.2, 0.9};
@@ -183,18 +158,7 @@ void grad_all_outputs(CaseRun& run) {
   for (const FarMode far : modes) {
     RayBuffers<float> rays = all_outputs<float>(far);
     RayBuffers<double> same = all_outputs<double>(far);
-    const auto widen = [](const std::vector<float>& from, std::vector<double>& to) {
-      to.assign(from.begin(), from.end());
-    };
-    widen(rays.t, same.t);
-    widen(rays.delta, same.delta);
-    widen(rays.sigma, same.sigma);
-    widen(rays.rgb, same.rgb);
-    widen(rays.hidden, same.hidden);
-    widen(rays.g_color, same.g_color);
-    widen(rays.g_depth, same.g_depth);
-    widen(rays.g_opacity, same.g_opacity);
-    widen(rays.g_hidden, same.g_hidden);
+    same.take_inputs(rays);
     rays.forward();
     rays.backward();
     same.forward();

@@ -1,15 +1,11 @@
 // Group A: early stop, bad and extreme values, units.
-#include <algorithm>
-#include <cmath>
 #include <cstring>
-#include <limits>
-#include <string>
 
 #include "compute/parallel.h"
 #include "eval/rays.h"
 #include "model_bench.h"
+#include "ray_bench.h"
 #include "training_box.h"
-#include "transfer_cases.h"
 
 namespace semfield::numerics {
 
@@ -33,12 +29,11 @@ template <class Real>
 void measure_early_stop(CaseRun& run, FarMode far) {
   constexpr double kCut = 1e-4;
   const double rounding = tolerance_of<Real>(2e-6);
-  RenderRules rules;
-  rules.rendering.density_activation = DensityActivation::softplus;
-  rules.rendering.density_bias = 3;
-  rules.rendering.background = {1, 1, 1};
-  rules.rendering.far = far;
-  rules.rendering.early_stop = 0;
+  RenderRules rules{.rendering = {.density_activation = DensityActivation::softplus,
+                                  .density_bias = 3,
+                                  .far = far,
+                                  .background = {1, 1, 1},
+                                  .early_stop = 0}};
   RenderRules cutting = rules, every_logit = rules;
   cutting.rendering.early_stop = kCut;
   every_logit.deferred_class_layer = false;
@@ -47,7 +42,7 @@ void measure_early_stop(CaseRun& run, FarMode far) {
   const PassTrace<Real> full = whole.forward(false), part = cut.forward(false),
                         single = sample_by_sample.forward(false);
   const Tensor<Real>* bias = cut.store.find("main/semantic/class/bias");
-  run.expect(bias != nullptr && bias->size() == full.semantic.rows.cols, "the class layer has a bias a class");
+  run.expect(bias != nullptr && bias->size() == full.semantic.rows.cols, "the class layer has a bias per class");
   if (bias == nullptr) return;
   std::int64_t skipped = 0;
   for (std::int64_t m = 0; m < full.samples.count; ++m)
@@ -63,9 +58,10 @@ void measure_early_stop(CaseRun& run, FarMode far) {
     for (std::int32_t c = 0; c < full.semantic.rows.cols; ++c) {
       double largest = 0;
       for (std::int32_t m = single.samples.first(r, 0); m < single.samples.first(r + 1, 0); ++m)
-        largest = std::max(largest, std::abs(static_cast<double>(single.semantic.sample_rows(m, c))));
-      const double error = std::abs(static_cast<double>(full.semantic.rows(r, c)) - static_cast<double>(part.semantic.rows(r, c)));
-      const double rest = far == FarMode::background ? std::abs(static_cast<double>(bias->value.data()[c])) : 0.0;
+        largest = std::max<double>(largest, std::abs(single.semantic.sample_rows(m, c)));
+      const double error =
+          std::abs(static_cast<double>(full.semantic.rows(r, c)) - static_cast<double>(part.semantic.rows(r, c)));
+      const double rest = far == FarMode::background ? std::abs(bias->value.data()[c]) : 0.0;
       run.measure(error, (kCut + rounding) * (largest + rest), "logit");
       worst_logit = std::max(worst_logit, error / largest);
     }
@@ -76,12 +72,11 @@ void measure_early_stop(CaseRun& run, FarMode far) {
       sum += static_cast<double>(part.weight(m, 0));
     run.measure(std::abs(sum - static_cast<double>(part.opacity(r, 0))), rounding, "opacity is the sum of weights");
   }
-  if (far == FarMode::open) {
+  if (far == FarMode::open)
     run.note(
         "not evaluated: " + figure(100.0 * static_cast<double>(skipped) / static_cast<double>(full.samples.count)) +
         " % of the samples; colour off by " + figure(worst_colour) + ", logits by " + figure(worst_logit) +
         " of the largest");
-  }
   const PassTrace<Real> trained = whole.forward(true), also = cut.forward(true);
   run.expect(same_bits(trained.color, also.color) && same_bits(trained.opacity, also.opacity) &&
                  same_bits(trained.semantic.rows, also.semantic.rows) && same_bits(trained.weight, also.weight),
@@ -120,7 +115,7 @@ void bad_density(CaseRun& run) {
       beside.space_evenly(1);
       std::fill(beside.sigma.begin(), beside.sigma.end(), Real(0.5));
       beside.forward();
-      run.measure(std::abs(static_cast<double>(rays.opacity[0] - beside.opacity[0])), 0, "the ray beside it");
+      run.measure(std::abs(rays.opacity[0] - beside.opacity[0]), 0, "the ray beside it");
     }
     const Real largest = std::numeric_limits<Real>::max();
     RayBuffers<Real> edge({1}, 0);
@@ -130,8 +125,7 @@ void bad_density(CaseRun& run) {
     check_density<Real>(edge.samples, edge.col(edge.sigma), 0);
     run.expect(true, "the largest number and -0 are densities");
     // The same of a whole pass, whose raw densities become infinite.
-    RenderRules rules;
-    rules.rendering.density_bias = infinity;
+    RenderRules rules{.rendering = {.density_bias = infinity}};
     ModelBench<Real> model(run.registry(), rules);
     const auto values = [&] {
       std::vector<Real> all;
@@ -171,7 +165,7 @@ int subnormal_count(TrainingBox& box) {
   return found;
 }
 
-// Some processors take 25 times as long over subnormal numbers. Compute threads meet none: whatever a step begins with,
+// Some CPUs take 25 times as long over subnormal numbers. Compute threads meet none: whatever a step begins with,
 // it leaves none behind.
 void count_subnormals_of_a_step(CaseRun& run) {
   TrainingBox box(run.registry(), small_config());
@@ -266,17 +260,17 @@ void inf_delta(CaseRun& run) {
     rays.sigma = {0, 1, static_cast<Real>(3e38), 1, static_cast<Real>(1e-30), 1};
     rays.t = {1, 2, 1, 2, 1, 2};
     rays.forward();
-    run.measure(std::abs(static_cast<double>(rays.weight[0])), 0, "0 over an infinite interval");
-    run.measure(relative_error(static_cast<long double>(rays.weight[1]), -std::expm1(-1.0L)), tolerance_of<Real>(1e-6),
+    run.measure(std::abs(rays.weight[0]), 0, "0 over an infinite interval");
+    run.measure(relative_error(rays.weight[1], -std::expm1(-1.0L)), tolerance_of<Real>(1e-6),
                 "what is behind it is seen");
     run.measure(std::abs(static_cast<double>(rays.weight[2]) - 1), 0, "3e38 over 10 m");
-    run.measure(std::abs(static_cast<double>(rays.weight[3])), 0, "behind it");
+    run.measure(std::abs(rays.weight[3]), 0, "behind it");
     run.measure(std::abs(static_cast<double>(rays.weight[4]) - 1), 0, "1e-30 over an infinite interval");
     run.measure(std::abs(static_cast<double>(rays.depth[2]) - 1), 0, "its depth");
     rays.g_opacity = rays.g_depth = {1, 1, 1};
     rays.backward();
     for (const Real d : rays.d_sigma) run.expect(std::isfinite(d), "gradients are finite");
-    run.measure(std::abs(static_cast<double>(rays.d_sigma[3])), 0, "the gradient behind an opaque sample");
+    run.measure(std::abs(rays.d_sigma[3]), 0, "the gradient behind an opaque sample");
   });
 }
 
@@ -287,20 +281,14 @@ void nonunit_dirs(CaseRun& run) {
     const auto measure_opacity = [&](double near_m, double far_m, double sigma, long double tau) {
       RayBuffers<Real> rays = sampled_ray<Real>(run.registry(), "midpoint", 64, near_m, far_m);
       render(rays, [&](double) { return std::pair(sigma, 1.0); });
-      run.measure(relative_error(static_cast<long double>(rays.opacity[0]), -std::expm1(-tau)),
-                  tolerance_of<Real>(2e-6), "opacity");
+      run.measure(relative_error(rays.opacity[0], -std::expm1(-tau)), tolerance_of<Real>(2e-6), "opacity");
       return static_cast<double>(rays.depth[0]);
     };
     for (const double across : {0.0, 0.75, 10.0, 100.0, 1000.0}) {
-      RayCamera camera;
-      camera.camera.width_px = camera.camera.height_px = 1;
-      camera.camera.fx = camera.camera.fy = 0.5;
+      RayCamera camera{.camera = {.width_px = 1, .height_px = 1, .fx = 0.5, .fy = 0.5}};
       camera.camera.cx = 0.5 - 0.5 * across;  // the pixel's centre is seen at x / z = across
       camera.camera.cy = 0.5;
-      RayLimits limits;
-      limits.near_m = 1;
-      limits.far_m = 2;
-      limits.z_depth = true;
+      RayLimits limits{.near_m = 1, .far_m = 2, .z_depth = true};
       double origin[3], direction[3], near_far[2];
       cast_ray(camera, limits, 0, 0, origin, direction, near_far);
       const long double length = std::sqrt(1 + static_cast<long double>(across) * static_cast<long double>(across));

@@ -1,28 +1,14 @@
-// Adam against long double, the lazy rule, zero and bad gradients, counters, ranges and threads.
+// Adam: decay, bad gradients, ranges and threads. Cases E01 to E08 of tests/numerics compare it with long double.
 #include "optim/adam.h"
 
 #include <gtest/gtest.h>
 
-#include <cmath>
-#include <limits>
-#include <vector>
-
 #include "compute/parallel.h"
 #include "core/rng.h"
+#include "optim/schedule.h"
 
 namespace semfield {
 namespace {
-
-struct Reference {
-  long double x = 0, m = 0, v = 0;
-  void update(const AdamParams& p, long double g, long double t) {
-    m = static_cast<long double>(p.beta1) * m + (1 - static_cast<long double>(p.beta1)) * g;
-    v = static_cast<long double>(p.beta2) * v + (1 - static_cast<long double>(p.beta2)) * g * g;
-    const long double m_hat = m / (1 - std::pow(static_cast<long double>(p.beta1), t));
-    const long double v_hat = v / (1 - std::pow(static_cast<long double>(p.beta2), t));
-    x -= static_cast<long double>(p.learning_rate) * m_hat / (std::sqrt(v_hat) + static_cast<long double>(p.epsilon));
-  }
-};
 
 template <class Real>
 struct State {
@@ -38,36 +24,6 @@ struct State {
   std::int32_t cols_;
 };
 
-template <class Real>
-void expect_close(Real got, long double want, double tolerance, const char* what) {
-  const auto w = static_cast<double>(want);
-  EXPECT_NEAR(static_cast<double>(got), w, tolerance * std::abs(w) + 1e-300) << what;
-}
-
-TEST(Adam, FollowsTheFormulaForGradientsOfAnySize) {  // E01, E03
-  for (const double epsilon : {1e-8, 1e-15}) {
-    for (int exponent = -20; exponent <= 10; exponent += 2) {
-      AdamParams params;
-      params.epsilon = epsilon;
-      State<float> state(1);
-      State<double> twin(1);
-      Reference want;
-      for (std::int64_t step = 0; step < 1000; ++step) {
-        const double noise = static_cast<double>(uniform01({1, 0, 2}, static_cast<std::uint64_t>(step)));
-        const auto g = static_cast<float>((0.5 + noise) * std::pow(10.0, exponent));
-        state.grad[0] = g;
-        twin.grad[0] = static_cast<double>(g);
-        const AdamStep constants = adam_step(params, params.learning_rate, step);
-        state.dense(constants);
-        twin.dense(constants);
-        want.update(params, static_cast<long double>(g), static_cast<long double>(step + 1));
-      }
-      expect_close(state.value[0], want.x, 1e-5, "float");
-      expect_close(twin.value[0], want.x, 1e-11, "double");
-    }
-  }
-}
-
 TEST(Adam, DecayTakesItsShareBeforeTheUpdate) {
   State<double> plain(3), decayed(3);
   AdamStep step = adam_step(AdamParams{}, 0.01, 5);
@@ -80,35 +36,6 @@ TEST(Adam, DecayTakesItsShareBeforeTheUpdate) {
   decayed.dense(step);
   for (std::size_t i = 0; i < 3; ++i)
     EXPECT_NEAR(decayed.value[i], plain.value[i] - 0.25 * (1.0 + static_cast<double>(i)), 1e-15);
-}
-
-TEST(Adam, LazyRuleOfTouchedRows) {  // E02
-  AdamParams params;
-  State<float> state(3, 2);
-  Reference want;  // row 1, column 0: moments stand still between touches, t goes on
-  for (std::int64_t step = 0; step < 20000; ++step) {
-    const bool hit = step % 1000 == 7;
-    state.grad[2] = hit ? 0.25f : 0.f;
-    const std::int64_t touched = state.touched(adam_step(params, params.learning_rate, step));
-    ASSERT_EQ(touched, hit ? 1 : 0);
-    ASSERT_EQ(state.grad[2], 0);  // cleared by the visit
-    if (hit) want.update(params, 0.25L, static_cast<long double>(step + 1));
-  }
-  expect_close(state.value[2], want.x, 1e-5, "touched");
-  expect_close(state.m[2], want.m, 1e-5, "first moment");
-  EXPECT_EQ(state.value[3], 0);  // zero gradient in a touched row
-  for (const std::size_t i : {0u, 1u, 4u, 5u}) EXPECT_TRUE(state.value[i] == 0 && state.m[i] == 0 && state.v[i] == 0);
-}
-
-TEST(Adam, TouchedEqualsDenseWhenEveryRowIsTouched) {
-  State<float> a(1000, 2), b(1000, 2);
-  for (std::size_t i = 0; i < 2000; ++i) a.grad[i] = b.grad[i] = 0.001f * static_cast<float>(i + 1);
-  const AdamStep step = adam_step({}, 1e-2, 3);
-  a.dense(step);
-  EXPECT_EQ(b.touched(step), 1000);
-  EXPECT_EQ(a.value, b.value);
-  EXPECT_EQ(a.m, b.m);
-  EXPECT_EQ(a.v, b.v);
 }
 
 TEST(Adam, TouchedGivesTheSameBitsForAnyRangesAndWidths) {
@@ -137,10 +64,9 @@ TEST(Adam, TouchedGivesTheSameBitsForAnyRangesAndWidths) {
     dense.dense(step);
     std::int64_t touched = 0;
     const std::vector<std::int64_t> cuts{0, 1, 4, 333, 340, 1001, kRows};
-    for (std::size_t k = 0; k + 1 < cuts.size(); ++k) {
+    for (std::size_t k = 0; k + 1 < cuts.size(); ++k)
       touched += adam_touched<float>(step, ranges.view(ranges.value), ranges.view(ranges.grad), ranges.view(ranges.m),
                                      ranges.view(ranges.v), cuts[k], cuts[k + 1] - cuts[k]);
-    }
     EXPECT_EQ(touched, want_touched);
     EXPECT_EQ(whole.value, ranges.value) << cols;
     EXPECT_EQ(whole.m, ranges.m);
@@ -157,17 +83,6 @@ TEST(Adam, TouchedGivesTheSameBitsForAnyRangesAndWidths) {
         ASSERT_EQ(whole.v[i], source.v[i]);
       }
     }
-  }
-}
-
-TEST(Adam, ZeroGradientLeavesParametersBitwiseAlone) {  // E04
-  State<float> state(5);
-  state.value = {1.5f, -0.f, 1e-40f, 1e30f, -3.25f};
-  const auto before = state.value;
-  for (std::int64_t step = 0; step < 10; ++step) state.dense(adam_step({}, 0.1, step));
-  for (std::size_t i = 0; i < 5; ++i) {
-    EXPECT_EQ(state.value[i], before[i]);
-    EXPECT_EQ(std::signbit(state.value[i]), std::signbit(before[i]));
   }
 }
 
@@ -226,8 +141,7 @@ TEST(Adam, AnUpdateFromTheLargestSoundNumbersIsFinite) {
     for (const float m : {-kLargestSound<float>, kLargestSound<float>}) {
       for (const float v : {0.F, kLargestSound<float> * kLargestSound<float>}) {
         float x = kLargestSound<float>, g = -m, mean = m, square = v;
-        AdamParams params;
-        params.epsilon = epsilon;
+        AdamParams params{.epsilon = epsilon};
         adam_dense<float>(adam_step(params, 1.0, 0), {&x, 1, 1}, {&g, 1, 1}, {&mean, 1, 1}, {&square, 1, 1}, 0, 1);
         EXPECT_TRUE(std::isfinite(x) && std::isfinite(mean) && std::isfinite(square))
             << x << ' ' << mean << ' ' << square;
@@ -246,21 +160,6 @@ TEST(Adam, TheFirstNonFiniteIsTheSameForAnyThreads) {
   set_thread_count(0);
 }
 
-TEST(Adam, CountersFarOut) {  // E07
-  const AdamParams params;
-  const AdamStep first = adam_step(params, 1, 0);
-  EXPECT_NEAR(first.step_size, 1 / (1 - 0.9), 1e-12 / 0.1);
-  EXPECT_NEAR(first.root_scale, 1 / std::sqrt(1 - 0.999), 1e-10);
-  const AdamStep late = adam_step(params, 1, std::int64_t{1} << 31);
-  EXPECT_EQ(late.step_size, 1);
-  EXPECT_EQ(late.root_scale, 1);
-  AdamParams slow;
-  slow.beta2 = 1 - 1e-8;
-  const long double t = 2147483648.0L + 1;
-  const auto want = static_cast<double>(1 / std::sqrt(-std::expm1(t * std::log(static_cast<long double>(slow.beta2)))));
-  EXPECT_NEAR(adam_step(slow, 1, std::int64_t{1} << 31).root_scale, want, 1e-9 * want);
-}
-
 TEST(Adam, SameBitsForAnyRangesAndThreads) {
   constexpr std::int64_t kRows = 100003;
   State<float> whole(kRows, 2), ranges(kRows, 2), threads(kRows, 2), lazy(kRows, 2), lazy_threads(kRows, 2);
@@ -270,10 +169,9 @@ TEST(Adam, SameBitsForAnyRangesAndThreads) {
   }
   const AdamStep step = adam_step({}, 1e-3, 5);
   whole.dense(step);
-  for (const auto& [begin, count] : {std::pair<std::int64_t, std::int64_t>{0, 1}, {1, 77776}, {77777, kRows - 77777}}) {
+  for (const auto& [begin, count] : {std::pair<std::int64_t, std::int64_t>{0, 1}, {1, 77776}, {77777, kRows - 77777}})
     adam_dense<float>(step, ranges.view(ranges.value), ranges.view(ranges.grad), ranges.view(ranges.m),
                       ranges.view(ranges.v), begin, count);
-  }
   const std::int64_t touched = lazy.touched(step);
   const int before = thread_count();
   set_thread_count(2);
@@ -290,6 +188,48 @@ TEST(Adam, SameBitsForAnyRangesAndThreads) {
   EXPECT_EQ(whole.v, threads.v);
   EXPECT_EQ(lazy.value, lazy_threads.value);
   EXPECT_EQ(lazy.m, lazy_threads.m);
+}
+
+// Learning-rate schedules: holds and legs. Case E07 has their formulas and warm-up.
+
+TEST(Schedule, ExponentialToTheBit) { EXPECT_EQ(schedule_factor({}, 12345), std::pow(0.1, 12345.0 / 250000.0)); }
+
+TEST(Schedule, TheRateIsHeldBeforeItFallsAndWhileItsEndIsUnknown) {
+  ScheduleParams params{.decay_steps = 0};
+  for (const std::int64_t step : {0, 1, 99999}) EXPECT_EQ(schedule_factor(params, step), 1) << step;
+  params.hold_steps = 100;
+  params.decay_steps = 300;
+  for (const std::int64_t step : {0, 50, 100}) EXPECT_EQ(schedule_factor(params, step), 1) << step;
+  EXPECT_NEAR(schedule_factor(params, 200), std::sqrt(0.1), 1e-15);
+  EXPECT_NEAR(schedule_factor(params, 300), 0.1, 1e-15);
+  params.hold_steps = 300;
+  EXPECT_EQ(schedule_factor(params, 300), 1) << "nothing is left to fall in";
+  EXPECT_EQ(schedule_factor(params, 301), 0.1);
+}
+
+TEST(Schedule, ALegHasItsOwnRateHoldAndEnd) {
+  for (const ScheduleKind kind : {ScheduleKind::exponential, ScheduleKind::cosine}) {
+    ScheduleParams params{.kind = kind, .decay_steps = 100, .legs = {{150, 0.5, 160, 200, 0}, {300, 0.4, 300, 0, 60}}};
+    EXPECT_NEAR(schedule_factor(params, 149), 0.1, 1e-15);
+    EXPECT_EQ(schedule_factor(params, 150), 0.5);
+    EXPECT_EQ(schedule_factor(params, 160), 0.5);
+    EXPECT_LT(schedule_factor(params, 161), 0.5);
+    EXPECT_GT(schedule_factor(params, 199), 0.1);
+    EXPECT_NEAR(schedule_factor(params, 250), 0.1, 1e-15);
+    EXPECT_EQ(schedule_factor(params, 300), 0.4);
+    EXPECT_EQ(schedule_factor(params, 5000), 0.4) << "its end is not settled";
+  }
+}
+
+TEST(Schedule, AShareOfTheRunBeginsAtItsStepAndNotBeforeTheRateFalls) {
+  ScheduleParams params;
+  EXPECT_EQ(step_of_share(0, 0, params), 0);
+  EXPECT_EQ(step_of_share(0.2, 100, params), 20);
+  EXPECT_EQ(step_of_share(0.201, 100, params), 21);
+  EXPECT_GT(step_of_share(0.2, 0, params), 1000000000) << "nobody knows how long the run is";
+  params.hold_steps = 30;
+  EXPECT_EQ(step_of_share(0.2, 100, params), 30);
+  EXPECT_EQ(step_of_share(0.5, 100, params), 50);
 }
 
 }  // namespace

@@ -1,6 +1,4 @@
 // An encoder that breaks a law: its gradient of the position is twice what it should be.
-#include <cmath>
-#include <cstdint>
 
 #include "plugin/module.h"
 

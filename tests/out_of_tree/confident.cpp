@@ -1,5 +1,4 @@
 // A loss of other people on logits: classes of labelled rays are far from undecided.
-#include <cstdint>
 
 #include "plugin/module.h"
 

@@ -1,8 +1,6 @@
 // A program of another project that trains: five steps, scores, a picture, a checkpoint, and the same again from there.
 // Usage: drive FOLDER_OF_MODULES.
 #include <cstdio>
-#include <exception>
-#include <string>
 
 #include "config/config_tree.h"
 #include "plugin/linked_plugins.h"

@@ -1,6 +1,5 @@
 // Loads the outside plugins by path, runs their laws, and checks every refusal. Usage: host FOLDER_OF_MODULES.
 #include <cstdio>
-#include <string>
 
 #include "plugin/linked_plugins.h"
 #include "plugin/loader.h"

@@ -2,7 +2,6 @@
 // processor, and on a device where the package has CUDA and the machine a device. Usage: levels FOLDER_OF_MODULES.
 #include <cstdio>
 #include <filesystem>
-#include <string>
 
 #include "compute/isa.h"
 #include "execution/device_library.h"

@@ -1,4 +1,4 @@
-// An encoder from outside with kernels of its own: for every instruction set of processors, and for CUDA devices.
+// An encoder from outside with kernels of its own: for every instruction set of CPUs, and for CUDA devices.
 #include "plugin/kernels.h"
 #include "plugin/module.h"
 #include "ripples_kernels.h"

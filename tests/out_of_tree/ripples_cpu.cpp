@@ -1,4 +1,4 @@
-// Kernels of 'ripples' for processors: compiled once per instruction set.
+// Kernels of 'ripples' for CPUs: compiled once per instruction set.
 #include "compute/isa.h"
 #include "plugin/kernels.h"
 #include "ripples_kernels.h"

@@ -1,8 +1,7 @@
-// Arguments and kernel table of 'ripples', and its formulas for processor and device.
+// Arguments and kernel table of 'ripples', and its formulas for CPU and device.
 #pragma once
 
 #include <cmath>
-#include <cstdint>
 
 #include "core/host_device.h"
 #include "core/view.h"

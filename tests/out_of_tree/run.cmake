@@ -18,7 +18,7 @@ message(STATUS "${last_output}")
 step("drive" ${WORK_DIR}/build/drive ${WORK_DIR}/build)
 message(STATUS "${last_output}")
 
-# The kernels of a plugin outside: without a word the best that processor and package have, and with SEMFIELD_ISA each of them.
+# The kernels of a plugin outside: without a word the best that CPU and package have, and with SEMFIELD_ISA each of them.
 step("levels" ${WORK_DIR}/build/levels ${WORK_DIR}/build)
 message(STATUS "${last_output}")
 if(NOT last_output MATCHES "ripples: isa_([a-z0-9]+) of ([a-z0-9_ ]+)")
@@ -30,7 +30,7 @@ list(REMOVE_ITEM levels avx512_bf16 amx_emulated amx_bf16)  # these have product
 set(reached FALSE)
 foreach(level ${levels})
   execute_process(COMMAND ${CMAKE_COMMAND} -E env SEMFIELD_ISA=${level} ${WORK_DIR}/build/levels ${WORK_DIR}/build RESULT_VARIABLE code OUTPUT_VARIABLE output ERROR_VARIABLE errors)
-  if(reached)  # more than this processor has
+  if(reached)  # more than this CPU has
     if(NOT code EQUAL 78)
       message(FATAL_ERROR "SEMFIELD_ISA=${level} should be refused (${code}):\n${output}${errors}")
     endif()

@@ -1,6 +1,4 @@
-// An encoder from outside: cosines of each coordinate with a learned gain a band.
-#include <cmath>
-#include <cstdint>
+// An encoder from outside: cosines of each coordinate with a learned gain per band.
 
 #include "plugin/module.h"
 

@@ -22,11 +22,11 @@ COLORS = [[200, 60, 60], [60, 140, 220], [80, 180, 90], [230, 180, 60]]
 class Room:
     """Events, and what a program that learns would say about them. `faults` is for tests:
     "overlay": label maps stay as they are; "event": 503 and a sentence; "refuse": 400; "lost": a click never arrives; "drop": it is
-    applied, but the answer is lost; "silent": the state is told to nobody; "picture": slow; "slow export": for ever."""
+    applied, but the response is lost; "silent": the state is sent to nobody; "picture": slow; "slow export": for ever."""
 
     def __init__(self, views=12, size=(160, 120), classes=(), room=32, held_out=0, photo_scale=1):
         self.size, self.most, self.held_out, self.photo_scale = size, room, held_out, photo_scale
-        self.photos = []  # (view, most_px) that were asked for
+        self.photos = []  # (view, most_px) that were requested
         self.cameras = mock_room.cameras(views)
         self.frames = [f"rgb_{k:02}" for k in range(views)]
         self.given = [{"name": name, "color": COLORS[i % 4], "own": True} for i, name in enumerate(classes)]
@@ -36,7 +36,7 @@ class Room:
         self.changed = threading.Condition()
         self.pictures, self.most_pictures, self.picture_lock = 0, 0, threading.Lock()
         self.polls = 0
-        self.flights = []  # sizes asked for by the free camera, with whether in full
+        self.flights = []  # sizes requested by the free camera, with whether in full
 
     def touch(self):
         with self.changed:
@@ -113,7 +113,7 @@ class Room:
         return out
 
     def spot(self, camera, at):
-        """What answers a question about a point of a free camera's picture."""
+        """The response to a question about a point of a free camera's picture."""
         width, height = self.size
         origin, direction = mock_room.ray(camera, width, height, at[0] * width, at[1] * height)
         t = mock_room.cast(origin, direction)[0]
@@ -250,7 +250,7 @@ class Handler(http.server.BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def break_off(self):
-        """An answer that begins and does not end: browsers repeat a request by themselves only when none begins."""
+        """A response that begins and does not end: browsers repeat a request by themselves only when none begins."""
         self.send_response(200)
         self.send_header("Content-Length", "100")
         self.end_headers()
@@ -358,7 +358,7 @@ class Server:
         return f"http://127.0.0.1:{self.port}/{self.token}/"
 
     def stop(self):
-        """Like a killed process: no answer comes any more, not to waiting requests either."""
+        """Like a killed process: no response comes any more, not to waiting requests either."""
         self.http.ended = True
         self.http.shutdown()
         self.http.server_close()

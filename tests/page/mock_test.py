@@ -250,7 +250,7 @@ class PageTest(MockPageCase):
     def test_an_answer_that_is_lost(self):
         self.serve(classes=("sofa",))
         page = self.open()
-        for clicks, fault in ((1, "drop"), (2, "lost")):  # stored, but the answer never comes; or not even that
+        for clicks, fault in ((1, "drop"), (2, "lost")):  # stored, but the response never comes; or not even that
             self.room.faults.add(fault)
             self.click(page, 30.5 * clicks, 40.5)
             self.wait_saved(page, clicks)
@@ -292,7 +292,7 @@ class PageTest(MockPageCase):
         page = self.open()
         self.click(page, 30.5, 40.5)
         self.wait_saved(page, 1)
-        self.room.faults.add("silent")  # the answer comes, a new state does not
+        self.room.faults.add("silent")  # the response comes, a new state does not
         self.room.revision += 1000
         page.keys("z")
         page.wait("document.querySelector('#classes .clicks').textContent == '' && document.getElementById('saving').textContent == ''")
@@ -326,7 +326,7 @@ class PageTest(MockPageCase):
         self.serve(classes=("sofa",))
         page = self.open()
         page.run("Object.defineProperty(document, 'hidden', {get: () => window.isHidden ?? false}); window.isHidden = true;")
-        self.room.touch()  # answers the request that waits
+        self.room.touch()  # the response to the request that waits
         page.run("return new Promise((resolve) => setTimeout(resolve, 300))")
         polls = self.room.polls
         self.room.apply({"id": "x-1", "type": "click", "frame": "rgb_00", "size": list(SIZE), "points": [[30.5, 40.5]], "radius": 3, "class": "sofa"})

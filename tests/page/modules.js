@@ -1,4 +1,4 @@
-// Unit tests of the page's modules, run inside the page: the body of a function that answers a list of what is wrong.
+// Unit tests of the page's modules, run inside the page: the body of a function that returns a list of what is wrong.
 return Promise.all(['model', 'viewport', 'colors', 'fly', 'plots', 'events', 'api', 'pictures'].map((name) => import(`./${name}.js`)))
 .then(([model, viewport, colors, fly, plots, events, api, pictures]) => {
   const wrong = [];

@@ -210,7 +210,7 @@ class ServeTest(page_case.PageCase):
             clicks += 1
             self.wait_saved(page, clicks)
             self.serve.kill()
-            self.click(page, 20.5 + 10 * round_, 60.5)  # nobody answers
+            self.click(page, 20.5 + 10 * round_, 60.5)  # nobody responds
             page.wait("document.getElementById('saving').textContent == '1 not saved yet'")
             page.wait("document.getElementById('connection').textContent.startsWith('Connection lost')")
             old = self.serve.url

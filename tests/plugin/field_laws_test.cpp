@@ -1,11 +1,8 @@
 // The field laws hold for a sound field and catch each broken promise.
-#include <gtest/gtest.h>
-
-#include <cmath>
-
 #include "compute/gemm.h"
 #include "testkit/laws.h"
 #include "tests/plugin/broken_case.h"
+#include "tests/says.h"
 
 namespace semfield {
 namespace {
@@ -87,9 +84,8 @@ class ToyField final : public Field<Real> {
         out.rgb(m, c) = static_cast<Real>(scale / (1 + std::exp(-w(tensors, c) * p - d)));
       }
       const double feature_leak = broken_ == Break::feature_sees_direction ? 1e-3 * d : 0;
-      for (std::int32_t f = 0; f < kFeature && !out.feature.empty(); ++f) {
+      for (std::int32_t f = 0; f < kFeature && !out.feature.empty(); ++f)
         out.feature(m, f) = static_cast<Real>(w(tensors, f) * std::sin(p) + feature_leak);
-      }
     }
   }
   void do_backward(const StepContext&, const Tensors<Real>& tensors, const FieldIn<Real>& in, const FieldOut<Real>& out,
@@ -141,9 +137,7 @@ class ToyField final : public Field<Real> {
 };
 
 std::string laws_of(Break broken, std::int32_t direction_dims = 4, const testkit::LawOptions& options = {}) {
-  FieldBuild build;
-  build.position_dims = 5;
-  build.direction_dims = direction_dims;
+  FieldBuild build{.position_dims = 5, .direction_dims = direction_dims};
   const bool of_float_alone =
       broken == Break::sums_as_they_come || broken == Break::rounds_by_size || broken == Break::changes_by_size;
   return testkit::to_text(testkit::field_laws(
@@ -160,7 +154,7 @@ class BrokenField : public testing::TestWithParam<Case> {};
 
 TEST_P(BrokenField, IsCaught) {
   const std::string failures = laws_of(GetParam().broken);
-  EXPECT_NE(failures.find(GetParam().law), std::string::npos) << "failures were:\n" << failures;
+  EXPECT_HAS(failures, GetParam().law) << "failures were:\n" << failures;
 }
 
 INSTANTIATE_TEST_SUITE_P(EachPromise, BrokenField,
@@ -184,11 +178,10 @@ INSTANTIATE_TEST_SUITE_P(EachPromise, BrokenField,
 
 // A device's library may choose other kernels for other shapes: then the law is one of size, and stays one.
 TEST(FieldLaws, WithoutSameBitsATolerance) {
-  testkit::LawOptions options;
-  options.same_bits_in_parts = options.same_bits_of_sums = false;
+  testkit::LawOptions options{.same_bits_in_parts = false, .same_bits_of_sums = false};
   EXPECT_EQ(laws_of(Break::rounds_by_size, 4, options), "");
   EXPECT_EQ(laws_of(Break::sums_as_they_come, 4, options), "");
-  EXPECT_NE(laws_of(Break::changes_by_size, 4, options).find("split batch, sigma"), std::string::npos);
+  EXPECT_HAS(laws_of(Break::changes_by_size, 4, options), "split batch, sigma");
 }
 
 }  // namespace

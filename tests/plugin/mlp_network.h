@@ -1,8 +1,6 @@
 // A network with every kind of layer, for the tests of every device.
 #pragma once
 
-#include <cstdint>
-
 #include "plugin/mlp/mlp.h"
 
 namespace semfield::testing_mlp {

@@ -2,11 +2,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <cmath>
-#include <map>
-#include <string>
 #include <utility>
-#include <vector>
 
 #include "core/rng.h"
 #include "testkit/compare.h"
@@ -116,8 +112,8 @@ TEST(Mlp, IsTheFormulas) {
     EXPECT_EQ(w.rows, std::ssize(from)) << name;
     for (std::int32_t j = 0; j < w.cols; ++j) {
       double sum = b(0, j);
-      for (std::int64_t i = 0; i < w.rows; ++i) sum += from[static_cast<std::size_t>(i)] * w(i, j);
-      y[static_cast<std::size_t>(j)] = sum;
+      for (std::int64_t i = 0; i < w.rows; ++i) sum += from[i] * w(i, j);
+      y[j] = sum;
     }
     return y;
   };
@@ -129,7 +125,7 @@ TEST(Mlp, IsTheFormulas) {
   for (std::int64_t m = 0; m < bench.count; ++m) {
     const double* at = bench.x.data() + m * kIn;
     const Row x(at, at + kIn);
-    const double* ray = bench.rays.data() + bench.ray_of[static_cast<std::size_t>(m)] * kRay;
+    const double* ray = bench.rays.data() + bench.ray_of[m] * kRay;
     Row h = each(layer("trunk_0", x), positive);
     h = each(layer("trunk_1", h), positive);
     h = each(layer("trunk_2", joined(x, h)), positive);
@@ -138,7 +134,7 @@ TEST(Mlp, IsTheFormulas) {
     const Row linear = layer("linear", {geometry[1], geometry[2], geometry[3]});
     const Row view = each(layer("view", joined(joined(linear, Row(ray, ray + kRay)), h)), positive);
     const Row color = each(layer("color", view), [](double z) { return 1 / (1 + std::exp(-z)); });
-    EXPECT_NEAR(bench.out[0][static_cast<std::size_t>(m)], geometry[0], 1e-12);
+    EXPECT_NEAR(bench.out[0][m], geometry[0], 1e-12);
     for (std::size_t c = 0; c < 3; ++c) EXPECT_NEAR(bench.out[1][static_cast<std::size_t>(m) * 3 + c], color[c], 1e-12);
     for (std::size_t c = 0; c < h.size(); ++c)
       EXPECT_NEAR(bench.out[2][static_cast<std::size_t>(m) * h.size() + c], h[c], 1e-12);
@@ -213,10 +209,9 @@ void expect_near_double(const MlpBuild& build, double tolerance) {
   const auto near = [&](const std::string& what, View<const Real> got, View<const double> want) {
     EXPECT_EQ((testkit::compare_norms<Real, double>(got, want, tolerance)), "") << what;
   };
-  for (int k = 0; k < 3; ++k) {
+  for (int k = 0; k < 3; ++k)
     near("output " + std::to_string(k), {bench.out[k].data(), bench.count, kOut[k]},
          {exact.out[k].data(), exact.count, kOut[k]});
-  }
   near("d_samples", {bench.dx.data(), bench.count, kIn}, {exact.dx.data(), exact.count, kIn});
   for (std::size_t i = 0; i < exact.box.count(); ++i) {
     const std::string& name = exact.box.specs()[i].name;

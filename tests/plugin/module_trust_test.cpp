@@ -1,12 +1,7 @@
 // Which modules the program runs code of: none that does not fit, and none that only a configuration names.
 #include <elf.h>
-#include <gtest/gtest.h>
 
-#include <cstddef>
-#include <filesystem>
 #include <nlohmann/json.hpp>
-#include <string>
-#include <vector>
 
 #include "plugin/loader.h"
 #include "system/files.h"
@@ -17,8 +12,7 @@ namespace semfield {
 namespace {
 
 namespace fs = std::filesystem;
-using testing_program::Process;
-using testing_program::Result;
+using namespace testing_program;
 using testing_room::fresh_folder;
 using Words = std::vector<std::string>;
 
@@ -35,7 +29,7 @@ class ModuleTrust : public testing::Test {
     fs::copy_file(probe("sound"), folder_ + "/shared/probe_sound.so");
   }
 
-  /// The program's answer; ran_ says whether code of a probe ran.
+  /// The program's result; ran_ says whether code of a probe ran.
   Result run(const Words& words, const std::string& trusted = "") {
     const std::string trace = folder_ + "/trace";
     fs::remove(trace);
@@ -48,8 +42,7 @@ class ModuleTrust : public testing::Test {
   void expect_refused(const std::string& module, const std::string& why) {
     const Result r = run({"plugins", "list", "--plugin", module});
     EXPECT_EQ(r.code, 69) << r.err;
-    EXPECT_NE(r.err.find("cannot load plugin '" + module + "': "), std::string::npos) << r.err;
-    EXPECT_NE(r.err.find(why), std::string::npos) << r.err;
+    EXPECT_HAS(r.err, "cannot load plugin '" + module + "': ", why);
     EXPECT_FALSE(ran_) << module << ": its static initialiser ran";
   }
 
@@ -117,10 +110,8 @@ TEST_F(ModuleTrust, AConfigurationAloneRunsNoCode) {
     const Result r = run(verb);
     EXPECT_EQ(r.code, 78) << verb[0] << ": " << r.err;
     EXPECT_FALSE(ran_) << verb[0] << " ran code that a configuration names";
-    EXPECT_NE(r.err.find("named.yaml:4:11: the module '" + module + "' was not loaded: it is code"), std::string::npos)
-        << r.err;
-    EXPECT_NE(r.err.find("add --plugin " + module + " (in Python: "), std::string::npos) << r.err;
-    EXPECT_NE(r.err.find(", or set SEMFIELD_PLUGIN_PATH"), std::string::npos) << r.err;
+    EXPECT_HAS(r.err, "named.yaml:4:11: the module '" + module + "' was not loaded: it is code",
+               "add --plugin " + module + " (in Python: ", ", or set SEMFIELD_PLUGIN_PATH");
   }
   // Both remedies, as written; and a module of that name which lies elsewhere.
   fs::create_directories(folder_ + "/mine");
@@ -143,21 +134,20 @@ TEST_F(ModuleTrust, AConfigurationAloneRunsNoCode) {
   }
   const Result relative = run({"config", "check", config}, "shared");
   EXPECT_EQ(relative.code, 78);
-  EXPECT_NE(relative.err.find("SEMFIELD_PLUGIN_PATH: 'shared' is no absolute folder"), std::string::npos)
-      << relative.err;
+  EXPECT_HAS(relative.err, "SEMFIELD_PLUGIN_PATH: 'shared' is no absolute folder");
 }
 
 TEST_F(ModuleTrust, ARunTrainedWithAModuleRecordsItAndAsksForItAgain) {
   const std::string out = folder_ + "/run", module = probe("sound");
   const Result trained = run({"train", folder_ + "/base.yaml", "--out", out, "--plugin", module});
   ASSERT_EQ(trained.code, 0) << trained.err;
-  EXPECT_NE(read_text_file(out + "/run.yaml").find("probe_sound.so"), std::string::npos);
+  EXPECT_HAS(read_text_file(out + "/run.yaml"), "probe_sound.so");
   const std::vector<Words> verbs{
       {"eval", out}, {"render", out}, {"export", out, "--out", folder_ + "/labels.json"}, {"train", "--resume", out}};
   for (Words verb : verbs) {
     const Result alone = run(verb);
     EXPECT_EQ(alone.code, 78) << verb[0] << ": " << alone.err;
-    EXPECT_NE(alone.err.find("add --plugin " + module), std::string::npos) << alone.err;
+    EXPECT_HAS(alone.err, "add --plugin " + module);
     EXPECT_FALSE(ran_) << verb[0] << " ran code that a run folder names";
     verb.insert(verb.end(), {"--plugin", folder_ + "/shared/probe_sound.so"});
     const Result named = run(verb);
@@ -170,27 +160,21 @@ TEST_F(ModuleTrust, ASweepHandsItsModulesToItsCells) {
   const Result r = run(
       {"sweep", folder_ + "/sweep.yaml", "--plugin", folder_ + "/shared/probe_sound.so", "--out", folder_ + "/out"});
   EXPECT_EQ(r.code, 0) << r.err;
-  EXPECT_NE(r.out.find("cells=1 done=1 failed=0"), std::string::npos) << r.out;
+  EXPECT_HAS(r.out, "cells=1 done=1 failed=0");
 }
 
 TEST_F(ModuleTrust, SchemasHoldTheParametersOfOutsidePlugins) {
   const Result without = run({"config", "schema"}), with = run({"config", "schema", "--plugin", probe("sound")});
   ASSERT_EQ(with.code, 0) << with.err;
   EXPECT_TRUE(nlohmann::json::accept(with.out));
-  EXPECT_NE(with.out.find("number of sine bands a coordinate"), std::string::npos);
-  EXPECT_EQ(without.out.find("number of sine bands a coordinate"), std::string::npos);
+  EXPECT_HAS(with.out, "number of sine bands a coordinate");
+  EXPECT_LACKS(without.out, "number of sine bands a coordinate");
   const Result sweep = run({"config", "schema", "--sweep"});
   EXPECT_TRUE(nlohmann::json::parse(sweep.out)["properties"].contains("variants")) << sweep.err;
 }
 
 std::string refusal_of_kernels(Registry& registry) {
-  try {
-    add_cuda_kernels_of_modules(registry);
-  } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), ErrorKind::unavailable);
-    return error.what();
-  }
-  return "";
+  return error_of(ErrorKind::unavailable, [&] { add_cuda_kernels_of_modules(registry); });
 }
 
 // No device is needed: its kernels are tables of addresses.
@@ -211,10 +195,7 @@ TEST(ModuleKernels, AreCheckedBeforeTheyAreLoaded) {
   EXPECT_EQ(refusal_of_kernels(registry), "") << "nothing lies beside it";
   const auto expect_refused = [&](const std::string& why) {
     const std::string text = refusal_of_kernels(registry);
-    EXPECT_NE(text.find("cannot load the CUDA kernels '" + kernels + "' of plugin '" + module + "': "),
-              std::string::npos)
-        << text;
-    EXPECT_NE(text.find(why), std::string::npos) << text;
+    EXPECT_HAS(text, "cannot load the CUDA kernels '" + kernels + "' of plugin '" + module + "': ", why);
     EXPECT_FALSE(registry.kernels().has(Device::cuda, "encoder 'toy'"));
   };
   write_file_atomic(kernels, "plain text");

@@ -1,11 +1,6 @@
 // `semfield plugins check`, and what later loads make of what it found.
-#include <gtest/gtest.h>
-
 #include <atomic>
-#include <filesystem>
 #include <nlohmann/json.hpp>
-#include <string>
-#include <vector>
 
 #include "plugin/check/law_suite.h"
 #include "plugin/loader.h"
@@ -21,8 +16,7 @@ namespace {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
-using testing_program::Process;
-using testing_program::Result;
+using namespace testing_program;
 using testing_room::fresh_folder;
 using Words = std::vector<std::string>;
 
@@ -56,10 +50,9 @@ TEST_F(PluginsCheck, LawsThatHoldAreToldALineEach) {
   EXPECT_EQ(r.code, 0) << r.out << r.err;
   for (const char* subject :
        {"declaration", "defaults, positions", "defaults, directions", "bands=3 gain=0.5, positions"})
-    EXPECT_NE(r.out.find(subject), std::string::npos) << r.out;
-  EXPECT_EQ(r.out.find("FAILED"), std::string::npos) << r.out;
-  EXPECT_NE(r.out.find("plugins check: passed=5 failed=0 refused=0 file=" + probe("sound") + "\n"), std::string::npos)
-      << r.out;
+    EXPECT_HAS(r.out, subject);
+  EXPECT_LACKS(r.out, "FAILED");
+  EXPECT_HAS(r.out, "plugins check: passed=5 failed=0 refused=0 file=" + probe("sound") + "\n");
   EXPECT_EQ(verdicts().size(), 1U);
   EXPECT_EQ(train_with(probe("sound")).code, 0);
 }
@@ -82,7 +75,7 @@ TEST_F(PluginsCheck, TrainRefusesAFileThatBrokeALawUntilItIsMendedOrItsOwnerWant
   EXPECT_EQ(said["rows"][1]["build"], "positions");
   EXPECT_EQ(said["rows"][1]["status"], "FAILED");
   const std::string found = said["rows"][1]["found"][0];
-  EXPECT_NE(found.find("gradient"), std::string::npos) << found;
+  EXPECT_HAS(found, "gradient");
 
   const Result refused = train_with(file);
   EXPECT_EQ(refused.code, 69) << refused.err;
@@ -107,21 +100,16 @@ TEST_F(PluginsCheck, APluginThatEndsTheProcessBreaksTheLawUnderWay) {
   const Result r = run({"plugins", "check", probe("quitting")});
   EXPECT_EQ(r.code, 1) << r.out << r.err;
   const std::string fault = "it ended the process with exit code 0 before the law was asked to its end";
-  EXPECT_NE(r.out.find("quitting         defaults, positions                      FAILED\n    " + fault + "\n"),
-            std::string::npos)
-      << r.out;
-  EXPECT_NE(r.out.find("plugins check: passed=1 failed=1 refused=0 "), std::string::npos) << r.out;
+  EXPECT_HAS(r.out, "quitting         defaults, positions                      FAILED\n    " + fault + "\n",
+             "plugins check: passed=1 failed=1 refused=0 ");
   const Result refused = train_with(probe("quitting"));
   EXPECT_EQ(refused.code, 69) << refused.err;
-  EXPECT_NE(refused.err.find("broke a law: encoder 'quitting', defaults, positions: " + fault), std::string::npos)
-      << refused.err;
+  EXPECT_HAS(refused.err, "broke a law: encoder 'quitting', defaults, positions: " + fault);
   const Result early = Process(testing_program::program(), {"plugins", "check", probe("quitting")}, folder_,
                                {"SEMFIELD_CACHE=" + folder_ + "/other", "SEMFIELD_PROBE_QUITS=1"})
                            .wait();
   EXPECT_EQ(early.code, 69) << early.out << early.err;
-  EXPECT_NE(early.err.find("cannot load plugin '" + probe("quitting") + "': it ended the process with exit code 0"),
-            std::string::npos)
-      << early.err;
+  EXPECT_HAS(early.err, "cannot load plugin '" + probe("quitting") + "': it ended the process with exit code 0");
 }
 
 TEST_F(PluginsCheck, ACacheThatIsDamagedOrCannotBeWrittenStopsNothing) {
@@ -133,19 +121,19 @@ TEST_F(PluginsCheck, ACacheThatIsDamagedOrCannotBeWrittenStopsNothing) {
     write_file_atomic(entry.string(), text);
     const Result r = train_with(probe("bent"));
     EXPECT_EQ(r.code, 0) << r.err;
-    EXPECT_NE(r.err.find("is damaged in '" + entry.string() + "' and counts as not there"), std::string::npos) << r.err;
+    EXPECT_HAS(r.err, "is damaged in '" + entry.string() + "' and counts as not there");
   }
   fs::remove(entry);
   fs::create_directories(entry);  // no file can take its name
   const Result loaded = train_with(probe("bent"));
   EXPECT_EQ(loaded.code, 0) << loaded.err;
-  EXPECT_NE(loaded.err.find("whether it was checked cannot be read: "), std::string::npos) << loaded.err;
+  EXPECT_HAS(loaded.err, "whether it was checked cannot be read: ");
   const Result checked = run({"plugins", "check", probe("bent")});
   EXPECT_EQ(checked.code, 1) << checked.err;
-  EXPECT_NE(checked.err.find("what the check found is not kept: "), std::string::npos) << checked.err;
+  EXPECT_HAS(checked.err, "what the check found is not kept: ");
   const Result off = run({"plugins", "check", probe("bent")}, "off");
   EXPECT_EQ(off.code, 1);
-  EXPECT_NE(off.err.find("there is no folder for caches"), std::string::npos) << off.err;
+  EXPECT_HAS(off.err, "there is no folder for caches");
 }
 
 TEST_F(PluginsCheck, WordsThatFitNothingAreRefusedBeforeALawRuns) {
@@ -154,7 +142,7 @@ TEST_F(PluginsCheck, WordsThatFitNothingAreRefusedBeforeALawRuns) {
     words.insert(words.end(), more.begin(), more.end());
     const Result r = run(words);
     EXPECT_EQ(r.code, code) << r.err;
-    EXPECT_NE(r.err.find(text), std::string::npos) << r.err;
+    EXPECT_HAS(r.err, text);
     EXPECT_EQ(r.out, "");
     EXPECT_FALSE(fs::exists(folder_ + "/cache/checks") && !verdicts().empty()) << "a verdict without laws";
   };
@@ -172,7 +160,7 @@ TEST_F(PluginsCheck, WordsThatFitNothingAreRefusedBeforeALawRuns) {
   refused({probe("sound"), "--settings", rows}, 78, rows + ":2: toy: bands: expected int in [1, 8]");
 }
 
-// Counts the rows that it is asked for.
+// Counts the rows that are requested.
 std::atomic<std::int64_t> g_rows{0};
 template <class Real>
 class Counted final : public toy::ToyEncoder<Real> {
@@ -195,8 +183,7 @@ TEST(LawSuite, AsksPluginsThatAreSlowForFewerRows) {
     registry.add_encoder<Counted, toy::ToyParams>("counted", "A toy that counts.");
     PluginEntry entry = registry.get(PluginKind::encoder, "counted");
     entry.slow = slow;
-    LawRequest request;
-    request.entries = {&entry};
+    LawRequest request{.entries = {&entry}};
     int rows = 0;
     request.on_row = [&](const LawRow& row) {
       ++rows;
@@ -232,15 +219,8 @@ TEST(FileVerdicts, GoWithBytesAndVersion) {
 }
 
 TEST(LibrariesOfTheProgram, AMissingOneNamesTheTargetThatBuildsIt) {
-  try {
-    (void)part_symbol("semfield_absent", "symbol", "what it is for");
-    FAIL() << "there is no such library";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), ErrorKind::unavailable);
-    EXPECT_NE(error.message().find("what it is for: "), std::string::npos) << error.message();
-    EXPECT_NE(error.message().find("libsemfield_absent.so"), std::string::npos) << error.message();
-    EXPECT_NE(error.remedy().find("--target semfield_absent"), std::string::npos) << error.remedy();
-  }
+  EXPECT_HAS(error_of(ErrorKind::unavailable, [] { (void)part_symbol("semfield_absent", "symbol", "what it is for"); }),
+             "what it is for: ", "libsemfield_absent.so", "--target semfield_absent");
 }
 
 }  // namespace

@@ -1,4 +1,4 @@
-// A loadable module that tells, by a file, that code of it ran; CASE_ definitions make those that must be refused.
+// A loadable module that shows, by a file, that code of it ran; CASE_ definitions make those that must be refused.
 #include <cstdio>
 #include <cstdlib>
 #include <stdexcept>
@@ -9,7 +9,7 @@
 namespace semfield::toy {
 namespace {
 
-// Runs when the library is mapped, before anything of it can be asked.
+// Runs when the library is mapped, before anything of it can be called.
 const bool g_ran = [] {
   if (const char* const file = std::getenv("SEMFIELD_PROBE_FILE")) {
     if (std::FILE* const out = std::fopen(file, "w")) std::fclose(out);

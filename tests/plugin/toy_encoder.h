@@ -1,8 +1,6 @@
 // A small encoder with a table, and one way to break each of its promises.
 #pragma once
 
-#include <cmath>
-
 #include "plugin/registry.h"
 
 namespace semfield::toy {

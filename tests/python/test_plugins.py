@@ -155,7 +155,7 @@ def raising(where: str) -> Type[sf.Encoder]:
 
         def setup(self) -> None:
             super().setup()
-            self.tensors = {"learned": sf.Tensor(1, 1)}  # without any, nobody asks for gradients
+            self.tensors = {"learned": sf.Tensor(1, 1)}  # without any, nobody needs gradients
             if where == "setup":
                 raise RuntimeError("setup is wrong")
 

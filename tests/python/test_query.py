@@ -1,4 +1,4 @@
-"""The field asked at points: bounds, grouping, and against what the network's parts say by hand."""
+"""The field evaluated at points: bounds, grouping, and against what the network's parts say by hand."""
 
 from __future__ import annotations
 

@@ -1,9 +1,6 @@
 // The program under mpirun: the files of one process from any number of them, and an end in order when one is killed.
-#include <gtest/gtest.h>
 #include <signal.h>
 
-#include <algorithm>
-#include <filesystem>
 #include <fstream>
 #include <sstream>
 
@@ -17,9 +14,7 @@ namespace {
 
 namespace fs = std::filesystem;
 using namespace testing_train;
-using testing_program::Process;
-using testing_program::program;
-using testing_program::Result;
+using namespace testing_program;
 
 // More ranks than cores, also where nobody but root is there.
 const std::vector<std::string> kEnvironment{"OMPI_ALLOW_RUN_AS_ROOT=1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1",
@@ -51,8 +46,8 @@ int lines_with(const std::string& text, const std::string& part) {
 
 std::string two_pass_file(const TempDir& dir, int steps) {
   (void)write_packed_config(dir, steps, 0);
-  std::string yaml = two_pass_config("report: {eval_every_s: 0, strips: 0}\n");
-  yaml.replace(yaml.find("{type: analytic_room}"), 21, "{type: packed, file: room.sfpack}");
+  std::string yaml =
+      with_scene(two_pass_config("report: {eval_every_s: 0, strips: 0}\n"), "{type: packed, file: room.sfpack}");
   yaml.replace(yaml.find("steps: 50"), 9, "steps: " + std::to_string(steps));
   write_file_atomic(dir / "two_pass.yaml", yaml);
   return dir / "two_pass.yaml";
@@ -99,12 +94,12 @@ TEST(Mpirun, WeakMultipliesTheRaysAndTheRunSaysSo) {
   const TempDir dir;
   const std::string config = write_packed_config(dir, 5, 0);
   ASSERT_EQ(run(2, {"train", config, "--out", dir / "weak", "--weak"}, dir).code, 0);
-  EXPECT_NE(read_text_file(dir / "weak/run.yaml").find("rays: 384"), std::string::npos);
+  EXPECT_HAS(read_text_file(dir / "weak/run.yaml"), "rays: 384");
   ASSERT_EQ(alone({"train", config, "--out", dir / "alone", "--set", "train.rays=384"}, dir).code, 0);
   EXPECT_EQ(checkpoint_fingerprint(dir / "weak", 5), checkpoint_fingerprint(dir / "alone", 5));
   const Result refused = run(2, {"train", "--resume", dir / "weak", "--weak"}, dir);
   EXPECT_EQ(refused.code, 2);
-  EXPECT_NE(refused.err.find("--weak multiplies the rays of a new run"), std::string::npos) << refused.err;
+  EXPECT_HAS(refused.err, "--weak multiplies the rays of a new run");
 }
 
 TEST(Mpirun, SaysOnceWhatIsWrong) {
@@ -183,9 +178,8 @@ TEST(Mpirun, AKilledRankEndsTheRunWithAMessageAndOneProcessGoesOnWithTheBitsOfAn
     ASSERT_TRUE(ended.has_value()) << "still runs after 30 s";
     ASSERT_LT(newest_step(out), kSteps) << "it was killed too late";
     if (kill_one.rank != 0) {
-      EXPECT_NE(ended->err.find("rank " + std::to_string(kill_one.rank) + " on "), std::string::npos) << ended->err;
-      EXPECT_NE(ended->err.find("has ended"), std::string::npos) << ended->err;
-      EXPECT_NE(ended->err.find("resume with `semfield train --resume "), std::string::npos) << ended->err;
+      EXPECT_HAS(ended->err, "rank " + std::to_string(kill_one.rank) + " on ", "has ended",
+                 "resume with `semfield train --resume ");
     }
     const Result resumed = alone({"train", "--resume", out}, dir);
     ASSERT_EQ(resumed.code, 0) << resumed.err;
@@ -216,15 +210,14 @@ TEST(Mpirun, AStopSavesAndAnyNumberOfRanksGoesOn) {
     const std::optional<Result> ended = process.wait_for(30);
     ASSERT_TRUE(ended.has_value()) << "still runs after 30 s";
     ASSERT_LT(newest_step(out), kSteps) << "it was asked too late";
-    EXPECT_NE(ended->err.find("after its checkpoint; resume with: semfield train --resume"), std::string::npos)
-        << ended->err;
+    EXPECT_HAS(ended->err, "after its checkpoint; resume with: semfield train --resume");
     const Result resumed = run(3, {"train", "--resume", out}, dir);
     ASSERT_EQ(resumed.code, 0) << resumed.err;
     EXPECT_EQ(checkpoint_fingerprint(out, kSteps), whole);
   }
 }
 
-// A verb that saves nothing ends at once, whichever rank was asked.
+// A verb that saves nothing ends at once, whichever rank got the signal.
 TEST(Mpirun, AStopOfAnyRankEndsARendering) {
   const TempDir dir;
   ASSERT_EQ(alone({"train", write_packed_config(dir, 5, 0), "--out", dir / "run"}, dir).code, 0);

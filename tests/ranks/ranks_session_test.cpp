@@ -2,11 +2,6 @@
 // processes are threads here.
 #include "session/ranks_session.h"
 
-#include <gtest/gtest.h>
-
-#include <cstring>
-#include <limits>
-
 #include "compute/parallel.h"
 #include "execution/lane_executor.h"
 #include "session/trainer.h"
@@ -89,8 +84,7 @@ TEST(RanksSession, LossesAreThoseOfOneProcess) {
     Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule);
     return trainer.advance();
   };
-  Registry registry = make_registry();
-  Session alone = open_text(two_pass_config(), registry);
+  Session alone = open_text(two_pass_config());
   const StepLosses expected = losses_of(alone);
   as_leader(3, two_pass_config(), [&](Session& session) {
     const StepLosses found = losses_of(session);
@@ -121,8 +115,7 @@ TEST(RanksSession, FramesAndScoresAreThoseOfOneProcess) {
   const auto score_of = [](const Session& s) {
     return evaluate(*s.pipeline, s.eval_job(s.scene.frames_of(Split::test)), s.limits, s.plan.class_of_logit).values();
   };
-  Registry registry = make_registry();
-  Session alone = open_text(hash_config(), registry);
+  Session alone = open_text(hash_config());
   train(alone, 40);
   const RenderedFrame expected = frame_of(alone);
   const auto scores = score_of(alone);
@@ -148,8 +141,7 @@ TEST(RanksSession, DensitiesAreThoseOfOneProcess) {
     s.pipeline->density({positions.data(), std::ssize(sigma), 3}, {sigma.data(), std::ssize(sigma), 1});
     return sigma;
   };
-  Registry registry = make_registry();
-  const std::vector<float> expected = densities_of(open_text(hash_config(), registry));
+  const std::vector<float> expected = densities_of(open_text(hash_config()));
   as_leader(3, hash_config(), [&](Session& session) { expect_same(densities_of(session), expected, "density"); });
 }
 
@@ -168,11 +160,7 @@ Mended break_and_mend(Session& session) {
   const float sound = weight;
   weight = std::numeric_limits<float>::quiet_NaN();
   session.pipeline->executor().upload(trainer.step());
-  try {
-    trainer.advance();
-  } catch (const Error& error) {
-    out.message = error.what();
-  }
+  out.message = error_of([&] { trainer.advance(); });
   weight = sound;
   session.pipeline->executor().upload(trainer.step());
   for (int i = 0; i < 3; ++i) trainer.advance();
@@ -182,9 +170,9 @@ Mended break_and_mend(Session& session) {
 }
 
 TEST(RanksSession, AStepThatFailsSaysWhatItSaysInOneProcessAndChangesNothing) {
-  set_thread_count(1);  // with more it is chance which ray ends the step, and the first ray's error is told beside it
-  Registry registry = make_registry();
-  Session alone = open_text(two_pass_config(), registry);
+  set_thread_count(
+      1);  // with more it is chance which ray ends the step, and the first ray's error is reported beside it
+  Session alone = open_text(two_pass_config());
   const Mended expected = break_and_mend(alone);
   ASSERT_NE(expected.message.find("fine/field/trunk_1/weight"), std::string::npos) << expected.message;
   as_leader(3, two_pass_config(), [&](Session& session) {
@@ -203,11 +191,10 @@ TEST(RanksSession, RaysThatCannotBeRenderedAreAnErrorOfAllAndTheNextFrameIsSound
       near_far[2 * r + 1] = 1;
     }
     std::vector<float> color(90);
-    RenderJob<float> job;
-    job.origin = {origin.data(), 30, 3};
-    job.direction = {direction.data(), 30, 3};
-    job.near_far = {near_far.data(), 30, 2};
-    job.color = {color.data(), 30, 3};
+    RenderJob<float> job{.origin = {origin.data(), 30, 3},
+                         .direction = {direction.data(), 30, 3},
+                         .near_far = {near_far.data(), 30, 2},
+                         .color = {color.data(), 30, 3}};
     direction[3 * 25] = std::numeric_limits<double>::quiet_NaN();  // the last rank's
     EXPECT_THROW(session.pipeline->render(job), Error);
     direction[3 * 25] = 1;
@@ -259,11 +246,7 @@ TEST(RanksSession, TensorsThatDriftApartAreNoCheckpoint) {
     if (ranks.rank() != 0) return follow(ranks, registry);
     {
       Session session = open_text(two_pass_config(), registry, {}, &ranks);
-      try {
-        train(session, 2);
-      } catch (const Error& error) {
-        message = error.what();
-      }
+      message = error_of([&] { train(session, 2); });
     }
     dismiss(ranks);
   });
@@ -284,7 +267,7 @@ TEST(LaneRanks, RangesOfLanesCoverAllAndHaveEquallyManyTilesAsFarAsLanesAllow) {
     as_ranks(row.size, [&](Ranks& ranks) {
       LaneRanks<float> shares(ranks, row.lanes);
       shares.share_out(row.tiles);
-      first[static_cast<std::size_t>(ranks.rank())] = shares.first();
+      first[ranks.rank()] = shares.first();
       if (ranks.rank() + 1 == ranks.size()) first.back() = shares.end();
     });
     EXPECT_EQ(first.front(), 0);

@@ -6,14 +6,9 @@
 #include <condition_variable>
 #include <cstring>
 #include <deque>
-#include <exception>
-#include <functional>
 #include <map>
 #include <mutex>
-#include <string>
 #include <thread>
-#include <utility>
-#include <vector>
 
 #include "core/check.h"
 #include "ranks/ranks.h"
@@ -35,7 +30,7 @@ class ThreadMeeting {
   void meet(int rank, std::span<const std::byte> data, const Use& use) {
     {
       const std::lock_guard lock(mutex_);
-      shown_[static_cast<std::size_t>(rank)] = data;
+      shown_[rank] = data;
     }
     wait_for_all();
     use(shown_);
@@ -50,7 +45,7 @@ class ThreadMeeting {
     std::unique_lock lock(mutex_);
     std::deque<std::vector<std::byte>>& box = letters_[{from, to}];
     wait(
-        lock, [&] { return !box.empty(); }, [&] { return ended_[static_cast<std::size_t>(from)]; });
+        lock, [&] { return !box.empty(); }, [&] { return ended_[from]; });
     std::vector<std::byte> letter = std::move(box.front());
     box.pop_front();
     return letter;
@@ -62,7 +57,7 @@ class ThreadMeeting {
   }
   void end(int rank, bool failed) {
     const std::lock_guard lock(mutex_);
-    ended_[static_cast<std::size_t>(rank)] = true;
+    ended_[rank] = true;
     if (lost_.empty()) lost_ = name_of(rank) + " has ended";
     failed_ = failed_ || failed;
     changed_.notify_all();
@@ -115,7 +110,7 @@ class ThreadRanks final : public Ranks {
   void broadcast(std::span<std::byte> data, int root = 0) override {
     call([&] {
       meeting_.meet(rank_, data, [&](const auto& shown) {
-        if (rank_ != root) copy(shown[static_cast<std::size_t>(root)], data);
+        if (rank_ != root) copy(shown[root], data);
       });
     });
   }
@@ -187,9 +182,9 @@ inline void as_ranks(int size, const std::function<void(Ranks&)>& body) {
         meeting.end(r, false);
         return;
       } catch (const RankLost&) {
-        losses[static_cast<std::size_t>(r)] = std::current_exception();
+        losses[r] = std::current_exception();
       } catch (...) {
-        thrown[static_cast<std::size_t>(r)] = std::current_exception();
+        thrown[r] = std::current_exception();
       }
       meeting.end(r, true);
     });

@@ -1,13 +1,8 @@
 // The report: well-formed, self-contained, byte-identical, escaped; and the plots and text pieces it is made of.
 #include "report/report.h"
 
-#include <gtest/gtest.h>
-
-#include <cmath>
 #include <cstdlib>
 #include <filesystem>
-#include <limits>
-#include <set>
 #include <tuple>
 
 #include "core/error.h"
@@ -16,6 +11,7 @@
 #include "report/html.h"
 #include "report/report_svg.h"
 #include "system/files.h"
+#include "tests/says.h"
 
 namespace semfield {
 namespace {
@@ -28,12 +24,9 @@ const std::vector<ReportClass> kClasses{{"wall", {174, 199, 232}},    {"floor", 
 
 // A course of training that ends at `psnr_end` with time constant `tau_s`.
 ReportRun sample_run(const std::string& name, double psnr_end, double tau_s, double seconds) {
-  ReportRun run;
-  run.name = name;
+  ReportRun run{.name = name};
   for (std::int64_t step = 10; step <= 6000; step += 10) {
-    MetricsRow row;
-    row.step = step;
-    row.train_s = seconds * static_cast<double>(step) / 6000;
+    MetricsRow row{.step = step, .train_s = seconds * static_cast<double>(step) / 6000};
     const double noise = 0.12 * std::sin(static_cast<double>(step * step % 977));
     row.set("loss", std::exp(noise) * (0.004 + 0.25 * std::exp(-row.train_s / tau_s)));
     row.set("rays_per_s", 41230.0);
@@ -51,10 +44,9 @@ ReportRun sample_run(const std::string& name, double psnr_end, double tau_s, dou
     eval.set("miou_present", 0.88 * done);
     eval.set("total_accuracy", 0.4 + 0.57 * done);
     eval.set("absrel", 0.02 + 0.6 * (1 - done));
-    for (std::size_t c = 0; c < kClasses.size(); ++c) {
+    for (std::size_t c = 0; c < kClasses.size(); ++c)
       eval.per_class_iou.emplace_back(
           kClasses[c].name, c == 4 ? std::nullopt : std::optional(done * (0.95 - 0.13 * static_cast<double>(c))));
-    }
     run.rows.push_back(eval);
   }
   run.config = "scene: {type: replica}\n# <script>alert(1)</script>\n";
@@ -70,7 +62,7 @@ ReportImage sample_image(const std::string& caption, int kind) {
     for (int x = 0; x < kWidth; ++x) {
       const double t = std::hypot(x - 40, y - 30) / 70;
       const auto map = perceptual_color(kind % 2 == 0 ? 1 - t : t * t);
-      const auto& flat = kClasses[static_cast<std::size_t>((x / 24 + y / 30) % 4)].color;
+      const auto& flat = kClasses[(x / 24 + y / 30) % 4].color;
       rgb.insert(rgb.end(), kind >= 4 ? map.begin() : flat.begin(), kind >= 4 ? map.end() : flat.end());
     }
   }
@@ -78,9 +70,9 @@ ReportImage sample_image(const std::string& caption, int kind) {
 }
 
 ReportInput sample_input(int runs) {
-  ReportInput input;
-  input.title = "Room 0 & friends";
-  input.subtitle = "Replica layout, 18 training and 18 test frames, labels on 10 % of the training frames";
+  ReportInput input{
+      .title = "Room 0 & friends",
+      .subtitle = "Replica layout, 18 training and 18 test frames, labels on 10 % of the training frames"};
   input.runs.push_back(sample_run("hash_grid", 31.4, 22, 95));
   if (runs > 1) input.runs.push_back(sample_run("frequency", 29.6, 90, 310));
   if (runs > 2) input.runs.push_back(sample_run("identity", 18, 120, 250));
@@ -127,18 +119,14 @@ TEST(Report, IsWellFormedAndSelfContained) {
   for (int runs : {1, 2, 3}) {
     const std::string page = make_report(sample_input(runs));
     EXPECT_EQ(unbalanced(page), "") << runs;
-    EXPECT_EQ(page.find("<script"), std::string::npos);
-    for (const char* reach : {"http://", "https://", "src=\"/", "url(", "@import", "<link"})
-      EXPECT_EQ(page.find(reach), std::string::npos) << reach;
+    EXPECT_LACKS(page, "<script", "http://", "https://", "src=\"/", "url(", "@import", "<link");
     EXPECT_EQ(count_of(page, "<polyline"),
               2 * 4u * static_cast<std::size_t>(runs));  // each run in each plot, over linear and logarithmic time
     EXPECT_EQ(count_of(page, "data:image/png;base64,"), 12u);
     EXPECT_EQ(count_of(page, "<img alt=\""), 12u);
-    EXPECT_NE(page.find("lamp &lt;b&gt;"), std::string::npos);
-    EXPECT_EQ(page.find("lamp <b>"), std::string::npos);
-    EXPECT_NE(page.find("Room 0 &amp; friends"), std::string::npos);
-    EXPECT_NE(page.find("no data"), std::string::npos);
-    EXPECT_NE(page.find("lambda_d = 0"), std::string::npos);
+    EXPECT_HAS(page, "lamp &lt;b&gt;");
+    EXPECT_LACKS(page, "lamp <b>");
+    EXPECT_HAS(page, "Room 0 &amp; friends", "no data", "lambda_d = 0");
     if (const char* folder = std::getenv("SEMFIELD_REPORT_SAMPLES"))
       write_file_atomic(std::string(folder) + "/report_" + std::to_string(runs) + ".html", page);
   }
@@ -159,35 +147,30 @@ TEST(Report, SameInputSameBytesAndEveryPartCounts) {
 TEST(Report, BestOfARowIsMarkedByItsDirection) {
   ReportInput input;
   for (const auto& [name, psnr, absrel] : {std::tuple{"a", 30.0, 0.05}, {"b", 20.0, 0.01}}) {
-    ReportRun run;
-    run.name = name;
-    MetricsRow row;
-    row.kind = "eval";
-    row.split = "test";
+    ReportRun run{.name = name};
+    MetricsRow row{.kind = "eval", .split = "test"};
     row.set("psnr", psnr);
     row.set("absrel", absrel);
     run.rows.push_back(row);
     input.runs.push_back(run);
   }
   const std::string page = make_report(input);
-  EXPECT_NE(page.find("<td class=\"num best\">30.00</td><td class=\"num\">20.00</td>"), std::string::npos);
-  EXPECT_NE(page.find("<td class=\"num\">0.0500</td><td class=\"num best\">0.0100</td>"), std::string::npos);
+  EXPECT_HAS(page, "<td class=\"num best\">30.00</td><td class=\"num\">20.00</td>",
+             "<td class=\"num\">0.0500</td><td class=\"num best\">0.0100</td>");
 }
 
 TEST(Report, EmptyAndInfiniteRunsStillMakeAPage) {
   ReportInput input;
   input.runs.resize(1);
   EXPECT_EQ(unbalanced(make_report(input)), "");
-  MetricsRow row;
-  row.kind = "eval";
+  MetricsRow row{.kind = "eval"};
   row.set("psnr", std::numeric_limits<double>::infinity());
   row.set("miou", std::nullopt);
   input.runs[0].rows.push_back(row);
   const std::string page = make_report(input);
   EXPECT_EQ(unbalanced(page), "");
-  EXPECT_NE(page.find("∞"), std::string::npos);
-  EXPECT_EQ(page.find("nan,"), std::string::npos);
-  EXPECT_EQ(page.find("inf,"), std::string::npos);
+  EXPECT_HAS(page, "∞");
+  EXPECT_LACKS(page, "nan,", "inf,");
   EXPECT_THROW((void)make_report({}), Error);
 }
 
@@ -280,11 +263,11 @@ TEST(Plot, ThinningKeepsMeansAndSkipsWhatCannotBeDrawn) {
   EXPECT_DOUBLE_EQ(thin[0].x, 49.5);
   EXPECT_DOUBLE_EQ(thin[9].y, 2 * 949.5);
   PlotSpec spec{"loss", "s", true, false, 3, {{"a", 0, {{0, 0}, {1, -1}, {2, std::nan("")}}}}};
-  EXPECT_NE(line_plot(spec).find("no data"), std::string::npos);
+  EXPECT_HAS(line_plot(spec), "no data");
   spec.series[0].points.push_back({3, 5});
   const std::string one = line_plot(spec);
-  EXPECT_EQ(one.find("nan"), std::string::npos);
-  EXPECT_NE(one.find("<circle"), std::string::npos);
+  EXPECT_LACKS(one, "nan");
+  EXPECT_HAS(one, "<circle");
 }
 
 PlotSpec spec_of(std::vector<PlotPoint> points) {
@@ -296,13 +279,13 @@ TEST(Plot, ErrorBarsAreDrawnAndWidenTheRange) {
   EXPECT_EQ(count_of(plain, "class=\"eb\""), 0u);
   const std::string bars = line_plot(spec_of({{1, 0.5, 0.1, 0.9}, {2, 0.6, 0.55, std::nullopt}}));
   EXPECT_EQ(count_of(bars, "class=\"eb\""), 3u) << "a stem and two ends for the point that has both";
-  EXPECT_NE(bars.find("0.500 (0.100 to 0.900) at 1.00"), std::string::npos);
-  EXPECT_NE(bars.find(">0.2</text>"), std::string::npos) << "the axis reaches the bar's end";
+  EXPECT_HAS(bars, "0.500 (0.100 to 0.900) at 1.00");
+  EXPECT_HAS(bars, ">0.2</text>") << "the axis reaches the bar's end";
   PlotSpec log = spec_of({{1, 0.5, -0.1, 0.9}, {2, 0.6, 0.5, 0.7}});
   log.log_y = true;
   const std::string on_log = line_plot(log);
   EXPECT_EQ(count_of(on_log, "class=\"eb\""), 6u) << "an end below a logarithmic axis stops at its foot";
-  EXPECT_EQ(on_log.find("nan"), std::string::npos);
+  EXPECT_LACKS(on_log, "nan");
 }
 
 TEST(Plot, LogAbscissaHoldsPositivePointsAndRoundTicks) {
@@ -310,11 +293,11 @@ TEST(Plot, LogAbscissaHoldsPositivePointsAndRoundTicks) {
   spec.log_x = true;
   const std::string plot = line_plot(spec);
   EXPECT_EQ(count_of(plot, "<circle"), 3u);
-  EXPECT_NE(plot.find("points=\"54.0,"), std::string::npos);
-  EXPECT_NE(plot.find(" 264.0,"), std::string::npos) << "the middle decade stands in the middle: 54 + 420 / 2";
-  for (const char* tick : {">10<", ">100<", ">1000<"}) EXPECT_NE(plot.find(tick), std::string::npos) << tick;
+  EXPECT_HAS(plot, "points=\"54.0,");
+  EXPECT_HAS(plot, " 264.0,") << "the middle decade stands in the middle: 54 + 420 / 2";
+  EXPECT_HAS(plot, ">10<", ">100<", ">1000<");
   spec.series[0].points = {{614400, 0.5}};
-  EXPECT_NE(line_plot(spec).find(">1M<"), std::string::npos);
+  EXPECT_HAS(line_plot(spec), ">1M<");
   EXPECT_GE(log_ticks(3000, 4500).size(), 2u) << "a range without 1, 2 or 5 still has ticks";
 }
 
@@ -327,11 +310,9 @@ TEST(Plot, BarsMarksAndReferences) {
   spec.series.push_back({"perfect", 0, {{0, 0}, {1, 1}}});
   spec.series.back().reference = true;
   const std::string plot = line_plot(spec);
-  EXPECT_NE(plot.find("<rect class=\"br\" x=\"55.0\" y=\"129.0\" width=\"208.0\" height=\"115.0\""), std::string::npos)
-      << plot;
-  EXPECT_NE(plot.find("half &lt;b&gt;"), std::string::npos);
+  EXPECT_HAS(plot, "<rect class=\"br\" x=\"55.0\" y=\"129.0\" width=\"208.0\" height=\"115.0\"", "half &lt;b&gt;");
   EXPECT_EQ(count_of(plot, "class=\"mk\""), 2u);
-  EXPECT_NE(plot.find("<circle cx=\"369.0\" cy=\"157.8\" r=\"5.5\" class=\"mk\""), std::string::npos)
+  EXPECT_HAS(plot, "<circle cx=\"369.0\" cy=\"157.8\" r=\"5.5\" class=\"mk\"")
       << "half way between the two points: 54 + 0.75 * 420, 244 - 0.375 * 230";
   EXPECT_EQ(count_of(plot, "class=\"rf\""), 1u);
   EXPECT_EQ(count_of(plot, "class=\"end\""), 1u) << "the reference has no number";

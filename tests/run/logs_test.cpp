@@ -1,9 +1,6 @@
 // metrics.jsonl and the TensorBoard file, each read back by code that shares nothing with its writer.
-#include <gtest/gtest.h>
-
 #include <cmath>
 #include <cstring>
-#include <filesystem>
 #include <fstream>
 #include <limits>
 #include <map>
@@ -13,6 +10,8 @@
 #include "run/metrics_log.h"
 #include "run/rows/tensorboard.h"
 #include "system/files.h"
+#include "tests/says.h"
+#include "tests/temp_dir.h"
 
 namespace semfield {
 namespace {
@@ -21,20 +20,12 @@ namespace fs = std::filesystem;
 
 class LogTest : public ::testing::Test {
  protected:
-  void SetUp() override {
-    std::string name = (fs::temp_directory_path() / "semfield_logs_XXXXXX").string();
-    ASSERT_NE(::mkdtemp(name.data()), nullptr);
-    path_ = name;
-  }
-  void TearDown() override { fs::remove_all(path_); }
-  std::string in(const std::string& name) const { return path_ + "/" + name; }
-  std::string path_;
+  std::string in(const std::string& name) const { return dir_ / name; }
+  const TempDir dir_;
 };
 
 MetricsRow train_row(std::int64_t step) {
-  MetricsRow row;
-  row.step = step;
-  row.train_s = 0.1 * static_cast<double>(step);
+  MetricsRow row{.step = step, .train_s = 0.1 * static_cast<double>(step)};
   row.set("loss", 1.0 / 3);
   return row;
 }
@@ -43,10 +34,7 @@ TEST_F(LogTest, RowsComeBackExactly) {
   {
     MetricsLog log = MetricsLog::create(in("metrics.jsonl"));
     log.append(train_row(7));
-    MetricsRow row;
-    row.kind = "eval";
-    row.split = "test";
-    row.step = 7;
+    MetricsRow row{.kind = "eval", .step = 7, .split = "test"};
     row.set("psnr", std::numeric_limits<double>::infinity());
     row.set("miou", std::nullopt);
     row.set("absrel", std::numeric_limits<double>::quiet_NaN());
@@ -79,13 +67,8 @@ TEST_F(LogTest, OnlyATornLastLineIsForgiven) {
     const auto rows = parse_metrics(good.substr(0, cut), "m");
     EXPECT_EQ(rows.size(), cut == good.size() ? 2u : cut >= good.find('\n') + 1 ? 1u : 0u);
   }
-  try {
-    (void)parse_metrics("{\"kind\":\"train\",\n" + good, "metrics.jsonl");
-    FAIL();
-  } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), ErrorKind::data);
-    EXPECT_NE(std::string(error.what()).find("metrics.jsonl:1: not a JSON object"), std::string::npos) << error.what();
-  }
+  EXPECT_HAS(error_of(ErrorKind::data, [&] { (void)parse_metrics("{\"kind\":\"train\",\n" + good, "metrics.jsonl"); }),
+             "metrics.jsonl:1: not a JSON object");
   EXPECT_THROW((void)parse_metrics("{\"kind\":\"train\"}\n", "m"), Error);
   EXPECT_THROW((void)parse_metrics("{\"step\":1,\"loss\":\"high\"}\n", "m"), Error);
 }
@@ -119,13 +102,8 @@ TEST_F(LogTest, ResumeDropsWhatAPowerCutLeftAndRefusesOtherDamage) {
   }
   EXPECT_EQ(read_text_file(in("m")), good + metrics_line(train_row(25)) + "\n");
   std::ofstream(in("n")) << "half a row}\n" << good;
-  try {
-    (void)MetricsLog::resume(in("n"), 20);
-    ADD_FAILURE() << "a bad line ahead of rows that count was dropped";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), ErrorKind::data);
-    EXPECT_NE(std::string(error.what()).find(in("n") + ":1: not a JSON object"), std::string::npos) << error.what();
-  }
+  EXPECT_HAS(error_of(ErrorKind::data, [&] { (void)MetricsLog::resume(in("n"), 20); }),
+             in("n") + ":1: not a JSON object");
 }
 
 // --- an independent reader of records and of the few protobuf fields in them ---
@@ -195,7 +173,7 @@ std::map<int, std::string> fields(const std::string& message) {
 TEST_F(LogTest, TensorboardFileReadsBack) {
   std::string path;
   {
-    EventWriter writer(path_, 1000.25);
+    EventWriter writer(dir_.path(), 1000.25);
     path = writer.path();
     writer.scalar("eval/psnr", 20000, 31.5, 1001.5);
     writer.scalar("train/loss", 300, std::numeric_limits<double>::infinity(), 1002);

@@ -1,14 +1,9 @@
-// The real program, killed and signalled: no run is lost, and what is resumed ends in the bits of the run left alone.
-#include <gtest/gtest.h>
+// The real program, killed and signalled: no run is lost and resumed ones end in the same bits; lines of its verbs.
 #include <signal.h>
 
-#include <algorithm>
-#include <chrono>
 #include <cstdio>
-#include <cstdlib>
-#include <filesystem>
-#include <thread>
 
+#include "app/progress_line.h"
 #include "core/rng.h"
 #include "execution/device_library.h"
 #include "run/checkpoint_store.h"
@@ -20,8 +15,8 @@ namespace semfield {
 namespace {
 
 using namespace testing_train;
-using testing_program::program;
-using testing_program::Result;
+using namespace app;
+using namespace testing_program;
 
 class Process : public testing_program::Process {
  public:
@@ -45,8 +40,7 @@ struct Remains {
 };
 
 Remains remains_of(const std::string& run_dir) {
-  Remains found;
-  found.begun = std::filesystem::exists(run_dir + "/run.yaml");
+  Remains found{.begun = std::filesystem::exists(run_dir + "/run.yaml")};
   if (!std::filesystem::exists(run_dir)) return found;
   for (const auto& entry : std::filesystem::recursive_directory_iterator(run_dir))
     found.temporaries += entry.path().extension() == ".tmp" ? 1 : 0;
@@ -127,17 +121,16 @@ void expect_orderly_stop(int signal, int code) {
   const TempDir dir;
   const std::string config = write_packed_config(dir, 1000000, 0);
   Process process({"train", config, "--out", dir / "run"}, dir);
-  for (int i = 0; i < 12000 && !std::filesystem::exists((dir / "run") + "/metrics.jsonl"); ++i) {
+  for (int i = 0; i < 12000 && !std::filesystem::exists((dir / "run") + "/metrics.jsonl"); ++i)
     std::this_thread::sleep_for(std::chrono::milliseconds(10));
-  }
   std::this_thread::sleep_for(std::chrono::milliseconds(200));
   process.send(signal);
   const Result r = process.wait();
   EXPECT_EQ(r.code, code) << r.err;
-  EXPECT_NE(r.err.find("semfield train --resume"), std::string::npos) << r.err;
+  EXPECT_HAS(r.err, "semfield train --resume");
   const Result resumed = run({"train", "--resume", dir / "run", "--time", "1s"}, dir);
   EXPECT_EQ(resumed.code, 0) << resumed.err;
-  EXPECT_NE(resumed.err.find("resuming at step"), std::string::npos) << resumed.err;
+  EXPECT_HAS(resumed.err, "resuming at step");
 }
 
 TEST(Process, SigintSavesAndExits130) { expect_orderly_stop(SIGINT, 130); }
@@ -151,17 +144,17 @@ TEST(Process, EvalPrintsOneJsonObject) {
   ASSERT_EQ(r.code, 0) << r.err;
   for (const char* name : {"\"miou_present\":", "\"total_accuracy\":", "\"psnr\":", "\"absrel\":", "\"train_s\":",
                            "\"entropy_auroc\":", "\"auroc_error\":"}) {
-    EXPECT_NE(r.out.find(name), std::string::npos) << name << " in " << r.out;
+    EXPECT_HAS(r.out, name) << name << " in " << r.out;
   }
   EXPECT_EQ(std::count(r.out.begin(), r.out.end(), '\n'), 1);
-  EXPECT_EQ(r.out.find("given_right_entropy"), std::string::npos) << r.out;
+  EXPECT_LACKS(r.out, "given_right_entropy");
   const Result trained = run({"--json", "eval", dir / "run", "--split", "train"}, dir);
   ASSERT_EQ(trained.code, 0) << trained.err;
   for (const char* name : {"\"given_right_entropy\":1.", "\"given_wrong_auroc\":null"})
-    EXPECT_NE(trained.out.find(name), std::string::npos) << name << " in " << trained.out;
+    EXPECT_HAS(trained.out, name) << name << " in " << trained.out;
   const Result rendered = run({"render", dir / "run", "--split", "test", "--npy"}, dir);
   ASSERT_EQ(rendered.code, 0) << rendered.err;
-  EXPECT_NE(rendered.out.find("frames=3"), std::string::npos) << rendered.out;
+  EXPECT_HAS(rendered.out, "frames=3");
 }
 
 struct Refusal {
@@ -202,9 +195,97 @@ TEST(Process, RefusalsNamePlaceCauseAndRemedy) {
   for (const Refusal& c : cases) {
     const Result r = run(c.words, dir);
     EXPECT_EQ(r.code, c.code) << c.words[0] << ": " << r.err;
-    EXPECT_NE(r.err.find(c.message), std::string::npos) << "expected '" << c.message << "' in: " << r.err;
+    EXPECT_HAS(r.err, c.message) << "expected '" << c.message << "' in: " << r.err;
   }
   EXPECT_FALSE(std::filesystem::exists(dir / "x")) << "a refused run leaves no folder";
+}
+
+// The program's words about scores: those of a sample cannot be taken for those of the split.
+
+TEST(ScoreLines, ASampleHasNamesOfItsOwn) {
+  const TempDir dir;
+  write_packed_config(dir, 200, 60);
+  // A time that the first step exceeds leaves time for the least evaluation: a frame.
+  const Result cut = semfield_run("train config.yaml --time 0.001s --threads 1 --out cut", dir.path());
+  ASSERT_EQ(cut.code, 0) << cut.err;
+  EXPECT_EQ(cut.out.find("train: sample=1/3 sample_miou_present=0."), 0u) << cut.out;
+  EXPECT_LACKS(cut.out, " miou_present=", " total_accuracy=", " psnr=", " absrel=");
+  EXPECT_HAS(cut.err,
+             "the last evaluation scores 1 of 3 frames to end near the time asked for (report.eval_share 0.1); "
+             "`semfield eval cut` scores all\n");
+  const Result eval = semfield_run("eval cut", dir.path());
+  EXPECT_EQ(eval.out.find("cut: 3 test frames, step "), 0u) << eval.out;
+
+  const Result whole =
+      semfield_run("train config.yaml --time 0.001s --set report.eval_share=0 --threads 1 --out whole -q", dir.path());
+  ASSERT_EQ(whole.code, 0) << whole.err;
+  EXPECT_EQ(whole.out.find("train: miou_present=0."), 0u) << whole.out;
+  EXPECT_EQ(whole.err, "") << "-q";
+}
+
+TEST(ScoreLines, FiguresThatTheSceneCannotHaveAreNotPrinted) {
+  const TempDir dir;
+  write_packed_config(dir, 2, 60);
+  const Result r = semfield_run("train config.yaml --set scene.labels.frames=none --threads 1 --out run", dir.path());
+  ASSERT_EQ(r.code, 0) << r.err;
+  EXPECT_EQ(r.out.find("train: psnr="), 0u) << r.out;
+  EXPECT_HAS(r.out, " absrel=");
+  EXPECT_LACKS(r.out, "=-");
+}
+
+TEST(Findings, WhatTrainingHasShownIsNotSaidAgain) {
+  const TempDir dir;
+  write_packed_config(dir, 2, 60);
+  const std::string warning = "the size asked for changes the aspect ratio";
+  const Result trained = semfield_run(
+      "train config.yaml --set scene.load.width_px=20 --set scene.load.height_px=36 --threads 1 --out run", dir.path());
+  ASSERT_EQ(trained.code, 0) << trained.err;
+  EXPECT_HAS(trained.err, warning);
+  for (const char* verb : {"eval run", "render run"}) {
+    const Result r = semfield_run(verb, dir.path());
+    EXPECT_EQ(r.code, 0) << r.err;
+    EXPECT_LACKS(r.err, warning) << verb << "\n" << r.err;
+  }
+  std::filesystem::remove(dir / "run/findings.txt");
+  EXPECT_HAS(semfield_run("eval run", dir.path()).err, warning);
+}
+
+// What long work says of itself: one line on a terminal, one every two seconds elsewhere, none when quiet.
+
+// Everything written while `done` goes from 0 to 4 frames, a second each, shown at every half.
+std::string written(bool terminal, bool quiet, double second = 1) {
+  AppContext context;
+  context.terminal = terminal;
+  context.quiet = quiet;
+  double now_s = 100;
+  std::string out;
+  {
+    ProgressLine line(context, "scored", "frames",
+                      {[&] { return now_s; }, [&](const std::string& text) { out += text; }});
+    for (int half = 1; half <= 8; ++half) {
+      now_s += second / 2;
+      line.show(half / 2.0, 4);
+    }
+  }
+  return out;
+}
+
+TEST(ProgressLine, ALineEveryTwoSecondsWhereLinesStay) {
+  EXPECT_EQ(written(false, false), "scored 2/4 frames, 0:02 left\nscored 4/4 frames\n");
+  EXPECT_EQ(written(false, false, 0.4), "") << "short work leaves no line";
+  EXPECT_EQ(written(false, false, 60).substr(0, 29), "scored 0/4 frames, 3:30 left\n");
+}
+
+TEST(ProgressLine, ATerminalsLineIsOverwrittenAndCleared) {
+  const std::string out = written(true, false);
+  EXPECT_EQ(out.find('\n'), std::string::npos);
+  EXPECT_EQ(out.find("\r\033[Kscored 0/4 frames, 0:04 left\r\033[Kscored 1/4 frames, 0:03 left"), 0u) << out;
+  EXPECT_HAS(out, "\r\033[Kscored 4/4 frames\r\033[K");
+}
+
+TEST(ProgressLine, QuietIsSilent) {
+  EXPECT_EQ(written(false, true), "");
+  EXPECT_EQ(written(true, true), "");
 }
 
 }  // namespace

@@ -1,9 +1,5 @@
 // Stopping, saving, loading and going on gives the bits of the run that was never stopped; other checkpoints are
 // refused.
-#include <gtest/gtest.h>
-
-#include <algorithm>
-#include <filesystem>
 #include <fstream>
 
 #include "compute/parallel.h"
@@ -75,13 +71,7 @@ TEST(Resume, AnotherNetworksCheckpointIsRefusedAndNothingChanges) {
   Diagnostics diagnostics;
   auto found = store.find_latest(diagnostics);
   ASSERT_TRUE(found.has_value());
-  try {
-    narrow.trainer->load(found->file, 0);
-    FAIL() << "no error";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), ErrorKind::data);
-    EXPECT_NE(std::string(error.what()).find("another network's checkpoint"), std::string::npos) << error.what();
-  }
+  EXPECT_HAS(error_of(ErrorKind::data, [&] { narrow.trainer->load(found->file, 0); }), "another network's checkpoint");
   EXPECT_EQ(before, fingerprint(narrow.session.pipeline->store()));
 }
 
@@ -95,8 +85,7 @@ RunConfig config_of(const std::string& yaml, Registry& registry) {
 TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
   Registry registry = make_registry();
   const TempDir dir;
-  TrainRequest request;
-  request.out_dir = dir / "run";
+  TrainRequest request{.out_dir = dir / "run"};
   HookListener hooks;
   hooks.reports = true;
   const TrainOutcome outcome = run_training(config_of(hash_config("report: {eval_every_s: 0, strips: 2}\n"), registry),
@@ -106,7 +95,7 @@ TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
        {"run.yaml", "metrics.jsonl", "environment.json", "left_out.json", "classes.yaml", "report.html"}) {
     EXPECT_TRUE(std::filesystem::exists(request.out_dir + "/" + file)) << file;
   }
-  EXPECT_NE(read_text_file(request.out_dir + "/environment.json").find("\"started\": \"20"), std::string::npos);
+  EXPECT_HAS(read_text_file(request.out_dir + "/environment.json"), "\"started\": \"20");
   double psnr = 0;
   for (const auto& [name, value] : outcome.values) {
     if (name == "psnr") psnr = *value;
@@ -143,15 +132,13 @@ TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
   for (const FrameScore& row : score.frames) frames.add(row, {});
   EXPECT_EQ(frames.strips().size(), 1u);
   ASSERT_EQ(frames.worst().size(), std::min<std::size_t>(2, score.frames.size()));
-  for (const FrameScore& row : score.frames) {
-    EXPECT_FALSE(row.worse_than(frames.worst()[0].first)) << row.name;
-  }
+  for (const FrameScore& row : score.frames) EXPECT_FALSE(row.worse_than(frames.worst()[0].first)) << row.name;
   // Rendering reads no pixel: what training knew of the scene stands in the checkpoint.
   OpenedRun blind = open_run(request.out_dir, {}, registry, diagnostics, OpenFor::rendering);
   const int frame = opened.session.scene.frames_of(Split::test).front();
-  EXPECT_TRUE(blind.session.scene.frames[static_cast<std::size_t>(frame)].rgb.empty());
+  EXPECT_TRUE(blind.session.scene.frames[frame].rgb.empty());
   const auto render = [frame](Session& s) {
-    const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(frame)];
+    const FrameInfo& info = s.scene.info.frames[frame];
     return render_frame(*s.pipeline, {info.camera, info.world_from_camera, s.plan.undistortion}, s.limits,
                         s.plan.class_of_logit);
   };
@@ -176,8 +163,7 @@ TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
 TEST(TrainRun, AStopSignalSavesAndResumeGoesOn) {
   Registry registry = make_registry();
   const TempDir dir;
-  TrainRequest request;
-  request.out_dir = dir / "run";
+  TrainRequest request{.out_dir = dir / "run"};
   int asked = 0;
   HookListener hooks;
   hooks.on_stop_signal = [&] { return ++asked >= 30 ? 15 : 0; };
@@ -205,9 +191,7 @@ TEST(TrainRun, LabelsOfAnotherClassMayComeWhereEveryClassHasALogit) {
   const TempDir dir;
   const std::string log = dir / "clicks.jsonl";
   const auto train = [&](const std::string& yaml, std::int64_t steps, bool resume) {
-    TrainRequest request;
-    request.out_dir = dir / "run";
-    request.resume = resume;
+    TrainRequest request{.out_dir = dir / "run", .resume = resume};
     RunConfig config = config_of(yaml, registry);
     if (resume) config = load_run_config(request.out_dir + "/run.yaml", {}, registry);
     config.train.steps = steps;
@@ -215,36 +199,35 @@ TEST(TrainRun, LabelsOfAnotherClassMayComeWhereEveryClassHasALogit) {
     HookListener hooks;
     hooks.on_note = [&](const std::string& text) { warnings += text + "\n"; };
     EXPECT_EQ(run_training(std::move(config), registry, request, &hooks).step, steps);
-    EXPECT_EQ(warnings.find("the labels are not as they were"), std::string::npos) << warnings;
+    EXPECT_LACKS(warnings, "the labels are not as they were");
   };
   std::string yaml = hash_config("report: {eval_every_s: 0}\n");
   yaml.replace(yaml.find("analytic_room}"), 14,
                "analytic_room, labels: {frames: none, class_room: 8, clicks: " + log + "}}");
   train(yaml, 4, false);
-  EXPECT_EQ(read_text_file(dir / "run/classes.yaml").find("sofa"), std::string::npos);
+  EXPECT_LACKS(read_text_file(dir / "run/classes.yaml"), "sofa");
   const Session session = open_text(hash_config(), registry);
-  const std::string frame = session.scene.info.frames[static_cast<std::size_t>(session.drawn_frames().front())].name;
+  const std::string frame = session.scene.info.frames[session.drawn_frames().front()].name;
   const std::string click = R"("type":"click","frame":")" + frame + R"(","size":[48,36],"points":[[9,9]],"radius":3,)";
   write_file_atomic(log, R"({"id":"1","type":"class","name":"sofa"})"
                          "\n"
                          R"({"id":"2",)" +
                              click + "\"class\":\"sofa\"}\n" + R"({"id":"3",)" + click + "\"class\":\"wall\"}\n");
   train(yaml, 8, true);
-  EXPECT_NE(read_text_file(dir / "run/classes.yaml").find("sofa"), std::string::npos);
+  EXPECT_HAS(read_text_file(dir / "run/classes.yaml"), "sofa");
   write_file_atomic(log, read_text_file(log) + R"({"id":"4","type":"rename","class":"sofa","name":"couch"})" + "\n");
   Diagnostics diagnostics;
   const OpenedRun opened = open_run(dir / "run", {}, registry, diagnostics, OpenFor::evaluation);
   EXPECT_EQ(opened.step, 8);
   EXPECT_EQ(opened.session.plan.class_of_logit.size(), 8u);
-  EXPECT_NE(opened.session.scene.info.classes.to_yaml().find("couch"), std::string::npos);
+  EXPECT_HAS(opened.session.scene.info.classes.to_yaml(), "couch");
 }
 
 TEST(TrainRun, LabelsOfAnotherClassAreRefusedWhereItHasNoLogit) {
   Registry registry = make_registry();
   const TempDir dir;
   for (const bool kept : {false, true}) {
-    TrainRequest request;
-    request.out_dir = dir / (kept ? "kept" : "run");
+    TrainRequest request{.out_dir = dir / (kept ? "kept" : "run")};
     std::string yaml = hash_config("report: {eval_every_s: 0}\n");
     if (kept) yaml += "runtime: {keep: [absent_classes]}\n";
     const auto with = [&](const std::string& scene) {
@@ -259,17 +242,13 @@ TEST(TrainRun, LabelsOfAnotherClassAreRefusedWhereItHasNoLogit) {
         CheckpointStore(request.out_dir + "/checkpoints").find_latest(*std::make_unique<Diagnostics>())->file);
     Session now = open_text(with(""), registry);
     Diagnostics diagnostics;
-    std::string said;
-    try {
-      compare_with_training(facts, scene_inputs(now.scene, now.labels), now, diagnostics);
-    } catch (const Error& error) {
-      said = error.what();
-    }
+    const std::string said =
+        error_of([&] { compare_with_training(facts, scene_inputs(now.scene, now.labels), now, diagnostics); });
     if (kept) {
       EXPECT_EQ(said, "");
       EXPECT_EQ(diagnostics.all().size(), 1u) << "a warning: the labels are others";
     } else {
-      EXPECT_NE(said.find("the network has one logit for each class with such pixels"), std::string::npos) << said;
+      EXPECT_HAS(said, "the network has one logit for each class with such pixels");
     }
   }
 }
@@ -294,29 +273,24 @@ TEST(TrainRun, AFlippedBitIsFoundAndTheOlderCheckpointServes) {
   ASSERT_TRUE(found.has_value());
   EXPECT_EQ(found->step, 0);
   ASSERT_FALSE(diagnostics.all().empty());
-  EXPECT_NE(diagnostics.all().front().text().find("step_00000001"), std::string::npos)
-      << diagnostics.all().front().text();
+  EXPECT_HAS(diagnostics.all().front().text(), "step_00000001");
 }
 
 TEST(TrainRun, ARunFolderInUseIsRefused) {
   Registry registry = make_registry();
   const TempDir dir;
-  TrainRequest request;
-  request.out_dir = dir / "run";
+  TrainRequest request{.out_dir = dir / "run"};
   HookListener hooks;
   std::string refusal;
   hooks.on_stop_signal = [&] {
     TrainRequest second = request;
     second.resume = true;
-    try {
-      run_training(load_run_config(request.out_dir + "/run.yaml", {}, registry), registry, second, {});
-    } catch (const Error& error) {
-      refusal = error.what();
-    }
+    refusal = error_of(
+        [&] { run_training(load_run_config(request.out_dir + "/run.yaml", {}, registry), registry, second, {}); });
     return 2;
   };
   run_training(config_of(hash_config("report: {eval_every_s: 0}\n"), registry), registry, request, &hooks);
-  EXPECT_NE(refusal.find("in use"), std::string::npos) << refusal;
+  EXPECT_HAS(refusal, "in use");
 }
 
 }  // namespace

@@ -1,12 +1,6 @@
-// The length of a run: asked for in steps or in seconds, settled, stored, repeated and gone on with. Clocks are
+// The length of a run: stated in steps or in seconds, settled, stored, repeated and gone on with. Clocks are
 // counted.
 #include "settings/run_length.h"
-
-#include <gtest/gtest.h>
-
-#include <cmath>
-#include <filesystem>
-#include <map>
 
 #include "config/compose.h"
 #include "run/run_session.h"
@@ -63,16 +57,17 @@ class RunLengthTest : public ::testing::Test {
     return read;
   }
   RunConfig stored(const std::string& run) { return load_run_config(dir_ / run + "/run.yaml", {}, registry_); }
+  RunConfig asked(const AskedLength& length, const std::string& more = "") {
+    RunConfig made = config(more);
+    ask(made, length);
+    return made;
+  }
   TrainOutcome train(RunConfig config, const std::string& run, RunListener& listener) {
-    TrainRequest request;
-    request.out_dir = dir_ / run;
+    TrainRequest request{.out_dir = dir_ / run};
     return run_training(std::move(config), registry_, request, &listener);
   }
   TrainOutcome resume(const std::string& run, const AskedLength& more, RunListener& listener) {
-    TrainRequest request;
-    request.out_dir = dir_ / run;
-    request.resume = true;
-    request.more = more;
+    TrainRequest request{.out_dir = dir_ / run, .resume = true, .more = more};
     return run_training(stored(run), registry_, request, &listener);
   }
   std::uint32_t bits(const std::string& run, std::int64_t step) { return checkpoint_fingerprint(dir_ / run, step); }
@@ -87,13 +82,12 @@ class RunLengthTest : public ::testing::Test {
 
 TEST_F(RunLengthTest, ATimeIsSettledStoredAndRepeatedByNumbers) {
   CountedSteps clock;
-  RunConfig asked = config("losses: [{type: distortion, weight: 0.1, from_step: 0.05}]\n");
-  ask(asked, {0, 20});
-  const TrainOutcome timed = train(std::move(asked), "timed", clock);
+  const TrainOutcome timed =
+      train(asked({0, 20}, "losses: [{type: distortion, weight: 0.1, from_step: 0.05}]\n"), "timed", clock);
   EXPECT_EQ(timed.step, 80);
   EXPECT_NEAR(timed.train_s, 20, 0.01);
   EXPECT_EQ(timed.trained_s, timed.train_s);
-  EXPECT_NE(clock.notes.find("the length is settled: 80 steps for 20 s of training"), std::string::npos) << clock.notes;
+  EXPECT_HAS(clock.notes, "the length is settled: 80 steps for 20 s of training");
   const RunConfig settled = stored("timed");
   EXPECT_EQ(settled.train.steps, 80);
   EXPECT_EQ(settled.train.time_s, 20);
@@ -106,18 +100,16 @@ TEST_F(RunLengthTest, ATimeIsSettledStoredAndRepeatedByNumbers) {
   CountedSteps slow;
   slow.step_s = [](std::int64_t step) { return step < 40 ? 3.0 : 1.0; };
   EXPECT_EQ(train(stored("timed"), "again", slow).step, 80);
-  EXPECT_EQ(slow.notes.find("settled"), std::string::npos) << slow.notes;
+  EXPECT_LACKS(slow.notes, "settled");
   EXPECT_EQ(bits("again", 80), bits("timed", 80));
 }
 
 TEST_F(RunLengthTest, ARateThatChangesIsSettledAnewAndRepeatedByNumbers) {
   CountedSteps clock;
   clock.step_s = [](std::int64_t step) { return step < 60 ? 0.2 : 0.1; };
-  RunConfig asked = config();
-  ask(asked, {0, 20});
-  const TrainOutcome timed = train(std::move(asked), "timed", clock);
+  const TrainOutcome timed = train(asked({0, 20}), "timed", clock);
   EXPECT_NEAR(timed.train_s, 20, 1.7);
-  EXPECT_NE(clock.notes.find("settled anew"), std::string::npos) << clock.notes;
+  EXPECT_HAS(clock.notes, "settled anew");
   const RunConfig settled = stored("timed");
   EXPECT_FALSE(settled.schedule.legs.empty());
   EXPECT_EQ(last_step(settled), timed.step);
@@ -135,16 +127,14 @@ TEST_F(RunLengthTest, ARunKilledOrStoppedBeforeItIsSettledTrainsWhatWasAskedFor)
     return false;
   };
   clock.signal_at = [](std::int64_t step) { return step == 6 ? 2 : 0; };
-  RunConfig asked = config();
-  ask(asked, {0, 20});
-  EXPECT_EQ(train(std::move(asked), "stopped", clock).step, 6);
+  EXPECT_EQ(train(asked({0, 20}), "stopped", clock).step, 6);
   EXPECT_EQ(stored("stopped").train.steps, 0);
   for (const char* run : {"stopped", "killed"}) {
     CountedSteps later;
     const TrainOutcome ended = resume(run, {}, later);
     EXPECT_EQ(ended.step, 80) << run;
     EXPECT_NEAR(ended.train_s, 20, 0.01) << run;
-    EXPECT_EQ(later.notes.find(" on: "), std::string::npos) << later.notes;
+    EXPECT_LACKS(later.notes, " on: ");
   }
 }
 
@@ -154,28 +144,24 @@ TEST_F(RunLengthTest, ARunKilledAfterItWasSettledEndsWithTheBitsOfOneLeftAlone) 
     if (step == 40) copy_as_a_kill_leaves_it("timed", "killed");
     return step == 5;
   };
-  RunConfig asked = config();
-  ask(asked, {0, 20});
-  EXPECT_EQ(train(std::move(asked), "timed", clock).step, 80);
+  EXPECT_EQ(train(asked({0, 20}), "timed", clock).step, 80);
   CountedSteps later;
   later.step_s = [](std::int64_t) { return 7.0; };
   EXPECT_EQ(resume("killed", {}, later).step, 80);
-  EXPECT_NE(later.notes.find("resuming at step 5 "), std::string::npos) << later.notes;
-  EXPECT_EQ(later.notes.find(" on: "), std::string::npos) << "what was settled is no change: " << later.notes;
+  EXPECT_HAS(later.notes, "resuming at step 5 ");
+  EXPECT_LACKS(later.notes, " on: ") << "what was settled is no change: " << later.notes;
   EXPECT_EQ(bits("killed", 80), bits("timed", 80));
 }
 
 TEST_F(RunLengthTest, AResumeTrainsThatMuchMoreAtAUsefulRate) {
   CountedSteps clock;
-  RunConfig asked = config();
-  ask(asked, {40, 0});
-  train(std::move(asked), "run", clock);
+  train(asked({40, 0}), "run", clock);
   copy_as_a_kill_leaves_it("run", "cut");
   CountedSteps more;
   const TrainOutcome ended = resume("run", {30, 0}, more);
   EXPECT_EQ(ended.step, 70);
   EXPECT_NEAR(ended.trained_s, 30 * kStep_s, 1e-9);
-  EXPECT_NE(more.notes.find("from step 40 on: length: 40 steps -> 70 steps"), std::string::npos) << more.notes;
+  EXPECT_HAS(more.notes, "from step 40 on: length: 40 steps -> 70 steps");
   const ScheduleParams schedule = stored("run").schedule;
   EXPECT_NEAR(schedule_factor(schedule, 39), std::pow(0.1, 39.0 / 40), 1e-12);
   EXPECT_EQ(schedule_factor(schedule, 40), 0.5);
@@ -194,9 +180,7 @@ TEST_F(RunLengthTest, AResumeTrainsThatMuchMoreAtAUsefulRate) {
 
 TEST_F(RunLengthTest, AResumeForATimeTrainsThatLongMore) {
   CountedSteps clock;
-  RunConfig asked = config();
-  ask(asked, {40, 0});
-  train(std::move(asked), "run", clock);
+  train(asked({40, 0}), "run", clock);
   CountedSteps more;
   more.signal_at = [](std::int64_t step) { return step == 42 ? 2 : 0; };
   EXPECT_EQ(resume("run", {0, 20}, more).step, 42);
@@ -213,9 +197,7 @@ TEST_F(RunLengthTest, AResumeForATimeTrainsThatLongMore) {
 TEST_F(RunLengthTest, MoreIsCountedFromTheStepThatIsResumed) {
   CountedSteps clock;
   clock.signal_at = [](std::int64_t step) { return step == 10 ? 2 : 0; };
-  RunConfig asked = config();
-  ask(asked, {40, 0});
-  train(std::move(asked), "run", clock);
+  train(asked({40, 0}), "run", clock);
   CountedSteps more;
   EXPECT_EQ(resume("run", {25, 0}, more).step, 35) << "in place of what was left";
   const ScheduleParams schedule = stored("run").schedule;
@@ -234,19 +216,16 @@ std::map<std::string, std::pair<std::string, fs::file_time_type>> contents(const
 TEST_F(RunLengthTest, AResumeWithNothingToTrainChangesNoFile) {
   CountedSteps clock;
   clock.reports = true;
-  RunConfig asked = config();
-  ask(asked, {20, 0});
-  const TrainOutcome ended = train(std::move(asked), "run", clock);
+  const TrainOutcome ended = train(asked({20, 0}), "run", clock);
   const auto before = contents(dir_ / "run");
   CountedSteps nothing;
   nothing.reports = true;
   const TrainOutcome again = resume("run", {}, nothing);
   EXPECT_EQ(contents(dir_ / "run"), before);
-  EXPECT_NE(nothing.notes.find("the run has come to its end, 20 steps, and nothing of it was changed; to train on: "
-                               "semfield train --resume " +
-                               (dir_ / "run") + " --time 5s"),
-            std::string::npos)
-      << nothing.notes;
+  EXPECT_HAS(nothing.notes,
+             "the run has come to its end, 20 steps, and nothing of it was changed; to train on: "
+             "semfield train --resume " +
+                 (dir_ / "run") + " --time 5s");
   EXPECT_EQ(again.trained_s, 0);
   EXPECT_EQ(again.step, 20);
   EXPECT_EQ(again.values, ended.values);
@@ -267,12 +246,9 @@ TEST_F(RunLengthTest, AResumeWithNothingToTrainChangesNoFile) {
 
 TEST_F(RunLengthTest, AProgramThatDrivesARunHasTheSameLength) {
   CountedSteps clock;
-  RunConfig asked = config();
-  ask(asked, {0, 20});
-  RunSessionOptions options;
-  options.run_dir = dir_ / "driven";
+  RunSessionOptions options{.run_dir = dir_ / "driven"};
   {
-    RunSession run(std::move(asked), registry_, options, clock);
+    RunSession run(asked({0, 20}), registry_, options, clock);
     while (!run.training().at_its_end()) run.advance(1000);
     EXPECT_EQ(run.training().step(), 80);
     run.save("");
@@ -286,7 +262,7 @@ TEST_F(RunLengthTest, TheDeviceSettlesALengthThatNobodyAskedFor) {
   for (const auto& [device, steps] : {std::pair{Device::cpu, kStepsOnCpu}, std::pair{Device::cuda, kStepsOnGpu}}) {
     RunConfig open = config();
     open.train.steps = open.schedule.decay_steps = 0;
-    EXPECT_NE(resolve_length(open, device).find(std::to_string(steps) + " steps"), std::string::npos);
+    EXPECT_HAS(resolve_length(open, device), std::to_string(steps) + " steps");
     EXPECT_EQ(last_step(open), steps);
     EXPECT_EQ(open.schedule.decay_steps, steps);
     RunConfig fixed = config();
@@ -313,10 +289,9 @@ TEST_F(RunLengthTest, WhatNeverWorksInARunOfItsLengthIsRefused) {
     }
     return "nothing";
   };
-  EXPECT_NE(said("losses: [{type: distortion, from_step: 1}]\n")
-                .find("the term 'distortion' never works: its from_step 1 is the end of the run of 100 steps"),
-            std::string::npos);
-  EXPECT_NE(said("losses: [{type: distortion, from_step: 0.995}]\n").find("never works"), std::string::npos);
+  EXPECT_HAS(said("losses: [{type: distortion, from_step: 1}]\n"),
+             "the term 'distortion' never works: its from_step 1 is the end of the run of 100 steps");
+  EXPECT_HAS(said("losses: [{type: distortion, from_step: 0.995}]\n"), "never works");
   RunConfig warm = config();
   warm.schedule.warmup_steps = warm.train.steps;
   Diagnostics never;
@@ -330,24 +305,19 @@ TEST_F(RunLengthTest, WhatNeverWorksInARunOfItsLengthIsRefused) {
 
 TEST_F(RunLengthTest, RunsOfEarlierVersionsKeepTheirStepsAndFilesOfTheirOwnAreTold) {
   CountedSteps clock;
-  RunConfig asked = config();
-  ask(asked, {10, 0});
-  train(std::move(asked), "old", clock);
+  train(asked({10, 0}), "old", clock);
   std::string yaml = read_text_file(dir_ / "old/run.yaml");
   yaml.replace(yaml.find("time_s: 0.0"), 11, "time_limit_s: 85.0");
   write_file_atomic(dir_ / "old/run.yaml", yaml);
   const RunConfig read = stored("old");
   EXPECT_EQ(read.train.steps, 10);
   EXPECT_EQ(read.train.time_s, 85);
-  try {
-    (void)run_config_of(
-        parse_config_text(hash_config(), "own.yaml").with("train", parse_config_text("{time_limit_s: 60}", "own.yaml")),
-        registry_);
-    FAIL() << "no error";
-  } catch (const Error& error) {
-    EXPECT_NE(std::string(error.what()).find("write train: {steps: 0, time_s: SECONDS}"), std::string::npos)
-        << error.what();
-  }
+  EXPECT_HAS(error_of([&] {
+               (void)run_config_of(parse_config_text(hash_config(), "own.yaml")
+                                       .with("train", parse_config_text("{time_limit_s: 60}", "own.yaml")),
+                                   registry_);
+             }),
+             "write train: {steps: 0, time_s: SECONDS}");
 }
 
 }  // namespace

@@ -1,10 +1,6 @@
 // What a training run scores, and how the time that evaluation may take bounds it. Clocks are counted, never read.
 #include "run/run_scores.h"
 
-#include <gtest/gtest.h>
-
-#include <map>
-
 #include "eval/pixel_stride.h"
 #include "run/train_run.h"
 #include "system/files.h"
@@ -42,8 +38,7 @@ Scored run_scored(const std::string& more, double time_s, double each_s, const T
   hooks.on_scoring = [&](const ScoreProgress& p) { scored.progress.push_back(p); };
   double now_s = 0;
   hooks.on_now_s = [&] { return now_s += each_s; };
-  TrainRequest request;
-  request.out_dir = dir / "run";
+  TrainRequest request{.out_dir = dir / "run"};
   scored.outcome = run_training(std::move(config), registry, request, &hooks);
   for (const MetricsRow& row : read_metrics(request.out_dir + "/metrics.jsonl")) {
     if (row.kind == "eval") scored.evals.push_back(row);
@@ -52,14 +47,11 @@ Scored run_scored(const std::string& more, double time_s, double each_s, const T
   return scored;
 }
 
-int test_frames() {
-  Registry registry = make_registry();
-  return static_cast<int>(open_text(hash_config(), registry).scene.frames_of(Split::test).size());
-}
+int test_frames() { return static_cast<int>(open_text(hash_config()).scene.frames_of(Split::test).size()); }
 
 TEST(EvalBudget, TheLastEvaluationGetsWhatIsLeftOfTheLimitAndItsShare) {
   EvalBudget budget(0.1, 100);
-  budget.spend(2, 1000);  // 2 ms a pixel
+  budget.spend(2, 1000);  // 2 ms per pixel
   // 110 s less 60 s of training and 2 s of evaluation: 48 s hold 24,000 pixels.
   EXPECT_EQ(budget.last(24000, 12, 60, 8).share, 1);
   EXPECT_DOUBLE_EQ(budget.last(48000, 12, 60, 8).share, 0.5);
@@ -67,7 +59,7 @@ TEST(EvalBudget, TheLastEvaluationGetsWhatIsLeftOfTheLimitAndItsShare) {
   // At the limit 8 s are left; a frame of 16,000 pixels takes 32 s, a quarter of its pixels 8 s.
   EXPECT_EQ(budget.last(48000, 3, 100, 8).stride, 2);
   EXPECT_EQ(budget.last(48000e3, 3, 100, 8).stride, 8) << "no smaller than its bound";
-  // A slow step over the limit leaves half of the share.
+  // A slow step over the limit leaves half of the fraction.
   EXPECT_DOUBLE_EQ(budget.last(5000, 5, 130, 8).share, 0.5);
 }
 
@@ -107,7 +99,7 @@ TEST(RunScores, ARunWithATimeLimitScoresTheFramesThatFitAndSaysSo) {
   EXPECT_EQ(cut.evals[0].get("split_frames"), all);
   EXPECT_EQ(cut.evals[0].get("pixel_stride"), 1);
   EXPECT_EQ(cut.outcome.scored.text(), "2 of " + std::to_string(all) + " frames");
-  EXPECT_NE(read_text_file(dir / "run/final_eval.json").find("\"test_sample\""), std::string::npos);
+  EXPECT_HAS(read_text_file(dir / "run/final_eval.json"), "\"test_sample\"");
   bool said = false;
   for (const std::string& note : cut.notes)
     said = said || note.find("scores 2 of " + std::to_string(all) + " frames to end near the time asked for") == 20;
@@ -148,11 +140,9 @@ TEST(RunScores, APartOfTheTrainingFramesIsCalledASample) {
 
 // Figures of training frames against the maps and labels themselves, pixel by pixel, with a stride and without.
 TEST(RunScores, EntropyIsGroupedByTheLabelsThatTrained) {
-  Registry registry = make_registry();
-  std::string yaml = hash_config();
-  yaml.replace(yaml.find("{type: analytic_room}"), 21,
-               "{type: analytic_room, labels: {frames: 50%, degrade: [{type: pixel_noise, ratio: 0.5}]}}");
-  Session s = open_text(yaml, registry);
+  std::string yaml = with_scene(
+      hash_config(), "{type: analytic_room, labels: {frames: 50%, degrade: [{type: pixel_noise, ratio: 0.5}]}}");
+  Session s = open_text(yaml);
   EvalJob job = s.eval_job(s.scene.frames_of(Split::train));
   job.frames.resize(4);
   for (const std::int32_t stride : {1, 5}) {
@@ -166,7 +156,7 @@ TEST(RunScores, EntropyIsGroupedByTheLabelsThatTrained) {
       for (std::size_t i = 0; i < truth.size(); ++i) {
         if (truth[i] == kVoid) continue;
         const PixelPlace at = strided_place(static_cast<std::int64_t>(i), maps.width_px, stride);
-        const std::int16_t given = labels.empty() ? kVoid : labels[static_cast<std::size_t>(at.row * 48 + at.column)];
+        const std::int16_t given = labels.empty() ? kVoid : labels[at.row * 48 + at.column];
         (given == kVoid ? none : given == truth[i] ? right : wrong).push_back(maps.entropy[i]);
         (maps.label[i] == truth[i] ? truly_right : truly_wrong).push_back(maps.entropy[i]);
       }
@@ -209,8 +199,7 @@ TEST(RunScores, EntropyIsGroupedByTheLabelsThatTrained) {
 }
 
 TEST(RunScores, AStrideScoresExactlyThePixelsThatItTakes) {
-  Registry registry = make_registry();
-  Session s = open_text(hash_config(), registry);
+  Session s = open_text(hash_config());
   EvalJob job = s.eval_job({s.scene.frames_of(Split::test).front()});
   RenderedFrame whole, part;
   job.on_frame = [&](const FrameScore&, const RenderedFrame& maps) { whole = maps; };

@@ -1,8 +1,4 @@
 // A run's files say what was trained, and the program says what does not go with them.
-#include <gtest/gtest.h>
-
-#include <filesystem>
-#include <functional>
 #include <regex>
 
 #include "formats/safetensors.h"
@@ -17,8 +13,7 @@ namespace {
 
 namespace fs = std::filesystem;
 using namespace testing_train;
-using testing_program::Result;
-using testing_program::semfield_run;
+using namespace testing_program;
 
 TEST(RunTruth, AFolderThatIsNoUtf8IsRefusedBeforeTraining) {
   const TempDir dir;
@@ -28,9 +23,7 @@ TEST(RunTruth, AFolderThatIsNoUtf8IsRefusedBeforeTraining) {
   fs::copy(dir.path(), folder, fs::copy_options::none);  // files alone
   const Result r = semfield_run("train config.yaml --out run", folder);
   EXPECT_EQ(r.code, 78) << r.err;
-  EXPECT_NE(r.err.find("it is no UTF-8; nothing was written; give the folder or file another name"), std::string::npos)
-      << r.err;
-  EXPECT_NE(r.err.find("caf\\xe9"), std::string::npos) << r.err;
+  EXPECT_HAS(r.err, "it is no UTF-8; nothing was written; give the folder or file another name", "caf\\xe9");
   EXPECT_FALSE(fs::exists(folder + "/run"));
   // Where only the run folder's name is none, the run's files hold no part of it.
   const Result named = semfield_run("train config.yaml --threads 1 --out caf\xe9/run", dir.path());
@@ -89,14 +82,14 @@ TEST(RunTruth, CheckpointMetadataIsReadStrictly) {
     for (const char* words : {"eval run", "train --resume run"}) {
       const Result r = semfield_run(words, dir.path());
       EXPECT_EQ(r.code, e.code) << words << ": " << r.err;
-      EXPECT_NE(r.err.find(e.said), std::string::npos) << "not said: " << e.said << "\nbut: " << r.err;
+      EXPECT_HAS(r.err, e.said) << "not said: " << e.said << "\nbut: " << r.err;
     }
     write_file_atomic((dir / "run") + "/checkpoints/step_00000005.safetensors", saved);
   }
   edit_metadata(dir / "run", 5, [](TensorMetadata& metadata) { metadata["seed"] = "9"; });
   const Result seed = semfield_run("train --resume run", dir.path());
   EXPECT_EQ(seed.code, 65);
-  EXPECT_NE(seed.err.find("its seed is 9, its settings say 1"), std::string::npos) << seed.err;
+  EXPECT_HAS(seed.err, "its seed is 9, its settings say 1");
 }
 
 TEST(RunTruth, SettingsOfAResumeAreStoredAndTold) {
@@ -105,20 +98,19 @@ TEST(RunTruth, SettingsOfAResumeAreStoredAndTold) {
   ASSERT_EQ(semfield_run("train config.yaml --threads 1 --out run", dir.path()).code, 0);
   const Result more = semfield_run("train --resume run --set train.steps=9 --set report.strips=1", dir.path());
   ASSERT_EQ(more.code, 0) << more.err;
-  EXPECT_NE(more.err.find("from step 5 on: train.steps: 5 -> 9"), std::string::npos) << more.err;
+  EXPECT_HAS(more.err, "from step 5 on: train.steps: 5 -> 9");
   const std::string yaml = read_text_file((dir / "run") + "/run.yaml");
-  EXPECT_NE(yaml.find("\n  steps: 9\n"), std::string::npos) << yaml;
-  EXPECT_NE(yaml.find("\n  strips: 1\n"), std::string::npos) << yaml;
-  // The next resume reads what the last one was told, and the report shows both.
+  EXPECT_HAS(yaml, "\n  steps: 9\n", "\n  strips: 1\n");
+  // The next resume reads what the last one was given, and the report shows both.
   const Result again = semfield_run("train --resume run --set train.steps=12", dir.path());
   ASSERT_EQ(again.code, 0) << again.err;
-  EXPECT_NE(again.err.find("from step 9 on: train.steps: 9 -> 12"), std::string::npos) << again.err;
-  EXPECT_EQ(again.err.find("strips"), std::string::npos) << again.err;
+  EXPECT_HAS(again.err, "from step 9 on: train.steps: 9 -> 12");
+  EXPECT_LACKS(again.err, "strips");
   const std::vector<std::string> changes =
       parse_settings_changed(read_text_file((dir / "run") + "/environment.json"), "environment.json");
   EXPECT_EQ(changes, (std::vector<std::string>{"step 5: train.steps: 5 -> 9", "step 5: report.strips: 0 -> 1",
                                                "step 9: train.steps: 9 -> 12"}));
-  EXPECT_NE(read_text_file((dir / "run") + "/report.html").find("step 9: train.steps"), std::string::npos);
+  EXPECT_HAS(read_text_file((dir / "run") + "/report.html"), "step 9: train.steps");
   // A run.yaml that says something else than its checkpoint, as earlier versions left them.
   std::string other = yaml;
   other.replace(other.find("\n  rays: "), 9, "\n  rays: 1");
@@ -146,7 +138,7 @@ TEST(RunTruth, MovedDataAreNamedOnTheCommandLine) {
   fs::rename(dir / file, (dir / "elsewhere") + "/moved.sfpack");
   const Result gone = semfield_run("eval run", dir.path());
   EXPECT_EQ(gone.code, 66) << gone.err;
-  EXPECT_NE(gone.err.find("if the data moved, add --set scene.file=NEW_PLACE"), std::string::npos) << gone.err;
+  EXPECT_HAS(gone.err, "if the data moved, add --set scene.file=NEW_PLACE");
   const Result found = semfield_run("eval ../run --set scene.file=moved.sfpack", dir / "elsewhere");
   EXPECT_EQ(found.code, 0) << found.err;
   const Result stored = semfield_run("train --resume ../run --set scene.file=moved.sfpack", dir / "elsewhere");
@@ -173,7 +165,7 @@ TEST(RunTruth, RunsEqualComparesWhatWasTrained) {
   compare("b", 0, "runs: equal step=8 tensors=");
   compare("seed", 1, "runs: different: runtime.seed: 1 -> 7\n");
   compare("longer", 1, "runs: different: step: 8 -> 9\n");
-  // Equal runs tell the same identity, whatever their threads.
+  // Equal runs have the same identity, whatever their threads.
   const auto hash_of = [&](const std::string& name) {
     return TensorFile::read(dir / (name + "/checkpoints/step_00000008.safetensors")).metadata().at("config_hash");
   };
@@ -201,7 +193,7 @@ TEST(RunTruth, EveryNumberOfRunYamlIsOneToYaml11) {
   for (std::sregex_iterator found(yaml.begin(), yaml.end(), word), end; found != end; ++found, ++seen)
     EXPECT_TRUE(std::regex_match((*found)[1].str(), number)) << (*found)[1];
   EXPECT_GT(seen, 40);
-  EXPECT_NE(yaml.find("epsilon: 1.0e-12"), std::string::npos);
+  EXPECT_HAS(yaml, "epsilon: 1.0e-12");
 }
 
 // What helps a run over a step that fails may change; the remedy of such a step says so.
@@ -212,7 +204,7 @@ TEST(RunTruth, AResumeMayTakeAnotherSeedOrLearningRate) {
   const Result r = semfield_run(
       "train --resume run --steps 5 --set runtime.seed=4 --set train.adam.learning_rate=0.001", dir.path());
   EXPECT_EQ(r.code, 0) << r.err;
-  EXPECT_NE(r.err.find("from step 3 on: runtime.seed: 1 -> 4"), std::string::npos) << r.err;
+  EXPECT_HAS(r.err, "from step 3 on: runtime.seed: 1 -> 4");
   EXPECT_EQ(semfield_run("train --resume run --steps 6", dir.path()).code, 0) << "and it stays so";
 }
 

@@ -1,14 +1,13 @@
 // Whether a run that is looked at, resumed or compared is still what was trained: its labels, its run.yaml, its
 // plugins.
-#include <gtest/gtest.h>
-
-#include <filesystem>
-
+#include "eval/final_eval.h"
 #include "loading/packed_scene.h"
 #include "run/checkpoint_store.h"
 #include "run/open_run.h"
 #include "run/run_compare.h"
 #include "run/run_folder.h"
+#include "run/run_session.h"
+#include "run/train_run.h"
 #include "settings/run_identity.h"
 #include "system/files.h"
 #include "testkit/analytic_scene.h"
@@ -19,7 +18,6 @@ namespace semfield {
 namespace {
 
 using namespace testing_train;
-using testing_room::error_of;
 
 Registry& registry() {
   static Registry all = make_registry();
@@ -47,9 +45,7 @@ struct Trained {
     std::string notes;
     HookListener hooks;
     hooks.on_note = [&](const std::string& text) { notes += text + "\n"; };
-    TrainRequest request;
-    request.out_dir = folder;
-    request.resume = resume;
+    TrainRequest request{.out_dir = folder, .resume = resume};
     RunConfig read = load_run_config(config, {}, registry());
     read.train.steps = steps;
     run_training(std::move(read), registry(), request, &hooks);
@@ -113,11 +109,11 @@ TEST(SameRun, ExchangedLabelsAreToldByEvalAndResume) {
     const Trained trained;
     EXPECT_EQ(trained.open(), "");
     EXPECT_EQ(trained.open({}, OpenFor::evaluation_of_training_frames), "");
-    EXPECT_EQ(trained.resume(5).find("it is not as it was"), std::string::npos);
+    EXPECT_LACKS(trained.resume(5), "it is not as it was");
     trained.exchange_labels(frames.at(0), frames.at(1));
-    EXPECT_NE(trained.open().find(kOtherLabels), std::string::npos) << trained.open();
+    EXPECT_HAS(trained.open(), kOtherLabels);
     EXPECT_EQ(trained.open({}, OpenFor::rendering), "") << "no label is read";
-    EXPECT_NE(trained.resume(6).find(kOtherLabels), std::string::npos);
+    EXPECT_HAS(trained.resume(6), kOtherLabels);
   }
 }
 
@@ -135,11 +131,10 @@ TEST(SameRun, ACheckpointOfAnEarlierVersionOpensAndSaysThatLabelsWereNotCompared
   trained.drop_metadata("inputs", "labels");
   trained.exchange_labels(0, 1);
   const std::string said = trained.open();
-  EXPECT_NE(said.find("scene: the checkpoint is of an earlier version, which kept no checksum of labels: whether they "
-                      "are still the same was not compared"),
-            std::string::npos)
-      << said;
-  EXPECT_EQ(said.find("other labels"), std::string::npos) << said;
+  EXPECT_HAS(said,
+             "scene: the checkpoint is of an earlier version, which kept no checksum of labels: whether they "
+             "are still the same was not compared");
+  EXPECT_LACKS(said, "other labels");
 }
 
 TEST(SameRun, AnEditedRunYamlIsRefusedWithBothWaysOut) {
@@ -148,13 +143,12 @@ TEST(SameRun, AnEditedRunYamlIsRefusedWithBothWaysOut) {
   Diagnostics ignored;
   const RunConfig before = load_run_config(file, {}, registry());
   trained.edit("density_activation: softplus", "density_activation: trunc_exp");
-  for (const OpenFor purpose : {OpenFor::evaluation, OpenFor::rendering, OpenFor::evaluation_of_training_frames}) {
+  for (const OpenFor purpose : {OpenFor::evaluation, OpenFor::rendering, OpenFor::evaluation_of_training_frames})
     EXPECT_EQ(error_of([&] { (void)trained.open({}, purpose); }),
               "'" + file +
                   "' is not as the run was trained: rendering.density_activation: softplus -> trunc_exp; for "
                   "the settings of training add --set rendering.density_activation=softplus, or restore the "
                   "file; for the file's add --set rendering.density_activation=trunc_exp");
-  }
   EXPECT_EQ(trained.open({"rendering.density_activation=softplus"}), "");
   EXPECT_EQ(trained.open({"rendering.density_activation=trunc_exp"}),
             "settings: other ones than the run was trained with: rendering.density_activation: softplus -> "
@@ -186,8 +180,7 @@ TEST(SameRun, AChangedFileOfAPluginIsTold) {
   write_file_atomic(module, "one");
   Registry with_module = make_registry();
   with_module.add_module_file(module);
-  TrainRequest request;
-  request.out_dir = run;
+  TrainRequest request{.out_dir = run};
   run_training(load_run_config(config, {}, with_module), with_module, request, nullptr);
   const auto open = [&] {
     Diagnostics diagnostics;
@@ -196,10 +189,9 @@ TEST(SameRun, AChangedFileOfAPluginIsTold) {
   };
   EXPECT_EQ(open(), "");
   write_file_atomic(module, "another");
-  EXPECT_NE(open().find("waves.so: the file of this plugin is not the one that the run was trained with: its CRC-32C "
-                        "is "),
-            std::string::npos)
-      << open();
+  EXPECT_HAS(open(),
+             "waves.so: the file of this plugin is not the one that the run was trained with: its CRC-32C "
+             "is ");
   request.resume = true;
   std::string notes;
   HookListener hooks;
@@ -207,8 +199,163 @@ TEST(SameRun, AChangedFileOfAPluginIsTold) {
   RunConfig again = load_run_config(run + "/run.yaml", {}, with_module);
   again.train.steps = 5;
   run_training(std::move(again), with_module, request, &hooks);
-  EXPECT_NE(notes.find("waves.so: the file of this plugin is not the one"), std::string::npos) << notes;
+  EXPECT_HAS(notes, "waves.so: the file of this plugin is not the one");
   EXPECT_EQ(open(), "") << "it is the file of the newest checkpoint now";
+}
+
+// A run driven step by step: the bits and the folder of the whole run, saved here and there, gone on with.
+
+namespace fs = std::filesystem;
+
+constexpr int kSteps = 20;
+
+class RunSessionTest : public ::testing::Test {
+ protected:
+  RunSessionTest() { write_packed_config(dir_, kSteps, 0); }
+  RunConfig config(const std::vector<std::string>& set = {}) {
+    return load_run_config(dir_ / "config.yaml", set, registry_);
+  }
+  static void drive(RunSession& run, std::int64_t until) {
+    while (run.training().step() < until) run.advance(until - run.training().step());
+  }
+  std::uint32_t whole_run(const std::vector<std::string>& set = {}) {
+    TrainRequest request{.out_dir = dir_ / "whole"};
+    run_training(config(set), registry_, request);
+    return checkpoint_fingerprint(request.out_dir, kSteps);
+  }
+
+  TempDir dir_;
+  Registry registry_ = make_registry();
+  struct Listener final : RunListener {
+    int stop_signal() override { return stops ? 15 : 0; }
+    void row(const MetricsRow&) override { ++rows; }
+    bool stops = false;
+    int rows = 0;
+  } nobody_;
+};
+
+TEST_F(RunSessionTest, HasTheBitsAndTheRowsOfTheWholeRun) {
+  const std::uint32_t bits = whole_run();
+  RunSession run(config(), registry_, {}, nobody_);
+  drive(run, 7);
+  drive(run, kSteps);
+  EXPECT_EQ(run.run_dir(), "");
+  run.save(dir_ / "driven");
+  EXPECT_EQ(checkpoint_fingerprint(dir_ / "driven", kSteps), bits);
+  std::vector<MetricsRow> theirs = read_metrics(dir_ / "whole/metrics.jsonl");
+  std::erase_if(theirs, [](const MetricsRow& row) { return row.kind != "train"; });
+  const std::vector<MetricsRow> mine = read_metrics(dir_ / "driven/metrics.jsonl");
+  ASSERT_EQ(mine.size(), theirs.size());
+  EXPECT_EQ(std::ssize(mine), nobody_.rows);
+  for (std::size_t i = 0; i < mine.size(); ++i) {
+    EXPECT_EQ(mine[i].step, theirs[i].step);
+    EXPECT_EQ(mine[i].get("loss"), theirs[i].get("loss"));
+    EXPECT_EQ(mine[i].get("psnr"), theirs[i].get("psnr"));
+  }
+  // A verb goes on with it where it is.
+  TrainRequest request{.out_dir = dir_ / "driven", .resume = true};
+  EXPECT_EQ(
+      run_training(load_run_config(dir_ / "driven/run.yaml", {"train.steps=25"}, registry_), registry_, request).step,
+      25);
+  EXPECT_HAS(error_of([&] { run.save(""); }), "somebody went on with the run");
+}
+
+TEST_F(RunSessionTest, GoesOnFromWhereItWasSaved) {
+  const std::uint32_t bits = whole_run();
+  {
+    RunSession run(config(), registry_, {dir_ / "a", false, {}}, nobody_);
+    drive(run, 12);
+    run.save("");
+    EXPECT_HAS(error_of([&] { run.save(dir_ / "b"); }), "cannot be saved in");
+    EXPECT_FALSE(fs::exists(dir_ / "b"));
+  }
+  RunSession again(load_run_config(dir_ / "a/run.yaml", {}, registry_), registry_, {dir_ / "a", true, {}}, nobody_);
+  EXPECT_EQ(again.training().step(), 12);
+  drive(again, kSteps);
+  again.save("");
+  EXPECT_EQ(checkpoint_fingerprint(dir_ / "a", kSteps), bits);
+}
+
+TEST_F(RunSessionTest, RoundsOfSelfTrainingNeedAFolderAndHaveTheBitsOfTheWholeRun) {
+  const std::vector<std::string> set{"scene.labels.degrade=[{type: propagation}]", "train.self_training.at=[0.5]",
+                                     "train.self_training.confidence=0.3", "train.ray_source=label_balanced"};
+  EXPECT_HAS(error_of([&] { RunSession(config(set), registry_, {}, nobody_); }), "train.self_training");
+  const std::uint32_t bits = whole_run(set);
+  RunSession run(config(set), registry_, {dir_ / "driven", false, {}}, nobody_);
+  drive(run, 3);
+  // A stop before the round leaves it due.
+  while (run.training().step() < 10) run.advance(10 - run.training().step());
+  nobody_.stops = true;
+  EXPECT_TRUE(run.advance(5).empty());
+  nobody_.stops = false;
+  EXPECT_EQ(run.training().step(), 10);
+  drive(run, kSteps);
+  run.save("");
+  EXPECT_EQ(checkpoint_fingerprint(dir_ / "driven", kSteps), bits);
+  EXPECT_EQ(parse_label_counts(read_text_file(dir_ / "driven/labels.json"), "labels.json").rounds.size(), 1U);
+}
+
+// What may happen between steps is the driver's to say: who waits for a disk writes rows and checkpoints on request.
+TEST_F(RunSessionTest, ADriverSaysWhatHappensBetweenSteps) {
+  const auto advanced = [&](const std::string& folder, const RunLoopOptions& options) {
+    TrainRequest request{.out_dir = dir_ / folder};
+    RunLoop run(open_for_training(config({"report.checkpoint_every_s=1e-9", "report.eval_every_s=1e-9"}), registry_,
+                                  request, nobody_),
+                registry_, &nobody_, options);
+    while (run.training().step() < kSteps) run.advance(kSteps);
+    EXPECT_EQ(run.saved(), options.saves);
+    const std::vector<MetricsRow> before = read_metrics(dir_ / folder + "/metrics.jsonl");
+    run.save();
+    return std::pair(before, read_metrics(dir_ / folder + "/metrics.jsonl"));
+  };
+  const auto is_eval = [](const MetricsRow& row) { return row.kind == "eval"; };
+  const auto [waiting, saved] = advanced("waits", {.rounds = false, .rows_wait = true});
+  EXPECT_TRUE(waiting.empty());
+  EXPECT_FALSE(saved.empty());
+  EXPECT_FALSE(fs::exists(dir_ / "waits/labels.json"));
+  EXPECT_EQ(std::ranges::count_if(saved, is_eval), 0);
+  const auto [scored, ended] = advanced("scores", {.scores = true, .saves = true});
+  EXPECT_EQ(ended.size(), scored.size());
+  EXPECT_GT(std::ranges::count_if(scored, is_eval), 0);
+  EXPECT_EQ(checkpoint_fingerprint(dir_ / "scores", kSteps), checkpoint_fingerprint(dir_ / "waits", kSteps));
+  EXPECT_EQ(std::ssize(scored) - std::ranges::count_if(scored, is_eval), std::ssize(saved));
+}
+
+TEST_F(RunSessionTest, ClicksAreInTheFolderBeforeTheyCount) {
+  LabelEvent click{.id = "c1", .points = {{5.5, 5.5}}, .class_name = "lamp"};
+  LabelEvent lamp{.id = "c0", .kind = LabelEventKind::add_class};
+  lamp.class_name = "lamp";
+  RunSession bare(config(), registry_, {}, nobody_);
+  EXPECT_HAS(error_of([&] { bare.apply(lamp); }), "no file of clicks");
+  const std::vector<std::string> room{"scene.labels.class_room=12"};
+  std::uint32_t bits = 0;
+  {
+    RunSession run(config(room), registry_, {dir_ / "a", false, {}}, nobody_);
+    drive(run, 4);
+    const FrameInfo& frame = run.session().scene.info.frames[run.session().drawn_frames().front()];
+    click.frame = frame.name;
+    click.width_px = frame.camera.width_px;
+    click.height_px = frame.camera.height_px;
+    EXPECT_TRUE(run.apply(lamp));
+    EXPECT_TRUE(run.apply(click));
+    EXPECT_FALSE(run.apply(click));
+    EXPECT_EQ(std::ranges::count(read_text_file(dir_ / "a/clicks.jsonl"), '\n'), 2);
+    EXPECT_HAS(read_text_file(dir_ / "a/classes.yaml"), "lamp");
+    LabelEvent wrong = click;
+    wrong.id = "c2";
+    wrong.class_name = "lampe";
+    EXPECT_NE(error_of([&] { run.apply(wrong); }), "");
+    EXPECT_EQ(run.annotations()->marks().size(), 1U);
+    EXPECT_EQ(std::ranges::count(read_text_file(dir_ / "a/clicks.jsonl"), '\n'), 2);
+    drive(run, 8);
+    run.save("");
+    drive(run, 12);
+    bits = fingerprint(run.session().pipeline->store());
+  }
+  RunSession again(load_run_config(dir_ / "a/run.yaml", {}, registry_), registry_, {dir_ / "a", true, {}}, nobody_);
+  EXPECT_EQ(again.annotations()->marks().size(), 1U);
+  drive(again, 12);
+  EXPECT_EQ(fingerprint(again.session().pipeline->store()), bits);
 }
 
 }  // namespace

@@ -1,11 +1,6 @@
 // Self-training: when rounds come, what they label, and that a run killed around one ends in the same bits.
 #include "session/self_training.h"
 
-#include <gtest/gtest.h>
-
-#include <algorithm>
-#include <filesystem>
-
 #include "run/checkpoint_store.h"
 #include "run/train_run.h"
 #include "session/trainer.h"
@@ -34,15 +29,12 @@ RunConfig config_in(const TempDir& dir, Registry& registry, std::vector<std::str
 
 TrainOutcome train(const TempDir& dir, Registry& registry, const std::string& out, RunListener* listener = nullptr,
                    const std::vector<std::string>& more = {}) {
-  TrainRequest request;
-  request.out_dir = dir / out;
+  TrainRequest request{.out_dir = dir / out};
   return run_training(config_in(dir, registry, more), registry, request, listener);
 }
 
 TrainOutcome resume(const std::string& folder, Registry& registry) {
-  TrainRequest request;
-  request.out_dir = folder;
-  request.resume = true;
+  TrainRequest request{.out_dir = folder, .resume = true};
   return run_training(load_run_config(folder + "/run.yaml", {"report.checkpoint_every_s=0"}, registry), registry,
                       request, {});
 }
@@ -72,12 +64,8 @@ TEST(SelfTraining, RoundsComeAtSharesOfTheSteps) {
   Registry registry = make_registry();
   const TempDir dir;
   write_packed_config(dir, kSteps, 0);
-  try {
-    (void)config_in(dir, registry, {"train.self_training.at=[0.5, 0.5]"});
-    ADD_FAILURE() << "two rounds at one share";
-  } catch (const Error& error) {
-    EXPECT_NE(std::string(error.what()).find("train.self_training.at: the shares do not ascend"), std::string::npos);
-  }
+  EXPECT_HAS(error_of([&] { (void)config_in(dir, registry, {"train.self_training.at=[0.5, 0.5]"}); }),
+             "train.self_training.at: the shares do not ascend");
 }
 
 TEST(SelfTraining, ARoundLabelsWhatTheFieldIsSureOfAndNothingElse) {
@@ -104,8 +92,7 @@ TEST(SelfTraining, ARoundLabelsWhatTheFieldIsSureOfAndNothingElse) {
   const TensorFile file = TensorFile::read(dir / "labels/round_00000030.safetensors");
   const std::vector<int> frames = s.drawn_frames();
   ASSERT_EQ(file.tensors().size(), frames.size());
-  SelfTrainingRound round;
-  round.step = 30;
+  SelfTrainingRound round{.step = 30};
   std::int64_t unsure = 0;
   for (std::size_t k = 0; k < frames.size(); ++k) {
     const auto f = static_cast<std::size_t>(frames[k]);
@@ -131,8 +118,7 @@ TEST(SelfTraining, ARoundLabelsWhatTheFieldIsSureOfAndNothingElse) {
   ASSERT_EQ(self.rounds().size(), 1u);
   EXPECT_EQ(self.rounds()[0], round);
   EXPECT_EQ(parse_rounds(file.metadata().at("rounds"), "file"), self.rounds());
-  EXPECT_NE(round.text().find("self-training at step 30: " + std::to_string(round.added_px) + " pixels labelled, "),
-            std::string::npos);
+  EXPECT_HAS(round.text(), "self-training at step 30: " + std::to_string(round.added_px) + " pixels labelled, ");
 
   // The rays of the next steps carry them.
   BatchBuffers batch;
@@ -185,7 +171,7 @@ TEST(SelfTraining, KilledAroundARoundARunEndsInTheSameBits) {
   }
   EXPECT_EQ(rounds_of(dir / "whole").size(), 2u);
   EXPECT_GT(rounds_of(dir / "whole")[1].added_px, 0);
-  EXPECT_NE(read_text_file(dir / "whole/report.html").find("self-training at step 45: "), std::string::npos);
+  EXPECT_HAS(read_text_file(dir / "whole/report.html"), "self-training at step 45: ");
 
   // It is the rounds that make the difference, and threads do not.
   train(dir, registry, "without", {}, {"train.self_training.at=[]"});
@@ -217,23 +203,15 @@ TEST(SelfTraining, ARoundThatIsLostOrDamagedIsRefusedAndTheRemedyWorks) {
   const TempDir dir;
   write_packed_config(dir, kSteps, 1e-6);
   train(dir, registry, "whole", {}, {"report.keep_checkpoints=21"});
-  const auto refusal = [&](const std::string& run) {
-    try {
-      resume(run, registry);
-    } catch (const Error& error) {
-      return std::string(error.what());
-    }
-    return std::string("no error");
-  };
+  const auto refusal = [&](const std::string& run) { return error_of([&] { resume(run, registry); }); };
   copy_run(dir / "whole", dir / "lost");
   fs::remove((dir / "lost") + kSecondRound);
-  EXPECT_NE(refusal(dir / "lost").find("the checkpoint was trained on the labels in it"), std::string::npos)
-      << refusal(dir / "lost");
+  EXPECT_HAS(refusal(dir / "lost"), "the checkpoint was trained on the labels in it");
   copy_run(dir / "whole", dir / "damaged");
   std::string bytes = read_text_file((dir / "damaged") + kSecondRound);
   bytes[bytes.size() - 40] = static_cast<char>(bytes[bytes.size() - 40] ^ 1);
   write_file_atomic((dir / "damaged") + kSecondRound, bytes);
-  EXPECT_NE(refusal(dir / "damaged").find("round_00000045"), std::string::npos);
+  EXPECT_HAS(refusal(dir / "damaged"), "round_00000045");
   // Sound files of labels that are no class, and of a frame less.
   const TensorFile second = TensorFile::read((dir / "whole") + kSecondRound);
   const auto rewritten = [&](const std::string& run, const std::function<void(std::vector<TensorRef>&)>& change) {
@@ -244,16 +222,13 @@ TEST(SelfTraining, ARoundThatIsLostOrDamagedIsRefusedAndTheRemedyWorks) {
     return refusal(dir / run);
   };
   const std::vector<std::byte> no_class(48 * 36, std::byte{77});
-  EXPECT_NE(rewritten("no_class", [&](auto& t) { t[2].bytes = no_class; }).find("label 77 is no class; there are 5"),
-            std::string::npos);
-  EXPECT_NE(rewritten("fewer", [](auto& t) { t.pop_back(); }).find("is missing, or of another size"),
-            std::string::npos);
+  EXPECT_HAS(rewritten("no_class", [&](auto& t) { t[2].bytes = no_class; }), "label 77 is no class; there are 5");
+  EXPECT_HAS(rewritten("fewer", [](auto& t) { t.pop_back(); }), "is missing, or of another size");
   // A sound file of other labels: that of the first round under the second's name.
   copy_run(dir / "whole", dir / "other");
   write_file_atomic((dir / "other") + kSecondRound, read_text_file((dir / "other") + kFirstRound));
-  EXPECT_NE(refusal(dir / "other").find("not those that the checkpoint was trained on"), std::string::npos)
-      << refusal(dir / "other");
-  EXPECT_NE(refusal(dir / "other").find("move the later ones out of the folder checkpoints"), std::string::npos);
+  EXPECT_HAS(refusal(dir / "other"), "not those that the checkpoint was trained on",
+             "move the later ones out of the folder checkpoints");
 
   // Without the checkpoints of later steps the round is made again, and what is left of the old course goes.
   for (int step = 41; step <= kSteps; ++step) fs::remove(dir / "other/checkpoints/" + CheckpointStore::file_name(step));
@@ -295,7 +270,7 @@ TEST(SelfTraining, WithoutLabelsNothingIsDueAndThatIsSaid) {
   hooks.on_note = [&](const std::string& text) { notes += text + "\n"; };
   train(dir, registry, "run", &hooks,
         {"scene.labels.frames=none", "scene.labels.degrade=[]", "train.ray_source=all_images"});
-  EXPECT_NE(notes.find("there are no labels to begin with"), std::string::npos) << notes;
+  EXPECT_HAS(notes, "there are no labels to begin with");
   EXPECT_FALSE(fs::exists(dir / "run/self_labels"));
 }
 

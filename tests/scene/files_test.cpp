@@ -1,28 +1,29 @@
-// Whole files, atomically.
+// Whole files, atomically; frames as they are kept in memory; which frames are held out.
 #include "system/files.h"
 
-#include <gtest/gtest.h>
 #include <sys/resource.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/un.h>
 #include <sys/wait.h>
-#include <unistd.h>
 
 #include <csignal>
+#include <cstring>
 
+#include "compute/parallel.h"
 #include "formats/image_io.h"
+#include "loading/frame_files.h"
+#include "loading/frame_source.h"
 #include "loading/packed_scene.h"
-#include "tests/says.h"
+#include "scene/frame_split.h"
+#include "scene/stored_frame.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
 namespace {
 
 namespace fs = std::filesystem;
-using testing_room::error_of;
-using testing_room::fresh_folder;
-using testing_room::plain_write;
+using namespace testing_room;
 
 std::size_t entries(const std::string& folder) {
   std::size_t count = 0;
@@ -116,7 +117,7 @@ TEST(Files, FailedWriteKeepsTheOldFileAndCleansUp) {
   const std::string message = error_of([&] { write_file_atomic(folder + "/a", std::string(100000, 'x')); });
   ASSERT_EQ(::setrlimit(RLIMIT_FSIZE, &before), 0);
   std::signal(SIGXFSZ, old_handler);
-  EXPECT_EQ(unsaid(message, {"'" + folder + "/a'", "100000 bytes", "65536", "`ulimit -f`"}), "");
+  EXPECT_HAS(message, "'" + folder + "/a'", "100000 bytes", "65536", "`ulimit -f`");
   EXPECT_EQ(read_text_file(folder + "/a"), "old");
   EXPECT_EQ(entries(folder), 1u);
 }
@@ -183,6 +184,140 @@ TEST(Files, FoldersAreMadeWithThoseAbove) {
   write_file_atomic(folder + "/file", std::string_view("x"));
   EXPECT_EQ(error_of([&] { create_folders(folder + "/file/under"); }),
             "cannot create the folder '" + folder + "/file/under': Not a directory; choose another name");
+}
+
+// What a loaded scene keeps of its frames: every value exactly, in the narrowest type.
+
+constexpr std::size_t kPixels = 40 * 30;
+
+TEST(LabelMap, OneByteUpToIndex254) {
+  std::vector<std::int16_t> labels{kVoid, 0, 1, 253, 254};
+  const LabelMap narrow(labels);
+  EXPECT_EQ(narrow.expand(), labels);
+  EXPECT_EQ(narrow.bytes(), labels.size());
+  for (std::size_t i = 0; i < labels.size(); ++i) EXPECT_EQ(narrow[i], labels[i]);
+  labels.push_back(255);
+  const LabelMap wide(labels);
+  EXPECT_EQ(wide.expand(), labels);
+  for (std::size_t i = 0; i < labels.size(); ++i) EXPECT_EQ(wide[i], labels[i]);
+  EXPECT_TRUE(LabelMap().empty());
+}
+
+TEST(DepthMap, WholeMillimetresTakeTwoBytesAndOthersStayAsTheyAre) {
+  std::vector<float> depth;
+  for (int mm = 0; mm <= 65535; ++mm) depth.push_back(static_cast<float>(mm * 0.001));
+  const DepthMap packed(depth);
+  EXPECT_EQ(packed.expand(), depth);
+  EXPECT_EQ(packed.bytes(), 2 * depth.size());
+  for (const float odd : {1.00049f, 65.536f, -0.001f, std::numeric_limits<float>::quiet_NaN(),
+                          std::numeric_limits<float>::infinity(), 1e30f}) {
+    std::vector<float> with = depth;
+    with[7000] = odd;
+    const DepthMap kept(with);
+    const std::vector<float> back = kept.expand();
+    ASSERT_EQ(back.size(), with.size());
+    EXPECT_EQ(std::memcmp(back.data(), with.data(), with.size() * sizeof(float)), 0) << odd;
+    EXPECT_GE(kept.bytes(), 4 * depth.size());
+  }
+}
+
+// Frames of a Replica folder, read as the datasets read them.
+struct FileDataset {
+  explicit FileDataset(std::string written_here) : folder(std::move(written_here)) {
+    write_replica(folder, 6);
+    classes = ClassTable::load(folder + "/classes.yaml");
+  }
+  std::string folder;
+  ClassTable classes;
+
+  SceneInfo open(Diagnostics&) const {
+    SceneInfo info{.name = "files", .classes = classes};
+    for (int i = 0; i < 6; ++i) {
+      FrameInfo f{.name = std::to_string(i),
+                  .camera = room_camera(),
+                  .world_from_camera = room_pose(i),
+                  .split = i % 2 == 0 ? Split::train : Split::test,
+                  .has_depth = true,
+                  .has_labels = true,
+                  .has_instances = true};
+      info.frames.push_back(f);
+    }
+    return info;
+  }
+  void read(int i, FrameBuffer& out) const {
+    const std::string n = "_" + std::to_string(i) + ".png";
+    const FrameFiles files{folder + "/rgb/rgb" + n, folder + "/depth/depth" + n,
+                           folder + "/semantic_class/semantic_class" + n,
+                           folder + "/semantic_instance/semantic_instance" + n};
+    Diagnostics ignored;
+    read_frame_files(open(ignored).frames[i], files, {}, classes, out);
+  }
+};
+
+LoadedScene load_on(const FileDataset& files, int threads, DepthKept depth) {
+  SceneLoadOptions options{.depth = depth};
+  Diagnostics d;
+  set_thread_count(threads);
+  LoadedScene scene = load_scene(files, options, d);
+  set_thread_count(0);
+  EXPECT_TRUE(d.all().empty());
+  return scene;
+}
+
+TEST(StoredFrame, ParallelDecodingGivesTheBytesOfTheFiles) {
+  const FileDataset files(fresh_folder("files"));
+  const LoadedScene serial = load_on(files, 1, DepthKept::all), parallel = load_on(files, 3, DepthKept::all);
+  for (std::size_t i = 0; i < 6; ++i) {
+    FrameBuffer read;
+    files.read(static_cast<int>(i), read);
+    for (const LoadedScene* scene : {&serial, &parallel}) {
+      EXPECT_EQ(scene->frames[i].rgb, read.rgb);
+      EXPECT_EQ(scene->frames[i].label.expand(), read.label);
+      EXPECT_EQ(scene->frames[i].depth_m.expand(), read.depth_m);
+    }
+  }
+  EXPECT_EQ(serial.class_pixels, parallel.class_pixels);
+}
+
+TEST(StoredFrame, KeepsThreeBytesOfColourOneOfLabelAndTwoOfDepthAPixel) {
+  const FileDataset files(fresh_folder("files"));
+  const std::size_t rows = 30;  // a decoded PNG may keep the room of its filter bytes, one per row
+  for (const StoredFrame& frame : load_on(files, 2, DepthKept::all).frames) {
+    EXPECT_GE(frame.bytes(), kPixels * (3 + 1 + 2));
+    EXPECT_LE(frame.bytes(), kPixels * (3 + 1 + 2) + rows);
+  }
+  const LoadedScene tests = load_on(files, 2, DepthKept::test);
+  for (std::size_t i = 0; i < 6; ++i) {
+    EXPECT_LE(tests.frames[i].bytes(), kPixels * (i % 2 == 0 ? 4 : 6) + rows);
+    EXPECT_EQ(tests.frames[i].depth_m.empty(), i % 2 == 0);
+  }
+  EXPECT_EQ(tests.bounds_from, "depth of 3 training frames") << "dropped after it was surveyed";
+}
+
+// Which frames are held out.
+
+std::string splits(HoldOut rule, std::size_t frames) {
+  std::string out;
+  for (std::size_t i = 0; i < frames; ++i) out += rule.split_of(i, frames) == Split::test ? 'T' : '.';
+  return out;
+}
+
+TEST(HoldOut, EveryNthFromTheFirst) {
+  EXPECT_EQ(splits({8}, 10), "T.......T.");
+  EXPECT_EQ(splits({2, 1}, 5), ".T.T.");
+  EXPECT_EQ(splits({0}, 3), "...");
+  EXPECT_EQ(splits({0, -1}, 3), "...");
+  EXPECT_EQ(splits({8}, 1), ".");
+}
+
+TEST(HoldOut, OneInOneIsRefused) {
+  Diagnostics d;
+  check_test_every(1, d);
+  ASSERT_EQ(d.error_count(), 1);
+  EXPECT_EQ(d.all()[0].text(), "test_every: 1 leaves no frame to train on; take 2 or more, or 0 for no test frames");
+  check_test_every(0, d);
+  check_test_every(2, d);
+  EXPECT_EQ(d.error_count(), 1);
 }
 
 }  // namespace

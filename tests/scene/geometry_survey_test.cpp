@@ -1,10 +1,6 @@
 // Poses against pixels: every convention is named from depth and from photographs, and right scenes are left in peace.
 #include "survey/geometry_survey.h"
 
-#include <gtest/gtest.h>
-
-#include <functional>
-
 #include "compute/parallel.h"
 #include "loading/frame_source.h"
 #include "scene/scene_checks.h"
@@ -31,13 +27,9 @@ struct Room {
   double focal = 1;  // what multiplies the focal lengths as they are written
 
   SceneInfo open(Diagnostics&) const {
-    SceneInfo info;
-    info.name = "room";
-    info.opengl_files = opengl_files;
+    SceneInfo info{.name = "room", .opengl_files = opengl_files};
     for (std::size_t i = 0; i < poses.size(); ++i) {
-      FrameInfo f;
-      f.name = std::to_string(i);
-      f.camera = room_camera(width, height);
+      FrameInfo f{.name = std::to_string(i), .camera = room_camera(width, height)};
       f.camera.fx *= focal;
       f.camera.fy *= focal;
       f.world_from_camera = written(poses[i]);
@@ -47,7 +39,7 @@ struct Room {
     return info;
   }
   void read(int i, FrameBuffer& out) const {
-    const Pose& pose = poses[static_cast<std::size_t>(i)];
+    const Pose& pose = poses[i];
     const Camera camera = room_camera(width, height);
     out = {};
     out.width_px = width;
@@ -79,7 +71,7 @@ std::vector<Pose> walk(int frames, double turn = 0.2, double radius = 0.7) {
     Pose p;
     for (int col = 0; col < 3; ++col) {
       const Vec3d axis = yaw.rotate(pitch.axis(col));
-      for (int row = 0; row < 3; ++row) p.r[static_cast<std::size_t>(row)][static_cast<std::size_t>(col)] = axis[row];
+      for (int row = 0; row < 3; ++row) p.r[row][col] = axis[row];
     }
     p.t = {radius * std::cos(0.5 * a), 0.2 * std::sin(0.9 * i), radius * std::sin(0.7 * a)};
     out.push_back(p);
@@ -105,8 +97,7 @@ struct Answer {
 };
 Answer ask(const Room& room, const SceneLoadOptions& options = {}) {
   Diagnostics d;
-  Answer out;
-  out.geometry = load_scene(room, options, d).geometry;
+  Answer out{.geometry = load_scene(room, options, d).geometry};
   for (const Diagnostic& x : d.all()) {
     if (x.where != "room") continue;
     (x.severity == Severity::error ? out.error : out.warning) += x.text();
@@ -116,7 +107,7 @@ Answer ask(const Room& room, const SceneLoadOptions& options = {}) {
 
 void expect_quiet(const Answer& a, const std::string& says) {
   EXPECT_EQ(a.error + a.warning, "");
-  EXPECT_NE(a.geometry.find(says), std::string::npos) << a.geometry;
+  EXPECT_HAS(a.geometry, says);
 }
 
 TEST(GeometrySurvey, RightScenesOfEveryKindAreLeftInPeace) {
@@ -197,21 +188,15 @@ TEST(GeometrySurvey, DepthOfAnotherUnitIsToldFromPosesOfAnother) {
       for (float& d : f.depth_m) d = static_cast<float>(d * by);
     };
     const Answer a = ask(room);
-    EXPECT_NE(
-        a.error.find(by < 1 ? "depth in metres was read as millimetres" : "depth in millimetres was read as metres"),
-        std::string::npos)
+    EXPECT_HAS(a.error, by < 1 ? "depth in metres was read as millimetres" : "depth in millimetres was read as metres")
         << a.error << a.geometry;
-    EXPECT_NE(
-        a.error.find(by < 1 ? "add --set scene.load.depth_scale=1000 " : "add --set scene.load.depth_scale=0.001 "),
-        std::string::npos)
-        << a.error;
-    SceneLoadOptions mended;
-    mended.convention.depth_scale = 1 / by;
+    EXPECT_HAS(a.error, by < 1 ? "add --set scene.load.depth_scale=1000 " : "add --set scene.load.depth_scale=0.001 ");
+    SceneLoadOptions mended{.convention = {.depth_scale = 1 / by}};
     expect_quiet(ask(room, mended), "poses agree with depth");
   }
   room.spoiled = [](int, FrameBuffer&) {};
   room.written = [](const Pose& p) { return times(p, 1000); };
-  EXPECT_NE(ask(room).error.find("camera centres are in millimetres where depth is in metres"), std::string::npos);
+  EXPECT_HAS(ask(room).error, "camera centres are in millimetres where depth is in metres");
 }
 
 TEST(GeometrySurvey, DepthInWholeMetresAndInStepsOfOtherSensorsIsTold) {
@@ -220,26 +205,21 @@ TEST(GeometrySurvey, DepthInWholeMetresAndInStepsOfOtherSensorsIsTold) {
     for (float& d : f.depth_m) d = 0.001f * std::round(d);
   };
   const std::string metres = ask(room).error;
-  EXPECT_NE(metres.find("depth in metres was read as millimetres"), std::string::npos) << metres;
-  EXPECT_NE(metres.find("add --set scene.load.depth_scale=1000 "), std::string::npos) << metres;
+  EXPECT_HAS(metres, "depth in metres was read as millimetres", "add --set scene.load.depth_scale=1000 ");
   room.spoiled = [](int, FrameBuffer& f) {
     for (float& d : f.depth_m) d *= 5;
   };
   const std::string fifths = ask(room).error;
-  EXPECT_NE(fifths.find("depth is 5 times too large for the camera centres"), std::string::npos) << fifths;
-  EXPECT_NE(fifths.find("add --set scene.load.depth_scale=0.2 "), std::string::npos) << fifths;
+  EXPECT_HAS(fifths, "depth is 5 times too large for the camera centres", "add --set scene.load.depth_scale=0.2 ");
 }
 
 TEST(GeometrySurvey, AMendThatIsNotNeededIsTakenBack) {
   Room room{.poses = walk(24)};
-  SceneLoadOptions options;
-  options.convention = {true, true, 1000, 1};
+  SceneLoadOptions options{.convention = {true, true, 1000, 1}};
   const std::string error = ask(room, options).error;
-  for (const char* part : {"poses should not be inverted", "camera axes should not be flipped",
-                           "camera centres should not be scaled", "--set scene.load.invert_poses=false",
-                           "--set scene.load.flip_camera_axes=false", "--set scene.load.pose_scale=1 "}) {
-    EXPECT_NE(error.find(part), std::string::npos) << error;
-  }
+  EXPECT_HAS(error, "poses should not be inverted", "camera axes should not be flipped",
+             "camera centres should not be scaled", "--set scene.load.invert_poses=false",
+             "--set scene.load.flip_camera_axes=false", "--set scene.load.pose_scale=1 ");
 }
 
 TEST(GeometrySurvey, PhotographsWithoutDepthNameAxesAndInverse) {
@@ -263,9 +243,8 @@ TEST(GeometrySurvey, PhotographsWithoutDepthNameAxesAndInverse) {
   for (const auto& c : cases) {
     room.written = c.written;
     const Answer a = ask(room);
-    for (const std::string& part : c.said) EXPECT_NE(a.error.find(part), std::string::npos) << a.error << a.geometry;
-    SceneLoadOptions mended;
-    mended.convention = c.convention;
+    for (const std::string& part : c.said) EXPECT_HAS(a.error, part) << a.error << a.geometry;
+    SceneLoadOptions mended{.convention = c.convention};
     expect_quiet(ask(room, mended), "poses agree with the photographs: ");
   }
 }
@@ -289,15 +268,12 @@ Room photographs(int width = 320) {
 
 TEST(GeometrySurvey, PosesOfOtherPhotographsAreRefusedAndCanBeForced) {
   Room room = photographs();
-  room.written = [n = 0](const Pose&) mutable { return walk(24, 0.2)[static_cast<std::size_t>(n++ * 7 % 24)]; };
+  room.written = [n = 0](const Pose&) mutable { return walk(24, 0.2)[n++ * 7 % 24]; };
   const Answer a = ask(room);
   EXPECT_EQ(a.error.find("room: the poses are not those of the photographs: of "), 0u) << a.error << a.geometry;
-  EXPECT_NE(a.error.find(" lie where any convention puts them; check that the poses are in the order of the images"),
-            std::string::npos)
-      << a.error;
+  EXPECT_HAS(a.error, " lie where any convention puts them; check that the poses are in the order of the images");
   EXPECT_EQ(a.geometry, "poses contradict the photographs");
-  SceneLoadOptions forced;
-  forced.check_geometry = false;
+  SceneLoadOptions forced{.check_geometry = false};
   EXPECT_EQ(ask(room, forced).error, "");
 }
 
@@ -322,10 +298,8 @@ TEST(GeometrySurvey, IntrinsicsOfAnotherImageSizeAreNamedWithTheFactor) {
                                       : "room: intrinsics are of images 2 times as small: of "),
               0u)
         << a.error << a.geometry;
-    EXPECT_NE(
-        a.error.find(factor > 1 ? "divide focal lengths and centre by 2," : "multiply focal lengths and centre by 2,"),
-        std::string::npos)
-        << a.error;
+    EXPECT_HAS(a.error,
+               factor > 1 ? "divide focal lengths and centre by 2," : "multiply focal lengths and centre by 2,");
   }
 }
 

@@ -1,12 +1,12 @@
-// Images: round trips, ids unchanged, damage named, area resize.
+// Images and packed scenes: round trips, ids unchanged, damage named, area resize.
 #include "formats/image_io.h"
-
-#include <gtest/gtest.h>
 
 #include <cstring>
 #include <numeric>
 
+#include "compute/parallel.h"
 #include "formats/png_codec.h"
+#include "loading/packed_scene.h"
 #include "system/files.h"
 #include "tests/scene/png_bytes.h"
 #include "tests/scene/tiny_scene.h"
@@ -14,9 +14,7 @@
 namespace semfield {
 namespace {
 
-using testing_room::error_of;
-using testing_room::fresh_folder;
-using testing_room::png_of;
+using namespace testing_room;
 
 std::vector<std::uint8_t> noise(std::size_t count) {
   std::vector<std::uint8_t> out(count);
@@ -94,7 +92,7 @@ TEST(Png, AllFiltersAndInterlaceDecode) {
   std::vector<std::uint16_t> counting(16);
   std::iota(counting.begin(), counting.end(), std::uint16_t{0});
   EXPECT_EQ(read_ids(folder + "/a.png").pixels, counting);
-  // Two bits a sample.
+  // Two bits per sample.
   put_bytes(folder + "/b.png", png_of(5, 1, 2, 0, 0, {0, 0b00011011, 0b11000000}));
   EXPECT_EQ(read_ids(folder + "/b.png").pixels, (std::vector<std::uint16_t>{0, 1, 2, 3, 3}));
 }
@@ -113,7 +111,7 @@ TEST(Png, EveryTruncationIsNamed) {
   for (std::size_t length = 0; length < whole.size(); length += 7) {
     put_bytes(path, {whole.begin(), whole.begin() + static_cast<std::ptrdiff_t>(length)});
     const std::string message = error_of([&] { (void)read_rgb(path); });
-    EXPECT_NE(message.find(path), std::string::npos) << length << ": " << message;
+    EXPECT_HAS(message, path) << length << ": " << message;
   }
 }
 
@@ -137,9 +135,9 @@ TEST(Png, LyingHeaderIsRefusedBeforeAllocation) {
           "': image of 65535 x 65535 pixels: 65535 pixels along an axis; at most 16384 are read; check that it is the "
           "right file, or raise limits.image_axis_px in the configuration");
   put_bytes(path, png_of(16000, 16000, 8, 2, 0, {1, 2, 3}));
-  EXPECT_NE(error_of([&] { (void)read_rgb(path); }).find("cannot hold 768016000 bytes of pixels"), std::string::npos);
+  EXPECT_HAS(error_of([&] { (void)read_rgb(path); }), "cannot hold 768016000 bytes of pixels");
   put_bytes(path, png_of(0, 7, 8, 2, 0, {1}));
-  EXPECT_NE(error_of([&] { (void)image_size(path); }).find("image has no pixels (0 x 7)"), std::string::npos);
+  EXPECT_HAS(error_of([&] { (void)image_size(path); }), "image has no pixels (0 x 7)");
 }
 
 TEST(Images, ColouredPictureOfIdsIsRefused) {
@@ -156,7 +154,7 @@ TEST(Images, MissingFileAndNoImage) {
   EXPECT_EQ(error_of([&] { (void)read_rgb(folder + "/none.png"); }),
             "cannot open '" + folder + "/none.png': No such file or directory; check the path");
   write_file_atomic(folder + "/text.png", std::string_view("this is no image"));
-  EXPECT_NE(error_of([&] { (void)read_rgb(folder + "/text.png"); }).find(folder + "/text.png"), std::string::npos);
+  EXPECT_HAS(error_of([&] { (void)read_rgb(folder + "/text.png"); }), folder + "/text.png");
 }
 
 TEST(Images, TruncatedJpegIsAnErrorNamingTheFile) {
@@ -167,8 +165,7 @@ TEST(Images, TruncatedJpegIsAnErrorNamingTheFile) {
   write_file_atomic(path, read_text_file(source));  // not its mode: the original may be read-only
   EXPECT_EQ(read_rgb(path).width_px, 960);
   testing_room::cut(path, 5000);
-  EXPECT_NE(error_of([&] { (void)read_rgb(path); }).find("'" + path + "': JPEG is truncated: it ends after "),
-            std::string::npos);
+  EXPECT_HAS(error_of([&] { (void)read_rgb(path); }), "'" + path + "': JPEG is truncated: it ends after ");
 }
 
 TEST(Images, AreaResizeAveragesExactly) {
@@ -194,6 +191,158 @@ TEST(Images, NpyHeaderIsAligned) {
   float last = 0;
   std::memcpy(&last, file.data() + file.size() - 4, 4);
   EXPECT_EQ(last, 6.0f);
+}
+
+// Packed scenes: round trip, damage of any byte, lies about sizes.
+
+SceneInfo room_info(int frames) {
+  SceneInfo info{.name = "room", .metric = true, .near_hint_m = 0.1, .far_hint_m = 7};
+  info.bounds.include({-2, -1.5, -2.5});
+  info.bounds.include({2, 1.5, 2.5});
+  info.classes = ClassTable({{0, "void", {}, true},
+                             {1, "west", {1, 2, 3}, false},
+                             {2, "east", {}, false},
+                             {3, "up", {}, false},
+                             {40, "down", {}, false},
+                             {50, "south", {}, false},
+                             {600, "north", {}, false}});
+  for (int i = 0; i < frames; ++i) {
+    FrameInfo f{.name = "rgb_" + std::to_string(i)};
+    f.source = "somewhere/" + f.name;
+    f.camera = room_camera(12, 9);
+    f.camera.k1 = 0.01 * i;
+    f.world_from_camera = room_pose(i);
+    f.split = i % 2 == 0 ? Split::train : Split::test;
+    info.frames.push_back(f);
+  }
+  return info;
+}
+
+void render(const SceneInfo& info, int i, FrameBuffer& out) {
+  out = render_room(info.frames[i].camera, info.frames[i].world_from_camera);
+  if (i == 1) out.depth_m.clear();
+  if (i == 2) out.label.clear();
+  if (i == 0) out.label[5] = kVoid;
+}
+
+std::string packed_room(const std::string& folder, const PackOptions& options, int frames = 3) {
+  const std::string path = folder + "/room.semfield";
+  const SceneInfo info = room_info(frames);
+  write_packed_scene(
+      path, info, [&](int i, FrameBuffer& out) { render(info, i, out); }, options);
+  return path;
+}
+
+TEST(PackedScene, ALimitIsKeptAndNoLimitTakesNoBytes) {
+  const std::string path = fresh_folder("l") + "/room.semfield";
+  SceneInfo info = room_info(2);
+  const auto pack = [&] {
+    write_packed_scene(path, info, [&](int i, FrameBuffer& out) { render(info, i, out); }, {});
+    return std::filesystem::file_size(path);
+  };
+  const auto without = pack();
+  EXPECT_TRUE(PackedScene(path).info().limit.empty());
+  info.limit = {{-3, -2, -1}, {3, 2, 1}};
+  EXPECT_EQ(pack(), without + 6 * sizeof(double));
+  EXPECT_EQ(PackedScene(path).info().limit.lo, info.limit.lo);
+  EXPECT_EQ(PackedScene(path).info().limit.hi, info.limit.hi);
+}
+
+TEST(PackedScene, RoundTripIsExact) {
+  PackOptions options{.depth_as_mm = false};
+  const PackedScene scene(packed_room(fresh_folder("p"), options));
+  const SceneInfo want = room_info(3);
+  ASSERT_EQ(scene.info().frames.size(), 3u);
+  EXPECT_EQ(scene.info().name, "room");
+  EXPECT_EQ(scene.info().far_hint_m, 7.0);
+  EXPECT_EQ(scene.info().bounds.hi, want.bounds.hi);
+  EXPECT_EQ(scene.info().classes.to_yaml(), want.classes.to_yaml());
+  for (int i = 0; i < 3; ++i) {
+    const auto n = static_cast<std::size_t>(i);
+    const FrameInfo& f = scene.info().frames[n];
+    EXPECT_EQ(f.name, want.frames[n].name);
+    EXPECT_EQ(f.camera.k1, want.frames[n].camera.k1);
+    EXPECT_EQ(f.world_from_camera.r, want.frames[n].world_from_camera.r);
+    EXPECT_EQ(f.split, want.frames[n].split);
+    EXPECT_EQ(f.has_depth, i != 1);
+    EXPECT_EQ(f.has_labels, i != 2);
+    FrameBuffer a, b;
+    render(want, i, a);
+    scene.read(i, b);
+    EXPECT_EQ(a.rgb, b.rgb);
+    EXPECT_EQ(a.depth_m, b.depth_m);
+    EXPECT_EQ(a.label, b.label);
+    EXPECT_EQ(a.instance, b.instance);
+  }
+}
+
+// A sweep packs a scene as its files are; what its cells say of the poses in the files holds for the packed scene too.
+TEST(PackedScene, RemembersTheAxesOfTheFiles) {
+  for (const bool metric : {false, true}) {
+    for (const bool opengl : {false, true}) {
+      SceneInfo info = room_info(1);
+      info.metric = metric;
+      info.opengl_files = opengl;
+      const std::string path = fresh_folder("p") + "/room.semfield";
+      write_packed_scene(path, info, [&](int i, FrameBuffer& out) { render(info, i, out); });
+      const PackedScene scene(path);
+      EXPECT_EQ(scene.info().metric, metric);
+      EXPECT_EQ(scene.info().opengl_files, opengl);
+    }
+  }
+}
+
+TEST(PackedScene, MillimetresRoundToHalfAMillimetre) {
+  const PackedScene scene(packed_room(fresh_folder("p"), {}));
+  FrameBuffer a, b;
+  render(room_info(3), 0, a);
+  scene.read(0, b);
+  ASSERT_EQ(a.depth_m.size(), b.depth_m.size());
+  for (std::size_t i = 0; i < a.depth_m.size(); ++i) EXPECT_NEAR(a.depth_m[i], b.depth_m[i], 0.000501);
+}
+
+TEST(PackedScene, MessagesAreExact) {
+  const std::string folder = fresh_folder("p");
+  const std::string path = packed_room(folder, {}, 2);
+  std::string bytes = read_text_file(path);
+  EXPECT_EQ(error_of([&] { PackedScene("nowhere.semfield"); }),
+            "cannot open 'nowhere.semfield': No such file or directory; check the path");
+  write_file_atomic(folder + "/text", std::string_view("no scene"));
+  EXPECT_EQ(error_of([&] { PackedScene(folder + "/text"); }),
+            "'" + folder + "/text': not a packed scene; give a file that 'semfield pack' wrote");
+  const std::size_t size = bytes.size();
+  bytes[70] = static_cast<char>(bytes[70] ^ 1);  // the first chunk, right behind the header
+  write_file_atomic(path, bytes);
+  const PackedScene scene(path);  // the manifest is whole; the chunk shows it when it is read
+  FrameBuffer out;
+  EXPECT_EQ(error_of([&] { scene.read(0, out); }),
+            "'" + path +
+                "': frame 'rgb_0': colour is damaged (wrong checksum); copy the file again, or pack the scene again");
+  cut(path, 10);
+  EXPECT_EQ(error_of([&] { PackedScene{path}; }), "'" + path + "': holds " + std::to_string(size - 10) +
+                                                      " bytes, its header says " + std::to_string(size) +
+                                                      "; copy the file again");
+}
+
+TEST(PackedScene, ParallelReadsAgree) {
+  const PackedScene scene(packed_room(fresh_folder("p"), {}, 8));
+  std::vector<FrameBuffer> serial(8), parallel(8);
+  for (int i = 0; i < 8; ++i) scene.read(i, serial[i]);
+  parallel_for(8, [&](std::int64_t i) { scene.read(static_cast<int>(i), parallel[i]); });
+  for (std::size_t i = 0; i < 8; ++i) {
+    EXPECT_EQ(serial[i].rgb, parallel[i].rgb);
+    EXPECT_EQ(serial[i].depth_m, parallel[i].depth_m);
+  }
+}
+
+TEST(PackedScene, FailingSourceLeavesNoFile) {
+  const std::string folder = fresh_folder("p");
+  const SceneInfo info = room_info(2);
+  EXPECT_THROW(
+      write_packed_scene(folder + "/a", info,
+                         [](int, FrameBuffer&) { throw Error(ErrorKind::data, "test.error.made", "broken frame"); }),
+      Error);
+  EXPECT_TRUE(std::filesystem::is_empty(folder));
 }
 
 }  // namespace

@@ -1,7 +1,6 @@
 // NumPy arrays: types, orders, archives, and files that lie.
 #include "formats/npz.h"
 
-#include <gtest/gtest.h>
 #include <zlib.h>
 
 #include <cstring>
@@ -10,15 +9,12 @@
 #include "core/work_scope.h"
 #include "formats/input_limits.h"
 #include "system/files.h"
-#include "tests/says.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
 namespace {
 
-using testing_room::error_of;
-using testing_room::fresh_folder;
-using testing_room::plain_write;
+using namespace testing_room;
 
 std::string npy(const std::string& header, const std::string& data, int version = 1) {
   std::string out = "\x93NUMPY";
@@ -204,7 +200,7 @@ TEST(Npz, DamageNeverCrashes) {
   EXPECT_GT(refused, 300);
 }
 
-// The last bytes are damaged: whoever unpacks them before the shape is compared tells of the damage instead.
+// The last bytes are damaged: whoever unpacks them before the shape is compared reports the damage instead.
 TEST(Npz, AShapeThatIsNotWantedIsRefusedBeforeAnythingIsUnpacked) {
   const std::string path = fresh_folder("t") + "/a.npz";
   std::vector<float> values(400'000);
@@ -223,8 +219,8 @@ TEST(Npz, AShapeThatIsNotWantedIsRefusedBeforeAnythingIsUnpacked) {
     });
   };
   EXPECT_EQ(read(999), "'" + path + "', entry 'a': another shape: (400, 1000)");
-  EXPECT_NE(read(1000).find(path), std::string::npos);
-  EXPECT_EQ(read(1000).find("another shape"), std::string::npos);
+  EXPECT_HAS(read(1000), path);
+  EXPECT_LACKS(read(1000), "another shape");
 }
 
 TEST(Npy, AShapeThatIsNotWantedOrTooLargeIsRefusedByItsHeader) {
@@ -238,13 +234,12 @@ TEST(Npy, AShapeThatIsNotWantedOrTooLargeIsRefusedByItsHeader) {
             "'" + c.path + "': not (2, 3)");
   InputLimits small;
   small.image_bytes = 23;  // six values of four bytes are 24
-  WorkSettings work;
-  work.limits = &small;
+  WorkSettings work{.limits = &small};
   const std::string refused = error_of([&] {
     const WorkScope scope(work);
     (void)read_npy(c.path, {});
   });
-  EXPECT_EQ(unsaid(refused, {"'" + c.path + "'", "(2, 3)", "24 bytes", "at most 23", "limits.image_bytes"}), "");
+  EXPECT_HAS(refused, "'" + c.path + "'", "(2, 3)", "24 bytes", "at most 23", "limits.image_bytes");
 }
 
 }  // namespace

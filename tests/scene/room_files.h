@@ -1,13 +1,9 @@
 // A small box room rendered analytically and written as a Replica-layout folder; needs no test framework.
 #pragma once
 
-#include <array>
-#include <cmath>
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
-#include <string>
-#include <vector>
 
 #include "formats/image_io.h"
 #include "scene/scene.h"
@@ -33,28 +29,23 @@ inline Hit trace(Vec3d origin, Vec3d direction) {
 }
 
 inline Camera room_camera(int width = 40, int height = 30) {
-  Camera c;
-  c.width_px = width;
-  c.height_px = height;
-  c.fx = c.fy = 0.5 * width;
-  c.cx = 0.5 * width;
-  c.cy = 0.5 * height;
-  return c;
+  return Camera{.width_px = width,
+                .height_px = height,
+                .fx = 0.5 * width,
+                .fy = 0.5 * width,
+                .cx = 0.5 * width,
+                .cy = 0.5 * height};
 }
 
 /// Turning about the vertical (y down) axis while walking a little.
 inline Pose room_pose(int i) {
   const double a = 0.2 * i;
-  Pose p;
-  p.r = {{{std::cos(a), 0, std::sin(a)}, {0, 1, 0}, {-std::sin(a), 0, std::cos(a)}}};
-  p.t = {0.1 * i - 0.3, 0.05 * i, 0.2};
-  return p;
+  return Pose{.r = {{{std::cos(a), 0, std::sin(a)}, {0, 1, 0}, {-std::sin(a), 0, std::cos(a)}}},
+              .t = {0.1 * i - 0.3, 0.05 * i, 0.2}};
 }
 
 inline FrameBuffer render_room(const Camera& c, const Pose& pose) {
-  FrameBuffer out;
-  out.width_px = c.width_px;
-  out.height_px = c.height_px;
+  FrameBuffer out{.width_px = c.width_px, .height_px = c.height_px};
   for (int y = 0; y < c.height_px; ++y) {
     for (int x = 0; x < c.width_px; ++x) {
       const Vec3d d = c.direction(x + 0.5, y + 0.5);
@@ -85,9 +76,7 @@ inline std::string pose_line(const Pose& p) {
   char text[64];
   for (int row = 0; row < 4; ++row) {
     for (int col = 0; col < 4; ++col) {
-      const double v = row == 3   ? (col == 3 ? 1.0 : 0.0)
-                       : col == 3 ? p.t[row]
-                                  : p.r[static_cast<std::size_t>(row)][static_cast<std::size_t>(col)];
+      const double v = row == 3 ? (col == 3 ? 1.0 : 0.0) : col == 3 ? p.t[row] : p.r[row][col];
       std::snprintf(text, sizeof text, "%.12g", v);
       line += text;
       line += row == 3 && col == 3 ? "\n" : " ";

@@ -1,14 +1,9 @@
 // The box room of room_files.h in folders of the running test: what tests of datasets read.
 #pragma once
 
-#include <gtest/gtest.h>
 #include <unistd.h>
 
-#include <filesystem>
-#include <string>
-#include <vector>
-
-#include "core/findings.h"
+#include "tests/says.h"
 #include "tests/scene/room_files.h"
 
 namespace semfield::testing_room {
@@ -34,17 +29,6 @@ inline std::string fresh_folder(const std::string& name) {
   std::filesystem::create_directories(folder);
   keeper.folders.push_back(folder);
   return folder.string();
-}
-
-/// The message and code of the Error that `body` throws, "" when it throws none.
-template <class Body>
-std::string error_of(Body&& body) {
-  try {
-    body();
-  } catch (const Error& e) {
-    return shown(e);
-  }
-  return {};
 }
 
 }  // namespace semfield::testing_room

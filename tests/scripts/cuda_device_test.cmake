@@ -1,4 +1,4 @@
-# Which CUDA kernels a build makes by itself: of a machine with each of these devices, told by stand-ins of nvidia-smi and nvcc. -DSOURCE_DIR -DWORK_DIR
+# Which CUDA kernels a build makes by itself: of a machine with each of these devices, reported by stand-ins of nvidia-smi and nvcc. -DSOURCE_DIR -DWORK_DIR
 include(${SOURCE_DIR}/cmake/CudaDevice.cmake)
 set(tools ${WORK_DIR}/tools)
 function(stand_in name text)

@@ -1,7 +1,4 @@
 // `semfield demo`: what it leaves in an empty folder, and what it does to one that is not empty.
-#include <gtest/gtest.h>
-#include <unistd.h>
-
 #include <filesystem>
 #include <regex>
 
@@ -11,8 +8,7 @@ namespace semfield {
 namespace {
 
 namespace fs = std::filesystem;
-using testing_program::Result;
-using testing_program::semfield_run;
+using namespace testing_program;
 
 class Demo : public testing::Test {
  protected:
@@ -40,8 +36,7 @@ TEST_F(Demo, LabelsTheShippedRoomInAnEmptyFolder) {
   EXPECT_TRUE(std::regex_match(r.out, line)) << r.out;
   for (const char* made : {"report.html", "mesh.ply", "mesh.glb", "render/test"})
     EXPECT_TRUE(fs::exists(root_ / "runs/demo" / made)) << made;
-  EXPECT_NE(r.err.find("in " + (root_ / "runs/demo").string()), std::string::npos) << r.err;
-  EXPECT_NE(r.err.find("train quickstart "), std::string::npos) << r.err;
+  EXPECT_HAS(r.err, "in " + (root_ / "runs/demo").string(), "train quickstart ");
 
   // The next one takes the place of its own run alone, and only when its words are right.
   const std::string before = read_text_file((root_ / "runs/demo/run.yaml").string());
@@ -51,7 +46,7 @@ TEST_F(Demo, LabelsTheShippedRoomInAnEmptyFolder) {
   const Result again = small("--steps 10 --quiet");
   EXPECT_EQ(again.code, 0) << again.err;
   EXPECT_EQ(again.err, "");
-  EXPECT_NE(read_text_file((root_ / "runs/demo/run.yaml").string()).find("steps: 10"), std::string::npos);
+  EXPECT_HAS(read_text_file((root_ / "runs/demo/run.yaml").string()), "steps: 10");
 
   const Result json = small("--steps 5 --quiet --json");
   EXPECT_EQ(json.code, 0) << json.err;
@@ -63,9 +58,7 @@ TEST_F(Demo, LeavesFoldersOfOthersAlone) {
   write("runs/demo/notes.txt");
   const Result r = run("");
   EXPECT_EQ(r.code, 73);
-  EXPECT_NE(r.err.find("'runs/demo' is there already and is no earlier demo; name a new folder with --out"),
-            std::string::npos)
-      << r.err;
+  EXPECT_HAS(r.err, "'runs/demo' is there already and is no earlier demo; name a new folder with --out");
   EXPECT_TRUE(fs::exists(root_ / "runs/demo/notes.txt"));
   // A run of somebody's, even of that name.
   write_file_atomic((root_ / "runs/demo/run.yaml").string(), "name: demo\nscene: {root: /elsewhere}\n");
@@ -98,7 +91,7 @@ TEST_F(Demo, ASignalStopsItInOrder) {
   EXPECT_FALSE(fs::exists(root_ / "runs/demo/run.yaml"));
   const Result late = stopped("6", "step ", SIGTERM);
   EXPECT_EQ(late.code, 143) << late.err;
-  EXPECT_NE(late.err.find("resume with: semfield train --resume runs/demo"), std::string::npos) << late.err;
+  EXPECT_HAS(late.err, "resume with: semfield train --resume runs/demo");
   EXPECT_TRUE(fs::exists(root_ / "runs/demo/checkpoints/latest"));
   EXPECT_EQ(late.out, "");
 }
@@ -107,14 +100,14 @@ TEST_F(Demo, SaysWhereItCannotWrite) {
   write("runs");  // a file
   const Result r = small("--steps 5");
   EXPECT_EQ(r.code, 73) << r.err;
-  EXPECT_NE(r.err.find("--out"), std::string::npos) << r.err;
-  EXPECT_EQ(r.err.find("$ "), std::string::npos) << "told before anything is read: " << r.err;
+  EXPECT_HAS(r.err, "--out");
+  EXPECT_LACKS(r.err, "$ ") << "told before anything is read: " << r.err;
 }
 
 TEST_F(Demo, TheScriptHasHelp) {
   const std::string out = (root_ / "help").string();
   ASSERT_EQ(std::system((shell_word(SEMFIELD_SOURCE_DIR "/scripts/demo") + " --help >" + shell_word(out)).c_str()), 0);
-  EXPECT_NE(read_text_file(out).find("./scripts/demo [FOLDER]"), std::string::npos);
+  EXPECT_HAS(read_text_file(out), "./scripts/demo [FOLDER]");
 }
 
 }  // namespace

@@ -1,4 +1,4 @@
-"""Every script says what it takes when it is asked, and does nothing when it is asked wrongly: help_test.py SCRIPTS_FOLDER"""
+"""Every script says what it takes on request, and does nothing when it is called wrongly: help_test.py SCRIPTS_FOLDER"""
 import os
 import shutil
 import subprocess

@@ -34,7 +34,7 @@ def lines_of(*words):
 
 
 def csv_rows(metric, variant, scene, *networks):
-    """A row a seed for the branch, the paper's networks and the grid alone."""
+    """A row per seed for the branch, the paper's networks and the grid alone."""
     return "".join(f"labels_{name},{scene},{variant},{seed},{metric},{value}\n"
                    for name, seeds in zip(("fast", "paper", "today"), networks) for seed, value in enumerate(seeds, 1))
 

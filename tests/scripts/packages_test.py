@@ -1,4 +1,4 @@
-"""The packages of a build: fields that Debian asks for, and every installed file in exactly one of them.
+"""The packages of a build: fields that Debian requires, and every installed file in exactly one of them.
 
 packages_test.py CMAKE CPACK BUILD_FOLDER WORK_FOLDER"""
 import glob

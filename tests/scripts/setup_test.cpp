@@ -1,5 +1,4 @@
 // scripts/setup with a stand-in for CMake: one line of progress, the rest in a log.
-#include <gtest/gtest.h>
 #include <pty.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -8,10 +7,10 @@
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
-#include <string>
 
 #include "core/text.h"
 #include "system/files.h"
+#include "tests/says.h"
 
 namespace semfield {
 namespace {
@@ -82,8 +81,7 @@ TEST_F(SetupScript, SaysEveryTenthAndKeepsTheRestInALog) {
       << out;
   const std::string last = "setup: building, 200 of 200\nsetup: built; warnings: 1; log: build/setup.log\n";
   EXPECT_TRUE(out.ends_with(last)) << out;
-  EXPECT_NE(log().find("[200/200] Building object_200.o"), std::string::npos);
-  EXPECT_NE(log().find("a.cpp:1: warning: odd\nmore of it"), std::string::npos);
+  EXPECT_HAS(log(), "[200/200] Building object_200.o", "a.cpp:1: warning: odd\nmore of it");
 }
 
 TEST_F(SetupScript, SaysWhatComesThen) {
@@ -110,18 +108,15 @@ TEST_F(SetupScript, RewritesOneLineOnATerminal) {
   close(terminal);
   EXPECT_EQ(status, 0);
   EXPECT_EQ(std::count(out.begin(), out.end(), '\n'), 2) << out;
-  EXPECT_NE(out.find("\rsetup: building, 199 of 200 \rsetup: building, 200 of 200 \rsetup: built; "), std::string::npos)
-      << out;
+  EXPECT_HAS(out, "\rsetup: building, 199 of 200 \rsetup: building, 200 of 200 \rsetup: built; ");
 }
 
 TEST_F(SetupScript, ShowsTheLinesThatFailedAndNamesTheLog) {
   const std::string out = printed("build");
   EXPECT_EQ(code_, 1);
-  EXPECT_NE(out.find("FAILED: object_150.o\nb.cpp:2: error: wrong\n    the line\nsetup: the build failed; "),
-            std::string::npos)
-      << out;
-  EXPECT_EQ(out.find("the whole command"), std::string::npos) << out;
-  EXPECT_NE(out.find((root_ / "build/setup.log").string() + "\n"), std::string::npos) << out;
+  EXPECT_HAS(out, "FAILED: object_150.o\nb.cpp:2: error: wrong\n    the line\nsetup: the build failed; ");
+  EXPECT_LACKS(out, "the whole command");
+  EXPECT_HAS(out, (root_ / "build/setup.log").string() + "\n");
 }
 
 TEST_F(SetupScript, ShowsWhyItCouldNotConfigure) {
@@ -139,10 +134,8 @@ TEST_F(SetupScript, DoesWithoutWhatIsOnlyWishedFor) {
   setenv("MISSING", "nowhere", 1);
   const std::string out = printed("never");
   EXPECT_EQ(code_, 0);
-  EXPECT_NE(out.find("setup: nowhere is not installed; what needs it is skipped\nsetup: builds for about 5 min"),
-            std::string::npos)
-      << out;
-  EXPECT_EQ(out.find("setup: here"), std::string::npos) << out;
+  EXPECT_HAS(out, "setup: nowhere is not installed; what needs it is skipped\nsetup: builds for about 5 min");
+  EXPECT_LACKS(out, "setup: here");
   setenv("MISSING", "cmake", 1);  // needed, and the stand-in installs nothing
   (void)printed("never");
   EXPECT_EQ(code_, 69);

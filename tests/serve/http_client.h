@@ -58,7 +58,7 @@ class Connection {
     return true;
   }
 
-  /// The next answer; status 0 when none has come whole within so many seconds.
+  /// The next response; status 0 when none has come whole within so many seconds.
   Answer receive(double seconds = 30) {
     const auto end = std::chrono::steady_clock::now() + std::chrono::milliseconds(static_cast<long>(1000 * seconds));
     Answer answer = receive_head(seconds);
@@ -71,7 +71,7 @@ class Connection {
     return answer;
   }
 
-  /// The next answer's head, where it has no body whatever its length says.
+  /// The next response's head, where it has no body whatever its length says.
   Answer receive_head(double seconds) {
     const auto end = std::chrono::steady_clock::now() + std::chrono::milliseconds(static_cast<long>(1000 * seconds));
     std::size_t head = std::string::npos;

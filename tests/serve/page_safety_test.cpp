@@ -1,22 +1,18 @@
 // What the page's server refuses, and that no client can hold it up.
-#include <gtest/gtest.h>
-
-#include <chrono>
 #include <cstdio>
 #include <future>
-#include <list>
 #include <random>
 #include <set>
 
 #include "app/serve/run_id.h"
 #include "system/files.h"
+#include "tests/says.h"
 #include "tests/serve/served_page.h"
 
 namespace semfield::app {
 namespace {
 
-using testing_http::Answer;
-using testing_http::Connection;
+using namespace testing_http;
 
 TEST_F(ServedPage, WithoutTheTokenThereIsNothing) {
   const std::string end = " HTTP/1.1\r\nHost: " + host() + "\r\n\r\n";
@@ -240,7 +236,7 @@ TEST_F(ServedPage, ClientsThatReadNothingAreCutOffWhileOthersAreServed) {
   EXPECT_EQ(get("").status, 200);
 }
 
-// Far more than there are threads, and they are let be for a minute: an answer that comes did not wait for them.
+// Far more than there are threads, and they are let be for a minute: a response that comes did not wait for them.
 TEST_F(ServedPage, IdleAndHalfSentConnectionsHoldNobodyUp) {
   PageOptions o = options();
   o.http.threads = 4;
@@ -251,7 +247,7 @@ TEST_F(ServedPage, IdleAndHalfSentConnectionsHoldNobodyUp) {
     idle.emplace_back(port());
     if (i % 4 == 1) idle.back().send("GET /");
     if (i % 4 == 2) idle.back().send(text("POST", "event", click("a-1")).substr(0, 200));
-    if (i % 4 == 3) {  // kept after an answer
+    if (i % 4 == 3) {  // kept after a response
       idle.back().send(text("GET", ""));
       ASSERT_EQ(idle.back().receive(20).status, 200);
     }
@@ -428,13 +424,7 @@ TEST_F(ServedPage, APortThatIsTakenIsNamedOrTheNextIsUsed) {
 TEST_F(ServedPage, AddressesThatAreNoneAreNamed) {
   for (const auto& [address, kind] :
        {std::pair{"somewhere", ErrorKind::usage}, {"::1", ErrorKind::usage}, {"203.0.113.7", ErrorKind::unavailable}}) {
-    try {
-      (void)free_port(address, 8787, true);
-      FAIL() << address;
-    } catch (const Error& e) {
-      EXPECT_EQ(e.kind(), kind) << address;
-      EXPECT_NE(e.message().find(address), std::string::npos);
-    }
+    EXPECT_HAS(error_of(kind, [&] { (void)free_port(address, 8787, true); }), address) << address;
   }
 }
 

@@ -1,19 +1,16 @@
 // Every address of the page over a real socket, against a source that is no training.
-#include <gtest/gtest.h>
-
-#include <chrono>
 #include <future>
 #include <nlohmann/json.hpp>
 
 #include "formats/png_codec.h"
+#include "tests/says.h"
 #include "tests/serve/served_page.h"
 
 namespace semfield::app {
 namespace {
 
 using Json = nlohmann::json;
-using testing_http::Answer;
-using testing_http::Connection;
+using namespace testing_http;
 
 std::string part_at(const std::string& body, std::size_t& at) {
   std::uint32_t size = 0;
@@ -206,7 +203,7 @@ TEST_F(ServedPage, PhotographsMayBeKeptAndShrink) {
   ASSERT_EQ(whole.status, 200);
   EXPECT_EQ(whole.header("content-type"), "image/jpeg");
   // For ever under the name of what it shows alone: the run may be opened again with another image in its place.
-  EXPECT_NE(get("photo?view=1&photo=b1").header("cache-control").find("immutable"), std::string::npos);
+  EXPECT_HAS(get("photo?view=1&photo=b1").header("cache-control"), "immutable");
   for (const char* unnamed : {"photo?view=1", "photo?view=1&photo=a1", "photo?view=1&photo="})
     EXPECT_EQ(get(unnamed).header("cache-control"), "no-store") << unnamed;
   EXPECT_EQ(get("photo?view=1&most_px=3").status, 200);

@@ -1,6 +1,4 @@
 // A build without the labelling page says so.
-#include <gtest/gtest.h>
-
 #include "tests/program.h"
 
 namespace semfield {

@@ -1,16 +1,9 @@
 // The real program with a small room: clicks over HTTP, kills, signals, exports by its own verbs.
 #include <fcntl.h>
-#include <gtest/gtest.h>
 
-#include <chrono>
 #include <csignal>
-#include <cstdio>
-#include <cstdlib>
-#include <filesystem>
 #include <nlohmann/json.hpp>
 #include <random>
-#include <set>
-#include <thread>
 
 #include "core/error.h"
 #include "core/text.h"
@@ -27,10 +20,8 @@ namespace semfield {
 namespace {
 
 using namespace testing_train;
-using testing_http::Answer;
-using testing_http::Connection;
-using testing_program::program;
-using testing_program::Result;
+using namespace testing_http;
+using namespace testing_program;
 using Json = nlohmann::json;
 
 Result run(const std::vector<std::string>& words, const TempDir& dir) {
@@ -105,9 +96,8 @@ TEST(ServeVerb, ClicksOutliveKillsAndTheRunGoesOn) {
   {
     Served served(config, dir, {"--out", room});
     ASSERT_TRUE(served.up()) << served.process().err_so_far();
-    EXPECT_NE(served.process().err_so_far().find("going on with " + room +
-                                                 ", which is there already, by the settings in its run.yaml"),
-              std::string::npos);
+    EXPECT_HAS(served.process().err_so_far(),
+               "going on with " + room + ", which is there already, by the settings in its run.yaml");
     EXPECT_EQ(served.folder(), address);  // a page that is open goes on
     const Json s = served.state();
     EXPECT_EQ(s["events"], 2);
@@ -116,7 +106,7 @@ TEST(ServeVerb, ClicksOutliveKillsAndTheRunGoesOn) {
     served.process().send(SIGINT);
     const Result ended = served.process().wait();
     EXPECT_EQ(ended.code, 130);
-    EXPECT_NE(ended.err.find("all saved; go on with: semfield serve " + room), std::string::npos) << ended.err;
+    EXPECT_HAS(ended.err, "all saved; go on with: semfield serve " + room);
   }
   Served served(room, dir);
   ASSERT_TRUE(served.up()) << served.process().err_so_far();
@@ -125,7 +115,7 @@ TEST(ServeVerb, ClicksOutliveKillsAndTheRunGoesOn) {
   EXPECT_EQ(served.process().wait().code, 143);
 }
 
-// Kills at any moment between a click and its answer; SEMFIELD_TORTURE_KILLS asks for more of them.
+// Kills at any moment between a click and its acknowledgement; SEMFIELD_TORTURE_KILLS sets how many.
 TEST(ServeVerb, RandomKillsLoseNoAnsweredClick) {
   const TempDir dir;
   const std::string config = write_packed_config(dir, 200, 1), room = dir / "room";
@@ -225,13 +215,13 @@ TEST(ServeVerb, WhatCannotBeWrittenIsToldAndEndsWithItsOwnExitCode) {
   Json s = served.state();
   const auto end = std::chrono::steady_clock::now() + std::chrono::minutes(2);
   while (s["trouble"] == "" && std::chrono::steady_clock::now() < end) s = served.state(s["revision"].dump());
-  EXPECT_NE(std::string(s["trouble"]).find("checkpoints"), std::string::npos) << s["trouble"];
+  EXPECT_HAS(s["trouble"].get<std::string>(), "checkpoints");
   EXPECT_EQ(s["failure"], "");
   EXPECT_EQ(Json::parse(served.ask("POST", "event", served.click("k")).body)["applied"], true);
   served.process().send(SIGTERM);
   const Result ended = served.process().wait();
   EXPECT_EQ(ended.code, static_cast<int>(ErrorKind::io)) << ended.err;
-  EXPECT_NE(ended.err.find("every label is stored"), std::string::npos) << ended.err;
+  EXPECT_HAS(ended.err, "every label is stored");
 }
 
 // A disk of 6 MB that somebody else fills for a moment while checkpoints are written.
@@ -289,8 +279,7 @@ TEST(ServeVerb, AnotherRunsClicksAreNotAddedTo) {
   const std::string before = read_text_file(room + "/clicks.jsonl");
   const Result refused = run({"serve", room + "/run.yaml", "--out", other / "room"}, other);
   EXPECT_EQ(refused.code, 73) << refused.err;
-  EXPECT_NE(refused.err.find("the clicks in '" + room + "/clicks.jsonl' are those of another run"), std::string::npos)
-      << refused.err;
+  EXPECT_HAS(refused.err, "the clicks in '" + room + "/clicks.jsonl' are those of another run");
   EXPECT_EQ(read_text_file(room + "/clicks.jsonl"), before);
 }
 
@@ -302,8 +291,7 @@ TEST(ServeVerb, ARunOfTrainIsNotTakenForOneOfItsOwn) {
        {std::vector<std::string>{"serve", config, "--out", room}, {"serve", room}}) {
     const Result refused = run(words, dir);
     EXPECT_EQ(refused.code, 73) << refused.err;
-    EXPECT_NE(refused.err.find(room + ": it holds a run that was not begun by `semfield serve`"), std::string::npos)
-        << refused.err;
+    EXPECT_HAS(refused.err, room + ": it holds a run that was not begun by `semfield serve`");
   }
   EXPECT_FALSE(std::filesystem::exists(room + "/clicks.jsonl"));
 }
@@ -314,7 +302,7 @@ TEST(ServeVerb, ARunThatIsServedAlreadyIsLeftAlone) {
   ASSERT_TRUE(first.up()) << first.process().err_so_far();
   const Result second = run({"serve", dir / "room"}, other);
   EXPECT_NE(second.code, 0);
-  EXPECT_NE(second.err.find(dir / "room"), std::string::npos) << second.err;
+  EXPECT_HAS(second.err, dir / "room");
   EXPECT_EQ(first.ask("POST", "event", kChair).status, 200);
 }
 

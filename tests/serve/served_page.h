@@ -1,41 +1,31 @@
-// A page server over a source that is no training: two views of 4 x 3 and 6 x 4 pixels, and whatever a test tells it.
+// A page server over a source that is no training: two views of 4 x 3 and 6 x 4 pixels, and whatever a test gives it.
 #pragma once
 
 #include <gtest/gtest.h>
 
-#include <atomic>
-#include <condition_variable>
-#include <cstdlib>
-#include <filesystem>
-#include <functional>
-#include <memory>
-#include <mutex>
-#include <string>
-#include <vector>
-
 #include "app/serve/page_server.h"
 #include "core/error.h"
 #include "tests/serve/http_client.h"
+#include "tests/temp_dir.h"
 
 namespace semfield::app {
 
 class FakeSource final : public PageSource {
  public:
   FakeSource() {
-    LabelState s;
-    s.revision = 5;
-    s.marks_revision = 4;
-    s.history_revision = 2;
-    s.name = "room";
-    s.run_dir = "/runs/room";
-    s.phase = "learning";
-    s.named = 2;
-    s.room = 8;
-    s.classes = {{0, 1, "wall", {10, 20, 30}, 0, 0.5, 0.9}, {1, 2, "chair", {200, 30, 30}, 3, 0.1, 0.4}};
-    s.views = {{"a", 4, 3, 0, 0.25, true, "a1"}, {"b", 6, 4, 1, 0.5, true, "b1"}};
-    s.marks = {{"m1", 7, {{1.5, 2.5}}, 2, 1}};
-    s.history = {{1.0, 0.5, 20.0, 1}};
-    s.proposal = ProposalState{"p1", 1, {2.5, 3.5}, "unseen", -1};
+    LabelState s{.revision = 5,
+                 .marks_revision = 4,
+                 .history_revision = 2,
+                 .name = "room",
+                 .run_dir = "/runs/room",
+                 .phase = "learning",
+                 .named = 2,
+                 .room = 8,
+                 .classes = {{0, 1, "wall", {10, 20, 30}, 0, 0.5, 0.9}, {1, 2, "chair", {200, 30, 30}, 3, 0.1, 0.4}},
+                 .views = {{"a", 4, 3, 0, 0.25, true, "a1"}, {"b", 6, 4, 1, 0.5, true, "b1"}},
+                 .proposal = ProposalState{"p1", 1, {2.5, 3.5}, "unseen", -1},
+                 .marks = {{"m1", 7, {{1.5, 2.5}}, 2, 1}},
+                 .history = {{1.0, 0.5, 20.0, 1}}};
     state_ = std::make_shared<const LabelState>(std::move(s));
   }
 
@@ -70,8 +60,7 @@ class FakeSource final : public PageSource {
     while (held && asked_[request.client] == mine && !abandoned())
       changed_.wait_for(lock, std::chrono::milliseconds(20));
     if (abandoned()) ++abandoned_pictures;
-    Picture p;
-    p.stale = asked_[request.client] != mine || abandoned();
+    Picture p{.stale = asked_[request.client] != mine || abandoned()};
     if (p.stale) return p;
     p.width_px = 4;
     p.height_px = 3;
@@ -94,11 +83,7 @@ class FakeSource final : public PageSource {
     if (view == 0) return {4, 3, 3, std::vector<std::uint8_t>(36, 90)};
     return {12, 8, 3, std::vector<std::uint8_t>(288, 90)};  // the file's is twice as large as what trains
   }
-  FreeCamera camera_of(int view) const override {
-    FreeCamera camera;
-    camera.world_from_camera.t = {1, 2, 3.0 + view};
-    return camera;
-  }
+  FreeCamera camera_of(int view) const override { return FreeCamera{.world_from_camera = {.t = {1, 2, 3.0 + view}}}; }
   int view_of(int frame) const override { return frame == 7 ? 1 : -1; }
   void save() override { ++saves; }
 
@@ -122,7 +107,7 @@ class FakeSource final : public PageSource {
   }
 
   std::vector<PictureRequest> requests;
-  std::vector<std::int32_t> photos;  // most_px of each that was asked for
+  std::vector<std::int32_t> photos;  // most_px of each that was requested
   std::atomic<int> saves{0}, abandoned_pictures{0};
   bool held = false;
 
@@ -143,15 +128,7 @@ class FakeSource final : public PageSource {
 
 class ServedPage : public ::testing::Test {
  protected:
-  ServedPage() {
-    folder_ = ::testing::TempDir() + "/served_page_" + std::to_string(getpid());
-    std::filesystem::create_directories(folder_);
-    start();
-  }
-  ~ServedPage() override {
-    server_.reset();
-    std::filesystem::remove_all(folder_);
-  }
+  ServedPage() { start(); }
 
   PageOptions options() const {
     PageOptions o;
@@ -198,7 +175,8 @@ class ServedPage : public ::testing::Test {
            class_name + "\"}";
   }
 
-  std::string folder_;
+  const TempDir dir_;
+  const std::string& folder_ = dir_.path();
   FakeSource source_;
   std::unique_ptr<PageServer> server_;
 };

@@ -1,13 +1,13 @@
 // Named channels from a dataset to a loss: read where one wants them, cut with the batch, and said where there are
 // none.
-#include <gtest/gtest.h>
+#include <ostream>
 
-#include <algorithm>
-#include <cmath>
-
+#include "core/error.h"
 #include "session/ray_source.h"
 #include "session/trainer.h"
+#include "settings/pace.h"
 #include "tests/session/oracle.h"
+#include "tests/session/train_testing.h"
 
 namespace semfield {
 namespace {
@@ -117,6 +117,218 @@ TEST(RayBatch, RowsCutEveryArrayAndItsCountsOfTiles) {
   EXPECT_EQ(empty.targets.more.begin()->view.cols, 4);
   EXPECT_EQ(empty.origin.cols, 3);
   EXPECT_EQ(empty.targets.label.cols, 1);
+}
+
+// The gradient hook: what a program sees and may change between backward and Adam.
+
+// A session with its trainer.
+struct Subject {
+  Subject(const std::string& yaml, Registry& registry) : session(open_text(yaml, registry)) {}
+  void to(std::int64_t step) {
+    while (trainer.step() < step) trainer.advance();
+  }
+  void call(GradientHook<float> hook) { session.pipeline->executor().set_gradient_hook(std::move(hook)); }
+  ParamStore<float>& store() { return session.pipeline->store(); }
+
+  Session session;
+  std::unique_ptr<RaySource> rays = session.make_ray_source();
+  Trainer trainer{*session.pipeline, *rays, session.config.adam, session.config.schedule};
+};
+
+TEST(GradientHook, SeesEveryLearnedTensorOfEveryStepAndKeepsTheBits) {
+  Registry registry = make_registry();
+  for (const std::string& yaml : {hash_config(), two_pass_config()}) {
+    Subject plain(yaml, registry), hooked(yaml, registry);
+    std::vector<std::int64_t> steps;
+    hooked.call([&](const StepGradients<float>& gradients) {
+      steps.push_back(gradients.step);
+      EXPECT_EQ(gradients.stream, nullptr);
+      std::size_t next = 0;
+      double sum = 0;
+      for (const Tensor<float>& t : hooked.store().all()) {
+        if (!t.learned()) continue;
+        ASSERT_LT(next, gradients.tensors.size());
+        const View<float>& view = gradients.tensors[next++];
+        EXPECT_EQ(view.data, t.grad.data()) << t.name;
+        EXPECT_EQ(view.rows, t.spec.rows) << t.name;
+        EXPECT_EQ(view.cols, t.spec.cols) << t.name;
+        EXPECT_EQ(view.device, Device::cpu);
+        for (std::int64_t i = 0; i < view.size(); ++i) sum += std::abs(view.data[i]);
+      }
+      EXPECT_EQ(next, gradients.tensors.size());
+      EXPECT_GT(sum, 0);
+    });
+    plain.to(6);
+    hooked.to(6);
+    EXPECT_EQ(fingerprint(plain.store()), fingerprint(hooked.store()));
+    EXPECT_EQ(steps, (std::vector<std::int64_t>{0, 1, 2, 3, 4, 5}));
+    hooked.call(nullptr);
+    plain.to(8);
+    hooked.to(8);
+    EXPECT_EQ(fingerprint(plain.store()), fingerprint(hooked.store()));
+    EXPECT_EQ(steps.size(), 6u);
+  }
+}
+
+// The first moment after the first step is (1 - beta1) times the gradient: unlike the update it keeps its scale. Of the
+// fixed losses the semantic one has a weight, and the head learns from it alone.
+TEST(GradientHook, HalfOfTheGradientsIsHalfOfTheWeight) {
+  Registry registry = make_registry();
+  const auto config = [](const std::string& weight) {
+    std::string yaml = two_pass_config();
+    return yaml.replace(yaml.find("weight: 0.3"), 11, "weight: " + weight);
+  };
+  Subject full(config("0.25"), registry), halved(config("0.25"), registry), light(config("0.125"), registry);
+  halved.call([](const StepGradients<float>& gradients) {
+    for (const View<float>& gradient : gradients.tensors) {
+      for (std::int64_t i = 0; i < gradient.size(); ++i) gradient.data[i] *= 0.5F;
+    }
+  });
+  for (Subject* run : {&full, &halved, &light}) run->to(1);
+  int semantic = 0;
+  for (std::size_t i = 0; i < full.store().all().size(); ++i) {
+    const Tensor<float>& t = full.store().all()[i];
+    if (!t.learned()) continue;
+    const float* const of_halved = halved.store().all()[i].moment1.data();
+    const float* const of_light = light.store().all()[i].moment1.data();
+    for (std::int64_t e = 0; e < t.size(); ++e) {
+      ASSERT_EQ(of_halved[e], 0.5F * t.moment1.data()[e]) << t.name << ' ' << e;
+      ASSERT_TRUE(!t.rule.semantic || of_halved[e] == of_light[e]) << t.name << ' ' << e;
+    }
+    semantic += t.rule.semantic ? 1 : 0;
+  }
+  EXPECT_GT(semantic, 0);
+}
+
+TEST(GradientHook, AnErrorEndsTheStepAndChangesNothing) {
+  Registry registry = make_registry();
+  Subject plain(hash_config(), registry), hooked(hash_config(), registry);
+  plain.to(3);
+  hooked.to(3);
+  hooked.call([](const StepGradients<float>&) {
+    throw Error(ErrorKind::failure, "test.error.made", "rank 3 is gone", "start it again");
+  });
+  try {
+    hooked.trainer.advance();
+    FAIL() << "the step went on";
+  } catch (const Error& error) {
+    EXPECT_HAS(error.message(), "rank 3 is gone");
+    EXPECT_EQ(error.remedy(), "start it again");
+  }
+  EXPECT_EQ(hooked.trainer.step(), 3);
+  hooked.call(nullptr);
+  plain.to(5);
+  hooked.to(5);
+  EXPECT_EQ(fingerprint(plain.store()), fingerprint(hooked.store()));
+}
+
+TEST(GradientHook, WhatItWritesIsChecked) {
+  Registry registry = make_registry();
+  Subject run(hash_config(), registry);
+  run.to(2);
+  run.call([](const StepGradients<float>& gradients) { gradients.tensors.back().data[0] = NAN; });
+  const std::uint32_t before = fingerprint(run.store());
+  EXPECT_THROW(run.trainer.advance(), Error);
+  EXPECT_EQ(fingerprint(run.store()), before);
+  EXPECT_EQ(run.trainer.step(), 2);
+}
+
+// The number of steps that fits into a time, settled from the rate of the steps; seconds are counted, never read.
+
+struct Course {
+  double trained_s = 0;
+  std::int64_t steps = 0;
+  double first_settled_s = 0;
+  int settled = 0;
+};
+
+/// Steps one after the other, `queued` at a time; step i takes `seconds(i, s)` after s seconds of training.
+Course train(double begin_s, double until_s, int queued, const std::function<double(std::int64_t, double)>& seconds) {
+  Pace pace(begin_s, until_s);
+  Course course;
+  std::int64_t step = 0, end = 0;
+  double now_s = begin_s;
+  while (end == 0 || step < end) {
+    for (int i = 0; i < queued && (end == 0 || step < end); ++i) now_s += seconds(step++, now_s);
+    if (const auto settled = pace.made(step, now_s, end)) {
+      EXPECT_GE(*settled, step);
+      end = *settled;
+      if (course.settled++ == 0) course.first_settled_s = now_s - begin_s;
+    }
+  }
+  course.trained_s = now_s - begin_s;
+  course.steps = step;
+  return course;
+}
+
+TEST(Pace, EqualStepsAreSettledOnceAfterATenthOfTheTime) {
+  const Course course = train(0, 20, 1, [](std::int64_t, double) { return 0.05; });
+  EXPECT_EQ(course.settled, 1);
+  EXPECT_NEAR(course.first_settled_s, 2, 0.6);
+  EXPECT_NEAR(course.trained_s, 20, 0.1);
+  EXPECT_EQ(course.steps, 400);
+}
+
+TEST(Pace, ALegThatBeginsLaterHasItsOwnTime) {
+  const Course course = train(100, 110, 1, [](std::int64_t, double) { return 0.02; });
+  EXPECT_NEAR(course.first_settled_s, 1, 0.3);
+  EXPECT_NEAR(course.trained_s, 10, 0.1);
+}
+
+struct Machine {
+  const char* name;
+  double time_s;
+  int queued, most_settled;
+  std::function<double(std::int64_t, double)> seconds;
+};
+
+void PrintTo(const Machine& machine, std::ostream* out) { *out << machine.name; }
+
+class PaceOn : public ::testing::TestWithParam<Machine> {};
+
+TEST_P(PaceOn, TheTimeIsMetWithinATenth) {
+  const Machine& machine = GetParam();
+  const Course course = train(0, machine.time_s, machine.queued, machine.seconds);
+  EXPECT_NEAR(course.trained_s, machine.time_s, 0.1 * machine.time_s) << course.settled << " times settled";
+  EXPECT_LE(course.first_settled_s, 0.3 * machine.time_s);
+  EXPECT_LE(course.settled, machine.most_settled);
+}
+
+double noise(std::int64_t step) { return 0.5 + 0.5 * std::sin(static_cast<double>(step * step % 1009)); }
+
+const Machine kMachines[] = {
+    // Space empties: a step takes a third of its time in the end.
+    {"two_cores", 20, 1, 6,
+     [](std::int64_t i, double) { return 0.02 + 0.04 * std::exp(-static_cast<double>(i) / 300); }},
+    {"two_cores_for_long", 300, 1, 5,
+     [](std::int64_t i, double) { return 0.02 + 0.04 * std::exp(-static_cast<double>(i) / 300); }},
+    {"loaded_cores", 20, 1, 2, [](std::int64_t i, double) { return 0.03 + 0.06 * noise(i); }},
+    {"load_that_ends", 300, 1, 4, [](std::int64_t, double s) { return s < 120 ? 0.06 : 0.02; }},
+    {"load_that_comes", 300, 1, 4, [](std::int64_t, double s) { return s < 120 ? 0.02 : 0.06; }},
+    {"load_that_comes_and_goes", 300, 1, 8, [](std::int64_t, double s) { return std::fmod(s, 50) < 25 ? 0.02 : 0.05; }},
+    {"gpu", 20, 32, 2, [](std::int64_t i, double) { return i < 4 ? 0.4 : 2.4e-4 + 2e-4 * noise(i); }},
+    // It passes, and moves nothing.
+    {"a_stall", 20, 1, 1, [](std::int64_t i, double) { return i == 200 ? 0.35 : 0.05; }},
+    {"slow_first_step", 10, 1, 2, [](std::int64_t i, double) { return i == 0 ? 2.0 : 0.01; }},
+};
+INSTANTIATE_TEST_SUITE_P(Machines, PaceOn, ::testing::ValuesIn(kMachines),
+                         [](const ::testing::TestParamInfo<Machine>& row) { return row.param.name; });
+
+TEST(Pace, StepsThatTakeMostOfTheTimeEndNearIt) {
+  EXPECT_EQ(train(0, 10, 1, [](std::int64_t, double) { return 4.0; }).steps, 3) << "8 s, and 2 s are half a step";
+  EXPECT_EQ(train(0, 10, 1, [](std::int64_t, double) { return 60.0; }).steps, 1);
+}
+
+TEST(Pace, TheRateIsThatOfTheLastTenth) {
+  Pace pace(0, 100);
+  EXPECT_EQ(pace.steps_per_s(), 0);
+  std::int64_t step = 0;
+  double now_s = 0;
+  while (now_s < 30) {
+    now_s += now_s < 12 ? 1 : 0.25;
+    (void)pace.made(++step, now_s, 1000);
+  }
+  EXPECT_NEAR(pace.steps_per_s(), 4, 1e-9);
 }
 
 }  // namespace

@@ -1,9 +1,5 @@
 // Trainings whose labels come click by click: logits from the start, labels from the file, checkpoints before and
 // after.
-#include <gtest/gtest.h>
-
-#include <filesystem>
-
 #include "core/error.h"
 #include "labels/clicks/click_log.h"
 #include "session/trained_classes.h"
@@ -17,11 +13,7 @@ namespace {
 using namespace testing_train;
 
 LabelEvent add(const std::string& id, const std::string& name) {
-  LabelEvent event;
-  event.id = id;
-  event.kind = LabelEventKind::add_class;
-  event.class_name = name;
-  return event;
+  return LabelEvent{.id = id, .kind = LabelEventKind::add_class, .class_name = name};
 }
 
 LabelEvent rename(const std::string& id, const std::string& from, const std::string& to) {
@@ -32,15 +24,8 @@ LabelEvent rename(const std::string& id, const std::string& from, const std::str
 }
 
 LabelEvent click(const std::string& id, const std::string& frame, const std::string& name, PixelPoint at) {
-  LabelEvent event;
-  event.id = id;
-  event.frame = frame;
-  event.width_px = 48;
-  event.height_px = 36;
-  event.points = {at};
-  event.radius_px = 5;
-  event.class_name = name;
-  return event;
+  return LabelEvent{
+      .id = id, .frame = frame, .width_px = 48, .height_px = 36, .points = {at}, .radius_px = 5, .class_name = name};
 }
 
 void write_log(const std::string& path, const std::vector<LabelEvent>& events) {
@@ -66,18 +51,13 @@ struct Room {
 
   std::string first_frame() {
     const Session session = open_text(two_pass_config(), registry);
-    return session.scene.info.frames[static_cast<std::size_t>(session.drawn_frames().front())].name;
+    return session.scene.info.frames[session.drawn_frames().front()].name;
   }
   std::unique_ptr<Training> open(const std::string& yaml) {
     return std::make_unique<Training>(run_config_of(parse_config_text(yaml, "test.yaml"), registry), registry);
   }
   std::string refusal(const std::string& yaml) {
-    try {
-      (void)open(yaml);
-    } catch (const Error& error) {
-      return error.what();
-    }
-    return "no error";
+    return error_of([&] { (void)open(yaml); });
   }
 };
 
@@ -122,7 +102,7 @@ TEST(ClicksTraining, TheFilePaintsAlsoWithoutAnyLabelledFrame) {
   EXPECT_EQ(session.manifest.labelled_frames, 1);
   EXPECT_EQ(labelled_pixels(session), session.manifest.train_class_pixels.back());
   EXPECT_GT(labelled_pixels(session), 60);
-  EXPECT_EQ(session.labels.frames[static_cast<std::size_t>(session.drawn_frames().front())][10 * 48 + 20], classes);
+  EXPECT_EQ(session.labels.frames[session.drawn_frames().front()][10 * 48 + 20], classes);
   EXPECT_EQ(training->train(2), 2);
 }
 
@@ -130,7 +110,7 @@ TEST(ClicksTraining, AFileThatIsNotThereCountsOnlyWithRoom) {
   Room room;
   EXPECT_EQ(room.refusal(yaml_of("clicks: " + room.log, true)),
             "scene.labels.clicks: cannot open '" + room.log + "': No such file or directory; check the path");
-  EXPECT_NE(room.refusal(yaml_of("", false)).find("no training pixel carries a label"), std::string::npos);
+  EXPECT_HAS(room.refusal(yaml_of("", false)), "no training pixel carries a label");
   write_log(room.log, {add("1", "sofa"), click("2", "no such frame", "sofa", {20, 10})});
   EXPECT_EQ(room.refusal(yaml_of("clicks: " + room.log, true)),
             "scene.labels.clicks: " + room.log +
@@ -145,7 +125,7 @@ TEST(ClicksTraining, LabelsThatComeSwitchTheBalancedSourceOn) {
   Annotations clicks = *training->session().config.labels.clicks;
   training->train(2);
   const int frame = training->session().drawn_frames().front();
-  const std::string name = training->session().scene.info.frames[static_cast<std::size_t>(frame)].name;
+  const std::string name = training->session().scene.info.frames[frame].name;
   clicks.apply(add("1", "sofa"));
   clicks.apply(click("2", name, "sofa", {20, 10}));
   training->set_clicks(clicks, std::vector<int>{frame});
@@ -161,7 +141,7 @@ TEST(ClicksTraining, LabelsThatComeSwitchTheBalancedSourceOn) {
   clicks.apply(undo);
   training->set_clicks(clicks, std::vector<int>{frame});
   EXPECT_EQ(labelled_pixels(training->session()), 0);
-  EXPECT_TRUE(training->session().labels.frames[static_cast<std::size_t>(frame)].empty());
+  EXPECT_TRUE(training->session().labels.frames[frame].empty());
   training->advance();
   EXPECT_EQ(training->losses().semantic, 0);
 }
@@ -212,14 +192,9 @@ TEST(ClicksTraining, ACheckpointWithoutTheFileThatNamedItsClassesIsRefused) {
   training->save(room.dir / "at_1.safetensors");
   std::filesystem::remove(room.log);
   const auto bare = room.open(yaml);
-  try {
-    bare->load(room.dir / "at_1.safetensors");
-    FAIL() << "no error";
-  } catch (const Error& error) {
-    EXPECT_STREQ(error.what(),
-                 "the scene's class table is not the one that the run was trained with: class 1 was 'sofa', and is "
-                 "'unnamed 1' now; give the file of clicks that named it: --set scene.labels.clicks=FILE");
-  }
+  EXPECT_EQ(error_of([&] { bare->load(room.dir / "at_1.safetensors"); }),
+            "the scene's class table is not the one that the run was trained with: class 1 was 'sofa', and is "
+            "'unnamed 1' now; give the file of clicks that named it: --set scene.labels.clicks=FILE");
   EXPECT_EQ(bare->step(), 0);
 }
 
@@ -243,16 +218,10 @@ TEST(ClicksTraining, WithoutTheKeysTheBitsAreThose) {
 // --- class tables of checkpoints ---
 
 std::string compared(const std::vector<LabelEvent>& then, const std::vector<LabelEvent>& now, int room_now = 3) {
-  SceneInfo scene;
-  scene.classes = ClassTable({{0, "void", {}, true}, {1, "wall", {}, false}});
+  SceneInfo scene{.classes = ClassTable({{0, "void", {}, true}, {1, "wall", {}, false}})};
   const ClassTable before = replay(scene, 3, then, "then").classes();
   const std::optional<Annotations> clicks = replay(scene, room_now, now, "now");
-  try {
-    require_class_table(before.to_yaml(), clicks->classes(), clicks);
-  } catch (const Error& error) {
-    return error.what();
-  }
-  return "";
+  return error_of([&] { require_class_table(before.to_yaml(), clicks->classes(), clicks); });
 }
 
 TEST(TrainedClasses, NamesThatClicksGiveMayChange) {
@@ -263,33 +232,25 @@ TEST(TrainedClasses, NamesThatClicksGiveMayChange) {
   undo.kind = LabelEventKind::undo;
   undo.of = "1";
   EXPECT_EQ(compared({add("1", "sofa")}, {add("1", "sofa"), undo}), "") << "undone since; it keeps its place";
-  EXPECT_NE(compared({add("1", "sofa")}, {}).find("class 2 was 'sofa', and is 'unnamed 2' now"), std::string::npos);
-  EXPECT_NE(compared({}, {}, 4).find("class 4 was not in the table, and is 'unnamed 4' now"), std::string::npos);
-  EXPECT_NE(compared({}, {}, 2).find("class 3 was 'unnamed 3', and is not in the table now"), std::string::npos);
+  EXPECT_HAS(compared({add("1", "sofa")}, {}), "class 2 was 'sofa', and is 'unnamed 2' now");
+  EXPECT_HAS(compared({}, {}, 4), "class 4 was not in the table, and is 'unnamed 4' now");
+  EXPECT_HAS(compared({}, {}, 2), "class 3 was 'unnamed 3', and is not in the table now");
 }
 
 TEST(TrainedClasses, TheScenesOwnNamesMayNot) {
-  SceneInfo scene;
-  scene.classes = ClassTable({{0, "void", {}, true}, {1, "door", {}, false}});
+  SceneInfo scene{.classes = ClassTable({{0, "void", {}, true}, {1, "door", {}, false}})};
   const std::optional<Annotations> clicks = replay(scene, 3, {add("1", "sofa")}, "now");
   const auto compare = [&](const std::string& yaml) {
-    try {
-      require_class_table(yaml, clicks->classes(), clicks);
-    } catch (const Error& error) {
-      return std::string(error.what());
-    }
-    return std::string();
+    return error_of([&] { require_class_table(yaml, clicks->classes(), clicks); });
   };
   const std::string rest = ", {id: 2, name: x}, {id: 3, name: unnamed 3}]";
   EXPECT_EQ(compare("[{id: 0, name: void, ignore: true}, {id: 1, name: door}" + rest), "");
-  EXPECT_NE(compare("[{id: 0, name: void, ignore: true}, {id: 1, name: wall}" + rest)
-                .find("class 1 was 'wall', and is "
-                      "'door' now; restore"),
-            std::string::npos);
-  EXPECT_NE(compare("[{id: 0, name: void, ignore: true}, {id: 1, name: door}, {id: 2, name: x, ignore: true}, {id: 3, "
-                    "name: unnamed 3}]")
-                .find("class 2 was 'x', ignored, and is 'sofa' now"),
-            std::string::npos);
+  EXPECT_HAS(compare("[{id: 0, name: void, ignore: true}, {id: 1, name: wall}" + rest),
+             "class 1 was 'wall', and is "
+             "'door' now; restore");
+  EXPECT_HAS(compare("[{id: 0, name: void, ignore: true}, {id: 1, name: door}, {id: 2, name: x, ignore: true}, {id: 3, "
+                     "name: unnamed 3}]"),
+             "class 2 was 'x', ignored, and is 'sofa' now");
 }
 
 }  // namespace

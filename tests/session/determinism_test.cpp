@@ -1,16 +1,15 @@
 // The same bits for any number of threads and any grouping of rays, on real training runs.
-#include <gtest/gtest.h>
-
-#include <algorithm>
 #include <cfenv>
-#include <cmath>
-#include <limits>
+#include <numeric>
 
 #include "compute/float_mode.h"
 #include "compute/parallel.h"
 #include "core/error.h"
+#include "eval/evaluator.h"
 #include "execution/lane_executor.h"
 #include "session/trainer.h"
+#include "session/training.h"
+#include "tests/session/oracle.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {
@@ -66,8 +65,7 @@ TEST(Determinism, AStepLeavesNoSubnormalNumberForAnyThreadCountAndCallersMode) {
   std::uint32_t first = 0;
   for (const int rounding : {FE_TONEAREST, FE_UPWARD}) {
     for (const int threads : {1, 2, 16}) {
-      Registry registry = make_registry();
-      Session s = open_text(two_pass_config(), registry);
+      Session s = open_text(two_pass_config());
       make_subnormal(s.pipeline->store());
       const auto rays = s.make_ray_source();
       Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
@@ -96,47 +94,8 @@ TEST(Determinism, AnotherSeedGivesAnotherRun) {
             train_fingerprint(two_pass_config("runtime: {seed: 2}\n"), 2, 3));
 }
 
-TEST(Determinism, RenderingIsTheSameForAnyGroupingOfRays) {
-  Registry registry = make_registry();
-  Session s = open_text(hash_config(), registry);
-  const auto source = s.make_ray_source();
-  Trainer trainer(*s.pipeline, *source, s.config.adam, s.config.schedule);
-  while (trainer.step() < 60) trainer.advance();
-  const FrameInfo& info = s.scene.info.frames.front();
-  const std::int64_t rays = 500;
-  std::vector<double> origin(3 * rays), direction(3 * rays), near_far(2 * rays);
-  for (std::int64_t i = 0; i < rays; ++i) {
-    const auto k = static_cast<std::size_t>(i);
-    cast_ray({info.camera, info.world_from_camera, true}, s.limits, static_cast<std::int32_t>(i % 48),
-             static_cast<std::int32_t>(i / 48), &origin[3 * k], &direction[3 * k], &near_far[2 * k]);
-  }
-  const auto render = [&](std::int64_t chunk) {
-    std::vector<float> out(3 * rays + 3 * rays, 0.0F);
-    for (std::int64_t begin = 0; begin < rays; begin += chunk) {
-      const std::int64_t count = std::min(chunk, rays - begin);
-      RenderJob<float> job;
-      job.origin = {origin.data() + 3 * begin, count, 3};
-      job.direction = {direction.data() + 3 * begin, count, 3};
-      job.near_far = {near_far.data() + 2 * begin, count, 2};
-      job.color = {out.data() + 3 * begin, count, 3};
-      job.depth = {out.data() + 3 * rays + begin, count, 1};
-      job.entropy = {out.data() + 4 * rays + begin, count, 1};
-      job.confidence = {out.data() + 5 * rays + begin, count, 1};
-      s.pipeline->render(job);
-    }
-    return out;
-  };
-  const std::vector<float> whole = render(rays);
-  EXPECT_EQ(whole, render(7));
-  EXPECT_EQ(whole, render(129));
-  set_thread_count(1);
-  EXPECT_EQ(whole, render(64));
-  set_thread_count(0);
-}
-
 TEST(Determinism, NoMemoryIsRequestedInSteadyState) {
-  Registry registry = make_registry();
-  Session s = open_text(two_pass_config(), registry);
+  Session s = open_text(two_pass_config());
   const auto source = s.make_ray_source();
   Trainer trainer(*s.pipeline, *source, s.config.adam, s.config.schedule);
   for (int i = 0; i < 3; ++i) trainer.advance();
@@ -144,6 +103,132 @@ TEST(Determinism, NoMemoryIsRequestedInSteadyState) {
   for (int i = 0; i < 10; ++i) trainer.advance();
   EXPECT_EQ(growths, s.pipeline->lanes().workspace_growths());
   EXPECT_LE(s.pipeline->lanes().workspace_bytes(), s.pipeline->predicted_workspace_bytes(s.config.train.rays));
+}
+
+// Class probabilities of rays and of whole frames: softmax of composited logits, the same bits in any grouping of rays.
+
+// Rays through pixels of a session's first frame, row by row.
+struct FrameRays {
+  FrameRays(const Session& s, std::int64_t rays) : count(rays) {
+    const auto size = static_cast<std::size_t>(rays);
+    origin.resize(3 * size);
+    direction.resize(3 * size);
+    near_far.resize(2 * size);
+    const FrameInfo& info = s.scene.info.frames.front();
+    for (std::size_t k = 0; k < size; ++k) {
+      const auto i = static_cast<std::int32_t>(k);
+      cast_ray({info.camera, info.world_from_camera, true}, s.limits, i % info.camera.width_px,
+               i / info.camera.width_px, &origin[3 * k], &direction[3 * k], &near_far[2 * k]);
+    }
+  }
+  template <class Real>
+  RenderJob<Real> job(std::vector<Real>& probability, std::size_t logits) const {
+    probability.assign(static_cast<std::size_t>(count) * logits, Real(-1));
+    return RenderJob<Real>{.origin = {origin.data(), count, 3},
+                           .direction = {direction.data(), count, 3},
+                           .near_far = {near_far.data(), count, 2},
+                           .probability = {probability.data(), count, static_cast<std::int32_t>(logits)}};
+  }
+  std::int64_t count;
+  std::vector<double> origin, direction, near_far;
+};
+
+TEST(Probability, OfAFrameSumsToOneAndItsLargestIsTheLabelsConfidence) {
+  Registry registry = make_registry();
+  for (const std::string& yaml : {hash_config(), two_pass_config(),
+                                  with_scene(hash_config(),
+                                             "{type: analytic_room, frames: 4, absent_class: 1, labels: "
+                                             "{frames: 1}}")}) {
+    Training training(run_config_of(parse_config_text(yaml, "test.yaml"), registry), registry);
+    training.train(40);
+    const Session& s = training.session();
+    const FrameInfo& info = s.scene.info.frames.front();
+    FrameOptions asked{.stride = 3, .probability = true};
+    const RenderedFrame plain = training.render(info.camera, info.world_from_camera, {3, nullptr});
+    const RenderedFrame frame = training.render(info.camera, info.world_from_camera, asked);
+    EXPECT_TRUE(plain.probability.empty());
+    EXPECT_EQ(plain.rgb, frame.rgb);
+    EXPECT_EQ(plain.label, frame.label);
+    EXPECT_EQ(plain.entropy, frame.entropy);
+    EXPECT_EQ(plain.confidence, frame.confidence);
+    const auto classes = static_cast<std::size_t>(s.classes());
+    ASSERT_EQ(frame.probability.size(), classes * frame.label.size());
+    std::vector<double> mass(classes, 0);
+    for (std::size_t i = 0; i < frame.label.size(); ++i) {
+      const float* const row = &frame.probability[classes * i];
+      ASSERT_NEAR(std::accumulate(row, row + classes, 0.0), 1, 1e-5) << "pixel " << i;
+      const float* const best = std::max_element(row, row + classes);
+      ASSERT_EQ(best - row, frame.label[i]) << "pixel " << i;
+      ASSERT_EQ(*best, frame.confidence[i]) << "pixel " << i;
+      for (std::size_t c = 0; c < classes; ++c) mass[c] += static_cast<double>(row[c]);
+    }
+    const ClassOfLogit& has = s.plan.class_of_logit;
+    for (std::size_t c = 0; c < classes; ++c)
+      EXPECT_EQ(mass[c] > 0, std::find(has.begin(), has.end(), static_cast<int>(c)) != has.end()) << "class " << c;
+    EXPECT_EQ(has.size() < classes, yaml.find("absent_class") != std::string::npos);
+  }
+}
+
+TEST(Determinism, RenderingIsTheSameForAnyGroupingOfRays) {
+  Session s = open_text(hash_config());
+  const auto source = s.make_ray_source();
+  Trainer trainer(*s.pipeline, *source, s.config.adam, s.config.schedule);
+  while (trainer.step() < 60) trainer.advance();
+  const FrameRays rays(s, 500);
+  const auto render = [&](std::int64_t chunk) {
+    std::vector<float> probability, others(6 * 500, 0.0F);
+    RenderJob<float> job = rays.job(probability, s.plan.class_of_logit.size());
+    job.color = {others.data(), 500, 3};
+    job.depth = {others.data() + 3 * 500, 500, 1};
+    job.entropy = {others.data() + 4 * 500, 500, 1};
+    job.confidence = {others.data() + 5 * 500, 500, 1};
+    for (std::int64_t begin = 0; begin < 500; begin += chunk)
+      s.pipeline->render(job.rows(begin, std::min<std::int64_t>(chunk, 500 - begin)));
+    EXPECT_EQ(std::count(probability.begin(), probability.end(), -1.0F), 0);
+    probability.insert(probability.end(), others.begin(), others.end());
+    return probability;
+  };
+  const std::vector<float> whole = render(500);
+  EXPECT_EQ(whole, render(7));
+  EXPECT_EQ(whole, render(129));
+  set_thread_count(1);
+  EXPECT_EQ(whole, render(64));
+  set_thread_count(0);
+}
+
+// The float pipeline against the same parameters in double, and those against the sum of exponentials of its logits.
+TEST(Probability, AgreesWithTheOracleInDouble) {
+  Registry registry = make_registry();
+  Session s = open_text(two_pass_config(), registry);
+  const auto source = s.make_ray_source();
+  Trainer trainer(*s.pipeline, *source, s.config.adam, s.config.schedule);
+  while (trainer.step() < 600) trainer.advance();
+  const auto oracle = assemble<double>(s.config, registry, s.plan, s.extent, {}, true);
+  for (Tensor<double>& t : oracle->store().all()) {
+    const Tensor<float>* const from = s.pipeline->store().find(t.name);
+    ASSERT_NE(from, nullptr) << t.name;
+    std::copy_n(from->value.data(), t.value.size(), t.value.data());
+  }
+  oracle->derive(600);
+  const FrameRays rays(s, 300);
+  const std::size_t logits = s.plan.class_of_logit.size();
+  std::vector<float> found;
+  std::vector<double> wanted, entropy(300);
+  s.pipeline->render(rays.job(found, logits));
+  RenderJob<double> job = rays.job(wanted, logits);
+  job.entropy = {entropy.data(), rays.count, 1};
+  oracle->render(job);
+  double widest = 0, of_rows = 0;
+  for (std::size_t i = 0; i < found.size(); ++i) {
+    ASSERT_NEAR(found[i], wanted[i], 1e-4) << "ray " << i / logits << ", logit " << i % logits;
+    widest = std::max(widest, wanted[i]);
+  }
+  EXPECT_GT(widest, 0.5) << "rows that are nearly even would show little";
+  for (std::size_t r = 0; r < entropy.size(); ++r) {
+    of_rows = 0;
+    for (std::size_t k = 0; k < logits; ++k) of_rows -= wanted[logits * r + k] * std::log(wanted[logits * r + k]);
+    ASSERT_NEAR(of_rows, entropy[r], 1e-12) << "ray " << r;
+  }
 }
 
 }  // namespace

@@ -1,12 +1,11 @@
-// Which semantic branch the labels choose: what is counted of them, where the borders lie, and what a run keeps.
+// Which semantic branch the labels choose, what a run keeps of it, and rays that are drawn for their labels.
 #include "settings/label_choices.h"
 
-#include <gtest/gtest.h>
-
-#include <string>
-#include <vector>
+#include <numeric>
 
 #include "core/error.h"
+#include "session/ray_source.h"
+#include "tests/session/oracle.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {
@@ -35,8 +34,7 @@ const std::string kThree =
 LoadedScene frames_of(std::int32_t width_px, std::int32_t height_px, std::vector<Split> splits) {
   LoadedScene scene;
   for (const Split split : splits) {
-    FrameInfo info;
-    info.split = split;
+    FrameInfo info{.split = split};
     scene.info.frames.push_back(info);
     StoredFrame frame;
     frame.width_px = width_px;
@@ -103,12 +101,11 @@ TEST(BranchChoice, ASessionBuildsTheBranchForItsLabelsAndSaysSo) {
     ASSERT_EQ(s.config.passes[0].semantic.size(), 1U);
     EXPECT_EQ(s.config.passes[0].branch()->position.entry->name, c.position);
     ASSERT_EQ(s.chosen_by_labels.size(), 1U);
-    EXPECT_NE(
-        s.chosen_by_labels[0].find("passes.main.semantic." +
-                                   std::string(c.kind == std::string("many") ? "any" : c.kind) + ": " + c.position),
-        std::string::npos);
-    EXPECT_NE(s.chosen_by_labels[0].find("labels are " + std::string(c.kind)), std::string::npos);
-    EXPECT_NE(describe_session(s).find(s.chosen_by_labels[0]), std::string::npos);
+    EXPECT_HAS(
+        s.chosen_by_labels[0],
+        "passes.main.semantic." + std::string(c.kind == std::string("many") ? "any" : c.kind) + ": " + c.position,
+        "labels are " + std::string(c.kind));
+    EXPECT_HAS(describe_session(s), s.chosen_by_labels[0]);
     // What a run keeps names one branch, and opens as it is whatever the labels are then.
     Diagnostics diagnostics;
     RunConfig again = read_run_config(resolved_config(s.config), registry, diagnostics);
@@ -120,25 +117,16 @@ TEST(BranchChoice, ASessionBuildsTheBranchForItsLabelsAndSaysSo) {
 
 TEST(BranchChoice, AListThatLeavesLabelsOutOrNamesThemTwiceIsRefused) {
   const auto refusal = [](const std::string& branches) {
-    Registry registry = make_registry();
-    try {
-      open_text(config_of(branches, "frames: all"), registry);
-    } catch (const Error& error) {
-      return std::string(error.what());
-    }
-    return std::string();
+    return error_of([&] { open_text(config_of(branches, "frames: all")); });
   };
-  EXPECT_NE(refusal("[" + branch("few", "one_blob") + ", " + branch("many", "identity") + "]")
-                .find("passes.main.semantic: no branch is for labels: noisy"),
-            std::string::npos);
-  EXPECT_NE(refusal("[" + branch("any", "one_blob") + ", " + branch("few", "identity") + "]")
-                .find("an earlier branch takes all labels"),
-            std::string::npos);
-  EXPECT_NE(refusal("[" + branch("few", "one_blob") + ", " + branch("few", "identity") + ", " +
-                    branch("any", "frequency") + "]")
-                .find("an earlier branch takes all labels"),
-            std::string::npos);
-  EXPECT_NE(refusal("[" + branch("some", "one_blob") + "]").find("passes.main.semantic.some"), std::string::npos);
+  EXPECT_HAS(refusal("[" + branch("few", "one_blob") + ", " + branch("many", "identity") + "]"),
+             "passes.main.semantic: no branch is for labels: noisy");
+  EXPECT_HAS(refusal("[" + branch("any", "one_blob") + ", " + branch("few", "identity") + "]"),
+             "an earlier branch takes all labels");
+  EXPECT_HAS(refusal("[" + branch("few", "one_blob") + ", " + branch("few", "identity") + ", " +
+                     branch("any", "frequency") + "]"),
+             "an earlier branch takes all labels");
+  EXPECT_HAS(refusal("[" + branch("some", "one_blob") + "]"), "passes.main.semantic.some");
   EXPECT_EQ(refusal(kThree), "");
 }
 
@@ -150,30 +138,26 @@ TEST(BranchChoice, WhatLabelsCannotShowIsSaid) {
         read_run_config(parse_config_text(config_of(kThree, "frames: all"), "a.yaml"), registry, diagnostics);
     return choose_branches(config, statistics).at(0);
   };
-  EXPECT_NE(said({1000, 1000, 1900, 1805}).find("95 % of neighbouring labels agree"), std::string::npos);
-  EXPECT_NE(said({1000, 10, 0, 0, 19, 1}).find("5.26 % of labels next to each other within 32 pixels agree"),
-            std::string::npos);
+  EXPECT_HAS(said({1000, 1000, 1900, 1805}), "95 % of neighbouring labels agree");
+  EXPECT_HAS(said({1000, 10, 0, 0, 19, 1}), "5.26 % of labels next to each other within 32 pixels agree");
   const std::string clicks = said({1000000, 20, 0, 0, 3, 0});
-  EXPECT_NE(clicks.find("labels are few (0.002 % of the training pixels have one; too few lie side by side to see "
-                        "whether many are wrong"),
-            std::string::npos)
-      << clicks;
-  EXPECT_NE(said({1000, 0, 0, 0}).find("because labels are to come"), std::string::npos);
+  EXPECT_HAS(clicks,
+             "labels are few (0.002 % of the training pixels have one; too few lie side by side to see "
+             "whether many are wrong");
+  EXPECT_HAS(said({1000, 0, 0, 0}), "because labels are to come");
 }
 
 TEST(BranchChoice, NothingIsSaidOfBranchesWithoutLabels) {
-  Registry registry = make_registry();
-  const Session s = open_text(config_of(kThree, "frames: none"), registry);
+  const Session s = open_text(config_of(kThree, "frames: none"));
   EXPECT_FALSE(s.plan.semantics);
   EXPECT_EQ(s.chosen_by_labels, std::vector<std::string>());
 }
 
 TEST(RaySourceChoice, TheLabelsDecideWhereItIsLeftOpen) {
-  Registry registry = make_registry();
   const auto opened = [&](const std::string& labels, const std::vector<std::string>& keep = {}) {
     return open_text(config_of("{position: {type: one_blob}, field: {type: tiny_mlp, hidden_width: 8}}", labels) +
                          "train: {rays: 64, ray_source: auto, labelled_share: 0.25}\n",
-                     registry, keep);
+                     keep);
   };
   struct Case {
     Session s;
@@ -194,17 +178,16 @@ TEST(RaySourceChoice, TheLabelsDecideWhereItIsLeftOpen) {
     SCOPED_TRACE(c.line);
     EXPECT_EQ(c.s.config.train.ray_source, c.kind);
     ASSERT_EQ(c.s.chosen_by_labels.size(), 1u);
-    EXPECT_NE(c.s.chosen_by_labels[0].find(c.line), std::string::npos) << c.s.chosen_by_labels[0];
+    EXPECT_HAS(c.s.chosen_by_labels[0], c.line);
     const std::string name(ChoiceNames<RaySourceKind>::names[static_cast<std::size_t>(c.kind)]);
-    EXPECT_NE(write_config(resolved_config(c.s.config)).find("ray_source: " + name), std::string::npos);
+    EXPECT_HAS(write_config(resolved_config(c.s.config)), "ray_source: " + name);
     (void)c.s.make_ray_source();
   }
 }
 
 TEST(RaySourceChoice, EvenlyDrawnRaysWarnWhereTheyHardlyMeetALabel) {
   const auto said = [](RaySourceKind kind, std::int64_t labelled) {
-    TrainParams train;
-    train.ray_source = kind;
+    TrainParams train{.ray_source = kind};
     Diagnostics diagnostics;
     warn_of_rare_labels(train, {labelled, 100000, false}, diagnostics);
     return diagnostics.all().empty() ? "" : diagnostics.all()[0].text();
@@ -238,6 +221,108 @@ TEST(RaySourceChoice, RaysThatTeachNoColourAreRefused) {
   EXPECT_EQ(errors(apart + "auto"), "a.yaml:9:25" + refusal);
   EXPECT_EQ(errors(apart + "all_images"), "");
   EXPECT_EQ(errors("labelled_share: 0.999, label_rays_teach_color: false, ray_source: label_balanced"), "");
+}
+
+// Rays that are drawn for their labels and teach no colour: where they stand in a batch, and what the losses and
+// gradients make of them.
+
+// With a branch of the position alone, so labels shape nothing else.
+std::string label_config(const std::string& train, const std::string& more = "") {
+  return stratified_config(
+      "type: analytic_room, labels: {frames: 1}",
+      "    semantic: {position: {type: one_blob}, field: {type: tiny_mlp, hidden_width: 8}, reads_feature: false}\n",
+      "rays: 26, ray_source: label_balanced, " + train, more);
+}
+const std::string kApart = "labelled_share: 0.3, label_rays_teach_color: false";
+
+TEST(LabelRays, StandFirstInEveryTileAndAreCountedAlikeForAnyTiles) {
+  EXPECT_EQ(label_only_rays(0, 0, 1000), 0);
+  EXPECT_EQ(label_only_rays(1, 0, 1000), 1000);
+  EXPECT_EQ(label_only_rays(0.3, 0, 26), 7);
+  EXPECT_EQ(label_only_rays(0.3, 0, 10) + label_only_rays(0.3, 10, 20) + label_only_rays(0.3, 20, 26), 7);
+
+  Registry registry = make_registry();
+  for (const int tile_rays : {26, 8, 5, 1}) {
+    SCOPED_TRACE(tile_rays);
+    const std::string tiles = "runtime: {tile_rays: " + std::to_string(tile_rays) + "}\n";
+    const Oracle apart(label_config(kApart, tiles), registry),
+        together(label_config("labelled_share: 0.3", tiles), registry);
+    const std::vector<std::int64_t>& apart_of_tile = apart.batch.label_only;
+    EXPECT_EQ(std::accumulate(apart_of_tile.begin(), apart_of_tile.end(), std::int64_t{0}), 7);
+    EXPECT_TRUE(together.batch.label_only.empty());
+    std::int64_t labelled = 0;
+    for (std::int64_t begin = 0; begin < 26; begin += tile_rays) {
+      const std::int64_t end = std::min<std::int64_t>(begin + tile_rays, 26);
+      const std::int64_t first = label_only_rays(0.3, begin, end);
+      for (std::int64_t row = begin; row < begin + first; ++row) EXPECT_NE(apart.batch.label[row], kVoid) << row;
+      // The same rays as without, in another order at most.
+      std::vector<float> with(apart.batch.target.begin() + 3 * begin, apart.batch.target.begin() + 3 * end);
+      std::vector<float> without(together.batch.target.begin() + 3 * begin, together.batch.target.begin() + 3 * end);
+      std::sort(with.begin(), with.end());
+      std::sort(without.begin(), without.end());
+      EXPECT_EQ(with, without);
+      labelled += first;
+    }
+    EXPECT_EQ(labelled, 7);
+    // A message about a row names the pixel that stands there.
+    std::vector<std::string> places;
+    for (std::int64_t row = 0; row < 26; ++row) places.push_back(apart.rays->place_of_row(3, row));
+    std::vector<std::string> others;
+    for (std::int64_t row = 0; row < 26; ++row) others.push_back(together.rays->place_of_row(3, row));
+    std::sort(places.begin(), places.end());
+    std::sort(others.begin(), others.end());
+    EXPECT_EQ(places, others);
+  }
+}
+
+TEST(LabelRays, TheirColoursCountForNothing) {
+  Registry registry = make_registry();
+  Oracle oracle(label_config(kApart, "runtime: {tile_rays: 13}\n"), registry);
+  const StepLosses before = oracle.gradients();
+  EXPECT_GT(before.color, 0);
+  EXPECT_GT(before.semantic, 0);
+  std::int64_t moved = 0;
+  for (std::int64_t row = 0; row < 26; ++row) {
+    const bool label_only = row % 13 < label_only_rays(0.3, row / 13 * 13, row / 13 * 13 + 13);
+    BatchBuffers changed = oracle.batch;
+    changed.target[3 * row] = 1 - changed.target[3 * row];
+    std::swap(changed, oracle.batch);
+    const StepLosses after = oracle.gradients();
+    std::swap(changed, oracle.batch);
+    EXPECT_EQ(after.semantic, before.semantic);
+    if (label_only) {
+      EXPECT_EQ(after.color, before.color) << row;
+    } else {
+      moved += after.color != before.color ? 1 : 0;
+    }
+  }
+  EXPECT_EQ(moved, 19);
+}
+
+// The second difference of a squared error by its target is 2 over what the sum is divided by, whatever was rendered.
+TEST(LabelRays, TheColourLossIsTheMeanOverTheOthers) {
+  constexpr float kStep = 0.25F;
+  Registry registry = make_registry();
+  for (const auto& [train, counted] : {std::pair{kApart, 19}, std::pair{std::string("labelled_share: 0.3"), 26}}) {
+    Oracle oracle(label_config(train), registry);
+    float& target = oracle.batch.target.back();  // of an evenly drawn ray
+    const float kept = target;
+    const double at = oracle.gradients().color;
+    target = kept + kStep;
+    const double above = oracle.gradients().color;
+    target = kept - kStep;
+    const double below = oracle.gradients().color;
+    EXPECT_NEAR(above + below - 2 * at, 2 * double{kStep} * double{kStep} / (3 * counted), 1e-9) << train;
+  }
+}
+
+TEST(LabelRays, GradientsAreThoseOfFiniteDifferencesAndOfAnyTiles) {
+  std::string shared = label_config(kApart);  // the head behind the pass's own field: labels shape all of it
+  const std::size_t branch = shared.find("    semantic: {");
+  shared.erase(branch, shared.find('\n', branch) + 1 - branch);
+  expect_finite_differences(shared, 2e-4);
+  expect_same_gradients(label_config(kApart, "runtime: {lanes: 1, tile_rays: 26}\n"),
+                        label_config(kApart, "runtime: {lanes: 3, tile_rays: 26}\n"));
 }
 
 }  // namespace

@@ -1,9 +1,5 @@
 // What is left out changes no bit of what is kept: pairs of runs, one with the component forced back in.
-#include <gtest/gtest.h>
-
-#include <algorithm>
 #include <cstring>
-#include <set>
 
 #include "compute/parallel.h"
 #include "run/leave_out_proofs.h"
@@ -70,11 +66,10 @@ TEST(LeaveOut, UnlabelledRaysAreSkippedBitwise) {
   expect_shared_tensors_equal(out.session, kept.session);
 }
 
-// The reason is that of this run: what it was asked for, or what the build, the machine or a part lacks.
+// The reason is that of this run: what was requested, or what the build, the machine or a part lacks.
 TEST(LeaveOut, ADeviceIsLeftOutForTheReasonThatItIs) {
   const auto reason_of = [](const std::string& more) {
-    Registry registry = make_registry();
-    const Session s = open_text(hash_config() + more, registry);
+    const Session s = open_text(hash_config() + more);
     for (const LeftOut& row : s.plan.left_out) {
       if (row.component == "cuda") return row.evidence;
     }
@@ -114,20 +109,16 @@ TEST(LeaveOut, CoarsePassBeforeASinglePassSamplerIsBitwise) {
 }
 
 TEST(LeaveOut, ASceneWithoutLabelsBuildsNoHead) {
-  Registry registry = make_registry();
-  std::string yaml = hash_config();
-  yaml.replace(yaml.find("{type: analytic_room}"), 21, "{type: analytic_room, with_labels: false}");
-  Session s = open_text(yaml, registry);
+  std::string yaml = with_scene(hash_config(), "{type: analytic_room, with_labels: false}");
+  Session s = open_text(yaml);
   EXPECT_TRUE(left_out(s, "semantics"));
   EXPECT_FALSE(s.pipeline->has_semantics());
-  for (const Tensor<float>& t : s.pipeline->store().all())
-    EXPECT_EQ(t.name.find("semantic"), std::string::npos) << t.name;
+  for (const Tensor<float>& t : s.pipeline->store().all()) EXPECT_LACKS(t.name, "semantic");
 }
 
 TEST(LeaveOut, SemanticsWithNoSelectedLabelIsBitwiseTheRunWithAHead) {
   Registry registry = make_registry();
-  std::string yaml = hash_config();
-  yaml.replace(yaml.find("{type: analytic_room}"), 21, "{type: analytic_room, labels: {frames: none}}");
+  std::string yaml = with_scene(hash_config(), "{type: analytic_room, labels: {frames: none}}");
   Trained out = train(yaml, registry, {}, 40);
   Trained kept = train(yaml, registry, {"semantics"}, 40);
   ASSERT_TRUE(left_out(out.session, "semantics"));
@@ -137,11 +128,9 @@ TEST(LeaveOut, SemanticsWithNoSelectedLabelIsBitwiseTheRunWithAHead) {
 }
 
 TEST(LeaveOut, AbsentClassesGetNoLogit) {
-  Registry registry = make_registry();
-  std::string yaml = hash_config();
-  yaml.replace(yaml.find("{type: analytic_room}"), 21,
-               "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}");
-  Session s = open_text(yaml, registry);
+  std::string yaml =
+      with_scene(hash_config(), "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}");
+  Session s = open_text(yaml);
   int present = 0;
   for (const std::int64_t pixels : s.manifest.train_class_pixels) present += pixels > 0 ? 1 : 0;
   EXPECT_LT(present, s.classes());
@@ -152,9 +141,8 @@ TEST(LeaveOut, AbsentClassesGetNoLogit) {
 // The other model of the same claim: all classes, those without a pixel masked by a bias that no exponential survives.
 TEST(LeaveOut, AbsentClassesAreBitwiseTheModelThatMasksThem) {
   Registry registry = make_registry();
-  std::string yaml = hash_config();
-  yaml.replace(yaml.find("{type: analytic_room}"), 21,
-               "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}");
+  std::string yaml =
+      with_scene(hash_config(), "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}");
   Trained out = train(yaml, registry, {}, 0), kept = train(yaml, registry, {"absent_classes"}, 0);
   const std::vector<int>& present = out.session.plan.class_of_logit;
   const std::size_t all = kept.session.plan.class_of_logit.size();
@@ -187,11 +175,10 @@ TEST(LeaveOut, AbsentClassesAreBitwiseTheModelThatMasksThem) {
   for (const char* name : {"weight", "bias"}) {
     const Tensor<float>&narrow = tensor(out, name), &wide = tensor(kept, name);
     for (std::int64_t r = 0; r < wide.spec.rows; ++r) {
-      for (std::size_t l = 0; l < present.size(); ++l) {
+      for (std::size_t l = 0; l < present.size(); ++l)
         EXPECT_EQ(narrow.value.data()[r * narrow.spec.cols + static_cast<std::int64_t>(l)],
                   wide.value.data()[r * wide.spec.cols + present[l]])
             << name << " " << r << " " << l;
-      }
     }
   }
 }
@@ -211,8 +198,7 @@ bool leaves(const BuildPlan& plan, const std::string& component, ProofClass* pro
 }
 
 TEST(LeaveOut, TheViewBranchGoesWhereAllRaysAreAlmostParallel) {
-  SceneManifest manifest;
-  manifest.direction_spread_deg = 4.9;
+  SceneManifest manifest{.direction_spread_deg = 4.9};
   ProofClass proof{};
   EXPECT_TRUE(leaves(plan_of(manifest, {}), "view_branch", &proof));
   EXPECT_EQ(proof, ProofClass::statistical);
@@ -224,17 +210,14 @@ TEST(LeaveOut, TheViewBranchGoesWhereAllRaysAreAlmostParallel) {
   manifest.direction_spread_deg = 5.1;
   EXPECT_TRUE(plan_of(manifest, {}).view_branch);
 
-  Registry registry = make_registry();
-  const Session s = open_text(hash_config(), registry);
+  const Session s = open_text(hash_config());
   EXPECT_GT(s.manifest.direction_spread_deg, 60) << "cameras inside a room look around";
   EXPECT_LE(s.manifest.direction_spread_deg, 360);
   EXPECT_TRUE(s.plan.view_branch);
 }
 
 TEST(LeaveOut, RowsOfSamplerAndEarlyStopNameTheirProof) {
-  BuildRequest request;
-  request.early_stop = 1e-4;
-  request.empty_space = EmptySpace::certified;
+  BuildRequest request{.empty_space = EmptySpace::certified, .early_stop = 1e-4};
   ProofClass proof{};
   EXPECT_TRUE(leaves(plan_of({}, request), "late_samples", &proof));
   EXPECT_EQ(proof, ProofClass::certified);
@@ -250,24 +233,16 @@ TEST(LeaveOut, RowsOfSamplerAndEarlyStopNameTheirProof) {
   EXPECT_FALSE(leaves(plan_of({}, request), "empty_space"));
   EXPECT_FALSE(leaves(plan_of({}, request), "late_samples"));
 
-  Registry registry = make_registry();
-  EXPECT_GT(open_text(hash_config(), registry).pipeline->options().rules.rendering.early_stop, 0);
-  EXPECT_EQ(open_text(hash_config(), registry, {"late_samples"}).pipeline->options().rules.rendering.early_stop, 0);
+  EXPECT_GT(open_text(hash_config()).pipeline->options().rules.rendering.early_stop, 0);
+  EXPECT_EQ(open_text(hash_config(), {"late_samples"}).pipeline->options().rules.rendering.early_stop, 0);
 }
 
 TEST(LeaveOut, KeepTakesWhatIsNeededAnywayAndRefusesSettings) {
-  BuildRequest request;
-  request.training_depth_px = 10;
+  BuildRequest request{.training_depth_px = 10};
   EXPECT_EQ(plan_of({}, request, {"training_depth"}).kept, std::vector<std::string>{"training_depth"});
   request.training_depth_px = 0;  // the labels need it: one list of names fits several scenes
   EXPECT_TRUE(plan_of({}, request, {"training_depth"}).kept.empty());
-  try {
-    plan_of({}, request, {"mixed_precision"});
-    FAIL() << "no error";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), ErrorKind::usage);
-    EXPECT_NE(std::string(error.what()).find("runtime.precision: bf16"), std::string::npos) << error.what();
-  }
+  EXPECT_HAS(error_of(ErrorKind::usage, [&] { plan_of({}, request, {"mixed_precision"}); }), "runtime.precision: bf16");
 }
 
 // One place decides: whatever a run's list names, --keep knows, and takes or says what brings it in.
@@ -304,12 +279,12 @@ TEST(LeaveOut, WhatPartsLeaveOutHasTheReasonThatItIs) {
   BuiltParts built;
   EXPECT_EQ(evidence(built, "table_size"), "not left out");
   EXPECT_EQ(evidence(built, "untouched_rows"), "not left out");
-  EXPECT_NE(evidence(built, "image_library").find("this build has none"), std::string::npos);
+  EXPECT_HAS(evidence(built, "image_library"), "this build has none");
   built.image_library = true;
-  EXPECT_NE(evidence(built, "image_library").find("no image of this scene"), std::string::npos);
+  EXPECT_HAS(evidence(built, "image_library"), "no image of this scene");
   built = {{"a size"}, 100, 80, true, true};
   EXPECT_EQ(evidence(built, "table_size"), "a size");
-  EXPECT_NE(evidence(built, "untouched_rows").find("80 of 100"), std::string::npos);
+  EXPECT_HAS(evidence(built, "untouched_rows"), "80 of 100");
   EXPECT_EQ(evidence(built, "image_library"), "not left out");
   EXPECT_EQ(evidence(built, "mpi"), "this build has none");
   built.mpi = true;
@@ -322,9 +297,7 @@ TEST(LeaveOut, DepthOfTrainingFramesIsNotHeldUnlessKept) {
   Registry registry = make_registry();
   const auto open_for_training = [&](const std::vector<std::string>& keep) {
     Diagnostics diagnostics;
-    SessionOptions options;
-    options.keep = keep;
-    options.depth = DepthKept::test;
+    SessionOptions options{.keep = keep, .depth = DepthKept::test};
     return open_session(read_run_config(parse_config_text(hash_config(), "test.yaml"), registry, diagnostics), registry,
                         options, diagnostics);
   };
@@ -332,8 +305,8 @@ TEST(LeaveOut, DepthOfTrainingFramesIsNotHeldUnlessKept) {
   ASSERT_TRUE(left_out(out, "training_depth"));
   EXPECT_FALSE(left_out(kept, "training_depth"));
   const int frame = out.scene.frames_of(Split::train).front();
-  EXPECT_TRUE(out.scene.frames[static_cast<std::size_t>(frame)].depth_m.empty());
-  EXPECT_FALSE(kept.scene.frames[static_cast<std::size_t>(frame)].depth_m.empty());
+  EXPECT_TRUE(out.scene.frames[frame].depth_m.empty());
+  EXPECT_FALSE(kept.scene.frames[frame].depth_m.empty());
   EXPECT_GT(kept.memory_facts.frames, out.memory_facts.frames);
 }
 
@@ -341,14 +314,11 @@ TEST(LeaveOut, DepthOfTrainingFramesIsNotHeldUnlessKept) {
 TEST(LeaveOut, ARunIsOpenedWithWhatItKept) {
   Registry registry = make_registry();
   const TempDir dir;
-  std::string yaml = hash_config("report: {eval_every_s: 0, strips: 0}\n");
-  yaml.replace(yaml.find("{type: analytic_room}"), 21,
-               "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}");
+  std::string yaml = with_scene(hash_config("report: {eval_every_s: 0, strips: 0}\n"),
+                                "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}");
   yaml.replace(yaml.find("steps: 200"), 10, "steps: 4");
   Diagnostics diagnostics;
-  TrainRequest request;
-  request.out_dir = dir / "run";
-  request.keep = {"absent_classes", "late_samples"};
+  TrainRequest request{.out_dir = dir / "run", .keep = {"absent_classes", "late_samples"}};
   run_training(read_run_config(parse_config_text(yaml, "test.yaml"), registry, diagnostics), registry, request, {});
   const OpenedRun opened = open_run(request.out_dir, {}, registry, diagnostics);
   EXPECT_EQ(opened.step, 4);
@@ -359,9 +329,9 @@ TEST(LeaveOut, ARunIsOpenedWithWhatItKept) {
   RunConfig again = load_run_config(RunFolder::read(request.out_dir).config_path(), {"train.steps=6"}, registry);
   EXPECT_EQ(run_training(std::move(again), registry, request, {}).step, 6);
 
-  // Its own list: a rule and evidence a row, and a measured saving or none, never an empty text.
+  // Its own list: a rule and evidence per row, and a measured saving or none, never an empty text.
   const std::string text = read_text_file(RunFolder::read(request.out_dir).left_out_path());
-  EXPECT_EQ(text.find("\"saving_measured\": \"\""), std::string::npos);
+  EXPECT_LACKS(text, "\"saving_measured\": \"\"");
   bool undistortion = false;
   for (const LeftOutRow& row : parse_left_out(text, "left_out.json")) {
     EXPECT_NE(row.rule, row.component);
@@ -375,14 +345,8 @@ TEST(LeaveOut, ARunIsOpenedWithWhatItKept) {
 }
 
 TEST(LeaveOut, KeepRefusesAnUnknownName) {
-  Registry registry = make_registry();
-  try {
-    open_text(hash_config(), registry, {"undistorsion"});
-    FAIL() << "no error";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), ErrorKind::usage);
-    EXPECT_NE(std::string(error.what()).find("did you mean 'undistortion'?"), std::string::npos) << error.what();
-  }
+  EXPECT_HAS(error_of(ErrorKind::usage, [&] { open_text(hash_config(), {"undistorsion"}); }),
+             "did you mean 'undistortion'?");
 }
 
 }  // namespace

@@ -1,12 +1,6 @@
 // Terms of the list `losses` in a run: read from the configuration, held against the scene, trained with.
-#include <gtest/gtest.h>
-
-#include <algorithm>
-#include <cmath>
-
 #include "compute/parallel.h"
 #include "config/compose.h"
-#include "core/findings.h"
 #include "eval/evaluator.h"
 #include "run/train_run.h"
 #include "session/trainer.h"
@@ -28,13 +22,12 @@ std::string errors_of(const std::string& losses) {
   Diagnostics diagnostics;
   read_run_config(parse_config_text(hash_config(losses), "room.yaml"), registry, diagnostics);
   std::string text;
-  for (const Diagnostic& finding : diagnostics.all()) text += finding.shown() + "\n";
+  for (const Diagnostic& finding : diagnostics.all()) text += finding.text() + "\n";
   return text;
 }
 
 void expect_says(const std::string& text, const std::vector<std::string>& parts) {
-  for (const std::string& part : parts)
-    EXPECT_NE(text.find(part), std::string::npos) << "missing: " << part << "\nin:\n" << text;
+  for (const std::string& part : parts) EXPECT_HAS(text, part) << "missing: " << part << "\nin:\n" << text;
 }
 
 TEST(LossConfig, MistakesAreNamedWithPlaceAndRemedy) {
@@ -76,8 +69,7 @@ std::string without_depth_images(std::string yaml) {
 // A preset names the term for every scene; where no frame has a depth it is left out, bit for bit.
 TEST(LossConfig, DepthIsLeftOutWhereNoTrainingFrameHasIt) {
   const std::string yaml = without_depth_images(hash_config("losses:\n  - {type: depth}\n"));
-  Registry registry = make_registry();
-  const Session s = open_text(yaml, registry);
+  const Session s = open_text(yaml);
   EXPECT_TRUE(s.config.losses.empty());
   EXPECT_EQ(resolved_config(s.config).find("losses"), nullptr);
   const auto& rows = s.plan.left_out;
@@ -85,7 +77,7 @@ TEST(LossConfig, DepthIsLeftOutWhereNoTrainingFrameHasIt) {
   ASSERT_NE(row, rows.end());
   EXPECT_EQ(row->evidence, "no training frame has a depth image");
   EXPECT_EQ(row->proof, ProofClass::bitwise);
-  const Session kept = open_text(yaml, registry, {"loss_depth"});
+  const Session kept = open_text(yaml, {"loss_depth"});
   EXPECT_EQ(kept.plan.kept, std::vector<std::string>{"loss_depth"});
   ASSERT_EQ(kept.config.losses.size(), 1u);
   const std::uint32_t out = train_fingerprint(yaml, 2, 30);
@@ -96,9 +88,7 @@ TEST(LossConfig, DepthIsLeftOutWhereNoTrainingFrameHasIt) {
 TEST(LossConfig, WhatBecomesOfDepthImagesIsSaid) {
   LoadedScene scene;
   for (const Split split : {Split::train, Split::train, Split::test}) {
-    FrameInfo info;
-    info.split = split;
-    info.has_depth = true;
+    FrameInfo info{.split = split, .has_depth = true};
     scene.info.frames.push_back(info);
   }
   scene.depth_pixels = {0, 7, 9};
@@ -118,7 +108,7 @@ TEST(LossConfig, WhatBecomesOfDepthImagesIsSaid) {
   scene.depth_pixels = {0, 0, 9};
   EXPECT_EQ(use(term, training_depth(scene)), "depth images of 2 training frames have no valid pixel");
   ASSERT_EQ(diagnostics.all().size(), 1u);
-  EXPECT_EQ(diagnostics.all()[0].shown(),
+  EXPECT_EQ(diagnostics.all()[0].text(),
             "losses: the depth images of all 2 training frames have no valid pixel, so no term can read them; export "
             "z-depth that is finite and above 0, or set losses: []");
   BuildRequest request;
@@ -168,10 +158,9 @@ TEST(ShippedConfigurations, PresetsNameTheDepthTerm) {
 }
 
 TEST(LossConfig, LeaveOutSaysOfEachTermWhyItIsNotThere) {
-  Registry registry = make_registry();
   const auto rows = [&](const std::string& losses) {
     std::vector<std::string> found;
-    for (const LeftOut& row : open_text(hash_config(losses), registry).plan.left_out) {
+    for (const LeftOut& row : open_text(hash_config(losses)).plan.left_out) {
       if (row.component.starts_with("loss_")) found.push_back(row.component + ": " + row.evidence);
       if (row.component == kTrainingDepth) found.push_back(row.component);
     }
@@ -188,8 +177,7 @@ TEST(LossConfig, LeaveOutSaysOfEachTermWhyItIsNotThere) {
 }
 
 TEST(RaySourceDepth, IsTheDistanceAlongTheRayToTheFirstSurface) {
-  Registry registry = make_registry();
-  const Session session = open_text(hash_config(kEveryTerm), registry);
+  const Session session = open_text(hash_config(kEveryTerm));
   BatchBuffers batch;
   session.make_ray_source()->fill(5, batch);
   ASSERT_EQ(batch.of(channel::depth).size(), batch.label.size());
@@ -206,18 +194,17 @@ TEST(RaySourceDepth, IsTheDistanceAlongTheRayToTheFirstSurface) {
     largest_angle = std::max(largest_angle, std::abs(d[2]));
   }
   EXPECT_GT(largest_angle, 0.2) << "rays far from the axis tell z-depth from distance";
-  const Session plain = open_text(hash_config(), registry);
+  const Session plain = open_text(hash_config());
   plain.make_ray_source()->fill(5, batch);
   EXPECT_TRUE(batch.more.empty()) << "no term asks for it";
   EXPECT_TRUE(batch.view(true).targets.more[channel::depth].empty());
 }
 
 TEST(RaySourceDepth, RaysThatAreThereForTheirLabelsTellNone) {
-  Registry registry = make_registry();
   std::string yaml = hash_config(kEveryTerm);
   yaml.replace(yaml.find("train: {"), 8,
                "train: {ray_source: label_balanced, labelled_share: 0.5, label_rays_teach_color: false, ");
-  const Session session = open_text(yaml, registry);
+  const Session session = open_text(yaml);
   BatchBuffers batch;
   session.make_ray_source()->fill(5, batch);
   const auto tile = static_cast<std::size_t>(session.pipeline->tile_rays());
@@ -285,10 +272,9 @@ TEST(LossTerms, ALossOnLogitsStandsBesideTheCrossEntropyOrInItsPlace) {
 }
 
 TEST(LossTerms, ALossOnLogitsIsLeftOutWithoutLabels) {
-  Registry registry = make_registry();
   std::string yaml = hash_config("losses: [{type: generalised_cross_entropy}]\n");
   yaml.replace(yaml.find("{type: analytic_room"), 20, "{type: analytic_room, labels: {frames: none}");
-  const Session s = open_text(yaml, registry);
+  const Session s = open_text(yaml);
   EXPECT_TRUE(s.config.losses.empty());
   const auto& rows = s.plan.left_out;
   const auto row = std::find_if(rows.begin(), rows.end(),
@@ -298,8 +284,7 @@ TEST(LossTerms, ALossOnLogitsIsLeftOutWithoutLabels) {
 }
 
 double abs_rel(const std::string& losses) {
-  Registry registry = make_registry();
-  Session s = open_text(hash_config(losses), registry);
+  Session s = open_text(hash_config(losses));
   const auto rays = s.make_ray_source();
   Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule, s.config.train.steps);
   while (trainer.step() < 200) trainer.advance();
@@ -324,8 +309,7 @@ TEST(LossTerms, MetricsNameEachAndSayNothingBeforeItBegins) {
   RunConfig config = read_run_config(parse_config_text(yaml, "a.yaml"), registry, diagnostics);
   ASSERT_FALSE(diagnostics.has_errors()) << diagnostics.all().front().text();
   config.train.steps = 40;
-  TrainRequest request;
-  request.out_dir = dir / "run";
+  TrainRequest request{.out_dir = dir / "run"};
   TrainProgress last;
   HookListener hooks;
   hooks.on_progress = [&last](const TrainProgress& progress) { last = progress; };

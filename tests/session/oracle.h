@@ -1,15 +1,6 @@
 // The whole pipeline in float64: its gradients against finite differences, and against those of another configuration.
 #pragma once
 
-#include <gtest/gtest.h>
-
-#include <algorithm>
-#include <cmath>
-#include <map>
-#include <memory>
-#include <string>
-#include <vector>
-
 #include "tests/session/train_testing.h"
 
 namespace semfield::testing_train {
@@ -50,9 +41,8 @@ inline void expect_same_gradients(const std::string& yaml, const std::string& ot
     ASSERT_NE(other, nullptr) << t.name;
     double largest = 0;
     for (std::int64_t i = 0; i < t.size(); ++i) largest = std::max(largest, std::abs(t.grad.data()[i]));
-    for (std::int64_t i = 0; i < t.size(); ++i) {
+    for (std::int64_t i = 0; i < t.size(); ++i)
       ASSERT_NEAR(t.grad.data()[i], other->grad.data()[i], 1e-9 * std::max(1.0, largest)) << t.name << " element " << i;
-    }
     EXPECT_GT(largest, 0) << t.name << " got no gradient at all";
     ++compared;
   }
@@ -76,7 +66,7 @@ inline void expect_finite_differences(Oracle& oracle, double tolerance, const st
         static_cast<std::int64_t>(std::max_element(gradient.begin(), gradient.end(),
                                                    [](double a, double b) { return std::abs(a) < std::abs(b); }) -
                                   gradient.begin());
-    EXPECT_NE(gradient[static_cast<std::size_t>(largest)], 0) << t.name << " got no gradient at all";
+    EXPECT_NE(gradient[largest], 0) << t.name << " got no gradient at all";
     for (const std::int64_t i : {largest, t.size() / 3, t.size() - 1}) {
       double& value = t.value.data()[i];
       const double keep = value, h = 1e-6;
@@ -86,8 +76,7 @@ inline void expect_finite_differences(Oracle& oracle, double tolerance, const st
       const double down = oracle.gradients().total;
       value = keep;
       const double numeric = (up - down) / (2 * h);
-      EXPECT_NEAR(gradient[static_cast<std::size_t>(i)], numeric, tolerance * std::max(1e-2, std::abs(numeric)))
-          << t.name << " element " << i;
+      EXPECT_NEAR(gradient[i], numeric, tolerance * std::max(1e-2, std::abs(numeric))) << t.name << " element " << i;
       ++checked;
     }
   }

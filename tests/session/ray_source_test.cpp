@@ -1,4 +1,4 @@
-// Which pixels a step takes: shares, order within tiles, independence of threads.
+// Which pixels a step takes: fractions, order within tiles, independence of threads.
 #include "session/ray_source.h"
 
 #include <gtest/gtest.h>
@@ -30,12 +30,7 @@ struct Fixture {
     b.label[9] = 0;  // frame b's labels are not selected
   }
   RaySource make(RaySourceOptions options) {
-    RayCamera camera;
-    camera.camera.width_px = 8;
-    camera.camera.height_px = 4;
-    camera.camera.fx = camera.camera.fy = 4;
-    camera.camera.cx = 4;
-    camera.camera.cy = 2;
+    RayCamera camera{.camera = {.width_px = 8, .height_px = 4, .fx = 4, .fy = 4, .cx = 4, .cy = 2}};
     stored_a = StoredFrame(a);
     stored_b = StoredFrame(b);
     labels_a.hard = stored_a.label;
@@ -45,13 +40,12 @@ struct Fixture {
 
 TEST(RaySource, AllImagesTakesEveryPixelOfEveryFrameUniformly) {
   Fixture f;
-  RaySourceOptions options;
-  options.train.rays = 6400;
+  RaySourceOptions options{.train = {.rays = 6400}};
   const RaySource source = f.make(options);
   std::vector<int> hits(64);
   for (std::int64_t ray = 0; ray < options.train.rays; ++ray) {
     const RaySource::Pixel p = source.choose(0, ray);
-    ++hits[static_cast<std::size_t>(p.frame * 32 + p.index)];
+    ++hits[p.frame * 32 + p.index];
   }
   double chi2 = 0;
   for (const int h : hits) chi2 += (h - 100.0) * (h - 100.0) / 100.0;
@@ -60,8 +54,7 @@ TEST(RaySource, AllImagesTakesEveryPixelOfEveryFrameUniformly) {
 
 TEST(RaySource, OneImageTakesOneFrameAStep) {
   Fixture f;
-  RaySourceOptions options;
-  options.train.ray_source = RaySourceKind::one_image;
+  RaySourceOptions options{.train = {.ray_source = RaySourceKind::one_image}};
   const RaySource source = f.make(options);
   std::set<int> frames;
   for (std::int64_t step = 0; step < 20; ++step) {
@@ -74,11 +67,8 @@ TEST(RaySource, OneImageTakesOneFrameAStep) {
 
 TEST(RaySource, LabelBalancedGivesExactlyItsShareInEveryTileLabelledFirst) {
   Fixture f;
-  RaySourceOptions options;
-  options.train.ray_source = RaySourceKind::label_balanced;
-  options.train.labelled_share = 0.25;
-  options.train.rays = 128;
-  options.tile_rays = 32;
+  RaySourceOptions options{.train = {.rays = 128, .ray_source = RaySourceKind::label_balanced, .labelled_share = 0.25},
+                           .tile_rays = 32};
   const RaySource source = f.make(options);
   BatchBuffers batch;
   source.fill(7, batch);
@@ -86,20 +76,19 @@ TEST(RaySource, LabelBalancedGivesExactlyItsShareInEveryTileLabelledFirst) {
     int labelled = 0;
     bool ended = false;
     for (int r = 0; r < 32; ++r) {
-      const bool has = batch.label[static_cast<std::size_t>(32 * tile + r)] != kVoid;
+      const bool has = batch.label[32 * tile + r] != kVoid;
       EXPECT_FALSE(has && ended) << "a labelled ray behind an unlabelled one";
       ended = ended || !has;
       labelled += has ? 1 : 0;
     }
-    EXPECT_GE(labelled, 8);  // the share; uniform rays add a labelled one now and then
+    EXPECT_GE(labelled, 8);  // the fraction; uniform rays add a labelled one now and then
     EXPECT_LE(labelled, 12);
   }
 }
 
 TEST(RaySource, LabelsOfUnselectedFramesAreVoid) {
   Fixture f;
-  RaySourceOptions options;
-  options.train.rays = 2000;
+  RaySourceOptions options{.train = {.rays = 2000}};
   const RaySource source = f.make(options);
   BatchBuffers batch;
   source.fill(0, batch);
@@ -116,9 +105,7 @@ TEST(RaySource, LabelsOfUnselectedFramesAreVoid) {
 
 TEST(RaySource, ATileHoldsItsLabelledRaysAndThenTheOthersInTheirOrder) {
   Fixture f;
-  RaySourceOptions options;
-  options.train.rays = 1500;
-  options.tile_rays = 1;
+  RaySourceOptions options{.train = {.rays = 1500}, .tile_rays = 1};
   BatchBuffers single, tiled;
   f.make(options).fill(4, single);
   for (const std::int64_t tile_rays : {7, 256, 700, 1500, 4000}) {
@@ -126,10 +113,9 @@ TEST(RaySource, ATileHoldsItsLabelledRaysAndThenTheOthersInTheirOrder) {
     f.make(options).fill(4, tiled);
     std::vector<std::size_t> order(1500);
     std::iota(order.begin(), order.end(), 0U);
-    for (std::int64_t begin = 0; begin < 1500; begin += tile_rays) {
+    for (std::int64_t begin = 0; begin < 1500; begin += tile_rays)
       std::stable_partition(order.begin() + begin, order.begin() + std::min<std::int64_t>(begin + tile_rays, 1500),
                             [&](std::size_t ray) { return single.label[ray] != kVoid; });
-    }
     for (std::size_t row = 0; row < order.size(); ++row) {
       const std::size_t ray = order[row];
       ASSERT_EQ(tiled.label[row], single.label[ray]) << tile_rays << ", row " << row;
@@ -143,8 +129,7 @@ TEST(RaySource, ATileHoldsItsLabelledRaysAndThenTheOthersInTheirOrder) {
 
 TEST(RaySource, TheBatchDoesNotDependOnThreads) {
   Fixture f;
-  RaySourceOptions options;
-  options.train.rays = 500;
+  RaySourceOptions options{.train = {.rays = 500}};
   const RaySource source = f.make(options);
   BatchBuffers one, two;
   set_thread_count(1);
@@ -159,17 +144,14 @@ TEST(RaySource, TheBatchDoesNotDependOnThreads) {
 TEST(RaySource, NoLabelledPixelIsAnErrorForLabelBalanced) {
   Fixture f;
   f.a.label.assign(32, kVoid);
-  RaySourceOptions options;
-  options.train.ray_source = RaySourceKind::label_balanced;
+  RaySourceOptions options{.train = {.ray_source = RaySourceKind::label_balanced}};
   EXPECT_THROW(f.make(options), Error);
 }
 
 TEST(RaySource, LabelsThatMayComeAreWaitedFor) {
   Fixture f;
   f.a.label.assign(32, kVoid);
-  RaySourceOptions options;
-  options.train.rays = 64;
-  options.train.label_rays_teach_color = false;
+  RaySourceOptions options{.train = {.rays = 64, .label_rays_teach_color = false}};
   RaySource all = f.make(options);
   options.train.ray_source = RaySourceKind::label_balanced;
   options.labels_may_come = true;
@@ -203,15 +185,8 @@ TEST(RaySource, LabelsThatMayComeAreWaitedFor) {
 }
 
 TEST(Rays, PixelCentresLieAtHalves) {
-  RayCamera camera;
-  camera.camera.width_px = 8;
-  camera.camera.height_px = 4;
-  camera.camera.fx = camera.camera.fy = 4;
-  camera.camera.cx = 4.5;
-  camera.camera.cy = 2.5;
-  RayLimits limits;
-  limits.near_m = 1;
-  limits.far_m = 2;
+  RayCamera camera{.camera = {.width_px = 8, .height_px = 4, .fx = 4, .fy = 4, .cx = 4.5, .cy = 2.5}};
+  RayLimits limits{.near_m = 1, .far_m = 2};
   double o[3], d[3], nf[2];
   EXPECT_EQ(cast_ray(camera, limits, 4, 2, o, d, nf), 1.0);
   EXPECT_EQ(d[2], 1.0);
@@ -244,13 +219,8 @@ TEST(RaySource, LabelBalancedDrawsFromTheLabelledPixelsInOrder) {
     }
     stored[f] = StoredFrame(frame);
   }
-  RaySourceOptions options;
-  options.train.ray_source = RaySourceKind::label_balanced;
-  options.train.labelled_share = 1;
-  options.seed = 9;
-  RayCamera camera;
-  camera.camera.width_px = 37;
-  camera.camera.height_px = 19;
+  RaySourceOptions options{.train = {.ray_source = RaySourceKind::label_balanced, .labelled_share = 1}, .seed = 9};
+  RayCamera camera{.camera = {.width_px = 37, .height_px = 19}};
   const TrainingLabels::Frame labels[3] = {{stored[0].label, {}}, {}, {stored[2].label, {}}};
   const RaySource source(
       {{camera, &stored[0], &labels[0]}, {camera, &stored[1], nullptr}, {camera, &stored[2], &labels[2]}},
@@ -273,12 +243,8 @@ TEST(RaySource, SoftLabelsComeAsRowsOverLogits) {
   f.stored_a = StoredFrame(f.a);
   f.stored_b = StoredFrame(f.b);
   const TrainingLabels::Frame a{{}, soft}, b{f.stored_b.label, {}};
-  RayCamera camera;
-  camera.camera.width_px = 8;
-  camera.camera.height_px = 4;
-  camera.camera.fx = camera.camera.fy = 4;
-  RaySourceOptions options;
-  options.train.rays = 3000;
+  RayCamera camera{.camera = {.width_px = 8, .height_px = 4, .fx = 4, .fy = 4}};
+  RaySourceOptions options{.train = {.rays = 3000}};
   const RaySource source({{camera, &f.stored_a, &a}, {camera, &f.stored_b, &b}}, {0, kVoid, 1}, f.limits, options);
   BatchBuffers batch;
   source.fill(0, batch);
@@ -306,10 +272,7 @@ TEST(RaySource, SoftLabelsComeAsRowsOverLogits) {
 
 TEST(RaySource, AddedLabelsServePixelsWithoutTheirOwn) {
   Fixture f;
-  RaySourceOptions options;
-  options.train.ray_source = RaySourceKind::label_balanced;
-  options.train.labelled_share = 1;
-  options.train.rays = 256;
+  RaySourceOptions options{.train = {.rays = 256, .ray_source = RaySourceKind::label_balanced, .labelled_share = 1}};
   RaySource source = f.make(options);
   std::vector<std::int16_t> a(32, kVoid), b(32, kVoid);
   a[5] = 0;  // has its own label, 1, which stays
@@ -334,18 +297,12 @@ TEST(RaySource, AddedLabelsServePixelsWithoutTheirOwn) {
 
 TEST(RaySource, AddedLabelsBesideSoftOnesAreSure) {
   Fixture f;
-  RaySourceOptions options;
-  options.train.ray_source = RaySourceKind::label_balanced;
-  options.train.labelled_share = 1;
-  options.train.rays = 64;
+  RaySourceOptions options{.train = {.rays = 64, .ray_source = RaySourceKind::label_balanced, .labelled_share = 1}};
   (void)f.make(options);
   f.labels_a.hard = {};
   f.labels_a.soft = SoftMap(32, 2);
   f.labels_a.soft.set_row(5, std::array<float, 2>{0.25F, 0.5F});
-  RayCamera camera;
-  camera.camera.width_px = 8;
-  camera.camera.height_px = 4;
-  camera.camera.fx = camera.camera.fy = 4;
+  RayCamera camera{.camera = {.width_px = 8, .height_px = 4, .fx = 4, .fy = 4}};
   RaySource source({{camera, &f.stored_a, &f.labels_a}, {camera, &f.stored_b, nullptr}}, {0, 1}, f.limits, options);
   std::vector<std::int16_t> a(32, kVoid), b(32, kVoid);
   a[7] = b[3] = 0;  // beside the soft label, and in a frame without labels

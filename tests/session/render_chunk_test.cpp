@@ -1,10 +1,5 @@
 // Rendering without memory for a whole chunk of rays goes on by halves, with the same bits.
-#include <gtest/gtest.h>
-
-#include <atomic>
 #include <cstdlib>
-#include <limits>
-#include <new>
 
 #include "compute/parallel.h"
 #include "eval/evaluator.h"
@@ -46,8 +41,7 @@ struct Scarce {
 };
 
 TEST(RenderChunk, HalvesUntilItFitsWithTheSameBits) {
-  Registry registry = make_registry();
-  Session s = open_text(hash_config(), registry);
+  Session s = open_text(hash_config());
   const FrameInfo& info = s.scene.info.frames.front();
   const RayCamera camera{info.camera, info.world_from_camera, true};
   const auto render = [&] { return render_frame(*s.pipeline, camera, s.limits, s.plan.class_of_logit); };
@@ -68,8 +62,7 @@ TEST(RenderChunk, HalvesUntilItFitsWithTheSameBits) {
 }
 
 TEST(RenderChunk, GivesUpWhenNothingFits) {
-  Registry registry = make_registry();
-  Session s = open_text(hash_config(), registry);
+  Session s = open_text(hash_config());
   const FrameInfo& info = s.scene.info.frames.front();
   const RayCamera camera{info.camera, info.world_from_camera, true};
   set_thread_count(1);

@@ -1,14 +1,12 @@
 // A network of its own for semantics: gradients, what it leaves alone, what leaving samples out may change, its
 // settings.
-#include <gtest/gtest.h>
-
-#include <algorithm>
-#include <cmath>
-#include <vector>
-
+#include "compute/gemm.h"
 #include "compute/parallel.h"
+#include "compute/row_loops.h"
 #include "core/error.h"
+#include "plugin/head/one_layer_head.h"
 #include "session/trainer.h"
+#include "testkit/settings.h"
 #include "tests/session/oracle.h"
 
 namespace semfield {
@@ -28,7 +26,8 @@ const std::string kPlugins =
 TEST(HeadBranch, GradientsAreThoseOfFiniteDifferences) {
   for (const char* more : {"", ", reads_feature: false", ", dropout: 0.3", ", least_weight: 0.02"}) {
     SCOPED_TRACE(more);
-    expect_finite_differences(config_of(kPlugins + more), 2e-4, "/semantic", 8 * 3);  // two layers of branch and of head
+    expect_finite_differences(config_of(kPlugins + more), 2e-4, "/semantic",
+                              8 * 3);  // two layers of branch and of head
   }
 }
 
@@ -46,7 +45,7 @@ TEST(HeadBranch, LabelsDoNotShapeTheField) {
   Registry registry = make_registry();
   Oracle labelled(config_of(kPlugins), registry);
   std::string none = config_of(kPlugins);
-  none.replace(none.find("{type: analytic_room}"), 21, "{type: analytic_room, with_labels: false}");
+  none = with_scene(none, "{type: analytic_room, with_labels: false}");
   Oracle unlabelled(none, registry);
   ASSERT_FALSE(unlabelled.pipeline->has_semantics());
   EXPECT_GT(labelled.gradients().semantic, 0);
@@ -69,8 +68,7 @@ TEST(HeadBranch, LeavingSamplesOutChangesLogitsWithinTheBound) {
   const std::string off = "runtime: {deferred_class_layer: false, tile_rays: 24, lanes: 1}\n";
   Oracle all(config_of(kPlugins + ", least_weight: 0", off), registry);
   const auto trace_of = [](Oracle& o, Workspace& arena) {
-    StepContext ctx;
-    ctx.workspace = &arena;
+    StepContext ctx{.workspace = &arena};
     const RayBatch batch = o.batch.view(true);
     return o.pipeline->passes()[0].forward(ctx, 0, {batch.origin, batch.direction, batch.near_far}, nullptr, 0,
                                            {batch.origin.rows});
@@ -109,12 +107,11 @@ TEST(HeadBranch, LeavingSamplesOutChangesLogitsWithinTheBound) {
   }
 }
 
-// One step from the same values: its tensors move by the factor, and lose their share first; all others move alike.
+// One step from the same values: its tensors move by the factor, and lose their part first; all others move alike.
 TEST(HeadBranch, ItsRateAndDecayHoldForBranchAndHeadAlone) {
   const auto stepped = [](const std::string& more, std::vector<float>& before, std::vector<float>& after,
                           std::vector<bool>& semantic) {
-    Registry registry = make_registry();
-    Session s = open_text(config_of(kPlugins + more), registry);
+    Session s = open_text(config_of(kPlugins + more));
     const auto rays = s.make_ray_source();
     Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
     const auto copy = [&](std::vector<float>& to) {
@@ -143,7 +140,7 @@ TEST(HeadBranch, ItsRateAndDecayHoldForBranchAndHeadAlone) {
       continue;
     }
     const double was = static_cast<double>(start[i]), step = static_cast<double>(plain[i]) - was;
-    ASSERT_NEAR(static_cast<double>(own[i]), was * (1 - rate * 0.25 * 8) + 0.25 * step, 1e-6) << i;
+    ASSERT_NEAR(own[i], was * (1 - rate * 0.25 * 8) + 0.25 * step, 1e-6) << i;
     moved += std::abs(step) > 1e-5 ? 1 : 0;
   }
   EXPECT_GT(moved, 100);
@@ -155,8 +152,7 @@ TEST(HeadBranch, RunsHaveTheSameBitsForAnyThreadsAndLearn) {
                                                               ", dropout: 0.1, "
                                                               "weight_decay: 0.01, learning_rate: 0.2}\n");
   const auto train = [&](int threads) {
-    Registry registry = make_registry();
-    Session s = open_text(yaml, registry);
+    Session s = open_text(yaml);
     set_thread_count(threads);
     const auto rays = s.make_ray_source();
     Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
@@ -172,23 +168,13 @@ TEST(HeadBranch, RunsHaveTheSameBitsForAnyThreadsAndLearn) {
 
 // What is wrong in the section is said with the key that is wrong.
 TEST(HeadBranch, WrongSettingsAreNamed) {
-  const auto refusal = [](const std::string& branch) {
-    Registry registry = make_registry();
-    try {
-      open_text(config_of(branch), registry);
-    } catch (const Error& error) {
-      return std::string(error.what());
-    }
-    return std::string();
-  };
-  EXPECT_NE(refusal("field: {type: tiny_mlp}").find("passes.0.semantic: key 'position' is missing"), std::string::npos);
-  EXPECT_NE(refusal("position: {type: frequency}").find("passes.0.semantic: key 'field' is missing"),
-            std::string::npos);
-  EXPECT_NE(refusal(kPlugins + ", least_wieght: 0.1").find("least_weight"), std::string::npos);
-  EXPECT_NE(refusal(kPlugins + ", dropout: 1").find("dropout"), std::string::npos);
-  EXPECT_NE(refusal("position: {type: hash_grid}, field: {type: tiny_mlp}").find("learned tensors"), std::string::npos);
-  EXPECT_NE(refusal("position: {type: spherical_harmonics}, field: {type: tiny_mlp}").find("semantic.position"),
-            std::string::npos);
+  const auto refusal = [](const std::string& branch) { return error_of([&] { open_text(config_of(branch)); }); };
+  EXPECT_HAS(refusal("field: {type: tiny_mlp}"), "passes.0.semantic: key 'position' is missing");
+  EXPECT_HAS(refusal("position: {type: frequency}"), "passes.0.semantic: key 'field' is missing");
+  EXPECT_HAS(refusal(kPlugins + ", least_wieght: 0.1"), "least_weight");
+  EXPECT_HAS(refusal(kPlugins + ", dropout: 1"), "dropout");
+  EXPECT_HAS(refusal("position: {type: hash_grid}, field: {type: tiny_mlp}"), "learned tensors");
+  EXPECT_HAS(refusal("position: {type: spherical_harmonics}, field: {type: tiny_mlp}"), "semantic.position");
   EXPECT_EQ(refusal(kPlugins), "");
 }
 
@@ -207,8 +193,92 @@ TEST(HeadBranch, TheResolvedConfigurationHoldsIt) {
   EXPECT_EQ(branch->rules.least_weight, 1e-3);
   for (const Tensor<float>& t : s.pipeline->store().all()) {
     EXPECT_EQ(t.rule.rate, t.rule.semantic ? 0.3 : 1) << t.name;
-    EXPECT_EQ(t.name.find("semantic/field/color"), std::string::npos) << "a branch has no colour: " << t.name;
+    EXPECT_LACKS(t.name, "semantic/field/color") << "a branch has no colour: " << t.name;
   }
+}
+
+// A pass trains with any head: one that is not the program's own needs its class alone.
+
+/// logits = feature W: no hidden layer and no bias.
+class LinearHead final : public Head<double> {
+ public:
+  LinearHead(std::int32_t feature, std::int32_t classes) : feature_(feature), classes_(classes) {}
+  std::int32_t hidden_width() const override { return feature_; }
+  std::int32_t width() const override { return classes_; }
+  void declare(ParamDeclarer& declarer) const override {
+    declarer.tensor({"weight", feature_, classes_, Init::uniform(0.5)});
+    declarer.tensor({"weight_t", classes_, feature_, {}, TensorRole::derived});
+  }
+  void derive(const StepContext&, const Tensors<double>& t) const override {
+    transpose<double>(t.value[0], t.value[1]);
+  }
+  void hidden_forward(const StepContext&, const Tensors<double>&, View<const double> feature,
+                      View<double> hidden) const override {
+    copy_rows<double>(feature, hidden);
+  }
+  void hidden_backward(const StepContext&, const Tensors<double>&, View<const double>, View<const double>,
+                       View<double> d_hidden, View<double> d_feature) const override {
+    copy_rows<double>(d_hidden, d_feature);
+  }
+  void output_forward(const StepContext&, const Tensors<double>& t, View<const double> h, View<const double>,
+                      View<double> logits) const override {
+    gemm<double>(h, t.value[0], logits);
+  }
+  void output_backward(const StepContext&, const Tensors<double>& t, View<const double> h, View<const double>,
+                       View<const double> d_logits, View<double> d_h, View<double> d_share) const override {
+    gemm_at_b_add<double>(h, d_logits, t.grad[0]);
+    gemm<double>(d_logits, t.value[1], d_h);
+    if (!d_share.empty()) fill(d_share, 0.0);
+  }
+
+ private:
+  std::int32_t feature_, classes_;
+};
+
+PassParts<double> parts_with_linear_head(const Session& session, const Registry& registry) {
+  const auto params = [&](PluginKind kind, const char* name, const testkit::Settings& settings) {
+    return testkit::make_params(registry.get(kind, name), settings);
+  };
+  PassParts<double> parts{.name = "main"};
+  SamplerBuild sampler{.bounds = session.extent.bounds, .near_m = session.extent.near_m, .far_m = session.extent.far_m};
+  parts.sampler =
+      registry.get(PluginKind::sampler, "stratified")
+          .sampler64(*params(PluginKind::sampler, "stratified", {{"samples", "12"}}), sampler, registry.kernels());
+  parts.position = registry.get(PluginKind::encoder, "frequency")
+                       .encoder64(*params(PluginKind::encoder, "frequency", {{"frequencies", "3"}}), EncoderBuild{},
+                                  registry.kernels());
+  FieldBuild field{.position_dims = parts.position->traits().out_dims};
+  parts.field = registry.get(PluginKind::field, "tiny_mlp")
+                    .field64(*params(PluginKind::field, "tiny_mlp", {{"hidden_width", "16"}, {"color_width", "16"}}),
+                             field, registry.kernels());
+  parts.head = std::make_unique<LinearHead>(parts.field->traits().feature_dims,
+                                            static_cast<std::int32_t>(session.plan.class_of_logit.size()));
+  parts.domain = DomainMap::make(Domain::metric, session.extent.bounds, session.config.rendering.scene_scale);
+  return parts;
+}
+
+TEST(SemanticHeads, AnyHeadTrainsThroughThePass) {
+  for (const bool deferred : {true, false}) {
+    SCOPED_TRACE(deferred ? "class layer once a ray" : "class layer once a sample");
+    Registry registry = make_registry();
+    Oracle oracle(hash_config(), registry);
+    PipelineOptions options{
+        .rules = {.rendering = {.density_activation = DensityActivation::softplus}, .deferred_class_layer = deferred}};
+    std::vector<PassParts<double>> passes;
+    passes.push_back(parts_with_linear_head(oracle.session, registry));
+    oracle.pipeline = std::make_unique<Pipeline<double>>(std::move(passes), options, true);
+    EXPECT_GT(oracle.gradients().labelled, 0);
+    expect_finite_differences(oracle, 1e-5);
+  }
+}
+
+// A head that says nothing of bf16 is never given any.
+TEST(SemanticHeads, RefuseBf16ThatTheyDoNotTake) {
+  const LinearHead head(3, 2);
+  EXPECT_FALSE(head.takes_rounded());
+  EXPECT_THROW((void)head.hidden_layer({}), Error);
+  const Head<double>& base = head;
+  EXPECT_THROW(base.rounded_hidden_forward({}, {}, View<const Bf16>(), View<Bf16>()), Error);
 }
 
 }  // namespace

@@ -1,10 +1,5 @@
 #include "tests/session/train_testing.h"
 
-#include <gtest/gtest.h>
-
-#include <cstdlib>
-#include <filesystem>
-
 #include "compute/parallel.h"
 #include "loading/packed_scene.h"
 #include "plugin/linked_plugins.h"
@@ -46,18 +41,17 @@ class AnalyticRoom final : public Dataset {
         with_depth_(p.with_depth),
         with_albedo_(p.with_albedo),
         absent_class_(p.absent_class) {
-    testkit::AnalyticSceneOptions options;
-    options.frames = p.frames;
-    options.width_px = p.width_px;
-    options.height_px = p.height_px;
-    options.with_depth = p.with_depth;
-    options.with_labels = p.with_labels;
+    testkit::AnalyticSceneOptions options{.frames = p.frames,
+                                          .width_px = p.width_px,
+                                          .height_px = p.height_px,
+                                          .with_depth = p.with_depth,
+                                          .with_labels = p.with_labels};
     inner_ = testkit::make_analytic_scene(options);
   }
   SceneInfo open(Diagnostics& diagnostics) override {
     SceneInfo info = inner_->open(diagnostics);
     if (!with_classes_) info.classes = ClassTable();
-    if (!with_depth_) {  // as photographs: nothing tells the extent
+    if (!with_depth_) {  // as photographs: nothing states the extent
       info.bounds = Box();
       info.near_hint_m = info.far_hint_m = 0;
     }
@@ -169,10 +163,17 @@ Session open_text(const std::string& yaml, Registry& registry, const std::vector
   Diagnostics diagnostics;
   RunConfig config = read_run_config(parse_config_text(yaml, "test.yaml"), registry, diagnostics);
   diagnostics.throw_if_errors(ErrorKind::config, "");
-  SessionOptions options;
-  options.keep = keep;
-  options.ranks = ranks;
+  SessionOptions options{.keep = keep, .ranks = ranks};
   return open_session(std::move(config), registry, options, diagnostics);
+}
+Session open_text(const std::string& yaml, const std::vector<std::string>& keep) {
+  static Registry registry = make_registry();
+  return open_text(yaml, registry, keep);
+}
+
+std::string with_scene(std::string yaml, const std::string& scene) {
+  const std::string own = "{type: analytic_room}";
+  return yaml.replace(yaml.find(own), own.size(), scene);
 }
 
 void HookListener::progress(const TrainProgress& p) {
@@ -235,7 +236,7 @@ std::string write_packed_config(const TempDir& dir, int steps, double checkpoint
   write_packed_scene(dir / "room.sfpack", info, [&](int frame, FrameBuffer& buffer) { scene->read(frame, buffer); });
   std::string yaml = hash_config("report: {eval_every_s: 0, strips: 0, log_every_steps: 5, checkpoint_every_s: " +
                                  std::to_string(checkpoint_every_s) + "}\n");
-  yaml.replace(yaml.find("{type: analytic_room}"), 21, "{type: packed, file: room.sfpack}");
+  yaml = with_scene(yaml, "{type: packed, file: room.sfpack}");
   yaml.replace(yaml.find("steps: 200"), 10, "steps: " + std::to_string(steps));
   write_file_atomic(dir / "config.yaml", yaml);
   return dir / "config.yaml";
@@ -252,15 +253,6 @@ std::uint32_t checkpoint_fingerprint(const std::string& run_dir, std::int64_t ex
   std::uint32_t crc = 0;
   for (const TensorRef& t : found->file.tensors()) crc = crc32c(t.bytes, crc32c(std::as_bytes(std::span(t.name)), crc));
   return crc;
-}
-
-TempDir::TempDir() {
-  std::string pattern = (std::filesystem::temp_directory_path() / "semfield_test_XXXXXX").string();
-  path_ = mkdtemp(pattern.data());
-}
-TempDir::~TempDir() {
-  std::error_code ignored;
-  std::filesystem::remove_all(path_, ignored);
 }
 
 }  // namespace testing_train

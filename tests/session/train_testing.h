@@ -1,14 +1,11 @@
 // Shared by the tests of training: the linked plugins plus the analytic room as a dataset, and small configurations.
 #pragma once
 
-#include <cstdint>
-#include <functional>
-#include <memory>
-#include <string>
-
 #include "plugin/registry.h"
 #include "run/train_run.h"
 #include "session/session.h"
+#include "tests/says.h"
+#include "tests/temp_dir.h"
 
 namespace semfield::testing_train {
 
@@ -25,6 +22,10 @@ std::string two_pass_config(const std::string& more = "");
 /// Reads and opens; fails the test through exceptions.
 Session open_text(const std::string& yaml, Registry& registry, const std::vector<std::string>& keep = {},
                   Ranks* ranks = nullptr);
+/// The same with one registry of make_registry() for all.
+Session open_text(const std::string& yaml, const std::vector<std::string>& keep = {});
+/// `yaml`, whose scene is {type: analytic_room}, with another.
+std::string with_scene(std::string yaml, const std::string& scene);
 
 /// A small hash grid behind a stratified sampler, whose one pass ends in `pass_end` ("" or lines of YAML of the pass).
 /// `scene` is the body of the section, `train` that of its own.
@@ -36,7 +37,7 @@ std::uint32_t fingerprint(const ParamStore<float>& store);
 /// The same after so many steps on so many threads.
 std::uint32_t train_fingerprint(const std::string& yaml, int threads, std::int64_t steps);
 
-/// A listener whose answers are functions; those that are null are the listener's own.
+/// A listener whose calls are functions; those that are null are the listener's own.
 class HookListener final : public RunListener {
  public:
   std::function<void(const TrainProgress&)> on_progress;
@@ -58,7 +59,6 @@ class HookListener final : public RunListener {
   std::string write_report(const RunFolder& folder, const Session& session, const ReportFrames& frames) override;
 };
 
-class TempDir;
 /// Packs the analytic room into `dir` and writes config.yaml, which trains on it with `hash_config` and saves so often.
 /// Returns its path.
 std::string write_packed_config(const TempDir& dir, int steps, double checkpoint_every_s);
@@ -66,17 +66,5 @@ std::string write_packed_config(const TempDir& dir, int steps, double checkpoint
 /// CRC-32C over names and values of the newest checkpoint of a run; fails the test when that is not of
 /// `expected_step`, or when any newer one is damaged.
 std::uint32_t checkpoint_fingerprint(const std::string& run_dir, std::int64_t expected_step);
-
-/// A temporary folder, removed at the end.
-class TempDir {
- public:
-  TempDir();
-  ~TempDir();
-  const std::string& path() const { return path_; }
-  std::string operator/(const std::string& name) const { return path_ + "/" + name; }
-
- private:
-  std::string path_;
-};
 
 }  // namespace semfield::testing_train

@@ -2,17 +2,13 @@
 // there.
 #include "app/sweep/cell_pool.h"
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
 #include <cstdlib>
-#include <filesystem>
-#include <map>
 #include <set>
 #include <sstream>
-#include <string>
-#include <vector>
 
+#include "core/error.h"
+#include "report/sweep/host_share.h"
 #include "system/files.h"
 #include "system/folder_lock.h"
 #include "tests/scene/tiny_scene.h"
@@ -61,11 +57,10 @@ class CellPool : public testing::Test {
   }
 
   bool run(const std::vector<Cell>& cells) {
-    PoolHooks hooks;
+    PoolHooks hooks{.waits_for = waits_for_};
     hooks.finished = [&](const CellOutcome& outcome) {
       outcomes_[outcome.cell->id] = outcome.done ? "done" : outcome.failure;
     };
-    hooks.waits_for = waits_for_;
     return run_cells(cells, options_, ended_, hooks);
   }
 
@@ -125,7 +120,7 @@ TEST_F(CellPool, AFailedCellIsTriedOnceInASweep) {
   three[1].config = "broken\n";
   EXPECT_TRUE(run(three));
   EXPECT_EQ(outcomes_["cell0"], "done");
-  EXPECT_NE(outcomes_["cell1"].find("exit code 65: it is broken"), std::string::npos) << outcomes_["cell1"];
+  EXPECT_HAS(outcomes_["cell1"], "exit code 65: it is broken");
   EXPECT_EQ(ended_.failures["cell1"], outcomes_["cell1"]);
   const std::size_t lines = log().size();
   // Another process of the sweep, which knows nothing yet.
@@ -134,7 +129,7 @@ TEST_F(CellPool, AFailedCellIsTriedOnceInASweep) {
   EXPECT_TRUE(run(three));
   EXPECT_TRUE(outcomes_.empty());
   EXPECT_EQ(ended_.results.size(), 2U);
-  EXPECT_NE(ended_.failures["cell1"].find("it is broken"), std::string::npos);
+  EXPECT_HAS(ended_.failures["cell1"], "it is broken");
   EXPECT_EQ(log().size(), lines) << "a cell ran again";
   // The next sweep.
   forget_cell_failure(options_.folder, "cell1");
@@ -159,7 +154,7 @@ TEST_F(CellPool, ACellOfAnotherProcessIsWaitedForAndTakenUp) {
     theirs = {};
   };
   EXPECT_TRUE(run(cells(3)));
-  EXPECT_NE(waits.find("cells/cell0: process "), std::string::npos) << waits;
+  EXPECT_HAS(waits, "cells/cell0: process ");
   EXPECT_EQ(outcomes_.size(), 3U);
   EXPECT_EQ(log().back().cell, "cell0");
 }
@@ -192,6 +187,66 @@ TEST_F(CellPool, CellsAreNoRanksOfALauncher) {
   unsetenv("OMPI_COMM_WORLD_SIZE");
   ASSERT_FALSE(log().empty());
   EXPECT_EQ(log().front().rank, "rank=");
+}
+
+// What a process of a sweep takes of its host.
+
+using Names = std::vector<std::string>;
+
+TEST(HostShare, CellsAtATime) {
+  EXPECT_EQ(cells_at_a_time(16, 16, 1, 1), 16);
+  EXPECT_EQ(cells_at_a_time(16, 16, 1, 3), 5);
+  EXPECT_EQ(cells_at_a_time(16, 16, 4, 1), 4);
+  EXPECT_EQ(cells_at_a_time(8, 16, 4, 1), 4);  // bound to a socket that another process is bound to, too
+  EXPECT_EQ(cells_at_a_time(1, 16, 2, 1), 1);  // bound to a core
+  EXPECT_EQ(cells_at_a_time(2, 2, 3, 1), 1);
+  EXPECT_EQ(cells_at_a_time(2, 16, 1, 8), 1);
+}
+
+// Whatever the numbers, every device belongs to exactly one process.
+TEST(HostShare, EveryDeviceIsOfOneProcess) {
+  for (int devices = 1; devices <= 8; ++devices) {
+    Names all;
+    for (int d = 0; d < devices; ++d) all.push_back("cuda:" + std::to_string(d));
+    for (int processes = 1; processes <= devices; ++processes) {
+      Names given;
+      for (int rank = 0; rank < processes; ++rank) {
+        const Names own = devices_of_process(all, rank, processes);
+        EXPECT_GE(std::ssize(own), devices / processes);
+        EXPECT_EQ(own.front(), all[rank]);
+        given.insert(given.end(), own.begin(), own.end());
+      }
+      EXPECT_EQ(given.size(), all.size()) << devices << " devices, " << processes << " processes";
+      EXPECT_EQ(std::set<std::string>(given.begin(), given.end()).size(), all.size());
+    }
+  }
+  EXPECT_TRUE(devices_of_process({"cuda:0"}, 1, 2).empty());
+}
+
+TEST(HostShare, TheNextCellGoesToTheFirstFreeDevice) {
+  const Names two{"cuda:0", "cuda:3"};
+  EXPECT_EQ(free_device(two, {}), "cuda:0");
+  EXPECT_EQ(free_device(two, {"cuda:0"}), "cuda:3");
+  EXPECT_EQ(free_device(two, {"cuda:3"}), "cuda:0");
+  EXPECT_EQ(free_device(two, {"cuda:3", "cuda:0"}), "");
+  EXPECT_EQ(free_device({}, {}), "");
+}
+
+TEST(HostShare, DevicesByNumberOrName) {
+  EXPECT_EQ(device_names({"0", "cuda:2"}), (Names{"cuda:0", "cuda:2"}));
+  const auto refusal = [](const Names& words) -> std::string {
+    try {
+      device_names(words);
+    } catch (const Error& error) {
+      EXPECT_EQ(error.kind(), ErrorKind::usage);
+      return error.message();
+    }
+    return "";
+  };
+  for (const char* word : {"cpu", "cuda", "cuda:", "-1", "1000", "0x1", "gpu0", "", "all"})
+    EXPECT_EQ(refusal({"0", word}), "--devices: '" + std::string(word) + "' is no CUDA device") << word;
+  EXPECT_EQ(refusal({"1", "0", "cuda:1"}), "--devices: 'cuda:1' is named twice");
+  EXPECT_EQ(refusal({"1", "01"}), "--devices: '01' is named twice");
 }
 
 }  // namespace

@@ -1,12 +1,10 @@
 // Every bitwise and certified leave-out pair on a small room, and the page that is made of what pairs find.
 #include <fcntl.h>
-#include <gtest/gtest.h>
 #include <sys/mman.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <filesystem>
-#include <map>
 
 #include "core/error.h"
 #include "datasets/obj_room/raycast.h"
@@ -15,6 +13,7 @@
 #include "studies/leave_out_page.h"
 #include "studies/leave_out_side.h"
 #include "system/files.h"
+#include "tests/says.h"
 
 namespace semfield {
 namespace {
@@ -38,11 +37,11 @@ TEST_P(Pairs, Holds) {
   register_linked_plugins(registry);
   LeaveOutPair pair = GetParam();
   pair.steps = std::min(pair.steps, 40);
-  PairOptions options;
-  options.set = {"scene.frames=10", "scene.test_frames=2", "scene.width_px=40", "scene.height_px=30", "train.rays=96"};
-  options.rounds = 2;
-  options.steps_a_round = 4;
-  options.frames = 1;
+  PairOptions options{
+      .set = {"scene.frames=10", "scene.test_frames=2", "scene.width_px=40", "scene.height_px=30", "train.rays=96"},
+      .rounds = 2,
+      .steps_a_round = 4,
+      .frames = 1};
   const PairResult result = run_pair(pair, options, registry, in_source);
   if (pair.kind == PairKind::library && result.result == "this build has none") GTEST_SKIP() << result.result;
   EXPECT_TRUE(result.holds) << result.result;
@@ -60,11 +59,10 @@ const char* const kEmptyPage =
     "<!-- study pairs: kept begin --><!-- study pairs: kept end -->\n";
 
 LeaveOutFindings two_findings() {
-  LeaveOutFindings f;
-  f.about = "a machine";
-  f.rows = {{"undistortion", "undistortion", "a rule", "B", "`--keep`", "", true, "hash", "1 % of a step"},
-            {"semantics", "semantics", "a | rule", "B", "`--keep`", "", false, "hash", "2 % of a step"}};
-  return f;
+  return LeaveOutFindings{
+      .about = "a machine",
+      .rows = {{"undistortion", "undistortion", "a rule", "B", "`--keep`", "", true, "hash", "1 % of a step"},
+               {"semantics", "semantics", "a | rule", "B", "`--keep`", "", false, "hash", "2 % of a step"}}};
 }
 
 TEST(LeaveOutPage, TheTableSurvivesWritingAndMerging) {
@@ -85,8 +83,8 @@ TEST(LeaveOutPage, TheTableSurvivesWritingAndMerging) {
   EXPECT_THROW(parse_findings("[]", "leave_out.json"), Error);
   EXPECT_THROW(parse_findings("{\"about\": 1, \"rows\": []}", "leave_out.json"), Error);
   const std::string page = with_findings(kEmptyPage, f, "leave_out.md");
-  EXPECT_NE(page.find("a \\| rule"), std::string::npos) << "a bar would end the cell";
-  EXPECT_NE(page.find("**does not hold**"), std::string::npos);
+  EXPECT_HAS(page, "a \\| rule") << "a bar would end the cell";
+  EXPECT_HAS(page, "**does not hold**");
 }
 
 TEST(LeaveOutPage, WordsStayAndTablesAreReplaced) {
@@ -94,29 +92,17 @@ TEST(LeaveOutPage, WordsStayAndTablesAreReplaced) {
   const std::string once = with_findings(kEmptyPage, f, "leave_out.md");
   EXPECT_EQ(with_findings(once, f, "leave_out.md"), once);
   EXPECT_EQ(once.rfind("# A title", 0), 0U);
-  EXPECT_NE(once.find("Words between.\n"), std::string::npos);
-  EXPECT_NE(once.find("a machine"), std::string::npos);
+  EXPECT_HAS(once, "Words between.\n", "a machine");
   LeaveOutFindings fewer = f;
   fewer.rows.erase(fewer.rows.begin());
   const std::string twice = with_findings(once, fewer, "leave_out.md");
-  EXPECT_EQ(twice.find("`undistortion`"), std::string::npos);
-  try {
-    with_findings("# A title\n", f, "folder/leave_out.md");
-    FAIL() << "no error";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), ErrorKind::data);
-    EXPECT_NE(std::string(error.what()).find("folder/leave_out.md"), std::string::npos) << error.what();
-    EXPECT_NE(error.remedy().find("<!-- study pairs: measured begin -->"), std::string::npos) << error.what();
-  }
+  EXPECT_LACKS(twice, "`undistortion`");
+  EXPECT_HAS(error_of(ErrorKind::data, [&] { with_findings("# A title\n", f, "folder/leave_out.md"); }),
+             "folder/leave_out.md", "<!-- study pairs: measured begin -->");
 }
 
 TEST(LeaveOutPage, ASavingBelowItsNoiseIsSaidToBeNone) {
-  PairCost cost;
-  cost.of = "step";
-  cost.out_s = 1e-3;
-  cost.kept_s = 1.01e-3;
-  cost.share = 0.01;
-  cost.noise = 0.02;
+  PairCost cost{.of = "step", .out_s = 1e-3, .kept_s = 1.01e-3, .share = 0.01, .noise = 0.02};
   EXPECT_EQ(saving_text(cost), "no more than its noise: +1.0 ± 2.0 % of a step (1 ms)");
   cost.noise = 0.002;
   cost.kept_bytes = 2000000;

@@ -1,19 +1,20 @@
-// Sweep files: what becomes of grids, variants, scenes and lists of files, and every error with its place.
-#include <gtest/gtest.h>
+// Sweep files: what becomes of grids, variants, scenes and lists of files, each error with its place; result tables.
 #include <unistd.h>
 
-#include <filesystem>
+#include <algorithm>
 #include <nlohmann/json.hpp>
 #include <set>
 #include <sstream>
 
-#include "core/findings.h"
 #include "plugin/linked_plugins.h"
 #include "report/sweep/sweep_cells.h"
 #include "report/sweep/sweep_schema.h"
+#include "report/sweep/sweep_tables.h"
 #include "settings/run_config.h"
 #include "system/files.h"
 #include "system/shared_files.h"
+#include "tests/says.h"
+#include "tests/temp_dir.h"
 
 namespace semfield {
 namespace {
@@ -23,9 +24,6 @@ namespace fs = std::filesystem;
 class SweepFile : public testing::Test {
  protected:
   void SetUp() override {
-    folder_ = (fs::path(testing::TempDir()) / ("semfield_sweep_file_" + std::to_string(::getpid()))).string();
-    fs::remove_all(folder_);
-    fs::create_directories(folder_);
     write("base.yaml",
           "scene: {type: replica, root: walk}\n"
           "passes:\n"
@@ -34,12 +32,7 @@ class SweepFile : public testing::Test {
           "    field: {type: nerf_mlp, depth: 2, width: 8, skip_at: 0}\n");
     register_linked_plugins(registry_);
   }
-  void TearDown() override { fs::remove_all(folder_); }
-
-  std::string write(const std::string& name, const std::string& text) {
-    write_file_atomic(folder_ + "/" + name, std::string_view(text));
-    return folder_ + "/" + name;
-  }
+  std::string write(const std::string& name, const std::string& text) { return dir_.write(name, text); }
   std::vector<Cell> cells(const std::string& text) {
     return plan_cells(read_sweep(write("sweep.yaml", text)), registry_);
   }
@@ -47,14 +40,15 @@ class SweepFile : public testing::Test {
     try {
       (void)cells(text);
     } catch (const Error& e) {
-      std::string what = shown(e);
+      std::string what = e.what();
       for (std::size_t at; (at = what.find(folder_ + "/")) != std::string::npos;) what.erase(at, folder_.size() + 1);
       return what;
     }
     return "no error";
   }
 
-  std::string folder_;
+  const TempDir dir_;
+  const std::string& folder_ = dir_.path();
   Registry registry_;
 };
 
@@ -72,8 +66,7 @@ TEST_F(SweepFile, AGridIsEveryCombinationTheLastKeyFastest) {
   EXPECT_FALSE(e.variants[0].x) << "two keys have no one abscissa";
   const std::vector<Cell> all = plan_cells(sweep, registry_);
   ASSERT_EQ(all.size(), 4u);
-  EXPECT_NE(all[3].config.find("rays: 128"), std::string::npos);
-  EXPECT_NE(all[3].config.find("weight: 1.0"), std::string::npos);
+  EXPECT_HAS(all[3].config, "rays: 128", "weight: 1.0");
 }
 
 TEST_F(SweepFile, SeedsGoToTrainingAndLabelsAndEqualRunsAreOneCell) {
@@ -83,27 +76,25 @@ TEST_F(SweepFile, SeedsGoToTrainingAndLabelsAndEqualRunsAreOneCell) {
   ASSERT_EQ(all.size(), 8u) << "2 scenes x 2 seeds x 2 configurations; 20000 is the default";
   EXPECT_EQ(all[0].uses.size(), 2u);
   EXPECT_EQ(all[0].seed, 3);
-  EXPECT_NE(all[0].config.find("seed: 3"), std::string::npos);
-  EXPECT_EQ(all[0].config.find("seed: 1"), std::string::npos) << "labels and training share the seed";
-  EXPECT_NE(all[0].config.find(folder_ + "/walk"), std::string::npos) << "a path starts at the file that wrote it";
+  EXPECT_HAS(all[0].config, "seed: 3");
+  EXPECT_LACKS(all[0].config, "seed: 1") << "labels and training share the seed";
+  EXPECT_HAS(all[0].config, folder_ + "/walk") << "a path starts at the file that wrote it";
 }
 
 TEST_F(SweepFile, AnotherSplitIsAnotherCellAndScoresTrainingFrames) {
   const std::string rest = "base: base.yaml\nscenes: {a: }\nvariants: {plain: }\n";
   const std::vector<Cell> test = cells(rest), train = cells("split: train\n" + rest);
   EXPECT_NE(test[0].id, train[0].id);
-  EXPECT_NE(test[0].config.find("training_frames: 0"), std::string::npos);
-  EXPECT_NE(train[0].config.find("training_frames: 1000000"), std::string::npos);
+  EXPECT_HAS(test[0].config, "training_frames: 0");
+  EXPECT_HAS(train[0].config, "training_frames: 1000000");
 }
 
 TEST_F(SweepFile, MetricsOfTrainingFramesScoreThemBesideHeldOutOnes) {
   const std::string rest = "base: base.yaml\nscenes: {a: }\nvariants: {plain: }\nset: {report.training_frames: 7}\n";
-  EXPECT_NE(cells(rest)[0].config.find("training_frames: 0"), std::string::npos);
-  EXPECT_NE(cells("metrics: [ece, miou_of_given_x]\n" + rest)[0].config.find("training_frames: 0"), std::string::npos);
+  EXPECT_HAS(cells(rest)[0].config, "training_frames: 0");
+  EXPECT_HAS(cells("metrics: [ece, miou_of_given_x]\n" + rest)[0].config, "training_frames: 0");
   for (const char* metric : {"given_wrong_auroc", "training_ece"})
-    EXPECT_NE(cells("metrics: [ece, " + std::string(metric) + "]\n" + rest)[0].config.find("training_frames: 7"),
-              std::string::npos)
-        << metric;
+    EXPECT_HAS(cells("metrics: [ece, " + std::string(metric) + "]\n" + rest)[0].config, "training_frames: 7") << metric;
 }
 
 TEST_F(SweepFile, FusionsComeAfterTheFieldTheyTakeDepthFrom) {
@@ -123,9 +114,9 @@ TEST_F(SweepFile, WhatASceneSetsAfterReachesIntoAVariantsStep) {
       "set: {train.rays: 32}\n"
       "variants: {v: {set: {scene.labels.degrade: [{type: region_noise, ratio: 0.5}], train.steps: 7}}}\n");
   ASSERT_EQ(all.size(), 1u);
-  EXPECT_NE(all[0].config.find("chair"), std::string::npos) << all[0].config;
-  EXPECT_NE(all[0].config.find("rays: 32"), std::string::npos) << "the experiment's come after the scene's";
-  EXPECT_NE(all[0].config.find("steps: 7"), std::string::npos);
+  EXPECT_HAS(all[0].config, "chair");
+  EXPECT_HAS(all[0].config, "rays: 32") << "the experiment's come after the scene's";
+  EXPECT_HAS(all[0].config, "steps: 7");
 }
 
 TEST_F(SweepFile, AListOfSweepsIsMergedUnderItsOwnKeys) {
@@ -179,9 +170,7 @@ TEST_F(SweepFile, ErrorsNameTheirPlaceAllAtOnce) {
 TEST_F(SweepFile, AnErrorOfACellNamesTheCellAndIsSaidOnce) {
   const std::string what =
       error_of("base: base.yaml\nseeds: [1, 2]\nscenes: {a: }\nvariants: {v: {set: {train.rayz: 3}}}\n");
-  EXPECT_NE(what.find("sweep.yaml:4:"), std::string::npos) << what;
-  EXPECT_NE(what.find("unknown key 'rayz'"), std::string::npos) << what;
-  EXPECT_NE(what.find("(sweep / a / v)"), std::string::npos) << what;
+  EXPECT_HAS(what, "sweep.yaml:4:", "unknown key 'rayz'", "(sweep / a / v)");
   EXPECT_EQ(what.find("rayz", what.find("rayz") + 8), std::string::npos) << what;
 }
 
@@ -190,13 +179,12 @@ TEST_F(SweepFile, ABaseWithASceneOfItsOwnIsEnough) {
   const std::vector<Cell> own = cells("base: base.yaml\nvariants: {v: }\n");
   ASSERT_EQ(own.size(), 1u);
   EXPECT_EQ(own[0].scene, "base");
-  EXPECT_NE(own[0].config.find(folder_ + "/walk"), std::string::npos) << own[0].config;
+  EXPECT_HAS(own[0].config, folder_ + "/walk");
   const std::vector<Cell> other =
       cells("base: base.yaml\nscenes: {a: , b: {set: {scene.root: other}}}\nvariants: {v: }\n");
   ASSERT_EQ(other.size(), 2u);
-  EXPECT_NE(other[0].config.find(folder_ + "/walk"), std::string::npos);
-  EXPECT_NE(other[1].config.find(folder_ + "/other"), std::string::npos);
-  EXPECT_NE(other[1].config.find("type: replica"), std::string::npos);
+  EXPECT_HAS(other[0].config, folder_ + "/walk");
+  EXPECT_HAS(other[1].config, folder_ + "/other", "type: replica");
   EXPECT_EQ(error_of("variants: {v: }\n"),
             "sweep.yaml:1:1: scenes: expected a map of at least one scene {base, set}; write one, or base: FILE alone, "
             "whose own scene is taken then");
@@ -245,6 +233,129 @@ TEST_F(SweepFile, ShippedExperimentsArePlanned) {
   EXPECT_EQ(plan_cells(gpu, registry_).size(), 216u);
   EXPECT_GT(plan_cells(all, registry_).size(), 100u);
   EXPECT_GT(plan_cells(read_sweep((experiments / "all_paper.yaml").string()), registry_).size(), 100u);
+}
+
+// Statistics, tables and result files of a sweep, by hand.
+
+TEST(SweepTables, QuantilesOfStudentsT) {  // [Student08]; published to four decimals everywhere
+  EXPECT_NEAR(student_t975(1), 12.7062047362, 1e-8);
+  EXPECT_NEAR(student_t975(2), 4.3026527297, 1e-8);
+  EXPECT_NEAR(student_t975(3), 3.1824463053, 1e-8);
+  EXPECT_NEAR(student_t975(4), 2.7764451052, 1e-8);
+  EXPECT_NEAR(student_t975(9), 2.2621571628, 1e-8);
+  EXPECT_NEAR(student_t975(30), 2.0422724563, 1e-8);
+}
+
+TEST(SweepTables, MeanAndIntervalByHand) {
+  const MeanInterval m = mean_interval({1, 2, 3});
+  EXPECT_DOUBLE_EQ(m.mean, 2);
+  EXPECT_NEAR(m.half_width, 4.3026527297 / std::sqrt(3.0), 1e-8);  // s = 1
+  EXPECT_EQ(mean_interval({5}).half_width, 0);
+  EXPECT_EQ(mean_interval({}).n, 0);
+}
+
+struct Example {
+  Sweep sweep;
+  std::vector<Cell> cells;
+  SweepResults results;
+
+  Example() {
+    Experiment e{.name = "noise", .title = "Noise", .metrics = {"miou", "psnr"}, .paper = "mIoU"};
+    e.scenes.resize(2);
+    e.scenes[0].name = "a";
+    e.scenes[1].name = "b";
+    e.variants.resize(2);
+    e.variants[0].name = "50 %, even";
+    e.variants[0].x = 50;
+    e.variants[0].paper = 0.951;
+    e.variants[1].name = "p|q";
+    e.variants[1].x = 90;
+    e.seeds = {1, 2};
+    sweep.experiments = {e};
+    for (std::size_t s = 0; s < 2; ++s) {
+      for (std::size_t v = 0; v < 2; ++v) {
+        for (std::size_t k = 0; k < 2; ++k) {
+          Cell cell;
+          cell.id = std::to_string(s) + std::to_string(v) + std::to_string(k);
+          cell.uses = {{0, s, v, k}};
+          const double value =
+              0.1 * static_cast<double>(s + 1) + 0.01 * static_cast<double>(v) + 0.002 * static_cast<double>(k);
+          if (cell.id != "111") results[cell.id] = {{"miou", value}, {"psnr", 20 + value}};
+          cells.push_back(cell);
+        }
+      }
+    }
+  }
+};
+
+TEST(SweepTables, MarkdownShowsMeansIntervalsAndThePaper) {
+  const Example x;
+  const ExperimentTable table(x.sweep, 0, x.cells, x.results);
+  // Two seeds 0.002 apart: s = 0.002 / sqrt 2, half width = t(1) s / sqrt 2 = 12.706 * 0.001.
+  const std::string text = table.markdown();
+  EXPECT_HAS(text,
+             "| miou | a | b | mean | paper (mIoU) |\n|---|---|---|---|---|\n"
+             "| 50 %, even | 0.101 ± 0.013 | 0.201 ± 0.013 | 0.151 ± 0.009 | 0.951 |\n"
+             "| p\\|q | 0.111 ± 0.013 | 0.210 | 0.161 | – |\n");  // a cell is missing: one seed of scene b, whose
+                                                                  // interval is then unknown
+  EXPECT_HAS(text, "| PSNR, dB | a | b | mean |\n");
+}
+
+TEST(SweepTables, CsvQuotesAndCountsOnlyFinishedCells) {
+  const Example x;
+  const std::string csv = results_csv(x.sweep, x.cells, x.results);
+  EXPECT_EQ(csv.substr(0, csv.find('\n')), "experiment,scene,variant,seed,metric,value");
+  EXPECT_HAS(csv, "noise,a,\"50 %, even\",1,miou,0.1\n");
+  EXPECT_EQ(std::count(csv.begin(), csv.end(), '\n'), 1 + 7 * 2);
+  const std::string table = ExperimentTable(x.sweep, 0, x.cells, x.results).csv();
+  EXPECT_HAS(table, "p|q,b,miou,1,");
+}
+
+TEST(SweepTables, ThePlotIsAFileOfItsOwn) {
+  const Example x;
+  const std::string svg = ExperimentTable(x.sweep, 0, x.cells, x.results).svg();
+  EXPECT_EQ(svg.rfind("<svg xmlns=\"http://www.w3.org/2000/svg\"", 0), 0u);
+  EXPECT_HAS(svg, "Noise: miou");
+  Example bare;
+  for (SweepVariant& v : bare.sweep.experiments[0].variants) v.x.reset();
+  EXPECT_EQ(ExperimentTable(bare.sweep, 0, bare.cells, bare.results).svg(), "");
+}
+
+TEST(SweepResults, AreWrittenReadAndTakenFromRunsAndFusions) {
+  const TempDir dir;
+  const std::string& folder = dir.path();
+  const CellValues values{{"miou", 0.25}, {"psnr", 21.5}};
+  write_cell_result(folder + "/result.json", values);
+  EXPECT_EQ(read_cell_result(folder + "/result.json"), values);
+  EXPECT_FALSE(read_cell_result(folder + "/none.json"));
+  write_file_atomic(folder + "/bad.json", std::string_view("{"));
+  EXPECT_THROW((void)read_cell_result(folder + "/bad.json"), Error);
+
+  write_file_atomic(
+      folder + "/metrics.jsonl",
+      std::string_view("{\"kind\":\"eval\",\"step\":5,\"train_s\":1,\"split\":\"train\",\"miou\":0.1}\n"
+                       "{\"kind\":\"eval\",\"step\":9,\"train_s\":2.5,\"split\":\"test\",\"miou\":0.7}\n"
+                       "{\"kind\":\"eval\",\"step\":9,\"train_s\":2.5,\"split\":\"train\",\"miou\":0.9}\n"));
+  EXPECT_EQ(values_of_run(folder + "/metrics.jsonl", "train"),
+            (CellValues{{"miou", 0.9}, {"train_s", 2.5}, {"steps", 9}}));
+  EXPECT_THROW((void)values_of_run(folder + "/metrics.jsonl", "val"), Error);
+  EXPECT_EQ(values_of_run(folder + "/metrics.jsonl", "test"),
+            (CellValues{{"miou", 0.7}, {"training_miou", 0.9}, {"train_s", 2.5}, {"steps", 9}}));
+  write_file_atomic(
+      folder + "/sample.jsonl",
+      std::string_view("{\"kind\":\"eval\",\"step\":9,\"train_s\":2.5,\"split\":\"test\",\"ece\":0.5}\n"
+                       "{\"kind\":\"eval\",\"step\":9,\"train_s\":2.5,\"split\":\"train_sample\",\"ece\":0.25,"
+                       "\"given_wrong_auroc\":0.75,\"given_none_auroc\":null}\n"));
+  EXPECT_EQ(
+      values_of_run(folder + "/sample.jsonl", "test"),
+      (CellValues{{"ece", 0.5}, {"training_ece", 0.25}, {"given_wrong_auroc", 0.75}, {"train_s", 2.5}, {"steps", 9}}));
+
+  const std::string fused =
+      "{\"semfield\":\"0.1.0\",\"verb\":\"fuse\",\"scores\":[{\"method\":\"monocular\",\"miou\":0.5},{\"method\":"
+      "\"bayesian\",\"miou\":0.6,\"depth\":\"true\"}]}";
+  EXPECT_EQ(values_of_fusion(fused, "bayesian"), (CellValues{{"miou", 0.6}}));
+  EXPECT_THROW((void)values_of_fusion(fused, "average"), Error);
+  std::filesystem::remove_all(folder);
 }
 
 }  // namespace

@@ -1,13 +1,6 @@
 // A sweep started by mpirun: what its processes leave, whoever of them is killed.
-#include <gtest/gtest.h>
-
 #include <csignal>
-#include <cstdlib>
-#include <filesystem>
-#include <fstream>
 #include <iterator>
-#include <string>
-#include <vector>
 
 #include "system/files.h"
 #include "tests/program.h"
@@ -16,15 +9,9 @@
 namespace semfield {
 namespace {
 
-using testing_program::Process;
-using testing_program::program;
-using testing_program::Result;
-using testing_program::semfield_run;
+using namespace testing_program;
 using testing_room::fresh_folder;
-using testing_sweep::begun_cells;
-using testing_sweep::results_without_times;
-using testing_sweep::wait_until;
-using testing_sweep::write_sweep;
+using namespace testing_sweep;
 
 constexpr int kSteps = 120;
 
@@ -103,9 +90,9 @@ TEST_F(SweepRanks, TheResultsAreThoseOfOneProcessAndOneOfThemTellsTheEnd) {
   const Result r = Process(SEMFIELD_MPIRUN, words(3, false), folder_).wait();
   EXPECT_EQ(r.code, 0) << r.err;
   EXPECT_EQ(r.out, last_line());
-  EXPECT_NE(r.err.find("1 at a time in each of 3 processes"), std::string::npos) << r.err;
+  EXPECT_HAS(r.err, "1 at a time in each of 3 processes");
   for (const char* rank : {"rank 0: [", "rank 1: [", "rank 2: ["})
-    EXPECT_NE(r.err.find(rank), std::string::npos) << rank << " did no cell\n" << r.err;
+    EXPECT_HAS(r.err, rank) << rank << " did no cell\n" << r.err;
   EXPECT_EQ(results_without_times(out_), results_of_one_process(folder_, file_));
 }
 
@@ -119,7 +106,7 @@ TEST_F(SweepRanks, AKilledRanksCellIsFinishedByTheOthers) {
   EXPECT_EQ(r.out, last_line()) << r.err;
   // Another rank went on with it from its checkpoint.
   const std::string result = read_text_file(out_ + "/cells/" + held.cell + "/result.json");
-  EXPECT_EQ(result.find("processor_s"), std::string::npos) << result;
+  EXPECT_LACKS(result, "processor_s");
   EXPECT_EQ(results_without_times(out_), results_of_one_process(folder_, file_));
 }
 
@@ -142,7 +129,7 @@ TEST_F(SweepRanks, AFailedCellIsToldByTheExitCode) {
   file_ = write_sweep(folder_, 3, "  broken: {set: {scene.labels.frames: none, train.ray_source: label_balanced}}\n");
   const Result r = Process(SEMFIELD_MPIRUN, words(2, false), folder_).wait();
   EXPECT_EQ(r.code, 1) << r.err;
-  EXPECT_NE(r.out.find("sweep: cells=4 done=3 failed=1 folder="), std::string::npos) << r.out;
+  EXPECT_HAS(r.out, "sweep: cells=4 done=3 failed=1 folder=");
 }
 
 }  // namespace

@@ -1,14 +1,7 @@
 // Several processes of one sweep, started by hand on one folder: they share the cells, and what they leave is what one
 // process leaves.
-#include <gtest/gtest.h>
-#include <unistd.h>
-
 #include <csignal>
-#include <filesystem>
-#include <optional>
 #include <set>
-#include <string>
-#include <vector>
 
 #include "system/files.h"
 #include "tests/program.h"
@@ -18,16 +11,9 @@ namespace semfield {
 namespace {
 
 namespace fs = std::filesystem;
-using testing_program::Process;
-using testing_program::program;
-using testing_program::Result;
-using testing_program::semfield_run;
+using namespace testing_program;
 using testing_room::fresh_folder;
-using testing_sweep::begun_cells;
-using testing_sweep::files_of_cells;
-using testing_sweep::results_without_times;
-using testing_sweep::wait_until;
-using testing_sweep::write_sweep;
+using namespace testing_sweep;
 
 std::size_t count_of(const std::string& text, const std::string& word) {
   std::size_t count = 0;
@@ -45,7 +31,7 @@ TEST(SweepShared, TwoProcessesRunEveryCellOnceAndLeaveTheFilesOfOne) {
   const Result of_a = a.wait(), of_b = b.wait();
   EXPECT_EQ(of_a.code, 0) << of_a.err;
   EXPECT_EQ(of_b.code, 0) << of_b.err;
-  // Each tells the end of the whole sweep, and of its cells alone.
+  // Each reports the end of the whole sweep, and of its cells alone.
   EXPECT_EQ(of_a.out, "sweep: cells=6 done=6 failed=0 folder=" + both + "\n");
   EXPECT_EQ(of_b.out, of_a.out);
   EXPECT_EQ(count_of(of_a.err, "/6] ") + count_of(of_b.err, "/6] "), 6U) << of_a.err << of_b.err;
@@ -84,7 +70,7 @@ TEST(SweepShared, AFailedCellIsTriedByOneAndByTheNextSweepAgain) {
   EXPECT_EQ(count_of(of_a.err, broken) + count_of(of_b.err, broken), 1U) << of_a.err << of_b.err;
   const auto failures = files_of_cells(out, "failure.txt");
   ASSERT_EQ(failures.size(), 1U);
-  EXPECT_NE(failures.begin()->second.find("no training pixel carries a label"), std::string::npos);
+  EXPECT_HAS(failures.begin()->second, "no training pixel carries a label");
 
   const Result next = semfield_run("sweep " + shell_word(file) + " --out " + shell_word(out), folder);
   EXPECT_EQ(next.code, 1);
@@ -117,7 +103,7 @@ TEST(SweepShared, TheCellOfAKilledProcessIsTakenUp) {
   EXPECT_EQ(r.out, "sweep: cells=3 done=3 failed=0 folder=" + out + "\n");
   // It was gone on with, so nobody knows what it took in all.
   const std::string result = read_text_file(out + "/cells/" + cell + "/result.json");
-  EXPECT_EQ(result.find("processor_s"), std::string::npos) << result;
+  EXPECT_LACKS(result, "processor_s");
   ASSERT_EQ(semfield_run("sweep " + shell_word(file) + " --out " + shell_word(one), folder).code, 0);
   EXPECT_EQ(results_without_times(out), results_without_times(one));
 }
@@ -139,7 +125,7 @@ TEST(SweepShared, AnotherSweepOnTheFolderIsRefusedByName) {
   gethostname(host, sizeof host - 1);
   const std::string refused = "the sweep folder '" + out + "' is in use by process " + std::to_string(first.pid()) +
                               " on " + host + ", another sweep with other cells; wait for it to end, stop it";
-  EXPECT_NE(second->err.find(refused), std::string::npos) << second->err;
+  EXPECT_HAS(second->err, refused);
   // Looking is allowed.
   const Result looked = semfield_run("sweep " + shell_word(file) + " --dry-run --out " + shell_word(out), other);
   EXPECT_EQ(looked.code, 0) << looked.err;
@@ -159,10 +145,10 @@ TEST(SweepShared, DevicesThatAreNotThereAreRefused) {
     return r.err;
   };
   // No device of the machine is seen by tests.
-  EXPECT_NE(refusal("--devices all", 69).find("--devices all: "), std::string::npos);
-  EXPECT_NE(refusal("--devices 1,0", 69).find("--devices: no cuda:1: "), std::string::npos);
-  EXPECT_NE(refusal("--devices 0,all", 2).find("--devices: 'all' is no CUDA device"), std::string::npos);
-  EXPECT_NE(refusal("--devices 0 --jobs 2", 2).find("--jobs"), std::string::npos);
+  EXPECT_HAS(refusal("--devices all", 69), "--devices all: ");
+  EXPECT_HAS(refusal("--devices 1,0", 69), "--devices: no cuda:1: ");
+  EXPECT_HAS(refusal("--devices 0,all", 2), "--devices: 'all' is no CUDA device");
+  EXPECT_HAS(refusal("--devices 0 --jobs 2", 2), "--jobs");
   EXPECT_FALSE(fs::exists(folder + "/out"));
 }
 

@@ -1,14 +1,9 @@
 // `semfield sweep` as a program: cells in parallel, tables, going on after a kill, a failing cell.
-#include <gtest/gtest.h>
-#include <unistd.h>
-
-#include <chrono>
 #include <csignal>
-#include <filesystem>
-#include <string>
-#include <thread>
-#include <vector>
+#include <nlohmann/json.hpp>
+#include <random>
 
+#include "core/text.h"
 #include "system/files.h"
 #include "system/folder_lock.h"
 #include "tests/program.h"
@@ -18,15 +13,9 @@ namespace semfield {
 namespace {
 
 namespace fs = std::filesystem;
-using testing_program::Process;
-using testing_program::program;
-using testing_program::Result;
-using testing_program::semfield_run;
+using namespace testing_program;
 using testing_room::fresh_folder;
-using testing_sweep::begun_cells;
-using testing_sweep::files_of_cells;
-using testing_sweep::wait_until;
-using testing_sweep::write_sweep;
+using namespace testing_sweep;
 
 std::vector<fs::path> packs_of(const std::string& out) {
   std::vector<fs::path> found;
@@ -44,17 +33,16 @@ TEST(SweepVerb, RunsEveryCellOnceAndWritesItsTables) {
   ASSERT_EQ(r.code, 0) << r.err;
   EXPECT_EQ(r.out, "sweep: cells=3 done=3 failed=0 folder=" + out + "\n");
   const std::string csv = read_text_file(out + "/results.csv");
-  EXPECT_NE(csv.find("tiny,room,clean,1,given_miou_present,1"), std::string::npos) << csv;
-  EXPECT_NE(csv.find("tiny,room,noisy,1,miou_present,"), std::string::npos) << csv;
-  EXPECT_NE(csv.find("tiny,room,fused,1,miou_present,"), std::string::npos) << csv;
-  EXPECT_NE(read_text_file(out + "/tables.md").find("| fused |"), std::string::npos);
+  EXPECT_HAS(csv, "tiny,room,clean,1,given_miou_present,1", "tiny,room,noisy,1,miou_present,",
+             "tiny,room,fused,1,miou_present,");
+  EXPECT_HAS(read_text_file(out + "/tables.md"), "| fused |");
   EXPECT_TRUE(fs::exists(out + "/tiny.svg"));
   EXPECT_EQ(packs_of(out).size(), 1U);
 
   // Again, from another working folder: nothing runs, the same bytes.
   r = semfield_run("sweep " + shell_word(file) + " --out " + shell_word(out), fresh_folder("elsewhere"));
   EXPECT_EQ(r.code, 0);
-  EXPECT_NE(r.err.find("3 of them done"), std::string::npos) << r.err;
+  EXPECT_HAS(r.err, "3 of them done");
   EXPECT_EQ(read_text_file(out + "/results.csv"), csv);
 }
 
@@ -65,9 +53,8 @@ TEST(SweepVerb, AFailingCellIsNamedAndTheOthersGoOn) {
       write_sweep(folder, 3, "  broken: {set: {scene.labels.frames: none, train.ray_source: label_balanced}}\n");
   const Result r = semfield_run("sweep " + shell_word(file) + " --out " + shell_word(folder + "/out"), folder);
   EXPECT_EQ(r.code, 1);
-  EXPECT_NE(r.err.find("broken, room, seed 1: exit code 65"), std::string::npos) << r.err;
-  EXPECT_NE(r.err.find("no training pixel carries a label"), std::string::npos) << r.err;
-  EXPECT_NE(r.out.find("done=3 failed=1"), std::string::npos) << r.out;
+  EXPECT_HAS(r.err, "broken, room, seed 1: exit code 65", "no training pixel carries a label");
+  EXPECT_HAS(r.out, "done=3 failed=1");
 }
 
 // Stopped by SIGTERM while cells train: they save, nothing is left running, and the next start resumes them.
@@ -130,10 +117,10 @@ TEST(SweepVerb, KilledAndStartedAgainItWaitsForItsOldCells) {
   old = {};
   const Result r = second.wait();
   EXPECT_EQ(r.code, 0) << r.err;
-  EXPECT_NE(r.out.find("cells=3 done=3 failed=0"), std::string::npos) << r.out << r.err;
+  EXPECT_HAS(r.out, "cells=3 done=3 failed=0") << r.out << r.err;
   // What it had learned is not lost: the run was gone on with.
   const std::string words = read_text_file(out + "/cells/" + cell + "/result.json");
-  EXPECT_EQ(words.find("processor_s"), std::string::npos) << words;
+  EXPECT_LACKS(words, "processor_s");
 }
 
 TEST(SweepVerb, ADamagedPackIsMadeAgain) {
@@ -145,7 +132,90 @@ TEST(SweepVerb, ADamagedPackIsMadeAgain) {
   fs::remove_all(out + "/cells");
   const Result r = semfield_run("sweep " + shell_word(file) + " --out " + shell_word(out), folder);
   EXPECT_EQ(r.code, 0) << r.err;
-  EXPECT_NE(r.err.find("packing the scene 'room'"), std::string::npos) << r.err;
+  EXPECT_HAS(r.err, "packing the scene 'room'");
+}
+
+// Two processes of one sweep side by side in its folder, killed at random moments and started again: no result is lost
+// or changed.
+
+constexpr std::size_t kCells = 6;
+
+std::string write_six_cells(const std::string& folder) {
+  return testing_sweep::write_sweep(folder, 60, "seeds: [1, 2]\n");
+}
+
+// What is measured of a process differs from run to run; everything else has the same bits.
+std::string without_times(const std::string& result) {
+  nlohmann::ordered_json root = nlohmann::ordered_json::parse(result);
+  for (const char* name : {"train_s", "processor_s", "peak_mb"}) root["values"].erase(name);
+  return root.dump();
+}
+
+// 0: all done. 128 + n: stopped in order. A SIGKILL, or a SIGTERM before the handler is
+// there, ends it by the signal.
+void expect_documented(const Result& r, int sent) {
+  const bool documented = r.code == 0 || (r.code == 143 && sent == SIGTERM) || r.signal == sent;
+  EXPECT_TRUE(documented) << "code " << r.code << ", signal " << r.signal << ", sent " << sent << "\n" << r.err;
+}
+
+// SEMFIELD_SWEEP_KILLS: starts and kills of both together; scripts/sweep_torture gives it.
+TEST(SweepTorture, KillsOfTwoProcessesSideBySideLoseNoResult) {
+  const char* const asked = std::getenv("SEMFIELD_SWEEP_KILLS");
+  const int kills = asked != nullptr ? std::atoi(asked) : 6;
+  const std::string folder = fresh_folder("torture");
+  const std::string file = write_six_cells(folder);
+  const std::string whole = folder + "/whole";
+  const auto begin = std::chrono::steady_clock::now();
+  ASSERT_EQ(
+      testing_program::semfield_run("sweep " + shell_word(file) + " --jobs 2 --out " + shell_word(whole), folder).code,
+      0);
+  const double whole_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  const std::map<std::string, std::string> expected = files_of_cells(whole, "result.json");
+  ASSERT_EQ(expected.size(), kCells);
+
+  std::mt19937 random(1);  // the moments are the machine's, the choices are not
+  const auto moment = [&] {
+    return std::chrono::duration<double>(0.4 * whole_s * static_cast<double>(random()) / 4294967296.0);
+  };
+  int sweeps = 0, resumed = 0;
+  for (int killed = 0; killed < kills; ++sweeps) {
+    const std::string out = folder + "/out" + std::to_string(sweeps);
+    std::map<std::string, std::string> done;
+    while (killed < kills && done.size() < kCells) {
+      const std::string of_a = fresh_folder("a"), of_b = fresh_folder("b");
+      const std::vector<std::string> words{"sweep", file, "--out", out, "--jobs", "2"};
+      Process a(testing_program::program(), words, of_a);
+      std::this_thread::sleep_for(moment() / 10);
+      Process b(testing_program::program(), words, of_b);
+      for (Process* process : random() % 2 == 0 ? std::array{&a, &b} : std::array{&b, &a}) {
+        std::this_thread::sleep_for(moment());
+        const int signal = random() % 3 == 0 ? SIGTERM : SIGKILL;
+        process->send(signal);
+        const Result r = process->wait();
+        expect_documented(r, signal);
+        ++killed;
+      }
+      const std::map<std::string, std::string> now = files_of_cells(out, "result.json");
+      for (const auto& [id, result] : done) {
+        ASSERT_TRUE(now.contains(id)) << "the result of " << id << " is gone after " << killed << " kills";
+        ASSERT_EQ(now.at(id), result) << "another result of " << id << " after " << killed << " kills";
+      }
+      done = now;
+    }
+    const Result last =
+        testing_program::semfield_run("sweep " + shell_word(file) + " --jobs 2 --out " + shell_word(out), folder);
+    ASSERT_EQ(last.code, 0) << last.err;
+    const std::map<std::string, std::string> ended = files_of_cells(out, "result.json");
+    for (const auto& [id, result] : done) EXPECT_EQ(ended.at(id), result);
+    ASSERT_EQ(ended.size(), kCells);
+    for (const auto& [id, result] : ended) {
+      EXPECT_EQ(without_times(result), without_times(expected.at(id))) << id;
+      if (result.find("processor_s") == std::string::npos) ++resumed;
+    }
+    EXPECT_HAS(last.out, "cells=6 done=6 failed=0");
+    fs::remove_all(out);
+  }
+  std::printf("sweep torture: kills=%d sweeps=%d resumed_cells=%d lost=0 changed=0\n", kills, sweeps, resumed);
 }
 
 }  // namespace

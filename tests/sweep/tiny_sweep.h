@@ -2,12 +2,9 @@
 #pragma once
 
 #include <chrono>
-#include <filesystem>
 #include <map>
 #include <sstream>
-#include <string>
 #include <thread>
-#include <vector>
 
 #include "system/files.h"
 #include "tests/scene/tiny_scene.h"

@@ -1,4 +1,4 @@
-// What each key of the page does; the help in dialogs.js tells it.
+// What each key of the page does; the help in dialogs.js describes it.
 import {showHelp} from './dialogs.js';
 
 /// By the names of nameOfKey.

@@ -1,13 +1,13 @@
 // Requests to the program. All addresses are relative, so they carry the page's secret folder.
 
-/// What the program refused: a sentence, what to do about it, and the HTTP status (0: no answer came).
+/// What the program refused: a sentence, what to do about it, and the HTTP status (0: no response came).
 export class Refusal extends Error {
   constructor(what, remedy, status) {
     super(what);
     this.remedy = remedy ?? '';
     this.status = status;
   }
-  /// No answer, or one that says "later": the same request may succeed in a while.
+  /// No response, or one that says "later": the same request may succeed in a while.
   get passes() { return this.status === 0 || this.status >= 500 || this.status === 429; }
 }
 
@@ -130,8 +130,8 @@ const shown = () => new Promise((resolve) => {
 });
 
 /// Follows the program's state for ever, except in a tab that nobody sees (a browser has few connections to one server).
-/// state(value, anew): anew after the first answer, a rest and each lost connection;
-/// lost(error): no answer came, or none that helps (its status says which).
+/// state(value, anew): anew after the first response, a rest and each lost connection;
+/// lost(error): no response came, or none that helps (its status says which).
 export async function followState({state, lost}) {
   const backoff = new Backoff();
   addEventListener('online', () => backoff.poke());
@@ -143,7 +143,7 @@ export async function followState({state, lost}) {
     try {
       const value = await getJson(`./state?after=${after}`);
       const anew = after === 0 || value.revision < after;
-      if (anew && after !== 0 && value.marks === null) { after = 0; continue; }  // another process: it must tell all
+      if (anew && after !== 0 && value.marks === null) { after = 0; continue; }  // another process: it must send all
       after = value.revision;
       backoff.reset();
       state(value, anew);

@@ -37,7 +37,7 @@ export class Ids {
 }
 
 export class EventQueue {
-  /// changed(): the queue is another; acknowledged(event, answer); refused(event, error).
+  /// changed(): the queue is another; acknowledged(event, response); refused(event, error).
   constructor({tab, changed, acknowledged, refused, failed, storage = safeStorage('localStorage'), send = (event) => postJson('./event', event)}) {
     Object.assign(this, {tab, changed, acknowledged, refused, failed, storage, send});
     this.unsent = [];

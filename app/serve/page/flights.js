@@ -13,7 +13,7 @@ export class Flights {
     this.questions = new PictureChannel(`${tab}-at`);  // beside the flight's own pictures
     this.flight = null;
     this.flown = null;       // the picture that is shown
-    this.fresh = [];         // clicks that no picture shows yet: {at: shares, name}
+    this.fresh = [];         // clicks that no picture shows yet: {at: fractions, name}
   }
 
   get isFlying() { return this.flight !== null; }
@@ -57,7 +57,7 @@ export class Flights {
     this.flight = null;
   }
 
-  /// Labels are newer: the picture is asked for again.
+  /// Labels are newer: the picture is requested again.
   follow(revision) {
     if (!this.flight || revision === this.revision) return;
     this.revision = revision;

@@ -1,4 +1,4 @@
-// The free camera: where it is, how keys and the pointer move it, and which pictures it asks for.
+// The free camera: where it is, how keys and the pointer move it, and which pictures it requests.
 
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
@@ -65,8 +65,8 @@ export class Flight {
     this.held = new Set();
     this.size_px = kSizes.first;
     this.moved_ms = performance.now() - kStill_ms;
-    this.dirty = true;      // the newest place was not asked for
-    this.fulls = 0;         // how many of the full pictures were asked for from there: half the size first, for it comes sooner
+    this.dirty = true;      // the newest place was not requested
+    this.fulls = 0;         // how many of the full pictures were requested from there: half the size first, for it comes sooner
     this.last_ms = performance.now();
     this.tick = this.tick.bind(this);
     this.frame = requestAnimationFrame(this.tick);
@@ -104,7 +104,7 @@ export class Flight {
     this.fulls = 0;
   }
 
-  /// Everything is asked for again (labels are newer).
+  /// Everything is requested again (labels are newer).
   renew() {
     this.dirty = true;
     this.fulls = 0;

@@ -18,7 +18,7 @@ export function nameOfKey(event) {
   return `${event.ctrlKey || event.metaKey ? 'ctrl+' : ''}${hasShift ? 'shift+' : ''}${name}`;
 }
 
-/// actions: functions by nameOfKey. first(event, isDown) may take a key before them by answering true.
+/// actions: functions by nameOfKey. first(event, isDown) may take a key before them by returning true.
 export function followKeys(actions, first) {
   addEventListener('keydown', (event) => {
     if (document.querySelector('dialog[open]') || event.isComposing || event.defaultPrevented || isTaken(event)) return;

@@ -17,7 +17,7 @@ export class Labeller {
     this.marks = [];
     this.ignore = {...kIgnore, name: 'void', clicks: 0};  // the row of what is ignored
     this.births = new MarkBirths();
-    this.pending = [];      // [{event, revision}]; revision: of the answer, null before it came
+    this.pending = [];      // [{event, revision}]; revision: of the response, null before it came
     this.everyEvent = new Map();
     this.undoable = [];     // own events, the last one last
     this.redoable = [];     // undo events
@@ -57,7 +57,7 @@ export class Labeller {
 
   get unsaved() { return this.queue.unsent.length; }
 
-  /// A state that the program told; anew: it may be another process.
+  /// A state that the program sent; anew: it may be another process.
   take(answer, anew) {
     const first = this.state === null;
     this.births.see(merged(this.state, answer), anew);

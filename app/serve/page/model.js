@@ -1,7 +1,7 @@
 // What is shown: the program's state with the events on top that it does not know yet. Pure.
 import {freeColor} from './colors.js';
 
-/// The state with what a newer answer brings; marks and history stay where it leaves them out.
+/// The state with what a newer response brings; marks and history stay where it leaves them out.
 export function merged(state, answer) {
   return {...answer, marks: answer.marks ?? state?.marks ?? [], history: answer.history ?? state?.history ?? []};
 }
@@ -87,7 +87,7 @@ export function combined(state, pending, everyEvent) {
   return {classes, marks, ignore};
 }
 
-/// Which events of `overlay` (a revision of the label maps) are known, from the pairs that states told.
+/// Which events of `overlay` (a revision of the label maps) are known, from the pairs that states carried.
 export class OverlayEvents {
   constructor() { this.pairs = []; }
   tell({revision, events}) {

@@ -128,7 +128,7 @@ export class Messages {
     setTimeout(() => message.remove(), 3500);
   }
 
-  /// All is saved: what was told about saving is over.
+  /// All is saved: messages about saving are over.
   settled() {
     for (const message of this.list.querySelectorAll('.passes')) message.remove();
   }

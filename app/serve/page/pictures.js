@@ -6,7 +6,7 @@ const kKept = 16;
 const kKeptLarge = 3;      // photographs larger than the view: some have many megapixels
 const kLevels_px = [1024, 2048, 4096];
 
-/// Longest side to ask for, so that a photograph shown `wanted_px` long is sharp: what the program has at hand for the view, a level, or
+/// Longest side to request, so that a photograph shown `wanted_px` long is sharp: what the program has at hand for the view, a level, or
 /// 0 for all that there is.
 export function photoLevel(wanted_px, view_px) {
   if (wanted_px <= view_px) return view_px;

@@ -1,4 +1,4 @@
-// Mouse, pen and fingers on the canvas, told as clicks, strokes, drags and zooms.
+// Mouse, pen and fingers on the canvas, reported as clicks, strokes, drags and zooms.
 
 const kStill_px = 4;
 

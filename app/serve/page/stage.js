@@ -9,7 +9,7 @@ const kDimmed = 50;  // alpha of other classes while one is pointed at
 const kHead_px = 9;  // of the screen: a pointer this near to the first point of a mark means the mark
 
 export class Stage {
-  /// calls: those of Tools, changed(), drag(dx, dy), wheel(factor) and clickFlight(share of width, of height) of a flight.
+  /// calls: those of Tools, changed(), drag(dx, dy), wheel(factor) and clickFlight(fraction of width, of height) of a flight.
   constructor(labeller, settings, calls) {
     Object.assign(this, {labeller, settings, calls});
     this.view = new ViewCanvas(byId('canvas'));

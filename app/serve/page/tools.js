@@ -81,7 +81,7 @@ export class Tools {
     this.calls.changed();
   }
 
-  /// Whatever lies on the way of the eraser, which a quick pointer tells in few points.
+  /// Whatever lies on the way of the eraser, which a quick pointer reports in few points.
   doom(at) {
     const reach = Math.max(this.slack, this.stage.settings.radius);
     const from = this.erasedAt ?? at;

@@ -22,7 +22,7 @@ namespace semfield::app {
 namespace {
 
 // What the two processes say to each other: an object per line. "begun" and "ended" hold a row, "error" an Error;
-// "done" says that every law was asked.
+// "done" says that every law was checked.
 Json message_of(const LawRow& row) {
   return {
       {"kind", static_cast<int>(row.kind)},     {"name", row.name},  {"settings", row.settings}, {"build", row.build},

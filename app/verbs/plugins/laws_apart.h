@@ -1,4 +1,4 @@
-// Laws of plugins asked in a process of their own, which a plugin may end.
+// Laws of plugins checked in a process of their own, which a plugin may end.
 #pragma once
 
 #include <functional>

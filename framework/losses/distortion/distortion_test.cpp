@@ -3,8 +3,6 @@
 
 #include <gtest/gtest.h>
 
-#include <cmath>
-
 #include "losses/distortion/distortion_math.h"
 #include "testkit/loss/loss_rays.h"
 

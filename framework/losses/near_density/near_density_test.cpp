@@ -3,8 +3,6 @@
 
 #include <gtest/gtest.h>
 
-#include <cmath>
-
 #include "testkit/loss/loss_rays.h"
 
 namespace semfield {
@@ -29,9 +27,9 @@ TEST(NearDensityLoss, DoesNotDependOnHowManySamplesThereAre) {
   for (const int samples : {4, 64}) {
     LossRays<double> rays({samples});
     for (int k = 0; k < samples; ++k) {
-      rays.t[static_cast<std::size_t>(k)] = (k + 0.5) / samples;
-      rays.delta[static_cast<std::size_t>(k)] = 1.0 / samples;
-      rays.sigma[static_cast<std::size_t>(k)] = 2;
+      rays.t[k] = (k + 0.5) / samples;
+      rays.delta[k] = 1.0 / samples;
+      rays.sigma[k] = 2;
     }
     EXPECT_NEAR(rays.add(loss, 1), 2, 1e-12) << samples;
   }

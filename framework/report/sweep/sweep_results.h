@@ -1,4 +1,4 @@
-// Results of cells: kept one file a cell, and as rows of results.csv.
+// Results of cells: kept one file per cell, and as rows of results.csv.
 #pragma once
 
 #include <cstdint>

@@ -31,11 +31,12 @@ class ExperimentTable {
   /// n = scenes with data.
   MeanInterval over_scenes(std::size_t variant, const std::string& metric) const;
 
-  /// A heading, the note, and a table a metric: a row a variant, a column a scene, their mean, the paper's figure.
+  /// A heading, the note, and a table per metric: a row per variant, a column per scene, their mean, the paper's
+  /// figure.
   std::string markdown() const;
   /// variant, scene, metric, n, mean, half_width.
   std::string csv() const;
-  /// The first metric over `x`, a line a scene, as a file of its own; empty when fewer than two variants have an x.
+  /// The first metric over `x`, a line per scene, as a file of its own; empty when fewer than two variants have an x.
   std::string svg() const;
 
  private:

@@ -16,7 +16,7 @@ class StepRows {
 
   /// Steps from `step` to the next row.
   std::int64_t steps_until_row(std::int64_t step) const;
-  /// The row that step `step` completes, if it does. To be told of every step; `train_s` is of now.
+  /// The row that step `step` completes, if it does. To be called for every step; `train_s` is of now.
   std::optional<MetricsRow> add(const StepLosses& losses, std::int64_t step, double train_s);
   /// Seconds that were training and no steps: they do not count for rays_per_s.
   void leave_out(double seconds) { window_start_s_ += seconds; }

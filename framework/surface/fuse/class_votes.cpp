@@ -11,7 +11,7 @@
 namespace semfield {
 
 namespace {
-// Sums of the same terms in another order differ by less; predictions that differ by less are not told apart.
+// Sums of the same terms in another order differ by less; predictions that differ by less count as equal.
 constexpr double kTie = 1e-9;
 }  // namespace
 

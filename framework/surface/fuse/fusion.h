@@ -28,7 +28,7 @@ struct FusionCounts {
   std::int64_t votes = 0;          ///< predictions of all pixels with depth, the own one included
 
   void merge(const FusionCounts& other);
-  /// Predictions a pixel with depth; 0 without such pixels.
+  /// Predictions per pixel with depth; 0 without such pixels.
   double views_mean() const;
   bool operator==(const FusionCounts&) const = default;
 };

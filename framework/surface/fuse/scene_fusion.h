@@ -11,7 +11,7 @@
 
 namespace semfield {
 
-/// One entry a frame of `frames`.
+/// One entry per frame of `frames`.
 struct FrameMaps {
   std::vector<int> frames;                       ///< indices into LoadedScene::info.frames
   std::vector<std::vector<float>> depth_m;       ///< [H * W] z-depth, 0 = none
@@ -29,7 +29,7 @@ struct TrainedField {
 
 /// Depth of the same frames rendered from a run's field - expected depth divided by opacity, 0 below `min_opacity` -
 /// and its labels, when the run has semantics and the class table of `scene`. Throws Error(data) naming a frame that
-/// the run does not know or that stands elsewhere in it. `done` is told the frames rendered; may be null.
+/// the run does not know or that stands elsewhere in it. `done` gets the number of frames rendered; may be null.
 FrameMaps learned_depth(const TrainedField& run, const LoadedScene& scene, double min_opacity,
                         const std::function<void(int done)>& done);
 
@@ -37,7 +37,7 @@ FrameMaps learned_depth(const TrainedField& run, const LoadedScene& scene, doubl
 struct FusionScore {
   std::string method;  ///< monocular, bayesian, average, or field: the run's own rendering
   ConfusionMatrix confusion;
-  std::optional<double> views_mean;  ///< predictions a pixel with depth; none for field
+  std::optional<double> views_mean;  ///< predictions per pixel with depth; none for field
 };
 
 struct SceneFusion {

@@ -8,7 +8,7 @@
 namespace semfield {
 
 namespace {
-constexpr std::int64_t kBatch = std::int64_t{1} << 16;  // points, or rays, asked for at once
+constexpr std::int64_t kBatch = std::int64_t{1} << 16;  // points, or rays, evaluated at once
 constexpr float kLeastOpacity = 1e-3F;                  // below it a colour is rounding alone
 constexpr std::size_t kLevels = 19;
 constexpr double kMostCellsOff = 8;
@@ -115,7 +115,7 @@ double choose_level(const Pipeline<float>& pipeline, const SurfaceRequest& reque
   std::vector<Line> asked;
   std::vector<double> position;
   std::vector<float> sigma;
-  const auto compare = [&] {  // with the densities of the lines asked, which are then done
+  const auto compare = [&] {  // with the densities of the lines evaluated, which are then done
     sigma.resize(position.size() / 3);
     const auto points = std::ssize(sigma);
     pipeline.density({position.data(), points, 3}, {sigma.data(), points, 1});

@@ -1,4 +1,4 @@
-// From a trained field to a surface: density on a grid, its level set, and what rendering tells of every vertex.
+// From a trained field to a surface: density on a grid, its level set, and what rendering shows of every vertex.
 #pragma once
 
 #include <span>

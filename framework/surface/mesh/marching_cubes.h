@@ -15,7 +15,7 @@ namespace semfield {
 struct VoxelGrid {
   Vec3d origin;                         ///< of point (0, 0, 0), world units
   double spacing = 1;                   ///< edge of a cell, world units
-  std::int64_t nx = 0, ny = 0, nz = 0;  ///< points an axis
+  std::int64_t nx = 0, ny = 0, nz = 0;  ///< points per axis
 
   Vec3d world(Vec3d index) const { return origin + index * spacing; }
   std::int64_t layer_points() const { return nx * ny; }

@@ -1,4 +1,4 @@
-// Which cameras see which points of a surface, told by the surface itself: depth images of its triangles.
+// Which cameras see which points of a surface, computed from the surface itself: depth images of its triangles.
 #pragma once
 
 #include <array>
@@ -22,7 +22,7 @@ struct Sights {
 
 /// What every vertex is seen by, a Sights each. A camera sees a vertex where it faces the camera, projects into the
 /// image between near and far, and lies at most 1.5 `cell` behind the nearest triangle of its pixel. Depth images have
-/// at most 512 pixels a side. Triangles count from both sides, from near on. The surface needs its normals.
+/// at most 512 pixels per side. Triangles count from both sides, from near on. The surface needs its normals.
 std::vector<Sights> sights_of(const Surface& surface, std::span<const RayCamera> cameras, const RayLimits& limits,
                               double cell);
 

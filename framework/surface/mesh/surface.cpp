@@ -67,7 +67,7 @@ std::int64_t drop_small_components(Surface& surface, double min_share) {
 
 void keep_triangles(Surface& surface, const std::vector<char>& keep) {
   SEMFIELD_CHECK(keep.size() == surface.triangles.size() && surface.attributes.color.empty(),
-                 "one flag a triangle, before texturing");
+                 "one flag per triangle, before texturing");
   constexpr std::uint32_t kUnused = 0xFFFFFFFFU;
   std::vector<std::uint32_t> number(surface.positions.size(), kUnused);
   std::size_t triangles = 0;

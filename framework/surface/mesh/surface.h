@@ -9,7 +9,7 @@
 
 namespace semfield {
 
-/// What rendering tells of a point on a surface. `label` and `entropy` are empty without semantics.
+/// What rendering shows of a point on a surface. `label` and `entropy` are empty without semantics.
 struct PointAttributes {
   std::vector<std::array<std::uint8_t, 3>> color;  ///< display-referred, as PNG output
   std::vector<std::int16_t> label;                 ///< class index, kVoid = none

@@ -1,4 +1,4 @@
-// Which way is up, told from cameras, and the turn that a y-up viewer needs.
+// Which way is up, as cameras show it, and the turn that a y-up viewer needs.
 #pragma once
 
 #include <array>

@@ -33,10 +33,8 @@ DatasetSample semfield_sample_colmap(const std::string& folder) {
   std::filesystem::create_directories(model);
   write_file_atomic((model / "cameras.txt").string(), cameras.str());
   write_file_atomic((model / "images.txt").string(), images.str());
-  DatasetSample sample;
-  sample.settings = {{"root", "."}, {"test_every", "4"}, {"label_dir", "labels"}};
-  sample.expected.frames = 12;
-  sample.expected.labels = true;
+  DatasetSample sample{.settings = {{"root", "."}, {"test_every", "4"}, {"label_dir", "labels"}},
+                       .expected = {.frames = 12, .labels = true}};
   if (!images_available()) sample.absent = "this build reads no images (SEMFIELD_WITH_IMAGES=OFF)";
   return sample;
 }

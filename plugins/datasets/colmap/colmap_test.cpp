@@ -1,10 +1,7 @@
 // COLMAP models: both kinds of file say the same, lenses, sizes, labels, extent, damage.
 #include "datasets/colmap/colmap.h"
 
-#include <gtest/gtest.h>
-
 #include <cstring>
-#include <functional>
 
 #include "tests/scene/tiny_scene.h"
 
@@ -86,18 +83,15 @@ std::string scene_folder(const std::string& name, int width, int height,
   const std::string folder = fresh_folder(name);
   std::filesystem::create_directories(folder + "/images");
   std::filesystem::create_directories(folder + "/sparse/0");
-  for (const char* image : {"a", "b"}) {
+  for (const char* image : {"a", "b"})
     write_png_rgb(folder + "/images/" + image + ".png", width, height,
                   std::vector<std::uint8_t>(static_cast<std::size_t>(3 * width * height), 9));
-  }
   model(folder + "/sparse/0");
   return folder;
 }
 
 SceneInfo open(const std::string& folder, Diagnostics& diagnostics, const std::string& label_dir = "") {
-  ColmapParams p;
-  p.root = folder;
-  p.label_dir = label_dir;
+  ColmapParams p{.root = folder, .label_dir = label_dir};
   return Colmap(p, {}).open(diagnostics);
 }
 
@@ -161,14 +155,12 @@ TEST(Colmap, IntrinsicsFollowTheImagesOnDisk) {
   EXPECT_EQ(info.frames[0].camera.cy, 1.125);
   EXPECT_EQ(info.frames[0].camera.k2, -0.02);
   ASSERT_EQ(d.all().size(), 1u);
-  EXPECT_NE(d.all()[0].text().find(
-                "images are 4 x 2 pixels, the cameras' 8 x 4, 2 times as large: the intrinsics of 2 frames"),
-            std::string::npos)
-      << d.all()[0].text();
+  EXPECT_HAS(d.all()[0].text(),
+             "images are 4 x 2 pixels, the cameras' 8 x 4, 2 times as large: the intrinsics of 2 frames");
   Diagnostics refused;
   open(scene_folder("r", 4, 4, [](const std::string& f) { Binary().write(f); }), refused);
   ASSERT_FALSE(problems(refused).empty());
-  EXPECT_NE(problems(refused)[0].find("is 4 x 4 pixels, the camera 8 x 4: another aspect ratio"), std::string::npos);
+  EXPECT_HAS(problems(refused)[0], "is 4 x 4 pixels, the camera 8 x 4: another aspect ratio");
 }
 
 TEST(Colmap, LensesWithOneFocalLengthAndRefusedOnes) {
@@ -195,10 +187,10 @@ TEST(Colmap, LensesWithOneFocalLengthAndRefusedOnes) {
                 "with colmap image_undistorter, or reconstruct with another camera model");
   Diagnostics few;
   open(scene_folder("few", 8, 4, with_camera("7 PINHOLE 8 4 6 6 4")), few);
-  EXPECT_NE(problems(few)[0].find("PINHOLE has 4 parameters, got 3"), std::string::npos);
+  EXPECT_HAS(problems(few)[0], "PINHOLE has 4 parameters, got 3");
   Diagnostics other;
   open(scene_folder("other", 8, 4, with_camera("8 PINHOLE 8 4 6 6 4 2")), other);
-  EXPECT_NE(problems(other)[0].find("image 1 ('a.png'): its camera 7 is not in the model"), std::string::npos);
+  EXPECT_HAS(problems(other)[0], "image 1 ('a.png'): its camera 7 is not in the model");
 }
 
 TEST(Colmap, LabelsForSomeFrames) {
@@ -206,18 +198,15 @@ TEST(Colmap, LabelsForSomeFrames) {
   std::filesystem::create_directories(folder + "/labels");
   Diagnostics none;
   open(folder, none, "labels");
-  EXPECT_NE(problems(none)[0].find("no label image for any frame; name them like the images, with .png: 'a.png'"),
-            std::string::npos);
+  EXPECT_HAS(problems(none)[0], "no label image for any frame; name them like the images, with .png: 'a.png'");
   write_png_gray8(folder + "/labels/b.png", 8, 4, std::vector<std::uint8_t>(32, 5));
   plain_write(folder + "/classes.yaml", "- {id: 0, name: void, ignore: true}\n- {id: 5, name: cup}\n");
-  ColmapParams p;
-  p.root = folder;
-  p.label_dir = "labels";
+  ColmapParams p{.root = folder, .label_dir = "labels"};
   Colmap scene(p, {});
   Diagnostics d;
   const SceneInfo info = scene.open(d);
   EXPECT_EQ(problems(d), std::vector<std::string>{});
-  EXPECT_NE(d.all().back().text().find("1 of 2 frames have no label image"), std::string::npos);
+  EXPECT_HAS(d.all().back().text(), "1 of 2 frames have no label image");
   EXPECT_FALSE(info.frames[0].has_labels);
   EXPECT_TRUE(info.frames[1].has_labels);
   EXPECT_EQ(info.frames[0].split, Split::test);
@@ -232,7 +221,7 @@ TEST(Colmap, LostPosesAreSkippedAndCounted) {
   Diagnostics d;
   EXPECT_EQ(open(folder, d).frames.size(), 1u);
   ASSERT_EQ(problems(d).size(), 1u);
-  EXPECT_NE(problems(d)[0].find("1 of 2 frames skipped: their poses are not finite (a)"), std::string::npos);
+  EXPECT_HAS(problems(d)[0], "1 of 2 frames skipped: their poses are not finite (a)");
 }
 
 TEST(Colmap, MissingImagesAreLeftOutWhereAsked) {
@@ -241,10 +230,8 @@ TEST(Colmap, MissingImagesAreLeftOutWhereAsked) {
   Diagnostics refused;
   (void)open(folder, refused);
   ASSERT_EQ(refused.error_count(), 1);
-  EXPECT_NE(refused.all()[0].text().find("--set scene.missing=skip"), std::string::npos);
-  ColmapParams p;
-  p.root = folder;
-  p.missing = MissingFiles::skip;
+  EXPECT_HAS(refused.all()[0].text(), "--set scene.missing=skip");
+  ColmapParams p{.root = folder, .missing = MissingFiles::skip};
   Diagnostics d;
   const SceneInfo info = Colmap(p, {}).open(d);
   ASSERT_FALSE(d.has_errors()) << d.all()[0].text();
@@ -269,7 +256,7 @@ TEST(Colmap, EveryCutOfABinaryFileIsRefusedWithFileAndOffset) {
     }
     plain_write(path, *bytes + "x");
     Diagnostics d;
-    EXPECT_NE(error_of([&] { open(folder, d); }).find("has 1 bytes after its last record"), std::string::npos);
+    EXPECT_HAS(error_of([&] { open(folder, d); }), "has 1 bytes after its last record");
     plain_write(path, *bytes);
   }
 }
@@ -290,27 +277,16 @@ TEST(Colmap, AbsurdCountsAndNumbersAreRefused) {
   };
   const Binary whole;
   const auto huge = std::uint64_t{1} << 60;
-  EXPECT_NE(refused("images.bin", with(whole.images, 0, huge))
-                .find("states 1152921504606846976 images, but 9804 bytes are left, room for 134 (offset 0)"),
-            std::string::npos)
-      << refused("images.bin", with(whole.images, 0, huge));
-  EXPECT_NE(
-      refused("images.bin", with(whole.images, 8 + 64 + 6, ~std::uint64_t{0})).find("image points of image 1 of 2"),
-      std::string::npos);
-  EXPECT_NE(refused("points3D.bin", with(whole.points, 8 + 43, huge)).find("views of point 1 of 200"),
-            std::string::npos);
-  EXPECT_NE(
-      refused("points3D.bin", with(whole.points, 16, std::nan(""))).find("not finite in point 1 of 200 (offset 8)"),
-      std::string::npos);
-  EXPECT_NE(refused("images.bin", with(whole.images, 8 + 64, '\x96'))
-                .find("images.bin: image 1: the name of its image is empty, no UTF-8 or has control characters"),
-            std::string::npos);
-  EXPECT_NE(refused("cameras.bin", with(whole.cameras, 12, std::int32_t{99})).find("unknown lens number 99"),
-            std::string::npos);
-  EXPECT_NE(refused("cameras.bin", with(whole.cameras, 16, huge)).find("camera 7: image size is not a pair"),
-            std::string::npos);
-  EXPECT_NE(refused("cameras.bin", with(whole.cameras, 32, -1.0)).find("focal length is -1 x 5 pixels"),
-            std::string::npos);
+  EXPECT_HAS(refused("images.bin", with(whole.images, 0, huge)),
+             "states 1152921504606846976 images, but 9804 bytes are left, room for 134 (offset 0)");
+  EXPECT_HAS(refused("images.bin", with(whole.images, 8 + 64 + 6, ~std::uint64_t{0})), "image points of image 1 of 2");
+  EXPECT_HAS(refused("points3D.bin", with(whole.points, 8 + 43, huge)), "views of point 1 of 200");
+  EXPECT_HAS(refused("points3D.bin", with(whole.points, 16, std::nan(""))), "not finite in point 1 of 200 (offset 8)");
+  EXPECT_HAS(refused("images.bin", with(whole.images, 8 + 64, '\x96')),
+             "images.bin: image 1: the name of its image is empty, no UTF-8 or has control characters");
+  EXPECT_HAS(refused("cameras.bin", with(whole.cameras, 12, std::int32_t{99})), "unknown lens number 99");
+  EXPECT_HAS(refused("cameras.bin", with(whole.cameras, 16, huge)), "camera 7: image size is not a pair");
+  EXPECT_HAS(refused("cameras.bin", with(whole.cameras, 32, -1.0)), "focal length is -1 x 5 pixels");
 }
 
 TEST(Colmap, BrokenTextNamesItsLine) {
@@ -328,10 +304,8 @@ TEST(Colmap, BrokenTextNamesItsLine) {
             model +
                 "images.txt:2: the points of image 1 are 10 numbers, not triples 'x y point'; keep the line of "
                 "points after each image, even an empty one");
-  EXPECT_NE(refused("points3D.txt", "4 1 2 inf 0 0 0 0\n").find("points3D.txt:1: the position of point 4"),
-            std::string::npos);
-  EXPECT_NE(refused("cameras.txt", "7 PINHOLE\n").find("cameras.txt:1: expected 'id MODEL width height parameters'"),
-            std::string::npos);
+  EXPECT_HAS(refused("points3D.txt", "4 1 2 inf 0 0 0 0\n"), "points3D.txt:1: the position of point 4");
+  EXPECT_HAS(refused("cameras.txt", "7 PINHOLE\n"), "cameras.txt:1: expected 'id MODEL width height parameters'");
 }
 
 }  // namespace

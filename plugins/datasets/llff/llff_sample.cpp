@@ -30,10 +30,8 @@ DatasetSample semfield_sample_llff(const std::string& folder) {
   }
   const std::int64_t shape[] = {static_cast<std::int64_t>(by_name.size()), 17};
   write_npy((std::filesystem::path(folder) / "poses_bounds.npy").string(), shape, rows);
-  DatasetSample sample;
-  sample.settings = {{"root", "."}, {"test_every", "4"}, {"label_dir", "labels"}};
-  sample.expected.frames = 12;
-  sample.expected.labels = true;
+  DatasetSample sample{.settings = {{"root", "."}, {"test_every", "4"}, {"label_dir", "labels"}},
+                       .expected = {.frames = 12, .labels = true}};
   if (!images_available()) sample.absent = "this build reads no images (SEMFIELD_WITH_IMAGES=OFF)";
   return sample;
 }

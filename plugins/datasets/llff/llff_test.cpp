@@ -1,10 +1,6 @@
 // poses_bounds.npy: axes, order of images, sizes, and files that do not fit.
 #include "datasets/llff/llff.h"
 
-#include <gtest/gtest.h>
-
-#include <limits>
-
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -30,9 +26,7 @@ std::string scene(const std::vector<std::vector<float>>& rows, int images = 2) {
 }
 
 SceneInfo open(const std::string& folder, Diagnostics& d) {
-  LlffParams p;
-  p.root = folder;
-  p.test_every = 0;
+  LlffParams p{.root = folder, .test_every = 0};
   return Llff(p, {}).open(d);
 }
 
@@ -48,26 +42,22 @@ TEST(Llff, AxesAndSizes) {
   EXPECT_EQ(info.frames[0].camera.fx, 3.0) << "the poses are of images twice as large";
   EXPECT_EQ(info.frames[0].camera.cx, 2.0);
   EXPECT_EQ(info.far_hint_m, 0.0) << "what the file says of distances is often made up";
-  EXPECT_NE(d.all().at(0).text().find("images are 4 x 2 pixels, the cameras' 8 x 4, 2 times as large"),
-            std::string::npos);
+  EXPECT_HAS(d.all().at(0).text(), "images are 4 x 2 pixels, the cameras' 8 x 4, 2 times as large");
 }
 
 TEST(Llff, FilesThatDoNotFitAreRefused) {
   Diagnostics d;
-  EXPECT_NE(error_of([&] { open(scene({row(1), row(2), row(3)}), d); }).find("has 3 frames, "), std::string::npos);
+  EXPECT_HAS(error_of([&] { open(scene({row(1), row(2), row(3)}), d); }), "has 3 frames, ");
   std::vector<float> short_row = row(1);
   short_row.pop_back();
-  EXPECT_NE(error_of([&] {
-              open(scene({short_row, short_row}), d);
-            }).find("shape (2, 16) is not that of poses"),
-            std::string::npos);
-  EXPECT_NE(error_of([&] { open(fresh_folder("none"), d); }).find("poses_bounds.npy"), std::string::npos);
+  EXPECT_HAS(error_of([&] { open(scene({short_row, short_row}), d); }), "shape (2, 16) is not that of poses");
+  EXPECT_HAS(error_of([&] { open(fresh_folder("none"), d); }), "poses_bounds.npy");
   EXPECT_FALSE(d.has_errors());
   open(scene({row(1, 0, 0), row(2)}), d);
-  EXPECT_NE(d.all().at(0).text().find("states no image size in its row 0"), std::string::npos);
+  EXPECT_HAS(d.all().at(0).text(), "states no image size in its row 0");
   Diagnostics lens;
   open(scene({row(1, 4, 8, -2), row(2)}), lens);
-  EXPECT_NE(lens.all().at(0).text().find("focal length is"), std::string::npos);
+  EXPECT_HAS(lens.all().at(0).text(), "focal length is");
   Diagnostics pose;
   std::vector<float> lost = row(1);
   lost[3] = std::numeric_limits<float>::quiet_NaN();

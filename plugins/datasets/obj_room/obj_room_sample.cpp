@@ -1,5 +1,4 @@
 // A tiny OBJ room: six inner faces and a crate, with cameras along a short slide.
-#include <array>
 #include <filesystem>
 #include <sstream>
 
@@ -16,10 +15,9 @@ constexpr std::array<std::array<int, 4>, 6> kFaces{
     {{0, 2, 6, 4}, {1, 5, 7, 3}, {0, 4, 5, 1}, {2, 3, 7, 6}, {0, 1, 3, 2}, {4, 6, 7, 5}}};
 
 void write_box(std::ostringstream& obj, const Box& box, const std::array<const char*, 6>& names, int& vertices) {
-  for (int corner = 0; corner < 8; ++corner) {
+  for (int corner = 0; corner < 8; ++corner)
     obj << "v " << ((corner & 1) != 0 ? box.hi.x : box.lo.x) << ' ' << ((corner & 2) != 0 ? box.hi.y : box.lo.y) << ' '
         << ((corner & 4) != 0 ? box.hi.z : box.lo.z) << '\n';
-  }
   for (std::size_t face = 0; face < kFaces.size(); ++face) {
     obj << "o " << names[face] << "\nf";
     for (const int corner : kFaces[face]) obj << ' ' << vertices + corner + 1;
@@ -48,10 +46,15 @@ DatasetSample semfield_sample_obj_room(const std::string& folder) {
   std::ostringstream cameras;
   for (int i = 0; i < 6; ++i) cameras << "1 0 0 " << -0.5 + 0.2 * i << " 0 0 1 -1 0 -1 0 1.2\n";
   write_file_atomic((root / "cameras.txt").string(), cameras.str());
-  DatasetSample sample;
-  sample.settings = {{"root", "."},       {"cameras", "cameras.txt"}, {"width_px", "40"},   {"height_px", "30"},
-                     {"frames", "4"},     {"test_frames", "2"},       {"supersample", "1"}, {"occlusion_rays", "2"},
-                     {"shadow_rays", "1"}};
+  DatasetSample sample{.settings = {{"root", "."},
+                                    {"cameras", "cameras.txt"},
+                                    {"width_px", "40"},
+                                    {"height_px", "30"},
+                                    {"frames", "4"},
+                                    {"test_frames", "2"},
+                                    {"supersample", "1"},
+                                    {"occlusion_rays", "2"},
+                                    {"shadow_rays", "1"}}};
   if (!raycast_available()) sample.absent = "this build reads no meshes (SEMFIELD_WITH_RAYCAST=OFF)";
   sample.expected.frames = 6;
   sample.expected.depth = sample.expected.labels = true;

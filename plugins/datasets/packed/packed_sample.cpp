@@ -15,11 +15,8 @@ DatasetSample semfield_sample_packed(const std::string& folder) {
   const SceneInfo scene = room->open(diagnostics);
   write_packed_scene((std::filesystem::path(folder) / "room.semfield").string(), scene,
                      [&](int frame, FrameBuffer& out) { room->read(frame, out); });
-  DatasetSample sample;
-  sample.settings = {{"file", "room.semfield"}};
-  sample.expected.frames = 12;
-  sample.expected.depth = sample.expected.labels = true;
-  return sample;
+  return DatasetSample{.settings = {{"file", "room.semfield"}},
+                       .expected = {.frames = 12, .depth = true, .labels = true}};
 }
 
 }  // namespace semfield::testkit

@@ -1,8 +1,6 @@
 // Packed scenes as a dataset.
 #include "datasets/packed/packed.h"
 
-#include <gtest/gtest.h>
-
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -12,11 +10,8 @@ using namespace testing_room;
 
 TEST(Packed, PosesAreCheckedAndPathsStartAtTheConfig) {
   const std::string folder = fresh_folder("p");
-  SceneInfo info;
-  info.name = "room";
-  FrameInfo f;
-  f.name = "a";
-  f.camera = room_camera();
+  SceneInfo info{.name = "room"};
+  FrameInfo f{.name = "a", .camera = room_camera()};
   info.frames = {f, f};
   info.frames[1].name = "b";
   info.frames[1].world_from_camera.r[0][0] = 2;

@@ -1,15 +1,12 @@
 // Replica layout: camera, splits, sequences, label folders.
 #include "datasets/replica/replica.h"
 
-#include <gtest/gtest.h>
-
 #include <clocale>
 
 #include "core/findings.h"
 #include "labels/training_labels.h"
 #include "loading/frame_source.h"
 #include "tests/labels/reader_case.h"
-#include "tests/says.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -21,9 +18,7 @@ TEST(Replica, PaperSplitCameraAndPixels) {
   const std::string folder = fresh_folder("room");
   std::filesystem::create_directories(folder + "/Sequence_1");
   write_replica(folder + "/Sequence_1", 8);
-  ReplicaParams p;
-  p.root = folder;
-  p.split = ReplicaSplit::paper;
+  ReplicaParams p{.root = folder, .split = ReplicaSplit::paper};
   Replica replica(p, {});
   Diagnostics d;
   const SceneInfo info = replica.open(d);
@@ -53,8 +48,7 @@ TEST(Replica, EveryFrameIsInOneSplitByDefault) {
     EXPECT_TRUE(d.all().empty()) << d.all()[0].text();
     return out;
   };
-  ReplicaParams p;
-  p.root = folder;
+  ReplicaParams p{.root = folder};
   EXPECT_EQ(splits(p), "T.......T.");
   p.test_every = 0;
   EXPECT_EQ(splits(p), "..........");
@@ -68,8 +62,7 @@ TEST(Replica, MissingFilesAreLeftOutWhereAskedAndMoveNoOtherFrame) {
   write_replica(folder, 10);
   for (const char* gone : {"/rgb/rgb_3.png", "/rgb/rgb_8.png", "/depth/depth_1.png"})
     std::filesystem::remove(folder + gone);
-  ReplicaParams p;
-  p.root = folder;
+  ReplicaParams p{.root = folder};
   Diagnostics refused;
   Replica(p, {}).open(refused);
   EXPECT_EQ(refused.error_count(), 3);
@@ -91,16 +84,15 @@ TEST(Replica, TestLabelsMayComeFromAnotherFolder) {
   const std::string folder = fresh_folder("room");
   write_replica(folder, 4);
   std::filesystem::create_directories(folder + "/cnn");
-  for (int i = 0; i < 4; i += 2) {
+  for (int i = 0; i < 4; i += 2)
     write_png_gray8(folder + "/cnn/semantic_class_" + std::to_string(i) + ".png", 40, 30,
                     std::vector<std::uint8_t>(1200, 3));
-  }
-  ReplicaParams p;
-  p.root = folder;
-  p.train_step = p.test_step = 2;
-  p.test_offset = 1;
-  p.label_dir = "cnn";
-  p.test_label_dir = "semantic_class";
+  ReplicaParams p{.root = folder,
+                  .label_dir = "cnn",
+                  .test_label_dir = "semantic_class",
+                  .train_step = 2,
+                  .test_step = 2,
+                  .test_offset = 1};
   Replica replica(p, {});
   Diagnostics d;
   (void)replica.open(d);
@@ -113,11 +105,7 @@ TEST(Replica, TestLabelsMayComeFromAnotherFolder) {
 }
 
 ReplicaParams even_odd(const std::string& folder) {
-  ReplicaParams p;
-  p.root = folder;
-  p.train_step = p.test_step = 2;
-  p.test_offset = 1;
-  return p;
+  return ReplicaParams{.root = folder, .train_step = 2, .test_step = 2, .test_offset = 1};
 }
 
 // Frames 0 and 4 of 0, 2, 4 have noisy labels (class id 3 everywhere), one name with zeros, one without a prefix.
@@ -140,8 +128,7 @@ TEST(Replica, NestedLabelFoldersOfTrainingFramesWithOrWithoutZeros) {
   const SceneInfo info = replica.open(d);
   ASSERT_EQ(d.all().size(), 1u);
   EXPECT_EQ(d.all()[0].severity, Severity::note);
-  EXPECT_NE(d.all()[0].text().find("sort_0.5: 1 of 3 training frames have no label image"), std::string::npos)
-      << d.all()[0].text();
+  EXPECT_HAS(d.all()[0].text(), "sort_0.5: 1 of 3 training frames have no label image");
   for (const int i : {0, 4}) {
     FrameBuffer pixels;
     replica.read(i, pixels);
@@ -162,15 +149,13 @@ TEST(Replica, LabelFoldersThatHoldNothingOrTwoOfAFrame) {
   Diagnostics none;
   Replica(p, {}).open(none);
   ASSERT_TRUE(none.has_errors());
-  EXPECT_EQ(
-      unsaid(none.all()[0].text(), {folder + "/semantic_instance_noise", "no label image", "semantic_class_<i>.png"}),
-      "");
+  EXPECT_HAS(none.all()[0].text(), folder + "/semantic_instance_noise", "no label image", "semantic_class_<i>.png");
   p.label_dir += "/sort_0.5";
   write_png_gray8(folder + "/" + p.label_dir + "/04.png", 40, 30, std::vector<std::uint8_t>(1200, 3));
   Diagnostics twice;
   Replica(p, {}).open(twice);
   ASSERT_TRUE(twice.has_errors());
-  EXPECT_NE(twice.all()[0].text().find("are labels of the same frame; keep one of the two"), std::string::npos);
+  EXPECT_HAS(twice.all()[0].text(), "are labels of the same frame; keep one of the two");
 }
 
 // Each file system lists a folder in an order of its own; what is said of it is the same on all.
@@ -190,10 +175,9 @@ TEST(Replica, LabelsOfTheSameFrameAreNamedInTheOrderOfTheirNames) {
   for (const Diagnostic& one : told.all()) {
     if (one.text().find("are labels of the same frame") != std::string::npos) found.push_back(one.text());
   }
-  for (std::size_t i = 7; i-- > 0;) {
+  for (std::size_t i = 7; i-- > 0;)
     wanted.push_back(folder + "/" + p.label_dir + ": '" + names.back() + "' and '" + names[i] +
                      "' are labels of the same frame; keep one of the two");
-  }
   EXPECT_EQ(found, wanted);
 }
 
@@ -216,9 +200,8 @@ TEST(Replica, NoiseFolderTrainsWhileCleanLabelsStayTheTruth) {
   EXPECT_EQ(labels.frames[0].hard.expand(), std::vector<std::int16_t>(1200, 2));
   EXPECT_TRUE(labels.frames[2].empty());
   EXPECT_TRUE(labels.frames[4].empty());  // "4.png" is not of the pattern
-  for (std::size_t i = 0; i < 6; ++i) {
+  for (std::size_t i = 0; i < 6; ++i)
     EXPECT_EQ(scene.frames[i].label.expand(), render_room(room_camera(), room_pose(static_cast<int>(i))).label) << i;
-  }
 }
 
 // The program around may have taken over its user's locale, in which a number's fraction stands behind a comma.

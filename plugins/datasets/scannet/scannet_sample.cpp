@@ -64,10 +64,7 @@ DatasetSample semfield_sample_scannet(const std::string& folder) {
   write_file_atomic((root / "scannetv2-labels.combined.tsv").string(), table);
   fs::remove_all(root / "small");
   fs::remove_all(root / "ids");
-  DatasetSample sample;
-  sample.settings = {{"root", "."}};
-  sample.expected.frames = 12;
-  sample.expected.depth = sample.expected.labels = true;
+  DatasetSample sample{.settings = {{"root", "."}}, .expected = {.frames = 12, .depth = true, .labels = true}};
   if (!images_available()) sample.absent = "this build reads no images (SEMFIELD_WITH_IMAGES=OFF)";
   return sample;
 }

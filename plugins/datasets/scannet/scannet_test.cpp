@@ -1,8 +1,6 @@
 // Exported ScanNet scenes: cameras of two sizes, label tables, frames taken, trouble.
 #include "datasets/scannet/scannet.h"
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
 
 #include "loading/frame_source.h"
@@ -57,11 +55,7 @@ std::string write_scannet(const std::string& name, int frames) {
   return folder;
 }
 
-ScannetParams params_of(const std::string& folder) {
-  ScannetParams p;
-  p.root = folder;
-  return p;
-}
+ScannetParams params_of(const std::string& folder) { return ScannetParams{.root = folder}; }
 
 // Every error and warning of loading the scene.
 std::vector<std::string> problems(const ScannetParams& p) {
@@ -136,8 +130,7 @@ TEST(Scannet, ClassesByTheTable) {
   const FrameBuffer want = render_room(room_camera(), room_pose(0));
   const auto doors = std::count(want.label.begin(), want.label.end(), 5);  // raw id 106 has none of the 13 classes
   EXPECT_GT(doors, 100);
-  EXPECT_NEAR(static_cast<double>(std::count(pixels.label.begin(), pixels.label.end(), kVoid)),
-              static_cast<double>(doors), 60);
+  EXPECT_NEAR(std::count(pixels.label.begin(), pixels.label.end(), kVoid), doors, 60);
   p.class_ids = ScannetIds::raw;
   Scannet raw(p, {});
   const SceneInfo by_raw = raw.open(d);
@@ -145,7 +138,7 @@ TEST(Scannet, ClassesByTheTable) {
   EXPECT_EQ(by_raw.classes.valid(1).id, 102);
   EXPECT_EQ(by_raw.classes.valid(1).name, "east wall");
   p.classes = "elsewhere.tsv";
-  EXPECT_NE(problems(p)[0].find("elsewhere.tsv"), std::string::npos);
+  EXPECT_HAS(problems(p)[0], "elsewhere.tsv");
   std::filesystem::remove(folder + "/../scannetv2-labels.combined.tsv");
   EXPECT_EQ(problems(params_of(folder)),
             std::vector<std::string>{folder + ": labels without scannetv2-labels.combined.tsv in the scene's folder or "
@@ -167,8 +160,8 @@ TEST(Scannet, FramesAreTakenEvenlyAmongThoseWithAPose) {
     EXPECT_EQ(info.frames[i].split, i == 2 ? Split::test : Split::train);
   }
   ASSERT_EQ(d.all().size(), 2u);
-  EXPECT_NE(d.all()[0].text().find("1 of 11 frames skipped: their poses are not finite (10)"), std::string::npos);
-  EXPECT_NE(d.all()[1].text().find("5 of 10 frames with a pose are taken, evenly spaced"), std::string::npos);
+  EXPECT_HAS(d.all()[0].text(), "1 of 11 frames skipped: their poses are not finite (10)");
+  EXPECT_HAS(d.all()[1].text(), "5 of 10 frames with a pose are taken, evenly spaced");
 }
 
 TEST(Scannet, TroubleNamesFileCauseAndRemedy) {
@@ -231,15 +224,13 @@ TEST(Scannet, IntrinsicsAreChecked) {
   const std::string folder = write_scannet("i", 2);
   const std::string file = folder + "/intrinsic/intrinsic_color.txt";
   plain_write(file, "40 1 19.5 0\n0 40 14.5 0\n0 0 1 0\n0 0 0 1\n");
-  EXPECT_NE(problems(params_of(folder))[0].find(file + ": is not a pinhole camera without skew"), std::string::npos);
+  EXPECT_HAS(problems(params_of(folder))[0], file + ": is not a pinhole camera without skew");
   plain_write(file, "40 0 39.5 0\n0 40 29.5 0\n0 0 1 0\n0 0 0 1\n");
-  EXPECT_NE(problems(params_of(folder))[0].find("is the middle of an image 2 times as large as this one of 40 x 30"),
-            std::string::npos);
+  EXPECT_HAS(problems(params_of(folder))[0], "is the middle of an image 2 times as large as this one of 40 x 30");
   plain_write(file, "40 0 39.5 0\n0 40 14.5 0\n0 0 1 0\n0 0 0 1\n");
-  EXPECT_NE(problems(params_of(folder))[0].find("its principal point is far from the middle of images of 40 x 30"),
-            std::string::npos);
+  EXPECT_HAS(problems(params_of(folder))[0], "its principal point is far from the middle of images of 40 x 30");
   std::filesystem::remove(file);
-  EXPECT_NE(problems(params_of(folder))[0].find("intrinsic_color.txt'"), std::string::npos);
+  EXPECT_HAS(problems(params_of(folder))[0], "intrinsic_color.txt'");
 }
 
 TEST(Scannet, SomeFramesWithoutLabels) {
@@ -250,7 +241,7 @@ TEST(Scannet, SomeFramesWithoutLabels) {
   const SceneInfo info = scene.open(d);
   EXPECT_FALSE(d.has_errors());
   EXPECT_FALSE(info.frames[2].has_labels);
-  EXPECT_NE(d.all().back().text().find("1 of 4 frames have no label image"), std::string::npos);
+  EXPECT_HAS(d.all().back().text(), "1 of 4 frames have no label image");
   FrameBuffer pixels;
   scene.read(2, pixels);
   EXPECT_TRUE(pixels.label.empty());

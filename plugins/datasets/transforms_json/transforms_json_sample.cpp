@@ -20,9 +20,8 @@ DatasetSample semfield_sample_transforms_json(const std::string& folder) {
   for (std::size_t i = 0; i < scene.frames.size(); ++i) {
     const Pose& pose = scene.frames[i].world_from_camera;
     nlohmann::json matrix = nlohmann::json::array();
-    for (std::size_t row = 0; row < 3; ++row) {
+    for (std::size_t row = 0; row < 3; ++row)
       matrix.push_back({pose.r[row][0], -pose.r[row][1], -pose.r[row][2], pose.t[static_cast<int>(row)]});
-    }
     matrix.push_back({0.0, 0.0, 0.0, 1.0});
     const std::string file = "view_" + std::to_string(i) + ".png";
     index["frames"].push_back({{"file_path", "images/" + file},
@@ -31,10 +30,8 @@ DatasetSample semfield_sample_transforms_json(const std::string& folder) {
                                {"transform_matrix", matrix}});
   }
   write_file_atomic((std::filesystem::path(folder) / "transforms.json").string(), index.dump(1));
-  DatasetSample sample;
-  sample.settings = {{"root", "."}, {"test_every", "4"}};
-  sample.expected.frames = 12;
-  sample.expected.depth = sample.expected.labels = true;
+  DatasetSample sample{.settings = {{"root", "."}, {"test_every", "4"}},
+                       .expected = {.frames = 12, .depth = true, .labels = true}};
   if (!images_available()) sample.absent = "this build reads no images (SEMFIELD_WITH_IMAGES=OFF)";
   return sample;
 }

@@ -1,8 +1,6 @@
 // transforms.json flavours: nerfstudio with a lens of its own a frame, Blender's splits, label and depth paths.
 #include "datasets/transforms_json/transforms_json.h"
 
-#include <gtest/gtest.h>
-
 #include "scene/stored_frame.h"
 #include "tests/scene/tiny_scene.h"
 
@@ -24,8 +22,7 @@ TEST(TransformsJson, BlenderSplitsAndAngle) {
   const std::string head = "{\"camera_angle_x\": 1.5707963267948966, \"frames\": [{\"file_path\": \"./";
   write_file_atomic(folder + "/transforms_train.json", head + "train/r_0\", " + kEye + "}]}");
   write_file_atomic(folder + "/transforms_test.json", head + "test/r_0\", " + kEye + "}]}");
-  TransformsJsonParams p;
-  p.root = folder;
+  TransformsJsonParams p{.root = folder};
   TransformsJson scene(p, {});
   Diagnostics d;
   const SceneInfo info = scene.open(d);
@@ -54,9 +51,7 @@ TEST(TransformsJson, OwnLensDepthAndLabels) {
                   "true}, {\"id\": 7, \"name\": \"cup\"}], \"frames\": [{\"file_path\": \"a.png\", ") +
           kEye + "}, {\"file_path\": \"b.png\", \"fl_x\": 5, \"depth_path\": \"d.png\", \"label_path\": \"l.png\", " +
           kEye + "}]}");
-  TransformsJsonParams p;
-  p.root = folder;
-  p.test_every = 0;
+  TransformsJsonParams p{.root = folder, .test_every = 0};
   TransformsJson scene(p, {});
   Diagnostics d;
   const SceneInfo info = scene.open(d);
@@ -84,10 +79,7 @@ TEST(TransformsJson, FurtherChannelsAreReadWhereTheyAreWanted) {
                       "{\"fl_x\": 3, \"frames\": [{\"file_path\": \"a.png\", \"normal_path\": \"" + file + "\", " +
                           kEye + "}, {\"file_path\": \"b.png\", " + kEye + "}]}");
   };
-  TransformsJsonParams p;
-  p.root = folder;
-  p.test_every = 0;
-  p.channels = {"normal"};
+  TransformsJsonParams p{.root = folder, .test_every = 0, .channels = {"normal"}};
   index("n.npy");
   TransformsJson scene(p, {});
   Diagnostics d;
@@ -119,7 +111,7 @@ TEST(TransformsJson, FurtherChannelsAreReadWhereTheyAreWanted) {
     Diagnostics wrong;
     TransformsJson(p, {}).open(wrong);
     ASSERT_EQ(wrong.error_count(), 1) << file;
-    EXPECT_NE(wrong.all()[0].text().find(says), std::string::npos) << wrong.all()[0].text();
+    EXPECT_HAS(wrong.all()[0].text(), says);
   }
 }
 
@@ -172,23 +164,20 @@ TEST(TransformsJson, ExifOrientationIsNamed) {
     write_tiff(folder + "/a.tif", orientation);
     write_file_atomic(folder + "/transforms.json",
                       "{\"fl_x\": 3, " + size + ", \"frames\": [{\"file_path\": \"a.tif\", " + kEye + "}]}");
-    TransformsJsonParams p;
-    p.root = folder;
+    TransformsJsonParams p{.root = folder};
     Diagnostics d;
     TransformsJson(p, {}).open(d);
     return d.all().empty() ? std::string() : d.all().front().text();
   };
   EXPECT_EQ(said(1, "\"w\": 4, \"h\": 2"), "");
-  EXPECT_NE(said(3, "\"w\": 4, \"h\": 2")
-                .find("1 of 1 images have an EXIF orientation by which viewers turn them; here "
-                      "pixels count as they are stored"),
-            std::string::npos);
-  EXPECT_NE(said(6, "\"w\": 2, \"h\": 4")
-                .find("is 4 x 2 pixels, the camera 2 x 4, which is that of the picture turned as the file's EXIF "
-                      "orientation says (6); pixels are read as they are stored: turn them, for example with `mogrify "
-                      "-auto-orient FILES`"),
-            std::string::npos);
-  EXPECT_NE(said(1, "\"w\": 2, \"h\": 4").find("one is turned by a quarter against the other"), std::string::npos);
+  EXPECT_HAS(said(3, "\"w\": 4, \"h\": 2"),
+             "1 of 1 images have an EXIF orientation by which viewers turn them; here "
+             "pixels count as they are stored");
+  EXPECT_HAS(said(6, "\"w\": 2, \"h\": 4"),
+             "is 4 x 2 pixels, the camera 2 x 4, which is that of the picture turned as the file's EXIF "
+             "orientation says (6); pixels are read as they are stored: turn them, for example with `mogrify "
+             "-auto-orient FILES`");
+  EXPECT_HAS(said(1, "\"w\": 2, \"h\": 4"), "one is turned by a quarter against the other");
 }
 
 // Comparisons, not seconds: a list of names is looked up, not walked, and equal stems get numbers without new tries.
@@ -219,8 +208,7 @@ TEST(TransformsJson, AabbScaleIsALimitOfTheBounds) {
   const auto limit_of = [&](const std::string& keys, Diagnostics& d) {
     write_file_atomic(folder + "/transforms.json",
                       "{" + keys + " \"fl_x\": 3, \"frames\": [{\"file_path\": \"a.png\", " + kEye + "}]}");
-    TransformsJsonParams p;
-    p.root = folder;
+    TransformsJsonParams p{.root = folder};
     return TransformsJson(p, {}).open(d).limit;
   };
   Diagnostics d;

@@ -2,9 +2,6 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <cmath>
-#include <string>
-#include <vector>
 
 #include "encoders/hash_grid/hash_grid.h"
 
@@ -12,13 +9,11 @@ namespace semfield {
 namespace {
 
 HashGridParams params_of(int levels, int features, int log2_entries, int base, int finest) {
-  HashGridParams p;
-  p.levels = levels;
-  p.features = features;
-  p.log2_entries = log2_entries;
-  p.base_resolution = base;
-  p.finest_resolution = finest;
-  return p;
+  return HashGridParams{.levels = levels,
+                        .features = features,
+                        .log2_entries = log2_entries,
+                        .base_resolution = base,
+                        .finest_resolution = finest};
 }
 
 class Declared final : public ParamDeclarer {
@@ -65,7 +60,7 @@ TEST(HashGridLevels, LevelsFollowThePaper) {
   EXPECT_EQ(shape.level[15].resolution, 2048);
   const double growth = std::exp(std::log(2048.0 / 16) / 15);
   for (int l = 0; l < 16; ++l) {
-    EXPECT_NEAR(static_cast<double>(shape.level[l].resolution), 16 * std::pow(growth, l) - 0.5, 0.5 + 1e-6);
+    EXPECT_NEAR(shape.level[l].resolution, 16 * std::pow(growth, l) - 0.5, 0.5 + 1e-6);
     const auto n = static_cast<std::int64_t>(shape.level[l].resolution + 1);
     EXPECT_EQ(shape.level[l].dense, n * n * n <= 524288);
     EXPECT_EQ(shape.level[l].entries, std::min<std::int64_t>(n * n * n, 524288));
@@ -120,8 +115,7 @@ TEST(HashGridLevels, RefuseImpossibleParameters) {
   EXPECT_EQ(errors(params_of(1, 2, 10, 4, 8)), 1);
   EXPECT_EQ(errors(params_of(1, 2, 10, 8, 8)), 0);
   EXPECT_EQ(errors(params_of(4, 2, 0, 9, 0)), 0);  // to be chosen
-  EncoderBuild flat;
-  flat.in_dims = 2;
+  EncoderBuild flat{.in_dims = 2};
   EXPECT_THROW(HashGrid<float>(HashGridParams{}, flat, kernels()), Error);
 }
 
@@ -130,10 +124,7 @@ struct Chosen {
   std::vector<std::string> sentences;
 };
 Chosen chosen_for(HashGridParams p, double extent_m, double pixel_m, Device device = Device::cpu) {
-  EncoderBuild build;
-  build.device = device;
-  build.extent_m = extent_m;
-  build.pixel_footprint_m = pixel_m;
+  EncoderBuild build{.device = device, .extent_m = extent_m, .pixel_footprint_m = pixel_m};
   Chosen out{};
   choose(p, build, out.sentences);
   out.finest = p.finest_resolution;

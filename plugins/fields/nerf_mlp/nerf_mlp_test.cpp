@@ -1,25 +1,20 @@
 // Tests of the NeRF network: laws for every switch, exactness of the savings, parameter count, an independent forward.
 #include "fields/nerf_mlp/nerf_mlp.h"
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
-#include <cmath>
-#include <string>
 #include <utility>
-#include <vector>
 
 #include "plugin/registry.h"
 #include "testkit/compare.h"
 #include "testkit/field_bench.h"
 #include "testkit/laws.h"
 #include "testkit/tensor_box.h"
+#include "tests/says.h"
 
 namespace semfield {
 namespace {
 
-using testkit::FieldBench;
-using testkit::LawOptions;
+using namespace testkit;
 
 const KernelTables& tables() {
   static const KernelTables tables = [] {
@@ -33,17 +28,13 @@ const KernelTables& tables() {
 const NerfMlpParams kSmall{4, 12, 2, 9};
 
 FieldBuild build_of(std::int32_t position_dims, std::int32_t direction_dims, bool fold = true, bool once = true) {
-  FieldBuild build;
-  build.position_dims = position_dims;
-  build.direction_dims = direction_dims;
-  build.savings.fold_feature_layer = fold;
-  build.savings.direction_once_per_ray = once;
-  return build;
+  return FieldBuild{.position_dims = position_dims,
+                    .direction_dims = direction_dims,
+                    .savings = {.fold_feature_layer = fold, .direction_once_per_ray = once}};
 }
 
 void expect_laws(const NerfMlpParams& params, const FieldBuild& build) {
-  LawOptions options;
-  options.many_rows = 1025;
+  LawOptions options{.many_rows = 1025};
   const NerfMlp<float> field32(params, build, tables());
   const NerfMlp<double> field64(params, build, tables());
   const testkit::Failures failures = testkit::field_laws(field32, field64, build, options);
@@ -141,7 +132,7 @@ std::vector<double> layer(const std::vector<double>& x, View<const double> w, Vi
   for (std::int32_t n = 0; n < w.cols; ++n) {
     double sum = b(0, n);
     for (std::size_t k = 0; k < x.size(); ++k) sum += x[k] * w(static_cast<std::int64_t>(k), n);
-    y[static_cast<std::size_t>(n)] = relu ? std::max(0.0, sum) : sum;
+    y[n] = relu ? std::max(0.0, sum) : sum;
   }
   return y;
 }
@@ -169,14 +160,12 @@ TEST(NerfMlp, ForwardIsThePapersNetwork) {
       h = layer(h, tensor(name + "/weight"), tensor(name + "/bias"), true);
     }
     EXPECT_NEAR(bench.sigma(m, 0), layer(h, tensor("density/weight"), tensor("density/bias"), false)[0], 1e-12);
-    for (int c = 0; c < 12; ++c) EXPECT_NEAR(bench.feature(m, c), h[static_cast<std::size_t>(c)], 1e-12);
+    for (int c = 0; c < 12; ++c) EXPECT_NEAR(bench.feature(m, c), h[c], 1e-12);
     std::vector<double> f = layer(h, tensor("feature/weight"), tensor("feature/bias"), false);
     f.insert(f.end(), d, d + 5);
     const auto v = layer(f, tensor("view/weight"), tensor("view/bias"), true);
     const auto logit = layer(v, tensor("color/weight"), tensor("color/bias"), false);
-    for (int c = 0; c < 3; ++c) {
-      EXPECT_NEAR(bench.rgb(m, c), 1 / (1 + std::exp(-logit[static_cast<std::size_t>(c)])), 1e-12);
-    }
+    for (int c = 0; c < 3; ++c) EXPECT_NEAR(bench.rgb(m, c), 1 / (1 + std::exp(-logit[c])), 1e-12);
   }
 }
 
@@ -188,9 +177,8 @@ TEST(NerfMlp, BackwardWithoutPositionGradientGivesTheSameParameterGradients) {
   with.backward();
   without.forward();
   without.backward({}, false);
-  for (std::size_t i = 0; i < with.box.count(); ++i) {
+  for (std::size_t i = 0; i < with.box.count(); ++i)
     EXPECT_EQ(testkit::compare_bits<float>(with.box.grad(i), without.box.grad(i)), "") << with.box.specs()[i].name;
-  }
 }
 
 TEST(NerfMlp, RefusesASkipBeyondTheTrunk) {
@@ -205,12 +193,8 @@ TEST(NerfMlp, RefusesASkipBeyondTheTrunk) {
 TEST(NerfMlp, SaysWhenADeviceHasNoKernels) {
   FieldBuild build = build_of(7, 5);
   build.device = Device::cuda;
-  try {
-    const NerfMlp<float> field({}, build, tables());
-    ADD_FAILURE() << "built without cuda kernels";
-  } catch (const Error& e) {
-    EXPECT_NE(e.message().find("field 'nerf_mlp' has no cuda kernels"), std::string::npos) << e.what();
-  }
+  EXPECT_HAS(error_of([&] { const NerfMlp<float> field({}, build, tables()); }),
+             "field 'nerf_mlp' has no cuda kernels");
 }
 
 TEST(NerfMlp, SaysWhereAGpuComputesItLayerByLayer) {

@@ -1,10 +1,6 @@
 // Tests of the field of sines: an independent forward, and how it starts.
 #include <gtest/gtest.h>
 
-#include <cmath>
-#include <map>
-#include <string>
-
 #include "plugin/linked_plugins.h"
 #include "testkit/field_bench.h"
 #include "testkit/settings.h"
@@ -38,8 +34,8 @@ TEST(Siren, FeatureAndDensityAreSinesOfSines) {
     const std::vector<double> h = sines("sine_1", sines("sine_0", {x, x + 3}));
     double sigma = tensor.at("density/bias")(0, 0);
     for (std::int32_t j = 0; j < 6; ++j) {
-      EXPECT_NEAR(bench.feature(m, j), h[static_cast<std::size_t>(j)], 1e-12);
-      sigma += h[static_cast<std::size_t>(j)] * tensor.at("density/weight")(j, 0);
+      EXPECT_NEAR(bench.feature(m, j), h[j], 1e-12);
+      sigma += h[j] * tensor.at("density/weight")(j, 0);
     }
     EXPECT_NEAR(bench.sigma(m, 0), sigma, 1e-12);
   }

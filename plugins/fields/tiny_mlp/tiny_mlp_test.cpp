@@ -1,24 +1,19 @@
 // Tests of the small network: laws for every switch and feature, exactness of the saving, an independent forward.
 #include "fields/tiny_mlp/tiny_mlp.h"
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
-#include <cmath>
-#include <string>
-#include <vector>
 
 #include "plugin/registry.h"
 #include "testkit/compare.h"
 #include "testkit/field_bench.h"
 #include "testkit/laws.h"
 #include "testkit/tensor_box.h"
+#include "tests/says.h"
 
 namespace semfield {
 namespace {
 
-using testkit::FieldBench;
-using testkit::LawOptions;
+using namespace testkit;
 
 const KernelTables& tables() {
   static const KernelTables tables = [] {
@@ -52,16 +47,12 @@ std::string slow_path_of(const TinyMlpParams& params, FieldBuild build, bool sha
 TinyMlpParams small(TinyFeature feature = TinyFeature::hidden) { return {12, 2, 5, 10, 2, feature}; }
 
 FieldBuild build_of(std::int32_t position_dims, std::int32_t direction_dims, bool once = true) {
-  FieldBuild build;
-  build.position_dims = position_dims;
-  build.direction_dims = direction_dims;
-  build.savings.direction_once_per_ray = once;
-  return build;
+  return FieldBuild{
+      .position_dims = position_dims, .direction_dims = direction_dims, .savings = {.direction_once_per_ray = once}};
 }
 
 void expect_laws(const TinyMlpParams& params, const FieldBuild& build) {
-  LawOptions options;
-  options.many_rows = 1025;
+  LawOptions options{.many_rows = 1025};
   const TinyMlp<float> field32(params, build, tables());
   const TinyMlp<double> field64(params, build, tables());
   const testkit::Failures failures = testkit::field_laws(field32, field64, build, options);
@@ -101,9 +92,8 @@ TEST(TinyMlp, OnceARayChangesNeitherOutputsNorGradients) {
   EXPECT_EQ(same(saving.rgb.view(), plain.rgb.view()), "");
   EXPECT_EQ(same(saving.feature.view(), plain.feature.view()), "");
   EXPECT_EQ(same(saving.d_position.view(), plain.d_position.view()), "");
-  for (std::size_t i = 0; i < plain.box.count(); ++i) {
+  for (std::size_t i = 0; i < plain.box.count(); ++i)
     EXPECT_EQ(same(saving.box.grad(i), plain.box.grad(i)), "") << plain.box.specs()[i].name;
-  }
 }
 
 /// x W + b with plain loops; rectified when wanted.
@@ -112,7 +102,7 @@ std::vector<double> layer(const std::vector<double>& x, View<const double> w, Vi
   for (std::int32_t n = 0; n < w.cols; ++n) {
     double sum = b(0, n);
     for (std::size_t k = 0; k < x.size(); ++k) sum += x[k] * w(static_cast<std::int64_t>(k), n);
-    y[static_cast<std::size_t>(n)] = relu ? std::max(0.0, sum) : sum;
+    y[n] = relu ? std::max(0.0, sum) : sum;
   }
   return y;
 }
@@ -143,14 +133,11 @@ TEST(TinyMlp, ForwardIsTheNetwork) {
       std::vector<double> g(out.begin() + 1, out.end());
       const std::vector<double>& wanted = feature == TinyFeature::hidden ? h : g;
       ASSERT_EQ(field.traits().feature_dims, static_cast<std::int32_t>(wanted.size()));
-      for (std::size_t c = 0; c < wanted.size(); ++c) {
+      for (std::size_t c = 0; c < wanted.size(); ++c)
         EXPECT_NEAR(bench.feature(m, static_cast<std::int32_t>(c)), wanted[c], 1e-12);
-      }
       g.insert(g.end(), d, d + 4);
       const auto logit = apply("rgb", apply("color_1", apply("color_0", g, true), true), false);
-      for (int c = 0; c < 3; ++c) {
-        EXPECT_NEAR(bench.rgb(m, c), 1 / (1 + std::exp(-logit[static_cast<std::size_t>(c)])), 1e-12);
-      }
+      for (int c = 0; c < 3; ++c) EXPECT_NEAR(bench.rgb(m, c), 1 / (1 + std::exp(-logit[c])), 1e-12);
     }
   }
 }
@@ -171,7 +158,7 @@ TEST(TinyMlp, FeatureAloneIsThatOfTheWholeNetwork) {
       return other;
     };
     for (std::size_t i = 0; i < of_alone.count(); ++i) {
-      EXPECT_EQ(of_alone.specs()[i].name.find("color"), std::string::npos);
+      EXPECT_LACKS(of_alone.specs()[i].name, "color");
       std::copy_n(of_whole.value(twin_of(i)).data, of_alone.value(i).size(), of_alone.value(i).data);
     }
     constexpr std::int64_t kRows = 33;
@@ -182,11 +169,8 @@ TEST(TinyMlp, FeatureAloneIsThatOfTheWholeNetwork) {
     const auto run = [&](const TinyMlp<double>& field, testkit::TensorBox<double>& box,
                          std::vector<double>& out_feature, std::vector<double>& d_x) {
       Workspace arena;
-      StepContext ctx;
-      ctx.workspace = &arena;
-      FieldIn<double> in;
-      in.position = {x.data(), kRows, 7};
-      in.ray_of_sample = {ray.data(), kRows, 1};
+      StepContext ctx{.workspace = &arena};
+      FieldIn<double> in{.position = {x.data(), kRows, 7}, .ray_of_sample = {ray.data(), kRows, 1}};
       FieldOut<double> out;
       out_feature.resize(d.size());
       d_x.resize(x.size());
@@ -195,8 +179,7 @@ TEST(TinyMlp, FeatureAloneIsThatOfTheWholeNetwork) {
       const Saved saved(arena.take_bytes(bytes), bytes);
       field.derive(ctx, box.tensors());
       field.forward(ctx, box.tensors(), in, out, saved);
-      FieldGrad<double> grad;
-      grad.feature = {d.data(), kRows, field.traits().feature_dims};
+      FieldGrad<double> grad{.feature = {d.data(), kRows, field.traits().feature_dims}};
       box.fill_grads(0);
       field.backward(ctx, box.tensors(), in, out, grad, saved, {d_x.data(), kRows, 7});
       return bytes;
@@ -218,12 +201,8 @@ TEST(TinyMlp, SaysWhatItCannotBuild) {
   EXPECT_THROW(TinyMlp<float>({}, build_of(0, 4), tables()), Error);
   FieldBuild build = build_of(7, 4);
   build.device = Device::cuda;
-  try {
-    const TinyMlp<float> field({}, build, tables());
-    ADD_FAILURE() << "built without cuda kernels";
-  } catch (const Error& e) {
-    EXPECT_NE(e.message().find("field 'tiny_mlp' has no cuda kernels"), std::string::npos) << e.what();
-  }
+  EXPECT_HAS(error_of([&] { const TinyMlp<float> field({}, build, tables()); }),
+             "field 'tiny_mlp' has no cuda kernels");
 }
 
 TEST(TinyMlp, SaysWhereAGpuComputesItLayerByLayer) {

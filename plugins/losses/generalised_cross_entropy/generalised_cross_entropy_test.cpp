@@ -3,8 +3,6 @@
 
 #include <gtest/gtest.h>
 
-#include <cmath>
-
 #include "losses/semantic_cross_entropy.h"
 #include "testkit/loss/loss_rays.h"
 

@@ -3,12 +3,6 @@
 
 #include <gtest/gtest.h>
 
-#include <array>
-#include <chrono>
-#include <cmath>
-#include <string>
-#include <vector>
-
 #include "compute/parallel.h"
 #include "testkit/laws.h"
 #include "testkit/tensor_box.h"
@@ -16,13 +10,7 @@
 namespace semfield {
 namespace {
 
-SamplerBuild room() {
-  SamplerBuild build;
-  build.bounds = {{-2, -2, -1}, {3, 2, 2}};
-  build.near_m = 0.05;
-  build.far_m = 12;
-  return build;
-}
+SamplerBuild room() { return SamplerBuild{.bounds = {{-2, -2, -1}, {3, 2, 2}}, .near_m = 0.05, .far_m = 12}; }
 
 // Density of a ball at (0.5, 0, 0.5), radius 0.8, over a thin haze.
 template <class Real>
@@ -68,9 +56,8 @@ struct Bench {
       };
       const Vec3d d = normalized(Vec3d{random(0) - 0.5, random(1) - 0.5, random(2) - 0.5});
       for (int i = 0; i < 3; ++i) {
-        origin[static_cast<std::size_t>(3 * r + i)] =
-            room().bounds.lo[i] + (0.05 + 0.9 * random(3 + i)) * room().bounds.size()[i];
-        direction[static_cast<std::size_t>(3 * r + i)] = d[i];
+        origin[3 * r + i] = room().bounds.lo[i] + (0.05 + 0.9 * random(3 + i)) * room().bounds.size()[i];
+        direction[3 * r + i] = d[i];
       }
       near_far.insert(near_far.end(), {0.05, 12.0});
     }
@@ -100,19 +87,15 @@ struct Bench {
 };
 
 OccupancyGridParams small_grid() {
-  OccupancyGridParams params;
-  params.resolution = 32;
-  params.max_samples = 2048;
-  params.warmup_steps = 64;
-  return params;
+  return OccupancyGridParams{.resolution = 32, .max_samples = 2048, .warmup_steps = 64};
 }
 
 // Lattice indices whose cell is marked occupied, looked at one by one.
 template <class Real>
 std::vector<Real> brute_force(Bench<Real>& bench, std::int64_t r) {
   const OccupancyGeometry& g = bench.sampler.geometry();
-  const double* o = &bench.origin[static_cast<std::size_t>(3 * r)];
-  const double* d = &bench.direction[static_cast<std::size_t>(3 * r)];
+  const double* o = &bench.origin[3 * r];
+  const double* d = &bench.direction[3 * r];
   double enter = 0, leave = 0;
   std::vector<Real> result;
   if (!intersect(g.outer(), {o[0], o[1], o[2]}, {d[0], d[1], d[2]}, enter, leave)) return result;
@@ -139,7 +122,7 @@ TEST(OccupancyGrid, JumpsGiveTheSamplesOfStepByStepMarching) {
     std::size_t total = 0;
     for (std::int64_t r = 0; r < 300; ++r) {
       const std::vector<double> want = brute_force(bench, r);
-      const auto begin = bench.t.begin() + bench.first[static_cast<std::size_t>(r)];
+      const auto begin = bench.t.begin() + bench.first[r];
       ASSERT_EQ(std::vector<double>(begin, bench.t.begin() + bench.first[static_cast<std::size_t>(r) + 1]), want)
           << "ray " << r;
       total += want.size();
@@ -247,18 +230,17 @@ TEST(OccupancyGrid, EverySampleNearTheBallIsKept) {
   bench.shoot(200);
   for (std::int64_t r = 0; r < 200; ++r) {
     // Length inside the ball, from the geometry, against the length that the samples inside it cover.
-    const double* o = &bench.origin[static_cast<std::size_t>(3 * r)];
-    const double* d = &bench.direction[static_cast<std::size_t>(3 * r)];
+    const double* o = &bench.origin[3 * r];
+    const double* d = &bench.direction[3 * r];
     const Vec3d to{0.5 - o[0], -o[1], 0.5 - o[2]};
     const double along = to.x * d[0] + to.y * d[1] + to.z * d[2];
     const double gap2 = 0.64 - (dot(to, to) - along * along);
     const double half = gap2 > 0 ? std::sqrt(gap2) : 0;
     const double want = std::max(0.0, along + half - std::max(0.05, along - half));
     double covered = 0;
-    for (std::int32_t k = bench.first[static_cast<std::size_t>(r)]; k < bench.first[static_cast<std::size_t>(r) + 1];
-         ++k) {
-      const double t = static_cast<double>(bench.t[static_cast<std::size_t>(k)]);
-      if (std::abs(t - along) < half) covered += static_cast<double>(bench.delta[static_cast<std::size_t>(k)]);
+    for (std::int32_t k = bench.first[r]; k < bench.first[static_cast<std::size_t>(r) + 1]; ++k) {
+      const double t = static_cast<double>(bench.t[k]);
+      if (std::abs(t - along) < half) covered += static_cast<double>(bench.delta[k]);
     }
     EXPECT_NEAR(covered, gap2 > 0 ? want : 0, 2 * bench.sampler.geometry().step_m) << "ray " << r;
   }
@@ -274,12 +256,11 @@ double largest_loss(SkipRule rule, double haze) {
   double worst = 0;
   for (std::int64_t r = 0; r < 200; ++r) {
     double enter = 0, leave = 0, covered = 0;
-    const double* o = &bench.origin[static_cast<std::size_t>(3 * r)];
-    const double* d = &bench.direction[static_cast<std::size_t>(3 * r)];
+    const double* o = &bench.origin[3 * r];
+    const double* d = &bench.direction[3 * r];
     intersect(bench.sampler.geometry().outer(), {o[0], o[1], o[2]}, {d[0], d[1], d[2]}, enter, leave);
-    for (std::int32_t k = bench.first[static_cast<std::size_t>(r)]; k < bench.first[static_cast<std::size_t>(r) + 1];
-         ++k) {
-      covered += bench.delta[static_cast<std::size_t>(k)];
+    for (std::int32_t k = bench.first[r]; k < bench.first[static_cast<std::size_t>(r) + 1]; ++k) {
+      covered += bench.delta[k];
     }
     worst = std::max(worst, haze * (std::min(12.0, leave) - std::max(0.05, enter) - covered));
   }
@@ -351,16 +332,14 @@ TEST(OccupancyGrid, LongStepsWhenSamplesAreScarce) {  // B11
   Bench<float> bench(params);
   bench.shoot(50);  // warm-up: the whole ray is occupied
   for (std::int64_t r = 0; r < 50; ++r) {
-    const std::int32_t n = bench.first[static_cast<std::size_t>(r) + 1] - bench.first[static_cast<std::size_t>(r)];
+    const std::int32_t n = bench.first[static_cast<std::size_t>(r) + 1] - bench.first[r];
     EXPECT_LE(n, 48);
     EXPECT_GE(n, n > 0 ? 5 : 0);
     double enter = 0, leave = 0, covered = 0;
-    const double* o = &bench.origin[static_cast<std::size_t>(3 * r)];
-    const double* d = &bench.direction[static_cast<std::size_t>(3 * r)];
+    const double* o = &bench.origin[3 * r];
+    const double* d = &bench.direction[3 * r];
     intersect(bench.sampler.geometry().outer(), {o[0], o[1], o[2]}, {d[0], d[1], d[2]}, enter, leave);
-    for (std::int32_t k = 0; k < n; ++k)
-      covered +=
-          static_cast<double>(bench.delta[static_cast<std::size_t>(bench.first[static_cast<std::size_t>(r)] + k)]);
+    for (std::int32_t k = 0; k < n; ++k) covered += static_cast<double>(bench.delta[bench.first[r] + k]);
     EXPECT_NEAR(covered, std::min(12.0, leave) - 0.05, 1e-4);  // coarser, not shorter
   }
   params.step_m = 1e-9;  // a lattice of 1e10 steps is cut, not walked
@@ -378,8 +357,7 @@ TEST(OccupancyGrid, RefusesWhatItCannotUse) {
   SamplerBuild build = room();
   build.bounds = Box{};
   EXPECT_THROW((OccupancyGrid<float>({}, build, Bench<float>::tables())), Error);
-  OccupancyGridParams params;
-  params.resolution = 100;
+  OccupancyGridParams params{.resolution = 100};
   Diagnostics diagnostics;
   validate(params, diagnostics);
   EXPECT_EQ(diagnostics.error_count(), 1);

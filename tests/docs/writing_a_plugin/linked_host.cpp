@@ -1,7 +1,6 @@
 // Runs the laws of the page's plugins from the generated table of linked plugins, on the page's own sample, and prints
 // what a module's test needs to read that sample. Usage: linked_host EMPTY_FOLDER.
 #include <cstdio>
-#include <string>
 
 #include "plugin/linked_plugins.h"
 #include "testkit/laws.h"

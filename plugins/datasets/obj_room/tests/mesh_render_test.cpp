@@ -1,9 +1,10 @@
-// Frames of a mesh: depth, class and instance in closed form, cut-outs, textures, threads.
+// Frames of a mesh in closed form, cut-outs, textures, threads; and the rays that make them.
 #include "datasets/obj_room/mesh_render.h"
 
-#include <gtest/gtest.h>
+#include <algorithm>
 
 #include "compute/parallel.h"
+#include "datasets/obj_room/raycast.h"
 #include "datasets/obj_room/tests/obj_testing.h"
 #include "formats/image_io.h"
 #include "scene/camera_path.h"
@@ -14,11 +15,7 @@ namespace {
 using namespace testing_obj;
 
 RenderSettings quick() {
-  RenderSettings s;
-  s.occlusion_rays = 2;
-  s.shadow_rays = 1;
-  s.supersample = 2;
-  s.seed = 3;
+  RenderSettings s{.occlusion_rays = 2, .shadow_rays = 1, .supersample = 2, .seed = 3};
   s.lights.push_back({{0.5, 0, 2}, 0.1, {2, 2, 2}});
   return s;
 }
@@ -114,8 +111,7 @@ struct Sheet {
         "mtllib sheet.mtl\nv -1 1 -1\nv 1 1 -1\nv 1 1 1\nv -1 1 1\nv -9 2 -9\nv 9 2 -9\nv 9 2 9\nv -9 2 9\n"
         "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\no sheet\nusemtl Sheet\nf 1/1 2/2 3/3 4/4\no wall\nusemtl Wall\nf 5 6 7 8\n");
     TriangleMesh mesh = load_obj(folder + "/sheet.obj", diagnostics);
-    RenderSettings settings;
-    settings.occlusion_rays = 0;
+    RenderSettings settings{.occlusion_rays = 0};
     settings.ambient_above = settings.ambient_below = {1, 1, 1};
     settings.supersample = 1;
     const MeshRenderer renderer(std::move(mesh), {0, 0, 1, 1}, settings, diagnostics);
@@ -190,8 +186,7 @@ TEST(MeshRender, LightFallsOnWhatFacesItAndShadowsStayDark) {
       "v -4 -4 0\nv 4 -4 0\nv 4 4 0\nv -4 4 0\nv 0 -4 1\nv 4 -4 1\nv 4 4 1\nv 0 4 1\no floor\nf 1 2 3 4\no shelf\nf 5 "
       "6 7 8\n",
       d);
-  RenderSettings settings;
-  settings.occlusion_rays = 0;
+  RenderSettings settings{.occlusion_rays = 0};
   settings.ambient_above = settings.ambient_below = {0, 0, 0};
   settings.lights.push_back({{2, 0, 2}, 0.01, {5, 5, 5}});
   settings.supersample = 1;
@@ -203,6 +198,109 @@ TEST(MeshRender, LightFallsOnWhatFacesItAndShadowsStayDark) {
   EXPECT_EQ(frame.label[row + 2], 0);
   EXPECT_EQ(frame.label[row + 13], 0);
   EXPECT_EQ(frame.rgb[3 * (row + 13)], 0);
+}
+
+// Rays and distances against a room in closed form.
+
+std::vector<Vec3d> directions(int count) {
+  std::vector<Vec3d> out;
+  for (int i = 0; i < count; ++i) {
+    const double z = 1 - (2 * i + 1.0) / count, r = std::sqrt(1 - z * z), phi = 2.399963229728653 * i;
+    out.push_back({r * std::cos(phi), r * std::sin(phi), z});
+  }
+  return out;
+}
+
+TEST(Raycast, EveryDirectionMeetsTheRightObjectAtTheRightDistance) {
+  const TriangleMesh mesh = room_mesh();
+  const Raycaster rays(mesh);
+  int crate = 0;
+  for (const Vec3d origin : {Vec3d{0.1, -1, 1.2}, Vec3d{-1.7, 1.3, 2.3}}) {
+    for (const Vec3d d : directions(4000)) {
+      const RayHit hit = rays.trace(origin, d);
+      const Truth truth = room_truth(origin, d);
+      ASSERT_TRUE(hit.hit());
+      EXPECT_NEAR(hit.distance_m, truth.distance, 1e-6 * (1 + truth.distance));
+      EXPECT_EQ(mesh.object_of[hit.triangle], truth.object) << d.x << ' ' << d.y << ' ' << d.z;
+      crate += truth.object >= 6 ? 1 : 0;
+      // The barycentric weights lead to the same point.
+      const auto& t = mesh.triangles[hit.triangle];
+      const Vec3f p =
+          mesh.positions[t[0]] * (1 - hit.b1 - hit.b2) + mesh.positions[t[1]] * hit.b1 + mesh.positions[t[2]] * hit.b2;
+      const Vec3d q = origin + d * truth.distance;
+      EXPECT_NEAR(length(Vec3d{p.x, p.y, p.z} - q), 0, 2e-5);
+    }
+  }
+  EXPECT_GT(crate, 50);
+}
+
+TEST(Raycast, ReachesEndWhereAsked) {
+  const TriangleMesh mesh = room_mesh();
+  const Raycaster rays(mesh);
+  const Vec3d origin{0, -1, 1.5}, ahead{0, 1, 0};
+  EXPECT_FALSE(rays.trace(origin, ahead, 2.4).hit());
+  EXPECT_TRUE(rays.trace(origin, ahead, 2.6).hit());
+  EXPECT_FALSE(rays.blocked(origin, ahead, 2.4));
+  EXPECT_TRUE(rays.blocked(origin, ahead, 2.6));
+  EXPECT_FALSE(rays.trace({0, 0, 10}, {0, 0, 1}).hit());
+  EXPECT_FALSE(rays.blocked({0, 0, 10}, {0, 0, 1}, 1e6));
+}
+
+TEST(Raycast, ClearanceIsTheDistanceToTheNearestSurface) {
+  const TriangleMesh mesh = room_mesh();
+  const Raycaster rays(mesh);
+  const auto outside = [](double x, double lo, double hi) { return std::max({lo - x, 0.0, x - hi}); };
+  int near_crate = 0;
+  for (const Vec3d d : directions(500)) {
+    const Vec3d p{1.9 * d.x, 1.4 * d.y, 1.25 + 1.2 * d.z};
+    double expected = 1e300;
+    for (int a = 0; a < 3; ++a) expected = std::min({expected, p[a] - kRoom.lo[a], kRoom.hi[a] - p[a]});
+    const double crate = length(Vec3d{outside(p.x, kCrate.lo.x, kCrate.hi.x), outside(p.y, kCrate.lo.y, kCrate.hi.y),
+                                      outside(p.z, kCrate.lo.z, kCrate.hi.z)});
+    if (crate == 0) continue;  // within the crate
+    near_crate += crate < expected ? 1 : 0;
+    expected = std::min(expected, crate);
+    EXPECT_NEAR(rays.clearance(p, 100), expected, 1e-9);
+    EXPECT_EQ(rays.clearance(p, 0.5 * expected), 0.5 * expected);
+  }
+  EXPECT_GT(near_crate, 10);
+}
+
+TEST(Raycast, CutOutsLetRaysThroughWhereTheTestSaysSo) {
+  const TriangleMesh mesh = room_mesh();
+  std::vector<bool> cut_out(mesh.size());
+  for (std::size_t i = 0; i < mesh.size(); ++i) cut_out[i] = mesh.object_of[i] >= 6;
+  const Vec3d origin{0, -1, 0.5}, ahead{0, 1, 0};
+  const auto object_ahead = [&](const Raycaster& rays) { return mesh.object_of[rays.trace(origin, ahead).triangle]; };
+  const Raycaster open(mesh, cut_out, [](std::int64_t, float, float) { return false; });
+  const Raycaster shut(mesh, cut_out, [](std::int64_t, float, float) { return true; });
+  EXPECT_EQ(object_ahead(open), 3);
+  EXPECT_FALSE(open.blocked(origin, ahead, 2));
+  EXPECT_EQ(object_ahead(shut), 8);
+  EXPECT_TRUE(shut.blocked(origin, ahead, 2));
+  // Only the front of the crate is open: its back stops the ray, and the test is asked about crate triangles alone.
+  const Raycaster front(mesh, cut_out, [&](std::int64_t t, float, float) {
+    EXPECT_GE(mesh.object_of[t], 6);
+    return mesh.object_of[t] != 8;
+  });
+  EXPECT_EQ(object_ahead(front), 9);
+}
+
+TEST(Raycast, SameHitsFromAnyThread) {
+  const TriangleMesh mesh = room_mesh();
+  const Raycaster rays(mesh);
+  const std::vector<Vec3d> d = directions(3000);
+  const auto all = [&](int threads) {
+    set_thread_count(threads);
+    std::vector<std::pair<std::int64_t, double>> out(d.size());
+    parallel_for(static_cast<std::int64_t>(d.size()), [&](std::int64_t i) {
+      const RayHit hit = rays.trace({0.3, -0.4, 1.1}, d[i]);
+      out[i] = {hit.triangle, hit.distance_m};
+    });
+    set_thread_count(0);
+    return out;
+  };
+  EXPECT_EQ(all(1), all(2));
 }
 
 }  // namespace

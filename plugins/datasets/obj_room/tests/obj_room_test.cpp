@@ -1,12 +1,9 @@
 // The dataset on the shipped room, on rooms with faults, and on other people's rooms where they are at hand.
 #include "datasets/obj_room/obj_room.h"
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
 #include <set>
 
-#include "core/findings.h"
 #include "datasets/obj_room/class_rules.h"
 #include "datasets/obj_room/tests/obj_testing.h"
 #include "tests/datasets/rewritten_poses.h"
@@ -18,16 +15,14 @@ using namespace testing_obj;
 namespace fs = std::filesystem;
 
 ObjRoomParams small(const std::string& root, int width = 40, int height = 30) {
-  ObjRoomParams p;
-  p.root = root;
-  p.width_px = width;
-  p.height_px = height;
-  p.frames = 4;
-  p.test_frames = 2;
-  p.supersample = 1;
-  p.occlusion_rays = 2;
-  p.shadow_rays = 1;
-  return p;
+  return ObjRoomParams{.root = root,
+                       .width_px = width,
+                       .height_px = height,
+                       .frames = 4,
+                       .test_frames = 2,
+                       .supersample = 1,
+                       .occlusion_rays = 2,
+                       .shadow_rays = 1};
 }
 
 const std::string kShipped = std::string(SEMFIELD_SOURCE_DIR) + "/scenes/room";
@@ -207,19 +202,15 @@ TEST(ObjRoom, ObjectsWithoutAClassAreErrorsOfTheScene) {
 }
 
 TEST(ObjRoom, SettingsThatContradictAreNamed) {
-  ObjRoomParams p;
-  p.lowest_m = 2;
-  p.near_m = 3;
-  p.far_m = 2;
-  p.bounds = {0, 0, 0, 1, -1, 1};
+  ObjRoomParams p{.lowest_m = 2, .bounds = {0, 0, 0, 1, -1, 1}, .near_m = 3, .far_m = 2};
   Diagnostics d;
   validate(p, d);
   p.bounds = {1, 2};
   validate(p, d);
   EXPECT_EQ(d.error_count(), 6);
-  EXPECT_EQ(d.all()[2].shown(),
+  EXPECT_EQ(d.all()[2].text(),
             "bounds: has a least corner that is not below the greatest; give [xmin, ymin, zmin, xmax, ymax, zmax]");
-  EXPECT_EQ(d.all()[5].shown(), "bounds: has 2 numbers; give [xmin, ymin, zmin, xmax, ymax, zmax]");
+  EXPECT_EQ(d.all()[5].text(), "bounds: has 2 numbers; give [xmin, ymin, zmin, xmax, ymax, zmax]");
 }
 
 std::string data(const std::string& name) { return std::string(SEMFIELD_SOURCE_DIR) + "/../shared/data/" + name; }

@@ -1,11 +1,7 @@
 // Small OBJ rooms whose geometry is known in closed form, and short ways to read what was reported.
 #pragma once
 
-#include <array>
-#include <cmath>
 #include <sstream>
-#include <string>
-#include <vector>
 
 #include "datasets/obj_room/mesh_io.h"
 #include "datasets/obj_room/raycast.h"
@@ -14,19 +10,17 @@
 
 namespace semfield::testing_obj {
 
-using testing_room::error_of;
 using testing_room::fresh_folder;
 using testing_room::plain_write;
 
 /// "severity|text" of every finding.
 inline std::vector<std::string> texts(const Diagnostics& diagnostics) {
   std::vector<std::string> out;
-  for (const Diagnostic& d : diagnostics.all()) {
+  for (const Diagnostic& d : diagnostics.all())
     out.push_back((d.severity == Severity::error     ? "error|"
                    : d.severity == Severity::warning ? "warning|"
                                                      : "note|") +
                   d.text());
-  }
   return out;
 }
 
@@ -34,10 +28,9 @@ inline std::vector<std::string> texts(const Diagnostics& diagnostics) {
 inline void add_box(std::ostringstream& obj, const Box& box, const std::array<const char*, 6>& names, int& vertices) {
   constexpr std::array<std::array<int, 4>, 6> kFaces{
       {{0, 2, 6, 4}, {1, 5, 7, 3}, {0, 4, 5, 1}, {2, 3, 7, 6}, {0, 1, 3, 2}, {4, 6, 7, 5}}};
-  for (int corner = 0; corner < 8; ++corner) {
+  for (int corner = 0; corner < 8; ++corner)
     obj << "v " << ((corner & 1) != 0 ? box.hi.x : box.lo.x) << ' ' << ((corner & 2) != 0 ? box.hi.y : box.lo.y) << ' '
         << ((corner & 4) != 0 ? box.hi.z : box.lo.z) << '\n';
-  }
   for (std::size_t face = 0; face < 6; ++face) {
     obj << "o " << names[face] << "\nf";
     for (const int corner : kFaces[face]) obj << ' ' << vertices + corner + 1;
@@ -110,13 +103,12 @@ inline std::int16_t class_of_object(int object) {
 }
 
 inline Camera camera_of(int width, int height) {
-  Camera c;
-  c.width_px = width;
-  c.height_px = height;
-  c.fx = c.fy = 0.5 * width;
-  c.cx = 0.5 * width;
-  c.cy = 0.5 * height;
-  return c;
+  return Camera{.width_px = width,
+                .height_px = height,
+                .fx = 0.5 * width,
+                .fy = 0.5 * width,
+                .cx = 0.5 * width,
+                .cy = 0.5 * height};
 }
 
 }  // namespace semfield::testing_obj

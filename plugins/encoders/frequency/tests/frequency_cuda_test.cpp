@@ -20,9 +20,7 @@ struct FrequencyCase {
 std::vector<FrequencyCase> frequency_cases() {
   std::vector<FrequencyCase> cases;
   for (const Arithmetic arithmetic : {Arithmetic::float64, Arithmetic::float32, Arithmetic::naive}) {
-    for (const Angular angular : {Angular::radian, Angular::pi}) {
-      cases.push_back({3, {10, true, angular, arithmetic}});
-    }
+    for (const Angular angular : {Angular::radian, Angular::pi}) cases.push_back({3, {10, true, angular, arithmetic}});
   }
   cases.push_back({3, {4, true, Angular::radian, Arithmetic::float64}});
   cases.push_back({3, {10, false, Angular::radian, Arithmetic::float64}});

@@ -1,8 +1,6 @@
 // The hash grid on the device against its float64 twin on the CPU: values, gradients of tables in any order and in
 // fixed point, gradients of positions, rows out of use, faults.
 #include <algorithm>
-#include <cmath>
-#include <memory>
 
 #include "core/error.h"
 #include "cuda/kernel_tables.h"
@@ -22,21 +20,18 @@ using testing::NotedFault;
 template <class Real>
 HashGrid<Real> make(const HashGridParams& params, Device device) {
   static const KernelTables tables = testing::tables_of({hash_grid_kernels, cuda::add_plugin_kernels});
-  EncoderBuild build;
-  build.device = device;
+  EncoderBuild build{.device = device};
   return HashGrid<Real>(params, build, tables);
 }
 
 HashGridParams params_of(int levels, int features, int log2_entries, int base, int finest,
                          Interpolation interpolation = Interpolation::linear) {
-  HashGridParams p;
-  p.levels = levels;
-  p.features = features;
-  p.log2_entries = log2_entries;
-  p.base_resolution = base;
-  p.finest_resolution = finest;
-  p.interpolation = interpolation;
-  return p;
+  return HashGridParams{.levels = levels,
+                        .features = features,
+                        .log2_entries = log2_entries,
+                        .base_resolution = base,
+                        .finest_resolution = finest,
+                        .interpolation = interpolation};
 }
 
 /// Dense and hashed levels, every entry width, groups of 8 columns that are full and that are not.
@@ -74,7 +69,7 @@ std::vector<double> points(std::int64_t rows, std::uint64_t seed) {
       double at = from + (to - from) * (static_cast<double>(r % 24) + 0.3) / 24 + 1e-10 * static_cast<double>(d);
       if (r % 7 == 6 && d == r % 3) at = std::vector<double>{0, 1, -0.5, 1.25}[static_cast<std::size_t>(r % 4)];
       if (r % 11 == 10) at = std::round(8 * at) / 8;
-      x[static_cast<std::size_t>(3 * r + d)] = at;
+      x[3 * r + d] = at;
     }
   }
   return x;
@@ -85,7 +80,7 @@ std::vector<float> gradients(std::int64_t rows, std::int32_t cols, std::uint64_t
   std::vector<float> dy = testing::random_floats(rows * cols, seed, -1, 1);
   for (std::int64_t r = 0; r < rows; ++r) {
     const float scale = r % 5 == 4 ? 0.F : std::pow(10.F, static_cast<float>(-(r % 11)));
-    for (std::int32_t c = 0; c < cols; ++c) dy[static_cast<std::size_t>(r * cols + c)] *= scale;
+    for (std::int32_t c = 0; c < cols; ++c) dy[r * cols + c] *= scale;
   }
   return dy;
 }
@@ -121,11 +116,7 @@ struct DeviceTables {
   std::vector<View<float>> values, grads;
 };
 
-StepContext context(DeviceLaunch& launch) {
-  StepContext ctx;
-  ctx.workspace = &launch.arena();
-  return ctx;
-}
+StepContext context(DeviceLaunch& launch) { return StepContext{.workspace = &launch.arena()}; }
 
 /// Both twins over the same rows. `y_stride`: beyond the columns, 0: 16-byte accesses are possible.
 void expect_twins(const HashGridParams& params, std::int64_t rows, std::int32_t y_stride) {
@@ -139,8 +130,7 @@ void expect_twins(const HashGridParams& params, std::int64_t rows, std::int32_t 
   const std::vector<double> dy64 = testing::widen(dy);
   std::vector<double> y64(dy.size()), dx64(x.size());
   Workspace workspace;
-  StepContext host_ctx;
-  host_ctx.workspace = &workspace;
+  StepContext host_ctx{.workspace = &workspace};
   host.forward(host_ctx, oracle.tensors(), testing::host_view(x, 3), testing::host_view(y64, cols));
   host.backward(host_ctx, oracle.tensors(), testing::host_view(x, 3), testing::host_view(dy64, cols),
                 testing::host_view(dx64, 3));
@@ -314,15 +304,14 @@ TEST(CudaHashGrid, GradientsThatAreNotFiniteReachEveryLevel) {
   DeviceTables tables(testkit::TensorBox<float>(encoder, 1, 1));
   const DeviceMatrix<double> x(points(100, 2), 3);
   std::vector<float> rows = gradients(100, 10, 3);
-  for (int c = 0; c < 10; ++c) rows[static_cast<std::size_t>(10 * 60 + c)] = c % 2 == 0 ? NAN : -HUGE_VALF;
+  for (int c = 0; c < 10; ++c) rows[10 * 60 + c] = c % 2 == 0 ? NAN : -HUGE_VALF;
   const DeviceMatrix<float> dy(rows, 10);
   for (const bool deterministic : {false, true}) {
     DeviceLaunch launch(false, deterministic);
     tables.clear_gradients();
     encoder.backward(context(launch), tables.tensors(), x.read_only(), dy.read_only(), {});
-    for (const std::vector<float>& grad : tables.gradients()) {
+    for (const std::vector<float>& grad : tables.gradients())
       EXPECT_TRUE(std::any_of(grad.begin(), grad.end(), [](float v) { return !std::isfinite(v); }));
-    }
   }
 }
 

@@ -7,11 +7,7 @@
 namespace semfield::testing {
 
 inline NerfMlpShape usual_shape() {
-  NerfMlpShape shape;
-  shape.position_dims = 63;
-  shape.direction_dims = 27;
-  shape.precision = Precision::bf16;
-  return shape;
+  return NerfMlpShape{.position_dims = 63, .direction_dims = 27, .precision = Precision::bf16};
 }
 
 struct UseFused {

@@ -1,6 +1,4 @@
 // The big network on the device against the CPU's in float64: every switch, output and width; the same bits every run.
-#include <string>
-#include <vector>
 
 #include "cuda/kernel_tables.h"
 #include "fields/nerf_mlp/nerf_mlp.h"
@@ -12,8 +10,7 @@ namespace {
 using testing::DeviceField;
 using testing::near;
 using testing::near_norm;
-using testkit::FieldBench;
-using testkit::Wanted;
+using namespace testkit;
 
 const KernelTables& cpu_tables() {
   static const KernelTables tables = testing::tables_of({nerf_mlp_kernels});
@@ -31,14 +28,11 @@ struct Network {
   Precision precision = Precision::fp32;
 
   FieldBuild build(Device device) const {
-    FieldBuild b;
-    b.device = device;
-    b.position_dims = position_dims;
-    b.direction_dims = direction_dims;
-    b.savings.fold_feature_layer = fold;
-    b.savings.direction_once_per_ray = once;
-    b.precision = device == Device::cpu ? Precision::fp32 : precision;
-    return b;
+    return FieldBuild{.device = device,
+                      .position_dims = position_dims,
+                      .direction_dims = direction_dims,
+                      .savings = {.fold_feature_layer = fold, .direction_once_per_ray = once},
+                      .precision = device == Device::cpu ? Precision::fp32 : precision};
   }
   std::string text() const {
     return std::to_string(params.depth) + " x " + std::to_string(params.width) + ", skip " +
@@ -121,9 +115,8 @@ TEST(CudaNerfMlp, IsTheCpusNetworkForEverySwitchAndSize) {
 TEST(CudaNerfMlp, IsTheCpusNetworkInThePapersShape) {
   SEMFIELD_NEEDS_DEVICE();
   for (const Precision precision : kPrecisions) {
-    for (const std::int64_t samples : {1, 33, 257, 1025}) {
+    for (const std::int64_t samples : {1, 33, 257, 1025})
       expect_twin({{}, 63, 27, true, true, precision}, samples, 0, false);
-    }
     expect_twin({{}, 63, 27, true, true, precision}, 130, 1, true);
     expect_twin({{}, 63, 0, true, true, precision}, 130, 0, false);
     expect_twin({{}, 60, 16, false, false, precision}, 130, 4, false);
@@ -175,9 +168,8 @@ TEST(CudaNerfMlp, RowsDoNotDependOnTheBatch) {
     FieldIn<float> in = pair.device.in();
     in.position = in.position.row_range(0, 1000);
     in.ray_of_sample = in.ray_of_sample.row_range(0, 1000);
-    FieldOut<float> out;
-    out.sigma = pair.device.sigma->view().row_range(0, 1000);
-    out.rgb = pair.device.rgb->view().row_range(0, 1000);
+    FieldOut<float> out{.sigma = pair.device.sigma->view().row_range(0, 1000),
+                        .rgb = pair.device.rgb->view().row_range(0, 1000)};
     pair.gpu.forward(pair.device.ctx, pair.device.tensors(), in, out, {});
     const std::vector<double> before = testing::widen(sigma);
     EXPECT_EQ(near(*pair.device.sigma, testing::host_view(before, 1), pair.output()), "");
@@ -190,9 +182,8 @@ TEST(CudaNerfMlp, RepeatsBitForBit) {
     Pair pair({{}, 63, 27, true, true, precision}, 4097);
     std::vector<float> first;
     for (int run = 0; run < 3; ++run) {
-      for (const auto& grad : pair.device.grads) {
+      for (const auto& grad : pair.device.grads)
         grad->write(std::vector<float>(static_cast<std::size_t>(grad->view().size())));
-      }
       pair.device.forward();
       pair.device.backward({}, false);
       if (run == 0) first = pair.device.all_grads();

@@ -1,6 +1,4 @@
 // The big network through its fused kernels, against the CPU's and against the layers one by one.
-#include <string>
-#include <vector>
 
 #include "cuda/kernel_tables.h"
 #include "fields/nerf_mlp/nerf_mlp.h"
@@ -15,8 +13,7 @@ using testing::DeviceMatrix;
 using testing::host_view;
 using testing::near;
 using testing::UseFused;
-using testkit::FieldBench;
-using testkit::Wanted;
+using namespace testkit;
 
 const KernelTables& cpu_tables() {
   static const KernelTables tables = testing::tables_of({nerf_mlp_kernels});
@@ -28,12 +25,10 @@ const KernelTables& device_tables() {
 }
 
 FieldBuild build_of(Device device, std::int32_t position_dims, std::int32_t direction_dims) {
-  FieldBuild b;
-  b.device = device;
-  b.position_dims = position_dims;
-  b.direction_dims = direction_dims;
-  b.precision = device == Device::cpu ? Precision::fp32 : Precision::bf16;
-  return b;
+  return FieldBuild{.device = device,
+                    .position_dims = position_dims,
+                    .direction_dims = direction_dims,
+                    .precision = device == Device::cpu ? Precision::fp32 : Precision::bf16};
 }
 
 std::string near_norm(const DeviceMatrix<float>& got, const DeviceMatrix<float>& want, double tolerance) {
@@ -70,9 +65,8 @@ void expect_same_network(const NerfMlpParams& params, std::int32_t position_dims
     if (!bench.box.learned(i)) continue;
     EXPECT_EQ(near_norm(*fused.grads[i], *layers.grads[i], kGradient), "") << bench.box.specs()[i].name;
   }
-  for (const auto* m : {&fused.sigma, &fused.rgb, &fused.feature, &fused.d_position}) {
+  for (const auto* m : {&fused.sigma, &fused.rgb, &fused.feature, &fused.d_position})
     EXPECT_EQ((*m)->surroundings(), "");
-  }
 }
 
 TEST(CudaNerfMlpFused, IsTheNetworkOfTheLayersOneByOne) {
@@ -82,9 +76,8 @@ TEST(CudaNerfMlpFused, IsTheNetworkOfTheLayersOneByOne) {
   expect_same_network({2, 256, 0, 128}, 64, 16, 130, {}, 3);
   expect_same_network({3, 256, 1, 128}, 7, 3, 130);
   expect_same_network({15, 256, 14, 128}, 63, 27, 130);
-  for (const Wanted& wanted : {Wanted{true, false, false}, Wanted{false, true, false}, Wanted{false, false, true}}) {
+  for (const Wanted& wanted : {Wanted{true, false, false}, Wanted{false, true, false}, Wanted{false, false, true}})
     expect_same_network({}, 63, 27, 130, wanted);
-  }
 }
 
 TEST(CudaNerfMlpFused, IsTheCpusNetworkAndRepeatsBitForBit) {
@@ -98,9 +91,8 @@ TEST(CudaNerfMlpFused, IsTheCpusNetworkAndRepeatsBitForBit) {
   device.derive();
   std::vector<float> first, sigma, rgb;
   for (int run = 0; run < 3; ++run) {
-    for (const auto& grad : device.grads) {
+    for (const auto& grad : device.grads)
       grad->write(std::vector<float>(static_cast<std::size_t>(grad->view().size())));
-    }
     device.forward();
     device.backward({}, false);
     if (run == 0) first = device.all_grads(), sigma = device.sigma->read(), rgb = device.rgb->read();
@@ -121,8 +113,7 @@ TEST(CudaNerfMlpFused, IsTheCpusNetworkAndRepeatsBitForBit) {
   in.position = in.position.row_range(200, 300);
   in.ray_of_sample = in.ray_of_sample.row_range(200, 300);
   const DeviceMatrix<float> few(300, 1);
-  FieldOut<float> out;
-  out.sigma = few.view();
+  FieldOut<float> out{.sigma = few.view()};
   gpu.forward(device.ctx, device.tensors(), in, out, {});
   EXPECT_EQ(few.read(), std::vector<float>(sigma.begin() + 200, sigma.begin() + 500));
 }

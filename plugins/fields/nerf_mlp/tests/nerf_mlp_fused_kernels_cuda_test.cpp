@@ -1,10 +1,6 @@
 // The fused kernels of the big network, one by one: every layer against plain loops over what the layer before left.
 // Only processors of compute capability 9.0 run them.
 #include <algorithm>
-#include <array>
-#include <cmath>
-#include <string>
-#include <vector>
 
 #include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"
 #include "plugins/fields/nerf_mlp/tests/fused_fixture.h"
@@ -25,10 +21,8 @@ double rounded(double x) { return __bfloat162float(Bf16(static_cast<float>(x)));
 std::vector<double> rows_of(const std::vector<Bf16>& blocked, std::int64_t rows, int cols) {
   std::vector<double> result;
   for (std::int64_t m = 0; m < rows; ++m) {
-    for (int c = 0; c < cols; ++c) {
-      result.push_back(
-          __bfloat162float(blocked[static_cast<std::size_t>((m / 8 * (cols / 8) + c / 8) * 64 + m % 8 * 8 + c % 8)]));
-    }
+    for (int c = 0; c < cols; ++c)
+      result.push_back(__bfloat162float(blocked[(m / 8 * (cols / 8) + c / 8) * 64 + m % 8 * 8 + c % 8]));
   }
   return result;
 }
@@ -48,8 +42,7 @@ void add_product(const std::vector<double>& x, int k, const std::vector<float>& 
       const auto out = static_cast<int>(sum.size() / rows);
       for (int j = 0; j < out; ++j) {
         const auto at = transposed ? (first + j) * n + i : (first + i) * n + j;
-        sum[m * static_cast<std::size_t>(out) + static_cast<std::size_t>(j)] +=
-            value * rounded(w[static_cast<std::size_t>(at)]);
+        sum[m * static_cast<std::size_t>(out) + static_cast<std::size_t>(j)] += value * rounded(w[at]);
       }
     }
   }
@@ -132,8 +125,8 @@ TEST(CudaNerfMlpFused, EveryLayerFollowsFromTheOneBefore) {
   const std::vector<double> position = rows_of(net.position.read(), net.kAll, 64);
   for (std::int64_t m = 0; m < net.kAll; ++m) {
     for (int c = 0; c < 64; ++c) {
-      const double want = m < net.kRows && c < 63 ? x[static_cast<std::size_t>(m * 63 + c)] : 0;
-      ASSERT_EQ(position[static_cast<std::size_t>(m * 64 + c)], want) << m << ", " << c;
+      const double want = m < net.kRows && c < 63 ? x[m * 63 + c] : 0;
+      ASSERT_EQ(position[m * 64 + c], want) << m << ", " << c;
     }
   }
   std::vector<double> below, exact;
@@ -155,14 +148,13 @@ TEST(CudaNerfMlpFused, EveryLayerFollowsFromTheOneBefore) {
   std::vector<double> want;
   for (std::int64_t m = 0; m < net.kRows; ++m) {
     want.push_back(net.bd[0]);
-    for (int c = 0; c < 256; ++c)
-      want.back() += exact[static_cast<std::size_t>(m * 256 + c)] * net.wd[static_cast<std::size_t>(c)];
+    for (int c = 0; c < 256; ++c) want.back() += exact[m * 256 + c] * net.wd[c];
   }
   EXPECT_EQ(compare(sigma, want, 1, 1e-5), "") << "sigma";
 
   std::vector<double> view, color;
   for (std::int64_t m = 0; m < net.kRows; ++m) {
-    const auto begin = net.terms.begin() + net.ray[static_cast<std::size_t>(m)] * 128;
+    const auto begin = net.terms.begin() + net.ray[m] * 128;
     view.insert(view.end(), begin, begin + 128);
   }
   add_product(below, 256, net.wv, 128, 0, false, view);
@@ -170,10 +162,8 @@ TEST(CudaNerfMlpFused, EveryLayerFollowsFromTheOneBefore) {
   EXPECT_EQ(compare(rows_of(net.hidden.read(), net.kRows, 128), view, 128, 4e-3), "") << "view layer";
   for (std::int64_t m = 0; m < net.kRows; ++m) {
     for (int c = 0; c < 3; ++c) {
-      double logit = net.bc[static_cast<std::size_t>(c)];
-      for (int n = 0; n < 128; ++n) {
-        logit += view[static_cast<std::size_t>(m * 128 + n)] * net.wc[static_cast<std::size_t>(n * 3 + c)];
-      }
+      double logit = net.bc[c];
+      for (int n = 0; n < 128; ++n) logit += view[m * 128 + n] * net.wc[n * 3 + c];
       color.push_back(1 / (1 + std::exp(-logit)));
     }
   }
@@ -221,10 +211,8 @@ TEST(CudaNerfMlpFused, EveryGradientFollowsFromTheLayerAbove) {
   for (std::int64_t m = 0; m < net.kRows; ++m) {
     for (int n = 0; n < 128; ++n) {
       double sum = 0;
-      for (int c = 0; c < 3; ++c) {
-        sum += d_logit[static_cast<std::size_t>(m * 3 + c)] * net.wc[static_cast<std::size_t>(n * 3 + c)];
-      }
-      want.push_back(hidden[static_cast<std::size_t>(m * 128 + n)] > 0 ? sum : 0);
+      for (int c = 0; c < 3; ++c) sum += d_logit[m * 3 + c] * net.wc[n * 3 + c];
+      want.push_back(hidden[m * 128 + n] > 0 ? sum : 0);
     }
   }
   const std::vector<double> dv = rows_of(net.d_hidden.read(), net.kRows, 128);
@@ -256,10 +244,7 @@ TEST(CudaNerfMlpFused, EveryGradientFollowsFromTheLayerAbove) {
   cuda::fused::per_ray_sums(net.d_hidden.data(), net.rays_on_device.view(), d_term.view());
   std::vector<double> sums(static_cast<std::size_t>(net.kRays * 128), 0);
   for (std::int64_t m = 0; m < net.kRows; ++m) {
-    for (int n = 0; n < 128; ++n) {
-      sums[static_cast<std::size_t>(net.ray[static_cast<std::size_t>(m)] * 128 + n)] +=
-          dv[static_cast<std::size_t>(m * 128 + n)];
-    }
+    for (int n = 0; n < 128; ++n) sums[net.ray[m] * 128 + n] += dv[m * 128 + n];
   }
   EXPECT_EQ(compare(testing::widen(d_term.read()), sums, 128, 1e-5), "") << "rays";
 
@@ -271,10 +256,9 @@ TEST(CudaNerfMlpFused, EveryGradientFollowsFromTheLayerAbove) {
   std::vector<double> weight(128 * 3, 1), bias(3, 1);
   for (std::int64_t m = 0; m < net.kRows; ++m) {
     for (int c = 0; c < 3; ++c) {
-      const double g = d_logit[static_cast<std::size_t>(m * 3 + c)];
-      bias[static_cast<std::size_t>(c)] += g;
-      for (int n = 0; n < 128; ++n)
-        weight[static_cast<std::size_t>(n * 3 + c)] += g * hidden[static_cast<std::size_t>(m * 128 + n)];
+      const double g = d_logit[m * 3 + c];
+      bias[c] += g;
+      for (int n = 0; n < 128; ++n) weight[n * 3 + c] += g * hidden[m * 128 + n];
     }
   }
   EXPECT_EQ(compare(testing::widen(d_wc.read()), weight, 3, 1e-5), "") << "colour weight";
@@ -289,10 +273,8 @@ TEST(CudaNerfMlpFused, EveryGradientFollowsFromTheLayerAbove) {
   weight.assign(256, 1);
   bias.assign(1, 1);
   for (std::int64_t m = 0; m < net.kRows; ++m) {
-    bias[0] += g_sigma[static_cast<std::size_t>(m)];
-    for (int n = 0; n < 256; ++n)
-      weight[static_cast<std::size_t>(n)] +=
-          double{g_sigma[static_cast<std::size_t>(m)]} * h[static_cast<std::size_t>(m * 256 + n)];
+    bias[0] += g_sigma[m];
+    for (int n = 0; n < 256; ++n) weight[n] += double{g_sigma[m]} * h[m * 256 + n];
   }
   EXPECT_EQ(compare(testing::widen(d_wd.read()), weight, 1, 1e-5), "") << "density weight";
   EXPECT_EQ(compare(testing::widen(d_bd.read()), bias, 1, 1e-5), "") << "density bias";
@@ -335,9 +317,7 @@ TEST(CudaNerfMlpFused, WeightGradientsAreSumsOverAllRows) {
       std::vector<double> sum(static_cast<std::size_t>(taken * n), start);
       for (std::int64_t m = 0; m < count; ++m) {
         for (int i = 0; i < taken; ++i) {
-          for (int j = 0; j < n; ++j)
-            sum[static_cast<std::size_t>(i * n + j)] +=
-                x[static_cast<std::size_t>(m * k + i)] * y[static_cast<std::size_t>(m * n + j)];
+          for (int j = 0; j < n; ++j) sum[i * n + j] += x[m * k + i] * y[m * n + j];
         }
       }
       return sum;

@@ -1,11 +1,7 @@
 // Kernel tables of the small network as its device tests need them, and the comparison of two devices' results.
 #pragma once
 
-#include <string>
-#include <vector>
-
 #include "cuda/kernel_tables.h"
-#include "fields/tiny_mlp/tiny_mlp.h"
 #include "fields/tiny_mlp/tiny_mlp_layers.cuh"
 #include "tests/cuda/device_field.h"
 

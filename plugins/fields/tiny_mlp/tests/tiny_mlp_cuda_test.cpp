@@ -3,8 +3,6 @@
 #include <cuda_bf16.h>
 
 #include <algorithm>
-#include <string>
-#include <vector>
 
 #include "fields/tiny_mlp/tiny_mlp.h"
 #include "plugins/fields/tiny_mlp/tests/tiny_mlp_cuda_tables.h"
@@ -17,8 +15,7 @@ using testing::DeviceMatrix;
 using testing::tiny::cpu_tables;
 using testing::tiny::device_tables;
 using testing::tiny::layer_tables;
-using testkit::FieldBench;
-using testkit::Wanted;
+using namespace testkit;
 
 struct Network {
   TinyMlpParams params;
@@ -27,13 +24,11 @@ struct Network {
   Precision precision = Precision::fp32;
 
   FieldBuild build(Device device) const {
-    FieldBuild b;
-    b.device = device;
-    b.position_dims = position_dims;
-    b.direction_dims = direction_dims;
-    b.savings.direction_once_per_ray = once;
-    b.precision = device == Device::cpu ? Precision::fp32 : precision;
-    return b;
+    return FieldBuild{.device = device,
+                      .position_dims = position_dims,
+                      .direction_dims = direction_dims,
+                      .savings = {.direction_once_per_ray = once},
+                      .precision = device == Device::cpu ? Precision::fp32 : precision};
   }
   std::string text() const {
     return "hidden " + std::to_string(params.hidden_layers) + " x " + std::to_string(params.hidden_width) +
@@ -242,9 +237,8 @@ TEST_P(CudaTinyMlp, RowsBehindTheLiveOnesAreZero) {
         std::fill(expected.begin() + live * want->view().cols, expected.end(), 0.0f);
         EXPECT_EQ(got->read(), expected);
       }
-      for (std::size_t i = 0; i < some.grads.size(); ++i) {
+      for (std::size_t i = 0; i < some.grads.size(); ++i)
         EXPECT_EQ(near_norm(*some.grads[i], *all.grads[i], 1e-6), "") << oracle.bench.box.specs()[i].name;
-      }
     }
   }
 }

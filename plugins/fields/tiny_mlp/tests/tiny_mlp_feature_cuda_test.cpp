@@ -1,8 +1,6 @@
 // The small network asked for its feature alone, in bf16 on the device: against the CPU's in float64, against the
 // layers one by one, unused rows, and the same bits in every run.
 #include <algorithm>
-#include <string>
-#include <vector>
 
 #include "fields/tiny_mlp/tiny_mlp.h"
 #include "plugins/fields/tiny_mlp/tests/tiny_mlp_cuda_tables.h"
@@ -12,8 +10,7 @@ namespace {
 
 using testing::DeviceField;
 using testing::DeviceMatrix;
-using testkit::FieldBench;
-using testkit::Wanted;
+using namespace testkit;
 
 constexpr Wanted kFeature{false, false, true};
 using testing::tiny::cpu_tables;
@@ -24,19 +21,12 @@ struct Network {
   std::int32_t position_dims = 112;
   int width = 64, layers = 2;
 
-  TinyMlpParams params() const {
-    TinyMlpParams p;
-    p.hidden_width = width;
-    p.hidden_layers = layers;
-    return p;
-  }
+  TinyMlpParams params() const { return TinyMlpParams{.hidden_width = width, .hidden_layers = layers}; }
   FieldBuild build(Device device) const {
-    FieldBuild b;
-    b.device = device;
-    b.position_dims = position_dims;
-    b.feature_only = true;
-    b.precision = device == Device::cpu ? Precision::fp32 : Precision::bf16;
-    return b;
+    return FieldBuild{.device = device,
+                      .position_dims = position_dims,
+                      .feature_only = true,
+                      .precision = device == Device::cpu ? Precision::fp32 : Precision::bf16};
   }
   std::string text() const {
     return std::to_string(position_dims) + " numbers, " + std::to_string(layers) + " x " + std::to_string(width);

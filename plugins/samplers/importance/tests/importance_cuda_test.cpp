@@ -1,7 +1,5 @@
 // The importance sampler on the device: the samples of the CPU, bit for bit. No tolerance: both compute
 // with float64 in the same order, without fused operations.
-#include <algorithm>
-#include <limits>
 
 #include "core/error.h"
 #include "samplers/importance/importance.h"
@@ -43,9 +41,7 @@ TEST(CudaImportance, RaysThatDoNotFitSharedMemory) {
     for (const std::int64_t samples : {40, 3000}) {
       const HostRays rays = random_rays(37, 8, 6);
       HostProposal previous = previous_of(rays, 1500, true);
-      ImportanceParams params;
-      params.samples = samples;
-      params.keep_previous = keep;
+      ImportanceParams params{.samples = samples, .keep_previous = keep};
       const Twins<Importance> twins(params);
       EXPECT_EQ(compare(twins.cpu, twins.device, context_at(2, true), rays, &previous, 0), "") << keep << samples;
     }
@@ -60,8 +56,7 @@ TEST(CudaImportance, EqualDistancesAndLimitsInsideThePreviousSamples) {
     if (i % 20 > 0 && i % 20 < 6) previous.samples.t[i] = previous.samples.t[i - 1];
   }
   for (std::size_t r = 0; r < 20; ++r) rays.near_far[2 * r] += 0.3 * (rays.near_far[2 * r + 1] - rays.near_far[2 * r]);
-  ImportanceParams params;
-  params.samples = 50;
+  ImportanceParams params{.samples = 50};
   const Twins<Importance> twins(params);
   EXPECT_EQ(compare(twins.cpu, twins.device, context_at(2, true), rays, &previous, 0), "");
 }

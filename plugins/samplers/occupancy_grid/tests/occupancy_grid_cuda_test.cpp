@@ -1,7 +1,5 @@
 // The occupancy grid on the device: samples, densities and bits of the CPU, bit for bit. Only the mean density is
 // summed in another order: within 1e-6, and so are the threshold made from it and the share of occupied cells.
-#include <algorithm>
-#include <array>
 
 #include "core/error.h"
 #include "samplers/occupancy_grid/occupancy_grid.h"
@@ -69,11 +67,7 @@ DensityQuery<float> device_query(Field field) {
 }
 
 OccupancyGridParams small_grid() {
-  OccupancyGridParams params;
-  params.resolution = 32;
-  params.max_samples = 1024;
-  params.warmup_steps = 64;
-  return params;
+  return OccupancyGridParams{.resolution = 32, .max_samples = 1024, .warmup_steps = 64};
 }
 
 // A grid with the state that the CPU's updates give it.
@@ -160,10 +154,9 @@ TEST(CudaOccupancyGrid, RaysThatMissTheGridAndRaysAlongItsAxes) {
   SEMFIELD_NEEDS_DEVICE();
   Subject subject(small_grid());
   subject.learn(ball, 80);
-  HostRays rays;
-  rays.origin = {1e5, 1e5, 1e5, 0, 0, 0.5, 0.5, 0.25, 0.5, 0.5, 0, -0.9, -5, 0, 0.5};
-  rays.direction = {1, 0, 0, 1, 0, 0, 0, -1, 0, 0, 0, 1, 1, 0, 0};
-  rays.near_far = {0, 1e7, 0, 10, 0.1, 10, 0, 1, 0, 1e9};
+  HostRays rays{.origin = {1e5, 1e5, 1e5, 0, 0, 0.5, 0.5, 0.25, 0.5, 0.5, 0, -0.9, -5, 0, 0.5},
+                .direction = {1, 0, 0, 1, 0, 0, 0, -1, 0, 0, 0, 1, 1, 0, 0},
+                .near_far = {0, 1e7, 0, 10, 0.1, 10, 0, 1, 0, 1e9}};
   std::int64_t live = 0;
   EXPECT_EQ(subject.compare(context_at(1, false), rays, 0, &live), "");
   EXPECT_GT(live, 100);

@@ -1,6 +1,5 @@
 // The stratified sampler on the device: the samples of the CPU, bit for bit. No tolerance: both compute
 // with float64 in the same order, without fused operations.
-#include <limits>
 
 #include "core/error.h"
 #include "samplers/stratified/stratified.h"

@@ -1,4 +1,4 @@
-// An encoder of processors alone: halves of the coordinates, without kernel tables.
+// An encoder of CPUs alone: halves of the coordinates, without kernel tables.
 #include "plugin/module.h"
 
 namespace semfield {
