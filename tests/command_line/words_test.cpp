@@ -181,7 +181,8 @@ TEST_F(Words, NumbersOutsideTheirRangesAreRefused) {
       const std::string expected = positive ? "a positive number" : bounds[1].str() + " to " + bounds[2].str();
       const Result r = run(verb + " " + option[1].str() + " -7");
       EXPECT_EQ(r.code, 2) << verb;
-      EXPECT_EQ(r.err, "semfield: " + option[1].str() + " -7: expected " + expected + "\n") << verb;
+      EXPECT_EQ(r.err, "semfield: " + option[1].str() + " -7: expected " + expected + " [usage.value.invalid]\n")
+          << verb;
     }
   }
   EXPECT_GE(options, 14);

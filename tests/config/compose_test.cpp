@@ -7,7 +7,6 @@
 
 #include "config/shipped_config.h"
 #include "config_testing.h"
-#include "core/findings.h"
 #include "system/shared_files.h"
 
 namespace semfield {
@@ -120,7 +119,7 @@ TEST(Compose, AnUnknownConfigurationNamesBothPlacesAndTheNearest) {
       return find_config(name);
     } catch (const Error& error) {
       EXPECT_EQ(error.kind(), ErrorKind::no_input);
-      return shown(error);
+      return std::string(error.what());
     }
   };
   const std::string configs = shared_root() + "/configs/";

@@ -10,17 +10,16 @@
 #include <string>
 
 #include "core/error.h"
-#include "core/findings.h"
 
 namespace semfield {
 
-/// The message and code of the Error(config) that `body` throws; a text saying so when it throws another kind or nothing.
+/// The message of the Error(config) that `body` throws; a text saying so when it throws another kind or nothing.
 inline std::string refusal(const std::function<void()>& body) {
   try {
     body();
   } catch (const Error& error) {
     if (error.kind() != ErrorKind::config) return std::string("not a config error: ") + error.what();
-    return shown(error);
+    return error.what();
   }
   return "nothing was thrown";
 }

@@ -10,7 +10,6 @@
 
 #include "config/params_read.h"
 #include "config_testing.h"
-#include "core/findings.h"
 
 namespace semfield {
 
@@ -61,7 +60,7 @@ std::string errors_of(const std::string& yaml, Sample* out = nullptr) {
   read_params(parse_config_text(yaml, "room.yaml"), "encoder", describer(sample), diagnostics, {"type"});
   if (out != nullptr) *out = sample;
   std::string text;
-  for (const Diagnostic& finding : diagnostics.all()) text += (text.empty() ? "" : "\n") + finding.shown();
+  for (const Diagnostic& finding : diagnostics.all()) text += (text.empty() ? "" : "\n") + finding.text();
   return text;
 }
 
@@ -193,9 +192,9 @@ TEST(ParamsRead, UnknownKeysAndAllErrorsAtOnce) {
   read_params(parse_config_text("[1]", "room.yaml"), "train", describer(p), diagnostics);
   read_params(parse_config_text("levels: x", "room.yaml"), "", describer(p), diagnostics);
   ASSERT_EQ(diagnostics.error_count(), 3);
-  EXPECT_EQ(diagnostics.all()[0].shown(), "room.yaml:1:1: unknown key 'x'; there are no keys here");
-  EXPECT_EQ(diagnostics.all()[1].shown(), "room.yaml:1:1: train: expected a map, got a list");
-  EXPECT_EQ(diagnostics.all()[2].shown(), "room.yaml:1:9: levels: expected int, got 'x'");
+  EXPECT_EQ(diagnostics.all()[0].text(), "room.yaml:1:1: unknown key 'x'; there are no keys here");
+  EXPECT_EQ(diagnostics.all()[1].text(), "room.yaml:1:1: train: expected a map, got a list");
+  EXPECT_EQ(diagnostics.all()[2].text(), "room.yaml:1:9: levels: expected int, got 'x'");
 }
 
 TEST(ParamsRead, ReadTextOfFreeKeys) {
@@ -205,7 +204,7 @@ TEST(ParamsRead, ReadTextOfFreeKeys) {
   EXPECT_EQ(read_text(root, "passes.0", "none", "x", diagnostics), "x");
   EXPECT_FALSE(diagnostics.has_errors());
   EXPECT_EQ(read_text(root, "passes.0", "bad", "x", diagnostics), "x");
-  EXPECT_EQ(diagnostics.all()[0].shown(), "room.yaml:2:6: passes.0.bad: expected text, got a list");
+  EXPECT_EQ(diagnostics.all()[0].text(), "room.yaml:2:6: passes.0.bad: expected text, got a list");
 }
 
 TEST(ParamsWrite, ResolvedTreeReadsBackTheSame) {
@@ -257,7 +256,7 @@ TEST(ParamsWrite, DoublesAreShortestAndExact) {
     const auto of = [](One& o) { return [&o](ParamVisitor& visit) { SEMFIELD_PARAM(visit, o, x, "x"); }; };
     Diagnostics diagnostics;
     read_params(parse_config_text(write_config(params_to_config(of(one))), "t"), "", of(again), diagnostics);
-    ASSERT_FALSE(diagnostics.has_errors()) << diagnostics.all()[0].shown();
+    ASSERT_FALSE(diagnostics.has_errors()) << diagnostics.all()[0].text();
     ASSERT_EQ(std::memcmp(&again.x, &value, sizeof value), 0) << shortest_number(value);
   }
 }

@@ -1,7 +1,6 @@
 // Broken scenes and the exact sentences that they get: place, cause, remedy.
 #include <gtest/gtest.h>
 
-#include "core/findings.h"
 #include "datasets/replica/replica.h"
 #include "datasets/transforms_json/transforms_json.h"
 #include "loading/frame_source.h"
@@ -28,7 +27,7 @@ std::vector<std::string> findings(const ReplicaParams& p) {
   (void)load_scene(replica, {}, d);
   std::vector<std::string> out;
   for (const Diagnostic& x : d.all()) {
-    if (x.severity != Severity::note) out.push_back(x.shown());
+    if (x.severity != Severity::note) out.push_back(x.text());
   }
   return out;
 }
@@ -129,7 +128,7 @@ TEST(SceneErrors, FoldersAndTables) {
   p.test_offset = 4;
   validate(p, d);
   ASSERT_EQ(d.error_count(), 1);
-  EXPECT_EQ(d.all()[0].shown(),
+  EXPECT_EQ(d.all()[0].text(),
             "test_offset: test frames 4 + n * 2 meet training frames 0 + n * 2; choose offsets that never meet, or "
             "test_step: 0");
 }

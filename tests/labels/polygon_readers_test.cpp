@@ -1,7 +1,6 @@
 // labelme and COCO: shapes to pixels, names to classes, every refusal.
 #include <gtest/gtest.h>
 
-#include "core/findings.h"
 #include "core/rng.h"
 #include "labels/outline_fill.h"
 #include "labels/run_lengths.h"
@@ -92,7 +91,7 @@ TEST(Labelme, FramesAreFoundByImageOrFileAndTheTableIsBuiltInOrderOfNames) {
   Diagnostics d;
   const ClassTable table = c.reader->open({}, d);
   ASSERT_EQ(d.all().size(), 1u);
-  EXPECT_EQ(d.all()[0].shown(), c.folder + "/settings.json: no labelme file (it has no 'shapes'); left out");
+  EXPECT_EQ(d.all()[0].text(), c.folder + "/settings.json: no labelme file (it has no 'shapes'); left out");
   ASSERT_EQ(table.entries().size(), 3u);
   EXPECT_EQ(table.entries()[1].name, "chair");
   EXPECT_EQ(table.entries()[1].id, 1);
@@ -166,7 +165,7 @@ TEST(Labelme, ManyProblemsAreCounted) {
   Diagnostics d;
   (void)c.reader->open({}, d);
   ASSERT_EQ(d.all().size(), 21u);
-  EXPECT_EQ(d.all()[20].shown(), "10 further problems are not listed");
+  EXPECT_EQ(d.all()[20].text(), "10 further problems are not listed");
 }
 
 // --- COCO ---

@@ -5,7 +5,6 @@
 #include <string>
 #include <vector>
 
-#include "core/findings.h"
 #include "tests/labels/label_plugins.h"
 #include "tests/scene/tiny_scene.h"
 
@@ -34,12 +33,12 @@ inline std::string open_findings(LabelReader& reader, const ClassTable& known) {
   try {
     (void)reader.open(known, diagnostics);
   } catch (const Error& e) {
-    return "thrown: " + shown(e);
+    return std::string("thrown: ") + e.what();
   }
   std::string out;
   for (const Diagnostic& d : diagnostics.all()) {
     if (!out.empty()) out += "\n";
-    out += d.shown();
+    out += d.text();
   }
   return out;
 }

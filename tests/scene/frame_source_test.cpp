@@ -118,12 +118,12 @@ TEST(LoadScene, CameraConesStandInForMissingDepth) {
   room.far_hint = 0;
   const LoadedScene t = load_scene(room, {}, d);
   EXPECT_EQ(t.near_far_from, "four times the extent of the cameras");
-  EXPECT_TRUE(d.all().empty()) << d.all()[0].shown();  // a probe will find out
+  EXPECT_TRUE(d.all().empty()) << d.all()[0].text();  // a probe will find out
   SceneLoadOptions unprobed;
   unprobed.probe_steps = 0;
   EXPECT_TRUE(load_scene(room, unprobed, d).extent_is_guessed);
   ASSERT_EQ(d.all().size(), 1u);
-  EXPECT_NE(d.all()[0].shown().find("are a guess"), std::string::npos);
+  EXPECT_NE(d.all()[0].text().find("are a guess"), std::string::npos);
   EXPECT_NE(d.all()[0].remedy.find("scene.load.probe_steps: 128"), std::string::npos);
 }
 
@@ -174,7 +174,7 @@ TEST(LoadScene, ResizesColourByAreaAndTheRestByNearest) {
   Diagnostics grow;
   (void)load_scene(room, o, grow);
   EXPECT_EQ(grow.error_count(), 6);
-  EXPECT_EQ(grow.all()[0].shown(),
+  EXPECT_EQ(grow.all()[0].text(),
             "frame '0': frame is 40 x 30 pixels, smaller than the size asked for; ask for at most the stored size");
 }
 
@@ -197,7 +197,7 @@ TEST(LoadScene, BrokenFramesAreListedAndTheRestIsRead) {
   Diagnostics d;
   const LoadedScene s = load_scene(room, {}, d);
   ASSERT_EQ(d.error_count(), 1);
-  EXPECT_EQ(d.all()[0].shown(), "frame '3': the file is broken; mend it");
+  EXPECT_EQ(d.all()[0].text(), "frame '3': the file is broken; mend it");
   EXPECT_TRUE(s.frames[3].rgb.empty());
   EXPECT_FALSE(s.frames[4].rgb.empty());
 }
@@ -236,14 +236,14 @@ TEST(LoadScene, ContradictingOptionsAreRefused) {
   o.bounds = {0, 0, 0, 1, 0, 1};
   validate(o, d);
   ASSERT_EQ(d.error_count(), 3);
-  EXPECT_EQ(d.all()[0].shown(),
+  EXPECT_EQ(d.all()[0].text(),
             "scene.load.downscale: downscale and width_px or height_px exclude each other; keep one of them");
 }
 
 // The text of `severity` about `key`, "" when there is none.
 std::string said(const Diagnostics& d, Severity severity, const std::string& key) {
   for (const Diagnostic& x : d.all()) {
-    if (x.severity == severity && x.where == key) return x.shown();
+    if (x.severity == severity && x.where == key) return x.text();
   }
   return {};
 }
@@ -322,7 +322,7 @@ TEST(LoadScene, WithoutClassesOnlyTheirCauseIsTold) {
   Diagnostics d;
   const LoadedScene s = load_scene(room, {}, d);
   ASSERT_EQ(d.all().size(), 1u) << d.all()[1].text();
-  EXPECT_EQ(d.all()[0].shown(), "classes.yaml: no classes in it; write one");
+  EXPECT_EQ(d.all()[0].text(), "classes.yaml: no classes in it; write one");
   EXPECT_FALSE(s.info.frames[0].has_labels);
 }
 
@@ -338,7 +338,7 @@ TEST(LoadScene, OneFrameIsNoScene) {
   Diagnostics d;
   (void)load_scene(room, {}, d);
   ASSERT_EQ(d.error_count(), 1);
-  EXPECT_EQ(unsaid(d.all()[0].shown(), {"frame '0'", "only frame", "give two frames"}), "");
+  EXPECT_EQ(unsaid(d.all()[0].text(), {"frame '0'", "only frame", "give two frames"}), "");
 }
 
 TEST(LoadScene, TellsHowFarItIsAndThatItEnded) {

@@ -34,19 +34,19 @@ TEST(SceneChecks, ScaledMirroredAndNearlyOrthonormal) {
   Diagnostics d;
   Pose scaled = rotated(1.001);
   EXPECT_EQ(check_pose(scaled, "frame 'a' (a.png)", d), PoseState::refused);
-  EXPECT_EQ(unsaid(d.all().back().shown(), {"frame 'a' (a.png)", "0.002 off orthonormal", "1e-3", "without a scale"}),
+  EXPECT_EQ(unsaid(d.all().back().text(), {"frame 'a' (a.png)", "0.002 off orthonormal", "1e-3", "without a scale"}),
             "");
   Pose mirrored = testing_room::room_pose(1);
   for (auto& row : mirrored.r) row[0] = -row[0];
   EXPECT_EQ(check_pose(mirrored, "frame 'b' (b.png)", d), PoseState::refused);
-  EXPECT_EQ(d.all().back().shown(),
+  EXPECT_EQ(d.all().back().text(),
             "frame 'b' (b.png): pose mirrors the scene (determinant -1); flip one camera axis in the export");
   EXPECT_EQ(d.error_count(), 2);
   Pose near = rotated(1.0001);
   EXPECT_EQ(check_pose(near, "frame 'c' (c.png)", d), PoseState::good);
   EXPECT_EQ(d.all().back().severity, Severity::warning);
   EXPECT_EQ(
-      d.all().back().shown(),
+      d.all().back().text(),
       "frame 'c' (c.png): pose is 0.0002 off orthonormal and was made orthonormal; export poses with more digits");
   const Pose exact = testing_room::room_pose(3);
   for (std::size_t i = 0; i < 3; ++i) {
@@ -80,9 +80,9 @@ TEST(SceneChecks, NonFinitePosesAreToldAndCounted) {
   EXPECT_EQ(check_pose(p, "x", d), PoseState::not_finite);
   EXPECT_TRUE(d.all().empty());
   report_skipped({"3", "7"}, 8, "traj_w_c.txt", d);
-  EXPECT_EQ(d.all().back().shown(), "traj_w_c.txt: 2 of 10 frames skipped: their poses are not finite (3, 7)");
+  EXPECT_EQ(d.all().back().text(), "traj_w_c.txt: 2 of 10 frames skipped: their poses are not finite (3, 7)");
   report_skipped({"3"}, 0, "traj_w_c.txt", d);
-  EXPECT_EQ(d.all().back().shown(), "traj_w_c.txt: all 1 poses are not finite; track the cameras again");
+  EXPECT_EQ(d.all().back().text(), "traj_w_c.txt: all 1 poses are not finite; track the cameras again");
 }
 
 TEST(SceneChecks, OpenGlAxesTurn) {
@@ -101,7 +101,7 @@ TEST(SceneChecks, Intrinsics) {
     Diagnostics d;
     const bool good = check_camera(c, "frame 'a'", d) && check_principal_point(c, "frame 'a'", d);
     EXPECT_EQ(good, !d.has_errors());
-    return d.all().empty() ? std::string() : d.all().back().shown();
+    return d.all().empty() ? std::string() : d.all().back().text();
   };
   EXPECT_EQ(message([](Camera&) {}), "");
   EXPECT_EQ(

@@ -8,7 +8,6 @@
 #include <string>
 #include <vector>
 
-#include "core/findings.h"
 #include "tests/scene/room_files.h"
 
 namespace semfield::testing_room {
@@ -36,13 +35,13 @@ inline std::string fresh_folder(const std::string& name) {
   return folder.string();
 }
 
-/// The message and code of the Error that `body` throws, "" when it throws none.
+/// The message of the Error that `body` throws, "" when it throws none.
 template <class Body>
 std::string error_of(Body&& body) {
   try {
     body();
   } catch (const Error& e) {
-    return shown(e);
+    return e.what();
   }
   return {};
 }

@@ -6,7 +6,6 @@
 #include <filesystem>
 
 #include "config/compose.h"
-#include "core/findings.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {
@@ -33,7 +32,7 @@ struct PartsRun {
     Diagnostics found;
     say_slow_paths(config, registry, device, bf16_instructions, found);
     std::string text;
-    for (const Diagnostic& finding : found.all()) text += finding.shown() + "\n";
+    for (const Diagnostic& finding : found.all()) text += finding.text() + "\n";
     return text;
   }
   ChosenDevice choose() { return device_for_parts(config, registry, said); }
@@ -52,7 +51,7 @@ std::string refusal_of(PartsRun& run) {
     run.choose();
   } catch (const Error& error) {
     EXPECT_EQ(error.kind(), ErrorKind::unavailable);
-    return shown(error);
+    return error.what();
   }
   return "";
 }
@@ -66,7 +65,7 @@ TEST(DeviceForParts, APluginWithoutKernelsLeavesTheRunOnTheProcessorWithANote) {
   PartsRun run("auto", "encoder 'hash_grid'");
   EXPECT_EQ(run.choose().device.kind, Device::cpu);
   ASSERT_EQ(run.said.all().size(), 1u);
-  EXPECT_EQ(run.said.all()[0].shown(), "runtime.device: encoder 'hash_grid'" + kStays);
+  EXPECT_EQ(run.said.all()[0].text(), "runtime.device: encoder 'hash_grid'" + kStays);
 }
 
 TEST(DeviceForParts, ALossWithoutKernelsDoesTheSame) {
@@ -77,7 +76,7 @@ TEST(DeviceForParts, ALossWithoutKernelsDoesTheSame) {
   EXPECT_EQ(chosen.no_cuda, "loss 'glow' has no cuda kernels");
   ASSERT_EQ(run.said.all().size(), 1u);
   EXPECT_EQ(run.said.all()[0].severity, Severity::warning);
-  EXPECT_EQ(run.said.all()[0].shown(), "runtime.device: loss 'glow'" + kStays);
+  EXPECT_EQ(run.said.all()[0].text(), "runtime.device: loss 'glow'" + kStays);
 }
 
 TEST(DeviceForParts, CudaAskedForIsRefusedByNameWithARemedy) {

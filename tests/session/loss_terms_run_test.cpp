@@ -6,7 +6,6 @@
 
 #include "compute/parallel.h"
 #include "config/compose.h"
-#include "core/findings.h"
 #include "eval/evaluator.h"
 #include "run/train_run.h"
 #include "session/trainer.h"
@@ -28,7 +27,7 @@ std::string errors_of(const std::string& losses) {
   Diagnostics diagnostics;
   read_run_config(parse_config_text(hash_config(losses), "room.yaml"), registry, diagnostics);
   std::string text;
-  for (const Diagnostic& finding : diagnostics.all()) text += finding.shown() + "\n";
+  for (const Diagnostic& finding : diagnostics.all()) text += finding.text() + "\n";
   return text;
 }
 
@@ -118,7 +117,7 @@ TEST(LossConfig, WhatBecomesOfDepthImagesIsSaid) {
   scene.depth_pixels = {0, 0, 9};
   EXPECT_EQ(use(term, training_depth(scene)), "depth images of 2 training frames have no valid pixel");
   ASSERT_EQ(diagnostics.all().size(), 1u);
-  EXPECT_EQ(diagnostics.all()[0].shown(),
+  EXPECT_EQ(diagnostics.all()[0].text(),
             "losses: the depth images of all 2 training frames have no valid pixel, so no term can read them; export "
             "z-depth that is finite and above 0, or set losses: []");
   BuildRequest request;

@@ -7,7 +7,6 @@
 #include <set>
 #include <sstream>
 
-#include "core/findings.h"
 #include "plugin/linked_plugins.h"
 #include "report/sweep/sweep_cells.h"
 #include "report/sweep/sweep_schema.h"
@@ -47,7 +46,7 @@ class SweepFile : public testing::Test {
     try {
       (void)cells(text);
     } catch (const Error& e) {
-      std::string what = shown(e);
+      std::string what = e.what();
       for (std::size_t at; (at = what.find(folder_ + "/")) != std::string::npos;) what.erase(at, folder_.size() + 1);
       return what;
     }

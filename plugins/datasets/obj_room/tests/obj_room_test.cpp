@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <set>
 
-#include "core/findings.h"
 #include "datasets/obj_room/class_rules.h"
 #include "datasets/obj_room/tests/obj_testing.h"
 #include "tests/datasets/rewritten_poses.h"
@@ -217,9 +216,9 @@ TEST(ObjRoom, SettingsThatContradictAreNamed) {
   p.bounds = {1, 2};
   validate(p, d);
   EXPECT_EQ(d.error_count(), 6);
-  EXPECT_EQ(d.all()[2].shown(),
+  EXPECT_EQ(d.all()[2].text(),
             "bounds: has a least corner that is not below the greatest; give [xmin, ymin, zmin, xmax, ymax, zmax]");
-  EXPECT_EQ(d.all()[5].shown(), "bounds: has 2 numbers; give [xmin, ymin, zmin, xmax, ymax, zmax]");
+  EXPECT_EQ(d.all()[5].text(), "bounds: has 2 numbers; give [xmin, ymin, zmin, xmax, ymax, zmax]");
 }
 
 std::string data(const std::string& name) { return std::string(SEMFIELD_SOURCE_DIR) + "/../shared/data/" + name; }
