@@ -31,7 +31,7 @@ std::int32_t number_at(const TextRow& row, const Column& column, std::int64_t hi
   if (text.empty()) return 0;
   std::int64_t value = 0;
   if (!parse_whole(text, value) || value < 0 || value > highest) {
-    throw Error(ErrorKind::data, "classes.scannet.damaged",
+    throw Error(ErrorKind::data, "classes.tsv.damaged",
                 row.place + ": " + std::string(column.name) + ": expected a number from 0 to " +
                     std::to_string(highest) + ", got '" + text + "'",
                 "restore the table as ScanNet distributes it");
@@ -51,18 +51,18 @@ std::unordered_map<std::int32_t, std::int32_t> map_of(const std::vector<ScannetL
 std::vector<ScannetLabel> read_scannet_tsv(const std::string& path) {
   const std::vector<TextRow> rows = read_text_rows(path, '\t');
   const std::string remedy = "give scannetv2-labels.combined.tsv: tab-separated, names of columns in the first line";
-  if (rows.empty()) throw Error(ErrorKind::data, "classes.scannet.damaged", path + ": no rows in it", remedy);
+  if (rows.empty()) throw Error(ErrorKind::data, "classes.tsv.damaged", path + ": no rows in it", remedy);
   const TextRow& header = rows.front();
   const Column id = column_of(header, "id"), raw = column_of(header, "raw_category"),
                nyu40 = column_of(header, "nyu40id"), eigen13 = column_of(header, "eigen13id"),
                nyu40_name = column_of(header, "nyu40class"), eigen13_name = column_of(header, "eigen13class");
   for (const Column& needed : {id, raw}) {
     if (!needed.at)
-      throw Error(ErrorKind::data, "classes.scannet.damaged",
+      throw Error(ErrorKind::data, "classes.tsv.damaged",
                   header.place + ": no column '" + std::string(needed.name) + "'", remedy);
   }
   if (!nyu40.at && !eigen13.at)
-    throw Error(ErrorKind::data, "classes.scannet.damaged",
+    throw Error(ErrorKind::data, "classes.tsv.damaged",
                 header.place + ": neither a column 'nyu40id' nor a column 'eigen13id'", remedy);
 
   std::vector<ScannetLabel> labels;
@@ -70,13 +70,13 @@ std::vector<ScannetLabel> read_scannet_tsv(const std::string& path) {
   for (std::size_t r = 1; r < rows.size(); ++r) {
     const TextRow& row = rows[r];
     if (row.fields.size() != header.fields.size()) {
-      throw Error(ErrorKind::data, "classes.scannet.damaged",
+      throw Error(ErrorKind::data, "classes.tsv.damaged",
                   row.place + ": " + std::to_string(row.fields.size()) + " columns, the first line names " +
                       std::to_string(header.fields.size()),
                   remedy);
     }
     if (text_at(row, id).empty())
-      throw Error(ErrorKind::data, "classes.scannet.damaged", row.place + ": the row has no id", remedy);
+      throw Error(ErrorKind::data, "classes.tsv.damaged", row.place + ": the row has no id", remedy);
     ScannetLabel label{number_at(row, id, 65535),   text_at(row, raw),        number_at(row, nyu40, 40),
                        number_at(row, eigen13, 13), text_at(row, nyu40_name), text_at(row, eigen13_name)};
     const auto [first, fresh] = seen.emplace(label.id, labels.size());

@@ -303,7 +303,7 @@ TEST(LabelSession, AfterAFailurePicturesAndEventsGoOn) {
   run.start();
   run.session.apply(run.add("1", "wall"));
   const auto state = run.wait_until([](const LabelState& s) { return !s.failure.empty(); });
-  EXPECT_EQ(state->failure, "out of everything");
+  EXPECT_EQ(state->failure, "out of everything [test.error.made]");
   auto picture = std::async(std::launch::async, [&] { return run.session.picture(labels_of(1)); });
   EXPECT_EQ(picture.wait_for(std::chrono::seconds(20)), std::future_status::ready) << "a picture waits for ever";
   EXPECT_TRUE(run.session.apply(run.click("3", 2, "wall", {30.5, 5.5})));
@@ -331,7 +331,7 @@ TEST(LabelSession, AnyExceptionIsAFailure) {
     return run.session.picture(labels_of(1));
   });
   EXPECT_EQ(picture.wait_for(std::chrono::seconds(40)), std::future_status::ready);
-  EXPECT_EQ(run.session.state()->failure, "out of everything");
+  EXPECT_EQ(run.session.state()->failure, "out of everything [internal.exception]");
   run.stop();
 }
 

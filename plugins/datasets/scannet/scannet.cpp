@@ -266,7 +266,7 @@ void Scannet::load_classes(Diagnostics& diagnostics) {
     info_.classes = load_scannet_classes(path, params_.class_ids);
     if (info_.classes.valid_count() == 0) {
       const auto choice = static_cast<std::size_t>(params_.class_ids);
-      return diagnostics.error("classes.scannet.damaged", path,
+      return diagnostics.error("classes.tsv.damaged", path,
                                "has no ids of '" + std::string(ChoiceNames<ScannetIds>::names[choice]) + "' classes",
                                "choose other class_ids, or restore the table as ScanNet distributes it");
     }
