@@ -32,7 +32,7 @@ class ThreadArenas {
 
   /// For work in the caller's thread.
   Workspace& own() { return own_; }
-  /// High-water mark of all, and how often one grew.
+  /// What all have room for, whichever threads met the work, and how often one grew.
   std::size_t bytes() const;
   std::int64_t growths() const;
 
@@ -40,6 +40,8 @@ class ThreadArenas {
   /// Which thread met the unit that takes most is chance. All get room for it, so that a steady state allocates
   /// nothing.
   void even_out(std::int64_t workers);
+  /// Bytes of the unit of work that took most.
+  std::size_t dearest_unit() const;
 
   struct alignas(128) Arena : Workspace {};  // no two in a cache line: every take writes its marks
 

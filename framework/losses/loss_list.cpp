@@ -14,6 +14,10 @@ bool of_pass(std::string_view name) {
 }
 }  // namespace
 
+bool reads_heads(const LossTraits& traits) {
+  return std::any_of(traits.heads.begin(), traits.heads.end(), [](auto name) { return name != channel::logits; });
+}
+
 LossList::LossList(std::vector<LossEntry> entries) : entries_(std::move(entries)) {
   SEMFIELD_CHECK(entries_.size() <= kMostLossTerms, "too many losses");
   for (std::size_t i = 0; i < entries_.size(); ++i) {
@@ -29,9 +33,7 @@ LossList::LossList(std::vector<LossEntry> entries) : entries_(std::move(entries)
           "make a loss for each of them");
     if (logits) on_logits_ |= 1U << i;
     if (own == 0 && !logits) on_heads_ |= 1U << i;
-    const bool reads =
-        std::any_of(traits.heads.begin(), traits.heads.end(), [](auto name) { return name != channel::logits; });
-    if (reads) reading_heads_ |= 1U << i;
+    if (reads_heads(traits)) reading_heads_ |= 1U << i;
   }
 }
 

@@ -24,6 +24,9 @@ struct LossEntry {
   std::string where;                     ///< its place in the configuration, for messages
 };
 
+/// Whether a loss reads channels of other heads than that of the logits.
+bool reads_heads(const LossTraits& traits);
+
 /// What a step does with a batch.
 struct LossScales {
   std::uint32_t active = 0;  ///< bit i: loss i works in this step

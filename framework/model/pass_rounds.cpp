@@ -7,7 +7,7 @@
 
 namespace semfield {
 
-// Front to back in rounds of kRoundSamples samples a ray; a ray whose transmittance fell below early_stop asks no
+// Front to back in rounds of kRoundSamples samples per ray. A ray whose transmittance fell below early_stop asks no
 // further. Samples that were not evaluated keep sigma = 0, so they take no weight: |error| <= early_stop * max|value|
 // (numerics: certified). Under far: background the last sample takes the rest, black and with the logits of no feature,
 // which count as values too.

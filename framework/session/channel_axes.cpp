@@ -6,6 +6,7 @@
 #include <algorithm>
 
 #include "compute/parallel.h"
+#include "core/check.h"
 #include "core/error.h"
 #include "session/session.h"
 
@@ -76,6 +77,7 @@ std::vector<float> principal_axes(const std::vector<const FrameChannel*>& maps, 
 }
 
 void multiply_rows(FrameChannel& map, View<const float> matrix) {
+  SEMFIELD_CHECK(map.cols == matrix.rows, "a channel is multiplied by a matrix with a row per column");
   const Eigen::Map<const Floats> from(map.values.data(), cells_of(map), map.cols);
   const Eigen::Map<const Floats> by(matrix.data, matrix.rows, matrix.cols);
   std::vector<float> to(static_cast<std::size_t>(cells_of(map)) * static_cast<std::size_t>(matrix.cols));
@@ -94,7 +96,8 @@ std::vector<std::vector<float>> axes_of(const Session& session) {
   return all;
 }
 
-void settle_axes(Session& session) {
+bool settle_axes(Session& session) {
+  bool any = false;
   const Pass<float>& pass = session.pipeline->passes().back();
   for (const HeadParts<float>& head : pass.parts().heads) {
     const View<float> axes = pass.axes(head.channel);
@@ -103,7 +106,9 @@ void settle_axes(Session& session) {
     const std::vector<float> found = principal_axes({maps.begin(), maps.end()}, axes.cols);
     std::copy(found.begin(), found.end(), axes.data);
     parallel_for(std::ssize(maps), [&](std::int64_t i) { multiply_rows(*maps[static_cast<std::size_t>(i)], axes); });
+    any = true;
   }
+  return any;
 }
 
 void follow_axes(Session& session, const std::vector<std::vector<float>>& before) {

@@ -21,8 +21,8 @@ std::vector<float> principal_axes(const std::vector<const FrameChannel*>& maps, 
 void multiply_rows(FrameChannel& map, View<const float> matrix);
 
 /// Finds the axes of the heads that learn fewer columns than their channel has, puts them into the network's state and
-/// the channels of the training frames onto them.
-void settle_axes(Session& session);
+/// the channels of the training frames onto them. False where no head has any.
+bool settle_axes(Session& session);
 /// After a checkpoint has replaced the state: the frames' channels, which lie on the axes `before` in the order of the
 /// session's heads, go onto those of the checkpoint.
 void follow_axes(Session& session, const std::vector<std::vector<float>>& before);

@@ -239,10 +239,11 @@ void build_session(Session& s, Registry& registry, const SessionOptions& options
     class_weight = inverse_log_frequency_weights(pixels);
   }
   s.pipeline = assemble(std::move(parts), std::move(class_weight), options.trainable);
-  if (options.trainable) settle_axes(s);
+  const bool has_axes = options.trainable && settle_axes(s);
   add_built_rows(built_parts(s, options.ranks), s.plan);
   if (options.ranks != nullptr) {
     lead(*options.ranks, s, registry, how);
+    if (has_axes) s.pipeline->executor().upload(0);  // the other processes have no frames to find them in
   } else {
     run_on(how, s.config, registry, s.plan, s.extent, *s.pipeline);
   }
@@ -255,6 +256,9 @@ void probe_bounds(Session& s, Registry& registry, const SessionOptions& options,
   Diagnostics ignored;
   Session probe;
   probe.config = read_run_config(resolved_config(s.config).without("plugins"), registry, ignored);
+  // Heads shape no density, and their axes are found in the frames as they are.
+  probe.config.heads.clear();
+  std::erase_if(probe.config.losses, [](const LossEntry& entry) { return reads_heads(entry.loss->traits()); });
   probe.scene = std::move(s.scene);
   probe.labels = std::move(s.labels);
   probe.manifest = s.manifest;

@@ -121,7 +121,7 @@ struct PassConfig {
 
 /// A head beside that of class logits, behind a branch of the last pass.
 struct HeadConfig {
-  HeadConfig() { rules.reads_feature = false; }  // a field's feature is sharper than what heads are to learn
+  HeadConfig() { rules.reads_feature = false; }  // so that nothing else is computed otherwise for it
   std::string key;       ///< as `--set` takes it: "heads.0"
   std::string channel;   ///< that it makes; a dataset's channel of this name is what losses compare it with
   int width = 0;         ///< its columns; 0 until the scene is known

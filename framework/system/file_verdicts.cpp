@@ -57,8 +57,7 @@ void keep_verdict(const std::string& file, const std::string& version, const std
   try {
     const std::string entry = entry_of(file, version);
     if (entry.empty()) {
-      notes.note("files.verdict.lost", file,
-                 "there is no folder for caches, so nobody is told later what the check found");
+      notes.note("files.verdict.lost", file, "there is no folder for caches, so what the check found is not kept");
       return;
     }
     const std::string text = std::string(kHead) + fault + "\n";

@@ -35,16 +35,6 @@ void fill_coordinates(View<double> x, Domain domain, std::uint64_t seed) {
   }
 }
 
-template <class Real>
-void fill_weights(View<Real> dy, std::uint64_t seed) {
-  const RandomAddress address{seed, 0, stream_id("testkit/output_weights")};
-  for (std::int64_t r = 0; r < dy.rows; ++r) {
-    for (std::int32_t c = 0; c < dy.cols; ++c) {
-      dy(r, c) = static_cast<Real>(2 * uniform01(address, static_cast<std::uint64_t>(r * dy.cols + c)) - 1);
-    }
-  }
-}
-
 // One encoder with tensors, inputs of `rows` rows and guarded outputs.
 template <class Real>
 struct EncoderBench {
@@ -61,7 +51,7 @@ struct EncoderBench {
     ctx.training = true;
     ctx.workspace = &workspace;
     fill_coordinates(x.view(), shape.domain, options.seed);
-    fill_weights(dy.view(), options.seed);
+    fill_uniform(dy.view(), "testkit/output_weights", options.seed);
     encoder.derive(ctx, box.tensors());
   }
   void forward() { encoder.forward(ctx, box.tensors(), x.view(), y.view()); }

@@ -1,25 +1,12 @@
 // Inputs and outputs of a field under test.
 #include "testkit/field_bench.h"
 
-#include "core/rng.h"
-
 namespace semfield::testkit {
 
 namespace {
 
 constexpr std::size_t kSavedAlignment = 64;
 constexpr std::int64_t kSamplesPerRay = 5;
-
-// Uniform in [-1, 1) in fp32, so that float and double benches hold the same numbers.
-template <class Real>
-void fill_uniform(View<Real> view, std::string_view name, std::uint64_t seed) {
-  const RandomAddress address{seed, 0, stream_id(name)};
-  for (std::int64_t r = 0; r < view.rows; ++r) {
-    for (std::int32_t c = 0; c < view.cols; ++c) {
-      view(r, c) = static_cast<Real>(2 * uniform01(address, static_cast<std::uint64_t>(r * view.cols + c)) - 1);
-    }
-  }
-}
 
 template <class Real>
 double weighted_sum(View<const Real> weight, View<const Real> value) {

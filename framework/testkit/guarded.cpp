@@ -1,6 +1,8 @@
 // Poison, sentinels and their inspection.
 #include "testkit/guarded.h"
 
+#include "core/rng.h"
+
 namespace semfield::testkit {
 
 namespace {
@@ -76,6 +78,17 @@ std::string Guarded<T>::unwritten(std::int64_t rows) const {
   return {};
 }
 
+template <class Real>
+void fill_uniform(View<Real> view, std::string_view name, std::uint64_t seed) {
+  const RandomAddress address{seed, 0, stream_id(name)};
+  for (std::int64_t r = 0; r < view.rows; ++r) {
+    for (std::int32_t c = 0; c < view.cols; ++c)
+      view(r, c) = static_cast<Real>(2 * uniform01(address, static_cast<std::uint64_t>(r * view.cols + c)) - 1);
+  }
+}
+
+template void fill_uniform<float>(View<float>, std::string_view, std::uint64_t);
+template void fill_uniform<double>(View<double>, std::string_view, std::uint64_t);
 template class Guarded<float>;
 template class Guarded<double>;
 template class Guarded<std::int32_t>;

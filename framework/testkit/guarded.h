@@ -5,6 +5,7 @@
 #include <cstring>
 #include <limits>
 #include <string>
+#include <string_view>
 #include <type_traits>
 #include <vector>
 
@@ -41,6 +42,10 @@ class Guarded {
   std::int32_t padding_;
   std::vector<T> data_;
 };
+
+/// Uniform in [-1, 1) in fp32, addressed by (seed, name, element), so that float and double hold the same numbers.
+template <class Real>
+void fill_uniform(View<Real> view, std::string_view name, std::uint64_t seed);
 
 extern template class Guarded<float>;
 extern template class Guarded<double>;

@@ -2,7 +2,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/rng.h"
 #include "testkit/compare.h"
 #include "testkit/gradient_check.h"
 #include "testkit/guarded.h"
@@ -14,18 +13,6 @@ namespace semfield::testkit {
 namespace {
 
 constexpr std::int64_t kFew = 33;
-
-// The same numbers in every precision.
-template <class Real>
-void fill(View<Real> view, std::uint64_t seed, std::string_view stream) {
-  const RandomAddress address{seed, 0, stream_id(stream)};
-  for (std::int64_t r = 0; r < view.rows; ++r) {
-    for (std::int32_t c = 0; c < view.cols; ++c) {
-      const auto index = static_cast<std::uint64_t>(r * view.cols + c);
-      view(r, c) = static_cast<Real>(static_cast<float>(2 * uniform01(address, index) - 1));
-    }
-  }
-}
 
 // A head with tensors, inputs of `rows` rows and guarded outputs: per sample, then the output layer on the same rows as
 // if each were a ray.
@@ -45,9 +32,9 @@ struct HeadBench {
         d_opacity(rows, 1) {
     ctx.seed = seed;
     ctx.workspace = &workspace;
-    fill(feature.view(), seed, "testkit/head_feature");
-    fill(d_out.view(), seed, "testkit/head_output_weights");
-    fill(opacity.view(), seed, "testkit/head_opacity");
+    fill_uniform(feature.view(), "testkit/head_feature", seed);
+    fill_uniform(d_out.view(), "testkit/head_output_weights", seed);
+    fill_uniform(opacity.view(), "testkit/head_opacity", seed);
     for (std::int64_t r = 0; r < rows; ++r) opacity(r, 0) = std::abs(opacity(r, 0));
     head.derive(ctx, box.tensors());
   }
@@ -95,9 +82,9 @@ void check_written(const Head<Real>& head, const HeadBuild& build, std::uint64_t
 // Compositing stands between the activations and the output layer, which must therefore be linear.
 void check_linear(const Head<double>& head, const HeadBuild& build, std::uint64_t seed, Failures& failures) {
   HeadBench<double> a(head, build, kFew, 0, seed), b(head, build, kFew, 0, seed), sum(head, build, kFew, 0, seed);
-  fill(a.hidden.view(), seed, "testkit/head_h_1");
-  fill(b.hidden.view(), seed, "testkit/head_h_2");
-  fill(b.opacity.view(), seed, "testkit/head_opacity_2");
+  fill_uniform(a.hidden.view(), "testkit/head_h_1", seed);
+  fill_uniform(b.hidden.view(), "testkit/head_h_2", seed);
+  fill_uniform(b.opacity.view(), "testkit/head_opacity_2", seed);
   const auto output = [&](HeadBench<double>& of) {
     head.output_forward(of.ctx, of.box.tensors(), of.hidden.view(), of.opacity.view(), of.out.view());
   };

@@ -127,6 +127,7 @@ class PageTest(MockPageCase):
         if page.run("return document.getElementById('class-dialog').open"):
             page.click("#class-ok")
         page.wait("!document.getElementById('class-dialog').open")
+        page.wait("[...document.querySelectorAll('#classes .name')].some((e) => e.textContent == 'lamp')", "the class does not come")
         page.keys(*["shift+right"] * 4, "shift+down", "enter")
         self.wait_saved(page, 1)
         event = self.room.events[-1]

@@ -115,6 +115,7 @@ class ToolsTest(MockPageCase):
         self.message(page, "\"stool\" is merged into \"chair\", which got its 1 click.")
         page.keys("z")
         page.wait(f"{names} == 'sofa,stool,chair'", "a merge is not undone")
+        page.wait("[...document.querySelectorAll('#classes .clicks')].at(-1).textContent == '1'", "the click does not come back")
         page.keys("3", "f2")
         page.wait("document.getElementById('class-dialog').open")
         page.click("#class-delete")
@@ -227,7 +228,8 @@ class ToolsTest(MockPageCase):
         at = self.page_of(page, 64, 45)
         for _ in range(9):
             page.wheel(*at, -240)
-        page.wait_for(lambda: (0, 4096) in self.room.photos or (0, 0) in self.room.photos, True, "no full photograph when zoomed in")
+        # It has 1920 pixels: a page that has those asks for no more.
+        page.wait_for(lambda: any((0, most) in self.room.photos for most in (2048, 4096, 0)), True, "no full photograph when zoomed in")
         for _ in range(60):  # a line of one of its pixels
             row = page.pixels([(at[0] + dx, at[1]) for dx in range(-12, 13)])
             white = [min(p) > 235 for p in row]

@@ -62,7 +62,14 @@ TEST(RanksSession, TrainingHasTheBitsOfOneProcess) {
   labels_apart.replace(labels_apart.find("train: {"), 8,
                        "train: {ray_source: label_balanced, labelled_share: 0.3, label_rays_teach_color: false, ");
   albedo.replace(albedo.find("{type: analytic_room"), 20, "{type: analytic_room, with_albedo: true");
+  std::string head = hash_config(
+      "heads:\n  - {type: feature_map, channel: albedo, width: 2, branch: {position: {type: frequency, frequencies: "
+      "2}, "
+      "field: {type: tiny_mlp, hidden_width: 8, hidden_layers: 1}}}\n"
+      "losses: [{type: cosine_distance, channel: albedo}]\n");
+  head.replace(head.find("{type: analytic_room"), 20, "{type: analytic_room, with_albedo: true");
   const Shape shapes[] = {
+      {"a head on principal axes", head, 12},
       {"hash grid", hash_config(), 60},
       {"two passes", two_pass_config(), 6},
       {"two tables", two_tables_config(), 6},

@@ -193,6 +193,31 @@ Session open_probing(const std::string& yaml, Registry& registry, Diagnostics& d
 
 double volume(const Box& box) { return box.size().x * box.size().y * box.size().z; }
 
+// The probe borrows the frames: their channels must come back as they were, for the run to find its axes in them.
+TEST(BoundsProbe, LeavesHeadsAndTheirChannelsToTheRun) {
+  Registry registry = make_channel_registry();
+  Diagnostics d;
+  std::string yaml = without_depth(
+      "heads:\n  - {type: feature_map, channel: albedo, width: 2, branch: {position: {type: frequency, frequencies: "
+      "2}, "
+      "field: {type: tiny_mlp, hidden_width: 8, hidden_layers: 1}}}\n"
+      "losses: [{type: cosine_distance, channel: albedo}]\n");
+  yaml.replace(yaml.find("with_depth: false"), 17, "with_depth: false, with_albedo: true");
+  const Session s = open_probing(yaml, registry, d);
+  ASSERT_EQ(s.scene.bounds_from, "a probe of 128 steps");
+  const View<const float> axes = s.pipeline->passes().back().axes("albedo");
+  ASSERT_EQ(axes.rows, 3);
+  for (std::int32_t a = 0; a < 2; ++a) {
+    for (std::int32_t b = 0; b < 2; ++b) {
+      double dot = 0;
+      for (std::int64_t row = 0; row < 3; ++row) dot += static_cast<double>(axes(row, a) * axes(row, b));
+      EXPECT_NEAR(dot, a == b ? 1 : 0, 1e-5) << a << " " << b;
+    }
+  }
+  const auto train = static_cast<std::size_t>(s.scene.frames_of(Split::train).front());
+  EXPECT_EQ(s.scene.frames[train].channels.at(0).cols, 2);
+}
+
 // The room is 4 m x 3 m x 2 m.
 TEST(BoundsProbe, ShrinksWhatTheCamerasGuessToTheRoom) {
   Registry registry = make_registry();
