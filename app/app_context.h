@@ -5,9 +5,9 @@
 #include <string>
 
 #include "core/work_scope.h"
+#include "execution/ranks/ranks.h"
 #include "plugin/registry.h"
-#include "ranks/ranks.h"
-#include "settings/run_config.h"
+#include "session/settings/run_config.h"
 
 namespace semfield::app {
 

@@ -13,7 +13,7 @@
 #include <filesystem>
 
 #include "app/signals.h"
-#include "ranks/launcher.h"
+#include "execution/ranks/launcher.h"
 #include "system/files.h"
 
 namespace semfield::app {

@@ -17,9 +17,9 @@ struct ChildFiles {
 };
 
 /// Starts `words`, the first of which is the program's file, in a process group of its own, so that Ctrl-C does not
-/// reach it, and without what a launcher said to this one (ranks/launcher.h). `in_child` runs between fork and exec, so
-/// it calls what is async-signal-safe alone. The thread that starts it is the one that it ends with. Throws write_error
-/// for the files, Error(unavailable) where no process can be had.
+/// reach it, and without what a launcher said to this one (execution/ranks/launcher.h). `in_child` runs between fork
+/// and exec, so it calls what is async-signal-safe alone. The thread that starts it is the one that it ends with.
+/// Throws write_error for the files, Error(unavailable) where no process can be had.
 pid_t start_child(const std::vector<std::string>& words, const ChildFiles& files,
                   const std::function<void()>& in_child = {});
 

@@ -4,7 +4,7 @@
 
 #include "app/signals.h"
 #include "core/error.h"
-#include "ranks/launcher.h"
+#include "execution/ranks/launcher.h"
 #include "run/run_folder.h"
 #include "session/ranks_session.h"
 

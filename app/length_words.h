@@ -5,7 +5,7 @@
 #include <string>
 
 #include "app/verb.h"
-#include "settings/run_length.h"
+#include "session/settings/run_length.h"
 
 namespace semfield::app {
 

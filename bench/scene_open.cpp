@@ -17,7 +17,7 @@
 #include "compute/parallel.h"
 #include "loading/frame_source.h"
 #include "plugin/linked_plugins.h"
-#include "settings/run_config.h"
+#include "session/settings/run_config.h"
 
 namespace {
 

@@ -6,8 +6,8 @@
 #include <cmath>
 #include <filesystem>
 
-#include "classes/void_class.h"
 #include "formats/image_io.h"
+#include "scene/classes/void_class.h"
 #include "system/files.h"
 
 namespace semfield {

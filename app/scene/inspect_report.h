@@ -11,7 +11,7 @@ namespace semfield {
 
 /// Frames, splits, sizes, extent, bounds, near and far, class table with pixel fractions of train and test and how many
 /// labelled training frames see each class, then every problem with its remedy. `depth_use`: what training makes of
-/// depth images (settings/loss_config.h). Ends with a line feed.
+/// depth images (session/settings/loss_config.h). Ends with a line feed.
 std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use = "");
 /// The same for programs.
 app::Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use = "");

@@ -8,11 +8,11 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "classes/void_class.h"
 #include "compute/parallel.h"
 #include "eval/image_output.h"
 #include "eval/metrics.h"
 #include "formats/image_io.h"
+#include "scene/classes/void_class.h"
 #include "scene/output_names.h"
 #include "system/files.h"
 

@@ -7,7 +7,7 @@
 #include "app/sweep/cell_pool.h"
 #include "core/work_scope.h"
 #include "loading/packed_scene.h"
-#include "settings/run_config.h"
+#include "session/settings/run_config.h"
 
 namespace semfield::app {
 

@@ -10,8 +10,8 @@
 #include "app/verb.h"
 #include "core/text.h"
 #include "session/ray_source.h"
-#include "settings/label_choices.h"
-#include "settings/loss_config.h"
+#include "session/settings/label_choices.h"
+#include "session/settings/loss_config.h"
 
 namespace semfield::app {
 

@@ -19,7 +19,7 @@
 #include "core/device_id.h"
 #include "core/findings.h"
 #include "execution/device_library.h"
-#include "ranks/launcher.h"
+#include "execution/ranks/launcher.h"
 #include "report/sweep/host_share.h"
 #include "system/cpu_quota.h"
 

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "serve/label_loop.h"
-#include "settings/run_config.h"
+#include "session/settings/run_config.h"
 #include "studies/study_tools.h"
 
 namespace semfield {

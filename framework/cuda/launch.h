@@ -9,7 +9,7 @@
 #include "core/rng.h"
 #include "core/view.h"
 #include "losses/loss_list.h"
-#include "optim/adam.h"
+#include "model/optim/adam.h"
 
 namespace semfield::cuda {
 

@@ -6,7 +6,6 @@
 #include <cmath>
 #include <optional>
 
-#include "classes/class_table.h"
 #include "core/check.h"
 #include "core/error.h"
 #include "cuda/calls.h"
@@ -18,6 +17,7 @@
 #include "cuda/stages.h"
 #include "execution/train_rays.h"
 #include "model/ray_guard.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield::cuda {
 

@@ -5,8 +5,8 @@
 #include <bit>
 #include <cmath>
 
-#include "classes/class_table.h"
 #include "core/check.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield {
 

@@ -9,10 +9,10 @@
 #include <string_view>
 #include <vector>
 
-#include "classes/class_table.h"
 #include "eval/evaluator.h"
 #include "labels/training_labels.h"
 #include "model/leave_out.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield {
 

@@ -7,10 +7,10 @@
 #include <cmath>
 #include <limits>
 
-#include "classes/class_table.h"
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield {
 

@@ -9,8 +9,8 @@
 
 #include "core/workspace.h"
 #include "execution/pipeline.h"
+#include "execution/ranks/ranks.h"
 #include "plugin/kernels.h"
-#include "ranks/ranks.h"
 
 namespace semfield {
 

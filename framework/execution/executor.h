@@ -13,7 +13,7 @@
 #include "execution/pixel_pool.h"
 #include "execution/ray_batch.h"
 #include "execution/render_rays.h"
-#include "optim/adam.h"
+#include "model/optim/adam.h"
 
 namespace semfield {
 

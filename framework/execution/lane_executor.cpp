@@ -5,10 +5,10 @@
 #include <numeric>
 #include <utility>
 
-#include "classes/class_table.h"
 #include "compute/float_mode.h"
 #include "compute/isa.h"
 #include "losses/photometric.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield {
 

@@ -6,9 +6,9 @@
 #include <functional>
 #include <vector>
 
+#include "execution/ranks/ranks.h"
 #include "execution/ray_batch.h"
 #include "model/param_store.h"
-#include "ranks/ranks.h"
 
 namespace semfield {
 

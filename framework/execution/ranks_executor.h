@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "execution/pipeline.h"
-#include "ranks/ranks.h"
+#include "execution/ranks/ranks.h"
 
 namespace semfield {
 

@@ -9,7 +9,7 @@
 #include "compute/float_mode.h"
 #include "compute/math_functions.h"
 #include "execution/lane_executor.h"
-#include "optim/tensor_ranges.h"
+#include "model/optim/tensor_ranges.h"
 
 namespace semfield {
 

@@ -4,9 +4,9 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "classes/class_names.h"
 #include "labels/mask_outlines.h"
 #include "labels/run_lengths.h"
+#include "scene/classes/class_names.h"
 #include "scene/output_names.h"
 #include "system/files.h"
 

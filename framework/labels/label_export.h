@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "classes/class_table.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield {
 

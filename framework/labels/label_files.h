@@ -7,8 +7,8 @@
 #include <string_view>
 #include <vector>
 
-#include "classes/class_names.h"
 #include "labels/label_steps.h"
+#include "scene/classes/class_names.h"
 
 namespace semfield {
 

@@ -8,10 +8,10 @@
 #include <utility>
 #include <vector>
 
-#include "classes/soft_map.h"
 #include "config/params.h"
 #include "core/error.h"
 #include "loading/frame_source.h"
+#include "scene/classes/soft_map.h"
 
 namespace semfield {
 

@@ -15,8 +15,8 @@
 #include "loading/load_progress.h"
 #include "scene/output_names.h"
 #include "scene/scene_checks.h"
+#include "scene/survey/geometry_survey.h"
 #include "scene/unknown_labels.h"
-#include "survey/geometry_survey.h"
 
 namespace semfield {
 

@@ -11,8 +11,8 @@
 #include "scene/pose_convention.h"
 #include "scene/scene.h"
 #include "scene/stored_frame.h"
-#include "survey/depth_survey.h"
-#include "survey/plain_background.h"
+#include "scene/survey/depth_survey.h"
+#include "scene/survey/plain_background.h"
 
 namespace semfield {
 

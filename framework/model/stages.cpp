@@ -6,13 +6,13 @@
 #include <string>
 #include <type_traits>
 
-#include "classes/class_table.h"
 #include "compute/layers.h"
 #include "core/check.h"
 #include "core/error.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/head_branch.h"
 #include "model/ray_guard.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield {
 

@@ -9,7 +9,7 @@
 #include "model/density_activation.h"
 #include "model/domain_map.h"
 #include "model/opacity_resolution.h"
-#include "optim/adam.h"
+#include "model/optim/adam.h"
 #include "plugin/head/head_kernels.h"
 #include "plugin/sampler.h"
 

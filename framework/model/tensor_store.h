@@ -6,7 +6,7 @@
 #include <utility>
 #include <vector>
 
-#include "optim/adam.h"
+#include "model/optim/adam.h"
 #include "plugin/parametric.h"
 
 namespace semfield {

@@ -8,10 +8,10 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
-#include "classes/class_table.h"
 #include "config/config_tree.h"
 #include "core/error.h"
 #include "report/report.h"
+#include "scene/classes/class_table.h"
 #include "scene/output_names.h"
 #include "system/files.h"
 #include "system/sorted_folder.h"

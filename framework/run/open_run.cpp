@@ -12,8 +12,8 @@
 #include "run/run_folder.h"
 #include "run/run_resume.h"
 #include "session/checkpoint_facts.h"
+#include "session/settings/run_identity.h"
 #include "session/trainer.h"
-#include "settings/run_identity.h"
 #include "system/files.h"
 
 namespace semfield {

@@ -10,7 +10,7 @@
 #include "run/run_folder.h"
 #include "run/run_resume.h"
 #include "session/checkpoint_facts.h"
-#include "settings/run_identity.h"
+#include "session/settings/run_identity.h"
 
 namespace semfield {
 

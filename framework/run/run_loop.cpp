@@ -7,10 +7,10 @@
 #include <filesystem>
 #include <utility>
 
-#include "classes/class_names.h"
-#include "ranks/ranks.h"
-#include "settings/run_identity.h"
-#include "settings/run_length.h"
+#include "execution/ranks/ranks.h"
+#include "scene/classes/class_names.h"
+#include "session/settings/run_identity.h"
+#include "session/settings/run_length.h"
 #include "system/files.h"
 
 namespace semfield {

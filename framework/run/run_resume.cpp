@@ -10,8 +10,8 @@
 #include "core/text.h"
 #include "plugin/check/module_file.h"
 #include "run/checkpoint_store.h"
-#include "settings/run_identity.h"
-#include "settings/run_length.h"
+#include "session/settings/run_identity.h"
+#include "session/settings/run_length.h"
 
 namespace semfield {
 

@@ -9,7 +9,7 @@
 #include "run/run_folder.h"
 #include "session/checkpoint_facts.h"
 #include "session/session.h"
-#include "settings/run_config.h"
+#include "session/settings/run_config.h"
 
 namespace semfield {
 

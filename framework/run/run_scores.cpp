@@ -8,7 +8,7 @@
 #include "core/text.h"
 #include "eval/final_eval.h"
 #include "eval/pixel_stride.h"
-#include "settings/run_length.h"
+#include "session/settings/run_length.h"
 #include "system/files.h"
 
 namespace semfield {

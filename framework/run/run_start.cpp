@@ -8,12 +8,12 @@
 #include <filesystem>
 #include <optional>
 
-#include "classes/class_names.h"
 #include "compute/parallel.h"
 #include "labels/clicks/click_file.h"
 #include "run/ended_run.h"
 #include "run/leave_out_proofs.h"
-#include "settings/run_identity.h"
+#include "scene/classes/class_names.h"
+#include "session/settings/run_identity.h"
 #include "system/files.h"
 
 namespace semfield {

@@ -9,8 +9,8 @@
 
 #include "run/run_listener.h"
 #include "run/run_scores.h"
+#include "session/settings/run_length.h"
 #include "session/training.h"
-#include "settings/run_length.h"
 
 namespace semfield {
 

@@ -5,9 +5,9 @@
 #include <string>
 #include <vector>
 
-#include "classes/class_table.h"
 #include "core/error.h"
 #include "scene/camera.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield {
 

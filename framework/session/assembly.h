@@ -6,10 +6,10 @@
 #include "execution/device_library.h"
 #include "execution/network_plan.h"
 #include "execution/pipeline.h"
+#include "execution/ranks/ranks.h"
 #include "model/leave_out.h"
-#include "ranks/ranks.h"
-#include "settings/device_choice.h"
-#include "settings/run_config.h"
+#include "session/settings/device_choice.h"
+#include "session/settings/run_config.h"
 
 namespace semfield {
 

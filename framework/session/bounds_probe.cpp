@@ -6,8 +6,8 @@
 #include <cmath>
 
 #include "loading/load_progress.h"
+#include "session/settings/run_length.h"
 #include "session/trainer.h"
-#include "settings/run_length.h"
 
 namespace semfield {
 

@@ -3,7 +3,7 @@
 #include "compute/parallel.h"
 #include "core/text.h"
 #include "session/session.h"
-#include "settings/run_length.h"
+#include "session/settings/run_length.h"
 
 namespace semfield {
 

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "session/assembly.h"
-#include "settings/run_config.h"
+#include "session/settings/run_config.h"
 
 namespace semfield {
 

@@ -4,7 +4,7 @@
 
 #include <vector>
 
-#include "ranks/ranks.h"
+#include "execution/ranks/ranks.h"
 #include "session/session.h"
 
 namespace semfield {

@@ -11,7 +11,7 @@
 #include "execution/pipeline.h"
 #include "labels/training_labels.h"
 #include "scene/stored_frame.h"
-#include "settings/run_config.h"
+#include "session/settings/run_config.h"
 
 namespace semfield {
 

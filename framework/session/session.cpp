@@ -14,11 +14,11 @@
 #include "session/bounds_probe.h"
 #include "session/channel_axes.h"
 #include "session/ranks_session.h"
+#include "session/settings/head_config.h"
+#include "session/settings/label_choices.h"
+#include "session/settings/loss_config.h"
+#include "session/settings/run_length.h"
 #include "session/trained_classes.h"
-#include "settings/head_config.h"
-#include "settings/label_choices.h"
-#include "settings/loss_config.h"
-#include "settings/run_length.h"
 #include "system/memory_limit.h"
 
 namespace semfield {

@@ -12,7 +12,7 @@
 #include "session/manifest_text.h"
 #include "session/memory_plan.h"
 #include "session/ray_source.h"
-#include "settings/run_config.h"
+#include "session/settings/run_config.h"
 
 namespace semfield {
 

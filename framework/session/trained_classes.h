@@ -4,8 +4,8 @@
 #include <optional>
 #include <string>
 
-#include "classes/class_table.h"
 #include "labels/clicks/annotations.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield {
 

@@ -8,8 +8,8 @@
 
 #include "execution/pipeline.h"
 #include "formats/safetensors.h"
-#include "optim/adam.h"
-#include "optim/schedule.h"
+#include "model/optim/adam.h"
+#include "model/optim/schedule.h"
 #include "session/ray_source.h"
 
 namespace semfield {

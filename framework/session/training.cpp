@@ -9,8 +9,8 @@
 #include "core/findings.h"
 #include "plugin/check/module_file.h"
 #include "session/channel_axes.h"
+#include "session/settings/run_identity.h"
 #include "session/trained_classes.h"
-#include "settings/run_identity.h"
 #include "system/checksum.h"
 
 namespace semfield {

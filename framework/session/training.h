@@ -13,9 +13,9 @@
 #include "session/checkpoint_facts.h"
 #include "session/ray_source.h"
 #include "session/session.h"
+#include "session/settings/pace.h"
+#include "session/settings/run_length.h"
 #include "session/trainer.h"
-#include "settings/pace.h"
-#include "settings/run_length.h"
 
 namespace semfield {
 

@@ -6,7 +6,7 @@
 #include <string>
 
 #include "plugin/registry.h"
-#include "settings/run_config.h"
+#include "session/settings/run_config.h"
 
 namespace semfield::python {
 

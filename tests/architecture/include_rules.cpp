@@ -19,11 +19,12 @@ bool ends_with(const std::string& text, const std::string& end) {
   return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
 }
 
-const Folders kFrameworkFolders{"core",    "system",    "compute", "config",       "formats",      "classes",
-                                "scene",   "survey",    "loading", "plugin",       "labels",       "losses",
-                                "model",   "execution", "optim",   "cuda",         "eval",         "settings",
-                                "session", "run",       "report",  "surface/fuse", "surface/mesh", "report/sweep",
-                                "serve",   "testkit",   "ranks",   "ranks/mpi"};
+const Folders kFrameworkFolders{
+    "core",    "system",       "compute",        "config",       "formats",      "scene/classes",
+    "scene",   "scene/survey", "loading",        "plugin",       "labels",       "losses",
+    "model",   "execution",    "model/optim",    "cuda",         "eval",         "session/settings",
+    "session", "run",          "report",         "surface/fuse", "surface/mesh", "report/sweep",
+    "serve",   "testkit",      "execution/ranks"};
 
 // A folder and those that it may include. Folders inside a folder stand on its floor, but for those that are named.
 const std::map<std::string, Folders>& floors() {
@@ -32,34 +33,34 @@ const std::map<std::string, Folders>& floors() {
     return folders;
   };
   static const Folders ground{"core", "system", "compute"};
-  static const Folders scene = with(ground, {"config", "formats", "classes", "scene"});
-  static const Folders loading = with(scene, {"survey", "loading"});
-  static const Folders model = with(scene, {"plugin", "losses", "optim", "model"});
-  static const Folders execution = with(model, {"ranks", "execution"});
-  static const Folders settings = with(execution, {"survey", "loading", "labels", "optim", "settings"});
+  static const Folders scene = with(ground, {"config", "formats", "scene/classes", "scene"});
+  static const Folders loading = with(scene, {"scene/survey", "loading"});
+  static const Folders model = with(scene, {"plugin", "losses", "model/optim", "model"});
+  static const Folders execution = with(model, {"execution/ranks", "execution"});
+  static const Folders settings =
+      with(execution, {"scene/survey", "loading", "labels", "model/optim", "session/settings"});
   static const Folders run = with(settings, {"eval", "session", "run"});
   static const std::map<std::string, Folders> table{
       {"core", {"core"}},
       {"system", {"core", "system"}},
-      {"ranks", {"core", "system", "ranks"}},
-      {"ranks/mpi", {"core", "system", "ranks", "ranks/mpi"}},
+      {"execution/ranks", {"core", "system", "execution/ranks"}},
       {"compute", ground},
       {"config", with(ground, {"config"})},
       {"formats", with(ground, {"config", "formats"})},
-      {"classes", with(ground, {"config", "formats", "classes"})},
+      {"scene/classes", with(ground, {"config", "formats", "scene/classes"})},
       {"scene", scene},
-      {"survey", with(scene, {"survey"})},
+      {"scene/survey", with(scene, {"scene/survey"})},
       {"loading", loading},
       {"plugin", with(scene, {"plugin"})},
       {"labels", with(loading, {"plugin", "labels"})},
       {"losses", with(scene, {"plugin", "losses"})},
-      {"optim", with(ground, {"config", "optim"})},
+      {"model/optim", with(ground, {"config", "model/optim"})},
       {"model", model},
       {"execution", execution},
       {"cuda", with(execution, {"cuda"})},
-      {"eval", with(execution, {"survey", "loading", "labels", "eval"})},
-      {"surface", with(execution, {"survey", "loading", "labels", "eval", "surface"})},
-      {"settings", settings},
+      {"eval", with(execution, {"scene/survey", "loading", "labels", "eval"})},
+      {"surface", with(execution, {"scene/survey", "loading", "labels", "eval", "surface"})},
+      {"session/settings", settings},
       {"session", with(settings, {"eval", "session"})},
       {"run", run},
       {"report", with(run, {"report"})},
@@ -77,7 +78,7 @@ std::string forbidden_library(const std::string& path, const std::string& target
   static const std::vector<std::pair<std::string, std::string>> only{
       {"yaml-cpp/", "framework/config/config_tree.cpp"},
       {"yaml.h", "framework/config/config_tree.cpp"},
-      {"mpi.h", "framework/ranks/mpi/mpi_ranks.cpp"},
+      {"mpi.h", "framework/execution/ranks/mpi/mpi_ranks.cpp"},
       {"nccl.h", "framework/cuda/nccl/nccl_exchange.cpp"},
       {"OpenImageIO/", "framework/formats/image_formats.cpp"},
       {"tiny_obj_loader.h", "plugins/datasets/obj_room/mesh_io.cpp"},
@@ -143,7 +144,7 @@ std::string forbidden_in_plugin(const std::string& inside, const std::string& ta
   const std::string other = folder_of(target);
   if (!kFrameworkFolders.contains(other) || target.find('/') == std::string::npos) return {};
   static const Folders sdk{"core", "system", "compute", "plugin"};
-  static const Folders of_scenes{"formats", "classes", "scene", "survey", "loading"};
+  static const Folders of_scenes{"formats", "scene/classes", "scene", "scene/survey", "loading"};
   if (sdk.contains(other) || target == "config/params.h") return {};
   const bool of_labels = kind == "label_readers" || kind == "degradations";
   if ((of_scenes.contains(other) || target == "config/config_tree.h") && (kind == "datasets" || of_labels)) return {};

@@ -6,7 +6,7 @@
 #include <filesystem>
 
 #include "plugin/linked_plugins.h"
-#include "settings/run_config.h"
+#include "session/settings/run_config.h"
 #include "system/files.h"
 #include "tests/docs/pages.h"
 

@@ -9,7 +9,7 @@
 #include "core/text.h"
 #include "plugin/linked_plugins.h"
 #include "plugin/registry.h"
-#include "settings/run_config.h"
+#include "session/settings/run_config.h"
 #include "system/files.h"
 #include "tests/docs/pages.h"
 

@@ -4,12 +4,12 @@
 #include <Eigen/SparseCholesky>
 #include <Eigen/SparseCore>
 
-#include "classes/class_table.h"
 #include "compute/parallel.h"
 #include "core/error.h"
 #include "core/rng.h"
 #include "datasets/replica/replica.h"
 #include "loading/frame_source.h"
+#include "scene/classes/class_table.h"
 #include "surface/fuse/scene_fusion.h"
 #include "surface/label_diffusion.h"
 #include "tests/scene/tiny_scene.h"

@@ -8,7 +8,7 @@
 #include "report/sweep/sweep_file.h"
 #include "run/metrics_log.h"
 #include "session/checkpoint_facts.h"
-#include "settings/run_config.h"
+#include "session/settings/run_config.h"
 #include "tests/fuzz/inputs.h"
 #include "tests/fuzz/targets.h"
 

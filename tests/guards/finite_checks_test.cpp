@@ -4,8 +4,8 @@
 #include "compute/math_functions.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
+#include "model/optim/adam.h"
 #include "model/ray_guard.h"
-#include "optim/adam.h"
 
 namespace semfield {
 namespace {

@@ -3,7 +3,7 @@
 #include <cstring>
 #include <nlohmann/json.hpp>
 
-#include "classes/class_table.h"
+#include "scene/classes/class_table.h"
 #include "system/files.h"
 #include "tests/labels/degradation_testing.h"
 #include "tests/program.h"

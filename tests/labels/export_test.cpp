@@ -1,14 +1,14 @@
 // Labels out and in again: regions traced exactly, files read back by the project and by a Python script of its own.
 #include <algorithm>
 
-#include "classes/class_import.h"
-#include "classes/class_names.h"
 #include "core/rng.h"
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "labels/label_export.h"
 #include "labels/mask_outlines.h"
 #include "labels/run_lengths.h"
+#include "scene/classes/class_import.h"
+#include "scene/classes/class_names.h"
 #include "system/files.h"
 #include "tests/labels/reader_case.h"
 #include "tests/program.h"

@@ -5,9 +5,9 @@
 #include <cstring>
 
 #include "encoder_box.h"
+#include "model/optim/adam.h"
+#include "model/optim/schedule.h"
 #include "named_case.h"
-#include "optim/adam.h"
-#include "optim/schedule.h"
 
 namespace semfield::numerics {
 

@@ -5,8 +5,8 @@
 #include <cstring>
 
 #include "formats/safetensors.h"
+#include "model/optim/adam.h"
 #include "named_case.h"
-#include "optim/adam.h"
 #include "training_box.h"
 
 namespace semfield::numerics {

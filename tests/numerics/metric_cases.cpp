@@ -1,11 +1,11 @@
 // Group H: metrics of images and labels that have nothing, or nothing sound, to compare. Metrics read fp32 and sum in
 // float64.
 
-#include "classes/class_table.h"
 #include "core/rng.h"
 #include "eval/metrics.h"
 #include "named_case.h"
 #include "run/metrics_log.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield::numerics {
 

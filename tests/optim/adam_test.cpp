@@ -1,11 +1,11 @@
 // Adam: decay, bad gradients, ranges and threads. Cases E01 to E08 of tests/numerics compare it with long double.
-#include "optim/adam.h"
+#include "model/optim/adam.h"
 
 #include <gtest/gtest.h>
 
 #include "compute/parallel.h"
 #include "core/rng.h"
-#include "optim/schedule.h"
+#include "model/optim/schedule.h"
 
 namespace semfield {
 namespace {

@@ -11,7 +11,7 @@
 #include <thread>
 
 #include "core/check.h"
-#include "ranks/ranks.h"
+#include "execution/ranks/ranks.h"
 
 namespace semfield::testing {
 

@@ -1,6 +1,6 @@
 // The length of a run: stated in steps or in seconds, settled, stored, repeated and gone on with. Clocks are
 // counted.
-#include "settings/run_length.h"
+#include "session/settings/run_length.h"
 
 #include "config/compose.h"
 #include "run/run_session.h"

@@ -8,7 +8,7 @@
 #include "run/run_folder.h"
 #include "run/run_session.h"
 #include "run/train_run.h"
-#include "settings/run_identity.h"
+#include "session/settings/run_identity.h"
 #include "system/files.h"
 #include "testkit/analytic_scene.h"
 #include "tests/scene/tiny_scene.h"

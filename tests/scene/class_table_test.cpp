@@ -1,11 +1,11 @@
 // Class tables: three file formats, numbering, refusals; tables and labels of other tools.
-#include "classes/class_table.h"
+#include "scene/classes/class_table.h"
 
 #include <set>
 
-#include "classes/class_import.h"
-#include "classes/class_names.h"
-#include "classes/scannet_labels.h"
+#include "scene/classes/class_import.h"
+#include "scene/classes/class_names.h"
+#include "scene/classes/scannet_labels.h"
 #include "system/files.h"
 #include "tests/scene/tiny_scene.h"
 

@@ -1,5 +1,5 @@
 // Poses against pixels: every convention is named from depth and from photographs, and right scenes are left in peace.
-#include "survey/geometry_survey.h"
+#include "scene/survey/geometry_survey.h"
 
 #include "compute/parallel.h"
 #include "loading/frame_source.h"

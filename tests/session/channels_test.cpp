@@ -4,8 +4,8 @@
 
 #include "core/error.h"
 #include "session/ray_source.h"
+#include "session/settings/pace.h"
 #include "session/trainer.h"
-#include "settings/pace.h"
 #include "tests/session/oracle.h"
 #include "tests/session/train_testing.h"
 

@@ -1,5 +1,5 @@
 // Which semantic branch the labels choose, what a run keeps of it, and rays that are drawn for their labels.
-#include "settings/label_choices.h"
+#include "session/settings/label_choices.h"
 
 #include <numeric>
 

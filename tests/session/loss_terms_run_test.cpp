@@ -3,8 +3,8 @@
 #include "config/compose.h"
 #include "eval/evaluator.h"
 #include "run/train_run.h"
+#include "session/settings/loss_config.h"
 #include "session/trainer.h"
-#include "settings/loss_config.h"
 #include "testkit/analytic_scene.h"
 #include "tests/session/oracle.h"
 

@@ -7,8 +7,8 @@
 #include "datasets/obj_room/raycast.h"
 #include "execution/lane_executor.h"
 #include "session/assembly.h"
+#include "session/settings/run_identity.h"
 #include "session/trainer.h"
-#include "settings/run_identity.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"
 

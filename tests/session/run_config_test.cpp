@@ -1,13 +1,13 @@
 // Reading a run's configuration: every error at once, and the resolved form repeats it; which device a run gets.
-#include "settings/run_config.h"
+#include "session/settings/run_config.h"
 
 #include "compute/cpu_kernels.h"
 #include "config/compose.h"
 #include "config/explain.h"
 #include "core/device_id.h"
 #include "session/assembly.h"
-#include "settings/device_choice.h"
-#include "settings/run_identity.h"
+#include "session/settings/device_choice.h"
+#include "session/settings/run_identity.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {

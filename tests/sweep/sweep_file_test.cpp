@@ -10,7 +10,7 @@
 #include "report/sweep/sweep_cells.h"
 #include "report/sweep/sweep_schema.h"
 #include "report/sweep/sweep_tables.h"
-#include "settings/run_config.h"
+#include "session/settings/run_config.h"
 #include "system/files.h"
 #include "system/shared_files.h"
 #include "tests/says.h"

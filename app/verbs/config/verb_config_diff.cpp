@@ -3,7 +3,7 @@
 
 #include "app/json_output.h"
 #include "app/verb.h"
-#include "settings/run_identity.h"
+#include "session/settings/run_identity.h"
 
 namespace semfield::app {
 

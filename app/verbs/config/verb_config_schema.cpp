@@ -4,8 +4,8 @@
 #include "app/verb.h"
 #include "config/schema.h"
 #include "report/sweep/sweep_schema.h"
-#include "settings/label_config.h"
-#include "settings/run_config.h"
+#include "session/settings/label_config.h"
+#include "session/settings/run_config.h"
 
 namespace semfield::app {
 

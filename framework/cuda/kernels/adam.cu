@@ -73,7 +73,7 @@ struct OfTensor {
   float kept;  // of a value, before the update [Loshchilov19]
 };
 
-// [Kingma15, Alg. 1]. The operations of optim/adam_kernels.cpp, rounding by rounding.
+// [Kingma15, Alg. 1]. The operations of model/optim/adam_kernels.cpp, rounding by rounding.
 __device__ void update_element(const Constants& k, const OfTensor& of, float g, float& x, float& m, float& v) {
   m = fmaf(k.beta1, m, k.one_minus_beta1 * g);
   v = fmaf(k.beta2, v, k.one_minus_beta2 * (g * g));

@@ -1,8 +1,8 @@
-// Adam on the device, twin of the kernels of optim/adam.
+// Adam on the device, twin of the kernels of model/optim/adam.
 #pragma once
 
 #include "cuda/launch.h"
-#include "optim/adam.h"
+#include "model/model/optim/adam.h"
 
 namespace semfield::cuda {
 

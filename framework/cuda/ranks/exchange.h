@@ -9,7 +9,7 @@
 #include <string>
 
 #include "cuda/launch.h"
-#include "ranks/ranks.h"
+#include "execution/ranks/ranks.h"
 
 namespace semfield::cuda {
 

@@ -3,10 +3,10 @@
 #include <algorithm>
 #include <set>
 
-#include "classes/class_names.h"
 #include "core/error.h"
 #include "formats/png_codec.h"
 #include "labels/label_files.h"
+#include "scene/classes/class_names.h"
 
 namespace semfield {
 

@@ -5,7 +5,7 @@
 #include <map>
 #include <set>
 
-#include "settings/run_config.h"
+#include "session/settings/run_config.h"
 #include "system/checksum.h"
 
 namespace semfield {

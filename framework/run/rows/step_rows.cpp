@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "settings/run_length.h"
+#include "session/settings/run_length.h"
 
 namespace semfield {
 

@@ -5,8 +5,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "classes/class_table.h"
 #include "core/error.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield {
 

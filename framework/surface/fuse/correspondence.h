@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include "settings/fusion_params.h"
+#include "session/settings/fusion_params.h"
 #include "surface/seen_surface.h"
 
 namespace semfield {

@@ -3,7 +3,7 @@
 
 #include <functional>
 
-#include "settings/propagation_params.h"
+#include "session/settings/propagation_params.h"
 #include "surface/fuse/scene_fusion.h"
 
 namespace semfield {

@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "classes/class_table.h"
+#include "scene/classes/class_table.h"
 #include "surface/mesh/surface.h"
 
 namespace semfield {

@@ -4,8 +4,8 @@
 #include <cmath>
 #include <numeric>
 
-#include "classes/class_table.h"
 #include "core/check.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield {
 

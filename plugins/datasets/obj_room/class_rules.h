@@ -4,8 +4,8 @@
 #include <string>
 #include <vector>
 
-#include "classes/class_table.h"
 #include "datasets/obj_room/mesh_io.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield {
 

@@ -7,11 +7,11 @@
 #include <map>
 #include <optional>
 
-#include "classes/scannet_labels.h"
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
 #include "plugin/module.h"
+#include "scene/classes/scannet_labels.h"
 #include "scene/frame_split.h"
 #include "scene/scene_checks.h"
 #include "scene/unknown_labels.h"

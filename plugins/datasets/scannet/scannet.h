@@ -7,10 +7,10 @@
 #include <string_view>
 #include <vector>
 
-#include "classes/class_import.h"
 #include "config/params.h"
 #include "loading/frame_files.h"
 #include "plugin/dataset.h"
+#include "scene/classes/class_import.h"
 
 namespace semfield {
 

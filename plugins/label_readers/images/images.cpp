@@ -3,7 +3,6 @@
 #include <filesystem>
 #include <span>
 
-#include "classes/class_import.h"
 #include "formats/image_io.h"
 #include "formats/png_codec.h"
 #include "formats/text_rows.h"
@@ -11,6 +10,7 @@
 #include "labels/label_steps.h"
 #include "loading/frame_files.h"
 #include "plugin/module.h"
+#include "scene/classes/class_import.h"
 #include "scene/unknown_labels.h"
 #include "system/files.h"
 

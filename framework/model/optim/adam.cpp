@@ -1,0 +1,243 @@
+// Adam updates, cut into ranges of rows; the loops are in adam_kernels.cpp.
+#include "model/optim/adam.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <limits>
+#include <type_traits>
+
+#include "compute/isa.h"
+#include "compute/parallel.h"
+#include "core/check.h"
+#include "isa_list.h"
+#include "model/optim/adam_kernels.h"
+#include "model/optim/tensor_ranges.h"
+
+namespace semfield {
+
+#define SEMFIELD_DECLARE(name)                   \
+  namespace isa_##name {                         \
+    const AdamKernels<float>& adam_kernels32();  \
+    const AdamKernels<double>& adam_kernels64(); \
+  }
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE)
+#undef SEMFIELD_DECLARE
+
+namespace {
+
+template <class Real, class Get32, class Get64>
+constexpr auto adam_kernels_of(Get32 get32, Get64 get64) {
+  if constexpr (std::is_same_v<Real, float>) {
+    return get32;
+  } else {
+    return get64;
+  }
+}
+
+// Of the instruction set in use.
+template <class Real>
+const AdamKernels<Real>& kernels() {
+  using Get = const AdamKernels<Real>& (*)();
+  static constexpr IsaVariant<Get> kVariants[] = {
+#define SEMFIELD_LIST(name) {Isa::name, adam_kernels_of<Real>(isa_##name::adam_kernels32, isa_##name::adam_kernels64)},
+      SEMFIELD_FOR_EACH_ISA(SEMFIELD_LIST)
+#undef SEMFIELD_LIST
+  };
+  static const AdamKernels<Real>& chosen = best_variant(kVariants)();
+  return chosen;
+}
+
+// Rows [begin, begin + count). The kernels' gradient is writable; `dense` only reads it.
+template <class Real>
+AdamRange<Real> range_of(View<Real> value, View<const Real> grad, View<Real> m, View<Real> v, std::int64_t begin,
+                         std::int64_t count) {
+  return {value.row(begin), const_cast<Real*>(grad.row(begin)), m.row(begin), v.row(begin), count, value.cols};
+}
+
+template <class Real, class Grad>
+void check_shapes(const View<Real>& value, const Grad& grad, const View<Real>& m, const View<Real>& v) {
+  SEMFIELD_CHECK(value.contiguous() && grad.contiguous() && m.contiguous() && v.contiguous(),
+                 "the optimiser needs contiguous tensors");
+  SEMFIELD_CHECK(value.size() == grad.size() && value.size() == m.size() && value.size() == v.size(),
+                 "value, gradient and moments differ in size");
+}
+
+}  // namespace
+
+void describe(ParamVisitor& visit, AdamParams& params) {
+  SEMFIELD_PARAM(visit, params, learning_rate, "Step size of the first update [Kingma15 alpha]", {0, 1});
+  SEMFIELD_PARAM(visit, params, beta1, "Decay of the gradient's mean a step [Kingma15]", {0, 0.999999});
+  SEMFIELD_PARAM(visit, params, beta2, "Decay of the squared gradient's mean a step [Kingma15]", {0, 0.99999999});
+  SEMFIELD_PARAM(visit, params, epsilon, "Added to the root of the squared mean, against division by zero [Kingma15]",
+                 {1e-30, 1});
+}
+
+AdamStep adam_step(const AdamParams& params, double learning_rate, std::int64_t step) {
+  const double t = static_cast<double>(step) + 1;
+  // 1 - beta^t; expm1 keeps its digits where beta^t is near 1, and log(0) = -inf gives 1.
+  const double correction1 = -std::expm1(t * std::log(params.beta1));
+  const double correction2 = -std::expm1(t * std::log(params.beta2));
+  return {params.beta1, params.beta2, params.epsilon, learning_rate / correction1, 1.0 / std::sqrt(correction2),
+          learning_rate};
+}
+
+template <class Real>
+void adam_dense(const AdamStep& step, View<Real> value, View<const Real> grad, View<Real> m, View<Real> v,
+                std::int64_t begin, std::int64_t count) {
+  if (step.decay != 0) {
+    const auto kept = static_cast<Real>(1 - step.decay);
+    Real* const values = value.row(begin);
+    for (std::int64_t i = 0; i < count * value.cols; ++i) values[i] *= kept;
+  }
+  kernels<Real>().dense(step, range_of<Real>(value, grad, m, v, begin, count));
+}
+
+template <class Real>
+std::int64_t adam_touched(const AdamStep& step, View<Real> value, View<Real> grad, View<Real> m, View<Real> v,
+                          std::int64_t begin, std::int64_t count) {
+  return kernels<Real>().touched(step, range_of<Real>(value, grad, m, v, begin, count));
+}
+
+template <class Real>
+void adam_dense_parallel(const AdamStep& step, View<Real> value, View<const Real> grad, View<Real> m, View<Real> v) {
+  check_shapes(value, grad, m, v);
+  struct Job {
+    const AdamStep& step;
+    View<Real> value;
+    View<const Real> grad;
+    View<Real> m, v;
+    std::int64_t range;
+  } const job{step, value, grad, m, v, rows_per_range(value.cols)};
+  parallel_for((value.rows + job.range - 1) / job.range, [&job](std::int64_t i) {
+    const std::int64_t begin = i * job.range;
+    adam_dense(job.step, job.value, job.grad, job.m, job.v, begin, std::min(job.range, job.value.rows - begin));
+  });
+}
+
+template <class Real>
+std::int64_t adam_touched_parallel(const AdamStep& step, View<Real> value, View<Real> grad, View<Real> m,
+                                   View<Real> v) {
+  check_shapes(value, grad, m, v);
+  struct Job {
+    const AdamStep& step;
+    View<Real> value, grad, m, v;
+    std::int64_t range;
+    std::int64_t* touched;
+  };
+  std::int64_t touched = 0;
+  const Job job{step, value, grad, m, v, rows_per_range(value.cols), &touched};
+  parallel_for((value.rows + job.range - 1) / job.range, [&job](std::int64_t i) {
+    const std::int64_t begin = i * job.range;
+    const std::int64_t rows = std::min(job.range, job.value.rows - begin);
+    const std::int64_t n = adam_touched(job.step, job.value, job.grad, job.m, job.v, begin, rows);
+    __atomic_fetch_add(job.touched, n, __ATOMIC_RELAXED);  // integers: any order gives the same sum
+  });
+  return touched;
+}
+
+template <class Real>
+void adam_update(const AdamStep* step, const AdamTable<Real>& table) {
+  const auto rows = [&](int i) {
+    const AdamTensor<Real>& t = table.tensors[i];
+    return t.semantic && !step->labelled ? 0 : t.rows;
+  };
+  const auto cols = [&](int i) { return table.tensors[i].cols; };
+  for_ranges(table.count, rows, cols, [&](int i, std::int64_t begin, std::int64_t count) {
+    const AdamTensor<Real>& t = table.tensors[i];
+    AdamStep rule = *step;
+    rule.step_size *= t.rate;
+    rule.decay = step->learning_rate * t.decay;
+    const auto view = [&t](Real* data) { return View<Real>(data, t.rows, t.cols); };
+    if (t.touched_only) {
+      adam_touched<Real>(rule, view(t.value), view(t.grad), view(t.moment1), view(t.moment2), begin, count);
+    } else {
+      adam_dense<Real>(rule, view(t.value), view(t.grad), view(t.moment1), view(t.moment2), begin, count);
+    }
+  });
+}
+
+namespace {
+
+// First range of kRangeElements of `size` elements that good(begin, count) denies, whichever thread finds one first; or
+// -1.
+template <class Good>
+std::int64_t first_bad_range(std::int64_t size, const Good& good) {
+  struct Job {
+    const Good& good;
+    std::int64_t size;
+    std::atomic<std::int64_t> first_bad;
+  } job{good, size, std::numeric_limits<std::int64_t>::max()};
+  parallel_for((size + kRangeElements - 1) / kRangeElements, [&job](std::int64_t i) {
+    const std::int64_t begin = i * kRangeElements;
+    if (job.good(begin, std::min(kRangeElements, job.size - begin))) return;
+    std::int64_t known = job.first_bad;
+    while (i < known && !job.first_bad.compare_exchange_weak(known, i)) {
+    }
+  });
+  return job.first_bad == std::numeric_limits<std::int64_t>::max() ? -1 : job.first_bad.load();
+}
+
+template <class Real>
+std::int64_t first_outside(View<const Real> values, Real low, Real high) {
+  SEMFIELD_CHECK(values.empty() || values.contiguous(), "the finite check needs contiguous tensors");
+  const std::int64_t range =
+      first_bad_range(values.empty() ? 0 : values.size(), [&](std::int64_t begin, std::int64_t count) {
+        return kernels<Real>().all_within(values.data + begin, count, low, high);
+      });
+  if (range < 0) return -1;
+  std::int64_t at = range * kRangeElements;
+  while (values.data[at] >= low && values.data[at] <= high) ++at;
+  return at;
+}
+
+}  // namespace
+
+template <class Real>
+std::int64_t first_non_finite(View<const Real> values) {
+  constexpr Real kMost = std::numeric_limits<Real>::max();
+  return first_outside(values, -kMost, kMost);
+}
+
+template <class Real>
+Unsound<Real> first_unsound(View<const Real> value, View<const Real> grad, View<const Real> m, View<const Real> v,
+                            bool touched_only) {
+  constexpr Real kMost = kLargestSound<Real>;
+  if (touched_only) {
+    const std::int64_t bad = first_bad_range(value.size(), [&](std::int64_t begin, std::int64_t count) {
+      const auto at = [begin](const View<const Real>& view) { return const_cast<Real*>(view.data) + begin; };
+      return kernels<Real>().touched_sound({at(value), at(grad), at(m), at(v), count, 1});
+    });
+    if (bad < 0) return {};
+  }
+  const struct {
+    const char* name;
+    View<const Real> values;
+    Real low, high;
+  } arrays[] = {{"value", value, -kMost, kMost},
+                {"gradient", grad, -kMost, kMost},
+                {"first moment", m, -kMost, kMost},
+                {"second moment", v, 0, kMost * kMost}};
+  for (const auto& array : arrays) {
+    const std::int64_t at = first_outside(array.values, array.low, array.high);
+    if (at >= 0) return {array.name, at, array.values.data[at]};
+  }
+  return {};
+}
+
+#define SEMFIELD_INSTANTIATE(Real)                                                                                    \
+  template void adam_dense<Real>(const AdamStep&, View<Real>, View<const Real>, View<Real>, View<Real>, std::int64_t, \
+                                 std::int64_t);                                                                       \
+  template std::int64_t adam_touched<Real>(const AdamStep&, View<Real>, View<Real>, View<Real>, View<Real>,           \
+                                           std::int64_t, std::int64_t);                                               \
+  template void adam_dense_parallel<Real>(const AdamStep&, View<Real>, View<const Real>, View<Real>, View<Real>);     \
+  template std::int64_t adam_touched_parallel<Real>(const AdamStep&, View<Real>, View<Real>, View<Real>, View<Real>); \
+  template void adam_update<Real>(const AdamStep*, const AdamTable<Real>&);                                           \
+  template std::int64_t first_non_finite<Real>(View<const Real>);                                                     \
+  template Unsound<Real> first_unsound<Real>(View<const Real>, View<const Real>, View<const Real>, View<const Real>,  \
+                                             bool);
+SEMFIELD_INSTANTIATE(float)
+SEMFIELD_INSTANTIATE(double)
+#undef SEMFIELD_INSTANTIATE
+
+}  // namespace semfield

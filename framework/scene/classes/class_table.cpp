@@ -1,0 +1,268 @@
+// Class tables: reading, numbering, writing.
+#include "scene/classes/class_table.h"
+
+#include <algorithm>
+#include <cctype>
+#include <charconv>
+#include <cmath>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+
+#include "config/config_tree.h"
+#include "core/text.h"
+#include "formats/input_limits.h"
+#include "formats/text_rows.h"
+#include "scene/classes/class_names.h"
+#include "system/files.h"
+
+namespace semfield {
+
+namespace {
+
+constexpr std::int32_t kMaxId = 65535;  // what a 16-bit label image can hold
+
+bool parse_int(std::string_view text, std::int32_t& out) {
+  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), out);
+  return status == std::errc{} && end == text.data() + text.size();
+}
+
+std::string trimmed(std::string_view text) {
+  while (!text.empty() && std::isspace(static_cast<unsigned char>(text.front()))) text.remove_prefix(1);
+  while (!text.empty() && std::isspace(static_cast<unsigned char>(text.back()))) text.remove_suffix(1);
+  return std::string(text);
+}
+
+[[noreturn]] void refuse(Code code, const std::string& place, const std::string& message,
+                         const std::string& remedy = {}) {
+  throw Error(ErrorKind::data, code, place + ": " + message, remedy);
+}
+
+constexpr const char* kCsvRemedy = "write one line 'id,name' for each class";
+constexpr const char* kYamlRemedy = "write lines such as - {id: 3, name: lamp}";
+
+ClassTable load_csv(const std::string& path) {
+  const std::string text = read_text_file(path, std::size_t{4} << 20);
+  std::vector<ClassEntry> entries;
+  std::size_t at = 0;
+  for (int line = 1; at < text.size(); ++line) {
+    const std::size_t end = std::min(text.find('\n', at), text.size());
+    const std::string row = trimmed(std::string_view(text).substr(at, end - at));
+    at = end + 1;
+    if (row.empty() || row[0] == '#') continue;
+    const std::string place = path + ":" + std::to_string(line);
+    const std::size_t comma = row.find(',');
+    if (comma == std::string::npos)
+      refuse("classes.table.format", place, "expected 'class_id,class', got '" + row.substr(0, 80) + "'", kCsvRemedy);
+    const std::string id_text = csv_value(std::string_view(row).substr(0, comma), place);
+    std::string name = csv_value(std::string_view(row).substr(comma + 1), place);
+    ClassEntry entry;
+    if (!parse_int(id_text, entry.id)) {
+      if (line == 1) continue;  // the header
+      refuse("classes.table.format", place, "expected a class id, got '" + id_text + "'", kCsvRemedy);
+    }
+    if (name.empty()) refuse("classes.table.format", place, "class " + id_text + " has no name", kCsvRemedy);
+    entry.ignore = entry.id == 0 && is_void_name(name);
+    entry.color = ClassTable::default_color(entry.id);
+    entry.name = std::move(name);
+    entries.push_back(std::move(entry));
+  }
+  if (entries.empty())
+    refuse("classes.table.format", path, "no classes in it", "write one line 'id,name' for each class");
+  return ClassTable(std::move(entries));
+}
+
+// Replica's info_semantic.json: {"classes": [{"id": 1, "name": "backpack"}, ...]}; id 0 stands for undefined there.
+ClassTable load_json(const std::string& path) {
+  nlohmann::json root;
+  try {
+    root = nlohmann::json::parse(read_text_file(path));
+  } catch (const nlohmann::json::exception& e) {
+    refuse("classes.table.format", path, "not valid JSON: " + json_cause(e.what()), "export the table again");
+  }
+  const nlohmann::json* list = root.is_array()                                ? &root
+                               : root.is_object() && root.contains("classes") ? &root["classes"]
+                                                                              : nullptr;
+  if (list == nullptr || !list->is_array())
+    refuse("classes.table.format", path, "no list 'classes' in it",
+           "write {\"classes\": [{\"id\": 1, \"name\": \"wall\"}, ...]}");
+  std::vector<ClassEntry> entries;
+  bool has_zero = false;
+  for (const nlohmann::json& item : *list) {
+    if (!item.is_object() || !item.contains("id") || !item["id"].is_number_integer() || !item.contains("name") ||
+        !item["name"].is_string()) {
+      refuse("classes.table.format", path,
+             "class " + std::to_string(entries.size()) + " of the list needs an integer 'id' and a text 'name'",
+             "export the table again");
+    }
+    const auto id = item["id"].get<std::int64_t>();
+    if (id < 0) continue;  // Replica writes -1 for "no class"
+    if (id > kMaxId)
+      refuse("classes.table.id", path, "class id " + std::to_string(id) + " is above " + std::to_string(kMaxId));
+    ClassEntry entry{static_cast<std::int32_t>(id), item["name"].get<std::string>(),
+                     ClassTable::default_color(static_cast<std::int32_t>(id)), false};
+    entry.ignore = id == 0 && is_void_name(entry.name);
+    has_zero = has_zero || id == 0;
+    entries.push_back(std::move(entry));
+  }
+  if (!has_zero) entries.push_back({0, "undefined", ClassTable::default_color(0), true});
+  return ClassTable(std::move(entries));
+}
+
+std::int32_t scalar_int(const ConfigNode& node, const std::string& what, std::int32_t low, std::int32_t high) {
+  std::int32_t value = 0;
+  if (!node.is_scalar() || node.quoted() || !parse_int(node.text(), value) || value < low || value > high) {
+    refuse("classes.table.value", node.location().text(),
+           what + ": expected an integer from " + std::to_string(low) + " to " + std::to_string(high) + ", got '" +
+               node.text() + "'");
+  }
+  return value;
+}
+
+ClassEntry yaml_entry(const ConfigNode& item) {
+  const std::string place = item.location().text();
+  if (!item.is_map()) refuse("classes.table.format", place, "a class is a map {id, name, color, ignore}", kYamlRemedy);
+  ClassEntry entry;
+  bool has_color = false;
+  static const std::vector<std::string> keys{"id", "name", "color", "ignore"};
+  for (const auto& [key, value] : item.entries()) {
+    if (std::find(keys.begin(), keys.end(), key) == keys.end()) {
+      const std::string near = did_you_mean(key, keys);
+      refuse("config.key.unknown", value.location().text(), "unknown key '" + key + "' of a class",
+             near.empty() ? "known: " + join(keys) : "did you mean '" + near + "'?");
+    }
+  }
+  const ConfigNode* id = item.find("id");
+  const ConfigNode* name = item.find("name");
+  if (id == nullptr) refuse("classes.table.format", place, "a class needs an 'id'", kYamlRemedy);
+  entry.id = scalar_int(*id, "id", 0, kMaxId);
+  if (name == nullptr || !name->is_scalar() || name->text().empty())
+    refuse("classes.table.format", place, "class " + std::to_string(entry.id) + " needs a 'name'", kYamlRemedy);
+  entry.name = name->text();
+  if (const ConfigNode* color = item.find("color"); color != nullptr && !color->is_null()) {
+    if (!color->is_list() || color->items().size() != 3)
+      refuse("classes.table.value", color->location().text(), "color: expected [r, g, b]");
+    for (std::size_t i = 0; i < 3; ++i)
+      entry.color[i] = static_cast<std::uint8_t>(scalar_int(color->items()[i], "color", 0, 255));
+    has_color = true;
+  }
+  if (!has_color) entry.color = ClassTable::default_color(entry.id);
+  if (const ConfigNode* ignore = item.find("ignore"); ignore != nullptr) {
+    if (ignore->text() != "true" && ignore->text() != "false")
+      refuse("classes.table.value", ignore->location().text(),
+             "ignore: expected true or false, got '" + ignore->text() + "'");
+    entry.ignore = ignore->text() == "true";
+  }
+  return entry;
+}
+
+ClassTable load_yaml(const std::string& path) {
+  const ConfigNode root = parse_config_file(path);
+  const ConfigNode* list = root.is_list() ? &root : root.find("classes");
+  if (list == nullptr || !list->is_list())
+    refuse("classes.table.format", path, "expected a list of classes {id, name, color, ignore}", kYamlRemedy);
+  std::vector<ClassEntry> entries;
+  for (const ConfigNode& item : list->items()) entries.push_back(yaml_entry(item));
+  return ClassTable(std::move(entries));
+}
+
+std::string quoted(const std::string& text) {
+  std::string out = "\"";
+  for (const char c : text) {
+    if (c == '"' || c == '\\') out += '\\';
+    if (c == '\n') {
+      out += "\\n";
+    } else if (c == '\t') {
+      out += "\\t";
+    } else {
+      out += c;
+    }
+  }
+  return out + "\"";
+}
+
+}  // namespace
+
+ClassTable::ClassTable(std::vector<ClassEntry> entries) : entries_(std::move(entries)) {
+  std::stable_sort(entries_.begin(), entries_.end(),
+                   [](const ClassEntry& a, const ClassEntry& b) { return a.id < b.id; });
+  for (std::size_t i = 0; i < entries_.size(); ++i) {
+    const ClassEntry& e = entries_[i];
+    if (e.id < 0 || e.id > kMaxId) {
+      throw Error(ErrorKind::data, "classes.table.id", "class '" + e.name + "' has id " + std::to_string(e.id),
+                  "ids run from 0 to " + std::to_string(kMaxId));
+    }
+    if (!is_line_of_text(e.name)) {
+      throw Error(ErrorKind::data, "classes.name.invalid",
+                  "the name of class " + std::to_string(e.id) + " has control characters or is no UTF-8",
+                  "give it a plain name, and save the file as UTF-8");
+    }
+    if (i > 0 && entries_[i - 1].id == e.id) {
+      throw Error(
+          ErrorKind::data, "classes.id.twice",
+          "class id " + std::to_string(e.id) + " is given twice ('" + entries_[i - 1].name + "' and '" + e.name + "')",
+          "keep one of them");
+    }
+    if (!e.ignore) valid_.push_back(static_cast<int>(i));
+  }
+  check_input_limit(std::ssize(valid_), input_limits().classes, "", "classes", "classes");
+  if (!entries_.empty()) index_of_.assign(static_cast<std::size_t>(entries_.back().id) + 1, -2);
+  for (const ClassEntry& e : entries_) index_of_[static_cast<std::size_t>(e.id)] = kVoid;
+  for (std::size_t c = 0; c < valid_.size(); ++c) {
+    index_of_[static_cast<std::size_t>(entries_[static_cast<std::size_t>(valid_[c])].id)] =
+        static_cast<std::int32_t>(c);
+  }
+}
+
+int ClassTable::index_of(std::int32_t id) const {
+  if (id < 0 || static_cast<std::size_t>(id) >= index_of_.size()) return -2;
+  return index_of_[static_cast<std::size_t>(id)];
+}
+
+std::int32_t ClassTable::id_of(int index) const {
+  if (index >= 0 && index < valid_count()) return valid(index).id;
+  for (const ClassEntry& e : entries_) {
+    if (e.ignore) return e.id;
+  }
+  return 0;
+}
+
+ClassTable ClassTable::load(const std::string& path) {
+  const std::string extension = std::filesystem::path(path).extension().string();
+  try {
+    if (extension == ".csv") return load_csv(path);
+    if (extension == ".json") return load_json(path);
+    if (extension == ".yaml" || extension == ".yml") return load_yaml(path);
+  } catch (Error& e) {
+    if (e.message().find(path) != std::string::npos) throw;
+    throw Error(e.kind(), e.code(), path + ": " + e.message(), e.remedy());
+  }
+  throw Error(ErrorKind::data, "classes.table.format", "'" + path + "' is not a class table",
+              "give a .yaml, .csv or .json file");
+}
+
+std::string ClassTable::to_yaml() const {
+  std::string out;
+  for (const ClassEntry& e : entries_) {
+    out += "- {id: " + std::to_string(e.id) + ", name: " + quoted(e.name) + ", color: [" + std::to_string(e.color[0]) +
+           ", " + std::to_string(e.color[1]) + ", " + std::to_string(e.color[2]) +
+           "], ignore: " + (e.ignore ? "true" : "false") + "}\n";
+  }
+  return out.empty() ? "[]\n" : out;
+}
+
+std::array<std::uint8_t, 3> ClassTable::default_color(std::int32_t id) {
+  if (id == 0) return {0, 0, 0};
+  // Hue by the golden ratio keeps any run of ids apart; three levels of saturation and value tell the near hues from
+  // each other.
+  const double hue = std::fmod(static_cast<double>(id) * 0.61803398874989485, 1.0) * 6.0;
+  const double saturation = (id % 3 == 0) ? 0.55 : (id % 3 == 1) ? 0.85 : 0.7;
+  const double value = (id / 3 % 3 == 0) ? 0.95 : (id / 3 % 3 == 1) ? 0.7 : 0.82;
+  const auto channel = [&](double shift) {
+    const double k = std::fmod(shift + hue, 6.0);
+    const double c = value - value * saturation * std::clamp(std::min(k, 4.0 - k), 0.0, 1.0);
+    return static_cast<std::uint8_t>(std::lround(c * 255.0));
+  };
+  return {channel(5), channel(3), channel(1)};
+}
+
+}  // namespace semfield

@@ -1,0 +1,56 @@
+// Whether the poses of a scene fit its pixels: small pictures of a few frames, taken while they are read, are compared
+// under every convention that poses may have been written in.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "scene/survey/photo_votes.h"
+
+namespace semfield {
+
+/// What the pixels say of the poses.
+struct GeometryVerdict {
+  std::string text;  ///< one sentence
+  /// Corners of photographs that were found again in others, where the poses put them; empty with depth, and where the
+  /// photographs do not agree with the poses.
+  SurveyPoints corners;
+};
+
+class GeometrySurvey {
+ public:
+  /// `as_opened` is the manifest before `given` was applied and outlives this; `cameras` are at the loaded size, with
+  /// width 0 where a frame cannot be read.
+  GeometrySurvey(const SceneInfo& as_opened, const std::vector<Camera>& cameras, const PoseConvention& given);
+
+  /// Keeps what the check needs of a frame, its depth converted; at most a hundred kilobytes of some hundred frames.
+  /// For different frames from any thread.
+  void look_at(std::size_t frame, const Camera& camera, const FrameBuffer& pixels);
+
+  /// The same for any number of threads. Adds an error where another convention fits and the given one does not, or
+  /// where many corners contradict the poses, a warning where nothing fits.
+  GeometryVerdict conclude(Diagnostics& diagnostics) const;
+
+ private:
+  const SceneInfo& as_opened_;
+  PoseConvention given_;
+  FramePairs pairs_;
+  std::vector<bool> wanted_;
+  std::vector<SmallFrame> frames_;
+  std::vector<PhotoFrame> photos_;  // of frames without depth
+};
+
+/// Depth over all frames looked at.
+struct DepthRange {
+  double median = 0;
+  int values = 0;  ///< different ones; few when metres were rounded to whole steps
+};
+
+/// What is to be said of tallies of vote_by_depth: one sentence, and the error or the warning.
+std::string judge_depth(const DepthTallies& tallies, const SceneInfo& as_opened, const DepthRange& range,
+                        Diagnostics& diagnostics);
+
+/// The same of vote_by_photos.
+std::string judge_photos(const PhotoTallies& tallies, const SceneInfo& as_opened, Diagnostics& diagnostics);
+
+}  // namespace semfield

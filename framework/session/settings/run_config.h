@@ -1,0 +1,183 @@
+// A run's configuration as typed sections and plugin slots, read from the composed tree with every error at once.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "compute/precision.h"
+#include "config/config_tree.h"
+#include "config/params_read.h"
+#include "formats/input_limits.h"
+#include "labels/training_labels.h"
+#include "loading/frame_source.h"
+#include "losses/loss_list.h"
+#include "model/head_branch.h"
+#include "model/optim/adam.h"
+#include "model/optim/schedule.h"
+#include "model/render_rules.h"
+#include "plugin/registry.h"
+#include "session/settings/fusion_params.h"
+#include "session/settings/propagation_params.h"
+
+namespace semfield {
+
+/// automatic: the labels decide when a session opens (session/settings/label_choices.h).
+enum class RaySourceKind : std::uint8_t { all_images, one_image, label_balanced, automatic };
+template <>
+struct ChoiceNames<RaySourceKind> {
+  static constexpr std::array<std::string_view, 4> names{"all_images", "one_image", "label_balanced", "auto"};
+};
+
+struct TrainParams {
+  std::int64_t steps = 20000;
+  double time_s = 0;
+  std::int64_t rays = 1024;
+  RaySourceKind ray_source = RaySourceKind::all_images;
+  double labelled_share = 0.5;
+  bool label_rays_teach_color = true;
+};
+void describe(ParamVisitor& visit, TrainParams& params);
+void validate(const TrainParams& params, Diagnostics& diagnostics);
+
+/// Rounds of self-training (session/self_training.h).
+struct SelfTrainingParams {
+  std::vector<double> at;
+  double confidence = 0.9;
+  double min_opacity = 0.5;
+};
+void describe(ParamVisitor& visit, SelfTrainingParams& params);
+void validate(const SelfTrainingParams& params, Diagnostics& diagnostics);
+
+template <>
+struct ChoiceNames<Precision> {
+  static constexpr std::array<std::string_view, 3> names{"fp32", "bf16", "auto"};
+};
+
+struct RuntimeParams {
+  std::string device = "auto";  ///< or what device_of reads (core/device_id.h)
+  Precision precision = Precision::fp32;
+  bool deterministic = false;
+  int threads = 0;
+  std::uint32_t seed = 1;
+  int lanes = 0;
+  int tile_rays = 0;
+  std::vector<std::string> keep;
+  double memory_gb = 0;
+  bool fold_feature_layer = true;
+  bool direction_once_per_ray = true;
+  bool deferred_class_layer = true;
+};
+void describe(ParamVisitor& visit, RuntimeParams& params);
+void validate(const RuntimeParams& params, Diagnostics& diagnostics);
+
+struct ReportParams {
+  std::int64_t log_every_steps = 20;
+  double eval_every_s = 10;
+  int eval_frames = 4;
+  double eval_share = 0.1;
+  double checkpoint_every_s = 60;
+  int keep_checkpoints = 2;
+  int strips = 4;
+  int training_frames = 0;
+  int worst_frames = 2;
+};
+void describe(ParamVisitor& visit, ReportParams& params);
+
+/// A plugin chosen by `type`, with its parameters read.
+struct PluginSlot {
+  const PluginEntry* entry = nullptr;  ///< null: the slot is empty
+  std::unique_ptr<PluginParams> params;
+};
+
+/// Labels that a semantic branch is meant for; label_choices.h says which a scene has.
+enum class LabelKind : std::uint8_t { any, few, noisy, many };
+template <>
+struct ChoiceNames<LabelKind> {
+  static constexpr std::array<std::string_view, 4> names{"any", "few", "noisy", "many"};
+};
+
+/// What a pass's semantic branch is beside its plugins (model/head_branch.h).
+struct SemanticBranchConfig {
+  std::string key = "semantic";  ///< below its pass: "semantic.few" when it is one of several
+  LabelKind labels = LabelKind::any;
+  PluginSlot position, field;
+  BranchRules rules;
+};
+/// All but the plugins.
+void describe(ParamVisitor& visit, SemanticBranchConfig& branch);
+
+struct PassConfig {
+  std::string name;
+  std::string key;  ///< as `--set` takes it: "passes.main"
+  PluginSlot sampler, position, direction, field;
+  std::vector<SemanticBranchConfig> semantic;  ///< none, one, or several of which the labels choose one
+  /// The branch that is built: the first until choose_branches has been asked; null without one.
+  const SemanticBranchConfig* branch() const { return semantic.empty() ? nullptr : &semantic.front(); }
+};
+
+/// A head beside that of class logits, behind a branch of the last pass.
+struct HeadConfig {
+  HeadConfig() { rules.reads_feature = false; }  // so that nothing else is computed otherwise for it
+  std::string key;                               ///< as `--set` takes it: "heads.0"
+  std::string channel;   ///< that it makes; a dataset's channel of this name is what losses compare it with
+  int width = 0;         ///< its columns; 0 until the scene is known
+  int source_width = 0;  ///< columns of the dataset's channel, of which it learns principal axes; 0: those it has
+  PluginSlot head;
+  PluginSlot position, field;  ///< of its branch
+  BranchRules rules;
+};
+/// All but the plugins and the branch.
+void describe(ParamVisitor& visit, HeadConfig& head);
+/// Of any branch.
+void describe(ParamVisitor& visit, BranchRules& rules);
+
+struct RunConfig {
+  std::string name;
+  std::string base_dir;  ///< where relative paths of plugins start that no file anchors; absolute
+  PluginSlot dataset;
+  LabelConfig labels;
+  SceneLoadOptions load;
+  SemanticsParams semantics;
+  std::vector<HeadConfig> heads;
+  std::vector<LossEntry> losses;
+  RenderingParams rendering;
+  std::vector<PassConfig> passes;
+  TrainParams train;
+  SelfTrainingParams self_training;
+  AdamParams adam;
+  ScheduleParams schedule;
+  RuntimeParams runtime;
+  ReportParams report;
+  FusionParams fuse;
+  PropagationParams propagate;
+  InputLimits limits;
+  std::vector<std::string> plugins;  ///< loaded modules, absolute paths
+};
+
+/// Loads the modules that `plugins:` names into `registry` (load_listed_module), then reads every section. Collects all
+/// errors in `diagnostics`.
+RunConfig read_run_config(const ConfigNode& tree, Registry& registry, Diagnostics& diagnostics);
+
+/// compose + read; throws Error(config) with every error on its own line.
+RunConfig load_run_config(const std::string& path, const std::vector<std::string>& overrides, Registry& registry);
+
+/// read; throws Error(config) with every error on its own line.
+RunConfig run_config_of(const ConfigNode& tree, Registry& registry);
+
+/// The resolved configuration: every parameter written out, absolute base_dir; reading it gives the same run.
+ConfigNode resolved_config(const RunConfig& config);
+
+/// Fixed sections and plugin slots by key path, for the schema and the reference.
+struct SectionDoc {
+  std::string path;
+  std::string sentence;
+  std::vector<ParamDoc> params;
+  bool or_list = false;  ///< a list of such maps may stand there too
+};
+std::vector<SectionDoc> describe_sections();
+
+}  // namespace semfield
