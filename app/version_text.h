@@ -5,7 +5,7 @@
 
 namespace semfield::app {
 
-/// Version, compiler, plugin interface, processor and instruction sets, one line each.
+/// Version, compiler, plugin interface, CPU and instruction sets, one line each.
 std::string version_lines();
 
 }  // namespace semfield::app

@@ -1,4 +1,4 @@
-// Time of each encoder kernel on an NVIDIA processor, for the rows of a training step along rays: medians of single
+// Time of each encoder kernel on an NVIDIA GPU, for the rows of a training step along rays: medians of single
 // calls between events, after a warm-up, with the bytes that must move at least.
 #include <cuda_runtime_api.h>
 

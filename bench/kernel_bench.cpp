@@ -1,5 +1,5 @@
 // Kernels one by one, on one thread, over tiles of the size that training uses (Google Benchmark). Rates are of
-// processor time: `items_per_second` are rows or samples, `FLOP/s` the multiply-adds of matrix products, 2 each.
+// CPU time: `items_per_second` are rows or samples, `FLOP/s` the multiply-adds of matrix products, 2 each.
 //
 //   kernel_bench --benchmark_filter=gemm       # beside Eigen's product of the same shapes
 //   kernel_bench --benchmark_repetitions=5 --benchmark_report_aggregates_only=true

@@ -1,7 +1,7 @@
 # Kernels compiled once per instruction set, chosen when the program starts (compute/isa.h).
 #
 # SEMFIELD_ISAS lists the variants. "build" alone means one variant with the compiler flags of the build (SEMFIELD_MARCH): quick to compile, for
-# development and sanitizers, and for processors other than x86-64.
+# development and sanitizers, and for CPUs other than x86-64.
 set(semfield_default_isas build)
 if(CMAKE_BUILD_TYPE STREQUAL "Release" AND NOT SEMFIELD_SANITIZE AND NOT SEMFIELD_MARCH AND CMAKE_SYSTEM_PROCESSOR MATCHES "x86_64|AMD64")
   set(semfield_default_isas generic avx2 avx512 avx512_bf16 amx_emulated amx_bf16)

@@ -10,7 +10,7 @@ set(SEMFIELD_ISA_FLAGS_amx_bf16 ${SEMFIELD_ISA_FLAGS_avx512_bf16} -DSEMFIELD_TIL
 
 # semfield_kernel_objects(out prefix [ALL_ISAS] files...): compiles the files once per variant, each in namespace semfield::isa_<variant>
 # (SEMFIELD_ISA), and gives the names of the object libraries. Such a file keeps everything of its own in an unnamed or in that namespace: an
-# inline function shared with other files could be linked from a variant that this processor lacks (tests/architecture looks at the objects).
+# inline function shared with other files could be linked from a variant that this CPU lacks (tests/architecture looks at the objects).
 function(semfield_kernel_objects out prefix)
   cmake_parse_arguments(ARG "ALL_ISAS" "" "" ${ARGN})
   set(isas ${SEMFIELD_KERNEL_ISAS})

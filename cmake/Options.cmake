@@ -14,7 +14,7 @@ option(SEMFIELD_WITH_RAYCAST "Ray-cast OBJ rooms with Embree and tinyobjloader" 
 option(SEMFIELD_WITH_SERVE "The labelling page, `semfield serve`: JPEG by TurboJPEG" ON)
 set(SEMFIELD_WITH_PYTHON AUTO CACHE STRING "The Python module: ON, OFF, or AUTO = where pybind11 and Python's headers are found")
 set(SEMFIELD_PYTHON_DIR lib/python3/dist-packages CACHE STRING "Where the Python module is installed, below the prefix")
-set(SEMFIELD_WITH_CUDA AUTO CACHE STRING "Kernels for NVIDIA graphics processors: ON, OFF, or AUTO = where this machine has an NVIDIA device and a CUDA compiler, for that device alone")
+set(SEMFIELD_WITH_CUDA AUTO CACHE STRING "Kernels for NVIDIA GPUs: ON, OFF, or AUTO = where this machine has an NVIDIA device and a CUDA compiler, for that device alone")
 set(SEMFIELD_WITH_MPI AUTO CACHE STRING "Runs over several processes by MPI: ON, OFF, or AUTO = where MPI is found")
 set(SEMFIELD_WITH_NCCL AUTO CACHE STRING "Gradients of several GPUs meet by NCCL: ON, OFF, or AUTO = where it is found (NCCL_INCLUDE_DIR and NCCL_LIBRARY name another)")
 set(SEMFIELD_CUDA_ARCHITECTURES "" CACHE STRING "What CUDA kernels are compiled for; empty: with AUTO the devices of this machine, with ON 80-real;90a-real;90-virtual. -virtual: PTX, which newer chips compile when a program starts")

@@ -1,4 +1,4 @@
-// What `bench gpu` measures: training steps and frames on a graphics processor, and the same steps in PyTorch.
+// What `bench gpu` measures: training steps and frames on a GPU, and the same steps in PyTorch.
 #pragma once
 
 #include <optional>

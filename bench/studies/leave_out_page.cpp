@@ -45,7 +45,7 @@ std::string saving_text(const PairCost& cost) {
   const std::int64_t bytes = cost.kept_bytes - cost.out_bytes;
   std::string text;
   if (cost.of == "start") {
-    text = fmt::format("{} of processor time at the start", seconds_text(cost.kept_s));
+    text = fmt::format("{} of CPU time at the start", seconds_text(cost.kept_s));
   } else if (std::abs(cost.share) <= cost.noise) {
     text = fmt::format("no more than its noise: {:+.1f} ± {:.1f} % of a {} ({})", 100 * cost.share, 100 * cost.noise,
                        cost.of, seconds_text(cost.out_s));

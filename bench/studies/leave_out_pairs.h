@@ -50,7 +50,7 @@ struct PairOptions {
   int seed_steps = 300;  ///< of each of their runs
 };
 
-/// Seconds of processor time on one thread, and what the saving's noise is.
+/// Seconds of CPU time on one thread, and what the saving's noise is.
 struct PairCost {
   std::string of;                              ///< "step" or "picture"
   double out_s = 0, kept_s = 0;                ///< medians
@@ -64,7 +64,7 @@ struct PairResult {
   bool holds = false;  ///< the proof class was met, or what PairKind says of pairs that prove nothing
   std::string result;  ///< hash, bound and difference, or interval
   PairCost cost;
-  double seconds = 0;  ///< of processor time for the pair
+  double seconds = 0;  ///< of CPU time for the pair
 };
 
 /// Runs one pair. `configs` resolves its configuration's path.

@@ -11,10 +11,10 @@
 
 namespace semfield {
 
-/// Processor seconds of this process.
+/// CPU seconds of this process.
 double processor_s();
 
-/// Not movable: the trainer borrows. One thread, so that processor time is the step's.
+/// Not movable: the trainer borrows. One thread, so that CPU time is the step's.
 class LeaveOutSide {
  public:
   LeaveOutSide(const LeaveOutPair& pair, const std::vector<std::string>& own, const PairOptions& options,
@@ -34,7 +34,7 @@ class LeaveOutSide {
   std::unique_ptr<Trainer> trainer;
 };
 
-/// Alternating rounds of both sides, processor time of each; `repeats` units of work a round.
+/// Alternating rounds of both sides, CPU time of each; `repeats` units of work a round.
 PairCost measure_sides(const char* of, int rounds, int repeats, const std::function<void()>& out,
                        const std::function<void()>& kept);
 

@@ -1,4 +1,4 @@
-// Error of the rendering integral against field evaluations and processor time: the samplers' rules with the real
+// Error of the rendering integral against field evaluations and CPU time: the samplers' rules with the real
 // compositor, and rules of the literature beside them, on media whose integrals are known.
 #pragma once
 

@@ -13,7 +13,7 @@
 
 namespace semfield {
 
-/// References are computed in it: 64 binary digits where the processor has them.
+/// References are computed in it: 64 binary digits where the CPU has them.
 using Exact = long double;
 
 constexpr int kBenchClasses = 3;

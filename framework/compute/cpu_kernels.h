@@ -27,9 +27,9 @@ struct CpuKernels {
 template <class Real>
 const CpuKernels<Real>& cpu_kernels();
 
-/// Whether products of bf16 run by instructions of the processor; false: emulated, slower than fp32.
+/// Whether products of bf16 run by instructions of the CPU; false: emulated, slower than fp32.
 bool bf16_is_native();
-/// Whether they are also faster than those of fp32: on tiles, and by the dot products of AMD's processors. Intel's do
+/// Whether they are also faster than those of fp32: on tiles, and by the dot products of AMD's CPUs. Intel's do
 /// half as many of these as fp32 multiply-adds.
 bool bf16_is_faster();
 

@@ -7,7 +7,7 @@ namespace semfield {
 
 /// While it lives, this thread computes as every compute thread does: subnormal inputs and results count as 0, results
 /// are rounded to nearest, and nothing traps. Subnormal numbers carry no information that training or rendering needs,
-/// and some processors take 25 times as long over them. The mode is that of SSE and AVX (MXCSR) or AArch64 (FPCR);
+/// and some CPUs take 25 times as long over them. The mode is that of SSE and AVX (MXCSR) or AArch64 (FPCR);
 /// elsewhere this does nothing. Scopes nest.
 class ComputeFloatMode {
  public:

@@ -1,4 +1,4 @@
-// Instruction sets: kernels are compiled once for each, the best that the processor has is chosen when the program
+// Instruction sets: kernels are compiled once for each, the best that the CPU has is chosen when the program
 // starts.
 #pragma once
 
@@ -21,17 +21,17 @@ enum class Isa : std::uint8_t { generic, avx2, avx512, avx512_bf16, amx_emulated
 
 std::string_view isa_name(Isa isa);
 
-/// The instruction set in use: the best that this processor and this build have, or less by the environment variable
+/// The instruction set in use: the best that this CPU and this build have, or less by the environment variable
 /// SEMFIELD_ISA (generic, avx2, avx512, avx512_bf16, amx_emulated, amx_bf16). Throws Error(config) when that names
 /// something else or something that is missing.
 Isa isa();
 
-/// Whether this processor has tile registers with products of bf16 (AMX), and the kernel lets this process use them.
+/// Whether this CPU has tile registers with products of bf16 (AMX), and the kernel lets this process use them.
 bool processor_has_tiles();
 
 /// Variants of this build, e.g. "generic avx2 avx512 avx512_bf16 amx_emulated amx_bf16".
 std::string isas_of_build();
-/// Those of them that this processor has.
+/// Those of them that this CPU has.
 std::string isas_of_machine();
 
 template <class Function>

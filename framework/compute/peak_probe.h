@@ -7,12 +7,12 @@
 namespace semfield {
 
 /// Floating-point operations per second (a multiply-add counts 2) of independent float chains held in registers, over
-/// `threads` threads, each running for about `seconds`. Uses the widest vectors that the processor has, whatever the
+/// `threads` threads, each running for about `seconds`. Uses the widest vectors that the CPU has, whatever the
 /// build was compiled for: it is the machine's limit, not the build's.
 double peak_fp32_flops(int threads, double seconds);
 
 /// The same for products of bfloat16 pairs added in float by tile registers (tdpbf16ps) or vectors
-/// (vdpbf16ps); 0 where the processor has neither.
+/// (vdpbf16ps); 0 where the CPU has neither.
 double peak_bf16_flops(int threads, double seconds);
 
 /// Reads a second of 8-byte words at random places of a table of `bytes` (rounded down to a power of two, one table
@@ -31,7 +31,7 @@ inline constexpr int kProbeRounds = 20000;        ///< of a float loop: 0.1 ms
 inline constexpr double kProbeScale = 0.99999;    ///< a chain of fp32: a = a * scale + (1 - scale), so that it nears 1
 inline constexpr int kProbeTableWords = 1 << 12;  ///< of the call that is shown; word i is i
 
-/// Of each loop that this processor has: chain i of a float loop starts at 1 + i; a round of bf16 adds 0.004 to the
+/// Of each loop that this CPU has: chain i of a float loop starts at 1 + i; a round of bf16 adds 0.004 to the
 /// first half of a vector and 0.000006 to the second; half of the
 /// products of tiles are 1 and the others 0; reads return the sum of the words read.
 std::vector<ProbeCall> probe_calls();

@@ -10,7 +10,7 @@ namespace semfield {
 
 struct DeviceId {
   Device kind = Device::cpu;
-  int ordinal = 0;  ///< 0 on the processor
+  int ordinal = 0;  ///< 0 on the CPU
   bool operator==(const DeviceId&) const = default;
 };
 

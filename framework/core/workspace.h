@@ -18,7 +18,7 @@ struct BlockSource {
   void (*release)(std::byte* block) = nullptr;
 };
 
-/// Adds up what a Workspace of the processor's memory will be asked for.
+/// Adds up what a Workspace of the CPU's memory will be asked for.
 class ScratchSum {
  public:
   template <class T>

@@ -1,4 +1,4 @@
-// Which graphics processor a run uses.
+// Which GPU a run uses.
 #pragma once
 
 #include <string>

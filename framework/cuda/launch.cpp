@@ -30,7 +30,7 @@ void check(cudaError_t status, const char* what) {
   const bool no_device = status == cudaErrorNoDevice || status == cudaErrorInsufficientDriver;
   throw Error(no_device ? ErrorKind::unavailable : ErrorKind::failure, "device.cuda.failed",
               std::string("CUDA: ") + what + ": " + cudaGetErrorString(status) + " (" + cudaGetErrorName(status) + ")",
-              no_device ? "set runtime.device: cpu, or install the driver of the graphics processor" : "");
+              no_device ? "set runtime.device: cpu, or install the driver of the GPU" : "");
 }
 
 std::int64_t first_fault_row(Stage stage) {

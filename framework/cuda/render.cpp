@@ -60,7 +60,7 @@ void StreamExecutor::density(View<const double> positions, View<float> sigma) {
   explain_fault([&] { host_.lanes().density(positions, sigma); });
 }
 
-// A value that is not finite: the processor makes the call again and names ray and stage.
+// A value that is not finite: the CPU makes the call again and names ray and stage.
 void StreamExecutor::explain_fault(const std::function<void()>& on_the_host) {
   FaultKey key = kNoFault;
   cuda::download<FaultKey>(render_fault_.data(), {&key, 1});
@@ -69,7 +69,7 @@ void StreamExecutor::explain_fault(const std::function<void()>& on_the_host) {
   download(0);
   on_the_host();
   throw Error(ErrorKind::failure, "device.value.not_finite",
-              fmt::format("the device met a value that is not finite (stage {}, row {}) where the processor meets none",
+              fmt::format("the device met a value that is not finite (stage {}, row {}) where the CPU meets none",
                           key >> kFaultRowBits, key & ((FaultKey{1} << kFaultRowBits) - 1)),
               "set runtime.precision: fp32 or runtime.device: cpu, and report this");
 }

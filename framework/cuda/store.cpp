@@ -98,7 +98,7 @@ int Store::add(const std::string&, const Parametric<float>& part, const Learning
   Component component;
   component.grads.resize(1 + static_cast<std::size_t>(lane_count_));
   for (const TensorSpec& spec : specs_of(part)) {
-    // What a processor's kernels read in another order no device has.
+    // What a CPU's kernels read in another order no device has.
     while (next_ < host_.all().size() && host_.all()[next_].spec.role == TensorRole::rearranged &&
            host_.all()[next_].spec.name != spec.name)
       ++next_;

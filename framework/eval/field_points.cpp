@@ -62,7 +62,7 @@ FieldPoints field_at(Pipeline<float>& pipeline, std::span<const Vec3d> positions
   ClassResults<float> results;
   results.label = {out.label.data(), count, 1};
   results.entropy = {out.entropy.data(), count, 1};
-  processor_stages<float>().class_results(query.logits, results);  // values are probabilities from here on
+  cpu_stages<float>().class_results(query.logits, results);  // values are probabilities from here on
   out.probability.resize(positions.size() * static_cast<std::size_t>(classes));
   for (std::size_t i = 0; i < positions.size(); ++i) {
     out.label[i] = static_cast<std::int16_t>(class_of_logit[static_cast<std::size_t>(out.label[i])]);

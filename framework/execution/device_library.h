@@ -1,4 +1,4 @@
-// The library of a device beside the processor, loaded when a run asks for it.
+// The library of a device beside the CPU, loaded when a run asks for it.
 #pragma once
 
 #include <cstdint>
@@ -55,13 +55,13 @@ bool has_cuda_library() noexcept;
 /// They, loaded without asking for a device. Throws Error(unavailable) when the build has none or their library cannot
 /// be loaded.
 const DeviceLibrary& cuda_library();
-/// The stages of a device; those of a processor in either precision. Throws as cuda_library().
+/// The stages of a device; those of a CPU in either precision. Throws as cuda_library().
 template <class Real>
 const Stages<Real>& stages_of(Device device) {
   if constexpr (std::is_same_v<Real, float>) {
     if (device == Device::cuda) return *cuda_library().stages;
   }
-  return processor_stages<Real>();
+  return cpu_stages<Real>();
 }
 
 /// Whether this build has CUDA kernels and this machine that device for them; `why_not` gets the reason.

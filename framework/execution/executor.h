@@ -1,4 +1,4 @@
-// Where a pipeline's steps and rendering run: lanes of the processor, or a stream of a device.
+// Where a pipeline's steps and rendering run: lanes of the CPU, or a stream of a device.
 #pragma once
 
 #include <cstdint>
@@ -29,7 +29,7 @@ struct StepGradients {
 };
 
 /// Called in every step, after backward and before the gradients are checked and Adam uses them. It may change them, as
-/// a sum over several processes does. An Error that it throws ends the step. On the processor a step that met a value
+/// a sum over several processes does. An Error that it throws ends the step. On the CPU a step that met a value
 /// of a ray that is not finite ends before it; on a device nobody knows yet.
 template <class Real>
 using GradientHook = std::function<void(const StepGradients<Real>&)>;

@@ -185,7 +185,7 @@ void LaneExecutor<Real>::walk_tiles(std::int64_t step, const RayBatch& batch, st
   });
 }
 
-// A tile on the processor: sums are the tile's, gradients at encoders are collected for the scatter of whole lanes.
+// A tile on the CPU: sums are the tile's, gradients at encoders are collected for the scatter of whole lanes.
 template <class Real>
 class LaneExecutor<Real>::TileExecutor final : public StepExecutor<Real> {
  public:

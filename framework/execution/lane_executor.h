@@ -1,4 +1,4 @@
-// Steps and rendering on the processor: a batch is cut into tiles, lanes take them in parallel, and their gradients are
+// Steps and rendering on the CPU: a batch is cut into tiles, lanes take them in parallel, and their gradients are
 // summed in a fixed order.
 #pragma once
 

@@ -37,7 +37,7 @@ struct BatchScales {
 template <class Real>
 class LaneExecutor;
 
-/// Passes and their tensors, and the executor that steps and rendering run on: the processor's lanes at first. The
+/// Passes and their tensors, and the executor that steps and rendering run on: the CPU's lanes at first. The
 /// lanes stay, because they name the ray and tensor behind a fault that a device met.
 template <class Real>
 class Pipeline {
@@ -53,7 +53,7 @@ class Pipeline {
   const PipelineOptions& options() const { return options_; }
   /// Most samples a ray after each pass.
   const std::vector<std::int64_t>& per_ray() const { return per_ray_; }
-  /// Of the processor's lanes.
+  /// Of the CPU's lanes.
   std::int64_t tile_rays() const { return tile_rays_; }
   bool has_semantics() const { return passes_.back().parts().head != nullptr; }
 

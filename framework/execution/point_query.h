@@ -15,7 +15,7 @@ struct PointQuery {
   View<Real> logits;             ///< [N, K] of a sample of weight 1; only where the pipeline has semantics
 };
 
-/// Answers of the last pass, computed by the processor from the pipeline's store, whatever its steps run on: where that
+/// Answers of the last pass, computed by the CPU from the pipeline's store, whatever its steps run on: where that
 /// is a device, bring the store up to date first (Executor::download). The same bits for any grouping of points into
 /// calls and any number of threads. Not beside another call.
 template <class Real>

@@ -16,7 +16,7 @@ namespace semfield {
 /// that of one process: the ranks agree on it.
 class RanksExecutor final : public Executor<float> {
  public:
-  /// Borrows ranks and pipeline. `device` knows of the other ranks; null: the processor's lanes, which are shared from
+  /// Borrows ranks and pipeline. `device` knows of the other ranks; null: the CPU's lanes, which are shared from
   /// now on.
   RanksExecutor(Ranks& ranks, Pipeline<float>& pipeline, std::unique_ptr<Executor<float>> device);
   /// Rank 0: the others leave serve().

@@ -1,5 +1,5 @@
 // The walk of a training step through the passes, for the rays of a tile or of a whole batch: forward, losses,
-// backward. Pass after pass is written here once; what differs between a processor and a device is the executor's.
+// backward. Pass after pass is written here once; what differs between a CPU and a GPU is the executor's.
 #pragma once
 
 #include <vector>

@@ -1,4 +1,4 @@
-// The formula of compositing that processor and device share.
+// The formula of compositing that CPU and GPU share.
 #pragma once
 
 #include "core/host_device.h"

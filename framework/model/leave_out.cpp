@@ -253,7 +253,7 @@ BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request,
                 {"mixed_precision", "not asked for", "runtime.precision is fp32", ProofClass::bitwise,
                  "weights packed in bf16 once a step", "set runtime.precision: bf16", ""});
   planner.leave(!request.no_cuda.empty(),
-                {"cuda", "the run stays on the processor", request.no_cuda, ProofClass::bitwise,
+                {"cuda", "the run stays on the CPU", request.no_cuda, ProofClass::bitwise,
                  "start-up of the device", "set runtime.device: cuda, which says what is missing", ""});
   planner.leave(!request.periodic_evaluation,
                 {"periodic_evaluation", "not asked for", "report.eval_every_s is 0", ProofClass::bitwise,

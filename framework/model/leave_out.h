@@ -50,7 +50,7 @@ struct BuildRequest {
   bool balance_classes = false;
   bool mixed_precision = false;
   bool periodic_evaluation = true;
-  std::string no_cuda = "no device is asked for";  ///< why the run stays on the processor; empty: it does not
+  std::string no_cuda = "no device is asked for";  ///< why the run stays on the CPU; empty: it does not
   std::int64_t training_depth_px = 0;  ///< pixels whose depth was read for the bounds and is needed by nothing later
   /// Training frames with depth images, and their pixels with a valid depth, for terms that read them; < 0: not
   /// counted.

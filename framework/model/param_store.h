@@ -61,7 +61,7 @@ TensorBytes declared_bytes(const Parametric<Real>& part, int lanes, bool trainab
 template <class Real>
 std::vector<TensorSpec> specs_of(const Parametric<Real>& part);
 
-/// Owns the tensors of a pipeline on the processor.
+/// Owns the tensors of a pipeline on the CPU.
 ///
 /// Gradients of dense tensors are summed in `lanes` fixed slots (tile t belongs to lane t mod lanes, a lane's tiles run
 /// in order, lanes are added in order), so the sum's tree depends on the tile numbering alone. Sparse tensors have one

@@ -47,7 +47,7 @@ struct PassParts {
   std::unique_ptr<BranchParts<Real>> branch;  ///< null: that head reads the field's feature
   std::vector<HeadParts<Real>> heads;         ///< others
   DomainMap domain;
-  const Stages<Real>* stages = &processor_stages<Real>();  ///< of the device that all parts were built for
+  const Stages<Real>* stages = &cpu_stages<Real>();  ///< of the device that all parts were built for
 };
 
 /// What forward leaves for backward and for the next pass; lives in the tile's workspace.

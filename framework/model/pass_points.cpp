@@ -47,7 +47,7 @@ void Pass<Real>::observe(const StepContext& ctx) const {
 template <class Real>
 void Pass<Real>::point_colors(const StepContext& ctx, View<const double> positions, View<const double> directions,
                               View<Real> color) const {
-  SEMFIELD_CHECK(stages_->host_memory, "colours of points are the processor's");
+  SEMFIELD_CHECK(stages_->host_memory, "colours of points are the CPU's");
   if (positions.rows == 0) return;
   Workspace& arena = *ctx.workspace;
   const Workspace::Scope scope(arena);
@@ -79,7 +79,7 @@ std::int32_t Pass<Real>::point_dims() const {
 
 template <class Real>
 void Pass<Real>::point_rows(const StepContext& ctx, View<const double> positions, View<Real> rows) const {
-  SEMFIELD_CHECK(stages_->host_memory && parts_.head, "points of a pass with semantics, on the processor");
+  SEMFIELD_CHECK(stages_->host_memory && parts_.head, "points of a pass with semantics, on the CPU");
   if (positions.rows == 0) return;
   Workspace& arena = *ctx.workspace;
   const Workspace::Scope scope(arena);

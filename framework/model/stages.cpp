@@ -1,4 +1,4 @@
-// The stages of a pass on the processor.
+// The stages of a pass on the CPU.
 #include "model/stages.h"
 
 #include <algorithm>
@@ -143,7 +143,7 @@ void rounded_sum(const Samples<float>& samples, View<const float> weight, View<c
 }
 
 void rounded_sum_backward(const Samples<float>& samples, const RoundedSumBackward<float>& sum) {
-  SEMFIELD_CHECK(!sum.blocked, "hidden activations of a processor lie in rows");
+  SEMFIELD_CHECK(!sum.blocked, "hidden activations of a CPU lie in rows");
   for (std::int64_t r = 0; r < sum.d_out.rows; ++r) {
     const std::int32_t begin = samples.first(r, 0), count = samples.first(r + 1, 0) - begin;
     weighted_row_sum_backward(sum.weight.row_range(begin, count), sum.hidden.row_range(begin, count),
@@ -254,12 +254,12 @@ Stages<Real> make_stages() {
 }  // namespace
 
 template <class Real>
-const Stages<Real>& processor_stages() {
+const Stages<Real>& cpu_stages() {
   static const Stages<Real> stages = make_stages<Real>();
   return stages;
 }
 
-template const Stages<float>& processor_stages<float>();
-template const Stages<double>& processor_stages<double>();
+template const Stages<float>& cpu_stages<float>();
+template const Stages<double>& cpu_stages<double>();
 
 }  // namespace semfield

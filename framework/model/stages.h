@@ -69,7 +69,7 @@ struct ClassResults {
   View<Real> probability;          ///< [R, C] softmax of the logits
 };
 
-/// Functions on views of one device. On a processor a pass works on a tile and knows how many samples it has. On
+/// Functions on views of one device. On a CPU a pass works on a tile and knows how many samples it has. On
 /// another device it works on a batch with room for all samples that there can be; rows behind those in use hold finite
 /// numbers and get gradient 0. Entries that may be null say so.
 template <class Real>
@@ -130,7 +130,7 @@ struct Stages {
   /// `step` lies where the tensors do.
   void (*adam)(const AdamStep* step, const AdamTable<Real>& table) = nullptr;
 
-  /// Values must be finite, a row a sample or a ray. A processor throws RayFault; a device notes the fault, and may
+  /// Values must be finite, a row a sample or a ray. A CPU throws RayFault; a device notes the fault, and may
   /// leave a value to the stage that makes or reads it.
   void (*guard)(const GuardPlace<Real>& place, Guarded value, View<const Real> values) = nullptr;
   /// Density after activation must be in [0, inf); null: density_forward looked.
@@ -139,9 +139,9 @@ struct Stages {
   void (*guard_density_at)(View<const double> positions, View<const Real> raw, View<const Real> sigma) = nullptr;
 };
 
-/// Those of the processor.
+/// Those of the CPU.
 template <class Real>
-const Stages<Real>& processor_stages();
+const Stages<Real>& cpu_stages();
 
 /// Stages work on the rows in use while it lives.
 template <class Real>

@@ -1,4 +1,4 @@
-// What fields on a processor do around their layers, whatever their activations are. For kernel files alone: everything
+// What fields on a CPU do around their layers, whatever their activations are. For kernel files alone: everything
 // here is private to the file and to its instruction set.
 #pragma once
 

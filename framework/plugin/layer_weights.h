@@ -24,7 +24,7 @@ struct LayerWeight {
   std::int32_t first = 0, rows = 0, cols = 0;
 };
 
-/// Appends the rearranged tensors that a processor's kernels read of specs[weight], whose name they begin with.
+/// Appends the rearranged tensors that a CPU's kernels read of specs[weight], whose name they begin with.
 LayerWeight rearranged_weight(std::vector<TensorSpec>& specs, int weight, std::int32_t first, std::int32_t rows,
                               Precision precision);
 

@@ -132,7 +132,7 @@ void Trainer::fill(std::int64_t step) {
   batch_.terms = terms_of(step);
 }
 
-// The processor makes the step again, from the same tensors: it names ray, pixel and tensor.
+// The CPU makes the step again, from the same tensors: it names ray, pixel and tensor.
 void Trainer::explain_failed_step() {
   collect();
   fill(step_);
@@ -144,7 +144,7 @@ void Trainer::explain_failed_step() {
   pipeline_.store().clear_gradients();
   throw Error(
       ErrorKind::failure, "device.value.not_finite",
-      fmt::format("step {}: the device met a value that is not finite where the processor meets none; nothing was "
+      fmt::format("step {}: the device met a value that is not finite where the CPU meets none; nothing was "
                   "changed in this step",
                   step_),
       "set runtime.precision: fp32, or lower train.adam.learning_rate");

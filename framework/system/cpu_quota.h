@@ -1,4 +1,4 @@
-// How much processor time a control group allows, as whole cores.
+// How much CPU time a control group allows, as whole cores.
 #pragma once
 
 #include <string>

@@ -128,7 +128,7 @@ void define_device_arrays(py::module_& module) {
           "shape", [](const DeviceArray& a) { return py::tuple(py::cast(a.shape)); }, "Sizes of its axes.")
       .def_property_readonly(
           "dtype", [](const DeviceArray& a) { return a.dtype; }, "NumPy's type of its numbers.")
-      .def("numpy", to_host, "A copy in the memory of the processor.")
+      .def("numpy", to_host, "A copy in the memory of the CPU.")
       .def("__array__", [](const DeviceArray& a, const py::args&, const py::kwargs&) { return to_host(a); });
   module.def("to_device", on_device, py::arg("array"), py::arg("ordinal") = 0,
              "A copy of a NumPy array of any shape, as [N, 3], in the memory of CUDA device `ordinal`.");

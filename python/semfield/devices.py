@@ -30,6 +30,6 @@ def to_device(array: np.ndarray[Any, Any], device: str = "cuda") -> _core.Device
     """
     ordinal = ordinal_of(device)
     if ordinal < 0:
-        raise UsageError("to_device: an array in the memory of the processor is the array itself; name cuda or cuda:N",
+        raise UsageError("to_device: an array in the memory of the CPU is the array itself; name cuda or cuda:N",
                          code="python.device.host")
     return _core.to_device(np.asarray(array), ordinal)

@@ -183,7 +183,7 @@ TEST_P(BadFiles, AreRefusedWithPlaceCauseAndRemedy) {
     const std::size_t whole = file.cases.size();
     GTEST_SKIP() << absent << " of " << whole << " cases need formats that this build does not read; the others hold";
   }
-  std::printf("%s: %zu cases, slowest %.2f s of the processor, largest %ld MiB\n", GetParam().c_str(),
+  std::printf("%s: %zu cases, slowest %.2f s of the CPU, largest %ld MiB\n", GetParam().c_str(),
               file.cases.size(), slowest_s, largest_kib >> 10);
 }
 

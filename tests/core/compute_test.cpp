@@ -182,7 +182,7 @@ bool rounds_to_nearest() {
 class FloatMode : public testing::Test {
  protected:
   void SetUp() override {
-    if (!kHasMode) GTEST_SKIP() << "this processor has no mode that flushes subnormals";
+    if (!kHasMode) GTEST_SKIP() << "this CPU has no mode that flushes subnormals";
     ASSERT_FALSE(ComputeFloatMode::in_effect()) << "the test's own thread keeps subnormals";
   }
   void TearDown() override {

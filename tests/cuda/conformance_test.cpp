@@ -118,7 +118,7 @@ TEST(CudaConformance, EveryRegisteredPluginHasKernelsAndARow) {
           << owner << " is built with a .cu file and has no cuda kernels";
       if (const std::string why = lacks_kernels(registry_with_cuda(), kind, entry->name, Device::cuda); !why.empty()) {
         RecordProperty(owner, why);
-        std::cout << why << ": its laws hold on processors alone\n";
+        std::cout << why << ": its laws hold on CPUs alone\n";
         continue;
       }
       EXPECT_EQ(variants.contains("cuda bf16"), variants.contains("cpu bf16")) << owner << " in bf16";

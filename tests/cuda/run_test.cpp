@@ -380,7 +380,7 @@ class PlainField final : public Field<Real> {
 TEST(CudaRun, APartWithoutKernelsStaysOnTheProcessorOrIsRefusedByName) {
   SEMFIELD_NEEDS_DEVICE();
   Registry registry = make_registry();
-  registry.add_field<PlainField, PlainParams>("plain", "a field of the processor alone");
+  registry.add_field<PlainField, PlainParams>("plain", "a field of the CPU alone");
   const std::string yaml =
       "scene: {type: analytic_room, frames: 4}\n"
       "passes:\n  - {name: main, sampler: {type: stratified, samples: 8}, position: {type: identity},\n"

@@ -22,11 +22,11 @@ using Column = std::vector<std::pair<std::string, std::string>>;
 using Section = std::map<std::string, Column>;
 
 constexpr const char* kHead =
-    "# CRC-32C of all parameters, moments and states after 20 steps on the processor. A row is a configuration of\n"
+    "# CRC-32C of all parameters, moments and states after 20 steps on the CPU. A row is a configuration of\n"
     "# tests/golden/golden_rows.cpp, a column an instruction set. A section holds for one compiler and one C library:\n"
     "# compilers contract different products and sums to fused multiply-adds, C libraries round exp and log "
     "differently.\n"
-    "# avx512_bf16 also names the maker of the processor, since nothing promises that both round VDPBF16PS alike;\n"
+    "# avx512_bf16 also names the maker of the CPU, since nothing promises that both round VDPBF16PS alike;\n"
     "# amx stands for both, the tile instructions and their emulation: their sums are the same bits.\n"
     "# A change that is meant to change numbers writes the section of its machine anew, and removes those it cannot "
     "write:\n"
@@ -134,11 +134,11 @@ std::string why_not(const std::string& isa) {
     return false;
   };
   if (!among(isas_of_build())) return "this build compiles its kernels for '" + isas_of_build() + "', not for " + isa;
-  if (!among(isas_of_machine())) return "this processor has no " + isa;
+  if (!among(isas_of_machine())) return "this CPU has no " + isa;
 #if defined(__x86_64__)
   // The C library picks its exp and log by the CPU, and those without fused multiply-adds round in another way.
   if (!__builtin_cpu_supports("avx2") || !__builtin_cpu_supports("fma"))
-    return "this processor has no fused multiply-add; the golden values were made on one that has";
+    return "this CPU has no fused multiply-add; the golden values were made on one that has";
 #endif
   return "";
 }
@@ -155,7 +155,7 @@ void write_section() {
   auto sections = read_golden_file(kFile);
   Section fresh;
   for (const char* isa : {"generic", "avx2", "avx512", "avx512_bf16", "amx_emulated"}) {
-    ASSERT_EQ(why_not(isa), "") << "a section is written whole: use a release build and a processor with every set";
+    ASSERT_EQ(why_not(isa), "") << "a section is written whole: use a release build and a CPU with every set";
     const Column column = rows_of(isa);
     ASSERT_EQ(column.size(), 12U);
     fresh[column_name(isa)] = column;

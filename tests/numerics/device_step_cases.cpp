@@ -67,7 +67,7 @@ void step_in(CaseRun& run, Registry& registry, bool bf16) {
     const double there = cuda.psnr_db(), here = cpu.psnr_db();
     run.measure(std::abs(there - here), bf16 ? 0.5 : 0.05, "PSNR after training, dB");
     char text[96];
-    std::snprintf(text, sizeof text, "%.3f dB after %d steps, %.3f dB on the processor", there,
+    std::snprintf(text, sizeof text, "%.3f dB after %d steps, %.3f dB on the CPU", there,
                   static_cast<int>(network.steps), here);
     run.note(text);
   }

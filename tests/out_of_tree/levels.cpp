@@ -1,5 +1,5 @@
 // Which kernels of an outside plugin run: "ripples: isa_avx2 of generic avx2 avx512 avx512_bf16". Its laws on the
-// processor, and on a device where the package has CUDA and the machine a device. Usage: levels FOLDER_OF_MODULES.
+// CPU, and on a device where the package has CUDA and the machine a device. Usage: levels FOLDER_OF_MODULES.
 #include <cstdio>
 #include <filesystem>
 

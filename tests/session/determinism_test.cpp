@@ -60,7 +60,7 @@ int subnormal_count(const ParamStore<float>& store) {
 
 TEST(Determinism, AStepLeavesNoSubnormalNumberForAnyThreadCountAndCallersMode) {
 #if !defined(__SSE2__) && !defined(__aarch64__)
-  GTEST_SKIP() << "this processor has no mode that flushes subnormals";
+  GTEST_SKIP() << "this CPU has no mode that flushes subnormals";
 #endif
   std::uint32_t first = 0;
   for (const int rounding : {FE_TONEAREST, FE_UPWARD}) {

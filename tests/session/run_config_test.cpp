@@ -186,12 +186,12 @@ TEST(DeviceForParts, CudaAskedForIsRefusedByNameWithARemedy) {
   PartsRun plugin("cuda", "field 'tiny_mlp'");
   EXPECT_EQ(refusal_of(plugin),
             "runtime.device: cuda: field 'tiny_mlp' has no cuda kernels; set runtime.device: cpu, or auto, which "
-            "stays on the processor then");
+            "stays on the CPU then");
   PartsRun term("cuda");
   term.config.losses[0].type = "glow";
   EXPECT_EQ(refusal_of(term),
             "runtime.device: cuda: loss 'glow' has no cuda kernels; set runtime.device: cpu, or auto, which "
-            "stays on the processor then");
+            "stays on the CPU then");
 }
 
 constexpr DeviceId kCpu{Device::cpu, 0}, kGpu{Device::cuda, 0};

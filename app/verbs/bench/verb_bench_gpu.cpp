@@ -1,4 +1,4 @@
-// bench gpu: training steps and frames on a graphics processor, beside the same steps in PyTorch, as a table or JSON.
+// bench gpu: training steps and frames on a GPU, beside the same steps in PyTorch, as a table or JSON.
 #include "app/verb.h"
 #include "app/verbs/bench/load_studies.h"
 

@@ -1,4 +1,4 @@
-// Layers in bf16 with the dot products of AVX-512, or written in fp32 where the processor has none. For kernel files
+// Layers in bf16 with the dot products of AVX-512, or written in fp32 where the CPU has none. For kernel files
 // alone: everything here is private to the file and to its instruction set.
 #pragma once
 
@@ -126,7 +126,7 @@ inline void weight_gradient(View<const Bf16> x, View<const Bf16> dz, View<float>
 #else
 
 // Without such instructions the numbers are widened and multiplied in fp32: for the same results within the tolerance
-// of the precision, on any processor.
+// of the precision, on any CPU.
 inline std::int64_t packed_words(std::int64_t in, std::int64_t out) { return in * out; }
 
 template <class Value>

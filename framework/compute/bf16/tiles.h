@@ -18,7 +18,7 @@ namespace {
 constexpr std::int64_t kTileRows = 16, kTileCols = 16, kTileDepth = 32;
 constexpr std::int64_t kTileWords = kTileRows * 16;  // 32-bit words of a tile in memory without gaps
 
-/// The eight tile registers, written in instructions that every processor has: C += A B as the processor does it, the
+/// The eight tile registers, written in instructions that every CPU has: C += A B as the CPU does it, the
 /// products of even and of odd depth summed apart from zero, then together, then into C [Intel SDM, TDPBF16PS].
 class EmulatedTiles {
  public:

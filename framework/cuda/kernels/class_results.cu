@@ -9,7 +9,7 @@ namespace {
 constexpr int kRays = 8;  // a block
 constexpr int kThreads = kRays * kWarp;
 
-// Exponentials in float64, as on the processor. 4 C B read (again from cache for each sweep) and up to 14 + 4 C B
+// Exponentials in float64, as on the CPU. 4 C B read (again from cache for each sweep) and up to 14 + 4 C B
 // written a ray.
 __global__ void __launch_bounds__(kThreads) results_kernel(View<const float> logits, ClassResults<float> results) {
   const int lane = static_cast<int>(threadIdx.x % kWarp);

@@ -28,7 +28,7 @@ __device__ Sample read_sample(const Samples<float>& samples, const CompositeIn<f
   return s;
 }
 
-// Alpha from float64 optical depth, and what passes through one: in float, as on the processor.
+// Alpha from float64 optical depth, and what passes through one: in float, as on the CPU.
 __device__ float alpha_of(double depth) { return 0.0F - expm1f(static_cast<float>(-depth)); }
 __device__ float passing(double depth) { return expf(static_cast<float>(-depth)); }
 

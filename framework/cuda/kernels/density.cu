@@ -11,7 +11,7 @@ constexpr int kThreads = 256;
 
 __device__ std::int64_t thread_number() { return static_cast<std::int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; }
 
-// NaN stays NaN, as on the processor.
+// NaN stays NaN, as on the CPU.
 __device__ float truncated_exp(float x) {
   constexpr float kMost = static_cast<float>(kTruncExpMax);
   return expf(x > kMost ? kMost : x);

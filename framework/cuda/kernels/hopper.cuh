@@ -1,6 +1,6 @@
 // Instructions of Hopper (compute capability 9.0) that C++ has no words for: barriers in shared memory that count
 // bytes, bulk copies, and matrix products of a warpgroup (4 warps) with operands in shared memory [PTX 9]. Only code of
-// processors that have them may call these.
+// CPUs that have them may call these.
 #pragma once
 
 #include <cuda_bf16.h>

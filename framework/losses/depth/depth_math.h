@@ -1,4 +1,4 @@
-// The formulas of the depth loss, for processor and device.
+// The formulas of the depth loss, for CPU and GPU.
 #pragma once
 
 #include "core/host_device.h"

@@ -1,4 +1,4 @@
-// The formulas of the distortion loss, for processor and device.
+// The formulas of the distortion loss, for CPU and GPU.
 //
 // L = sum_ij w_i w_j |s_i - s_j| + 1/3 sum_i w_i^2 d_i [Barron22, Eq. 15] of a ray, s the samples' places in [0, 1] and
 // d the lengths of their intervals there. With s ascending and P_k = sum_{j<k} w_j (s_k - s_j), Q_k the same from

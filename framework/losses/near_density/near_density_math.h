@@ -1,4 +1,4 @@
-// The formula of the near-density loss, for processor and device.
+// The formula of the near-density loss, for CPU and GPU.
 #pragma once
 
 #include "core/host_device.h"

@@ -71,7 +71,7 @@ struct AdamTable {
   std::int64_t elements = 0;  ///< of all tensors
 };
 
-/// One update of all tensors on the processor. A step without a labelled ray says nothing about the semantic tensors:
+/// One update of all tensors on the CPU. A step without a labelled ray says nothing about the semantic tensors:
 /// they and their moments stay, as the rows of a table do that no ray touched. (Adam would move them along their old
 /// moments.)
 template <class Real>

@@ -92,7 +92,7 @@ ChosenDevice device_for_parts(const RunConfig& config, const Registry& registry,
   if (!is_automatic(config)) {
     throw Error(ErrorKind::unavailable, "device.gpu.unavailable",
                 "runtime.device: " + config.runtime.device + ": " + why_not,
-                "set runtime.device: cpu, or auto, which stays on the processor then");
+                "set runtime.device: cpu, or auto, which stays on the CPU then");
   }
   diagnostics.warning("device.cpu.slow", "runtime.device",
                       why_not + ", so the run stays on the CPU, which is tens to hundreds of times slower than a GPU",

@@ -12,11 +12,11 @@ namespace semfield {
 
 struct ChosenDevice {
   DeviceId device;
-  std::string no_cuda;  ///< why it is the processor
+  std::string no_cuda;  ///< why it is the CPU
 };
 /// The device that the run's configuration asks for; its kernels are then in the registry's tables. `auto` is the first
 /// cuda device where build and machine have it and every part of the passes and term of the loss has kernels for it;
-/// one without them is noted and leaves the run on the processor. Throws Error(unavailable) with the reason when a cuda
+/// one without them is noted and leaves the run on the CPU. Throws Error(unavailable) with the reason when a cuda
 /// device is asked for and cannot be had.
 ChosenDevice chosen_device(const RunConfig& config, Registry& registry, Diagnostics& diagnostics);
 /// runtime.precision, or what `auto` is there: bf16 where the device computes it faster and every field has kernels.

@@ -47,7 +47,7 @@ class LayerList {
     return layer;
   }
 
-  /// What a processor reads of rows [first, first + rows) of the layer's weight.
+  /// What a CPU reads of rows [first, first + rows) of the layer's weight.
   LayerWeight rearranged(const NerfMlpLayer& layer, std::int32_t first, std::int32_t rows, Precision precision) {
     return rearranged_weight(specs_, layer.weight, first, rows, precision);
   }

@@ -15,7 +15,7 @@ class KernelTables;
 /// A layer's tensors; -1 = there is none.
 struct NerfMlpLayer {
   int weight = -1, bias = -1;
-  LayerWeight position, activation;  ///< on a processor, the rows that read each
+  LayerWeight position, activation;  ///< on a CPU, the rows that read each
 };
 
 /// What the kernels know. The widths of the tensors follow from it.

@@ -18,7 +18,7 @@ enum class TinyFeature : std::uint8_t { hidden, geometry };
 /// A layer's tensors; -1 = there is none.
 struct TinyMlpLayer {
   int weight = -1, bias = -1;
-  LayerWeight rows;  ///< on a processor, those of what the samples bring: all but the direction's
+  LayerWeight rows;  ///< on a CPU, those of what the samples bring: all but the direction's
 };
 
 struct TinyMlpShape {

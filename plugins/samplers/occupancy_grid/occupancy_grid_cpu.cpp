@@ -57,7 +57,7 @@ struct GridReader {
 };
 
 // A ray on its way. A step of the way waits for the one before it, from cell to exit to next index; kTogether rays that
-// take turns keep the processor busy.
+// take turns keep the CPU busy.
 constexpr std::int64_t kTogether = 4;
 
 struct March : MarchedRay {

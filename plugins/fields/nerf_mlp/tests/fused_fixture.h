@@ -23,6 +23,6 @@ struct UseFused {
   SEMFIELD_NEEDS_DEVICE();                                                         \
   const ::semfield::testing::UseFused use(true);                                   \
   if (!::semfield::cuda::FusedNerfMlp::serves(::semfield::testing::usual_shape())) \
-  GTEST_SKIP() << "the processor is not of compute capability 9.0"
+  GTEST_SKIP() << "the GPU is not of compute capability 9.0"
 
 }  // namespace semfield::testing

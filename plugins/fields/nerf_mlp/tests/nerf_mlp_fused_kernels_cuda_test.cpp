@@ -1,5 +1,5 @@
 // The fused kernels of the big network, one by one: every layer against plain loops over what the layer before left.
-// Only processors of compute capability 9.0 run them.
+// Only GPUs of compute capability 9.0 run them.
 #include <algorithm>
 
 #include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"

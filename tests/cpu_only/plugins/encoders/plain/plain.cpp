@@ -32,7 +32,7 @@ class Plain final : public Encoder<Real> {
 
 namespace {
 void register_into(Registry& registry) {
-  registry.add_encoder<Plain, PlainParams>("plain", "Halves of the coordinates, on processors alone.");
+  registry.add_encoder<Plain, PlainParams>("plain", "Halves of the coordinates, on CPUs alone.");
 }
 }  // namespace
 
