@@ -105,7 +105,7 @@ class PaperNet(nn.Module):
 
 
 class Interpolate(torch.autograd.Function):
-    """Sum of 8 table rows a sample with constant weights. Autograd's own backward of a lookup sorts its indices or adds
+    """Sum of 8 table rows per sample with constant weights. Autograd's own backward of a lookup sorts its indices or adds
     rows one by one; counting with weights is 1.6 times as fast a step on a CPU, adding with atomics is best on a GPU."""
 
     @staticmethod

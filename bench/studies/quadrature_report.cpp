@@ -90,7 +90,7 @@ std::string problem_tables(const QuadratureResults& r, const RayProblem& problem
   }
   return fmt::format(
       "\n## {}\n\nOrders of the rms error, measured (predicted), float64:\n\n{}\n"
-      "Error of colour; evaluations and time a ray from which the rms error stays below a mark:\n\n{}",
+      "Error of colour; evaluations and time per ray from which the rms error stays below a mark:\n\n{}",
       problem.name, table_text(orders), table_text(errors));
 }
 

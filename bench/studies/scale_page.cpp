@@ -249,9 +249,9 @@ std::string scale_model(const ScaleResults& results) {
   const std::vector<ScaleCase> cases = scale_cases(results);
   if (cases.empty()) return "No step was timed on one rank, on which the model could stand.\n";
   std::string text =
-      "| step | every device, ms | dealt out, µs a ray | every device for all rays, µs a ray | gradients, MB | "
+      "| step | every device, ms | dealt out, µs per ray | every device for all rays, µs per ray | gradients, MB | "
       "gathered, "
-      "kB a ray |\n|---|---|---|---|---|---|\n";
+      "kB per ray |\n|---|---|---|---|---|---|\n";
   for (const ScaleCase& c : cases)
     text +=
         fmt::format("| {} | {} | {} | {} | {:.1f} | {:.1f} |\n", title_of(c.step, c.device), ms_text(c.cost.fixed_s),

@@ -1,4 +1,4 @@
-// Which pixels a frame is scored at: every s-th of every s-th row.
+// Which pixels per frame is scored at: every s-th of every s-th row.
 #pragma once
 
 #include <cstdint>

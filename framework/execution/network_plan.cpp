@@ -6,8 +6,8 @@ namespace semfield {
 
 namespace {
 
-constexpr std::int64_t kTileRows = 512;  // samples a tile aims at: as fast as more, and many threads share evenly
-constexpr std::int64_t kExpectedOccupied = 32;  // samples a ray that a single-pass sampler is expected to keep
+constexpr std::int64_t kTileRows = 512;  // samples per tile aims at: as fast as more, and many threads share evenly
+constexpr std::int64_t kExpectedOccupied = 32;  // samples per ray that a single-pass sampler is expected to keep
 constexpr std::size_t kDensityRows = 1024;      // positions that Pass::density evaluates at once
 
 // Lanes are what threads share, so this many keep 2, 3, 4, 6, 8, 12, 16, 24 or 48 of them busy alike.

@@ -51,7 +51,7 @@ class Pipeline {
   const ParamStore<Real>& store() const { return store_; }
   const std::vector<Pass<Real>>& passes() const { return passes_; }
   const PipelineOptions& options() const { return options_; }
-  /// Most samples a ray after each pass.
+  /// Most samples per ray after each pass.
   const std::vector<std::int64_t>& per_ray() const { return per_ray_; }
   /// Of the CPU's lanes.
   std::int64_t tile_rays() const { return tile_rays_; }

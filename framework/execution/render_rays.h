@@ -28,8 +28,8 @@ struct RenderJob {
   RenderJob rows(std::int64_t begin, std::int64_t count) const;
 };
 
-/// ctx.workspace holds everything of the walk; the caller's scope gives it back. per_ray: most samples a ray after each
-/// pass. On a device results are there once its stream has been waited for.
+/// ctx.workspace holds everything of the walk; the caller's scope gives it back. per_ray: most samples per ray after
+/// each pass. On a device results are there once its stream has been waited for.
 template <class Real>
 void render_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::int64_t>& per_ray,
                  const RenderJob<Real>& job, const StepContext& ctx);

@@ -56,8 +56,8 @@ struct TrainedRays {
   std::int64_t room = 0;           ///< PassRequest::room
 };
 
-/// ctx.workspace holds everything of the walk; the caller's scope gives it back. per_ray: most samples a ray after each
-/// pass.
+/// ctx.workspace holds everything of the walk; the caller's scope gives it back. per_ray: most samples per ray after
+/// each pass.
 template <class Real>
 void train_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::int64_t>& per_ray,
                 const TrainedRays& rays, const StepContext& ctx, StepExecutor<Real>& executor);

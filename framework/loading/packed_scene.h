@@ -25,9 +25,9 @@ struct PackOptions {
   bool with_instances = true;
 };
 
-/// Writes `path` atomically, frame by frame: `read(frame, buffer)` is called once a frame in order, so one frame is in
-/// memory at a time. Frames that the callback leaves without a channel are stored without it. Throws Error(io), or what
-/// `read` throws.
+/// Writes `path` atomically, frame by frame: `read(frame, buffer)` is called once per frame in order, so one frame is
+/// in memory at a time. Frames that the callback leaves without a channel are stored without it. Throws Error(io), or
+/// what `read` throws.
 void write_packed_scene(const std::string& path, const SceneInfo& info,
                         const std::function<void(int, FrameBuffer&)>& read, const PackOptions& options = {});
 

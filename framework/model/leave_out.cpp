@@ -243,7 +243,7 @@ BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request,
       request.training_depth_px > 0,
       {kTrainingDepth, "depth of training frames gives bounds and distances and is then dropped",
        fmt::format("no loss reads it: {} training pixels with depth", request.training_depth_px), ProofClass::bitwise,
-       fmt::format("2 bytes a pixel: {:.1f} MB", depth_mb), "", fmt::format("{:.1f} MB not held", depth_mb)});
+       fmt::format("2 bytes per pixel: {:.1f} MB", depth_mb), "", fmt::format("{:.1f} MB not held", depth_mb)});
   plan_losses(request, planner, plan);
   plan_heads(request, planner, plan);
   planner.leave(request.density_noise == 0,
@@ -251,10 +251,10 @@ BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request,
                  "one normal variate for each sample", "set rendering.density_noise", ""});
   planner.leave(!request.mixed_precision,
                 {"mixed_precision", "not asked for", "runtime.precision is fp32", ProofClass::bitwise,
-                 "weights packed in bf16 once a step", "set runtime.precision: bf16", ""});
+                 "weights packed in bf16 once per step", "set runtime.precision: bf16", ""});
   planner.leave(!request.no_cuda.empty(),
-                {"cuda", "the run stays on the CPU", request.no_cuda, ProofClass::bitwise,
-                 "start-up of the device", "set runtime.device: cuda, which says what is missing", ""});
+                {"cuda", "the run stays on the CPU", request.no_cuda, ProofClass::bitwise, "start-up of the device",
+                 "set runtime.device: cuda, which says what is missing", ""});
   planner.leave(!request.periodic_evaluation,
                 {"periodic_evaluation", "not asked for", "report.eval_every_s is 0", ProofClass::bitwise,
                  "rendering test frames while training", "set report.eval_every_s", ""});

@@ -14,10 +14,11 @@ Pass<Real>::Pass(PassParts<Real> parts, const RenderRules& rules, TensorStore<Re
   const std::string& name = parts_.name;
   encoder_learns_ = declared_bytes<Real>(*parts_.position, 1, true).learns;
   if (parts_.direction && declared_bytes<Real>(*parts_.direction, 1, true).learns) {
-    throw Error(ErrorKind::config, "config.encoder.learned",
-                "pass '" + name +
-                    "': the direction encoder has learned tensors; directions are encoded once a ray without gradients",
-                "choose a direction encoder without learned tensors");
+    throw Error(
+        ErrorKind::config, "config.encoder.learned",
+        "pass '" + name +
+            "': the direction encoder has learned tensors; directions are encoded once per ray without gradients",
+        "choose a direction encoder without learned tensors");
   }
   sampler_ = store.add(name + "/sampler", *parts_.sampler);
   position_ = store.add(name + "/position", *parts_.position);

@@ -122,7 +122,7 @@ class Pass {
 
   const PassParts<Real>& parts() const { return parts_; }
   const RenderRules& rules() const { return rules_; }
-  /// Most samples a ray.
+  /// Most samples per ray.
   std::int64_t capacity_per_ray(std::int64_t previous_per_ray) const {
     return parts_.sampler->capacity(1, previous_per_ray);
   }

@@ -40,9 +40,9 @@ class RayGuard {
 
   /// Distances finite, intervals finite and not negative, coordinates x [M, 3] finite.
   void samples(View<const double> x) const;
-  /// values [M, C], a row a sample, each finite.
+  /// values [M, C], a row per sample, each finite.
   void per_sample(const char* name, View<const Real> values) const;
-  /// values [R, C], a row a ray, each finite.
+  /// values [R, C], a row per ray, each finite.
   void per_ray(const char* name, View<const Real> values) const;
 
  private:

@@ -16,7 +16,7 @@ struct EncoderTraits {
   std::int32_t out_dims = 0;
   Domain domain = Domain::metric;
   /// forward of very many rows spreads over threads by itself, and is then faster by row than for one tile: training
-  /// calls it once a step with all rows where it can, outside parallel regions.
+  /// calls it once per step with all rows where it can, outside parallel regions.
   bool whole_batch = false;
 };
 
@@ -37,7 +37,7 @@ class Encoder : public Parametric<Real> {
   void forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x, View<Real> y) const;
 
   /// tensors.grad += dL/dtheta and, when dx is not empty, dx = dL/dx. x as in forward, dy [M, out_dims], dx [M,
-  /// in_dims]. Called once a step with all its samples, outside parallel regions: it may use parallel_for, and must
+  /// in_dims]. Called once per step with all its samples, outside parallel regions: it may use parallel_for, and must
   /// give the same bits for any thread count. Recomputes what it needs from x (encoders are memory-bound; nothing is
   /// saved by forward).
   void backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x, View<const Real> dy,

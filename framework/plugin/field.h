@@ -13,7 +13,7 @@ struct FieldTraits {
   bool uses_direction = false;
 };
 
-/// M samples of R rays. direction is encoded once a ray.
+/// M samples of R rays. direction is encoded once per ray.
 template <class Real>
 struct FieldIn {
   View<const Real> position;               ///< [M, Dp]
@@ -99,9 +99,9 @@ class Field : public Parametric<Real> {
 
 /// The exact savings (same function, same gradients), each with its off-switch for the parity test.
 struct ExactSavings {
-  bool fold_feature_layer = true;      ///< multiply feature and view layer once a step (no activation stands between)
-  bool direction_once_per_ray = true;  ///< the view layer's direction part and bias once a ray
-  bool deferred_class_layer = true;    ///< composite the hidden semantic feature, apply the class layer once a ray
+  bool fold_feature_layer = true;      ///< multiply feature and view layer once per step (no activation stands between)
+  bool direction_once_per_ray = true;  ///< the view layer's direction part and bias once per ray
+  bool deferred_class_layer = true;    ///< composite the hidden semantic feature, apply the class layer once per ray
 };
 
 struct FieldBuild {

@@ -7,7 +7,7 @@
 
 namespace semfield {
 
-/// How often a product is made: for all samples, for all rays, or once a step (of weights with each other).
+/// How often a product is made: for all samples, for all rays, or once per step (of weights with each other).
 enum class LayerRows : std::uint8_t { sample, ray, step };
 
 /// What it multiplies: inputs of the network have a gradient only where somebody wants it.

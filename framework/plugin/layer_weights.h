@@ -31,7 +31,7 @@ LayerWeight rearranged_weight(std::vector<TensorSpec>& specs, int weight, std::i
 namespace SEMFIELD_ISA {
 namespace {  // of a kernel file and its instruction set
 
-/// Fills them: once a step, for each weight whatever the others do.
+/// Fills them: once per step, for each weight whatever the others do.
 template <class Activation, class Real>
 void rearrange(const LayerWeight& w, const Tensors<Real>& t) {
   static_assert(std::is_same_v<SumOf<Activation>, Real>);

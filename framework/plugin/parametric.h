@@ -13,7 +13,7 @@ namespace semfield {
 enum class TensorRole : std::uint8_t {
   dense,       ///< learned; Adam updates every element each step
   sparse,      ///< learned; Adam updates only rows that received a gradient this step (hash tables)
-  derived,     ///< computed from learned tensors once a step (products of weights), with a gradient; not stored in
+  derived,     ///< computed from learned tensors once per step (products of weights), with a gradient; not stored in
                ///< checkpoints
   rearranged,  ///< the same without a gradient, and perhaps no floats: a weight as products read it
   state,       ///< neither learned nor derived (an occupancy grid); stored in checkpoints
@@ -61,10 +61,11 @@ class Parametric {
  public:
   virtual ~Parametric() = default;
   virtual void declare(ParamDeclarer&) const {}
-  /// Fills derived tensors from learned ones; called once a step before any forward, and after a checkpoint is loaded.
+  /// Fills derived tensors from learned ones; called once per step before any forward, and after a checkpoint is
+  /// loaded.
   virtual void derive(const StepContext&, const Tensors<Real>&) const {}
-  /// Adds to the learned tensors' gradients what the derived tensors' gradients imply; called once a step, after every
-  /// backward.
+  /// Adds to the learned tensors' gradients what the derived tensors' gradients imply; called once per step, after
+  /// every backward.
   virtual void derive_backward(const StepContext&, const Tensors<Real>&) const {}
 };
 

@@ -187,7 +187,7 @@ RaySource::Pixel RaySource::choose(std::int64_t step, std::int64_t ray) const {
 
 void RaySource::add_labels(const std::vector<LabelMap>& labels) {
   ++version_;
-  SEMFIELD_CHECK(labels.size() == frames_.size(), "a map of labels a frame");
+  SEMFIELD_CHECK(labels.size() == frames_.size(), "a map of labels per frame");
   for (std::size_t f = 0; f < frames_.size(); ++f) frames_[f].added = labels[f].empty() ? nullptr : &labels[f];
   if (options_.train.ray_source == RaySourceKind::label_balanced) index_labels();
 }

@@ -1,4 +1,4 @@
-// Which pixels a step trains on: addressed by (seed, step, ray), never consumed from a generator.
+// Which pixels per step trains on: addressed by (seed, step, ray), never consumed from a generator.
 #pragma once
 
 #include <array>
@@ -65,7 +65,7 @@ struct BatchBuffers {
 };
 
 struct RaySourceOptions {
-  TrainParams train;             ///< rays a step, and where they come from
+  TrainParams train;             ///< rays per step, and where they come from
   bool labels_may_come = false;  ///< label_balanced draws from all pixels as long as none has a label; else an error
   std::vector<std::string> targets;  ///< channels that batches carry beside colour and labels, as the losses read them
   std::uint64_t seed = 1;

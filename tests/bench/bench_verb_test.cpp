@@ -142,7 +142,7 @@ double paper_flop(StepCases& cases, int classes, std::vector<std::string> set = 
   return total_flop(cases.make("paper.yaml", classes, std::move(set)).work()) * 1024 / 16;
 }
 
-// Of the 16 rays of a case: once a step is counted 64 times by paper_flop.
+// Of the 16 rays of a case: once per step is counted 64 times by paper_flop.
 TEST_F(StepCases, PaperStepIsWhatOneCountsByHand) {
   // Multiply-adds of a sample, forward: x into layers 0 and 5, seven 256 x 256 layers, density, folded view layer,
   // colour, semantic hidden layer.

@@ -113,7 +113,8 @@ TEST(CudaMlp, IsTheCpusForEverySwitchAndSize) {
   }
 }
 
-// The class layer once a ray on the device against plain sums in float64: few classes and many take different kernels.
+// The class layer once per ray on the device against plain sums in float64: few classes and many take different
+// kernels.
 
 // x [n, k] (or its transpose, with `turned`) times y [., m].
 std::vector<double> product(const std::vector<float>& x, const std::vector<float>& y, std::int64_t n, std::int64_t k,

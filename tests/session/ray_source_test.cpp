@@ -1,4 +1,4 @@
-// Which pixels a step takes: fractions, order within tiles, independence of threads.
+// Which pixels per step takes: fractions, order within tiles, independence of threads.
 #include "session/ray_source.h"
 
 #include <gtest/gtest.h>

@@ -259,7 +259,7 @@ PassParts<double> parts_with_linear_head(const Session& session, const Registry&
 
 TEST(SemanticHeads, AnyHeadTrainsThroughThePass) {
   for (const bool deferred : {true, false}) {
-    SCOPED_TRACE(deferred ? "class layer once a ray" : "class layer once a sample");
+    SCOPED_TRACE(deferred ? "class layer once per ray" : "class layer once per sample");
     Registry registry = make_registry();
     Oracle oracle(hash_config(), registry);
     PipelineOptions options{

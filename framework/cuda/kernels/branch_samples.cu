@@ -12,7 +12,7 @@ constexpr int kThreads = 256;
 
 __device__ bool weighs(float weight, float least) { return weight >= least && weight > 0; }
 
-// A thread a ray, 4 B a sample.
+// A thread per ray, 4 B per sample.
 struct CountKept {
   View<const std::int32_t> first;
   View<const float> weight;
@@ -24,7 +24,7 @@ struct CountKept {
   }
 };
 
-// A warp a ray: 4 B read a sample, 24 B moved a kept one. The sum of weights in a fixed tree.
+// A warp per ray: 4 B read per sample, 24 B moved a kept one. The sum of weights in a fixed tree.
 __global__ void __launch_bounds__(kRayThreads)
     keep_kernel(Samples<float> samples, View<const float> weight, float least, BranchTrace<float> kept) {
   fill_unused_rows(kept.samples, kept.share.rows);

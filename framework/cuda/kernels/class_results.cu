@@ -1,4 +1,4 @@
-// What rendering tells of classes, a warp a ray.
+// What rendering tells of classes, a warp per ray.
 #include "cuda/kernels/losses.h"
 #include "cuda/kernels/softmax_row.cuh"
 
@@ -10,7 +10,7 @@ constexpr int kRays = 8;  // a block
 constexpr int kThreads = kRays * kWarp;
 
 // Exponentials in float64, as on the CPU. 4 C B read (again from cache for each sweep) and up to 14 + 4 C B
-// written a ray.
+// written per ray.
 __global__ void __launch_bounds__(kThreads) results_kernel(View<const float> logits, ClassResults<float> results) {
   const int lane = static_cast<int>(threadIdx.x % kWarp);
   const std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * kRays + threadIdx.x / kWarp;

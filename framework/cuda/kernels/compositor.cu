@@ -1,4 +1,4 @@
-// Emission and absorption along rays on the device: a warp a ray, tiles of 32 samples, sums in float64.
+// Emission and absorption along rays on the device: a warp per ray, tiles of 32 samples, sums in float64.
 #include <limits>
 
 #include "cuda/kernels/hidden_channels.h"
@@ -32,8 +32,8 @@ __device__ Sample read_sample(const Samples<float>& samples, const CompositeIn<f
 __device__ float alpha_of(double depth) { return 0.0F - expm1f(static_cast<float>(-depth)); }
 __device__ float passing(double depth) { return expf(static_cast<float>(-depth)); }
 
-// 24 B read and 4 B written a sample; the next tile is on its way while one is summed. Fixed trees of sums. Weights of
-// rows that no ray owns are cleared by all threads together.
+// 24 B read and 4 B written per sample; the next tile is on its way while one is summed. Fixed trees of sums. Weights
+// of rows that no ray owns are cleared by all threads together.
 __global__ void __launch_bounds__(kRayThreads)
     forward_kernel(Samples<float> samples, CompositeIn<float> in, CompositeOut<float> out, FaultKey* fault) {
   const WarpRay at(samples.first);
@@ -103,7 +103,7 @@ __device__ double depth_in_front_of_tiles(const Samples<float>& samples, const C
 
 // d_sigma by the recurrence from the back, R_k = R_{k+1} + alpha_k (v_k - R_{k+1}): within a tile as a suffix scan of
 // the maps R -> (1 - alpha) R + alpha v. d_sigma holds dL/d(hidden) . h on entry for samples of the first `dot_rays`
-// rays. 36 B read (sigma and delta twice, the second time from cache) and 4 B written a sample; fixed trees of sums.
+// rays. 36 B read (sigma and delta twice, the second time from cache) and 4 B written per sample; fixed trees of sums.
 __global__ void __launch_bounds__(kRayThreads)
     density_gradient_kernel(Samples<float> samples, CompositeIn<float> in, CompositeGrad<float> grad,
                             std::int64_t dot_rays, View<float> d_sigma) {
@@ -159,7 +159,7 @@ __global__ void __launch_bounds__(kRayThreads)
 constexpr int kColorRows = 128;  // a block
 constexpr int kColorThreads = 3 * kColorRows;
 
-// d_rgb = w dL/dC, one thread a channel of a sample: 8 B read and 12 B written a sample, all of it coalesced.
+// d_rgb = w dL/dC, one thread a channel of a sample: 8 B read and 12 B written per sample, all of it coalesced.
 __global__ void __launch_bounds__(kColorThreads) color_gradient_kernel(Samples<float> samples, View<const float> weight,
                                                                        View<const float> d_color, View<float> d_rgb) {
   const std::int64_t m = static_cast<std::int64_t>(blockIdx.x) * kColorRows + threadIdx.x / 3;

@@ -1,4 +1,4 @@
-// From raw density to attenuation and back, one thread a sample.
+// From raw density to attenuation and back, one thread per sample.
 #include "compute/math_functions.h"
 #include "cuda/kernels/device_code.cuh"
 #include "cuda/kernels/rendering.h"
@@ -41,7 +41,7 @@ __device__ float slope_of(DensityActivation activation, float raw) {
   return 0;
 }
 
-// 12 B a row, and 8 B more with noise; noise is drawn in float64.
+// 12 B per row, and 8 B more with noise; noise is drawn in float64.
 __global__ void __launch_bounds__(kThreads) forward_kernel(DensityRule rule, Samples<float> samples, View<float> raw,
                                                            View<float> sigma, const StepCell* cell, FaultKey* fault) {
   const std::int64_t m = thread_number();
@@ -63,7 +63,7 @@ __global__ void __launch_bounds__(kThreads) forward_kernel(DensityRule rule, Sam
   if (in_use && !(density >= 0 && isfinite(density))) note_fault(fault, Stage::density, m);
 }
 
-// 12 B a row.
+// 12 B per row.
 __global__ void __launch_bounds__(kThreads)
     backward_kernel(DensityActivation activation, View<const float> raw, View<const float> d_sigma, View<float> d_raw) {
   const std::int64_t m = thread_number();

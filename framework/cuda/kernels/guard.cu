@@ -11,7 +11,7 @@ namespace {
 constexpr int kThreads = 256;
 constexpr int kBlocksPerProcessor = 8;
 
-// Threads stride over the values, four at a time where rows have no gaps; 4 C bytes a row.
+// Threads stride over the values, four at a time where rows have no gaps; 4 C bytes per row.
 __global__ void __launch_bounds__(kThreads)
     guard_kernel(Stage stage, View<const float> values, bool by_fours, FaultKey* fault) {
   const std::int64_t size = values.size(), stride = static_cast<std::int64_t>(gridDim.x) * kThreads;

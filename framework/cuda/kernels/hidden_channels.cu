@@ -65,7 +65,7 @@ constexpr unsigned every_bit() {
   return bits;
 }
 
-// A block a ray; its warps take every fourth sample, so that short rays occupy them all, and a warp skips samples
+// A block per ray; its warps take every fourth sample, so that short rays occupy them all, and a warp skips samples
 // without weight. Sample: its channels and 4 B read. Order of a channel's sum: warp by warp ascending samples, then
 // warps.
 template <int kBeside, int kVec, class Act>

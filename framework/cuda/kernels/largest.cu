@@ -1,4 +1,4 @@
-// Looks for the largest size of a number: 4 B a number read.
+// Looks for the largest size of a number: 4 B per number read.
 #include <algorithm>
 
 #include "core/check.h"

@@ -57,7 +57,7 @@ __device__ inline std::int64_t thread_index() {
   return static_cast<std::int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
 }
 
-// One thread N numbers of `out`; reads in.cols numbers a row, writes out.cols.
+// One thread N numbers of `out`; reads in.cols numbers per row, writes out.cols.
 template <class From, class To, int N, bool kAdd>
 __global__ void copy_kernel(View<const From> in, View<To> out) {
   const std::int64_t i = thread_index();
@@ -233,7 +233,7 @@ __device__ inline std::int64_t lower_bound(const View<const std::int32_t>& numbe
   return low;
 }
 
-// A block a ray, a thread a column: rows in order.
+// A block per ray, a thread per column: rows in order.
 template <class Act>
 __global__ void per_ray_kernel(View<const Act> dz, View<const std::int32_t> ray_of_sample,
                                const std::int32_t* live_rows, View<float> d_ray_term) {

@@ -1,4 +1,4 @@
-// What kernels of loss terms share: a warp a ray, and the ray's loss as the sum over its lanes.
+// What kernels of loss terms share: a warp per ray, and the ray's loss as the sum over its lanes.
 #pragma once
 
 #include "cuda/kernels/ray_scan.cuh"

@@ -1,4 +1,4 @@
-// Losses on the device, twins of losses/: gradients a ray, and sums of a step in a fixed order.
+// Losses on the device, twins of losses/: gradients per ray, and sums of a step in a fixed order.
 #pragma once
 
 #include "core/workspace.h"

@@ -21,7 +21,7 @@ __device__ OpacitySums merged(const OpacitySums& a, const OpacitySums& b) {
   return sum;
 }
 
-// A warp a ray, 4 B a sample; fixed tree of sums.
+// A warp per ray, 4 B per sample; fixed tree of sums.
 __global__ void __launch_bounds__(kRayThreads)
     resolution_kernel(Samples<float> samples, View<const float> weight, FarMode far, double footprint_per_m,
                       View<OpacityResolution> result) {

@@ -37,7 +37,7 @@ __global__ void __launch_bounds__(kThreads) total_kernel(const double* of_block,
   if (threadIdx.x == 0) *total = sum;
 }
 
-// One block; it stops at the first 4 kThreads samples among which one has density. At most 4 B a sample.
+// One block; it stops at the first 4 kThreads samples among which one has density. At most 4 B per sample.
 __global__ void __launch_bounds__(kThreads)
     count_kernel(View<const std::int32_t> first, View<const float> sigma, LossSums* sums) {
   const std::int32_t count = first(first.rows - 1, 0);

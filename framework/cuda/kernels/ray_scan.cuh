@@ -1,4 +1,4 @@
-// Sums along a ray, a warp a ray: lane j of a tile of 32 samples holds sample j.
+// Sums along a ray, a warp per ray: lane j of a tile of 32 samples holds sample j.
 #pragma once
 
 #include "cuda/kernels/device_code.cuh"

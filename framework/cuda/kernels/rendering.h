@@ -30,7 +30,7 @@ void density_forward(const DensityRule& rule, const Samples<float>* samples, Vie
 void density_backward(DensityActivation activation, View<const float> raw, View<const float> d_sigma,
                       View<float> d_raw);
 
-/// As semfield::composite_forward; `in.hidden` and `out.hidden` cover the first out.hidden.rows rays. One warp a ray;
+/// As semfield::composite_forward; `in.hidden` and `out.hidden` cover the first out.hidden.rows rays. One warp per ray;
 /// scalars of a ray in float64. Weights of unused rows are 0. A colour of a sample that is not finite is a fault of
 /// Stage::color with its row.
 void composite_forward(const CompositeIn<float>& in, const CompositeOut<float>& out);

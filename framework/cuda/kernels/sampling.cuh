@@ -43,7 +43,7 @@ __device__ inline void fill_unused_rows(const Samples<float>& out, std::int64_t 
   }
 }
 
-// first[r] = samples of the rays before r. One thread a ray; each block adds up the counts of all rays before its own
+// first[r] = samples of the rays before r. One thread per ray; each block adds up the counts of all rays before its own
 // 1,024 itself, so that blocks wait for nobody: R / 1,024 loads a thread at most. Integers: the order does not matter.
 template <class CountOf>
 __global__ void __launch_bounds__(kOffsetThreads)

@@ -1,4 +1,4 @@
-// Cross-entropy on the device, a warp a ray, by log-sum-exp from the row maximum; sums of a row are in float64.
+// Cross-entropy on the device, a warp per ray, by log-sum-exp from the row maximum; sums of a row are in float64.
 #include "core/check.h"
 #include "cuda/kernels/losses.h"
 #include "cuda/kernels/softmax_row.cuh"
@@ -117,8 +117,8 @@ __device__ Term ray_term(const Rule& rule, View<const float> logits, View<float>
   return term;
 }
 
-// A warp a ray; 4 C B read (again from cache for each of three sweeps) and 4 C B written a ray, soft labels 4 C B more.
-// Rays of a block are added in order.
+// A warp per ray; 4 C B read (again from cache for each of three sweeps) and 4 C B written per ray, soft labels 4 C B
+// more. Rays of a block are added in order.
 __global__ void __launch_bounds__(kThreads)
     cross_entropy_kernel(Rule rule, const StepCell* cell, double scale, View<const float> logits, View<float> d_logits,
                          Term* of_block) {

@@ -14,7 +14,7 @@ constexpr int kBlockRows = kWarps * kWarpRows;
 constexpr int kLaneColumns = 8;  // at once
 constexpr int kColumns = kWarp * kLaneColumns;
 
-// A warp a row; 4 C B written a row.
+// A warp per row; 4 C B written per row.
 __global__ void __launch_bounds__(kThreads)
     forward_kernel(View<const float> share, View<const float> bias, View<float> y) {
   const std::int64_t row = static_cast<std::int64_t>(blockIdx.x) * kWarps + threadIdx.x / kWarp;
@@ -24,7 +24,7 @@ __global__ void __launch_bounds__(kThreads)
   for (auto c = static_cast<std::int32_t>(threadIdx.x % kWarp); c < y.cols; c += kWarp) to[c] = factor * bias(0, c);
 }
 
-// A warp 4 rows, a block 32; a lane every 32nd column, 8 of them at once. dy is read once, 4 C B a row. partial
+// A warp 4 rows, a block 32; a lane every 32nd column, 8 of them at once. dy is read once, 4 C B per row. partial
 // [blocks, C]: the block's share of d_bias, rows in order within a warp, then the warps. d_share: a lane's columns in
 // order, then the lanes in a fixed tree. Behind the last row and column the last is read, so that no load waits for a
 // branch, and counts 0.

@@ -33,7 +33,7 @@ __device__ float4 subtree(const Blocks& blocks, int first, std::int64_t i) {
 }
 static_assert(kShards == 1 << 3);
 
-// blockIdx.y: tensor; 4 B a number of each shard read, 4 B of the sum read and written.
+// blockIdx.y: tensor; 4 B per number of each shard read, 4 B of the sum read and written.
 __global__ void __launch_bounds__(kThreads)
     add_kernel(const ShardTensor* tensors, const __grid_constant__ Blocks blocks) {
   const ShardTensor tensor = tensors[blockIdx.y];

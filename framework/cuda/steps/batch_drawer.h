@@ -14,8 +14,8 @@
 
 namespace semfield::cuda {
 
-/// Launches are those of launch(). Colours take 3 B a pixel, labels 2 B, depth 4 B where a term reads it, and a lens
-/// with distortion 24 B a pixel of its images.
+/// Launches are those of launch(). Colours take 3 B per pixel, labels 2 B, depth 4 B where a term reads it, and a lens
+/// with distortion 24 B per pixel of its images.
 class BatchDrawer {
  public:
   /// Steps that are drawn at once: `ahead`. Throws Error(unavailable) where memory is short.

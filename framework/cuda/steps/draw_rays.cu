@@ -48,7 +48,7 @@ __device__ bool for_its_label(const DrawRule& rule, std::int64_t ray) {
          static_cast<std::int64_t>(floor(static_cast<double>(ray) * rule.labelled_share));
 }
 
-// blockIdx.y: step; one thread a ray.
+// blockIdx.y: step; one thread per ray.
 __global__ void __launch_bounds__(kThreads)
     choose_kernel(const __grid_constant__ HeldPixels held, const __grid_constant__ DrawRule rule, std::int64_t first,
                   DrawnRay* chosen) {
@@ -77,7 +77,7 @@ __global__ void __launch_bounds__(kThreads)
   chosen[static_cast<std::int64_t>(blockIdx.y) * rule.rays + ray] = drawn;
 }
 
-// A block a tile (x) of a step (y): rows by group, in order within each.
+// A block per tile (x) of a step (y): rows by group, in order within each.
 __global__ void __launch_bounds__(kSortThreads) sort_kernel(const __grid_constant__ DrawRule rule, DrawnRay* chosen) {
   __shared__ std::int32_t of_warp[kGroups][kWarp];
   __shared__ std::int32_t next[kGroups];  // row
@@ -135,7 +135,7 @@ __device__ T* of_step(T* array, std::int64_t stride, unsigned step) {
              : reinterpret_cast<T*>(reinterpret_cast<std::byte*>(array) + stride * static_cast<std::int64_t>(step));
 }
 
-// blockIdx.y: step; one thread a ray: some 20 B read at random, 76 B written.
+// blockIdx.y: step; one thread per ray: some 20 B read at random, 76 B written.
 __global__ void __launch_bounds__(kThreads)
     cast_kernel(const __grid_constant__ HeldPixels held, const __grid_constant__ DrawRule rule, const DrawnRay* chosen,
                 const __grid_constant__ DrawnBatches batches) {

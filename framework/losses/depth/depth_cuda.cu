@@ -1,4 +1,4 @@
-// The depth loss on the device: a warp a ray.
+// The depth loss on the device: a warp per ray.
 #include "cuda/kernels/loss_rays.cuh"
 #include "losses/depth/depth_math.h"
 

@@ -1,4 +1,4 @@
-// The distortion loss on the device: a warp a ray, tiles of 32 samples from either end, sums by prefix in float64.
+// The distortion loss on the device: a warp per ray, tiles of 32 samples from either end, sums by prefix in float64.
 #include "cuda/kernels/loss_rays.cuh"
 #include "losses/distortion/distortion_math.h"
 
@@ -25,7 +25,7 @@ struct Body {
     return moment;
   }
 
-  // 12 B read a sample and walk, 8 B read and written.
+  // 12 B read per sample and walk, 8 B read and written.
   __device__ double operator()(const WarpRay& at, double scale) const {
     if (at.begin == at.end) return 0;
     const DistortionMap map(space, near_far(at.ray, 0), near_far(at.ray, 1));

@@ -1,4 +1,4 @@
-// The near-density loss on the device: a warp a ray.
+// The near-density loss on the device: a warp per ray.
 #include "cuda/kernels/loss_rays.cuh"
 #include "losses/near_density/near_density.h"
 #include "losses/near_density/near_density_math.h"

@@ -178,8 +178,8 @@ __device__ inline void level_gradient(const GridLevel& level, const double (&u)[
   sum[2] += slope[2] * (across_z[0] + cell.far[1] * (across_z[1] - across_z[0]));
 }
 
-/// One thread a row, over its levels, summed in double; 0 along an axis on which the row was clamped. A row: 24 + 4 L F
-/// bytes and 8 L entries read, 12 bytes written. Deterministic.
+/// One thread per row, over its levels, summed in double; 0 along an axis on which the row was clamped. A row: 24 + 4 L
+/// F bytes and 8 L entries read, 12 bytes written. Deterministic.
 template <int kF, Interpolation kI>
 __global__ void __launch_bounds__(kInputThreads)
     input_kernel(const __grid_constant__ Grid grid, View<const double> x, View<const float> dy, View<float> dx) {

@@ -20,7 +20,7 @@ struct GridLevel {
   bool dense = false;
 };
 
-/// A kernel argument: 40 bytes a level.
+/// A kernel argument: 40 bytes per level.
 struct Grid {
   GridLevel level[kHashGridMaxLevels];
   std::int32_t levels = 0;

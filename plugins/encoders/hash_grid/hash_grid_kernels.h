@@ -31,7 +31,7 @@ struct HashGridKernels {
   /// Parallel over levels and rows where the caller is not. Scratch: see scratch_bytes.
   std::int64_t (*forward)(const HashGridShape& shape, const View<Real>* tables, View<const double> x, View<Real> y,
                           Workspace& workspace) = nullptr;
-  /// grads += dL/dtables. CPU: one thread a level, rows in order, so any thread count gives the same bits; scratch as
+  /// grads += dL/dtables. CPU: one thread per level, rows in order, so any thread count gives the same bits; scratch as
   /// forward. CUDA: in any order without scratch, or with launch().deterministic in fixed point: the same bits every
   /// time, with 8 bytes of scratch an entry and feature of the largest 8 / F neighbouring levels.
   void (*backward_tables)(const HashGridShape& shape, const View<Real>* grads, View<const double> x,

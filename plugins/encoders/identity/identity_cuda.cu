@@ -1,4 +1,4 @@
-// CUDA kernels of the identity encoder: one thread a number.
+// CUDA kernels of the identity encoder: one thread per number.
 #include "cuda/kernels/device_code.cuh"
 #include "encoders/identity/identity_kernels.h"
 #include "plugin/kernels.h"

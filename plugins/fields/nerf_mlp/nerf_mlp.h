@@ -31,7 +31,7 @@ void validate(const NerfMlpParams& params, Diagnostics& diagnostics);
 ///
 /// Exact savings: with fold_feature_layer, W_feature W_view[0:width] and its bias are derived tensors computed once a
 /// step and their gradients are handed on to both factors; with direction_once_per_ray, d W_view[width:] + bias is a
-/// row a ray.
+/// row per ray.
 template <class Real>
 class NerfMlp final : public Field<Real>, public SlowPath {
  public:

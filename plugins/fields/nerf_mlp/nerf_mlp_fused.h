@@ -8,7 +8,7 @@ namespace semfield::cuda {
 /// Same function and tensors as LayeredNerfMlp<__nv_bfloat16>, for the shapes that `serves` names.
 struct FusedNerfMlp {
   /// Whether shape and GPU have these kernels: bf16, 256 wide, view layer 128 wide, encoded position of at most
-  /// 64 numbers, depth 2 to 15, direction once a ray and feature layer folded (or no direction); compute
+  /// 64 numbers, depth 2 to 15, direction once per ray and feature layer folded (or no direction); compute
   /// capability 9.0.
   static bool serves(const NerfMlpShape& shape);
   /// Whether they compute a semantic hidden layer of that many numbers.

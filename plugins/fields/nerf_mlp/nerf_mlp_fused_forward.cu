@@ -2,7 +2,7 @@
 // from shared memory, its output goes there (and to memory when a backward follows). Weights stream through a ring that
 // one thread of the third warpgroup fills. Per row: 128 bytes of position read; written with a backward 512 depth + 256
 // + 32 depth + 16, with a feature 1,024 (in bf16 512), the semantic layer 256, colour and density 16; weights come from
-// the second-level cache, 1 MB for every 256 rows. 2 (64 256 2 + 256^2 (depth - 1) + 256 128) operations a row, 2 256
+// the second-level cache, 1 MB for every 256 rows. 2 (64 256 2 + 256^2 (depth - 1) + 256 128) operations per row, 2 256
 // 128 more with the semantic layer; padding of the position included.
 // Results are the same bits in every run and for every batch.
 #include <nv/target>

@@ -124,7 +124,7 @@ __global__ void per_ray_kernel(const uint4* d_hidden, View<const std::int32_t> r
 
 // A block: a range of rows, in steps of 8 rows for each of its warps; a lane one row and every 4th vector of 8 columns,
 // which it sums over its rows. partial [blocks, cols kChannelsOf + kChannelsOf]. 2 cols + 4 kChannelsOf (8 with y)
-// bytes a row.
+// bytes per row.
 template <int kCols, int kChannelsOf>
 __global__ void __launch_bounds__(kPackThreads, 2)
     head_gradient_kernel(const uint4* x, View<const float> d, View<const float> y, std::int64_t rows_each,

@@ -51,7 +51,7 @@ __device__ inline float row_sum(float value, int lanes) {
   return value;
 }
 
-// `lanes` lanes a row. Moves width * sizeof(Act) + 4 bytes a row, and 4 width more with a feature.
+// `lanes` lanes a row. Moves width * sizeof(Act) + 4 bytes per row, and 4 width more with a feature.
 template <class Act>
 __global__ void density_forward_kernel(DensityHead<Act> call, int lanes, bool wide_feature) {
   constexpr int kV = kVector<Act>;
@@ -103,7 +103,7 @@ struct Owner {
 };
 
 // blockIdx.x: range of rows; blockIdx.y: range of up to kThreads vectors of columns. Moves up to 2 width sizeof(Act) +
-// 4 width + 4 bytes a row. partial [blocks, width of h + 1], the last column for the bias.
+// 4 width + 4 bytes per row. partial [blocks, width of h + 1], the last column for the bias.
 template <class Act>
 __global__ void density_backward_kernel(DensityHeadGrad<Act> call, std::int64_t rows_each, View<float> partial,
                                         bool wide_feature) {
@@ -174,7 +174,7 @@ __global__ void density_backward_kernel(DensityHeadGrad<Act> call, std::int64_t 
   }
 }
 
-// `lanes` lanes a row. Moves 2 view sizeof(Act) + 4 (view / samples a ray) + 16 bytes a row.
+// `lanes` lanes a row. Moves 2 view sizeof(Act) + 4 (view / samples per ray) + 16 bytes per row.
 template <class Act>
 __global__ void color_forward_kernel(ColorHead<Act> call, int lanes) {
   constexpr int kV = kVector<Act>;
@@ -215,7 +215,7 @@ __global__ void color_forward_kernel(ColorHead<Act> call, int lanes) {
   for (int c = 0; c < kChannels; ++c) call.rgb(row, c) = 1 / (1 + expf(-(sum[c] + call.bias(0, c))));
 }
 
-// As density_backward_kernel. Moves 2 view sizeof(Act) + 24 bytes a row. partial [blocks, 3 width of v + 3].
+// As density_backward_kernel. Moves 2 view sizeof(Act) + 24 bytes per row. partial [blocks, 3 width of v + 3].
 template <class Act>
 __global__ void color_backward_kernel(ColorHeadGrad<Act> call, std::int64_t rows_each, View<float> partial) {
   constexpr int kV = kVector<Act>;

@@ -44,7 +44,7 @@ void expect_laws(const NerfMlpParams& params, const FieldBuild& build) {
 TEST(NerfMlp, LawsWithEverySwitch) {
   for (const bool fold : {true, false}) {
     for (const bool once : {true, false}) {
-      SCOPED_TRACE("fold " + std::to_string(fold) + ", once a ray " + std::to_string(once));
+      SCOPED_TRACE("fold " + std::to_string(fold) + ", once per ray " + std::to_string(once));
       expect_laws(kSmall, build_of(7, 5, fold, once));
     }
   }
@@ -100,7 +100,7 @@ TEST(NerfMlp, SavingsChangeNeitherOutputsNorGradients) {
   plain.forward();
   plain.backward();
   for (const auto& [fold, once] : {std::pair{true, false}, {false, true}, {true, true}}) {
-    SCOPED_TRACE("fold " + std::to_string(fold) + ", once a ray " + std::to_string(once));
+    SCOPED_TRACE("fold " + std::to_string(fold) + ", once per ray " + std::to_string(once));
     const FieldBuild build = build_of(7, 5, fold, once);
     const NerfMlp<double> field(kSmall, build, tables());
     FieldBench<double> saving(field, build, 33, 0, options);

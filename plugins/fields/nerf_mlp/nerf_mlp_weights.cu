@@ -20,7 +20,7 @@ struct Roundings {
   Rounding all[kMostMatrices];
 };
 
-// blockIdx.y: matrix; the blocks of a row share its numbers, one a thread. 6 bytes a number.
+// blockIdx.y: matrix; the blocks of a row share its numbers, one a thread. 6 bytes per number.
 __global__ void round_kernel(Roundings roundings) {
   const Rounding& r = roundings.all[blockIdx.y];
   const std::int32_t size = r.padded_rows * r.padded_cols;
@@ -72,7 +72,7 @@ class Source<__nv_bfloat16> {
   int count_ = 0;
 };
 
-// One thread a number.
+// One thread per number.
 template <class Act>
 __global__ void gather_kernel(View<const float> direction, View<const std::int32_t> ray_of_sample, View<Act> gathered) {
   const std::int64_t i = static_cast<std::int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;

@@ -28,7 +28,7 @@ struct NerfMlpWeights {
   View<const Act> skip;
   View<const Act> feature, feature_bias;  ///< unfolded
   View<const Act> view, view_bias;        ///< of the folded product, or of the view layer's part that reads the feature
-  View<const Act> direction;              ///< the view layer's part that reads the direction; only if not once a ray
+  View<const Act> direction;              ///< the view layer's part that reads the direction; only if not once per ray
 };
 
 template <class Act>

@@ -35,7 +35,7 @@ void validate(const TinyMlpParams& params, Diagnostics& diagnostics);
 ///   h = relu(... relu(x W_hidden_0 + b) ...); [sigma, g] = h W_geometry + b;
 ///   c = relu(... relu([g, d] W_color_0 + b) ...); rgb = sigmoid(c W_rgb + b).
 /// The semantic head reads h (feature: hidden) or g (feature: geometry). Without a direction c sees g alone.
-/// Exact saving direction_once_per_ray: d W_color_0[G:] + b is a row a ray.
+/// Exact saving direction_once_per_ray: d W_color_0[G:] + b is a row per ray.
 template <class Real>
 class TinyMlp final : public Field<Real>, public SlowPath {
  public:

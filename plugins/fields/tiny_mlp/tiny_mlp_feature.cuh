@@ -1,6 +1,6 @@
 // A network that is asked for its hidden feature alone, such as a semantic branch: hidden layers up to 128 wide and
 // positions up to 128 numbers in bf16, all layers in one kernel a direction. Forward keeps what each layer read, 2
-// bytes a number; weight gradients of all layers are another kernel over these, since a wide network's sums would not
+// bytes per number; weight gradients of all layers are another kernel over these, since a wide network's sums would not
 // stay in a block's registers.
 #pragma once
 

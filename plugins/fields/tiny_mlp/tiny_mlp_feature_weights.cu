@@ -64,7 +64,7 @@ struct Fetched {
 };
 
 /// Block (range, tile): the sums over a range of rows of 64 inputs and 64 outputs of a layer; warp w has inputs
-/// 32 (w % 2) .. and outputs 32 (w / 2) .. of them. 256 bytes a row.
+/// 32 (w % 2) .. and outputs 32 (w / 2) .. of them. 256 bytes per row.
 __global__ void __launch_bounds__(kThreads) partial_kernel(const Call call) {
   __shared__ __align__(16) __nv_bfloat16 x_tile[kTile * kTilePitch], dz_tile[kTile * kTilePitch];
   const std::int64_t first = static_cast<std::int64_t>(blockIdx.x) * call.rows_a_range;

@@ -1,6 +1,6 @@
 // The small network of the usual widths in one kernel a direction: hidden and colour up to 64 wide, one hidden layer,
 // two colour layers, bf16 operands. Nothing is saved: backward computes the activations again from the 4 D bytes of an
-// encoded position, where saving them would cost 2 (64 + 16 + 64 + 64) bytes a sample twice.
+// encoded position, where saving them would cost 2 (64 + 16 + 64 + 64) bytes per sample twice.
 #pragma once
 
 #include "fields/tiny_mlp/tiny_mlp_kernels.h"

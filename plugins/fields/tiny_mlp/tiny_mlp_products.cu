@@ -31,7 +31,7 @@ __device__ inline float finish(Epilogue epilogue, float value) {
 }
 
 /// One tile of c: 16 x 16 threads, thread (i, j) owns rows 8 i .. 8 i + 7 and columns 4 j .. 4 j + 3. Reads a once for
-/// every 64 columns of c, b (small) from L2: 4 (K + N) bytes a row at N <= 64, 2 K N operations.
+/// every 64 columns of c, b (small) from L2: 4 (K + N) bytes per row at N <= 64, 2 K N operations.
 template <bool kRound>
 __global__ void __launch_bounds__(kThreads) product_kernel(const Product p) {
   __shared__ __align__(16) float a_tile[kDepth][kTileRows + kPad];
@@ -219,7 +219,7 @@ __global__ void __launch_bounds__(kSumColumns* kSumSegments)
   }
 }
 
-/// Block r sums ray r, a thread a column; the ray's range is found by bisection in ray_of_sample.
+/// Block r sums ray r, a thread per column; the ray's range is found by bisection in ray_of_sample.
 __global__ void sum_per_ray_kernel(View<const float> dz, View<const std::int32_t> ray_of_sample,
                                    const std::int32_t* live, View<float> d_ray_term) {
   __shared__ std::int64_t bounds[2];

@@ -64,7 +64,7 @@ TEST(TinyMlp, LawsWithEverySwitchAndFeature) {
     for (const std::int32_t direction_dims : {4, 0}) {
       for (const bool once : {true, false}) {
         SCOPED_TRACE("feature " + std::to_string(static_cast<int>(feature)) + ", direction " +
-                     std::to_string(direction_dims) + ", once a ray " + std::to_string(once));
+                     std::to_string(direction_dims) + ", once per ray " + std::to_string(once));
         expect_laws(small(feature), build_of(7, direction_dims, once));
       }
     }

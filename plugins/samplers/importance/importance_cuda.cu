@@ -1,4 +1,4 @@
-// CUDA kernels of the importance sampler: one warp a ray.
+// CUDA kernels of the importance sampler: one warp per ray.
 #include <algorithm>
 
 #include "core/check.h"
@@ -156,7 +156,7 @@ __device__ void merge(const RayProposal<float>& ray, std::int32_t fresh, int lan
   __syncwarp();
 }
 
-// One warp a ray. For 64 previous and 128 new samples it reads 0.5 KB (again from the first-level cache) and writes
+// One warp per ray. For 64 previous and 128 new samples it reads 0.5 KB (again from the first-level cache) and writes
 // 2.3 KB, coalesced. kShared: a ray's memory lies in shared memory, else in `scratch`.
 template <bool kShared>
 __global__ void __launch_bounds__(kThreads)

@@ -147,8 +147,8 @@ struct Marched {
   float* step_m = nullptr;
 };
 
-// One warp a ray. A window reads a few sectors of the three arrays, which the second-level cache holds, and each sample
-// is written to its slot, coalesced. A ray with too many samples begins anew with half the steps, as on the CPU.
+// One warp per ray. A window reads a few sectors of the three arrays, which the second-level cache holds, and each
+// sample is written to its slot, coalesced. A ray with too many samples begins anew with half the steps, as on the CPU.
 __global__ void __launch_bounds__(kThreads) march_kernel(OccupancySampleArgs args, Grid grid, Box box, Rays<float> rays,
                                                          Marched out, const StepCell* step, FaultKey* fault) {
   const int lane = static_cast<int>(threadIdx.x) % kWarp;
@@ -181,7 +181,7 @@ struct MarchedSamples {
   __device__ std::int32_t operator()(std::int64_t ray, FaultKey*) const { return count[ray]; }
 };
 
-// One warp a ray: 4 bytes a sample read and 12 written, coalesced.
+// One warp per ray: 4 bytes per sample read and 12 written, coalesced.
 __global__ void __launch_bounds__(kThreads)
     close_up_kernel(std::int64_t max_samples, std::int64_t rays, Marched marched, Samples<float> out) {
   const int lane = static_cast<int>(threadIdx.x) % kWarp;

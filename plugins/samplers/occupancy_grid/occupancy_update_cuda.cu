@@ -30,8 +30,8 @@ struct DrawnCells {
 __device__ std::int64_t thread_number() { return static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x; }
 __device__ bool has_fault(const FaultKey* fault) { return fault != nullptr && *fault != kNoFault; }
 
-// One thread a cell, 24 bytes written. Cells that a finer cascade covers get a point too and are left out afterwards: a
-// row's number says which cell it is, and they are an eighth of a cascade.
+// One thread per cell, 24 bytes written. Cells that a finer cascade covers get a point too and are left out afterwards:
+// a row's number says which cell it is, and they are an eighth of a cascade.
 __global__ void __launch_bounds__(kThreads)
     draw_kernel(DrawnCells drawn, RandomAddress random, View<double> positions) {
   const std::int64_t row = thread_number();
@@ -45,7 +45,7 @@ __global__ void __launch_bounds__(kThreads)
   positions(row, 2) = p.z;
 }
 
-// One thread a cell, 4 bytes read.
+// One thread per cell, 4 bytes read.
 __global__ void __launch_bounds__(kThreads) check_kernel(DrawnCells drawn, View<const float> sigma, FaultKey* fault) {
   const std::int64_t row = thread_number();
   if (row >= drawn.rows || drawn.covered(row)) return;
@@ -53,7 +53,7 @@ __global__ void __launch_bounds__(kThreads) check_kernel(DrawnCells drawn, View<
   if (!(value >= 0) || isinf(value)) note_fault(fault, Stage::occupancy_density, drawn.index(row));
 }
 
-// One thread a cell, 8 bytes read and 4 written.
+// One thread per cell, 8 bytes read and 4 written.
 __global__ void __launch_bounds__(kThreads)
     absorb_kernel(DrawnCells drawn, float decay, View<const float> sigma, float* density, const FaultKey* fault) {
   const std::int64_t row = thread_number();
@@ -96,8 +96,8 @@ __device__ Totals block_sum(Totals mine) {
   return sum;
 }
 
-// Block b adds up cells [b per_block, (b + 1) per_block), 4 a thread and round: 4 bytes a cell read, coalesced. A fixed
-// order of sums.
+// Block b adds up cells [b per_block, (b + 1) per_block), 4 a thread and round: 4 bytes per cell read, coalesced. A
+// fixed order of sums.
 __global__ void __launch_bounds__(kThreads)
     add_up_kernel(const float* density, std::int64_t cells, std::int64_t per_block, Totals* partials) {
   const std::int64_t begin = blockIdx.x * per_block;
@@ -157,7 +157,7 @@ __device__ unsigned mark_eight(const float4& low, const float4& high, float occu
 }
 
 // One warp marks two blocks that are neighbours in x, so that 16 cells of a row give an element of empty_bits. A lane
-// takes 2 of their 64 rows: 64 bytes read and 4 written a row. Counts are integers: the order of atomics does not
+// takes 2 of their 64 rows: 64 bytes read and 4 written per row. Counts are integers: the order of atomics does not
 // matter.
 __global__ void __launch_bounds__(kThreads)
     mark_kernel(OccupancyGeometry geometry, OccupancyState<float> state, std::int64_t pairs, Marking* marking) {

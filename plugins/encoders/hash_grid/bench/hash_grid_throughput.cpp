@@ -173,7 +173,7 @@ bool measure(int log2_entries) {
 }  // namespace
 
 int main() {
-  std::printf("hash grid, 16 levels of 2 features, %lld samples; millions of samples a second (forward, backward)\n",
+  std::printf("hash grid, 16 levels of 2 features, %lld samples; millions of samples per second (forward, backward)\n",
               static_cast<long long>(kRows));
   std::printf("T     | plain, 1 core | ours, 1 thread| ours, 2 threads| ours / plain| 2 / 1 threads\n");
   bool good = true;
