@@ -2,7 +2,7 @@
 #pragma once
 
 #include "cuda/launch.h"
-#include "model/model/optim/adam.h"
+#include "model/optim/adam.h"
 
 namespace semfield::cuda {
 
