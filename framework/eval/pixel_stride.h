@@ -1,4 +1,4 @@
-// Which pixels per frame is scored at: every s-th of every s-th row.
+// The pixels that a frame is scored at: every s-th of every s-th row.
 #pragma once
 
 #include <cstdint>

@@ -6,7 +6,7 @@ namespace semfield {
 
 namespace {
 
-constexpr std::int64_t kTileRows = 512;  // samples per tile aims at: as fast as more, and many threads share evenly
+constexpr std::int64_t kTileRows = 512;  // samples that a tile aims at: as fast as more, and many threads share evenly
 constexpr std::int64_t kExpectedOccupied = 32;  // samples per ray that a single-pass sampler is expected to keep
 constexpr std::size_t kDensityRows = 1024;      // positions that Pass::density evaluates at once
 

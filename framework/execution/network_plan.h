@@ -9,8 +9,8 @@
 
 namespace semfield {
 
-/// Rays a tile: `options.tile_rays`, or what the samplers' capacities ask for. `per_ray` gets the most samples per ray
-/// after each pass.
+/// Rays per tile: `options.tile_rays`, or what the samplers' capacities ask for. `per_ray` gets the most samples per
+/// ray after each pass.
 template <class Real>
 std::int64_t tile_rays_of(const std::vector<const PassParts<Real>*>& passes, const PipelineOptions& options,
                           std::vector<std::int64_t>& per_ray);

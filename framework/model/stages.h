@@ -130,7 +130,7 @@ struct Stages {
   /// `step` lies where the tensors do.
   void (*adam)(const AdamStep* step, const AdamTable<Real>& table) = nullptr;
 
-  /// Values must be finite, a row per sample or a ray. A CPU throws RayFault; a device notes the fault, and may
+  /// Values must be finite, a row per sample or per ray. A CPU throws RayFault; a device notes the fault, and may
   /// leave a value to the stage that makes or reads it.
   void (*guard)(const GuardPlace<Real>& place, Guarded value, View<const Real> values) = nullptr;
   /// Density after activation must be in [0, inf); null: density_forward looked.

@@ -1,4 +1,4 @@
-// Which pixels per step trains on: addressed by (seed, step, ray), never consumed from a generator.
+// The pixels that a step trains on: addressed by (seed, step, ray), never consumed from a generator.
 #pragma once
 
 #include <array>

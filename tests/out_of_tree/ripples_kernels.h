@@ -1,4 +1,4 @@
-// Arguments and kernel table of 'ripples', and its formulas for CPU and device.
+// Arguments and kernel table of 'ripples', and its formulas for CPU and GPU.
 #pragma once
 
 #include <cmath>

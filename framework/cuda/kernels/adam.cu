@@ -94,7 +94,7 @@ __device__ void update_row(const Constants& k, const OfTensor& of, const Tensor&
 __device__ float4 four_at(const float* p) { return *reinterpret_cast<const float4*>(p); }
 __device__ float4& four_in(float* p) { return *reinterpret_cast<float4*>(p); }
 
-// Calls f(first element, elements) of each row of the piece, a thread per row; dense tensors: a thread an element.
+// Calls f(first element, elements) of each row of the piece, a thread per row; dense tensors: a thread per element.
 template <class F>
 __device__ void for_rows(const Tensor& t, std::int64_t begin, std::int64_t end, const F& f) {
   const std::int32_t cols = t.touched_only ? t.cols : 1;

@@ -39,7 +39,7 @@ __global__ void __launch_bounds__(kThreads)
   if (!sound) note_fault(fault, Stage::samples, m);
 }
 
-// One thread a coordinate; 48 B per row.
+// One thread per coordinate; 48 B per row.
 __global__ void __launch_bounds__(kThreads) map_kernel(View<const double> positions, DomainMap map, View<double> x) {
   const std::int64_t m = static_cast<std::int64_t>(blockIdx.x) * kSamples + threadIdx.x / 3;
   const int axis = static_cast<int>(threadIdx.x % 3);

@@ -51,7 +51,7 @@ __device__ inline float row_sum(float value, int lanes) {
   return value;
 }
 
-// `lanes` lanes a row. Moves width * sizeof(Act) + 4 bytes per row, and 4 width more with a feature.
+// `lanes` lanes per row. Moves width * sizeof(Act) + 4 bytes per row, and 4 width more with a feature.
 template <class Act>
 __global__ void density_forward_kernel(DensityHead<Act> call, int lanes, bool wide_feature) {
   constexpr int kV = kVector<Act>;
@@ -174,7 +174,7 @@ __global__ void density_backward_kernel(DensityHeadGrad<Act> call, std::int64_t 
   }
 }
 
-// `lanes` lanes a row. Moves 2 view sizeof(Act) + 4 (view / samples per ray) + 16 bytes per row.
+// `lanes` lanes per row. Moves 2 view sizeof(Act) + 4 (view / samples per ray) + 16 bytes per row.
 template <class Act>
 __global__ void color_forward_kernel(ColorHead<Act> call, int lanes) {
   constexpr int kV = kVector<Act>;

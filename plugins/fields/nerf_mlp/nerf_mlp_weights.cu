@@ -20,7 +20,7 @@ struct Roundings {
   Rounding all[kMostMatrices];
 };
 
-// blockIdx.y: matrix; the blocks of a row share its numbers, one a thread. 6 bytes per number.
+// blockIdx.y: matrix; the blocks of a row share its numbers, one per thread. 6 bytes per number.
 __global__ void round_kernel(Roundings roundings) {
   const Rounding& r = roundings.all[blockIdx.y];
   const std::int32_t size = r.padded_rows * r.padded_cols;

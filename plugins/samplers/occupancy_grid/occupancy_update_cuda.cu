@@ -96,7 +96,7 @@ __device__ Totals block_sum(Totals mine) {
   return sum;
 }
 
-// Block b adds up cells [b per_block, (b + 1) per_block), 4 a thread and round: 4 bytes per cell read, coalesced. A
+// Block b adds up cells [b per_block, (b + 1) per_block), 4 per thread and round: 4 bytes per cell read, coalesced. A
 // fixed order of sums.
 __global__ void __launch_bounds__(kThreads)
     add_up_kernel(const float* density, std::int64_t cells, std::int64_t per_block, Totals* partials) {

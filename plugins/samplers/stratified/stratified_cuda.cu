@@ -24,7 +24,7 @@ struct BinsOfRay {
 };
 
 // One warp per ray, one lane a bin, the last 32 bins first: an interval ends at the sample behind it, which the next
-// lane or the round before drew. 24 bytes per ray are read and 12 a sample written, coalesced.
+// lane or the round before drew. 24 bytes per ray are read and 12 per sample written, coalesced.
 __global__ void __launch_bounds__(kThreads)
     sample_kernel(StratifiedArgs args, View<const double> near_far, Samples<float> out, const StepCell* cell) {
   const int lane = static_cast<int>(threadIdx.x) % kWarp;
