@@ -54,7 +54,6 @@ class HeldOut {
       throw Error(ErrorKind::data, "study.scene.unlabelled",
                   s.config.name + ": no held-out view has labels, so nothing can be compared",
                   "choose a scene with a test split and labels");
-    s.pipeline->executor().download(training_.step());
     rows_ = learner.rows_at(places_);
   }
 

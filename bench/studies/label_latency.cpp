@@ -92,8 +92,7 @@ class OpenPage {
 };
 
 // Answers the session's questions with the truth. Seconds from each answer to the labels of its view.
-std::vector<double> click_through(LabelSession& session, const std::vector<StoredFrame>& truth,
-                                  const std::vector<int>& frame_of_view, const SceneInfo& info, int clicks) {
+std::vector<double> click_through(LabelSession& session, const LoadedScene& scene, int clicks) {
   std::vector<double> out;
   for (int made = 0, asked = 0; made < clicks && asked < 5 * clicks; ++asked) {
     auto state = session.state();
@@ -101,19 +100,19 @@ std::vector<double> click_through(LabelSession& session, const std::vector<Store
     if (!state->failure.empty())
       throw Error(ErrorKind::failure, "serve.training.failed", "the session has ended: " + state->failure);
     const ProposalState question = *state->proposal;
-    const auto frame = static_cast<std::size_t>(frame_of_view[static_cast<std::size_t>(question.view)]);
-    const StoredFrame& pixels = truth[frame];
+    const auto frame = static_cast<std::size_t>(session.frame_of(question.view));
+    const StoredFrame& pixels = scene.frames[frame];
     const auto at = static_cast<std::size_t>(static_cast<std::int64_t>(question.at.y) * pixels.width_px +
                                              static_cast<std::int64_t>(question.at.x));
     const std::int16_t label = pixels.label.empty() ? kVoid : pixels.label[at];
     LabelEvent event;
     event.id = fmt::format("bench-{}", asked);
     event.kind = label == kVoid ? LabelEventKind::skip : LabelEventKind::click;
-    event.frame = info.frames[frame].name;
+    event.frame = scene.info.frames[frame].name;
     event.width_px = pixels.width_px;
     event.height_px = pixels.height_px;
     event.points = {question.at};
-    if (label != kVoid) event.class_name = info.classes.valid(label).name;
+    if (label != kVoid) event.class_name = scene.info.classes.valid(label).name;
     const Clock::time_point start = Clock::now();
     (void)session.apply(event);
     const std::uint64_t own = session.state()->events;
@@ -157,13 +156,7 @@ LabelLatency measure_label_latency(RunConfig config, int clicks, double geometry
     const MeasuredPace after = pace_of(session, kWindow_s);
     out.slowdown = open.wall_s / ((before.training_s + after.training_s) / 2);
     const Session& opened = session.opened();
-    std::vector<int> frame_of_view;
-    for (std::size_t f = 0, v = 0; v < state->views.size() && f < opened.scene.frames.size(); ++f) {
-      if (session.view_of(static_cast<int>(f)) < 0) continue;
-      frame_of_view.push_back(static_cast<int>(f));
-      ++v;
-    }
-    out.overlay_ms = click_through(session, opened.scene.frames, frame_of_view, opened.scene.info, clicks);
+    out.overlay_ms = click_through(session, opened.scene, clicks);
   } catch (...) {
     session.stop();
     trains.join();

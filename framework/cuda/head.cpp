@@ -1,7 +1,8 @@
-// The semantic head on the device. Everything is queued on launch().stream.
+// Heads of one hidden layer on the device. Everything is queued on launch().stream.
 #include <array>
 
 #include "cuda/bf16.h"
+#include "cuda/kernel_tables.h"
 #include "cuda/kernels/layers.h"
 #include "cuda/matmul.h"
 #include "cuda/stages.h"
@@ -173,5 +174,7 @@ const HeadKernels<float>& head_kernels() {
       output_backward, rounded_hidden_forward, rounded_hidden_backward};
   return kernels;
 }
+
+void add_head_kernels(KernelTables& tables) { tables.add(Device::cuda, kHeadOwner, &head_kernels()); }
 
 }  // namespace semfield::cuda

@@ -35,6 +35,7 @@ enum class Stage : std::uint8_t {
   proposal_weight,
   occupancy_density,
   logits,
+  channel,
   label,
   loss,
   gradient,

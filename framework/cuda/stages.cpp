@@ -81,6 +81,7 @@ void rounded_sum_backward(const Samples<float>& samples, const RoundedSumBackwar
 // The other values are looked at by the kernels that make or read them.
 void guard(const GuardPlace<float>&, Guarded value, View<const float> values) {
   if (value == Guarded::semantic_feature) guard_finite(Stage::feature, values);
+  if (value == Guarded::channel) guard_finite(Stage::channel, values);
 }
 
 Stages<float> make_stages() {
@@ -97,6 +98,7 @@ Stages<float> make_stages() {
   s.composite_forward = cuda::composite_forward;
   s.composite_backward = cuda::composite_backward;
   s.fill = cuda::fill;
+  s.count_up = cuda::count_up;
   s.add = cuda::add_rows<float, float>;
   s.keep = keep;
   s.join = join_inputs;

@@ -17,4 +17,10 @@ void join_inputs(const BranchTrace<float>& trace, View<const float> position, Vi
 /// As Stages::drop_out.
 void drop_out(const Dropout& rule, const Samples<float>& samples, View<const float> from, View<float> to);
 
+/// As Stages::count_up.
+void count_up(View<std::int32_t> numbers);
+/// Row i of `to` and `to_logit` is row choice(i, 0) of `from` and `logit`.
+void choose_points(View<const std::int32_t> choice, View<const float> from, View<const std::int16_t> logit,
+                   View<float> to, View<std::int16_t> to_logit);
+
 }  // namespace semfield::cuda

@@ -117,30 +117,71 @@ int Store::add(const std::string&, const Parametric<float>& part, const Learning
   return keep(std::move(component));
 }
 
+// What is made of others is not sent.
+void Store::send(std::size_t i) {
+  const Tensor<float>& t = host_.all()[i];
+  if (!is_stored(t.spec.role)) return;
+  const auto count = static_cast<std::size_t>(t.size());
+  cuda::upload<float>({t.value.data(), count}, value_of(i).data);
+  if (!trainable_ || !t.learned()) return;
+  cuda::upload<float>({t.moment1.data(), count}, moment_of(moment1_, i).data);
+  cuda::upload<float>({t.moment2.data(), count}, moment_of(moment2_, i).data);
+}
+
+void Store::fetch(std::size_t i) const {
+  const Tensor<float>& t = host_.all()[i];
+  if (!is_stored(t.spec.role)) return;
+  const auto count = static_cast<std::size_t>(t.size());
+  cuda::download<float>(value_of(i).data, {t.value.data(), count});
+  if (!trainable_ || !t.learned()) return;
+  cuda::download<float>(moment_of(moment1_, i).data, {t.moment1.data(), count});
+  cuda::download<float>(moment_of(moment2_, i).data, {t.moment2.data(), count});
+}
+
 void Store::upload() {
-  for (std::size_t i = 0; i < places_.size(); ++i) {
-    const Tensor<float>& t = host_.all()[i];
-    if (!is_stored(t.spec.role)) continue;
-    const auto count = static_cast<std::size_t>(t.size());
-    cuda::upload<float>({t.value.data(), count}, value_of(i).data);
-    if (!trainable_ || !t.learned()) continue;
-    cuda::upload<float>({t.moment1.data(), count}, moment_of(moment1_, i).data);
-    cuda::upload<float>({t.moment2.data(), count}, moment_of(moment2_, i).data);
-  }
+  for (std::size_t i = 0; i < places_.size(); ++i) send(i);
   synchronize();
 }
 
 void Store::download() const {
+  for (std::size_t i = 0; i < places_.size(); ++i) fetch(i);
+  synchronize();
+}
+
+void Store::upload_semantic() {
+  for (std::size_t i = 0; i < places_.size(); ++i)
+    if (host_.all()[i].rule.semantic) send(i);
+  synchronize();
+}
+
+void Store::download_semantic() const {
+  for (std::size_t i = 0; i < places_.size(); ++i)
+    if (host_.all()[i].rule.semantic) fetch(i);
+  synchronize();
+}
+
+AdamTable<float> Store::semantic(double weight_decay) {
+  std::vector<AdamTensor<float>> table;
+  std::int64_t elements = 0;
   for (std::size_t i = 0; i < places_.size(); ++i) {
     const Tensor<float>& t = host_.all()[i];
-    if (!is_stored(t.spec.role)) continue;
-    const auto count = static_cast<std::size_t>(t.size());
-    cuda::download<float>(value_of(i).data, {t.value.data(), count});
-    if (!trainable_ || !t.learned()) continue;
-    cuda::download<float>(moment_of(moment1_, i).data, {t.moment1.data(), count});
-    cuda::download<float>(moment_of(moment2_, i).data, {t.moment2.data(), count});
+    if (!t.learned() || !t.rule.semantic) continue;
+    AdamTensor<float>& one = table.emplace_back();
+    one.value = value_of(i).data;
+    one.grad = grad_of(i).data;
+    one.moment1 = moment_of(moment1_, i).data;
+    one.moment2 = moment_of(moment2_, i).data;
+    one.rows = t.spec.rows;
+    one.cols = t.spec.cols;
+    one.decay = t.spec.rows > 1 ? weight_decay : 0;  // not of biases
+    elements += t.size();
   }
+  const std::span<const std::byte> bytes = std::as_bytes(std::span<const AdamTensor<float>>(table));
+  if (semantic_table_.size() < bytes.size())
+    semantic_table_ = Buffer<std::byte>(bytes.size(), "table of semantic tensors");
+  cuda::upload<std::byte>(bytes, semantic_table_.data());
   synchronize();
+  return {reinterpret_cast<const AdamTensor<float>*>(semantic_table_.data()), static_cast<int>(table.size()), elements};
 }
 
 void Store::zero_derived_gradients() const {

@@ -36,11 +36,16 @@ class Store final : public TensorStore<float> {
 
   void upload();
   void download() const;
+  /// Values and moments of the tensors that labels shape, to the device and back.
+  void upload_semantic();
+  void download_semantic() const;
   /// Gradients that no update clears: those of derived tensors.
   void zero_derived_gradients() const;
   /// All of them, after a step that failed.
   void clear_gradients() const;
 
+  /// Those that labels shape, with a decay of their weights in place of their own rules. Valid until the next call.
+  AdamTable<float> semantic(double weight_decay);
   /// Learned tensors, in device memory.
   AdamTable<float> learned() const {
     return {reinterpret_cast<const AdamTensor<float>*>(learned_table_.data()),
@@ -55,6 +60,8 @@ class Store final : public TensorStore<float> {
   };
   static constexpr std::int64_t kNone = -1;
   void make_lanes(std::int64_t numbers);
+  void send(std::size_t tensor);
+  void fetch(std::size_t tensor) const;
   View<float> value_of(std::size_t tensor) const;
   View<float> grad_of(std::size_t tensor) const;
   View<float> lane_grad_of(std::size_t tensor, int lane) const;
@@ -64,7 +71,7 @@ class Store final : public TensorStore<float> {
   bool trainable_;
   std::vector<Place> places_;
   Buffer<float> values_, grads_, derived_grads_, moment1_, moment2_;
-  Buffer<std::byte> learned_table_;
+  Buffer<std::byte> learned_table_, semantic_table_;
   int lane_count_;
   std::size_t lane_numbers_ = 0;
   Buffer<float> lanes_;

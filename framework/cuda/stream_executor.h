@@ -18,6 +18,7 @@
 #include "cuda/store.h"
 #include "execution/device_library.h"
 #include "execution/pipeline.h"
+#include "execution/point_network.h"
 
 namespace semfield::cuda {
 
@@ -50,6 +51,7 @@ class StreamExecutor final : public Executor<float> {
   void set_gradient_hook(GradientHook<float> hook) override;
   void render(const RenderJob<float>& job) override;
   void density(View<const double> positions, View<float> sigma) override;
+  PointNetwork<float>& points() override;
 
   SampleRoom& sample_room() { return room_; }
 
@@ -121,6 +123,7 @@ class StreamExecutor final : public Executor<float> {
   /// Of this rank's.
   std::int64_t first_ray() const;
   class ShardExecutor;
+  class Points;
   std::int64_t growths() const;
   /// Whether forward and backward of the first `rays` rays of a shard do (memory_advice.cpp).
   bool fits(std::int64_t rays, const Shape& shape, std::int64_t step);
@@ -161,6 +164,7 @@ class StreamExecutor final : public Executor<float> {
   std::vector<Queued> queued_;
   std::vector<StepLosses> done_;
   GradientHook<float> hook_;
+  std::unique_ptr<PointNetwork<float>> points_;
 };
 
 }  // namespace semfield::cuda

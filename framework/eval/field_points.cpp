@@ -7,7 +7,7 @@
 
 #include "compute/float_mode.h"
 #include "core/check.h"
-#include "execution/point_query.h"
+#include "execution/point_network.h"
 
 namespace semfield {
 

@@ -42,6 +42,9 @@ struct StepResults {
   std::optional<Error> afterwards;  ///< samplers could not refresh their state after the last of these steps
 };
 
+template <class Real>
+class PointNetwork;
+
 /// The tensors of a pipeline's store are what checkpoints hold; an executor may keep copies of its own. Throws Error.
 template <class Real>
 class Executor {
@@ -82,6 +85,10 @@ class Executor {
   /// As Pipeline::render and Pipeline::density.
   virtual void render(const RenderJob<Real>& job) = 0;
   virtual void density(View<const double> positions, View<Real> sigma) = 0;
+  /// The semantic part at points (execution/point_network.h), which lives as long as the executor.
+  virtual PointNetwork<Real>& points() {
+    throw Error(ErrorKind::internal, "internal.executor.points", "this executor has no network at points");
+  }
 };
 
 }  // namespace semfield

@@ -27,7 +27,8 @@ bool any_density(const PassTrace<Real>& trace) {
 template <class Real>
 LaneExecutor<Real>::LaneExecutor(Pipeline<Real>& pipeline)
     : pipeline_(pipeline),
-      inboxes_(static_cast<std::size_t>(options().lanes), std::vector<EncoderInbox<Real>>(passes().size())) {
+      inboxes_(static_cast<std::size_t>(options().lanes), std::vector<EncoderInbox<Real>>(passes().size())),
+      points_(pipeline) {
   lane_order_.reserve(inboxes_.size());
   queued_.reserve(1);  // they change places in every step, which so allocates nothing from the first on
   done_.reserve(1);

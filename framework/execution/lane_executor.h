@@ -8,6 +8,7 @@
 #include "core/workspace_pool.h"
 #include "execution/lane_ranks.h"
 #include "execution/pipeline.h"
+#include "execution/point_network.h"
 #include "execution/thread_arenas.h"
 #include "execution/train_rays.h"
 
@@ -32,6 +33,7 @@ class LaneExecutor final : public Executor<Real> {
   void set_gradient_hook(GradientHook<Real> hook) override { hook_ = std::move(hook); }
   void render(const RenderJob<Real>& job) override;
   void density(View<const double> positions, View<Real> sigma) override;
+  PointNetwork<Real>& points() override { return points_; }
 
   /// Losses of the batch and dL/dtheta in the store's main gradients (which must be zero on entry). A value of a ray
   /// that is not finite throws RayFault; gradients are then anything, and ParamStore::clear_gradients is due.
@@ -107,6 +109,7 @@ class LaneExecutor final : public Executor<Real> {
   std::vector<StepLosses> tile_losses_;
   Ahead ahead_;
   WorkspacePool queries_;
+  LanePoints<Real> points_;
   std::optional<LaneRanks<Real>> ranks_;
   GradientHook<Real> hook_;
   std::vector<StepLosses> queued_, done_;  // made since the last finish(), and before it

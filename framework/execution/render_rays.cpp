@@ -1,42 +1,9 @@
 #include "execution/render_rays.h"
 
 #include "core/check.h"
+#include "execution/host_ends.h"
 
 namespace semfield {
-
-namespace {
-
-template <class T>
-auto bytes_of(View<T> view) {
-  using Byte = std::conditional_t<std::is_const_v<T>, const std::byte, std::byte>;
-  return View<Byte>(reinterpret_cast<Byte*>(view.data), view.rows, view.cols * static_cast<std::int32_t>(sizeof(T)),
-                    view.row_stride * static_cast<std::int64_t>(sizeof(T)), view.device);
-}
-
-// Host views of a call as the stages see them: themselves, or copies in the device's memory.
-template <class Real>
-struct HostEnds {
-  const Stages<Real>& stages;
-  Workspace& arena;
-
-  template <class T>
-  View<const T> sent(View<const T> from) const {
-    if (from.empty() || stages.host_memory) return from;
-    const View<T> to = arena.take<T>(from.rows, from.cols);
-    stages.copy(bytes_of(from), bytes_of(to));
-    return to;
-  }
-  template <class T>
-  View<T> room_for(View<T> wanted) const {
-    return wanted.empty() || stages.host_memory ? wanted : arena.take<T>(wanted.rows, wanted.cols);
-  }
-  template <class From, class T>
-  void fetch(View<From> from, View<T> wanted) const {
-    if (!wanted.empty() && wanted.data != from.data) stages.copy(bytes_of(View<const T>(from)), bytes_of(wanted));
-  }
-};
-
-}  // namespace
 
 template <class Real>
 RenderJob<Real> RenderJob<Real>::rows(std::int64_t begin, std::int64_t count) const {

@@ -9,6 +9,7 @@ BranchedHead<Real>::BranchedHead(const Head<Real>& head, const BranchParts<Real>
       store_(&store),
       stages_(&stages),
       pass_(place.pass),
+      guarded_(place.semantic ? Guarded::logits : Guarded::channel),
       deferred_(deferred),
       component_(store.add(place.prefix, head, branch.rules.learning(place.semantic))),
       branch_(branch, place, store, stages) {}
@@ -49,7 +50,8 @@ HeadTrace<Real> BranchedHead<Real>::forward(const StepContext& ctx, int lane, co
   } else {
     stages_->sum_by_weight(branch.samples, branch.weight, trace.sample_rows, trace.rows);
   }
-  stages_->guard({pass_, ctx.first_ray, call.samples}, Guarded::logits, trace.rows);
+  const LiveRows<Real> all_rays(*stages_, nullptr);
+  stages_->guard({pass_, ctx.first_ray, call.samples}, guarded_, trace.rows);
   return trace;
 }
 

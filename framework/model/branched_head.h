@@ -43,6 +43,7 @@ class BranchedHead {
   TensorStore<Real>* store_;
   const Stages<Real>* stages_;
   std::string pass_;
+  Guarded guarded_;  // what its rows are
   bool deferred_;
   int component_;
   HeadBranch<Real> branch_;

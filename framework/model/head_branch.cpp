@@ -100,15 +100,16 @@ void HeadBranch<Real>::encode_points(const StepContext& ctx, View<const double> 
 }
 
 template <class Real>
-BranchTrace<Real> HeadBranch<Real>::forward_points(const StepContext& ctx, int lane, View<Real> input) const {
+BranchTrace<Real> HeadBranch<Real>::forward_points(const StepContext& ctx, int lane, View<const Real> input) const {
   Workspace& arena = *ctx.workspace;
   BranchTrace<Real> trace;
-  trace.input = input;
+  // Nothing writes it from here on.
+  trace.input = {const_cast<Real*>(input.data), input.rows, input.cols, input.row_stride, input.device};
   trace.samples.count = input.rows;
   trace.samples.first = arena.take<std::int32_t>(input.rows + 1, 1);
   trace.samples.ray_of_sample = arena.take<std::int32_t>(input.rows, 1);
-  for (std::int64_t i = 0; i <= input.rows; ++i) trace.samples.first(i, 0) = static_cast<std::int32_t>(i);
-  for (std::int64_t i = 0; i < input.rows; ++i) trace.samples.ray_of_sample(i, 0) = static_cast<std::int32_t>(i);
+  stages_->count_up(trace.samples.first);
+  stages_->count_up(trace.samples.ray_of_sample);
   take_outputs(ctx, input.rows, input.rows, trace);
   if (input.rows > 0) run_network(ctx, lane, trace);
   return trace;

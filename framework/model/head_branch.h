@@ -81,7 +81,7 @@ class HeadBranch {
   /// Keeps the samples of the call that weigh, encodes them and runs the network, in ctx.workspace.
   BranchTrace<Real> forward(const StepContext& ctx, int lane, const BranchCall<Real>& call) const;
   /// The same of single samples, whose inputs are known: input [K, input_dims], each sample a ray of its own.
-  BranchTrace<Real> forward_points(const StepContext& ctx, int lane, View<Real> input) const;
+  BranchTrace<Real> forward_points(const StepContext& ctx, int lane, View<const Real> input) const;
   /// Columns of the input: the encoded position, and behind it `feature_dims` of the field's feature where it is read.
   std::int32_t input_dims(std::int32_t feature_dims) const {
     return parts_->position->traits().out_dims + (parts_->rules.reads_feature ? feature_dims : 0);

@@ -185,14 +185,14 @@ class Pass {
   void point_colors(const StepContext& ctx, View<const double> positions, View<const double> directions,
                     View<Real> color) const;
 
-  /// Semantics of points of the last pass, apart from rays. Host memory; only where parts().head stands.
+  /// Semantics of points of the last pass, apart from rays; only where parts().head stands.
   /// Numbers of a point that labels do not shape where the pass has a branch: its encoded position and what it reads of
   /// the field. Without a branch the field's feature.
   std::int32_t point_dims() const;
   /// rows [N, point_dims()] at world positions [N, 3].
   void point_rows(const StepContext& ctx, View<const double> positions, View<Real> rows) const;
   /// logits [N, C] of a sample of weight 1 with these rows; the trace lies in ctx.workspace and borrows `rows`.
-  PointTrace<Real> point_forward(const StepContext& ctx, int lane, View<Real> rows, View<Real> logits) const;
+  PointTrace<Real> point_forward(const StepContext& ctx, int lane, View<const Real> rows, View<Real> logits) const;
   /// Gradients from d_logits [N, C] into the lane's, of head and branch alone.
   void point_backward(const StepContext& ctx, int lane, const PointTrace<Real>& trace, View<const Real> d_logits) const;
 

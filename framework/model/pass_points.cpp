@@ -79,10 +79,11 @@ std::int32_t Pass<Real>::point_dims() const {
 
 template <class Real>
 void Pass<Real>::point_rows(const StepContext& ctx, View<const double> positions, View<Real> rows) const {
-  SEMFIELD_CHECK(stages_->host_memory && parts_.head, "points of a pass with semantics, on the CPU");
+  SEMFIELD_CHECK(parts_.head, "points of a pass with semantics");
   if (positions.rows == 0) return;
   Workspace& arena = *ctx.workspace;
   const Workspace::Scope scope(arena);
+  const LiveRows<Real> all(*stages_, nullptr);
   std::int32_t of_position = 0;
   if (branched_) {
     of_position = branched_->branch().input_dims(0);
@@ -93,18 +94,16 @@ void Pass<Real>::point_rows(const StepContext& ctx, View<const double> positions
   stages_->map_positions(positions, parts_.domain, x);
   const View<Real> encoded = arena.take<Real>(positions.rows, encoded_dims());
   parts_.position->forward(ctx, store_->tensors(position_), x, encoded);
-  const View<Real> feature = arena.take<Real>(positions.rows, parts_.field->traits().feature_dims);
   FieldIn<Real> in;
   in.position = encoded;
   FieldOut<Real> out;
-  out.feature = feature;
+  out.feature = rows.col_range(of_position, parts_.field->traits().feature_dims);
   parts_.field->forward(ctx, store_->tensors(field_), in, out, {});
-  for (std::int64_t r = 0; r < positions.rows; ++r)
-    std::copy_n(feature.row(r), feature.cols, rows.row(r) + of_position);
 }
 
 template <class Real>
-PointTrace<Real> Pass<Real>::point_forward(const StepContext& ctx, int lane, View<Real> rows, View<Real> logits) const {
+PointTrace<Real> Pass<Real>::point_forward(const StepContext& ctx, int lane, View<const Real> rows,
+                                           View<Real> logits) const {
   PointTrace<Real> trace;
   if (branched_) {
     trace.branch = branched_->branch().forward_points(ctx, lane, rows);
@@ -132,15 +131,15 @@ void Pass<Real>::point_backward(const StepContext& ctx, int lane, const PointTra
   if (branched_) branched_->branch().backward(ctx, lane, trace.branch, d_feature);
 }
 
-#define SEMFIELD_INSTANTIATE(Real)                                                                               \
-  template void Pass<Real>::density(const StepContext&, View<const double>, View<Real>) const;                   \
-  template void Pass<Real>::observe(const StepContext&, const DensityQuery<Real>&) const;                        \
-  template void Pass<Real>::observe(const StepContext&) const;                                                   \
-  template void Pass<Real>::point_colors(const StepContext&, View<const double>, View<const double>, View<Real>) \
-      const;                                                                                                     \
-  template std::int32_t Pass<Real>::point_dims() const;                                                          \
-  template void Pass<Real>::point_rows(const StepContext&, View<const double>, View<Real>) const;                \
-  template PointTrace<Real> Pass<Real>::point_forward(const StepContext&, int, View<Real>, View<Real>) const;    \
+#define SEMFIELD_INSTANTIATE(Real)                                                                                  \
+  template void Pass<Real>::density(const StepContext&, View<const double>, View<Real>) const;                      \
+  template void Pass<Real>::observe(const StepContext&, const DensityQuery<Real>&) const;                           \
+  template void Pass<Real>::observe(const StepContext&) const;                                                      \
+  template void Pass<Real>::point_colors(const StepContext&, View<const double>, View<const double>, View<Real>)    \
+      const;                                                                                                        \
+  template std::int32_t Pass<Real>::point_dims() const;                                                             \
+  template void Pass<Real>::point_rows(const StepContext&, View<const double>, View<Real>) const;                   \
+  template PointTrace<Real> Pass<Real>::point_forward(const StepContext&, int, View<const Real>, View<Real>) const; \
   template void Pass<Real>::point_backward(const StepContext&, int, const PointTrace<Real>&, View<const Real>) const;
 SEMFIELD_INSTANTIATE(float)
 SEMFIELD_INSTANTIATE(double)

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <string>
 #include <type_traits>
 
@@ -49,6 +50,8 @@ template <class Real>
 void fill(View<Real> values, Real value) {
   for (std::int64_t r = 0; r < values.rows; ++r) std::fill_n(values.row(r), values.cols, value);
 }
+
+void count_up(View<std::int32_t> numbers) { std::iota(numbers.data, numbers.data + numbers.rows, 0); }
 
 template <class Real>
 void add(View<const Real> from, View<Real> to) {
@@ -199,6 +202,8 @@ void guard(const GuardPlace<Real>& place, Guarded value, View<const Real> values
       return guard.per_ray("opacity", values);
     case Guarded::logits:
       return guard.per_ray("logits", values);
+    case Guarded::channel:
+      return guard.per_ray("channel of a head", values);
   }
 }
 
@@ -232,6 +237,7 @@ Stages<Real> make_stages() {
   s.composite_forward = composite_forward<Real>;
   s.composite_backward = composite_backward<Real>;
   s.fill = fill<Real>;
+  s.count_up = count_up;
   s.add = add<Real>;
   s.keep = keep<Real>;
   s.join = join<Real>;

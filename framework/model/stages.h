@@ -30,6 +30,7 @@ enum class Guarded : std::uint8_t {
   depth,
   opacity,
   logits,
+  channel,  ///< of a head beside that of class logits
 };
 
 /// Whose values they are, for messages.
@@ -97,6 +98,8 @@ struct Stages {
                              const CompositeGrad<Real>& grad, View<Real> d_sigma, View<Real> d_rgb,
                              View<Real> d_hidden) = nullptr;
   void (*fill)(View<Real> values, Real value) = nullptr;
+  /// numbers(i, 0) = i.
+  void (*count_up)(View<std::int32_t> numbers) = nullptr;
   /// to += from.
   void (*add)(View<const Real> from, View<Real> to) = nullptr;
 

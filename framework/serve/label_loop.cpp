@@ -81,7 +81,6 @@ bool LabelLoop::update_surfaces(double budget_s) {
 }
 
 void LabelLoop::make_pool() {
-  pipeline_.executor().download(training_.step());
   std::int64_t pixels = 0;
   for (const PoolView& view : pooled()) pixels += std::ssize(view.map.distance_m);
   pool_ = make_surface_pool(pooled(), training_.session().limits,
@@ -141,12 +140,10 @@ std::vector<float> LabelLoop::probabilities(const PointRows& rows, std::span<con
 }
 
 bool LabelLoop::find_places(std::span<const LabelledPixels> clicks, double budget_s) {
-  pipeline_.executor().download(training_.step());
   return places_.find(clicks, surface(), budget_s);
 }
 
 void LabelLoop::refresh_places(std::span<const LabelledPixels> clicks, double budget_s) {
-  pipeline_.executor().download(training_.step());
   places_.refresh(clicks, surface(), budget_s);
 }
 
@@ -227,13 +224,11 @@ void LabelLoop::learn_from(Named named, std::int64_t steps) {
 }
 
 void LabelLoop::learn(std::span<const LabelledPixels> clicks, bool quickly) {
-  pipeline_.executor().download(training_.step());
   (void)places_.find(clicks, surface(), INFINITY);
   learn_from(named_points(clicks), quickly ? options_.quick_steps : options_.learning.steps);
   clicks_.clear();
   std::copy_if(clicks.begin(), clicks.end(), std::back_inserter(clicks_),
                [](const LabelledPixels& click) { return click.weight >= 1; });
-  pipeline_.executor().upload(training_.step());
   predict_pool();
 }
 

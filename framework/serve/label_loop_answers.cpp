@@ -27,7 +27,6 @@ std::vector<double> LabelLoop::areas_of(std::size_t clicks, const Named& named) 
 }
 
 std::vector<HeldBack> LabelLoop::hold_back(std::span<const LabelledPixels> clicks, int fold) {
-  pipeline_.executor().download(training_.step());
   (void)places_.find(clicks, surface(), INFINITY);
   std::vector<std::int16_t> of_clicks;  // classes; given labels are never held back
   for (const LabelledPixels& click : clicks)

@@ -7,7 +7,6 @@
 
 #include "core/small_math.h"
 #include "execution/pipeline.h"
-#include "execution/thread_arenas.h"
 
 namespace semfield {
 
@@ -30,9 +29,8 @@ struct PointLearning {
   std::uint64_t seed = 1;       ///< of the order of points and of dropout
 };
 
-/// Works on the tensors of the pipeline's last pass on the CPU: those of its branch, if it has one, and of its
-/// head. Nothing else of the pipeline may run meanwhile. Where a pipeline runs on another device, the caller brings the
-/// store up to date first (Executor::download) and hands it back afterwards (Executor::upload).
+/// Works on the semantic tensors of the pipeline's last pass where its executor runs (execution/point_network.h).
+/// Nothing else of the pipeline may run meanwhile.
 class PointLearner {
  public:
   /// Borrows the pipeline, which must be trainable and have semantics.
@@ -59,14 +57,7 @@ class PointLearner {
   std::vector<float> logits(const PointRows& rows);
 
  private:
-  struct Batch;
-  void gradients(const Batch& batch);
-  void update(const PointLearning& options, std::int64_t number);
-  StepContext context(std::int64_t number, bool training, Workspace& arena) const;
-  const Pass<float>& pass() const { return pipeline_.passes().back(); }
-
   Pipeline<float>& pipeline_;
-  ThreadArenas arenas_;
   std::int32_t classes_ = 0;
   std::vector<Tensor<float>*> tensors_;  // semantic, with gradients
 };

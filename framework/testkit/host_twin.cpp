@@ -196,6 +196,60 @@ void HostField::do_backward(const StepContext& ctx, const Tensors<float>& tensor
   copies.bring_back();
 }
 
+void HostHead::derive(const StepContext& ctx, const Tensors<float>& tensors) const {
+  derive_on(device_, options_, ctx, tensors);
+}
+void HostHead::derive_backward(const StepContext& ctx, const Tensors<float>& tensors) const {
+  derive_backward_on(device_, options_, ctx, tensors);
+}
+
+void HostHead::hidden_forward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> feature,
+                              View<float> hidden) const {
+  Copies copies("head.hidden_forward", options_.calls);
+  const DeviceTensors t(copies, tensors, Access::read, Access::read);
+  const View<const float> feature_there = copies.in(feature);
+  const View<float> hidden_there = copies.out(hidden);
+  options_.calls.run(options_.deterministic,
+                     [&] { device_.hidden_forward(ctx, t.view(), feature_there, hidden_there); });
+  copies.bring_back();
+}
+
+void HostHead::hidden_backward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> feature,
+                               View<const float> hidden, View<float> d_hidden, View<float> d_feature) const {
+  Copies copies("head.hidden_backward", options_.calls);
+  const DeviceTensors t(copies, tensors, Access::read, Access::write);
+  const View<const float> feature_there = copies.in(feature), hidden_there = copies.in(hidden);
+  const View<float> d_hidden_there = copies.out(d_hidden), d_feature_there = copies.out(d_feature);
+  options_.calls.run(options_.deterministic, [&] {
+    device_.hidden_backward(ctx, t.view(), feature_there, hidden_there, d_hidden_there, d_feature_there);
+  });
+  copies.bring_back();
+}
+
+void HostHead::output_forward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> h,
+                              View<const float> opacity, View<float> rows) const {
+  Copies copies("head.output_forward", options_.calls);
+  const DeviceTensors t(copies, tensors, Access::read, Access::read);
+  const View<const float> h_there = copies.in(h), opacity_there = copies.in(opacity);
+  const View<float> rows_there = copies.out(rows);
+  options_.calls.run(options_.deterministic,
+                     [&] { device_.output_forward(ctx, t.view(), h_there, opacity_there, rows_there); });
+  copies.bring_back();
+}
+
+void HostHead::output_backward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> h,
+                               View<const float> opacity, View<const float> d_rows, View<float> d_h,
+                               View<float> d_opacity) const {
+  Copies copies("head.output_backward", options_.calls);
+  const DeviceTensors t(copies, tensors, Access::read, Access::write);
+  const View<const float> h_there = copies.in(h), opacity_there = copies.in(opacity), d_there = copies.in(d_rows);
+  const View<float> d_h_there = copies.out(d_h), d_opacity_there = copies.out(d_opacity);
+  options_.calls.run(options_.deterministic, [&] {
+    device_.output_backward(ctx, t.view(), h_there, opacity_there, d_there, d_h_there, d_opacity_there);
+  });
+  copies.bring_back();
+}
+
 void HostSampler::derive(const StepContext& ctx, const Tensors<float>& tensors) const {
   derive_on(device_, options_, ctx, tensors);
 }

@@ -4,6 +4,7 @@
 #include "execution/device_library.h"
 #include "plugin/encoder.h"
 #include "plugin/field.h"
+#include "plugin/head/head.h"
 #include "plugin/sampler.h"
 
 namespace semfield::testkit {
@@ -65,6 +66,29 @@ class HostField final : public Field<float> {
 
  private:
   const Field<float>& device_;
+  TwinOptions options_;
+};
+
+class HostHead final : public Head<float> {
+ public:
+  HostHead(const Head<float>& on_device, TwinOptions options) : device_(on_device), options_(options) {}
+  std::int32_t hidden_width() const override { return device_.hidden_width(); }
+  std::int32_t width() const override { return device_.width(); }
+  void declare(ParamDeclarer& declarer) const override { device_.declare(declarer); }
+  void derive(const StepContext& ctx, const Tensors<float>& tensors) const override;
+  void derive_backward(const StepContext& ctx, const Tensors<float>& tensors) const override;
+  void hidden_forward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> feature,
+                      View<float> hidden) const override;
+  void hidden_backward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> feature,
+                       View<const float> hidden, View<float> d_hidden, View<float> d_feature) const override;
+  void output_forward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> h,
+                      View<const float> opacity, View<float> rows) const override;
+  void output_backward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> h,
+                       View<const float> opacity, View<const float> d_rows, View<float> d_h,
+                       View<float> d_opacity) const override;
+
+ private:
+  const Head<float>& device_;
   TwinOptions options_;
 };
 

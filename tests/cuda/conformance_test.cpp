@@ -1,4 +1,4 @@
-// The laws of its kind for every registered encoder, field and sampler on the device, against the CPU's double.
+// The laws of its kind for every registered encoder, field, sampler and head on the device, against the CPU's double.
 #include <stdlib.h>
 
 #include <filesystem>
@@ -80,12 +80,28 @@ TEST_P(CudaSamplerConformance, Laws) {
                         });
 }
 
+class CudaHeadConformance : public ::testing::TestWithParam<Row> {};
+TEST_P(CudaHeadConformance, Laws) {
+  SEMFIELD_NEEDS_DEVICE();
+  SEMFIELD_NEEDS_KERNELS();
+  LawOptions options = device_laws(1);
+  options.same_bits_in_parts = false;  // cuBLASLt's choice
+  std::vector<HeadBuild> builds = head_builds(Device::cuda);
+  builds.push_back({Device::cuda, 16, 200});  // as wide as products of their own
+  hold_for_any_accepted(registry_with_cuda(), GetParam(), builds,
+                        [&](const Head<float>& single, const Head<double>& oracle, const HeadBuild& build) {
+                          return head_laws(HostHead(single, on_device(false)), oracle, build, options);
+                        });
+}
+
 INSTANTIATE_TEST_SUITE_P(Linked, CudaEncoderConformance,
                          ::testing::ValuesIn(rows_of(PluginKind::encoder, Device::cuda)), name_of);
 INSTANTIATE_TEST_SUITE_P(Linked, CudaFieldConformance, ::testing::ValuesIn(rows_of(PluginKind::field, Device::cuda)),
                          name_of);
 INSTANTIATE_TEST_SUITE_P(Linked, CudaSamplerConformance,
                          ::testing::ValuesIn(rows_of(PluginKind::sampler, Device::cuda)), name_of);
+INSTANTIATE_TEST_SUITE_P(Linked, CudaHeadConformance, ::testing::ValuesIn(rows_of(PluginKind::head, Device::cuda)),
+                         name_of);
 
 std::set<std::string> variants_of(const std::string& owner) {
   std::istringstream list(registry_with_cuda().kernels().devices_of(owner));
@@ -105,7 +121,8 @@ std::set<std::string> plugins_with_cuda_sources() {
 // without such sources is named, unless it is a field whose layers are the framework's. Needs no device: the library is
 // loaded for its tables.
 TEST(CudaConformance, EveryRegisteredPluginHasKernelsAndARow) {
-  for (const PluginKind kind : {PluginKind::encoder, PluginKind::field, PluginKind::sampler, PluginKind::loss}) {
+  for (const PluginKind kind :
+       {PluginKind::encoder, PluginKind::field, PluginKind::sampler, PluginKind::head, PluginKind::loss}) {
     std::set<std::string> with_row;
     for (const Row& row : rows_of(kind, Device::cuda)) with_row.insert(row.name);
     EXPECT_FALSE(with_row.empty()) << "no " << kind_name(kind) << " is registered";

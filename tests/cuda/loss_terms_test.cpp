@@ -20,7 +20,7 @@ using testkit::LossRays;
 
 constexpr double kScale = 0.37;
 constexpr std::int64_t kUnused = 41;  // rows behind the samples that no ray owns
-constexpr std::int32_t kClasses = LossRays<float>::kClasses;
+constexpr std::int32_t kClasses = LossRays<float>::kClasses, kColumns = LossRays<float>::kColumns;
 
 std::vector<float> with_tail(const std::vector<float>& values, float tail) {
   std::vector<float> all = values;
@@ -45,15 +45,20 @@ struct DeviceRays {
         opacity(host.opacity, 1, 1 + gap),
         color(host.color, 3, 3 + gap),
         logits(host.logits, kClasses, kClasses + gap),
+        further(host.further),
+        target(host.further_target, kColumns),
+        made(host.made, kColumns, kColumns + gap),
         d_color(ones(host.color.size()), 3, 3 + gap),
         d_depth(ones(host.depth.size()), 1, 1 + gap),
         d_weight(with_tail(ones(host.t.size()), 1.F), 1, 1 + gap),
         d_sigma(with_tail(ones(host.t.size()), 1.F), 1, 1 + gap),
-        d_logits(ones(host.logits.size()), kClasses, kClasses + gap) {}
+        d_logits(ones(host.logits.size()), kClasses, kClasses + gap),
+        d_made(ones(host.made.size()), kColumns, kColumns + gap) {}
   RayTargets targets() const {
     RayTargets out{.label = label.read_only()};
     out.more.set(channel::depth, truth.read_only());
     if (soft.view().rows > 0) out.more.set(channel::soft_label, soft.read_only());
+    if (!further.target.empty()) out.more.set(further.target, target.read_only());
     return out;
   }
   RayValues<float> values() const {
@@ -61,22 +66,26 @@ struct DeviceRays {
         near_far.read_only(), first.read_only(), t.read_only(),     delta.read_only(),   sigma.read_only(),
         weight.read_only(),   color.read_only(), depth.read_only(), opacity.read_only(), {}};
     out.heads.set(channel::logits, logits.read_only());
+    if (!further.head.empty()) out.heads.set(further.head, made.read_only());
     return out;
   }
   RayGradients<float> gradients() const {
     RayGradients<float> out{d_color.view(), d_depth.view(), d_weight.view(), d_sigma.view(), {}};
     out.heads.set(channel::logits, d_logits.view());
+    if (!further.head.empty()) out.heads.set(further.head, d_made.view());
     return out;
   }
   std::string surroundings() const {
     return d_color.surroundings() + d_depth.surroundings() + d_weight.surroundings() + d_sigma.surroundings() +
-           d_logits.surroundings();
+           d_logits.surroundings() + d_made.surroundings();
   }
   DeviceMatrix<std::int32_t> first;
   DeviceMatrix<double> near_far;
   DeviceMatrix<std::int16_t> label;
   DeviceMatrix<float> truth, soft, t, delta, sigma, weight, depth, opacity, color, logits;
-  DeviceMatrix<float> d_color, d_depth, d_weight, d_sigma, d_logits;
+  testkit::FurtherChannels further;
+  DeviceMatrix<float> target, made;
+  DeviceMatrix<float> d_color, d_depth, d_weight, d_sigma, d_logits, d_made;
 };
 
 // The gradient that was added; rows that no ray owns must still hold 1.
@@ -110,8 +119,9 @@ void expect_same(const testkit::Row& row, const std::vector<int>& counts, int ga
   const std::vector<cuda::DeviceLoss> losses = device_losses(row);
   if (losses.empty()) return;
   DeviceLaunch launch;
-  const LossRays<float> host(counts, 1, soft_labels);
-  LossRays<double> want(counts, 1, soft_labels);
+  const testkit::FurtherChannels further(losses[0].loss->traits());
+  const LossRays<float> host(counts, 1, soft_labels, further);
+  LossRays<double> want(counts, 1, soft_labels, further);
   const double sum = want.add(*losses[0].loss, kScale);
   // Second in a list of two, of which the first does not work.
   cuda::StepCell cell;
@@ -139,6 +149,7 @@ void expect_same(const testkit::Row& row, const std::vector<int>& counts, int ga
   compare("weight", there.d_weight, want.d_weight);
   compare("density", there.d_sigma, want.d_sigma);
   compare("logits", there.d_logits, want.d_logits);
+  compare("a head's channel", there.d_made, want.d_made);
   EXPECT_EQ(there.surroundings(), "");
   EXPECT_EQ(run().terms[1], got.terms[1]) << "a second run gave other bits";
   EXPECT_EQ(launch.take_fault(), std::nullopt);
@@ -164,12 +175,12 @@ TEST(CudaLosses, ManyRays) {
 // A batch without what a loss compares with, as `bench step` makes it.
 TEST(CudaLosses, NoTargetsAreNoLoss) {
   SEMFIELD_ON_DEVICE(launch);
-  const LossRays<float> host(testkit::awkward_ray_lengths());
-  DeviceRays there(host, 0);
   const DeviceMatrix<LossSums> sums(std::vector<LossSums>(1), 1);
   for (const testkit::Row& row : testkit::rows_of(PluginKind::loss)) {
     const std::vector<cuda::DeviceLoss> losses = device_losses(row);
     if (losses.empty() || losses[0].loss->traits().targets.empty()) continue;
+    const testkit::FurtherChannels further(losses[0].loss->traits());
+    const DeviceRays there(LossRays<float>(testkit::awkward_ray_lengths(), 1, false, further), 0);
     cuda::add_losses(launch.arena(), losses, 1, {{}, there.values(), there.gradients()}, sums.data());
     EXPECT_EQ(sums.read()[0].terms[0], 0) << row.text();
   }

@@ -37,6 +37,7 @@ Device runs_on(const Session& session) { return session.pipeline->executor().dev
 void copy_values(const ParamStore<float>& from, ParamStore<float>& to) {
   for (std::size_t i = 0; i < from.all().size(); ++i) {
     const AlignedBuffer<float>& value = from.all()[i].value;
+    ASSERT_EQ(value.size(), to.all()[i].value.size()) << from.all()[i].name;
     std::copy_n(value.data(), value.size(), to.all()[i].value.data());
   }
 }
@@ -83,6 +84,11 @@ const StepCaseRow kSteps[] = {
     {"terms", two_pass_config, kTerms},
     {"terms_hash", hash_config, kTerms},
     {"terms_and_branch", branch_and_terms_config, kTerms},
+    {"head", head_config, ""},
+    {"head_with_dropout", head_config, ", dropout: 0.3, weight_decay: 0.1, learning_rate: 0.2"},
+    {"head_of_the_feature", two_pass_head_config, ""},
+    {"head_on_principal_axes", two_pass_head_config, ", width: 2"},
+    {"head_beside_a_branch", branch_and_head_config, ", reads_feature: true"},
     {"line_of_sight", two_pass_config, "losses: [{type: depth, kind: line_of_sight, weight: 0.3}]\n"},
 };
 
@@ -206,7 +212,8 @@ TEST(CudaRun, ATermThatBeginsLaterBeginsInItsStep) {
 TEST(CudaRun, DeterministicRunsHaveTheSameBits) {
   SEMFIELD_NEEDS_DEVICE();
   Registry registry = make_registry();
-  for (const auto& config : {hash_config(), two_pass_config(), branch_config(", dropout: 0.2")}) {
+  for (const auto& config :
+       {hash_config(), two_pass_config(), branch_config(", dropout: 0.2"), branch_and_head_config(", dropout: 0.2")}) {
     for (const char* precision : {"fp32", "bf16"}) {
       const std::string runtime = std::string("device: cuda, deterministic: true, precision: ") + precision;
       Training one(registry, config, runtime), two(registry, config, runtime);
@@ -274,6 +281,44 @@ TEST(CudaRun, RendersWhatTheProcessorRenders) {
       const float* const row = a.probability.data() + i * classes;
       ASSERT_EQ(row[a.label[i]], a.confidence[i]) << "pixel " << i;
       ASSERT_EQ(*std::max_element(row, row + classes), a.confidence[i]) << "pixel " << i;
+    }
+  }
+}
+
+// The channel is the room's colour: what the head renders points where the colours do, on the device as on a CPU.
+TEST(CudaRun, AHeadLearnsItsChannelAndRendersItAsOnTheProcessor) {
+  SEMFIELD_NEEDS_DEVICE();
+  Registry registry = make_registry();
+  for (const char* precision : {"fp32", "bf16"}) {
+    for (const std::string& config : {head_config(", learning_rate: 0.3"), two_pass_head_config(", width: 2")}) {
+      SCOPED_TRACE(precision + ("\n" + config));
+      const std::string of_precision = std::string(", precision: ") + precision;
+      Training cuda(registry, config, "device: cuda" + of_precision);
+      ASSERT_EQ(runs_on(cuda.session), Device::cuda);
+      const double first = cuda.train(1).terms[0], last = cuda.train(300).terms[0];
+      EXPECT_LT(last, 0.6 * first);
+      Training cpu(registry, config, "device: cpu" + of_precision);
+      copy_values(cuda.session.pipeline->store(), cpu.session.pipeline->store());
+      cpu.session.pipeline->executor().upload(300);
+      const int test = cuda.session.scene.frames_of(Split::test).front();
+      const FrameInfo& info = cuda.session.scene.info.frames[static_cast<std::size_t>(test)];
+      const auto draw = [&](Training& of) {
+        FrameOptions options;
+        options.channels = {"albedo"};
+        return render_frame(*of.session.pipeline, {info.camera, info.world_from_camera, false}, of.session.limits,
+                            of.session.plan.class_of_logit, {}, options);
+      };
+      const RenderedFrame a = draw(cuda), b = draw(cpu);
+      ASSERT_EQ(a.channels.size(), 1U);
+      ASSERT_EQ(a.channels[0].cols, b.channels[0].cols);
+      ASSERT_EQ(a.channels[0].values.size(), b.channels[0].values.size());
+      double worst = 0, largest = 0;
+      for (std::size_t i = 0; i < a.channels[0].values.size(); ++i) {
+        worst = std::max(worst, std::abs(double{a.channels[0].values[i]} - b.channels[0].values[i]));
+        largest = std::max(largest, std::abs(double{b.channels[0].values[i]}));
+      }
+      EXPECT_GT(largest, 0.1);
+      EXPECT_LT(worst, (precision[0] == 'b' ? 0.05 : 0.02) * largest);
     }
   }
 }

@@ -27,4 +27,24 @@ inline const char* const kTerms =
     "0.1, from_step: 0, distance_m: 0.8}]\n";
 inline std::string branch_and_terms_config(const std::string& more) { return branch_config("") + more; }
 
+/// A head of the channel `albedo`, which the room offers, with a branch of its own.
+inline std::string head_lists(const std::string& of_head, const std::string& of_branch) {
+  return "heads: [{type: feature_map, channel: albedo, hidden_width: 11" + of_head +
+         ", branch: {position: {type: frequency, frequencies: 3}, field: {type: tiny_mlp, hidden_width: 16, "
+         "hidden_layers: 2}" +
+         of_branch + "}}]\nlosses: [{type: cosine_distance, channel: albedo, weight: 0.7}]\n";
+}
+inline std::string with_albedo(const std::string& yaml) {
+  return with_scene(yaml, "{type: analytic_room, with_albedo: true}");
+}
+inline std::string head_config(const std::string& of_branch) {
+  return with_albedo(hash_config(head_lists("", of_branch)));
+}
+inline std::string two_pass_head_config(const std::string& of_head) {
+  return with_albedo(two_pass_config(head_lists(of_head, ", reads_feature: true")));
+}
+inline std::string branch_and_head_config(const std::string& of_branch) {
+  return with_albedo(branch_config("") + head_lists("", of_branch));
+}
+
 }  // namespace semfield::testing_train

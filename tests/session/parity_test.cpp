@@ -2,7 +2,7 @@
 #include "core/rng.h"
 #include "eval/field_points.h"
 #include "execution/lane_executor.h"
-#include "execution/point_query.h"
+#include "execution/point_network.h"
 #include "session/training.h"
 #include "tests/session/oracle.h"
 

@@ -1,4 +1,4 @@
-// Samples that a semantic branch keeps, what its network reads of them, and dropout.
+// Samples that a semantic branch keeps, what its network reads of them, and dropout; points in place of samples.
 #include "cuda/kernels/ray_scan.cuh"
 #include "cuda/kernels/sampling.cuh"
 #include "cuda/stages.h"
@@ -92,6 +92,23 @@ __global__ void __launch_bounds__(kThreads)
     to(k, begin + i) = live ? from(k, begin + i) * factors.of[i] : 0.0F;
 }
 
+__global__ void __launch_bounds__(kThreads) count_kernel(View<std::int32_t> numbers) {
+  const std::int64_t i = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  if (i < numbers.rows) numbers(i, 0) = static_cast<std::int32_t>(i);
+}
+
+// A warp per point; 8 B per number of its row.
+__global__ void __launch_bounds__(kThreads)
+    choose_kernel(View<const std::int32_t> choice, View<const float> from, View<const std::int16_t> logit,
+                  View<float> to, View<std::int16_t> to_logit) {
+  const std::int64_t i = (static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x) / kWarp;
+  if (i >= to.rows) return;
+  const std::int64_t point = choice(i, 0);
+  const auto lane = static_cast<std::int32_t>(threadIdx.x % kWarp);
+  for (std::int32_t c = lane; c < to.cols; c += kWarp) to(i, c) = from(point, c);
+  if (lane == 0) to_logit(i, 0) = logit(point, 0);
+}
+
 }  // namespace
 
 void keep_samples(const Samples<float>& samples, View<const float> weight, float least,
@@ -115,6 +132,20 @@ void drop_out(const Dropout& rule, const Samples<float>& samples, View<const flo
   const std::int64_t groups = to.rows * ((to.cols + kDropoutGroup - 1) / kDropoutGroup);
   dropout_kernel<<<blocks_of(groups, kThreads), kThreads, 0, launch().stream>>>(rule, samples, from, to, launch().cell);
   check_launch("dropout");
+}
+
+void count_up(View<std::int32_t> numbers) {
+  if (numbers.rows == 0) return;
+  count_kernel<<<blocks_of(numbers.rows, kThreads), kThreads, 0, launch().stream>>>(numbers);
+  check_launch("numbers of rows");
+}
+
+void choose_points(View<const std::int32_t> choice, View<const float> from, View<const std::int16_t> logit,
+                   View<float> to, View<std::int16_t> to_logit) {
+  if (to.rows == 0) return;
+  choose_kernel<<<blocks_of(to.rows * kWarp, kThreads), kThreads, 0, launch().stream>>>(choice, from, logit, to,
+                                                                                        to_logit);
+  check_launch("points of a lesson");
 }
 
 }  // namespace semfield::cuda

@@ -6,21 +6,10 @@
 #include "cuda/kernels/largest.h"
 #include "cuda/stages.h"
 #include "cuda/stream_executor.h"
+#include "execution/host_ends.h"
 #include "execution/train_rays.h"
 
 namespace semfield::cuda {
-
-namespace {
-
-// Rows without gaps, as Stages::copy takes them.
-template <class T>
-auto as_bytes_of(View<T> rows) {
-  using Byte = std::conditional_t<std::is_const_v<T>, const std::byte, std::byte>;
-  const auto bytes = static_cast<std::int32_t>(sizeof(T)) * rows.cols;
-  return View<Byte>(reinterpret_cast<Byte*>(rows.data), rows.rows, bytes, bytes, rows.device);
-}
-
-}  // namespace
 
 // A shard on the device: sums go into those of the step, and semantic branches run on a stream of their own.
 class StreamExecutor::ShardExecutor final : public StepExecutor<float> {
@@ -63,7 +52,7 @@ class StreamExecutor::ShardExecutor final : public StepExecutor<float> {
     const View<std::int32_t> first = trace.samples.first;
     if (in_place(pass)) {
       const View<double> x = place(pass, trace.encoded.rows).x;
-      stages().copy(as_bytes_of(trace.x), as_bytes_of(x));
+      stages().copy(bytes_of(View<const double>(trace.x)), bytes_of(x));
     } else {
       rows.shard.push_back({trace.x, d_encoded, first.data + first.rows - 1, nullptr});
     }

@@ -1,7 +1,6 @@
 #include "losses/cosine_distance/cosine_distance.h"
 
-#include <cmath>
-
+#include "losses/cosine_distance/cosine_distance_math.h"
 #include "plugin/module.h"
 
 namespace semfield {
@@ -20,23 +19,19 @@ LossTraits CosineDistance::traits() const {
 
 namespace {
 
-template <class Real>
-double squared_norm(const Real* row, std::int32_t n) {
+template <class Real, class Other>
+double product(View<const Real> a, View<const Other> b, std::int64_t row) {
   double sum = 0;
-  for (std::int32_t c = 0; c < n; ++c) sum += static_cast<double>(row[c]) * static_cast<double>(row[c]);
+  for (std::int32_t c = 0; c < a.cols; ++c) sum += static_cast<double>(a(row, c)) * static_cast<double>(b(row, c));
   return sum;
 }
-
-// Added to the squared norm of what the head makes: its row is almost zero where a ray meets almost nothing, and there
-// the angle would have a slope without bounds. It bounds the slope by 100, and the loss of a row of length 1 by 1e-4.
-constexpr double kLeastSquare = 1e-4;
 
 }  // namespace
 
 std::int64_t CosineDistance::counted_rays(const RayTargets& batch, std::int64_t) const {
   const View<const float> target = batch.more[params.channel];
   std::int64_t counted = 0;
-  for (std::int64_t r = 0; r < target.rows; ++r) counted += squared_norm(target.row(r), target.cols) > 0 ? 1 : 0;
+  for (std::int64_t r = 0; r < target.rows; ++r) counted += product(target, target, r) > 0 ? 1 : 0;
   return counted;
 }
 
@@ -49,19 +44,13 @@ double CosineDistance::sum(const RayTargets& targets, const RayValues<Real>& val
   if (target.empty()) return 0;
   double sum = 0;
   for (std::int64_t r = 0; r < made.rows; ++r) {
-    const double of_target = std::sqrt(squared_norm(target.row(r), target.cols));
-    if (!(of_target > 0)) continue;
-    const double of_made = std::sqrt(squared_norm(made.row(r), made.cols) + kLeastSquare);
-    double dot = 0;
+    const double target_square = product(target, target, r);
+    if (!(target_square > 0)) continue;
+    const RowAngle angle = row_angle(target_square, product(made, made, r), product(made, target, r));
+    sum += 1 - angle.cosine;
     for (std::int32_t c = 0; c < made.cols; ++c)
-      dot += static_cast<double>(made(r, c)) * static_cast<double>(target(r, c));
-    const double cosine = dot / (of_made * of_target);
-    sum += 1 - cosine;
-    for (std::int32_t c = 0; c < made.cols; ++c) {
-      const double slope =
-          static_cast<double>(target(r, c)) / of_target - cosine * static_cast<double>(made(r, c)) / of_made;
-      d_made(r, c) -= static_cast<Real>(scale * slope / of_made);
-    }
+      d_made(r, c) -=
+          static_cast<Real>(angle.slope(scale, static_cast<double>(target(r, c)), static_cast<double>(made(r, c))));
   }
   return sum;
 }

@@ -1,0 +1,178 @@
+#include "execution/point_network.h"
+
+#include <algorithm>
+
+#include "compute/float_mode.h"
+#include "execution/lane_executor.h"
+#include "losses/semantic_cross_entropy.h"
+
+namespace semfield {
+
+namespace {
+constexpr std::int64_t kUnit = 1024;  // points of a unit of work; results do not depend on it
+constexpr std::int64_t kTile = 64;    // points of a batch that one lane takes
+}  // namespace
+
+template <class Real>
+void query_points(Pipeline<Real>& pipeline, const PointQuery<Real>& query) {
+  const WorkScope scope(pipeline.options().work);
+  const ComputeFloatMode mode;
+  const Pass<Real>& pass = pipeline.passes().back();
+  if (!query.sigma.empty()) pipeline.lanes().density(query.position, query.sigma);
+  if (query.color.empty() && query.logits.empty()) return;
+  ThreadArenas arenas;
+  const std::int64_t total = query.position.rows;
+  arenas.for_units((total + kUnit - 1) / kUnit, [&](Workspace& arena, std::int64_t unit) {
+    const std::int64_t begin = unit * kUnit, count = std::min(kUnit, total - begin);
+    const Workspace::Scope taken(arena);
+    StepContext ctx;
+    ctx.seed = pipeline.options().seed;
+    ctx.pass = pass.parts().number;
+    ctx.workspace = &arena;
+    const View<const double> places = query.position.row_range(begin, count);
+    if (!query.color.empty())
+      pass.point_colors(ctx, places, query.direction.row_range(begin, count), query.color.row_range(begin, count));
+    if (!query.logits.empty()) {
+      const View<Real> rows = arena.take<Real>(count, pass.point_dims());
+      pass.point_rows(ctx, places, rows);
+      pass.point_forward(ctx, 0, rows, query.logits.row_range(begin, count));
+    }
+  });
+}
+
+template <class Real>
+std::vector<Tensor<Real>*> semantic_tensors(ParamStore<Real>& store) {
+  std::vector<Tensor<Real>*> tensors;
+  for (Tensor<Real>& tensor : store.all())
+    if (tensor.rule.semantic && tensor.grad.size() > 0) tensors.push_back(&tensor);
+  return tensors;
+}
+
+template <class Real>
+struct LanePoints<Real>::Batch {
+  std::int64_t step = 0;
+  std::vector<Real> rows;           // [B, dims]
+  std::vector<std::int16_t> logit;  // [B]
+  std::vector<Tensor<Real>*> tensors;
+};
+
+template <class Real>
+StepContext LanePoints<Real>::context(std::int64_t step, bool training, Workspace& arena) const {
+  StepContext ctx;
+  ctx.seed = pipeline_.options().seed;
+  ctx.step = step;
+  ctx.training = training;
+  ctx.pass = pass().parts().number;
+  ctx.workspace = &arena;
+  return ctx;
+}
+
+template <class Real>
+void LanePoints<Real>::rows(View<const double> positions, View<Real> rows) {
+  const WorkScope scope(pipeline_.options().work);
+  const ComputeFloatMode mode;
+  const std::int64_t total = positions.rows;
+  arenas_.for_units((total + kUnit - 1) / kUnit, [&](Workspace& arena, std::int64_t unit) {
+    const std::int64_t begin = unit * kUnit, count = std::min(kUnit, total - begin);
+    const Workspace::Scope taken(arena);
+    pass().point_rows(context(0, false, arena), positions.row_range(begin, count), rows.row_range(begin, count));
+  });
+}
+
+template <class Real>
+void LanePoints<Real>::logits(View<const Real> rows, View<Real> logits) {
+  const WorkScope scope(pipeline_.options().work);
+  const ComputeFloatMode mode;
+  const std::int64_t total = rows.rows;
+  arenas_.for_units((total + kUnit - 1) / kUnit, [&](Workspace& arena, std::int64_t unit) {
+    const std::int64_t begin = unit * kUnit, count = std::min(kUnit, total - begin);
+    const Workspace::Scope taken(arena);
+    (void)pass().point_forward(context(0, false, arena), kMainGradient, rows.row_range(begin, count),
+                               logits.row_range(begin, count));
+  });
+}
+
+template <class Real>
+void LanePoints<Real>::gradients(const Batch& batch) {
+  const auto rows = static_cast<std::int64_t>(batch.logit.size());
+  const auto dims = static_cast<std::int32_t>(static_cast<std::int64_t>(batch.rows.size()) / rows);
+  const std::int64_t tiles = (rows + kTile - 1) / kTile;
+  const std::int32_t classes = pass().parts().head->width();
+  const int lanes = static_cast<int>(std::min<std::int64_t>(pipeline_.store().lanes(), tiles));
+  const View<const Real> input(batch.rows.data(), rows, dims);
+  arenas_.for_units(lanes, [&](Workspace& arena, std::int64_t lane) {
+    for (std::int64_t tile = lane; tile < tiles; tile += lanes) {
+      const std::int64_t begin = tile * kTile, count = std::min(kTile, rows - begin);
+      const Workspace::Scope taken(arena);
+      StepContext ctx = context(batch.step, true, arena);
+      ctx.first_ray = begin;
+      const View<Real> logits = arena.take<Real>(count, classes), d_logits = arena.take<Real>(count, classes);
+      const PointTrace<Real> trace =
+          pass().point_forward(ctx, static_cast<int>(lane), input.row_range(begin, count), logits);
+      SemanticTargets targets;
+      targets.hard = {batch.logit.data() + begin, count, 1};
+      semantic_cross_entropy<Real>(logits, targets, {}, static_cast<double>(rows), 1, d_logits, begin);
+      pass().point_backward(ctx, static_cast<int>(lane), trace, d_logits);
+    }
+  });
+  for (Tensor<Real>* tensor : batch.tensors) {  // in lane order
+    const auto size = static_cast<std::size_t>(tensor->size());
+    for (int lane = 0; lane < lanes; ++lane) {
+      Real* const from = tensor->lanes.data() + static_cast<std::size_t>(lane) * size;
+      for (std::size_t i = 0; i < size; ++i) tensor->grad.data()[i] += from[i];
+      std::fill_n(from, size, Real(0));
+    }
+  }
+}
+
+template <class Real>
+void LanePoints<Real>::learn(const PointLessons<Real>& lessons) {
+  const WorkScope scope(pipeline_.options().work);
+  const ComputeFloatMode mode;
+  Batch batch;
+  batch.tensors = semantic_tensors(pipeline_.store());
+  const auto clear = [](const AlignedBuffer<Real>& buffer) { std::fill_n(buffer.data(), buffer.size(), Real(0)); };
+  for (const Tensor<Real>* tensor : batch.tensors) clear(tensor->grad);  // of the last step of training
+  batch.rows.resize(static_cast<std::size_t>(lessons.batch * lessons.rows.cols));
+  batch.logit.resize(static_cast<std::size_t>(lessons.batch));
+  for (AdamStep update : lessons.updates) {
+    const StepContext ctx = context(batch.step, true, arenas_.own());
+    pass().derive(ctx);
+    for (std::int64_t b = 0; b < lessons.batch; ++b) {
+      const std::int32_t point = lessons.choice[static_cast<std::size_t>(batch.step * lessons.batch + b)];
+      std::copy_n(lessons.rows.row(point), lessons.rows.cols, batch.rows.data() + b * lessons.rows.cols);
+      batch.logit[static_cast<std::size_t>(b)] = lessons.logit[static_cast<std::size_t>(point)];
+    }
+    gradients(batch);
+    pass().derive_backward(ctx);
+    for (const Tensor<Real>* tensor : batch.tensors) {
+      if (tensor->learned()) {
+        update.decay = tensor->spec.rows > 1 ? update.learning_rate * lessons.weight_decay : 0;
+        adam_dense<Real>(update, tensor->view(tensor->value), tensor->view(tensor->grad), tensor->view(tensor->moment1),
+                         tensor->view(tensor->moment2), 0, tensor->spec.rows);
+      }
+      clear(tensor->grad);
+    }
+    ++batch.step;
+  }
+  for (const Tensor<Real>* tensor : batch.tensors) {
+    clear(tensor->moment1);
+    clear(tensor->moment2);
+  }
+  pass().derive(context(batch.step, true, arenas_.own()));
+}
+
+template <class Real>
+void LanePoints<Real>::write() {
+  pass().derive(context(0, true, arenas_.own()));
+}
+
+#define SEMFIELD_INSTANTIATE(Real)                                                      \
+  template void query_points<Real>(Pipeline<Real>&, const PointQuery<Real>&);           \
+  template std::vector<Tensor<Real>*> semantic_tensors<Real>(ParamStore<Real> & store); \
+  template class LanePoints<Real>;
+SEMFIELD_INSTANTIATE(float)
+SEMFIELD_INSTANTIATE(double)
+#undef SEMFIELD_INSTANTIATE
+
+}  // namespace semfield
