@@ -211,7 +211,7 @@ bool LabelRun::still_learns() const {
   return !training_.at_its_end() || (changed_step_ >= 0 && training_.step() < changed_step_ + kAfterChange);
 }
 
-bool LabelRun::train(double budget_s) {
+bool LabelRun::train(double budget_s, const std::function<bool()>& interrupted) {
   if (!still_learns()) return false;
   const double before = training_.train_s();
   const auto most = static_cast<std::int64_t>(std::clamp(budget_s / std::max(step_s_, 1e-5), 1.0, 256.0));
@@ -220,6 +220,7 @@ bool LabelRun::train(double budget_s) {
     const std::span<const StepLosses> steps = run_.advance(most - made);
     made += std::ssize(steps);
     show(steps);
+    if (interrupted && interrupted()) break;
   }
   const double spent = training_.train_s() - before;
   step_s_ = 0.8 * step_s_ + 0.2 * spent / static_cast<double>(made);

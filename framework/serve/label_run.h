@@ -3,6 +3,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <span>
 #include <string>
@@ -32,8 +33,9 @@ class LabelRun {
   void take(const Annotations& annotations);
   /// The semantics know all that was taken, as far as there is a surface.
   bool knows_all() const { return !unlearned_ || !loop_.ready(); }
-  /// Trains for about this long, while there is something to train; false: there is not.
-  bool train(double budget_s);
+  /// Trains for about this long, or until `interrupted` after some steps, while there is something to train; false:
+  /// there is not.
+  bool train(double budget_s, const std::function<bool()>& interrupted = {});
   /// Surfaces that are due, within the fraction of time that training grants them; clicks whose places are found; in a
   /// pause between clicks what was learned quickly is learned well; when nobody has clicked for long a fold of the
   /// clicks for the temperature. True when labels or questions have changed.

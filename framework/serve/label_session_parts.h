@@ -1,6 +1,7 @@
 // Hold what the threads of a labelling session share: events, state, orders of pictures, and the run that one trains.
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <condition_variable>
 #include <exception>
@@ -97,6 +98,12 @@ struct LabelSession::Parts {
     const Clock::time_point now = Clock::now();
     const Clock::duration quiet = now - last_event;
     return {now - last_look<kLookedFor, quiet> kPauseAfter, quiet > kQuietAfter};
+  }
+  /// An event that `run` does not know yet, or a picture.
+  bool is_waited_for() const {
+    const std::lock_guard lock(mutex);
+    return (taken_events && *taken_events < state->events) ||
+           std::any_of(orders.begin(), orders.end(), [](const auto& order) { return !order->done(); });
   }
   void name_classes(LabelState& next) const;
   void take_events();

@@ -7,6 +7,7 @@ namespace semfield {
 namespace {
 
 constexpr double kTurn_s = 0.03;  // of training between looks at what others want
+constexpr int kMostHurries = 8;   // turns in a row that leave surfaces for later, because somebody waits
 constexpr auto kIdle = std::chrono::milliseconds(100);
 constexpr auto kPublishEvery = std::chrono::milliseconds(400);
 
@@ -126,6 +127,7 @@ void LabelSession::run() {
     return p.stopping;
   };
   bool untold = false;  // something has changed since the state was published
+  int hurries = 0;
   while (!asked_to_stop()) {
     bool busy = false, overlay = false;
     p.attempt([&] { p.take_events(); });
@@ -133,7 +135,9 @@ void LabelSession::run() {
     p.save_if_wanted();
     if (!p.failure) {
       p.attempt([&] {
-        busy = p.run.train(kTurn_s);
+        busy = p.run.train(kTurn_s, [&] { return p.is_waited_for(); });
+        if (p.is_waited_for() && ++hurries <= kMostHurries) return;
+        hurries = 0;
         const Parts::Watched watched = p.watched();
         overlay = p.run.tend(watched.looked_at, watched.pause, watched.quiet);
       });
