@@ -13,6 +13,7 @@
 #include "core/findings.h"
 #include "run/open_run.h"
 #include "surface/mesh/class_groups.h"
+#include "surface/mesh/depth_fusion.h"
 #include "surface/mesh/field_surface.h"
 #include "surface/mesh/mesh_files.h"
 #include "surface/mesh/point_cloud.h"
@@ -28,6 +29,7 @@ struct MeshOptions {
   std::vector<std::string> formats;     ///< ply, obj, glb; empty: what `out` ends with, or ply
   std::optional<long long> resolution;  ///< cells along the longest side of the bounds
   std::optional<double> voxel;          ///< edge of a cell instead, world units
+  std::string surface;                  ///< density or depth; "": by what lies around the scene
   std::optional<double> level;          ///< density of the surface, 1/m
   bool keep_unseen = false;             ///< also faces that no training camera sees
   double keep_components = 0.002;       ///< least fraction of the faces: a chair is one, a floater is not
@@ -41,7 +43,8 @@ namespace fs = std::filesystem;
 
 constexpr long long kDefaultResolution = 256;
 constexpr int kSightLines = 4096;
-constexpr double kOffsetCells = 1.5;  // where texture rays begin, in cells outside the surface
+constexpr std::int64_t kDepthRays = 8'000'000;  // of all views together
+constexpr double kOffsetCells = 1.5;            // where texture rays begin, in cells outside the surface
 
 const std::vector<std::string>& known_formats() {
   static const std::vector<std::string> names{"ply", "obj", "glb"};
@@ -111,9 +114,40 @@ std::vector<RayCamera> training_cameras(const Session& s) {
   return cameras;
 }
 
-SurfaceRequest request_of(const MeshOptions& options, const Session& s, std::span<const RayCamera> cameras) {
+// Cameras that stand inside of what they see leave much of it unseen. What is alone in empty space is seen from all
+// around, and its density is the finer source.
+bool by_depth(const MeshOptions& options, const Session& s) {
+  const bool of_density = options.level || options.keep_unseen;
+  if (options.surface == "depth" && of_density)
+    throw Error(ErrorKind::usage, "mesh.surface.options",
+                std::string("--surface depth: ") + (options.level ? "--level" : "--keep-unseen") +
+                    " belongs to the surface of the density",
+                "leave one of the two out");
+  if (!options.surface.empty()) return options.surface == "depth";
+  return !of_density && s.config.rendering.far == FarMode::background;
+}
+
+// A surface, and how many faces were left out because no training camera saw them.
+struct FoundSurface {
+  Surface surface;
+  std::size_t unseen = 0;
+  std::string described;  ///< for notes and errors: "at a density of 8.7", "in the depth of the training views"
+  std::optional<double> level;
+};
+
+FoundSurface surface_of_depth(const Session& s, const VoxelGrid& grid, std::span<const RayCamera> cameras,
+                              const AppContext& context) {
+  ProgressLine progress(context, "depth of", "views");
+  const std::vector<DepthView> views = depth_views(*s.pipeline, cameras, s.limits, kDepthRays, [&](std::size_t done) {
+    progress.show(static_cast<double>(done), static_cast<double>(cameras.size()));
+  });
+  return {fused_surface(views, s.limits, grid), 0, "in the depth of the training views", {}};
+}
+
+SurfaceRequest request_of(const MeshOptions& options, const Session& s, const VoxelGrid& grid,
+                          std::span<const RayCamera> cameras) {
   SurfaceRequest request;
-  request.grid = grid_of(options, s.extent.bounds);
+  request.grid = grid;
   request.opaque_border = s.limits.clip && s.config.rendering.far == FarMode::background;
   if (options.level) {
     request.level_per_m = *options.level;
@@ -125,6 +159,29 @@ SurfaceRequest request_of(const MeshOptions& options, const Session& s, std::spa
 
 void drop_unseen(Surface& surface, std::span<const RayCamera> cameras, const RayLimits& limits, double cell) {
   keep_triangles(surface, triangles_in_sight(surface, sights_of(surface, cameras, limits, cell)));
+}
+
+FoundSurface surface_of_density(const MeshOptions& options, const Session& s, const VoxelGrid& grid,
+                                std::span<const RayCamera> cameras, const AppContext& context) {
+  const SurfaceRequest request = request_of(options, s, grid, cameras);
+  const char* const unit = s.scene.info.metric ? "m" : "unit";
+  FoundSurface found{{}, 0, fmt::format("at a density of {:.4g} / {}", request.level_per_m, unit), request.level_per_m};
+  print_note(context, "surface " + found.described);
+  found.surface = density_surface(*s.pipeline, request);
+  if (options.keep_unseen) return found;
+  const std::size_t all = found.surface.triangles.size();
+  drop_unseen(found.surface, cameras, s.limits, grid.spacing);
+  found.unseen = all - found.surface.triangles.size();
+  if (found.unseen == 0) return found;
+  if (found.surface.triangles.empty()) {
+    throw Error(
+        ErrorKind::data, "mesh.surface.unseen",
+        fmt::format("{}: no training camera sees any of the {} faces {}", options.run, found.unseen, found.described),
+        "train longer, or keep them with --keep-unseen");
+  }
+  print_note(context, fmt::format("{} of {} faces that no training camera sees are left out; --keep-unseen keeps them",
+                                  found.unseen, all));
+  return found;
 }
 
 PointSet points_of(const Session& s, double voxel, const AppContext& context) {
@@ -176,9 +233,8 @@ int run(const MeshOptions& options, AppContext& context) {
   const ClassTable& classes = s.scene.info.classes;
   const std::vector<Coloring> colorings = colorings_of(options, s.pipeline->has_semantics());
   const std::vector<RayCamera> cameras = training_cameras(s);
-  const SurfaceRequest request = request_of(options, s, cameras);
-  const VoxelGrid& grid = request.grid;
-  const double level = request.level_per_m;
+  const bool depth = by_depth(options, s);
+  const VoxelGrid grid = grid_of(options, s.extent.bounds);
   std::error_code failed;
   if (targets.stem.has_parent_path()) fs::create_directories(targets.stem.parent_path(), failed);
   if (failed) {
@@ -186,29 +242,17 @@ int run(const MeshOptions& options, AppContext& context) {
                 targets.stem.parent_path().string() + ": cannot create the folder: " + failed.message(),
                 "choose another --out");
   }
-  print_note(context, fmt::format("{} x {} x {} points, {:.4g} {} apart, surface at a density of {:.4g} / {}", grid.nx,
-                                  grid.ny, grid.nz, grid.spacing, s.scene.info.metric ? "m" : "units", level,
-                                  s.scene.info.metric ? "m" : "unit"));
-  Surface surface = density_surface(*s.pipeline, request);
-  const std::size_t all = surface.triangles.size();
-  if (!options.keep_unseen) drop_unseen(surface, cameras, s.limits, grid.spacing);
-  const std::size_t unseen = all - surface.triangles.size();
-  if (unseen > 0 && surface.triangles.empty()) {
-    throw Error(ErrorKind::data, "mesh.surface.unseen",
-                fmt::format("{}: no training camera sees any of the {} faces at a density of {:.4g}", options.run,
-                            unseen, level),
-                "train longer, or keep them with --keep-unseen");
-  }
+  print_note(context, fmt::format("{} x {} x {} points, {:.4g} {} apart", grid.nx, grid.ny, grid.nz, grid.spacing,
+                                  s.scene.info.metric ? "m" : "units"));
+  FoundSurface found =
+      depth ? surface_of_depth(s, grid, cameras, context) : surface_of_density(options, s, grid, cameras, context);
+  Surface& surface = found.surface;
   const std::int64_t components = drop_small_components(surface, options.keep_components);
   if (surface.triangles.empty()) {
-    throw Error(ErrorKind::data, "mesh.surface.none",
-                fmt::format("{}: no surface at a density of {:.4g}", options.run, level),
-                "lower --level, or --keep-components, or train longer");
+    throw Error(
+        ErrorKind::data, "mesh.surface.none", fmt::format("{}: no surface {}", options.run, found.described),
+        depth ? "train longer, or take --surface density" : "lower --level, or --keep-components, or train longer");
   }
-  if (unseen > 0)
-    print_note(
-        context,
-        fmt::format("{} of {} faces that no training camera sees are left out; --keep-unseen keeps them", unseen, all));
   std::vector<Sights> sights = sights_of(surface, cameras, s.limits, grid.spacing);
   lend_sights(surface, sights);
   surface.attributes = render_attributes(*s.pipeline, surface, {cameras, sights}, kOffsetCells * grid.spacing, s.limits,
@@ -237,12 +281,13 @@ int run(const MeshOptions& options, AppContext& context) {
     Json out{{"run", options.run},
              {"step", run.step},
              {"spacing", grid.spacing},
-             {"level", level},
+             {"surface", depth ? "depth" : "density"},
              {"vertices", surface.positions.size()},
              {"faces", surface.triangles.size()},
-             {"unseen_faces", unseen},
+             {"unseen_faces", found.unseen},
              {"components", components},
              {"files", files}};
+    if (found.level) out["level"] = *found.level;
     if (glb) out["up"] = {up.x, up.y, up.z};
     if (options.points) out["points"] = cloud.positions.size();
     print_json(context, out);
@@ -261,6 +306,10 @@ void words(VerbWords& verb, MeshOptions& options) {
                 "cells along the longest side of the scene (default: 256)");
   verb.positive("--voxel X", options.voxel, "edge of a cell in metres, instead of --resolution");
   verb.excludes("--voxel", "--resolution");
+  verb.choice(
+      "--surface WHICH", options.surface, {"depth", "density"},
+      "depth: fused from the depth of the training views; density: where the field becomes opaque (default: depth "
+      "where rays end in a background, density for what is alone in empty space)");
   verb.positive("--level X", options.level,
                 "density of the surface in 1/m (default: the one that agrees best with rendered depth)");
   verb.list("--format LIST", options.formats, "forms of the files, with commas (default: what --out ends with, or ply)",

@@ -177,11 +177,11 @@ void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& tra
   const bool semantic = trace.semantic_rays > 0;
   const FeatureForm form = feature_form(trace);
   if (form == FeatureForm::hidden_layer) {
-    trace.out.layer = parts_.head->hidden_layer(head_tensors(lane));
-    trace.out.hidden = arena.take<Bf16>(trace.semantic_samples, parts_.head->hidden_width());
-    trace.rounded_hidden = trace.out.hidden;
+    trace.out.fused.layer = parts_.head->hidden_layer(head_tensors(lane));
+    trace.out.fused.hidden = arena.take<Bf16>(trace.semantic_samples, parts_.head->hidden_width());
+    trace.rounded_hidden = trace.out.fused.hidden;
   } else if (form == FeatureForm::rounded) {
-    trace.out.rounded_feature = arena.take<Bf16>(count, width);
+    trace.out.fused.feature = arena.take<Bf16>(count, width);
   } else if (wants_feature(trace)) {
     trace.out.feature = arena.take<Real>(count, width);
   }
@@ -203,7 +203,7 @@ void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& tra
   if (form == FeatureForm::rounded) {
     trace.rounded_hidden = arena.take<Bf16>(trace.semantic_samples, parts_.head->hidden_width());
     parts_.head->rounded_hidden_forward(
-        ctx, head_tensors(lane), trace.out.rounded_feature.row_range(0, trace.semantic_samples), trace.rounded_hidden);
+        ctx, head_tensors(lane), trace.out.fused.feature.row_range(0, trace.semantic_samples), trace.rounded_hidden);
   } else if (form == FeatureForm::full) {
     parts_.head->hidden_forward(ctx, head_tensors(lane), trace.out.feature.row_range(0, trace.semantic_samples),
                                 trace.semantic.hidden);
@@ -331,7 +331,7 @@ template <class Real>
 void Pass<Real>::rounded_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace,
                                   View<const Real> d_ray_hidden, View<Real> dots, FieldGrad<Real>& grad) const {
   Workspace& arena = *ctx.workspace;
-  const bool by_field = !trace.out.hidden.empty();  // the hidden layer
+  const bool by_field = !trace.out.fused.hidden.empty();  // the hidden layer
   const std::int64_t rows = trace.semantic_samples;
   RoundedSumBackward<Real> sum;
   sum.weight = trace.weight;
@@ -342,13 +342,13 @@ void Pass<Real>::rounded_backward(const StepContext& ctx, int lane, const PassTr
   sum.blocked = by_field;
   stages_->rounded_sum_backward(trace.samples, sum);
   if (by_field) {
-    grad.hidden = sum.d_hidden.data;
+    grad.fused.hidden = sum.d_hidden.data;
     return;
   }
-  const View<Bf16> d_feature = arena.take<Bf16>(rows, trace.out.rounded_feature.cols);
-  parts_.head->rounded_hidden_backward(ctx, head_tensors(lane), trace.out.rounded_feature.row_range(0, rows),
+  const View<Bf16> d_feature = arena.take<Bf16>(rows, trace.out.fused.feature.cols);
+  parts_.head->rounded_hidden_backward(ctx, head_tensors(lane), trace.out.fused.feature.row_range(0, rows),
                                        sum.d_hidden, d_feature);
-  grad.rounded_feature = d_feature;
+  grad.fused.feature = d_feature;
 }
 
 template <class Real>

@@ -38,19 +38,18 @@ void check_outputs(const char* call, const FieldTraits& traits, const FieldIn<Re
 template <class Real>
 void check_form(const char* call, const Field<Real>& field, const FieldIn<Real>& in, const FieldOut<Real>& out) {
   const std::int32_t dims = field.traits().feature_dims;
-  view_checks::require_or_empty(call, "rounded_feature", out.rounded_feature, in.position.rows, dims,
-                                in.position.device);
+  view_checks::require_or_empty(call, "fused.feature", out.fused.feature, in.position.rows, dims, in.position.device);
   const int forms =
-      (out.feature.empty() ? 0 : 1) + (out.rounded_feature.empty() ? 0 : 1) + (out.hidden.empty() ? 0 : 1);
+      (out.feature.empty() ? 0 : 1) + (out.fused.feature.empty() ? 0 : 1) + (out.fused.hidden.empty() ? 0 : 1);
   if (forms > 1) view_checks::fail(call, "the feature is wanted in more than one form");
-  if (!out.rounded_feature.empty() && field.feature_form(0) == FeatureForm::full)
-    view_checks::fail(call, "rounded_feature is wanted of a field that has no such form");
-  if (out.hidden.empty()) return;
-  if (field.feature_form(out.hidden.cols) != FeatureForm::hidden_layer)
+  if (!out.fused.feature.empty() && field.feature_form(0) == FeatureForm::full)
+    view_checks::fail(call, "fused.feature is wanted of a field that has no such form");
+  if (out.fused.hidden.empty()) return;
+  if (field.feature_form(out.fused.hidden.cols) != FeatureForm::hidden_layer)
     view_checks::fail(call, "hidden is wanted of a field that does not compute such a layer");
-  view_checks::require(call, "layer.weight", out.layer.weight, dims, out.hidden.cols, in.position.device);
-  view_checks::require(call, "layer.bias", out.layer.bias, 1, out.hidden.cols, in.position.device);
-  if (out.hidden.rows > in.position.rows) view_checks::fail(call, "hidden has more rows than there are samples");
+  view_checks::require(call, "layer.weight", out.fused.layer.weight, dims, out.fused.hidden.cols, in.position.device);
+  view_checks::require(call, "layer.bias", out.fused.layer.bias, 1, out.fused.hidden.cols, in.position.device);
+  if (out.fused.hidden.rows > in.position.rows) view_checks::fail(call, "hidden has more rows than there are samples");
 }
 
 void check_saved(const char* call, Saved saved, std::size_t bytes) {
@@ -94,8 +93,8 @@ void Field<Real>::backward(const StepContext& ctx, const Tensors<Real>& tensors,
   const Device device = in.position.device;
   check_inputs(kCall, shape, in, !grad.rgb.empty());
   check_outputs(kCall, shape, in, out);
-  if ((!grad.rounded_feature.empty() && feature_form(0) == FeatureForm::full) ||
-      (grad.hidden != nullptr && feature_form(out.hidden.cols) != FeatureForm::hidden_layer))
+  if ((!grad.fused.feature.empty() && feature_form(0) == FeatureForm::full) ||
+      (grad.fused.hidden != nullptr && feature_form(out.fused.hidden.cols) != FeatureForm::hidden_layer))
     view_checks::fail(kCall, "the feature's gradient comes in a form that the field does not have");
   view_checks::require_or_empty(kCall, "grad.sigma", grad.sigma, samples, 1, device);
   view_checks::require_or_empty(kCall, "grad.rgb", grad.rgb, samples, 3, device);

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "compute/precision.h"
-#include "core/bf16.h"
+#include "plugin/head/fused_head.h"
 #include "plugin/layer_shape.h"
 #include "plugin/parametric.h"
 
@@ -21,49 +21,27 @@ struct FieldIn {
   View<const std::int32_t> ray_of_sample;  ///< [M, 1], 0..R-1, ascending
 };
 
-/// How a field hands its feature on in bf16. Every field can write it in full, FieldOut::feature; the other forms save
-/// the bytes between field and semantic head.
-enum class FeatureForm : std::uint8_t {
-  full,          ///< FieldOut::feature alone
-  rounded,       ///< also FieldOut::rounded_feature
-  hidden_layer,  ///< also FieldOut::hidden: the field computes the head's hidden layer where its feature lies
-};
-
-/// The hidden layer of the semantic head, relu(feature W + b).
-template <class Real>
-struct HiddenLayer {
-  View<const Real> weight, bias;  ///< [F, H], [1, H]
-  View<Real> d_weight, d_bias;    ///< backward adds to them
-};
-
-/// Empty view = not wanted (not computed). Overwritten. At most one of feature, rounded_feature and hidden is given.
+/// Empty view = not wanted (not computed). Overwritten.
 template <class Real>
 struct FieldOut {
-  View<Real> sigma;              ///< [M, 1] before activation, 1/m
-  View<Real> rgb;                ///< [M, 3] in (0, 1)
-  View<Real> feature;            ///< [M, F], a function of position only
-  View<Bf16> rounded_feature{};  ///< [M, F], the same, rounded
-  View<Bf16> hidden{};           ///< [N <= M, H], `layer` of the first N features; wanted together with rgb
-  HiddenLayer<Real> layer{};     ///< of `hidden`
+  View<Real> sigma;        ///< [M, 1] before activation, 1/m
+  View<Real> rgb;          ///< [M, 3] in (0, 1)
+  View<Real> feature;      ///< [M, F], a function of position only
+  FusedOut<Real> fused{};  ///< only where feature_form() offers it
 };
 
-/// dL/d(outputs); empty view = zero. Of the feature it comes in the form in which forward gave the feature.
+/// dL/d(outputs); empty view = zero.
 template <class Real>
 struct FieldGrad {
   View<const Real> sigma, rgb, feature;
-  View<const Bf16> rounded_feature{};  ///< [N <= M, F]; zero for the rows behind
-  /// dL/d(hidden) before the ReLU: blocked_rows(N) x H numbers in 8 x 8 blocks of 128 contiguous bytes, blocks of 8
-  /// rows one behind the other; zero in the rows behind N. FieldOut::layer has room for the layer's own gradients.
-  const Bf16* hidden = nullptr;
+  FusedGrad fused{};
 };
-/// Rows of FieldGrad::hidden: whole tiles of the fields that take it.
-constexpr std::int64_t blocked_rows(std::int64_t rows) { return (rows + 255) / 256 * 256; }
 
 template <class Real>
 class Field : public Parametric<Real> {
  public:
   virtual FieldTraits traits() const noexcept = 0;
-  /// What it can do, beside `full`, for a head whose hidden layer has `hidden_width` numbers.
+  /// What it offers a head whose hidden layer has `hidden_width` numbers (plugin/head/fused_head.h).
   virtual FeatureForm feature_form(std::int32_t hidden_width) const noexcept {
     (void)hidden_width;
     return FeatureForm::full;

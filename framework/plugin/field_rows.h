@@ -70,8 +70,8 @@ template <class Activation, class Real>
 void hand_on_feature(View<const Activation> feature, const FieldOut<Real>& out) {
   if constexpr (std::is_same_v<Activation, Bf16>) {
     if (!out.feature.empty()) widen_rows(feature, out.feature);
-    for (std::int64_t m = 0; m < out.rounded_feature.rows; ++m)
-      std::copy_n(feature.row(m), feature.cols, out.rounded_feature.row(m));
+    for (std::int64_t m = 0; m < out.fused.feature.rows; ++m)
+      std::copy_n(feature.row(m), feature.cols, out.fused.feature.row(m));
   } else if (!out.feature.empty()) {
     copy_rows(feature, out.feature);
   }
@@ -79,7 +79,7 @@ void hand_on_feature(View<const Activation> feature, const FieldOut<Real>& out) 
 
 template <class Real>
 bool has_feature_gradient(const FieldGrad<Real>& grad) {
-  return !grad.feature.empty() || !grad.rounded_feature.empty();
+  return !grad.feature.empty() || !grad.fused.feature.empty();
 }
 
 /// d_feature [M, F] from the form in which it came.
@@ -87,8 +87,8 @@ template <class Real>
 void take_feature_gradient(const FieldGrad<Real>& grad, View<Real> d_feature) {
   if (!grad.feature.empty()) return copy_rows(grad.feature, d_feature);
   if constexpr (std::is_same_v<Real, float>) {
-    const std::int64_t rows = grad.rounded_feature.rows;
-    widen_rows(grad.rounded_feature, d_feature.row_range(0, rows));
+    const std::int64_t rows = grad.fused.feature.rows;
+    widen_rows(grad.fused.feature, d_feature.row_range(0, rows));
     fill(d_feature.row_range(rows, d_feature.rows - rows), 0.0F);
   }
 }

@@ -27,6 +27,12 @@ struct Camera {
   Vec3d direction(double u, double v) const;
   /// Image point of a camera-space point with z > 0, distortion applied.
   void project(Vec3d p, double& u, double& v) const;
+  /// False far outside the image, where the polynomial of a lens folds back into it: project() means nothing there.
+  bool is_within_lens(Vec3d p) const {
+    if (!has_distortion()) return true;
+    const double u = fx * p.x / p.z + cx, v = fy * p.y / p.z + cy;
+    return std::abs(u - 0.5 * width_px) < width_px && std::abs(v - 0.5 * height_px) < height_px;
+  }
   /// The same camera for images scaled to width x height.
   Camera resized(std::int32_t width, std::int32_t height) const;
 };

@@ -224,23 +224,23 @@ void expect_forms(const Field<float>& field, testkit::FieldBench<double>& bench)
   FieldOut<float> out = other.out({true, true, false});
   {
     const DeviceMatrix<__nv_bfloat16> room(kRows, width);
-    out.rounded_feature = testing::as_rounded(room.view());
+    out.fused.feature = testing::as_rounded(room.view());
     field.forward(other.ctx, other.tensors(), other.in(), out, other.space());
     const std::vector<__nv_bfloat16> got = room.read();
     for (std::size_t i = 0; i < got.size(); ++i)
       ASSERT_EQ(value_of(got[i]), value_of(__float2bfloat16(feature[i]))) << i;
     EXPECT_EQ(other.sigma->read(), plain.sigma->read());
     EXPECT_EQ(other.rgb->read(), plain.rgb->read());
-    out.rounded_feature = {};
+    out.fused.feature = {};
   }
   if (field.feature_form(kHidden) != FeatureForm::hidden_layer) return;
   const std::vector<float> weights = testing::random_floats(std::int64_t{width} * kHidden, 7, -0.1, 0.1);
   const std::vector<float> biases = testing::random_floats(kHidden, 8, -0.1, 0.1);
   const DeviceMatrix<float> weight(weights, kHidden), bias(biases, kHidden);
   const DeviceMatrix<__nv_bfloat16> hidden(kSemanticRows, kHidden);
-  out.hidden = testing::as_rounded(hidden.view());
-  out.layer.weight = weight.view();
-  out.layer.bias = bias.view();
+  out.fused.hidden = testing::as_rounded(hidden.view());
+  out.fused.layer.weight = weight.view();
+  out.fused.layer.bias = bias.view();
   field.forward(other.ctx, other.tensors(), other.in(), out, other.space());
   std::vector<double> got;
   for (const __nv_bfloat16 number : hidden.read()) got.push_back(value_of(number));

@@ -204,10 +204,10 @@ class CheckedFieldForms : public testing::Test {
     return message_of([&] { field.backward(StepContext{}, {}, in(), out, grad, {}, {}); });
   }
   FieldIn<float> in() { return FieldIn<float>{.position = position.view()}; }
-  FieldOut<float> rounded() { return FieldOut<float>{.rounded_feature = {numbers, 4, 2}}; }
+  FieldOut<float> rounded() { return FieldOut<float>{.fused = {.feature = {numbers, 4, 2}}}; }
   FieldOut<float> hidden(std::int32_t width) {
-    return FieldOut<float>{.hidden = {numbers, 3, width},
-                           .layer = {.weight = {layer, 2, width}, .bias = {layer, 1, width}}};
+    return FieldOut<float>{
+        .fused = {.hidden = {numbers, 3, width}, .layer = {.weight = {layer, 2, width}, .bias = {layer, 1, width}}}};
   }
   Guarded<float> position{4, 5}, feature{4, 2};
   Bf16 numbers[16]{};
@@ -217,7 +217,7 @@ class CheckedFieldForms : public testing::Test {
 TEST_F(CheckedFieldForms, AFieldGetsOnlyTheFormsThatItHas) {
   const FormField full(FeatureForm::full), two(FeatureForm::rounded), all(FeatureForm::hidden_layer);
   const std::string nothing = "nothing was thrown";
-  EXPECT_EQ(forward(full, rounded()), "field.forward: rounded_feature is wanted of a field that has no such form");
+  EXPECT_EQ(forward(full, rounded()), "field.forward: fused.feature is wanted of a field that has no such form");
   EXPECT_EQ(forward(two, rounded()), nothing);
   EXPECT_EQ(forward(two, hidden(3)), "field.forward: hidden is wanted of a field that does not compute such a layer");
   EXPECT_EQ(forward(all, hidden(4)), "field.forward: hidden is wanted of a field that does not compute such a layer");
@@ -231,21 +231,21 @@ TEST_F(CheckedFieldForms, TheFeatureIsWantedOnce) {
   out.feature = feature.view();
   EXPECT_EQ(forward(all, out), "field.forward: the feature is wanted in more than one form");
   out = hidden(3);
-  out.layer.weight = {layer, 3, 3};
+  out.fused.layer.weight = {layer, 3, 3};
   EXPECT_EQ(forward(all, out), "field.forward: layer.weight is [3, 3], expected [2, 3]");
   out = hidden(3);
-  out.hidden.rows = 5;
+  out.fused.hidden.rows = 5;
   EXPECT_EQ(forward(all, out), "field.forward: hidden has more rows than there are samples");
   EXPECT_EQ(all.calls, 0);
 }
 
 TEST_F(CheckedFieldForms, GradientsComeInAFormThatTheFieldHas) {
   const FormField full(FeatureForm::full), all(FeatureForm::hidden_layer);
-  FieldGrad<float> grad{.rounded_feature = View<Bf16>(numbers, 4, 2)};
+  FieldGrad<float> grad{.fused = {.feature = View<Bf16>(numbers, 4, 2)}};
   const std::string other = "field.backward: the feature's gradient comes in a form that the field does not have";
   EXPECT_EQ(backward(full, {}, grad), other);
   grad = {};
-  grad.hidden = numbers;
+  grad.fused.hidden = numbers;
   EXPECT_EQ(backward(all, hidden(4), grad), other);
   EXPECT_EQ(backward(all, hidden(3), grad), "nothing was thrown");
   EXPECT_EQ(full.calls + all.calls, 1);

@@ -22,7 +22,7 @@ struct HiddenBackward {
   View<float> dots;
   View<Act> d_hidden;  ///< may have more rows than `hidden`
   bool relu_output = false;
-  /// d_hidden lies in 8 x 8 blocks (HiddenLayer::d_hidden): contiguous, rows and columns multiples of 8.
+  /// d_hidden lies in 8 x 8 blocks (FusedGrad::hidden): contiguous, rows and columns multiples of 8.
   bool blocked = false;
 };
 template <class Act>

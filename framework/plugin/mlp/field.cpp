@@ -30,7 +30,7 @@ MlpIn<Real> inputs(const FieldIn<Real>& in) {
 }
 template <class Real>
 std::array<MlpOut<Real>, 3> outputs(const FieldOut<Real>& out) {
-  return {{{out.sigma, {}}, {out.rgb, {}}, {out.feature, out.rounded_feature}}};
+  return {{{out.sigma, {}}, {out.rgb, {}}, {out.feature, out.fused.feature}}};
 }
 
 }  // namespace
@@ -68,7 +68,7 @@ void MlpField<Real>::do_backward(const StepContext& ctx, const Tensors<Real>& te
                                  View<Real> d_position) const {
   SEMFIELD_CHECK(ctx.workspace != nullptr, "a field needs a workspace");
   SEMFIELD_CHECK(grad.rgb.empty() || !out.rgb.empty(), "a colour gradient needs the colour that forward gave");
-  const std::array<MlpGrad<Real>, 3> grads{{{grad.sigma, {}}, {grad.rgb, {}}, {grad.feature, grad.rounded_feature}}};
+  const std::array<MlpGrad<Real>, 3> grads{{{grad.sigma, {}}, {grad.rgb, {}}, {grad.feature, grad.fused.feature}}};
   net_.backward(*ctx.workspace, tensors, inputs(in), outputs(out), grads, saved, d_position);
 }
 

@@ -44,7 +44,7 @@ class DepthImage {
     for (std::size_t i = 0; i < vertices_.size(); ++i) {
       const Vec3d p = view.world_from_camera.apply_inverse(surface.positions[i]);
       const double range = range_of(p, limits);
-      if (!(p.z > 0) || range < limits.near_m || range > limits.far_m || !in_lens(p)) continue;
+      if (!(p.z > 0) || range < limits.near_m || range > limits.far_m || !camera_.is_within_lens(p)) continue;
       double u = 0, v = 0;
       camera_.project(p, u, v);
       vertices_[i] = {static_cast<float>(u), static_cast<float>(v), static_cast<float>(p.z)};
@@ -77,14 +77,6 @@ class DepthImage {
   std::size_t height() const { return static_cast<std::size_t>(camera_.height_px); }
   std::size_t at(std::int32_t x, std::int32_t y) const {
     return static_cast<std::size_t>(y) * static_cast<std::size_t>(camera_.width_px) + static_cast<std::size_t>(x);
-  }
-
-  // Far outside its image a lens polynomial folds back into it.
-  bool in_lens(Vec3d p) const {
-    if (!camera_.has_distortion()) return true;
-    const double u = camera_.fx * p.x / p.z + camera_.cx, v = camera_.fy * p.y / p.z + camera_.cy;
-    return std::abs(u - 0.5 * camera_.width_px) < camera_.width_px &&
-           std::abs(v - 0.5 * camera_.height_px) < camera_.height_px;
   }
 
   // Into the pixels whose centres it covers, and into those of its corners: a small triangle misses every centre.

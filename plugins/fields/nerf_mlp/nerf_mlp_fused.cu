@@ -188,10 +188,11 @@ void FusedNerfMlp::forward(const NerfMlpShape& s, const StepContext& ctx, const 
   fused::pack_position(in.position, call.blocks, kept.position);
   call.depth = s.depth;
   call.skip_at = s.skip_at;
-  SEMFIELD_CHECK(out.hidden.empty() || with_color, "the hidden layer is computed together with the colour");
-  call.semantic = as_bf16(out.hidden);
-  if (!out.hidden.empty()) call.semantic_bias = out.layer.bias.data;
-  call.weights = forward_slabs(s, t, with_color, out.hidden.empty() ? View<const float>() : out.layer.weight, arena);
+  SEMFIELD_CHECK(out.fused.hidden.empty() || with_color, "the hidden layer is computed together with the colour");
+  call.semantic = as_bf16(out.fused.hidden);
+  if (!out.fused.hidden.empty()) call.semantic_bias = out.fused.layer.bias.data;
+  call.weights =
+      forward_slabs(s, t, with_color, out.fused.hidden.empty() ? View<const float>() : out.fused.layer.weight, arena);
   call.position = kept.position;
   for (std::size_t i = 0; i < s.trunk.size(); ++i) call.bias[i] = value(t, s.trunk[i].bias).data;
   call.density_weight = value(t, s.density.weight).data;
@@ -218,7 +219,7 @@ void FusedNerfMlp::forward(const NerfMlpShape& s, const StepContext& ctx, const 
   } else {
     call.view_bias = value(t, s.view.bias).data;
   }
-  call.rounded_feature = as_bf16(out.rounded_feature);
+  call.rounded_feature = as_bf16(out.fused.feature);
   if (!out.feature.empty() && !pairs(out.feature)) call.feature = arena.take<float>(call.rows, fused::kWidth);
   fused::forward(call);
   if (call.feature.data != out.feature.data) convert<float, float>(call.feature, out.feature);
@@ -229,9 +230,9 @@ void FusedNerfMlp::backward(const NerfMlpShape& s, const StepContext& ctx, const
                             Saved saved, View<float> d_position) {
   SEMFIELD_CHECK(ctx.workspace != nullptr, "a field needs a workspace");
   SEMFIELD_CHECK(grad.rgb.empty() || !out.rgb.empty(), "a colour gradient needs the colour that forward gave");
-  const View<const Bf16> d_rounded_feature = as_bf16(grad.rounded_feature);
-  const HiddenLayer<float>& semantic = out.layer;
-  const bool with_semantic = grad.hidden != nullptr;
+  const View<const Bf16> d_rounded_feature = as_bf16(grad.fused.feature);
+  const HiddenLayer<float>& semantic = out.fused.layer;
+  const bool with_semantic = grad.fused.hidden != nullptr;
   if (grad.sigma.empty() && grad.rgb.empty() && grad.feature.empty() && d_rounded_feature.empty() && !with_semantic) {
     if (!d_position.empty()) cuda::fill(d_position, 0.0F);
     return;
@@ -259,8 +260,8 @@ void FusedNerfMlp::backward(const NerfMlpShape& s, const StepContext& ctx, const
     call.d_feature = copy;
   }
   if (with_semantic) {
-    call.d_semantic = as_bf16(grad.hidden);
-    call.semantic_blocks = blocked_rows(out.hidden.rows) / fused::kRows;
+    call.d_semantic = as_bf16(grad.fused.hidden);
+    call.semantic_blocks = blocked_rows(out.fused.hidden.rows) / fused::kRows;
   }
   call.d_trunk = arena.take<Bf16>(s.depth * rows, fused::kWidth).data;
   if (with_color) {

@@ -235,7 +235,7 @@ View<Act> heads_backward(const NerfMlpShape& s, Workspace& arena, const NerfMlpW
   const View<const Act> h = a.trunk[last];
   View<const Act> d_rounded_feature;
   if constexpr (kRounds<Act>) {
-    d_rounded_feature = as_bf16(grad.rounded_feature);
+    d_rounded_feature = as_bf16(grad.fused.feature);
   }
   const bool with_density = !grad.sigma.empty() || !grad.feature.empty() || !d_rounded_feature.empty();
   if (with_density) {
@@ -346,7 +346,7 @@ void LayeredNerfMlp<Act>::forward(const NerfMlpShape& s, const StepContext& ctx,
   density_forward(density);
   if constexpr (kRounds<Act>) {
     const View<const Act> h = density.h.col_range(0, s.width);
-    if (!out.rounded_feature.empty()) copy_rows(h, as_bf16(out.rounded_feature));
+    if (!out.fused.feature.empty()) copy_rows(h, as_bf16(out.fused.feature));
   }
   if (!out.rgb.empty()) color_forward(s, arena, w, t, in, a, out.rgb);
 }
@@ -357,7 +357,7 @@ void LayeredNerfMlp<Act>::backward(const NerfMlpShape& s, const StepContext& ctx
                                    Saved saved, View<float> d_position) {
   SEMFIELD_CHECK(ctx.workspace != nullptr, "a field needs a workspace");
   SEMFIELD_CHECK(grad.rgb.empty() || !out.rgb.empty(), "a colour gradient needs the colour that forward gave");
-  if (grad.sigma.empty() && grad.rgb.empty() && grad.feature.empty() && grad.rounded_feature.empty()) {
+  if (grad.sigma.empty() && grad.rgb.empty() && grad.feature.empty() && grad.fused.feature.empty()) {
     if (!d_position.empty()) cuda::fill(d_position, 0.0F);
     return;
   }

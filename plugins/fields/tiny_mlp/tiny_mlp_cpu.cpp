@@ -173,7 +173,7 @@ void forward(const TinyMlpShape& s, const StepContext& ctx, const Tensors<SumOf<
   for (std::size_t i = 0; i < s.hidden.size(); ++i)
     c.hidden_layer(s.hidden[i], i == 0 ? c.x : View<const Act>(c.a.hidden[i - 1]), c.a.hidden[i]);
   const bool of_geometry = s.feature == TinyFeature::geometry;
-  const bool wants_feature = !out.feature.empty() || !out.rounded_feature.empty();
+  const bool wants_feature = !out.feature.empty() || !out.fused.feature.empty();
   if (!out.rgb.empty() || (wants_feature && of_geometry) || (kRounds<Act> && !out.sigma.empty())) {
     geometry_forward(c);
     if (!out.sigma.empty()) copy_rows<Real>(c.a.geometry.col_range(0, 1), out.sigma);

@@ -262,8 +262,8 @@ void fused_backward(const TinyMlpShape& s, Workspace& arena, const Tensors<float
   if (in.position.rows == 0) return;
   const Workspace::Scope scope(arena);
   const FusedCall call = fused_call(s, t, in);
-  const Gradients gradients{grad, as_bf16(grad.rounded_feature), rgb, d_position, allows_vectors(grad.feature),
-                            allows_vectors(d_position)};
+  const Gradients gradients{grad,       as_bf16(grad.fused.feature),  rgb,
+                            d_position, allows_vectors(grad.feature), allows_vectors(d_position)};
   const auto d = network_of<float>(s, [&](int index) { return t.grad[static_cast<std::size_t>(index)]; });
   with_tiles(s, [&]<int kPositionTiles, int kDirectionTiles>() {
     const auto kernel = backward_kernel<kPositionTiles, kDirectionTiles>;

@@ -173,7 +173,7 @@ void fused_forward(const TinyMlpShape& s, const Tensors<float>& t, const FieldIn
                    const FieldOut<float>& wanted) {
   if (in.position.rows == 0) return;
   FusedCall call = fused_call(s, t, in);
-  Outputs out{wanted, as_bf16(wanted.rounded_feature)};
+  Outputs out{wanted, as_bf16(wanted.fused.feature)};
   call.vector_feature = allows_vectors(out.feature);
   with_tiles(s, [&]<int kPositionTiles, int kDirectionTiles>() {
     const auto kernel = forward_kernel<kPositionTiles, kDirectionTiles>;

@@ -295,7 +295,7 @@ TEST(CudaTinyMlpFused, ExchangesItsFeatureInBf16) {
   const DeviceMatrix<__nv_bfloat16> room(kRows, width);
   ASSERT_EQ(sharing.field.feature_form(64), FeatureForm::rounded);
   FieldOut<float> out = sharing.out({true, true, false});
-  out.rounded_feature = testing::as_rounded(room.view());
+  out.fused.feature = testing::as_rounded(room.view());
   sharing.field.forward(sharing.ctx, sharing.tensors(), sharing.in(), out, sharing.space());
   const std::vector<__nv_bfloat16> got = room.read();
   const std::vector<float> want = plain.feature->read();
@@ -303,7 +303,7 @@ TEST(CudaTinyMlpFused, ExchangesItsFeatureInBf16) {
     ASSERT_EQ(__bfloat162float(got[i]), __bfloat162float(__float2bfloat16(want[i]))) << i;
 
   FieldGrad<float> grad = sharing.weights({true, true, false});
-  grad.rounded_feature = testing::as_rounded(d_feature.view());
+  grad.fused.feature = testing::as_rounded(d_feature.view());
   sharing.field.backward(sharing.ctx, sharing.tensors(), sharing.in(), out, grad, sharing.space(),
                          sharing.d_position->view());
   EXPECT_EQ(sharing.d_position->read(), plain.d_position->read());
