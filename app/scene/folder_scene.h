@@ -11,7 +11,7 @@
 namespace semfield::app {
 
 /// Loads any scene, so that it can be looked at before one is advised.
-inline constexpr const char* kUsualPreset = "parts/hash_room.yaml";
+inline constexpr const char* kUsualPreset = "presets/room.yaml";
 
 struct FolderScene {
   std::string path;                 ///< as given

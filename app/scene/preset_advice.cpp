@@ -33,10 +33,10 @@ std::string PresetAdvice::text() const {
 std::optional<PresetAdvice> advised_preset(const LoadedScene& scene) {
   constexpr double kOpen = 5;  // a room around its subject ends nearer
   if (scene.bounds.empty()) return std::nullopt;
-  PresetAdvice out{"parts/hash_room.yaml", "", std::nullopt};
+  PresetAdvice out{"presets/room.yaml", "", std::nullopt};
   if (scene.plain_background) {
     const auto& c = scene.plain_background->color;
-    out.preset = "parts/object.yaml";
+    out.preset = "presets/object.yaml";
     out.why = fmt::format("the cameras stand around an object before one colour, ({}, {}, {})", c[0], c[1], c[2]);
     if (c[0] != 255 || c[1] != 255 || c[2] != 255) out.background = {c[0] / 255.0, c[1] / 255.0, c[2] / 255.0};
     return out;
@@ -54,7 +54,7 @@ std::optional<PresetAdvice> advised_preset(const LoadedScene& scene) {
         fmt::format("{}, and what lies behind it ends within {:.2g} times their distance, as in a room", around, reach);
     return out;
   }
-  out.preset = "parts/unbounded.yaml";
+  out.preset = "presets/unbounded.yaml";
   out.why = around + (reach > 0 ? fmt::format(" and see what lies behind it, beyond {:.2g} times their distance", reach)
                                 : " and see what lies behind it");
   return out;

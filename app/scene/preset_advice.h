@@ -10,12 +10,12 @@
 namespace semfield {
 
 struct PresetAdvice {
-  std::string preset;  ///< as `include` takes it: "parts/hash_room.yaml"
+  std::string preset;  ///< as `include` takes it: "presets/room.yaml"
   std::string why;     ///< what was found, in one clause
   /// rendering.background, where the preset's own is another.
   std::optional<std::array<double, 3>> background;
 
-  /// "parts/object.yaml with rendering.background: [0, 0.2, 1]: ..."
+  /// "presets/object.yaml with rendering.background: [0, 0.2, 1]: ..."
   std::string text() const;
 };
 

@@ -132,7 +132,7 @@ int run(const DemoOptions& options, AppContext& context) {
           "  labelled mesh     {0}/mesh.ply, {0}/mesh.glb; by class: {0}/mesh_classes.ply, {0}/mesh_classes.glb\n"
           "  all figures       {1} eval {0}\n"
           "  longer training   {1} train --resume {0} --time 5m\n"
-          "Your own scene: write my_scene.yaml, with `include: parts/hash_room.yaml` and where the "
+          "Your own scene: write my_scene.yaml, with `include: presets/room.yaml` and where the "
           "scene is, then\n  {1} inspect my_scene.yaml\n"
           "The guide docs/guide/own_data.md says how.",
           folder, program));

@@ -20,7 +20,7 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
-constexpr const char* kRoom = "configs/parts/small_room.yaml";
+constexpr const char* kRoom = "configs/bench/small_room.yaml";
 
 // Narrow, for tests.
 const std::vector<std::string> kNarrowPaper{"passes.0.sampler.samples=8", "passes.1.sampler.samples=8",

@@ -83,6 +83,15 @@ class Loader {
     std::string shown;     // path for messages
   };
 
+  // What a preset of earlier versions is called today; empty: it is none.
+  static std::string renamed(const std::string& written) {
+    constexpr std::string_view kOld = "parts/";
+    const std::size_t at = written.rfind(kOld);
+    if (at == std::string::npos) return {};
+    const std::string file = written.substr(at + kOld.size());
+    if (file == "hash_room.yaml") return "presets/room.yaml";
+    return file == "object.yaml" || file == "unbounded.yaml" ? "presets/" + file : std::string();
+  }
   ConfigNode load_included(const ConfigNode& item) {
     if (!item.is_scalar())
       fail("config.include.file", item.location(), "include: expected a file name, got " + kind_text(item));
@@ -97,7 +106,8 @@ class Loader {
         fail("config.include.file", item.location(),
              "include: no file '" + item.text() + "' (looked for '" + path.string() + "'" +
                  (place.empty() ? ")" : " and '" + place + "')"),
-             "paths in a config are relative to the file that wrote them");
+             renamed(item.text()).empty() ? "paths in a config are relative to the file that wrote them"
+                                          : "the preset is called " + renamed(item.text()) + " now");
       }
       path = shipped;
     }

@@ -308,7 +308,7 @@ void tell_of_guess(const LoadedScene& scene, const SceneLoadOptions& options, Di
     diagnostics.warning(
         "scene.bounds.guessed", "scene.load.bounds",
         guess + "; the cameras stand around one place and see it together within " + list_text(scene.rig.seen),
-        "where the background matters include parts/unbounded.yaml; where only the subject does, set "
+        "where the background matters include presets/unbounded.yaml; where only the subject does, set "
         "scene.load.bounds to that box");
   } else if (options.probe_steps == 0) {
     diagnostics.warning("scene.bounds.guessed", "scene.load.bounds", guess,

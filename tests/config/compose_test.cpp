@@ -70,6 +70,9 @@ TEST(Compose, RefusesMissingAndCyclicIncludes) {
   EXPECT_EQ(refusal([&] { compose_config(missing); }),
             missing + ":2:11: include: no file 'parts/x.yaml' (looked for '" + folder / "parts/x.yaml" + "' and '" +
                 shared_root() + "/configs/parts/x.yaml'); paths in a config are relative to the file that wrote them");
+  const std::string old = folder.write("old.yaml", "include: parts/hash_room.yaml\n");
+  EXPECT_HAS(refusal([&] { compose_config(old); }), "no file 'parts/hash_room.yaml'",
+             "the preset is called presets/room.yaml now");
   const std::string a = folder.write("a.yaml", "include: sub/b.yaml\n");
   const std::string b = folder.write("sub/b.yaml", "x: 1\ninclude: ../a.yaml\n");
   EXPECT_EQ(refusal([&] { compose_config(a); }),
@@ -85,13 +88,13 @@ TEST(Compose, RefusesMissingAndCyclicIncludes) {
 
 TEST(Compose, ShippedPartsAreIncludedFromAnyFolder) {
   const TempDir folder;
-  const std::string path = folder.write("room.yaml", "include: parts/hash_room.yaml\ntrain: {rays: 7}\n");
+  const std::string path = folder.write("room.yaml", "include: presets/room.yaml\ntrain: {rays: 7}\n");
   const ConfigNode root = compose_config(path);
   EXPECT_EQ(write_config(root.find("passes")->items().at(0)),
-            write_config(compose_config(shared_file("configs/parts/hash_room.yaml")).find("passes")->items().at(0)));
+            write_config(compose_config(shared_file("configs/presets/room.yaml")).find("passes")->items().at(0)));
   EXPECT_EQ(root.find("train")->find("rays")->text(), "7");
   // A file of one's own comes first.
-  folder.write("parts/hash_room.yaml", "train: {steps: 3}\n");
+  folder.write("presets/room.yaml", "train: {steps: 3}\n");
   EXPECT_EQ(write_config_inline(compose_config(path)), "{train: {steps: 3, rays: 7}}");
 }
 
@@ -121,9 +124,8 @@ TEST(Compose, AnUnknownConfigurationNamesBothPlacesAndTheNearest) {
   const std::string configs = shared_root() + "/configs/";
   EXPECT_EQ(said("qickstart"), "no configuration 'qickstart' (looked for 'qickstart' and '" + configs +
                                    "qickstart'); did you mean 'quickstart'?");
-  EXPECT_EQ(said("parts/hash_rom.yaml"),
-            "no configuration 'parts/hash_rom.yaml' (looked for 'parts/hash_rom.yaml' and '" + configs +
-                "parts/hash_rom.yaml'); did you mean 'parts/hash_room.yaml'?");
+  EXPECT_EQ(said("presets/rom.yaml"), "no configuration 'presets/rom.yaml' (looked for 'presets/rom.yaml' and '" +
+                                          configs + "presets/rom.yaml'); did you mean 'presets/room.yaml'?");
   EXPECT_EQ(said("xyz.yaml"),
             "no configuration 'xyz.yaml' (looked for 'xyz.yaml' and '" + configs + "xyz.yaml'); check the path");
   const TempDir folder;
@@ -134,10 +136,10 @@ TEST(Compose, AnUnknownConfigurationNamesBothPlacesAndTheNearest) {
 
 TEST(SharedFiles, TheEnvironmentNamesAnotherFolder) {
   const TempDir folder;
-  const std::string part = folder.write("configs/parts/hash_room.yaml", "train: {steps: 5}\n");
+  const std::string part = folder.write("configs/presets/room.yaml", "train: {steps: 5}\n");
   ::setenv("SEMFIELD_SHARE", (folder / "").c_str(), 1);
-  EXPECT_EQ(shared_file("configs/parts/hash_room.yaml"), part);
-  EXPECT_EQ(find_config("parts/hash_room"), part);
+  EXPECT_EQ(shared_file("configs/presets/room.yaml"), part);
+  EXPECT_EQ(find_config("presets/room"), part);
   EXPECT_THROW(shared_file("scenes/room"), Error);
   ::setenv("SEMFIELD_SHARE", (folder / "none").c_str(), 1);
   EXPECT_EQ(refusal([] { shared_root(); }),

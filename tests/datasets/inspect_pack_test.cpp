@@ -72,22 +72,22 @@ TEST(Inspect, NamesThePresetThatSuitsTheCameras) {
   const auto says = [&](const std::string& text) { return inspect_report(scene, {}).find(text) != std::string::npos; };
   EXPECT_FALSE(says("preset"));  // nothing was loaded
   scene.bounds = {{-1, -1, -1}, {1, 1, 1}};
-  EXPECT_TRUE(says("preset      parts/hash_room.yaml:"));
+  EXPECT_TRUE(says("preset      presets/room.yaml:"));
   scene.rig.inward = true;
-  EXPECT_TRUE(says("preset      parts/unbounded.yaml:"));
+  EXPECT_TRUE(says("preset      presets/unbounded.yaml:"));
   scene.plain_background = PlainBackground{{255, 255, 255}, scene.bounds};
   EXPECT_TRUE(
-      says("preset      parts/object.yaml: the cameras stand around an object before one colour, (255, 255, 255)"));
+      says("preset      presets/object.yaml: the cameras stand around an object before one colour, (255, 255, 255)"));
   scene.plain_background->color = {0, 51, 255};
-  EXPECT_TRUE(says("preset      parts/object.yaml with rendering.background: [0, 0.2, 1]:"));
+  EXPECT_TRUE(says("preset      presets/object.yaml with rendering.background: [0, 0.2, 1]:"));
   scene.info.frames.resize(1);
   scene.frames.resize(1);
   scene.class_pixels.resize(1);
   scene.info.frames[0].has_depth = true;
   scene.plain_background.reset();
-  EXPECT_TRUE(says("preset      parts/hash_room.yaml: depth images show where the scene ends"));
+  EXPECT_TRUE(says("preset      presets/room.yaml: depth images show where the scene ends"));
   const app::Json json = inspect_json(scene, {});
-  EXPECT_EQ(json.at("preset"), "parts/hash_room.yaml");
+  EXPECT_EQ(json.at("preset"), "presets/room.yaml");
   EXPECT_EQ(json.at("preset_why"), "depth images show where the scene ends");
 }
 
@@ -152,21 +152,21 @@ TEST_P(PresetAdviceOf, IsWhatTrainedBest) {
   EXPECT_FALSE(d.has_errors());
   const std::optional<PresetAdvice> advice = advised_preset(loaded);
   ASSERT_TRUE(advice);
-  EXPECT_EQ(advice->preset, std::string("parts/") + scene.preset) << advice->why;
+  EXPECT_EQ(advice->preset, std::string("presets/") + scene.preset) << advice->why;
   EXPECT_FALSE(advice->background) << "white is the preset's own";
 }
 
 INSTANTIATE_TEST_SUITE_P(
     RealScenes, PresetAdviceOf,
-    testing::Values(Measured{"bonsai", "bonsai360", "hash_room.yaml", kTransforms, 400},
-                    Measured{"bonsai_llff", "bonsai360", "hash_room.yaml", reads<Llff, LlffParams>(), 400},
-                    Measured{"llff_room", "llff_room", "hash_room.yaml", kTransforms, 400},
-                    Measured{"studio", "studio_room", "hash_room.yaml", kTransforms, 480},
-                    Measured{"studio_colmap", "studio_room", "hash_room.yaml", reads<Colmap, ColmapParams>(), 480},
-                    Measured{"hololens", "hololens_room", "hash_room.yaml", kTransforms, 180},
-                    Measured{"shelf", "shelf_bin", "hash_room.yaml", kTransforms, 160},
+    testing::Values(Measured{"bonsai", "bonsai360", "room.yaml", kTransforms, 400},
+                    Measured{"bonsai_llff", "bonsai360", "room.yaml", reads<Llff, LlffParams>(), 400},
+                    Measured{"llff_room", "llff_room", "room.yaml", kTransforms, 400},
+                    Measured{"studio", "studio_room", "room.yaml", kTransforms, 480},
+                    Measured{"studio_colmap", "studio_room", "room.yaml", reads<Colmap, ColmapParams>(), 480},
+                    Measured{"hololens", "hololens_room", "room.yaml", kTransforms, 180},
+                    Measured{"shelf", "shelf_bin", "room.yaml", kTransforms, 160},
                     Measured{"lego", "lego", "object.yaml", kTransforms, 200},
-                    Measured{"replica", "replica_apartment0", "hash_room.yaml", reads<Replica, ReplicaParams>(), 160}),
+                    Measured{"replica", "replica_apartment0", "room.yaml", reads<Replica, ReplicaParams>(), 160}),
     [](const auto& row) { return row.param.name; });
 
 // Forward-facing photographs: the box of what is seen and not that of the view cones.
@@ -195,9 +195,9 @@ LoadedScene inward_scene(double reach, std::size_t corners) {
 }
 
 TEST(PresetAdvice, SurroundingsThatEndAreARoom) {
-  EXPECT_EQ(advised_preset(inward_scene(3, 600))->preset, "parts/hash_room.yaml");
-  EXPECT_EQ(advised_preset(inward_scene(20, 600))->preset, "parts/unbounded.yaml");
-  EXPECT_EQ(advised_preset(inward_scene(3, 20))->preset, "parts/unbounded.yaml") << "too few corners to say";
+  EXPECT_EQ(advised_preset(inward_scene(3, 600))->preset, "presets/room.yaml");
+  EXPECT_EQ(advised_preset(inward_scene(20, 600))->preset, "presets/unbounded.yaml");
+  EXPECT_EQ(advised_preset(inward_scene(3, 20))->preset, "presets/unbounded.yaml") << "too few corners to say";
 }
 
 }  // namespace

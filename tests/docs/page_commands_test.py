@@ -39,7 +39,7 @@ def expect(page, code, sentence):
 expect(SH.format("semfield one  # first\nsemfield two \\\n  three") + SH.format("printf 'one\\ntwo three\\n' | cmp - said"), 0, "commands=3 faults=0")
 expect("<!-- run:\nfirst semfield zero\n--time 5m => --time 1s\n-->\n" + SH.format("semfield one --time 5m") + SH.format("printf 'zero\\none --time 1s\\n' | cmp - said"), 0, "commands=3 faults=0")
 expect(SH.format("semfield one --time 10m") + SH.format("printf 'one --time 2s\\n' | cmp - said"), 0, "commands=2 faults=0")
-expect("```yaml file=configs/a.yaml\na: 1\n```\n" + SH.format("grep -q 'a: 1' configs/a.yaml\ngrep -q 'steps: 60' configs/parts/hash_room.yaml\ntest -f configs/my_photos.yaml"), 0, "commands=3")
+expect("```yaml file=configs/a.yaml\na: 1\n```\n" + SH.format("grep -q 'a: 1' configs/a.yaml\ngrep -q 'steps: 60' configs/presets/room.yaml\ntest -f configs/my_photos.yaml"), 0, "commands=3")
 expect(SH.format("semfield serve x\nsemfield after"), 0, "commands=2 faults=0")
 expect("<!-- run: exit 1 -->\n" + SH.format("semfield fail"), 0, "commands=1 faults=0")
 expect("<!-- not run: takes hours -->\n" + SH.format("semfield fail"), 0, "commands=0 faults=0")

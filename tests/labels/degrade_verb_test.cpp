@@ -19,7 +19,7 @@ using testing_room::fresh_folder;
 std::string write_config(const std::string& folder, const std::string& labels) {
   fs::create_directories(folder + "/room");
   testing_room::write_replica(folder + "/room", 5);
-  std::string yaml = "include: " + std::string(SEMFIELD_SOURCE_DIR) + "/configs/parts/hash_room.yaml\n";
+  std::string yaml = "include: " + std::string(SEMFIELD_SOURCE_DIR) + "/configs/presets/room.yaml\n";
   yaml += "scene: {type: replica, root: room, train_step: 2, test_step: 2, test_offset: 1, labels: " + labels + "}\n";
   write_file_atomic(folder + "/room.yaml", std::string_view(yaml));
   return folder + "/room.yaml";

@@ -203,7 +203,7 @@ TEST(ExportVerb, EveryFormHoldsTheRenderedLabels) {
   write_file_atomic(
       folder + "/room.yaml",
       "include: " + std::string(SEMFIELD_SOURCE_DIR) +
-          "/configs/parts/hash_room.yaml\n"
+          "/configs/presets/room.yaml\n"
           "scene: {type: replica, root: room, train_step: 2, test_step: 2, test_offset: 1, labels: {from: "
           "{type: images, folder: predictions, pattern: 'semantic_class_{number}.png'}}}\n");
   const Result trained = semfield_run("train room.yaml --steps 20 --threads 1 --out run -q", folder);

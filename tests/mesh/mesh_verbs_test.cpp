@@ -170,10 +170,26 @@ TEST_F(Verbs, MeshLeavesOutWhatNoCameraSeesUnlessTold) {
     return std::pair(said["faces"].get<int>(), said["unseen_faces"].get<int>());
   };
   const auto [all, none] = faces({"--keep-unseen"});
-  const auto [seen, unseen] = faces({});
+  const auto [seen, unseen] = faces({"--surface", "density"});
   EXPECT_EQ(none, 0);
   EXPECT_GT(unseen, 0);
   EXPECT_EQ(seen + unseen, all);
+}
+
+// Of a room it is fused from depth, unless something asks for the density.
+TEST_F(Verbs, MeshIsOfDepthWhereRaysEndInABackground) {
+  const auto said = [&](std::vector<std::string> more) {
+    std::vector<std::string> words{"mesh", run_dir(), "--resolution", "40", "--json", "--out", *dir_ / "which.ply"};
+    words.insert(words.end(), more.begin(), more.end());
+    const Result r = run(*dir_, words);
+    EXPECT_EQ(r.code, 0) << r.err;
+    return nlohmann::json::parse(r.out);
+  };
+  const nlohmann::json depth = said({}), density = said({"--level", "3"});
+  EXPECT_EQ(depth["surface"], "depth");
+  EXPECT_FALSE(depth.contains("level"));
+  EXPECT_EQ(density["surface"], "density");
+  EXPECT_EQ(density["level"], 3);
 }
 
 TEST_F(Verbs, MeshIsUprightAsTold) {
@@ -199,6 +215,9 @@ TEST_F(Verbs, MeshRefusesWhatMakesNoSense) {
   refused({"--voxel", "-1"}, 2, "--voxel -1: expected a positive number");
   refused({"--voxel", "1e-7"}, 2, "choose a larger --voxel");
   refused({"--level", "nan"}, 2, "--level nan");
+  refused({"--surface", "depth", "--level", "3"}, 2, "--level belongs to the surface of the density");
+  refused({"--surface", "depth", "--keep-unseen"}, 2, "--keep-unseen belongs to the surface of the density");
+  refused({"--surface", "cloud"}, 2, "expected depth or density");
   refused({"--keep-components", "2"}, 2, "expected 0 to 1");
   refused({"--color", "rgb"}, 2, "--color rgb: expected photo, class or both");
   refused({"--up", "w"}, 2, "--up w: expected x, -x, y, -y, z or -z");

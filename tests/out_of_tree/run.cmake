@@ -79,7 +79,7 @@ step("train quickstart" ${CMAKE_COMMAND} -E chdir ${WORK_DIR}/empty ${semfield} 
 if(NOT last_output MATCHES "train: miou_present=0\\.[0-9]+ .* steps=20 ")
   message(FATAL_ERROR "train says no result:\n${last_output}")
 endif()
-file(WRITE ${WORK_DIR}/empty/own.yaml "include: parts/hash_room.yaml\nscene: {type: obj_room, root: ${moved}/share/semfield/scenes/room}\n")
+file(WRITE ${WORK_DIR}/empty/own.yaml "include: presets/room.yaml\nscene: {type: obj_room, root: ${moved}/share/semfield/scenes/room}\n")
 step("config check" ${CMAKE_COMMAND} -E chdir ${WORK_DIR}/empty ${semfield} config check own.yaml)
 # The Python module of the prefix, in a process that knows nothing but where it lies.
 if(EXISTS "${moved}/lib/python3/dist-packages/semfield")

@@ -150,8 +150,12 @@ TEST(ShippedConfigurations, PresetsNameTheDepthTerm) {
     const ConfigNode* losses = tree.find("losses");
     return losses == nullptr ? std::string("none") : write_config_inline(*losses);
   };
-  for (const char* part : {"hash_room", "object", "unbounded"})
-    EXPECT_EQ(losses_of(std::string("parts/") + part + ".yaml"), "[{type: depth, weight: 0.02}]") << part;
+  const std::string depth = "{type: depth, weight: 0.02}";
+  for (const char* preset : {"room", "object"})
+    EXPECT_EQ(losses_of(std::string("presets/") + preset + ".yaml"), "[" + depth + "]") << preset;
+  EXPECT_EQ(losses_of("presets/unbounded.yaml"), "[" + depth +
+                                                     ", {type: distortion, weight: 0.03, from_step: 0}, {type: "
+                                                     "near_density, weight: 0.01, from_step: 0}]");
   EXPECT_EQ(losses_of("scenes/replica.yaml"), "[{type: depth, weight: 0.02}]");
   for (const char* file : {"quickstart.yaml", "quickstart_frequency.yaml", "experiments/editions/gpu_fast.yaml"})
     EXPECT_EQ(losses_of(file), "[]") << file;

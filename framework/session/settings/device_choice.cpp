@@ -107,7 +107,7 @@ Precision precision_of(const RunConfig& config, const Registry& registry, Device
 }
 
 // Steps on an H200 in fp32 and bf16 (docs/evidence/gpu.md): 22.7 and 2.24 ms with the paper's networks, 3.0 and 0.99 ms
-// with a hash grid; 16.5 and 1.1 ms with the networks of configs/parts/object.yaml and 8,192 rays.
+// with a hash grid; 16.5 and 1.1 ms with the networks of configs/presets/object.yaml and 8,192 rays.
 void say_slow_paths(const RunConfig& config, const Registry& registry, DeviceId device, bool bf16_instructions,
                     Diagnostics& diagnostics) {
   const bool bf16 = config.runtime.precision == Precision::bf16;

@@ -81,7 +81,8 @@ class Witness {
 };
 
 // Minus the mean signed distance in truncations: dense is positive. 1 where no view speaks.
-double solidity(std::span<const Witness> witnesses, Vec3d point, double truncation) {
+double solidity(std::span<const Witness> witnesses, Vec3d point, double cell) {
+  const double truncation = kTruncationCells * cell;
   double sum = 0, weights = 0;
   for (const Witness& witness : witnesses) {
     const auto answer = witness.at(point);
@@ -131,12 +132,11 @@ std::vector<DepthView> depth_views(Pipeline<float>& pipeline, std::span<const Ra
 Surface fused_surface(std::span<const DepthView> views, const RayLimits& limits, const VoxelGrid& grid) {
   std::vector<Witness> witnesses;
   for (const DepthView& view : views) witnesses.emplace_back(view, limits, grid.spacing);
-  const double truncation = kTruncationCells * grid.spacing;
   Surface surface = marching_cubes(grid, 0, [&](std::int64_t z, std::span<double> values) {
     parallel_for(grid.ny, [&](std::int64_t y) {
       for (std::int64_t x = 0; x < grid.nx; ++x) {
         const Vec3d point = grid.world({static_cast<double>(x), static_cast<double>(y), static_cast<double>(z)});
-        values[static_cast<std::size_t>(y * grid.nx + x)] = solidity(witnesses, point, truncation);
+        values[static_cast<std::size_t>(y * grid.nx + x)] = solidity(witnesses, point, grid.spacing);
       }
     });
   });

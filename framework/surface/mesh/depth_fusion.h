@@ -11,8 +11,8 @@
 
 namespace semfield {
 
-/// Signed distances are cut off this many cells from a surface. Walls that are thinner than that and seen from both
-/// sides push each other apart.
+/// Signed distances are cut off this many cells from a surface. What is thinner than that and seen from both sides is
+/// pushed apart.
 inline constexpr double kTruncationCells = 4;
 
 /// A camera, and where rendering puts the surface along its rays.
@@ -28,10 +28,10 @@ std::vector<DepthView> depth_views(Pipeline<float>& pipeline, std::span<const Ra
 
 /// The surface that the views' depth agrees on. At a point of the grid each view whose pixel there shows something at
 /// distance d, or farther, says d - r, r the point's own distance, cut off at kTruncationCells. A view whose surface
-/// lies more than that before the point says nothing, and a pixel at an edge of depth says what is empty and no more.
-/// The mean, weighted by 1 / r, is 0 on the surface. What no view speaks of is taken for solid. Triangles stay where at
-/// least two views, or the only one that can see so far, put each corner within kAgreeCells of their depth, across the
-/// surface. Normals are set.
+/// lies more than that before the point says nothing, and a pixel at an edge of depth says what is empty and no
+/// more. The mean, weighted by 1 / r, is 0 on the surface. What no view speaks of is taken for solid. Triangles stay
+/// where at least two views, or the only one that can see so far, put each corner within kAgreeCells of their depth,
+/// across the surface. Normals are set.
 Surface fused_surface(std::span<const DepthView> views, const RayLimits& limits, const VoxelGrid& grid);
 inline constexpr double kAgreeCells = 2;
 
