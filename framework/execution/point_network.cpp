@@ -11,6 +11,15 @@ namespace semfield {
 namespace {
 constexpr std::int64_t kUnit = 1024;  // points of a unit of work; results do not depend on it
 constexpr std::int64_t kTile = 64;    // points of a batch that one lane takes
+
+// body(arena, begin, count) for units of the points.
+template <class Body>
+void for_points(ThreadArenas& arenas, std::int64_t points, const Body& body) {
+  arenas.for_units((points + kUnit - 1) / kUnit, [&](Workspace& arena, std::int64_t unit) {
+    const Workspace::Scope taken(arena);
+    body(arena, unit * kUnit, std::min(kUnit, points - unit * kUnit));
+  });
+}
 }  // namespace
 
 template <class Real>
@@ -21,10 +30,7 @@ void query_points(Pipeline<Real>& pipeline, const PointQuery<Real>& query) {
   if (!query.sigma.empty()) pipeline.lanes().density(query.position, query.sigma);
   if (query.color.empty() && query.logits.empty()) return;
   ThreadArenas arenas;
-  const std::int64_t total = query.position.rows;
-  arenas.for_units((total + kUnit - 1) / kUnit, [&](Workspace& arena, std::int64_t unit) {
-    const std::int64_t begin = unit * kUnit, count = std::min(kUnit, total - begin);
-    const Workspace::Scope taken(arena);
+  for_points(arenas, query.position.rows, [&](Workspace& arena, std::int64_t begin, std::int64_t count) {
     StepContext ctx;
     ctx.seed = pipeline.options().seed;
     ctx.pass = pass.parts().number;
@@ -71,10 +77,7 @@ template <class Real>
 void LanePoints<Real>::rows(View<const double> positions, View<Real> rows) {
   const WorkScope scope(pipeline_.options().work);
   const ComputeFloatMode mode;
-  const std::int64_t total = positions.rows;
-  arenas_.for_units((total + kUnit - 1) / kUnit, [&](Workspace& arena, std::int64_t unit) {
-    const std::int64_t begin = unit * kUnit, count = std::min(kUnit, total - begin);
-    const Workspace::Scope taken(arena);
+  for_points(arenas_, positions.rows, [&](Workspace& arena, std::int64_t begin, std::int64_t count) {
     pass().point_rows(context(0, false, arena), positions.row_range(begin, count), rows.row_range(begin, count));
   });
 }
@@ -83,10 +86,7 @@ template <class Real>
 void LanePoints<Real>::logits(View<const Real> rows, View<Real> logits) {
   const WorkScope scope(pipeline_.options().work);
   const ComputeFloatMode mode;
-  const std::int64_t total = rows.rows;
-  arenas_.for_units((total + kUnit - 1) / kUnit, [&](Workspace& arena, std::int64_t unit) {
-    const std::int64_t begin = unit * kUnit, count = std::min(kUnit, total - begin);
-    const Workspace::Scope taken(arena);
+  for_points(arenas_, rows.rows, [&](Workspace& arena, std::int64_t begin, std::int64_t count) {
     (void)pass().point_forward(context(0, false, arena), kMainGradient, rows.row_range(begin, count),
                                logits.row_range(begin, count));
   });

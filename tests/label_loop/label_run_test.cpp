@@ -197,5 +197,22 @@ TEST(LabelRun, AFurtherStrokeDoesNotPayForThoseBeforeIt) {
   EXPECT_LE(room.run.loop().learned_points(), room.run.loop().pool().points.size() + 301);
 }
 
+TEST(LabelRun, ATurnOfTrainingEndsWhenSomebodyWaits) {
+  PreparedRun room;
+  LabelEvent add = room.undo("wall", "");
+  add.kind = LabelEventKind::add_class;
+  add.class_name = "wall";
+  room.annotations.apply(add);
+  LabelEvent click = room.event("c", LabelEventKind::click, 0, {5, 5});
+  click.class_name = "wall";
+  room.annotations.apply(click);
+  room.run.take(room.annotations);  // a change, after which training goes on
+  const std::int64_t before = room.state().step;
+  int looks = 0;
+  EXPECT_TRUE(room.run.train(5, [&] { return ++looks == 2; }));
+  EXPECT_EQ(looks, 2);
+  EXPECT_EQ(room.state().step, before + 2) << "a step at a time on a CPU";
+}
+
 }  // namespace
 }  // namespace semfield

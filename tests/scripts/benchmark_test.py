@@ -1,4 +1,4 @@
-"""scripts/benchmark with a program that answers at once: benchmark_test.py SCRIPT."""
+"""scripts/benchmark with a program that returns figures at once: benchmark_test.py SCRIPT."""
 import json
 import os
 import stat

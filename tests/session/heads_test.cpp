@@ -120,6 +120,23 @@ TEST(Heads, LearnTheChannelAndRenderIt) {
   EXPECT_LT(1 - mean_cosine(frame.channels[0], truth), 0.5 * (1 - mean_cosine(gray, truth)));
 }
 
+TEST(Heads, AChannelThatIsNotFiniteIsNamed) {
+  Registry registry = make_channel_registry();
+  Session session = open_text(config_of(head_yaml()), registry);
+  Tensor<float>* bias = session.pipeline->store().find("main/heads/albedo/output/bias");
+  ASSERT_NE(bias, nullptr);
+  bias->value.data()[1] = std::numeric_limits<float>::quiet_NaN();
+  session.pipeline->executor().upload(0);
+  const FrameInfo& info = session.scene.info.frames.front();
+  FrameOptions options;
+  options.channels = {"albedo"};
+  EXPECT_HAS(error_of([&] {
+               (void)render_frame(*session.pipeline, {info.camera, info.world_from_camera, false}, session.limits,
+                                  session.plan.class_of_logit, {}, options);
+             }),
+             "channel of a head");
+}
+
 TEST(Heads, ARunWithOneHasTheSameBitsOnAnyThreads) {
   const std::string yaml = config_of(head_yaml(", width: 2"), kSemanticBranch);
   Registry registry = make_channel_registry();

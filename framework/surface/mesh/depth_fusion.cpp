@@ -25,7 +25,7 @@ class Witness {
     if (!view.camera.undistort) camera_.k1 = camera_.k2 = camera_.k3 = camera_.k4 = camera_.p1 = camera_.p2 = 0;
   }
 
-  struct Answer {
+  struct Reading {
     double seen = 0;       // distance of what the pixel shows; infinite: nothing
     bool at_edge = false;  // the pixels around differ: `seen` is the least of them, and what lies there is not known
     double own = 0;        // distance of the point
@@ -36,16 +36,16 @@ class Witness {
     return dot(way, normal) / length(way);
   }
   // None for a point outside the image or nearer than rays begin.
-  std::optional<Answer> at(Vec3d point) const {
+  std::optional<Reading> at(Vec3d point) const {
     const Vec3d p = view_.camera.world_from_camera.apply_inverse(point);
     const double own = length(p);
     if (!(p.z > 0) || own < near_ || !camera_.is_within_lens(p)) return std::nullopt;
     double u = 0, v = 0;
     camera_.project(p, u, v);
     if (!(u >= 0 && v >= 0 && u < camera_.width_px && v < camera_.height_px)) return std::nullopt;
-    Answer answer = pixels_around(u, v);
-    answer.own = own;
-    return answer;
+    Reading reading = pixels_around(u, v);
+    reading.own = own;
+    return reading;
   }
 
  private:
@@ -57,7 +57,7 @@ class Witness {
   bool is_between(double value, double least, double most) const {
     return value - least > edge_ && !(most - value < edge_);
   }
-  Answer pixels_around(double u, double v) const {
+  Reading pixels_around(double u, double v) const {
     const SurfaceMap& map = view_.map;
     const double first = 0.5 + map.stride / 2;  // of the map's first pixel (strided_place)
     const double x = std::clamp((u - first) / map.stride, 0.0, map.width_px - 1.0);
@@ -70,7 +70,7 @@ class Witness {
     const double fx = x - x0, fy = y - y0;
     if (!(most - least < edge_ + kSlant * least)) {
       const double nearest = value(fx < 0.5 ? x0 : x1, fy < 0.5 ? y0 : y1);
-      return is_between(nearest, least, most) ? Answer{least, true} : Answer{nearest};
+      return is_between(nearest, least, most) ? Reading{least, true} : Reading{nearest};
     }
     return {(1 - fy) * ((1 - fx) * a + fx * b) + fy * ((1 - fx) * c + fx * d)};
   }
@@ -85,11 +85,11 @@ double solidity(std::span<const Witness> witnesses, Vec3d point, double cell) {
   const double truncation = kTruncationCells * cell;
   double sum = 0, weights = 0;
   for (const Witness& witness : witnesses) {
-    const auto answer = witness.at(point);
-    if (!answer) continue;
-    const double signed_distance = answer->seen - answer->own;
-    if (signed_distance < (answer->at_edge ? truncation : -truncation)) continue;
-    const double weight = 1 / answer->own;
+    const auto reading = witness.at(point);
+    if (!reading) continue;
+    const double signed_distance = reading->seen - reading->own;
+    if (signed_distance < (reading->at_edge ? truncation : -truncation)) continue;
+    const double weight = 1 / reading->own;
     sum += weight * std::min(signed_distance / truncation, 1.0);
     weights += weight;
   }
@@ -102,11 +102,11 @@ bool is_agreed(std::span<const Witness> witnesses, Vec3d point, Vec3d normal, do
   for (const Witness& witness : witnesses) {
     const double cosine = std::abs(witness.cosine(point, normal));
     if (cosine < kLeastCosine) continue;
-    const auto answer = witness.at(point);
+    const auto reading = witness.at(point);
     const double along = most / std::max(kSlantCosine, cosine);
-    if (!answer || answer->own > answer->seen + along) continue;
+    if (!reading || reading->own > reading->seen + along) continue;
     ++can_see;
-    if (!answer->at_edge && std::abs(answer->seen - answer->own) <= along) ++agree;
+    if (!reading->at_edge && std::abs(reading->seen - reading->own) <= along) ++agree;
     if (agree >= kLeastAgree) return true;
   }
   return agree > 0 && agree == can_see;
