@@ -121,5 +121,26 @@ TEST(DepthFusion, ARayThatMeetsNothingIsEmptySpace) {
   for (const Vec3d& p : surface.positions) EXPECT_NEAR(length(p), kRadius, 0.1);
 }
 
+// Rendered depth is a mean: at the ball's outline pixels lie between ball and wall, where there is nothing.
+TEST(DepthFusion, PixelsBetweenTwoSurfacesShowNone) {
+  DepthView view = view_from({0, 0, -2});
+  const std::vector<float> sharp = view.map.distance_m;
+  const std::int32_t width = view.map.width_px;
+  std::size_t between = 0;
+  for (std::size_t i = 1; i + 1 < sharp.size(); ++i) {
+    if (static_cast<std::int32_t>(i) % width == 0 || !(std::abs(sharp[i - 1] - sharp[i + 1]) > 0.8F)) continue;
+    view.map.distance_m[i] = (sharp[i - 1] + sharp[i + 1]) / 2;
+    ++between;
+  }
+  ASSERT_GT(between, 50U);
+  const double spacing = 0.05;
+  const std::vector<DepthView> one{view};
+  const Surface surface = fused_surface(one, limits(), grid(spacing));
+  ASSERT_GT(surface.triangles.size(), 500U);
+  std::size_t wrong = 0;
+  for (const Vec3d& p : surface.positions) wrong += off(p) > 2 * kAgreeCells * spacing ? 1 : 0;
+  EXPECT_LT(wrong, surface.positions.size() / 200);
+}
+
 }  // namespace
 }  // namespace semfield

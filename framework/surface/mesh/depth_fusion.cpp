@@ -23,6 +23,8 @@ class Witness {
   Witness(const DepthView& view, const RayLimits& limits, double cell)
       : view_(view), camera_(view.camera.camera), near_(limits.near_m), edge_(kEdgeCells * cell) {
     if (!view.camera.undistort) camera_.k1 = camera_.k2 = camera_.k3 = camera_.k4 = camera_.p1 = camera_.p2 = 0;
+    for (std::int32_t y = 0; y < view.map.height_px; ++y)
+      for (std::int32_t x = 0; x < view.map.width_px; ++x) between_.push_back(is_between(x, y) ? 1 : 0);
   }
 
   struct Reading {
@@ -54,8 +56,16 @@ class Witness {
     return d > 0 ? static_cast<double>(d) : HUGE_VAL;
   }
   // Rendered depth is a mean over what a pixel meets, so at an edge it may lie between the two surfaces, on neither.
-  bool is_between(double value, double least, double most) const {
-    return value - least > edge_ && !(most - value < edge_);
+  bool is_between(std::int32_t x, std::int32_t y) const {
+    double least = HUGE_VAL, most = 0;
+    for (std::int32_t v = std::max(0, y - 1); v <= std::min(view_.map.height_px - 1, y + 1); ++v) {
+      for (std::int32_t u = std::max(0, x - 1); u <= std::min(view_.map.width_px - 1, x + 1); ++u) {
+        least = std::min(least, value(u, v));
+        most = std::max(most, value(u, v));
+      }
+    }
+    const double own = value(x, y), edge = edge_ + kSlant * least;
+    return own - least > edge && most - own > edge;
   }
   Reading pixels_around(double u, double v) const {
     const SurfaceMap& map = view_.map;
@@ -69,8 +79,9 @@ class Witness {
     if (least == HUGE_VAL) return {HUGE_VAL};
     const double fx = x - x0, fy = y - y0;
     if (!(most - least < edge_ + kSlant * least)) {
-      const double nearest = value(fx < 0.5 ? x0 : x1, fy < 0.5 ? y0 : y1);
-      return is_between(nearest, least, most) ? Reading{least, true} : Reading{nearest};
+      const std::int32_t nx = fx < 0.5 ? x0 : x1, ny = fy < 0.5 ? y0 : y1;
+      const bool between = between_[static_cast<std::size_t>(std::int64_t{ny} * map.width_px + nx)] != 0;
+      return between ? Reading{least, true} : Reading{value(nx, ny)};
     }
     return {(1 - fy) * ((1 - fx) * a + fx * b) + fy * ((1 - fx) * c + fx * d)};
   }
@@ -78,6 +89,7 @@ class Witness {
   const DepthView& view_;
   Camera camera_;
   double near_, edge_;
+  std::vector<char> between_;  // of each pixel
 };
 
 // Minus the mean signed distance in truncations: dense is positive. 1 where no view speaks.
