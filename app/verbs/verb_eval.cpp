@@ -11,6 +11,7 @@
 #include "eval/final_eval.h"
 #include "eval/json_number.h"
 #include "run/open_run.h"
+#include "session/refined_poses.h"
 #include "system/files.h"
 
 namespace semfield::app {
@@ -20,6 +21,7 @@ namespace {
 struct EvalOptions {
   std::string run, out;
   std::string split = "test";
+  bool refine_poses = false, fit_colors = false;
   std::vector<std::string> set;
 };
 
@@ -43,9 +45,12 @@ Json results(const OpenedRun& run, const SplitScore& score, const std::string& s
   return out;
 }
 
-SplitScore score_frames(const Session& s, Split split, const std::vector<int>& frames, const AppContext& context) {
+SplitScore score_frames(const Session& s, const EvalOptions& options, const std::vector<int>& frames,
+                        const AppContext& context, const std::vector<FrameInfo>* infos = nullptr) {
   EvalJob job = s.eval_job(frames);
-  if (split == Split::train) job.given = &s.labels;
+  if (infos != nullptr) job.infos = infos;
+  job.fit_colors = options.fit_colors;
+  if (options.split == "train") job.given = &s.labels;
   ProgressLine progress(context, "scored");
   job.progress = [&](double done) { progress.show(done, static_cast<double>(frames.size())); };
   return evaluate(*s.pipeline, job, s.limits, s.plan.class_of_logit);
@@ -64,8 +69,17 @@ int run(const EvalOptions& options, AppContext& context) {
   if (frames.empty())
     throw Error(ErrorKind::data, "scene.split.empty",
                 options.run + ": the scene has no frames in split '" + options.split + "'", "see `semfield inspect`");
-  const SplitScore score = score_frames(s, split, frames, context);
-  const Json found = results(run, score, options.split);
+  const SplitScore score = score_frames(s, options, frames, context);
+  Json found = results(run, score, options.split);
+  std::optional<SplitScore> refined;
+  if (options.refine_poses) {
+    std::vector<FrameInfo> infos = s.scene.info.frames;
+    const std::vector<Pose> poses = refine_poses(s, context.registry, frames);
+    for (std::size_t i = 0; i < frames.size(); ++i)
+      infos[static_cast<std::size_t>(frames[i])].world_from_camera = poses[i];
+    refined = score_frames(s, options, frames, context, &infos);
+    for (const auto& [name, value] : refined->values()) found["refined_poses"][name] = number_json<Json>(value);
+  }
   if (!options.out.empty()) write_file_atomic(options.out, json_object(context, found));
   if (context.json) {
     print_json(context, found);
@@ -75,6 +89,10 @@ int run(const EvalOptions& options, AppContext& context) {
               options.split.c_str(), static_cast<long long>(run.step), run.train_s);
   for (const auto& [name, value] : score.values())
     std::printf("  %-20s %s\n", name.c_str(), value ? fmt::format("{:.4f}", *value).c_str() : "no data");
+  if (refined)
+    for (const auto& [name, value] : refined->values())
+      std::printf("  %-20s %s with refined poses\n", name.c_str(),
+                  value ? fmt::format("{:.4f}", *value).c_str() : "no data");
   if (const std::string warning = score.resolution.warning(); !warning.empty())
     print_note(context, "warning: " + warning);
   if (split == Split::train) {
@@ -99,6 +117,10 @@ void words(VerbWords& verb, EvalOptions& options) {
   verb.operand("run", options.run, "run folder");
   verb.choice("--split SPLIT", options.split, {"test", "train"}, "frames to score");
   verb.value("--out FILE", options.out, "also write the JSON object to this file");
+  verb.flag("--refine-poses", options.refine_poses,
+            "score once more with poses of the frames fitted to the field, where they are not given to a pixel");
+  verb.flag("--fit-colors", options.fit_colors,
+            "score colours once more, each half of a frame under the map of colours that fits the other half");
   verb.run_settings(options.set);
 }
 

@@ -87,11 +87,13 @@ void guard(const GuardPlace<float>&, Guarded value, View<const float> values) {
 Stages<float> make_stages() {
   Stages<float> s;
   s.head = &head_kernels();
+  s.cameras = &camera_kernels();
   s.host_memory = false;
   s.density_batch = kDensityBatch;
   s.set_live_rows = set_live_rows;
   s.copy = copy;
   s.locate = locate_samples;
+  s.locate_backward = cuda::locate_backward;
   s.map_positions = cuda::map_positions;
   s.density_forward = cuda::density_forward;
   s.density_backward = cuda::density_backward;

@@ -7,6 +7,7 @@ namespace semfield::cuda {
 
 const Stages<float>& stages();
 const HeadKernels<float>& head_kernels();
+const CameraKernels<float>& camera_kernels();
 
 /// As Stages::keep, in views of `most` rows whose memory is there: kept.first, t, delta and ray_of_sample, source,
 /// weight, and a ray's sum of weights into share. Rows behind the kept ones get t = delta = weight = source = 0 and the

@@ -48,10 +48,16 @@ StreamExecutor::StreamExecutor(Pipeline<float>& host, std::vector<PassParts<floa
   const LaunchScope on_stream(step_launch());
   store_ = std::make_unique<Store>(host.store(), options.trainable, GradientSums::slots_of(options));
   passes_.reserve(parts.size());
+  store_->freeze(host.options().cameras.alone);
   std::vector<std::size_t> ends;
   for (PassParts<float>& part : parts) {
     passes_.emplace_back(std::move(part), host.options().rules, *store_);
     ends.push_back(store_->gradients_added());
+  }
+  store_->freeze(false);
+  if (host.cameras() != nullptr) {
+    cameras_.emplace(host.options().cameras, cuda::stages(), *store_);
+    ends.back() = store_->gradients_added();
   }
   sums_ = std::make_unique<GradientSums>(options, store_->gradients(), std::move(ends));
   const auto [first, last] = sums_->own();
@@ -122,8 +128,13 @@ void StreamExecutor::upload(std::int64_t step) {
   const LaunchScope scope(step_launch());
   store_->upload();
   const StepContext ctx = context(step, false, render_arena_);
-  for (const Pass<float>& pass : passes_) pass.derive(ctx);
+  derive(ctx);
   synchronize();
+}
+
+void StreamExecutor::derive(const StepContext& ctx) const {
+  for (const Pass<float>& pass : passes_) pass.derive(ctx);
+  if (cameras_) cameras_->derive(ctx);
 }
 
 void StreamExecutor::download(std::int64_t step) {
@@ -355,8 +366,7 @@ void StreamExecutor::update(std::int64_t step) {
   const Workspace::Scope scope(train_arena_);
   check_gradients(store_->learned());
   stages().adam(&launch().cell->adam, store_->learned());
-  const StepContext ctx = context(step, true, train_arena_);
-  for (const Pass<float>& pass : passes_) pass.derive(ctx);
+  derive(context(step, true, train_arena_));
 }
 
 }  // namespace semfield::cuda

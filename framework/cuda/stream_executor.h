@@ -4,6 +4,7 @@
 #include <deque>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -116,6 +117,9 @@ class StreamExecutor final : public Executor<float> {
   void start(cudaGraphExec_t graph);
   void backward(const Shape& shape, std::int64_t step, bool overlapped);
   void update(std::int64_t step);
+  void derive(const StepContext& ctx) const;
+  /// The batch with rays as their cameras are corrected.
+  RayBatch moved(const RayBatch& batch, Workspace& arena) const;
   void walk_shards(const Shape& shape, std::int64_t step, std::int64_t most);
   void walk(const Shape& shape, const Shard& shard, std::int64_t step, Workspace& arena);
   void complete_gradients(std::int64_t step);
@@ -145,6 +149,7 @@ class StreamExecutor final : public Executor<float> {
   cudaEvent_t forked_ = nullptr, joined_ = nullptr;
   std::unique_ptr<Store> store_;
   std::vector<Pass<float>> passes_;
+  std::optional<CameraCorrections<float>> cameras_;
   std::unique_ptr<GradientSums> sums_;
   std::deque<Track> tracks_;  // of this rank's shards, with DeviceOptions::deterministic
   std::vector<EncoderRowsOfPass> rows_;

@@ -9,6 +9,7 @@
 #include "compute/float_mode.h"
 #include "compute/parallel.h"
 #include "core/check.h"
+#include "eval/color_fit.h"
 #include "eval/pixel_stride.h"
 
 namespace semfield {
@@ -199,6 +200,7 @@ std::vector<std::pair<std::string, std::optional<double>>> SplitScore::values() 
   std::vector<std::pair<std::string, std::optional<double>>> out;
   out.emplace_back("psnr", color.psnr_db());
   out.emplace_back("ssim", ssim());
+  if (fitted_color.values() > 0) out.emplace_back("psnr_fitted_colors", fitted_color.psnr_db());
   if (confusion.classes() > 0) {
     out.emplace_back("miou", confusion.miou());
     out.emplace_back("miou_present", confusion.miou_present());
@@ -253,7 +255,7 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
     const std::vector<std::uint8_t> stored_rgb = strided(stored.rgb, width, height, 3, job.stride);
     std::vector<float> truth_rgb(stored_rgb.size());
     for (std::size_t i = 0; i < truth_rgb.size(); ++i) truth_rgb[i] = static_cast<float>(stored_rgb[i]) / 255.0F;
-    ColorError color;
+    ColorError color, fitted;
     std::optional<double> similarity;
     if (job.stride == 1) similarity = ssim(truth_rgb, frame.rgb, frame.width_px, frame.height_px, 3);
     ConfusionMatrix confusion(semantics ? job.classes : 0);
@@ -264,6 +266,9 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
     const bool labels = semantics && !truth.empty();
     const std::function<void()> measures[] = {
         [&] { color.add(truth_rgb, frame.rgb); },
+        [&] {
+          if (job.fit_colors) fitted.add(truth_rgb, fitted_by_halves(truth_rgb, frame.rgb, frame.width_px));
+        },
         [&] {
           if (labels) confusion.add(truth, frame.label);
         },
@@ -288,6 +293,7 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
     row.name = info.name;
     row.psnr_db = color.psnr_db();
     score.color.merge(color);
+    score.fitted_color.merge(fitted);
     if (similarity) {
       score.ssim_sum += *similarity;
       ++score.ssim_frames;

@@ -80,6 +80,7 @@ struct SplitScore {
   explicit SplitScore(int classes, double far_m) : confusion(classes), depth(far_m) {}
   ConfusionMatrix confusion;
   ColorError color;
+  ColorError fitted_color;  ///< EvalJob::fit_colors
   DepthError depth;
   Calibration calibration;
   PredictedEntropy entropy;
@@ -102,6 +103,7 @@ struct EvalJob {
   int classes = 0;
   bool undistort = true;
   std::int32_t stride = 1;                ///< above 1 SSIM has no value: it needs neighbours
+  bool fit_colors = false;                ///< score colours once more under maps of half frames (color_fit.h)
   const TrainingLabels* given = nullptr;  ///< of the frames scored; null: entropy is not grouped by them
   /// Called with the number of frames that are done, parts of one included; may be null.
   std::function<void(double)> progress;

@@ -135,12 +135,13 @@ StepLosses LaneExecutor<Real>::gradients(std::int64_t step, const RayBatch& batc
   const std::int64_t tiles = (rays + tile_rays - 1) / tile_rays;
   guard_rays<Real>({batch.origin, batch.direction, batch.near_far}, batch.targets.color, 0);
   const BatchScales scales = pipeline_.scales_of(batch);
+  const RayBatch seen = moved(batch);
   if (ranks_) {
     ranks_->share_out(tiles);
-    agree(ranks_->all(), [&] { walk_tiles(step, batch, tiles, scales); });
+    agree(ranks_->all(), [&] { walk_tiles(step, seen, tiles, scales); });
     ranks_->gather_losses(tile_losses_);
   } else {
-    walk_tiles(step, batch, tiles, scales);
+    walk_tiles(step, seen, tiles, scales);
   }
   scatter(step);
   if (ranks_) {
@@ -153,6 +154,7 @@ StepLosses LaneExecutor<Real>::gradients(std::int64_t step, const RayBatch& batc
     ctx.pass = pass.parts().number;
     pass.derive_backward(ctx);
   }
+  if (pipeline_.cameras() != nullptr) pipeline_.cameras()->derive_backward(ctx);
   StepLosses sum;
   for (const StepLosses& tile : tile_losses_) {  // tile order: the same sum for any thread count
     sum.color += tile.color;
@@ -165,6 +167,24 @@ StepLosses LaneExecutor<Real>::gradients(std::int64_t step, const RayBatch& batc
     sum.dense_passes |= tile.dense_passes;
   }
   return pipeline_.means_of(sum, scales);
+}
+
+// The batch with rays as their cameras are corrected.
+template <class Real>
+RayBatch LaneExecutor<Real>::moved(const RayBatch& batch) {
+  const CameraCorrections<Real>* const cameras = pipeline_.cameras();
+  if (cameras == nullptr || !cameras->rules().poses) return batch;
+  const auto copy = [](View<const double> from, std::vector<double>& to) {
+    to.resize(static_cast<std::size_t>(from.size()));
+    for (std::int64_t r = 0; r < from.rows; ++r) std::copy_n(from.row(r), from.cols, to.data() + r * from.cols);
+    return View<double>(to.data(), from.rows, from.cols);
+  };
+  const View<double> origin = copy(batch.origin, moved_origin_), direction = copy(batch.direction, moved_direction_);
+  cameras->move(batch.targets.more[channel::camera], origin, direction);
+  RayBatch seen = batch;
+  seen.origin = origin;
+  seen.direction = direction;
+  return seen;
 }
 
 template <class Real>
@@ -253,8 +273,9 @@ StepLosses LaneExecutor<Real>::train_tile(const StepContext& ctx, int lane, cons
                                           const TileRange& tile, const BatchScales& scales) {
   const std::int64_t begin = tile.begin, count = tile.count;
   const Workspace::Scope tile_scope(*ctx.workspace);
-  TrainedRays rays;
+  TrainedRays<Real> rays;
   rays.lane = lane;
+  rays.cameras = pipeline_.cameras();
   rays.batch = batch.rows(begin, count);
   const View<const std::int16_t> label = rays.batch.targets.label;
   for (std::int64_t r = 0; r < label.rows && pipeline_.has_semantics(); ++r) {

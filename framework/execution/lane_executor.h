@@ -89,6 +89,7 @@ class LaneExecutor final : public Executor<Real> {
     const std::int64_t lane = tile % options().lanes;
     return lane >= first_lane() && lane < end_lane();
   }
+  RayBatch moved(const RayBatch& batch);
   /// Forward and backward of this process's tiles.
   void walk_tiles(std::int64_t step, const RayBatch& batch, std::int64_t tiles, const BatchScales& scales);
   void draw_ahead(std::int64_t step, const RayBatch& batch, std::int64_t tiles);
@@ -107,6 +108,7 @@ class LaneExecutor final : public Executor<Real> {
   std::vector<std::vector<EncoderInbox<Real>>> inboxes_;  // of a lane, one a pass
   std::vector<int> lane_order_;
   std::vector<StepLosses> tile_losses_;
+  std::vector<double> moved_origin_, moved_direction_;
   Ahead ahead_;
   WorkspacePool queries_;
   LanePoints<Real> points_;

@@ -129,6 +129,10 @@ NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, cons
     traces += size(tile_rays) * (direction + 2 * (5 + hidden)) * sizeof(Real);
     backward = std::max(backward, (samples * (4 + terms + feature) + semantic) * sizeof(Real) +
                                       parts.field->scratch_bytes(static_cast<std::int64_t>(samples), tile_rays));
+    // Of corrected cameras: gradients of rays by way of positions, and colours as shown.
+    if (options.cameras.poses)
+      backward += (samples * (3 + (learned_position ? 0 : encoded)) + size(tile_rays) * 6) * sizeof(Real);
+    if (options.cameras.colors) traces += size(tile_rays) * 6 * sizeof(Real);
     // What stands behind branches is done with its backward before that of the pass begins.
     const auto kept = static_cast<std::int64_t>(kKeptShare * static_cast<double>(samples));
     const auto add_branch = [&](const BranchParts<Real>& branch, const Head<Real>& head) {
@@ -156,6 +160,13 @@ NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, cons
                       (3 * sizeof(double) + (encoded + 1) * sizeof(Real) + saved / std::max<std::size_t>(samples, 1));
     }
   }
+  const CameraRules& cameras = options.cameras;
+  const auto add_table = [&](std::int32_t cols) {
+    const CentredTable<Real> table(cameras.count, cols, 1, *passes.front()->stages->cameras);
+    plan.tensors += declared_bytes<Real>(table, options.lanes, trainable);
+  };
+  if (trainable && cameras.poses) add_table(kPoseNumbers);
+  if (trainable && cameras.colors) add_table(kColorNumbers);
   plan.activations = static_cast<std::size_t>(busy * static_cast<double>(trainable ? traces + backward : traces));
   plan.logits = static_cast<std::size_t>(busy * static_cast<double>(logits));
   return plan;

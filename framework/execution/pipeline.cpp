@@ -18,10 +18,13 @@ Pipeline<Real>::Pipeline(std::vector<PassParts<Real>> passes, PipelineOptions op
   SEMFIELD_CHECK(options_.lanes > 0, "lanes_of has chosen their number");
   std::vector<const PassParts<Real>*> parts_of;
   passes_.reserve(passes.size());
+  store_.freeze(options_.cameras.alone);
   for (PassParts<Real>& parts : passes) {
     passes_.emplace_back(std::move(parts), options_.rules, store_);
     parts_of.push_back(&passes_.back().parts());
   }
+  store_.freeze(false);
+  if (trainable && options_.cameras.any()) cameras_.emplace(options_.cameras, *passes_.front().parts().stages, store_);
   tile_rays_ = tile_rays_of(parts_of, options_, per_ray_);
   lanes_ = std::make_unique<LaneExecutor<Real>>(*this);
   executor_ = lanes_.get();
@@ -46,6 +49,7 @@ void Pipeline<Real>::derive(std::int64_t step) {
     ctx.pass = pass.parts().number;
     pass.derive(ctx);
   }
+  if (cameras_) cameras_->derive(ctx);
 }
 
 template <class Real>

@@ -9,6 +9,7 @@
 #include "execution/executor.h"
 #include "execution/ray_batch.h"
 #include "losses/semantic_cross_entropy.h"
+#include "model/camera_corrections.h"
 #include "model/param_store.h"
 #include "model/pass.h"
 #include "model/ray_guard.h"
@@ -22,6 +23,7 @@ struct PipelineOptions {
   std::int64_t tile_rays = 0;       ///< 0: from the samplers' capacities, never from the thread count
   std::vector<float> class_weight;  ///< [C] or empty
   LossList losses;                  ///< terms beside colour and semantics
+  CameraRules cameras;              ///< what training corrects of its cameras
   WorkSettings work;                ///< threads and matrix products of every call
   bool head_on_all_rays =
       false;  ///< run the head on unlabelled rays too (their gradient is exactly 0): the leave-out's pair
@@ -55,6 +57,8 @@ class Pipeline {
   const std::vector<std::int64_t>& per_ray() const { return per_ray_; }
   /// Of the CPU's lanes.
   std::int64_t tile_rays() const { return tile_rays_; }
+  /// Of training; null where nothing is corrected.
+  const CameraCorrections<Real>* cameras() const { return cameras_ ? &*cameras_ : nullptr; }
   bool has_semantics() const { return passes_.back().parts().head != nullptr; }
 
   Executor<Real>& executor() const { return *executor_; }
@@ -83,6 +87,7 @@ class Pipeline {
   PipelineOptions options_;
   ParamStore<Real> store_;
   std::vector<Pass<Real>> passes_;
+  std::optional<CameraCorrections<Real>> cameras_;
   std::vector<std::int64_t> per_ray_;
   std::int64_t tile_rays_ = 0;
   std::unique_ptr<LaneExecutor<Real>> lanes_;

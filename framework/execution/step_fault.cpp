@@ -144,12 +144,13 @@ std::optional<RayFault> LaneExecutor<Real>::find_fault(std::int64_t step, const 
     // A label of some ray: that ray throws again below.
   }
   pipeline_.store().clear_gradients();
+  const RayBatch seen = moved(batch);
   for (std::int64_t ray = 0; ray < batch.origin.rows && !fault; ++ray) {
     try {
       guard_rays<Real>(
           {batch.origin.row_range(ray, 1), batch.direction.row_range(ray, 1), batch.near_far.row_range(ray, 1)},
           batch.targets.color.row_range(ray, 1), ray);
-      train_tile(context(step, true, ray, arenas_.own()), 0, batch, {ray, 1, kAlone}, scales);
+      train_tile(context(step, true, ray, arenas_.own()), 0, seen, {ray, 1, kAlone}, scales);
     } catch (const RayFault& found) {
       fault = found;
     } catch (const Error& error) {

@@ -9,7 +9,7 @@ template <class Real>
 struct PassWalk {
   const Pass<Real>& pass;
   std::size_t number;
-  const TrainedRays& rays;
+  const TrainedRays<Real>& rays;
   StepExecutor<Real>& executor;
 
   void add_losses(std::uint32_t which, const PassTrace<Real>& trace, Workspace& arena,
@@ -47,7 +47,7 @@ struct PassWalk {
 
 template <class Real>
 void train_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::int64_t>& per_ray,
-                const TrainedRays& call, const StepContext& step, StepExecutor<Real>& executor) {
+                const TrainedRays<Real>& call, const StepContext& step, StepExecutor<Real>& executor) {
   StepContext ctx = step;
   Workspace& arena = *ctx.workspace;
   const Stages<Real>& stages = *passes.front().parts().stages;
@@ -60,6 +60,10 @@ void train_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::in
     if (wanted) stages.fill(view, Real(0));
     return view;
   };
+  const CameraCorrections<Real>* const cameras = call.cameras;
+  const View<const float> camera = cameras != nullptr ? batch.targets.more[channel::camera] : View<const float>();
+  const View<Real> d_ray = cameras != nullptr && cameras->rules().poses ? arena.take<Real>(count, 6) : View<Real>();
+  if (!d_ray.empty()) stages.fill(d_ray, Real(0));
   PassRequest request;
   request.semantic_rays = call.semantic_rays;
   request.room = call.room;
@@ -93,8 +97,16 @@ void train_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::in
     RayGradients<Real> d;
     d.color = arena.take<Real>(count, 3);
     if (call.first_color > 0) stages.fill(d.color.row_range(0, call.first_color), Real(0));
-    executor.color_loss(p, arena, colored(View<const Real>(trace.color)), colored(batch.targets.color),
-                        colored(d.color));
+    if (cameras != nullptr && cameras->rules().colors) {
+      const View<Real> shown = arena.take<Real>(count, 3), d_shown = arena.take<Real>(count, 3);
+      cameras->show(camera, trace.color, shown);
+      if (call.first_color > 0) stages.fill(d_shown.row_range(0, call.first_color), Real(0));
+      executor.color_loss(p, arena, colored(View<const Real>(shown)), colored(batch.targets.color), colored(d_shown));
+      cameras->show_backward(call.lane, camera, trace.color, d_shown, d.color);
+    } else {
+      executor.color_loss(p, arena, colored(View<const Real>(trace.color)), colored(batch.targets.color),
+                          colored(d.color));
+    }
     executor.count(p, trace);
     View<Real> d_logits;
     if (trace.semantic_rays > 0 && !branched) d_logits = walk.semantic_gradient(trace, arena);
@@ -107,9 +119,15 @@ void train_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::in
       walk.add_losses(which, trace, arena, d);
     }
     View<Real> d_encoded;
-    if (pass.scatters()) d_encoded = executor.encoded_gradient(p, trace, arena);
+    if (pass.scatters()) {
+      d_encoded = executor.encoded_gradient(p, trace, arena);
+    } else if (!d_ray.empty()) {
+      d_encoded = arena.take<Real>(trace.samples.count, trace.encoded.cols);
+    }
     pass.backward(ctx, call.lane, trace, d, d_logits, d_encoded);
+    if (!d_ray.empty()) pass.ray_gradient(ctx, rays, trace, d_encoded, d_ray);
     if (pass.scatters()) executor.use_encoded_gradient(p, trace, ctx, d_encoded);
+    if (!d_ray.empty() && p + 1 == passes.size()) cameras->move_backward(call.lane, camera, batch.direction, d_ray);
     if (apart) executor.join_branch();
     executor.pass_done(p);
     previous = trace;
@@ -118,9 +136,9 @@ void train_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::in
   }
 }
 
-#define SEMFIELD_INSTANTIATE(Real)                                                                                     \
-  template void train_rays<Real>(const std::vector<Pass<Real>>&, const std::vector<std::int64_t>&, const TrainedRays&, \
-                                 const StepContext&, StepExecutor<Real>&);
+#define SEMFIELD_INSTANTIATE(Real)                                                                 \
+  template void train_rays<Real>(const std::vector<Pass<Real>>&, const std::vector<std::int64_t>&, \
+                                 const TrainedRays<Real>&, const StepContext&, StepExecutor<Real>&);
 SEMFIELD_INSTANTIATE(float)
 SEMFIELD_INSTANTIATE(double)
 #undef SEMFIELD_INSTANTIATE

@@ -6,6 +6,7 @@
 
 #include "execution/ray_batch.h"
 #include "losses/semantic_cross_entropy.h"
+#include "model/camera_corrections.h"
 #include "model/pass.h"
 
 namespace semfield {
@@ -48,18 +49,20 @@ class StepExecutor {
 };
 
 /// Rays of a step and how they are walked.
+template <class Real>
 struct TrainedRays {
-  RayBatch batch;                  ///< these rays alone
-  int lane = kMainGradient;        ///< where gradients of parameters go
-  std::int64_t semantic_rays = 0;  ///< the first of them, which get logits
-  std::int64_t first_color = 0;    ///< the first ray that has a part in the colour loss
-  std::int64_t room = 0;           ///< PassRequest::room
+  RayBatch batch;  ///< these rays alone; where poses are corrected, as their cameras move them
+  const CameraCorrections<Real>* cameras = nullptr;  ///< null: no camera is corrected
+  int lane = kMainGradient;                          ///< where gradients of parameters go
+  std::int64_t semantic_rays = 0;                    ///< the first of them, which get logits
+  std::int64_t first_color = 0;                      ///< the first ray that has a part in the colour loss
+  std::int64_t room = 0;                             ///< PassRequest::room
 };
 
 /// ctx.workspace holds everything of the walk; the caller's scope gives it back. per_ray: most samples per ray after
 /// each pass.
 template <class Real>
 void train_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::int64_t>& per_ray,
-                const TrainedRays& rays, const StepContext& ctx, StepExecutor<Real>& executor);
+                const TrainedRays<Real>& rays, const StepContext& ctx, StepExecutor<Real>& executor);
 
 }  // namespace semfield

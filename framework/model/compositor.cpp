@@ -9,7 +9,6 @@
 #include "compute/math_functions.h"
 #include "core/check.h"
 #include "core/error.h"
-#include "model/compositor_math.h"
 #include "model/ray_guard.h"
 
 namespace semfield {

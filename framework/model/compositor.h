@@ -6,10 +6,17 @@
 #include <string_view>
 
 #include "config/params.h"
+#include "core/host_device.h"
 #include "core/view.h"
 #include "plugin/sampler.h"
 
 namespace semfield {
+
+/// tau = sigma * delta; vacuum is vacuum over any distance, so that 0 * inf does not arise.
+template <class Real>
+SEMFIELD_HD inline double optical_depth(Real sigma, Real delta) {
+  return sigma == Real(0) ? 0.0 : static_cast<double>(sigma) * static_cast<double>(delta);
+}
 
 /// What a ray meets at its far end. Intervals are what the sampler wrote, in every mode.
 ///   open        nothing behind: light that passes the last interval shows the background colour (black by default);

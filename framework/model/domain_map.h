@@ -47,6 +47,21 @@ struct DomainMap {
     return center + q * ((2 - shrunk) * shrunk);
   }
 
+  /// dL/dp from the gradient of operator().
+  SEMFIELD_HD Vec3d gradient(Vec3d p, Vec3d d) const {
+    d = d * scale;
+    const Vec3d q = p - center;
+    int widest = 0;
+    for (int i = 1; i < 3; ++i)
+      if (std::fabs(q[i]) > std::fabs(q[widest])) widest = i;
+    const double reach = std::fabs(q[widest]);
+    if (!(radius > 0) || !(reach > radius)) return d;
+    const double shrunk = radius / reach;
+    Vec3d out = d * ((2 - shrunk) * shrunk);
+    out[widest] += dot(q, d) * (q[widest] < 0 ? -1 : 1) * 2 * shrunk * (shrunk - 1) / reach;
+    return out;
+  }
+
   /// The place that contract() takes to p; p must be in the open cube of half-side 2 radius.
   SEMFIELD_HD Vec3d expand(Vec3d p) const {
     const Vec3d q = p - center;

@@ -187,6 +187,18 @@ void plan_heads(const BuildRequest& request, Planner& planner, BuildPlan& plan) 
   }
 }
 
+void plan_cameras(const SceneManifest& manifest, const BuildRequest& request, Planner& planner, BuildPlan& plan) {
+  const auto learned = [&](bool asked, const char* component, const char* key, const char* saves) {
+    const std::string setting = fmt::format("train.cameras.{}", key);
+    return planner.leave(!asked, {component, "not asked for", fmt::format("{} is given", setting), ProofClass::bitwise,
+                                  saves, fmt::format("set {}: learned", setting), ""})
+               ? std::int64_t{0}
+               : manifest.train_frames;
+  };
+  plan.learned_poses = learned(request.learns_poses, "camera_poses", "poses", "gradients of rays");
+  plan.learned_colors = learned(request.learns_colors, "camera_colors", "colors", "a map of colours per camera");
+}
+
 struct BuiltRow {
   bool fires = false;
   LeftOut row;
@@ -246,6 +258,7 @@ BuildPlan plan_build(const SceneManifest& manifest, const BuildRequest& request,
        fmt::format("2 bytes per pixel: {:.1f} MB", depth_mb), "", fmt::format("{:.1f} MB not held", depth_mb)});
   plan_losses(request, planner, plan);
   plan_heads(request, planner, plan);
+  plan_cameras(manifest, request, planner, plan);
   planner.leave(request.density_noise == 0,
                 {"density_noise", "its deviation is 0", "rendering.density_noise is 0", ProofClass::bitwise,
                  "one normal variate for each sample", "set rendering.density_noise", ""});

@@ -39,12 +39,13 @@ struct BuildRequest {
   int passes = 1;
   std::string last_pass = "passes.main";  ///< its key
   bool last_sampler_single_pass = false;
-  EmptySpace empty_space = EmptySpace::sampled;  ///< of the last pass's sampler
-  bool direction_encoder = true;                 ///< the last pass names one
-  std::vector<LossRequest> losses;               ///< every loss that the list `losses` might name
-  std::vector<std::string> heads;                ///< channels that heads of the list `heads` make
-  bool trained = false;                          ///< the network is another session's, so all its heads are built
-  std::set<std::string> channels;                ///< further channels that training frames offer
+  EmptySpace empty_space = EmptySpace::sampled;      ///< of the last pass's sampler
+  bool direction_encoder = true;                     ///< the last pass names one
+  std::vector<LossRequest> losses;                   ///< every loss that the list `losses` might name
+  std::vector<std::string> heads;                    ///< channels that heads of the list `heads` make
+  bool trained = false;                              ///< the network is another session's, so all its heads are built
+  std::set<std::string> channels;                    ///< further channels that training frames offer
+  bool learns_poses = false, learns_colors = false;  ///< of training cameras
   double density_noise = 0;
   double early_stop = 0;
   bool balance_classes = false;
@@ -77,12 +78,13 @@ struct BuildPlan {
   bool head_on_unlabelled_rays = false;
   bool undistortion = true;
   bool depth_metrics = true;
-  bool late_samples = false;           ///< rendering evaluates samples behind an opaque surface too
-  std::vector<std::string> no_losses;  ///< types of the list `losses` that are not built
-  std::vector<std::string> no_heads;   ///< channels of heads that are not built
-  std::vector<int> class_of_logit;     ///< logit -> class; absent classes have none
-  std::vector<LeftOut> left_out;       ///< what is not built
-  std::vector<std::string> kept;       ///< forced back by name
+  std::int64_t learned_poses = 0, learned_colors = 0;  ///< training cameras whose corrections are learned
+  bool late_samples = false;                           ///< rendering evaluates samples behind an opaque surface too
+  std::vector<std::string> no_losses;                  ///< types of the list `losses` that are not built
+  std::vector<std::string> no_heads;                   ///< channels of heads that are not built
+  std::vector<int> class_of_logit;                     ///< logit -> class; absent classes have none
+  std::vector<LeftOut> left_out;                       ///< what is not built
+  std::vector<std::string> kept;                       ///< forced back by name
 };
 
 /// What only the built parts know.

@@ -352,6 +352,18 @@ void Pass<Real>::rounded_backward(const StepContext& ctx, int lane, const PassTr
 }
 
 template <class Real>
+void Pass<Real>::ray_gradient(const StepContext& ctx, const Rays<Real>& rays, const PassTrace<Real>& trace,
+                              View<const Real> d_encoded, View<Real> d_ray) const {
+  if (trace.samples.count == 0) return;
+  const Workspace::Scope scope(*ctx.workspace);
+  const LiveRows<Real> live(*stages_, trace.samples);
+  const View<Real> dx = ctx.workspace->take<Real>(trace.samples.count, 3);
+  const Tensors<Real> values{store_->tensors(position_).value, {}};
+  parts_.position->backward(ctx, values, trace.x, d_encoded, dx);
+  stages_->locate_backward(rays, trace.samples, parts_.domain, dx, d_ray);
+}
+
+template <class Real>
 void Pass<Real>::scatter(const StepContext& ctx, View<const double> x, View<const Real> dy) const {
   if (x.rows == 0) return;
   parts_.position->backward(ctx, store_->tensors(position_), x, dy, {});

@@ -166,6 +166,11 @@ class Pass {
   /// [source_width, C] of a head that makes principal axes of a channel: state, which the framework fills; else empty.
   View<Real> axes(std::string_view channel) const;
 
+  /// d_ray [R, 6] += gradients of the rays' origins and directions by way of the samples' positions, from the d_encoded
+  /// that backward left. What colour owes to the direction alone is not in it.
+  void ray_gradient(const StepContext& ctx, const Rays<Real>& rays, const PassTrace<Real>& trace,
+                    View<const Real> d_encoded, View<Real> d_ray) const;
+
   /// Encoder scatter of gradients dy [N, Dp] at coordinates x [N, 3]; outside parallel regions.
   void scatter(const StepContext& ctx, View<const double> x, View<const Real> dy) const;
 

@@ -11,6 +11,7 @@
 #include "core/check.h"
 #include "core/error.h"
 #include "losses/semantic_cross_entropy.h"
+#include "model/camera_corrections.h"
 #include "model/head_branch.h"
 #include "model/ray_guard.h"
 #include "scene/classes/class_table.h"
@@ -37,6 +38,29 @@ void locate(const GuardPlace<Real>& place, const Rays<Real>& rays, const DomainM
     for (int i = 0; i < 3; ++i) x(m, i) = at[i];
   }
   RayGuard<Real>(place.pass, place.first_ray, samples).samples(x);
+}
+
+template <class Real>
+void locate_backward(const Rays<Real>& rays, const Samples<Real>& samples, const DomainMap& map, View<const Real> dx,
+                     View<Real> d_ray) {
+  for (std::int64_t r = 0; r < d_ray.rows; ++r) {
+    Vec3d d_origin, d_direction;
+    for (std::int32_t m = samples.first(r, 0); m < samples.first(r + 1, 0); ++m) {
+      const double t = static_cast<double>(samples.t(m, 0));
+      Vec3d p, d;
+      for (int i = 0; i < 3; ++i) {
+        p[i] = rays.origin(r, i) + t * rays.direction(r, i);
+        d[i] = static_cast<double>(dx(m, i));
+      }
+      const Vec3d d_place = map.gradient(p, d);
+      d_origin = d_origin + d_place;
+      d_direction = d_direction + d_place * t;
+    }
+    for (int i = 0; i < 3; ++i) {
+      d_ray(r, i) += static_cast<Real>(d_origin[i]);
+      d_ray(r, 3 + i) += static_cast<Real>(d_direction[i]);
+    }
+  }
 }
 
 void map_positions(View<const double> positions, const DomainMap& map, View<double> x) {
@@ -228,9 +252,11 @@ template <class Real>
 Stages<Real> make_stages() {
   Stages<Real> s;
   s.head = &cpu_head_kernels<Real>();
+  s.cameras = &cpu_camera_kernels<Real>();
   s.density_batch = kDensityBatch;
   s.copy = copy;
   s.locate = locate<Real>;
+  s.locate_backward = locate_backward<Real>;
   s.map_positions = map_positions;
   s.density_forward = density_forward<Real>;
   s.density_backward = density_backward<Real>;

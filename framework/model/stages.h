@@ -70,14 +70,18 @@ struct ClassResults {
   View<Real> probability;          ///< [R, C] softmax of the logits
 };
 
+template <class Real>
+struct CameraKernels;
+
 /// Functions on views of one device. On a CPU a pass works on a tile and knows how many samples it has. On
 /// another device it works on a batch with room for all samples that there can be; rows behind those in use hold finite
 /// numbers and get gradient 0. Entries that may be null say so.
 template <class Real>
 struct Stages {
   const HeadKernels<Real>* head = nullptr;
-  bool host_memory = true;         ///< counts of samples can be read
-  std::int64_t density_batch = 0;  ///< positions that a density query evaluates at once
+  const CameraKernels<Real>* cameras = nullptr;  ///< model/camera_corrections.h
+  bool host_memory = true;                       ///< counts of samples can be read
+  std::int64_t density_batch = 0;                ///< positions that a density query evaluates at once
 
   /// Rows of a batch that are in use, for the stages that follow: device memory, null: all. Gives what was set before.
   /// Null where host_memory.
@@ -87,7 +91,10 @@ struct Stages {
 
   /// x [M, 3] = map(origin + t direction), in float64. Distances, intervals and positions must be finite.
   void (*locate)(const GuardPlace<Real>& place, const Rays<Real>& rays, const DomainMap& map, View<double> x) = nullptr;
-  /// The same for positions [N, 3] in world metres.
+  /// d_ray [R, 6] += gradients of origin and direction of each ray, from dx [M, 3] of its samples.
+  void (*locate_backward)(const Rays<Real>& rays, const Samples<Real>& samples, const DomainMap& map,
+                          View<const Real> dx, View<Real> d_ray) = nullptr;
+  /// locate for positions [N, 3] in world metres.
   void (*map_positions)(View<const double> positions, const DomainMap& map, View<double> x) = nullptr;
   void (*density_forward)(const DensityRule& rule, const Samples<Real>* samples, View<Real> raw,
                           View<Real> sigma) = nullptr;

@@ -16,6 +16,7 @@ struct LearningRule {
   double rate = 1;        ///< factor to the learning rate
   double decay = 0;       ///< a step takes (learning rate) * decay of each value, beside Adam's [Loshchilov19]
   bool semantic = false;  ///< left alone in a step without labels
+  bool fades = false;     ///< AdamStep::fade is one more factor
 };
 
 /// Where the gradients of a call go.
@@ -33,6 +34,8 @@ class TensorStore {
     const Component& c = components_[static_cast<std::size_t>(component)];
     return {c.values, c.grads[static_cast<std::size_t>(lane + 1)]};
   }
+  /// Whether updates leave the tensors as they are that are added from now on.
+  void freeze(bool frozen) { frozen_ = frozen; }
   /// Main gradients of all learned tensors, in the order of checkpoints.
   std::span<const View<Real>> learned_gradients() const { return learned_gradients_; }
 
@@ -57,11 +60,13 @@ class TensorStore {
             value.cols,
             role == TensorRole::sparse,
             rule.semantic,
-            rule.rate,
-            rule.rate * rule.decay};
+            frozen_ ? 0 : rule.rate,
+            frozen_ ? 0 : rule.rate * rule.decay,
+            rule.fades};
   }
 
  private:
+  bool frozen_ = false;
   std::vector<Component> components_;
   std::vector<View<Real>> learned_gradients_;
 };

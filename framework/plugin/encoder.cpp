@@ -23,7 +23,9 @@ void Encoder<Real>::backward(const StepContext& ctx, const Tensors<Real>& tensor
   view_checks::require(kCall, "x", x, x.rows, shape.in_dims, x.device);
   view_checks::require(kCall, "dy", dy, x.rows, shape.out_dims, x.device);
   view_checks::require_or_empty(kCall, "dx", dx, x.rows, shape.in_dims, x.device);
-  if (tensors.grad.size() != tensors.value.size()) view_checks::fail(kCall, "the tensors have no gradients");
+  const bool dx_alone = tensors.grad.empty() && !dx.empty();
+  if (!dx_alone && tensors.grad.size() != tensors.value.size())
+    view_checks::fail(kCall, "the tensors have no gradients");
   if (x.rows > 0) do_backward(ctx, tensors, x, dy, dx);
 }
 

@@ -37,9 +37,10 @@ class Encoder : public Parametric<Real> {
   void forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x, View<Real> y) const;
 
   /// tensors.grad += dL/dtheta and, when dx is not empty, dx = dL/dx. x as in forward, dy [M, out_dims], dx [M,
-  /// in_dims]. Called once per step with all its samples, outside parallel regions: it may use parallel_for, and must
-  /// give the same bits for any thread count. Recomputes what it needs from x (encoders are memory-bound; nothing is
-  /// saved by forward).
+  /// in_dims]. With gradients of tensors it is called once per step with all its samples, outside parallel regions: it
+  /// may use parallel_for, and must give the same bits for any thread count. With dx alone (tensors.grad empty) it is
+  /// called for a tile, as forward is. Recomputes what it needs from x (encoders are memory-bound; nothing is saved by
+  /// forward).
   void backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x, View<const Real> dy,
                 View<Real> dx) const;
 

@@ -47,6 +47,8 @@ class PluginParams {
   /// Replaces values that stand for "chosen from the scene" by numbers and adds a sentence for each; called once,
   /// before anything is built, so that the resolved configuration holds what was chosen.
   virtual void choose(const EncoderBuild&, std::vector<std::string>&) {}
+  /// The same for values that the device decides.
+  virtual void choose_for(Device, std::vector<std::string>&) {}
   /// Of a dataset: what `path`, a folder or a file, holds that it reads, in a few words ("a transforms.json"), and its
   /// parameters become those that read it there. "" where it holds nothing of the kind. Looks at names and first bytes
   /// alone, and throws nothing.
@@ -71,6 +73,10 @@ void call_choose(Params& params, const EncoderBuild& build, std::vector<std::str
   if constexpr (requires { choose(params, build, chosen); }) choose(params, build, chosen);
 }
 template <class Params>
+void call_choose_for(Params& params, Device device, std::vector<std::string>& chosen) {
+  if constexpr (requires { choose_for(params, device, chosen); }) choose_for(params, device, chosen);
+}
+template <class Params>
 std::string call_recognise(const std::string& path, Params& params) {
   if constexpr (requires { recognise(path, params); })
     return recognise(path, params);
@@ -87,9 +93,10 @@ std::string call_preparation(const std::string& folder, const Params& params) {
 }  // namespace plugin_detail
 
 /// Params needs `void describe(ParamVisitor&, Params&)` in its namespace, and may have `void validate(const Params&,
-/// Diagnostics&)` (a loss's may be that of LossRule); an encoder's may have `void choose(Params&, const EncoderBuild&,
-/// std::vector<std::string>&)`, a dataset's `std::string recognise(const std::string& path, Params&)` and `std::string
-/// preparation(const std::string& folder, const Params&)`.
+/// Diagnostics&)` (a loss's may be that of LossRule) and `void choose_for(Params&, Device, std::vector<std::string>&)`;
+/// an encoder's may have `void choose(Params&, const EncoderBuild&, std::vector<std::string>&)`, a dataset's
+/// `std::string recognise(const std::string& path, Params&)` and `std::string preparation(const std::string& folder,
+/// const Params&)`.
 template <class Params>
 class ParamsOf final : public PluginParams {
  public:
@@ -100,6 +107,9 @@ class ParamsOf final : public PluginParams {
   void validate(Diagnostics& diagnostics) const override { plugin_detail::call_validate(value, diagnostics); }
   void choose(const EncoderBuild& build, std::vector<std::string>& chosen) override {
     plugin_detail::call_choose(value, build, chosen);
+  }
+  void choose_for(Device device, std::vector<std::string>& chosen) override {
+    plugin_detail::call_choose_for(value, device, chosen);
   }
   std::string recognise(const std::string& path) override { return plugin_detail::call_recognise(path, value); }
   std::string preparation(const std::string& folder) const override {

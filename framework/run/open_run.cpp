@@ -12,6 +12,7 @@
 #include "run/run_folder.h"
 #include "run/run_resume.h"
 #include "session/checkpoint_facts.h"
+#include "session/refined_poses.h"
 #include "session/settings/run_identity.h"
 #include "session/trainer.h"
 #include "system/files.h"
@@ -71,6 +72,7 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
     warn_of_other_inputs(*facts.inputs, scene_inputs(run.session.scene, run.session.labels), diagnostics);
   warn_of_other_modules(facts.modules, run.session.config.plugins, diagnostics);
   load_pipeline(*run.session.pipeline, found->file);
+  use_learned_poses(run.session, found->file, diagnostics);
   run.step = facts.step;
   run.train_s = facts.train_s;
   return run;

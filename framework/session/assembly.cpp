@@ -213,7 +213,7 @@ std::vector<const PassParts<Real>*> pointers_to(const std::vector<PassParts<Real
 }
 
 template <class Real>
-PipelineOptions pipeline_options(const RunConfig& config, const BuildPlan& plan,
+PipelineOptions pipeline_options(const RunConfig& config, const BuildPlan& plan, const SceneExtent& extent,
                                  const std::vector<PassParts<Real>>& passes) {
   PipelineOptions options;
   options.rules.rendering = config.rendering;
@@ -225,6 +225,14 @@ PipelineOptions pipeline_options(const RunConfig& config, const BuildPlan& plan,
   options.lanes = config.runtime.lanes;
   options.lanes = lanes_of<Real>(pointers_to(passes), options, config.train.rays);
   options.losses = LossList(config.losses);
+  CameraRules& cameras = options.cameras;
+  cameras.count = std::max(plan.learned_poses, plan.learned_colors);
+  cameras.poses = plan.learned_poses > 0;
+  cameras.colors = plan.learned_colors > 0;
+  cameras.pose_rate = config.cameras.pose_rate;
+  cameras.color_rate = config.cameras.color_rate;
+  const Vec3d size = extent.bounds.size();
+  cameras.distance_m = 0.5 * std::max({size.x, size.y, size.z});
   options.head_on_all_rays = plan.head_on_unlabelled_rays;
   return options;
 }
@@ -255,6 +263,8 @@ BuildRequest build_request(const RunConfig& config, const Registry& registry, co
   for (const HeadConfig& head : config.heads) request.heads.push_back(head.channel);
   request.balance_classes = config.semantics.balance_classes;
   request.mixed_precision = config.runtime.precision != Precision::fp32;
+  request.learns_poses = config.cameras.poses == CameraTrust::learned;
+  request.learns_colors = config.cameras.colors == CameraTrust::learned;
   request.periodic_evaluation = config.report.eval_every_s > 0;
   return request;
 }
@@ -316,7 +326,7 @@ NetworkParts<Real> make_parts(const RunConfig& config, const Registry& registry,
                               const SceneExtent& extent, std::unique_ptr<Sampler<Real>> last) {
   NetworkParts<Real> parts;
   parts.passes = make_passes<Real>(config, registry, plan, extent, Device::cpu, std::move(last));
-  parts.options = pipeline_options(config, plan, parts.passes);
+  parts.options = pipeline_options(config, plan, extent, parts.passes);
   parts.options.work.threads = config.runtime.threads;
   return parts;
 }

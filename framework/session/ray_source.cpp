@@ -90,6 +90,10 @@ void RaySource::list_targets() {
       targets_.push_back({name, 1, Target::From::depth});
       continue;
     }
+    if (name == channel::camera) {
+      targets_.push_back({name, 1, Target::From::camera});
+      continue;
+    }
     const auto with = std::find_if(frames_.begin(), frames_.end(),
                                    [&](const TrainFrame& frame) { return frame.pixels->channel(name) != nullptr; });
     if (with != frames_.end()) targets_.push_back({name, with->pixels->channel(name)->cols, Target::From::frame});
@@ -195,8 +199,13 @@ void RaySource::add_labels(const std::vector<LabelMap>& labels) {
 std::optional<PixelPool> RaySource::pool() const {
   PixelPool pool;
   for (const Target& target : targets_) {
-    if (target.from != Target::From::depth) return std::nullopt;
-    pool.with_depth = true;
+    if (target.from == Target::From::depth) {
+      pool.with_depth = true;
+    } else if (target.from == Target::From::camera) {
+      pool.with_camera = true;
+    } else {
+      return std::nullopt;
+    }
   }
   for (const TrainFrame& f : frames_) {
     const bool labelled = !logit_of_class_.empty() && (f.labels != nullptr || f.added != nullptr);
@@ -313,6 +322,9 @@ void RaySource::write_row(const BatchBuffers::Choice& choice, std::int64_t row, 
         break;
       case Target::From::depth:
         out[0] = depth_of(choice, cosine, &batch.near_far[2 * s]);
+        break;
+      case Target::From::camera:
+        out[0] = static_cast<float>(choice.pixel.frame);
         break;
       case Target::From::frame:
         frame.pixels->read_channel(targets_[i].name, index, out);

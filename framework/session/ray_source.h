@@ -129,7 +129,7 @@ class RaySource {
   struct Target {
     std::string name;
     std::int32_t cols = 0;
-    enum class From : std::uint8_t { soft_label, depth, frame } from = From::frame;
+    enum class From : std::uint8_t { soft_label, depth, camera, frame } from = From::frame;
   };
   std::vector<Target> targets_;  // that batches carry beside colour and labels
   void list_targets();

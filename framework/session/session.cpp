@@ -295,6 +295,7 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
                          ? "auto is bf16 here, which this machine computes faster"
                          : "auto is fp32 here: no faster kernels of bf16");
   }
+  std::vector<std::string> by_device = choose_for_device(config, device.kind);
   if (options.trainable) {
     if (const std::string length = resolve_length(config, device.kind); !length.empty() && options.build)
       diagnostics.note("train.steps.chosen", "train.steps", length);
@@ -304,6 +305,7 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   }
   std::unique_ptr<Sampler<float>> last;  // a probe takes it along, for its extent is another one
   Session s = load_session(std::move(config), registry, options, chosen, last, diagnostics);
+  s.chosen_by_device = std::move(by_device);
   s.memory_facts.program = program_bytes;
   if (options.probe && probe_is_due(s)) probe_bounds(s, registry, options, device, std::move(last), diagnostics);
   fix_extent(s, device);
@@ -327,7 +329,8 @@ WorkSettings Session::work() const {
 }
 
 std::vector<std::string> Session::choices() const {
-  std::vector<std::string> lines = chosen;
+  std::vector<std::string> lines = chosen_by_device;
+  lines.insert(lines.end(), chosen.begin(), chosen.end());
   lines.insert(lines.end(), chosen_by_labels.begin(), chosen_by_labels.end());
   return lines;
 }
@@ -367,6 +370,7 @@ std::unique_ptr<RaySource> Session::make_ray_source() const {
   RaySourceOptions options;
   options.train = config.train;
   options.targets = targets_of(config.losses);
+  if (pipeline->cameras() != nullptr) options.targets.emplace_back(channel::camera);
   const std::vector<std::int64_t>& pixels = manifest.train_class_pixels;
   const bool none = std::all_of(pixels.begin(), pixels.end(), [](std::int64_t count) { return count == 0; });
   options.labels_may_come = config.labels.selection.class_room > 0 || (plan.semantics && none);

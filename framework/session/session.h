@@ -24,6 +24,7 @@ struct Session {
   BuildPlan plan;
   SceneExtent extent;
   std::vector<std::string> chosen;            ///< a line for each parameter that was chosen from the scene
+  std::vector<std::string> chosen_by_device;  ///< and for each size that the device decided
   std::vector<std::string> chosen_by_labels;  ///< and for each choice that the labels made (label_choices.h)
   RayLimits limits;
   MemoryFacts memory_facts;
@@ -33,7 +34,7 @@ struct Session {
   /// What this session's work is done with; borrows from it.
   WorkSettings work() const;
   int classes() const { return scene.info.classes.valid_count(); }
-  std::vector<std::string> choices() const;  ///< both
+  std::vector<std::string> choices() const;  ///< all of them
   EvalJob eval_job(std::vector<int> frames) const;
   /// Inverse of plan.class_of_logit, kVoid for absent classes.
   std::vector<std::int16_t> logit_of_class() const;

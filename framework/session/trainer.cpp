@@ -85,16 +85,18 @@ std::span<const StepLosses> Trainer::advance_many(std::int64_t most) {
   bool has_batch = true;         // of that step
   for (std::int64_t i = 0; i < count && !refused; ++i) {
     const std::int64_t step = step_ + i;
-    const double rate = adam_.learning_rate * schedule_factor(schedule_, step);
+    const double factor = schedule_factor(schedule_, step);
+    AdamStep update = adam_step(adam_, adam_.learning_rate * factor, step);
+    update.fade = factor * factor;  // corrections end a hundred times smaller where others end ten times
     try {
       has_batch = drawn_;
       if (drawn_) {
-        executor.queue_drawn(step, terms_of(step), adam_step(adam_, rate, step));
+        executor.queue_drawn(step, terms_of(step), update);
         continue;
       }
       fill(step);
       has_batch = true;
-      executor.queue(step, batch_.view(pipeline_.has_semantics()), adam_step(adam_, rate, step));
+      executor.queue(step, batch_.view(pipeline_.has_semantics()), update);
     } catch (const RankLost&) {
       throw;
     } catch (const Error& error) {
@@ -142,12 +144,11 @@ void Trainer::explain_failed_step() {
     fail(error);
   }
   pipeline_.store().clear_gradients();
-  throw Error(
-      ErrorKind::failure, "device.value.not_finite",
-      fmt::format("step {}: the device met a value that is not finite where the CPU meets none; nothing was "
-                  "changed in this step",
-                  step_),
-      "set runtime.precision: fp32, or lower train.adam.learning_rate");
+  throw Error(ErrorKind::failure, "device.value.not_finite",
+              fmt::format("step {}: the device met a value that is not finite where the CPU meets none; nothing was "
+                          "changed in this step",
+                          step_),
+              "set runtime.precision: fp32, or lower train.adam.learning_rate");
 }
 
 // The tensor behind a value that is not finite: one that holds such a value, else the largest value of all if it is out

@@ -106,6 +106,8 @@ void expect_same_batches(const RaySource& source, const PixelPool& pool, BatchDr
       expect_bits(there(got.targets.label), want.label, "label");
       EXPECT_EQ(std::memcmp(seen.targets.label.data, want.label.data(), want.label.size() * sizeof(std::int16_t)), 0);
     }
+    ASSERT_EQ(got.targets.more[channel::camera].empty(), !pool.with_camera);
+    if (pool.with_camera) expect_bits(there(got.targets.more[channel::camera]), want.of(channel::camera), "camera");
     if (pool.with_depth) {
       const std::vector<float>& wanted = want.of(channel::depth);
       expect_bits(there(depth), wanted, "depth");
@@ -128,6 +130,7 @@ TEST(CudaBatchDrawer, GivesTheBitsThatTheHostFills) {
         RaySourceOptions options{
             .train = {.rays = 2500, .ray_source = kind, .labelled_share = 0.3, .label_rays_teach_color = teach}};
         if (tile != 333) options.targets = {std::string(channel::depth)};
+        if (tile != 32) options.targets.emplace_back(channel::camera);
         options.seed = 11 + static_cast<std::uint64_t>(tile);
         options.tile_rays = tile;
         RaySource source = frames.make(options);

@@ -89,6 +89,9 @@ const StepCaseRow kSteps[] = {
     {"head_of_the_feature", two_pass_head_config, ""},
     {"head_on_principal_axes", two_pass_head_config, ", width: 2"},
     {"head_beside_a_branch", branch_and_head_config, ", reads_feature: true"},
+    {"cameras", cameras_config, ""},
+    {"cameras_contracted", contracted_cameras_config, ""},
+    {"cameras_two_pass", two_pass_cameras_config, kTerms},
     {"line_of_sight", two_pass_config, "losses: [{type: depth, kind: line_of_sight, weight: 0.3}]\n"},
 };
 
@@ -212,8 +215,8 @@ TEST(CudaRun, ATermThatBeginsLaterBeginsInItsStep) {
 TEST(CudaRun, DeterministicRunsHaveTheSameBits) {
   SEMFIELD_NEEDS_DEVICE();
   Registry registry = make_registry();
-  for (const auto& config :
-       {hash_config(), two_pass_config(), branch_config(", dropout: 0.2"), branch_and_head_config(", dropout: 0.2")}) {
+  for (const auto& config : {hash_config(), two_pass_config(), branch_config(", dropout: 0.2"),
+                             branch_and_head_config(", dropout: 0.2"), cameras_config(kTerms)}) {
     for (const char* precision : {"fp32", "bf16"}) {
       const std::string runtime = std::string("device: cuda, deterministic: true, precision: ") + precision;
       Training one(registry, config, runtime), two(registry, config, runtime);

@@ -27,6 +27,18 @@ inline const char* const kTerms =
     "0.1, from_step: 0, distance_m: 0.8}]\n";
 inline std::string branch_and_terms_config(const std::string& more) { return branch_config("") + more; }
 
+/// Poses and colours of the training cameras are learned.
+inline std::string learned_cameras(std::string yaml) {
+  return yaml.replace(yaml.find("train: {"), 8,
+                      "train: {cameras: {poses: learned, colors: learned, pose_rate: 0.5, color_rate: 0.5}, ");
+}
+inline std::string cameras_config(const std::string& more) { return learned_cameras(hash_config(more)); }
+inline std::string contracted_cameras_config(const std::string& more) {
+  std::string yaml = cameras_config(more);
+  return yaml.replace(yaml.find("rendering: {"), 12, "rendering: {outside: contracted, ");
+}
+inline std::string two_pass_cameras_config(const std::string& more) { return learned_cameras(two_pass_config(more)); }
+
 /// A head of the channel `albedo`, which the room offers, with a branch of its own.
 inline std::string head_lists(const std::string& of_head, const std::string& of_branch) {
   return "heads: [{type: feature_map, channel: albedo, hidden_width: 11" + of_head +

@@ -157,7 +157,7 @@ __global__ void __launch_bounds__(kThreads, kUpdateBlocks)
     while (first[i + 1] <= piece) ++i;
     const Tensor t = tensors[i];
     if (t.semantic && !step->labelled) continue;
-    const OfTensor of{static_cast<float>(step->step_size * t.rate),
+    const OfTensor of{static_cast<float>(step->step_size * (t.fades ? t.rate * step->fade : t.rate)),
                       static_cast<float>(1 - step->learning_rate * t.decay)};
     update_piece(k, of, t, (piece - first[i]) * piece_elements(t));
   }

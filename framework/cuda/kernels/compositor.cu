@@ -4,7 +4,7 @@
 #include "cuda/kernels/hidden_channels.h"
 #include "cuda/kernels/ray_scan.cuh"
 #include "cuda/kernels/rendering.h"
-#include "model/compositor_math.h"
+#include "model/compositor.h"
 
 namespace semfield::cuda {
 

@@ -39,6 +39,33 @@ __global__ void __launch_bounds__(kThreads)
   if (!sound) note_fault(fault, Stage::samples, m);
 }
 
+// A warp per ray; 16 B per sample, and 72 B per ray.
+__global__ void __launch_bounds__(kSamples)
+    gradient_kernel(Rays<float> rays, Samples<float> samples, DomainMap map, View<const float> dx, View<float> d_ray) {
+  const std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * (kSamples / kWarp) + threadIdx.x / kWarp;
+  if (r >= d_ray.rows) return;
+  const int lane = static_cast<int>(threadIdx.x % kWarp);
+  const std::int32_t end = samples.first(r + 1, 0);
+  double sum[6] = {};
+  for (std::int32_t m = samples.first(r, 0) + lane; m < end; m += kWarp) {
+    const auto t = static_cast<double>(samples.t(m, 0));
+    Vec3d p, d;
+    for (int i = 0; i < 3; ++i) {
+      p[i] = rays.origin(r, i) + t * rays.direction(r, i);
+      d[i] = static_cast<double>(dx(m, i));
+    }
+    const Vec3d d_place = map.gradient(p, d);
+    for (int i = 0; i < 3; ++i) {
+      sum[i] += d_place[i];
+      sum[3 + i] += d_place[i] * t;
+    }
+  }
+  for (int i = 0; i < 6; ++i) {
+    const double all = warp_sum(sum[i]);
+    if (lane == 0) d_ray(r, i) += static_cast<float>(all);
+  }
+}
+
 // One thread per coordinate; 48 B per row.
 __global__ void __launch_bounds__(kThreads) map_kernel(View<const double> positions, DomainMap map, View<double> x) {
   const std::int64_t m = static_cast<std::int64_t>(blockIdx.x) * kSamples + threadIdx.x / 3;
@@ -54,6 +81,13 @@ void locate(const Rays<float>& rays, const Samples<float>& samples, const Domain
   if (x.rows == 0) return;
   locate_kernel<<<blocks_of(x.rows, kSamples), kThreads, 0, launch().stream>>>(rays, samples, map, x, launch().fault);
   check_launch("locating samples");
+}
+
+void locate_backward(const Rays<float>& rays, const Samples<float>& samples, const DomainMap& map, View<const float> dx,
+                     View<float> d_ray) {
+  gradient_kernel<<<blocks_of(d_ray.rows, kSamples / kWarp), kSamples, 0, launch().stream>>>(rays, samples, map, dx,
+                                                                                             d_ray);
+  check_launch("gradients of rays");
 }
 
 void map_positions(View<const double> positions, const DomainMap& map, View<double> x) {

@@ -19,7 +19,10 @@ namespace semfield::cuda {
 /// x [M, 3] = map(origin + t direction), in float64; unused rows get `offset`. A coordinate,
 /// distance or interval that is not finite is a fault of Stage::samples.
 void locate(const Rays<float>& rays, const Samples<float>& samples, const DomainMap& map, View<double> x);
-/// The same for positions [N, 3] in world metres (density queries).
+/// As Stages::locate_backward: sums over a ray's samples in float64, in a fixed tree.
+void locate_backward(const Rays<float>& rays, const Samples<float>& samples, const DomainMap& map, View<const float> dx,
+                     View<float> d_ray);
+/// locate for positions [N, 3] in world metres (density queries).
 void map_positions(View<const double> positions, const DomainMap& map, View<double> x);
 
 /// sigma = f(raw + bias + deviation N(0, 1)); raw is overwritten with what f saw. deviation 0: no noise. Sample k of

@@ -39,6 +39,7 @@ RayBatch batch_with(const PixelPool& pool, const std::int16_t* label, const floa
   batch.targets.color = {nullptr, pool.rays, 3};
   if (pool.with_labels) batch.targets.label = {label, pool.rays, 1};
   if (pool.with_depth) batch.targets.more.set(channel::depth, {depth, pool.rays, 1});
+  if (pool.with_camera) batch.targets.more.set(channel::camera, {nullptr, pool.rays, 1});
   if (!pool.label_only.empty()) batch.label_only = {pool.label_only.data(), std::ssize(pool.label_only), 1};
   batch.tile_rays = pool.tile_rays;
   return batch;
@@ -67,7 +68,11 @@ std::size_t BatchDrawer::bytes_of(const PixelPool& pool, int ahead) {
 }
 
 BatchDrawer::BatchDrawer(const PixelPool& pool, int ahead)
-    : with_labels_(pool.with_labels), with_depth_(pool.with_depth), layout_(layout_of(pool)), ahead_(ahead) {
+    : with_labels_(pool.with_labels),
+      with_depth_(pool.with_depth),
+      with_camera_(pool.with_camera),
+      layout_(layout_of(pool)),
+      ahead_(ahead) {
   const auto steps = static_cast<std::size_t>(ahead), rays = static_cast<std::size_t>(pool.rays);
   scratch_ = Buffer<std::byte>(steps * rays * sizeof(DrawnRay), "rays of steps");
   batches_ = Buffer<std::byte>(steps * layout_.bytes(), "batches of steps");
@@ -176,7 +181,7 @@ void BatchDrawer::send_labels(const PixelPool& pool) {
 
 bool BatchDrawer::relabel(const PixelPool& pool) {
   if (pool.rays != rule_.rays || pool.tile_rays != rule_.tile_rays || pool.frames.size() != frames_.size() ||
-      pool.with_labels != with_labels_ || pool.with_depth != with_depth_)
+      pool.with_labels != with_labels_ || pool.with_depth != with_depth_ || pool.with_camera != with_camera_)
     return false;
   for (std::size_t f = 0; f < frames_.size(); ++f)
     if (pool.frames[f].pixels != frames_[f]) return false;
@@ -195,6 +200,7 @@ void BatchDrawer::draw(std::int64_t step) {
   batches.target = const_cast<float*>(first.targets.color.data);
   batches.label = const_cast<std::int16_t*>(first.targets.label.data);
   batches.depth = const_cast<float*>(depth.data);
+  batches.camera = const_cast<float*>(first.targets.more[channel::camera].data);
   batches.stride = static_cast<std::int64_t>(layout_.bytes());
   draw_rays(held_, rule_, step, ahead_, reinterpret_cast<DrawnRay*>(scratch_.data()), batches);
   const auto fetch = [&](void* to, const void* from, std::size_t bytes) {
@@ -222,6 +228,7 @@ RayBatch BatchDrawer::seen(std::int64_t step) const {
   each_array(batch, [](auto& view) { view.data = nullptr, view.device = Device::cpu; });
   if (with_labels_) batch.targets.label.data = seen_label_ + at;
   if (with_depth_) batch.targets.more.set(channel::depth, {seen_depth_ + at, rule_.rays, 1});
+  if (with_camera_) batch.targets.more.set(channel::camera, {nullptr, rule_.rays, 1});
   return batch;
 }
 

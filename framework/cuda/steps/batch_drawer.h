@@ -43,7 +43,7 @@ class BatchDrawer {
 
   DrawRule rule_;
   HeldPixels held_;
-  bool with_labels_, with_depth_;
+  bool with_labels_, with_depth_, with_camera_;
   BatchLayout layout_;
   int ahead_;
   std::int64_t first_ = 0;  // step, of those that were drawn

@@ -160,6 +160,8 @@ __global__ void __launch_bounds__(kThreads)
   float* const target = of_step(batches.target, batches.stride, blockIdx.y) + 3 * row;
   for (int c = 0; c < 3; ++c) target[c] = static_cast<float>(held.rgb[3 * drawn.pixel + c]) / 255.0F;
   if (batches.label != nullptr) of_step(batches.label, batches.stride, blockIdx.y)[row] = drawn.label;
+  if (batches.camera != nullptr)
+    of_step(batches.camera, batches.stride, blockIdx.y)[row] = static_cast<float>(drawn.frame);
   if (batches.depth == nullptr) return;
   float depth = 0;  // as RaySource::depth_of
   if (cosine > 0 && drawn.group != 0) {

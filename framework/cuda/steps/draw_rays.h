@@ -57,6 +57,7 @@ struct DrawnBatches {
   float* target = nullptr;
   std::int16_t* label = nullptr;  ///< null: not wanted
   float* depth = nullptr;         ///< likewise
+  float* camera = nullptr;        ///< likewise
   std::int64_t stride = 0;
 };
 

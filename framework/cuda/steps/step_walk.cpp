@@ -81,6 +81,7 @@ class StreamExecutor::ShardExecutor final : public StepExecutor<float> {
   void pass_done(std::size_t pass) override {
     if (!owner_.tracks_.empty()) return;  // complete_gradients
     owner_.passes_[pass].derive_backward(ctx_);
+    if (owner_.cameras_ && pass + 1 == owner_.passes_.size()) owner_.cameras_->derive_backward(ctx_);
     owner_.sums_->pass_done(pass);
   }
 
@@ -101,12 +102,28 @@ class StreamExecutor::ShardExecutor final : public StepExecutor<float> {
   std::optional<LaunchScope> branch_;
 };
 
+RayBatch StreamExecutor::moved(const RayBatch& batch, Workspace& arena) const {
+  if (!cameras_ || !cameras_->rules().poses) return batch;
+  const auto copy = [&](View<const double> from) {
+    const View<double> to = arena.take<double>(from.rows, from.cols);
+    stages().copy(bytes_of(from), bytes_of(to));
+    return to;
+  };
+  const View<double> origin = copy(batch.origin), direction = copy(batch.direction);
+  cameras_->move(batch.targets.more[channel::camera], origin, direction);
+  RayBatch seen = batch;
+  seen.origin = origin;
+  seen.direction = direction;
+  return seen;
+}
+
 void StreamExecutor::walk(const Shape& shape, const Shard& shard, std::int64_t step, Workspace& arena) {
   StepContext ctx = context(step, true, arena);
   ctx.first_ray = shard.first_ray;
   const std::int64_t count = shard.batch.origin.rows;
-  TrainedRays rays;
-  rays.batch = shard.batch;
+  TrainedRays<float> rays;
+  rays.batch = moved(shard.batch, arena);
+  rays.cameras = cameras_ ? &*cameras_ : nullptr;
   rays.lane = shard.lane;
   rays.room = room_.rows();
   rays.semantic_rays = std::min(shape.semantic_rays, count);
@@ -188,6 +205,7 @@ void StreamExecutor::complete_gradients(std::int64_t step) {
     ctx.pass = pass.parts().number;
     pass.derive_backward(ctx);
   }
+  if (cameras_) cameras_->derive_backward(ctx);
 }
 
 // Memory that a step of this batch needs beside the arenas, and what ranks exchange of it.

@@ -146,7 +146,7 @@ void adam_update(const AdamStep* step, const AdamTable<Real>& table) {
   for_ranges(table.count, rows, cols, [&](int i, std::int64_t begin, std::int64_t count) {
     const AdamTensor<Real>& t = table.tensors[i];
     AdamStep rule = *step;
-    rule.step_size *= t.rate;
+    rule.step_size *= t.fades ? t.rate * step->fade : t.rate;
     rule.decay = step->learning_rate * t.decay;
     const auto view = [&t](Real* data) { return View<Real>(data, t.rows, t.cols); };
     if (t.touched_only) {

@@ -22,6 +22,7 @@ struct AdamStep {
   double step_size = 0;      ///< learning rate / (1 - beta1^t)
   double root_scale = 1;     ///< 1 / sqrt(1 - beta2^t)
   double learning_rate = 0;  ///< of the step, for weight decay
+  double fade = 1;           ///< factor to the rate of tensors that fade
   bool labelled = true;      ///< false: no ray has a label, and semantic tensors stay as they are
   double decay = 0;          ///< of one tensor: share of a value that the step takes, before the update [Loshchilov19]
 };
@@ -61,6 +62,7 @@ struct AdamTensor {
   bool semantic = false;      ///< left alone in a step without labels
   double rate = 1;            ///< factor to the learning rate
   double decay = 0;           ///< a step takes (learning rate) * decay of each value; of dense tensors
+  bool fades = false;         ///< AdamStep::fade is one more factor to the learning rate
 };
 
 /// All learned tensors of a run. The list and its arrays lie in the memory of the device that updates them.

@@ -12,6 +12,9 @@
 namespace semfield {
 
 namespace {
+
+constexpr std::int64_t kRaysOnCpu = 1024, kRaysOnGpu = 8192;  // docs/decisions/0036
+
 // "field 'ball'".
 std::string owner_of(const PluginSlot& slot) {
   return std::string(kind_name(slot.entry->kind)) + " '" + slot.entry->name + "'";
@@ -104,6 +107,32 @@ Precision precision_of(const RunConfig& config, const Registry& registry, Device
   if (config.runtime.precision != Precision::automatic) return config.runtime.precision;
   const bool faster = device.kind != Device::cpu || bf16_is_faster();
   return faster && field_without_bf16(config, registry, device.kind).empty() ? Precision::bf16 : Precision::fp32;
+}
+
+std::vector<std::string> choose_for_device(RunConfig& config, Device device) {
+  std::vector<std::string> lines;
+  if (config.train.rays == 0) {
+    config.train.rays = device == Device::cpu ? kRaysOnCpu : kRaysOnGpu;
+    lines.push_back("train.rays: rays was set to " + std::to_string(config.train.rays) + ", which suits a " +
+                    (device == Device::cpu ? "CPU" : "GPU"));
+  }
+  const auto choose = [&](const std::string& key, const PluginSlot& slot) {
+    if (slot.entry == nullptr) return;
+    std::vector<std::string> chosen;
+    slot.params->choose_for(device, chosen);
+    for (const std::string& sentence : chosen) lines.push_back(key + ": " + sentence);
+  };
+  for (const PassConfig& pass : config.passes) {
+    choose(pass.key + ".sampler", pass.sampler);
+    choose(pass.key + ".position", pass.position);
+    choose(pass.key + ".direction", pass.direction);
+    choose(pass.key + ".field", pass.field);
+    for (const SemanticBranchConfig& branch : pass.semantic) {
+      choose(pass.key + "." + branch.key + ".position", branch.position);
+      choose(pass.key + "." + branch.key + ".field", branch.field);
+    }
+  }
+  return lines;
 }
 
 // Steps on an H200 in fp32 and bf16 (docs/evidence/gpu.md): 22.7 and 2.24 ms with the paper's networks, 3.0 and 0.99 ms

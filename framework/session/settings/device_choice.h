@@ -2,6 +2,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "core/device_id.h"
 #include "core/error.h"
@@ -21,6 +22,9 @@ struct ChosenDevice {
 ChosenDevice chosen_device(const RunConfig& config, Registry& registry, Diagnostics& diagnostics);
 /// runtime.precision, or what `auto` is there: bf16 where the device computes it faster and every field has kernels.
 Precision precision_of(const RunConfig& config, const Registry& registry, DeviceId device);
+/// Sizes that the configuration leaves to the device become numbers: rays of a step, and what plugins of passes leave
+/// to it. "train.rays: sentence" each.
+std::vector<std::string> choose_for_device(RunConfig& config, Device device);
 /// CUDA kernels of linked plugins and loaded modules into the registry's tables; a device is not needed. Throws
 /// Error(unavailable) when the build has none.
 void add_cuda_kernels(Registry& registry);

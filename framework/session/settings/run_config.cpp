@@ -25,7 +25,8 @@ void describe(ParamVisitor& visit, TrainParams& p) {
       {0, 1e9});
   SEMFIELD_PARAM(visit, p, time_s,
                  "seconds of training that steps and schedule are settled for where steps is 0; 0: none", {0, 1e8});
-  SEMFIELD_PARAM(visit, p, rays, "rays per step", {1, 1 << 20});
+  SEMFIELD_PARAM(visit, p, rays, "rays per step; 0: 1024 on a CPU and 8192 on a GPU, and run.yaml has the number",
+                 {0, 1 << 20});
   SEMFIELD_PARAM(
       visit, p, ray_source,
       "where a step's rays come from: pixels of all images or of one, drawn evenly; label_balanced draws "
@@ -44,6 +45,23 @@ void validate(const TrainParams& p, Diagnostics& diagnostics) {
   diagnostics.error("config.value.conflict", "train.labelled_share",
                     "1 draws every ray for its label, and label_rays_teach_color is false: nothing would teach colour",
                     "lower labelled_share, or set train.label_rays_teach_color: true");
+}
+
+void describe(ParamVisitor& visit, CameraParams& p) {
+  SEMFIELD_PARAM(
+      visit, p, poses,
+      "poses of training cameras: as given, or learned with the field where they are off by more than a pixel; "
+      "right ones suffer from it");
+  SEMFIELD_PARAM(visit, p, colors,
+                 "colours of training cameras: as given, or learned, an affine map per camera, where exposure or white "
+                 "balance changes between photographs");
+  SEMFIELD_PARAM(
+      visit, p, pose_rate,
+      "factor to the learning rate of poses, in radians and shifts in halves of the scene's longest side; it "
+      "falls with the third power of the schedule",
+      {0, 1e6});
+  SEMFIELD_PARAM(visit, p, color_rate, "factor to the learning rate of colours; it falls with the third power too",
+                 {0, 1e6});
 }
 
 void describe(ParamVisitor& visit, SelfTrainingParams& p) {
@@ -134,6 +152,7 @@ void each_section(Config& config, Fn&& section) {
   section("semantics", "the semantic head and its loss", config.semantics);
   section("rendering", "fixed rules of volume rendering", config.rendering);
   section("train", "length and batches of the run", config.train);
+  section("train.cameras", "what is believed of training cameras", config.cameras);
   section("train.adam", "optimiser [Kingma15]", config.adam);
   section("train.schedule", "learning rate over the steps", config.schedule);
   section("train.self_training", "labels that the field gives to unlabelled training pixels", config.self_training);
@@ -158,7 +177,7 @@ std::vector<std::string> top_keys() {
 
 // Sub-sections of a section, which are keys of its map but no parameters.
 std::vector<std::string> nested_keys(std::string_view path) {
-  if (path == "train") return {"adam", "schedule", "self_training"};
+  if (path == "train") return {"adam", "cameras", "schedule", "self_training"};
   if (path == "train.schedule") return {"legs"};
   if (path == "scene.labels") return {"from", "degrade"};
   return {};

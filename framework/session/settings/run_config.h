@@ -43,6 +43,19 @@ struct TrainParams {
 void describe(ParamVisitor& visit, TrainParams& params);
 void validate(const TrainParams& params, Diagnostics& diagnostics);
 
+/// What is believed of training cameras: as given, or learned with the field (model/camera_corrections.h).
+enum class CameraTrust : std::uint8_t { given, learned };
+template <>
+struct ChoiceNames<CameraTrust> {
+  static constexpr std::array<std::string_view, 2> names{"given", "learned"};
+};
+struct CameraParams {
+  CameraTrust poses = CameraTrust::given, colors = CameraTrust::given;
+  double pose_rate = 0.02;
+  double color_rate = 0.02;
+};
+void describe(ParamVisitor& visit, CameraParams& params);
+
 /// Rounds of self-training (session/self_training.h).
 struct SelfTrainingParams {
   std::vector<double> at;
@@ -147,6 +160,7 @@ struct RunConfig {
   RenderingParams rendering;
   std::vector<PassConfig> passes;
   TrainParams train;
+  CameraParams cameras;
   SelfTrainingParams self_training;
   AdamParams adam;
   ScheduleParams schedule;

@@ -13,7 +13,8 @@
 namespace semfield {
 
 void describe(ParamVisitor& visit, HashGridParams& p) {
-  SEMFIELD_PARAM(visit, p, levels, "L, number of resolutions [Mueller22 Tab. 1]", {1, kHashGridMaxLevels});
+  SEMFIELD_PARAM(visit, p, levels, "L, number of resolutions [Mueller22 Tab. 1]; 0 = by the device",
+                 {0, kHashGridMaxLevels});
   SEMFIELD_PARAM(visit, p, features, "F, features per entry: 1, 2, 4 or 8 [Mueller22 Tab. 1]",
                  {1, kHashGridMaxFeatures});
   SEMFIELD_PARAM(visit, p, log2_entries, "log2 of T, the most entries per level [Mueller22 Tab. 1]; 0 = from the scene",
@@ -51,6 +52,7 @@ void validate(const HashGridParams& p, Diagnostics& diagnostics) {
 namespace {
 
 constexpr double kCellsPerPixel = 1.25;
+constexpr int kLevelsOnCpu = 8, kLevelsOnGpu = 16;           // docs/decisions/0036
 constexpr double kCellSteps = 8;                             // a frame more or less must not change the network
 constexpr int kUnknownResolution = 2048;                     // of the paper [Mueller22 Tab. 1]
 constexpr std::int64_t kLevelBytes = std::int64_t{1} << 20;  // a core's L2 cache
@@ -74,6 +76,13 @@ int chosen_log2_entries(const HashGridParams& p, const EncoderBuild& build) {
 }
 
 }  // namespace
+
+void choose_for(HashGridParams& p, Device device, std::vector<std::string>& chosen) {
+  if (p.levels != 0) return;
+  p.levels = device == Device::cpu ? kLevelsOnCpu : kLevelsOnGpu;
+  chosen.push_back("levels was set to " + std::to_string(p.levels) + ", which suits a " +
+                   (device == Device::cpu ? "CPU" : "GPU"));
+}
 
 void choose(HashGridParams& p, const EncoderBuild& build, std::vector<std::string>& chosen) {
   char text[160];
@@ -121,6 +130,7 @@ HashGrid<Real>::HashGrid(const HashGridParams& written, const EncoderBuild& buil
     : kernels_(&kernels.get<HashGridKernels<Real>>(build.device, "encoder 'hash_grid'")), init_(written.init) {
   HashGridParams params = written;
   std::vector<std::string> chosen;  // said by whoever asked for the choice before
+  choose_for(params, build.device, chosen);
   choose(params, build, chosen);
   if (build.in_dims != 3) {
     throw Error(ErrorKind::config, "config.encoder.inputs",
@@ -176,8 +186,10 @@ void HashGrid<Real>::do_forward(const StepContext& ctx, const Tensors<Real>& ten
 template <class Real>
 void HashGrid<Real>::do_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x,
                                  View<const Real> dy, View<Real> dx) const {
-  check_tables(shape_, tensors.grad);
-  kernels_->backward_tables(shape_, tensors.grad.data(), x, dy, *ctx.workspace);
+  if (!tensors.grad.empty()) {
+    check_tables(shape_, tensors.grad);
+    kernels_->backward_tables(shape_, tensors.grad.data(), x, dy, *ctx.workspace);
+  }
   if (dx.empty()) return;
   check_tables(shape_, tensors.value);
   kernels_->backward_input(shape_, tensors.value.data(), x, dy, dx);

@@ -37,6 +37,7 @@ void validate(const HashGridParams& params, Diagnostics& diagnostics);
 /// or the pixel is unknown), at least base_resolution. log2_entries: the first power of two that holds the vertices on
 /// both sides of six walls of the finest level, 12 (N + 1)^2, but not below 2^14, and on a CPU at most 1 MiB a level in
 /// float: a core's L2 cache.
+void choose_for(HashGridParams& params, Device device, std::vector<std::string>& chosen);
 void choose(HashGridParams& params, const EncoderBuild& build, std::vector<std::string>& chosen);
 
 /// The grids that the parameters ask for, coarsest first.

@@ -20,6 +20,8 @@ void bad_density(const double* position, double sigma) {
 }
 namespace {
 
+constexpr std::int64_t kSamplesOnCpu = 128, kSamplesOnGpu = 256;  // docs/decisions/0036
+
 constexpr double kPadding = 0.01;  // of the longest side: walls lie on the bounds and must not lie on the grid's faces
 constexpr double kLeastSide = 0.02;    // of the longest side: a flat scene still gets cells with volume
 constexpr double kStepsAcross = 1024;  // steps along the diagonal of a cube [Mueller22 App. E.1]
@@ -62,8 +64,8 @@ void describe(ParamVisitor& visit, OccupancyGridParams& params) {
                  {32, 512});
   SEMFIELD_PARAM(visit, params, cascades,
                  "nested grids, each twice the size of the one before; nothing is outside the last", {1, 8});
-  SEMFIELD_PARAM(visit, params, max_samples, "most samples per ray; a ray that needs more takes longer steps",
-                 {1, 65536});
+  SEMFIELD_PARAM(visit, params, max_samples,
+                 "most samples per ray; a ray that needs more takes longer steps; 0 = by the device", {0, 65536});
   SEMFIELD_PARAM(visit, params, step_m, "step along the ray in metres; 0 = sqrt(3) / 1024 of the scene's longest side",
                  {0, 1e9});
   SEMFIELD_PARAM(
@@ -96,12 +98,22 @@ void validate(const OccupancyGridParams& params, Diagnostics& diagnostics) {
   }
 }
 
+void choose_for(OccupancyGridParams& params, Device device, std::vector<std::string>& chosen) {
+  if (params.max_samples != 0) return;
+  params.max_samples = device == Device::cpu ? kSamplesOnCpu : kSamplesOnGpu;
+  chosen.push_back("max_samples was set to " + std::to_string(params.max_samples) + ", which suits a " +
+                   (device == Device::cpu ? "CPU" : "GPU"));
+}
+
 template <class Real>
 OccupancyGrid<Real>::OccupancyGrid(const OccupancyGridParams& params, const SamplerBuild& build,
                                    const KernelTables& kernels)
     : kernels_(&kernels.get<OccupancyGridKernels<Real>>(build.device, "sampler 'occupancy_grid'")),
       params_(params),
-      geometry_(make_geometry(params, build)) {}
+      geometry_(make_geometry(params, build)) {
+  std::vector<std::string> chosen;  // said by whoever asked for the choice before
+  choose_for(params_, build.device, chosen);
+}
 
 template <class Real>
 SamplerTraits OccupancyGrid<Real>::traits() const noexcept {

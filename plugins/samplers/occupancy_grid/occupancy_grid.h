@@ -45,6 +45,7 @@ struct OccupancyGridParams {
 };
 
 void describe(ParamVisitor& visit, OccupancyGridParams& params);
+void choose_for(OccupancyGridParams& params, Device device, std::vector<std::string>& chosen);
 void validate(const OccupancyGridParams& params, Diagnostics& diagnostics);
 
 /// State: `density` [cells, 1], the decayed maximum of the density seen in each cell (-1: never seen), an estimate of

@@ -1,0 +1,150 @@
+// Corrections of training cameras on the device, with the meaning of model/camera_corrections.h. Sums go over the rays
+// of a camera in a fixed tree, so that they are the same in every run.
+#include "cuda/kernels/device_code.cuh"
+#include "cuda/stages.h"
+#include "model/camera_corrections.h"
+
+namespace semfield::cuda {
+
+namespace {
+
+constexpr int kThreads = 128;
+
+// A block per column; 8 B per row.
+__global__ void __launch_bounds__(kThreads)
+    centre_kernel(View<const float> from, double share, View<float> to, bool add) {
+  __shared__ double mean;
+  const auto column = static_cast<std::int32_t>(blockIdx.x);
+  double sum = 0;
+  for (std::int64_t r = threadIdx.x; r < from.rows; r += kThreads) sum += static_cast<double>(from(r, column));
+  sum = block_sum<kThreads>(sum);
+  if (threadIdx.x == 0) mean = share * sum / static_cast<double>(from.rows);
+  __syncthreads();
+  for (std::int64_t r = threadIdx.x; r < from.rows; r += kThreads) {
+    const auto centred = static_cast<float>(static_cast<double>(from(r, column)) - mean);
+    to(r, column) = add ? to(r, column) + centred : centred;
+  }
+}
+
+__device__ Vec3d rotation_of(const float* pose) {
+  return {static_cast<double>(pose[0]), static_cast<double>(pose[1]), static_cast<double>(pose[2])};
+}
+
+// One thread per ray: 100 B read, 96 B of them written.
+__global__ void __launch_bounds__(kThreads)
+    move_kernel(View<const float> camera, View<const float> pose, double distance_m, View<double> origin,
+                View<double> direction) {
+  const std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  if (r >= camera.rows) return;
+  const float* const row = pose.row(static_cast<std::int64_t>(camera(r, 0)));
+  const Vec3d moved = rotated(rotation_of(row), {direction(r, 0), direction(r, 1), direction(r, 2)});
+  for (int i = 0; i < 3; ++i) {
+    direction(r, i) = moved[i];
+    origin(r, i) += distance_m * static_cast<double>(row[3 + i]);
+  }
+}
+
+// A block per camera looks for its rays: 4 B of each ray, 52 B of its own.
+__global__ void __launch_bounds__(kThreads)
+    move_backward_kernel(View<const float> camera, View<const float> pose, double distance_m,
+                         View<const double> direction, View<const float> d_ray, View<float> d_pose) {
+  const std::int64_t of = blockIdx.x;
+  const Vec3d rotation = rotation_of(pose.row(of));
+  double sum[kPoseNumbers] = {};
+  for (std::int64_t r = threadIdx.x; r < camera.rows; r += kThreads) {
+    if (static_cast<std::int64_t>(camera(r, 0)) != of) continue;
+    const Vec3d moved{direction(r, 0), direction(r, 1), direction(r, 2)};
+    const Vec3d d_moved{static_cast<double>(d_ray(r, 3)), static_cast<double>(d_ray(r, 4)),
+                        static_cast<double>(d_ray(r, 5))};
+    const Vec3d d_rotation = rotation_gradient(rotation, moved, d_moved);
+    for (int i = 0; i < 3; ++i) {
+      sum[i] += d_rotation[i];
+      sum[3 + i] += distance_m * static_cast<double>(d_ray(r, i));
+    }
+  }
+  for (int i = 0; i < kPoseNumbers; ++i) {
+    const double all = block_sum<kThreads>(sum[i]);
+    if (threadIdx.x == 0) d_pose(of, i) += static_cast<float>(all);
+  }
+}
+
+// One thread per ray.
+__global__ void __launch_bounds__(kThreads)
+    show_kernel(View<const float> camera, View<const float> map, View<const float> color, View<float> shown) {
+  const std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  if (r < camera.rows) shown_color(map.row(static_cast<std::int64_t>(camera(r, 0))), color.row(r), shown.row(r));
+}
+
+__global__ void __launch_bounds__(kThreads) show_gradient_kernel(View<const float> camera, View<const float> map,
+                                                                 View<const float> d_shown, View<float> d_color) {
+  const std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  if (r >= camera.rows) return;
+  shown_color_gradient(map.row(static_cast<std::int64_t>(camera(r, 0))), d_shown.row(r), d_color.row(r));
+}
+
+// A block per camera, as move_backward_kernel.
+__global__ void __launch_bounds__(kThreads) map_gradient_kernel(View<const float> camera, View<const float> color,
+                                                                View<const float> d_shown, View<float> d_map) {
+  const std::int64_t of = blockIdx.x;
+  double sum[kColorNumbers] = {};
+  for (std::int64_t r = threadIdx.x; r < camera.rows; r += kThreads) {
+    if (static_cast<std::int64_t>(camera(r, 0)) != of) continue;
+    for (int i = 0; i < 3; ++i) {
+      const auto d = static_cast<double>(d_shown(r, i));
+      for (int j = 0; j < 3; ++j) sum[4 * i + j] += d * static_cast<double>(color(r, j));
+      sum[4 * i + 3] += d;
+    }
+  }
+  for (int i = 0; i < kColorNumbers; ++i) {
+    const double all = block_sum<kThreads>(sum[i]);
+    if (threadIdx.x == 0) d_map(of, i) += static_cast<float>(all);
+  }
+}
+
+void centre(View<const float> learned, double share, View<float> used) {
+  centre_kernel<<<static_cast<unsigned>(learned.cols), kThreads, 0, launch().stream>>>(learned, share, used, false);
+  check_launch("centring corrections of cameras");
+}
+
+void centre_backward(View<const float> d_used, double share, View<float> d_learned) {
+  centre_kernel<<<static_cast<unsigned>(d_used.cols), kThreads, 0, launch().stream>>>(d_used, share, d_learned, true);
+  check_launch("centring gradients of cameras");
+}
+
+void move(View<const float> camera, View<const float> pose, double distance_m, View<double> origin,
+          View<double> direction) {
+  move_kernel<<<blocks_of(camera.rows, kThreads), kThreads, 0, launch().stream>>>(camera, pose, distance_m, origin,
+                                                                                  direction);
+  check_launch("moving rays");
+}
+
+void move_backward(View<const float> camera, View<const float> pose, double distance_m, View<const double> direction,
+                   View<const float> d_ray, View<float> d_pose) {
+  move_backward_kernel<<<static_cast<unsigned>(d_pose.rows), kThreads, 0, launch().stream>>>(camera, pose, distance_m,
+                                                                                             direction, d_ray, d_pose);
+  check_launch("gradients of poses");
+}
+
+void show(View<const float> camera, View<const float> map, View<const float> color, View<float> shown) {
+  show_kernel<<<blocks_of(camera.rows, kThreads), kThreads, 0, launch().stream>>>(camera, map, color, shown);
+  check_launch("colours of cameras");
+}
+
+void show_backward(View<const float> camera, View<const float> map, View<const float> color, View<const float> d_shown,
+                   View<float> d_color, View<float> d_map) {
+  show_gradient_kernel<<<blocks_of(camera.rows, kThreads), kThreads, 0, launch().stream>>>(camera, map, d_shown,
+                                                                                           d_color);
+  check_launch("gradients of colours");
+  map_gradient_kernel<<<static_cast<unsigned>(d_map.rows), kThreads, 0, launch().stream>>>(camera, color, d_shown,
+                                                                                           d_map);
+  check_launch("gradients of colours of cameras");
+}
+
+}  // namespace
+
+const CameraKernels<float>& camera_kernels() {
+  static const CameraKernels<float> table{centre, centre_backward, move, move_backward, show, show_backward};
+  return table;
+}
+
+}  // namespace semfield::cuda
