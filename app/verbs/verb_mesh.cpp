@@ -9,6 +9,7 @@
 
 #include "app/json_output.h"
 #include "app/progress_line.h"
+#include "app/render/mesh_score_output.h"
 #include "app/verb.h"
 #include "core/findings.h"
 #include "run/open_run.h"
@@ -29,11 +30,12 @@ struct MeshOptions {
   std::vector<std::string> formats;     ///< ply, obj, glb; empty: what `out` ends with, or ply
   std::optional<long long> resolution;  ///< cells along the longest side of the bounds
   std::optional<double> voxel;          ///< edge of a cell instead, world units
-  std::string surface;                  ///< density or depth; "": by what lies around the scene
+  std::string surface;                  ///< density, depth or sensor; "": by what lies around the scene
   std::optional<double> level;          ///< density of the surface, 1/m
   bool keep_unseen = false;             ///< also faces that no training camera sees
   double keep_components = 0.002;       ///< least fraction of the faces: a chair is one, a floater is not
   bool points = false;                  ///< also a point cloud from the training views
+  bool score = false;                   ///< also figures against the depth images of the scene
   std::string color;                    ///< photo, class or both; "": both where there are classes
   std::string up;                       ///< axis that GLB files show upright; "": taken from the cameras
   std::vector<std::string> set;
@@ -98,11 +100,15 @@ std::vector<Coloring> colorings_of(const MeshOptions& options, bool has_classes)
   return colorings;
 }
 
-VoxelGrid grid_of(const MeshOptions& options, const Box& bounds) {
-  if (options.voxel) return VoxelGrid::covering(bounds, *options.voxel);
-  const long long cells = options.resolution.value_or(kDefaultResolution);
+// A surface of depth may lie on the bounds, and what is solid behind it outside of them.
+VoxelGrid grid_of(const MeshOptions& options, Box bounds, bool of_density) {
   const Vec3d size = bounds.size();
-  return VoxelGrid::covering(bounds, std::max({size.x, size.y, size.z}) / static_cast<double>(cells));
+  const auto cells = static_cast<double>(options.resolution.value_or(kDefaultResolution));
+  const double spacing = options.voxel.value_or(std::max({size.x, size.y, size.z}) / cells);
+  const double margin = of_density ? 0 : kTruncationCells * spacing;
+  bounds.lo = bounds.lo - Vec3d{margin, margin, margin};
+  bounds.hi = bounds.hi + Vec3d{margin, margin, margin};
+  return VoxelGrid::covering(bounds, spacing);
 }
 
 std::vector<RayCamera> training_cameras(const Session& s) {
@@ -116,15 +122,15 @@ std::vector<RayCamera> training_cameras(const Session& s) {
 
 // Cameras that stand inside of what they see leave much of it unseen. What is alone in empty space is seen from all
 // around, and its density is the finer source.
-bool by_depth(const MeshOptions& options, const Session& s) {
+std::string source_of(const MeshOptions& options, const Session& s) {
   const bool of_density = options.level || options.keep_unseen;
-  if (options.surface == "depth" && of_density)
+  if ((options.surface == "depth" || options.surface == "sensor") && of_density)
     throw Error(ErrorKind::usage, "mesh.surface.options",
-                std::string("--surface depth: ") + (options.level ? "--level" : "--keep-unseen") +
+                "--surface " + options.surface + ": " + (options.level ? "--level" : "--keep-unseen") +
                     " belongs to the surface of the density",
                 "leave one of the two out");
-  if (!options.surface.empty()) return options.surface == "depth";
-  return !of_density && s.config.rendering.far == FarMode::background;
+  if (!options.surface.empty()) return options.surface;
+  return !of_density && s.config.rendering.far == FarMode::background ? "depth" : "density";
 }
 
 // A surface, and how many faces were left out because no training camera saw them.
@@ -223,18 +229,34 @@ Vec3d up_of(const MeshOptions& options, const Session& s, const AppContext& cont
   return up.value_or(Vec3d{0, 1, 0});
 }
 
+// The mesh's, and that of the fused depth images, which is the mesh itself where it was made of them.
+MeshScores scores_of(const MeshOptions& options, const Surface& surface, const std::string& source, const Session& s,
+                     const MeasuredDepth& measured, const VoxelGrid& grid) {
+  const DepthReference reference(measured.training, measured.held_out);
+  MeshScores scores{reference.points(), reference.held_out_points(), reference.score(surface), {}};
+  if (source == "sensor" || measured.training.empty()) return scores;
+  Surface of_sensor = fused_surface(measured.training, s.limits, grid);
+  drop_small_components(of_sensor, options.keep_components);
+  scores.sensor = reference.score(of_sensor);
+  return scores;
+}
+
 int run(const MeshOptions& options, AppContext& context) {
   const Targets targets = targets_of(options);
   Diagnostics diagnostics;
-  OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
+  const bool measures = options.score || options.surface == "sensor";
+  OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics,
+                           measures ? OpenFor::evaluation_of_training_frames : OpenFor::rendering);
   context.adopt(run.session.config);
   for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
   Session& s = run.session;
   const ClassTable& classes = s.scene.info.classes;
   const std::vector<Coloring> colorings = colorings_of(options, s.pipeline->has_semantics());
   const std::vector<RayCamera> cameras = training_cameras(s);
-  const bool depth = by_depth(options, s);
-  const VoxelGrid grid = grid_of(options, s.extent.bounds);
+  const std::string source = source_of(options, s);
+  MeasuredDepth measured;
+  if (measures) measured = measured_depth(s, options.run, source == "sensor");
+  const VoxelGrid grid = grid_of(options, s.extent.bounds, source == "density");
   std::error_code failed;
   if (targets.stem.has_parent_path()) fs::create_directories(targets.stem.parent_path(), failed);
   if (failed) {
@@ -244,15 +266,22 @@ int run(const MeshOptions& options, AppContext& context) {
   }
   print_note(context, fmt::format("{} x {} x {} points, {:.4g} {} apart", grid.nx, grid.ny, grid.nz, grid.spacing,
                                   s.scene.info.metric ? "m" : "units"));
-  FoundSurface found =
-      depth ? surface_of_depth(s, grid, cameras, context) : surface_of_density(options, s, grid, cameras, context);
+  FoundSurface found;
+  if (source == "sensor") {
+    found = {fused_surface(measured.training, s.limits, grid), 0, "in the depth images of the training frames", {}};
+  } else {
+    found = source == "depth" ? surface_of_depth(s, grid, cameras, context)
+                              : surface_of_density(options, s, grid, cameras, context);
+  }
   Surface& surface = found.surface;
   const std::int64_t components = drop_small_components(surface, options.keep_components);
   if (surface.triangles.empty()) {
-    throw Error(
-        ErrorKind::data, "mesh.surface.none", fmt::format("{}: no surface {}", options.run, found.described),
-        depth ? "train longer, or take --surface density" : "lower --level, or --keep-components, or train longer");
+    throw Error(ErrorKind::data, "mesh.surface.none", fmt::format("{}: no surface {}", options.run, found.described),
+                source == "density" ? "lower --level, or --keep-components, or train longer"
+                                    : "train longer, or take --surface density");
   }
+  std::optional<MeshScores> scores;
+  if (options.score) scores = scores_of(options, surface, source, s, measured, grid);
   std::vector<Sights> sights = sights_of(surface, cameras, s.limits, grid.spacing);
   lend_sights(surface, sights);
   surface.attributes = render_attributes(*s.pipeline, surface, {cameras, sights}, kOffsetCells * grid.spacing, s.limits,
@@ -281,7 +310,7 @@ int run(const MeshOptions& options, AppContext& context) {
     Json out{{"run", options.run},
              {"step", run.step},
              {"spacing", grid.spacing},
-             {"surface", depth ? "depth" : "density"},
+             {"surface", source},
              {"vertices", surface.positions.size()},
              {"faces", surface.triangles.size()},
              {"unseen_faces", found.unseen},
@@ -290,9 +319,11 @@ int run(const MeshOptions& options, AppContext& context) {
     if (found.level) out["level"] = *found.level;
     if (glb) out["up"] = {up.x, up.y, up.z};
     if (options.points) out["points"] = cloud.positions.size();
+    if (scores) out["score"] = scores_json(*scores);
     print_json(context, out);
     return 0;
   }
+  if (scores) std::fputs(scores_table(*scores, s.scene.info.metric).c_str(), stdout);
   const std::string of_points = options.points ? fmt::format(" points={}", cloud.positions.size()) : "";
   std::printf("mesh: vertices=%zu faces=%zu components=%lld%s file=%s\n", surface.positions.size(),
               surface.triangles.size(), static_cast<long long>(components), of_points.c_str(),
@@ -307,9 +338,10 @@ void words(VerbWords& verb, MeshOptions& options) {
   verb.positive("--voxel X", options.voxel, "edge of a cell in metres, instead of --resolution");
   verb.excludes("--voxel", "--resolution");
   verb.choice(
-      "--surface WHICH", options.surface, {"depth", "density"},
-      "depth: fused from the depth of the training views; density: where the field becomes opaque (default: depth "
-      "where rays end in a background, density for what is alone in empty space)");
+      "--surface WHICH", options.surface, {"depth", "density", "sensor"},
+      "depth: fused from the depth of the training views; density: where the field becomes opaque; sensor: fused from "
+      "the depth images of the training frames (default: depth where rays end in a background, density for what is "
+      "alone in empty space)");
   verb.positive("--level X", options.level,
                 "density of the surface in 1/m (default: the one that agrees best with rendered depth)");
   verb.list("--format LIST", options.formats, "forms of the files, with commas (default: what --out ends with, or ply)",
@@ -319,6 +351,10 @@ void words(VerbWords& verb, MeshOptions& options) {
   verb.choice("--up AXIS", options.up, {"x", "-x", "y", "-y", "z", "-z"},
               "axis of the world that GLB files show upright (default: as the cameras stand)");
   verb.flag("--points", options.points, "also write a labelled point cloud from the depth of the training views");
+  verb.flag(
+      "--score", options.score,
+      "also compare the mesh with the scene's depth images: completeness and accuracy within 2, 5 and 10 cm, beside "
+      "those of the fused depth images themselves");
   verb.value("--out FILE", options.out, "file to write (default: mesh.ply in the run folder)");
   verb.flag("--keep-unseen", options.keep_unseen, "keep what no training camera sees (default: it is left out)");
   verb.value_in("--keep-components X", options.keep_components, 0, 1,

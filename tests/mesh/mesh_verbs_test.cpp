@@ -192,6 +192,59 @@ TEST_F(Verbs, MeshIsOfDepthWhereRaysEndInABackground) {
   EXPECT_EQ(density["level"], 3);
 }
 
+// Beside the fused depth images, and without touching what is written.
+TEST_F(Verbs, MeshIsScoredAgainstDepthImages) {
+  const std::string scored = *dir_ / "scored.ply", plain = *dir_ / "plain.ply";
+  const std::vector<std::string> words{"mesh", run_dir(), "--resolution", "64", "--keep-components", "0", "--out"};
+  const auto with = [&](std::vector<std::string> more) {
+    std::vector<std::string> all = words;
+    all.insert(all.end(), more.begin(), more.end());
+    const Result r = run(*dir_, all);
+    EXPECT_EQ(r.code, 0) << r.err;
+    return r.out;
+  };
+  EXPECT_LACKS(with({plain}), "complete");
+  EXPECT_HAS(with({scored, "--score"}), "mesh: complete ", "sensor: complete ", "\n  accurate ", "\nmesh: vertices=");
+  EXPECT_EQ(read_text_file(scored), read_text_file(plain));
+  const nlohmann::json of_run = nlohmann::json::parse(with({scored, "--score", "--json"}))["score"];
+  EXPECT_EQ(of_run["distances"], (nlohmann::json{0.02, 0.05, 0.1}));
+  EXPECT_GT(of_run["points"], of_run["held_out_points"]);
+  EXPECT_GT(of_run["held_out_points"], 1000);
+  for (const char* what : {"complete", "complete_of_held_out", "accurate", "f"}) {
+    for (const char* of : {"mesh", "sensor"}) {
+      const auto shares = of_run[of][what].get<std::vector<double>>();
+      ASSERT_EQ(shares.size(), 3U) << of << what;
+      EXPECT_TRUE(0 <= shares[0] && shares[0] <= shares[1] && shares[1] <= shares[2] && shares[2] <= 1) << of << what;
+    }
+    EXPECT_GT(of_run["sensor"][what][2], 0.95) << what << ": walls on the bounds are there";
+    EXPECT_GT(of_run["sensor"][what][1], of_run["mesh"][what][1]) << what;
+  }
+  const nlohmann::json of_sensor = nlohmann::json::parse(with({scored, "--surface", "sensor", "--score", "--json"}));
+  EXPECT_EQ(of_sensor["surface"], "sensor");
+  EXPECT_EQ(of_sensor["score"]["mesh"], of_run["sensor"]) << "the same surface";
+  EXPECT_TRUE(of_sensor["score"]["sensor"].is_null());
+}
+
+TEST_F(Verbs, AMeshOfASceneWithoutDepthHasNoScore) {
+  const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene();
+  Diagnostics diagnostics;
+  const SceneInfo info = scene->open(diagnostics);
+  PackOptions options;
+  options.with_depth = false;
+  write_packed_scene(
+      *dir_ / "flat.sfpack", info, [&](int frame, FrameBuffer& buffer) { scene->read(frame, buffer); }, options);
+  std::string yaml = read_text_file(*dir_ / "config.yaml");
+  yaml.replace(yaml.find("room.sfpack"), 11, "flat.sfpack");
+  write_file_atomic(*dir_ / "flat.yaml", yaml);
+  ASSERT_EQ(run(*dir_, {"train", *dir_ / "flat.yaml", "--steps", "20", "--out", *dir_ / "flat"}).code, 0);
+  for (const std::string more : {"--score", "--surface=sensor"}) {
+    const Result r = run(*dir_, {"mesh", *dir_ / "flat", more, "--out", *dir_ / "none.ply"});
+    EXPECT_EQ(r.code, 65) << r.err;
+    EXPECT_HAS(r.err, "[mesh.depth.none]", *dir_ / "flat");
+    EXPECT_FALSE(fs::exists(*dir_ / "none.ply"));
+  }
+}
+
 TEST_F(Verbs, MeshIsUprightAsTold) {
   const Result r =
       run(*dir_, {"mesh", run_dir(), "--resolution", "24", "--up", "-y", "--out", *dir_ / "up.glb", "--json"});
@@ -217,7 +270,7 @@ TEST_F(Verbs, MeshRefusesWhatMakesNoSense) {
   refused({"--level", "nan"}, 2, "--level nan");
   refused({"--surface", "depth", "--level", "3"}, 2, "--level belongs to the surface of the density");
   refused({"--surface", "depth", "--keep-unseen"}, 2, "--keep-unseen belongs to the surface of the density");
-  refused({"--surface", "cloud"}, 2, "expected depth or density");
+  refused({"--surface", "cloud"}, 2, "expected depth, density or sensor");
   refused({"--keep-components", "2"}, 2, "expected 0 to 1");
   refused({"--color", "rgb"}, 2, "--color rgb: expected photo, class or both");
   refused({"--up", "w"}, 2, "--up w: expected x, -x, y, -y, z or -z");

@@ -10,18 +10,22 @@ namespace semfield {
 
 namespace {
 
-// Four pixels whose distances differ by more cells, and more of the distance than a floor seen along itself, lie on
-// both sides of an edge.
-constexpr double kEdgeCells = 1.5, kSlant = 0.03;
 // Between normal and ray: who looks along a face does not vouch for it, and who looks slantingly may be off by more.
 constexpr double kLeastCosine = 0.2, kSlantCosine = 0.5;
-constexpr int kLeastAgree = 2;  // views; of a point that a single one can see, that one
+// Four pixels whose distances differ by more cells, and more than those of a face at kLeastCosine would, lie on both
+// sides of an edge.
+constexpr double kEdgeCells = 1.5, kMostSlope = 4.9;  // the tangent of that angle
+constexpr int kLeastAgree = 2;                        // views; of a point that a single one can see, that one
 
 // A view asked at points of space.
 class Witness {
  public:
   Witness(const DepthView& view, const RayLimits& limits, double cell)
-      : view_(view), camera_(view.camera.camera), near_(limits.near_m), edge_(kEdgeCells * cell) {
+      : view_(view),
+        camera_(view.camera.camera),
+        near_(limits.near_m),
+        edge_(kEdgeCells * cell),
+        slant_(kMostSlope * view.map.stride / std::min(view.camera.camera.fx, view.camera.camera.fy)) {
     if (!view.camera.undistort) camera_.k1 = camera_.k2 = camera_.k3 = camera_.k4 = camera_.p1 = camera_.p2 = 0;
     for (std::int32_t y = 0; y < view.map.height_px; ++y)
       for (std::int32_t x = 0; x < view.map.width_px; ++x) between_.push_back(is_between(x, y) ? 1 : 0);
@@ -37,7 +41,7 @@ class Witness {
     const Vec3d way = point - view_.camera.world_from_camera.t;
     return dot(way, normal) / length(way);
   }
-  // None for a point outside the image or nearer than rays begin.
+  // None for a point outside the image, nearer than rays begin, or at a pixel of which nothing is known.
   std::optional<Reading> at(Vec3d point) const {
     const Vec3d p = view_.camera.world_from_camera.apply_inverse(point);
     const double own = length(p);
@@ -46,6 +50,7 @@ class Witness {
     camera_.project(p, u, v);
     if (!(u >= 0 && v >= 0 && u < camera_.width_px && v < camera_.height_px)) return std::nullopt;
     Reading reading = pixels_around(u, v);
+    if (std::isnan(reading.seen)) return std::nullopt;
     reading.own = own;
     return reading;
   }
@@ -53,18 +58,18 @@ class Witness {
  private:
   double value(std::int32_t x, std::int32_t y) const {
     const float d = view_.map.distance_m[static_cast<std::size_t>(std::int64_t{y} * view_.map.width_px + x)];
-    return d > 0 ? static_cast<double>(d) : HUGE_VAL;
+    return d == 0 ? HUGE_VAL : static_cast<double>(d);
   }
   // Rendered depth is a mean over what a pixel meets, so at an edge it may lie between the two surfaces, on neither.
   bool is_between(std::int32_t x, std::int32_t y) const {
     double least = HUGE_VAL, most = 0;
     for (std::int32_t v = std::max(0, y - 1); v <= std::min(view_.map.height_px - 1, y + 1); ++v) {
       for (std::int32_t u = std::max(0, x - 1); u <= std::min(view_.map.width_px - 1, x + 1); ++u) {
-        least = std::min(least, value(u, v));
+        least = std::min(least, value(u, v));  // what is not known changes neither
         most = std::max(most, value(u, v));
       }
     }
-    const double own = value(x, y), edge = edge_ + kSlant * least;
+    const double own = value(x, y), edge = edge_ + slant_ * least;
     return own - least > edge && most - own > edge;
   }
   Reading pixels_around(double u, double v) const {
@@ -75,10 +80,11 @@ class Witness {
     const auto x0 = static_cast<std::int32_t>(x), y0 = static_cast<std::int32_t>(y);
     const std::int32_t x1 = std::min(x0 + 1, map.width_px - 1), y1 = std::min(y0 + 1, map.height_px - 1);
     const double a = value(x0, y0), b = value(x1, y0), c = value(x0, y1), d = value(x1, y1);
+    const double fx = x - x0, fy = y - y0;
+    if (std::isnan(a + b + c + d)) return {value(fx < 0.5 ? x0 : x1, fy < 0.5 ? y0 : y1)};
     const auto [least, most] = std::minmax({a, b, c, d});
     if (least == HUGE_VAL) return {HUGE_VAL};
-    const double fx = x - x0, fy = y - y0;
-    if (!(most - least < edge_ + kSlant * least)) {
+    if (!(most - least < edge_ + slant_ * least)) {
       const std::int32_t nx = fx < 0.5 ? x0 : x1, ny = fy < 0.5 ? y0 : y1;
       const bool between = between_[static_cast<std::size_t>(std::int64_t{ny} * map.width_px + nx)] != 0;
       return between ? Reading{least, true} : Reading{value(nx, ny)};
@@ -88,8 +94,8 @@ class Witness {
 
   const DepthView& view_;
   Camera camera_;
-  double near_, edge_;
-  std::vector<char> between_;  // of each pixel
+  double near_, edge_, slant_;  // `slant_`: more of the distance from a pixel to the next
+  std::vector<char> between_;   // of each pixel
 };
 
 // Minus the mean signed distance in truncations: dense is positive. 1 where no view speaks.

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <functional>
+#include <limits>
 #include <span>
 #include <vector>
 
@@ -15,11 +16,12 @@ namespace semfield {
 /// pushed apart.
 inline constexpr double kTruncationCells = 4;
 
-/// A camera, and where rendering puts the surface along its rays.
+/// A camera, and where rendering or a sensor puts the surface along its rays.
 struct DepthView {
   RayCamera camera;
-  SurfaceMap map;  ///< 0: the ray meets nothing, and what lies along it is empty
+  SurfaceMap map;  ///< 0: the ray meets nothing, and what lies along it is empty; kNotKnown: it says nothing
 };
+inline constexpr float kNotKnown = std::numeric_limits<float>::quiet_NaN();
 
 /// Every view's depth, with about `rays` rays for all of them. `done`: views of all, after each.
 std::vector<DepthView> depth_views(Pipeline<float>& pipeline, std::span<const RayCamera> cameras,

@@ -180,11 +180,6 @@ std::vector<char> grown(const Edges& edges, std::vector<char> start, int rings) 
   return start;
 }
 
-double area_of(const Surface& surface, const Triangle& t) {
-  const Vec3d &a = surface.positions[t[0]], &b = surface.positions[t[1]], &c = surface.positions[t[2]];
-  return 0.5 * length(cross(b - a, c - a));
-}
-
 }  // namespace
 
 std::vector<Sights> sights_of(const Surface& surface, std::span<const RayCamera> cameras, const RayLimits& limits,

@@ -9,6 +9,11 @@
 
 namespace semfield {
 
+double area_of(const Surface& surface, const Triangle& t) {
+  const Vec3d &a = surface.positions[t[0]], &b = surface.positions[t[1]], &c = surface.positions[t[2]];
+  return 0.5 * length(cross(b - a, c - a));
+}
+
 void set_vertex_normals(Surface& surface) {
   surface.normals.assign(surface.positions.size(), Vec3d{});
   for (const Triangle& t : surface.triangles) {

@@ -28,6 +28,8 @@ struct Surface {
   PointAttributes attributes;  ///< per vertex; empty until the surface is textured
 };
 
+double area_of(const Surface& surface, const Triangle& triangle);
+
 /// Unit normals of vertices: the mean of the triangles around, weighted by area. A vertex without area around it gets
 /// {0, 0, 1}.
 void set_vertex_normals(Surface& surface);

@@ -1,0 +1,59 @@
+// How much of what depth images show a mesh has, and how near it lies to what they show.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <span>
+
+#include "scene/stored_frame.h"
+#include "surface/mesh/depth_fusion.h"
+#include "surface/mesh/score/nearest_surface.h"
+
+namespace semfield {
+
+/// A depth image as a view: distances along the rays, in the unit of the scene; where the image has no value nothing is
+/// known. The map has the size of the camera's image.
+DepthView measured_view(const RayCamera& camera, const DepthMap& depth);
+
+/// Distances that a score counts within, metres (or the scene's unit), ascending.
+inline constexpr std::array<double, 3> kScoreDistances{0.02, 0.05, 0.10};
+using ScoreShares = std::array<double, kScoreDistances.size()>;  ///< 0..1, for each of kScoreDistances
+
+struct MeshScore {
+  ScoreShares complete{};                           ///< of the points of all depth images, those so near to the mesh
+  std::optional<ScoreShares> complete_of_held_out;  ///< the same of held-out frames alone; none without any
+  ScoreShares accurate{};                           ///< of the points of the mesh that are judged
+  ScoreShares f{};                                  ///< harmonic mean of `complete` and `accurate`
+  double judged = 0;                                ///< share of the mesh that depth images speak of
+};
+
+/// Depth images of a scene as what meshes are compared with [Knapitsch17]: completeness is their recall,
+/// accuracy their precision. We differ: distances are taken to triangles of the mesh, and what no depth image speaks of
+/// is left out of accuracy, as [Schops17] do with laser scans.
+///
+/// - Points of depth images are thinned to one a cube of kPointCube, so that what many frames show counts once.
+/// - kMeshPoints points of the mesh are drawn evenly by area, addressed by their number. A point is judged where some
+///   depth image has a value at its pixel and the point lies no farther than kScoreDistances.back() behind it. What
+///   lies behind everything that was measured is neither right nor wrong.
+class DepthReference {
+ public:
+  /// Views of measured_view. Memory: about 130 bytes per cube of kPointCube that the images show.
+  DepthReference(std::span<const DepthView> of_training, std::span<const DepthView> held_out);
+
+  /// Points after thinning: of all frames, and of those that are held out.
+  std::size_t points() const { return points_.size(); }
+  std::size_t held_out_points() const { return held_out_.size(); }
+  MeshScore score(const Surface& surface) const;
+
+ private:
+  bool judges(Vec3d point) const;
+
+  std::span<const DepthView> training_views_, held_out_views_;
+  std::vector<Vec3d> points_, held_out_;
+  NearestSurface measured_;  // all points
+};
+inline constexpr double kPointCube = 0.01;
+inline constexpr std::int64_t kMeshPoints = 200'000;
+
+}  // namespace semfield
