@@ -18,6 +18,8 @@
 #include "surface/mesh/field_surface.h"
 #include "surface/mesh/mesh_files.h"
 #include "surface/mesh/point_cloud.h"
+#include "surface/mesh/shape/close_holes.h"
+#include "surface/mesh/shape/simplify.h"
 #include "surface/mesh/upright.h"
 
 namespace semfield::app {
@@ -34,6 +36,8 @@ struct MeshOptions {
   std::optional<double> level;          ///< density of the surface, 1/m
   bool keep_unseen = false;             ///< also faces that no training camera sees
   double keep_components = 0.002;       ///< least fraction of the faces: a chair is one, a floater is not
+  std::optional<double> close_holes;    ///< longest border that is closed, world units
+  std::optional<long long> faces;       ///< most of them
   bool points = false;                  ///< also a point cloud from the training views
   bool score = false;                   ///< also figures against the depth images of the scene
   std::string color;                    ///< photo, class or both; "": both where there are classes
@@ -241,6 +245,15 @@ MeshScores scores_of(const MeshOptions& options, const Surface& surface, const s
   return scores;
 }
 
+void reduce(Surface& surface, std::size_t most, const AppContext& context) {
+  const std::size_t before = surface.triangles.size();
+  simplify(surface, most);
+  const std::size_t left = surface.triangles.size();
+  if (left == before) return;
+  print_note(context, fmt::format("{} of {} faces are left{}", left, before,
+                                  left > most ? ": fewer would tear the surface or turn faces over" : ""));
+}
+
 int run(const MeshOptions& options, AppContext& context) {
   const Targets targets = targets_of(options);
   Diagnostics diagnostics;
@@ -280,12 +293,18 @@ int run(const MeshOptions& options, AppContext& context) {
                 source == "density" ? "lower --level, or --keep-components, or train longer"
                                     : "train longer, or take --surface density");
   }
-  std::optional<MeshScores> scores;
-  if (options.score) scores = scores_of(options, surface, source, s, measured, grid);
+  std::size_t closed = 0;
+  if (options.close_holes) {
+    closed = close_holes(surface, *options.close_holes);
+    print_note(context, fmt::format("{} holes closed", closed));
+  }
   std::vector<Sights> sights = sights_of(surface, cameras, s.limits, grid.spacing);
   lend_sights(surface, sights);
   surface.attributes = render_attributes(*s.pipeline, surface, {cameras, sights}, kOffsetCells * grid.spacing, s.limits,
                                          s.plan.class_of_logit);
+  if (options.faces) reduce(surface, static_cast<std::size_t>(*options.faces), context);
+  std::optional<MeshScores> scores;
+  if (options.score) scores = scores_of(options, surface, source, s, measured, grid);
   PointSet cloud;
   if (options.points) cloud = points_of(s, grid.spacing, context);
   const bool glb = std::find(targets.formats.begin(), targets.formats.end(), "glb") != targets.formats.end();
@@ -318,6 +337,7 @@ int run(const MeshOptions& options, AppContext& context) {
              {"files", files}};
     if (found.level) out["level"] = *found.level;
     if (glb) out["up"] = {up.x, up.y, up.z};
+    if (options.close_holes) out["holes_closed"] = closed;
     if (options.points) out["points"] = cloud.positions.size();
     if (scores) out["score"] = scores_json(*scores);
     print_json(context, out);
@@ -350,6 +370,9 @@ void words(VerbWords& verb, MeshOptions& options) {
               "colours as rendered, or of the class table, in files that end in _classes (default: both)");
   verb.choice("--up AXIS", options.up, {"x", "-x", "y", "-y", "z", "-z"},
               "axis of the world that GLB files show upright (default: as the cameras stand)");
+  verb.positive("--close-holes X", options.close_holes, "close holes whose border is at most this long, in metres");
+  verb.value_in("--faces N", options.faces, 4, 4294967295.0,
+                "at most so many faces: edges are collapsed where form and classes change least");
   verb.flag("--points", options.points, "also write a labelled point cloud from the depth of the training views");
   verb.flag(
       "--score", options.score,

@@ -85,12 +85,12 @@ TempDir* Verbs::dir_ = nullptr;
 
 TEST_F(Verbs, MeshWritesEveryFormatAndSaysSo) {
   const std::string stem = *dir_ / "out/room.v2";
-  const Result r = run(
-      *dir_, {"mesh", run_dir(), "--resolution", "48", "--format", "ply,obj,glb", "--points", "--out", stem, "--json"});
+  const Result r = run(*dir_, {"mesh", run_dir(), "--resolution", "48", "--format", "ply,obj,glb", "--points", "--out",
+                               stem, "--json", "--faces", "3000", "--close-holes", "0.5"});
   ASSERT_EQ(r.code, 0) << r.err;
   const nlohmann::json said = nlohmann::json::parse(r.out);
   EXPECT_GT(said["vertices"], 500);
-  EXPECT_GT(said["faces"], 1000);
+  EXPECT_TRUE(said["faces"] > 1000 && said["faces"] <= 3000 && said["holes_closed"] > 0) << said;
   EXPECT_GE(said["components"], 1);
   EXPECT_GT(said["points"], 100);
   std::vector<std::string> files;

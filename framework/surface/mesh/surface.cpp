@@ -71,8 +71,7 @@ std::int64_t drop_small_components(Surface& surface, double min_share) {
 }
 
 void keep_triangles(Surface& surface, const std::vector<char>& keep) {
-  SEMFIELD_CHECK(keep.size() == surface.triangles.size() && surface.attributes.color.empty(),
-                 "one flag per triangle, before texturing");
+  SEMFIELD_CHECK(keep.size() == surface.triangles.size(), "one flag per triangle");
   constexpr std::uint32_t kUnused = 0xFFFFFFFFU;
   std::vector<std::uint32_t> number(surface.positions.size(), kUnused);
   std::size_t triangles = 0;
@@ -83,14 +82,21 @@ void keep_triangles(Surface& surface, const std::vector<char>& keep) {
   }
   surface.triangles.resize(triangles);
   std::uint32_t vertices = 0;
-  for (std::size_t v = 0; v < number.size(); ++v) {
-    if (number[v] == kUnused) continue;
-    surface.positions[vertices] = surface.positions[v];
-    if (!surface.normals.empty()) surface.normals[vertices] = surface.normals[v];
-    number[v] = vertices++;
+  for (std::uint32_t& v : number) {
+    if (v != kUnused) v = vertices++;
   }
-  surface.positions.resize(vertices);
-  if (!surface.normals.empty()) surface.normals.resize(vertices);
+  const auto compact = [&](auto& of_vertices) {
+    if (of_vertices.empty()) return;
+    for (std::size_t v = 0; v < number.size(); ++v) {
+      if (number[v] != kUnused) of_vertices[number[v]] = of_vertices[v];
+    }
+    of_vertices.resize(vertices);
+  };
+  compact(surface.positions);
+  compact(surface.normals);
+  compact(surface.attributes.color);
+  compact(surface.attributes.label);
+  compact(surface.attributes.entropy);
   for (Triangle& t : surface.triangles) {
     for (std::uint32_t& v : t) v = number[v];
   }

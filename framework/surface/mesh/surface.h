@@ -42,10 +42,10 @@ struct Components {
 Components components_of(const Surface& surface);
 
 /// Drops components with fewer than `min_share` of all triangles, then vertices without a triangle; order is kept.
-/// Returns the number of components that stay. The attributes must be empty still.
+/// Returns the number of components that stay.
 std::int64_t drop_small_components(Surface& surface, double min_share);
 
-/// Keeps triangles whose flag is set, and the vertices that they use.
+/// Keeps triangles whose flag is set, and the vertices that they use with what is known of them.
 void keep_triangles(Surface& surface, const std::vector<char>& keep);
 
 /// The class of a triangle: that of two of its corners, or of the corner with the least entropy.
