@@ -225,6 +225,13 @@ void write_npy(const std::string& path, std::span<const std::int64_t> shape, std
   file.commit();
 }
 
+std::vector<std::int64_t> nearest_pixels(std::int32_t from, std::int32_t to) {
+  std::vector<std::int64_t> out;
+  out.reserve(static_cast<std::size_t>(to));
+  for (std::int64_t i = 0; i < to; ++i) out.push_back((2 * i + 1) * from / (2 * std::int64_t{to}));
+  return out;
+}
+
 Image<std::uint8_t> resize_area(const Image<std::uint8_t>& image, std::int32_t width, std::int32_t height) {
   SEMFIELD_CHECK(width > 0 && height > 0 && width <= image.width_px && height <= image.height_px,
                  "resize_area only shrinks");

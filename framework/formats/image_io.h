@@ -55,7 +55,10 @@ std::vector<std::uint8_t> encode_png_rgb(std::int32_t width, std::int32_t height
 /// NumPy .npy, float32, C order.
 void write_npy(const std::string& path, std::span<const std::int64_t> shape, std::span<const float> values);
 
-/// Area-averaged colour, for downscaling only; nearest for ids and depth.
+/// For each of `to` pixels the nearest of `from`: the one that holds its centre. For ids and depth, whose averages mean
+/// nothing.
+std::vector<std::int64_t> nearest_pixels(std::int32_t from, std::int32_t to);
+/// Area-averaged colour, for downscaling only.
 Image<std::uint8_t> resize_area(const Image<std::uint8_t>& image, std::int32_t width, std::int32_t height);
 
 }  // namespace semfield

@@ -9,6 +9,7 @@
 
 #include "core/text.h"
 #include "formats/image_io.h"
+#include "formats/text_rows.h"
 #include "loading/camera_fit.h"
 #include "loading/load_progress.h"
 #include "scene/scene_checks.h"
@@ -69,25 +70,6 @@ void check_size(const Image<T>& image, const FrameInfo& frame, const std::string
               "colour, depth and labels of a frame need the size that its camera states");
 }
 
-void read_depth(const FrameInfo& frame, const std::string& path, double unit_m, std::vector<float>& out) {
-  const std::string extension = std::filesystem::path(path).extension().string();
-  if (extension == ".exr" || extension == ".tiff" || extension == ".tif" || extension == ".pfm") {
-    Image<float> image = read_float(path);
-    check_size(image, frame, path);
-    for (float& d : image.pixels) {
-      if (!std::isfinite(d) || d < 0) d = 0;
-    }
-    out = std::move(image.pixels);
-    return;
-  }
-  const Image<std::uint16_t> image = read_ids(path);
-  check_size(image, frame, path);
-  out.resize(image.pixels.size());
-  for (std::size_t i = 0; i < out.size(); ++i) {
-    out[i] = image.pixels[i] == 65535 ? 0.0f : static_cast<float>(image.pixels[i] * unit_m);
-  }
-}
-
 void read_labels(const FrameInfo& frame, const std::string& path, bool unknown_void, const ClassTable& classes,
                  std::vector<std::int16_t>& out) {
   const Image<std::uint16_t> image = read_ids(path);
@@ -124,6 +106,64 @@ std::vector<std::string> files_with(const std::string& folder, std::span<const s
       found.push_back(entry.path().string());
   }
   return found;
+}
+
+// ScanNet's own sizes are off each other by half a percent.
+void check_shape(const std::string& path, const FrameInfo& frame, const std::string& labels_key,
+                 Diagnostics& diagnostics) {
+  if (path.empty()) return;
+  const Camera& color = frame.camera;
+  const std::string place = frame_place(frame);
+  try {
+    const ImageSize size = image_size(path);
+    if (!labels_key.empty()) report_color_labels(frame, path, size.channels, labels_key, diagnostics);
+    const double shape = static_cast<double>(size.width_px) * color.height_px / size.height_px / color.width_px;
+    if (std::abs(shape - 1) < 0.02) return;
+    diagnostics.error("scene.image.aspect", place,
+                      "'" + path + "' is " + size_text(size.width_px, size.height_px) + " pixels, the colour image " +
+                          size_text(color.width_px, color.height_px) + ": another aspect ratio",
+                      "export all images of a frame from the same camera");
+  } catch (const Error& e) {
+    diagnostics.error(e.code(), place, e.message(), e.remedy());
+  }
+}
+
+void report_no_labels(const std::string& folder, Diagnostics& diagnostics) {
+  diagnostics.error("labels.frames.missing", folder, "no label image for any frame",
+                    "name them like the images, with .png");
+}
+
+Image<float> read_depth(const std::string& path, double unit_m) {
+  const std::string extension = std::filesystem::path(path).extension().string();
+  Image<float> out;
+  if (extension == ".exr" || extension == ".tiff" || extension == ".tif" || extension == ".pfm") {
+    out = read_float(path);
+    for (float& d : out.pixels) {
+      if (!std::isfinite(d) || d < 0) d = 0;
+    }
+    return out;
+  }
+  const Image<std::uint16_t> image = read_ids(path);
+  out = {image.width_px, image.height_px, 1, std::vector<float>(image.pixels.size())};
+  for (std::size_t i = 0; i < out.pixels.size(); ++i) {
+    out.pixels[i] = image.pixels[i] == 65535 ? 0.0f : static_cast<float>(image.pixels[i] * unit_m);
+  }
+  return out;
+}
+
+std::map<std::int64_t, std::string> numbered_photographs(const std::string& folder, Diagnostics& diagnostics) {
+  std::map<std::int64_t, std::string> out;
+  for (const std::string& path : files_with(folder, kPhotographs)) {
+    std::int64_t number = 0;
+    if (!parse_whole(std::filesystem::path(path).stem().string(), number) || number < 0 || number > 1'000'000'000) {
+      diagnostics.error("scene.frame.name", "'" + path + "'", "the name is not a frame's number",
+                        "name colour images <id>.jpg or <id>.png");
+    } else if (const auto [other, fresh] = out.emplace(number, path); !fresh) {
+      diagnostics.error("scene.frame.twice", "'" + path + "'", "is the same frame as '" + other->second + "'",
+                        "keep one of the two");
+    }
+  }
+  return out;
 }
 
 bool FrameFileCheck::present(const FrameInfo& frame, FrameFiles& files, Diagnostics& diagnostics) {
@@ -223,7 +263,11 @@ void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const Fra
     Image<std::uint8_t> color = read_rgb(files.color, rules.alpha_background);
     check_size(color, frame, files.color);
     out.rgb = std::move(color.pixels);
-    if (!files.depth.empty()) read_depth(frame, files.depth, rules.depth_unit_m, out.depth_m);
+    if (!files.depth.empty()) {
+      Image<float> depth = read_depth(files.depth, rules.depth_unit_m);
+      check_size(depth, frame, files.depth);
+      out.depth_m = std::move(depth.pixels);
+    }
     if (!files.label.empty() && !classes.empty())
       read_labels(frame, files.label, rules.unknown_labels == UnknownLabels::as_void, classes, out.label);
     if (!files.instance.empty()) {

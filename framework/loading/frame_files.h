@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <cstdint>
 #include <map>
 #include <span>
 #include <string>
@@ -11,6 +12,7 @@
 #include <vector>
 
 #include "config/params.h"
+#include "formats/image_io.h"
 #include "scene/scene.h"
 
 namespace semfield {
@@ -25,6 +27,10 @@ inline constexpr std::array<std::string_view, 5> kPhotographs{".jpg", ".jpeg", "
 /// Paths of the files of a folder whose extension, in small letters, is one of these; in the order of their names. None
 /// for a folder that is not there.
 std::vector<std::string> files_with(const std::string& folder, std::span<const std::string_view> extensions);
+
+/// The photographs of a folder by the number that is their name: 12 for "12.jpg" or "0012.png". Names that are none and
+/// numbers that occur twice are reported.
+std::map<std::int64_t, std::string> numbered_photographs(const std::string& folder, Diagnostics& diagnostics);
 
 /// What a label id outside the class table is; the parameter `unknown_labels` of datasets made of image files.
 enum class UnknownLabels { error, as_void };
@@ -89,6 +95,18 @@ class FrameFileCheck {
 /// as in FrameFileCheck.
 void report_color_labels(const FrameInfo& frame, const std::string& path, int channels, const std::string& labels_key,
                          Diagnostics& diagnostics);
+
+/// Of a picture of what the colour camera sees, at any size: reports one of another aspect ratio by over 2 %, and one
+/// that cannot be read. `labels_key` as in FrameFileCheck where it is a label image, which then has one channel; else
+/// "". An empty path is passed over.
+void check_shape(const std::string& path, const FrameInfo& frame, const std::string& labels_key,
+                 Diagnostics& diagnostics);
+/// Reports a folder of label images without any for the scene's frames.
+void report_no_labels(const std::string& folder, Diagnostics& diagnostics);
+
+/// z-depth in metres at the file's own size; 0 where it is not finite, negative, or at the 16-bit ceiling 65535.
+/// `unit_m` is that of FrameReadRules. Throws as the readers of images do.
+Image<float> read_depth(const std::string& path, double unit_m = 0.001);
 
 /// Pixels. Depth 0, not finite, negative, or at the 16-bit ceiling 65535 reads as 0 (invalid). Throws Error naming
 /// frame and file; UnknownLabelError for ids outside `classes`.

@@ -22,24 +22,15 @@ namespace semfield {
 
 namespace {
 
-// Nearest source pixel of target pixel i: the one that holds its centre.
-std::vector<std::size_t> nearest(std::int32_t source, std::int32_t target) {
-  std::vector<std::size_t> out(static_cast<std::size_t>(target));
-  for (std::int64_t i = 0; i < target; ++i) {
-    out[static_cast<std::size_t>(i)] = static_cast<std::size_t>((2 * i + 1) * source / (2 * std::int64_t{target}));
-  }
-  return out;
-}
-
 template <class T>
-std::vector<T> pick(const std::vector<T>& in, std::int32_t width, const std::vector<std::size_t>& cols,
-                    const std::vector<std::size_t>& rows) {
+std::vector<T> pick(const std::vector<T>& in, std::int32_t width, const std::vector<std::int64_t>& cols,
+                    const std::vector<std::int64_t>& rows) {
   if (in.empty()) return {};
   std::vector<T> out;
   out.reserve(cols.size() * rows.size());
-  for (const std::size_t y : rows) {
-    const T* row = in.data() + y * static_cast<std::size_t>(width);
-    for (const std::size_t x : cols) out.push_back(row[x]);
+  for (const std::int64_t y : rows) {
+    const T* row = in.data() + y * width;
+    for (const std::int64_t x : cols) out.push_back(row[x]);
   }
   return out;
 }
@@ -232,7 +223,7 @@ FrameBuffer resize_frame(const FrameBuffer& frame, std::int32_t width, std::int3
   out.width_px = width;
   out.height_px = height;
   out.rgb = resize_area({frame.width_px, frame.height_px, 3, frame.rgb}, width, height).pixels;
-  const std::vector<std::size_t> cols = nearest(frame.width_px, width), rows = nearest(frame.height_px, height);
+  const auto cols = nearest_pixels(frame.width_px, width), rows = nearest_pixels(frame.height_px, height);
   out.depth_m = pick(frame.depth_m, frame.width_px, cols, rows);
   out.label = pick(frame.label, frame.width_px, cols, rows);
   out.instance = pick(frame.instance, frame.width_px, cols, rows);

@@ -1,6 +1,7 @@
 // The datasets on real scenes, where they are at hand.
 #include "datasets/colmap/colmap.h"
 #include "datasets/llff/llff.h"
+#include "datasets/record3d/record3d.h"
 #include "datasets/replica/replica.h"
 #include "datasets/transforms_json/transforms_json.h"
 #include "loading/frame_source.h"
@@ -105,6 +106,20 @@ TEST(RealData, LlffAndTransformsOfOneSceneAgree) {
       EXPECT_LT(length(a.world_from_camera.axis(axis) - b.world_from_camera.axis(axis)), 1e-5) << a.name;
     EXPECT_LT(length(a.world_from_camera.t - b.world_from_camera.t), 1e-5) << a.name;
   }
+}
+
+TEST(RealData, Record3dDoor) {
+  if (!std::filesystem::exists(data("record3d_door")))
+    GTEST_SKIP() << "the optional recording of a phone is not at hand";
+  Record3d phone({.root = data("record3d_door")}, {});
+  Diagnostics d;
+  const LoadedScene s = load_scene(phone, {.width_px = 240}, d);
+  for (const Diagnostic& x : d.all()) EXPECT_EQ(x.severity, Severity::note) << x.text();
+  ASSERT_EQ(s.info.frames.size(), 86u);
+  EXPECT_EQ(s.frames_of(Split::test).size(), 11u);
+  EXPECT_EQ(s.info.frames[1].name, "4");
+  EXPECT_EQ(s.info.frames.back().name, "344");  // the last of 345 poses, of 341 frames that were exported
+  EXPECT_HAS(s.geometry, "poses agree with depth");
 }
 
 TEST(RealData, ShelfBinWithDepthAndLabels) {

@@ -112,6 +112,12 @@ void fuzz_llff(std::string_view bytes) {
   open_dataset("llff", "root: llff");
 }
 
+void fuzz_record3d(std::string_view bytes) {
+  put("record3d/metadata.json", bytes);
+  for (const char* name : {"0", "2"}) put_image("record3d/rgb/" + std::string(name) + ".png");
+  open_dataset("record3d", "root: record3d");
+}
+
 // Parts: traj_w_c.txt, info_semantic.json.
 void fuzz_replica(std::string_view bytes) {
   const auto parts = parts_of(bytes, 2);

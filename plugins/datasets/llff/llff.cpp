@@ -134,10 +134,8 @@ SceneInfo Llff::open(Diagnostics& diagnostics) {
   sizes.report(root_, diagnostics);
   check.report(root_, info_.frames.size(), diagnostics);
   if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, info_.frames.size(), path, diagnostics);
-  if (!params_.label_dir.empty() && !has_labels && !info_.frames.empty()) {
-    diagnostics.error("labels.frames.missing", (fs::path(root_) / params_.label_dir).string(),
-                      "no label image for any frame", "name them like the images, with .png");
-  }
+  if (!params_.label_dir.empty() && !has_labels && !info_.frames.empty())
+    report_no_labels((fs::path(root_) / params_.label_dir).string(), diagnostics);
   info_.classes = load_class_file(class_file_, {root_}, has_labels, diagnostics);
   return info_;
 }

@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
-#include <map>
 #include <optional>
 
 #include "core/text.h"
@@ -16,7 +15,6 @@
 #include "scene/scene_checks.h"
 #include "scene/unknown_labels.h"
 #include "system/files.h"
-#include "system/sorted_folder.h"
 
 namespace semfield {
 
@@ -90,33 +88,6 @@ std::optional<std::vector<double>> read_matrix(const std::string& path, const st
   return numbers;
 }
 
-// A picture of what the colour camera sees, at any size; ScanNet's own sizes are off each other by half a percent.
-void check_shape(const std::string& path, const FrameInfo& frame, bool is_label, Diagnostics& diagnostics) {
-  if (path.empty()) return;
-  const Camera& color = frame.camera;
-  const std::string place = frame_place(frame);
-  try {
-    const ImageSize size = image_size(path);
-    if (is_label) report_color_labels(frame, path, size.channels, "label_dir", diagnostics);
-    const double shape = static_cast<double>(size.width_px) * color.height_px / size.height_px / color.width_px;
-    if (std::abs(shape - 1) < 0.02) return;
-    diagnostics.error("scene.image.aspect", place,
-                      "'" + path + "' is " + std::to_string(size.width_px) + " x " + std::to_string(size.height_px) +
-                          " pixels, the colour image " + std::to_string(color.width_px) + " x " +
-                          std::to_string(color.height_px) + ": another aspect ratio",
-                      "export labels and colour of the same camera");
-  } catch (const Error& e) {
-    diagnostics.error(e.code(), place, e.message(), e.remedy());
-  }
-}
-
-// The nearest of `from` pixels for each of `to`: the one that holds its centre.
-std::vector<std::int64_t> by_ratio(std::int32_t from, std::int32_t to) {
-  std::vector<std::int64_t> out;
-  for (std::int64_t i = 0; i < to; ++i) out.push_back((2 * i + 1) * from / (2 * std::int64_t{to}));
-  return out;
-}
-
 // The pixel of a second camera, of focal length f2 and centre c2, that sees the centre of each of `to` pixels of a
 // first one (f1, c1); -1 outside its `from` pixels.
 std::vector<std::int64_t> by_ray(double f2, double c2, std::int32_t from, double f1, double c1, std::int32_t to) {
@@ -129,8 +100,8 @@ std::vector<std::int64_t> by_ray(double f2, double c2, std::int32_t from, double
 }
 
 // out[row, col] = value(image pixel), or `outside`.
-template <class T, class Value>
-std::vector<T> resample(const Image<std::uint16_t>& image, const std::vector<std::int64_t>& rows,
+template <class T, class Pixel, class Value>
+std::vector<T> resample(const Image<Pixel>& image, const std::vector<std::int64_t>& rows,
                         const std::vector<std::int64_t>& cols, T outside, Value value) {
   std::vector<T> out;
   out.reserve(rows.size() * cols.size());
@@ -154,23 +125,9 @@ std::vector<Scannet::View> Scannet::list_views(FrameFileCheck& check, Diagnostic
                   "check scene.root; it names the folder of one exported scene");
     }
   }
-  std::map<std::int64_t, std::string> images;
-  for (const fs::directory_entry& entry : sorted_folder((root / "color").string())) {
-    const std::string extension = entry.path().extension().string();
-    std::int64_t number = 0;
-    if (extension != ".jpg" && extension != ".jpeg" && extension != ".png") continue;
-    const std::string path = entry.path().string();
-    if (!parse_whole(entry.path().stem().string(), number) || number < 0 || number > 1'000'000'000) {
-      diagnostics.error("scene.frame.name", "'" + path + "'", "the name is not a frame's number",
-                        "name colour images <id>.jpg or <id>.png");
-    } else if (const auto [other, fresh] = images.emplace(number, path); !fresh) {
-      diagnostics.error("scene.frame.twice", "'" + path + "'", "is the same frame as '" + other->second + "'",
-                        "keep one of the two");
-    }
-  }
   std::vector<View> out;
   std::vector<std::string> skipped;
-  for (const auto& [number, path] : images) {
+  for (const auto& [number, path] : numbered_photographs((root / "color").string(), diagnostics)) {
     const std::string stem = fs::path(path).stem().string(), pose = (root / "pose" / (stem + ".txt")).string();
     FrameInfo frame;
     frame.name = stem;
@@ -307,8 +264,8 @@ void Scannet::add_frame(const View& view, std::size_t rank, std::size_t views, F
   FrameInfo other = frame;
   other.camera = depth_;
   check.check_headers(other, {"", files.depth, "", ""}, diagnostics);
-  check_shape(files.label, frame, true, diagnostics);
-  check_shape(files.instance, frame, false, diagnostics);
+  check_shape(files.label, frame, "label_dir", diagnostics);
+  check_shape(files.instance, frame, "", diagnostics);
   info_.frames.push_back(frame);
   files_.push_back(files);
 }
@@ -362,11 +319,10 @@ void Scannet::read(int frame, FrameBuffer& out) const {
   read_frame_files(info, {files.color, "", "", ""}, FrameReadRules{}, info_.classes, out);
   try {
     if (!files.depth.empty()) {
-      const Image<std::uint16_t> image = read_ids(files.depth);
-      out.depth_m = resample(
-          image, by_ray(depth_.fy, depth_.cy, image.height_px, c.fy, c.cy, c.height_px),
-          by_ray(depth_.fx, depth_.cx, image.width_px, c.fx, c.cx, c.width_px), 0.0f,
-          [&](std::size_t p) { return image.pixels[p] == 65535 ? 0.0f : static_cast<float>(image.pixels[p] * 0.001); });
+      const Image<float> image = read_depth(files.depth);
+      out.depth_m = resample(image, by_ray(depth_.fy, depth_.cy, image.height_px, c.fy, c.cy, c.height_px),
+                             by_ray(depth_.fx, depth_.cx, image.width_px, c.fx, c.cx, c.width_px), 0.0f,
+                             [&](std::size_t p) { return image.pixels[p]; });
     }
     if (!files.label.empty()) {
       const Image<std::uint16_t> image = read_ids(files.label);
@@ -377,15 +333,16 @@ void Scannet::read(int frame, FrameBuffer& out) const {
         if (params_.unknown_labels == UnknownLabels::error) unknown.try_emplace(std::to_string(image.pixels[p]), p);
         return kVoid;
       };
-      out.label =
-          resample(image, by_ratio(image.height_px, c.height_px), by_ratio(image.width_px, c.width_px), kVoid, index);
+      out.label = resample(image, nearest_pixels(image.height_px, c.height_px),
+                           nearest_pixels(image.width_px, c.width_px), kVoid, index);
       if (!unknown.empty())
         throw UnknownLabelError("raw id", std::move(unknown), files.label, image.width_px, kUnknownLabelRemedy);
     }
     if (!files.instance.empty()) {
       const Image<std::uint16_t> image = read_ids(files.instance);
-      out.instance = resample(image, by_ratio(image.height_px, c.height_px), by_ratio(image.width_px, c.width_px),
-                              std::int32_t{0}, [&](std::size_t p) { return std::int32_t{image.pixels[p]}; });
+      out.instance =
+          resample(image, nearest_pixels(image.height_px, c.height_px), nearest_pixels(image.width_px, c.width_px),
+                   std::int32_t{0}, [&](std::size_t p) { return std::int32_t{image.pixels[p]}; });
     }
   } catch (Error& e) {
     e.while_doing("frame '" + info.name + "'");
