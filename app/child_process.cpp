@@ -9,8 +9,10 @@
 
 #include <array>
 #include <cerrno>
+#include <chrono>
 #include <csignal>
 #include <filesystem>
+#include <thread>
 
 #include "app/signals.h"
 #include "execution/ranks/launcher.h"
@@ -24,7 +26,7 @@ namespace {
 class OutputFile {
  public:
   explicit OutputFile(const std::string& path)
-      : descriptor_(open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC | O_NOFOLLOW, 0644)) {
+      : descriptor_(open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_APPEND | O_CLOEXEC | O_NOFOLLOW, 0644)) {
     if (descriptor_ < 0) throw write_error("open", path, errno);
   }
   OutputFile(const OutputFile&) = delete;
@@ -64,6 +66,14 @@ pid_t spawn(const std::vector<std::string>& words, int out, int log, const std::
   return pid;
 }
 
+// Waits for it: its exit code, or 128 and the signal that ended it.
+int code_of_ended(pid_t pid) {
+  int status = 0;
+  while (waitpid(pid, &status, 0) < 0 && errno == EINTR) {
+  }
+  return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+}
+
 }  // namespace
 
 std::string own_program() { return std::filesystem::read_symlink("/proc/self/exe").string(); }
@@ -101,11 +111,29 @@ ChildEnd run_child(const std::vector<std::string>& words) {
     open = got > 0 || (got < 0 && errno == EINTR);
   }
   close(ends[0]);
-  int status = 0;
-  while (waitpid(pid, &status, 0) < 0 && errno == EINTR) {
-  }
-  end.code = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+  end.code = code_of_ended(pid);
   return end;
+}
+
+int run_logged_child(const std::vector<std::string>& words, const std::string& log, const std::function<void()>& tick) {
+  const pid_t pid = start_child(words, {log, log});
+  constexpr int kLooksPerTick = 25;
+  bool told = false;
+  for (int look = 1;; ++look) {
+    siginfo_t ended{};
+    if (waitid(P_PID, static_cast<id_t>(pid), &ended, WEXITED | WNOHANG | WNOWAIT) == 0 && ended.si_pid == pid)
+      return code_of_ended(pid);
+    if (stop_signal() != 0 && !told) told = kill(pid, stop_signal()) == 0;
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    if (look % kLooksPerTick != 0) continue;
+    try {
+      tick();
+    } catch (...) {
+      kill(pid, SIGTERM);
+      code_of_ended(pid);
+      throw;
+    }
+  }
 }
 
 std::string child_failure(int status, const std::string& log_file) {

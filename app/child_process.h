@@ -13,7 +13,7 @@ namespace semfield::app {
 std::string own_program();
 
 struct ChildFiles {
-  std::string out, log;  ///< for stdout and stderr; replaced
+  std::string out, log;  ///< for stdout and stderr, which may be one; replaced
 };
 
 /// Starts `words`, the first of which is the program's file, in a process group of its own, so that Ctrl-C does not
@@ -32,6 +32,11 @@ struct ChildEnd {
 /// comes back. A stop signal that came here (app/signals.h, installed by the caller) is sent on to it once. Throws
 /// Error(unavailable) where no process can be had.
 ChildEnd run_child(const std::vector<std::string>& words);
+
+/// Starts `words` as start_child does, with stdout and stderr in `log`, and waits for the end; `tick` is called about
+/// twice a second, and what it throws ends the child first. A stop signal that came here is sent on to it once. Returns
+/// the code as ChildEnd has it.
+int run_logged_child(const std::vector<std::string>& words, const std::string& log, const std::function<void()>& tick);
 
 /// How a child that ended with this status failed: code or signal, the last line of its log, and where the rest is.
 std::string child_failure(int status, const std::string& log_file);

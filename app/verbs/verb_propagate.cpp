@@ -9,6 +9,7 @@
 #include "app/scene/label_folder.h"
 #include "app/verb.h"
 #include "core/findings.h"
+#include "run/open_run.h"
 #include "surface/fuse/propagation.h"
 
 namespace semfield::app {

@@ -37,6 +37,14 @@ ImageSize size(const std::string& path) {
           spec.get_int_attribute("Orientation", 1)};
 }
 
+CameraTag camera(const std::string& path) {
+  const auto input = open_input(path);
+  const OIIO::ImageSpec& spec = input->spec();
+  const std::string make(spec.get_string_attribute("Make")), model(spec.get_string_attribute("Model"));
+  return {make.empty() || model.empty() ? make + model : make + " " + model,
+          static_cast<double>(spec.get_float_attribute("Exif:FocalLength"))};
+}
+
 template <class T>
 Image<T> read(const std::string& path, OIIO::TypeDesc type) {
   auto input = open_input(path);
@@ -55,7 +63,7 @@ Image<T> read(const std::string& path, OIIO::TypeDesc type) {
 }
 
 constexpr ImageFormats kFormats{
-    size, [](const std::string& path) { return read<std::uint8_t>(path, OIIO::TypeDesc::UINT8); },
+    size, camera, [](const std::string& path) { return read<std::uint8_t>(path, OIIO::TypeDesc::UINT8); },
     [](const std::string& path) { return read<std::uint16_t>(path, OIIO::TypeDesc::UINT16); },
     [](const std::string& path) { return read<float>(path, OIIO::TypeDesc::FLOAT); }};
 

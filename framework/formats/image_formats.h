@@ -12,6 +12,7 @@ namespace semfield {
 /// What that library offers; every call throws Error(data) without the path for a file that cannot be read.
 struct ImageFormats {
   ImageSize (*size)(const std::string& path);
+  CameraTag (*camera)(const std::string& path);
   Image<std::uint8_t> (*read8)(const std::string& path);
   Image<std::uint16_t> (*read16)(const std::string& path);
   Image<float> (*read_float)(const std::string& path);

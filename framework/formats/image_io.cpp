@@ -112,6 +112,13 @@ ImageSize image_size(const std::string& path) {
   });
 }
 
+CameraTag camera_tag(const std::string& path) {
+  return naming(path, [&]() -> CameraTag {
+    const std::string head = read_file_start(path, 64);
+    return looks_like_png(bytes_of(head)) ? CameraTag{} : image_formats().camera(path);
+  });
+}
+
 Image<std::uint8_t> read_rgb(const std::string& path, int alpha_background) {
   return naming(path, [&]() -> Image<std::uint8_t> {
     const std::string file = read_text_file(path, kMaxImageFileBytes);

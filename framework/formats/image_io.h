@@ -30,9 +30,17 @@ inline std::string size_text(std::int32_t width_px, std::int32_t height_px) {
   return std::to_string(width_px) + " x " + std::to_string(height_px);
 }
 
+/// What a photograph's EXIF tells of the camera.
+struct CameraTag {
+  std::string model;    ///< "Apple iPhone 12"; empty where it is not told
+  double focal_mm = 0;  ///< of the lens as it was set; 0 where it is not told
+};
+
 bool images_available();
 /// Header only. Refuses what is over input_limits() before allocating. Errors name the path and the cause.
 ImageSize image_size(const std::string& path);
+/// Nothing of a PNG. Throws as image_size.
+CameraTag camera_tag(const std::string& path);
 /// 8-bit colour, always 3 channels (grey replicated, alpha over `white`/dropped as `alpha_background` says: -1 drop,
 /// else 0..255).
 Image<std::uint8_t> read_rgb(const std::string& path, int alpha_background = -1);

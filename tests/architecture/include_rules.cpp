@@ -20,11 +20,10 @@ bool ends_with(const std::string& text, const std::string& end) {
 }
 
 const Folders kFrameworkFolders{
-    "core",    "system",       "compute",        "config",       "formats",      "scene/classes",
-    "scene",   "scene/survey", "loading",        "plugin",       "labels",       "losses",
-    "model",   "execution",    "model/optim",    "cuda",         "eval",         "session/settings",
-    "session", "run",          "report",         "surface/fuse", "surface/mesh", "report/sweep",
-    "serve",   "testkit",      "execution/ranks"};
+    "core",         "system",       "compute",      "config",           "formats", "scene/classes", "scene",
+    "scene/survey", "loading",      "plugin",       "labels",           "losses",  "model",         "execution",
+    "model/optim",  "cuda",         "eval",         "session/settings", "session", "run",           "report",
+    "capture",      "surface/fuse", "surface/mesh", "report/sweep",     "serve",   "testkit",       "execution/ranks"};
 
 // A folder and those that it may include. Folders inside a folder stand on its floor, but for those that are named.
 const std::map<std::string, Folders>& floors() {
@@ -51,6 +50,7 @@ const std::map<std::string, Folders>& floors() {
       {"scene", scene},
       {"scene/survey", with(scene, {"scene/survey"})},
       {"loading", loading},
+      {"capture", with(loading, {"capture"})},
       {"plugin", with(scene, {"plugin"})},
       {"labels", with(loading, {"plugin", "labels"})},
       {"losses", with(scene, {"plugin", "losses"})},

@@ -236,8 +236,9 @@ const std::vector<std::pair<std::string, Case>>& cases() {
   return all;
 }
 
-// These measure for long, or need a device, the shipped room or a module; serve is tried below.
-const std::set<std::string> kElsewhere{"bench gpu", "bench step", "serve", "demo", "plugins check"};
+// These measure for long, or need a device, the shipped room, a module or COLMAP; serve is tried below, prepare by
+// tests/capture.
+const std::set<std::string> kElsewhere{"bench gpu", "bench step", "serve", "demo", "plugins check", "prepare"};
 
 class JsonOutput : public ::testing::Test {
  protected:

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "config/params.h"
-#include "datasets/colmap/colmap_model.h"
+#include "loading/colmap_model.h"
 #include "loading/frame_files.h"
 #include "plugin/dataset.h"
 

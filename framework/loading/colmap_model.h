@@ -1,4 +1,4 @@
-// A COLMAP sparse model as plain structs, from text or binary files; the only place of this plugin that knows them.
+// A COLMAP sparse model as plain structs, from text or binary files; the only place that knows them.
 #pragma once
 
 #include <cstdint>
@@ -24,12 +24,16 @@ struct ColmapModel {
   std::unordered_map<std::int64_t, Camera> cameras;  ///< by id; pixel centres are at +0.5 as written
   std::vector<ColmapImage> images;                   ///< by name
   std::unordered_map<std::int64_t, Vec3d> points;    ///< by id; empty without a points3D file
+  double error_px = 0;                               ///< mean over the points of the reprojection error that it states
 };
 
 /// Reads cameras, images and points3D of `folder`, .bin where there are any, else .txt. Problems of single cameras and
 /// images (a lens that is not supported, an id given twice) go into `diagnostics`; throws Error for a file that is
 /// missing or damaged, naming file and offset or line.
 ColmapModel read_colmap_model(const std::string& folder, Diagnostics& diagnostics);
+
+/// cameras.bin of these cameras as COLMAP's OPENCV, the richest lens that is read. k3 and k4 must be 0.
+std::string colmap_cameras_file(const std::unordered_map<std::int64_t, Camera>& cameras);
 
 /// What the readers of both kinds of file build from.
 class ColmapBuilder {
@@ -40,8 +44,8 @@ class ColmapBuilder {
                   const std::vector<double>& params, const std::string& place);
   /// `pose` holds the quaternion (w, x, y, z) and the translation of the world-to-camera transform.
   void add_image(ColmapImage image, const double pose[7]);
-  /// False when the position is not finite.
-  bool add_point(std::int64_t id, Vec3d position);
+  /// `error_px` as the file states it. False when the position is not finite.
+  bool add_point(std::int64_t id, Vec3d position, double error_px);
 
  private:
   ColmapModel& model_;

@@ -1,5 +1,5 @@
 // COLMAP models: lenses, poses, and the text files.
-#include "datasets/colmap/colmap_model.h"
+#include "loading/colmap_model.h"
 
 #include <algorithm>
 #include <cmath>
@@ -140,7 +140,7 @@ void read_points_text(const std::string& path, ColmapBuilder& out) {
     const std::vector<std::string_view> words = words_of(line);
     if (words.size() < 8) file.fail("expected 'id x y z r g b error track'", TextFile::kAgain);
     const std::int64_t id = file.integer(words[0]);
-    if (!out.add_point(id, {file.real(words[1]), file.real(words[2]), file.real(words[3])}))
+    if (!out.add_point(id, {file.real(words[1]), file.real(words[2]), file.real(words[3])}, file.real(words[7])))
       file.fail("the position of point " + std::to_string(id) + " is not finite", TextFile::kAgain);
   }
 }
@@ -194,9 +194,10 @@ void ColmapBuilder::add_image(ColmapImage image, const double pose[7]) {
   model_.images.push_back(std::move(image));
 }
 
-bool ColmapBuilder::add_point(std::int64_t id, Vec3d position) {
+bool ColmapBuilder::add_point(std::int64_t id, Vec3d position, double error_px) {
   if (!std::isfinite(position.x) || !std::isfinite(position.y) || !std::isfinite(position.z)) return false;
   model_.points[id] = position;
+  model_.error_px += (error_px - model_.error_px) / static_cast<double>(model_.points.size());
   return true;
 }
 

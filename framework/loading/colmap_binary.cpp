@@ -2,9 +2,10 @@
 #include <array>
 #include <cstring>
 #include <filesystem>
+#include <map>
 
-#include "datasets/colmap/colmap_model.h"
 #include "formats/input_limits.h"
+#include "loading/colmap_model.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -138,15 +139,31 @@ void read_points(BinaryFile file, ColmapBuilder& out) {
     const auto id = file.take<std::int64_t>(record);
     Vec3d position;
     for (int a = 0; a < 3; ++a) position[a] = file.take<double>(record);
-    file.skip(3 + sizeof(double), record);  // colour and error
+    file.skip(3, record);  // colour
+    const auto error_px = file.take<double>(record);
     const std::uint64_t track = file.count("views of " + record, 8);
     file.skip(track * 8, record);
-    if (!out.add_point(id, position)) file.fail("holds a position that is not finite in " + record, start);
+    if (!out.add_point(id, position, error_px)) file.fail("holds a position that is not finite in " + record, start);
   }
   file.finish();
 }
 
 }  // namespace
+
+std::string colmap_cameras_file(const std::unordered_map<std::int64_t, Camera>& cameras) {
+  constexpr std::int32_t kOpencv = 4;
+  std::string out;
+  const auto put = [&](auto value) { out.append(reinterpret_cast<const char*>(&value), sizeof value); };
+  put(static_cast<std::uint64_t>(cameras.size()));
+  for (const auto& [id, c] : std::map<std::int64_t, Camera>(cameras.begin(), cameras.end())) {
+    put(static_cast<std::uint32_t>(id));
+    put(kOpencv);
+    put(static_cast<std::uint64_t>(c.width_px));
+    put(static_cast<std::uint64_t>(c.height_px));
+    for (const double value : {c.fx, c.fy, c.cx, c.cy, c.k1, c.k2, c.p1, c.p2}) put(value);
+  }
+  return out;
+}
 
 void read_colmap_binary(const std::string& folder, ColmapBuilder& out) {
   const auto path_of = [&](const char* name) { return (fs::path(folder) / name).string(); };

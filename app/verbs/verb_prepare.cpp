@@ -1,0 +1,122 @@
+// prepare: a scene out of a video or of photographs.
+#include <fmt/format.h>
+
+#include <cstdio>
+#include <optional>
+
+#include "app/child_process.h"
+#include "app/json_output.h"
+#include "app/program_in_path.h"
+#include "app/progress_line.h"
+#include "app/scene/configured_scene.h"
+#include "app/scene/folder_scene.h"
+#include "app/signals.h"
+#include "app/verb.h"
+#include "capture/prepare.h"
+#include "core/findings.h"
+#include "core/text.h"
+
+namespace semfield::app {
+
+namespace {
+
+struct PrepareVerbOptions {
+  std::string source, out;
+  long long frames = 0;
+  int threads = 0;
+};
+
+struct Stopped {};
+
+// Programs and steps end at the first stop signal; the folder's steps remember what is done.
+PrepareReport prepare(const PrepareVerbOptions& options, AppContext& context) {
+  const auto stop_if_asked = [] {
+    if (stop_signal() != 0) throw Stopped{};
+  };
+  const Programs programs{program_in_path, [&](const std::vector<std::string>& words, const std::string& log,
+                                               const std::function<void()>& tick) {
+                            const int code = run_logged_child(words, log, tick);
+                            stop_if_asked();
+                            return code;
+                          }};
+  std::optional<ProgressLine> line;
+  std::string shown;
+  const CaptureProgress progress = [&](const CaptureStep& step, double done, double total) {
+    stop_if_asked();
+    if (shown != step.doing) line.emplace(context, step.doing, step.unit);
+    shown = step.doing;
+    line->show(done, total);
+  };
+  return prepare_scene({options.source, options.out, static_cast<std::size_t>(options.frames), options.threads},
+                       programs, progress);
+}
+
+// What `inspect` would say of the scene that was written.
+std::string inspected(const FolderScene& scene, AppContext& context, Diagnostics& diagnostics) {
+  OpenedDataset opened = dataset_of(config_of(scene, kUsualPreset), {}, context);
+  return load_for_labels(opened, diagnostics).geometry;
+}
+
+void print_report(const PrepareReport& report, const std::string& geometry, const FolderScene& scene) {
+  if (!report.cut.empty()) std::printf("video       %s\n", report.cut.c_str());
+  std::printf("photographs %zu of %d x %d pixels\n", report.photographs, report.width_px, report.height_px);
+  std::printf("registered  %zu of %zu (%.0f %%), reprojection error %.2f pixels, %zu points, %d %s\n",
+              report.registered, report.photographs,
+              100.0 * static_cast<double>(report.registered) / static_cast<double>(report.photographs), report.error_px,
+              report.points, report.attempts, report.attempts == 1 ? "attempt" : "attempts");
+  for (const Missing& one : report.missing) std::printf("missing     %s\n", one.text.c_str());
+  if (!geometry.empty()) std::printf("geometry    %s\n", geometry.c_str());
+  const std::string folder = shell_word(scene.path);
+  const std::string config = shell_word("configs/" + scene.name + ".yaml");
+  std::printf("next        semfield init %s   # writes %s\n", folder.c_str(), config.c_str());
+  std::printf("            semfield serve %s   # label by clicks while it trains\n", config.c_str());
+  std::printf("            semfield train %s --time 5m\n", config.c_str());
+}
+
+int run(const PrepareVerbOptions& options, AppContext& context) {
+  install_stop_signals();
+  PrepareReport report;
+  try {
+    report = prepare(options, context);
+  } catch (const Stopped&) {
+    print_note(context, "stopped; the same command goes on");
+    return 128 + stop_signal();
+  }
+  Diagnostics found;
+  const FolderScene scene = find_scene(options.out, "", context);
+  const std::string geometry = inspected(scene, context, found);
+  for (const Diagnostics* part : {&report.findings, &found}) {
+    for (const Diagnostic& finding : folded(*part)) print_note(context, finding.shown());
+  }
+  if (context.json) {
+    std::vector<std::string> missing;
+    for (const Missing& one : report.missing) missing.push_back(one.text);
+    print_json(context, {{"photographs", report.photographs},
+                         {"registered", report.registered},
+                         {"error_px", report.error_px},
+                         {"points", report.points},
+                         {"attempts", report.attempts},
+                         {"missing", missing},
+                         {"folder", options.out}});
+  } else {
+    print_report(report, geometry, scene);
+  }
+  return found.has_errors() ? static_cast<int>(ErrorKind::data) : 0;
+}
+
+void words(VerbWords& verb, PrepareVerbOptions& options) {
+  verb.operand("source", options.source, "video, or folder of photographs; folders in it are one camera each");
+  verb.required("--out FOLDER", options.out, "scene to write; a run that was ended goes on there");
+  verb.value_in("--frames N", options.frames, 0, 10000,
+                "frames to keep of a video at most; 0: three a second, 30 to 300");
+  verb.value_in("--threads N", options.threads, 0, 4096, "threads of COLMAP; 0: every core");
+}
+
+}  // namespace
+
+Verb verb_prepare() {
+  return with_json(make_verb<PrepareVerbOptions>(
+      "prepare", 7, "make a scene of a video or of photographs: finds their camera poses with COLMAP", words, run));
+}
+
+}  // namespace semfield::app

@@ -1,0 +1,66 @@
+// COLMAP's programs, one call a step: what words they get, and how far their logs say they are.
+#pragma once
+
+#include <cstddef>
+#include <functional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "capture/programs.h"
+
+namespace semfield {
+
+/// How features are found and what is asked of them; a ladder of them stands in reconstruct.cpp.
+struct FeatureSettings {
+  std::string name;     ///< of its folder and logs
+  std::string lens;     ///< COLMAP's name of the camera model that is fitted
+  int size_px = 0;      ///< of the longer side at which features are sought
+  int features = 0;     ///< of an image, at most
+  double contrast = 0;  ///< least, of a feature [Lowe04]
+};
+
+using Pair = std::pair<std::size_t, std::size_t>;
+/// Every pair of `count` images, neighbours first: pairs that share features come early.
+std::vector<Pair> all_pairs(std::size_t count);
+/// Each image with the ten behind it, and with those 16, 32, ... behind; and every pair of some 50 spread evenly, which
+/// closes loops without a vocabulary.
+std::vector<Pair> pairs_in_order(std::size_t count);
+
+class ColmapSteps {
+ public:
+  /// `work` is the folder of all that COLMAP writes, `logs` that of its logs. All three outlive this.
+  ColmapSteps(const Programs& programs, const CaptureProgress& progress, std::string images, std::string work,
+              std::string logs, int threads)
+      : programs_(programs),
+        progress_(progress),
+        images_(std::move(images)),
+        work_(std::move(work)),
+        logs_(std::move(logs)),
+        threads_(threads) {}
+
+  /// Goes on where an earlier call was ended: images whose features are in the database are passed over.
+  void extract(const FeatureSettings& settings, bool camera_per_folder, std::size_t images) const;
+  /// A part of the pairs; those that are in the database are passed over.
+  void match(const FeatureSettings& settings, const std::vector<std::string>& names,
+             const std::vector<Pair>& pairs) const;
+  /// Folders of the models that were found, in the order of their names; none where no two images begin one. `relaxed`
+  /// asks less of each image that joins.
+  std::vector<std::string> map(const FeatureSettings& settings, bool relaxed, std::size_t images) const;
+  /// All poses, points and lenses of the model `from` at once, as OPENCV lenses, into `to`.
+  void refine(const std::string& from, const std::string& to) const;
+
+ private:
+  std::string database(const FeatureSettings& settings) const;
+  std::string log(const std::string& name) const;
+  const Programs& programs_;
+  const CaptureProgress& progress_;
+  std::string images_, work_, logs_;
+  int threads_;
+};
+
+/// The largest number that follows `before` in a log, up to the next character that is none: how far a program is. 0
+/// where there is none.
+double last_number_after(const std::string& text, const std::string& before);
+
+}  // namespace semfield

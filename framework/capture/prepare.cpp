@@ -1,0 +1,213 @@
+#include "capture/prepare.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <cstdio>
+#include <filesystem>
+#include <set>
+
+#include "capture/colmap_steps.h"
+#include "capture/prepare_state.h"
+#include "capture/sharpness.h"
+#include "capture/video.h"
+#include "compute/parallel.h"
+#include "core/text.h"
+#include "formats/image_io.h"
+#include "system/files.h"
+#include "system/folder_lock.h"
+#include "system/sha256.h"
+
+namespace semfield {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+struct Folders {
+  explicit Folders(const fs::path& scene)
+      : images(scene / "images"),
+        prepare(scene / "prepare"),
+        logs(prepare / "log"),
+        work(prepare / "work"),
+        model(scene / "sparse" / "0") {}
+  fs::path images, prepare, logs, work, model;
+};
+
+// A sum of all that the steps depend on.
+std::string identity_of(const CaptureSource& source, const PrepareOptions& options) {
+  std::string out = source.path + "\nframes " + std::to_string(options.frames) + "\n";
+  const auto add = [&](const std::string& name, const std::string& path) {
+    std::error_code unknown;
+    out += name + " " + std::to_string(fs::file_size(path, unknown)) + " " +
+           std::to_string(fs::last_write_time(path, unknown).time_since_epoch().count()) + "\n";
+  };
+  if (source.video) add("video", source.path);
+  for (const Photograph& one : source.photographs) add(one.name, one.path);
+  Sha256 sum;
+  sum.add(std::as_bytes(std::span<const char>(out)));
+  return sum.hex();
+}
+
+// Lists of COLMAP part names by blanks and begin a comment with '#'.
+std::vector<std::string> plain_names(const std::vector<Photograph>& photographs) {
+  std::vector<std::string> out;
+  std::set<std::string> taken;
+  for (const Photograph& one : photographs) {
+    std::string name = one.name;
+    for (std::size_t i = 0; i < name.size();) {
+      const std::size_t length = utf8_length(name, i);
+      if (length < 1 ||
+          (length == 1 && (static_cast<unsigned char>(name[i]) <= ' ' || name[i] == '#' || name[i] == 127)))
+        name[i] = '_';
+      i += std::max<std::size_t>(length, 1);
+    }
+    const fs::path path(name);
+    for (int k = 2; !taken.insert(name).second; ++k)
+      name =
+          (path.parent_path() / (path.stem().string() + "_" + std::to_string(k) + path.extension().string())).string();
+    out.push_back(name);
+  }
+  return out;
+}
+
+void copy_whole(const std::string& from, const std::string& to) {
+  AtomicFile file(to);
+  const std::string bytes = read_text_file(from, std::size_t{1} << 32);
+  file.append(std::as_bytes(std::span<const char>(bytes)));
+  file.commit();
+}
+
+void claim_folder(const std::string& scene, const Folders& folders) {
+  std::error_code unknown;
+  if (fs::exists(scene, unknown) && !fs::exists(folders.prepare, unknown) && !fs::is_empty(scene, unknown)) {
+    throw Error(ErrorKind::cannot_create, "files.output.exists", "'" + scene + "' is there already",
+                "name another folder with --out");
+  }
+  create_folders(folders.logs.string());
+  create_folders(folders.work.string());
+}
+
+std::string cut_text(const VideoFrames& cut) {
+  char seconds[32];
+  std::snprintf(seconds, sizeof seconds, "%.1f", cut.seconds);
+  return std::to_string(cut.names.size()) + " frames of " + seconds + " s, the sharpest of each of " +
+         std::to_string(cut.intervals) + " intervals; " + std::to_string(cut.still) +
+         " intervals were left out because nothing had moved, " + std::to_string(cut.blurred) +
+         " because they were blurred";
+}
+
+// Names of the images in the scene, in the order in which they were taken.
+std::vector<std::string> bring_images(const CaptureSource& source, const PrepareOptions& options,
+                                      const Folders& folders, PrepareState& state, const Programs& programs,
+                                      const CaptureProgress& progress) {
+  if (source.video) {
+    if (state.done("frames") == nullptr) {
+      const std::string cut_folder = (folders.work / "frames").string();
+      const VideoFrames cut =
+          cut_video({source.path, cut_folder, folders.logs.string(), options.frames}, programs, progress);
+      fs::remove_all(folders.images);
+      fs::rename(cut_folder, folders.images);
+      state.mark("frames", join(cut.names, "\n"));
+      state.mark("cut", cut_text(cut));
+    }
+    std::vector<std::string> names;
+    std::string_view rest = *state.done("frames");
+    for (std::string_view line; next_line(rest, line);) names.emplace_back(line);
+    return names;
+  }
+  std::vector<std::string> names = plain_names(source.photographs);
+  if (state.done("images") != nullptr) return names;
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    progress({"copying", "photographs"}, static_cast<double>(i), static_cast<double>(names.size()));
+    const fs::path to = folders.images / names[i];
+    create_folders(to.parent_path().string());
+    if (!fs::exists(to)) copy_whole(source.photographs[i].path, to.string());
+  }
+  state.mark("images");
+  return names;
+}
+
+// Of the images without a pose, those that are much less sharp than those with one.
+std::vector<std::string> blurred_among_missing(const std::vector<std::string>& names, const FoundModel& model,
+                                               const fs::path& images) {
+  if (model.images.size() == names.size()) return {};
+  std::vector<double> sharp(names.size());
+  parallel_for(static_cast<std::int64_t>(names.size()), [&](std::int64_t index) {
+    const auto i = static_cast<std::size_t>(index);
+    try {
+      sharp[i] = sharpness_of((images / names[i]).string());
+    } catch (const Error&) {
+      sharp[i] = 0;  // what cannot be decoded has no sharpness
+    }
+  });
+  const auto has_pose = [&](const std::string& name) {
+    return std::binary_search(model.images.begin(), model.images.end(), name);
+  };
+  std::vector<double> of_posed;
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    if (has_pose(names[i])) of_posed.push_back(sharp[i]);
+  }
+  const double least = kBlurredShare * median_of(of_posed);
+  std::vector<std::string> out;
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    if (!has_pose(names[i]) && sharp[i] < least) out.push_back(names[i]);
+  }
+  return out;
+}
+
+// The model appears whole or not at all.
+void publish(const FoundModel& model, const Folders& folders) {
+  const fs::path fresh = folders.work / "model";
+  fs::remove_all(fresh);
+  create_folders(fresh.string());
+  for (const char* name : {"cameras.bin", "images.bin", "points3D.bin"})
+    copy_whole((fs::path(model.folder) / name).string(), (fresh / name).string());
+  create_folders(folders.model.parent_path().string());
+  std::error_code failed;
+  fs::rename(fresh, folders.model, failed);
+  if (failed) throw write_error("rename", folders.model.string(), failed.value());
+  sync_folder_of(folders.model.string());
+}
+
+}  // namespace
+
+PrepareReport prepare_scene(const PrepareOptions& options, const Programs& programs, const CaptureProgress& progress) {
+  PrepareReport report;
+  const CaptureSource source = look_at_source(options.source);
+  check_photographs(source, report.findings);
+  report.findings.throw_if_errors(ErrorKind::data, "the photographs cannot be one scene:");
+  for (const char* name : {"colmap", "ffmpeg", "ffprobe"}) {
+    if (source.video || std::string_view(name) == "colmap") (void)program_file(programs, name);
+  }
+  const std::string scene = fs::absolute(options.out).lexically_normal().string();
+  const Folders folders{fs::path(scene)};
+  claim_folder(scene, folders);
+  FolderLock lock;
+  if (const int cause = lock.take(folders.prepare.string()); cause == EWOULDBLOCK)
+    throw Error(ErrorKind::cannot_create, "capture.scene.busy", lock.holder() + " prepares '" + scene + "'",
+                "wait until it has ended");
+  else if (cause != 0)
+    throw write_error("lock", folders.prepare.string(), cause);
+  PrepareState state((folders.prepare / "steps.json").string(), identity_of(source, options));
+
+  const std::vector<std::string> names = bring_images(source, options, folders, state, programs, progress);
+  if (const std::string* cut = state.done("cut")) report.cut = *cut;
+  report.photographs = names.size();
+  const ImageSize size = image_size((folders.images / names.front()).string());
+  report.width_px = size.width_px;
+  report.height_px = size.height_px;
+  const ColmapSteps colmap(programs, progress, folders.images.string(), folders.work.string(), folders.logs.string(),
+                           options.threads > 0 ? options.threads : hardware_threads());
+  const Reconstruction found =
+      reconstruct({names, source.video, source.camera_per_folder, folders.work.string()}, colmap, state);
+  report.registered = found.best.images.size();
+  report.points = found.best.points;
+  report.error_px = found.best.error_px;
+  report.attempts = found.attempts;
+  report.missing = missing_images(names, found, blurred_among_missing(names, found.best, folders.images));
+  if (!fs::exists(folders.model)) publish(found.best, folders);
+  for (const char* name : {"quick.db", "patient.db"}) fs::remove(folders.work / name);
+  return report;
+}
+
+}  // namespace semfield

@@ -1,0 +1,51 @@
+#include "capture/prepare_state.h"
+
+#include <filesystem>
+#include <nlohmann/json.hpp>
+
+#include "core/error.h"
+#include "system/files.h"
+
+namespace semfield {
+
+using Json = nlohmann::ordered_json;
+
+PrepareState::PrepareState(std::string file, std::string identity)
+    : file_(std::move(file)), identity_(std::move(identity)) {
+  if (!std::filesystem::exists(file_)) {
+    write();
+    return;
+  }
+  const Json root = Json::parse(read_text_file(file_), nullptr, false);
+  const bool ours = root.is_object() && root.contains("made_from") && root["made_from"] == identity_ &&
+                    root.contains("steps") && root["steps"].is_object();
+  if (!ours) {
+    throw Error(ErrorKind::cannot_create, "capture.scene.other",
+                "the scene of '" + file_ + "' was begun from other photographs or with other options",
+                "name another folder with --out, or remove this one");
+  }
+  for (const auto& [step, found] : root["steps"].items())
+    steps_.emplace_back(step, found.is_string() ? found.get<std::string>() : "");
+}
+
+const std::string* PrepareState::done(const std::string& step) const {
+  for (const auto& [name, found] : steps_) {
+    if (name == step) return &found;
+  }
+  return nullptr;
+}
+
+void PrepareState::mark(const std::string& step, const std::string& found) {
+  steps_.emplace_back(step, found);
+  write();
+}
+
+void PrepareState::write() const {
+  Json steps = Json::object();
+  for (const auto& [step, found] : steps_) steps[step] = found;
+  write_file_atomic(
+      file_,
+      Json{{"made_from", identity_}, {"steps", steps}}.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+}
+
+}  // namespace semfield

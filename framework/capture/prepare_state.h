@@ -1,0 +1,26 @@
+// Which steps of a prepared scene are done: a file in its folder, by which a killed run goes on.
+#pragma once
+
+#include <string>
+#include <vector>
+
+namespace semfield {
+
+class PrepareState {
+ public:
+  /// Reads `file` where it is there. `identity` is a text of all that steps depend on. Throws Error(cannot_create) for
+  /// a file of another identity, whose steps would be mixed with ours.
+  PrepareState(std::string file, std::string identity);
+
+  /// What mark() was given for the step; null where it is not done. Valid until the next mark().
+  const std::string* done(const std::string& step) const;
+  /// The step is done, with what it found as lines of text.
+  void mark(const std::string& step, const std::string& found = {});
+
+ private:
+  void write() const;
+  std::string file_, identity_;
+  std::vector<std::pair<std::string, std::string>> steps_;
+};
+
+}  // namespace semfield

@@ -1,0 +1,163 @@
+#include "capture/reconstruct.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <optional>
+#include <set>
+
+#include "loading/colmap_model.h"
+#include "system/files.h"
+
+namespace semfield {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+constexpr double kEnough = 0.95;
+constexpr std::size_t kMostForAllPairs = 150;
+
+struct Attempt {
+  FeatureSettings features;
+  bool relaxed;
+  bool patient;  // all pairs of a film too
+};
+
+const std::vector<Attempt>& ladder() {
+  static const FeatureSettings quick{"quick", "SIMPLE_RADIAL", 1024, 2048, 0.0067},
+      patient{"patient", "OPENCV", 1600, 6144, 0.004};
+  static const std::vector<Attempt> all{{quick, false, false}, {quick, true, false}, {patient, true, true}};
+  return all;
+}
+
+FoundModel model_in(const std::string& folder) {
+  Diagnostics unread;
+  const ColmapModel model = read_colmap_model(folder, unread);
+  unread.throw_if_errors(ErrorKind::data, "COLMAP's model has problems:");
+  FoundModel out;
+  out.folder = folder;
+  out.points = model.points.size();
+  out.error_px = model.error_px;
+  for (const ColmapImage& image : model.images) out.images.push_back(image.name);
+  return out;
+}
+
+bool is_better(const FoundModel& a, const FoundModel& b) {
+  if (a.images.size() != b.images.size()) return a.images.size() > b.images.size();
+  return a.error_px < b.error_px;
+}
+
+std::vector<Pair> pairs_of(const ReconstructTask& task, bool patient) {
+  const std::size_t count = task.names.size();
+  const bool few = count <= kMostForAllPairs;
+  return few && (patient || !task.in_order) ? all_pairs(count) : pairs_in_order(count);
+}
+
+// Runs `step` unless an earlier call of the program did.
+template <class Step>
+void once(PrepareState& state, const std::string& name, const Step& step) {
+  if (state.done(name) != nullptr) return;
+  step();
+  state.mark(name);
+}
+
+// Models of one attempt, the best first.
+std::vector<FoundModel> models_of(const Attempt& attempt, const ReconstructTask& task, const ColmapSteps& colmap,
+                                  PrepareState& state) {
+  const FeatureSettings& s = attempt.features;
+  once(state, "features " + s.name, [&] { colmap.extract(s, task.camera_per_folder, task.names.size()); });
+  once(state, "matches " + s.name, [&] { colmap.match(s, task.names, pairs_of(task, attempt.patient)); });
+  const std::string name = "models " + s.name + (attempt.relaxed ? " relaxed" : "");
+  if (state.done(name) == nullptr) {
+    std::string folders;
+    for (const std::string& folder : colmap.map(s, attempt.relaxed, task.names.size())) folders += folder + "\n";
+    state.mark(name, folders);
+  }
+  std::vector<FoundModel> out;
+  std::string_view rest = *state.done(name);
+  while (!rest.empty()) {
+    const std::size_t end = rest.find('\n');
+    out.push_back(model_in(std::string(rest.substr(0, end))));
+    rest.remove_prefix(std::min(rest.size(), end + 1));
+  }
+  std::stable_sort(out.begin(), out.end(), is_better);
+  return out;
+}
+
+// "photographs 12 to 19 (a.jpg to h.jpg)".
+std::string range_text(const std::vector<std::string>& names, std::size_t first, std::size_t last) {
+  if (first == last) return "photograph " + std::to_string(first + 1) + " (" + names[first] + ")";
+  return "photographs " + std::to_string(first + 1) + " to " + std::to_string(last + 1) + " (" + names[first] + " to " +
+         names[last] + ")";
+}
+
+}  // namespace
+
+Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colmap, PrepareState& state) {
+  Reconstruction out;
+  for (const Attempt& attempt : ladder()) {
+    if (static_cast<double>(out.best.images.size()) >= kEnough * static_cast<double>(task.names.size())) break;
+    ++out.attempts;
+    std::vector<FoundModel> models = models_of(attempt, task, colmap, state);
+    if (models.empty() || !(out.best.images.empty() || is_better(models.front(), out.best))) continue;
+    out.best = std::move(models.front());
+    models.erase(models.begin());
+    out.others = std::move(models);
+  }
+  if (out.best.images.size() < 3) {
+    throw Error(ErrorKind::data, "capture.poses.none",
+                "COLMAP found no poses: no " + std::string(out.best.images.empty() ? "two" : "three") + " of the " +
+                    std::to_string(task.names.size()) + " photographs share enough of what they show, in " +
+                    std::to_string(out.attempts) + " attempts",
+                "take more photographs, each showing two thirds of what the one before shows, sharp, of things with "
+                "texture, and walk rather than turn on the spot");
+  }
+  const std::string refined = (fs::path(task.work) / "refined").string();
+  once(state, "refined", [&] { colmap.refine(out.best.folder, refined); });
+  FoundModel adjusted = model_in(refined);
+  if (adjusted.images.size() == out.best.images.size() && adjusted.error_px <= out.best.error_px)
+    out.best = std::move(adjusted);
+  return out;
+}
+
+std::vector<Missing> missing_images(const std::vector<std::string>& names, const Reconstruction& found,
+                                    const std::vector<std::string>& blurred) {
+  const std::set<std::string> posed(found.best.images.begin(), found.best.images.end()),
+      unsharp(blurred.begin(), blurred.end());
+  std::set<std::string> elsewhere;
+  for (const FoundModel& other : found.others) elsewhere.insert(other.images.begin(), other.images.end());
+  enum class Why { has_pose, is_blurred, fits_others, stands_alone };
+  const auto why = [&](const std::string& name) {
+    if (posed.contains(name)) return Why::has_pose;
+    if (unsharp.contains(name)) return Why::is_blurred;
+    return elsewhere.contains(name) ? Why::fits_others : Why::stands_alone;
+  };
+  std::vector<Missing> out;
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    const Why cause = why(names[i]);
+    if (cause == Why::has_pose) continue;
+    std::size_t last = i;
+    while (last + 1 < names.size() && why(names[last + 1]) == cause) ++last;
+    std::string between = "take some between";
+    if (i > 0 && last + 1 < names.size())
+      between += " photographs " + std::to_string(i) + " and " + std::to_string(last + 2);
+    else
+      between += " them and the others";
+    const bool one = i == last;
+    std::string text = range_text(names, i, last);
+    if (cause == Why::is_blurred) {
+      text += std::string(one ? " is" : " are") + " blurred: take " + (one ? "it" : "them") +
+              " again, standing still or with more light";
+    } else if (cause == Why::fits_others) {
+      text += " fit" + std::string(one ? "s" : "") + " others that are missing, but not the rest: " + between +
+              ", or prepare another place as a scene of its own";
+    } else {
+      text += " share" + std::string(one ? "s" : "") + " too little with the others: " + between;
+    }
+    out.push_back({i, last, std::move(text)});
+    i = last;
+  }
+  return out;
+}
+
+}  // namespace semfield

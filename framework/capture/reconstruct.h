@@ -1,0 +1,48 @@
+// The ladder of attempts by which photographs get poses, and what is said of those that get none.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "capture/colmap_steps.h"
+#include "capture/prepare_state.h"
+
+namespace semfield {
+
+/// A model that COLMAP made.
+struct FoundModel {
+  std::string folder;
+  std::vector<std::string> images;  ///< names, sorted
+  std::size_t points = 0;
+  double error_px = 0;  ///< mean reprojection error
+};
+
+struct ReconstructTask {
+  std::vector<std::string> names;  ///< of the images, in the order in which they were taken
+  bool in_order = false;           ///< frames of a film: neighbours are neighbours
+  bool camera_per_folder = false;
+  std::string work;  ///< folder
+};
+
+struct Reconstruction {
+  FoundModel best;                 ///< of all attempts, refined
+  std::vector<FoundModel> others;  ///< of the attempt that found it
+  int attempts = 0;
+};
+
+/// From the cheapest attempt to the most patient, until 95 % of the images have a pose: features at 1,024 pixels;
+/// asking less of an image that joins; more and fainter features at 1,600 pixels, every pair, and a richer lens. The
+/// largest model of all is refined with OPENCV lenses [Schonberger16]. Pairs are all pairs up to 150 photographs,
+/// beyond and in films those of pairs_in_order(). Throws Error(data) where nothing was found.
+Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colmap, PrepareState& state);
+
+/// Images without a pose that follow each other, and what to do.
+struct Missing {
+  std::size_t first = 0, last = 0;  ///< places among all names, from 0
+  std::string text;                 ///< "photographs 12 to 19 (a.jpg to h.jpg) share too little ...: take some between"
+};
+/// `blurred` are names of blurred images among those that are missing.
+std::vector<Missing> missing_images(const std::vector<std::string>& names, const Reconstruction& found,
+                                    const std::vector<std::string>& blurred);
+
+}  // namespace semfield

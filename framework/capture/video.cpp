@@ -1,0 +1,129 @@
+#include "capture/video.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+
+#include "capture/sharpness.h"
+#include "core/text.h"
+#include "system/files.h"
+
+namespace semfield {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+constexpr std::int32_t kSide = 256;  // of the small pictures that are compared
+constexpr std::size_t kPixels = std::size_t{kSide} * kSide;
+constexpr std::size_t kLooks = 8;  // frames of an interval that are looked at, at most
+
+double seconds_of(const std::string& video, const std::string& log, const Programs& programs) {
+  const std::string remedy = "check that the file plays, or convert it: ffmpeg -i " + shell_word(video) + " video.mp4";
+  run_program(programs, "ffprobe",
+              {.words = {"-v", "error", "-select_streams", "v:0", "-show_entries", "stream=codec_type:format=duration",
+                         "-of", "json", video},
+               .log = log,
+               .remedy = remedy});
+  const std::string text = log_text(log);
+  const std::size_t begin = text.find('{');
+  const nlohmann::json told =
+      nlohmann::json::parse(begin == std::string::npos ? "" : text.substr(begin), nullptr, false);
+  double seconds = 0;
+  const bool has_video = told.is_object() && told.contains("streams") && !told["streams"].empty();
+  if (has_video && told.contains("format") && told["format"].contains("duration") &&
+      told["format"]["duration"].is_string())
+    (void)parse_number(told["format"]["duration"].get<std::string>(), seconds);
+  if (!(seconds > 0 && seconds < 1e6))
+    throw Error(ErrorKind::data, "capture.video.empty", "'" + video + "' holds no video of a known length", remedy);
+  return seconds;
+}
+
+std::string rate_text(double frames, double seconds) {
+  char text[64];
+  std::snprintf(text, sizeof text, "%.6f", frames / seconds);
+  return text;
+}
+
+}  // namespace
+
+VideoFrames cut_video(const VideoCut& cut, const Programs& programs, const CaptureProgress& progress) {
+  VideoFrames out;
+  out.seconds = seconds_of(cut.video, (fs::path(cut.logs) / "ffprobe.txt").string(), programs);
+  out.intervals =
+      cut.wanted > 0 ? cut.wanted : std::clamp<std::size_t>(static_cast<std::size_t>(3 * out.seconds), 30, 300);
+  // The same filter gives the same frames to look at and to keep, so that a frame is known by its number.
+  const std::string rate = "fps=" + rate_text(static_cast<double>(kLooks * out.intervals), out.seconds);
+  fs::remove_all(cut.folder);
+  create_folders(cut.folder);
+  const std::string small = (fs::path(cut.folder) / "small.grey").string();
+  const std::string remedy = "check that the file plays to its end";
+  const auto total = static_cast<double>(kLooks * out.intervals);
+  const auto size_of = [](const std::string& file) {
+    std::error_code unknown;
+    const auto bytes = fs::file_size(file, unknown);
+    return unknown ? 0.0 : static_cast<double>(bytes);
+  };
+  run_program(
+      programs, "ffmpeg",
+      {.words = {"-v", "error", "-nostdin", "-y", "-i", cut.video, "-an", "-vf",
+                 rate + ",scale=" + std::to_string(kSide) + ":" + std::to_string(kSide) + ":flags=area,format=gray",
+                 "-f", "rawvideo", small},
+       .log = (fs::path(cut.logs) / "ffmpeg_look.txt").string(),
+       .tick =
+           [&] {
+             progress({"looking at", "frames"}, std::min(size_of(small) / kPixels, total), total);
+           },
+       .remedy = remedy});
+  const std::string frames = read_text_file(small);
+  fs::remove(small);
+  out.looked_at = frames.size() / kPixels;
+  const FrameChoice choice = choose_frames(
+      {reinterpret_cast<const std::uint8_t*>(frames.data()), out.looked_at * kPixels}, kPixels, kSide, out.intervals);
+  out.still = choice.still;
+  out.blurred = choice.blurred;
+  if (choice.kept.size() < 3) {
+    throw Error(ErrorKind::data, "capture.video.still",
+                "'" + cut.video + "' has " + std::to_string(choice.kept.size()) + " different frames of " +
+                    std::to_string(out.looked_at) + " looked at: " + std::to_string(choice.still) +
+                    " intervals are still, " + std::to_string(choice.blurred) + " blurred",
+                "walk around the scene slowly while filming");
+  }
+  std::string select = "select=";
+  for (std::size_t i = 0; i < choice.kept.size(); ++i)
+    select += (i == 0 ? "eq(n\\," : "+eq(n\\,") + std::to_string(choice.kept[i]) + ")";
+  const auto kept = static_cast<double>(choice.kept.size());
+  const auto file_of = [&](std::size_t number) {
+    char name[32];
+    std::snprintf(name, sizeof name, "%06zu.jpg", number);
+    return (fs::path(cut.folder) / name).string();
+  };
+  std::size_t written = 0;
+  run_program(programs, "ffmpeg",
+              {.words = {"-v", "error", "-nostdin", "-y", "-i", cut.video, "-an", "-vf", rate + "," + select,
+                         "-fps_mode", "passthrough", "-q:v", "2", (fs::path(cut.folder) / "%06d.jpg").string()},
+               .log = (fs::path(cut.logs) / "ffmpeg_keep.txt").string(),
+               .tick =
+                   [&] {
+                     while (fs::exists(file_of(written + 1))) ++written;
+                     progress({"writing", "frames"}, static_cast<double>(written), kept);
+                   },
+               .remedy = remedy});
+  for (std::size_t i = 0; i < choice.kept.size(); ++i) {
+    char name[32];
+    std::snprintf(name, sizeof name, "frame_%06zu.jpg", choice.kept[i]);
+    std::error_code failed;
+    fs::rename(file_of(i + 1), fs::path(cut.folder) / name, failed);
+    if (failed)
+      throw Error(ErrorKind::data, "capture.video.short",
+                  "ffmpeg wrote " + std::to_string(i) + " of " + std::to_string(choice.kept.size()) + " frames of '" +
+                      cut.video + "'",
+                  remedy);
+    out.names.emplace_back(name);
+  }
+  return out;
+}
+
+}  // namespace semfield

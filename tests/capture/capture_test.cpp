@@ -1,0 +1,220 @@
+// The parts of capture: names and their order, photographs that do not belong together, pairs, sharp frames, what is
+// said of photographs without a pose.
+#include <algorithm>
+#include <set>
+
+#include "capture/photographs.h"
+#include "capture/prepare_state.h"
+#include "capture/reconstruct.h"
+#include "capture/sharpness.h"
+#include "core/rng.h"
+#include "tests/capture/model_files.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_room;
+
+void photograph(const std::string& path, int width = 8, int height = 6) {
+  std::filesystem::create_directories(std::filesystem::path(path).parent_path());
+  write_png_rgb(path, width, height, std::vector<std::uint8_t>(static_cast<std::size_t>(3 * width * height), 90));
+}
+
+TEST(CaptureNames, NumbersInNamesAreNumbers) {
+  std::vector<std::string> names{"b2.jpg", "10.jpg", "b10.jpg", "2.jpg", "02.jpg", "b.jpg", "2"};
+  std::sort(names.begin(), names.end(), comes_before);
+  EXPECT_EQ(names, (std::vector<std::string>{"2", "02.jpg", "2.jpg", "10.jpg", "b.jpg", "b2.jpg", "b10.jpg"}));
+  for (const std::string& a : names) EXPECT_FALSE(comes_before(a, a));
+}
+
+TEST(CaptureSource, PhotographsOfAFolderOrOfItsFolders) {
+  const std::string folder = fresh_folder("s");
+  for (const char* name : {"1", "10", "2"}) photograph(folder + "/images/" + std::string(name) + ".png");
+  plain_write(folder + "/images/notes.txt", "");
+  const CaptureSource one = look_at_source(folder);
+  ASSERT_EQ(one.photographs.size(), 3u);
+  EXPECT_EQ(one.photographs[2].name, "10.png");
+  EXPECT_FALSE(one.camera_per_folder);
+  const std::string pair = fresh_folder("pair");
+  for (const char* name : {"left/1", "left/2", "right/1"}) photograph(pair + "/" + name + ".png");
+  const CaptureSource two = look_at_source(pair);
+  ASSERT_EQ(two.photographs.size(), 3u);
+  EXPECT_EQ(two.photographs[2].name, "right/1.png");
+  EXPECT_TRUE(two.camera_per_folder);
+  plain_write(folder + "/a.MOV", "");
+  EXPECT_TRUE(look_at_source(folder + "/a.MOV").video);
+}
+
+TEST(CaptureSource, WhatIsNeitherIsRefused) {
+  const std::string folder = fresh_folder("s");
+  EXPECT_ERROR(look_at_source(folder), "capture.source.empty");
+  EXPECT_ERROR(look_at_source(folder + "/none"), "files.folder.missing");
+  plain_write(folder + "/a.txt", "");
+  EXPECT_ERROR(look_at_source(folder + "/a.txt"), "capture.source.kind", "a.txt");
+  plain_write(folder + "/walk.mp4", "");
+  EXPECT_ERROR(look_at_source(folder), "capture.source.empty", folder + "/walk.mp4");
+  plain_write(folder + "/IMG_1.HEIC", "");
+  EXPECT_ERROR(look_at_source(folder), "capture.photographs.heic", "heif-convert");
+}
+
+TEST(CapturePhotographs, TwoSizesAreRefusedByName) {
+  const std::string folder = fresh_folder("s");
+  for (const char* name : {"a", "b", "c", "d"}) photograph(folder + "/" + std::string(name) + ".png");
+  photograph(folder + "/turned.png", 6, 8);
+  Diagnostics d;
+  check_photographs(look_at_source(folder), d);
+  ASSERT_EQ(d.error_count(), 1);
+  EXPECT_FINDING(d, "capture.photographs.sizes", "1 of 6 x 8 (turned.png)", "4 of 8 x 6 (a.png, b.png, c.png, ...)");
+  std::filesystem::create_directories(folder + "/apart/one");
+  std::filesystem::create_directories(folder + "/apart/two");
+  for (const char* name : {"a", "b", "c", "d"})
+    std::filesystem::rename(folder + "/" + name + ".png", folder + "/apart/one/" + name + ".png");
+  std::filesystem::rename(folder + "/turned.png", folder + "/apart/two/turned.png");
+  Diagnostics apart;
+  check_photographs(look_at_source(folder + "/apart"), apart);
+  EXPECT_EQ(apart.error_count(), 0) << "each folder is a camera";
+}
+
+TEST(CapturePhotographs, FewAndDamagedOnesAreNamed) {
+  const std::string folder = fresh_folder("s");
+  photograph(folder + "/a.png");
+  plain_write(folder + "/b.png", "\x89PNG\r\n\x1a\n cut");
+  Diagnostics d;
+  check_photographs(look_at_source(folder), d);
+  ASSERT_EQ(d.error_count(), 2);
+  EXPECT_FINDING(d, "capture.photographs.few", "2 photographs");
+  EXPECT_HAS(d.all()[1].text(), "b.png");
+}
+
+TEST(CapturePairs, OfAFilmCoverNeighboursAndLoops) {
+  EXPECT_EQ(all_pairs(5).size(), 10u);
+  const std::vector<Pair> pairs = pairs_in_order(400);
+  const std::set<Pair> unique(pairs.begin(), pairs.end());
+  EXPECT_EQ(unique.size(), pairs.size());
+  for (const auto& [i, j] : pairs) ASSERT_TRUE(i < j && j < 400);
+  for (std::size_t i = 0; i + 10 < 400; ++i) {
+    for (std::size_t k = 1; k <= 10; ++k) ASSERT_TRUE(unique.contains({i, i + k}));
+  }
+  EXPECT_TRUE(unique.contains({0, 392})) << "the end meets the beginning";
+  EXPECT_LT(pairs.size(), 8000u);
+  EXPECT_EQ(pairs_in_order(8).size(), 28u);
+}
+
+TEST(CaptureLog, TheLatestNumberTells) {
+  EXPECT_EQ(last_number_after("Processed file [3/9]\nProcessed file [12/35]", "Processed file ["), 12);
+  EXPECT_EQ(last_number_after("Registering image #29 (35)\n  => ", " ("), 35);
+  EXPECT_EQ(last_number_after("nothing", "Processed file ["), 0);
+}
+
+constexpr std::int32_t kSide = 32;
+constexpr std::size_t kPixels = std::size_t{kSide} * kSide;
+
+// A texture of the scene as seen at step t, blurred by a box of 2 r + 1 pixels.
+std::vector<std::uint8_t> view(int t, int r = 0) {
+  const RandomAddress texture{1, 0, stream_id("test/texture")};
+  std::vector<std::uint8_t> out;
+  for (int y = 0; y < kSide; ++y) {
+    for (int x = 0; x < kSide; ++x) {
+      double sum = 0;
+      for (int dy = -r; dy <= r; ++dy) {
+        for (int dx = -r; dx <= r; ++dx)
+          sum += uniform01(texture, static_cast<std::uint64_t>((y + dy + 50) * 1000 + x + dx + 50 + 3 * t));
+      }
+      out.push_back(static_cast<std::uint8_t>(255 * sum / ((2 * r + 1) * (2 * r + 1))));
+    }
+  }
+  return out;
+}
+
+TEST(CaptureSharpness, BlurTakesItAway) {
+  const double sharp = sharpness(view(0), kSide);
+  EXPECT_GT(sharp, 3 * sharpness(view(0, 1), kSide));
+  EXPECT_GT(sharpness(view(0, 1), kSide), sharpness(view(0, 3), kSide));
+  EXPECT_EQ(sharpness(std::vector<std::uint8_t>(kPixels, 7), kSide), 0);
+}
+
+TEST(CaptureSharpness, TheSharpestOfEachIntervalUnlessStillOrBlurred) {
+  std::vector<std::uint8_t> film;
+  const auto add = [&](int t, int r) {
+    const std::vector<std::uint8_t> one = view(t, r);
+    film.insert(film.end(), one.begin(), one.end());
+  };
+  // Five intervals of three frames: the sharpest are 1, 4, 8; then one that shows the same as 8, then blur alone.
+  for (const auto& [t, r] : {std::pair{0, 2},
+                             {1, 0},
+                             {2, 1},
+                             {3, 1},
+                             {4, 0},
+                             {5, 2},
+                             {6, 2},
+                             {7, 1},
+                             {8, 0},
+                             {8, 1},
+                             {8, 0},
+                             {8, 2},
+                             {12, 3},
+                             {13, 3},
+                             {14, 4}})
+    add(t, r);
+  const FrameChoice choice = choose_frames(film, kPixels, kSide, 5);
+  EXPECT_EQ(choice.kept, (std::vector<std::size_t>{1, 4, 8}));
+  EXPECT_EQ(choice.still, 1u);
+  EXPECT_EQ(choice.blurred, 1u);
+}
+
+TEST(CaptureState, StepsAreRememberedForTheSamePhotographsAlone) {
+  const std::string file = fresh_folder("s") + "/steps.json";
+  {
+    PrepareState state(file, "ten photographs");
+    EXPECT_EQ(state.done("features"), nullptr);
+    state.mark("features", "a\nb");
+  }
+  PrepareState again(file, "ten photographs");
+  ASSERT_NE(again.done("features"), nullptr);
+  EXPECT_EQ(*again.done("features"), "a\nb");
+  EXPECT_ERROR(PrepareState(file, "eleven photographs"), "capture.scene.other", file);
+  plain_write(file, "{\"identity\": \"ten ph");
+  EXPECT_ERROR(PrepareState(file, "ten photographs"), "capture.scene.other", file);
+}
+
+TEST(CaptureMissing, RangesSayWhyAndWhatToDo) {
+  const std::vector<std::string> names{"a", "b", "c", "d", "e", "f", "g"};
+  Reconstruction found;
+  found.best.images = {"a", "d"};
+  found.others = {{.images = {"f", "g"}}};
+  const std::vector<Missing> missing = missing_images(names, found, {"e"});
+  ASSERT_EQ(missing.size(), 3u);
+  EXPECT_EQ(missing[0].text,
+            "photographs 2 to 3 (b to c) share too little with the others: take some between photographs 1 and 4");
+  EXPECT_HAS(missing[1].text, "photograph 5 (e) is blurred: take it again");
+  EXPECT_HAS(missing[2].text,
+             "photographs 6 to 7 (f to g) fit others that are missing, but not the rest: take some "
+             "between them and the others");
+  found.best.images = names;
+  EXPECT_TRUE(missing_images(names, found, {}).empty());
+}
+
+TEST(ColmapCameras, WrittenOnesReadBack) {
+  const std::string folder = fresh_folder("m");
+  write_room_model(folder, {0, 3}, 0.5);
+  Camera lens = room_camera();
+  lens.fy = 21;
+  lens.k1 = 0.1;
+  lens.k2 = -0.02;
+  lens.p1 = 0.001;
+  lens.p2 = -0.002;
+  plain_write(folder + "/cameras.bin", colmap_cameras_file({{1, lens}}));
+  Diagnostics d;
+  const ColmapModel model = read_colmap_model(folder, d);
+  EXPECT_FALSE(d.has_errors());
+  EXPECT_EQ(model.error_px, 0.5);
+  ASSERT_EQ(model.images.size(), 2u);
+  EXPECT_LT(length(model.images[1].world_from_camera.t - room_pose(3).t), 1e-12);
+  const Camera& read = model.cameras.at(1);
+  for (const auto field :
+       {&Camera::fx, &Camera::fy, &Camera::cx, &Camera::cy, &Camera::k1, &Camera::k2, &Camera::p1, &Camera::p2})
+    EXPECT_EQ(read.*field, lens.*field);
+}
+
+}  // namespace
+}  // namespace semfield

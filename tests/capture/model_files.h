@@ -1,0 +1,41 @@
+// COLMAP's binary files of the box room, as programs that stand for COLMAP hand them out.
+#pragma once
+
+#include "loading/colmap_model.h"
+#include "scene/rotation.h"
+#include "tests/scene/tiny_scene.h"
+
+namespace semfield::testing_room {
+
+/// The room's views `numbers` as a model in `folder`, with two points of the given reprojection error.
+inline void write_room_model(const std::string& folder, const std::vector<int>& numbers, double error_px) {
+  std::string images, points;
+  const auto put = [](std::string& out, auto value) {
+    out.append(reinterpret_cast<const char*>(&value), sizeof value);
+  };
+  put(images, static_cast<std::uint64_t>(numbers.size()));
+  for (const int i : numbers) {
+    const Pose pose = room_pose(i);
+    const Quaternion q = quaternion_of(pose);
+    const Vec3d t = pose.unrotate(pose.t) * -1.0;
+    put(images, static_cast<std::uint32_t>(i + 1));
+    for (const double v : {q[0], -q[1], -q[2], -q[3], t.x, t.y, t.z}) put(images, v);
+    put(images, std::uint32_t{1});
+    images += std::to_string(i) + ".png" + '\0';
+    put(images, std::uint64_t{0});
+  }
+  put(points, std::uint64_t{2});
+  for (const double off : {-0.25, 0.25}) {
+    put(points, static_cast<std::uint64_t>(off > 0 ? 1 : 2));
+    for (const double v : {1.0, 0.5, off}) put(points, v);
+    points += "rgb";
+    put(points, error_px + off);
+    put(points, std::uint64_t{0});
+  }
+  std::filesystem::create_directories(folder);
+  plain_write(folder + "/cameras.bin", colmap_cameras_file({{1, room_camera()}}));
+  plain_write(folder + "/images.bin", images);
+  plain_write(folder + "/points3D.bin", points);
+}
+
+}  // namespace semfield::testing_room

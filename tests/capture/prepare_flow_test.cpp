@@ -1,0 +1,234 @@
+// `semfield prepare` with programs that stand for COLMAP and ffmpeg: order of steps, retries, failures, being ended.
+#include <nlohmann/json.hpp>
+
+#include "tests/capture/model_files.h"
+#include "tests/program.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_room;
+using namespace testing_program;
+namespace fs = std::filesystem;
+
+// Hands out models/ATTEMPT, counts its calls in `calls`, and does what files beside it say: fail_STEP, hang_STEP.
+constexpr const char* kColmap = R"sh(#!/bin/sh
+here=$(dirname "$0")
+step=$1
+echo "$*" >> "$here/calls"
+if [ -e "$here/fail_$step" ]; then echo "before"; echo "E: the $step has no memory" >&2; exit 3; fi
+if [ -e "$here/hang_$step" ]; then : > "$here/hangs"; exec sleep 100; fi
+while [ $# -gt 0 ]; do
+  case "$1" in
+    --output_path) out=$2;;
+    --input_path) in=$2;;
+    --database_path) : > "$2";;
+  esac
+  shift
+done
+case "$step" in
+  feature_extractor) echo "Processed file [6/6]";;
+  mapper)
+    n=$(grep -c '^mapper' "$here/calls")
+    if [ -d "$here/models/$n" ]; then cp -r "$here/models/$n/." "$out"
+    else echo "ERROR: failed to create sparse model"; exit 1; fi;;
+  bundle_adjuster) cp -r "$in/." "$out";;
+esac
+)sh";
+
+// Eight seconds of film: small pictures of noise that changes, then the frames that are asked for.
+constexpr const char* kFfmpeg = R"sh(#!/bin/sh
+here=$(dirname "$0")
+echo "ffmpeg $*" >> "$here/calls"
+if [ -e "$here/fail_ffmpeg" ]; then echo "moov atom not found" >&2; exit 1; fi
+for last; do :; done
+case "$last" in
+  *.grey) cp "$here/film.grey" "$last";;
+  *) i=0
+     for image in "$here"/frames/*; do
+       i=$((i+1))
+       cp "$image" "$(dirname "$last")/00000$i.jpg"
+     done;;
+esac
+)sh";
+constexpr const char* kFfprobe = R"sh(#!/bin/sh
+echo '{"streams": [{"codec_type": "video"}], "format": {"duration": "8.0"}}'
+)sh";
+
+class Prepare : public testing::Test {
+ protected:
+  void SetUp() override {
+    home_ = fresh_folder("home");
+    for (const char* folder : {"bin", "photographs"}) fs::create_directories(home_ + "/" + folder);
+    tool("colmap", kColmap);
+    for (int i = 0; i < 6; ++i) image(home_ + "/photographs/" + std::to_string(i) + ".png", i);
+  }
+  static void image(const std::string& path, int i) {
+    write_png_rgb(path, 40, 30, render_room(room_camera(), room_pose(i)).rgb);
+  }
+  void tool(const std::string& name, const std::string& text) const {
+    const std::string file = home_ + "/bin/" + name;
+    plain_write(file, text);
+    fs::permissions(file, fs::perms::owner_all);
+  }
+  std::string path_setting() const { return "PATH=" + home_ + "/bin:/usr/bin:/bin"; }
+  Result prepare(const std::string& words = "photographs --out scene") const {
+    return semfield_run("prepare " + words, home_, "PATH=" + shell_word(home_ + "/bin") + ":/usr/bin:/bin ");
+  }
+  void model(int attempt, int number, const std::vector<int>& images, double error_px = 0.5) const {
+    write_room_model(home_ + "/bin/models/" + std::to_string(attempt) + "/" + std::to_string(number), images, error_px);
+  }
+  // First words of the calls so far, without the database.
+  std::string steps() const {
+    std::string out;
+    const std::string calls = read_text_file(home_ + "/bin/calls");
+    std::string_view rest = calls;
+    for (std::string_view line; next_line(rest, line);) out += std::string(words_of(line)[0]) + " ";
+    return out;
+  }
+  std::string home_;
+};
+
+TEST_F(Prepare, AFolderOfPhotographsBecomesAScene) {
+  model(1, 0, {0, 1, 2, 3, 4, 5});
+  const Result r = prepare();
+  EXPECT_EQ(r.code, 0) << r.err;
+  EXPECT_HAS(r.out, "registered  6 of 6 (100 %), reprojection error 0.50 pixels, 2 points, 1 attempt");
+  EXPECT_HAS(r.out, "next        semfield init scene");
+  EXPECT_EQ(steps(), "feature_extractor matches_importer mapper bundle_adjuster ");
+  const std::string calls = read_text_file(home_ + "/bin/calls");
+  EXPECT_HAS(calls, "--SiftExtraction.use_gpu 0");
+  EXPECT_HAS(calls, "--SiftMatching.use_gpu 0");
+  EXPECT_HAS(calls, "--ImageReader.single_camera 1");
+  EXPECT_EQ(read_text_file(home_ + "/scene/images/3.png"), read_text_file(home_ + "/photographs/3.png"));
+  EXPECT_EQ(semfield_run("inspect scene", home_).code, 0);
+  EXPECT_FALSE(fs::exists(home_ + "/scene/prepare/work/quick.db")) << "nobody needs it any more";
+  // A second call finds all done.
+  EXPECT_EQ(prepare().code, 0);
+  EXPECT_EQ(steps(), "feature_extractor matches_importer mapper bundle_adjuster ");
+}
+
+TEST_F(Prepare, TheLadderIsClimbedUntilEnoughHaveAPose) {
+  model(1, 0, {0, 1, 2});
+  model(2, 0, {0, 1});
+  model(3, 0, {4, 5});
+  model(3, 1, {0, 1, 2, 3}, 0.7);
+  const Result r = prepare("photographs --out scene --json");
+  EXPECT_EQ(r.code, 0) << r.err;
+  const nlohmann::json told = nlohmann::json::parse(r.out);
+  EXPECT_EQ(told["registered"], 4);
+  EXPECT_EQ(told["attempts"], 3);
+  ASSERT_EQ(told["missing"].size(), 1u);
+  EXPECT_HAS(told["missing"][0].get<std::string>(), "photographs 5 to 6 (4.png to 5.png) fit others that are missing");
+  EXPECT_EQ(steps(),
+            "feature_extractor matches_importer mapper mapper feature_extractor matches_importer mapper "
+            "bundle_adjuster ");
+  const std::string calls = read_text_file(home_ + "/bin/calls");
+  EXPECT_HAS(calls, "--ImageReader.camera_model SIMPLE_RADIAL");
+  EXPECT_HAS(calls, "--ImageReader.camera_model OPENCV");
+}
+
+TEST_F(Prepare, NoOverlapIsSaidWithARemedy) {
+  const Result r = prepare();
+  EXPECT_EQ(r.code, 65);
+  EXPECT_SAID(r.err, "capture.poses.none", "no two of the 6 photographs", "3 attempts");
+  EXPECT_FALSE(fs::exists(home_ + "/scene/sparse"));
+}
+
+TEST_F(Prepare, AFailedProgramIsQuotedAndTheNextCallGoesOn) {
+  model(1, 0, {0, 1, 2, 3, 4, 5});
+  plain_write(home_ + "/bin/fail_matches_importer", "");
+  const Result r = prepare();
+  EXPECT_EQ(r.code, 1);
+  EXPECT_SAID(r.err, "capture.program.failed", "colmap matches_importer", "exit code 3",
+              "before | E: the matches_importer has no memory", home_ + "/scene/prepare/log/matches_quick.txt");
+  EXPECT_FALSE(fs::exists(home_ + "/scene/sparse"));
+  fs::remove(home_ + "/bin/fail_matches_importer");
+  EXPECT_EQ(prepare().code, 0);
+  EXPECT_EQ(steps(), "feature_extractor matches_importer matches_importer mapper bundle_adjuster ");
+}
+
+TEST_F(Prepare, EndedInTheMiddleOfMatchingItGoesOn) {
+  model(1, 0, {0, 1, 2, 3, 4, 5});
+  for (const int signal : {SIGKILL, SIGTERM}) {
+    SCOPED_TRACE(signal);
+    fs::remove_all(home_ + "/scene");
+    fs::remove(home_ + "/bin/calls");
+    fs::remove(home_ + "/bin/hangs");
+    plain_write(home_ + "/bin/hang_matches_importer", "");
+    const std::string source = home_ + "/photographs", out = home_ + "/scene";
+    Process process(program(), {"prepare", source, "--out", out}, home_, {path_setting()});
+    for (int wait = 0; wait < 6000 && !fs::exists(home_ + "/bin/hangs"); ++wait)
+      std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    ASSERT_TRUE(fs::exists(home_ + "/bin/hangs"));
+    process.send(signal);
+    const std::optional<Result> ended = process.wait_for(60);
+    ASSERT_TRUE(ended.has_value());
+    if (signal == SIGTERM) {
+      EXPECT_EQ(ended->code, 143);
+      EXPECT_HAS(ended->err, "stopped; the same command goes on");
+    }
+    EXPECT_FALSE(fs::exists(out + "/sparse"));
+    fs::remove(home_ + "/bin/hang_matches_importer");
+    EXPECT_EQ(prepare().code, 0);
+    EXPECT_EQ(steps(), "feature_extractor matches_importer matches_importer mapper bundle_adjuster ");
+  }
+}
+
+TEST_F(Prepare, AFolderOfOthersIsLeftAlone) {
+  model(1, 0, {0, 1, 2, 3, 4, 5});
+  fs::create_directories(home_ + "/scene");
+  plain_write(home_ + "/scene/mine.txt", "");
+  const Result taken = prepare();
+  EXPECT_EQ(taken.code, 73);
+  EXPECT_SAID(taken.err, "files.output.exists", "scene");
+  fs::remove_all(home_ + "/scene");
+  EXPECT_EQ(prepare().code, 0);
+  image(home_ + "/photographs/6.png", 6);
+  const Result other = prepare();
+  EXPECT_EQ(other.code, 73);
+  EXPECT_SAID(other.err, "capture.scene.other", "scene");
+}
+
+TEST_F(Prepare, AMissingProgramNamesTheCommandThatInstallsIt) {
+  fs::remove(home_ + "/bin/colmap");
+  const Result r = semfield_run("prepare photographs --out scene", home_, "PATH=" + shell_word(home_ + "/bin") + " ");
+  EXPECT_EQ(r.code, 69);
+  EXPECT_SAID(r.err, "capture.program.missing", "colmap", "sudo apt install colmap");
+  EXPECT_FALSE(fs::exists(home_ + "/scene"));
+}
+
+TEST_F(Prepare, NamesThatColmapsListsCannotHold) {
+  fs::rename(home_ + "/photographs/0.png", home_ + "/photographs/#my first.png");
+  const Result r = prepare();
+  EXPECT_EQ(r.code, 65) << "no model was laid out";
+  EXPECT_TRUE(fs::exists(home_ + "/scene/images/_my_first.png"));
+  EXPECT_TRUE(fs::exists(home_ + "/photographs/#my first.png"));
+}
+
+TEST_F(Prepare, AVideoIsCutIntoItsSharpFrames) {
+  tool("ffmpeg", kFfmpeg);
+  tool("ffprobe", kFfprobe);
+  // Twelve looks at six intervals of which the second half stands still.
+  std::string film;
+  for (int frame = 0; frame < 12; ++frame) {
+    for (int p = 0; p < 256 * 256; ++p) film += static_cast<char>((p * 7919 + std::min(frame / 2, 3) * 31) % 251);
+  }
+  plain_write(home_ + "/bin/film.grey", film);
+  plain_write(home_ + "/walk.mp4", "film");
+  fs::create_directories(home_ + "/bin/frames");
+  for (int i = 0; i < 4; ++i) image(home_ + "/bin/frames/" + std::to_string(i) + ".png", i);
+  const Result r = prepare("walk.mp4 --out scene --frames 6");
+  EXPECT_EQ(r.code, 65);  // no model of names such as these was laid out
+  EXPECT_SAID(r.err, "capture.poses.none", "of the 4 photographs");
+  EXPECT_TRUE(fs::exists(home_ + "/scene/images/frame_000000.jpg"));
+  const std::string calls = read_text_file(home_ + "/bin/calls");
+  EXPECT_HAS(calls, "select=eq(n\\,0)+eq(n\\,2)+eq(n\\,4)+eq(n\\,6) ");
+  const std::string steps = read_text_file(home_ + "/scene/prepare/steps.json");
+  EXPECT_HAS(steps, "2 intervals were left out because nothing had moved, 0 because they were blurred");
+  plain_write(home_ + "/bin/fail_ffmpeg", "");
+  EXPECT_SAID(prepare("walk.mp4 --out other").err, "capture.program.failed", "ffmpeg", "moov atom not found");
+}
+
+}  // namespace
+}  // namespace semfield
