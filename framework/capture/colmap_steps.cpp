@@ -55,14 +55,31 @@ std::string ColmapSteps::log(const std::string& name) const { return (fs::path(l
 
 void ColmapSteps::extract(const FeatureSettings& s, bool camera_per_folder, std::size_t images) const {
   const std::string file = log("features_" + s.name);
+  for (const char* end : {"", "-wal", "-shm", "-journal"}) fs::remove(database(s) + end);
   const std::string camera =
       camera_per_folder ? "--ImageReader.single_camera_per_folder" : "--ImageReader.single_camera";
   run_program(programs_, "colmap",
-              {.words = {"feature_extractor", "--database_path", database(s), "--image_path", images_,
-                         "--ImageReader.camera_model", s.lens, camera, "1", "--SiftExtraction.use_gpu", "0",
-                         "--SiftExtraction.num_threads", std::to_string(threads_), "--SiftExtraction.max_image_size",
-                         std::to_string(s.size_px), "--SiftExtraction.max_num_features", std::to_string(s.features),
-                         "--SiftExtraction.peak_threshold", std::to_string(s.contrast)},
+              {.words = {"feature_extractor",
+                         "--database_path",
+                         database(s),
+                         "--image_path",
+                         images_,
+                         "--ImageReader.camera_model",
+                         s.lens,
+                         camera,
+                         "1",
+                         "--SiftExtraction.use_gpu",
+                         "0",
+                         "--SiftExtraction.num_threads",
+                         std::to_string(threads_),
+                         "--SiftExtraction.max_image_size",
+                         std::to_string(s.size_px),
+                         "--SiftExtraction.max_num_features",
+                         std::to_string(s.features),
+                         "--SiftExtraction.max_num_orientations",
+                         std::to_string(s.orientations),
+                         "--SiftExtraction.peak_threshold",
+                         std::to_string(s.contrast)},
                .log = file,
                .tick = [&] {
                  progress_({"finding features of", "photographs"},

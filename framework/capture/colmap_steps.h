@@ -13,11 +13,12 @@ namespace semfield {
 
 /// How features are found and what is asked of them; a ladder of them stands in reconstruct.cpp.
 struct FeatureSettings {
-  std::string name;     ///< of its folder and logs
-  std::string lens;     ///< COLMAP's name of the camera model that is fitted
-  int size_px = 0;      ///< of the longer side at which features are sought
-  int features = 0;     ///< of an image, at most
-  double contrast = 0;  ///< least, of a feature [Lowe04]
+  std::string name;      ///< of its folder and logs
+  std::string lens;      ///< COLMAP's name of the camera model that is fitted
+  int size_px = 0;       ///< of the longer side at which features are sought
+  int features = 0;      ///< of an image, at most
+  int orientations = 1;  ///< of a feature, each of which counts as one more
+  double contrast = 0;   ///< least, of a feature [Lowe04]
 };
 
 using Pair = std::pair<std::size_t, std::size_t>;
@@ -39,7 +40,7 @@ class ColmapSteps {
         logs_(std::move(logs)),
         threads_(threads) {}
 
-  /// Goes on where an earlier call was ended: images whose features are in the database are passed over.
+  /// Into a new database: COLMAP that goes on in one it has begun gives the other images a camera of their own.
   void extract(const FeatureSettings& settings, bool camera_per_folder, std::size_t images) const;
   /// A part of the pairs; those that are in the database are passed over.
   void match(const FeatureSettings& settings, const std::vector<std::string>& names,

@@ -83,6 +83,7 @@ CaptureSource look_at_source(const std::string& path) {
   std::error_code unknown;
   CaptureSource out;
   out.path = fs::absolute(path).lexically_normal().string();
+  if (out.path.size() > 1 && out.path.ends_with('/')) out.path.pop_back();
   const std::string remedy = "name a video, or a folder of photographs (.jpg, .png, .tif)";
   if (!fs::exists(path, unknown))
     throw Error(ErrorKind::no_input, "files.folder.missing", "'" + path + "' is not there", "check the path");

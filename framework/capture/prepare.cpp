@@ -180,6 +180,10 @@ PrepareReport prepare_scene(const PrepareOptions& options, const Programs& progr
     if (source.video || std::string_view(name) == "colmap") (void)program_file(programs, name);
   }
   const std::string scene = fs::absolute(options.out).lexically_normal().string();
+  if (!source.video && (scene + "/").starts_with(source.path + "/"))
+    throw Error(ErrorKind::cannot_create, "capture.scene.inside",
+                "the scene '" + scene + "' would lie in the folder of the photographs, which is never written to",
+                "name a folder beside it with --out");
   const Folders folders{fs::path(scene)};
   claim_folder(scene, folders);
   FolderLock lock;

@@ -24,8 +24,8 @@ struct Attempt {
 };
 
 const std::vector<Attempt>& ladder() {
-  static const FeatureSettings quick{"quick", "SIMPLE_RADIAL", 1024, 2048, 0.0067},
-      patient{"patient", "OPENCV", 1600, 6144, 0.004};
+  static const FeatureSettings quick{"quick", "SIMPLE_RADIAL", 1024, 2048, 1, 0.0067},
+      patient{"patient", "OPENCV", 1600, 6144, 2, 0.004};
   static const std::vector<Attempt> all{{quick, false, false}, {quick, true, false}, {patient, true, true}};
   return all;
 }

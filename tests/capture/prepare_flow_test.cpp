@@ -190,6 +190,13 @@ TEST_F(Prepare, AFolderOfOthersIsLeftAlone) {
   EXPECT_SAID(other.err, "capture.scene.other", "scene");
 }
 
+TEST_F(Prepare, TheSourceIsNeverWrittenTo) {
+  const Result r = prepare("photographs --out photographs/scene");
+  EXPECT_EQ(r.code, 73);
+  EXPECT_SAID(r.err, "capture.scene.inside", "photographs/scene");
+  EXPECT_FALSE(fs::exists(home_ + "/photographs/scene"));
+}
+
 TEST_F(Prepare, AMissingProgramNamesTheCommandThatInstallsIt) {
   fs::remove(home_ + "/bin/colmap");
   const Result r = semfield_run("prepare photographs --out scene", home_, "PATH=" + shell_word(home_ + "/bin") + " ");
