@@ -9,6 +9,7 @@
 #include "capture/sharpness.h"
 #include "core/rng.h"
 #include "tests/capture/model_files.h"
+#include "tests/capture/tiff_bytes.h"
 
 namespace semfield {
 namespace {
@@ -75,6 +76,21 @@ TEST(CapturePhotographs, TwoSizesAreRefusedByName) {
   EXPECT_EQ(apart.error_count(), 0) << "each folder is a camera";
 }
 
+TEST(CapturePhotographs, TwoLensesOfOnePhoneAreTwoCameras) {
+  if (!images_available()) GTEST_SKIP() << "this build reads no TIFF (SEMFIELD_WITH_IMAGES=OFF)";
+  const std::string folder = fresh_folder("s");
+  for (const char* name : {"a", "b", "c"})
+    plain_write(folder + "/" + name + ".tif", tiff_of(8, 6, "Apple", "iPhone 12", 42));
+  Diagnostics same;
+  check_photographs(look_at_source(folder), same);
+  EXPECT_TRUE(same.all().empty());
+  plain_write(folder + "/wide.tif", tiff_of(8, 6, "Apple", "iPhone 12", 15));
+  Diagnostics d;
+  check_photographs(look_at_source(folder), d);
+  EXPECT_FINDING(d, "capture.photographs.cameras", "1 of Apple iPhone 12 at 1.50 mm (wide.tif)",
+                 "3 of Apple iPhone 12 at 4.20 mm (a.tif, b.tif, c.tif)");
+}
+
 TEST(CapturePhotographs, FewAndDamagedOnesAreNamed) {
   const std::string folder = fresh_folder("s");
   photograph(folder + "/a.png");
@@ -131,6 +147,9 @@ TEST(CaptureSharpness, BlurTakesItAway) {
   EXPECT_GT(sharp, 3 * sharpness(view(0, 1), kSide));
   EXPECT_GT(sharpness(view(0, 1), kSide), sharpness(view(0, 3), kSide));
   EXPECT_EQ(sharpness(std::vector<std::uint8_t>(kPixels, 7), kSide), 0);
+  std::vector<std::uint8_t> dim = view(0);
+  for (std::uint8_t& value : dim) value /= 2;
+  EXPECT_NEAR(sharpness(dim, kSide), sharp, 0.01 * sharp) << "little light is no blur";
 }
 
 TEST(CaptureSharpness, TheSharpestOfEachIntervalUnlessStillOrBlurred) {
