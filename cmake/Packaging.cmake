@@ -25,7 +25,7 @@ set(semfield_deb_version ${PROJECT_VERSION}-${CPACK_DEBIAN_PACKAGE_RELEASE})
 
 set(CPACK_DEBIAN_PROGRAM_PACKAGE_NAME semfield)
 set(CPACK_DEBIAN_PROGRAM_PACKAGE_SECTION science)
-set(CPACK_DEBIAN_PROGRAM_PACKAGE_SUGGESTS "ffmpeg, libsemfield-dev, python3-semfield")
+set(CPACK_DEBIAN_PROGRAM_PACKAGE_SUGGESTS "colmap, ffmpeg, libsemfield-dev, python3-semfield")
 if(SEMFIELD_MPI)
   string(APPEND CPACK_DEBIAN_PROGRAM_PACKAGE_SUGGESTS ", openmpi-bin")
 endif()

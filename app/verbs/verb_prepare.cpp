@@ -23,7 +23,7 @@ namespace {
 struct PrepareVerbOptions {
   std::string source, out;
   long long frames = 0;
-  int threads = 0;
+  int threads = 0, attempts = 3;
 };
 
 struct Stopped {};
@@ -47,8 +47,14 @@ PrepareReport prepare(const PrepareVerbOptions& options, AppContext& context) {
     shown = step.doing;
     line->show(done, total);
   };
-  return prepare_scene({options.source, options.out, static_cast<std::size_t>(options.frames), options.threads},
-                       programs, progress);
+  const auto note = [&](const std::string& text) {
+    line.reset();
+    shown.clear();
+    print_note(context, text);
+  };
+  return prepare_scene(
+      {options.source, options.out, static_cast<std::size_t>(options.frames), options.threads, options.attempts, note},
+      programs, progress);
 }
 
 // What `inspect` would say of the scene that was written.
@@ -109,6 +115,8 @@ void words(VerbWords& verb, PrepareVerbOptions& options) {
   verb.required("--out FOLDER", options.out, "scene to write; a run that was ended goes on there");
   verb.value_in("--frames N", options.frames, 0, 10000,
                 "frames to keep of a video at most; 0: three a second, 30 to 300");
+  verb.value_in("--attempts N", options.attempts, 1, 3,
+                "attempts to give every photograph a pose, at most; each takes longer than the one before");
   verb.value_in("--threads N", options.threads, 0, 4096, "threads of COLMAP; 0: every core");
 }
 

@@ -138,8 +138,7 @@ std::vector<std::string> ColmapSteps::map(const FeatureSettings& s, bool relaxed
                                       }});
   } catch (const Error& e) {
     // So ends a mapper that finds no two images to begin with.
-    if (e.kind() != ErrorKind::failure || log_text(file).find("failed to create sparse model") == std::string::npos)
-      throw;
+    if (e.kind() != ErrorKind::failure || log_text(file).find("sparse model") == std::string::npos) throw;
   }
   std::vector<std::string> out;
   for (const fs::directory_entry& entry : sorted_folder(folder.string())) {

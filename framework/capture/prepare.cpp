@@ -202,8 +202,9 @@ PrepareReport prepare_scene(const PrepareOptions& options, const Programs& progr
   report.height_px = size.height_px;
   const ColmapSteps colmap(programs, progress, folders.images.string(), folders.work.string(), folders.logs.string(),
                            options.threads > 0 ? options.threads : hardware_threads());
-  const Reconstruction found =
-      reconstruct({names, source.video, source.camera_per_folder, folders.work.string()}, colmap, state);
+  const Reconstruction found = reconstruct(
+      {names, source.video, source.camera_per_folder, folders.work.string(), options.attempts, options.note}, colmap,
+      state);
   report.registered = found.best.images.size();
   report.points = found.best.points;
   report.error_px = found.best.error_px;

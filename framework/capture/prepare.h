@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -16,6 +17,8 @@ struct PrepareOptions {
   std::string out;         ///< folder of the scene
   std::size_t frames = 0;  ///< of a video, at most; 0: as VideoCut
   int threads = 0;         ///< 0: every core
+  int attempts = 3;        ///< to give every photograph a pose, at most
+  std::function<void(const std::string&)> note = [](const std::string&) {};  ///< of an attempt that was not enough
 };
 
 struct PrepareReport {

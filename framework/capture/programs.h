@@ -35,7 +35,7 @@ struct ProgramRun {
   std::vector<std::string> words;  ///< without the program
   std::string log;                 ///< file
   std::function<void()> tick = [] {};
-  std::string remedy = "the log says more";  ///< for one that fails
+  std::string remedy = "the log says more; COLMAP 3.8 is known to take these words";  ///< for one that fails
 };
 /// Runs the program `name`. Throws Error(failure) that quotes the last lines of its log where it does not end with 0.
 void run_program(const Programs& programs, const std::string& name, const ProgramRun& run);

@@ -5,6 +5,7 @@
 #include <optional>
 #include <set>
 
+#include "core/text.h"
 #include "loading/colmap_model.h"
 #include "system/files.h"
 
@@ -95,9 +96,19 @@ std::string range_text(const std::vector<std::string>& names, std::size_t first,
 
 Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colmap, PrepareState& state) {
   Reconstruction out;
+  const std::string* earlier = state.done("refined");
+  double most = task.attempts;
+  if (earlier != nullptr) (void)parse_number(*earlier, most);
   for (const Attempt& attempt : ladder()) {
-    if (static_cast<double>(out.best.images.size()) >= kEnough * static_cast<double>(task.names.size())) break;
-    ++out.attempts;
+    const std::size_t posed = out.best.images.size();
+    if (out.attempts >= most || static_cast<double>(posed) >= kEnough * static_cast<double>(task.names.size())) break;
+    if (out.attempts++ > 0) {
+      task.note(std::to_string(posed) + " of " + std::to_string(task.names.size()) +
+                " photographs have a pose; attempt " + std::to_string(out.attempts) +
+                " takes longer. To do without, stop and give the same command with "
+                "--attempts " +
+                std::to_string(out.attempts - 1));
+    }
     std::vector<FoundModel> models = models_of(attempt, task, colmap, state);
     if (models.empty() || !(out.best.images.empty() || is_better(models.front(), out.best))) continue;
     out.best = std::move(models.front());
@@ -113,7 +124,10 @@ Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colma
                 "texture, and walk rather than turn on the spot");
   }
   const std::string refined = (fs::path(task.work) / "refined").string();
-  once(state, "refined", [&] { colmap.refine(out.best.folder, refined); });
+  if (earlier == nullptr) {
+    colmap.refine(out.best.folder, refined);
+    state.mark("refined", std::to_string(out.attempts));
+  }
   FoundModel adjusted = model_in(refined);
   if (adjusted.images.size() == out.best.images.size() && adjusted.error_px <= out.best.error_px)
     out.best = std::move(adjusted);

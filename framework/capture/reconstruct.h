@@ -1,6 +1,7 @@
 // The ladder of attempts by which photographs get poses, and what is said of those that get none.
 #pragma once
 
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -22,6 +23,9 @@ struct ReconstructTask {
   bool in_order = false;           ///< frames of a film: neighbours are neighbours
   bool camera_per_folder = false;
   std::string work;  ///< folder
+  int attempts = 3;  ///< at most; a step that an earlier call of the program has refined is not climbed on from
+  std::function<void(const std::string&)> note = [](const std::string&) {
+  };  ///< told after an attempt that was not enough
 };
 
 struct Reconstruction {

@@ -128,6 +128,18 @@ TEST_F(Prepare, TheLadderIsClimbedUntilEnoughHaveAPose) {
   EXPECT_HAS(calls, "--ImageReader.camera_model OPENCV");
 }
 
+TEST_F(Prepare, FewerAttemptsTakeWhatIsThere) {
+  model(1, 0, {0, 1, 2});
+  model(2, 0, {0, 1, 2, 3});
+  const Result first = prepare("photographs --out scene --attempts 2");
+  EXPECT_EQ(first.code, 0) << first.err;
+  EXPECT_HAS(first.err, "3 of 6 photographs have a pose; attempt 2 takes longer", "--attempts 1");
+  EXPECT_HAS(first.out, "registered  4 of 6 (67 %)", "2 attempts");
+  const std::string done = steps();
+  EXPECT_HAS(prepare().out, "registered  4 of 6 (67 %)", "2 attempts");
+  EXPECT_EQ(steps(), done) << "what is published is not climbed on from";
+}
+
 TEST_F(Prepare, NoOverlapIsSaidWithARemedy) {
   const Result r = prepare();
   EXPECT_EQ(r.code, 65);
