@@ -69,6 +69,7 @@ struct CameraRules {
   bool colors = false;                   ///< an affine map of colours
   double distance_m = 1;                 ///< unit of shifts: what cameras look at lies about so far away
   double pose_rate = 0, color_rate = 0;  ///< factors to the learning rate
+  double from_step = 0;                  ///< share of the run after which they move
   bool alone = false;  ///< nothing else learns, and means may move: cameras are fitted to a field that stays
   bool any() const { return count > 0 && (poses || colors); }
 };

@@ -231,6 +231,7 @@ PipelineOptions pipeline_options(const RunConfig& config, const BuildPlan& plan,
   cameras.colors = plan.learned_colors > 0;
   cameras.pose_rate = config.cameras.pose_rate;
   cameras.color_rate = config.cameras.color_rate;
+  cameras.from_step = config.cameras.from_step;
   const Vec3d size = extent.bounds.size();
   cameras.distance_m = 0.5 * std::max({size.x, size.y, size.z});
   options.head_on_all_rays = plan.head_on_unlabelled_rays;

@@ -30,7 +30,7 @@ inline std::string branch_and_terms_config(const std::string& more) { return bra
 /// Poses and colours of the training cameras are learned.
 inline std::string learned_cameras(std::string yaml) {
   return yaml.replace(yaml.find("train: {"), 8,
-                      "train: {cameras: {poses: learned, colors: learned, pose_rate: 0.5, color_rate: 0.5}, ");
+                      "train: {cameras: {poses: learned, colors: learned, pose_rate: 0.5, color_rate: 0.5, from_step: 0}, ");
 }
 inline std::string cameras_config(const std::string& more) { return learned_cameras(hash_config(more)); }
 inline std::string contracted_cameras_config(const std::string& more) {

@@ -16,7 +16,7 @@ namespace {
 
 using namespace testing_train;
 
-const std::string kLearned = "cameras: {poses: learned, colors: learned, pose_rate: 0.5, color_rate: 0.5}, ";
+const std::string kLearned = "cameras: {poses: learned, colors: learned, pose_rate: 0.5, color_rate: 0.5, from_step: 0}, ";
 
 std::string learned(std::string yaml, const std::string& cameras = kLearned) {
   return yaml.replace(yaml.find("train: {"), 8, "train: {" + cameras);
@@ -126,6 +126,23 @@ TEST(CameraCorrections, KeepTheMeanAndAreAbsentWhereNobodyAsks) {
   Session plain = open_text(hash_config(), registry);
   EXPECT_EQ(plain.pipeline->cameras(), nullptr);
   EXPECT_EQ(plain.pipeline->store().find("cameras/pose/learned"), nullptr);
+}
+
+// Until then the field is fog, whose gradients would move right poses.
+TEST(CameraCorrections, MoveAfterTheirShareOfTheRun) {
+  Registry registry = make_registry();
+  Session session = open_text(learned(hash_config(), "cameras: {poses: learned, from_step: 0.1}, "), registry);
+  const std::unique_ptr<RaySource> rays = session.make_ray_source();
+  Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, session.config.train.steps);
+  const Tensor<float>* pose = session.pipeline->store().find("cameras/pose/learned");
+  ASSERT_NE(pose, nullptr);
+  const auto moved = [&] {
+    return std::any_of(pose->value.data(), pose->value.data() + pose->size(), [](float x) { return x != 0; });
+  };
+  while (trainer.step() < session.config.train.steps / 10) trainer.advance();
+  EXPECT_FALSE(moved());
+  while (trainer.step() < session.config.train.steps / 10 + 2) trainer.advance();
+  EXPECT_TRUE(moved());
 }
 
 TEST(CameraCorrections, ARunHasTheSameBitsOnAnyThreads) {

@@ -60,6 +60,9 @@ void describe(ParamVisitor& visit, CameraParams& p) {
       "factor to the learning rate of poses, in radians and shifts in halves of the scene's longest side; it "
       "falls with the third power of the schedule",
       {0, 1e6});
+  SEMFIELD_PARAM(visit, p, from_step,
+                 "share of the run after which poses and colours move: before it the field is fog, which moves right ones",
+                 {0, 1});
   SEMFIELD_PARAM(visit, p, color_rate, "factor to the learning rate of colours; it falls with the third power too",
                  {0, 1e6});
 }

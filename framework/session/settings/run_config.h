@@ -53,6 +53,7 @@ struct CameraParams {
   CameraTrust poses = CameraTrust::given, colors = CameraTrust::given;
   double pose_rate = 0.02;
   double color_rate = 0.02;
+  double from_step = 0.1;
 };
 void describe(ParamVisitor& visit, CameraParams& params);
 
