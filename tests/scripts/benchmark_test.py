@@ -17,7 +17,7 @@ if words[0] == "train":
     print(json.dumps({"steps": 7}))
 else:
     seconds = float(words[1].rsplit("_", 1)[1])
-    print(json.dumps({"psnr": 20 + seconds, "absrel": 0.05, "miou_present": None, "frames": 3}))
+    print(json.dumps({"psnr": 20 + seconds, "absrel": 0.05, "miou_present": None, "frames": 3, "per_frame": [{"psnr": 21}, {"psnr": 24}]}))
 """
 
 
@@ -49,7 +49,7 @@ with tempfile.TemporaryDirectory() as folder:
     assert "lego_5s=25.00 lego_60s=80.00" in done.stdout, done.stdout
     with open(page) as file:
         text = file.read()
-    assert "| lego | `object` | 60 s | 7 | 80.00 | – | 0.050 | – | 3 | a CPU, 2 threads |" in text, text
+    assert "| lego | `object` | 60 s | 7 | 80.00 | 22.50 | – | 0.050 | – | 3 | a CPU, 2 threads |" in text, text
     assert "36.4" in text, "published figures"
 
     done = run(*common, "--scenes", "legos")
