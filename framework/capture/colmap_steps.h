@@ -30,7 +30,7 @@ std::vector<Pair> pairs_in_order(std::size_t count);
 
 class ColmapSteps {
  public:
-  /// `work` is the folder of all that COLMAP writes, `logs` that of its logs. All three outlive this.
+  /// `work` is the folder of all that COLMAP writes, `logs` that of its logs. `programs` and `progress` outlive this.
   ColmapSteps(const Programs& programs, const CaptureProgress& progress, std::string images, std::string work,
               std::string logs, int threads)
       : programs_(programs),
@@ -42,7 +42,7 @@ class ColmapSteps {
 
   /// Into a new database: COLMAP that goes on in one it has begun gives the other images a camera of their own.
   void extract(const FeatureSettings& settings, bool camera_per_folder, std::size_t images) const;
-  /// A part of the pairs; those that are in the database are passed over.
+  /// Pairs that are in the database already are passed over.
   void match(const FeatureSettings& settings, const std::vector<std::string>& names,
              const std::vector<Pair>& pairs) const;
   /// Folders of the models that were found, in the order of their names; none where no two images begin one. `relaxed`
@@ -60,8 +60,7 @@ class ColmapSteps {
   int threads_;
 };
 
-/// The largest number that follows `before` in a log, up to the next character that is none: how far a program is. 0
-/// where there is none.
+/// The whole number behind the last `before` in a log: how far a program is. 0 where there is none.
 double last_number_after(const std::string& text, const std::string& before);
 
 }  // namespace semfield

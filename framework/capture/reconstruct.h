@@ -23,9 +23,9 @@ struct ReconstructTask {
   bool in_order = false;           ///< frames of a film: neighbours are neighbours
   bool camera_per_folder = false;
   std::string work;  ///< folder
-  int attempts = 3;  ///< at most; a step that an earlier call of the program has refined is not climbed on from
-  std::function<void(const std::string&)> note = [](const std::string&) {
-  };  ///< told after an attempt that was not enough
+  int attempts = 3;  ///< at most; none follows once a model has been refined
+  /// Told of an attempt that was not enough, before the next.
+  std::function<void(const std::string&)> note = [](const std::string&) {};
 };
 
 struct Reconstruction {

@@ -7,21 +7,24 @@
 
 namespace semfield::testing_room {
 
-/// The room's views `numbers` as a model in `folder`, with two points of the given reprojection error.
-inline void write_room_model(const std::string& folder, const std::vector<int>& numbers, double error_px) {
+/// The room's views `numbers` as a model in `folder`, with two points of the given reprojection error. `names` are
+/// those of the images; without them they are called by their numbers.
+inline void write_room_model(const std::string& folder, const std::vector<int>& numbers, double error_px,
+                             const std::vector<std::string>& names = {}) {
   std::string images, points;
   const auto put = [](std::string& out, auto value) {
     out.append(reinterpret_cast<const char*>(&value), sizeof value);
   };
   put(images, static_cast<std::uint64_t>(numbers.size()));
-  for (const int i : numbers) {
+  for (std::size_t k = 0; k < numbers.size(); ++k) {
+    const int i = numbers[k];
     const Pose pose = room_pose(i);
     const Quaternion q = quaternion_of(pose);
     const Vec3d t = pose.unrotate(pose.t) * -1.0;
     put(images, static_cast<std::uint32_t>(i + 1));
     for (const double v : {q[0], -q[1], -q[2], -q[3], t.x, t.y, t.z}) put(images, v);
     put(images, std::uint32_t{1});
-    images += std::to_string(i) + ".png" + '\0';
+    images += (names.empty() ? std::to_string(i) + ".png" : names[k]) + '\0';
     put(images, std::uint64_t{0});
   }
   put(points, std::uint64_t{2});
