@@ -122,7 +122,10 @@ std::vector<std::string> ColmapSteps::map(const FeatureSettings& s, bool relaxed
                                  // All is adjusted at the end once more, so less often on the way.
                                  "--Mapper.ba_global_max_num_iterations", "20", "--Mapper.ba_global_images_ratio",
                                  "1.4", "--Mapper.ba_global_points_ratio", "1.4"};
-  if (relaxed) {
+  if (!relaxed) {  // an image at a wrong place does more harm than one without: things that repeat look alike
+    words.insert(words.end(), {"--Mapper.min_num_matches", "30", "--Mapper.abs_pose_min_num_inliers", "60",
+                               "--Mapper.abs_pose_min_inlier_ratio", "0.4"});
+  } else {
     words.insert(words.end(), {"--Mapper.init_min_num_inliers", "50", "--Mapper.init_min_tri_angle", "8",
                                "--Mapper.abs_pose_min_num_inliers", "15", "--Mapper.abs_pose_min_inlier_ratio", "0.15",
                                "--Mapper.min_num_matches", "10"});
