@@ -32,12 +32,12 @@ TEST(RunConfig, CollectsEveryErrorWithItsPlace) {
       "  - sampler: {type: stratified, samples: many}\n"
       "    position: {type: hashgrid}\n"
       "    fild: {type: tiny_mlp}\n"
-      "train: {rays: 0}\n");
+      "train: {rays: -1}\n");
   for (const char* part :
        {"room.yaml:1:", "unknown key 'framez'; did you mean 'frames'?",
         "unknown section 'sematics'; did you mean 'semantics'?", "passes.0.sampler.samples: expected int, got 'many'",
         "no encoder named 'hashgrid'", "did you mean 'hash_grid'?", "unknown key 'fild'; did you mean 'field'?",
-        "key 'field' is missing", "train.rays: expected int in [1, 1048576], got 0"}) {
+        "key 'field' is missing", "train.rays: expected int in [0, 1048576], got -1"}) {
     EXPECT_HAS(text, part) << "missing: " << part << "\nin:\n" << text;
   }
 }
