@@ -30,14 +30,14 @@ SEMFIELD_HD inline RotationTerms rotation_terms(Vec3d w) {
   return {sine / angle, 2 * half * half / square, (angle - sine) / (square * angle)};
 }
 
-/// exp([w]x) v [Sola18, Eq. 145].
+/// exp([w]x) v [Sola18, App. B].
 SEMFIELD_HD inline Vec3d rotated(Vec3d w, Vec3d v) {
   const RotationTerms terms = rotation_terms(w);
   const Vec3d once = cross(w, v);
   return v + once * terms.first + cross(w, once) * terms.second;
 }
 
-/// dL/dw of v' = exp([w]x) v from dL/dv': the transposed left Jacobian [Sola18, Eq. 145] times v' x dL/dv'.
+/// dL/dw of v' = exp([w]x) v from dL/dv': the transposed left Jacobian [Sola18, App. B] times v' x dL/dv'.
 SEMFIELD_HD inline Vec3d rotation_gradient(Vec3d w, Vec3d moved, Vec3d d_moved) {
   const RotationTerms terms = rotation_terms(w);
   const Vec3d torque = cross(moved, d_moved), once = cross(w, torque);

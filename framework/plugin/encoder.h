@@ -18,6 +18,9 @@ struct EncoderTraits {
   /// forward of very many rows spreads over threads by itself, and is then faster by row than for one tile: training
   /// calls it once per step with all rows where it can, outside parallel regions.
   bool whole_batch = false;
+  /// Of an encoder that learns: backward gives dx alone where tensors.grad is empty. Poses of cameras can be learned
+  /// with it, and with every encoder that learns nothing.
+  bool gives_dx_alone = false;
 };
 
 /// Shapes: M samples. Coordinates are float64 whatever Real is, because fp32 positions carry only about 19 useful bands
@@ -38,9 +41,9 @@ class Encoder : public Parametric<Real> {
 
   /// tensors.grad += dL/dtheta and, when dx is not empty, dx = dL/dx. x as in forward, dy [M, out_dims], dx [M,
   /// in_dims]. With gradients of tensors it is called once per step with all its samples, outside parallel regions: it
-  /// may use parallel_for, and must give the same bits for any thread count. With dx alone (tensors.grad empty) it is
-  /// called for a tile, as forward is. Recomputes what it needs from x (encoders are memory-bound; nothing is saved by
-  /// forward).
+  /// may use parallel_for, and must give the same bits for any thread count. With dx alone (tensors.grad empty,
+  /// EncoderTraits::gives_dx_alone) it is called for a tile, as forward is. Recomputes what it needs from x (encoders
+  /// are memory-bound; nothing is saved by forward).
   void backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x, View<const Real> dy,
                 View<Real> dx) const;
 

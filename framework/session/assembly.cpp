@@ -148,6 +148,13 @@ PassParts<Real> make_pass(std::size_t number, const PassBuild& build, std::uniqu
   parts.stages = &stages_of<Real>(build.device);
   parts.sampler = sampler ? std::move(sampler) : make_sampler<Real>(pass.sampler, registry, extent, build.device);
   parts.position = make_encoder<Real>(pass.position, registry, extent, false, build.device, pass.key + ".position");
+  if (build.plan.learned_poses > 0 && !parts.position->traits().gives_dx_alone &&
+      declared_bytes<Real>(*parts.position, 1, true).learns) {
+    throw Error(ErrorKind::config, "config.encoder.poses",
+                pass.key + ".position: encoder '" + pass.position.entry->name +
+                    "' has learned tensors and gives no gradient of positions by itself, so poses cannot be learned",
+                "choose an encoder that does, such as hash_grid, or set train.cameras.poses: given");
+  }
   parts.domain =
       DomainMap::make(parts.position->traits().domain, extent.bounds, config.rendering.scene_scale, extent.contracted);
   FieldBuild field_build;

@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 
 #include "session/trainer.h"
 
@@ -29,21 +28,22 @@ double angle_deg(const Pose& a, const Pose& b) {
 }  // namespace
 
 void use_learned_poses(Session& s, const TensorFile& checkpoint, Diagnostics& diagnostics) {
-  const TensorRef* learned = checkpoint.find(std::string(CameraCorrections<float>::kPoseName) + "/learned");
+  const std::string name = std::string(CameraCorrections<float>::kPoseName) + "/learned";
+  const TensorRef* learned = checkpoint.find(name);
   const std::vector<int> frames = s.scene.frames_of(Split::train);
+  const std::int64_t rows = std::ssize(frames);
   if (learned == nullptr) return;
-  if (learned->shape.front() != std::ssize(frames)) {
+  if (learned->shape != std::vector<std::int64_t>{rows, kPoseNumbers}) {
     diagnostics.warning(
         "run.poses.other", "train.cameras",
-        fmt::format("the run has learned poses of {} training frames, and the scene has {}: those given "
-                    "are used",
-                    learned->shape.front(), frames.size()),
+        fmt::format("the poses that the run has learned are not those of the {} training frames of this scene: those "
+                    "given are used",
+                    frames.size()),
         "open the run with the scene that it was trained on");
     return;
   }
-  std::vector<float> numbers(frames.size() * kPoseNumbers), used(numbers.size());
-  std::memcpy(numbers.data(), learned->bytes.data(), learned->bytes.size());
-  const auto rows = static_cast<std::int64_t>(frames.size());
+  const std::vector<float> numbers = checkpoint.floats(name, rows * kPoseNumbers);
+  std::vector<float> used(numbers.size());
   cpu_camera_kernels<float>().centre({numbers.data(), rows, kPoseNumbers}, 1, {used.data(), rows, kPoseNumbers});
   const double distance_m = s.pipeline->options().cameras.distance_m;
   double turned_deg = 0, moved_m = 0;

@@ -154,6 +154,12 @@ void check_accumulation(const Encoder<double>& encoder, const LawOptions& option
   prefilled.dx.fill(7.0);
   prefilled.backward();
   note_failure(failures, "dx is overwritten", compare_bits<double>(prefilled.dx.view(), clean.dx.view()));
+  if (encoder.traits().gives_dx_alone) {
+    EncoderBench<double> alone(encoder, kFewRows, 0, options);
+    alone.dx.fill(7.0);
+    encoder.backward(alone.ctx, {alone.box.tensors().value, {}}, alone.x.view(), alone.dy.view(), alone.dx.view());
+    note_failure(failures, "dx alone", compare_bits<double>(alone.dx.view(), clean.dx.view()));
+  }
   EncoderBench<double> without_dx(encoder, kFewRows, 0, options);
   without_dx.backward(false);
   for (std::size_t i = 0; i < clean.box.count(); ++i) {

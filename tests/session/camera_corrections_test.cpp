@@ -9,6 +9,7 @@
 
 #include "model/domain_map.h"
 #include "session/trainer.h"
+#include "tests/plugin/toy_encoder.h"
 #include "tests/session/oracle.h"
 
 namespace semfield {
@@ -16,7 +17,8 @@ namespace {
 
 using namespace testing_train;
 
-const std::string kLearned = "cameras: {poses: learned, colors: learned, pose_rate: 0.5, color_rate: 0.5, from_step: 0}, ";
+const std::string kLearned =
+    "cameras: {poses: learned, colors: learned, pose_rate: 0.5, color_rate: 0.5, from_step: 0}, ";
 
 std::string learned(std::string yaml, const std::string& cameras = kLearned) {
   return yaml.replace(yaml.find("train: {"), 8, "train: {" + cameras);
@@ -143,6 +145,18 @@ TEST(CameraCorrections, MoveAfterTheirShareOfTheRun) {
   EXPECT_FALSE(moved());
   while (trainer.step() < session.config.train.steps / 10 + 2) trainer.advance();
   EXPECT_TRUE(moved());
+}
+
+// An encoder whose tables learn must say that it gives gradients of positions alone: another would write into
+// gradients that are not there.
+TEST(CameraCorrections, AnEncoderThatCannotIsRefusedByName) {
+  Registry registry = make_registry();
+  toy::register_into(registry);
+  std::string yaml = stratified_config("type: analytic_room", "", kLearned + "rays: 24");
+  const std::size_t position = yaml.find("    position:");
+  yaml.replace(position, yaml.find('\n', position) - position, "    position: {type: toy}");
+  EXPECT_HAS(error_of(ErrorKind::config, [&] { (void)open_text(yaml, registry); }),
+             "encoder 'toy' has learned tensors and gives no gradient of positions by itself");
 }
 
 TEST(CameraCorrections, ARunHasTheSameBitsOnAnyThreads) {

@@ -42,6 +42,30 @@ TEST(RunConfig, CollectsEveryErrorWithItsPlace) {
   }
 }
 
+// What a preset leaves to the device; numbers that are written stay.
+TEST(RunConfig, TheDeviceChoosesSizesThatAreLeftOpen) {
+  Registry registry = make_registry();
+  const auto chosen = [&](const std::string& levels, Device device) {
+    const ConfigNode tree = parse_config_text(
+        "scene: {type: analytic_room}\n"
+        "passes:\n"
+        "  - sampler: {type: occupancy_grid, max_samples: 0}\n"
+        "    position: {type: hash_grid, levels: " +
+            levels +
+            "}\n"
+            "    field: {type: tiny_mlp}\n"
+            "train: {rays: 0}\n",
+        "room.yaml");
+    RunConfig config = run_config_of(tree, registry);
+    const std::size_t lines = choose_for_device(config, device).size();
+    const std::string resolved = write_config(resolved_config(config));
+    return std::to_string(config.train.rays) + " " + std::to_string(lines) + "\n" + resolved;
+  };
+  EXPECT_HAS(chosen("0", Device::cpu), "1024 3\n", "levels: 8", "max_samples: 128");
+  EXPECT_HAS(chosen("0", Device::cuda), "8192 3\n", "levels: 16", "max_samples: 256");
+  EXPECT_HAS(chosen("5", Device::cuda), "8192 2\n", "levels: 5");
+}
+
 TEST(RunConfig, RunsOfEarlierVersionsMayNameOurOwnKernels) {
   for (const char* gemm : {"auto", "builtin"})
     EXPECT_EQ(errors_of(hash_config("runtime: {threads: 1, gemm: " + std::string(gemm) + "}\n")), "");

@@ -147,7 +147,7 @@ HashGrid<Real>::HashGrid(const HashGridParams& written, const EncoderBuild& buil
 
 template <class Real>
 EncoderTraits HashGrid<Real>::traits() const noexcept {
-  return {3, shape_.levels * shape_.features, Domain::unit_cube, true};
+  return {3, shape_.levels * shape_.features, Domain::unit_cube, true, true};
 }
 
 template <class Real>

@@ -32,7 +32,7 @@ struct MeshScore {
 /// accuracy their precision. We differ: distances are taken to triangles of the mesh, and what no depth image speaks of
 /// is left out of accuracy, as [Schops17] do with laser scans.
 ///
-/// - Points of depth images are thinned to one a cube of kPointCube, so that what many frames show counts once.
+/// - Points of depth images are thinned to one per cube of kPointCube, so that what many frames show counts once.
 /// - kMeshPoints points of the mesh are drawn evenly by area, addressed by their number. A point is judged where some
 ///   depth image has a value at its pixel and the point lies no farther than kScoreDistances.back() behind it. What
 ///   lies behind everything that was measured is neither right nor wrong.
