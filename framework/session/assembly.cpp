@@ -153,7 +153,7 @@ PassParts<Real> make_pass(std::size_t number, const PassBuild& build, std::uniqu
     throw Error(ErrorKind::config, "config.encoder.poses",
                 pass.key + ".position: encoder '" + pass.position.entry->name +
                     "' has learned tensors and gives no gradient of positions by itself, so poses cannot be learned",
-                "choose an encoder that does, such as hash_grid, or set train.cameras.poses: given");
+                "choose another encoder, or set train.cameras.poses: given");
   }
   parts.domain =
       DomainMap::make(parts.position->traits().domain, extent.bounds, config.rendering.scene_scale, extent.contracted);
