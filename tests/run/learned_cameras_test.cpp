@@ -74,5 +74,23 @@ TEST(LearnedPoses, AreThoseOfTrainingFramesWhenARunIsOpenedAgain) {
   EXPECT_EQ(distance(poses_of(opened.session, Split::test), poses_of(given, Split::test)), 0);
 }
 
+// A file of another scene, or a damaged one: the given poses stay, and nothing is read past what is there.
+TEST(LearnedPoses, OfAnotherShapeAreNotUsed) {
+  Registry registry = make_registry();
+  Session session = open_text(hash_config(), registry);
+  const std::vector<Pose> given = poses_of(session, Split::train);
+  const TempDir dir;
+  for (const auto& [rows, cols] : {std::pair{2, 6}, {static_cast<int>(given.size()), 7}}) {
+    const std::vector<float> numbers(static_cast<std::size_t>(rows * cols), 0.3F);
+    write_safetensors(dir / "state.safetensors",
+                      {tensor_ref("cameras/pose/learned", {rows, cols}, std::span<const float>(numbers))}, {});
+    Diagnostics found;
+    use_learned_poses(session, TensorFile::read(dir / "state.safetensors"), found);
+    ASSERT_EQ(found.all().size(), 1U);
+    EXPECT_EQ(found.all().front().code, "run.poses.other");
+    EXPECT_EQ(distance(poses_of(session, Split::train), given), 0);
+  }
+}
+
 }  // namespace
 }  // namespace semfield
