@@ -23,37 +23,52 @@ void for_each(std::int64_t rows, std::int32_t cols, const char* what, Body body)
   check_launch(what);
 }
 
+__device__ inline float wide(float value) { return value; }
+__device__ inline float wide(__nv_bfloat16 value) { return __bfloat162float(value); }
+template <class Act>
+__device__ Act narrow(float value) {
+  if constexpr (sizeof(Act) == sizeof(float)) {
+    return value;
+  } else {
+    return __float2bfloat16_rn(value);
+  }
+}
+
+template <class Sums, class Act>
 struct EndOfRow {
-  LayerEnd end;
+  LayerEnd<Sums, Act> end;
   __device__ void operator()(std::int64_t row, std::int32_t col) const {
-    float value = end.sums(row, col);
+    float value = wide(end.sums(row, col));
     if (!end.start.empty() && col < end.start.cols)
       value += end.start(!end.row_of.empty() ? end.row_of(row, 0) : end.start.rows == 1 ? 0 : row, col);
     if (end.relu && value < 0) value = 0;  // NaN stays NaN
-    if (!end.mask.empty() && !(end.mask(row, col) > 0)) value = 0;
-    end.out(row, col) = value;
+    if (!end.mask.empty() && !(wide(end.mask(row, col)) > 0)) value = 0;
+    end.out(row, col) = narrow<Act>(value);
   }
 };
 
+template <class Act>
 struct SineOfRow {
   View<const float> sums;
   float frequency;
-  View<float> value, slope;
+  View<Act> value, slope;
   __device__ void operator()(std::int64_t row, std::int32_t col) const {
     double turns = static_cast<double>(sums(row, col)) * (static_cast<double>(frequency) * 0.15915494309189535);
     turns -= rint(turns);
     float sine = 0, cosine = 0;
     sincos_of_quarters(4.0 * turns, sine, cosine);
-    value(row, col) = sine;
-    if (!slope.empty()) slope(row, col) = frequency * cosine;
+    value(row, col) = narrow<Act>(sine);
+    if (!slope.empty()) slope(row, col) = narrow<Act>(frequency * cosine);
   }
 };
 
+template <class Act>
 struct SlopeOfRow {
-  View<const float> slope, sums;
-  View<float> dz;
+  View<const Act> slope;
+  View<const float> sums;
+  View<Act> dz;
   __device__ void operator()(std::int64_t row, std::int32_t col) const {
-    dz(row, col) = sums(row, col) * slope(row, col);
+    dz(row, col) = narrow<Act>(sums(row, col) * wide(slope(row, col)));
   }
 };
 
@@ -81,15 +96,30 @@ struct LogitOfRow {
 
 }  // namespace
 
-void finish_rows(const LayerEnd& end) { for_each(end.out.rows, end.out.cols, "the end of a layer", EndOfRow{end}); }
-
-void sine_rows(View<const float> sums, float frequency, View<float> value, View<float> slope) {
-  for_each(value.rows, value.cols, "a layer of sines", SineOfRow{sums, frequency, value, slope});
+template <class Sums, class Act>
+void finish_rows(const LayerEnd<Sums, Act>& end) {
+  for_each(end.out.rows, end.out.cols, "the end of a layer", EndOfRow<Sums, Act>{end});
 }
 
-void times_slope(View<const float> slope, View<const float> sums, View<float> dz) {
-  for_each(dz.rows, dz.cols, "the gradient of a layer of sines", SlopeOfRow{slope, sums, dz});
+template <class Act>
+void sine_rows(View<const float> sums, float frequency, View<Act> value, View<Act> slope) {
+  for_each(value.rows, value.cols, "a layer of sines", SineOfRow<Act>{sums, frequency, value, slope});
 }
+
+template <class Act>
+void times_slope(View<const Act> slope, View<const float> sums, View<Act> dz) {
+  for_each(dz.rows, dz.cols, "the gradient of a layer of sines", SlopeOfRow<Act>{slope, sums, dz});
+}
+
+#define SEMFIELD_INSTANTIATE(Act)                                               \
+  template void sine_rows<Act>(View<const float>, float, View<Act>, View<Act>); \
+  template void times_slope<Act>(View<const Act>, View<const float>, View<Act>);
+SEMFIELD_INSTANTIATE(float)
+SEMFIELD_INSTANTIATE(__nv_bfloat16)
+#undef SEMFIELD_INSTANTIATE
+template void finish_rows<float, float>(const LayerEnd<float, float>&);
+template void finish_rows<float, __nv_bfloat16>(const LayerEnd<float, __nv_bfloat16>&);
+template void finish_rows<__nv_bfloat16, __nv_bfloat16>(const LayerEnd<__nv_bfloat16, __nv_bfloat16>&);
 
 void gather_rows(View<const float> in, View<const std::int32_t> ray_of_sample, View<float> out) {
   for_each(out.rows, out.cols, "rows of rays for samples", GatherOfRow{in, ray_of_sample, out});

@@ -1,6 +1,8 @@
 // What networks do to rows beside products, on the device: the ends of layers, sines, colours.
 #pragma once
 
+#include <cuda_bf16.h>
+
 #include <cstdint>
 
 #include "core/view.h"
@@ -8,21 +10,25 @@
 namespace semfield::cuda {
 
 /// out = sums + start, then the ReLU and the mask: `out` [M, N]. start: empty, one row for all, or row row_of[m], or
-/// row m. out may be `sums`, and `start` may be `out`.
+/// row m. out may be `sums`, and `start` may be `out`. Act: float or __nv_bfloat16; Sums: that or float.
+template <class Sums, class Act>
 struct LayerEnd {
-  View<const float> sums;
+  View<const Sums> sums;
   View<const float> start;
   View<const std::int32_t> row_of;
   bool relu = false;
-  View<const float> mask;  ///< [M, N] or empty: 0 where it is not positive
-  View<float> out;
+  View<const Act> mask;  ///< [M, N] or empty: 0 where it is not positive
+  View<Act> out;
 };
-void finish_rows(const LayerEnd& end);
+template <class Sums, class Act>
+void finish_rows(const LayerEnd<Sums, Act>& end);
 
 /// value = sin(frequency sums) and, where it is given, slope = frequency cos(frequency sums).
-void sine_rows(View<const float> sums, float frequency, View<float> value, View<float> slope);
+template <class Act>
+void sine_rows(View<const float> sums, float frequency, View<Act> value, View<Act> slope);
 /// dz = sums times slope.
-void times_slope(View<const float> slope, View<const float> sums, View<float> dz);
+template <class Act>
+void times_slope(View<const Act> slope, View<const float> sums, View<Act> dz);
 
 /// out [M, N] = row ray_of_sample[m] of in [R, N].
 void gather_rows(View<const float> in, View<const std::int32_t> ray_of_sample, View<float> out);

@@ -42,7 +42,7 @@ MlpField<Real>::MlpField(const FieldBuild& build, const KernelTables& kernels, s
 template <class Real>
 FeatureForm MlpField<Real>::feature_form(std::int32_t hidden_width) const noexcept {
   const bool whole_vectors = feature_.cols % 32 == 0 && hidden_width % 32 == 0;  // rows without padding
-  return net_.graph().precision == Precision::bf16 && whole_vectors ? FeatureForm::rounded : FeatureForm::full;
+  return net_.rounds() && whole_vectors ? FeatureForm::rounded : FeatureForm::full;
 }
 
 template <class Real>

@@ -112,6 +112,7 @@ struct MlpKernels {
   std::size_t (*saved_bytes)(const MlpGraph&, std::int64_t samples) = nullptr;
   /// Null: not planned ahead on this device.
   std::size_t (*scratch_bytes)(const MlpGraph&, std::int64_t samples, std::int64_t rays) = nullptr;
+  bool rounds = false;  ///< rows between layers are bf16, so an output can leave as MlpOut::rounded
 };
 
 }  // namespace semfield

@@ -195,13 +195,6 @@ const MlpLayer* Mlp<Real>::find(std::string_view name) const {
 }
 
 template <class Real>
-const MlpLayer& Mlp<Real>::named(std::string_view name) const {
-  const MlpLayer* found = find(name);
-  SEMFIELD_CHECK(found != nullptr, "a network has no layer of this name");
-  return *found;
-}
-
-template <class Real>
 void Mlp<Real>::declare(ParamDeclarer& declarer) const {
   for (const TensorSpec& spec : specs_) declarer.tensor(spec);
 }

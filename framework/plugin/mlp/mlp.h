@@ -55,8 +55,9 @@ class Mlp final : public Parametric<Real> {
   void seal();
 
   const MlpGraph& graph() const { return graph_; }
-  /// Indices of a layer's tensors, for kernels that read them themselves.
-  const MlpLayer& named(std::string_view name) const;
+  /// Whether an output can be given in bf16.
+  bool rounds() const { return kernels_->rounds; }
+  /// A layer, for kernels that read its tensors themselves. Null: there is none of this name.
   const MlpLayer* find(std::string_view name) const;
   /// Indices of a linear layer that was multiplied with the next.
   const MlpFold* fold() const { return graph_.folds.empty() ? nullptr : graph_.folds.data(); }

@@ -224,6 +224,7 @@ constexpr MlpKernels<SumOf<Act>> kTable{
     derive_backward<SumOf<Act>>,
     MlpWalk<CpuLayers<Act>, Workspace>::saved_bytes,
     scratch_of<CpuLayers<Act>>,
+    CpuLayers<Act>::kRounds,
 };
 
 }  // namespace

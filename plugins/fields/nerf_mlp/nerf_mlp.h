@@ -2,14 +2,9 @@
 // direction.
 #pragma once
 
-#include <vector>
-
 #include "config/params.h"
 #include "core/error.h"
-#include "core/slow_path.h"
 #include "fields/nerf_mlp/nerf_mlp_kernels.h"
-#include "plugin/field.h"
-#include "plugin/kernels.h"
 
 namespace semfield {
 
@@ -33,34 +28,9 @@ void validate(const NerfMlpParams& params, Diagnostics& diagnostics);
 /// step and their gradients are handed on to both factors; with direction_once_per_ray, d W_view[width:] + bias is a
 /// row per ray.
 template <class Real>
-class NerfMlp final : public Field<Real>, public SlowPath {
+class NerfMlp final : public FusedMlpField<Real, NerfMlpShape> {
  public:
   NerfMlp(const NerfMlpParams& params, const FieldBuild& build, const KernelTables& kernels);
-  FieldTraits traits() const noexcept override { return {shape_.width, shape_.has_direction()}; }
-  FeatureForm feature_form(std::int32_t hidden_width) const noexcept override {
-    return kernels_->feature_form == nullptr ? FeatureForm::full : kernels_->feature_form(shape_, hidden_width);
-  }
-  std::size_t saved_bytes(std::int64_t samples, std::int64_t rays) const noexcept override;
-  std::size_t scratch_bytes(std::int64_t samples, std::int64_t rays) const noexcept override;
-  std::vector<LayerShape> layers() const override;
-  std::string slow_path() const override {
-    return kernels_->slow != nullptr && kernels_->slow(shape_) ? layer_by_layer(shape_) : std::string();
-  }
-  void declare(ParamDeclarer& declarer) const override;
-  void derive(const StepContext& ctx, const Tensors<Real>& tensors) const override;
-  void derive_backward(const StepContext& ctx, const Tensors<Real>& tensors) const override;
-
- protected:
-  void do_forward(const StepContext& ctx, const Tensors<Real>& tensors, const FieldIn<Real>& in,
-                  const FieldOut<Real>& out, Saved saved) const override;
-  void do_backward(const StepContext& ctx, const Tensors<Real>& tensors, const FieldIn<Real>& in,
-                   const FieldOut<Real>& out, const FieldGrad<Real>& grad, Saved saved,
-                   View<Real> d_position) const override;
-
- private:
-  const NerfMlpKernels<Real>* kernels_;
-  NerfMlpShape shape_;
-  std::vector<TensorSpec> specs_;
 };
 
 extern template class NerfMlp<float>;

@@ -148,13 +148,8 @@ void position_backward(const NerfMlpShape& s, const Tensors<float>& t, std::int6
 
 }  // namespace
 
-bool& FusedNerfMlp::enabled() {
-  static bool on = true;
-  return on;
-}
-
 bool FusedNerfMlp::serves(const NerfMlpShape& s) {
-  const bool hopper = [] {
+  static const bool hopper = [] {
     int device = 0, major = 0, minor = 0;
     return cudaGetDevice(&device) == cudaSuccess &&
            cudaDeviceGetAttribute(&major, cudaDevAttrComputeCapabilityMajor, device) == cudaSuccess &&
@@ -163,7 +158,7 @@ bool FusedNerfMlp::serves(const NerfMlpShape& s) {
   }();
   static_assert(kNerfFusedWidth == fused::kWidth && kNerfFusedViewWidth == fused::kView);
   static_assert(kNerfFusedPosition == fused::kPosition && kNerfFusedDepth == fused::kMaxDepth);
-  return enabled() && hopper && fused_takes(s);
+  return hopper && fused_takes(s);
 }
 
 bool FusedNerfMlp::computes_layer(std::int32_t hidden_width) { return hidden_width == fused::kView; }
@@ -174,7 +169,6 @@ std::size_t FusedNerfMlp::saved_bytes(const NerfMlpShape& s, std::int64_t sample
 
 void FusedNerfMlp::forward(const NerfMlpShape& s, const StepContext& ctx, const Tensors<float>& t,
                            const FieldIn<float>& in, const FieldOut<float>& out, Saved saved) {
-  SEMFIELD_CHECK(ctx.workspace != nullptr, "a field needs a workspace");
   Workspace& arena = *ctx.workspace;
   const Workspace::Scope scope(arena);
   const bool with_color = !out.rgb.empty();
@@ -228,8 +222,6 @@ void FusedNerfMlp::forward(const NerfMlpShape& s, const StepContext& ctx, const 
 void FusedNerfMlp::backward(const NerfMlpShape& s, const StepContext& ctx, const Tensors<float>& t,
                             const FieldIn<float>& in, const FieldOut<float>& out, const FieldGrad<float>& grad,
                             Saved saved, View<float> d_position) {
-  SEMFIELD_CHECK(ctx.workspace != nullptr, "a field needs a workspace");
-  SEMFIELD_CHECK(grad.rgb.empty() || !out.rgb.empty(), "a colour gradient needs the colour that forward gave");
   const View<const Bf16> d_rounded_feature = as_bf16(grad.fused.feature);
   const HiddenLayer<float>& semantic = out.fused.layer;
   const bool with_semantic = grad.fused.hidden != nullptr;

@@ -5,7 +5,7 @@
 
 namespace semfield::cuda {
 
-/// Same function and tensors as LayeredNerfMlp<__nv_bfloat16>, for the shapes that `serves` names.
+/// The same function and tensors as the network layer by layer, for the shapes that `serves` names.
 struct FusedNerfMlp {
   /// Whether shape and GPU have these kernels: bf16, 256 wide, view layer 128 wide, encoded position of at most
   /// 64 numbers, depth 2 to 15, direction once per ray and feature layer folded (or no direction); compute
@@ -13,8 +13,6 @@ struct FusedNerfMlp {
   static bool serves(const NerfMlpShape& shape);
   /// Whether they compute a semantic hidden layer of that many numbers.
   static bool computes_layer(std::int32_t hidden_width);
-  /// false: `serves` says no. For tests and measurements; must not change between a forward and its backward.
-  static bool& enabled();
 
   static void forward(const NerfMlpShape& shape, const StepContext& ctx, const Tensors<float>& tensors,
                       const FieldIn<float>& in, const FieldOut<float>& out, Saved saved);

@@ -19,7 +19,7 @@ using namespace testkit;
 const KernelTables& tables() {
   static const KernelTables tables = [] {
     KernelTables t;
-    nerf_mlp_kernels(t);
+    mlp_kernels(t);
     return t;
   }();
   return tables;
@@ -198,14 +198,17 @@ TEST(NerfMlp, SaysWhenADeviceHasNoKernels) {
 }
 
 TEST(NerfMlp, SaysWhereAGpuComputesItLayerByLayer) {
-  const auto said = [](const NerfMlpParams& params, bool hopper = true, bool fold = true) {
-    NerfMlpKernels<float> table;
-    table.slow = [](const NerfMlpShape& s) { return !fused_takes(s); };
-    if (!hopper) table.slow = [](const NerfMlpShape&) { return true; };
+  const auto said = [](const NerfMlpParams& params, bool hopper = true, bool fold = true, bool branch = false) {
+    const MlpKernels<float> layers;
+    NerfMlpFused<float> table;
+    table.serve = fused_takes;
+    if (!hopper) table.serve = [](const NerfMlpShape&) { return false; };
     FieldBuild build = build_of(63, 27, fold);
     build.device = Device::cuda;
+    build.feature_only = branch;
     build.precision = Precision::bf16;
     KernelTables t;
+    t.add(Device::cuda, kMlpOwner, &layers, build.precision);
     t.add(Device::cuda, "field 'nerf_mlp'", &table, build.precision);
     return NerfMlp<float>(params, build, t).slow_path();
   };
@@ -216,6 +219,7 @@ TEST(NerfMlp, SaysWhereAGpuComputesItLayerByLayer) {
   EXPECT_EQ(said({}), "");
   EXPECT_EQ(said(kSmall), shape);
   EXPECT_EQ(said({}, true, false), shape);
+  EXPECT_EQ(said({}, true, true, true), slow + "they do not take a semantic branch");
   EXPECT_EQ(said({}, false), slow + "they need a GPU of compute capability 9.0");
   EXPECT_EQ((NerfMlp<float>(kSmall, build_of(63, 27), tables()).slow_path()), "") << "on a CPU";
 }

@@ -2,9 +2,9 @@
 #include <algorithm>
 
 #include "core/check.h"
+#include "cuda/kernels/layers.h"
 #include "fields/tiny_mlp/tiny_mlp_feature.cuh"
 #include "fields/tiny_mlp/tiny_mlp_fused.cuh"
-#include "fields/tiny_mlp/tiny_mlp_products.cuh"
 
 namespace semfield::cuda::tiny {
 
@@ -241,7 +241,7 @@ void with_widths(const TinyMlpShape& s, const Run& run) {
 template <class T, class ViewOf>
 LayersOf<T> layers_of(const TinyMlpShape& s, const ViewOf& view) {
   LayersOf<T> layers;
-  for (const TinyMlpLayer& layer : s.hidden) {
+  for (const LayerTensors& layer : s.hidden) {
     layers.weight[layers.count] = view(layer.weight);
     layers.bias[layers.count++] = view(layer.bias);
   }
@@ -297,7 +297,10 @@ void feature_forward(const TinyMlpShape& s, const Tensors<float>& t, View<const 
 
 void feature_backward(const TinyMlpShape& s, Workspace& arena, const Tensors<float>& t, View<const float> d_feature,
                       Saved saved, View<float> d_position) {
-  if (d_feature.rows == 0) return copy_rows({}, d_position, nullptr);
+  if (d_feature.rows == 0) {
+    if (!d_position.empty()) cuda::fill(d_position, 0.0F);
+    return;
+  }
   SEMFIELD_CHECK(!saved.empty(), "a gradient of the feature needs what forward saved");
   const Workspace::Scope scope(arena);
   const Call call = call_of(s, t, d_feature.rows, saved);

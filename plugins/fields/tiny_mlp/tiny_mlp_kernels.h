@@ -1,25 +1,16 @@
-// Shape, tensor numbering and kernel table of the small network.
+// What the fused kernels of the small network know of it.
 #pragma once
 
 #include <cstdint>
 #include <string>
 #include <vector>
 
-#include "plugin/field.h"
-#include "plugin/layer_weights.h"
+#include "plugin/mlp/fused_field.h"
 
 namespace semfield {
 
-class KernelTables;
-
 /// What the semantic head reads.
 enum class TinyFeature : std::uint8_t { hidden, geometry };
-
-/// A layer's tensors; -1 = there is none.
-struct TinyMlpLayer {
-  int weight = -1, bias = -1;
-  LayerWeight rows;  ///< on a CPU, those of what the samples bring: all but the direction's
-};
 
 struct TinyMlpShape {
   std::int32_t position_dims = 0;
@@ -28,18 +19,14 @@ struct TinyMlpShape {
   std::int32_t geometry_features = 15;
   std::int32_t color_width = 64;
   TinyFeature feature = TinyFeature::hidden;
-  bool feature_only = false;  ///< `color` is empty, and `geometry` unless it is the feature
-  bool direction_once = true;
+  bool feature_only = false;              ///< a semantic branch, without `color`
   Precision precision = Precision::fp32;  ///< of the matrix products
-  std::vector<TinyMlpLayer> hidden;       ///< position to last hidden activation
-  TinyMlpLayer geometry;                  ///< to [sigma, geometry features]
-  std::vector<TinyMlpLayer> color;        ///< [geometry features, direction] to last colour activation
-  TinyMlpLayer rgb;
+  std::vector<LayerTensors> hidden{};     ///< position to last hidden activation
+  LayerTensors geometry{};                ///< to [sigma, geometry features]
+  std::vector<LayerTensors> color{};      ///< [geometry features, direction] to last colour activation
+  LayerTensors rgb{};
 
   bool has_direction() const { return direction_dims > 0; }
-  bool has_geometry() const { return geometry.weight >= 0; }
-  std::int32_t geometry_cols() const { return has_geometry() ? 1 + geometry_features : 0; }
-  std::int32_t feature_dims() const { return feature == TinyFeature::hidden ? hidden_width : geometry_features; }
 };
 
 /// The largest networks of a GPU's fused kernels, in bf16: of the whole network, and of one that is asked for its
@@ -62,22 +49,6 @@ inline bool fused_takes_feature(const TinyMlpShape& s) {
 std::string layer_by_layer(const TinyMlpShape& shape);
 
 template <class Real>
-struct TinyMlpKernels {
-  void (*forward)(const TinyMlpShape& shape, const StepContext& ctx, const Tensors<Real>& tensors,
-                  const FieldIn<Real>& in, const FieldOut<Real>& out, Saved saved) = nullptr;
-  void (*backward)(const TinyMlpShape& shape, const StepContext& ctx, const Tensors<Real>& tensors,
-                   const FieldIn<Real>& in, const FieldOut<Real>& out, const FieldGrad<Real>& grad, Saved saved,
-                   View<Real> d_position) = nullptr;
-  void (*derive)(const TinyMlpShape& shape, const Tensors<Real>& tensors) = nullptr;
-  std::size_t (*saved_bytes)(const TinyMlpShape& shape, std::int64_t samples) = nullptr;
-  /// Null: FeatureForm::full.
-  FeatureForm (*feature_form)(const TinyMlpShape& shape, std::int32_t hidden_width) = nullptr;
-  /// Null: not planned ahead on this device.
-  std::size_t (*scratch_bytes)(const TinyMlpShape& shape, std::int64_t samples, std::int64_t rays) = nullptr;
-  /// Whether there are faster kernels, which do not take this shape. Null: never.
-  bool (*slow)(const TinyMlpShape& shape) = nullptr;
-};
-
-void tiny_mlp_kernels(KernelTables& tables);
+using TinyMlpFused = FusedKernels<Real, TinyMlpShape>;
 
 }  // namespace semfield

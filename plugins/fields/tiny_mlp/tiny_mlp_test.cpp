@@ -18,29 +18,22 @@ using namespace testkit;
 const KernelTables& tables() {
   static const KernelTables tables = [] {
     KernelTables t;
-    tiny_mlp_kernels(t);
+    mlp_kernels(t);
     return t;
   }();
   return tables;
 }
 
-// A device's table, as far as it says what is slow.
+// What a field says whose device has these kernels, as far as they say which networks they take.
 std::string slow_path_of(const TinyMlpParams& params, FieldBuild build, bool shared_memory = true) {
-  static const TinyMlpKernels<float> enough = [] {
-    TinyMlpKernels<float> t;
-    t.slow = [](const TinyMlpShape& s) {
-      return s.precision == Precision::bf16 && !fused_takes(s) && !fused_takes_feature(s);
-    };
-    return t;
-  }();
-  static const TinyMlpKernels<float> too_little = [] {
-    TinyMlpKernels<float> t;
-    t.slow = [](const TinyMlpShape&) { return true; };
-    return t;
-  }();
+  const MlpKernels<float> layers;
+  TinyMlpFused<float> fused;
+  fused.serve = [](const TinyMlpShape& s) { return fused_takes(s) || fused_takes_feature(s); };
+  if (!shared_memory) fused.serve = [](const TinyMlpShape&) { return false; };
   build.device = Device::cuda;
   KernelTables t;
-  t.add(Device::cuda, "field 'tiny_mlp'", shared_memory ? &enough : &too_little, build.precision);
+  t.add(Device::cuda, kMlpOwner, &layers, build.precision);
+  if (build.precision == Precision::bf16) t.add(Device::cuda, "field 'tiny_mlp'", &fused, Precision::bf16);
   return TinyMlp<float>(params, build, t).slow_path();
 }
 

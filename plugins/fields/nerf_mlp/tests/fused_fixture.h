@@ -10,18 +10,9 @@ inline NerfMlpShape usual_shape() {
   return NerfMlpShape{.position_dims = 63, .direction_dims = 27, .precision = Precision::bf16};
 }
 
-struct UseFused {
-  explicit UseFused(bool on) : before(::semfield::cuda::FusedNerfMlp::enabled()) {
-    ::semfield::cuda::FusedNerfMlp::enabled() = on;
-  }
-  ~UseFused() { ::semfield::cuda::FusedNerfMlp::enabled() = before; }
-  bool before;
-};
-
 /// First line of every test that launches them.
 #define SEMFIELD_NEEDS_FUSED()                                                     \
   SEMFIELD_NEEDS_DEVICE();                                                         \
-  const ::semfield::testing::UseFused use(true);                                   \
   if (!::semfield::cuda::FusedNerfMlp::serves(::semfield::testing::usual_shape())) \
   GTEST_SKIP() << "the GPU is not of compute capability 9.0"
 

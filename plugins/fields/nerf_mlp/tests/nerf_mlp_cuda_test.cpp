@@ -13,7 +13,7 @@ using testing::near_norm;
 using namespace testkit;
 
 const KernelTables& cpu_tables() {
-  static const KernelTables tables = testing::tables_of({nerf_mlp_kernels});
+  static const KernelTables tables = testing::tables_of({mlp_kernels});
   return tables;
 }
 const KernelTables& device_tables() {

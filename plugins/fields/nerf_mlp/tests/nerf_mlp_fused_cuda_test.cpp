@@ -12,11 +12,14 @@ using testing::DeviceField;
 using testing::DeviceMatrix;
 using testing::host_view;
 using testing::near;
-using testing::UseFused;
 using namespace testkit;
 
 const KernelTables& cpu_tables() {
-  static const KernelTables tables = testing::tables_of({nerf_mlp_kernels});
+  static const KernelTables tables = testing::tables_of({mlp_kernels});
+  return tables;
+}
+const KernelTables& layer_tables() {
+  static const KernelTables tables = testing::tables_of({cuda::add_mlp_kernels});
   return tables;
 }
 const KernelTables& device_tables() {
@@ -50,8 +53,8 @@ void expect_same_network(const NerfMlpParams& params, std::int32_t position_dims
   fused.derive();
   fused.forward();
   fused.backward(wanted);
-  const UseFused layered(false);
-  const DeviceField layers(gpu, bench, padding);
+  const NerfMlp<float> layered(params, build_of(Device::cuda, position_dims, direction_dims), layer_tables());
+  const DeviceField layers(layered, bench, padding);
   layers.derive();
   layers.forward();
   layers.backward(wanted);
