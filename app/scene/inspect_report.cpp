@@ -100,6 +100,28 @@ Counted count_frames(const LoadedScene& scene) {
   return counted;
 }
 
+// "12 of 35 frames, 3.1 % of their pixels, most in 'a' (30 %)"; "" where nothing is masked.
+std::string masks_text(const LoadedScene& scene) {
+  std::int64_t frames = 0, masked = 0, all = 0;
+  double most = 0;
+  std::string name;
+  for (std::size_t i = 0; i < scene.frames.size(); ++i) {
+    const StoredFrame& frame = scene.frames[i];
+    if (frame.mask.empty()) continue;
+    const std::int64_t pixels = std::int64_t{frame.width_px} * frame.height_px, own = frame.mask.masked_px();
+    ++frames;
+    masked += own;
+    all += pixels;
+    const double share = static_cast<double>(own) / static_cast<double>(pixels);
+    if (share <= most) continue;
+    most = share;
+    name = scene.info.frames[i].name;
+  }
+  if (frames == 0) return {};
+  return fmt::format("{} of {} frames, {:.1f} % of their pixels, most in '{}' ({:.1f} %)", frames, scene.frames.size(),
+                     100 * static_cast<double>(masked) / static_cast<double>(all), name, 100 * most);
+}
+
 const char* severity_word(Severity severity) {
   return severity == Severity::error ? "error" : severity == Severity::warning ? "warning" : "note";
 }
@@ -136,6 +158,7 @@ std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnost
   out += fmt::format("near, far   {:.4g}, {:.4g}{}\n", scene.near_m, scene.far_m,
                      scene.near_far_from.empty() ? "" : " from " + scene.near_far_from);
   out += fmt::format("pixel       {:.4g} at the middle depth\n", scene.pixel_footprint_m);
+  if (const std::string masked = masks_text(scene); !masked.empty()) out += "masked      " + masked + "\n";
   if (!depth_use.empty()) out += "depth       " + depth_use + "\n";
   if (!scene.geometry.empty()) out += "geometry    " + scene.geometry + "\n";
   if (const auto advice = advised_preset(scene)) out += "preset      " + advice->text() + "\n";
@@ -165,8 +188,15 @@ nlohmann::ordered_json inspect_json(const LoadedScene& scene, const Diagnostics&
            {"far", scene.far_m},
            {"pixel", scene.pixel_footprint_m},
            {"geometry", scene.geometry},
+           {"masked", Json::object()},
            {"preset", nullptr},
            {"preset_why", nullptr}};
+  for (std::size_t i = 0; i < scene.frames.size(); ++i) {
+    const StoredFrame& frame = scene.frames[i];
+    if (frame.mask.empty()) continue;
+    out["masked"][scene.info.frames[i].name] =
+        static_cast<double>(frame.mask.masked_px()) / (static_cast<double>(frame.width_px) * frame.height_px);
+  }
   if (const auto advice = advised_preset(scene)) {
     out["preset"] = advice->preset;
     out["preset_why"] = advice->why;

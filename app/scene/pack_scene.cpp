@@ -2,6 +2,7 @@
 
 #include <filesystem>
 
+#include "scene/pixel_mask.h"
 #include "scene/scene_checks.h"
 
 namespace semfield {
@@ -31,7 +32,9 @@ PackSummary pack_scene(Dataset& dataset, const std::string& path, const SceneLoa
         dataset.read(frame, whole);
         convert_depth(whole, size.convention);
         const Camera& camera = info.frames[static_cast<std::size_t>(frame)].camera;
+        hide_masked(whole);  // before it is mixed into other pixels
         out = resize_frame(whole, camera.width_px, camera.height_px);
+        hide_masked(out);
       },
       options);
   return {static_cast<int>(info.frames.size()), static_cast<std::uint64_t>(std::filesystem::file_size(path))};

@@ -37,12 +37,14 @@ struct Fit {
 }  // namespace
 
 std::vector<float> fitted_by_halves(std::span<const float> truth, std::span<const float> predicted,
-                                    std::int32_t width_px) {
+                                    std::int32_t width_px, std::span<const std::uint8_t> used) {
   SEMFIELD_CHECK(truth.size() == predicted.size(), "truth and prediction have one length");
   const std::size_t pixels = predicted.size() / 3, width = static_cast<std::size_t>(width_px);
   const auto half_of = [&](std::size_t pixel) { return pixel % width < width / 2 ? 0 : 1; };
   Fit fits[2];
-  for (std::size_t p = 0; p < pixels; ++p) fits[half_of(p)].add(&truth[3 * p], &predicted[3 * p]);
+  for (std::size_t p = 0; p < pixels; ++p) {
+    if (used.empty() || used[p] != 0) fits[half_of(p)].add(&truth[3 * p], &predicted[3 * p]);
+  }
   const Colors maps[2] = {fits[1].solve(), fits[0].solve()};  // of the other half
   std::vector<float> out(predicted.size());
   for (std::size_t p = 0; p < pixels; ++p) {

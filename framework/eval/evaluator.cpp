@@ -67,6 +67,18 @@ std::vector<std::int16_t> given_labels(const EvalJob& job, int frame) {
   for (std::size_t i = 0; i < given.size(); ++i) given[i] = labels[i];
   return strided(std::move(given), camera.width_px, camera.height_px, 1, job.stride);
 }
+// Of the pixels that are not masked; labels and depth of the others are void and invalid already.
+void add_colors(ColorError& error, const std::vector<float>& truth, const std::vector<float>& predicted,
+                const std::vector<std::uint8_t>& used) {
+  if (used.empty()) return error.add(truth, predicted);
+  std::vector<float> kept[2];
+  for (std::size_t i = 0; i < truth.size(); ++i) {
+    if (used[i / 3] == 0) continue;
+    kept[0].push_back(truth[i]);
+    kept[1].push_back(predicted[i]);
+  }
+  error.add(kept[0], kept[1]);
+}
 }  // namespace
 
 RenderedFrame render_frame(Pipeline<float>& pipeline, const RayCamera& camera, const RayLimits& limits,
@@ -257,7 +269,8 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
     for (std::size_t i = 0; i < truth_rgb.size(); ++i) truth_rgb[i] = static_cast<float>(stored_rgb[i]) / 255.0F;
     ColorError color, fitted;
     std::optional<double> similarity;
-    if (job.stride == 1) similarity = ssim(truth_rgb, frame.rgb, frame.width_px, frame.height_px, 3);
+    const std::vector<std::uint8_t> used = strided(stored.mask.expand(), width, height, 1, job.stride);
+    if (job.stride == 1) similarity = ssim(truth_rgb, frame.rgb, frame.width_px, frame.height_px, 3, used);
     ConfusionMatrix confusion(semantics ? job.classes : 0);
     Calibration calibration;
     PredictedEntropy entropy;
@@ -265,9 +278,10 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
     DepthError depth(limits.far_m);
     const bool labels = semantics && !truth.empty();
     const std::function<void()> measures[] = {
-        [&] { color.add(truth_rgb, frame.rgb); },
+        [&] { add_colors(color, truth_rgb, frame.rgb, used); },
         [&] {
-          if (job.fit_colors) fitted.add(truth_rgb, fitted_by_halves(truth_rgb, frame.rgb, frame.width_px));
+          if (job.fit_colors)
+            add_colors(fitted, truth_rgb, fitted_by_halves(truth_rgb, frame.rgb, frame.width_px, used), used);
         },
         [&] {
           if (labels) confusion.add(truth, frame.label);

@@ -73,8 +73,9 @@ class ColorError {
 /// Structural similarity of one image pair, mean over windows and channels [Wang04, Eq. 13]: 11 x 11 Gaussian window of
 /// sigma 1.5 pixels, K1 = 0.01, K2 = 0.03, dynamic range 1, windows that lie wholly inside the image. Layout [H, W,
 /// channels]. None when the image is smaller than a window or a value is not finite. Average the results over images.
+/// `used` [H, W], 0 = masked: windows that hold a masked pixel do not count, and without any other there is no value.
 std::optional<double> ssim(std::span<const float> truth, std::span<const float> predicted, std::int32_t width_px,
-                           std::int32_t height_px, std::int32_t channels);
+                           std::int32_t height_px, std::int32_t channels, std::span<const std::uint8_t> used = {});
 
 /// Depth errors over pixels with 0 < truth < far and prediction > 0 [Eigen14, Sec. 4.1], metres.
 class DepthError {

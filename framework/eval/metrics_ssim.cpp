@@ -51,7 +51,7 @@ double similarity(const Moments& m) {
 }  // namespace
 
 std::optional<double> ssim(std::span<const float> truth, std::span<const float> predicted, std::int32_t width_px,
-                           std::int32_t height_px, std::int32_t channels) {
+                           std::int32_t height_px, std::int32_t channels, std::span<const std::uint8_t> used) {
   SEMFIELD_CHECK(width_px >= 0 && height_px >= 0 && channels >= 1, "image size");
   const std::size_t row_values = static_cast<std::size_t>(width_px) * static_cast<std::size_t>(channels);
   SEMFIELD_CHECK(truth.size() == row_values * static_cast<std::size_t>(height_px) && predicted.size() == truth.size(),
@@ -63,8 +63,23 @@ std::optional<double> ssim(std::span<const float> truth, std::span<const float> 
     if (!std::isfinite(truth[i]) || !std::isfinite(predicted[i])) return std::nullopt;
   }
   const std::array<double, kWindow> w = window_weights();
+  // Masked pixels above and to the left of each pixel, to tell the windows that hold one.
+  const auto side = static_cast<std::size_t>(width_px) + 1;
+  std::vector<std::int64_t> masked(used.empty() ? 0 : side * (static_cast<std::size_t>(height_px) + 1));
+  for (std::size_t i = side; i < masked.size(); ++i) {
+    if (i % side == 0) continue;
+    const std::size_t pixel = (i / side - 1) * (side - 1) + i % side - 1;
+    masked[i] = masked[i - 1] + masked[i - side] - masked[i - side - 1] + (used[pixel] == 0 ? 1 : 0);
+  }
+  const auto counts = [&](std::int64_t row, std::int64_t column) {
+    if (masked.empty()) return true;
+    const std::size_t top = static_cast<std::size_t>(row) * side + static_cast<std::size_t>(column);
+    const std::size_t bottom = top + kWindow * side;
+    return masked[bottom + kWindow] - masked[bottom] == masked[top + kWindow] - masked[top];
+  };
   // One sum a row, added in row order: the same bits for any number of threads.
   std::vector<double> row_sum(static_cast<std::size_t>(out_rows), 0.0);
+  std::vector<std::int64_t> row_windows(row_sum.size());
   parallel_for(out_rows, [&](std::int64_t r) {
     std::vector<Moments> column(row_values);  // vertical pass
     for (int k = 0; k < kWindow; ++k) {
@@ -78,6 +93,8 @@ std::optional<double> ssim(std::span<const float> truth, std::span<const float> 
     double sum = 0;
     const std::size_t outputs = static_cast<std::size_t>(out_cols) * static_cast<std::size_t>(channels);
     for (std::size_t i = 0; i < outputs; ++i) {
+      if (!counts(r, static_cast<std::int64_t>(i) / channels)) continue;
+      ++row_windows[static_cast<std::size_t>(r)];
       Moments m;
       for (int k = 0; k < kWindow; ++k) {
         m.add(w[static_cast<std::size_t>(k)],
@@ -89,7 +106,10 @@ std::optional<double> ssim(std::span<const float> truth, std::span<const float> 
   });
   double total = 0;
   for (double sum : row_sum) total += sum;
-  return total / (static_cast<double>(out_rows) * static_cast<double>(out_cols) * channels);
+  std::int64_t windows = 0;
+  for (const std::int64_t n : row_windows) windows += n;
+  if (windows == 0) return std::nullopt;
+  return total / static_cast<double>(windows);
 }
 
 }  // namespace semfield

@@ -39,6 +39,10 @@ struct PixelPool {
   std::int64_t block = 1;
   std::span<const std::size_t> block_offsets;
   std::span<const std::uint32_t> ranks_before;
+  /// Pixels that are not masked by rank, in the same way, blocks of PixelMask::kWordPixels of every frame; empty where
+  /// no frame has a mask.
+  std::span<const std::size_t> used_block_offsets;
+  std::span<const std::uint32_t> used_before;
   /// Logits of a frame's pixels, kVoid for those without a label. Throws Error(data) for a label that is no class.
   std::function<void(std::size_t frame, std::span<std::int16_t> logit)> read_labels;
   std::vector<std::int64_t> label_only;  ///< RayBatch::label_only, the same in every step

@@ -37,7 +37,7 @@ std::uint8_t blend(unsigned value, unsigned alpha, int background) {
   return static_cast<std::uint8_t>((mixed + 127) / 255);
 }
 
-Image<std::uint8_t> rgb_of_png(PngImage png, int alpha_background) {
+Image<std::uint8_t> rgb_of_png(PngImage png, int alpha_background, std::vector<std::uint8_t>* transparency) {
   Image<std::uint8_t> out{png.width_px, png.height_px, 3, {}};
   if (png.channels == 3 && png.bits == 8) {
     out.pixels = std::move(png.bytes);
@@ -47,6 +47,7 @@ Image<std::uint8_t> rgb_of_png(PngImage png, int alpha_background) {
   out.pixels.resize(pixels * 3);
   const unsigned top = (1u << png.bits) - 1;
   const auto channels = static_cast<std::size_t>(png.channels);
+  const bool has_alpha = png.palette ? !png.palette_alpha.empty() : channels == 2 || channels == 4;
   const auto to8 = [top](unsigned v) { return top == 255 ? v : (v * 255 + top / 2) / top; };
   for (std::size_t i = 0; i < pixels; ++i) {
     const std::size_t first = i * channels;
@@ -64,6 +65,7 @@ Image<std::uint8_t> rgb_of_png(PngImage png, int alpha_background) {
       for (std::size_t c = 0; c < 3; ++c) rgb[c] = to8(png.sample(first + (channels >= 3 ? c : 0)));
       if (channels == 2 || channels == 4) alpha = to8(png.sample(first + channels - 1));
     }
+    if (has_alpha && transparency != nullptr) transparency->push_back(static_cast<std::uint8_t>(alpha));
     for (std::size_t c = 0; c < 3; ++c) {
       out.pixels[i * 3 + c] =
           alpha_background < 0 ? static_cast<std::uint8_t>(rgb[c]) : blend(rgb[c], alpha, alpha_background);
@@ -119,10 +121,10 @@ CameraTag camera_tag(const std::string& path) {
   });
 }
 
-Image<std::uint8_t> read_rgb(const std::string& path, int alpha_background) {
+Image<std::uint8_t> read_rgb(const std::string& path, int alpha_background, std::vector<std::uint8_t>* transparency) {
   return naming(path, [&]() -> Image<std::uint8_t> {
     const std::string file = read_text_file(path, kMaxImageFileBytes);
-    if (looks_like_png(bytes_of(file))) return rgb_of_png(decode_png(bytes_of(file)), alpha_background);
+    if (looks_like_png(bytes_of(file))) return rgb_of_png(decode_png(bytes_of(file)), alpha_background, transparency);
     check_jpeg_end(file);
     Image<std::uint8_t> in = image_formats().read8(path);
     if (in.channels == 3) return in;
@@ -132,7 +134,9 @@ Image<std::uint8_t> read_rgb(const std::string& path, int alpha_background) {
     out.pixels.resize(pixels * 3);
     for (std::size_t i = 0; i < pixels; ++i) {
       const std::uint8_t* s = in.pixels.data() + i * channels;
-      const unsigned alpha = channels == 2 || channels == 4 ? s[channels - 1] : 255u;
+      const bool has_alpha = channels == 2 || channels == 4;
+      const unsigned alpha = has_alpha ? s[channels - 1] : 255u;
+      if (has_alpha && transparency != nullptr) transparency->push_back(static_cast<std::uint8_t>(alpha));
       for (std::size_t c = 0; c < 3; ++c) {
         const std::uint8_t value = s[channels >= 3 ? c : 0];
         out.pixels[i * 3 + c] = alpha_background < 0 ? value : blend(value, alpha, alpha_background);

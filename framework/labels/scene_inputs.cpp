@@ -83,6 +83,7 @@ SceneInputs scene_inputs(const LoadedScene& scene, const TrainingLabels& labels)
     cameras += fmt::format("{} {}", c.width_px, c.height_px);
     for (const double v : {c.fx, c.fy, c.cx, c.cy, c.k1, c.k2, c.k3, c.k4, c.p1, c.p2})
       cameras += fmt::format(" {:.6g}", v);
+    if (c.is_wide()) cameras += fmt::format(" {}", static_cast<int>(c.lens));
     const Pose& pose = frame.world_from_camera;
     for (const auto& row : pose.r) {
       for (const double v : row) cameras += fmt::format(" {:.6f}", v);
@@ -95,6 +96,7 @@ SceneInputs scene_inputs(const LoadedScene& scene, const TrainingLabels& labels)
   parallel_for(std::ssize(scene.frames), [&](std::int64_t i) {
     const auto f = static_cast<std::size_t>(i);
     checksums[f] = crc32c(std::as_bytes(std::span(scene.frames[f].rgb)));
+    if (!scene.frames[f].mask.empty()) checksums[f] = crc32c(std::as_bytes(scene.frames[f].mask.words()), checksums[f]);
   });
   for (const std::uint32_t checksum : checksums) colors += hex64(checksum);
   inputs.labels = labels_checksum(scene.frames.size(), [&](std::size_t f) { return crc_of(scene.frames[f].label); });

@@ -47,6 +47,26 @@ bool labelled_by(const LoadedScene& scene, const LabelConfig& config, std::size_
   return config.from.reader ? config.from.reader->has(info) : info.has_labels;
 }
 
+// A masked pixel has no label, whoever gave it one.
+void hide_masked_labels(const LoadedScene& scene, LabelSet& labels) {
+  parallel_for(std::ssize(labels), [&](std::int64_t index) {
+    const auto f = static_cast<std::size_t>(index);
+    const PixelMask& mask = scene.frames[f].mask;
+    FrameLabels& own = labels[f];
+    if (mask.empty() || own.empty()) return;
+    const std::vector<float> none(static_cast<std::size_t>(own.soft.classes()));
+    const std::size_t pixels = own.soft.empty() ? own.hard.size() : own.soft.pixels();
+    for (std::size_t p = 0; p < pixels; ++p) {
+      if (mask.uses(p)) continue;
+      if (own.soft.empty()) {
+        own.hard[p] = kVoid;
+      } else {
+        own.soft.set_row(p, none);
+      }
+    }
+  });
+}
+
 // Labels of the frames that `wanted` says, read in parallel; every error goes into `diagnostics`.
 LabelSet read_frames(const LoadedScene& scene, const LabelConfig& config, const std::vector<char>& wanted,
                      Diagnostics& diagnostics) {
@@ -70,6 +90,7 @@ LabelSet read_frames(const LoadedScene& scene, const LabelConfig& config, const 
       errors[i] = e;
     }
   });
+  hide_masked_labels(scene, labels);
   report_unknown_labels(scene.info.frames, unknown, diagnostics);
   for (std::size_t i = 0; i < errors.size(); ++i) {
     if (errors[i])
@@ -239,6 +260,7 @@ TrainingLabels make_training_labels(const LoadedScene& scene, const LabelConfig&
       throw e.while_doing("scene.labels.degrade: " + step.type);
     }
   }
+  hide_masked_labels(scene, labels);  // a degradation may have spread labels there
   out.frames.resize(labels.size());
   out.class_pixels.resize(labels.size());
   const int classes = scene.info.classes.valid_count();

@@ -21,6 +21,7 @@ namespace {
 struct Lens {
   std::string_view name;
   std::vector<double Camera::*> params;
+  LensKind kind = LensKind::perspective;
 };
 
 const std::vector<Lens>& lenses() {
@@ -31,6 +32,9 @@ const std::vector<Lens>& lenses() {
       {"SIMPLE_RADIAL", {&C::fx, &C::cx, &C::cy, &C::k1}},
       {"RADIAL", {&C::fx, &C::cx, &C::cy, &C::k1, &C::k2}},
       {"OPENCV", {&C::fx, &C::fy, &C::cx, &C::cy, &C::k1, &C::k2, &C::p1, &C::p2}},
+      {"OPENCV_FISHEYE", {&C::fx, &C::fy, &C::cx, &C::cy, &C::k1, &C::k2, &C::k3, &C::k4}, LensKind::fisheye},
+      {"SIMPLE_RADIAL_FISHEYE", {&C::fx, &C::cx, &C::cy, &C::k1}, LensKind::fisheye},
+      {"RADIAL_FISHEYE", {&C::fx, &C::cx, &C::cy, &C::k1, &C::k2}, LensKind::fisheye},
   };
   return known;
 }
@@ -158,7 +162,7 @@ void ColmapBuilder::add_camera(std::int64_t id, std::string_view model_name, dou
     for (const Lens& known : lenses()) names += (names.empty() ? "" : ", ") + std::string(known.name);
     return diagnostics_.error(
         "scene.camera.model", place,
-        "camera model '" + std::string(model_name) + "' is not supported (only perspective lenses: " + names + ")",
+        "camera model '" + std::string(model_name) + "' is not supported (only " + names + ")",
         "undistort the images with colmap image_undistorter, or reconstruct with another camera model");
   }
   if (params.size() != lens->params.size()) {
@@ -174,6 +178,7 @@ void ColmapBuilder::add_camera(std::int64_t id, std::string_view model_name, dou
                               "export the model again");
   for (std::size_t i = 0; i < params.size(); ++i) camera.*(lens->params[i]) = params[i];
   if (lens->params[1] != &Camera::fy) camera.fy = camera.fx;
+  camera.lens = lens->kind;
   camera.width_px = static_cast<std::int32_t>(width);
   camera.height_px = static_cast<std::int32_t>(height);
 }

@@ -28,7 +28,8 @@ bool is_there(const std::string& path) {
 // Channels that a frame can do without.
 constexpr std::pair<const char*, std::string FrameFiles::*> kOptional[] = {{"depth image", &FrameFiles::depth},
                                                                            {"label image", &FrameFiles::label},
-                                                                           {"instance image", &FrameFiles::instance}};
+                                                                           {"instance image", &FrameFiles::instance},
+                                                                           {"mask", &FrameFiles::mask}};
 
 bool is_optional(const std::string& what) {
   return std::any_of(std::begin(kOptional), std::end(kOptional), [&](const auto& one) { return what == one.first; });
@@ -151,6 +152,29 @@ Image<float> read_depth(const std::string& path, double unit_m) {
   return out;
 }
 
+std::vector<float> at_nearest_pixels(const Image<float>& image, std::int32_t width, std::int32_t height) {
+  const auto rows = nearest_pixels(image.height_px, height), cols = nearest_pixels(image.width_px, width);
+  std::vector<float> out;
+  out.reserve(rows.size() * cols.size());
+  for (const std::int64_t row : rows) {
+    const float* const line = image.pixels.data() + row * image.width_px;
+    for (const std::int64_t col : cols) out.push_back(line[col]);
+  }
+  return out;
+}
+
+Image<std::uint8_t> read_mask(const std::string& path) {
+  const Image<std::uint8_t> image = read_rgb(path);
+  const std::string extension = std::filesystem::path(path).extension().string();
+  const std::uint8_t least = extension == ".jpg" || extension == ".jpeg" ? 128 : 1;
+  Image<std::uint8_t> out{image.width_px, image.height_px, 1, std::vector<std::uint8_t>(image.pixels.size() / 3)};
+  for (std::size_t i = 0; i < out.pixels.size(); ++i) {
+    const std::uint8_t* const p = &image.pixels[3 * i];
+    out.pixels[i] = std::max({p[0], p[1], p[2]}) >= least ? 1 : 0;
+  }
+  return out;
+}
+
 std::map<std::int64_t, std::string> numbered_photographs(const std::string& folder, Diagnostics& diagnostics) {
   std::map<std::int64_t, std::string> out;
   for (const std::string& path : files_with(folder, kPhotographs)) {
@@ -260,9 +284,17 @@ void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const Fra
     out = {};
     out.width_px = frame.camera.width_px;
     out.height_px = frame.camera.height_px;
-    Image<std::uint8_t> color = read_rgb(files.color, rules.alpha_background);
+    std::vector<std::uint8_t> alpha;
+    Image<std::uint8_t> color = read_rgb(files.color, rules.alpha_background, rules.alpha_masks ? &alpha : nullptr);
     check_size(color, frame, files.color);
     out.rgb = std::move(color.pixels);
+    if (!files.mask.empty()) {
+      Image<std::uint8_t> mask = read_mask(files.mask);
+      check_size(mask, frame, files.mask);
+      out.used = std::move(mask.pixels);
+    }
+    if (!alpha.empty() && out.used.empty()) out.used.assign(alpha.size(), 1);
+    for (std::size_t i = 0; i < alpha.size(); ++i) out.used[i] = alpha[i] == 255 ? out.used[i] : 0;
     if (!files.depth.empty()) {
       Image<float> depth = read_depth(files.depth, rules.depth_unit_m);
       check_size(depth, frame, files.depth);

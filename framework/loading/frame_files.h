@@ -20,6 +20,7 @@ namespace semfield {
 /// Paths; "" where the frame has no such channel.
 struct FrameFiles {
   std::string color, depth, label, instance;
+  std::string mask = {};
 };
 
 /// Of photographs, as `files_with` takes them.
@@ -47,6 +48,7 @@ struct FrameReadRules {
   double depth_unit_m = 0.001;  ///< metres of one step of an integer depth image; float images are in metres
   int alpha_background = -1;    ///< see read_rgb
   UnknownLabels unknown_labels = UnknownLabels::error;  ///< what an id outside the class table is
+  bool alpha_masks = false;                             ///< pixels of the colour image that are not opaque are masked
 };
 
 /// What becomes of a frame whose index names files that are not there; the parameter `missing` of datasets made of
@@ -107,6 +109,13 @@ void report_no_labels(const std::string& folder, Diagnostics& diagnostics);
 /// z-depth in metres at the file's own size; 0 where it is not finite, negative, or at the 16-bit ceiling 65535.
 /// `unit_m` is that of FrameReadRules. Throws as the readers of images do.
 Image<float> read_depth(const std::string& path, double unit_m = 0.001);
+
+/// The values of an image at another size, each that of the nearest pixel [height * width].
+std::vector<float> at_nearest_pixels(const Image<float>& image, std::int32_t width, std::int32_t height);
+
+/// The pixels that a mask lets count [H * W], 0 = masked: those that are not black, or, of a JPEG, whose blacks are not
+/// exact, not dark. Throws as the readers of images do.
+Image<std::uint8_t> read_mask(const std::string& path);
 
 /// Pixels. Depth 0, not finite, negative, or at the 16-bit ceiling 65535 reads as 0 (invalid). Throws Error naming
 /// frame and file; UnknownLabelError for ids outside `classes`.

@@ -12,6 +12,7 @@
 #include "core/check.h"
 #include "formats/image_io.h"
 #include "formats/input_limits.h"
+#include "loading/lens_masks.h"
 #include "loading/load_progress.h"
 #include "scene/output_names.h"
 #include "scene/scene_checks.h"
@@ -111,7 +112,7 @@ void check_buffer(const FrameBuffer& b, const FrameInfo& f) {
   const auto fits = [pixels](std::size_t size, bool wanted) { return size == (wanted ? pixels : 0); };
   if (b.width_px != f.camera.width_px || b.height_px != f.camera.height_px || b.rgb.size() != pixels * 3 ||
       !fits(b.depth_m.size(), f.has_depth) || !fits(b.label.size(), f.has_labels) ||
-      !fits(b.instance.size(), f.has_instances)) {
+      !fits(b.instance.size(), f.has_instances) || !fits(b.used.size(), !b.used.empty())) {
     throw Error(ErrorKind::internal, "plugin.dataset.channels",
                 "dataset delivered other channels or sizes than open() told", "this is a defect of the dataset plugin");
   }
@@ -227,6 +228,7 @@ FrameBuffer resize_frame(const FrameBuffer& frame, std::int32_t width, std::int3
   out.depth_m = pick(frame.depth_m, frame.width_px, cols, rows);
   out.label = pick(frame.label, frame.width_px, cols, rows);
   out.instance = pick(frame.instance, frame.width_px, cols, rows);
+  out.used = reduced_mask(frame.used, {frame.width_px, frame.height_px}, {width, height});
   out.channels = frame.channels;  // their grids are their own
   return out;
 }
@@ -324,6 +326,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
   scene.class_pixels.assign(frames.size(), {});
   std::optional<GeometrySurvey> geometry;
   if (options.check_geometry) geometry.emplace(as_opened, cameras, options.convention);
+  const LensMasks without_ray(cameras);
   std::atomic<std::size_t> read{0};
   parallel_for(static_cast<std::int64_t>(frames.size()), [&](std::int64_t index) {
     const auto i = static_cast<std::size_t>(index);
@@ -343,7 +346,10 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
       // A vector assigned {} keeps its memory; one that is moved from another does not.
       if (!options.with_instances) frame.instance = std::vector<std::int32_t>();
       const bool same = cameras[i].width_px == frame.width_px && cameras[i].height_px == frame.height_px;
+      hide_masked(frame);
       if (!same) frame = resize_frame(frame, cameras[i].width_px, cameras[i].height_px);
+      without_ray.add_to(cameras[i], frame);
+      hide_masked(frame);
       scene.class_pixels[i] = class_pixels_of(frame.label, classes);
       scene.depth_pixels[i] = std::count_if(frame.depth_m.begin(), frame.depth_m.end(), [](float z) { return z > 0; });
       if (frames[i].split == Split::train && !frame.depth_m.empty())
@@ -364,6 +370,14 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
     if (!options.with_instances) frames[i].has_instances = false;
   }
   report_unknown_labels(frames, unknown, diagnostics);
+  const std::vector<int> train = scene.frames_of(Split::train);
+  const auto is_masked = [&](int f) {
+    const StoredFrame& frame = scene.frames[static_cast<std::size_t>(f)];
+    return !frame.mask.empty() && frame.is_unusable();
+  };
+  if (!train.empty() && std::all_of(train.begin(), train.end(), is_masked))
+    diagnostics.error("scene.mask.all", scene.info.name, "every pixel of the training frames is masked",
+                      "check which value of the masks means 'use': black (0) is masked, anything else counts");
   const int before = diagnostics.error_count();
   if (geometry) {
     GeometryVerdict verdict = geometry->conclude(diagnostics);

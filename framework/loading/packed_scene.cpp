@@ -30,7 +30,7 @@ constexpr char kMagic[8] = {'S', 'E', 'M', 'F', 'P', 'A', 'C', 'K'};
 constexpr std::size_t kHeaderBytes = 64;
 constexpr std::uint64_t kMaxManifestBytes = std::uint64_t{1} << 30;
 constexpr std::uint32_t kDeflated = 1, kMillimetres = 2;
-constexpr const char* kChannelNames[] = {"colour", "depth", "label", "instance"};
+constexpr const char* kChannelNames[] = {"colour", "depth", "label", "instance", "mask"};
 
 using Chunks = std::array<PackedScene::Chunk, PackedScene::kChannels>;
 
@@ -112,24 +112,33 @@ void vector3(Stream& s, Vec3d& v) {
   s.number(v.z);
 }
 
+// A number of an enumeration up to `last`.
+template <class Stream, class Enum>
+void choice(Stream& s, Enum& value, Enum last, const char* what) {
+  auto number = static_cast<std::uint8_t>(value);
+  s.number(number);
+  if (number > static_cast<std::uint8_t>(last))
+    throw Error(ErrorKind::data, "scene.packed.damaged", std::string("manifest has an unknown ") + what,
+                "pack the scene again");
+  value = static_cast<Enum>(number);
+}
+
 template <class Stream>
-void walk_frame(Stream& s, FrameInfo& f, Chunks& chunks) {
+void walk_frame(Stream& s, std::uint32_t version, FrameInfo& f, Chunks& chunks) {
   s.text(f.name);
   s.text(f.source);
   Camera& c = f.camera;
   s.number(c.width_px);
   s.number(c.height_px);
   for (double* v : {&c.fx, &c.fy, &c.cx, &c.cy, &c.k1, &c.k2, &c.k3, &c.k4, &c.p1, &c.p2}) s.number(*v);
+  if (version > 1) choice(s, c.lens, LensKind::equirectangular, "lens");
   for (auto& row : f.world_from_camera.r) {
     for (double& v : row) s.number(v);
   }
   vector3(s, f.world_from_camera.t);
-  auto split = static_cast<std::uint8_t>(f.split);
-  s.number(split);
-  if (split > static_cast<std::uint8_t>(Split::unused))
-    throw Error(ErrorKind::data, "scene.packed.damaged", "manifest has an unknown split", "pack the scene again");
-  f.split = static_cast<Split>(split);
-  for (PackedScene::Chunk& k : chunks) {
+  choice(s, f.split, Split::unused, "split");
+  for (std::size_t i = 0; i < (version > 1 ? PackedScene::kChannels : PackedScene::kUsed); ++i) {
+    PackedScene::Chunk& k = chunks[i];
     s.number(k.offset);
     s.number(k.stored_bytes);
     s.number(k.raw_bytes);
@@ -139,7 +148,8 @@ void walk_frame(Stream& s, FrameInfo& f, Chunks& chunks) {
 }
 
 template <class Stream>
-void walk(Stream& s, SceneInfo& info, std::vector<ClassEntry>& classes, std::vector<Chunks>& chunks) {
+void walk(Stream& s, std::uint32_t version, SceneInfo& info, std::vector<ClassEntry>& classes,
+          std::vector<Chunks>& chunks) {
   s.text(info.name);
   flags(s, {&info.metric, &info.opengl_files});
   s.number(info.near_hint_m);
@@ -155,7 +165,7 @@ void walk(Stream& s, SceneInfo& info, std::vector<ClassEntry>& classes, std::vec
   }
   s.list(info.frames, 200);
   chunks.resize(info.frames.size());
-  for (std::size_t i = 0; i < info.frames.size(); ++i) walk_frame(s, info.frames[i], chunks[i]);
+  for (std::size_t i = 0; i < info.frames.size(); ++i) walk_frame(s, version, info.frames[i], chunks[i]);
   if (s.goes_on(!info.limit.empty())) {  // scenes without a limit end here, as all did once
     vector3(s, info.limit.lo);
     vector3(s, info.limit.hi);
@@ -243,14 +253,19 @@ void write_packed_scene(const std::string& path, const SceneInfo& info,
       chunks[i][PackedScene::kDepth] = put_chunk(file, raw_bytes(frame.depth_m), 0);
     }
     chunks[i][PackedScene::kLabel] = put_chunk(file, raw_bytes(frame.label), 0);
+    chunks[i][PackedScene::kUsed] = put_chunk(file, raw_bytes(frame.used), 0);
     if (options.with_instances) chunks[i][PackedScene::kInstance] = put_chunk(file, raw_bytes(frame.instance), 0);
   }
   SceneInfo copy = info;
   std::vector<ClassEntry> classes = info.classes.entries();
   Writer manifest;
-  walk(manifest, copy, classes, chunks);
+  const bool is_old =
+      std::all_of(chunks.begin(), chunks.end(),
+                  [](const Chunks& of) { return of[PackedScene::kUsed].raw_bytes == 0; }) &&
+      std::none_of(info.frames.begin(), info.frames.end(), [](const FrameInfo& f) { return f.camera.is_wide(); });
+  header.version = is_old ? 1 : kPackedVersion;
+  walk(manifest, header.version, copy, classes, chunks);
   std::memcpy(header.magic, kMagic, sizeof kMagic);
-  header.version = kPackedVersion;
   header.frames = static_cast<std::uint32_t>(info.frames.size());
   header.manifest_offset = file.size();
   header.manifest_bytes = manifest.bytes.size();
@@ -286,9 +301,9 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
   std::memcpy(&header, head.data(), kHeaderBytes);
   if (crc_of(header) != header.header_crc)
     throw refuse("scene.packed.damaged", "header is damaged (wrong checksum)", "copy the file again");
-  if (header.version != kPackedVersion) {
+  if (header.version < 1 || header.version > kPackedVersion) {
     throw refuse("scene.packed.version",
-                 "format version " + std::to_string(header.version) + "; this build reads version " +
+                 "format version " + std::to_string(header.version) + "; this build reads versions up to " +
                      std::to_string(kPackedVersion),
                  again);
   }
@@ -314,11 +329,11 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
       throw refuse("scene.packed.damaged", "manifest is damaged (wrong checksum)", "copy the file again");
     Reader reader(manifest);
     std::vector<ClassEntry> classes;
-    walk(reader, info_, classes, chunks_);
+    walk(reader, header.version, info_, classes, chunks_);
     if (!reader.finished() || info_.frames.size() != header.frames)
       throw refuse("scene.packed.damaged", "manifest does not match its header", again);
     info_.classes = ClassTable(std::move(classes));
-    static constexpr std::uint64_t kPixelBytes[kChannels] = {3, 4, 2, 4};
+    static constexpr std::uint64_t kPixelBytes[kChannels] = {3, 4, 2, 4, 1};
     for (std::size_t i = 0; i < info_.frames.size(); ++i) {
       FrameInfo& f = info_.frames[i];
       check_image_limits(f.camera.width_px, f.camera.height_px);
@@ -398,6 +413,7 @@ void PackedScene::read(int frame, FrameBuffer& out) const {
   }
   out.label = typed<std::int16_t>(chunk_bytes(frame, kLabel));
   out.instance = typed<std::int32_t>(chunk_bytes(frame, kInstance));
+  out.used = typed<std::uint8_t>(chunk_bytes(frame, kUsed));
   const int classes = info_.classes.valid_count();
   for (const std::int16_t c : out.label) {
     if (c < kVoid || c >= classes) {

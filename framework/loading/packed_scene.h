@@ -16,8 +16,9 @@ namespace semfield {
 /// offset, u64 manifest bytes, u32 CRC-32C of the manifest, 16 zero bytes, u32 CRC-32C of the 60 bytes before}, then
 /// the chunks, then the manifest. Labels are internal indices (the class table with the original ids is in the
 /// manifest), colour 8 bit, depth float metres or whole millimetres, instances 32 bit. A chunk is deflated where that
-/// makes it smaller.
-inline constexpr std::uint32_t kPackedVersion = 1;
+/// makes it smaller. Version 2 has a byte for the lens behind each camera's numbers and a chunk of the pixels used, a
+/// byte each; scenes without masks and wide lenses are still written as version 1.
+inline constexpr std::uint32_t kPackedVersion = 2;
 
 struct PackOptions {
   bool depth_as_mm = true;  ///< true: uint16 millimetres (rounded, up to 65.534 m); false: float, unchanged
@@ -52,7 +53,7 @@ class PackedScene {
     std::uint32_t crc = 0;
     std::uint32_t format = 0;  ///< bit 0: deflated; bit 1: depth in millimetres
   };
-  enum Channel : std::size_t { kColor, kDepth, kLabel, kInstance, kChannels };
+  enum Channel : std::size_t { kColor, kDepth, kLabel, kInstance, kUsed, kChannels };
 
  private:
   std::vector<std::byte> chunk_bytes(int frame, Channel channel) const;

@@ -40,7 +40,7 @@ RayCounts count_rays(const LoadedScene& scene, const std::vector<int>& usable) {
     for (int i = 0; i < kColumns * kRows; ++i) {
       const Vec3d local = frame.camera.direction((i % kColumns + 0.5) * frame.camera.width_px / kColumns,
                                                  (i / kColumns + 0.5) * frame.camera.height_px / kRows);
-      if (!(local.z > 0)) continue;  // no ray
+      if (!(frame.camera.depth_of(local) > 0)) continue;  // no ray
       ++out.rays;
       double enters = 0, leaves = 0;
       if (!intersect(scene.bounds, frame.world_from_camera.t, frame.world_from_camera.rotate(local), enters, leaves))

@@ -49,6 +49,11 @@ DepthSurvey survey_depth(std::vector<SurveyPoints>& parts, double lost = 0.001) 
 
 void include_frustum(Box& box, const FrameInfo& frame, double distance_m) {
   box.include(frame.world_from_camera.t);
+  if (frame.camera.is_wide()) {  // it may see all around
+    for (const double side : {-distance_m, distance_m})
+      box.include(frame.world_from_camera.t + Vec3d{side, side, side});
+    return;
+  }
   for (int corner = 0; corner < 5; ++corner) {
     const double u = corner == 4 ? 0.5 : corner % 2, v = corner == 4 ? 0.5 : corner / 2;
     const Vec3d d = frame.camera.direction(u * frame.camera.width_px, v * frame.camera.height_px);
@@ -98,8 +103,9 @@ SurveyPoints survey_frame(const Camera& camera, const Pose& world_from_camera, c
                                         static_cast<std::size_t>(x)];
       if (!(depth > 0) || !std::isfinite(depth)) continue;
       const Vec3d d = camera.direction(x + 0.5, y + 0.5);
-      if (!(d.z > 0)) continue;
-      const double t = depth / d.z;
+      const double share = camera.depth_of(d);
+      if (!(share > 0)) continue;
+      const double t = depth / share;
       const Vec3d p = world_from_camera.apply(d * t);
       out.x.push_back(static_cast<float>(p.x));
       out.y.push_back(static_cast<float>(p.y));

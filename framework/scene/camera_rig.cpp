@@ -54,7 +54,7 @@ Cameras some_of(const Cameras& cameras, std::size_t most) {
 
 bool project_into(const FrameInfo& frame, Vec3d point, double& u, double& v) {
   const Vec3d p = frame.world_from_camera.apply_inverse(point);
-  if (!(p.z > 0)) return false;
+  if (!frame.camera.sees(p)) return false;
   frame.camera.project(p, u, v);
   return u >= 0 && v >= 0 && u < frame.camera.width_px && v < frame.camera.height_px;
 }
@@ -86,6 +86,9 @@ Box box_of_voxels(const Box& region, const std::function<bool(Vec3d center)>& ke
 CameraRig find_rig(const Cameras& all) {
   CameraRig rig;
   const Cameras cameras = some_of(all, kMostCameras);
+  // A panorama looks nowhere in particular.
+  const auto is_panorama = [](const FrameInfo* frame) { return frame->camera.lens == LensKind::equirectangular; };
+  if (std::any_of(cameras.begin(), cameras.end(), is_panorama)) return rig;
   if (cameras.size() < 3 || !find_focus(cameras, rig.focus)) return rig;
   std::vector<double> distances;
   Vec3d mean;

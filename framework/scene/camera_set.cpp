@@ -35,9 +35,15 @@ constexpr std::array<std::pair<const char*, double Camera::*>, 6> kLens{{{"k1", 
 constexpr std::array<std::pair<const char*, double Camera::*>, 4> kPinhole{
     {{"fx", &Camera::fx}, {"fy", &Camera::fy}, {"cx", &Camera::cx}, {"cy", &Camera::cy}}};
 
+// As the key "lens" names them; a perspective camera needs none.
+constexpr std::array<std::pair<const char*, LensKind>, 3> kKinds{{{"perspective", LensKind::perspective},
+                                                                  {"fisheye", LensKind::fisheye},
+                                                                  {"equirectangular", LensKind::equirectangular}}};
+
 Json json_of(const PlacedCamera& placed) {
   const Camera& c = placed.camera;
   Json out{{"name", placed.name}, {"width", c.width_px}, {"height", c.height_px}};
+  if (c.is_wide()) out["lens"] = kKinds[static_cast<std::size_t>(c.lens)].first;
   for (const auto& [key, member] : kPinhole) out[key] = c.*member;
   for (const auto& [key, member] : kLens) out[key] = c.*member;
   if (placed.far_m > 0) {
@@ -78,6 +84,7 @@ class CameraReader {
     const double width = number("width"), height = number("height");
     for (const auto& [key, member] : kPinhole) c.*member = number(key);
     for (const auto& [key, member] : kLens) c.*member = number(key, 0);
+    c.lens = lens();
     const std::vector<double> rows = matrix();
     if (diagnostics_.error_count() > before) return std::nullopt;
     if (!set_size(c, width, height) || !check_camera(c, place_, diagnostics_)) return std::nullopt;
@@ -99,7 +106,7 @@ class CameraReader {
     std::vector<std::string> known{"name", "width", "height"};
     for (const auto& [key, member] : kPinhole) known.emplace_back(key);
     for (const auto& [key, member] : kLens) known.emplace_back(key);
-    known.insert(known.end(), {"near", "far", "world_from_camera"});
+    known.insert(known.end(), {"lens", "near", "far", "world_from_camera"});
     for (const auto& [key, value] : node_.items()) {
       if (std::find(known.begin(), known.end(), key) != known.end()) continue;
       const std::string near = did_you_mean(key, known);
@@ -113,6 +120,14 @@ class CameraReader {
       return {};
     }
     return node_["name"].get<std::string>();
+  }
+
+  LensKind lens() {
+    if (!node_.contains("lens")) return LensKind::perspective;
+    for (const auto& [name, kind] : kKinds)
+      if (node_["lens"] == name) return kind;
+    error("'lens' is none of perspective, fisheye and equirectangular", "write one of these, or leave it out");
+    return LensKind::perspective;
   }
 
   double number(const char* key, std::optional<double> otherwise = std::nullopt) {

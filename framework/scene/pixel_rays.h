@@ -21,9 +21,13 @@ SEMFIELD_HD inline Vec3d pinhole_direction(double fx, double fy, double cx, doub
   return normalized(Vec3d{(u - cx) / fx, (v - cy) / fy, 1});
 }
 
+/// What of a camera is no array: `finite`, fx, fy, cx and cy are; `wide`, depth is the distance (Camera::depth_of).
+struct RayLens {
+  bool finite = true, wide = false;
+};
+
 /// cast_ray (eval/rays.h) from the unit direction `local` in camera axes, {0, 0, 0} for a pixel without one.
-/// has_finite_lens: fx, fy, cx and cy are finite.
-SEMFIELD_HD inline double ray_of_direction(const Vec3d& local, const Pose& world_from_camera, bool has_finite_lens,
+SEMFIELD_HD inline double ray_of_direction(const Vec3d& local, const Pose& world_from_camera, RayLens lens,
                                            const RayLimits& limits, double* origin, double* direction,
                                            double* near_far) {
   const Vec3d d = world_from_camera.rotate(local);
@@ -32,13 +36,13 @@ SEMFIELD_HD inline double ray_of_direction(const Vec3d& local, const Pose& world
     origin[i] = o[i];
     direction[i] = d[i];
   }
-  const double cosine = local.z;
+  const double cosine = lens.wide ? length(local) : local.z;
   near_far[0] = near_far[1] = 0;
   if (cosine <= 0) {
     // No direction: a unit vector keeps the direction encoder's contract, the empty interval keeps the ray dark.
     // A camera that is not finite is no such case: its rays must be seen by who checks them.
     const Vec3d forward = world_from_camera.axis(2);
-    for (int i = 0; i < 3; ++i) direction[i] = has_finite_lens ? forward[i] : static_cast<double>(NAN);
+    for (int i = 0; i < 3; ++i) direction[i] = lens.finite ? forward[i] : static_cast<double>(NAN);
     return 0;
   }
   double near_t = limits.z_depth ? limits.near_m / cosine : limits.near_m;

@@ -56,9 +56,10 @@ struct FrameChannel {
 struct FrameBuffer {
   std::int32_t width_px = 0, height_px = 0;
   std::vector<std::uint8_t> rgb;       ///< [H * W * 3] as stored in the file (display-referred, 0..255)
-  std::vector<float> depth_m;          ///< [H * W] z-depth, 0 = invalid
+  std::vector<float> depth_m;          ///< [H * W] depth (Camera::depth_of), 0 = invalid
   std::vector<std::int16_t> label;     ///< [H * W] internal class index, kVoid = void
   std::vector<std::int32_t> instance;  ///< [H * W] instance id, 0 = none
+  std::vector<std::uint8_t> used;      ///< [H * W] 0 = masked (scene/pixel_mask.h); empty: every pixel counts
   std::vector<std::string> wanted;     ///< set by the caller: names of further channels that read() fills
   std::vector<FrameChannel> channels;  ///< those of FrameInfo::channels that are wanted
 };

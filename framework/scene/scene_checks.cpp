@@ -41,7 +41,7 @@ bool finite(const Box& box) {
   return true;
 }
 
-// A lens sees less than 180 degrees: at a thousandth of the image it is 179.9.
+// A perspective lens sees less than 180 degrees: at a thousandth of the image it is 179.9.
 bool is_focal(double focal_px, int size_px) { return focal_px >= 1e-3 * size_px && focal_px <= 1e6 * size_px; }
 
 void check_focal(const Camera& camera, const std::string& place, Diagnostics& diagnostics) {
@@ -54,6 +54,22 @@ void check_focal(const Camera& camera, const std::string& place, Diagnostics& di
                           std::to_string(camera.width_px) + " x " + std::to_string(camera.height_px) + " pixels"
                     : std::string("positive")),
       positive ? "check that the intrinsics are in pixels" : "check the intrinsics and the axes convention");
+}
+
+// What no fisheye and no panorama has.
+void check_wide_lens(const Camera& c, const std::string& place, Diagnostics& diagnostics) {
+  if (!c.is_wide()) return;
+  const bool is_panorama = c.lens == LensKind::equirectangular;
+  if (c.p1 != 0 || c.p2 != 0 || (is_panorama && (c.k1 != 0 || c.k2 != 0 || c.k3 != 0 || c.k4 != 0)))
+    diagnostics.error("scene.camera.model", place,
+                      std::string(is_panorama ? "a panorama has no distortion" : "a fisheye has k1 to k4 alone") +
+                          ", and others of its coefficients are not 0",
+                      "set them to 0, or name the camera's own model");
+  const double turns = c.width_px / (2 * M_PI * c.fx);
+  if (is_panorama && c.fx > 0 && turns > 1 + 1e-6)
+    diagnostics.error("scene.camera.focal", place,
+                      "the panorama goes " + number(turns) + " times around: its focal length is too short",
+                      "leave fl_x and fl_y out where the image shows the whole sphere");
 }
 
 // max |R^T R - I|
@@ -211,6 +227,7 @@ bool check_camera(const Camera& camera, const std::string& place, Diagnostics& d
                           std::to_string(camera.height_px) + " pixels",
                       "check that the intrinsics belong to images of this size");
   }
+  check_wide_lens(camera, place, diagnostics);
   if (diagnostics.error_count() == before && camera.has_distortion()) {
     int lost = 0;
     for (int i = 0; i <= 2; ++i) {
@@ -220,7 +237,7 @@ bool check_camera(const Camera& camera, const std::string& place, Diagnostics& d
     if (lost == 9) {
       diagnostics.error("scene.camera.distortion", place, "lens distortion has no inverse anywhere in the image",
                         "calibrate again");
-    } else if (lost > 0) {
+    } else if (lost > 0 && !camera.is_wide()) {  // a fisheye's corners lie beyond its circle, as they should
       diagnostics.warning("scene.camera.masked", place,
                           "lens distortion has no inverse at " + std::to_string(lost) +
                               " of 9 points of the image; such pixels are masked",

@@ -60,6 +60,7 @@ StoredFrame::StoredFrame(FrameBuffer frame)
       depth_m(std::move(frame.depth_m)),
       label(std::move(frame.label)),
       instance(std::move(frame.instance)),
+      mask(frame.used),
       channels(std::move(frame.channels)) {}
 
 const FrameChannel* StoredFrame::channel(std::string_view name) const {
@@ -78,7 +79,7 @@ void StoredFrame::read_channel(std::string_view name, std::int32_t index, std::s
 }
 
 std::size_t StoredFrame::bytes() const {
-  std::size_t sum = rgb.capacity() + depth_m.bytes() + label.bytes() + instance.capacity() * 4;
+  std::size_t sum = rgb.capacity() + depth_m.bytes() + label.bytes() + mask.bytes() + instance.capacity() * 4;
   for (const FrameChannel& one : channels) sum += one.values.capacity() * sizeof(float);
   return sum;
 }

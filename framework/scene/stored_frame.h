@@ -7,6 +7,7 @@
 #include <string_view>
 #include <vector>
 
+#include "scene/pixel_mask.h"
 #include "scene/scene.h"
 
 namespace semfield {
@@ -63,8 +64,11 @@ struct StoredFrame {
   DepthMap depth_m;
   LabelMap label;
   std::vector<std::int32_t> instance;
+  PixelMask mask;
   std::vector<FrameChannel> channels;
 
+  /// Whether no pixel of it counts, as of one that could not be read.
+  bool is_unusable() const { return mask.masked_px() == std::int64_t{width_px} * height_px || rgb.empty(); }
   /// Null where the frame has none of the name.
   const FrameChannel* channel(std::string_view name) const;
   /// Its numbers at pixel `index`, row by row from the top; zeros where the frame has none.

@@ -63,6 +63,7 @@ RaySource::RaySource(std::vector<TrainFrame> frames, std::vector<std::int16_t> l
     throw Error(ErrorKind::data, "scene.pixels.limit", "the training split has more than 2^32 pixels",
                 "reduce it with scene.load.downscale");
   }
+  index_used();
   relabel();
 }
 
@@ -117,36 +118,28 @@ void RaySource::resize(BatchBuffers& batch) const {
 }
 
 void RaySource::index_labels() {
-  block_offsets_.assign(1, 0);
-  for (std::size_t f = 0; f < frames_.size(); ++f) {
-    const std::int64_t pixels =
-        frames_[f].labels != nullptr || frames_[f].added != nullptr ? offsets_[f + 1] - offsets_[f] : 0;
-    block_offsets_.push_back(block_offsets_.back() + static_cast<std::size_t>((pixels + kBlock - 1) / kBlock));
-  }
-  ranks_before_.assign(block_offsets_.back() + 1, 0);
-  parallel_for(static_cast<std::int64_t>(frames_.size()), [&](std::int64_t frame) {
-    const auto f = static_cast<std::size_t>(frame);
-    const std::int64_t pixels = offsets_[f + 1] - offsets_[f];
-    for (std::size_t b = block_offsets_[f]; b < block_offsets_[f + 1]; ++b) {
-      const std::int64_t begin = static_cast<std::int64_t>(b - block_offsets_[f]) * kBlock;
-      for (std::int64_t p = begin; p < std::min(begin + kBlock, pixels); ++p)
-        ranks_before_[b + 1] += label_of({static_cast<std::int32_t>(f), static_cast<std::int32_t>(p)}) != kVoid ? 1 : 0;
-    }
-  });
-  for (std::size_t b = 1; b < ranks_before_.size(); ++b) ranks_before_[b] += ranks_before_[b - 1];
+  std::vector<std::int64_t> pixels;
+  for (std::size_t f = 0; f < frames_.size(); ++f)
+    pixels.push_back(frames_[f].labels != nullptr || frames_[f].added != nullptr ? offsets_[f + 1] - offsets_[f] : 0);
+  labelled_.index(pixels, [this](const Pixel& pixel) { return label_of(pixel) != kVoid; });
 }
 
-RaySource::Pixel RaySource::labelled_pixel(std::uint32_t rank) const {
-  const auto after = std::upper_bound(ranks_before_.begin(), ranks_before_.end(), rank);
-  const auto block = static_cast<std::size_t>(after - ranks_before_.begin()) - 1;
-  const auto next_frame = std::upper_bound(block_offsets_.begin(), block_offsets_.end(), block);
-  const auto frame = static_cast<std::size_t>(next_frame - block_offsets_.begin()) - 1;
-  Pixel pixel{static_cast<std::int32_t>(frame),
-              static_cast<std::int32_t>(static_cast<std::int64_t>(block - block_offsets_[frame]) * kBlock)};
-  for (std::uint32_t left = rank - ranks_before_[block];; ++pixel.index) {
-    if (label_of(pixel) == kVoid) continue;
-    if (left-- == 0) return pixel;
-  }
+void RaySource::index_used() {
+  const auto is_masked = [](const TrainFrame& frame) { return !frame.pixels->mask.empty(); };
+  if (std::none_of(frames_.begin(), frames_.end(), is_masked)) return;
+  std::vector<std::int64_t> pixels;
+  for (std::size_t f = 0; f < frames_.size(); ++f) pixels.push_back(offsets_[f + 1] - offsets_[f]);
+  used_.index(pixels, [this](const Pixel& pixel) { return uses(pixel); });
+  for (std::size_t f = 0; f < frames_.size(); ++f)
+    SEMFIELD_CHECK(used_.first_of(f) < used_.first_of(f + 1), "a training frame has a pixel that is not masked");
+}
+
+bool RaySource::uses(const Pixel& pixel) const {
+  return frames_[static_cast<std::size_t>(pixel.frame)].pixels->mask.uses(static_cast<std::size_t>(pixel.index));
+}
+
+RaySource::Pixel RaySource::used_pixel(std::uint32_t rank) const {
+  return used_.at(rank, [this](const Pixel& pixel) { return uses(pixel); });
 }
 
 RaySource::Pixel RaySource::locate(std::int64_t global) const {
@@ -172,13 +165,19 @@ RaySource::Pixel RaySource::choose(std::int64_t step, std::int64_t ray) const {
     case RaySourceKind::one_image: {
       const RandomAddress frame_address{options_.seed, static_cast<std::uint64_t>(step), stream_id("ray_source/frame")};
       const auto frame = static_cast<std::int32_t>(uniform_below(frame_address, 0, frames_.size()));
-      const std::int64_t pixels =
-          offsets_[static_cast<std::size_t>(frame) + 1] - offsets_[static_cast<std::size_t>(frame)];
+      const auto f = static_cast<std::size_t>(frame);
+      if (used_.count() > 0) {
+        const std::uint32_t first = used_.first_of(f);
+        return used_pixel(first +
+                          static_cast<std::uint32_t>(uniform_below(address, index, used_.first_of(f + 1) - first)));
+      }
+      const std::int64_t pixels = offsets_[f + 1] - offsets_[f];
       return {frame, static_cast<std::int32_t>(uniform_below(address, index, static_cast<std::uint64_t>(pixels)))};
     }
     case RaySourceKind::label_balanced: {
       if (for_its_label(ray)) {
-        return labelled_pixel(static_cast<std::uint32_t>(uniform_below(address, index, ranks_before_.back())));
+        return labelled_.at(static_cast<std::uint32_t>(uniform_below(address, index, labelled_.count())),
+                            [this](const Pixel& pixel) { return label_of(pixel) != kVoid; });
       }
       break;
     }
@@ -186,6 +185,7 @@ RaySource::Pixel RaySource::choose(std::int64_t step, std::int64_t ray) const {
     case RaySourceKind::automatic:
       break;
   }
+  if (used_.count() > 0) return used_pixel(static_cast<std::uint32_t>(uniform_below(address, index, used_.count())));
   return locate(static_cast<std::int64_t>(uniform_below(address, index, static_cast<std::uint64_t>(offsets_.back()))));
 }
 
@@ -224,10 +224,12 @@ std::optional<PixelPool> RaySource::pool() const {
     for (std::int64_t begin = 0; pool.labels_apart && begin < pool.rays; begin += pool.tile_rays)
       pool.label_only.push_back(
           label_only_rays(pool.labelled_share, begin, std::min(begin + pool.tile_rays, pool.rays)));
-    pool.block = kBlock;
-    pool.block_offsets = block_offsets_;
-    pool.ranks_before = ranks_before_;
+    pool.block = PixelRanks::kBlock;
+    pool.block_offsets = labelled_.block_offsets;
+    pool.ranks_before = labelled_.before;
   }
+  pool.used_block_offsets = used_.block_offsets;
+  pool.used_before = used_.before;
   pool.with_labels = !logit_of_class_.empty();
   pool.read_labels = [this](std::size_t frame, std::span<std::int16_t> logit) {
     constexpr std::int64_t kPart = 16384;
@@ -241,6 +243,7 @@ std::optional<PixelPool> RaySource::pool() const {
 }
 
 std::int16_t RaySource::class_of(const Pixel& pixel) const {
+  if (!uses(pixel)) return kVoid;
   const TrainFrame& frame = frames_[static_cast<std::size_t>(pixel.frame)];
   const auto index = static_cast<std::size_t>(pixel.index);
   const std::int16_t own = frame.labels == nullptr || frame.labels->empty() ? kVoid : (*frame.labels)[index];

@@ -9,6 +9,7 @@
 
 #include "eval/rays.h"
 #include "execution/pipeline.h"
+#include "execution/pixel_ranks.h"
 #include "labels/training_labels.h"
 #include "scene/stored_frame.h"
 #include "session/settings/run_config.h"
@@ -22,12 +23,6 @@ struct TrainFrame {
   const TrainingLabels::Frame* labels = nullptr;  ///< borrowed; null: unlabelled
   std::string name = {};                          ///< for messages
   const LabelMap* added = nullptr;                ///< borrowed; hard labels of pixels that `labels` has none of
-};
-
-/// A training pixel: frame by its place in the training split, row * width + column.
-struct TrainPixel {
-  std::int32_t frame = 0;
-  std::int32_t index = 0;
 };
 
 /// In the order in which rays stand in a tile.
@@ -79,7 +74,8 @@ std::int64_t label_only_rays(double share, std::int64_t begin, std::int64_t end)
 class RaySource {
  public:
   /// `logit_of_class` maps a frame's class to the head's logit, kVoid for a class without one. Throws Error(data) when
-  /// there is no training pixel, or no labelled one for label_balanced unless labels_may_come.
+  /// there is no training pixel, or no labelled one for label_balanced unless labels_may_come. Every frame has a pixel
+  /// that is not masked.
   RaySource(std::vector<TrainFrame> frames, std::vector<std::int16_t> logit_of_class, const RayLimits& limits,
             const RaySourceOptions& options);
 
@@ -135,17 +131,16 @@ class RaySource {
   void list_targets();
   RayLimits limits_;
   RaySourceOptions options_;
-  // Labelled pixels by rank, for label_balanced alone: pixels of the labelled frames in blocks of kBlock, and how many
-  // labelled ones lie before each block. A list of the pixels themselves would outweigh the labels.
-  static constexpr std::int64_t kBlock = 64;
+  PixelRanks labelled_;  // for label_balanced alone
+  PixelRanks used_;      // those that are not masked; empty where no frame has a mask
   void index_labels();
-  bool balanced() const { return !ranks_before_.empty() && ranks_before_.back() > 0; }
-  Pixel labelled_pixel(std::uint32_t rank) const;
+  void index_used();
+  bool balanced() const { return labelled_.count() > 0; }
+  bool uses(const Pixel& pixel) const;
+  Pixel used_pixel(std::uint32_t rank) const;
 
   std::uint64_t version_ = 0;
-  std::vector<std::int64_t> offsets_;        // first global pixel of each frame, and the total
-  std::vector<std::size_t> block_offsets_;   // first block of each frame, and the total
-  std::vector<std::uint32_t> ranks_before_;  // [blocks + 1]; the last entry counts all
+  std::vector<std::int64_t> offsets_;  // first global pixel of each frame, and the total
 };
 
 /// What label_balanced says of a training split without a labelled pixel.

@@ -82,6 +82,7 @@ std::vector<Pose> refine_poses(Session& s, Registry& registry, const std::vector
   std::vector<TrainFrame> drawn;
   for (const int frame : frames) {
     const auto f = static_cast<std::size_t>(frame);
+    if (s.scene.frames[f].is_unusable()) continue;
     const FrameInfo& info = s.scene.info.frames[f];
     drawn.push_back(
         {{info.camera, info.world_from_camera, s.plan.undistortion}, &s.scene.frames[f], nullptr, info.name});

@@ -34,7 +34,7 @@ double direction_spread_deg(const SceneInfo& info) {
     for (const int corner : {0, 1, 2, 3}) {
       const Camera& c = frame.camera;
       const Vec3d local = c.direction(corner & 1 ? c.width_px : 0, corner & 2 ? c.height_px : 0);
-      if (!(local.z > 0)) return 360;  // a corner without an inverse distortion
+      if (c.is_wide() || !(local.z > 0)) return 360;  // all around, or a corner without a ray
       rays.push_back(frame.world_from_camera.rotate(local));
       sum = sum + rays.back();
     }
@@ -355,7 +355,7 @@ std::vector<std::int16_t> Session::logit_of_class() const {
 
 std::vector<int> Session::drawn_frames() const {
   std::vector<int> drawn = scene.frames_of(Split::train);
-  std::erase_if(drawn, [&](int f) { return scene.frames[static_cast<std::size_t>(f)].rgb.empty(); });
+  std::erase_if(drawn, [&](int f) { return scene.frames[static_cast<std::size_t>(f)].is_unusable(); });
   return drawn;
 }
 

@@ -37,19 +37,20 @@ std::optional<Vec3d> surface_point(const PosedDepth& view, std::int32_t column, 
   const float z = view.depth_m[view.pixel(column, row)];
   if (!(z > 0 && std::isfinite(z))) return std::nullopt;
   const Vec3d direction = view.camera.direction(column + 0.5, row + 0.5);
-  if (!(direction.z > 0)) return std::nullopt;
-  return view.world_from_camera.apply(direction * (static_cast<double>(z) / direction.z));
+  const double share = view.camera.depth_of(direction);
+  if (!(share > 0)) return std::nullopt;
+  return view.world_from_camera.apply(direction * (static_cast<double>(z) / share));
 }
 
 std::optional<PixelHit> project_point(const Camera& camera, const Pose& world_from_camera, Vec3d point) {
   const Vec3d local = world_from_camera.apply_inverse(point);
-  if (!(local.z > 0)) return std::nullopt;
+  if (!camera.sees(local)) return std::nullopt;
   double u = 0, v = 0;
   camera.project(local, u, v);
   // Written so that NaN is outside; whole numbers are taken only of what fits.
   if (!(u >= 0 && u < camera.width_px && v >= 0 && v < camera.height_px)) return std::nullopt;
   if (camera.has_distortion() && !(dot(camera.direction(u, v), normalized(local)) > kSameRay)) return std::nullopt;
-  return PixelHit{static_cast<std::int32_t>(u), static_cast<std::int32_t>(v), local.z, u, v};
+  return PixelHit{static_cast<std::int32_t>(u), static_cast<std::int32_t>(v), camera.depth_of(local), u, v};
 }
 
 bool is_place(Vec3d point) { return std::isfinite(point.x) && std::isfinite(point.y) && std::isfinite(point.z); }

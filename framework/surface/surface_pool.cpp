@@ -48,14 +48,15 @@ void SurfacePool::add(std::size_t view, const SeenSurface& seen, const StoredFra
   std::vector<std::int32_t>& of_pixel = point_of_pixel[view];
   of_pixel.assign(seen.place.size(), -1);
   for (std::size_t i = 0; i < of_pixel.size(); ++i) {
+    const PixelPlace pixel = strided_place(static_cast<std::int64_t>(i), seen.width_px, stride);
+    const auto at = static_cast<std::size_t>(std::int64_t{pixel.row} * photo.width_px + pixel.column);
+    if (!photo.mask.uses(at)) continue;
     const std::int32_t cell = cells.add(seen.place[i]);
     if (cell < 0) continue;
     of_pixel[i] = cell;
     if (cell == static_cast<std::int32_t>(points.size())) points.emplace_back();
     PoolPoint& point = points[static_cast<std::size_t>(cell)];
-    const PixelPlace pixel = strided_place(static_cast<std::int64_t>(i), seen.width_px, stride);
-    const std::uint8_t* const rgb =
-        &photo.rgb[3 * static_cast<std::size_t>(std::int64_t{pixel.row} * photo.width_px + pixel.column)];
+    const std::uint8_t* const rgb = &photo.rgb[3 * at];
     point.color = point.color + Vec3d{double(rgb[0]), double(rgb[1]), double(rgb[2])};
     point.position = point.position + seen.place[i];
     point.normal = point.normal + seen.normal[i];

@@ -109,9 +109,11 @@ Agreement reproject(const FrameInfo& from, const FrameBuffer& a, const FrameInfo
     for (int col = 0; col < a.width_px; col += kStep) {
       const double z = a.depth_m[static_cast<std::size_t>(row * a.width_px + col)];
       const Vec3d unit = from.camera.direction(col + 0.5, row + 0.5);
-      if (!(z > 0) || !(unit.z > 0)) continue;
-      const Vec3d there = to.world_from_camera.apply_inverse(from.world_from_camera.apply(unit * (z / unit.z)));
-      if (there.z <= 0) continue;
+      const double share = from.camera.depth_of(unit);
+      if (!(z > 0) || !(share > 0)) continue;
+      const Vec3d there = to.world_from_camera.apply_inverse(from.world_from_camera.apply(unit * (z / share)));
+      if (!to.camera.sees(there)) continue;
+      const double own = to.camera.depth_of(there);
       double u = 0;
       double v = 0;
       to.camera.project(there, u, v);
@@ -122,7 +124,7 @@ Agreement reproject(const FrameInfo& from, const FrameBuffer& a, const FrameInfo
                                       static_cast<std::size_t>(col_there)];
       if (!(stored > 0)) continue;
       ++result.seen;
-      if (std::abs(stored - there.z) <= tolerance * there.z) ++result.agree;
+      if (std::abs(stored - own) <= tolerance * own) ++result.agree;
     }
   }
   return result;

@@ -22,7 +22,7 @@ struct Frames {
   std::vector<RayCamera> cameras{5};
   RayLimits limits;
 
-  explicit Frames(bool with_empty = true) {
+  explicit Frames(bool with_empty = true, bool with_masks = false) {
     const std::int32_t side = with_empty ? 0 : 6;
     const std::int32_t sizes[5][2] = {{17, 9}, {side, side}, {40, 31}, {8, 8}, {33, 5}};
     for (std::size_t f = 0; f < 5; ++f) {
@@ -42,6 +42,10 @@ struct Frames {
         frame.depth_m.resize(pixels);
         for (std::size_t i = 0; i < pixels; ++i) frame.depth_m[i] = static_cast<float>(random(i, 6000)) * 0.001F;
       }
+      if (with_masks && f != 3) {  // beside frames with masks, one without
+        frame.used.resize(pixels);
+        for (std::size_t i = 0; i < pixels; ++i) frame.used[i] = random(i + 9000, 3) > 0 ? 1 : 0;
+      }
       RayCamera& camera = cameras[f];
       camera.camera.width_px = frame.width_px;
       camera.camera.height_px = frame.height_px;
@@ -51,6 +55,8 @@ struct Frames {
       camera.camera.cy = 0.5 * frame.height_px - 0.21;
       if (f == 2) camera.camera.k1 = -0.21, camera.camera.k2 = 0.05, camera.camera.p1 = 0.003;
       if (f == 4) camera.camera.k1 = 0.3;
+      if (f == 3 && with_masks) camera.camera.lens = LensKind::fisheye;
+      if (f == 0 && with_masks) camera.camera.lens = LensKind::equirectangular;
       camera.undistort = f != 4;
       const double angle = 0.4 * static_cast<double>(f);
       camera.world_from_camera.r = {
@@ -113,6 +119,24 @@ void expect_same_batches(const RaySource& source, const PixelPool& pool, BatchDr
       expect_bits(there(depth), wanted, "depth");
       EXPECT_EQ(std::memcmp(seen_depth.data, wanted.data(), wanted.size() * sizeof(float)), 0);
     }
+  }
+}
+
+TEST(CudaBatchDrawer, GivesTheBitsOfMaskedFramesAndWideLenses) {
+  SEMFIELD_ON_DEVICE(launch);
+  for (const RaySourceKind kind :
+       {RaySourceKind::all_images, RaySourceKind::one_image, RaySourceKind::label_balanced}) {
+    SCOPED_TRACE(static_cast<int>(kind));
+    Frames frames(false, true);
+    RaySourceOptions options{.train = {.rays = 2500, .ray_source = kind, .labelled_share = 0.3},
+                             .targets = {std::string(channel::depth)},
+                             .tile_rays = 333};
+    RaySource source = frames.make(options);
+    const std::optional<PixelPool> pool = source.pool();
+    ASSERT_TRUE(pool);
+    ASSERT_FALSE(pool->used_before.empty());
+    BatchDrawer drawer(*pool, kAhead);
+    expect_same_batches(source, *pool, drawer);
   }
 }
 

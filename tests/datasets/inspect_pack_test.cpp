@@ -45,6 +45,34 @@ TEST(Pack, PackedSceneIsTheScene) {
   }
 }
 
+TEST(Pack, MasksAndWideLensesStayAndWhatAMaskHidesDoesNot) {
+  const std::string folder = fresh_folder("room");
+  write_png_rgb(folder + "/a.png", 4, 2, std::vector<std::uint8_t>(24, 9));
+  write_png_rgb(folder + "/b.png", 4, 2, std::vector<std::uint8_t>(24, 9));
+  write_png_gray8(folder + "/m.png", 4, 2, std::vector<std::uint8_t>{255, 255, 255, 0, 255, 255, 255, 255});
+  const std::string eye = "\"transform_matrix\": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}";
+  write_file_atomic(
+      folder + "/transforms.json",
+      "{\"camera_model\": \"OPENCV_FISHEYE\", \"fl_x\": 3, \"k4\": 0.01, \"frames\": [{\"file_path\": \"a.png\", "
+      "\"mask_path\": \"m.png\", " +
+          eye + ", {\"file_path\": \"b.png\", " + eye + "]}");
+  TransformsJson scene(TransformsJsonParams{.root = folder}, {});
+  Diagnostics d;
+  (void)pack_scene(scene, folder + "/room.semfield", {}, {}, d);
+  ASSERT_FALSE(d.has_errors()) << d.all()[0].text();
+  Packed packed(PackedParams{"room.semfield"}, DatasetBuild{folder});
+  const SceneInfo info = packed.open(d);
+  EXPECT_EQ(info.frames[0].camera.lens, LensKind::fisheye);
+  EXPECT_EQ(info.frames[0].camera.k4, 0.01);
+  FrameBuffer out;
+  packed.read(0, out);
+  EXPECT_EQ(out.used, (std::vector<std::uint8_t>{1, 1, 1, 0, 1, 1, 1, 1}));
+  EXPECT_EQ(out.rgb[9], 0);
+  EXPECT_EQ(out.rgb[8], 9);
+  packed.read(1, out);
+  EXPECT_TRUE(out.used.empty());
+}
+
 TEST(Pack, WhatIsPackedIsMended) {
   const std::string folder = fresh_folder("room");
   write_replica(folder, 6);

@@ -151,10 +151,10 @@ TEST(SceneErrors, TransformsJson) {
       transforms_error("{\"frames\": 3}"),
       "'ROOT/transforms.json' has no list 'frames'; give a transforms.json of nerfstudio, instant-ngp or Blender");
   EXPECT_EQ(transforms_error("{\"frames\": ").find("'ROOT/transforms.json' is not valid JSON: "), 0u);
-  EXPECT_EQ(transforms_error("{\"camera_model\": \"OPENCV_FISHEYE\", \"frames\": [" + frame + "]}")
-                .find("ROOT/transforms.json: camera model 'OPENCV_FISHEYE' is not supported (only perspective lenses: "
-                      "OPENCV, PINHOLE, SIMPLE_PINHOLE, "
-                      "SIMPLE_RADIAL, RADIAL); undistort the images to a pinhole camera, for example with colmap "
+  EXPECT_EQ(transforms_error("{\"camera_model\": \"FISHEYE624\", \"frames\": [" + frame + "]}")
+                .find("ROOT/transforms.json: camera model 'FISHEYE624' is not supported (only OPENCV, PINHOLE, "
+                      "SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV_FISHEYE, EQUIRECTANGULAR); undistort the images "
+                      "to a pinhole camera, for example with colmap "
                       "image_undistorter"),
             0u);
   EXPECT_EQ(transforms_error("{\"fl_x\": 4, \"frames\": [{\"file_path\": \"a\"}]}"),

@@ -72,6 +72,24 @@ TEST(Ssim, KnownValues) {
   EXPECT_FALSE(ssim(a, black, kSize, kSize, 1));
 }
 
+TEST(Ssim, WindowsThatHoldAMaskedPixelDoNotCount) {
+  constexpr int kWide = 30, kHigh = 20;
+  Floats a(kWide * kHigh), b(a.size());
+  for (std::size_t i = 0; i < a.size(); ++i) a[i] = b[i] = static_cast<float>((i * 7919) % 101) / 100.0f;
+  std::vector<std::uint8_t> used(a.size(), 1);
+  for (std::size_t y = 0; y < kHigh; ++y) {  // a column that is wrong, and masked
+    b[y * kWide + 15] = 0;
+    used[y * kWide + 15] = 0;
+  }
+  EXPECT_LT(*ssim(a, b, kWide, kHigh, 1), 0.99);
+  EXPECT_DOUBLE_EQ(*ssim(a, b, kWide, kHigh, 1, used), 1.0);
+  used.assign(a.size(), 1);
+  used[7 * kWide + 15] = 0;  // one of its pixels alone
+  EXPECT_LT(*ssim(a, b, kWide, kHigh, 1, used), 1.0);
+  used.assign(a.size(), 0);
+  EXPECT_FALSE(ssim(a, b, kWide, kHigh, 1, used)) << "nothing counts";
+}
+
 // The same definition written directly: two-dimensional weights, two passes.
 double plain_ssim(const Floats& x, const Floats& y, int width, int height, int channels) {
   double total = 0;

@@ -1,6 +1,9 @@
 // Cameras: pixel centres, lens and its inverse, resizing; files of cameras, and paths of them.
 #include "scene/camera.h"
 
+#include <algorithm>
+#include <sstream>
+
 #include "scene/camera_path.h"
 #include "scene/camera_set.h"
 #include "system/files.h"
@@ -64,6 +67,101 @@ TEST(Camera, PointsBeyondTheFoldHaveNoDirection) {
   ASSERT_GT(inside.z, 0.0);
   EXPECT_LT(inside.x / inside.z, 0.8165);
   EXPECT_GT(inside.x / inside.z, 0.54);
+}
+
+Camera fisheye_camera() {
+  Camera c = lens_camera();
+  c.lens = LensKind::fisheye;
+  c.fx = 190;
+  c.fy = 188;
+  c.k1 = -0.021;
+  c.k2 = 0.0043;
+  c.k3 = -0.0021;
+  c.k4 = 0.00031;
+  return c;
+}
+Camera panorama_camera() {
+  Camera c = lens_camera();
+  c.lens = LensKind::equirectangular;
+  c.fx = c.width_px / (2 * M_PI);
+  c.fy = c.height_px / M_PI;
+  c.cx = 0.5 * c.width_px;
+  c.cy = 0.5 * c.height_px;
+  return c;
+}
+
+// The formulas of OpenCV's documentation of its fisheye model, on their own: a = x / z, b = y / z, r^2 = a^2 + b^2,
+// theta = atan(r), theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8), x' = (theta_d / r) a.
+TEST(Camera, AFisheyeProjectsAsOpenCvSays) {
+  const Camera c = fisheye_camera();
+  for (const Vec3d p : {Vec3d{0.3, -0.2, 1}, Vec3d{-2, 0.7, 0.9}, Vec3d{1e-4, 2e-5, 3}, Vec3d{5, 4, 0.1}}) {
+    const double a = p.x / p.z, b = p.y / p.z, r = std::sqrt(a * a + b * b), t = std::atan(r);
+    const double td =
+        t * (1 + c.k1 * std::pow(t, 2) + c.k2 * std::pow(t, 4) + c.k3 * std::pow(t, 6) + c.k4 * std::pow(t, 8));
+    double u = 0, v = 0;
+    ASSERT_TRUE(c.sees(p));
+    c.project(p, u, v);
+    EXPECT_NEAR(u, c.fx * td / r * a + c.cx, 1e-10);
+    EXPECT_NEAR(v, c.fy * td / r * b + c.cy, 1e-10);
+  }
+}
+
+TEST(Camera, PixelsOfWideLensesComeBack) {
+  double worst = 0;
+  for (const Camera& c : {fisheye_camera(), panorama_camera()}) {
+    int rays = 0;
+    for (int y = 0; y < c.height_px; y += 7) {
+      for (int x = 0; x < c.width_px; x += 7) {
+        const Vec3d d = c.direction(x + 0.5, y + 0.5);
+        if (d == Vec3d{0, 0, 0}) continue;
+        ++rays;
+        EXPECT_NEAR(length(d), 1, 1e-15);
+        EXPECT_NEAR(c.depth_of(d * 3.0), 3, 1e-14) << "depth is the distance";
+        double u = 0, v = 0;
+        ASSERT_TRUE(c.sees(d * 3.7));
+        c.project(d * 3.7, u, v);
+        worst = std::max({worst, std::abs(u - x - 0.5), std::abs(v - y - 0.5)});
+      }
+    }
+    EXPECT_EQ(rays, 92 * 69) << "every pixel has a ray";
+  }
+  EXPECT_LE(worst, 1e-9);
+  std::ostringstream shown;
+  shown << worst;
+  RecordProperty("roundtrip_px", shown.str());
+}
+
+TEST(Camera, AFisheyeSeesBehindItselfAndNotBeyondItsFold) {
+  Camera c = fisheye_camera();
+  c.k1 = c.k2 = c.k3 = c.k4 = 0;
+  EXPECT_LT(c.direction(c.cx + 1.7 * c.fx, c.cy).z, 0) << "1.7 radians off the axis";
+  EXPECT_EQ(c.direction(c.cx + 3.2 * c.fx, c.cy), (Vec3d{0, 0, 0})) << "more than all around";
+  EXPECT_EQ(c.direction(c.cx, c.cy), (Vec3d{0, 0, 1}));
+  c.k1 = -0.2;  // theta (1 - 0.2 theta^2) grows up to 1.29, where it is 0.861
+  EXPECT_EQ(c.direction(c.cx + 0.87 * c.fx, c.cy), (Vec3d{0, 0, 0}));
+  EXPECT_NEAR(std::acos(c.direction(c.cx + 0.85 * c.fx, c.cy).z), 1.18, 0.05);
+  EXPECT_FALSE(c.sees({0, 3, -1}));
+  EXPECT_TRUE(c.sees({0, 3, 1}));
+}
+
+TEST(Camera, APanoramaHasForwardInItsMiddleAndRightToTheRight) {
+  const Camera c = panorama_camera();
+  const auto is = [&](double u, double v, Vec3d d) {
+    EXPECT_LT(length(c.direction(u, v) - d), 1e-15) << u << ' ' << v;
+  };
+  is(320, 240, {0, 0, 1});
+  is(480, 240, {1, 0, 0});
+  is(160, 240, {-1, 0, 0});
+  is(0, 240, {0, 0, -1});
+  is(320, 0, {0, -1, 0});
+  is(320, 480, {0, 1, 0});
+  EXPECT_EQ(c.direction(320, 481), (Vec3d{0, 0, 0}));
+  Camera turned = c;
+  turned.cx = 100;  // forward lies elsewhere; what leaves the image at one side comes in at the other
+  double u = 0, v = 0;
+  turned.project(turned.direction(600.5, 30.5), u, v);
+  EXPECT_NEAR(u, 600.5, 1e-9);
+  EXPECT_NEAR(v, 30.5, 1e-9);
 }
 
 TEST(Camera, ResizedSeesTheSameDirections) {

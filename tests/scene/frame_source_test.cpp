@@ -54,6 +54,66 @@ struct RoomDataset {
   }
 };
 
+// A room whose frame 2 has a mask, and whose lens has no ray at the corners of its images.
+struct MaskedRoom : RoomDataset {
+  Camera camera = room_camera();
+  SceneInfo open(Diagnostics& diagnostics) const {
+    SceneInfo info = RoomDataset::open(diagnostics);
+    for (FrameInfo& frame : info.frames) frame.camera = camera;
+    return info;
+  }
+  void read(int i, FrameBuffer& out) const {
+    RoomDataset::read(i, out);
+    if (i == 2) out.used.assign(1200, 1);
+    for (std::size_t p = 0; p < out.used.size(); ++p) out.used[p] = p / 40 < 10 && p % 40 >= 21 ? 0 : 1;
+  }
+};
+
+TEST(LoadScene, MaskedPixelsHoldNothingAndMaskWhatTheyFallInto) {
+  MaskedRoom room;
+  for (const double downscale : {1.0, 2.0}) {
+    Diagnostics d;
+    SceneLoadOptions options;
+    options.downscale = downscale;
+    options.check_geometry = false;
+    const LoadedScene scene = load_scene(room, options, d);
+    ASSERT_FALSE(d.has_errors()) << d.all()[0].text();
+    EXPECT_TRUE(scene.frames[1].mask.empty()) << "it costs nothing where nothing is masked";
+    const StoredFrame& frame = scene.frames[2];
+    // Column 21 is the second of pixel 10 at half the size.
+    EXPECT_EQ(frame.mask.masked_px(), downscale == 1 ? 190 : 50);
+    for (std::size_t p = 0; p < frame.label.size(); ++p) {
+      const bool masked = downscale == 1 ? p / 40 < 10 && p % 40 >= 21 : p / 20 < 5 && p % 20 >= 10;
+      ASSERT_EQ(frame.mask.uses(p), !masked) << p;
+      if (!masked) {
+        EXPECT_NE(frame.label[p], kVoid);
+        EXPECT_GT(frame.depth_m[p], 0);
+        continue;
+      }
+      EXPECT_EQ(frame.label[p], kVoid);
+      EXPECT_EQ(frame.depth_m[p], 0);
+      EXPECT_EQ(frame.rgb[3 * p] + frame.rgb[3 * p + 1] + frame.rgb[3 * p + 2], 0);
+    }
+    EXPECT_EQ(scene.class_pixels[2].back(), frame.mask.masked_px());
+  }
+}
+
+TEST(LoadScene, PixelsWithoutARayAreMasked) {
+  MaskedRoom room;
+  room.camera.k1 = -0.25;  // r (1 - 0.25 r^2) grows up to r = 1.15, where it is 0.77; the corners are at 1.25
+  Diagnostics d;
+  SceneLoadOptions options;
+  options.check_geometry = false;
+  const LoadedScene scene = load_scene(room, options, d);
+  const StoredFrame& frame = scene.frames[0];
+  ASSERT_FALSE(frame.mask.empty());
+  for (std::size_t p = 0; p < 1200; ++p) {
+    const Vec3d ray = room.camera.direction(static_cast<double>(p % 40) + 0.5, static_cast<double>(p / 40) + 0.5);
+    EXPECT_EQ(frame.mask.uses(p), !(ray == Vec3d{0, 0, 0})) << p;
+  }
+  EXPECT_GT(scene.frames[2].mask.masked_px(), frame.mask.masked_px()) << "beside its own mask";
+}
+
 // What writes files by frames checks nothing: two frames of a scene never share a file.
 TEST(LoadScene, FramesThatWouldShareFilesAreRefused) {
   const auto said_of = [](const std::vector<std::string>& names) {

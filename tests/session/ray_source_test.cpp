@@ -9,6 +9,7 @@
 
 #include "compute/parallel.h"
 #include "core/rng.h"
+#include "tests/says.h"
 
 namespace semfield {
 namespace {
@@ -50,6 +51,36 @@ TEST(RaySource, AllImagesTakesEveryPixelOfEveryFrameUniformly) {
   double chi2 = 0;
   for (const int h : hits) chi2 += (h - 100.0) * (h - 100.0) / 100.0;
   EXPECT_LT(chi2, 110) << "63 degrees of freedom, p = 2e-4";
+}
+
+TEST(RaySource, MaskedPixelsAreNeverDrawnAndTheOthersUniformly) {
+  Fixture f;
+  f.a.used.assign(32, 0);
+  f.a.used[3] = f.a.used[31] = 1;  // b has no mask
+  for (const RaySourceKind kind : {RaySourceKind::all_images, RaySourceKind::one_image}) {
+    RaySourceOptions options{.train = {.rays = 3400, .ray_source = kind}};
+    const RaySource source = f.make(options);
+    std::vector<int> hits(64);
+    for (std::int64_t step = 0; step < 20; ++step) {
+      for (std::int64_t ray = 0; ray < 170; ++ray) {
+        const RaySource::Pixel p = source.choose(step, ray);
+        ++hits[static_cast<std::size_t>(p.frame * 32 + p.index)];
+      }
+    }
+    for (std::size_t i = 0; i < 32; ++i) EXPECT_EQ(hits[i] > 0, i == 3 || i == 31) << i;
+    for (std::size_t i = 32; i < 64; ++i) EXPECT_GT(hits[i], 20) << i;
+    if (kind == RaySourceKind::all_images) {
+      EXPECT_LT(std::max(hits[3], hits[31]), 180) << "of 100";
+    }
+  }
+}
+
+TEST(RaySource, AMaskedPixelHasNoLabelWhoeverGaveItOne) {
+  Fixture f;
+  f.a.used.assign(32, 1);
+  f.a.used[5] = 0;
+  const RaySourceOptions balanced{.train = {.rays = 100, .ray_source = RaySourceKind::label_balanced}};
+  EXPECT_ERROR(f.make(balanced), "labels.training.none", "label");
 }
 
 TEST(RaySource, OneImageTakesOneFrameAStep) {

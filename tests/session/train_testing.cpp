@@ -21,6 +21,8 @@ struct AnalyticRoomParams {
   bool with_depth = true;
   bool with_albedo = false;  // a channel `albedo` [H / 2, W, 3]: the colours of every other row
   int absent_class = -1;     // of the table, but void in every frame
+  int masked = 0;            // of 4 checks of a board, beginning with another one in each frame
+  int behind = -1;           // what lies behind the mask in place of the room: grey, class and depth made of it
 };
 void describe(ParamVisitor& visit, AnalyticRoomParams& p) {
   SEMFIELD_PARAM(visit, p, frames, "frames", {1, 1000});
@@ -31,6 +33,8 @@ void describe(ParamVisitor& visit, AnalyticRoomParams& p) {
   SEMFIELD_PARAM(visit, p, with_depth, "with depth");
   SEMFIELD_PARAM(visit, p, with_albedo, "with the channel albedo");
   SEMFIELD_PARAM(visit, p, absent_class, "a class without pixels", {-1, 1000});
+  SEMFIELD_PARAM(visit, p, masked, "of 4", {0, 4});
+  SEMFIELD_PARAM(visit, p, behind, "grey behind the mask", {-1, 255});
 }
 void validate(const AnalyticRoomParams&, Diagnostics&) {}
 
@@ -40,7 +44,9 @@ class AnalyticRoom final : public Dataset {
       : with_classes_(p.with_classes),
         with_depth_(p.with_depth),
         with_albedo_(p.with_albedo),
-        absent_class_(p.absent_class) {
+        absent_class_(p.absent_class),
+        masked_(p.masked),
+        behind_(p.behind) {
     testkit::AnalyticSceneOptions options{.frames = p.frames,
                                           .width_px = p.width_px,
                                           .height_px = p.height_px,
@@ -65,6 +71,7 @@ class AnalyticRoom final : public Dataset {
     for (std::int16_t& label : out.label) {
       if (label == absent_class_) label = kVoid;
     }
+    mask(frame, out);
     for (const std::string& name : wanted) {
       FrameChannel channel{name, out.height_px / 2, out.width_px, 3, {}};
       const std::size_t row = 3 * static_cast<std::size_t>(out.width_px);
@@ -76,8 +83,20 @@ class AnalyticRoom final : public Dataset {
   }
 
  private:
+  void mask(int frame, FrameBuffer& out) const {
+    for (int i = 0; i < out.width_px * out.height_px && masked_ > 0; ++i) {
+      const bool used = (frame + i % out.width_px / 5 + i / out.width_px / 4) % 4 >= masked_;
+      out.used.push_back(used ? 1 : 0);
+      if (used || behind_ < 0) continue;
+      const auto at = static_cast<std::size_t>(i);
+      for (std::size_t c = 0; c < 3; ++c) out.rgb[3 * at + c] = static_cast<std::uint8_t>(behind_);
+      if (!out.label.empty()) out.label[at] = static_cast<std::int16_t>(behind_ % 3);
+      if (!out.depth_m.empty()) out.depth_m[at] = 0.01F * static_cast<float>(behind_);
+    }
+  }
+
   bool with_classes_, with_depth_, with_albedo_;
-  int absent_class_;
+  int absent_class_, masked_, behind_;
   std::unique_ptr<Dataset> inner_;
 };
 

@@ -1,7 +1,6 @@
 #include "cuda/steps/batch_drawer.h"
 
 #include <algorithm>
-#include <cstring>
 
 #include "compute/parallel.h"
 #include "core/check.h"
@@ -16,15 +15,12 @@ std::int64_t pixels_of(const PixelPool::Frame& frame) {
   return std::int64_t{frame.pixels->width_px} * frame.pixels->height_px;
 }
 bool bends(const PixelPool::Frame& frame) { return frame.undistort && frame.camera.has_distortion(); }
-bool same_lens(const Camera& a, const Camera& b) {
-  return std::memcmp(&a, &b, sizeof a) == 0;  // bits: zeros of either sign are other lenses, to no harm
-}
 
 // Frames with lenses of their own: the first of those that share one.
 std::vector<std::size_t> lenses_of(const PixelPool& pool) {
   std::vector<std::size_t> first;
   for (std::size_t f = 0; f < pool.frames.size(); ++f) {
-    const auto known = [&](std::size_t g) { return same_lens(pool.frames[g].camera, pool.frames[f].camera); };
+    const auto known = [&](std::size_t g) { return pool.frames[g].camera == pool.frames[f].camera; };
     if (bends(pool.frames[f]) && std::none_of(first.begin(), first.end(), known)) first.push_back(f);
   }
   return first;
@@ -63,6 +59,7 @@ std::size_t BatchDrawer::bytes_of(const PixelPool& pool, int ahead) {
   if (pool.with_depth) per_pixel += sizeof(float);
   for (const std::size_t f : lenses_of(pool))
     bytes += static_cast<std::size_t>(pixels_of(pool.frames[f])) * 3 * sizeof(double);
+  bytes += pool.used_before.size() * (sizeof(std::uint64_t) + sizeof(std::uint32_t));
   const std::size_t of_step = layout_of(pool).bytes() + static_cast<std::size_t>(pool.rays) * sizeof(DrawnRay);
   return bytes + per_pixel * static_cast<std::size_t>(pool.offsets.back()) + of_step * static_cast<std::size_t>(ahead);
 }
@@ -108,7 +105,7 @@ void BatchDrawer::send_pixels(const PixelPool& pool) {
     there.cy = frame.camera.cy;
     there.world_from_camera = frame.world_from_camera;
     there.width_px = frame.pixels->width_px;
-    there.has_finite_lens = frame.camera.has_finite_lens();
+    there.lens = {frame.camera.has_finite_lens(), frame.camera.is_wide()};
     upload<std::byte>(std::as_bytes(std::span(frame.pixels->rgb)), rgb_.data() + 3 * first);
     if (pool.with_depth && !frame.pixels->depth_m.empty()) {
       const std::vector<float> depth = frame.pixels->depth_m.expand();
@@ -118,6 +115,7 @@ void BatchDrawer::send_pixels(const PixelPool& pool) {
     frames_.push_back(frame.pixels);
   }
   send_lenses(pool, frames);
+  send_masks(pool);
   frame_table_ = held<HeldFrame>(frames, "cameras of frames");
   offsets_ = held<std::int64_t>(pool.offsets, "pixels of frames");
   held_.frames = reinterpret_cast<const HeldFrame*>(frame_table_.data());
@@ -127,6 +125,28 @@ void BatchDrawer::send_pixels(const PixelPool& pool) {
   held_.label = label_.data();
   held_.depth_m = depth_.data();
   synchronize();
+}
+
+void BatchDrawer::send_masks(const PixelPool& pool) {
+  if (pool.used_before.empty()) return;
+  std::vector<std::uint64_t> words;
+  for (const PixelPool::Frame& frame : pool.frames) {
+    const std::span<const std::uint64_t> own = frame.pixels->mask.words();
+    words.insert(words.end(), own.begin(), own.end());
+    if (!own.empty()) continue;
+    const std::int64_t pixels = pixels_of(frame), left = pixels % PixelMask::kWordPixels;
+    words.insert(words.end(), static_cast<std::size_t>(pixels / PixelMask::kWordPixels), ~std::uint64_t{0});
+    if (left > 0) words.push_back((std::uint64_t{1} << left) - 1);
+  }
+  const std::vector<std::int64_t> blocks(pool.used_block_offsets.begin(), pool.used_block_offsets.end());
+  used_words_ = held<std::uint64_t>(words, "masks of frames");
+  used_block_offsets_ = held<std::int64_t>(blocks, "blocks of masks");
+  used_before_ = held<std::uint32_t>(pool.used_before, "ranks of pixels");
+  synchronize();
+  held_.used_words = reinterpret_cast<const std::uint64_t*>(used_words_.data());
+  held_.used_block_offsets = reinterpret_cast<const std::int64_t*>(used_block_offsets_.data());
+  held_.used_before = reinterpret_cast<const std::uint32_t*>(used_before_.data());
+  held_.used_blocks = std::ssize(words);
 }
 
 // Newton's method is the host's: its last bits follow the library's hypot.
@@ -145,7 +165,7 @@ void BatchDrawer::send_lenses(const PixelPool& pool, std::vector<HeldFrame>& fra
     upload<double>(direction, there.data());
     synchronize();
     for (std::size_t f = first; f < frames.size(); ++f) {
-      if (bends(pool.frames[f]) && same_lens(pool.frames[f].camera, frame.camera)) frames[f].direction = there.data();
+      if (bends(pool.frames[f]) && pool.frames[f].camera == frame.camera) frames[f].direction = there.data();
     }
   }
 }

@@ -39,6 +39,7 @@ class BatchDrawer {
  private:
   void send_pixels(const PixelPool& pool);
   void send_labels(const PixelPool& pool);
+  void send_masks(const PixelPool& pool);
   void send_lenses(const PixelPool& pool, std::vector<HeldFrame>& frames);
 
   DrawRule rule_;
@@ -51,6 +52,7 @@ class BatchDrawer {
   std::vector<const StoredFrame*> frames_;  // whose pixels are held
   std::vector<bool> labelled_;
   Buffer<std::byte> frame_table_, rgb_, scratch_, batches_, offsets_, block_offsets_, ranks_;
+  Buffer<std::byte> used_words_, used_block_offsets_, used_before_;
   Buffer<std::int16_t> label_;
   Buffer<float> depth_;
   std::vector<Buffer<double>> directions_;

@@ -1,6 +1,7 @@
 // Pixels chosen, sorted within tiles and cast to rays. Compiled without fused multiplications and additions.
 #include "cuda/kernels/device_code.cuh"
 #include "cuda/steps/draw_rays.h"
+#include "scene/pixel_mask.h"
 
 namespace semfield::cuda {
 
@@ -41,6 +42,18 @@ __device__ DrawnRay labelled_pixel(const HeldPixels& held, std::int64_t block_pi
   }
 }
 
+// As RaySource::used_pixel.
+__device__ DrawnRay used_pixel(const HeldPixels& held, std::uint32_t rank) {
+  const std::int64_t block = last_not_above(held.used_before, held.used_blocks, rank);
+  DrawnRay ray;
+  ray.frame = static_cast<std::int32_t>(last_not_above(held.used_block_offsets, held.frame_count, block));
+  unsigned long long word = held.used_words[block];
+  for (std::uint32_t left = rank - held.used_before[block]; left > 0; --left) word &= word - 1;
+  ray.pixel = held.offsets[ray.frame] + (block - held.used_block_offsets[ray.frame]) * PixelMask::kWordPixels +
+              (__ffsll(static_cast<long long>(word)) - 1);
+  return ray;
+}
+
 // As label_only_rays of one ray.
 __device__ bool for_its_label(const DrawRule& rule, std::int64_t ray) {
   if (rule.choice != PixelChoice::label_balanced) return false;
@@ -63,11 +76,21 @@ __global__ void __launch_bounds__(kThreads)
   if (rule.choice == PixelChoice::one_image) {
     drawn.frame = static_cast<std::int32_t>(
         uniform_below({rule.seed, step, kFrame}, 0, static_cast<std::uint64_t>(held.frame_count)));
-    const std::int64_t begin = held.offsets[drawn.frame], pixels = held.offsets[drawn.frame + 1] - begin;
-    drawn.pixel = begin + static_cast<std::int32_t>(uniform_below(address, index, static_cast<std::uint64_t>(pixels)));
+    if (held.used_words != nullptr) {
+      const std::uint32_t first = held.used_before[held.used_block_offsets[drawn.frame]];
+      const std::uint32_t used = held.used_before[held.used_block_offsets[drawn.frame + 1]] - first;
+      drawn = used_pixel(held, first + static_cast<std::uint32_t>(uniform_below(address, index, used)));
+    } else {
+      const std::int64_t begin = held.offsets[drawn.frame], pixels = held.offsets[drawn.frame + 1] - begin;
+      drawn.pixel =
+          begin + static_cast<std::int32_t>(uniform_below(address, index, static_cast<std::uint64_t>(pixels)));
+    }
   } else if (labelled) {
     drawn = labelled_pixel(held, rule.block,
                            static_cast<std::uint32_t>(uniform_below(address, index, held.ranks_before[held.blocks])));
+  } else if (held.used_words != nullptr) {
+    drawn =
+        used_pixel(held, static_cast<std::uint32_t>(uniform_below(address, index, held.used_before[held.used_blocks])));
   } else {
     const auto pixels = static_cast<std::uint64_t>(held.offsets[held.frame_count]);
     drawn = at_pixel(held, static_cast<std::int64_t>(uniform_below(address, index, pixels)));
@@ -154,7 +177,7 @@ __global__ void __launch_bounds__(kThreads)
     local = pinhole_direction(frame.fx, frame.fy, frame.cx, frame.cy, column + 0.5, line + 0.5);
   }
   double* const near_far = of_step(batches.near_far, batches.stride, blockIdx.y) + 2 * row;
-  const double cosine = ray_of_direction(local, frame.world_from_camera, frame.has_finite_lens, rule.limits,
+  const double cosine = ray_of_direction(local, frame.world_from_camera, frame.lens, rule.limits,
                                          of_step(batches.origin, batches.stride, blockIdx.y) + 3 * row,
                                          of_step(batches.direction, batches.stride, blockIdx.y) + 3 * row, near_far);
   float* const target = of_step(batches.target, batches.stride, blockIdx.y) + 3 * row;

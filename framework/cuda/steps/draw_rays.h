@@ -13,7 +13,7 @@ struct HeldFrame {
   double fx = 1, fy = 1, cx = 0, cy = 0;
   Pose world_from_camera;
   std::int32_t width_px = 0;
-  bool has_finite_lens = true;
+  RayLens lens;
   const double* direction = nullptr;  ///< [H * W, 3] in camera axes, of a lens with distortion; null: a pinhole's
 };
 
@@ -30,6 +30,11 @@ struct HeldPixels {
   const std::int64_t* block_offsets = nullptr;
   const std::uint32_t* ranks_before = nullptr;
   std::int64_t blocks = 0;
+  /// Pixels that are not masked, in the same way; null: no frame has a mask.
+  const std::uint64_t* used_words = nullptr;  ///< [used_blocks], a block's pixels
+  const std::int64_t* used_block_offsets = nullptr;
+  const std::uint32_t* used_before = nullptr;
+  std::int64_t used_blocks = 0;
 };
 
 /// What of a PixelPool is no array.

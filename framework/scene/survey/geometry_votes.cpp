@@ -42,17 +42,18 @@ double depth_at(const SmallFrame& frame, double u, double v) {
   return (1 - b) * ((1 - a) * p[0] + a * p[1]) + b * ((1 - a) * p[width] + a * p[width + 1]);
 }
 
-// Median of |z - depth there| / max(z, depth there) of the points of `a` that land on a surface of `b`; 2 where too few
-// do. `scale` multiplies the depth of both.
+// Median of |depth - depth there| / max(depth, depth there) of the points of `a` that land on a surface of `b`; 2 where
+// too few do. `scale` multiplies the depth of both.
 float warp(const SmallFrame& a, const SmallFrame& b, const Pose& b_from_a, double scale, std::vector<float>& errors) {
   errors.clear();
   for (std::size_t i = 0; i < a.points.size(); ++i) {
     const Vec3d q = b_from_a.apply(a.points[i] * (a.point_depths[i] * scale));
-    if (!(q.z > 0)) continue;
+    if (!b.camera.sees(q)) continue;
+    const double own = b.camera.depth_of(q);
     double u = 0, v = 0;
     b.camera.project(q, u, v);
     const double there = depth_at(b, u, v) * scale;
-    if (there > 0) errors.push_back(static_cast<float>(std::abs(q.z - there) / std::max(q.z, there)));
+    if (there > 0) errors.push_back(static_cast<float>(std::abs(own - there) / std::max(own, there)));
   }
   return errors.size() < std::max(kFewestLanded, a.points.size() / 20) ? 2.0f : median(errors);
 }
@@ -105,8 +106,9 @@ SmallFrame small_depth_frame(const Camera& camera, const FrameBuffer& frame) {
     const std::size_t i = valid[k * valid.size() / taken];
     const auto at = static_cast<std::int64_t>(i);
     const Vec3d d = out.camera.direction(static_cast<double>(at % width) + 0.5, static_cast<double>(at / width) + 0.5);
-    if (!(d.z > 0)) continue;
-    out.points.push_back(d * (1 / d.z));
+    const double share = out.camera.depth_of(d);
+    if (!(share > 0)) continue;
+    out.points.push_back(d * (1 / share));
     out.point_depths.push_back(out.depth_m[i]);
   }
   return out;

@@ -91,6 +91,19 @@ Grey corner_strength(const Grey& g) {
   return out;
 }
 
+// Whether a mask hides a part of the patch about (x, y) of the small picture, or of the pixels that its strength is of.
+bool touches_mask(const FrameBuffer& frame, std::int32_t side, std::int32_t x, std::int32_t y) {
+  if (frame.used.empty()) return false;
+  const auto first = [&](std::int32_t at) { return std::max(0, (at - kReach - 1) * side); };
+  const auto end = [&](std::int32_t at, std::int32_t size) { return std::min(size, (at + kReach + 2) * side); };
+  for (std::int32_t row = first(y); row < end(y, frame.height_px); ++row) {
+    const auto begin = frame.used.begin() + std::ptrdiff_t{row} * frame.width_px;
+    if (std::find(begin + first(x), begin + end(x, frame.width_px), std::uint8_t{0}) != begin + end(x, frame.width_px))
+      return true;
+  }
+  return false;
+}
+
 PhotoCorner corner_at(const Grey& g, Vec3d direction, std::int32_t x, std::int32_t y) {
   PhotoCorner out{direction * (1 / direction.z), {}};
   float mean = 0;
@@ -193,6 +206,7 @@ PhotoFrame photo_frame(const Camera& camera, const FrameBuffer& frame) {
   out.camera.fx /= side;
   out.camera.fy /= side;
   for (const Found& f : found) {
+    if (touches_mask(frame, side, f.x, f.y)) continue;
     const Vec3d direction = camera.direction((f.x + 0.5) * side, (f.y + 0.5) * side);
     if (direction.z > 0) out.corners.push_back(corner_at(g, direction, f.x, f.y));
   }

@@ -29,16 +29,17 @@ bool near_color(const std::uint8_t* pixel, const Color& color) {
 
 template <class Look>
 void each_border_pixel(const StoredFrame& frame, const Look& look) {
-  const auto at = [&](std::int64_t x, std::int64_t y) {
-    return &frame.rgb[static_cast<std::size_t>(3 * (y * frame.width_px + x))];
+  const auto look_at = [&](std::int64_t x, std::int64_t y) {
+    const auto pixel = static_cast<std::size_t>(y * frame.width_px + x);
+    if (frame.mask.uses(pixel)) look(&frame.rgb[3 * pixel]);
   };
   for (std::int64_t x = 0; x < frame.width_px; ++x) {
-    look(at(x, 0));
-    look(at(x, frame.height_px - 1));
+    look_at(x, 0);
+    look_at(x, frame.height_px - 1);
   }
   for (std::int64_t y = 1; y + 1 < frame.height_px; ++y) {
-    look(at(0, y));
-    look(at(frame.width_px - 1, y));
+    look_at(0, y);
+    look_at(frame.width_px - 1, y);
   }
 }
 
@@ -72,7 +73,9 @@ class ForegroundSums {
     for (std::size_t y = 1; y < rows_; ++y) {
       std::uint32_t row = 0;
       for (std::size_t x = 1; x < columns_; ++x) {
-        row += near_color(&frame.rgb[3 * ((y - 1) * (columns_ - 1) + x - 1)], background) ? 0 : 1;
+        // What a mask hides may be the object.
+        const std::size_t pixel = (y - 1) * (columns_ - 1) + x - 1;
+        row += frame.mask.uses(pixel) && near_color(&frame.rgb[3 * pixel], background) ? 0 : 1;
         sums_[y * columns_ + x] = sums_[(y - 1) * columns_ + x] + row;
       }
     }
@@ -110,7 +113,7 @@ struct Silhouettes {
         const bool in_image = project_into(*cameras[i], center, u, v);
         if (!in_image && !whole[i]) continue;
         seen += 1;
-        const double depth = cameras[i]->world_from_camera.apply_inverse(center).z;
+        const double depth = cameras[i]->camera.depth_of(cameras[i]->world_from_camera.apply_inverse(center));
         // A frame that shows the object whole tells of what is beside it too.
         background += in_image && sums[i].any(u, v, radius_m * cameras[i]->camera.fx / depth) ? 0 : 1;
         if (background > kMostBackgroundViews * static_cast<double>(cameras.size())) return false;
@@ -149,7 +152,7 @@ std::optional<PlainBackground> find_plain_background(const Cameras& cameras,
     plain += alike;
     silhouettes.whole.push_back(static_cast<double>(around - alike) <= kCleanBorder * static_cast<double>(around));
   }
-  if (static_cast<double>(plain) < kLeastBorder * static_cast<double>(border)) return std::nullopt;
+  if (border == 0 || static_cast<double>(plain) < kLeastBorder * static_cast<double>(border)) return std::nullopt;
   std::int64_t all = 0, foreground = 0;
   for (const StoredFrame* frame : frames) {
     silhouettes.sums.emplace_back(*frame, out.color);

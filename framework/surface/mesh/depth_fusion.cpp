@@ -45,7 +45,7 @@ class Witness {
   std::optional<Reading> at(Vec3d point) const {
     const Vec3d p = view_.camera.world_from_camera.apply_inverse(point);
     const double own = length(p);
-    if (!(p.z > 0) || own < near_ || !camera_.is_within_lens(p)) return std::nullopt;
+    if (!camera_.sees(p) || own < near_ || !camera_.is_within_lens(p)) return std::nullopt;
     double u = 0, v = 0;
     camera_.project(p, u, v);
     if (!(u >= 0 && v >= 0 && u < camera_.width_px && v < camera_.height_px)) return std::nullopt;

@@ -35,9 +35,10 @@ void PointCloud::add(const RayCamera& camera, const RenderedFrame& frame, float 
       const double u = column + 0.5, v = row + 0.5;
       const Vec3d ray =
           camera.undistort ? c.direction(u, v) : normalized(Vec3d{(u - c.cx) / c.fx, (v - c.cy) / c.fy, 1});
-      if (!(ray.z > 0)) continue;
+      const double share = c.depth_of(ray);
+      if (!(share > 0)) continue;
       const double z = static_cast<double>(frame.depth_m[i]) / static_cast<double>(frame.opacity[i]);
-      const Vec3d p = camera.world_from_camera.apply(ray * (z / ray.z));
+      const Vec3d p = camera.world_from_camera.apply(ray * (z / share));
       const std::array<std::int64_t, 3> key{static_cast<std::int64_t>(std::floor(p.x / voxel_)),
                                             static_cast<std::int64_t>(std::floor(p.y / voxel_)),
                                             static_cast<std::int64_t>(std::floor(p.z / voxel_))};

@@ -17,13 +17,15 @@ constexpr double kLeastCosine = 0.05;        // between a normal and the way to 
 constexpr std::int64_t kCamerasAtOnce = 16;  // each has a number per vertex in memory
 constexpr float kNothing = std::numeric_limits<float>::infinity();
 
-// A vertex as a camera sees it: image point in pixels and z-depth; depth 0 where there is none.
+// A vertex as a camera sees it: image point in pixels and depth; depth 0 where there is none.
 struct Projected {
   float u = 0, v = 0, z = 0;
 };
 
 // Distance along the ray, or z-depth, whichever near and far are.
-double range_of(Vec3d in_camera, const RayLimits& limits) { return limits.z_depth ? in_camera.z : length(in_camera); }
+double range_of(const Camera& camera, Vec3d in_camera, const RayLimits& limits) {
+  return limits.z_depth ? camera.depth_of(in_camera) : length(in_camera);
+}
 
 Camera small(const Camera& camera) {
   const std::int32_t longest = std::max(camera.width_px, camera.height_px);
@@ -43,11 +45,11 @@ class DepthImage {
     vertices_.resize(surface.positions.size());
     for (std::size_t i = 0; i < vertices_.size(); ++i) {
       const Vec3d p = view.world_from_camera.apply_inverse(surface.positions[i]);
-      const double range = range_of(p, limits);
-      if (!(p.z > 0) || range < limits.near_m || range > limits.far_m || !camera_.is_within_lens(p)) continue;
+      const double range = range_of(camera_, p, limits);
+      if (!camera_.sees(p) || range < limits.near_m || range > limits.far_m || !camera_.is_within_lens(p)) continue;
       double u = 0, v = 0;
       camera_.project(p, u, v);
-      vertices_[i] = {static_cast<float>(u), static_cast<float>(v), static_cast<float>(p.z)};
+      vertices_[i] = {static_cast<float>(u), static_cast<float>(v), static_cast<float>(camera_.depth_of(p))};
     }
     for (const Triangle& t : surface.triangles) draw(vertices_[t[0]], vertices_[t[1]], vertices_[t[2]]);
   }
@@ -85,6 +87,8 @@ class DepthImage {
     const float left = std::min({a.u, b.u, c.u}), right = std::max({a.u, b.u, c.u});
     const float top = std::min({a.v, b.v, c.v}), bottom = std::max({a.v, b.v, c.v});
     const auto width = static_cast<float>(camera_.width_px), height = static_cast<float>(camera_.height_px);
+    // A panorama shows a triangle across its seam at both ends, and nowhere between.
+    if (camera_.lens == LensKind::equirectangular && right - left > 0.5F * width) return;
     if (!(right >= 0 && bottom >= 0 && left < width && top < height)) return;
     for (const Projected* p : {&a, &b, &c}) {
       if (p->u >= 0 && p->v >= 0 && p->u < width && p->v < height)

@@ -7,6 +7,7 @@
 #include <initializer_list>
 
 #include "loading/camera_fit.h"
+#include "loading/frame_masks.h"
 #include "plugin/module.h"
 #include "scene/frame_split.h"
 #include "scene/scene_checks.h"
@@ -27,6 +28,7 @@ void describe(ParamVisitor& visit, ColmapParams& p) {
   SEMFIELD_PARAM(visit, p, classes, "class table (.yaml, .csv, .json); empty = the one found in root");
   SEMFIELD_PARAM(visit, p, unknown_labels, "how a label id outside the class table is read: as an error, or as void");
   SEMFIELD_PARAM(visit, p, missing, kMissingSentence);
+  SEMFIELD_PARAM(visit, p, masks, kMasksSentence);
 }
 
 void validate(const ColmapParams& p, Diagnostics& diagnostics) {
@@ -132,6 +134,7 @@ SceneInfo Colmap::open(Diagnostics& diagnostics) {
   FrameNames names;
   std::size_t unlabelled = 0;
   CameraFit sizes;
+  FrameMasks masks(root_, params_.masks);
   FrameFileCheck check(params_.missing, "label_dir");
   check.expect(model.images.size());
   for (std::size_t rank = 0; rank < model.images.size(); ++rank) {
@@ -140,6 +143,7 @@ SceneInfo Colmap::open(Diagnostics& diagnostics) {
     FrameFiles files;
     frame.name = names.of(in.name);
     frame.source = files.color = (root / params_.images / in.name).string();
+    files.mask = masks.of(files.color);
     frame.world_from_camera = in.world_from_camera;
     frame.camera = model.cameras.at(in.camera);
     const PoseState state = check_pose(frame.world_from_camera, in.place, diagnostics);
@@ -165,6 +169,7 @@ SceneInfo Colmap::open(Diagnostics& diagnostics) {
   check.report((root / params_.images).string(), info_.frames.size(), diagnostics);
   if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, info_.frames.size(), folder, diagnostics);
   sizes.report(root_, diagnostics);
+  masks.report(diagnostics);
   const bool has_labels = unlabelled < info_.frames.size() && !params_.label_dir.empty();
   if (!params_.label_dir.empty() && !has_labels && !info_.frames.empty()) {
     diagnostics.error("labels.frames.missing", (root / params_.label_dir).string(), "no label image for any frame",

@@ -20,6 +20,7 @@ struct ColmapParams {
   std::string label_dir;
   std::string classes;
   UnknownLabels unknown_labels = UnknownLabels::error;
+  std::string masks;
   MissingFiles missing = MissingFiles::error;
 };
 void describe(ParamVisitor& visit, ColmapParams& params);

@@ -177,14 +177,19 @@ TEST(Colmap, LensesWithOneFocalLengthAndRefusedOnes) {
   EXPECT_EQ(info.frames[0].camera.cx, 4.0);
   EXPECT_EQ(info.frames[0].camera.k1, 0.1);
   EXPECT_EQ(info.frames[0].camera.k2, 0.2);
-  const std::string folder = scene_folder("fisheye", 8, 4, with_camera("7 OPENCV_FISHEYE 8 4 6 6 4 2 0 0 0 0"));
-  Diagnostics fisheye;
-  open(folder, fisheye);
-  EXPECT_EQ(problems(fisheye)[0],
-            folder +
-                "/sparse/0/cameras.txt:1: camera 7: camera model 'OPENCV_FISHEYE' is not supported (only "
-                "perspective lenses: SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV); undistort the images "
-                "with colmap image_undistorter, or reconstruct with another camera model");
+  for (const char* fisheye : {"7 OPENCV_FISHEYE 8 4 6 6 4 2 0.1 0.2 0.3 0.4", "7 RADIAL_FISHEYE 8 4 6 4 2 0.1 0.2",
+                              "7 SIMPLE_RADIAL_FISHEYE 8 4 6 4 2 0.1"}) {
+    Diagnostics wide;
+    const SceneInfo seen = open(scene_folder("fisheye", 8, 4, with_camera(fisheye)), wide);
+    EXPECT_EQ(problems(wide), std::vector<std::string>{});
+    EXPECT_EQ(seen.frames[0].camera.lens, LensKind::fisheye);
+    EXPECT_EQ(seen.frames[0].camera.fy, 6.0);
+    EXPECT_EQ(seen.frames[0].camera.k1, 0.1);
+    EXPECT_EQ(seen.frames[0].camera.k4, std::string_view(fisheye).find("OPENCV") == 2 ? 0.4 : 0.0);
+  }
+  Diagnostics prism;
+  open(scene_folder("prism", 8, 4, with_camera("7 THIN_PRISM_FISHEYE 8 4 6 6 4 2 0 0 0 0 0 0 0 0")), prism);
+  EXPECT_HAS(problems(prism)[0], "camera 7: camera model 'THIN_PRISM_FISHEYE' is not supported");
   Diagnostics few;
   open(scene_folder("few", 8, 4, with_camera("7 PINHOLE 8 4 6 6 4")), few);
   EXPECT_HAS(problems(few)[0], "PINHOLE has 4 parameters, got 3");

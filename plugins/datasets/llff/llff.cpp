@@ -8,6 +8,7 @@
 #include "formats/image_io.h"
 #include "formats/npz.h"
 #include "loading/camera_fit.h"
+#include "loading/frame_masks.h"
 #include "plugin/module.h"
 #include "scene/frame_split.h"
 #include "scene/scene_checks.h"
@@ -34,6 +35,7 @@ void describe(ParamVisitor& visit, LlffParams& p) {
                  "folder inside root of label images: the name of the image with .png; empty = no labels");
   SEMFIELD_PARAM(visit, p, classes, "class table (.yaml, .csv, .json); empty = the one found in root");
   SEMFIELD_PARAM(visit, p, unknown_labels, "how a label id outside the class table is read: as an error, or as void");
+  SEMFIELD_PARAM(visit, p, masks, kMasksSentence);
 }
 
 void validate(const LlffParams& p, Diagnostics& diagnostics) {
@@ -88,6 +90,7 @@ SceneInfo Llff::open(Diagnostics& diagnostics) {
   FrameNames names;
   FrameFileCheck check(MissingFiles::error, "label_dir");
   CameraFit sizes;
+  FrameMasks masks(root_, params_.masks);
   check.expect(count);
   bool has_labels = false;
   for (std::size_t i = 0; i < count; ++i) {
@@ -96,6 +99,7 @@ SceneInfo Llff::open(Diagnostics& diagnostics) {
     FrameFiles files;
     frame.name = names.of(images[i]);
     frame.source = files.color = images[i];
+    files.mask = masks.of(files.color);
     frame.split = HoldOut{params_.test_every}.split_of(i, count);
     // Columns are the camera's axes down, right and backward, its centre, and (height, width, focal length).
     const auto at = [row](std::size_t r, std::size_t c) { return static_cast<double>(row[5 * r + c]); };
@@ -132,6 +136,7 @@ SceneInfo Llff::open(Diagnostics& diagnostics) {
     files_.push_back(files);
   }
   sizes.report(root_, diagnostics);
+  masks.report(diagnostics);
   check.report(root_, info_.frames.size(), diagnostics);
   if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, info_.frames.size(), path, diagnostics);
   if (!params_.label_dir.empty() && !has_labels && !info_.frames.empty())

@@ -18,6 +18,7 @@ struct LlffParams {
   std::string label_dir;
   std::string classes;
   UnknownLabels unknown_labels = UnknownLabels::error;
+  std::string masks;
 };
 void describe(ParamVisitor& visit, LlffParams& params);
 void validate(const LlffParams& params, Diagnostics& diagnostics);

@@ -245,14 +245,7 @@ void Record3d::read(int frame, FrameBuffer& out) const {
                    out);
   if (files.depth.empty()) return;
   try {
-    const Image<float> depth = read_depth(files.depth);
-    const auto rows = nearest_pixels(depth.height_px, out.height_px),
-               cols = nearest_pixels(depth.width_px, out.width_px);
-    out.depth_m.reserve(rows.size() * cols.size());
-    for (const std::int64_t row : rows) {
-      const float* line = depth.pixels.data() + row * depth.width_px;
-      for (const std::int64_t col : cols) out.depth_m.push_back(line[col]);
-    }
+    out.depth_m = at_nearest_pixels(read_depth(files.depth), out.width_px, out.height_px);
   } catch (Error& e) {
     e.while_doing("frame '" + info.name + "'");
     throw;

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <unordered_set>
 
@@ -55,8 +56,10 @@ class FileReader {
       throw Error(ErrorKind::data, "scene.index.format", "'" + path_ + "' has no list 'frames'",
                   "give a transforms.json of nerfstudio, instant-ngp or Blender");
     }
-    if (!check_model(root, path_)) return;
-    const TransformsLens lens = read_lens(root, {}, path_);
+    const std::optional<LensKind> kind = read_model(root, LensKind::perspective, path_);
+    if (!kind) return;
+    TransformsLens lens = read_lens(root, {}, path_);
+    lens.kind = *kind;
     if (const auto unit = number(root, "depth_unit_m", path_)) out_.depth_unit_m = *unit;
     if (!(out_.depth_unit_m >= 0))
       diagnostics_.error("scene.index.value", path_, "depth_unit_m must be positive",
@@ -130,29 +133,35 @@ class FileReader {
     return std::nullopt;
   }
 
-  bool check_model(const json& node, const std::string& place) {
+  // The lens of a file or of one of its frames, which may leave it to the file; nothing when reported.
+  std::optional<LensKind> read_model(const json& node, LensKind otherwise, const std::string& place) {
     std::string model;
     if (node.contains("camera_model") && !node["camera_model"].is_null()) {
       if (!node["camera_model"].is_string()) {
         diagnostics_.error("scene.index.value", place,
                            "'camera_model' is " + node["camera_model"].dump() + ", which is no name",
                            "write \"camera_model\": \"OPENCV\", or leave the key out");
-        return false;
+        return std::nullopt;
       }
       model = node["camera_model"].get<std::string>();
     }
     const std::optional<bool> fisheye = flag(node, "is_fisheye", place);
-    if (!fisheye) return false;
+    if (!fisheye) return std::nullopt;
     if (*fisheye) model = "OPENCV_FISHEYE";
-    static const std::vector<std::string> known{"",       "OPENCV",     "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL",
-                                                "RADIAL", "PERSPECTIVE"};
-    if (std::find(known.begin(), known.end(), model) != known.end()) return true;
+    if (model.empty()) return otherwise;
+    static const std::map<std::string, LensKind> known{
+        {"OPENCV", LensKind::perspective},         {"PINHOLE", LensKind::perspective},
+        {"SIMPLE_PINHOLE", LensKind::perspective}, {"SIMPLE_RADIAL", LensKind::perspective},
+        {"RADIAL", LensKind::perspective},         {"PERSPECTIVE", LensKind::perspective},
+        {"OPENCV_FISHEYE", LensKind::fisheye},     {"EQUIRECTANGULAR", LensKind::equirectangular}};
+    if (const auto found = known.find(model); found != known.end()) return found->second;
     diagnostics_.error(
         "scene.camera.model", place,
         "camera model '" + model +
-            "' is not supported (only perspective lenses: OPENCV, PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL)",
+            "' is not supported (only OPENCV, PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV_FISHEYE, "
+            "EQUIRECTANGULAR)",
         "undistort the images to a pinhole camera, for example with colmap image_undistorter");
-    return false;
+    return std::nullopt;
   }
 
   // nerfstudio's list of all coefficients, which takes the place of the single keys there.
@@ -282,8 +291,10 @@ class FileReader {
       return frame;
     }
     frame.place += " (" + frame.file_path + ")";
-    if (!check_model(item, frame.place) || !sound || !keys_are_read) return frame;
+    const std::optional<LensKind> kind = read_model(item, lens.kind, frame.place);
+    if (!kind || !sound || !keys_are_read) return frame;
     frame.lens = read_lens(item, lens, frame.place);
+    frame.lens.kind = *kind;
     frame.files.color = with_extension(folder_ / frame.file_path);
     std::string depth = path_of("depth_path");
     if (depth.empty()) depth = path_of("depth_file_path");  // nerfstudio's name for it
@@ -292,7 +303,7 @@ class FileReader {
       frame.files.label = with_extension(folder_ / label);
     if (const std::string instance = path_of("instance_path"); !instance.empty())
       frame.files.instance = with_extension(folder_ / instance);
-    frame.has_mask = !path_of("mask_path").empty();
+    if (const std::string mask = path_of("mask_path"); !mask.empty()) frame.files.mask = with_extension(folder_ / mask);
     for (const std::string& name : channels_)
       if (const std::string file = path_of((name + "_path").c_str()); !file.empty())
         frame.channels[name] = (folder_ / file).string();

@@ -17,6 +17,7 @@ struct TransformsLens {
   double w = 0, h = 0, fl_x = 0, fl_y = 0, camera_angle_x = 0, camera_angle_y = 0;
   std::optional<double> cx, cy;
   double k1 = 0, k2 = 0, k3 = 0, k4 = 0, p1 = 0, p2 = 0;
+  LensKind kind = LensKind::perspective;
 };
 
 struct TransformsFrame {
@@ -26,7 +27,6 @@ struct TransformsFrame {
   TransformsLens lens;
   std::vector<double> matrix;  ///< 16 numbers, row-major; empty when the file's was unusable (already reported)
   std::optional<Split> split;  ///< told by the file (Blender's file names, nerfstudio's *_filenames)
-  bool has_mask = false;       ///< it names a 'mask_path'
   std::map<std::string, std::string> channels;  ///< name to file, of those that it has
 };
 

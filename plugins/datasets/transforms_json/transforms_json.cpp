@@ -10,6 +10,7 @@
 #include "formats/input_limits.h"
 #include "formats/npz.h"
 #include "loading/camera_fit.h"
+#include "loading/frame_masks.h"
 #include "plugin/module.h"
 #include "scene/frame_split.h"
 #include "scene/scene_checks.h"
@@ -37,6 +38,9 @@ void describe(ParamVisitor& visit, TransformsJsonParams& p) {
                  {0, 1000});
   SEMFIELD_PARAM(visit, p, alpha_background, "grey that shows through transparent pixels, 0 to 255; -1 = drop alpha",
                  {-1, 255});
+  SEMFIELD_PARAM(visit, p, alpha_masks,
+                 "transparent pixels are missing data and are masked; else they show alpha_background, as empty space");
+  SEMFIELD_PARAM(visit, p, masks, kMasksSentence);
   SEMFIELD_PARAM(visit, p, metric, "poses are in metres (they are taken to be when the scene has depth)");
   SEMFIELD_PARAM(
       visit, p, channels,
@@ -96,6 +100,15 @@ Camera camera_of(const TransformsLens& lens, std::int32_t width, std::int32_t he
   Camera c;
   c.width_px = width;
   c.height_px = height;
+  c.lens = lens.kind;
+  if (lens.kind == LensKind::equirectangular) {
+    // Focal lengths of nerfstudio's panoramas are half the width and the height; ours are pixels per radian.
+    c.fx = (lens.fl_x != 0 ? lens.fl_x : 0.5 * width) / M_PI;
+    c.fy = (lens.fl_y != 0 ? lens.fl_y : height) / M_PI;
+    c.cx = lens.cx.value_or(0.5 * width);
+    c.cy = lens.cy.value_or(0.5 * height);
+    return c;
+  }
   c.fx = lens.fl_x != 0 ? lens.fl_x : from_angle(width, lens.camera_angle_x);
   c.fy = lens.fl_y != 0                               ? lens.fl_y
          : lens.camera_angle_y != 0 && lens.fl_x == 0 ? from_angle(height, lens.camera_angle_y)
@@ -147,12 +160,16 @@ bool frame_camera(const TransformsFrame& in, const std::string& place, CameraFit
 
 }  // namespace
 
+std::string TransformsJson::folder() const {
+  return fs::is_regular_file(root_) ? fs::path(root_).parent_path().string() : root_;
+}
+
 // Frames that are in a split and have a pose, each image once.
 std::vector<const TransformsFrame*> TransformsJson::used_frames(const TransformsIndex& index,
                                                                 Diagnostics& diagnostics) const {
   std::vector<const TransformsFrame*> used;
   std::map<std::string, const TransformsFrame*> seen;
-  std::size_t unused = 0, masks = 0;
+  std::size_t unused = 0;
   for (const TransformsFrame& in : index.frames) {
     unused += in.split == Split::unused ? 1 : 0;
     if (in.matrix.empty() || in.split == Split::unused) continue;
@@ -164,19 +181,12 @@ std::vector<const TransformsFrame*> TransformsJson::used_frames(const Transforms
                         "keep one of the two frames");
       continue;
     }
-    masks += in.has_mask ? 1 : 0;
     used.push_back(&in);
   }
   if (unused > 0) {
     diagnostics.note("scene.frames.unused", root_,
                      std::to_string(unused) + " of " + std::to_string(index.frames.size()) +
                          " frames are in neither split, as the index says");
-  }
-  if (masks > 0) {
-    diagnostics.warning("scene.mask.unread", root_,
-                        std::to_string(masks) + " of " + std::to_string(used.size()) +
-                            " frames name a 'mask_path', which is not read: what it hides trains and is scored",
-                        "cut or paint it out of the images");
   }
   return used;
 }
@@ -227,6 +237,7 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
   bool has_labels = false, has_depth = false;
   FrameFileCheck check(params_.missing, "label_key");
   CameraFit sizes;
+  FrameMasks masks(folder(), params_.masks);
   const std::vector<const TransformsFrame*> used = used_frames(index, diagnostics);
   const std::vector<Split> splits = splits_of(used, diagnostics);
   check.expect(used.size());
@@ -242,6 +253,7 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
     const PoseState state = check_pose(frame.world_from_camera, place, diagnostics);
     if (state == PoseState::not_finite) skipped.push_back(frame.name);
     FrameFiles files = in.files;
+    if (files.mask.empty()) files.mask = masks.of(files.color);
     if (state != PoseState::good || !check.present(frame, files, diagnostics) ||
         !frame_camera(in, place, sizes, frame.camera, diagnostics)) {
       continue;
@@ -265,6 +277,7 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
   }
   check.report(root_, info_.frames.size(), diagnostics);
   sizes.report(root_, diagnostics);
+  masks.report(diagnostics);
   if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, info_.frames.size(), root_, diagnostics);
   info_.metric = params_.metric || has_depth;
   info_.limit = index.limit;
@@ -273,7 +286,7 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
 }
 
 void TransformsJson::load_classes(const TransformsIndex& index, bool has_labels, Diagnostics& diagnostics) {
-  const std::string folder = fs::is_regular_file(root_) ? fs::path(root_).parent_path().string() : root_;
+  const std::string folder = this->folder();
   const std::string path = !class_file_.empty()       ? class_file_
                            : !index.classes.empty()   ? index.classes
                            : index.class_list.empty() ? find_class_file({folder})
@@ -295,6 +308,7 @@ void TransformsJson::read(int frame, FrameBuffer& out) const {
   FrameReadRules rules;
   rules.depth_unit_m = depth_unit_m_;
   rules.alpha_background = params_.alpha_background;
+  rules.alpha_masks = params_.alpha_masks;
   rules.unknown_labels = params_.unknown_labels;
   read_frame_files(info_.frames.at(i), files_.at(i), rules, info_.classes, out);
   for (const FrameChannelInfo& told : info_.frames[i].channels) {

@@ -22,6 +22,8 @@ struct TransformsJsonParams {
   MissingFiles missing = MissingFiles::error;
   double depth_unit_m = 0;
   std::int32_t alpha_background = 255;
+  bool alpha_masks = false;
+  std::string masks;
   bool metric = false;
   std::vector<std::string> channels;
 };
@@ -38,6 +40,7 @@ class TransformsJson final : public Dataset {
  private:
   std::vector<const TransformsFrame*> used_frames(const TransformsIndex& index, Diagnostics& diagnostics) const;
   std::vector<Split> splits_of(const std::vector<const TransformsFrame*>& frames, Diagnostics& diagnostics) const;
+  std::string folder() const;
   void load_classes(const TransformsIndex& index, bool has_labels, Diagnostics& diagnostics);
   TransformsJsonParams params_;
   std::string root_, class_file_;

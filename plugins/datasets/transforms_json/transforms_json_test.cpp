@@ -1,6 +1,7 @@
 // transforms.json flavours: nerfstudio with a lens of its own a frame, Blender's splits, label and depth paths.
 #include "datasets/transforms_json/transforms_json.h"
 
+#include "formats/png_codec.h"
 #include "scene/stored_frame.h"
 #include "tests/scene/tiny_scene.h"
 
@@ -66,6 +67,92 @@ TEST(TransformsJson, OwnLensDepthAndLabels) {
   scene.read(1, out);
   EXPECT_EQ(out.depth_m, (std::vector<float>{0, 0.0005f, 0, 2, 0.0005f, 0.0005f, 0.0005f, 0.0005f}));
   EXPECT_EQ(out.label, (std::vector<std::int16_t>{kVoid, 0, 0, 0, kVoid, kVoid, kVoid, 0}));
+}
+
+TEST(TransformsJson, MasksComeFromTheIndexAFolderOrAlpha) {
+  const std::string folder = fresh_folder("m");
+  const std::vector<std::uint8_t> index{0, 1, 2, 0, 0, 0, 0, 0}, grey(9, 9), alpha{255, 254, 0};
+  const std::vector<std::uint8_t> palette = encode_png(4, 2, 3, 8, index, {grey, alpha});
+  write_file_atomic(folder + "/a.png", std::as_bytes(std::span(palette)));
+  write_image(folder + "/b.png");
+  std::filesystem::create_directories(folder + "/masks");
+  write_png_gray8(folder + "/m.png", 4, 2, std::vector<std::uint8_t>{0, 1, 2, 255, 0, 0, 0, 128});
+  write_png_rgb(folder + "/masks/b.png", 4, 2, std::vector<std::uint8_t>(24, 0));
+  write_file_atomic(folder + "/transforms.json",
+                    std::string("{\"fl_x\": 3, \"frames\": [{\"file_path\": \"a.png\", \"mask_path\": \"m.png\", ") +
+                        kEye + "}, {\"file_path\": \"b.png\", " + kEye + "}]}");
+  const auto used = [&](const TransformsJsonParams& p) {
+    Diagnostics d;
+    TransformsJson scene(p, {});
+    scene.open(d);
+    EXPECT_FALSE(d.has_errors()) << d.all()[0].text();
+    std::vector<std::vector<std::uint8_t>> out;
+    FrameBuffer frame;
+    for (const int f : {0, 1}) {
+      scene.read(f, frame);
+      out.push_back(frame.used);
+    }
+    return out;
+  };
+  using Used = std::vector<std::vector<std::uint8_t>>;
+  EXPECT_EQ(used({.root = folder}), (Used{{0, 1, 1, 1, 0, 0, 0, 1}, {}}));
+  EXPECT_EQ(used({.root = folder, .masks = "masks"}), (Used{{0, 1, 1, 1, 0, 0, 0, 1}, {0, 0, 0, 0, 0, 0, 0, 0}}));
+  EXPECT_EQ(used({.root = folder, .alpha_masks = true}), (Used{{0, 0, 0, 1, 0, 0, 0, 1}, {}}));
+}
+
+// NeRFCapture leaves the extension out, states the lens of each frame, and names a depth image whether it wrote one or
+// not.
+TEST(TransformsJson, ACaptureOfNeRFCaptureIsReadAsItIs) {
+  const std::string folder = fresh_folder("c");
+  std::filesystem::create_directories(folder + "/images");
+  for (const char* name : {"/images/0.png", "/images/1.png"}) write_image(folder + name);
+  const auto frame = [](const std::string& name) {
+    return "{\"file_path\":\"images/" + name + "\",\"depth_path\":\"images/" + name +
+           ".depth.png\",\"timestamp\":123.4,\"fl_x\":3.5,\"fl_y\":3.5,\"cx\":2.1,\"cy\":1,\"w\":4,\"h\":2," + kEye +
+           "}";
+  };
+  write_file_atomic(
+      folder + "/transforms.json",
+      "{\"w\":4,\"h\":2,\"fl_x\":1,\"fl_y\":1,\"cx\":320,\"cy\":240,\"depth_integer_scale\":1,\"frames\":[" +
+          frame("0") + "," + frame("1") + "]}");
+  Diagnostics d;
+  TransformsJson(TransformsJsonParams{.root = folder}, {}).open(d);
+  EXPECT_FINDING(d, "scene.file.missing", "0.depth.png", "scene.missing=skip");
+  Diagnostics without;
+  const SceneInfo info =
+      TransformsJson(TransformsJsonParams{.root = folder, .missing = MissingFiles::skip}, {}).open(without);
+  EXPECT_FALSE(without.has_errors());
+  ASSERT_EQ(info.frames.size(), 2u);
+  EXPECT_EQ(info.frames[1].source, folder + "/images/1.png");
+  EXPECT_EQ(info.frames[1].camera.fx, 3.5);
+  EXPECT_EQ(info.frames[1].camera.cx, 2.1);
+}
+
+TEST(TransformsJson, WideLensesAreThoseOfNerfstudio) {
+  const std::string folder = fresh_folder("w");
+  write_image(folder + "/a.png");
+  const auto camera_of = [&](const std::string& keys, const std::string& of_frame = "") {
+    write_file_atomic(folder + "/transforms.json",
+                      "{" + keys + "\"frames\": [{\"file_path\": \"a.png\", " + of_frame + kEye + "}]}");
+    Diagnostics d;
+    TransformsJson scene({.root = folder}, {});
+    const SceneInfo info = scene.open(d);
+    EXPECT_FALSE(d.has_errors()) << d.all()[0].text();
+    return info.frames.at(0).camera;
+  };
+  const std::string model = "\"camera_model\": \"OPENCV_FISHEYE\", \"fl_x\": 3, \"k4\": 0.01, ";
+  EXPECT_EQ(camera_of(model).lens, LensKind::fisheye);
+  EXPECT_EQ(camera_of(model).k4, 0.01);
+  EXPECT_EQ(camera_of("\"fl_x\": 3, ", "\"is_fisheye\": \"true\", ").lens, LensKind::fisheye);
+  EXPECT_EQ(camera_of("\"fl_x\": 3, \"is_fisheye\": 1, ", "\"camera_model\": \"OPENCV\", ").lens,
+            LensKind::perspective);
+  // Half the width and the height stand for the whole sphere, and so does no focal length.
+  for (const char* focal : {"\"fl_x\": 2, \"fl_y\": 2, ", ""}) {
+    const Camera c = camera_of(std::string("\"camera_model\": \"EQUIRECTANGULAR\", ") + focal);
+    EXPECT_EQ(c.lens, LensKind::equirectangular);
+    EXPECT_NEAR(c.direction(4, 1).z, -1, 1e-12) << "the right edge is behind";
+    EXPECT_NEAR(c.direction(2, 0).y, -1, 1e-12) << "the top edge is above";
+  }
 }
 
 TEST(TransformsJson, FurtherChannelsAreReadWhereTheyAreWanted) {

@@ -89,7 +89,7 @@ bool speaks_of(const DepthView& view, Vec3d point, double behind) {
   const Vec3d p = view.camera.world_from_camera.apply_inverse(point);
   Camera camera = view.camera.camera;
   if (!view.camera.undistort) camera.k1 = camera.k2 = camera.k3 = camera.k4 = camera.p1 = camera.p2 = 0;
-  if (!(p.z > 0) || !camera.is_within_lens(p)) return false;
+  if (!camera.sees(p) || !camera.is_within_lens(p)) return false;
   double u = 0, v = 0;
   camera.project(p, u, v);
   if (!(u >= 0 && v >= 0 && u < camera.width_px && v < camera.height_px)) return false;

@@ -1,0 +1,50 @@
+#include "loading/frame_masks.h"
+
+#include <filesystem>
+
+namespace semfield {
+
+namespace fs = std::filesystem;
+
+FrameMasks::FrameMasks(const std::string& root, const std::string& folder)
+    : root_(root), folder_(folder.empty() ? "" : (fs::path(root) / folder).string()) {}
+
+std::string FrameMasks::of(const std::string& image) {
+  if (folder_.empty()) return "";
+  ++asked_;
+  const fs::path path(image), folder(folder_);
+  for (const fs::path& where : {folder / path.parent_path().filename(), folder}) {
+    for (const std::string& name : {path.stem().string(), path.filename().string()}) {
+      for (const char* extension : {".png", ".jpg", ".jpeg"}) {
+        const std::string file = (where / (name + extension)).string();
+        std::error_code unknown;
+        if (!fs::is_regular_file(file, unknown) || fs::equivalent(file, path, unknown)) continue;
+        ++found_;
+        return file;
+      }
+    }
+  }
+  return "";
+}
+
+void FrameMasks::report(Diagnostics& diagnostics) const {
+  std::error_code unknown;
+  if (folder_.empty()) {
+    if (fs::is_directory(fs::path(root_) / "masks", unknown))
+      diagnostics.note(
+          "scene.mask.unread", root_,
+          "there is a folder 'masks', which is not read; scene.masks: masks leaves out what is black in it");
+    return;
+  }
+  if (found_ == 0) {
+    diagnostics.error("scene.mask.missing", folder_,
+                      fs::is_directory(folder_, unknown) ? "no mask for any image" : "the folder of masks is missing",
+                      "name the masks as the images, with .png, or correct scene.masks");
+  } else if (found_ < asked_) {
+    diagnostics.note("scene.mask.missing", folder_,
+                     std::to_string(asked_ - found_) + " of " + std::to_string(asked_) +
+                         " images have no mask: all of their pixels count");
+  }
+}
+
+}  // namespace semfield
