@@ -124,7 +124,7 @@ TEST_F(FolderScenes, WhatIsNoSceneIsRefused) {
   const std::string folder = fresh_folder("empty");
   EXPECT_EQ(error_of([&] {
               find(folder);
-            }).find("'" + folder + "' holds no scene that a dataset knows: colmap, llff, obj_room, packed, record3d, replica, "),
+            }).find("'" + folder + "' holds no scene that a dataset knows: arkit_scenes, colmap, llff, obj_room, packed, polycam, record3d, replica, "),
             0u);
   EXPECT_EQ(error_of([&] { find(folder + "/none"); }), "no folder '" + folder + "/none'; check the path");
   write_file_atomic(folder + "/run.yaml", "name: x\n");

@@ -1,0 +1,139 @@
+// Scenes of ARKitScenes.
+#include "datasets/arkit_scenes/arkit_scenes.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <map>
+
+#include "core/text.h"
+#include "formats/text_rows.h"
+#include "plugin/module.h"
+#include "scene/rotation.h"
+
+namespace semfield {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+constexpr double kSameTime_s = 0.005;  // between a photograph and a pose; poses come ten times a second
+constexpr const char* kTrajectory = "lowres_wide.traj";
+
+// The numbers of a line, which has to hold `count` of them. Throws Error(data).
+std::vector<double> numbers_of(const TextRow& row, std::size_t count) {
+  std::vector<double> out;
+  const std::string line = row.fields.front();
+  for (const std::string_view word : words_of(line)) {
+    double value = 0;
+    if (!parse_number(word, value)) break;
+    out.push_back(value);
+  }
+  if (out.size() == count && words_of(line).size() == count) return out;
+  throw Error(ErrorKind::data, "scene.index.value", row.place + ": expected " + std::to_string(count) + " numbers",
+              "download the scene again");
+}
+
+// By time: a line is the time, the turn of camera from world as an axis times its angle, and the shift.
+std::map<double, Pose> read_trajectory(const std::string& path) {
+  std::map<double, Pose> out;
+  for (const TextRow& row : read_text_rows(path, '\n')) {
+    const std::vector<double> v = numbers_of(row, 7);
+    const double angle = std::hypot(v[1], v[2], v[3]), s = angle > 0 ? std::sin(angle / 2) / angle : 0.5;
+    Pose& pose = out[v[0]];
+    set_rotation(pose, {std::cos(angle / 2), -s * v[1], -s * v[2], -s * v[3]});  // turned back: world from camera
+    pose.t = pose.rotate({v[4], v[5], v[6]}) * -1.0;
+  }
+  return out;
+}
+
+const Pose* pose_at(const std::map<double, Pose>& poses, double time) {
+  auto next = poses.lower_bound(time);
+  if (next != poses.begin() && (next == poses.end() || time - std::prev(next)->first < next->first - time)) --next;
+  return next != poses.end() && std::abs(next->first - time) < kSameTime_s ? &next->second : nullptr;
+}
+
+// Times in names of photographs and of their intrinsics may differ by a millisecond.
+std::string intrinsics_of(const fs::path& folder, const std::string& before, double time) {
+  std::error_code unknown;
+  for (const double off : {0.0, -0.001, 0.001}) {
+    const fs::path path = folder / fmt::format("{}{:.3f}.pincam", before, time + off);
+    if (fs::exists(path, unknown)) return path.string();
+  }
+  return "";
+}
+
+}  // namespace
+
+std::string recognise(const std::string& path, ArkitScenesParams& p) {
+  const fs::path root(path);
+  std::error_code unknown;
+  for (const fs::path& folder : {root, root / (root.filename().string() + "_frames")}) {
+    if (!fs::is_regular_file(folder / kTrajectory, unknown) || !fs::is_directory(folder / "lowres_wide", unknown))
+      continue;
+    p.root = folder.string();
+    return "a scene of ARKitScenes";
+  }
+  return "";
+}
+
+SceneInfo ArkitScenes::open(Diagnostics& diagnostics) {
+  files_.require({"", "lowres_wide", kTrajectory, "lowres_wide_intrinsics"}, "the download of ARKitScenes");
+  const fs::path root(files_.root());
+  const std::map<double, Pose> poses = read_trajectory((root / kTrajectory).string());
+  const bool has_depth = fs::is_directory(root / "lowres_depth");
+  std::vector<PhonePhoto> photos;
+  std::size_t without_pose = 0;
+  const std::vector<std::string> images = files_with((root / "lowres_wide").string(), kPhotographs);
+  for (const std::string& image : images) {
+    const std::string stem = fs::path(image).stem().string();
+    const std::size_t at = stem.rfind('_') + 1;
+    double time = 0;
+    if (at == 0 || !parse_number(std::string_view(stem).substr(at), time)) {
+      diagnostics.error("scene.frame.name", "'" + image + "'", "the name does not end with the time of the frame",
+                        "keep the names of the download: <video>_<seconds>.png");
+      continue;
+    }
+    const Pose* const pose = pose_at(poses, time);
+    without_pose += pose == nullptr ? 1 : 0;
+    if (pose == nullptr) continue;
+    PhonePhoto photo;
+    photo.image = image;
+    photo.world_from_camera = *pose;
+    const std::string lens = intrinsics_of(root / "lowres_wide_intrinsics", stem.substr(0, at), time);
+    const std::vector<TextRow> rows = lens.empty() ? std::vector<TextRow>() : read_text_rows(lens, '\n');
+    if (rows.empty()) {
+      diagnostics.error("scene.camera.missing", "'" + image + "'", "has no file in lowres_wide_intrinsics",
+                        "download the scene again");
+      continue;
+    }
+    const std::vector<double> v = numbers_of(rows.front(), 6);
+    photo.camera.width_px = static_cast<std::int32_t>(v[0]);
+    photo.camera.height_px = static_cast<std::int32_t>(v[1]);
+    photo.camera.fx = v[2];
+    photo.camera.fy = v[3];
+    photo.camera.cx = v[4];
+    photo.camera.cy = v[5];
+    if (has_depth) photo.depth = (root / "lowres_depth" / (stem + ".png")).string();
+    photo.confidence = (root / "confidence" / (stem + ".png")).string();
+    photos.push_back(std::move(photo));
+  }
+  if (without_pose > 0)
+    diagnostics.note("scene.pose.skipped", files_.root(),
+                     fmt::format("{} of {} photographs are left out: the trajectory has no pose within {:g} ms of them",
+                                 without_pose, images.size(), 1000 * kSameTime_s));
+  return files_.open(photos, false, diagnostics);
+}
+
+namespace {
+void register_into(Registry& registry) {
+  registry.add_dataset<ArkitScenes, ArkitScenesParams>(
+      "arkit_scenes", "Scenes of Apple's ARKitScenes: photographs, poses and LiDAR depth of a tablet.");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(arkit_scenes, "1.0", register_into)
+
+}  // namespace semfield

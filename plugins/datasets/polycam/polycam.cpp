@@ -1,0 +1,103 @@
+// Polycam's raw exports.
+#include "datasets/polycam/polycam.h"
+
+#include <filesystem>
+#include <nlohmann/json.hpp>
+
+#include "core/text.h"
+#include "formats/input_limits.h"
+#include "plugin/module.h"
+#include "scene/scene_checks.h"
+
+namespace semfield {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+
+namespace {
+
+// Those that the app undistorted and optimised, where it did.
+bool is_corrected(const fs::path& keyframes) {
+  std::error_code unknown;
+  return fs::is_directory(keyframes / "corrected_cameras", unknown) &&
+         fs::is_directory(keyframes / "corrected_images", unknown);
+}
+
+// False when reported.
+bool read_camera(const std::string& path, PhonePhoto& photo, Diagnostics& diagnostics) {
+  json root;
+  try {
+    root = json::parse(read_pose_file(path));
+  } catch (const json::exception& e) {
+    diagnostics.error("scene.index.format", path, "is not valid JSON: " + json_cause(e.what()),
+                      "export the capture again");
+    return false;
+  } catch (const Error& e) {
+    diagnostics.error("scene.pose.missing", "'" + photo.image + "'", e.message(),
+                      "export the capture again, or remove the image");
+    return false;
+  }
+  bool sound = true;
+  const auto number = [&](const std::string& key) {
+    if (root.is_object() && root.contains(key) && root[key].is_number()) return root[key].get<double>();
+    if (sound) diagnostics.error("scene.index.value", path, "has no number '" + key + "'", "export the capture again");
+    sound = false;
+    return 0.0;
+  };
+  std::vector<double> rows;
+  for (const char row : {'0', '1', '2'})
+    for (const char column : {'0', '1', '2', '3'}) rows.push_back(number(std::string("t_") + row + column));
+  Camera& c = photo.camera;
+  c.width_px = static_cast<std::int32_t>(number("width"));
+  c.height_px = static_cast<std::int32_t>(number("height"));
+  c.fx = number("fx");
+  c.fy = number("fy");
+  c.cx = number("cx");
+  c.cy = number("cy");
+  photo.world_from_camera = opencv_from_opengl(pose_from_rows(rows));
+  return sound;
+}
+
+}  // namespace
+
+std::string recognise(const std::string& path, PolycamParams& p) {
+  std::error_code unknown;
+  for (const fs::path& root : {fs::path(path), fs::path(path).parent_path()}) {
+    if (!fs::is_directory(root / "keyframes" / "images", unknown) ||
+        !fs::is_directory(root / "keyframes" / "cameras", unknown))
+      continue;
+    p.root = root.string();
+    return "a raw export of Polycam";
+  }
+  return "";
+}
+
+SceneInfo Polycam::open(Diagnostics& diagnostics) {
+  files_.require({"", "keyframes", "keyframes/images", "keyframes/cameras"}, "a raw export of Polycam");
+  const fs::path keyframes = fs::path(files_.root()) / "keyframes";
+  const std::string kind = is_corrected(keyframes) ? "corrected_" : "";
+  const bool has_depth = fs::is_directory(keyframes / "depth");
+  std::vector<PhonePhoto> photos;
+  for (const std::string& image : files_with((keyframes / (kind + "images")).string(), kPhotographs)) {
+    const std::string stem = fs::path(image).stem().string();
+    PhonePhoto photo;
+    photo.image = image;
+    photo.high = 255;
+    if (!read_camera((keyframes / (kind + "cameras") / (stem + ".json")).string(), photo, diagnostics)) continue;
+    if (has_depth) photo.depth = (keyframes / "depth" / (stem + ".png")).string();
+    photo.confidence = (keyframes / "confidence" / (stem + ".png")).string();
+    photos.push_back(std::move(photo));
+  }
+  return files_.open(photos, true, diagnostics);
+}
+
+namespace {
+void register_into(Registry& registry) {
+  registry.add_dataset<Polycam, PolycamParams>(
+      "polycam", "Raw exports of Polycam: photographs, poses and LiDAR depth of a phone.");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(polycam, "1.0", register_into)
+
+}  // namespace semfield

@@ -1,0 +1,135 @@
+// Recordings of Stray Scanner.
+#include "datasets/stray_scanner/stray_scanner.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <limits>
+#include <map>
+
+#include "core/text.h"
+#include "formats/image_io.h"
+#include "formats/text_rows.h"
+#include "plugin/module.h"
+#include "scene/rotation.h"
+#include "scene/scene_checks.h"
+
+namespace semfield {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+constexpr const char* kAgain = "export the recording again";
+
+// Columns by the names in the first row, for versions of the app write different ones.
+class Odometry {
+ public:
+  explicit Odometry(const std::string& path) : rows_(read_text_rows(path, ',')), path_(path) {
+    if (rows_.size() < 2) throw Error(ErrorKind::data, "scene.index.format", "'" + path + "' has no poses", kAgain);
+    for (std::size_t i = 0; i < rows_[0].fields.size(); ++i) column_[rows_[0].fields[i]] = i;
+    for (const char* name : {"x", "y", "z", "qx", "qy", "qz", "qw"})
+      if (!has(name))
+        throw Error(ErrorKind::data, "scene.index.format", "'" + path + "' has no column '" + name + "'", kAgain);
+  }
+  bool has(const char* name) const { return column_.count(name) > 0; }
+  // The row of each frame by its number, which is its place where no column tells it.
+  std::map<std::int64_t, const TextRow*> by_frame() const {
+    std::map<std::int64_t, const TextRow*> out;
+    for (std::size_t i = 1; i < rows_.size(); ++i)
+      out[has("frame") ? static_cast<std::int64_t>(value(rows_[i], "frame")) : static_cast<std::int64_t>(i) - 1] =
+          &rows_[i];
+    return out;
+  }
+  double value(const TextRow& row, const char* name) const {
+    const std::size_t i = column_.at(name);
+    double number = 0;
+    if (i < row.fields.size() && parse_number(row.fields[i], number)) return number;
+    throw Error(ErrorKind::data, "scene.index.value", row.place + ": '" + name + "' is not a number", kAgain);
+  }
+
+ private:
+  std::vector<TextRow> rows_;
+  std::string path_;
+  std::map<std::string, std::size_t> column_;
+};
+
+Camera read_matrix(const std::string& path) {
+  const std::vector<TextRow> rows = read_text_rows(path, ',');
+  double k[9] = {};
+  bool sound = rows.size() == 3;
+  for (std::size_t i = 0; sound && i < 9; ++i)
+    sound = rows[i / 3].fields.size() == 3 && parse_number(rows[i / 3].fields[i % 3], k[i]);
+  if (!sound || k[1] != 0 || k[3] != 0 || k[6] != 0 || k[7] != 0 || k[8] != 1)
+    throw Error(ErrorKind::data, "scene.camera.format", "'" + path + "' is not a pinhole camera's matrix of three rows",
+                kAgain);
+  Camera camera;
+  camera.fx = k[0];
+  camera.fy = k[4];
+  camera.cx = k[2];
+  camera.cy = k[5];
+  return camera;
+}
+
+}  // namespace
+
+std::string recognise(const std::string& path, StrayScannerParams& p) {
+  std::error_code unknown;
+  for (const char* name : {"odometry.csv", "camera_matrix.csv"})
+    if (!fs::is_regular_file(fs::path(path) / name, unknown)) return "";
+  p.root = path;
+  return "a recording of Stray Scanner";
+}
+
+SceneInfo StrayScanner::open(Diagnostics& diagnostics) {
+  files_.require({"", "odometry.csv", "camera_matrix.csv"}, "Stray Scanner");
+  const fs::path root(files_.root());
+  const std::map<std::int64_t, std::string> images = numbered_photographs((root / "rgb").string(), diagnostics);
+  if (images.empty() && !diagnostics.has_errors())
+    throw Error(ErrorKind::no_input, "scene.frames.none", "no photographs in '" + (root / "rgb").string() + "'",
+                "take them out of the video: cd " + shell_word(root.string()) +
+                    " && mkdir -p rgb && ffmpeg -i rgb.mp4 -vsync passthrough -start_number 0 -q:v 2 rgb/%06d.jpg");
+  const Odometry odometry((root / "odometry.csv").string());
+  const Camera matrix = read_matrix((root / "camera_matrix.csv").string());
+  const auto poses = odometry.by_frame();
+  const bool has_depth = fs::is_directory(root / "depth"), of_frame = odometry.has("fx") && odometry.has("cx");
+  std::vector<PhonePhoto> photos;
+  for (const auto& [number, image] : images) {
+    const auto found = poses.find(number);
+    if (found == poses.end()) {
+      diagnostics.error("scene.pose.count", "'" + image + "'",
+                        "odometry.csv has no pose of frame " + std::to_string(number),
+                        "number the photographs from 0 as the video's frames are, or remove the image");
+      continue;
+    }
+    const TextRow& row = *found->second;
+    const auto at = [&](const char* name) { return odometry.value(row, name); };
+    PhonePhoto photo;
+    photo.image = image;
+    photo.camera = matrix;
+    for (const auto& [name, member] :
+         {std::pair{"fx", &Camera::fx}, {"fy", &Camera::fy}, {"cx", &Camera::cx}, {"cy", &Camera::cy}})
+      if (of_frame) photo.camera.*member = at(name);
+    const ImageSize size = image_size(image);  // the video's, which the matrix is of
+    photo.camera.width_px = size.width_px;
+    photo.camera.height_px = size.height_px;
+    set_rotation(photo.world_from_camera, {at("qw"), at("qx"), at("qy"), at("qz")});
+    photo.world_from_camera.t = {at("x"), at("y"), at("z")};
+    const std::string name =
+        std::string(number < 100'000 ? 6 - std::to_string(number).size() : 0, '0') + std::to_string(number) + ".png";
+    if (has_depth) photo.depth = (root / "depth" / name).string();
+    photo.confidence = (root / "confidence" / name).string();
+    photos.push_back(std::move(photo));
+  }
+  return files_.open(photos, false, diagnostics);
+}
+
+namespace {
+void register_into(Registry& registry) {
+  registry.add_dataset<StrayScanner, StrayScannerParams>(
+      "stray_scanner", "Recordings of Stray Scanner: frames of a video, poses and LiDAR depth of a phone.");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(stray_scanner, "1.0", register_into)
+
+}  // namespace semfield
