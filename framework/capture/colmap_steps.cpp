@@ -150,6 +150,19 @@ std::vector<std::string> ColmapSteps::map(const FeatureSettings& s, bool relaxed
   return out;
 }
 
+void ColmapSteps::remove(const std::string& from, const std::vector<std::string>& names, const std::string& to) const {
+  fs::remove_all(to);
+  create_folders(to);
+  std::string text;
+  for (const std::string& name : names) text += name + "\n";
+  const std::string list = (fs::path(work_) / "misplaced.txt").string();
+  write_file_atomic(list, text);
+  run_program(programs_, "colmap",
+              {.words = {"image_deleter", "--input_path", from, "--output_path", to, "--image_names_path", list},
+               .log = log("misplaced"),
+               .tick = [] {}});
+}
+
 void ColmapSteps::refine(const std::string& from, const std::string& to) const {
   const fs::path start = fs::path(work_) / "start";
   for (const std::string& folder : {start.string(), to}) {

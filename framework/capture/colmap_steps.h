@@ -48,6 +48,8 @@ class ColmapSteps {
   /// Folders of the models that were found, in the order of their names; none where no two images begin one. `relaxed`
   /// asks less of each image that joins.
   std::vector<std::string> map(const FeatureSettings& settings, bool relaxed, std::size_t images) const;
+  /// The model `from` without these images, into `to`.
+  void remove(const std::string& from, const std::vector<std::string>& names, const std::string& to) const;
   /// All poses, points and lenses of the model `from` at once, as OPENCV lenses, into `to`.
   void refine(const std::string& from, const std::string& to) const;
 

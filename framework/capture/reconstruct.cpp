@@ -5,6 +5,7 @@
 #include <optional>
 #include <set>
 
+#include "capture/misplaced.h"
 #include "core/text.h"
 #include "loading/colmap_model.h"
 #include "system/files.h"
@@ -123,6 +124,13 @@ Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colma
                 "take more photographs, each showing two thirds of what the one before shows, sharp, of things with "
                 "texture, and walk rather than turn on the spot");
   }
+  Diagnostics known;
+  out.misplaced = misplaced_images(read_colmap_model(out.best.folder, known), task.names);
+  if (!out.misplaced.empty()) {
+    const std::string kept = (fs::path(task.work) / "placed").string();
+    once(state, "placed", [&] { colmap.remove(out.best.folder, out.misplaced, kept); });
+    out.best = model_in(kept);
+  }
   const std::string refined = (fs::path(task.work) / "refined").string();
   if (earlier == nullptr) {
     colmap.refine(out.best.folder, refined);
@@ -138,11 +146,13 @@ std::vector<Missing> missing_images(const std::vector<std::string>& names, const
                                     const std::vector<std::string>& blurred) {
   const std::set<std::string> posed(found.best.images.begin(), found.best.images.end()),
       unsharp(blurred.begin(), blurred.end());
+  const std::set<std::string> misplaced(found.misplaced.begin(), found.misplaced.end());
   std::set<std::string> elsewhere;
   for (const FoundModel& other : found.others) elsewhere.insert(other.images.begin(), other.images.end());
-  enum class Why { has_pose, is_blurred, fits_others, stands_alone };
+  enum class Why { has_pose, is_misplaced, is_blurred, fits_others, stands_alone };
   const auto why = [&](const std::string& name) {
     if (posed.contains(name)) return Why::has_pose;
+    if (misplaced.contains(name)) return Why::is_misplaced;
     if (unsharp.contains(name)) return Why::is_blurred;
     return elsewhere.contains(name) ? Why::fits_others : Why::stands_alone;
   };
@@ -159,7 +169,11 @@ std::vector<Missing> missing_images(const std::vector<std::string>& names, const
       between += " them and the others";
     const bool one = i == last;
     std::string text = range_text(names, i, last);
-    if (cause == Why::is_blurred) {
+    if (cause == Why::is_misplaced) {
+      text += std::string(one ? " was" : " were") + " placed far from the photographs before and after " +
+              (one ? "it" : "them") + ", at something that looks the same, and " + (one ? "is" : "are") +
+              " left out: " + between;
+    } else if (cause == Why::is_blurred) {
       text += std::string(one ? " is" : " are") + " blurred: take " + (one ? "it" : "them") +
               " again, standing still or with more light";
     } else if (cause == Why::fits_others) {

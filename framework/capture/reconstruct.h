@@ -29,15 +29,17 @@ struct ReconstructTask {
 };
 
 struct Reconstruction {
-  FoundModel best;                 ///< of all attempts, refined
-  std::vector<FoundModel> others;  ///< of the attempt that found it
+  FoundModel best;                     ///< of all attempts, refined
+  std::vector<FoundModel> others;      ///< of the attempt that found it
+  std::vector<std::string> misplaced;  ///< names of images that it was found with at a wrong place; not in it
   int attempts = 0;
 };
 
 /// From the cheapest attempt to the most patient, until 95 % of the images have a pose: features at 1,024 pixels;
 /// asking less of an image that joins; more and fainter features at 1,600 pixels, every pair, and a richer lens. The
-/// largest model of all is refined with OPENCV lenses [Schonberger16]. Pairs are all pairs up to 150 photographs,
-/// beyond and in films those of pairs_in_order(). Throws Error(data) where nothing was found.
+/// largest model of all loses the images of misplaced_images() and is refined with OPENCV lenses [Schonberger16]. Pairs
+/// are all pairs up to 150 photographs, beyond and in films those of pairs_in_order(). Throws Error(data) where nothing
+/// was found.
 Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colmap, PrepareState& state);
 
 /// Images without a pose that follow each other, and what to do.

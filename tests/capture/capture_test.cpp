@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <set>
 
+#include "capture/misplaced.h"
 #include "capture/photographs.h"
 #include "capture/prepare_state.h"
 #include "capture/reconstruct.h"
@@ -209,8 +210,43 @@ TEST(CaptureMissing, RangesSayWhyAndWhatToDo) {
   EXPECT_HAS(missing[2].text,
              "photographs 6 to 7 (f to g) fit others that are missing, but not the rest: take some "
              "between them and the others");
+  found.misplaced = {"g"};
+  EXPECT_HAS(missing_images(names, found, {"e"}).back().text, "photograph 7 (g) was placed far from", "left out");
   found.best.images = names;
   EXPECT_TRUE(missing_images(names, found, {}).empty());
+}
+
+// A walk of twelve photographs a step apart; each shares 40 points with the next and the one behind it.
+ColmapModel walk_of(const std::vector<std::string>& names) {
+  ColmapModel model;
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    ColmapImage image;
+    image.name = names[i];
+    image.world_from_camera.t = {static_cast<double>(i), 0.1 * static_cast<double>(i % 3), 0};
+    for (std::size_t p = 0; p < 120; ++p) image.points.push_back(static_cast<std::int64_t>(40 * i + p));
+    model.images.push_back(image);
+  }
+  return model;
+}
+void put_elsewhere(ColmapModel& model, std::size_t image, double away) {
+  model.images[image].world_from_camera.t.z = away;
+  for (std::int64_t& point : model.images[image].points) point += 10'000;
+}
+
+TEST(CaptureMisplaced, AJumpThatSharesNothingWithItsNeighboursIsNamed) {
+  const std::vector<std::string> names{"a", "b", "c", "d", "e", "f", "g", "h", "i", "j", "k", "l"};
+  EXPECT_TRUE(misplaced_images(walk_of(names), names).empty());
+  ColmapModel one = walk_of(names), back = one, three = one, near = one;
+  put_elsewhere(one, 4, 20);
+  EXPECT_EQ(misplaced_images(one, names), std::vector<std::string>{"e"});
+  back.images[4].world_from_camera.t.z = 20;  // far away, but it sees what they see
+  EXPECT_TRUE(misplaced_images(back, names).empty());
+  put_elsewhere(near, 4, 0.5);  // it looks the other way from where they stand
+  EXPECT_TRUE(misplaced_images(near, names).empty());
+  for (ColmapImage& image : three.images) image.points.push_back(5);  // what all of them see
+  for (const std::size_t i : {3, 4}) put_elsewhere(three, i, 30);
+  for (std::size_t p = 0; p < 40; ++p) three.images[5].points.push_back(three.images[2].points[p]);
+  EXPECT_EQ(misplaced_images(three, names), (std::vector<std::string>{"d", "e"}));
 }
 
 TEST(ColmapCameras, WrittenOnesReadBack) {
