@@ -84,7 +84,7 @@ SceneInfo ArkitScenes::open(Diagnostics& diagnostics) {
   const fs::path root(files_.root());
   const std::map<double, Pose> poses = read_trajectory((root / kTrajectory).string());
   const bool has_depth = fs::is_directory(root / "lowres_depth");
-  std::vector<PhonePhoto> photos;
+  std::vector<PosedPhotograph> photos;
   std::size_t without_pose = 0;
   const std::vector<std::string> images = files_with((root / "lowres_wide").string(), kPhotographs);
   for (const std::string& image : images) {
@@ -99,7 +99,7 @@ SceneInfo ArkitScenes::open(Diagnostics& diagnostics) {
     const Pose* const pose = pose_at(poses, time);
     without_pose += pose == nullptr ? 1 : 0;
     if (pose == nullptr) continue;
-    PhonePhoto photo;
+    PosedPhotograph photo;
     photo.image = image;
     photo.world_from_camera = *pose;
     const std::string lens = intrinsics_of(root / "lowres_wide_intrinsics", stem.substr(0, at), time);

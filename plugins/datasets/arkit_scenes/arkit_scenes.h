@@ -4,12 +4,12 @@
 #include <string>
 #include <vector>
 
-#include "loading/phone_export.h"
+#include "loading/posed_photographs.h"
 #include "plugin/dataset.h"
 
 namespace semfield {
 
-struct ArkitScenesParams : PhoneParams {};
+struct ArkitScenesParams : PhotographParams {};
 std::string recognise(const std::string& path, ArkitScenesParams& params);
 
 class ArkitScenes final : public Dataset {
@@ -19,7 +19,7 @@ class ArkitScenes final : public Dataset {
   void read(int frame, FrameBuffer& out) const override { files_.read(frame, out); }
 
  private:
-  PhoneExport files_;
+  PosedPhotographs files_;
 };
 
 }  // namespace semfield

@@ -24,7 +24,7 @@ bool is_corrected(const fs::path& keyframes) {
 }
 
 // False when reported.
-bool read_camera(const std::string& path, PhonePhoto& photo, Diagnostics& diagnostics) {
+bool read_camera(const std::string& path, PosedPhotograph& photo, Diagnostics& diagnostics) {
   json root;
   try {
     root = json::parse(read_pose_file(path));
@@ -77,10 +77,10 @@ SceneInfo Polycam::open(Diagnostics& diagnostics) {
   const fs::path keyframes = fs::path(files_.root()) / "keyframes";
   const std::string kind = is_corrected(keyframes) ? "corrected_" : "";
   const bool has_depth = fs::is_directory(keyframes / "depth");
-  std::vector<PhonePhoto> photos;
+  std::vector<PosedPhotograph> photos;
   for (const std::string& image : files_with((keyframes / (kind + "images")).string(), kPhotographs)) {
     const std::string stem = fs::path(image).stem().string();
-    PhonePhoto photo;
+    PosedPhotograph photo;
     photo.image = image;
     photo.high = 255;
     if (!read_camera((keyframes / (kind + "cameras") / (stem + ".json")).string(), photo, diagnostics)) continue;

@@ -1,18 +1,14 @@
 // Record3D exports.
 #include "datasets/record3d/record3d.h"
 
-#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <limits>
 #include <nlohmann/json.hpp>
 
 #include "core/text.h"
-#include "formats/image_io.h"
 #include "formats/input_limits.h"
-#include "loading/camera_fit.h"
 #include "plugin/module.h"
-#include "scene/frame_split.h"
 #include "scene/rotation.h"
 #include "scene/scene_checks.h"
 
@@ -20,21 +16,6 @@ namespace semfield {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
-
-void describe(ParamVisitor& visit, Record3dParams& p) {
-  SEMFIELD_PARAM(visit, p, root, "folder of the export: it holds metadata.json, rgb/ and depth/");
-  SEMFIELD_PARAM(visit, p, test_every, "every N-th frame, by number, is held out for tests; 0 = none", {0, 1e6});
-  SEMFIELD_PARAM(visit, p, label_dir, "folder inside root of the label images <id>.png; empty = no labels");
-  SEMFIELD_PARAM(visit, p, classes, "class table (.yaml, .csv, .json); empty = the one found in root");
-  SEMFIELD_PARAM(visit, p, unknown_labels, "how a label id outside the class table is read: as an error, or as void");
-  SEMFIELD_PARAM(visit, p, missing, kMissingSentence);
-}
-
-void validate(const Record3dParams& p, Diagnostics& diagnostics) {
-  if (p.root.empty())
-    diagnostics.error("scene.root.unnamed", "root", "the scene's folder is not given", "set scene.root");
-  check_test_every(p.test_every, diagnostics);
-}
 
 namespace {
 
@@ -105,11 +86,6 @@ std::string recognise(const std::string& path, Record3dParams& p) {
   return "";
 }
 
-Record3d::Record3d(const Record3dParams& params, const DatasetBuild& build)
-    : params_(params), root_((fs::path(build.config_dir) / params.root).string()) {
-  if (!params.classes.empty()) class_file_ = (fs::path(build.config_dir) / params.classes).string();
-}
-
 Record3d::Recording Record3d::read_recording(const std::string& path, Diagnostics& diagnostics) {
   json root;
   try {
@@ -156,100 +132,39 @@ Record3d::Recording Record3d::read_recording(const std::string& path, Diagnostic
   return out;
 }
 
-// Colour is that of the photograph; labels have its size, depth its shape.
-void Record3d::add_frame(FrameInfo frame, const FrameFiles& files, FrameFileCheck& check, Diagnostics& diagnostics) {
-  frame.has_depth = !files.depth.empty();
-  frame.has_labels = !files.label.empty();
-  check.check_headers(frame, {files.color, "", files.label, ""}, diagnostics);
-  check_shape(files.depth, frame, "", diagnostics);
-  info_.frames.push_back(frame);
-  files_.push_back(files);
-}
-
 SceneInfo Record3d::open(Diagnostics& diagnostics) {
-  info_ = {};
-  info_.opengl_files = true;
-  files_.clear();
-  const fs::path root(root_);
-  for (const char* name : {"", "rgb"}) {
-    const fs::path folder = *name == '\0' ? root : root / name;
-    if (!fs::is_directory(folder))
-      throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + folder.string() + "' is missing",
-                  "check scene.root; it names the folder of one export");
-  }
+  files_.require({"", "rgb", kMetadata}, "an export of Record3D");
+  const fs::path root(files_.root());
   const std::string path = (root / kMetadata).string();
   const Recording recording = read_recording(path, diagnostics);
-  info_.name = fs::weakly_canonical(root).filename().string();
-  if (recording.poses.empty()) return info_;
-
-  const std::map<std::int64_t, std::string> images = numbered_photographs((root / "rgb").string(), diagnostics);
   const bool has_depth = fs::is_directory(root / "depth");
-  FrameFileCheck check(params_.missing, "label_dir");
-  CameraFit sizes;
-  std::vector<std::string> skipped;
-  std::size_t rank = 0;
-  check.expect(images.size());
-  for (const auto& [number, image] : images) {
-    const std::string stem = fs::path(image).stem().string();
-    FrameInfo frame;
-    frame.name = stem;
-    frame.source = image;
-    frame.split = HoldOut{params_.test_every}.split_of(rank++, images.size());
-    const std::string place = frame_place(frame);
+  std::vector<PosedPhotograph> photos;
+  if (recording.poses.empty()) return {};
+  for (const auto& [number, image] : numbered_photographs((root / "rgb").string(), diagnostics)) {
     // Frames that were deleted from the folder keep their poses in the file: only the number tells whose a pose is.
     const auto i = static_cast<std::size_t>(number);
     if (i >= recording.poses.size()) {
-      diagnostics.error("scene.pose.count", place,
+      diagnostics.error("scene.pose.count", image,
                         "'" + path + "' has " + std::to_string(recording.poses.size()) + " poses, of the frames 0 to " +
                             std::to_string(recording.poses.size() - 1),
                         "keep the names that the export gave, or remove the image");
       continue;
     }
+    PosedPhotograph photo;
+    photo.image = image;
+    if (has_depth) photo.depth = (root / "depth" / fs::path(image).stem()).string() + ".exr";
     const std::array<double, 7>& pose = recording.poses[i];
-    set_rotation(frame.world_from_camera, {pose[3], pose[0], pose[1], pose[2]});
-    frame.world_from_camera.t = {pose[4], pose[5], pose[6]};
-    frame.world_from_camera = opencv_from_opengl(frame.world_from_camera);
-    const PoseState state = check_pose(frame.world_from_camera, place, diagnostics);
-    if (state == PoseState::not_finite) skipped.push_back(frame.name);
-    FrameFiles files{image, has_depth ? (root / "depth" / (stem + ".exr")).string() : "", "", ""};
-    if (state != PoseState::good || !check.present(frame, files, diagnostics)) continue;
-    frame.camera = recording.camera;
+    set_rotation(photo.world_from_camera, {pose[3], pose[0], pose[1], pose[2]});
+    photo.world_from_camera.t = {pose[4], pose[5], pose[6]};
+    photo.world_from_camera = opencv_from_opengl(photo.world_from_camera);
+    photo.camera = recording.camera;
     if (!recording.lens.empty()) {
       const auto& [fx, fy, cx, cy] = recording.lens[i];
-      frame.camera = {frame.camera.width_px, frame.camera.height_px, fx, fy, cx, cy};
+      photo.camera = {photo.camera.width_px, photo.camera.height_px, fx, fy, cx, cy};
     }
-    if (!sizes.fit(image, place, frame.camera, diagnostics) || !check_camera(frame.camera, place, diagnostics))
-      continue;
-    if (!params_.label_dir.empty()) {
-      const fs::path label = root / params_.label_dir / (stem + ".png");
-      if (fs::exists(label)) files.label = label.string();
-    }
-    add_frame(std::move(frame), files, check, diagnostics);
+    photos.push_back(std::move(photo));
   }
-  sizes.report(root_, diagnostics);
-  check.report(root_, info_.frames.size(), diagnostics);
-  if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, info_.frames.size(), path, diagnostics);
-  const bool has_labels =
-      std::any_of(info_.frames.begin(), info_.frames.end(), [](const FrameInfo& f) { return f.has_labels; });
-  if (!params_.label_dir.empty() && !has_labels && !info_.frames.empty())
-    report_no_labels((root / params_.label_dir).string(), diagnostics);
-  info_.classes = load_class_file(class_file_, {root_}, has_labels, diagnostics);
-  return info_;
-}
-
-void Record3d::read(int frame, FrameBuffer& out) const {
-  const auto i = static_cast<std::size_t>(frame);
-  const FrameInfo& info = info_.frames.at(i);
-  const FrameFiles& files = files_.at(i);
-  read_frame_files(info, {files.color, "", files.label, ""}, {.unknown_labels = params_.unknown_labels}, info_.classes,
-                   out);
-  if (files.depth.empty()) return;
-  try {
-    out.depth_m = at_nearest_pixels(read_depth(files.depth), out.width_px, out.height_px);
-  } catch (Error& e) {
-    e.while_doing("frame '" + info.name + "'");
-    throw;
-  }
+  return files_.open(photos, true, diagnostics);
 }
 
 namespace {

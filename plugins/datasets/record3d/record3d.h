@@ -2,35 +2,22 @@
 #pragma once
 
 #include <array>
-#include <cstdint>
 #include <string>
 #include <vector>
 
-#include "config/params.h"
-#include "loading/frame_files.h"
+#include "loading/posed_photographs.h"
 #include "plugin/dataset.h"
 
 namespace semfield {
 
-struct Record3dParams {
-  std::string root;
-  std::int32_t test_every = 8;
-  std::string label_dir;
-  std::string classes;
-  UnknownLabels unknown_labels = UnknownLabels::error;
-  MissingFiles missing = MissingFiles::error;
-};
-void describe(ParamVisitor& visit, Record3dParams& params);
-void validate(const Record3dParams& params, Diagnostics& diagnostics);
+struct Record3dParams : PhotographParams {};
 std::string recognise(const std::string& path, Record3dParams& params);
 
-/// A frame has the size of its photograph. Its depth, of whatever size, covers the same picture and is read at the
-/// nearest pixel: an average across an edge would be a surface that is not there.
 class Record3d final : public Dataset {
  public:
-  Record3d(const Record3dParams& params, const DatasetBuild& build);
+  Record3d(const Record3dParams& params, const DatasetBuild& build) : files_(params, build.config_dir) {}
   SceneInfo open(Diagnostics& diagnostics) override;
-  void read(int frame, FrameBuffer& out) const override;
+  void read(int frame, FrameBuffer& out) const override { files_.read(frame, out); }
 
  private:
   /// What metadata.json tells.
@@ -40,12 +27,8 @@ class Record3d final : public Dataset {
     std::vector<std::array<double, 7>> poses;  ///< of each frame: quaternion x, y, z, w, and centre
   };
   static Recording read_recording(const std::string& path, Diagnostics& diagnostics);
-  void add_frame(FrameInfo frame, const FrameFiles& files, FrameFileCheck& check, Diagnostics& diagnostics);
 
-  Record3dParams params_;
-  std::string root_, class_file_;
-  SceneInfo info_;
-  std::vector<FrameFiles> files_;
+  PosedPhotographs files_;
 };
 
 }  // namespace semfield

@@ -92,7 +92,7 @@ SceneInfo StrayScanner::open(Diagnostics& diagnostics) {
   const Camera matrix = read_matrix((root / "camera_matrix.csv").string());
   const auto poses = odometry.by_frame();
   const bool has_depth = fs::is_directory(root / "depth"), of_frame = odometry.has("fx") && odometry.has("cx");
-  std::vector<PhonePhoto> photos;
+  std::vector<PosedPhotograph> photos;
   for (const auto& [number, image] : images) {
     const auto found = poses.find(number);
     if (found == poses.end()) {
@@ -103,7 +103,7 @@ SceneInfo StrayScanner::open(Diagnostics& diagnostics) {
     }
     const TextRow& row = *found->second;
     const auto at = [&](const char* name) { return odometry.value(row, name); };
-    PhonePhoto photo;
+    PosedPhotograph photo;
     photo.image = image;
     photo.camera = matrix;
     for (const auto& [name, member] :

@@ -1,4 +1,4 @@
-#include "loading/phone_export.h"
+#include "loading/posed_photographs.h"
 
 #include <algorithm>
 #include <filesystem>
@@ -14,8 +14,8 @@ namespace semfield {
 
 namespace fs = std::filesystem;
 
-void describe(ParamVisitor& visit, PhoneParams& p) {
-  SEMFIELD_PARAM(visit, p, root, "folder of the export");
+void describe(ParamVisitor& visit, PhotographParams& p) {
+  SEMFIELD_PARAM(visit, p, root, "folder of the scene");
   SEMFIELD_PARAM(visit, p, every, "every N-th photograph is read: those of a recording are many, and alike", {1, 1e6});
   SEMFIELD_PARAM(visit, p, test_every,
                  "every N-th frame, in the order of the recording, is held out for tests; 0 = none", {0, 1e6});
@@ -29,18 +29,18 @@ void describe(ParamVisitor& visit, PhoneParams& p) {
   SEMFIELD_PARAM(visit, p, missing, kMissingSentence);
 }
 
-void validate(const PhoneParams& p, Diagnostics& diagnostics) {
+void validate(const PhotographParams& p, Diagnostics& diagnostics) {
   if (p.root.empty())
     diagnostics.error("scene.root.unnamed", "root", "the scene's folder is not given", "set scene.root");
   check_test_every(p.test_every, diagnostics);
 }
 
-PhoneExport::PhoneExport(const PhoneParams& params, const std::string& config_dir)
+PosedPhotographs::PosedPhotographs(const PhotographParams& params, const std::string& config_dir)
     : params_(params), root_((fs::path(config_dir) / params.root).string()) {
   if (!params.classes.empty()) class_file_ = (fs::path(config_dir) / params.classes).string();
 }
 
-void PhoneExport::require(std::initializer_list<const char*> parts, const std::string& app) const {
+void PosedPhotographs::require(std::initializer_list<const char*> parts, const std::string& app) const {
   for (const char* part : parts) {
     const fs::path path = *part == '\0' ? fs::path(root_) : fs::path(root_) / part;
     std::error_code unknown;
@@ -51,7 +51,7 @@ void PhoneExport::require(std::initializer_list<const char*> parts, const std::s
   }
 }
 
-SceneInfo PhoneExport::open(const std::vector<PhonePhoto>& all, bool opengl_files, Diagnostics& diagnostics) {
+SceneInfo PosedPhotographs::open(const std::vector<PosedPhotograph>& all, bool opengl_files, Diagnostics& diagnostics) {
   info_ = {};
   info_.opengl_files = opengl_files;
   info_.name = fs::weakly_canonical(root_).filename().string();
@@ -63,11 +63,11 @@ SceneInfo PhoneExport::open(const std::vector<PhonePhoto>& all, bool opengl_file
   FrameMasks masks(root_, params_.masks);
   std::vector<std::string> skipped;
   bool has_labels = false;
-  std::vector<PhonePhoto> photos;
+  std::vector<PosedPhotograph> photos;
   for (std::size_t i = 0; i < all.size(); i += static_cast<std::size_t>(params_.every)) photos.push_back(all[i]);
   check.expect(photos.size());
   for (std::size_t i = 0; i < photos.size(); ++i) {
-    const PhonePhoto& photo = photos[i];
+    const PosedPhotograph& photo = photos[i];
     FrameInfo frame;
     frame.name = names.of(photo.image);
     frame.source = photo.image;
@@ -111,7 +111,7 @@ SceneInfo PhoneExport::open(const std::vector<PhonePhoto>& all, bool opengl_file
   return info_;
 }
 
-void PhoneExport::read(int frame, FrameBuffer& out) const {
+void PosedPhotographs::read(int frame, FrameBuffer& out) const {
   const auto i = static_cast<std::size_t>(frame);
   FrameFiles whole = files_.at(i);
   whole.depth.clear();

@@ -1,4 +1,5 @@
-// What exports of scanning apps have in common: photographs with poses, depth of another size with its confidence.
+// What a dataset of photographs with poses does whatever its files look like: checks, splits, labels, masks, and depth
+// of another size with its confidence. Exports of scanning apps are such datasets.
 #pragma once
 
 #include <array>
@@ -20,7 +21,7 @@ struct ChoiceNames<Confidence> {
   static constexpr std::array<std::string_view, 3> names{"low", "medium", "high"};
 };
 
-struct PhoneParams {
+struct PhotographParams {
   std::string root;
   std::int32_t every = 1;
   std::int32_t test_every = 8;
@@ -31,23 +32,23 @@ struct PhoneParams {
   UnknownLabels unknown_labels = UnknownLabels::error;
   MissingFiles missing = MissingFiles::error;
 };
-void describe(ParamVisitor& visit, PhoneParams& params);
-void validate(const PhoneParams& params, Diagnostics& diagnostics);
+void describe(ParamVisitor& visit, PhotographParams& params);
+void validate(const PhotographParams& params, Diagnostics& diagnostics);
 
-/// A photograph of an export, as its reader finds it.
-struct PhonePhoto {
+/// A photograph, as a reader finds it.
+struct PosedPhotograph {
   std::string image, depth;  ///< depth: "" where there is none
   std::string confidence;    ///< 8-bit, as large as the depth: 0 low, `high` high, anything between medium; "" for none
   int high = 2;
-  Camera camera;           ///< of images of the size that the export states
+  Camera camera;           ///< of images of the size that the files state
   Pose world_from_camera;  ///< OpenCV axes, metres
 };
 
-/// The frames of an export. A frame has the size of its photograph; depth covers the same picture and is read at the
+/// The frames of a folder. A frame has the size of its photograph; depth covers the same picture and is read at the
 /// nearest pixel, for an average across an edge would be a surface that is not there.
-class PhoneExport {
+class PosedPhotographs {
  public:
-  PhoneExport(const PhoneParams& params, const std::string& config_dir);
+  PosedPhotographs(const PhotographParams& params, const std::string& config_dir);
   /// Absolute, or from where the program runs.
   const std::string& root() const { return root_; }
   /// Throws Error(no_input) unless there are these folders and files in the root; says that `app` writes them.
@@ -55,16 +56,16 @@ class PhoneExport {
 
   /// Checks every N-th of the photographs, in their order, and makes frames of them; `opengl_files`: of SceneInfo. What
   /// is wrong with one goes into `diagnostics` under its place.
-  SceneInfo open(const std::vector<PhonePhoto>& photos, bool opengl_files, Diagnostics& diagnostics);
+  SceneInfo open(const std::vector<PosedPhotograph>& photos, bool opengl_files, Diagnostics& diagnostics);
   /// As Dataset::read.
   void read(int frame, FrameBuffer& out) const;
 
  private:
-  PhoneParams params_;
+  PhotographParams params_;
   std::string root_, class_file_;
   SceneInfo info_;
   std::vector<FrameFiles> files_;
-  std::vector<PhonePhoto> photos_;  ///< of each frame
+  std::vector<PosedPhotograph> photos_;  ///< of each frame
 };
 
 }  // namespace semfield
