@@ -132,6 +132,8 @@ Pose pose_of(const py::object& value, const std::string& place) {
   return pose;
 }
 
+constexpr const char *kFisheye = "fisheye", *kPanorama = "equirectangular";
+
 Camera camera_of(const py::dict& camera) {
   const auto width = camera["width"].cast<std::int64_t>(), height = camera["height"].cast<std::int64_t>();
   if (width > 0 && height > 0) check_image_limits(width, height);  // check_camera says what is wrong with others
@@ -145,6 +147,9 @@ Camera camera_of(const py::dict& camera) {
   const auto lens = camera["distortion"].cast<py::sequence>();
   double* const values[] = {&out.k1, &out.k2, &out.p1, &out.p2, &out.k3, &out.k4};
   for (std::size_t i = 0; i < lens.size() && i < 6; ++i) *values[i] = lens[i].cast<double>();
+  const auto kind = camera.contains("lens") ? camera["lens"].cast<std::string>() : std::string();
+  if (kind == kFisheye) out.lens = LensKind::fisheye;
+  if (kind == kPanorama) out.lens = LensKind::equirectangular;
   return out;
 }
 
@@ -156,6 +161,7 @@ py::dict camera_dict(const Camera& camera) {
   out["fy"] = camera.fy;
   out["cx"] = camera.cx;
   out["cy"] = camera.cy;
+  if (camera.is_wide()) out["lens"] = camera.lens == LensKind::fisheye ? kFisheye : kPanorama;
   out["distortion"] = py::make_tuple(camera.k1, camera.k2, camera.p1, camera.p2, camera.k3, camera.k4);
   return out;
 }
@@ -233,6 +239,10 @@ void fill_frame(const py::dict& pixels, const SceneInfo& info, int frame, FrameB
   if (own.has_labels)
     out.label =
         indices_of(pixels["labels"], info.classes, own.camera.height_px, own.camera.width_px, place + ": labels");
+  if (pixels.contains("mask") && !pixels["mask"].is_none()) {
+    const auto used = shaped<std::uint8_t>(pixels["mask"], {height, width}, place + ": mask");
+    out.used.assign(used.data(), used.data() + used.size());
+  }
   for (const FrameChannelInfo& channel : own.channels) {
     if (std::find(wanted.begin(), wanted.end(), channel.name) == wanted.end()) continue;
     const auto values = shaped<float>(pixels["channels"][py::str(channel.name)],

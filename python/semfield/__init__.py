@@ -28,6 +28,7 @@ except ModuleNotFoundError as missing:
 
 from . import errors
 from ._core import DeviceArray, __version__
+from .captures import Prepared, prepare
 from .devices import to_device
 from .errors import ConfigError, DataError, Error, Finding, InputError, UnavailableError, UsageError, WriteError
 from .labels import Labels
@@ -40,8 +41,8 @@ from .sweeps import Sweep, sweep
 
 __all__ = [
     "Camera", "ClassEntry", "CommandError", "ConfigError", "DataError", "Dataset", "DeviceArray", "Encoder", "Error",
-    "Finding", "Frame", "Head", "InputError", "Labels", "Loss", "Outcome", "Points", "Run", "Scene", "Score", "Step", "Sweep",
+    "Finding", "Frame", "Head", "InputError", "Labels", "Loss", "Outcome", "Points", "Prepared", "Run", "Scene", "Score", "Step", "Sweep",
     "Tensor", "Training", "UnavailableError", "UsageError", "View", "WriteError", "command", "dataset", "encoder", "errors",
-    "head", "load", "load_plugin", "loss", "open", "param", "plugins", "resolved", "resume", "sweep", "to_device", "train",
+    "head", "load", "load_plugin", "loss", "open", "param", "plugins", "prepare", "resolved", "resume", "sweep", "to_device", "train",
     "__version__",
 ]

@@ -16,7 +16,7 @@ import numpy as np
 
 from . import _core
 from .errors import UsageError
-from .scenes import Frame, PathLike, _class_rows, _floats, _number
+from .scenes import Frame, PathLike, _class_rows, _floats, _mask, _number
 
 
 @dataclasses.dataclass(frozen=True)
@@ -306,7 +306,7 @@ class Dataset(_Plugin):
 
     def _read(self, index: int) -> Dict[str, Any]:
         f = self.pixels(index)
-        return {"rgb": f.rgb, "labels": f.labels, "depth_m": f.depth_m, "channels": dict(f.channels)}
+        return {"rgb": f.rgb, "labels": f.labels, "depth_m": f.depth_m, "mask": _mask(f.mask), "channels": dict(f.channels)}
 
 
 E_ = TypeVar("E_", bound=Type[Encoder])

@@ -66,13 +66,15 @@ def _pixels(what: str, value: Any) -> int:
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """A pinhole camera with a lens.
+    """A camera and its lens.
 
     Attributes:
         width, height: pixels.
-        fx, fy: focal lengths, pixels; fy that is not given is fx.
+        fx, fy: focal lengths, pixels; fy that is not given is fx. Of a wide lens pixels per radian: a whole panorama has
+            width / (2 pi) and height / pi.
         cx, cy: principal point, pixels; the centre of the first pixel is (0.5, 0.5). Not given: the middle.
-        distortion: k1, k2, p1, p2, k3, k4 of the lens [Brown66]; missing ones are 0.
+        distortion: k1, k2, p1, p2, k3, k4 of the lens [Brown66]; missing ones are 0. A fisheye has k1 to k4 [Kannala06].
+        lens: "perspective", "fisheye" or "equirectangular"; depth of the latter two is the distance along the ray.
     """
 
     width: int
@@ -82,6 +84,7 @@ class Camera:
     cx: float = None  # type: ignore[assignment]
     cy: float = None  # type: ignore[assignment]
     distortion: Tuple[float, ...] = ()
+    lens: str = "perspective"
 
     def __post_init__(self) -> None:
         width, height = _pixels("camera: width", self.width), _pixels("camera: height", self.height)
@@ -89,6 +92,9 @@ class Camera:
         if len(lens) > 6:
             raise UsageError(f"camera: distortion has {len(lens)} numbers; k1, k2, p1, p2, k3, k4 are known",
                              code="python.value.length")
+        if self.lens not in ("perspective", "fisheye", "equirectangular"):
+            raise UsageError(f"camera: lens {self.lens!r}; perspective, fisheye and equirectangular are known",
+                             code="python.value.range")
         made: Dict[str, Any] = {"width": width, "height": height, "distortion": lens}
         for name, otherwise in (("fx", None), ("fy", self.fx), ("cx", width / 2), ("cy", height / 2)):
             given = getattr(self, name)
@@ -109,7 +115,7 @@ class Camera:
         """The same view at another size."""
         x, y = (_pixels(what, side) / own for what, side, own in
                 (("camera: width", width, self.width), ("camera: height", height, self.height)))
-        return Camera(width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y, self.distortion)
+        return Camera(width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y, self.distortion, self.lens)
 
     def _dict(self) -> Dict[str, Any]:
         return {**vars(self), "distortion": self.distortion + (0.0,) * (6 - len(self.distortion))}
@@ -148,6 +154,7 @@ class Frame(_Arrays):
         rgb: [H, W, 3] uint8, display-referred; None where pixels stay in the program (`Run.pixels`).
         labels: [H, W] class ids, -1 for none; None without labels.
         depth_m: [H, W] float32, z-depth in metres, 0 for none; None without depth.
+        mask: [H, W], 0 where a pixel is masked: it draws no ray and is in no score; None: every pixel counts.
         channels: further numbers by name, [h, w, k] float32 on grids of their own that cover the image, for losses that
             name them in `targets`; of a dataset's `frames`, their shapes alone.
     """
@@ -159,10 +166,15 @@ class Frame(_Arrays):
     rgb: Optional[np.ndarray[Any, Any]] = None
     labels: Optional[np.ndarray[Any, Any]] = None
     depth_m: Optional[np.ndarray[Any, Any]] = None
+    mask: Optional[np.ndarray[Any, Any]] = None
     has_labels: bool = False
     has_depth: bool = False
     source: str = ""
     channels: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+
+def _mask(mask: Optional[np.ndarray[Any, Any]]) -> Optional[np.ndarray[Any, Any]]:
+    return None if mask is None else (np.asarray(mask) != 0).astype(np.uint8)
 
 
 def _class_rows(classes: Any) -> List[Tuple[int, str, Optional[Tuple[int, int, int]], bool]]:
@@ -204,6 +216,7 @@ class Scene:
         file: where the packed scene is kept. None: a temporary file, which is gone with this object; a run of it can
             then not be saved.
         overwrite: a packed scene that `file` names already may be replaced; any other file never is.
+        masks: N arrays [H, W], 0 where a pixel is masked, or None.
 
     Raises:
         DataError: with everything that is wrong with every frame in `findings`.
@@ -227,6 +240,7 @@ class Scene:
         name: str = "arrays",
         file: Optional[PathLike] = None,
         overwrite: bool = False,
+        masks: Optional[Sequence[Optional[np.ndarray[Any, Any]]]] = None,
     ) -> None:
         if file is not None:
             _refuse_to_replace(os.fspath(file), overwrite)
@@ -239,9 +253,10 @@ class Scene:
         all_cameras = [cameras] * count if isinstance(cameras, Camera) else list(cameras)
         all_labels: List[Optional[np.ndarray[Any, Any]]] = [None] * count if labels is None else list(labels)
         all_depths: List[Optional[np.ndarray[Any, Any]]] = [None] * count if depths is None else list(depths)
+        all_masks: List[Optional[np.ndarray[Any, Any]]] = [None] * count if masks is None else list(masks)
         all_names = [f"{i:04d}" for i in range(count)] if names is None else [str(n) for n in names]
         for what, given in (("poses", poses), ("cameras", all_cameras), ("labels", all_labels),
-                            ("depths", all_depths), ("names", all_names)):
+                            ("depths", all_depths), ("masks", all_masks), ("names", all_names)):
             if len(given) != count:
                 raise UsageError(f"{what}: {len(given)} for {count} images", code="python.value.length")
         if count == 0:
@@ -268,7 +283,7 @@ class Scene:
         }
 
         def read(i: int) -> Dict[str, Any]:
-            return {"rgb": np.asarray(images[i]), "labels": all_labels[i], "depth_m": all_depths[i]}
+            return {"rgb": np.asarray(images[i]), "labels": all_labels[i], "depth_m": all_depths[i], "mask": _mask(all_masks[i])}
 
         self.temporary = file is None
         if file is None:

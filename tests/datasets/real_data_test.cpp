@@ -111,7 +111,7 @@ TEST(RealData, LlffAndTransformsOfOneSceneAgree) {
 TEST(RealData, Record3dDoor) {
   if (!std::filesystem::exists(data("record3d_door")))
     GTEST_SKIP() << "the optional recording of a phone is not at hand";
-  Record3d phone({.root = data("record3d_door")}, {});
+  Record3d phone(Record3dParams{{.root = data("record3d_door")}}, {});
   Diagnostics d;
   const LoadedScene s = load_scene(phone, {.width_px = 240}, d);
   for (const Diagnostic& x : d.all()) EXPECT_EQ(x.severity, Severity::note) << x.text();

@@ -43,9 +43,9 @@ std::vector<ParamDoc> params_of(const PluginEntry& entry) {
 
 Keys::Keys() {
   for (const SectionDoc& section : describe_sections()) add(section.path, section.params);
-  // By convention every dataset of files has these.
+  // By convention every dataset of files has these, or those that can say so.
   for (const char* key : {"train.schedule.legs", "scene.root", "scene.file", "scene.classes", "scene.type",
-                          "scene.unknown_labels", "passes.N"})
+                          "scene.unknown_labels", "scene.masks", "scene.least_confidence", "passes.N"})
     keys_.insert(key);
   register_linked_plugins(registry_);
   for (const PluginEntry* entry : registry_.entries()) {

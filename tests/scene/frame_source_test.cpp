@@ -98,6 +98,33 @@ TEST(LoadScene, MaskedPixelsHoldNothingAndMaskWhatTheyFallInto) {
   }
 }
 
+// The room through lenses whose depth is the distance: bounds and the check of poses read it as such.
+TEST(LoadScene, DepthOfWideLensesIsTheDistance) {
+  struct WideRoom : MaskedRoom {
+    void read(int i, FrameBuffer& out) const {
+      out = render_room(camera, room_pose(i));
+      out.instance.clear();
+    }
+  } room;
+  for (const LensKind lens : {LensKind::fisheye, LensKind::equirectangular}) {
+    room.camera = room_camera(64, 48);
+    room.camera.lens = lens;
+    room.camera.fx = lens == LensKind::fisheye ? 26 : 64 / (2 * M_PI);
+    room.camera.fy = lens == LensKind::fisheye ? 26 : 48 / M_PI;
+    Diagnostics d;
+    const LoadedScene scene = load_scene(room, {}, d);
+    EXPECT_FALSE(d.has_errors());
+    EXPECT_HAS(scene.geometry, "agree");
+    for (int a = 0; a < 3; ++a) {  // walls at 2, 1.5 and 2.5
+      const double half = a == 0 ? 2 : a == 1 ? 1.5 : 2.5;
+      EXPECT_NEAR(scene.bounds.hi[a], half, 0.3 * half) << a;
+      if (lens == LensKind::fisheye && a == 2) continue;  // it does not see what is behind it
+      EXPECT_NEAR(scene.bounds.lo[a], -half, 0.3 * half) << a;
+    }
+    EXPECT_GT(scene.far_m, 2.5);
+  }
+}
+
 TEST(LoadScene, PixelsWithoutARayAreMasked) {
   MaskedRoom room;
   room.camera.k1 = -0.25;  // r (1 - 0.25 r^2) grows up to r = 1.15, where it is 0.77; the corners are at 1.25

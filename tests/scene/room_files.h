@@ -50,7 +50,7 @@ inline FrameBuffer render_room(const Camera& c, const Pose& pose) {
     for (int x = 0; x < c.width_px; ++x) {
       const Vec3d d = c.direction(x + 0.5, y + 0.5);
       const Hit hit = trace(pose.t, pose.rotate(d));
-      out.depth_m.push_back(static_cast<float>(hit.t * d.z));
+      out.depth_m.push_back(static_cast<float>(hit.t * c.depth_of(d)));
       out.label.push_back(static_cast<std::int16_t>(hit.wall));
       out.instance.push_back(hit.wall + 1);
       for (int k = 0; k < 3; ++k) out.rgb.push_back(static_cast<std::uint8_t>(40 * hit.wall + 10 * k + 5));

@@ -133,18 +133,18 @@ Record3d::Recording Record3d::read_recording(const std::string& path, Diagnostic
 }
 
 SceneInfo Record3d::open(Diagnostics& diagnostics) {
-  files_.require({"", "rgb", kMetadata}, "an export of Record3D");
+  files_.require({"", "rgb", kMetadata}, "Record3D");
   const fs::path root(files_.root());
   const std::string path = (root / kMetadata).string();
   const Recording recording = read_recording(path, diagnostics);
-  const bool has_depth = fs::is_directory(root / "depth");
   std::vector<PosedPhotograph> photos;
   if (recording.poses.empty()) return {};
+  const bool has_depth = fs::is_directory(root / "depth");
   for (const auto& [number, image] : numbered_photographs((root / "rgb").string(), diagnostics)) {
     // Frames that were deleted from the folder keep their poses in the file: only the number tells whose a pose is.
     const auto i = static_cast<std::size_t>(number);
     if (i >= recording.poses.size()) {
-      diagnostics.error("scene.pose.count", image,
+      diagnostics.error("scene.pose.count", "'" + image + "'",
                         "'" + path + "' has " + std::to_string(recording.poses.size()) + " poses, of the frames 0 to " +
                             std::to_string(recording.poses.size() - 1),
                         "keep the names that the export gave, or remove the image");
@@ -152,7 +152,7 @@ SceneInfo Record3d::open(Diagnostics& diagnostics) {
     }
     PosedPhotograph photo;
     photo.image = image;
-    if (has_depth) photo.depth = (root / "depth" / fs::path(image).stem()).string() + ".exr";
+    if (has_depth) photo.depth = (root / "depth" / (fs::path(image).stem().string() + ".exr")).string();
     const std::array<double, 7>& pose = recording.poses[i];
     set_rotation(photo.world_from_camera, {pose[3], pose[0], pose[1], pose[2]});
     photo.world_from_camera.t = {pose[4], pose[5], pose[6]};

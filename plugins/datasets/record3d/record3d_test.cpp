@@ -45,12 +45,9 @@ std::string export_of(const json& meta, const std::vector<int>& kept = {0, 3, 10
   return folder;
 }
 
-Record3dParams params_of(const std::string& folder) {
-  Record3dParams p;
-  p.root = folder;
-  return p;
+SceneInfo open(const std::string& folder, Diagnostics& d) {
+  return Record3d(Record3dParams{{.root = folder}}, {}).open(d);
 }
-SceneInfo open(const std::string& folder, Diagnostics& d) { return Record3d(params_of(folder), {}).open(d); }
 
 std::string first_problem(const json& meta, const std::vector<int>& kept = {0, 3}) {
   Diagnostics d;
@@ -80,7 +77,7 @@ TEST(Record3d, PosesGoByTheNumberInTheName) {
 
 TEST(Record3d, DepthOfAnotherSizeIsNeverAveraged) {
   if (!images_available()) GTEST_SKIP() << "this build reads no EXR (SEMFIELD_WITH_IMAGES=OFF)";
-  Record3d scene(params_of(export_of(metadata())), {});
+  Record3d scene(Record3dParams{{.root = export_of(metadata())}}, {});
   Diagnostics d;
   const SceneInfo info = scene.open(d);
   FrameBuffer got;
@@ -153,8 +150,7 @@ TEST(Record3d, FramesWithoutDepthAndLabels) {
   const std::string folder = export_of(metadata());
   std::filesystem::remove(folder + "/depth/3.exr");
   std::filesystem::create_directories(folder + "/ids");
-  Record3dParams p = params_of(folder);
-  p.label_dir = "ids";
+  Record3dParams p{{.root = folder, .label_dir = "ids"}};
   Diagnostics d;
   Record3d(p, {}).open(d);
   EXPECT_HAS(d.all().at(0).text(), "depth image '" + folder + "/depth/3.exr' is missing");
