@@ -196,6 +196,7 @@ TEST(CameraSet, IsReadBackToTheBit) {
   for (const bool z_depth : {false, true}) {
     CameraSet set = two_cameras();
     set.z_depth = z_depth;
+    if (z_depth) set.cameras[1].camera.lens = LensKind::fisheye;
     write_cameras(path, set);
     EXPECT_TRUE(is_camera_set(path));
     Diagnostics diagnostics;
@@ -210,6 +211,7 @@ TEST(CameraSet, IsReadBackToTheBit) {
       EXPECT_EQ((std::array{c.width_px, c.height_px}), (std::array{d.width_px, d.height_px}));
       EXPECT_EQ((std::array{c.fx, c.fy, c.cx, c.cy, c.k1, c.k2, c.k3, c.k4, c.p1, c.p2}),
                 (std::array{d.fx, d.fy, d.cx, d.cy, d.k1, d.k2, d.k3, d.k4, d.p1, d.p2}));
+      EXPECT_EQ(c.lens, d.lens);
       EXPECT_EQ(a.world_from_camera.r, b.world_from_camera.r);
       EXPECT_EQ(a.world_from_camera.t, b.world_from_camera.t);
       EXPECT_EQ((std::array{a.near_m, a.far_m}), (std::array{b.near_m, b.far_m}));
@@ -261,6 +263,8 @@ TEST(CameraSet, WhatIsNoCameraIsNamedByFileAndNumber) {
       {{"\"k1\":0.0", "\"kl\":0.0"}, {"", "unknown key 'kl'; did you mean 'k1'?"}},
       {{"\"width\":8", "\"width\":8.5"}, {"", "'width' x 'height' is not a pair of whole numbers of pixels"}},
       {{"\"width\":8", "\"width\":1e9"}, {"", "limits.image_axis_px"}},
+      {{"\"fx\":8.0", "\"lens\":\"fish\",\"fx\":8.0"},
+       {"", "'lens' is none of perspective, fisheye and equirectangular"}},
       {{"[0,0,0,1]", "[0,0,1]"}, {"", "'world_from_camera' is no list of 4 rows of 4 numbers"}},
       {{"[0,0,0,1]", "[0,0,1,1]"}, {"", "the last row of the pose is not 0 0 0 1"}},
       {{"[1.0,0.0,0.0,0.0]", "[2.0,0.0,0.0,0.0]"}, {"", "pose is no rotation"}},
