@@ -2,6 +2,7 @@
 
 #include <filesystem>
 
+#include "scene/alpha.h"
 #include "scene/pixel_mask.h"
 #include "scene/scene_checks.h"
 
@@ -29,6 +30,8 @@ PackSummary pack_scene(Dataset& dataset, const std::string& path, const SceneLoa
       path, info,
       [&](int frame, FrameBuffer& out) {
         FrameBuffer whole;
+        for (const FrameChannelInfo& one : info.frames[static_cast<std::size_t>(frame)].channels)
+          if (one.name == kAlphaChannel) whole.wanted.emplace_back(one.name);
         dataset.read(frame, whole);
         convert_depth(whole, size.convention);
         const Camera& camera = info.frames[static_cast<std::size_t>(frame)].camera;

@@ -33,7 +33,7 @@ struct PixelPool {
   PixelChoice choice = PixelChoice::all_images;
   double labelled_share = 0;  ///< of the rays of label_balanced, drawn for their labels
   bool labels_apart = false;  ///< those rays come first of all and have no part in the colour loss
-  bool with_labels = false, with_depth = false, with_camera = false;
+  bool with_labels = false, with_depth = false, with_alpha = false, with_camera = false;
   /// Labelled pixels by rank, for label_balanced: blocks of `block` pixels of the labelled frames, the first one of
   /// each frame, and how many labelled pixels lie before each; the last entry counts all.
   std::int64_t block = 1;

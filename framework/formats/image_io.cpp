@@ -37,17 +37,37 @@ std::uint8_t blend(unsigned value, unsigned alpha, int background) {
   return static_cast<std::uint8_t>((mixed + 127) / 255);
 }
 
-Image<std::uint8_t> rgb_of_png(PngImage png, int alpha_background, std::vector<std::uint8_t>* transparency) {
-  Image<std::uint8_t> out{png.width_px, png.height_px, 3, {}};
-  if (png.channels == 3 && png.bits == 8) {
-    out.pixels = std::move(png.bytes);
-    return out;
+// Colour over the background, and alpha beside it where it is wanted.
+class RgbWriter {
+ public:
+  RgbWriter(std::int32_t width_px, std::int32_t height_px, int background, std::vector<std::uint8_t>* alpha)
+      : image{width_px, height_px, 3, {}}, background_(background), alpha_(alpha) {
+    const std::size_t pixels = static_cast<std::size_t>(width_px) * static_cast<std::size_t>(height_px);
+    image.pixels.resize(pixels * 3);
+    if (alpha_ != nullptr) alpha_->assign(pixels, 255);
   }
-  const std::size_t pixels = static_cast<std::size_t>(png.width_px) * static_cast<std::size_t>(png.height_px);
-  out.pixels.resize(pixels * 3);
+  void put(std::size_t pixel, const unsigned (&rgb)[3], unsigned alpha) {
+    for (std::size_t c = 0; c < 3; ++c)
+      image.pixels[pixel * 3 + c] =
+          background_ < 0 ? static_cast<std::uint8_t>(rgb[c]) : blend(rgb[c], alpha, background_);
+    if (alpha_ != nullptr) (*alpha_)[pixel] = static_cast<std::uint8_t>(alpha);
+  }
+  Image<std::uint8_t> image;
+
+ private:
+  int background_;
+  std::vector<std::uint8_t>* alpha_;
+};
+
+Image<std::uint8_t> rgb_of_png(PngImage png, int alpha_background, std::vector<std::uint8_t>* alpha_out) {
+  RgbWriter out(png.width_px, png.height_px, alpha_background, alpha_out);
+  if (png.channels == 3 && png.bits == 8) {
+    out.image.pixels = std::move(png.bytes);
+    return std::move(out.image);
+  }
+  const std::size_t pixels = out.image.pixels.size() / 3;
   const unsigned top = (1u << png.bits) - 1;
   const auto channels = static_cast<std::size_t>(png.channels);
-  const bool has_alpha = png.palette ? !png.palette_alpha.empty() : channels == 2 || channels == 4;
   const auto to8 = [top](unsigned v) { return top == 255 ? v : (v * 255 + top / 2) / top; };
   for (std::size_t i = 0; i < pixels; ++i) {
     const std::size_t first = i * channels;
@@ -65,13 +85,9 @@ Image<std::uint8_t> rgb_of_png(PngImage png, int alpha_background, std::vector<s
       for (std::size_t c = 0; c < 3; ++c) rgb[c] = to8(png.sample(first + (channels >= 3 ? c : 0)));
       if (channels == 2 || channels == 4) alpha = to8(png.sample(first + channels - 1));
     }
-    if (has_alpha && transparency != nullptr) transparency->push_back(static_cast<std::uint8_t>(alpha));
-    for (std::size_t c = 0; c < 3; ++c) {
-      out.pixels[i * 3 + c] =
-          alpha_background < 0 ? static_cast<std::uint8_t>(rgb[c]) : blend(rgb[c], alpha, alpha_background);
-    }
+    out.put(i, rgb, alpha);
   }
-  return out;
+  return std::move(out.image);
 }
 
 // A JPEG cut short decodes to grey without an error, so the end-of-image marker is looked for first.
@@ -121,28 +137,21 @@ CameraTag camera_tag(const std::string& path) {
   });
 }
 
-Image<std::uint8_t> read_rgb(const std::string& path, int alpha_background, std::vector<std::uint8_t>* transparency) {
+Image<std::uint8_t> read_rgb(const std::string& path, int alpha_background, std::vector<std::uint8_t>* alpha_out) {
   return naming(path, [&]() -> Image<std::uint8_t> {
     const std::string file = read_text_file(path, kMaxImageFileBytes);
-    if (looks_like_png(bytes_of(file))) return rgb_of_png(decode_png(bytes_of(file)), alpha_background, transparency);
+    if (looks_like_png(bytes_of(file))) return rgb_of_png(decode_png(bytes_of(file)), alpha_background, alpha_out);
     check_jpeg_end(file);
     Image<std::uint8_t> in = image_formats().read8(path);
+    RgbWriter out(in.width_px, in.height_px, alpha_background, alpha_out);
     if (in.channels == 3) return in;
-    Image<std::uint8_t> out{in.width_px, in.height_px, 3, {}};
     const auto channels = static_cast<std::size_t>(in.channels);
-    const std::size_t pixels = in.pixels.size() / channels;
-    out.pixels.resize(pixels * 3);
-    for (std::size_t i = 0; i < pixels; ++i) {
+    for (std::size_t i = 0; i < in.pixels.size() / channels; ++i) {
       const std::uint8_t* s = in.pixels.data() + i * channels;
-      const bool has_alpha = channels == 2 || channels == 4;
-      const unsigned alpha = has_alpha ? s[channels - 1] : 255u;
-      if (has_alpha && transparency != nullptr) transparency->push_back(static_cast<std::uint8_t>(alpha));
-      for (std::size_t c = 0; c < 3; ++c) {
-        const std::uint8_t value = s[channels >= 3 ? c : 0];
-        out.pixels[i * 3 + c] = alpha_background < 0 ? value : blend(value, alpha, alpha_background);
-      }
+      const unsigned rgb[3] = {s[0], s[channels >= 3 ? 1 : 0], s[channels >= 3 ? 2 : 0]};
+      out.put(i, rgb, channels == 2 || channels == 4 ? s[channels - 1] : 255u);
     }
-    return out;
+    return std::move(out.image);
   });
 }
 

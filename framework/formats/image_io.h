@@ -42,8 +42,7 @@ ImageSize image_size(const std::string& path);
 /// Nothing of a PNG. Throws as image_size.
 CameraTag camera_tag(const std::string& path);
 /// 8-bit colour, always 3 channels (grey replicated, alpha over `white`/dropped as `alpha_background` says: -1 drop,
-/// else 0..255). `alpha`, where it is not null, gets the transparency [H * W], 255 = opaque; it stays empty for an
-/// image without.
+/// else 0..255). `alpha`, if it is wanted, gets [H * W], 255 for every pixel of an image without.
 Image<std::uint8_t> read_rgb(const std::string& path, int alpha_background = -1,
                              std::vector<std::uint8_t>* alpha = nullptr);
 /// Single-channel integer image (labels, depth in mm, instances), 8 or 16 bit, values unchanged; palette PNGs give

@@ -12,6 +12,7 @@
 #include "formats/text_rows.h"
 #include "loading/camera_fit.h"
 #include "loading/load_progress.h"
+#include "scene/alpha.h"
 #include "scene/scene_checks.h"
 #include "scene/unknown_labels.h"
 #include "system/sorted_folder.h"
@@ -214,17 +215,19 @@ bool FrameFileCheck::present(const FrameInfo& frame, const char* what, const std
   return false;
 }
 
-void FrameFileCheck::check_headers(const FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics) {
-  check_header(frame, kColorImage, files.color, diagnostics);
+ImageSize FrameFileCheck::check_headers(const FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics) {
+  const ImageSize color = check_header(frame, kColorImage, files.color, diagnostics);
   for (const auto& [what, path] : kOptional) check_header(frame, what, files.*path, diagnostics);
+  return color;
 }
 
-void FrameFileCheck::check_header(const FrameInfo& frame, const char* what, const std::string& path,
-                                  Diagnostics& diagnostics) {
-  if (path.empty()) return;
+ImageSize FrameFileCheck::check_header(const FrameInfo& frame, const char* what, const std::string& path,
+                                       Diagnostics& diagnostics) {
+  ImageSize size;
+  if (path.empty()) return size;
   const bool is_label = what == kOptional[1].first;
   try {
-    const ImageSize size = image_size(path);
+    size = image_size(path);
     if (what == kColorImage && size.orientation != 1) turned_.push_back(frame.name);
     if (size.width_px != frame.camera.width_px || size.height_px != frame.camera.height_px) {
       const OtherSize wrong = other_size(what, path, size, frame.camera);
@@ -238,6 +241,7 @@ void FrameFileCheck::check_header(const FrameInfo& frame, const char* what, cons
   } catch (const Error& e) {
     diagnostics.error(e.code(), frame_place(frame), std::string(what) + " " + e.message(), e.remedy());
   }
+  return size;
 }
 
 void FrameFileCheck::report(const std::string& source, std::size_t frames_left, Diagnostics& diagnostics) const {
@@ -285,7 +289,8 @@ void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const Fra
     out.width_px = frame.camera.width_px;
     out.height_px = frame.camera.height_px;
     std::vector<std::uint8_t> alpha;
-    Image<std::uint8_t> color = read_rgb(files.color, rules.alpha_background, rules.alpha_masks ? &alpha : nullptr);
+    const bool wants_alpha = rules.alpha || rules.alpha_masks;
+    Image<std::uint8_t> color = read_rgb(files.color, rules.alpha_background, wants_alpha ? &alpha : nullptr);
     check_size(color, frame, files.color);
     out.rgb = std::move(color.pixels);
     if (!files.mask.empty()) {
@@ -293,8 +298,11 @@ void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const Fra
       check_size(mask, frame, files.mask);
       out.used = std::move(mask.pixels);
     }
-    if (!alpha.empty() && out.used.empty()) out.used.assign(alpha.size(), 1);
-    for (std::size_t i = 0; i < alpha.size(); ++i) out.used[i] = alpha[i] == 255 ? out.used[i] : 0;
+    if (rules.alpha_masks && std::any_of(alpha.begin(), alpha.end(), [](std::uint8_t a) { return a != 255; })) {
+      if (out.used.empty()) out.used.assign(alpha.size(), 1);
+      for (std::size_t i = 0; i < alpha.size(); ++i) out.used[i] = alpha[i] == 255 ? out.used[i] : 0;
+    }
+    if (rules.alpha) out.channels.push_back(alpha_channel(color.width_px, color.height_px, alpha));
     if (!files.depth.empty()) {
       Image<float> depth = read_depth(files.depth, rules.depth_unit_m);
       check_size(depth, frame, files.depth);

@@ -47,6 +47,7 @@ inline constexpr const char* kUnknownLabelRemedy =
 struct FrameReadRules {
   double depth_unit_m = 0.001;  ///< metres of one step of an integer depth image; float images are in metres
   int alpha_background = -1;    ///< see read_rgb
+  bool alpha = false;           ///< as a further channel
   UnknownLabels unknown_labels = UnknownLabels::error;  ///< what an id outside the class table is
   bool alpha_masks = false;                             ///< pixels of the colour image that are not opaque are masked
 };
@@ -78,13 +79,14 @@ class FrameFileCheck {
   /// The same for any file that a frame cannot do without; `what` is as in "pose".
   bool present(const FrameInfo& frame, const char* what, const std::string& path, Diagnostics& diagnostics);
   /// Headers only: every size equal to the camera's, labels of one channel. Each problem goes under the frame's place.
-  void check_headers(const FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics);
+  /// Returns that of the colour image; of one that cannot be read, zeros.
+  ImageSize check_headers(const FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics);
   /// After the last frame: says under `source` what was left out and how many images viewers turn by their EXIF
   /// orientation, and refuses a scene of which nothing is left.
   void report(const std::string& source, std::size_t frames_left, Diagnostics& diagnostics) const;
 
  private:
-  void check_header(const FrameInfo& frame, const char* what, const std::string& path, Diagnostics& diagnostics);
+  ImageSize check_header(const FrameInfo& frame, const char* what, const std::string& path, Diagnostics& diagnostics);
 
   MissingFiles missing_;
   std::string labels_key_;

@@ -14,6 +14,7 @@
 #include "formats/input_limits.h"
 #include "loading/lens_masks.h"
 #include "loading/load_progress.h"
+#include "scene/alpha.h"
 #include "scene/output_names.h"
 #include "scene/scene_checks.h"
 #include "scene/survey/geometry_survey.h"
@@ -78,11 +79,29 @@ std::size_t stored_bytes(const FrameInfo& f, const Camera& camera, const SceneLo
   if (f.has_instances && options.with_instances) each += 4;
   std::size_t bytes = pixels * each;
   for (const FrameChannelInfo& one : f.channels) {
-    if (wants_channel(options, f, one.name))
+    if (!wants_channel(options, f, one.name)) continue;
+    if (one.name == kAlphaChannel)
+      bytes += pixels;
+    else
       bytes += static_cast<std::size_t>(one.height) * static_cast<std::size_t>(one.width) *
                static_cast<std::size_t>(one.cols) * sizeof(float);
   }
   return bytes;
+}
+
+void check_alpha(const FrameChannel& alpha, const FrameInfo& f) {
+  if (alpha.width != f.camera.width_px || alpha.height != f.camera.height_px || alpha.cols != 1)
+    throw Error(ErrorKind::data, "scene.alpha.size",
+                "channel 'alpha' is " + size_text(alpha.width, alpha.height) + " with " + std::to_string(alpha.cols) +
+                    " numbers, and the image " + size_text(f.camera.width_px, f.camera.height_px),
+                "give one number for each pixel of the image, 0 to 1");
+  const auto bad = std::find_if(alpha.values.begin(), alpha.values.end(), [](float a) { return a < 0 || a > 1; });
+  if (bad == alpha.values.end()) return;
+  const auto at = bad - alpha.values.begin();
+  throw Error(ErrorKind::data, "scene.alpha.range",
+              "channel 'alpha' is " + shortest_number(static_cast<double>(*bad)) + " at x " +
+                  std::to_string(at % alpha.width) + ", y " + std::to_string(at / alpha.width),
+              "scale it to 0 (nothing of the subject) to 1 (the subject alone)");
 }
 
 // Every channel that was asked for, as open() told, and finite.
@@ -104,6 +123,7 @@ void check_channels(const FrameBuffer& b, const FrameInfo& f, std::size_t wanted
     if (!std::all_of(one.values.begin(), one.values.end(), [](float v) { return std::isfinite(v); }))
       throw Error(ErrorKind::data, "scene.channel.not_finite",
                   "channel '" + one.name + "' holds a value that is not finite", "write 0 where nothing is known");
+    if (one.name == kAlphaChannel) check_alpha(one, f);
   }
 }
 
@@ -229,7 +249,11 @@ FrameBuffer resize_frame(const FrameBuffer& frame, std::int32_t width, std::int3
   out.label = pick(frame.label, frame.width_px, cols, rows);
   out.instance = pick(frame.instance, frame.width_px, cols, rows);
   out.used = reduced_mask(frame.used, {frame.width_px, frame.height_px}, {width, height});
-  out.channels = frame.channels;  // their grids are their own
+  out.channels = frame.channels;  // their grids are their own, but that of alpha
+  for (FrameChannel& one : out.channels) {
+    if (one.name != kAlphaChannel) continue;
+    one = alpha_channel(width, height, resize_area({one.width, one.height, 1, alpha_bytes(one)}, width, height).pixels);
+  }
   return out;
 }
 

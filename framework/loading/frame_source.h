@@ -73,10 +73,11 @@ struct SceneReader {
 };
 
 /// Opens the dataset, reads all frames in parallel (one decoded frame a thread in memory beside the result), scales
-/// them - colour by area, labels, depth and instances by the nearest pixel, camera by Camera::resized; a pixel that any
-/// masked one falls into is masked, and so is one without a ray - hides what is masked, counts their classes, surveys
-/// their depth and packs them, all in the same turn. Every problem of every frame goes into `diagnostics`; the caller
-/// decides with throw_if_errors. Throws what open() throws. The result is the same for any number of threads.
+/// them - colour and alpha by area, labels, depth and instances by the nearest pixel, camera by Camera::resized; a
+/// pixel that any masked one falls into is masked, and so is one without a ray - hides what is masked, counts their
+/// classes, surveys their depth and packs them, all in the same turn. Every problem of every frame goes into
+/// `diagnostics`; the caller decides with throw_if_errors. Throws what open() throws. The result is the same for any
+/// number of threads.
 LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& options, Diagnostics& diagnostics);
 /// The same for any class with open() and read(): semfield::Dataset, or a test's own.
 template <class AnyDataset>

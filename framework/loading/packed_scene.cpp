@@ -16,6 +16,7 @@
 #include <utility>
 
 #include "formats/png_codec.h"
+#include "scene/alpha.h"
 #include "system/checksum.h"
 #include "system/files.h"
 
@@ -30,7 +31,7 @@ constexpr char kMagic[8] = {'S', 'E', 'M', 'F', 'P', 'A', 'C', 'K'};
 constexpr std::size_t kHeaderBytes = 64;
 constexpr std::uint64_t kMaxManifestBytes = std::uint64_t{1} << 30;
 constexpr std::uint32_t kDeflated = 1, kMillimetres = 2;
-constexpr const char* kChannelNames[] = {"colour", "depth", "label", "instance", "mask"};
+constexpr const char* kChannelNames[] = {"colour", "depth", "label", "instance", "mask", "alpha"};
 
 using Chunks = std::array<PackedScene::Chunk, PackedScene::kChannels>;
 
@@ -255,13 +256,17 @@ void write_packed_scene(const std::string& path, const SceneInfo& info,
     chunks[i][PackedScene::kLabel] = put_chunk(file, raw_bytes(frame.label), 0);
     chunks[i][PackedScene::kUsed] = put_chunk(file, raw_bytes(frame.used), 0);
     if (options.with_instances) chunks[i][PackedScene::kInstance] = put_chunk(file, raw_bytes(frame.instance), 0);
+    for (const FrameChannel& one : frame.channels)
+      if (one.name == kAlphaChannel) chunks[i][PackedScene::kAlpha] = put_chunk(file, raw_bytes(alpha_bytes(one)), 0);
   }
   SceneInfo copy = info;
   std::vector<ClassEntry> classes = info.classes.entries();
   Writer manifest;
   const bool is_old =
       std::all_of(chunks.begin(), chunks.end(),
-                  [](const Chunks& of) { return of[PackedScene::kUsed].raw_bytes == 0; }) &&
+                  [](const Chunks& of) {
+                    return of[PackedScene::kUsed].raw_bytes == 0 && of[PackedScene::kAlpha].raw_bytes == 0;
+                  }) &&
       std::none_of(info.frames.begin(), info.frames.end(), [](const FrameInfo& f) { return f.camera.is_wide(); });
   header.version = is_old ? 1 : kPackedVersion;
   walk(manifest, header.version, copy, classes, chunks);
@@ -333,7 +338,7 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
     if (!reader.finished() || info_.frames.size() != header.frames)
       throw refuse("scene.packed.damaged", "manifest does not match its header", again);
     info_.classes = ClassTable(std::move(classes));
-    static constexpr std::uint64_t kPixelBytes[kChannels] = {3, 4, 2, 4, 1};
+    static constexpr std::uint64_t kPixelBytes[kChannels] = {3, 4, 2, 4, 1, 1};
     for (std::size_t i = 0; i < info_.frames.size(); ++i) {
       FrameInfo& f = info_.frames[i];
       check_image_limits(f.camera.width_px, f.camera.height_px);
@@ -355,6 +360,7 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
       f.has_depth = chunks_[i][kDepth].raw_bytes > 0;
       f.has_labels = chunks_[i][kLabel].raw_bytes > 0;
       f.has_instances = chunks_[i][kInstance].raw_bytes > 0;
+      if (chunks_[i][kAlpha].raw_bytes > 0) f.channels.push_back(alpha_info(f.camera));
     }
   } catch (Error& e) {
     ::close(file_);
@@ -400,6 +406,7 @@ std::vector<std::byte> PackedScene::chunk_bytes(int frame, Channel channel) cons
 }
 
 void PackedScene::read(int frame, FrameBuffer& out) const {
+  const std::vector<std::string> wanted = std::move(out.wanted);
   out = {};
   const FrameInfo& info = info_.frames.at(static_cast<std::size_t>(frame));
   out.width_px = info.camera.width_px;
@@ -414,6 +421,8 @@ void PackedScene::read(int frame, FrameBuffer& out) const {
   out.label = typed<std::int16_t>(chunk_bytes(frame, kLabel));
   out.instance = typed<std::int32_t>(chunk_bytes(frame, kInstance));
   out.used = typed<std::uint8_t>(chunk_bytes(frame, kUsed));
+  if (!info.channels.empty() && std::find(wanted.begin(), wanted.end(), kAlphaChannel) != wanted.end())
+    out.channels.push_back(alpha_channel(out.width_px, out.height_px, typed<std::uint8_t>(chunk_bytes(frame, kAlpha))));
   const int classes = info_.classes.valid_count();
   for (const std::int16_t c : out.label) {
     if (c < kVoid || c >= classes) {

@@ -15,9 +15,9 @@ namespace semfield {
 /// Layout, little-endian: 64-byte header {magic "SEMFPACK", u32 version, u32 frames, u64 file bytes, u64 manifest
 /// offset, u64 manifest bytes, u32 CRC-32C of the manifest, 16 zero bytes, u32 CRC-32C of the 60 bytes before}, then
 /// the chunks, then the manifest. Labels are internal indices (the class table with the original ids is in the
-/// manifest), colour 8 bit, depth float metres or whole millimetres, instances 32 bit. A chunk is deflated where that
-/// makes it smaller. Version 2 has a byte for the lens behind each camera's numbers and a chunk of the pixels used, a
-/// byte each; scenes without masks and wide lenses are still written as version 1.
+/// manifest), colour and alpha 8 bit, depth float metres or whole millimetres, instances 32 bit. A chunk is deflated
+/// where that makes it smaller. Version 2 has a byte for the lens behind each camera's numbers, a chunk of the pixels
+/// used, a byte each, and one of alpha; scenes without any of them are still written as version 1.
 inline constexpr std::uint32_t kPackedVersion = 2;
 
 struct PackOptions {
@@ -27,8 +27,8 @@ struct PackOptions {
 };
 
 /// Writes `path` atomically, frame by frame: `read(frame, buffer)` is called once per frame in order, so one frame is
-/// in memory at a time. Frames that the callback leaves without a channel are stored without it. Throws Error(io), or
-/// what `read` throws.
+/// in memory at a time. Of further channels it writes `alpha`. Frames that the callback leaves without a channel are
+/// stored without it. Throws Error(io), or what `read` throws.
 void write_packed_scene(const std::string& path, const SceneInfo& info,
                         const std::function<void(int, FrameBuffer&)>& read, const PackOptions& options = {});
 
@@ -46,6 +46,7 @@ class PackedScene {
 
   const SceneInfo& info() const { return info_; }
   /// Thread-safe. Throws Error(data) naming file, frame and channel when a checksum or size is wrong.
+  /// Of further channels it gives those of FrameBuffer::wanted.
   void read(int frame, FrameBuffer& out) const;
 
   struct Chunk {
@@ -53,7 +54,7 @@ class PackedScene {
     std::uint32_t crc = 0;
     std::uint32_t format = 0;  ///< bit 0: deflated; bit 1: depth in millimetres
   };
-  enum Channel : std::size_t { kColor, kDepth, kLabel, kInstance, kUsed, kChannels };
+  enum Channel : std::size_t { kColor, kDepth, kLabel, kInstance, kUsed, kAlpha, kChannels };
 
  private:
   std::vector<std::byte> chunk_bytes(int frame, Channel channel) const;

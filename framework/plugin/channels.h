@@ -15,6 +15,7 @@ namespace semfield {
 ///   label       [R, 1] class, negative: none
 ///   soft_label  [R, C] class probabilities; a row of zeros: none
 ///   depth       [R, 1] metres along the ray; 0: unknown
+///   alpha       [R, 1] how much of the pixel the subject covers, 0 to 1; negative: unknown
 ///   camera      [R, 1] number of the training camera
 /// Outputs of a pass, a row per ray:
 ///   color       [R, 3]
@@ -24,8 +25,8 @@ namespace semfield {
 /// and a row per sample: weight [M, 1], sigma [M, 1] 1/m after activation.
 namespace channel {
 inline constexpr std::string_view color = "color", label = "label", soft_label = "soft_label", depth = "depth",
-                                  camera = "camera", opacity = "opacity", weight = "weight", sigma = "sigma",
-                                  logits = "logits";
+                                  alpha = "alpha", camera = "camera", opacity = "opacity", weight = "weight",
+                                  sigma = "sigma", logits = "logits";
 }  // namespace channel
 
 /// Most channels that a table holds.

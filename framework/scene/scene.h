@@ -13,7 +13,8 @@ namespace semfield {
 
 enum class Split : std::uint8_t { train, test, unused };
 
-/// A further channel that a frame offers, by name (plugin/channels.h): feature maps, normals, ...
+/// A further channel that a frame offers, by name (plugin/channels.h): feature maps, normals, ... The channel `alpha`
+/// has a column, 0 (nothing of the subject) to 1, on the grid of the image: it is scaled with the colours.
 struct FrameChannelInfo {
   std::string name;
   std::int32_t height = 0, width = 0;  ///< of its own grid, which covers the image

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "scene/alpha.h"
+
 namespace semfield {
 
 LabelMap::LabelMap(std::vector<std::int16_t> labels) {
@@ -61,7 +63,13 @@ StoredFrame::StoredFrame(FrameBuffer frame)
       label(std::move(frame.label)),
       instance(std::move(frame.instance)),
       mask(frame.used),
-      channels(std::move(frame.channels)) {}
+      channels(std::move(frame.channels)) {
+  const auto of_alpha =
+      std::find_if(channels.begin(), channels.end(), [](const FrameChannel& c) { return c.name == kAlphaChannel; });
+  if (of_alpha == channels.end()) return;
+  alpha = alpha_bytes(*of_alpha);
+  channels.erase(of_alpha);
+}
 
 const FrameChannel* StoredFrame::channel(std::string_view name) const {
   const auto found =
@@ -79,7 +87,8 @@ void StoredFrame::read_channel(std::string_view name, std::int32_t index, std::s
 }
 
 std::size_t StoredFrame::bytes() const {
-  std::size_t sum = rgb.capacity() + depth_m.bytes() + label.bytes() + mask.bytes() + instance.capacity() * 4;
+  std::size_t sum =
+      rgb.capacity() + alpha.capacity() + depth_m.bytes() + label.bytes() + mask.bytes() + instance.capacity() * 4;
   for (const FrameChannel& one : channels) sum += one.values.capacity() * sizeof(float);
   return sum;
 }

@@ -65,7 +65,8 @@ struct StoredFrame {
   LabelMap label;
   std::vector<std::int32_t> instance;
   PixelMask mask;
-  std::vector<FrameChannel> channels;
+  std::vector<std::uint8_t> alpha;     ///< [H * W] of the channel `alpha`, 255: the subject covers the pixel
+  std::vector<FrameChannel> channels;  ///< but `alpha`
 
   /// Whether no pixel of it counts, as of one that could not be read.
   bool is_unusable() const { return mask.masked_px() == std::int64_t{width_px} * height_px || rgb.empty(); }

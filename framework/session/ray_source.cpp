@@ -9,8 +9,11 @@
 #include "core/check.h"
 #include "core/error.h"
 #include "core/rng.h"
+#include "scene/alpha.h"
 
 namespace semfield {
+
+static_assert(channel::alpha == kAlphaChannel);
 
 std::vector<float>& BatchBuffers::of(std::string_view name) {
   const auto found = std::find_if(more.begin(), more.end(), [&](const Channel& one) { return one.name == name; });
@@ -83,21 +86,19 @@ void RaySource::relabel() {
 
 // Soft labels come without being asked for: the cross-entropy reads them.
 void RaySource::list_targets() {
+  using From = Target::From;
+  constexpr std::array kMade{std::pair{channel::depth, From::depth}, std::pair{channel::alpha, From::alpha},
+                             std::pair{channel::camera, From::camera}};
   targets_.clear();
   if (soft_logits_ > 0) targets_.push_back({std::string(channel::soft_label), soft_logits_, Target::From::soft_label});
   for (const std::string& name : options_.targets) {
     if (name == channel::color || name == channel::label || name == channel::soft_label) continue;
-    if (name == channel::depth) {
-      targets_.push_back({name, 1, Target::From::depth});
-      continue;
-    }
-    if (name == channel::camera) {
-      targets_.push_back({name, 1, Target::From::camera});
-      continue;
-    }
+    const auto made = std::find_if(kMade.begin(), kMade.end(), [&](const auto& one) { return one.first == name; });
+    if (made != kMade.end()) targets_.push_back({name, 1, made->second});
     const auto with = std::find_if(frames_.begin(), frames_.end(),
                                    [&](const TrainFrame& frame) { return frame.pixels->channel(name) != nullptr; });
-    if (with != frames_.end()) targets_.push_back({name, with->pixels->channel(name)->cols, Target::From::frame});
+    if (made == kMade.end() && with != frames_.end())
+      targets_.push_back({name, with->pixels->channel(name)->cols, Target::From::frame});
   }
 }
 
@@ -199,13 +200,10 @@ void RaySource::add_labels(const std::vector<LabelMap>& labels) {
 std::optional<PixelPool> RaySource::pool() const {
   PixelPool pool;
   for (const Target& target : targets_) {
-    if (target.from == Target::From::depth) {
-      pool.with_depth = true;
-    } else if (target.from == Target::From::camera) {
-      pool.with_camera = true;
-    } else {
-      return std::nullopt;
-    }
+    if (target.from == Target::From::soft_label || target.from == Target::From::frame) return std::nullopt;
+    pool.with_depth |= target.from == Target::From::depth;
+    pool.with_alpha |= target.from == Target::From::alpha;
+    pool.with_camera |= target.from == Target::From::camera;
   }
   for (const TrainFrame& f : frames_) {
     const bool labelled = !logit_of_class_.empty() && (f.labels != nullptr || f.added != nullptr);
@@ -306,6 +304,13 @@ float RaySource::depth_of(const BatchBuffers::Choice& choice, double cosine, con
   return t > near_far[0] && t < near_far[1] ? static_cast<float>(t) : 0.0F;
 }
 
+// Unknown where the frame has none, and of rays that are there for their labels alone.
+float RaySource::alpha_of(const BatchBuffers::Choice& choice) const {
+  const std::vector<std::uint8_t>& alpha = frames_[static_cast<std::size_t>(choice.pixel.frame)].pixels->alpha;
+  if (alpha.empty() || choice.group == RayGroup::label_only) return -1;
+  return static_cast<float>(alpha[static_cast<std::size_t>(choice.pixel.index)]) / 255.0F;
+}
+
 void RaySource::write_row(const BatchBuffers::Choice& choice, std::int64_t row, BatchBuffers& batch) const {
   const TrainFrame& frame = frames_[static_cast<std::size_t>(choice.pixel.frame)];
   const std::int32_t width = frame.pixels->width_px, index = choice.pixel.index;
@@ -325,6 +330,9 @@ void RaySource::write_row(const BatchBuffers::Choice& choice, std::int64_t row, 
         break;
       case Target::From::depth:
         out[0] = depth_of(choice, cosine, &batch.near_far[2 * s]);
+        break;
+      case Target::From::alpha:
+        out[0] = alpha_of(choice);
         break;
       case Target::From::camera:
         out[0] = static_cast<float>(choice.pixel.frame);

@@ -92,7 +92,8 @@ class RaySource {
   /// the source then needs the labels of before, and another call.
   void relabel();
 
-  /// For executors that draw batches on a device; none where batches carry more than colour, hard labels and depth.
+  /// For executors that draw batches on a device; none where batches carry more than colour, hard labels, depth and
+  /// alpha.
   std::optional<PixelPool> pool() const;
   /// Changes with the labels.
   std::uint64_t version() const { return version_; }
@@ -116,6 +117,7 @@ class RaySource {
   std::string place_of(const Pixel& pixel) const;
   void soft_label_of(const Pixel& pixel, std::span<float> out) const;
   float depth_of(const BatchBuffers::Choice& choice, double cosine, const double* near_far) const;
+  float alpha_of(const BatchBuffers::Choice& choice) const;
   void resize(BatchBuffers& batch) const;
   void write_row(const BatchBuffers::Choice& choice, std::int64_t row, BatchBuffers& batch) const;
 
@@ -125,7 +127,7 @@ class RaySource {
   struct Target {
     std::string name;
     std::int32_t cols = 0;
-    enum class From : std::uint8_t { soft_label, depth, camera, frame } from = From::frame;
+    enum class From : std::uint8_t { soft_label, depth, alpha, camera, frame } from = From::frame;
   };
   std::vector<Target> targets_;  // that batches carry beside colour and labels
   void list_targets();

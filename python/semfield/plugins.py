@@ -207,8 +207,8 @@ class Loss(_Plugin):
 
     Attributes:
         weight, from_step: of every loss; a subclass may give others: ``weight = sf.param(0.1, sf.Loss.weight.help, low=0)``.
-        targets: names of the targets that it cannot do without: "color", "label", "soft_label", "depth", or a channel of the
-            dataset.
+        targets: names of the targets that it cannot do without: "color", "label", "soft_label", "depth", "alpha", or a channel
+            of the dataset.
         heads: names of what heads make that it reads: "logits", or the channel of a head.
         moves: names of what it has gradients of: "color", "depth", "weight" and "sigma", or "logits" alone, or channels of
             heads alone.
@@ -237,7 +237,7 @@ class Loss(_Plugin):
 
         Args:
             targets: color [R, 3] in [0, 1], label [R, 1] class, negative: none, soft_label [R, C] probabilities, depth
-                [R, 1] metres, 0: unknown; those that the batch has.
+                [R, 1] metres, 0: unknown, alpha [R, 1] in [0, 1], negative: unknown; those that the batch has.
             values: color [R, 3], depth and opacity [R, 1], near_far [R, 2]; t, delta, sigma and weight [M, 1] of samples,
                 those of ray r from first[r, 0] to first[r + 1, 0]; logits [S, C] of the first S rays, those behind them
                 have no label. float32 or, as the oracle of the laws, float64.

@@ -2,6 +2,7 @@
 #include "cuda/steps/batch_drawer.h"
 
 #include "core/rng.h"
+#include "scene/alpha.h"
 #include "session/trainer.h"
 #include "tests/cuda/device_fixture.h"
 #include "tests/session/train_testing.h"
@@ -46,6 +47,9 @@ struct Frames {
         frame.used.resize(pixels);
         for (std::size_t i = 0; i < pixels; ++i) frame.used[i] = random(i + 9000, 3) > 0 ? 1 : 0;
       }
+      std::vector<std::uint8_t> alpha(pixels);
+      for (std::size_t i = 0; i < pixels; ++i) alpha[i] = static_cast<std::uint8_t>(random(i + 9000, 256));
+      if (f != 0) frame.channels = {alpha_channel(frame.width_px, frame.height_px, alpha)};
       RayCamera& camera = cameras[f];
       camera.camera.width_px = frame.width_px;
       camera.camera.height_px = frame.height_px;
@@ -114,6 +118,13 @@ void expect_same_batches(const RaySource& source, const PixelPool& pool, BatchDr
     }
     ASSERT_EQ(got.targets.more[channel::camera].empty(), !pool.with_camera);
     if (pool.with_camera) expect_bits(there(got.targets.more[channel::camera]), want.of(channel::camera), "camera");
+    const View<const float> alpha = got.targets.more[channel::alpha], seen_alpha = seen.targets.more[channel::alpha];
+    ASSERT_EQ(seen_alpha.empty(), !pool.with_alpha);
+    if (pool.with_alpha) {
+      const std::vector<float>& wanted = want.of(channel::alpha);
+      expect_bits(there(alpha), wanted, "alpha");
+      EXPECT_EQ(std::memcmp(seen_alpha.data, wanted.data(), wanted.size() * sizeof(float)), 0);
+    }
     if (pool.with_depth) {
       const std::vector<float>& wanted = want.of(channel::depth);
       expect_bits(there(depth), wanted, "depth");
@@ -155,6 +166,7 @@ TEST(CudaBatchDrawer, GivesTheBitsThatTheHostFills) {
             .train = {.rays = 2500, .ray_source = kind, .labelled_share = 0.3, .label_rays_teach_color = teach}};
         if (tile != 333) options.targets = {std::string(channel::depth)};
         if (tile != 32) options.targets.emplace_back(channel::camera);
+        if (tile != 3000) options.targets.emplace_back(channel::alpha);
         options.seed = 11 + static_cast<std::uint64_t>(tile);
         options.tile_rays = tile;
         RaySource source = frames.make(options);

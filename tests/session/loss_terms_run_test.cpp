@@ -34,7 +34,7 @@ TEST(LossConfig, MistakesAreNamedWithPlaceAndRemedy) {
   expect_says(errors_of("losses: [{type: distorsion}]\n"),
               {"room.yaml:",
                "no loss named 'distorsion'; known: cosine_distance, depth, distortion, generalised_cross_entropy, "
-               "near_density",
+               "near_density, silhouette",
                "did you mean 'distortion'?"});
   expect_says(errors_of("losses: [{type: depth, weight: -1}]\n"),
               {"room.yaml:", "losses.0.weight: expected number in [0, 1000000], got -1"});
@@ -151,8 +151,8 @@ TEST(ShippedConfigurations, PresetsNameTheDepthTerm) {
     return losses == nullptr ? std::string("none") : write_config_inline(*losses);
   };
   const std::string depth = "{type: depth, weight: 0.02}";
-  for (const char* preset : {"room", "object"})
-    EXPECT_EQ(losses_of(std::string("presets/") + preset + ".yaml"), "[" + depth + "]") << preset;
+  EXPECT_EQ(losses_of("presets/room.yaml"), "[" + depth + "]");
+  EXPECT_EQ(losses_of("presets/object.yaml"), "[" + depth + ", {type: silhouette, weight: 0.1}]");
   EXPECT_EQ(losses_of("presets/unbounded.yaml"), "[" + depth +
                                                      ", {type: distortion, weight: 0.03, from_step: 0}, {type: "
                                                      "near_density, weight: 0.01, from_step: 0}]");
@@ -176,8 +176,10 @@ TEST(LossConfig, LeaveOutSaysOfEachTermWhyItIsNotThere) {
                                       "loss_distortion: `losses` names no term of type distortion",
                                       "loss_generalised_cross_entropy: `losses` names no term of type "
                                       "generalised_cross_entropy",
-                                      "loss_near_density: `losses` names no term of type near_density"}));
-  EXPECT_EQ(rows(kEveryTerm), std::vector<std::string>{no_channel});
+                                      "loss_near_density: `losses` names no term of type near_density",
+                                      "loss_silhouette: `losses` names no term of type silhouette"}));
+  EXPECT_EQ(rows(std::string(kEveryTerm).insert(std::string(kEveryTerm).rfind(']'), ", {type: silhouette}")),
+            (std::vector<std::string>{no_channel, "loss_silhouette: no training frame has 'alpha'"}));
 }
 
 TEST(RaySourceDepth, IsTheDistanceAlongTheRayToTheFirstSurface) {

@@ -9,6 +9,7 @@
 
 #include "compute/parallel.h"
 #include "core/rng.h"
+#include "scene/alpha.h"
 #include "tests/says.h"
 
 namespace semfield {
@@ -81,6 +82,40 @@ TEST(RaySource, AMaskedPixelHasNoLabelWhoeverGaveItOne) {
   f.a.used[5] = 0;
   const RaySourceOptions balanced{.train = {.rays = 100, .ray_source = RaySourceKind::label_balanced}};
   EXPECT_ERROR(f.make(balanced), "labels.training.none", "label");
+}
+
+TEST(RaySource, AlphaIsThatOfThePixelAndUnknownElsewhere) {
+  Fixture f;
+  RaySourceOptions options{.train = {.rays = 256, .ray_source = RaySourceKind::label_balanced, .labelled_share = 0.25},
+                           .targets = {std::string(channel::alpha)}};
+  options.train.label_rays_teach_color = false;
+  std::vector<std::uint8_t> bytes(32);
+  for (std::size_t i = 0; i < bytes.size(); ++i) bytes[i] = static_cast<std::uint8_t>(8 * i);
+  f.a.channels = {alpha_channel(8, 4, bytes)};
+  const RaySource source = f.make(options);
+  BatchBuffers batch;
+  source.fill(3, batch);
+  const std::vector<float>& alpha = batch.of(channel::alpha);
+  int known = 0, unknown = 0, label_only = 0;
+  for (std::size_t row = 0; row < alpha.size(); ++row) {
+    const bool apart = static_cast<std::int64_t>(row) % batch.tile_rays <
+                       batch.label_only[row / static_cast<std::size_t>(batch.tile_rays)];
+    const bool of_a = batch.target[3 * row] == 0;
+    label_only += apart ? 1 : 0;
+    (of_a && !apart ? known : unknown) += 1;
+    if (!of_a || apart) {
+      EXPECT_EQ(alpha[row], -1) << "a frame without alpha, or a ray that is there for its label";
+      continue;
+    }
+    const std::string place = source.place_of_row(3, static_cast<std::int64_t>(row));
+    const int x = std::stoi(place.substr(place.find("x ") + 2)), y = std::stoi(place.substr(place.find("y ") + 2));
+    EXPECT_EQ(alpha[row], static_cast<float>(bytes[static_cast<std::size_t>(8 * y + x)]) / 255.0F) << place;
+  }
+  EXPECT_GT(known, 50);
+  EXPECT_GT(unknown, label_only);
+  EXPECT_EQ(label_only, 64);
+  ASSERT_TRUE(source.pool());
+  EXPECT_TRUE(source.pool()->with_alpha);
 }
 
 TEST(RaySource, OneImageTakesOneFrameAStep) {

@@ -26,15 +26,16 @@ std::vector<std::size_t> lenses_of(const PixelPool& pool) {
   return first;
 }
 
-// A batch in host memory, or one without data: those of labels and depth, or null.
-RayBatch batch_with(const PixelPool& pool, const std::int16_t* label, const float* depth) {
+// A batch in host memory, or one without data: that of labels, or null.
+RayBatch batch_with(const PixelPool& pool, const std::int16_t* label) {
   RayBatch batch;
   batch.origin = {nullptr, pool.rays, 3};
   batch.direction = {nullptr, pool.rays, 3};
   batch.near_far = {nullptr, pool.rays, 2};
   batch.targets.color = {nullptr, pool.rays, 3};
   if (pool.with_labels) batch.targets.label = {label, pool.rays, 1};
-  if (pool.with_depth) batch.targets.more.set(channel::depth, {depth, pool.rays, 1});
+  if (pool.with_depth) batch.targets.more.set(channel::depth, {nullptr, pool.rays, 1});
+  if (pool.with_alpha) batch.targets.more.set(channel::alpha, {nullptr, pool.rays, 1});
   if (pool.with_camera) batch.targets.more.set(channel::camera, {nullptr, pool.rays, 1});
   if (!pool.label_only.empty()) batch.label_only = {pool.label_only.data(), std::ssize(pool.label_only), 1};
   batch.tile_rays = pool.tile_rays;
@@ -42,7 +43,7 @@ RayBatch batch_with(const PixelPool& pool, const std::int16_t* label, const floa
 }
 BatchLayout layout_of(const PixelPool& pool) {
   static const std::int16_t some_label = 0;  // labels are there where their view is not empty
-  return BatchLayout(batch_with(pool, &some_label, nullptr));
+  return BatchLayout(batch_with(pool, &some_label));
 }
 
 template <class T>
@@ -57,6 +58,7 @@ std::size_t BatchDrawer::bytes_of(const PixelPool& pool, int ahead) {
   std::size_t per_pixel = 3, bytes = 0;
   if (pool.with_labels) per_pixel += sizeof(std::int16_t);
   if (pool.with_depth) per_pixel += sizeof(float);
+  if (pool.with_alpha) per_pixel += 1;
   for (const std::size_t f : lenses_of(pool))
     bytes += static_cast<std::size_t>(pixels_of(pool.frames[f])) * 3 * sizeof(double);
   bytes += pool.used_before.size() * (sizeof(std::uint64_t) + sizeof(std::uint32_t));
@@ -67,6 +69,7 @@ std::size_t BatchDrawer::bytes_of(const PixelPool& pool, int ahead) {
 BatchDrawer::BatchDrawer(const PixelPool& pool, int ahead)
     : with_labels_(pool.with_labels),
       with_depth_(pool.with_depth),
+      with_alpha_(pool.with_alpha),
       with_camera_(pool.with_camera),
       layout_(layout_of(pool)),
       ahead_(ahead) {
@@ -77,12 +80,14 @@ BatchDrawer::BatchDrawer(const PixelPool& pool, int ahead)
   send_labels(pool);
   if (with_labels_) seen_label_ = pinned<std::int16_t>(steps * rays, "pinned memory of labels");
   if (with_depth_) seen_depth_ = pinned<float>(steps * rays, "pinned memory of depth");
+  if (with_alpha_) seen_alpha_ = pinned<float>(steps * rays, "pinned memory of alpha");
   synchronize();
 }
 
 BatchDrawer::~BatchDrawer() {
   (void)cudaFreeHost(seen_label_);
   (void)cudaFreeHost(seen_depth_);
+  (void)cudaFreeHost(seen_alpha_);
 }
 
 void BatchDrawer::send_pixels(const PixelPool& pool) {
@@ -93,6 +98,7 @@ void BatchDrawer::send_pixels(const PixelPool& pool) {
   const auto pixels = static_cast<std::size_t>(pool.offsets.back());
   rgb_ = Buffer<std::byte>(3 * pixels, "colours of pixels");
   if (pool.with_depth) depth_ = Buffer<float>(pixels, "depth of pixels");
+  if (pool.with_alpha) alpha_ = Buffer<std::byte>(pixels, "alpha of pixels");
   if (pool.with_labels) label_ = Buffer<std::int16_t>(pixels, "labels of pixels");
   std::vector<HeldFrame> frames;
   for (std::size_t f = 0; f < pool.frames.size(); ++f) {
@@ -112,6 +118,10 @@ void BatchDrawer::send_pixels(const PixelPool& pool) {
       upload<float>(depth, depth_.data() + first);
       synchronize();
     }
+    if (pool.with_alpha && !frame.pixels->alpha.empty()) {
+      there.has_alpha = true;
+      upload<std::byte>(std::as_bytes(std::span(frame.pixels->alpha)), alpha_.data() + first);
+    }
     frames_.push_back(frame.pixels);
   }
   send_lenses(pool, frames);
@@ -124,6 +134,7 @@ void BatchDrawer::send_pixels(const PixelPool& pool) {
   held_.rgb = reinterpret_cast<const std::uint8_t*>(rgb_.data());
   held_.label = label_.data();
   held_.depth_m = depth_.data();
+  held_.alpha = reinterpret_cast<const std::uint8_t*>(alpha_.data());
   synchronize();
 }
 
@@ -201,7 +212,8 @@ void BatchDrawer::send_labels(const PixelPool& pool) {
 
 bool BatchDrawer::relabel(const PixelPool& pool) {
   if (pool.rays != rule_.rays || pool.tile_rays != rule_.tile_rays || pool.frames.size() != frames_.size() ||
-      pool.with_labels != with_labels_ || pool.with_depth != with_depth_ || pool.with_camera != with_camera_)
+      pool.with_labels != with_labels_ || pool.with_depth != with_depth_ || pool.with_alpha != with_alpha_ ||
+      pool.with_camera != with_camera_)
     return false;
   for (std::size_t f = 0; f < frames_.size(); ++f)
     if (pool.frames[f].pixels != frames_[f]) return false;
@@ -212,15 +224,16 @@ bool BatchDrawer::relabel(const PixelPool& pool) {
 void BatchDrawer::draw(std::int64_t step) {
   if (any_ && step >= first_ && step < first_ + ahead_) return;
   const RayBatch first = layout_.in(batches_.data());
-  const View<const float> depth = first.targets.more[channel::depth];
+  const ChannelTable<const float>& more = first.targets.more;
   DrawnBatches batches;
   batches.origin = const_cast<double*>(first.origin.data);
   batches.direction = const_cast<double*>(first.direction.data);
   batches.near_far = const_cast<double*>(first.near_far.data);
   batches.target = const_cast<float*>(first.targets.color.data);
   batches.label = const_cast<std::int16_t*>(first.targets.label.data);
-  batches.depth = const_cast<float*>(depth.data);
-  batches.camera = const_cast<float*>(first.targets.more[channel::camera].data);
+  batches.depth = const_cast<float*>(more[channel::depth].data);
+  batches.alpha = const_cast<float*>(more[channel::alpha].data);
+  batches.camera = const_cast<float*>(more[channel::camera].data);
   batches.stride = static_cast<std::int64_t>(layout_.bytes());
   draw_rays(held_, rule_, step, ahead_, reinterpret_cast<DrawnRay*>(scratch_.data()), batches);
   const auto fetch = [&](void* to, const void* from, std::size_t bytes) {
@@ -231,6 +244,7 @@ void BatchDrawer::draw(std::int64_t step) {
   const auto rays = static_cast<std::size_t>(rule_.rays);
   if (with_labels_) fetch(seen_label_, batches.label, rays * sizeof(std::int16_t));
   if (with_depth_) fetch(seen_depth_, batches.depth, rays * sizeof(float));
+  if (with_alpha_) fetch(seen_alpha_, batches.alpha, rays * sizeof(float));
   synchronize();
   first_ = step;
   any_ = true;
@@ -248,6 +262,7 @@ RayBatch BatchDrawer::seen(std::int64_t step) const {
   each_array(batch, [](auto& view) { view.data = nullptr, view.device = Device::cpu; });
   if (with_labels_) batch.targets.label.data = seen_label_ + at;
   if (with_depth_) batch.targets.more.set(channel::depth, {seen_depth_ + at, rule_.rays, 1});
+  if (with_alpha_) batch.targets.more.set(channel::alpha, {seen_alpha_ + at, rule_.rays, 1});
   if (with_camera_) batch.targets.more.set(channel::camera, {nullptr, rule_.rays, 1});
   return batch;
 }

@@ -14,6 +14,7 @@ struct HeldFrame {
   Pose world_from_camera;
   std::int32_t width_px = 0;
   RayLens lens;
+  bool has_alpha = false;
   const double* direction = nullptr;  ///< [H * W, 3] in camera axes, of a lens with distortion; null: a pinhole's
 };
 
@@ -27,6 +28,7 @@ struct HeldPixels {
   const std::uint8_t* rgb = nullptr;    ///< [pixels, 3]
   const std::int16_t* label = nullptr;  ///< [pixels] logits; null: the run has no semantics
   const float* depth_m = nullptr;       ///< [pixels] z-depth; null: no term reads it
+  const std::uint8_t* alpha = nullptr;  ///< [pixels] 255 is 1; null: likewise
   const std::int64_t* block_offsets = nullptr;
   const std::uint32_t* ranks_before = nullptr;
   std::int64_t blocks = 0;
@@ -62,6 +64,7 @@ struct DrawnBatches {
   float* target = nullptr;
   std::int16_t* label = nullptr;  ///< null: not wanted
   float* depth = nullptr;         ///< likewise
+  float* alpha = nullptr;         ///< likewise
   float* camera = nullptr;        ///< likewise
   std::int64_t stride = 0;
 };

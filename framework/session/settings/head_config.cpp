@@ -25,7 +25,7 @@ namespace {
 const std::vector<std::string> kKeys{"channel", "width", "source_width", "branch"};
 
 // Those that the framework makes or reads itself.
-constexpr std::array kTaken{channel::color,   channel::label,  channel::soft_label, channel::depth,
+constexpr std::array kTaken{channel::color,   channel::label,  channel::soft_label, channel::depth, channel::alpha,
                             channel::opacity, channel::weight, channel::sigma,      channel::logits};
 
 void check_channel(const HeadConfig& head, const std::vector<HeadConfig>& earlier, const ConfigNode& item,

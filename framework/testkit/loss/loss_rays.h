@@ -17,7 +17,7 @@ struct FurtherChannels {
 
   FurtherChannels() = default;
   explicit FurtherChannels(const LossTraits& traits) {
-    constexpr std::array known{channel::color, channel::label, channel::soft_label, channel::depth};
+    constexpr std::array known{channel::color, channel::label, channel::soft_label, channel::depth, channel::alpha};
     for (const std::string_view name : traits.targets)
       if (std::find(known.begin(), known.end(), name) == known.end()) target = name;
     for (const std::string_view name : traits.heads)
@@ -25,9 +25,9 @@ struct FurtherChannels {
   }
 };
 
-/// Random rays of given sample counts. Every third ray has no known depth; labels are hard or soft, one in four rays of
-/// the first half has none, and those of the second half have neither label nor logits. Of a further target every fifth
-/// ray has none, a row of zeros.
+/// Random rays of given sample counts. Every third ray has no known depth, every fifth no known alpha; labels are hard
+/// or soft, one in four rays of the first half has none, and those of the second half have neither label nor logits. Of
+/// a further target every fifth ray has none, a row of zeros.
 template <class Real>
 struct LossRays {
   explicit LossRays(const std::vector<int>& counts, std::uint64_t seed = 1, bool soft_labels = false,
@@ -60,6 +60,7 @@ struct LossRays {
       opacity.push_back(static_cast<float>(sum));
       const float truth = uniform(0.5, 4);
       depth_target.push_back(r % 3 == 2 || counts[r] == 0 ? 0.0F : truth);
+      alpha_target.push_back(r % 5 == 3 ? -1.0F : static_cast<float>(r % 4) / 3);
       first.push_back(static_cast<std::int32_t>(t.size()));
     }
     semantic_rays = (static_cast<std::int64_t>(counts.size()) + 1) / 2;
@@ -97,6 +98,7 @@ struct LossRays {
     out.color = mat(color_target, 3).row_range(begin, n);
     out.label = mat(label, 1).row_range(begin, n);
     out.more.set(channel::depth, mat(depth_target, 1).row_range(begin, n));
+    out.more.set(channel::alpha, mat(alpha_target, 1).row_range(begin, n));
     if (!soft.empty()) out.more.set(channel::soft_label, mat(soft, kClasses).row_range(begin, n));
     if (!further.target.empty()) out.more.set(further.target, mat(further_target, kColumns).row_range(begin, n));
     return out;
@@ -145,7 +147,7 @@ struct LossRays {
   std::vector<std::int16_t> label;
   std::vector<double> near_far;
   FurtherChannels further;
-  std::vector<float> color_target, depth_target, soft, further_target;
+  std::vector<float> color_target, depth_target, alpha_target, soft, further_target;
   std::vector<Real> t, delta, sigma, weight, color, depth, opacity, logits, made;
   std::vector<Real> d_color, d_depth, d_weight, d_sigma, d_logits, d_made;
 

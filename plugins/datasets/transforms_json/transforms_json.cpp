@@ -12,6 +12,7 @@
 #include "loading/camera_fit.h"
 #include "loading/frame_masks.h"
 #include "plugin/module.h"
+#include "scene/alpha.h"
 #include "scene/frame_split.h"
 #include "scene/scene_checks.h"
 
@@ -263,7 +264,10 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
     frame.has_instances = !files.instance.empty();
     has_labels = has_labels || frame.has_labels;
     has_depth = has_depth || frame.has_depth;
-    check.check_headers(frame, files, diagnostics);
+    const std::int32_t colors = check.check_headers(frame, files, diagnostics).channels;
+    if ((colors == 2 || colors == 4) && params_.alpha_background >= 0 &&
+        !in.channels.contains(std::string(kAlphaChannel)))
+      frame.channels.push_back(alpha_info(frame.camera));
     for (const auto& [name, file] : in.channels) {
       try {
         frame.channels.push_back(channel_info(name, file));
@@ -310,9 +314,13 @@ void TransformsJson::read(int frame, FrameBuffer& out) const {
   rules.alpha_background = params_.alpha_background;
   rules.alpha_masks = params_.alpha_masks;
   rules.unknown_labels = params_.unknown_labels;
+  const auto wants = [&](std::string_view name) {
+    return std::find(wanted.begin(), wanted.end(), name) != wanted.end();
+  };
+  rules.alpha = wants(kAlphaChannel) && !channels_[i].contains(std::string(kAlphaChannel));
   read_frame_files(info_.frames.at(i), files_.at(i), rules, info_.classes, out);
   for (const FrameChannelInfo& told : info_.frames[i].channels) {
-    if (std::find(wanted.begin(), wanted.end(), told.name) == wanted.end()) continue;
+    if (!wants(told.name) || (told.name == kAlphaChannel && rules.alpha)) continue;
     NumpyArray array = read_npy(channels_[i].at(told.name), [](std::span<const std::int64_t>) {});
     out.channels.push_back({told.name, told.height, told.width, told.cols, std::move(array.values)});
   }
