@@ -74,7 +74,9 @@ TEST(BranchChoice, KindsHaveTheirBorders) {
   EXPECT_EQ(sparse(4000, 7500, 1200), LabelKind::noisy) << "on a grid, and most of them wrong";
   EXPECT_EQ(sparse(4000, 1000, 0), LabelKind::many) << "too far from each other to tell";
   EXPECT_EQ(sparse(1000, 1900, 0), LabelKind::few) << "clicks: a class each, and so none agrees";
-  EXPECT_EQ(kind(1000000, 1990000, 1600000), LabelKind::many);
+  EXPECT_EQ(kind(1000000, 1990000, 1600000), LabelKind::dense);
+  EXPECT_EQ(kind(500000, 990000, 800000), LabelKind::dense);
+  EXPECT_EQ(kind(499999, 990000, 800000), LabelKind::many);
   EXPECT_EQ(kind(1000000, 1990000, 1580000), LabelKind::noisy);
   EXPECT_EQ(kind(1999, 0, 0), LabelKind::few);
   EXPECT_EQ(kind(2000, 0, 0), LabelKind::many);
@@ -93,18 +95,18 @@ TEST(BranchChoice, ASessionBuildsTheBranchForItsLabelsAndSaysSo) {
         Case{"degrade: [{type: super_resolution, factor: 4, mode: sparse}]", "identity", "many"},
         Case{"degrade: [{type: super_resolution, factor: 4, mode: sparse}, {type: pixel_noise, ratio: 0.9}]",
              "frequency", "noisy"},
-        Case{"frames: all", "identity", "many"},
-        Case{"degrade: [{type: super_resolution, factor: 4, mode: dense}]", "identity", "many"}}) {
+        Case{"frames: all", "identity", "dense"},
+        Case{"degrade: [{type: super_resolution, factor: 4, mode: dense}]", "identity", "dense"}}) {
     SCOPED_TRACE(c.labels);
     Registry registry = make_registry();
     const Session s = open_text(config_of(kThree, c.labels), registry);
     ASSERT_EQ(s.config.passes[0].semantic.size(), 1U);
     EXPECT_EQ(s.config.passes[0].branch()->position.entry->name, c.position);
     ASSERT_EQ(s.chosen_by_labels.size(), 1U);
-    EXPECT_HAS(
-        s.chosen_by_labels[0],
-        "passes.main.semantic." + std::string(c.kind == std::string("many") ? "any" : c.kind) + ": " + c.position,
-        "labels are " + std::string(c.kind));
+    EXPECT_HAS(s.chosen_by_labels[0],
+               "passes.main.semantic." + std::string(c.position == std::string("identity") ? "any" : c.kind) + ": " +
+                   c.position,
+               "labels are " + std::string(c.kind));
     EXPECT_HAS(describe_session(s), s.chosen_by_labels[0]);
     // What a run keeps names one branch, and opens as it is whatever the labels are then.
     Diagnostics diagnostics;
@@ -113,6 +115,22 @@ TEST(BranchChoice, ASessionBuildsTheBranchForItsLabelsAndSaysSo) {
     EXPECT_TRUE(choose_branches(again, {1000, 1, 0, 0}).empty());
     EXPECT_EQ(again.passes[0].branch()->position.entry->name, c.position);
   }
+}
+
+// Dense labels are many: a branch for many takes them unless an earlier one is for them.
+TEST(BranchChoice, DenseLabelsTakeABranchOfTheirOwnOrThatForMany) {
+  const auto key_of = [](const std::string& branches) {
+    return open_text(config_of("[" + branches + "]", "frames: all")).config.passes[0].branch()->key;
+  };
+  const std::string noisy_few = branch("noisy", "frequency") + ", " + branch("few", "one_blob") + ", ";
+  const std::string dense = branch("dense", "frequency"), many = branch("many", "identity");
+  EXPECT_EQ(key_of(noisy_few + dense + ", " + many), "semantic.dense");
+  EXPECT_EQ(key_of(noisy_few + dense + ", " + branch("any", "identity")), "semantic.dense");
+  EXPECT_EQ(key_of(noisy_few + many), "semantic.many");
+  EXPECT_HAS(error_of([&] { open_text(config_of("[" + noisy_few + many + ", " + dense + "]", "frames: all")); }),
+             "an earlier branch takes all labels");
+  EXPECT_HAS(error_of([&] { open_text(config_of("[" + noisy_few + dense + "]", "frames: all")); }),
+             "no branch is for labels: many");
 }
 
 TEST(BranchChoice, AListThatLeavesLabelsOutOrNamesThemTwiceIsRefused) {

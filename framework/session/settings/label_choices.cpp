@@ -71,7 +71,7 @@ LabelKind kind_of(const LabelStatistics& s) {
   } else if (!few && s.near_one_another() && s.agreement_apart() < kAgreementApart) {
     return LabelKind::noisy;
   }
-  return few ? LabelKind::few : LabelKind::many;
+  return few ? LabelKind::few : s.share() < kDenseShare ? LabelKind::many : LabelKind::dense;
 }
 
 namespace {
@@ -99,7 +99,8 @@ std::vector<std::string> choose_branches(RunConfig& config, const LabelStatistic
   for (PassConfig& pass : config.passes) {
     if (pass.semantic.size() < 2) continue;
     const auto fits = std::find_if(pass.semantic.begin(), pass.semantic.end(), [kind](const SemanticBranchConfig& b) {
-      return b.labels == kind || b.labels == LabelKind::any;
+      return b.labels == kind || b.labels == LabelKind::any ||
+             (kind == LabelKind::dense && b.labels == LabelKind::many);
     });
     SEMFIELD_CHECK(fits != pass.semantic.end(), "some branch is for every kind of labels");
     std::vector<SemanticBranchConfig> chosen;

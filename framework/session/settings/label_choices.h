@@ -35,8 +35,9 @@ LabelStatistics label_statistics(const LoadedScene& scene, const TrainingLabels&
 /// thin things in small frames leave fewer. Where fewer than kAgreement do, labels are noisy. On a grid of 8 to 32
 /// pixels 0.86 to 0.44 of the pairs of right labels agree (Replica walk, 320 and 160 pixels wide), and 0.23 to 0.10
 /// where half of the labels are wrong; the border there is kAgreementApart. Labels of under kFewShare of all pixels are
-/// few; the others are many. Few labels that have hardly a neighbour, such as clicks, cannot be seen to be noisy.
-inline constexpr double kAgreement = 0.8, kAgreementApart = 0.3, kFewShare = 0.002;
+/// few, those of kDenseShare and more are dense; the others are many. Few labels that have hardly a neighbour, such as
+/// clicks, cannot be seen to be noisy.
+inline constexpr double kAgreement = 0.8, kAgreementApart = 0.3, kFewShare = 0.002, kDenseShare = 0.5;
 LabelKind kind_of(const LabelStatistics& statistics);
 
 /// Leaves each pass the first branch for these labels, or for any. A sentence for each pass that had a choice.

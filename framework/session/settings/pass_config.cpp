@@ -29,7 +29,8 @@ void describe(ParamVisitor& visit, SemanticBranchConfig& branch) {
   SEMFIELD_PARAM(
       visit, branch, labels,
       "in a list, the labels that this branch is for; noisy: neighbouring labels often differ; few: fewer than one "
-      "training pixel in 500 has a label; many: all others; any: every kind");
+      "training pixel in 500 has a label; dense: half of them or more have one; many: all others, and dense ones "
+      "where no earlier branch is for them; any: every kind");
   describe(visit, branch.rules);
 }
 
@@ -114,17 +115,19 @@ std::vector<SemanticBranchConfig> read_branches(const ConfigNode& node, const st
     return branches;
   }
   std::array<bool, ChoiceNames<LabelKind>::names.size()> served{};
+  constexpr auto kMany = static_cast<std::size_t>(LabelKind::many);
   for (const ConfigNode& item : node.items()) {
     branches.push_back(read_branch(item, path + "." + item_key(node, branches.size()), registry, diagnostics));
     branches.back().key = "semantic." + item_key(node, branches.size() - 1);
     bool& known = served[static_cast<std::size_t>(branches.back().labels)];
-    if (known || served[0])
+    if (known || served[0] || (branches.back().labels == LabelKind::dense && served[kMany]))
       diagnostics.error("config.branch.unreached", item.location().text(),
                         path + ": an earlier branch takes all labels that this one is for", {});
     known = true;
   }
   for (std::size_t kind = 1; kind < served.size() && !served[0]; ++kind) {
-    if (!served[kind])
+    const bool among_many = kind == static_cast<std::size_t>(LabelKind::dense) && served[kMany];
+    if (!served[kind] && !among_many)
       diagnostics.error("config.branch.missing", node.location().text(),
                         path + ": no branch is for labels: " + std::string(ChoiceNames<LabelKind>::names[kind]),
                         "add one, or let the last one be for labels: any");

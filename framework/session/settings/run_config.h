@@ -108,10 +108,10 @@ struct PluginSlot {
 };
 
 /// Labels that a semantic branch is meant for; label_choices.h says which a scene has.
-enum class LabelKind : std::uint8_t { any, few, noisy, many };
+enum class LabelKind : std::uint8_t { any, few, noisy, many, dense };
 template <>
 struct ChoiceNames<LabelKind> {
-  static constexpr std::array<std::string_view, 4> names{"any", "few", "noisy", "many"};
+  static constexpr std::array<std::string_view, 5> names{"any", "few", "noisy", "many", "dense"};
 };
 
 /// What a pass's semantic branch is beside its plugins (model/head_branch.h).
