@@ -1,6 +1,6 @@
 #include "loading/posed_photographs.h"
 
-#include <algorithm>
+#include <cmath>
 #include <filesystem>
 
 #include "config/params_read.h"
@@ -33,6 +33,17 @@ void validate(const PhotographParams& p, Diagnostics& diagnostics) {
   if (p.root.empty())
     diagnostics.error("scene.root.unnamed", "root", "the scene's folder is not given", "set scene.root");
   check_test_every(p.test_every, diagnostics);
+}
+
+bool set_image_size(Camera& camera, double width, double height, const std::string& place, Diagnostics& diagnostics) {
+  const auto whole = [](double v) { return v >= 1 && v <= 1 << 20 && v == std::floor(v); };
+  if (!whole(width) || !whole(height)) {
+    diagnostics.error("scene.image.size", place, "states no image size of whole pixels", "export the recording again");
+    return false;
+  }
+  camera.width_px = static_cast<std::int32_t>(width);
+  camera.height_px = static_cast<std::int32_t>(height);
+  return true;
 }
 
 PosedPhotographs::PosedPhotographs(const PhotographParams& params, const std::string& config_dir)

@@ -44,6 +44,10 @@ struct PosedPhotograph {
   Pose world_from_camera;  ///< OpenCV axes, metres
 };
 
+/// Sets the size of a camera to numbers of a file; false (reported under `place`) unless they are whole numbers of
+/// pixels.
+bool set_image_size(Camera& camera, double width, double height, const std::string& place, Diagnostics& diagnostics);
+
 /// The frames of a folder. A frame has the size of its photograph; depth covers the same picture and is read at the
 /// nearest pixel, for an average across an edge would be a surface that is not there.
 class PosedPhotographs {

@@ -118,6 +118,34 @@ void fuzz_record3d(std::string_view bytes) {
   open_dataset("record3d", "root: record3d");
 }
 
+void fuzz_polycam(std::string_view bytes) {
+  for (const char* name : {"0", "1"}) {
+    put_image("polycam/keyframes/images/" + std::string(name) + ".png");
+    put("polycam/keyframes/cameras/" + std::string(name) + ".json", bytes);
+  }
+  open_dataset("polycam", "root: polycam");
+}
+
+// Parts: odometry.csv, camera_matrix.csv.
+void fuzz_stray_scanner(std::string_view bytes) {
+  const auto parts = parts_of(bytes, 2);
+  put("stray_scanner/odometry.csv", parts[0]);
+  put("stray_scanner/camera_matrix.csv", parts[1]);
+  for (const char* name : {"000000", "000002"}) put_image("stray_scanner/rgb/" + std::string(name) + ".png");
+  open_dataset("stray_scanner", "root: stray_scanner");
+}
+
+// Parts: lowres_wide.traj, the .pincam of both photographs.
+void fuzz_arkit_scenes(std::string_view bytes) {
+  const auto parts = parts_of(bytes, 2);
+  put("arkit_scenes/lowres_wide.traj", parts[0]);
+  for (const char* name : {"7_1.000", "7_1.100"}) {
+    put_image("arkit_scenes/lowres_wide/" + std::string(name) + ".png");
+    put("arkit_scenes/lowres_wide_intrinsics/" + std::string(name) + ".pincam", parts[1]);
+  }
+  open_dataset("arkit_scenes", "root: arkit_scenes");
+}
+
 // Parts: traj_w_c.txt, info_semantic.json.
 void fuzz_replica(std::string_view bytes) {
   const auto parts = parts_of(bytes, 2);

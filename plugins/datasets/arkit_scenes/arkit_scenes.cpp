@@ -42,6 +42,9 @@ std::map<double, Pose> read_trajectory(const std::string& path) {
   for (const TextRow& row : read_text_rows(path, '\n')) {
     const std::vector<double> v = numbers_of(row, 7);
     const double angle = std::hypot(v[1], v[2], v[3]), s = angle > 0 ? std::sin(angle / 2) / angle : 0.5;
+    if (!std::isfinite(v[0]))
+      throw Error(ErrorKind::data, "scene.index.value", row.place + ": the time is not finite",
+                  "download the scene again");
     Pose& pose = out[v[0]];
     set_rotation(pose, {std::cos(angle / 2), -s * v[1], -s * v[2], -s * v[3]});  // turned back: world from camera
     pose.t = pose.rotate({v[4], v[5], v[6]}) * -1.0;
@@ -91,7 +94,7 @@ SceneInfo ArkitScenes::open(Diagnostics& diagnostics) {
     const std::string stem = fs::path(image).stem().string();
     const std::size_t at = stem.rfind('_') + 1;
     double time = 0;
-    if (at == 0 || !parse_number(std::string_view(stem).substr(at), time)) {
+    if (at == 0 || !parse_number(std::string_view(stem).substr(at), time) || !std::isfinite(time)) {
       diagnostics.error("scene.frame.name", "'" + image + "'", "the name does not end with the time of the frame",
                         "keep the names of the download: <video>_<seconds>.png");
       continue;
@@ -110,8 +113,7 @@ SceneInfo ArkitScenes::open(Diagnostics& diagnostics) {
       continue;
     }
     const std::vector<double> v = numbers_of(rows.front(), 6);
-    photo.camera.width_px = static_cast<std::int32_t>(v[0]);
-    photo.camera.height_px = static_cast<std::int32_t>(v[1]);
+    if (!set_image_size(photo.camera, v[0], v[1], lens, diagnostics)) continue;
     photo.camera.fx = v[2];
     photo.camera.fy = v[3];
     photo.camera.cx = v[4];

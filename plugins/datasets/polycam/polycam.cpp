@@ -48,14 +48,13 @@ bool read_camera(const std::string& path, PosedPhotograph& photo, Diagnostics& d
   for (const char row : {'0', '1', '2'})
     for (const char column : {'0', '1', '2', '3'}) rows.push_back(number(std::string("t_") + row + column));
   Camera& c = photo.camera;
-  c.width_px = static_cast<std::int32_t>(number("width"));
-  c.height_px = static_cast<std::int32_t>(number("height"));
+  const double width = number("width"), height = number("height");
   c.fx = number("fx");
   c.fy = number("fy");
   c.cx = number("cx");
   c.cy = number("cy");
   photo.world_from_camera = opencv_from_opengl(pose_from_rows(rows));
-  return sound;
+  return sound && set_image_size(c, width, height, path, diagnostics);
 }
 
 }  // namespace

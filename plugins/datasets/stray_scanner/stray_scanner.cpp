@@ -35,9 +35,12 @@ class Odometry {
   // The row of each frame by its number, which is its place where no column tells it.
   std::map<std::int64_t, const TextRow*> by_frame() const {
     std::map<std::int64_t, const TextRow*> out;
-    for (std::size_t i = 1; i < rows_.size(); ++i)
-      out[has("frame") ? static_cast<std::int64_t>(value(rows_[i], "frame")) : static_cast<std::int64_t>(i) - 1] =
-          &rows_[i];
+    for (std::size_t i = 1; i < rows_.size(); ++i) {
+      const double number = has("frame") ? value(rows_[i], "frame") : static_cast<double>(i - 1);
+      if (!(number >= 0 && number <= 1e9))
+        throw Error(ErrorKind::data, "scene.index.value", rows_[i].place + ": 'frame' is no number of a frame", kAgain);
+      out[static_cast<std::int64_t>(number)] = &rows_[i];
+    }
     return out;
   }
   double value(const TextRow& row, const char* name) const {
