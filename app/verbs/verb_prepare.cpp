@@ -12,9 +12,9 @@
 #include "app/scene/folder_scene.h"
 #include "app/signals.h"
 #include "app/verb.h"
-#include "capture/prepare.h"
 #include "core/findings.h"
 #include "core/text.h"
+#include "loading/capture/prepare.h"
 
 namespace semfield::app {
 

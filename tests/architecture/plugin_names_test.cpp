@@ -24,7 +24,7 @@ const std::set<std::string> kMayName{
 // COLMAP is a program too, which these run, and whose files they read.
 bool means_the_program(const std::string& file, const std::string& plugin) {
   return plugin == "colmap" &&
-         (file.starts_with("framework/capture/") || file.starts_with("framework/loading/colmap_"));
+         (file.starts_with("framework/loading/capture/") || file.starts_with("framework/loading/colmap_"));
 }
 
 bool part_of_name(char c) { return std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '_'; }

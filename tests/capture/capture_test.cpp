@@ -3,12 +3,12 @@
 #include <algorithm>
 #include <set>
 
-#include "capture/misplaced.h"
-#include "capture/photographs.h"
-#include "capture/prepare_state.h"
-#include "capture/reconstruct.h"
-#include "capture/sharpness.h"
 #include "core/rng.h"
+#include "loading/capture/misplaced.h"
+#include "loading/capture/photographs.h"
+#include "loading/capture/prepare_state.h"
+#include "loading/capture/reconstruct.h"
+#include "loading/capture/sharpness.h"
 #include "tests/capture/model_files.h"
 #include "tests/capture/tiff_bytes.h"
 

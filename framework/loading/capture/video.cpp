@@ -1,4 +1,4 @@
-#include "capture/video.h"
+#include "loading/capture/video.h"
 
 #include <algorithm>
 #include <cmath>
@@ -6,8 +6,8 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "capture/sharpness.h"
 #include "core/text.h"
+#include "loading/capture/sharpness.h"
 #include "system/files.h"
 
 namespace semfield {

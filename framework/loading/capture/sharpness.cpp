@@ -1,4 +1,4 @@
-#include "capture/sharpness.h"
+#include "loading/capture/sharpness.h"
 
 #include <algorithm>
 #include <cmath>

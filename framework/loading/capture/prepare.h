@@ -6,9 +6,9 @@
 #include <string>
 #include <vector>
 
-#include "capture/photographs.h"
-#include "capture/programs.h"
-#include "capture/reconstruct.h"
+#include "loading/capture/photographs.h"
+#include "loading/capture/programs.h"
+#include "loading/capture/reconstruct.h"
 
 namespace semfield {
 

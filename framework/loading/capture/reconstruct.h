@@ -5,8 +5,8 @@
 #include <string>
 #include <vector>
 
-#include "capture/colmap_steps.h"
-#include "capture/prepare_state.h"
+#include "loading/capture/colmap_steps.h"
+#include "loading/capture/prepare_state.h"
 
 namespace semfield {
 

@@ -1,4 +1,4 @@
-#include "capture/photographs.h"
+#include "loading/capture/photographs.h"
 
 #include <algorithm>
 #include <array>

@@ -1,12 +1,12 @@
-#include "capture/reconstruct.h"
+#include "loading/capture/reconstruct.h"
 
 #include <algorithm>
 #include <filesystem>
 #include <optional>
 #include <set>
 
-#include "capture/misplaced.h"
 #include "core/text.h"
+#include "loading/capture/misplaced.h"
 #include "loading/colmap_model.h"
 #include "system/files.h"
 

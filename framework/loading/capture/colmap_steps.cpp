@@ -1,4 +1,4 @@
-#include "capture/colmap_steps.h"
+#include "loading/capture/colmap_steps.h"
 
 #include <algorithm>
 #include <filesystem>

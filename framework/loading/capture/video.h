@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "capture/programs.h"
+#include "loading/capture/programs.h"
 
 namespace semfield {
 

@@ -1,4 +1,4 @@
-#include "capture/prepare_state.h"
+#include "loading/capture/prepare_state.h"
 
 #include <filesystem>
 #include <nlohmann/json.hpp>

@@ -1,4 +1,4 @@
-#include "capture/prepare.h"
+#include "loading/capture/prepare.h"
 
 #include <algorithm>
 #include <cerrno>
@@ -6,13 +6,13 @@
 #include <filesystem>
 #include <set>
 
-#include "capture/colmap_steps.h"
-#include "capture/prepare_state.h"
-#include "capture/sharpness.h"
-#include "capture/video.h"
 #include "compute/parallel.h"
 #include "core/text.h"
 #include "formats/image_io.h"
+#include "loading/capture/colmap_steps.h"
+#include "loading/capture/prepare_state.h"
+#include "loading/capture/sharpness.h"
+#include "loading/capture/video.h"
 #include "system/files.h"
 #include "system/folder_lock.h"
 #include "system/sha256.h"

@@ -1,4 +1,4 @@
-#include "capture/misplaced.h"
+#include "loading/capture/misplaced.h"
 
 #include <algorithm>
 #include <map>

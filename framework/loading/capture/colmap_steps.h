@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "capture/programs.h"
+#include "loading/capture/programs.h"
 
 namespace semfield {
 

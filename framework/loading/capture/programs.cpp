@@ -1,4 +1,4 @@
-#include "capture/programs.h"
+#include "loading/capture/programs.h"
 
 #include <algorithm>
 
