@@ -17,16 +17,6 @@ namespace semfield::cuda {
 
 namespace {
 
-void gradient_of_weight(View<const float> x, View<const float> dz, View<float> d_weight, View<float> d_bias,
-                        Workspace& arena) {
-  LinearBackward<float, float> call;
-  call.x = x;
-  call.dz = dz;
-  call.d_weight = d_weight;
-  call.d_bias = d_bias;
-  linear_backward(call, arena);
-}
-
 View<float> writable(View<const float> rows) {
   return {const_cast<float*>(rows.data), rows.rows, rows.cols, rows.row_stride, rows.device};
 }
@@ -51,20 +41,18 @@ struct DeviceLayers {
         }
       };
       for (const MlpLayer& layer : graph.layers) {
-        const View<const float> of_layer = t.value[static_cast<std::size_t>(layer.bias)];
-        const View<const Act> rounded = layer.parts.empty() ? View<const Act>() : as_act(of_layer);
+        const View<const Act> rounded =
+            layer.parts.empty() ? View<const Act>() : as_act(t.value[static_cast<std::size_t>(layer.bias)]);
         for (const MlpPart& part : layer.parts) {
           if (part.from.node == kRayInput) continue;
           const auto n = static_cast<std::size_t>(part.number);
           of[n] = as_act(
               t.value[static_cast<std::size_t>(part.weight.weight)].row_range(part.weight.first, part.weight.rows));
-          bias[n] = of_layer;
           rounded_bias[n] = rounded;
         }
       }
     }
     std::array<View<const Act>, kMostMlpParts> of, rounded_bias;
-    std::array<View<const float>, kMostMlpParts> bias;
   };
 
   /// Rows begin at multiples of 16 bytes, as products want them.
@@ -129,7 +117,7 @@ struct DeviceLayers {
   }
   static void ray_weight_gradient(View<const float> rows, View<const float> d_term, View<float> d_weight,
                                   View<float> d_bias, Workspace& arena) {
-    gradient_of_weight(rows, d_term, d_weight, d_bias, arena);
+    DeviceLayers<float>::weight_gradient(rows, d_term, d_weight, d_bias, arena);
   }
   static void per_ray_sum(View<const Act> dz, View<const std::int32_t> ray_of_sample, View<float> d_term) {
     per_ray_backward<Act>(dz, ray_of_sample, d_term);
