@@ -27,6 +27,7 @@ struct DeviceLayers {
   using Act = Row;
   using Real = float;
   static constexpr bool kRounds = !std::is_same_v<Act, float>;
+  static constexpr bool kColumnsAlone = false;  // a narrower product may add in another order
 
   /// [in, out] of each part, and its layer's bias [1, out]: the tensors themselves, or copies.
   struct Weights {

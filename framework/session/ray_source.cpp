@@ -84,20 +84,24 @@ void RaySource::relabel() {
   if (!balanced() && !options_.labels_may_come) throw no_labelled_pixel();
 }
 
-// Soft labels come without being asked for: the cross-entropy reads them.
+// Soft labels come without being asked for: the cross-entropy reads them. Channels that the source makes itself come
+// first, in the order in which executors draw them too.
 void RaySource::list_targets() {
   using From = Target::From;
   constexpr std::array kMade{std::pair{channel::depth, From::depth}, std::pair{channel::alpha, From::alpha},
                              std::pair{channel::camera, From::camera}};
   targets_.clear();
   if (soft_logits_ > 0) targets_.push_back({std::string(channel::soft_label), soft_logits_, Target::From::soft_label});
-  for (const std::string& name : options_.targets) {
+  const std::vector<std::string>& wanted = options_.targets;
+  for (const auto& [name, from] : kMade) {
+    if (std::find(wanted.begin(), wanted.end(), name) != wanted.end()) targets_.push_back({std::string(name), 1, from});
+  }
+  for (const std::string& name : wanted) {
     if (name == channel::color || name == channel::label || name == channel::soft_label) continue;
-    const auto made = std::find_if(kMade.begin(), kMade.end(), [&](const auto& one) { return one.first == name; });
-    if (made != kMade.end()) targets_.push_back({name, 1, made->second});
     const auto with = std::find_if(frames_.begin(), frames_.end(),
                                    [&](const TrainFrame& frame) { return frame.pixels->channel(name) != nullptr; });
-    if (made == kMade.end() && with != frames_.end())
+    const bool made = std::any_of(kMade.begin(), kMade.end(), [&](const auto& one) { return one.first == name; });
+    if (!made && with != frames_.end())
       targets_.push_back({name, with->pixels->channel(name)->cols, Target::From::frame});
   }
 }

@@ -36,6 +36,7 @@ struct DeviceRays {
         near_far(host.near_far, 2),
         label(host.label, 1),
         truth(host.depth_target, 1),
+        alpha(host.alpha_target, 1),
         soft(host.soft, kClasses),
         t(with_tail(host.t, 0.F), 1, 1 + gap),
         delta(with_tail(host.delta, 0.F), 1, 1 + gap),
@@ -57,6 +58,7 @@ struct DeviceRays {
   RayTargets targets() const {
     RayTargets out{.label = label.read_only()};
     out.more.set(channel::depth, truth.read_only());
+    out.more.set(channel::alpha, alpha.read_only());
     if (soft.view().rows > 0) out.more.set(channel::soft_label, soft.read_only());
     if (!further.target.empty()) out.more.set(further.target, target.read_only());
     return out;
@@ -82,7 +84,7 @@ struct DeviceRays {
   DeviceMatrix<std::int32_t> first;
   DeviceMatrix<double> near_far;
   DeviceMatrix<std::int16_t> label;
-  DeviceMatrix<float> truth, soft, t, delta, sigma, weight, depth, opacity, color, logits;
+  DeviceMatrix<float> truth, alpha, soft, t, delta, sigma, weight, depth, opacity, color, logits;
   testkit::FurtherChannels further;
   DeviceMatrix<float> target, made;
   DeviceMatrix<float> d_color, d_depth, d_weight, d_sigma, d_logits, d_made;

@@ -73,6 +73,7 @@ void expect_twin(bool fold, bool rays_once, std::int64_t samples, double output,
   for (std::size_t k = 0; k < 3; ++k) {
     outputs[k].resize(static_cast<std::size_t>(samples * kOut[k]));
     weights[k] = numbers<Real>(samples * kOut[k], 3 + static_cast<double>(k));
+    for (Real& weight : weights[k]) weight += 1;  // all of one sign: sums that cancel are their roundings
     out[k].rows = {outputs[k].data(), samples, kOut[k]};
     grad[k].rows = {weights[k].data(), samples, kOut[k]};
   }

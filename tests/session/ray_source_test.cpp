@@ -118,6 +118,23 @@ TEST(RaySource, AlphaIsThatOfThePixelAndUnknownElsewhere) {
   EXPECT_TRUE(source.pool()->with_alpha);
 }
 
+// An executor that draws batches itself lays them out in the same way.
+TEST(RaySource, ChannelsHaveOneOrderWhoeverAsksFirst) {
+  Fixture f;
+  const auto names = [&](std::vector<std::string> targets) {
+    BatchBuffers batch;
+    RaySourceOptions options{.train = {.rays = 64}};
+    options.targets = std::move(targets);
+    f.make(options).fill(0, batch);
+    std::string all;
+    for (const BatchBuffers::Channel& channel : batch.more) all += channel.name + " ";
+    return all;
+  };
+  const std::string camera(channel::camera), alpha(channel::alpha), depth(channel::depth);
+  EXPECT_EQ(names({camera, alpha, depth, alpha}), depth + " " + alpha + " " + camera + " ");
+  EXPECT_EQ(names({alpha, camera}), alpha + " " + camera + " ");
+}
+
 TEST(RaySource, OneImageTakesOneFrameAStep) {
   Fixture f;
   RaySourceOptions options{.train = {.ray_source = RaySourceKind::one_image}};

@@ -26,7 +26,7 @@ std::vector<std::size_t> lenses_of(const PixelPool& pool) {
   return first;
 }
 
-// A batch in host memory, or one without data: that of labels, or null.
+// A batch in host memory, or one without data: that of labels, or null. Channels stand in RaySource's order.
 RayBatch batch_with(const PixelPool& pool, const std::int16_t* label) {
   RayBatch batch;
   batch.origin = {nullptr, pool.rays, 3};

@@ -37,6 +37,7 @@ struct NoWork {
   using Act = typename B::Act;
   using Real = typename B::Real;
   static constexpr bool kRounds = B::kRounds;
+  static constexpr bool kColumnsAlone = B::kColumnsAlone;
   struct Weights {
     Weights(const MlpGraph&, const Tensors<Real>&, auto&) {}
   };

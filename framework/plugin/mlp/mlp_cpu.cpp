@@ -21,6 +21,7 @@ struct CpuLayers {
   using Act = Activation;
   using Real = SumOf<Act>;
   static constexpr bool kRounds = std::is_same_v<Act, Bf16>;
+  static constexpr bool kColumnsAlone = !kRounds;  // columns of a product have the same bits without the others
   static constexpr std::int32_t kChunk = 256;  // numbers of a row that wait on the stack
 
   /// The tensors themselves, and what derive made of them.

@@ -162,7 +162,7 @@ void MlpWalk<B, Arena>::forward_exact(std::size_t i) {
 
 template <class B, class Arena>
 bool MlpWalk<B, Arena>::forward_columns(std::size_t i) {
-  if constexpr (B::kRounds) return false;
+  if constexpr (!B::kColumnsAlone) return false;
   int only = -1, wanted = 0;
   for (std::size_t k = 0; k < g_.outputs.size(); ++k) {
     if (g_.outputs[k].empty() || index(g_.outputs[k]) != i || out_[k].empty()) continue;
