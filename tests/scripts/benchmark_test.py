@@ -15,23 +15,43 @@ if words[0] == "train":
     open(os.path.join(run, "environment.json"), "w").write(json.dumps({"cpu": "a CPU", "threads": 2}))
     assert open(words[1]).read() if words[1].endswith("lego.yaml") else True
     print(json.dumps({"steps": 7}))
+elif words[0] == "pack":
+    open(words[words.index("--out") + 1], "w").write("a packed scene")
+    print("{}")
 else:
     seconds = float(words[1].rsplit("_", 1)[1])
     print(json.dumps({"psnr": 20 + seconds, "absrel": 0.05, "miou_present": None, "frames": 3, "per_frame": [{"psnr": 21}, {"psnr": 24}]}))
 """
 
 
+# A Python with PyTorch, which is given the peer's script.
+PEER = """#!/usr/bin/env python3
+import json, os, sys
+script, packed, _, times = sys.argv[1:]
+assert script.endswith("object_peer.py") and os.path.exists(script) and open(packed).read() == "a packed scene"
+for seconds in times.split(","):
+    print(json.dumps({"seconds": float(seconds), "steps": 3, "frames": 2, "psnr_of_views": 19.5}))
+"""
+
+
 def run(*words):
-    return subprocess.run([sys.executable, sys.argv[1], *words], capture_output=True, text=True, encoding="utf-8")
+    environment = {**os.environ, "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}"}
+    return subprocess.run([sys.executable, sys.argv[1], *words], capture_output=True, text=True, encoding="utf-8", env=environment)
+
+
+def write_program(path, text):
+    with open(path, "w") as file:
+        file.write(text)
+    os.chmod(path, os.stat(path).st_mode | stat.S_IXUSR)
 
 
 with tempfile.TemporaryDirectory() as folder:
     program = os.path.join(folder, "semfield")
-    with open(program, "w") as file:
-        file.write(PROGRAM)
-    os.chmod(program, os.stat(program).st_mode | stat.S_IXUSR)
+    write_program(program, PROGRAM)
     os.makedirs(os.path.join(folder, "scenes", "lego"))
-    scenes, figures, page = (os.path.join(folder, name) for name in ("scenes", "figures.json", "page.md"))
+    os.makedirs(os.path.join(folder, "docs", "images"))
+    scenes, figures, page = (os.path.join(folder, name) for name in ("scenes", "figures.json", "docs/evidence/page.md"))
+    os.makedirs(os.path.dirname(page))
     common = [scenes, "--program", program, "--json", figures, "--page", page]
 
     done = run(*common, "--scenes", "lego,studio", "--times", "5")
@@ -51,6 +71,23 @@ with tempfile.TemporaryDirectory() as folder:
         text = file.read()
     assert "| lego | `object` | 60 s | 7 | 80.00 | 22.50 | – | 0.050 | – | 3 | a CPU, 2 threads |" in text, text
     assert "36.4" in text, "published figures"
+
+    # A peer's rows stand beside those of the same time, and in no figure of the last line.
+    write_program(os.path.join(folder, "nvidia-smi"), "#!/bin/sh\necho A GPU\n")
+    peer = os.path.join(folder, "python_with_torch")
+    write_program(peer, PEER)
+    done = run(*common, "--scenes", "lego", "--times", "5,60", "--peer", peer)
+    assert done.returncode == 0, done.stderr
+    assert "lego_5s=25.00 lego_60s=80.00" in done.stdout, done.stdout
+    with open(figures) as file:
+        rows = json.load(file)
+    assert sorted((row["seconds"], row["preset"]) for row in rows) == [(5, "a step in PyTorch"), (5, "object"), (60, "a step in PyTorch"), (60, "object")], rows
+    with open(page) as file:
+        text = file.read()
+    assert "| lego | `a step in PyTorch` | 60 s | 3 | – | 19.50 | – | – | – | 2 | A GPU |" in text, text
+    write_program(peer, "#!/bin/sh\necho no PyTorch >&2\nexit 3\n")
+    done = run(*common, "--scenes", "lego", "--times", "5", "--peer", peer)
+    assert done.returncode != 0 and "object_peer.py ended with 3: no PyTorch" in done.stderr, done.stderr
 
     done = run(*common, "--scenes", "legos")
     assert done.returncode == 2 and "unknown scene 'legos'" in done.stderr, done.stderr
