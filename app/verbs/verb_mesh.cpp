@@ -10,6 +10,7 @@
 #include "app/json_output.h"
 #include "app/progress_line.h"
 #include "app/render/mesh_score_output.h"
+#include "app/render/scene_page.h"
 #include "app/verb.h"
 #include "core/findings.h"
 #include "run/open_run.h"
@@ -29,7 +30,7 @@ namespace {
 struct MeshOptions {
   std::string run;
   std::string out;                      ///< default: mesh.ply in the run folder
-  std::vector<std::string> formats;     ///< ply, obj, glb; empty: what `out` ends with, or ply
+  std::vector<std::string> formats;     ///< ply, obj, glb, html; empty: what `out` ends with, or ply
   std::optional<long long> resolution;  ///< cells along the longest side of the bounds
   std::optional<double> voxel;          ///< edge of a cell instead, world units
   std::string surface;                  ///< density, depth or sensor; "": by what lies around the scene
@@ -41,7 +42,7 @@ struct MeshOptions {
   bool points = false;                  ///< also a point cloud from the training views
   bool score = false;                   ///< also figures against the depth images of the scene
   std::string color;                    ///< photo, class or both; "": both where there are classes
-  std::string up;                       ///< axis that GLB files show upright; "": taken from the cameras
+  std::string up;                       ///< axis that GLB and HTML files show upright; "": taken from the cameras
   std::vector<std::string> set;
 };
 
@@ -50,10 +51,11 @@ namespace fs = std::filesystem;
 constexpr long long kDefaultResolution = 256;
 constexpr int kSightLines = 4096;
 constexpr std::int64_t kDepthRays = 8'000'000;  // of all views together
+constexpr double kMailMegabytes = 25;           // what a colleague still gets by mail
 constexpr double kOffsetCells = 1.5;            // where texture rays begin, in cells outside the surface
 
 const std::vector<std::string>& known_formats() {
-  static const std::vector<std::string> names{"ply", "obj", "glb"};
+  static const std::vector<std::string> names{"ply", "obj", "glb", "html"};
   return names;
 }
 
@@ -217,7 +219,7 @@ void write_surface(const std::string& format, const std::string& path, const Sur
   if (format == "glb") write_glb(path, surface, classes, look);
 }
 
-// The axis that GLB files show upright; says how it was found.
+// The axis that GLB and HTML files show upright; says how it was found.
 Vec3d up_of(const MeshOptions& options, const Session& s, const AppContext& context) {
   if (const auto named = axis_named(options.up)) return *named;
   std::vector<Pose> poses;
@@ -226,9 +228,9 @@ Vec3d up_of(const MeshOptions& options, const Session& s, const AppContext& cont
   const std::optional<Vec3d> up = up_of_cameras(poses);
   if (up) {
     print_note(context,
-               fmt::format("GLB files show {} upright, as the cameras stand; --up names another axis", axis_text(*up)));
+               fmt::format("files show {} upright, as the cameras stand; --up names another axis", axis_text(*up)));
   } else {
-    print_note(context, "the cameras do not tell which way is up: GLB files show +y upright; --up names another axis");
+    print_note(context, "the cameras do not tell which way is up: files show +y upright; --up names another axis");
   }
   return up.value_or(Vec3d{0, 1, 0});
 }
@@ -307,9 +309,19 @@ int run(const MeshOptions& options, AppContext& context) {
   if (options.score) scores = scores_of(options, surface, source, s, measured, grid);
   PointSet cloud;
   if (options.points) cloud = points_of(s, grid.spacing, context);
-  const bool glb = std::find(targets.formats.begin(), targets.formats.end(), "glb") != targets.formats.end();
-  const Vec3d up = glb ? up_of(options, s, context) : Vec3d{0, 1, 0};
+  const auto writes = [&](const char* format) {
+    return std::find(targets.formats.begin(), targets.formats.end(), format) != targets.formats.end();
+  };
+  const bool upright = writes("glb") || writes("html");
+  const Vec3d up = upright ? up_of(options, s, context) : Vec3d{0, 1, 0};
   std::vector<std::string> files;
+  if (writes("html")) {  // has both colourings
+    files.push_back(targets.stem.string() + ".html");
+    write_scene_page(files.back(), surface, classes, scene_page_of(run, up));
+    const double megabytes = static_cast<double>(fs::file_size(files.back())) * 1e-6;
+    print_note(context, fmt::format("{}: {:.1f} MB{}", files.back(), megabytes,
+                                    megabytes > kMailMegabytes ? "; --faces makes it smaller" : ""));
+  }
   for (const Coloring& coloring : colorings) {
     if (coloring.classes) {
       surface.attributes.color = class_colors(surface.attributes, classes);
@@ -317,6 +329,7 @@ int run(const MeshOptions& options, AppContext& context) {
     }
     const std::string stem = targets.stem.string();
     for (const std::string& format : targets.formats) {
+      if (format == "html") continue;
       files.push_back(stem + coloring.suffix + "." + format);
       // Photographs hold the light of the room; classes need some to show a form.
       write_surface(format, files.back(), surface, classes, {up, !coloring.classes});
@@ -336,7 +349,7 @@ int run(const MeshOptions& options, AppContext& context) {
              {"components", components},
              {"files", files}};
     if (found.level) out["level"] = *found.level;
-    if (glb) out["up"] = {up.x, up.y, up.z};
+    if (upright) out["up"] = {up.x, up.y, up.z};
     if (options.close_holes) out["holes_closed"] = closed;
     if (options.points) out["points"] = cloud.positions.size();
     if (scores) out["score"] = scores_json(*scores);
@@ -369,7 +382,7 @@ void words(VerbWords& verb, MeshOptions& options) {
   verb.choice("--color WHICH", options.color, {"photo", "class", "both"},
               "colours as rendered, or of the class table, in files that end in _classes (default: both)");
   verb.choice("--up AXIS", options.up, {"x", "-x", "y", "-y", "z", "-z"},
-              "axis of the world that GLB files show upright (default: as the cameras stand)");
+              "axis of the world that GLB and HTML files show upright (default: as the cameras stand)");
   verb.positive("--close-holes X", options.close_holes, "close holes whose border is at most this long, in metres");
   verb.value_in("--faces N", options.faces, 4, 4294967295.0,
                 "at most so many faces: edges are collapsed where form and classes change least");
@@ -389,7 +402,8 @@ void words(VerbWords& verb, MeshOptions& options) {
 
 Verb verb_mesh() {
   return with_json(make_verb<MeshOptions>(
-      "mesh", 60, "write the field's surface with colour and class, as PLY, OBJ or GLB", words, run));
+      "mesh", 60, "write the field's surface with colour and class, as PLY, OBJ or GLB, or as a page to look at", words,
+      run));
 }
 
 }  // namespace semfield::app

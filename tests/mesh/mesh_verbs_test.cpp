@@ -101,7 +101,7 @@ TEST_F(Verbs, MeshWritesEveryFormatAndSaysSo) {
   EXPECT_EQ(said["files"], files);
   for (const std::string& file : files) EXPECT_GT(fs::file_size(file), 1000U) << file;
   EXPECT_EQ(said["up"], (nlohmann::json{0.0, 0.0, 1.0}));
-  EXPECT_HAS(r.err, "GLB files show +z upright");
+  EXPECT_HAS(r.err, "files show +z upright");
   EXPECT_HAS(read_text_file(stem + ".glb"), "KHR_materials_unlit");
   EXPECT_LACKS(read_text_file(stem + "_classes.glb"), "KHR_materials_unlit");
   EXPECT_TRUE(fs::exists(stem + ".mtl"));

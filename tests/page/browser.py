@@ -87,7 +87,7 @@ class Browser:
     def __init__(self, driver):
         self.driver = driver
         arguments = ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars=false", "--force-color-profile=srgb",
-                     "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"]
+                     "--enable-unsafe-swiftshader", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"]
         options = {"binary": driver.chromium, "args": arguments}
         wish = {"browserName": "chrome", "goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL"}}
         self.path = "/session/" + driver.call("POST", "/session", {"capabilities": {"alwaysMatch": wish}})["sessionId"]

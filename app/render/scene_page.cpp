@@ -1,0 +1,169 @@
+#include "app/render/scene_page.h"
+
+#include <fmt/format.h>
+#include <zlib.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <filesystem>
+#include <new>
+#include <nlohmann/json.hpp>
+
+#include "core/error.h"
+#include "report/html.h"
+#include "run/run_folder.h"
+#include "scene/scene.h"
+#include "surface/mesh/upright.h"
+#include "system/files.h"
+#include "system/shared_files.h"
+
+namespace semfield::app {
+
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr double kSteps = 65535;
+constexpr std::uint16_t kNoClass = 65535;
+
+Box box_of(const Surface& surface) {
+  Box box;
+  for (const Vec3d& p : surface.positions) box.include(p);
+  return box;
+}
+
+// Numbers behind each other as differences to the one before: neighbours in the file are neighbours in space, and small
+// differences deflate well.
+class Stream {
+ public:
+  template <class T, class Value>
+  void differences(std::size_t count, const Value& value) {
+    T before = 0;
+    for (std::size_t i = 0; i < count; ++i) {
+      const T now = value(i);
+      put(static_cast<T>(now - before));
+      before = now;
+    }
+  }
+  template <class T>
+  void put(T number) {
+    const std::size_t at = bytes.size();
+    bytes.resize(at + sizeof(T));
+    std::memcpy(bytes.data() + at, &number, sizeof(T));
+  }
+  std::vector<std::uint8_t> bytes;
+};
+
+// The class of a triangle is that of its last corner, which a flat shader reads.
+Triangle class_last(const Surface& surface, Triangle t) {
+  if (!surface.attributes.has_labels()) return t;
+  const std::int16_t label = triangle_label(surface.attributes, t);
+  for (int turn = 0; turn < 2 && surface.attributes.label[t[2]] != label; ++turn)
+    std::rotate(t.begin(), t.begin() + 1, t.end());
+  return t;
+}
+
+std::vector<std::uint8_t> packed(const Surface& surface, const Box& box) {
+  Stream stream;
+  std::vector<std::uint32_t> corners;
+  for (const Triangle& triangle : surface.triangles) {
+    const Triangle t = class_last(surface, triangle);
+    corners.insert(corners.end(), t.begin(), t.end());
+  }
+  const std::size_t count = surface.positions.size();
+  stream.differences<std::uint32_t>(corners.size(), [&](std::size_t i) { return corners[i]; });
+  for (int axis = 0; axis < 3; ++axis) {
+    const double length = box.size()[axis];
+    stream.differences<std::uint16_t>(count, [&](std::size_t i) {
+      const double share = length > 0 ? (surface.positions[i][axis] - box.lo[axis]) / length : 0;
+      return static_cast<std::uint16_t>(std::lround(share * kSteps));
+    });
+  }
+  const std::vector<std::int16_t>& label = surface.attributes.label;
+  for (std::size_t i = 0; i < count; ++i)
+    stream.put(label.empty() || label[i] == kVoid ? kNoClass : static_cast<std::uint16_t>(label[i]));
+  for (std::size_t c = 0; c < 3; ++c)
+    for (std::size_t i = 0; i < count; ++i) stream.put(surface.attributes.color[i][c]);
+  return std::move(stream.bytes);
+}
+
+std::vector<std::uint8_t> deflated(const std::vector<std::uint8_t>& bytes) {
+  uLongf size = ::compressBound(static_cast<uLong>(bytes.size()));
+  std::vector<std::uint8_t> out(size);
+  if (::compress2(out.data(), &size, bytes.data(), static_cast<uLong>(bytes.size()), Z_BEST_COMPRESSION) != Z_OK)
+    throw std::bad_alloc();
+  out.resize(size);
+  return out;
+}
+
+Json list_of(Vec3d v) { return {v.x, v.y, v.z}; }
+
+Json facts(const Surface& surface, const ClassTable& classes, const ScenePage& page, const Box& box) {
+  Json out{{"title", page.title},
+           {"about", page.about},
+           {"unit", page.metric ? "m" : "units"},
+           {"vertices", surface.positions.size()},
+           {"triangles", surface.triangles.size()},
+           {"low", list_of(box.lo)},
+           {"high", list_of(box.hi)},
+           {"turn", turn_to_y(page.up)},
+           {"labels", surface.attributes.has_labels()},
+           {"classes", Json::array()}};
+  if (page.eye) out["eye"] = list_of(*page.eye);
+  if (!surface.attributes.has_labels()) return out;
+  for (const ClassEntry& entry : classes.entries())
+    if (!entry.ignore) out["classes"].push_back({{"id", entry.id}, {"name", entry.name}, {"color", entry.color}});
+  return out;
+}
+
+// Text inside a script element: nothing in it may end the element.
+std::string harmless(std::string text) {
+  for (std::size_t at = text.find('<'); at != std::string::npos; at = text.find('<', at + 6))
+    text.replace(at, 1, "\\u003c");
+  return text;
+}
+
+void fill_in(std::string& page, const std::string& place, const std::string& text) {
+  const std::size_t at = page.find(place);
+  if (at == std::string::npos)
+    throw Error(ErrorKind::no_input, "files.shared.missing", "viewer.html: '" + place + "' is not in it",
+                "install the component 'app' whole, or run the program from its build folder");
+  page.replace(at, place.size(), text);
+}
+
+}  // namespace
+
+ScenePage scene_page_of(const OpenedRun& run, Vec3d up) {
+  const SceneInfo& info = run.session.scene.info;
+  const std::vector<int> frames = run.session.scene.frames_of(Split::train);
+  std::filesystem::path folder = std::filesystem::path(run.run_dir).lexically_normal();
+  if (!folder.has_filename()) folder = folder.parent_path();
+  const std::string name = folder.filename().string();
+  ScenePage page{info.name.empty() ? name : info.name, {}, info.metric, up, {}};
+  page.about = {fmt::format("Run '{}': {} steps of training on {} photographs.", name, run.step, frames.size()),
+                fmt::format("Written by Semfield {}. Positions are in the input's world.", this_environment().version),
+                "The rights of the photographs hold for this file."};
+  if (run.session.config.rendering.far != FarMode::background || frames.empty()) return page;
+  Vec3d sum;
+  for (const int f : frames) sum = sum + info.frames[static_cast<std::size_t>(f)].world_from_camera.t;
+  page.eye = sum * (1.0 / static_cast<double>(frames.size()));
+  return page;
+}
+
+void write_scene_page(const std::string& path, const Surface& surface, const ClassTable& classes,
+                      const ScenePage& page) {
+  const Box box = box_of(surface);
+  const auto part = [](const std::string& name) {
+    return read_text_file(shared_file("app/render/scene_page/" + name));
+  };
+  std::string text = part("viewer.html");
+  fill_in(text, "<!--title-->", html_escape(page.title));
+  fill_in(text, "/*style*/", part("viewer.css"));
+  fill_in(text, "/*script*/", part("matrices.js") + part("viewer.js"));
+  fill_in(text, "/*facts*/", harmless(facts(surface, classes, page, box).dump()));
+  fill_in(text, "/*mesh*/", base64(deflated(packed(surface, box))));
+  write_file_atomic(path, text);
+}
+
+}  // namespace semfield::app

@@ -1,0 +1,166 @@
+#!/usr/bin/env python3
+"""The HTML file of `semfield mesh`, beside the PLY file of the same mesh, and in headless Chromium: scene_page_test.py PROGRAM CONFIG"""
+
+import base64
+import itertools
+import json
+import math
+import pathlib
+import re
+import struct
+import subprocess
+import sys
+import tempfile
+import zlib
+
+import browser
+
+PROGRAM, CONFIG = sys.argv[1:3]
+SETTINGS = {"scene.frames": 24, "scene.test_frames": 1, "scene.load.width_px": 80, "train.steps": 200, "runtime.threads": 2, "report.eval_share": 0}
+NO_CLASS = 65535
+
+
+def semfield(*words):
+    done = subprocess.run([PROGRAM, *words, "-q"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def part(text, name):
+    return re.search(rf'<script type="[^"]*" id="{name}">(.*?)</script>', text, re.S).group(1)
+
+
+def numbers(data, at, form, count):
+    return struct.unpack_from(f"<{count}{form}", data, at), at + count * struct.calcsize(form)
+
+
+def read_page(text):
+    """facts, corners of triangles, positions, labels and colours."""
+    facts = json.loads(part(text, "facts"))
+    data, count = zlib.decompress(base64.b64decode(part(text, "mesh"))), facts["vertices"]
+    steps, at = numbers(data, 0, "I", 3 * facts["triangles"])
+    corners = [value % 2**32 for value in itertools.accumulate(steps)]
+    axes = []
+    for axis in range(3):
+        steps, at = numbers(data, at, "H", count)
+        low, high = facts["low"][axis], facts["high"][axis]
+        axes.append([low + value % 65536 * (high - low) / 65535 for value in itertools.accumulate(steps)])
+    labels, at = numbers(data, at, "H", count)
+    channels = []
+    for _ in range(3):
+        channel, at = numbers(data, at, "B", count)
+        channels.append(channel)
+    assert at == len(data), (at, len(data))
+    return facts, corners, list(zip(*axes)), labels, list(zip(*channels))
+
+
+def read_ply(path):
+    """Positions, colours and class ids of vertices; corners of faces."""
+    head, _, body = pathlib.Path(path).read_bytes().partition(b"end_header\n")
+    counts = [int(words[2]) for words in (line.split() for line in head.decode().splitlines()) if words[0] == "element"]
+    vertex = struct.Struct("<ddd fff BBB i f f".replace(" ", ""))
+    rows = [vertex.unpack_from(body, i * vertex.size) for i in range(counts[0])]
+    face = struct.Struct("<B3I" if b"list uchar uint" in head else "<B3i")
+    corners = [face.unpack_from(body, counts[0] * vertex.size + i * face.size)[1:] for i in range(counts[1])]
+    return [row[:3] for row in rows], [row[6:9] for row in rows], [row[9] for row in rows], corners
+
+
+def compare(page, ply):
+    facts, corners, places, labels, colors = page
+    positions, ply_colors, ids, faces = ply
+    assert (facts["vertices"], facts["triangles"], facts["unit"]) == (len(positions), len(faces), "m"), facts
+    allowed = max(high - low for low, high in zip(facts["low"], facts["high"])) / 65535
+    for a, b in zip(places, positions):
+        assert max(abs(x - y) for x, y in zip(a, b)) <= allowed, (a, b)
+    assert list(colors) == ply_colors
+    of_ids = [-1 if label == NO_CLASS else facts["classes"][label]["id"] for label in labels]
+    assert all(got == want or (got == -1 and want < 0) for got, want in zip(of_ids, ids)), "classes of vertices"
+    assert len(set(of_ids)) > 2, "a room has some classes"
+    voted = 0
+    for i, face in enumerate(faces):
+        own = corners[3 * i:3 * i + 3]
+        turns = [list(face[k:] + face[:k]) for k in range(3)]
+        assert own in turns, (own, face)
+        inside = [labels[v] for v in own]
+        if len(set(inside)) == 2:  # two against one: the last corner is of the majority
+            voted += 1
+            assert inside.count(inside[2]) == 2, inside
+    assert voted > 0, "some border of classes"
+
+
+def look(path, page):
+    facts, _, places, labels, _ = page
+    with browser.Driver() as driver:
+        view = driver.browser()
+        view.open("file://" + str(path))
+        view.wait("document.body.dataset.state === 'ready'", "the page draws", 60)
+        assert view.text("#title") == facts["title"] and "steps of training" in view.text("#about")
+        assert view.run("return performance.getEntriesByType('resource').length") == 0, "nothing is fetched"
+        calls = view.run("return semfield.drawing.calls")
+        view.click("#class")
+        view.wait(f"semfield.drawing.calls === {calls + 1}", "a press of a button is one draw call")
+
+        # A vertex whose place in the window is known is read there, as it lies in the input's world.
+        reads = view.run("""
+            const [places] = arguments, clip = semfield.camera.matrices().clip, found = [];
+            for (let i = 0; i < places.length && found.length < 60; i += 97) {
+              const p = moved(clip, places[i]);
+              if (Math.abs(p[0]) > 0.9 || Math.abs(p[1]) > 0.9) continue;
+              const x = (p[0] + 1) / 2 * canvas.clientWidth, y = (1 - p[1]) / 2 * canvas.clientHeight;
+              const read = semfield.read(x, y);
+              if (read !== null) found.push([i, read, moved(clip, read.place), p]);
+            }
+            return found;""", places)
+        near = [(i, read) for i, read, _, _ in reads if math.dist(read["place"], places[i]) < 0.05]
+        assert len(near) >= 5, f"{len(near)} of {len(reads)} vertices are read where they are"
+        for _, _, got, want in reads:  # others are hidden by what lies before them, on the same ray
+            assert math.hypot(got[0] - want[0], got[1] - want[1]) < 0.01, (got, want)
+        of_class = {label for label in labels if label != NO_CLASS}
+        assert all(read["label"] in of_class or read["label"] == len(facts["classes"]) for _, read in near), near
+
+        # Two clicks measure; the third begins anew.
+        middle = [view.run("return canvas.clientWidth") / 2, view.run("return canvas.clientHeight") / 2]
+        view.mouse(middle)
+        view.wait("semfield.points.length === 1", "a click reads a point")
+        view.mouse((middle[0] + 60, middle[1] + 20))
+        view.wait("!document.getElementById('reading').hidden && document.getElementById('reading').textContent.includes('distance')", "two measure")
+        first, second = (point["place"] for point in view.run("return semfield.points"))
+        told = float(re.search(r"distance ([0-9.]+) m", view.text("#reading")).group(1))
+        assert abs(told - math.dist(first, second)) < 0.001, (told, first, second)
+        view.mouse((middle[0] - 60, middle[1]))
+        view.wait("semfield.points.length <= 1", "a third click begins anew")
+
+        # What is hidden is neither drawn nor read.
+        read = view.run("return semfield.read(arguments[0], arguments[1])", *middle)
+        view.run("document.querySelectorAll('#legend input')[arguments[0]].click()", min(read["label"], len(facts["classes"])))
+        after = view.run("return semfield.read(arguments[0], arguments[1])", *middle)
+        assert after is None or after["label"] != read["label"], (read, after)
+
+        before = view.run("return semfield.camera.matrices().eye")
+        view.mouse(middle, (middle[0] + 80, middle[1] + 10))
+        assert view.run("return semfield.camera.matrices().eye") != before, "a drag turns"
+        view.click("#inside")
+        view.wait("document.getElementById('inside').getAttribute('aria-pressed') === 'true'")
+        view.size(390, 844)
+        view.wait("canvas.clientWidth === 390")
+        assert view.run("return document.documentElement.scrollWidth") <= 390
+        assert view.complaints() == [], view.complaints()
+
+
+def main():
+    with tempfile.TemporaryDirectory(prefix="semfield_scene_page_") as folder:
+        run = folder + "/run"
+        semfield("train", CONFIG, "--out", run, *(word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}")))
+        told = json.loads(semfield("mesh", run, "--resolution", "64", "--format", "ply,html", "--color", "photo", "--out", folder + "/scene", "--json"))
+        assert [pathlib.Path(file).name for file in told["files"]] == ["scene.html", "scene.ply"] and "up" in told, told
+        text = pathlib.Path(folder, "scene.html").read_text(encoding="utf-8")
+        assert "http" not in text.replace("http://www.w3.org/2000/svg", "").replace("http-equiv", ""), "the file needs no network"
+        page = read_page(text)
+        compare(page, read_ply(folder + "/scene.ply"))
+        if browser.programs() is None:
+            print("skipped in part: no chromium with chromedriver")
+            sys.exit(77)
+        look(pathlib.Path(folder, "scene.html"), page)
+
+
+main()
