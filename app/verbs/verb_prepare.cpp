@@ -23,10 +23,17 @@ namespace {
 struct PrepareVerbOptions {
   std::string source, out;
   long long frames = 0;
-  int threads = 0, attempts = 3;
+  std::string lens = "auto";
+  int threads = 0, attempts = kMostAttempts;
 };
 
 struct Stopped {};
+
+LensAsked lens_of(const std::string& word) {
+  return word == "fisheye"           ? LensAsked::fisheye
+         : word == "equirectangular" ? LensAsked::equirectangular
+                                     : LensAsked::automatic;
+}
 
 // Programs and steps end at the first stop signal; the folder's steps remember what is done.
 PrepareReport prepare(const PrepareVerbOptions& options, AppContext& context) {
@@ -52,9 +59,9 @@ PrepareReport prepare(const PrepareVerbOptions& options, AppContext& context) {
     shown.clear();
     print_note(context, text);
   };
-  return prepare_scene(
-      {options.source, options.out, static_cast<std::size_t>(options.frames), options.threads, options.attempts, note},
-      programs, progress);
+  return prepare_scene({options.source, options.out, static_cast<std::size_t>(options.frames), options.threads,
+                        lens_of(options.lens), options.attempts, note},
+                       programs, progress);
 }
 
 // What `inspect` would say of the scene that was written.
@@ -115,7 +122,10 @@ void words(VerbWords& verb, PrepareVerbOptions& options) {
   verb.required("--out FOLDER", options.out, "scene to write; a run that was ended goes on there");
   verb.value_in("--frames N", options.frames, 0, 10000,
                 "frames to keep of a video at most; 0: three a second, 30 to 300");
-  verb.value_in("--attempts N", options.attempts, 1, 3,
+  verb.choice("--lens KIND", options.lens, {"auto", "fisheye", "equirectangular"},
+              "of the camera; auto: perspective, and a fisheye where that does not fit. equirectangular: panoramas, "
+              "which are cut into eight views each");
+  verb.value_in("--attempts N", options.attempts, 1, kMostAttempts,
                 "attempts to give every photograph a pose, at most; each takes longer than the one before");
   verb.value_in("--threads N", options.threads, 0, 4096, "threads of COLMAP; 0: every core");
 }

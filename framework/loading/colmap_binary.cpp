@@ -151,16 +151,18 @@ void read_points(BinaryFile file, ColmapBuilder& out) {
 }  // namespace
 
 std::string colmap_cameras_file(const std::unordered_map<std::int64_t, Camera>& cameras) {
-  constexpr std::int32_t kOpencv = 4;
+  constexpr std::int32_t kOpencv = 4, kFisheye = 5;
   std::string out;
   const auto put = [&](auto value) { out.append(reinterpret_cast<const char*>(&value), sizeof value); };
   put(static_cast<std::uint64_t>(cameras.size()));
   for (const auto& [id, c] : std::map<std::int64_t, Camera>(cameras.begin(), cameras.end())) {
     put(static_cast<std::uint32_t>(id));
-    put(kOpencv);
+    const bool fisheye = c.lens == LensKind::fisheye;
+    put(fisheye ? kFisheye : kOpencv);
     put(static_cast<std::uint64_t>(c.width_px));
     put(static_cast<std::uint64_t>(c.height_px));
-    for (const double value : {c.fx, c.fy, c.cx, c.cy, c.k1, c.k2, c.p1, c.p2}) put(value);
+    for (const double value : {c.fx, c.fy, c.cx, c.cy, c.k1, c.k2, fisheye ? c.k3 : c.p1, fisheye ? c.k4 : c.p2})
+      put(value);
   }
   return out;
 }

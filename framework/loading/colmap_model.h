@@ -32,7 +32,8 @@ struct ColmapModel {
 /// missing or damaged, naming file and offset or line.
 ColmapModel read_colmap_model(const std::string& folder, Diagnostics& diagnostics);
 
-/// cameras.bin of these cameras as COLMAP's OPENCV, the richest lens that is read. k3 and k4 must be 0.
+/// cameras.bin of these cameras as COLMAP's OPENCV, or OPENCV_FISHEYE where the lens is one. k3 and k4 of others must
+/// be 0.
 std::string colmap_cameras_file(const std::unordered_map<std::int64_t, Camera>& cameras);
 
 /// What the readers of both kinds of file build from.

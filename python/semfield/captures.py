@@ -38,20 +38,21 @@ class Prepared:
         return {"type": "colmap", "root": os.path.abspath(self.folder)}
 
 
-def prepare(source: PathLike, out: PathLike, frames: int = 0, attempts: int = 3, threads: Optional[int] = None) -> Prepared:
+def prepare(source: PathLike, out: PathLike, frames: int = 0, attempts: int = 4, threads: Optional[int] = None, lens: str = "auto") -> Prepared:
     """Makes a scene of a video or of photographs: finds their camera poses with COLMAP. One that was stopped goes on.
 
     Args:
         source: a video, or a folder of photographs; it is never written to.
         out: the scene's folder.
         frames: of a video, at most; 0: three a second, 30 to 300.
-        attempts: to give every photograph a pose, at most 3.
+        attempts: to give every photograph a pose, at most 4.
         threads: of COLMAP; None: every core.
+        lens: "auto", "fisheye", or "equirectangular" for panoramas, each of which becomes eight views.
 
     Raises:
         CommandError: a program is missing or failed, the source cannot be used, or no poses were found.
     """
-    words: List[Any] = ["prepare", source, "--out", out, "--frames", frames, "--attempts", attempts, "--quiet"]
+    words: List[Any] = ["prepare", source, "--out", out, "--frames", frames, "--attempts", attempts, "--lens", lens, "--quiet"]
     if threads is not None:
         words += ["--threads", threads]
     told = command(*words, json_output=True)

@@ -269,6 +269,12 @@ TEST(ColmapCameras, WrittenOnesReadBack) {
   for (const auto field :
        {&Camera::fx, &Camera::fy, &Camera::cx, &Camera::cy, &Camera::k1, &Camera::k2, &Camera::p1, &Camera::p2})
     EXPECT_EQ(read.*field, lens.*field);
+  lens.lens = LensKind::fisheye;
+  lens.k3 = 0.003;
+  lens.k4 = -0.004;
+  lens.p1 = lens.p2 = 0;
+  plain_write(folder + "/cameras.bin", colmap_cameras_file({{1, lens}}));
+  EXPECT_EQ(read_colmap_model(folder, d).cameras.at(1), lens);
 }
 
 }  // namespace

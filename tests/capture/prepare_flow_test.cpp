@@ -36,13 +36,17 @@ case "$step" in
 esac
 )sh";
 
-// Eight seconds of film: small pictures of noise that changes, then the frames that are asked for.
+// Eight seconds of film: small pictures of noise that changes, then the frames that are asked for. Of a panorama, one
+// picture as each of its views.
 constexpr const char* kFfmpeg = R"sh(#!/bin/sh
 here=$(dirname "$0")
 echo "ffmpeg $*" >> "$here/calls"
 if [ -e "$here/fail_ffmpeg" ]; then echo "moov atom not found" >&2; exit 1; fi
-for last; do :; done
+for last; do
+  case "$last" in */views/*_[0-9][0-9][0-9].jpg) cp "$here/frames/view.png" "$last";; esac
+done
 case "$last" in
+  */views/*) ;;
   *.grey) cp "$here/film.grey" "$last";;
   *) i=0
      for image in "$here"/frames/*; do
@@ -117,15 +121,82 @@ TEST_F(Prepare, TheLadderIsClimbedUntilEnoughHaveAPose) {
   EXPECT_EQ(r.code, 0) << r.err;
   const nlohmann::json told = nlohmann::json::parse(r.out);
   EXPECT_EQ(told["registered"], 4);
-  EXPECT_EQ(told["attempts"], 3);
+  EXPECT_EQ(told["attempts"], 4);
   ASSERT_EQ(told["missing"].size(), 1u);
   EXPECT_HAS(told["missing"][0].get<std::string>(), "photographs 5 to 6 (4.png to 5.png) fit others that are missing");
   EXPECT_EQ(steps(),
             "feature_extractor matches_importer mapper mapper feature_extractor matches_importer mapper "
-            "bundle_adjuster ");
+            "feature_extractor matches_importer mapper bundle_adjuster ");
   const std::string calls = read_text_file(home_ + "/bin/calls");
   EXPECT_HAS(calls, "--ImageReader.camera_model SIMPLE_RADIAL");
-  EXPECT_HAS(calls, "--ImageReader.camera_model OPENCV");
+  EXPECT_HAS(calls, "--ImageReader.camera_model OPENCV ");
+  EXPECT_HAS(calls, "--ImageReader.camera_model OPENCV_FISHEYE --ImageReader.default_focal_length_factor 0.4");
+}
+
+TEST_F(Prepare, AFisheyeIsTriedWhereNoOtherLensFits) {
+  model(1, 0, {0, 1, 2, 3, 4, 5}, 1.3);
+  model(2, 0, {0, 1, 2, 3, 4, 5}, 1.2);
+  model(3, 0, {0, 1, 2, 3, 4, 5}, 0.5);
+  const Result r = prepare();
+  EXPECT_EQ(r.code, 0) << r.err;
+  EXPECT_HAS(r.err, "6 of 6 photographs have a pose, but the lens misses their points by 1.30 pixels; attempt 2");
+  EXPECT_HAS(r.out, "registered  6 of 6 (100 %), reprojection error 0.50 pixels, 2 points, 3 attempts");
+  EXPECT_EQ(steps(),
+            "feature_extractor matches_importer mapper feature_extractor matches_importer mapper "
+            "feature_extractor matches_importer mapper bundle_adjuster ")
+      << "asking less of images is no help where none are missing";
+}
+
+TEST_F(Prepare, ALensThatFitsCountsMoreThanAnImage) {
+  model(1, 0, {0, 1, 2, 3, 4, 5}, 1.3);
+  model(2, 0, {0, 1, 2, 3, 4}, 0.5);
+  model(3, 0, {0, 1, 2, 3}, 0.4);
+  const Result r = prepare();
+  EXPECT_EQ(r.code, 0) << r.err;
+  EXPECT_HAS(r.out, "registered  6 of 6 (100 %), reprojection error 1.30 pixels") << "five of six are not 95 %";
+}
+
+TEST_F(Prepare, AFisheyeThatIsAskedForIsTheFirstAttempt) {
+  model(1, 0, {0, 1, 2, 3, 4, 5});
+  const Result r = prepare("photographs --out scene --lens fisheye");
+  EXPECT_EQ(r.code, 0) << r.err;
+  EXPECT_HAS(r.out, "1 attempt");
+  EXPECT_HAS(read_text_file(home_ + "/bin/calls"), "--ImageReader.camera_model OPENCV_FISHEYE");
+  EXPECT_FALSE(fs::exists(home_ + "/scene/prepare/work/fisheye_quick.db"));
+  EXPECT_SAID(prepare().err, "capture.scene.other", "other options");
+}
+
+TEST_F(Prepare, PanoramasBecomeEightViewsEach) {
+  tool("ffmpeg", kFfmpeg);
+  fs::create_directories(home_ + "/panoramas");
+  for (int i = 0; i < 3; ++i) {
+    const std::string name = std::to_string(i) + ".png";
+    write_png_rgb(home_ + "/panoramas/" + name, 80, 40, std::vector<std::uint8_t>(std::size_t{80 * 40 * 3}, 90));
+  }
+  fs::create_directories(home_ + "/bin/frames");
+  image(home_ + "/bin/frames/view.png", 0);
+  std::vector<std::string> names;
+  for (const char* turn : {"000", "045", "090", "135", "180", "225", "270", "315"})
+    names.push_back("0_" + std::string(turn) + ".jpg");
+  write_room_model(home_ + "/bin/models/1/0", {0, 1, 2, 3, 4, 5, 6, 7}, 0.5, names);
+  const Result r = prepare("panoramas --out scene --lens equirectangular --attempts 1");
+  EXPECT_EQ(r.code, 0) << r.err;
+  EXPECT_HAS(r.out, "photographs 24 of 40 x 30 pixels", "registered  8 of 24 (33 %)");
+  const std::string calls = read_text_file(home_ + "/bin/calls");
+  EXPECT_HAS(calls, "v360=e:flat:yaw=0:h_fov=90:v_fov=90:w=20:h=20", "yaw=180:", "yaw=-45:");
+  EXPECT_HAS(calls, "--ImageReader.camera_model SIMPLE_PINHOLE --ImageReader.default_focal_length_factor 0.5");
+  EXPECT_TRUE(fs::exists(home_ + "/scene/images/2_315.jpg"));
+  EXPECT_FALSE(fs::exists(home_ + "/scene/prepare/work/panoramas"));
+  const std::string before = steps();
+  EXPECT_EQ(prepare("panoramas --out scene --lens equirectangular --attempts 1").code, 0);
+  EXPECT_EQ(steps(), before) << "what is done is not done again";
+}
+
+TEST_F(Prepare, AnImageThatIsNoPanoramaIsRefused) {
+  tool("ffmpeg", kFfmpeg);
+  const Result r = prepare("photographs --out scene --lens equirectangular");
+  EXPECT_EQ(r.code, 65);
+  EXPECT_SAID(r.err, "capture.panoramas.shape", "0.png", "40 x 30", "twice as wide as high");
 }
 
 TEST_F(Prepare, FewerAttemptsTakeWhatIsThere) {
@@ -143,7 +214,7 @@ TEST_F(Prepare, FewerAttemptsTakeWhatIsThere) {
 TEST_F(Prepare, NoOverlapIsSaidWithARemedy) {
   const Result r = prepare();
   EXPECT_EQ(r.code, 65);
-  EXPECT_SAID(r.err, "capture.poses.none", "no two of the 6 photographs", "3 attempts");
+  EXPECT_SAID(r.err, "capture.poses.none", "no two of the 6 photographs", "4 attempts");
   EXPECT_FALSE(fs::exists(home_ + "/scene/sparse"));
 }
 

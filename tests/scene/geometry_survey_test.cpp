@@ -24,12 +24,21 @@ struct Room {
   std::function<void(int, FrameBuffer&)> spoiled = [](int, FrameBuffer&) {};
   bool depth = true, texture = true, opengl_files = false;
   int width = 160, height = 120;
-  double focal = 1;  // what multiplies the focal lengths as they are written
+  double focal = 1;      // what multiplies the focal lengths as they are written
+  bool fisheye = false;  // of 140 degrees
+
+  Camera camera() const {
+    Camera out = room_camera(width, height);
+    if (!fisheye) return out;
+    out.lens = LensKind::fisheye;
+    out.fx = out.fy = 0.5 * width / 1.22;
+    return out;
+  }
 
   SceneInfo open(Diagnostics&) const {
     SceneInfo info{.name = "room", .opengl_files = opengl_files};
     for (std::size_t i = 0; i < poses.size(); ++i) {
-      FrameInfo f{.name = std::to_string(i), .camera = room_camera(width, height)};
+      FrameInfo f{.name = std::to_string(i), .camera = camera()};
       f.camera.fx *= focal;
       f.camera.fy *= focal;
       f.world_from_camera = written(poses[i]);
@@ -40,13 +49,13 @@ struct Room {
   }
   void read(int i, FrameBuffer& out) const {
     const Pose& pose = poses[i];
-    const Camera camera = room_camera(width, height);
+    const Camera lens = camera();
     out = {};
     out.width_px = width;
     out.height_px = height;
     for (int y = 0; y < height; ++y) {
       for (int x = 0; x < width; ++x) {
-        const Vec3d d = camera.direction(x + 0.5, y + 0.5);
+        const Vec3d d = lens.direction(x + 0.5, y + 0.5);
         const Hit hit = trace(pose.t, pose.rotate(d));
         const Vec3d p = pose.t + pose.rotate(d) * hit.t;
         std::uint32_t cell = static_cast<std::uint32_t>(hit.wall);
@@ -264,6 +273,16 @@ Room photographs(int width = 320) {
   room.width = width;
   room.height = width * 3 / 4;
   return room;
+}
+
+TEST(GeometrySurvey, PixelsOfAFisheyeAreAngles) {
+  Room room = photographs();
+  room.fisheye = true;
+  expect_quiet(ask(room), "poses agree with the photographs: ");
+  EXPECT_GT(std::stod(ask(room).geometry.substr(std::string("poses agree with the photographs: ").size())), 92)
+      << ask(room).geometry;
+  room.written = inverse;
+  EXPECT_HAS(ask(room).error, "world-to-camera");
 }
 
 TEST(GeometrySurvey, PosesOfOtherPhotographsAreRefusedAndCanBeForced) {

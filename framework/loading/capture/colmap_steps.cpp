@@ -1,5 +1,7 @@
 #include "loading/capture/colmap_steps.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <filesystem>
 #include <set>
@@ -66,6 +68,8 @@ void ColmapSteps::extract(const FeatureSettings& s, bool camera_per_folder, std:
                          images_,
                          "--ImageReader.camera_model",
                          s.lens,
+                         "--ImageReader.default_focal_length_factor",
+                         fmt::format("{:g}", s.focal),
                          camera,
                          "1",
                          "--SiftExtraction.use_gpu",

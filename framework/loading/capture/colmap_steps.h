@@ -15,6 +15,7 @@ namespace semfield {
 struct FeatureSettings {
   std::string name;      ///< of its folder and logs
   std::string lens;      ///< COLMAP's name of the camera model that is fitted
+  double focal = 0;      ///< to begin with, in longer sides of the image, where the photographs state none
   int size_px = 0;       ///< of the longer side at which features are sought
   int features = 0;      ///< of an image, at most
   int orientations = 1;  ///< of a feature, each of which counts as one more
@@ -50,7 +51,7 @@ class ColmapSteps {
   std::vector<std::string> map(const FeatureSettings& settings, bool relaxed, std::size_t images) const;
   /// The model `from` without these images, into `to`.
   void remove(const std::string& from, const std::vector<std::string>& names, const std::string& to) const;
-  /// All poses, points and lenses of the model `from` at once, as OPENCV lenses, into `to`.
+  /// All poses, points and lenses of the model `from` at once, as OPENCV lenses or fisheyes, into `to`.
   void refine(const std::string& from, const std::string& to) const;
 
  private:

@@ -10,12 +10,14 @@
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "loading/capture/colmap_steps.h"
+#include "loading/capture/panoramas.h"
 #include "loading/capture/prepare_state.h"
 #include "loading/capture/sharpness.h"
 #include "loading/capture/video.h"
 #include "system/files.h"
 #include "system/folder_lock.h"
 #include "system/sha256.h"
+#include "system/sorted_folder.h"
 
 namespace semfield {
 
@@ -41,6 +43,7 @@ std::string identity_of(const CaptureSource& source, const PrepareOptions& optio
     out += name + " " + std::to_string(fs::file_size(path, unknown)) + " " +
            std::to_string(fs::last_write_time(path, unknown).time_since_epoch().count()) + "\n";
   };
+  if (options.lens != LensAsked::automatic) out += options.lens == LensAsked::fisheye ? "fisheye\n" : "panoramas\n";
   if (source.video) add("video", source.path);
   for (const Photograph& one : source.photographs) add(one.name, one.path);
   Sha256 sum;
@@ -96,7 +99,14 @@ std::string cut_text(const VideoFrames& cut) {
          " because they were blurred";
 }
 
-// Names of the images in the scene, in the order in which they were taken.
+std::vector<std::string> lines_of(const std::string& text) {
+  std::vector<std::string> out;
+  std::string_view rest = text;
+  for (std::string_view line; next_line(rest, line);) out.emplace_back(line);
+  return out;
+}
+
+// Names of the images that are brought into `folders.images`, in the order in which they were taken.
 std::vector<std::string> bring_images(const CaptureSource& source, const PrepareOptions& options,
                                       const Folders& folders, PrepareState& state, const Programs& programs,
                                       const CaptureProgress& progress) {
@@ -110,10 +120,7 @@ std::vector<std::string> bring_images(const CaptureSource& source, const Prepare
       state.mark("frames", join(cut.names, "\n"));
       state.mark("cut", cut_text(cut));
     }
-    std::vector<std::string> names;
-    std::string_view rest = *state.done("frames");
-    for (std::string_view line; next_line(rest, line);) names.emplace_back(line);
-    return names;
+    return lines_of(*state.done("frames"));
   }
   std::vector<std::string> names = plain_names(source.photographs);
   if (state.done("images") != nullptr) return names;
@@ -125,6 +132,27 @@ std::vector<std::string> bring_images(const CaptureSource& source, const Prepare
   }
   state.mark("images");
   return names;
+}
+
+// The same of the scene: of panoramas, their views.
+std::vector<std::string> bring_views(const CaptureSource& source, const PrepareOptions& options, const Folders& folders,
+                                     PrepareState& state, const Programs& programs, const CaptureProgress& progress) {
+  if (options.lens != LensAsked::equirectangular)
+    return bring_images(source, options, folders, state, programs, progress);
+  if (state.done("views") == nullptr) {
+    Folders whole = folders;
+    whole.images = folders.work / "panoramas";
+    const std::string views = (folders.work / "views").string();
+    const std::vector<std::string> names =
+        cut_panoramas({bring_images(source, options, whole, state, programs, progress), whole.images.string(), views,
+                       folders.logs.string()},
+                      programs, progress);
+    fs::remove_all(folders.images);
+    fs::rename(views, folders.images);
+    state.mark("views", join(names, "\n"));
+    fs::remove_all(whole.images);
+  }
+  return lines_of(*state.done("views"));
 }
 
 // Of the images without a pose, those that are much less sharp than those with one.
@@ -177,7 +205,8 @@ PrepareReport prepare_scene(const PrepareOptions& options, const Programs& progr
   check_photographs(source, report.findings);
   report.findings.throw_if_errors(ErrorKind::data, "the photographs cannot be one scene:");
   for (const char* name : {"colmap", "ffmpeg", "ffprobe"}) {
-    if (source.video || std::string_view(name) == "colmap") (void)program_file(programs, name);
+    const bool cuts = source.video || options.lens == LensAsked::equirectangular;
+    if (cuts || std::string_view(name) == "colmap") (void)program_file(programs, name);
   }
   const std::string scene = fs::absolute(options.out).lexically_normal().string();
   if (!source.video && (scene + "/").starts_with(source.path + "/"))
@@ -194,7 +223,7 @@ PrepareReport prepare_scene(const PrepareOptions& options, const Programs& progr
     throw write_error("lock", folders.prepare.string(), cause);
   PrepareState state((folders.prepare / "steps.json").string(), identity_of(source, options));
 
-  const std::vector<std::string> names = bring_images(source, options, folders, state, programs, progress);
+  const std::vector<std::string> names = bring_views(source, options, folders, state, programs, progress);
   if (const std::string* cut = state.done("cut")) report.cut = *cut;
   report.photographs = names.size();
   const ImageSize size = image_size((folders.images / names.front()).string());
@@ -202,16 +231,24 @@ PrepareReport prepare_scene(const PrepareOptions& options, const Programs& progr
   report.height_px = size.height_px;
   const ColmapSteps colmap(programs, progress, folders.images.string(), folders.work.string(), folders.logs.string(),
                            options.threads > 0 ? options.threads : hardware_threads());
-  const Reconstruction found = reconstruct(
-      {names, source.video, source.camera_per_folder, folders.work.string(), options.attempts, options.note}, colmap,
-      state);
+  const Reconstruction found =
+      reconstruct({.names = names,
+                   .in_order = source.video,
+                   .camera_per_folder = source.camera_per_folder && options.lens != LensAsked::equirectangular,
+                   .work = folders.work.string(),
+                   .lens = options.lens,
+                   .attempts = options.attempts,
+                   .note = options.note},
+                  colmap, state);
   report.registered = found.best.images.size();
   report.points = found.best.points;
   report.error_px = found.best.error_px;
   report.attempts = found.attempts;
   report.missing = missing_images(names, found, blurred_among_missing(names, found.best, folders.images));
   if (!fs::exists(folders.model)) publish(found.best, folders);
-  for (const char* name : {"quick.db", "patient.db"}) fs::remove(folders.work / name);
+  for (const fs::directory_entry& entry : sorted_folder(folders.work.string())) {
+    if (entry.path().extension() == ".db") fs::remove(entry.path());
+  }
   return report;
 }
 

@@ -17,14 +17,15 @@ struct PrepareOptions {
   std::string out;         ///< folder of the scene
   std::size_t frames = 0;  ///< of a video, at most; 0: as VideoCut
   int threads = 0;         ///< 0: every core
-  int attempts = 3;        ///< to give every photograph a pose, at most
+  LensAsked lens = LensAsked::automatic;
+  int attempts = kMostAttempts;  ///< to give every photograph a pose, at most
   std::function<void(const std::string&)> note = [](const std::string&) {};  ///< of an attempt that was not enough
 };
 
 struct PrepareReport {
-  std::size_t photographs = 0, registered = 0, points = 0;
-  std::int32_t width_px = 0, height_px = 0;  ///< of the first
-  double error_px = 0;                       ///< mean reprojection error
+  std::size_t photographs = 0, registered = 0, points = 0;  ///< of panoramas, their views
+  std::int32_t width_px = 0, height_px = 0;                 ///< of the first
+  double error_px = 0;                                      ///< mean reprojection error
   int attempts = 0;
   std::string cut;  ///< what was kept of a video; empty of photographs
   std::vector<Missing> missing;

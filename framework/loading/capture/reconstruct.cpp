@@ -1,5 +1,7 @@
 #include "loading/capture/reconstruct.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <filesystem>
 #include <optional>
@@ -17,6 +19,7 @@ namespace fs = std::filesystem;
 namespace {
 
 constexpr double kEnough = 0.95;
+constexpr double kMostErrorPx = 1.1;  // a lens that fits leaves 0.5 to 1.05 (docs/evidence/capture.md)
 constexpr std::size_t kMostForAllPairs = 150;
 
 struct Attempt {
@@ -25,10 +28,26 @@ struct Attempt {
   bool patient;  // all pairs of a film too
 };
 
-const std::vector<Attempt>& ladder() {
-  static const FeatureSettings quick{"quick", "SIMPLE_RADIAL", 1024, 2048, 1, 0.0067},
-      patient{"patient", "OPENCV", 1600, 6144, 2, 0.004};
-  static const std::vector<Attempt> all{{quick, false, false}, {quick, true, false}, {patient, true, true}};
+// A fisheye whose image holds a half sphere from corner to corner has a focal length of a third of its diagonal.
+constexpr double kPhotographFocal = 1.2, kFisheyeFocal = 0.4, kViewFocal = 0.5;
+
+std::vector<Attempt> ladder(LensAsked asked) {
+  const auto quick = [](const char* name, const char* lens, double focal) {
+    return FeatureSettings{name, lens, focal, 1024, 2048, 1, 0.0067};
+  };
+  const auto patient = [](const char* name, const char* lens, double focal) {
+    return FeatureSettings{name, lens, focal, 1600, 6144, 2, 0.004};
+  };
+  const auto steps = [](const FeatureSettings& first, const FeatureSettings& last) {
+    return std::vector<Attempt>{{first, false, false}, {first, true, false}, {last, true, true}};
+  };
+  const FeatureSettings wide = patient("fisheye", "OPENCV_FISHEYE", kFisheyeFocal);
+  if (asked == LensAsked::fisheye) return steps(quick("fisheye_quick", "OPENCV_FISHEYE", kFisheyeFocal), wide);
+  if (asked == LensAsked::equirectangular)
+    return steps(quick("views_quick", "SIMPLE_PINHOLE", kViewFocal), patient("views", "SIMPLE_PINHOLE", kViewFocal));
+  std::vector<Attempt> all =
+      steps(quick("quick", "SIMPLE_RADIAL", kPhotographFocal), patient("patient", "OPENCV", kPhotographFocal));
+  all.push_back({wide, true, true});
   return all;
 }
 
@@ -44,7 +63,16 @@ FoundModel model_in(const std::string& folder) {
   return out;
 }
 
-bool is_better(const FoundModel& a, const FoundModel& b) {
+bool has_enough(const FoundModel& model, std::size_t count) {
+  return static_cast<double>(model.images.size()) >= kEnough * static_cast<double>(count);
+}
+// A lens that does not fit gives wrong poses to every image.
+bool is_enough(const FoundModel& model, std::size_t count) {
+  return has_enough(model, count) && model.error_px <= kMostErrorPx;
+}
+
+bool is_better(const FoundModel& a, const FoundModel& b, std::size_t count) {
+  if (is_enough(a, count) != is_enough(b, count)) return is_enough(a, count);
   if (a.images.size() != b.images.size()) return a.images.size() > b.images.size();
   return a.error_px < b.error_px;
 }
@@ -82,7 +110,8 @@ std::vector<FoundModel> models_of(const Attempt& attempt, const ReconstructTask&
     out.push_back(model_in(std::string(rest.substr(0, end))));
     rest.remove_prefix(std::min(rest.size(), end + 1));
   }
-  std::stable_sort(out.begin(), out.end(), is_better);
+  std::stable_sort(out.begin(), out.end(),
+                   [&](const FoundModel& a, const FoundModel& b) { return is_better(a, b, task.names.size()); });
   return out;
 }
 
@@ -93,6 +122,16 @@ std::string range_text(const std::vector<std::string>& names, std::size_t first,
          names[last] + ")";
 }
 
+// What is said before an attempt that follows another.
+std::string next_attempt(const Reconstruction& found, std::size_t count) {
+  std::string said = fmt::format("{} of {} photographs have a pose", found.best.images.size(), count);
+  if (has_enough(found.best, count))
+    said += fmt::format(", but the lens misses their points by {:.2f} pixels", found.best.error_px);
+  return said +
+         fmt::format("; attempt {0} takes longer. To do without, stop and give the same command with --attempts {1}",
+                     found.attempts, found.attempts - 1);
+}
+
 }  // namespace
 
 Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colmap, PrepareState& state) {
@@ -100,18 +139,13 @@ Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colma
   const std::string* earlier = state.done("refined");
   double most = task.attempts;
   if (earlier != nullptr) (void)parse_number(*earlier, most);
-  for (const Attempt& attempt : ladder()) {
-    const std::size_t posed = out.best.images.size();
-    if (out.attempts >= most || static_cast<double>(posed) >= kEnough * static_cast<double>(task.names.size())) break;
-    if (out.attempts++ > 0) {
-      task.note(std::to_string(posed) + " of " + std::to_string(task.names.size()) +
-                " photographs have a pose; attempt " + std::to_string(out.attempts) +
-                " takes longer. To do without, stop and give the same command with "
-                "--attempts " +
-                std::to_string(out.attempts - 1));
-    }
+  const std::size_t count = task.names.size();
+  for (const Attempt& attempt : ladder(task.lens)) {
+    if (out.attempts >= most || is_enough(out.best, count)) break;
+    if (has_enough(out.best, count) && !attempt.patient) continue;  // it asks less of images, and none are missing
+    if (out.attempts++ > 0) task.note(next_attempt(out, count));
     std::vector<FoundModel> models = models_of(attempt, task, colmap, state);
-    if (models.empty() || !(out.best.images.empty() || is_better(models.front(), out.best))) continue;
+    if (models.empty() || !(out.best.images.empty() || is_better(models.front(), out.best, count))) continue;
     out.best = std::move(models.front());
     models.erase(models.begin());
     out.others = std::move(models);

@@ -10,6 +10,10 @@
 
 namespace semfield {
 
+/// What kind of lens took the photographs. `automatic` is a perspective one until no attempt with it is enough.
+/// `equirectangular` are panoramas, which come as perspective views of 90 degrees.
+enum class LensAsked : std::uint8_t { automatic, fisheye, equirectangular };
+
 /// A model that COLMAP made.
 struct FoundModel {
   std::string folder;
@@ -18,12 +22,15 @@ struct FoundModel {
   double error_px = 0;  ///< mean reprojection error
 };
 
+inline constexpr int kMostAttempts = 4;
+
 struct ReconstructTask {
   std::vector<std::string> names;  ///< of the images, in the order in which they were taken
   bool in_order = false;           ///< frames of a film: neighbours are neighbours
   bool camera_per_folder = false;
   std::string work;  ///< folder
-  int attempts = 3;  ///< at most; none follows once a model has been refined
+  LensAsked lens = LensAsked::automatic;
+  int attempts = kMostAttempts;  ///< at most; none follows once a model has been refined
   /// Told of an attempt that was not enough, before the next.
   std::function<void(const std::string&)> note = [](const std::string&) {};
 };
@@ -35,11 +42,12 @@ struct Reconstruction {
   int attempts = 0;
 };
 
-/// From the cheapest attempt to the most patient, until 95 % of the images have a pose: features at 1,024 pixels;
-/// asking less of an image that joins; more and fainter features at 1,600 pixels, every pair, and a richer lens. The
-/// largest model of all loses the images of misplaced_images() and is refined with OPENCV lenses [Schonberger16]. Pairs
-/// are all pairs up to 150 photographs, beyond and in films those of pairs_in_order(). Throws Error(data) where nothing
-/// was found.
+/// From the cheapest attempt to the most patient, until 95 % of the images have a pose and the lens explains them to
+/// under a pixel: features at 1,024 pixels; asking less of an image that joins; more and fainter features at 1,600
+/// pixels, every pair, and a richer lens; the same with a fisheye's. Asked for a fisheye, all attempts have one. The
+/// largest model of all loses the images of misplaced_images() and is refined with OPENCV lenses or fisheyes
+/// [Schonberger16]. Pairs are all pairs up to 150 photographs, beyond and in films those of pairs_in_order(). Throws
+/// Error(data) where nothing was found.
 Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colmap, PrepareState& state);
 
 /// Images without a pose that follow each other, and what to do.

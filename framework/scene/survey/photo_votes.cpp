@@ -159,10 +159,22 @@ std::vector<std::pair<std::size_t, std::size_t>> matches_of(const std::vector<Ph
   return out;
 }
 
+// The same for a wide lens, whose pixels are angles: between `seen` and the arc from `a` to `b`, times the focal
+// length.
+double off_epipolar_arc(Vec3d a, Vec3d b, Vec3d seen, const Camera& camera) {
+  const auto between = [](Vec3d v, Vec3d w) { return std::atan2(length(cross(v, w)), dot(v, w)); };
+  const Vec3d normal = cross(a, b);
+  const double size = length(normal);
+  const bool beside = size > 0 && dot(cross(a, seen), normal) >= 0 && dot(cross(seen, b), normal) >= 0;
+  const double ends = std::min(between(seen, a), between(seen, b));
+  return camera.fx * (beside ? std::asin(std::min(1.0, std::abs(dot(seen, normal)) / (size * length(seen)))) : ends);
+}
+
 // Pixels between `seen` and the half line where the other camera's ray shows: from its direction (a point at infinity)
 // to the other's centre, as far as both are in front.
 double off_epipolar_line(Vec3d ray, const Pose& pose, Vec3d seen, const Camera& camera) {
   Vec3d a = pose.rotate(ray), b = pose.t;
+  if (camera.is_wide()) return off_epipolar_arc(a, b, seen, camera);
   if (!(a.z > 0) && !(b.z > 0)) return 1e300;
   const auto clip = [](Vec3d& behind, Vec3d front) {
     const double z = 1e-3 * front.z;
@@ -227,6 +239,7 @@ using Matches = std::vector<std::pair<std::size_t, std::size_t>>;
 // `factor` divides the focal lengths of both frames.
 int count_fits(const Matches& matches, const PhotoFrame& a, const PhotoFrame& b, const Pose& b_from_a, double factor) {
   Camera camera = b.camera;
+  if (camera.is_wide() && factor != 1) return 0;  // a wide lens is no pinhole whose rays a factor spreads
   camera.fx /= factor;
   camera.fy /= factor;
   const auto seen = [factor](const PhotoCorner& corner) {
