@@ -349,7 +349,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
   const int classes = scene.info.classes.valid_count();
   scene.class_pixels.assign(frames.size(), {});
   std::optional<GeometrySurvey> geometry;
-  if (options.check_geometry) geometry.emplace(as_opened, cameras, options.convention);
+  if (options.check_geometry) geometry.emplace(as_opened, cameras, options.convention, options.exposure);
   const LensMasks without_ray(cameras);
   std::atomic<std::size_t> read{0};
   parallel_for(static_cast<std::int64_t>(frames.size()), [&](std::int64_t index) {
@@ -407,6 +407,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
     GeometryVerdict verdict = geometry->conclude(diagnostics);
     scene.geometry = std::move(verdict.text);
     scene.corners = std::move(verdict.corners);
+    scene.exposure = verdict.exposure;
   }
   // What poses of another convention do to bounds and distances would hide the cause.
   Diagnostics consequences;

@@ -38,7 +38,8 @@ struct SceneLoadOptions {
   /// Not a key: space outside the bounds is contracted (rendering.outside), so that they are those of the subject and
   /// far lies beyond all that could be told from infinity.
   bool contracted = false;
-  bool pixels = true;  ///< not a key; false: cameras and classes only, bounds and distances as given here
+  bool exposure = false;  ///< not a key: with check_geometry, brightness of overlapping frames is compared
+  bool pixels = true;     ///< not a key; false: cameras and classes only, bounds and distances as given here
 };
 void describe(ParamVisitor& visit, SceneLoadOptions& options);
 void validate(const SceneLoadOptions& options, Diagnostics& diagnostics);
@@ -53,6 +54,7 @@ struct LoadedScene {
   /// Corners of photographs without depth, where the poses put them: world points that tell where the scene is.
   SurveyPoints corners;
   std::string geometry;                    ///< what the check of poses against pixels found; empty = not asked
+  std::optional<double> exposure;          ///< factor between overlapping frames (PhotoTallies), where it was asked for
   std::string bounds_from, near_far_from;  ///< one phrase each: "depth of 35 training frames", "the configuration", ...
   CameraRig rig;                           ///< of the training cameras
   /// Of scenes whose extent no depth and no dataset tells, where the frames show an object before one colour.

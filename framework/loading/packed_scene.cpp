@@ -152,7 +152,7 @@ template <class Stream>
 void walk(Stream& s, std::uint32_t version, SceneInfo& info, std::vector<ClassEntry>& classes,
           std::vector<Chunks>& chunks) {
   s.text(info.name);
-  flags(s, {&info.metric, &info.opengl_files});
+  flags(s, {&info.metric, &info.opengl_files, &info.tracked});
   s.number(info.near_hint_m);
   s.number(info.far_hint_m);
   vector3(s, info.bounds.lo);

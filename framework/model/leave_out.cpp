@@ -188,15 +188,17 @@ void plan_heads(const BuildRequest& request, Planner& planner, BuildPlan& plan) 
 }
 
 void plan_cameras(const SceneManifest& manifest, const BuildRequest& request, Planner& planner, BuildPlan& plan) {
-  const auto learned = [&](bool asked, const char* component, const char* key, const char* saves) {
-    const std::string setting = fmt::format("train.cameras.{}", key);
-    return planner.leave(!asked, {component, "not asked for", fmt::format("{} is given", setting), ProofClass::bitwise,
-                                  saves, fmt::format("set {}: learned", setting), ""})
-               ? std::int64_t{0}
-               : manifest.train_frames;
+  const auto learned = [&](bool asked, const std::string& why, const char* key, const char* saves) {
+    const std::string component = fmt::format("camera_{}", key), setting = fmt::format("train.cameras.{}", key);
+    LeftOut row{component, "not asked for", setting + " is given", ProofClass::bitwise, saves, "", ""};
+    if (!why.empty()) {
+      row.rule = "the scene gives no reason to correct them";
+      row.evidence = why;
+    }
+    return planner.leave(!asked, std::move(row)) ? std::int64_t{0} : manifest.train_frames;
   };
-  plan.learned_poses = learned(request.learns_poses, "camera_poses", "poses", "gradients of rays");
-  plan.learned_colors = learned(request.learns_colors, "camera_colors", "colors", "a map of colours per camera");
+  plan.learned_poses = learned(request.learns_poses, request.poses_why, "poses", "gradients of rays");
+  plan.learned_colors = learned(request.learns_colors, request.colors_why, "colors", "a map of colours per camera");
 }
 
 struct BuiltRow {

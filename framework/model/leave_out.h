@@ -46,6 +46,7 @@ struct BuildRequest {
   bool trained = false;                              ///< the network is another session's, so all its heads are built
   std::set<std::string> channels;                    ///< further channels that training frames offer
   bool learns_poses = false, learns_colors = false;  ///< of training cameras
+  std::string poses_why, colors_why;                 ///< what the scene says of it, where it was asked
   double density_noise = 0;
   double early_stop = 0;
   bool balance_classes = false;

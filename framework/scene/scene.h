@@ -44,6 +44,7 @@ struct SceneInfo {
   double near_hint_m = 0;  ///< 0 = none
   double far_hint_m = 0;
   bool opengl_files = false;  ///< camera axes in the files were OpenGL's; open() turned them
+  bool tracked = false;       ///< poses are those that a phone found while it moved: they drift
 };
 
 /// Numbers of a further channel; cell (y h / H, x w / W) is that of pixel (y, x). A row of zeros: none.

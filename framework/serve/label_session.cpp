@@ -45,6 +45,8 @@ OpenedForTraining open_labelling(RunConfig config, Registry& registry, const Lab
   if (labels.clicks.empty()) labels.clicks = (folder / kClickFile).string();
   if (labels.class_room == 0) labels.class_room = options.class_room > 0 ? options.class_room : kClassRoom;
   config.train.ray_source = RaySourceKind::label_balanced;
+  // Views of the page are where the files put them, and labels with them.
+  if (config.cameras.poses == CameraTrust::automatic) config.cameras.poses = CameraTrust::given;
   return open_for_training(std::move(config), registry, request, listener);
 }
 

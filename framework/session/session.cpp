@@ -14,6 +14,7 @@
 #include "session/bounds_probe.h"
 #include "session/channel_axes.h"
 #include "session/ranks_session.h"
+#include "session/settings/camera_choices.h"
 #include "session/settings/head_config.h"
 #include "session/settings/label_choices.h"
 #include "session/settings/loss_config.h"
@@ -146,6 +147,16 @@ void choose_by_labels(Session& s, bool labels_made, bool trainable, Diagnostics&
   if (!rays.empty()) s.chosen_by_labels.push_back(rays);
 }
 
+// What stands in no list of parts left out.
+void note_cameras(Session& s, const CameraReasons& why) {
+  const auto note = [&](CameraTrust trust, const char* key, const std::string& reason) {
+    if (!reason.empty() && trust == CameraTrust::learned)
+      s.chosen_by_cameras.push_back(std::string("train.cameras.") + key + ": learned, because " + reason);
+  };
+  note(s.config.cameras.poses, "poses", why.poses);
+  note(s.config.cameras.colors, "colors", why.colors);
+}
+
 SceneExtent extent_of(const Session& s) {
   return {s.scene.bounds, s.scene.near_m, s.scene.far_m, s.scene.pixel_footprint_m,
           s.config.rendering.outside == Outside::contracted};
@@ -164,6 +175,7 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   load.pixels = options.pixels || !options.known;
   load.check_geometry = load.check_geometry && !options.known;  // a run that was trained is evaluated as it is
   if (options.trainable) load.channels = targets_of(s.config.losses);
+  load.exposure = s.config.cameras.colors == CameraTrust::automatic;
   load.with_instances = make_labels && s.config.labels.needs_instances();
   const bool of_losses = options.trainable && losses_read(s.config.losses, channel::depth);
   const bool needs_depth =
@@ -183,7 +195,11 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   s.manifest = options.known ? options.known->manifest : manifest_of(s.scene, s.labels);
   if (options.known) s.scene.pixel_footprint_m = options.known->pixel_footprint_m;
   last = make_last_sampler(s.config, registry, extent_of(s));
+  const CameraReasons why = choose_cameras(s.config.cameras, {s.scene.info.tracked, s.scene.exposure});
   BuildRequest request = build_request(s.config, registry, last->traits());
+  request.poses_why = why.poses;
+  request.colors_why = why.colors;
+  note_cameras(s, why);
   request.no_cuda = chosen.no_cuda;
   request.training_depth_px = needs_depth ? 0 : training_depth_px(s.scene);
   if (of_losses) {
@@ -332,6 +348,7 @@ std::vector<std::string> Session::choices() const {
   std::vector<std::string> lines = chosen_by_device;
   lines.insert(lines.end(), chosen.begin(), chosen.end());
   lines.insert(lines.end(), chosen_by_labels.begin(), chosen_by_labels.end());
+  lines.insert(lines.end(), chosen_by_cameras.begin(), chosen_by_cameras.end());
   return lines;
 }
 

@@ -147,6 +147,21 @@ TEST_F(Prepare, AFisheyeIsTriedWhereNoOtherLensFits) {
       << "asking less of images is no help where none are missing";
 }
 
+TEST_F(Prepare, AFisheyeIsTriedWhereALensBendsAsOneDoes) {
+  Camera barrel = room_camera();
+  barrel.k1 = -0.25 * std::pow(barrel.fx / barrel.cx, 2);
+  for (int attempt = 1; attempt <= 3; ++attempt) {
+    model(attempt, 0, {0, 1, 2, 3, 4, 5}, 0.3 + 0.1 * attempt);
+    if (attempt < 3)
+      plain_write(home_ + "/bin/models/" + std::to_string(attempt) + "/0/cameras.bin",
+                  colmap_cameras_file({{1, barrel}}));
+  }
+  const Result r = prepare();
+  EXPECT_EQ(r.code, 0) << r.err;
+  EXPECT_HAS(r.err, "6 of 6 photographs have a pose, but the lens bends borders as a fisheye does; attempt 2");
+  EXPECT_HAS(r.out, "reprojection error 0.60 pixels, 2 points, 3 attempts") << "a lens that fits counts more";
+}
+
 TEST_F(Prepare, ALensThatFitsCountsMoreThanAnImage) {
   model(1, 0, {0, 1, 2, 3, 4, 5}, 1.3);
   model(2, 0, {0, 1, 2, 3, 4}, 0.5);

@@ -275,6 +275,25 @@ Room photographs(int width = 320) {
   return room;
 }
 
+// Every second photograph is darker, at corners that are alike.
+TEST(GeometrySurvey, ExposureThatChangesIsMeasuredWhereItIsAskedFor) {
+  for (const bool depth : {false, true}) {
+    Room room = photographs();
+    room.depth = depth;
+    const auto exposure_of = [&](bool asked) {
+      Diagnostics d;
+      return load_scene(room, {.exposure = asked}, d).exposure;
+    };
+    ASSERT_TRUE(exposure_of(true).has_value());
+    EXPECT_NEAR(*exposure_of(true), 1, 0.02) << depth;
+    EXPECT_FALSE(exposure_of(false).has_value());
+    room.spoiled = [](int i, FrameBuffer& out) {
+      for (std::uint8_t& v : out.rgb) v = i % 2 == 0 ? v : static_cast<std::uint8_t>(0.7 * v);
+    };
+    EXPECT_GT(*exposure_of(true), 1.2) << depth;
+  }
+}
+
 TEST(GeometrySurvey, PixelsOfAFisheyeAreAngles) {
   Room room = photographs();
   room.fisheye = true;

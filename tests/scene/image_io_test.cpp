@@ -277,17 +277,19 @@ TEST(PackedScene, RoundTripIsExact) {
 }
 
 // A sweep packs a scene as its files are; what its cells say of the poses in the files holds for the packed scene too.
-TEST(PackedScene, RemembersTheAxesOfTheFiles) {
+TEST(PackedScene, RemembersTheAxesOfTheFilesAndWhosePosesTheyAre) {
   for (const bool metric : {false, true}) {
     for (const bool opengl : {false, true}) {
       SceneInfo info = room_info(1);
       info.metric = metric;
       info.opengl_files = opengl;
+      info.tracked = metric != opengl;
       const std::string path = fresh_folder("p") + "/room.semfield";
       write_packed_scene(path, info, [&](int i, FrameBuffer& out) { render(info, i, out); });
       const PackedScene scene(path);
       EXPECT_EQ(scene.info().metric, metric);
       EXPECT_EQ(scene.info().opengl_files, opengl);
+      EXPECT_EQ(scene.info().tracked, metric != opengl);
     }
   }
 }

@@ -8,6 +8,7 @@
 #include <cmath>
 
 #include "model/domain_map.h"
+#include "session/settings/camera_choices.h"
 #include "session/trainer.h"
 #include "tests/plugin/toy_encoder.h"
 #include "tests/session/oracle.h"
@@ -145,6 +146,48 @@ TEST(CameraCorrections, MoveAfterTheirShareOfTheRun) {
   EXPECT_FALSE(moved());
   while (trainer.step() < session.config.train.steps / 10 + 2) trainer.advance();
   EXPECT_TRUE(moved());
+}
+
+const char* const kAuto = "cameras: {poses: auto, colors: auto}, ";
+
+TEST(CameraChoices, FollowTheEvidence) {
+  const auto chosen = [](CameraTrust asked, bool tracked, std::optional<double> exposure) {
+    CameraParams cameras;
+    cameras.poses = cameras.colors = asked;
+    const CameraReasons why = choose_cameras(cameras, {tracked, exposure});
+    EXPECT_EQ(why.poses.empty() || why.colors.empty(), asked != CameraTrust::automatic);
+    return std::pair{cameras.poses == CameraTrust::learned, cameras.colors == CameraTrust::learned};
+  };
+  using Both = std::pair<bool, bool>;
+  EXPECT_EQ(chosen(CameraTrust::automatic, true, 1.02), (Both{true, false}));
+  EXPECT_EQ(chosen(CameraTrust::automatic, false, 1.12), (Both{false, true}));
+  EXPECT_EQ(chosen(CameraTrust::automatic, false, {}), (Both{false, false})) << "nothing known";
+  EXPECT_EQ(chosen(CameraTrust::given, true, 1.12), (Both{false, false})) << "what is asked for stands";
+  EXPECT_EQ(chosen(CameraTrust::learned, false, {}), (Both{true, true}));
+}
+
+// What the scene decides is written out, with its reason; --keep brings in what it leaves out.
+TEST(CameraChoices, AreSettledWhenASceneIsOpened) {
+  Registry registry = make_registry();
+  const Session phone =
+      open_text(with_scene(learned(hash_config(), kAuto), "{type: analytic_room, tracked: true}"), registry);
+  EXPECT_EQ(phone.config.cameras.poses, CameraTrust::learned);
+  EXPECT_EQ(phone.config.cameras.colors, CameraTrust::given);
+  EXPECT_NE(phone.pipeline->store().find("cameras/pose/learned"), nullptr);
+  EXPECT_EQ(phone.pipeline->store().find("cameras/color/learned"), nullptr);
+  const std::vector<std::string> said = phone.choices();
+  EXPECT_EQ(std::count(said.begin(), said.end(),
+                       "train.cameras.poses: learned, because poses are a phone's, whose tracker drifts"),
+            1);
+  const Session other = open_text(learned(hash_config(), kAuto), registry);
+  EXPECT_EQ(other.pipeline->cameras(), nullptr);
+  const auto row = std::find_if(other.plan.left_out.begin(), other.plan.left_out.end(),
+                                [](const LeftOut& one) { return one.component == "camera_poses"; });
+  ASSERT_NE(row, other.plan.left_out.end());
+  EXPECT_EQ(row->evidence, "poses are not those of a phone's tracker");
+  const Session kept = open_text(learned(hash_config(), kAuto), registry, {"camera_poses"});
+  EXPECT_NE(kept.pipeline->store().find("cameras/pose/learned"), nullptr);
+  EXPECT_EQ(kept.plan.kept, std::vector<std::string>{"camera_poses"});
 }
 
 // An encoder whose tables learn must say that it gives gradients of positions alone: another would write into

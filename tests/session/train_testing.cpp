@@ -22,6 +22,7 @@ struct AnalyticRoomParams {
   bool with_albedo = false;  // a channel `albedo` [H / 2, W, 3]: the colours of every other row
   int absent_class = -1;     // of the table, but void in every frame
   int masked = 0;            // of 4 checks of a board, beginning with another one in each frame
+  bool tracked = false;      // as poses of a phone
   int behind = -1;           // what lies behind the mask in place of the room: grey, class and depth made of it
 };
 void describe(ParamVisitor& visit, AnalyticRoomParams& p) {
@@ -33,6 +34,7 @@ void describe(ParamVisitor& visit, AnalyticRoomParams& p) {
   SEMFIELD_PARAM(visit, p, with_depth, "with depth");
   SEMFIELD_PARAM(visit, p, with_albedo, "with the channel albedo");
   SEMFIELD_PARAM(visit, p, absent_class, "a class without pixels", {-1, 1000});
+  SEMFIELD_PARAM(visit, p, tracked, "poses of a phone");
   SEMFIELD_PARAM(visit, p, masked, "of 4", {0, 4});
   SEMFIELD_PARAM(visit, p, behind, "grey behind the mask", {-1, 255});
 }
@@ -44,6 +46,7 @@ class AnalyticRoom final : public Dataset {
       : with_classes_(p.with_classes),
         with_depth_(p.with_depth),
         with_albedo_(p.with_albedo),
+        tracked_(p.tracked),
         absent_class_(p.absent_class),
         masked_(p.masked),
         behind_(p.behind) {
@@ -56,6 +59,7 @@ class AnalyticRoom final : public Dataset {
   }
   SceneInfo open(Diagnostics& diagnostics) override {
     SceneInfo info = inner_->open(diagnostics);
+    info.tracked = tracked_;
     if (!with_classes_) info.classes = ClassTable();
     if (!with_depth_) {  // as photographs: nothing states the extent
       info.bounds = Box();
@@ -95,7 +99,7 @@ class AnalyticRoom final : public Dataset {
     }
   }
 
-  bool with_classes_, with_depth_, with_albedo_;
+  bool with_classes_, with_depth_, with_albedo_, tracked_;
   int absent_class_, masked_, behind_;
   std::unique_ptr<Dataset> inner_;
 };

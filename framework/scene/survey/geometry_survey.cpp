@@ -194,9 +194,10 @@ std::string judge_photos(const PhotoTallies& found, const SceneInfo& as_opened, 
 }
 
 GeometrySurvey::GeometrySurvey(const SceneInfo& as_opened, const std::vector<Camera>& cameras,
-                               const PoseConvention& given)
+                               const PoseConvention& given, bool exposure)
     : as_opened_(as_opened),
       given_(given),
+      exposure_(exposure),
       pairs_(choose_pairs(as_opened, cameras)),
       wanted_(as_opened.frames.size()),
       frames_(as_opened.frames.size()),
@@ -206,27 +207,30 @@ GeometrySurvey::GeometrySurvey(const SceneInfo& as_opened, const std::vector<Cam
 
 void GeometrySurvey::look_at(std::size_t frame, const Camera& camera, const FrameBuffer& pixels) {
   if (!wanted_[frame]) return;
-  if (pixels.depth_m.empty()) {
-    photos_[frame] = photo_frame(camera, pixels);
-  } else {
-    frames_[frame] = small_depth_frame(camera, pixels);
-  }
+  if (pixels.depth_m.empty() || exposure_) photos_[frame] = photo_frame(camera, pixels);
+  if (!pixels.depth_m.empty()) frames_[frame] = small_depth_frame(camera, pixels);
 }
 
 GeometryVerdict GeometrySurvey::conclude(Diagnostics& diagnostics) const {
-  if (pairs_.empty()) return {"could not be checked: no two frames look in a similar direction", {}};
+  if (pairs_.empty()) return {"could not be checked: no two frames look in a similar direction", {}, {}};
   std::vector<float> depths;
   for (const SmallFrame& frame : frames_)
     depths.insert(depths.end(), frame.point_depths.begin(), frame.point_depths.end());
-  if (depths.empty()) {
+  GeometryVerdict out;
+  if (depths.empty() || exposure_) {
     PhotoTallies found = vote_by_photos(as_opened_, photos_, pairs_, given_);
-    const bool fits = found.tallies.front().fits >= kFewFit * found.matches;
-    return {judge_photos(found, as_opened_, diagnostics), fits ? std::move(found.corners) : SurveyPoints()};
+    if (exposure_) out.exposure = found.exposure;
+    if (depths.empty()) {
+      out.text = judge_photos(found, as_opened_, diagnostics);
+      if (found.tallies.front().fits >= kFewFit * found.matches) out.corners = std::move(found.corners);
+      return out;
+    }
   }
   std::sort(depths.begin(), depths.end());
   DepthRange range{depths[depths.size() / 2], 0};
   range.values = static_cast<int>(std::unique(depths.begin(), depths.end()) - depths.begin());
-  return {judge_depth(vote_by_depth(as_opened_, frames_, pairs_, given_), as_opened_, range, diagnostics), {}};
+  out.text = judge_depth(vote_by_depth(as_opened_, frames_, pairs_, given_), as_opened_, range, diagnostics);
+  return out;
 }
 
 }  // namespace semfield

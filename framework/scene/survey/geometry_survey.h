@@ -2,6 +2,7 @@
 // under every convention that poses may have been written in.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -15,13 +16,15 @@ struct GeometryVerdict {
   /// Corners of photographs that were found again in others, where the poses put them; empty with depth, and where the
   /// photographs do not agree with the poses.
   SurveyPoints corners;
+  std::optional<double> exposure;  ///< as PhotoTallies; nothing where nobody asked for it
 };
 
 class GeometrySurvey {
  public:
   /// `as_opened` is the manifest before `given` was applied and outlives this; `cameras` are at the loaded size, with
-  /// width 0 where a frame cannot be read.
-  GeometrySurvey(const SceneInfo& as_opened, const std::vector<Camera>& cameras, const PoseConvention& given);
+  /// width 0 where a frame cannot be read. `exposure`: brightness is compared too, also of frames with depth.
+  GeometrySurvey(const SceneInfo& as_opened, const std::vector<Camera>& cameras, const PoseConvention& given,
+                 bool exposure = false);
 
   /// Keeps what the check needs of a frame, its depth converted; at most a hundred kilobytes of some hundred frames.
   /// For different frames from any thread.
@@ -34,10 +37,11 @@ class GeometrySurvey {
  private:
   const SceneInfo& as_opened_;
   PoseConvention given_;
+  bool exposure_;
   FramePairs pairs_;
   std::vector<bool> wanted_;
   std::vector<SmallFrame> frames_;
-  std::vector<PhotoFrame> photos_;  // of frames without depth
+  std::vector<PhotoFrame> photos_;  // of frames without depth, or where brightness is compared
 };
 
 /// Depth over all frames looked at.

@@ -21,6 +21,8 @@ constexpr float kAmbiguous = 0.9f;  // of (1 - best) / (1 - second)
 constexpr double kOff = 1.5;        // pixels of the small picture
 constexpr int kFewestMatches = 12;
 constexpr double kLeastParallax = 0.02;  // radians between two rays that meet; a pixel of the small picture is 0.004
+constexpr int kFewestGreys = 8, kFewestPairs = 8;
+constexpr double kDark = 4;  // grey steps: darker ones say little of a factor
 constexpr double kFocalFactors[] = {0.125, 0.25, 1.0 / 3, 0.5, 2, 3, 4, 6, 8};
 
 struct Grey {
@@ -105,7 +107,7 @@ bool touches_mask(const FrameBuffer& frame, std::int32_t side, std::int32_t x, s
 }
 
 PhotoCorner corner_at(const Grey& g, Vec3d direction, std::int32_t x, std::int32_t y) {
-  PhotoCorner out{direction * (1 / direction.z), {}};
+  PhotoCorner out{direction * (1 / direction.z), 0, {}};
   float mean = 0;
   for (int j = 0; j < 8; ++j) {
     for (int i = 0; i < 8; ++i) {
@@ -115,6 +117,7 @@ PhotoCorner corner_at(const Grey& g, Vec3d direction, std::int32_t x, std::int32
       mean += value / 64;
     }
   }
+  out.grey = mean / 4;
   float squares = 1e-6f;
   for (float& v : out.patch) {
     v -= mean;
@@ -232,6 +235,7 @@ struct Votes {
   int matches = 0;
   std::vector<int> fits, focal_fits;  // of each convention, of each factor
   SurveyPoints corners;
+  std::optional<double> brighter;  // median logarithm of the second frame's brightness over the first's
 };
 
 using Matches = std::vector<std::pair<std::size_t, std::size_t>>;
@@ -248,6 +252,24 @@ int count_fits(const Matches& matches, const PhotoFrame& a, const PhotoFrame& b,
   return static_cast<int>(std::count_if(matches.begin(), matches.end(), [&](const auto& match) {
     return off_epipolar_line(seen(a.corners[match.first]), b_from_a, seen(b.corners[match.second]), camera) < kOff;
   }));
+}
+
+template <class T>
+T median_of(std::vector<T> values) {
+  const auto middle = values.begin() + std::ssize(values) / 2;
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+std::optional<double> brighter_by(const Matches& matches, const PhotoFrame& a, const PhotoFrame& b,
+                                  const Pose& b_from_a) {
+  std::vector<double> logs;
+  for (const auto& [i, j] : matches) {
+    if (off_epipolar_line(a.corners[i].ray, b_from_a, b.corners[j].ray, b.camera) < kOff)
+      logs.push_back(std::log((b.corners[j].grey + kDark) / (a.corners[i].grey + kDark)));
+  }
+  if (std::ssize(logs) < kFewestGreys) return {};
+  return median_of(std::move(logs));
 }
 
 // Where two rays are nearest to each other, for each match that fits.
@@ -293,6 +315,7 @@ PhotoTallies vote_by_photos(const SceneInfo& as_opened, const std::vector<PhotoF
     const Pose j_from_i = relative_pose(as_opened, given, j, i);
     for (const double factor : kFocalFactors)
       out.focal_fits.push_back(count_fits(matches, frames[i], frames[j], j_from_i, factor));
+    out.brighter = brighter_by(matches, frames[i], frames[j], j_from_i);
     const FrameInfo& frame = as_opened.frames[i];
     if (frame.split == Split::train && as_opened.frames[j].split == Split::train) {
       out.corners = meeting_points(matches, frames[i], frames[j], j_from_i,
@@ -302,7 +325,9 @@ PhotoTallies vote_by_photos(const SceneInfo& as_opened, const std::vector<PhotoF
   PhotoTallies out;
   for (const PoseConvention& convention : all) out.tallies.push_back({convention, 0, 0, 0});
   for (const double factor : kFocalFactors) out.focal.push_back({factor, 0, 0, 0});
+  std::vector<double> exposures;
   for (const Votes& pair : votes) {
+    if (pair.brighter) exposures.push_back(std::abs(*pair.brighter));
     if (pair.matches < kFewestMatches) continue;
     ++out.pairs;
     out.matches += pair.matches;
@@ -319,6 +344,7 @@ PhotoTallies vote_by_photos(const SceneInfo& as_opened, const std::vector<PhotoF
     append(out.corners.distance, pair.corners.distance);
     out.corners.looked_at += pair.corners.looked_at;
   }
+  if (std::ssize(exposures) >= kFewestPairs) out.exposure = std::exp(median_of(std::move(exposures)));
   return out;
 }
 

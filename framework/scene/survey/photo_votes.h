@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <optional>
 #include <vector>
 
 #include "scene/survey/depth_survey.h"
@@ -12,7 +13,8 @@ namespace semfield {
 
 /// A corner and what it looks like: 8 x 8 means of grey around it, mean 0 and length 1.
 struct PhotoCorner {
-  Vec3d ray;  ///< in camera axes, z = 1
+  Vec3d ray;       ///< in camera axes, z = 1
+  float grey = 0;  ///< mean around it, 0 to 255
   std::array<float, 64> patch;
 };
 
@@ -45,6 +47,9 @@ struct PhotoTallies {
   /// Where the matches that fit the convention given lie, of pairs of training frames: world points, and distances from
   /// the first camera of each pair. Only of matches whose rays meet at an angle that shows how far.
   SurveyPoints corners;
+  /// By what factor brightness differs between the frames of a pair: e to the median over pairs of the magnitude of the
+  /// pair's median logarithm, 1 or more. Nothing where too few pairs say so.
+  std::optional<double> exposure;
 };
 
 /// Matches between the frames of each pair, held against each convention. `frames` as `as_opened.frames`.

@@ -51,18 +51,19 @@ void describe(ParamVisitor& visit, CameraParams& p) {
   SEMFIELD_PARAM(
       visit, p, poses,
       "poses of training cameras: as given, or learned with the field where they are off by more than a pixel; "
-      "right ones suffer from it");
+      "right ones suffer from it. auto is learned where a phone's tracker gave them, and run.yaml has the choice");
   SEMFIELD_PARAM(visit, p, colors,
                  "colours of training cameras: as given, or learned, an affine map per camera, where exposure or white "
-                 "balance changes between photographs");
+                 "balance changes between photographs; auto looks whether brightness of overlapping frames does");
   SEMFIELD_PARAM(
       visit, p, pose_rate,
       "factor to the learning rate of poses, in radians and shifts in halves of the scene's longest side; it "
       "falls with the third power of the schedule",
       {0, 1e6});
-  SEMFIELD_PARAM(visit, p, from_step,
-                 "share of the run after which poses and colours move: before it the field is fog, which moves right ones",
-                 {0, 1});
+  SEMFIELD_PARAM(
+      visit, p, from_step,
+      "share of the run after which poses and colours move: before it the field is fog, which moves right ones",
+      {0, 1});
   SEMFIELD_PARAM(visit, p, color_rate, "factor to the learning rate of colours; it falls with the third power too",
                  {0, 1e6});
 }

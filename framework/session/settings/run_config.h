@@ -43,11 +43,12 @@ struct TrainParams {
 void describe(ParamVisitor& visit, TrainParams& params);
 void validate(const TrainParams& params, Diagnostics& diagnostics);
 
-/// What is believed of training cameras: as given, or learned with the field (model/camera_corrections.h).
-enum class CameraTrust : std::uint8_t { given, learned };
+/// What is believed of training cameras: as given, or learned with the field (model/camera_corrections.h). `automatic`
+/// is decided by the scene (camera_choices.h).
+enum class CameraTrust : std::uint8_t { given, learned, automatic };
 template <>
 struct ChoiceNames<CameraTrust> {
-  static constexpr std::array<std::string_view, 2> names{"given", "learned"};
+  static constexpr std::array<std::string_view, 3> names{"given", "learned", "auto"};
 };
 struct CameraParams {
   CameraTrust poses = CameraTrust::given, colors = CameraTrust::given;

@@ -126,7 +126,9 @@ SceneInfo ArkitScenes::open(Diagnostics& diagnostics) {
     diagnostics.note("scene.pose.skipped", files_.root(),
                      fmt::format("{} of {} photographs are left out: the trajectory has no pose within {:g} ms of them",
                                  without_pose, images.size(), 1000 * kSameTime_s));
-  return files_.open(photos, false, diagnostics);
+  SceneInfo info = files_.open(photos, false, diagnostics);
+  info.tracked = true;
+  return info;
 }
 
 namespace {

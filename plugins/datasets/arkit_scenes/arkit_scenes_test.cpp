@@ -37,6 +37,7 @@ TEST(ArkitScenes, PosesAreInvertedAndTakenByTime) {
   Diagnostics d;
   const SceneInfo info = open(scene_of("9.9996" + quarter + "10.1 0 0 0 0 0 0\n10.208 0 0 0 5 5 5\n"), d);
   ASSERT_EQ(info.frames.size(), 2u);
+  EXPECT_TRUE(info.tracked);
   EXPECT_FALSE(d.has_errors());
   EXPECT_FINDING(d, "scene.pose.skipped", "1 of 3");
   const Pose& pose = info.frames[0].world_from_camera;

@@ -87,7 +87,9 @@ SceneInfo Polycam::open(Diagnostics& diagnostics) {
     photo.confidence = (keyframes / "confidence" / (stem + ".png")).string();
     photos.push_back(std::move(photo));
   }
-  return files_.open(photos, true, diagnostics);
+  SceneInfo info = files_.open(photos, true, diagnostics);
+  info.tracked = true;
+  return info;
 }
 
 namespace {

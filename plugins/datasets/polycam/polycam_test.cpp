@@ -57,6 +57,7 @@ TEST(Polycam, PosesAreOpenGlAndDepthIsAtTheNearestPixel) {
   EXPECT_TRUE(d.all().empty()) << d.all()[0].text();
   ASSERT_EQ(info.frames.size(), 2u);
   EXPECT_TRUE(info.metric);
+  EXPECT_TRUE(info.tracked);
   for (int axis = 0; axis < 3; ++axis)
     EXPECT_LT(length(info.frames[1].world_from_camera.axis(axis) - room_pose(1).axis(axis)), 1e-12) << axis;
   EXPECT_LT(length(info.frames[1].world_from_camera.t - room_pose(1).t), 1e-12);

@@ -164,7 +164,9 @@ SceneInfo Record3d::open(Diagnostics& diagnostics) {
     }
     photos.push_back(std::move(photo));
   }
-  return files_.open(photos, true, diagnostics);
+  SceneInfo info = files_.open(photos, true, diagnostics);
+  info.tracked = true;
+  return info;
 }
 
 namespace {

@@ -61,6 +61,7 @@ TEST(Record3d, PosesGoByTheNumberInTheName) {
   EXPECT_TRUE(d.all().empty());
   ASSERT_EQ(info.frames.size(), 4u);
   EXPECT_TRUE(info.metric);
+  EXPECT_TRUE(info.tracked);
   const int number[] = {0, 3, 10, 12};  // not the order of the names as text
   for (std::size_t k = 0; k < 4; ++k) {
     const FrameInfo& frame = info.frames[k];

@@ -123,7 +123,9 @@ SceneInfo StrayScanner::open(Diagnostics& diagnostics) {
     photo.confidence = (root / "confidence" / name).string();
     photos.push_back(std::move(photo));
   }
-  return files_.open(photos, false, diagnostics);
+  SceneInfo info = files_.open(photos, false, diagnostics);
+  info.tracked = true;
+  return info;
 }
 
 namespace {

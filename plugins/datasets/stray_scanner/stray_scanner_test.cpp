@@ -57,6 +57,7 @@ TEST(StrayScanner, PosesGoByTheFramesNumber) {
     EXPECT_LT(length(info.frames[1].world_from_camera.axis(2) - room_pose(3).axis(2)), 1e-11);
     EXPECT_EQ(info.frames[1].camera.cx, 20);
     EXPECT_FALSE(info.opengl_files);
+    EXPECT_TRUE(info.tracked);
   }
 }
 

@@ -1,0 +1,26 @@
+#include "session/settings/camera_choices.h"
+
+#include <fmt/format.h>
+
+namespace semfield {
+
+CameraReasons choose_cameras(CameraParams& cameras, const CameraEvidence& evidence) {
+  CameraReasons why;
+  if (cameras.poses == CameraTrust::automatic) {
+    cameras.poses = evidence.tracked ? CameraTrust::learned : CameraTrust::given;
+    why.poses =
+        evidence.tracked ? "poses are a phone's, whose tracker drifts" : "poses are not those of a phone's tracker";
+  }
+  if (cameras.colors == CameraTrust::automatic) {
+    const bool changes = evidence.exposure && *evidence.exposure > kExposureChanges;
+    cameras.colors = changes ? CameraTrust::learned : CameraTrust::given;
+    why.colors = evidence.exposure ? fmt::format(
+                                         "overlapping frames differ in brightness by a factor of {:.3f}, and "
+                                         "more than {:g} is a camera that changes its exposure",
+                                         *evidence.exposure, kExposureChanges)
+                                   : "too few overlapping frames could be compared in brightness";
+  }
+  return why;
+}
+
+}  // namespace semfield

@@ -1,0 +1,32 @@
+// What a scene decides of corrections of its cameras, where the configuration leaves it open.
+#pragma once
+
+#include <optional>
+#include <string>
+
+#include "session/settings/run_config.h"
+
+namespace semfield {
+
+struct CameraEvidence {
+  bool tracked = false;            ///< SceneInfo::tracked
+  std::optional<double> exposure;  ///< LoadedScene::exposure
+};
+
+/// Brightness of overlapping frames that differs by more than this factor is a camera's that changes its exposure.
+/// Renderings differ by 1.001, photographs with a fixed exposure by 1.003 to 1.02, the HoloLens room by 1.12 (decision
+/// 39).
+inline constexpr double kExposureChanges = 1.05;
+
+/// Why `auto` became what it did; empty where it was not asked for.
+struct CameraReasons {
+  std::string poses, colors;
+};
+
+/// Puts what `auto` is in place of it. Poses: learned where a phone's tracker gave them, which drifts. Poses of
+/// renderings and of structure from motion are better than what training makes of them, and neither depth nor corners
+/// of photographs tell a drift from the errors of their own. Colours: learned where brightness changes by more than
+/// kExposureChanges.
+CameraReasons choose_cameras(CameraParams& cameras, const CameraEvidence& evidence);
+
+}  // namespace semfield
