@@ -96,14 +96,8 @@ std::vector<Pose> refine_poses(Session& s, Registry& registry, const std::vector
   options.tile_rays = pipeline->executor().tile_rays(how.rays);
   const RaySource rays(std::move(drawn), s.plan.semantics ? s.logit_of_class() : std::vector<std::int16_t>{}, s.limits,
                        options);
-  AdamParams adam;
-  adam.learning_rate = how.learning_rate;
-  adam.beta2 = 0.99;
-  adam.epsilon = 1e-15;
-  ScheduleParams schedule;
-  schedule.kind = ScheduleKind::exponential;
-  schedule.factor = 0.1;
-  schedule.decay_steps = how.steps;
+  const AdamParams adam{.learning_rate = how.learning_rate, .beta2 = 0.99, .epsilon = 1e-15};
+  const ScheduleParams schedule{.kind = ScheduleKind::exponential, .factor = 0.1, .decay_steps = how.steps, .legs = {}};
   Trainer trainer(*pipeline, rays, adam, schedule, how.steps);
   while (trainer.step() < how.steps) trainer.advance_many(how.steps - trainer.step());
   trainer.collect();

@@ -147,16 +147,6 @@ void choose_by_labels(Session& s, bool labels_made, bool trainable, Diagnostics&
   if (!rays.empty()) s.chosen_by_labels.push_back(rays);
 }
 
-// What stands in no list of parts left out.
-void note_cameras(Session& s, const CameraReasons& why) {
-  const auto note = [&](CameraTrust trust, const char* key, const std::string& reason) {
-    if (!reason.empty() && trust == CameraTrust::learned)
-      s.chosen_by_cameras.push_back(std::string("train.cameras.") + key + ": learned, because " + reason);
-  };
-  note(s.config.cameras.poses, "poses", why.poses);
-  note(s.config.cameras.colors, "colors", why.colors);
-}
-
 SceneExtent extent_of(const Session& s) {
   return {s.scene.bounds, s.scene.near_m, s.scene.far_m, s.scene.pixel_footprint_m,
           s.config.rendering.outside == Outside::contracted};
@@ -199,7 +189,6 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   BuildRequest request = build_request(s.config, registry, last->traits());
   request.poses_why = why.poses;
   request.colors_why = why.colors;
-  note_cameras(s, why);
   request.no_cuda = chosen.no_cuda;
   request.training_depth_px = needs_depth ? 0 : training_depth_px(s.scene);
   if (of_losses) {
@@ -216,6 +205,7 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   drop_idle(s);
   settle_heads(s.config, s.scene.info);
   choose_by_labels(s, make_labels, options.trainable, diagnostics);
+  s.chosen_by_labels.insert(s.chosen_by_labels.end(), why.learned.begin(), why.learned.end());
   return s;
 }
 
@@ -348,7 +338,6 @@ std::vector<std::string> Session::choices() const {
   std::vector<std::string> lines = chosen_by_device;
   lines.insert(lines.end(), chosen.begin(), chosen.end());
   lines.insert(lines.end(), chosen_by_labels.begin(), chosen_by_labels.end());
-  lines.insert(lines.end(), chosen_by_cameras.begin(), chosen_by_cameras.end());
   return lines;
 }
 

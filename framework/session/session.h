@@ -23,10 +23,10 @@ struct Session {
   SceneManifest manifest;
   BuildPlan plan;
   SceneExtent extent;
-  std::vector<std::string> chosen;             ///< a line for each parameter that was chosen from the scene
-  std::vector<std::string> chosen_by_device;   ///< and for each size that the device decided
-  std::vector<std::string> chosen_by_labels;   ///< and for each choice that the labels made (label_choices.h)
-  std::vector<std::string> chosen_by_cameras;  ///< and for each correction of cameras that the scene asked for
+  std::vector<std::string> chosen;            ///< a line for each parameter that was chosen from the scene
+  std::vector<std::string> chosen_by_device;  ///< and for each size that the device decided
+  /// And for each choice that the labels made (label_choices.h), and each correction of cameras (camera_choices.h).
+  std::vector<std::string> chosen_by_labels;
   RayLimits limits;
   MemoryFacts memory_facts;
   MemoryPlan memory;  ///< of training; empty for sessions that do not train

@@ -20,6 +20,10 @@ CameraReasons choose_cameras(CameraParams& cameras, const CameraEvidence& eviden
                                          *evidence.exposure, kExposureChanges)
                                    : "too few overlapping frames could be compared in brightness";
   }
+  if (!why.poses.empty() && cameras.poses == CameraTrust::learned)
+    why.learned.push_back("train.cameras.poses: learned, because " + why.poses);
+  if (!why.colors.empty() && cameras.colors == CameraTrust::learned)
+    why.learned.push_back("train.cameras.colors: learned, because " + why.colors);
   return why;
 }
 

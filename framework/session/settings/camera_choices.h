@@ -3,6 +3,7 @@
 
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "session/settings/run_config.h"
 
@@ -21,6 +22,7 @@ inline constexpr double kExposureChanges = 1.05;
 /// Why `auto` became what it did; empty where it was not asked for.
 struct CameraReasons {
   std::string poses, colors;
+  std::vector<std::string> learned;  ///< a line for each that is learned, which no list of parts left out has
 };
 
 /// Puts what `auto` is in place of it. Poses: learned where a phone's tracker gave them, which drifts. Poses of
