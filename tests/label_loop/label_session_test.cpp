@@ -50,6 +50,18 @@ TEST(LabelSession, BeginsWithoutLabelsAndWithoutClasses) {
   EXPECT_EQ(run.session.picture(labels_of(0)).label, std::vector<std::int16_t>(48 * 36, kVoid));
 }
 
+// A page shows views where the files put them.
+TEST(LabelSession, PosesOfAPhoneStayAsGivenUnlessAskedFor) {
+  for (const bool asked : {false, true}) {
+    const TempDir dir;
+    std::string yaml = session_config("analytic_room, with_labels: false, with_classes: false, tracked: true");
+    yaml.replace(yaml.find("train: {"), 8,
+                 asked ? "train: {cameras: {poses: learned}, " : "train: {cameras: {poses: auto}, ");
+    RunningSession run(yaml, dir / "run");
+    EXPECT_EQ(run.session.opened().config.cameras.poses == CameraTrust::learned, asked);
+  }
+}
+
 // They have labels as the others, and take no clicks.
 TEST(LabelSession, TestFramesAreLookedAt) {
   const TempDir dir;
