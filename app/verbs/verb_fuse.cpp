@@ -14,6 +14,7 @@
 #include "config/params_read.h"
 #include "core/findings.h"
 #include "eval/image_output.h"
+#include "run/open_run.h"
 #include "scene/classes/void_class.h"
 #include "scene/output_names.h"
 #include "surface/fuse/scene_fusion.h"

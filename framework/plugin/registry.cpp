@@ -23,6 +23,8 @@ std::string_view kind_name(PluginKind kind) {
       return "label reader";
     case PluginKind::degradation:
       return "degradation";
+    case PluginKind::grouping:
+      return "grouping";
   }
   return "plugin";
 }
@@ -45,6 +47,8 @@ std::string_view kind_folder(PluginKind kind) {
       return "label_readers";
     case PluginKind::degradation:
       return "degradations";
+    case PluginKind::grouping:
+      return "groupings";
   }
   return "plugins";
 }
@@ -73,6 +77,14 @@ const std::string& Registry::pack_reader() const {
   }
   throw Error(ErrorKind::unavailable, "plugin.dataset.packed", "no dataset of this build reads packed scenes",
               "take `pack` out of the sweep's scenes");
+}
+
+const PluginEntry& Registry::usual_grouping() const {
+  for (const auto& [key, entry] : entries_) {
+    if (entry.usual) return entry;
+  }
+  throw Error(ErrorKind::unavailable, "plugin.grouping.usual", "no grouping of this build is the usual one",
+              "name one: --set objects.method.type=NAME");
 }
 
 const PluginEntry* Registry::find(PluginKind kind, std::string_view name) const {

@@ -16,6 +16,7 @@
 #include "plugin/dataset.h"
 #include "plugin/encoder.h"
 #include "plugin/field.h"
+#include "plugin/grouping.h"
 #include "plugin/head/one_layer_head.h"
 #include "plugin/kernels.h"
 #include "plugin/loss.h"
@@ -28,11 +29,21 @@ class Degradation;
 template <class Real>
 class MlpField;
 
-enum class PluginKind : std::uint8_t { encoder, field, sampler, dataset, head, loss, label_reader, degradation };
+enum class PluginKind : std::uint8_t {
+  encoder,
+  field,
+  sampler,
+  dataset,
+  head,
+  loss,
+  label_reader,
+  degradation,
+  grouping
+};
 /// In the order of documents.
-inline constexpr std::array kPluginKinds{PluginKind::encoder,      PluginKind::field,      PluginKind::sampler,
-                                         PluginKind::dataset,      PluginKind::head,       PluginKind::loss,
-                                         PluginKind::label_reader, PluginKind::degradation};
+inline constexpr std::array kPluginKinds{PluginKind::encoder,      PluginKind::field,       PluginKind::sampler,
+                                         PluginKind::dataset,      PluginKind::head,        PluginKind::loss,
+                                         PluginKind::label_reader, PluginKind::degradation, PluginKind::grouping};
 std::string_view kind_name(PluginKind kind);
 /// "encoders", as the folder of its plugins is named.
 std::string_view kind_folder(PluginKind kind);
@@ -150,8 +161,10 @@ struct PluginEntry {
   std::function<std::unique_ptr<Loss>(const PluginParams&)> loss;
   std::function<std::unique_ptr<LabelReader>(const PluginParams&)> label_reader;
   std::function<std::unique_ptr<Degradation>(const PluginParams&)> degradation;
+  std::function<std::unique_ptr<Grouping>(const PluginParams&)> grouping;
   std::string saves;         ///< of a loss: what its absence saves, in words
   bool reads_packs = false;  ///< a dataset that opens what loading/packed_scene.h writes, by its parameter `file`
+  bool usual = false;        ///< a grouping that is taken where none is named
   bool slow = false;         ///< calls take so long that the laws are checked on fewer rows (plugins in Python)
 };
 
@@ -240,6 +253,15 @@ class Registry {
     add(std::move(e));
   }
 
+  /// Impl is derived from GroupingOf<Impl> (plugin/grouping.h). `usual`: taken where none is named.
+  template <class Impl>
+  void add_grouping(std::string name, std::string summary, bool usual = false) {
+    PluginEntry e = entry_inside<Impl>(PluginKind::grouping, std::move(name), std::move(summary));
+    e.usual = usual;
+    e.grouping = copier<Grouping, Impl>();
+    add(std::move(e));
+  }
+
   /// Kernel tables of every plugin.
   KernelTables& kernels() { return kernels_; }
   const KernelTables& kernels() const { return kernels_; }
@@ -249,6 +271,8 @@ class Registry {
   const PluginEntry& get(PluginKind kind, std::string_view name) const;
   /// Name of the dataset that reads packed scenes. Throws Error(unavailable) where none does.
   const std::string& pack_reader() const;
+  /// The grouping that is taken where none is named. Throws Error(unavailable) where none says so.
+  const PluginEntry& usual_grouping() const;
   /// Every entry, by kind then name.
   std::vector<const PluginEntry*> entries() const;
   std::vector<std::string> names(PluginKind kind) const;

@@ -166,7 +166,7 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   load.check_geometry = load.check_geometry && !options.known;  // a run that was trained is evaluated as it is
   if (options.trainable) load.channels = targets_of(s.config.losses);
   load.exposure = s.config.cameras.colors == CameraTrust::automatic;
-  load.with_instances = make_labels && s.config.labels.needs_instances();
+  load.with_instances = options.instances || (make_labels && s.config.labels.needs_instances());
   const bool of_losses = options.trainable && losses_read(s.config.losses, channel::depth);
   const bool needs_depth =
       of_losses || options.depth == DepthKept::all || (make_labels && s.config.labels.wants_depth());

@@ -58,6 +58,7 @@ struct SessionOptions {
   bool pixels = true;      ///< false, with `known`: no pixel is read. Enough to render, not to evaluate.
   bool probe = false;      ///< let a short training find the bounds of a scene that only guesses them (bounds_probe.h)
   Ranks* ranks = nullptr;  ///< processes that this session's work is shared with (ranks_session.h); null: none
+  bool instances = false;  ///< keep the instances of frames
   bool labels = false;     ///< make the training labels although `known` is given
   LoadProgress progress = {};  ///< told while the scene is opened; null: whom the caller's WorkSettings tell
   /// The class table that the network was trained with, as YAML; a scene with another one is refused.

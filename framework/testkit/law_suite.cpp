@@ -74,6 +74,7 @@ class Suite {
         if (entry->kind == PluginKind::head) check(*entry, settings, head_builds(Device::cpu));
         if (entry->kind == PluginKind::dataset) check_dataset(*entry, settings);
         if (entry->kind == PluginKind::loss) check_loss(*entry, settings);
+        if (entry->kind == PluginKind::grouping) check_grouping(*entry, settings);
       }
     }
   }
@@ -197,6 +198,11 @@ class Suite {
   void check_loss(const PluginEntry& entry, const Settings& settings) const {
     tell({entry.kind, entry.name, text_of(settings), "", LawStatus::passed, {}},
          [&] { return loss_laws(registry_, entry.name, settings, options_of(entry, 24)); });
+  }
+
+  void check_grouping(const PluginEntry& entry, const Settings& settings) const {
+    tell({entry.kind, entry.name, text_of(settings), "", LawStatus::passed, {}},
+         [&] { return grouping_laws(registry_, entry.name, settings, options_of(entry, 24)); });
   }
 
   const Registry& registry_;

@@ -84,6 +84,12 @@ Failures loss_laws(const Loss& loss, const LawOptions& options = {});
 Failures loss_laws(const Registry& registry, const std::string& name, const Settings& settings,
                    const LawOptions& options = {});
 
+/// Gradients against central differences; float agrees with double; gradients accumulate and have the scale, the loss
+/// has not; numbers of segments mean nothing; no points, no loss; extremes stay finite; equal outputs have one place.
+Failures grouping_laws(const Grouping& grouping, const LawOptions& options = {});
+Failures grouping_laws(const Registry& registry, const std::string& name, const Settings& settings,
+                       const LawOptions& options = {});
+
 struct DatasetExpectation {
   int frames = -1;                ///< exact number of frames, -1 = at least one
   bool depth = false;             ///< at least one frame has depth

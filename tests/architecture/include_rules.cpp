@@ -20,10 +20,11 @@ bool ends_with(const std::string& text, const std::string& end) {
 }
 
 const Folders kFrameworkFolders{
-    "core",         "system",       "compute",      "config",           "formats", "scene/classes", "scene",
-    "scene/survey", "loading",      "plugin",       "labels",           "losses",  "model",         "execution",
-    "model/optim",  "cuda",         "eval",         "session/settings", "session", "run",           "report",
-    "capture",      "surface/fuse", "surface/mesh", "report/sweep",     "serve",   "testkit",       "execution/ranks"};
+    "core",         "system",       "compute",     "config",  "formats",        "scene/classes",
+    "scene",        "scene/survey", "loading",     "plugin",  "labels",         "losses",
+    "model",        "execution",    "model/optim", "cuda",    "eval",           "session/settings",
+    "session",      "run",          "report",      "capture", "objects",        "surface/fuse",
+    "surface/mesh", "report/sweep", "serve",       "testkit", "execution/ranks"};
 
 // A folder and those that it may include. Folders inside a folder stand on its floor, but for those that are named.
 const std::map<std::string, Folders>& floors() {
@@ -65,6 +66,7 @@ const std::map<std::string, Folders>& floors() {
       {"run", run},
       {"report", with(run, {"report"})},
       {"surface/fuse", with(settings, {"eval", "session", "surface", "surface/fuse"})},
+      {"objects", with(settings, {"eval", "session", "surface", "objects"})},
       {"surface/mesh", with(settings, {"eval", "surface", "surface/mesh"})},
       {"report/sweep", with(run, {"report", "report/sweep"})},
       {"serve", with(run, {"surface", "serve"})},
@@ -111,7 +113,7 @@ std::string folder_of(const std::string& path) {
 
 bool names_plugin(const std::string& target) {
   for (const char* kind :
-       {"encoders/", "fields/", "samplers/", "datasets/", "label_readers/", "degradations/", "fused/"}) {
+       {"encoders/", "fields/", "samplers/", "datasets/", "label_readers/", "degradations/", "groupings/", "fused/"}) {
     if (starts_with(target, kind)) return true;
   }
   return starts_with(target, "plugins/");

@@ -61,11 +61,18 @@ TEST_P(LossConformance, Laws) {
   EXPECT_TRUE(failures.empty()) << to_text(failures);
 }
 
+class GroupingConformance : public testing::TestWithParam<Row> {};
+TEST_P(GroupingConformance, Laws) {
+  const Failures failures = grouping_laws(linked_registry(), GetParam().name, GetParam().settings);
+  EXPECT_TRUE(failures.empty()) << to_text(failures);
+}
+
 INSTANTIATE_TEST_SUITE_P(Linked, EncoderConformance, testing::ValuesIn(rows_of(PluginKind::encoder)), name_of);
 INSTANTIATE_TEST_SUITE_P(Linked, FieldConformance, testing::ValuesIn(rows_of(PluginKind::field)), name_of);
 INSTANTIATE_TEST_SUITE_P(Linked, SamplerConformance, testing::ValuesIn(rows_of(PluginKind::sampler)), name_of);
 INSTANTIATE_TEST_SUITE_P(Linked, HeadConformance, testing::ValuesIn(rows_of(PluginKind::head)), name_of);
 INSTANTIATE_TEST_SUITE_P(Linked, LossConformance, testing::ValuesIn(rows_of(PluginKind::loss)), name_of);
+INSTANTIATE_TEST_SUITE_P(Linked, GroupingConformance, testing::ValuesIn(rows_of(PluginKind::grouping)), name_of);
 
 // Zero cases, or a plugin without a row, is a failure and not a pass.
 TEST(Conformance, EveryRegisteredPluginHasARow) {

@@ -62,6 +62,10 @@ Keys::Keys() {
       add("heads.N", params);
       continue;
     }
+    if (entry->kind == PluginKind::grouping) {
+      add("objects.method", params);
+      continue;
+    }
     if (entry->kind == PluginKind::label_reader || entry->kind == PluginKind::degradation) {
       add(entry->kind == PluginKind::degradation ? "scene.labels.degrade.N" : "scene.labels.from", params);
       continue;

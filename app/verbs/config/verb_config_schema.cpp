@@ -63,6 +63,8 @@ int run(const SchemaOptions& options, AppContext& context) {
        alternatives(context.registry, PluginKind::label_reader)},
       {"scene.labels.degrade[]", "changes of the training labels, in order",
        alternatives(context.registry, PluginKind::degradation)},
+      {"objects.method", "what `semfield objects` learns from segments",
+       alternatives(context.registry, PluginKind::grouping)},
       {"scene", "where frames come from", alternatives(context.registry, PluginKind::dataset)},
       {"passes[].sampler", "where along a ray the field is evaluated",
        alternatives(context.registry, PluginKind::sampler)},

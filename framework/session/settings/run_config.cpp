@@ -164,6 +164,8 @@ void each_section(Config& config, Fn&& section) {
   section("report", "what is measured and kept while training", config.report);
   section("fuse", "labels of several views combined by `semfield fuse`", config.fuse);
   section("propagate", "labels spread over a run's surface by `semfield propagate`", config.propagate);
+  section("objects", "objects of segments of images, found by `semfield objects`", config.objects);
+  section("objects.damage", "what is done to segments before, for evaluations", config.segment_damage);
   section("limits", "how large inputs may be; what is larger is refused", config.limits);
 }
 
@@ -184,6 +186,7 @@ std::vector<std::string> nested_keys(std::string_view path) {
   if (path == "train") return {"adam", "cameras", "schedule", "self_training"};
   if (path == "train.schedule") return {"legs"};
   if (path == "scene.labels") return {"from", "degrade"};
+  if (path == "objects") return {"method", "damage"};
   return {};
 }
 
@@ -329,6 +332,8 @@ RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnos
   validate_section(tree, "runtime", config.runtime, diagnostics);
   validate_section(tree, "fuse", config.fuse, diagnostics);
   validate_section(tree, "propagate", config.propagate, diagnostics);
+  if (const ConfigNode* method = find_path(tree, "objects.method"); method != nullptr && !method->is_null())
+    config.grouping = read_slot(PluginKind::grouping, *method, "objects.method", registry, diagnostics);
   config.heads = read_heads(tree, registry, diagnostics);
   config.losses = read_losses(tree, registry, diagnostics);
   check_heads_of_losses(config, diagnostics);
@@ -364,6 +369,7 @@ ConfigNode resolved_config(const RunConfig& config) {
     tree = with_path(tree, path, section);
   });
   if (!config.schedule.legs.empty()) tree = with_path(tree, "train.schedule.legs", legs_config(config.schedule.legs));
+  if (config.grouping.entry != nullptr) tree = with_path(tree, "objects.method", slot_config(config.grouping));
   if (!config.heads.empty()) tree = tree.with("heads", heads_config(config.heads));
   if (!config.losses.empty()) tree = tree.with("losses", losses_config(config.losses));
   std::vector<ConfigNode> passes;

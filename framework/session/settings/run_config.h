@@ -21,6 +21,7 @@
 #include "model/render_rules.h"
 #include "plugin/registry.h"
 #include "session/settings/fusion_params.h"
+#include "session/settings/objects_params.h"
 #include "session/settings/propagation_params.h"
 
 namespace semfield {
@@ -170,6 +171,9 @@ struct RunConfig {
   ReportParams report;
   FusionParams fuse;
   PropagationParams propagate;
+  ObjectsParams objects;
+  SegmentDamage segment_damage;
+  PluginSlot grouping;  ///< objects.method; empty: the usual one
   InputLimits limits;
   std::vector<std::string> plugins;  ///< loaded modules, absolute paths
 };

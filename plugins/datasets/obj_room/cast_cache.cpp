@@ -90,6 +90,7 @@ std::string cast_key(const TriangleMesh& mesh, const std::vector<std::int16_t>& 
   sum.add_all(mesh.normals);
   sum.add_all(mesh.material_of);
   sum.add_all(mesh.object_of);
+  if (!mesh.piece_of.empty()) sum.add_all(mesh.piece_of);
   sum.add_all(class_of);
   for (const Material& m : mesh.materials) {
     sum.add(m.diffuse);

@@ -31,6 +31,7 @@ struct TriangleMesh {
   std::vector<std::array<Vec3f, 3>> normals;            ///< per corner, unit; zero vectors where the file has none
   std::vector<std::int32_t> material_of;                ///< index into materials, -1 = none named or not found
   std::vector<std::int32_t> object_of;                  ///< index into objects
+  std::vector<std::int32_t> piece_of;                   ///< what instances are by; empty: object_of
   std::vector<std::int32_t> group_of;                   ///< index into groups
   std::vector<Material> materials;
   std::vector<std::string> objects;  ///< `o` names (the `g` names of a file without `o`), file order

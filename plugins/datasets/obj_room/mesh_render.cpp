@@ -250,6 +250,7 @@ void MeshRenderer::render(const Camera& camera, const Pose& pose, std::uint64_t 
   out.depth_m.assign(pixels, 0);
   out.label.assign(pixels, kVoid);
   out.instance.assign(pixels, 0);
+  const std::vector<std::int32_t>& piece_of = mesh_.piece_of.empty() ? mesh_.object_of : mesh_.piece_of;
   std::vector<Surface> center(pixels);
   std::vector<Color> light(pixels);
   parallel_for(h, [&](std::int64_t y) {
@@ -261,7 +262,7 @@ void MeshRenderer::render(const Camera& camera, const Pose& pose, std::uint64_t 
       if (center[i].triangle < 0) continue;
       out.depth_m[i] = static_cast<float>(center[i].distance_m * d.z);
       out.label[i] = class_of_[static_cast<std::size_t>(center[i].triangle)];
-      out.instance[i] = center[i].object + 1;
+      out.instance[i] = piece_of[static_cast<std::size_t>(center[i].triangle)] + 1;
       light[i] = irradiance(center[i], (x & 3) + 4 * static_cast<int>(y & 3), frame, i);
     }
   });

@@ -46,7 +46,7 @@ class MeshRenderer {
   MeshRenderer(const MeshRenderer&) = delete;  // the ray-casting scene points into this object
   MeshRenderer& operator=(const MeshRenderer&) = delete;
 
-  /// All channels of one frame; instance = object index + 1. `frame` addresses the random values.
+  /// All channels of one frame; instance = piece or object index + 1. `frame` addresses the random values.
   void render(const Camera& camera, const Pose& world_from_camera, std::uint64_t frame, FrameBuffer& out) const;
 
   const Raycaster& rays() const { return *rays_; }

@@ -8,6 +8,7 @@
 #include <numbers>
 
 #include "datasets/obj_room/class_rules.h"
+#include "datasets/obj_room/mesh_pieces.h"
 #include "plugin/module.h"
 #include "system/sorted_folder.h"
 
@@ -17,6 +18,8 @@ namespace {
 namespace fs = std::filesystem;
 
 using std::numbers::pi;
+
+constexpr double kPieceGap = 0.03;  // metres
 
 std::string resolved(const std::string& folder, const std::string& path) {
   const fs::path p(path);
@@ -35,6 +38,9 @@ void describe(ParamVisitor& visit, ObjRoomParams& p) {
   SEMFIELD_PARAM(visit, p, cameras, "camera-to-world matrices (3x4 or 4x4), relative to root; empty: a generated path");
   SEMFIELD_PARAM(visit, p, camera_axes, "where x, y, z of a camera of that file point");
   SEMFIELD_PARAM(visit, p, up, "axis of the mesh that points up");
+  SEMFIELD_PARAM(visit, p, instances,
+                 "objects: those of the file; pieces: what is of one class and touches within 3 cm, for files whose "
+                 "objects are materials");
   SEMFIELD_PARAM(visit, p, width_px, "image width in pixels", {1, 8192});
   SEMFIELD_PARAM(visit, p, height_px, "image height in pixels", {1, 8192});
   SEMFIELD_PARAM(visit, p, hfov_deg, "horizontal field of view in degrees", {5, 150});
@@ -226,6 +232,7 @@ SceneInfo ObjRoom::open(Diagnostics& diagnostics) {
   const ClassRules rules = load_class_rules(class_path());
   TriangleMesh mesh = load_obj(path, diagnostics);
   std::vector<std::int16_t> class_of = classes_of_mesh(mesh, rules, diagnostics);
+  if (params_.instances == RoomInstances::pieces) mesh.piece_of = pieces_of(mesh, class_of, kPieceGap);
   RenderSettings settings;
   settings.up = up_of(params_.up);
   settings.occlusion_rays = params_.occlusion_rays;

@@ -27,6 +27,13 @@ struct ChoiceNames<CameraAxes> {
   static constexpr std::array<std::string_view, 3> names{"right_down_forward", "right_up_backward", "left_up_forward"};
 };
 
+/// What an instance of a room is: an object of the file, or what is of one class and touches.
+enum class RoomInstances : std::uint8_t { objects, pieces };
+template <>
+struct ChoiceNames<RoomInstances> {
+  static constexpr std::array<std::string_view, 2> names{"objects", "pieces"};
+};
+
 struct ObjRoomParams {
   std::string root = "room";
   std::string obj;
@@ -34,6 +41,7 @@ struct ObjRoomParams {
   std::string cameras;
   CameraAxes camera_axes = CameraAxes::right_down_forward;
   UpAxis up = UpAxis::z;
+  RoomInstances instances = RoomInstances::objects;
   int width_px = 160;
   int height_px = 120;
   double hfov_deg = 90;

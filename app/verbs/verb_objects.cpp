@@ -1,0 +1,178 @@
+// objects: things of a run's scene told apart by segments of its images, as images, a table, points and figures.
+#include <fmt/format.h>
+
+#include <cstdio>
+#include <filesystem>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <optional>
+
+#include "app/json_output.h"
+#include "app/objects/object_files.h"
+#include "app/progress_line.h"
+#include "app/verb.h"
+#include "core/findings.h"
+#include "objects/damage.h"
+#include "objects/object_score.h"
+#include "objects/read_segments.h"
+#include "run/open_run.h"
+
+namespace semfield::app {
+
+namespace {
+
+struct ObjectsOptions {
+  std::string run;
+  std::string segments;  ///< file or folder; "": the scene's own instances
+  std::string pattern;   ///< of the files of a folder
+  std::string out;       ///< default: objects/ in the run folder
+  std::string split = "test";
+  bool score = false;
+  std::vector<std::string> set;
+};
+
+PluginSlot usual_method(const Registry& registry) {
+  PluginSlot slot;
+  slot.entry = &registry.usual_grouping();
+  slot.params = slot.entry->new_params();
+  return slot;
+}
+
+Json figures_json(const ObjectFigures& f) {
+  return {{"pq", f.pq},
+          {"sq", f.sq},
+          {"rq", f.rq},
+          {"pq_things", f.pq_things},
+          {"pq_stuff", f.pq_stuff},
+          {"mcov", f.mcov},
+          {"count_error", f.count_error},
+          {"true_objects", f.objects},
+          {"found_objects", f.found},
+          {"matched_objects", f.matched}};
+}
+
+Json about(const ObjectsOptions& options, const OpenedRun& run, const SegmentSet& segments, const FoundObjects& found) {
+  const Session& s = run.session;
+  Json seconds;
+  double all = 0;
+  for (const auto& [part, took] : found.seconds) {
+    seconds[part] = took;
+    all += took;
+  }
+  seconds["all"] = all;
+  RunConfig& editable = const_cast<RunConfig&>(s.config);  // describe() takes a mutable struct; the writer only looks
+  return {
+      {"run", options.run},
+      {"step", run.step},
+      {"segments_from", segments.from},
+      {"segments", segments.count()},
+      {"method", s.config.grouping.entry->name},
+      {"parameters", write_config(params_to_config([&](ParamVisitor& visit) { describe(visit, editable.objects); }))},
+      {"damage",
+       write_config(params_to_config([&](ParamVisitor& visit) { describe(visit, editable.segment_damage); }))},
+      {"cell", found.surface.pool.cell_m()},
+      {"seconds", seconds}};
+}
+
+// Renders the views, writes them, and scores those of which the scene knows objects.
+std::optional<ObjectFigures> write_views(const ObjectsOptions& options, Session& s, FoundObjects& found,
+                                         ObjectFiles& files, const AppContext& context) {
+  const std::vector<int> frames = s.scene.frames_of(options.split == "test" ? Split::test : Split::train);
+  ObjectScore score(found.rows, found.stuff, ObjectScore::kLeastPx);
+  std::size_t scored = 0;
+  ProgressLine progress(context, "rendered");
+  for (std::size_t k = 0; k < frames.size(); ++k) {
+    const auto n = static_cast<std::size_t>(frames[k]);
+    const FrameInfo& info = s.scene.info.frames[n];
+    const RayCamera camera{info.camera, info.world_from_camera, s.plan.undistortion};
+    std::vector<std::int16_t> label;
+    if (s.pipeline->has_semantics()) {
+      FrameOptions wanted;
+      wanted.color = false;
+      label = render_named_frame(*s.pipeline, info.name, camera, s.limits, s.plan.class_of_logit, {}, wanted).label;
+    }
+    const std::vector<std::int32_t> ids = object_ids(s, found, camera, label);
+    files.add({info, ids, label});
+    progress.show(static_cast<double>(k + 1), static_cast<double>(frames.size()));
+    const std::vector<std::int32_t>& truth = s.scene.frames[n].instance;
+    if (!options.score || truth.empty() || s.scene.frames[n].label.empty()) continue;
+    const std::vector<std::int16_t> true_label = s.scene.frames[n].label.expand();
+    score.add({true_label, truth, label, ids});
+    ++scored;
+  }
+  if (!options.score) return std::nullopt;
+  if (scored == 0)
+    throw Error(ErrorKind::data, "objects.truth.none",
+                options.run + ": no frame of split '" + options.split + "' has true labels and instances",
+                "leave --score out");
+  return score.figures();
+}
+
+int run(const ObjectsOptions& options, AppContext& context) {
+  Diagnostics diagnostics;
+  OpenedRun opened = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::objects);
+  context.adopt(opened.session.config);
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
+  Session& s = opened.session;
+  if (s.config.grouping.entry == nullptr) s.config.grouping = usual_method(context.registry);
+  SegmentSet segments = options.segments.empty() ? segments_of_scene(s.scene)
+                                                 : read_segments(options.segments, options.pattern, s.scene.info);
+  damage_segments(segments, s.config.segment_damage, s.config.objects.seed);
+  ProgressLine progress(context, "objects");
+  std::string stage;
+  ObjectTold told;
+  told.progress = [&](const char* what, double done, double of) {
+    if (stage != what) progress.restart(stage = what);
+    progress.show(done, of);
+  };
+  FoundObjects found = find_objects(s, segments, s.config.grouping.entry->grouping(*s.config.grouping.params),
+                                    context.registry.kernels(), told);
+  const std::string folder =
+      options.out.empty() ? (std::filesystem::path(options.run) / "objects").string() : options.out;
+  ObjectFiles files(folder, found, s.scene.info);
+  const std::optional<ObjectFigures> figures = write_views(options, s, found, files, context);
+  Json told_of = about(options, opened, segments, found);
+  if (figures) told_of["score"] = figures_json(*figures);
+  files.finish(told_of.dump());
+  if (context.json) {
+    Json out = told_of;
+    out["objects"] = found.rows.size();
+    out["folder"] = folder;
+    print_json(context, out);
+    return 0;
+  }
+  std::map<std::string, int> counts;
+  for (const ObjectRow& row : found.rows) ++counts[object_class_name(row, s.scene.info.classes)];
+  for (const auto& [name, count] : counts) std::printf("  %-20s %d\n", name.c_str(), count);
+  if (figures)
+    std::printf("score: pq=%.4f sq=%.4f rq=%.4f mcov=%.4f count_error=%.4f true=%lld found=%lld\n", figures->pq,
+                figures->sq, figures->rq, figures->mcov, figures->count_error, static_cast<long long>(figures->objects),
+                static_cast<long long>(figures->found));
+  std::printf("objects: objects=%zu segments=%lld seconds=%.1f folder=%s\n", found.rows.size(),
+              static_cast<long long>(segments.count()), told_of["seconds"]["all"].get<double>(), folder.c_str());
+  return 0;
+}
+
+void words(VerbWords& verb, ObjectsOptions& options) {
+  verb.operand("run", options.run, "run folder");
+  verb.value(
+      "--segments PATH", options.segments,
+      "segments of the training images: a folder of PNGs or JSON masks, or a COCO file (default: the scene's own "
+      "instances)");
+  verb.value("--pattern NAME", options.pattern,
+             "how files of that folder are named, with {name}, {stem} or {number} of the frame");
+  verb.needs("--pattern", "--segments");
+  verb.choice("--split SPLIT", options.split, {"test", "train"}, "frames whose objects are written as images");
+  verb.flag("--score", options.score, "also figures of those frames against the scene's own labels and instances");
+  verb.value("--out FOLDER", options.out, "folder to write (default: objects/ in the run folder)");
+  verb.run_settings(options.set);
+}
+
+}  // namespace
+
+Verb verb_objects() {
+  return with_json(make_verb<ObjectsOptions>("objects", 65,
+                                             "tell the things of a scene apart by segments of its images", words, run));
+}
+
+}  // namespace semfield::app

@@ -1,0 +1,63 @@
+// Objects of a run from segments of its training images: the surface, the network that learns from segments, the
+// groups, and a row of a table for each.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "objects/object_network.h"
+#include "objects/object_surface.h"
+#include "session/settings/objects_params.h"
+
+namespace semfield {
+
+/// A box that may be turned: |(p - center) . axis[i]| <= size[i] / 2.
+struct TurnedBox {
+  Vec3d center;
+  std::array<Vec3d, 3> axis;  ///< unit vectors of the world, right-handed
+  Vec3d size;                 ///< metres, or the scene's unit
+};
+
+struct ObjectRow {
+  std::int32_t id = 0;               ///< from 1 on; the number in images and files
+  std::int16_t class_index = kVoid;  ///< kVoid: not known
+  double class_probability = 0;      ///< share of the votes
+  double agreement = 0;              ///< mean share of its sights in a view that lie in one segment
+  std::int32_t views = 0;            ///< training views that see it
+  std::int64_t points = 0;
+  double area = 0;  ///< of the surface that is seen, square metres, by cells
+  Vec3d centroid;
+  TurnedBox box;
+};
+
+/// What was found. Views and pool lie in `surface`.
+struct FoundObjects {
+  ObjectSurface surface;
+  std::unique_ptr<ObjectNetwork<float>> network;
+  std::unique_ptr<Grouping> grouping;
+  std::vector<float> place;            ///< [points, width] of Grouping::place
+  std::vector<std::int32_t> id;        ///< [points] object, 0: none
+  std::vector<std::int16_t> class_of;  ///< [points] class of the field or of segments, kVoid: not known
+  std::vector<bool> stuff;             ///< [classes] whether the class has no objects
+  std::vector<ObjectRow> rows;         ///< by id, from 1 on without gaps
+  std::vector<std::pair<std::string, double>> seconds;  ///< of each part of the work
+};
+
+/// Reads what was rendered before in `session`; nothing of it is changed. `on` is told what is worked on and how far.
+struct ObjectTold {
+  std::function<void(const char* what, double done, double of)> progress;  ///< may be null
+};
+FoundObjects find_objects(Session& session, const SegmentSet& segments, std::unique_ptr<Grouping> grouping,
+                          const KernelTables& kernels, const ObjectTold& told);
+
+/// Objects in the pixels of a camera, [H * W] ids, 0: none. `label` [H * W] class indices of the same pixels, or empty:
+/// where it has a class, objects of that class alone are taken as far as one is near.
+std::vector<std::int32_t> object_ids(Session& session, FoundObjects& objects, const RayCamera& camera,
+                                     std::span<const std::int16_t> label);
+
+}  // namespace semfield

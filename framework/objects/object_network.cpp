@@ -1,0 +1,234 @@
+#include "objects/object_network.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "compute/float_mode.h"
+#include "core/rng.h"
+#include "model/optim/schedule.h"
+
+namespace semfield {
+
+namespace {
+
+constexpr std::int64_t kBlock = 1024;  // points of a unit of work
+constexpr double kEndRate = 0.01;
+
+template <class Real>
+std::unique_ptr<Mlp<Real>> network_of(const KernelTables& kernels, std::int32_t inputs, std::int32_t outputs,
+                                      const ObjectNetworkShape& shape) {
+  MlpBuild build;
+  build.sample_dims = inputs;
+  auto net = std::make_unique<Mlp<Real>>(build, kernels, kMlpOwner);
+  const Rows hidden = net->chain({"hidden", {net->samples()}, static_cast<std::int32_t>(shape.hidden_width)},
+                                 static_cast<int>(shape.hidden_layers));
+  net->output(net->layer({"output", {hidden}, outputs, LayerActivation::none}));
+  net->seal();
+  return net;
+}
+
+// Draws of a view's points: a segment by the root of its size, a point of it evenly.
+class SightDraw {
+ public:
+  explicit SightDraw(const SegmentSights& view) : view_(view) {
+    double sum = 0;
+    for (std::int32_t s = 0; s < view.segments(); ++s)
+      up_to_.push_back(sum += std::sqrt(static_cast<double>(view.first[static_cast<std::size_t>(s) + 1] -
+                                                            view.first[static_cast<std::size_t>(s)])));
+  }
+  std::size_t draw(const RandomAddress& segment, const RandomAddress& point, std::uint64_t index) const {
+    const double at = static_cast<double>(uniform01(segment, index)) * up_to_.back();
+    const auto s = static_cast<std::size_t>(
+        std::min(std::upper_bound(up_to_.begin(), up_to_.end(), at) - up_to_.begin(), std::ssize(up_to_) - 1));
+    const auto size = static_cast<std::uint64_t>(view_.first[s + 1] - view_.first[s]);
+    return static_cast<std::size_t>(view_.first[s]) + uniform_below(point, index, size);
+  }
+
+ private:
+  const SegmentSights& view_;
+  std::vector<double> up_to_;
+};
+
+}  // namespace
+
+template <class Real>
+ObjectNetwork<Real>::ObjectNetwork(const KernelTables& kernels, const Grouping& grouping,
+                                   const ObjectNetworkShape& shape, const Box& box, std::uint64_t seed,
+                                   std::int64_t views)
+    : grouping_(grouping),
+      shape_(shape),
+      middle_((box.lo + box.hi) * 0.5),
+      half_m_(0.5 * std::max({box.size().x, box.size().y, box.size().z, 1e-9})),
+      net_(network_of<Real>(kernels, input_dims(), grouping.width(), shape)),
+      store_(seed, static_cast<int>(views), true),
+      slow_(seed, 1, false),
+      component_(store_.add("objects", *net_)),
+      slow_component_(slow_.add("objects", *net_)) {
+  net_->derive({}, store_.tensors(component_));
+  net_->derive({}, slow_.tensors(slow_component_));
+}
+
+template <class Real>
+void ObjectNetwork<Real>::encode(Vec3d position, Real* row) const {
+  const Vec3d at = (position - middle_) * (1 / half_m_);
+  for (int axis = 0; axis < 3; ++axis) *row++ = static_cast<Real>(at[axis]);
+  double factor = std::numbers::pi / 2;
+  for (std::int64_t l = 0; l < shape_.frequencies; ++l, factor *= 2) {
+    for (int axis = 0; axis < 3; ++axis) {
+      *row++ = static_cast<Real>(std::sin(factor * at[axis]));
+      *row++ = static_cast<Real>(std::cos(factor * at[axis]));
+    }
+  }
+}
+
+template <class Real>
+std::vector<Real> ObjectNetwork<Real>::encoded(std::span<const Vec3d> positions) {
+  std::vector<Real> rows(positions.size() * static_cast<std::size_t>(input_dims()));
+  parallel_for((std::ssize(positions) + kBlock - 1) / kBlock, [&](std::int64_t block) {
+    for (std::int64_t i = block * kBlock; i < std::min(std::ssize(positions), (block + 1) * kBlock); ++i)
+      encode(positions[static_cast<std::size_t>(i)], &rows[static_cast<std::size_t>(i * input_dims())]);
+  });
+  return rows;
+}
+
+template <class Real>
+std::vector<Real> ObjectNetwork<Real>::outputs(std::span<const Vec3d> positions) {
+  const ComputeFloatMode mode;
+  const auto count = static_cast<std::int64_t>(positions.size());
+  const std::int32_t width = grouping_.width();
+  std::vector<Real> out(static_cast<std::size_t>(count * width));
+  arenas_.for_units((count + kBlock - 1) / kBlock, [&](Workspace& arena, std::int64_t block) {
+    const Workspace::Scope taken(arena);
+    const std::int64_t begin = block * kBlock, rows = std::min(kBlock, count - begin);
+    const View<Real> input = arena.take<Real>(rows, input_dims());
+    for (std::int64_t r = 0; r < rows; ++r) encode(positions[static_cast<std::size_t>(begin + r)], input.row(r));
+    MlpOut<Real> to;
+    to.rows = {out.data() + begin * width, rows, width};
+    net_->forward(arena, store_.tensors(component_), {input, {}, {}}, {&to, 1}, {});
+  });
+  return out;
+}
+
+template <class Real>
+double ObjectNetwork<Real>::view_gradients(View<const Real> points, const SegmentSights& view,
+                                           const ObjectLearning& learning, std::int64_t step, std::int64_t number,
+                                           Workspace& arena) {
+  const auto at_step = static_cast<std::uint64_t>(step);
+  const RandomAddress of_segment{learning.seed, at_step, stream_id("objects/segment")};
+  const RandomAddress of_point{learning.seed, at_step, stream_id("objects/point")};
+  const SightDraw sights(view);
+  const std::int64_t count = learning.view_points;
+  const std::int32_t width = grouping_.width();
+  const Workspace::Scope taken(arena);
+  const View<Real> input = arena.take<Real>(count, input_dims()), rows = arena.take<Real>(count, width),
+                   gradient = arena.take<Real>(count, width);
+  View<Real> slow = rows;
+  const View<std::int32_t> segment = arena.take<std::int32_t>(count, 1);
+  for (std::int64_t i = 0; i < count; ++i) {
+    const std::size_t drawn = sights.draw(of_segment, of_point, static_cast<std::uint64_t>(number * count + i));
+    segment(i, 0) = view.segment[drawn];
+    std::copy_n(points.row(view.point[drawn]), points.cols, input.row(i));
+    std::fill_n(gradient.row(i), width, Real(0));
+  }
+  const MlpIn<Real> in{input, {}, {}};
+  MlpOut<Real> out;
+  out.rows = rows;
+  const std::size_t bytes = net_->saved_bytes(count);
+  const Saved saved(arena.take_bytes(bytes), bytes);
+  const Tensors<Real> tensors = store_.tensors(component_, static_cast<int>(number));
+  net_->forward(arena, tensors, in, {&out, 1}, saved);
+  if (grouping_.slow_share() > 0) {
+    slow = arena.take<Real>(count, width);
+    MlpOut<Real> slow_out;
+    slow_out.rows = slow;
+    net_->forward(arena, slow_.tensors(slow_component_), in, {&slow_out, 1}, {});
+  }
+  const auto all = static_cast<double>(learning.views * count);
+  const double loss =
+      grouping_.add({rows, slow, {segment.data, static_cast<std::size_t>(count)}, view.segments()}, 1 / all, gradient);
+  MlpGrad<Real> back;
+  back.rows = gradient;
+  net_->backward(arena, tensors, in, {&out, 1}, {&back, 1}, saved, {});
+  return loss / all;
+}
+
+template <class Real>
+double ObjectNetwork<Real>::step_gradients(View<const Real> points, std::span<const SegmentSights* const> seen,
+                                           const ObjectLearning& learning, std::int64_t step) {
+  const RandomAddress of_view{learning.seed, static_cast<std::uint64_t>(step), stream_id("objects/view")};
+  std::vector<double> losses(static_cast<std::size_t>(learning.views));
+  arenas_.for_units(learning.views, [&](Workspace& arena, std::int64_t v) {
+    const auto number = static_cast<std::uint64_t>(v);
+    const SegmentSights& view = *seen[uniform_below(of_view, number, seen.size())];
+    losses[number] = view_gradients(points, view, learning, step, v, arena);
+  });
+  store_.reduce_lanes();
+  net_->derive_backward({}, store_.tensors(component_));
+  double sum = 0;
+  for (const double loss : losses) sum += loss;
+  return sum;
+}
+
+namespace {
+// Views in which any segment is seen.
+std::vector<const SegmentSights*> seen_views(std::span<const SegmentSights> sights) {
+  std::vector<const SegmentSights*> seen;
+  for (const SegmentSights& view : sights)
+    if (!view.point.empty()) seen.push_back(&view);
+  if (seen.empty())
+    throw Error(ErrorKind::data, "objects.segments.none", "no segment lies on a surface that a training view shows",
+                "check that the segments belong to these images");
+  return seen;
+}
+}  // namespace
+
+template <class Real>
+double ObjectNetwork<Real>::gradients(std::span<const Vec3d> positions, std::span<const SegmentSights> sights,
+                                      const ObjectLearning& learning, std::int64_t step) {
+  const std::vector<const SegmentSights*> seen = seen_views(sights);
+  const std::vector<Real> rows = encoded(positions);
+  net_->derive({}, store_.tensors(component_));
+  store_.clear_gradients();
+  return step_gradients({rows.data(), std::ssize(positions), input_dims()}, seen, learning, step);
+}
+
+template <class Real>
+void ObjectNetwork<Real>::follow(double share) {
+  for (std::size_t i = 0; i < store_.all().size(); ++i) {
+    const Tensor<Real>& from = store_.all()[i];
+    if (!from.learned()) continue;
+    Real* const to = slow_.all()[i].value.data();
+    for (std::int64_t k = 0; k < from.size(); ++k)
+      to[k] = static_cast<Real>(share) * to[k] + static_cast<Real>(1 - share) * from.value.data()[k];
+  }
+  net_->derive({}, slow_.tensors(slow_component_));
+}
+
+template <class Real>
+void ObjectNetwork<Real>::learn(std::span<const Vec3d> positions, std::span<const SegmentSights> sights,
+                                const ObjectLearning& learning, const ObjectProgress& progress) {
+  const ComputeFloatMode mode;
+  const std::vector<const SegmentSights*> seen = seen_views(sights);
+  const std::vector<Real> rows = encoded(positions);
+  AdamParams adam;
+  adam.epsilon = 1e-12;
+  ScheduleParams schedule;
+  schedule.kind = ScheduleKind::cosine;
+  schedule.factor = kEndRate;
+  schedule.decay_steps = std::max<std::int64_t>(1, learning.steps);
+  for (std::int64_t step = 0; step < learning.steps; ++step) {
+    store_.zero_gradients();
+    (void)step_gradients({rows.data(), std::ssize(positions), input_dims()}, seen, learning, step);
+    const AdamStep update = adam_step(adam, learning.learning_rate * schedule_factor(schedule, step), step);
+    adam_update(&update, store_.learned());
+    net_->derive({}, store_.tensors(component_));
+    if (grouping_.slow_share() > 0) follow(grouping_.slow_share());
+    if (progress) progress(static_cast<double>(step + 1), static_cast<double>(learning.steps));
+  }
+}
+
+template class ObjectNetwork<float>;
+template class ObjectNetwork<double>;
+
+}  // namespace semfield

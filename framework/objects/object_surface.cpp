@@ -1,0 +1,71 @@
+#include "objects/object_surface.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+
+#include "compute/parallel.h"
+
+namespace semfield {
+
+ObjectSurface object_surface(Session& session, std::int64_t rays, std::int64_t points, const ObjectProgress& progress) {
+  ObjectSurface surface;
+  double pixels = 0;
+  std::int32_t shortest = 1 << 20;
+  for (const int f : session.scene.frames_of(Split::train)) {
+    const auto n = static_cast<std::size_t>(f);
+    const FrameInfo& info = session.scene.info.frames[n];
+    if (session.scene.frames[n].is_unusable()) continue;
+    PoolView view;
+    view.frame = f;
+    view.camera = {info.camera, info.world_from_camera, session.plan.undistortion};
+    view.photo = &session.scene.frames[n];
+    pixels += static_cast<double>(info.camera.width_px) * info.camera.height_px;
+    shortest = std::min({shortest, info.camera.width_px, info.camera.height_px});
+    surface.views.push_back(std::move(view));
+  }
+  const auto stride = std::clamp(static_cast<std::int32_t>(std::ceil(std::sqrt(pixels / static_cast<double>(rays)))), 1,
+                                 std::max(1, shortest / 8));
+  double done = 0;
+  for (PoolView& view : surface.views) {
+    view.map = make_surface_map(*session.pipeline, view.camera, session.limits, stride, 0);
+    if (progress) progress(++done, static_cast<double>(surface.views.size()));
+  }
+  surface.pool = make_surface_pool(surface.views, session.limits, points);
+  if (surface.pool.points.empty())
+    throw Error(ErrorKind::data, "objects.surface.none", "no ray of a training view meets a surface",
+                "train longer: the field is empty");
+  return surface;
+}
+
+std::vector<SegmentSights> segment_sights(const ObjectSurface& surface, const SegmentSet& segments,
+                                          std::int64_t least) {
+  std::vector<SegmentSights> sights(surface.views.size());
+  parallel_for(std::ssize(sights), [&](std::int64_t v) {
+    const auto n = static_cast<std::size_t>(v);
+    const PoolView& view = surface.views[n];
+    const FrameSegments& of_frame = segments.frames[static_cast<std::size_t>(view.frame)];
+    SegmentSights& to = sights[n];
+    to.first.push_back(0);
+    if (of_frame.empty()) return;
+    const std::vector<std::int32_t>& point_of = surface.pool.point_of_pixel[n];
+    std::map<std::int32_t, std::vector<std::int32_t>> points;
+    for (std::size_t i = 0; i < point_of.size(); ++i) {
+      if (point_of[i] < 0) continue;
+      const PixelPlace at = strided_place(static_cast<std::int64_t>(i), view.map.width_px, view.map.stride);
+      const std::int32_t id = of_frame.at(at.column, at.row, view.camera.camera.width_px, view.camera.camera.height_px);
+      if (id != 0) points[id].push_back(point_of[i]);
+    }
+    for (const auto& [id, of_segment] : points) {
+      if (std::ssize(of_segment) < least) continue;
+      to.point.insert(to.point.end(), of_segment.begin(), of_segment.end());
+      to.segment.insert(to.segment.end(), of_segment.size(), to.segments());
+      to.first.push_back(static_cast<std::int32_t>(to.point.size()));
+      const auto told = of_frame.class_of.find(id);
+      to.class_of.push_back(told == of_frame.class_of.end() ? kVoid : told->second);
+    }
+  });
+  return sights;
+}
+
+}  // namespace semfield

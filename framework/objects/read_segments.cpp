@@ -1,0 +1,341 @@
+#include "objects/read_segments.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+
+#include "core/text.h"
+#include "formats/image_io.h"
+#include "labels/label_files.h"
+#include "labels/outline_fill.h"
+#include "labels/run_lengths.h"
+#include "system/files.h"
+
+namespace semfield {
+
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::json;
+
+constexpr std::uint16_t kNoSegment16 = 65535;
+
+Json read_json(const std::string& path) {
+  try {
+    return Json::parse(read_text_file(path));
+  } catch (const Json::exception& e) {
+    refuse_labels("labels.file.format", path, "not valid JSON: " + json_cause(e.what()), "write the segments again");
+  }
+}
+
+const Json& member(const Json& item, const char* key, const std::string& place) {
+  if (!item.is_object() || !item.contains(key))
+    refuse_labels("labels.file.format", place, std::string("has no '") + key + "'", "write the segments again");
+  return item.at(key);
+}
+
+std::int64_t whole_of(const Json& item, const char* key, const std::string& place) {
+  const Json& value = member(item, key, place);
+  if (!value.is_number_integer())
+    refuse_labels("labels.file.format", place, std::string("needs a whole number '") + key + "'");
+  return value.get<std::int64_t>();
+}
+
+std::string text_of(const Json& item, const char* key, const std::string& place) {
+  const Json& value = member(item, key, place);
+  if (!value.is_string()) refuse_labels("labels.file.format", place, std::string("needs a text '") + key + "'");
+  return value.get<std::string>();
+}
+
+struct Mask {
+  std::vector<PixelRun> runs;
+  std::int64_t area = 0;
+  std::int16_t class_index = kVoid;
+};
+
+std::vector<std::int64_t> run_counts(const Json& counts, const std::string& place) {
+  if (counts.is_string()) return counts_of_text(counts.get<std::string>());
+  std::vector<std::int64_t> out;
+  if (counts.is_array())
+    for (const Json& count : counts) out.push_back(count.is_number_integer() ? count.get<std::int64_t>() : -1);
+  if (out.empty()) refuse_labels("labels.run_lengths.damaged", place, "run lengths need 'counts', a list or a text");
+  return out;
+}
+
+Outline outline_of_numbers(const Json& part, const std::string& place) {
+  Outline outline;
+  if (part.is_array() && part.size() >= 6 && part.size() % 2 == 0 && part.size() <= 2 * kMaxOutlinePoints) {
+    for (std::size_t i = 0; i < part.size() && part[i].is_number() && part[i + 1].is_number(); i += 2)
+      outline.push_back({part[i].get<double>(), part[i + 1].get<double>()});
+  }
+  const bool inside = std::all_of(outline.begin(), outline.end(), [](const PixelPoint& p) {
+    return std::abs(p.x) <= kMaxCoordinate && std::abs(p.y) <= kMaxCoordinate;
+  });
+  if (outline.empty() || 2 * outline.size() != part.size() || !inside)
+    refuse_labels("labels.shape.points", place,
+                  "a polygon is a list [x, y, x, y, ...] of at least 3 points near the image");
+  return outline;
+}
+
+Mask mask_of(const Json& segmentation, std::int32_t width, std::int32_t height, const std::string& place) {
+  Mask mask;
+  if (segmentation.is_object()) {
+    const Json& size = member(segmentation, "size", place);
+    if (size != Json::array({height, width}))
+      refuse_labels("labels.image.size", place,
+                    "run lengths of size " + size.dump() + " in an image of [" + std::to_string(height) + "," +
+                        std::to_string(width) + "] (height, width)");
+    try {
+      mask.runs = runs_of_counts(run_counts(member(segmentation, "counts", place), place), width, height);
+    } catch (const Error& e) {
+      if (e.message().rfind(place, 0) == 0) throw;
+      refuse_labels(e.code(), place, e.message(), e.remedy());
+    }
+  } else if (segmentation.is_array()) {
+    for (const Json& part : segmentation) {
+      const std::vector<PixelRun> runs = outline_runs(outline_of_numbers(part, place), width, height);
+      mask.runs.insert(mask.runs.end(), runs.begin(), runs.end());
+    }
+  } else {
+    refuse_labels("labels.file.format", place, "'segmentation' is neither run lengths nor polygons");
+  }
+  mask.area = area_of(mask.runs);
+  return mask;
+}
+
+// The smaller lies in front of the larger.
+FrameSegments painted(std::vector<Mask> masks, std::int32_t width, std::int32_t height) {
+  std::stable_sort(masks.begin(), masks.end(), [](const Mask& a, const Mask& b) { return a.area > b.area; });
+  FrameSegments out{
+      width, height, std::vector<std::int32_t>(static_cast<std::size_t>(std::int64_t{width} * height), 0), {}};
+  std::int32_t id = 0;
+  for (const Mask& mask : masks) {
+    ++id;
+    if (mask.class_index != kVoid) out.class_of[id] = mask.class_index;
+    for (const PixelRun& run : mask.runs)
+      std::fill_n(out.id.begin() + std::int64_t{run.y} * width + run.x0, run.x1 - run.x0, id);
+  }
+  return out;
+}
+
+void check_size(std::int64_t width, std::int64_t height, const FrameInfo& frame, const std::string& place) {
+  try {
+    if (width <= 0 || height <= 0)
+      throw Error(ErrorKind::data, "labels.image.size",
+                  "an image of " + std::to_string(width) + " x " + std::to_string(height));
+    check_image_limits(width, height);
+    check_label_shape(width, height, frame.camera);
+  } catch (const Error& e) {
+    refuse_labels(e.code(), place, e.message(), e.remedy());
+  }
+}
+
+FrameSegments segments_of_ids(const std::string& path, const FrameInfo& frame) {
+  const Image<std::uint16_t> image = read_ids(path);
+  check_size(image.width_px, image.height_px, frame, path);
+  FrameSegments out{image.width_px, image.height_px, {}, {}};
+  for (const std::uint16_t id : image.pixels) out.id.push_back(id == kNoSegment16 ? 0 : id);
+  return out;
+}
+
+// Masks of a segmenter of everything.
+FrameSegments segments_of_masks(const std::string& path, const FrameInfo& frame) {
+  const Json root = read_json(path);
+  const Json& list = root.is_array() ? root : member(root, "annotations", path);
+  if (!list.is_array()) refuse_labels("labels.file.format", path, "'annotations' is no list");
+  std::int64_t width = frame.camera.width_px, height = frame.camera.height_px;
+  for (const Json& item : list) {
+    const auto found = item.is_object() ? item.find("segmentation") : item.end();
+    if (!item.is_object() || found == item.end() || !found->is_object()) continue;
+    const Json& size = member(*found, "size", path);
+    if (!size.is_array() || size.size() != 2 || !size[0].is_number_integer() || !size[1].is_number_integer())
+      refuse_labels("labels.run_lengths.damaged", path, "'size' is no pair of whole numbers");
+    height = size[0].get<std::int64_t>();
+    width = size[1].get<std::int64_t>();
+    break;
+  }
+  check_size(width, height, frame, path);
+  std::vector<Mask> masks;
+  std::size_t number = 0;
+  for (const Json& item : list) {
+    const std::string place = path + ": mask " + std::to_string(++number);
+    masks.push_back(mask_of(member(item, "segmentation", place), static_cast<std::int32_t>(width),
+                            static_cast<std::int32_t>(height), place));
+  }
+  return painted(std::move(masks), static_cast<std::int32_t>(width), static_cast<std::int32_t>(height));
+}
+
+// Classes of COCO's categories, by id.
+std::map<std::int64_t, std::int16_t> classes_of_categories(const Json& root, const ClassTable& classes,
+                                                           const std::string& path) {
+  std::map<std::int64_t, std::int16_t> out;
+  if (!root.contains("categories")) return out;
+  const ClassNames names(classes);
+  std::size_t number = 0;
+  for (const Json& item : root["categories"]) {
+    const std::string place = path + ": category " + std::to_string(++number);
+    const int index = names.find(text_of(item, "name", place));
+    if (index >= 0) out[whole_of(item, "id", place)] = static_cast<std::int16_t>(index);
+  }
+  return out;
+}
+
+std::int16_t class_of(const Json& item, const std::map<std::int64_t, std::int16_t>& classes) {
+  if (!item.contains("category_id") || !item["category_id"].is_number_integer()) return kVoid;
+  const auto found = classes.find(item["category_id"].get<std::int64_t>());
+  return found == classes.end() ? kVoid : found->second;
+}
+
+FrameSegments segments_of_colors(const std::string& path, const Json& annotation, const FrameInfo& frame,
+                                 const std::map<std::int64_t, std::int16_t>& classes, const std::string& place) {
+  const Image<std::uint8_t> image = read_rgb(path);
+  check_size(image.width_px, image.height_px, frame, path);
+  FrameSegments out{image.width_px, image.height_px, {}, {}};
+  for (std::size_t i = 0; i < image.pixels.size(); i += 3)
+    out.id.push_back(image.pixels[i] + 256 * image.pixels[i + 1] + 65536 * image.pixels[i + 2]);
+  for (const Json& segment : member(annotation, "segments_info", place)) {
+    const auto id = static_cast<std::int32_t>(whole_of(segment, "id", place));
+    if (const std::int16_t index = class_of(segment, classes); index != kVoid) out.class_of[id] = index;
+  }
+  return out;
+}
+
+class Reading {
+ public:
+  Reading(const SceneInfo& info, const std::string& path) : info_(info) {
+    set_.from = path;
+    set_.frames.resize(info.frames.size());
+  }
+
+  void folder(const std::string& path, const std::string& given) {
+    for (const char* ending : {".png", ".json"}) {
+      for (const std::string& pattern :
+           given.empty() ? std::vector<std::string>{"{name}", "{stem}"} : std::vector{given}) {
+        const std::string named = given.empty() ? pattern + ending : pattern;
+        for (std::size_t f = 0; f < info_.frames.size(); ++f) {
+          const FrameInfo& frame = info_.frames[f];
+          if (!set_.frames[f].empty() || frame.split != Split::train || !has_file(path, named, frame)) continue;
+          const std::string file = path_of(path, named, frame);
+          set_.frames[f] = file.ends_with(".json") ? segments_of_masks(file, frame) : segments_of_ids(file, frame);
+        }
+      }
+    }
+  }
+
+  void file(const std::string& path) {
+    const Json root = read_json(path);
+    const Json& list = member(root, "annotations", path);
+    if (!list.is_array()) refuse_labels("labels.file.format", path, "'annotations' is no list");
+    const std::map<std::int64_t, std::int16_t> classes = classes_of_categories(root, info_.classes, path);
+    const bool panoptic = !list.empty() && list[0].is_object() && list[0].contains("segments_info");
+    if (panoptic) {
+      of_panoptic(path, list, classes);
+    } else {
+      of_instances(path, root, list, classes);
+    }
+  }
+
+  SegmentSet finish() {
+    for (const FrameSegments& frame : set_.frames) set_.classes = set_.classes || !frame.class_of.empty();
+    if (std::all_of(set_.frames.begin(), set_.frames.end(), [](const FrameSegments& f) { return f.empty(); })) {
+      const std::vector<std::string> names = names_of(info_.frames.front());
+      throw Error(ErrorKind::data, "objects.segments.none",
+                  set_.from + ": holds no segments of a training frame, such as '" + names.front() + "'",
+                  "name files by their frames, or say how they are named with --pattern");
+    }
+    return std::move(set_);
+  }
+
+ private:
+  // The training frame of a file's name, or null.
+  FrameSegments* frame_of(const std::string& name, const FrameInfo** info) {
+    const std::string stem = file_stem(name);
+    for (std::size_t f = 0; f < info_.frames.size(); ++f) {
+      const std::vector<std::string> names = names_of(info_.frames[f]);
+      if (info_.frames[f].split != Split::train || std::find(names.begin(), names.end(), stem) == names.end()) continue;
+      *info = &info_.frames[f];
+      return &set_.frames[f];
+    }
+    return nullptr;
+  }
+
+  void of_panoptic(const std::string& path, const Json& list, const std::map<std::int64_t, std::int16_t>& classes) {
+    const fs::path inside = fs::path(path).replace_extension();
+    std::error_code unknown;
+    const fs::path folder = fs::is_directory(inside, unknown) ? inside : fs::path(path).parent_path();
+    std::size_t number = 0;
+    for (const Json& item : list) {
+      const std::string place = path + ": annotation " + std::to_string(++number);
+      const std::string name = text_of(item, "file_name", place);
+      const FrameInfo* info = nullptr;
+      FrameSegments* const to = frame_of(name, &info);
+      if (to != nullptr) *to = segments_of_colors((folder / name).string(), item, *info, classes, place);
+    }
+  }
+
+  void of_instances(const std::string& path, const Json& root, const Json& list,
+                    const std::map<std::int64_t, std::int16_t>& classes) {
+    struct OfImage {
+      std::int32_t width = 0, height = 0;
+      FrameSegments* to = nullptr;
+      std::vector<Mask> masks;
+    };
+    std::map<std::int64_t, OfImage> images;
+    std::size_t number = 0;
+    for (const Json& item : member(root, "images", path)) {
+      const std::string place = path + ": image " + std::to_string(++number);
+      OfImage image;
+      const FrameInfo* info = nullptr;
+      image.to = frame_of(text_of(item, "file_name", place), &info);
+      if (image.to != nullptr) {
+        const std::int64_t width = whole_of(item, "width", place), height = whole_of(item, "height", place);
+        check_size(width, height, *info, place);
+        image.width = static_cast<std::int32_t>(width);
+        image.height = static_cast<std::int32_t>(height);
+      }
+      images[whole_of(item, "id", place)] = std::move(image);
+    }
+    number = 0;
+    for (const Json& item : list) {
+      const std::string place = path + ": annotation " + std::to_string(++number);
+      const auto image = images.find(whole_of(item, "image_id", place));
+      if (image == images.end())
+        refuse_labels("labels.annotation.reference", place,
+                      "no image has the id " + member(item, "image_id", place).dump());
+      if (image->second.to == nullptr) continue;
+      Mask mask = mask_of(member(item, "segmentation", place), image->second.width, image->second.height, place);
+      mask.class_index = class_of(item, classes);
+      image->second.masks.push_back(std::move(mask));
+    }
+    for (auto& [id, image] : images)
+      if (image.to != nullptr && !image.masks.empty())
+        *image.to = painted(std::move(image.masks), image.width, image.height);
+  }
+
+  const SceneInfo& info_;
+  SegmentSet set_;
+};
+
+}  // namespace
+
+SegmentSet read_segments(const std::string& path, const std::string& pattern, const SceneInfo& info) {
+  std::error_code unknown;
+  Reading reading(info, path);
+  if (fs::is_directory(path, unknown)) {
+    if (!pattern.empty()) {
+      Diagnostics found;
+      check_pattern(pattern, found);
+      found.throw_if_errors(ErrorKind::usage, "--pattern:");
+    }
+    reading.folder(path, pattern);
+  } else if (fs::exists(path, unknown)) {
+    reading.file(path);
+  } else {
+    throw Error(ErrorKind::no_input, "files.read.missing", "no file or folder '" + path + "'",
+                "name segments of the training images with --segments");
+  }
+  return reading.finish();
+}
+
+}  // namespace semfield

@@ -1,0 +1,38 @@
+// Segments of the images of a scene: which pixels of an image are one thing. Their numbers mean nothing in another
+// image.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "loading/frame_source.h"
+
+namespace semfield {
+
+/// Of one image, at any size of its shape.
+struct FrameSegments {
+  std::int32_t width_px = 0, height_px = 0;
+  std::vector<std::int32_t> id;                   ///< [H * W] 0: no segment is known there
+  std::map<std::int32_t, std::int16_t> class_of;  ///< class indices of those segments whose class is told
+
+  bool empty() const { return id.empty(); }
+  /// The segment at a pixel of the frame, which may have another size.
+  std::int32_t at(std::int32_t column, std::int32_t row, std::int32_t frame_width, std::int32_t frame_height) const;
+};
+
+/// An entry per frame of SceneInfo, empty where an image has none.
+struct SegmentSet {
+  std::vector<FrameSegments> frames;
+  std::string from;      ///< in words: "instances of the scene", "masks.json"
+  bool classes = false;  ///< any segment has a class
+
+  std::int64_t count() const;  ///< segments of all images
+};
+
+/// The scene's own instances as segments of its training frames; the class of one is that of most of its labelled
+/// pixels. Throws Error(data) where no training frame has instances.
+SegmentSet segments_of_scene(const LoadedScene& scene);
+
+}  // namespace semfield

@@ -1,0 +1,101 @@
+// `semfield objects` as a user runs it: files, figures, segments of a folder, refusals.
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <set>
+
+#include "formats/image_io.h"
+#include "loading/packed_scene.h"
+#include "scene/output_names.h"
+#include "system/files.h"
+#include "testkit/analytic_scene.h"
+#include "tests/program.h"
+#include "tests/session/train_testing.h"
+
+namespace semfield {
+namespace {
+
+namespace fs = std::filesystem;
+using testing_program::Result;
+
+constexpr const char* kQuick = " --set objects.steps=150 --set objects.points=3000 --set objects.rays=20000 ";
+
+Result semfield(const std::string& words, const TempDir& dir) {
+  return testing_program::semfield_run(words, dir.path());
+}
+
+// A trained run of the packed analytic room, whose instances are its classes, and the same as a folder of images.
+void make_run(const TempDir& dir, bool with_instances) {
+  testkit::AnalyticSceneOptions options;
+  options.with_depth = true;
+  const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene(options);
+  Diagnostics diagnostics;
+  SceneInfo info = scene->open(diagnostics);
+  for (FrameInfo& frame : info.frames) frame.has_instances = with_instances;
+  fs::create_directories(dir / "segments");
+  write_packed_scene(dir / "room.sfpack", info, [&](int f, FrameBuffer& buffer) {
+    scene->read(f, buffer);
+    std::vector<std::uint16_t> ids;
+    for (const std::int16_t label : buffer.label) ids.push_back(static_cast<std::uint16_t>(label + 1));
+    if (with_instances) buffer.instance.assign(ids.begin(), ids.end());
+    const std::string name = output_name(info.frames[static_cast<std::size_t>(f)].name);
+    write_png_gray16(dir / ("segments/" + name + ".png"), buffer.width_px, buffer.height_px, ids);
+  });
+  std::string yaml = testing_train::with_scene(
+      testing_train::hash_config("losses: [{type: depth, weight: 0.3}]\nreport: {eval_every_s: 0, strips: 0}\n"),
+      "{type: packed, file: room.sfpack}");
+  write_file_atomic(dir / "config.yaml", yaml);
+  const Result trained = semfield("train config.yaml --out run --steps 150 --quiet", dir);
+  ASSERT_EQ(trained.code, 0) << trained.err;
+}
+
+TEST(ObjectsVerb, FilesFiguresAndTheSameAgain) {
+  const TempDir dir;
+  make_run(dir, true);
+  const Result r = semfield(std::string("objects run --score --json") + kQuick, dir);
+  ASSERT_EQ(r.code, 0) << r.err;
+  const auto json = nlohmann::json::parse(r.out);
+  EXPECT_GT(json.at("score").at("mcov").get<double>(), 0.3);
+  EXPECT_GT(json.at("objects").get<int>(), 0);
+  for (const char* file : {"objects.json", "objects.csv", "objects.ply", "panoptic.json"})
+    EXPECT_TRUE(fs::is_regular_file(dir / (std::string("run/objects/") + file))) << file;
+  const auto table = nlohmann::json::parse(read_text_file(dir / "run/objects/objects.json"));
+  ASSERT_EQ(table.at("objects").size(), json.at("objects").get<std::size_t>());
+  EXPECT_EQ(table.at("objects")[0].at("id"), 1);
+  const auto panoptic = nlohmann::json::parse(read_text_file(dir / "run/objects/panoptic.json"));
+  ASSERT_FALSE(panoptic.at("images").empty());
+  const std::string name = panoptic.at("images")[0].at("file_name");
+  const Image<std::uint16_t> ids = read_ids(dir / ("run/objects/instance/" + name));
+  const Image<std::uint8_t> colors = read_rgb(dir / ("run/objects/panoptic/" + name));
+  std::set<int> seen;
+  for (std::size_t i = 0; i < ids.pixels.size(); ++i) {
+    if (ids.pixels[i] == 0) continue;
+    EXPECT_EQ(colors.pixels[3 * i] + 256 * colors.pixels[3 * i + 1], ids.pixels[i]);
+    seen.insert(ids.pixels[i]);
+  }
+  std::set<int> told;
+  for (const auto& segment : panoptic.at("annotations")[0].at("segments_info"))
+    if (segment.at("id") <= table.at("objects").size()) told.insert(segment.at("id").get<int>());
+  EXPECT_EQ(seen, told);
+  const std::string first = read_text_file(dir / "run/objects/objects.csv");
+  ASSERT_EQ(semfield(std::string("objects run --out again --threads 1") + kQuick, dir).code, 0);
+  EXPECT_EQ(read_text_file(dir / "again/objects.csv"), first) << "threads changed a number";
+}
+
+TEST(ObjectsVerb, SegmentsOfAFolderAndBothMethods) {
+  const TempDir dir;
+  make_run(dir, false);
+  for (const char* method : {"", "--set 'objects.method={type: assignment, slots: 12}'"}) {
+    const Result r = semfield(std::string("objects run --segments segments ") + method + kQuick, dir);
+    ASSERT_EQ(r.code, 0) << r.err;
+    EXPECT_HAS(r.out, "objects: objects=", "segments=");
+  }
+  const Result none = semfield(std::string("objects run") + kQuick, dir);
+  EXPECT_EQ(none.code, 65);
+  EXPECT_HAS(none.err, "--segments", "objects.segments.none");
+  const Result unscored = semfield(std::string("objects run --segments segments --score") + kQuick, dir);
+  EXPECT_EQ(unscored.code, 65);
+  EXPECT_HAS(unscored.err, "objects.truth.none");
+}
+
+}  // namespace
+}  // namespace semfield
