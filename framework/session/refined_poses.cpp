@@ -67,16 +67,14 @@ std::vector<Pose> refine_poses(Session& s, Registry& registry, const std::vector
   NetworkParts<float> parts = make_parts<float>(s.config, registry, s.plan, s.extent);
   CameraRules& cameras = parts.options.cameras;
   cameras.count = std::ssize(frames);
-  cameras.poses = true;
+  cameras.poses = cameras.alone = true;
   cameras.colors = false;
-  cameras.alone = true;
   cameras.pose_rate = 1;
   parts.options.losses = LossList();
   const std::unique_ptr<Pipeline<float>> pipeline = assemble(std::move(parts), {}, true);
   s.pipeline->executor().download(0);
   copy_tensors(s.pipeline->store(), pipeline->store());
-  const DeviceId device = s.pipeline->executor().device();
-  run_on({device, true, nullptr, nullptr}, s.config, registry, s.plan, s.extent, *pipeline);
+  run_on({s.pipeline->executor().device(), true, nullptr, nullptr}, s.config, registry, s.plan, s.extent, *pipeline);
   pipeline->executor().upload(0);
 
   std::vector<TrainFrame> drawn;
@@ -104,11 +102,9 @@ std::vector<Pose> refine_poses(Session& s, Registry& registry, const std::vector
 
   const Tensor<float>* learned = pipeline->store().find(std::string(CameraCorrections<float>::kPoseName) + "/learned");
   std::vector<Pose> poses;
-  for (std::size_t i = 0; i < frames.size(); ++i) {
-    const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(frames[i])];
-    poses.push_back(corrected(info.world_from_camera, learned->value.data() + kPoseNumbers * i,
-                              pipeline->options().cameras.distance_m));
-  }
+  for (std::size_t i = 0; i < frames.size(); ++i)
+    poses.push_back(corrected(s.scene.info.frames[static_cast<std::size_t>(frames[i])].world_from_camera,
+                              learned->value.data() + kPoseNumbers * i, pipeline->options().cameras.distance_m));
   return poses;
 }
 

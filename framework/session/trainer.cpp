@@ -87,9 +87,8 @@ std::span<const StepLosses> Trainer::advance_many(std::int64_t most) {
     const std::int64_t step = step_ + i;
     const double factor = schedule_factor(schedule_, step);
     AdamStep update = adam_step(adam_, adam_.learning_rate * factor, step);
-    const CameraRules& cameras = pipeline_.options().cameras;
-    const bool moves = cameras.from_step == 0 || step >= step_of_share(cameras.from_step, steps_, schedule_);
-    update.fade = moves ? factor * factor : 0;  // corrections end a hundred times smaller where others end ten times
+    const double from = pipeline_.options().cameras.from_step;  // corrections fall with the cube of the factor
+    update.fade = from > 0 && step < step_of_share(from, steps_, schedule_) ? 0 : factor * factor;
     try {
       has_batch = drawn_;
       if (drawn_) {

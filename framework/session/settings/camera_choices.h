@@ -16,7 +16,7 @@ struct CameraEvidence {
 
 /// Brightness of overlapping frames that differs by more than this factor is a camera's that changes its exposure.
 /// Renderings differ by 1.001, photographs with a fixed exposure by 1.003 to 1.02, the HoloLens room by 1.12 (decision
-/// 39).
+/// 40).
 inline constexpr double kExposureChanges = 1.05;
 
 /// Why `auto` became what it did; empty where it was not asked for.
