@@ -7,6 +7,7 @@
 
 #include "core/text.h"
 #include "formats/image_io.h"
+#include "formats/input_limits.h"
 #include "labels/label_files.h"
 #include "labels/outline_fill.h"
 #include "labels/run_lengths.h"
