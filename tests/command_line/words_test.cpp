@@ -237,8 +237,9 @@ const std::vector<std::pair<std::string, Case>>& cases() {
 }
 
 // These measure for long, or need a device, the shipped room, a module or COLMAP; serve is tried below, prepare by
-// tests/capture.
-const std::set<std::string> kElsewhere{"bench gpu", "bench step", "serve", "demo", "plugins check", "prepare"};
+// tests/capture, objects by tests/objects.
+const std::set<std::string> kElsewhere{"bench gpu",     "bench step", "serve",  "demo",
+                                       "plugins check", "prepare",    "objects"};
 
 class JsonOutput : public ::testing::Test {
  protected:

@@ -49,8 +49,8 @@ with tempfile.TemporaryDirectory() as folder:
     program = os.path.join(folder, "semfield")
     write_program(program, PROGRAM)
     os.makedirs(os.path.join(folder, "scenes", "lego"))
-    os.makedirs(os.path.join(folder, "docs", "images"))
-    scenes, figures, page = (os.path.join(folder, name) for name in ("scenes", "figures.json", "docs/evidence/page.md"))
+    os.makedirs(os.path.join(folder, "images"))
+    scenes, figures, page = (os.path.join(folder, name) for name in ("scenes", "figures.json", "evidence/page.md"))
     os.makedirs(os.path.dirname(page))
     common = [scenes, "--program", program, "--json", figures, "--page", page]
 
