@@ -19,9 +19,8 @@ struct ObjectView {
 
 /// Writes into `folder`, which it makes:
 ///   instance/FRAME.png   16 bits, the ids of the table, 0: no object
-///   panoptic/FRAME.png   COCO's panoptic form: R + 256 G + 65536 B, with panoptic.json beside the folder; stuff has
-///   ids
-///                        behind those of the objects
+///   panoptic/FRAME.png   COCO's panoptic form: R + 256 G + 65536 B, with panoptic.json beside the folder; ids of
+///                        stuff lie behind those of the objects
 ///   objects.json, objects.csv   a row per object
 ///   objects.ply          points of the surface, label = id, in colours of the objects
 /// Every file appears whole. Throws as write_file_atomic; Error(data) for more than 1,024 objects.

@@ -1,6 +1,7 @@
 // objects: things of a run's scene told apart by segments of its images, as images, a table, points and figures.
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cstdio>
 #include <filesystem>
 #include <map>
@@ -74,12 +75,29 @@ Json about(const ObjectsOptions& options, const OpenedRun& run, const SegmentSet
       {"seconds", seconds}};
 }
 
+std::vector<int> frames_of(const ObjectsOptions& options, const Session& s) {
+  return s.scene.frames_of(options.split == "test" ? Split::test : Split::train);
+}
+
+bool has_truth(const Session& s, int frame) {
+  const StoredFrame& stored = s.scene.frames[static_cast<std::size_t>(frame)];
+  return !stored.instance.empty() && !stored.label.empty();
+}
+
+// Before any work, and before any file.
+void check_truth(const ObjectsOptions& options, const Session& s) {
+  const std::vector<int> frames = frames_of(options, s);
+  if (!options.score || std::any_of(frames.begin(), frames.end(), [&](int f) { return has_truth(s, f); })) return;
+  throw Error(ErrorKind::data, "objects.truth.none",
+              options.run + ": no frame of split '" + options.split + "' has true labels and instances",
+              "leave --score out");
+}
+
 // Renders the views, writes them, and scores those of which the scene knows objects.
 std::optional<ObjectFigures> write_views(const ObjectsOptions& options, Session& s, FoundObjects& found,
                                          ObjectFiles& files, const AppContext& context) {
-  const std::vector<int> frames = s.scene.frames_of(options.split == "test" ? Split::test : Split::train);
+  const std::vector<int> frames = frames_of(options, s);
   ObjectScore score(found.rows, found.stuff, ObjectScore::kLeastPx);
-  std::size_t scored = 0;
   ProgressLine progress(context, "rendered");
   for (std::size_t k = 0; k < frames.size(); ++k) {
     const auto n = static_cast<std::size_t>(frames[k]);
@@ -94,17 +112,11 @@ std::optional<ObjectFigures> write_views(const ObjectsOptions& options, Session&
     const std::vector<std::int32_t> ids = object_ids(s, found, camera, label);
     files.add({info, ids, label});
     progress.show(static_cast<double>(k + 1), static_cast<double>(frames.size()));
-    const std::vector<std::int32_t>& truth = s.scene.frames[n].instance;
-    if (!options.score || truth.empty() || s.scene.frames[n].label.empty()) continue;
+    if (!options.score || !has_truth(s, frames[k])) continue;
     const std::vector<std::int16_t> true_label = s.scene.frames[n].label.expand();
-    score.add({true_label, truth, label, ids});
-    ++scored;
+    score.add({true_label, s.scene.frames[n].instance, label, ids});
   }
   if (!options.score) return std::nullopt;
-  if (scored == 0)
-    throw Error(ErrorKind::data, "objects.truth.none",
-                options.run + ": no frame of split '" + options.split + "' has true labels and instances",
-                "leave --score out");
   return score.figures();
 }
 
@@ -114,28 +126,28 @@ int run(const ObjectsOptions& options, AppContext& context) {
   context.adopt(opened.session.config);
   for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
   Session& s = opened.session;
+  check_truth(options, s);
   if (s.config.grouping.entry == nullptr) s.config.grouping = usual_method(context.registry);
   SegmentSet segments = options.segments.empty() ? segments_of_scene(s.scene)
                                                  : read_segments(options.segments, options.pattern, s.scene.info);
   damage_segments(segments, s.config.segment_damage, s.config.objects.seed);
   ProgressLine progress(context, "objects");
   std::string stage;
-  ObjectTold told;
-  told.progress = [&](const char* what, double done, double of) {
-    if (stage != what) progress.restart(stage = what);
+  const auto show = [&](const char* part, double done, double of) {
+    if (stage != part) progress.restart(stage = part);
     progress.show(done, of);
   };
   FoundObjects found = find_objects(s, segments, s.config.grouping.entry->grouping(*s.config.grouping.params),
-                                    context.registry.kernels(), told);
+                                    context.registry.kernels(), show);
   const std::string folder =
       options.out.empty() ? (std::filesystem::path(options.run) / "objects").string() : options.out;
   ObjectFiles files(folder, found, s.scene.info);
   const std::optional<ObjectFigures> figures = write_views(options, s, found, files, context);
-  Json told_of = about(options, opened, segments, found);
-  if (figures) told_of["score"] = figures_json(*figures);
-  files.finish(told_of.dump());
+  Json facts = about(options, opened, segments, found);
+  if (figures) facts["score"] = figures_json(*figures);
+  files.finish(facts.dump());
   if (context.json) {
-    Json out = told_of;
+    Json out = facts;
     out["objects"] = found.rows.size();
     out["folder"] = folder;
     print_json(context, out);
@@ -149,7 +161,7 @@ int run(const ObjectsOptions& options, AppContext& context) {
                 figures->sq, figures->rq, figures->mcov, figures->count_error, static_cast<long long>(figures->objects),
                 static_cast<long long>(figures->found));
   std::printf("objects: objects=%zu segments=%lld seconds=%.1f folder=%s\n", found.rows.size(),
-              static_cast<long long>(segments.count()), told_of["seconds"]["all"].get<double>(), folder.c_str());
+              static_cast<long long>(segments.count()), facts["seconds"]["all"].get<double>(), folder.c_str());
   return 0;
 }
 

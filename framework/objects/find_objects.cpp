@@ -37,22 +37,44 @@ std::vector<bool> stuff_classes(const ClassTable& classes, const std::vector<std
   return stuff;
 }
 
+TouchingCells touching_cells(const SurfaceCells& cells) {
+  const std::vector<CellPair> pairs = cells.neighbours();
+  TouchingCells out;
+  out.first.assign(static_cast<std::size_t>(cells.count()) + 1, 0);
+  for (std::int32_t c = 0; c < cells.count(); ++c) ++out.first[static_cast<std::size_t>(c) + 1];
+  for (const CellPair& pair : pairs) {
+    ++out.first[static_cast<std::size_t>(pair.a) + 1];
+    ++out.first[static_cast<std::size_t>(pair.b) + 1];
+  }
+  for (std::size_t c = 1; c < out.first.size(); ++c) out.first[c] += out.first[c - 1];
+  out.of.resize(static_cast<std::size_t>(out.first.back()));
+  std::vector<std::int32_t> next(out.first.begin(), out.first.end() - 1);
+  for (std::int32_t c = 0; c < cells.count(); ++c)
+    out.of[static_cast<std::size_t>(next[static_cast<std::size_t>(c)]++)] = c;
+  for (const CellPair& pair : pairs) {
+    out.of[static_cast<std::size_t>(next[static_cast<std::size_t>(pair.a)]++)] = pair.b;
+    out.of[static_cast<std::size_t>(next[static_cast<std::size_t>(pair.b)]++)] = pair.a;
+  }
+  return out;
+}
+
 }  // namespace
 
 FoundObjects find_objects(Session& session, const SegmentSet& segments, std::unique_ptr<Grouping> grouping,
-                          const KernelTables& kernels, const ObjectTold& told) {
+                          const KernelTables& kernels, const ObjectStages& progress) {
   const ObjectsParams& params = session.config.objects;
   FoundObjects found;
   Clock clock(found);
-  const auto say = [&](const char* what) {
-    return [&told, what](double done, double of) {
-      if (told.progress) told.progress(what, done, of);
+  const auto say = [&](const char* stage) {
+    return [&progress, stage](double done, double of) {
+      if (progress) progress(stage, done, of);
     };
   };
   found.grouping = std::move(grouping);
   found.stuff = stuff_classes(session.scene.info.classes, params.stuff);
   found.surface = object_surface(session, params.rays, params.points, say("seen"));
   const SurfacePool& pool = found.surface.pool;
+  found.touching = touching_cells(pool.cells);
   std::vector<Vec3d> positions;
   for (const PoolPoint& point : pool.points) positions.push_back(point.position);
   clock.part("surface");
@@ -85,31 +107,6 @@ namespace {
 
 constexpr double kWayWeight = 0.25;  // of a cell's distance, beside that of places
 
-// Cells that touch each cell, itself first.
-struct Neighbours {
-  std::vector<std::int32_t> first, of;
-};
-Neighbours neighbours_of(const SurfaceCells& cells) {
-  const std::vector<CellPair> pairs = cells.neighbours();
-  Neighbours out;
-  out.first.assign(static_cast<std::size_t>(cells.count()) + 1, 0);
-  for (std::int32_t c = 0; c < cells.count(); ++c) ++out.first[static_cast<std::size_t>(c) + 1];
-  for (const CellPair& pair : pairs) {
-    ++out.first[static_cast<std::size_t>(pair.a) + 1];
-    ++out.first[static_cast<std::size_t>(pair.b) + 1];
-  }
-  for (std::size_t c = 1; c < out.first.size(); ++c) out.first[c] += out.first[c - 1];
-  out.of.resize(static_cast<std::size_t>(out.first.back()));
-  std::vector<std::int32_t> next(out.first.begin(), out.first.end() - 1);
-  for (std::int32_t c = 0; c < cells.count(); ++c)
-    out.of[static_cast<std::size_t>(next[static_cast<std::size_t>(c)]++)] = c;
-  for (const CellPair& pair : pairs) {
-    out.of[static_cast<std::size_t>(next[static_cast<std::size_t>(pair.a)]++)] = pair.b;
-    out.of[static_cast<std::size_t>(next[static_cast<std::size_t>(pair.b)]++)] = pair.a;
-  }
-  return out;
-}
-
 }  // namespace
 
 std::vector<std::int32_t> object_ids(Session& session, FoundObjects& objects, const RayCamera& camera,
@@ -117,7 +114,7 @@ std::vector<std::int32_t> object_ids(Session& session, FoundObjects& objects, co
   const SurfacePool& pool = objects.surface.pool;
   const SurfaceMap map = make_surface_map(*session.pipeline, camera, session.limits, 1, 0);
   const auto pixels = static_cast<std::size_t>(std::int64_t{map.width_px} * map.height_px);
-  const Neighbours touching = neighbours_of(pool.cells);
+  const TouchingCells& touching = objects.touching;
   std::vector<std::int32_t> cell(pixels, -1), ids(pixels, 0);
   std::vector<Vec3d> position(pixels);
   parallel_for(map.height_px, [&](std::int64_t y) {
@@ -137,8 +134,8 @@ std::vector<std::int32_t> object_ids(Session& session, FoundObjects& objects, co
     const auto c = static_cast<std::size_t>(cell[i]);
     ids[i] = objects.id[c];
     const auto begin = touching.of.begin() + touching.first[c], end = touching.of.begin() + touching.first[c + 1];
-    const bool told = !label.empty() && label[i] != kVoid && objects.class_of[c] != label[i];
-    if (!told &&
+    const bool differs = !label.empty() && label[i] != kVoid && objects.class_of[c] != label[i];
+    if (!differs &&
         std::all_of(begin, end, [&](std::int32_t n) { return objects.id[static_cast<std::size_t>(n)] == ids[i]; }))
       continue;
     asked.push_back(i);

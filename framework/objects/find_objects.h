@@ -35,9 +35,15 @@ struct ObjectRow {
   TurnedBox box;
 };
 
+/// Cells that touch each cell, itself first: those of cell c are of[first[c]] .. of[first[c + 1] - 1].
+struct TouchingCells {
+  std::vector<std::int32_t> first, of;
+};
+
 /// What was found. Views and pool lie in `surface`.
 struct FoundObjects {
   ObjectSurface surface;
+  TouchingCells touching;  ///< of the cells of the pool
   std::unique_ptr<ObjectNetwork<float>> network;
   std::unique_ptr<Grouping> grouping;
   std::vector<float> place;            ///< [points, width] of Grouping::place
@@ -48,12 +54,12 @@ struct FoundObjects {
   std::vector<std::pair<std::string, double>> seconds;  ///< of each part of the work
 };
 
-/// Reads what was rendered before in `session`; nothing of it is changed. `on` is told what is worked on and how far.
-struct ObjectTold {
-  std::function<void(const char* what, double done, double of)> progress;  ///< may be null
-};
+/// Called with the part of the work and what is done of all of it; may be null.
+using ObjectStages = std::function<void(const char* stage, double done, double of)>;
+
+/// Renders the training views of `session`, and changes nothing of the run.
 FoundObjects find_objects(Session& session, const SegmentSet& segments, std::unique_ptr<Grouping> grouping,
-                          const KernelTables& kernels, const ObjectTold& told);
+                          const KernelTables& kernels, const ObjectStages& progress);
 
 /// Objects in the pixels of a camera, [H * W] ids, 0: none. `label` [H * W] class indices of the same pixels, or empty:
 /// where it has a class, objects of that class alone are taken as far as one is near.

@@ -61,8 +61,8 @@ std::vector<SegmentSights> segment_sights(const ObjectSurface& surface, const Se
       to.point.insert(to.point.end(), of_segment.begin(), of_segment.end());
       to.segment.insert(to.segment.end(), of_segment.size(), to.segments());
       to.first.push_back(static_cast<std::int32_t>(to.point.size()));
-      const auto told = of_frame.class_of.find(id);
-      to.class_of.push_back(told == of_frame.class_of.end() ? kVoid : told->second);
+      const auto known = of_frame.class_of.find(id);
+      to.class_of.push_back(known == of_frame.class_of.end() ? kVoid : known->second);
     }
   });
   return sights;

@@ -29,7 +29,7 @@ struct SegmentSights {
   std::vector<std::int32_t> point;     ///< numbers of SurfacePool::points
   std::vector<std::int32_t> segment;   ///< [as point] 0 .. segments - 1
   std::vector<std::int32_t> first;     ///< [segments + 1]: places of a segment in `point`
-  std::vector<std::int16_t> class_of;  ///< [segments] class index, kVoid: not told
+  std::vector<std::int16_t> class_of;  ///< [segments] class index, kVoid: not known
 
   std::int32_t segments() const { return static_cast<std::int32_t>(std::ssize(class_of)); }
 };

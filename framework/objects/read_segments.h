@@ -8,9 +8,10 @@
 namespace semfield {
 
 /// `path` is one of:
-///   a folder of PNGs, one a frame by `pattern` (check_pattern): ids of 8 or 16 bits, or indices of a palette; 0, and
+///   a folder of PNGs, one per frame by `pattern` (check_pattern): ids of 8 or 16 bits, or indices of a palette; 0, and
 ///     65535 of 16 bits, is no segment. Instance images of Replica and ScanNet are such.
-///   a folder of JSON files, one a frame by `pattern`: masks of a segmenter of everything, a list of {segmentation}, or
+///   a folder of JSON files, one per frame by `pattern`: masks of a segmenter of everything, a list of {segmentation},
+///   or
 ///     an object with such a list as `annotations`; segmentation as run lengths {size, counts} or as polygons.
 ///   a JSON file of COCO's panoptic form: `annotations` of {file_name, segments_info}, PNGs in the folder of its name
 ///     without .json, or beside it, whose pixels are R + 256 G + 65536 B [Kirillov19].

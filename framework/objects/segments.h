@@ -15,7 +15,7 @@ namespace semfield {
 struct FrameSegments {
   std::int32_t width_px = 0, height_px = 0;
   std::vector<std::int32_t> id;                   ///< [H * W] 0: no segment is known there
-  std::map<std::int32_t, std::int16_t> class_of;  ///< class indices of those segments whose class is told
+  std::map<std::int32_t, std::int16_t> class_of;  ///< class indices of those segments whose class is known
 
   bool empty() const { return id.empty(); }
   /// The segment at a pixel of the frame, which may have another size.

@@ -92,9 +92,10 @@ TEST(ObjectsVerb, SegmentsOfAFolderAndBothMethods) {
   const Result none = semfield(std::string("objects run") + kQuick, dir);
   EXPECT_EQ(none.code, 65);
   EXPECT_HAS(none.err, "--segments", "objects.segments.none");
-  const Result unscored = semfield(std::string("objects run --segments segments --score") + kQuick, dir);
+  const Result unscored = semfield(std::string("objects run --segments segments --score --out scored") + kQuick, dir);
   EXPECT_EQ(unscored.code, 65);
   EXPECT_HAS(unscored.err, "objects.truth.none");
+  EXPECT_FALSE(fs::exists(dir / "scored")) << "refused before anything is written";
 }
 
 }  // namespace
