@@ -249,6 +249,31 @@ TEST(CaptureMisplaced, AJumpThatSharesNothingWithItsNeighboursIsNamed) {
   EXPECT_EQ(misplaced_images(three, names), (std::vector<std::string>{"d", "e"}));
 }
 
+TEST(CaptureMisplaced, AJumpOfAnImageThatSeesLittleNeedsNoOtherSign) {
+  const std::vector<std::string> names{"a", "b", "c", "d", "e", "f", "g", "h", "i", "j", "k", "l"};
+  ColmapModel apart = walk_of(names);
+  for (std::size_t i = 5; i < names.size(); ++i) {  // the halves of the walk share nothing
+    for (std::int64_t& point : apart.images[i].points) point += 20'000;
+  }
+  put_elsewhere(apart, 4, 20);
+  EXPECT_TRUE(misplaced_images(apart, names).empty()) << "it may well stand there";
+  apart.images[4].points.resize(40);
+  EXPECT_EQ(misplaced_images(apart, names), std::vector<std::string>{"e"});
+  put_elsewhere(apart, 4, 2);
+  EXPECT_TRUE(misplaced_images(apart, names).empty());
+}
+
+TEST(CaptureMisplaced, ImagesThatLoseTheirPointsAreTorn) {
+  const std::vector<std::string> names{"a", "b", "c"};
+  const ColmapModel all = walk_of(names);
+  ColmapModel kept = all;
+  kept.images[0].points.resize(72);
+  kept.images[1].points.resize(71);
+  EXPECT_EQ(torn_images(all, kept), std::vector<std::string>{"b"});
+  kept.images.pop_back();
+  EXPECT_EQ(torn_images(all, kept), (std::vector<std::string>{"b", "c"}));
+}
+
 TEST(ColmapCameras, WrittenOnesReadBack) {
   const std::string folder = fresh_folder("m");
   write_room_model(folder, {0, 3}, 0.5);

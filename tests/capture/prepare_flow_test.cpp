@@ -32,9 +32,14 @@ case "$step" in
     n=$(grep -c '^mapper' "$here/calls")
     if [ -d "$here/models/$n" ]; then cp -r "$here/models/$n/." "$out"
     else echo "ERROR: failed to create sparse model"; exit 1; fi;;
-  bundle_adjuster) cp -r "$in/." "$out";;
+  point_filtering) if [ -d "$here/filtered" ]; then in="$here/filtered"; fi; cp -r "$in/." "$out";;
+  bundle_adjuster|image_deleter|image_registrator) cp -r "$in/." "$out";;
 esac
 )sh";
+// The steps that follow a model.
+const std::string kSettled =
+    "point_filtering point_filtering bundle_adjuster point_filtering point_filtering bundle_adjuster point_filtering "
+    "point_filtering bundle_adjuster point_filtering ";
 
 // Eight seconds of film: small pictures of noise that changes, then the frames that are asked for. Of a panorama, one
 // picture as each of its views.
@@ -99,7 +104,7 @@ TEST_F(Prepare, AFolderOfPhotographsBecomesAScene) {
   EXPECT_EQ(r.code, 0) << r.err;
   EXPECT_HAS(r.out, "registered  6 of 6 (100 %), reprojection error 0.50 pixels, 2 points, 1 attempt");
   EXPECT_HAS(r.out, "next        semfield init scene");
-  EXPECT_EQ(steps(), "feature_extractor matches_importer mapper bundle_adjuster ");
+  EXPECT_EQ(steps(), "feature_extractor matches_importer mapper " + kSettled);
   const std::string calls = read_text_file(home_ + "/bin/calls");
   EXPECT_HAS(calls, "--SiftExtraction.use_gpu 0");
   EXPECT_HAS(calls, "--SiftMatching.use_gpu 0");
@@ -109,7 +114,21 @@ TEST_F(Prepare, AFolderOfPhotographsBecomesAScene) {
   EXPECT_FALSE(fs::exists(home_ + "/scene/prepare/work/quick.db")) << "nobody needs it any more";
   // A second call finds all done.
   EXPECT_EQ(prepare().code, 0);
-  EXPECT_EQ(steps(), "feature_extractor matches_importer mapper bundle_adjuster ");
+  EXPECT_EQ(steps(), "feature_extractor matches_importer mapper " + kSettled);
+}
+
+TEST_F(Prepare, AnImageThatFitsFewOfItsPointsIsPlacedAnew) {
+  const std::vector<int> all{0, 1, 2, 3, 4, 5};
+  std::map<int, int> seen;
+  for (const int i : all) seen[i] = 10;
+  write_room_model(home_ + "/bin/models/1/0", all, 0.5, {}, seen);
+  seen[4] = 5;
+  write_room_model(home_ + "/bin/filtered", all, 0.5, {}, seen);
+  EXPECT_EQ(prepare().code, 0);
+  EXPECT_HAS(steps(), "mapper point_filtering image_deleter image_registrator point_filtering bundle_adjuster");
+  EXPECT_EQ(read_text_file(home_ + "/scene/prepare/work/removed.txt"), "4.png\n");
+  EXPECT_HAS(read_text_file(home_ + "/bin/calls"), "image_registrator --database_path", "quick.db",
+             "point_filtering --max_reproj_error 1.5 ");
 }
 
 TEST_F(Prepare, TheLadderIsClimbedUntilEnoughHaveAPose) {
@@ -126,7 +145,8 @@ TEST_F(Prepare, TheLadderIsClimbedUntilEnoughHaveAPose) {
   EXPECT_HAS(told["missing"][0].get<std::string>(), "photographs 5 to 6 (4.png to 5.png) fit others that are missing");
   EXPECT_EQ(steps(),
             "feature_extractor matches_importer mapper mapper feature_extractor matches_importer mapper "
-            "feature_extractor matches_importer mapper bundle_adjuster ");
+            "feature_extractor matches_importer mapper " +
+                kSettled);
   const std::string calls = read_text_file(home_ + "/bin/calls");
   EXPECT_HAS(calls, "--ImageReader.camera_model SIMPLE_RADIAL");
   EXPECT_HAS(calls, "--ImageReader.camera_model OPENCV ");
@@ -143,7 +163,8 @@ TEST_F(Prepare, AFisheyeIsTriedWhereNoOtherLensFits) {
   EXPECT_HAS(r.out, "registered  6 of 6 (100 %), reprojection error 0.50 pixels, 2 points, 3 attempts");
   EXPECT_EQ(steps(),
             "feature_extractor matches_importer mapper feature_extractor matches_importer mapper "
-            "feature_extractor matches_importer mapper bundle_adjuster ")
+            "feature_extractor matches_importer mapper " +
+                kSettled)
       << "asking less of images is no help where none are missing";
 }
 
@@ -243,7 +264,7 @@ TEST_F(Prepare, AFailedProgramIsQuotedAndTheNextCallGoesOn) {
   EXPECT_FALSE(fs::exists(home_ + "/scene/sparse"));
   fs::remove(home_ + "/bin/fail_matches_importer");
   EXPECT_EQ(prepare().code, 0);
-  EXPECT_EQ(steps(), "feature_extractor matches_importer matches_importer mapper bundle_adjuster ");
+  EXPECT_EQ(steps(), "feature_extractor matches_importer matches_importer mapper " + kSettled);
 }
 
 TEST_F(Prepare, EndedInTheMiddleOfMatchingItGoesOn) {
@@ -269,7 +290,7 @@ TEST_F(Prepare, EndedInTheMiddleOfMatchingItGoesOn) {
     EXPECT_FALSE(fs::exists(out + "/sparse"));
     fs::remove(home_ + "/bin/hang_matches_importer");
     EXPECT_EQ(prepare().code, 0);
-    EXPECT_EQ(steps(), "feature_extractor matches_importer matches_importer mapper bundle_adjuster ");
+    EXPECT_EQ(steps(), "feature_extractor matches_importer matches_importer mapper " + kSettled);
   }
 }
 

@@ -49,6 +49,12 @@ double last_number_after(const std::string& text, const std::string& before) {
   return parse_number(std::string_view(text).substr(first, end - first), value) ? value : 0;
 }
 
+// What is asked of an image that joins: one at a wrong place does more harm than one without, and things that repeat
+// look alike.
+const std::vector<std::string> kStrict{"--Mapper.min_num_matches",           "30",
+                                       "--Mapper.abs_pose_min_num_inliers",  "60",
+                                       "--Mapper.abs_pose_min_inlier_ratio", "0.4"};
+
 std::string ColmapSteps::database(const FeatureSettings& settings) const {
   return (fs::path(work_) / (settings.name + ".db")).string();
 }
@@ -126,9 +132,8 @@ std::vector<std::string> ColmapSteps::map(const FeatureSettings& s, bool relaxed
                                  // All is adjusted at the end once more, so less often on the way.
                                  "--Mapper.ba_global_max_num_iterations", "20", "--Mapper.ba_global_images_ratio",
                                  "1.4", "--Mapper.ba_global_points_ratio", "1.4"};
-  if (!relaxed) {  // an image at a wrong place does more harm than one without: things that repeat look alike
-    words.insert(words.end(), {"--Mapper.min_num_matches", "30", "--Mapper.abs_pose_min_num_inliers", "60",
-                               "--Mapper.abs_pose_min_inlier_ratio", "0.4"});
+  if (!relaxed) {
+    words.insert(words.end(), kStrict.begin(), kStrict.end());
   } else {
     words.insert(words.end(), {"--Mapper.init_min_num_inliers", "50", "--Mapper.init_min_tri_angle", "8",
                                "--Mapper.abs_pose_min_num_inliers", "15", "--Mapper.abs_pose_min_inlier_ratio", "0.15",
@@ -154,35 +159,47 @@ std::vector<std::string> ColmapSteps::map(const FeatureSettings& s, bool relaxed
   return out;
 }
 
-void ColmapSteps::remove(const std::string& from, const std::vector<std::string>& names, const std::string& to) const {
+// A program that makes one model of another.
+void ColmapSteps::model_step(const std::string& name, const std::string& from, const std::string& to,
+                             std::vector<std::string> words) const {
   fs::remove_all(to);
   create_folders(to);
-  std::string text;
-  for (const std::string& name : names) text += name + "\n";
-  const std::string list = (fs::path(work_) / "misplaced.txt").string();
-  write_file_atomic(list, text);
-  run_program(programs_, "colmap",
-              {.words = {"image_deleter", "--input_path", from, "--output_path", to, "--image_names_path", list},
-               .log = log("misplaced"),
-               .tick = [] {}});
+  words.insert(words.end(), {"--input_path", from, "--output_path", to});
+  progress_({"adjusting all poses,", "passes"}, 0, 1);
+  run_program(programs_, "colmap", {.words = std::move(words), .log = log(name), .tick = [&] {
+                                      progress_({"adjusting all poses,", "passes"}, 0, 1);
+                                    }});
 }
 
-void ColmapSteps::refine(const std::string& from, const std::string& to) const {
-  const fs::path start = fs::path(work_) / "start";
-  for (const std::string& folder : {start.string(), to}) {
-    fs::remove_all(folder);
-    create_folders(folder);
-  }
+void ColmapSteps::remove(const std::string& from, const std::vector<std::string>& names, const std::string& to) const {
+  std::string text;
+  for (const std::string& name : names) text += name + "\n";
+  const std::string list = (fs::path(work_) / "removed.txt").string();
+  write_file_atomic(list, text);
+  model_step("removed", from, to, {"image_deleter", "--image_names_path", list});
+}
+
+void ColmapSteps::filter(const std::string& from, double most_px, const std::string& to) const {
+  model_step("filtered", from, to, {"point_filtering", "--max_reproj_error", fmt::format("{:g}", most_px)});
+}
+
+void ColmapSteps::place(const FeatureSettings& settings, const std::string& from, const std::string& to) const {
+  std::vector<std::string> words{"image_registrator", "--database_path", database(settings)};
+  words.insert(words.end(), kStrict.begin(), kStrict.end());
+  model_step("placed", from, to, std::move(words));
+}
+
+void ColmapSteps::free_lenses(const std::string& from, const std::string& to) const {
+  fs::remove_all(to);
+  create_folders(to);
   Diagnostics unread;
-  write_file_atomic((start / "cameras.bin").string(), colmap_cameras_file(read_colmap_model(from, unread).cameras));
-  for (const char* name : {"images.bin", "points3D.bin"}) fs::copy_file(fs::path(from) / name, start / name);
-  progress_({"adjusting all poses,", "passes"}, 0, 1);
-  run_program(programs_, "colmap",
-              {.words = {"bundle_adjuster", "--input_path", start.string(), "--output_path", to},
-               .log = log("adjusted"),
-               .tick = [&] {
-                 progress_({"adjusting all poses,", "passes"}, 0, 1);
-               }});
+  write_file_atomic((fs::path(to) / "cameras.bin").string(),
+                    colmap_cameras_file(read_colmap_model(from, unread).cameras));
+  for (const char* name : {"images.bin", "points3D.bin"}) fs::copy_file(fs::path(from) / name, fs::path(to) / name);
+}
+
+void ColmapSteps::adjust(const std::string& from, const std::string& to) const {
+  model_step("adjusted", from, to, {"bundle_adjuster"});
 }
 
 }  // namespace semfield

@@ -99,13 +99,6 @@ std::string cut_text(const VideoFrames& cut) {
          " because they were blurred";
 }
 
-std::vector<std::string> lines_of(const std::string& text) {
-  std::vector<std::string> out;
-  std::string_view rest = text;
-  for (std::string_view line; next_line(rest, line);) out.emplace_back(line);
-  return out;
-}
-
 // Names of the images that are brought into `folders.images`, in the order in which they were taken.
 std::vector<std::string> bring_images(const CaptureSource& source, const PrepareOptions& options,
                                       const Folders& folders, PrepareState& state, const Programs& programs,
@@ -120,7 +113,7 @@ std::vector<std::string> bring_images(const CaptureSource& source, const Prepare
       state.mark("frames", join(cut.names, "\n"));
       state.mark("cut", cut_text(cut));
     }
-    return lines_of(*state.done("frames"));
+    return state.lines("frames");
   }
   std::vector<std::string> names = plain_names(source.photographs);
   if (state.done("images") != nullptr) return names;
@@ -152,7 +145,7 @@ std::vector<std::string> bring_views(const CaptureSource& source, const PrepareO
     state.mark("views", join(names, "\n"));
     fs::remove_all(whole.images);
   }
-  return lines_of(*state.done("views"));
+  return state.lines("views");
 }
 
 // Of the images without a pose, those that are much less sharp than those with one.

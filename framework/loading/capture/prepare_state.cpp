@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "core/error.h"
+#include "core/text.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -33,6 +34,14 @@ const std::string* PrepareState::done(const std::string& step) const {
     if (name == step) return &found;
   }
   return nullptr;
+}
+
+std::vector<std::string> PrepareState::lines(const std::string& step) const {
+  std::vector<std::string> out;
+  const std::string* const found = done(step);
+  std::string_view rest = found == nullptr ? std::string_view() : *found;
+  for (std::string_view line; next_line(rest, line);) out.emplace_back(line);
+  return out;
 }
 
 void PrepareState::mark(const std::string& step, const std::string& found) {

@@ -14,6 +14,8 @@ class PrepareState {
 
   /// What mark() was given for the step; null where it is not done. Valid until the next mark().
   const std::string* done(const std::string& step) const;
+  /// The lines of that; none where the step is not done.
+  std::vector<std::string> lines(const std::string& step) const;
   /// The step is done, with what it found as lines of text.
   void mark(const std::string& step, const std::string& found = {});
 

@@ -9,7 +9,7 @@
 #include <set>
 
 #include "core/text.h"
-#include "loading/capture/misplaced.h"
+#include "loading/capture/settle_model.h"
 #include "loading/colmap_model.h"
 #include "system/files.h"
 
@@ -118,12 +118,7 @@ std::vector<FoundModel> models_of(const Attempt& attempt, const ReconstructTask&
     state.mark(name, folders);
   }
   std::vector<FoundModel> out;
-  std::string_view rest = *state.done(name);
-  while (!rest.empty()) {
-    const std::size_t end = rest.find('\n');
-    out.push_back(model_in(std::string(rest.substr(0, end))));
-    rest.remove_prefix(std::min(rest.size(), end + 1));
-  }
+  for (const std::string& folder : state.lines(name)) out.push_back(model_in(folder));
   std::stable_sort(out.begin(), out.end(),
                    [&](const FoundModel& a, const FoundModel& b) { return is_better(a, b, task.names.size()); });
   return out;
@@ -156,6 +151,7 @@ Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colma
   double most = task.attempts;
   if (earlier != nullptr) (void)parse_number(*earlier, most);
   const std::size_t count = task.names.size();
+  FeatureSettings features;  // of the best model
   for (const Attempt& attempt : ladder(task.lens)) {
     if (out.attempts >= most || is_enough(out.best, count)) break;
     if (has_enough(out.best, count) && !attempt.patient) continue;  // it asks less of images, and none are missing
@@ -163,6 +159,7 @@ Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colma
     std::vector<FoundModel> models = models_of(attempt, task, colmap, state);
     if (models.empty() || !(out.best.images.empty() || is_better(models.front(), out.best, count))) continue;
     out.best = std::move(models.front());
+    features = attempt.features;
     models.erase(models.begin());
     out.others = std::move(models);
   }
@@ -174,21 +171,12 @@ Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colma
                 "take more photographs, each showing two thirds of what the one before shows, sharp, of things with "
                 "texture, and walk rather than turn on the spot");
   }
-  Diagnostics known;
-  out.misplaced = misplaced_images(read_colmap_model(out.best.folder, known), task.names);
-  if (!out.misplaced.empty()) {
-    const std::string kept = (fs::path(task.work) / "placed").string();
-    once(state, "placed", [&] { colmap.remove(out.best.folder, out.misplaced, kept); });
-    out.best = model_in(kept);
-  }
-  const std::string refined = (fs::path(task.work) / "refined").string();
   if (earlier == nullptr) {
-    colmap.refine(out.best.folder, refined);
+    state.mark("misplaced", join(settle_model({out.best.folder, features, task.names, task.work}, colmap), "\n"));
     state.mark("refined", std::to_string(out.attempts));
   }
-  FoundModel adjusted = model_in(refined);
-  if (adjusted.images.size() == out.best.images.size() && adjusted.error_px <= out.best.error_px)
-    out.best = std::move(adjusted);
+  out.misplaced = state.lines("misplaced");
+  out.best = model_in((fs::path(task.work) / "refined").string());
   return out;
 }
 

@@ -46,9 +46,9 @@ struct Reconstruction {
 /// From the cheapest attempt to the most patient, until 95 % of the images have a pose under a lens that fits, which
 /// misses their points by at most 1.1 pixels and bends their borders by at most 15 %: features at 1,024 pixels; asking
 /// less of an image that joins; more and fainter features at 1,600 pixels, every pair, and a richer lens; the same with
-/// a fisheye's. Asked for a fisheye, all attempts have one. The largest model of all loses the images of
-/// misplaced_images() and is refined with OPENCV lenses or fisheyes [Schonberger16]. Pairs are all pairs up to 150
-/// photographs, beyond and in films those of pairs_in_order(). Throws Error(data) where nothing was found.
+/// a fisheye's. Asked for a fisheye, all attempts have one. The largest model of all goes through settle_model(). Pairs
+/// are all pairs up to 150 photographs, beyond and in films those of pairs_in_order(). Throws Error(data) where nothing
+/// was found.
 Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colmap, PrepareState& state);
 
 /// Images without a pose that follow each other, and what to do.
