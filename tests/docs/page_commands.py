@@ -1,10 +1,10 @@
 """Runs the commands of pages: page_commands.py --program FILE --scenes FOLDER PAGE...
 
 A page's blocks run in order, in a scratch folder that looks like the repository's: configs/ (presets made small), scenes/, scripts/,
-data/ (what page_scenes.py made), and `semfield` in PATH. Blocks with `file=NAME` behind their language, the page's and those of
-own_data.md, are saved there before. Every command of
+data/ (what page_scenes.py made), and `semfield` in PATH; SEMFIELD_BUILD names the build. Blocks with `file=NAME` behind their language, the page's and
+those of own_data.md, are saved there before, but for sources of plugins/. Every command of
 a block marked `sh`, or behind `$ ` in one marked `console`, has to end with exit code 0; `semfield serve` is stopped when it serves, and
-minutes of `--time` are 2 seconds.
+minutes of `--time` are 2 seconds. Blocks marked `python` without a file are one program, which runs last, where the build has the Python module.
 A comment before a block says what a reader need not see, one thing per line:
 
   <!-- not run: needs a GPU -->                     the block is not run, for this reason
@@ -75,13 +75,16 @@ class Scratch:
         shutil.copytree(scenes, os.path.join(folder, "data"), symlinks=True)
         os.mkdir(os.path.join(folder, "bin"))
         os.symlink(program, os.path.join(folder, "bin", "semfield"))
+        build = os.path.dirname(os.path.dirname(program))
+        self.python = os.path.join(build, "python")
         self.environment = dict(os.environ, PATH=os.path.join(folder, "bin") + os.pathsep + os.environ["PATH"], HOME=folder,
-                                SEMFIELD_CACHE=os.path.join(folder, ".cache"), OMP_WAIT_POLICY="passive")
+                                SEMFIELD_CACHE=os.path.join(folder, ".cache"), OMP_WAIT_POLICY="passive",
+                                SEMFIELD_BUILD=build)
 
     def save_named(self, text):
         """Writes the blocks that a page has to save; of two with one name the first."""
         for block in reversed(list(BLOCK.finditer(text))):
-            name = re.fullmatch(r"(?:yaml|json|csv|text) file=(\S+)", block["info"])
+            name = re.fullmatch(r"(?:yaml|json|csv|text|python|cpp|cmake) file=(?!plugins/)(\S+)", block["info"])
             if name:
                 path = os.path.join(self.folder, name[1])
                 os.makedirs(os.path.dirname(path), exist_ok=True)
@@ -110,10 +113,10 @@ class Scratch:
 
 def play(new_scratch, text):
     """(commands run, sentences on what is wrong, programs that are missing) of a page."""
-    count, faults, missing, scratch = 0, [], [], None
+    count, faults, missing, scratch, program = 0, [], [], None, []
     for block in BLOCK.finditer(text):
         kind = block["info"].partition(" ")[0]
-        if kind not in ("sh", "console"):
+        if kind not in ("sh", "console") and block["info"] != "python":
             hidden = COMMAND.search(block["text"])
             if hidden and kind not in ("cmake", "python", "cpp", "yaml", "dockerfile"):
                 faults.append(f"'{hidden[0]}' is in a block marked '{kind}'; mark it sh or console, so that it is run")
@@ -136,6 +139,9 @@ def play(new_scratch, text):
                 body = body.replace(long, short)
             else:
                 faults.append(f"'{clause}' of a comment before a block means nothing")
+        if kind == "python":
+            program.append(body)
+            continue
         commands = first + commands_of(kind, re.sub(r"(--time )[0-9.]+[mh]\b", r"\g<1>2s", body))
         if missing:
             continue
@@ -147,6 +153,15 @@ def play(new_scratch, text):
             if code != expected:
                 faults.append(f"`{command}` ends with {code}, not {expected}:\n{said[-2000:]}")
                 break
+    if program:
+        scratch = scratch or new_scratch()
+        if os.path.isdir(scratch.python):
+            with open(os.path.join(scratch.folder, "page.py"), "w", encoding="utf-8") as file:
+                file.write("\n".join(program))
+            code, said = scratch.run(f"PYTHONPATH={shlex.quote(scratch.python)} {shlex.quote(sys.executable)} page.py")
+            count += len(program)
+            if code != 0:
+                faults.append(f"the page's Python ends with {code}:\n{said[-2000:]}")
     return count, faults, missing
 
 

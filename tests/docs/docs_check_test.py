@@ -1,0 +1,64 @@
+"""scripts/docs_check on a small repository: what it counts, and that each kind of fault is named. Argument: the folder of sources."""
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+
+SOURCE = sys.argv[1]
+ROW = {"scene": "lego", "preset": "object", "seconds": 60.0, "device": "NVIDIA H100 80GB HBM3", "date": "2026-11-26", "commit": "0cb12932", "psnr": 34.72}
+PAGE = "# Page\n\nSix plain words of a page `code`.\n\n```sh\nsemfield one\n```\n\n<!-- not run: takes hours -->\n```sh\nsemfield two\nsemfield three\n```\n"
+SOURCED = "## Measured\n\n`semfield train` on 26 November 2026:\n\n| what | PSNR, dB |\n|---|---|\n| lego | 34.72 |\n"
+
+
+def check(page, *options, readme="# Small\n\n[Page](docs/page.md)\n"):
+    """Exit code, the values of the last line, what is printed, and the page afterwards."""
+    with tempfile.TemporaryDirectory(prefix="docs of ") as root:
+        for name, text in {"README.md": readme, "docs/page.md": page, "docs/evidence/benchmark.json": json.dumps([ROW]),
+                           "docs/more.md": "# More\n\n[data](evidence/benchmark.json)\n"}.items():
+            os.makedirs(os.path.join(root, os.path.dirname(name)), exist_ok=True)
+            with open(os.path.join(root, name), "w", encoding="utf-8") as file:
+                file.write(text)
+        done = subprocess.run([sys.executable, os.path.join(SOURCE, "scripts/docs_check"), "--root", root, *options], capture_output=True, text=True)
+        values = dict(re.findall(r"(\w+)=(\d+)", done.stdout.strip().split("\n")[-1]))
+        with open(os.path.join(root, "docs/page.md"), encoding="utf-8") as file:
+            return done.returncode, values, done.stderr, file.read()
+
+
+def expect(page, code, sentence="", **wanted):
+    got, values, said, _ = check(page)
+    wrong = {name: values.get(name) for name, value in wanted.items() if values.get(name) != str(value)}
+    if got != code or sentence not in said or wrong:
+        sys.exit(f"expected {code}, '{sentence}', {wanted}; got {got}, {values}:\n{said}\nof\n{page}")
+
+
+# What counts: words have letters, and code and comments are none; commands by whether something runs them.
+expect(PAGE, 0, words=12, commands_run=1, commands_marked=2, figures=0, banned_phrases=0, links_broken=0, readme_words=3)
+expect(PAGE + SOURCED, 0, figures=1, figures_without_source=0)
+expect(PAGE + "## Link\n\nIt has 27.9 dB ([all](evidence/benchmark.json)).\n", 0, figures=1, figures_without_source=0)
+expect("# Page\n\n`semfield eval` of version 0.1.0.\n\n## Below\n\nmIoU 0.75\n", 0, figures=1, figures_without_source=0)
+
+# What is wrong.
+expect(PAGE + "## Bare\n\nIt has 27.9 dB.\n", 1, "'Bare' has 1 figures without a source, such as '27.9 dB'", figures_without_source=1)
+expect(SOURCED.replace("on 26 November 2026", "once"), 1, "'Measured' has 1 figures", figures_without_source=1)
+expect(SOURCED.replace("`semfield train`", "Measured"), 1, "'Measured' has 1 figures", figures_without_source=1)
+expect(PAGE + "The field is told\nwhat a ray tells.\n", 1, "'is told': write: is reported", banned_phrases=2)
+expect(PAGE + "`is told` is code.\n", 0, banned_phrases=0)
+expect(PAGE + "[gone](gone.md)\n", 1, "gone.md: no such file", links_broken=1)
+expect(PAGE + "```text\nsemfield hidden\n```\n", 1, "'semfield hidden' is in a block that nothing runs")
+expect(PAGE + "word " * 45000, 1, "words; at most 45000 are read")
+code, values, said, _ = check(PAGE, readme="# Small\n\n[Page](docs/page.md)\n" + "word " * 900)
+if code != 1 or "at most 900" not in said:
+    sys.exit(f"a long README passes: {code} {values}")
+
+# Tables of figures are those of the data, and --write makes them so.
+EMPTY = PAGE + "<!-- figures benchmark: lego 60 gpu -->\n<!-- /figures -->\n"
+expect(EMPTY, 1, "run scripts/docs_check --write")
+code, values, said, written = check(EMPTY, "--write")
+if code != 0 or "| lego, an object, `object` | 60 s | 34.7 dB | – | H100 | 2026-11-26, 0cb12932 |\n" not in written:
+    sys.exit(f"the table is not written: {code} {said}\n{written}")
+expect(written, 0, figures=1, figures_without_source=0)
+expect(written.replace("34.7 dB", "35.7 dB"), 1, "a table of figures is not that of")
+expect(EMPTY.replace("lego 60", "lego 61"), 1, "has no row 'lego 61 gpu'")
+print("18 repositories")
