@@ -7,22 +7,23 @@ import sys
 import tempfile
 
 SOURCE = sys.argv[1]
+DOCS = "docs"  # other tests look for documents that sources name
 ROW = {"scene": "lego", "preset": "object", "seconds": 60.0, "device": "NVIDIA H100 80GB HBM3", "date": "2026-11-26", "commit": "0cb12932", "psnr": 34.72}
 PAGE = "# Page\n\nSix plain words of a page `code`.\n\n```sh\nsemfield one\n```\n\n<!-- not run: takes hours -->\n```sh\nsemfield two\nsemfield three\n```\n"
 SOURCED = "## Measured\n\n`semfield train` on 26 November 2026:\n\n| what | PSNR, dB |\n|---|---|\n| lego | 34.72 |\n"
 
 
-def check(page, *options, readme="# Small\n\n[Page](docs/page.md)\n"):
+def check(page, *options, readme="# Small\n\n[Page](" + DOCS + "/page.md)\n"):
     """Exit code, the values of the last line, what is printed, and the page afterwards."""
     with tempfile.TemporaryDirectory(prefix="docs of ") as root:
-        for name, text in {"README.md": readme, "docs/page.md": page, "docs/evidence/benchmark.json": json.dumps([ROW]),
-                           "docs/more.md": "# More\n\n[data](evidence/benchmark.json)\n"}.items():
+        for name, text in {"README.md": readme, f"{DOCS}/page.md": page, f"{DOCS}/evidence/benchmark.json": json.dumps([ROW]),
+                           f"{DOCS}/more.md": "# More\n\n[data](evidence/benchmark.json)\n"}.items():
             os.makedirs(os.path.join(root, os.path.dirname(name)), exist_ok=True)
             with open(os.path.join(root, name), "w", encoding="utf-8") as file:
                 file.write(text)
         done = subprocess.run([sys.executable, os.path.join(SOURCE, "scripts/docs_check"), "--root", root, *options], capture_output=True, text=True)
         values = dict(re.findall(r"(\w+)=(\d+)", done.stdout.strip().split("\n")[-1]))
-        with open(os.path.join(root, "docs/page.md"), encoding="utf-8") as file:
+        with open(os.path.join(root, DOCS, "page.md"), encoding="utf-8") as file:
             return done.returncode, values, done.stderr, file.read()
 
 
@@ -48,7 +49,7 @@ expect(PAGE + "`is told` is code.\n", 0, banned_phrases=0)
 expect(PAGE + "[gone](gone.md)\n", 1, "gone.md: no such file", links_broken=1)
 expect(PAGE + "```text\nsemfield hidden\n```\n", 1, "'semfield hidden' is in a block that nothing runs")
 expect(PAGE + "word " * 45000, 1, "words; at most 45000 are read")
-code, values, said, _ = check(PAGE, readme="# Small\n\n[Page](docs/page.md)\n" + "word " * 900)
+code, values, said, _ = check(PAGE, readme=f"# Small\n\n[Page]({DOCS}/page.md)\n" + "word " * 900)
 if code != 1 or "at most 900" not in said:
     sys.exit(f"a long README passes: {code} {values}")
 
