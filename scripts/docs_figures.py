@@ -1,17 +1,30 @@
-"""Tables of pages that are made from docs/evidence/benchmark.json, for docs_check.
+"""Tables of pages that are made from the data in docs/evidence, for docs_check.
 
 A page asks for one by a pair of comments; what is between them is replaced:
 
-  <!-- figures benchmark: lego 60 cpu, lego 60 gpu, room 60 cpu -->  rows by scene, seconds and device
+  <!-- figures benchmark: lego 60 cpu, lego 60 gpu, room 60 cpu -->  rows by scene, seconds and device, of benchmark.json
+  <!-- /figures -->
+  <!-- figures labels: walk -->  a scene's rows by label setting, of gpu_cells.csv and gpu_cells_h100.csv
   <!-- /figures -->
 
-Each row has its device, date and commit, so that a figure in a page is that of a run that scripts/benchmark made. A row that the data lacks is an error."""
+Each row of a benchmark has its device, date and commit, so that a figure in a page is that of a run that scripts/benchmark made. A row that the data lacks
+is an error. Means of several seeds have half their 95 % interval (Student's t) and the number of seeds."""
+import collections
+import csv
 import json
+import math
 import os
 import re
+import statistics
 
 DATA = "docs/evidence/benchmark.json"
-PART = re.compile(r"(<!-- figures benchmark: (?P<rows>[^>]*?) -->\n).*?(<!-- /figures -->)", re.S)
+CELLS = {"paper": ("docs/evidence/gpu_cells.csv", "labels_paper"), "preset": ("docs/evidence/gpu_cells_h100.csv", "labels_fast"),
+         "grid": ("docs/evidence/gpu_cells.csv", "labels_today")}
+SETTINGS = ["all", "click", "1 %", "10 %", "90 % noise", "two key-frames", "10 % of the frames", "sparse x 16"]
+LABELS_HEAD = ("| labels | mIoU: paper's networks | room preset | grid alone | PSNR: paper | preset | AbsRel: paper | preset | ECE: paper | preset |\n"
+               "|---|---|---|---|---|---|---|---|---|---|\n")
+STUDENT = {2: 12.706, 3: 4.303, 4: 3.182, 5: 2.776}
+PART = re.compile(r"(<!-- figures (?P<kind>benchmark|labels): (?P<rows>[^>]*?) -->\n).*?(<!-- /figures -->)", re.S)
 HEAD = "| scene, preset | trained for | PSNR | mIoU | device | date, commit |\n|---|---|---|---|---|---|\n"
 NAMES = {"lego": "lego, an object", "bonsai": "bonsai, a table in its room", "room": "shipped room, labels on 10 % of the frames", "walk": "Replica walk, all labels",
          "classroom": "modelled classroom, all labels", "studio": "studio room, 35 photos", "record3d": "door, scanned by a phone", "hololens": "room, scanned by a HoloLens",
@@ -31,8 +44,45 @@ def line_of(row):
     return (f"| {NAMES[row['scene']]}, `{row['preset']}` | {row['seconds']:.0f} s | {row['psnr']:.1f} dB | {miou} | {device} | {row['date']}, {row['commit']} |\n")
 
 
-def renewed(path, text, rows, faults):
+def cells_of(root):
+    """{(column, scene, setting, metric): [value of each seed]}"""
+    cells = collections.defaultdict(list)
+    for column, (name, experiment) in CELLS.items():
+        with open(os.path.join(root, name), encoding="utf-8") as file:
+            for row in csv.DictReader(file):
+                if row["experiment"] == experiment and row["value"]:
+                    cells[column, row["scene"], row["variant"], row["metric"]].append(float(row["value"]))
+    return cells
+
+
+def mean_of(values, digits):
+    if not values:
+        return "–"
+    if len(values) == 1:
+        return f"{values[0]:.{digits}f}"
+    half = STUDENT[len(values)] * statistics.stdev(values) / math.sqrt(len(values))
+    return f"{statistics.mean(values):.{digits}f} ± {half:.{digits}f} ({len(values)})"
+
+
+def labels_table(cells, scene):
+    out = LABELS_HEAD
+    for setting in SETTINGS:
+        def of(column, metric, digits=3):
+            return mean_of(cells[column, scene, setting, metric], digits)
+        out += f"| {setting} | {of('paper', 'miou_present')} | {of('preset', 'miou_present')} | {of('grid', 'miou_present')} "
+        for metric, digits in (("psnr", 1), ("absrel", 3), ("ece", 3)):
+            values = cells["preset", scene, setting, metric]
+            out += f"| {of('paper', metric, digits)} | {mean_of([statistics.mean(values)] if values else [], digits)} "
+        out += "|\n"
+    return out
+
+
+def renewed(path, text, root, faults):
     def part(match):
+        if match["kind"] == "labels":
+            return match[1] + labels_table(cells_of(root), match["rows"]) + match[4]
+        with open(os.path.join(root, DATA), encoding="utf-8") as file:
+            rows = json.load(file)
         out = HEAD
         for asked in match["rows"].split(", "):
             row = chosen(rows, asked)
@@ -40,30 +90,25 @@ def renewed(path, text, rows, faults):
                 faults.append(f"{path}: {DATA} has no row '{asked}'; measure it with scripts/benchmark")
             else:
                 out += line_of(row)
-        return match[1] + out + match[3]
+        return match[1] + out + match[4]
     return PART.sub(part, text)
 
 
 def stale(root, pages, write):
     """Sentences about parts that are not what the data say; with `write` they are renewed instead."""
-    asking = {path: text for path, text in pages.items() if PART.search(text)}
-    if not asking:
-        return []
-    with open(os.path.join(root, DATA), encoding="utf-8") as file:
-        rows = json.load(file)
     faults = []
-    for path, text in asking.items():
-        fresh = renewed(path, text, rows, faults)
+    for path, text in pages.items():
+        fresh = renewed(path, text, root, faults)
         if fresh == text:
             continue
         if write:
             with open(os.path.join(root, path), "w", encoding="utf-8") as file:
                 file.write(fresh)
         else:
-            faults.append(f"{path}: a table of figures is not that of {DATA}; run scripts/docs_check --write")
+            faults.append(f"{path}: a table of figures is not that of the data in docs/evidence; run scripts/docs_check --write")
     return faults
 
 
 def figures_of(text):
     """Numbers in such parts."""
-    return re.findall(r"(?<=\| )(?:[\d.]+ dB|0\.\d+)(?= \|)", "".join(match[0] for match in PART.finditer(text)))
+    return re.findall(r"(?<=\| )(?:[\d.]+ dB|0\.\d+)(?= [|±])", "".join(match[0] for match in PART.finditer(text)))

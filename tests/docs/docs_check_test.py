@@ -8,6 +8,8 @@ import tempfile
 
 SOURCE = sys.argv[1]
 DOCS = "docs"  # other tests look for documents that sources name
+CELLS = "experiment,scene,variant,seed,metric,value\nlabels_paper,walk,click,1,miou_present,0.5\n"
+CELLS_TODAY = "experiment,scene,variant,seed,metric,value\n" + "".join(f"labels_fast,walk,click,{seed},miou_present,{seed}\n" for seed in (1, 2, 3))
 ROW = {"scene": "lego", "preset": "object", "seconds": 60.0, "device": "NVIDIA H100 80GB HBM3", "date": "2026-11-26", "commit": "0cb12932", "psnr": 34.72}
 PAGE = "# Page\n\nSix plain words of a page `code`.\n\n```sh\nsemfield one\n```\n\n<!-- not run: takes hours -->\n```sh\nsemfield two\nsemfield three\n```\n"
 SOURCED = "## Measured\n\n`semfield train` on 26 November 2026:\n\n| what | PSNR, dB |\n|---|---|\n| lego | 34.72 |\n"
@@ -17,7 +19,8 @@ def check(page, *options, readme="# Small\n\n[Page](" + DOCS + "/page.md)\n"):
     """Exit code, the values of the last line, what is printed, and the page afterwards."""
     with tempfile.TemporaryDirectory(prefix="docs of ") as root:
         for name, text in {"README.md": readme, f"{DOCS}/page.md": page, f"{DOCS}/evidence/benchmark.json": json.dumps([ROW]),
-                           f"{DOCS}/more.md": "# More\n\n[data](evidence/benchmark.json)\n"}.items():
+                           f"{DOCS}/evidence/gpu_cells.csv": CELLS, f"{DOCS}/evidence/gpu_cells_h100.csv": CELLS_TODAY,
+                           f"{DOCS}/more.md": "# More\n\n[data](evidence/benchmark.json) [cells](evidence/gpu_cells.csv) [more](evidence/gpu_cells_h100.csv)\n"}.items():
             os.makedirs(os.path.join(root, os.path.dirname(name)), exist_ok=True)
             with open(os.path.join(root, name), "w", encoding="utf-8") as file:
                 file.write(text)
@@ -35,7 +38,7 @@ def expect(page, code, sentence="", **wanted):
 
 
 # What counts: words have letters, and code and comments are none; commands by whether something runs them.
-expect(PAGE, 0, words=12, commands_run=1, commands_marked=2, figures=0, banned_phrases=0, links_broken=0, readme_words=3)
+expect(PAGE, 0, words=14, commands_run=1, commands_marked=2, figures=0, banned_phrases=0, links_broken=0, readme_words=3)
 expect(PAGE + SOURCED, 0, figures=1, figures_without_source=0)
 expect(PAGE + "## Link\n\nIt has 27.9 dB ([all](evidence/benchmark.json)).\n", 0, figures=1, figures_without_source=0)
 expect("# Page\n\n`semfield eval` of version 0.1.0.\n\n## Below\n\nmIoU 0.75\n", 0, figures=1, figures_without_source=0)
@@ -60,6 +63,11 @@ code, values, said, written = check(EMPTY, "--write")
 if code != 0 or "| lego, an object, `object` | 60 s | 34.7 dB | – | H100 | 2026-11-26, 0cb12932 |\n" not in written:
     sys.exit(f"the table is not written: {code} {said}\n{written}")
 expect(written, 0, figures=1, figures_without_source=0)
-expect(written.replace("34.7 dB", "35.7 dB"), 1, "a table of figures is not that of")
+expect(written.replace("34.7 dB", "35.7 dB"), 1, "a table of figures is not that of the data")
 expect(EMPTY.replace("lego 60", "lego 61"), 1, "has no row 'lego 61 gpu'")
-print("18 repositories")
+
+# Means of seeds: 1, 2 and 3 have the mean 2 and half an interval of 4.303 / sqrt(3).
+code, values, said, written = check(PAGE + "<!-- figures labels: walk -->\n<!-- /figures -->\n", "--write")
+if code != 0 or "| click | 0.500 | 2.000 ± 2.484 (3) | – |" not in written:
+    sys.exit(f"the table of labels is not written: {code} {said}\n{written}")
+print("19 repositories")
