@@ -166,7 +166,7 @@ Error unknown_flag(const Grammar& grammar, const std::string& verb, const std::s
                                          others.begin() + std::min<std::ptrdiff_t>(4, std::ssize(others)));
     return {ErrorKind::usage, "usage.flag.unknown", text,
             "it belongs to " + (others.size() > first.size() ? join(first) + " and others" : one_of(first)) +
-                (verb.empty() ? ", and stands behind the verb" : "")};
+                (verb.empty() ? ", and comes after the verb" : "")};
   }
   if (const std::string near = closest_flag(flag, flags_of(own)); !near.empty())
     return {ErrorKind::usage, "usage.flag.unknown", text, "did you mean " + near + "?"};

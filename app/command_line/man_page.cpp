@@ -122,7 +122,7 @@ std::string man_page(const Grammar& grammar, const VerbGrammar* verb) {
            ".PP\n" +
            paragraph(
                "Results go to the standard output, progress and remarks to the standard error. `semfield help VERB` "
-               "tells the words of a verb.") +
+               "prints the words of a verb.") +
            verb_list(grammar, "") + list("OPTIONS", grammar.options_of(nullptr), false) + exit_status();
   }
   const std::string usage = usage_of(*verb);

@@ -35,7 +35,7 @@ const HeadConfig& head_of(const ChannelWishes& wishes, const Session& session) {
     if (head.channel == wishes.channel || (wishes.channel.empty() && heads.size() == 1)) return head;
   }
   if (known.empty())
-    throw Error(ErrorKind::usage, "render.channel.unknown", "the run has no head beside that of class logits",
+    throw Error(ErrorKind::usage, "render.channel.unknown", "the run has no head except that of class logits",
                 "train with the lists `heads` and `losses`; docs/guide/features.md shows how");
   if (wishes.channel.empty())
     throw Error(ErrorKind::usage, "render.channel.unknown", "the run has several channels: " + join(known),

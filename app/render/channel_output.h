@@ -1,4 +1,5 @@
-// What `render` writes of heads beside that of class logits: their channels, and where they point along given vectors.
+// What `render` writes of heads in addition to that of class logits: their channels, and where they point along given
+// vectors.
 #pragma once
 
 #include <string>

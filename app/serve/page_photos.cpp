@@ -33,7 +33,7 @@ void PagePhotos::open() {
   if (!std::equal(info_.frames.begin(), info_.frames.end(), loaded.begin(), loaded.end(),
                   [](const FrameInfo& a, const FrameInfo& b) { return a.name == b.name; }))
     throw Error(ErrorKind::data, "scene.frames.changed", "the scene's files list other frames than were loaded",
-                "start semfield serve anew");
+                "start semfield serve again");
   dataset_ = std::move(dataset);
 }
 

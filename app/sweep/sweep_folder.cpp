@@ -84,7 +84,7 @@ SweepFolder::SweepFolder(std::string path, const Sweep& sweep, const std::vector
           ErrorKind::cannot_create, "sweep.folder.busy",
           fmt::format("the sweep folder '{}' is in use by {}, another sweep with other cells", path_, beside_),
           "wait for it to end, stop it (the next sweep continues from there), or choose another folder with --out; "
-          "--dry-run tells which cells are done");
+          "--dry-run shows which cells are done");
   } else {
     throw write_error("lock", folder, cause);
   }

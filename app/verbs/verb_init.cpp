@@ -86,7 +86,7 @@ int run(const InitOptions& options, AppContext& context) {
   std::error_code unknown;
   if (!options.replace && fs::exists(file, unknown)) {
     throw Error(ErrorKind::cannot_create, "files.output.exists", "'" + file + "' is there already",
-                "name another file with --out, or give --replace to write it anew");
+                "name another file with --out, or give --replace to overwrite it");
   }
   Diagnostics diagnostics;
   const LoadedScene scene = look_at(found, context, diagnostics);

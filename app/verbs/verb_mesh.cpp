@@ -389,7 +389,7 @@ void words(VerbWords& verb, MeshOptions& options) {
   verb.flag("--points", options.points, "also write a labelled point cloud from the depth of the training views");
   verb.flag(
       "--score", options.score,
-      "also compare the mesh with the scene's depth images: completeness and accuracy within 2, 5 and 10 cm, beside "
+      "also compare the mesh with the scene's depth images: completeness and accuracy within 2, 5 and 10 cm, next to "
       "those of the fused depth images themselves");
   verb.value("--out FILE", options.out, "file to write (default: mesh.ply in the run folder)");
   verb.flag("--keep-unseen", options.keep_unseen, "keep what no training camera sees (default: it is left out)");

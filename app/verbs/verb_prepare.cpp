@@ -92,7 +92,7 @@ int run(const PrepareVerbOptions& options, AppContext& context) {
   try {
     report = prepare(options, context);
   } catch (const Stopped&) {
-    print_note(context, "stopped; the same command goes on");
+    print_note(context, "stopped; the same command continues");
     return 128 + stop_signal();
   }
   Diagnostics found;
@@ -119,7 +119,7 @@ int run(const PrepareVerbOptions& options, AppContext& context) {
 
 void words(VerbWords& verb, PrepareVerbOptions& options) {
   verb.operand("source", options.source, "video, or folder of photographs; folders in it are one camera each");
-  verb.required("--out FOLDER", options.out, "scene to write; a run that was ended goes on there");
+  verb.required("--out FOLDER", options.out, "scene to write; a run that was ended continues there");
   verb.value_in("--frames N", options.frames, 0, 10000,
                 "frames to keep of a video at most; 0: three a second, 30 to 300");
   verb.choice("--lens KIND", options.lens, {"auto", "fisheye", "equirectangular"},

@@ -205,7 +205,7 @@ int run(const ServeOptions&, AppContext&) {
 #endif
 
 void words(VerbWords& verb, ServeOptions& options) {
-  verb.operand("config_or_run", options.what, "configuration file, or a run folder to go on with");
+  verb.operand("config_or_run", options.what, "configuration file, or a run folder to continue");
   verb.value_in("--port N", options.port, 1, 65535, "port to listen on (default: 8787, or the next that is free)");
   verb.value("--address ADDRESS", options.address,
              "IPv4 address to listen on; 127.0.0.1 is this machine alone, 0.0.0.0 every network");

@@ -138,7 +138,7 @@ ScaleEnd start_ranks(const ScaleStart& start, const std::string& folder, const A
   ScaleEnd end;
   end.seconds = std::chrono::duration<double>(Clock::now() - begin).count();
   if (stop_signal() != 0)
-    throw Error(ErrorKind::failure, "study.process.stopped", "stopped by a signal", "start it again to measure anew");
+    throw Error(ErrorKind::failure, "study.process.stopped", "stopped by a signal", "start it again to measure again");
   if (asked)
     throw Error(ErrorKind::failure, "study.process.stuck",
                 fmt::format("`{}` did not end within {} s", join(words, " "), kLongest.count()),

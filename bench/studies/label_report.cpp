@@ -160,7 +160,7 @@ void read_label_json(const std::string& text, const std::string& name, std::vect
       const auto& names = ChoiceNames<Acquisition>::names;
       const auto how = std::find(names.begin(), names.end(), one.at("question").get<std::string>());
       if (how == names.end())
-        throw Error(ErrorKind::data, "study.result.damaged", name + ": it names a question that there is not");
+        throw Error(ErrorKind::data, "study.result.damaged", name + ": it names a question that does not exist");
       course.how = static_cast<Acquisition>(how - names.begin());
       course.seed = one.at("seed");
       course.miou = one.at("miou").get<std::vector<double>>();

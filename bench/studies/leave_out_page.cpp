@@ -95,7 +95,7 @@ LeaveOutFindings parse_findings(const std::string& text, const std::string& name
     }
   } catch (const nlohmann::json::exception& e) {
     throw Error(ErrorKind::data, "study.result.damaged", "'" + name + "' is no table of leave-out pairs: " + e.what(),
-                "delete it, and write it anew with `semfield-study pairs --write-docs`");
+                "delete it, and write it again with `semfield-study pairs --write-docs`");
   }
   return findings;
 }

@@ -88,7 +88,7 @@ class ScaleBench {
     if (end.code != static_cast<int>(ErrorKind::unavailable) || start.ranks == 1) {
       throw Error(ErrorKind::failure, "study.process.failed",
                   fmt::format("{} on {} failed: {}", what, ranks_text(start.ranks), end.failure),
-                  "mend its cause, or leave the part out with --only");
+                  "fix its cause, or leave the part out with --only");
     }
     miss(fmt::format("{} on {} ({})", what, ranks_text(start.ranks), device), end.failure);
     no_ranks_.insert(device);

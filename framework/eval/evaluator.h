@@ -53,7 +53,7 @@ struct FrameOptions {
   std::function<void(double)> progress;  ///< share of the pixels that are done, 0 to 1; may be null
   bool probability = false;              ///< fill RenderedFrame::probability, 4 C bytes per pixel
   int classes = 0;                       ///< C of the scene; read for `probability` alone
-  std::vector<std::string> channels{};   ///< of heads beside that of class logits, which the pipeline has
+  std::vector<std::string> channels{};   ///< of heads in addition to that of class logits, which the pipeline has
   bool color = true;                     ///< fill RenderedFrame::rgb; without it colour is not computed
 };
 

@@ -54,8 +54,8 @@ void widen(ZipEntry& entry, std::string_view extra) {
 // The first `wanted` of `bytes`.
 std::string inflated(std::string_view packed, std::uint64_t bytes, std::uint64_t wanted) {
   if (bytes / kMaxRatio > packed.size() + 1)
-    refuse_zip("it is said to hold " + std::to_string(bytes) + " bytes, more than its " +
-                   std::to_string(packed.size()) + " packed ones can be",
+    refuse_zip("it claims to hold " + std::to_string(bytes) + " bytes, more than its " + std::to_string(packed.size()) +
+                   " packed ones can be",
                kSaveAgain);
   std::string out(wanted, '\0');
   z_stream stream{};

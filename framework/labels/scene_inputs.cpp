@@ -128,11 +128,11 @@ void warn_of_other_inputs(const SceneInputs& trained, const SceneInputs& now, Di
   if (const std::vector<std::string> others = other_inputs(trained, now); !others.empty()) {
     diagnostics.warning("run.scene.changed", "scene",
                         "it is not as it was when the run was trained: " + join(others, " and "),
-                        "restore the data, or train anew");
+                        "restore the data, or train again");
   }
   if (!trained.labels && now.labels != "")
     diagnostics.note("checkpoint.labels.unknown", "scene",
-                     "the checkpoint is of an earlier version, which kept no checksum of labels: whether they "
+                     "the checkpoint is of an older version, which kept no checksum of labels: whether they "
                      "are still the same was not compared");
 }
 

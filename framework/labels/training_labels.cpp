@@ -172,7 +172,7 @@ void open_reader(LoadedScene& scene, const LabelConfig& config, Diagnostics& dia
   if (scene.info.classes.empty() && !diagnostics.has_errors()) {
     diagnostics.error("labels.classes.none", "scene.labels.from",
                       "neither the scene nor its label files have a class table",
-                      "write classes.yaml beside the scene, or name a table in scene.labels.from");
+                      "write classes.yaml next to the scene, or name a table in scene.labels.from");
   }
 }
 

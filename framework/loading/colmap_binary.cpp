@@ -78,7 +78,7 @@ class BinaryFile {
   [[noreturn]] void fail(const std::string& what, std::size_t offset) const {
     throw Error(ErrorKind::data, "scene.colmap.damaged",
                 "'" + path_ + "' " + what + " (offset " + std::to_string(offset) + ")",
-                "copy the model again, or export it anew with colmap model_converter");
+                "copy the model again, or export it again with colmap model_converter");
   }
 
   std::size_t left() const { return bytes_.size() - at_; }

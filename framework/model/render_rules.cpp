@@ -5,7 +5,7 @@
 namespace semfield {
 
 void describe(ParamVisitor& visit, SemanticsParams& p) {
-  SEMFIELD_PARAM(visit, p, weight, "lambda, weight of the semantic loss beside the colour loss [Zhi21, Eq. 7]",
+  SEMFIELD_PARAM(visit, p, weight, "lambda, weight of the semantic loss relative to the colour loss [Zhi21, Eq. 7]",
                  {0, 1e6});
   SEMFIELD_PARAM(visit, p, stop_gradient_to_density, "true: the semantic loss does not shape geometry");
   SEMFIELD_PARAM(visit, p, hidden_width, "width of the semantic hidden layer [Zhi21: 128]", {1, 1024});

@@ -1,4 +1,4 @@
-// Named channels: what rays carry beside what every ray has, as a small table of views by name.
+// Named channels: what rays carry in addition to what every ray has, as a small table of views by name.
 #pragma once
 
 #include <array>

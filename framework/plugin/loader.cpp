@@ -95,7 +95,7 @@ void refuse_broken(const std::string& file, const std::string& doing, Diagnostic
   if (!found || found->passed()) return;
   throw Error(ErrorKind::unavailable, "plugin.module.broken_law",
               doing + ": it was checked, and broke a law: " + found->fault,
-              "mend it and run `semfield plugins check " + shell_word(file) + "` again, or remove " +
+              "fix it and run `semfield plugins check " + shell_word(file) + "` again, or remove " +
                   shell_word(found->entry) + " to load it as it is");
 }
 
@@ -199,7 +199,7 @@ void add_cuda_kernels_of_modules(Registry& registry) {
     std::error_code ignored;
     if (!fs::is_regular_file(file, ignored)) continue;
     const std::string doing = "cannot load the CUDA kernels '" + file + "' of plugin '" + module + "'";
-    const std::string remedy = "build them anew against the installed framework, or set runtime.device: cpu";
+    const std::string remedy = "build them again against the installed framework, or set runtime.device: cpu";
     check_module_file(file, doing);
     t_being_loaded = file;
     void* library = dlopen(file.c_str(), RTLD_NOW | RTLD_LOCAL);

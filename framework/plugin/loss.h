@@ -1,4 +1,4 @@
-// Loss: a term beside colour and cross-entropy, what it reads of rays, what it gives, and its parameters.
+// Loss: a term in addition to colour and cross-entropy, what it reads of rays, what it gives, and its parameters.
 #pragma once
 
 #include <cstdint>
@@ -40,7 +40,7 @@ struct RayGradients {
   View<Real> color;          ///< [R, 3]
   View<Real> depth;          ///< [R, 1]
   View<Real> weight;         ///< [M, 1]; a gradient of opacity is the same value at all samples of the ray
-  View<Real> sigma;          ///< [M, 1] direct, beside what the other gradients make of it
+  View<Real> sigma;          ///< [M, 1] direct, in addition to what the other gradients make of it
   ChannelTable<Real> heads;  ///< of RayValues::heads, the same shapes
 };
 
@@ -51,11 +51,11 @@ struct LossValue {
 
 /// What every loss of the list has; the parameters of a loss derive from it and set their own defaults.
 struct LossRule {
-  double weight = 0;     ///< factor beside the colour loss
+  double weight = 0;     ///< factor relative to the colour loss
   double from_step = 0;  ///< share of train.steps (step_of_share)
 };
 inline void describe_rule(ParamVisitor& visit, LossRule& p) {
-  SEMFIELD_PARAM(visit, p, weight, "factor of the term beside the colour loss", {0, 1e6});
+  SEMFIELD_PARAM(visit, p, weight, "factor of the term relative to the colour loss", {0, 1e6});
   SEMFIELD_PARAM(visit, p, from_step,
                  "share of train.steps after which the term begins, and never before train.schedule.hold_steps",
                  {0, 1});

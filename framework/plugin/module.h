@@ -26,7 +26,7 @@ struct PluginModule {
   void (*register_into)(Registry&) = nullptr;
 };
 
-/// The same facts of a loadable module for a reader of its file: they stand in the section kPluginSection, where they
+/// The same facts of a loadable module for a reader of its file: they are in the section kPluginSection, where they
 /// are compared before any code of the module runs.
 inline constexpr const char* kPluginSection = ".semfield_plugin";
 struct PluginStamp {
@@ -45,7 +45,7 @@ static_assert(sizeof(PluginStamp) == 256);
   __attribute__((section(".semfield_plugin"), used))                                                 \
   const ::semfield::PluginStamp semfield_plugin_stamp = {"semfield plugin", ::semfield::kPluginApi, SEMFIELD_ABI_TAG};
 
-/// The library of a loadable plugin's CUDA kernels, NAME_cuda.so beside NAME.so: the stamp, and a function that adds
+/// The library of a loadable plugin's CUDA kernels, NAME_cuda.so next to NAME.so: the stamp, and a function that adds
 /// them. cmake/SemfieldPlugin.cmake writes the line.
 #define SEMFIELD_PLUGIN_CUDA_KERNELS(add_function)                                                                \
   extern "C" {                                                                                                    \

@@ -15,7 +15,7 @@ namespace semfield {
 namespace {
 
 constexpr const char* kNoDetail =
-    "Left out, because their folders hold no final_eval.json (made by an earlier version, or not ended):";
+    "Left out, because their folders hold no final_eval.json (made by an older version, or not ended):";
 constexpr std::size_t kMostClasses = 64;  // rows of a table that can still be read
 constexpr std::size_t kMostConfusions = 5;
 
@@ -226,7 +226,7 @@ std::string given_table(const ReportInput& input) {
   }
   if (body.empty()) return {};
   return "<p class=\"hint after\">Entropy of the pixels of training frames, by the label that they were given. An "
-         "AUROC of 0.5 is chance; 1 means that entropy tells the two groups apart.</p>\n" +
+         "AUROC of 0.5 is chance; 1 means that entropy separates the two groups.</p>\n" +
          table_panel("Entropy by the label given", head + "</tr>", body);
 }
 

@@ -146,7 +146,7 @@ std::string labels_section(const ReportInput& input, const std::string& split) {
     }
   }
   return out + table(input, split) +
-         missing_runs(input, "Left out, because their folders hold no labels.json (made by an earlier version):",
+         missing_runs(input, "Left out, because their folders hold no labels.json (made by an older version):",
                       [](const ReportRun& run) { return !run.labels; }) +
          missing_runs(input, "Left out, because their scenes have no classes:",
                       [](const ReportRun& run) { return run.labels && !has_labels(run); }) +

@@ -226,7 +226,7 @@ std::string RunLoop::save_without_folder(const std::string& place) {
     const std::vector<CheckpointStore::Entry> there = CheckpointStore::read(folder.checkpoints_path()).list();
     if (!there.empty() && there.front().path != last_saved_)
       throw Error(ErrorKind::data, "run.folder.ahead",
-                  "somebody went on with the run in '" + place + "': its newest checkpoint is " + there.front().path,
+                  "somebody continued the run in '" + place + "': its newest checkpoint is " + there.front().path,
                   "save this one in another folder");
   }
   write_run_config(folder, session().config, registry_);

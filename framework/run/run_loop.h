@@ -19,7 +19,7 @@
 
 namespace semfield {
 
-/// What may happen between steps beside the rows of metrics.jsonl, and what ends training.
+/// What may happen between steps in addition to the rows of metrics.jsonl, and what ends training.
 struct RunLoopOptions {
   bool scores = false;     ///< evaluations every report.eval_every_s and events for TensorBoard; needs a folder
   bool saves = false;      ///< checkpoints every report.checkpoint_every_s and on request; needs a folder
@@ -59,8 +59,8 @@ class RunLoop {
   void write_classes();
   /// Writes a checkpoint, after the rows before it, and returns its path. A run with a folder is saved there:
   /// `run_dir` is "" or that folder. A run without one is written to `run_dir`, which must be empty or one that it was
-  /// written to before, and nothing of it stays locked: any program may go on with it there. Throws Error(usage) for no
-  /// folder or another one, Error(data) where somebody went on with the folder, and write_error.
+  /// written to before, and nothing of it stays locked: any program may continue it there. Throws Error(usage) for no
+  /// folder or another one, Error(data) where somebody continued the folder, and write_error.
   std::string save(const std::string& run_dir = "");
   /// Whether no step was made since the newest checkpoint, or none at all.
   bool saved() const { return saved_step_ == training_.step(); }

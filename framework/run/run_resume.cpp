@@ -32,7 +32,7 @@ void require_same_run(const std::vector<ConfigDifference>& identity, const RunFo
   }
   throw Error(ErrorKind::config, "run.config.other",
               fmt::format("{}: that would be another run than the one in '{}'", changes, folder.path()),
-              fmt::format("to resume that one: semfield train --resume {}{}; to train anew: semfield train {}{} "
+              fmt::format("to resume that one: semfield train --resume {}{}; to train again: semfield train {}{} "
                           "--out NEW_FOLDER",
                           shell_word(folder.path()), keep, shell_word(folder.config_path()), anew));
 }

@@ -16,7 +16,7 @@ namespace semfield {
 
 struct TrainRequest {
   std::string out_dir;
-  bool resume = false;            ///< go on in out_dir from its newest checkpoint that verifies
+  bool resume = false;            ///< continue in out_dir from its newest checkpoint that verifies
   std::vector<std::string> keep;  ///< components forced back in
   Ranks* ranks = nullptr;         ///< SessionOptions::ranks
   AskedLength more = {};          ///< with `resume`: what it trains from its checkpoint on; neither: to its end

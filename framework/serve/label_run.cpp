@@ -290,7 +290,7 @@ void LabelRun::describe(LabelState& state) const {
   state.proposal = proposal_;
   state.history = history_;
   if (state.failure.empty())
-    state.phase = !still_learns()   ? "trained; more clicks go on with it"
+    state.phase = !still_learns()   ? "trained; more clicks continue it"
                   : !loop_.ready()  ? "learning colour and geometry"
                   : loop_.learned() ? "learning with your clicks"
                                     : "ready for the first click";

@@ -95,7 +95,7 @@ CheckpointFacts read_checkpoint_facts(const TensorFile& file) {
   if (const std::string format = text_of(file, "format"); format != kCheckpointFormat) {
     refuse("checkpoint.file.version", file,
            fmt::format("its format is '{}', this program reads '{}'", format, kCheckpointFormat),
-           "use the version of the program that wrote it, or train anew");
+           "use the version of the program that wrote it, or train again");
   }
   CheckpointFacts facts;
   facts.step = number_of<std::int64_t>(file, "step");
@@ -137,9 +137,9 @@ void compare_training_labels(const KnownScene& trained, const SceneManifest& now
     if ((before[c] == 0) != (after[c] == 0) && !every_class_has_a_logit)
       throw Error(ErrorKind::data, "checkpoint.labels.changed",
                   what + ": the network has one logit for each class with such pixels",
-                  "restore the labels, or train anew with --out");
+                  "restore the labels, or train again with --out");
     diagnostics.warning("checkpoint.labels.changed", "scene", "the labels are not as they were: " + what,
-                        "restore the labels, or train anew");
+                        "restore the labels, or train again");
     return;
   }
 }

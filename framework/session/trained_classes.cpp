@@ -59,7 +59,7 @@ void require_class_table(const std::string& trained, const ClassTable& now, cons
                     "is {} now",
                     id, said(then, before.end()), said(today, after.end())),
         lost ? "give the file of clicks that named it: --set scene.labels.clicks=FILE"
-             : "restore the table (the run folder's classes.yaml is that of training), or train anew with --out");
+             : "restore the table (the run folder's classes.yaml is that of training), or train again with --out");
   }
 }
 

@@ -99,7 +99,7 @@ void Training::settle_length() {
       fmt::format("the length is settled{}: {} steps for {:.4g} s of training{}; the learning rate falls from step {} "
                   "on, to {:.4g} of "
                   "the first; run.yaml has the numbers",
-                  anew ? " anew" : "", *end, end_s(config),
+                  anew ? " again" : "", *end, end_s(config),
                   rate > 0 ? fmt::format(" ({:.3g} steps per second)", rate) : "", step(), config.schedule.factor));
   Diagnostics never;
   check_length(config, never);

@@ -19,7 +19,7 @@
 
 namespace semfield {
 
-/// What a training tells while it goes on; every call comes from the thread that asked for the work.
+/// What a training reports while it runs; every call comes from the thread that asked for the work.
 class TrainingListener {
  public:
   TrainingListener() = default;
@@ -97,7 +97,7 @@ class Training {
   /// From the next step on these training frames have the labels that the session opened with, without its clicks, and
   /// `clicks` painted over them; classes have the names that clicks give them. `clicks` grew from
   /// config.labels.clicks, by events that are in the file scene.labels.clicks: a checkpoint does not name these labels,
-  /// for that file tells them. Throws Error(data) as set_labels; nothing has changed then.
+  /// for that file reports them. Throws Error(data) as set_labels; nothing has changed then.
   void set_clicks(const Annotations& clicks, std::span<const int> frames);
 
   /// What a checkpoint says of now, but for self-training.
@@ -106,7 +106,7 @@ class Training {
   std::vector<TensorRef> state();
   /// A checkpoint, written atomically and read back before it takes its name.
   void save(const std::string& path);
-  /// Goes on from a checkpoint of the same network: the next steps give the bits of the training that was never
+  /// Continues from a checkpoint of the same network: the next steps give the bits of the training that was never
   /// stopped. Throws Error(data) for another network, other classes or other labels set; nothing has changed then.
   void load(const std::string& path);
 

@@ -235,7 +235,7 @@ void load_python_file(Registry& registry, const std::string& path) {
   } catch (py::error_already_set& raised) {
     b.loading = outer;
     const Error error = error_of(raised, doing);
-    throw Error(ErrorKind::unavailable, error.code(), error.message(), "mend the file, or leave it out");
+    throw Error(ErrorKind::unavailable, error.code(), error.message(), "fix the file, or leave it out");
   }
   b.loading = outer;
   if (trial.entries().size() == before)

@@ -140,7 +140,7 @@ RunSession& PySession::training() {
   refuse_fork();
   if (run_) return *run_;
   throw Error(ErrorKind::usage, "python.session.read_only", "this run was opened to be looked at",
-              "open it with semfield.resume to go on with it");
+              "open it with semfield.resume to continue it");
 }
 
 std::vector<std::string> PySession::notes() const {

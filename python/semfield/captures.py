@@ -39,7 +39,7 @@ class Prepared:
 
 
 def prepare(source: PathLike, out: PathLike, frames: int = 0, attempts: int = 4, threads: Optional[int] = None, lens: str = "auto") -> Prepared:
-    """Makes a scene of a video or of photographs: finds their camera poses with COLMAP. One that was stopped goes on.
+    """Makes a scene of a video or of photographs: finds their camera poses with COLMAP. One that was stopped continues.
 
     Args:
         source: a video, or a folder of photographs; it is never written to.

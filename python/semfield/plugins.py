@@ -76,7 +76,7 @@ class Encoder(_Plugin):
         in_dims: D, numbers of a coordinate.
         out_dims: F, numbers of a feature; `setup` sets it.
         tensors: learned numbers by name; `setup` sets them.
-        build: what else is known: is_direction, extent_m, pixel_footprint_m, largest_coordinate.
+        build: further facts: is_direction, extent_m, pixel_footprint_m, largest_coordinate.
     """
 
     domain: str = "metric"
@@ -145,7 +145,7 @@ class Encoder(_Plugin):
 
 
 class Head(_Plugin):
-    """A channel beside class logits: ``heads: [{type: NAME, channel: CHANNEL, branch: {...}}]``.
+    """A channel in addition to class logits: ``heads: [{type: NAME, channel: CHANNEL, branch: {...}}]``.
 
     A subclass has parameters (`param`), `setup` and the four calls below. Compositing stands between `hidden`, per sample,
     and `output`, per ray, so `output` is linear in (h, opacity). Arrays are views of the framework's memory, float32 or, as
@@ -200,7 +200,7 @@ class Head(_Plugin):
 
 
 class Loss(_Plugin):
-    """A term of the loss beside colour and cross-entropy: ``losses: [{type: NAME}]``.
+    """A term of the loss in addition to colour and cross-entropy: ``losses: [{type: NAME}]``.
 
     A subclass has parameters (`param`), `value` and, where not every ray counts, `counted`. Arrays are views of the
     framework's memory: keep none of them beyond the call. A ray's loss depends on that ray alone. On a GPU it is refused.
@@ -214,7 +214,7 @@ class Loss(_Plugin):
             heads alone.
     """
 
-    weight: Any = param(1.0, "factor of the term beside the colour loss", low=0, high=1e6)
+    weight: Any = param(1.0, "factor of the term relative to the colour loss", low=0, high=1e6)
     from_step: Any = param(0.0, "share of train.steps after which the term begins, and never before train.schedule.hold_steps",
                            low=0, high=1)
     targets: Sequence[str] = ()

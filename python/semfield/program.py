@@ -33,7 +33,7 @@ def program() -> str:
             return str(found)
     on_path = shutil.which("semfield")
     if on_path is None:
-        raise UnavailableError("the program semfield is not beside the module and not in PATH",
+        raise UnavailableError("the program semfield is neither next to the module nor in PATH",
                                remedy="install the package semfield, or set SEMFIELD_PROGRAM", exit_code=69,
                                code="python.program.missing")
     return on_path

@@ -211,7 +211,7 @@ class Run:
         self._session.set_labels(self._index(frame), np.asarray(labels))
 
     def train(self, steps: Optional[int] = None, every: int = 100) -> Training:
-        """Trains, and tells how it goes: ``for step in run.train(3000, every=100): ...``.
+        """Trains, and reports how it goes: ``for step in run.train(3000, every=100): ...``.
 
         Steps are made while the loop asks for them: ``run.train(3000)`` alone does nothing, and warns;
         ``run.train(3000).last()`` makes all of them.
@@ -224,7 +224,7 @@ class Run:
             A Step after every `every` steps, and after the last.
 
         Raises:
-            KeyboardInterrupt: after the step under way; the run can go on from there.
+            KeyboardInterrupt: after the step under way; the run can continue from there.
         """
         of_length = self._session.steps_left
         left = None if steps is None else _whole("train: steps", steps, 0, 2**62)
@@ -271,7 +271,7 @@ class Run:
             stride: every n-th pixel and row.
             probability: also the probability of every class.
             device: "cpu": NumPy arrays; "cuda" or "cuda:1": arrays for DLPack on that device.
-            channels: of heads beside that of class logits, by name.
+            channels: of heads in addition to that of class logits, by name.
         """
         if frame is None and pose is None:
             raise UsageError("render: give a pose, or the frame that is meant", code="python.value.missing")
@@ -330,7 +330,7 @@ class Run:
         return dict(self._session.parameters())
 
     def save(self, run_dir: PathLike = "") -> str:
-        """Writes a checkpoint. Every verb of the program works on the folder, and `resume` goes on with it.
+        """Writes a checkpoint. Every verb of the program works on the folder, and `resume` continues it.
 
         Args:
             run_dir: a new folder, or the one of the save before. A run opened with `out` has its folder.
@@ -368,7 +368,7 @@ def open(  # noqa: A001 - semfield.open, as the program's verbs are words of eve
         config: a YAML file, the name of a shipped one ("quickstart"), or a dict.
         set: settings by key: ``{"train.rays": 2048}``.
         out: folder of the run, which must be new; "": none until `Run.save`.
-        scene: a scene of arrays in place of the one that `config` names; its `scene.labels` and `scene.load` stay.
+        scene: a scene of arrays instead of the one that `config` names; its `scene.labels` and `scene.load` stay.
         class_room: most classes there can be once clicks have named new ones; with it clicks can be added.
         keep: components that a scene would be built without.
 
@@ -384,7 +384,7 @@ def open(  # noqa: A001 - semfield.open, as the program's verbs are words of eve
 
 
 def resume(run_dir: PathLike, set: Optional[Mapping[str, Any]] = None, *, keep: Sequence[str] = ()) -> Run:  # noqa: A002
-    """Opens a run's folder to go on with it; the next steps have the bits of a run that was never stopped."""
+    """Opens a run's folder to continue it; the next steps have the bits of a run that never stopped."""
     return Run(_core.resume(os.fspath(run_dir), dict(set or {}), _words(keep)))
 
 
@@ -404,10 +404,10 @@ def train(
     """`semfield train` as a call: a whole run with logs, checkpoints, scores and report.
 
     Args:
-        config: as for `open`; of a run that goes on it is not read.
+        config: as for `open`; of a run that continues it is not read.
         set: settings by key.
         out: the run's folder.
-        resume: go on in `out` from its newest checkpoint.
+        resume: continue in `out` from its newest checkpoint.
         progress: called now and then with step, steps, loss, psnr, miou_present, rays_per_s, train_s, remaining_s.
 
     Raises:

@@ -62,7 +62,7 @@ class Sweep:
 
 
 def sweep(file: PathLike, out: PathLike, jobs: Optional[int] = None, threads: Optional[int] = None) -> Sweep:
-    """Runs a sweep file; cells that are done are not run again, so a sweep that was stopped goes on.
+    """Runs a sweep file; cells that are done are not run again, so a stopped sweep continues.
 
     Args:
         file: YAML, docs/guide/sweeps.md.

@@ -285,7 +285,7 @@ TEST_F(Prepare, EndedInTheMiddleOfMatchingItGoesOn) {
     ASSERT_TRUE(ended.has_value());
     if (signal == SIGTERM) {
       EXPECT_EQ(ended->code, 143);
-      EXPECT_HAS(ended->err, "stopped; the same command goes on");
+      EXPECT_HAS(ended->err, "stopped; the same command continues");
     }
     EXPECT_FALSE(fs::exists(out + "/sparse"));
     fs::remove(home_ + "/bin/hang_matches_importer");

@@ -151,7 +151,7 @@ TEST(Annotations, AnUndoneClassGivesItsPlaceUpOnceEveryPlaceHasHadAName) {
   EXPECT_EQ(refusal(annotations, add("8", "door")).find("event '8': there is room for 2 classes"), 0u);
   // What was undone cannot come back as something else.
   EXPECT_EQ(refusal(annotations, undo("8", "4")),
-            "event '8': the place of the class 'chair' has been given to 'table'; add the class anew, or undo 'table' "
+            "event '8': the place of the class 'chair' has been given to 'table'; add the class again, or undo 'table' "
             "first");
   EXPECT_EQ(refusal(annotations, undo("8", "3")),
             "event '8': the class 'chair' of this click is undone; bring the class back first");

@@ -185,7 +185,7 @@ TEST(ClickLog, CutsATornLineAndSaysSo) {
 TEST(ClickLog, RefusesOtherBadLinesAndChangesNothing) {
   const std::string path = fresh_folder("click_log_test") + "/clicks.jsonl";
   const std::pair<std::string, std::string> cases[] = {
-      {line("1") + "{\"id\":\"2\"}\n" + line("3"), ":2: event: key 'type' is missing; mend or delete the line"},
+      {line("1") + "{\"id\":\"2\"}\n" + line("3"), ":2: event: key 'type' is missing; fix or delete the line"},
       {line("1") + "\n" + line("3"), ":2: event: not valid JSON"},
       {line("1") + "nonsense\n", ":2: event: not valid JSON"},
       {line("1") + line("2") + line("1"),

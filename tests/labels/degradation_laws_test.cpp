@@ -177,7 +177,7 @@ TEST(DegradationRealData, ReplicaApartment) {
   Case noisy = clean;
   const StepFacts facts = noisy.apply(*step("pixel_noise", "{ratio: 0.9}"));
   EXPECT_EQ(fact(facts, "pixels drawn"), std::to_string(35 * 160 * 160 * 9 / 10));
-  EXPECT_EQ(fact(facts, "classes drawn from, beside void"), "29") << "of the table's 101";
+  EXPECT_EQ(fact(facts, "classes drawn from, besides void"), "29") << "of the table's 101";
   Case chairs = clean;
   const StepFacts flipped = chairs.apply(*step("region_noise", "{classes: [chair], ratio: 0.5}"));
   EXPECT_EQ(fact(flipped, "pixels changed"), fact(flipped, "pixels of flipped regions"));

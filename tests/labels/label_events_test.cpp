@@ -281,7 +281,7 @@ TEST(ClassEvents, APlaceThatWasGivenAwayDoesNotComeBack) {
   annotations.apply(click("6", "lamp", {2, 2}));
   EXPECT_EQ(classes_of(annotations), "3=chair 6=lamp ");
   EXPECT_EQ(refusal(annotations, undo("x", "4")),
-            "event 'x': the place of the class 'stool' has been given to 'lamp'; add the class anew, or undo 'lamp' "
+            "event 'x': the place of the class 'stool' has been given to 'lamp'; add the class again, or undo 'lamp' "
             "first");
   annotations.apply(undo("7", "6"));
   annotations.apply(undo("8", "5"));

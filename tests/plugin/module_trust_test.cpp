@@ -73,9 +73,9 @@ TEST_F(ModuleTrust, ModulesCutShortOrOfAnotherProcessorAreRefusedUnrun) {
     write_file_atomic(file, changed);
   };
   with(offsetof(Elf64_Ehdr, e_machine), static_cast<char>(whole[offsetof(Elf64_Ehdr, e_machine)] == 62 ? 183 : 62));
-  expect_refused(file, "it was built for another processor");
+  expect_refused(file, "it was built for another CPU");
   with(EI_CLASS, ELFCLASS32);
-  expect_refused(file, "it was built for another processor");
+  expect_refused(file, "it was built for another CPU");
   with(offsetof(Elf64_Ehdr, e_type), ET_EXEC);
   expect_refused(file, "it is no shared library");
   for (const std::string text : {"", "plain text"}) {

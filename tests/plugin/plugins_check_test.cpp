@@ -82,7 +82,7 @@ TEST_F(PluginsCheck, TrainRefusesAFileThatBrokeALawUntilItIsMendedOrItsOwnerWant
   const std::string entry = verdicts().at(0).string();
   EXPECT_EQ(refused.err, "semfield: cannot load plugin '" + file +
                              "': it was checked, and broke a law: encoder 'bent', defaults, positions: " + found +
-                             "; mend it and run `semfield plugins check '" + file + "'` again, or remove " + entry +
+                             "; fix it and run `semfield plugins check '" + file + "'` again, or remove " + entry +
                              " to load it as it is [plugin.module.broken_law]\n");
   EXPECT_EQ(train_with(probe("bent")).code, 69) << "the same bytes elsewhere";
   EXPECT_EQ(run({"plugins", "check", file}).code, 1) << "a check loads what it checks";

@@ -284,7 +284,7 @@ TEST(Report, RunFoldersWithAndWithoutTheNewFiles) {
   write_file_atomic(fresh.final_eval_path(), final_eval_json(eval_of()));
   const std::string page = make_report(read_report_input(folders));
   EXPECT_HAS(page, "id=\"labels\"", "id=\"confusion\"", "id=\"calibration\"", "id=\"worst\"",
-             "no labels.json (made by an earlier version): old.", "href=\"#calibration\"");
+             "no labels.json (made by an older version): old.", "href=\"#calibration\"");
   EXPECT_TRUE(page == make_report(read_report_input(folders))) << "the same files give the same bytes";
   const std::string old_page = make_report(read_report_input({folders[1]}));
   EXPECT_LACKS(old_page, "id=\"labels\"", "id=\"confusion\"", "id=\"calibration\"", "id=\"worst\"");

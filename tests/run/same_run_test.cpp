@@ -95,7 +95,7 @@ struct Trained {
 };
 
 constexpr const char* kOtherLabels =
-    "scene: it is not as it was when the run was trained: other labels; restore the data, or train anew";
+    "scene: it is not as it was when the run was trained: other labels; restore the data, or train again";
 
 // Of two training frames and of two test frames: every count of pixels stays as it was.
 TEST(SameRun, ExchangedLabelsAreToldByEvalAndResume) {
@@ -132,7 +132,7 @@ TEST(SameRun, ACheckpointOfAnEarlierVersionOpensAndSaysThatLabelsWereNotCompared
   trained.exchange_labels(0, 1);
   const std::string said = trained.open();
   EXPECT_HAS(said,
-             "scene: the checkpoint is of an earlier version, which kept no checksum of labels: whether they "
+             "scene: the checkpoint is of an older version, which kept no checksum of labels: whether they "
              "are still the same was not compared");
   EXPECT_LACKS(said, "other labels");
 }

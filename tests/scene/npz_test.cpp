@@ -167,7 +167,7 @@ TEST(Npz, Zip64SizesAndArchivesThatLie) {
   EXPECT_EQ(error(stored64(data, 99, data.size())), file + "its two sizes differ though it is not packed" + again);
   EXPECT_EQ(error(stored64(data, 1ull << 60, 1ull << 60)), file + "it runs past the end of the file" + again);
   EXPECT_EQ(error(stored64(data, 1ull << 60, data.size(), 8)),
-            file + "it is said to hold 1152921504606846976 bytes, more than its " + std::to_string(data.size()) +
+            file + "it claims to hold 1152921504606846976 bytes, more than its " + std::to_string(data.size()) +
                 " packed ones can be" + again);
   EXPECT_EQ(error(stored64(data, 500, data.size(), 8)), file + "its packed data are damaged or cut off" + again);
   EXPECT_EQ(error(stored64(data, data.size(), data.size(), 12)),

@@ -22,7 +22,7 @@ void words(VerbWords& verb, BenchStepOptions& options) {
 
 Verb verb_bench_step() {
   return with_json(make_verb<BenchStepOptions>("bench step", 30,
-                                               "time whole training steps, beside the machine's limits", words, run));
+                                               "time whole training steps, next to the machine's limits", words, run));
 }
 
 }  // namespace semfield::app

@@ -53,9 +53,9 @@ int run(const SchemaOptions& options, AppContext& context) {
   const ParamDoc like{"like", "text", "", "", "an earlier pass that this one starts from", {}};
   sections.push_back({"passes[]", "one pass over the rays", {pass, like}});
   const std::vector<SchemaChoice> choices{
-      {"losses[]", "terms of the loss beside colour and semantics; each type once",
+      {"losses[]", "terms of the loss in addition to colour and semantics; each type once",
        alternatives(context.registry, PluginKind::loss)},
-      {"heads[]", "heads beside that of class logits", alternatives(context.registry, PluginKind::head)},
+      {"heads[]", "heads in addition to that of class logits", alternatives(context.registry, PluginKind::head)},
       {"heads[].branch.position", "position encoder of the head's branch",
        alternatives(context.registry, PluginKind::encoder)},
       {"heads[].branch.field", "network of the head's branch", alternatives(context.registry, PluginKind::field)},

@@ -130,7 +130,7 @@ void ask_laws_apart(const std::string& file, const std::function<void(LawRequest
   if (!begun) {
     throw Error(ErrorKind::unavailable, "plugin.module.ended",
                 "cannot load plugin '" + file + "': " + how_it_ended(status),
-                "mend it: a module registers its plugins, and no more");
+                "fix it: a module registers its plugins, and no more");
   }
   LawRow row = under_way.value_or(LawRow{});
   row.status = LawStatus::failed;

@@ -190,7 +190,7 @@ void Annotations::check_class_undo(const LabelEvent& event, const Turned& turned
   if (comes_back && named_[c]) {
     refuse("labels.event.undo", event,
            "the place of the class '" + last.event.class_name + "' has been given to '" + named_[c]->name + "'",
-           "add the class anew, or undo '" + named_[c]->name + "' first");
+           "add the class again, or undo '" + named_[c]->name + "' first");
   }
   const std::optional<Naming> after = namings(turned.records.back())[c];
   if (after && (!named_[c] || named_[c]->name != after->name))
@@ -392,7 +392,7 @@ Annotations replay(const SceneInfo& scene, int room, const std::vector<LabelEven
       const bool adds = events[i].kind == LabelEventKind::add_class;
       throw Error(e.kind(), e.code(), name + ":" + std::to_string(i + 1) + ": " + e.message(),
                   adds                 ? "delete the line, or change its name: clicks name their class by its name"
-                  : e.remedy().empty() ? "mend or delete the line"
+                  : e.remedy().empty() ? "fix or delete the line"
                                        : e.remedy());
     }
   }

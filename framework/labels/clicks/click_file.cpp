@@ -76,7 +76,7 @@ ClickLog open_click_log(const LabelConfig& labels, const std::string& run_dir, D
   if (folder != place_of(run_dir) && fs::exists(folder / "run.yaml", unknown)) {
     throw Error(ErrorKind::cannot_create, "labels.clicks.foreign",
                 fmt::format("the clicks in '{}' are those of another run, so none are added to them", file),
-                fmt::format("go on with that run, or with a copy of its folder; or name a file of this run's own: "
+                fmt::format("continue that run, or a copy of its folder; or name a file of this run's own: "
                             "--set scene.labels.clicks={}",
                             shell_word((fs::path(run_dir) / kClickFile).string())));
   }

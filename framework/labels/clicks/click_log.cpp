@@ -62,7 +62,7 @@ std::vector<LabelEvent> parse_click_log(std::string_view text, const std::string
       events.push_back(parse_label_event(text.substr(at, end - at)));
     } catch (const Error& e) {
       throw Error(e.kind(), e.code(), place + ": " + e.message(),
-                  e.remedy().empty() ? "mend or delete the line" : e.remedy());
+                  e.remedy().empty() ? "fix or delete the line" : e.remedy());
     }
     const auto [first, is_new] = line_of.emplace(events.back().id, events.size());
     if (!is_new) {
@@ -155,7 +155,7 @@ void ClickLog::append(const LabelEvent& event) {
   if (size_ + line.size() > kMostLogBytes) {
     throw Error(ErrorKind::io, "labels.clicks.full",
                 "'" + path_ + "' is full: it holds " + std::to_string(kMostLogBytes) + " bytes at most",
-                "export the labels and go on in a new run");
+                "export the labels and continue in a new run");
   }
   require_own(torn_);
   if (!torn_.empty()) cut(file_, path_, size_);

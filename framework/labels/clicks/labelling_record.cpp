@@ -37,7 +37,7 @@ LabellingRecord parse_labelling_record(std::string_view json, const std::string&
     for (const nlohmann::json& f : root.at("shown")) record.shown.push_back({f.at("frame"), f.at("clicks")});
   } catch (const nlohmann::json::exception& e) {
     throw Error(ErrorKind::data, "run.record.damaged", "'" + name + "' cannot be read: " + e.what(),
-                "delete it; the labelling page writes it anew");
+                "delete it; the labelling page writes it again");
   }
   return record;
 }

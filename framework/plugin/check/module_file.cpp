@@ -67,9 +67,9 @@ void check_processor(const ModuleFile& file, const ElfW(Ehdr) & header) {
       header.e_machine == own.e_machine)
     return;
   file.refuse("plugin.module.processor",
-              "it was built for another processor (ELF class " + std::to_string(header.e_ident[EI_CLASS]) +
-                  ", machine " + std::to_string(header.e_machine) + "; this program: " +
-                  std::to_string(own.e_ident[EI_CLASS]) + ", " + std::to_string(own.e_machine) + ")",
+              "it was built for another CPU (ELF class " + std::to_string(header.e_ident[EI_CLASS]) + ", machine " +
+                  std::to_string(header.e_machine) + "; this program: " + std::to_string(own.e_ident[EI_CLASS]) + ", " +
+                  std::to_string(own.e_machine) + ")",
               "build it on this kind of machine");
 }
 
@@ -144,7 +144,7 @@ void warn_of_other_modules(const std::map<std::string, std::string>& trained, co
                         fmt::format("the file of this plugin is not the one that the run was trained with: its "
                                     "CRC-32C is {} where it was {}; results may differ",
                                     checksum, before->second),
-                        "load the file of then, or train anew");
+                        "load the file that it was trained with, or train again");
   }
 }
 

@@ -120,7 +120,7 @@ ClassTable load_cvat_labelmap(const std::string& path) {
     const std::string& name = row.fields[0];
     if (const auto [other, fresh] = place_of_name.emplace(name, row.place); !fresh)
       throw Error(ErrorKind::data, "classes.name.twice",
-                  row.place + ": label '" + name + "' stands in " + other->second + " too", "keep one of them");
+                  row.place + ": label '" + name + "' is in " + other->second + " too", "keep one of them");
     const bool ignore = name == "background" || is_void_name(name);
     const std::int32_t id = ignore && !has_zero ? 0 : next++;
     has_zero = has_zero || id == 0;

@@ -9,7 +9,7 @@ namespace semfield {
 
 void describe(ParamVisitor& visit, BranchRules& p) {
   SEMFIELD_PARAM(visit, p, reads_feature,
-                 "the branch reads the field's feature beside the position; no gradient goes back into the field");
+                 "the branch reads the field's feature as well as the position; no gradient goes back into the field");
   SEMFIELD_PARAM(
       visit, p, least_weight,
       "samples of a smaller compositing weight are left out; this changes a logit by at most the sum of their "

@@ -390,19 +390,19 @@ std::vector<SectionDoc> describe_sections() {
     docs.push_back({path, sentence, describe_params([&](ParamVisitor& visit) { describe(visit, params); })});
   });
   ScheduleLeg leg;
-  docs.push_back(
-      {"train.schedule.legs[]",
-       "written by runs that go on for longer than they were asked to at first: a list of what they train then",
-       describe_params([&](ParamVisitor& visit) { describe(visit, leg); })});
+  docs.push_back({"train.schedule.legs[]",
+                  "written by runs that continue beyond their first length: a list of what they train then",
+                  describe_params([&](ParamVisitor& visit) { describe(visit, leg); })});
   SemanticBranchConfig branch;
   docs.push_back({"passes[].semantic",
-                  "a network of its own for semantics, beside its plugins `position` and `field`, or a list of them "
+                  "a network of its own for semantics, besides its plugins `position` and `field`, or a list of them "
                   "from which the training labels choose; without this section the head reads the pass's field",
                   describe_params([&](ParamVisitor& visit) { describe(visit, branch); }), true});
   HeadConfig head;
-  docs.push_back({"heads[]", "heads beside that of class logits: each makes a channel that losses and renderings read",
+  docs.push_back({"heads[]",
+                  "heads in addition to that of class logits: each makes a channel that losses and renderings read",
                   describe_params([&](ParamVisitor& visit) { describe(visit, head); })});
-  docs.push_back({"heads[].branch", "the head's own network, beside its plugins `position` and `field`",
+  docs.push_back({"heads[].branch", "the head's own network, besides its plugins `position` and `field`",
                   describe_params([&](ParamVisitor& visit) { describe(visit, head.rules); })});
   return docs;
 }

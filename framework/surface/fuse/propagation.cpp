@@ -153,7 +153,7 @@ void spread_over_surface(const Surface& surface, const PropagationParams& params
   const double edge_m = params.cell_m > 0 ? params.cell_m : default_cell_m(surface.scene);
   if (!(edge_m > 0)) {
     throw Error(ErrorKind::config, "fuse.cell.unknown",
-                "the scene tells no size from which a cell's edge could be chosen", "set propagate.cell_m");
+                "the scene has no size from which a cell's edge could be chosen", "set propagate.cell_m");
   }
   const Pooled cells = pooled(surface, edge_m);
   const Diffusion spread =

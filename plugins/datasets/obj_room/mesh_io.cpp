@@ -172,7 +172,7 @@ void load_materials(const fs::path& folder, const std::string& name, TriangleMes
   const fs::path file = folder / name;
   if (!is_file(file)) {
     diagnostics.warning("scene.obj.material", file.string(), "material file is missing",
-                        "surfaces get a colour by object; put it beside the OBJ file");
+                        "surfaces get a colour by object; put it next to the OBJ file");
     return;
   }
   const std::string text = read_text_file(file.string());

@@ -31,7 +31,7 @@ void describe(ParamVisitor& visit, ReplicaParams& p) {
       "no labels");
   SEMFIELD_PARAM(visit, p, test_label_dir,
                  "label folder of the test frames; empty = label_dir, and semantic_class where it has no file");
-  SEMFIELD_PARAM(visit, p, classes, "class table (.yaml, .csv, .json); empty = the one found beside the sequence");
+  SEMFIELD_PARAM(visit, p, classes, "class table (.yaml, .csv, .json); empty = the one found next to the sequence");
   SEMFIELD_PARAM(visit, p, unknown_labels, "how a label id outside the class table is read: as an error, or as void");
   SEMFIELD_PARAM(visit, p, missing, kMissingSentence);
   SEMFIELD_PARAM(

@@ -32,7 +32,7 @@ void describe(ParamVisitor& visit, TransformsJsonParams& p) {
                  "every N-th frame, by name, is held out for tests where the index names no test frame; 0 = none",
                  {0, 1e6});
   SEMFIELD_PARAM(visit, p, label_key, "key of a frame that names its label image; empty = no labels");
-  SEMFIELD_PARAM(visit, p, classes, "class table (.yaml, .csv, .json); empty = the file's own, or the one beside it");
+  SEMFIELD_PARAM(visit, p, classes, "class table (.yaml, .csv, .json); empty = the file's own, or the one next to it");
   SEMFIELD_PARAM(visit, p, unknown_labels, "how a label id outside the class table is read: as an error, or as void");
   SEMFIELD_PARAM(visit, p, missing, kMissingSentence);
   SEMFIELD_PARAM(visit, p, depth_unit_m, "metres of one step of a depth image; 0 = what the file says, else 0.001",

@@ -59,7 +59,7 @@ class PixelNoise final : public Degradation {
     };
     facts.emplace_back("pixels drawn", total(drawn));
     facts.emplace_back("void pixels drawn and left void", total(left_void));
-    facts.emplace_back("classes drawn from, beside void", std::to_string(classes.size()));
+    facts.emplace_back("classes drawn from, besides void", std::to_string(classes.size()));
     return facts;
   }
 

@@ -15,7 +15,7 @@ namespace {
 class Assignment final : public GroupingOf<Assignment> {
  public:
   void describe(ParamVisitor& visit) override {
-    SEMFIELD_PARAM(visit, *this, slots, "the most objects that can be told apart", {2, 1024});
+    SEMFIELD_PARAM(visit, *this, slots, "the most objects that can be distinguished", {2, 1024});
   }
   std::int32_t width() const override { return static_cast<std::int32_t>(slots); }
 

@@ -97,7 +97,7 @@ namespace {
 void register_into(Registry& registry) {
   registry.add_loss<GeneralisedCrossEntropy>(
       "generalised_cross_entropy",
-      "Class labels of which many may be wrong: (1 - p^q) / q of the label's class [Zhang18].",
+      "Class labels many of which may be wrong: (1 - p^q) / q of the label's class [Zhang18].",
       "an exponential per class and labelled ray");
 }
 }  // namespace

@@ -225,7 +225,7 @@ TEST(MeshIoErrors, MissingMaterialFileMaterialAndTexturesAreNamed) {
                 "warning|" + folder + "/there.mtl: Wood: texture '" + folder + "/holes.png' is missing" + plain,
                 "warning|" + folder +
                     "/away.mtl: material file is missing; surfaces get a colour by object; "
-                    "put it beside the OBJ file",
+                    "put it next to the OBJ file",
                 "warning|" + folder +
                     "/room.obj: material 'Gold' is not defined; its surfaces get a colour by "
                     "object; add it to the MTL file"}));
