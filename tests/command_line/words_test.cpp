@@ -108,7 +108,7 @@ TEST_F(Words, AnUnknownFlagGetsASuggestionOrTheVerbThatItBelongsTo) {
   refused("eval run --viddeo", "usage.flag.unknown",
           "eval has no flag --viddeo; did you mean --video of `semfield render`?");
   refused("--dry-run train room.yaml", "usage.flag.unknown",
-          "no verb before the flag --dry-run; it belongs to `semfield train` or `semfield sweep`, and stands behind "
+          "no verb before the flag --dry-run; it belongs to `semfield train` or `semfield sweep`, and comes after "
           "the verb");
   refused("train --xyzzy", "usage.flag.unknown", "train has no flag --xyzzy; see `semfield help train`");
   refused("eval --vers run", "usage.flag.unknown", "eval has no flag --vers; did you mean --version?");

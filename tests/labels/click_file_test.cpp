@@ -105,7 +105,7 @@ TEST(ClickFile, NobodyAppendsToAnotherRunsClicks) {
   Diagnostics diagnostics;
   EXPECT_EQ(error_of([&] { (void)open_click_log(labels, fresh_folder("click_file_second"), diagnostics); })
                 .find("the clicks in '" + first.dir +
-                      "/clicks.jsonl' are those of another run, so none are added to them; go on with that run"),
+                      "/clicks.jsonl' are those of another run, so none are added to them; continue that run"),
             0u);
   EXPECT_EQ(read_text_file(first.dir + "/clicks.jsonl"), log_of(kThree));
   ClickLog own = open_click_log(first.labels, first.dir, diagnostics);

@@ -23,7 +23,7 @@ def test_the_reference_is_fresh(tmp_path: Path) -> None:
                           env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}, check=False)
     assert done.returncode == 0, done.stderr
     stale = list(difflib.unified_diff(page.read_text().splitlines(), (tmp_path / "python.md").read_text().splitlines(), "stored", "fresh", lineterm=""))
-    assert not stale, "write it anew: python3 python/docs/reference.py docs/reference/python.md\n" + "\n".join(stale[:40])
+    assert not stale, "write it again: python3 python/docs/reference.py docs/reference/python.md\n" + "\n".join(stale[:40])
 
 
 def test_names_of_the_guide_are_there() -> None:

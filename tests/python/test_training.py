@@ -89,7 +89,7 @@ def test_somebody_else_went_on(run: sf.Run, tmp_path: Path) -> None:
     trained(run, 5)
     run.save(tmp_path / "a")
     sf.command("train", "--resume", tmp_path / "a", "--steps", "8", "--quiet")
-    with pytest.raises(sf.DataError, match="went on"):
+    with pytest.raises(sf.DataError, match="continued"):
         run.save(tmp_path / "a")
 
 

@@ -137,7 +137,7 @@ TEST(LabelsSection, ShowsRunsThatKnowTheirLabelsAndNamesTheOthers) {
   EXPECT_HAS(html, "2 of 3") << "classes with labels";
   EXPECT_EQ(count_of(html, "<svg viewBox=\"0 0 540"), 4u) << "two metrics over pixels and over frames";
   EXPECT_HAS(html, "logarithmic number of labels", "few: 0.700 at 76800", "many: 0.700 at 100",
-             "earlier version): &lt;old&gt;.</p>");
+             "older version): &lt;old&gt;.</p>");
 }
 
 TEST(LabelsSection, SaysWhatWasDoneToLabelsAndWhatTheyWereWorth) {

@@ -257,7 +257,7 @@ TEST_F(RunSessionTest, HasTheBitsAndTheRowsOfTheWholeRun) {
   EXPECT_EQ(
       run_training(load_run_config(dir_ / "driven/run.yaml", {"train.steps=25"}, registry_), registry_, request).step,
       25);
-  EXPECT_HAS(error_of([&] { run.save(""); }), "somebody went on with the run");
+  EXPECT_HAS(error_of([&] { run.save(""); }), "somebody continued the run");
 }
 
 TEST_F(RunSessionTest, GoesOnFromWhereItWasSaved) {
