@@ -270,7 +270,8 @@ TEST_F(RunLengthTest, TheDeviceSettlesALengthThatNobodyAskedFor) {
     EXPECT_EQ(fixed.schedule.decay_steps, 250000) << "what is written stays";
   }
   for (const char* preset : {"room", "object", "unbounded"}) {
-    const ConfigNode tree = compose_config(std::string(SEMFIELD_SOURCE_DIR) + "/configs/presets/" + preset + ".yaml", {});
+    const ConfigNode tree =
+        compose_config(std::string(SEMFIELD_SOURCE_DIR) + "/configs/presets/" + preset + ".yaml", {});
     EXPECT_EQ(tree.find("train")->find("steps")->text(), "0") << preset;
     EXPECT_EQ(tree.find("train")->find("schedule")->find("decay_steps")->text(), "0") << preset;
   }

@@ -164,8 +164,7 @@ TEST(CvatLabelmap, RoundTripAndRefusals) {
   EXPECT_EQ(error("wall:1,2\n"), path + ":1: expected a colour 'r,g,b', got '1,2'; write lines 'label:r,g,b::'");
   EXPECT_EQ(error("wall:1,2,256\n"),
             path + ":1: expected a colour value from 0 to 255, got '256'; write lines 'label:r,g,b::'");
-  EXPECT_EQ(error("wall:1,2,3\nwall:1,2,4\n"),
-            path + ":2: label 'wall' is in " + path + ":1 too; keep one of them");
+  EXPECT_EQ(error("wall:1,2,3\nwall:1,2,4\n"), path + ":2: label 'wall' is in " + path + ":1 too; keep one of them");
   EXPECT_EQ(error("# nothing\n"), path + ": no labels in it; export the label map from CVAT again");
   EXPECT_EQ(error_of([] {
               (void)to_cvat_labelmap(ClassTable({{1, "a:b", {}, false}}));
