@@ -98,11 +98,11 @@ void broken_plugins(CaseRun& run) {
     testing_room::plain_write(path, file);
   };
   with_machine(183);  // AArch64
-  file_refused(path, {"another processor", "183"});
+  file_refused(path, {"another CPU", "183"});
   std::string narrow = start;
   narrow[EI_CLASS] = ELFCLASS32;
   testing_room::plain_write(path, narrow);
-  file_refused(path, {"another processor"});
+  file_refused(path, {"another CPU"});
   // A copy that was interrupted: mapped beyond its end it would end the process.
   for (const std::size_t size :
        {std::size_t{20}, std::size_t{64}, std::size_t{500}, std::size_t{4096}, whole.size() / 2}) {
