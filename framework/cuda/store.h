@@ -22,6 +22,8 @@ class Store final : public TensorStore<float> {
   /// where `part` declares others.
   int add(const std::string& prefix, const Parametric<float>& part, const LearningRule& rule = {}) override;
 
+  /// All values, tensor behind tensor with gaps; stores of the same tensors have them at the same places.
+  std::span<float> values() const { return {values_.data(), values_.size()}; }
   /// Gradients of all learned tensors, tensor behind tensor with gaps of zeros, and how many of these numbers the
   /// components have that were added until now.
   std::span<float> gradients() const { return {grads_.data(), grads_.size()}; }

@@ -9,6 +9,7 @@
 #include "core/check.h"
 #include "core/error.h"
 #include "cuda/calls.h"
+#include "cuda/grouping_lessons.h"
 #include "cuda/device.h"
 #include "cuda/kernel_tables.h"
 #include "cuda/kernels/adam.h"
@@ -384,6 +385,6 @@ std::unique_ptr<semfield::Executor<float>> make(semfield::Pipeline<float>& host,
 extern "C" const semfield::DeviceLibrary* semfield_device_library();
 extern "C" const semfield::DeviceLibrary* semfield_device_library() {
   static const semfield::DeviceLibrary library{add_kernels, &semfield::cuda::stages(), describe, make,
-                                               semfield::cuda::device_calls()};
+                                               semfield::cuda::device_calls(), semfield::cuda::learn_grouping};
   return &library;
 }

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "core/workspace.h"
+#include "execution/grouping_lessons.h"
 #include "execution/pipeline.h"
 #include "execution/ranks/ranks.h"
 #include "plugin/kernels.h"
@@ -47,6 +48,8 @@ struct DeviceLibrary {
   std::unique_ptr<Executor<float>> (*make)(Pipeline<float>& host, std::vector<PassParts<float>> parts,
                                            const DeviceOptions& options) = nullptr;
   DeviceCalls calls;
+  /// Stores have what was learned afterwards. The same bits each time.
+  void (*learn_grouping)(const GroupingLessons& lessons) = nullptr;
 };
 inline constexpr const char* kDeviceLibrarySymbol = "semfield_device_library";
 

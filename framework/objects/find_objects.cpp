@@ -86,7 +86,10 @@ FoundObjects find_objects(Session& session, const SegmentSet& segments, std::uni
   found.network = std::make_unique<ObjectNetwork<float>>(kernels, *found.grouping, shape, session.scene.bounds,
                                                          params.seed, params.views);
   const ObjectLearning learning{params.steps, params.views, params.view_points, params.learning_rate, params.seed};
-  found.network->learn(positions, sights, learning, say("learned"));
+  const DeviceId device = session.pipeline->executor().device();
+  const ObjectProgress learned = say("learned");
+  if (device.kind != Device::cuda || !found.network->learn_on_gpu(device.ordinal, positions, sights, learning, learned))
+    found.network->learn(positions, sights, learning, learned);
   clock.part("learning");
   found.place = found.network->outputs(positions);
   const View<float> place(found.place.data(), std::ssize(positions), found.grouping->width());

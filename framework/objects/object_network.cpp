@@ -3,9 +3,11 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <type_traits>
 
 #include "compute/float_mode.h"
 #include "core/rng.h"
+#include "execution/device_library.h"
 #include "model/optim/schedule.h"
 
 namespace semfield {
@@ -17,8 +19,9 @@ constexpr double kEndRate = 0.01;
 
 template <class Real>
 std::unique_ptr<Mlp<Real>> network_of(const KernelTables& kernels, std::int32_t inputs, std::int32_t outputs,
-                                      const ObjectNetworkShape& shape) {
+                                      const ObjectNetworkShape& shape, Device device = Device::cpu) {
   MlpBuild build;
+  build.device = device;
   build.sample_dims = inputs;
   auto net = std::make_unique<Mlp<Real>>(build, kernels, kMlpOwner);
   const Rows hidden = net->chain({"hidden", {net->samples()}, static_cast<std::int32_t>(shape.hidden_width)},
@@ -28,27 +31,52 @@ std::unique_ptr<Mlp<Real>> network_of(const KernelTables& kernels, std::int32_t 
   return net;
 }
 
-// Draws of a view's points: a segment by the root of its size, a point of it evenly.
+// Draws of a view's points at addresses of a step: a segment by the root of its size, a point of it evenly.
 class SightDraw {
  public:
-  explicit SightDraw(const SegmentSights& view) : view_(view) {
+  SightDraw(const SegmentSights& view, std::uint64_t seed, std::int64_t step)
+      : view_(view),
+        of_segment_{seed, static_cast<std::uint64_t>(step), stream_id("objects/segment")},
+        of_point_{seed, static_cast<std::uint64_t>(step), stream_id("objects/point")} {
     double sum = 0;
     for (std::int32_t s = 0; s < view.segments(); ++s)
       up_to_.push_back(sum += std::sqrt(static_cast<double>(view.first[static_cast<std::size_t>(s) + 1] -
                                                             view.first[static_cast<std::size_t>(s)])));
   }
-  std::size_t draw(const RandomAddress& segment, const RandomAddress& point, std::uint64_t index) const {
-    const double at = static_cast<double>(uniform01(segment, index)) * up_to_.back();
+  // The place of a point among those of the view.
+  std::size_t draw(std::uint64_t index) const {
+    const double at = static_cast<double>(uniform01(of_segment_, index)) * up_to_.back();
     const auto s = static_cast<std::size_t>(
         std::min(std::upper_bound(up_to_.begin(), up_to_.end(), at) - up_to_.begin(), std::ssize(up_to_) - 1));
     const auto size = static_cast<std::uint64_t>(view_.first[s + 1] - view_.first[s]);
-    return static_cast<std::size_t>(view_.first[s]) + uniform_below(point, index, size);
+    return static_cast<std::size_t>(view_.first[s]) + uniform_below(of_point_, index, size);
   }
 
  private:
   const SegmentSights& view_;
+  RandomAddress of_segment_, of_point_;
   std::vector<double> up_to_;
 };
+
+const SegmentSights& drawn_view(std::span<const SegmentSights* const> seen, const ObjectLearning& learning,
+                                std::int64_t step, std::int64_t number) {
+  const RandomAddress of_view{learning.seed, static_cast<std::uint64_t>(step), stream_id("objects/view")};
+  return *seen[uniform_below(of_view, static_cast<std::uint64_t>(number), seen.size())];
+}
+
+// The updates of all steps: Adam at a rate that falls along half a cosine.
+std::vector<AdamStep> updates_of(const ObjectLearning& learning) {
+  AdamParams adam;
+  adam.epsilon = 1e-12;
+  ScheduleParams schedule;
+  schedule.kind = ScheduleKind::cosine;
+  schedule.factor = kEndRate;
+  schedule.decay_steps = std::max<std::int64_t>(1, learning.steps);
+  std::vector<AdamStep> out;
+  for (std::int64_t step = 0; step < learning.steps; ++step)
+    out.push_back(adam_step(adam, learning.learning_rate * schedule_factor(schedule, step), step));
+  return out;
+}
 
 }  // namespace
 
@@ -56,7 +84,8 @@ template <class Real>
 ObjectNetwork<Real>::ObjectNetwork(const KernelTables& kernels, const Grouping& grouping,
                                    const ObjectNetworkShape& shape, const Box& box, std::uint64_t seed,
                                    std::int64_t views)
-    : grouping_(grouping),
+    : kernels_(kernels),
+      grouping_(grouping),
       shape_(shape),
       middle_((box.lo + box.hi) * 0.5),
       half_m_(0.5 * std::max({box.size().x, box.size().y, box.size().z, 1e-9})),
@@ -114,10 +143,7 @@ template <class Real>
 double ObjectNetwork<Real>::view_gradients(View<const Real> points, const SegmentSights& view,
                                            const ObjectLearning& learning, std::int64_t step, std::int64_t number,
                                            Workspace& arena) {
-  const auto at_step = static_cast<std::uint64_t>(step);
-  const RandomAddress of_segment{learning.seed, at_step, stream_id("objects/segment")};
-  const RandomAddress of_point{learning.seed, at_step, stream_id("objects/point")};
-  const SightDraw sights(view);
+  const SightDraw sights(view, learning.seed, step);
   const std::int64_t count = learning.view_points;
   const std::int32_t width = grouping_.width();
   const Workspace::Scope taken(arena);
@@ -126,7 +152,7 @@ double ObjectNetwork<Real>::view_gradients(View<const Real> points, const Segmen
   View<Real> slow = rows;
   const View<std::int32_t> segment = arena.take<std::int32_t>(count, 1);
   for (std::int64_t i = 0; i < count; ++i) {
-    const std::size_t drawn = sights.draw(of_segment, of_point, static_cast<std::uint64_t>(number * count + i));
+    const std::size_t drawn = sights.draw(static_cast<std::uint64_t>(number * count + i));
     segment(i, 0) = view.segment[drawn];
     std::copy_n(points.row(view.point[drawn]), points.cols, input.row(i));
     std::fill_n(gradient.row(i), width, Real(0));
@@ -156,12 +182,10 @@ double ObjectNetwork<Real>::view_gradients(View<const Real> points, const Segmen
 template <class Real>
 double ObjectNetwork<Real>::step_gradients(View<const Real> points, std::span<const SegmentSights* const> seen,
                                            const ObjectLearning& learning, std::int64_t step) {
-  const RandomAddress of_view{learning.seed, static_cast<std::uint64_t>(step), stream_id("objects/view")};
   std::vector<double> losses(static_cast<std::size_t>(learning.views));
   arenas_.for_units(learning.views, [&](Workspace& arena, std::int64_t v) {
-    const auto number = static_cast<std::uint64_t>(v);
-    const SegmentSights& view = *seen[uniform_below(of_view, number, seen.size())];
-    losses[number] = view_gradients(points, view, learning, step, v, arena);
+    const SegmentSights& view = drawn_view(seen, learning, step, v);
+    losses[static_cast<std::size_t>(v)] = view_gradients(points, view, learning, step, v, arena);
   });
   store_.reduce_lanes();
   net_->derive_backward({}, store_.tensors(component_));
@@ -211,20 +235,52 @@ void ObjectNetwork<Real>::learn(std::span<const Vec3d> positions, std::span<cons
   const ComputeFloatMode mode;
   const std::vector<const SegmentSights*> seen = seen_views(sights);
   const std::vector<Real> rows = encoded(positions);
-  AdamParams adam;
-  adam.epsilon = 1e-12;
-  ScheduleParams schedule;
-  schedule.kind = ScheduleKind::cosine;
-  schedule.factor = kEndRate;
-  schedule.decay_steps = std::max<std::int64_t>(1, learning.steps);
+  const std::vector<AdamStep> updates = updates_of(learning);
   for (std::int64_t step = 0; step < learning.steps; ++step) {
     store_.zero_gradients();
     (void)step_gradients({rows.data(), std::ssize(positions), input_dims()}, seen, learning, step);
-    const AdamStep update = adam_step(adam, learning.learning_rate * schedule_factor(schedule, step), step);
-    adam_update(&update, store_.learned());
+    adam_update(&updates[static_cast<std::size_t>(step)], store_.learned());
     net_->derive({}, store_.tensors(component_));
     if (grouping_.slow_share() > 0) follow(grouping_.slow_share());
     if (progress) progress(static_cast<double>(step + 1), static_cast<double>(learning.steps));
+  }
+}
+
+template <class Real>
+bool ObjectNetwork<Real>::learn_on_gpu(int ordinal, std::span<const Vec3d> positions,
+                                       std::span<const SegmentSights> sights, const ObjectLearning& learning,
+                                       const ObjectProgress& progress) {
+  if constexpr (std::is_same_v<Real, float>) {
+    const GroupingKernel kernel = grouping_.kernel(Device::cuda, kernels_);
+    if (kernel == nullptr) return false;
+    const std::vector<const SegmentSights*> seen = seen_views(sights);
+    const std::vector<float> rows = encoded(positions);
+    const std::vector<AdamStep> updates = updates_of(learning);
+    const std::unique_ptr<Mlp<float>> there =
+        network_of<float>(kernels_, input_dims(), grouping_.width(), shape_, Device::cuda);
+    GroupingLessons lessons{*there, grouping_, kernel, store_, slow_};
+    lessons.ordinal = ordinal;
+    lessons.points = {rows.data(), std::ssize(positions), input_dims()};
+    lessons.updates = updates;
+    lessons.images = learning.views;
+    lessons.per_image = learning.view_points;
+    lessons.draw = [&](std::int64_t step, std::int64_t number, std::span<std::int32_t> point,
+                       std::span<std::int32_t> segment) {
+      const SegmentSights& view = drawn_view(seen, learning, step, number);
+      const SightDraw draw(view, learning.seed, step);
+      for (std::int64_t i = 0; i < learning.view_points; ++i) {
+        const std::size_t drawn = draw.draw(static_cast<std::uint64_t>(number * learning.view_points + i));
+        point[static_cast<std::size_t>(i)] = view.point[drawn];
+        segment[static_cast<std::size_t>(i)] = view.segment[drawn];
+      }
+      return view.segments();
+    };
+    lessons.progress = progress;
+    cuda_library().learn_grouping(lessons);
+    net_->derive({}, store_.tensors(component_));
+    return true;
+  } else {
+    return false;
   }
 }
 

@@ -35,7 +35,8 @@ struct ObjectLearning {
 template <class Real>
 class ObjectNetwork {
  public:
-  /// Borrows the grouping, whose outputs these are. `box`: of the scene; its longest side becomes [-1, 1].
+  /// Borrows the tables and the grouping, whose outputs these are. `box`: of the scene; its longest side becomes [-1,
+  /// 1].
   ObjectNetwork(const KernelTables& kernels, const Grouping& grouping, const ObjectNetworkShape& shape, const Box& box,
                 std::uint64_t seed, std::int64_t views);
 
@@ -44,6 +45,10 @@ class ObjectNetwork {
   /// threads.
   void learn(std::span<const Vec3d> positions, std::span<const SegmentSights> sights, const ObjectLearning& learning,
              const ObjectProgress& progress);
+  /// The same on a GPU, from the same draws: another order of sums, the same bits each time. False, and nothing is
+  /// done, where the grouping has no kernels there.
+  bool learn_on_gpu(int ordinal, std::span<const Vec3d> positions, std::span<const SegmentSights> sights,
+                    const ObjectLearning& learning, const ObjectProgress& progress);
   /// The loss of one step, and its gradients in the store; for tests.
   double gradients(std::span<const Vec3d> positions, std::span<const SegmentSights> sights,
                    const ObjectLearning& learning, std::int64_t step);
@@ -62,6 +67,7 @@ class ObjectNetwork {
                         const ObjectLearning& learning, std::int64_t step);
   void follow(double share);
 
+  const KernelTables& kernels_;
   const Grouping& grouping_;
   ObjectNetworkShape shape_;
   Vec3d middle_;

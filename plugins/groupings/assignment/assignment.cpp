@@ -1,96 +1,9 @@
 // Assignment: segments of an image are given to slots, each to one, and points learn the slot of their segment.
-#include <algorithm>
-#include <cmath>
-#include <numeric>
-#include <vector>
+#include "groupings/assignment/assignment.h"
 
-#include "groupings/assignment/assignment_math.h"
-#include "plugin/grouping.h"
 #include "plugin/module.h"
 
 namespace semfield {
-
-namespace {
-
-class Assignment final : public GroupingOf<Assignment> {
- public:
-  void describe(ParamVisitor& visit) override {
-    SEMFIELD_PARAM(visit, *this, slots, "the most objects that can be distinguished", {2, 1024});
-  }
-  std::int32_t width() const override { return static_cast<std::int32_t>(slots); }
-
-  // p = softmax(row). Segment s costs slot k minus the mean of p_k over its points; of the cheapest assignment a
-  // segment's points learn their slot by cross-entropy [Siddiqui23 Sec. 3.3]. Beyond `slots` the smallest segments of
-  // an image teach nothing.
-  template <class Real>
-  double sum(const SegmentedPoints<Real>& points, double scale, View<Real> gradients) const {
-    const std::int64_t count = points.rows.rows;
-    const std::int32_t width = points.rows.cols;
-    std::vector<double> p(static_cast<std::size_t>(count * width)), log_sum(static_cast<std::size_t>(count));
-    for (std::int64_t i = 0; i < count; ++i) {
-      const Real* const row = points.rows.row(i);
-      const auto most = static_cast<double>(*std::max_element(row, row + width));
-      double* const to = &p[static_cast<std::size_t>(i * width)];
-      double all = 0;
-      for (std::int32_t k = 0; k < width; ++k) all += to[k] = std::exp(static_cast<double>(row[k]) - most);
-      for (std::int32_t k = 0; k < width; ++k) to[k] /= all;
-      log_sum[static_cast<std::size_t>(i)] = most + std::log(all);
-    }
-    const std::vector<std::int32_t> slot = slots_of(points, p);
-    double total = 0;
-    for (std::int64_t i = 0; i < count; ++i) {
-      const std::int32_t own = slot[static_cast<std::size_t>(points.segment[static_cast<std::size_t>(i)])];
-      if (own < 0) continue;
-      total += log_sum[static_cast<std::size_t>(i)] - static_cast<double>(points.rows(i, own));
-      for (std::int32_t k = 0; k < width; ++k)
-        gradients(i, k) += static_cast<Real>(scale * (p[static_cast<std::size_t>(i * width + k)] - (k == own ? 1 : 0)));
-    }
-    return total;
-  }
-
-  // Probabilities, so that points of two slots lie about sqrt(2) kSpread apart.
-  void place(View<float> rows) const override {
-    for (std::int64_t r = 0; r < rows.rows; ++r) {
-      float* const row = rows.row(r);
-      const float most = *std::max_element(row, row + rows.cols);
-      float all = 0;
-      for (std::int32_t k = 0; k < rows.cols; ++k) all += row[k] = std::exp(row[k] - most);
-      for (std::int32_t k = 0; k < rows.cols; ++k) row[k] *= kSpread / all;
-    }
-  }
-
-  std::int64_t slots = 96;
-
- private:
-  static constexpr float kSpread = 1.5F;
-
-  template <class Real>
-  static std::vector<std::int32_t> slots_of(const SegmentedPoints<Real>& points, const std::vector<double>& p) {
-    const auto segments = static_cast<std::size_t>(points.segments);
-    const auto width = static_cast<std::size_t>(points.rows.cols);
-    std::vector<double> size(segments, 0), cost(segments * width, 0);
-    for (std::size_t i = 0; i < points.segment.size(); ++i) {
-      const auto s = static_cast<std::size_t>(points.segment[i]);
-      size[s] += 1;
-      for (std::size_t k = 0; k < width; ++k) cost[s * width + k] -= p[i * width + k];
-    }
-    std::vector<std::size_t> order;
-    for (std::size_t s = 0; s < segments; ++s)
-      if (size[s] > 0) order.push_back(s);
-    std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return size[a] > size[b]; });
-    order.resize(std::min(order.size(), width));
-    std::vector<double> rows;
-    for (const std::size_t s : order)
-      for (std::size_t k = 0; k < width; ++k) rows.push_back(cost[s * width + k] / size[s]);
-    const std::vector<std::int32_t> columns =
-        cheapest_assignment({rows.data(), static_cast<std::int64_t>(order.size()), static_cast<std::int32_t>(width)});
-    std::vector<std::int32_t> slot(segments, -1);
-    for (std::size_t i = 0; i < order.size(); ++i) slot[order[i]] = columns[i];
-    return slot;
-  }
-};
-
-}  // namespace
 
 SEMFIELD_PLUGIN_MODULE(assignment, "1.0", [](Registry& registry) {
   registry.add_grouping<Assignment>("assignment",
