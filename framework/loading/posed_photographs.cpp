@@ -129,7 +129,7 @@ void PosedPhotographs::read(int frame, FrameBuffer& out) const {
   read_frame_files(info_.frames[i], whole, {.unknown_labels = params_.unknown_labels}, info_.classes, out);
   if (files_[i].depth.empty()) return;
   try {
-    Image<float> depth = read_depth(files_[i].depth);
+    Image<float> depth = read_depth(files_[i].depth, photos_[i].depth_unit_m);
     std::error_code unknown;
     const std::string& rating = photos_[i].confidence;
     if (params_.least_confidence != Confidence::low && !rating.empty() && fs::exists(rating, unknown)) {

@@ -40,8 +40,9 @@ struct PosedPhotograph {
   std::string image, depth;  ///< depth: "" where there is none
   std::string confidence;    ///< 8-bit, as large as the depth: 0 low, `high` high, anything between medium; "" for none
   int high = 2;
-  Camera camera;           ///< of images of the size that the files state
-  Pose world_from_camera;  ///< OpenCV axes, metres
+  double depth_unit_m = 0.001;  ///< of one step of the depth image
+  Camera camera;                ///< of images of the size that the files state
+  Pose world_from_camera;       ///< OpenCV axes, metres
 };
 
 /// Sets the size of a camera to numbers of a file; false (reported under `place`) unless they are whole numbers of

@@ -146,6 +146,16 @@ void fuzz_arkit_scenes(std::string_view bytes) {
   open_dataset("arkit_scenes", "root: arkit_scenes");
 }
 
+// Parts: rgb.txt, groundtruth.txt, depth.txt.
+void fuzz_tum(std::string_view bytes) {
+  const auto parts = parts_of(bytes, 3);
+  put("tum/rgb.txt", parts[0]);
+  put("tum/groundtruth.txt", parts[1]);
+  put("tum/depth.txt", parts[2]);
+  put_image("tum/rgb/a.png");
+  open_dataset("tum", "root: tum");
+}
+
 // Parts: traj_w_c.txt, info_semantic.json.
 void fuzz_replica(std::string_view bytes) {
   const auto parts = parts_of(bytes, 2);

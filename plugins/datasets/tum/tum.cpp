@@ -1,0 +1,204 @@
+// Recordings in the layout of the TUM RGB-D benchmark [Sturm12].
+#include "datasets/tum/tum.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <optional>
+
+#include "core/text.h"
+#include "formats/image_io.h"
+#include "formats/text_rows.h"
+#include "plugin/module.h"
+#include "scene/rotation.h"
+
+namespace semfield {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+constexpr const char* kRecordAgain = "export the recording again";
+
+// A line of a list: its time, and what follows.
+struct TimedRow {
+  double time_s = 0;
+  std::string place;
+  std::vector<std::string> words;
+};
+
+// In the order of time.
+std::vector<TimedRow> read_list(const std::string& path, std::size_t words) {
+  std::vector<TimedRow> rows;
+  for (const TextRow& row : read_text_rows(path, ' ')) {
+    TimedRow timed{0, row.place, {}};
+    for (const std::string& field : row.fields)
+      if (!field.empty()) timed.words.push_back(field);
+    if (timed.words.size() != words + 1)
+      throw Error(ErrorKind::data, "scene.index.format",
+                  row.place + ": " + std::to_string(timed.words.size()) + " words; a line has a time and " +
+                      std::to_string(words),
+                  kRecordAgain);
+    if (!parse_number(timed.words[0], timed.time_s))
+      throw Error(ErrorKind::data, "scene.index.value", row.place + ": '" + timed.words[0] + "' is no time",
+                  kRecordAgain);
+    timed.words.erase(timed.words.begin());
+    rows.push_back(std::move(timed));
+  }
+  if (rows.empty()) throw Error(ErrorKind::data, "scene.index.format", "'" + path + "' has no lines", kRecordAgain);
+  std::stable_sort(rows.begin(), rows.end(), [](const auto& a, const auto& b) { return a.time_s < b.time_s; });
+  return rows;
+}
+
+// The first row that is not before a time.
+std::size_t row_from(const std::vector<TimedRow>& rows, double time_s) {
+  return static_cast<std::size_t>(
+      std::lower_bound(rows.begin(), rows.end(), time_s, [](const TimedRow& r, double t) { return r.time_s < t; }) -
+      rows.begin());
+}
+
+struct TimedPose {
+  Vec3d center;
+  Quaternion turn{};
+};
+
+TimedPose pose_in(const TimedRow& row) {
+  std::array<double, 7> n{};
+  for (std::size_t i = 0; i < n.size(); ++i)
+    if (!parse_number(row.words[i], n[i]))
+      throw Error(ErrorKind::data, "scene.index.value", row.place + ": '" + row.words[i] + "' is not a number",
+                  kRecordAgain);
+  return {{n[0], n[1], n[2]}, {n[6], n[3], n[4], n[5]}};
+}
+
+// Between the poses before and after a time, which both lie within a distance of it; of one alone that one. Nothing
+// where there is none. Turns a hundredth of a second apart are so near that the way between them is straight.
+std::optional<Pose> pose_at(const std::vector<TimedRow>& rows, double time_s, double within_s) {
+  const std::size_t after = row_from(rows, time_s);
+  const bool has_after = after < rows.size() && rows[after].time_s - time_s <= within_s;
+  const bool has_before = after > 0 && time_s - rows[after - 1].time_s <= within_s;
+  if (!has_after && !has_before) return std::nullopt;
+  const TimedPose a = pose_in(rows[has_before ? after - 1 : after]), b = pose_in(rows[has_after ? after : after - 1]);
+  double share = 0;
+  if (has_before && has_after && rows[after].time_s > rows[after - 1].time_s)
+    share = (time_s - rows[after - 1].time_s) / (rows[after].time_s - rows[after - 1].time_s);
+  double same_side = 0;  // a quaternion and its negative are one turn
+  for (std::size_t k = 0; k < 4; ++k) same_side += a.turn[k] * b.turn[k];
+  Quaternion turn;
+  for (std::size_t k = 0; k < 4; ++k) turn[k] = (1 - share) * a.turn[k] + share * (same_side < 0 ? -1 : 1) * b.turn[k];
+  Pose pose;
+  set_rotation(pose, turn);
+  pose.t = (1 - share) * a.center + share * b.center;
+  return pose;
+}
+
+// Lenses of the benchmark's cameras: fx fy cx cy, k1 k2 p1 p2 k3.
+std::vector<double> lens_of_folder(const std::string& folder) {
+  if (folder.find("freiburg1") != std::string::npos)
+    return {517.3, 516.5, 318.6, 255.3, 0.2624, -0.9531, -0.0054, 0.0026, 1.1633};
+  if (folder.find("freiburg2") != std::string::npos)
+    return {520.9, 521.0, 325.1, 249.7, 0.2312, -0.7849, -0.0033, -0.0001, 0.9172};
+  if (folder.find("freiburg3") != std::string::npos) return {535.4, 539.2, 320.1, 247.6};
+  return {525.0, 525.0, 319.5, 239.5};  // what drivers of such cameras say without a calibration
+}
+
+}  // namespace
+
+void describe(ParamVisitor& visit, TumParams& p) {
+  describe(visit, static_cast<PhotographParams&>(p));
+  SEMFIELD_PARAM(visit, p, lens,
+                 "[fx, fy, cx, cy] in pixels of the stored images, centres of pixels whole numbers, or these and "
+                 "[k1, k2, p1, p2, k3]; empty = those of the benchmark's camera that the folder's name tells",
+                 {-1e6, 1e6});
+  SEMFIELD_PARAM(visit, p, within_s, "how far a depth image or a pose may be from an image, seconds", {0, 1e6});
+  SEMFIELD_PARAM(visit, p, depth_steps, "steps of a depth image per metre", {1e-3, 1e6});
+}
+
+void validate(const TumParams& p, Diagnostics& diagnostics) {
+  validate(static_cast<const PhotographParams&>(p), diagnostics);
+  if (!p.lens.empty() && p.lens.size() != 4 && p.lens.size() != 9)
+    diagnostics.error("scene.camera.format", "lens", std::to_string(p.lens.size()) + " numbers",
+                      "give four, fx fy cx cy, or nine, with k1 k2 p1 p2 k3");
+}
+
+std::string recognise(const std::string& path, TumParams& p) {
+  std::error_code unknown;
+  for (const char* name : {"rgb.txt", "groundtruth.txt"})
+    if (!fs::is_regular_file(fs::path(path) / name, unknown)) return "";
+  p.root = path;
+  return "a recording in the layout of the TUM RGB-D benchmark";
+}
+
+SceneInfo Tum::open(Diagnostics& diagnostics) {
+  files_.require({"", "rgb.txt", "groundtruth.txt"}, "a recording of the TUM RGB-D benchmark");
+  const fs::path root(files_.root());
+  const std::vector<TimedRow> images = read_list((root / "rgb.txt").string(), 1);
+  const std::vector<TimedRow> poses = read_list((root / "groundtruth.txt").string(), 7);
+  std::vector<TimedRow> depths;
+  if (fs::exists(root / "depth.txt")) depths = read_list((root / "depth.txt").string(), 1);
+  const std::vector<double> lens =
+      params_.lens.empty() ? lens_of_folder(fs::weakly_canonical(root).filename().string()) : params_.lens;
+  std::vector<PosedPhotograph> photos;
+  std::size_t without_pose = 0;
+  for (const TimedRow& image : images) {
+    const std::optional<Pose> pose = pose_at(poses, image.time_s, params_.within_s);
+    if (!pose) {
+      ++without_pose;
+      continue;
+    }
+    PosedPhotograph photo;
+    photo.image = (root / image.words[0]).string();
+    photo.world_from_camera = *pose;
+    photo.depth_unit_m = 1 / params_.depth_steps;
+    Camera& c = photo.camera;
+    c.width_px = 640;  // what the benchmark's lenses are of
+    c.height_px = 480;
+    std::error_code missing;
+    if (!params_.lens.empty() && fs::exists(photo.image, missing)) {
+      const ImageSize size = image_size(photo.image);
+      c.width_px = size.width_px;
+      c.height_px = size.height_px;
+    }
+    c.fx = lens[0];
+    c.fy = lens[1];
+    c.cx = lens[2] + 0.5;
+    c.cy = lens[3] + 0.5;
+    if (lens.size() == 9) {
+      c.k1 = lens[4];
+      c.k2 = lens[5];
+      c.p1 = lens[6];
+      c.p2 = lens[7];
+      c.k3 = lens[8];
+    }
+    // The nearest in time, and of two the earlier.
+    const std::size_t after = row_from(depths, image.time_s);
+    const auto gap = [&](std::size_t i) { return std::abs(depths[i].time_s - image.time_s); };
+    std::size_t nearest = depths.size();
+    for (const std::size_t i : {after - 1, after})
+      if (i < depths.size() && gap(i) <= params_.within_s && (nearest == depths.size() || gap(i) < gap(nearest)))
+        nearest = i;
+    if (nearest < depths.size()) photo.depth = (root / depths[nearest].words[0]).string();
+    photos.push_back(std::move(photo));
+  }
+  const std::string within_text = std::to_string(std::lround(1000 * params_.within_s));
+  if (photos.empty())
+    throw Error(ErrorKind::data, "scene.pose.count",
+                "'" + root.string() + "': no image has a pose within " + within_text + " ms",
+                "check that rgb.txt and groundtruth.txt are of one recording, or raise scene.within_s");
+  if (without_pose > 0)
+    diagnostics.note("scene.pose.count", "'" + (root / "groundtruth.txt").string() + "'",
+                     std::to_string(without_pose) + " of " + std::to_string(images.size()) +
+                         " images have no pose within " + within_text + " ms and are left out");
+  return files_.open(photos, false, diagnostics);
+}
+
+namespace {
+void register_into(Registry& registry) {
+  registry.add_dataset<Tum, TumParams>(
+      "tum", "Recordings in the layout of the TUM RGB-D benchmark, as exporters of ROS bags write them.");
+}
+}  // namespace
+
+SEMFIELD_PLUGIN_MODULE(tum, "1.0", register_into)
+
+}  // namespace semfield
