@@ -10,6 +10,7 @@
 #include "core/findings.h"
 #include "eval/final_eval.h"
 #include "eval/json_number.h"
+#include "eval/protocol.h"
 #include "run/open_run.h"
 #include "session/refined_poses.h"
 #include "system/files.h"
@@ -21,6 +22,7 @@ namespace {
 struct EvalOptions {
   std::string run, out;
   std::string split = "test";
+  std::string protocol;  ///< of eval/protocol.h; "": none
   bool refine_poses = false, fit_colors = false;
   std::vector<std::string> set;
 };
@@ -56,7 +58,47 @@ SplitScore score_frames(const Session& s, const EvalOptions& options, const std:
   return evaluate(*s.pipeline, job, s.limits, s.plan.class_of_logit);
 }
 
+ProtocolScore score_by_protocol(const EvalOptions& options, const Session& s, const SplitScore& score) {
+  if (!s.pipeline->has_semantics())
+    throw Error(ErrorKind::data, "run.semantics.none",
+                "--protocol " + options.protocol + ": " + options.run + " has no semantics",
+                "train with labels, or leave --protocol out");
+  return protocol_score(protocol_named(options.protocol), score.confusion, s.scene.info.classes);
+}
+
+Json protocol_json(const ProtocolScore& score, const Session& s, const std::vector<int>& frames) {
+  Json out{{"name", score.protocol.name},
+           {"cites", score.protocol.cites},
+           {"frames", Json::array()},
+           {"pooled", true},
+           {"void", score.protocol.void_rule},
+           {"void_classes", score.void_classes},
+           {"truth", truth_hash(frames, s.scene.info.frames, s.scene.frames, s.scene.info.classes)},
+           {"scored_px", score.scored_px},
+           {"miou", number_json<Json>(score.miou)},
+           {"total_accuracy", number_json<Json>(score.total_accuracy)},
+           {"average_accuracy", number_json<Json>(score.average_accuracy)},
+           {"classes", Json::array()}};
+  for (const int f : frames) out["frames"].push_back(s.scene.info.frames[static_cast<std::size_t>(f)].name);
+  for (const ProtocolClass& c : score.classes)
+    out["classes"].push_back({{"name", c.name}, {"truth_px", c.truth_px}, {"iou", number_json<Json>(c.iou)}});
+  return out;
+}
+
+void print_protocol(const Json& of) {
+  const auto figure = [&](const char* key) {
+    return of[key].is_null() ? std::string("-") : fmt::format("{:.4f}", of[key].get<double>());
+  };
+  std::printf("protocol: name=%s miou=%s total_accuracy=%s average_accuracy=%s frames=%zu classes=%zu truth=%s\n",
+              of["name"].get<std::string>().c_str(), figure("miou").c_str(), figure("total_accuracy").c_str(),
+              figure("average_accuracy").c_str(), of["frames"].size(), of["classes"].size(),
+              of["truth"].get<std::string>().c_str());
+}
+
 int run(const EvalOptions& options, AppContext& context) {
+  if (!options.protocol.empty() && options.split != "test")
+    throw Error(ErrorKind::usage, "eval.protocol.split", "--protocol " + options.protocol + ": scores held-out frames",
+                "leave --split out");
   const Split split = options.split == "test" ? Split::test : Split::train;
   Diagnostics diagnostics;
   OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics,
@@ -71,6 +113,7 @@ int run(const EvalOptions& options, AppContext& context) {
                 options.run + ": the scene has no frames in split '" + options.split + "'", "see `semfield inspect`");
   const SplitScore score = score_frames(s, options, frames, context);
   Json found = results(run, score, options.split);
+  if (!options.protocol.empty()) found["protocol"] = protocol_json(score_by_protocol(options, s, score), s, frames);
   std::optional<SplitScore> refined;
   if (options.refine_poses) {
     std::vector<FrameInfo> infos = s.scene.info.frames;
@@ -110,12 +153,16 @@ int run(const EvalOptions& options, AppContext& context) {
                 k.iou ? fmt::format("{:.4f}", *k.iou).c_str() : "-",
                 k.recall ? fmt::format("{:.4f}", *k.recall).c_str() : "-", static_cast<long long>(k.truth_px));
   }
+  if (found.contains("protocol")) print_protocol(found["protocol"]);
   return 0;
 }
 
 void words(VerbWords& verb, EvalOptions& options) {
   verb.operand("run", options.run, "run folder");
   verb.choice("--split SPLIT", options.split, {"test", "train"}, "frames to score");
+  verb.choice("--protocol NAME", options.protocol, protocol_names(),
+              "also mIoU and accuracies by the classes and void pixels of a published evaluation, with a checksum of "
+              "the truth");
   verb.value("--out FILE", options.out, "also write the JSON object to this file");
   verb.flag("--refine-poses", options.refine_poses,
             "score once more with poses of the frames fitted to the field, where they are not given to a pixel");

@@ -174,18 +174,9 @@ NumpyArray array_of(const ArrayHeader& header, std::string_view bytes) {
 
 std::string npy_bytes(const NpzEntry& entry) {
   std::int64_t count = 1;
-  std::string shape;
-  for (const std::int64_t axis : entry.shape) {
-    count *= axis;
-    shape += std::to_string(axis) + ", ";
-  }
+  for (const std::int64_t axis : entry.shape) count *= axis;
   SEMFIELD_CHECK(count == static_cast<std::int64_t>(entry.values.size()), "shape of another size");
-  std::string header = "{'descr': '<f2', 'fortran_order': False, 'shape': (" + shape + "), }";
-  header += std::string(63 - (header.size() + 10) % 64, ' ') + "\n";  // the data begins at a multiple of 64
-  std::string out("\x93NUMPY\x01\x00", 8);
-  out += static_cast<char>(header.size() & 0xFF);
-  out += static_cast<char>(header.size() >> 8);
-  out += header;
+  std::string out = npy_header("<f2", entry.shape);
   for (const float value : entry.values) {
     const std::uint16_t half = half_of(value);
     out += static_cast<char>(half & 0xFF);
@@ -262,6 +253,17 @@ std::vector<std::string> npz_keys(const std::string& path) {
   } catch (const Error& e) {
     throw Error(e.kind(), e.code(), "'" + path + "': " + e.message(), e.remedy());
   }
+}
+
+std::string npy_header(const std::string& type, std::span<const std::int64_t> shape) {
+  std::string axes;
+  for (const std::int64_t axis : shape) axes += std::to_string(axis) + ", ";
+  std::string header = "{'descr': '" + type + "', 'fortran_order': False, 'shape': (" + axes + "), }";
+  header += std::string(63 - (header.size() + 10) % 64, ' ') + "\n";  // the data begins at a multiple of 64
+  std::string out("\x93NUMPY\x01\x00", 8);
+  out += static_cast<char>(header.size() & 0xFF);
+  out += static_cast<char>(header.size() >> 8);
+  return out + header;
 }
 
 void write_npz(const std::string& path, std::span<const NpzEntry> entries) {

@@ -36,6 +36,9 @@ NumpyArray read_npz(const std::string& path, const std::string& key, const Accep
 /// Keys in the order of the archive.
 std::vector<std::string> npz_keys(const std::string& path);
 
+/// The beginning of a .npy file, behind which the values follow in C order. `type` as NumPy writes it: "<f4", "|i1".
+std::string npy_header(const std::string& type, std::span<const std::int64_t> shape);
+
 /// An array to write; the values are rounded to float16.
 struct NpzEntry {
   std::string key;

@@ -19,12 +19,36 @@ bool ends_with(const std::string& text, const std::string& end) {
   return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
 }
 
-const Folders kFrameworkFolders{
-    "core",         "system",       "compute",     "config",  "formats",        "scene/classes",
-    "scene",        "scene/survey", "loading",     "plugin",  "labels",         "losses",
-    "model",        "execution",    "model/optim", "cuda",    "eval",           "session/settings",
-    "session",      "run",          "report",      "capture", "objects",        "surface/fuse",
-    "surface/mesh", "report/sweep", "serve",       "testkit", "execution/ranks"};
+const Folders kFrameworkFolders{"core",
+                                "system",
+                                "compute",
+                                "config",
+                                "formats",
+                                "scene/classes",
+                                "scene",
+                                "scene/survey",
+                                "loading",
+                                "plugin",
+                                "labels",
+                                "losses",
+                                "model",
+                                "execution",
+                                "model/optim",
+                                "cuda",
+                                "eval",
+                                "session/settings",
+                                "session",
+                                "run",
+                                "report",
+                                "capture",
+                                "objects",
+                                "surface/fuse",
+                                "surface/mesh",
+                                "report/sweep",
+                                "serve",
+                                "testkit",
+                                "execution/ranks",
+                                "handover"};
 
 // A folder and those that it may include. Folders inside a folder stand on its floor, but for those that are named.
 const std::map<std::string, Folders>& floors() {
@@ -68,6 +92,7 @@ const std::map<std::string, Folders>& floors() {
       {"surface/fuse", with(settings, {"eval", "session", "surface", "surface/fuse"})},
       {"objects", with(settings, {"eval", "session", "surface", "objects"})},
       {"surface/mesh", with(settings, {"eval", "surface", "surface/mesh"})},
+      {"handover", with(settings, {"eval", "surface", "surface/mesh", "handover"})},
       {"report/sweep", with(run, {"report", "report/sweep"})},
       {"serve", with(run, {"surface", "serve"})},
       {"testkit", kFrameworkFolders},

@@ -413,19 +413,23 @@ TEST_F(Ball, PointCloudIsThinnedAndLabelled) {
   PointCloud fine(0.02), coarse(0.1);
   for (const RayCamera& camera : cameras()) {
     const RenderedFrame frame = render_frame(*session->pipeline, camera, session->limits, session->plan.class_of_logit);
-    fine.add(camera, frame);
-    coarse.add(camera, frame);
+    const SeenPixels pixels = seen_pixels(camera, frame);
+    fine.add(frame, pixels);
+    coarse.add(frame, pixels);
   }
   const PointSet many = fine.points(), few = coarse.points();
   ASSERT_GT(few.positions.size(), 20U);
   EXPECT_GT(many.positions.size(), 2 * few.positions.size());
   EXPECT_EQ(many.attributes.label.size(), many.positions.size());
-  double off = 0;
+  double off = 0, facing = 0;
   for (std::size_t i = 0; i < many.positions.size(); ++i) {
     const Vec3d p = many.positions[i];
     off += std::abs(length(p - kCenter) - kRadius);
     EXPECT_NEAR(many.attributes.color[i][0], 255 * red_at(p.x), 12);
+    facing += dot(many.normals[i], normalized(p - kCenter));
+    EXPECT_GT(many.footprint[i], 0);
   }
+  EXPECT_GT(facing / static_cast<double>(many.positions.size()), 0.9) << "normals point out of the ball";
   EXPECT_LT(off / static_cast<double>(many.positions.size()), 0.03);
   EXPECT_THROW(PointCloud(0), Error);
 }

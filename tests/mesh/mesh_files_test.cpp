@@ -48,6 +48,7 @@ Surface ball(bool semantics) {
     const auto slice = static_cast<std::int16_t>(std::floor(2.2 * (p.z - 0.2)));
     surface.attributes.label.push_back(static_cast<std::int16_t>(std::clamp(slice - 1, -1, 2)));
     surface.attributes.entropy.push_back(static_cast<float>(std::abs(p.x - 1000)));
+    surface.attributes.instance.push_back(p.z < 1 ? 0 : p.y < -1 ? 4 : 9);
   }
   return surface;
 }
@@ -71,9 +72,11 @@ void write_expected(const std::string& path, const Surface& s, const GlbLook& lo
   want["ids"] = nlohmann::json::array();
   for (const std::int16_t label : s.attributes.label) want["ids"].push_back(ids.at(label));
   want["entropy"] = s.attributes.entropy;
+  want["instances"] = s.attributes.instance;
   want["triangles"] = s.triangles;
   // Groups by a rule of their own: the class of two corners, else of the surest corner.
   std::map<int, nlohmann::json> groups;
+  std::map<std::pair<int, int>, nlohmann::json> primitives;  // by object, then by class
   for (const Triangle& t : s.triangles) {
     int label = -1;
     if (!s.attributes.label.empty()) {
@@ -85,6 +88,14 @@ void write_expected(const std::string& path, const Surface& s, const GlbLook& lo
       for (const auto& [candidate, count] : votes) label = count > 1 ? candidate : label;
     }
     groups[label]["triangles"].push_back(t);
+    int object = 0;
+    if (!s.attributes.instance.empty()) {
+      std::map<int, int> votes;
+      for (const std::uint32_t v : t) ++votes[s.attributes.instance[v]];
+      object = s.attributes.instance[t[0]];
+      for (const auto& [candidate, count] : votes) object = count > 1 ? candidate : object;
+    }
+    primitives[{object, label}]["triangles"].push_back(t);
   }
   static const std::map<int, std::array<std::uint8_t, 3>> colors{
       {-1, {128, 128, 128}}, {0, {200, 100, 50}}, {1, {10, 20, 30}}, {2, {255, 255, 255}}};
@@ -94,7 +105,15 @@ void write_expected(const std::string& path, const Surface& s, const GlbLook& lo
     group["id"] = label < 0 ? -1 : ids.at(label);
     group["linear"] = linear(colors.at(label));
     want["groups"].push_back(group);
+    for (auto& [key, primitive] : primitives) {
+      if (key.second != label) continue;
+      primitive["name"] = group["name"];
+      primitive["id"] = group["id"];
+      primitive["object"] = key.first;
+    }
   }
+  for (const auto& [key, primitive] : primitives) want["primitives"].push_back(primitive);
+  want["objects"] = {{"4", "chair 4"}, {"9", "object 9"}};
   ASSERT_EQ(n, names.size());
   write_file_atomic(path, want.dump());
 }
@@ -105,7 +124,7 @@ void expect_read_back(bool semantics, const GlbLook& look, const std::vector<std
   const Surface surface = ball(semantics);
   write_expected(dir / "expected.json", surface, look, names);
   write_ply(dir / "mesh.ply", surface, classes());
-  write_ply(dir / "points.ply", PointSet{surface.positions, surface.attributes}, classes());
+  write_ply(dir / "points.ply", PointSet{surface.positions, {}, {}, surface.attributes}, classes());
   write_obj(dir / "mesh.obj", surface, classes());
   write_glb(dir / "mesh.glb", surface, classes(), look);
   const std::string command =
@@ -114,7 +133,7 @@ void expect_read_back(bool semantics, const GlbLook& look, const std::vector<std
 }
 
 TEST(MeshFiles, AnotherProgramReadsWhatWasMeant) {
-  expect_read_back(true, {{0, 0, 1}, true}, {"void", "wall", "dining_table", "dining_table_65535"});
+  expect_read_back(true, {{0, 0, 1}, true, {{4, "chair"}}}, {"void", "wall", "dining_table", "dining_table_65535"});
 }
 
 TEST(MeshFiles, WithoutSemanticsThereIsOneMaterial) {

@@ -1,8 +1,4 @@
 // The program itself: `mesh` and `render --video` of a small run, read back by other programs.
-#include <fcntl.h>
-#include <sys/wait.h>
-#include <unistd.h>
-
 #include <cstdio>
 #include <cstdlib>
 #include <nlohmann/json.hpp>
@@ -14,74 +10,13 @@
 #include "loading/packed_scene.h"
 #include "system/files.h"
 #include "testkit/analytic_scene.h"
-#include "tests/session/train_testing.h"
+#include "tests/mesh/verbs_fixture.h"
 
 namespace semfield {
 namespace {
 
 namespace fs = std::filesystem;
-
-struct Result {
-  int code = -1;
-  std::string out, err;
-};
-
-// `path`: the PATH that it sees; "" leaves it.
-Result run(const TempDir& dir, std::vector<std::string> words, const std::string& path = "") {
-  words.insert(words.begin(), SEMFIELD_BINARY);
-  std::vector<char*> argv;
-  for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
-  argv.push_back(nullptr);
-  const std::string out = dir / "stdout", err = dir / "stderr";
-  const pid_t pid = fork();
-  if (pid == 0) {
-    dup2(open(out.c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0600), 1);
-    dup2(open(err.c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0600), 2);
-    if (!path.empty()) setenv("PATH", path.c_str(), 1);
-    alarm(120);  // a hang is a failure, not a wait
-    execv(argv[0], argv.data());
-    _exit(127);
-  }
-  int status = 0;
-  waitpid(pid, &status, 0);
-  return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, read_text_file(out), read_text_file(err)};
-}
-
-std::string answer_of(const std::string& command) {
-  std::string text;
-  FILE* const pipe = popen(command.c_str(), "r");
-  char buffer[256];
-  while (std::fgets(buffer, sizeof buffer, pipe) != nullptr) text += buffer;
-  pclose(pipe);
-  return text;
-}
-
-bool found(const std::string& program) { return !answer_of("command -v " + program).empty(); }
-
-// One short run for all tests.
-class Verbs : public ::testing::Test {
- protected:
-  static void SetUpTestSuite() {
-    dir_ = new TempDir;
-    const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene();
-    Diagnostics diagnostics;
-    const SceneInfo info = scene->open(diagnostics);
-    write_packed_scene(*dir_ / "room.sfpack", info,
-                       [&](int frame, FrameBuffer& buffer) { scene->read(frame, buffer); });
-    std::string yaml = testing_train::with_scene(testing_train::hash_config("report: {eval_every_s: 0, strips: 0}\n"),
-                                                 "{type: packed, file: room.sfpack}");
-    write_file_atomic(*dir_ / "config.yaml", yaml);
-    const Result trained = run(*dir_, {"train", *dir_ / "config.yaml", "--out", *dir_ / "run"});
-    ASSERT_EQ(trained.code, 0) << trained.err;
-  }
-  static void TearDownTestSuite() {
-    delete dir_;
-    dir_ = nullptr;
-  }
-  static std::string run_dir() { return *dir_ / "run"; }
-  static TempDir* dir_;
-};
-TempDir* Verbs::dir_ = nullptr;
+using namespace testing_verbs;
 
 TEST_F(Verbs, MeshWritesEveryFormatAndSaysSo) {
   const std::string stem = *dir_ / "out/room.v2";
@@ -272,6 +207,7 @@ TEST_F(Verbs, MeshRefusesWhatMakesNoSense) {
   refused({"--surface", "depth", "--keep-unseen"}, 2, "--keep-unseen belongs to the surface of the density");
   refused({"--surface", "cloud"}, 2, "expected depth, density or sensor");
   refused({"--keep-components", "2"}, 2, "expected 0 to 1");
+  refused({"--band", "1,0.1", "--out", *dir_ / "x.pgm"}, 2, "--band 1,0.1: not two heights");
   refused({"--color", "rgb"}, 2, "--color rgb: expected photo, class or both");
   refused({"--up", "w"}, 2, "--up w: expected x, -x, y, -y, z or -z");
   refused({"--resolution", "8", "--out", "/proc/none/x.ply"}, 73, "/proc/none: cannot create the folder");

@@ -75,7 +75,11 @@ def check_vertices(rows, normals):
         if want["ids"]:
             check(row["label"] == want["ids"][i], "label %d: %r" % (i, row["label"]))
             check(row["scalar_label"] == want["ids"][i], "scalar_label %d: %r" % (i, row["scalar_label"]))
+            check(row["quality"] == want["ids"][i], "quality %d: %r" % (i, row["quality"]))
             check(row["entropy"] == float32(want["entropy"][i]), "entropy %d" % i)
+        check(("instance" in row) == bool(want["instances"]), "instance property")
+        if want["instances"]:
+            check(row["instance"] == row["scalar_instance"] == want["instances"][i], "instance %d" % i)
 
 
 def check_ply():
@@ -162,15 +166,26 @@ def check_glb():
         ]
         return accessor, view, rows
 
-    primitives = root["meshes"][root["nodes"][root["scenes"][root["scene"]]["nodes"][0]]["mesh"]]["primitives"]
     node = root["nodes"][root["scenes"][root["scene"]]["nodes"][0]]
+    nodes = [node] + [root["nodes"][child] for child in node.get("children", [])]
+    check(len(nodes) == len(root["nodes"]), "every object hangs on the root")
+    primitives = []
+    for one in nodes:
+        mesh = root["meshes"][one["mesh"]]
+        check(mesh["name"] == one["name"], "a mesh has its node's name")
+        object_id = one.get("extras", {}).get("object_id", 0)
+        check(one is node or one["name"] == want["objects"][str(object_id)], "name of a node: " + one["name"])
+        primitives += [(object_id, primitive) for primitive in mesh["primitives"]]
     check(not {"matrix", "scale", "translation"} & set(node), "the node turns and does nothing else")
     check(near(turned(node["rotation"], want["up"]), [0, 1, 0], 1e-7), "up is shown as +y")
     check(near(root["asset"]["extras"]["up"], want["up"], 1e-15), "up is told")
     check(root.get("extensionsUsed", []) == (["KHR_materials_unlit"] if want["unlit"] else []), "extensions")
-    check(len(primitives) == len(want["groups"]), "a primitive per class")
+    check(root["asset"]["extras"]["offset"] == [0, 0, 0], "coordinates of 32 bits are exact enough")
+    check(len(primitives) == len(want["primitives"]), "a primitive per object and class")
+    check(len(root["materials"]) == len(want["groups"]), "a material per class")
     counted = 0
-    for primitive, group in zip(primitives, want["groups"]):
+    for (object_id, primitive), group in zip(primitives, want["primitives"]):
+        check(object_id == group["object"], "the object of a primitive")
         # Vertices of a class in the order in which its triangles first use them, and no others.
         own = list(dict.fromkeys(v for triangle in group["triangles"] for v in triangle))
         attributes = primitive["attributes"]
@@ -202,7 +217,7 @@ def check_glb():
         check(("KHR_materials_unlit" in material.get("extensions", {})) == want["unlit"], "unlit")
         if group["id"] >= 0:
             check(material["extras"]["class_id"] == group["id"], "class_id")
-    check(counted < 2 * len(want["positions"]), "%d vertices for %d" % (counted, len(want["positions"])))
+    check(counted < 3 * len(want["positions"]), "%d vertices for %d" % (counted, len(want["positions"])))
 
 
 check_ply()

@@ -58,7 +58,7 @@ def read_ply(path):
     """Positions, colours and class ids of vertices; corners of faces."""
     head, _, body = pathlib.Path(path).read_bytes().partition(b"end_header\n")
     counts = [int(words[2]) for words in (line.split() for line in head.decode().splitlines()) if words[0] == "element"]
-    vertex = struct.Struct("<ddd fff BBB i f f".replace(" ", ""))
+    vertex = struct.Struct("<ddd fff BBB i f f f".replace(" ", ""))
     rows = [vertex.unpack_from(body, i * vertex.size) for i in range(counts[0])]
     face = struct.Struct("<B3I" if b"list uchar uint" in head else "<B3i")
     corners = [face.unpack_from(body, counts[0] * vertex.size + i * face.size)[1:] for i in range(counts[1])]

@@ -8,28 +8,37 @@
 
 namespace semfield {
 
-std::vector<ClassGroup> class_groups(const Surface& surface, const ClassTable& classes) {
-  std::map<std::int16_t, ClassGroup> by_class;
+std::vector<ClassGroup> class_groups(const Surface& surface, const ClassTable& classes, bool by_object) {
+  std::map<std::pair<std::int32_t, std::int16_t>, ClassGroup> found;
   for (std::size_t i = 0; i < surface.triangles.size(); ++i) {
-    by_class[triangle_label(surface.attributes, surface.triangles[i])].triangles.push_back(
-        static_cast<std::uint32_t>(i));
+    const Triangle& triangle = surface.triangles[i];
+    const std::int32_t instance = by_object ? triangle_instance(surface.attributes, triangle) : 0;
+    ClassGroup& group = found[{instance, triangle_label(surface.attributes, triangle)}];
+    group.instance = instance;
+    group.triangles.push_back(static_cast<std::uint32_t>(i));
   }
-  std::vector<ClassGroup> groups;
+  std::set<std::int16_t> labels;
+  for (const auto& [key, group] : found) labels.insert(key.second);
+  std::map<std::int16_t, std::string> name_of;
   std::set<std::string> names;
-  for (auto& [label, group] : by_class) {
-    if (label == kVoid) {
-      group.name = surface.attributes.has_labels() ? "void" : "surface";
-    } else {
+  for (const std::int16_t label : labels) {
+    std::string name = surface.attributes.has_labels() ? "void" : "surface";
+    if (label != kVoid) {
       const ClassEntry& entry = classes.valid(label);
-      group.name = entry.name.empty() ? fmt::format("class_{}", entry.id) : entry.name;
-      group.id = entry.id;
+      name = entry.name.empty() ? fmt::format("class_{}", entry.id) : entry.name;
     }
-    group.color = class_color(label, classes);
-    for (char& c : group.name) {
+    for (char& c : name) {
       // Words of an OBJ line end at a blank, lines at a control character.
       if (static_cast<unsigned char>(c) <= ' ' || c == 127) c = '_';
     }
-    while (!names.insert(group.name).second) group.name += fmt::format("_{}", group.id);
+    while (!names.insert(name).second) name += fmt::format("_{}", label == kVoid ? -1 : classes.valid(label).id);
+    name_of[label] = name;
+  }
+  std::vector<ClassGroup> groups;
+  for (auto& [key, group] : found) {
+    group.name = name_of[key.second];
+    if (key.second != kVoid) group.id = classes.valid(key.second).id;
+    group.color = class_color(key.second, classes);
     groups.push_back(std::move(group));
   }
   return groups;

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
 #include <nlohmann/json.hpp>
 
 #include "core/error.h"
@@ -89,12 +90,12 @@ std::vector<GroupVertices> vertices_of(const Surface& surface, const std::vector
   return all;
 }
 
-void set_range(Json& accessor, const Surface& surface, const std::vector<std::uint32_t>& vertices) {
+void set_range(Json& accessor, const Surface& surface, const std::vector<std::uint32_t>& vertices, Vec3d offset) {
   std::array<float, 3> least, most;
   least.fill(std::numeric_limits<float>::max());
   most.fill(std::numeric_limits<float>::lowest());
   for (const std::uint32_t v : vertices) {
-    const Vec3d& p = surface.positions[v];
+    const Vec3d p = surface.positions[v] - offset;
     for (std::size_t axis = 0; axis < 3; ++axis) {
       const auto value = static_cast<float>(p[static_cast<int>(axis)]);
       least[axis] = std::min(least[axis], value);
@@ -116,15 +117,15 @@ Json material(const ClassGroup& group, bool unlit) {
 }
 
 void write_binary(BufferedFile& file, const Surface& surface, const ClassTable& classes,
-                  const std::vector<GroupVertices>& groups) {
+                  const std::vector<GroupVertices>& groups, Vec3d offset) {
   const auto each = [&](const auto& write) {
     for (const GroupVertices& group : groups) {
       for (const std::uint32_t v : group.vertices) write(v);
     }
   };
-  for (const std::vector<Vec3d>* vectors : {&surface.positions, &surface.normals}) {
+  for (const auto& [vectors, from] : {std::pair{&surface.positions, offset}, {&surface.normals, Vec3d{}}}) {
     each([&](std::uint32_t v) {
-      for (int axis = 0; axis < 3; ++axis) file.value(static_cast<float>((*vectors)[v][axis]));
+      for (int axis = 0; axis < 3; ++axis) file.value(static_cast<float>((*vectors)[v][axis] - from[axis]));
     });
   }
   each([&](std::uint32_t v) {
@@ -143,20 +144,54 @@ void write_binary(BufferedFile& file, const Surface& surface, const ClassTable& 
   }
 }
 
+// v turned by x, y, z, w.
+Vec3d turned(const std::array<double, 4>& q, Vec3d v) {
+  const Vec3d u{q[0], q[1], q[2]}, t = 2.0 * cross(u, v);
+  return v + q[3] * t + cross(u, t);
+}
+
+// Primitives by object, 0 for the rest, as the meshes and nodes of a file. The first node is the root.
+void add_nodes(Json& root, const std::map<std::int32_t, Json>& primitives, const GlbLook& look, Vec3d offset) {
+  Json base{{"name", "surface"}, {"rotation", turn_to_y(look.up)}};
+  if (!(offset == Vec3d{})) {
+    const Vec3d back = turned(turn_to_y(look.up), offset);
+    base["translation"] = {back.x, back.y, back.z};
+  }
+  root["nodes"] = Json::array({base});
+  root["meshes"] = Json::array();
+  for (const auto& [instance, of_object] : primitives) {
+    std::string name = "surface";
+    if (instance != 0) {
+      const auto known = look.objects.find(instance);
+      name = (known == look.objects.end() ? "object" : known->second) + " " + std::to_string(instance);
+    }
+    const std::size_t mesh = root["meshes"].size();
+    root["meshes"].push_back({{"name", name}, {"primitives", of_object}});
+    if (instance == 0) {
+      root["nodes"][0]["mesh"] = mesh;
+    } else {
+      root["nodes"][0]["children"].push_back(root["nodes"].size());
+      root["nodes"].push_back({{"mesh", mesh}, {"name", name}, {"extras", {{"object_id", instance}}}});
+    }
+  }
+}
+
 }  // namespace
 
 void write_glb(const std::string& path, const Surface& surface, const ClassTable& classes, const GlbLook& look) {
-  const std::vector<ClassGroup> groups = class_groups(surface, classes);
+  const std::vector<ClassGroup> groups = class_groups(surface, classes, true);
+  const Vec3d offset = offset_of_floats(box_around(surface.positions));
   Json root;
-  root["asset"] = {{"version", "2.0"},
-                   {"generator", "Semfield"},
-                   {"extras",
-                    {{"axes", "positions are in the input's world; the node turns 'up' to +y"},
-                     {"up", {look.up.x, look.up.y, look.up.z}}}}};
+  root["asset"] = {
+      {"version", "2.0"},
+      {"generator", "Semfield"},
+      {"extras",
+       {{"axes", "positions are in the input's world less 'offset'; the root node adds it and turns 'up' to +y"},
+        {"up", {look.up.x, look.up.y, look.up.z}},
+        {"offset", {offset.x, offset.y, offset.z}}}}};
   if (look.unlit) root["extensionsUsed"] = Json::array({"KHR_materials_unlit"});
   root["scene"] = 0;
   root["scenes"] = Json::array({{{"nodes", {0}}}});
-  root["nodes"] = Json::array({{{"mesh", 0}, {"name", "surface"}, {"rotation", turn_to_y(look.up)}}});
   root["bufferViews"] = Json::array();
   root["accessors"] = Json::array();
   Layout layout(root);
@@ -167,13 +202,14 @@ void write_glb(const std::string& path, const Surface& surface, const ClassTable
   const std::size_t positions = layout.elements(count, 12), normals = layout.elements(count, 12),
                     colors = layout.elements(count, 8), ids = labels ? layout.elements(count, 4) : 0,
                     entropies = labels ? layout.elements(count, 4) : 0;
-  Json primitives = Json::array();
+  std::map<std::int32_t, Json> primitives;  // by object
+  std::map<std::string, std::size_t> material_of;
   std::size_t first = 0;
   for (std::size_t g = 0; g < groups.size(); ++g) {
     const std::size_t own = vertices[g].vertices.size();
     Json attributes;
     attributes["POSITION"] = layout.attribute(positions, first, own, kFloat, "VEC3");
-    set_range(root["accessors"].back(), surface, vertices[g].vertices);
+    set_range(root["accessors"].back(), surface, vertices[g].vertices, offset);
     attributes["NORMAL"] = layout.attribute(normals, first, own, kFloat, "VEC3");
     attributes["COLOR_0"] = layout.attribute(colors, first, own, kUnsignedShort, "VEC4");
     root["accessors"].back()["normalized"] = true;
@@ -182,13 +218,14 @@ void write_glb(const std::string& path, const Surface& surface, const ClassTable
       attributes["_ENTROPY"] = layout.attribute(entropies, first, own, kFloat, "SCALAR");
     }
     first += own;
-    root["materials"].push_back(material(groups[g], look.unlit));
-    primitives.push_back({{"attributes", std::move(attributes)},
-                          {"indices", layout.indices(vertices[g].indices.size())},
-                          {"material", g},
-                          {"mode", 4}});
+    const auto [known, fresh] = material_of.try_emplace(groups[g].name, material_of.size());
+    if (fresh) root["materials"].push_back(material(groups[g], look.unlit));
+    primitives[groups[g].instance].push_back({{"attributes", std::move(attributes)},
+                                              {"indices", layout.indices(vertices[g].indices.size())},
+                                              {"material", known->second},
+                                              {"mode", 4}});
   }
-  root["meshes"] = Json::array({{{"name", "surface"}, {"primitives", std::move(primitives)}}});
+  add_nodes(root, primitives, look, offset);
   root["buffers"] = Json::array({{{"byteLength", layout.bytes()}}});
 
   std::string json = root.dump();
@@ -206,7 +243,7 @@ void write_glb(const std::string& path, const Surface& surface, const ClassTable
   file.text(json);
   file.value(static_cast<std::uint32_t>(layout.bytes()));
   file.value(kBinaryChunk);
-  write_binary(file, surface, classes, vertices);
+  write_binary(file, surface, classes, vertices, offset);
   file.commit();
 }
 

@@ -3,6 +3,8 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <cmath>
 #include <filesystem>
 
 #include "surface/mesh/buffered_file.h"
@@ -12,13 +14,15 @@ namespace semfield {
 
 namespace {
 
-std::string ply_header(std::size_t vertices, std::size_t faces, bool normals, bool labels) {
+std::string ply_header(std::size_t vertices, std::size_t faces, bool normals, const PointAttributes& attributes) {
   std::string header = "ply\nformat binary_little_endian 1.0\ncomment Semfield: world frame and scale of the input\n";
   header += fmt::format("element vertex {}\n", vertices);
   header += "property double x\nproperty double y\nproperty double z\n";
   if (normals) header += "property float nx\nproperty float ny\nproperty float nz\n";
   header += "property uchar red\nproperty uchar green\nproperty uchar blue\n";
-  if (labels) header += "property int label\nproperty float scalar_label\nproperty float entropy\n";
+  if (attributes.has_labels())
+    header += "property int label\nproperty float scalar_label\nproperty float quality\nproperty float entropy\n";
+  if (attributes.has_instances()) header += "property int instance\nproperty float scalar_instance\n";
   if (faces > 0) header += fmt::format("element face {}\nproperty list uchar uint vertex_indices\n", faces);
   return header + "end_header\n";
 }
@@ -29,11 +33,16 @@ void write_vertices(BufferedFile& file, std::span<const Vec3d> positions, std::s
     for (int axis = 0; axis < 3; ++axis) file.value(positions[v][axis]);
     for (int axis = 0; axis < 3 && !normals.empty(); ++axis) file.value(static_cast<float>(normals[v][axis]));
     for (const std::uint8_t c : attributes.color[v]) file.value(c);
-    if (!attributes.has_labels()) continue;
-    const std::int32_t id = classes.id_of(attributes.label[v]);
-    file.value(id);
-    file.value(static_cast<float>(id));
-    file.value(attributes.entropy[v]);
+    if (attributes.has_labels()) {
+      const std::int32_t id = classes.id_of(attributes.label[v]);
+      file.value(id);
+      file.value(static_cast<float>(id));
+      file.value(static_cast<float>(id));
+      file.value(attributes.entropy[v]);
+    }
+    if (!attributes.has_instances()) continue;
+    file.value(attributes.instance[v]);
+    file.value(static_cast<float>(attributes.instance[v]));
   }
 }
 
@@ -52,7 +61,7 @@ void write_mtl(const std::string& path, const std::vector<ClassGroup>& groups) {
 
 void write_ply(const std::string& path, const Surface& surface, const ClassTable& classes) {
   BufferedFile file(path);
-  file.text(ply_header(surface.positions.size(), surface.triangles.size(), true, surface.attributes.has_labels()));
+  file.text(ply_header(surface.positions.size(), surface.triangles.size(), true, surface.attributes));
   write_vertices(file, surface.positions, surface.normals, surface.attributes, classes);
   for (const Triangle& t : surface.triangles) {
     file.value(std::uint8_t{3});
@@ -63,8 +72,8 @@ void write_ply(const std::string& path, const Surface& surface, const ClassTable
 
 void write_ply(const std::string& path, const PointSet& points, const ClassTable& classes) {
   BufferedFile file(path);
-  file.text(ply_header(points.positions.size(), 0, false, points.attributes.has_labels()));
-  write_vertices(file, points.positions, {}, points.attributes, classes);
+  file.text(ply_header(points.positions.size(), 0, !points.normals.empty(), points.attributes));
+  write_vertices(file, points.positions, points.normals, points.attributes, classes);
   file.commit();
 }
 
@@ -90,6 +99,23 @@ void write_obj(const std::string& path, const Surface& surface, const ClassTable
     }
   }
   file.commit();
+}
+
+Box box_around(std::span<const Vec3d> positions) {
+  Box box;
+  for (const Vec3d& p : positions) box.include(p);
+  return box;
+}
+
+Vec3d offset_of_floats(const Box& box) {
+  constexpr double kExact = 2048;  // below it a step of 32 bits is an eighth of a millimetre
+  Vec3d offset;
+  if (box.empty()) return offset;
+  double largest = 0;
+  for (int axis = 0; axis < 3; ++axis) largest = std::max({largest, std::abs(box.lo[axis]), std::abs(box.hi[axis])});
+  for (int axis = 0; axis < 3 && largest > kExact; ++axis)
+    offset[axis] = 100 * std::round(box.center()[axis] / 100) + 0.0;
+  return offset;
 }
 
 }  // namespace semfield

@@ -114,4 +114,11 @@ std::int16_t triangle_label(const PointAttributes& attributes, const Triangle& t
   return label[surest];
 }
 
+std::int32_t triangle_instance(const PointAttributes& attributes, const Triangle& triangle) {
+  if (!attributes.has_instances()) return 0;
+  const std::int32_t a = attributes.instance[triangle[0]], b = attributes.instance[triangle[1]],
+                     c = attributes.instance[triangle[2]];
+  return b == c ? b : a;
+}
+
 }  // namespace semfield

@@ -9,13 +9,16 @@
 
 namespace semfield {
 
-/// What rendering shows of a point on a surface. `label` and `entropy` are empty without semantics.
+/// What rendering shows of a point on a surface. `label` and `entropy` are empty without semantics, `instance` without
+/// objects. Filters of surfaces keep the first three; objects are looked up when the surface has its final form.
 struct PointAttributes {
   std::vector<std::array<std::uint8_t, 3>> color;  ///< display-referred, as PNG output
   std::vector<std::int16_t> label;                 ///< class index, kVoid = none
   std::vector<float> entropy;                      ///< nats
+  std::vector<std::int32_t> instance;              ///< id of the object, 0 = none
 
   bool has_labels() const { return !label.empty(); }
+  bool has_instances() const { return !instance.empty(); }
 };
 
 using Triangle = std::array<std::uint32_t, 3>;
@@ -50,5 +53,7 @@ void keep_triangles(Surface& surface, const std::vector<char>& keep);
 
 /// The class of a triangle: that of two of its corners, or of the corner with the least entropy.
 std::int16_t triangle_label(const PointAttributes& attributes, const Triangle& triangle);
+/// The object of a triangle: that of two of its corners, or of the first; 0 without objects.
+std::int32_t triangle_instance(const PointAttributes& attributes, const Triangle& triangle);
 
 }  // namespace semfield

@@ -1,0 +1,190 @@
+#include "app/mesh/hand_over.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <filesystem>
+
+#include "app/mesh/found_surface.h"
+#include "app/progress_line.h"
+#include "core/text.h"
+#include "handover/costmap.h"
+#include "handover/point_files.h"
+#include "handover/splats.h"
+#include "surface/mesh/class_groups.h"
+#include "surface/mesh/point_cloud.h"
+#include "surface/mesh/upright.h"
+#include "system/files.h"
+
+namespace semfield::app {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr long long kSplatResolution = 384;  // finer than a mesh: a splat has one colour
+constexpr long long kMapResolution = 128;    // of scenes without a scale
+constexpr double kMapEdge = 0.05;            // metres; what robots plan with
+
+HeightBand band_of(const MeshOptions& options) {
+  HeightBand band;
+  if (options.band.empty()) return band;
+  const bool sound = options.band.size() == 2 && parse_number(options.band[0], band.low) &&
+                     parse_number(options.band[1], band.high) && band.low < band.high;
+  if (!sound)
+    throw Error(ErrorKind::usage, "handover.band.format", "--band " + join(options.band, ",") + ": not two heights",
+                "give the lower and the upper one, as in --band 0.1,1");
+  return band;
+}
+
+}  // namespace
+
+HandOver::HandOver(const MeshOptions& options, const MeshTargets& targets, OpenedRun& run, std::optional<Vec3d> up,
+                   const AppContext& context)
+    : options_(options),
+      targets_(targets),
+      run_(run),
+      context_(context),
+      objects_(ObjectLookup::read((fs::path(run.run_dir) / "objects").string())) {
+  if (objects_ && objects_->step() != run.step)
+    print_note(context, fmt::format("the objects of {} are of step {}, the field is of step {}; `semfield objects {}` "
+                                    "finds them anew",
+                                    run.run_dir, objects_->step(), run.step, shell_word(run.run_dir)));
+  const Session& s = run.session;
+  sidecar_.run = run.run_dir;
+  sidecar_.scene = s.scene.info.name;
+  sidecar_.step = run.step;
+  sidecar_.metric = s.scene.info.metric;
+  sidecar_.up = up;
+  sidecar_.convention = s.config.load.convention;
+  if (s.pipeline->has_semantics()) sidecar_.classes = &classes();
+  sidecar_.objects = objects();
+  band_of(options);  // before any work
+}
+
+std::vector<std::int32_t> HandOver::instances(std::span<const Vec3d> points) const {
+  return objects_ ? objects_->ids_of(points) : std::vector<std::int32_t>();
+}
+
+std::map<std::int32_t, std::string> HandOver::objects() const {
+  return objects_ ? objects_->names() : std::map<std::int32_t, std::string>();
+}
+
+void HandOver::look() {
+  Session& s = run_.session;
+  if (!wants_points() && !targets_.splats() && !targets_.maps()) return;
+  const Box& bounds = s.extent.bounds;
+  const std::array<double, 3> background = s.pipeline->options().rules.background();
+  PointCloud cloud(spacing_of(options_, bounds, kMeshResolution), background);
+  std::optional<SplatVolume> splats;
+  const auto around = [&](double edge) {  // a wall on the bounds lies in the cube behind them
+    const Vec3d margin{edge, edge, edge};
+    return VoxelGridPlace::covering({bounds.lo - margin, bounds.hi + margin}, edge);
+  };
+  if (targets_.splats())
+    splats.emplace(*s.pipeline, around(spacing_of(options_, bounds, kSplatResolution)), bounds,
+                   s.limits.clip && s.config.rendering.far == FarMode::background);
+  if (targets_.maps()) {
+    const bool usual = !options_.voxel && !options_.resolution && s.scene.info.metric;
+    const double edge = usual ? kMapEdge : spacing_of(options_, bounds, kMapResolution);
+    map_.emplace(around(edge));
+  }
+  const std::vector<int> frames = s.scene.frames_of(Split::train);
+  ProgressLine progress(context_, "points of", "views");
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(frames[i])];
+    const RayCamera camera{info.camera, info.world_from_camera, s.plan.undistortion};
+    const auto part_done = [&](double share) {
+      progress.show(static_cast<double>(i) + share, static_cast<double>(frames.size()));
+    };
+    const RenderedFrame frame =
+        render_named_frame(*s.pipeline, info.name, camera, s.limits, s.plan.class_of_logit, {}, {1, part_done});
+    if (splats) splats->add(camera, frame, s.limits);
+    if (!wants_points() && !map_) continue;
+    const SeenPixels pixels = seen_pixels(camera, frame);
+    if (wants_points()) cloud.add(frame, pixels);
+    if (map_) map_->add(camera, frame, pixels);
+  }
+  points_ = cloud.points();
+  if (splats) splats_ = splats->splats();
+  for (PointSet* set : {&points_, &splats_.points}) set->attributes.instance = instances(set->positions);
+}
+
+void HandOver::write_points() {
+  const Vec3d offset = offset_of_floats(box_around(points_.positions));
+  if (targets_.writes("las")) {
+    const std::string path = targets_.file("las");
+    write_las(path, points_, classes());
+    add(path, "points");  // readers add the header's offset by themselves
+  }
+  if (targets_.writes("pcd")) {
+    const std::string path = targets_.file("pcd");
+    write_pcd(path, points_, classes(), offset);
+    add(path, "points", offset);
+  }
+}
+
+void HandOver::write_splats() {
+  const Vec3d offset = offset_of_floats(box_around(splats_.points.positions));
+  if (targets_.writes("splats.ply")) {
+    const std::string path = targets_.file("splats.ply");
+    write_splat_ply(path, splats_, classes(), offset);
+    add(path, "splats", offset);
+  }
+  if (targets_.writes("splat")) {
+    const std::string path = targets_.file("splat");
+    write_splat(path, splats_, offset);
+    add(path, "splats", offset);
+  }
+}
+
+void HandOver::write_maps() {
+  const auto add_map = [&](const std::string& path, const char* holds, Vec3d offset) {
+    add(path, holds, offset);
+    sidecar_.files.back().edge = map_->place().edge;
+  };
+  if (targets_.writes("npz")) {
+    write_voxels(targets_.file("npz"), *map_, classes());
+    add_map(targets_.file("npz"), "voxels", {});
+  }
+  for (const char* format : {"bt", "ot"}) {
+    if (!targets_.writes(format)) continue;
+    const std::string path = targets_.file(format);
+    add_map(path, "voxels", write_octomap(path, *map_, classes(), format == std::string("ot")));
+  }
+  if (!targets_.writes("pgm")) return;
+  const Costmap map = costmap_of(*map_, sidecar_.up.value_or(Vec3d{}), band_of(options_));
+  const std::string yaml = write_costmap(targets_.file("pgm"), map);
+  print_note(context_,
+             fmt::format("the floor is at {:.3g} along {}; {} has what lies {:.3g} to {:.3g} above it", map.floor,
+                         axis_text(*sidecar_.up), targets_.file("pgm"), map.band.low, map.band.high));
+  add_map(targets_.file("pgm"), "costmap", {});
+  add_map(yaml, "costmap", {});
+}
+
+void HandOver::write() {
+  if (options_.color == "class") {
+    for (PointSet* set : {&points_, &splats_.points}) set->attributes.color = class_colors(set->attributes, classes());
+  }
+  if (targets_.points()) write_points();
+  if (targets_.splats()) write_splats();
+  if (map_) write_maps();
+}
+
+void HandOver::add(const std::string& path, const std::string& holds, Vec3d offset) {
+  sidecar_.files.push_back({path, holds, offset});
+}
+
+void HandOver::finish() {
+  const bool page_alone = std::all_of(sidecar_.files.begin(), sidecar_.files.end(),
+                                      [](const HandedFile& file) { return file.holds == "page"; });
+  if (!page_alone) write_file_atomic(targets_.stem.string() + ".json", sidecar_json(sidecar_));
+}
+
+std::vector<std::string> HandOver::files() const {
+  std::vector<std::string> out;
+  for (const HandedFile& file : sidecar_.files) out.push_back(file.path);
+  return out;
+}
+
+}  // namespace semfield::app
