@@ -11,6 +11,11 @@ namespace semfield::app {
 
 using Json = nlohmann::ordered_json;
 
+/// Bytes that are no UTF-8, as names of files may have, become the replacement character. `indent` -1: one line.
+inline std::string json_text(const Json& json, int indent = -1) {
+  return json.dump(indent, ' ', false, Json::error_handler_t::replace);
+}
+
 /// `results` behind the program's version as `semfield` and the verb's name as `verb`, in one line with its end. Bytes
 /// that are no UTF-8, as names of folders may have, become the replacement character.
 std::string json_object(const AppContext& context, const Json& results);

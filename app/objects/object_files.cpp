@@ -5,11 +5,11 @@
 #include <algorithm>
 #include <filesystem>
 #include <map>
-#include <nlohmann/json.hpp>
 
+#include "app/json_output.h"
+#include "app/objects/object_tables.h"
 #include "formats/image_io.h"
 #include "scene/output_names.h"
-#include "surface/mesh/mesh_files.h"
 #include "system/files.h"
 
 namespace semfield::app {
@@ -17,28 +17,11 @@ namespace semfield::app {
 namespace {
 
 namespace fs = std::filesystem;
-using Json = nlohmann::ordered_json;
-
-constexpr std::int32_t kMostObjects = 1024;  // as classes of a PLY file
-
-std::string text(const Json& json, int indent = -1) {
-  return json.dump(indent, ' ', false, Json::error_handler_t::replace);
-}
-Json numbers(Vec3d v) { return {v.x, v.y, v.z}; }
-
 }  // namespace
-
-std::string object_class_name(const ObjectRow& row, const ClassTable& classes) {
-  return row.class_index == kVoid || row.class_index >= classes.valid_count() ? "object"
-                                                                              : classes.valid(row.class_index).name;
-}
 
 ObjectFiles::ObjectFiles(std::string folder, const FoundObjects& found, const SceneInfo& info)
     : folder_(std::move(folder)), found_(found), info_(info) {
-  if (std::ssize(found.rows) > kMostObjects)
-    throw Error(ErrorKind::data, "objects.count.large",
-                fmt::format("{} objects, and files hold {}", found.rows.size(), kMostObjects),
-                "raise objects.least_points");
+  check_object_count(found.rows);
   create_folders(path("instance"));
   create_folders(path("panoptic"));
 }
@@ -87,8 +70,8 @@ void ObjectFiles::add(const ObjectView& view) {
                      {"iscrowd", 0}});
   }
   images_.push_back(
-      text({{"id", number}, {"file_name", name}, {"width", camera.width_px}, {"height", camera.height_px}}));
-  annotations_.push_back(text({{"image_id", number}, {"file_name", name}, {"segments_info", infos}}));
+      json_text({{"id", number}, {"file_name", name}, {"width", camera.width_px}, {"height", camera.height_px}}));
+  annotations_.push_back(json_text({{"image_id", number}, {"file_name", name}, {"segments_info", infos}}));
 }
 
 std::string ObjectFiles::panoptic_json() const {
@@ -103,70 +86,9 @@ std::string ObjectFiles::panoptic_json() const {
   Json out{{"images", Json::array()}, {"annotations", Json::array()}, {"categories", categories}};
   for (const std::string& one : images_) out["images"].push_back(Json::parse(one));
   for (const std::string& one : annotations_) out["annotations"].push_back(Json::parse(one));
-  return text(out, 1) + "\n";
+  return json_text(out, 1) + "\n";
 }
 
-std::string ObjectFiles::table_json(const std::string& about) const {
-  Json out = Json::parse(about);
-  out["unit"] = info_.metric ? "m" : "scene";
-  Json& rows = out["objects"] = Json::array();
-  for (const ObjectRow& row : found_.rows) {
-    rows.push_back({{"id", row.id},
-                    {"class", object_class_name(row, info_.classes)},
-                    {"class_probability", row.class_probability},
-                    {"agreement", row.agreement},
-                    {"views", row.views},
-                    {"points", row.points},
-                    {"area", row.area},
-                    {"centroid", numbers(row.centroid)},
-                    {"box",
-                     {{"center", numbers(row.box.center)},
-                      {"axes", {numbers(row.box.axis[0]), numbers(row.box.axis[1]), numbers(row.box.axis[2])}},
-                      {"size", numbers(row.box.size)}}}});
-  }
-  return text(out, 1) + "\n";
-}
-
-std::string ObjectFiles::table_csv() const {
-  std::string out =
-      "id,class,class_probability,agreement,views,points,area,centroid_x,centroid_y,centroid_z,size_0,size_1,size_2\n";
-  for (const ObjectRow& row : found_.rows) {
-    std::string name = object_class_name(row, info_.classes);
-    for (std::size_t at = name.find('"'); at != std::string::npos; at = name.find('"', at + 2)) name.insert(at, 1, '"');
-    if (name.find_first_of(",\"\n") != std::string::npos) name = '"' + name + '"';
-    out += fmt::format("{},{},{:.4f},{:.4f},{},{},{:.6g},{:.6g},{:.6g},{:.6g},{:.6g},{:.6g},{:.6g}\n", row.id, name,
-                       row.class_probability, row.agreement, row.views, row.points, row.area, row.centroid.x,
-                       row.centroid.y, row.centroid.z, row.box.size.x, row.box.size.y, row.box.size.z);
-  }
-  return out;
-}
-
-void ObjectFiles::write_points() const {
-  PointSet points;
-  std::vector<ClassEntry> names{{0, "none", {}, true}};
-  for (const ObjectRow& row : found_.rows)
-    names.push_back({row.id, fmt::format("{} {}", object_class_name(row, info_.classes), row.id), {}, false});
-  const SurfacePool& pool = found_.surface.pool;
-  for (std::size_t i = 0; i < pool.points.size(); ++i) {
-    const PoolPoint& point = pool.points[i];
-    points.positions.push_back(point.position);
-    std::array<std::uint8_t, 3> color = ClassTable::default_color(found_.id[i]);
-    if (found_.id[i] == 0)  // its own colour, paler
-      for (int k = 0; k < 3; ++k)
-        color[static_cast<std::size_t>(k)] =
-            static_cast<std::uint8_t>(std::clamp(128 + 100 * point.color[k], 0.0, 255.0));
-    points.attributes.color.push_back(color);
-    points.attributes.label.push_back(static_cast<std::int16_t>(found_.id[i] == 0 ? kVoid : found_.id[i] - 1));
-    points.attributes.entropy.push_back(0);
-  }
-  write_ply(path("objects.ply"), points, ClassTable(std::move(names)));
-}
-
-void ObjectFiles::finish(const std::string& about) {
-  write_file_atomic(path("panoptic.json"), panoptic_json());
-  write_file_atomic(path("objects.csv"), table_csv());
-  write_points();
-  write_file_atomic(path("objects.json"), table_json(about));
-}
+void ObjectFiles::finish() { write_file_atomic(path("panoptic.json"), panoptic_json()); }
 
 }  // namespace semfield::app

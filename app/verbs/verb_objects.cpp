@@ -10,10 +10,12 @@
 
 #include "app/json_output.h"
 #include "app/objects/object_files.h"
+#include "app/objects/object_tables.h"
 #include "app/progress_line.h"
 #include "app/verb.h"
 #include "core/findings.h"
 #include "objects/damage.h"
+#include "objects/object_edits.h"
 #include "objects/object_score.h"
 #include "objects/read_segments.h"
 #include "run/open_run.h"
@@ -141,26 +143,40 @@ int run(const ObjectsOptions& options, AppContext& context) {
                                     context.registry.kernels(), show);
   const std::string folder =
       options.out.empty() ? (std::filesystem::path(options.run) / "objects").string() : options.out;
+  ObjectSet set = object_set(found, about(options, opened, segments, found).dump());
+  const ObjectSet as_found = set;
+  const std::string edits_file = (std::filesystem::path(folder) / "edits.json").string();
+  const ObjectEdits edits = read_object_edits(edits_file);
+  apply_edits(set, edits, edits_file);
+  found.id = set.id;
+  found.rows = set.rows;
   ObjectFiles files(folder, found, s.scene.info);
   const std::optional<ObjectFigures> figures = write_views(options, s, found, files, context);
-  Json facts = about(options, opened, segments, found);
+  Json facts = Json::parse(set.about);
+  facts["edits"] = edits.edits.size();
   if (figures) facts["score"] = figures_json(*figures);
-  files.finish(facts.dump());
+  files.finish();
+  set.about = facts.dump();
+  write_object_set((std::filesystem::path(folder) / "found.safetensors").string(), as_found);
+  write_object_tables(folder, set, s.scene.info);
+  const auto objects =
+      std::count_if(set.rows.begin(), set.rows.end(), [](const ObjectRow& row) { return row.points > 0; });
   if (context.json) {
     Json out = facts;
-    out["objects"] = found.rows.size();
+    out["objects"] = objects;
     out["folder"] = folder;
     print_json(context, out);
     return 0;
   }
   std::map<std::string, int> counts;
-  for (const ObjectRow& row : found.rows) ++counts[object_class_name(row, s.scene.info.classes)];
+  for (const ObjectRow& row : set.rows)
+    if (row.points > 0) ++counts[object_class_name(row, s.scene.info.classes)];
   for (const auto& [name, count] : counts) std::printf("  %-20s %d\n", name.c_str(), count);
   if (figures)
     std::printf("score: pq=%.4f sq=%.4f rq=%.4f mcov=%.4f count_error=%.4f true=%lld found=%lld\n", figures->pq,
                 figures->sq, figures->rq, figures->mcov, figures->count_error, static_cast<long long>(figures->objects),
                 static_cast<long long>(figures->found));
-  std::printf("objects: objects=%zu segments=%lld seconds=%.1f folder=%s\n", found.rows.size(),
+  std::printf("objects: objects=%lld segments=%lld seconds=%.1f folder=%s\n", static_cast<long long>(objects),
               static_cast<long long>(segments.count()), facts["seconds"]["all"].get<double>(), folder.c_str());
   return 0;
 }

@@ -93,16 +93,33 @@ TurnedBox box_of(const std::vector<Vec3d>& points, Vec3d mean) {
 
 }  // namespace
 
+void measure_objects(std::span<ObjectRow> rows, std::span<const Vec3d> position, std::span<const std::int32_t> id,
+                     double cell_m) {
+  std::vector<std::vector<Vec3d>> points(rows.size());
+  for (std::size_t i = 0; i < id.size(); ++i)
+    if (id[i] > 0) points[static_cast<std::size_t>(id[i]) - 1].push_back(position[i]);
+  for (std::size_t o = 0; o < rows.size(); ++o) {
+    ObjectRow& row = rows[o];
+    row.points = std::ssize(points[o]);
+    row.area = static_cast<double>(row.points) * cell_m * cell_m;
+    row.centroid = {};
+    row.box = {{}, {{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}}, {}};
+    if (points[o].empty()) continue;
+    Vec3d sum;
+    for (const Vec3d& p : points[o]) sum = sum + p;
+    row.centroid = sum * (1 / static_cast<double>(row.points));
+    row.box = box_of(points[o], row.centroid);
+  }
+}
+
 std::vector<ObjectRow> object_table(const ObjectSurface& surface, std::span<const std::int32_t> id,
                                     std::span<const SegmentSights> sights, const PointClasses& classes) {
   const std::int32_t most = id.empty() ? 0 : *std::max_element(id.begin(), id.end());
   std::vector<ObjectRow> rows(static_cast<std::size_t>(most));
-  std::vector<std::vector<Vec3d>> points(rows.size());
   std::vector<std::vector<double>> votes(rows.size(), std::vector<double>(static_cast<std::size_t>(classes.classes)));
   for (std::size_t i = 0; i < id.size(); ++i) {
     if (id[i] == 0) continue;
     const auto o = static_cast<std::size_t>(id[i]) - 1;
-    points[o].push_back(surface.pool.points[i].position);
     for (std::size_t c = 0; c < votes[o].size(); ++c)
       votes[o][c] += static_cast<double>(classes.probability[i * votes[o].size() + c]);
   }
@@ -124,13 +141,7 @@ std::vector<ObjectRow> object_table(const ObjectSurface& surface, std::span<cons
   for (std::size_t o = 0; o < rows.size(); ++o) {
     ObjectRow& row = rows[o];
     row.id = static_cast<std::int32_t>(o) + 1;
-    row.points = std::ssize(points[o]);
-    row.area = static_cast<double>(row.points) * surface.pool.cell_m() * surface.pool.cell_m();
     if (row.views > 0) row.agreement /= row.views;
-    Vec3d sum;
-    for (const Vec3d& p : points[o]) sum = sum + p;
-    row.centroid = sum * (1 / static_cast<double>(row.points));
-    row.box = box_of(points[o], row.centroid);
     double all = 0;
     for (const double v : votes[o]) all += v;
     if (!(all > 0)) continue;
@@ -138,6 +149,9 @@ std::vector<ObjectRow> object_table(const ObjectSurface& surface, std::span<cons
     row.class_index = static_cast<std::int16_t>(best - votes[o].begin());
     row.class_probability = *best / all;
   }
+  std::vector<Vec3d> positions;
+  for (const PoolPoint& point : surface.pool.points) positions.push_back(point.position);
+  measure_objects(rows, positions, id, surface.pool.cell_m());
   return rows;
 }
 

@@ -21,6 +21,11 @@ struct PointClasses {
 PointClasses classes_of_points(Session& session, std::span<const Vec3d> positions,
                                std::span<const SegmentSights> sights);
 
+/// Points, area, centroid and box of every row, from points at `position` [N] with ids of rows, or 0. A row without
+/// points gets a box without size.
+void measure_objects(std::span<ObjectRow> rows, std::span<const Vec3d> position, std::span<const std::int32_t> id,
+                     double cell_m);
+
 /// A row per object of `id` [N], by id.
 std::vector<ObjectRow> object_table(const ObjectSurface& surface, std::span<const std::int32_t> id,
                                     std::span<const SegmentSights> sights, const PointClasses& classes);

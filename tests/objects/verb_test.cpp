@@ -5,6 +5,7 @@
 
 #include "formats/image_io.h"
 #include "loading/packed_scene.h"
+#include "objects/object_edits.h"
 #include "scene/output_names.h"
 #include "system/files.h"
 #include "testkit/analytic_scene.h"
@@ -56,7 +57,7 @@ TEST(ObjectsVerb, FilesFiguresAndTheSameAgain) {
   const auto json = nlohmann::json::parse(r.out);
   EXPECT_GT(json.at("score").at("mcov").get<double>(), 0.3);
   EXPECT_GT(json.at("objects").get<int>(), 0);
-  for (const char* file : {"objects.json", "objects.csv", "objects.ply", "panoptic.json"})
+  for (const char* file : {"objects.json", "objects.csv", "objects.ply", "panoptic.json", "found.safetensors"})
     EXPECT_TRUE(fs::is_regular_file(dir / (std::string("run/objects/") + file))) << file;
   const auto table = nlohmann::json::parse(read_text_file(dir / "run/objects/objects.json"));
   ASSERT_EQ(table.at("objects").size(), json.at("objects").get<std::size_t>());
@@ -76,7 +77,21 @@ TEST(ObjectsVerb, FilesFiguresAndTheSameAgain) {
   for (const auto& segment : panoptic.at("annotations")[0].at("segments_info"))
     if (segment.at("id") <= table.at("objects").size()) told.insert(segment.at("id").get<int>());
   EXPECT_EQ(seen, told);
+  // Found anew, the same objects get the edits that were made of them; others are refused.
   const std::string first = read_text_file(dir / "run/objects/objects.csv");
+  ObjectEdits edits{read_edited_objects(dir / "run/objects").edits.digest, {}};
+  edits.edits.push_back(parse_object_edit(R"({"do": "rename", "object": 1, "name": "mine"})", "test"));
+  fs::create_directories(dir / "again");
+  write_object_edits(dir / "again/edits.json", edits);
+  const Result edited = semfield(std::string("objects run --out again --json") + kQuick, dir);
+  ASSERT_EQ(edited.code, 0) << edited.err;
+  EXPECT_EQ(nlohmann::json::parse(edited.out).at("edits"), 1);
+  EXPECT_HAS(read_text_file(dir / "again/objects.csv"), "1,mine,");
+  EXPECT_HAS(read_text_file(dir / "again/objects.json"), "\"mine\"");
+  const Result others = semfield(std::string("objects run --out again") + kQuick + "--set objects.points=2000", dir);
+  EXPECT_EQ(others.code, 65);
+  EXPECT_HAS(others.err, "again/edits.json", "objects.edits.foreign");
+  fs::remove_all(dir / "again");
   ASSERT_EQ(semfield(std::string("objects run --out again --threads 1") + kQuick, dir).code, 0);
   EXPECT_EQ(read_text_file(dir / "again/objects.csv"), first) << "threads changed a number";
 }

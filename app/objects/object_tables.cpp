@@ -1,0 +1,112 @@
+#include "app/objects/object_tables.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <filesystem>
+
+#include "app/json_output.h"
+#include "core/error.h"
+#include "surface/mesh/mesh_files.h"
+#include "system/files.h"
+
+namespace semfield::app {
+
+namespace {
+
+constexpr std::int32_t kMostObjects = 1024;  // as classes of a PLY file
+
+Json numbers(Vec3d v) { return {v.x, v.y, v.z}; }
+
+Json row_json(const ObjectRow& row, const ClassTable& classes) {
+  return {{"id", row.id},
+          {"name", object_name(row, classes)},
+          {"class", object_class_name(row, classes)},
+          {"class_probability", row.class_probability},
+          {"agreement", row.agreement},
+          {"views", row.views},
+          {"points", row.points},
+          {"area", row.area},
+          {"centroid", numbers(row.centroid)},
+          {"box",
+           {{"center", numbers(row.box.center)},
+            {"axes", {numbers(row.box.axis[0]), numbers(row.box.axis[1]), numbers(row.box.axis[2])}},
+            {"size", numbers(row.box.size)}}}};
+}
+
+std::string table_json(const ObjectSet& set, const SceneInfo& info) {
+  Json out = Json::parse(set.about);
+  out["unit"] = info.metric ? "m" : "scene";
+  Json& rows = out["objects"] = Json::array();
+  for (const ObjectRow& row : set.rows)
+    if (row.points > 0) rows.push_back(row_json(row, info.classes));
+  return json_text(out, 1) + "\n";
+}
+
+std::string csv_cell(std::string words) {
+  for (std::size_t at = words.find('"'); at != std::string::npos; at = words.find('"', at + 2))
+    words.insert(at, 1, '"');
+  return words.find_first_of(",\"\n") == std::string::npos ? words : '"' + words + '"';
+}
+
+std::string table_csv(const ObjectSet& set, const ClassTable& classes) {
+  std::string out =
+      "id,name,class,class_probability,agreement,views,points,area,centroid_x,centroid_y,centroid_z,size_0,size_1,"
+      "size_2\n";
+  for (const ObjectRow& row : set.rows) {
+    if (row.points == 0) continue;
+    out += fmt::format("{},{},{},{:.4f},{:.4f},{},{},{:.6g},{:.6g},{:.6g},{:.6g},{:.6g},{:.6g},{:.6g}\n", row.id,
+                       csv_cell(object_name(row, classes)), csv_cell(object_class_name(row, classes)),
+                       row.class_probability, row.agreement, row.views, row.points, row.area, row.centroid.x,
+                       row.centroid.y, row.centroid.z, row.box.size.x, row.box.size.y, row.box.size.z);
+  }
+  return out;
+}
+
+void write_points(const std::string& path, const ObjectSet& set, const ClassTable& classes) {
+  PointSet points;
+  std::vector<ClassEntry> names{{0, "none", {}, true}};
+  for (const ObjectRow& row : set.rows) names.push_back({row.id, object_name(row, classes), {}, false});
+  for (std::size_t i = 0; i < set.position.size(); ++i) {
+    points.positions.push_back(set.position[i]);
+    std::array<std::uint8_t, 3> color = ClassTable::default_color(set.id[i]);
+    if (set.id[i] == 0)  // its own colour, paler
+      for (std::size_t k = 0; k < 3; ++k)
+        color[k] = static_cast<std::uint8_t>(std::min(255.0, 128 + 100.0 / 255 * set.color[i][k]));
+    points.attributes.color.push_back(color);
+    points.attributes.label.push_back(static_cast<std::int16_t>(set.id[i] == 0 ? kVoid : set.id[i] - 1));
+    points.attributes.entropy.push_back(0);
+  }
+  write_ply(path, points, ClassTable(std::move(names)));
+}
+
+}  // namespace
+
+std::string object_class_name(const ObjectRow& row, const ClassTable& classes) {
+  return row.class_index == kVoid || row.class_index >= classes.valid_count() ? "object"
+                                                                              : classes.valid(row.class_index).name;
+}
+
+std::string object_name(const ObjectRow& row, const ClassTable& classes) {
+  return row.name.empty() ? fmt::format("{} {}", object_class_name(row, classes), row.id) : row.name;
+}
+
+std::string object_row_json(const ObjectRow& row, const ClassTable& classes) {
+  return json_text(row_json(row, classes));
+}
+
+void check_object_count(const std::vector<ObjectRow>& rows) {
+  if (std::ssize(rows) > kMostObjects)
+    throw Error(ErrorKind::data, "objects.count.large",
+                fmt::format("{} objects, and files hold {}", rows.size(), kMostObjects), "raise objects.least_points");
+}
+
+void write_object_tables(const std::string& folder, const ObjectSet& set, const SceneInfo& info) {
+  check_object_count(set.rows);
+  const std::filesystem::path in(folder);
+  write_file_atomic((in / "objects.csv").string(), table_csv(set, info.classes));
+  write_points((in / "objects.ply").string(), set, info.classes);
+  write_file_atomic((in / "objects.json").string(), table_json(set, info));
+}
+
+}  // namespace semfield::app

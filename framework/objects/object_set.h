@@ -1,0 +1,39 @@
+// Objects as files keep them: points of the surface, which object each is of, and a row per object.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "objects/find_objects.h"
+
+namespace semfield {
+
+/// What was found, without what found it. Points are those of SurfacePool, one per cell.
+struct ObjectSet {
+  SurfaceCells cells;
+  std::vector<Vec3d> position;                     ///< [points] world
+  std::vector<std::array<std::uint8_t, 3>> color;  ///< [points] of the photographs
+  std::vector<std::int32_t> id;                    ///< [points] object, 0: none
+  std::vector<std::int16_t> class_of;              ///< [points] class index, kVoid: not known
+  std::vector<ObjectRow> rows;                     ///< by id from 1 on; one that was merged away has no points
+  std::string about;                               ///< JSON object: how they were found
+
+  /// The object of the surface at a place of the world, 0: none. A place off all points takes the one of those within
+  /// kReach cells.
+  std::int32_t at(Vec3d place) const;
+  static constexpr double kReach = 4;
+  /// Tells one result of `semfield objects` from another: 16 hexadecimal digits of the ids that were found.
+  std::string digest() const;
+};
+
+ObjectSet object_set(const FoundObjects& found, std::string about);
+
+/// found.safetensors of a folder that `semfield objects` wrote: what was found, before edits. Throws as
+/// write_safetensors; as TensorFile::read; Error(data) for one that is none.
+void write_object_set(const std::string& path, const ObjectSet& set);
+ObjectSet read_object_set(const std::string& path);
+
+}  // namespace semfield
