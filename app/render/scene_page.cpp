@@ -6,11 +6,15 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <ctime>
 #include <filesystem>
 #include <new>
-#include <nlohmann/json.hpp>
 
+#include "app/json_output.h"
+#include "app/objects/object_tables.h"
 #include "core/error.h"
+#include "eval/image_output.h"
+#include "objects/object_edits.h"
 #include "report/html.h"
 #include "run/run_folder.h"
 #include "scene/scene.h"
@@ -22,12 +26,11 @@ namespace semfield::app {
 
 namespace {
 
-using Json = nlohmann::ordered_json;
-
 constexpr double kSteps = 65535;
 constexpr std::uint16_t kNoClass = 65535;
 
-Box box_of(const Surface& surface) {
+Box box_of(const Surface& surface, const ScenePage& page) {
+  if (surface.positions.empty()) return page.bounds;
   Box box;
   for (const Vec3d& p : surface.positions) box.include(p);
   return box;
@@ -64,7 +67,7 @@ Triangle class_last(const Surface& surface, Triangle t) {
   return t;
 }
 
-std::vector<std::uint8_t> packed(const Surface& surface, const Box& box) {
+std::vector<std::uint8_t> packed(const Surface& surface, const ScenePage& page, const Box& box) {
   Stream stream;
   std::vector<std::uint32_t> corners;
   for (const Triangle& triangle : surface.triangles) {
@@ -85,6 +88,13 @@ std::vector<std::uint8_t> packed(const Surface& surface, const Box& box) {
     stream.put(label.empty() || label[i] == kVoid ? kNoClass : static_cast<std::uint16_t>(label[i]));
   for (std::size_t c = 0; c < 3; ++c)
     for (std::size_t i = 0; i < count; ++i) stream.put(surface.attributes.color[i][c]);
+  const double most = std::log(std::max(2, page.logits));
+  if (!label.empty())
+    for (const float entropy : surface.attributes.entropy)
+      stream.put(
+          static_cast<std::uint8_t>(std::lround(255 * std::clamp(static_cast<double>(entropy) / most, 0.0, 1.0))));
+  if (page.objects)
+    for (const std::uint16_t id : vertex_objects(surface, *page.objects)) stream.put(id);
   return std::move(stream.bytes);
 }
 
@@ -99,9 +109,18 @@ std::vector<std::uint8_t> deflated(const std::vector<std::uint8_t>& bytes) {
 
 Json list_of(Vec3d v) { return {v.x, v.y, v.z}; }
 
-Json facts(const Surface& surface, const ClassTable& classes, const ScenePage& page, const Box& box) {
+std::string ramp_text() {
+  std::vector<std::uint8_t> colors;
+  for (int i = 0; i < 256; ++i)
+    for (const std::uint8_t c : perceptual_color(i / 255.0)) colors.push_back(c);
+  return base64(colors);
+}
+
+Json facts_of(const Surface& surface, const ClassTable& classes, const ScenePage& page, const Box& box) {
   Json out{{"title", page.title},
            {"about", page.about},
+           {"run", page.run},
+           {"step", page.step},
            {"unit", page.metric ? "m" : "units"},
            {"vertices", surface.positions.size()},
            {"triangles", surface.triangles.size()},
@@ -109,8 +128,10 @@ Json facts(const Surface& surface, const ClassTable& classes, const ScenePage& p
            {"high", list_of(box.hi)},
            {"turn", turn_to_y(page.up)},
            {"labels", surface.attributes.has_labels()},
-           {"classes", Json::array()}};
+           {"classes", Json::array()},
+           {"objects", Json::array()}};
   if (page.eye) out["eye"] = list_of(*page.eye);
+  if (page.objects) out["objects"] = Json::parse(page_objects_json(*page.objects, classes));
   if (!surface.attributes.has_labels()) return out;
   for (const ClassEntry& entry : classes.entries())
     if (!entry.ignore) out["classes"].push_back({{"id", entry.id}, {"name", entry.name}, {"color", entry.color}});
@@ -132,6 +153,30 @@ void fill_in(std::string& page, const std::string& place, const std::string& tex
   page.replace(at, place.size(), text);
 }
 
+// The viewer around `facts`; "connect": whom the page may ask.
+std::string viewer(const std::string& title, const Json& facts, const std::string& mesh, bool live) {
+  const auto part = [](const std::string& name) {
+    return read_text_file(shared_file("app/render/scene_page/" + name));
+  };
+  std::string text = part("viewer.html"), script;
+  for (const char* name : {"matrices.js", "drawing.js", "camera.js", "objects.js"}) script += part(name);
+  if (live) script += part("live.js");
+  fill_in(text, "<!--connect-->", live ? "'self'" : "'none'");
+  fill_in(text, "<!--title-->", html_escape(title));
+  fill_in(text, "/*style*/", part("viewer.css"));
+  fill_in(text, "/*script*/", script + part("viewer.js"));
+  fill_in(text, "/*facts*/", harmless(json_text(facts)));
+  fill_in(text, "/*mesh*/", mesh);
+  return text;
+}
+
+std::string today() {
+  const std::time_t now = std::time(nullptr);
+  std::tm utc{};
+  ::gmtime_r(&now, &utc);
+  return fmt::format("{:04}-{:02}-{:02}", utc.tm_year + 1900, utc.tm_mon + 1, utc.tm_mday);
+}
+
 }  // namespace
 
 ScenePage scene_page_of(const OpenedRun& run, Vec3d up) {
@@ -139,11 +184,25 @@ ScenePage scene_page_of(const OpenedRun& run, Vec3d up) {
   const std::vector<int> frames = run.session.scene.frames_of(Split::train);
   std::filesystem::path folder = std::filesystem::path(run.run_dir).lexically_normal();
   if (!folder.has_filename()) folder = folder.parent_path();
-  const std::string name = folder.filename().string();
-  ScenePage page{info.name.empty() ? name : info.name, {}, info.metric, up, {}};
-  page.about = {fmt::format("Run '{}': {} steps of training on {} photographs.", name, run.step, frames.size()),
-                fmt::format("Written by Semfield {}. Positions are in the input's world.", this_environment().version),
-                "The rights of the photographs hold for this file."};
+  ScenePage page;
+  page.run = folder.filename().string();
+  page.title = info.name.empty() ? page.run : info.name;
+  page.step = run.step;
+  page.metric = info.metric;
+  page.bounds = run.session.extent.bounds;
+  page.up = up;
+  page.logits = static_cast<int>(run.session.plan.class_of_logit.size());
+  page.about = {
+      fmt::format("Run '{}': {} steps of training on {} photographs.", page.run, run.step, frames.size()),
+      fmt::format("Source: {}.", run.session.config.dataset.entry->name),
+      fmt::format("Written by Semfield {} on {}. Positions are in the input's world.", this_environment().version,
+                  today()),
+      "The rights of the photographs hold for this file. Its viewer is part of Semfield (Apache License 2.0)."};
+  const std::filesystem::path objects = folder / "objects";
+  if (std::filesystem::exists(objects / "found.safetensors")) {
+    ObjectSet found = read_edited_objects(objects.string()).set;
+    if (!found.rows.empty()) page.objects = std::move(found);
+  }
   if (run.session.config.rendering.far != FarMode::background || frames.empty()) return page;
   Vec3d sum;
   for (const int f : frames) sum = sum + info.frames[static_cast<std::size_t>(f)].world_from_camera.t;
@@ -151,19 +210,50 @@ ScenePage scene_page_of(const OpenedRun& run, Vec3d up) {
   return page;
 }
 
+std::string page_objects_json(const ObjectSet& objects, const ClassTable& classes) {
+  Json out = Json::array();
+  for (const ObjectRow& row : objects.rows) {
+    if (row.points == 0) continue;
+    Json one = Json::parse(object_row_json(row, classes));
+    one["color"] = ClassTable::default_color(row.id);
+    for (const char* key : {"agreement", "area", "centroid"}) one.erase(key);
+    out.push_back(std::move(one));
+  }
+  return json_text(out);
+}
+
+std::vector<std::uint16_t> vertex_objects(const Surface& surface, const ObjectSet& objects) {
+  std::vector<std::uint16_t> ids;
+  for (const Vec3d& place : surface.positions) ids.push_back(static_cast<std::uint16_t>(objects.at(place)));
+  return ids;
+}
+
+std::string scene_page_text(const Surface& surface, const ClassTable& classes, const ScenePage& page) {
+  const Box box = box_of(surface, page);
+  Json facts = facts_of(surface, classes, page, box);
+  facts["ramp"] = ramp_text();
+  return viewer(page.title, facts, base64(deflated(packed(surface, page, box))), false);
+}
+
 void write_scene_page(const std::string& path, const Surface& surface, const ClassTable& classes,
                       const ScenePage& page) {
-  const Box box = box_of(surface);
-  const auto part = [](const std::string& name) {
-    return read_text_file(shared_file("app/render/scene_page/" + name));
-  };
-  std::string text = part("viewer.html");
-  fill_in(text, "<!--title-->", html_escape(page.title));
-  fill_in(text, "/*style*/", part("viewer.css"));
-  fill_in(text, "/*script*/", part("matrices.js") + part("viewer.js"));
-  fill_in(text, "/*facts*/", harmless(facts(surface, classes, page, box).dump()));
-  fill_in(text, "/*mesh*/", base64(deflated(packed(surface, box))));
-  write_file_atomic(path, text);
+  write_file_atomic(path, scene_page_text(surface, classes, page));
+}
+
+std::string live_page_text(const std::string& title, const std::vector<std::string>& runs) {
+  return viewer(title, {{"live", true}, {"runs", runs}, {"ramp", ramp_text()}}, "", true);
+}
+
+std::string scene_bytes(const Surface& surface, const ClassTable& classes, const ScenePage& page,
+                        const std::string& more) {
+  const Box box = box_of(surface, page);
+  Json facts = facts_of(surface, classes, page, box);
+  facts.update(Json::parse(more));
+  const std::string head = json_text(facts);
+  const std::vector<std::uint8_t> mesh = deflated(packed(surface, page, box));
+  std::string out;
+  for (int shift = 0; shift < 32; shift += 8) out += static_cast<char>(head.size() >> shift & 0xFF);
+  return out + head + std::string(mesh.begin(), mesh.end());
 }
 
 }  // namespace semfield::app

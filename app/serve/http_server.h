@@ -18,6 +18,7 @@ struct HttpResponse {
   std::string cache = "no-store";   ///< Cache-Control
   std::string download_name{};      ///< not empty: the browser saves it under this name
   std::string location{}, allow{};  ///< headers of 308 and 405
+  bool own_code = false;            ///< a page whose styles and scripts stand in it
 };
 
 /// What a server calls for every request. Neither function throws.
@@ -30,9 +31,11 @@ class HttpHandler {
   virtual HttpResponse answer(const HttpRequest& request) noexcept = 0;
 };
 
+inline constexpr int kUsualPort = 8787;
+
 struct HttpOptions {
   std::string address = "127.0.0.1";  ///< IPv4, numbers
-  int port = 8787;                    ///< a free_port()
+  int port = kUsualPort;              ///< a free_port()
   int threads = 64;                   ///< requests handled at a time; the others wait
   std::size_t connections = 512;      ///< with more, the one that has been idle the longest is closed
   std::size_t most_body_bytes = std::size_t{256} << 10;

@@ -30,7 +30,15 @@ constexpr std::size_t kMostOpen = 8;  // that wait or are being made
 std::vector<std::string> files_of(ExportKind kind) {
   if (kind == ExportKind::labels) return {"labels.zip"};
   if (kind == ExportKind::coco) return {"coco.json"};
+  if (kind == ExportKind::film) return {"video.mp4"};
   return {"mesh.ply", "mesh.glb", "mesh_classes.ply", "mesh_classes.glb"};
+}
+
+std::string type_of_export(const std::string& file) {
+  if (file.ends_with(".zip")) return "application/zip";
+  if (file.ends_with(".mp4")) return "video/mp4";
+  if (file.ends_with(".json")) return "application/json";
+  return "application/octet-stream";
 }
 
 bool is_open(const ExportState& state) { return state.state == "waiting" || state.state == "running"; }
@@ -55,7 +63,7 @@ PageExports::~PageExports() {
   for (Export& one : exports_) one.thread.join();
 }
 
-std::string PageExports::start(ExportKind kind) {
+std::string PageExports::start(ExportKind kind, const std::function<void(const std::string& folder)>& prepare) {
   const std::scoped_lock lock(mutex_);
   if (std::count_if(exports_.begin(), exports_.end(), [](const Export& e) { return is_open(e.state); }) >=
       static_cast<std::ptrdiff_t>(kMostOpen))
@@ -64,6 +72,7 @@ std::string PageExports::start(ExportKind kind) {
   std::string id;
   for (int n = 1; id.empty() || fs::exists(folder_of(id)); ++n) id = fmt::format("{}-{}", export_name(kind), n);
   create_folders(folder_of(id));
+  if (prepare) prepare(folder_of(id));
   Export& one = exports_.emplace_back(Export{kind, {id, export_name(kind), "waiting", "for its turn", {}}});
   ++changes_;
   one.thread = std::thread([this, &one] { make(one); });
@@ -117,7 +126,7 @@ void PageExports::make(Export& one) {
   try {
     if (!ends(one)) {
       tell(one, "running", "saving the field");
-      source_.save();
+      if (save_) save_();
       run_verb(one);
       if (one.kind == ExportKind::labels) pack_labels(folder);
     }
@@ -142,13 +151,17 @@ std::vector<std::string> PageExports::words(ExportKind kind, const std::string& 
   if (kind == ExportKind::coco)
     add({"export", run, "--split", "train", "--format", "coco", "--out", folder + "/coco.json"});
   if (kind == ExportKind::mesh) add({"mesh", run, "--format", "ply,glb", "--out", folder + "/mesh.ply"});
+  if (kind == ExportKind::film)
+    add({"render", run, "--trajectory", folder + "/path.json", "--video", "--out", folder + "/video.mp4"});
   for (const std::string& module : options_.modules) add({"--plugin", module});
   return words;
 }
 
 void PageExports::run_verb(Export& one) {
   const std::string folder = folder_of(one.state.id), log = folder + "/log.txt";
-  const std::string begun = one.kind == ExportKind::mesh ? "finding the surface" : "rendering the labels";
+  const std::string begun = one.kind == ExportKind::mesh   ? "finding the surface"
+                            : one.kind == ExportKind::film ? "rendering the path"
+                                                           : "rendering the labels";
   tell(one, "running", begun);
   const pid_t child = start_child(words(one.kind, folder), {folder + "/output.txt", log},
                                   [] { setpriority(PRIO_PROCESS, 0, kLowPriority); });
@@ -176,6 +189,21 @@ void PageExports::pack_labels(const std::string& folder) const {
     if (name.ends_with(kLabelEnd) || name == "classes.yaml") zip.add(name, read_text_file(entry.path().string()));
   }
   zip.write();
+}
+
+HttpResponse PageExports::download(const std::string& place) const {
+  const std::size_t slash = place.find('/');
+  const std::string number = slash == std::string::npos ? "" : place.substr(slash + 1);
+  const bool digits = !number.empty() && number.size() < 4 &&
+                      std::all_of(number.begin(), number.end(), [](char c) { return c >= '0' && c <= '9'; });
+  const std::string file = digits ? this->file(place.substr(0, slash), std::stoul(number)) : "";
+  if (file.empty())
+    return {404, "application/json",
+            error_json("serve.export.unknown", "no such file of an export", "the state lists what is done")};
+  HttpResponse response{200, type_of_export(file), ""};
+  response.file = file;
+  response.download_name = file.substr(file.rfind('/') + 1);
+  return response;
 }
 
 }  // namespace semfield::app

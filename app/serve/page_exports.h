@@ -1,17 +1,18 @@
-// Exports that the page requests: a checkpoint, then this program's own verbs as a process beside the training.
+// Exports that a page requests: this program's own verbs as a process beside it.
 #pragma once
 
 #include <atomic>
 #include <condition_variable>
 #include <cstdint>
+#include <functional>
 #include <list>
 #include <mutex>
 #include <string>
 #include <thread>
 #include <vector>
 
+#include "app/serve/http_server.h"
 #include "app/serve/page_requests.h"
-#include "app/serve/page_source.h"
 #include "app/serve/page_state.h"
 
 namespace semfield::app {
@@ -25,15 +26,18 @@ struct ExportOptions {
 /// Exports lie in RUN/export/ID/ and stay there. Two are made side by side, the others wait for their turn.
 class PageExports {
  public:
-  PageExports(PageSource& source, ExportOptions options) : source_(source), options_(std::move(options)) {}
+  /// `save` writes a checkpoint, and returns when it is there; null where nothing trains.
+  PageExports(std::function<void()> save, ExportOptions options)
+      : save_(std::move(save)), options_(std::move(options)) {}
   /// Ends the processes of exports that are being made.
   ~PageExports();
   PageExports(const PageExports&) = delete;
   PageExports& operator=(const PageExports&) = delete;
 
   /// The id of the export that was begun or waits. Throws Error: unavailable where too many wait, write_error for its
-  /// folder.
-  std::string start(ExportKind kind);
+  /// folder. `prepare` gets the folder before its program
+  /// begins: a film's cameras are FOLDER/path.json.
+  std::string start(ExportKind kind, const std::function<void(const std::string& folder)>& prepare = {});
   /// Ends an export; what is done stays. False: there is none of this id.
   bool cancel(const std::string& id);
   std::vector<ExportState> list() const;
@@ -41,6 +45,8 @@ class PageExports {
   std::uint64_t changes() const { return changes_; }
   /// Path of file `number` of an export that is done; "" where there is none.
   std::string file(const std::string& id, std::uint64_t number) const;
+  /// The answer to a request for "ID/NUMBER": that file, or 404.
+  HttpResponse download(const std::string& place) const;
 
  private:
   // One export and the thread that waits for its turn and its program.
@@ -58,7 +64,7 @@ class PageExports {
   void tell(Export& one, const std::string& state, const std::string& text, const std::vector<std::string>& files = {});
   std::string folder_of(const std::string& id) const { return options_.run_dir + "/export/" + id; }
 
-  PageSource& source_;
+  std::function<void()> save_;
   ExportOptions options_;
   mutable std::mutex mutex_;  // of these four, but for the threads
   std::condition_variable turn_;

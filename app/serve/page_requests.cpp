@@ -1,181 +1,67 @@
 #include "app/serve/page_requests.h"
 
-#include <algorithm>
-#include <array>
 #include <charconv>
-#include <cmath>
-#include <nlohmann/json.hpp>
-#include <set>
-#include <vector>
 
-#include "core/error.h"
-#include "core/text.h"
+#include "app/serve/request_json.h"
 #include "labels/clicks/label_event.h"
 
 namespace semfield::app {
 
-namespace {
-
-using Json = nlohmann::ordered_json;
-
-[[noreturn]] void refuse(const std::string& message, const std::string& remedy = {}) {
-  throw Error(ErrorKind::data, "serve.request.invalid", "request: " + message, remedy);
-}
-
-std::string shown(const Json& value) {
-  constexpr std::size_t kMost = 60;
-  if (value.is_array()) return "a list of " + std::to_string(value.size());
-  if (value.is_object()) return "a map";
-  const std::string text = value.dump(-1, ' ', true, Json::error_handler_t::replace);
-  return text.size() > kMost ? text.substr(0, kMost) + "..." : text;
-}
-
-[[noreturn]] void refuse_value(const std::string& key, const std::string& expected, const Json& found) {
-  refuse("'" + key + "': expected " + expected + ", got " + shown(found));
-}
-
-void check_keys(const Json& map, const std::vector<std::string>& known) {
-  for (const auto& item : map.items()) {
-    if (std::find(known.begin(), known.end(), item.key()) != known.end()) continue;
-    const std::string near = did_you_mean(item.key(), known);
-    refuse("unknown key " + shown(Json(item.key())),
-           near.empty() ? "known: " + join(known) : "did you mean '" + near + "'?");
-  }
-}
-
-// A map whose keys, and those of the maps in it, are given once.
-Json parse_map(std::string_view text, const std::vector<std::string>& known) {
-  std::vector<std::set<std::string>> keys;
-  std::string twice;
-  const Json::parser_callback_t watch = [&](int, Json::parse_event_t event, Json& parsed) {
-    if (event == Json::parse_event_t::object_start) keys.emplace_back();
-    if (event == Json::parse_event_t::object_end && !keys.empty()) keys.pop_back();
-    if (event == Json::parse_event_t::key && !keys.empty() && !keys.back().insert(parsed.get<std::string>()).second &&
-        twice.empty())
-      twice = shown(parsed);
-    return true;
-  };
-  Json root;
-  try {
-    root = Json::parse(text, watch);
-  } catch (const Json::exception& e) {
-    refuse("not valid JSON: " + json_cause(e.what()));
-  }
-  if (!root.is_object()) refuse("expected a map, got " + shown(root));
-  if (!twice.empty()) refuse("key " + twice + " is given twice");
-  check_keys(root, known);
-  return root;
-}
-
-void read_flag(const Json& root, const char* key, bool& into) {
-  const auto found = root.find(key);
-  if (found == root.end()) return;
-  if (!found->is_boolean()) refuse_value(key, "true or false", *found);
-  into = found->get<bool>();
-}
-
-void read_whole(const Json& root, const char* key, std::int32_t low, std::int32_t high, std::int32_t& into) {
-  const auto found = root.find(key);
-  if (found == root.end()) return;
-  const bool whole = found->is_number_unsigned() && found->get<std::uint64_t>() <= static_cast<std::uint64_t>(high);
-  if (!whole || found->get<std::int32_t>() < low)
-    refuse_value(key, "a whole number from " + std::to_string(low) + " to " + std::to_string(high), *found);
-  into = found->get<std::int32_t>();
-}
-
-template <std::size_t N>
-std::array<double, N> numbers_at(const Json& map, const char* key, double most) {
-  const auto found = map.find(key);
-  if (found == map.end()) refuse(std::string("'camera': key '") + key + "' is missing");
-  const std::string expected = std::to_string(N) + " numbers";
-  if (!found->is_array() || found->size() != N) refuse_value(key, expected, *found);
-  std::array<double, N> out{};
-  for (std::size_t i = 0; i < N; ++i) {
-    const Json& value = (*found)[i];
-    if (!value.is_number()) refuse_value(key, expected, value);
-    out[i] = value.get<double>();
-    if (!(std::abs(out[i]) <= most)) refuse_value(key, expected + " of a size that a scene can have", value);
-  }
-  return out;
-}
-
-FreeCamera read_camera(const Json& map) {
-  if (!map.is_object()) refuse_value("camera", "a map", map);
-  check_keys(map, {"position", "rotation", "fov_deg"});
-  FreeCamera camera;
-  const auto position = numbers_at<3>(map, "position", 1e6);
-  const auto rotation = numbers_at<9>(map, "rotation", 1.01);
-  camera.world_from_camera.t = {position[0], position[1], position[2]};
-  auto& r = camera.world_from_camera.r;
-  for (std::size_t i = 0; i < 9; ++i) r[i / 3][i % 3] = rotation[i];
-  double off = 0;
-  for (int a = 0; a < 3; ++a)
-    for (int b = 0; b < 3; ++b)
-      off = std::max(off, std::abs(dot(camera.world_from_camera.axis(a), camera.world_from_camera.axis(b)) - (a == b)));
-  const Pose& pose = camera.world_from_camera;
-  if (!(off <= 1e-3) || !(dot(cross(pose.axis(0), pose.axis(1)), pose.axis(2)) > 0))
-    refuse("'rotation' is no rotation", "send the rows of world_from_camera: orthonormal columns, right-handed");
-  if (const auto fov = map.find("fov_deg"); fov != map.end()) {
-    if (fov->is_number()) camera.fov_deg = fov->get<double>();
-    if (!fov->is_number() || !(camera.fov_deg >= 1 && camera.fov_deg <= 170))
-      refuse_value("fov_deg", "degrees from 1 to 170", *fov);
-  }
-  return camera;
-}
-
-}  // namespace
-
 PictureRequest parse_picture_request(std::string_view json) {
   const Json root =
-      parse_map(json, {"client", "view", "camera", "at", "most_px", "color", "labels", "entropy", "full"});
+      parse_request(json, {"client", "view", "camera", "at", "most_px", "color", "labels", "entropy", "full"});
   PictureRequest request;
   const auto client = root.find("client");
-  if (client == root.end()) refuse("key 'client' is missing");
+  if (client == root.end()) refuse_request("key 'client' is missing");
   const std::string* name = client->get_ptr<const std::string*>();
   if (name == nullptr || !is_event_id(*name))
-    refuse_value("client", "1 to 64 letters of a-z, A-Z, 0-9, '-' and '_'", *client);
+    refuse_request_value("client", "1 to 64 letters of a-z, A-Z, 0-9, '-' and '_'", *client);
   request.client = *name;
   const auto camera = root.find("camera");
-  if (camera != root.end()) request.camera = read_camera(*camera);
-  read_whole(root, "view", 0, 1 << 24, request.view);
-  if ((request.view >= 0) == request.camera.has_value()) refuse("expected either 'view' or 'camera'");
+  if (camera != root.end()) request.camera = read_request_camera(*camera);
+  read_request_number(root, "view", 0, 1 << 24, request.view);
+  if ((request.view >= 0) == request.camera.has_value()) refuse_request("expected either 'view' or 'camera'");
   if (root.contains("at")) {
-    if (!request.camera) refuse("'at' is a point of a camera's picture, and there is no 'camera'");
-    const auto at = numbers_at<2>(root, "at", 1);
-    if (!(at[0] >= 0 && at[1] >= 0)) refuse_value("at", "shares of width and height from 0 to 1", root["at"]);
+    if (!request.camera) refuse_request("'at' is a point of a camera's picture, and there is no 'camera'");
+    const auto at = request_numbers<2>(root, "at", 1);
+    if (!(at[0] >= 0 && at[1] >= 0)) refuse_request_value("at", "shares of width and height from 0 to 1", root["at"]);
     request.at = PixelPoint{at[0], at[1]};
     request.labels = false;
     for (const char* map : {"color", "labels", "entropy", "full"})
-      if (root.contains(map)) refuse(std::string("'") + map + "' and 'at': a question about a point gets no picture");
+      if (root.contains(map))
+        refuse_request(std::string("'") + map + "' and 'at': a question about a point gets no picture");
     return request;
   }
-  read_whole(root, "most_px", 16, kMostPictureSide, request.most_px);
-  read_flag(root, "color", request.color);
-  read_flag(root, "labels", request.labels);
-  read_flag(root, "entropy", request.entropy);
-  read_flag(root, "full", request.full);
+  read_request_number(root, "most_px", 16, kMostPictureSide, request.most_px);
+  read_request_flag(root, "color", request.color);
+  read_request_flag(root, "labels", request.labels);
+  read_request_flag(root, "entropy", request.entropy);
+  read_request_flag(root, "full", request.full);
   if (!request.color && !request.labels && !request.entropy)
-    refuse("no map is asked for", "set one of 'color', 'labels' and 'entropy' to true");
+    refuse_request("no map is asked for", "set one of 'color', 'labels' and 'entropy' to true");
   return request;
 }
 
 const char* export_name(ExportKind kind) {
-  return kind == ExportKind::labels ? "labels" : kind == ExportKind::coco ? "coco" : "mesh";
+  return kind == ExportKind::labels ? "labels"
+         : kind == ExportKind::coco ? "coco"
+         : kind == ExportKind::mesh ? "mesh"
+                                    : "film";
 }
 
 ExportRequest parse_export_request(std::string_view json) {
-  const Json root = parse_map(json, {"what", "cancel"});
+  const Json root = parse_request(json, {"what", "cancel"});
   const auto what = root.find("what"), cancel = root.find("cancel");
-  if ((what == root.end()) == (cancel == root.end())) refuse("expected either 'what' or 'cancel'");
+  if ((what == root.end()) == (cancel == root.end())) refuse_request("expected either 'what' or 'cancel'");
   if (cancel != root.end()) {
     const std::string* id = cancel->get_ptr<const std::string*>();
-    if (id == nullptr || !is_event_id(*id)) refuse_value("cancel", "the id of an export", *cancel);
+    if (id == nullptr || !is_event_id(*id)) refuse_request_value("cancel", "the id of an export", *cancel);
     return {std::nullopt, *id};
   }
   for (const ExportKind kind : {ExportKind::labels, ExportKind::coco, ExportKind::mesh}) {
     if (*what == export_name(kind)) return {kind, ""};
   }
-  refuse_value("what", "labels, coco or mesh", *what);
+  refuse_request_value("what", "labels, coco or mesh", *what);
 }
 
 std::optional<std::string_view> query_value(std::string_view query, std::string_view key) {
@@ -194,7 +80,7 @@ std::uint64_t query_number(std::string_view query, std::string_view key, std::ui
   std::uint64_t value = 0;
   const auto [end, cause] = std::from_chars(digits->data(), digits->data() + digits->size(), value);
   if (cause != std::errc() || end != digits->data() + digits->size() || value > most)
-    refuse("'" + std::string(key) + "': expected a whole number from 0 to " + std::to_string(most));
+    refuse_request("'" + std::string(key) + "': expected a whole number from 0 to " + std::to_string(most));
   return value;
 }
 

@@ -16,7 +16,7 @@ inline constexpr std::int32_t kMostPhotoSide = 65536;   ///< pixels that a reque
 /// missing, unknown or given twice. That the view exists is the session's to say.
 PictureRequest parse_picture_request(std::string_view json);
 
-enum class ExportKind { labels, coco, mesh };
+enum class ExportKind { labels, coco, mesh, film };
 const char* export_name(ExportKind kind);
 /// What is to be made, or else the id of the export that is to end.
 struct ExportRequest {

@@ -26,12 +26,6 @@ std::int64_t now_ms() {
       .count();
 }
 
-// What the client did wrong is 400; what could not be kept or made now is 503.
-int status_of(ErrorKind kind) {
-  if (kind == ErrorKind::data || kind == ErrorKind::usage) return 400;
-  return kind == ErrorKind::internal ? 500 : 503;
-}
-
 class Counted {
  public:
   explicit Counted(std::atomic<int>& count) : count_(count) { ++count_; }
@@ -45,16 +39,10 @@ class Counted {
 
 HttpResponse json(std::string text) { return {200, "application/json", std::move(text)}; }
 
-std::string type_of_export(const std::string& file) {
-  if (file.ends_with(".zip")) return "application/zip";
-  if (file.ends_with(".json")) return "application/json";
-  return "application/octet-stream";
-}
-
 }  // namespace
 
 PageServer::PageServer(PageSource& source, PageOptions options)
-    : source_(source), options_(std::move(options)), exports_(source, options_.exports) {
+    : source_(source), options_(std::move(options)), exports_([&source] { source.save(); }, options_.exports) {
   HttpOptions& http = options_.http;
   http.port = free_port(http.address, http.port, options_.next_port);
   access_ = std::make_unique<PageAccess>(options_.token, http.address, http.port);
@@ -76,18 +64,7 @@ std::optional<HttpResponse> PageServer::refuse(const HttpRequest& head) noexcept
 }
 
 HttpResponse PageServer::answer(const HttpRequest& request) noexcept {
-  try {
-    try {
-      return route(access_->name_of(request.path), request);
-    } catch (const Error& e) {
-      return {status_of(e.kind()), "application/json", error_json(e.code(), e.message(), e.remedy())};
-    } catch (const std::exception& e) {
-      return {500, "application/json",
-              error_json("internal.exception", std::string("internal error: ") + e.what(), "")};
-    }
-  } catch (const std::exception&) {
-    return {500, "text/plain", ""};
-  }
+  return safe_answer([&] { return route(access_->name_of(request.path), request); });
 }
 
 HttpResponse PageServer::route(const std::string& name, const HttpRequest& request) {
@@ -97,23 +74,17 @@ HttpResponse PageServer::route(const std::string& name, const HttpRequest& reque
   using Post = HttpResponse (PageServer::*)(const HttpRequest&);
   static const std::map<std::string, Post> posts{
       {"event", &PageServer::post_event}, {"picture", &PageServer::post_picture}, {"export", &PageServer::post_export}};
-  const auto not_this = [](const char* allowed) {
-    HttpResponse wrong{405, "application/json",
-                       error_json("serve.request.method", "this address takes another method", "")};
-    wrong.allow = allowed;
-    return wrong;
-  };
   if (const auto post = posts.find(name); post != posts.end())
-    return request.method == "POST" ? (this->*(post->second))(request) : not_this("POST");
+    return request.method == "POST" ? (this->*(post->second))(request) : wrong_method("POST");
   if (const auto get = gets.find(name); get != gets.end())
-    return request.method == "GET" ? (this->*(get->second))(request) : not_this("GET");
+    return request.method == "GET" ? (this->*(get->second))(request) : wrong_method("GET");
   const std::string exported = "export/";
   const auto file = options_.files.find(name);
   if (file == options_.files.end() && !name.starts_with(exported))
     return {404, "application/json",
             error_json("serve.address.unknown", "nothing is at this address", "see docs/reference/labelling_http.md")};
-  if (request.method != "GET") return not_this("GET");
-  if (file == options_.files.end()) return get_export(name.substr(exported.size()));
+  if (request.method != "GET") return wrong_method("GET");
+  if (file == options_.files.end()) return exports_.download(name.substr(exported.size()));
   return {200, file->second.type, file->second.bytes};
 }
 
@@ -196,21 +167,6 @@ HttpResponse PageServer::post_export(const HttpRequest& request) {
     return json(nlohmann::ordered_json{{"id", wanted.cancel}}.dump());
   }
   return json(nlohmann::ordered_json{{"id", exports_.start(*wanted.what)}}.dump());
-}
-
-HttpResponse PageServer::get_export(const std::string& rest) const {
-  const std::size_t slash = rest.find('/');
-  const std::string number = slash == std::string::npos ? "" : rest.substr(slash + 1);
-  const bool digits = !number.empty() && number.size() < 4 &&
-                      std::all_of(number.begin(), number.end(), [](char c) { return c >= '0' && c <= '9'; });
-  const std::string file = digits ? exports_.file(rest.substr(0, slash), std::stoul(number)) : "";
-  if (file.empty())
-    return {404, "application/json",
-            error_json("serve.export.unknown", "no such file of an export", "the state lists what is done")};
-  HttpResponse response{200, type_of_export(file), ""};
-  response.file = file;
-  response.download_name = file.substr(file.rfind('/') + 1);
-  return response;
 }
 
 }  // namespace semfield::app

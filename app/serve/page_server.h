@@ -48,7 +48,6 @@ class PageServer final : private HttpHandler {
   HttpResponse get_state(const HttpRequest& request) const;
   HttpResponse get_photo(const HttpRequest& request) const;
   HttpResponse get_camera(const HttpRequest& request) const;
-  HttpResponse get_export(const std::string& rest) const;
   HttpResponse post_event(const HttpRequest& request);
   HttpResponse post_picture(const HttpRequest& request);
   HttpResponse post_export(const HttpRequest& request);

@@ -2,6 +2,8 @@
 
 #include <nlohmann/json.hpp>
 
+#include "core/error.h"
+
 namespace semfield::app {
 
 namespace {
@@ -66,6 +68,11 @@ Json list(const Items& items, ToJson&& to_json) {
   return out;
 }
 
+int status_of(ErrorKind kind) {
+  if (kind == ErrorKind::data || kind == ErrorKind::usage) return 400;
+  return kind == ErrorKind::internal ? 500 : 503;
+}
+
 }  // namespace
 
 std::string state_json(const LabelState& s, const PageSource& source, const std::vector<ExportState>& exports,
@@ -106,6 +113,28 @@ std::string camera_json(const FreeCamera& camera) {
 
 std::string error_json(Code code, const std::string& message, const std::string& remedy) {
   return text_of({{"error", message}, {"code", code.text()}, {"remedy", remedy}});
+}
+
+HttpResponse safe_answer(const std::function<HttpResponse()>& answer) noexcept {
+  try {
+    try {
+      return answer();
+    } catch (const Error& e) {
+      return {status_of(e.kind()), "application/json", error_json(e.code(), e.message(), e.remedy())};
+    } catch (const std::exception& e) {
+      return {500, "application/json",
+              error_json("internal.exception", std::string("internal error: ") + e.what(), "")};
+    }
+  } catch (const std::exception&) {  // no memory
+    return {500, "text/plain", ""};
+  }
+}
+
+HttpResponse wrong_method(const char* allowed) {
+  HttpResponse wrong{405, "application/json",
+                     error_json("serve.request.method", "this address takes another method", "")};
+  wrong.allow = allowed;
+  return wrong;
 }
 
 }  // namespace semfield::app

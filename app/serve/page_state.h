@@ -1,9 +1,11 @@
 // The state of a session as JSON, as the page follows it.
 #pragma once
 
+#include <functional>
 #include <string>
 #include <vector>
 
+#include "app/serve/http_server.h"
 #include "app/serve/page_source.h"
 #include "core/error.h"
 
@@ -12,7 +14,7 @@ namespace semfield::app {
 /// One export, as the page shows it.
 struct ExportState {
   std::string id;
-  std::string what;                ///< "labels", "coco" or "mesh"
+  std::string what;                ///< export_name()
   std::string state = "waiting";   ///< then "running", then "done", "failed" or "canceled"
   std::string text;                ///< a short sentence
   std::vector<std::string> files;  ///< names, when it is done
@@ -33,5 +35,10 @@ std::string camera_json(const FreeCamera& camera);
 
 /// {"error", "code", "remedy"}.
 std::string error_json(Code code, const std::string& message, const std::string& remedy);
+/// What `answer` returns, or what it throws as such a response: what the client did wrong is 400; what could not be
+/// kept or made now is 503.
+HttpResponse safe_answer(const std::function<HttpResponse()>& answer) noexcept;
+/// 405 at an address that takes another method.
+HttpResponse wrong_method(const char* allowed);
 
 }  // namespace semfield::app

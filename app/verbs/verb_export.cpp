@@ -1,4 +1,4 @@
-// export: label maps of a run's field for labelling tools.
+// export: label maps of a run's field for labelling tools, or the run as one page to send.
 #include <fmt/format.h>
 
 #include <cstdio>
@@ -8,6 +8,8 @@
 
 #include "app/json_output.h"
 #include "app/progress_line.h"
+#include "app/render/run_surface.h"
+#include "app/render/scene_page.h"
 #include "app/verb.h"
 #include "core/findings.h"
 #include "eval/image_output.h"
@@ -30,10 +32,12 @@ struct ExportVerbOptions {
   std::string format = "coco";        ///< coco, coco_rle, labelme or png
   std::string size = "stored";        ///< or "trained"
   std::string out;                    ///< file for COCO, folder for the others
+  std::string to;                     ///< an HTML file instead of labels
   std::optional<long long> min_area;  ///< pixels; smaller regions take the class around them
   std::vector<std::string> set;
 };
 
+constexpr long long kPageFaces = 2'000'000;      // about 20 MB
 constexpr std::int64_t kPixelsOfARegion = 4096;  // of an image, for one of the least region that stands by itself
 
 // The stored image of a frame, "" when its dataset has none.
@@ -124,7 +128,49 @@ class Exporter {
   int frames_ = 0;
 };
 
+// The page that `semfield mesh` writes as HTML.
+int export_page(const ExportVerbOptions& options, AppContext& context) {
+  if (!options.to.ends_with(".html"))
+    throw Error(ErrorKind::usage, "export.page.ending", "--to " + options.to + ": no page ends so",
+                "end it with .html; meshes and points are written by `semfield mesh --out`");
+  Diagnostics diagnostics;
+  const OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
+  context.adopt(run.session.config);
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
+  SurfaceWishes wishes;
+  wishes.faces = kPageFaces;
+  RunSurface found;
+  {
+    ProgressLine progress(context, "depth of", "views");
+    found = make_run_surface(run.session, options.run, wishes, {},
+                             {[&](const std::string& note) { print_note(context, note); },
+                              [&](double done, double of) { progress.show(done, of); }});
+  }
+  const std::filesystem::path file(options.to);
+  if (file.has_parent_path()) create_folders(file.parent_path().string());
+  const ScenePage page = scene_page_of(run, upright_of(run.session).value_or(Vec3d{0, 1, 0}));
+  write_scene_page(options.to, found.surface, run.session.scene.info.classes, page);
+  const std::size_t objects = page.objects ? page.objects->rows.size() : 0;
+  const double megabytes = static_cast<double>(std::filesystem::file_size(file)) * 1e-6;
+  if (context.json) {
+    print_json(context, {{"run", options.run},
+                         {"step", run.step},
+                         {"faces", found.surface.triangles.size()},
+                         {"objects", objects},
+                         {"megabytes", megabytes},
+                         {"out", options.to}});
+    return 0;
+  }
+  std::printf("export: faces=%zu objects=%zu megabytes=%.1f out=%s\n", found.surface.triangles.size(), objects,
+              megabytes, options.to.c_str());
+  return 0;
+}
+
 int run(const ExportVerbOptions& options, AppContext& context) {
+  if (!options.to.empty()) return export_page(options, context);
+  if (options.out.empty())
+    throw Error(ErrorKind::usage, "usage.flag.missing", "neither --out nor --to",
+                "name a file or folder for labels with --out, or a page with --to scene.html");
   Diagnostics diagnostics;
   OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
   context.adopt(run.session.config);
@@ -176,15 +222,19 @@ void words(VerbWords& verb, ExportVerbOptions& options) {
   verb.value_in(
       "--min-area N", options.min_area, 0, 1e9,
       "merge regions of fewer pixels into the class around them; 0: none (default: 1/4096 of an image's pixels)");
-  verb.required("--out PATH", options.out, "file to write for COCO, folder for labelme and png");
+  verb.value("--out PATH", options.out, "file to write for COCO, folder for labelme and png");
+  verb.value("--to FILE", options.to,
+             "instead of labels, one page that any browser opens without a network: FILE.html, with the mesh, its "
+             "classes and the objects that were found");
+  verb.excludes("--to", "--out");
   verb.run_settings(options.set);
 }
 
 }  // namespace
 
 Verb verb_export() {
-  return with_json(
-      make_verb<ExportVerbOptions>("export", 130, "write the labels of a run's field for labelling tools", words, run));
+  return with_json(make_verb<ExportVerbOptions>(
+      "export", 130, "write the labels of a run's field for labelling tools, or the run as one page", words, run));
 }
 
 }  // namespace semfield::app

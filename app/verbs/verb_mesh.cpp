@@ -45,10 +45,7 @@ struct Upright {
 
 Upright upright_of(const MeshOptions& options, const Session& s) {
   if (const auto named = axis_named(options.up)) return {named, ""};
-  std::vector<Pose> poses;
-  for (const int f : s.scene.frames_of(Split::train))
-    poses.push_back(s.scene.info.frames[static_cast<std::size_t>(f)].world_from_camera);
-  const std::optional<Vec3d> up = up_of_cameras(poses);
+  const std::optional<Vec3d> up = upright_of(s);
   if (!up) return {up, "the cameras do not tell which way is up: files show +y upright; --up names another axis"};
   return {up, fmt::format("files show {} upright, as the cameras stand; --up names another axis", axis_text(*up))};
 }
@@ -102,7 +99,7 @@ int run(const MeshOptions& options, AppContext& context) {
   Diagnostics diagnostics;
   OpenedRun run = open_run(
       options.run, options.set, context.registry, diagnostics,
-      options.score || options.surface == "sensor" ? OpenFor::evaluation_of_training_frames : OpenFor::rendering);
+      options.score || options.source == "sensor" ? OpenFor::evaluation_of_training_frames : OpenFor::rendering);
   context.adopt(run.session.config);
   for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
   const Session& s = run.session;
@@ -131,7 +128,7 @@ int run(const MeshOptions& options, AppContext& context) {
   if (context.json) {
     Json told{{"run", options.run}, {"step", run.step}};
     if (wants_surface) {
-      told["spacing"] = found.spacing;
+      told["spacing"] = found.grid.spacing;
       told["surface"] = found.source;
       told["vertices"] = found.surface.positions.size();
       told["faces"] = found.surface.triangles.size();
@@ -141,7 +138,7 @@ int run(const MeshOptions& options, AppContext& context) {
     told["files"] = out.files();
     if (found.level) told["level"] = *found.level;
     if (upright) told["up"] = {up.x, up.y, up.z};
-    if (options.close_holes && wants_surface) told["holes_closed"] = found.holes_closed;
+    if (options.close_holes && wants_surface) told["holes_closed"] = found.closed;
     if (points > 0) told["points"] = points;
     if (found.scores) told["score"] = scores_json(*found.scores);
     print_json(context, told);
@@ -164,7 +161,7 @@ void words(VerbWords& verb, MeshOptions& options) {
   verb.positive("--voxel X", options.voxel, "edge of a cell in metres, instead of --resolution");
   verb.excludes("--voxel", "--resolution");
   verb.choice(
-      "--surface WHICH", options.surface, {"depth", "density", "sensor"},
+      "--surface WHICH", options.source, {"depth", "density", "sensor"},
       "depth: fused from the depth of the training views; density: where the field becomes opaque; sensor: fused from "
       "the depth images of the training frames (default: depth where rays end in a background, density for what is "
       "alone in empty space)");

@@ -40,8 +40,6 @@ struct ServeOptions {
 
 namespace fs = std::filesystem;
 
-constexpr int kUsualPort = 8787;
-
 // The session as the page's server calls it.
 class SessionSource final : public PageSource {
  public:
@@ -81,7 +79,8 @@ struct Target {
 };
 
 // A run goes on with the configuration that it has settled.
-Target going_on(const std::string& run_dir, const ServeOptions& options, Registry& registry, const char* remedy) {
+Target going_on(const std::string& run_dir, const ServeOptions& options, Registry& registry,
+                const std::string& remedy) {
   RunConfig begun = load_run_config(RunFolder::read(run_dir).config_path(), options.set, registry);
   // A run of `semfield train` has no logits for classes that are named later.
   if (begun.labels.selection.class_room == 0)
@@ -95,7 +94,9 @@ Target target_of(const ServeOptions& options, const AppContext& context, Registr
     if (!options.out.empty())
       throw Error(ErrorKind::usage, "usage.flag.conflict", "--out " + options.out + ": a run goes on in its own folder",
                   "leave --out out");
-    return going_on(options.what, options, registry, "begin one of its own: semfield serve CONFIG --out FOLDER");
+    return going_on(options.what, options, registry,
+                    "look at it: semfield view " + shell_word(options.what) +
+                        "; or label in a run of its own: semfield serve CONFIG --out FOLDER");
   }
   RunConfig config = load_run_config(options.what, options.set, registry);
   const std::string run_dir = options.out.empty() ? "runs/" + config.name : options.out;

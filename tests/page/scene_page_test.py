@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The HTML file of `semfield mesh`, beside the PLY file of the same mesh, and in headless Chromium: scene_page_test.py PROGRAM CONFIG"""
+"""The page of a run, as a file beside the PLY file of the same mesh and from `semfield view`, in headless Chromium: scene_page_test.py PROGRAM CONFIG"""
 
 import base64
 import itertools
@@ -14,9 +14,10 @@ import tempfile
 import zlib
 
 import browser
+import live_view
 
 PROGRAM, CONFIG = sys.argv[1:3]
-SETTINGS = {"scene.frames": 24, "scene.test_frames": 1, "scene.load.width_px": 80, "train.steps": 200, "runtime.threads": 2, "report.eval_share": 0}
+SETTINGS = {"scene.frames": 24, "scene.test_frames": 1, "scene.load.width_px": 80, "scene.labels.frames": "all", "train.steps": 200, "runtime.threads": 2, "report.eval_share": 0}
 NO_CLASS = 65535
 
 
@@ -35,7 +36,7 @@ def numbers(data, at, form, count):
 
 
 def read_page(text):
-    """facts, corners of triangles, positions, labels and colours."""
+    """facts, corners of triangles, positions, labels, colours, entropy and objects."""
     facts = json.loads(part(text, "facts"))
     data, count = zlib.decompress(base64.b64decode(part(text, "mesh"))), facts["vertices"]
     steps, at = numbers(data, 0, "I", 3 * facts["triangles"])
@@ -50,24 +51,26 @@ def read_page(text):
     for _ in range(3):
         channel, at = numbers(data, at, "B", count)
         channels.append(channel)
+    entropy, at = numbers(data, at, "B", count)
+    objects, at = numbers(data, at, "H", count) if facts["objects"] else ((0,) * count, at)
     assert at == len(data), (at, len(data))
-    return facts, corners, list(zip(*axes)), labels, list(zip(*channels))
+    return facts, corners, list(zip(*axes)), labels, list(zip(*channels)), entropy, objects
 
 
 def read_ply(path):
-    """Positions, colours and class ids of vertices; corners of faces."""
+    """Positions, colours, class ids and entropy of vertices; corners of faces."""
     head, _, body = pathlib.Path(path).read_bytes().partition(b"end_header\n")
     counts = [int(words[2]) for words in (line.split() for line in head.decode().splitlines()) if words[0] == "element"]
     vertex = struct.Struct("<ddd fff BBB i f f f".replace(" ", ""))
     rows = [vertex.unpack_from(body, i * vertex.size) for i in range(counts[0])]
     face = struct.Struct("<B3I" if b"list uchar uint" in head else "<B3i")
     corners = [face.unpack_from(body, counts[0] * vertex.size + i * face.size)[1:] for i in range(counts[1])]
-    return [row[:3] for row in rows], [row[6:9] for row in rows], [row[9] for row in rows], corners
+    return [row[:3] for row in rows], [row[6:9] for row in rows], [row[9] for row in rows], [row[11] for row in rows], corners
 
 
 def compare(page, ply):
-    facts, corners, places, labels, colors = page
-    positions, ply_colors, ids, faces = ply
+    facts, corners, places, labels, colors, shares, objects = page
+    positions, ply_colors, ids, entropy, faces = ply
     assert (facts["vertices"], facts["triangles"], facts["unit"]) == (len(positions), len(faces), "m"), facts
     allowed = max(high - low for low, high in zip(facts["low"], facts["high"])) / 65535
     for a, b in zip(places, positions):
@@ -76,6 +79,10 @@ def compare(page, ply):
     of_ids = [-1 if label == NO_CLASS else facts["classes"][label]["id"] for label in labels]
     assert all(got == want or (got == -1 and want < 0) for got, want in zip(of_ids, ids)), "classes of vertices"
     assert len(set(of_ids)) > 2, "a room has some classes"
+    most = max(entropy)
+    assert all(abs(share / max(shares) - nats / most) < 0.02 for share, nats in zip(shares, entropy)), "entropy as a share"
+    ids_there = {row["id"] for row in facts["objects"]}
+    assert ids_there and set(objects) - {0} <= ids_there and len(set(objects)) > 2, (ids_there, set(objects))
     voted = 0
     for i, face in enumerate(faces):
         own = corners[3 * i:3 * i + 3]
@@ -88,79 +95,91 @@ def compare(page, ply):
     assert voted > 0, "some border of classes"
 
 
-def look(path, page):
-    facts, _, places, labels, _ = page
-    with browser.Driver() as driver:
-        view = driver.browser()
-        view.open("file://" + str(path))
-        view.wait("document.body.dataset.state === 'ready'", "the page draws", 60)
-        assert view.text("#title") == facts["title"] and "steps of training" in view.text("#about")
-        assert view.run("return performance.getEntriesByType('resource').length") == 0, "nothing is fetched"
-        calls = view.run("return semfield.drawing.calls")
-        view.click("#class")
-        view.wait(f"semfield.drawing.calls === {calls + 1}", "a press of a button is one draw call")
+def look(driver, path, page):
+    facts, _, places, labels, *_ = page
+    view = driver.browser()
+    view.open("file://" + str(path))
+    view.wait("document.body.dataset.state === 'ready'", "the page draws", 60)
+    assert view.text("#title") == facts["title"] and "steps of training" in view.text("#about")
+    assert view.run("return performance.getEntriesByType('resource').length") == 0, "nothing is fetched"
+    calls = view.run("return semfield.drawing.calls")
+    view.click("#class")
+    view.wait(f"semfield.drawing.calls === {calls + 1}", "a press of a button is one draw call")
 
-        # A vertex whose place in the window is known is read there, as it lies in the input's world.
-        reads = view.run("""
-            const [places] = arguments, clip = semfield.camera.matrices().clip, found = [];
-            for (let i = 0; i < places.length && found.length < 60; i += 97) {
-              const p = moved(clip, places[i]);
-              if (Math.abs(p[0]) > 0.9 || Math.abs(p[1]) > 0.9) continue;
-              const x = (p[0] + 1) / 2 * canvas.clientWidth, y = (1 - p[1]) / 2 * canvas.clientHeight;
-              const read = semfield.read(x, y);
-              if (read !== null) found.push([i, read, moved(clip, read.place), p]);
-            }
-            return found;""", places)
-        near = [(i, read) for i, read, _, _ in reads if math.dist(read["place"], places[i]) < 0.05]
-        assert len(near) >= 5, f"{len(near)} of {len(reads)} vertices are read where they are"
-        for _, _, got, want in reads:  # others are hidden by what lies before them, on the same ray
-            assert math.hypot(got[0] - want[0], got[1] - want[1]) < 0.01, (got, want)
-        of_class = {label for label in labels if label != NO_CLASS}
-        assert all(read["label"] in of_class or read["label"] == len(facts["classes"]) for _, read in near), near
+    # A vertex whose place in the window is known is read there, as it lies in the input's world.
+    reads = view.run("""
+        const [places] = arguments, clip = semfield.camera.matrices().clip, found = [];
+        for (let i = 0; i < places.length && found.length < 60; i += 97) {
+          const p = moved(clip, places[i]);
+          if (Math.abs(p[0]) > 0.9 || Math.abs(p[1]) > 0.9) continue;
+          const x = (p[0] + 1) / 2 * canvas.clientWidth, y = (1 - p[1]) / 2 * canvas.clientHeight;
+          const read = semfield.read(x, y);
+          if (read !== null) found.push([i, read, moved(clip, read.place), p]);
+        }
+        return found;""", places)
+    near = [(i, read) for i, read, _, _ in reads if math.dist(read["place"], places[i]) < 0.05]
+    assert len(near) >= 5, f"{len(near)} of {len(reads)} vertices are read where they are"
+    for _, _, got, want in reads:  # others are hidden by what lies before them, on the same ray
+        assert math.hypot(got[0] - want[0], got[1] - want[1]) < 0.01, (got, want)
+    of_class = {label for label in labels if label != NO_CLASS}
+    assert all(read["label"] in of_class or read["label"] == len(facts["classes"]) for _, read in near), near
 
-        # Two clicks measure; the third begins anew.
-        middle = [view.run("return canvas.clientWidth") / 2, view.run("return canvas.clientHeight") / 2]
-        view.mouse(middle)
-        view.wait("semfield.points.length === 1", "a click reads a point")
-        view.mouse((middle[0] + 60, middle[1] + 20))
-        view.wait("!document.getElementById('reading').hidden && document.getElementById('reading').textContent.includes('distance')", "two measure")
-        first, second = (point["place"] for point in view.run("return semfield.points"))
-        told = float(re.search(r"distance ([0-9.]+) m", view.text("#reading")).group(1))
-        assert abs(told - math.dist(first, second)) < 0.001, (told, first, second)
-        view.mouse((middle[0] - 60, middle[1]))
-        view.wait("semfield.points.length <= 1", "a third click begins anew")
+    # Two clicks measure; the third begins anew.
+    middle = [view.run("return canvas.clientWidth") / 2, view.run("return canvas.clientHeight") / 2]
+    view.mouse(middle)
+    view.wait("semfield.points.length === 1", "a click reads a point")
+    view.mouse((middle[0] + 60, middle[1] + 20))
+    view.wait("!document.getElementById('reading').hidden && document.getElementById('reading').textContent.includes('distance')", "two measure")
+    first, second = (point["place"] for point in view.run("return semfield.points"))
+    told = float(re.search(r"distance ([0-9.]+) m", view.text("#reading")).group(1))
+    assert abs(told - math.dist(first, second)) < 0.001, (told, first, second)
+    view.mouse((middle[0] - 60, middle[1]))
+    view.wait("semfield.points.length <= 1", "a third click begins anew")
 
-        # What is hidden is neither drawn nor read.
-        read = view.run("return semfield.read(arguments[0], arguments[1])", *middle)
-        view.run("document.querySelectorAll('#legend input')[arguments[0]].click()", min(read["label"], len(facts["classes"])))
-        after = view.run("return semfield.read(arguments[0], arguments[1])", *middle)
-        assert after is None or after["label"] != read["label"], (read, after)
+    # What is hidden is neither drawn nor read.
+    read = view.run("return semfield.read(arguments[0], arguments[1])", *middle)
+    view.run("document.querySelectorAll('#legend input')[arguments[0]].click()", min(read["label"], len(facts["classes"])))
+    after = view.run("return semfield.read(arguments[0], arguments[1])", *middle)
+    assert after is None or after["label"] != read["label"], (read, after)
 
-        before = view.run("return semfield.camera.matrices().eye")
-        view.mouse(middle, (middle[0] + 80, middle[1] + 10))
-        assert view.run("return semfield.camera.matrices().eye") != before, "a drag turns"
-        view.click("#inside")
-        view.wait("document.getElementById('inside').getAttribute('aria-pressed') === 'true'")
-        view.size(390, 844)
-        view.wait("canvas.clientWidth === 390")
-        assert view.run("return document.documentElement.scrollWidth") <= 390
-        assert view.complaints() == [], view.complaints()
+    view.run("document.querySelector('#legend input:not(:checked)').click()")
+    live_view.choose_an_object(view)
+    assert view.run("return document.getElementById('edit').hidden"), "a file edits nothing"
+
+    before = view.run("return semfield.camera.matrices().eye")
+    view.mouse(middle, (middle[0] + 80, middle[1] + 10))
+    assert view.run("return semfield.camera.matrices().eye") != before, "a drag turns"
+    view.click("#inside")
+    view.wait("document.getElementById('inside').getAttribute('aria-pressed') === 'true'")
+    view.size(390, 844)
+    view.wait("canvas.clientWidth === 390")
+    assert view.run("return document.documentElement.scrollWidth") <= 390
+    assert view.complaints() == [], view.complaints()
+    driver.give_back(view)
 
 
 def main():
     with tempfile.TemporaryDirectory(prefix="semfield_scene_page_") as folder:
         run = folder + "/run"
         semfield("train", CONFIG, "--out", run, *(word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}")))
+        quick = {"objects.steps": 200, "objects.points": 12000, "objects.rays": 60000, "objects.least_points": 8, "objects.neighbours": 2, "objects.least_views": 2}
+        semfield("objects", run, *(word for key, value in quick.items() for word in ("--set", f"{key}={value}")))
         told = json.loads(semfield("mesh", run, "--resolution", "64", "--format", "ply,html", "--color", "photo", "--out", folder + "/scene", "--json"))
         assert [pathlib.Path(file).name for file in told["files"]] == ["scene.html", "scene.ply"] and "up" in told, told
         text = pathlib.Path(folder, "scene.html").read_text(encoding="utf-8")
         assert "http" not in text.replace("http://www.w3.org/2000/svg", "").replace("http-equiv", ""), "the file needs no network"
         page = read_page(text)
         compare(page, read_ply(folder + "/scene.ply"))
+        told = json.loads(semfield("export", run, "--to", folder + "/sent/room.html", "--json"))
+        sent = json.loads(part(pathlib.Path(folder, "sent/room.html").read_text(encoding="utf-8"), "facts"))
+        assert told["megabytes"] <= 25 and told["objects"] == len(sent["objects"]) > 0, told
+        assert "Semfield" in "".join(sent["about"]) and "Apache License 2.0" in "".join(sent["about"]), sent["about"]
         if browser.programs() is None:
             print("skipped in part: no chromium with chromedriver")
             sys.exit(77)
-        look(pathlib.Path(folder, "scene.html"), page)
+        with browser.Driver() as driver:
+            look(driver, pathlib.Path(folder, "scene.html"), page)
+            live_view.look(driver, PROGRAM, run)
 
 
 main()

@@ -1,10 +1,6 @@
-// The viewer: one draw call per picture, and a picture only when something has changed.
+// The page around the drawing: a picture only when something has changed.
 const byId = (id) => document.getElementById(id);
-const facts = JSON.parse(byId("facts").textContent);
-const canvas = byId("view");
-const kNoClass = 65535;
-const kNear = 0.002, kFar = 6;  // of the scene's diagonal
-const kAngle = 55 * Math.PI / 180;
+const kGrey = [150, 150, 150];
 
 function say_trouble(text) {
   byId("trouble").textContent = text;
@@ -12,270 +8,126 @@ function say_trouble(text) {
   document.body.dataset.state = "failed";
 }
 
-// ---- the mesh
-
-async function inflated(text) {
-  const bytes = Uint8Array.from(atob(text.trim()), (c) => c.charCodeAt(0));
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-  return new Response(stream).arrayBuffer();
+function made(name, values = {}, ...children) {
+  const element = Object.assign(document.createElement(name), values);
+  element.append(...children);
+  return element;
 }
 
-/** Sums of differences, in place. */
-function summed(numbers) {
-  for (let i = 1; i < numbers.length; ++i) numbers[i] += numbers[i - 1];
-  return numbers;
+function save_as(name, blob) {
+  const link = made("a", {href: URL.createObjectURL(blob), download: name});
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
-
-/** corners [3 T] of triangles, place [V, 4]: steps along the box and the class, color [V, 4]. */
-function unpacked(buffer) {
-  const count = facts.vertices, corners = summed(new Uint32Array(buffer, 0, 3 * facts.triangles));
-  let at = corners.byteLength;
-  const axes = [0, 1, 2].map((axis) => summed(new Uint16Array(buffer, at + 2 * count * axis, count)));
-  at += 6 * count;
-  const labels = new Uint16Array(buffer, at, count);
-  at += 2 * count;
-  const place = new Uint16Array(4 * count), color = new Uint8Array(4 * count);
-  for (let v = 0; v < count; ++v) {
-    for (let axis = 0; axis < 3; ++axis) place[4 * v + axis] = axes[axis][v];
-    place[4 * v + 3] = labels[v];
-  }
-  for (let c = 0; c < 3; ++c) {
-    const channel = new Uint8Array(buffer, at + count * c, count);
-    for (let v = 0; v < count; ++v) color[4 * v + c] = channel[v];
-  }
-  return {corners, place, color};
-}
-
-// ---- drawing
-
-const kVertex = `#version 300 es
-layout(location = 0) in vec3 steps;
-layout(location = 1) in vec4 photo;
-layout(location = 2) in uint label;
-uniform mat4 clip_from_world, eye_from_world;
-uniform vec3 low, per_step;
-out vec3 color, place;
-flat out uint shown_label;
-void main() {
-  vec4 world = vec4(low + steps * per_step, 1.0);
-  gl_Position = clip_from_world * world;
-  place = (eye_from_world * world).xyz;
-  color = photo.rgb;
-  shown_label = label;
-}`;
-// Passes: 0 the photographs' colours, 1 class colours, 2 depth as 24 bits, 3 class as 16 bits.
-const kFragment = `#version 300 es
-precision highp float;
-precision highp int;
-in vec3 color, place;
-flat in uint shown_label;
-uniform int mode;
-uniform uint classes;
-uniform sampler2D palette;  // of each class, and one more for none; alpha 0: hidden
-out vec4 pixel;
-void main() {
-  uint label = min(shown_label, classes);
-  vec4 of_class = texelFetch(palette, ivec2(label, 0), 0);
-  if (of_class.a < 0.5) discard;
-  if (mode == 0) {
-    pixel = vec4(color, 1.0);
-  } else if (mode == 1) {
-    vec3 normal = normalize(cross(dFdx(place), dFdy(place)));
-    pixel = vec4(of_class.rgb * (0.55 + 0.45 * abs(normal.z)), 1.0);
-  } else if (mode == 2) {
-    uint depth = uint(gl_FragCoord.z * 16777215.0);
-    pixel = vec4(float(depth >> 16), float((depth >> 8) & 255u), float(depth & 255u), 255.0) / 255.0;
-  } else {
-    pixel = vec4(float(label >> 8), float(label & 255u), 0.0, 255.0) / 255.0;
-  }
-}`;
-
-class Drawing {
-  constructor(mesh) {
-    const gl = this.gl = canvas.getContext("webgl2", {antialias: true, preserveDrawingBuffer: true});
-    if (gl === null) throw new Error("This browser has no WebGL 2: take a newer one, or switch hardware acceleration on.");
-    this.program = gl.createProgram();
-    for (const [kind, text] of [[gl.VERTEX_SHADER, kVertex], [gl.FRAGMENT_SHADER, kFragment]]) {
-      const shader = gl.createShader(kind);
-      gl.shaderSource(shader, text);
-      gl.compileShader(shader);
-      if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
-      gl.attachShader(this.program, shader);
-    }
-    gl.linkProgram(this.program);
-    gl.useProgram(this.program);
-    this.buffer(gl.ARRAY_BUFFER, mesh.place);
-    gl.vertexAttribPointer(0, 3, gl.UNSIGNED_SHORT, false, 8, 0);
-    gl.vertexAttribIPointer(2, 1, gl.UNSIGNED_SHORT, 8, 6);
-    this.buffer(gl.ARRAY_BUFFER, mesh.color);
-    gl.vertexAttribPointer(1, 4, gl.UNSIGNED_BYTE, true, 4, 0);
-    for (const index of [0, 1, 2]) gl.enableVertexAttribArray(index);
-    this.buffer(gl.ELEMENT_ARRAY_BUFFER, mesh.corners);
-    this.count = mesh.corners.length;
-    this.palette = new Uint8Array(4 * (facts.classes.length + 1)).fill(255);
-    facts.classes.forEach((one, i) => this.palette.set(one.color, 4 * i));
-    this.palette.set([150, 150, 150], 4 * facts.classes.length);
-    gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
-    for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, filter, gl.NEAREST);
-    this.send_palette();
-    gl.uniform3fv(this.place("low"), facts.low);
-    gl.uniform3fv(this.place("per_step"), facts.high.map((h, i) => (h - facts.low[i]) / 65535));
-    gl.uniform1ui(this.place("classes"), facts.classes.length);
-    gl.enable(gl.DEPTH_TEST);
-    gl.enable(gl.CULL_FACE);  // a room seen from outside is open
-    this.target = gl.createFramebuffer();
-    this.calls = 0;
-  }
-  place(name) { return this.gl.getUniformLocation(this.program, name); }
-  buffer(kind, data) {
-    this.gl.bindBuffer(kind, this.gl.createBuffer());
-    this.gl.bufferData(kind, data, this.gl.STATIC_DRAW);
-  }
-  send_palette() {
-    const gl = this.gl;
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, this.palette.length / 4, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, this.palette);
-  }
-  show(label, shown) {
-    this.palette[4 * label + 3] = shown ? 255 : 0;
-    this.send_palette();
-  }
-  draw(mode, matrices, background = [0.082, 0.094, 0.11, 1]) {
-    const gl = this.gl;
-    gl.viewport(0, 0, canvas.width, canvas.height);
-    gl.clearColor(...background);
-    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    gl.uniformMatrix4fv(this.place("clip_from_world"), false, matrices.clip);
-    gl.uniformMatrix4fv(this.place("eye_from_world"), false, matrices.eye);
-    gl.uniform1i(this.place("mode"), mode);
-    gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
-    ++this.calls;
-  }
-  /** Bytes of a pass at a pixel from below, drawn beside the screen. */
-  read(mode, matrices, x, y) {
-    const gl = this.gl, color = gl.createRenderbuffer(), depth = gl.createRenderbuffer(), out = new Uint8Array(4);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
-    for (const [buffer, format, at] of [[color, gl.RGBA8, gl.COLOR_ATTACHMENT0], [depth, gl.DEPTH_COMPONENT24, gl.DEPTH_ATTACHMENT]]) {
-      gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
-      gl.renderbufferStorage(gl.RENDERBUFFER, format, canvas.width, canvas.height);
-      gl.framebufferRenderbuffer(gl.FRAMEBUFFER, at, gl.RENDERBUFFER, buffer);
-    }
-    gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(x, y, 1, 1);
-    this.draw(mode, matrices, [0, 0, 0, 0]);
-    gl.readPixels(x, y, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, out);
-    gl.disable(gl.SCISSOR_TEST);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    gl.deleteRenderbuffer(color);
-    gl.deleteRenderbuffer(depth);
-    return out;
-  }
-}
-
-// ---- the camera: it turns about a target, upright, in the scene turned to y up
-
-const kTurn = rotation(facts.turn);
-const kDiagonal = distance(facts.low, facts.high);
-const kMiddle = facts.low.map((v, i) => (v + facts.high[i]) / 2);
-
-class OrbitCamera {
-  constructor() { this.outside(); }
-  outside() {
-    this.target = moved(kTurn, kMiddle).slice(0, 3);
-    this.yaw = 0.7;
-    this.pitch = 0.65;
-    this.reach = 1.15 * kDiagonal * Math.max(1, 0.8 * canvas.clientHeight / Math.max(canvas.clientWidth, 1));
-  }
-  inside() {
-    this.target = moved(kTurn, facts.eye).slice(0, 3);
-    this.pitch = 0.1;
-    this.reach = 1e-3 * kDiagonal;
-  }
-  forward() {
-    const c = Math.cos(this.pitch);
-    return [-Math.sin(this.yaw) * c, -Math.sin(this.pitch), -Math.cos(this.yaw) * c];
-  }
-  turn(dx, dy) {
-    const near = this.reach < 0.05 * kDiagonal ? -1 : 1;  // inside, the picture follows the hand
-    this.yaw -= near * dx * 0.006;
-    this.pitch = Math.max(-1.5, Math.min(1.5, this.pitch + near * dy * 0.006));
-  }
-  /** Pixels of the picture. */
-  move(dx, dy) {
-    const forward = this.forward(), right = unit(cross(forward, [0, 1, 0])), up = cross(right, forward);
-    const per_pixel = 2 * Math.max(this.reach, 0.15 * kDiagonal) * Math.tan(kAngle / 2) / canvas.clientHeight;
-    this.target = add(add(this.target, right, -dx * per_pixel), up, dy * per_pixel);
-  }
-  closer(factor) {
-    if (this.reach * factor > 0.02 * kDiagonal && this.reach > 0.02 * kDiagonal) {
-      this.reach = Math.min(4 * kDiagonal, this.reach * factor);
-    } else {
-      this.target = add(this.target, this.forward(), (1 - factor) * 0.2 * kDiagonal);
-    }
-  }
-  matrices() {
-    const forward = this.forward(), eye = add(this.target, forward, -this.reach);
-    const eye_from_world = product(view_from(eye, forward), kTurn);
-    const aspect = canvas.width / canvas.height;
-    const projection = perspective(kAngle, aspect, kNear * kDiagonal, kFar * kDiagonal);
-    return {clip: product(projection, eye_from_world), eye: eye_from_world, aspect};
-  }
-}
-
-/** The place in the input's world behind a pixel (x from the left, y from below) at a depth of 0 to 1. */
-function unprojected(matrices, x, y, depth) {
-  const near = kNear * kDiagonal, far = kFar * kDiagonal, ndc = 2 * depth - 1;
-  const z = 2 * far * near / (far + near - ndc * (far - near)), half = Math.tan(kAngle / 2);
-  const at = [(2 * x / canvas.width - 1) * half * matrices.aspect * z, (2 * y / canvas.height - 1) * half * z, -z];
-  const m = matrices.eye, back = transposed([...m.slice(0, 3), 0, ...m.slice(4, 7), 0, ...m.slice(8, 11), 0, 0, 0, 0, 1]);
-  return moved(back, add(at, m.slice(12, 15), -1)).slice(0, 3);
-}
-
-// ---- the page
 
 class Page {
-  constructor(drawing) {
-    this.drawing = drawing;
-    this.camera = new OrbitCamera();
-    this.mode = 0;
-    this.points = [];
+  /** `live`: the program behind the page, null in a file that stands alone. */
+  constructor(drawing, layers, live) {
+    Object.assign(this, {drawing, layers, live, mode: "photo", points: [], share: 0.5, views: []});
+    this.camera = new OrbitCamera(this.facts);
+    this.objects = new ObjectList(this);
     byId("title").textContent = document.title;
-    byId("about").lastElementChild.append(...facts.about.map((line) => Object.assign(document.createElement("p"), {textContent: line})));
-    byId("colors").hidden = byId("legend").hidden = !facts.labels;
-    byId("inside").parentElement.hidden = facts.eye === undefined;
+    byId("about").lastElementChild.append(...this.facts.about.map((line) => made("p", {textContent: line})));
+    for (const mode of ["class", "entropy"]) byId(mode).hidden = !this.facts.labels;
+    byId("probability").hidden = !live || !this.facts.labels;
+    byId("of-class").append(...this.facts.classes.map((one, i) => made("option", {value: i, textContent: one.name})));
+    byId("legend").hidden = !this.facts.labels;
+    byId("inside").parentElement.hidden = this.facts.eye === undefined;
     if (canvas.clientWidth < 600) byId("legend").open = false;
     this.list_classes();
-    this.listen();
+    this.listen_buttons();
+    this.listen_hand();
+    this.listen_keys();
+    this.listen_path();
     new ResizeObserver(() => this.fit()).observe(canvas);
     this.fit();
+  }
+  get facts() { return this.layers[0].facts; }
+
+  /** Another mesh of the same scene. */
+  replace(which, layer) {
+    const old = this.layers[which];
+    old.facts.classes.forEach((_, i) => layer.mark(layer.classes, i, old.classes.bytes[4 * i + 3]));
+    if (which === 0 && JSON.stringify([old.facts.low, old.facts.high]) !== JSON.stringify([layer.facts.low, layer.facts.high]))
+      this.camera.diagonal = distance(layer.facts.low, layer.facts.high);
+    old.drop();
+    this.layers[which] = layer;
+    this.objects.mark_all();
+    if (this.mode === "probability") this.live.fetch_probability();
+    this.change();
   }
 
   list_classes() {
     const row = (name, color, label) => {
-      const item = document.createElement("li"), box = document.createElement("input");
-      const word = document.createElement("label"), swatch = document.createElement("span");
-      box.type = "checkbox";
-      box.checked = true;
-      box.addEventListener("change", () => { this.drawing.show(label, box.checked); this.change(); });
+      const box = made("input", {type: "checkbox", checked: true});
+      box.addEventListener("change", () => {
+        for (const layer of this.layers) layer.mark(layer.classes, label, box.checked ? kShown : kHidden);
+        this.change();
+      });
+      const swatch = made("span");
       swatch.style.background = `rgb(${color})`;
-      word.append(box, swatch, name);
-      item.append(word);
-      return item;
+      return made("li", {}, made("label", {}, box, swatch, name));
     };
-    const rows = facts.classes.map((one, i) => row(one.name, one.color, i));
-    byId("legend").lastElementChild.append(...rows, row("no class", [150, 150, 150], facts.classes.length));
+    const rows = this.facts.classes.map((one, i) => row(one.name, one.color, i));
+    byId("legend").lastElementChild.append(...rows, row("no class", kGrey, this.facts.classes.length));
+  }
+  /** Whether the legend or the list of objects hides something, which a rendered picture would show. */
+  hides() { return document.querySelector("#legend input:not(:checked), #things input[type=checkbox]:not(:checked)") !== null; }
+
+  /** A room has walls for the field: from outside, its mesh alone is open. */
+  is_before_a_wall() {
+    const {eye, low, high} = this.facts;
+    const at = this.camera.world_from_camera().map((row) => row[3]);
+    return eye !== undefined && at.some((v, i) => v < low[i] || v > high[i]);
   }
 
-  listen() {
-    const press = (on, off, act) => byId(on).addEventListener("click", () => {
+  set_mode(mode) {
+    this.mode = mode;
+    for (const button of byId("colors").children) button.setAttribute("aria-pressed", button.id === mode);
+    byId("of-class").hidden = mode !== "probability";
+    if (mode === "probability") this.live.fetch_probability();
+    this.change();
+  }
+  show_scale() {
+    const [near, far] = this.camera.depths(), unit = this.facts.unit;
+    const ends = {entropy: ["sure", "in doubt"], probability: ["0", "1"], depth: [`${far.toFixed(1)} ${unit}`, `${near.toFixed(1)} ${unit}`]}[this.mode];
+    byId("scale").hidden = ends === undefined;
+    if (ends !== undefined) [byId("scale").firstElementChild.textContent, byId("scale").lastElementChild.textContent] = ends;
+  }
+
+  listen_buttons() {
+    for (const button of byId("colors").children) button.addEventListener("click", () => this.set_mode(button.id));
+    byId("of-class").addEventListener("change", () => this.set_mode("probability"));
+    const picture = byId("scale").querySelector("canvas").getContext("2d");
+    for (let i = 0; i < 256; ++i) {
+      picture.fillStyle = `rgb(${this.drawing.ramp.bytes.slice(4 * i, 4 * i + 3)})`;
+      picture.fillRect(i, 0, 1, 1);
+    }
+    const stand = (on, off, act) => byId(on).addEventListener("click", () => {
       byId(on).setAttribute("aria-pressed", "true");
       byId(off).setAttribute("aria-pressed", "false");
       act();
       this.change();
     });
-    press("photo", "class", () => { this.mode = 0; });
-    press("class", "photo", () => { this.mode = 1; });
-    press("outside", "inside", () => this.camera.outside());
-    press("inside", "outside", () => this.camera.inside());
+    stand("outside", "inside", () => this.camera.outside());
+    stand("inside", "outside", () => this.camera.inside());
+    const slider = byId("slider");
+    slider.hidden = this.layers.length < 2;
+    if (slider.hidden) return;
+    this.layers.forEach((layer, i) => { slider.children[i].textContent = layer.facts.run; });
+    const slide = (share) => {
+      this.share = Math.max(0, Math.min(1, share));
+      slider.setAttribute("aria-valuenow", Math.round(100 * this.share));
+      slider.style.left = `${100 * this.share}%`;
+      this.change(true);
+    };
+    slider.addEventListener("pointerdown", (event) => slider.setPointerCapture(event.pointerId));
+    slider.addEventListener("pointermove", (event) => { if (event.buttons & 1) slide(event.clientX / canvas.clientWidth); });
+    slider.addEventListener("keydown", (event) => slide(this.share + ({ArrowLeft: -0.02, ArrowRight: 0.02}[event.key] ?? 0)));
+    slide(0.5);
+  }
+
+  listen_hand() {
     const held = new Map();
     let travelled = 0;
     canvas.addEventListener("pointerdown", (event) => {
@@ -303,7 +155,7 @@ class Page {
     const release = (event) => {
       const was_click = held.size === 1 && travelled < 5 && event.type === "pointerup" && event.button === 0;
       held.delete(event.pointerId);
-      if (was_click) this.point(event.clientX, event.clientY);
+      if (was_click) this.point(event.clientX, event.clientY, event.shiftKey);
     };
     canvas.addEventListener("pointerup", release);
     canvas.addEventListener("pointercancel", release);
@@ -313,17 +165,90 @@ class Page {
       this.camera.closer(Math.exp(Math.max(-100, Math.min(100, event.deltaY)) * 0.002));
       this.change();
     }, {passive: false});
+    canvas.addEventListener("webglcontextlost", () => say_trouble("The graphics device was lost. Load the page again."));
+  }
+
+  listen_keys() {
+    const pressed = new Set(), ways = {w: [0, 0, 1], s: [0, 0, -1], a: [-1, 0, 0], d: [1, 0, 0], q: [0, -1, 0], e: [0, 1, 0]};
+    let before = 0;
+    const fly = (now) => {
+      const step = Math.min(0.1, (now - before) / 1000) * 0.25;
+      before = now;
+      for (const key of pressed) this.camera.fly(...ways[key].map((v) => v * step));
+      this.change();
+      if (pressed.size > 0) requestAnimationFrame(fly);
+    };
     canvas.addEventListener("keydown", (event) => {
       const act = {ArrowLeft: () => this.camera.turn(-20, 0), ArrowRight: () => this.camera.turn(20, 0), ArrowUp: () => this.camera.turn(0, -20),
         ArrowDown: () => this.camera.turn(0, 20), "+": () => this.camera.closer(0.9), "-": () => this.camera.closer(1.1),
-        Escape: () => { this.points = []; }}[event.key];
-      if (act === undefined) return;
+        Escape: () => { this.points = []; this.objects.choose(0); }}[event.key];
+      const flies = ways[event.key] !== undefined && !event.ctrlKey && !event.metaKey;
+      if (act === undefined && !flies) return;
       event.preventDefault();
-      act();
+      if (act !== undefined) act();
+      if (flies && pressed.size === 0) {
+        before = performance.now();
+        requestAnimationFrame(fly);
+      }
+      if (flies) pressed.add(event.key);
       this.change();
     });
-    canvas.addEventListener("webglcontextlost", () => say_trouble("The graphics device was lost. Load the page again."));
+    canvas.addEventListener("keyup", (event) => pressed.delete(event.key));
+    canvas.addEventListener("blur", () => pressed.clear());
   }
+
+  // ---- a picture, and a path of the camera
+
+  /** The way through the views as states of the camera, `per_leg` from each to the next. */
+  path(per_leg) {
+    const out = this.views.slice(0, 1);
+    for (let i = 1; i < this.views.length; ++i)
+      for (let k = 1; k <= per_leg; ++k) out.push(between(this.views[i - 1], this.views[i], k / per_leg));
+    return out;
+  }
+  /** A line of 12 numbers for each picture: world_from_camera by rows, as `semfield render --trajectory` reads it. */
+  path_text() {
+    const now = this.camera.state();
+    const lines = this.path(48).map((state) => {
+      Object.assign(this.camera, state);
+      return this.camera.world_from_camera().flat().map((v) => v.toPrecision(9)).join(" ");
+    });
+    Object.assign(this.camera, now);
+    return lines.join("\n") + "\n";
+  }
+  listen_path() {
+    const tell = () => {
+      const count = this.views.length;
+      for (const id of ["play", "save-path", "film"]) byId(id).disabled = count < 2;
+      byId("clear").disabled = count === 0;
+      byId("path-hint").textContent = count === 0 ? "Fly somewhere and add a view; do so again: the path leads through all of them."
+        : `${count} view${count === 1 ? "" : "s"}, ${2 * (count - 1)} s`;
+    };
+    byId("picture").addEventListener("click", () => this.picture().then((blob) => save_as("semfield.png", blob)));
+    byId("add-view").addEventListener("click", () => { this.views.push(this.camera.state()); tell(); });
+    byId("clear").addEventListener("click", () => { this.views = []; tell(); });
+    byId("save-path").addEventListener("click", () => save_as("path.txt", new Blob([this.path_text()])));
+    byId("play").addEventListener("click", () => {
+      const begin = performance.now(), states = this.path(120);
+      const step = (now) => {
+        const at = Math.min(states.length - 1, Math.floor((now - begin) * 0.06));
+        Object.assign(this.camera, states[at], {target: [...states[at].target]});
+        this.change();
+        if (at < states.length - 1) requestAnimationFrame(step);
+      };
+      requestAnimationFrame(step);
+    });
+    tell();
+  }
+  /** What is seen, as a PNG: the mesh, or the rendered picture over it. */
+  picture() {
+    const both = made("canvas", {width: canvas.width, height: canvas.height}), context = both.getContext("2d");
+    context.drawImage(canvas, 0, 0);
+    if (!byId("still").hidden && byId("still").width > 0) context.drawImage(byId("still"), 0, 0, both.width, both.height);
+    return new Promise((done) => both.toBlob(done, "image/png"));
+  }
+
+  // ---- drawing and reading
 
   fit() {
     const scale = Math.min(2, window.devicePixelRatio || 1);
@@ -332,63 +257,80 @@ class Page {
     this.change();
   }
 
-  change() {
+  /** `same_picture`: the camera and the colours stay. */
+  change(same_picture = false) {
+    if (this.live) this.live.changed(same_picture);
     if (this.waiting) return;
     this.waiting = true;
     requestAnimationFrame(() => {
       this.waiting = false;
-      this.drawing.draw(this.mode, this.camera.matrices());
+      for (const layer of this.layers) layer.depth_range = this.camera.depths();
+      this.drawing.draw(this.layers, kMode[this.mode], this.camera.matrices(), this.share);
+      this.show_scale();
       this.mark();
     });
   }
 
-  /** What lies under a place of the window: {place, label}, or null. */
+  /** The layer under a place of the window. */
+  layer_at(client_x) { return this.layers.length > 1 && client_x > this.share * canvas.clientWidth ? 1 : 0; }
+
+  /** What lies under a place of the window: {place, label, object}, or null. */
   read(client_x, client_y) {
-    const box = canvas.getBoundingClientRect(), matrices = this.camera.matrices();
+    const box = canvas.getBoundingClientRect(), layer = this.layers[this.layer_at(client_x)];
     const x = Math.floor((client_x - box.left) * canvas.width / box.width);
     const y = canvas.height - 1 - Math.floor((client_y - box.top) * canvas.height / box.height);
-    const depth = this.drawing.read(2, matrices, x, y);
-    if (depth[3] === 0) return null;
-    const label = this.drawing.read(3, matrices, x, y);
-    const value = (depth[0] * 65536 + depth[1] * 256 + depth[2]) / 16777215;
-    return {place: unprojected(matrices, x + 0.5, y + 0.5, value), label: label[0] * 256 + label[1]};
+    const found = this.drawing.read(layer, [kPass.depth, kPass.class, kPass.object], this.camera.matrices(), x, y);
+    if (found === null) return null;
+    return {place: this.camera.unprojected(x + 0.5, y + 0.5, found[0] / 16777215), label: found[1], object: found[2]};
   }
 
-  point(client_x, client_y) {
+  point(client_x, client_y, more) {
     const found = this.read(client_x, client_y);
     if (this.points.length === 2 || found === null) this.points = [];
     if (found !== null) this.points.push(found);
-    this.change();
+    if (this.layer_at(client_x) === 0) this.objects.choose(found === null ? 0 : found.object, more);
+    if (this.live && found !== null) this.live.ask_point(found, this.layer_at(client_x));
+    this.change(true);
   }
 
   mark() {
-    const {clip} = this.camera.matrices(), names = facts.classes.map((one) => one.name);
-    const seen = this.points.map(({place}) => moved(clip, place));
-    const on_screen = seen.map((p) => [(p[0] + 1) / 2 * canvas.clientWidth, (1 - p[1]) / 2 * canvas.clientHeight]);
+    const {clip} = this.camera.matrices();
+    const on_screen = (p) => [(p[0] + 1) / 2 * canvas.clientWidth, (1 - p[1]) / 2 * canvas.clientHeight];
     const element = (name, values) => {
-      const made = document.createElementNS("http://www.w3.org/2000/svg", name);
-      for (const [key, value] of Object.entries(values)) made.setAttribute(key, value);
-      return made;
+      const one = document.createElementNS("http://www.w3.org/2000/svg", name);
+      for (const [key, value] of Object.entries(values)) one.setAttribute(key, value);
+      return one;
     };
-    const shown = seen.every((p) => p[3] > 0) ? on_screen : [];
-    const marks = shown.map(([cx, cy]) => element("circle", {cx, cy, r: 5}));
-    if (shown.length === 2) marks.unshift(element("line", {x1: shown[0][0], y1: shown[0][1], x2: shown[1][0], y2: shown[1][1]}));
-    byId("marks").replaceChildren(...marks);
-    const lines = this.points.map(({place, label}) => {
-      const name = !facts.labels ? "" : `${names[label] ?? "no class"} at `;
-      return `${name}${place.map((v) => v.toFixed(3)).join(", ")} ${facts.unit}`;
+    const line = (a, b, kind) => {
+      const [p, q] = [moved(clip, a), moved(clip, b)];
+      if (p[3] <= 0 || q[3] <= 0) return [];
+      const [[x1, y1], [x2, y2]] = [on_screen(p), on_screen(q)];
+      return [element("line", {x1, y1, x2, y2, class: kind})];
+    };
+    const boxes = this.objects.edges().flatMap(([a, b]) => line(a, b, "box"));
+    const seen = this.points.map(({place}) => moved(clip, place)).filter((p) => p[3] > 0).map(on_screen);
+    const between_them = this.points.length === 2 ? line(this.points[0].place, this.points[1].place, "measure") : [];
+    byId("marks").replaceChildren(...boxes, ...between_them, ...seen.map(([cx, cy]) => element("circle", {cx, cy, r: 5})));
+    const {unit, labels, classes} = this.facts;
+    const lines = this.points.map((point) => {
+      const name = !labels ? "" : `${point.told ?? classes[point.label]?.name ?? "no class"} at `;
+      return `${name}${point.place.map((v) => v.toFixed(3)).join(", ")} ${unit}`;
     });
-    if (this.points.length === 2) lines.push(`distance ${distance(this.points[0].place, this.points[1].place).toFixed(3)} ${facts.unit}`);
+    if (this.points.length === 2) lines.push(`distance ${distance(this.points[0].place, this.points[1].place).toFixed(3)} ${unit}`);
     byId("reading").textContent = lines.join("\n");
     byId("reading").hidden = lines.length === 0;
+    this.objects.tell();
   }
 }
 
 async function open_page() {
-  if (typeof DecompressionStream === "undefined") throw new Error("This browser is too old for this file: take one of 2023 or later.");
-  const mesh = unpacked(await inflated(byId("mesh").textContent));
+  if (typeof DecompressionStream === "undefined") throw new Error("This browser is too old for this page: take one of 2023 or later.");
+  const facts = JSON.parse(byId("facts").textContent), live = facts.live ? new Live(facts) : null;
+  const drawing = new Drawing(bytes_of(facts.ramp));
+  const scenes = live ? await live.first_scenes() : [{facts, mesh: unpacked(await inflated(bytes_of(byId("mesh").textContent)), facts)}];
   byId("mesh").remove();
-  window.semfield = new Page(new Drawing(mesh));
+  window.semfield = new Page(drawing, scenes.map((scene) => new Layer(drawing, scene.facts, scene.mesh)), live);
+  if (live) live.begin(window.semfield);
   document.body.dataset.state = "ready";
 }
 open_page().catch((error) => say_trouble(error.message));

@@ -1,0 +1,262 @@
+// The mesh as it comes in the file, and its drawing: one call per scene and picture.
+const canvas = document.getElementById("view");
+const kNoClass = 65535;
+const kMode = {photo: 0, class: 1, object: 2, entropy: 3, depth: 4, probability: 5};
+const kPass = {depth: 10, class: 11, object: 12};  // what read() draws beside the screen
+const kHidden = 0, kShown = 255, kChosen = 128;    // alpha of a palette's colour
+
+// ---- the mesh
+
+const bytes_of = (text) => Uint8Array.from(atob(text.trim()), (c) => c.charCodeAt(0));
+
+async function inflated(bytes) {
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Response(stream).arrayBuffer();
+}
+
+/** Sums of differences, in place. */
+function summed(numbers) {
+  for (let i = 1; i < numbers.length; ++i) numbers[i] += numbers[i - 1];
+  return numbers;
+}
+
+/** corners [3 T] of triangles; place [V, 4]: steps along the box and the class; color [V, 4] with entropy; object [V]. */
+function unpacked(buffer, facts) {
+  const count = facts.vertices, corners = summed(new Uint32Array(buffer, 0, 3 * facts.triangles));
+  let at = corners.byteLength;
+  const part = (Kind) => {
+    const numbers = new Kind(buffer.slice(at, at + Kind.BYTES_PER_ELEMENT * count));
+    at += numbers.byteLength;
+    return numbers;
+  };
+  const axes = [0, 1, 2].map(() => summed(part(Uint16Array)));
+  const labels = part(Uint16Array), channels = [0, 1, 2].map(() => part(Uint8Array));
+  const entropy = facts.labels ? part(Uint8Array) : new Uint8Array(count);
+  const object = facts.objects.length > 0 ? part(Uint16Array) : new Uint16Array(count);
+  const place = new Uint16Array(4 * count), color = new Uint8Array(4 * count);
+  for (let v = 0; v < count; ++v) {
+    for (let k = 0; k < 3; ++k) {
+      place[4 * v + k] = axes[k][v];
+      color[4 * v + k] = channels[k][v];
+    }
+    place[4 * v + 3] = labels[v];
+    color[4 * v + 3] = entropy[v];
+  }
+  return {corners, place, color, object};
+}
+
+// ---- drawing
+
+const kVertex = `#version 300 es
+layout(location = 0) in vec3 steps;
+layout(location = 1) in vec4 photo;
+layout(location = 2) in uint label;
+layout(location = 3) in uint object;
+layout(location = 4) in float probability;
+uniform mat4 clip_from_world, eye_from_world;
+uniform vec3 low, per_step;
+out vec4 color;
+out vec3 place;
+out float likely;
+flat out uint shown_label, shown_object;
+void main() {
+  vec4 world = vec4(low + steps * per_step, 1.0);
+  gl_Position = clip_from_world * world;
+  place = (eye_from_world * world).xyz;
+  color = photo;
+  likely = probability;
+  shown_label = label;
+  shown_object = object;
+}`;
+const kFragment = `#version 300 es
+precision highp float;
+precision highp int;
+in vec4 color;
+in vec3 place;
+in float likely;
+flat in uint shown_label, shown_object;
+uniform int mode;
+uniform uint classes;
+uniform vec2 depths;                         // that the colours of depth span
+uniform sampler2D palette, things, ramp;     // of each class, and one more for none; of each object, from 0: none
+out vec4 pixel;
+vec3 ramped(float share) { return texelFetch(ramp, ivec2(int(clamp(share, 0.0, 1.0) * 255.0 + 0.5), 0), 0).rgb; }
+void main() {
+  uint label = min(shown_label, classes);
+  vec4 of_class = texelFetch(palette, ivec2(label, 0), 0), of_thing = texelFetch(things, ivec2(shown_object, 0), 0);
+  if (of_class.a < 0.25 || of_thing.a < 0.25) discard;
+  if (mode >= 10) {
+    uint number = mode == 10 ? uint(gl_FragCoord.z * 16777215.0) : mode == 11 ? label : shown_object;
+    pixel = vec4(float(number >> 16), float((number >> 8) & 255u), float(number & 255u), 255.0) / 255.0;
+    return;
+  }
+  vec3 normal = normalize(cross(dFdx(place), dFdy(place)));
+  float light = 0.55 + 0.45 * abs(normal.z);
+  vec3 shown = color.rgb;
+  if (mode == 1) shown = of_class.rgb * light;
+  if (mode == 2) shown = (shown_object == 0u ? 0.35 * vec3(dot(color.rgb, vec3(0.3, 0.6, 0.1))) + 0.12 : of_thing.rgb) * light;
+  if (mode == 3) shown = ramped(color.a);
+  if (mode == 4) shown = ramped((depths.y + place.z) / (depths.y - depths.x));
+  if (mode == 5) shown = ramped(likely);
+  if (of_thing.a < 0.75) shown = mix(shown, vec3(1.0, 0.84, 0.29), 0.45);
+  pixel = vec4(shown, 1.0);
+}`;
+
+/** One mesh on the graphics device, with the colours of its classes and objects. */
+class Layer {
+  constructor(drawing, facts, mesh) {
+    const gl = drawing.gl;
+    Object.assign(this, {drawing, facts, count: mesh.corners.length, vertices: mesh.object.length, depth_range: [0, 1]});
+    this.array = gl.createVertexArray();
+    gl.bindVertexArray(this.array);
+    this.buffer(gl.ARRAY_BUFFER, mesh.place);
+    gl.vertexAttribPointer(0, 3, gl.UNSIGNED_SHORT, false, 8, 0);
+    gl.vertexAttribIPointer(2, 1, gl.UNSIGNED_SHORT, 8, 6);
+    this.buffer(gl.ARRAY_BUFFER, mesh.color);
+    gl.vertexAttribPointer(1, 4, gl.UNSIGNED_BYTE, true, 4, 0);
+    this.object_buffer = this.buffer(gl.ARRAY_BUFFER, mesh.object);
+    gl.vertexAttribIPointer(3, 1, gl.UNSIGNED_SHORT, 2, 0);
+    this.likely_buffer = this.buffer(gl.ARRAY_BUFFER, new Uint8Array(this.vertices));
+    gl.vertexAttribPointer(4, 1, gl.UNSIGNED_BYTE, true, 1, 0);
+    for (const index of [0, 1, 2, 3, 4]) gl.enableVertexAttribArray(index);
+    this.buffer(gl.ELEMENT_ARRAY_BUFFER, mesh.corners);
+    const colors = facts.classes.map((one) => one.color);
+    this.classes = this.palette([...colors, [150, 150, 150]]);
+    this.set_objects(facts.objects);
+  }
+  buffer(kind, data) {
+    const gl = this.drawing.gl, made = gl.createBuffer();
+    gl.bindBuffer(kind, made);
+    gl.bufferData(kind, data, gl.STATIC_DRAW);
+    return made;
+  }
+  palette(colors) {
+    const bytes = new Uint8Array(4 * colors.length).fill(kShown);
+    colors.forEach((color, i) => bytes.set(color, 4 * i));
+    const made = {texture: this.drawing.texture(), bytes};
+    this.drawing.send(made);
+    return made;
+  }
+  /** `ids` [vertices] where they changed. */
+  set_objects(objects, ids) {
+    const gl = this.drawing.gl, colors = [[150, 150, 150]];
+    for (let id = 1; id <= Math.max(0, ...objects.map((o) => o.id)); ++id) colors.push([150, 150, 150]);
+    for (const one of objects) colors[one.id] = one.color;
+    if (this.things) gl.deleteTexture(this.things.texture);
+    this.things = this.palette(colors);
+    if (ids) this.fill(this.object_buffer, ids);
+  }
+  set_probability(bytes) { this.fill(this.likely_buffer, bytes); }
+  fill(buffer, data) {
+    const gl = this.drawing.gl;
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+    gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
+  }
+  /** `palette`: classes or things; `alpha`: kHidden, kShown or kChosen. */
+  mark(palette, entry, alpha) {
+    palette.bytes[4 * entry + 3] = alpha;
+    this.drawing.send(palette);
+  }
+  drop() { this.drawing.gl.deleteVertexArray(this.array); }
+}
+
+class Drawing {
+  constructor(ramp) {
+    const gl = this.gl = canvas.getContext("webgl2", {antialias: true, preserveDrawingBuffer: true});
+    if (gl === null) throw new Error("This browser has no WebGL 2: take a newer one, or switch hardware acceleration on.");
+    this.program = gl.createProgram();
+    for (const [kind, text] of [[gl.VERTEX_SHADER, kVertex], [gl.FRAGMENT_SHADER, kFragment]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, text);
+      gl.compileShader(shader);
+      if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
+      gl.attachShader(this.program, shader);
+    }
+    gl.linkProgram(this.program);
+    gl.useProgram(this.program);
+    this.at = new Map();
+    ["palette", "things", "ramp"].forEach((name, unit) => gl.uniform1i(this.place(name), unit));
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    const colors = new Uint8Array(4 * 256).fill(255);
+    for (let i = 0; i < 256; ++i) colors.set(ramp.slice(3 * i, 3 * i + 3), 4 * i);
+    this.ramp = {texture: this.texture(), bytes: colors};
+    this.send(this.ramp);
+    gl.enable(gl.DEPTH_TEST);
+    gl.enable(gl.CULL_FACE);  // a room seen from outside is open
+    this.target = gl.createFramebuffer();
+    this.calls = 0;
+  }
+  place(name) {
+    if (!this.at.has(name)) this.at.set(name, this.gl.getUniformLocation(this.program, name));
+    return this.at.get(name);
+  }
+  texture() {
+    const gl = this.gl, made = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, made);
+    for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, filter, gl.NEAREST);
+    return made;
+  }
+  send({texture, bytes}) {
+    const gl = this.gl;
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, bytes.length / 4, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
+  }
+  clear(background) {
+    const gl = this.gl;
+    gl.viewport(0, 0, canvas.width, canvas.height);
+    gl.clearColor(...background);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+  }
+  draw_layer(layer, mode, matrices) {
+    const gl = this.gl, {low, high, classes} = layer.facts;
+    gl.bindVertexArray(layer.array);
+    [layer.classes, layer.things, this.ramp].forEach((one, unit) => {
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(gl.TEXTURE_2D, one.texture);
+    });
+    gl.uniform3fv(this.place("low"), low);
+    gl.uniform3fv(this.place("per_step"), high.map((h, i) => (h - low[i]) / 65535));
+    gl.uniform1ui(this.place("classes"), classes.length);
+    gl.uniform2fv(this.place("depths"), layer.depth_range);
+    gl.uniformMatrix4fv(this.place("clip_from_world"), false, matrices.clip);
+    gl.uniformMatrix4fv(this.place("eye_from_world"), false, matrices.eye);
+    gl.uniform1i(this.place("mode"), mode);
+    gl.drawElements(gl.TRIANGLES, layer.count, gl.UNSIGNED_INT, 0);
+    ++this.calls;
+  }
+  /** One layer fills the picture; of two the first is left of `share` of the width. */
+  draw(layers, mode, matrices, share) {
+    const gl = this.gl, middle = Math.round(share * canvas.width);
+    this.clear([0.082, 0.094, 0.11, 1]);
+    if (layers.length === 1) return this.draw_layer(layers[0], mode, matrices);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(0, 0, middle, canvas.height);
+    this.draw_layer(layers[0], mode, matrices);
+    gl.scissor(middle, 0, canvas.width - middle, canvas.height);
+    this.draw_layer(layers[1], mode, matrices);
+    gl.disable(gl.SCISSOR_TEST);
+  }
+  /** Numbers of passes at a pixel from below, drawn beside the screen; null where nothing is. */
+  read(layer, passes, matrices, x, y) {
+    const gl = this.gl, color = gl.createRenderbuffer(), depth = gl.createRenderbuffer(), out = new Uint8Array(4);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
+    for (const [buffer, format, at] of [[color, gl.RGBA8, gl.COLOR_ATTACHMENT0], [depth, gl.DEPTH_COMPONENT24, gl.DEPTH_ATTACHMENT]]) {
+      gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
+      gl.renderbufferStorage(gl.RENDERBUFFER, format, canvas.width, canvas.height);
+      gl.framebufferRenderbuffer(gl.FRAMEBUFFER, at, gl.RENDERBUFFER, buffer);
+    }
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(x, y, 1, 1);
+    const found = passes.map((pass) => {
+      this.clear([0, 0, 0, 0]);
+      this.draw_layer(layer, pass, matrices);
+      gl.readPixels(x, y, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, out);
+      return out[3] === 0 ? null : out[0] * 65536 + out[1] * 256 + out[2];
+    });
+    gl.disable(gl.SCISSOR_TEST);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.deleteRenderbuffer(color);
+    gl.deleteRenderbuffer(depth);
+    return found.includes(null) ? null : found;
+  }
+}

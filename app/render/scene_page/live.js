@@ -1,0 +1,152 @@
+// The program behind the page: meshes, pictures that the field itself renders while the camera rests, points, edits.
+const kRest_ms = 250;
+const kSizes = [240, 640, 1600];  // longest sides of rendered pictures, one after another
+
+class Live {
+  constructor(facts) {
+    this.runs = facts.runs;
+    this.edits = 0;
+  }
+
+  async ask(what, body, signal) {
+    const answer = await fetch(what, body === undefined ? {signal} : {method: "POST", body: JSON.stringify(body), signal});
+    if (answer.ok) return answer;
+    const told = await answer.json().catch(() => ({error: `${answer.status}`}));
+    throw new Error(told.remedy ? `${told.error}: ${told.remedy}` : told.error);
+  }
+  /** A run's mesh, coarse at first. */
+  async scene(run, fine) {
+    const bytes = await (await this.ask(`surface?run=${run}&fine=${fine ? 1 : 0}`)).arrayBuffer();
+    const head = new DataView(bytes).getUint32(0, true);
+    const facts = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 4, head)));
+    if (run === 0) this.edits = facts.edits;
+    return {facts, mesh: unpacked(await inflated(new Uint8Array(bytes, 4 + head)), facts)};
+  }
+  first_scenes() { return Promise.all(this.runs.map((_, run) => this.scene(run, false))); }
+
+  begin(page) {
+    this.page = page;
+    byId("film").hidden = false;
+    byId("film").addEventListener("click", () => this.film());
+    this.runs.reduce((before, _, run) => before.then(async () => {
+      const {facts, mesh} = await this.scene(run, true);
+      page.replace(run, new Layer(page.drawing, facts, mesh));
+      document.body.dataset.mesh = `${run + 1} of ${this.runs.length} fine`;
+    }), Promise.resolve()).catch((error) => this.note(error.message));
+    setInterval(() => this.look(), 5000);
+    this.changed();
+  }
+  note(text) { byId("about").lastElementChild.append(made("p", {textContent: text})); }
+
+  // ---- pictures of the field
+
+  changed(same_picture = false) {
+    if (!this.page) return;
+    if (same_picture) return this.show();
+    if (this.pending) this.pending.abort();
+    this.images = [];
+    byId("still").hidden = true;
+    document.body.dataset.still = "none";
+    clearTimeout(this.rest);
+    this.rest = setTimeout(() => this.render(), kRest_ms);
+  }
+  async render() {
+    const page = this.page, longest = Math.max(canvas.width, canvas.height);
+    if (page.hides() || document.hidden || page.is_before_a_wall()) return;
+    const pending = this.pending = new AbortController();
+    const rows = page.camera.world_from_camera(), half = Math.tan(kAngle / 2) * canvas.width / canvas.height;
+    const camera = {position: rows.map((row) => row[3]), rotation: rows.flatMap((row) => row.slice(0, 3)), fov_deg: 360 / Math.PI * Math.atan(half)};
+    const [near, far] = page.camera.depths();
+    try {
+      for (const size of kSizes.filter((s) => s < longest).concat(Math.min(longest, kSizes.at(-1)))) {
+        const scale = Math.min(1, size / longest);
+        for (let run = 0; run < this.runs.length; ++run) {
+          const wanted = {run, camera, width: Math.max(16, Math.round(scale * canvas.width)), height: Math.max(16, Math.round(scale * canvas.height)), map: page.mode, near, far};
+          if (page.mode === "probability") wanted.class = Number(byId("of-class").value);
+          const image = await createImageBitmap(await (await this.ask("picture", wanted, pending.signal)).blob());
+          if (pending.signal.aborted) return;
+          this.images[run] = image;
+        }
+        this.show();
+        document.body.dataset.still = String(Math.round(scale * canvas.width));
+      }
+    } catch (error) {
+      if (error.name !== "AbortError") this.note(error.message);
+    }
+  }
+  show() {
+    const still = byId("still"), shown = (this.images ?? []).filter((image) => image);
+    if (shown.length < this.runs.length) return;
+    still.width = canvas.width;
+    still.height = canvas.height;
+    const context = still.getContext("2d"), middle = this.runs.length > 1 ? Math.round(this.page.share * still.width) : still.width;
+    context.imageSmoothingQuality = "high";
+    shown.forEach((image, run) => {
+      context.save();
+      context.beginPath();
+      context.rect(run === 0 ? 0 : middle, 0, run === 0 ? middle : still.width - middle, still.height);
+      context.clip();
+      context.drawImage(image, 0, 0, still.width, still.height);
+      context.restore();
+    });
+    still.hidden = false;
+  }
+
+  // ---- points, probabilities, objects
+
+  async ask_point(point, run) {
+    try {
+      const told = await (await this.ask("point", {run, at: point.place})).json();
+      const sure = told.classes.slice(0, 2).map(({name, probability}) => `${name} ${probability.toFixed(2)}`).join(", ");
+      if (sure) point.told = told.object ? `${told.object} (${sure})` : sure;
+      this.page.change(true);
+    } catch (error) {
+      this.note(error.message);
+    }
+  }
+  async fetch_probability() {
+    const index = Number(byId("of-class").value);
+    for (let run = 0; run < this.runs.length; ++run) {
+      const layer = this.page.layers[run];
+      const bytes = new Uint8Array(await (await this.ask(`probability?run=${run}&class=${index}&fine=${layer.facts.fine ? 1 : 0}`)).arrayBuffer());
+      if (bytes.length === layer.vertices) layer.set_probability(bytes);
+    }
+    this.page.change(true);
+  }
+  async edit(what) {
+    const fine = this.page.facts.fine ? 1 : 0;
+    const after = await (await this.ask("edit", {...what, fine: fine === 1})).json();
+    this.edits = after.edits;
+    return {...after, ids: new Uint16Array(bytes_of(after.ids).buffer)};
+  }
+
+  // ---- a video, and newer steps
+
+  async film() {
+    const hint = byId("path-hint");
+    try {
+      await this.ask("film", {path: this.page.path_text(), width: Math.min(1280, canvas.width) & ~1, height: Math.min(1280, canvas.width) * canvas.height / canvas.width & ~1,
+        fov_deg: 360 / Math.PI * Math.atan(Math.tan(kAngle / 2) * canvas.width / canvas.height)});
+      hint.textContent = "rendering";
+      this.look();
+    } catch (error) {
+      hint.textContent = error.message;
+    }
+  }
+  async look() {
+    try {
+      const state = await (await this.ask("state")).json();
+      const film = state.films.at(-1);
+      if (film) {
+        const link = film.state === "done" ? [made("a", {href: `film/${film.id}/0`, textContent: "video.mp4"}), " is done"] : [`${film.state}: ${film.text}`];
+        byId("path-hint").replaceChildren(...link);
+        if (film.state === "running" || film.state === "waiting") setTimeout(() => this.look(), 500);
+      }
+      const newer = state.runs.find((run, i) => run.newest > this.page.layers[i].facts.step);
+      if (newer && !this.told_newer) this.note(`Step ${newer.newest} of ${newer.name} is there: load the page again to see it.`);
+      this.told_newer = newer !== undefined;
+    } catch {
+      // the program has ended: what is here stays
+    }
+  }
+}

@@ -1,0 +1,133 @@
+"""`semfield view` of a run with objects, as a person uses it in headless Chromium."""
+
+import json
+import pathlib
+import re
+import signal
+import subprocess
+
+
+def choose_an_object(page):
+    """Chooses one by a click into the picture; its row."""
+    page.run("document.getElementById('outside').click()")
+    place = page.run("""
+        const clip = semfield.camera.matrices().clip;
+        for (const row of semfield.objects.rows) {
+          const p = moved(clip, row.box.center), x = Math.round((p[0] + 1) / 2 * canvas.clientWidth), y = Math.round((1 - p[1]) / 2 * canvas.clientHeight);
+          if (document.elementFromPoint(x, y) !== canvas) continue;
+          const found = semfield.read(x, y);
+          if (found !== null && found.object > 0) return [x, y, found.object];
+        }
+        return null;""")
+    assert place is not None, "no object is seen"
+    page.mouse(place[:2])
+    page.wait(f"semfield.objects.chosen.has({place[2]})", "a click does not choose the object under it")
+    row = page.run("return semfield.objects.row(arguments[0])", place[2])
+    page.wait(f"document.getElementById('chosen').textContent.startsWith({json.dumps(row['name'])})")
+    assert page.run("return document.querySelectorAll('#marks line.box').length") > 0, "no box is drawn"
+    return row
+
+
+class View:
+    """The program at work."""
+
+    def __init__(self, program, *words):
+        self.process = subprocess.Popen([program, "view", *words, "--json", "-q"], stdout=subprocess.PIPE, text=True)
+        self.told = json.loads(self.process.stdout.readline())
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.process.send_signal(signal.SIGINT)
+        assert self.process.wait() == 130, "Ctrl-C ends it"
+        self.process.stdout.close()
+
+
+def edits_of(run):
+    return json.loads(pathlib.Path(run, "objects/edits.json").read_text())["edits"]
+
+
+def table_of(run):
+    return {row["id"]: row for row in json.loads(pathlib.Path(run, "objects/objects.json").read_text())["objects"]}
+
+
+def edit_objects(page, run):
+    count = page.run("return semfield.objects.rows.length")
+    row = choose_an_object(page)
+    page.run("document.getElementById('name').value = 'my \"thing\"'; document.getElementById('rename').click()")
+    page.wait("document.getElementById('edit-hint').textContent === 'Saved.'", "no answer to an edit")
+    assert edits_of(run) == [{"do": "rename", "object": row["id"], "name": 'my "thing"'}], edits_of(run)
+    assert table_of(run)[row["id"]]["name"] == 'my "thing"'
+    other = page.run("return semfield.objects.rows.find((one) => one.id !== arguments[0]).id", row["id"])
+    page.run("semfield.objects.choose(arguments[0]); semfield.objects.choose(arguments[1], true); document.getElementById('merge').disabled = false; "
+             "document.getElementById('merge').click()", row["id"], other)
+    page.wait(f"semfield.objects.rows.length === {count - 1}", "a merge leaves one less")
+    assert other not in table_of(run)
+    page.run("document.getElementById('undo').disabled = false; document.getElementById('undo').click()")
+    page.wait(f"semfield.objects.rows.length === {count}", "undo brings it back")
+    assert len(edits_of(run)) == 1 and other in table_of(run)
+    # A class that is hidden is neither drawn nor read.
+    page.run("document.querySelector('#things details input[type=checkbox]').click()")
+    assert page.run("return semfield.objects.hidden.size") > 0
+    page.run("document.querySelector('#things details input[type=checkbox]').click()")
+
+
+def look(driver, program, run):
+    before = {file: file.stat().st_mtime_ns for file in pathlib.Path(run).rglob("*") if file.is_file() and "objects" not in file.parts}
+    with View(program, run) as view:
+        page = driver.browser(640, 360)
+        page.open(view.told["url"])
+        page.wait("document.body.dataset.state === 'ready'", "the page does not start", 60)
+        page.wait("document.body.dataset.mesh === '1 of 1 fine'", "no fine mesh", 240)
+        page.run("document.getElementById('inside').click()")
+        page.wait("document.body.dataset.still === String(canvas.width)", "the field is not rendered", 240)
+        told = page.run("return semfield.picture().then((blob) => createImageBitmap(blob)).then((image) => [image.width, image.height])")
+        assert told == [640, 360], told
+        # The mesh and the picture of the field show the same: both axes of the camera agree.
+        differs = page.run("""
+            const still = document.getElementById('still'), flat = (source, flip) => {
+              const small = new OffscreenCanvas(32, 18), context = small.getContext('2d');
+              if (flip) context.setTransform(-1, 0, 0, 1, 32, 0);
+              context.drawImage(source, 0, 0, 32, 18);
+              return [...context.getImageData(0, 0, 32, 18).data];
+            };
+            const field = flat(still), way = (other) => other.reduce((sum, v, i) => sum + Math.abs(v - field[i]), 0) / other.length;
+            return [way(flat(canvas)), way(flat(canvas, true))];""")
+        assert differs[0] < 0.8 * differs[1], f"the mesh is not where the field is: {differs}"
+        for mode in ("class", "object", "entropy", "depth", "probability"):
+            page.run("document.getElementById(arguments[0]).click()", mode)
+            page.wait("Number(document.body.dataset.still) >= 240", f"no picture of {mode}", 60)
+            assert page.run("return document.documentElement.scrollWidth") <= 640
+        page.run("document.getElementById('photo').click()")
+        seen = page.run("""
+            for (let y = 60; y < 300; y += 30) for (let x = 310; x < 630; x += 40) if (semfield.read(x, y) !== null) return [x, y];
+            return null;""")
+        assert seen is not None, "the mesh is seen nowhere"
+        page.mouse(seen)
+        page.wait("semfield.points.length === 1 && semfield.points[0].told !== undefined", "a point does not say what it is")
+        assert re.match(r".* [01]\.[0-9]{2}.* at -?[0-9.]+, ", page.text("#reading")), page.text("#reading")
+        edit_objects(page, run)
+        page.run("semfield.views = [semfield.camera.state()]; semfield.camera.turn(40, 0); semfield.views.push(semfield.camera.state())")
+        lines = page.run("return semfield.path_text()").split("\n")[:-1]
+        assert len(lines) == 49 and all(len(line.split()) == 12 for line in lines), len(lines)
+        pathlib.Path(run).parent.joinpath("path.txt").write_text("\n".join(lines[:2]) + "\n")
+        page.size(390, 844)
+        page.wait("canvas.clientWidth === 390")
+        assert page.run("return document.documentElement.scrollWidth") <= 390
+        assert page.complaints() == [], page.complaints()
+    after = {file: file.stat().st_mtime_ns for file in before if file.exists()}
+    assert after == before, "looking changes nothing of the run"
+    done = subprocess.run([program, "render", run, "--trajectory", str(pathlib.Path(run).parent / "path.txt"), "--out", str(pathlib.Path(run).parent / "path"), "-q"],
+                          capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    with View(program, run, "--with", run) as view:  # side by side
+        page.size(640, 360)
+        page.open(view.told["url"])
+        page.wait("document.body.dataset.state === 'ready'", "two runs do not start", 60)
+        assert page.run("return [semfield.layers.length, !document.getElementById('slider').hidden]") == [2, True]
+        calls = page.run("return semfield.drawing.calls")
+        page.run("document.getElementById('class').click()")
+        page.wait(f"semfield.drawing.calls === {calls + 2}", "a draw call for each run")
+        assert page.complaints() == [], page.complaints()
+    driver.give_back(page)
