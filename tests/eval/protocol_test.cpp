@@ -7,8 +7,11 @@ namespace semfield {
 namespace {
 
 ClassTable table() {
-  return ClassTable({{0, "void", {}, true}, {1, "wall", {}, false}, {2, "Night-Stand", {}, false},
-                     {3, "mug", {}, false}, {4, "refridgerator", {}, false}});
+  return ClassTable({{0, "void", {}, true},
+                     {1, "wall", {}, false},
+                     {2, "Night-Stand", {}, false},
+                     {3, "mug", {}, false},
+                     {4, "refridgerator", {}, false}});
 }
 
 // Truth and prediction as rows of classes: 10 walls, 2 of them mugs; 4 stands, all right; 6 mugs, 5 of them walls.
