@@ -43,7 +43,7 @@ struct Upright {
   std::string note;
 };
 
-Upright upright_of(const MeshOptions& options, const Session& s) {
+Upright wanted_upright(const MeshOptions& options, const Session& s) {
   if (const auto named = axis_named(options.up)) return {named, ""};
   const std::optional<Vec3d> up = upright_of(s);
   if (!up) return {up, "the cameras do not tell which way is up: files show +y upright; --up names another axis"};
@@ -106,7 +106,7 @@ int run(const MeshOptions& options, AppContext& context) {
   mesh_colorings(options, s.pipeline->has_semantics());
   surface_source(options, s);
   const bool upright = targets.writes("glb") || targets.writes("html") || targets.writes("pgm");
-  const Upright found_up = upright_of(options, s);
+  const Upright found_up = wanted_upright(options, s);
   const Vec3d up = found_up.known.value_or(Vec3d{0, 1, 0});
   HandOver out(options, targets, run, upright ? up : found_up.known, context);
   make_folder_of(targets.stem);

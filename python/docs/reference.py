@@ -11,7 +11,7 @@ import semfield as sf
 
 GROUPS: List[Tuple[str, List[str]]] = [
     ("Runs", ["open", "resume", "load", "train", "resolved", "Run", "Training", "Labels"]),
-    ("What calls give back", ["Step", "View", "Points", "Score", "Outcome", "DeviceArray", "to_device"]),
+    ("What calls give back", ["Step", "View", "Points", "Score", "Outcome", "Objects", "Object", "DeviceArray", "to_device"]),
     ("Scenes", ["Scene", "Camera", "Frame", "ClassEntry", "prepare", "Prepared"]),
     ("Plugins", ["encoder", "head", "loss", "dataset", "param", "Tensor", "Encoder", "Head", "Loss", "Dataset", "load_plugin", "plugins"]),
     ("The program and its sweeps", ["command", "sweep", "Sweep"]),

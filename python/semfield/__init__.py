@@ -32,6 +32,7 @@ from .captures import Prepared, prepare
 from .devices import to_device
 from .errors import ConfigError, DataError, Error, Finding, InputError, UnavailableError, UsageError, WriteError
 from .labels import Labels
+from .objects import Object, Objects
 from .plugins import Dataset, Encoder, Head, Loss, Tensor, dataset, encoder, head, load_plugin, loss, param, plugins
 from .program import CommandError, command
 from .results import Outcome, Points, Score, Step, View
@@ -41,7 +42,7 @@ from .sweeps import Sweep, sweep
 
 __all__ = [
     "Camera", "ClassEntry", "CommandError", "ConfigError", "DataError", "Dataset", "DeviceArray", "Encoder", "Error",
-    "Finding", "Frame", "Head", "InputError", "Labels", "Loss", "Outcome", "Points", "Prepared", "Run", "Scene", "Score", "Step", "Sweep",
+    "Finding", "Frame", "Head", "InputError", "Labels", "Loss", "Object", "Objects", "Outcome", "Points", "Prepared", "Run", "Scene", "Score", "Step", "Sweep",
     "Tensor", "Training", "UnavailableError", "UsageError", "View", "WriteError", "command", "dataset", "encoder", "errors",
     "head", "load", "load_plugin", "loss", "open", "param", "plugins", "prepare", "resolved", "resume", "sweep", "to_device", "train",
     "__version__",

@@ -14,6 +14,7 @@ from . import _core
 from .devices import ordinal_of
 from .errors import UsageError
 from .labels import Labels
+from .objects import Objects, find_objects
 from .results import Outcome, Points, Score, Step, View
 from .scenes import Camera, ClassEntry, Frame, PathLike, Scene, _floats, _number, _pixels, _temporary, _whole
 
@@ -324,6 +325,21 @@ class Run:
         found = self._session.query(_floats("positions", positions),
                                     None if directions is None else _floats("directions", directions))
         return Points(found["sigma"], found.get("rgb"), found.get("label"), found.get("probability"), found.get("entropy"))
+
+    def objects(self, segments: Optional[PathLike] = None, *, set: Optional[Mapping[str, Any]] = None,  # noqa: A002
+                out: Optional[PathLike] = None, score: bool = False) -> Objects:
+        """Separates the things of the scene by segments of its images, from the last checkpoint in the run's folder.
+
+        Args:
+            segments: a file or a folder of them; None: the scene's own instances.
+            set: settings, such as {"objects.reach": 0.3}.
+            out: folder of the images and tables; None: ``objects`` in the run's folder.
+            score: also compare with the true objects of the scene.
+
+        Raises:
+            CommandError: there is no checkpoint, or the segments cannot be used.
+        """
+        return find_objects(self.run_dir, segments, set, out, score)
 
     def parameters(self) -> Dict[str, np.ndarray[Any, Any]]:
         """Every tensor of a checkpoint by name, float32 copies: values, moments and states."""
