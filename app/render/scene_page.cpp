@@ -159,7 +159,7 @@ std::string viewer(const std::string& title, const Json& facts, const std::strin
     return read_text_file(shared_file("app/render/scene_page/" + name));
   };
   std::string text = part("viewer.html"), script;
-  for (const char* name : {"matrices.js", "drawing.js", "camera.js", "objects.js"}) script += part(name);
+  for (const char* name : {"matrices", "drawing", "camera", "objects"}) script += part(std::string(name) + ".js");
   if (live) script += part("live.js");
   fill_in(text, "<!--connect-->", live ? "'self'" : "'none'");
   fill_in(text, "<!--title-->", html_escape(title));
