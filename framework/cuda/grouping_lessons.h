@@ -1,7 +1,7 @@
 // Learning a grouping on the device.
 #pragma once
 
-#include "execution/grouping_lessons.h"
+#include "execution/device_library.h"
 
 namespace semfield::cuda {
 

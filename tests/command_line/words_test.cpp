@@ -238,8 +238,8 @@ const std::vector<std::pair<std::string, Case>>& cases() {
 
 // These measure for long, or need a device, the shipped room, a module or COLMAP; serve is tried below, prepare by
 // tests/capture, objects by tests/objects.
-const std::set<std::string> kElsewhere{"bench gpu",     "bench step", "serve",  "demo",
-                                       "plugins check", "prepare",    "objects"};
+const std::set<std::string> kElsewhere{"bench gpu",     "bench step", "serve",   "demo",
+                                       "plugins check", "prepare",    "objects", "view"};
 
 class JsonOutput : public ::testing::Test {
  protected:

@@ -60,12 +60,17 @@ def read_page(text):
 def read_ply(path):
     """Positions, colours, class ids and entropy of vertices; corners of faces."""
     head, _, body = pathlib.Path(path).read_bytes().partition(b"end_header\n")
-    counts = [int(words[2]) for words in (line.split() for line in head.decode().splitlines()) if words[0] == "element"]
-    vertex = struct.Struct("<ddd fff BBB i f f f".replace(" ", ""))
+    lines = [line.split() for line in head.decode().splitlines()]
+    counts = [int(words[2]) for words in lines if words[0] == "element"]
+    letters = {"double": "d", "float": "f", "uchar": "B", "int": "i"}
+    columns = [(words[2], letters[words[1]]) for words in lines if words[0] == "property" and words[1] != "list"]
+    names = [name for name, _ in columns]
+    vertex = struct.Struct("<" + "".join(letter for _, letter in columns))
     rows = [vertex.unpack_from(body, i * vertex.size) for i in range(counts[0])]
+    label, entropy, red = names.index("label"), names.index("entropy"), names.index("red")
     face = struct.Struct("<B3I" if b"list uchar uint" in head else "<B3i")
     corners = [face.unpack_from(body, counts[0] * vertex.size + i * face.size)[1:] for i in range(counts[1])]
-    return [row[:3] for row in rows], [row[6:9] for row in rows], [row[9] for row in rows], [row[11] for row in rows], corners
+    return [row[:3] for row in rows], [row[red:red + 3] for row in rows], [row[label] for row in rows], [row[entropy] for row in rows], corners
 
 
 def compare(page, ply):
