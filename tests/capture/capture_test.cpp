@@ -255,6 +255,10 @@ TEST(CaptureMisplaced, AJumpOfAnImageThatSeesLittleNeedsNoOtherSign) {
   for (std::size_t i = 5; i < names.size(); ++i) {  // the halves of the walk share nothing
     for (std::int64_t& point : apart.images[i].points) point += 20'000;
   }
+  ColmapModel held = apart;
+  held.images[4].world_from_camera.t.z = 20;
+  held.images[4].points.resize(40);
+  EXPECT_TRUE(misplaced_images(held, names).empty()) << "it sees what the one before it sees";
   put_elsewhere(apart, 4, 20);
   EXPECT_TRUE(misplaced_images(apart, names).empty()) << "it may well stand there";
   apart.images[4].points.resize(40);
