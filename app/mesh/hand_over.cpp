@@ -4,9 +4,12 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <nlohmann/json.hpp>
 
 #include "app/mesh/found_surface.h"
+#include "app/objects/object_tables.h"
 #include "app/progress_line.h"
+#include "compute/parallel.h"
 #include "core/text.h"
 #include "handover/costmap.h"
 #include "handover/point_files.h"
@@ -41,15 +44,12 @@ HeightBand band_of(const MeshOptions& options) {
 
 HandOver::HandOver(const MeshOptions& options, const MeshTargets& targets, OpenedRun& run, std::optional<Vec3d> up,
                    const AppContext& context)
-    : options_(options),
-      targets_(targets),
-      run_(run),
-      context_(context),
-      objects_(ObjectLookup::read((fs::path(run.run_dir) / "objects").string())) {
-  if (objects_ && objects_->step() != run.step)
+    : options_(options), targets_(targets), run_(run), context_(context), objects_(objects_of_run(run.run_dir)) {
+  const std::int64_t step = objects_ ? nlohmann::json::parse(objects_->about).value("step", run.step) : run.step;
+  if (step != run.step)
     print_note(context, fmt::format("the objects of {} are of step {}, the field is of step {}; `semfield objects {}` "
-                                    "finds them anew",
-                                    run.run_dir, objects_->step(), run.step, shell_word(run.run_dir)));
+                                    "finds them again",
+                                    run.run_dir, step, run.step, shell_word(run.run_dir)));
   const Session& s = run.session;
   sidecar_.run = run.run_dir;
   sidecar_.scene = s.scene.info.name;
@@ -63,11 +63,20 @@ HandOver::HandOver(const MeshOptions& options, const MeshTargets& targets, Opene
 }
 
 std::vector<std::int32_t> HandOver::instances(std::span<const Vec3d> points) const {
-  return objects_ ? objects_->ids_of(points) : std::vector<std::int32_t>();
+  if (!objects_) return {};
+  std::vector<std::int32_t> ids(points.size());
+  parallel_for(std::ssize(points), [&](std::int64_t i) {
+    ids[static_cast<std::size_t>(i)] = objects_->at(points[static_cast<std::size_t>(i)]);
+  });
+  return ids;
 }
 
 std::map<std::int32_t, std::string> HandOver::objects() const {
-  return objects_ ? objects_->names() : std::map<std::int32_t, std::string>();
+  std::map<std::int32_t, std::string> names;
+  if (!objects_) return names;
+  for (const ObjectRow& row : objects_->rows)
+    if (row.points > 0) names[row.id] = object_name(row, classes());
+  return names;
 }
 
 void HandOver::look() {

@@ -11,10 +11,10 @@
 #include "app/app_context.h"
 #include "app/mesh/mesh_options.h"
 #include "app/mesh/mesh_targets.h"
-#include "handover/object_lookup.h"
 #include "handover/sidecar.h"
 #include "handover/splats.h"
 #include "handover/voxel_map.h"
+#include "objects/object_set.h"
 #include "run/open_run.h"
 #include "surface/mesh/mesh_files.h"
 
@@ -29,7 +29,7 @@ class HandOver {
 
   /// Ids of objects at the points; empty without objects.
   std::vector<std::int32_t> instances(std::span<const Vec3d> points) const;
-  /// Names of classes by the objects' ids.
+  /// Names of the objects by their ids.
   std::map<std::int32_t, std::string> objects() const;
 
   /// Renders the training views, where a form needs them. Throws Error(usage) for cubes that are too many.
@@ -54,7 +54,7 @@ class HandOver {
   const MeshTargets& targets_;
   OpenedRun& run_;
   const AppContext& context_;
-  std::optional<ObjectLookup> objects_;
+  std::optional<ObjectSet> objects_;
   Sidecar sidecar_;
   PointSet points_;
   Splats splats_;

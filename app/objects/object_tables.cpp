@@ -7,6 +7,7 @@
 
 #include "app/json_output.h"
 #include "core/error.h"
+#include "objects/object_edits.h"
 #include "surface/mesh/mesh_files.h"
 #include "system/files.h"
 
@@ -107,6 +108,14 @@ void write_object_tables(const std::string& folder, const ObjectSet& set, const 
   write_file_atomic((in / "objects.csv").string(), table_csv(set, info.classes));
   write_points((in / "objects.ply").string(), set, info.classes);
   write_file_atomic((in / "objects.json").string(), table_json(set, info));
+}
+
+std::optional<ObjectSet> objects_of_run(const std::string& run_dir) {
+  const std::filesystem::path folder = std::filesystem::path(run_dir) / "objects";
+  if (!std::filesystem::exists(folder / "found.safetensors")) return std::nullopt;
+  ObjectSet found = read_edited_objects(folder.string()).set;
+  if (found.rows.empty()) return std::nullopt;
+  return found;
 }
 
 }  // namespace semfield::app

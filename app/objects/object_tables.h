@@ -1,6 +1,7 @@
 // The table of objects as files: JSON, CSV and labelled points. Edits that a person made are in them.
 #pragma once
 
+#include <optional>
 #include <string>
 
 #include "objects/object_set.h"
@@ -12,6 +13,9 @@ namespace semfield::app {
 /// table with the keys of set.about beside it, into `folder`. Every file appears whole. Throws as write_file_atomic;
 /// Error(data) for more than 1,024 objects.
 void write_object_tables(const std::string& folder, const ObjectSet& set, const SceneInfo& info);
+
+/// The objects in RUN/objects with their edits; none where none were found. Throws as read_edited_objects.
+std::optional<ObjectSet> objects_of_run(const std::string& run_dir);
 
 /// Throws Error(data) for more objects than files hold, before anything is written.
 void check_object_count(const std::vector<ObjectRow>& rows);

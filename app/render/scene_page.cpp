@@ -198,11 +198,7 @@ ScenePage scene_page_of(const OpenedRun& run, Vec3d up) {
       fmt::format("Written by Semfield {} on {}. Positions are in the input's world.", this_environment().version,
                   today()),
       "The rights of the photographs hold for this file. Its viewer is part of Semfield (Apache License 2.0)."};
-  const std::filesystem::path objects = folder / "objects";
-  if (std::filesystem::exists(objects / "found.safetensors")) {
-    ObjectSet found = read_edited_objects(objects.string()).set;
-    if (!found.rows.empty()) page.objects = std::move(found);
-  }
+  page.objects = objects_of_run(folder.string());
   if (run.session.config.rendering.far != FarMode::background || frames.empty()) return page;
   Vec3d sum;
   for (const int f : frames) sum = sum + info.frames[static_cast<std::size_t>(f)].world_from_camera.t;

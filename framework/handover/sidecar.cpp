@@ -32,7 +32,7 @@ std::string sidecar_json(const Sidecar& sidecar) {
       out["classes"].push_back(
           {{"id", entry.id}, {"name", entry.name}, {"color", entry.color}, {"ignore", entry.ignore}});
   }
-  for (const auto& [id, name] : sidecar.objects) out["objects"].push_back({{"id", id}, {"class", name}});
+  for (const auto& [id, name] : sidecar.objects) out["objects"].push_back({{"id", id}, {"name", name}});
   return out.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 

@@ -27,13 +27,13 @@ struct Sidecar {
   std::optional<Vec3d> up;              ///< unit vector of the world, where it is known
   PoseConvention convention;            ///< what the configuration did to the poses of the input when they were read
   const ClassTable* classes = nullptr;  ///< null: no semantics
-  std::map<std::int32_t, std::string> objects;  ///< classes by id; empty: none
+  std::map<std::int32_t, std::string> objects;  ///< names by id; empty: none
   std::vector<HandedFile> files;
 };
 
 /// JSON of `semfield-handover-1`, with its last line's end: run, scene, step, world {unit, axes, up, pose_scale,
 /// poses_inverted, axes_flipped}, files [{file, holds, offset, edge}], classes [{id, name, color, ignore}], objects
-/// [{id, class}]. Files are named without their folders.
+/// [{id, name}]. Files are named without their folders.
 std::string sidecar_json(const Sidecar& sidecar);
 
 }  // namespace semfield

@@ -13,7 +13,7 @@ namespace {
 constexpr std::int64_t kPointsAtOnce = 1 << 16;
 constexpr std::int32_t kRowsAtOnce = 64;
 constexpr double kStep = 0.7;         // of an edge, along a ray
-constexpr float kLeastShare = 1e-3F;  // of a pixel's light, that a cube is told of
+constexpr float kLeastShare = 1e-3F;  // of a pixel's light, that counts for a cube
 constexpr float kLeastLight = 0.3F;   // pixels of all views, that end in a cube that is written
 constexpr float kSolid = 5;           // optical depth of a cube that nothing passes
 

@@ -7,7 +7,6 @@
 #include <nlohmann/json.hpp>
 
 #include "core/text.h"
-#include "handover/object_lookup.h"
 #include "handover/point_files.h"
 #include "handover/sidecar.h"
 #include "handover/splats.h"
@@ -102,7 +101,7 @@ class HandOverFiles : public ::testing::Test {
     want["cells"] = cells_of(map);
     write_ply(*dir_ / "points.ply", set, classes());
     write_ply(*dir_ / "mesh.ply", strip(), classes());
-    write_glb(*dir_ / "mesh.glb", strip(), classes(), {{0, 0, 1}, true, {{2, "chair"}}});
+    write_glb(*dir_ / "mesh.glb", strip(), classes(), {{0, 0, 1}, true, {{2, "chair 2"}}});
     write_pcd(*dir_ / "points.pcd", set, classes(), offset);
     write_las(*dir_ / "points.las", set, classes());
     Splats splats{set, {}, 0.02};
@@ -178,9 +177,9 @@ TEST(Splats, TheirOpacityMakesTheMediumsOpticalDepth) {
 TEST(Sidecar, TellsWorldClassesAndFiles) {
   const ClassTable table = classes();
   const Sidecar sidecar{
-      "runs/a", "room",         40,
-      false,    Vec3d{0, 0, 1}, {true, false, 0.001, 1},
-      &table,   {{2, "chair"}}, {{"out/a.pcd", "points", {100, 0, 0}}, {"out/a.bt", "voxels", {}, 0.05}}};
+      "runs/a", "room",           40,
+      false,    Vec3d{0, 0, 1},   {true, false, 0.001, 1},
+      &table,   {{2, "chair 2"}}, {{"out/a.pcd", "points", {100, 0, 0}}, {"out/a.bt", "voxels", {}, 0.05}}};
   const auto json = nlohmann::json::parse(sidecar_json(sidecar));
   EXPECT_EQ(json["format"], "semfield-handover-1");
   EXPECT_EQ(json["world"]["unit"], "scene");
@@ -191,49 +190,7 @@ TEST(Sidecar, TellsWorldClassesAndFiles) {
   EXPECT_FALSE(json["files"][0].contains("edge"));
   EXPECT_EQ(json["files"][1]["edge"], 0.05);
   EXPECT_EQ(json["classes"][0]["id"], 3);
-  EXPECT_EQ(json["objects"], (nlohmann::json{{{"id", 2}, {"class", "chair"}}}));
-}
-
-void write_objects(const std::string& folder) {
-  PointSet set = points();
-  set.attributes.instance.clear();
-  for (std::size_t i = 0; i < set.positions.size(); ++i)
-    set.attributes.label[i] = static_cast<std::int16_t>(i < 6 ? kVoid : 1);
-  const ClassTable ids({{0, "none", {}, true}, {1, "chair 1", {}, false}, {2, "lamp 2", {}, false}});
-  write_ply(folder + "/objects.ply", set, ids);
-  write_file_atomic(
-      folder + "/objects.json",
-      R"({"step": 40, "cell": 0.01, "objects": [{"id": 1, "class": "chair"}, {"id": 2, "class": "lamp"}]})");
-}
-
-TEST(ObjectLookup, APointIsOfTheNearestThingWithinReach) {
-  const TempDir dir;
-  EXPECT_FALSE(ObjectLookup::read(dir.path()));
-  write_objects(dir.path());
-  const auto found = ObjectLookup::read(dir.path());
-  ASSERT_TRUE(found);
-  EXPECT_EQ(found->step(), 40);
-  EXPECT_EQ(found->names().at(2), "lamp");
-  const std::vector<Vec3d> at = points().positions;
-  const Vec3d reach{0.039, 0, 0}, beyond{0.041, 0, 0};
-  EXPECT_EQ(found->ids_of(std::vector<Vec3d>{at[8], at[8] + reach, at[8] + beyond, at[2], at[2] + reach}),
-            (std::vector<std::int32_t>{2, 2, 0, 0, 0}));
-}
-
-TEST(ObjectLookup, WhatDoesNotFitIsNamed) {
-  const TempDir dir;
-  write_objects(dir.path());
-  const std::string table = dir / "objects.json", ply = dir / "objects.ply";
-  const std::string sound = read_text_file(ply), json = read_text_file(table);
-  write_file_atomic(ply, sound.substr(0, sound.size() - 1));
-  EXPECT_ERROR(ObjectLookup::read(dir.path()), "objects.files.format", ply, "fill the file");
-  write_file_atomic(ply, std::string("solid"));
-  EXPECT_ERROR(ObjectLookup::read(dir.path()), "objects.files.format", ply, "not a binary PLY");
-  write_file_atomic(ply, sound);
-  write_file_atomic(table, std::string(R"({"step": 1, "cell": 0.1, "objects": [{"id": 1, "class": "chair"}]})"));
-  EXPECT_ERROR(ObjectLookup::read(dir.path()), "objects.files.format", ply, "object 2 is not in objects.json");
-  write_file_atomic(table, json.substr(0, 10));
-  EXPECT_ERROR(ObjectLookup::read(dir.path()), "objects.files.format", table);
+  EXPECT_EQ(json["objects"], (nlohmann::json{{{"id", 2}, {"name", "chair 2"}}}));
 }
 
 }  // namespace

@@ -113,7 +113,7 @@ void write_expected(const std::string& path, const Surface& s, const GlbLook& lo
     }
   }
   for (const auto& [key, primitive] : primitives) want["primitives"].push_back(primitive);
-  want["objects"] = {{"4", "chair 4"}, {"9", "object 9"}};
+  want["objects"] = {{"4", "red chair"}, {"9", "object 9"}};
   ASSERT_EQ(n, names.size());
   write_file_atomic(path, want.dump());
 }
@@ -133,7 +133,7 @@ void expect_read_back(bool semantics, const GlbLook& look, const std::vector<std
 }
 
 TEST(MeshFiles, AnotherProgramReadsWhatWasMeant) {
-  expect_read_back(true, {{0, 0, 1}, true, {{4, "chair"}}}, {"void", "wall", "dining_table", "dining_table_65535"});
+  expect_read_back(true, {{0, 0, 1}, true, {{4, "red chair"}}}, {"void", "wall", "dining_table", "dining_table_65535"});
 }
 
 TEST(MeshFiles, WithoutSemanticsThereIsOneMaterial) {

@@ -88,6 +88,13 @@ TEST(ObjectsVerb, FilesFiguresAndTheSameAgain) {
   EXPECT_EQ(nlohmann::json::parse(edited.out).at("edits"), 1);
   EXPECT_HAS(read_text_file(dir / "again/objects.csv"), "1,mine,");
   EXPECT_HAS(read_text_file(dir / "again/objects.json"), "\"mine\"");
+  // Files of the surface have the names of the edits.
+  write_object_edits(dir / "run/objects/edits.json", edits);
+  const Result mesh = semfield("mesh run --out room.glb --color photo --resolution 32", dir);
+  ASSERT_EQ(mesh.code, 0) << mesh.err;
+  EXPECT_HAS(read_text_file(dir / "room.glb"), "\"mine\"");
+  EXPECT_HAS(read_text_file(dir / "room.json"), "\"mine\"");
+  fs::remove(dir / "run/objects/edits.json");
   const Result others = semfield(std::string("objects run --out again") + kQuick + "--set objects.points=2000", dir);
   EXPECT_EQ(others.code, 65);
   EXPECT_HAS(others.err, "again/edits.json", "objects.edits.foreign");

@@ -163,7 +163,7 @@ void add_nodes(Json& root, const std::map<std::int32_t, Json>& primitives, const
     std::string name = "surface";
     if (instance != 0) {
       const auto known = look.objects.find(instance);
-      name = (known == look.objects.end() ? "object" : known->second) + " " + std::to_string(instance);
+      name = known == look.objects.end() ? "object " + std::to_string(instance) : known->second;
     }
     const std::size_t mesh = root["meshes"].size();
     root["meshes"].push_back({{"name", name}, {"primitives", of_object}});

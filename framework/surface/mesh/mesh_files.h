@@ -35,7 +35,7 @@ void write_obj(const std::string& path, const Surface& surface, const ClassTable
 struct GlbLook {
   Vec3d up{0, 1, 0};   ///< unit vector of the world that is upright
   bool unlit = false;  ///< colours hold the light already: they are shown as they are (KHR_materials_unlit)
-  std::map<std::int32_t, std::string> objects{};  ///< names by id; one that is not there is "object"
+  std::map<std::int32_t, std::string> objects{};  ///< names by id; one that is not there is "object 3"
 };
 
 /// glTF 2.0 binary: one primitive per class and one material, each primitive with vertices of its own: POSITION,
