@@ -4,7 +4,6 @@
 #include <cmath>
 #include <map>
 #include <numeric>
-#include <unordered_map>
 
 #include "compute/parallel.h"
 
@@ -119,21 +118,44 @@ class Clustering {
     return cluster;
   }
 
+  // Of each point the cluster that most of its segments are of, the first of equals; -1: none, or the point is stuff.
+  std::vector<std::int32_t> votes_of(const std::vector<std::int32_t>& cluster) const {
+    std::vector<std::int32_t> first(group_.size() + 1, 0);
+    const auto for_votes = [&](const auto& body) {
+      for (std::size_t v = 0; v < sights_.size(); ++v)
+        for (std::size_t i = 0; i < sights_[v].point.size(); ++i)
+          if (const auto c = cluster[static_cast<std::size_t>(first_segment_[v] + sights_[v].segment[i])]; c >= 0)
+            body(static_cast<std::size_t>(sights_[v].point[i]), c);
+    };
+    for_votes([&](std::size_t point, std::int32_t) { ++first[point + 1]; });
+    std::partial_sum(first.begin(), first.end(), first.begin());
+    std::vector<std::int32_t> vote(static_cast<std::size_t>(first.back())), next(first.begin(), first.end() - 1);
+    for_votes([&](std::size_t point, std::int32_t c) { vote[static_cast<std::size_t>(next[point]++)] = c; });
+    std::vector<std::int32_t> of_point(group_.size(), -1);
+    parallel_for((std::ssize(of_point) + kBlock - 1) / kBlock, [&](std::int64_t block) {
+      for (std::int64_t i = block * kBlock; i < std::min(std::ssize(of_point), (block + 1) * kBlock); ++i) {
+        const auto n = static_cast<std::size_t>(i);
+        if (is_stuff(static_cast<std::int32_t>(i))) continue;
+        const auto end = vote.begin() + first[n + 1];
+        std::sort(vote.begin() + first[n], end);
+        std::ptrdiff_t most = 0;
+        for (auto of = vote.begin() + first[n]; of != end;) {
+          const auto behind = std::upper_bound(of, end, *of);
+          if (behind - of > most) {
+            most = behind - of;
+            of_point[n] = *of;
+          }
+          of = behind;
+        }
+      }
+    });
+    return of_point;
+  }
+
   // A point is of the cluster that most of its segments are of, and a group is what touches of one cluster.
   void grow() {
     take_means();
-    const std::vector<std::int32_t> cluster = cluster_segments();
-    std::vector<std::map<std::int32_t, std::int32_t>> votes(group_.size());
-    for (std::size_t v = 0; v < sights_.size(); ++v)
-      for (std::size_t i = 0; i < sights_[v].point.size(); ++i)
-        if (const std::int32_t c = cluster[static_cast<std::size_t>(first_segment_[v] + sights_[v].segment[i])]; c >= 0)
-          ++votes[static_cast<std::size_t>(sights_[v].point[i])][c];
-    std::vector<std::int32_t> of_point(group_.size(), -1);
-    for (std::size_t i = 0; i < votes.size(); ++i)
-      if (!votes[i].empty() && !is_stuff(static_cast<std::int32_t>(i)))
-        of_point[i] = std::max_element(votes[i].begin(), votes[i].end(), [](const auto& a, const auto& b) {
-                        return a.second < b.second;
-                      })->first;
+    const std::vector<std::int32_t> of_point = votes_of(cluster_segments());
     Joined joined(group_.size());
     for (const auto& [a, b] : near_)
       if (of_point[static_cast<std::size_t>(a)] >= 0 &&
@@ -150,17 +172,18 @@ class Clustering {
 
   // Groups are numbered anew, the largest first.
   void number() {
-    std::map<std::int32_t, std::int64_t> size;
+    std::vector<std::int32_t> size(group_.size(), 0), to(group_.size(), -1);  // a group's number is below the points'
     for (const std::int32_t g : group_)
-      if (g >= 0) ++size[g];
-    std::vector<std::pair<std::int64_t, std::int32_t>> order;
-    for (const auto& [g, n] : size) order.emplace_back(-n, g);
+      if (g >= 0) ++size[static_cast<std::size_t>(g)];
+    std::vector<std::pair<std::int32_t, std::int32_t>> order;
+    for (std::size_t g = 0; g < size.size(); ++g)
+      if (size[g] > 0) order.emplace_back(-size[g], static_cast<std::int32_t>(g));
     std::sort(order.begin(), order.end());
-    std::map<std::int32_t, std::int32_t> to;
-    for (const auto& [n, g] : order) to.emplace(g, static_cast<std::int32_t>(to.size()));
+    for (std::size_t n = 0; n < order.size(); ++n)
+      to[static_cast<std::size_t>(order[n].second)] = static_cast<std::int32_t>(n);
     for (std::int32_t& g : group_)
-      if (g >= 0) g = to.at(g);
-    groups_ = static_cast<std::int32_t>(to.size());
+      if (g >= 0) g = to[static_cast<std::size_t>(g)];
+    groups_ = static_cast<std::int32_t>(order.size());
   }
 
   std::vector<float> means() const {
@@ -185,38 +208,64 @@ class Clustering {
     const auto width = points_.place.cols;
     const std::vector<float> mean = means();
     const auto most = static_cast<float>(reach * reach * rules_.reach * rules_.reach);
-    for (int ring = 0; ring < 64; ++ring) {
-      std::vector<std::int32_t> next = group_;
-      std::vector<float> best(group_.size(), INFINITY);
-      const auto ask = [&](std::int32_t point, std::int32_t other) {
-        const auto i = static_cast<std::size_t>(point);
-        const std::int32_t g = group_[static_cast<std::size_t>(other)];
-        if (group_[i] >= 0 || g < 0 || is_stuff(point)) return;
-        const float way = squared(points_.place.row(point), &mean[static_cast<std::size_t>(g * width)], width);
-        if (way > most || way > best[i] || (way == best[i] && g >= next[i])) return;
+    const auto waits = [&](std::int32_t point) {
+      return group_[static_cast<std::size_t>(point)] < 0 && !is_stuff(point);
+    };
+    std::vector<CellPair> asks;  // a waits, b is its neighbour
+    for (const CellPair& pair : near_) {
+      if (waits(pair.a)) asks.push_back(pair);
+      if (waits(pair.b)) asks.push_back({pair.b, pair.a});
+    }
+    std::vector<std::int32_t> next = group_;
+    std::vector<float> best(group_.size(), INFINITY);
+    for (int ring = 0; ring < 64 && !asks.empty(); ++ring) {
+      for (const CellPair& pair : asks) {
+        const auto i = static_cast<std::size_t>(pair.a);
+        const std::int32_t g = group_[static_cast<std::size_t>(pair.b)];
+        if (g < 0) continue;
+        const float way = squared(points_.place.row(pair.a), &mean[static_cast<std::size_t>(g * width)], width);
+        if (way > most || way > best[i] || (way == best[i] && g >= next[i])) continue;
         best[i] = way;
         next[i] = g;
-      };
-      for (const CellPair& pair : near_) {
-        ask(pair.a, pair.b);
-        ask(pair.b, pair.a);
       }
-      if (next == group_) break;
-      group_ = std::move(next);
+      bool some = false;
+      for (const CellPair& pair : asks) {
+        const auto i = static_cast<std::size_t>(pair.a);
+        some |= group_[i] != next[i];
+        group_[i] = next[i];
+      }
+      if (!some) break;
+      std::erase_if(asks, [&](const CellPair& pair) { return !waits(pair.a); });
     }
   }
 
-  // Sights of each group in each segment of a view; groups of the view by number.
-  using Counts = std::vector<std::map<std::int32_t, double>>;  // [segments]: by group
+  // Sights of each group in each segment of a view, and in all of them; groups of the view by number.
+  struct Counts {
+    std::vector<std::map<std::int32_t, double>> segments;  // by group
+    std::map<std::int32_t, double> total;
+    void join(std::int32_t keep, std::int32_t gone) {
+      const auto into = [&](std::map<std::int32_t, double>& of) {
+        const auto found = of.find(gone);
+        if (found == of.end()) return false;
+        of[keep] += found->second;
+        of.erase(found);
+        return true;
+      };
+      if (!into(total)) return;
+      for (auto& segment : segments) into(segment);
+    }
+  };
   std::vector<Counts> counts() const {
     std::vector<Counts> all(sights_.size());
     parallel_for(std::ssize(sights_), [&](std::int64_t v) {
       const SegmentSights& view = sights_[static_cast<std::size_t>(v)];
       Counts& of = all[static_cast<std::size_t>(v)];
-      of.resize(static_cast<std::size_t>(view.segments()));
+      of.segments.resize(static_cast<std::size_t>(view.segments()));
       for (std::size_t i = 0; i < view.point.size(); ++i) {
         const std::int32_t g = group_[static_cast<std::size_t>(view.point[i])];
-        if (g >= 0) of[static_cast<std::size_t>(view.segment[i])][g] += 1;
+        if (g < 0) continue;
+        of.segments[static_cast<std::size_t>(view.segment[i])][g] += 1;
+        of.total[g] += 1;
       }
     });
     return all;
@@ -225,16 +274,14 @@ class Clustering {
   using Pair = std::pair<std::int32_t, std::int32_t>;
   // A view that sees n_a and n_b of two groups says same = sum_s n_as n_bs / (n_a n_b) with the weight of the smaller.
   static void add_evidence(const Counts& view, std::map<Pair, Evidence>& evidence, std::int32_t only) {
-    std::map<std::int32_t, double> total;
-    for (const auto& segment : view)
-      for (const auto& [g, n] : segment) total[g] += n;
+    const std::map<std::int32_t, double>& total = view.total;
     if (only >= 0 && !total.contains(only)) return;
     std::map<Pair, double> together;
-    for (const auto& segment : view)
-      for (auto a = segment.begin(); a != segment.end(); ++a)
+    for (const auto& segment : view.segments)
+      for (auto a = segment.begin(); a != segment.end() && (only < 0 || segment.contains(only)); ++a)
         for (auto b = std::next(a); b != segment.end(); ++b)
           if (only < 0 || a->first == only || b->first == only)
-            together[{a->first, b->first}] += a->second * b->second / (total[a->first] * total[b->first]);
+            together[{a->first, b->first}] += a->second * b->second / (total.at(a->first) * total.at(b->first));
     for (auto a = total.begin(); a != total.end(); ++a) {
       for (auto b = std::next(a); b != total.end(); ++b) {
         if (only >= 0 && a->first != only && b->first != only) continue;
@@ -267,12 +314,7 @@ class Clustering {
                 ? evidence.erase(e)
                 : std::next(e);
       for (Counts& view : views) {
-        for (auto& segment : view) {
-          const auto found = segment.find(gone);
-          if (found == segment.end()) continue;
-          segment[keep] += found->second;
-          segment.erase(gone);
-        }
+        view.join(keep, gone);
         add_evidence(view, evidence, keep);
       }
     }
@@ -309,6 +351,7 @@ class Clustering {
     number();
   }
 
+  static constexpr std::int64_t kBlock = 4096;  // points of a unit of work
   static constexpr double kLeastSights = 3;
   static constexpr std::int32_t kLeastPiece = 4;  // points of a group before groups are joined
 

@@ -72,7 +72,9 @@ FoundObjects find_objects(Session& session, const SegmentSet& segments, std::uni
   };
   found.grouping = std::move(grouping);
   found.stuff = stuff_classes(session.scene.info.classes, params.stuff);
-  found.surface = object_surface(session, params.rays, params.points, say("seen"));
+  std::vector<PoolView> views = object_views(session, params.rays, say("seen"));
+  clock.part("rendering");
+  found.surface = object_surface(std::move(views), session.limits, params.points);
   const SurfacePool& pool = found.surface.pool;
   found.touching = touching_cells(pool.cells);
   std::vector<Vec3d> positions;

@@ -8,8 +8,8 @@
 
 namespace semfield {
 
-ObjectSurface object_surface(Session& session, std::int64_t rays, std::int64_t points, const ObjectProgress& progress) {
-  ObjectSurface surface;
+std::vector<PoolView> object_views(Session& session, std::int64_t rays, const ObjectProgress& progress) {
+  std::vector<PoolView> views;
   double pixels = 0;
   std::int32_t shortest = 1 << 20;
   for (const int f : session.scene.frames_of(Split::train)) {
@@ -22,16 +22,21 @@ ObjectSurface object_surface(Session& session, std::int64_t rays, std::int64_t p
     view.photo = &session.scene.frames[n];
     pixels += static_cast<double>(info.camera.width_px) * info.camera.height_px;
     shortest = std::min({shortest, info.camera.width_px, info.camera.height_px});
-    surface.views.push_back(std::move(view));
+    views.push_back(std::move(view));
   }
   const auto stride = std::clamp(static_cast<std::int32_t>(std::ceil(std::sqrt(pixels / static_cast<double>(rays)))), 1,
                                  std::max(1, shortest / 8));
   double done = 0;
-  for (PoolView& view : surface.views) {
+  for (PoolView& view : views) {
     view.map = make_surface_map(*session.pipeline, view.camera, session.limits, stride, 0);
-    if (progress) progress(++done, static_cast<double>(surface.views.size()));
+    if (progress) progress(++done, static_cast<double>(views.size()));
   }
-  surface.pool = make_surface_pool(surface.views, session.limits, points);
+  return views;
+}
+
+ObjectSurface object_surface(std::vector<PoolView> views, const RayLimits& limits, std::int64_t points) {
+  ObjectSurface surface{std::move(views), {}};
+  surface.pool = make_surface_pool(surface.views, limits, points);
   if (surface.pool.points.empty())
     throw Error(ErrorKind::data, "objects.surface.none", "no ray of a training view meets a surface",
                 "train longer: the field is empty");

@@ -21,8 +21,11 @@ struct ObjectSurface {
   SurfacePool pool;
 };
 
-/// `rays`: of the maps of all views together; `points`: about so many. Throws Error(data) where no ray meets anything.
-ObjectSurface object_surface(Session& session, std::int64_t rays, std::int64_t points, const ObjectProgress& progress);
+/// The training frames with their surface maps, of `rays` rays all together.
+std::vector<PoolView> object_views(Session& session, std::int64_t rays, const ObjectProgress& progress);
+
+/// Of about `points` points. Throws Error(data) where no ray meets anything.
+ObjectSurface object_surface(std::vector<PoolView> views, const RayLimits& limits, std::int64_t points);
 
 /// Of one view: places of its map that show a point of the pool in a segment, ordered by segment.
 struct SegmentSights {

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <map>
 
+#include "compute/parallel.h"
 #include "execution/point_network.h"
 
 namespace semfield {
@@ -44,7 +45,8 @@ PointClasses classes_of_points(Session& session, std::span<const Vec3d> position
   query.position = {at.data(), std::ssize(positions), 3};
   query.logits = {found.data(), std::ssize(positions), logits};
   query_points(*session.pipeline, query);
-  for (std::size_t i = 0; i < positions.size(); ++i) {
+  parallel_for(std::ssize(positions), [&](std::int64_t n) {
+    const auto i = static_cast<std::size_t>(n);
     const float* const row = &found[i * static_cast<std::size_t>(logits)];
     const float most = *std::max_element(row, row + logits);
     double sum = 0;
@@ -52,7 +54,7 @@ PointClasses classes_of_points(Session& session, std::span<const Vec3d> position
     for (std::int32_t c = 0; c < logits; ++c)
       out.probability[i * width + static_cast<std::size_t>(session.plan.class_of_logit[static_cast<std::size_t>(c)])] =
           static_cast<float>(std::exp(static_cast<double>(row[c] - most)) / sum);
-  }
+  });
   return out;
 }
 

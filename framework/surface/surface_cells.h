@@ -3,7 +3,6 @@
 
 #include <array>
 #include <cstdint>
-#include <unordered_map>
 #include <vector>
 
 #include "core/small_math.h"
@@ -16,6 +15,25 @@ using SurfaceCell = std::array<std::int32_t, 3>;
 /// Two cells that touch in a face, an edge or a corner.
 struct CellPair {
   std::int32_t a = 0, b = 0;
+};
+
+/// Numbers by key, in one table that is at most half full: a key lies at the first free place from its hash on.
+class CellIndex {
+ public:
+  /// The number of `key`, or -1.
+  std::int32_t find(std::uint64_t key) const;
+  /// The number of `key`, which is `fresh` where it had none.
+  std::int32_t add(std::uint64_t key, std::int32_t fresh);
+
+ private:
+  struct Entry {
+    std::uint64_t key = 0;
+    std::int32_t number = -1;  // -1: free
+  };
+  std::size_t place_of(std::uint64_t key) const;
+  void grow();
+  std::vector<Entry> entries_;  // a power of two of them, or none
+  std::size_t used_ = 0;
 };
 
 /// Cells get numbers from 0 on as they are met.
@@ -41,7 +59,7 @@ class SurfaceCells {
   static std::uint64_t key_of(const SurfaceCell& place);
   bool find_place(Vec3d point, SurfaceCell& place) const;
   double edge_m_ = 0;
-  std::unordered_map<std::uint64_t, std::int32_t> index_;
+  CellIndex index_;
   std::vector<SurfaceCell> places_;
 };
 

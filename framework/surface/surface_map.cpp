@@ -8,7 +8,7 @@
 namespace semfield {
 
 namespace {
-constexpr std::int64_t kChunkRays = 8192;
+constexpr std::int64_t kChunkRays = std::int64_t{1} << 16;
 }
 
 float SurfaceMap::at(std::int32_t column, std::int32_t row) const {

@@ -44,18 +44,24 @@ PointDifference difference(const PoolPoint& a, const PoolPoint& b, double color_
   return {dot(dc, dc) * (1 / (2 * color_sigma * color_sigma)), dot(dn, dn) * (1 / (2 * normal_sigma * normal_sigma))};
 }
 
-void SurfacePool::add(std::size_t view, const SeenSurface& seen, const StoredFrame& photo, std::int32_t stride) {
+void SurfacePool::number(std::size_t view, const SeenSurface& seen, const StoredFrame& photo, std::int32_t stride) {
   std::vector<std::int32_t>& of_pixel = point_of_pixel[view];
   of_pixel.assign(seen.place.size(), -1);
   for (std::size_t i = 0; i < of_pixel.size(); ++i) {
     const PixelPlace pixel = strided_place(static_cast<std::int64_t>(i), seen.width_px, stride);
     const auto at = static_cast<std::size_t>(std::int64_t{pixel.row} * photo.width_px + pixel.column);
-    if (!photo.mask.uses(at)) continue;
-    const std::int32_t cell = cells.add(seen.place[i]);
-    if (cell < 0) continue;
-    of_pixel[i] = cell;
-    if (cell == static_cast<std::int32_t>(points.size())) points.emplace_back();
-    PoolPoint& point = points[static_cast<std::size_t>(cell)];
+    if (photo.mask.uses(at)) of_pixel[i] = cells.add(seen.place[i]);
+  }
+}
+
+void SurfacePool::gather(std::size_t view, const SeenSurface& seen, const StoredFrame& photo, std::int32_t stride) {
+  points.resize(static_cast<std::size_t>(cells.count()));
+  const std::vector<std::int32_t>& of_pixel = point_of_pixel[view];
+  for (std::size_t i = 0; i < of_pixel.size(); ++i) {
+    if (of_pixel[i] < 0) continue;
+    const PixelPlace pixel = strided_place(static_cast<std::int64_t>(i), seen.width_px, stride);
+    const auto at = static_cast<std::size_t>(std::int64_t{pixel.row} * photo.width_px + pixel.column);
+    PoolPoint& point = points[static_cast<std::size_t>(of_pixel[i])];
     const std::uint8_t* const rgb = &photo.rgb[3 * at];
     point.color = point.color + Vec3d{double(rgb[0]), double(rgb[1]), double(rgb[2])};
     point.position = point.position + seen.place[i];
@@ -95,11 +101,13 @@ SurfacePool make_surface_pool(std::span<const PoolView> views, const RayLimits& 
   for (int turn = 0; turn < 3; ++turn) {
     pool = SurfacePool(cell_m, views.size());
     for (std::size_t v = 0; v < views.size(); ++v)
-      if (!views[v].map.empty()) pool.add(v, seen[v], *views[v].photo, views[v].map.stride);
-    const double ratio = static_cast<double>(pool.points.size()) / static_cast<double>(wanted);
+      if (!views[v].map.empty()) pool.number(v, seen[v], *views[v].photo, views[v].map.stride);
+    const double ratio = static_cast<double>(pool.cells.count()) / static_cast<double>(wanted);
     if (ratio > 0.8 && ratio < 1.25) break;
     cell_m *= std::clamp(std::sqrt(ratio), 0.2, 5.0);
   }
+  for (std::size_t v = 0; v < views.size(); ++v)
+    if (!views[v].map.empty()) pool.gather(v, seen[v], *views[v].photo, views[v].map.stride);
   pool.finish();
   return pool;
 }

@@ -52,7 +52,13 @@ struct SurfacePool {
 
   double cell_m() const { return cells.edge_m(); }  ///< 0 without cells
   /// `stride`: of the pixels that `seen` has, in `photo`.
-  void add(std::size_t view, const SeenSurface& seen, const StoredFrame& photo, std::int32_t stride);
+  void add(std::size_t view, const SeenSurface& seen, const StoredFrame& photo, std::int32_t stride) {
+    number(view, seen, photo, stride);
+    gather(view, seen, photo, stride);
+  }
+  /// add() in two parts: cells get their numbers, then points what lies in them.
+  void number(std::size_t view, const SeenSurface& seen, const StoredFrame& photo, std::int32_t stride);
+  void gather(std::size_t view, const SeenSurface& seen, const StoredFrame& photo, std::int32_t stride);
   void finish();
 };
 

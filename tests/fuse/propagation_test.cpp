@@ -32,6 +32,18 @@ TEST(SurfaceCells, TouchingCellsAreNeighboursOnce) {
   EXPECT_EQ(pairs, (std::vector<std::pair<int, int>>{{0, 1}, {0, 2}, {1, 3}}));
 }
 
+TEST(SurfaceCells, ManyKeepTheirNumbers) {
+  SurfaceCells cells(1);
+  std::vector<SurfaceCell> places;
+  for (std::int32_t i = 0; i < 20000; ++i) places.push_back({i % 31 - 15, i / 31 % 29 - 14, i / 899 * 40000 - 400000});
+  for (std::size_t i = 0; i < places.size(); ++i) ASSERT_EQ(cells.add(places[i]), static_cast<std::int32_t>(i));
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    ASSERT_EQ(cells.add(places[i]), static_cast<std::int32_t>(i));
+    ASSERT_EQ(cells.near({places[i][0] + 0.5, places[i][1] + 0.5, places[i][2] + 0.5}), static_cast<std::int32_t>(i));
+  }
+  EXPECT_EQ(cells.near({0.5, 0.5, 1000.5}), -1);
+}
+
 TEST(SurfaceCells, ABlockHasEveryPair) {
   SurfaceCells cells(1);
   for (int i = 0; i < 27; ++i) cells.add(Vec3d{i / 9 + 0.5, i / 3 % 3 + 0.5, i % 3 + 0.5});
