@@ -183,10 +183,10 @@ int run(const ObjectsOptions& options, AppContext& context) {
 
 void words(VerbWords& verb, ObjectsOptions& options) {
   verb.operand("run", options.run, "run folder");
-  verb.value(
-      "--segments PATH", options.segments,
-      "segments of the training images: a folder of PNGs or JSON masks, or a COCO file (default: the scene's own "
-      "instances)");
+  verb.value("--segments PATH", options.segments,
+             "segments of the training images: a folder of PNGs, JSON or NumPy masks, or a COCO file (default: the "
+             "scene's own "
+             "instances)");
   verb.value("--pattern NAME", options.pattern,
              "how files of that folder are named, with {name}, {stem} or {number} of the frame");
   verb.needs("--pattern", "--segments");

@@ -38,7 +38,23 @@ struct ArrayHeader {
   bool fortran = false;
   std::vector<std::int64_t> shape;
   std::size_t data_at = 0;
+
+  char kind() const { return type[1]; }
+  std::size_t element_bytes() const { return static_cast<std::size_t>(type[2] - '0'); }
 };
+
+// Types that a reader takes, without the byte order, and the bytes of one of its values.
+struct ArrayTypes {
+  std::vector<std::string> kinds;
+  const char* remedy;
+  std::size_t value_bytes;
+};
+
+const ArrayTypes& real_types() {
+  static const ArrayTypes types{
+      {"f2", "f4", "f8", "u1"}, "save it as float16, float32, float64 or uint8", sizeof(float)};
+  return types;
+}
 
 // Text behind 'KEY': in the header, a Python dictionary; up to `end`, which is left out.
 std::string_view value_of(std::string_view header, std::string_view key, std::string_view end) {
@@ -141,35 +157,38 @@ std::size_t c_order(std::size_t i, const std::vector<std::int64_t>& shape) {
 }
 
 // The header of an array of `bytes` bytes in all, which begins as `start` does: checked, and taken by `accept`.
-ArrayHeader checked_header(std::string_view start, std::uint64_t bytes, const AcceptShape& accept) {
+ArrayHeader checked_header(std::string_view start, std::uint64_t bytes, const ArrayTypes& types,
+                           const AcceptShape& accept) {
   const ArrayHeader header = header_of(start);
-  static const std::vector<std::string> kinds{"f2", "f4", "f8", "u1"};
-  const std::string kind = header.type.substr(1);
-  if (std::find(kinds.begin(), kinds.end(), kind) == kinds.end() ||
+  if (std::find(types.kinds.begin(), types.kinds.end(), header.type.substr(1)) == types.kinds.end() ||
       std::string_view("<>=|").find(header.type[0]) == std::string_view::npos) {
-    refuse_array("files.array.type", "arrays of type '" + header.type + "' are not read",
-                 "save it as float16, float32, float64 or uint8");
+    refuse_array("files.array.type", "arrays of type '" + header.type + "' are not read", types.remedy);
   }
-  const auto size = static_cast<std::size_t>(kind[1] - '0');
-  const std::uint64_t count = element_count(header, bytes - header.data_at, size);
+  const std::uint64_t count = element_count(header, bytes - header.data_at, header.element_bytes());
   if (accept) accept(header.shape);
-  check_input_limit(static_cast<std::int64_t>(count * std::max(size, sizeof(float))), input_limits().image_bytes,
-                    "array of the shape " + shape_text(header.shape) + ": ", "bytes once decoded", "image_bytes");
+  check_input_limit(static_cast<std::int64_t>(count * std::max(header.element_bytes(), types.value_bytes)),
+                    input_limits().image_bytes, "array of the shape " + shape_text(header.shape) + ": ",
+                    "bytes once decoded", "image_bytes");
   return header;
 }
 
-NumpyArray array_of(const ArrayHeader& header, std::string_view bytes) {
+// `value` makes a number of an element: its place, its bytes and whether the first is the highest.
+template <class T, class Value>
+NumpyNumbers<T> numbers_of(const ArrayHeader& header, std::string_view bytes, const Value& value) {
   const std::string_view data = bytes.substr(header.data_at);
-  const char kind = header.type[1];
-  const auto size = static_cast<std::size_t>(header.type[2] - '0');
+  const std::size_t size = header.element_bytes();
   const std::uint64_t count = element_count(header, data.size(), size);  // a file may shrink after its header is read
-  NumpyArray array{header.shape, std::vector<float>(count), kind == 'u'};
+  NumpyNumbers<T> out{header.shape, std::vector<T>(count)};
   const bool big_endian = header.type[0] == '>';
-  for (std::size_t i = 0; i < count; ++i) {
-    array.values[header.fortran ? c_order(i, header.shape) : i] =
-        value_at(data.data() + i * size, kind, size, big_endian);
-  }
-  return array;
+  for (std::size_t i = 0; i < count; ++i)
+    out.values[header.fortran ? c_order(i, header.shape) : i] = value(data.data() + i * size, size, big_endian);
+  return out;
+}
+
+NumpyArray array_of(const ArrayHeader& header, std::string_view bytes) {
+  const char kind = header.kind();
+  const auto value = [&](const char* at, std::size_t size, bool big) { return value_at(at, kind, size, big); };
+  return {numbers_of<float>(header, bytes, value), kind == 'u'};
 }
 
 std::string npy_bytes(const NpzEntry& entry) {
@@ -207,7 +226,7 @@ template <class Use>
 auto with_header(const std::string& path, const AcceptShape& accept, const Use& use) {
   try {
     const std::string start = read_file_start(path, kHeadBytes);
-    return use(checked_header(start, std::filesystem::file_size(path), accept));
+    return use(checked_header(start, std::filesystem::file_size(path), real_types(), accept));
   } catch (const Error& e) {
     if (e.message().find(path) != std::string::npos) throw;
     throw Error(e.kind(), e.code(), "'" + path + "': " + e.message(), e.remedy());
@@ -226,34 +245,65 @@ std::vector<std::int64_t> npy_shape(const std::string& path) {
       path, [](std::span<const std::int64_t>) {}, [](const ArrayHeader& header) { return header.shape; });
 }
 
-NumpyArray read_npz(const std::string& path, const std::string& key, const AcceptShape& accept) {
-  const std::string file = read_text_file(path, kMaxArrayFileBytes);
-  std::string place = "'" + path + "'";
+namespace {
+// `use` gets the checked header of an entry and its bytes; errors name the file and the entry.
+template <class Use>
+auto with_entry(const std::string& path, std::string_view file, const ZipEntry& entry, const ArrayTypes& types,
+                const AcceptShape& accept, const Use& use) {
   try {
-    std::vector<std::string> keys;
-    for (const ZipEntry& entry : zip_entries(file)) {
-      keys.push_back(key_of(entry.name));
-      if (keys.back() != key) continue;
-      place += ", entry '" + key + "'";
-      const ArrayHeader header = checked_header(zip_start(file, entry, kHeadBytes), entry.bytes, accept);
-      return array_of(header, zip_contents(file, entry));
-    }
-    refuse_array("files.array.missing", "no array '" + key + "' in it", "it has: " + join(keys));
+    const ArrayHeader header = checked_header(zip_start(file, entry, kHeadBytes), entry.bytes, types, accept);
+    return use(header, zip_contents(file, entry));
   } catch (const Error& e) {
-    throw Error(e.kind(), e.code(), place + ": " + e.message(), e.remedy());
+    throw Error(e.kind(), e.code(), "'" + path + "', entry '" + key_of(entry.name) + "': " + e.message(), e.remedy());
   }
+}
+}  // namespace
+
+NpzFile::NpzFile(std::string path) : path_(std::move(path)), file_(read_text_file(path_, kMaxArrayFileBytes)) {
+  try {
+    entries_ = zip_entries(file_);
+  } catch (const Error& e) {
+    throw Error(e.kind(), e.code(), "'" + path_ + "': " + e.message(), e.remedy());
+  }
+  for (const ZipEntry& entry : entries_) keys_.push_back(key_of(entry.name));
 }
 
-std::vector<std::string> npz_keys(const std::string& path) {
-  const std::string file = read_text_file(path, kMaxArrayFileBytes);
-  try {
-    std::vector<std::string> keys;
-    for (const ZipEntry& entry : zip_entries(file)) keys.push_back(key_of(entry.name));
-    return keys;
-  } catch (const Error& e) {
-    throw Error(e.kind(), e.code(), "'" + path + "': " + e.message(), e.remedy());
-  }
+const ZipEntry& NpzFile::entry(const std::string& key) const {
+  const auto at = std::find(keys_.begin(), keys_.end(), key);
+  if (at == keys_.end())
+    refuse_array("files.array.missing", "'" + path_ + "': no array '" + key + "' in it", "it has: " + join(keys_));
+  return entries_[static_cast<std::size_t>(at - keys_.begin())];
 }
+
+NumpyArray NpzFile::read(const std::string& key, const AcceptShape& accept) const {
+  return with_entry(path_, file_, entry(key), real_types(), accept, array_of);
+}
+
+NumpyNumbers<std::uint8_t> NpzFile::bytes(const std::string& key, const AcceptShape& accept) const {
+  static const ArrayTypes types{{"b1", "u1"}, "save it as bool or uint8", 1};
+  const auto value = [](const char* at, std::size_t, bool) { return static_cast<std::uint8_t>(*at); };
+  return with_entry(path_, file_, entry(key), types, accept, [&](const ArrayHeader& header, std::string_view data) {
+    return numbers_of<std::uint8_t>(header, data, value);
+  });
+}
+
+NumpyNumbers<std::int64_t> NpzFile::whole(const std::string& key, const AcceptShape& accept) const {
+  static const ArrayTypes types{{"i1", "i2", "i4", "i8", "u1", "u2", "u4"}, "save it as int64", sizeof(std::int64_t)};
+  return with_entry(path_, file_, entry(key), types, accept, [&](const ArrayHeader& header, std::string_view data) {
+    const bool is_signed = header.kind() == 'i';
+    return numbers_of<std::int64_t>(header, data, [&](const char* at, std::size_t size, bool big_endian) {
+      const std::uint64_t bits = element(at, size, big_endian);
+      const auto above = static_cast<int>(64 - 8 * size);
+      return is_signed ? static_cast<std::int64_t>(bits << above) >> above : static_cast<std::int64_t>(bits);
+    });
+  });
+}
+
+NumpyArray read_npz(const std::string& path, const std::string& key, const AcceptShape& accept) {
+  return NpzFile(path).read(key, accept);
+}
+
+std::vector<std::string> npz_keys(const std::string& path) { return NpzFile(path).keys(); }
 
 std::string npy_header(const std::string& type, std::span<const std::int64_t> shape) {
   std::string axes;

@@ -7,12 +7,19 @@
 #include <string>
 #include <vector>
 
+#include "formats/zip_archive.h"
+
 namespace semfield {
 
-/// Values in C order, whatever the order in the file. uint8 is divided by 255, so that 255 reads as 1.
-struct NumpyArray {
+/// Values in C order, whatever the order in the file.
+template <class T>
+struct NumpyNumbers {
   std::vector<std::int64_t> shape;
-  std::vector<float> values;
+  std::vector<T> values;
+};
+
+/// uint8 is divided by 255, so that 255 reads as 1.
+struct NumpyArray : NumpyNumbers<float> {
   bool from_bytes = false;  ///< the file holds uint8
 };
 
@@ -35,6 +42,25 @@ std::vector<std::int64_t> npy_shape(const std::string& path);
 NumpyArray read_npz(const std::string& path, const std::string& key, const AcceptShape& accept);
 /// Keys in the order of the archive.
 std::vector<std::string> npz_keys(const std::string& path);
+
+/// An archive in memory, for those who read several arrays of it. All throw as read_npz.
+class NpzFile {
+ public:
+  explicit NpzFile(std::string path);
+  const std::vector<std::string>& keys() const { return keys_; }  ///< in the order of the archive
+  NumpyArray read(const std::string& key, const AcceptShape& accept) const;
+  /// Of bool or uint8, as they are stored; no other type.
+  NumpyNumbers<std::uint8_t> bytes(const std::string& key, const AcceptShape& accept) const;
+  /// Of integers but uint64; no other type.
+  NumpyNumbers<std::int64_t> whole(const std::string& key, const AcceptShape& accept) const;
+
+ private:
+  const ZipEntry& entry(const std::string& key) const;
+
+  std::string path_, file_;
+  std::vector<ZipEntry> entries_;
+  std::vector<std::string> keys_;
+};
 
 /// The beginning of a .npy file, behind which the values follow in C order. `type` as NumPy writes it: "<f4", "|i1".
 std::string npy_header(const std::string& type, std::span<const std::int64_t> shape);

@@ -7,10 +7,9 @@
 
 #include "core/text.h"
 #include "formats/image_io.h"
-#include "formats/input_limits.h"
 #include "labels/label_files.h"
-#include "labels/outline_fill.h"
 #include "labels/run_lengths.h"
+#include "objects/segment_masks.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -49,12 +48,6 @@ std::string text_of(const Json& item, const char* key, const std::string& place)
   return value.get<std::string>();
 }
 
-struct Mask {
-  std::vector<PixelRun> runs;
-  std::int64_t area = 0;
-  std::int16_t class_index = kVoid;
-};
-
 std::vector<std::int64_t> run_counts(const Json& counts, const std::string& place) {
   if (counts.is_string()) return counts_of_text(counts.get<std::string>());
   std::vector<std::int64_t> out;
@@ -79,8 +72,8 @@ Outline outline_of_numbers(const Json& part, const std::string& place) {
   return outline;
 }
 
-Mask mask_of(const Json& segmentation, std::int32_t width, std::int32_t height, const std::string& place) {
-  Mask mask;
+SegmentMask mask_of(const Json& segmentation, std::int32_t width, std::int32_t height, const std::string& place) {
+  SegmentMask mask;
   if (segmentation.is_object()) {
     const Json& size = member(segmentation, "size", place);
     if (size != Json::array({height, width}))
@@ -105,36 +98,9 @@ Mask mask_of(const Json& segmentation, std::int32_t width, std::int32_t height, 
   return mask;
 }
 
-// The smaller lies in front of the larger.
-FrameSegments painted(std::vector<Mask> masks, std::int32_t width, std::int32_t height) {
-  std::stable_sort(masks.begin(), masks.end(), [](const Mask& a, const Mask& b) { return a.area > b.area; });
-  FrameSegments out{
-      width, height, std::vector<std::int32_t>(static_cast<std::size_t>(std::int64_t{width} * height), 0), {}};
-  std::int32_t id = 0;
-  for (const Mask& mask : masks) {
-    ++id;
-    if (mask.class_index != kVoid) out.class_of[id] = mask.class_index;
-    for (const PixelRun& run : mask.runs)
-      std::fill_n(out.id.begin() + std::int64_t{run.y} * width + run.x0, run.x1 - run.x0, id);
-  }
-  return out;
-}
-
-void check_size(std::int64_t width, std::int64_t height, const FrameInfo& frame, const std::string& place) {
-  try {
-    if (width <= 0 || height <= 0)
-      throw Error(ErrorKind::data, "labels.image.size",
-                  "an image of " + std::to_string(width) + " x " + std::to_string(height));
-    check_image_limits(width, height);
-    check_label_shape(width, height, frame.camera);
-  } catch (const Error& e) {
-    refuse_labels(e.code(), place, e.message(), e.remedy());
-  }
-}
-
 FrameSegments segments_of_ids(const std::string& path, const FrameInfo& frame) {
   const Image<std::uint16_t> image = read_ids(path);
-  check_size(image.width_px, image.height_px, frame, path);
+  check_segment_size(image.width_px, image.height_px, frame, path);
   FrameSegments out{image.width_px, image.height_px, {}, {}};
   for (const std::uint16_t id : image.pixels) out.id.push_back(id == kNoSegment16 ? 0 : id);
   return out;
@@ -156,15 +122,15 @@ FrameSegments segments_of_masks(const std::string& path, const FrameInfo& frame)
     width = size[1].get<std::int64_t>();
     break;
   }
-  check_size(width, height, frame, path);
-  std::vector<Mask> masks;
+  check_segment_size(width, height, frame, path);
+  std::vector<SegmentMask> masks;
   std::size_t number = 0;
   for (const Json& item : list) {
     const std::string place = path + ": mask " + std::to_string(++number);
     masks.push_back(mask_of(member(item, "segmentation", place), static_cast<std::int32_t>(width),
                             static_cast<std::int32_t>(height), place));
   }
-  return painted(std::move(masks), static_cast<std::int32_t>(width), static_cast<std::int32_t>(height));
+  return painted_segments(std::move(masks), static_cast<std::int32_t>(width), static_cast<std::int32_t>(height));
 }
 
 // Classes of COCO's categories, by id.
@@ -191,7 +157,7 @@ std::int16_t class_of(const Json& item, const std::map<std::int64_t, std::int16_
 FrameSegments segments_of_colors(const std::string& path, const Json& annotation, const FrameInfo& frame,
                                  const std::map<std::int64_t, std::int16_t>& classes, const std::string& place) {
   const Image<std::uint8_t> image = read_rgb(path);
-  check_size(image.width_px, image.height_px, frame, path);
+  check_segment_size(image.width_px, image.height_px, frame, path);
   FrameSegments out{image.width_px, image.height_px, {}, {}};
   for (std::size_t i = 0; i < image.pixels.size(); i += 3)
     out.id.push_back(image.pixels[i] + 256 * image.pixels[i + 1] + 65536 * image.pixels[i + 2]);
@@ -210,7 +176,7 @@ class Reading {
   }
 
   void folder(const std::string& path, const std::string& given) {
-    for (const char* ending : {".png", ".json"}) {
+    for (const char* ending : {".png", ".json", ".npz"}) {
       for (const std::string& pattern :
            given.empty() ? std::vector<std::string>{"{name}", "{stem}"} : std::vector{given}) {
         const std::string named = given.empty() ? pattern + ending : pattern;
@@ -218,7 +184,9 @@ class Reading {
           const FrameInfo& frame = info_.frames[f];
           if (!set_.frames[f].empty() || frame.split != Split::train || !has_file(path, named, frame)) continue;
           const std::string file = path_of(path, named, frame);
-          set_.frames[f] = file.ends_with(".json") ? segments_of_masks(file, frame) : segments_of_ids(file, frame);
+          set_.frames[f] = file.ends_with(".json")  ? segments_of_masks(file, frame)
+                           : file.ends_with(".npz") ? segments_of_arrays(file, frame, info_.classes)
+                                                    : segments_of_ids(file, frame);
         }
       }
     }
@@ -280,7 +248,7 @@ class Reading {
     struct OfImage {
       std::int32_t width = 0, height = 0;
       FrameSegments* to = nullptr;
-      std::vector<Mask> masks;
+      std::vector<SegmentMask> masks;
     };
     std::map<std::int64_t, OfImage> images;
     std::size_t number = 0;
@@ -291,7 +259,7 @@ class Reading {
       image.to = frame_of(text_of(item, "file_name", place), &info);
       if (image.to != nullptr) {
         const std::int64_t width = whole_of(item, "width", place), height = whole_of(item, "height", place);
-        check_size(width, height, *info, place);
+        check_segment_size(width, height, *info, place);
         image.width = static_cast<std::int32_t>(width);
         image.height = static_cast<std::int32_t>(height);
       }
@@ -305,13 +273,13 @@ class Reading {
         refuse_labels("labels.annotation.reference", place,
                       "no image has the id " + member(item, "image_id", place).dump());
       if (image->second.to == nullptr) continue;
-      Mask mask = mask_of(member(item, "segmentation", place), image->second.width, image->second.height, place);
+      SegmentMask mask = mask_of(member(item, "segmentation", place), image->second.width, image->second.height, place);
       mask.class_index = class_of(item, classes);
       image->second.masks.push_back(std::move(mask));
     }
     for (auto& [id, image] : images)
       if (image.to != nullptr && !image.masks.empty())
-        *image.to = painted(std::move(image.masks), image.width, image.height);
+        *image.to = painted_segments(std::move(image.masks), image.width, image.height);
   }
 
   const SceneInfo& info_;

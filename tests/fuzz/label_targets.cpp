@@ -95,7 +95,12 @@ void fuzz_npz(std::string_view bytes) {
   put("npz/classes.json", parts[0]);
   const std::string path = put("npz/a.npz", parts[1]);
   accepted([&] {
-    for (const std::string& key : npz_keys(path)) accepted([&] { (void)read_npz(path, key, {}); });
+    const NpzFile file(path);
+    for (const std::string& key : file.keys()) {
+      accepted([&] { (void)file.read(key, {}); });
+      accepted([&] { (void)file.bytes(key, {}); });
+      accepted([&] { (void)file.whole(key, {}); });
+    }
   });
   read_labels("npz", "{folder: " + folder() + "/npz, confidence_key: confidence}");
 }

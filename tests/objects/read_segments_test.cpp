@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 
 #include "formats/image_io.h"
+#include "formats/npz.h"
+#include "system/files.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
 
@@ -96,6 +98,73 @@ TEST(ReadSegments, InstancesOfCoco) {
   const FrameSegments frame = read_segments(file, "", scene_info()).frames[0];
   EXPECT_EQ(frame.id, std::vector<std::int32_t>(12, 1));
   EXPECT_EQ(frame.class_of.at(1), 0);
+}
+
+// An array of a .npz file, whose values are one byte each.
+struct ByteArray {
+  std::string key, type;
+  std::vector<std::int64_t> shape;
+  std::string values;
+};
+
+std::string write_arrays(const TempDir& dir, const std::vector<ByteArray>& arrays) {
+  ZipWriter archive(dir / "rgb_0.npz");
+  for (const ByteArray& a : arrays) archive.add(a.key + ".npy", npy_header(a.type, a.shape) + a.values);
+  archive.write();
+  return dir.path();
+}
+
+std::string pixels(const std::string& rows) {  // 'x' is inside
+  std::string out;
+  for (const char c : rows) out += static_cast<char>(c == 'x' ? 1 : 0);
+  return out;
+}
+
+TEST(ReadSegments, MasksOfNumPyTogetherAndOneByOne) {
+  const std::string all = pixels("xxxxxxxxxxxx"), column = pixels(".x...x...x..");
+  const std::vector<std::int32_t> want{1, 2, 1, 1, 1, 2, 1, 1, 1, 2, 1, 1};
+  const TempDir together, apart, channel;
+  const SegmentSet set = read_segments(write_arrays(together, {{"scores", "<f4", {1}, "abcd"},
+                                                               {"masks", "|b1", {2, 3, 4}, column + all},
+                                                               {"class_ids", "|u1", {2}, "\x02\x01"}}),
+                                       "", scene_info());
+  EXPECT_EQ(set.frames[0].id, want) << "the smaller mask lies in front";
+  EXPECT_EQ(set.frames[0].class_of.at(2), 1) << "the column is a chair";
+  EXPECT_EQ(set.frames[0].class_of.at(1), 0);
+  EXPECT_TRUE(set.classes);
+  const FrameSegments one_by_one =
+      read_segments(write_arrays(apart, {{"m0", "|u1", {3, 4}, all}, {"m1", "|u1", {3, 4}, column}}), "", scene_info())
+          .frames[0];
+  EXPECT_EQ(one_by_one.id, want);
+  EXPECT_TRUE(one_by_one.class_of.empty());
+  const std::string four = write_arrays(channel, {{"masks", "|b1", {2, 1, 3, 4}, column + all}});
+  EXPECT_EQ(read_segments(four, "{name}.npz", scene_info()).frames[0].id, want);
+}
+
+TEST(ReadSegments, WhatIsWrongWithMasksOfNumPyIsNamed) {
+  const TempDir dir;
+  const std::string all(12, '\1');
+  const auto read = [&](const std::vector<ByteArray>& arrays) {
+    return read_segments(write_arrays(dir, arrays), "", scene_info());
+  };
+  EXPECT_ERROR(read({{"masks", "<f4", {1, 3, 1}, all}}), "files.array.type", "rgb_0.npz", "'masks'", "bool or uint8");
+  EXPECT_ERROR(read({{"masks", "|b1", {3, 4}, all}}), "labels.array.shape", "'masks'", "(3, 4)",
+               "[masks, height, width]");
+  EXPECT_ERROR(read({{"masks", "|b1", {1, 2, 6}, all}}), "labels.image.size", "'masks'", "6 x 2", "4 x 3");
+  EXPECT_ERROR(read({{"masks", "|b1", {2, 3, 4}, all}}), "files.array.format", "'masks'", "(2, 3, 4)");
+  EXPECT_ERROR(read({{"a", "|b1", {3, 4}, all}, {"b", "|b1", {6, 8}, all + all + all + all}}), "labels.array.shape",
+               "'b'", "(6, 8)", "(3, 4)");
+  EXPECT_ERROR(read({{"a", "|b1", {1, 3, 4}, all}}), "labels.array.shape", "'a'", "'masks'");
+  EXPECT_ERROR(read({{"scores", "<f4", {3}, all}}), "labels.array.shape", "rgb_0.npz", "no masks");
+  const ByteArray masks{"masks", "|b1", {1, 3, 4}, all};
+  EXPECT_ERROR(read({masks, {"class_ids", "|u1", {2}, "\1\1"}}), "labels.array.shape", "'class_ids'", "(2,)", "(1,)");
+  EXPECT_ERROR(read({masks, {"class_ids", "|u1", {1}, "\7"}}), "labels.id.unknown", "'class_ids'", "mask 1", "7");
+  EXPECT_ERROR(read({masks, {"class_ids", "|i1", {1}, "\xff"}}), "labels.id.unknown", "-1");
+  EXPECT_ERROR(read({masks, {"class_ids", "<f4", {1}, "abcd"}}), "files.array.type", "'class_ids'", "int64");
+  read({masks});
+  const std::string whole = read_text_file(dir / "rgb_0.npz");
+  dir.write("rgb_0.npz", whole.substr(0, whole.size() / 2));
+  EXPECT_ERROR(read_segments(dir.path(), "", scene_info()), "files.zip.damaged", "rgb_0.npz");
 }
 
 TEST(ReadSegments, WhatIsWrongIsNamed) {

@@ -109,6 +109,25 @@ TEST(Npz, WrittenArraysAreReadBack) {
             "'" + path + "': no array 'two' in it; it has: probability, one");
 }
 
+TEST(Npz, BytesAndIntegersAreReadAsTheyAreStored) {
+  const std::string path = fresh_folder("t") + "/a.npz";
+  ZipWriter archive(path);
+  archive.add("mask.npy", npy(header("|b1", "(2, 2)", "True"), std::string("\1\0\0\2", 4)));
+  archive.add("short.npy", npy(header(">i2", "(2,)"), std::string("\xFF\xFE\x01\x02", 4)));
+  archive.add("long.npy", npy(header("<i8", "(1,)"), bytes_of(std::vector<std::int64_t>{-5})));
+  archive.add("wide.npy", npy(header("<u8", "(1,)"), std::string(8, '\1')));
+  archive.write();
+  const NpzFile file(path);
+  EXPECT_EQ(file.keys(), (std::vector<std::string>{"mask", "short", "long", "wide"}));
+  EXPECT_EQ(file.bytes("mask", {}).values, (std::vector<std::uint8_t>{1, 0, 0, 2}));
+  EXPECT_EQ(file.whole("short", {}).values, (std::vector<std::int64_t>{-2, 258}));
+  EXPECT_EQ(file.whole("long", {}).values, (std::vector<std::int64_t>{-5}));
+  EXPECT_EQ(error_of([&] { (void)file.whole("wide", {}); }),
+            "'" + path + "', entry 'wide': arrays of type '<u8' are not read; save it as int64");
+  EXPECT_EQ(error_of([&] { (void)file.bytes("short", {}); }),
+            "'" + path + "', entry 'short': arrays of type '>i2' are not read; save it as bool or uint8");
+}
+
 void put(std::string& out, std::uint64_t value, int bytes) {
   for (int i = 0; i < bytes; ++i) out += static_cast<char>((value >> (8 * i)) & 0xFF);
 }
