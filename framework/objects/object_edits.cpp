@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <span>
 
 #include "core/error.h"
 #include "core/text.h"
@@ -39,6 +40,20 @@ Vec3d place_of(const Json& value, const std::string& where) {
   return {value[0].get<double>(), value[1].get<double>(), value[2].get<double>()};
 }
 
+template <std::size_t N>
+std::array<Vec3d, N> places_of(const Json& value, const std::string& what, const std::string& remedy) {
+  if (!value.is_array() || value.size() != N) refuse(what, remedy);
+  std::array<Vec3d, N> places;
+  for (std::size_t k = 0; k < N; ++k) places[k] = place_of(value[k], what);
+  return places;
+}
+
+Json json_of_places(std::span<const Vec3d> places) {
+  Json out = Json::array();
+  for (const Vec3d& p : places) out.push_back({p.x, p.y, p.z});
+  return out;
+}
+
 ObjectEdit edit_of(const Json& json, const std::string& where) {
   if (!json.is_object() || !json.contains("do") || !json["do"].is_string())
     refuse(where + ": it does not say what to do", "give a map with 'do': rename, merge or split");
@@ -66,10 +81,10 @@ ObjectEdit edit_of(const Json& json, const std::string& where) {
     return edit;
   }
   edit.kind = ObjectEdit::Kind::split;
-  if (const auto at = json.find("at"); at != json.end()) {
-    if (!at->is_array() || at->size() != 2) refuse(where + ": 'at' is two places", "give one of each part");
-    edit.at = {place_of((*at)[0], where), place_of((*at)[1], where)};
-  }
+  if (json.contains("at")) edit.at = places_of<2>(json["at"], where + ": 'at' is two places", "give one of each part");
+  if (json.contains("plane"))
+    edit.plane = places_of<3>(json["plane"], where + ": 'plane' is three places", "give three that lie on it");
+  if (edit.at && edit.plane) refuse(where + ": 'at' and 'plane' part an object in two ways", "give one of them");
   return edit;
 }
 
@@ -78,9 +93,8 @@ Json json_of(const ObjectEdit& edit) {
   if (edit.kind == ObjectEdit::Kind::rename)
     return {{"do", "rename"}, {"object", edit.objects[0]}, {"name", edit.name}};
   Json out{{"do", "split"}, {"object", edit.objects[0]}};
-  if (!edit.at) return out;
-  out["at"] = Json::array();
-  for (const Vec3d& p : *edit.at) out["at"].push_back({p.x, p.y, p.z});
+  if (edit.at) out["at"] = json_of_places(*edit.at);
+  if (edit.plane) out["plane"] = json_of_places(*edit.plane);
   return out;
 }
 
@@ -138,6 +152,13 @@ std::map<std::int32_t, int> pieces_of(const Body& body) {
   return part_of;
 }
 
+// The larger of two parts keeps the id.
+void larger_first(std::map<std::int32_t, int>& part_of) {
+  const auto ones = std::count_if(part_of.begin(), part_of.end(), [](const auto& one) { return one.second == 1; });
+  if (2 * ones <= std::ssize(part_of)) return;
+  for (auto& [cell, part] : part_of) part = 1 - part;
+}
+
 // Two parts by a place of each; what is reached from neither is of the part whose place is nearer.
 std::map<std::int32_t, int> halves_of(const ObjectSet& set, const Body& body, std::int32_t object,
                                       const std::array<Vec3d, 2>& at) {
@@ -155,9 +176,21 @@ std::map<std::int32_t, int> halves_of(const ObjectSet& set, const Body& body, st
     const auto way = [&](int k) { return length(set.position[point] - at[static_cast<std::size_t>(k)]); };
     part_of.emplace(static_cast<std::int32_t>(point), way(1) < way(0) ? 1 : 0);
   }
-  const auto ones = std::count_if(part_of.begin(), part_of.end(), [](const auto& one) { return one.second == 1; });
-  if (2 * ones > std::ssize(part_of))  // the larger part keeps the id
-    for (auto& [cell, part] : part_of) part = 1 - part;
+  larger_first(part_of);
+  return part_of;
+}
+
+// The two sides of a plane.
+std::map<std::int32_t, int> sides_of(const ObjectSet& set, const Body& body, std::int32_t object,
+                                     const std::array<Vec3d, 3>& plane) {
+  const Vec3d a = plane[1] - plane[0], b = plane[2] - plane[0], normal = cross(a, b);
+  if (!(length(normal) > 1e-6 * length(a) * length(b)))
+    refuse(fmt::format("object {}: the three places lie on a line, so many planes hold them", object),
+           "click two points that you see apart");
+  std::map<std::int32_t, int> part_of;
+  for (const std::size_t point : body.points)
+    part_of[static_cast<std::int32_t>(point)] = dot(set.position[point] - plane[0], normal) < 0 ? 1 : 0;
+  larger_first(part_of);
   return part_of;
 }
 
@@ -199,12 +232,15 @@ void merge(ObjectSet& set, const std::vector<std::int32_t>& objects) {
 void split(ObjectSet& set, const ObjectEdit& edit) {
   const std::int32_t object = edit.objects[0];
   const Body body = body_of(set, object);
-  const std::map<std::int32_t, int> part_of = edit.at ? halves_of(set, body, object, *edit.at) : pieces_of(body);
+  const std::map<std::int32_t, int> part_of = edit.at      ? halves_of(set, body, object, *edit.at)
+                                              : edit.plane ? sides_of(set, body, object, *edit.plane)
+                                                           : pieces_of(body);
   int most = 0;
   for (const auto& [cell, part] : part_of) most = std::max(most, part);
   if (most == 0)
-    refuse(fmt::format("object {}: it has no second piece of a fiftieth of its points", object),
-           "click a point of each part and split at the points");
+    refuse(edit.plane ? fmt::format("object {}: all of it lies on one side of the plane", object)
+                      : fmt::format("object {}: it has no second piece of a fiftieth of its points", object),
+           edit.plane ? "click two points between the parts" : "click a point of each part and split at the points");
   const auto first = static_cast<std::int32_t>(set.rows.size());
   std::vector<std::int32_t> changed{object};
   for (int part = 1; part <= most; ++part) {

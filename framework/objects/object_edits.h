@@ -17,9 +17,10 @@ struct ObjectEdit {
   enum class Kind { rename, merge, split };
   Kind kind = Kind::rename;
   std::vector<std::int32_t> objects;
-  std::string name;  ///< of rename; "": the name it had by itself
-  std::optional<std::array<Vec3d, 2>> at =
-      {};  ///< of split: a place of each part, world; none: pieces that do not touch
+  std::string name;                             ///< of rename; "": the name it had by itself
+  std::optional<std::array<Vec3d, 2>> at = {};  ///< of split: a place of each part, world
+  std::optional<std::array<Vec3d, 3>> plane =
+      {};  ///< of split: three places of the plane between the parts, world; neither: pieces that do not touch
 };
 
 /// edits.json beside the table: the edits, and the digest of the objects that they are about.
@@ -29,8 +30,8 @@ struct ObjectEdits {
 };
 
 /// One edit as JSON: {"do": "rename", "object": 3, "name": "red chair"}, {"do": "merge", "objects": [3, 7]},
-/// {"do": "split", "object": 5} or {"do": "split", "object": 5, "at": [[x, y, z], [x, y, z]]}. `where` stands in
-/// messages. Throws Error(data).
+/// {"do": "split", "object": 5}, the same with "at": [[x, y, z], [x, y, z]], or with "plane" and three places. `where`
+/// stands in messages. Throws Error(data).
 ObjectEdit parse_object_edit(std::string_view json, const std::string& where);
 
 /// No file: no edits. Throws Error(data) naming the file and the edit.
@@ -40,9 +41,10 @@ void write_object_edits(const std::string& path, const ObjectEdits& edits);
 /// Changes ids and rows. Ids stay, those of merged objects are not used again, and a part that was split off gets a new
 /// one behind all others; the largest part keeps its id. Pieces: parts whose cells touch are one, and what has less
 /// than a fiftieth of the object's points stays with the largest part. Places: a point is of the part whose place it is
-/// reached from first, from cell to cell of the object. The views of merged objects are those of the one that has most,
-/// the views of a part those of the whole; class and size are counted anew. Throws Error(data) for ids that are not
-/// there, for places that do not lie on the object, and for an object that is one piece.
+/// reached from first, from cell to cell of the object. A plane: parts are the points on its two sides. The views of
+/// merged objects are those of the one that has most, the views of a part those of the whole; class and size are
+/// counted anew. Throws Error(data) for ids that are not there, for places that do not lie on the object, for a plane
+/// whose places lie on a line, and for an object that stays one piece.
 void apply_edit(ObjectSet& set, const ObjectEdit& edit);
 
 /// The objects of a folder as its edits have made them, and those edits. Throws as read_object_set and

@@ -115,6 +115,28 @@ TEST(ObjectEdits, TwoPlacesPartWhatTouches) {
   EXPECT_EQ(set.rows[0].class_index, 0);
 }
 
+// Object 1 is its two blocks and the bridge between them, cut where its line is seen from above.
+TEST(ObjectEdits, APlanePartsWhatLiesOnItsSides) {
+  ObjectSet set = blocks();
+  const ObjectEdit cut =
+      edit(R"({"do": "split", "object": 1, "plane": [[0.8, 0.1, 0.05], [0.8, 0.2, 0.05], [0.8, 0.15, 9]]})");
+  apply_edit(set, cut);
+  EXPECT_EQ(count(set, 1), 24 + 2);
+  EXPECT_EQ(count(set, 4), 16 + 3);
+  EXPECT_EQ(set.at({0.75, 0.15, 0.05}), 1);
+  EXPECT_EQ(set.at({0.85, 0.15, 0.05}), 4);
+  EXPECT_EQ(count(set, 3), 4) << "others on that side are not touched";
+  ObjectSet turned = blocks();
+  apply_edit(turned, edit(R"({"do": "split", "object": 1, "plane": [[0.8, 0.2, 0], [0.8, 0.1, 0], [0.8, 0.15, 9]]})"));
+  EXPECT_EQ(turned.id, set.id) << "the larger part keeps the id, whichever side is first";
+  EXPECT_ERROR(apply_edit(set, edit(R"({"do": "split", "object": 3, "plane": [[0, 0, 0], [0, 1, 0], [0, 0, 1]]})")),
+               "objects.edit.invalid", "object 3", "one side");
+  EXPECT_ERROR(apply_edit(set, edit(R"({"do": "split", "object": 3, "plane": [[0, 0, 0], [0, 1, 0], [0, 2, 0]]})")),
+               "objects.edit.invalid", "object 3", "line");
+  EXPECT_ERROR(edit(R"({"do": "split", "object": 3, "plane": [[0, 0, 0], [0, 1, 0]]})"), "objects.edit.invalid",
+               "plane");
+}
+
 TEST(ObjectEdits, WhatCannotBeIsRefusedWithTheObject) {
   ObjectSet set = blocks();
   EXPECT_ERROR(apply_edit(set, edit(R"({"do": "merge", "objects": [1, 9]})")), "objects.edit.invalid", "object 9");
@@ -142,7 +164,8 @@ TEST(ObjectEdits, FilesKeepObjectsAndEditsAndKnowThoseOfOthers) {
   ObjectEdits edits{set.digest(),
                     {edit(R"({"do": "merge", "objects": [1, 3]})"),
                      edit(R"({"do": "split", "object": 1, "at": [[1.35, 0.15, 0.05], [0.05, 0.05, 0.05]]})"),
-                     edit(R"({"do": "rename", "object": 4, "name": "small"})")}};
+                     edit(R"({"do": "rename", "object": 4, "name": "small"})"),
+                     edit(R"({"do": "split", "object": 2, "plane": [[2.5, 0, 0], [2.5, 1, 0], [2.5, 0, 1]]})")}};
   write_object_edits(dir / "edits.json", edits);
   for (const ObjectEdit& one : edits.edits) apply_edit(set, one);
   const EditedObjects read = read_edited_objects(dir.path());
@@ -153,10 +176,11 @@ TEST(ObjectEdits, FilesKeepObjectsAndEditsAndKnowThoseOfOthers) {
   ASSERT_EQ(read.set.rows.size(), set.rows.size());
   EXPECT_EQ(read.set.rows[3].name, "small");
   EXPECT_EQ(read.set.rows[0].views, 30);
-  EXPECT_EQ(read.edits.edits.size(), 3u);
+  EXPECT_EQ(read.edits.edits.size(), 4u);
+  EXPECT_EQ(read.edits.edits[3].plane, edits.edits[3].plane);
   edits.digest = "0123456789abcdef";
   write_object_edits(dir / "edits.json", edits);
-  EXPECT_ERROR(read_edited_objects(dir.path()), "objects.edits.foreign", "edits.json", "3 edits");
+  EXPECT_ERROR(read_edited_objects(dir.path()), "objects.edits.foreign", "edits.json", "4 edits");
   write_file_atomic(dir / "edits.json", std::string_view(R"({"objects": "x", "edits": [{"do": "split"}]})"));
   EXPECT_ERROR(read_edited_objects(dir.path()), "objects.edit.invalid", "edits.json", "edit 1", "object");
 }

@@ -67,6 +67,17 @@ def edit_objects(page, run):
     page.run("document.getElementById('undo').disabled = false; document.getElementById('undo').click()")
     page.wait(f"semfield.objects.rows.length === {count}", "undo brings it back")
     assert len(edits_of(run)) == 1 and other in table_of(run)
+    # A cut goes through the two points, straight away from the eye.
+    page.run("""
+        const row = semfield.objects.row(arguments[0]), {center, axes, size} = row.box;
+        semfield.objects.choose(row.id);
+        semfield.points = [-1, 1].map((side) => ({place: add(center, axes[1], side * size[1]), object: row.id}));
+        document.getElementById('plane').disabled = false;
+        document.getElementById('plane').click();""", row["id"])
+    page.wait(f"semfield.objects.rows.length === {count + 1}", "a cut leaves one more")
+    assert [len(place) for place in edits_of(run)[1]["plane"]] == [3, 3, 3], edits_of(run)
+    page.run("document.getElementById('undo').disabled = false; document.getElementById('undo').click()")
+    page.wait(f"semfield.objects.rows.length === {count}", "undo joins the parts")
     # A class that is hidden is neither drawn nor read.
     page.run("document.querySelector('#things details input[type=checkbox]').click()")
     assert page.run("return semfield.objects.hidden.size") > 0

@@ -10,6 +10,7 @@ class ObjectList {
     byId("merge").addEventListener("click", () => this.edit({do: "merge", objects: [...this.chosen]}));
     byId("pieces").addEventListener("click", () => this.edit({do: "split", object: this.only()}));
     byId("cut").addEventListener("click", () => this.edit({do: "split", object: this.only(), at: page.points.map(({place}) => place)}));
+    byId("plane").addEventListener("click", () => this.edit({do: "split", object: this.only(), plane: [...page.points.map(({place}) => place), page.camera.matrices().eye]}));
     byId("undo").addEventListener("click", () => this.edit({do: "undo"}));
     this.list();
   }
@@ -99,7 +100,7 @@ class ObjectList {
     }).join("\n") || "Click an object, shift and click for several.";
     if (this.page.live === null) return;
     const one = this.chosen.size === 1, on_it = this.page.points.filter((point) => point.object === this.only()).length;
-    for (const [id, works] of [["name", one], ["rename", one], ["merge", this.chosen.size > 1], ["pieces", one], ["cut", one && on_it === 2], ["undo", this.page.live.edits > 0]])
+    for (const [id, works] of [["name", one], ["rename", one], ["merge", this.chosen.size > 1], ["pieces", one], ["cut", one && on_it === 2], ["plane", one && this.page.points.length === 2], ["undo", this.page.live.edits > 0]])
       byId(id).disabled = !works;
   }
 
