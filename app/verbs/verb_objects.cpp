@@ -14,6 +14,7 @@
 #include "app/progress_line.h"
 #include "app/verb.h"
 #include "core/findings.h"
+#include "objects/click_objects.h"
 #include "objects/damage.h"
 #include "objects/object_edits.h"
 #include "objects/object_score.h"
@@ -122,6 +123,15 @@ std::optional<ObjectFigures> write_views(const ObjectsOptions& options, Session&
   return score.figures();
 }
 
+SegmentSet segments_of(const ObjectsOptions& options, const LoadedScene& scene, const AppContext& context) {
+  if (options.segments.empty()) return segments_of_scene(scene);
+  if (!options.segments.ends_with(".jsonl")) return read_segments(options.segments, options.pattern, scene.info);
+  Diagnostics diagnostics;
+  SegmentSet clicks = segments_of_clicks(options.segments, scene.info, diagnostics);
+  for (const Diagnostic& finding : diagnostics.all()) print_note(context, finding.shown());
+  return clicks;
+}
+
 int run(const ObjectsOptions& options, AppContext& context) {
   Diagnostics diagnostics;
   OpenedRun opened = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::objects);
@@ -130,8 +140,7 @@ int run(const ObjectsOptions& options, AppContext& context) {
   Session& s = opened.session;
   check_truth(options, s);
   if (s.config.grouping.entry == nullptr) s.config.grouping = usual_method(context.registry);
-  SegmentSet segments = options.segments.empty() ? segments_of_scene(s.scene)
-                                                 : read_segments(options.segments, options.pattern, s.scene.info);
+  SegmentSet segments = segments_of(options, s.scene, context);
   damage_segments(segments, s.config.segment_damage, s.config.objects.seed);
   ProgressLine progress(context, "objects");
   std::string stage;
@@ -184,7 +193,8 @@ int run(const ObjectsOptions& options, AppContext& context) {
 void words(VerbWords& verb, ObjectsOptions& options) {
   verb.operand("run", options.run, "run folder");
   verb.value("--segments PATH", options.segments,
-             "segments of the training images: a folder of PNGs, JSON or NumPy masks, or a COCO file (default: the "
+             "segments of the training images: a folder of PNGs, JSON or NumPy masks, a COCO file, or clicks.jsonl "
+             "(default: the "
              "scene's own "
              "instances)");
   verb.value("--pattern NAME", options.pattern,

@@ -7,6 +7,7 @@
 
 #include "compute/parallel.h"
 #include "execution/point_network.h"
+#include "objects/click_objects.h"
 #include "objects/clusters.h"
 #include "objects/object_table.h"
 
@@ -63,6 +64,11 @@ TouchingCells touching_cells(const SurfaceCells& cells) {
 FoundObjects find_objects(Session& session, const SegmentSet& segments, std::unique_ptr<Grouping> grouping,
                           const KernelTables& kernels, const ObjectStages& progress) {
   const ObjectsParams& params = session.config.objects;
+  const bool clicked = !segments.clicks.empty();
+  if (clicked && !session.pipeline->has_semantics())
+    throw Error(ErrorKind::data, "objects.clicks.no_classes",
+                segments.from + ": a click says where a thing is, and the run has no classes that say where it ends",
+                "train the run with classes, or give masks with --segments");
   FoundObjects found;
   Clock clock(found);
   const auto say = [&](const char* stage) {
@@ -80,9 +86,15 @@ FoundObjects find_objects(Session& session, const SegmentSet& segments, std::uni
   std::vector<Vec3d> positions;
   for (const PoolPoint& point : pool.points) positions.push_back(point.position);
   clock.part("surface");
-  const std::vector<SegmentSights> sights = segment_sights(found.surface, segments, kLeastSights);
+  std::vector<SegmentSights> sights = segment_sights(found.surface, segments, kLeastSights);
   const PointClasses classes = classes_of_points(session, positions, sights);
   found.class_of = classes.most_probable();
+  ClickedObjects told;
+  if (clicked) {
+    told = clicked_objects(found.surface, found.touching, found.class_of, found.stuff, segments.clicks);
+    found.id = told.id;
+    sights = point_sights(found.surface, found.id);
+  }
   clock.part("classes");
   const ObjectNetworkShape shape{params.frequencies, params.hidden_width, params.hidden_layers};
   found.network = std::make_unique<ObjectNetwork<float>>(kernels, *found.grouping, shape, session.scene.bounds,
@@ -101,9 +113,12 @@ FoundObjects find_objects(Session& session, const SegmentSet& segments, std::uni
     stuff[i] = found.class_of[i] != kVoid && found.stuff[static_cast<std::size_t>(found.class_of[i])];
   const ClusterRules rules{params.reach, params.neighbours, params.agree, static_cast<double>(params.least_views),
                            params.least_points};
-  found.id = cluster_points(pool, {place, {stuff.get(), positions.size()}}, sights, rules);
-  for (std::int32_t& id : found.id) ++id;
+  if (!clicked) {
+    found.id = cluster_points(pool, {place, {stuff.get(), positions.size()}}, sights, rules);
+    for (std::int32_t& id : found.id) ++id;
+  }
   found.rows = object_table(found.surface, found.id, sights, classes);
+  for (std::size_t k = 0; k < told.class_of.size(); ++k) found.rows[k].class_index = told.class_of[k];
   clock.part("groups");
   return found;
 }

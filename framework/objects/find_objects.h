@@ -27,7 +27,7 @@ struct ObjectRow {
   std::int32_t id = 0;               ///< from 1 on; the number in images and files
   std::int16_t class_index = kVoid;  ///< kVoid: not known
   std::string name;                  ///< that a person gave it; "": none
-  double class_probability = 0;      ///< share of the votes
+  double class_probability = 0;      ///< share of the votes for the class that has most
   double agreement = 0;              ///< mean share of its sights in a view that lie in one segment
   std::int32_t views = 0;            ///< training views that see it
   std::int64_t points = 0;
@@ -58,7 +58,9 @@ struct FoundObjects {
 /// Called with the part of the work and what is done of all of it; may be null.
 using ObjectStages = std::function<void(const char* stage, double done, double of)>;
 
-/// Renders the training views of `session`, and changes nothing of the run.
+/// Renders the training views of `session`, and changes nothing of the run. Clicks are objects as they are
+/// (clicked_objects), and `grouping` learns them for the borders between cells. Throws Error(data) for clicks on a run
+/// without classes.
 FoundObjects find_objects(Session& session, const SegmentSet& segments, std::unique_ptr<Grouping> grouping,
                           const KernelTables& kernels, const ObjectStages& progress);
 

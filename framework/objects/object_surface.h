@@ -39,5 +39,7 @@ struct SegmentSights {
 
 /// An entry per view. Segments of fewer than `least` places are left out.
 std::vector<SegmentSights> segment_sights(const ObjectSurface& surface, const SegmentSet& segments, std::int64_t least);
+/// Segments that the points themselves are of: `id` [points], 0: none. Their classes are not known.
+std::vector<SegmentSights> point_sights(const ObjectSurface& surface, std::span<const std::int32_t> id);
 
 }  // namespace semfield

@@ -23,7 +23,7 @@ std::int64_t SegmentSet::count() const {
     ids.erase(0);
     found[static_cast<std::size_t>(f)] = std::ssize(ids);
   });
-  std::int64_t total = 0;
+  std::int64_t total = std::ssize(clicks);
   for (const std::int64_t n : found) total += n;
   return total;
 }

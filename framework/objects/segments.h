@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "labels/clicks/annotations.h"
 #include "loading/frame_source.h"
 
 namespace semfield {
@@ -22,13 +23,15 @@ struct FrameSegments {
   std::int32_t at(std::int32_t column, std::int32_t row, std::int32_t frame_width, std::int32_t frame_height) const;
 };
 
-/// An entry per frame of SceneInfo, empty where an image has none.
+/// An entry per frame of SceneInfo, empty where an image has none. Or a person's clicks, which name things of the scene
+/// and not pixels of an image.
 struct SegmentSet {
   std::vector<FrameSegments> frames;
-  std::string from;      ///< in words: "instances of the scene", "masks.json"
-  bool classes = false;  ///< any segment has a class
+  std::vector<Annotations::Mark> clicks;  ///< class indices of SceneInfo; with them all frames are empty
+  std::string from;                       ///< in words: "instances of the scene", "masks.json"
+  bool classes = false;                   ///< any segment has a class
 
-  std::int64_t count() const;  ///< segments of all images
+  std::int64_t count() const;  ///< segments of all images, or clicks
 };
 
 /// The scene's own instances as segments of its training frames; the class of one is that of most of its labelled

@@ -53,9 +53,13 @@ TEST(LabelEvent, EveryKindIsReadAndWritten) {
       parse_label_event(click_with(R"([[12.5,33.0]],"radius":4)", R"([[1,1],[9,1],[9,5]],"radius":0,"fill":true)"));
   EXPECT_TRUE(outline.fill);
   EXPECT_FALSE(click.fill);
+  const LabelEvent another = parse_label_event(click_with(R"("class":"chair")", R"("class":"chair","object":2)"));
+  EXPECT_EQ(another.object, 2);
+  EXPECT_EQ(click.object, 0);
+  EXPECT_LACKS(label_event_json(click), "object");
   EXPECT_LACKS(label_event_json(click), "fill");  // an older program reads it, too
 
-  for (LabelEvent event : {click, made, renamed, skip, merged, deleted, outline,
+  for (LabelEvent event : {click, made, renamed, skip, merged, deleted, outline, another,
                            parse_label_event(R"({"id":"d","type":"undo","of":"q"})")}) {
     EXPECT_EQ(parse_label_event(label_event_json(event)), event) << label_event_json(event);
     event.unix_ms = 1790000000123;

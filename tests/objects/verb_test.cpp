@@ -1,4 +1,6 @@
 // `semfield objects` as a user runs it: files, figures, segments of a folder, refusals.
+#include <fmt/format.h>
+
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <set>
@@ -118,6 +120,55 @@ TEST(ObjectsVerb, SegmentsOfAFolderAndBothMethods) {
   EXPECT_EQ(unscored.code, 65);
   EXPECT_HAS(unscored.err, "objects.truth.none");
   EXPECT_FALSE(fs::exists(dir / "scored")) << "refused before anything is written";
+}
+
+// A click into the middle of what is most of a class in a training view, as a line of clicks.jsonl.
+std::string click_on(Dataset& scene, const SceneInfo& info, int class_index, const std::string& more) {
+  std::vector<std::size_t> best;
+  std::string line;
+  for (std::size_t f = 0; f < info.frames.size(); ++f) {
+    FrameBuffer buffer;
+    scene.read(static_cast<int>(f), buffer);
+    std::vector<std::size_t> its;
+    for (std::size_t i = 0; i < buffer.label.size(); ++i)
+      if (buffer.label[i] == class_index) its.push_back(i);
+    if (info.frames[f].split != Split::train || its.size() <= best.size()) continue;
+    best = its;
+    const auto width = static_cast<std::size_t>(buffer.width_px);
+    std::size_t column = 0, row = 0;
+    for (const std::size_t i : its) {
+      column += i % width;
+      row += i / width;
+    }
+    const std::size_t middle = row / its.size() * width + column / its.size();
+    line = fmt::format(
+        R"({{"id":"c{}","type":"click","frame":"{}","size":[{},{}],"points":[[{}.5,{}.5]],"radius":1,"class":"{}"{}}})"
+        "\n",
+        class_index, info.frames[f].name, buffer.width_px, buffer.height_px, middle % width, middle / width,
+        info.classes.valid(class_index).name, more);
+  }
+  return line;
+}
+
+TEST(ObjectsVerb, ThingsThatAPersonClicks) {
+  const TempDir dir;
+  make_run(dir, false);
+  testkit::AnalyticSceneOptions options;
+  options.with_depth = true;
+  const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene(options);
+  Diagnostics diagnostics;
+  const SceneInfo info = scene->open(diagnostics);
+  const std::string wall = click_on(*scene, info, 0, ""), ball = click_on(*scene, info, 3, ""),
+                    crate = click_on(*scene, info, 4, R"(,"object":2)");
+  dir.write("clicks.jsonl", wall + crate + ball);
+  const Result r = semfield(std::string("objects run --segments clicks.jsonl --json") + kQuick, dir);
+  ASSERT_EQ(r.code, 0) << r.err;
+  EXPECT_EQ(nlohmann::json::parse(r.out).at("objects"), 2) << "a wall is no object";
+  const auto table = nlohmann::json::parse(read_text_file(dir / "run/objects/objects.json")).at("objects");
+  ASSERT_EQ(table.size(), 2u);
+  EXPECT_EQ(table[0].at("class"), info.classes.valid(4).name) << "in the order of the clicks";
+  EXPECT_EQ(table[1].at("class"), info.classes.valid(3).name);
+  EXPECT_GT(table[1].at("points").get<int>(), 10);
 }
 
 }  // namespace

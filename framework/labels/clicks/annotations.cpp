@@ -20,7 +20,7 @@ namespace {
 Annotations::Mark mark_of(const LabelEvent& event, int frame, const Camera& camera, int class_index) {
   const double scale_x = static_cast<double>(camera.width_px) / event.width_px,
                scale_y = static_cast<double>(camera.height_px) / event.height_px;
-  Annotations::Mark mark{event.id, frame, {}, event.radius_px * scale_x, class_index, event.fill};
+  Annotations::Mark mark{event.id, frame, {}, event.radius_px * scale_x, class_index, event.fill, event.object};
   for (const PixelPoint& p : event.points) mark.points.push_back({p.x * scale_x, p.y * scale_y});
   return mark;
 }

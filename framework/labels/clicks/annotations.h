@@ -37,6 +37,7 @@ class Annotations {
     double radius_px = 0;
     int class_index = kVoid;  ///< after merges; kVoid: ignore (a void class was named); of skips always
     bool fill = false;        ///< the points are a closed outline
+    std::int32_t object = 0;  ///< LabelEvent::object
   };
   const std::vector<Mark>& marks() const { return marks_.list; }  ///< clicks in force, in the order of their events
   const std::vector<Mark>& skips() const { return skips_.list; }

@@ -19,18 +19,18 @@ struct KindText {
   LabelEventKind kind;
   const char* type;
   std::vector<std::string> keys;  // those it must have, beside "id" and "type"
-  std::string may;                // one that it may have; "": none
+  std::vector<std::string> may;   // those it may have
 };
 
 const std::vector<KindText>& kinds() {
   static const std::vector<KindText> all{
-      {LabelEventKind::click, "click", {"frame", "size", "points", "radius", "class"}, "fill"},
-      {LabelEventKind::add_class, "class", {"name"}, "color"},
-      {LabelEventKind::change_class, "rename", {"class", "name"}, "color"},
-      {LabelEventKind::undo, "undo", {"of"}, ""},
-      {LabelEventKind::skip, "skip", {"frame", "size", "points"}, ""},
-      {LabelEventKind::merge_class, "merge", {"class", "into"}, ""},
-      {LabelEventKind::delete_class, "delete", {"class"}, ""}};
+      {LabelEventKind::click, "click", {"frame", "size", "points", "radius", "class"}, {"fill", "object"}},
+      {LabelEventKind::add_class, "class", {"name"}, {"color"}},
+      {LabelEventKind::change_class, "rename", {"class", "name"}, {"color"}},
+      {LabelEventKind::undo, "undo", {"of"}, {}},
+      {LabelEventKind::skip, "skip", {"frame", "size", "points"}, {}},
+      {LabelEventKind::merge_class, "merge", {"class", "into"}, {}},
+      {LabelEventKind::delete_class, "delete", {"class"}, {}}};
   return all;
 }
 
@@ -161,6 +161,15 @@ void read_fill(const Json& root, LabelEvent& event) {
            "'fill': an outline needs 3 points, and there are " + std::to_string(event.points.size()));
 }
 
+void read_object(const Json& root, LabelEvent& event) {
+  const auto object = root.find("object");
+  if (object == root.end()) return;
+  std::int64_t number = 0;
+  if (!whole_between(*object, 1, kMostObjectNumber, number))
+    refuse_value("object", "a whole number from 1 to " + std::to_string(kMostObjectNumber), *object);
+  event.object = static_cast<std::int32_t>(number);
+}
+
 void read_color(const Json& root, LabelEvent& event) {
   const auto color = root.find("color");
   if (color == root.end()) return;
@@ -187,7 +196,7 @@ const KindText& kind_at(const Json& root) {
 void check_keys(const Json& root, const KindText& kind) {
   std::vector<std::string> known{"id", "type", "time_ms"};
   known.insert(known.end(), kind.keys.begin(), kind.keys.end());
-  if (!kind.may.empty()) known.push_back(kind.may);
+  known.insert(known.end(), kind.may.begin(), kind.may.end());
   for (const auto& item : root.items()) {
     if (std::find(known.begin(), known.end(), item.key()) != known.end()) continue;
     const std::string near = did_you_mean(item.key(), known);
@@ -231,11 +240,12 @@ LabelEvent parse_label_event(std::string_view json) {
   if (click) {
     read_radius(root, event);
     read_fill(root, event);
+    read_object(root, event);
   }
   for (const std::string& key : kind.keys) {
     if (const auto name = name_behind(key, event.kind)) event.*name = line_at(root, key.c_str(), kMostClassNameBytes);
   }
-  if (kind.may == "color") read_color(root, event);
+  read_color(root, event);
   if (kind.kind == LabelEventKind::undo) {
     event.of = id_at(root, "of");
     if (event.of == event.id) refuse("labels.event.format", "'of': it is the event's own id");
@@ -262,7 +272,8 @@ std::string label_event_json(const LabelEvent& event) {
     for (const PixelPoint& p : event.points) value.push_back({p.x, p.y});
   }
   if (event.fill) root["fill"] = true;
-  if (kind->may == "color" && event.color) root["color"] = *event.color;
+  if (event.object != 0) root["object"] = event.object;
+  if (event.color) root["color"] = *event.color;
   return root.dump(-1, ' ', false, Json::error_handler_t::strict);
 }
 

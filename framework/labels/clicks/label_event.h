@@ -24,6 +24,7 @@ struct LabelEvent {
   std::vector<PixelPoint> points;            ///< click: one, or the polyline of a stroke; skip: one
   double radius_px = 0;                      ///< click: 0 = the pixels that the points or the stroke lie in, alone
   bool fill = false;                         ///< click: `points` are a closed outline, and its inside is named
+  std::int32_t object = 0;                   ///< click: which thing of its class; 0: not told
   std::string class_name;                    ///< click: what was named, a void name: nothing; else the class meant
   std::string new_name;                      ///< change_class: the new name, or the old one where the colour alone
                                              ///< changes; merge_class: whose clicks those of `class_name` become
@@ -37,6 +38,7 @@ inline constexpr std::size_t kMostEventBytes = std::size_t{256} << 10;  ///< of 
 inline constexpr std::size_t kMostEventPoints = 4096;
 inline constexpr std::int64_t kMostEventSide = 65536;  ///< pixels an axis
 inline constexpr double kMostEventRadius = 1e6;
+inline constexpr std::int32_t kMostObjectNumber = 65535;
 inline constexpr std::size_t kMostClassNameBytes = 128;
 inline constexpr std::size_t kMostFrameNameBytes = 4096;
 

@@ -1,0 +1,31 @@
+// Objects that a person has clicked: the clicks of a file, and the points of the surface that each one means.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "objects/find_objects.h"
+
+namespace semfield {
+
+/// The clicks of a log of label events, a run's own clicks.jsonl or another one. Throws as read_click_log and replay;
+/// Error(data) for a class that the scene's table does not have and for a log without clicks.
+SegmentSet segments_of_clicks(const std::string& file, const SceneInfo& info, Diagnostics& diagnostics);
+
+/// What clicks mean.
+struct ClickedObjects {
+  std::vector<std::int32_t> id;        ///< [points] object, 0: none; from 1 on in the order of the first click
+  std::vector<std::int16_t> class_of;  ///< [objects] class index of their clicks
+};
+
+/// The objects of the points of the pool. A point is of the
+/// click that the cheapest way over the surface leads to (SurfaceGraph), as far as ways lead over points of the click's
+/// class: `class_of` [points]. Clicks with a number are one object, wherever they are; clicks without one are an object
+/// for each piece of their class that touches. Clicks of `stuff` [classes] and of void are no object's.
+ClickedObjects clicked_objects(const ObjectSurface& surface, const TouchingCells& touching,
+                               std::span<const std::int16_t> class_of, const std::vector<bool>& stuff,
+                               std::span<const Annotations::Mark> clicks);
+
+}  // namespace semfield
