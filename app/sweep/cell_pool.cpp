@@ -16,6 +16,7 @@
 
 #include "app/child_process.h"
 #include "app/signals.h"
+#include "config/config_tree.h"
 #include "core/findings.h"
 #include "report/sweep/host_share.h"
 #include "system/files.h"
@@ -98,11 +99,15 @@ class Pool {
     const std::string config = (folder / "config.yaml").string(), run = (folder / "run").string();
     const std::string threads = "runtime.threads=" + std::to_string(options_.threads);
     std::vector<std::string> words{options_.program};
-    if (!cell.fuse.method.empty()) {
+    const std::string field = (fs::path(cell_folder(options_.folder, cell.field_cell)) / "run").string();
+    if (cell.objects) {
+      const ConfigNode root = parse_config_text(cell.config, "cell");
+      words.insert(words.end(),
+                   {"objects", field, "--out", (folder / "objects").string(), "--split", cell.split, "--score",
+                    "--json", "--set", "objects=" + write_config_inline(*root.find("objects"))});
+    } else if (!cell.fuse.method.empty()) {
       words.insert(words.end(), {"fuse", config, "--method", cell.fuse.method, "--json"});
-      if (!cell.field_cell.empty())
-        words.insert(words.end(),
-                     {"--depth-from", (fs::path(cell_folder(options_.folder, cell.field_cell)) / "run").string()});
+      if (!cell.field_cell.empty()) words.insert(words.end(), {"--depth-from", field});
     } else if (fs::exists(fs::path(run) / "checkpoints" / "latest")) {
       words.insert(words.end(), {"train", "--resume", run});
     } else {
@@ -226,12 +231,16 @@ class Pool {
     return static_cast<double>(t.tv_sec) + 1e-6 * static_cast<double>(t.tv_usec);
   }
 
+  static CellValues values_of(const Cell& cell, const fs::path& folder) {
+    if (cell.trains()) return values_of_run((folder / "run" / "metrics.jsonl").string(), cell.split);
+    const std::string told = read_text_file((folder / "output.txt").string());
+    return cell.objects ? values_of_objects(told) : values_of_fusion(told, cell.fuse.method);
+  }
+
   // `used`: what the process took, beside what it measured.
   void take_result(const Cell& cell, const fs::path& folder, const CellValues& used, CellOutcome& outcome) {
     try {
-      CellValues values = cell.fuse.method.empty()
-                              ? values_of_run((folder / "run" / "metrics.jsonl").string(), cell.split)
-                              : values_of_fusion(read_text_file((folder / "output.txt").string()), cell.fuse.method);
+      CellValues values = values_of(cell, folder);
       values.insert(values.end(), used.begin(), used.end());
       write_cell_result((folder / "result.json").string(), values);
       outcome.done = notice_cell(ended_, options_.folder, cell.id);

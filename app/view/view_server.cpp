@@ -185,7 +185,7 @@ HttpResponse ViewServer::post_point(const HttpRequest& request) {
 }
 
 HttpResponse ViewServer::post_edit(const HttpRequest& request) {
-  Json root = parse_request(request.body, {"do", "object", "objects", "name", "at", "fine"});
+  Json root = parse_request(request.body, {"do", "object", "objects", "name", "at", "plane", "fine"});
   bool fine = false;
   read_request_flag(root, "fine", fine);
   root.erase("fine");

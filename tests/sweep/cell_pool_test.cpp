@@ -21,7 +21,13 @@ namespace fs = std::filesystem;
 // Trains in a moment: `train CONFIG --out RUN ...`. It logs its beginning and end with device and cell, fails where the
 // configuration says "broken", and otherwise leaves the figures of an evaluation.
 constexpr const char* kProgram = R"sh(#!/bin/sh
-here=$(dirname "$0"); config=$2; run=$4; device=none
+here=$(dirname "$0")
+if test "$1" = objects; then
+  echo "$*" >"$here/objects"
+  echo '{"score": {"pq": 0.5}, "seconds": {"all": 2}}'
+  exit 0
+fi
+config=$2; run=$4; device=none
 for word; do case $word in runtime.device=*) device=${word#*=};; esac; done
 cell=$(basename "$(dirname "$config")")
 echo "begin $device $cell rank=$OMPI_COMM_WORLD_RANK" >>"$here/log"
@@ -247,6 +253,26 @@ TEST(HostShare, DevicesByNumberOrName) {
     EXPECT_EQ(refusal({"0", word}), "--devices: '" + std::string(word) + "' is no CUDA device") << word;
   EXPECT_EQ(refusal({"1", "0", "cuda:1"}), "--devices: 'cuda:1' is named twice");
   EXPECT_EQ(refusal({"1", "01"}), "--devices: '01' is named twice");
+}
+
+// Objects are found in the run of another cell, with the settings of their own.
+TEST_F(CellPool, ObjectsWaitForTheirRun) {
+  std::vector<Cell> all = cells(2);
+  all[0].objects = true;
+  all[0].field_cell = "cell1";
+  all[0].config = "objects: {reach: 0.125, stuff: [wall]}\n";
+  options_.jobs = 2;
+  ASSERT_TRUE(run(all));
+  EXPECT_EQ(outcomes_["cell0"], "done");
+  EXPECT_EQ(outcomes_["cell1"], "done");
+  const std::string words = read_text_file(folder_ + "/objects"), out = folder_ + "/out/cells/";
+  EXPECT_NE(words.find("objects " + out + "cell1/run --out " + out + "cell0/objects --split test --score --json"),
+            std::string::npos)
+      << words;
+  EXPECT_NE(words.find("--set objects={reach: 0.125, stuff: [wall]}"), std::string::npos) << words;
+  const std::optional<CellValues> values = read_cell_result(out + "cell0/result.json");
+  ASSERT_TRUE(values.has_value());
+  EXPECT_EQ(values->front(), (std::pair<std::string, double>{"pq", 0.5}));
 }
 
 }  // namespace

@@ -107,6 +107,30 @@ TEST_F(SweepFile, FusionsComeAfterTheFieldTheyTakeDepthFrom) {
   EXPECT_NE(all[1].id, all[2].id);
 }
 
+TEST_F(SweepFile, ObjectsAreFoundInTheRunOfAVariant) {
+  const std::vector<Cell> all = cells(
+      "base: base.yaml\nseeds: [1, 2]\nscenes: {a: }\n"
+      "variants: {near: {objects: ours, set: {objects.reach: 0.125}}, far: {objects: ours}, ours: }\n");
+  ASSERT_EQ(all.size(), 6u);
+  EXPECT_TRUE(all[0].trains());
+  for (const std::size_t seed : {0, 1}) {
+    const Cell &field = all[3 * seed], &near = all[3 * seed + 1], &far = all[3 * seed + 2];
+    EXPECT_EQ(field.label, "sweep / ours");
+    EXPECT_FALSE(near.trains());
+    EXPECT_TRUE(near.objects);
+    EXPECT_EQ(near.field_cell, field.id) << "one run for all rows";
+    EXPECT_EQ(far.field_cell, field.id);
+    EXPECT_NE(near.id, far.id);
+    const ConfigNode config = parse_config_text(near.config, "cell");
+    EXPECT_EQ(config.find("objects")->find("reach")->text(), "0.125");
+    EXPECT_EQ(config.find("objects")->find("seed")->text(), std::to_string(seed + 1));
+  }
+  EXPECT_EQ(error_of("base: base.yaml\nscenes: {a: }\nvariants: {v: {objects: w}}\n"),
+            "sweep.yaml:3:25: variants.v.objects: no variant 'w' that trains a field");
+  EXPECT_EQ(error_of("base: base.yaml\nscenes: {a: }\nvariants: {v: {objects: w, fuse: {method: average}}, w: }\n"),
+            "sweep.yaml:3:25: variants.v: a row is of 'fuse' or of 'objects'; make two rows of it");
+}
+
 TEST_F(SweepFile, WhatASceneSetsAfterReachesIntoAVariantsStep) {
   const std::vector<Cell> all = cells(
       "base: base.yaml\nscenes: {a: {set: {train.rays: 64}, after: {scene.labels.degrade.0.classes: [chair]}}}\n"
@@ -226,8 +250,11 @@ TEST_F(SweepFile, ShippedExperimentsArePlanned) {
   int files = 0;
   for (const auto& entry : fs::directory_iterator(experiments)) files += entry.is_regular_file() ? 1 : 0;
   const Sweep gpu = read_sweep((experiments / "gpu.yaml").string());
-  EXPECT_EQ(static_cast<int>(all.experiments.size() + gpu.experiments.size()), files - 4)
-      << "all.yaml and gpu.yaml list every experiment, but for propagate.yaml, which needs the labels of first runs";
+  EXPECT_EQ(static_cast<int>(all.experiments.size() + gpu.experiments.size()), files - 5)
+      << "all.yaml and gpu.yaml list every experiment, but for propagate.yaml, which needs the labels of first runs, "
+         "and "
+         "objects.yaml, which is not of the method";
+  EXPECT_EQ(plan_cells(read_sweep((experiments / "objects.yaml").string()), registry_).size(), 66u);
   EXPECT_EQ(plan_cells(read_sweep((experiments / "propagate.yaml").string()), registry_).size(), 5u);
   EXPECT_EQ(plan_cells(gpu, registry_).size(), 216u);
   EXPECT_GT(plan_cells(all, registry_).size(), 100u);
@@ -354,6 +381,10 @@ TEST(SweepResults, AreWrittenReadAndTakenFromRunsAndFusions) {
       "\"bayesian\",\"miou\":0.6,\"depth\":\"true\"}]}";
   EXPECT_EQ(values_of_fusion(fused, "bayesian"), (CellValues{{"miou", 0.6}}));
   EXPECT_THROW((void)values_of_fusion(fused, "average"), Error);
+  EXPECT_EQ(
+      values_of_objects(R"({"objects": 7, "score": {"pq": 0.9, "mcov": 0.8}, "seconds": {"all": 3, "surface": 2}})"),
+      (CellValues{{"pq", 0.9}, {"mcov", 0.8}, {"objects_s", 3}, {"surface_s", 2}}));
+  EXPECT_THROW((void)values_of_objects(R"({"objects": 7, "seconds": {"all": 3}})"), Error);
   std::filesystem::remove_all(folder);
 }
 

@@ -10,7 +10,7 @@ class ObjectList {
     byId("merge").addEventListener("click", () => this.edit({do: "merge", objects: [...this.chosen]}));
     byId("pieces").addEventListener("click", () => this.edit({do: "split", object: this.only()}));
     byId("cut").addEventListener("click", () => this.edit({do: "split", object: this.only(), at: page.points.map(({place}) => place)}));
-    byId("plane").addEventListener("click", () => this.edit({do: "split", object: this.only(), plane: [...page.points.map(({place}) => place), page.camera.matrices().eye]}));
+    byId("plane").addEventListener("click", () => this.edit({do: "split", object: this.only(), plane: [...page.points.map(({place}) => place), page.camera.world_from_camera().map((row) => row[3])]}));
     byId("undo").addEventListener("click", () => this.edit({do: "undo"}));
     this.list();
   }

@@ -31,6 +31,7 @@ std::string resolve(const Experiment& e, const CellUse& use, Registry& registry,
     config.base_dir = std::filesystem::path(base).parent_path().string();
     config.runtime.seed = static_cast<std::uint32_t>(e.seeds[use.seed]);
     config.labels.selection.seed = e.seeds[use.seed];
+    if (!variant.objects.empty()) config.objects.seed = static_cast<std::uint32_t>(e.seeds[use.seed]);
     config.report.eval_share = 0;  // cells are compared, so each scores every frame however long it takes
     // As many as the configuration says, else all; experiments without a figure of training frames need none.
     const bool training = e.split == "train" || e.wants_training_frames();
@@ -82,11 +83,11 @@ std::vector<Cell> plan_cells(const Sweep& sweep, Registry& registry) {
     for (std::size_t s = 0; s < e.scenes.size(); ++s) {
       for (std::size_t seed = 0; seed < e.seeds.size(); ++seed) {
         std::map<std::string, std::string> id_of_variant;
-        // Fields before the fusions that take their depth.
-        for (const bool fusing : {false, true}) {
+        // Fields before the fusions that take their depth, and the objects found in them.
+        for (const bool trains : {true, false}) {
           for (std::size_t v = 0; v < e.variants.size(); ++v) {
             const SweepVariant& variant = e.variants[v];
-            if (variant.fuse.has_value() != fusing) continue;
+            if (variant.trains() != trains) continue;
             const CellUse use{x, s, v, seed};
             Cell cell;
             cell.config = resolve(e, use, registry, told, diagnostics);
@@ -96,9 +97,13 @@ std::vector<Cell> plan_cells(const Sweep& sweep, Registry& registry) {
             if (e.scenes[s].pack) cell.pack = hex64(fnv1a64(scene_section(cell.config)));
             cell.label = e.name + " / " + variant.name;
             cell.seed = e.seeds[seed];
-            if (fusing) {
+            if (variant.fuse) {
               cell.fuse = *variant.fuse;
               cell.field_cell = id_of_variant[variant.fuse->field];
+            }
+            if (!variant.objects.empty()) {
+              cell.objects = true;
+              cell.field_cell = id_of_variant[variant.objects];
             }
             cell.id = hex64(fnv1a64(identity_of(cell.config) + "\n" + cell.split + "\n" + cell.fuse.method + "\n" +
                                     cell.field_cell));

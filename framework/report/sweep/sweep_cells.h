@@ -25,9 +25,12 @@ struct Cell {
   std::string pack;   ///< hash of the scene's own section: cells with the same one share a packed file; empty: none
   std::string label;  ///< "experiment / variant", of the first use
   std::int64_t seed = 0;
-  FuseCell fuse;           ///< method empty: train
-  std::string field_cell;  ///< id of the cell whose field gives the depth; empty: none
+  FuseCell fuse;           ///< method empty: train, or find objects
+  bool objects = false;    ///< find objects in the run of field_cell
+  std::string field_cell;  ///< id of the cell whose field gives the depth, or the objects; empty: none
   std::vector<CellUse> uses;
+
+  bool trains() const { return !objects && fuse.method.empty(); }
 };
 
 /// Cells in the order of the tables; those that others wait for come first. Seeds go to runtime.seed and

@@ -184,8 +184,9 @@ class Reader {
       const std::string path = "variants." + name;
       SweepVariant v;
       v.name = name;
-      if (!node.is_map() && !node.is_null()) error(node, path + ": expected a map {base, set, x, paper, fuse}");
-      known_keys(node, path, {"base", "set", "x", "paper", "fuse"});
+      if (!node.is_map() && !node.is_null())
+        error(node, path + ": expected a map {base, set, x, paper, fuse, objects}");
+      known_keys(node, path, {"base", "set", "x", "paper", "fuse", "objects"});
       if (const ConfigNode* file = node.find("base"); file != nullptr) v.base = base_file(*file);
       v.set = overrides(node.find("set"), path + ".set");
       v.x = number(node, path, "x");
@@ -198,13 +199,23 @@ class Reader {
         static const std::set<std::string> methods{"monocular", "bayesian", "average"};
         if (!methods.contains(cell.method))
           error(*fuse, path + ".fuse.method: expected monocular, bayesian or average, got '" + cell.method + "'");
-        const ConfigNode* field = map->find(cell.field);
-        if (!cell.field.empty() && (field == nullptr || field->find("fuse") != nullptr))
-          error(*fuse, path + ".fuse.field: no variant '" + cell.field + "' that trains a field");
+        if (!cell.field.empty()) check_field(*map, *fuse, path + ".fuse.field", cell.field);
         v.fuse = std::move(cell);
+      }
+      if (const ConfigNode* objects = node.find("objects"); objects != nullptr) {
+        v.objects = read_text(node, path, "objects", "", diagnostics_);
+        if (v.fuse) error(*objects, path + ": a row is of 'fuse' or of 'objects'", "make two rows of it");
+        check_field(*map, *objects, path + ".objects", v.objects);
       }
       e.variants.push_back(std::move(v));
     }
+  }
+
+  void check_field(const ConfigNode& variants, const ConfigNode& place, const std::string& path,
+                   const std::string& name) {
+    const ConfigNode* field = variants.find(name);
+    if (field == nullptr || field->find("fuse") != nullptr || field->find("objects") != nullptr)
+      error(place, path + ": no variant '" + name + "' that trains a field");
   }
 
   // Every combination of the lists' values, the last key fastest.

@@ -30,6 +30,9 @@ struct SweepVariant {
   std::optional<double> x;      ///< abscissa of the experiment's plot
   std::optional<double> paper;  ///< figure to print beside, of the experiment's paper metric
   std::optional<FuseCell> fuse;
+  std::string objects;  ///< variant in whose run objects are found instead of training; empty: this one trains
+
+  bool trains() const { return !fuse && objects.empty(); }
 };
 
 struct SweepScene {

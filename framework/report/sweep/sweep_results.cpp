@@ -92,6 +92,16 @@ CellValues values_of_fusion(const std::string& json, const std::string& method) 
   throw Error(ErrorKind::data, "sweep.result.missing", "semfield fuse gave no result for the method '" + method + "'");
 }
 
+CellValues values_of_objects(const std::string& json) {
+  const Json root = parse(json, "result of semfield objects");
+  if (!root.is_object() || !root.contains("score") || !root.contains("seconds"))
+    throw Error(ErrorKind::data, "sweep.result.missing", "semfield objects gave no figures");
+  CellValues values = numbers_of(root["score"]);
+  for (const auto& [part, seconds] : numbers_of(root["seconds"]))
+    values.emplace_back((part == "all" ? "objects" : part) + "_s", seconds);
+  return values;
+}
+
 std::string results_csv(const Sweep& sweep, const std::vector<Cell>& cells, const SweepResults& results) {
   struct Line {
     CellUse use;

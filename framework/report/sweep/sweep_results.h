@@ -29,6 +29,8 @@ std::optional<CellValues> read_cell_result(const std::string& path);
 CellValues values_of_run(const std::string& metrics_path, const std::string& split);
 /// Values of `semfield fuse --json` for `method`.
 CellValues values_of_fusion(const std::string& json, const std::string& method);
+/// Figures of `semfield objects --score --json`, then its seconds as `objects_s` and, of each part, `surface_s`, ...
+CellValues values_of_objects(const std::string& json);
 
 /// results.csv: experiment, scene, variant, seed, metric, value - a line for every value of every finished cell that a
 /// table uses, in the order of the sweep.

@@ -51,7 +51,8 @@ Json variant_schema() {
                      {"set", overrides("key paths and values of this row")},
                      {"x", number("abscissa of the plot")},
                      {"paper", number("the paper's figure")},
-                     {"fuse", fuse}},
+                     {"fuse", fuse},
+                     {"objects", text("variant in whose run objects are found instead of training")}},
                     "a row of the table");
 }
 
