@@ -179,27 +179,26 @@ std::string today() {
 
 }  // namespace
 
-ScenePage scene_page_of(const OpenedRun& run, Vec3d up) {
-  const SceneInfo& info = run.session.scene.info;
-  const std::vector<int> frames = run.session.scene.frames_of(Split::train);
-  std::filesystem::path folder = std::filesystem::path(run.run_dir).lexically_normal();
+ScenePage scene_page_of(const Session& session, const std::string& run_dir, std::int64_t step, Vec3d up) {
+  const SceneInfo& info = session.scene.info;
+  const std::vector<int> frames = session.scene.frames_of(Split::train);
+  std::filesystem::path folder = std::filesystem::path(run_dir).lexically_normal();
   if (!folder.has_filename()) folder = folder.parent_path();
   ScenePage page;
   page.run = folder.filename().string();
   page.title = info.name.empty() ? page.run : info.name;
-  page.step = run.step;
+  page.step = step;
   page.metric = info.metric;
-  page.bounds = run.session.extent.bounds;
+  page.bounds = session.extent.bounds;
   page.up = up;
-  page.logits = static_cast<int>(run.session.plan.class_of_logit.size());
+  page.logits = static_cast<int>(session.plan.class_of_logit.size());
   page.about = {
-      fmt::format("Run '{}': {} steps of training on {} photographs.", page.run, run.step, frames.size()),
-      fmt::format("Source: {}.", run.session.config.dataset.entry->name),
-      fmt::format("Written by Semfield {} on {}. Positions are in the input's world.", this_environment().version,
-                  today()),
+      fmt::format("Run '{}': {} steps of training on {} photographs.", page.run, step, frames.size()),
+      fmt::format("Source: {}.", session.config.dataset.entry->name),
+      fmt::format("Made by Semfield {}. Positions are in the input's world.", this_environment().version),
       "The rights of the photographs hold for this file. Its viewer is part of Semfield (Apache License 2.0)."};
   page.objects = objects_of_run(folder.string());
-  if (run.session.config.rendering.far != FarMode::background || frames.empty()) return page;
+  if (session.config.rendering.far != FarMode::background || frames.empty()) return page;
   Vec3d sum;
   for (const int f : frames) sum = sum + info.frames[static_cast<std::size_t>(f)].world_from_camera.t;
   page.eye = sum * (1.0 / static_cast<double>(frames.size()));
@@ -233,7 +232,9 @@ std::string scene_page_text(const Surface& surface, const ClassTable& classes, c
 
 void write_scene_page(const std::string& path, const Surface& surface, const ClassTable& classes,
                       const ScenePage& page) {
-  write_file_atomic(path, scene_page_text(surface, classes, page));
+  ScenePage dated = page;
+  dated.about.push_back("Written on " + today() + ".");
+  write_file_atomic(path, scene_page_text(surface, classes, dated));
 }
 
 std::string live_page_text(const std::string& title, const std::vector<std::string>& runs) {

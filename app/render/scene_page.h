@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "objects/object_set.h"
-#include "run/open_run.h"
 #include "scene/classes/class_table.h"
+#include "session/session.h"
 #include "surface/mesh/surface.h"
 
 namespace semfield::app {
@@ -28,13 +28,13 @@ struct ScenePage {
 
 /// A room is looked at from where its cameras stood too; the middle of those around an object lies in the object.
 /// Objects are those of RUN/objects, with their edits, where they were found.
-ScenePage scene_page_of(const OpenedRun& run, Vec3d up);
+ScenePage scene_page_of(const Session& session, const std::string& run_dir, std::int64_t step, Vec3d up);
 
 /// A page that stands alone. Positions are rounded to 65,535 steps along each side of the surface's box, and stay in
 /// the input's world. surface.attributes.color holds colours as rendered; class colours are the table's. Throws
 /// Error(no_input) where the viewer's files, which come with the program, are missing.
 std::string scene_page_text(const Surface& surface, const ClassTable& classes, const ScenePage& page);
-/// Writes it whole. Throws Error(io) too.
+/// Writes it whole, with the date. Throws Error(io) too.
 void write_scene_page(const std::string& path, const Surface& surface, const ClassTable& classes,
                       const ScenePage& page);
 

@@ -62,7 +62,8 @@ void make_folder_of(const fs::path& stem) {
 void write_page(const MeshTargets& targets, const Surface& surface, const OpenedRun& run, Vec3d up,
                 const AppContext& context) {
   const std::string path = targets.file("html");
-  write_scene_page(path, surface, run.session.scene.info.classes, scene_page_of(run, up));
+  write_scene_page(path, surface, run.session.scene.info.classes,
+                   scene_page_of(run.session, run.run_dir, run.step, up));
   const double megabytes = static_cast<double>(fs::file_size(path)) * 1e-6;
   print_note(context, fmt::format("{}: {:.1f} MB{}", path, megabytes,
                                   megabytes > kMailMegabytes ? "; --faces makes it smaller" : ""));

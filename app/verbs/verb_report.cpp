@@ -2,8 +2,11 @@
 #include <cstdio>
 
 #include "app/json_output.h"
+#include "app/render/report_scene.h"
 #include "app/verb.h"
+#include "core/findings.h"
 #include "report/report.h"
+#include "run/open_run.h"
 #include "system/files.h"
 
 namespace semfield::app {
@@ -13,11 +16,27 @@ namespace {
 struct ReportOptions {
   std::vector<std::string> runs;
   std::string out;
+  bool flat = false;
 };
+
+// A report needs no scene, a view of it does: where the run does not open, the note says why.
+std::string scene_of(const std::string& run_dir, AppContext& context) {
+  try {
+    Diagnostics diagnostics;
+    const OpenedRun run = open_run(run_dir, {}, context.registry, diagnostics, OpenFor::rendering);
+    context.adopt(run.session.config);
+    return report_scene(run.session, run_dir, run.step, context);
+  } catch (const Error& e) {
+    print_note(context, "no view in 3D in the report: " + e.message());
+    return {};
+  }
+}
 
 int run(const ReportOptions& options, AppContext& context) {
   const std::string path = options.out.empty() ? options.runs.front() + "/report.html" : options.out;
-  write_file_atomic(path, make_report(read_report_input(options.runs)));
+  ReportInput input = read_report_input(options.runs);
+  if (!options.flat) input.scene = scene_of(options.runs.front(), context);
+  write_file_atomic(path, make_report(input));
   if (context.json) {
     print_json(context, {{"runs", options.runs}, {"file", path}});
     return 0;
@@ -28,6 +47,7 @@ int run(const ReportOptions& options, AppContext& context) {
 
 void words(VerbWords& verb, ReportOptions& options) {
   verb.operands("run", options.runs, "run folders");
+  verb.flag("--no-3d", options.flat, "leave out the view of the first run in 3D");
   verb.value("--out FILE", options.out, "file to write (default: report.html of the first run)");
 }
 

@@ -9,12 +9,14 @@
 #include "app/json_output.h"
 #include "app/length_words.h"
 #include "app/progress_line.h"
+#include "app/render/report_scene.h"
 #include "app/signals.h"
 #include "app/verb.h"
 #include "config/compose.h"
 #include "core/findings.h"
 #include "core/text.h"
 #include "report/run_report.h"
+#include "run/checkpoint_store.h"
 #include "run/run_folder.h"
 #include "run/train_run.h"
 
@@ -30,6 +32,7 @@ struct TrainOptions {
   std::vector<std::string> keep;
   bool weak = false;
   bool dry_run = false;
+  bool flat = false;  // a report without the view in 3D
 };
 
 std::string number(const std::vector<std::pair<std::string, std::optional<double>>>& values, const std::string& name,
@@ -93,7 +96,8 @@ std::string progress_text(const TrainProgress& p) {
 // A run as the terminal shows it, and what signals request of it.
 class ShownRun final : public RunListener {
  public:
-  ShownRun(const AppContext& context, std::string out_dir) : context_(context), out_dir_(std::move(out_dir)) {}
+  ShownRun(const AppContext& context, std::string out_dir, bool flat)
+      : context_(context), out_dir_(std::move(out_dir)), flat_(flat) {}
 
   void note(const std::string& text) override { print_note(context_, text); }
   void progress(const TrainProgress& p) override {
@@ -115,7 +119,11 @@ class ShownRun final : public RunListener {
                                              shell_word(out_dir_)));
   }
   std::string write_report(const RunFolder& folder, const Session& session, const ReportFrames& frames) override {
-    return write_run_report(folder, session, frames);
+    std::string scene;
+    const std::vector<CheckpointStore::Entry> saved = CheckpointStore::read(folder.checkpoints_path()).list();
+    if (!flat_ && !context_.ranks && !saved.empty())
+      scene = report_scene(session, folder.path(), saved.front().step, context_);
+    return write_run_report(folder, session, frames, std::move(scene));
   }
 
  private:
@@ -134,6 +142,7 @@ class ShownRun final : public RunListener {
 
   const AppContext& context_;
   std::string out_dir_;
+  bool flat_;
   double next_line_s_ = 0;
   std::optional<ProgressLine> scoring_;
 };
@@ -171,7 +180,7 @@ int run(const TrainOptions& options, AppContext& context) {
   request.keep = options.keep;
   request.ranks = context.ranks.get();
   request.out_dir = resume ? options.resume : !options.out.empty() ? options.out : "runs/" + config.name;
-  ShownRun shown(context, request.out_dir);
+  ShownRun shown(context, request.out_dir, options.flat);
   install_stop_signals();
   install_save_signal();
   stop_waits(false, context.quiet ? "" : "\nstopped before the first step\n");
@@ -207,6 +216,7 @@ void words(VerbWords& verb, TrainOptions& options) {
   verb.device(set);
   verb.repeated("--keep COMPONENT", options.keep, "keep a component that would be left out");
   verb.flag("--weak", options.weak, "under mpirun or srun: train.rays in each process, not in all together");
+  verb.flag("--no-3d", options.flat, "write a report without the view in 3D");
   verb.flag("--dry-run", options.dry_run, "print what would be built, left out and needed, then stop");
 }
 

@@ -82,7 +82,7 @@ class ViewedRun::Turn {
 };
 
 ViewedRun::ViewedRun(OpenedRun run) : run_(std::move(run)), work_(run_.session.work()) {
-  page_ = scene_page_of(run_, upright_of(run_.session).value_or(Vec3d{0, 1, 0}));
+  page_ = scene_page_of(run_.session, run_.run_dir, run_.step, upright_of(run_.session).value_or(Vec3d{0, 1, 0}));
   if (page_.objects) edits_ = read_object_edits(objects_file("edits.json"));
 }
 

@@ -127,6 +127,7 @@ small.d{display:block;color:var(--soft);font-size:.8rem;font-weight:400}
 .plots{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,380px),1fr));gap:16px}
 .plots .panel{padding:14px 14px 6px;margin:0}
 figure{margin:0}
+iframe{display:block;width:100%;height:clamp(320px,56vh,620px);border:1px solid var(--line);border-radius:12px;background:#15181c}
 figcaption{font-weight:600;font-size:.95rem;padding:0 4px}
 figcaption span{color:var(--soft);font-weight:400;font-size:.84rem;margin-left:6px}
 svg{display:block;width:100%;height:auto}
@@ -196,7 +197,7 @@ summary{cursor:pointer;font-weight:600;font-size:.95rem}
 pre{overflow-x:auto;margin:12px 0 2px;font:13px/1.5 ui-monospace,"DejaVu Sans Mono","Liberation Mono",Menlo,Consolas,monospace}
 td.code{font:13px/1.5 ui-monospace,"DejaVu Sans Mono","Liberation Mono",Menlo,Consolas,monospace;overflow-wrap:anywhere}
 footer{padding-top:36px;padding-bottom:44px;color:var(--soft);font-size:.85rem}
-@media print{body{background:#fff}.card,.panel{break-inside:avoid}nav{display:none}}
+@media print{iframe{display:none}body{background:#fff}.card,.panel{break-inside:avoid}nav{display:none}}
 @media (prefers-reduced-motion:reduce){html{scroll-behavior:auto}}
 )css";
 }

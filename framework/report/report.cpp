@@ -31,7 +31,8 @@ std::string make_report(const ReportInput& input) {
     const char *id, *name;
     std::string html;
   };
-  const std::array<Part, 11> parts{{
+  const std::array<Part, 12> parts{{
+      {"scene", "3D", scene_section(input)},
       {"frames", "Frames", frames_section(input.strips, of_first)},
       {"clicks", "Clicks", clicks_section(input, of_first)},
       {"figures", "Figures", figures_section(input, split)},
@@ -49,10 +50,9 @@ std::string make_report(const ReportInput& input) {
       "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n"
       "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<meta name=\"color-scheme\" "
       "content=\"light dark\">\n"
-      "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src "
-      "'unsafe-inline'\">\n"
+      "<meta http-equiv=\"Content-Security-Policy\" content=\"{}\">\n"
       "<title>{} – Semfield report</title>\n<style>",
-      title);
+      content_policy(input), title);
   page += report_style();
   page += fmt::format("</style>\n</head>\n<body>\n<header class=\"top\">\n<h1>{}</h1>\n", title);
   if (!input.subtitle.empty()) page += fmt::format("<p class=\"lead\">{}</p>\n", html_escape(input.subtitle));

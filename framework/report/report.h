@@ -57,12 +57,14 @@ struct ReportInput {
   std::vector<ReportStrip> strips;
   std::vector<ReportStrip> worst;    ///< worst frames, worst first
   std::vector<ReportStrip> clicked;  ///< frames with the most clicks, the most first
+  std::string scene;                 ///< a page that stands alone and shows the first run in 3D; may be empty
 };
 
 /// Split of the last evaluation, of a sample of it too; one of training frames only where there is no other.
 std::string report_split(const std::vector<MetricsRow>& rows);
 
-/// The page: no scripts, no network, images inside. Throws Error(internal) without runs.
+/// The page: no network, images inside, and no script but that of `input.scene`, named by its digest. Throws
+/// Error(internal) without runs.
 std::string make_report(const ReportInput& input);
 
 /// A frame with a low score: its name and the score in words. One object per frame in worst_frames.json, worst first.

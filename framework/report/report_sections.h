@@ -16,6 +16,10 @@ std::string notice_section(const ReportInput& input, const std::string& split);
 /// Classes and clicks of runs of the labelling page, and pictures of the first. `of_first`: HTML after the sentence
 /// about the pictures.
 std::string clicks_section(const ReportInput& input, const std::string& of_first);
+/// The scene in 3D, which a reader turns.
+std::string scene_section(const ReportInput& input);
+/// What the page may run and load [CSP3]: images inside of it, and the one script of input.scene.
+std::string content_policy(const ReportInput& input);
 std::string cards_section(const ReportInput& input, const std::string& split);
 std::string figures_section(const ReportInput& input, const std::string& split);
 std::string curves_section(const ReportInput& input, const std::string& split);

@@ -44,7 +44,8 @@ std::string score_text(const FrameScore& score) {
 
 }  // namespace
 
-std::string write_run_report(const RunFolder& folder, const Session& session, const ReportFrames& frames) {
+std::string write_run_report(const RunFolder& folder, const Session& session, const ReportFrames& frames,
+                             std::string scene) {
   std::vector<WorstFrame> worst;
   for (const auto& [score, maps] : frames.strips()) write_strip(folder, session, score.frame, maps);
   for (const auto& [score, maps] : frames.worst()) {
@@ -52,8 +53,9 @@ std::string write_run_report(const RunFolder& folder, const Session& session, co
     worst.push_back({score.name, score_text(score)});
   }
   write_file_atomic(folder.worst_frames_path(), worst_frames_json(worst));
-  write_file_atomic(folder.report_path(),
-                    make_report(read_report_input({folder.path()}, static_cast<int>(frames.strips().size()))));
+  ReportInput input = read_report_input({folder.path()}, static_cast<int>(frames.strips().size()));
+  input.scene = std::move(scene);
+  write_file_atomic(folder.report_path(), make_report(input));
   return folder.report_path();
 }
 

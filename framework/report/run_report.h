@@ -9,7 +9,9 @@
 
 namespace semfield {
 
-/// Writes report.html with its pictures and worst_frames.json into the folder; returns its path.
-std::string write_run_report(const RunFolder& folder, const Session& session, const ReportFrames& frames);
+/// Writes report.html with its pictures and worst_frames.json into the folder; returns its path. `scene`:
+/// ReportInput::scene.
+std::string write_run_report(const RunFolder& folder, const Session& session, const ReportFrames& frames,
+                             std::string scene = {});
 
 }  // namespace semfield

@@ -163,6 +163,28 @@ def look(driver, path, page):
     driver.give_back(view)
 
 
+def look_at_report(driver, path):
+    """The report holds the page, and its policy lets no other script run."""
+    stranger = "<script>document.title = 'a stranger'</script>"
+    path.write_text(path.read_text(encoding="utf-8").replace("<main>", stranger + "<main>"), encoding="utf-8")
+    view = driver.browser()
+    view.open("file://" + str(path))
+    view.wait("document.querySelector('#scene iframe').contentDocument.body.dataset.state === 'ready'", "the report shows the scene", 60)
+    inside = "document.querySelector('iframe').contentWindow"
+    assert view.run(f"return {inside}.document.querySelector('#about').textContent").count("200 steps of training") == 1
+    assert view.run("return document.title") != "a stranger"
+    assert all("Content Security Policy" in text for text in view.complaints()), "of the stranger alone"
+    before = view.run(f"return {inside}.semfield.camera.reach")
+    wheel = f"const w = {inside}, c = w.document.getElementById('view'); %s c.dispatchEvent(new w.WheelEvent('wheel', {{deltaY: -100, cancelable: true}}));"
+    view.run(wheel % "")
+    assert view.run(f"return {inside}.semfield.camera.reach") == before, "the report scrolls"
+    view.run(wheel % "c.focus();")
+    assert view.run(f"return {inside}.semfield.camera.reach") < before, "a scene that was clicked comes closer"
+    view.size(390, 844)
+    assert view.run("return document.documentElement.scrollWidth") <= 390
+    driver.give_back(view)
+
+
 def main():
     with tempfile.TemporaryDirectory(prefix="semfield_scene_page_") as folder:
         run = folder + "/run"
@@ -179,11 +201,17 @@ def main():
         sent = json.loads(part(pathlib.Path(folder, "sent/room.html").read_text(encoding="utf-8"), "facts"))
         assert told["megabytes"] <= 25 and told["objects"] == len(sent["objects"]) > 0, told
         assert "Semfield" in "".join(sent["about"]) and "Apache License 2.0" in "".join(sent["about"]), sent["about"]
+        semfield("report", run, "--no-3d", "--out", folder + "/flat.html")
+        report, flat = (pathlib.Path(folder, name).read_text(encoding="utf-8") for name in ("run/report.html", "flat.html"))
+        assert "srcdoc=" in report and "iframe title" not in flat and "script-src" not in flat
+        semfield("report", run, "--out", folder + "/again.html")
+        assert len(pathlib.Path(folder, "again.html").read_bytes()) > len(report.encode()), "it has the objects too"
         if browser.programs() is None:
             print("skipped in part: no chromium with chromedriver")
             sys.exit(77)
         with browser.Driver() as driver:
             look(driver, pathlib.Path(folder, "scene.html"), page)
+            look_at_report(driver, pathlib.Path(folder, "again.html"))
             live_view.look(driver, PROGRAM, run)
 
 

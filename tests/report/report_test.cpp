@@ -115,6 +115,19 @@ std::size_t count_of(const std::string& text, const std::string& part) {
   return count;
 }
 
+TEST(Report, HoldsThePageOfASceneAndRunsItsScriptAlone) {
+  ReportInput input = sample_input(1);
+  input.scene = "<!doctype html><p>\"A & B\"</p><script type=\"text/plain\">no</script><script>abc</script>";
+  const std::string page = make_report(input);
+  EXPECT_EQ(unbalanced(page), "");
+  EXPECT_LACKS(page, "<script");
+  EXPECT_HAS(page, "srcdoc=\"&lt;!doctype html&gt;&lt;p&gt;&quot;A &amp; B&quot;&lt;/p&gt;",
+             "script-src 'sha256-ungWv48Bz+pBQUDeXa4iI7ADYaOWF3qctBD/YfIAFa0='",  // of "abc" [FIPS180]
+             "href=\"#scene\"");
+  EXPECT_LT(page.find("<iframe"), page.find("id=\"frames\""));
+  EXPECT_LACKS(make_report(sample_input(1)), "<iframe", "script-src", "#scene");
+}
+
 TEST(Report, IsWellFormedAndSelfContained) {
   for (int runs : {1, 2, 3}) {
     const std::string page = make_report(sample_input(runs));

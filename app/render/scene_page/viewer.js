@@ -1,6 +1,7 @@
 // The page around the drawing: a picture only when something has changed.
 const byId = (id) => document.getElementById(id);
 const kGrey = [150, 150, 150];
+const kInside = window !== window.parent;  // of another page
 
 function say_trouble(text) {
   byId("trouble").textContent = text;
@@ -33,7 +34,7 @@ class Page {
     byId("of-class").append(...this.facts.classes.map((one, i) => made("option", {value: i, textContent: one.name})));
     byId("legend").hidden = !this.facts.labels;
     byId("inside").parentElement.hidden = this.facts.eye === undefined;
-    if (canvas.clientWidth < 600) byId("legend").open = false;
+    if (canvas.clientWidth < 600 || canvas.clientHeight < 600) byId("legend").open = false;
     this.list_classes();
     this.listen_buttons();
     this.listen_hand();
@@ -161,6 +162,7 @@ class Page {
     canvas.addEventListener("pointercancel", release);
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     canvas.addEventListener("wheel", (event) => {
+      if (kInside && document.activeElement !== canvas) return;  // the page around it scrolls
       event.preventDefault();
       this.camera.closer(Math.exp(Math.max(-100, Math.min(100, event.deltaY)) * 0.002));
       this.change();
@@ -326,6 +328,7 @@ class Page {
 async function open_page() {
   if (typeof DecompressionStream === "undefined") throw new Error("This browser is too old for this page: take one of 2023 or later.");
   const facts = JSON.parse(byId("facts").textContent), live = facts.live ? new Live(facts) : null;
+  document.body.classList.toggle("inside", kInside);
   const drawing = new Drawing(bytes_of(facts.ramp));
   const scenes = live ? await live.first_scenes() : [{facts, mesh: unpacked(await inflated(bytes_of(byId("mesh").textContent)), facts)}];
   byId("mesh").remove();
