@@ -6,9 +6,15 @@ A page asks for one by a pair of comments; what is between them is replaced:
   <!-- /figures -->
   <!-- figures labels: walk -->  a scene's rows by label setting, of gpu_cells.csv and gpu_cells_h100.csv
   <!-- /figures -->
+  <!-- figures objects: living, class -->  rooms by their segments, of objects.json; `means` is a row of means over the first three
+  <!-- /figures -->
+  <!-- figures sources: all -->  where each file of data comes from
+  <!-- /figures -->
 
-Each row of a benchmark has its device, date and commit, so that a figure in a page is that of a run that scripts/benchmark made. A row that the data lacks
-is an error. Means of several seeds have half their 95 % interval (Student's t) and the number of seeds."""
+A row that the data lacks is an error. Means of several seeds have half their 95 % interval (Student's t) and the number of seeds.
+
+Every file of data has a date, a commit, a device, the command that wrote it and the number n of runs behind a figure: as its own members, in each of its rows,
+or, where the format has no room for them, in sources.json."""
 import collections
 import csv
 import json
@@ -17,18 +23,23 @@ import os
 import re
 import statistics
 
-DATA = "docs/evidence/benchmark.json"
+EVIDENCE = "docs/evidence"
+DATA = f"{EVIDENCE}/benchmark.json"
+SOURCE = ("date", "commit", "device", "command", "n")
 CELLS = {"paper": ("docs/evidence/gpu_cells.csv", "labels_paper"), "preset": ("docs/evidence/gpu_cells_h100.csv", "labels_fast"),
          "grid": ("docs/evidence/gpu_cells.csv", "labels_today")}
 SETTINGS = ["all", "click", "1 %", "10 %", "90 % noise", "two key-frames", "10 % of the frames", "sparse x 16"]
 LABELS_HEAD = ("| labels | mIoU: paper's networks | room preset | grid alone | PSNR: paper | preset | AbsRel: paper | preset | ECE: paper | preset |\n"
                "|---|---|---|---|---|---|---|---|---|---|\n")
 STUDENT = {2: 12.706, 3: 4.303, 4: 3.182, 5: 2.776}
-PART = re.compile(r"(<!-- figures (?P<kind>benchmark|labels): (?P<rows>[^>]*?) -->\n).*?(<!-- /figures -->)", re.S)
+PART = re.compile(r"(<!-- figures (?P<kind>benchmark|labels|objects|sources): (?P<rows>[^>]*?) -->\n).*?(<!-- /figures -->)", re.S)
 HEAD = "| scene, preset | trained for | PSNR | mIoU | device | date, commit |\n|---|---|---|---|---|---|\n"
 NAMES = {"lego": "lego, an object", "bonsai": "bonsai, a table in its room", "room": "shipped room, labels on 10 % of the frames", "walk": "Replica walk, all labels",
          "classroom": "modelled classroom, all labels", "studio": "studio room, 35 photos", "record3d": "door, scanned by a phone", "hololens": "room, scanned by a HoloLens",
          "llff_room": "LLFF room"}
+ROOMS = {"living": "living room", "class": "classroom", "room": "shipped room", "replica": "Replica apartment 0"}
+SEGMENTS = {"exact": "exact", "degraded": "made worse", "assignment": "exact, `assignment`", "peer": "exact, peer in PyTorch"}
+OBJECTS_HEAD = "| room | segments | PQ-scene | SQ | RQ | mCov | objects miscounted | seconds |\n|---|---|---|---|---|---|---|---|\n"
 
 
 def chosen(rows, asked):
@@ -77,12 +88,75 @@ def labels_table(cells, scene):
     return out
 
 
+def read_json(root, name):
+    with open(os.path.join(root, EVIDENCE, name), encoding="utf-8") as file:
+        return json.load(file)
+
+
+def objects_table(rows, rooms):
+    """Rows by room and segments; the mean of a room without such segments is left out."""
+    def line(name, case, found, mean):
+        cells = [mean([one[key] for one in found if key in one], 3) for key in ("pq", "sq", "rq", "mcov", "count_error")]
+        return f"| {name} | {SEGMENTS[case]} | {' | '.join(cells)} | {statistics.mean(one['seconds'] for one in found):.1f} |\n"
+    out = OBJECTS_HEAD
+    for room in rooms:
+        for case in SEGMENTS:
+            if room != "means" and f"{room}/{case}" in rows:
+                out += line(ROOMS[room], case, rows[f"{room}/{case}"], mean_of)
+            elif room == "means" and all(f"{one}/{case}" in rows for one in list(ROOMS)[:3]):
+                found = [run for one in list(ROOMS)[:3] for run in rows[f"{one}/{case}"]]
+                out += line("means of the three", case, found, lambda values, digits: mean_of([statistics.mean(values)] if values else [], digits))
+    return out
+
+
+def source_of(root, name, written):
+    """{member of SOURCE: what the file or sources.json states}; what rows state is joined."""
+    stated = {}
+    if name.endswith(".json"):
+        data = read_json(root, name)
+        rows = data if isinstance(data, list) else [data]
+        for key in SOURCE:
+            values = sorted({str(row[key]) for row in rows if row.get(key) is not None}) if all(key in row for row in rows) else []
+            if len(values) > 2:
+                values = [f"{values[0]} to {values[-1]}"] if key == "date" else [f"{len(values)} of them, in its rows"]
+            if values:
+                stated[key] = "; ".join(values)
+    return {**written.get(name, {}), **stated}
+
+
+def sources_of(root):
+    """{file of data: its source}"""
+    folder = os.path.join(root, EVIDENCE)
+    names = sorted(name for name in os.listdir(folder) if name.endswith((".json", ".csv")) and name != "sources.json") if os.path.isdir(folder) else []
+    written = read_json(root, "sources.json") if os.path.exists(os.path.join(folder, "sources.json")) else {}
+    return {name: source_of(root, name, written) for name in names}
+
+
+def sourceless(root):
+    """Sentences about files of data that do not state where they come from."""
+    for name, source in sources_of(root).items():
+        missing = [key for key in SOURCE if not source.get(key)]
+        if missing:
+            yield f"{EVIDENCE}/{name}: has no {', '.join(missing)}; its script writes them, or {EVIDENCE}/sources.json has them"
+
+
+def sources_table(root, page):
+    out = "| data | date | commit | device | command | n |\n|---|---|---|---|---|---|\n"
+    for name, source in sources_of(root).items():
+        cells = [f"`{source[key]}`" if key == "command" else str(source[key]) for key in SOURCE if key in source]
+        out += f"| [{name}]({os.path.relpath(f'{EVIDENCE}/{name}', os.path.dirname(page))}) | {' | '.join(cells)} |\n"
+    return out
+
+
 def renewed(path, text, root, faults):
     def part(match):
         if match["kind"] == "labels":
             return match[1] + labels_table(cells_of(root), match["rows"]) + match[4]
-        with open(os.path.join(root, DATA), encoding="utf-8") as file:
-            rows = json.load(file)
+        if match["kind"] == "objects":
+            return match[1] + objects_table(read_json(root, "objects.json")["rows"], match["rows"].split(", ")) + match[4]
+        if match["kind"] == "sources":
+            return match[1] + sources_table(root, path) + match[4]
+        rows = read_json(root, "benchmark.json")
         out = HEAD
         for asked in match["rows"].split(", "):
             row = chosen(rows, asked)
@@ -96,7 +170,7 @@ def renewed(path, text, root, faults):
 
 def stale(root, pages, write):
     """Sentences about parts that are not what the data say; with `write` they are renewed instead."""
-    faults = []
+    faults = list(sourceless(root))
     for path, text in pages.items():
         fresh = renewed(path, text, root, faults)
         if fresh == text:
@@ -111,4 +185,4 @@ def stale(root, pages, write):
 
 def figures_of(text):
     """Numbers in such parts."""
-    return re.findall(r"(?<=\| )(?:[\d.]+ dB|0\.\d+)(?= [|±])", "".join(match[0] for match in PART.finditer(text)))
+    return re.findall(r"(?<=\| )(?:[\d.]+ dB|[01]\.\d+)(?= [|±])", "".join(match[0] for match in PART.finditer(text)))

@@ -10,17 +10,24 @@ SOURCE = sys.argv[1]
 DOCS = "docs"  # other tests look for documents that sources name
 CELLS = "experiment,scene,variant,seed,metric,value\nlabels_paper,walk,click,1,miou_present,0.5\n"
 CELLS_TODAY = "experiment,scene,variant,seed,metric,value\n" + "".join(f"labels_fast,walk,click,{seed},miou_present,{seed}\n" for seed in (1, 2, 3))
-ROW = {"scene": "lego", "preset": "object", "seconds": 60.0, "device": "NVIDIA H100 80GB HBM3", "date": "2026-11-26", "commit": "0cb12932", "psnr": 34.72}
+ROW = {"scene": "lego", "preset": "object", "seconds": 60.0, "device": "NVIDIA H100 80GB HBM3", "date": "2026-11-26", "commit": "0cb12932", "command": "scripts/benchmark FOLDER", "n": 1,
+       "psnr": 34.72}
+SEED = {"pq": 0.9, "sq": 1, "rq": 0.9, "mcov": 0.5, "count_error": 0.1, "seconds": 2}
+OBJECTS = {"date": "2026-11-26", "commit": "0cb12932", "device": "a CPU", "command": "scripts/object_tables RUNS", "n": 2,
+           "rows": {f"{room}/exact": [SEED, {**SEED, "pq": 0.8}] for room in ("living", "class", "room")}}
+SOURCES = {name: {key: OBJECTS[key] for key in ("date", "commit", "device", "command", "n")} for name in ("gpu_cells.csv", "gpu_cells_h100.csv")}
 PAGE = "# Page\n\nSix plain words of a page `code`.\n\n```sh\nsemfield one\n```\n\n<!-- not run: takes hours -->\n```sh\nsemfield two\nsemfield three\n```\n"
 SOURCED = "## Measured\n\n`semfield train` on 26 November 2026:\n\n| what | PSNR, dB |\n|---|---|\n| lego | 34.72 |\n"
 
 
-def check(page, *options, readme="# Small\n\n[Page](" + DOCS + "/page.md)\n"):
+def check(page, *options, readme="# Small\n\n[Page](" + DOCS + "/page.md)\n", row=ROW, sources=SOURCES):
     """Exit code, the values of the last line, what is printed, and the page afterwards."""
     with tempfile.TemporaryDirectory(prefix="docs of ") as root:
-        for name, text in {"README.md": readme, f"{DOCS}/page.md": page, f"{DOCS}/evidence/benchmark.json": json.dumps([ROW]),
+        for name, text in {"README.md": readme, f"{DOCS}/page.md": page, f"{DOCS}/evidence/benchmark.json": json.dumps([row]), f"{DOCS}/evidence/objects.json": json.dumps(OBJECTS),
+                           f"{DOCS}/evidence/sources.json": json.dumps(sources),
                            f"{DOCS}/evidence/gpu_cells.csv": CELLS, f"{DOCS}/evidence/gpu_cells_h100.csv": CELLS_TODAY,
-                           f"{DOCS}/more.md": "# More\n\n[data](evidence/benchmark.json) [cells](evidence/gpu_cells.csv) [more](evidence/gpu_cells_h100.csv)\n"}.items():
+                           f"{DOCS}/more.md": "# More\n\n[data](evidence/benchmark.json) [cells](evidence/gpu_cells.csv) [more](evidence/gpu_cells_h100.csv)\n"
+                                             "[objects](evidence/objects.json) [sources](evidence/sources.json)\n"}.items():
             os.makedirs(os.path.join(root, os.path.dirname(name)), exist_ok=True)
             with open(os.path.join(root, name), "w", encoding="utf-8") as file:
                 file.write(text)
@@ -38,7 +45,7 @@ def expect(page, code, sentence="", **wanted):
 
 
 # What counts: words have letters, and code and comments are none; commands by whether something runs them.
-expect(PAGE, 0, words=14, commands_run=1, commands_marked=2, figures=0, banned_phrases=0, links_broken=0, readme_words=3)
+expect(PAGE, 0, words=16, commands_run=1, commands_marked=2, figures=0, banned_phrases=0, links_broken=0, readme_words=3)
 expect(PAGE + SOURCED, 0, figures=1, figures_without_source=0)
 expect(PAGE + "## Link\n\nIt has 27.9 dB ([all](evidence/benchmark.json)).\n", 0, figures=1, figures_without_source=0)
 expect("# Page\n\n`semfield eval` of version 0.1.0.\n\n## Below\n\nmIoU 0.75\n", 0, figures=1, figures_without_source=0)
@@ -70,4 +77,18 @@ expect(EMPTY.replace("lego 60", "lego 61"), 1, "has no row 'lego 61 gpu'")
 code, values, said, written = check(PAGE + "<!-- figures labels: walk -->\n<!-- /figures -->\n", "--write")
 if code != 0 or "| click | 0.500 | 2.000 ± 2.484 (3) | – |" not in written:
     sys.exit(f"the table of labels is not written: {code} {said}\n{written}")
-print("19 repositories")
+
+# Objects: of 0.9 and 0.8 half an interval is 12.706 * 0.0707 / sqrt(2).
+code, values, said, written = check(PAGE + "<!-- figures objects: living, means -->\n<!-- /figures -->\n", "--write")
+if code != 0 or "| living room | exact | 0.850 ± 0.635 (2) | 1.000 ± 0.000 (2) |" not in written or "| means of the three | exact | 0.850 | 1.000 |" not in written:
+    sys.exit(f"the table of objects is not written: {code} {said}\n{written}")
+
+# A file of data without a source is refused, and the table of sources shows it.
+for wrong, sentence in ({"row": {**ROW, "commit": None}}, "evidence/benchmark.json: has no commit"), ({"sources": {}}, "evidence/gpu_cells.csv: has no date, commit, device"):
+    code, values, said, _ = check(PAGE, **wrong)
+    if code != 1 or sentence not in said:
+        sys.exit(f"data without a source pass: {code} {said}")
+code, values, said, written = check(PAGE + "<!-- figures sources: all -->\n<!-- /figures -->\n", "--write")
+if code != 0 or "| 2026-11-26 | 0cb12932 | NVIDIA H100 80GB HBM3 | `scripts/benchmark FOLDER` | 1 |" not in written:
+    sys.exit(f"the table of sources is not written: {code} {said}\n{written}")
+print("23 repositories")

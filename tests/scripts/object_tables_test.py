@@ -1,4 +1,5 @@
 """scripts/object_tables with a program that only answers: object_tables_test.py SCRIPT."""
+import json
 import pathlib
 import subprocess
 import sys
@@ -36,3 +37,14 @@ with tempfile.TemporaryDirectory() as name:
     (folder / "class" / "note").write_text("LEARNS")
     assert "miou_change=n/a psnr_change=n/a" in run().stdout, "a run that was changed was not noticed"
     assert run("--only", "attic").returncode != 0
+
+    # The file says where its figures come from, and keeps those of the same commit and device alone.
+    kept = folder / "objects.json"
+    assert run("--cpu", "--only", "living", "--json", kept).returncode == 0
+    assert run("--cpu", "--only", "room", "--seeds", "2", "--json", kept).returncode == 0
+    written = json.loads(kept.read_text())
+    assert sorted(written["rows"]) == [f"{room}/{case}" for room in ("living", "room") for case in ("assignment", "degraded", "exact")], written
+    assert written["n"] == 2 and written["command"] == "scripts/object_tables RUNS --cpu" and written["device"] == "CPU" and written["date"] and written["commit"], written
+    kept.write_text(json.dumps({**written, "commit": "another"}))
+    assert run("--cpu", "--only", "room", "--json", kept).returncode == 0
+    assert all(name.startswith("room/") for name in json.loads(kept.read_text())["rows"]), kept.read_text()
