@@ -4,6 +4,8 @@ A page asks for one by a pair of comments; what is between them is replaced:
 
   <!-- figures benchmark: lego 60 cpu, lego 60 gpu, room 60 cpu -->  rows by scene, seconds and device, of benchmark.json
   <!-- /figures -->
+  <!-- figures rows: all -->  every row of it
+  <!-- /figures -->
   <!-- figures labels: walk -->  a scene's rows by label setting, of gpu_cells.csv and gpu_cells_h100.csv
   <!-- /figures -->
   <!-- figures objects: living, class -->  rooms by their segments, of objects.json; `means` is a row of means over the first three
@@ -32,7 +34,7 @@ SETTINGS = ["all", "click", "1 %", "10 %", "90 % noise", "two key-frames", "10 %
 LABELS_HEAD = ("| labels | mIoU: paper's networks | room preset | grid alone | PSNR: paper | preset | AbsRel: paper | preset | ECE: paper | preset |\n"
                "|---|---|---|---|---|---|---|---|---|---|\n")
 STUDENT = {2: 12.706, 3: 4.303, 4: 3.182, 5: 2.776}
-PART = re.compile(r"(<!-- figures (?P<kind>benchmark|labels|objects|sources): (?P<rows>[^>]*?) -->\n).*?(<!-- /figures -->)", re.S)
+PART = re.compile(r"(<!-- figures (?P<kind>benchmark|rows|labels|objects|sources): (?P<rows>[^>]*?) -->\n).*?(<!-- /figures -->)", re.S)
 HEAD = "| scene, preset | trained for | PSNR | mIoU | device | date, commit |\n|---|---|---|---|---|---|\n"
 NAMES = {"lego": "lego, an object", "bonsai": "bonsai, a table in its room", "room": "shipped room, labels on 10 % of the frames", "walk": "Replica walk, all labels",
          "classroom": "modelled classroom, all labels", "studio": "studio room, 35 photos", "record3d": "door, scanned by a phone", "hololens": "room, scanned by a HoloLens",
@@ -53,6 +55,17 @@ def line_of(row):
     device = re.sub(r".*, (\d+) threads", r"\1 CPU threads", row["device"]).replace("NVIDIA ", "").replace(" 80GB HBM3", "")
     miou = f"{row['miou_present']:.3f}" if row.get("miou_present") is not None else "–"
     return (f"| {NAMES[row['scene']]}, `{row['preset']}` | {row['seconds']:.0f} s | {row['psnr']:.1f} dB | {miou} | {device} | {row['date']}, {row['commit']} |\n")
+
+
+def rows_table(rows):
+    """All of benchmark.json, for docs/evidence/benchmark.md."""
+    def cell(row, key, digits):
+        return f"{row[key]:.{digits}f}" if key in row else "–"
+    out = ("| scene | preset | training | steps | PSNR, dB | mean of views | SSIM | AbsRel | mIoU | views | device | date, commit |\n|" + "---|" * 12 + "\n")
+    for row in rows:
+        out += (f"| {row['scene']} | `{row['preset']}` | {row['seconds']:g} s | {row['steps']} | {cell(row, 'psnr', 2)} | {cell(row, 'psnr_of_views', 2)} | {cell(row, 'ssim', 3)} | "
+                f"{cell(row, 'absrel', 3)} | {cell(row, 'miou_present', 3)} | {row.get('frames', '–')} | {row['device']} | {row['date']}, {row['commit']} |\n")
+    return out
 
 
 def cells_of(root):
@@ -157,6 +170,8 @@ def renewed(path, text, root, faults):
         if match["kind"] == "sources":
             return match[1] + sources_table(root, path) + match[4]
         rows = read_json(root, "benchmark.json")
+        if match["kind"] == "rows":
+            return match[1] + rows_table(rows) + match[4]
         out = HEAD
         for asked in match["rows"].split(", "):
             row = chosen(rows, asked)
@@ -185,4 +200,4 @@ def stale(root, pages, write):
 
 def figures_of(text):
     """Numbers in such parts."""
-    return re.findall(r"(?<=\| )(?:[\d.]+ dB|[01]\.\d+)(?= [|±])", "".join(match[0] for match in PART.finditer(text)))
+    return re.findall(r"(?<=\| )(?:[\d.]+ dB|\d+\.\d+)(?= [|±])", "".join(match[0] for match in PART.finditer(text)))
