@@ -186,7 +186,7 @@ void refuse_used_folder(const std::string& folder) {
   const fs::file_status status = fs::status(folder, code);
   if (status.type() == fs::file_type::not_found) return;
   if (!fs::is_directory(status)) {
-    throw Error(ErrorKind::cannot_create, "files.output.exists", "'" + folder + "' is no folder",
+    throw Error(ErrorKind::cannot_create, "files.output.exists", "'" + folder + "' is not a folder",
                 "choose another name with --out");
   }
   const bool empty = fs::is_empty(folder, code);

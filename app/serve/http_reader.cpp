@@ -148,7 +148,7 @@ HttpReader::State HttpReader::read_framing() {
 
 HttpReader::State HttpReader::read_length(const std::string& text) {
   if (text.empty() || text.find_first_not_of("0123456789") != std::string::npos)
-    return refuse(400, "Content-Length is no number of bytes");
+    return refuse(400, "Content-Length is not a number of bytes");
   const auto [end, cause] = std::from_chars(text.data(), text.data() + text.size(), left_);
   if (cause != std::errc() || left_ > most_body_bytes_) return refuse(413, "the body is too large");
   return state_;

@@ -68,7 +68,7 @@ std::string PageExports::start(ExportKind kind, const std::function<void(const s
   if (std::count_if(exports_.begin(), exports_.end(), [](const Export& e) { return is_open(e.state); }) >=
       static_cast<std::ptrdiff_t>(kMostOpen))
     throw Error(ErrorKind::unavailable, "serve.exports.full",
-                fmt::format("{} exports are being made or wait", kMostOpen), "wait until one is done, or cancel one");
+                fmt::format("{} exports are running or waiting", kMostOpen), "wait until one is done, or cancel one");
   std::string id;
   for (int n = 1; id.empty() || fs::exists(folder_of(id)); ++n) id = fmt::format("{}-{}", export_name(kind), n);
   create_folders(folder_of(id));

@@ -91,7 +91,7 @@ FreeCamera read_request_camera(const Json& map) {
       off = std::max(off, std::abs(dot(camera.world_from_camera.axis(a), camera.world_from_camera.axis(b)) - (a == b)));
   const Pose& pose = camera.world_from_camera;
   if (!(off <= 1e-3) || !(dot(cross(pose.axis(0), pose.axis(1)), pose.axis(2)) > 0))
-    refuse_request("'rotation' is no rotation",
+    refuse_request("'rotation' is not a rotation",
                    "send the rows of world_from_camera: orthonormal columns, right-handed");
   if (const auto fov = map.find("fov_deg"); fov != map.end()) {
     if (fov->is_number()) camera.fov_deg = fov->get<double>();

@@ -24,7 +24,7 @@ ClassTable table_of(const ClassesOptions& options) {
   const bool is_tsv = std::filesystem::path(options.in).extension() == ".tsv";
   if (options.ids != "raw" && !is_tsv) {
     throw Error(ErrorKind::usage, "usage.flag.conflict",
-                "--ids " + options.ids + ": '" + options.in + "' is no table of ScanNet",
+                "--ids " + options.ids + ": '" + options.in + "' is not a table of ScanNet",
                 "give scannetv2-labels.combined.tsv");
   }
   const std::vector<std::string> published = published_class_names();

@@ -68,7 +68,7 @@ void clear_own_folder(const AppContext& context) {
     return;
   if (!is_demo(kOwnFolder))
     throw Error(ErrorKind::cannot_create, "files.output.exists",
-                fmt::format("'{}' is there already and is no earlier demo", kOwnFolder),
+                fmt::format("'{}' is there already and is not an earlier demo", kOwnFolder),
                 "name a new folder with --out");
   print_note(context, fmt::format("the earlier demo in {} is replaced", kOwnFolder));
   const RunFolder held = RunFolder::resume(kOwnFolder);  // refuses one that is being trained

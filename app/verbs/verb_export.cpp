@@ -131,7 +131,7 @@ class Exporter {
 // The page that `semfield mesh` writes as HTML.
 int export_page(const ExportVerbOptions& options, AppContext& context) {
   if (!options.to.ends_with(".html"))
-    throw Error(ErrorKind::usage, "export.page.ending", "--to " + options.to + ": no page ends so",
+    throw Error(ErrorKind::usage, "export.page.ending", "--to " + options.to + ": this is not the name of a page",
                 "end it with .html; meshes and points are written by `semfield mesh --out`");
   Diagnostics diagnostics;
   const OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);

@@ -85,6 +85,6 @@ void words(VerbWords& verb, HelpOptions& options) {
 
 }  // namespace
 
-Verb verb_help() { return make_verb<HelpOptions>("help", 210, "print the words of a verb", words, run); }
+Verb verb_help() { return make_verb<HelpOptions>("help", 210, "print the usage of a verb", words, run); }
 
 }  // namespace semfield::app

@@ -209,8 +209,8 @@ void words(VerbWords& verb, ObjectsOptions& options) {
 }  // namespace
 
 Verb verb_objects() {
-  return with_json(make_verb<ObjectsOptions>("objects", 65,
-                                             "tell the things of a scene apart by segments of its images", words, run));
+  return with_json(make_verb<ObjectsOptions>(
+      "objects", 65, "separate and count the things of a scene, by segments of its images", words, run));
 }
 
 }  // namespace semfield::app

@@ -119,7 +119,7 @@ int run(const PrepareVerbOptions& options, AppContext& context) {
 
 void words(VerbWords& verb, PrepareVerbOptions& options) {
   verb.operand("source", options.source, "video, or folder of photographs; folders in it are one camera each");
-  verb.required("--out FOLDER", options.out, "scene to write; a run that was ended continues there");
+  verb.required("--out FOLDER", options.out, "scene to write; what was interrupted continues there");
   verb.value_in("--frames N", options.frames, 0, 10000,
                 "frames to keep of a video at most; 0: three a second, 30 to 300");
   verb.choice("--lens KIND", options.lens, {"auto", "fisheye", "equirectangular"},
@@ -134,7 +134,7 @@ void words(VerbWords& verb, PrepareVerbOptions& options) {
 
 Verb verb_prepare() {
   return with_json(make_verb<PrepareVerbOptions>(
-      "prepare", 7, "make a scene of a video or of photographs: finds their camera poses with COLMAP", words, run));
+      "prepare", 7, "make a scene from a video or photographs: COLMAP finds the camera poses", words, run));
 }
 
 }  // namespace semfield::app

@@ -191,7 +191,7 @@ int run(const ServeOptions& options, AppContext& context) {
     throw *failure;
   }
   const std::shared_ptr<const LabelState> state = session.state();
-  print_note(context, fmt::format("stopped at step {} with {} labels, all saved; go on with: {}", state->step,
+  print_note(context, fmt::format("stopped at step {} with {} labels, all saved; continue with: {}", state->step,
                                   state->marks.size(), go_on));
   return 128 + stop_signal();
 }

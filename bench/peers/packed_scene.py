@@ -51,7 +51,7 @@ class PackedScene:
             self.data = file.read()
         magic, version, _, _, offset, size = struct.unpack_from("<8sIIQQQ", self.data)
         if magic != b"SEMFPACK" or version not in (1, 2):
-            raise ValueError(f"{path} is no packed scene of version 1 or 2: write it with `semfield pack`")
+            raise ValueError(f"{path} is not a packed scene of version 1 or 2: write it with `semfield pack`")
         manifest = Manifest(self.data[offset:offset + size])
         manifest.text()
         manifest.take("Bdd")

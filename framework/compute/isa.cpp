@@ -48,7 +48,7 @@ Isa choose() {
   }
   throw Error(ErrorKind::config, "config.environment.value",
               "environment variable SEMFIELD_ISA: '" + std::string(wanted) +
-                  "' is no instruction set that this CPU and this build have",
+                  "' is not an instruction set that this CPU and this build have",
               "set one of: " + isas_of_machine() + ", or unset it");
 }
 

@@ -45,7 +45,7 @@ std::vector<QueryVector> read_json(const std::string& path) {
   try {
     words = nlohmann::json::parse(read_text_file(path));
   } catch (const nlohmann::json::exception& error) {
-    throw Error(ErrorKind::data, "render.query.format", fmt::format("'{}' is no JSON: {}", path, error.what()),
+    throw Error(ErrorKind::data, "render.query.format", fmt::format("'{}' is not JSON: {}", path, error.what()),
                 "write a map from words to lists of numbers");
   }
   std::vector<QueryVector> queries;
@@ -56,9 +56,9 @@ std::vector<QueryVector> read_json(const std::string& path) {
   if (!words.is_object() || words.empty()) refuse("expected a map from words to vectors");
   for (const auto& [word, numbers] : words.items()) {
     QueryVector query{file_name(word), {}};
-    if (!numbers.is_array()) refuse("'" + word + "' is no list of numbers");
+    if (!numbers.is_array()) refuse("'" + word + "' is not a list of numbers");
     for (const auto& number : numbers) {
-      if (!number.is_number()) refuse("'" + word + "' holds something that is no number");
+      if (!number.is_number()) refuse("'" + word + "' holds something that is not a number");
       query.values.push_back(number.get<float>());
     }
     queries.push_back(std::move(query));

@@ -27,7 +27,7 @@ std::int64_t integer_of(const Json& json, std::int64_t low, std::int64_t high) {
   const bool fits = json.is_number_integer() &&
                     !(json.is_number_unsigned() && json.get<std::uint64_t>() > static_cast<std::uint64_t>(high));
   if (!fits || json.get<std::int64_t>() < low || json.get<std::int64_t>() > high)
-    throw std::out_of_range(fmt::format("{} is no integer from {} to {}", json.dump(), low, high));
+    throw std::out_of_range(fmt::format("{} is not an integer from {} to {}", json.dump(), low, high));
   return json.get<std::int64_t>();
 }
 
@@ -43,7 +43,7 @@ double share_of(const Json& json) {
 
 std::optional<double> score_of(const Json& json) {
   std::optional<double> value;
-  if (!read_number_json(json, value)) throw std::out_of_range(json.dump() + " is no score");
+  if (!read_number_json(json, value)) throw std::out_of_range(json.dump() + " is not a score");
   return value;
 }
 

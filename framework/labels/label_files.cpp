@@ -101,7 +101,7 @@ bool check_folder(const std::string& folder, Diagnostics& diagnostics) {
   if (folder.empty()) {
     diagnostics.error("labels.folder.unnamed", "folder", "no folder is named", "set scene.labels.from.folder");
   } else if (!std::filesystem::is_directory(folder, ignored)) {
-    diagnostics.error("files.folder.missing", "folder", "'" + folder + "' is no folder", "check the path");
+    diagnostics.error("files.folder.missing", "folder", "'" + folder + "' is not a folder", "check the path");
   } else {
     return true;
   }

@@ -126,7 +126,8 @@ int label_frame_count(const std::string& frames, int available) {
   } else if (int count = 0; parse_number(frames, count) && count >= 0) {
     if (count <= available) return count;
     refuse("labels.frames.too_few",
-           "frames: " + frames + " asked for, " + std::to_string(available) + " labelled training frames are there",
+           "frames: " + frames + " were asked for, and there are " + std::to_string(available) +
+               " labelled training frames",
            "ask for fewer, or write all");
   }
   refuse("config.value.type", "frames: expected all, none, a share such as 10%, or a number, got '" + frames + "'",

@@ -127,7 +127,7 @@ std::vector<std::string> other_inputs(const SceneInputs& a, const SceneInputs& b
 void warn_of_other_inputs(const SceneInputs& trained, const SceneInputs& now, Diagnostics& diagnostics) {
   if (const std::vector<std::string> others = other_inputs(trained, now); !others.empty()) {
     diagnostics.warning("run.scene.changed", "scene",
-                        "it is not as it was when the run was trained: " + join(others, " and "),
+                        "it has changed since the run was trained: " + join(others, " and "),
                         "restore the data, or train again");
   }
   if (!trained.labels && now.labels != "")

@@ -54,7 +54,7 @@ void check_labels(const FrameBuffer& b, int classes) {
   const auto at = bad - b.label.begin();
   throw Error(ErrorKind::data, "plugin.dataset.label",
               "label " + std::to_string(*bad) + " at x " + std::to_string(at % b.width_px) + ", y " +
-                  std::to_string(at / b.width_px) + " is no class; classes are 0 to " + std::to_string(classes - 1) +
+                  std::to_string(at / b.width_px) + " is not a class; classes are 0 to " + std::to_string(classes - 1) +
                   " and void is " + std::to_string(kVoid),
               "this is a defect of the dataset plugin: it maps ids to classes");
 }

@@ -72,7 +72,7 @@ std::vector<std::string> trusted_folders() {
     if (folder.empty()) continue;
     if (!fs::path(folder).is_absolute())
       throw Error(ErrorKind::unavailable, "config.environment.value",
-                  "SEMFIELD_PLUGIN_PATH: '" + folder + "' is no absolute folder",
+                  "SEMFIELD_PLUGIN_PATH: '" + folder + "' is not an absolute path",
                   "name folders from the root, separated by colons");
     folders.push_back(real_path(folder));
   }

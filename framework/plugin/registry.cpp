@@ -83,7 +83,7 @@ const PluginEntry& Registry::usual_grouping() const {
   for (const auto& [key, entry] : entries_) {
     if (entry.usual) return entry;
   }
-  throw Error(ErrorKind::unavailable, "plugin.grouping.usual", "no grouping of this build is the usual one",
+  throw Error(ErrorKind::unavailable, "plugin.grouping.usual", "this build lacks the default grouping",
               "name one: --set objects.method.type=NAME");
 }
 

@@ -57,7 +57,7 @@ std::string figures_section(const ReportInput& input, const std::string& split) 
                             sampled ? ", of the sample that the head names" : "",
                             input.runs.size() < 2 ? ""
                             : ranked              ? " The best of each row is set in bold."
-                                                  : " The runs are not ranked; the reason stands at the top.");
+                                                  : " The runs are not ranked; the reason is at the top.");
   return open_section("figures", "Figures", hint) + "<div class=\"figures\">" +
          table_panel("Figures", fmt::format("<tr><th scope=\"col\">Metric</th>{}</tr>", run_heads(input, split)),
                      body) +

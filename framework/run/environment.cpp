@@ -149,7 +149,7 @@ std::string left_out_json(const std::vector<LeftOutRow>& rows) {
   for (const LeftOutRow& row : rows) {
     Json& object = json.emplace_back(Json::object());
     for (const auto& [name, field] : kLeftOutFields) object[name] = row.*field;
-    if (row.saving_measured.empty()) object["saving_measured"] = nullptr;  // not measured is no text
+    if (row.saving_measured.empty()) object["saving_measured"] = nullptr;  // not measured is not text
   }
   return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }

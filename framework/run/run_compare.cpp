@@ -44,7 +44,8 @@ std::optional<ConfigNode> settings_of(const RunFolder& folder, const Side& side,
   for (const ConfigDifference& change : changes_of_identity(settings, resolved_config(*written)))
     edited += (edited.empty() ? "" : ", ") + change.text();
   if (!edited.empty()) {
-    diagnostics.warning("run.config.edited", folder.config_path(), "it is not as the run was trained: " + edited,
+    diagnostics.warning("run.config.edited", folder.config_path(),
+                        "it differs from what the run was trained with: " + edited,
                         "restore it; the settings in the checkpoints are compared");
   }
   return settings;

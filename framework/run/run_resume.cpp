@@ -135,7 +135,8 @@ bool compare_settings_with_training(const CheckpointFacts& facts, const RunConfi
         fmt::format("for the settings of training add{}, or restore the file; for the file's add{}", back, keep));
   }
   if (!asked.empty())
-    diagnostics.note("run.config.settings", "settings", "other ones than the run was trained with: " + join(asked));
+    diagnostics.note("run.config.settings", "settings",
+                     "they differ from those that the run was trained with: " + join(asked));
   return same_scene;
 }
 

@@ -75,7 +75,7 @@ Pose pose_of(const std::vector<double>& m, const std::string& where, CameraAxes 
                                std::abs(dot(column[0], column[2])), std::abs(length(column[0]) - 1),
                                std::abs(length(column[1]) - 1), std::abs(length(column[2]) - 1)});
   if (!(off < 1e-3) || dot(cross(column[0], column[1]), column[2]) < 0) {
-    throw Error(ErrorKind::data, "render.path.pose", where + ": the 3x3 part is no rotation",
+    throw Error(ErrorKind::data, "render.path.pose", where + ": the 3x3 part is not a rotation",
                 "give camera-to-world matrices");
   }
   if (m.size() == 16 && (m[12] != 0 || m[13] != 0 || m[14] != 0 || m[15] != 1)) {
@@ -135,7 +135,7 @@ std::vector<Pose> read_camera_file(const std::string& path, CameraAxes axes) {
   if (rows[0].size() == 4) per_pose = rows.size() >= 4 && rows[3] == std::vector<double>{0, 0, 0, 1} ? 4 : 3;
   if (rows.size() % per_pose != 0) {
     throw Error(ErrorKind::data, "render.path.format",
-                path + ": " + std::to_string(rows.size()) + " lines are no multiple of " + std::to_string(per_pose),
+                path + ": " + std::to_string(rows.size()) + " lines are not a multiple of " + std::to_string(per_pose),
                 "the file was cut short");
   }
   std::vector<Pose> poses;

@@ -74,7 +74,7 @@ class CameraReader {
   std::optional<PlacedCamera> read() {
     const int before = diagnostics_.error_count();
     if (!node_.is_object()) {
-      error("is no object of keys and values", "write {\"name\": ..., \"width\": ..., ...}");
+      error("is not an object of keys and values", "write {\"name\": ..., \"width\": ..., ...}");
       return std::nullopt;
     }
     check_keys();
@@ -116,7 +116,7 @@ class CameraReader {
 
   std::string name() {
     if (!node_.contains("name") || !node_["name"].is_string()) {
-      error("'name' is no text", "name its images, such as \"name\": \"00001\"");
+      error("'name' is not text", "name its images, such as \"name\": \"00001\"");
       return {};
     }
     return node_["name"].get<std::string>();
@@ -147,7 +147,7 @@ class CameraReader {
       }
     }
     if (rows.size() != 16)
-      error("'world_from_camera' is no list of 4 rows of 4 numbers", "write [[1, 0, 0, 0], [0, 1, 0, 0], ...]");
+      error("'world_from_camera' is not a list of 4 rows of 4 numbers", "write [[1, 0, 0, 0], [0, 1, 0, 0], ...]");
     return rows;
   }
 
@@ -173,7 +173,7 @@ class CameraReader {
     out.near_m = number("near");
     out.far_m = number("far");
     if (!(out.near_m >= 0) || !(out.near_m < out.far_m) || !std::isfinite(out.far_m))
-      error("'near' and 'far' are no distances with 0 <= near < far", "correct them, or leave both out");
+      error("'near' and 'far' are not distances with 0 <= near < far", "correct them, or leave both out");
   }
 
   const Json& node_;

@@ -142,7 +142,7 @@ PoseState check_pose(Pose& pose, const std::string& place, Diagnostics& diagnost
   const double determinant = dot(cross(pose.axis(0), pose.axis(1)), pose.axis(2));
   if (error > 1e-3) {
     diagnostics.error("scene.pose.rotation", place,
-                      "pose is no rotation: its axes are " + number(error) + " off orthonormal (1e-3 is allowed)",
+                      "pose is not a rotation: its axes are " + number(error) + " off orthonormal (1e-3 is allowed)",
                       "check that the matrix is camera-to-world, row by row, without a scale");
     return PoseState::refused;
   }

@@ -257,7 +257,7 @@ std::int16_t RaySource::label_of(const Pixel& pixel) const {
   if (cls == kVoid || logit_of_class_.empty()) return kVoid;
   if (cls < 0 || static_cast<std::size_t>(cls) >= logit_of_class_.size()) {
     throw Error(ErrorKind::data, "labels.class.range",
-                fmt::format("{}: label {} is no class; classes are 0 to {} and void is {}", place_of(pixel), cls,
+                fmt::format("{}: label {} is not a class; classes are 0 to {} and void is {}", place_of(pixel), cls,
                             logit_of_class_.size() - 1, kVoid),
                 "check the labels against the scene's class table");
   }

@@ -51,7 +51,7 @@ LabelMap decode(std::span<const std::byte> bytes, std::size_t width, int classes
     if (value == none) continue;
     if (value >= classes)
       throw Error(ErrorKind::data, "checkpoint.labels.damaged",
-                  fmt::format("{}: label {} is no class; there are {}", place, value, classes), kRemedy);
+                  fmt::format("{}: label {} is not a class; there are {}", place, value, classes), kRemedy);
     labels[p] = static_cast<std::int16_t>(value);
   }
   return LabelMap(std::move(labels));

@@ -297,9 +297,8 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   if (config.runtime.precision == Precision::automatic) {
     config.runtime.precision = precision_of(config, registry, device);  // what run.yaml says from here on
     diagnostics.note("train.precision.chosen", "runtime.precision",
-                     config.runtime.precision == Precision::bf16
-                         ? "auto is bf16 here, which this machine computes faster"
-                         : "auto is fp32 here: no faster kernels of bf16");
+                     config.runtime.precision == Precision::bf16 ? "auto is bf16 here, which is faster on this machine"
+                                                                 : "auto is fp32 here: no faster kernels of bf16");
   }
   std::vector<std::string> by_device = choose_for_device(config, device.kind);
   if (options.trainable) {

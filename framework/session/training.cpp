@@ -154,7 +154,7 @@ void Training::require_drawn(int frame) const {
   const std::vector<int> drawn = session_.drawn_frames();
   if (std::find(drawn.begin(), drawn.end(), frame) != drawn.end()) return;
   throw Error(ErrorKind::data, "labels.frame.untrained",
-              fmt::format("frame {}: it is no training frame, so it has no labels that train", frame),
+              fmt::format("frame {}: it is not a training frame, so none of its labels train", frame),
               "name one of Session::drawn_frames");
 }
 
@@ -182,7 +182,8 @@ void Training::set_labels(int frame, std::vector<std::int16_t> labels) {
       return fmt::format("pixel x {}, y {}", p % static_cast<std::size_t>(width), p / static_cast<std::size_t>(width));
     };
     if (label < 0 || label >= session_.classes()) {
-      refuse("labels.class.range", fmt::format("{}: {} is no class; there are {}", place(), label, session_.classes()),
+      refuse("labels.class.range",
+             fmt::format("{}: {} is not a class; there are {}", place(), label, session_.classes()),
              "give class indices, which begin at 0, or -1 for none");
     }
     if (!session_.plan.semantics || logit_of_class[static_cast<std::size_t>(label)] == kVoid) {

@@ -61,7 +61,7 @@ std::uint64_t cache_limit() {
   const auto [end, failed] = std::from_chars(text.data(), text.data() + text.size(), gigabytes);
   if (failed != std::errc() || end != text.data() + text.size() || !(gigabytes >= 0 && gigabytes <= 1e6)) {
     throw Error(ErrorKind::config, "config.environment.value",
-                "environment variable SEMFIELD_CACHE_GB: '" + std::string(text) + "' is no number from 0 to 1000000",
+                "environment variable SEMFIELD_CACHE_GB: '" + std::string(text) + "' is not a number from 0 to 1000000",
                 "set it to the gigabytes that the cache may hold, or set SEMFIELD_CACHE=off");
   }
   return static_cast<std::uint64_t>(gigabytes * 1e9);

@@ -46,7 +46,7 @@ std::optional<FileVerdict> read_verdict(const std::string& file, const std::stri
         return FileVerdict{std::string(rest.substr(kHead.size(), rest.size() - kHead.size() - 1)), entry};
     }
     notes.note("files.verdict.lost", file,
-               "what a check found out about it is damaged in '" + entry + "' and counts as not there");
+               "what a check found out about it is damaged in '" + entry + "' and is not used");
   } catch (const Error& error) {
     notes.note("files.verdict.lost", file, "whether it was checked cannot be read: " + error.message());
   }

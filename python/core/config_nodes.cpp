@@ -30,7 +30,7 @@ ConfigNode node_at(const py::handle& value, const Location& where, const std::st
     for (const auto& [name, item] : py::dict(py::reinterpret_borrow<py::object>(value))) {
       if (!py::isinstance<py::str>(name))
         throw Error(ErrorKind::usage, "config.key.type",
-                    place_of(where.file, key) + ": a key is no text: " + py::repr(name).cast<std::string>());
+                    place_of(where.file, key) + ": a key is not text: " + py::repr(name).cast<std::string>());
       const auto word = name.cast<std::string>();
       entries.emplace_back(word, node_at(item, where, key.empty() ? word : key + "." + word));
     }
@@ -52,7 +52,7 @@ ConfigNode node_at(const py::handle& value, const Location& where, const std::st
   if (py::hasattr(value, "__fspath__")) return scalar(py::str(value.attr("__fspath__")()).cast<std::string>(), true);
   throw Error(ErrorKind::usage, "config.value.type",
               place_of(where.file, key) + ": " + py::repr(value.get_type()).cast<std::string>() +
-                  " is no value of a configuration",
+                  " is not a value of a configuration",
               "give text, numbers, truth values, lists, dicts or paths");
 }
 

@@ -19,7 +19,7 @@ std::atomic<int> g_working{0};
 std::atomic<bool> g_ending{false};
 
 [[noreturn]] void refuse() {
-  throw Error(ErrorKind::usage, "python.session.ending", "Python ends, and so does the work of this run");
+  throw Error(ErrorKind::usage, "python.session.ending", "Python is ending, and so is the work of this run");
 }
 
 }  // namespace

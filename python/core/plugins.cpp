@@ -26,7 +26,7 @@ Domain domain_of(const std::string& name, const std::string& owner) {
   if (name == "metric") return Domain::metric;
   if (name == "unit_cube") return Domain::unit_cube;
   if (name == "direction") return Domain::direction;
-  throw Error(ErrorKind::usage, "plugin.python.declaration", owner + ": domain '" + name + "' is none",
+  throw Error(ErrorKind::usage, "plugin.python.declaration", owner + ": there is no domain '" + name + "'",
               "it is metric, unit_cube or direction");
 }
 

@@ -62,7 +62,7 @@ Split split_of(const std::string& name, const std::string& place) {
   if (name == "train") return Split::train;
   if (name == "test") return Split::test;
   if (name == "unused") return Split::unused;
-  throw Error(ErrorKind::data, "scene.split.unknown", place + ": split '" + name + "' is none",
+  throw Error(ErrorKind::data, "scene.split.unknown", place + ": there is no split '" + name + "'",
               "it is train, test or unused");
 }
 

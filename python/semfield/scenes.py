@@ -44,14 +44,14 @@ def _number(what: str, value: Any) -> float:
     try:
         return float(value)
     except (TypeError, ValueError, OverflowError):
-        raise UsageError(f"{what}: {value!r} is no number", code="python.value.type") from None
+        raise UsageError(f"{what}: {value!r} is not a number", code="python.value.type") from None
 
 
 def _whole(what: str, value: Any, low: int = 0, high: int = 2**31 - 1) -> int:
     try:
         number = operator.index(value)
     except TypeError:
-        raise UsageError(f"{what}: {value!r} is no whole number", code="python.value.type") from None
+        raise UsageError(f"{what}: {value!r} is not a whole number", code="python.value.type") from None
     if not low <= number <= high:
         raise UsageError(f"{what}: {number} is out of range; expected {low} to {high}", code="python.value.range")
     return number
@@ -60,7 +60,7 @@ def _whole(what: str, value: Any, low: int = 0, high: int = 2**31 - 1) -> int:
 def _pixels(what: str, value: Any) -> int:
     number = _number(what, value)
     if not number.is_integer():
-        raise UsageError(f"{what} {value!r} is no whole number of pixels", code="python.value.type")
+        raise UsageError(f"{what} {value!r} is not a whole number of pixels", code="python.value.type")
     return _whole(what, int(number), -2**31)
 
 
@@ -267,7 +267,7 @@ class Scene:
             raise UsageError("cameras: expected one Camera for all images, or one for each", code="python.value.length")
         held_out = {_whole("test", i, -2**31) for i in test}
         if not held_out <= set(range(count)):
-            raise UsageError(f"test: {sorted(held_out - set(range(count)))} are no indices of {count} images",
+            raise UsageError(f"test: {sorted(held_out - set(range(count)))} are not indices of {count} images",
                              code="python.frame.range")
         frames = []
         for i in range(count):
@@ -320,7 +320,7 @@ def _refuse_to_replace(path: str, overwrite: bool) -> None:
         raise UsageError(f"{path!r} is there already; name another file, or give overwrite=True to replace that scene",
                          code="files.output.exists")
     if not (os.path.isfile(path) and _core.is_pack(path)):
-        raise UsageError(f"{path!r} is no packed scene, so it is not replaced; name another file", code="files.output.foreign")
+        raise UsageError(f"{path!r} is not a packed scene, so it is not replaced; name another file", code="files.output.foreign")
 
 
 def _remove_file(path: str, owner: int) -> None:

@@ -290,7 +290,7 @@ TEST(Isa, EveryOneOfTheBuildThatTheProcessorHasIsTakenWhenTheEnvironmentNamesIt)
       continue;
     }
     if (beyond) {
-      EXPECT_HAS(said_with(name), "is no instruction set that this CPU") << name;
+      EXPECT_HAS(said_with(name), "is not an instruction set that this CPU") << name;
     } else {
       EXPECT_EQ(said_with(name), name);
     }

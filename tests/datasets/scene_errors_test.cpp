@@ -86,9 +86,10 @@ TEST(SceneErrors, PosesOfATrajectory) {
   const std::string t = folder + "/traj_w_c.txt";
   ASSERT_EQ(found.size(), 3u);
   EXPECT_EQ(found[0], t + ":3: expected 16 numbers, got 3; write one camera-to-world matrix a line, row by row");
-  EXPECT_EQ(found[1], t + ":4: pose is no rotation: its axes are 3 off orthonormal (1e-3 is allowed); check that the "
-                          "matrix is camera-to-world, row by "
-                          "row, without a scale");
+  EXPECT_EQ(found[1],
+            t + ":4: pose is not a rotation: its axes are 3 off orthonormal (1e-3 is allowed); check that the "
+                "matrix is camera-to-world, row by "
+                "row, without a scale");
   EXPECT_EQ(found[2], t + ": 1 of 2 frames skipped: their poses are not finite (1)");
 }
 

@@ -29,11 +29,11 @@ TEST(ChannelQuery, WrongVectorsAreNamed) {
   const auto expect = [&](const std::string& text, const std::string& said) {
     EXPECT_HAS(refusal(dir.write("w.json", text)), said);
   };
-  expect("{", "is no JSON");
+  expect("{", "is not JSON");
   expect("[1, 2]", "expected a map from words to vectors");
   expect("{}", "expected a map from words to vectors");
-  expect(R"({"chair": 3})", "'chair' is no list of numbers");
-  expect(R"({"chair": [1, "x"]})", "'chair' holds something that is no number");
+  expect(R"({"chair": 3})", "'chair' is not a list of numbers");
+  expect(R"({"chair": [1, "x"]})", "'chair' holds something that is not a number");
   expect(R"({"chair": [1]})", "vector 'chair' has 1 numbers, and the channel 2");
   expect(R"({"chair": [0, 0]})", "vector 'chair' is zero");
   expect(R"({"chair": [1e300, 0]})", "vector 'chair' has a number that is not finite");

@@ -190,7 +190,7 @@ TEST(LabelSession, WarningsReachThePage) {
   const std::vector<std::string> notes = again.session.state()->notes;
   ASSERT_EQ(notes.size(), 1u);
   EXPECT_EQ(notes.front(),
-            "scene: it is not as it was when the run was trained: other images; restore the data, or train again "
+            "scene: it has changed since the run was trained: other images; restore the data, or train again "
             "[run.scene.changed]");
 }
 

@@ -71,7 +71,7 @@ TEST(LabelImages, RefusalsNameFileAndPixel) {
     return error_of([&] { (void)reader->read(frame_of(name), table); });
   };
   EXPECT_EQ(read("kind: palette", "broken"),
-            "'" + folder + "/broken.png': no PNG with a palette; set kind: ids or color");
+            "'" + folder + "/broken.png': it is not a PNG with a palette; set kind: ids or color");
   EXPECT_HAS(read("", "broken"), "broken.png");
 
   const auto opened = [&](const std::string& rest, const ClassTable& known = room_table()) {
@@ -92,7 +92,7 @@ TEST(LabelImages, RefusalsNameFileAndPixel) {
             "class table: 'a' and 'b' have the same colour (1, 1, 1); give each class its own colour, or name a table "
             "of colours in scene.labels.from.file");
   EXPECT_EQ(open_findings(*images(folder + "/none", ""), room_table()),
-            "folder: '" + folder + "/none' is no folder; check the path");
+            "folder: '" + folder + "/none' is not a folder; check the path");
 }
 
 // --- class probabilities ---
@@ -191,7 +191,7 @@ TEST(NpzLabels, RefusalsNameFileAndPixel) {
                     remedy = "; write a list of the class names in the order of the array's last axis";
   EXPECT_EQ(opened("[").find(path + ": not valid JSON: parse error at line 1, column 2"), 0u);
   EXPECT_EQ(opened("[]"), path + ": no class names in it" + remedy);
-  EXPECT_EQ(opened("[\"wall\", 3]"), path + ": entry 2 is no text" + remedy);
+  EXPECT_EQ(opened("[\"wall\", 3]"), path + ": entry 2 is not text" + remedy);
   EXPECT_EQ(opened("[\"wall\", \"wall\"]"), path + ": class 'wall' is named twice" + remedy);
   EXPECT_EQ(opened("{\"wall\": 0, \"table\": 0}"), path + ": column 0 is given twice" + remedy);
   EXPECT_EQ(opened("{\"wall\": null}"),

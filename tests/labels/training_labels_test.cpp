@@ -241,8 +241,9 @@ TEST(LabelSelection, NamedFrames) {
 
 TEST(LabelSelection, RefusalsAreExact) {
   const auto message = [](const std::string& frames) { return error_of([&] { (void)label_frame_count(frames, 20); }); };
-  EXPECT_EQ(message("25"),
-            "scene.labels.frames: 25 asked for, 20 labelled training frames are there; ask for fewer, or write all");
+  EXPECT_EQ(
+      message("25"),
+      "scene.labels.frames: 25 were asked for, and there are 20 labelled training frames; ask for fewer, or write all");
   const std::string want = "scene.labels.frames: expected all, none, a share such as 10%, or a number, got '";
   for (const char* bad : {"", "some", "-1", "101%", "%", "10 %", "nan%"})
     EXPECT_EQ(message(bad), want + bad + "'; write for example 10%");

@@ -77,10 +77,10 @@ TEST_F(ModuleTrust, ModulesCutShortOrOfAnotherProcessorAreRefusedUnrun) {
   with(EI_CLASS, ELFCLASS32);
   expect_refused(file, "it was built for another CPU");
   with(offsetof(Elf64_Ehdr, e_type), ET_EXEC);
-  expect_refused(file, "it is no shared library");
+  expect_refused(file, "it is not a shared library");
   for (const std::string text : {"", "plain text"}) {
     write_file_atomic(file, text);
-    expect_refused(file, "it is no shared library; check that it is the right file");
+    expect_refused(file, "it is not a shared library; check that it is the right file");
   }
 }
 
@@ -134,7 +134,7 @@ TEST_F(ModuleTrust, AConfigurationAloneRunsNoCode) {
   }
   const Result relative = run({"config", "check", config}, "shared");
   EXPECT_EQ(relative.code, 78);
-  EXPECT_HAS(relative.err, "SEMFIELD_PLUGIN_PATH: 'shared' is no absolute folder");
+  EXPECT_HAS(relative.err, "SEMFIELD_PLUGIN_PATH: 'shared' is not an absolute path");
 }
 
 TEST_F(ModuleTrust, ARunTrainedWithAModuleRecordsItAndAsksForItAgain) {
@@ -199,7 +199,7 @@ TEST(ModuleKernels, AreCheckedBeforeTheyAreLoaded) {
     EXPECT_FALSE(registry.kernels().has(Device::cuda, "encoder 'toy'"));
   };
   write_file_atomic(kernels, "plain text");
-  expect_refused("it is no shared library");
+  expect_refused("it is not a shared library");
   fs::remove(kernels);
   fs::copy_file(probe("other_api"), kernels);
   expect_refused("the module speaks plugin API 999");

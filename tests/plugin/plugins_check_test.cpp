@@ -121,7 +121,7 @@ TEST_F(PluginsCheck, ACacheThatIsDamagedOrCannotBeWrittenStopsNothing) {
     write_file_atomic(entry.string(), text);
     const Result r = train_with(probe("bent"));
     EXPECT_EQ(r.code, 0) << r.err;
-    EXPECT_HAS(r.err, "is damaged in '" + entry.string() + "' and counts as not there");
+    EXPECT_HAS(r.err, "is damaged in '" + entry.string() + "' and is not used");
   }
   fs::remove(entry);
   fs::create_directories(entry);  // no file can take its name

@@ -152,7 +152,7 @@ TEST(RanksSession, DensitiesAreThoseOfOneProcess) {
   as_leader(3, hash_config(), [&](Session& session) { expect_same(densities_of(session), expected, "density"); });
 }
 
-// Message of a step with a weight that is no number, and the tensors after the weight was mended and steps went on.
+// Message of a step with a weight that is not a number, and the tensors after the weight was mended and steps went on.
 struct Mended {
   std::string message;
   std::uint32_t after = 0;

@@ -192,10 +192,10 @@ TEST(Launcher, NumbersWithoutSenseAreRefusedByTheirVariable) {
     const std::string message = refusal(variables);
     EXPECT_HAS(message, text) << "'" << message << "' lacks '" << text << "'";
   };
-  names(with(kOpenMpi, {{"OMPI_COMM_WORLD_SIZE", "0"}}), "OMPI_COMM_WORLD_SIZE: '0' is no number of processes");
+  names(with(kOpenMpi, {{"OMPI_COMM_WORLD_SIZE", "0"}}), "OMPI_COMM_WORLD_SIZE: '0' is not a number of processes");
   names(with(kOpenMpi, {{"OMPI_COMM_WORLD_SIZE", "8x"}}), "OMPI_COMM_WORLD_SIZE: '8x'");
   names(with(kOpenMpi, {{"OMPI_COMM_WORLD_SIZE", "99999999999"}}), "OMPI_COMM_WORLD_SIZE: '99999999999'");
-  names(with(kOpenMpi, {{"OMPI_COMM_WORLD_RANK", "8"}}), "OMPI_COMM_WORLD_RANK: '8' is no rank of 8 processes");
+  names(with(kOpenMpi, {{"OMPI_COMM_WORLD_RANK", "8"}}), "OMPI_COMM_WORLD_RANK: '8' is not a rank of 8 processes");
   names(with(kOpenMpi, {{"OMPI_COMM_WORLD_RANK", "-1"}}), "OMPI_COMM_WORLD_RANK: '-1'");
   names(with(kOpenMpi, {{"OMPI_COMM_WORLD_RANK", ""}}), "OMPI_COMM_WORLD_RANK is not set");
   names(with(kOpenMpi, {{"OMPI_COMM_WORLD_LOCAL_RANK", "4"}}), "OMPI_COMM_WORLD_LOCAL_RANK: '4'");

@@ -23,7 +23,7 @@ TEST(RunTruth, AFolderThatIsNoUtf8IsRefusedBeforeTraining) {
   fs::copy(dir.path(), folder, fs::copy_options::none);  // files alone
   const Result r = semfield_run("train config.yaml --out run", folder);
   EXPECT_EQ(r.code, 78) << r.err;
-  EXPECT_HAS(r.err, "it is no UTF-8; nothing was written; give the folder or file another name", "caf\\xe9");
+  EXPECT_HAS(r.err, "it is not UTF-8; nothing was written; give the folder or file another name", "caf\\xe9");
   EXPECT_FALSE(fs::exists(folder + "/run"));
   // Where only the run folder's name is none, the run's files hold no part of it.
   const Result named = semfield_run("train config.yaml --threads 1 --out caf\xe9/run", dir.path());

@@ -95,7 +95,7 @@ struct Trained {
 };
 
 constexpr const char* kOtherLabels =
-    "scene: it is not as it was when the run was trained: other labels; restore the data, or train again";
+    "scene: it has changed since the run was trained: other labels; restore the data, or train again";
 
 // Of two training frames and of two test frames: every count of pixels stays as it was.
 TEST(SameRun, ExchangedLabelsAreToldByEvalAndResume) {
@@ -122,7 +122,7 @@ TEST(SameRun, LabelsThatTheSettingsChooseAreNoOtherLabels) {
   EXPECT_EQ(trained.open({}, OpenFor::evaluation_of_training_frames), "");
   std::string said = trained.open({"scene.labels.frames=all"}, OpenFor::evaluation_of_training_frames);
   std::erase(said, '"');  // which some versions of yaml-cpp put around the value
-  EXPECT_EQ(said, "settings: other ones than the run was trained with: scene.labels.frames: 50% -> all\n");
+  EXPECT_EQ(said, "settings: they differ from those that the run was trained with: scene.labels.frames: 50% -> all\n");
 }
 
 TEST(SameRun, ACheckpointOfAnEarlierVersionOpensAndSaysThatLabelsWereNotCompared) {
@@ -151,7 +151,7 @@ TEST(SameRun, AnEditedRunYamlIsRefusedWithBothWaysOut) {
                   "file; for the file's add --set rendering.density_activation=trunc_exp");
   EXPECT_EQ(trained.open({"rendering.density_activation=softplus"}), "");
   EXPECT_EQ(trained.open({"rendering.density_activation=trunc_exp"}),
-            "settings: other ones than the run was trained with: rendering.density_activation: softplus -> "
+            "settings: they differ from those that the run was trained with: rendering.density_activation: softplus -> "
             "trunc_exp\n");
   // What is no part of the run's identity may be edited.
   const Trained other;
@@ -169,7 +169,7 @@ TEST(SameRun, ComparingTellsOfAnEditedRunYaml) {
   trained.edit("density_activation: softplus", "density_activation: trunc_exp");
   EXPECT_EQ(compare_runs(trained.run, trained.dir / "copy", registry(), told).difference, "");
   EXPECT_EQ(texts(told), trained.run +
-                             "/run.yaml: it is not as the run was trained: rendering.density_activation: "
+                             "/run.yaml: it differs from what the run was trained with: rendering.density_activation: "
                              "softplus -> trunc_exp; restore it; the settings in the checkpoints are "
                              "compared\n");
 }

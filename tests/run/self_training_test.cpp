@@ -222,7 +222,7 @@ TEST(SelfTraining, ARoundThatIsLostOrDamagedIsRefusedAndTheRemedyWorks) {
     return refusal(dir / run);
   };
   const std::vector<std::byte> no_class(48 * 36, std::byte{77});
-  EXPECT_HAS(rewritten("no_class", [&](auto& t) { t[2].bytes = no_class; }), "label 77 is no class; there are 5");
+  EXPECT_HAS(rewritten("no_class", [&](auto& t) { t[2].bytes = no_class; }), "label 77 is not a class; there are 5");
   EXPECT_HAS(rewritten("fewer", [](auto& t) { t.pop_back(); }), "is missing, or of another size");
   // A sound file of other labels: that of the first round under the second's name.
   copy_run(dir / "whole", dir / "other");

@@ -58,7 +58,7 @@ TEST_F(Demo, LeavesFoldersOfOthersAlone) {
   write("runs/demo/notes.txt");
   const Result r = run("");
   EXPECT_EQ(r.code, 73);
-  EXPECT_HAS(r.err, "'runs/demo' is there already and is no earlier demo; name a new folder with --out");
+  EXPECT_HAS(r.err, "'runs/demo' is there already and is not an earlier demo; name a new folder with --out");
   EXPECT_TRUE(fs::exists(root_ / "runs/demo/notes.txt"));
   // A run of somebody's, even of that name.
   write_file_atomic((root_ / "runs/demo/run.yaml").string(), "name: demo\nscene: {root: /elsewhere}\n");

@@ -238,7 +238,7 @@ TEST(Heads, WrongSettingsAreNamed) {
   expect("heads: [{type: feature_map, chanel: albedo, " + kBranch + "}}]\n", "did you mean 'channel'?");
   expect("heads: [{type: feature_map, " + kBranch + "}}]\n", "heads.0.channel: the head names no channel");
   expect("heads: [{type: feature_map, channel: depth, " + kBranch + "}}]\n", "'depth' is a channel of the framework");
-  expect("heads: [{type: feature_map, channel: A-B, " + kBranch + "}}]\n", "'A-B' is no name of a channel");
+  expect("heads: [{type: feature_map, channel: A-B, " + kBranch + "}}]\n", "'A-B' cannot name a channel");
   expect("heads: [" + head + ", " + head + "]\n", "heads.1.channel: 'albedo' is made by heads.0 already");
   expect("losses: [{type: cosine_distance, channel: clip}]\n",
          "'cosine_distance' reads the channel 'clip', which no head makes");

@@ -45,7 +45,7 @@ TEST(LossConfig, MistakesAreNamedWithPlaceAndRemedy) {
               {"losses.0: key 'type' is missing", "choose one of cosine_distance, depth, distortion"});
   expect_says(errors_of("losses: {type: depth}\n"), {"losses: expected a list of terms", "write losses: [{type:"});
   const std::string twice = errors_of("losses:\n  - {type: depth}\n  - {type: distortion}\n  - {type: depth}\n");
-  expect_says(twice, {"losses.2: the term 'depth' stands at room.yaml:", "already", "keep one of them"});
+  expect_says(twice, {"losses.2: the term 'depth' is already at room.yaml:", "keep one of them"});
 }
 
 TEST(LossConfig, StandsInTheResolvedFormAndOnlyThere) {

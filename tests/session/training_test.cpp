@@ -231,7 +231,7 @@ TEST(Training, LabelsThatCannotTrainAreRefusedAndNothingChanges) {
   EXPECT_HAS(error_of(ErrorKind::data, [&] { training.set_labels(frame, {0, 1}); }), "2 values for 48 x 36 pixels");
   labels[50] = 5;
   EXPECT_HAS(error_of(ErrorKind::data, [&] { training.set_labels(frame, labels); }),
-             "pixel x 2, y 1: 5 is no class; there are 5");
+             "pixel x 2, y 1: 5 is not a class; there are 5");
   labels[50] = 3;
   const std::string absent = error_of(ErrorKind::data, [&] { training.set_labels(frame, labels); });
   EXPECT_HAS(absent, "no label had class 'ball' when the session opened",

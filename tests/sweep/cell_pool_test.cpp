@@ -250,7 +250,7 @@ TEST(HostShare, DevicesByNumberOrName) {
     return "";
   };
   for (const char* word : {"cpu", "cuda", "cuda:", "-1", "1000", "0x1", "gpu0", "", "all"})
-    EXPECT_EQ(refusal({"0", word}), "--devices: '" + std::string(word) + "' is no CUDA device") << word;
+    EXPECT_EQ(refusal({"0", word}), "--devices: '" + std::string(word) + "' is not a CUDA device") << word;
   EXPECT_EQ(refusal({"1", "0", "cuda:1"}), "--devices: 'cuda:1' is named twice");
   EXPECT_EQ(refusal({"1", "01"}), "--devices: '01' is named twice");
 }

@@ -147,7 +147,7 @@ TEST(SweepShared, DevicesThatAreNotThereAreRefused) {
   // No device of the machine is seen by tests.
   EXPECT_HAS(refusal("--devices all", 69), "--devices all: ");
   EXPECT_HAS(refusal("--devices 1,0", 69), "--devices: no cuda:1: ");
-  EXPECT_HAS(refusal("--devices 0,all", 2), "--devices: 'all' is no CUDA device");
+  EXPECT_HAS(refusal("--devices 0,all", 2), "--devices: 'all' is not a CUDA device");
   EXPECT_HAS(refusal("--devices 0 --jobs 2", 2), "--jobs");
   EXPECT_FALSE(fs::exists(folder + "/out"));
 }

@@ -39,7 +39,7 @@ class Environment {
     int read = 0;
     const auto [end, failed] = std::from_chars(value.data(), value.data() + value.size(), read);
     if (failed != std::errc{} || end != value.data() + value.size() || read < least)
-      throw senseless(name, value, "is no " + what);
+      throw senseless(name, value, "is not a " + what);
     return read;
   }
 
@@ -59,7 +59,7 @@ class Environment {
     rank = number(rank_name, 0, "rank");
     if (rank >= size) {
       throw senseless(rank_name, std::to_string(rank),
-                      "is no rank of " + std::to_string(size) + " processes (" + size_name + ")");
+                      "is not a rank of " + std::to_string(size) + " processes (" + size_name + ")");
     }
   }
 
@@ -117,7 +117,7 @@ Launched of_step(const Environment& environment) {
   }
   if (found.local_rank >= found.local_size) {
     throw senseless(kStepLocalRank, std::to_string(found.local_rank),
-                    "is no rank of " + std::to_string(found.local_size) + " processes of this host");
+                    "is not a rank of " + std::to_string(found.local_size) + " processes of this host");
   }
   return found;
 }

@@ -132,7 +132,7 @@ void read_points(const Json& root, LabelEvent& event) {
   for (const Json& point : points) {
     const std::string which = "'points': point " + std::to_string(event.points.size() + 1);
     if (!point.is_array() || point.size() != 2 || !point[0].is_number() || !point[1].is_number())
-      refuse("labels.event.points", which + " is no pair of numbers [x, y]: " + shown(point));
+      refuse("labels.event.points", which + " is not a pair of numbers [x, y]: " + shown(point));
     const PixelPoint p{point[0].get<double>(), point[1].get<double>()};
     if (!(p.x >= 0 && p.x <= event.width_px && p.y >= 0 && p.y <= event.height_px)) {
       refuse("labels.event.points",

@@ -91,7 +91,7 @@ CaptureSource look_at_source(const std::string& path) {
     std::string extension = fs::path(path).extension().string();
     for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
     if (std::find(kVideos.begin(), kVideos.end(), extension) == kVideos.end())
-      throw Error(ErrorKind::no_input, "capture.source.kind", "'" + path + "' is no video by its name", remedy);
+      throw Error(ErrorKind::no_input, "capture.source.kind", "'" + path + "' is not a video, by its name", remedy);
     out.video = true;
     return out;
   }

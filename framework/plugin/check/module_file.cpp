@@ -95,10 +95,10 @@ PluginStamp stamp_of(ModuleFile& file, const ElfW(Ehdr) & header) {
       return file.at<PluginStamp>(s.sh_offset);
     }
   }
-  file.refuse(
-      "plugin.module.foreign",
-      std::string("it has no section '") + kPluginSection + "', so it is no plugin, or one built before modules had it",
-      "build it with SEMFIELD_LOADABLE_MODULE defined and end it with SEMFIELD_PLUGIN_MODULE(...)");
+  file.refuse("plugin.module.foreign",
+              std::string("it has no section '") + kPluginSection +
+                  "', so it is not a plugin, or it was built before modules had one",
+              "build it with SEMFIELD_LOADABLE_MODULE defined and end it with SEMFIELD_PLUGIN_MODULE(...)");
 }
 
 }  // namespace
@@ -106,11 +106,11 @@ PluginStamp stamp_of(ModuleFile& file, const ElfW(Ehdr) & header) {
 void check_module_file(const std::string& path, const std::string& doing) {
   ModuleFile file(path, doing);
   if (file.size() < SELFMAG || std::memcmp(file.at<std::array<char, SELFMAG>>(0).data(), ELFMAG, SELFMAG) != 0)
-    file.refuse("plugin.module.foreign", "it is no shared library", "check that it is the right file");
+    file.refuse("plugin.module.foreign", "it is not a shared library", "check that it is the right file");
   const auto header = file.at<ElfW(Ehdr)>(0);
   check_processor(file, header);
   if (header.e_type != ET_DYN)
-    file.refuse("plugin.module.foreign", "it is no shared library", "check that it is the right file");
+    file.refuse("plugin.module.foreign", "it is not a shared library", "check that it is the right file");
   check_length(file, header);
   const PluginStamp stamp = stamp_of(file, header);
   const PluginStamp ours{};

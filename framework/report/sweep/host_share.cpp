@@ -33,7 +33,7 @@ std::vector<std::string> device_names(const std::vector<std::string>& words) {
   for (const std::string& word : words) {
     const std::optional<DeviceId> id = device_of(word.starts_with("cuda") ? word : "cuda:" + word);
     if (!id || word == "cuda")
-      throw Error(ErrorKind::usage, "usage.value.devices", "--devices: '" + word + "' is no CUDA device",
+      throw Error(ErrorKind::usage, "usage.value.devices", "--devices: '" + word + "' is not a CUDA device",
                   "write all, or numbers with commas between them: 0,1");
     const std::string name = "cuda:" + std::to_string(id->ordinal);
     if (std::find(names.begin(), names.end(), name) != names.end())

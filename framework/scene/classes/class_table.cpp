@@ -193,7 +193,7 @@ ClassTable::ClassTable(std::vector<ClassEntry> entries) : entries_(std::move(ent
     }
     if (!is_line_of_text(e.name)) {
       throw Error(ErrorKind::data, "classes.name.invalid",
-                  "the name of class " + std::to_string(e.id) + " has control characters or is no UTF-8",
+                  "the name of class " + std::to_string(e.id) + " has control characters or is not UTF-8",
                   "give it a plain name, and save the file as UTF-8");
     }
     if (i > 0 && entries_[i - 1].id == e.id) {

@@ -37,7 +37,7 @@ void check_channel(const HeadConfig& head, const std::vector<HeadConfig>& earlie
   const auto allowed = [](char c) { return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || c == '_'; };
   if (name.empty()) return refuse("the head names no channel", "name the channel that it is to make, as `clip`");
   if (!std::all_of(name.begin(), name.end(), allowed))
-    refuse("'" + name + "' is no name of a channel", "take small letters, digits and underscores");
+    refuse("'" + name + "' cannot name a channel", "take small letters, digits and underscores");
   if (std::find(kTaken.begin(), kTaken.end(), name) != kTaken.end())
     refuse("'" + name + "' is a channel of the framework", "take another name");
   for (const HeadConfig& other : earlier)

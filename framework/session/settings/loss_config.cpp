@@ -28,7 +28,7 @@ std::vector<LossEntry> read_losses(const ConfigNode& tree, const Registry& regis
                                    [&](const LossEntry& earlier) { return earlier.type == entry.type; });
     if (same != entries.end()) {
       diagnostics.error("config.loss.twice", entry.where,
-                        fmt::format("{}: the term '{}' stands at {} already", path, entry.type, same->where),
+                        fmt::format("{}: the term '{}' is already at {}", path, entry.type, same->where),
                         "keep one of them, with the weight that both together should have");
       continue;
     }

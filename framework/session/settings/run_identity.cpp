@@ -44,9 +44,10 @@ void require_utf8(const std::string& text) {
     const std::size_t length = utf8_length(text, i);
     if (length == 0) {
       const std::size_t begin = text.rfind('\n', i) + 1, end = text.find('\n', i);
-      throw Error(ErrorKind::config, "config.text.encoding",
-                  "run.yaml cannot hold '" + text.substr(begin, end - begin) + "': it is no UTF-8; nothing was written",
-                  "give the folder or file another name");
+      throw Error(
+          ErrorKind::config, "config.text.encoding",
+          "run.yaml cannot hold '" + text.substr(begin, end - begin) + "': it is not UTF-8; nothing was written",
+          "give the folder or file another name");
     }
     i += length;
   }

@@ -116,7 +116,7 @@ std::vector<Replica::Row> Replica::read_trajectory(const std::string& path, Diag
     const std::string row = text.substr(at, end - at);
     at = end + 1;
     std::vector<double> numbers;
-    std::string_view bad;  // from the first word that is no number to the line's end
+    std::string_view bad;  // from the first word that is not a number to the line's end
     for (const std::string_view word : words_of(row)) {
       double value = 0;
       if (!parse_number(word, value)) {

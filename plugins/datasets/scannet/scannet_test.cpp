@@ -185,7 +185,7 @@ TEST(Scannet, TroubleNamesFileCauseAndRemedy) {
   EXPECT_TRUE(has(place("10") + "'" + f + "pose/10.txt': 'x' is not a number"));
   EXPECT_TRUE(has(place("0") + "depth image '" + f + "depth/0.png' is missing"));
   EXPECT_TRUE(has(place("20") + "'" + f + "label-filt/20.png' is 10 x 10 pixels, the colour image 40 x 30: another"));
-  EXPECT_TRUE(has(place("30") + "pose is no rotation"));
+  EXPECT_TRUE(has(place("30") + "pose is not a rotation"));
   EXPECT_TRUE(has("extrinsic_color.txt: is not the identity"));
 }
 

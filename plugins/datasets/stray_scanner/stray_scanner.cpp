@@ -38,7 +38,8 @@ class Odometry {
     for (std::size_t i = 1; i < rows_.size(); ++i) {
       const double number = has("frame") ? value(rows_[i], "frame") : static_cast<double>(i - 1);
       if (!(number >= 0 && number <= 1e9))
-        throw Error(ErrorKind::data, "scene.index.value", rows_[i].place + ": 'frame' is no number of a frame", kAgain);
+        throw Error(ErrorKind::data, "scene.index.value", rows_[i].place + ": 'frame' is not the number of a frame",
+                    kAgain);
       out[static_cast<std::int64_t>(number)] = &rows_[i];
     }
     return out;

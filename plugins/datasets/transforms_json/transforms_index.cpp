@@ -139,7 +139,7 @@ class FileReader {
     if (node.contains("camera_model") && !node["camera_model"].is_null()) {
       if (!node["camera_model"].is_string()) {
         diagnostics_.error("scene.index.value", place,
-                           "'camera_model' is " + node["camera_model"].dump() + ", which is no name",
+                           "'camera_model' is " + node["camera_model"].dump() + ", which is not a name",
                            "write \"camera_model\": \"OPENCV\", or leave the key out");
         return std::nullopt;
       }

@@ -40,7 +40,7 @@ std::vector<TimedRow> read_list(const std::string& path, std::size_t words) {
                       std::to_string(words),
                   kRecordAgain);
     if (!parse_number(timed.words[0], timed.time_s))
-      throw Error(ErrorKind::data, "scene.index.value", row.place + ": '" + timed.words[0] + "' is no time",
+      throw Error(ErrorKind::data, "scene.index.value", row.place + ": '" + timed.words[0] + "' is not a time",
                   kRecordAgain);
     timed.words.erase(timed.words.begin());
     rows.push_back(std::move(timed));

@@ -44,7 +44,7 @@ void SphericalHarmonics<Real>::do_forward(const StepContext&, const Tensors<Real
                                          std::to_string(x(bad, 2)) + ")"
                                    : "";
     throw Error(ErrorKind::data, "scene.direction.length",
-                "encoder 'spherical_harmonics': row " + std::to_string(bad) + " is no unit vector" + vector,
+                "encoder 'spherical_harmonics': row " + std::to_string(bad) + " is not a unit vector" + vector,
                 "this encoder is for view directions; use frequency or hash_grid for positions");
   }
 }

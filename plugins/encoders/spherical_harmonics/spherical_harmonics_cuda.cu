@@ -12,7 +12,7 @@ namespace {
 
 constexpr int kThreads = 64;  // 1,024 rays still occupy 16 multiprocessors
 
-/// Factors of row `row`; where it is no unit vector a fault is noted and the zero vector taken.
+/// Factors of row `row`; where it is not a unit vector a fault is noted and the zero vector taken.
 template <std::int32_t kDegree>
 __device__ inline HarmonicFactors<float> factors_of(View<const double> x, std::int64_t row, FaultKey* fault) {
   const double d[3] = {x(row, 0), x(row, 1), x(row, 2)};

@@ -13,7 +13,7 @@ inline constexpr double kUnitTolerance = 1e-3;
 
 template <class Real>
 struct SphericalHarmonicsKernels {
-  /// Returns the first row that is no unit vector, or -1. Runs in the calling thread.
+  /// Returns the first row that is not a unit vector, or -1. Runs in the calling thread.
   std::int64_t (*forward)(const HarmonicNorms<Real>& norms, std::int32_t degree, View<const double> x,
                           View<Real> y) = nullptr;
   void (*backward)(const HarmonicNorms<Real>& norms, std::int32_t degree, View<const double> x, View<const Real> dy,

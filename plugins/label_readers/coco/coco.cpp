@@ -52,7 +52,7 @@ Outline outline_of(const Json& part, const std::string& place) {
   Outline outline;
   for (std::size_t i = 0; i < part.size(); i += 2) {
     if (!part[i].is_number() || !part[i + 1].is_number())
-      refuse_labels("labels.file.format", place, "point " + std::to_string(i / 2 + 1) + " is no pair of numbers");
+      refuse_labels("labels.file.format", place, "point " + std::to_string(i / 2 + 1) + " is not a pair of numbers");
     const PixelPoint p{part[i].get<double>(), part[i + 1].get<double>()};
     if (!(std::abs(p.x) <= kMaxCoordinate) || !(std::abs(p.y) <= kMaxCoordinate))
       refuse_labels("labels.shape.outside", place,
@@ -78,7 +78,7 @@ std::vector<std::int64_t> counts_of(const Json& segmentation, const CocoImage& i
     for (const Json& count : *counts) {
       if (!count.is_number_integer())
         refuse_labels("labels.run_lengths.damaged", place,
-                      "count " + std::to_string(out.size() + 1) + " is no whole number");
+                      "count " + std::to_string(out.size() + 1) + " is not a whole number");
       out.push_back(count.get<std::int64_t>());
     }
   }

@@ -111,7 +111,8 @@ class ImageLabelReader : public LabelReader {
   LabelRaster read(const FrameInfo& frame, const ClassTable& table) const override {
     const std::string path = path_of(folder, pattern, frame);
     if (kind == LabelImageKind::palette && !is_palette_png(path))
-      refuse_labels("labels.image.palette", "'" + path + "'", "no PNG with a palette", "set kind: ids or color");
+      refuse_labels("labels.image.palette", "'" + path + "'", "it is not a PNG with a palette",
+                    "set kind: ids or color");
     const ImageSize size = image_size(path);  // before anything is unpacked on the word of its header
     check_label_shape(size.width_px, size.height_px, frame.camera);
     if (kind != LabelImageKind::color && size.channels > 1) {

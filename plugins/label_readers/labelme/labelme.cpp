@@ -77,7 +77,7 @@ Shape shape_of(const Json& item, std::string place) {
   shape.place = std::move(place) + " ('" + shape.label + "')";
   const auto type = item.find("shape_type");  // files of labelme before 3.4 have polygons alone and do not say so
   if (type != item.end() && !type->is_null()) {
-    if (!type->is_string()) refuse_labels("labels.file.format", shape.place, "shape_type is no text");
+    if (!type->is_string()) refuse_labels("labels.file.format", shape.place, "shape_type is not text");
     shape.kind = kind_of(type->get<std::string>(), shape.place);
   }
   const auto points = item.find("points");
@@ -86,7 +86,7 @@ Shape shape_of(const Json& item, std::string place) {
   for (const Json& point : *points) {
     const std::string which = "point " + std::to_string(shape.points.size() + 1);
     if (!point.is_array() || point.size() != 2 || !point[0].is_number() || !point[1].is_number())
-      refuse_labels("labels.file.format", shape.place, which + " is no pair of numbers [x, y]");
+      refuse_labels("labels.file.format", shape.place, which + " is not a pair of numbers [x, y]");
     const PixelPoint p{point[0].get<double>(), point[1].get<double>()};
     if (!(std::abs(p.x) <= kMaxCoordinate) || !(std::abs(p.y) <= kMaxCoordinate))
       refuse_labels("labels.shape.outside", shape.place, which + " lies more than a million pixels outside");

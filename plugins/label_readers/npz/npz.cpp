@@ -61,7 +61,7 @@ std::vector<std::string> read_class_order(const std::string& path) {
   } else if (root.is_array()) {
     for (const Json& item : root) {
       if (!item.is_string())
-        refuse_labels("labels.order.format", path, "entry " + std::to_string(names.size() + 1) + " is no text",
+        refuse_labels("labels.order.format", path, "entry " + std::to_string(names.size() + 1) + " is not text",
                       kOrderRemedy);
       names.push_back(item.get<std::string>());
     }
