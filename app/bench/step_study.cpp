@@ -142,7 +142,7 @@ int bench_step(const BenchStepOptions& options, AppContext& context) {
     return 0;
   }
   print_table(options, results);
-  std::printf("\n%s\n%s isa=%s\n", goal_line("by processor time:", processor_goals_of(results)).c_str(),
+  std::printf("\n%s\n%s isa=%s\n", goal_line("by CPU time:", processor_goals_of(results)).c_str(),
               goal_line("bench:", goals_of(results)).c_str(), std::string(isa_name(isa())).c_str());
   return 0;
 }

@@ -163,7 +163,7 @@ HttpResponse PageServer::post_export(const HttpRequest& request) {
   if (!wanted.what) {
     if (!exports_.cancel(wanted.cancel))
       throw Error(ErrorKind::data, "serve.export.unknown", "no export '" + wanted.cancel + "'",
-                  "the state lists those that there are");
+                  "the state lists those that exist");
     return json(nlohmann::ordered_json{{"id", wanted.cancel}}.dump());
   }
   return json(nlohmann::ordered_json{{"id", exports_.start(*wanted.what)}}.dump());

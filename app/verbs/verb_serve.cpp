@@ -92,8 +92,8 @@ Target going_on(const std::string& run_dir, const ServeOptions& options, Registr
 Target target_of(const ServeOptions& options, const AppContext& context, Registry& registry) {
   if (fs::is_directory(options.what)) {
     if (!options.out.empty())
-      throw Error(ErrorKind::usage, "usage.flag.conflict", "--out " + options.out + ": a run goes on in its own folder",
-                  "leave --out out");
+      throw Error(ErrorKind::usage, "usage.flag.conflict",
+                  "--out " + options.out + ": a run continues in its own folder", "leave --out out");
     return going_on(options.what, options, registry,
                     "look at it: semfield view " + shell_word(options.what) +
                         "; or label in a run of its own: semfield serve CONFIG --out FOLDER");
@@ -102,7 +102,7 @@ Target target_of(const ServeOptions& options, const AppContext& context, Registr
   const std::string run_dir = options.out.empty() ? "runs/" + config.name : options.out;
   if (!fs::exists(fs::path(run_dir) / "run.yaml")) return {std::move(config), run_dir};
   Target target = going_on(run_dir, options, registry, "name another folder with --out");
-  print_note(context, "going on with " + run_dir + ", which is there already, by the settings in its run.yaml");
+  print_note(context, "continuing with " + run_dir + ", which is there already, by the settings in its run.yaml");
   return target;
 }
 
@@ -182,12 +182,12 @@ int run(const ServeOptions& options, AppContext& context) {
     const SignalWatch watch(session, server, context);
     session.run();
   } catch (Error& error) {
-    error.while_doing("stopped; every label is stored, and the run goes on from its last checkpoint with: " + go_on);
+    error.while_doing("stopped; every label is stored, and the run continues from its last checkpoint with: " + go_on);
     throw;
   }
   if (std::optional<Error> failure = session.failure()) {
     failure->while_doing(
-        "training has ended; every label is stored, and the run goes on from its last checkpoint with: " + go_on);
+        "training has ended; every label is stored, and the run continues from its last checkpoint with: " + go_on);
     throw *failure;
   }
   const std::shared_ptr<const LabelState> state = session.state();

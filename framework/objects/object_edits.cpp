@@ -309,7 +309,7 @@ void apply_edits(ObjectSet& set, const ObjectEdits& edits, const std::string& fi
   if (edits.digest != set.digest())
     throw Error(ErrorKind::data, "objects.edits.foreign",
                 fmt::format("{}: its {} edits are of other objects than these", file, edits.edits.size()),
-                "rename or remove the file, or find the objects as before: the same run, segments and settings");
+                "rename or remove the file, or find the objects again with the same run, segments and settings");
   for (const ObjectEdit& edit : edits.edits) apply_edit(set, edit);
 }
 

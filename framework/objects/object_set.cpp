@@ -17,7 +17,7 @@ namespace {
 
 [[noreturn]] void refuse(const std::string& path, const std::string& what) {
   throw Error(ErrorKind::data, "objects.found.unreadable", path + ": " + what,
-              "find the objects anew: semfield objects");
+              "find the objects again: semfield objects");
 }
 
 std::vector<double> doubles(const TensorFile& file, const std::string& name, std::size_t count) {

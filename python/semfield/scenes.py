@@ -18,7 +18,7 @@ PathLike = Union[str, "os.PathLike[str]"]
 
 
 class _Arrays:
-    """A short repr for what holds arrays: their types and shapes in place of their numbers."""
+    """A short repr for what holds arrays: their types and shapes instead of their numbers."""
 
     def __repr__(self) -> str:
         shown = []

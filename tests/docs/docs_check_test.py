@@ -20,10 +20,10 @@ PAGE = "# Page\n\nSix plain words of a page `code`.\n\n```sh\nsemfield one\n```\
 SOURCED = "## Measured\n\n`semfield train` on 26 November 2026:\n\n| what | PSNR, dB |\n|---|---|\n| lego | 34.72 |\n"
 
 
-def check(page, *options, readme="# Small\n\n[Page](" + DOCS + "/page.md)\n", row=ROW, sources=SOURCES):
+def check(page, *options, readme="# Small\n\n[Page](" + DOCS + "/page.md)\n", row=ROW, sources=SOURCES, source=""):
     """Exit code, the values of the last line, what is printed, and the page afterwards."""
     with tempfile.TemporaryDirectory(prefix="docs of ") as root:
-        for name, text in {"README.md": readme, f"{DOCS}/page.md": page, f"{DOCS}/evidence/benchmark.json": json.dumps([row]), f"{DOCS}/evidence/objects.json": json.dumps(OBJECTS),
+        for name, text in {"README.md": readme, "app/verb.cpp": source, f"{DOCS}/page.md": page, f"{DOCS}/evidence/benchmark.json": json.dumps([row]), f"{DOCS}/evidence/objects.json": json.dumps(OBJECTS),
                            f"{DOCS}/evidence/sources.json": json.dumps(sources),
                            f"{DOCS}/evidence/gpu_cells.csv": CELLS, f"{DOCS}/evidence/gpu_cells_h100.csv": CELLS_TODAY,
                            f"{DOCS}/more.md": "# More\n\n[data](evidence/benchmark.json) [cells](evidence/gpu_cells.csv) [more](evidence/gpu_cells_h100.csv)\n"
@@ -56,6 +56,9 @@ expect(SOURCED.replace("on 26 November 2026", "once"), 1, "'Measured' has 1 figu
 expect(SOURCED.replace("`semfield train`", "Measured"), 1, "'Measured' has 1 figures", figures_without_source=1)
 expect(PAGE + "The field is told\nwhat a ray tells.\n", 1, "'is told': write: is reported", banned_phrases=2)
 expect(PAGE + "`is told` is code.\n", 0, banned_phrases=0)
+code, values, said, _ = check(PAGE, source='// The user is told.\nrefuse("a \\"field\\" is told");\n')
+if code != 1 or values["banned_phrases"] != "1" or "app/verb.cpp:2: 'is told'" not in said:
+    sys.exit(f"a message with a banned phrase passes: {code} {said}")
 expect(PAGE + "[gone](gone.md)\n", 1, "gone.md: no such file", links_broken=1)
 expect(PAGE + "```text\nsemfield hidden\n```\n", 1, "'semfield hidden' is in a block that nothing runs")
 expect(PAGE + "word " * 45000, 1, "words; at most 45000 are read")
@@ -91,4 +94,4 @@ for wrong, sentence in ({"row": {**ROW, "commit": None}}, "evidence/benchmark.js
 code, values, said, written = check(PAGE + "<!-- figures sources: all -->\n<!-- /figures -->\n", "--write")
 if code != 0 or "| 2026-11-26 | 0cb12932 | NVIDIA H100 80GB HBM3 | `scripts/benchmark FOLDER` | 1 |" not in written:
     sys.exit(f"the table of sources is not written: {code} {said}\n{written}")
-print("23 repositories")
+print("24 repositories")

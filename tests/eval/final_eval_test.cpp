@@ -121,13 +121,13 @@ TEST(FinalEval, RefusesWhatItDidNotWrite) {
   EXPECT_HAS(refused({}), "runs/a/final_eval.json");
   EXPECT_HAS(changed("/confusion/pixels", {{1}}), "1 rows for 2 classes");
   EXPECT_HAS(changed("/confusion/pixels/0", {1, 2, 3}), "3 entries for 2 classes");
-  EXPECT_HAS(changed("/confusion/pixels/0/0", -1), "-1 is no integer");
-  EXPECT_HAS(changed("/confusion/pixels/0/0", 1.5), "1.5 is no integer");
-  EXPECT_HAS(changed("/confusion/pixels/0/0", 18446744073709551615u), "is no integer");
+  EXPECT_HAS(changed("/confusion/pixels/0/0", -1), "-1 is not an integer");
+  EXPECT_HAS(changed("/confusion/pixels/0/0", 1.5), "1.5 is not an integer");
+  EXPECT_HAS(changed("/confusion/pixels/0/0", 18446744073709551615u), "is not an integer");
   EXPECT_HAS(changed("/classes/0/color/1", 256), "256 is not an integer from 0 to 255");
   EXPECT_HAS(changed("/reliability/bins/0/accuracy", 1.5), "outside 0 to 1");
   EXPECT_HAS(changed("/entropy/auroc", -0.5), "outside 0 to 1");
-  EXPECT_HAS(changed("/per_frame/0/psnr", "much"), "is no score");
+  EXPECT_HAS(changed("/per_frame/0/psnr", "much"), "is not a score");
   EXPECT_THROW((void)parse_final_eval("{", "x"), Error);
 }
 

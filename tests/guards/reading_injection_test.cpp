@@ -219,7 +219,7 @@ TEST(ReadingInjection, LabelsOfABatch) {
       subject.trainer = std::make_unique<Trainer>(*subject.session.pipeline, source, subject.session.config.adam,
                                                   subject.session.config.schedule);
       expect_caught(subject, "label of a batch", "label " + std::to_string(bad),
-                    {"frame 'bad_one', pixel x ", "label " + std::to_string(bad) + " is no class"});
+                    {"frame 'bad_one', pixel x ", "label " + std::to_string(bad) + " is not a class"});
     } catch (const Error& error) {
       ADD_FAILURE() << error.what();
     }

@@ -74,7 +74,7 @@ TEST(LabelRun, ASkipInTheSteadOfAnotherCounts) {
   }
 }
 
-// A region that nobody shall label has no label and is not proposed; undone, it is as before.
+// A region that nobody should label has no label and is not proposed; undone, it is as before.
 TEST(LabelRun, WhatIsIgnoredIsNotAskedAbout) {
   PreparedRun room;
   room.annotations.apply([&] {

@@ -54,7 +54,7 @@ TEST_F(ModuleTrust, NoInitialiserOfARefusedModuleRuns) {
   const Result sound = run({"plugins", "list", "--plugin", probe("sound")});
   EXPECT_EQ(sound.code, 0) << sound.err;
   EXPECT_TRUE(ran_) << "the probe tells nothing";
-  expect_refused(probe("no_stamp"), "it has no section '.semfield_plugin', so it is no plugin");
+  expect_refused(probe("no_stamp"), "it has no section '.semfield_plugin', so it is not a plugin");
   expect_refused(probe("other_stamp"), "its section '.semfield_plugin' holds something else");
   expect_refused(probe("other_api"), "the module speaks plugin API 999, this framework speaks ");
   expect_refused(probe("other_abi"), "the module was built with ABI 'cxx0-another-library', this framework with '");

@@ -250,7 +250,7 @@ TEST(ScannetLabels, RefusalsNameLineAndColumn) {
     write_file_atomic(path, text);
     return error_of([&] { (void)read_scannet_tsv(path); });
   };
-  const std::string give = "; give scannetv2-labels.combined.tsv: tab-separated, names of columns in the first line";
+  const std::string give = "; give scannetv2-labels.combined.tsv: tab-separated, with a line of column names";
   const std::string restore = "; restore the table as ScanNet distributes it";
   EXPECT_EQ(read(""), path + ": no rows in it" + give);
   EXPECT_EQ(read("raw_category\tnyu40id\n"), path + ":1: no column 'id'" + give);

@@ -97,7 +97,7 @@ TEST(ServeVerb, ClicksOutliveKillsAndTheRunGoesOn) {
     Served served(config, dir, {"--out", room});
     ASSERT_TRUE(served.up()) << served.process().err_so_far();
     EXPECT_HAS(served.process().err_so_far(),
-               "going on with " + room + ", which is there already, by the settings in its run.yaml");
+               "continuing with " + room + ", which is there already, by the settings in its run.yaml");
     EXPECT_EQ(served.folder(), address);  // a page that is open goes on
     const Json s = served.state();
     EXPECT_EQ(s["events"], 2);

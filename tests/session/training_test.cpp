@@ -226,8 +226,8 @@ TEST(Training, LabelsThatCannotTrainAreRefusedAndNothingChanges) {
   const int frame = training.session().drawn_frames().front();
   const int test_frame = training.session().scene.frames_of(Split::test).front();
   std::vector<std::int16_t> labels(48 * 36, 0);
-  EXPECT_HAS(error_of(ErrorKind::data, [&] { training.set_labels(test_frame, labels); }), "it is no training frame");
-  EXPECT_HAS(error_of(ErrorKind::data, [&] { training.set_labels(-1, labels); }), "it is no training frame");
+  EXPECT_HAS(error_of(ErrorKind::data, [&] { training.set_labels(test_frame, labels); }), "it is not a training frame");
+  EXPECT_HAS(error_of(ErrorKind::data, [&] { training.set_labels(-1, labels); }), "it is not a training frame");
   EXPECT_HAS(error_of(ErrorKind::data, [&] { training.set_labels(frame, {0, 1}); }), "2 values for 48 x 36 pixels");
   labels[50] = 5;
   EXPECT_HAS(error_of(ErrorKind::data, [&] { training.set_labels(frame, labels); }),

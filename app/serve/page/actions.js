@@ -34,7 +34,7 @@ export function actionsOf(page) {
   for (const digit of '123456789') {
     actions[digit] = () => page.chooseByKey(digit);
     actions[`shift+${digit}`] = () => {
-      if (!page.classes.some(({name}) => name === labeller.chosen)) return page.messages.tell('Choose the class that shall have this key first.');
+      if (!page.classes.some(({name}) => name === labeller.chosen)) return page.messages.tell('First choose the class for this key.');
       page.settings.give(labeller.chosen, digit);
       page.changed();
     };

@@ -79,10 +79,10 @@ class Page {
     if (isFirst) this.show(Number(this.session.getItem('semfield.view') ?? this.state.proposal?.view ?? 0));
     this.labeller.chosen ??= this.classes.length === 1 ? this.classes[0].name : null;
     if (this.state.failure && this.failure !== this.state.failure) {
-      this.messages.refuse(`Training has ended: ${this.state.failure}`, 'The labels are safe; start the program again to go on.');
+      this.messages.refuse(`Training has ended: ${this.state.failure}`, 'The labels are safe; start the program again to continue.');
     }
     this.failure = this.state.failure;
-    this.messages.hold('trouble', this.state.trouble ? `Not written: ${this.state.trouble}` : '', 'Labelling and training go on, and it is tried again.');
+    this.messages.hold('trouble', this.state.trouble ? `Not written: ${this.state.trouble}` : '', 'Labelling and training continue, and it is tried again.');
     this.changed();
   }
 

@@ -113,7 +113,7 @@ const kHelp = [
     ['c', 'choose the class under the pointer'],
     ['n', 'make a class'],
     ['F2', 'rename, merge or delete the chosen class (or double click)'],
-    ['i', 'ignore: what nobody shall label'],
+    ['i', 'ignore: what nobody should label'],
     ['[ ]', 'smaller brush, larger brush'],
     ['z, shift+z', 'undo, do again'],
   ]],

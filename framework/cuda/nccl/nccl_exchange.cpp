@@ -77,7 +77,7 @@ class NcclExchange final : public RankExchange {
     } catch (const Error& error) {
       throw RankLost(error.kind(), error.code(), error.message(), error.remedy());
     }
-    throw RankLost(ErrorKind::internal, "internal.cuda.fault", "a device was said to fail without an error", "");
+    throw RankLost(ErrorKind::internal, "internal.cuda.fault", "a device reported a failure without an error", "");
   }
   // `call`, and the fault's least, as one launch.
   template <class Call>

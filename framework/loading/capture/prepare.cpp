@@ -205,7 +205,7 @@ PrepareReport prepare_scene(const PrepareOptions& options, const Programs& progr
   if (!source.video && (scene + "/").starts_with(source.path + "/"))
     throw Error(ErrorKind::cannot_create, "capture.scene.inside",
                 "the scene '" + scene + "' would lie in the folder of the photographs, which is never written to",
-                "name a folder beside it with --out");
+                "name a folder next to it with --out");
   const Folders folders{fs::path(scene)};
   claim_folder(scene, folders);
   FolderLock lock;

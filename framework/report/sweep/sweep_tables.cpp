@@ -56,7 +56,7 @@ std::string metric_label(const std::string& metric) {
       {"given_none_auroc", "AUROC of entropy, unlabelled against labelled"},
       {"rmse", "RMSE of depth, m"},
       {"train_s", "seconds of training"},
-      {"processor_s", "processor seconds"},
+      {"processor_s", "CPU seconds"},
       {"peak_mb", "peak memory, MB"}};
   const auto found = labels.find(metric);
   return found == labels.end() ? metric : found->second;

@@ -50,7 +50,7 @@ std::unordered_map<std::int32_t, std::int32_t> map_of(const std::vector<ScannetL
 
 std::vector<ScannetLabel> read_scannet_tsv(const std::string& path) {
   const std::vector<TextRow> rows = read_text_rows(path, '\t');
-  const std::string remedy = "give scannetv2-labels.combined.tsv: tab-separated, names of columns in the first line";
+  const std::string remedy = "give scannetv2-labels.combined.tsv: tab-separated, with a line of column names";
   if (rows.empty()) throw Error(ErrorKind::data, "classes.tsv.damaged", path + ": no rows in it", remedy);
   const TextRow& header = rows.front();
   const Column id = column_of(header, "id"), raw = column_of(header, "raw_category"),
