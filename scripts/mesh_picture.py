@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
-"""Draws a mesh from above, in its colours and, where it has classes, by class: the picture of README.md. Needs the standard library alone.
+"""Draws a mesh from above, in its colours and, where it has classes, by class: the picture of README.md; with --objects also by object. Needs the
+standard library alone.
 
-usage: mesh_picture.py MESH.ply [CLASSES.yaml] OUT.png [--up AXIS] [AZIMUTH_DEG ELEVATION_DEG [WIDTH_PX HEIGHT_PX]]
+usage: mesh_picture.py MESH.ply [CLASSES.yaml] OUT.png [--objects] [--up AXIS] [AZIMUTH_DEG ELEVATION_DEG [WIDTH_PX HEIGHT_PX]]
 e.g.   mesh_picture.py runs/demo/mesh.ply runs/demo/classes.yaml docs/images/room_mesh.png
 
 MESH.ply is what `semfield mesh RUN` writes. AXIS is the axis of the world that is upright, x, -x, y, -y, z or -z (default: z); scenes of COLMAP
 mostly have -y. Faces that look away from the camera are left out, and so is what lies at the near walls and under the ceiling: the view into the
 room is open."""
+import colorsys
 import math
 import re
 import struct
@@ -53,6 +55,12 @@ def class_colors(path):
     text = open(path, encoding="utf-8").read()
     found = re.findall(r"id: (\d+),.*?color: \[(\d+), (\d+), (\d+)\]", text)
     return {int(i): (int(r), int(g), int(b)) for i, r, g, b in found}
+
+
+def object_color(number):
+    """Grey for none; hues by the golden ratio, so that any run of numbers is told apart."""
+    if number < 1: return (205, 205, 205)
+    return tuple(255 * v for v in colorsys.hsv_to_rgb(number * 0.618034 % 1, (0.55, 0.85, 0.7)[number % 3], (0.95, 0.7, 0.82)[number // 3 % 3]))
 
 
 def camera_of(vertices, azimuth, elevation):
@@ -144,7 +152,8 @@ def main():
     if sys.argv[1:2] in (["-h"], ["--help"]):
         print(__doc__)
         sys.exit(0)
-    words, up = sys.argv[1:], "z"
+    words, up = [word for word in sys.argv[1:] if word != "--objects"], "z"
+    by_object = len(words) < len(sys.argv) - 1
     if "--up" in words:
         at = words.index("--up")
         up = words[at + 1] if at + 1 < len(words) else ""
@@ -162,14 +171,22 @@ def main():
     camera = camera_of(vertices, azimuth, elevation)
     owner = draw(project(vertices, camera), in_front(vertices, faces, camera[3]), width, height)
     colorings = [list(zip(*(vertices[k] for k in ("red", "green", "blue"))))]
-    if classes is not None and "label" in vertices:
-        light = [0.15 * r + 0.6 * u + 0.6 * b for r, u, b in zip(*camera[1:])]
-        norm = math.hypot(*light)
-        by_class, table = [], class_colors(classes)
-        for nx, ny, nz, label in zip(*(vertices[k] for k in ("nx", "ny", "nz", "label"))):
+    light = [0.15 * r + 0.6 * u + 0.6 * b for r, u, b in zip(*camera[1:])]
+    norm = math.hypot(*light)
+
+    def lit(column, color_of):
+        colors = []
+        for nx, ny, nz, number in zip(*(vertices[k] for k in ("nx", "ny", "nz", column))):
             shade = 0.7 + 0.35 * max(0.0, (nx * light[0] + ny * light[1] + nz * light[2]) / norm)
-            by_class.append([min(255, shade * v) for v in table.get(label, (0, 0, 0))])
-        colorings.append(by_class)
+            colors.append([min(255, shade * v) for v in color_of(number)])
+        return colors
+
+    if classes is not None and "label" in vertices:
+        table = class_colors(classes)
+        colorings.append(lit("label", lambda label: table.get(label, (0, 0, 0))))
+    if by_object:
+        if "instance" not in vertices: sys.exit(f"{mesh}: it has no objects; find them with `semfield objects RUN` and write the mesh again")
+        colorings.append(lit("instance", object_color))
     white = [(255, 255, 255)]
     panels = [rows_of(owner, [tuple(int(v) for v in c) for c in colors] + white, width, height) for colors in colorings]
     write_png(out, len(panels) * width // SAMPLES, height // SAMPLES, [b"".join(row) for row in zip(*panels)])

@@ -70,6 +70,18 @@ def main(script):
         alone = os.path.join(folder, "alone.png")
         subprocess.run([sys.executable, script, mesh, alone, "270", "40", "60", "40"], check=True)
         left = pixels(alone)
+        # By object: half of the floor is one, the other half is none.
+        without = subprocess.run([sys.executable, script, mesh, alone, "--objects"], capture_output=True, text=True)
+        whole = struct.Struct("<dddfffBBBif")
+        numbered = [vertex + struct.pack("<i", 1 if whole.unpack(vertex)[0] < 2 else 0) for vertex in vertices]
+        with open(mesh, "wb") as file:
+            header = HEADER.replace("property float entropy\n", "property float entropy\nproperty int instance\n")
+            file.write(header.format(vertices=len(vertices), faces=len(faces)).encode() + b"".join(numbered) +
+                       b"".join(struct.pack("<BIII", 3, *face) for face in faces))
+        subprocess.run([sys.executable, script, mesh, alone, "--objects", "270", "40", "60", "40"], check=True)
+        by_object = [row[60:] for row in pixels(alone)]
+        subprocess.run([sys.executable, script, mesh, classes, alone, "--objects", "270", "40", "60", "40"], check=True)
+        assert [row[120:] for row in pixels(alone)] == by_object, "behind the panel of the classes"
         # The same room in a world whose y points down, without classes.
         down = struct.Struct("<dddfffBBBif")
         turned = [down.pack(x, -z, y, nx, -nz, ny, *rest) for x, y, z, nx, ny, nz, *rest in map(down.unpack, vertices)]
@@ -92,6 +104,11 @@ def main(script):
     assert not near((20, 200, 20), photo), "the ceiling is left out"
     assert any(r > 150 and g > 150 and b < 10 for r, g, b in by_class), "the floor has its class's colour on the right"
     assert not any(r < 10 and g > 150 and b > 150 for r, g, b in by_class), "nor does its class show"
+    assert without.returncode == 1 and "semfield objects" in without.stderr, without.stderr
+    grey = lambda pixel: max(pixel) - min(pixel) < 8 and 120 < pixel[0] < 230
+    seen = {pixel for row in by_object for pixel in row}
+    assert any(map(grey, seen)), "half of the floor is no object"
+    assert any(max(pixel) - min(pixel) > 100 for pixel in seen), "half of it is one"
     assert refused.returncode != 0 and "PLY" in refused.stderr and "Traceback" not in refused.stderr, refused.stderr
 
 
