@@ -11,7 +11,6 @@ import pytest
 
 import semfield as sf
 from conftest import WALLS, cast, config_of, trained
-from semfield.objects import find_objects
 
 
 def points(count: int, low: float = -0.9, high: float = 0.9) -> Tuple[np.ndarray, np.ndarray]:
@@ -138,7 +137,7 @@ def test_what_cannot_be_asked(box: sf.Run, places: Any, along: Any, says: str) -
         box.query(places, along)
 
 
-def test_objects_are_a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_objects_are_a_table(box: sf.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     row = {"id": 1, "name": "chair 1", "class": "chair", "class_probability": 0.9, "agreement": 0.8, "views": 12, "points": 300, "area": 0.5,
            "centroid": [1, 2, 3], "box": {"center": [1, 2, 3], "axes": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "size": [0.5, 1, 0.5]}}
     (tmp_path / "objects.json").write_text(json.dumps({"objects": [row, {**row, "id": 2, "name": "2", "class": None}]}))
@@ -148,9 +147,9 @@ def test_objects_are_a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     program.write_text(f"#!/bin/sh\nfor word; do echo \"$word\"; done > {words}\necho '{json.dumps(told)}'\n")
     program.chmod(0o755)
     monkeypatch.setenv("SEMFIELD_PROGRAM", str(program))
-    found = find_objects("runs/a", "masks", {"objects.reach": 0.3, "objects.method": {"type": "assignment"}}, None, True)
+    found = box.objects("masks", set={"objects.reach": 0.3, "objects.method": {"type": "assignment"}}, out="there", score=True)
     said = words.read_text().split("\n")
-    assert said[:5] == ["objects", "runs/a", "--quiet", "--segments", "masks"] and "--score" in said and "--json" in said
+    assert said[:7] == ["objects", str(box.run_dir), "--quiet", "--segments", "masks", "--out", "there"] and "--score" in said and "--json" in said
     assert "objects.reach=0.3" in said and 'objects.method={"type": "assignment"}' in said
     assert [one.class_name for one in found.objects] == ["chair", ""] and found.count() == {"chair": 1, "": 1}
     assert found.objects[0].box_axes.shape == (3, 3) and found.seconds["all"] == 2.5 and found.score == {"pq": 0.9}
