@@ -28,6 +28,11 @@ ObjectFiles::ObjectFiles(std::string folder, const FoundObjects& found, const Sc
 
 std::string ObjectFiles::path(const std::string& name) const { return (fs::path(folder_) / name).string(); }
 
+std::string ObjectFiles::picture_path(const FrameInfo& frame) const {
+  create_folders(path("pictures"));
+  return path("pictures/" + output_name(frame.name) + ".png");
+}
+
 std::int32_t ObjectFiles::panoptic_id(std::int32_t object, std::int16_t label) const {
   if (object > 0) return object;
   const bool is_stuff = label != kVoid && found_.stuff[static_cast<std::size_t>(label)];

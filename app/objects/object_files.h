@@ -27,6 +27,8 @@ class ObjectFiles {
   /// Borrows all three.
   ObjectFiles(std::string folder, const FoundObjects& found, const SceneInfo& info);
   void add(const ObjectView& view);
+  /// pictures/FRAME.png in `folder`, whose folder it makes.
+  std::string picture_path(const FrameInfo& frame) const;
   void finish();
 
  private:

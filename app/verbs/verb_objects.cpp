@@ -10,6 +10,7 @@
 
 #include "app/json_output.h"
 #include "app/objects/object_files.h"
+#include "app/objects/object_pictures.h"
 #include "app/objects/object_tables.h"
 #include "app/progress_line.h"
 #include "app/verb.h"
@@ -32,6 +33,7 @@ struct ObjectsOptions {
   std::string out;       ///< default: objects/ in the run folder
   std::string split = "test";
   bool score = false;
+  bool pictures = false;
   std::vector<std::string> set;
 };
 
@@ -78,8 +80,21 @@ Json about(const ObjectsOptions& options, const OpenedRun& run, const SegmentSet
       {"seconds", seconds}};
 }
 
+Split split_of(const ObjectsOptions& options) { return options.split == "test" ? Split::test : Split::train; }
+
 std::vector<int> frames_of(const ObjectsOptions& options, const Session& s) {
-  return s.scene.frames_of(options.split == "test" ? Split::test : Split::train);
+  return s.scene.frames_of(split_of(options));
+}
+
+// What the segments of the frames shown would be, were they given like those of the training frames; empty where these
+// come from files.
+SegmentSet shown_segments(const ObjectsOptions& options, const Session& s) {
+  SegmentSet shown;
+  shown.frames.resize(s.scene.frames.size());
+  if (!options.segments.empty()) return shown;
+  shown = segments_of_scene(s.scene, split_of(options));
+  damage_segments(shown, s.config.segment_damage, s.config.objects.seed);
+  return shown;
 }
 
 bool has_truth(const Session& s, int frame) {
@@ -101,6 +116,7 @@ std::optional<ObjectFigures> write_views(const ObjectsOptions& options, Session&
                                          ObjectFiles& files, const AppContext& context) {
   const std::vector<int> frames = frames_of(options, s);
   ObjectScore score(found.rows, found.stuff, ObjectScore::kLeastPx);
+  const SegmentSet shown = options.pictures ? shown_segments(options, s) : SegmentSet();
   ProgressLine progress(context, "rendered");
   for (std::size_t k = 0; k < frames.size(); ++k) {
     const auto n = static_cast<std::size_t>(frames[k]);
@@ -118,6 +134,8 @@ std::optional<ObjectFigures> write_views(const ObjectsOptions& options, Session&
     if (!options.score || !has_truth(s, frames[k])) continue;
     const std::vector<std::int16_t> true_label = s.scene.frames[n].label.expand();
     score.add({true_label, s.scene.frames[n].instance, label, ids});
+    if (options.pictures)
+      write_object_strip(files.picture_path(info), s.scene.frames[n], shown.frames[n], ids, found.stuff);
   }
   if (!options.score) return std::nullopt;
   return score.figures();
@@ -202,6 +220,9 @@ void words(VerbWords& verb, ObjectsOptions& options) {
   verb.needs("--pattern", "--segments");
   verb.choice("--split SPLIT", options.split, {"test", "train"}, "frames whose objects are written as images");
   verb.flag("--score", options.score, "also figures of those frames against the scene's own labels and instances");
+  verb.flag("--pictures", options.pictures,
+            "also those frames as strips for the eye: photograph, segments, objects found, true objects");
+  verb.needs("--pictures", "--score");
   verb.value("--out FOLDER", options.out, "folder to write (default: objects/ in the run folder)");
   verb.run_settings(options.set);
 }

@@ -54,7 +54,7 @@ void make_run(const TempDir& dir, bool with_instances) {
 TEST(ObjectsVerb, FilesFiguresAndTheSameAgain) {
   const TempDir dir;
   make_run(dir, true);
-  const Result r = semfield(std::string("objects run --score --json") + kQuick, dir);
+  const Result r = semfield(std::string("objects run --score --pictures --json") + kQuick, dir);
   ASSERT_EQ(r.code, 0) << r.err;
   const auto json = nlohmann::json::parse(r.out);
   EXPECT_GT(json.at("score").at("mcov").get<double>(), 0.3);
@@ -79,6 +79,16 @@ TEST(ObjectsVerb, FilesFiguresAndTheSameAgain) {
   for (const auto& segment : panoptic.at("annotations")[0].at("segments_info"))
     if (segment.at("id") <= table.at("objects").size()) told.insert(segment.at("id").get<int>());
   EXPECT_EQ(seen, told);
+  // Strips show photograph, segments, objects and truth, four panels of the view's size.
+  const Image<std::uint8_t> strip = read_rgb(dir / ("run/objects/pictures/" + name));
+  EXPECT_EQ(strip.width_px, 4 * ids.width_px + 3 * 4);
+  EXPECT_EQ(strip.height_px, ids.height_px);
+  for (std::int32_t x = 0; x < ids.width_px; ++x) {
+    const auto at = [&](int panel) {
+      return &strip.pixels[static_cast<std::size_t>(3 * (panel * (ids.width_px + 4) + x))];
+    };
+    EXPECT_EQ(ids.pixels[static_cast<std::size_t>(x)] == 0, at(2)[0] == 72 && at(2)[1] == 72 && at(2)[2] == 72) << x;
+  }
   // Found anew, the same objects get the edits that were made of them; others are refused.
   const std::string first = read_text_file(dir / "run/objects/objects.csv");
   ObjectEdits edits{read_edited_objects(dir / "run/objects").edits.digest, {}};
