@@ -8,6 +8,7 @@
 
 #include <chrono>
 #include <cstdio>
+#include <exception>
 #include <memory>
 #include <thread>
 
@@ -41,7 +42,6 @@ std::unique_ptr<ViewedRun> opened(const std::string& folder, const ViewVerbOptio
 }
 
 int run(const ViewVerbOptions& options, AppContext& context) {
-  const auto begin = std::chrono::steady_clock::now();
   ViewOptions view;
   view.http.address = options.address;
   view.http.port = options.port.value_or(kUsualPort);
@@ -54,18 +54,26 @@ int run(const ViewVerbOptions& options, AppContext& context) {
   std::vector<ViewedRun*> shown;
   std::vector<std::string> names;
   for (const std::unique_ptr<ViewedRun>& one : runs) {
-    (void)one->scene(false);  // the first picture waits for nothing
     shown.push_back(one.get());
     names.push_back(one->name());
   }
   view.page = live_page_text(runs.front()->name(), names);
   view.films = {own_program(), runs.front()->folder(), context.registry.module_files()};
   const ViewServer server(shown, std::move(view));
-  const double ready_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  // While the browser loads the page. What fails here fails for the page too, which says why.
+  const std::jthread meshes([&shown] {
+    for (ViewedRun* one : shown) {
+      try {
+        (void)one->scene(false);
+      } catch (const std::exception&) {
+        continue;
+      }
+    }
+  });
   if (context.json) {
-    print_json(context, {{"run", options.run}, {"url", server.url()}, {"ready_s", ready_s}});
+    print_json(context, {{"run", options.run}, {"url", server.url()}});
   } else {
-    std::printf("view: ready after %.1f s: open %s in a browser\n", ready_s, server.url().c_str());
+    std::printf("view: open %s in a browser\n", server.url().c_str());
     std::fflush(stdout);
   }
   while (stop_signal() == 0) std::this_thread::sleep_for(std::chrono::milliseconds(50));

@@ -21,7 +21,7 @@ namespace semfield::app {
 
 namespace {
 
-constexpr long long kCoarseCells = 80, kFineCells = 256;
+constexpr long long kCoarseCells = 64, kFineCells = 256;
 constexpr std::int64_t kCoarseRays = 120'000, kFineRays = 3'000'000;
 constexpr std::int64_t kBandRays = 16'384;  // between two looks at whether anybody still waits
 constexpr int kQuality = 90;

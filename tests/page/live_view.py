@@ -12,8 +12,8 @@ def choose_an_object(page):
     page.run("document.getElementById('outside').click()")
     place = page.run("""
         const clip = semfield.camera.matrices().clip;
-        for (const row of semfield.objects.rows) {
-          const p = moved(clip, row.box.center), x = Math.round((p[0] + 1) / 2 * canvas.clientWidth), y = Math.round((1 - p[1]) / 2 * canvas.clientHeight);
+        for (const row of semfield.objects.rows) for (const aside of [0, 12, -12, 24, -24, 36]) {  // the panel may lie over its middle
+          const p = moved(clip, row.box.center), x = Math.round((p[0] + 1) / 2 * canvas.clientWidth) + aside, y = Math.round((1 - p[1]) / 2 * canvas.clientHeight);
           if (document.elementFromPoint(x, y) !== canvas) continue;
           const found = semfield.read(x, y);
           if (found !== null && found.object > 0) return [x, y, found.object];

@@ -151,6 +151,14 @@ def look(driver, path, page):
     live_view.choose_an_object(view)
     assert view.run("return document.getElementById('edit').hidden"), "a file edits nothing"
 
+    # Where a picture takes long, a lighter mesh is drawn until the camera rests.
+    place = [0, 0, 0, 9, 65535, 0, 0, 9, 0, 65535, 0, 9, 3, 65535, 2, 9]
+    assert view.run("return [...lightened({corners: [0, 1, 2, 1, 3, 2, 0, 1, 3], place: arguments[0]})]", place) == [0, 1, 2, 0, 1, 2]
+    calls = view.run("const {calls} = semfield.drawing; semfield.drawing.slow = true; semfield.camera.turn(30, 0); semfield.change(); return calls")
+    view.wait(f"semfield.drawing.calls === {calls + 2}", "a light picture, and a whole one")
+    light, whole = view.run("const {light, fine} = semfield.layers[0]; return [light.count, fine.count]")
+    assert 0 < light <= whole == 3 * facts["triangles"], (light, whole)
+
     before = view.run("return semfield.camera.matrices().eye")
     view.mouse(middle, (middle[0] + 80, middle[1] + 10))
     assert view.run("return semfield.camera.matrices().eye") != before, "a drag turns"

@@ -2,7 +2,9 @@
 const canvas = document.getElementById("view");
 const kNoClass = 65535;
 const kMode = {photo: 0, class: 1, object: 2, entropy: 3, depth: 4, probability: 5};
-const kPass = {depth: 10, class: 11, object: 12};  // what read() draws beside the screen
+const kReading = 10;         // the mode of read(), which draws numbers beside the screen
+const kSlow_ms = 50;   // a picture that takes longer is drawn lighter while the camera moves
+const kLightCells = 64;  // along each side, of which a light mesh keeps a vertex each
 const kHidden = 0, kShown = 255, kChosen = 128;    // alpha of a palette's colour
 
 // ---- the mesh
@@ -45,6 +47,22 @@ function unpacked(buffer, facts) {
   return {corners, place, color, object};
 }
 
+/** Corners of a lighter mesh of the same vertices: the first in each cell stands for all, and what shrinks to a line goes. */
+function lightened({corners, place}) {
+  const first = new Int32Array(kLightCells ** 3).fill(-1), stands_for = new Uint32Array(place.length / 4), kept = [];
+  const cell = (steps) => steps * kLightCells >> 16;
+  for (let v = 0; v < stands_for.length; ++v) {
+    const at = cell(place[4 * v]) + kLightCells * (cell(place[4 * v + 1]) + kLightCells * cell(place[4 * v + 2]));
+    if (first[at] < 0) first[at] = v;
+    stands_for[v] = first[at];
+  }
+  for (let i = 0; i < corners.length; i += 3) {
+    const [a, b, c] = [stands_for[corners[i]], stands_for[corners[i + 1]], stands_for[corners[i + 2]]];
+    if (a !== b && b !== c && c !== a) kept.push(a, b, c);
+  }
+  return Uint32Array.from(kept);
+}
+
 // ---- drawing
 
 const kVertex = `#version 300 es
@@ -79,15 +97,19 @@ uniform int mode;
 uniform uint classes;
 uniform vec2 depths;                         // that the colours of depth span
 uniform sampler2D palette, things, ramp;     // of each class, and one more for none; of each object, from 0: none
-out vec4 pixel;
+layout(location = 0) out vec4 pixel;         // depth, where numbers are drawn
+layout(location = 1) out vec4 class_number;
+layout(location = 2) out vec4 object_number;
+vec4 in_bytes(uint n) { return vec4(float(n >> 16), float((n >> 8) & 255u), float(n & 255u), 255.0) / 255.0; }
 vec3 ramped(float share) { return texelFetch(ramp, ivec2(int(clamp(share, 0.0, 1.0) * 255.0 + 0.5), 0), 0).rgb; }
 void main() {
   uint label = min(shown_label, classes);
   vec4 of_class = texelFetch(palette, ivec2(label, 0), 0), of_thing = texelFetch(things, ivec2(shown_object, 0), 0);
   if (of_class.a < 0.25 || of_thing.a < 0.25) discard;
-  if (mode >= 10) {
-    uint number = mode == 10 ? uint(gl_FragCoord.z * 16777215.0) : mode == 11 ? label : shown_object;
-    pixel = vec4(float(number >> 16), float((number >> 8) & 255u), float(number & 255u), 255.0) / 255.0;
+  if (mode == 10) {
+    pixel = in_bytes(uint(gl_FragCoord.z * 16777215.0));
+    class_number = in_bytes(label);
+    object_number = in_bytes(shown_object);
     return;
   }
   vec3 normal = normalize(cross(dFdx(place), dFdy(place)));
@@ -106,7 +128,7 @@ void main() {
 class Layer {
   constructor(drawing, facts, mesh) {
     const gl = drawing.gl;
-    Object.assign(this, {drawing, facts, count: mesh.corners.length, vertices: mesh.object.length, depth_range: [0, 1]});
+    Object.assign(this, {drawing, facts, mesh, vertices: mesh.object.length, depth_range: [0, 1]});
     this.array = gl.createVertexArray();
     gl.bindVertexArray(this.array);
     this.buffer(gl.ARRAY_BUFFER, mesh.place);
@@ -119,7 +141,7 @@ class Layer {
     this.likely_buffer = this.buffer(gl.ARRAY_BUFFER, new Uint8Array(this.vertices));
     gl.vertexAttribPointer(4, 1, gl.UNSIGNED_BYTE, true, 1, 0);
     for (const index of [0, 1, 2, 3, 4]) gl.enableVertexAttribArray(index);
-    this.buffer(gl.ELEMENT_ARRAY_BUFFER, mesh.corners);
+    this.fine = {buffer: this.buffer(gl.ELEMENT_ARRAY_BUFFER, mesh.corners), count: mesh.corners.length};
     const colors = facts.classes.map((one) => one.color);
     this.classes = this.palette([...colors, [150, 150, 150]]);
     this.set_objects(facts.objects);
@@ -157,6 +179,17 @@ class Layer {
     palette.bytes[4 * entry + 3] = alpha;
     this.drawing.send(palette);
   }
+  /** Binds the triangles to draw, with the layer's array bound; their number of corners. */
+  triangles(light) {
+    const gl = this.drawing.gl;
+    if (light && !this.light) {
+      const corners = lightened(this.mesh);
+      this.light = {buffer: this.buffer(gl.ELEMENT_ARRAY_BUFFER, corners), count: corners.length};
+    }
+    const {buffer, count} = light ? this.light : this.fine;
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, buffer);
+    return count;
+  }
   drop() { this.drawing.gl.deleteVertexArray(this.array); }
 }
 
@@ -185,6 +218,7 @@ class Drawing {
     gl.enable(gl.CULL_FACE);  // a room seen from outside is open
     this.target = gl.createFramebuffer();
     this.calls = 0;
+    this.slow = false;
   }
   place(name) {
     if (!this.at.has(name)) this.at.set(name, this.gl.getUniformLocation(this.program, name));
@@ -207,7 +241,7 @@ class Drawing {
     gl.clearColor(...background);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
   }
-  draw_layer(layer, mode, matrices) {
+  draw_layer(layer, mode, matrices, light = false) {
     const gl = this.gl, {low, high, classes} = layer.facts;
     gl.bindVertexArray(layer.array);
     [layer.classes, layer.things, this.ramp].forEach((one, unit) => {
@@ -221,42 +255,53 @@ class Drawing {
     gl.uniformMatrix4fv(this.place("clip_from_world"), false, matrices.clip);
     gl.uniformMatrix4fv(this.place("eye_from_world"), false, matrices.eye);
     gl.uniform1i(this.place("mode"), mode);
-    gl.drawElements(gl.TRIANGLES, layer.count, gl.UNSIGNED_INT, 0);
+    gl.drawElements(gl.TRIANGLES, layer.triangles(light), gl.UNSIGNED_INT, 0);
     ++this.calls;
   }
   /** One layer fills the picture; of two the first is left of `share` of the width. */
-  draw(layers, mode, matrices, share) {
+  draw(layers, mode, matrices, share, light = false) {
     const gl = this.gl, middle = Math.round(share * canvas.width);
     this.clear([0.082, 0.094, 0.11, 1]);
-    if (layers.length === 1) return this.draw_layer(layers[0], mode, matrices);
+    if (layers.length === 1) return this.draw_layer(layers[0], mode, matrices, light);
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(0, 0, middle, canvas.height);
-    this.draw_layer(layers[0], mode, matrices);
+    this.draw_layer(layers[0], mode, matrices, light);
     gl.scissor(middle, 0, canvas.width - middle, canvas.height);
-    this.draw_layer(layers[1], mode, matrices);
+    this.draw_layer(layers[1], mode, matrices, light);
     gl.disable(gl.SCISSOR_TEST);
   }
-  /** Numbers of passes at a pixel from below, drawn beside the screen; null where nothing is. */
-  read(layer, passes, matrices, x, y) {
-    const gl = this.gl, color = gl.createRenderbuffer(), depth = gl.createRenderbuffer(), out = new Uint8Array(4);
+  /** draw() of whole meshes, waited for: is it slow? */
+  draw_fine(...what) {
+    const begin = performance.now();
+    this.draw(...what);
+    this.gl.readPixels(0, 0, 1, 1, this.gl.RGBA, this.gl.UNSIGNED_BYTE, new Uint8Array(4));
+    this.slow = performance.now() - begin > kSlow_ms;
+  }
+  /** [depth in 24 bits, class, object] at a pixel from below, drawn beside the screen; null where nothing is. */
+  read(layer, matrices, x, y) {
+    const gl = this.gl, numbers = [0, 1, 2].map((i) => gl.COLOR_ATTACHMENT0 + i), out = new Uint8Array(4);
+    const kinds = [...numbers.map((at) => [gl.RGBA8, at]), [gl.DEPTH_COMPONENT24, gl.DEPTH_ATTACHMENT]];
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
-    for (const [buffer, format, at] of [[color, gl.RGBA8, gl.COLOR_ATTACHMENT0], [depth, gl.DEPTH_COMPONENT24, gl.DEPTH_ATTACHMENT]]) {
+    const buffers = kinds.map(([format, at]) => {
+      const buffer = gl.createRenderbuffer();
       gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
       gl.renderbufferStorage(gl.RENDERBUFFER, format, canvas.width, canvas.height);
       gl.framebufferRenderbuffer(gl.FRAMEBUFFER, at, gl.RENDERBUFFER, buffer);
-    }
+      return buffer;
+    });
+    gl.drawBuffers(numbers);
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(x, y, 1, 1);
-    const found = passes.map((pass) => {
-      this.clear([0, 0, 0, 0]);
-      this.draw_layer(layer, pass, matrices);
+    this.clear([0, 0, 0, 0]);
+    this.draw_layer(layer, kReading, matrices);
+    const found = numbers.map((at) => {
+      gl.readBuffer(at);
       gl.readPixels(x, y, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, out);
       return out[3] === 0 ? null : out[0] * 65536 + out[1] * 256 + out[2];
     });
     gl.disable(gl.SCISSOR_TEST);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    gl.deleteRenderbuffer(color);
-    gl.deleteRenderbuffer(depth);
+    for (const buffer of buffers) gl.deleteRenderbuffer(buffer);
     return found.includes(null) ? null : found;
   }
 }

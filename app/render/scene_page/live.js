@@ -1,5 +1,4 @@
 // The program behind the page: meshes, pictures that the field itself renders while the camera rests, points, edits.
-const kRest_ms = 250;
 const kSizes = [240, 640, 1600];  // longest sides of rendered pictures, one after another
 
 class Live {

@@ -1,6 +1,7 @@
 // The page around the drawing: a picture only when something has changed.
 const byId = (id) => document.getElementById(id);
 const kGrey = [150, 150, 150];
+const kRest_ms = 250;  // the camera rests
 const kInside = window !== window.parent;  // of another page
 
 function say_trouble(text) {
@@ -266,11 +267,21 @@ class Page {
     this.waiting = true;
     requestAnimationFrame(() => {
       this.waiting = false;
-      for (const layer of this.layers) layer.depth_range = this.camera.depths();
-      this.drawing.draw(this.layers, kMode[this.mode], this.camera.matrices(), this.share);
+      this.draw();
       this.show_scale();
       this.mark();
     });
+  }
+  /** Lighter while the camera moves, where the whole takes long, and then whole. */
+  draw() {
+    const camera = JSON.stringify(this.camera.state()), light = this.drawing.slow && camera !== this.drawn_from;
+    const what = [this.layers, kMode[this.mode], this.camera.matrices(), this.share];
+    this.drawn_from = camera;
+    for (const layer of this.layers) layer.depth_range = this.camera.depths();
+    clearTimeout(this.rest);
+    if (!light) return this.drawing.draw_fine(...what);
+    this.drawing.draw(...what, true);
+    this.rest = setTimeout(() => this.draw(), kRest_ms);
   }
 
   /** The layer under a place of the window. */
@@ -281,7 +292,7 @@ class Page {
     const box = canvas.getBoundingClientRect(), layer = this.layers[this.layer_at(client_x)];
     const x = Math.floor((client_x - box.left) * canvas.width / box.width);
     const y = canvas.height - 1 - Math.floor((client_y - box.top) * canvas.height / box.height);
-    const found = this.drawing.read(layer, [kPass.depth, kPass.class, kPass.object], this.camera.matrices(), x, y);
+    const found = this.drawing.read(layer, this.camera.matrices(), x, y);
     if (found === null) return null;
     return {place: this.camera.unprojected(x + 0.5, y + 0.5, found[0] / 16777215), label: found[1], object: found[2]};
   }
