@@ -11,8 +11,10 @@
 #include "app/progress_line.h"
 #include "compute/parallel.h"
 #include "core/text.h"
+#include "eval/image_output.h"
 #include "handover/costmap.h"
 #include "handover/point_files.h"
+#include "handover/splat_colors.h"
 #include "handover/splats.h"
 #include "surface/mesh/class_groups.h"
 #include "surface/mesh/point_cloud.h"
@@ -25,9 +27,10 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr long long kSplatResolution = 384;  // finer than a mesh: a splat has one colour
-constexpr long long kMapResolution = 128;    // of scenes without a scale
-constexpr double kMapEdge = 0.05;            // metres; what robots plan with
+constexpr long long kSplatResolution = 384;         // finer than a mesh: a splat has one colour
+constexpr std::int64_t kFittedPixels = 64'000'000;  // of all views that colours of splats are fitted to
+constexpr long long kMapResolution = 128;           // of scenes without a scale
+constexpr double kMapEdge = 0.05;                   // metres; what robots plan with
 
 HeightBand band_of(const MeshOptions& options) {
   HeightBand band;
@@ -99,6 +102,13 @@ void HandOver::look() {
     map_.emplace(around(edge));
   }
   const std::vector<int> frames = s.scene.frames_of(Split::train);
+  std::vector<SplatView> shown;  // every so many views, which bounds their memory
+  std::int64_t pixels_of_all = 0;
+  for (const int f : frames) {
+    const Camera& camera = s.scene.info.frames[static_cast<std::size_t>(f)].camera;
+    pixels_of_all += std::int64_t{camera.width_px} * camera.height_px;
+  }
+  const auto every = static_cast<std::size_t>(1 + pixels_of_all / kFittedPixels);
   ProgressLine progress(context_, "points of", "views");
   for (std::size_t i = 0; i < frames.size(); ++i) {
     const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(frames[i])];
@@ -109,13 +119,17 @@ void HandOver::look() {
     const RenderedFrame frame =
         render_named_frame(*s.pipeline, info.name, camera, s.limits, s.plan.class_of_logit, {}, {1, part_done});
     if (splats) splats->add(camera, frame, s.limits);
+    if (splats && i % every == 0) shown.push_back({camera, to_bytes(frame.rgb)});
     if (!wants_points() && !map_) continue;
     const SeenPixels pixels = seen_pixels(camera, frame);
     if (wants_points()) cloud.add(frame, pixels);
     if (map_) map_->add(camera, frame, pixels);
   }
   points_ = cloud.points();
-  if (splats) splats_ = splats->splats();
+  if (splats) {
+    splats_ = splats->splats();
+    fit_colors(splats_, shown, background);
+  }
   for (PointSet* set : {&points_, &splats_.points}) set->attributes.instance = instances(set->positions);
 }
 
