@@ -27,7 +27,7 @@ struct StepRow {
   int threads = 0, classes = 0;
   std::int64_t rays = 0;
   Spread seconds;
-  double processor = 0;  ///< CPU seconds per step, summed over threads; median
+  double processor = 0;  ///< processor seconds per step, summed over threads; median
   double samples = 0;    ///< a step
   double flop = 0;       ///< of the networks, as executed
   double peak = 0;  ///< measured floating-point operations per second of this precision and thread count; 0: unknown

@@ -21,7 +21,7 @@ class RunFolder {
  public:
   /// For training from the start: the folder is created; one that holds files is refused. Holds the lock for its life.
   static RunFolder create(const std::string& path);
-  /// For continuing with a run: the folder must hold run.yaml. Holds the lock for its life. Temporary files that killed
+  /// For going on with a run: the folder must hold run.yaml. Holds the lock for its life. Temporary files that killed
   /// processes left in it are removed.
   static RunFolder resume(const std::string& path);
   /// For evaluation and reports: no lock, nothing is created.
