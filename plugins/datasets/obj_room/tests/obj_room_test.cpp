@@ -2,6 +2,7 @@
 #include "datasets/obj_room/obj_room.h"
 
 #include <algorithm>
+#include <map>
 #include <set>
 
 #include "datasets/obj_room/class_rules.h"
@@ -147,6 +148,34 @@ TEST(ObjRoom, CamerasOfAFileAndBoundsFromWhatTheyMeet) {
   EXPECT_NEAR(f.depth_m[20 * 40 + 20], room_truth(c, info.frames[2].world_from_camera.rotate(axis)).distance * axis.z,
               1e-5);
   EXPECT_EQ(error_of([&] { room.read(6, f); }), "frame 6 of 6 was asked for");
+}
+
+// Every side of the crate, and every wall, is an object of its own in the file.
+TEST(ObjRoom, InstancesAreObjectsOfTheFileOrPieces) {
+  ObjRoomParams p = small(room_folder());
+  p.cameras = "cameras.txt";
+  const auto instances = [&] {  // of each class
+    ObjRoom room(p, {});
+    Diagnostics d;
+    const SceneInfo info = room.open(d);
+    std::map<std::string, std::set<std::int32_t>> out;
+    FrameBuffer f;
+    for (int i = 0; i < static_cast<int>(info.frames.size()); ++i) {
+      room.read(i, f);
+      for (std::size_t k = 0; k < f.label.size(); ++k)
+        if (f.label[k] >= 0) out[info.classes.valid(f.label[k]).name].insert(f.instance[k]);
+    }
+    return out;
+  };
+  EXPECT_GE(instances().at("crate").size(), 2u);
+  EXPECT_GE(instances().at("wall").size(), 3u);
+  p.instances = RoomInstances::pieces;
+  std::set<std::int32_t> all;
+  for (const auto& [name, ids] : instances()) {
+    EXPECT_EQ(ids.size(), 1u) << name;
+    all.insert(ids.begin(), ids.end());
+  }
+  EXPECT_EQ(all.size(), instances().size()) << "pieces of two classes have two numbers";
 }
 
 TEST(ObjRoom, GivenNearFarAndBoundsHold) {
