@@ -160,6 +160,13 @@ std::vector<LeaveOutPair> data_pairs() {
               ProofClass::bitwise, PairKind::training);
   all.push_back(p);
 
+  p = pair_of("instances", "", "instances are kept for `semfield objects`, and for label steps that read them",
+              ProofClass::bitwise, PairKind::training);
+  p.both = {"scene.instances=pieces", "scene.labels.frames=all"};
+  p.kept = {"scene.labels.degrade=[{type: region_noise, ratio: 0, min_frames: 1}]"};
+  p.kept_by = "ask for one of them";
+  all.push_back(p);
+
   p = pair_of("periodic_evaluation", "periodic_evaluation", "`report.eval_every_s` is 0", ProofClass::bitwise,
               PairKind::evaluation);
   p.kept = {};
