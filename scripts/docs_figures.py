@@ -10,6 +10,8 @@ A page asks for one by a pair of comments; what is between them is replaced:
   <!-- /figures -->
   <!-- figures objects: living, class -->  rooms by their segments, of objects.json; `means` is a row of means over the first three
   <!-- /figures -->
+  <!-- figures settings: objects -->  rows by variant of a sweep, of objects_settings.csv
+  <!-- /figures -->
   <!-- figures sources: all -->  where each file of data comes from
   <!-- /figures -->
 
@@ -34,7 +36,7 @@ SETTINGS = ["all", "click", "1 %", "10 %", "90 % noise", "two key-frames", "10 %
 LABELS_HEAD = ("| labels | mIoU: paper's networks | room preset | grid alone | PSNR: paper | preset | AbsRel: paper | preset | ECE: paper | preset |\n"
                "|---|---|---|---|---|---|---|---|---|---|\n")
 STUDENT = {2: 12.706, 3: 4.303, 4: 3.182, 5: 2.776}
-PART = re.compile(r"(<!-- figures (?P<kind>benchmark|rows|labels|objects|sources): (?P<rows>[^>]*?) -->\n).*?(<!-- /figures -->)", re.S)
+PART = re.compile(r"(<!-- figures (?P<kind>benchmark|rows|labels|objects|settings|sources): (?P<rows>[^>]*?) -->\n).*?(<!-- /figures -->)", re.S)
 HEAD = "| scene, preset | trained for | PSNR | mIoU | device | date, commit |\n|---|---|---|---|---|---|\n"
 NAMES = {"lego": "lego, an object", "bonsai": "bonsai, a table in its room", "room": "shipped room, labels on 10 % of the frames", "walk": "Replica walk, all labels",
          "classroom": "modelled classroom, all labels", "studio": "studio room, 35 photos", "record3d": "door, scanned by a phone", "hololens": "room, scanned by a HoloLens",
@@ -123,6 +125,20 @@ def objects_table(rows, rooms):
     return out
 
 
+def settings_table(root, name):
+    """Of a sweep's results.csv: a row per variant, a column per metric, in their order."""
+    cells = collections.defaultdict(list)
+    with open(os.path.join(root, EVIDENCE, f"{name}_settings.csv"), encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            if row["value"]:
+                cells[row["variant"], row["metric"]].append(float(row["value"]))
+    metrics = list(dict.fromkeys(metric for _, metric in cells))
+    out = f"| setting | {' | '.join(f'`{metric}`' for metric in metrics)} |\n|{'---|' * (1 + len(metrics))}\n"
+    for variant in dict.fromkeys(variant for variant, _ in cells):
+        out += f"| {variant} | {' | '.join(mean_of(cells[variant, metric], 1 if metric.endswith('_s') else 3) for metric in metrics)} |\n"
+    return out
+
+
 def source_of(root, name, written):
     """{member of SOURCE: what the file or sources.json states}; what rows state is joined."""
     stated = {}
@@ -168,6 +184,8 @@ def renewed(path, text, root, faults):
             return match[1] + labels_table(cells_of(root), match["rows"]) + match[4]
         if match["kind"] == "objects":
             return match[1] + objects_table(read_json(root, "objects.json")["rows"], match["rows"].split(", ")) + match[4]
+        if match["kind"] == "settings":
+            return match[1] + settings_table(root, match["rows"]) + match[4]
         if match["kind"] == "sources":
             return match[1] + sources_table(root, path) + match[4]
         rows = read_json(root, "benchmark.json")
