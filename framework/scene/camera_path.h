@@ -41,7 +41,7 @@ enum class CameraAxes : std::uint8_t { right_down_forward, right_up_backward, le
 
 /// Camera-to-world poses of a text file: 16 numbers a pose (4x4, one line or four, as traj_w_c.txt) or 12 (3x4). Which
 /// of the two follows from the first line (16 or 12 numbers) or, with four numbers per line, from the fourth line (0 0
-/// 0 1). Throws Error(data) with file and line for anything else and for parts that are no rotation (off by over 1e-3);
+/// 0 1). Throws Error(data) with file and line for anything else and for parts that are not a rotation (off by over 1e-3);
 /// rotations are made orthonormal.
 std::vector<Pose> read_camera_file(const std::string& path, CameraAxes axes);
 

@@ -185,7 +185,7 @@ void rotation_check(CaseRun& run) {
   const auto written = [&](const Pose& pose) { testing_room::plain_write(path, testing_room::pose_line(pose)); };
   for (const Pose& bad : {changed(0, 2, 1), changed(0, 1, -1), changed(2e-3, 1, 1), zeros}) {
     written(bad);
-    run.expect_error(ErrorKind::data, {"path.txt:1", "no rotation"},
+    run.expect_error(ErrorKind::data, {"path.txt:1", "not a rotation"},
                      [&] { (void)read_camera_file(path, CameraAxes::right_down_forward); });
   }
   written(changed(1e-4, 1, 1));

@@ -90,7 +90,7 @@ def test_every_mistake_is_told_at_once(tmp_path: Path) -> None:
         sf.Scene(**arrays, file=tmp_path / "room.sfpack", bounds=[[1, -1, -1], [-1, 1, 1]])
     text = [f"{f.where}: {f.message}" for f in caught.value.findings]
     for frame, says in [("b", "[24, 32, 3], got [5, 32, 3]"), ("c", "got float64"), ("d", "got float64"), ("e", "77 is the id of no class"),
-                        ("f", "[24, 32], got [32, 24]"), ("g", "no rotation"), ("h", "not finite"), ("a", "another one has its name")]:
+                        ("f", "[24, 32], got [32, 24]"), ("g", "not a rotation"), ("h", "not finite"), ("a", "another one has its name")]:
         assert any(f"frame '{frame}'" in t and says in t for t in text), (frame, says, text)
     assert any("bounds: axis x" in t for t in text)
     assert len(text) == 9
