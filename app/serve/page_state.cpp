@@ -52,6 +52,7 @@ Json mark_json(const Annotations::Mark& mark, const PageSource& source) {
           {"points", std::move(points)},
           {"radius", mark.radius_px},
           {"fill", mark.fill},
+          {"object", mark.object},
           {"class", mark.class_index}};
 }
 

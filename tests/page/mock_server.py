@@ -78,7 +78,7 @@ class Room:
 
     def marks(self, alive, index):
         return [{"id": e["id"], "view": self.frames.index(e["frame"]), "points": e["points"], "radius": e["radius"], "fill": e.get("fill", False),
-                 "class": index[e["class"]]} for e in alive if e["type"] == "click" and e["class"] in index]
+                 "object": e.get("object", 0), "class": index[e["class"]]} for e in alive if e["type"] == "click" and e["class"] in index]
 
     def inside(self, mark):
         """A pixel of the mark: its first point, or the middle of an outline."""

@@ -5,7 +5,7 @@ import {showHelp} from './dialogs.js';
 export function actionsOf(page) {
   const {stage, labeller} = page;
   const actions = {
-    'n': () => page.make(), 'F2': () => page.change(page.classOf(labeller.chosen)),
+    'n': () => page.make(), 'a': () => labeller.another(), 'F2': () => page.change(page.classOf(labeller.chosen)),
     'z': () => labeller.undo(), 'ctrl+z': () => labeller.undo(),
     'shift+z': () => labeller.redo(), 'ctrl+shift+z': () => labeller.redo(), 'ctrl+y': () => labeller.redo(),
     ' ': () => page.space(), 'g': () => page.takeGuess(), 's': () => page.skip(),

@@ -360,6 +360,7 @@ class Page {
     on('selection-close', () => this.select(null));
     on('help', showHelp);
     on('new-class', () => this.make());
+    on('another', () => labeller.another());
     on('proposal-take', () => this.space());
     on('proposal-guess', () => this.takeGuess());
     on('proposal-skip', () => this.skip());

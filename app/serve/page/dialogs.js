@@ -112,6 +112,7 @@ const kHelp = [
     [', .', 'the class before, the next'],
     ['c', 'choose the class under the pointer'],
     ['n', 'make a class'],
+    ['a', 'another thing of the chosen class: the next clicks are on it'],
     ['F2', 'rename, merge or delete the chosen class (or double click)'],
     ['i', 'ignore: what nobody should label'],
     ['[ ]', 'smaller brush, larger brush'],

@@ -22,6 +22,7 @@ export class Labeller {
     this.undoable = [];     // own events, the last one last
     this.redoable = [];     // undo events
     this.chosen = null;     // name of the class of the next click
+    this.object = 0;        // number of the thing that the next click is on; 0: what touches is one thing
     this.skipped = null;    // id of the proposal that was taken or skipped here
     this.queue = new EventQueue({
       tab: this.ids.tab,
@@ -100,7 +101,16 @@ export class Labeller {
   classOf(name) { return this.classes.find((row) => row.name === name) ?? (name === this.ignore.name ? this.ignore : undefined); }
 
   choose(name) {
+    if (name !== this.chosen) this.object = 0;
     this.chosen = name;
+    this.changed();
+  }
+
+  /// The clicks that follow are on another thing of the chosen class.
+  another() {
+    if (!this.classes.some(({name}) => name === this.chosen)) return this.tell('First choose the class of the thing.');
+    this.object = 1 + Math.max(this.object, ...this.marks.map(({object}) => object ?? 0));
+    this.tell(`The next clicks are on another "${this.chosen}".`);
     this.changed();
   }
 
@@ -118,6 +128,8 @@ export class Labeller {
     return whole;
   }
 
+  get thing() { return this.object > 0 ? {object: this.object} : {}; }
+
   within(view, points) {
     const {width, height} = this.state.views[view];
     return points.map(([x, y]) => [Math.min(Math.max(x, 0), width - 0.01), Math.min(Math.max(y, 0), height - 0.01)]);
@@ -127,7 +139,7 @@ export class Labeller {
   click(view, points, radius) {
     const {frame, width, height} = this.state.views[view];
     for (const part of strokeParts(this.within(view, points), Math.max(0.7, radius / 3))) {
-      this.add({type: 'click', frame, size: [width, height], points: part, radius, class: this.chosen});
+      this.add({type: 'click', frame, size: [width, height], points: part, radius, class: this.chosen, ...this.thing});
     }
   }
 
@@ -136,7 +148,7 @@ export class Labeller {
     const {frame, width, height} = this.state.views[view];
     const corners = outlineCorners(this.within(view, points), step);
     if (corners.length < 3) return this.tell('A polygon needs three corners.');
-    this.add({type: 'click', frame, size: [width, height], points: corners, radius: 0, class: this.chosen, fill: true});
+    this.add({type: 'click', frame, size: [width, height], points: corners, radius: 0, class: this.chosen, fill: true, ...this.thing});
   }
 
   /// Takes marks away, each as an undo of its event, which can itself be undone.
@@ -149,7 +161,7 @@ export class Labeller {
   }
 
   eventOf(mark) {
-    return {id: mark.id, type: 'click', frame: this.state.views[mark.view].frame, points: mark.points, fill: mark.fill, class: mark.name};
+    return {id: mark.id, type: 'click', frame: this.state.views[mark.view].frame, points: mark.points, fill: mark.fill, class: mark.name, ...(mark.object ? {object: mark.object} : {})};
   }
 
   mergeClass(name, into) {

@@ -13,7 +13,7 @@ export const kIgnore = {index: -1, label: 'ignore', color: [150, 150, 150], isIg
 
 /// Classes and marks as they will be when every pending event is known. Pending: [{event}], in order; an event's undo hides it.
 /// classes: [{index, name, color, clicks, area_share, confidence, own, saved}], index -1 while the program has not named it;
-/// marks: [{id, view, points, radius, fill, name, label, color, isIgnore, saved}], points in pixels of the view, label: the name to show.
+/// marks: [{id, view, points, radius, fill, object, name, label, color, isIgnore, saved}], points in pixels of the view, label: the name to show.
 export function combined(state, pending, everyEvent) {
   const undone = new Set();
   const revived = new Set();
@@ -80,7 +80,7 @@ export function combined(state, pending, everyEvent) {
     const row = last(named.get(event.id));
     const view = viewOf.get(event.frame);
     const share = event.size ? state.views[view].width / event.size[0] : 1;
-    if (row) marks.push({id: event.id, view, points: event.points.map((p) => p.map((v) => v * share)), radius: event.radius * share, fill: Boolean(event.fill), ...shown(row), saved: false});
+    if (row) marks.push({id: event.id, view, points: event.points.map((p) => p.map((v) => v * share)), radius: event.radius * share, fill: Boolean(event.fill), object: event.object ?? 0, ...shown(row), saved: false});
   }
   ignore.clicks = marks.filter(({isIgnore}) => isIgnore).length;
   for (const row of classes) row.clicks = marks.filter(({name, isIgnore}) => !isIgnore && name === row.name).length;
