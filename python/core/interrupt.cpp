@@ -17,8 +17,16 @@ constexpr auto kWaitAtTheEnd = std::chrono::seconds(5);
 std::atomic<std::int64_t> g_noted{0};
 std::atomic<int> g_working{0};
 std::atomic<bool> g_ending{false};
+std::thread::id g_last;  // the thread that ends Python; written before g_ending
 
+// Other threads end in silence: one that prints its exception while Python ends may hold a lock of stderr that Python
+// then needs, and the process is aborted.
 [[noreturn]] void refuse() {
+  if (std::this_thread::get_id() != g_last) {
+    const py::gil_scoped_acquire gil;
+    PyErr_SetNone(PyExc_SystemExit);
+    throw py::error_already_set();
+  }
   throw Error(ErrorKind::usage, "python.session.ending", "Python is ending, and so is the work of this run");
 }
 
@@ -31,6 +39,7 @@ void follow_forks() {
 }
 
 void end_work() {
+  g_last = std::this_thread::get_id();
   g_ending = true;
   const py::gil_scoped_release free;
   const auto until = std::chrono::steady_clock::now() + kWaitAtTheEnd;

@@ -20,7 +20,8 @@ void follow_forks();
 /// thread that asks for the GIL of a Python that is gone would be ended in the middle of C++.
 void end_work();
 
-/// Work of a session without the GIL, while it lives. Throws Error(usage) once Python ends.
+/// Work of a session without the GIL, while it lives. Once Python ends it throws: SystemExit, which ends a thread in
+/// silence, and Error(usage) on the thread that ends Python.
 class Work {
  public:
   Work();
@@ -41,7 +42,7 @@ class Interrupt {
  public:
   Interrupt();
   bool came();
-  /// Throws what came: KeyboardInterrupt, or what a handler of the signal raised.
+  /// Throws what came: KeyboardInterrupt, what a handler of the signal raised, or as Work once Python ends.
   void raise() const;
 
  private:

@@ -183,8 +183,8 @@ import time; time.sleep(0.2)
 print("ends")
 """
     done = in_a_process(code)
-    assert (done.stdout, done.returncode) == ("ends\n", 0), done.stderr[-2000:]
-    assert "FATAL" not in done.stderr
+    # A thread that prints while Python ends may abort the process, so it prints nothing.
+    assert (done.stdout, done.stderr, done.returncode) == ("ends\n", "", 0), done.stderr[-2000:]
 
 
 class _Box:
