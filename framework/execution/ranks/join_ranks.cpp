@@ -17,7 +17,8 @@ std::unique_ptr<Ranks> join_ranks([[maybe_unused]] const Launched& by) {
   using Join = Ranks* (*)(const Launched*);
   static const auto join = reinterpret_cast<Join>(library_symbol(
       SEMFIELD_MPI_LIBRARY, "semfield_join_ranks", by.by + " started several processes, but MPI cannot be loaded",
-      "install OpenMPI (package openmpi-bin), or start one process"));
+      "install what the reason names: OpenMPI (package openmpi-bin), or, if it names " SEMFIELD_MPI_LIBRARY
+      ", Semfield itself again, whole; or start one process"));
   return std::unique_ptr<Ranks>(join(&by));
 #else
   throw Error(ErrorKind::unavailable, "ranks.mpi.missing",
