@@ -58,12 +58,6 @@ void with_kind(const HashGridLevel& level, std::int32_t features, Interpolation 
   with_features(features, [&]<std::int32_t kFeatures>() { with_level_kind<kFeatures>(level, interpolation, f); });
 }
 
-/// Entry of a vertex. A dense level has at most 2^log2_entries <= 2^24 vertices, so 32 bits are enough here.
-std::uint32_t vertex_entry(const HashGridLevel& level, std::uint32_t x, std::uint32_t y, std::uint32_t z) {
-  return level.dense ? dense_index<std::uint32_t>(x, y, z, static_cast<std::uint32_t>(level.resolution) + 1)
-                     : hash_index(x, y, z, static_cast<std::uint32_t>(level.entries) - 1);
-}
-
 void keep_least(std::atomic<std::int64_t>& least, std::int64_t value) {
   std::int64_t known = least;
   while (value < known && !least.compare_exchange_weak(known, value)) {
@@ -252,37 +246,30 @@ void backward_tables(const HashGridShape& shape, const View<Real>* grads, View<c
   }
 }
 
-/// Gradient of one row: sum over levels of N w'_d(place) times the other axes' weights times <dy, entry>; 0 along an
-/// axis on which the row was clamped.
+/// dx of at most kInputTaskRows rows, a level for all of them at a time; 0 along an axis on which a row was clamped.
 template <class Real>
-void input_gradient(const HashGridShape& shape, const View<Real>* tables, const double* x, const Real* dy, Real* dx) {
-  double sum[3] = {0, 0, 0};
-  const std::int32_t features = shape.features;
+void input_gradient(const HashGridShape& shape, const View<Real>* tables, View<const double> x, View<const Real> dy,
+                    View<Real> dx) {
+  double slopes[kInputTaskRows / kLanes][3][kLanes] = {};
+  RowReader rows(x);
   for (std::int32_t l = 0; l < shape.levels; ++l) {
     const HashGridLevel& level = shape.level[l];
-    const auto resolution = static_cast<double>(level.resolution);
-    std::uint32_t cell[3];
-    Real weight[3][2], slope[3];
-    for (int d = 0; d < 3; ++d) {
-      const AxisCell<Real> at = axis_cell<Real>(clamp_unit(x[d]), resolution);
-      cell[d] = at.cell;
-      weight[d][1] = far_weight(at.place, shape.interpolation);
-      weight[d][0] = Real(1) - weight[d][1];
-      slope[d] = static_cast<Real>(resolution) * far_weight_slope(at.place, shape.interpolation);
-    }
-    for (std::uint32_t c = 0; c < 8; ++c) {
-      const std::uint32_t bit[3] = {c & 1, (c >> 1) & 1, c >> 2};
-      const Real* entry = tables[l].row(vertex_entry(level, cell[0] + bit[0], cell[1] + bit[1], cell[2] + bit[2]));
-      Real product = 0;
-      for (std::int32_t f = 0; f < features; ++f) product += dy[l * features + f] * entry[f];
-      for (int d = 0; d < 3; ++d) {
-        const int e = (d + 1) % 3, g = (d + 2) % 3;
-        const Real other = weight[e][bit[e]] * weight[g][bit[g]] * slope[d] * product;
-        sum[d] += bit[d] != 0 ? other : -other;
+    with_kind(level, shape.features, shape.interpolation, [&]<std::int32_t kF, bool kDense, Interpolation kI>() {
+      for (std::int64_t r = 0; r < x.rows; r += kLanes) {
+        alignas(64) Real gradient[kF][kLanes];
+        for (std::int64_t i = 0; i < kLanes; ++i) {
+          for (std::int32_t f = 0; f < kF; ++f) gradient[f][i] = r + i < x.rows ? dy(r + i, l * kF + f) : Real(0);
+        }
+        add_slopes<Real, kF, kDense, kI>(level, tables[l].data, rows.at(r), gradient, slopes[r / kLanes]);
       }
+    });
+  }
+  for (std::int64_t r = 0; r < x.rows; ++r) {
+    for (std::int32_t d = 0; d < 3; ++d) {
+      const bool inside = x(r, d) >= 0 && x(r, d) <= 1;
+      dx(r, d) = inside ? static_cast<Real>(slopes[r / kLanes][d][r % kLanes]) : Real(0);
     }
   }
-  for (int d = 0; d < 3; ++d) dx[d] = x[d] >= 0 && x[d] <= 1 ? static_cast<Real>(sum[d]) : Real(0);
 }
 
 template <class Real>
@@ -297,10 +284,9 @@ void backward_input(const HashGridShape& shape, const View<Real>* tables, View<c
   };
   const Call call{shape, tables, x, dy, dx};
   parallel_for((x.rows + kInputTaskRows - 1) / kInputTaskRows, [&call](std::int64_t task) {
-    const std::int64_t end = std::min(call.x.rows, (task + 1) * kInputTaskRows);
-    for (std::int64_t r = task * kInputTaskRows; r < end; ++r) {
-      input_gradient<Real>(call.shape, call.tables, call.x.row(r), call.dy.row(r), call.dx.row(r));
-    }
+    const std::int64_t begin = task * kInputTaskRows, rows = std::min(kInputTaskRows, call.x.rows - begin);
+    input_gradient<Real>(call.shape, call.tables, call.x.row_range(begin, rows), call.dy.row_range(begin, rows),
+                         call.dx.row_range(begin, rows));
   });
 }
 

@@ -5,6 +5,7 @@
 #include <immintrin.h>
 #endif
 
+#include <cmath>
 #include <cstdint>
 #include <type_traits>
 
@@ -22,10 +23,10 @@ constexpr std::int32_t kLanes = 16;
 /// hashed one the two addresses differ by the bits in which x and x + 1 differ.
 template <class Real>
 struct Edges {
-  alignas(64) std::uint32_t near_entry[4][kLanes];
-  alignas(64) std::uint32_t flip[kLanes];  // hashed levels: far entry = near entry ^ flip, never 0
-  alignas(64) Real weight[4][kLanes];      // along y times along z
-  alignas(64) Real far_weight[kLanes];     // along x
+  alignas(64) std::uint32_t near_entry[4][kLanes];  // a level has at most 2^24 entries
+  alignas(64) std::uint32_t flip[kLanes];           // hashed levels: far entry = near entry ^ flip, never 0
+  alignas(64) Real weight[4][kLanes];               // along y times along z
+  alignas(64) Real far_weight[kLanes];              // along x
 };
 
 /// Cell and weight of the far vertex along each axis.
@@ -35,9 +36,8 @@ struct AxisCells {
   alignas(64) Real far[3][kLanes];
 };
 
-/// Of kLanes samples, x [kLanes, 3] contiguous.
 template <class Real, Interpolation kInterpolation>
-inline void find_cells(const HashGridLevel& level, const double* x, AxisCells<Real>& out) {
+inline void find_cells_by_axis(const HashGridLevel& level, const double* x, AxisCells<Real>& out) {
   const auto resolution = static_cast<double>(level.resolution);
   for (int d = 0; d < 3; ++d) {
     for (std::int32_t i = 0; i < kLanes; ++i) {
@@ -89,21 +89,27 @@ inline void find_cells_avx512(const HashGridLevel& level, const double* x, AxisC
 }
 #endif
 
+/// Of kLanes samples, x [kLanes, 3] contiguous.
+template <class Real, Interpolation kInterpolation>
+inline void find_cells(const HashGridLevel& level, const double* x, AxisCells<Real>& out) {
+#if defined(__AVX512F__)
+  if constexpr (std::is_same_v<Real, float>) {
+    find_cells_avx512<kInterpolation>(level, x, out);
+  } else {
+    find_cells_by_axis<Real, kInterpolation>(level, x, out);
+  }
+#else
+  find_cells_by_axis<Real, kInterpolation>(level, x, out);
+#endif
+}
+
 /// Edges of kLanes samples, x [kLanes, 3] contiguous.
 template <class Real, bool kDense, Interpolation kInterpolation>
 inline void find_edges(const HashGridLevel& level, const double* x, Edges<Real>& out) {
   const auto vertices = static_cast<std::uint32_t>(level.resolution) + 1;
   const auto mask = static_cast<std::uint32_t>(level.entries) - 1;
   AxisCells<Real> at;
-#if defined(__AVX512F__)
-  if constexpr (std::is_same_v<Real, float>) {
-    find_cells_avx512<kInterpolation>(level, x, at);
-  } else {
-    find_cells<Real, kInterpolation>(level, x, at);
-  }
-#else
   find_cells<Real, kInterpolation>(level, x, at);
-#endif
   for (std::int32_t i = 0; i < kLanes; ++i) {
     out.flip[i] = (at.cell[0][i] ^ (at.cell[0][i] + 1)) & mask;
     out.far_weight[i] = at.far[0][i];
@@ -124,6 +130,66 @@ inline void find_edges(const HashGridLevel& level, const double* x, Edges<Real>&
 template <class Real, bool kDense>
 inline std::int64_t far_entry(const Edges<Real>& edges, int e, std::int64_t i) {
   return kDense ? edges.near_entry[e][i] + 1 : edges.near_entry[e][i] ^ edges.flip[i];
+}
+
+/// a b + c, rounded once where the instruction set can. Left to the compiler, some lanes of a loop are contracted and
+/// others are not.
+template <class Real>
+inline Real multiply_add(Real a, Real b, Real c) {
+#if defined(__FMA__)
+  return std::fma(a, b, c);
+#else
+  return a * b + c;
+#endif
+}
+
+/// slopes += dy times the slope of kLanes samples along each axis, x [kLanes, 3] contiguous, dy [F, kLanes]: the sum
+/// over the corners of N w'(place) times the other axes' weights times <dy, entry>, a corner's share rounded to Real.
+template <class Real, std::int32_t kFeatures, bool kDense, Interpolation kInterpolation>
+inline void add_slopes(const HashGridLevel& level, const Real* table, const double* x, const Real (*dy)[kLanes],
+                       double (*slopes)[kLanes]) {
+  const auto vertices = static_cast<std::uint32_t>(level.resolution) + 1;
+  const auto mask = static_cast<std::uint32_t>(level.entries) - 1;
+  const auto resolution = static_cast<Real>(level.resolution);
+  AxisCells<Real> at;
+  find_cells<Real, Interpolation::linear>(level, x, at);  // so that far is the place
+  alignas(64) Real weight[3][2][kLanes], slope[3][kLanes];
+  for (int d = 0; d < 3; ++d) {
+    for (std::int32_t i = 0; i < kLanes; ++i) {
+      const Real place = at.far[d][i];
+      weight[d][1][i] = far_weight(place, kInterpolation);
+      weight[d][0][i] = Real(1) - weight[d][1][i];
+      slope[d][i] = resolution * far_weight_slope(place, kInterpolation);
+    }
+  }
+#pragma GCC unroll 8
+  for (std::uint32_t c = 0; c < 8; ++c) {
+    const std::uint32_t bit[3] = {c & 1, (c >> 1) & 1, c >> 2};
+    alignas(64) std::uint32_t entry[kLanes];
+    for (std::int32_t i = 0; i < kLanes; ++i) {
+      const std::uint32_t cx = at.cell[0][i] + bit[0], cy = at.cell[1][i] + bit[1], cz = at.cell[2][i] + bit[2];
+      entry[i] = kDense ? dense_index<std::uint32_t>(cx, cy, cz, vertices) : hash_index(cx, cy, cz, mask);
+    }
+    alignas(64) Real product[kLanes];
+    for (std::int32_t i = 0; i < kLanes; ++i) {
+      const Real* const values = table + static_cast<std::int64_t>(entry[i]) * kFeatures;
+      product[i] = dy[0][i] * values[0];
+      for (std::int32_t f = 1; f < kFeatures; ++f) product[i] = multiply_add(dy[f][i], values[f], product[i]);
+    }
+#pragma GCC unroll 3
+    for (int d = 0; d < 3; ++d) {
+      const int e = (d + 1) % 3, g = (d + 2) % 3;
+      for (std::int32_t i = 0; i < kLanes; ++i) {
+        const Real factor = weight[e][bit[e]][i] * weight[g][bit[g]][i] * slope[d][i];
+        const Real signed_factor = bit[d] != 0 ? factor : -factor;
+        if constexpr (std::is_same_v<Real, double>) {
+          slopes[d][i] = multiply_add(signed_factor, product[i], slopes[d][i]);
+        } else {
+          slopes[d][i] += signed_factor * product[i];
+        }
+      }
+    }
+  }
 }
 
 /// Two floats, the usual entry: both ends of an edge travel in one 128-bit register.

@@ -261,6 +261,30 @@ TEST(HashGrid, RowsAndThreadsDoNotChangeBits) {
   set_thread_count(0);
 }
 
+// Lanes of a group go through the same instructions: a row that moves within its group keeps the bits of its slope.
+template <class Real>
+void expect_slopes_without_a_place(const HashGridParams& params) {
+  Grid<Real> grid(params);
+  constexpr std::int64_t rows = 83;
+  const auto x = random_points(rows);
+  std::vector<Real> dy = grid.forward(x);
+  std::reverse(dy.begin(), dy.end());
+  const auto whole = grid.backward(x, dy);
+  for (std::int64_t begin = 1; begin < rows; ++begin) {
+    const auto part = grid.backward({x.begin() + 3 * begin, x.end()}, {dy.begin() + begin * grid.width, dy.end()});
+    ASSERT_TRUE(std::equal(part.begin(), part.end(), whole.begin() + 3 * begin)) << begin << ": " << params.features;
+  }
+}
+TEST(HashGrid, PlacesOfRowsDoNotChangeSlopes) {
+  for (int features : {1, 2, 4, 8}) {
+    for (Interpolation interpolation : {Interpolation::linear, Interpolation::smoothstep}) {
+      const HashGridParams p = params_of(6, features, 10, 4, 300, interpolation);  // dense levels and hashed ones
+      expect_slopes_without_a_place<float>(p);
+      expect_slopes_without_a_place<double>(p);
+    }
+  }
+}
+
 TEST(HashGrid, TheFirstRowThatIsNotFiniteIsNamedForAnyThreads) {
   const Grid<float> grid(params_of(3, 2, 6, 2, 5));
   auto x = random_points(60000);
