@@ -53,9 +53,10 @@ void ProgressLine::show(double done, double total) {
   open_ = terminal_;
 }
 
-void ProgressLine::restart(std::string done_what) {
+void ProgressLine::restart(std::string done_what, std::string unit) {
   end();
   done_what_ = std::move(done_what);
+  unit_ = std::move(unit);
   begin_s_ = outside_.now_s();
   next_s_ = begin_s_ + (terminal_ ? 0 : kLineEvery_s);
 }

@@ -29,8 +29,8 @@ class ProgressLine {
 
   /// `done` may hold part of a unit. Work that ends within two seconds leaves no line where lines stay.
   void show(double done, double total);
-  /// What is done next; its time counts from now.
-  void restart(std::string done_what);
+  /// What is done next, and of what; its time counts from now.
+  void restart(std::string done_what, std::string unit = "frames");
 
  private:
   void end();

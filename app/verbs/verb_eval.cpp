@@ -95,6 +95,19 @@ void print_protocol(const Json& of) {
               of["truth"].get<std::string>().c_str());
 }
 
+/// One line per value, and one that names those that nothing was there to score by.
+void print_values(const SplitScore& score, const char* how) {
+  std::vector<std::string> missing;
+  for (const auto& [name, value] : score.values()) {
+    if (value) {
+      std::printf("  %-20s %.4f%s\n", name.c_str(), *value, how);
+    } else {
+      missing.push_back(name);
+    }
+  }
+  if (!missing.empty()) std::printf("  %-20s %s\n", "no data for", join(missing).c_str());
+}
+
 int run(const EvalOptions& options, AppContext& context) {
   if (!options.protocol.empty() && options.split != "test")
     throw Error(ErrorKind::usage, "eval.protocol.split", "--protocol " + options.protocol + ": scores held-out frames",
@@ -130,12 +143,12 @@ int run(const EvalOptions& options, AppContext& context) {
   }
   std::printf("%s: %zu %s frames, step %lld, %.1f s of training\n", options.run.c_str(), score.frames.size(),
               options.split.c_str(), static_cast<long long>(run.step), run.train_s);
-  for (const auto& [name, value] : score.values())
-    std::printf("  %-20s %s\n", name.c_str(), value ? fmt::format("{:.4f}", *value).c_str() : "no data");
-  if (refined)
-    for (const auto& [name, value] : refined->values())
-      std::printf("  %-20s %s with refined poses\n", name.c_str(),
-                  value ? fmt::format("{:.4f}", *value).c_str() : "no data");
+  print_values(score, "");
+  if (refined) print_values(*refined, " with refined poses");
+  const bool has_labels = score.confusion.scored_px() > 0;
+  if (!has_labels)
+    print_note(context, "no frame of split '" + options.split + "' has labels to score against" +
+                            (split == Split::test ? "; --split train compares with the labels given" : ""));
   if (const std::string warning = score.resolution.warning(); !warning.empty())
     print_note(context, "warning: " + warning);
   if (split == Split::train) {
@@ -145,7 +158,7 @@ int run(const EvalOptions& options, AppContext& context) {
                   *given.miou_present(), *given.total_accuracy(), static_cast<long long>(given.scored_px()));
   }
   const std::vector<ClassScore> classes = score.confusion.per_class();
-  if (!classes.empty()) std::printf("  %-20s %8s %8s %10s\n", "class", "iou", "recall", "pixels");
+  if (has_labels) std::printf("  %-20s %8s %8s %10s\n", "class", "iou", "recall", "pixels");
   for (std::size_t c = 0; c < classes.size(); ++c) {
     const ClassScore& k = classes[c];
     if (k.truth_px == 0 && k.predicted_px == 0) continue;

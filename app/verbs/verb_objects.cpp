@@ -163,7 +163,10 @@ int run(const ObjectsOptions& options, AppContext& context) {
   ProgressLine progress(context, "objects");
   std::string stage;
   const auto show = [&](const char* part, double done, double of) {
-    if (stage != part) progress.restart(stage = part);
+    if (stage != part) {
+      stage = part;
+      progress.restart(stage, stage == "learned" ? "steps" : "frames");
+    }
     progress.show(done, of);
   };
   FoundObjects found = find_objects(s, segments, s.config.grouping.entry->grouping(*s.config.grouping.params),
