@@ -95,8 +95,8 @@ void print_protocol(const Json& of) {
               of["truth"].get<std::string>().c_str());
 }
 
-/// One line per value, and one that names those that nothing was there to score by.
-void print_values(const SplitScore& score, const char* how) {
+/// A line per value that there was something to score by; the names of the others.
+std::vector<std::string> print_values(const SplitScore& score, const char* how) {
   std::vector<std::string> missing;
   for (const auto& [name, value] : score.values()) {
     if (value) {
@@ -105,7 +105,7 @@ void print_values(const SplitScore& score, const char* how) {
       missing.push_back(name);
     }
   }
-  if (!missing.empty()) std::printf("  %-20s %s\n", "no data for", join(missing).c_str());
+  return missing;
 }
 
 int run(const EvalOptions& options, AppContext& context) {
@@ -143,8 +143,9 @@ int run(const EvalOptions& options, AppContext& context) {
   }
   std::printf("%s: %zu %s frames, step %lld, %.1f s of training\n", options.run.c_str(), score.frames.size(),
               options.split.c_str(), static_cast<long long>(run.step), run.train_s);
-  print_values(score, "");
+  const std::vector<std::string> missing = print_values(score, "");
   if (refined) print_values(*refined, " with refined poses");
+  if (!missing.empty()) std::printf("  %-20s %s\n", "no data for", join(missing).c_str());
   const bool has_labels = score.confusion.scored_px() > 0;
   if (!has_labels)
     print_note(context, "no frame of split '" + options.split + "' has labels to score against" +

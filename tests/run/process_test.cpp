@@ -276,6 +276,17 @@ TEST(ProgressLine, ALineEveryTwoSecondsWhereLinesStay) {
   EXPECT_EQ(written(false, false, 60).substr(0, 29), "scored 0/4 frames, 3:30 left\n");
 }
 
+TEST(ProgressLine, ANewPartHasAUnitOfItsOwn) {
+  double now_s = 0;
+  std::string out;
+  AppContext context;
+  ProgressLine line(context, "seen", "frames", {[&] { return now_s; }, [&](const std::string& text) { out += text; }});
+  line.restart("learned", "steps");
+  now_s += 2;
+  line.show(5, 10);
+  EXPECT_EQ(out, "learned 5/10 steps, 0:02 left\n");
+}
+
 TEST(ProgressLine, ATerminalsLineIsOverwrittenAndCleared) {
   const std::string out = written(true, false);
   EXPECT_EQ(out.find('\n'), std::string::npos);

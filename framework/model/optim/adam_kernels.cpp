@@ -5,6 +5,7 @@
 #include <type_traits>
 
 #include "compute/isa.h"
+#include "compute/multiply_add.h"
 
 namespace semfield::SEMFIELD_ISA {
 
@@ -25,17 +26,6 @@ struct Constants {
         root_scale(static_cast<Real>(s.root_scale)),
         epsilon(static_cast<Real>(s.epsilon)) {}
 };
-
-// a b + c, fused wherever the machine can. Spelled out: left to contraction, which of two products is fused may differ
-// from loop to loop, and then an element's bits would depend on the range that it fell into.
-template <class Real>
-inline Real multiply_add(Real a, Real b, Real c) {
-#if defined(__FMA__)
-  return std::fma(a, b, c);
-#else
-  return a * b + c;
-#endif
-}
 
 template <class Real>
 struct Moments {

@@ -5,10 +5,10 @@
 #include <immintrin.h>
 #endif
 
-#include <cmath>
 #include <cstdint>
 #include <type_traits>
 
+#include "compute/multiply_add.h"
 #include "encoders/hash_grid/hash_grid_kernels.h"
 
 namespace semfield {
@@ -132,19 +132,8 @@ inline std::int64_t far_entry(const Edges<Real>& edges, int e, std::int64_t i) {
   return kDense ? edges.near_entry[e][i] + 1 : edges.near_entry[e][i] ^ edges.flip[i];
 }
 
-/// a b + c, rounded once where the instruction set can. Left to the compiler, some lanes of a loop are contracted and
-/// others are not.
-template <class Real>
-inline Real multiply_add(Real a, Real b, Real c) {
-#if defined(__FMA__)
-  return std::fma(a, b, c);
-#else
-  return a * b + c;
-#endif
-}
-
 /// slopes += dy times the slope of kLanes samples along each axis, x [kLanes, 3] contiguous, dy [F, kLanes]: the sum
-/// over the corners of N w'(place) times the other axes' weights times <dy, entry>, a corner's share rounded to Real.
+/// over the corners of N w'(place) times the other axes' weights times <dy, entry>.
 template <class Real, std::int32_t kFeatures, bool kDense, Interpolation kInterpolation>
 inline void add_slopes(const HashGridLevel& level, const Real* table, const double* x, const Real (*dy)[kLanes],
                        double (*slopes)[kLanes]) {
@@ -174,7 +163,8 @@ inline void add_slopes(const HashGridLevel& level, const Real* table, const doub
     for (std::int32_t i = 0; i < kLanes; ++i) {
       const Real* const values = table + static_cast<std::int64_t>(entry[i]) * kFeatures;
       product[i] = dy[0][i] * values[0];
-      for (std::int32_t f = 1; f < kFeatures; ++f) product[i] = multiply_add(dy[f][i], values[f], product[i]);
+      for (std::int32_t f = 1; f < kFeatures; ++f)
+        product[i] = SEMFIELD_ISA::multiply_add(dy[f][i], values[f], product[i]);
     }
 #pragma GCC unroll 3
     for (int d = 0; d < 3; ++d) {
@@ -183,7 +173,7 @@ inline void add_slopes(const HashGridLevel& level, const Real* table, const doub
         const Real factor = weight[e][bit[e]][i] * weight[g][bit[g]][i] * slope[d][i];
         const Real signed_factor = bit[d] != 0 ? factor : -factor;
         if constexpr (std::is_same_v<Real, double>) {
-          slopes[d][i] = multiply_add(signed_factor, product[i], slopes[d][i]);
+          slopes[d][i] = SEMFIELD_ISA::multiply_add(signed_factor, product[i], slopes[d][i]);
         } else {
           slopes[d][i] += signed_factor * product[i];
         }
