@@ -76,6 +76,7 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
   RunConfig config = load_run_config(options.config, options.set, registry);
   config.train.rays = options.rays;
   config.train.ray_source = RaySourceKind::all_images;
+  config.adam.learning_rate = 0;  // random pictures have no shape to learn: in hundreds of steps their density would die
   SceneExtent extent;
   extent.bounds = {{-0.5, -0.5, -0.5}, {0.5, 0.5, 0.5}};
   extent.near_m = 0.05;
