@@ -1,10 +1,13 @@
 #include "formats/text_rows.h"
 
 #include <algorithm>
+#include <cctype>
 #include <charconv>
 #include <cmath>
+#include <optional>
 
 #include "core/error.h"
+#include "core/text.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -37,10 +40,15 @@ std::vector<std::string> fields_of(std::string_view line, char separator, const 
   std::vector<std::string> out;
   for (std::size_t at = 0;;) {
     const std::size_t first = std::min(line.find_first_not_of(' ', at), line.size());
-    if (separator == ',' && first < line.size() && line[first] == '"') {
+    if ((separator == ',' || separator == ';') && first < line.size() && line[first] == '"') {
       at = first + 1;
       out.push_back(quoted_field(line, at, place));
-      at = line.find(separator, at);
+      const std::size_t end = std::min(line.find(separator, at), line.size());
+      if (const std::string rest = trimmed(line.substr(at, end - at)); !rest.empty())
+        throw Error(ErrorKind::data, "files.rows.quote",
+                    place + ": '" + rest.substr(0, 40) + "' follows a quoted field",
+                    "write two double quotes for one inside, and nothing behind the last");
+      at = end == line.size() ? std::string_view::npos : end;
     } else {
       const std::size_t end = line.find(separator, at);
       out.push_back(trimmed(line.substr(at, end == std::string_view::npos ? end : end - at)));
@@ -77,6 +85,82 @@ std::vector<TextRow> read_text_rows(const std::string& path, char separator) {
   return rows;
 }
 
+namespace {
+
+// As columns are named in ColumnNames.
+std::string column_name(std::string_view text) {
+  std::string out = trimmed(text);
+  for (char& c : out) c = c == ' ' || c == '-' ? '_' : static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  return out;
+}
+
+char separator_of(const std::string& path) {
+  std::string start = read_file_start(path, 65536);
+  for (std::string_view text = start, line; next_line(text, line);) {
+    if (trimmed(line).empty() || line[0] == '#') continue;
+    for (const char separator : {',', ';', '\t'})
+      if (line.find(separator) != std::string_view::npos) return separator;
+    break;
+  }
+  return ',';
+}
+
+// Where the file has each column, if `row` names them.
+std::optional<std::vector<std::size_t>> columns_named(const TextRow& row, const std::vector<ColumnNames>& columns) {
+  std::vector<std::string> names;
+  for (const std::string& field : row.fields) {
+    double number = 0;
+    if (parse_real(field, number)) return std::nullopt;
+    names.push_back(column_name(field));
+  }
+  std::vector<std::size_t> out(columns.size(), std::string::npos);
+  bool any = false;
+  for (std::size_t c = 0; c < columns.size(); ++c) {
+    for (const std::string_view name : columns[c]) {
+      const auto found = std::find(names.begin(), names.end(), name);
+      if (found == names.end()) continue;
+      if (std::find(found + 1, names.end(), name) != names.end())
+        throw Error(ErrorKind::data, "files.rows.column_twice",
+                    row.place + ": the column '" + std::string(name) + "' is named twice", "keep one of them");
+      out[c] = static_cast<std::size_t>(found - names.begin());
+      any = true;
+      break;
+    }
+  }
+  return any ? std::optional(out) : std::nullopt;
+}
+
+}  // namespace
+
+TextTable read_text_table(const std::string& path, const std::vector<ColumnNames>& columns) {
+  TextTable table{read_text_rows(path, separator_of(path)), "", std::vector<char>(columns.size())};
+  if (table.rows.empty()) return table;
+  const std::optional<std::vector<std::size_t>> named = columns_named(table.rows[0], columns);
+  const std::size_t most = named ? table.rows[0].fields.size() : columns.size();
+  if (named) {
+    table.header = table.rows[0].place;
+    table.rows.erase(table.rows.begin());
+  }
+  for (TextRow& row : table.rows) {
+    if (row.fields.size() > most)
+      throw Error(ErrorKind::data, "files.rows.columns",
+                  row.place + ": " + std::to_string(row.fields.size()) + " columns, " +
+                      (named ? "the first line names " + std::to_string(most)
+                             : "at most " + std::to_string(most) + " are read"),
+                  "put a field that holds the separator in double quotes, or name every column in the first line");
+    std::vector<std::string> fields(columns.size());
+    for (std::size_t c = 0; c < columns.size(); ++c) {
+      const std::size_t at = named ? (*named)[c] : c;
+      if (at >= row.fields.size()) continue;
+      fields[c] = std::move(row.fields[at]);
+      table.has[c] = 1;
+    }
+    row.fields = std::move(fields);
+  }
+  for (std::size_t c = 0; named && c < columns.size(); ++c) table.has[c] = (*named)[c] != std::string::npos;
+  return table;
+}
+
 std::string csv_field(std::string_view text) {
   const bool plain = text.find_first_of(",\"\n\r") == std::string_view::npos && trimmed(text) == text;
   if (plain) return std::string(text);
@@ -86,17 +170,6 @@ std::string csv_field(std::string_view text) {
     out += c;
   }
   return out + "\"";
-}
-
-std::string csv_value(std::string_view text, const std::string& place) {
-  const std::string field = trimmed(text);
-  if (!field.starts_with('"')) return field;
-  std::size_t at = 1;
-  std::string value = quoted_field(field, at, place);
-  if (at != field.size())
-    throw Error(ErrorKind::data, "files.rows.quote", place + ": '" + field.substr(at, 40) + "' follows a quoted field",
-                "write two double quotes for one inside, and nothing behind the last");
-  return value;
 }
 
 bool parse_whole(std::string_view text, std::int64_t& out) { return parse(text, out); }

@@ -47,12 +47,65 @@ TEST(ClassTable, YamlRoundTripKeepsEverything) {
 
 TEST(ClassTable, CsvSkipsTheHeaderAndIgnoresVoid) {
   const std::string path = fresh_folder("t") + "/classes.csv";
-  write_file_atomic(path, std::string_view("class_id,class\r\n0,Undefined\r\n2,base, cabinet\r\n\r\n1,wall\r\n"));
+  write_file_atomic(path, std::string_view("class_id,class\r\n0,Undefined\r\n2,\"base, cabinet\"\r\n\r\n1,wall\r\n"));
   const ClassTable t = ClassTable::load(path);
   EXPECT_EQ(t.valid_count(), 2);
   EXPECT_TRUE(t.entries()[0].ignore);
   EXPECT_EQ(t.valid(0).name, "wall");
   EXPECT_EQ(t.valid(1).name, "base, cabinet");
+}
+
+// What people export: names of columns, colours, other separators, void without a column that says so.
+TEST(ClassTable, CsvColumnsAreReadByTheirNames) {
+  const std::string path = fresh_folder("t") + "/classes.csv";
+  const auto load = [&](const std::string& text) {
+    write_file_atomic(path, text);
+    std::string out;
+    for (const ClassEntry& e : ClassTable::load(path).entries()) {
+      out += std::to_string(e.id) + "=" + e.name + (e.ignore ? "!" : "");
+      if (e.color != ClassTable::default_color(e.id))
+        out += "(" + std::to_string(e.color[0]) + "," + std::to_string(e.color[1]) + "," + std::to_string(e.color[2]) +
+               ")";
+      out += " ";
+    }
+    return out;
+  };
+  const std::string wanted = "0=void!(9,9,9) 1=wall(174,199,232) 2=chair, old(152,223,138) ";
+  EXPECT_EQ(load("id,name,red,green,blue\n0,void,9,9,9\n1,wall,174,199,232\n2,\"chair, old\",152,223,138\n"), wanted);
+  EXPECT_EQ(load("\xEF\xBB\xBFName;R;G;B;Class ID;note\r\nvoid;9;9;9;0;\r\nwall;174;199;232;1;x\r\nchair, "
+                 "old;152;223;138;2\r\n"),
+            wanted);
+  EXPECT_EQ(load("label\tname\tcolor\n0\tvoid\t#090909\n1\twall\t#AEC7e8\n2\tchair, old\t(152, 223, 138)\n"), wanted);
+  EXPECT_EQ(load("0,void,9,9,9\n1,wall,174,199,232\n2,\"chair, old\",152,223,138\n"), wanted) << "in this order";
+  EXPECT_EQ(load("id,name\n1,wall\n255,Ignore\n7,other\n"), "1=wall 7=other 255=Ignore! ");
+  EXPECT_EQ(load("id,name,ignore\n0,void,false\n1,wall,TRUE\n"), "0=void 1=wall! ") << "the column counts";
+  const auto refused = [&](const std::string& text) { return error_of([&] { (void)load(text); }); };
+  EXPECT_HAS(refused("class_id,class\n2,base, cabinet\n"), path + ":2: 3 columns, the first line names 2");
+  EXPECT_HAS(refused("id,name,red,green,blue\n2,base, cabinet,1,2,3\n"),
+             path + ":2: 6 columns, the first line names 5");
+  EXPECT_HAS(refused("2,base, cabinet\n"), path + ":1: colour: expected three numbers from 0 to 255, got 'cabinet,,'");
+  EXPECT_HAS(refused("id,name,red,green,blue\n2,wall,1,2,256\n"), path + ":2: colour: ", "'1,2,256'");
+  EXPECT_HAS(refused("id,name,color\n2,wall,#12345g\n"), path + ":2: colour: ");
+  EXPECT_HAS(refused("name,red,green,blue\nwall,1,2,3\n"), path + ":1: no column 'id'");
+  EXPECT_HAS(refused("id,red\n1,2\n"), path + ":1: no column 'name'");
+  EXPECT_HAS(refused("id,name,id\n1,wall,1\n"), path + ":1: the column 'id' is named twice");
+}
+
+TEST(ClassTable, VoidWordsAreVoidWithoutIgnore) {
+  const std::string folder = fresh_folder("t");
+  write_file_atomic(folder + "/c.yaml",
+                    std::string_view("- {id: 0, name: void}\n- {id: 1, name: __ignore__}\n- {id: 2, "
+                                     "name: unknown}\n- {id: 3, name: void, ignore: false}\n"));
+  const ClassTable yaml = ClassTable::load(folder + "/c.yaml");
+  EXPECT_EQ(yaml.index_of(0), kVoid);
+  EXPECT_EQ(yaml.index_of(1), kVoid);
+  EXPECT_EQ(yaml.index_of(2), 0) << "data sets have such a class";
+  EXPECT_EQ(yaml.index_of(3), 1) << "as it says";
+  write_file_atomic(folder + "/c.json",
+                    std::string_view(R"([{"id": 0, "name": "wall"}, {"id": 9, "name": "Unlabeled"}])"));
+  const ClassTable json = ClassTable::load(folder + "/c.json");
+  EXPECT_EQ(json.index_of(0), 0);
+  EXPECT_EQ(json.index_of(9), kVoid);
 }
 
 TEST(ClassTable, ReplicaJsonGetsAVoidClass) {
@@ -165,6 +218,8 @@ TEST(CvatLabelmap, RoundTripAndRefusals) {
   EXPECT_EQ(error("wall:1,2,256\n"),
             path + ":1: expected a colour value from 0 to 255, got '256'; write lines 'label:r,g,b::'");
   EXPECT_EQ(error("wall:1,2,3\nwall:1,2,4\n"), path + ":2: label 'wall' is in " + path + ":1 too; keep one of them");
+  EXPECT_EQ(load("label:color_rgb:parts:actions\nwall:1,2,3::\n__ignore__:::\n").valid_count(), 1) << "a plain header";
+  EXPECT_HAS(error("wall:1,2,3:::x\n"), path + ":1: expected 'label:color_rgb:parts:actions'");
   EXPECT_EQ(error("# nothing\n"), path + ": no labels in it; export the label map from CVAT again");
   EXPECT_EQ(error_of([] {
               (void)to_cvat_labelmap(ClassTable({{1, "a:b", {}, false}}));
@@ -184,6 +239,8 @@ TEST(ClassImport, ByExtension) {
   const ClassTable table = published_classes("nyu13");
   write_file_atomic(folder + "/c.csv", to_class_csv(table));
   EXPECT_EQ(import_classes(folder + "/c.csv").valid_count(), 13);
+  EXPECT_EQ(to_class_csv(ClassTable({{0, "void", {}, true}, {3, "hand", {}, true}})),
+            "class_id,class,ignore\n0,void,true\n3,hand,true\n");
   write_file_atomic(folder + "/c.txt", to_cvat_labelmap(table));
   EXPECT_EQ(import_classes(folder + "/c.txt").to_yaml(), table.to_yaml());
   EXPECT_HAS(error_of([&] { (void)import_classes(folder + "/c.xml"); }), "is not a class table");
@@ -222,6 +279,23 @@ TEST(ClassNames, VoidIsFoundAndAdded) {
   EXPECT_EQ(with_void({{0, "a", {}, false}, {1, "b", {}, false}}).index_of(2), kVoid);
   EXPECT_EQ(error_of([&] { (void)ClassNames(table).index_of("chiar", "here"); }),
             "here: no class 'chiar'; did you mean 'chair'?");
+}
+
+TEST(ClassNames, VoidWordsOfTools) {
+  for (const char* name : {"void", "VOID", "__ignore__", "_background_", "__background__", "<unlabeled>", "(none)",
+                           "No-label", "don't care", "Unassigned", "other"})
+    EXPECT_TRUE(is_void_name(name)) << name;
+  for (const char* name : {"background", "avoid", "others", "other furniture", "", "__", "ignored items"})
+    EXPECT_FALSE(is_void_name(name)) << name;
+  EXPECT_TRUE(is_void_entry(0, "other"));
+  EXPECT_FALSE(is_void_entry(5, "other"));
+  EXPECT_TRUE(is_void_entry(5, "ignore"));
+}
+
+TEST(ClassNames, ANameOfTwoClassesIsRefusedWhereItIsUsed) {
+  const ClassNames names(ClassTable({{1, "chair", {}, false}, {2, "wall", {}, false}, {5, "chair", {}, false}}));
+  EXPECT_EQ(names.index_of("wall", "here"), 1);
+  EXPECT_HAS(error_of([&] { (void)names.index_of("chair", "here"); }), "here: the class table has 'chair' twice");
 }
 
 // ScanNet's label table: columns by name, maps, refusals.

@@ -1,5 +1,6 @@
 #include "scene/classes/class_import.h"
 
+#include <algorithm>
 #include <filesystem>
 #include <map>
 #include <span>
@@ -114,7 +115,9 @@ ClassTable load_cvat_labelmap(const std::string& path) {
   std::int32_t next = 1;
   bool has_zero = false;
   for (const TextRow& row : read_text_rows(path, ':')) {
-    if (row.fields.size() < 2 || row.fields[0].empty())
+    if (row.fields[0] == "label" && row.fields.size() > 1 && row.fields[1].starts_with("color"))
+      continue;  // the header
+    if (row.fields.size() < 2 || row.fields.size() > 4 || row.fields[0].empty())
       throw Error(ErrorKind::data, "classes.label_map.format", row.place + ": expected 'label:color_rgb:parts:actions'",
                   "export the label map from CVAT again");
     const std::string& name = row.fields[0];
@@ -147,8 +150,12 @@ std::string to_cvat_labelmap(const ClassTable& classes) {
 }
 
 std::string to_class_csv(const ClassTable& classes) {
-  std::string out = "class_id,class\n";
-  for (const ClassEntry& e : classes.entries()) out += std::to_string(e.id) + "," + csv_field(e.name) + "\n";
+  const std::vector<ClassEntry>& all = classes.entries();
+  const bool plain =
+      std::all_of(all.begin(), all.end(), [](const ClassEntry& e) { return e.ignore == is_void_entry(e.id, e.name); });
+  std::string out = plain ? "class_id,class\n" : "class_id,class,ignore\n";
+  for (const ClassEntry& e : all)
+    out += std::to_string(e.id) + "," + csv_field(e.name) + (plain ? "" : e.ignore ? ",true" : ",false") + "\n";
   return out;
 }
 

@@ -26,7 +26,7 @@ std::array<std::uint8_t, 3> pascal_color(std::int32_t id);
 /// the others are 1, 2, ... in the order of the file. Throws Error(data) naming file and line.
 ClassTable load_cvat_labelmap(const std::string& path);
 std::string to_cvat_labelmap(const ClassTable& classes);
-/// Header `class_id,class`; colours and other ignored classes than id 0 have no place in it.
+/// Header `class_id,class`, and `ignore` where names do not tell what is void; colours have no place in it.
 std::string to_class_csv(const ClassTable& classes);
 
 /// Which ids of ScanNet's label table a class table is made of.

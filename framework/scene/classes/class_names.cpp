@@ -2,14 +2,44 @@
 
 #include <algorithm>
 #include <cctype>
+#include <functional>
 #include <set>
 
 namespace semfield {
 
-bool is_void_name(std::string name) {
-  for (char& c : name) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-  static const std::vector<std::string> names{"void", "undefined", "unlabelled", "unlabeled", "unknown", "other"};
-  return std::find(names.begin(), names.end(), name) != names.end();
+namespace {
+
+// Small letters and digits between others than these at both ends; whatever is in between is one blank.
+std::string bare_word(std::string_view name) {
+  std::string out;
+  bool gap = false;
+  for (const char c : name) {
+    const auto byte = static_cast<unsigned char>(c);
+    if (byte < 128 && std::isalnum(byte) == 0) {
+      gap = !out.empty();
+      continue;
+    }
+    if (gap) out += ' ';
+    gap = false;
+    out += static_cast<char>(std::tolower(byte));
+  }
+  return out;
+}
+
+}  // namespace
+
+bool is_void_name(std::string_view name) {
+  static const std::set<std::string, std::less<>> words{
+      "void",    "undefined",  "unlabelled",   "unlabeled", "unknown",    "other",       "ignore",
+      "ignored", "none",       "null",         "no label",  "nolabel",    "no class",    "unannotated",
+      "invalid", "unassigned", "unclassified", "dont care", "don t care", "not labeled", "not labelled"};
+  const std::string word = bare_word(name);
+  return words.contains(word) || (word == "background" && name.starts_with('_'));
+}
+
+bool is_void_entry(std::int32_t id, std::string_view name) {
+  const std::string word = bare_word(name);
+  return is_void_name(name) && (id == 0 || (word != "other" && word != "unknown"));
 }
 
 namespace {
@@ -32,7 +62,10 @@ ClassTable named_classes(const ClassTable& classes) {
 
 ClassNames::ClassNames(const ClassTable& classes) {
   for (const ClassEntry& entry : classes.entries()) {
-    if (index_.emplace(entry.name, classes.index_of(entry.id)).second) known_.push_back(entry.name);
+    const int index = classes.index_of(entry.id);
+    const auto [other, fresh] = index_.emplace(entry.name, index);
+    if (fresh) known_.push_back(entry.name);
+    if (!fresh && other->second != index) twice_.insert(entry.name);
   }
 }
 
@@ -46,6 +79,10 @@ std::int16_t ClassNames::index_of(const std::string& name, const std::string& pl
   const int index = find(name);
   if (index == -2)
     throw Error(ErrorKind::data, "labels.class.unknown", place + ": no class '" + name + "'", remedy_for(name));
+  if (twice_.contains(name))
+    throw Error(ErrorKind::data, "classes.name.twice",
+                place + ": the class table has '" + name + "' twice, so the name means no one class",
+                "give each class of the table its own name");
   return static_cast<std::int16_t>(index);
 }
 

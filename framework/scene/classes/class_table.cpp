@@ -26,12 +26,6 @@ bool parse_int(std::string_view text, std::int32_t& out) {
   return status == std::errc{} && end == text.data() + text.size();
 }
 
-std::string trimmed(std::string_view text) {
-  while (!text.empty() && std::isspace(static_cast<unsigned char>(text.front()))) text.remove_prefix(1);
-  while (!text.empty() && std::isspace(static_cast<unsigned char>(text.back()))) text.remove_suffix(1);
-  return std::string(text);
-}
-
 [[noreturn]] void refuse(Code code, const std::string& place, const std::string& message,
                          const std::string& remedy = {}) {
   throw Error(ErrorKind::data, code, place + ": " + message, remedy);
@@ -40,34 +34,74 @@ std::string trimmed(std::string_view text) {
 constexpr const char* kCsvRemedy = "write one line 'id,name' for each class";
 constexpr const char* kYamlRemedy = "write lines such as - {id: 3, name: lamp}";
 
-ClassTable load_csv(const std::string& path) {
-  const std::string text = read_text_file(path, std::size_t{4} << 20);
-  std::vector<ClassEntry> entries;
-  std::size_t at = 0;
-  for (int line = 1; at < text.size(); ++line) {
-    const std::size_t end = std::min(text.find('\n', at), text.size());
-    const std::string row = trimmed(std::string_view(text).substr(at, end - at));
-    at = end + 1;
-    if (row.empty() || row[0] == '#') continue;
-    const std::string place = path + ":" + std::to_string(line);
-    const std::size_t comma = row.find(',');
-    if (comma == std::string::npos)
-      refuse("classes.table.format", place, "expected 'class_id,class', got '" + row.substr(0, 80) + "'", kCsvRemedy);
-    const std::string id_text = csv_value(std::string_view(row).substr(0, comma), place);
-    std::string name = csv_value(std::string_view(row).substr(comma + 1), place);
-    ClassEntry entry;
-    if (!parse_int(id_text, entry.id)) {
-      if (line == 1) continue;  // the header
-      refuse("classes.table.format", place, "expected a class id, got '" + id_text + "'", kCsvRemedy);
+enum CsvColumn : std::size_t { kId, kName, kRed, kGreen, kBlue, kIgnore, kColor };
+
+// "true" and what spreadsheets make of it; "" is false.
+bool truth_of(std::string text, const std::string& place) {
+  for (char& c : text) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  if (text == "true" || text == "1" || text == "yes") return true;
+  if (text.empty() || text == "false" || text == "0" || text == "no") return false;
+  refuse("classes.table.value", place, "ignore: expected true or false, got '" + text + "'");
+}
+
+// "#aeC7e8" as "174", "199", "232"; else the numbers of "174,199,232" or "(174 199 232)".
+std::vector<std::string> color_values(const std::string& text) {
+  std::vector<std::string> out;
+  if (text.size() == 7 && text[0] == '#') {
+    for (std::size_t i = 1; i < 7; i += 2) {
+      unsigned value = 256;
+      const auto end = std::from_chars(text.data() + i, text.data() + i + 2, value, 16).ptr;
+      out.push_back(end == text.data() + i + 2 ? std::to_string(value) : text);
     }
-    if (name.empty()) refuse("classes.table.format", place, "class " + id_text + " has no name", kCsvRemedy);
-    entry.ignore = entry.id == 0 && is_void_name(name);
-    entry.color = ClassTable::default_color(entry.id);
-    entry.name = std::move(name);
-    entries.push_back(std::move(entry));
+    return out;
   }
-  if (entries.empty())
-    refuse("classes.table.format", path, "no classes in it", "write one line 'id,name' for each class");
+  std::string plain = text;
+  for (char& c : plain) c = std::string_view("[](),;/").find(c) == std::string_view::npos ? c : ' ';
+  for (const std::string_view word : words_of(plain)) out.emplace_back(word);
+  return out;
+}
+
+ClassEntry csv_entry(const TextRow& row, bool says_ignore) {
+  const std::vector<std::string>& f = row.fields;
+  ClassEntry entry;
+  if (!parse_int(f[kId], entry.id))
+    refuse("classes.table.format", row.place, "expected a class id, got '" + f[kId] + "'", kCsvRemedy);
+  if (f[kName].empty()) refuse("classes.table.format", row.place, "class " + f[kId] + " has no name", kCsvRemedy);
+  entry.name = f[kName];
+  entry.ignore = says_ignore ? truth_of(f[kIgnore], row.place) : is_void_entry(entry.id, entry.name);
+  entry.color = ClassTable::default_color(entry.id);
+  std::vector<std::string> color{f[kRed], f[kGreen], f[kBlue]};
+  if (!f[kColor].empty()) color = color_values(f[kColor]);
+  if (std::all_of(color.begin(), color.end(), [](const std::string& value) { return value.empty(); })) return entry;
+  for (std::size_t i = 0; i < 3; ++i) {
+    std::int32_t value = 0;
+    if (color.size() != 3 || !parse_int(color[i], value) || value < 0 || value > 255)
+      refuse("classes.table.value", row.place,
+             "colour: expected three numbers from 0 to 255, got '" + join(color, ",") + "'",
+             "put a name that holds a comma in double quotes, and colours in columns red, green and blue");
+    entry.color[i] = static_cast<std::uint8_t>(value);
+  }
+  return entry;
+}
+
+ClassTable load_csv(const std::string& path) {
+  const TextTable table = read_text_table(
+      path, {{"id", "class_id", "classid", "label_id", "labelid", "category_id", "class_index", "index", "value",
+              "label", "class"},
+             {"name", "class", "class_name", "classname", "label", "label_name", "category", "category_name"},
+             {"red", "r"},
+             {"green", "g"},
+             {"blue", "b"},
+             {"ignore", "ignored", "void"},
+             {"color", "colour", "rgb", "hex"}});
+  for (const auto& [column, name] : {std::pair{kId, "id"}, std::pair{kName, "name"}}) {
+    if (!table.header.empty() && table.has[column] == 0)
+      refuse("classes.table.format", table.header, std::string("no column '") + name + "'",
+             "name the columns id,name or id,name,red,green,blue");
+  }
+  std::vector<ClassEntry> entries;
+  for (const TextRow& row : table.rows) entries.push_back(csv_entry(row, table.has[kIgnore] != 0));
+  if (entries.empty()) refuse("classes.table.format", path, "no classes in it", kCsvRemedy);
   return ClassTable(std::move(entries));
 }
 
@@ -100,7 +134,7 @@ ClassTable load_json(const std::string& path) {
       refuse("classes.table.id", path, "class id " + std::to_string(id) + " is above " + std::to_string(kMaxId));
     ClassEntry entry{static_cast<std::int32_t>(id), item["name"].get<std::string>(),
                      ClassTable::default_color(static_cast<std::int32_t>(id)), false};
-    entry.ignore = id == 0 && is_void_name(entry.name);
+    entry.ignore = is_void_entry(entry.id, entry.name);
     has_zero = has_zero || id == 0;
     entries.push_back(std::move(entry));
   }
@@ -151,6 +185,8 @@ ClassEntry yaml_entry(const ConfigNode& item) {
       refuse("classes.table.value", ignore->location().text(),
              "ignore: expected true or false, got '" + ignore->text() + "'");
     entry.ignore = ignore->text() == "true";
+  } else {
+    entry.ignore = is_void_entry(entry.id, entry.name);
   }
   return entry;
 }

@@ -38,8 +38,9 @@ class ClassTable {
   std::int32_t id_of(int index) const;
   bool empty() const { return entries_.empty(); }
 
-  /// classes.yaml: a list of {id, name, color: [r, g, b], ignore}. Also reads classes.csv ("id,name" header
-  /// class_id,class; id 0 named void/undefined/ unlabelled/other is ignored). Errors name file and line.
+  /// classes.yaml: a list of {id, name, color: [r, g, b], ignore}; classes.csv: columns id and name, and red, green,
+  /// blue, color and ignore where its first line names them; info_semantic.json. What does not say `ignore` is ignored
+  /// where is_void_entry(id, name). Errors name file and line.
   static ClassTable load(const std::string& path);
   std::string to_yaml() const;
   /// A fixed, well separated palette for tables without colours.
