@@ -33,8 +33,9 @@ std::unique_ptr<OIIO::ImageInput> open_input(const std::string& path) {
 ImageSize size(const std::string& path) {
   const auto input = open_input(path);
   const OIIO::ImageSpec& spec = input->spec();
+  const int orientation = spec.get_int_attribute("Orientation", 1);
   return {spec.width, spec.height, spec.nchannels, static_cast<int>(spec.format.basesize() * 8),
-          spec.get_int_attribute("Orientation", 1)};
+          orientation >= 1 && orientation <= 8 ? orientation : 1};
 }
 
 CameraTag camera(const std::string& path) {

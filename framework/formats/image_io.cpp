@@ -2,8 +2,10 @@
 #include "formats/image_io.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstring>
+#include <fstream>
 
 #include "core/check.h"
 #include "core/error.h"
@@ -116,6 +118,40 @@ void check_jpeg_end(const std::string& file) {
               "copy or export the file again");
 }
 
+// The tag Orientation of an EXIF block [Exif 2.3]; 1 where it is not told.
+int exif_orientation(std::string_view exif) {
+  const bool little = exif.starts_with("II");
+  const auto number = [&](std::size_t at, std::size_t bytes) {
+    std::size_t out = 0;
+    for (std::size_t i = 0; i < bytes && at + bytes <= exif.size(); ++i)
+      out = out << 8 | static_cast<unsigned char>(exif[little ? at + bytes - 1 - i : at + i]);
+    return out;
+  };
+  const std::size_t directory = number(4, 4), entries = number(directory, 2);
+  for (std::size_t i = 0; i < entries && directory + 2 + 12 * (i + 1) <= exif.size(); ++i) {
+    const std::size_t at = directory + 2 + 12 * i, value = number(at + 8, 2);
+    if (number(at, 2) == 0x0112 && number(at + 2, 2) == 3 && value >= 1 && value <= 8) return static_cast<int>(value);
+  }
+  return 1;
+}
+
+// By the chunk eXIf, which may stand before or behind the pixels [PNG3].
+int png_orientation(const std::string& path) {
+  constexpr std::uint32_t kMostBytes = 1 << 16;
+  std::ifstream file(path, std::ios::binary);
+  file.seekg(8);
+  for (std::array<char, 8> head{}; file.read(head.data(), 8);) {
+    std::uint32_t length = 0;
+    for (std::size_t i = 0; i < 4; ++i) length = length << 8 | static_cast<unsigned char>(head[i]);
+    if (std::string_view(head.data() + 4, 4) == "eXIf") {
+      std::string exif(std::min(length, kMostBytes), '\0');
+      return file.read(exif.data(), static_cast<std::streamsize>(exif.size())) ? exif_orientation(exif) : 1;
+    }
+    file.seekg(std::int64_t{length} + 4, std::ios::cur);
+  }
+  return 1;
+}
+
 void write_bytes(const std::string& path, const std::vector<std::uint8_t>& bytes) {
   write_file_atomic(path, std::as_bytes(std::span<const std::uint8_t>(bytes)));
 }
@@ -125,7 +161,11 @@ void write_bytes(const std::string& path, const std::vector<std::uint8_t>& bytes
 ImageSize image_size(const std::string& path) {
   return naming(path, [&]() -> ImageSize {
     std::string head = read_file_start(path, 64);
-    if (looks_like_png(bytes_of(head))) return png_size(bytes_of(head));
+    if (looks_like_png(bytes_of(head))) {
+      ImageSize size = png_size(bytes_of(head));
+      size.orientation = png_orientation(path);
+      return size;
+    }
     return image_formats().size(path);
   });
 }

@@ -9,6 +9,7 @@
 
 #include "core/text.h"
 #include "formats/image_io.h"
+#include "formats/orientation.h"
 #include "formats/text_rows.h"
 #include "loading/camera_fit.h"
 #include "loading/load_progress.h"
@@ -63,6 +64,13 @@ std::string label_pattern(const FrameInfo& frame, const std::filesystem::path& l
   return "{name}" + extension;
 }
 
+// The size of a label or instance image, which is drawn over the picture as viewers show it.
+Camera shown_camera(const FrameInfo& frame) {
+  Camera camera = frame.camera;
+  if (turned_by_quarter(frame.orientation)) std::swap(camera.width_px, camera.height_px);
+  return camera;
+}
+
 template <class T>
 void check_size(const Image<T>& image, const FrameInfo& frame, const std::string& path) {
   if (image.width_px == frame.camera.width_px && image.height_px == frame.camera.height_px) return;
@@ -72,10 +80,20 @@ void check_size(const Image<T>& image, const FrameInfo& frame, const std::string
               "colour, depth and labels of a frame need the size that its camera states");
 }
 
+// Ids of the pixels as the colour image stores them.
+Image<std::uint16_t> read_shown_ids(const FrameInfo& frame, const std::string& path) {
+  Image<std::uint16_t> image = read_ids(path);
+  FrameInfo shown = frame;
+  shown.camera = shown_camera(frame);
+  check_size(image, shown, path);
+  const Camera& camera = frame.camera;
+  return {camera.width_px, camera.height_px, 1,
+          as_stored(std::move(image.pixels), camera.width_px, camera.height_px, frame.orientation)};
+}
+
 void read_labels(const FrameInfo& frame, const std::string& path, bool unknown_void, const ClassTable& classes,
                  std::vector<std::int16_t>& out) {
-  const Image<std::uint16_t> image = read_ids(path);
-  check_size(image, frame, path);
+  const Image<std::uint16_t> image = read_shown_ids(frame, path);
   out.resize(image.pixels.size());
   UnknownValues unknown;
   for (std::size_t i = 0; i < out.size(); ++i) {
@@ -215,8 +233,9 @@ bool FrameFileCheck::present(const FrameInfo& frame, const char* what, const std
   return false;
 }
 
-ImageSize FrameFileCheck::check_headers(const FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics) {
+ImageSize FrameFileCheck::check_headers(FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics) {
   const ImageSize color = check_header(frame, kColorImage, files.color, diagnostics);
+  if (!files.color.empty()) frame.orientation = color.orientation;
   for (const auto& [what, path] : kOptional) check_header(frame, what, files.*path, diagnostics);
   return color;
 }
@@ -225,12 +244,17 @@ ImageSize FrameFileCheck::check_header(const FrameInfo& frame, const char* what,
                                        Diagnostics& diagnostics) {
   ImageSize size;
   if (path.empty()) return size;
-  const bool is_label = what == kOptional[1].first;
+  const bool is_label = what == kOptional[1].first, is_drawn = is_label || what == kOptional[2].first;
+  const Camera camera = is_drawn ? shown_camera(frame) : frame.camera;
   try {
     size = image_size(path);
     if (what == kColorImage && size.orientation != 1) turned_.push_back(frame.name);
-    if (size.width_px != frame.camera.width_px || size.height_px != frame.camera.height_px) {
-      const OtherSize wrong = other_size(what, path, size, frame.camera);
+    if (size.width_px != camera.width_px || size.height_px != camera.height_px) {
+      OtherSize wrong = other_size(what, path, size, camera);
+      if (is_drawn && turned_by_quarter(frame.orientation)) {
+        wrong.message += " turned as the image's EXIF orientation says (" + std::to_string(frame.orientation) + ")";
+        wrong.remedy = kShownRemedy;
+      }
       diagnostics.error(wrong.code, frame_place(frame), wrong.message,
                         is_label ? wrong.remedy + "; labels of another one are scaled with " +
                                        label_settings(frame, path, labels_key_, "")
@@ -249,7 +273,7 @@ void FrameFileCheck::report(const std::string& source, std::size_t frames_left, 
     diagnostics.note("scene.image.orientation", source,
                      std::to_string(turned_.size()) + " of " + std::to_string(frames_left) +
                          " images have an EXIF orientation by which viewers turn them; here pixels count as "
-                         "they are stored, as cameras of COLMAP do: " +
+                         "they are stored, as cameras of COLMAP do, and labels as drawn over the image as shown: " +
                          first_names(turned_));
   }
   if (missing_ == MissingFiles::error) return;
@@ -311,8 +335,7 @@ void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const Fra
     if (!files.label.empty() && !classes.empty())
       read_labels(frame, files.label, rules.unknown_labels == UnknownLabels::as_void, classes, out.label);
     if (!files.instance.empty()) {
-      const Image<std::uint16_t> image = read_ids(files.instance);
-      check_size(image, frame, files.instance);
+      const Image<std::uint16_t> image = read_shown_ids(frame, files.instance);
       out.instance.assign(image.pixels.begin(), image.pixels.end());
     }
   } catch (Error& e) {

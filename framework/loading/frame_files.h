@@ -44,6 +44,11 @@ struct ChoiceNames<UnknownLabels> {
 inline constexpr const char* kUnknownLabelRemedy =
     "add what is missing to the class table, or read it as void with --set scene.unknown_labels=void";
 
+/// What to do about labels whose size is that of the stored pixels of an image that viewers turn by a quarter.
+inline constexpr const char* kShownRemedy =
+    "draw labels over the image as viewers show it; or take the orientation out of the image files, for example with "
+    "`exiftool -Orientation= FILES`, and labels count by the pixels as stored";
+
 struct FrameReadRules {
   double depth_unit_m = 0.001;  ///< metres of one step of an integer depth image; float images are in metres
   int alpha_background = -1;    ///< see read_rgb
@@ -78,9 +83,10 @@ class FrameFileCheck {
   bool present(const FrameInfo& frame, FrameFiles& files, Diagnostics& diagnostics);
   /// The same for any file that a frame cannot do without; `what` is as in "pose".
   bool present(const FrameInfo& frame, const char* what, const std::string& path, Diagnostics& diagnostics);
-  /// Headers only: every size equal to the camera's, labels of one channel. Each problem goes under the frame's place.
-  /// Returns that of the colour image; of one that cannot be read, zeros.
-  ImageSize check_headers(const FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics);
+  /// Headers only: every size equal to the camera's, that of labels and instances to the picture's as it is shown, and
+  /// labels of one channel. Each problem goes under the frame's place. Sets FrameInfo::orientation. Returns the size of
+  /// the colour image; of one that cannot be read, zeros.
+  ImageSize check_headers(FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics);
   /// After the last frame: says under `source` what was left out and how many images viewers turn by their EXIF
   /// orientation, and refuses a scene of which nothing is left.
   void report(const std::string& source, std::size_t frames_left, Diagnostics& diagnostics) const;
@@ -119,8 +125,9 @@ std::vector<float> at_nearest_pixels(const Image<float>& image, std::int32_t wid
 /// exact, not dark. Throws as the readers of images do.
 Image<std::uint8_t> read_mask(const std::string& path);
 
-/// Pixels. Depth 0, not finite, negative, or at the 16-bit ceiling 65535 reads as 0 (invalid). Throws Error naming
-/// frame and file; UnknownLabelError for ids outside `classes`.
+/// Pixels; labels and instances are files of the picture as it is shown. Depth 0, not finite, negative, or at the
+/// 16-bit ceiling 65535 reads as 0 (invalid). Throws Error naming frame and file; UnknownLabelError for ids outside
+/// `classes`.
 void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const FrameReadRules& rules,
                       const ClassTable& classes, FrameBuffer& out);
 

@@ -133,6 +133,14 @@ void walk_frame(Stream& s, std::uint32_t version, FrameInfo& f, Chunks& chunks) 
   s.number(c.height_px);
   for (double* v : {&c.fx, &c.fy, &c.cx, &c.cy, &c.k1, &c.k2, &c.k3, &c.k4, &c.p1, &c.p2}) s.number(*v);
   if (version > 1) choice(s, c.lens, LensKind::equirectangular, "lens");
+  if (version > 2) {
+    auto orientation = static_cast<std::uint8_t>(f.orientation);
+    s.number(orientation);
+    if (orientation < 1 || orientation > 8)
+      throw Error(ErrorKind::data, "scene.packed.damaged", "manifest has an unknown orientation",
+                  "pack the scene again");
+    f.orientation = orientation;
+  }
   for (auto& row : f.world_from_camera.r) {
     for (double& v : row) s.number(v);
   }
@@ -268,7 +276,9 @@ void write_packed_scene(const std::string& path, const SceneInfo& info,
                     return of[PackedScene::kUsed].raw_bytes == 0 && of[PackedScene::kAlpha].raw_bytes == 0;
                   }) &&
       std::none_of(info.frames.begin(), info.frames.end(), [](const FrameInfo& f) { return f.camera.is_wide(); });
-  header.version = is_old ? 1 : kPackedVersion;
+  const bool is_turned =
+      std::any_of(info.frames.begin(), info.frames.end(), [](const FrameInfo& f) { return f.orientation != 1; });
+  header.version = is_turned ? kPackedVersion : is_old ? 1 : 2;
   walk(manifest, header.version, copy, classes, chunks);
   std::memcpy(header.magic, kMagic, sizeof kMagic);
   header.frames = static_cast<std::uint32_t>(info.frames.size());

@@ -17,8 +17,9 @@ namespace semfield {
 /// the chunks, then the manifest. Labels are internal indices (the class table with the original ids is in the
 /// manifest), colour and alpha 8 bit, depth float metres or whole millimetres, instances 32 bit. A chunk is deflated
 /// where that makes it smaller. Version 2 has a byte for the lens behind each camera's numbers, a chunk of the pixels
-/// used, a byte each, and one of alpha; scenes without any of them are still written as version 1.
-inline constexpr std::uint32_t kPackedVersion = 2;
+/// used, a byte each, and one of alpha; version 3 a byte for the EXIF orientation behind the lens. A scene is written
+/// as the least version that holds it.
+inline constexpr std::uint32_t kPackedVersion = 3;
 
 struct PackOptions {
   bool depth_as_mm = true;  ///< true: uint16 millimetres (rounded, up to 65.534 m); false: float, unchanged

@@ -31,6 +31,9 @@ struct FrameInfo {
   bool has_labels = false;
   bool has_instances = false;
   std::vector<FrameChannelInfo> channels;  ///< further ones, which are read where something wants them
+  /// EXIF: how viewers turn the image (formats/orientation.h). Cameras and pixels are those of the file as stored, and
+  /// label files tell of the picture as it is shown.
+  int orientation = 1;
 };
 
 /// What open() tells: a manifest, no pixels.
