@@ -12,6 +12,8 @@
 #include "eval/image_output.h"
 #include "eval/metrics.h"
 #include "formats/image_io.h"
+#include "formats/orientation.h"
+#include "labels/label_files.h"
 #include "scene/classes/void_class.h"
 #include "scene/output_names.h"
 #include "system/files.h"
@@ -100,10 +102,11 @@ std::vector<FrameFiles> files_of(const LoadedScene& scene, const TrainingLabels&
   return out;
 }
 
-void write_probabilities(const std::string& path, MapSize size, const SoftMap& soft) {
+void write_probabilities(const std::string& path, MapSize size, const SoftMap& soft, const FrameInfo& frame) {
   const auto classes = static_cast<std::size_t>(soft.classes());
   std::vector<float> values(soft.pixels() * classes);
   for (std::size_t p = 0; p < soft.pixels(); ++p) soft.row(p, std::span(values).subspan(p * classes, classes));
+  values = as_shown(std::move(values), frame.camera.width_px, frame.camera.height_px, frame.orientation, classes);
   write_npy(path, std::array<std::int64_t, 3>{size.height_px, size.width_px, soft.classes()}, values);
 }
 
@@ -116,12 +119,15 @@ struct FrameScore {
 FrameScore write_frame(const LoadedScene& scene, const TrainingLabels::Frame& labels, const FrameFiles& files,
                        const UnfinishedFolder& folder, const ClassTable& classes) {
   const StoredFrame& frame = scene.frames[files.frame];
-  const MapSize size{frame.width_px, frame.height_px};
+  const FrameInfo& info = scene.info.frames[files.frame];
+  const Camera shown = as_shown(info).camera;
+  const MapSize size{shown.width_px, shown.height_px};
   std::vector<std::int16_t> given(labels.size());
   for (std::size_t p = 0; p < given.size(); ++p) given[p] = labels[p];
-  write_label_ids(folder / files.label, size, given, classes);
-  write_label_colors(folder / files.preview, size, given, classes);
-  if (!files.probability.empty()) write_probabilities(folder / files.probability, size, labels.soft);
+  const std::vector<std::int16_t> drawn = as_shown(given, frame.width_px, frame.height_px, info.orientation);
+  write_label_ids(folder / files.label, size, drawn, classes);
+  write_label_colors(folder / files.preview, size, drawn, classes);
+  if (!files.probability.empty()) write_probabilities(folder / files.probability, size, labels.soft, info);
 
   FrameScore score;
   score.confusion = ConfusionMatrix(classes.valid_count());
@@ -140,8 +146,9 @@ Json number(const std::optional<double>& value) { return value ? Json(*value) : 
 Json frame_json(const FrameInfo& info, const FrameFiles& files, const FrameScore& score) {
   Json out{{"name", info.name}, {"label", files.label}, {"preview", files.preview}};
   if (!files.probability.empty()) out["probability"] = files.probability;
-  out["width_px"] = info.camera.width_px;
-  out["height_px"] = info.camera.height_px;
+  const Camera shown = as_shown(info).camera;
+  out["width_px"] = shown.width_px;
+  out["height_px"] = shown.height_px;
   out["labelled_px"] = score.labelled_px;
   out["changed_px"] = score.has_truth ? Json(score.changed_px) : Json(nullptr);
   out["accuracy"] = number(score.confusion.total_accuracy());

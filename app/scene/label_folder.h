@@ -27,7 +27,7 @@ struct DegradeReport {
   std::optional<double> accuracy, miou_present;
 };
 
-/// Writes the labels of every frame that has any into a new folder:
+/// Writes the labels of every frame that has any, of its image as viewers show it, into a new folder:
 ///   semantic_class/semantic_class_N.png (frames named rgb_N) or semantic_class/FRAME_label.png: ids as on disk
 ///   preview/FRAME_label_vis.png: the same in colours
 ///   probability/FRAME.npy: float32 [height, width, classes] in the order of internal indices, frames with soft labels

@@ -13,6 +13,8 @@
 #include "app/verb.h"
 #include "core/findings.h"
 #include "eval/image_output.h"
+#include "formats/orientation.h"
+#include "labels/frame_match.h"
 #include "labels/label_export.h"
 #include "labels/small_regions.h"
 #include "run/open_run.h"
@@ -49,7 +51,8 @@ std::string image_of(const FrameInfo& info) {
 // What a frame's labels are rendered at, and what becomes of them.
 class Exporter {
  public:
-  Exporter(const ExportVerbOptions& options, const Session& session) : options_(options), session_(session) {
+  Exporter(const ExportVerbOptions& options, const Session& session)
+      : options_(options), session_(session), pictures_(picture_names(session.scene.info.frames)) {
     if (options.format == "coco" || options.format == "coco_rle") {
       coco_.emplace(classes(), options.format == "coco" ? CocoMasks::polygons : CocoMasks::run_lengths);
       return;
@@ -79,6 +82,10 @@ class Exporter {
                                                   options_.min_area.value_or(all / kPixelsOfARegion));
     if (const std::optional<Annotations>& clicks = session_.config.labels.clicks)
       clicks->clear_ignored(number, frame.width_px, frame.height_px, frame.label);
+    // Tools draw over the image as they show it.
+    frame.label = as_shown(std::move(frame.label), frame.width_px, frame.height_px, info.orientation);
+    if (turned_by_quarter(info.orientation)) std::swap(frame.width_px, frame.height_px);
+    frame.picture = pictures_[static_cast<std::size_t>(number)];
     filled_.regions += small.regions;
     filled_.pixels += small.pixels;
     pixels_ += all;
@@ -122,6 +129,7 @@ class Exporter {
 
   const ExportVerbOptions& options_;
   const Session& session_;
+  std::vector<std::string> pictures_;  // by frame
   std::optional<CocoExport> coco_;
   SmallRegions filled_;
   std::int64_t shapes_ = 0, pixels_ = 0;

@@ -14,6 +14,8 @@
 #include "config/params_read.h"
 #include "core/findings.h"
 #include "eval/image_output.h"
+#include "formats/orientation.h"
+#include "labels/label_files.h"
 #include "run/open_run.h"
 #include "scene/classes/void_class.h"
 #include "scene/output_names.h"
@@ -71,7 +73,8 @@ Json scores_json(const SceneFusion& fusion, const FusionParams& params) {
   return rows;
 }
 
-// Maps of one folder: OUT/METHOD/FRAME_label.png, readable again as label images through the class table beside them.
+// Maps of one folder: OUT/METHOD/FRAME_label.png, of images as viewers show them, readable again
+// as label images through the class table beside them.
 class MapWriter {
  public:
   MapWriter(std::string folder, const SceneInfo& info)
@@ -85,9 +88,12 @@ class MapWriter {
     const std::string stem = output_name(info.name);
     const fs::path folder = fs::path(folder_) / method;
     make_folder(folder.string());
-    const MapSize size{info.camera.width_px, info.camera.height_px};
-    write_label_ids((folder / (stem + "_label.png")).string(), size, label, classes_);
-    write_label_colors((folder / (stem + "_label_vis.png")).string(), size, label, classes_);
+    const Camera shown = as_shown(info).camera;
+    const MapSize size{shown.width_px, shown.height_px};
+    const std::vector<std::int16_t> drawn =
+        as_shown(label, info.camera.width_px, info.camera.height_px, info.orientation);
+    write_label_ids((folder / (stem + "_label.png")).string(), size, drawn, classes_);
+    write_label_colors((folder / (stem + "_label_vis.png")).string(), size, drawn, classes_);
   }
   void write_manifest(const Json& manifest) const {
     write_file_atomic((fs::path(folder_) / "fuse.json").string(),

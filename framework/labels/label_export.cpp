@@ -56,8 +56,9 @@ void append(std::string& list, const std::string& item) {
 
 }  // namespace
 
-// No two images of a file have one stem, by which readers know a frame.
+// No two images of a file are called alike.
 std::string CocoExport::image_name(const LabelledFrame& frame) {
+  if (!frame.picture.empty()) return frame.picture;
   const fs::path file =
       frame.image_path.empty() ? fs::path(output_name(frame.name) + ".png") : fs::path(frame.image_path);
   if (stems_.insert(file.stem().string()).second) return file.filename().string();

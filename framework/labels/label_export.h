@@ -10,12 +10,13 @@
 
 namespace semfield {
 
-/// A frame's label map.
+/// A frame's label map, of the picture as viewers show it.
 struct LabelledFrame {
   std::string name;
   std::string image_path;  ///< of the colour image, or "" where the frame has no file
   std::int32_t width_px = 0, height_px = 0;
   std::vector<std::int16_t> label;  ///< [H * W] internal class index, kVoid = void
+  std::string picture = {};         ///< what a COCO file calls the image (labels/frame_match.h: picture_names); or ""
 };
 
 /// How COCO annotations say their pixels: one polygon a connected region, or one run-length text a class.
@@ -24,8 +25,8 @@ enum class CocoMasks { polygons, run_lengths };
 /// Frames of one COCO file [Lin14]; categories are the classes with a name that are not ignored, under their own ids.
 /// Labels name no others (class_names.h: is_unnamed_class). Polygons run along pixel edges, a hole being joined by a
 /// cut without width, so they give the same pixels back. Run lengths are marked iscrowd, as COCO wants it. An image is
-/// called as its file, or as its frame where it has none; a later one of that name, from another folder, is called as
-/// its frame too.
+/// called as LabelledFrame::picture says; else as its file, or as its frame where it has none or where another image
+/// was called so before.
 class CocoExport {
  public:
   CocoExport(ClassTable classes, CocoMasks masks) : classes_(std::move(classes)), masks_(masks) {}

@@ -4,7 +4,9 @@
 #include <filesystem>
 
 #include "core/text.h"
+#include "formats/orientation.h"
 #include "scene/output_names.h"
+#include "system/files.h"
 #include "system/sorted_folder.h"
 
 namespace semfield {
@@ -31,6 +33,11 @@ std::string file_stem(std::string_view path) {
 
 std::vector<std::string> names_of(const FrameInfo& frame) {
   return {frame.name, output_name(frame.name), file_stem(frame.source)};
+}
+
+FrameInfo as_shown(FrameInfo frame) {
+  if (turned_by_quarter(frame.orientation)) std::swap(frame.camera.width_px, frame.camera.height_px);
+  return frame;
 }
 
 void check_pattern(const std::string& pattern, Diagnostics& diagnostics) {
@@ -94,6 +101,13 @@ void check_label_shape(std::int64_t width, std::int64_t height, const Camera& fr
               "labels are " + std::to_string(width) + " x " + std::to_string(height) + " pixels, the frame is " +
                   std::to_string(w) + " x " + std::to_string(h) + ": another shape",
               "label the image of this frame");
+}
+
+bool lies_beside_cameras(const std::string& path) {
+  std::error_code unknown;
+  const std::string cameras = (std::filesystem::path(path).parent_path() / "cameras.json").string();
+  return std::filesystem::is_regular_file(cameras, unknown) &&
+         read_file_start(cameras, 256).find("semfield-cameras-") != std::string::npos;
 }
 
 bool check_folder(const std::string& folder, Diagnostics& diagnostics) {

@@ -16,7 +16,7 @@ namespace semfield {
 std::string file_stem(std::string_view path);
 
 /// Names by which label files may call a frame: its name, its name with slashes turned into '_', the stem of its
-/// source.
+/// source. Several frames may share the last: match_frames (frame_match.h) knows better.
 std::vector<std::string> names_of(const FrameInfo& frame);
 
 /// The entry of a frame under any of its names, or nullptr.
@@ -27,6 +27,9 @@ const T* entry_of(const std::map<std::string, T>& entries, const FrameInfo& fram
   }
   return nullptr;
 }
+
+/// The frame with a camera of the size of its picture as viewers show it; the other way round too.
+FrameInfo as_shown(FrameInfo frame);
 
 /// "{name}" and "{stem}" are the frame's name and the stem of its source, "{number}" the digits at the end of its name,
 /// with or without zeros before them. Reports any other place in braces, and a pattern without one.
@@ -39,6 +42,10 @@ bool has_file(const std::string& folder, const std::string& pattern, const Frame
 /// or of over 64 times its width, the most that frames are made smaller by: labels of another image. Readers call it
 /// with the size that a file states before they make a raster of that size.
 void check_label_shape(std::int64_t width, std::int64_t height, const Camera& frame);
+
+/// Whether the file lies beside a cameras.json, as maps that `semfield render` wrote: they are of the cameras' pixels,
+/// which are those of images as stored.
+bool lies_beside_cameras(const std::string& path);
 
 /// Reports a folder that is not named or is none; true when it is one.
 bool check_folder(const std::string& folder, Diagnostics& diagnostics);

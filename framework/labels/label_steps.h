@@ -55,6 +55,7 @@ struct LabelRaster {
   std::int32_t width_px = 0, height_px = 0;
   std::vector<std::int16_t> hard;  ///< [H * W] internal class index, kVoid = void; or empty
   std::vector<float> soft;         ///< [H * W * C] probabilities; or empty
+  bool as_stored = false;          ///< of the pixels as the image file stores them, not of the picture as it is shown
 };
 
 /// Label files beside a scene: polygons, palettes, predictions.
@@ -64,11 +65,15 @@ class LabelReader : public LabelStep {
   /// table that the files bring, empty without one. `known` is the table of the scene, which wins where both exist;
   /// paths in the parameters are absolute.
   virtual ClassTable open(const ClassTable& known, Diagnostics& diagnostics) = 0;
+  /// Called once after open() without errors, before has() and read(): the frames of the scene, for readers that find
+  /// out which of their labels are whose (labels/frame_match.h) and report those of none.
+  virtual void match(const std::vector<FrameInfo>& /*frames*/, Diagnostics& /*diagnostics*/) {}
   /// True: the table that open() returns is `known` with classes behind its own, and takes its place.
   virtual bool adds_classes() const { return false; }
-  /// Whether the frame has labels here; frames are told apart by FrameInfo::name and by the stem of FrameInfo::source.
+  /// Whether the frame has labels here; frames are told apart by FrameInfo::name.
   virtual bool has(const FrameInfo& frame) const = 0;
-  /// Thread-safe. `classes` is the table that holds for the run; names or ids that it lacks throw Error(data) naming
+  /// Thread-safe. The frame's camera has the size of the picture as viewers show it, which labels are drawn over.
+  /// `classes` is the table that holds for the run; names or ids that it lacks throw Error(data) naming
   /// file, place and remedy.
   virtual LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const = 0;
 };

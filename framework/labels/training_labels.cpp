@@ -5,8 +5,10 @@
 #include <optional>
 
 #include "compute/parallel.h"
+#include "formats/orientation.h"
 #include "labels/clicks/click_log.h"
 #include "labels/label_files.h"
+#include "loading/frame_files.h"
 #include "scene/scene_checks.h"
 #include "scene/unknown_labels.h"
 
@@ -14,11 +16,14 @@ namespace semfield {
 
 namespace {
 
-// The raster at the loaded frame's size: each target pixel takes the source pixel that holds its centre.
-FrameLabels scaled(const LabelRaster& raster, const Camera& camera, int classes) {
+// The raster at the loaded frame's size, as its pixels are stored: each target pixel takes the source pixel that holds
+// its centre in the picture as shown.
+FrameLabels scaled(const LabelRaster& raster, const FrameInfo& frame, int classes) {
   const auto source_w = std::int64_t{raster.width_px}, source_h = std::int64_t{raster.height_px};
-  const std::int64_t w = camera.width_px, h = camera.height_px;
-  check_label_shape(source_w, source_h, camera);
+  const std::int64_t w = frame.camera.width_px, h = frame.camera.height_px;
+  const int orientation = raster.as_stored ? 1 : frame.orientation;
+  const Camera shown = raster.as_stored ? frame.camera : as_shown(frame).camera;
+  check_label_shape(source_w, source_h, shown);
   FrameLabels out;
   const auto pixels = static_cast<std::size_t>(w * h);
   const auto width = static_cast<std::size_t>(classes);
@@ -28,9 +33,11 @@ FrameLabels scaled(const LabelRaster& raster, const Camera& camera, int classes)
     out.soft = SoftMap(pixels, classes);
   }
   for (std::int64_t y = 0; y < h; ++y) {
-    const std::int64_t sy = (2 * y + 1) * source_h / (2 * h);
     for (std::int64_t x = 0; x < w; ++x) {
-      const auto from = static_cast<std::size_t>(sy * source_w + (2 * x + 1) * source_w / (2 * w));
+      const ShownPlace at = shown_place(x, y, w, h, orientation);
+      const std::int64_t sx = (2 * at.x + 1) * source_w / (2 * shown.width_px),
+                         sy = (2 * at.y + 1) * source_h / (2 * shown.height_px);
+      const auto from = static_cast<std::size_t>(sy * source_w + sx);
       const auto to = static_cast<std::size_t>(y * w + x);
       if (raster.soft.empty()) {
         out.hard[to] = raster.hard.at(from);
@@ -79,8 +86,8 @@ LabelSet read_frames(const LoadedScene& scene, const LabelConfig& config, const 
     if (wanted[i] == 0) return;
     try {
       if (config.from.reader) {
-        const LabelRaster raster = config.from.reader->read(scene.info.frames[i], scene.info.classes);
-        labels[i] = scaled(raster, scene.info.frames[i].camera, classes);
+        const FrameInfo& frame = scene.info.frames[i];
+        labels[i] = scaled(config.from.reader->read(as_shown(frame), scene.info.classes), frame, classes);
       } else {
         labels[i].hard = scene.frames[i].label.expand();
       }
@@ -93,9 +100,14 @@ LabelSet read_frames(const LoadedScene& scene, const LabelConfig& config, const 
   hide_masked_labels(scene, labels);
   report_unknown_labels(scene.info.frames, unknown, diagnostics);
   for (std::size_t i = 0; i < errors.size(); ++i) {
-    if (errors[i])
-      diagnostics.error(errors[i]->code(), frame_place(scene.info.frames[i]), errors[i]->message(),
-                        errors[i]->remedy());
+    if (!errors[i]) continue;
+    const FrameInfo& frame = scene.info.frames[i];
+    const bool turned = errors[i]->code() == Code("labels.image.size") && turned_by_quarter(frame.orientation);
+    diagnostics.error(
+        errors[i]->code(), frame_place(frame),
+        errors[i]->message() +
+            (turned ? " (as shown, by its EXIF orientation " + std::to_string(frame.orientation) + ")" : ""),
+        turned ? kShownRemedy : errors[i]->remedy());
   }
   return labels;
 }
@@ -150,6 +162,7 @@ namespace {
 void open_reader(LoadedScene& scene, const LabelConfig& config, Diagnostics& diagnostics) {
   Diagnostics found;
   const ClassTable table = config.from.reader->open(scene.info.classes, found);
+  if (!found.has_errors()) config.from.reader->match(scene.info.frames, found);
   for (const Diagnostic& d : found.all()) {
     const std::string where = "scene.labels.from" + (d.where.empty() ? "" : ": " + d.where);
     if (d.severity == Severity::error) {

@@ -6,20 +6,34 @@ namespace semfield {
 
 namespace fs = std::filesystem;
 
+std::vector<fs::path> folders_like(const fs::path& folder, const fs::path& image) {
+  std::vector<fs::path> tails, singles;
+  fs::path tail;
+  for (fs::path at = image.parent_path(); tails.size() < 3 && at.has_filename(); at = at.parent_path()) {
+    tail = tail.empty() ? at.filename() : at.filename() / tail;
+    if (!tails.empty()) singles.push_back(folder / at.filename());
+    tails.insert(tails.begin(), folder / tail);
+  }
+  tails.insert(tails.end(), singles.begin(), singles.end());
+  tails.push_back(folder);
+  return tails;
+}
+
 FrameMasks::FrameMasks(const std::string& root, const std::string& folder)
     : root_(root), folder_(folder.empty() ? "" : (fs::path(root) / folder).string()) {}
 
 std::string FrameMasks::of(const std::string& image) {
   if (folder_.empty()) return "";
   ++asked_;
-  const fs::path path(image), folder(folder_);
-  for (const fs::path& where : {folder / path.parent_path().filename(), folder}) {
+  const fs::path path(image);
+  for (const fs::path& where : folders_like(folder_, path)) {
     for (const std::string& name : {path.stem().string(), path.filename().string()}) {
       for (const char* extension : {".png", ".jpg", ".jpeg"}) {
         const std::string file = (where / (name + extension)).string();
         std::error_code unknown;
         if (!fs::is_regular_file(file, unknown) || fs::equivalent(file, path, unknown)) continue;
         ++found_;
+        images_of_[file].push_back(image);
         return file;
       }
     }
@@ -35,6 +49,13 @@ void FrameMasks::report(Diagnostics& diagnostics) const {
           "scene.mask.unread", root_,
           "there is a folder 'masks', which is not read; scene.masks: masks leaves out what is black in it");
     return;
+  }
+  for (const auto& [file, images] : images_of_) {
+    if (images.size() < 2) continue;
+    diagnostics.error("scene.mask.ambiguous", "'" + file + "'",
+                      "is the mask of '" + images[0] + "' and of '" + images[1] + "' by its name",
+                      "put masks into folders called as those of the images");
+    break;
   }
   if (found_ == 0) {
     diagnostics.error("scene.mask.missing", folder_,

@@ -7,6 +7,8 @@
 
 #include "core/text.h"
 #include "formats/image_io.h"
+#include "formats/orientation.h"
+#include "labels/frame_match.h"
 #include "labels/label_files.h"
 #include "labels/run_lengths.h"
 #include "objects/segment_masks.h"
@@ -180,10 +182,14 @@ class Reading {
       for (const std::string& pattern :
            given.empty() ? std::vector<std::string>{"{name}", "{stem}"} : std::vector{given}) {
         const std::string named = given.empty() ? pattern + ending : pattern;
+        Diagnostics found;
+        const std::map<std::string, std::string> files = match_files(path, named, info_.frames, found);
+        found.throw_if_errors(ErrorKind::data, "the segments have problems:");
         for (std::size_t f = 0; f < info_.frames.size(); ++f) {
-          const FrameInfo& frame = info_.frames[f];
-          if (!set_.frames[f].empty() || frame.split != Split::train || !has_file(path, named, frame)) continue;
-          const std::string file = path_of(path, named, frame);
+          if (!set_.frames[f].empty() || info_.frames[f].split != Split::train || !files.contains(info_.frames[f].name))
+            continue;
+          const FrameInfo frame = as_shown(info_.frames[f]);
+          const std::string& file = files.at(frame.name);
           set_.frames[f] = file.ends_with(".json")  ? segments_of_masks(file, frame)
                            : file.ends_with(".npz") ? segments_of_arrays(file, frame, info_.classes)
                                                     : segments_of_ids(file, frame);
@@ -206,6 +212,13 @@ class Reading {
   }
 
   SegmentSet finish() {
+    // Segments are drawn over images as viewers show them.
+    for (std::size_t f = 0; f < set_.frames.size(); ++f) {
+      FrameSegments& of = set_.frames[f];
+      const int orientation = info_.frames[f].orientation;
+      if (turned_by_quarter(orientation)) std::swap(of.width_px, of.height_px);
+      of.id = as_stored(std::move(of.id), of.width_px, of.height_px, orientation);
+    }
     for (const FrameSegments& frame : set_.frames) set_.classes = set_.classes || !frame.class_of.empty();
     if (std::all_of(set_.frames.begin(), set_.frames.end(), [](const FrameSegments& f) { return f.empty(); })) {
       const std::vector<std::string> names = names_of(info_.frames.front());
@@ -217,29 +230,35 @@ class Reading {
   }
 
  private:
-  // The training frame of a file's name, or null.
-  FrameSegments* frame_of(const std::string& name, const FrameInfo** info) {
-    const std::string stem = file_stem(name);
+  // For each name of a picture the training frame that it is of, as viewers show it; an index below 0: none.
+  std::vector<int> frames_of(const std::vector<PictureName>& pictures) const {
+    Diagnostics found;
+    std::vector<int> out(pictures.size(), -1);
+    const std::map<std::string, std::size_t> picture_of = match_frames(pictures, info_.frames, set_.from, found);
+    found.throw_if_errors(ErrorKind::data, "the segments have problems:");
     for (std::size_t f = 0; f < info_.frames.size(); ++f) {
-      const std::vector<std::string> names = names_of(info_.frames[f]);
-      if (info_.frames[f].split != Split::train || std::find(names.begin(), names.end(), stem) == names.end()) continue;
-      *info = &info_.frames[f];
-      return &set_.frames[f];
+      const auto picture = picture_of.find(info_.frames[f].name);
+      if (picture != picture_of.end() && info_.frames[f].split == Split::train)
+        out[picture->second] = static_cast<int>(f);
     }
-    return nullptr;
+    return out;
   }
 
   void of_panoptic(const std::string& path, const Json& list, const std::map<std::int64_t, std::int16_t>& classes) {
     const fs::path inside = fs::path(path).replace_extension();
     std::error_code unknown;
     const fs::path folder = fs::is_directory(inside, unknown) ? inside : fs::path(path).parent_path();
-    std::size_t number = 0;
+    std::vector<PictureName> pictures;
     for (const Json& item : list) {
-      const std::string place = path + ": annotation " + std::to_string(++number);
-      const std::string name = text_of(item, "file_name", place);
-      const FrameInfo* info = nullptr;
-      FrameSegments* const to = frame_of(name, &info);
-      if (to != nullptr) *to = segments_of_colors((folder / name).string(), item, *info, classes, place);
+      const std::string place = path + ": annotation " + std::to_string(pictures.size() + 1);
+      pictures.push_back({.path = text_of(item, "file_name", place), .place = place});
+    }
+    const std::vector<int> frames = frames_of(pictures);
+    for (std::size_t i = 0; i < frames.size(); ++i) {
+      if (frames[i] < 0) continue;
+      const auto f = static_cast<std::size_t>(frames[i]);
+      set_.frames[f] = segments_of_colors((folder / pictures[i].path).string(), list[i], as_shown(info_.frames[f]),
+                                          classes, pictures[i].place);
     }
   }
 
@@ -251,15 +270,20 @@ class Reading {
       std::vector<SegmentMask> masks;
     };
     std::map<std::int64_t, OfImage> images;
+    std::vector<PictureName> pictures;
+    for (const Json& item : member(root, "images", path)) {
+      const std::string place = path + ": image " + std::to_string(pictures.size() + 1);
+      pictures.push_back({.path = text_of(item, "file_name", place), .place = place});
+    }
+    const std::vector<int> frames = frames_of(pictures);
     std::size_t number = 0;
     for (const Json& item : member(root, "images", path)) {
-      const std::string place = path + ": image " + std::to_string(++number);
+      const std::string& place = pictures[number].place;
       OfImage image;
-      const FrameInfo* info = nullptr;
-      image.to = frame_of(text_of(item, "file_name", place), &info);
-      if (image.to != nullptr) {
+      if (const int f = frames[number++]; f >= 0) {
+        image.to = &set_.frames[static_cast<std::size_t>(f)];
         const std::int64_t width = whole_of(item, "width", place), height = whole_of(item, "height", place);
-        check_segment_size(width, height, *info, place);
+        check_segment_size(width, height, as_shown(info_.frames[static_cast<std::size_t>(f)]), place);
         image.width = static_cast<std::int32_t>(width);
         image.height = static_cast<std::int32_t>(height);
       }

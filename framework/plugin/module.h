@@ -9,7 +9,7 @@
 namespace semfield {
 
 /// Raised whenever an interface in plugin/ changes.
-inline constexpr int kPluginApi = 15;
+inline constexpr int kPluginApi = 16;
 
 /// The framework's own SEMFIELD_ABI_TAG, to be compared with the one that a module was compiled with.
 const char* abi_tag_of_framework();

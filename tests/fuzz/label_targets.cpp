@@ -30,6 +30,8 @@ void read_labels(std::string_view type, const std::string& yaml) {
     accepted([&] {
       Diagnostics diagnostics;
       const ClassTable own = reader->open(known, diagnostics);
+      if (diagnostics.has_errors()) return;
+      reader->match({frame}, diagnostics);
       if (diagnostics.has_errors() || !reader->has(frame)) return;
       const ClassTable& classes = known.empty() || reader->adds_classes() ? own : known;
       const LabelRaster raster = reader->read(frame, classes);

@@ -41,11 +41,25 @@ TEST(LabelImages, IdsPalettesAndColours) {
   EXPECT_EQ(rows_of(read_labels(*reader, frame_of("c"), room_table())), (Rows{"21", ".1"}));
   // Without a table of the scene: names in the order of the file, with its colours.
   Diagnostics d;
-  const ClassTable table = reader->open({}, d);
+  const ClassTable table = open_for(*reader, {}, {frame_of("c")}, d);
   ASSERT_EQ(table.valid_count(), 2);
   EXPECT_EQ(table.valid(0).name, "table");
   EXPECT_EQ(table.valid(1).color, (std::array<std::uint8_t, 3>{10, 20, 30}));
   EXPECT_EQ(rows_of(reader->read(frame_of("c"), table)), (Rows{"01", ".1"}));
+}
+
+TEST(LabelImages, ColumnsOfTheTableOfColoursAreReadByTheirNames) {
+  const std::string folder = fresh_folder("t");
+  const std::vector<std::uint8_t> rgb{1, 2, 3, 10, 20, 30};
+  write_png_rgb(folder + "/c.png", 2, 1, rgb);
+  write_file_atomic(folder + "/colors.csv",
+                    std::string_view("id,name,red,green,blue\n0,__ignore__,1,2,3\n1,chair,10,20,30\n"));
+  auto reader = images(folder, "kind: color\nfile: " + folder + "/colors.csv");
+  EXPECT_EQ(rows_of(read_labels(*reader, frame_of("c", 2, 1), room_table())), (Rows{".1"}));
+  write_file_atomic(folder + "/colors.csv", std::string_view("name,red,green\nchair,10,20\n"));
+  EXPECT_HAS(open_findings(*reader, room_table()), "colors.csv:1: expected columns r, g, b and name");
+  write_file_atomic(folder + "/colors.csv", std::string_view("1,2,3,chair,4\n"));
+  EXPECT_HAS(open_findings(*reader, room_table()), "colors.csv:1: 5 columns, at most 4 are read");
 }
 
 TEST(LabelImages, AClassTableForASceneWithoutOne) {
@@ -67,7 +81,7 @@ TEST(LabelImages, RefusalsNameFileAndPixel) {
   const auto read = [&](const std::string& rest, const std::string& name) {
     auto reader = images(folder, rest);
     Diagnostics d;
-    const ClassTable table = reader->open(room_table(), d);
+    const ClassTable table = open_for(*reader, room_table(), {frame_of(name)}, d);
     return error_of([&] { (void)reader->read(frame_of(name), table); });
   };
   EXPECT_EQ(read("kind: palette", "broken"),
@@ -115,7 +129,7 @@ struct NpzCase {
   std::string read_error(const std::string& rest = "") const {
     auto r = reader(rest);
     Diagnostics d;
-    const ClassTable table = r->open(room_table(), d);
+    const ClassTable table = open_for(*r, room_table(), {frame_of("a", 4, 2)}, d);
     for (const Diagnostic& x : d.all()) ADD_FAILURE() << x.text();
     return error_of([&] { (void)r->read(frame_of("a", 4, 2), table); });
   }
@@ -139,7 +153,7 @@ TEST(NpzLabels, ColumnsGoToTheirClasses) {
   // Without a table of the scene: names in the order of the file; "other" is void.
   Diagnostics d;
   const auto reader = c.reader();
-  const ClassTable table = reader->open({}, d);
+  const ClassTable table = open_for(*reader, {}, {frame_of("a", 4, 2)}, d);
   ASSERT_EQ(table.valid_count(), 2);
   EXPECT_EQ(table.valid(0).name, "table");
   EXPECT_EQ(reader->read(frame_of("a", 4, 2), table).soft, (std::vector<float>{0.5F, 0.25F, 0, 1}));
@@ -172,7 +186,7 @@ TEST(NpzLabels, RefusalsNameFileAndPixel) {
     // Another shape than the frame's is found in its header, before any value is looked at.
     auto r = c.reader();
     Diagnostics d;
-    const ClassTable table = r->open(room_table(), d);
+    const ClassTable table = open_for(*r, room_table(), {frame_of("a", 4, 3)}, d);
     EXPECT_EQ(error_of([&] { (void)r->read(frame_of("a", 4, 3), table); }),
               file +
                   ", entry 'probability': labels are 2 x 1 pixels, the frame is 4 x 3: another shape; label the "
@@ -234,6 +248,10 @@ TEST(Clicks, RefusalsNameTheLine) {
   EXPECT_EQ(findings("# mine\n,1,2,wall\n"), file + ":2: no frame is named" + remedy);
   EXPECT_EQ(findings("a,1,,wall\n"), file + ":1: y: expected a whole number of pixels, got ''" + remedy);
   EXPECT_EQ(findings("a,1,2,\n"), file + ":1: no class is named" + remedy);
+  EXPECT_HAS(findings("a,1,2,wall,3,4\n"), file + ":1: 6 columns, at most 5 are read");
+  EXPECT_HAS(findings("image,row,col,label\na,2,1,wall,3\n"), file + ":2: 5 columns, the first line names 4");
+  EXPECT_HAS(findings("image,row,label\na,2,wall\n"), file + ":1: expected columns frame, x, y and class");
+  EXPECT_EQ(findings("image,row,col,label\na,2,1,wall\n"), "");
   ASSERT_EQ(findings("a,1,2,wall\n"), "");
   EXPECT_HAS(error_of([&] { (void)reader->read(frame_of("zz"), room_table()); }), "no click in frame 'zz'");
   std::filesystem::remove(file);

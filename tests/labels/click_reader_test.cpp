@@ -40,7 +40,7 @@ TEST(ClickReader, ReadsALogOfTheLabellingPage) {
   for (const char* name : {"clicks.jsonl", "other.txt"}) {  // by its extension, or by what is in it
     const auto reader = make_reader("clicks", "file: " + log_file(kLog, name));
     Diagnostics diagnostics;
-    const ClassTable table = reader->open({}, diagnostics);
+    const ClassTable table = open_for(*reader, {}, {frame_of("a"), frame_of("b")}, diagnostics);
     EXPECT_TRUE(diagnostics.all().empty());
     EXPECT_TRUE(reader->adds_classes());
     EXPECT_EQ(names_of_table(table), "0=void 1=light ");
@@ -56,7 +56,7 @@ TEST(ClickReader, ReadsALogOfTheLabellingPage) {
 TEST(ClickReader, ClassesOfALogStandBehindThoseOfTheScene) {
   const auto reader = make_reader("clicks", "file: " + log_file(kLog));
   Diagnostics diagnostics;
-  const ClassTable table = reader->open(room_table(), diagnostics);
+  const ClassTable table = open_for(*reader, room_table(), {frame_of("a")}, diagnostics);
   EXPECT_EQ(names_of_table(table), "0=void 1=wall 4=chair 7=table 8=light ");
   EXPECT_EQ(rows_of(reader->read(frame_of("a"), table)), (Rows{"3.3.", ".333", "..3."}));
 }

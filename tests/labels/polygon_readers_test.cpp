@@ -86,22 +86,35 @@ TEST(Labelme, FramesAreFoundByImageOrFileAndTheTableIsBuiltInOrderOfNames) {
   c.write("other.json", labelme("", "0018.png"));
   c.write("settings.json", "{\"a\": 1}");
   Diagnostics d;
-  const ClassTable table = c.reader->open({}, d);
-  ASSERT_EQ(d.all().size(), 1u);
+  const ClassTable table = open_for(*c.reader, {}, {frame_of("0017"), frame_of("0018"), frame_of("0019")}, d);
+  ASSERT_EQ(d.all().size(), 2u);
+  EXPECT_EQ(d.all()[1].code, Code("labels.frame.folder")) << "images is not nowhere";
   EXPECT_EQ(d.all()[0].text(), c.folder + "/settings.json: no labelme file (it has no 'shapes'); left out");
   ASSERT_EQ(table.entries().size(), 3u);
   EXPECT_EQ(table.entries()[1].name, "chair");
   EXPECT_EQ(table.entries()[1].id, 1);
   EXPECT_TRUE(table.entries()[0].ignore);
   EXPECT_TRUE(c.reader->has(frame_of("0017")));
-  EXPECT_TRUE(c.reader->has(frame_of("mine")));
   EXPECT_FALSE(c.reader->has(frame_of("0018"))) << "nothing is drawn in it";
   EXPECT_FALSE(c.reader->has(frame_of("0019")));
   FrameInfo renamed = frame_of("a");
   renamed.source = "/images/0017.jpg";
+  Diagnostics others;
+  c.reader->match({renamed}, others);
   EXPECT_EQ(rows_of(c.reader->read(renamed, table))[0], "1.....");
+  c.reader->match({frame_of("mine")}, others);
+  EXPECT_TRUE(c.reader->has(frame_of("mine")));
+  EXPECT_TRUE(others.all().empty());
   EXPECT_HAS(error_of([&] { (void)c.reader->read(frame_of("0019"), table); }),
              "there is no labelme file for frame '0019'");
+}
+
+TEST(Labelme, VoidWordsOfToolsAreVoid) {
+  LabelmeCase c;
+  c.write("rgb_3.json", labelme(shape("chair", "rectangle", "[[0,0],[6,4]]") + "," +
+                                    shape("__ignore__", "rectangle", "[[0,0],[2,4]]"),
+                                "rgb_3.png"));
+  EXPECT_EQ(rows_of(read_labels(*c.reader, frame_of("rgb_3"), {}))[0], "..0000");
 }
 
 TEST(Labelme, EveryRefusalNamesFileAndShape) {
@@ -172,7 +185,7 @@ TEST(Coco, WithoutATableIdsAreKept) {
   CocoCase c;
   ASSERT_EQ(c.findings(coco(note(9, "[[0,0,4,0,4,3,0,3]]"))), "");
   Diagnostics d;
-  const ClassTable table = c.reader->open({}, d);
+  const ClassTable table = open_for(*c.reader, {}, {frame_of("rgb_3")}, d);
   EXPECT_EQ(table.index_of(9), 2);
   EXPECT_EQ(table.index_of(4), 1);
   EXPECT_EQ(table.index_of(0), kVoid);
@@ -182,6 +195,21 @@ TEST(Coco, WithoutATableIdsAreKept) {
   const ClassTable zero = c.reader->open({}, d);
   EXPECT_EQ(zero.index_of(0), 0);
   EXPECT_EQ(zero.index_of(1), kVoid);
+}
+
+// As Roboflow writes them: a group that is called as its only class.
+TEST(Coco, CategoriesOfOneNameAreOneClass) {
+  CocoCase c;
+  const std::string twins =
+      R"("categories": [{"id": 0, "name": "Lodged"}, {"id": 1, "name": "Lodged"}, {"id": 2, "name": "_background_"}])";
+  write_file_atomic(c.file, coco(note(1, "[[0,0,4,0,4,3,0,3]]") + "," + note(2, "[[0,0,1,0,1,1,0,1]]"), twins));
+  Diagnostics d;
+  const ClassTable table = open_for(*c.reader, {}, {frame_of("rgb_3")}, d);
+  EXPECT_EQ(table.valid_count(), 1);
+  EXPECT_EQ(table.index_of(1), 0) << "the id that labels have";
+  EXPECT_EQ(table.index_of(2), kVoid);
+  EXPECT_EQ(rows_of(c.reader->read(frame_of("rgb_3"), table))[0], ".000");
+  EXPECT_EQ(unfound(d.all(), "classes.name.twice", {"categories 0 and 1", "'Lodged'", "id 1"}), "");
 }
 
 TEST(Coco, EveryRefusalNamesTheEntry) {
@@ -197,6 +225,8 @@ TEST(Coco, EveryRefusalNamesTheEntry) {
   const std::string again = "; export the annotation again";
   const auto read = [&](const std::string& segmentation) {
     EXPECT_EQ(c.findings(coco(note(1, segmentation))), "");
+    Diagnostics d;
+    c.reader->match({frame_of("rgb_3")}, d);
     return error_of([&] { (void)c.reader->read(frame_of("rgb_3"), room_table()); });
   };
   EXPECT_EQ(read("{\"counts\": [4, 2]}"),
@@ -243,7 +273,7 @@ TEST(PolygonReaders, DamageNeverCrashes) {
     for (LabelReader* reader : {labelme_case.reader.get(), coco_case.reader.get()}) {
       const std::string error = error_of([&] {
         Diagnostics d;
-        (void)reader->open(room_table(), d);
+        (void)open_for(*reader, room_table(), {frame_of("rgb_3")}, d);
         d.throw_if_errors(ErrorKind::data, "problems:");
         if (reader->has(frame_of("rgb_3"))) (void)reader->read(frame_of("rgb_3"), room_table());
       });

@@ -4,9 +4,11 @@
 #include <optional>
 
 #include "formats/image_io.h"
+#include "formats/orientation.h"
 #include "formats/text_rows.h"
 #include "labels/clicks/annotations.h"
 #include "labels/clicks/click_log.h"
+#include "labels/frame_match.h"
 #include "labels/label_files.h"
 #include "labels/label_steps.h"
 #include "labels/outline_fill.h"
@@ -27,9 +29,6 @@ const char* kRemedy = "write lines 'frame,x,y,class' or 'frame,x,y,class,radius'
 
 Click click_of(const TextRow& row) {
   const std::vector<std::string>& f = row.fields;
-  if (f.size() != 4 && f.size() != 5)
-    refuse_labels("labels.clicks.format", row.place, "expected 4 or 5 columns, got " + std::to_string(f.size()),
-                  kRemedy);
   Click click{row.place, f[3], 0, 0, 0};
   if (f[0].empty()) refuse_labels("labels.clicks.format", row.place, "no frame is named", kRemedy);
   if (!parse_whole(f[1], click.x))
@@ -39,19 +38,20 @@ Click click_of(const TextRow& row) {
     refuse_labels("labels.clicks.format", row.place, "y: expected a whole number of pixels, got '" + f[2] + "'",
                   kRemedy);
   if (f[3].empty()) refuse_labels("labels.clicks.format", row.place, "no class is named", kRemedy);
-  if (f.size() == 5 && !f[4].empty() &&
-      (!parse_real(f[4], click.radius_px) || click.radius_px < 0 || click.radius_px > kMaxCoordinate))
+  if (!f[4].empty() && (!parse_real(f[4], click.radius_px) || click.radius_px < 0 || click.radius_px > kMaxCoordinate))
     refuse_labels("labels.clicks.format", row.place, "radius: expected pixels from 0 to a million, got '" + f[4] + "'",
                   kRemedy);
   return click;
 }
 
-// Size of the image that was clicked on: the stored one, or the frame's where the source is no image file.
+// Size of the image that was clicked on, as viewers show it: that of its file, or the frame's where there is none.
 ImageSize clicked_size(const FrameInfo& frame) {
   std::error_code ignored;
   if (std::filesystem::is_regular_file(frame.source, ignored)) {
     try {
-      return image_size(frame.source);
+      ImageSize size = image_size(frame.source);
+      if (turned_by_quarter(frame.orientation)) std::swap(size.width_px, size.height_px);
+      return size;
     } catch (const Error&) {  // a packed scene, for one
     }
   }
@@ -88,18 +88,33 @@ class EventFrames {
   }
 
   const ClassTable& table() const { return table_; }
+  /// Events name frames as the run did that they are of.
+  void match(const std::vector<FrameInfo>& frames, Diagnostics& diagnostics) const {
+    std::vector<std::string> strays;
+    for (const auto& [name, index] : frame_of_)
+      if (std::none_of(frames.begin(), frames.end(), [&](const FrameInfo& f) { return f.name == name; }))
+        strays.push_back("'" + name + "'");
+    if (!strays.empty())
+      diagnostics.warning("labels.frame.unmatched", file_,
+                          std::to_string(strays.size()) + " of " + std::to_string(frame_of_.size()) +
+                              " frames with clicks are not in the scene, such as " + strays.front(),
+                          "give the log of a run of this scene");
+  }
   bool empty() const { return frame_of_.empty(); }
-  bool has(const FrameInfo& frame) const { return entry_of(frame_of_, frame) != nullptr; }
+  bool has(const FrameInfo& frame) const { return frame_of_.contains(frame.name); }
 
-  LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const {
-    const int* index = entry_of(frame_of_, frame);
-    if (index == nullptr) refuse_labels("labels.frame.unlabelled", file_, "no click in frame '" + frame.name + "'");
+  // The page shows images as they are stored.
+  LabelRaster read(const FrameInfo& shown, const ClassTable& classes) const {
+    const auto found = frame_of_.find(shown.name);
+    if (found == frame_of_.end())
+      refuse_labels("labels.frame.unlabelled", file_, "no click in frame '" + shown.name + "'");
+    const FrameInfo frame = as_shown(shown);
     SceneInfo scene = scene_;
-    Camera& camera = scene.frames[static_cast<std::size_t>(*index)].camera;
+    Camera& camera = scene.frames[static_cast<std::size_t>(found->second)].camera;
     camera.width_px = frame.camera.width_px;
     camera.height_px = frame.camera.height_px;
     const Annotations sum = replay(scene, 0, events_, file_);
-    LabelRaster raster{camera.width_px, camera.height_px, sum.paint(*index, {}), {}};
+    LabelRaster raster{camera.width_px, camera.height_px, sum.paint(found->second, {}), {}, true};
     for (std::int16_t& label : raster.hard) {
       if (label != kVoid) label = static_cast<std::int16_t>(classes.index_of(sum.classes().valid(label).id));
     }
@@ -118,12 +133,14 @@ class ClickReader : public LabelReader {
  public:
   void describe(ParamVisitor& visit) override {
     SEMFIELD_PARAM(visit, *this, file,
-                   "CSV file of lines frame,x,y,class[,radius]: column and row of a pixel of the stored image, and the "
-                   "radius of a disc in pixels; or a log of the labelling page, clicks.jsonl");
+                   "CSV file of lines frame,x,y,class[,radius]: column and row of a pixel of the image file as viewers "
+                   "show it, and the radius of a disc in pixels; or a log of the labelling page, clicks.jsonl");
   }
 
   ClassTable open(const ClassTable& known, Diagnostics& diagnostics) override {
     clicks_.clear();
+    pictures_.clear();
+    clicks_of_frame_.clear();
     events_.reset();
     if (holds_events(file)) {
       events_.emplace(file, known, diagnostics);
@@ -131,16 +148,24 @@ class ClickReader : public LabelReader {
         diagnostics.error("labels.clicks.empty", file, "no clicks in it", "label the scene with `semfield serve`");
       return events_->table();
     }
-    const std::vector<TextRow> rows = read_text_rows(file, ',');
+    const TextTable table = read_text_table(file, {{"frame", "image", "file", "file_name", "filename", "picture"},
+                                                   {"x", "column", "col", "u"},
+                                                   {"y", "row", "v"},
+                                                   {"class", "label", "name", "class_name", "category"},
+                                                   {"radius", "r"}});
+    for (std::size_t c = 0; c < 4 && !table.header.empty(); ++c) {
+      if (table.has[c] == 0)
+        refuse_labels("labels.clicks.format", table.header, "expected columns frame, x, y and class", kRemedy);
+    }
     ProblemList problems(diagnostics);
     std::map<std::string, std::string> place_of_name;
-    for (std::size_t r = 0; r < rows.size(); ++r) {
-      const std::vector<std::string>& f = rows[r].fields;
-      if (r == 0 && f.size() >= 4 && f[0] == "frame" && f[1] == "x") continue;  // the header
+    for (const TextRow& row : table.rows) {
       problems.collect([&] {
-        Click click = click_of(rows[r]);
+        Click click = click_of(row);
         place_of_name.emplace(click.label, click.place);
-        clicks_[f[0]].push_back(std::move(click));
+        const auto [at, fresh] = clicks_.try_emplace(row.fields[0]);
+        if (fresh) pictures_.push_back({.path = row.fields[0], .place = row.place});
+        at->second.push_back(std::move(click));
       });
     }
     if (clicks_.empty() && problems.count() == 0)
@@ -148,23 +173,30 @@ class ClickReader : public LabelReader {
     return table_for(place_of_name, known, problems);
   }
 
+  void match(const std::vector<FrameInfo>& frames, Diagnostics& diagnostics) override {
+    if (events_) return events_->match(frames, diagnostics);
+    for (const auto& [frame, picture] : match_frames(pictures_, frames, file, diagnostics))
+      clicks_of_frame_[frame] = pictures_[picture].path;
+  }
+
   bool adds_classes() const override { return events_.has_value(); }
 
   bool has(const FrameInfo& frame) const override {
-    return events_ ? events_->has(frame) : entry_of(clicks_, frame) != nullptr;
+    return events_ ? events_->has(frame) : clicks_of_frame_.contains(frame.name);
   }
 
   LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const override {
     if (events_) return events_->read(frame, classes);
-    const std::vector<Click>* clicks = entry_of(clicks_, frame);
-    if (clicks == nullptr) refuse_labels("labels.frame.unlabelled", file, "no click in frame '" + frame.name + "'");
+    const auto found = clicks_of_frame_.find(frame.name);
+    if (found == clicks_of_frame_.end())
+      refuse_labels("labels.frame.unlabelled", file, "no click in frame '" + frame.name + "'");
     // At the frame's own size: scaled as an image by the nearest pixel, a single pixel could get lost.
     LabelRaster raster = void_raster(frame.camera.width_px, frame.camera.height_px);
     const ImageSize size = clicked_size(frame);
     const double scale_x = static_cast<double>(raster.width_px) / size.width_px,
                  scale_y = static_cast<double>(raster.height_px) / size.height_px;
     const ClassNames names(classes);
-    for (const Click& click : *clicks) {
+    for (const Click& click : clicks_.at(found->second)) {
       if (click.x < 0 || click.y < 0 || click.x >= size.width_px || click.y >= size.height_px) {
         refuse_labels("labels.shape.outside", click.place,
                       "pixel (" + std::to_string(click.x) + ", " + std::to_string(click.y) +
@@ -185,8 +217,10 @@ class ClickReader : public LabelReader {
   std::string file;
 
  private:
-  std::map<std::string, std::vector<Click>> clicks_;  // by frame
-  std::optional<EventFrames> events_;                 // of a log
+  std::map<std::string, std::vector<Click>> clicks_;  // by what the file calls the frame
+  std::vector<PictureName> pictures_;                 // the same names, in order
+  std::map<std::string, std::string> clicks_of_frame_;
+  std::optional<EventFrames> events_;  // of a log
 };
 
 }  // namespace

@@ -7,6 +7,7 @@
 
 #include "core/text.h"
 #include "formats/png_codec.h"
+#include "labels/frame_match.h"
 #include "labels/label_files.h"
 #include "labels/label_steps.h"
 #include "labels/run_lengths.h"
@@ -26,9 +27,9 @@ struct Annotation {
 };
 
 struct CocoImage {
-  std::string name;
+  std::string name = {}, place = {};
   std::int32_t width_px = 0, height_px = 0;
-  std::vector<Annotation> annotations;
+  std::vector<Annotation> annotations = {};
 };
 
 std::int64_t whole(const Json& item, const char* key, const std::string& place) {
@@ -89,11 +90,14 @@ std::vector<std::int64_t> counts_of(const Json& segmentation, const CocoImage& i
 class CocoReader : public LabelReader {
  public:
   void describe(ParamVisitor& visit) override {
-    SEMFIELD_PARAM(visit, *this, file, "JSON file of images, annotations and categories; file_name names the frame");
+    SEMFIELD_PARAM(visit, *this, file,
+                   "JSON file of images, annotations and categories; file_name names the frame's image, with as many "
+                   "of its folders as it has");
   }
 
   ClassTable open(const ClassTable& known, Diagnostics& diagnostics) override {
     images_.clear();
+    image_of_frame_.clear();
     Json root;
     try {
       root = Json::parse(read_text_file(file));
@@ -107,14 +111,15 @@ class CocoReader : public LabelReader {
                       "give a COCO file of instances");
     }
     ProblemList problems(diagnostics);
-    std::map<std::int64_t, std::string> stem_of_image;
-    const std::map<std::int64_t, std::string> categories = read_categories(root["categories"], problems);
+    std::map<std::int64_t, std::size_t> image_of_id;
+    std::map<std::int64_t, std::string> categories = read_categories(root["categories"], problems);
     std::size_t number = 0;
     for (const Json& item : root["images"]) {
       const std::string place = file + ": image " + std::to_string(++number);
-      problems.collect([&] { read_image(item, place, stem_of_image); });
+      problems.collect([&] { read_image(item, place, image_of_id); });
     }
     std::map<std::string, std::string> place_of_name;
+    std::map<std::int64_t, std::int64_t> uses;  // of categories
     std::int64_t boxes = 0;
     number = 0;
     for (const Json& item : root["annotations"]) {
@@ -124,7 +129,8 @@ class CocoReader : public LabelReader {
         const auto name = categories.find(category);
         if (name == categories.end())
           refuse_labels("labels.annotation.reference", place, "no category has the id " + std::to_string(category));
-        if (!read_annotation(item, place, name->second, stem_of_image)) {
+        ++uses[category];
+        if (!read_annotation(item, place, name->second, image_of_id)) {
           ++boxes;
           return;
         }
@@ -136,17 +142,25 @@ class CocoReader : public LabelReader {
                           std::to_string(boxes) + " annotations have a box and no mask; left out",
                           "export masks or polygons for them");
     }
+    merge_namesakes(categories, uses, diagnostics);
     if (known.empty()) return own_table(categories, problems);
     return table_for(place_of_name, known, problems);
   }
 
+  void match(const std::vector<FrameInfo>& frames, Diagnostics& diagnostics) override {
+    std::vector<PictureName> pictures;
+    for (const CocoImage& image : images_)
+      pictures.push_back({.path = image.name, .place = image.place, .labelled = !image.annotations.empty()});
+    image_of_frame_ = match_frames(pictures, frames, file, diagnostics);
+  }
+
   bool has(const FrameInfo& frame) const override {
-    const CocoImage* image = entry_of(images_, frame);
+    const CocoImage* image = image_of(frame);
     return image != nullptr && !image->annotations.empty();
   }
 
   LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const override {
-    const CocoImage* image = entry_of(images_, frame);
+    const CocoImage* image = image_of(frame);
     if (image == nullptr) refuse_labels("labels.frame.unlabelled", file, "no image of frame '" + frame.name + "'");
     check_label_shape(image->width_px, image->height_px, frame.camera);
     LabelRaster raster = void_raster(image->width_px, image->height_px);
@@ -196,8 +210,31 @@ class CocoReader : public LabelReader {
     return names;
   }
 
-  void read_image(const Json& item, const std::string& place, std::map<std::int64_t, std::string>& stem_of_image) {
-    CocoImage image;
+  // Annotation tools add categories that are called as their group: one class, with the id that annotations use most.
+  void merge_namesakes(std::map<std::int64_t, std::string>& categories,
+                       const std::map<std::int64_t, std::int64_t>& uses, Diagnostics& diagnostics) const {
+    const auto used = [&](std::int64_t id) { return uses.contains(id) ? uses.at(id) : 0; };
+    std::map<std::string, std::int64_t> kept;
+    for (const auto& [id, name] : categories) {
+      const auto [other, fresh] = kept.emplace(name, id);
+      if (!fresh && used(id) > used(other->second)) other->second = id;
+    }
+    for (auto at = categories.begin(); at != categories.end();) {
+      const std::int64_t id = kept.at(at->second);
+      if (id == at->first) {
+        ++at;
+        continue;
+      }
+      diagnostics.note("classes.name.twice", file,
+                       "categories " + std::to_string(std::min(id, at->first)) + " and " +
+                           std::to_string(std::max(id, at->first)) + " are both called '" + at->second +
+                           "': they are one class here, with the id " + std::to_string(id));
+      at = categories.erase(at);
+    }
+  }
+
+  void read_image(const Json& item, const std::string& place, std::map<std::int64_t, std::size_t>& image_of_id) {
+    CocoImage image{.place = place};
     const std::int64_t id = whole(item, "id", place);
     image.name = text(item, "file_name", place);
     const std::int64_t width = whole(item, "width", place), height = whole(item, "height", place);
@@ -208,25 +245,19 @@ class CocoReader : public LabelReader {
     }
     image.width_px = static_cast<std::int32_t>(width);
     image.height_px = static_cast<std::int32_t>(height);
-    const std::string stem = file_stem(image.name);
-    if (!stem_of_image.emplace(id, stem).second)
+    if (!image_of_id.emplace(id, images_.size()).second)
       refuse_labels("labels.annotation.twice", place, "id " + std::to_string(id) + " is given twice");
-    if (const auto other = images_.find(stem); other != images_.end())
-      refuse_labels("labels.frame.twice", place,
-                    "'" + image.name + "' and '" + other->second.name + "' are the same frame '" + stem + "'");
-    images_.emplace(stem, std::move(image));
+    images_.push_back(std::move(image));
   }
 
   // False for an annotation that is a box alone.
   bool read_annotation(const Json& item, const std::string& place, const std::string& category,
-                       const std::map<std::int64_t, std::string>& stem_of_image) {
+                       const std::map<std::int64_t, std::size_t>& image_of_id) {
     const std::int64_t id = whole(item, "image_id", place);
-    const auto stem = stem_of_image.find(id);
-    if (stem == stem_of_image.end())
+    const auto found = image_of_id.find(id);
+    if (found == image_of_id.end())
       refuse_labels("labels.annotation.reference", place, "no image has the id " + std::to_string(id));
-    const auto found = images_.find(stem->second);
-    if (found == images_.end()) return true;  // its image has been reported
-    CocoImage& image = found->second;
+    CocoImage& image = images_[found->second];
     const auto segmentation = item.find("segmentation");
     if (segmentation == item.end() || segmentation->empty()) return false;
     Annotation annotation{place, category, {}, {}};
@@ -262,7 +293,13 @@ class CocoReader : public LabelReader {
     return table;
   }
 
-  std::map<std::string, CocoImage> images_;  // by stem
+  const CocoImage* image_of(const FrameInfo& frame) const {
+    const auto found = image_of_frame_.find(frame.name);
+    return found == image_of_frame_.end() ? nullptr : &images_[found->second];
+  }
+
+  std::vector<CocoImage> images_;
+  std::map<std::string, std::size_t> image_of_frame_;
 };
 
 }  // namespace

@@ -6,6 +6,7 @@
 #include "formats/image_io.h"
 #include "formats/png_codec.h"
 #include "formats/text_rows.h"
+#include "labels/frame_match.h"
 #include "labels/label_files.h"
 #include "labels/label_steps.h"
 #include "loading/frame_files.h"
@@ -46,10 +47,13 @@ struct NamedColor {
 std::vector<NamedColor> read_colors(const std::string& path) {
   std::vector<NamedColor> out;
   std::map<Rgb, std::string> seen;
-  for (const TextRow& row : read_text_rows(path, ',')) {
-    if (row.fields[0] == "r" || row.fields[0] == "red") continue;  // the header
-    if (row.fields.size() != 4 || row.fields[3].empty())
-      refuse_labels("labels.colors.format", row.place, "expected 'r,g,b,name'");
+  const TextTable table = read_text_table(
+      path, {{"r", "red"}, {"g", "green"}, {"b", "blue"}, {"name", "class", "class_name", "label", "category"}});
+  for (std::size_t c = 0; c < 4 && !table.header.empty(); ++c) {
+    if (table.has[c] == 0) refuse_labels("labels.colors.format", table.header, "expected columns r, g, b and name");
+  }
+  for (const TextRow& row : table.rows) {
+    if (row.fields[3].empty()) refuse_labels("labels.colors.format", row.place, "expected 'r,g,b,name'");
     NamedColor entry{{}, row.fields[3], row.place};
     for (std::size_t i = 0; i < 3; ++i) {
       std::int64_t value = 0;
@@ -77,7 +81,9 @@ class ImageLabelReader : public LabelReader {
                    "the digits at the end of its name, with or without zeros before them");
     SEMFIELD_PARAM(visit, *this, kind,
                    "ids: one channel of class ids; palette: a palette PNG whose indices are ids; color: exact colours");
-    SEMFIELD_PARAM(visit, *this, file, "for color: CSV file of lines r,g,b,name; empty: the class table's colours");
+    SEMFIELD_PARAM(visit, *this, file,
+                   "for color: CSV file of lines r,g,b,name, or with these columns named in its first line; empty: the "
+                   "class table's colours");
     SEMFIELD_PARAM(visit, *this, classes,
                    "class table, for a scene without one (classes.yaml, .csv, .json, or CVAT's "
                    "labelmap.txt)");
@@ -93,6 +99,7 @@ class ImageLabelReader : public LabelReader {
 
   ClassTable open(const ClassTable& known, Diagnostics& diagnostics) override {
     colors_.clear();
+    path_of_frame_.clear();
     (void)check_folder(folder, pattern, diagnostics);
     ProblemList problems(diagnostics);
     ClassTable table = known;
@@ -106,10 +113,19 @@ class ImageLabelReader : public LabelReader {
     return table;
   }
 
-  bool has(const FrameInfo& frame) const override { return has_file(folder, pattern, frame); }
+  void match(const std::vector<FrameInfo>& frames, Diagnostics& diagnostics) override {
+    path_of_frame_ = match_files(folder, pattern, frames, diagnostics);
+  }
 
-  LabelRaster read(const FrameInfo& frame, const ClassTable& table) const override {
-    const std::string path = path_of(folder, pattern, frame);
+  bool has(const FrameInfo& frame) const override { return path_of_frame_.contains(frame.name); }
+
+  LabelRaster read(const FrameInfo& given, const ClassTable& table) const override {
+    const auto found = path_of_frame_.find(given.name);
+    if (found == path_of_frame_.end())
+      refuse_labels("labels.frame.unlabelled", folder, "no label image of frame '" + given.name + "'");
+    const std::string& path = found->second;
+    const bool as_stored = lies_beside_cameras(path);
+    const FrameInfo frame = as_stored ? as_shown(given) : given;
     if (kind == LabelImageKind::palette && !is_palette_png(path))
       refuse_labels("labels.image.palette", "'" + path + "'", "it is not a PNG with a palette",
                     "set kind: ids or color");
@@ -121,7 +137,9 @@ class ImageLabelReader : public LabelReader {
           "has " + std::to_string(size.channels) + " channels: it is a picture in colours, not one of class ids",
           "read the classes from the colours with --set scene.labels.from.kind=color");
     }
-    return kind == LabelImageKind::color ? read_color(path, table) : read_index(path, table);
+    LabelRaster raster = kind == LabelImageKind::color ? read_color(path, table) : read_index(path, table);
+    raster.as_stored = as_stored;
+    return raster;
   }
 
   std::string folder, pattern = "{name}.png", file, classes;
@@ -207,6 +225,7 @@ class ImageLabelReader : public LabelReader {
   }
 
   std::vector<NamedColor> colors_;
+  std::map<std::string, std::string> path_of_frame_;
 };
 
 }  // namespace

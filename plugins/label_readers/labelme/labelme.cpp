@@ -6,6 +6,7 @@
 
 #include "core/text.h"
 #include "formats/png_codec.h"
+#include "labels/frame_match.h"
 #include "labels/label_files.h"
 #include "labels/label_steps.h"
 #include "labels/outline_fill.h"
@@ -18,6 +19,9 @@ namespace semfield {
 namespace {
 
 using Json = nlohmann::json;
+namespace fs = std::filesystem;
+
+constexpr int kMostFolders = 3;  // one in the other
 
 enum class ShapeKind { polygon, rectangle, circle, point };
 
@@ -30,7 +34,10 @@ struct Shape {
 struct LabelmeFile {
   std::string path;
   std::int32_t width_px = 0, height_px = 0;
-  std::vector<Shape> shapes;
+  std::vector<Shape> shapes = {};
+  std::string image = {};       // as imagePath names it
+  std::string image_path = {};  // where that is
+  std::string own_name = {};    // of the file, from the folder
 };
 
 ShapeKind kind_of(const std::string& name, const std::string& place) {
@@ -132,31 +139,40 @@ class LabelmeReader : public LabelReader {
  public:
   void describe(ParamVisitor& visit) override {
     SEMFIELD_PARAM(visit, *this, folder,
-                   "folder of the JSON files; each belongs to the frame that its imagePath, or "
-                   "its own name, names");
+                   "folder of the JSON files, with those in folders below; each belongs to the frame whose image its "
+                   "imagePath, or its own name, names");
   }
 
   ClassTable open(const ClassTable& known, Diagnostics& diagnostics) override {
     files_.clear();
+    file_of_frame_.clear();
     if (!check_folder(folder, diagnostics)) return {};
     ProblemList problems(diagnostics);
     std::map<std::string, std::string> place_of_name;
-    for (const auto& entry : sorted_folder(folder)) {
-      if (entry.is_regular_file() && entry.path().extension() == ".json")
-        problems.collect([&] { load(entry.path().string(), place_of_name, diagnostics); });
-    }
+    load_folder(folder, 0, place_of_name, problems, diagnostics);
     if (files_.empty() && problems.count() == 0)
       problems.error("labels.folder.empty", "folder", "no labelme file (*.json) in '" + folder + "'", "check the path");
     return table_for(place_of_name, known, problems);
   }
 
+  void match(const std::vector<FrameInfo>& frames, Diagnostics& diagnostics) override {
+    std::vector<PictureName> pictures;
+    for (const LabelmeFile& file : files_)
+      pictures.push_back({.path = file.image.empty() ? file.own_name : file.image,
+                          .place = file.path,
+                          .other = file.own_name,
+                          .file = file.image_path,
+                          .labelled = !file.shapes.empty()});
+    file_of_frame_ = match_frames(pictures, frames, folder, diagnostics);
+  }
+
   bool has(const FrameInfo& frame) const override {
-    const LabelmeFile* file = entry_of(files_, frame);
+    const LabelmeFile* file = file_of(frame);
     return file != nullptr && !file->shapes.empty();
   }
 
   LabelRaster read(const FrameInfo& frame, const ClassTable& classes) const override {
-    const LabelmeFile* file = entry_of(files_, frame);
+    const LabelmeFile* file = file_of(frame);
     if (file == nullptr)
       refuse_labels("labels.frame.unlabelled", folder, "there is no labelme file for frame '" + frame.name + "'");
     check_label_shape(file->width_px, file->height_px, frame.camera);
@@ -169,6 +185,18 @@ class LabelmeReader : public LabelReader {
   std::string folder;
 
  private:
+  // Folders below are those of several cameras, each beside or like its images.
+  void load_folder(const std::string& path, int depth, std::map<std::string, std::string>& place_of_name,
+                   ProblemList& problems, Diagnostics& diagnostics) {
+    for (const auto& entry : sorted_folder(path)) {
+      if (entry.is_directory() && depth < kMostFolders) {
+        load_folder(entry.path().string(), depth + 1, place_of_name, problems, diagnostics);
+      } else if (entry.is_regular_file() && entry.path().extension() == ".json") {
+        problems.collect([&] { load(entry.path().string(), place_of_name, diagnostics); });
+      }
+    }
+  }
+
   void load(const std::string& path, std::map<std::string, std::string>& place_of_name, Diagnostics& diagnostics) {
     Json root;
     try {
@@ -178,12 +206,13 @@ class LabelmeReader : public LabelReader {
                     "save the file again in labelme");
     }
     if (!root.is_object() || !root.contains("shapes")) {
-      diagnostics.note("labels.file.foreign", path, "no labelme file (it has no 'shapes'); left out");
+      if (fs::path(path).parent_path() == fs::path(folder))
+        diagnostics.note("labels.file.foreign", path, "no labelme file (it has no 'shapes'); left out");
       return;
     }
     if (!root["shapes"].is_array())
       refuse_labels("labels.file.format", path, "'shapes' is not a list", "save the file again in labelme");
-    LabelmeFile file{path, size_of(root, "imageWidth", path), size_of(root, "imageHeight", path), {}};
+    LabelmeFile file{path, size_of(root, "imageWidth", path), size_of(root, "imageHeight", path)};
     try {
       check_image_limits(file.width_px, file.height_px);
     } catch (const Error& e) {
@@ -193,17 +222,26 @@ class LabelmeReader : public LabelReader {
       file.shapes.push_back(shape_of(item, path + ": shape " + std::to_string(file.shapes.size() + 1)));
       place_of_name.emplace(file.shapes.back().label, file.shapes.back().place);
     }
-    // The image's name, and the file's own beside it: people rename either.
-    std::vector<std::string> stems{file_stem(path)};
-    if (root.contains("imagePath") && root["imagePath"].is_string())
-      stems.insert(stems.begin(), file_stem(root["imagePath"].get<std::string>()));
-    if (const auto other = files_.find(stems[0]); other != files_.end() && other->second.path != path)
-      refuse_labels("labels.frame.twice", path,
-                    "image '" + stems[0] + "' has labels in '" + other->second.path + "' too", "keep one of the files");
-    for (const std::string& stem : stems) files_.emplace(stem, file);
+    // The image's name, and the file's own beside it: people rename either. An image without a folder lies beside the
+    // file, or did.
+    const fs::path own = fs::path(path).lexically_relative(folder);
+    file.own_name = own.string();
+    if (root.contains("imagePath") && root["imagePath"].is_string()) {
+      std::string image = root["imagePath"].get<std::string>();
+      std::replace(image.begin(), image.end(), '\\', '/');
+      file.image_path = (fs::path(path).parent_path() / image).lexically_normal().string();
+      file.image = image.find('/') == std::string::npos ? (own.parent_path() / image).string() : image;
+    }
+    files_.push_back(std::move(file));
   }
 
-  std::map<std::string, LabelmeFile> files_;  // by stem
+  const LabelmeFile* file_of(const FrameInfo& frame) const {
+    const auto found = file_of_frame_.find(frame.name);
+    return found == file_of_frame_.end() ? nullptr : &files_[found->second];
+  }
+
+  std::vector<LabelmeFile> files_;
+  std::map<std::string, std::size_t> file_of_frame_;
 };
 
 }  // namespace

@@ -8,6 +8,7 @@
 
 #include "core/text.h"
 #include "formats/input_limits.h"
+#include "labels/frame_match.h"
 #include "labels/label_files.h"
 #include "labels/label_steps.h"
 #include "plugin/module.h"
@@ -99,6 +100,7 @@ class NpzReader : public LabelReader {
 
   ClassTable open(const ClassTable& known, Diagnostics& diagnostics) override {
     order_.clear();
+    path_of_frame_.clear();
     if (!check_folder(folder, pattern, diagnostics)) return {};
     order_path_ = classes.empty() ? (std::filesystem::path(folder) / "classes.json").string() : classes;
     ProblemList problems(diagnostics);
@@ -114,10 +116,19 @@ class NpzReader : public LabelReader {
     return known;
   }
 
-  bool has(const FrameInfo& frame) const override { return has_file(folder, pattern, frame); }
+  void match(const std::vector<FrameInfo>& frames, Diagnostics& diagnostics) override {
+    path_of_frame_ = match_files(folder, pattern, frames, diagnostics);
+  }
 
-  LabelRaster read(const FrameInfo& frame, const ClassTable& table) const override {
-    const std::string path = path_of(folder, pattern, frame);
+  bool has(const FrameInfo& frame) const override { return path_of_frame_.contains(frame.name); }
+
+  LabelRaster read(const FrameInfo& given, const ClassTable& table) const override {
+    const auto found = path_of_frame_.find(given.name);
+    if (found == path_of_frame_.end())
+      refuse_labels("labels.frame.unlabelled", folder, "no array of frame '" + given.name + "'");
+    const std::string& path = found->second;
+    const bool as_stored = lies_beside_cameras(path);
+    const FrameInfo frame = as_stored ? as_shown(given) : given;
     const auto accept = [&](std::span<const std::int64_t> shape) {
       if (shape.size() != 3) {
         throw Error(ErrorKind::data, "labels.array.shape", "the shape is " + shape_text(shape),
@@ -141,7 +152,9 @@ class NpzReader : public LabelReader {
                     "save a confidence [height, width]");
       });
     }
-    return soft_raster(probability, confidence.values, path, table);
+    LabelRaster raster = soft_raster(probability, confidence.values, path, table);
+    raster.as_stored = as_stored;
+    return raster;
   }
 
   std::string folder, pattern = "{name}.npz", key = "probability", classes, confidence_key;
@@ -186,6 +199,7 @@ class NpzReader : public LabelReader {
 
   std::vector<std::string> order_;  // class names by column
   std::string order_path_;
+  std::map<std::string, std::string> path_of_frame_;
 };
 
 }  // namespace
