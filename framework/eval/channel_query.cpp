@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
+#include <limits>
 #include <nlohmann/json.hpp>
 
 #include "compute/parallel.h"
@@ -58,7 +59,8 @@ std::vector<QueryVector> read_json(const std::string& path) {
     QueryVector query{file_name(word), {}};
     if (!numbers.is_array()) refuse("'" + word + "' is not a list of numbers");
     for (const auto& number : numbers) {
-      if (!number.is_number()) refuse("'" + word + "' holds something that is not a number");
+      if (!number.is_number() || !(std::abs(number.get<double>()) <= std::numeric_limits<float>::max()))
+        refuse("'" + word + "' holds something that is not a number");
       query.values.push_back(number.get<float>());
     }
     queries.push_back(std::move(query));

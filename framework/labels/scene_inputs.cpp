@@ -3,10 +3,12 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <exception>
 #include <nlohmann/json.hpp>
 
 #include "compute/parallel.h"
 #include "core/text.h"
+#include "formats/json_numbers.h"
 #include "system/checksum.h"
 
 namespace semfield {
@@ -63,10 +65,10 @@ SceneInputs read_inputs_text(const std::string& text) {
   SceneInputs inputs;
   try {
     const nlohmann::json json = nlohmann::json::parse(text);
-    walk(inputs, [&](const char* name, auto& value) { json.at(name).get_to(value); });
+    walk(inputs, [&](const char* name, auto& value) { read_json_value(json, name, value); });
     if (json.contains("labels")) inputs.labels = json.at("labels").get<std::string>();
     if (json.contains("training_labels")) inputs.training_labels = json.at("training_labels").get<std::string>();
-  } catch (const nlohmann::json::exception& error) {
+  } catch (const std::exception& error) {  // of the JSON, or out of range
     throw Error(ErrorKind::data, "checkpoint.metadata.damaged", error.what());
   }
   return inputs;

@@ -164,8 +164,12 @@ FrameSegments segments_of_colors(const std::string& path, const Json& annotation
   for (std::size_t i = 0; i < image.pixels.size(); i += 3)
     out.id.push_back(image.pixels[i] + 256 * image.pixels[i + 1] + 65536 * image.pixels[i + 2]);
   for (const Json& segment : member(annotation, "segments_info", place)) {
-    const auto id = static_cast<std::int32_t>(whole_of(segment, "id", place));
-    if (const std::int16_t index = class_of(segment, classes); index != kVoid) out.class_of[id] = index;
+    const std::int64_t id = whole_of(segment, "id", place);
+    if (id < 0 || id >= 1 << 24)
+      refuse_labels("labels.file.format", place, "segment " + std::to_string(id) + " is no colour of an image",
+                    "write ids from 0 to 16777215: R + 256 G + 65536 B");
+    if (const std::int16_t index = class_of(segment, classes); index != kVoid)
+      out.class_of[static_cast<std::int32_t>(id)] = index;
   }
   return out;
 }

@@ -34,6 +34,7 @@ MetricsRow parse_row(std::string_view line, const std::string& place) {
       (key == "kind" ? row.kind : row.split) = value.get<std::string>();
     } else if (key == "step") {
       if (!value.is_number_integer()) throw fail("'step' is not an integer");
+      if (value.get<std::int64_t>() < 0) throw fail("'step' is below 0, or too large");
       row.step = value.get<std::int64_t>();
       has_step = true;
     } else if (key == "per_class_iou") {

@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <exception>
 #include <nlohmann/json.hpp>
 
 #include "core/error.h"
+#include "formats/json_numbers.h"
 
 namespace semfield {
 
@@ -25,6 +27,11 @@ void walk(KnownScene& scene, Field&& field) {
   field("pixel_footprint_m", scene.pixel_footprint_m);
 }
 
+[[noreturn]] void refuse(const std::string& what) {
+  throw Error(ErrorKind::data, "checkpoint.metadata.damaged", "checkpoint metadata 'scene' cannot be read: " + what,
+              "resume from another checkpoint of the run");
+}
+
 }  // namespace
 
 std::string manifest_text(const KnownScene& scene) {
@@ -43,23 +50,18 @@ std::optional<KnownScene> read_manifest_text(const TensorMetadata& metadata) {
     walk(scene, [&](const char* name, auto& value) {
       // Not in checkpoints of before it was counted: then it stays unknown, as in the run that wrote them.
       if (std::string_view(name) == "direction_spread_deg" && !json.contains(name)) return;
-      json.at(name).get_to(value);
+      read_json_value(json, name, value);
     });
-  } catch (const nlohmann::json::exception& e) {
-    throw Error(ErrorKind::data, "checkpoint.metadata.damaged",
-                std::string("checkpoint metadata 'scene' cannot be read: ") + e.what(),
-                "resume from another checkpoint of the run");
+  } catch (const std::exception& e) {  // of the JSON, or out of range
+    refuse(e.what());
   }
   const SceneManifest& m = scene.manifest;
   const auto negative = [](std::int64_t pixels) { return pixels < 0; };
-  if (m.classes < 0 || std::ssize(m.train_class_pixels) != m.classes ||
+  if (std::ssize(m.train_class_pixels) != m.classes ||
       std::any_of(m.train_class_pixels.begin(), m.train_class_pixels.end(), negative) ||
       !(scene.pixel_footprint_m > 0) || !std::isfinite(scene.pixel_footprint_m)) {
-    throw Error(ErrorKind::data, "checkpoint.metadata.damaged",
-                "checkpoint metadata 'scene' cannot be read: " + std::to_string(m.train_class_pixels.size()) +
-                    " counts of pixels for " + std::to_string(m.classes) + " classes, a pixel of " +
-                    std::to_string(scene.pixel_footprint_m) + " m",
-                "resume from another checkpoint of the run");
+    refuse(std::to_string(m.train_class_pixels.size()) + " counts of pixels for " + std::to_string(m.classes) +
+           " classes, a pixel of " + std::to_string(scene.pixel_footprint_m) + " m");
   }
   return scene;
 }

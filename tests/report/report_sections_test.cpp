@@ -255,6 +255,18 @@ TEST(ClicksSection, ShowsClassesClicksAndPictures) {
   const std::string json = labelling_record_json(*input.runs[0].clicked);
   EXPECT_EQ(parse_labelling_record(json, "x"), *input.runs[0].clicked);
   EXPECT_THROW((void)parse_labelling_record("{}", "x"), Error);
+  const std::pair<std::string, std::string> bad[] = {{"\"step\": 900", "\"step\": -1"},
+                                                     {"\"clicks\": 17", "\"clicks\": 1e+30"},
+                                                     {"\"frames\": 20", "\"frames\": 1.5"},
+                                                     {"\"id\": 7", "\"id\": 4294967303"},
+                                                     {"200,", "300,"},
+                                                     {"\"clicks\": 9", "\"clicks\": -9"}};
+  for (const auto& [good, other] : bad) {
+    std::string changed = json;
+    ASSERT_NE(changed.find(good), std::string::npos) << good;
+    changed.replace(changed.find(good), good.size(), other);
+    EXPECT_ERROR(parse_labelling_record(changed, "labelling.json"), "run.record.damaged", "labelling.json");
+  }
 }
 
 TEST(WorstSection, ListsEveryFrameByItsScore) {

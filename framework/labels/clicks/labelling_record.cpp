@@ -1,8 +1,10 @@
 #include "labels/clicks/labelling_record.h"
 
+#include <exception>
 #include <nlohmann/json.hpp>
 
 #include "core/error.h"
+#include "formats/json_numbers.h"
 
 namespace semfield {
 
@@ -23,23 +25,40 @@ std::string labelling_record_json(const LabellingRecord& record) {
          "\n";
 }
 
-LabellingRecord parse_labelling_record(std::string_view json, const std::string& name) {
+namespace {
+
+LabellingRecord record_of(const nlohmann::json& root) {
   LabellingRecord record;
+  read_json_value(root, "step", record.step);
+  read_json_value(root, "clicks", record.clicks);
+  read_json_value(root, "clicked_frames", record.clicked_frames);
+  read_json_value(root, "frames", record.frames);
+  for (const nlohmann::json& from : root.at("classes")) {
+    LabellingRecord::Class& c = record.classes.emplace_back();
+    read_json_value(from, "id", c.id);
+    read_json_value(from, "name", c.name);
+    read_json_value(from, "color", c.color);
+    read_json_value(from, "clicks", c.clicks);
+    read_json_value(from, "area_share", c.area_share);
+    read_json_value(from, "confidence", c.confidence);
+  }
+  for (const nlohmann::json& from : root.at("shown")) {
+    LabellingRecord::Frame& f = record.shown.emplace_back();
+    read_json_value(from, "frame", f.name);
+    read_json_value(from, "clicks", f.clicks);
+  }
+  return record;
+}
+
+}  // namespace
+
+LabellingRecord parse_labelling_record(std::string_view json, const std::string& name) {
   try {
-    const nlohmann::json root = nlohmann::json::parse(json);
-    record.step = root.at("step");
-    record.clicks = root.at("clicks");
-    record.clicked_frames = root.at("clicked_frames");
-    record.frames = root.at("frames");
-    for (const nlohmann::json& c : root.at("classes"))
-      record.classes.push_back(
-          {c.at("id"), c.at("name"), c.at("color"), c.at("clicks"), c.at("area_share"), c.at("confidence")});
-    for (const nlohmann::json& f : root.at("shown")) record.shown.push_back({f.at("frame"), f.at("clicks")});
-  } catch (const nlohmann::json::exception& e) {
+    return record_of(nlohmann::json::parse(json));
+  } catch (const std::exception& e) {  // of the JSON, or out of range
     throw Error(ErrorKind::data, "run.record.damaged", "'" + name + "' cannot be read: " + e.what(),
                 "delete it; the labelling page writes it again");
   }
-  return record;
 }
 
 }  // namespace semfield
