@@ -235,7 +235,7 @@ class TensorFileReader {
   void lay_out(std::size_t data_begin) {
     struct Placed {
       TensorRef tensor;
-      std::uint64_t begin, end;
+      std::uint64_t begin = 0, end = 0;
     };
     std::vector<Placed> placed;
     for (const auto& [name, entry] : json_.items()) {
@@ -248,9 +248,11 @@ class TensorFileReader {
           entry["data_offsets"].size() != 2) {
         fail(fmt::format("tensor '{}' lacks dtype, shape or two data_offsets, or has more", name));
       }
-      Placed p{{name, type_of(name, entry), {}, {}},
-               natural(entry["data_offsets"][0], name, "data_offsets"),
-               natural(entry["data_offsets"][1], name, "data_offsets")};
+      Placed p;
+      p.tensor.name = name;
+      p.tensor.type = type_of(name, entry);
+      p.begin = natural(entry["data_offsets"][0], name, "data_offsets");
+      p.end = natural(entry["data_offsets"][1], name, "data_offsets");
       for (const nlohmann::json& extent : entry["shape"]) {
         p.tensor.shape.push_back(static_cast<std::int64_t>(natural(extent, name, "shape")));
       }

@@ -1,4 +1,5 @@
-// Every kept input of the fuzzers - the seeds and what was once found - through its target, whole and cut short.
+// Every kept input of the fuzzers - the seeds and what was once found - through its target, whole, cut short and with
+// bytes changed. The compiler is that of the build, the fuzzers' is another.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -33,13 +34,20 @@ TEST_P(FuzzReplay, KeptInputsBreakNoPromise) {
   ASSERT_FALSE(seeds.empty()) << "no seeds";
   std::vector<fs::path> all = inputs_of("regressions", GetParam().name);
   all.insert(all.end(), seeds.begin(), seeds.end());
-  constexpr std::size_t kCuts = 16;
+  constexpr std::size_t kCuts = 16, kSpots = 64;
+  constexpr std::string_view kOthers = "\"-9[x,\xFF";
   for (const fs::path& path : all) {
     SCOPED_TRACE(path.string());
     const std::string bytes = read_text_file(path.string());
     EXPECT_NO_THROW(GetParam().run(bytes));
     for (std::size_t cut = 0; cut < kCuts; ++cut)
       EXPECT_NO_THROW(GetParam().run(bytes.substr(0, bytes.size() * cut / kCuts))) << "first " << cut << "/16";
+    for (std::size_t spot = 0; spot < kSpots && !bytes.empty(); ++spot) {
+      std::string changed = bytes;
+      const std::size_t at = bytes.size() * spot / kSpots;
+      changed[at] = kOthers[spot % kOthers.size()];
+      EXPECT_NO_THROW(GetParam().run(changed)) << "byte " << at << " is " << static_cast<int>(changed[at]);
+    }
   }
 }
 

@@ -3,6 +3,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <array>
 #include <cstdio>
 #include <cstring>
 #include <fstream>
@@ -12,6 +13,7 @@
 #include "formats/safetensors.h"
 #include "run/checkpoint_store.h"
 #include "run/run_folder.h"
+#include "session/checkpoint_facts.h"
 #include "system/checksum.h"
 #include "system/files.h"
 #include "tests/says.h"
@@ -104,6 +106,35 @@ TEST(Safetensors, EveryTruncationIsRefused) {  // G10
   EXPECT_THROW((void)TensorFile::decode(good + '\0', "grown", {}), Error);
 }
 
+// A file of another program: the layout without checksums.
+std::string bare_file(const std::string& header, std::size_t data_bytes) {
+  const std::uint64_t length = header.size();
+  std::string file(8, '\0');
+  std::memcpy(file.data(), &length, 8);
+  return file + header + std::string(data_bytes, '\0');
+}
+
+constexpr const char* kNoCounts[] = {"[0, 9223372036854775808]",
+                                     "[9223372036854775808, 0]",
+                                     "[\"x\", 0]",
+                                     "[0, null]",
+                                     "[0, -1]",
+                                     "[0.5, 4]",
+                                     "[[0], 4]",
+                                     "null"};
+
+// Each is refused, and nothing else of the header is destroyed twice on the way out.
+TEST(Safetensors, OffsetsThatAreNoCountsAreRefused) {
+  const auto decode = [](const std::string& offsets) {
+    const std::string tensor = R"({"a tensor of a long name, which lies on the heap":{"dtype":"F32","shape":[1],)";
+    (void)TensorFile::decode(bare_file(tensor + "\"data_offsets\":" + offsets + "}}", 4), "hostile",
+                             {.require_checksums = false});
+  };
+  decode("[0, 4]");
+  for (const char* offsets : kNoCounts)
+    EXPECT_ERROR(decode(offsets), "checkpoint.file.damaged", "hostile", "data_offsets");
+}
+
 TEST(Safetensors, WriterChecksItsInput) {
   const std::vector<float> values{1, 2};
   EXPECT_NE(error_of(ErrorKind::internal, [&] { (void)encode_safetensors({tensor_ref("w", {3}, values)}, {}); }), "");
@@ -112,6 +143,38 @@ TEST(Safetensors, WriterChecksItsInput) {
                        (void)encode_safetensors({tensor_ref("w", {2}, values), tensor_ref("w", {2}, values)}, {});
                      }),
             "");
+}
+
+// What would be cut to the size of a number of ours, or turn negative, is refused where it is read.
+TEST(CheckpointFacts, NumbersThatCannotBeAreRefused) {
+  CheckpointFacts facts;
+  facts.clicks = EventsKnown{3, 7};
+  KnownScene& scene = facts.scene.emplace();
+  scene.manifest.classes = 1;
+  scene.manifest.train_class_pixels = {5};
+  scene.manifest.train_pixels = 10;
+  scene.pixel_footprint_m = 0.5;
+  facts.inputs.emplace().frames = 4;
+  const auto read = [&](const char* key, const std::string& good, const std::string& bad) {
+    TensorMetadata metadata = checkpoint_metadata(facts, "hash");
+    std::string& text = metadata.at(key);
+    const std::size_t at = text.find(good);
+    EXPECT_NE(at, std::string::npos) << key << ": " << text;
+    text.replace(at, good.size(), bad);
+    (void)read_checkpoint_facts(TensorFile::decode(encode_safetensors({}, metadata), "a.safetensors", {}));
+  };
+  read("scene", "10", "10");
+  const std::array<const char*, 3> cases[] = {{"scene", "\"classes\":1", "\"classes\":4294967297"},
+                                              {"scene", "\"classes\":1", "\"classes\":1.5"},
+                                              {"scene", "\"train_pixels\":10", "\"train_pixels\":-1"},
+                                              {"scene", "\"train_pixels\":10", "\"train_pixels\":18446744073709551615"},
+                                              {"scene", "[5]", "[-5]"},
+                                              {"inputs", "\"frames\":4", "\"frames\":1e30"},
+                                              {"clicks", "3 ", "99999999999999999999 "},
+                                              {"clicks", "3 ", "-3 "},
+                                              {"step", "0", "18446744073709551615"},
+                                              {"seed", "0", "4294967296"}};
+  for (const auto& [key, good, bad] : cases) EXPECT_ERROR(read(key, good, bad), "checkpoint.metadata.damaged", key);
 }
 
 using CheckpointTest = Folder;
@@ -145,6 +208,13 @@ TEST_F(CheckpointTest, DamagedNewestIsReportedAndTheOlderUsed) {
   EXPECT_EQ(store.find_latest(diagnostics)->step, 100);
   ASSERT_EQ(diagnostics.all().size(), 1u);
   EXPECT_HAS(diagnostics.all()[0].text(), "step_00000200.safetensors");
+  for (const char* offsets : kNoCounts) {
+    const std::string header = std::string(R"({"w":{"dtype":"F32","shape":[1],"data_offsets":)") + offsets + "}}";
+    write_file_atomic(in("c/step_00000200.safetensors"), std::string_view(bare_file(header, 4)));
+    Diagnostics again;
+    EXPECT_EQ(store.find_latest(again)->step, 100) << offsets;
+    EXPECT_EQ(again.all().size(), 1u);
+  }
   // The run goes on from 100: the damaged later one steps aside, and never displaces a good one.
   save(store, 150);
   EXPECT_EQ(store.list().size(), 2u);
