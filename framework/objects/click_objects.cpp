@@ -47,6 +47,21 @@ std::vector<std::int32_t> points_under(const ObjectSurface& surface, const Mark&
   return points;
 }
 
+// Objects of at least so many points, numbered anew.
+void drop_small(ClickedObjects& objects, std::int64_t least) {
+  std::vector<std::int64_t> points(objects.class_of.size(), 0);
+  for (const std::int32_t id : objects.id)
+    if (id > 0) ++points[static_cast<std::size_t>(id) - 1];
+  std::vector<std::int32_t> number{0};
+  std::vector<std::int16_t> class_of;
+  for (std::size_t o = 0; o < points.size(); ++o) {
+    if (points[o] >= least) class_of.push_back(objects.class_of[o]);
+    number.push_back(points[o] >= least ? static_cast<std::int32_t>(std::ssize(class_of)) : 0);
+  }
+  for (std::int32_t& id : objects.id) id = number[static_cast<std::size_t>(id)];
+  objects.class_of = std::move(class_of);
+}
+
 }  // namespace
 
 SegmentSet segments_of_clicks(const std::string& file, const SceneInfo& info, Diagnostics& diagnostics) {
@@ -69,7 +84,7 @@ SegmentSet segments_of_clicks(const std::string& file, const SceneInfo& info, Di
 
 ClickedObjects clicked_objects(const ObjectSurface& surface, const TouchingCells& touching,
                                std::span<const std::int16_t> class_of, const std::vector<bool>& stuff,
-                               std::span<const Mark> clicks) {
+                               std::span<const Mark> clicks, std::int64_t least) {
   // Numbers of (class, object) in the graph; 0 is no object's.
   std::map<std::pair<int, std::int32_t>, std::int16_t> number_of;
   std::vector<std::int16_t> numbers;
@@ -89,32 +104,46 @@ ClickedObjects clicked_objects(const ObjectSurface& surface, const TouchingCells
   SurfaceGraph graph(surface.pool, {});
   graph.settle(seeds);
 
-  ClickedObjects out{std::vector<std::int32_t>(surface.pool.points.size(), 0), {}};
+  ClickedObjects out;
+  out.id.assign(surface.pool.points.size(), 0);
+  const auto settled_on = [&](std::int32_t point) {
+    return graph.settled()[static_cast<std::size_t>(point)].class_index[0];
+  };
   std::map<std::int16_t, std::int32_t> id_of;  // of numbers whose clicks say which object they mean
   for (std::size_t k = 0; k < clicks.size(); ++k) {
     const std::int16_t number = numbers[k];
-    const auto is_its = [&](std::int32_t point) {
-      const auto at = static_cast<std::size_t>(point);
-      return out.id[at] == 0 && graph.settled()[at].class_index[0] == number;
+    if (number == 0) continue;
+    std::set<std::int32_t> named;  // under this click, whatever the field says there
+    for (const std::int32_t seed : under[k])
+      if (settled_on(seed) == number) named.insert(seed);
+    const auto agrees = [&](std::int32_t point) {
+      return class_of[static_cast<std::size_t>(point)] == clicks[k].class_index;
     };
-    for (const std::int32_t seed : number == 0 ? std::vector<std::int32_t>() : under[k]) {
-      if (!is_its(seed)) continue;
+    std::set<std::int32_t> met;
+    for (const std::int32_t seed : under[k]) {
+      if (!named.contains(seed) || out.id[static_cast<std::size_t>(seed)] != 0 || !met.insert(seed).second) continue;
+      std::vector<std::int32_t> piece{seed};
+      for (std::size_t next = 0; next < piece.size(); ++next) {
+        const auto cell = static_cast<std::size_t>(piece[next]);
+        for (std::int32_t n = touching.first[cell]; n < touching.first[cell + 1]; ++n) {
+          const std::int32_t other = touching.of[static_cast<std::size_t>(n)];
+          const bool its = out.id[static_cast<std::size_t>(other)] == 0 && settled_on(other) == number &&
+                           (agrees(other) || named.contains(other));
+          if (its && met.insert(other).second) piece.push_back(other);
+        }
+      }
+      if (std::ssize(piece) < least && std::none_of(piece.begin(), piece.end(), agrees)) continue;
       const bool known = clicks[k].object != 0 && id_of.contains(number);
       if (!known) out.class_of.push_back(static_cast<std::int16_t>(clicks[k].class_index));
       const std::int32_t object = known ? id_of[number] : static_cast<std::int32_t>(std::ssize(out.class_of));
       id_of[number] = object;
-      std::vector<std::int32_t> reached{seed};
-      out.id[static_cast<std::size_t>(seed)] = object;
-      for (std::size_t next = 0; next < reached.size(); ++next) {
-        const auto cell = static_cast<std::size_t>(reached[next]);
-        for (std::int32_t n = touching.first[cell]; n < touching.first[cell + 1]; ++n) {
-          const std::int32_t other = touching.of[static_cast<std::size_t>(n)];
-          if (!is_its(other) || class_of[static_cast<std::size_t>(other)] != clicks[k].class_index) continue;
-          out.id[static_cast<std::size_t>(other)] = object;
-          reached.push_back(other);
-        }
-      }
+      for (const std::int32_t point : piece) out.id[static_cast<std::size_t>(point)] = object;
     }
+  }
+  drop_small(out, least);
+  for (std::size_t k = 0; k < clicks.size(); ++k) {
+    const auto claimed = [&](std::int32_t point) { return out.id[static_cast<std::size_t>(point)] != 0; };
+    if (numbers[k] != 0 && std::none_of(under[k].begin(), under[k].end(), claimed)) out.unclaimed.push_back(k);
   }
   return out;
 }

@@ -38,6 +38,8 @@ std::vector<bool> stuff_classes(const ClassTable& classes, const std::vector<std
   return stuff;
 }
 
+}  // namespace
+
 TouchingCells touching_cells(const SurfaceCells& cells) {
   const std::vector<CellPair> pairs = cells.neighbours();
   TouchingCells out;
@@ -58,8 +60,6 @@ TouchingCells touching_cells(const SurfaceCells& cells) {
   }
   return out;
 }
-
-}  // namespace
 
 FoundObjects find_objects(Session& session, const SegmentSet& segments, std::unique_ptr<Grouping> grouping,
                           const KernelTables& kernels, const ObjectStages& progress) {
@@ -91,8 +91,10 @@ FoundObjects find_objects(Session& session, const SegmentSet& segments, std::uni
   found.class_of = classes.most_probable();
   ClickedObjects told;
   if (clicked) {
-    told = clicked_objects(found.surface, found.touching, found.class_of, found.stuff, segments.clicks);
+    told = clicked_objects(found.surface, found.touching, found.class_of, found.stuff, segments.clicks,
+                           params.least_points);
     found.id = told.id;
+    found.unclaimed = told.unclaimed;
     sights = point_sights(found.surface, found.id);
   }
   clock.part("classes");

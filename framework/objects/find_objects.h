@@ -40,6 +40,7 @@ struct ObjectRow {
 struct TouchingCells {
   std::vector<std::int32_t> first, of;
 };
+TouchingCells touching_cells(const SurfaceCells& cells);
 
 /// What was found. Views and pool lie in `surface`.
 struct FoundObjects {
@@ -52,6 +53,7 @@ struct FoundObjects {
   std::vector<std::int16_t> class_of;  ///< [points] class of the field or of segments, kVoid: not known
   std::vector<bool> stuff;             ///< [classes] whether the class has no objects
   std::vector<ObjectRow> rows;         ///< by id, from 1 on without gaps
+  std::vector<std::size_t> unclaimed;  ///< clicks of things that no object came of
   std::vector<std::pair<std::string, double>> seconds;  ///< of each part of the work
 };
 

@@ -49,13 +49,14 @@ struct Row {
 
   struct Click {
     int x, class_index, object;
+    double radius_px = 0;
   };
   // Objects of the pixels, a digit each.
-  std::string objects(const std::vector<Click>& clicks) const {
+  std::string objects(const std::vector<Click>& clicks, std::int64_t least = 1) const {
     std::vector<Annotations::Mark> marks;
     for (const Click& click : clicks)
-      marks.push_back({"a", 0, {{click.x + 0.5, 0.5}}, 0, click.class_index, false, click.object});
-    const std::vector<std::int32_t> id = clicked_objects(surface, touching, class_of, {true, false}, marks).id;
+      marks.push_back({"a", 0, {{click.x + 0.5, 0.5}}, click.radius_px, click.class_index, false, click.object});
+    const std::vector<std::int32_t> id = clicked_objects(surface, touching, class_of, {true, false}, marks, least).id;
     std::string out;
     for (const std::int32_t point : surface.pool.point_of_pixel[0])
       out += point < 0 ? '.' : static_cast<char>('0' + id[static_cast<std::size_t>(point)]);
@@ -94,6 +95,26 @@ TEST(ClickObjects, StuffAndVoidAreNoObjectsAndHoldObjectsBack) {
   EXPECT_EQ(row.objects({{1, kChair, 0}, {7, kVoid, 0}}), "011110000");
   EXPECT_EQ(row.objects({{3, kVoid, 0}, {3, kChair, 0}}), "011111110") << "the last click at a place counts";
   EXPECT_EQ(row.objects({{0, kChair, 0}}), "111111110") << "the field says wall there, and a person says chair";
+}
+
+// A click as wide as five cells over the rim of a chair: what is behind the rim is neither the chair's nor an object.
+TEST(ClickObjects, OneClickIsOneObjectAndTheSurfaceAroundIt) {
+  const Row row("wwwcccccc.w.c");
+  EXPECT_EQ(row.objects({{8, kChair, 0, 2.2}}, 3), "000111111.0.0") << "the wall beyond the gap is no thing of a point";
+  EXPECT_EQ(row.objects({{2, kChair, 0, 2.2}}, 3), "111111111.0.0") << "what touches under a click is one thing";
+  EXPECT_EQ(row.objects({{12, kChair, 0}, {5, kChair, 0}}, 3), "000111111.0.0") << "a chair of one point";
+  EXPECT_EQ(row.objects({{12, kChair, 2}, {5, kChair, 2}}, 3), "000111111.0.1") << "a piece of the chair";
+  EXPECT_EQ(row.objects({{10, kChair, 2}, {5, kChair, 2}}, 3), "000111111.0.0") << "no piece of it";
+  EXPECT_EQ(row.objects({{10, kChair, 0}}, 3), "000000000.0.0");
+}
+
+TEST(ClickObjects, ClicksThatClaimNothingAreTold) {
+  const Row row("cccc.w.c");
+  std::vector<Annotations::Mark> marks;
+  for (const int x : {5, 0, 7, 4}) marks.push_back({"a", 0, {{x + 0.5, 0.5}}, 0, kChair, false, 0});
+  const ClickedObjects told = clicked_objects(row.surface, row.touching, row.class_of, {true, false}, marks, 2);
+  EXPECT_EQ(told.unclaimed, (std::vector<std::size_t>{0, 2, 3}));
+  EXPECT_EQ(told.class_of, std::vector<std::int16_t>{kChair});
 }
 
 SceneInfo room_info() {
