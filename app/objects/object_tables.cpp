@@ -7,15 +7,14 @@
 
 #include "app/json_output.h"
 #include "core/error.h"
-#include "objects/object_edits.h"
+#include "formats/text_rows.h"
 #include "surface/mesh/mesh_files.h"
+#include "system/checksum.h"
 #include "system/files.h"
 
 namespace semfield::app {
 
 namespace {
-
-constexpr std::int32_t kMostObjects = 1024;  // as classes of a PLY file
 
 Json numbers(Vec3d v) { return {v.x, v.y, v.z}; }
 
@@ -35,19 +34,15 @@ Json row_json(const ObjectRow& row, const ClassTable& classes) {
             {"size", numbers(row.box.size)}}}};
 }
 
-std::string table_json(const ObjectSet& set, const SceneInfo& info) {
-  Json out = Json::parse(set.about);
+std::string table_json(const EditedObjects& objects, const SceneInfo& info) {
+  Json out = Json::parse(objects.set.about);
   out["unit"] = info.metric ? "m" : "scene";
+  out["edits"] = objects.edits.edits.size();
+  out["state"] = objects_state(objects.edits);
   Json& rows = out["objects"] = Json::array();
-  for (const ObjectRow& row : set.rows)
+  for (const ObjectRow& row : objects.set.rows)
     if (row.points > 0) rows.push_back(row_json(row, info.classes));
   return json_text(out, 1) + "\n";
-}
-
-std::string csv_cell(std::string words) {
-  for (std::size_t at = words.find('"'); at != std::string::npos; at = words.find('"', at + 2))
-    words.insert(at, 1, '"');
-  return words.find_first_of(",\"\n") == std::string::npos ? words : '"' + words + '"';
 }
 
 std::string table_csv(const ObjectSet& set, const ClassTable& classes) {
@@ -57,7 +52,7 @@ std::string table_csv(const ObjectSet& set, const ClassTable& classes) {
   for (const ObjectRow& row : set.rows) {
     if (row.points == 0) continue;
     out += fmt::format("{},{},{},{:.4f},{:.4f},{},{},{:.6g},{:.6g},{:.6g},{:.6g},{:.6g},{:.6g},{:.6g}\n", row.id,
-                       csv_cell(object_name(row, classes)), csv_cell(object_class_name(row, classes)),
+                       csv_field(object_name(row, classes)), csv_field(object_class_name(row, classes)),
                        row.class_probability, row.agreement, row.views, row.points, row.area, row.centroid.x,
                        row.centroid.y, row.centroid.z, row.box.size.x, row.box.size.y, row.box.size.z);
   }
@@ -102,18 +97,33 @@ void check_object_count(const std::vector<ObjectRow>& rows) {
                 fmt::format("{} objects, and files hold {}", rows.size(), kMostObjects), "raise objects.least_points");
 }
 
-void write_object_tables(const std::string& folder, const ObjectSet& set, const SceneInfo& info) {
-  check_object_count(set.rows);
-  const std::filesystem::path in(folder);
-  write_file_atomic((in / "objects.csv").string(), table_csv(set, info.classes));
-  write_points((in / "objects.ply").string(), set, info.classes);
-  write_file_atomic((in / "objects.json").string(), table_json(set, info));
+std::string objects_state(const ObjectEdits& edits) {
+  return fmt::format("{:016x}", fnv1a64(object_edits_text(edits)));
 }
 
-std::optional<ObjectSet> objects_of_run(const std::string& run_dir) {
+void write_object_tables(const std::string& folder, const EditedObjects& objects, const SceneInfo& info) {
+  check_object_count(objects.set.rows);
+  const std::filesystem::path in(folder);
+  write_file_atomic((in / "objects.json").string(), table_json(objects, info));
+  write_file_atomic((in / "objects.csv").string(), table_csv(objects.set, info.classes));
+  write_points((in / "objects.ply").string(), objects.set, info.classes);
+}
+
+std::string tables_state(const std::string& folder, const ObjectEdits& edits) {
+  const std::filesystem::path in(folder);
+  for (const char* name : {"objects.json", "objects.csv", "objects.ply"})
+    if (!std::filesystem::is_regular_file(in / name)) return {};
+  const Json root = Json::parse(read_text_file((in / "objects.json").string()), nullptr, false);
+  if (!root.is_object()) return {};
+  const auto state = root.find("state");
+  if (state != root.end()) return state->is_string() ? state->get<std::string>() : std::string();
+  return edits.edits.empty() ? objects_state(edits) : std::string();
+}
+
+std::optional<ObjectSet> objects_of_run(const std::string& run_dir, int classes) {
   const std::filesystem::path folder = std::filesystem::path(run_dir) / "objects";
   if (!std::filesystem::exists(folder / "found.safetensors")) return std::nullopt;
-  ObjectSet found = read_edited_objects(folder.string()).set;
+  ObjectSet found = read_edited_objects(folder.string(), classes).set;
   if (found.rows.empty()) return std::nullopt;
   return found;
 }

@@ -4,18 +4,26 @@
 #include <optional>
 #include <string>
 
-#include "objects/object_set.h"
+#include "objects/object_edits.h"
 #include "scene/scene.h"
 
 namespace semfield::app {
 
-/// Writes objects.csv, objects.ply (points of the surface, label = id, in colours of the objects) and objects.json, the
-/// table with the keys of set.about beside it, into `folder`. Every file appears whole. Throws as write_file_atomic;
-/// Error(data) for more than 1,024 objects.
-void write_object_tables(const std::string& folder, const ObjectSet& set, const SceneInfo& info);
+/// Names objects and their edits: the same have the same, others another.
+std::string objects_state(const ObjectEdits& edits);
 
-/// The objects in RUN/objects with their edits; none where none were found. Throws as read_edited_objects.
-std::optional<ObjectSet> objects_of_run(const std::string& run_dir);
+/// Writes objects.json, the table with the keys of set.about, the number of edits and objects_state beside it, then
+/// objects.csv and objects.ply (points of the surface, label = id, in colours of the objects), into `folder`. Every
+/// file appears whole; objects.json is first, so that where it has another state than the edits, any may be old. Throws
+/// as write_file_atomic; Error(data) for more than 1,024 objects.
+void write_object_tables(const std::string& folder, const EditedObjects& objects, const SceneInfo& info);
+/// The state of the tables in `folder`; "": there are none. Earlier versions told none: then that of `edits` where
+/// there are none that the tables could lack.
+std::string tables_state(const std::string& folder, const ObjectEdits& edits);
+
+/// The objects in RUN/objects with their edits; none where none were found. `classes`: valid ones of the run's table.
+/// Throws as read_edited_objects.
+std::optional<ObjectSet> objects_of_run(const std::string& run_dir, int classes);
 
 /// Throws Error(data) for more objects than files hold, before anything is written.
 void check_object_count(const std::vector<ObjectRow>& rows);

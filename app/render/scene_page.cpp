@@ -8,6 +8,7 @@
 #include <cstring>
 #include <ctime>
 #include <filesystem>
+#include <map>
 #include <new>
 
 #include "app/json_output.h"
@@ -145,12 +146,26 @@ std::string harmless(std::string text) {
   return text;
 }
 
-void fill_in(std::string& page, const std::string& place, const std::string& text) {
-  const std::size_t at = page.find(place);
-  if (at == std::string::npos)
-    throw Error(ErrorKind::no_input, "files.shared.missing", "viewer.html: '" + place + "' is not in it",
-                "install the component 'app' whole, or run the program from its build folder");
-  page.replace(at, place.size(), text);
+// The page with every place filled; what fills one is not looked at again, whatever it holds.
+std::string filled(const std::string& page, std::map<std::string, std::string> parts) {
+  std::string out;
+  for (std::size_t from = 0;;) {
+    std::size_t at = std::string::npos;
+    auto next = parts.end();
+    for (auto part = parts.begin(); part != parts.end(); ++part)
+      if (const std::size_t found = page.find(part->first, from); found < at) {
+        at = found;
+        next = part;
+      }
+    out += page.substr(from, at == std::string::npos ? at : at - from);
+    if (next == parts.end()) break;
+    out += next->second;
+    from = at + next->first.size();
+    parts.erase(next);
+  }
+  if (parts.empty()) return out;
+  throw Error(ErrorKind::no_input, "files.shared.missing", "viewer.html: '" + parts.begin()->first + "' is not in it",
+              "install the component 'app' whole, or run the program from its build folder");
 }
 
 // The viewer around `facts`; "connect": whom the page may ask.
@@ -158,16 +173,15 @@ std::string viewer(const std::string& title, const Json& facts, const std::strin
   const auto part = [](const std::string& name) {
     return read_text_file(shared_file("app/render/scene_page/" + name));
   };
-  std::string text = part("viewer.html"), script;
+  std::string script;
   for (const char* name : {"matrices", "drawing", "camera", "objects"}) script += part(std::string(name) + ".js");
   if (live) script += part("live.js");
-  fill_in(text, "<!--connect-->", live ? "'self'" : "'none'");
-  fill_in(text, "<!--title-->", html_escape(title));
-  fill_in(text, "/*style*/", part("viewer.css"));
-  fill_in(text, "/*script*/", script + part("viewer.js"));
-  fill_in(text, "/*facts*/", harmless(json_text(facts)));
-  fill_in(text, "/*mesh*/", mesh);
-  return text;
+  return filled(part("viewer.html"), {{"<!--connect-->", live ? "'self'" : "'none'"},
+                                      {"<!--title-->", html_escape(title)},
+                                      {"/*style*/", part("viewer.css")},
+                                      {"/*script*/", script + part("viewer.js")},
+                                      {"/*facts*/", harmless(json_text(facts))},
+                                      {"/*mesh*/", mesh}});
 }
 
 std::string today() {
@@ -197,7 +211,7 @@ ScenePage scene_page_of(const Session& session, const std::string& run_dir, std:
       fmt::format("Source: {}.", session.config.dataset.entry->name),
       fmt::format("Made by Semfield {}. Positions are in the input's world.", this_environment().version),
       "The rights of the photographs hold for this file. Its viewer is part of Semfield (Apache License 2.0)."};
-  page.objects = objects_of_run(folder.string());
+  page.objects = objects_of_run(folder.string(), info.classes.valid_count());
   if (session.config.rendering.far != FarMode::background || frames.empty()) return page;
   Vec3d sum;
   for (const int f : frames) sum = sum + info.frames[static_cast<std::size_t>(f)].world_from_camera.t;

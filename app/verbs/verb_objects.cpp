@@ -10,6 +10,7 @@
 
 #include "app/json_output.h"
 #include "app/objects/object_files.h"
+#include "app/objects/object_folder.h"
 #include "app/objects/object_pictures.h"
 #include "app/objects/object_tables.h"
 #include "app/progress_line.h"
@@ -17,10 +18,10 @@
 #include "core/findings.h"
 #include "objects/click_objects.h"
 #include "objects/damage.h"
-#include "objects/object_edits.h"
 #include "objects/object_score.h"
 #include "objects/read_segments.h"
 #include "run/open_run.h"
+#include "system/files.h"
 
 namespace semfield::app {
 
@@ -150,6 +151,19 @@ SegmentSet segments_of(const ObjectsOptions& options, const LoadedScene& scene, 
   return clicks;
 }
 
+void tell_unclaimed(const FoundObjects& found, const SegmentSet& segments, const Session& s,
+                    const AppContext& context) {
+  if (found.unclaimed.empty()) return;
+  const Annotations::Mark& first = segments.clicks[found.unclaimed.front()];
+  const SceneInfo& info = s.scene.info;
+  print_note(context,
+             fmt::format("{} of {} clicks are of no object, the first one on '{}' in frame '{}': fewer than {} "
+                         "points of the surface around them are of their class; train the run with the clicks, "
+                         "or lower objects.least_points",
+                         found.unclaimed.size(), segments.clicks.size(), info.classes.valid(first.class_index).name,
+                         info.frames[static_cast<std::size_t>(first.frame)].name, s.config.objects.least_points));
+}
+
 int run(const ObjectsOptions& options, AppContext& context) {
   Diagnostics diagnostics;
   OpenedRun opened = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::objects);
@@ -160,6 +174,11 @@ int run(const ObjectsOptions& options, AppContext& context) {
   if (s.config.grouping.entry == nullptr) s.config.grouping = usual_method(context.registry);
   SegmentSet segments = segments_of(options, s.scene, context);
   damage_segments(segments, s.config.segment_damage, s.config.objects.seed);
+  const std::string folder =
+      options.out.empty() ? (std::filesystem::path(options.run) / "objects").string() : options.out;
+  // From here on, so that nobody edits objects that are about to be others.
+  FolderLock alone;
+  if (std::filesystem::is_directory(folder)) alone = hold_objects(folder, 0);
   ProgressLine progress(context, "objects");
   std::string stage;
   const auto show = [&](const char* part, double done, double of) {
@@ -171,42 +190,48 @@ int run(const ObjectsOptions& options, AppContext& context) {
   };
   FoundObjects found = find_objects(s, segments, s.config.grouping.entry->grouping(*s.config.grouping.params),
                                     context.registry.kernels(), show);
-  const std::string folder =
-      options.out.empty() ? (std::filesystem::path(options.run) / "objects").string() : options.out;
-  ObjectSet set = object_set(found, about(options, opened, segments, found).dump());
-  const ObjectSet as_found = set;
+  tell_unclaimed(found, segments, s, context);
+  check_object_count(found.rows);
+  if (!alone.held()) {
+    create_folders(folder);
+    alone = hold_objects(folder, 0);
+  }
+  EditedObjects objects;
+  objects.set = object_set(found, about(options, opened, segments, found).dump());
+  const ObjectSet as_found = objects.set;
   const std::string edits_file = (std::filesystem::path(folder) / "edits.json").string();
-  const ObjectEdits edits = read_object_edits(edits_file);
-  apply_edits(set, edits, edits_file);
-  found.id = set.id;
-  found.rows = set.rows;
+  objects.edits = read_object_edits(edits_file);
+  apply_edits(objects.set, objects.edits, edits_file);
+  objects.edits.digest = as_found.digest();
+  found.id = objects.set.id;
+  found.rows = objects.set.rows;
   ObjectFiles files(folder, found, s.scene.info);
   const std::optional<ObjectFigures> figures = write_views(options, s, found, files, context);
-  Json facts = Json::parse(set.about);
-  facts["edits"] = edits.edits.size();
+  Json facts = Json::parse(objects.set.about);
+  facts["edits"] = objects.edits.edits.size();
   if (figures) facts["score"] = figures_json(*figures);
   files.finish();
-  set.about = facts.dump();
+  objects.set.about = facts.dump();
   write_object_set((std::filesystem::path(folder) / "found.safetensors").string(), as_found);
-  write_object_tables(folder, set, s.scene.info);
-  const auto objects =
-      std::count_if(set.rows.begin(), set.rows.end(), [](const ObjectRow& row) { return row.points > 0; });
+  write_object_tables(folder, objects, s.scene.info);
+  const auto count =
+      std::count_if(found.rows.begin(), found.rows.end(), [](const ObjectRow& row) { return row.points > 0; });
   if (context.json) {
     Json out = facts;
-    out["objects"] = objects;
+    out["objects"] = count;
     out["folder"] = folder;
     print_json(context, out);
     return 0;
   }
   std::map<std::string, int> counts;
-  for (const ObjectRow& row : set.rows)
+  for (const ObjectRow& row : found.rows)
     if (row.points > 0) ++counts[object_class_name(row, s.scene.info.classes)];
-  for (const auto& [name, count] : counts) std::printf("  %-20s %d\n", name.c_str(), count);
+  for (const auto& [name, of_class] : counts) std::printf("  %-20s %d\n", name.c_str(), of_class);
   if (figures)
     std::printf("score: pq=%.4f sq=%.4f rq=%.4f mcov=%.4f count_error=%.4f true=%lld found=%lld\n", figures->pq,
                 figures->sq, figures->rq, figures->mcov, figures->count_error, static_cast<long long>(figures->objects),
                 static_cast<long long>(figures->found));
-  std::printf("objects: objects=%lld segments=%lld seconds=%.1f folder=%s\n", static_cast<long long>(objects),
+  std::printf("objects: objects=%lld segments=%lld seconds=%.1f folder=%s\n", static_cast<long long>(count),
               static_cast<long long>(segments.count()), facts["seconds"]["all"].get<double>(), folder.c_str());
   return 0;
 }

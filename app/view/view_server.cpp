@@ -185,12 +185,14 @@ HttpResponse ViewServer::post_point(const HttpRequest& request) {
 }
 
 HttpResponse ViewServer::post_edit(const HttpRequest& request) {
-  Json root = parse_request(request.body, {"do", "object", "objects", "name", "at", "plane", "fine"});
+  Json root = parse_request(request.body, {"do", "object", "objects", "name", "at", "plane", "fine", "made_on"});
   bool fine = false;
   read_request_flag(root, "fine", fine);
+  const std::string made_on = word_in(root, "made_on");
   root.erase("fine");
-  if (word_in(root, "do") == "undo") return json(run(0).edit(std::nullopt, fine));
-  return json(run(0).edit(parse_object_edit(root.dump(), "request"), fine));
+  root.erase("made_on");
+  if (word_in(root, "do") == "undo") return json(run(0).edit(std::nullopt, made_on, fine));
+  return json(run(0).edit(parse_object_edit(root.dump(), "request"), made_on, fine));
 }
 
 HttpResponse ViewServer::post_film(const HttpRequest& request) {

@@ -81,13 +81,24 @@ class ViewedRun::Turn {
   WorkScope scope_;
 };
 
-ViewedRun::ViewedRun(OpenedRun run) : run_(std::move(run)), work_(run_.session.work()) {
+ViewedRun::ViewedRun(OpenedRun run)
+    : run_(std::move(run)),
+      work_(run_.session.work()),
+      objects_((std::filesystem::path(run_.run_dir) / "objects").string(), run_.session.scene.info) {
   page_ = scene_page_of(run_.session, run_.run_dir, run_.step, upright_of(run_.session).value_or(Vec3d{0, 1, 0}));
-  if (page_.objects) edits_ = read_object_edits(objects_file("edits.json"));
+  try {
+    objects_.mend();
+  } catch (const Error& e) {
+    if (e.kind() == ErrorKind::data) throw;
+    page_.about.push_back("The tables of the objects lack edits that are saved: " + e.message() + ".");
+  }
+  show_objects(objects_.look());
 }
 
-std::string ViewedRun::objects_file(const char* name) const {
-  return (std::filesystem::path(run_.run_dir) / "objects" / name).string();
+void ViewedRun::show_objects(const EditedObjects* now) {
+  if (now == nullptr) page_.objects.reset();
+  if (now != nullptr && (!page_.objects || shown_ != objects_.state())) page_.objects = now->set;
+  shown_ = objects_.state();
 }
 
 std::int64_t ViewedRun::newest_step() const {
@@ -121,10 +132,13 @@ std::shared_ptr<const RunSurface> ViewedRun::surface(bool fine) {
 std::string ViewedRun::scene(bool fine) {
   const std::shared_ptr<const RunSurface> made = surface(fine);
   const std::scoped_lock lock(page_lock_);
+  const EditedObjects* const now = objects_.look();  // another program may have changed them
+  show_objects(now);
+  const std::size_t edits = now == nullptr ? 0 : now->edits.edits.size();
   ScenePage page = page_;
   if (made->surface.triangles.empty()) page.about.push_back(trouble_ + ": the field is seen when the camera rests.");
   return scene_bytes(made->surface, run_.session.scene.info.classes, page,
-                     json_text({{"fine", fine}, {"edits", edits_.edits.size()}}));
+                     json_text({{"fine", fine}, {"edits", edits}, {"state", shown_}}));
 }
 
 void ViewedRun::check_class(int class_index) const {
@@ -239,32 +253,17 @@ std::string ViewedRun::probability(int class_index, bool fine) {
   return out;
 }
 
-std::string ViewedRun::edit(const std::optional<ObjectEdit>& edit, bool fine) {
+std::string ViewedRun::edit(const std::optional<ObjectEdit>& edit, const std::string& made_on, bool fine) {
   const std::shared_ptr<const RunSurface> made = surface(fine);
-  const SceneInfo& info = run_.session.scene.info;
   const std::scoped_lock lock(page_lock_);
-  if (!page_.objects)
-    throw Error(ErrorKind::data, "view.objects.none", run_.run_dir + ": no objects were found in this run",
-                "find them: semfield objects");
-  EditedObjects changed = read_edited_objects(objects_file(""));
-  if (edit) {
-    apply_edit(changed.set, *edit);
-    changed.edits.edits.push_back(*edit);
-  } else {
-    if (changed.edits.edits.empty())
-      throw Error(ErrorKind::data, "view.undo.none", "there is no edit to take back", "");
-    changed.edits.edits.pop_back();
-  }
-  write_object_edits(objects_file("edits.json"), changed.edits);
-  if (!edit) changed.set = read_edited_objects(objects_file("")).set;
-  write_object_tables(objects_file(""), changed.set, info);
-  page_.objects = std::move(changed.set);
-  edits_ = std::move(changed.edits);
-  const std::vector<std::uint16_t> ids = vertex_objects(made->surface, *page_.objects);
+  const EditedObjects& now = objects_.edit(edit, made_on);
+  show_objects(&now);
+  const std::vector<std::uint16_t> ids = vertex_objects(made->surface, now.set);
   const std::span<const std::uint8_t> bytes(reinterpret_cast<const std::uint8_t*>(ids.data()), 2 * ids.size());
-  return json_text({{"objects", Json::parse(page_objects_json(*page_.objects, info.classes))},
+  return json_text({{"objects", Json::parse(page_objects_json(now.set, run_.session.scene.info.classes))},
                     {"ids", base64(bytes)},
-                    {"edits", edits_.edits.size()},
+                    {"edits", now.edits.edits.size()},
+                    {"state", shown_},
                     {"said", edit ? "Saved." : "The last edit is taken back."}});
 }
 

@@ -12,9 +12,9 @@
 #include <string>
 #include <vector>
 
+#include "app/objects/object_folder.h"
 #include "app/render/run_surface.h"
 #include "app/render/scene_page.h"
-#include "objects/object_edits.h"
 #include "run/open_run.h"
 #include "serve/label_state.h"
 
@@ -33,7 +33,8 @@ struct ViewPicture {
 /// of a mesh that is being made.
 class ViewedRun {
  public:
-  /// Takes over the run.
+  /// Takes over the run. Tables of its objects that lack a saved edit are written anew; where they cannot be, a line of
+  /// the page says so.
   explicit ViewedRun(OpenedRun run);
 
   const std::string& folder() const { return run_.run_dir; }
@@ -51,10 +52,10 @@ class ViewedRun {
   std::string point(Vec3d place);
   /// The probability of a class at every vertex of a mesh, 0 to 255. Throws Error(data) for a class that is not there.
   std::string probability(int class_index, bool fine);
-  /// Applies and keeps an edit; none: takes the last one back. {"objects", "ids", "edits", "said"} as JSON, ids as
-  /// base64 of 16 bits for every vertex. Throws Error(data) for one that cannot be, and write_error; nothing has
-  /// changed then.
-  std::string edit(const std::optional<ObjectEdit>& edit, bool fine);
+  /// Applies and keeps an edit of the objects that have the state `made_on`; none: takes the last one back. {"objects",
+  /// "ids", "edits", "state", "said"} as JSON, ids as base64 of 16 bits for every vertex. Throws as ObjectFolder::edit;
+  /// nothing has changed then.
+  std::string edit(const std::optional<ObjectEdit>& edit, const std::string& made_on, bool fine);
 
  private:
   class Turn;
@@ -62,14 +63,15 @@ class ViewedRun {
   void check_class(int class_index) const;
   void paint(const ViewPicture& wanted, const RayCamera& band, const RenderedFrame& frame,
              std::vector<std::uint8_t>& rgb) const;
-  std::string objects_file(const char* name) const;
+  void show_objects(const EditedObjects* now);
 
   OpenedRun run_;
   WorkSettings work_;
   ScenePage page_;
-  ObjectEdits edits_;
+  ObjectFolder objects_;
+  std::string shown_;             // the state of page_.objects
   std::string trouble_;           // of the surface
-  mutable std::mutex page_lock_;  // of page_ and edits_
+  mutable std::mutex page_lock_;  // of page_, objects_ and shown_
   std::mutex field_lock_;         // of these two; the field belongs to the call whose turn it is
   std::uint64_t turn_ = 0, last_turn_ = 0;
   std::condition_variable field_free_;

@@ -37,6 +37,8 @@ ObjectEdit parse_object_edit(std::string_view json, const std::string& where);
 /// No file: no edits. Throws Error(data) naming the file and the edit.
 ObjectEdits read_object_edits(const std::string& path);
 void write_object_edits(const std::string& path, const ObjectEdits& edits);
+/// What is written. The same objects with the same edits have the same text, others another.
+std::string object_edits_text(const ObjectEdits& edits);
 
 /// Changes ids and rows. Ids stay, those of merged objects are not used again, and a part that was split off gets a new
 /// one behind all others; the largest part keeps its id. Pieces: parts whose cells touch are one, and what has less
@@ -47,13 +49,16 @@ void write_object_edits(const std::string& path, const ObjectEdits& edits);
 /// whose places lie on a line, and for an object that stays one piece.
 void apply_edit(ObjectSet& set, const ObjectEdit& edit);
 
-/// The objects of a folder as its edits have made them, and those edits. Throws as read_object_set and
-/// read_object_edits; Error(data) for edits of other objects.
+/// All in their order, as one by one; what each needs of the whole surface is made once. Throws Error(data) naming
+/// `file` for edits of other objects.
+void apply_edits(ObjectSet& set, const ObjectEdits& edits, const std::string& file);
+
+/// The objects of a folder as its edits have made them, and those edits, whose digest is that of the objects found.
+/// Throws as read_object_set, read_object_edits and apply_edits.
 struct EditedObjects {
   ObjectSet set;
   ObjectEdits edits;
 };
-EditedObjects read_edited_objects(const std::string& folder);
-void apply_edits(ObjectSet& set, const ObjectEdits& edits, const std::string& file);
+EditedObjects read_edited_objects(const std::string& folder, int classes);
 
 }  // namespace semfield

@@ -4,7 +4,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <cstring>
+#include <nlohmann/json.hpp>
+#include <type_traits>
 
 #include "core/error.h"
 #include "formats/safetensors.h"
@@ -20,13 +23,54 @@ namespace {
               "find the objects again: semfield objects");
 }
 
-std::vector<double> doubles(const TensorFile& file, const std::string& name, std::size_t count) {
+const TensorRef& tensor_of(const TensorFile& file, const std::string& name, TensorType type, std::size_t count) {
   const TensorRef* const tensor = file.find(name);
-  if (tensor == nullptr || tensor->type != TensorType::f64 || tensor->bytes.size() != count * sizeof(double))
-    refuse(file.name(), fmt::format("'{}' has no {} numbers", name, count));
-  std::vector<double> out(count);
-  std::memcpy(out.data(), tensor->bytes.data(), tensor->bytes.size());
+  if (tensor == nullptr || tensor->type != type || tensor->bytes.size() != count * tensor_type_bytes(type))
+    refuse(file.name(), fmt::format("'{}' has no {} numbers of {}", name, count, tensor_type_name(type)));
+  return *tensor;
+}
+
+// Numbers of a tensor from `low` to `high`, in the type that holds them.
+template <class T, class Stored>
+std::vector<T> numbers_of(const TensorFile& file, const std::string& name, std::size_t count, Stored low, Stored high) {
+  const TensorType type = std::is_same_v<Stored, double> ? TensorType::f64 : TensorType::i64;
+  const TensorRef& tensor = tensor_of(file, name, type, count);
+  std::vector<T> out(count);
+  for (std::size_t i = 0; i < count; ++i) {
+    Stored value = 0;
+    std::memcpy(&value, tensor.bytes.data() + i * sizeof value, sizeof value);
+    if (!(value >= low && value <= high))
+      refuse(file.name(), fmt::format("number {} of '{}' is {}, not from {} to {}", i + 1, name, value, low, high));
+    out[i] = static_cast<T>(value);
+  }
   return out;
+}
+
+std::size_t length_of(const TensorFile& file, const std::string& name, std::int64_t most) {
+  const TensorRef* const tensor = file.find(name);
+  if (tensor == nullptr || tensor->shape.size() != 1) refuse(file.name(), "it holds no objects");
+  if (tensor->shape[0] > most)
+    refuse(file.name(), fmt::format("'{}' has {} numbers, more than {}", name, tensor->shape[0], most));
+  return static_cast<std::size_t>(tensor->shape[0]);
+}
+
+TensorFile open_set(const std::string& path) {
+  try {
+    return TensorFile::read(path);
+  } catch (const Error& e) {
+    if (e.kind() != ErrorKind::data) throw;
+    refuse(path, e.message());
+  }
+}
+
+// What the program reads of it is of the kinds that it wrote.
+std::string about_of(const TensorFile& file) {
+  const auto found = file.metadata().find("about");
+  const nlohmann::json about =
+      found == file.metadata().end() ? nlohmann::json() : nlohmann::json::parse(found->second, nullptr, false);
+  if (!about.is_object() || (about.contains("step") && !about["step"].is_number_unsigned()))
+    refuse(file.name(), "'about' does not tell how the objects were found");
+  return found->second;
 }
 
 }  // namespace
@@ -91,50 +135,46 @@ void write_object_set(const std::string& path, const ObjectSet& set) {
       {{"about", set.about}});
 }
 
-ObjectSet read_object_set(const std::string& path) {
-  const TensorFile file = TensorFile::read(path);
-  const TensorRef *const ids = file.find("id"), *const classes = file.find("row.class"),
-                         *const color = file.find("color");
-  if (ids == nullptr || classes == nullptr || color == nullptr || ids->shape.size() != 1 || classes->shape.size() != 1)
-    refuse(path, "it holds no objects");
-  const auto points = static_cast<std::size_t>(ids->shape[0]), rows = static_cast<std::size_t>(classes->shape[0]);
-  const double cell = doubles(file, "cell", 1)[0];
-  if (!(cell > 0)) refuse(path, "the cells have no size");
-  if (color->type != TensorType::u8 || color->bytes.size() != 3 * points)
-    refuse(path, "'color' does not fit the points");
+ObjectSet read_object_set(const std::string& path, int classes) {
+  constexpr std::int64_t kMostPoints = 1 << 28, kMostCells = 1 << 20;
+  const TensorFile file = open_set(path);
+  const std::size_t points = length_of(file, "id", kMostPoints), rows = length_of(file, "row.class", kMostObjects);
+  const auto most_class = static_cast<std::int64_t>(classes) - 1;
+  const double cell = numbers_of<double>(file, "cell", 1, 1e-30, 1e30)[0];
+  const auto position = numbers_of<double>(file, "position", 3 * points, -1e30, 1e30);
+  const auto place = numbers_of<std::int32_t, std::int64_t>(file, "place", 3 * points, -kMostCells, kMostCells);
   ObjectSet set;
+  set.about = about_of(file);
   set.cells = SurfaceCells(cell);
-  const std::vector<double> position = doubles(file, "position", 3 * points);
-  const std::vector<std::int64_t> place = file.integers("place", 3 * ids->shape[0]),
-                                  id = file.integers("id", ids->shape[0]),
-                                  class_of = file.integers("class", ids->shape[0]);
+  set.id = numbers_of<std::int32_t, std::int64_t>(file, "id", points, 0, static_cast<std::int64_t>(rows));
+  set.class_of = numbers_of<std::int16_t, std::int64_t>(file, "class", points, kVoid, most_class);
   set.color.resize(points);
-  if (points > 0) std::memcpy(set.color.data(), color->bytes.data(), color->bytes.size());
+  const TensorRef& color = tensor_of(file, "color", TensorType::u8, 3 * points);
+  if (points > 0) std::memcpy(set.color.data(), color.bytes.data(), color.bytes.size());
   for (std::size_t i = 0; i < points; ++i) {
-    set.position.push_back({position[3 * i], position[3 * i + 1], position[3 * i + 2]});
-    const auto at = [&](std::size_t k) { return static_cast<std::int32_t>(place[3 * i + k]); };
-    if (set.cells.add(SurfaceCell{at(0), at(1), at(2)}) != static_cast<std::int32_t>(i))
-      refuse(path, "two points lie in one cell");
-    if (id[i] < 0 || id[i] > static_cast<std::int64_t>(rows)) refuse(path, fmt::format("object {} has no row", id[i]));
-    set.id.push_back(static_cast<std::int32_t>(id[i]));
-    set.class_of.push_back(static_cast<std::int16_t>(class_of[i]));
+    const Vec3d at{position[3 * i], position[3 * i + 1], position[3 * i + 2]};
+    const SurfaceCell in{place[3 * i], place[3 * i + 1], place[3 * i + 2]};
+    for (int axis = 0; axis < 3; ++axis)  // a mean may be rounded onto the border
+      if (!(std::abs(at[axis] / cell - in[static_cast<std::size_t>(axis)] - 0.5) <= 0.75))
+        refuse(path, fmt::format("point {} lies outside its cell", i + 1));
+    if (set.cells.add(in) != static_cast<std::int32_t>(i))
+      refuse(path, fmt::format("point {} has no cell of its own", i + 1));
+    set.position.push_back(at);
   }
-  const std::vector<double> agreement = doubles(file, "row.agreement", rows);
-  const std::vector<double> probability = doubles(file, "row.class_probability", rows);
-  const std::vector<std::int64_t> views = file.integers("row.views", classes->shape[0]);
-  const std::vector<std::int64_t> row_class = file.integers("row.class", classes->shape[0]);
+  const auto agreement = numbers_of<double>(file, "row.agreement", rows, 0.0, 1 + 1e-6);
+  const auto probability = numbers_of<double>(file, "row.class_probability", rows, 0.0, 1 + 1e-6);
+  const auto views = numbers_of<std::int32_t, std::int64_t>(file, "row.views", rows, 0, INT32_MAX);
+  const auto row_class = numbers_of<std::int16_t, std::int64_t>(file, "row.class", rows, kVoid, most_class);
   set.rows.resize(rows);
   for (std::size_t o = 0; o < rows; ++o) {
     ObjectRow& row = set.rows[o];
     row.id = static_cast<std::int32_t>(o) + 1;
-    row.class_index = static_cast<std::int16_t>(row_class[o]);
+    row.class_index = row_class[o];
     row.class_probability = probability[o];
     row.agreement = agreement[o];
-    row.views = static_cast<std::int32_t>(views[o]);
+    row.views = views[o];
   }
   measure_objects(set.rows, set.position, set.id, cell);
-  const auto about = file.metadata().find("about");
-  if (about != file.metadata().end()) set.about = about->second;
   return set;
 }
 

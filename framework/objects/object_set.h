@@ -11,6 +11,9 @@
 
 namespace semfield {
 
+/// Files hold as many, like classes of a PLY file.
+inline constexpr std::int32_t kMostObjects = 1024;
+
 /// What was found, without what found it. Points are those of SurfacePool, one per cell.
 struct ObjectSet {
   SurfaceCells cells;
@@ -32,8 +35,10 @@ struct ObjectSet {
 ObjectSet object_set(const FoundObjects& found, std::string about);
 
 /// found.safetensors of a folder that `semfield objects` wrote: what was found, before edits. Throws as
-/// write_safetensors; as TensorFile::read; Error(data) for one that is none.
+/// write_safetensors.
 void write_object_set(const std::string& path, const ObjectSet& set);
-ObjectSet read_object_set(const std::string& path);
+/// `classes`: valid ones of the run's table. Throws Error(no_input) as TensorFile::read; Error(data) naming the file
+/// and the number for anything that is none, or that a run with these classes cannot have.
+ObjectSet read_object_set(const std::string& path, int classes);
 
 }  // namespace semfield

@@ -69,6 +69,8 @@ std::int32_t SurfaceCells::add(Vec3d point) {
 }
 
 std::int32_t SurfaceCells::add(const SurfaceCell& place) {
+  for (const std::int32_t at : place)
+    if (at <= 1 - kFarthest || at >= kFarthest - 1) return -1;
   const std::int32_t number = index_.add(key_of(place), count());
   if (number == count()) places_.push_back(place);
   return number;

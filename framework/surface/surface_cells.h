@@ -47,7 +47,7 @@ class SurfaceCells {
   /// The cell that holds `point`, a new one when it is the first in it; -1 for a point that is not finite or more than
   /// a million cells from the origin.
   std::int32_t add(Vec3d point);
-  std::int32_t add(const SurfaceCell& place);
+  std::int32_t add(const SurfaceCell& place);  ///< likewise
   std::int32_t count() const { return static_cast<std::int32_t>(places_.size()); }
   const SurfaceCell& place(std::int32_t cell) const { return places_[static_cast<std::size_t>(cell)]; }
   /// The cell that holds `point`, else the one with the nearest centre of those that touch its place; -1: none.

@@ -5,6 +5,7 @@
 #include "config/compose.h"
 #include "config/config_tree.h"
 #include "formats/safetensors.h"
+#include "objects/object_edits.h"
 #include "report/sweep/sweep_file.h"
 #include "run/metrics_log.h"
 #include "session/checkpoint_facts.h"
@@ -96,6 +97,41 @@ void fuzz_metrics(std::string_view bytes) {
     promise(accepted([&] { again = parse_metrics(written, "written"); }), "what is written cannot be read");
     promise(again.size() == rows.size(), "what is written has other rows");
   });
+}
+
+// Parts: edits.json, then found.safetensors, which may hold any bytes; its checksums are corrected.
+void fuzz_objects(std::string_view bytes) {
+  constexpr int kClasses = 3;
+  const auto parts = parts_of(bytes, 2);
+  const std::string edits_file = put("objects/edits.json", parts[0]);
+  std::string found(parts[1]);
+  accepted([&] {
+    const TensorFile::Limits limits{.refuse_nonfinite = false, .require_checksums = false};
+    const TensorFile file = TensorFile::decode(found, "found.safetensors", limits);
+    if (file.find("") == nullptr) found = encode_safetensors(file.tensors(), file.metadata());
+  });
+  const std::string found_file = put("objects/found.safetensors", found);
+  ObjectSet set;
+  if (!accepted([&] { set = read_object_set(found_file, kClasses); })) return;
+  const auto is_whole = [](const ObjectSet& one) {
+    for (const std::int32_t id : one.id) promise(id >= 0 && id <= std::ssize(one.rows), "an object without a row");
+    for (const std::int16_t index : one.class_of) promise(index >= kVoid && index < kClasses, "a class that is none");
+    for (const ObjectRow& row : one.rows)
+      promise(row.class_index >= kVoid && row.class_index < kClasses && row.points >= 0 && row.views >= 0,
+              "a row that cannot be");
+  };
+  is_whole(set);
+  const std::string written = folder() + "/objects/written.safetensors";
+  write_object_set(written, set);
+  promise(read_object_set(written, kClasses).digest() == set.digest(), "objects that read back as others");
+  accepted([&] {
+    ObjectEdits edits = read_object_edits(edits_file);
+    const std::string text = put("objects/again.json", object_edits_text(edits));
+    promise(object_edits_text(read_object_edits(text)) == object_edits_text(edits), "edits that read back as others");
+    edits.digest = set.digest();
+    apply_edits(set, edits, edits_file);
+  });
+  is_whole(set);
 }
 
 std::span<const Target> targets() {

@@ -5,55 +5,20 @@
 
 #include <algorithm>
 #include <cmath>
-#include <set>
+#include <cstring>
 
 #include "core/error.h"
+#include "formats/safetensors.h"
 #include "system/files.h"
+#include "tests/objects/blocks.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
 
 namespace semfield {
 namespace {
 
-constexpr double kCell = 0.1;
-
-// Points of blocks along x, one per cell: object 1 has a block of 6 x 4 cells, a bridge of one row of 5 cells and a
-// block of 4 x 4 cells; object 2 two blocks of 4 x 4 and of 3 x 4 that do not touch, and one cell alone; object 3 a
-// block.
-ObjectSet blocks() {
-  ObjectSet set;
-  set.cells = SurfaceCells(kCell);
-  set.about = R"({"run": "room"})";
-  const auto block = [&](std::int32_t object, int x0, int wide, int y0, int tall, std::int16_t of_class) {
-    for (int x = x0; x < x0 + wide; ++x) {
-      for (int y = y0; y < y0 + tall; ++y) {
-        set.position.push_back({(x + 0.5) * kCell, (y + 0.5) * kCell, 0.05});
-        set.cells.add(set.position.back());
-        set.color.push_back({200, 100, 50});
-        set.id.push_back(object);
-        set.class_of.push_back(of_class);
-      }
-    }
-  };
-  block(1, 0, 6, 0, 4, 0);
-  block(1, 6, 5, 1, 1, 0);
-  block(1, 11, 4, 0, 4, 1);
-  block(2, 20, 4, 0, 4, 1);
-  block(2, 30, 3, 0, 4, 1);
-  block(2, 40, 1, 0, 1, 1);
-  block(3, 50, 2, 0, 2, 0);
-  for (std::int32_t id = 1; id <= 3; ++id) {
-    ObjectRow& row = set.rows.emplace_back();
-    row.id = id;
-    row.class_index = static_cast<std::int16_t>(id == 2);
-    row.views = 10 * id;
-    row.agreement = 0.9;
-  }
-  std::ptrdiff_t points[3] = {};
-  for (const std::int32_t id : set.id) ++points[id - 1];
-  for (ObjectRow& row : set.rows) row.points = points[row.id - 1];
-  return set;
-}
+using testing_objects::blocks;
+using testing_objects::kCell;
 
 std::int64_t count(const ObjectSet& set, std::int32_t id) { return std::count(set.id.begin(), set.id.end(), id); }
 
@@ -143,10 +108,15 @@ TEST(ObjectEdits, WhatCannotBeIsRefusedWithTheObject) {
   EXPECT_ERROR(apply_edit(set, edit(R"({"do": "merge", "objects": [1, 1]})")), "objects.edit.invalid", "twice");
   EXPECT_ERROR(apply_edit(set, edit(R"({"do": "split", "object": 1, "at": [[0.05, 0.05, 0.05], [2.05, 0.05, 0.05]]})")),
                "objects.edit.invalid", "object 1");
-  for (const char* bad : {"{", "[]", R"({"do": "melt", "object": 1})", R"({"do": "rename", "object": 0, "name": "x"})",
-                          R"({"do": "rename", "object": 1})", R"({"do": "merge", "objects": [1]})",
-                          R"({"do": "split", "object": 1, "at": [[0, 0, 0]]})",
-                          R"({"do": "split", "object": 1, "at": [[0, 0], [1, 1]]})"})
+  for (const char* bad :
+       {"{", "[]", R"({"do": "melt", "object": 1})", R"({"do": "rename", "object": 0, "name": "x"})",
+        R"({"do": "rename", "object": 1})", R"({"do": "merge", "objects": [1]})",
+        R"({"do": "split", "object": 1, "at": [[0, 0, 0]]})", R"({"do": "split", "object": 1, "at": [[0, 0], [1, 1]]})",
+        R"({"do": "split", "object": 1, "at": [[0, 0, 1e300], [1, 1, 1]]})",
+        R"({"do": "rename", "object": 4294967297, "name": "x"})",
+        R"({"do": "rename", "object": 18446744073709551615, "name": "x"})",
+        R"({"do": "rename", "object": 1, "name": "a\tb"})", R"({"do": "rename", "object": 1, "name": "a\nb"})",
+        R"({"do": "rename", "object": 1, "name": "\u007f"})"})
     EXPECT_ERROR(edit(bad), "objects.edit.invalid", "here");
 }
 
@@ -168,7 +138,7 @@ TEST(ObjectEdits, FilesKeepObjectsAndEditsAndKnowThoseOfOthers) {
                      edit(R"({"do": "split", "object": 2, "plane": [[2.5, 0, 0], [2.5, 1, 0], [2.5, 0, 1]]})")}};
   write_object_edits(dir / "edits.json", edits);
   for (const ObjectEdit& one : edits.edits) apply_edit(set, one);
-  const EditedObjects read = read_edited_objects(dir.path());
+  const EditedObjects read = read_edited_objects(dir.path(), 2);
   EXPECT_EQ(read.set.id, set.id);
   EXPECT_EQ(read.set.position, set.position);
   EXPECT_EQ(read.set.class_of, set.class_of);
@@ -180,9 +150,103 @@ TEST(ObjectEdits, FilesKeepObjectsAndEditsAndKnowThoseOfOthers) {
   EXPECT_EQ(read.edits.edits[3].plane, edits.edits[3].plane);
   edits.digest = "0123456789abcdef";
   write_object_edits(dir / "edits.json", edits);
-  EXPECT_ERROR(read_edited_objects(dir.path()), "objects.edits.foreign", "edits.json", "4 edits");
+  EXPECT_ERROR(read_edited_objects(dir.path(), 2), "objects.edits.foreign", "edits.json", "4 edits");
   write_file_atomic(dir / "edits.json", std::string_view(R"({"objects": "x", "edits": [{"do": "split"}]})"));
-  EXPECT_ERROR(read_edited_objects(dir.path()), "objects.edit.invalid", "edits.json", "edit 1", "object");
+  EXPECT_ERROR(read_edited_objects(dir.path(), 2), "objects.edit.invalid", "edits.json", "edit 1", "object");
+}
+
+// Many at once do what they do one by one, and objects are counted in the end as they are after each.
+TEST(ObjectEdits, TogetherTheyAreAsOneByOne) {
+  ObjectEdits edits{
+      blocks().digest(),
+      {edit(R"({"do": "split", "object": 2})"), edit(R"({"do": "merge", "objects": [3, 4, 2]})"),
+       edit(R"({"do": "split", "object": 3})"),
+       edit(R"({"do": "split", "object": 1, "plane": [[0.8, 0.1, 0.05], [0.8, 0.2, 0.05], [0.8, 0, 9]]})"),
+       edit(R"({"do": "rename", "object": 5, "name": "far"})")}};
+  ObjectSet together = blocks(), one_by_one = blocks();
+  apply_edits(together, edits, "edits.json");
+  for (const ObjectEdit& one : edits.edits) apply_edit(one_by_one, one);
+  EXPECT_EQ(together.id, one_by_one.id);
+  ASSERT_EQ(together.rows.size(), one_by_one.rows.size());
+  for (std::size_t o = 0; o < together.rows.size(); ++o) {
+    const ObjectRow &a = together.rows[o], &b = one_by_one.rows[o];
+    EXPECT_EQ(a.id, b.id);
+    EXPECT_EQ(a.points, count(together, a.id));
+    EXPECT_EQ(a.points, b.points);
+    EXPECT_EQ(a.name, b.name);
+    EXPECT_EQ(a.class_index, b.class_index);
+    EXPECT_EQ(a.class_probability, b.class_probability);
+    EXPECT_EQ(a.area, b.area);
+    EXPECT_EQ(a.box.center, b.box.center);
+    EXPECT_EQ(a.box.size, b.box.size);
+  }
+  edits.edits.push_back(edit(R"({"do": "merge", "objects": [1, 2]})"));
+  EXPECT_ERROR(apply_edits(one_by_one = blocks(), edits, "edits.json"), "objects.edit.invalid", "edits.json: edit 6",
+               "object 2");
+}
+
+// Writes found.safetensors with one number of one tensor changed, checksums and all.
+template <class T>
+void change(const std::string& path, const std::string& name, std::size_t at, T value) {
+  write_object_set(path, blocks());
+  const TensorFile file = TensorFile::read(path);
+  std::vector<TensorRef> tensors = file.tensors();
+  std::vector<std::byte> bytes;
+  for (TensorRef& tensor : tensors) {
+    if (tensor.name != name) continue;
+    bytes.assign(tensor.bytes.begin(), tensor.bytes.end());
+    std::memcpy(bytes.data() + at * sizeof value, &value, sizeof value);
+    tensor.bytes = bytes;
+  }
+  ASSERT_FALSE(bytes.empty()) << name;
+  write_safetensors(path, tensors, file.metadata());
+}
+
+TEST(ObjectSets, NumbersThatCannotBeAreRefused) {
+  const TempDir dir;
+  const std::string path = dir / "found.safetensors";
+  constexpr int kClasses = 2;
+  const struct {
+    const char* tensor;
+    std::size_t at;
+    std::int64_t value;
+    const char* shown;
+  } whole[] = {{"row.class", 0, -5, "-5"},
+               {"row.class", 1, 196610, "196610"},
+               {"row.class", 1, 2, "is 2"},
+               {"class", 3, 65536, "65536"},
+               {"class", 3, -2, "-2"},
+               {"id", 0, 4, "is 4"},
+               {"id", 0, -1, "-1"},
+               {"id", 0, 1LL << 32, "4294967296"},
+               {"row.views", 0, -1, "-1"},
+               {"row.views", 0, 1LL << 32, "4294967296"},
+               {"place", 0, 1LL << 32, "4294967296"},
+               {"place", 0, 1 << 20, "point 1"},
+               {"place", 0, 5, "point 1"}};
+  for (const auto& bad : whole) {
+    change(path, bad.tensor, bad.at, bad.value);
+    EXPECT_ERROR(read_object_set(path, kClasses), "objects.found.unreadable", path, bad.shown);
+  }
+  const struct {
+    const char* tensor;
+    double value;
+  } real[] = {{"cell", -1},      {"cell", 0},      {"cell", 1e300},         {"position", 1e300}, {"position", 7},
+              {"cell", 1e-300}, {"row.agreement", -0.1}, {"row.agreement", 2}};
+  for (const auto& bad : real) {
+    change(path, bad.tensor, 0, bad.value);
+    EXPECT_ERROR(read_object_set(path, kClasses), "objects.found.unreadable", path);
+  }
+  for (const char* about : {"", "[]", "{\"step\": \"x\"}", "{\"step\": -1}"}) {
+    ObjectSet set = blocks();
+    set.about = about;
+    write_object_set(path, set);
+    EXPECT_ERROR(read_object_set(path, kClasses), "objects.found.unreadable", path, "about");
+  }
+  write_file_atomic(path, std::string_view("no tensors"));
+  EXPECT_ERROR(read_object_set(path, kClasses), "objects.found.unreadable", path, "semfield objects");
+  write_object_set(path, blocks());
+  EXPECT_EQ(read_object_set(path, kClasses).id, blocks().id);
 }
 
 }  // namespace

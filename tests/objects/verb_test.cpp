@@ -10,6 +10,7 @@
 #include "objects/object_edits.h"
 #include "scene/output_names.h"
 #include "system/files.h"
+#include "system/folder_lock.h"
 #include "testkit/analytic_scene.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"
@@ -91,7 +92,7 @@ TEST(ObjectsVerb, FilesFiguresAndTheSameAgain) {
   }
   // Found anew, the same objects get the edits that were made of them; others are refused.
   const std::string first = read_text_file(dir / "run/objects/objects.csv");
-  ObjectEdits edits{read_edited_objects(dir / "run/objects").edits.digest, {}};
+  ObjectEdits edits{read_edited_objects(dir / "run/objects", 1024).edits.digest, {}};
   edits.edits.push_back(parse_object_edit(R"({"do": "rename", "object": 1, "name": "mine"})", "test"));
   fs::create_directories(dir / "again");
   write_object_edits(dir / "again/edits.json", edits);
@@ -106,6 +107,13 @@ TEST(ObjectsVerb, FilesFiguresAndTheSameAgain) {
   ASSERT_EQ(mesh.code, 0) << mesh.err;
   EXPECT_HAS(read_text_file(dir / "room.glb"), "\"mine\"");
   EXPECT_HAS(read_text_file(dir / "room.json"), "\"mine\"");
+  {
+    FolderLock alone;
+    ASSERT_EQ(alone.take(dir / "run/objects"), 0);
+    const Result busy = semfield(std::string("objects run") + kQuick, dir);
+    EXPECT_EQ(busy.code, 73);
+    EXPECT_HAS(busy.err, "run/objects", "objects.folder.busy");
+  }
   fs::remove(dir / "run/objects/edits.json");
   const Result others = semfield(std::string("objects run --out again") + kQuick + "--set objects.points=2000", dir);
   EXPECT_EQ(others.code, 65);

@@ -79,6 +79,16 @@ def edit_objects(page, run):
     assert len(plane) == 3 and max(abs(a - b) for a, b in zip(plane[2], eye)) < 1e-9, (plane, eye)
     page.run("document.getElementById('undo').disabled = false; document.getElementById('undo').click()")
     page.wait(f"semfield.objects.rows.length === {count}", "undo joins the parts")
+    # What was made on other objects, or cannot be, is refused and not saved.
+    kept, shown = edits_of(run), table_of(run)
+    for wrong in ({"do": "undo", "made_on": "0123456789abcdef"}, {"do": "undo"}, {"do": "rename", "object": row["id"], "name": "a\tb", "made_on": "here"}):
+        status = page.run("""const body = {...arguments[0]}; if (body.made_on === "here") body.made_on = semfield.facts.state;
+                             return fetch("edit", {method: "POST", body: JSON.stringify(body)}).then((answer) => answer.status);""", wrong)
+        assert status == 400, (wrong, status)
+        assert edits_of(run) == kept and table_of(run) == shown, wrong
+    page.run("semfield.facts.state = '0'; document.getElementById('undo').disabled = false; document.getElementById('undo').click()")
+    page.wait("document.getElementById('edit-hint').textContent.includes('load the page again')", "a stale edit is not told")
+    assert edits_of(run) == kept
     # A class that is hidden is neither drawn nor read.
     page.run("document.querySelector('#things details input[type=checkbox]').click()")
     assert page.run("return semfield.objects.hidden.size") > 0

@@ -4,7 +4,6 @@ const kSizes = [240, 640, 1600];  // longest sides of rendered pictures, one aft
 class Live {
   constructor(facts) {
     this.runs = facts.runs;
-    this.edits = 0;
   }
 
   async ask(what, body, signal) {
@@ -18,8 +17,15 @@ class Live {
     const bytes = await (await this.ask(`surface?run=${run}&fine=${fine ? 1 : 0}`)).arrayBuffer();
     const head = new DataView(bytes).getUint32(0, true);
     const facts = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 4, head)));
-    if (run === 0) this.edits = facts.edits;
     return {facts, mesh: unpacked(await inflated(new Uint8Array(bytes, 4 + head)), facts)};
+  }
+  /** The fine one, with the objects as they are after every edit that was made here meanwhile. */
+  async fine_scene(run) {
+    for (let tries = 0;; ++tries) {
+      const scene = await this.scene(run, true), page = this.page;
+      if (run > 0 || tries > 20 || (!page.objects.saving && (tries > 0 || scene.facts.state === page.facts.state))) return scene;
+      await new Promise((done) => setTimeout(done, 100));
+    }
   }
   first_scenes() { return Promise.all(this.runs.map((_, run) => this.scene(run, false))); }
 
@@ -28,7 +34,7 @@ class Live {
     byId("film").hidden = false;
     byId("film").addEventListener("click", () => this.film());
     this.runs.reduce((before, _, run) => before.then(async () => {
-      const {facts, mesh} = await this.scene(run, true);
+      const {facts, mesh} = await this.fine_scene(run);
       page.replace(run, new Layer(page.drawing, facts, mesh));
       document.body.dataset.mesh = `${run + 1} of ${this.runs.length} fine`;
     }), Promise.resolve()).catch((error) => this.note(error.message));
@@ -113,9 +119,9 @@ class Live {
     this.page.change(true);
   }
   async edit(what) {
-    const fine = this.page.facts.fine ? 1 : 0;
-    const after = await (await this.ask("edit", {...what, fine: fine === 1})).json();
-    this.edits = after.edits;
+    const {facts} = this.page;
+    const after = await (await this.ask("edit", {...what, made_on: facts.state, fine: facts.fine})).json();
+    [facts.edits, facts.state] = [after.edits, after.state];
     return {...after, ids: new Uint16Array(bytes_of(after.ids).buffer)};
   }
 

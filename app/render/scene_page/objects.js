@@ -23,6 +23,10 @@ class ObjectList {
     const layer = this.page.layers[0];
     layer.facts.objects = objects;
     layer.set_objects(objects, ids);
+    this.refresh();
+  }
+  /** After another table. */
+  refresh() {
     for (const set of [this.chosen, this.hidden])
       for (const id of [...set]) if (!this.row(id)) set.delete(id);
     this.list();
@@ -100,12 +104,15 @@ class ObjectList {
     }).join("\n") || "Click an object, shift and click for several.";
     if (this.page.live === null) return;
     const one = this.chosen.size === 1, on_it = this.page.points.filter((point) => point.object === this.only()).length;
-    for (const [id, works] of [["name", one], ["rename", one], ["merge", this.chosen.size > 1], ["pieces", one], ["cut", one && on_it === 2], ["plane", one && this.page.points.length === 2], ["undo", this.page.live.edits > 0]])
+    for (const [id, works] of [["name", one], ["rename", one], ["merge", this.chosen.size > 1], ["pieces", one], ["cut", one && on_it === 2], ["plane", one && this.page.points.length === 2], ["undo", this.page.facts.edits > 0]])
       byId(id).disabled = !works;
   }
 
   edit(what) {
-    return this.page.live.edit(what).then(
+    if (this.saving) return;  // the next one is made on what this one shows
+    this.saving = true;
+    byId("edit-hint").textContent = "saving";
+    this.page.live.edit(what).then(
       (after) => {
         if (what.do === "undo" || what.do === "split") this.chosen.clear();
         this.set(after.objects, after.ids);
@@ -114,6 +121,6 @@ class ObjectList {
         this.page.points = [];
         this.page.change();
       },
-      (error) => { byId("edit-hint").textContent = error.message; });
+      (error) => { byId("edit-hint").textContent = error.message; }).finally(() => { this.saving = false; });
   }
 }

@@ -54,7 +54,7 @@ class Page {
       this.camera.diagonal = distance(layer.facts.low, layer.facts.high);
     old.drop();
     this.layers[which] = layer;
-    this.objects.mark_all();
+    which === 0 ? this.objects.refresh() : this.objects.mark_all();
     if (this.mode === "probability") this.live.fetch_probability();
     this.change();
   }
