@@ -59,6 +59,18 @@ std::vector<std::string> fields_of(std::string_view line, char separator, const 
   }
 }
 
+// A spreadsheet takes such a text for a formula, also in quotes.
+bool is_formula(std::string_view text) {
+  const std::size_t first = text.find_first_not_of('\'');
+  return first != std::string_view::npos && std::string_view("=+-@\t\r").find(text[first]) != std::string_view::npos;
+}
+
+// What csv_field was given, of a field without its quotes.
+std::string csv_value(std::string field) {
+  if (field.starts_with('\'') && is_formula(field)) field.erase(0, 1);
+  return field;
+}
+
 template <class T>
 bool parse(std::string_view text, T& out) {
   const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), out);
@@ -152,7 +164,7 @@ TextTable read_text_table(const std::string& path, const std::vector<ColumnNames
     for (std::size_t c = 0; c < columns.size(); ++c) {
       const std::size_t at = named ? (*named)[c] : c;
       if (at >= row.fields.size()) continue;
-      fields[c] = std::move(row.fields[at]);
+      fields[c] = csv_value(std::move(row.fields[at]));
       table.has[c] = 1;
     }
     row.fields = std::move(fields);
@@ -161,9 +173,10 @@ TextTable read_text_table(const std::string& path, const std::vector<ColumnNames
   return table;
 }
 
-std::string csv_field(std::string_view text) {
+std::string csv_field(std::string_view value) {
+  const std::string text = (is_formula(value) ? "'" : "") + std::string(value);
   const bool plain = text.find_first_of(",\"\n\r") == std::string_view::npos && trimmed(text) == text;
-  if (plain) return std::string(text);
+  if (plain) return text;
   std::string out = "\"";
   for (const char c : text) {
     if (c == '"') out += '"';

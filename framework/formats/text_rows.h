@@ -31,12 +31,14 @@ struct TextTable {
 
 /// Reads with the separator that the first row has: ',', else ';' or a tab. A row without a number in which one of the
 /// columns stands under any of its names, in any case, gives the columns; others than those asked for are passed over.
-/// Without such a row the columns stand in the order of `columns`. Throws as read_text_rows, and Error(data) for a row
+/// Without such a row the columns stand in the order of `columns`. Apostrophes that csv_field put before formulas are
+/// taken off. Throws as read_text_rows, and Error(data) for a row
 /// of more fields than there are columns and for a column that is named twice.
 TextTable read_text_table(const std::string& path, const std::vector<ColumnNames>& columns);
 
-/// A value of a CSV line, in double quotes where it must be [RFC4180], or where blanks at its ends would be lost.
-std::string csv_field(std::string_view text);
+/// A value of a CSV line, in double quotes where it must be [RFC4180], or where blanks at its ends would be lost. A
+/// text that a spreadsheet would take for a formula, as it begins with one of = + - @, gets an apostrophe before it.
+std::string csv_field(std::string_view value);
 
 /// Whole text as a number; false for anything else.
 bool parse_whole(std::string_view text, std::int64_t& out);

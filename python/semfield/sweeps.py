@@ -12,6 +12,13 @@ from .program import command
 from .scenes import PathLike
 
 
+def _rows(path: PathLike) -> List[Dict[str, str]]:
+    """Rows of a table. An apostrophe before a text keeps spreadsheets from taking it for a formula: it is no part of it."""
+    with open(path, newline="", encoding="utf-8") as file:
+        return [{key: value[1:] if value.startswith("'") and value.lstrip("'")[:1] in tuple("=+-@\t\r") else value for key, value in row.items()}
+                for row in csv.DictReader(file)]
+
+
 class Sweep:
     """The folder of a sweep that ran.
 
@@ -38,9 +45,8 @@ class Sweep:
         ``pandas.DataFrame(sweep.table())`` takes them.
         """
         rows: List[Dict[str, Any]] = []
-        with open(self._file("results.csv"), newline="", encoding="utf-8") as file:
-            for row in csv.DictReader(file):
-                rows.append({**row, "seed": int(row["seed"]), "value": float(row["value"])})
+        for row in _rows(self._file("results.csv")):
+            rows.append({**row, "seed": int(row["seed"]), "value": float(row["value"])})
         return rows
 
     def means(self) -> List[Dict[str, Any]]:
@@ -50,10 +56,9 @@ class Sweep:
         for path in sorted(pathlib.Path(self.folder).glob("*.csv")):
             if path.name in ("results.csv", "cells.csv"):
                 continue
-            with open(path, newline="", encoding="utf-8") as file:
-                for row in csv.DictReader(file):
-                    rows.append({**row, "experiment": path.stem, "n": int(row["n"]), "mean": float(row["mean"]),
-                                 "half_width": float(row["half_width"])})
+            for row in _rows(path):
+                rows.append({**row, "experiment": path.stem, "n": int(row["n"]), "mean": float(row["mean"]),
+                             "half_width": float(row["half_width"])})
         return rows
 
     def markdown(self) -> str:

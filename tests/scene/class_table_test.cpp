@@ -249,12 +249,16 @@ TEST(ClassImport, ByExtension) {
 // Commas, quotes and blanks of a name come back from the CSV that is written; what is quoted wrongly is named.
 TEST(ClassImport, CsvQuotesNames) {
   const std::string file = fresh_folder("t") + "/c.csv";
-  const std::vector<std::string> names{"chair, office", "the \"big\" table", " lamp ", "\"", "plain, \"both\""};
+  const std::vector<std::string> names{
+      "chair, office", "the \"big\" table", " lamp ", "\"", "plain, \"both\"", "=1+1", "+cup", "-", "@here, there",
+      "'=1",           "'quoted'",          "a=b"};
   std::vector<ClassEntry> entries;
   for (const std::string& name : names)
     entries.push_back({static_cast<std::int32_t>(entries.size()) + 1, name, {}, false});
   const std::string csv = to_class_csv(ClassTable(entries));
   EXPECT_HAS(csv, "1,\"chair, office\"\n2,\"the \"\"big\"\" table\"\n3,\" lamp \"\n");
+  // A spreadsheet takes what begins with one of = + - @ for a formula, in quotes too.
+  EXPECT_HAS(csv, "6,'=1+1\n7,'+cup\n8,'-\n9,\"'@here, there\"\n10,''=1\n11,'quoted'\n12,a=b\n");
   write_file_atomic(file, csv);
   const ClassTable back = import_classes(file);
   ASSERT_EQ(back.entries().size(), names.size());
