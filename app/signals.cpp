@@ -14,6 +14,7 @@
 
 #include "core/error.h"
 #include "core/findings.h"
+#include "system/own_temporaries.h"
 
 namespace semfield::app {
 
@@ -45,6 +46,13 @@ extern "C" void on_stop_of_follower(int number) { g_signal = number; }
 
 extern "C" void on_hang_up(int) { g_save = 1; }
 
+// Of verbs that do not wait for a signal: it ends the process as if nobody had caught it.
+extern "C" void on_end(int number) {
+  remove_own_temporaries();
+  std::signal(number, SIG_DFL);
+  std::raise(number);
+}
+
 void handle(int number, void (*handler)(int)) {
   struct sigaction action {};
   action.sa_handler = handler;
@@ -58,6 +66,10 @@ void handle(int number, void (*handler)(int)) {
 void prepare_process() {
   std::signal(SIGPIPE, SIG_IGN);
   std::signal(SIGXFSZ, SIG_IGN);
+  for (const int number : {SIGINT, SIGTERM, SIGHUP}) {
+    struct sigaction before {};
+    if (sigaction(number, nullptr, &before) == 0 && before.sa_handler == SIG_DFL) handle(number, on_end);
+  }
   for (const int stream : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}) {
     // open() takes the lowest free number, which is this one.
     if (fcntl(stream, F_GETFD) < 0 && errno == EBADF) {

@@ -9,11 +9,17 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
+#include <atomic>
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <mutex>
+#include <set>
 #include <sstream>
+
+#include "system/own_temporaries.h"
 
 namespace semfield {
 
@@ -238,7 +244,55 @@ int remove_stale_temporaries(const std::string& folder) {
   return static_cast<int>(std::count_if(found.begin(), found.end(), remove_if_stale));
 }
 
+namespace {
+
+// Names of the temporary files that this process is writing, for a handler of signals, which may neither lock nor take
+// memory. A place is never given back to the system, so that what it reads is always a name of ours.
+struct OwnTemporary {
+  std::atomic<bool> taken{false};
+  std::atomic<pid_t> writer{0};  // 0: none is there
+  std::array<char, 1024> path{};
+};
+std::array<OwnTemporary, 64> g_own;
+
+// Where there is no room, it stays until the next write into the folder.
+void remember(const std::string& path) {
+  for (OwnTemporary& own : g_own) {
+    if (path.size() >= own.path.size() || own.taken.exchange(true)) continue;
+    std::copy_n(path.c_str(), path.size() + 1, own.path.begin());
+    own.writer = ::getpid();
+    return;
+  }
+}
+
+void forget(const std::string& path) {
+  for (OwnTemporary& own : g_own) {
+    if (own.writer != ::getpid() || path != own.path.data()) continue;
+    own.writer = 0;
+    own.taken = false;
+  }
+}
+
+// What others left in a folder before they died goes when this process first writes there.
+void clean_once(const std::string& folder) {
+  static std::mutex mutex;
+  static std::set<std::string> cleaned;
+  {
+    const std::scoped_lock lock(mutex);
+    if (!cleaned.insert(folder).second) return;
+  }
+  remove_stale_temporaries(folder);
+}
+
+}  // namespace
+
+void remove_own_temporaries() noexcept {
+  for (const OwnTemporary& own : g_own)
+    if (own.writer == ::getpid()) ::unlink(own.path.data());
+}
+
 AtomicFile::AtomicFile(std::string path) : path_(std::move(path)), folder_(folder_of(path_)) {
+  clean_once(folder_);
   const std::string prefix = folder_ + "/." + std::filesystem::path(path_).filename().string() + ".";
   for (int number = 0; number < 100; ++number) {
     const std::string name = prefix + std::to_string(number) + ".tmp";
@@ -256,6 +310,7 @@ bool AtomicFile::open_temporary(const std::string& name) {
       uninterrupted([&] { return ::open(name.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0666); });
   if (file_ < 0) return false;
   temporary_ = name;
+  remember(name);
   struct stat about {};
   const bool locked = uninterrupted([&] { return ::flock(file_, LOCK_EX | LOCK_NB); }) == 0 || errno != EWOULDBLOCK;
   if (locked && ::fstat(file_, &about) == 0 && about.st_nlink > 0) return true;
@@ -268,6 +323,7 @@ AtomicFile::~AtomicFile() { discard(); }
 
 void AtomicFile::discard() noexcept {
   if (!temporary_.empty()) ::unlink(temporary_.c_str());
+  forget(temporary_);
   temporary_.clear();
   if (file_ >= 0) ::close(file_);
   file_ = -1;
@@ -313,6 +369,7 @@ void AtomicFile::commit(const std::function<void(const std::string&)>& verify) {
     if (folder >= 0) ::close(folder);
     fail("replace", cause, size_);
   }
+  forget(temporary_);
   temporary_.clear();
   // Everything is on the disk, so closing has nothing left to report. The rename itself must survive a power cut.
   ::close(file_);

@@ -17,6 +17,7 @@
 #include "loading/packed_scene.h"
 #include "scene/frame_split.h"
 #include "scene/stored_frame.h"
+#include "system/own_temporaries.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {
@@ -125,6 +126,7 @@ TEST(Files, FailedWriteKeepsTheOldFileAndCleansUp) {
 // A process that is killed between append and commit leaves its file; one that lives keeps it.
 TEST(Files, TemporariesOfTheDeadGoAndThoseOfTheLivingStay) {
   const std::string folder = fresh_folder("f");
+  AtomicFile living(folder + "/b.bin");
   const pid_t child = ::fork();
   if (child == 0) {
     AtomicFile file(folder + "/a.bin");
@@ -132,9 +134,8 @@ TEST(Files, TemporariesOfTheDeadGoAndThoseOfTheLivingStay) {
     ::raise(SIGKILL);
   }
   ASSERT_EQ(::waitpid(child, nullptr, 0), child);
-  EXPECT_EQ(entries(folder), 1u) << "the child left nothing: the test tries nothing";
+  EXPECT_EQ(entries(folder), 2u) << "the child left nothing: the test tries nothing";
   plain_write(folder + "/.notes.tmp", "no number, so not ours");
-  AtomicFile living(folder + "/b.bin");
   EXPECT_EQ(remove_stale_temporaries(folder), 1);
   EXPECT_EQ(remove_stale_temporaries(folder), 0);
   living.commit();
@@ -158,6 +159,33 @@ TEST(Files, TheNextWriteOfATargetRemovesWhatTheLastOneLeft) {
   first.commit();
   EXPECT_EQ(read_text_file(folder + "/a.bin"), "first");
   EXPECT_EQ(entries(folder), 1u);
+}
+
+// A verb that was interrupted left its file; the next one in that folder writes another.
+TEST(Files, TheFirstWriteIntoAFolderRemovesWhatTheDeadLeft) {
+  const std::string folder = fresh_folder("left");
+  plain_write(folder + "/.mesh.ply.0.tmp", "left by a killed writer");
+  plain_write(folder + "/.mesh.ply.1.tmp", "and by another");
+  write_file_atomic(folder + "/other.json", std::string_view("new"));
+  EXPECT_EQ(entries(folder), 1u);
+}
+
+// What a handler of signals does: own files go, those of another writer and of a process that was forked do not.
+TEST(Files, AProcessThatEndsBySignalRemovesItsOwn) {
+  const std::string folder = fresh_folder("ends");
+  AtomicFile other(folder + "/other");
+  const pid_t child = ::fork();
+  if (child == 0) {
+    AtomicFile first(folder + "/first"), done(folder + "/done");
+    done.commit();
+    remove_own_temporaries();
+    ::raise(SIGKILL);
+  }
+  ASSERT_EQ(::waitpid(child, nullptr, 0), child);
+  EXPECT_EQ(entries(folder), 2u);
+  EXPECT_TRUE(fs::exists(folder + "/done"));
+  other.commit();
+  EXPECT_TRUE(fs::exists(folder + "/other"));
 }
 
 TEST(Files, WhatDoesNotVerifyTakesNoName) {
