@@ -114,6 +114,8 @@ std::string bare_file(const std::string& header, std::size_t data_bytes) {
   return file + header + std::string(data_bytes, '\0');
 }
 
+constexpr const char* kLongName =
+    R"({"a name that lies on the heap, and not in the text itself":{"dtype":"F32","shape":[1],)";
 constexpr const char* kNoCounts[] = {"[0, 9223372036854775808]",
                                      "[9223372036854775808, 0]",
                                      "[\"x\", 0]",
@@ -126,8 +128,7 @@ constexpr const char* kNoCounts[] = {"[0, 9223372036854775808]",
 // Each is refused, and nothing else of the header is destroyed twice on the way out.
 TEST(Safetensors, OffsetsThatAreNoCountsAreRefused) {
   const auto decode = [](const std::string& offsets) {
-    const std::string tensor = R"({"a tensor of a long name, which lies on the heap":{"dtype":"F32","shape":[1],)";
-    (void)TensorFile::decode(bare_file(tensor + "\"data_offsets\":" + offsets + "}}", 4), "hostile",
+    (void)TensorFile::decode(bare_file(std::string(kLongName) + "\"data_offsets\":" + offsets + "}}", 4), "hostile",
                              {.require_checksums = false});
   };
   decode("[0, 4]");
@@ -209,7 +210,7 @@ TEST_F(CheckpointTest, DamagedNewestIsReportedAndTheOlderUsed) {
   ASSERT_EQ(diagnostics.all().size(), 1u);
   EXPECT_HAS(diagnostics.all()[0].text(), "step_00000200.safetensors");
   for (const char* offsets : kNoCounts) {
-    const std::string header = std::string(R"({"w":{"dtype":"F32","shape":[1],"data_offsets":)") + offsets + "}}";
+    const std::string header = std::string(kLongName) + "\"data_offsets\":" + offsets + "}}";
     write_file_atomic(in("c/step_00000200.safetensors"), std::string_view(bare_file(header, 4)));
     Diagnostics again;
     EXPECT_EQ(store.find_latest(again)->step, 100) << offsets;
