@@ -6,7 +6,7 @@ export function actionsOf(page) {
   const {stage, labeller} = page;
   const actions = {
     'n': () => page.make(), 'a': () => labeller.another(), 'F2': () => page.change(page.classOf(labeller.chosen)),
-    'z': () => labeller.undo(), 'ctrl+z': () => labeller.undo(),
+    'z': () => page.undo(), 'ctrl+z': () => page.undo(),
     'shift+z': () => labeller.redo(), 'ctrl+shift+z': () => labeller.redo(), 'ctrl+y': () => labeller.redo(),
     ' ': () => page.space(), 'g': () => page.takeGuess(), 's': () => page.skip(),
     'e': () => page.setKind(stage.kind === 'labels' ? 'entropy' : 'labels'),

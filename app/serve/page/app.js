@@ -2,7 +2,7 @@
 import {actionsOf} from './actions.js';
 import {PictureChannel, followState, postJson} from './api.js';
 import {Bars} from './bars.js';
-import {ask, askClass, showHelp} from './dialogs.js';
+import {ask, askClass, followClicksBeside, showHelp} from './dialogs.js';
 import {byId} from './dom.js';
 import {safeStorage} from './events.js';
 import {Flights} from './flights.js';
@@ -49,13 +49,14 @@ class Page {
     });
     this.stage = new Stage(this.labeller, this.settings, {
       changed: this.redraw,
-      click: (points) => this.click(points),
+      click: (stroke) => this.click(stroke),
       polygon: (points, step) => this.polygon(points, step),
       erase: (marks) => this.labeller.erase(marks),
       select: (mark) => this.select(mark),
       mayLabel: () => this.mayLabel(),
+      isShown: () => this.isShown(),
       tell: (text) => this.messages.tell(text),
-      clickFlight: (x, y) => this.flights.click([x, y]),
+      clickFlight: (at, label, picture) => this.flights.click(at, label, picture),
       isFlying: () => this.flights.isFlying,
       drag: (dx, dy) => this.flight.look(dx * 0.004, -dy * 0.004),
       wheel: (factor) => this.flight.ahead(Math.log(factor) * 1.5),
@@ -121,6 +122,7 @@ class Page {
     this.panel.updateClasses(this.classes, this.labeller.ignore, this.labeller.chosen, this.settings.keysOf(this.classes), this.state.room);
     this.panel.updateRun(this.state);
     this.bars.update();
+    this.offered = this.labeller.proposal?.id;
     this.draw();
   }
 
@@ -177,7 +179,8 @@ class Page {
     this.land();
     this.index = view;
     Object.assign(this.stage, {cross: null, selected: null, marks: [], others: []});
-    this.stage.tools.forget();
+    const dropped = this.stage.tools.forget();
+    if (dropped) this.messages.tell(dropped);
     this.session.setItem('semfield.view', view);
     this.stage.fit();
     this.changed();
@@ -207,31 +210,43 @@ class Page {
     this.show(to);
   }
 
-  async make() {
-    if (!this.state) return false;
+  /// then(): what waits for the class, done with it.
+  make(then) {
+    if (!this.state) return this.messages.tell('Wait until the program is connected.');
     if (this.classes.length >= this.state.room.most) {
-      this.messages.refuse(`No name is free: this run has room for ${this.state.room.named} classes.`, 'Rename one that is not needed (F2).');
-      return false;
+      return this.messages.refuse(`No name is free: this run has room for ${this.state.room.named} classes.`, 'Rename one that is not needed (F2).');
     }
-    const answer = await askClass(this.classes);
-    byId('canvas').focus();
-    if (answer) this.labeller.addClass(answer.name, answer.color);
-    return answer !== null;
+    askClass(this.classes, null, (answer) => {
+      byId('canvas').focus();
+      if (answer) this.labeller.addClass(answer.name, answer.color);
+      if (answer) then?.();
+      else if (then) this.messages.tell('Not stored: the click has no class.');
+    });
   }
 
-  async change(row) {
+  change(row) {
     if (!row) return this.messages.tell('Choose the class to change first.');
     if (row.isIgnore) return this.messages.tell('What is ignored has no name of its own.');
-    const answer = await askClass(this.classes, row);
-    if (answer?.mergeInto) return this.labeller.mergeClass(row.name, answer.mergeInto);
-    if (answer?.isDeleted) return this.deleteClass(row);
-    if (answer && (answer.name !== row.name || answer.color.join() !== row.color.join())) this.labeller.changeClass(row.name, answer.name, answer.color);
+    askClass(this.classes, row, (answer) => {
+      if (answer?.mergeInto) return this.labeller.mergeClass(row.name, answer.mergeInto);
+      if (answer?.isDeleted) return this.deleteClass(row);
+      if (answer && (answer.name !== row.name || answer.color.join() !== row.color.join())) this.labeller.changeClass(row.name, answer.name, answer.color);
+    });
   }
 
-  async deleteClass({name, clicks}) {
+  deleteClass({name, clicks}) {
     const what = clicks ? `Its ${clicks} click${clicks === 1 ? '' : 's'} go with it, in all views.` : 'It has no clicks.';
-    if (await ask(`Delete "${name}"?`, `${what} Undo (z) brings it back.`, 'Delete it')) this.labeller.deleteClass(name);
-    else this.messages.tell(`"${name}" stays.`);
+    ask(`Delete "${name}"?`, `${what} Undo (z) brings it back.`, 'Delete it', (isMeant) => {
+      if (isMeant) this.labeller.deleteClass(name);
+      else this.messages.tell(`"${name}" stays.`);
+    });
+  }
+
+  /// Whether the person sees the view that is looked at, and not the one before; else says so.
+  isShown() {
+    const isShown = this.state && this.stage.shown === this.index;
+    if (!isShown) this.messages.tell(this.state ? 'Not stored: another view is coming. Click again.' : 'Not stored: wait until the program is connected.');
+    return isShown;
   }
 
   /// False for a view that is only looked at, and says so.
@@ -244,21 +259,21 @@ class Page {
   mayLabel() {
     if (!this.isOpenToLabels()) return false;
     if (this.labeller.chosen !== null) return true;
-    this.hasClass();
+    if (this.classes.length === 0) this.make();
+    else this.messages.tell('Choose a class first: keys 1 to 9, or n for a new one.');
     return false;
   }
 
-  /// True when a class is chosen, if need be after a dialog.
-  async hasClass() {
-    if (this.labeller.chosen !== null) return true;
-    if (this.classes.length === 0) return this.make();
-    this.messages.tell('Choose a class first: keys 1 to 9, or n for a new one.');
-    return false;
+  /// act(label) at once where a class was chosen, or after the dialog of the first class; else says that nothing is stored.
+  whenNamed(act, seen = this.labeller.label) {
+    const label = seen.class === null ? this.labeller.label : seen;
+    if (label.class !== null) act(label);
+    else if (this.classes.length === 0) this.make(() => act(this.labeller.label));
+    else this.messages.tell('Choose a class first: keys 1 to 9, or n for a new one.');
   }
 
-  async click(points) {
-    const {index, state} = this;
-    if (state && this.isOpenToLabels() && await this.hasClass()) this.labeller.click(index, points, this.settings.radius);
+  click({points, radius, view, label}) {
+    if (this.isOpenToLabels()) this.whenNamed((named) => this.labeller.click(view, points, radius, named), label);
   }
 
   polygon(points, step) { this.labeller.polygon(this.index, points, step); }
@@ -268,39 +283,48 @@ class Page {
     if (stage.tools.close()) return;
     if (!stage.cross) return this.messages.tell('Move a cross over the view with shift and the arrow keys; enter clicks there.');
     if (stage.tools.kind === 'polygon') stage.tools.clickCorner(stage.cross);
-    else this.click([stage.cross]);
+    else this.click({points: [stage.cross], radius: this.settings.radius, view: this.index});
   }
 
   /// Out of what is under way: a polygon, a selection, a flight.
   leave() {
     const {stage} = this;
     if (this.flight) return this.land();
-    if (stage.tools.outline) this.messages.tell('The polygon is dropped.');
-    stage.tools.forget();
+    const dropped = stage.tools.forget();
+    if (dropped) this.messages.tell(dropped);
     this.select(null);
   }
 
-  async space() {
+  /// The proposal that the person sees, or null: then it says why, or goes there.
+  seenProposal(isToBeSeen = true) {
     const {proposal} = this.labeller;
     if (!proposal) return this.messages.tell('No click is proposed at the moment.');
+    if (proposal.id !== this.offered) return this.messages.tell('Not stored: another click has just been proposed. Look at it first.');
+    if (!isToBeSeen) return proposal;
     if (proposal.view !== this.index || this.flight) return this.show(proposal.view);
-    if (!this.stage.isInSight(proposal.at)) return this.stage.fit();
-    if (await this.hasClass() && this.labeller.proposal?.id === proposal.id) this.labeller.takeProposal(this.settings.radius);
+    return this.stage.isInSight(proposal.at) ? proposal : this.stage.fit();
+  }
+
+  space() {
+    const proposal = this.seenProposal();
+    if (proposal) this.whenNamed((label) => this.labeller.takeProposal(proposal, this.settings.radius, label));
   }
 
   takeGuess() {
-    const {proposal} = this.labeller;
-    const guess = proposal && this.classes.find(({index}) => index >= 0 && index === proposal.class_guess);
+    const guess = this.labeller.proposal && this.classes.find(({index}) => index >= 0 && index === this.labeller.proposal.class_guess);
     if (!guess) return this.messages.tell('There is no guess.');
-    if (proposal.view !== this.index) return this.show(proposal.view);
+    const proposal = this.seenProposal();
+    if (!proposal) return;
     this.choose(guess.name);
-    this.labeller.takeProposal(this.settings.radius);
+    this.labeller.takeProposal(proposal, this.settings.radius);
   }
 
   skip() {
-    if (this.labeller.proposal) this.labeller.skipProposal();
-    else this.messages.tell('No click is proposed at the moment.');
+    const proposal = this.seenProposal(false);
+    if (proposal) this.labeller.skipProposal(proposal);
   }
+
+  undo() { if (!this.flights.undo()) this.labeller.undo(); }
 
   setKind(kind) {
     this.stage.kind = kind;
@@ -349,7 +373,7 @@ class Page {
     on('show-rendered', () => this.setRendered(true));
     on('show-labels', () => this.setKind('labels'));
     on('show-entropy', () => this.setKind('entropy'));
-    on('undo', () => labeller.undo());
+    on('undo', () => this.undo());
     on('redo', () => labeller.redo());
     on('fit', () => stage.fit());
     on('fly', () => this.fly());
@@ -373,6 +397,7 @@ class Page {
     addEventListener('blur', () => this.flight?.held.clear());
     document.addEventListener('visibilitychange', this.changed);
 
+    followClicksBeside(() => this.messages.tell('Not stored: a window is open over the picture. Answer it first.'));
     followKeys(actionsOf(this), (event, isDown) => Boolean(this.flight?.key(event.key, isDown, event.shiftKey)));
   }
 }

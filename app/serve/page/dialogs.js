@@ -3,15 +3,41 @@ import {cssColor, freeColor, hexColor, kPalette, rgbOfHex} from './colors.js';
 import {byId, make, setText} from './dom.js';
 import {nameProblem} from './model.js';
 
-/// Asks a question with one answer that does something; resolves to whether it was given.
-export function ask(title, text, yes) {
+// What is answered is done inside the event that answers: a dialog's close event, or a promise, comes after clicks that a person made
+// when the dialog was gone already.
+
+/// Opens a dialog; returns end(value), which passes the first value on to answered(): null when the dialog closes without one.
+function opened(dialog, answered) {
+  dialog.onclose?.();  // of the answer before, whose event is still to come
+  let isOpen = true;
+  const end = (value) => {
+    if (!isOpen) return;
+    isOpen = false;
+    answered(value);
+  };
+  dialog.onclose = () => { if (!dialog.open) end(null); };
+  dialog.showModal();
+  return end;
+}
+
+/// told(): somebody clicked beside an open dialog, or on what it covers.
+export function followClicksBeside(told) {
+  for (const dialog of document.querySelectorAll('dialog')) {
+    dialog.addEventListener('pointerdown', ({target, clientX, clientY}) => {
+      const {left, right, top, bottom} = dialog.getBoundingClientRect();
+      if (target === dialog && (clientX < left || clientX > right || clientY < top || clientY > bottom)) told();
+    });
+  }
+}
+
+/// Asks a question with one answer that does something; answered(whether it was given).
+export function ask(title, text, yes, answered) {
   const dialog = byId('question');
   setText(byId('question-title'), title);
   setText(byId('question-text'), text);
   setText(byId('question-yes'), yes);
-  dialog.returnValue = '';
-  dialog.showModal();
-  return new Promise((resolve) => { dialog.onclose = () => resolve(dialog.returnValue === 'yes'); });
+  const end = opened(dialog, (value) => answered(value === 'yes'));
+  dialog.querySelector('form').onsubmit = ({submitter}) => end(submitter?.value);
 }
 
 /// The part of the dialog that ends a class; calls end({mergeInto}) or end({isDeleted}).
@@ -28,9 +54,9 @@ function offerEnds(row, others, end) {
   byId('class-delete').onclick = () => end({isDeleted: true});
 }
 
-/// Asks for a class's name and colour. `row`: the class to change, or none for a new one. Resolves to {name, color}, {mergeInto: name},
-/// {isDeleted: true} or null.
-export function askClass(classes, row) {
+/// Asks for a class's name and colour. `row`: the class to change, or null for a new one. answered({name, color}, {mergeInto: name},
+/// {isDeleted: true} or null).
+export function askClass(classes, row, answered) {
   const dialog = byId('class-dialog');
   const input = byId('class-name');
   const picker = byId('class-color');
@@ -74,30 +100,22 @@ export function askClass(classes, row) {
   };
   picker.oninput = () => pick(rgbOfHex(picker.value));
 
-  return new Promise((resolve) => {
-    let result = null;
-    offerEnds(row, others, (how) => {
-      result = how;
-      dialog.close();
-    });
-    const form = dialog.querySelector('form');
-    form.onsubmit = (event) => {
-      const name = input.value.trim();
-      const problem = nameProblem(name, others.map((other) => other.name));
-      setText(byId('class-problem'), problem);
-      if (problem) {
-        event.preventDefault();
-        input.focus();
-      } else {
-        result = {name, color};
-      }
-    };
-    byId('class-cancel').onclick = () => dialog.close();
-    dialog.onclose = () => resolve(result);
-    dialog.showModal();
-    input.focus();
-    input.select();
+  const end = opened(dialog, (answer) => {
+    dialog.close();
+    answered(answer);
   });
+  offerEnds(row, others, end);
+  dialog.querySelector('form').onsubmit = (event) => {
+    event.preventDefault();
+    const name = input.value.trim();
+    const problem = nameProblem(name, others.map((other) => other.name));
+    setText(byId('class-problem'), problem);
+    if (problem) input.focus();
+    else end({name, color});
+  };
+  byId('class-cancel').onclick = () => end(null);
+  input.focus();
+  input.select();
 }
 
 const kHelp = [

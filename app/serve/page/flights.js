@@ -1,5 +1,5 @@
 // Flying as the page does it: taking off from a view, labelling what is seen, and landing at a photograph that shows it.
-import {PictureChannel, getJson} from './api.js';
+import {PictureChannel, Refusal, getJson} from './api.js';
 import {byId} from './dom.js';
 import {FreeCamera, Flight, paceOf, upOf} from './fly.js';
 
@@ -7,13 +7,15 @@ const kMostFlight_px = 640;
 const kCamerasAsked = 16;
 
 export class Flights {
-  /// page: its state, index, show(view), hasClass() and changed(); messages of the page.
+  /// page: its state, index, show(view), whenNamed() and changed(); messages of the page.
   constructor(page, messages, tab) {
     Object.assign(this, {page, messages});
     this.questions = new PictureChannel(`${tab}-at`);  // beside the flight's own pictures
     this.flight = null;
     this.flown = null;       // the picture that is shown
     this.fresh = [];         // clicks that no picture shows yet: {at: fractions, name}
+    this.asked = Promise.resolve();  // the questions so far: one after the other, for a newer wish would take the place of a click
+    this.waiting = [];       // clicks whose photograph is being looked for
   }
 
   get isFlying() { return this.flight !== null; }
@@ -53,7 +55,6 @@ export class Flights {
 
   end() {
     this.flight.end();
-    this.questions.forget();
     this.flight = null;
   }
 
@@ -74,30 +75,46 @@ export class Flights {
     return [...seen, ...added];
   }
 
-  /// What the program knows of a point of the picture that is shown: which photograph shows it.
-  ask(at) {
-    const {camera} = this.flown;
-    return new Promise((resolve) => {
-      this.questions.wish({camera, at}, (answer) => resolve({...answer, camera}), (error) => {
-        this.messages.refuse(error.message, error.remedy);
-        resolve(null);
-      });
+  /// What the program knows of a point of a camera's picture: which photograph shows it. Throws Refusal.
+  ask(camera, at) {
+    const answer = this.asked.then(() => new Promise((resolve, reject) => this.questions.wish({camera, at}, resolve, reject)));
+    this.asked = answer.catch(() => {});
+    return answer.then((told) => {
+      if (told.stale) throw new Refusal('The program was busy.', 'Do it again.', 0);
+      return told;
     });
   }
 
-  /// Labels what is seen at a point, by a click in the photograph that shows it best.
-  async click(at) {
-    if (!this.flown) return this.messages.tell('Wait for the first picture, then click.');
-    if (!(await this.page.hasClass())) return;
-    const answer = await this.ask(at);
-    if (!answer || !this.flight) return;
-    if (!answer.spot) return this.refuse(answer.meets_surface);
-    const {labeller, settings, state} = this.page;
-    const {view, at: pixel} = answer.spot;
-    labeller.click(view, [pixel], settings.radius);
-    this.fresh.push({id: labeller.marks.at(-1).id, at, camera: answer.camera});
-    this.messages.tell(`Clicked as "${labeller.classOf(labeller.chosen).label ?? labeller.chosen}" in ${state.views[view].frame}, which shows this place best.`);
-    this.page.changed();
+  /// Labels what is seen at a point of a picture, by a click in the photograph that shows it best: also when the person has gone on by then.
+  click(at, label, picture) {
+    if (!picture?.camera) return this.messages.tell('Wait for the first picture, then click.');
+    this.page.whenNamed((named) => this.name({at, label: named, camera: picture.camera, radius: this.page.settings.radius}), label);
+  }
+
+  async name(click) {
+    const {labeller} = this.page;
+    this.waiting.push(click);
+    try {
+      const {spot, meets_surface: meetsSurface} = await this.ask(click.camera, click.at);
+      if (click.isUndone) return;
+      if (!spot) return this.refuse(meetsSurface);
+      const {id, frame} = labeller.click(spot.view, [spot.at], click.radius, click.label);
+      if (this.flight) this.fresh.push({id, at: click.at, camera: click.camera});
+      this.messages.tell(`Clicked as "${labeller.classOf(click.label.class)?.label ?? click.label.class}" in ${frame}, which shows this place best.`);
+    } catch (error) {
+      if (!click.isUndone) this.messages.refuse(`The click is not stored: ${error.message}`, error.remedy);
+    } finally {
+      this.waiting = this.waiting.filter((other) => other !== click);
+      this.page.changed();
+    }
+  }
+
+  /// Takes the last click back whose photograph is still being looked for; false: there is none.
+  undo() {
+    const last = this.waiting.pop();
+    if (last) Object.assign(last, {isUndone: true});
+    if (last) this.messages.tell('Undone: the click of the flight.');
+    return Boolean(last);
   }
 
   refuse(meetsSurface) {
@@ -107,9 +124,15 @@ export class Flights {
 
   /// To the photograph that shows the middle of the picture, or to the one that was taken from about here.
   async toPhotograph() {
-    if (!this.flown) return this.messages.tell('Wait for the first picture.');
-    const answer = await this.ask([0.5, 0.5]);
-    if (!answer || !this.flight) return;
+    const {flight, flown} = this;
+    if (!flown) return this.messages.tell('Wait for the first picture.');
+    let answer;
+    try {
+      answer = await this.ask(flown.camera, [0.5, 0.5]);
+    } catch (error) {
+      return this.messages.refuse(error.message, error.remedy);
+    }
+    if (this.flight !== flight) return;  // the person has landed
     const view = answer.spot?.view ?? answer.nearest_view;
     if (!(view >= 0)) return this.messages.tell('No photograph is known yet.');
     this.page.show(view);

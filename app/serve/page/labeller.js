@@ -128,19 +128,19 @@ export class Labeller {
     return whole;
   }
 
-  get thing() { return this.object > 0 ? {object: this.object} : {}; }
+  /// What a label says beside its place: what the person sees as chosen when it begins.
+  get label() { return {class: this.chosen, ...(this.object > 0 ? {object: this.object} : {})}; }
 
   within(view, points) {
     const {width, height} = this.state.views[view];
     return points.map(([x, y]) => [Math.min(Math.max(x, 0), width - 0.01), Math.min(Math.max(y, 0), height - 0.01)]);
   }
 
-  /// A click (one point) or a stroke in pixels of the view, with the chosen class.
-  click(view, points, radius) {
+  /// A click (one point) or a stroke in pixels of the view; the last event of it.
+  click(view, points, radius, label = this.label) {
     const {frame, width, height} = this.state.views[view];
-    for (const part of strokeParts(this.within(view, points), Math.max(0.7, radius / 3))) {
-      this.add({type: 'click', frame, size: [width, height], points: part, radius, class: this.chosen, ...this.thing});
-    }
+    const parts = strokeParts(this.within(view, points), Math.max(0.7, radius / 3));
+    return parts.map((part) => this.add({type: 'click', frame, size: [width, height], points: part, radius, ...label})).at(-1);
   }
 
   /// The inside of an outline; `step`: corners that lie nearer to the one before are left out.
@@ -148,7 +148,7 @@ export class Labeller {
     const {frame, width, height} = this.state.views[view];
     const corners = outlineCorners(this.within(view, points), step);
     if (corners.length < 3) return this.tell('A polygon needs three corners.');
-    this.add({type: 'click', frame, size: [width, height], points: corners, radius: 0, class: this.chosen, fill: true, ...this.thing});
+    this.add({type: 'click', frame, size: [width, height], points: corners, radius: 0, fill: true, ...this.label});
   }
 
   /// Takes marks away, each as an undo of its event, which can itself be undone.
@@ -188,14 +188,12 @@ export class Labeller {
     this.settle();
   }
 
-  takeProposal(radius) {
-    const {id, view, at} = this.proposal;
+  takeProposal({id, view, at}, radius, label) {
     this.skipped = id;
-    this.click(view, [at], radius);
+    this.click(view, [at], radius, label);
   }
 
-  skipProposal() {
-    const {id, view, at} = this.proposal;
+  skipProposal({id, view, at}) {
     const {frame, width, height} = this.state.views[view];
     this.skipped = id;
     this.add({type: 'skip', frame, size: [width, height], points: [at]});

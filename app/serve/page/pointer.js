@@ -2,7 +2,7 @@
 
 const kStill_px = 4;
 
-/// Calls: hover(x, y) or hover(null); down(x, y), draw(x, y), up(isClick, x, y), cancel() of the left button, a pen or one finger;
+/// Calls: hover(x, y) or hover(null); down(x, y), draw(x, y), up(isClick, x, y), cancel(isPinch) of the left button, a pen or one finger;
 /// pan(dx, dy) of the right or middle button or two fingers; zoom(factor, x, y). Points are CSS pixels of the element.
 export function followPointer(element, calls) {
   const pointers = new Map();
@@ -25,7 +25,7 @@ export function followPointer(element, calls) {
     try { element.setPointerCapture(event.pointerId); } catch { /* gone already */ }
     pointers.set(event.pointerId, at(event));
     if (pointers.size === 2) {
-      if (mode === 'draw') calls.cancel();  // the second finger says that the first did not label
+      if (mode === 'draw') calls.cancel(true);
       mode = 'pinch';
       start = pair();
     } else if (pointers.size === 1) {
@@ -66,7 +66,7 @@ export function followPointer(element, calls) {
     if (!pointers.delete(event.pointerId)) return;
     if (mode === 'draw') {
       if (event.type === 'pointerup') calls.up(!moved, ...at(event));
-      else calls.cancel();
+      else calls.cancel(false);
       mode = null;
     }
     if (pointers.size === 0) mode = null;  // a finger of a pinch that stays does not draw

@@ -9,7 +9,7 @@ const kDimmed = 50;  // alpha of other classes while one is pointed at
 const kHead_px = 9;  // of the screen: a pointer this near to the first point of a mark means the mark
 
 export class Stage {
-  /// calls: those of Tools, changed(), drag(dx, dy), wheel(factor) and clickFlight(fraction of width, of height) of a flight.
+  /// calls: those of Tools, changed(), drag(dx, dy), wheel(factor) and clickFlight(fractions of width and height, label, picture) of a flight.
   constructor(labeller, settings, calls) {
     Object.assign(this, {labeller, settings, calls});
     this.view = new ViewCanvas(byId('canvas'));
@@ -21,22 +21,33 @@ export class Stage {
     this.marks = [];           // of the view
     this.others = [];          // clicks of other views that are seen
     this.selected = null;      // id of a mark
+    this.shown = null;         // what the person sees: the number of a view, or a picture of a flight
     this.tools = new Tools(this, calls);
     new ResizeObserver(() => { if (this.view.resize()) calls.changed(); }).observe(byId('canvas'));
     this.view.resize();
     followPointer(byId('canvas'), {
       hover: (x, y) => { this.pointer = x === null ? null : [x, y]; if (x !== null) this.cross = null; calls.changed(); },
-      down: (x, y) => { if (!calls.isFlying()) this.tools.down(x, y); else this.last = [x, y]; },
+      down: (x, y) => {
+        this.flew = calls.isFlying() ? {picture: this.shown, label: labeller.label} : null;
+        if (this.flew) this.last = [x, y];
+        else this.tools.down(x, y);
+      },
       draw: (x, y) => {
-        if (calls.isFlying()) { calls.drag(x - this.last[0], y - this.last[1]); this.last = [x, y]; }
-        else this.tools.draw(x, y);
+        if (!this.flew) return this.tools.draw(x, y);
+        if (calls.isFlying()) calls.drag(x - this.last[0], y - this.last[1]);
+        this.last = [x, y];
       },
       up: (isClick, x, y) => {
-        if (!calls.isFlying()) return this.tools.up(x, y, isClick);
+        if (Boolean(this.flew) !== calls.isFlying()) {
+          this.tools.cancel(true);
+          return calls.tell('Not stored: the picture changed under it. Do it again.');
+        }
+        if (!this.flew) return this.tools.up(x, y, isClick);
         const at = this.view.imageAt(x, y);
-        if (isClick && isInside(this.view.image, ...at)) calls.clickFlight(at[0] / this.view.image.width, at[1] / this.view.image.height);
+        if (isClick && !isInside(this.view.image, ...at)) calls.tell('Click into the picture.');
+        else if (isClick) calls.clickFlight([at[0] / this.view.image.width, at[1] / this.view.image.height], this.flew.label, this.flew.picture);
       },
-      cancel: () => this.tools.cancel(),
+      cancel: (isPinch) => this.tools.cancel(isPinch),
       pan: (dx, dy) => {
         if (calls.isFlying()) calls.drag(dx, dy);
         else this.look(moved(this.view.port, dx, dy, this.view.image, this.view.screen));
@@ -109,7 +120,7 @@ export class Stage {
   /// Draws a view: photo or rendered colour, its overlay, the marks; `isPainted(mark)`: the overlay knows the mark; others: clicks of other
   /// views; isLocked: it is only looked at.
   drawView({index, picture, overlay, marks, others, isPainted, ring, isLocked}) {
-    Object.assign(this, {marks, others});
+    Object.assign(this, {marks, others, shown: index});
     const isEntropy = this.kind === 'entropy';
     // What is ignored has no label in the overlay; what was named on it later lies over its stripes.
     const ignored = marks.findIndex(({isIgnore}) => isIgnore);
@@ -128,6 +139,7 @@ export class Stage {
   }
 
   drawFlight(picture, text) {
+    this.shown = picture;
     if (picture) {
       this.view.setImage(picture.width, picture.height);
       this.paint(picture.labels, [], `flight ${picture.serial}`);

@@ -6,25 +6,27 @@ const kSnap_px = 9;  // of the screen: what lies nearer is meant
 const kCorner_px = 4;
 
 export class Tools {
-  /// stage: its view's port and image, settings and chosen class; calls: click(points), polygon(points, step), erase(marks), select(mark or null),
-  /// tell(text), changed().
+  /// stage: its view's port and image, settings and chosen class; calls: click(stroke) as it was begun: {points, radius, view, label};
+  /// polygon(points, step), erase(marks), select(mark or null), isShown(), tell(text), changed().
   constructor(stage, calls) {
     Object.assign(this, {stage, calls});
     this.kind = 'brush';
     this.forget();
   }
 
-  /// What is under way is dropped.
+  /// What is under way is dropped; a sentence that says so, or nothing.
   forget() {
+    const dropped = this.stroke ? 'The stroke is dropped. ' : this.outline ? 'The polygon is dropped. ' : '';
     this.stroke = null;
     this.outline = null;
     this.doomed = new Map();
+    return dropped;
   }
 
   use(kind) {
-    this.forget();
+    const dropped = this.forget();
     this.kind = kind;
-    this.calls.tell({
+    this.calls.tell(dropped + {
       brush: 'Brush: a click or a drag labels.',
       polygon: 'Polygon: click its corners, or drag along its edge; the first corner, a double click or enter closes it.',
       erase: 'Eraser: click or drag over clicks, strokes and polygons to delete them.',
@@ -37,10 +39,12 @@ export class Tools {
   down(x, y) {
     const {stage} = this;
     const at = stage.view.imageAt(x, y);
-    this.isIn = isInside(stage.view.image, ...at);
+    const isShown = this.calls.isShown();
+    this.isIn = isShown && isInside(stage.view.image, ...at);
+    if (isShown && !this.isIn) this.calls.tell('Click into the picture.');
     if (!this.isIn) return;
     const {color, isIgnore} = stage.chosenRow;
-    if (this.kind === 'brush') this.stroke = {points: [at], radius: stage.settings.radius, color, isIgnore};
+    if (this.kind === 'brush') this.stroke = {points: [at], radius: stage.settings.radius, color, isIgnore, view: stage.shown, label: stage.labeller.label};
     if (this.kind === 'erase') {
       this.erasedAt = null;
       this.doom(at);
@@ -60,22 +64,23 @@ export class Tools {
   }
 
   up(x, y, isClick) {
-    if (!this.isIn) return isClick && this.calls.tell('Click into the picture.');
+    if (!this.isIn) return;
     const at = this.stage.view.imageAt(x, y);
     const {stroke} = this;
     this.stroke = null;
     if (this.kind === 'brush' && stroke) {
       const mark = isClick && this.stage.markUnder(x, y);
-      if (mark && (mark.name === this.stage.labeller.chosen || this.stage.labeller.chosen === null)) this.calls.select(mark);
-      else this.calls.click(isClick ? stroke.points.slice(0, 1) : stroke.points);
+      if (mark && (mark.name === stroke.label.class || stroke.label.class === null)) this.calls.select(mark);
+      else this.calls.click({...stroke, points: isClick ? stroke.points.slice(0, 1) : stroke.points});
     }
     if (this.kind === 'erase') this.finishErasing();
     if (this.kind === 'polygon' && isClick) this.clickCorner(at);
     this.calls.changed();
   }
 
-  /// The pointer left, or a second finger came.
-  cancel() {
+  /// The browser took the pointer away, or a second finger came, which says that the first did not label.
+  cancel(isPinch) {
+    if (this.stroke && !isPinch) this.calls.tell('Not stored: the stroke was broken off. Draw it again.');
     this.stroke = null;
     this.doomed = new Map();
     this.calls.changed();
@@ -123,7 +128,7 @@ export class Tools {
     const {outline} = this;
     if (!outline) return false;
     if (!this.closes) this.calls.tell('A polygon needs three corners.');
-    else {
+    else if (this.calls.mayLabel()) {
       this.outline = null;
       this.calls.polygon(outline, 1 / this.stage.view.port.scale);
     }
