@@ -67,6 +67,31 @@ def edit_objects(page, run):
     page.run("document.getElementById('undo').disabled = false; document.getElementById('undo').click()")
     page.wait(f"semfield.objects.rows.length === {count}", "undo brings it back")
     assert len(edits_of(run)) == 1 and other in table_of(run)
+    # An answer that takes its time leaves alone what a person does meanwhile; an edit meanwhile says that it is not saved.
+    page.run("""
+        const ask = fetch;
+        window.fetch = (what, how) => {
+          if (what !== "edit") return ask(what, how);
+          window.fetch = ask;
+          return new Promise((later) => { window.answer = later; }).then(() => ask(what, how));
+        };
+        const {objects} = semfield;
+        objects.choose(arguments[0]);
+        semfield.points = [];
+        document.getElementById('name').value = 'slow';
+        document.getElementById('rename').click();
+        objects.choose(arguments[1]);
+        semfield.points.push({place: objects.row(arguments[1]).box.center, object: arguments[1]});
+        document.getElementById('name').value = 'lost';
+        document.getElementById('rename').click();""", row["id"], other)
+    page.wait("document.getElementById('edit-hint').textContent.startsWith('Not saved')", "an edit that is not saved does not say so")
+    page.run("window.answer()")
+    page.wait("document.getElementById('edit-hint').textContent === 'Saved.'", "no answer to an edit")
+    assert page.run("return [[...semfield.objects.chosen], semfield.points.length]") == [[other], 1], "an answer changes what was chosen since"
+    page.run("semfield.points = []; document.getElementById('undo').disabled = false; document.getElementById('undo').click()")
+    page.wait("!semfield.objects.saving")
+    page.run("semfield.objects.choose(0)")
+    assert len(edits_of(run)) == 1, edits_of(run)
     # A cut goes through the two points, straight away from the eye.
     page.run("""
         const row = semfield.objects.row(arguments[0]), {center, axes, size} = row.box;

@@ -114,6 +114,7 @@ class Live {
     for (let run = 0; run < this.runs.length; ++run) {
       const layer = this.page.layers[run];
       const bytes = new Uint8Array(await (await this.ask(`probability?run=${run}&class=${index}&fine=${layer.facts.fine ? 1 : 0}`)).arrayBuffer());
+      if (index !== Number(byId("of-class").value)) return;  // another was chosen meanwhile
       if (bytes.length === layer.vertices) layer.set_probability(bytes);
     }
     this.page.change(true);

@@ -108,19 +108,26 @@ class ObjectList {
       byId(id).disabled = !works;
   }
 
+  /** What a person chooses and marks until the answer comes stays; an edit until then is refused, for it is of the objects before. */
   edit(what) {
-    if (this.saving) return;  // the next one is made on what this one shows
-    this.saving = true;
-    byId("edit-hint").textContent = "saving";
-    this.page.live.edit(what).then(
+    const hint = byId("edit-hint");
+    if (this.saving) {
+      hint.textContent = "Not saved: the edit before is being saved. Do it again.";
+      return this.saving;
+    }
+    const {page} = this, points = [...page.points], chosen = String([...this.chosen]);
+    hint.textContent = "Saving.";
+    this.saving = page.live.edit(what).then(
       (after) => {
-        if (what.do === "undo" || what.do === "split") this.chosen.clear();
+        const is_chosen = String([...this.chosen]) === chosen;
+        if (is_chosen && (what.do === "undo" || what.do === "split")) this.chosen.clear();
         this.set(after.objects, after.ids);
-        if (what.do === "merge") this.choose(what.objects[0]);
-        byId("edit-hint").textContent = after.said;
-        this.page.points = [];
-        this.page.change();
+        if (is_chosen && what.do === "merge") this.choose(what.objects[0]);
+        hint.textContent = after.said;
+        page.points = page.points.filter((point) => !points.includes(point));
+        page.change();
       },
-      (error) => { byId("edit-hint").textContent = error.message; }).finally(() => { this.saving = false; });
+      (error) => { hint.textContent = error.message; }).finally(() => { this.saving = null; });
+    return this.saving;
   }
 }
