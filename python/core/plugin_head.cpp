@@ -38,9 +38,14 @@ class PythonHead final : public Head<Real> {
   void hidden_backward(const StepContext&, const Tensors<Real>& tensors, View<const Real> feature,
                        View<const Real> hidden, View<Real> d_hidden, View<Real> d_feature) const override {
     called(owner_ + ".hidden_backward", [&] {
-      take(owner_ + ".hidden_backward",
-           instance_->attr("hidden_backward")(borrowed(feature), borrowed(hidden), borrowed(View<const Real>(d_hidden)),
-                                              tensors_.values(tensors), tensors_.gradients(tensors)),
+      const std::string doing = owner_ + ".hidden_backward";
+      take(doing,
+           tensors_.with_gradients(doing, tensors,
+                                   [&](const py::dict& grads) {
+                                     return instance_->attr("hidden_backward")(borrowed(feature), borrowed(hidden),
+                                                                               borrowed(View<const Real>(d_hidden)),
+                                                                               tensors_.values(tensors), grads);
+                                   }),
            d_feature);
     });
   }
@@ -53,13 +58,16 @@ class PythonHead final : public Head<Real> {
   void output_backward(const StepContext&, const Tensors<Real>& tensors, View<const Real> h, View<const Real> opacity,
                        View<const Real> d_rows, View<Real> d_h, View<Real> d_opacity) const override {
     called(owner_ + ".output_backward", [&] {
-      const py::object answer = instance_->attr("output_backward")(
-          borrowed(h), seen(opacity), borrowed(d_rows), tensors_.values(tensors), tensors_.gradients(tensors));
+      const std::string doing = owner_ + ".output_backward";
+      const py::object answer = tensors_.with_gradients(doing, tensors, [&](const py::dict& grads) {
+        return instance_->attr("output_backward")(borrowed(h), seen(opacity), borrowed(d_rows),
+                                                  tensors_.values(tensors), grads);
+      });
       if (!py::isinstance<py::tuple>(answer) || py::len(answer) != 2)
         throw Error(ErrorKind::failure, "plugin.python.shape",
-                    owner_ + ".output_backward: expected two arrays, dL/dh and dL/d(opacity)");
-      take(owner_ + ".output_backward", py::object(answer[py::int_(0)]), d_h);
-      if (!d_opacity.empty()) take(owner_ + ".output_backward", py::object(answer[py::int_(1)]), d_opacity);
+                    doing + ": expected two arrays, dL/dh and dL/d(opacity)");
+      take(doing + ", dL/dh", py::object(answer[py::int_(0)]), d_h);
+      if (!d_opacity.empty()) take(doing + ", dL/d(opacity)", py::object(answer[py::int_(1)]), d_opacity);
     });
   }
 

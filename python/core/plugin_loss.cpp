@@ -2,10 +2,12 @@
 
 #include <pybind11/stl.h>
 
+#include <algorithm>
 #include <vector>
 
 #include "python/core/arrays.h"
 #include "python/core/plugin_calls.h"
+#include "python/core/plugin_tensors.h"
 
 namespace semfield::python {
 
@@ -27,6 +29,12 @@ class PythonLoss final : public Loss {
     if (moves_.empty())
       throw Error(ErrorKind::usage, "plugin.python.moves",
                   owner_ + ": moves names no channel that it has a gradient of");
+    // What it moves, it reads: a name that no head makes is refused before the run, and does not train nothing.
+    const auto is_of_head = [](const std::string& name) {
+      return name != channel::color && name != channel::depth && name != channel::weight && name != channel::sigma;
+    };
+    for (const std::string& name : moves_)
+      if (is_of_head(name) && std::find(heads_.begin(), heads_.end(), name) == heads_.end()) heads_.push_back(name);
     traits_.targets.assign(targets_.begin(), targets_.end());
     traits_.heads.assign(heads_.begin(), heads_.end());
     traits_.moves.assign(moves_.begin(), moves_.end());
@@ -35,8 +43,14 @@ class PythonLoss final : public Loss {
   LossRule rule() const override { return rule_; }
   LossTraits traits() const override { return traits_; }
   std::int64_t counted_rays(const RayTargets& batch, std::int64_t rays) const override {
-    return called(owner_ + ".counted",
-                  [&] { return instance_->attr("counted")(arrays(batch), rays).cast<std::int64_t>(); });
+    if (!has_targets(batch)) return 0;
+    const auto counted = called(owner_ + ".counted",
+                                [&] { return instance_->attr("counted")(arrays(batch), rays).cast<std::int64_t>(); });
+    if (counted < 0 || counted > rays)
+      throw Error(ErrorKind::failure, "plugin.python.value",
+                  owner_ + ".counted: " + std::to_string(counted) + " of " + std::to_string(rays) + " rays",
+                  "return how many of the batch's rays the mean is over");
+    return counted;
   }
   double add(const RayTargets& targets, const RayValues<float>& values, double scale,
              const RayGradients<float>& gradients) const override {
@@ -56,6 +70,13 @@ class PythonLoss final : public Loss {
   template <class T>
   static void put(py::dict& out, std::string_view name, View<T> view) {
     if (view.cols > 0) out[py::str(std::string(name))] = borrowed(view);
+  }
+  bool has_targets(const RayTargets& batch) const {
+    return std::all_of(targets_.begin(), targets_.end(), [&](const std::string& name) {
+      return name == channel::color   ? batch.color.cols > 0
+             : name == channel::label ? batch.label.cols > 0
+                                      : batch.more[name].cols > 0;
+    });
   }
   static py::dict arrays(const RayTargets& targets) {
     py::dict out;
@@ -79,44 +100,51 @@ class PythonLoss final : public Loss {
     for (const auto& one : values.heads) put(out, one.name, one.view);
     return out;
   }
-  template <class Real>
-  static View<Real> gradient_of(const RayGradients<Real>& gradients, std::string_view name) {
-    if (name == channel::color) return gradients.color;
-    if (name == channel::depth) return gradients.depth;
-    if (name == channel::weight) return gradients.weight;
-    if (name == channel::sigma) return gradients.sigma;
-    return gradients.heads[name];
+  // Of RayValues or RayGradients: a channel that a loss moves.
+  template <class All>
+  static auto moved_in(const All& all, std::string_view name) {
+    if (name == channel::color) return all.color;
+    if (name == channel::depth) return all.depth;
+    if (name == channel::weight) return all.weight;
+    if (name == channel::sigma) return all.sigma;
+    return all.heads[name];
   }
 
   template <class Real>
   double add_real(const RayTargets& targets, const RayValues<Real>& values, double scale,
                   const RayGradients<Real>& gradients) const {
-    if (values.first.rows <= 1) return 0;
+    if (values.first.rows <= 1 || !has_targets(targets)) return 0;
     return called(owner_ + ".value", [&] {
-      const auto answer = instance_->attr("value")(arrays(targets), arrays(values)).template cast<py::tuple>();
-      if (answer.size() != 2)
+      const py::object answer = instance_->attr("value")(arrays(targets), arrays(values));
+      if (!py::isinstance<py::tuple>(answer) || py::len(answer) != 2 || !py::isinstance<py::dict>(answer[py::int_(1)]))
         throw Error(ErrorKind::failure, "plugin.python.value",
                     owner_ + ".value: expected a loss and a dict of gradients");
-      for (const auto& [key, gradient] : answer[1].template cast<py::dict>())
-        add_gradient(py::str(key).cast<std::string>(), gradient, scale, gradients);
-      return answer[0].attr("sum")().template cast<double>();
+      const py::dict given = answer[py::int_(1)];
+      std::vector<Shape> lengths{{values.first.rows - 1}};
+      for (const std::string& name : heads_)
+        if (const auto rows = values.heads[name]; rows.cols > 0) lengths.push_back({rows.rows});
+      const py::array loss = real_array(owner_ + ".value", answer[py::int_(0)], lengths);
+      for (const std::string& name : moves_) {
+        if (moved_in(values, name).cols > 0 && !given.contains(name.c_str()))
+          throw Error(ErrorKind::failure, "plugin.python.moves",
+                      gradient_of(name) + " is missing, and `moves` names it", "give zeros where there is none");
+      }
+      for (const auto& [key, gradient] : given) {
+        const auto name = py::str(key).cast<std::string>();
+        if (!traits_.does_move(name))
+          throw Error(ErrorKind::failure, "plugin.python.moves", gradient_of(name) + ", which `moves` does not name");
+        add_rows(gradient_of(name), gradient, scale, moved_in(values, name), moved_in(gradients, name));
+      }
+      return loss.attr("sum")().template cast<double>();
     });
   }
+  std::string gradient_of(const std::string& name) const { return owner_ + ".value: gradient of '" + name + "'"; }
   template <class Real>
-  void add_gradient(const std::string& name, const py::handle& given, double scale,
-                    const RayGradients<Real>& gradients) const {
-    const View<Real> to = gradient_of(gradients, name);
-    const std::string what = owner_ + ".value: gradient of '" + name + "'";
-    if (!traits_.does_move(name))
-      throw Error(ErrorKind::failure, "plugin.python.moves", what + ", which `moves` does not name");
+  static void add_rows(const std::string& what, const py::handle& given, double scale, View<const Real> value,
+                       View<Real> to) {
+    const auto array = py::array_t<double, py::array::c_style | py::array::forcecast>(
+        real_array(what, given, {{value.rows, value.cols}}));
     if (to.empty()) return;
-    const auto array = py::array_t<double, py::array::c_style | py::array::forcecast>::ensure(given);
-    if (!array || array.ndim() != 2 || array.shape(0) > to.rows || array.shape(1) != to.cols) {
-      PyErr_Clear();
-      throw Error(
-          ErrorKind::failure, "plugin.python.shape",
-          what + ": expected an array of the shape (" + std::to_string(to.rows) + ", " + std::to_string(to.cols) + ")");
-    }
     const auto rows = array.template unchecked<2>();
     for (py::ssize_t r = 0; r < array.shape(0); ++r) {
       for (std::int32_t c = 0; c < to.cols; ++c) to(r, c) += static_cast<Real>(scale * rows(r, c));

@@ -64,8 +64,9 @@ class PythonEncoder final : public Encoder<Real> {
   void do_backward(const StepContext&, const Tensors<Real>& tensors, View<const double> x, View<const Real> dy,
                    View<Real> dx) const override {
     called(owner_ + ".backward", [&] {
-      const py::object answer =
-          instance_->attr("backward")(borrowed(x), borrowed(dy), tensors_.values(tensors), tensors_.gradients(tensors));
+      const py::object answer = tensors_.with_gradients(owner_ + ".backward", tensors, [&](const py::dict& grads) {
+        return instance_->attr("backward")(borrowed(x), borrowed(dy), tensors_.values(tensors), grads);
+      });
       if (!dx.empty()) take(owner_ + ".backward", answer, dx);
     });
   }

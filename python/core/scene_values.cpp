@@ -27,8 +27,8 @@ py::array_t<T, py::array::c_style | py::array::forcecast> shaped(const py::objec
                                                                  const std::string& place) {
   const auto text = [](const auto* sizes, std::size_t count) {
     std::string out;
-    for (std::size_t i = 0; i < count; ++i) out += (i == 0 ? "[" : ", ") + std::to_string(sizes[i]);
-    return out + "]";
+    for (std::size_t i = 0; i < count; ++i) out += (i == 0 ? "" : ", ") + std::to_string(sizes[i]);
+    return "[" + out + "]";
   };
   const py::array given = py::array::ensure(value);
   if (!given) {
@@ -245,8 +245,12 @@ void fill_frame(const py::dict& pixels, const SceneInfo& info, int frame, FrameB
   }
   for (const FrameChannelInfo& channel : own.channels) {
     if (std::find(wanted.begin(), wanted.end(), channel.name) == wanted.end()) continue;
-    const auto values = shaped<float>(pixels["channels"][py::str(channel.name)],
-                                      {channel.height, channel.width, channel.cols}, place + ": " + channel.name);
+    const auto given = pixels["channels"].cast<py::dict>();
+    if (!given.contains(channel.name.c_str()))
+      throw Error(ErrorKind::data, "python.array.type", place + ": " + channel.name + ": expected an array, got none",
+                  "give every channel that `frames` names");
+    const auto values = shaped<float>(given[channel.name.c_str()], {channel.height, channel.width, channel.cols},
+                                      place + ": " + channel.name);
     out.channels.push_back(
         {channel.name, channel.height, channel.width, channel.cols, {values.data(), values.data() + values.size()}});
   }

@@ -15,7 +15,7 @@ from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 import numpy as np
 
 from . import _core
-from .errors import UsageError
+from .errors import DataError, UsageError
 from .scenes import Frame, PathLike, _class_rows, _floats, _mask, _number
 
 
@@ -111,7 +111,7 @@ class Encoder(_Plugin):
             x: [N, D] float64, as in forward.
             dy: [N, F], dL/d(features).
             params: as in forward.
-            grads: by name, [rows, cols]: add dL/d(tensor) to them in place.
+            grads: by name, [rows, cols]: add dL/d(tensor) to them in place (``+=``); another array in their place is refused.
 
         Returns:
             [N, D], dL/dx.
@@ -243,7 +243,8 @@ class Loss(_Plugin):
                 have no label. float32 or, as the oracle of the laws, float64.
 
         Returns:
-            [R] or [S], and by the names in `moves` arrays of the shapes of the values.
+            [R] or [S], and by every name in `moves` an array of exactly the shape of the value. Not called for rays without
+            one of `targets`: their loss is 0.
         """
         raise NotImplementedError("value")
 
@@ -293,6 +294,11 @@ class Dataset(_Plugin):
     def _opened(self) -> Dict[str, Any]:
         frames = []
         for f in self.frames():
+            for name, c in f.channels.items():
+                shape = tuple(getattr(c, "shape", c))
+                if len(shape) != 3 or min(shape) < 1:
+                    raise DataError(f"frame {f.name!r}: channel {name!r} has the shape {shape}", code="python.array.shape",
+                                    remedy="give rows, columns and numbers of a pixel, each above 0")
             frames.append({
                 "name": f.name, "source": f.source or f.name, "camera": f.camera._dict(), "pose": f.pose, "split": f.split,
                 "has_depth": bool(f.has_depth), "has_labels": bool(f.has_labels),

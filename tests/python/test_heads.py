@@ -14,10 +14,7 @@ import pytest
 
 import semfield as sf
 from conftest import NETWORK, box_arrays, config_of, trained
-from test_plugins import Box
-
-BRANCH: Dict[str, Any] = {
-    "position": {"type": "frequency", "frequencies": 4}, "field": {"type": "tiny_mlp", "hidden_width": 32, "hidden_layers": 2}}
+from test_plugins import BRANCH, Box
 
 # Of each wall, as a network might encode its word; nearly orthogonal.
 WORDS = np.random.default_rng(5).normal(size=(6, 96)).astype(np.float32)

@@ -29,8 +29,6 @@ class Doubt(sf.Loss):
         logits = values["logits"].astype(np.float64)
         p = np.exp(logits - logits.max(1, keepdims=True))
         p /= p.sum(1, keepdims=True)
-        if "label" not in targets:
-            return np.zeros(len(p)), {}
         label = targets["label"][:len(p), 0]
         known = (label >= 0).astype(float)
         truth = np.zeros_like(p)
@@ -59,7 +57,17 @@ def test_a_loss_is_as_the_built_in_one(scene: sf.Scene) -> None:
 
 
 @pytest.mark.parametrize("what, says", [
-    ("shape", r"loss 'py_wrong'.value: gradient of 'logits': expected an array of the shape \(\d+, \d+\)"),
+    ("columns", r"loss 'py_wrong'.value: gradient of 'logits': expected an array of the shape \((\d+), 6\), got \(\1, 5\)"),
+    ("rows", r"loss 'py_wrong'.value: gradient of 'logits': expected an array of the shape \(\d+, 6\), got \(\d+, 6\)"),
+    ("one row", r"loss 'py_wrong'.value: gradient of 'logits': expected an array of the shape \(\d+, 6\), got \(1, 6\)"),
+    ("flat", r"loss 'py_wrong'.value: gradient of 'logits': expected an array of the shape \(\d+, 6\), got \(\d+,\)"),
+    ("complex", r"loss 'py_wrong'.value: gradient of 'logits': expected real numbers, got complex128"),
+    ("missing", r"loss 'py_wrong'.value: gradient of 'logits' is missing, and `moves` names it"),
+    ("sum", r"loss 'py_wrong'.value: expected an array of the shape \(\d+,\)( or \(\d+,\))?, got \(\)"),
+    ("short", r"loss 'py_wrong'.value: expected an array of the shape \(\d+,\)( or \(\d+,\))?, got \(\d+,\)"),
+    ("column", r"loss 'py_wrong'.value: expected an array of the shape \(\d+,\)( or \(\d+,\))?, got \(\d+, 1\)"),
+    ("alone", r"loss 'py_wrong'.value: expected a loss and a dict of gradients"),
+    ("counted", r"loss 'py_wrong'.counted: -1 of \d+ rays"),
     ("name", r"loss 'py_wrong'.value: gradient of 'color', which `moves` does not name"),
     ("raises", r"loss 'py_wrong'.value: ZeroDivisionError: .*test_losses.py:\d+"),
 ])
@@ -67,15 +75,33 @@ def test_a_loss_that_is_wrong(scene: sf.Scene, what: str, says: str) -> None:
     class Wrong(Doubt):
         """Wrong."""
 
+        def counted(self, targets: Dict[str, np.ndarray], rays: int) -> int:
+            return -1 if what == "counted" else super().counted(targets, rays)
+
         def value(self, targets: Dict[str, np.ndarray], values: Dict[str, np.ndarray]) -> Any:
             if what == "raises":
                 raise ZeroDivisionError("value is wrong")
             loss, gradients = super().value(targets, values)
-            return loss, {"logits": gradients["logits"][:, :-1]} if what == "shape" else {"color": gradients["logits"]}
+            d = gradients["logits"]
+            return {"columns": (loss, {"logits": d[:, :-1]}), "rows": (loss, {"logits": d[:-1]}), "one row": (loss, {"logits": d[:1]}),
+                    "flat": (loss, {"logits": d.ravel()}), "complex": (loss, {"logits": d * 1j}), "missing": (loss, {}),
+                    "sum": (loss.sum(), gradients), "short": (loss[1:], gradients), "column": (loss[:, None], gradients),
+                    "alone": loss, "name": (loss, {**gradients, "color": d})}[what]
 
     sf.loss("py_wrong")(Wrong)
     with pytest.raises(sf.Error, match=says):
         trained(sf.open(with_loss(scene, type="py_wrong")), 2)
+
+
+def test_what_a_loss_moves_is_there(scene: sf.Scene) -> None:
+    class Misspelt(Doubt):
+        """Moves what no head makes."""
+
+        moves = ["logit"]
+
+    sf.loss("py_misspelt")(Misspelt)
+    with pytest.raises(sf.Error, match="'py_misspelt' reads the channel 'logit', which no head makes"):
+        sf.open(with_loss(scene, type="py_misspelt"))
 
 
 LOSS = '''
@@ -116,8 +142,6 @@ def test_a_channel_of_a_dataset_reaches_a_loss(scene: sf.Scene) -> None:
         moves = ["color"]
 
         def value(self, targets: Dict[str, np.ndarray], values: Dict[str, np.ndarray]) -> Any:
-            if "brightness" not in targets:
-                return np.zeros(1), {}
             seen["close"] = np.abs(targets["color"].mean(1, keepdims=True) - targets["brightness"]).max()
             error = values["color"].mean(1, keepdims=True) - targets["brightness"]
             return error[:, 0]**2, {"color": np.repeat(2 * error / 3, 3, 1)}

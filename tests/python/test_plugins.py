@@ -87,6 +87,9 @@ sf.encoder("py_waves")(Waves)
 sf.encoder("py_through")(Through)
 sf.encoder("py_plane")(Plane)
 
+BRANCH: Dict[str, Any] = {
+    "position": {"type": "frequency", "frequencies": 4}, "field": {"type": "tiny_mlp", "hidden_width": 32, "hidden_layers": 2}}
+
 IDEA = '''
 """An idea."""
 import numpy as np
@@ -169,6 +172,10 @@ def raising(where: str) -> Type[sf.Encoder]:
         def backward(self, x: np.ndarray, dy: np.ndarray, params: Any, grads: Any) -> Any:
             if where == "backward":
                 raise KeyError("backward is wrong")
+            if where == "replaced":
+                grads["learned"] = np.ones((1, 1))
+            if where == "unknown":
+                grads["leaned"] = np.ones((1, 1))
             return None if where == "none" else dy
 
     return Raises
@@ -181,6 +188,8 @@ def raising(where: str) -> Type[sf.Encoder]:
     ("rows", "plugin.python.shape", r"py_raises'.forward: expected an array of the shape \(\d+, 3\), got \(\d+, 3\)"),
     ("list", "plugin.python.shape", r"expected an array of the shape \(\d+, 3\), got \(3,\)"),
     ("own code", "idea.bands.none", r"DataError: no bands"),
+    ("replaced", "plugin.python.gradient", r"py_raises'.backward: the gradient of 'learned' was replaced"),
+    ("unknown", "plugin.python.gradient", r"py_raises'.backward: grads got a name that no tensor has"),
     ("complex", "plugin.python.value", r"py_raises'.forward: expected real numbers, got complex128"),
 ])
 def test_one_that_is_wrong(scene: sf.Scene, where: str, code: str, says: str) -> None:
@@ -283,14 +292,15 @@ class Box(sf.Dataset):
     """The box of the tests."""
 
     width = sf.param(32, "pixels", low=8)
-    wrong = sf.param("nothing", "what is wrong", choices=["nothing", "raise", "shape", "names", "open"])
+    wrong = sf.param("nothing", "what is wrong", choices=["nothing", "raise", "shape", "names", "open", "labels", "depth", "mask", "flat map", "no map"])
 
     def frames(self) -> Any:
         if self.wrong == "open":
             raise OSError("the disk is gone")
         self.arrays = box_arrays(width=self.width)
+        maps = {"words": (24, 32)} if self.wrong == "flat map" else {"words": (24, 32, 2)} if self.wrong == "no map" else {}
         return [sf.Frame("same" if self.wrong == "names" else f"{i:04d}", self.arrays["cameras"], self.arrays["poses"][i],
-                         "test" if i in self.arrays["test"] else "train", has_labels=True, has_depth=True) for i in range(10)]
+                         "test" if i in self.arrays["test"] else "train", has_labels=True, has_depth=True, channels=maps) for i in range(10)]
 
     def classes(self) -> Any:
         return WALLS
@@ -300,7 +310,9 @@ class Box(sf.Dataset):
             raise ValueError("frame 3 is lost")
         rgb = self.arrays["images"][index]
         return sf.Frame("", self.arrays["cameras"], np.eye(4), rgb=rgb[1:] if self.wrong == "shape" else rgb,
-                        labels=self.arrays["labels"][index], depth_m=self.arrays["depths"][index])
+                        labels=None if self.wrong == "labels" else self.arrays["labels"][index],
+                        depth_m=self.arrays["depths"][index][:1] if self.wrong == "depth" else self.arrays["depths"][index],
+                        mask=np.ones((1, 32), bool) if self.wrong == "mask" else None)
 
 
 sf.dataset("py_box")(Box)
@@ -321,10 +333,17 @@ def test_a_dataset_has_the_bits_of_its_scene(scene: sf.Scene) -> None:
     ("shape", r"frame '0000'.*expected the shape \[24, 32, 3\], got \[23, 32, 3\]"),
     ("names", "frame '.*': another one has its name"),
     ("open", "the disk is gone"),
+    ("labels", r"frame '0000'.*labels: expected the shape \[24, 32\], got \[\]"),
+    ("depth", r"frame '0000'.*depth_m: expected the shape \[24, 32\], got \[1, 32\]"),
+    ("mask", r"frame '0000'.*mask: expected the shape \[24, 32\], got \[1, 32\]"),
+    ("flat map", r"frame '0000': channel 'words' has the shape \(24, 32\)"),
+    ("no map", r"frame '0000': words: expected an array, got none"),
 ])
 def test_a_dataset_that_is_wrong(wrong: str, says: str) -> None:
     with pytest.raises(sf.Error, match=says):
-        sf.open({**NETWORK, "scene": {"type": "py_box", "wrong": wrong}})
+        heads = [{"type": "feature_map", "channel": "words", "width": 2, "branch": BRANCH}] if wrong.endswith("map") else []
+        losses = [{"type": "cosine_distance", "channel": "words"}] if heads else []
+        sf.open({**NETWORK, "scene": {"type": "py_box", "wrong": wrong}, "heads": heads, "losses": losses})
 
 
 def idea_config(scene: sf.Scene, folder: Path, **position: Any) -> Path:
