@@ -55,12 +55,12 @@ semfield::Error internal(const std::string& cause) {
 int main(int argc, char** argv) {
   using namespace semfield;
   app::AppContext context;
-  app::prepare_process();
   std::set_terminate(on_terminate);
-  context.terminal = isatty(STDERR_FILENO) != 0;
-  app::show_load_progress(context);
-  const WorkScope scope(context.work);
   try {
+    app::prepare_process();
+    context.terminal = isatty(STDERR_FILENO) != 0;
+    app::show_load_progress(context);
+    const WorkScope scope(context.work);
     register_linked_plugins(context.registry);
     return app::finish_stdout(app::run_command_line(argc, argv, context));
   } catch (const RankLost& lost) {

@@ -11,10 +11,12 @@
 #include <csignal>
 #include <cstdio>
 #include <cstring>
+#include <new>
 
 #include "core/error.h"
 #include "core/findings.h"
 #include "system/own_temporaries.h"
+#include "system/memory_limit.h"
 
 namespace semfield::app {
 
@@ -64,6 +66,7 @@ void handle(int number, void (*handler)(int)) {
 }  // namespace
 
 void prepare_process() {
+  if (!claim_stack()) throw std::bad_alloc();
   std::signal(SIGPIPE, SIG_IGN);
   std::signal(SIGXFSZ, SIG_IGN);
   for (const int number : {SIGINT, SIGTERM, SIGHUP}) {

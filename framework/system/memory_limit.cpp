@@ -1,7 +1,9 @@
 #include "system/memory_limit.h"
 
+#include <alloca.h>
 #include <fmt/format.h>
 #include <malloc.h>
+#include <sys/mman.h>
 #include <sys/resource.h>
 #include <unistd.h>
 
@@ -78,6 +80,24 @@ std::size_t peak_resident_bytes() {
 }
 
 void release_freed_memory() { malloc_trim(0); }
+
+#if defined(__GNUC__)
+__attribute__((noinline))
+#endif
+bool claim_stack() {
+  constexpr std::size_t kPage = 4096;
+  std::size_t bytes = std::size_t{1} << 20;
+  rlimit limit{};
+  if (getrlimit(RLIMIT_STACK, &limit) == 0 && limit.rlim_cur != RLIM_INFINITY)
+    bytes = std::min<std::size_t>(bytes, limit.rlim_cur / 2);
+  // Asked for first, because a stack that cannot grow says so by a signal.
+  void* const room = mmap(nullptr, bytes + kPage, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+  if (room == MAP_FAILED) return false;
+  munmap(room, bytes + kPage);
+  auto* const stack = static_cast<volatile char*>(alloca(bytes));
+  for (std::size_t at = bytes; at >= kPage; at -= kPage) stack[at - 1] = 0;
+  return true;
+}
 
 std::string memory_text(std::size_t bytes) {
   const double mb = static_cast<double>(bytes) / (1 << 20);

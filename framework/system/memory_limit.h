@@ -24,6 +24,11 @@ std::size_t peak_resident_bytes();
 /// Gives memory that was freed back to the system, so that resident_bytes() is what is held.
 void release_freed_memory();
 
+/// Takes 1 MiB of the calling thread's stack now, or half of its limit where that is less. The stack of a process's first
+/// thread grows page by page; where the address space is used up (`ulimit -v`), the next page is a SIGSEGV, which nobody
+/// can report. False where there is no room for it.
+bool claim_stack();
+
 /// "812 MB", "6.0 GB".
 std::string memory_text(std::size_t bytes);
 
