@@ -24,7 +24,7 @@ struct PrepareVerbOptions {
   std::string source, out;
   long long frames = 0;
   std::string lens = "auto";
-  int threads = 0, attempts = kMostAttempts;
+  int threads = 0, attempts = 0;
 };
 
 struct Stopped {};
@@ -125,8 +125,9 @@ void words(VerbWords& verb, PrepareVerbOptions& options) {
   verb.choice("--lens KIND", options.lens, {"auto", "fisheye", "equirectangular"},
               "of the camera; auto: perspective, and a fisheye where that does not fit. equirectangular: panoramas, "
               "which are cut into eight views each");
-  verb.value_in("--attempts N", options.attempts, 1, kMostAttempts,
-                "attempts to give every photograph a pose, at most; each takes longer than the one before");
+  verb.value_in("--attempts N", options.attempts, 0, kMostAttempts,
+                "attempts to give every photograph a pose, at most; each takes longer than the one before. 0: 4, or as "
+                "many as a finished scene was given; more than that continue it");
   verb.value_in("--threads N", options.threads, 0, 4096, "threads of COLMAP; 0: every core");
 }
 

@@ -38,14 +38,14 @@ class Prepared:
         return {"type": "colmap", "root": os.path.abspath(self.folder)}
 
 
-def prepare(source: PathLike, out: PathLike, frames: int = 0, attempts: int = 4, threads: Optional[int] = None, lens: str = "auto") -> Prepared:
+def prepare(source: PathLike, out: PathLike, frames: int = 0, attempts: int = 0, threads: Optional[int] = None, lens: str = "auto") -> Prepared:
     """Makes a scene of a video or of photographs: finds their camera poses with COLMAP. One that was stopped continues.
 
     Args:
         source: a video, or a folder of photographs; it is never written to.
         out: the scene's folder.
         frames: of a video, at most; 0: three a second, 30 to 300.
-        attempts: to give every photograph a pose, at most 4.
+        attempts: to give every photograph a pose, at most 4. 0: 4, or as many as a finished scene was given.
         threads: of COLMAP; None: every core.
         lens: "auto", "fisheye", or "equirectangular" for panoramas, each of which becomes eight views.
 

@@ -1,102 +1,13 @@
 // `semfield prepare` with programs that stand for COLMAP and ffmpeg: order of steps, retries, failures, being ended.
 #include <nlohmann/json.hpp>
+#include <set>
 
-#include "tests/capture/model_files.h"
-#include "tests/program.h"
+#include "tests/capture/prepare_case.h"
 
 namespace semfield {
 namespace {
 
-using namespace testing_room;
-using namespace testing_program;
-namespace fs = std::filesystem;
-
-// Hands out models/ATTEMPT, counts its calls in `calls`, and does what files beside it say: fail_STEP, hang_STEP.
-constexpr const char* kColmap = R"sh(#!/bin/sh
-here=$(dirname "$0")
-step=$1
-echo "$*" >> "$here/calls"
-if [ -e "$here/fail_$step" ]; then echo "before"; echo "E: the $step has no memory" >&2; exit 3; fi
-if [ -e "$here/hang_$step" ]; then : > "$here/hangs"; exec sleep 100; fi
-while [ $# -gt 0 ]; do
-  case "$1" in
-    --output_path) out=$2;;
-    --input_path) in=$2;;
-    --database_path) : > "$2";;
-  esac
-  shift
-done
-case "$step" in
-  feature_extractor) echo "Processed file [6/6]";;
-  mapper)
-    n=$(grep -c '^mapper' "$here/calls")
-    if [ -d "$here/models/$n" ]; then cp -r "$here/models/$n/." "$out"
-    else echo "ERROR: failed to create sparse model"; exit 1; fi;;
-  point_filtering) if [ -d "$here/filtered" ]; then in="$here/filtered"; fi; cp -r "$in/." "$out";;
-  bundle_adjuster|image_deleter|image_registrator) cp -r "$in/." "$out";;
-esac
-)sh";
-// The steps that follow a model.
-const std::string kSettled =
-    "point_filtering point_filtering bundle_adjuster point_filtering point_filtering bundle_adjuster point_filtering "
-    "point_filtering bundle_adjuster point_filtering ";
-
-// Eight seconds of film: small pictures of noise that changes, then the frames that are asked for. Of a panorama, one
-// picture as each of its views.
-constexpr const char* kFfmpeg = R"sh(#!/bin/sh
-here=$(dirname "$0")
-echo "ffmpeg $*" >> "$here/calls"
-if [ -e "$here/fail_ffmpeg" ]; then echo "moov atom not found" >&2; exit 1; fi
-for last; do
-  case "$last" in */views/*_[0-9][0-9][0-9].jpg) cp "$here/frames/view.png" "$last";; esac
-done
-case "$last" in
-  */views/*) ;;
-  *.grey) cp "$here/film.grey" "$last";;
-  *) i=0
-     for image in "$here"/frames/*; do
-       i=$((i+1))
-       cp "$image" "$(dirname "$last")/00000$i.jpg"
-     done;;
-esac
-)sh";
-constexpr const char* kFfprobe = R"sh(#!/bin/sh
-echo '{"streams": [{"codec_type": "video"}], "format": {"duration": "8.0"}}'
-)sh";
-
-class Prepare : public testing::Test {
- protected:
-  void SetUp() override {
-    home_ = fresh_folder("home");
-    for (const char* folder : {"bin", "photographs"}) fs::create_directories(home_ + "/" + folder);
-    tool("colmap", kColmap);
-    for (int i = 0; i < 6; ++i) image(home_ + "/photographs/" + std::to_string(i) + ".png", i);
-  }
-  static void image(const std::string& path, int i) {
-    write_png_rgb(path, 40, 30, render_room(room_camera(), room_pose(i)).rgb);
-  }
-  void tool(const std::string& name, const std::string& text) const {
-    const std::string file = home_ + "/bin/" + name;
-    plain_write(file, text);
-    fs::permissions(file, fs::perms::owner_all);
-  }
-  std::string path_setting() const { return "PATH=" + home_ + "/bin:/usr/bin:/bin"; }
-  Result prepare(const std::string& words = "photographs --out scene") const {
-    return semfield_run("prepare " + words, home_, "PATH=" + shell_word(home_ + "/bin") + ":/usr/bin:/bin ");
-  }
-  void model(int attempt, int number, const std::vector<int>& images, double error_px = 0.5) const {
-    write_room_model(home_ + "/bin/models/" + std::to_string(attempt) + "/" + std::to_string(number), images, error_px);
-  }
-  // First words of the calls so far, without the database.
-  std::string steps() const {
-    std::string out;
-    const std::string calls = read_text_file(home_ + "/bin/calls");
-    std::string_view rest = calls;
-    for (std::string_view line; next_line(rest, line);) out += std::string(words_of(line)[0]) + " ";
-    return out;
-  }
-  std::string home_;
-};
+using namespace testing_capture;
 
 TEST_F(Prepare, AFolderOfPhotographsBecomesAScene) {
   model(1, 0, {0, 1, 2, 3, 4, 5});
@@ -332,29 +243,40 @@ TEST_F(Prepare, NamesThatColmapsListsCannotHold) {
   EXPECT_TRUE(fs::exists(home_ + "/photographs/#my first.png"));
 }
 
-TEST_F(Prepare, AVideoIsCutIntoItsSharpFrames) {
-  tool("ffmpeg", kFfmpeg);
-  tool("ffprobe", kFfprobe);
-  // Twelve looks at six intervals of which the second half stands still.
-  std::string film;
-  for (int frame = 0; frame < 12; ++frame) {
-    for (int p = 0; p < 256 * 256; ++p) film += static_cast<char>((p * 7919 + std::min(frame / 2, 3) * 31) % 251);
+TEST_F(Prepare, MoreAttemptsGoOnFromFewer) {
+  model(1, 0, {0, 1, 2});
+  model(2, 0, {0, 1, 2, 3, 4});
+  model(3, 0, {0, 1, 2, 3, 4, 5});
+  EXPECT_HAS(prepare("photographs --out scene --attempts 1").out, "registered  3 of 6 (50 %)", "1 attempt");
+  const Result more = prepare("photographs --out scene --attempts 4");
+  EXPECT_EQ(more.code, 0) << more.err;
+  EXPECT_HAS(more.out, "registered  6 of 6 (100 %)", "3 attempts");
+  EXPECT_EQ(steps(), "feature_extractor matches_importer mapper " + kSettled +
+                         "feature_extractor matches_importer mapper feature_extractor matches_importer mapper " +
+                         kSettled)
+      << "the first attempt's model is there; what it found in images is not";
+  EXPECT_EQ(read_text_file(home_ + "/scene/sparse/0/images.bin"),
+            read_text_file(home_ + "/scene/prepare/work/refined/images.bin"));
+  EXPECT_HAS(semfield_run("inspect scene", home_).out, "6");
+  const std::string done = steps();
+  for (const char* attempts : {"", " --attempts 1", " --attempts 4"})
+    EXPECT_HAS(prepare("photographs --out scene" + std::string(attempts)).out, "registered  6 of 6 (100 %)",
+               "3 attempts");
+  EXPECT_EQ(steps(), done) << "all have a pose";
+}
+
+TEST_F(Prepare, FoldersThatDifferInABlankAreTwoCameras) {
+  fs::remove_all(home_ + "/photographs");
+  for (const char* folder : {"cam 1", "cam_1", "cam_1_2"}) {
+    fs::create_directories(home_ + "/photographs/" + folder);
+    for (int i = 0; i < 2; ++i) image(home_ + "/photographs/" + folder + "/" + std::to_string(i) + ".png", i);
   }
-  plain_write(home_ + "/bin/film.grey", film);
-  plain_write(home_ + "/walk.mp4", "film");
-  fs::create_directories(home_ + "/bin/frames");
-  for (int i = 0; i < 4; ++i) image(home_ + "/bin/frames/" + std::to_string(i) + ".png", i);
-  write_room_model(home_ + "/bin/models/1/0", {0, 1, 2, 3}, 0.5,
-                   {"frame_000000.jpg", "frame_000002.jpg", "frame_000004.jpg", "frame_000006.jpg"});
-  const Result r = prepare("walk.mp4 --out scene --frames 6");
-  EXPECT_EQ(r.code, 0) << r.err;
-  EXPECT_HAS(r.out, "video       4 frames of 8.0 s", "registered  4 of 4 (100 %)");
-  const std::string calls = read_text_file(home_ + "/bin/calls");
-  EXPECT_HAS(calls, "select=eq(n\\,0)+eq(n\\,2)+eq(n\\,4)+eq(n\\,6) ");
-  const std::string steps = read_text_file(home_ + "/scene/prepare/steps.json");
-  EXPECT_HAS(steps, "2 intervals were left out because nothing had moved, 0 because they were blurred");
-  plain_write(home_ + "/bin/fail_ffmpeg", "");
-  EXPECT_SAID(prepare("walk.mp4 --out other").err, "capture.program.failed", "ffmpeg", "moov atom not found");
+  EXPECT_EQ(prepare().code, 65) << "no model was laid out";
+  std::set<std::string> folders;
+  for (const fs::directory_entry& entry : fs::recursive_directory_iterator(home_ + "/scene/images"))
+    if (entry.is_regular_file()) folders.insert(entry.path().parent_path().filename().string());
+  EXPECT_EQ(folders.size(), 3u);
+  EXPECT_HAS(read_text_file(home_ + "/bin/calls"), "--ImageReader.single_camera_per_folder 1");
 }
 
 }  // namespace

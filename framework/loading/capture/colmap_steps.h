@@ -62,8 +62,10 @@ class ColmapSteps {
   /// All poses, points and lenses of the model `from` at once, into `to`. The errors in its files stay those of `from`.
   void adjust(const std::string& from, const std::string& to) const;
 
- private:
+  /// File of what extract() and match() found.
   std::string database(const FeatureSettings& settings) const;
+
+ private:
   std::string log(const std::string& name) const;
   void model_step(const std::string& name, const std::string& from, const std::string& to,
                   std::vector<std::string> words) const;

@@ -24,6 +24,14 @@ void check_shape(const fs::path& file, const std::string& name, ImageSize size) 
               fmt::format("take '{}' out, or do without --lens equirectangular", name));
 }
 
+// By what it holds, as the reader of photographs does.
+const char* decoder_of(const std::string& file) {
+  const std::string start = read_file_start(file, 4);
+  return start == "\x89PNG"                                                     ? "png"
+         : start == std::string("II*\0", 4) || start == std::string("MM\0*", 4) ? "tiff"
+                                                                                : "mjpeg";
+}
+
 }  // namespace
 
 std::vector<std::string> cut_panoramas(const PanoramaCut& cut, const Programs& programs,
@@ -50,13 +58,26 @@ std::vector<std::string> cut_panoramas(const PanoramaCut& cut, const Programs& p
       bend += fmt::format(";[in{0}]v360=e:flat:yaw={1}:h_fov={2}:v_fov={2}:w={3}:h={3}:interp=cubic[out{0}]", view,
                           turn_deg > 180 ? turn_deg - 360 : turn_deg, kFieldDeg, side);
       out.push_back(fmt::format("{}_{:03}.jpg", stem.string(), turn_deg));
-      for (std::string word :
-           {std::string("-map"), fmt::format("[out{}]", view), std::string("-frames:v"), std::string("1"),
-            std::string("-q:v"), std::string("2"), (fs::path(cut.to) / out.back()).string()})
+      for (std::string word : {std::string("-map"), fmt::format("[out{}]", view), std::string("-frames:v"),
+                               std::string("1"), std::string("-q:v"), std::string("2"), std::string("-update"),
+                               std::string("1"), (fs::path(cut.to) / out.back()).string()})
         outputs.push_back(std::move(word));
     }
-    std::vector<std::string> words{"-v", "error",           "-nostdin",        "-y",
-                                   "-i", panorama.string(), "-filter_complex", split + bend};
+    // One image of this name, whatever the name looks like: with '%' it might be a pattern of many.
+    std::vector<std::string> words{"-v",
+                                   "error",
+                                   "-nostdin",
+                                   "-y",
+                                   "-f",
+                                   "image2",
+                                   "-pattern_type",
+                                   "none",
+                                   "-c:v",
+                                   decoder_of(panorama.string()),
+                                   "-i",
+                                   panorama.string(),
+                                   "-filter_complex",
+                                   split + bend};
     words.insert(words.end(), outputs.begin(), outputs.end());
     run_program(programs, "ffmpeg",
                 {.words = std::move(words),

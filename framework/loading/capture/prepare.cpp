@@ -4,6 +4,7 @@
 #include <cerrno>
 #include <cstdio>
 #include <filesystem>
+#include <map>
 #include <set>
 
 #include "compute/parallel.h"
@@ -52,23 +53,31 @@ std::string identity_of(const CaptureSource& source, const PrepareOptions& optio
 }
 
 // Lists of COLMAP part names by blanks and begin a comment with '#'.
+std::string plain_name(std::string name) {
+  for (std::size_t i = 0; i < name.size();) {
+    const std::size_t length = utf8_length(name, i);
+    if (length < 1 || (length == 1 && (static_cast<unsigned char>(name[i]) <= ' ' || name[i] == '#' || name[i] == 127)))
+      name[i] = '_';
+    i += std::max<std::size_t>(length, 1);
+  }
+  return name;
+}
+
+// Two folders stay two, because each is a camera.
 std::vector<std::string> plain_names(const std::vector<Photograph>& photographs) {
-  std::vector<std::string> out;
-  std::set<std::string> taken;
-  for (const Photograph& one : photographs) {
-    std::string name = one.name;
-    for (std::size_t i = 0; i < name.size();) {
-      const std::size_t length = utf8_length(name, i);
-      if (length < 1 ||
-          (length == 1 && (static_cast<unsigned char>(name[i]) <= ' ' || name[i] == '#' || name[i] == 127)))
-        name[i] = '_';
-      i += std::max<std::size_t>(length, 1);
-    }
-    const fs::path path(name);
+  std::set<fs::path> taken;
+  const auto free_name = [&](const fs::path& wanted) {
+    fs::path name = wanted;
     for (int k = 2; !taken.insert(name).second; ++k)
-      name =
-          (path.parent_path() / (path.stem().string() + "_" + std::to_string(k) + path.extension().string())).string();
-    out.push_back(name);
+      name = wanted.parent_path() / (wanted.stem().string() + "_" + std::to_string(k) + wanted.extension().string());
+    return name;
+  };
+  std::map<fs::path, fs::path> folders{{"", ""}};
+  std::vector<std::string> out;
+  for (const Photograph& one : photographs) {
+    const fs::path name(one.name), folder = name.parent_path();
+    if (!folders.contains(folder)) folders[folder] = free_name(plain_name(folder.string()));
+    out.push_back(free_name(folders[folder] / plain_name(name.filename().string())).string());
   }
   return out;
 }
@@ -176,7 +185,7 @@ std::vector<std::string> blurred_among_missing(const std::vector<std::string>& n
   return out;
 }
 
-// The model appears whole or not at all.
+// The model appears whole or not at all; one of fewer attempts makes room for it.
 void publish(const FoundModel& model, const Folders& folders) {
   const fs::path fresh = folders.work / "model";
   fs::remove_all(fresh);
@@ -184,7 +193,11 @@ void publish(const FoundModel& model, const Folders& folders) {
   for (const char* name : {"cameras.bin", "images.bin", "points3D.bin"})
     copy_whole((fs::path(model.folder) / name).string(), (fresh / name).string());
   create_folders(folders.model.parent_path().string());
+  const fs::path old = folders.work / "model_before";
+  fs::remove_all(old);
   std::error_code failed;
+  if (fs::exists(folders.model)) fs::rename(folders.model, old, failed);
+  if (failed) throw write_error("rename", folders.model.string(), failed.value());
   fs::rename(fresh, folders.model, failed);
   if (failed) throw write_error("rename", folders.model.string(), failed.value());
   sync_folder_of(folders.model.string());
@@ -215,6 +228,9 @@ PrepareReport prepare_scene(const PrepareOptions& options, const Programs& progr
   else if (cause != 0)
     throw write_error("lock", folders.prepare.string(), cause);
   PrepareState state((folders.prepare / "steps.json").string(), identity_of(source, options));
+  if (const std::string* refined = state.done("refined");
+      refined != nullptr && state.done("published") == nullptr && fs::exists(folders.model))
+    state.mark("published", std::string(*refined));
 
   const std::vector<std::string> names = bring_views(source, options, folders, state, programs, progress);
   if (const std::string* cut = state.done("cut")) report.cut = *cut;
@@ -238,7 +254,11 @@ PrepareReport prepare_scene(const PrepareOptions& options, const Programs& progr
   report.error_px = found.best.error_px;
   report.attempts = found.attempts;
   report.missing = missing_images(names, found, blurred_among_missing(names, found.best, folders.images));
-  if (!fs::exists(folders.model)) publish(found.best, folders);
+  const std::string refined = *state.done("refined"), *const published = state.done("published");
+  if (!fs::exists(folders.model) || published == nullptr || *published != refined) {
+    publish(found.best, folders);
+    state.mark("published", refined);
+  }
   for (const fs::directory_entry& entry : sorted_folder(folders.work.string())) {
     if (entry.path().extension() == ".db") fs::remove(entry.path());
   }

@@ -18,7 +18,7 @@ struct PrepareOptions {
   std::size_t frames = 0;  ///< of a video, at most; 0: as VideoCut
   int threads = 0;         ///< 0: every core
   LensAsked lens = LensAsked::automatic;
-  int attempts = kMostAttempts;  ///< to give every photograph a pose, at most
+  int attempts = 0;  ///< to give every photograph a pose, at most; 0: as ReconstructTask
   std::function<void(const std::string&)> note = [](const std::string&) {};  ///< of an attempt that was not enough
 };
 

@@ -45,8 +45,13 @@ std::vector<std::string> PrepareState::lines(const std::string& step) const {
 }
 
 void PrepareState::mark(const std::string& step, const std::string& found) {
+  std::erase_if(steps_, [&](const auto& one) { return one.first == step; });
   steps_.emplace_back(step, found);
   write();
+}
+
+void PrepareState::forget(const std::string& step) {
+  if (std::erase_if(steps_, [&](const auto& one) { return one.first == step; }) > 0) write();
 }
 
 void PrepareState::write() const {

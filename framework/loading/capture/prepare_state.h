@@ -18,6 +18,8 @@ class PrepareState {
   std::vector<std::string> lines(const std::string& step) const;
   /// The step is done, with what it found as lines of text.
   void mark(const std::string& step, const std::string& found = {});
+  /// The step is to be done again.
+  void forget(const std::string& step);
 
  private:
   void write() const;

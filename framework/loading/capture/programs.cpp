@@ -1,11 +1,16 @@
 #include "loading/capture/programs.h"
 
 #include <algorithm>
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
 
 #include "core/text.h"
 #include "system/files.h"
 
 namespace semfield {
+
+namespace fs = std::filesystem;
 
 std::string program_file(const Programs& programs, const std::string& name) {
   std::string file = programs.find(name);
@@ -35,13 +40,28 @@ std::string last_lines(const std::string& log, std::size_t most) {
   return join(lines, " | ");
 }
 
+namespace {
+
+// Where the disk is what a program failed for, it refuses us too, and then its words are ours.
+void require_disk(const fs::path& folder) {
+  AtomicFile file((folder / "room").string());
+  file.append(std::vector<std::byte>(std::size_t{1} << 20));
+}
+
+}  // namespace
+
 void run_program(const Programs& programs, const std::string& name, const ProgramRun& run) {
   std::vector<std::string> words{program_file(programs, name)};
   words.insert(words.end(), run.words.begin(), run.words.end());
   const int code = programs.run(words, run.log, run.tick);
+  require_disk(fs::path(run.log).parent_path());
   if (code == 0) return;
   const std::string said = last_lines(run.log, 3);
   const std::string what = name == "colmap" && !run.words.empty() ? name + " " + run.words[0] : name;
+  if (log_text(run.log).find(std::strerror(ENOSPC)) != std::string::npos)
+    throw Error(ErrorKind::io, "files.write.failed",
+                what + " found the disk full: " + said + "; its log is '" + run.log + "'",
+                "free some space; the same command goes on");
   throw Error(ErrorKind::failure, "capture.program.failed",
               what + " failed (" +
                   (code > 128 ? "signal " + std::to_string(code - 128) : "exit code " + std::to_string(code)) + ")" +

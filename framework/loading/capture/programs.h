@@ -37,7 +37,8 @@ struct ProgramRun {
   std::function<void()> tick = [] {};
   std::string remedy = "the log says more; COLMAP 3.8 is known to take these words";  ///< for one that fails
 };
-/// Runs the program `name`. Throws Error(failure) that quotes the last lines of its log where it does not end with 0.
+/// Runs the program `name`. Throws Error(failure) that quotes the last lines of its log where it does not end with 0,
+/// and Error(io) where the disk is full, which some programs do not say by their end.
 void run_program(const Programs& programs, const std::string& name, const ProgramRun& run);
 
 /// The last lines of a log that say something, at most `most` of them, joined by " | ".

@@ -105,14 +105,25 @@ void once(PrepareState& state, const std::string& name, const Step& step) {
   state.mark(name);
 }
 
+// Features and matches, found anew where prepare_scene() has removed them at the end of an earlier call.
+void need_matches(const Attempt& attempt, const ReconstructTask& task, const ColmapSteps& colmap, PrepareState& state) {
+  const FeatureSettings& s = attempt.features;
+  const std::string features = "features " + s.name, matches = "matches " + s.name;
+  if (!fs::exists(colmap.database(s))) {
+    state.forget(features);
+    state.forget(matches);
+  }
+  once(state, features, [&] { colmap.extract(s, task.camera_per_folder, task.names.size()); });
+  once(state, matches, [&] { colmap.match(s, task.names, pairs_of(task, attempt.patient)); });
+}
+
 // Models of one attempt, the best first.
 std::vector<FoundModel> models_of(const Attempt& attempt, const ReconstructTask& task, const ColmapSteps& colmap,
                                   PrepareState& state) {
   const FeatureSettings& s = attempt.features;
-  once(state, "features " + s.name, [&] { colmap.extract(s, task.camera_per_folder, task.names.size()); });
-  once(state, "matches " + s.name, [&] { colmap.match(s, task.names, pairs_of(task, attempt.patient)); });
   const std::string name = "models " + s.name + (attempt.relaxed ? " relaxed" : "");
   if (state.done(name) == nullptr) {
+    need_matches(attempt, task, colmap, state);
     std::string folders;
     for (const std::string& folder : colmap.map(s, attempt.relaxed, task.names.size())) folders += folder + "\n";
     state.mark(name, folders);
@@ -147,19 +158,23 @@ std::string next_attempt(const Reconstruction& found, std::size_t count) {
 
 Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colmap, PrepareState& state) {
   Reconstruction out;
-  const std::string* earlier = state.done("refined");
-  double most = task.attempts;
-  if (earlier != nullptr) (void)parse_number(*earlier, most);
+  double earlier = 0;  // attempts of an earlier call, whose best model has been refined
+  if (const std::string* refined = state.done("refined")) (void)parse_number(*refined, earlier);
+  const double asked = task.attempts > 0 ? task.attempts : earlier > 0 ? earlier : kMostAttempts;
+  const double most = std::max(asked, earlier);
   const std::size_t count = task.names.size();
-  FeatureSettings features;  // of the best model
-  for (const Attempt& attempt : ladder(task.lens)) {
+  const std::vector<Attempt> attempts = ladder(task.lens);
+  const Attempt* best = nullptr;  // which made the best model
+  bool is_new = false;
+  for (const Attempt& attempt : attempts) {
     if (out.attempts >= most || is_enough(out.best, count)) break;
     if (has_enough(out.best, count) && !attempt.patient) continue;  // it asks less of images, and none are missing
-    if (out.attempts++ > 0) task.note(next_attempt(out, count));
+    if (out.attempts++ > 0 && out.attempts > earlier) task.note(next_attempt(out, count));
     std::vector<FoundModel> models = models_of(attempt, task, colmap, state);
     if (models.empty() || !(out.best.images.empty() || is_better(models.front(), out.best, count))) continue;
     out.best = std::move(models.front());
-    features = attempt.features;
+    best = &attempt;
+    is_new = out.attempts > earlier;
     models.erase(models.begin());
     out.others = std::move(models);
   }
@@ -171,10 +186,12 @@ Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colma
                 "take more photographs, each showing two thirds of what the one before shows, sharp, of things with "
                 "texture, and walk rather than turn on the spot");
   }
-  if (earlier == nullptr) {
-    state.mark("misplaced", join(settle_model({out.best.folder, features, task.names, task.work}, colmap), "\n"));
-    state.mark("refined", std::to_string(out.attempts));
+  if (is_new) {
+    state.forget("refined");
+    need_matches(*best, task, colmap, state);
+    state.mark("misplaced", join(settle_model({out.best.folder, best->features, task.names, task.work}, colmap), "\n"));
   }
+  if (out.attempts > earlier) state.mark("refined", std::to_string(out.attempts));
   out.misplaced = state.lines("misplaced");
   out.best = model_in((fs::path(task.work) / "refined").string());
   return out;

@@ -31,7 +31,7 @@ struct ReconstructTask {
   bool camera_per_folder = false;
   std::string work;  ///< folder
   LensAsked lens = LensAsked::automatic;
-  int attempts = kMostAttempts;  ///< at most; none follows once a model has been refined
+  int attempts = 0;  ///< at most; 0: those of an earlier call that ended with a model, or kMostAttempts
   /// Told of an attempt that was not enough, before the next.
   std::function<void(const std::string&)> note = [](const std::string&) {};
 };

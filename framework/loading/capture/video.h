@@ -21,6 +21,10 @@ struct VideoCut {
   std::size_t wanted = 0;  ///< frames to keep at most; 0: three a second, 30 to 300
 };
 
+/// The file as words of ffmpeg and ffprobe that take a film of one file and nothing else: a playlist would have them
+/// read what it names.
+std::vector<std::string> film_words(const std::string& video);
+
 /// Writes the sharpest frame of each of `wanted` intervals (choose_frames), upright and at full size. Throws Error for
 /// a file that ffmpeg finds no video in, and for a film of fewer than three different frames.
 VideoFrames cut_video(const VideoCut& cut, const Programs& programs, const CaptureProgress& progress);
