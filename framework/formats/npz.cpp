@@ -56,6 +56,13 @@ const ArrayTypes& real_types() {
   return types;
 }
 
+const ArrayTypes& number_types() {
+  static const ArrayTypes types{{"f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4"},
+                                "save it as float32, float64 or integers",
+                                sizeof(double)};
+  return types;
+}
+
 // Text behind 'KEY': in the header, a Python dictionary; up to `end`, which is left out.
 std::string_view value_of(std::string_view header, std::string_view key, std::string_view end) {
   for (const char quote : {'\'', '"'}) {
@@ -136,24 +143,53 @@ std::uint64_t element_count(const ArrayHeader& header, std::uint64_t bytes, std:
   return count;
 }
 
-float value_at(const char* at, char kind, std::size_t size, bool big_endian) {
-  if (kind == 'u') return static_cast<float>(static_cast<unsigned char>(*at)) / 255.0F;
+double real_at(const char* at, std::size_t size, bool big_endian) {
   const std::uint64_t bits = element(at, size, big_endian);
   if (size == 2) return float_of_half(static_cast<std::uint16_t>(bits));
   if (size == 4) return std::bit_cast<float>(static_cast<std::uint32_t>(bits));
-  return static_cast<float>(std::bit_cast<double>(bits));
+  return std::bit_cast<double>(bits);
 }
 
-// Place in C order of element i of Fortran order.
-std::size_t c_order(std::size_t i, const std::vector<std::int64_t>& shape) {
-  std::size_t place = 0, stride = 1;
-  std::array<std::size_t, kMaxAxes> index{};
-  for (std::size_t a = 0; a < shape.size(); ++a) {
-    index[a] = i % static_cast<std::size_t>(shape[a]);
-    i /= static_cast<std::size_t>(shape[a]);
+float value_at(const char* at, char kind, std::size_t size, bool big_endian) {
+  if (kind == 'u') return static_cast<float>(static_cast<unsigned char>(*at)) / 255.0F;
+  return static_cast<float>(real_at(at, size, big_endian));
+}
+
+// Of `size` bytes with a sign, or without.
+std::int64_t whole_at(const char* at, bool is_signed, std::size_t size, bool big_endian) {
+  const std::uint64_t bits = element(at, size, big_endian);
+  const auto above = static_cast<int>(64 - 8 * size);
+  return is_signed ? static_cast<std::int64_t>(bits << above) >> above : static_cast<std::int64_t>(bits);
+}
+
+// take(place in Fortran order, place in C order) of every element of two axes or more. The axis that is fastest in one
+// order is slowest in the other: both go in blocks, so that memory is read and written by the cache line.
+template <class Take>
+void for_each_of_fortran(const std::vector<std::int64_t>& shape, const Take& take) {
+  constexpr std::size_t kBlock = 64;
+  const std::size_t axes = shape.size();
+  std::vector<std::size_t> size(shape.begin(), shape.end()), fortran(axes, 1), c(axes, 1);
+  for (std::size_t a = 1; a < axes; ++a) fortran[a] = fortran[a - 1] * size[a - 1];
+  for (std::size_t a = axes; a-- > 1;) c[a - 1] = c[a] * size[a];
+  const std::size_t last = axes - 1, columns = size[last];
+  std::vector<std::size_t> middle(axes, 0);  // of the axes between the first and the last
+  while (true) {
+    std::size_t from = 0, to = 0;
+    for (std::size_t a = 1; a < last; ++a) {
+      from += middle[a] * fortran[a];
+      to += middle[a] * c[a];
+    }
+    for (std::size_t row = 0; row < size[0]; row += kBlock) {
+      for (std::size_t column = 0; column < columns; column += kBlock) {
+        for (std::size_t i = row; i < std::min(row + kBlock, size[0]); ++i)
+          for (std::size_t j = column; j < std::min(column + kBlock, columns); ++j)
+            take(from + i + j * fortran[last], to + i * c[0] + j);
+      }
+    }
+    std::size_t a = 1;
+    while (a < last && ++middle[a] == size[a]) middle[a++] = 0;
+    if (a >= last) return;
   }
-  for (std::size_t a = shape.size(); a-- > 0; stride *= static_cast<std::size_t>(shape[a])) place += index[a] * stride;
-  return place;
 }
 
 // The header of an array of `bytes` bytes in all, which begins as `start` does: checked, and taken by `accept`.
@@ -180,8 +216,14 @@ NumpyNumbers<T> numbers_of(const ArrayHeader& header, std::string_view bytes, co
   const std::uint64_t count = element_count(header, data.size(), size);  // a file may shrink after its header is read
   NumpyNumbers<T> out{header.shape, std::vector<T>(count)};
   const bool big_endian = header.type[0] == '>';
-  for (std::size_t i = 0; i < count; ++i)
-    out.values[header.fortran ? c_order(i, header.shape) : i] = value(data.data() + i * size, size, big_endian);
+  const auto put = [&](std::size_t from, std::size_t to) {
+    out.values[to] = value(data.data() + from * size, size, big_endian);
+  };
+  if (header.fortran && count > 0 && header.shape.size() > 1) {
+    for_each_of_fortran(header.shape, put);
+  } else {
+    for (std::size_t i = 0; i < count; ++i) put(i, i);
+  }
   return out;
 }
 
@@ -223,10 +265,10 @@ std::string shape_text(std::span<const std::int64_t> shape) {
 namespace {
 // `use` gets the checked header; errors name the file.
 template <class Use>
-auto with_header(const std::string& path, const AcceptShape& accept, const Use& use) {
+auto with_header(const std::string& path, const ArrayTypes& types, const AcceptShape& accept, const Use& use) {
   try {
     const std::string start = read_file_start(path, kHeadBytes);
-    return use(checked_header(start, std::filesystem::file_size(path), real_types(), accept));
+    return use(checked_header(start, std::filesystem::file_size(path), types, accept));
   } catch (const Error& e) {
     if (e.message().find(path) != std::string::npos) throw;
     throw Error(e.kind(), e.code(), "'" + path + "': " + e.message(), e.remedy());
@@ -235,14 +277,28 @@ auto with_header(const std::string& path, const AcceptShape& accept, const Use& 
 }  // namespace
 
 NumpyArray read_npy(const std::string& path, const AcceptShape& accept) {
-  return with_header(path, accept, [&](const ArrayHeader& header) {
+  return with_header(path, real_types(), accept, [&](const ArrayHeader& header) {
     return array_of(header, read_text_file(path, kMaxArrayFileBytes));
   });
 }
 
+NumpyValues read_npy_values(const std::string& path, const AcceptShape& accept) {
+  return with_header(path, number_types(), accept, [&](const ArrayHeader& header) {
+    const char kind = header.kind();
+    const auto value = [kind](const char* at, std::size_t size, bool big) {
+      return kind == 'f' ? real_at(at, size, big) : static_cast<double>(whole_at(at, kind == 'i', size, big));
+    };
+    const std::string bytes = read_text_file(path, kMaxArrayFileBytes);
+    return NumpyValues{numbers_of<double>(header, bytes, value), kind != 'f', header.element_bytes()};
+  });
+}
+
 std::vector<std::int64_t> npy_shape(const std::string& path) {
-  return with_header(
-      path, [](std::span<const std::int64_t>) {}, [](const ArrayHeader& header) { return header.shape; });
+  return with_header(path, number_types(), {}, [](const ArrayHeader& header) { return header.shape; });
+}
+
+bool npy_is_whole(const std::string& path) {
+  return with_header(path, number_types(), {}, [](const ArrayHeader& header) { return header.kind() != 'f'; });
 }
 
 namespace {
@@ -292,9 +348,7 @@ NumpyNumbers<std::int64_t> NpzFile::whole(const std::string& key, const AcceptSh
   return with_entry(path_, file_, entry(key), types, accept, [&](const ArrayHeader& header, std::string_view data) {
     const bool is_signed = header.kind() == 'i';
     return numbers_of<std::int64_t>(header, data, [&](const char* at, std::size_t size, bool big_endian) {
-      const std::uint64_t bits = element(at, size, big_endian);
-      const auto above = static_cast<int>(64 - 8 * size);
-      return is_signed ? static_cast<std::int64_t>(bits << above) >> above : static_cast<std::int64_t>(bits);
+      return whole_at(at, is_signed, size, big_endian);
     });
   });
 }

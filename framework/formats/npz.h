@@ -33,8 +33,18 @@ using AcceptShape = std::function<void(std::span<const std::int64_t> shape)>;
 /// no .npy, a header that cannot be read, another type, a shape that the bytes of the file do not fill exactly, what
 /// `accept` throws, and arrays over limits.image_bytes. Nothing is allocated on the word of a header.
 NumpyArray read_npy(const std::string& path, const AcceptShape& accept);
-/// The shape that the header tells; the same errors, and no value is read.
+/// The shape that the header tells, of real numbers or integers; the same errors, and no value is read.
 std::vector<std::int64_t> npy_shape(const std::string& path);
+
+/// Numbers as they are stored.
+struct NumpyValues : NumpyNumbers<double> {
+  bool is_whole = false;          ///< the file holds integers
+  std::size_t element_bytes = 0;  ///< of one number in the file
+};
+/// As read_npy, of real numbers and of integers but uint64.
+NumpyValues read_npy_values(const std::string& path, const AcceptShape& accept);
+/// Whether it holds integers; nothing but the header is read.
+bool npy_is_whole(const std::string& path);
 
 /// One array of an archive; `key` is its name without ".npy". Entries may be stored or deflated, with ZIP64 sizes.
 /// Throws Error naming file and entry: no archive, a directory or an entry that runs past the end, another compression,

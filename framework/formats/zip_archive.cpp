@@ -160,6 +160,16 @@ std::vector<ZipEntry> zip_entries(std::string_view file) {
     entries.push_back(std::move(entry));
     at = rest + name + extra + comment;
   }
+  // Of entries that share bytes, each unpacks them again: a small file would hold any amount.
+  std::vector<const ZipEntry*> in_order;
+  for (const ZipEntry& entry : entries) in_order.push_back(&entry);
+  std::sort(in_order.begin(), in_order.end(),
+            [](const ZipEntry* a, const ZipEntry* b) { return a->local_at < b->local_at; });
+  for (std::size_t i = 1; i < in_order.size(); ++i) {
+    const ZipEntry& before = *in_order[i - 1];
+    if (in_order[i]->local_at - before.local_at < before.packed_bytes)
+      refuse_zip("the entries '" + before.name + "' and '" + in_order[i]->name + "' overlap", kSaveAgain);
+  }
   return entries;
 }
 

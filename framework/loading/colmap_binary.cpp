@@ -115,6 +115,7 @@ void read_images(BinaryFile file, ColmapBuilder& out) {
     const std::string record = "image " + std::to_string(i + 1) + " of " + std::to_string(images);
     ColmapImage image;
     const auto id = file.take<std::uint32_t>(record);
+    image.id = id;
     double pose[7];
     for (double& value : pose) value = file.take<double>(record);
     image.camera = file.take<std::uint32_t>(record);
@@ -143,7 +144,8 @@ void read_points(BinaryFile file, ColmapBuilder& out) {
     const auto error_px = file.take<double>(record);
     const std::uint64_t track = file.count("views of " + record, 8);
     file.skip(track * 8, record);
-    if (!out.add_point(id, position, error_px)) file.fail("holds a position that is not finite in " + record, start);
+    if (const std::string wrong = out.add_point(id, position, error_px); !wrong.empty())
+      file.fail("holds " + wrong + " in " + record, start);
   }
   file.finish();
 }

@@ -118,7 +118,7 @@ void read_images_text(const std::string& path, ColmapBuilder& out) {
     double pose[7];
     for (std::size_t i = 0; i < 7; ++i) pose[i] = file.real(words[i + 1]);
     ColmapImage image;
-    const std::int64_t id = file.integer(words[0]);
+    const std::int64_t id = image.id = file.integer(words[0]);
     image.camera = file.integer(words[8]);
     image.name.assign(words[9].data(), words.back().data() + words.back().size());  // names may hold blanks
     image.place = file.place("image " + std::to_string(id) + " ('" + image.name + "')");
@@ -144,8 +144,9 @@ void read_points_text(const std::string& path, ColmapBuilder& out) {
     const std::vector<std::string_view> words = words_of(line);
     if (words.size() < 8) file.fail("expected 'id x y z r g b error track'", TextFile::kAgain);
     const std::int64_t id = file.integer(words[0]);
-    if (!out.add_point(id, {file.real(words[1]), file.real(words[2]), file.real(words[3])}, file.real(words[7])))
-      file.fail("the position of point " + std::to_string(id) + " is not finite", TextFile::kAgain);
+    const std::string wrong =
+        out.add_point(id, {file.real(words[1]), file.real(words[2]), file.real(words[3])}, file.real(words[7]));
+    if (!wrong.empty()) file.fail("point " + std::to_string(id) + " has " + wrong, TextFile::kAgain);
   }
 }
 
@@ -195,15 +196,19 @@ void ColmapBuilder::add_image(ColmapImage image, const double pose[7]) {
                               "its camera " + std::to_string(image.camera) + " is not in the model",
                               "take cameras and images of the same model");
   }
+  if (const auto [other, fresh] = image_places_.emplace(image.id, image.place); !fresh)
+    return diagnostics_.error("scene.index.twice", image.place, "has the id of " + other->second,
+                              "keep one of the two");
   image.world_from_camera = inverse_pose(pose);
   model_.images.push_back(std::move(image));
 }
 
-bool ColmapBuilder::add_point(std::int64_t id, Vec3d position, double error_px) {
-  if (!std::isfinite(position.x) || !std::isfinite(position.y) || !std::isfinite(position.z)) return false;
-  model_.points[id] = position;
-  model_.error_px += (error_px - model_.error_px) / static_cast<double>(model_.points.size());
-  return true;
+std::string ColmapBuilder::add_point(std::int64_t id, Vec3d position, double error_px) {
+  if (!std::isfinite(position.x) || !std::isfinite(position.y) || !std::isfinite(position.z))
+    return "a position that is not finite";
+  if (!model_.points.emplace(id, position).second) return "the id of an earlier point, " + std::to_string(id);
+  if (std::isfinite(error_px)) model_.error_px += (error_px - model_.error_px) / static_cast<double>(++errors_);
+  return "";
 }
 
 ColmapModel read_colmap_model(const std::string& folder, Diagnostics& diagnostics) {

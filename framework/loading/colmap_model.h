@@ -15,6 +15,7 @@ namespace semfield {
 struct ColmapImage {
   std::string place;  ///< "images.bin: image 12 ('0017.jpg')"
   std::string name;   ///< path below the image folder, as written
+  std::int64_t id = 0;
   std::int64_t camera = 0;
   Pose world_from_camera;
   std::vector<std::int64_t> points;  ///< ids of the points seen in it
@@ -45,12 +46,14 @@ class ColmapBuilder {
                   const std::vector<double>& params, const std::string& place);
   /// `pose` holds the quaternion (w, x, y, z) and the translation of the world-to-camera transform.
   void add_image(ColmapImage image, const double pose[7]);
-  /// `error_px` as the file states it. False when the position is not finite.
-  bool add_point(std::int64_t id, Vec3d position, double error_px);
+  /// `error_px` as the file states it. What is wrong with the point, as in "has ..."; "" for nothing.
+  std::string add_point(std::int64_t id, Vec3d position, double error_px);
 
  private:
   ColmapModel& model_;
   Diagnostics& diagnostics_;
+  std::unordered_map<std::int64_t, std::string> image_places_;  // by id
+  std::int64_t errors_ = 0;                                     // points with an error
 };
 
 /// The three .bin files.

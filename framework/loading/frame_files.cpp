@@ -12,6 +12,8 @@
 #include "formats/orientation.h"
 #include "formats/text_rows.h"
 #include "loading/camera_fit.h"
+#include "loading/depth_images.h"
+#include "loading/file_names.h"
 #include "loading/load_progress.h"
 #include "scene/alpha.h"
 #include "scene/scene_checks.h"
@@ -28,10 +30,12 @@ bool is_there(const std::string& path) {
 }
 
 // Channels that a frame can do without.
-constexpr std::pair<const char*, std::string FrameFiles::*> kOptional[] = {{"depth image", &FrameFiles::depth},
-                                                                           {"label image", &FrameFiles::label},
-                                                                           {"instance image", &FrameFiles::instance},
-                                                                           {"mask", &FrameFiles::mask}};
+constexpr std::pair<const char*, std::string FrameFiles::*> kOptional[] = {
+    {"depth image", &FrameFiles::depth},
+    {"label image", &FrameFiles::label},
+    {"instance image", &FrameFiles::instance},
+    {"mask", &FrameFiles::mask},
+    {"mask of moving things", &FrameFiles::moving}};
 
 bool is_optional(const std::string& what) {
   return std::any_of(std::begin(kOptional), std::end(kOptional), [&](const auto& one) { return what == one.first; });
@@ -51,6 +55,13 @@ std::string same_with_other_extension(const std::filesystem::path& path) {
     if (other != path && is_there(other)) return other;
   }
   return "";
+}
+
+// As in "scene/C:/photos/1.jpg".
+bool has_drive(const std::string& path) {
+  const std::size_t colon = path.find(":/");
+  return colon != std::string::npos && colon > 0 && std::isalpha(static_cast<unsigned char>(path[colon - 1])) != 0 &&
+         (colon == 1 || path[colon - 2] == '/');
 }
 
 // The pattern of scene.labels.from that gives this file for this frame.
@@ -120,6 +131,7 @@ std::vector<std::string> files_with(const std::string& folder, std::span<const s
   std::error_code unknown;
   if (!std::filesystem::is_directory(folder, unknown)) return found;
   for (const std::filesystem::directory_entry& entry : sorted_folder(folder)) {
+    if (entry.path().filename().string().starts_with(kMovingMask)) continue;
     std::string extension = entry.path().extension().string();
     for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
     if (std::find(extensions.begin(), extensions.end(), extension) != extensions.end())
@@ -135,7 +147,7 @@ void check_shape(const std::string& path, const FrameInfo& frame, const std::str
   const Camera& color = frame.camera;
   const std::string place = frame_place(frame);
   try {
-    const ImageSize size = image_size(path);
+    const ImageSize size = depth_size(path);
     if (!labels_key.empty()) report_color_labels(frame, path, size.channels, labels_key, diagnostics);
     const double shape = static_cast<double>(size.width_px) * color.height_px / size.height_px / color.width_px;
     if (std::abs(shape - 1) < 0.02) return;
@@ -151,35 +163,6 @@ void check_shape(const std::string& path, const FrameInfo& frame, const std::str
 void report_no_labels(const std::string& folder, Diagnostics& diagnostics) {
   diagnostics.error("labels.frames.missing", folder, "no label image for any frame",
                     "name them like the images, with .png");
-}
-
-Image<float> read_depth(const std::string& path, double unit_m) {
-  const std::string extension = std::filesystem::path(path).extension().string();
-  Image<float> out;
-  if (extension == ".exr" || extension == ".tiff" || extension == ".tif" || extension == ".pfm") {
-    out = read_float(path);
-    for (float& d : out.pixels) {
-      if (!std::isfinite(d) || d < 0) d = 0;
-    }
-    return out;
-  }
-  const Image<std::uint16_t> image = read_ids(path);
-  out = {image.width_px, image.height_px, 1, std::vector<float>(image.pixels.size())};
-  for (std::size_t i = 0; i < out.pixels.size(); ++i) {
-    out.pixels[i] = image.pixels[i] == 65535 ? 0.0f : static_cast<float>(image.pixels[i] * unit_m);
-  }
-  return out;
-}
-
-std::vector<float> at_nearest_pixels(const Image<float>& image, std::int32_t width, std::int32_t height) {
-  const auto rows = nearest_pixels(image.height_px, height), cols = nearest_pixels(image.width_px, width);
-  std::vector<float> out;
-  out.reserve(rows.size() * cols.size());
-  for (const std::int64_t row : rows) {
-    const float* const line = image.pixels.data() + row * image.width_px;
-    for (const std::int64_t col : cols) out.push_back(line[col]);
-  }
-  return out;
 }
 
 Image<std::uint8_t> read_mask(const std::string& path) {
@@ -227,9 +210,10 @@ bool FrameFileCheck::present(const FrameInfo& frame, const char* what, const std
   diagnostics.error(
       "scene.file.missing", frame_place(frame),
       std::string(what) + " '" + path + "' is missing" + (other.empty() ? "" : ", but there is '" + other + "'"),
-      other.empty() ? "restore the file, drop the frame from the index, or leave out what is missing with --set "
-                      "scene.missing=skip"
-                    : "rename it, or write its name in the index");
+      !other.empty()    ? "rename it, or write its name in the index"
+      : has_drive(path) ? "the index names a drive of Windows: write the file's path from the folder of the index"
+                        : "restore the file, drop the frame from the index, or leave out what is missing with --set "
+                          "scene.missing=skip");
   return false;
 }
 
@@ -247,7 +231,7 @@ ImageSize FrameFileCheck::check_header(const FrameInfo& frame, const char* what,
   const bool is_label = what == kOptional[1].first, is_drawn = is_label || what == kOptional[2].first;
   const Camera camera = is_drawn ? shown_camera(frame) : frame.camera;
   try {
-    size = image_size(path);
+    size = what == kOptional[0].first ? depth_size(path) : image_size(path);
     if (what == kColorImage && size.orientation != 1) turned_.push_back(frame.name);
     if (size.width_px != camera.width_px || size.height_px != camera.height_px) {
       OtherSize wrong = other_size(what, path, size, camera);
@@ -317,10 +301,12 @@ void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const Fra
     Image<std::uint8_t> color = read_rgb(files.color, rules.alpha_background, wants_alpha ? &alpha : nullptr);
     check_size(color, frame, files.color);
     out.rgb = std::move(color.pixels);
-    if (!files.mask.empty()) {
-      Image<std::uint8_t> mask = read_mask(files.mask);
-      check_size(mask, frame, files.mask);
-      out.used = std::move(mask.pixels);
+    for (const auto& [path, masked] : {std::pair{&files.mask, 0}, std::pair{&files.moving, 1}}) {
+      if (path->empty()) continue;
+      const Image<std::uint8_t> mask = read_mask(*path);
+      check_size(mask, frame, *path);
+      if (out.used.empty()) out.used.assign(mask.pixels.size(), 1);
+      for (std::size_t i = 0; i < out.used.size(); ++i) out.used[i] = mask.pixels[i] == masked ? 0 : out.used[i];
     }
     if (rules.alpha_masks && std::any_of(alpha.begin(), alpha.end(), [](std::uint8_t a) { return a != 255; })) {
       if (out.used.empty()) out.used.assign(alpha.size(), 1);
@@ -382,7 +368,7 @@ ClassTable load_class_file(const std::string& path, const std::vector<std::strin
 }
 
 std::string FrameNames::of(const std::string& image_path) {
-  const std::filesystem::path path(image_path);
+  const std::filesystem::path path(with_slashes(image_path));
   std::string name = path.stem().string();
   if (next_.count(name) > 0) {
     name = (path.parent_path().filename() / path.stem()).string();

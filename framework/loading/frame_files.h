@@ -20,13 +20,16 @@ namespace semfield {
 /// Paths; "" where the frame has no such channel.
 struct FrameFiles {
   std::string color, depth, label, instance;
-  std::string mask = {};
+  std::string mask = {};    ///< black is masked
+  std::string moving = {};  ///< a mask of moving things, as instant-ngp has it: what is not black is masked
 };
 
+/// What the name of a mask of moving things begins with, beside its image [instant-ngp].
+inline constexpr const char* kMovingMask = "dynamic_mask_";
 /// Of photographs, as `files_with` takes them.
 inline constexpr std::array<std::string_view, 5> kPhotographs{".jpg", ".jpeg", ".png", ".tif", ".tiff"};
-/// Paths of the files of a folder whose extension, in small letters, is one of these; in the order of their names. None
-/// for a folder that is not there.
+/// Paths of the files of a folder whose extension, in small letters, is one of these; in the order of their names,
+/// without masks of moving things. None for a folder that is not there.
 std::vector<std::string> files_with(const std::string& folder, std::span<const std::string_view> extensions);
 
 /// The photographs of a folder by the number that is their name: 12 for "12.jpg" or "0012.png". Names that are none and
@@ -50,7 +53,7 @@ inline constexpr const char* kShownRemedy =
     "`exiftool -Orientation= FILES`, and labels count by the pixels as stored";
 
 struct FrameReadRules {
-  double depth_unit_m = 0.001;  ///< metres of one step of an integer depth image; float images are in metres
+  double depth_unit_m = 0.001;  ///< metres of one step of an integer depth image; real numbers are metres
   int alpha_background = -1;    ///< see read_rgb
   bool alpha = false;           ///< as a further channel
   UnknownLabels unknown_labels = UnknownLabels::error;  ///< what an id outside the class table is
@@ -114,13 +117,6 @@ void check_shape(const std::string& path, const FrameInfo& frame, const std::str
 /// Reports a folder of label images without any for the scene's frames.
 void report_no_labels(const std::string& folder, Diagnostics& diagnostics);
 
-/// z-depth in metres at the file's own size; 0 where it is not finite, negative, or at the 16-bit ceiling 65535.
-/// `unit_m` is that of FrameReadRules. Throws as the readers of images do.
-Image<float> read_depth(const std::string& path, double unit_m = 0.001);
-
-/// The values of an image at another size, each that of the nearest pixel [height * width].
-std::vector<float> at_nearest_pixels(const Image<float>& image, std::int32_t width, std::int32_t height);
-
 /// The pixels that a mask lets count [H * W], 0 = masked: those that are not black, or, of a JPEG, whose blacks are not
 /// exact, not dark. Throws as the readers of images do.
 Image<std::uint8_t> read_mask(const std::string& path);
@@ -143,7 +139,8 @@ ClassTable load_class_file(const std::string& path, const std::vector<std::strin
 /// Names for frames, each given once.
 class FrameNames {
  public:
-  /// The stem of the image's path; where another frame took it, its folder is added, then a number.
+  /// The stem of the image's path, whose separators may be Windows'; where another frame took it, its folder is added,
+  /// then a number.
   std::string of(const std::string& image_path);
 
  private:

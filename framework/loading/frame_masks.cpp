@@ -22,14 +22,24 @@ std::vector<fs::path> folders_like(const fs::path& folder, const fs::path& image
 FrameMasks::FrameMasks(const std::string& root, const std::string& folder)
     : root_(root), folder_(folder.empty() ? "" : (fs::path(root) / folder).string()) {}
 
-std::string FrameMasks::of(const std::string& image) {
-  if (folder_.empty()) return "";
+void FrameMasks::add_to(FrameFiles& files) {
+  ++images_;
+  if (files.mask.empty() && !folder_.empty()) files.mask = in_folder(files.color);
+  const fs::path image(files.color);
+  const std::string beside = names_.of((image.parent_path() / (kMovingMask + image.stem().string() + ".png")).string());
+  std::error_code unknown;
+  if (!fs::is_regular_file(beside, unknown)) return;
+  files.moving = beside;
+  ++moving_;
+}
+
+std::string FrameMasks::in_folder(const std::string& image) {
   ++asked_;
   const fs::path path(image);
   for (const fs::path& where : folders_like(folder_, path)) {
     for (const std::string& name : {path.stem().string(), path.filename().string()}) {
       for (const char* extension : {".png", ".jpg", ".jpeg"}) {
-        const std::string file = (where / (name + extension)).string();
+        const std::string file = names_.of((where / (name + extension)).string());
         std::error_code unknown;
         if (!fs::is_regular_file(file, unknown) || fs::equivalent(file, path, unknown)) continue;
         ++found_;
@@ -43,6 +53,10 @@ std::string FrameMasks::of(const std::string& image) {
 
 void FrameMasks::report(Diagnostics& diagnostics) const {
   std::error_code unknown;
+  if (moving_ > 0)
+    diagnostics.note("scene.mask.moving", root_,
+                     std::to_string(moving_) + " of " + std::to_string(images_) + " images have a " + kMovingMask +
+                         "NAME.png beside them: what is not black in it is masked");
   if (folder_.empty()) {
     if (fs::is_directory(fs::path(root_) / "masks", unknown))
       diagnostics.note(

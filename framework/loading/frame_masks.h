@@ -1,4 +1,4 @@
-// Masks of photographs: a folder of them, found by the photographs' names.
+// Masks of photographs, found by the photographs' names: in a folder, or beside them.
 #pragma once
 
 #include <cstddef>
@@ -8,6 +8,8 @@
 #include <vector>
 
 #include "core/error.h"
+#include "loading/file_names.h"
+#include "loading/frame_files.h"
 
 namespace semfield {
 
@@ -21,20 +23,25 @@ inline constexpr const char* kMasksSentence =
 std::vector<std::filesystem::path> folders_like(const std::filesystem::path& folder,
                                                 const std::filesystem::path& image);
 
-/// Files of the folder `folder` under `root`; none where `folder` is empty.
+/// Files of the folder `folder` under `root`, none where `folder` is empty; and beside each image NAME.jpg the file
+/// dynamic_mask_NAME.png, in which everything but black is masked, as instant-ngp has it.
 class FrameMasks {
  public:
   FrameMasks(const std::string& root, const std::string& folder);
-  /// The mask of an image, by its name with or without its extension, in the first of folders_like(); "" for an image
-  /// without one.
-  std::string of(const std::string& image);
-  /// After the last image. A folder without a mask for any is an error, and so is a mask that was found for two images;
-  /// one without some is a note; masks that lie beside the images and that nothing names are told in a note.
+  /// Sets the masks of `files.color`. That of the folder goes by the image's name with or without its extension, in the
+  /// first of folders_like(); a mask that the files name already stays.
+  void add_to(FrameFiles& files);
+  /// After the last image. A folder without a mask for any is an error, and so is a mask that was found for two
+  /// images; one without some is a note; that masks were found beside the images is a note, and so is a folder of masks
+  /// that nothing names.
   void report(Diagnostics& diagnostics) const;
 
  private:
+  std::string in_folder(const std::string& image);
+
   std::string root_, folder_;
-  std::size_t asked_ = 0, found_ = 0;
+  FileNames names_;
+  std::size_t images_ = 0, asked_ = 0, found_ = 0, moving_ = 0;
   std::map<std::string, std::vector<std::string>> images_of_;  // by mask
 };
 

@@ -277,6 +277,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
   scene.info = as_opened;
   convert_info(scene.info, options.convention);
   check_manifest_numbers(scene.info, diagnostics);
+  check_poses_differ(scene.info, diagnostics);
   check_output_names(scene.info, diagnostics);
   std::vector<FrameInfo>& frames = scene.info.frames;
   check_input_limit(std::ssize(frames), input_limits().frames, "scene '" + scene.info.name + "': ", "frames", "frames");

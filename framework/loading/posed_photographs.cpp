@@ -6,6 +6,8 @@
 #include "config/params_read.h"
 #include "formats/image_io.h"
 #include "loading/camera_fit.h"
+#include "loading/depth_images.h"
+#include "loading/file_names.h"
 #include "loading/frame_masks.h"
 #include "scene/frame_split.h"
 #include "scene/scene_checks.h"
@@ -69,6 +71,7 @@ SceneInfo PosedPhotographs::open(const std::vector<PosedPhotograph>& all, bool o
   files_.clear();
   photos_.clear();
   FrameNames names;
+  FileNames finder;
   FrameFileCheck check(params_.missing, "label_dir");
   CameraFit sizes;
   FrameMasks masks(root_, params_.masks);
@@ -90,10 +93,11 @@ SceneInfo PosedPhotographs::open(const std::vector<PosedPhotograph>& all, bool o
     if (state == PoseState::not_finite) skipped.push_back(frame.name);
     FrameFiles files;
     files.color = photo.image;
-    files.depth = photo.depth;
-    files.mask = masks.of(photo.image);
+    files.depth = finder.of(photo.depth);
+    masks.add_to(files);
     if (!params_.label_dir.empty()) {
-      const fs::path label = fs::path(root_) / params_.label_dir / (fs::path(photo.image).stem().string() + ".png");
+      const fs::path label =
+          finder.of((fs::path(root_) / params_.label_dir / (fs::path(photo.image).stem().string() + ".png")).string());
       std::error_code unknown;
       if (fs::exists(label, unknown)) files.label = label.string();
     }
@@ -111,6 +115,7 @@ SceneInfo PosedPhotographs::open(const std::vector<PosedPhotograph>& all, bool o
     info_.frames.push_back(std::move(frame));
     files_.push_back(std::move(files));
     photos_.push_back(photo);
+    photos_.back().confidence = finder.of(photo.confidence);
   }
   sizes.report(root_, diagnostics);
   masks.report(diagnostics);

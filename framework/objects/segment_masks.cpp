@@ -11,6 +11,7 @@ namespace semfield {
 
 namespace {
 
+constexpr std::int64_t kMostMasks = 10'000;  // of an image; segmenters find some hundreds
 constexpr const char *kMasks = "masks", *kClassIds = "class_ids", *kScores = "scores";
 
 using Shape = std::span<const std::int64_t>;
@@ -65,6 +66,8 @@ class ArrayMasks {
       if (shape.size() != axes && !has_channel) refuse_shape(shape, remedy);
       const std::int64_t height = shape[shape.size() - 2], width = shape.back();
       check_segment_size(width, height, frame_, "masks");
+      const std::int64_t masks = std::ssize(masks_) + (axes == 3 ? shape[0] : 1);
+      if (masks > kMostMasks) refuse_shape(shape, "save at most " + std::to_string(kMostMasks) + " masks of an image");
       if (height_ != 0 && (height != height_ || width != width_))
         refuse_shape(shape, "save all masks of an image at the size of the first, " +
                                 shape_text(std::vector{std::int64_t{height_}, std::int64_t{width_}}));

@@ -2,8 +2,10 @@
 #include "scene/scene_checks.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdio>
+#include <map>
 #include <set>
 
 #include "core/check.h"
@@ -70,6 +72,56 @@ void check_wide_lens(const Camera& c, const std::string& place, Diagnostics& dia
     diagnostics.error("scene.camera.focal", place,
                       "the panorama goes " + number(turns) + " times around: its focal length is too short",
                       "leave fl_x and fl_y out where the image shows the whole sphere");
+}
+
+// The angle of a pixel's ray to the axis against that which a lens without distortion gives it; 1 near the axis, 0
+// where the lens has no ray.
+double bend_at(const Camera& c, double u, double v) {
+  const double x = (u - c.cx) / c.fx, y = (v - c.cy) / c.fy, away = std::hypot(x, y);
+  const double plain = c.is_wide() ? away : std::atan(away);
+  const Vec3d ray = c.direction(u, v);
+  if (ray == Vec3d{0, 0, 0}) return 0;
+  return plain < 1e-3 * (c.width_px / c.fx) ? 1 : std::atan2(std::hypot(ray.x, ray.y), ray.z) / plain;
+}
+
+// A lens whose polynomial has no inverse in the image, or bends rays as none does.
+void check_distortion(const Camera& camera, const std::string& place, Diagnostics& diagnostics) {
+  if (!camera.has_distortion() || camera.lens == LensKind::equirectangular) return;
+  constexpr double kFar = 10, kUnusual = 2;
+  int lost = 0, lost_inside = 0;  // of 9 points up to the border; of 8 around the middle, half as far out
+  double least = 1, most = 1;
+  const auto look_at = [&](double u, double v, int& count) {
+    const double bend = bend_at(camera, u, v);
+    count += bend == 0 ? 1 : 0;
+    if (bend == 0) return;
+    least = std::min(least, bend);
+    most = std::max(most, bend);
+  };
+  for (int i = 0; i <= 2; ++i) {
+    for (int j = 0; j <= 2; ++j) {
+      look_at(camera.width_px * i / 2.0, camera.height_px * j / 2.0, lost);
+      if (i != 1 || j != 1) look_at(camera.width_px * (i + 1) / 4.0, camera.height_px * (j + 1) / 4.0, lost_inside);
+    }
+  }
+  const double bend = 1 / least > most ? least : most;
+  const std::string bent = "lens distortion bends rays to " + number(bend) + " times their angle to the axis";
+  if (lost == 9 || lost_inside == 8) {
+    diagnostics.error("scene.camera.distortion", place,
+                      lost == 9 ? "lens distortion has no inverse anywhere in the image"
+                                : "lens distortion has no inverse but in the very middle of the image",
+                      "calibrate again");
+  } else if (bend > kFar || bend < 1 / kFar) {
+    diagnostics.error("scene.camera.distortion", place, bent + ", which no lens does",
+                      "check that the coefficients are those of this camera model, in its order");
+  } else if (bend > kUnusual || bend < 1 / kUnusual) {
+    diagnostics.warning("scene.camera.bent", place, bent,
+                        "check that the coefficients are those of this camera model, in its order");
+  } else if (lost > 0 && !camera.is_wide()) {  // a fisheye's corners lie beyond its circle, as they should
+    diagnostics.warning("scene.camera.masked", place,
+                        "lens distortion has no inverse at " + std::to_string(lost) +
+                            " of 9 points of the image; such pixels are masked",
+                        "calibrate with points up to the image corners");
+  }
 }
 
 // max |R^T R - I|
@@ -181,17 +233,15 @@ void report_skipped(const std::vector<std::string>& skipped, std::size_t kept, c
 void check_manifest_numbers(const SceneInfo& info, Diagnostics& diagnostics) {
   std::set<std::string> named;
   for (const Diagnostic& d : diagnostics.all()) named.insert(d.where);
+  const Camera* sound = nullptr;  // that of the frame before
   for (const FrameInfo& frame : info.frames) {
     const std::string place = frame_place(frame);
     if (named.count(place) > 0) continue;
     if (!finite(frame.world_from_camera)) {
       diagnostics.error("scene.pose.not_finite", place, "pose has a number that is not finite",
                         "the dataset must leave such frames out");
-    } else if (!finite(frame.camera)) {
-      diagnostics.error("scene.camera.not_finite", place, "camera has an intrinsic that is not finite",
-                        "calibrate again");
-    } else {
-      check_focal(frame.camera, place, diagnostics);
+    } else if (sound == nullptr || !(frame.camera == *sound)) {
+      sound = check_camera(frame.camera, place, diagnostics) ? &frame.camera : nullptr;
     }
   }
   if (!std::isfinite(info.near_hint_m) || !std::isfinite(info.far_hint_m)) {
@@ -228,23 +278,38 @@ bool check_camera(const Camera& camera, const std::string& place, Diagnostics& d
                       "check that the intrinsics belong to images of this size");
   }
   check_wide_lens(camera, place, diagnostics);
-  if (diagnostics.error_count() == before && camera.has_distortion()) {
-    int lost = 0;
-    for (int i = 0; i <= 2; ++i) {
-      for (int j = 0; j <= 2; ++j)
-        lost += camera.direction(camera.width_px * i / 2.0, camera.height_px * j / 2.0) == Vec3d{0, 0, 0} ? 1 : 0;
-    }
-    if (lost == 9) {
-      diagnostics.error("scene.camera.distortion", place, "lens distortion has no inverse anywhere in the image",
-                        "calibrate again");
-    } else if (lost > 0 && !camera.is_wide()) {  // a fisheye's corners lie beyond its circle, as they should
-      diagnostics.warning("scene.camera.masked", place,
-                          "lens distortion has no inverse at " + std::to_string(lost) +
-                              " of 9 points of the image; such pixels are masked",
-                          "calibrate with points up to the image corners");
-    }
-  }
+  if (diagnostics.error_count() == before) check_distortion(camera, place, diagnostics);
   return diagnostics.error_count() == before;
+}
+
+void check_poses_differ(const SceneInfo& info, Diagnostics& diagnostics) {
+  std::map<std::array<double, 12>, std::vector<const FrameInfo*>> frames_at;
+  for (const FrameInfo& frame : info.frames) {
+    const Pose& pose = frame.world_from_camera;
+    if (!finite(pose)) continue;
+    std::array<double, 12> key{pose.t.x, pose.t.y, pose.t.z};
+    for (std::size_t i = 0; i < 9; ++i) key[3 + i] = pose.r[i / 3][i % 3];
+    frames_at[key].push_back(&frame);
+  }
+  std::size_t alike = 0;
+  const std::vector<const FrameInfo*>* most = nullptr;
+  for (const auto& [pose, frames] : frames_at) {
+    if (frames.size() < 2) continue;
+    alike += frames.size();
+    if (most == nullptr || frames.size() > most->size()) most = &frames;
+  }
+  if (most == nullptr) return;
+  const std::string all = std::to_string(info.frames.size());
+  const std::string remedy = "check the export: a tracker that is lost may repeat its last pose";
+  if (most->size() == info.frames.size()) {
+    diagnostics.warning("scene.pose.repeated", info.name, "all " + all + " frames have one pose: nothing shows shape",
+                        remedy);
+  } else {
+    diagnostics.warning("scene.pose.repeated", info.name,
+                        std::to_string(alike) + " of " + all + " frames have the pose of another frame, " +
+                            std::to_string(most->size()) + " that of '" + most->front()->name + "'",
+                        remedy);
+  }
 }
 
 bool check_principal_point(const Camera& camera, const std::string& place, Diagnostics& diagnostics) {

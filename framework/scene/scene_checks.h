@@ -32,13 +32,15 @@ PoseState check_pose(Pose& pose, const std::string& place, Diagnostics& diagnost
 void report_skipped(const std::vector<std::string>& skipped, std::size_t kept, const std::string& source,
                     Diagnostics& diagnostics);
 
-/// Every number of a manifest that becomes a ray: poses, intrinsics, bounds and near and far hints must be finite,
-/// focal lengths positive, whatever dataset told them. An error a frame; frames that `diagnostics` names already are
-/// passed over.
+/// Every number of a manifest that becomes a ray: poses, bounds and near and far hints must be finite, cameras as
+/// check_camera wants them, whatever dataset told them. Frames that `diagnostics` names already are passed over.
 void check_manifest_numbers(const SceneInfo& info, Diagnostics& diagnostics);
+/// Warns of frames that share one pose.
+void check_poses_differ(const SceneInfo& info, Diagnostics& diagnostics);
 
 /// Focal lengths positive, principal point at most one image size outside, lens invertible over the image (else a
-/// warning: the pixels beyond are masked). False when an error was reported.
+/// warning: the pixels beyond are masked; an error where it is so about the middle too). A lens that bends rays to a
+/// tenth or ten times their angle is an error, to half or twice a warning. False when an error was reported.
 bool check_camera(const Camera& camera, const std::string& place, Diagnostics& diagnostics);
 
 /// For intrinsics that a file states apart from the images, of a camera with a size: reports a principal point that is

@@ -25,8 +25,8 @@ std::string describe_session(const Session& s) {
     add("labels    " + step.type + ": " + join(facts));
   }
   add(fmt::format("bounds    {:.2f} x {:.2f} x {:.2f} {} (from {}), near {:.3g}, far {:.3g} (from {})", size.x, size.y,
-                  size.z, s.scene.info.metric ? "m" : "units", s.scene.bounds_from, s.extent.near_m, s.extent.far_m,
-                  s.scene.near_far_from));
+                  size.z, s.scene.info.metric ? "m" : "units of the poses", s.scene.bounds_from, s.extent.near_m,
+                  s.extent.far_m, s.scene.near_far_from));
   if (s.pipeline) {
     for (const Pass<float>& pass : s.pipeline->passes()) {
       std::string slots;

@@ -9,6 +9,7 @@
 #include "formats/npz.h"
 #include "labels/clicks/label_event.h"
 #include "labels/label_steps.h"
+#include "loading/depth_images.h"
 #include "scene/classes/class_import.h"
 #include "tests/fuzz/inputs.h"
 #include "tests/fuzz/targets.h"
@@ -86,6 +87,17 @@ void fuzz_npy(std::string_view bytes) {
     std::size_t count = 1;
     for (const std::int64_t axis : array.shape) count *= static_cast<std::size_t>(axis);
     promise(array.values.size() == count, "values that do not fill the shape");
+  });
+  accepted([&] {
+    const NumpyValues found = read_npy_values(path, {});
+    promise(found.is_whole == npy_is_whole(path), "a header that is read in two ways");
+    promise(npy_shape(path) == found.shape, "a shape that is read in two ways");
+  });
+  accepted([&] {
+    const Image<float> depth = read_depth(path);
+    const ImageSize size = depth_size(path);
+    promise(size.width_px == depth.width_px && size.height_px == depth.height_px, "depth of another size");
+    for (const float z : depth.pixels) promise(z >= 0 && std::isfinite(z), "depth that is none");
   });
   put("npy/classes.json", R"(["wall", "chair"])");
   read_labels("npz", "{folder: " + folder() + "/npy, pattern: \"{name}.npy\"}");

@@ -169,6 +169,18 @@ void fuzz_replica(std::string_view bytes) {
   open_dataset("replica", "{root: replica, train_step: 2, train_offset: 0, test_step: 2, test_offset: 1}");
 }
 
+// Parts: traj.txt, cam_params.json.
+void fuzz_replica_slam(std::string_view bytes) {
+  const auto parts = parts_of(bytes, 2);
+  put("slam/traj.txt", parts[0]);
+  put("slam/cam_params.json", parts[1]);
+  for (const char* number : {"0", "1"}) {
+    put_image(std::string("slam/results/frame00000") + number + ".png");
+    put_image(std::string("slam/results/depth00000") + number + ".png");
+  }
+  open_dataset("replica", "root: slam");
+}
+
 // Parts: pose of frame 0, intrinsics, the table of labels.
 void fuzz_scannet(std::string_view bytes) {
   const auto parts = parts_of(bytes, 3);

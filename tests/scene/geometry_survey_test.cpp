@@ -152,7 +152,10 @@ TEST(GeometrySurvey, NoiseHolesAndThingsThatMoveRaiseNoAlarm) {
 
 TEST(GeometrySurvey, WhatCannotBeSeenIsNotClaimed) {
   Room still{.poses = std::vector<Pose>(12, walk(5)[4])};
-  expect_quiet(ask(still), "could not be checked: the camera hardly moves");
+  const Answer one_pose = ask(still);
+  EXPECT_HAS(one_pose.geometry, "could not be checked: the camera hardly moves");
+  EXPECT_EQ(one_pose.error, "");
+  EXPECT_HAS(one_pose.warning, "all 12 frames have one pose");
   Room turning{.poses = walk(24, 0.2, 0)};  // on one spot: no unit shows
   for (Pose& p : turning.poses) p.t = {0.3, 0.1, -0.2};
   expect_quiet(ask(turning), "poses agree with depth");
@@ -206,6 +209,22 @@ TEST(GeometrySurvey, DepthOfAnotherUnitIsToldFromPosesOfAnother) {
   room.spoiled = [](int, FrameBuffer&) {};
   room.written = [](const Pose& p) { return times(p, 1000); };
   EXPECT_HAS(ask(room).error, "camera centres are in millimetres where depth is in metres");
+}
+
+// Five views from around a room, a fifth of a turn apart.
+TEST(GeometrySurvey, DepthOfAnotherUnitIsToldOfFewFrames) {
+  Room room{.poses = walk(5, 0.4 * M_PI)};
+  expect_quiet(ask(room), "poses agree with depth");
+  for (const auto& [scale, named] : {std::pair{6.5535, "6.5535 times"}, {1000.0, "1000"}, {0.25, "4 times"}}) {
+    room.spoiled = [by = scale](int, FrameBuffer& f) {
+      for (float& z : f.depth_m) z *= static_cast<float>(by);
+    };
+    EXPECT_HAS(ask(room).error, named);
+  }
+  room.spoiled = [](int, FrameBuffer& f) {
+    for (float& z : f.depth_m) z *= 3.3f;
+  };
+  expect_quiet(ask(room), "could not be checked: few frames, far apart");
 }
 
 TEST(GeometrySurvey, DepthInWholeMetresAndInStepsOfOtherSensorsIsTold) {

@@ -242,6 +242,62 @@ TEST(Npz, AShapeThatIsNotWantedIsRefusedBeforeAnythingIsUnpacked) {
   EXPECT_LACKS(read(1000), "another shape");
 }
 
+TEST(Npy, IntegersAndRealNumbersAsTheyAreStored) {
+  const NpyCase c;
+  const auto read = [&](const std::string& bytes) {
+    plain_write(c.path, bytes);
+    return read_npy_values(c.path, {});
+  };
+  const NumpyValues steps = read(npy(header("<u2", "(2, 2)"), bytes_of<std::uint16_t>({1, 65535, 3, 4})));
+  EXPECT_EQ(steps.values, (std::vector<double>{1, 65535, 3, 4}));
+  EXPECT_TRUE(steps.is_whole);
+  EXPECT_EQ(steps.element_bytes, 2u);
+  EXPECT_TRUE(npy_is_whole(c.path));
+  EXPECT_EQ(npy_shape(c.path), (std::vector<std::int64_t>{2, 2}));
+  EXPECT_EQ(read(npy(header("|u1", "(2,)"), "\x01\xFF")).values, (std::vector<double>{1, 255}));
+  EXPECT_EQ(read(npy(header(">i2", "(2,)"), std::string("\x00\x02\xFF\xFE", 4))).values, (std::vector<double>{2, -2}));
+  const NumpyValues real = read(npy(header("<f8", "(1,)"), bytes_of<double>({0.1})));
+  EXPECT_EQ(real.values, (std::vector<double>{0.1}));
+  EXPECT_FALSE(real.is_whole);
+  EXPECT_FALSE(npy_is_whole(c.path));
+  EXPECT_ERROR(read(npy(header("<u8", "(1,)"), std::string(8, '\1'))), "files.array.type", "<u8");
+}
+
+// Fortran order: the first axis is the fastest. Long axes go in blocks.
+TEST(Npy, FortranOrderOfAnyShape) {
+  const NpyCase c;
+  for (const std::vector<std::int64_t>& shape : std::vector<std::vector<std::int64_t>>{
+           {5}, {70, 130}, {2, 3, 4}, {70, 2, 130}, {3, 2, 1, 2, 65}, {1, 66, 2}, {0, 3}}) {
+    std::vector<std::int32_t> stored;
+    std::int64_t count = 1;
+    for (const std::int64_t axis : shape) count *= axis;
+    for (std::int32_t i = 0; i < count; ++i) stored.push_back(i);
+    std::string head = npy_header("<i4", shape);
+    head.replace(head.find("False"), 5, "True ");
+    plain_write(c.path, head + bytes_of(stored));
+    const NumpyValues found = read_npy_values(c.path, {});
+    for (std::int64_t place = 0; place < count; ++place) {
+      std::int64_t rest = place, from = 0;  // from the index in C order to the place in Fortran order
+      for (std::size_t a = shape.size(); a-- > 0; rest /= shape[a]) from = from * shape[a] + rest % shape[a];
+      ASSERT_EQ(found.values.at(static_cast<std::size_t>(place)), from) << shape_text(shape) << " at " << place;
+    }
+  }
+}
+
+// Each entry would unpack the same bytes again.
+TEST(Npz, EntriesThatOverlapAreRefused) {
+  const std::string path = fresh_folder("o") + "/a.npz";
+  const std::vector<float> values(100, 1);
+  const NpzEntry entries[] = {{"a", {100}, values}, {"b", {100}, values}};
+  write_npz(path, entries);
+  EXPECT_EQ(NpzFile(path).keys().size(), 2u);
+  std::string file = read_text_file(path);
+  const std::size_t second = file.rfind("PK\x01\x02");
+  for (std::size_t i = 0; i < 4; ++i) file[second + 42 + i] = '\0';  // where its data begin
+  plain_write(path, file);
+  EXPECT_ERROR(NpzFile(path), "files.zip.damaged", "'a.npy' and 'b.npy' overlap");
+}
+
 TEST(Npy, AShapeThatIsNotWantedOrTooLargeIsRefusedByItsHeader) {
   const NpyCase c;
   plain_write(c.path, npy(header("|u1", "(2, 3)"), std::string(6, '\1')));

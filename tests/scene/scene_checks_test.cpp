@@ -129,6 +129,52 @@ TEST(SceneChecks, Intrinsics) {
             "calibrate with points up to the image corners");
 }
 
+// A lens that puts the whole image on one spot, or most of it nowhere.
+TEST(SceneChecks, LensesThatNoCameraHasAreNamed) {
+  const auto said = [](LensKind lens, double Camera::*coefficient, double value) {
+    Camera c = testing_room::room_camera();
+    c.lens = lens;
+    c.*coefficient = value;
+    Diagnostics d;
+    EXPECT_EQ(check_camera(c, "frame 'a'", d), !d.has_errors());
+    return d.all().empty() ? std::string("nothing") : d.all().back().shown();
+  };
+  using C = Camera;
+  for (const auto& [lens, coefficient, value] :
+       std::vector<std::tuple<LensKind, double C::*, double>>{{LensKind::perspective, &C::k1, 1e9},
+                                                              {LensKind::perspective, &C::k4, 1e12},
+                                                              {LensKind::perspective, &C::k1, 1e300},
+                                                              {LensKind::perspective, &C::k1, -1e9},
+                                                              {LensKind::perspective, &C::p1, 1e9},
+                                                              {LensKind::perspective, &C::p2, -1e300},
+                                                              {LensKind::fisheye, &C::k1, 1e9},
+                                                              {LensKind::fisheye, &C::k1, 1e300},
+                                                              {LensKind::fisheye, &C::k3, -1e300},
+                                                              {LensKind::fisheye, &C::k1, -1e9}})
+    EXPECT_HAS(said(lens, coefficient, value), "[scene.camera.distortion]") << value;
+  EXPECT_HAS(said(LensKind::perspective, &C::k1, 20), "[scene.camera.bent]", "times their angle");
+  for (const double usual : {-0.1, 0.15, 0.4}) {
+    EXPECT_EQ(said(LensKind::perspective, &C::k1, usual), "nothing") << usual;
+    EXPECT_EQ(said(LensKind::fisheye, &C::k1, usual), "nothing") << usual;
+  }
+  EXPECT_EQ(said(LensKind::fisheye, &C::k1, -0.5), "nothing") << "a circle in the middle of the image";
+}
+
+TEST(SceneChecks, FramesOfOnePoseAreNamed) {
+  const auto said = [](const std::vector<int>& poses) {
+    SceneInfo info{.name = "room"};
+    for (const int i : poses)
+      info.frames.push_back({.name = "f" + std::to_string(info.frames.size()), .world_from_camera = testing_room::room_pose(i)});
+    Diagnostics d;
+    check_poses_differ(info, d);
+    return d.all().empty() ? std::string("nothing") : d.all()[0].shown();
+  };
+  EXPECT_EQ(said({0, 1, 2, 3}), "nothing");
+  EXPECT_EQ(said({0}), "nothing");
+  EXPECT_HAS(said(std::vector<int>(12, 3)), "room", "all 12 frames have one pose", "[scene.pose.repeated]");
+  EXPECT_HAS(said({0, 1, 2, 2, 2, 0}), "5 of 6 frames", "3 that of 'f2'", "[scene.pose.repeated]");
+}
+
 // Bounds of scenes without depth: around an object before one colour, inside the file's own limit, and the cameras'
 // rig.
 

@@ -19,6 +19,7 @@ constexpr double kFewFit = 0.25;    // of them; matches by chance fit 2 to 10 %
 constexpr double kByChance = 0.1;
 constexpr int kManyCorners = 300;  // so many cannot all be found wrongly
 constexpr double kPhotosClearly = 1.5;
+constexpr std::size_t kFewPairs = 3;
 
 std::string percent(double share) {
   char text[32];
@@ -97,7 +98,7 @@ PoseConvention by_plausible_unit(PoseConvention fits, const PoseConvention& give
 
 }  // namespace
 
-std::string judge_depth(const DepthTallies& tallies, const SceneInfo& as_opened, const DepthRange& range,
+std::string judge_depth(const DepthTallies& tallies, const SceneInfo& as_opened, const DepthRange& range, bool wide,
                         Diagnostics& diagnostics) {
   const Tally& given = tallies.read.front();
   const Tally* best = &given;
@@ -127,6 +128,7 @@ std::string judge_depth(const DepthTallies& tallies, const SceneInfo& as_opened,
   }
   if (given.pairs == 0) return "could not be checked: no two frames with depth overlap";
   const std::string numbers = "median error " + percent(given.error) + " over " + pairs_text(given.pairs);
+  if (given.error > kContradicts && wide) return "could not be checked: few frames, far apart (" + numbers + ")";
   if (given.error > kContradicts && given.pairs >= 3) {
     diagnostics.warning("scene.depth.disagrees", as_opened.name,
                         "poses and depth do not agree: depth warped between neighbouring frames is off by " +
@@ -202,6 +204,10 @@ GeometrySurvey::GeometrySurvey(const SceneInfo& as_opened, const std::vector<Cam
       wanted_(as_opened.frames.size()),
       frames_(as_opened.frames.size()),
       photos_(as_opened.frames.size()) {
+  const bool has_depth =
+      std::any_of(as_opened.frames.begin(), as_opened.frames.end(), [](const FrameInfo& f) { return f.has_depth; });
+  if (has_depth && pairs_.size() < kFewPairs) wide_ = wide_pairs(as_opened, cameras);
+  for (const auto& [a, b] : wide_) wanted_[static_cast<std::size_t>(a)] = wanted_[static_cast<std::size_t>(b)] = true;
   for (const auto& [a, b] : pairs_) wanted_[static_cast<std::size_t>(a)] = wanted_[static_cast<std::size_t>(b)] = true;
 }
 
@@ -212,7 +218,8 @@ void GeometrySurvey::look_at(std::size_t frame, const Camera& camera, const Fram
 }
 
 GeometryVerdict GeometrySurvey::conclude(Diagnostics& diagnostics) const {
-  if (pairs_.empty()) return {"could not be checked: no two frames look in a similar direction", {}, {}};
+  if (pairs_.empty() && wide_.empty())
+    return {"could not be checked: no two frames look in a similar direction", {}, {}};
   std::vector<float> depths;
   for (const SmallFrame& frame : frames_)
     depths.insert(depths.end(), frame.point_depths.begin(), frame.point_depths.end());
@@ -229,7 +236,9 @@ GeometryVerdict GeometrySurvey::conclude(Diagnostics& diagnostics) const {
   std::sort(depths.begin(), depths.end());
   DepthRange range{depths[depths.size() / 2], 0};
   range.values = static_cast<int>(std::unique(depths.begin(), depths.end()) - depths.begin());
-  out.text = judge_depth(vote_by_depth(as_opened_, frames_, pairs_, given_), as_opened_, range, diagnostics);
+  const bool wide = wide_.size() > pairs_.size();
+  out.text = judge_depth(vote_by_depth(as_opened_, frames_, wide ? wide_ : pairs_, given_), as_opened_, range, wide,
+                         diagnostics);
   return out;
 }
 

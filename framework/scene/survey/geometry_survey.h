@@ -39,6 +39,7 @@ class GeometrySurvey {
   PoseConvention given_;
   bool exposure_;
   FramePairs pairs_;
+  FramePairs wide_;  // of frames with depth, where there are hardly any others
   std::vector<bool> wanted_;
   std::vector<SmallFrame> frames_;
   std::vector<PhotoFrame> photos_;  // of frames without depth, or where brightness is compared
@@ -50,8 +51,9 @@ struct DepthRange {
   int values = 0;  ///< different ones; few when metres were rounded to whole steps
 };
 
-/// What is to be said of tallies of vote_by_depth: one sentence, and the error or the warning.
-std::string judge_depth(const DepthTallies& tallies, const SceneInfo& as_opened, const DepthRange& range,
+/// What is to be said of tallies of vote_by_depth: one sentence, and the error or the warning. `wide`: of wide_pairs,
+/// where depth that disagrees may be of other sides of things; a convention that fits speaks all the same.
+std::string judge_depth(const DepthTallies& tallies, const SceneInfo& as_opened, const DepthRange& range, bool wide,
                         Diagnostics& diagnostics);
 
 /// The same of vote_by_photos.

@@ -16,6 +16,7 @@ constexpr std::size_t kPoints = 600;  // of a frame, warped into each neighbour
 constexpr std::size_t kFewestLanded = 30;
 constexpr int kAnchors = 24;
 constexpr double kWidestAngle = 60;  // degrees; beyond it two frames show different sides of things
+constexpr double kWidestOfFew = 85;  // and from a right angle on hardly the same ones
 
 double angle_deg(const Pose& a, const Pose& b) {
   double trace = 0;
@@ -162,6 +163,19 @@ FramePairs choose_pairs(const SceneInfo& as_opened, const std::vector<Camera>& c
     }
   }
   return {pairs.begin(), pairs.end()};
+}
+
+FramePairs wide_pairs(const SceneInfo& as_opened, const std::vector<Camera>& cameras) {
+  FramePairs pairs;
+  if (cameras.size() > kAnchors) return pairs;
+  for (std::size_t b = 0; b < cameras.size(); ++b) {
+    for (std::size_t a = 0; a < b; ++a) {
+      if (cameras[a].width_px == 0 || cameras[b].width_px == 0) continue;
+      if (angle_deg(as_opened.frames[a].world_from_camera, as_opened.frames[b].world_from_camera) <= kWidestOfFew)
+        pairs.emplace_back(static_cast<int>(a), static_cast<int>(b));
+    }
+  }
+  return pairs;
 }
 
 DepthTallies vote_by_depth(const SceneInfo& as_opened, const std::vector<SmallFrame>& frames, const FramePairs& pairs,

@@ -40,6 +40,9 @@ struct DepthTallies {
 /// At most 24 frames, evenly spaced, each with its neighbours in order and by pose, however the poses are read: the
 /// angle between two cameras is the same under every convention. Frames with width 0 in `cameras` are left out.
 FramePairs choose_pairs(const SceneInfo& as_opened, const std::vector<Camera>& cameras);
+/// All pairs of a few frames whose directions differ by less than a right angle: those of a wide ring overlap too, but
+/// hide much from each other. None of over 24 frames.
+FramePairs wide_pairs(const SceneInfo& as_opened, const std::vector<Camera>& cameras);
 
 /// The convention given (first), the other axes, the inverse, and both.
 std::vector<PoseConvention> conventions(const PoseConvention& given);

@@ -39,12 +39,17 @@ std::vector<double> numbers_of(const TextRow& row, std::size_t count) {
 // By time: a line is the time, the turn of camera from world as an axis times its angle, and the shift.
 std::map<double, Pose> read_trajectory(const std::string& path) {
   std::map<double, Pose> out;
+  std::map<double, std::string> lines;
   for (const TextRow& row : read_text_rows(path, '\n')) {
     const std::vector<double> v = numbers_of(row, 7);
     const double angle = std::hypot(v[1], v[2], v[3]), s = angle > 0 ? std::sin(angle / 2) / angle : 0.5;
     if (!std::isfinite(v[0]))
       throw Error(ErrorKind::data, "scene.index.value", row.place + ": the time is not finite",
                   "download the scene again");
+    const auto [other, fresh] = lines.emplace(v[0], row.place);
+    if (!fresh)
+      throw Error(ErrorKind::data, "scene.index.twice", row.place + ": has the time of " + other->second,
+                  "keep one of the two lines");
     Pose& pose = out[v[0]];
     set_rotation(pose, {std::cos(angle / 2), -s * v[1], -s * v[2], -s * v[3]});  // turned back: world from camera
     pose.t = pose.rotate({v[4], v[5], v[6]}) * -1.0;
@@ -89,6 +94,7 @@ SceneInfo ArkitScenes::open(Diagnostics& diagnostics) {
   const bool has_depth = fs::is_directory(root / "lowres_depth");
   std::vector<PosedPhotograph> photos;
   std::size_t without_pose = 0;
+  std::map<double, std::string> by_time;
   const std::vector<std::string> images = files_with((root / "lowres_wide").string(), kPhotographs);
   for (const std::string& image : images) {
     const std::string stem = fs::path(image).stem().string();
@@ -97,6 +103,11 @@ SceneInfo ArkitScenes::open(Diagnostics& diagnostics) {
     if (at == 0 || !parse_number(std::string_view(stem).substr(at), time) || !std::isfinite(time)) {
       diagnostics.error("scene.frame.name", "'" + image + "'", "the name does not end with the time of the frame",
                         "keep the names of the download: <video>_<seconds>.png");
+      continue;
+    }
+    if (const auto [other, fresh] = by_time.emplace(time, image); !fresh) {
+      diagnostics.error("scene.frame.twice", "'" + image + "'", "is of the time of '" + other->second + "'",
+                        "keep one of the two");
       continue;
     }
     const Pose* const pose = pose_at(poses, time);

@@ -64,6 +64,12 @@ TEST(ArkitScenes, WhatDoesNotFitIsNamed) {
   Diagnostics d;
   EXPECT_ERROR(open(scene_of("10 0 0 0 0 0 0\n10.1 0 0 0 0 0\n"), d), "scene.index.value", "lowres_wide.traj:2",
                "7 numbers");
+  EXPECT_ERROR(open(scene_of("10 0 0 0 0 0 0\n10.1 0 0 0 0 0 0\n10.0 0 0 0 5 5 5\n"), d), "scene.index.twice",
+               "lowres_wide.traj:3", "lowres_wide.traj:1");
+  const std::string twice = scene_of("10 0 0 0 0 0 0\n");
+  std::filesystem::copy(twice + "/lowres_wide/42_10.000.png", twice + "/lowres_wide/43_10.0.png");
+  open(twice, d);
+  EXPECT_FINDING(d, "scene.frame.twice", "43_10.0.png", "42_10.000.png");
   const std::string folder = scene_of("10 0 0 0 0 0 0\n");
   std::filesystem::rename(folder + "/lowres_wide/42_10.100.png", folder + "/lowres_wide/first.png");
   open(folder, d);

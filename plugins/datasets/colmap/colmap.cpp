@@ -7,6 +7,7 @@
 #include <initializer_list>
 
 #include "loading/camera_fit.h"
+#include "loading/file_names.h"
 #include "loading/frame_masks.h"
 #include "plugin/module.h"
 #include "scene/frame_split.h"
@@ -132,6 +133,7 @@ SceneInfo Colmap::open(Diagnostics& diagnostics) {
 
   std::vector<std::string> skipped;
   FrameNames names;
+  FileNames finder;
   std::size_t unlabelled = 0;
   CameraFit sizes;
   FrameMasks masks(root_, params_.masks);
@@ -142,8 +144,8 @@ SceneInfo Colmap::open(Diagnostics& diagnostics) {
     FrameInfo frame;
     FrameFiles files;
     frame.name = names.of(in.name);
-    frame.source = files.color = (root / params_.images / in.name).string();
-    files.mask = masks.of(files.color);
+    frame.source = files.color = finder.of((root / params_.images / in.name).string());
+    masks.add_to(files);
     frame.world_from_camera = in.world_from_camera;
     frame.camera = model.cameras.at(in.camera);
     const PoseState state = check_pose(frame.world_from_camera, in.place, diagnostics);
@@ -155,7 +157,7 @@ SceneInfo Colmap::open(Diagnostics& diagnostics) {
       continue;
     }
     if (!params_.label_dir.empty()) {
-      const fs::path label = (root / params_.label_dir / in.name).replace_extension(".png");
+      const fs::path label = finder.of((root / params_.label_dir / in.name).replace_extension(".png").string());
       std::error_code ignored;
       if (fs::exists(label, ignored)) files.label = label.string();
       unlabelled += files.label.empty() ? 1 : 0;

@@ -294,6 +294,30 @@ TEST(Colmap, AbsurdCountsAndNumbersAreRefused) {
   EXPECT_HAS(refused("cameras.bin", with(whole.cameras, 32, -1.0)), "focal length is -1 x 5 pixels");
 }
 
+TEST(Colmap, OneIdTwiceIsRefused) {
+  const std::string folder = scene_folder("i", 8, 4, write_text);
+  plain_write(folder + "/sparse/0/images.txt", "1 1 0 0 0 0 0 0 7 a.png\n\n1 1 0 0 0 0 0 1 7 b.png\n\n");
+  Diagnostics d;
+  open(folder, d);
+  EXPECT_FINDING(d, "scene.index.twice", "images.txt:3", "images.txt:1");
+}
+
+TEST(Colmap, NamesOfOtherSystemsAreFound) {
+  const std::string folder = scene_folder("w", 8, 4, write_text);
+  std::filesystem::create_directories(folder + "/images/cafe\u0301");
+  std::filesystem::rename(folder + "/images/a.png", folder + "/images/cafe\u0301/a.png");
+  write_png_gray8(folder + "/images/dynamic_mask_b.png", 8, 4, std::vector<std::uint8_t>(32, 255));
+  plain_write(folder + "/sparse/0/images.txt", "1 1 0 0 0 0 0 0 7 caf\u00E9\\a.png\n\n2 1 0 0 0 0 0 1 7 .\\b.png\n\n");
+  Diagnostics d;
+  const SceneInfo info = open(folder, d);
+  EXPECT_EQ(problems(d), std::vector<std::string>{});
+  EXPECT_FINDING(d, "scene.mask.moving", "1 of 2 images");
+  ASSERT_EQ(info.frames.size(), 2u);
+  EXPECT_EQ(info.frames[0].name, "b");
+  EXPECT_EQ(info.frames[1].name, "a");
+  EXPECT_EQ(info.frames[1].source, folder + "/images/cafe\u0301/a.png");
+}
+
 TEST(Colmap, BrokenTextNamesItsLine) {
   const std::string folder = scene_folder("x", 8, 4, write_text);
   const std::string model = folder + "/sparse/0/";
@@ -309,7 +333,9 @@ TEST(Colmap, BrokenTextNamesItsLine) {
             model +
                 "images.txt:2: the points of image 1 are 10 numbers, not triples 'x y point'; keep the line of "
                 "points after each image, even an empty one");
-  EXPECT_HAS(refused("points3D.txt", "4 1 2 inf 0 0 0 0\n"), "points3D.txt:1: the position of point 4");
+  EXPECT_HAS(refused("points3D.txt", "4 1 2 inf 0 0 0 0\n"), "points3D.txt:1: point 4 has a position");
+  const std::string point = "4 1 2 3 0 0 0 0\n";
+  EXPECT_HAS(refused("points3D.txt", point + point), "points3D.txt:2: point 4 has the id of an earlier point");
   EXPECT_HAS(refused("cameras.txt", "7 PINHOLE\n"), "cameras.txt:1: expected 'id MODEL width height parameters'");
 }
 

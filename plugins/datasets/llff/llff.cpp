@@ -8,6 +8,7 @@
 #include "formats/image_io.h"
 #include "formats/npz.h"
 #include "loading/camera_fit.h"
+#include "loading/file_names.h"
 #include "loading/frame_masks.h"
 #include "plugin/module.h"
 #include "scene/frame_split.h"
@@ -20,6 +21,9 @@ namespace fs = std::filesystem;
 namespace {
 
 constexpr const char* kPosesFile = "poses_bounds.npy";
+// A number of pixels, but for the rounding of a sum.
+bool is_size(double pixels) { return pixels >= 1 && pixels <= 1 << 20 && std::abs(pixels - std::round(pixels)) < 1e-3; }
+
 constexpr std::size_t kRow = 17;  // a frame: 3 x 5 numbers row by row, near, far, of which the last two are not read
 
 }  // namespace
@@ -66,6 +70,7 @@ std::vector<std::string> Llff::image_files() const {
 
 SceneInfo Llff::open(Diagnostics& diagnostics) {
   info_ = {};
+  info_.metric = false;  // nothing in the file tells the unit
   files_.clear();
   const std::string path = (fs::path(root_) / kPosesFile).string();
   if (!fs::is_directory(root_))
@@ -88,6 +93,7 @@ SceneInfo Llff::open(Diagnostics& diagnostics) {
 
   std::vector<std::string> skipped;
   FrameNames names;
+  FileNames finder;
   FrameFileCheck check(MissingFiles::error, "label_dir");
   CameraFit sizes;
   FrameMasks masks(root_, params_.masks);
@@ -99,7 +105,7 @@ SceneInfo Llff::open(Diagnostics& diagnostics) {
     FrameFiles files;
     frame.name = names.of(images[i]);
     frame.source = files.color = images[i];
-    files.mask = masks.of(files.color);
+    masks.add_to(files);
     frame.split = HoldOut{params_.test_every}.split_of(i, count);
     // Columns are the camera's axes down, right and backward, its centre, and (height, width, focal length).
     const auto at = [row](std::size_t r, std::size_t c) { return static_cast<double>(row[5 * r + c]); };
@@ -110,10 +116,10 @@ SceneInfo Llff::open(Diagnostics& diagnostics) {
     if (state == PoseState::not_finite) skipped.push_back(frame.name);
     if (state != PoseState::good || !check.present(frame, files, diagnostics)) continue;
     const double height = at(0, 4), width = at(1, 4), focal = at(2, 4);
-    if (!(width >= 1 && width <= 1 << 20 && height >= 1 && height <= 1 << 20)) {
+    if (!is_size(width) || !is_size(height)) {
       diagnostics.error("scene.camera.format", place,
                         "'" + path + "' states no image size in its row " + std::to_string(i),
-                        "write height, width and focal length in the fifth column");
+                        "write height and width in whole pixels, and the focal length, in the fifth column");
       continue;
     }
     frame.camera.width_px = static_cast<std::int32_t>(std::lround(width));
@@ -124,8 +130,8 @@ SceneInfo Llff::open(Diagnostics& diagnostics) {
     if (!sizes.fit(files.color, place, frame.camera, diagnostics) || !check_camera(frame.camera, place, diagnostics))
       continue;
     if (!params_.label_dir.empty()) {
-      const fs::path label =
-          (fs::path(root_) / params_.label_dir / fs::path(images[i]).filename()).replace_extension(".png");
+      const fs::path label = finder.of(
+          (fs::path(root_) / params_.label_dir / fs::path(images[i]).filename()).replace_extension(".png").string());
       std::error_code ignored;
       if (fs::exists(label, ignored)) files.label = label.string();
     }

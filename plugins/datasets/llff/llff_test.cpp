@@ -41,6 +41,7 @@ TEST(Llff, AxesAndSizes) {
   EXPECT_EQ(info.frames[1].world_from_camera.t, (Vec3d{-1, 2, 3}));
   EXPECT_EQ(info.frames[0].camera.fx, 3.0) << "the poses are of images twice as large";
   EXPECT_EQ(info.frames[0].camera.cx, 2.0);
+  EXPECT_FALSE(info.metric) << "nothing tells the unit";
   EXPECT_EQ(info.far_hint_m, 0.0) << "what the file says of distances is often made up";
   EXPECT_HAS(d.all().at(0).text(), "images are 4 x 2 pixels, the cameras' 8 x 4, 2 times as large");
 }
@@ -55,6 +56,9 @@ TEST(Llff, FilesThatDoNotFitAreRefused) {
   EXPECT_FALSE(d.has_errors());
   open(scene({row(1, 0, 0), row(2)}), d);
   EXPECT_HAS(d.all().at(0).text(), "states no image size in its row 0");
+  Diagnostics part;
+  open(scene({row(1, 4.5, 8), row(2)}), part);
+  EXPECT_HAS(part.all().at(0).text(), "states no image size in its row 0");
   Diagnostics lens;
   open(scene({row(1, 4, 8, -2), row(2)}), lens);
   EXPECT_HAS(lens.all().at(0).text(), "focal length is");

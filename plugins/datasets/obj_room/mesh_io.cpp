@@ -15,6 +15,7 @@
 #include <string_view>
 
 #include "formats/input_limits.h"
+#include "loading/file_names.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -133,12 +134,10 @@ std::string with_blank_groups(const std::string& text, const std::vector<std::si
   return out.append(text, begin, std::string::npos);
 }
 
-std::string resolved_map(const fs::path& folder, std::string name, const std::string& owner, Diagnostics& diagnostics) {
+std::string resolved_map(const fs::path& folder, const std::string& name, const std::string& owner,
+                         Diagnostics& diagnostics) {
   if (name.empty()) return {};
-  for (char& c : name) {
-    if (c == '\\') c = '/';
-  }
-  const fs::path file = folder / name;
+  const fs::path file = FileNames().of((folder / name).string());
   if (is_file(file)) return file.string();
   diagnostics.warning("scene.obj.texture", owner, "texture '" + file.string() + "' is missing",
                       "the plain colour is used; add the file to see it");
@@ -147,11 +146,12 @@ std::string resolved_map(const fs::path& folder, std::string name, const std::st
 
 // A line may name several files, or one whose name has spaces.
 std::vector<std::string> material_names(const fs::path& folder, const std::string& line) {
-  if (is_file(folder / line)) return {line};
+  const auto is_there = [&](const std::string& name) { return is_file(FileNames().of((folder / name).string())); };
+  if (is_there(line)) return {line};
   std::istringstream stream(line);
   std::vector<std::string> words;
   for (std::string word; stream >> word;) words.push_back(word);
-  const bool any = std::any_of(words.begin(), words.end(), [&](const std::string& w) { return is_file(folder / w); });
+  const bool any = std::any_of(words.begin(), words.end(), is_there);
   return any ? words : std::vector<std::string>{line};
 }
 
@@ -169,7 +169,7 @@ std::vector<std::string> names_of_materials(const std::string& text) {
 
 void load_materials(const fs::path& folder, const std::string& name, TriangleMesh& mesh,
                     std::map<std::string, int>& index, Diagnostics& diagnostics) {
-  const fs::path file = folder / name;
+  const fs::path file = FileNames().of((folder / name).string());
   if (!is_file(file)) {
     diagnostics.warning("scene.obj.material", file.string(), "material file is missing",
                         "surfaces get a colour by object; put it next to the OBJ file");

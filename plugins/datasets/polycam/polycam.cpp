@@ -4,8 +4,7 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "core/text.h"
-#include "formats/input_limits.h"
+#include "loading/json_file.h"
 #include "plugin/module.h"
 #include "scene/scene_checks.h"
 
@@ -27,14 +26,11 @@ bool is_corrected(const fs::path& keyframes) {
 bool read_camera(const std::string& path, PosedPhotograph& photo, Diagnostics& diagnostics) {
   json root;
   try {
-    root = json::parse(read_pose_file(path));
-  } catch (const json::exception& e) {
-    diagnostics.error("scene.index.format", path, "is not valid JSON: " + json_cause(e.what()),
-                      "export the capture again");
-    return false;
+    root = read_pose_json<json>(path, "export the capture again");
   } catch (const Error& e) {
-    diagnostics.error("scene.pose.missing", "'" + photo.image + "'", e.message(),
-                      "export the capture again, or remove the image");
+    const bool missing = e.kind() == ErrorKind::no_input;
+    diagnostics.error(missing ? Code("scene.pose.missing") : e.code(), "'" + photo.image + "'", e.message(),
+                      missing ? "export the capture again, or remove the image" : e.remedy());
     return false;
   }
   bool sound = true;

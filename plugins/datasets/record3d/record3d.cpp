@@ -6,8 +6,8 @@
 #include <limits>
 #include <nlohmann/json.hpp>
 
-#include "core/text.h"
 #include "formats/input_limits.h"
+#include "loading/json_file.h"
 #include "plugin/module.h"
 #include "scene/rotation.h"
 #include "scene/scene_checks.h"
@@ -87,13 +87,7 @@ std::string recognise(const std::string& path, Record3dParams& p) {
 }
 
 Record3d::Recording Record3d::read_recording(const std::string& path, Diagnostics& diagnostics) {
-  json root;
-  try {
-    root = json::parse(read_pose_file(path));
-  } catch (const json::exception& e) {
-    throw Error(ErrorKind::data, "scene.index.format", "'" + path + "' is not valid JSON: " + json_cause(e.what()),
-                "export the recording again");
-  }
+  const json root = read_pose_json<json>(path, "export the recording again");
   if (!root.is_object())
     throw Error(ErrorKind::data, "scene.index.format", "'" + path + "' is not a map of 'K', 'w', 'h' and 'poses'",
                 "export the recording again");
@@ -104,13 +98,7 @@ Record3d::Recording Record3d::read_recording(const std::string& path, Diagnostic
     const json& side = member(root, i == 0 ? "w" : "h");
     size[i] = side.is_number() ? side.get<double>() : 0;
   }
-  if (!(size[0] >= 1 && size[0] <= 1 << 20 && size[1] >= 1 && size[1] <= 1 << 20)) {
-    diagnostics.error("scene.image.size", path, "image size 'w' x 'h' is not a pair of whole numbers of pixels",
-                      "export the recording again");
-    return {};
-  }
-  out.camera.width_px = static_cast<std::int32_t>(std::lround(size[0]));
-  out.camera.height_px = static_cast<std::int32_t>(std::lround(size[1]));
+  if (!set_image_size(out.camera, size[0], size[1], path, diagnostics)) return {};
   std::array<double, 9> k{};
   if (!numbers_of(member(root, "K"), k) || !set_lens(k, out.camera)) {
     diagnostics.error("scene.camera.format", path, "'K' is not a pinhole camera without skew",

@@ -9,9 +9,11 @@
 #include <tuple>
 
 #include "core/text.h"
+#include "datasets/replica/slam_camera.h"
 #include "formats/image_io.h"
 #include "formats/input_limits.h"
 #include "formats/text_rows.h"
+#include "loading/camera_fit.h"
 #include "plugin/module.h"
 #include "scene/frame_split.h"
 #include "scene/scene_checks.h"
@@ -22,7 +24,8 @@ namespace semfield {
 namespace fs = std::filesystem;
 
 void describe(ParamVisitor& visit, ReplicaParams& p) {
-  SEMFIELD_PARAM(visit, p, root, "folder of the scene: it holds traj_w_c.txt, or Sequence_1 and so on");
+  SEMFIELD_PARAM(visit, p, root,
+                 "folder of the scene: it holds traj_w_c.txt, or Sequence_1 and so on, or traj.txt and results/");
   SEMFIELD_PARAM(visit, p, sequence, "folder of the sequence inside root; empty = root itself, else Sequence_1");
   SEMFIELD_PARAM(visit, p, hfov_deg, "horizontal field of view of the renders, degrees", {1, 179});
   SEMFIELD_PARAM(
@@ -74,7 +77,7 @@ std::string recognise(const std::string& path, ReplicaParams& p) {
   for (const char* folder : {".", "Sequence_1"}) {
     if (fs::is_regular_file(fs::path(path) / folder / "traj_w_c.txt", ignored)) return "Replica's traj_w_c.txt";
   }
-  return "";
+  return is_slam_sequence(path) ? "Replica's traj.txt and results/, as NICE-SLAM has them" : "";
 }
 
 Replica::Replica(const ReplicaParams& params, const DatasetBuild& build)
@@ -87,7 +90,8 @@ Replica::Replica(const ReplicaParams& params, const DatasetBuild& build)
   }
 }
 
-std::string Replica::sequence_folder() const {
+std::string Replica::sequence_folder() {
+  slam_ = false;
   if (!fs::is_directory(root_))
     throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + root_ + "' is missing", "check scene.root");
   if (!params_.sequence.empty()) {
@@ -95,11 +99,14 @@ std::string Replica::sequence_folder() const {
     if (!fs::is_directory(folder))
       throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + folder.string() + "' is missing",
                   "check scene.sequence");
+    slam_ = !fs::exists(folder / "traj_w_c.txt") && is_slam_sequence(folder.string());
     return folder.string();
   }
   if (fs::exists(fs::path(root_) / "traj_w_c.txt")) return root_;
   const fs::path first = fs::path(root_) / "Sequence_1";
   if (fs::exists(first / "traj_w_c.txt")) return first.string();
+  slam_ = is_slam_sequence(root_);
+  if (slam_) return root_;
   throw Error(ErrorKind::no_input, "scene.poses.missing", "no traj_w_c.txt in '" + root_ + "' or its Sequence_1",
               "check scene.root; it names the folder of one scene");
 }
@@ -165,10 +172,10 @@ Split Replica::split_of(int number) const {
 
 // More poses than images are missing images; more images than poses have no place in the scene, or all poses are off.
 void Replica::check_poses_for_images(const std::string& folder, std::size_t rows, Diagnostics& diagnostics) const {
-  constexpr std::string_view kPrefix = "rgb_";
+  const std::string_view kPrefix = color_prefix();
   std::vector<std::int64_t> without;
   std::size_t images = 0;
-  const fs::path colors = fs::path(folder) / "rgb";
+  const fs::path colors = fs::path(folder) / color_folder();
   if (!fs::is_directory(colors)) return;
   for (const fs::directory_entry& entry : sorted_folder(colors.string())) {
     const std::string stem = entry.path().stem().string();
@@ -179,9 +186,10 @@ void Replica::check_poses_for_images(const std::string& folder, std::size_t rows
   }
   if (without.empty()) return;
   std::sort(without.begin(), without.end());
-  const std::string trajectory = (fs::path(folder) / "traj_w_c.txt").string();
-  const std::string sentence = std::to_string(rows) + " poses for " + std::to_string(images) + " images: from rgb_" +
-                               std::to_string(without.front()) + " on " + std::to_string(without.size()) + " have none";
+  const std::string trajectory = (fs::path(folder) / trajectory_file()).string();
+  const std::string sentence = std::to_string(rows) + " poses for " + std::to_string(images) + " images: from " +
+                               color_prefix() + std::to_string(without.front()) + " on " +
+                               std::to_string(without.size()) + " have none";
   if (params_.missing == MissingFiles::skip)
     return diagnostics.note("scene.pose.count", trajectory, sentence + "; they are left out");
   diagnostics.error("scene.pose.count", trajectory, sentence,
@@ -257,11 +265,51 @@ FrameFiles Replica::files_of(const std::string& folder, int number, Split split)
     return directory.empty() || !fs::is_directory(where) ? std::string() : (where / (prefix + n)).string();
   };
   FrameFiles files;
-  files.color = (fs::path(folder) / "rgb" / ("rgb_" + n)).string();
-  files.depth = in_folder("depth", "depth_");
+  if (slam_) {
+    const std::string digits = std::string(6 - std::min<std::size_t>(6, n.size() - 4), '0') + std::to_string(number);
+    const fs::path results = fs::path(folder) / "results";
+    const fs::path lossless = results / ("frame" + digits + ".png");
+    files.color = fs::exists(lossless) ? lossless.string() : (results / ("frame" + digits + ".jpg")).string();
+    files.depth = (results / ("depth" + digits + ".png")).string();
+  } else {
+    files.color = (fs::path(folder) / "rgb" / ("rgb_" + n)).string();
+    files.depth = in_folder("depth", "depth_");
+  }
   files.label = label_of(number, split);
   files.instance = in_folder("semantic_instance", "semantic_instance_");
   return files;
+}
+
+// One camera for all frames, from the first image that can be read; check_headers finds those of another size.
+Camera Replica::camera_of(const std::string& folder, const std::vector<Row>& trajectory, Diagnostics& diagnostics) {
+  Camera camera;
+  std::string image;
+  for (const Row& row : trajectory) {
+    try {
+      image = files_of(folder, row.number, Split::train).color;
+      const ImageSize size = image_size(image);
+      camera.width_px = size.width_px;
+      camera.height_px = size.height_px;
+      break;
+    } catch (const Error&) {
+      continue;
+    }
+  }
+  // hfov: tan(hfov / 2) = (W / 2) / fx. The renders put cx = (W - 1) / 2 with integer pixel centres: W / 2 here.
+  camera.fx = camera.fy = 0.5 * camera.width_px / std::tan(params_.hfov_deg * (M_PI / 360));
+  camera.cx = 0.5 * camera.width_px;
+  camera.cy = 0.5 * camera.height_px;
+  depth_unit_m_ = 0.001;
+  if (!slam_) return camera;
+  const SlamCamera told = read_slam_camera(folder, diagnostics);
+  depth_unit_m_ = told.depth_unit_m;
+  if (told.camera.width_px == 0 || camera.width_px == 0 || params_.hfov_deg != ReplicaParams{}.hfov_deg) return camera;
+  camera = told.camera;
+  CameraFit sizes;
+  if (sizes.fit(image, "'" + image + "'", camera, diagnostics))
+    (void)(check_principal_point(camera, folder, diagnostics) && check_camera(camera, folder, diagnostics));
+  sizes.report(folder, diagnostics);
+  return camera;
 }
 
 SceneInfo Replica::open(Diagnostics& diagnostics) {
@@ -281,26 +329,11 @@ SceneInfo Replica::open(Diagnostics& diagnostics) {
   }
   index_labels(folder, diagnostics);
   std::size_t rows = 0;
-  const std::vector<Row> trajectory = read_trajectory((fs::path(folder) / "traj_w_c.txt").string(), diagnostics, rows);
+  const std::vector<Row> trajectory =
+      read_trajectory((fs::path(folder) / trajectory_file()).string(), diagnostics, rows);
   check_poses_for_images(folder, rows, diagnostics);
 
-  // One camera for all frames, from the first image that can be read; check_headers finds those of another size.
-  Camera camera;
-  for (const Row& row : trajectory) {
-    try {
-      const ImageSize size = image_size(files_of(folder, row.number, Split::train).color);
-      camera.width_px = size.width_px;
-      camera.height_px = size.height_px;
-      break;
-    } catch (const Error&) {
-      continue;
-    }
-  }
-  // hfov: tan(hfov / 2) = (W / 2) / fx. The renders put cx = (W - 1) / 2 with integer pixel centres: W / 2 here.
-  camera.fx = camera.fy = 0.5 * camera.width_px / std::tan(params_.hfov_deg * (M_PI / 360));
-  camera.cx = 0.5 * camera.width_px;
-  camera.cy = 0.5 * camera.height_px;
-
+  const Camera camera = camera_of(folder, trajectory, diagnostics);
   bool has_labels = false;
   FrameFileCheck check(params_.missing, "label_dir");
   check.expect(trajectory.size());
@@ -308,7 +341,7 @@ SceneInfo Replica::open(Diagnostics& diagnostics) {
     FrameInfo frame;
     frame.split = split_of(row.number);
     FrameFiles files = files_of(folder, row.number, frame.split);
-    frame.name = "rgb_" + std::to_string(row.number);
+    frame.name = slam_ ? fs::path(files.color).stem().string() : "rgb_" + std::to_string(row.number);
     frame.source = files.color;
     frame.camera = camera;
     frame.world_from_camera = row.pose;
@@ -338,7 +371,8 @@ SceneInfo Replica::open(Diagnostics& diagnostics) {
 
 void Replica::read(int frame, FrameBuffer& out) const {
   const auto i = static_cast<std::size_t>(frame);
-  read_frame_files(info_.frames.at(i), files_.at(i), {.unknown_labels = params_.unknown_labels}, info_.classes, out);
+  read_frame_files(info_.frames.at(i), files_.at(i),
+                   {.depth_unit_m = depth_unit_m_, .unknown_labels = params_.unknown_labels}, info_.classes, out);
 }
 
 namespace {

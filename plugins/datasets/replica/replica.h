@@ -1,4 +1,5 @@
-// Pre-rendered Replica sequences: traj_w_c.txt, rgb/, depth/, semantic_class/, semantic_instance/.
+// Pre-rendered Replica sequences: traj_w_c.txt, rgb/, depth/, semantic_class/, semantic_instance/; or as NICE-SLAM
+// renders them: traj.txt, results/frame*.jpg and depth*.png.
 #pragma once
 
 #include <array>
@@ -51,7 +52,11 @@ class Replica final : public Dataset {
     int number = 0;  ///< <i> of rgb_<i>.png
     Pose pose;
   };
-  std::string sequence_folder() const;
+  std::string sequence_folder();
+  std::string color_folder() const { return slam_ ? "results" : "rgb"; }
+  const char* color_prefix() const { return slam_ ? "frame" : "rgb_"; }
+  const char* trajectory_file() const { return slam_ ? "traj.txt" : "traj_w_c.txt"; }
+  Camera camera_of(const std::string& folder, const std::vector<Row>& trajectory, Diagnostics& diagnostics);
   std::vector<Row> read_trajectory(const std::string& path, Diagnostics& diagnostics, std::size_t& rows) const;
   Split split_of(int number) const;
   void check_poses_for_images(const std::string& folder, std::size_t rows, Diagnostics& diagnostics) const;
@@ -63,6 +68,8 @@ class Replica final : public Dataset {
   ReplicaParams params_;
   std::string root_;
   std::string class_file_;
+  bool slam_ = false;  ///< in the layout of NICE-SLAM
+  double depth_unit_m_ = 0.001;
   std::map<std::string, std::map<int, std::string>> label_files_;  ///< folder as in the parameters -> <i> -> path
   SceneInfo info_;
   std::vector<FrameFiles> files_;

@@ -38,6 +38,57 @@ TEST(Replica, PaperSplitCameraAndPixels) {
   for (std::size_t i = 0; i < got.depth_m.size(); ++i) ASSERT_NEAR(got.depth_m[i], want.depth_m[i], 0.000501);
 }
 
+// traj.txt, results/frame000000.jpg and depth000000.png of 6553.5 steps a metre.
+TEST(Replica, TheLayoutOfNiceSlam) {
+  const std::string above = fresh_folder("slam"), folder = above + "/room0";
+  std::filesystem::create_directories(folder + "/results");
+  std::string poses;
+  for (int i = 0; i < 3; ++i) {
+    const FrameBuffer f = render_room(room_camera(), room_pose(i));
+    std::vector<std::uint16_t> steps;
+    for (const float d : f.depth_m) steps.push_back(static_cast<std::uint16_t>(std::lround(d * 6553.5)));
+    const std::string n = "00000" + std::to_string(i) + ".png";
+    write_png_rgb(folder + "/results/frame" + n, 40, 30, f.rgb);
+    write_png_gray16(folder + "/results/depth" + n, 40, 30, steps);
+    poses += pose_line(room_pose(i));
+  }
+  plain_write(folder + "/traj.txt", poses);
+  ReplicaParams p{.test_every = 0};
+  EXPECT_HAS(recognise(folder, p), "traj.txt");
+  EXPECT_EQ(p.root, folder);
+  Replica scene(p, {});
+  const auto lens = [&] {
+    Diagnostics d;
+    const SceneInfo info = scene.open(d);
+    EXPECT_FALSE(d.has_errors()) << d.all()[0].text();
+    EXPECT_EQ(info.frames.size(), 3u);
+    EXPECT_TRUE(info.metric);
+    EXPECT_EQ(info.frames[2].name, "frame000002");
+    const Camera& c = info.frames[0].camera;
+    return std::vector<double>{c.fx, c.fy, c.cx, c.cy};
+  };
+  EXPECT_EQ(lens(), (std::vector<double>{20, 20, 20, 15})) << "90 degrees";
+  FrameBuffer got;
+  scene.read(2, got);
+  const FrameBuffer want = render_room(room_camera(), room_pose(2));
+  for (std::size_t i = 0; i < got.depth_m.size(); ++i) ASSERT_NEAR(got.depth_m[i], want.depth_m[i], 1e-4);
+  // Of images twice as large.
+  plain_write(
+      above + "/cam_params.json",
+      "{\"camera\": {\"w\": 80, \"h\": 60, \"fx\": 44, \"fy\": 42, \"cx\": 39.5, \"cy\": 29.5, \"scale\": 3276.75}}");
+  EXPECT_EQ(lens(), (std::vector<double>{22, 21, 20, 15}));
+  scene.read(2, got);
+  EXPECT_NEAR(got.depth_m[0], 2 * want.depth_m[0], 1e-3);
+  for (const char* bad :
+       {"{}", "{\"camera\": {\"w\": 80, \"h\": 60.5, \"fx\": 4, \"fy\": 4, \"cx\": 1, \"cy\": 1, \"scale\": 9}}",
+        "{\"camera\": {\"w\": 80, \"h\": 60, \"fx\": 44, \"fy\": 42, \"cx\": 39.5, \"cy\": 29.5, \"scale\": 0}}"}) {
+    plain_write(above + "/cam_params.json", bad);
+    Diagnostics d;
+    scene.open(d);
+    EXPECT_EQ(d.error_count(), 1) << bad;
+  }
+}
+
 TEST(Replica, EveryFrameIsInOneSplitByDefault) {
   const std::string folder = fresh_folder("room");
   write_replica(folder, 10);

@@ -9,6 +9,7 @@
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
+#include "loading/depth_images.h"
 #include "plugin/module.h"
 #include "scene/classes/scannet_labels.h"
 #include "scene/frame_split.h"

@@ -2,6 +2,7 @@
 #include "datasets/stray_scanner/stray_scanner.h"
 
 #include <algorithm>
+#include <cmath>
 #include <filesystem>
 #include <limits>
 #include <map>
@@ -26,7 +27,12 @@ class Odometry {
  public:
   explicit Odometry(const std::string& path) : rows_(read_text_rows(path, ',')), path_(path) {
     if (rows_.size() < 2) throw Error(ErrorKind::data, "scene.index.format", "'" + path + "' has no poses", kAgain);
-    for (std::size_t i = 0; i < rows_[0].fields.size(); ++i) column_[rows_[0].fields[i]] = i;
+    for (std::size_t i = 0; i < rows_[0].fields.size(); ++i) {
+      const auto [other, fresh] = column_.emplace(rows_[0].fields[i], i);
+      if (!fresh && !other->first.empty())
+        throw Error(ErrorKind::data, "scene.index.twice",
+                    rows_[0].place + ": has the column '" + other->first + "' twice", kAgain);
+    }
     for (const char* name : {"x", "y", "z", "qx", "qy", "qz", "qw"})
       if (!has(name))
         throw Error(ErrorKind::data, "scene.index.format", "'" + path + "' has no column '" + name + "'", kAgain);
@@ -36,11 +42,20 @@ class Odometry {
   std::map<std::int64_t, const TextRow*> by_frame() const {
     std::map<std::int64_t, const TextRow*> out;
     for (std::size_t i = 1; i < rows_.size(); ++i) {
+      if (rows_[i].fields.size() > rows_[0].fields.size())
+        throw Error(ErrorKind::data, "scene.index.format",
+                    rows_[i].place + ": has " + std::to_string(rows_[i].fields.size()) + " columns, the first row " +
+                        std::to_string(rows_[0].fields.size()),
+                    kAgain);
       const double number = has("frame") ? value(rows_[i], "frame") : static_cast<double>(i - 1);
-      if (!(number >= 0 && number <= 1e9))
+      if (!(number >= 0 && number <= 1e9 && number == std::floor(number)))
         throw Error(ErrorKind::data, "scene.index.value", rows_[i].place + ": 'frame' is not the number of a frame",
                     kAgain);
-      out[static_cast<std::int64_t>(number)] = &rows_[i];
+      const auto [other, fresh] = out.emplace(static_cast<std::int64_t>(number), &rows_[i]);
+      if (!fresh)
+        throw Error(ErrorKind::data, "scene.index.twice",
+                    rows_[i].place + ": is of frame " + std::to_string(other->first) + ", as " + other->second->place,
+                    "keep one of the two lines");
     }
     return out;
   }

@@ -6,12 +6,13 @@
 #include <filesystem>
 #include <map>
 #include <nlohmann/json.hpp>
-#include <unordered_set>
+#include <unordered_map>
 
-#include "core/text.h"
+#include "core/unicode_forms.h"
 #include "datasets/transforms_json/transforms_keys.h"
-#include "formats/input_limits.h"
-#include "system/files.h"
+#include "datasets/transforms_json/transforms_values.h"
+#include "loading/file_names.h"
+#include "loading/json_file.h"
 
 namespace semfield {
 
@@ -19,17 +20,6 @@ namespace fs = std::filesystem;
 using nlohmann::json;
 
 namespace {
-
-// Blender leaves the extension out.
-std::string with_extension(const fs::path& path) {
-  std::error_code ignored;
-  if (fs::exists(path, ignored)) return path.string();
-  for (const char* extension : {".png", ".jpg", ".jpeg", ".JPG", ".PNG", ".exr", ".webp", ".tif"}) {
-    const fs::path longer = path.string() + extension;
-    if (fs::exists(longer, ignored)) return longer.string();
-  }
-  return path.string();
-}
 
 class FileReader {
  public:
@@ -41,39 +31,39 @@ class FileReader {
         label_key_(label_key),
         channels_(channels),
         keys_(label_key, channels),
+        values_(diagnostics),
         out_(out),
         diagnostics_(diagnostics) {}
 
   void read() {
-    json root;
-    try {
-      root = json::parse(read_pose_file(path_));
-    } catch (const json::exception& e) {
-      throw Error(ErrorKind::data, "scene.index.format", "'" + path_ + "' is not valid JSON: " + json_cause(e.what()),
-                  "export the poses again");
-    }
+    const int before = diagnostics_.error_count();
+    const json root = read_pose_json<json>(path_, "export the poses again");
     if (!root.is_object() || !root.contains("frames") || !root["frames"].is_array()) {
       throw Error(ErrorKind::data, "scene.index.format", "'" + path_ + "' has no list 'frames'",
                   "give a transforms.json of nerfstudio, instant-ngp or Blender");
     }
-    const std::optional<LensKind> kind = read_model(root, LensKind::perspective, path_);
+    const std::optional<LensKind> kind = values_.model(root, LensKind::perspective, path_);
     if (!kind) return;
-    TransformsLens lens = read_lens(root, {}, path_);
+    TransformsLens lens = values_.lens(root, {}, path_);
     lens.kind = *kind;
-    if (const auto unit = number(root, "depth_unit_m", path_)) out_.depth_unit_m = *unit;
-    if (!(out_.depth_unit_m >= 0))
-      diagnostics_.error("scene.index.value", path_, "depth_unit_m must be positive",
-                         "write the metres of one step, such as 0.001");
+    const double depth_unit_m = values_.depth_unit(root, 0, path_);
     read_classes(root);
     read_limit(root);
     // What is missing in every frame for a key that the file misspells would be said of every frame.
     const bool sound = check_keys(root, false, path_);
-    const SplitLists lists = read_split_lists(root);
+    SplitLists lists = read_split_lists(root);
     for (std::size_t i = 0; i < root["frames"].size(); ++i) {
       TransformsFrame frame = read_frame(root["frames"][i], i, lens, sound);
-      if (!frame.file_path.empty()) frame.split = split_in(lists, frame);
+      if (frame.files.color.empty()) {
+        frame.split = split_;
+      } else {
+        frame.split = split_in(lists, frame);
+        frame.depth_unit_m = values_.depth_unit(root["frames"][i], depth_unit_m, frame.place);
+      }
       out_.frames.push_back(std::move(frame));
     }
+    if (diagnostics_.error_count() == before) report_unmatched(lists);
+    if (out_.unclear_depth_key.empty()) out_.unclear_depth_key = values_.unclear_depth_key();
     for (const std::string& name : keys_.unread_maps())
       diagnostics_.note("scene.channel.unread", path_,
                         "frames name maps of '" + name + "', which nothing reads; scene.channels: [" + name +
@@ -81,143 +71,84 @@ class FileReader {
   }
 
  private:
-  using Names = std::unordered_set<std::string>;
+  // A list of names: each by its path, and whether a frame has it.
+  struct SplitList {
+    const char* key;
+    std::unordered_map<std::string, std::pair<std::string, bool>> names;
+    bool holds(const TransformsFrame& frame, const std::string& as_written) {
+      bool found = false;
+      for (const std::string& path :
+           {as_written, decomposed(fs::absolute(frame.files.color).lexically_normal().string())}) {
+        const auto name = names.find(path);
+        if (name == names.end()) continue;
+        found = name->second.second = true;
+      }
+      return found;
+    }
+  };
   struct SplitLists {
-    Names train, test, val;
+    SplitList train{"train_filenames", {}}, test{"test_filenames", {}}, val{"val_filenames", {}};
+    bool any() const { return !train.names.empty() || !test.names.empty() || !val.names.empty(); }
   };
 
-  SplitLists read_split_lists(const json& root) {
-    const auto listed = [&](const char* key) {
-      Names names;
-      if (!root.contains(key) || !root[key].is_array()) return names;
-      for (const json& name : root[key]) {
-        if (name.is_string()) names.insert(name.get<std::string>());
-      }
-      return names;
-    };
-    return {listed("train_filenames"), listed("test_filenames"), listed("val_filenames")};
+  // Names are compared as the paths that they mean.
+  std::string path_of_name(const std::string& name) const {
+    return decomposed(fs::absolute(folder_ / with_slashes(name)).lexically_normal().string());
   }
 
-  std::optional<Split> split_in(const SplitLists& lists, const TransformsFrame& frame) {
-    if (lists.train.empty()) return split_;
-    const Names& held_out = lists.test.empty() ? lists.val : lists.test;
-    const bool trains = lists.train.count(frame.file_path) > 0, tests = held_out.count(frame.file_path) > 0;
-    if (trains && tests) {
+  SplitLists read_split_lists(const json& root) {
+    SplitLists lists;
+    for (SplitList* list : {&lists.train, &lists.test, &lists.val}) {
+      if (!root.contains(list->key) || root[list->key].is_null()) continue;
+      const json& names = root[list->key];
+      if (!names.is_array() || !std::all_of(names.begin(), names.end(), [](const json& n) { return n.is_string(); })) {
+        diagnostics_.error("scene.index.value", path_, std::string("'") + list->key + "' is not a list of names",
+                           "write the 'file_path' of each frame");
+        continue;
+      }
+      for (const json& name : names) {
+        const auto text = name.get<std::string>();
+        list->names.try_emplace(path_of_name(text), text, false);
+      }
+    }
+    return lists;
+  }
+
+  // Where no list of training frames is given, all that no other list names train.
+  std::optional<Split> split_in(SplitLists& lists, const TransformsFrame& frame) {
+    if (!lists.any()) return split_;
+    const std::string path = path_of_name(frame.file_path);
+    const bool in_train = lists.train.holds(frame, path), in_test = lists.test.holds(frame, path),
+               in_val = lists.val.holds(frame, path);
+    const bool tests = lists.test.names.empty() ? in_val : in_test;
+    if (in_train && tests) {
       diagnostics_.error("scene.split.overlap", frame.place, "is both in train_filenames and among the frames held out",
                          "keep it in one of the two lists");
     }
-    return trains ? Split::train : tests ? Split::test : Split::unused;
+    if (tests) return Split::test;
+    return in_train || (lists.train.names.empty() && !in_val) ? Split::train : Split::unused;
   }
 
-  std::optional<double> number(const json& node, const char* key, const std::string& place) {
-    if (!node.contains(key) || node[key].is_null()) return std::nullopt;
-    if (!node[key].is_number()) {
-      diagnostics_.error("scene.index.value", place, std::string("'") + key + "' is not a number", "write a number");
-      return std::nullopt;
+  void report_unmatched(const SplitLists& lists) {
+    for (const SplitList* list : {&lists.train, &lists.test, &lists.val}) {
+      std::vector<std::string> unmatched;
+      for (const auto& [path, name] : list->names)
+        if (!name.second) unmatched.push_back(name.first);
+      if (unmatched.empty()) continue;
+      const auto least = std::min_element(unmatched.begin(), unmatched.end());
+      diagnostics_.error("scene.split.unknown", path_,
+                         std::to_string(unmatched.size()) + " of " + std::to_string(list->names.size()) +
+                             " names of '" + list->key + "' are no frame's, such as '" + *least + "'",
+                         "write each as the 'file_path' of its frame");
     }
-    return node[key].get<double>();
-  }
-
-  // nerfstudio writes a flag, instant-ngp 0 or 1, and hand-made files "true". Nothing when reported.
-  std::optional<bool> flag(const json& node, const char* key, const std::string& place) {
-    if (!node.contains(key) || node[key].is_null()) return false;
-    const json& value = node[key];
-    if (value.is_boolean()) return value.get<bool>();
-    for (const auto& [means, as_written] :
-         {std::pair{true, json{1, "true", "True", "1"}}, std::pair{false, json{0, "false", "False", "0", ""}}}) {
-      if (std::find(as_written.begin(), as_written.end(), value) != as_written.end()) return means;
-    }
-    diagnostics_.error("scene.index.value", place,
-                       std::string("'") + key + "' is " + value.dump() + ", neither true nor false",
-                       "write true or false");
-    return std::nullopt;
-  }
-
-  // The lens of a file or of one of its frames, which may leave it to the file; nothing when reported.
-  std::optional<LensKind> read_model(const json& node, LensKind otherwise, const std::string& place) {
-    std::string model;
-    if (node.contains("camera_model") && !node["camera_model"].is_null()) {
-      if (!node["camera_model"].is_string()) {
-        diagnostics_.error("scene.index.value", place,
-                           "'camera_model' is " + node["camera_model"].dump() + ", which is not a name",
-                           "write \"camera_model\": \"OPENCV\", or leave the key out");
-        return std::nullopt;
-      }
-      model = node["camera_model"].get<std::string>();
-    }
-    const std::optional<bool> fisheye = flag(node, "is_fisheye", place);
-    if (!fisheye) return std::nullopt;
-    if (*fisheye) model = "OPENCV_FISHEYE";
-    if (model.empty()) return otherwise;
-    static const std::map<std::string, LensKind> known{
-        {"OPENCV", LensKind::perspective},         {"PINHOLE", LensKind::perspective},
-        {"SIMPLE_PINHOLE", LensKind::perspective}, {"SIMPLE_RADIAL", LensKind::perspective},
-        {"RADIAL", LensKind::perspective},         {"PERSPECTIVE", LensKind::perspective},
-        {"OPENCV_FISHEYE", LensKind::fisheye},     {"EQUIRECTANGULAR", LensKind::equirectangular}};
-    if (const auto found = known.find(model); found != known.end()) return found->second;
-    diagnostics_.error(
-        "scene.camera.model", place,
-        "camera model '" + model +
-            "' is not supported (only OPENCV, PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV_FISHEYE, "
-            "EQUIRECTANGULAR)",
-        "undistort the images to a pinhole camera, for example with colmap image_undistorter");
-    return std::nullopt;
-  }
-
-  // nerfstudio's list of all coefficients, which takes the place of the single keys there.
-  void read_distortion(const json& node, TransformsLens& lens, const std::string& place) {
-    if (!node.contains("distortion_params") || node["distortion_params"].is_null()) return;
-    const json& list = node["distortion_params"];
-    const std::pair<const char*, double*> fields[] = {{"k1", &lens.k1}, {"k2", &lens.k2}, {"k3", &lens.k3},
-                                                      {"k4", &lens.k4}, {"p1", &lens.p1}, {"p2", &lens.p2}};
-    if (!list.is_array() || list.size() != std::size(fields) ||
-        !std::all_of(list.begin(), list.end(), [](const json& v) { return v.is_number(); })) {
-      diagnostics_.error("scene.index.value", place, "'distortion_params' is not a list of six numbers",
-                         "write [k1, k2, k3, k4, p1, p2]");
-      return;
-    }
-    for (std::size_t i = 0; i < std::size(fields); ++i) {
-      const auto& [key, field] = fields[i];
-      const double value = list[i].get<double>();
-      if (node.contains(key) && node[key].is_number() && node[key].get<double>() != value) {
-        diagnostics_.error("scene.index.value", place,
-                           std::string("'") + key + "' is not what 'distortion_params' has in its place",
-                           "keep one of the two");
-        return;
-      }
-      *field = value;
-    }
-  }
-
-  TransformsLens read_lens(const json& node, const TransformsLens& base, const std::string& place) {
-    TransformsLens lens = base;
-    const std::pair<const char*, double*> fields[] = {{"w", &lens.w},
-                                                      {"h", &lens.h},
-                                                      {"fl_x", &lens.fl_x},
-                                                      {"fl_y", &lens.fl_y},
-                                                      {"camera_angle_x", &lens.camera_angle_x},
-                                                      {"camera_angle_y", &lens.camera_angle_y},
-                                                      {"k1", &lens.k1},
-                                                      {"k2", &lens.k2},
-                                                      {"k3", &lens.k3},
-                                                      {"k4", &lens.k4},
-                                                      {"p1", &lens.p1},
-                                                      {"p2", &lens.p2}};
-    for (const auto& [key, field] : fields) {
-      if (const auto value = number(node, key, place)) *field = *value;
-    }
-    if (const auto value = number(node, "cx", place)) lens.cx = value;
-    if (const auto value = number(node, "cy", place)) lens.cy = value;
-    read_distortion(node, lens, place);
-    return lens;
   }
 
   // A pose's place p is scale p + offset in instant-ngp, whose scene is the cube of side aabb_scale about (0.5, 0.5,
   // 0.5) [Mueller22]; scale and offset are 0.33 and 0.5 where the file tells no others.
   void read_limit(const json& root) {
-    const auto side = number(root, "aabb_scale", path_);
+    const auto side = values_.number(root, "aabb_scale", path_);
     if (!side) return;
-    const double scale = root.contains("scale") ? number(root, "scale", path_).value_or(0) : 0.33;
+    const double scale = root.contains("scale") ? values_.number(root, "scale", path_).value_or(0) : 0.33;
     Vec3d offset{0.5, 0.5, 0.5};
     if (root.contains("offset")) {
       const json& given = root["offset"];
@@ -246,7 +177,7 @@ class FileReader {
     if (!root.contains("classes")) return;
     const json& classes = root["classes"];
     if (classes.is_string()) {
-      out_.classes = (folder_ / classes.get<std::string>()).string();
+      out_.classes = names_.of((folder_ / classes.get<std::string>()).string());
       return;
     }
     const bool valid = classes.is_array() && std::all_of(classes.begin(), classes.end(), [](const json& c) {
@@ -272,6 +203,18 @@ class FileReader {
     }
   }
 
+  // Blender leaves the extension out.
+  std::string file_of(const fs::path& path) {
+    std::error_code ignored;
+    std::string as_written = names_.of(path.string());
+    if (fs::exists(as_written, ignored)) return as_written;
+    for (const char* extension : {".png", ".jpg", ".jpeg", ".JPG", ".PNG", ".exr", ".webp", ".tif"}) {
+      const std::string longer = names_.of(path.string() + extension);
+      if (fs::exists(longer, ignored)) return longer;
+    }
+    return as_written;
+  }
+
   TransformsFrame read_frame(const json& item, std::size_t index, const TransformsLens& lens, bool sound) {
     TransformsFrame frame;
     frame.place = path_ + ": frame " + std::to_string(index);
@@ -291,22 +234,22 @@ class FileReader {
       return frame;
     }
     frame.place += " (" + frame.file_path + ")";
-    const std::optional<LensKind> kind = read_model(item, lens.kind, frame.place);
+    const std::optional<LensKind> kind = values_.model(item, lens.kind, frame.place);
     if (!kind || !sound || !keys_are_read) return frame;
-    frame.lens = read_lens(item, lens, frame.place);
+    frame.lens = values_.lens(item, lens, frame.place);
     frame.lens.kind = *kind;
-    frame.files.color = with_extension(folder_ / frame.file_path);
+    frame.files.color = file_of(folder_ / frame.file_path);
     std::string depth = path_of("depth_path");
     if (depth.empty()) depth = path_of("depth_file_path");  // nerfstudio's name for it
-    if (!depth.empty()) frame.files.depth = with_extension(folder_ / depth);
+    if (!depth.empty()) frame.files.depth = file_of(folder_ / depth);
     if (const std::string label = label_key_.empty() ? "" : path_of(label_key_.c_str()); !label.empty())
-      frame.files.label = with_extension(folder_ / label);
+      frame.files.label = file_of(folder_ / label);
     if (const std::string instance = path_of("instance_path"); !instance.empty())
-      frame.files.instance = with_extension(folder_ / instance);
-    if (const std::string mask = path_of("mask_path"); !mask.empty()) frame.files.mask = with_extension(folder_ / mask);
+      frame.files.instance = file_of(folder_ / instance);
+    if (const std::string mask = path_of("mask_path"); !mask.empty()) frame.files.mask = file_of(folder_ / mask);
     for (const std::string& name : channels_)
       if (const std::string file = path_of((name + "_path").c_str()); !file.empty())
-        frame.channels[name] = (folder_ / file).string();
+        frame.channels[name] = names_.of((folder_ / file).string());
     read_matrix(item, frame);
     return frame;
   }
@@ -377,6 +320,8 @@ class FileReader {
   std::string label_key_;
   std::vector<std::string> channels_;
   TransformsKeys keys_;
+  TransformsValues<json> values_;
+  FileNames names_;
   TransformsIndex& out_;
   Diagnostics& diagnostics_;
 };

@@ -28,11 +28,12 @@ struct TransformsFrame {
   std::vector<double> matrix;  ///< 16 numbers, row-major; empty when the file's was unusable (already reported)
   std::optional<Split> split;  ///< told by the file (Blender's file names, nerfstudio's *_filenames)
   std::map<std::string, std::string> channels;  ///< name to file, of those that it has
+  double depth_unit_m = 0;                      ///< of one step of its depth image; 0 = not told
 };
 
 struct TransformsIndex {
   std::vector<TransformsFrame> frames;
-  double depth_unit_m = 0;             ///< 0 = not told
+  std::string unclear_depth_key;       ///< a key that tells a unit of depth in a way that is not known; "" = none
   Box limit;                           ///< instant-ngp's box of side aabb_scale in the poses' axes; empty = not told
   std::string classes;                 ///< path of a class table; "" = not told
   std::vector<ClassEntry> class_list;  ///< classes written in the file itself

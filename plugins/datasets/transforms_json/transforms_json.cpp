@@ -10,6 +10,7 @@
 #include "formats/input_limits.h"
 #include "formats/npz.h"
 #include "loading/camera_fit.h"
+#include "loading/depth_images.h"
 #include "loading/frame_masks.h"
 #include "plugin/module.h"
 #include "scene/alpha.h"
@@ -128,6 +129,15 @@ Camera camera_of(const TransformsLens& lens, std::int32_t width, std::int32_t he
 // How large an image may be is for `limits` to say; here it has to be a size at all.
 bool whole_size(double value) { return value >= 1 && value <= 2147483647.0 && value == std::floor(value); }
 
+// What cannot be read is told with the headers.
+bool is_real(const std::string& depth) {
+  try {
+    return has_real_depth(depth);
+  } catch (const Error&) {
+    return false;
+  }
+}
+
 // The camera of one frame; the image's header tells the size where the file does not. False when reported.
 bool frame_camera(const TransformsFrame& in, const std::string& place, CameraFit& sizes, Camera& out,
                   Diagnostics& diagnostics) {
@@ -153,6 +163,13 @@ bool frame_camera(const TransformsFrame& in, const std::string& place, CameraFit
       diagnostics.error(e.code(), place, "colour image " + e.message(), e.remedy());
       return false;
     }
+  }
+  const TransformsLens& l = in.lens;
+  if (l.fl_x == 0 && l.fl_y == 0 && l.camera_angle_x == 0 && l.camera_angle_y == 0 && l.kind != LensKind::equirectangular) {
+    diagnostics.error("scene.camera.missing", place,
+                      "no focal length: neither the file nor the frame has 'fl_x', 'camera_angle_x' or a matrix 'K'",
+                      "write 'fl_x', 'fl_y', 'cx' and 'cy' in pixels");
+    return false;
   }
   out = camera_of(in.lens, size.width_px, size.height_px);
   return sizes.fit(in.files.color, place, out, diagnostics) && check_principal_point(out, place, diagnostics) &&
@@ -231,11 +248,12 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
   const TransformsIndex index = read_transforms(root_, params_.label_key, params_.channels, diagnostics);
   const fs::path canonical = fs::weakly_canonical(root_);
   info_.name = (fs::is_regular_file(canonical) ? canonical.parent_path() : canonical).filename().string();
-  depth_unit_m_ = params_.depth_unit_m > 0 ? params_.depth_unit_m : index.depth_unit_m > 0 ? index.depth_unit_m : 0.001;
+  depth_units_m_.clear();
 
   std::vector<std::string> skipped;
   FrameNames names;
-  bool has_labels = false, has_depth = false;
+  bool has_labels = false, has_depth = false, unit_told = true;
+  int real_depth = 0;
   FrameFileCheck check(params_.missing, "label_key");
   CameraFit sizes;
   FrameMasks masks(folder(), params_.masks);
@@ -254,7 +272,7 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
     const PoseState state = check_pose(frame.world_from_camera, place, diagnostics);
     if (state == PoseState::not_finite) skipped.push_back(frame.name);
     FrameFiles files = in.files;
-    if (files.mask.empty()) files.mask = masks.of(files.color);
+    masks.add_to(files);
     if (state != PoseState::good || !check.present(frame, files, diagnostics) ||
         !frame_camera(in, place, sizes, frame.camera, diagnostics)) {
       continue;
@@ -278,11 +296,26 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
     info_.frames.push_back(frame);
     files_.push_back(files);
     channels_.push_back(in.channels);
+    unit_told = unit_told && (!frame.has_depth || in.depth_unit_m > 0);
+    real_depth += frame.has_depth && in.depth_unit_m > 0 && in.depth_unit_m != 1 && is_real(files.depth) ? 1 : 0;
+    depth_units_m_.push_back(params_.depth_unit_m > 0 ? params_.depth_unit_m
+                             : in.depth_unit_m > 0    ? in.depth_unit_m
+                                                      : 0.001);
   }
   check.report(root_, info_.frames.size(), diagnostics);
   sizes.report(root_, diagnostics);
   masks.report(diagnostics);
   if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, info_.frames.size(), root_, diagnostics);
+  if (params_.depth_unit_m == 0 && !unit_told && !index.unclear_depth_key.empty())
+    diagnostics.error("scene.depth.unit", root_,
+                      "'" + index.unclear_depth_key +
+                          "' may be the steps of a depth image per metre or the metres of a step, and is not read",
+                      "write \"depth_unit_m\" with the metres of a step, or set scene.depth_unit_m");
+  if (real_depth > 0)
+    diagnostics.note("scene.depth.real", root_,
+                     std::to_string(real_depth) +
+                         " depth files hold real numbers, which are taken as they are: the unit that the index tells "
+                         "is of integers");
   info_.metric = params_.metric || has_depth;
   info_.limit = index.limit;
   load_classes(index, has_labels, diagnostics);
@@ -310,7 +343,7 @@ void TransformsJson::read(int frame, FrameBuffer& out) const {
   const auto i = static_cast<std::size_t>(frame);
   const std::vector<std::string> wanted = out.wanted;
   FrameReadRules rules;
-  rules.depth_unit_m = depth_unit_m_;
+  rules.depth_unit_m = depth_units_m_.at(i);
   rules.alpha_background = params_.alpha_background;
   rules.alpha_masks = params_.alpha_masks;
   rules.unknown_labels = params_.unknown_labels;

@@ -47,7 +47,7 @@ class TransformsJson final : public Dataset {
   SceneInfo info_;
   std::vector<FrameFiles> files_;
   std::vector<std::map<std::string, std::string>> channels_;  // of each frame: name to file
-  double depth_unit_m_ = 0.001;
+  std::vector<double> depth_units_m_;                         // of each frame
 };
 
 }  // namespace semfield

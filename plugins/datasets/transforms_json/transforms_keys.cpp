@@ -10,14 +10,34 @@ namespace semfield {
 
 namespace {
 
-const std::vector<std::string> kLensKeys{
-    "w",  "h",  "fl_x", "fl_y", "cx", "cy",           "camera_angle_x", "camera_angle_y",   "k1",
-    "k2", "k3", "k4",   "p1",   "p2", "camera_model", "is_fisheye",     "distortion_params"};
-const std::vector<std::string> kFileKeys{"frames",          "classes",        "depth_unit_m",
-                                         "train_filenames", "test_filenames", "val_filenames",
-                                         "aabb_scale",      "scale",          "offset"};
-const std::vector<std::string> kFrameKeys{"file_path",       "depth_path", "label_path",      "instance_path",
-                                          "depth_file_path", "mask_path",  "transform_matrix"};
+const std::vector<std::string> kLensKeys{"w",
+                                         "h",
+                                         "fl_x",
+                                         "fl_y",
+                                         "cx",
+                                         "cy",
+                                         "camera_angle_x",
+                                         "camera_angle_y",
+                                         "k1",
+                                         "k2",
+                                         "k3",
+                                         "k4",
+                                         "p1",
+                                         "p2",
+                                         "camera_model",
+                                         "is_fisheye",
+                                         "distortion_params",
+                                         "K",
+                                         "intrinsics",
+                                         "intrinsic_matrix",
+                                         "camera_matrix",
+                                         "cam_K"};
+const std::vector<std::string> kFileKeys{
+    "frames",     "classes", "depth_unit_m", "train_filenames",     "test_filenames",         "val_filenames",
+    "aabb_scale", "scale",   "offset",       "integer_depth_scale", "depth_unit_scale_factor"};
+const std::vector<std::string> kFrameKeys{
+    "file_path", "depth_path",       "label_path",   "instance_path",       "depth_file_path",
+    "mask_path", "transform_matrix", "depth_unit_m", "integer_depth_scale", "depth_unit_scale_factor"};
 
 // What other programs, and people, call the keys.
 const std::map<std::string, std::string> kOtherNames{{"fx", "fl_x"},
@@ -39,7 +59,7 @@ const std::map<std::string, std::string> kOtherNames{{"fx", "fl_x"},
                                                      {"camera_to_world", "transform_matrix"}};
 
 // Keys of nerfstudio, instant-ngp and Blender that are near one of ours.
-const std::vector<std::string> kStrangers{"frame_id", "filenames"};
+const std::vector<std::string> kStrangers{"frame_id", "filenames", "depth_unit"};
 
 std::string meant_key(const std::string& key, bool of_frame, const std::vector<std::string>& named) {
   std::vector<std::string> known = kLensKeys;

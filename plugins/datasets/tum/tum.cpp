@@ -4,11 +4,14 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
+#include <iterator>
+#include <map>
 #include <optional>
 
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
+#include "loading/file_names.h"
 #include "plugin/module.h"
 #include "scene/rotation.h"
 
@@ -39,7 +42,7 @@ std::vector<TimedRow> read_list(const std::string& path, std::size_t words) {
                   row.place + ": " + std::to_string(timed.words.size()) + " words; a line has a time and " +
                       std::to_string(words),
                   kRecordAgain);
-    if (!parse_number(timed.words[0], timed.time_s))
+    if (!parse_real(timed.words[0], timed.time_s))
       throw Error(ErrorKind::data, "scene.index.value", row.place + ": '" + timed.words[0] + "' is not a time",
                   kRecordAgain);
     timed.words.erase(timed.words.begin());
@@ -47,6 +50,11 @@ std::vector<TimedRow> read_list(const std::string& path, std::size_t words) {
   }
   if (rows.empty()) throw Error(ErrorKind::data, "scene.index.format", "'" + path + "' has no lines", kRecordAgain);
   std::stable_sort(rows.begin(), rows.end(), [](const auto& a, const auto& b) { return a.time_s < b.time_s; });
+  const auto twice =
+      std::adjacent_find(rows.begin(), rows.end(), [](const auto& a, const auto& b) { return a.time_s == b.time_s; });
+  if (twice != rows.end())
+    throw Error(ErrorKind::data, "scene.index.twice", std::next(twice)->place + ": has the time of " + twice->place,
+                "keep one of the two lines");
   return rows;
 }
 
@@ -140,6 +148,8 @@ SceneInfo Tum::open(Diagnostics& diagnostics) {
       params_.lens.empty() ? lens_of_folder(fs::weakly_canonical(root).filename().string()) : params_.lens;
   std::vector<PosedPhotograph> photos;
   std::size_t without_pose = 0;
+  FileNames names;
+  std::map<std::string, const TimedRow*> lines;  // by image
   for (const TimedRow& image : images) {
     const std::optional<Pose> pose = pose_at(poses, image.time_s, params_.within_s);
     if (!pose) {
@@ -147,7 +157,13 @@ SceneInfo Tum::open(Diagnostics& diagnostics) {
       continue;
     }
     PosedPhotograph photo;
-    photo.image = (root / image.words[0]).string();
+    photo.image = names.of((root / image.words[0]).string());
+    const auto [other, fresh] = lines.emplace(fs::path(photo.image).lexically_normal().string(), &image);
+    if (!fresh) {
+      diagnostics.error("scene.frame.twice", image.place, "is the image of " + other->second->place,
+                        "keep one of the two lines");
+      continue;
+    }
     photo.world_from_camera = *pose;
     photo.depth_unit_m = 1 / params_.depth_steps;
     Camera& c = photo.camera;
@@ -177,7 +193,7 @@ SceneInfo Tum::open(Diagnostics& diagnostics) {
     for (const std::size_t i : {after - 1, after})
       if (i < depths.size() && gap(i) <= params_.within_s && (nearest == depths.size() || gap(i) < gap(nearest)))
         nearest = i;
-    if (nearest < depths.size()) photo.depth = (root / depths[nearest].words[0]).string();
+    if (nearest < depths.size()) photo.depth = names.of((root / depths[nearest].words[0]).string());
     photos.push_back(std::move(photo));
   }
   const std::string within_text = std::to_string(std::lround(1000 * params_.within_s));

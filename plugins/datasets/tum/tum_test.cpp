@@ -90,6 +90,32 @@ TEST(Tum, TheFolderNamesTheCamera) {
   }
 }
 
+// One image would train and be held out, and of two poses one would win.
+TEST(Tum, OneThingTwiceIsRefused) {
+  Diagnostics d;
+  open(params_of(recording_of(usual_poses(), "10.00 rgb/a.png\n10.05 rgb/b.png\n10.10 ./rgb/a.png\n")), d);
+  EXPECT_FINDING(d, "scene.frame.twice", "rgb.txt:3", "rgb.txt:1");
+  EXPECT_ERROR(open(params_of(recording_of(usual_poses(), "10.10 rgb/a.png\n10.00 rgb/b.png\n10.1 rgb/c.png\n")), d),
+               "scene.index.twice", "rgb.txt:3", "rgb.txt:1");
+  EXPECT_ERROR(open(params_of(recording_of(usual_poses() + row_at("10", room_pose(1)))), d), "scene.index.twice",
+               "groundtruth.txt:3", "groundtruth.txt:1");
+  const std::string depths = recording_of(usual_poses());
+  plain_write(depths + "/depth.txt", "10.0 depth/a.png\n10.0 depth/b.png\n");
+  EXPECT_ERROR(open(params_of(depths), d), "scene.index.twice", "depth.txt:2", "depth.txt:1");
+}
+
+TEST(Tum, NamesWithBackslashesAreRead) {
+  Diagnostics d;
+  const std::string folder = recording_of(usual_poses(), "10.00 rgb\\a.png\n10.10 .\\rgb\\b.png\n");
+  plain_write(folder + "/depth.txt", "10.101 depth\\b.png\n10.005 depth\\a.png\n");
+  const SceneInfo info = open(params_of(folder), d);
+  EXPECT_TRUE(d.all().empty()) << d.all()[0].text();
+  ASSERT_EQ(info.frames.size(), 2u);
+  EXPECT_EQ(info.frames[1].name, "b");
+  EXPECT_TRUE(info.frames[1].has_depth);
+  EXPECT_TRUE(info.metric);
+}
+
 TEST(Tum, WhatDoesNotFitIsNamed) {
   Diagnostics d;
   open(params_of(recording_of(row_at("10.00", room_pose(0)))), d);
@@ -99,6 +125,11 @@ TEST(Tum, WhatDoesNotFitIsNamed) {
   EXPECT_ERROR(open(params_of(recording_of("10.0 a 0 0 0 0 0 1\n")), d), "scene.index.value", "groundtruth.txt:1",
                "'a'");
   EXPECT_ERROR(open(params_of(recording_of(usual_poses(), "noon rgb/a.png\n")), d), "scene.index.value", "rgb.txt:1");
+  for (const char* time : {"nan", "inf", "1e999"})
+    EXPECT_ERROR(open(params_of(recording_of(usual_poses(), std::string(time) + " rgb/a.png\n10.1 rgb/b.png\n")), d),
+                 "scene.index.value", "rgb.txt:1", time);
+  EXPECT_ERROR(open(params_of(recording_of("nan 0 0 0 0 0 0 1\n" + usual_poses())), d), "scene.index.value",
+               "groundtruth.txt:1", "'nan'");
   TumParams p = params_of("x");
   p.lens = {1, 2};
   Diagnostics wrong;
