@@ -107,6 +107,7 @@ void SweepFolder::write_tables(EndedCells& ended) const {
     const ExperimentTable table(sweep_, e, cells_, ended.results);
     const std::string name = sweep_.experiments[e].name;
     page += "\n" + table.markdown();
+    if (!table.unequal().empty()) note_("experiment '" + name + "' has no tables: " + table.unequal());
     write_if_changed(fs::path(path_) / (name + ".csv"), table.csv());
     const std::string svg = table.svg();
     if (svg.empty()) continue;

@@ -5,12 +5,15 @@
 #include <nlohmann/json.hpp>
 
 #include "app/json_output.h"
+#include "app/next_steps.h"
 #include "app/progress_line.h"
 #include "app/verb.h"
 #include "core/findings.h"
+#include "core/text.h"
 #include "eval/final_eval.h"
 #include "eval/json_number.h"
 #include "eval/protocol.h"
+#include "run/kept_scores.h"
 #include "run/open_run.h"
 #include "session/refined_poses.h"
 #include "system/files.h"
@@ -35,6 +38,7 @@ Json results(const OpenedRun& run, const SplitScore& score, const std::string& s
   out["step"] = run.step;
   out["train_s"] = run.train_s;
   out["frames"] = score.frames.size();
+  out["pixels"] = score.pixels;
   for (const auto& [name, value] : score.values()) out[name] = number_json<Json>(value);
   const std::vector<ClassScore> classes = score.confusion.per_class();
   for (std::size_t c = 0; c < classes.size(); ++c)
@@ -136,6 +140,8 @@ int run(const EvalOptions& options, AppContext& context) {
     refined = score_frames(s, options, frames, context, &infos);
     for (const auto& [name, value] : refined->values()) found["refined_poses"][name] = number_json<Json>(value);
   }
+  const std::string not_kept = keep_scores(run, options.split, score, diagnostics);
+  if (!not_kept.empty()) print_note(context, "the run's folder does not keep these scores: " + not_kept);
   if (!options.out.empty()) write_file_atomic(options.out, json_object(context, found));
   if (context.json) {
     print_json(context, found);
@@ -168,6 +174,8 @@ int run(const EvalOptions& options, AppContext& context) {
                 k.recall ? fmt::format("{:.4f}", *k.recall).c_str() : "-", static_cast<long long>(k.truth_px));
   }
   if (found.contains("protocol")) print_protocol(found["protocol"]);
+  if (not_kept.empty())
+    print_next(context, {{"report " + shell_word(options.run), "writes its report anew, with these scores"}});
   return 0;
 }
 
@@ -188,8 +196,10 @@ void words(VerbWords& verb, EvalOptions& options) {
 }  // namespace
 
 Verb verb_eval() {
-  return with_launch(Launch::ranks,
-                     with_json(make_verb<EvalOptions>("eval", 20, "evaluate a run's field on a split", words, run)));
+  return with_launch(
+      Launch::ranks,
+      with_json(make_verb<EvalOptions>(
+          "eval", 20, "evaluate a run's field on a split, and keep the scores for its report", words, run)));
 }
 
 }  // namespace semfield::app

@@ -5,12 +5,6 @@
 
 namespace semfield {
 
-/// Frames and pixels of an evaluation that was cut to its time.
-struct EvalCut {
-  double share = 1;         ///< of the frames asked for; at least one frame is scored
-  std::int32_t stride = 1;  ///< of the pixels (pixel_stride.h)
-};
-
 /// Evaluations while training get half of `share` of the seconds trained, the last one what is then left of
 /// (1 + share) times the time that the run was asked for. A share of 0 bounds nothing; without a time the last one is
 /// not bounded.
@@ -28,9 +22,10 @@ class EvalBudget {
   std::int32_t sample_stride(double pixels, double every_s, std::int32_t most) const;
   /// Whether the samples so far kept to their share of `trained_s` seconds of training.
   bool has_time_for_sample(double trained_s) const { return !bounds_samples() || spent_s_ <= share_ / 2 * trained_s; }
-  /// What fits into the rest of the time after `train_s` seconds of training. `pixels` of `frames` frames are asked
-  /// for.
-  EvalCut last(double pixels, std::int64_t frames, double train_s, std::int32_t most_stride) const;
+  /// Seconds that the last evaluation may take after `train_s` seconds of training; infinite where nothing bounds it.
+  double left_s(double train_s) const;
+  /// The least stride with which `pixels` fit into `budget_s`, at most `most`; 1 where the cost is not known.
+  std::int32_t stride_within(double budget_s, double pixels, std::int32_t most) const;
 
  private:
   double share_, time_s_;

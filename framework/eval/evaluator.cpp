@@ -300,6 +300,7 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
             depth.add(strided(stored.depth_m.expand(), width, height, 1, job.stride), frame.depth_m);
         }};
     parallel_for(std::ssize(measures), [&](std::int64_t i) { measures[i](); });
+    score.pixels += std::int64_t{frame.width_px} * frame.height_px;
     score.resolution.opaque_px += frame.resolution.opaque_px;
     score.resolution.under_resolved_px += frame.resolution.under_resolved_px;
     FrameScore row;

@@ -88,6 +88,7 @@ struct SplitScore {
   double ssim_sum = 0;
   std::int64_t ssim_frames = 0;
   OpacityCounts resolution;
+  std::int64_t pixels = 0;  ///< rendered, masked ones too
   std::vector<FrameScore> frames;
 
   std::optional<double> ssim() const;

@@ -43,14 +43,6 @@ std::string listed(const std::vector<Group>& groups, const TextOf& text_of) {
   return join(parts, "; ");
 }
 
-// Frames and pixels that a row scored.
-std::string part_of(const MetricsRow& row) {
-  const std::string sample = sample_text(row);
-  if (!sample.empty()) return "a sample, " + sample;
-  const auto frames = row.get("frames");
-  return frames ? fmt::format("all {:.0f} frames", *frames) : std::string();
-}
-
 std::string names_of_frames(const ReportRun& run) {
   std::string names;
   if (!run.eval) return names;
@@ -73,6 +65,13 @@ std::string sample_text(const MetricsRow& row) {
   return ScoredPart{std::llround(*frames), std::llround(*of),
                     static_cast<std::int32_t>(std::lround(row.get("pixel_stride").value_or(1)))}
       .text();
+}
+
+std::string part_text(const MetricsRow& row) {
+  const std::string sample = sample_text(row);
+  if (!sample.empty()) return "a sample, " + sample;
+  const auto frames = row.get("frames");
+  return frames ? fmt::format("all {:.0f} frames", *frames) : std::string();
 }
 
 std::string sample_text(const ReportRun& run, const std::string& split) {
@@ -99,7 +98,7 @@ std::vector<std::string> unranked_because(const ReportInput& input, const std::s
     const std::vector<const MetricsRow*> rows = eval_rows(run, split);
     if (rows.empty()) return std::string();
     // Other data have another number of frames; that is no reason of its own.
-    return data.size() > 1 && sample_text(*rows.back()).empty() ? "all frames" : part_of(*rows.back());
+    return data.size() > 1 && sample_text(*rows.back()).empty() ? "all frames" : part_text(*rows.back());
   });
   if (parts.size() > 1) {
     reasons.push_back("their last evaluations scored other parts of the split: " +
@@ -109,6 +108,15 @@ std::vector<std::string> unranked_because(const ReportInput& input, const std::s
                       listed(grouped(input, names_of_frames), [](const Group& group) {
                         return " on " + group.value.substr(0, group.value.find('\n')) + " and others";
                       }));
+  } else if (data.size() < 2) {
+    const std::vector<Group> pixels = grouped(input, [&](const ReportRun& run) {
+      const std::vector<const MetricsRow*> rows = eval_rows(run, split);
+      const auto count = rows.empty() ? std::nullopt : rows.back()->get("pixels");
+      return count ? fmt::format("{:.0f}", *count) : std::string();
+    });
+    if (pixels.size() > 1)
+      reasons.push_back("they were scored on other pixels: " +
+                        listed(pixels, [](const Group& group) { return " on " + group.value; }));
   }
   return reasons;
 }
@@ -134,7 +142,7 @@ std::vector<std::vector<const MetricsRow*>> level_rows(const ReportInput& input,
     rows.push_back(curve_rows(run, split));
     whole.push_back(eval_rows(run, split));
     same = same && !rows.back().empty() && !rows.front().empty() &&
-           part_of(*rows.back().front()) == part_of(*rows.front().front());
+           part_text(*rows.back().front()) == part_text(*rows.front().front());
   }
   return same ? rows : whole;
 }

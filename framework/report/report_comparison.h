@@ -13,6 +13,8 @@ namespace semfield {
 std::string sample_text(const MetricsRow& row);
 /// The same of the figures that a run shows.
 std::string sample_text(const ReportRun& run, const std::string& split);
+/// Frames and pixels that a row scored: "all 30 frames", "a sample, 4 of 30 frames"; "" where it does not say.
+std::string part_text(const MetricsRow& row);
 
 /// Why figures of these runs cannot be ranked, a sentence each: other data, other frames. Empty when they can, or when
 /// nothing is known against it.

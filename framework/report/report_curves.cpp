@@ -76,8 +76,15 @@ std::optional<std::string> common_part(const ReportInput& input, const std::stri
 
 // What the values at the lines' ends are of.
 std::string parts_sentence(const ReportInput& input, const std::string& split) {
-  if (const auto common = common_part(input, split))
-    return common->empty() ? "" : fmt::format(" Evaluations while training are of a sample: {}.", *common);
+  if (const auto common = common_part(input, split)) {
+    if (common->empty()) return {};
+    std::string out = fmt::format(" Evaluations while training are of a sample: {}.", *common);
+    const std::vector<const MetricsRow*> last = eval_rows(input.runs.front(), split);
+    if (input.runs.size() == 1 && !last.empty() && sample_text(*last.back()) != *common)
+      out += fmt::format(" The figures above are of {}, so they differ from the ends of the curves.",
+                         part_text(*last.back()));
+    return out;
+  }
   std::vector<std::string> parts;
   for (const ReportRun& run : input.runs) {
     const std::vector<const MetricsRow*> rows = curve_rows(run, split);

@@ -110,7 +110,7 @@ std::string notice_section(const ReportInput& input, const std::string& split) {
   if (!sampled.empty())
     sentences.push_back(
         fmt::format("Figures are of a sample of the split “{}” ({}); `semfield eval` on the run folder "
-                    "scores all.",
+                    "scores every pixel, and `semfield report` shows that then.",
                     split, join(sampled, "; ")));
   std::string out;
   for (const std::string& sentence : sentences) out += "<p class=\"notice\">" + html_escape(sentence) + "</p>\n";
@@ -132,10 +132,10 @@ std::string cards_section(const ReportInput& input, const std::string& split) {
     }
     if (best < 0) continue;
     const auto b = static_cast<std::size_t>(best);
-    const std::string sample = sample_text(input.runs[b], split);
     const std::string note = several ? "best: " + input.runs[b].name : std::string(metric.help);
+    const std::string part = part_text(*eval_rows(input.runs[b], split).back());
     out += card(metric.label, figure_text(*values[b], key == "absrel" ? 2 : 3), metric.unit,
-                sample.empty() ? note : fmt::format("{}{}", several ? note + "; " : "", "sample: " + sample));
+                part.empty() ? note : note + "; " + part);
   }
   const auto longest =
       std::max_element(input.runs.begin(), input.runs.end(),

@@ -6,6 +6,7 @@
 
 #include "core/error.h"
 #include "report/html.h"
+#include "report/report_comparison.h"
 #include "report/report_parts.h"
 #include "report/report_sections.h"
 #include "report/report_svg.h"
@@ -136,7 +137,7 @@ std::string labels_section(const ReportInput& input, const std::string& split) {
       "labels", known > 1 ? "Error against number of labels" : "Labels in training",
       known > 1 ? "One point for each run, at its last evaluation; runs may differ in more than their labels."
                 : "What the semantic head learned from.");
-  if (known > 1) {
+  if (known > 1 && unranked_because(input, split).empty()) {
     const std::string pixels = plots(input, split, kPixels);
     if (!pixels.empty()) {
       out += legend(input) +

@@ -49,16 +49,15 @@ const ReportMetric& report_metric(std::string_view key) {
 }
 
 std::vector<const MetricsRow*> eval_rows(const ReportRun& run, const std::string& split) {
-  std::vector<const MetricsRow*> whole, samples;
-  for (const MetricsRow& row : run.rows) {
-    if (row.kind != "eval") continue;
-    if (split.empty() || row.split == split) whole.push_back(&row);
-    if (row.split.starts_with(split) && row.split.substr(split.size()) == kSampleSuffix) samples.push_back(&row);
-  }
-  if (!whole.empty() || samples.empty()) return whole;
-  const std::string last = sample_text(*samples.back());
-  std::erase_if(samples, [&](const MetricsRow* row) { return sample_text(*row) != last; });
-  return samples;
+  std::vector<const MetricsRow*> rows;
+  for (const MetricsRow& row : run.rows)
+    if (row.kind == "eval" && (split.empty() || row.split == split || row.split == split + kSampleSuffix))
+      rows.push_back(&row);
+  if (rows.empty()) return rows;
+  const MetricsRow& last = *rows.back();
+  std::erase_if(
+      rows, [&](const MetricsRow* row) { return row->split != last.split || sample_text(*row) != sample_text(last); });
+  return rows;
 }
 
 std::optional<double> last_value(const ReportRun& run, const std::string& split, std::string_view key) {

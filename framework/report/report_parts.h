@@ -26,8 +26,7 @@ std::span<const ReportMetric> report_metrics();
 /// The one of that key, which must be among them.
 const ReportMetric& report_metric(std::string_view key);
 
-/// Eval rows of a run that count: of the whole split, or, where there is none, of the sample of it that was scored
-/// last.
+/// Eval rows of a run that count: those of the part of the split that was scored last.
 std::vector<const MetricsRow*> eval_rows(const ReportRun& run, const std::string& split);
 /// Last value of a metric among the eval rows, or none.
 std::optional<double> last_value(const ReportRun& run, const std::string& split, std::string_view key);

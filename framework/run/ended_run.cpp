@@ -27,7 +27,7 @@ void read_scores(const RunFolder& folder, TrainOutcome& outcome) {
         outcome.scored.of = number;
       } else if (name == "pixel_stride") {
         outcome.scored.stride = static_cast<std::int32_t>(number);
-      } else {
+      } else if (name != "pixels") {
         outcome.values.emplace_back(name, value);
       }
     }

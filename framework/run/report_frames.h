@@ -12,6 +12,8 @@ namespace semfield {
 /// With their maps.
 class ReportFrames {
  public:
+  using Kept = std::vector<std::pair<FrameScore, RenderedFrame>>;
+
   ReportFrames() = default;
   /// `shown`: frames to keep in any case.
   ReportFrames(std::vector<int> shown, int most_worst)
@@ -25,7 +27,25 @@ class ReportFrames {
     if (worst_.size() > most_worst_) worst_.pop_back();
   }
 
-  using Kept = std::vector<std::pair<FrameScore, RenderedFrame>>;
+  /// The frames kept, each once.
+  std::vector<int> frames() const {
+    std::vector<int> all;
+    for (const Kept* kept : {&strips_, &worst_})
+      for (const auto& [score, maps] : *kept)
+        if (std::find(all.begin(), all.end(), score.frame) == all.end()) all.push_back(score.frame);
+    return all;
+  }
+  /// Puts render(frame) in the place of the maps kept.
+  template <class Render>
+  void draw(const Render& render) {
+    for (const int frame : frames()) {
+      const RenderedFrame maps = render(frame);
+      for (Kept* kept : {&strips_, &worst_})
+        for (auto& [score, old] : *kept)
+          if (score.frame == frame) old = maps;
+    }
+  }
+
   const Kept& strips() const { return strips_; }
   /// Worst first, at most `most_worst`.
   const Kept& worst() const { return worst_; }

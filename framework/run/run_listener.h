@@ -21,7 +21,7 @@ struct ScoredPart {
   std::int64_t frames = 0, of = 0;
   std::int32_t stride = 1;
   bool whole() const { return frames == of && stride == 1; }
-  /// "4 of 30 frames", "30 frames at 1 pixel in 4".
+  /// "4 of 30 frames", "all 30 frames at 1 pixel in 4".
   std::string text() const;
 };
 

@@ -33,7 +33,8 @@ std::string place_of(const std::string& folder) { return fs::weakly_canonical(fs
 }  // namespace
 
 std::string ScoredPart::text() const {
-  const std::string count = frames == of ? fmt::format("{} frames", of) : fmt::format("{} of {} frames", frames, of);
+  const std::string count =
+      frames == of ? fmt::format("all {} frames", of) : fmt::format("{} of {} frames", frames, of);
   return stride == 1 ? count : fmt::format("{} at 1 pixel in {}", count, stride * stride);
 }
 

@@ -8,6 +8,7 @@
 #include "core/text.h"
 #include "eval/final_eval.h"
 #include "eval/pixel_stride.h"
+#include "run/kept_scores.h"
 #include "session/settings/run_length.h"
 #include "system/files.h"
 
@@ -17,6 +18,7 @@ namespace {
 
 constexpr std::int64_t kProbe_px = 2048;     // scored once to learn what a pixel costs
 constexpr std::int64_t kLeastMap_px = 1024;  // of a frame at a stride; fewer pixels say little
+constexpr std::int64_t kLeastLast_px = 256;  // of one of many frames
 
 const char* name_of(Split split) { return split == Split::test ? "test" : "train"; }
 
@@ -47,13 +49,12 @@ std::int64_t RunScores::pixels_of(const EvalJob& job) const {
   return pixels;
 }
 
-std::int32_t RunScores::most_stride(const EvalJob& job) const {
+std::int32_t RunScores::most_stride(const EvalJob& job, std::int64_t least_px) const {
   std::int32_t most = INT32_MAX;
   for (const int f : job.frames) {
     const Camera& camera = (*job.infos)[static_cast<std::size_t>(f)].camera;
     std::int32_t stride = 1;
-    while (std::int64_t{strided_px(camera.width_px, stride + 1)} * strided_px(camera.height_px, stride + 1) >=
-           kLeastMap_px)
+    while (std::int64_t{strided_px(camera.width_px, stride + 1)} * strided_px(camera.height_px, stride + 1) >= least_px)
       ++stride;
     most = std::min(most, stride);
   }
@@ -63,7 +64,7 @@ std::int32_t RunScores::most_stride(const EvalJob& job) const {
 void RunScores::measure_cost(EvalJob job) {
   if (budget_.knows_cost()) return;
   job.frames = evenly_spaced(job.frames, 1);
-  const std::int32_t most = most_stride(job);
+  const std::int32_t most = most_stride(job, kLeastMap_px);
   while (job.stride < most && pixels_of(job) > kProbe_px) ++job.stride;
   const double begin_s = listener_.now_s();
   evaluate(*session_.pipeline, job, session_.limits, session_.plan.class_of_logit);
@@ -74,8 +75,8 @@ void RunScores::plan_sample() {
   if (sample_stride_) return;
   const EvalJob job = test_sample();
   if (budget_.bounds_samples()) measure_cost(job);
-  sample_stride_ =
-      budget_.sample_stride(static_cast<double>(pixels_of(job)), session_.config.report.eval_every_s, most_stride(job));
+  sample_stride_ = budget_.sample_stride(static_cast<double>(pixels_of(job)), session_.config.report.eval_every_s,
+                                         most_stride(job, kLeastMap_px));
 }
 
 SplitScore RunScores::score(EvalJob job, Split split) {
@@ -87,26 +88,8 @@ SplitScore RunScores::score(EvalJob job, Split split) {
   return found;
 }
 
-MetricsRow RunScores::row_of(const Moment& at, Split split, const ScoredPart& part, const SplitScore& score) const {
-  MetricsRow row;
-  row.kind = "eval";
-  row.step = at.step;
-  row.train_s = at.train_s;
-  row.split = name_of(split);
-  row.values = score.values();
-  row.set("frames", static_cast<double>(part.frames));
-  if (part.whole()) return row;
-  row.split += kSampleSuffix;
-  row.set("split_frames", static_cast<double>(part.of));
-  row.set("pixel_stride", part.stride);
-  return row;
-}
-
-void RunScores::log_test(MetricsRow row, const ScoredPart& part, const SplitScore& score) {
-  const std::vector<ClassScore> per_class = score.confusion.per_class();
-  for (std::size_t c = 0; c < per_class.size(); ++c) {
-    row.per_class_iou.emplace_back(session_.scene.info.classes.valid(static_cast<int>(c)).name, per_class[c].iou);
-  }
+void RunScores::log_test(const Moment& at, const ScoredPart& part, const SplitScore& score) {
+  const MetricsRow row = score_row(at.step, at.train_s, "test", part, score, session_.scene.info.classes);
   files_.log.append(row);
   files_.log.sync();
   // One tag a meaning: a sample's figures are not those of the split.
@@ -127,63 +110,70 @@ void RunScores::score_sample(const Moment& at) {
   const SplitScore found = score(job, Split::test);
   if (found.frames.size() < job.frames.size()) return;  // stopped between frames: no partial figures
   const ScoredPart part{std::ssize(job.frames), std::ssize(test_), job.stride};
-  log_test(row_of(at, Split::test, part, found), part, found);
+  log_test(at, part, found);
 }
 
 ScoreValues RunScores::score_end(const Moment& at) {
   const ReportParams& report = session_.config.report;
   if (report.eval_every_s > 0 && at.train_s >= report.eval_every_s) score_sample(at);  // the curve's last point
-  const std::vector<int> train = session_.scene.frames_of(Split::train);
   EvalJob test_job = session_.eval_job(test_),
-          train_job = session_.eval_job(evenly_spaced(train, report.training_frames));
-  const std::size_t asked = test_job.frames.size() + train_job.frames.size();
-  if (budget_.bounds_last() && asked > 0) {
-    const EvalJob& first = test_.empty() ? train_job : test_job;
-    measure_cost(first);
-    const EvalCut cut = budget_.last(static_cast<double>(pixels_of(test_job) + pixels_of(train_job)),
-                                     static_cast<std::int64_t>(asked), at.train_s, most_stride(first));
-    for (EvalJob* job : {&test_job, &train_job}) {
-      const double frames = cut.share * static_cast<double>(job->frames.size());
-      if (!job->frames.empty()) job->frames = evenly_spaced(job->frames, std::max(1, static_cast<int>(frames)));
-      job->stride = cut.stride;
-    }
+          train_job = session_.eval_job(
+              evenly_spaced(session_.scene.frames_of(Split::train), session_.config.report.training_frames));
+  double left_s = budget_.left_s(at.train_s);
+  if (budget_.bounds_last() && !(test_.empty() && train_job.frames.empty())) {
+    measure_cost(test_.empty() ? train_job : test_job);
+    left_s = budget_.left_s(at.train_s);
+    const auto pixels = static_cast<double>(pixels_of(test_job) + pixels_of(train_job));
+    // Frames are left out by no budget: figures of other frames say something else. Pictures get half of it.
+    const std::int32_t most = std::min(most_stride(test_job, kLeastLast_px), most_stride(train_job, kLeastLast_px));
+    if (budget_.stride_within(left_s, pixels, most) > 1)
+      test_job.stride = train_job.stride = budget_.stride_within(left_s / 2, pixels, most);
   }
   ScoreValues values;
-  if (!test_.empty()) values = score_test_frames(at, test_job);
+  if (!test_.empty()) values = score_test_frames(at, test_job, left_s / 2);
   if (!train_job.frames.empty()) score_training_frames(at, train_job);
   return values;
 }
 
-ScoreValues RunScores::score_test_frames(const Moment& at, EvalJob job) {
+ScoreValues RunScores::score_test_frames(const Moment& at, EvalJob job, double pictures_s) {
   const ScoredPart part{std::ssize(job.frames), std::ssize(test_), job.stride};
   if (!part.whole())
     listener_.note(
         fmt::format("the last evaluation scores {} to end near the time asked for (report.eval_share {}); "
-                    "`semfield eval {}` scores all",
+                    "`semfield eval {}` scores every pixel",
                     part.text(), session_.config.report.eval_share, shell_word(files_.folder.path())));
   report_frames_ =
       ReportFrames(evenly_spaced(job.frames, session_.config.report.strips), session_.config.report.worst_frames);
   job.on_frame = [this](const FrameScore& frame, const RenderedFrame& maps) { report_frames_.add(frame, maps); };
   const SplitScore found = score(job, Split::test);
-  const MetricsRow row = row_of(at, Split::test, part, found);
-  log_test(row, part, found);
+  if (part.stride > 1) draw_report_frames(pictures_s, part.stride);
+  log_test(at, part, found);
   if (const std::string warning = found.resolution.warning(); !warning.empty()) listener_.note("warning: " + warning);
-  FinalEval detail = final_eval(found, session_.scene.info.classes, row.split);
+  FinalEval detail = final_eval(found, session_.scene.info.classes, part.whole() ? "test" : "test" + kSampleSuffix);
   detail.step = at.step;
   detail.train_s = at.train_s;
   write_file_atomic(files_.folder.final_eval_path(), final_eval_json(detail));
   return found.values();
 }
 
+void RunScores::draw_report_frames(double budget_s, std::int32_t scored_stride) {
+  EvalJob job = session_.eval_job(report_frames_.frames());
+  job.stride = budget_.stride_within(budget_s, static_cast<double>(pixels_of(job)), scored_stride);
+  if (job.stride == scored_stride) return;
+  report_frames_.draw([&](int frame) {
+    const FrameInfo& info = session_.scene.info.frames[static_cast<std::size_t>(frame)];
+    FrameOptions options;
+    options.stride = job.stride;
+    return render_named_frame(*session_.pipeline, info.name, {info.camera, info.world_from_camera, job.undistort},
+                              session_.limits, session_.plan.class_of_logit, {}, options);
+  });
+}
+
 void RunScores::score_training_frames(const Moment& at, EvalJob job) {
   job.given = &session_.labels;
   const ScoredPart part{std::ssize(job.frames), std::ssize(session_.scene.frames_of(Split::train)), job.stride};
-  MetricsRow row = row_of(at, Split::train, part, score(job, Split::train));
-  const ConfusionMatrix given = score_training_labels(session_, job.frames);
-  row.set("given_miou", given.miou());
-  row.set("given_miou_present", given.miou_present());
-  row.set("given_total_accuracy", given.total_accuracy());
-  row.set("given_px", static_cast<double>(given.scored_px()));
+  MetricsRow row = score_row(at.step, at.train_s, "train", part, score(job, Split::train), session_.scene.info.classes);
+  add_given_scores(row, session_, job.frames);
   files_.log.append(row);
   files_.log.sync();
 }

@@ -42,7 +42,8 @@ class RunScores {
   /// evaluations took their part of the time already.
   void score_sample(const Moment& at);
   /// The end of training: a sample where there are others, then test frames with final_eval.json and the report's
-  /// frames, then training frames. Values of the test frames; none without any.
+  /// frames, then training frames. Where time is short, every frame at fewer pixels. Values of the test frames; none
+  /// without any.
   ScoreValues score_end(const Moment& at);
 
   std::optional<double> last_miou_present() const { return last_miou_present_; }
@@ -53,15 +54,17 @@ class RunScores {
  private:
   EvalJob test_sample() const;
   std::int64_t pixels_of(const EvalJob& job) const;
-  // A stride leaves a map of this many pixels at least.
-  std::int32_t most_stride(const EvalJob& job) const;
+  // The largest stride that leaves every frame a map of `least_px` at least.
+  std::int32_t most_stride(const EvalJob& job, std::int64_t least_px) const;
   // What a pixel costs, from a few of the job's, unless an evaluation showed it already.
   void measure_cost(EvalJob job);
   void plan_sample();
   SplitScore score(EvalJob job, Split split);
-  MetricsRow row_of(const Moment& at, Split split, const ScoredPart& part, const SplitScore& score) const;
-  void log_test(MetricsRow row, const ScoredPart& part, const SplitScore& score);
-  ScoreValues score_test_frames(const Moment& at, EvalJob job);
+  void log_test(const Moment& at, const ScoredPart& part, const SplitScore& score);
+  // `pictures_s`: what the report's pictures may take where the scores do not make them.
+  ScoreValues score_test_frames(const Moment& at, EvalJob job, double pictures_s);
+  // Finer than the scores, where the time allows it.
+  void draw_report_frames(double budget_s, std::int32_t scored_stride);
   // The field at the training poses against the scene's own labels, then the labels given.
   void score_training_frames(const Moment& at, EvalJob job);
 

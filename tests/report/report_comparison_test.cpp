@@ -116,13 +116,43 @@ TEST(ReportComparison, FiguresOfASampleSaySo) {
       .runs = {run_of("short", {eval_row(5, 18, "test_sample", 4), eval_row(6, 21.5, "test_sample", 2)})}};
   EXPECT_EQ(report_split(input.runs[0].rows), "test");
   const std::string page = make_report(input);
-  EXPECT_HAS(page,
-             "Figures are of a sample of the split “test” (2 of 30 frames); `semfield eval` on the run "
-             "folder scores all.",
-             "short<small class=\"d\">sample: 2 of 30 frames</small>",
-             "21.5<span class=\"u\">dB</span></div><div class=\"n\">sample: 2 of 30 frames</div>");
+  EXPECT_HAS(
+      page,
+      "Figures are of a sample of the split “test” (2 of 30 frames); `semfield eval` on the run "
+      "folder scores every pixel, and `semfield report` shows that then.",
+      "short<small class=\"d\">sample: 2 of 30 frames</small>",
+      "21.5<span class=\"u\">dB</span></div><div class=\"n\">from the squared error pooled over the split; a sample, "
+      "2 of 30 frames</div>");
   EXPECT_HAS(page, "<td class=\"num\">21.50</td>") << "the last evaluation, not the sample of other frames";
   EXPECT_EQ(sample_text(eval_row(1, 2)), "");
+  input.runs[0].rows.push_back(eval_row(6, 20.5));
+  EXPECT_HAS(make_report(input), "20.5<span class=\"u\">dB</span>", "pooled over the split; all 30 frames</div>");
+}
+
+TEST(ReportComparison, FiguresAreThoseOfTheLastEvaluationWhateverItsPart) {
+  MetricsRow strided = eval_row(20, 27, "test_sample");
+  strided.set("split_frames", 30);
+  strided.set("pixel_stride", 7);
+  // All of an earlier step, which the run then left.
+  const ReportRun run = run_of("a", {eval_row(10, 24), eval_row(15, 20, "test_sample", 4), strided});
+  EXPECT_EQ(last_value(run, "test", "psnr"), 27);
+  EXPECT_EQ(sample_text(run, "test"), "all 30 frames at 1 pixel in 49");
+  EXPECT_HAS(
+      curves_section(
+          {.runs = {run_of("a", {eval_row(5, 18, "test_sample", 4), eval_row(20, 21, "test_sample", 4), strided})}},
+          "test"),
+      "of a sample: 4 of 30 frames. The figures above are of a sample, all 30 frames at 1 pixel in 49, so they "
+      "differ from the ends of the curves.");
+}
+
+TEST(ReportComparison, RunsScoredOnOtherPixelsAreNotRanked) {
+  ReportInput input{.runs = {run_of("all", {eval_row(20, 30)}), run_of("part", {eval_row(20, 31)})}};
+  input.runs[0].rows[0].set("pixels", 900);
+  input.runs[1].rows[0].set("pixels", 900);
+  EXPECT_TRUE(unranked_because(input, "test").empty());
+  input.runs[1].rows[0].set("pixels", 300);
+  ASSERT_EQ(unranked_because(input, "test").size(), 1u);
+  EXPECT_EQ(unranked_because(input, "test")[0], "they were scored on other pixels: all on 900; part on 300");
 }
 
 TEST(ReportHead, TellsSceneFramesDateAndVersion) {

@@ -2,11 +2,13 @@
 #include <signal.h>
 
 #include <cstdio>
+#include <nlohmann/json.hpp>
 
 #include "app/progress_line.h"
 #include "core/rng.h"
 #include "execution/device_library.h"
 #include "run/checkpoint_store.h"
+#include "run/metrics_log.h"
 #include "system/files.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"
@@ -173,11 +175,18 @@ TEST(Process, RefusalsNamePlaceCauseAndRemedy) {
       {{"train"}, 2, "expected either a configuration file or --resume RUN"},
       {{"trian", config}, 2, ""},
       {{"train", config, "--out", dir / "run"}, 73, "run"},
+      // Before the scene is read, which may take minutes: here it is not even there.
+      {{"train", config, "--set", "scene.file=" + (dir / "none.sfpack"), "--out", dir / "run"},
+       73,
+       "holds files already; continue that run with `semfield train --resume"},
       {{"train", dir / "absent.yaml"}, 66, "absent.yaml"},
       {{"train", bad_key, "--out", dir / "x"},
        78,
        "bad_key.yaml:2:13: semantics: unknown key 'wieght'; did you mean 'weight'?"},
       {{"train", bad_key, "--out", dir / "x"}, 78, "bad_key.yaml:3:15: train.rays: expected int, got 'many'"},
+      {{"config", "check", bad_key, "--set", "train.stepps=1", "--set", "train"}, 78, "unknown key 'wieght'"},
+      {{"config", "check", bad_key, "--set", "train.stepps=1", "--set", "train"}, 78, "did you mean 'steps'?"},
+      {{"config", "check", bad_key, "--set", "train.stepps=1", "--set", "train"}, 78, "expected KEY=VALUE"},
       {{"train", config, "--time", "soon"}, 2, "expected a positive time"},
       {{"train", config, "--set", "passes.0.field.type=tiny_mpl", "--out", dir / "x"}, 78, "did you mean 'tiny_mlp'?"},
       {{"train", config, "--out", "/proc/semfield"}, 73, "/proc/semfield"},
@@ -205,14 +214,15 @@ TEST(Process, RefusalsNamePlaceCauseAndRemedy) {
 TEST(ScoreLines, ASampleHasNamesOfItsOwn) {
   const TempDir dir;
   write_packed_config(dir, 200, 60);
-  // A time that the first step exceeds leaves time for the least evaluation: a frame.
+  // A time that the first step exceeds leaves time for the least evaluation.
   const Result cut = semfield_run("train config.yaml --time 0.001s --threads 1 --out cut", dir.path());
   ASSERT_EQ(cut.code, 0) << cut.err;
-  EXPECT_EQ(cut.out.find("train: sample=1/3 sample_miou_present=0."), 0u) << cut.out;
+  EXPECT_EQ(cut.out.find("train: sample=3/3 sample_pixels=1/"), 0u) << cut.out;
+  EXPECT_HAS(cut.out, " sample_miou_present=0.");
   EXPECT_LACKS(cut.out, " miou_present=", " total_accuracy=", " psnr=", " absrel=");
-  EXPECT_HAS(cut.err,
-             "the last evaluation scores 1 of 3 frames to end near the time asked for (report.eval_share 0.1); "
-             "`semfield eval cut` scores all\n");
+  EXPECT_HAS(cut.err, "the last evaluation scores all 3 frames at 1 pixel in ",
+             " to end near the time asked for (report.eval_share 0.1); `semfield eval cut` scores every pixel");
+  EXPECT_HAS(read_text_file(dir / "cut/report.html"), "a sample, all 3 frames at 1 pixel in ");
   const Result eval = semfield_run("eval cut", dir.path());
   EXPECT_EQ(eval.out.find("cut: 3 test frames, step "), 0u) << eval.out;
 
@@ -221,6 +231,42 @@ TEST(ScoreLines, ASampleHasNamesOfItsOwn) {
   ASSERT_EQ(whole.code, 0) << whole.err;
   EXPECT_EQ(whole.out.find("train: miou_present=0."), 0u) << whole.out;
   EXPECT_EQ(whole.err, "") << "-q";
+}
+
+// What `eval` found is what the report shows from then on, once however often it ran.
+TEST(ScoreLines, EvalKeepsItsScoresForTheReport) {
+  const TempDir dir;
+  write_packed_config(dir, 200, 60);
+  ASSERT_EQ(semfield_run("train config.yaml --time 0.001s --threads 1 --out run -q", dir.path()).code, 0);
+  const auto evals = [&] {
+    std::vector<MetricsRow> rows = read_metrics(dir / "run/metrics.jsonl");
+    std::erase_if(rows, [](const MetricsRow& row) { return row.kind != "eval"; });
+    return rows;
+  };
+  ASSERT_EQ(evals().size(), 1u);
+  const Result eval = semfield_run("eval run --json", dir.path());
+  ASSERT_EQ(eval.code, 0) << eval.err;
+  const nlohmann::json found = nlohmann::json::parse(eval.out);
+  ASSERT_EQ(semfield_run("eval run -q", dir.path()).code, 0);
+  ASSERT_EQ(evals().size(), 2u) << "the same scores are kept once";
+  const MetricsRow kept = evals().back();
+  EXPECT_EQ(kept.split, "test");
+  EXPECT_EQ(kept.step, found["step"].get<std::int64_t>());
+  EXPECT_EQ(kept.get("psnr"), found["psnr"].get<double>());
+  EXPECT_EQ(kept.get("frames"), 3);
+  EXPECT_EQ(kept.get("pixels"), found["pixels"].get<double>());
+  EXPECT_HAS(read_text_file(dir / "run/final_eval.json"), "\"split\": \"test\"");
+  ASSERT_EQ(semfield_run("report run", dir.path()).code, 0);
+  EXPECT_HAS(read_text_file(dir / "run/report.html"), "; all 3 frames</div>");
+  EXPECT_LACKS(read_text_file(dir / "run/report.html"), "a sample");
+  // A run that has ended prints what its folder holds.
+  const Result again = semfield_run("train --resume run --threads 1", dir.path());
+  EXPECT_EQ(again.out.find("train: miou_present="), 0u) << again.out;
+  // Figures of other settings are not the run's.
+  const Result other = semfield_run("eval run --set scene.load.width_px=24 --set scene.load.height_px=18", dir.path());
+  EXPECT_EQ(other.code, 0) << other.err;
+  EXPECT_HAS(other.err, "the run's folder does not keep these scores");
+  EXPECT_EQ(evals().size(), 2u);
 }
 
 TEST(ScoreLines, FiguresThatTheSceneCannotHaveAreNotPrinted) {
@@ -253,15 +299,17 @@ TEST(Findings, WhatTrainingHasShownIsNotSaidAgain) {
 // What long work says of itself: one line on a terminal, one every two seconds elsewhere, none when quiet.
 
 // Everything written while `done` goes from 0 to 4 frames, a second each, shown at every half.
-std::string written(bool terminal, bool quiet, double second = 1) {
+std::string written(bool terminal, bool quiet, double second = 1, int columns = 80) {
   AppContext context;
   context.terminal = terminal;
   context.quiet = quiet;
   double now_s = 100;
   std::string out;
   {
-    ProgressLine line(context, "scored", "frames",
-                      {[&] { return now_s; }, [&](const std::string& text) { out += text; }});
+    ProgressLine line(
+        context, "scored", "frames",
+        {[&] { return now_s; }, [&](const std::string& text) { out += terminal ? "<" + text + ">" : text + "\n"; },
+         [=] { return columns; }});
     for (int half = 1; half <= 8; ++half) {
       now_s += second / 2;
       line.show(half / 2.0, 4);
@@ -280,7 +328,8 @@ TEST(ProgressLine, ANewPartHasAUnitOfItsOwn) {
   double now_s = 0;
   std::string out;
   AppContext context;
-  ProgressLine line(context, "seen", "frames", {[&] { return now_s; }, [&](const std::string& text) { out += text; }});
+  ProgressLine line(context, "seen", "frames",
+                    {[&] { return now_s; }, [&](const std::string& text) { out += text + "\n"; }});
   line.restart("learned", "steps");
   now_s += 2;
   line.show(5, 10);
@@ -290,8 +339,10 @@ TEST(ProgressLine, ANewPartHasAUnitOfItsOwn) {
 TEST(ProgressLine, ATerminalsLineIsOverwrittenAndCleared) {
   const std::string out = written(true, false);
   EXPECT_EQ(out.find('\n'), std::string::npos);
-  EXPECT_EQ(out.find("\r\033[Kscored 0/4 frames, 0:04 left\r\033[Kscored 1/4 frames, 0:03 left"), 0u) << out;
-  EXPECT_HAS(out, "\r\033[Kscored 4/4 frames\r\033[K");
+  EXPECT_EQ(out.find("<scored 0/4 frames, 0:04 left><scored 1/4 frames, 0:03 left>"), 0u) << out;
+  EXPECT_HAS(out, "<scored 4/4 frames><>");
+  EXPECT_EQ(written(true, false, 1, 23).find("<scored 0/4, 0:04 left><scored 1/4, 0:03 left>"), 0u);
+  EXPECT_EQ(written(true, false, 1, 20).find("<scored 0/4><scored 1/4>"), 0u);
 }
 
 TEST(ProgressLine, QuietIsSilent) {

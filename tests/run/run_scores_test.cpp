@@ -1,6 +1,7 @@
 // What a training run scores, and how the time that evaluation may take bounds it. Clocks are counted, never read.
 #include "run/run_scores.h"
 
+#include "eval/final_eval.h"
 #include "eval/pixel_stride.h"
 #include "run/train_run.h"
 #include "system/files.h"
@@ -52,23 +53,20 @@ int test_frames() { return static_cast<int>(open_text(hash_config()).scene.frame
 TEST(EvalBudget, TheLastEvaluationGetsWhatIsLeftOfTheLimitAndItsShare) {
   EvalBudget budget(0.1, 100);
   budget.spend(2, 1000);  // 2 ms per pixel
-  // 110 s less 60 s of training and 2 s of evaluation: 48 s hold 24,000 pixels.
-  EXPECT_EQ(budget.last(24000, 12, 60, 8).share, 1);
-  EXPECT_DOUBLE_EQ(budget.last(48000, 12, 60, 8).share, 0.5);
-  EXPECT_EQ(budget.last(48000, 12, 60, 8).stride, 1);
-  // At the limit 8 s are left; a frame of 16,000 pixels takes 32 s, a quarter of its pixels 8 s.
-  EXPECT_EQ(budget.last(48000, 3, 100, 8).stride, 2);
-  EXPECT_EQ(budget.last(48000e3, 3, 100, 8).stride, 8) << "no smaller than its bound";
-  // A slow step over the limit leaves half of the fraction.
-  EXPECT_DOUBLE_EQ(budget.last(5000, 5, 130, 8).share, 0.5);
+  EXPECT_DOUBLE_EQ(budget.left_s(60), 48) << "110 s less 60 s of training and 2 s of evaluation";
+  EXPECT_DOUBLE_EQ(budget.left_s(100), 8);
+  EXPECT_DOUBLE_EQ(budget.left_s(130), 5) << "a slow step over the limit leaves half of the share";
+  EXPECT_EQ(budget.stride_within(48, 24000, 8), 1);
+  EXPECT_EQ(budget.stride_within(48, 24001, 8), 2);
+  EXPECT_EQ(budget.stride_within(8, 16000, 8), 2) << "32 s; a quarter of the pixels takes 8 s";
+  EXPECT_EQ(budget.stride_within(8, 48000e3, 8), 8) << "no smaller than its bound";
 }
 
 TEST(EvalBudget, WithoutLimitOrShareNothingIsCut) {
   for (const auto& [share, limit] : {std::pair{0.1, 0.0}, std::pair{0.0, 100.0}}) {
     EvalBudget budget(share, limit);
     budget.spend(1e6, 1);
-    EXPECT_EQ(budget.last(1e9, 10, 50, 8).share, 1);
-    EXPECT_EQ(budget.last(1e9, 10, 50, 8).stride, 1);
+    EXPECT_EQ(budget.stride_within(budget.left_s(50), 1e9, 8), 1);
   }
 }
 
@@ -87,31 +85,32 @@ TEST(EvalBudget, SamplesKeepToHalfOfTheShare) {
   EXPECT_EQ(free.sample_stride(1000, 1, 8), 1);
 }
 
-TEST(RunScores, ARunWithATimeLimitScoresTheFramesThatFitAndSaysSo) {
+// Every frame whatever the time: figures of other frames each time flatter, and turn the order of settings round.
+TEST(RunScores, ARunWithATimeLimitScoresEveryFrameAtFewerPixelsAndSaysSo) {
   const int all = test_frames();
   ASSERT_GT(all, 2);
   const TempDir dir, whole_dir;
-  // 1,100 s, less seconds of training and 300 s for the measured frame, hold two frames of 300 s.
-  const Scored cut = run_scored("report: {eval_every_s: 0, strips: 2}\n", 1000, 300, dir);
+  // A probe of a frame takes more than a tenth of the time.
+  const Scored cut = run_scored("report: {eval_every_s: 0, strips: 2}\n", 1000, 1e5, dir);
   ASSERT_EQ(cut.evals.size(), 1u);
   EXPECT_EQ(cut.evals[0].split, "test_sample");
-  EXPECT_EQ(cut.evals[0].get("frames"), 2);
+  EXPECT_EQ(cut.evals[0].get("frames"), all);
   EXPECT_EQ(cut.evals[0].get("split_frames"), all);
-  EXPECT_EQ(cut.evals[0].get("pixel_stride"), 1);
-  EXPECT_EQ(cut.outcome.scored.text(), "2 of " + std::to_string(all) + " frames");
-  EXPECT_HAS(read_text_file(dir / "run/final_eval.json"), "\"test_sample\"");
+  EXPECT_EQ(cut.evals[0].get("pixel_stride"), 2) << "256 of the 48 x 36 pixels of a frame at least";
+  EXPECT_EQ(cut.evals[0].get("pixels"), all * 24 * 18);
+  const std::string part = "all " + std::to_string(all) + " frames at 1 pixel in 4";
+  EXPECT_EQ(cut.outcome.scored.text(), part);
   bool said = false;
   for (const std::string& note : cut.notes)
-    said = said || note.find("scores 2 of " + std::to_string(all) + " frames to end near the time asked for") == 20;
+    said = said || note.find("the last evaluation scores " + part + " to end near the time asked for") == 0;
   EXPECT_TRUE(said) << (cut.notes.empty() ? "" : cut.notes.back());
-  ASSERT_FALSE(cut.progress.empty());
-  EXPECT_EQ(cut.progress.back().done, 2);
-  EXPECT_EQ(cut.progress.back().frames, 2);
-
-  const Scored whole = run_scored("report: {eval_every_s: 0, strips: 2, eval_share: 0}\n", 1000, 300, whole_dir);
+  EXPECT_EQ(parse_final_eval(read_text_file(dir / "run/final_eval.json"), "f").frames.size(),
+            static_cast<std::size_t>(all));
+  const Scored whole = run_scored("report: {eval_every_s: 0, strips: 2, eval_share: 0}\n", 1000, 1e5, whole_dir);
   ASSERT_EQ(whole.evals.size(), 1u);
   EXPECT_EQ(whole.evals[0].split, "test");
   EXPECT_EQ(whole.evals[0].get("frames"), all);
+  EXPECT_EQ(whole.evals[0].get("pixels"), all * 48 * 36);
   EXPECT_FALSE(whole.evals[0].get("split_frames"));
   EXPECT_EQ(cut.bits, whole.bits) << "what is scored changes no bit of training";
 }

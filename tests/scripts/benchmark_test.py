@@ -30,7 +30,7 @@ import json, os, sys
 script, packed, _, times = sys.argv[1:]
 assert script.endswith("object_peer.py") and os.path.exists(script) and open(packed).read() == "a packed scene"
 for seconds in times.split(","):
-    print(json.dumps({"seconds": float(seconds), "steps": 3, "frames": 2, "psnr_of_views": 19.5}))
+    print(json.dumps({"seconds": float(seconds), "steps": 3, "frames": 3, "psnr_of_views": 19.5}))
 """
 
 
@@ -72,6 +72,16 @@ with tempfile.TemporaryDirectory() as folder:
     assert "| lego | `object` | 60 s | 7 | 80.00 | 22.50 | – | 0.050 | – | 3 | a CPU, 2 threads |" in text, text
     assert "36.4" in text, "published figures"
 
+    # Figures of other frames or pixels are no measure of these.
+    for what in ('"frames": 3', '"pixels": 900'):
+        other = what.replace("3", "4").replace("900", "400")
+        write_program(program, PROGRAM.replace('"frames": 3', '"frames": 3, "pixels": 900'))
+        assert run(*common, "--scenes", "lego", "--times", "5").returncode == 0
+        write_program(program, PROGRAM.replace('"frames": 3', '"frames": 3, "pixels": 900').replace(what, other))
+        done = run(*common, "--scenes", "lego", "--times", "60")
+        assert done.returncode == 1 and "figures of other frames or pixels do not compare" in done.stderr, (what, done)
+    write_program(program, PROGRAM)
+
     # A peer's rows stand beside those of the same time, and in no figure of the last line.
     write_program(os.path.join(folder, "nvidia-smi"), "#!/bin/sh\necho A GPU\n")
     peer = os.path.join(folder, "python_with_torch")
@@ -84,7 +94,7 @@ with tempfile.TemporaryDirectory() as folder:
     assert sorted((row["seconds"], row["preset"]) for row in rows) == [(5, "a step in PyTorch"), (5, "object"), (60, "a step in PyTorch"), (60, "object")], rows
     with open(page) as file:
         text = file.read()
-    assert "| lego | `a step in PyTorch` | 60 s | 3 | – | 19.50 | – | – | – | 2 | A GPU |" in text, text
+    assert "| lego | `a step in PyTorch` | 60 s | 3 | – | 19.50 | – | – | – | 3 | A GPU |" in text, text
     write_program(peer, "#!/bin/sh\necho no PyTorch >&2\nexit 3\n")
     done = run(*common, "--scenes", "lego", "--times", "5", "--peer", peer)
     assert done.returncode != 0 and "object_peer.py ended with 3: no PyTorch" in done.stderr, done.stderr

@@ -53,6 +53,12 @@ with tempfile.TemporaryDirectory() as folder:
     assert "all n/a n/a n/a 0" in lines, lines
     assert "ECE: no cell that all three have" in lines and "AUROC of entropy: no cell that all three have" in lines, lines
 
+    write("results.csv", ROWS + csv_rows("frames", "click", "walk", (30,), (30,), (30,)) + csv_rows("pixels", "click", "walk", (900,), (900,), (900,)))
+    assert lines_of(folder)[-1] == LAST
+    write("results.csv", ROWS + csv_rows("frames", "click", "walk", (30,), (15,), (30,)))
+    done = run(folder)
+    assert done.returncode == 1 and "the networks were scored on other frames" in done.stderr, done
+
     more = ROWS
     # Three seeds, t(0.975, 2) = 4.3027: standard deviation 0.1, half width 0.2484; 0 in the other scene; 0.2484 / 2 of both.
     more += csv_rows("ece", "1 %", "walk", (0.1, 0.2, 0.3), (0.5,) * 3, (0.5,) * 3)

@@ -337,6 +337,23 @@ TEST(SweepTables, CsvQuotesAndCountsOnlyFinishedCells) {
   EXPECT_HAS(table, "p|q,b,miou,1,");
 }
 
+// A variant that holds out other frames, or reads them smaller, is no measure of the others.
+TEST(SweepTables, WhatWasScoredOnOtherFramesOrPixelsIsNotCompared) {
+  for (const char* what : {"frames", "pixels"}) {
+    Example x;
+    for (auto& [id, values] : x.results) values.emplace_back(what, 30);
+    EXPECT_EQ(ExperimentTable(x.sweep, 0, x.cells, x.results).unequal(), "");
+    x.results["010"].back().second = 15;
+    const ExperimentTable table(x.sweep, 0, x.cells, x.results);
+    EXPECT_EQ(table.unequal(),
+              std::string("its variants were scored on other ") + what + " of the scene 'a': 30, and 15 by 'p|q'");
+    EXPECT_HAS(table.markdown(), "\nNot compared: its variants were scored on other ");
+    EXPECT_LACKS(table.markdown(), "| miou |");
+    EXPECT_EQ(table.csv(), "variant,scene,metric,n,mean,half_width\n");
+    EXPECT_EQ(table.svg(), "");
+  }
+}
+
 TEST(SweepTables, ThePlotIsAFileOfItsOwn) {
   const Example x;
   const std::string svg = ExperimentTable(x.sweep, 0, x.cells, x.results).svg();

@@ -100,12 +100,32 @@ MeanInterval mean_interval(const std::vector<double>& values) {
 ExperimentTable::ExperimentTable(const Sweep& sweep, std::size_t experiment, const std::vector<Cell>& cells,
                                  const SweepResults& results)
     : experiment_(sweep.experiments.at(experiment)) {
+  scored_.resize(experiment_.scenes.size());
   values_.assign(experiment_.scenes.size(), std::vector<std::vector<const CellValues*>>(experiment_.variants.size()));
   for (const Cell& cell : cells) {
     const auto found = results.find(cell.id);
     if (found == results.end()) continue;
     for (const CellUse& use : cell.uses) {
-      if (use.experiment == experiment) values_[use.scene][use.variant].push_back(&found->second);
+      if (use.experiment != experiment) continue;
+      values_[use.scene][use.variant].push_back(&found->second);
+      if (cell.trains()) note_unequal(use, found->second);
+    }
+  }
+}
+
+void ExperimentTable::note_unequal(const CellUse& use, const CellValues& values) {
+  for (const char* what : {"frames", "pixels"}) {
+    const auto is = [&](const auto& entry) { return entry.first == what; };
+    const auto own = std::find_if(values.begin(), values.end(), is);
+    if (own == values.end()) continue;  // of versions that did not write it
+    CellValues& first = scored_[use.scene];
+    const auto others = std::find_if(first.begin(), first.end(), is);
+    if (others == first.end()) {
+      first.push_back(*own);
+    } else if (others->second != own->second && unequal_.empty()) {
+      unequal_ = fmt::format("its variants were scored on other {} of the scene '{}': {:.0f}, and {:.0f} by '{}'", what,
+                             experiment_.scenes[use.scene].name, others->second, own->second,
+                             experiment_.variants[use.variant].name);
     }
   }
 }
@@ -168,6 +188,7 @@ std::string ExperimentTable::markdown() const {
   const std::size_t seeds = e.seeds.size();
   out += fmt::format("Scored on {} frames; {}.\n", e.split == "train" ? "training" : "held-out",
                      seeds == 1 ? "one seed" : fmt::format("mean of {} seeds ± half the 95 % interval", seeds));
+  if (!unequal_.empty()) return out + "\nNot compared: " + md(unequal_) + ".\n";
   bool paper =
       std::any_of(e.variants.begin(), e.variants.end(), [](const SweepVariant& v) { return v.paper.has_value(); });
   for (const std::string& metric : e.metrics) {
@@ -180,6 +201,7 @@ std::string ExperimentTable::markdown() const {
 std::string ExperimentTable::csv() const {
   const Experiment& e = experiment_;
   std::string out = "variant,scene,metric,n,mean,half_width\n";
+  if (!unequal_.empty()) return out;
   for (std::size_t v = 0; v < e.variants.size(); ++v) {
     for (std::size_t s = 0; s < e.scenes.size(); ++s) {
       for (const std::string& metric : e.metrics) {
@@ -194,6 +216,7 @@ std::string ExperimentTable::csv() const {
 }
 
 std::string ExperimentTable::svg() const {
+  if (!unequal_.empty()) return {};
   const Experiment& e = experiment_;
   PlotSpec spec;
   spec.title = e.title + ": " + metric_label(e.metrics.front());

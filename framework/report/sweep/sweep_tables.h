@@ -31,17 +31,23 @@ class ExperimentTable {
   /// n = scenes with data.
   MeanInterval over_scenes(std::size_t variant, const std::string& metric) const;
 
+  /// Why the variants cannot be compared: they were scored on other frames or pixels of a scene. "" where they can.
+  const std::string& unequal() const { return unequal_; }
   /// A heading, the note, and a table per metric: a row per variant, a column per scene, their mean, the paper's
-  /// figure.
+  /// figure. What cannot be compared has the reason in the place of tables.
   std::string markdown() const;
-  /// variant, scene, metric, n, mean, half_width.
+  /// variant, scene, metric, n, mean, half_width; no rows where they cannot be compared.
   std::string csv() const;
-  /// The first metric over `x`, a line per scene, as a file of its own; empty when fewer than two variants have an x.
+  /// The first metric over `x`, a line per scene, as a file of its own; empty when fewer than two variants have an x,
+  /// or they cannot be compared.
   std::string svg() const;
 
  private:
   std::string metric_table(const std::string& metric, bool with_paper) const;
+  void note_unequal(const CellUse& use, const CellValues& values);
   const Experiment& experiment_;
+  std::vector<CellValues> scored_;  // [scene] frames and pixels of its first run
+  std::string unequal_;
   std::vector<std::vector<std::vector<const CellValues*>>> values_;  // [scene][variant][seeds done]
 };
 

@@ -132,7 +132,7 @@ void describe(ParamVisitor& visit, ReportParams& p) {
   SEMFIELD_PARAM(
       visit, p, eval_share,
       "share of the training time that evaluation may take; to stay within it, evaluations become rarer and read "
-      "fewer pixels, and the last one of a run with train.time_s scores fewer frames and says so; 0: no bound",
+      "fewer pixels; so does the last one of a run with train.time_s, of every test frame, and says so; 0: no bound",
       {0, 1e6});
   SEMFIELD_PARAM(visit, p, checkpoint_every_s, "seconds between checkpoints; 0: only at the end", {0, 1e8});
   SEMFIELD_PARAM(visit, p, keep_checkpoints, "checkpoints that stay on disk", {2, 1e6});
@@ -349,10 +349,23 @@ RunConfig run_config_of(const ConfigNode& tree, Registry& registry) {
   return config;
 }
 
+namespace {
+bool is_of_the_written(Code code) {
+  return code == "config.key.unknown" || code == "config.value.type" || code == "config.value.range" ||
+         code == "config.value.choice" || code == "plugin.name.unknown";
+}
+}  // namespace
+
 RunConfig load_run_config(const std::string& path, const std::vector<std::string>& overrides, Registry& registry) {
   const std::string file = find_config(path);
-  const ConfigNode tree = compose_config(file, overrides);
-  RunConfig config = run_config_of(tree, registry);
+  Diagnostics problems, found;
+  const ConfigNode tree = compose_config(file, overrides, problems);
+  RunConfig config = read_run_config(tree, registry, found);
+  // Without what could not be included or set, only what is written can be wrong, and not what is missing.
+  for (const Diagnostic& finding : found.all())
+    if (finding.severity == Severity::error && (!problems.has_errors() || is_of_the_written(finding.code)))
+      problems.error(finding.code, finding.where, finding.message, finding.remedy);
+  problems.throw_if_errors(ErrorKind::config, "");
   if (tree.find("name") == nullptr) config.name = std::filesystem::path(file).stem().string();
   return config;
 }
