@@ -1,11 +1,11 @@
 #include "app/app_context.h"
 
-#include <cstdio>
+#include "app/terminal.h"
 
 namespace semfield::app {
 
 void print_note(const AppContext& context, const std::string& text) {
-  if (!context.quiet) std::fprintf(stderr, "%s\n", text.c_str());
+  if (!context.quiet) say(text, context.terminal);
 }
 
 }  // namespace semfield::app

@@ -12,6 +12,7 @@
 #include "app/launch.h"
 #include "app/load_progress.h"
 #include "app/signals.h"
+#include "app/terminal.h"
 #include "core/error.h"
 #include "core/findings.h"
 #include "core/work_scope.h"
@@ -24,7 +25,7 @@ constexpr unsigned kSecondsOfRank0 = 3;  // until another rank says what is wron
 
 // The one form in which errors are printed; the exit code with which the program ends.
 int told(const semfield::Error& error) {
-  std::fprintf(stderr, "semfield: %s\n", semfield::shown(error).c_str());
+  semfield::app::say("semfield: " + semfield::shown(error), isatty(STDERR_FILENO) != 0);
   return static_cast<int>(error.kind());
 }
 

@@ -4,8 +4,8 @@
 
 #include <algorithm>
 #include <chrono>
+#include <climits>
 #include <cmath>
-#include <cstdio>
 
 namespace semfield::app {
 
@@ -17,9 +17,9 @@ double steady_seconds() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
 
-void write_stderr(const std::string& text) {
-  std::fputs(text.c_str(), stderr);
-  std::fflush(stderr);
+ProgressLine::Outside stderr_of(bool terminal) {
+  if (!terminal) return {steady_seconds, [](const std::string& line) { say(line, false); }};
+  return {steady_seconds, [](const std::string& line) { line.empty() ? clear_live() : show_live(line); }};
 }
 
 }  // namespace
@@ -31,7 +31,7 @@ std::string clock_text(double seconds) {
 }
 
 ProgressLine::ProgressLine(const AppContext& context, std::string done_what, std::string unit)
-    : ProgressLine(context, std::move(done_what), std::move(unit), {steady_seconds, write_stderr}) {}
+    : ProgressLine(context, std::move(done_what), std::move(unit), stderr_of(context.terminal)) {}
 
 ProgressLine::ProgressLine(const AppContext& context, std::string done_what, std::string unit, Outside outside)
     : quiet_(context.quiet),
@@ -46,10 +46,12 @@ void ProgressLine::show(double done, double total) {
   const double now_s = outside_.now_s();
   if (quiet_ || (now_s < next_s_ && !(terminal_ && done >= total))) return;
   next_s_ = now_s + (terminal_ ? kOverwriteEvery_s : kLineEvery_s);
-  std::string text = fmt::format("{} {:.0f}/{:.0f} {}", done_what_, std::floor(done), total, unit_);
+  std::vector<LinePart> parts{{0, fmt::format("{} {:.0f}/{:.0f}", done_what_, std::floor(done), total)},
+                              {2, " " + unit_}};
   if (done > 0 && done < total)
-    text += fmt::format(", {} left", clock_text((now_s - begin_s_) / done * (total - done)));
-  outside_.write(terminal_ ? "\r\033[K" + text : text + "\n");
+    parts.push_back({1, fmt::format(", {} left", clock_text((now_s - begin_s_) / done * (total - done)))});
+  // The last column stays free: some terminals go to the next line with it.
+  outside_.write(fitted(std::move(parts), terminal_ ? outside_.columns() - 1 : INT_MAX));
   open_ = terminal_;
 }
 
@@ -62,7 +64,7 @@ void ProgressLine::restart(std::string done_what, std::string unit) {
 }
 
 void ProgressLine::end() {
-  if (open_) outside_.write("\r\033[K");
+  if (open_) outside_.write("");
   open_ = false;
 }
 

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "app/app_context.h"
+#include "app/terminal.h"
 
 namespace semfield::app {
 
@@ -16,7 +17,8 @@ class ProgressLine {
   /// What a test replaces.
   struct Outside {
     std::function<double()> now_s;                  ///< a clock that never runs back
-    std::function<void(const std::string&)> write;  ///< to stderr
+    std::function<void(const std::string&)> write;  ///< of a terminal's live line, "" clears it; elsewhere whole lines
+    std::function<int()> columns = terminal_columns;
   };
 
   /// `done_what`: "rendered", followed by "3/40 frames, 0:12 left". Quiet contexts get nothing.

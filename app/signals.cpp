@@ -12,11 +12,13 @@
 #include <cstdio>
 #include <cstring>
 #include <new>
+#include <string_view>
 
+#include "app/terminal.h"
 #include "core/error.h"
 #include "core/findings.h"
-#include "system/own_temporaries.h"
 #include "system/memory_limit.h"
+#include "system/own_temporaries.h"
 
 namespace semfield::app {
 
@@ -25,22 +27,39 @@ namespace {
 volatile std::sig_atomic_t g_signal = 0;
 volatile std::sig_atomic_t g_waits = 1;
 volatile std::sig_atomic_t g_save = 0;
+volatile std::sig_atomic_t g_asked = 0;  // how often a stop was asked for
+volatile std::sig_atomic_t g_told = 1;   // whether the program says what it does about it
 volatile std::sig_atomic_t g_heard = 0;  // the flag was raised for another process: the signal may still come
 bool g_handled = false;                  // by on_stop
 // Read by the handler; written only while g_waits is 1, when the handler does not look at it.
-std::array<char, 512> g_farewell{};
+std::array<char, 8192> g_farewell{};
 std::size_t g_farewell_size = 0;
+
+// As a signal handler may.
+void tell(std::string_view text) {
+  if (g_told == 0) return;
+  [[maybe_unused]] const ssize_t told = write(STDERR_FILENO, text.data(), text.size());
+}
 
 extern "C" void on_stop(int number) {
   if (g_heard != 0) {
     g_heard = 0;
     return;
   }
-  // The checkpoint on disk is whole at every moment, so a second request may end the process here.
-  if (g_signal != 0) _exit(128 + number);
-  g_signal = number;
-  if (g_waits != 0) return;
-  [[maybe_unused]] const ssize_t told = write(STDERR_FILENO, g_farewell.data(), g_farewell_size);
+  g_asked = g_asked + 1;
+  if (g_signal == 0) {
+    g_signal = number;
+    if (g_waits != 0) return;
+    tell({g_farewell.data(), g_farewell_size});
+    remove_own_temporaries();
+    _exit(128 + number);
+  }
+  // Who presses Ctrl-C twice has mostly not seen an answer yet, and does not mean to lose what is being saved.
+  constexpr int kAtOnce = 3;
+  if (g_asked < kAtOnce) return tell("\nstill stopping: what was done is being saved; once more ends without that\n");
+  // What is on disk is whole at every moment, so the process may end here.
+  tell("\nended at once; what was saved before is whole\n");
+  remove_own_temporaries();
   _exit(128 + number);
 }
 
@@ -81,7 +100,8 @@ void prepare_process() {
   }
 }
 
-void install_stop_signals() {
+void install_stop_signals(bool told) {
+  g_told = told ? 1 : 0;
   handle(SIGINT, on_stop);
   handle(SIGTERM, on_stop);
   g_handled = true;
@@ -107,8 +127,9 @@ int stop_signal() { return g_signal; }
 
 void stop_waits(bool waits, const std::string& farewell) {
   g_waits = 1;
-  g_farewell_size = std::min(farewell.size(), g_farewell.size());
-  std::copy_n(farewell.begin(), g_farewell_size, g_farewell.begin());
+  const std::string text = (isatty(STDERR_FILENO) != 0 ? "\r\033[K" : "") + farewell + "\n";
+  g_farewell_size = farewell.empty() ? 0 : std::min(text.size(), g_farewell.size());
+  std::copy_n(text.begin(), g_farewell_size, g_farewell.begin());
   std::atomic_signal_fence(std::memory_order_seq_cst);
   g_waits = waits ? 1 : 0;
 }
@@ -131,7 +152,7 @@ int finish_stdout(int code) {
   const Error error(
       ErrorKind::io, "files.stdout.failed",
       std::string("cannot write the results to stdout") + (cause != 0 ? std::string(": ") + std::strerror(cause) : ""));
-  std::fprintf(stderr, "semfield: %s\n", shown(error).c_str());
+  say("semfield: " + shown(error), isatty(STDERR_FILENO) != 0);
   return code != 0 ? code : static_cast<int>(ErrorKind::io);
 }
 

@@ -11,8 +11,9 @@ namespace semfield::app {
 /// gets their numbers and no message lands in it.
 void prepare_process();
 
-/// SIGINT and SIGTERM raise a flag; a second one ends the process at once.
-void install_stop_signals();
+/// SIGINT and SIGTERM raise a flag; a second one says that the work of stopping goes on, a third ends the process at
+/// once. `told`: whether the program says so.
+void install_stop_signals(bool told = true);
 /// In a process that follows rank 0, which saves and ends both: SIGINT and SIGTERM raise the flag alone, however often
 /// they come, and SIGHUP is ignored.
 void leave_stop_to_rank_0();
@@ -22,8 +23,8 @@ void stop_with_the_others();
 /// 0, or the number of the signal received.
 int stop_signal();
 
-/// After install_stop_signals: while a stop does not wait, one signal ends the process at once, with `farewell` on
-/// stderr, because there is nothing that the program would still save.
+/// After install_stop_signals: while a stop does not wait, one signal ends the process at once, with the sentence
+/// `farewell` on stderr, because there is nothing that the program would still save.
 void stop_waits(bool waits, const std::string& farewell = {});
 
 /// SIGHUP asks for a checkpoint instead of ending the process.

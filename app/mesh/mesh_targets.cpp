@@ -40,13 +40,16 @@ std::string MeshTargets::file(const std::string& format, const std::string& suff
 }
 
 MeshTargets mesh_targets(const MeshOptions& options) {
-  MeshTargets targets{options.out.empty() ? fs::path(options.run) / "mesh" : fs::path(options.out), options.formats};
+  std::error_code unknown;
+  const bool folder = options.out.empty() || options.out.ends_with('/') || fs::is_directory(options.out, unknown);
+  const fs::path into = options.out.empty() ? options.run : options.out;
+  MeshTargets targets{folder ? into / "mesh" : into, options.formats};
   std::string ending;  // the longest that is known: "room.splats.ply" is no surface
-  const std::string name = options.out.empty() ? std::string() : targets.stem.filename().string();
+  const std::string name = folder ? std::string() : targets.stem.filename().string();
   for (const std::string& format : known_formats())
     if (name.ends_with("." + format) && format.size() > ending.size()) ending = format;
   if (targets.formats.empty()) {
-    const fs::path extension = options.out.empty() ? fs::path() : targets.stem.extension();
+    const fs::path extension = folder ? fs::path() : targets.stem.extension();
     if (ending.empty() && !extension.empty()) check_format(extension.string().substr(1), "--out " + options.out);
     targets.formats = {ending.empty() ? "ply" : ending};
   }

@@ -128,13 +128,15 @@ const char* severity_word(Severity severity) {
 
 std::string problems(const Diagnostics& diagnostics) {
   const std::vector<Diagnostic> findings = folded(diagnostics);
-  std::string out;
+  const bool none =
+      std::all_of(findings.begin(), findings.end(), [](const Diagnostic& d) { return d.severity == Severity::note; });
+  std::string out = none ? "problems    none\n" : "";
   for (const Severity severity : {Severity::error, Severity::warning, Severity::note}) {
     for (const Diagnostic& d : findings) {
       if (d.severity == severity) out += fmt::format("{:<11} {}\n", severity_word(severity), d.shown());
     }
   }
-  return out.empty() ? "problems    none\n" : out;
+  return out;
 }
 
 template <class T>

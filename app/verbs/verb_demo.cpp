@@ -10,6 +10,7 @@
 #include "app/child_process.h"
 #include "app/json_output.h"
 #include "app/length_words.h"
+#include "app/next_steps.h"
 #include "app/signals.h"
 #include "app/verb.h"
 #include "config/config_tree.h"
@@ -107,7 +108,8 @@ int run(const DemoOptions& options, AppContext& context) {
   if (options.length.steps) train.insert(train.end(), {"--steps", std::to_string(*options.length.steps)});
   if (!options.length.time.empty()) train.insert(train.end(), {"--time", options.length.time});
   const std::string program = typed_program();
-  install_stop_signals();
+  install_stop_signals(!context.quiet);
+  leave_next_out_of_children();
   std::string figures;
   for (std::vector<std::string> words :
        {train, {"render", out, "--split", "test"}, {"mesh", out, "--format", "ply,glb"}}) {

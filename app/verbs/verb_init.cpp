@@ -8,6 +8,7 @@
 #include "app/scene/configured_scene.h"
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
+#include "app/scene/next_of_config.h"
 #include "app/scene/preset_advice.h"
 #include "app/verb.h"
 #include "core/findings.h"
@@ -71,15 +72,6 @@ LoadedScene look_at(const FolderScene& found, AppContext& context, Diagnostics& 
   }
 }
 
-std::string next_steps(const std::string& file, const std::string& run, bool labels) {
-  const std::string config = shell_word(file);
-  std::string out = fmt::format("next        semfield inspect {}   # bounds, classes, and every problem\n", config);
-  const std::string serve =
-      fmt::format("            semfield serve {}     # label by clicks while it trains\n", config);
-  const std::string train = fmt::format("            semfield train {}     # writes {}\n", config, shell_word(run));
-  return out + (labels ? train + serve : serve + train);
-}
-
 int run(const InitOptions& options, AppContext& context) {
   const FolderScene found = find_scene(options.folder, options.type, context);
   const std::string file = options.out.empty() ? "configs/" + found.name + ".yaml" : options.out;
@@ -111,8 +103,12 @@ int run(const InitOptions& options, AppContext& context) {
       if (finding.severity != Severity::note)
         std::printf("%-11s %s\n", finding.severity == Severity::error ? "error" : "warning", finding.shown().c_str());
     }
-    std::fputs(next_steps(file, "runs/" + fs::path(file).stem().string(), found.labels).c_str(), stdout);
   }
+  std::vector<NextStep> next{{"inspect " + shell_word(file), "bounds, classes, and every problem"}};
+  if (!diagnostics.has_errors())
+    for (NextStep& step : next_of_config({file, fs::path(file).stem().string(), found.labels}))
+      next.push_back(std::move(step));
+  print_next(context, next);
   return diagnostics.has_errors() ? static_cast<int>(ErrorKind::data) : 0;
 }
 

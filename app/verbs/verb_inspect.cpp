@@ -7,6 +7,7 @@
 #include "app/scene/configured_scene.h"
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
+#include "app/scene/next_of_config.h"
 #include "app/verb.h"
 #include "core/text.h"
 #include "session/ray_source.h"
@@ -72,11 +73,17 @@ int run(const InspectOptions& options, AppContext& context) {
   } else {
     std::fputs(inspect_report(scene, diagnostics, depth).c_str(), stdout);
   }
-  if (folder)
-    print_note(context, "next: `semfield init " + shell_word(what) + "` writes a configuration for this scene");
   if (!options.frusta.empty()) {
     write_frusta_ply(options.frusta, scene);
     print_note(context, "cameras written to " + options.frusta);
+  }
+  if (folder) {
+    print_next(context, {{"init " + shell_word(what), "writes a configuration for this scene"}});
+  } else if (!diagnostics.has_errors()) {
+    const bool labels = std::any_of(scene.class_pixels.begin(), scene.class_pixels.end(),
+                                    [](const std::vector<std::int64_t>& pixels) { return !pixels.empty(); });
+    print_next(context,
+               next_of_config({what, opened.config.name, labels, options.config.set, context.registry.module_files()}));
   }
   return diagnostics.has_errors() ? static_cast<int>(ErrorKind::data) : 0;
 }

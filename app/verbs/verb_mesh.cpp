@@ -10,6 +10,7 @@
 #include "app/mesh/hand_over.h"
 #include "app/mesh/mesh_targets.h"
 #include "app/render/scene_page.h"
+#include "app/scene/next_of_config.h"
 #include "app/verb.h"
 #include "core/findings.h"
 #include "core/text.h"
@@ -152,6 +153,7 @@ int run(const MeshOptions& options, AppContext& context) {
                         found.surface.triangles.size(), found.components);
   if (points > 0) line += fmt::format(" points={}", points);
   std::printf("%s file=%s\n", line.c_str(), join(out.files(), ",").c_str());
+  print_next(context, next_of_look(options.run));
   return 0;
 }
 
@@ -184,7 +186,7 @@ void words(VerbWords& verb, MeshOptions& options) {
       "--score", options.score,
       "also compare the mesh with the scene's depth images: completeness and accuracy within 2, 5 and 10 cm, next to "
       "those of the fused depth images themselves");
-  verb.value("--out FILE", options.out, "file to write (default: mesh.ply in the run folder)");
+  verb.value("--out FILE", options.out, "file to write, or a folder for mesh.ply (default: the run folder)");
   verb.flag("--keep-unseen", options.keep_unseen, "keep what no training camera sees (default: it is left out)");
   verb.value_in("--keep-components X", options.keep_components, 0, 1,
                 "keep connected parts with at least this share of all faces; 0 keeps all");

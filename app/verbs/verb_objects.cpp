@@ -14,6 +14,7 @@
 #include "app/objects/object_pictures.h"
 #include "app/objects/object_tables.h"
 #include "app/progress_line.h"
+#include "app/scene/next_of_config.h"
 #include "app/verb.h"
 #include "core/findings.h"
 #include "objects/click_objects.h"
@@ -233,6 +234,7 @@ int run(const ObjectsOptions& options, AppContext& context) {
                 static_cast<long long>(figures->found));
   std::printf("objects: objects=%lld segments=%lld seconds=%.1f folder=%s\n", static_cast<long long>(count),
               static_cast<long long>(segments.count()), facts["seconds"]["all"].get<double>(), folder.c_str());
+  print_next(context, next_of_look(options.run));
   return 0;
 }
 

@@ -6,6 +6,7 @@
 
 #include "app/child_process.h"
 #include "app/json_output.h"
+#include "app/next_steps.h"
 #include "app/program_in_path.h"
 #include "app/progress_line.h"
 #include "app/scene/configured_scene.h"
@@ -70,7 +71,7 @@ std::string inspected(const FolderScene& scene, AppContext& context, Diagnostics
   return load_for_labels(opened, diagnostics).geometry;
 }
 
-void print_report(const PrepareReport& report, const std::string& geometry, const FolderScene& scene) {
+void print_report(const PrepareReport& report, const std::string& geometry) {
   if (!report.cut.empty()) std::printf("video       %s\n", report.cut.c_str());
   std::printf("photographs %zu of %d x %d pixels\n", report.photographs, report.width_px, report.height_px);
   std::printf("registered  %zu of %zu (%.0f %%), reprojection error %.2f pixels, %zu points, %d %s\n",
@@ -79,15 +80,10 @@ void print_report(const PrepareReport& report, const std::string& geometry, cons
               report.points, report.attempts, report.attempts == 1 ? "attempt" : "attempts");
   for (const Missing& one : report.missing) std::printf("missing     %s\n", one.text.c_str());
   if (!geometry.empty()) std::printf("geometry    %s\n", geometry.c_str());
-  const std::string folder = shell_word(scene.path);
-  const std::string config = shell_word("configs/" + scene.name + ".yaml");
-  std::printf("next        semfield init %s   # writes %s\n", folder.c_str(), config.c_str());
-  std::printf("            semfield serve %s   # label by clicks while it trains\n", config.c_str());
-  std::printf("            semfield train %s --time 5m\n", config.c_str());
 }
 
 int run(const PrepareVerbOptions& options, AppContext& context) {
-  install_stop_signals();
+  install_stop_signals(!context.quiet);
   PrepareReport report;
   try {
     report = prepare(options, context);
@@ -112,8 +108,10 @@ int run(const PrepareVerbOptions& options, AppContext& context) {
                          {"missing", missing},
                          {"folder", options.out}});
   } else {
-    print_report(report, geometry, scene);
+    print_report(report, geometry);
   }
+  if (!found.has_errors())
+    print_next(context, {{"init " + shell_word(scene.path), "writes a configuration, and says what to do with it"}});
   return found.has_errors() ? static_cast<int>(ErrorKind::data) : 0;
 }
 

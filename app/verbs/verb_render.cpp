@@ -15,6 +15,7 @@
 #include "app/render/frame_strip.h"
 #include "app/render/render_views.h"
 #include "app/render/video.h"
+#include "app/scene/next_of_config.h"
 #include "app/verb.h"
 #include "core/findings.h"
 #include "eval/image_output.h"
@@ -194,6 +195,7 @@ int run(const RenderOptions& options, AppContext& context) {
   }
   std::printf("render: frames=%zu size=%dx%d s_per_frame=%.3f %s=%s\n", done.frames, done.width_px, done.height_px,
               done.s_per_frame, done.what, done.where.c_str());
+  print_next(context, next_of_run(options.run, false));
   return 0;
 }
 

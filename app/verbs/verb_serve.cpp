@@ -12,6 +12,7 @@
 #include <thread>
 
 #include "app/child_process.h"
+#include "app/next_steps.h"
 #include "app/serve/page_photos.h"
 #include "app/serve/page_pictures.h"
 #include "app/serve/page_server.h"
@@ -156,10 +157,10 @@ int run(const ServeOptions& options, AppContext& context) {
   (void)free_port(options.address, page.http.port, page.next_port);  // before anything that takes time
   Target target = target_of(options, context, context.registry);
   context.adopt(target.config);
-  install_stop_signals();
+  install_stop_signals(!context.quiet);
   install_save_signal();
   const std::string go_on = "semfield serve " + shell_word(target.run_dir);
-  stop_waits(false, context.quiet ? "" : "\nstopped before the page was there\n");
+  stop_waits(false, "stopped before the page was there");
   Told told(context);
   LabelSession session(std::move(target.config), context.registry, {target.run_dir}, &told);
   stop_waits(true);
@@ -182,17 +183,21 @@ int run(const ServeOptions& options, AppContext& context) {
     const SignalWatch watch(session, server, context);
     session.run();
   } catch (Error& error) {
-    error.while_doing("stopped; every label is stored, and the run continues from its last checkpoint with: " + go_on);
+    error.while_doing("stopped; every label is stored, and the run continues from its last checkpoint with `" + go_on +
+                      "`");
     throw;
   }
   if (std::optional<Error> failure = session.failure()) {
     failure->while_doing(
-        "training has ended; every label is stored, and the run continues from its last checkpoint with: " + go_on);
+        "training has ended; every label is stored, and the run continues from its last checkpoint with `" + go_on +
+        "`");
     throw *failure;
   }
   const std::shared_ptr<const LabelState> state = session.state();
-  print_note(context, fmt::format("stopped at step {} with {} labels, all saved; continue with: {}", state->step,
-                                  state->marks.size(), go_on));
+  print_note(context, fmt::format("stopped at step {} with {} labels, all saved", state->step, state->marks.size()));
+  const std::string word = shell_word(session.run_dir());
+  print_next(context, {{"serve " + word, "goes on labelling"},
+                       {"train --resume " + word + " --time 5m", "trains on with these labels"}});
   return 128 + stop_signal();
 }
 

@@ -14,6 +14,7 @@
 #include "app/sweep/cell_pool.h"
 #include "app/sweep/pack_cells.h"
 #include "app/sweep/sweep_folder.h"
+#include "app/terminal.h"
 #include "app/verb.h"
 #include "compute/parallel.h"
 #include "core/device_id.h"
@@ -244,7 +245,7 @@ int run(const SweepOptions& options, AppContext& context) {
     if (place.reports()) throw;
     // What is wrong with the file rank 0 reports for all; it gets the time, because launchers end all when one fails.
     if (planned) {
-      std::fprintf(stderr, "semfield: %s%s\n", place.prefix().c_str(), shown(error).c_str());
+      say("semfield: " + place.prefix() + shown(error), context.terminal);
     } else {
       sleep(1);
     }

@@ -2,6 +2,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <climits>
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
@@ -10,7 +11,9 @@
 #include "app/length_words.h"
 #include "app/progress_line.h"
 #include "app/render/report_scene.h"
+#include "app/scene/next_of_config.h"
 #include "app/signals.h"
+#include "app/terminal.h"
 #include "app/verb.h"
 #include "config/compose.h"
 #include "core/findings.h"
@@ -83,14 +86,19 @@ Json plan_json(const Session& session) {
   return {{"plan", lines}};
 }
 
-std::string progress_text(const TrainProgress& p) {
-  const std::string scored =
-      p.miou_present ? fmt::format("  miou_present {:.3f} ({})", *p.miou_present, p.scored.text()) : std::string();
-  std::string terms;
-  for (const auto& [type, value] : p.terms) terms += fmt::format("  {} {:.4f}", type, value);
-  const std::string steps = p.steps > 0 ? fmt::format("/{}", p.steps) : std::string();
-  return fmt::format("step {}{}  loss {:.4f}{}  train psnr {:.2f}{}  {:.0f} rays/s  {} elapsed  {} left", p.step, steps,
-                     p.loss, terms, p.psnr, scored, p.rays_per_s, clock_text(p.train_s), clock_text(p.remaining_s));
+std::vector<LinePart> progress_parts(const TrainProgress& p) {
+  std::vector<LinePart> parts{{0, fmt::format("step {}{}", p.step, p.steps > 0 ? fmt::format("/{}", p.steps) : "")},
+                              {2, fmt::format("  loss {:.4f}", p.loss)}};
+  for (const auto& [type, value] : p.terms) parts.push_back({7, fmt::format("  {} {:.4f}", type, value)});
+  parts.push_back({3, fmt::format("  train psnr {:.2f}", p.psnr)});
+  if (p.miou_present) {
+    parts.push_back({4, fmt::format("  miou_present {:.3f}", *p.miou_present)});
+    parts.push_back({8, fmt::format(" ({})", p.scored.text())});
+  }
+  parts.push_back({6, fmt::format("  {:.0f} rays/s", p.rays_per_s)});
+  parts.push_back({5, fmt::format("  {} elapsed", clock_text(p.train_s))});
+  parts.push_back({1, fmt::format("  {} left", clock_text(p.remaining_s))});
+  return parts;
 }
 
 // A run as the terminal shows it, and what signals request of it.
@@ -112,11 +120,8 @@ class ShownRun final : public RunListener {
   int stop_signal() override { return app::stop_signal(); }
   bool save_request() override { return take_save_request(); }
   void stop_waits(bool waits) override {
-    app::stop_waits(waits, waits || context_.quiet
-                               ? std::string()
-                               : fmt::format("\nstopped; every step is saved; resume with: semfield "
-                                             "train --resume {}\n",
-                                             shell_word(out_dir_)));
+    app::stop_waits(waits,
+                    "stopped; every step is saved; resume with `semfield train --resume " + shell_word(out_dir_) + "`");
   }
   std::string write_report(const RunFolder& folder, const Session& session, const ReportFrames& frames) override {
     std::string scene;
@@ -129,15 +134,10 @@ class ShownRun final : public RunListener {
  private:
   // One line that is overwritten on a terminal; plain lines elsewhere, about one every two seconds.
   void print_progress(const TrainProgress& p) {
-    const std::string line = progress_text(p);
-    if (context_.terminal) {
-      std::fprintf(stderr, "\r\033[K%s%s", line.c_str(), p.step == p.steps ? "\n" : "");
-      std::fflush(stderr);
-      return;
-    }
+    if (context_.terminal) return show_live(fitted(progress_parts(p), terminal_columns() - 1));
     if (p.train_s < next_line_s_ && p.step != p.steps) return;
     next_line_s_ = p.train_s + 2;
-    std::fprintf(stderr, "%s\n", line.c_str());
+    say(fitted(progress_parts(p), INT_MAX), false);
   }
 
   const AppContext& context_;
@@ -181,13 +181,13 @@ int run(const TrainOptions& options, AppContext& context) {
   request.ranks = context.ranks.get();
   request.out_dir = resume ? options.resume : !options.out.empty() ? options.out : "runs/" + config.name;
   ShownRun shown(context, request.out_dir, options.flat);
-  install_stop_signals();
+  install_stop_signals(!context.quiet);
   install_save_signal();
-  stop_waits(false, context.quiet ? "" : "\nstopped before the first step\n");
+  stop_waits(false, "stopped before the first step");
   const TrainOutcome outcome = run_training(std::move(config), context.registry, request, &shown);
-  if (context.terminal && !context.quiet) std::fputs("\n", stderr);
+  clear_live();
   if (outcome.signal != 0) {
-    print_note(context, fmt::format("stopped at step {} after its checkpoint; resume with: semfield train --resume {}",
+    print_note(context, fmt::format("stopped at step {} after its checkpoint; resume with `semfield train --resume {}`",
                                     outcome.step, shell_word(outcome.run_dir)));
     return 128 + outcome.signal;
   }
@@ -200,6 +200,7 @@ int run(const TrainOptions& options, AppContext& context) {
   std::printf("train: %strain_s=%.1f trained_s=%.1f steps=%lld peak_mb=%zu report=%s\n", scores_text(outcome).c_str(),
               outcome.train_s, outcome.trained_s, static_cast<long long>(outcome.step), outcome.peak_bytes >> 20,
               outcome.report_path.c_str());
+  print_next(context, next_of_run(outcome.run_dir, outcome.scored.frames > 0));
   return 0;
 }
 

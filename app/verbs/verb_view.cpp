@@ -13,6 +13,7 @@
 #include <thread>
 
 #include "app/child_process.h"
+#include "app/scene/next_of_config.h"
 #include "app/signals.h"
 #include "app/view/view_server.h"
 #include "core/findings.h"
@@ -47,7 +48,7 @@ int run(const ViewVerbOptions& options, AppContext& context) {
   view.http.port = options.port.value_or(kUsualPort);
   view.next_port = !options.port;
   (void)free_port(view.http.address, view.http.port, view.next_port);  // before anything that takes time
-  install_stop_signals();
+  install_stop_signals(!context.quiet);
   std::vector<std::unique_ptr<ViewedRun>> runs;
   runs.push_back(opened(options.run, options, context));
   if (!options.with.empty()) runs.push_back(opened(options.with, options, context));
@@ -77,6 +78,7 @@ int run(const ViewVerbOptions& options, AppContext& context) {
     std::fflush(stdout);
   }
   while (stop_signal() == 0) std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  print_next(context, next_of_run(options.run, false));
   return 128 + stop_signal();
 }
 

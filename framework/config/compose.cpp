@@ -51,9 +51,23 @@ bool type_changes(const ConfigNode& base, const ConfigNode& over) {
   return old_type != nullptr && new_type != nullptr && old_type->text() != new_type->text();
 }
 
+// Does what may fail; where somebody collects mistakes, it is noted, and left undone.
+template <class Work>
+void noting(Diagnostics* problems, const Work& work) {
+  if (problems == nullptr) return work();
+  try {
+    work();
+  } catch (const Error& error) {
+    problems->error(error.code(), "", error.message(), error.remedy());
+  }
+}
+
 /// Loads files with their includes; knows which files are open now (cycles) and how many were read.
 class Loader {
  public:
+  /// `problems`: where mistakes of includes go instead of being thrown; null: nowhere.
+  explicit Loader(Diagnostics* problems = nullptr) : problems_(problems) {}
+
   ConfigNode load(const std::string& path) {
     std::error_code unknown;
     fs::path identity = fs::weakly_canonical(path, unknown);
@@ -71,7 +85,9 @@ class Loader {
     ConfigNode composed = ConfigNode::make_map({}, local.location());
     if (const ConfigNode* include = local.find("include")) {
       for (const ConfigNode& item : include->is_list() ? include->items() : std::vector<ConfigNode>{*include}) {
-        composed = merge_config(composed, load_included(item));
+        const std::size_t open = open_.size();
+        noting(problems_, [&] { composed = merge_config(composed, load_included(item)); });
+        open_.resize(open);
       }
     }
     return merge_config(composed, local.without("include"));
@@ -102,12 +118,19 @@ class Loader {
     if (!fs::exists(path, unknown) || fs::is_directory(path, unknown)) {
       const std::string shipped = shipped_config(item.text());
       if (shipped.empty()) {
-        const std::string place = shipped_place(item.text());
-        fail("config.include.file", item.location(),
-             "include: no file '" + item.text() + "' (looked for '" + path.string() + "'" +
-                 (place.empty() ? ")" : " and '" + place + "')"),
-             renamed(item.text()).empty() ? "paths in a config are relative to the file that wrote them"
-                                          : "the preset is called " + renamed(item.text()) + " now");
+        const std::string place = shipped_place(item.text()), new_name = renamed(item.text()),
+                          near = new_name.empty() ? near_config(item.text(), path.string()) : new_name;
+        noting(problems_, [&] {
+          fail("config.include.file", item.location(),
+               "include: no file '" + item.text() + "' (looked for '" + path.string() + "'" +
+                   (place.empty() ? ")" : " and '" + place + "')"),
+               !new_name.empty() ? "the preset is called " + new_name + " now"
+               : near.empty()    ? "paths in a config are relative to the file that wrote them"
+                                 : "did you mean '" + near + "'?");
+        });
+        // What else is wrong is known by the file that was meant.
+        return near.empty() ? ConfigNode::make_map({}, item.location())
+                            : load_included(ConfigNode::make_scalar(near, false, item.location()));
       }
       path = shipped;
     }
@@ -128,6 +151,7 @@ class Loader {
     return load(path.string());
   }
 
+  Diagnostics* problems_;
   std::vector<OpenFile> open_;
   int included_ = 0;
 };
@@ -265,8 +289,9 @@ ConfigNode with_overrides(ConfigNode root, const std::vector<ConfigOverride>& ov
   return resolve_like(with_named_passes(root));
 }
 
-ConfigNode with_overrides(ConfigNode root, const std::vector<std::string>& overrides) {
-  for (const std::string& text : overrides) root = apply_override(with_named_passes(root), text);
+ConfigNode with_overrides(ConfigNode root, const std::vector<std::string>& overrides, Diagnostics* problems = nullptr) {
+  for (const std::string& text : overrides)
+    noting(problems, [&] { root = apply_override(with_named_passes(root), text); });
   return resolve_like(with_named_passes(root));
 }
 
@@ -315,6 +340,10 @@ ConfigNode merge_config(const ConfigNode& base, const ConfigNode& over) {
 
 ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides) {
   return with_overrides(Loader().load(find_config(path)), overrides);
+}
+
+ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides, Diagnostics& problems) {
+  return with_overrides(Loader(&problems).load(find_config(path)), overrides, &problems);
 }
 
 ConfigNode compose_config_with(const std::string& path, const std::vector<ConfigOverride>& overrides) {

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "config/config_tree.h"
+#include "core/error.h"
 
 namespace semfield {
 
@@ -18,6 +19,10 @@ ConfigNode merge_config(const ConfigNode& base, const ConfigNode& over);
 /// command line sets is written "--threads runtime.threads=2", and messages then name the flag. Also resolves `like:
 /// NAME` of list items under `passes` (the item is merged onto the earlier item of that name). Throws Error(config).
 ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides = {});
+
+/// The same, as far as it goes: a mistake in what is included or overridden goes into `problems`, and the rest is
+/// composed without it, or with the file whose name is nearest.
+ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides, Diagnostics& problems);
 
 /// What overrides and messages call an item of a list: its `name`, or the `labels` that a semantic branch is for, where
 /// that is one plain word and no other item has it; else its index. A pass that no `name` was written for has one

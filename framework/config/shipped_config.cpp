@@ -52,24 +52,28 @@ std::string shipped_config(const std::string& name) {
   return place.empty() ? "" : with_ending(place);
 }
 
-std::string find_config(const std::string& name) {
-  std::error_code unknown;
-  if (const std::string own = with_ending(name); !own.empty()) return own;
-  if (std::string shipped = shipped_config(name); !shipped.empty()) return shipped;
-  if (fs::exists(name, unknown)) return name;  // a folder, which the reader refuses by that name
+std::string near_config(const std::string& name, const std::string& own_place) {
   const std::string place = shipped_place(name);
   std::vector<std::string> names;
-  add_neighbours(name, names);
+  add_neighbours(own_place, names);
   if (!place.empty()) add_neighbours(place, names);
   std::sort(names.begin(), names.end());  // of two that are equally near, the same one on every file system
   const fs::path written(name);
   const std::string ending = written.extension() == kEnding ? kEnding : "";
   const std::string near = did_you_mean((ending.empty() ? written.filename() : written.stem()).string(), names);
-  throw Error(
-      ErrorKind::no_input, "config.file.missing",
-      "no configuration '" + name + "'" +
-          (place.empty() ? std::string() : " (looked for '" + name + "' and '" + place + "')"),
-      near.empty() ? "check the path" : "did you mean '" + (written.parent_path() / near).string() + ending + "'?");
+  return near.empty() ? "" : (written.parent_path() / near).string() + ending;
+}
+
+std::string find_config(const std::string& name) {
+  std::error_code unknown;
+  if (const std::string own = with_ending(name); !own.empty()) return own;
+  if (std::string shipped = shipped_config(name); !shipped.empty()) return shipped;
+  if (fs::exists(name, unknown)) return name;  // a folder, which the reader refuses by that name
+  const std::string place = shipped_place(name), near = near_config(name, name);
+  throw Error(ErrorKind::no_input, "config.file.missing",
+              "no configuration '" + name + "'" +
+                  (place.empty() ? std::string() : " (looked for '" + name + "' and '" + place + "')"),
+              near.empty() ? "check the path" : "did you mean '" + near + "'?");
 }
 
 }  // namespace semfield

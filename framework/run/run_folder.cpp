@@ -8,6 +8,7 @@
 #include <filesystem>
 
 #include "core/error.h"
+#include "core/text.h"
 #include "scene/output_names.h"
 #include "system/files.h"
 
@@ -60,6 +61,22 @@ bool RunFolder::lock(bool may_create) {
               "wait for it to end, stop it, or choose another folder with --out");
 }
 
+bool RunFolder::take_new() {
+  // An existing lock first: "in use by process 17" says more than "holds files". No lock file is left in a folder of
+  // others.
+  const bool locked = fs::is_directory(path_) && lock(false);
+  if (locked) remove_stale_temporaries(path_);  // of a run killed before its run.yaml was there
+  if (!holds_files(path_)) return locked;
+  throw Error(
+      ErrorKind::cannot_create, "run.folder.used", fmt::format("the run folder '{}' holds files already", path_),
+      fmt::format("{}choose another folder with --out",
+                  fs::exists(config_path())
+                      ? fmt::format("continue that run with `semfield train --resume {}`, or ", shell_word(path_))
+                      : ""));
+}
+
+void RunFolder::require_new(const std::string& path) { RunFolder(path).take_new(); }
+
 RunFolder RunFolder::create(const std::string& path) {
   RunFolder folder(path);
   try {
@@ -68,16 +85,7 @@ RunFolder RunFolder::create(const std::string& path) {
     throw Error(ErrorKind::cannot_create, "run.folder.unwritable", error.message(),
                 "choose a folder that you may write to with --out");
   }
-  // An existing lock first: "in use by process 17" says more than "holds files". No lock file is left in a folder of
-  // others.
-  const bool locked = folder.lock(false);
-  if (locked) remove_stale_temporaries(path);  // of a run killed before its run.yaml was there
-  if (holds_files(path)) {
-    throw Error(ErrorKind::cannot_create, "run.folder.used",
-                fmt::format("the run folder '{}' holds files already", path),
-                fmt::format("resume that run with --resume {}, or choose another folder with --out", path));
-  }
-  if (!locked) {
+  if (!folder.take_new()) {
     folder.lock(true);
     if (holds_files(path))
       throw Error(ErrorKind::cannot_create, "run.folder.used", fmt::format("another process has just used '{}'", path),

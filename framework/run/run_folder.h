@@ -21,6 +21,9 @@ class RunFolder {
  public:
   /// For training from the start: the folder is created; one that holds files is refused. Holds the lock for its life.
   static RunFolder create(const std::string& path);
+  /// Throws as create() would for a folder that is in use or holds files, and creates nothing: before work that a
+  /// refusal would waste.
+  static void require_new(const std::string& path);
   /// For going on with a run: the folder must hold run.yaml. Holds the lock for its life. Temporary files that killed
   /// processes left in it are removed.
   static RunFolder resume(const std::string& path);
@@ -51,6 +54,7 @@ class RunFolder {
   explicit RunFolder(std::string path) : path_(std::move(path)) {}
   std::string in(std::string_view name) const;
   bool lock(bool may_create);
+  bool take_new();
   std::string path_;
   FolderLock lock_;
 };

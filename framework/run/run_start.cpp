@@ -69,6 +69,7 @@ OpenedForTraining open_for_training(RunConfig config, Registry& registry, const 
   if (config.report.training_frames > 0) options.depth = DepthKept::all;
   if (!request.out_dir.empty()) settle_click_file(config.labels, request.out_dir);
   // A new run's folder is made when nothing can refuse the run any more; a resumed one is locked first.
+  if (!request.resume && !request.out_dir.empty()) RunFolder::require_new(request.out_dir);
   std::optional<RunFolder> folder;
   ResumePoint point;
   if (request.resume) {

@@ -30,8 +30,9 @@ void tell_resumed(RunListener& listener, const RunLoop& loop, const ResumePoint&
                             point.path));
   // Its last evaluation may have been cut off, and settings of the page may be others now.
   if (training.at_its_end())
-    listener.note(fmt::format("the run has come to its end, {} steps: it is scored again, not trained; to train on: {}",
-                              training.step(), train_on_words(loop.run_dir(), training.train_s())));
+    listener.note(
+        fmt::format("the run has come to its end, {} steps: it is scored again, not trained; to train on: `{}`",
+                    training.step(), train_on_words(loop.run_dir(), training.train_s())));
 }
 
 TrainOutcome train_to_the_end(RunLoop& loop, RunListener& listener) {
@@ -76,7 +77,7 @@ TrainOutcome run_training(RunConfig config, Registry& registry, const TrainReque
   RunListener& listener = told != nullptr ? *told : nobody;
   OpenedForTraining opened = open_for_training(std::move(config), registry, request, listener);
   if (opened.ended) {
-    listener.note(fmt::format("the run has come to its end, {} steps, and nothing of it was changed; to train on: {}",
+    listener.note(fmt::format("the run has come to its end, {} steps, and nothing of it was changed; to train on: `{}`",
                               opened.ended->step, train_on_words(opened.ended->run_dir, opened.ended->train_s)));
     return *opened.ended;
   }

@@ -94,13 +94,15 @@ void Training::settle_length() {
   trainer_.set_length(config.schedule, config.train.steps);
   settled_ = true;
   if (listener_ == nullptr) return;
-  const double rate = pace_->steps_per_s();
-  listener_->note(
-      fmt::format("the length is settled{}: {} steps for {:.4g} s of training{}; the learning rate falls from step {} "
-                  "on, to {:.4g} of "
-                  "the first; run.yaml has the numbers",
-                  anew ? " again" : "", *end, end_s(config),
-                  rate > 0 ? fmt::format(" ({:.3g} steps per second)", rate) : "", step(), config.schedule.factor));
+  // Later corrections are in run.yaml: each by itself says nothing that anyone can act on.
+  if (!anew) {
+    const double rate = pace_->steps_per_s();
+    listener_->note(
+        fmt::format("the length is settled: {} steps for {:.4g} s of training{}; the learning rate falls from step {} "
+                    "on, to {:.4g} of the first; run.yaml has the numbers, also where the rate of steps changes them",
+                    *end, end_s(config), rate > 0 ? fmt::format(" ({:.3g} steps per second)", rate) : "", step(),
+                    config.schedule.factor));
+  }
   Diagnostics never;
   check_length(config, never);
   for (const Diagnostic& finding : never.all()) listener_->warning(finding.message);

@@ -14,7 +14,7 @@ TEST_F(Prepare, AFolderOfPhotographsBecomesAScene) {
   const Result r = prepare();
   EXPECT_EQ(r.code, 0) << r.err;
   EXPECT_HAS(r.out, "registered  6 of 6 (100 %), reprojection error 0.50 pixels, 2 points, 1 attempt");
-  EXPECT_HAS(r.out, "next        semfield init scene");
+  EXPECT_HAS(r.err, "next        semfield init scene ");
   EXPECT_EQ(steps(), "feature_extractor matches_importer mapper " + kSettled);
   const std::string calls = read_text_file(home_ + "/bin/calls");
   EXPECT_HAS(calls, "--SiftExtraction.use_gpu 0");

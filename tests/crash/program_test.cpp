@@ -314,7 +314,28 @@ TEST(Program, StopSignalsAreAnsweredInTimeAtAnyMoment) {
   expect_goes_on_to_the_same_bits(config, run_dir, dir);
 }
 
-TEST(Program, ASecondSigintEndsAtOnceAndTheOldCheckpointStays) {
+// People press Ctrl-C twice because nothing has answered yet, not to lose what they wait for.
+TEST(Program, ASecondSigintIsAnsweredAndTheCheckpointIsStillWritten) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, 2, 0), run_dir = dir / "run";
+  Process process(program(),
+                  {"train", config, "--out", run_dir, "--set", "train.rays=100000", "--steps", "1000", "--threads", "1",
+                   "--set", "report.log_every_steps=1"},
+                  dir.path());
+  ASSERT_TRUE(wait_until([&] { return has(process.err_so_far(), "step 1"); }));
+  process.send(SIGINT);
+  EXPECT_FALSE(process.wait_for(0.05).has_value()) << "a step was to be under way";
+  process.send(SIGINT);
+  const std::optional<Result> r = process.wait_for(kHang_s);
+  ASSERT_TRUE(r.has_value());
+  EXPECT_EQ(r->code, 130) << r->err;
+  EXPECT_HAS(r->err, "still stopping: what was done is being saved; once more ends without that\n",
+             "after its checkpoint; resume with `semfield train --resume ");
+  Diagnostics damaged;
+  EXPECT_TRUE(CheckpointStore::read(run_dir + "/checkpoints").find_latest(damaged).has_value());
+}
+
+TEST(Program, AThirdSigintEndsAtOnceAndTheOldCheckpointStays) {
   const TempDir dir;
   const std::string config = write_packed_config(dir, 2, 0), run_dir = dir / "run";
   ASSERT_EQ(run({"train", config, "--out", run_dir, "--set", "train.rays=100000"}, dir).code, 0);
@@ -327,9 +348,12 @@ TEST(Program, ASecondSigintEndsAtOnceAndTheOldCheckpointStays) {
   process.send(SIGINT);
   EXPECT_FALSE(process.wait_for(0.05).has_value()) << "a step was to be under way";
   process.send(SIGINT);
+  EXPECT_FALSE(process.wait_for(0.05).has_value()) << "the second signal is answered, not obeyed";
+  process.send(SIGINT);
   const std::optional<Result> r = process.wait_for(kHang_s);
   ASSERT_TRUE(r.has_value());
   EXPECT_EQ(r->code, 130) << r->err;
+  EXPECT_HAS(r->err, "ended at once; what was saved before is whole\n");
   EXPECT_LACKS(r->err, "stopped at step");
   EXPECT_EQ(read_text_file(run_dir + "/checkpoints/latest"), latest) << "the step was not waited for";
   Diagnostics damaged;

@@ -188,6 +188,17 @@ TEST_F(Verbs, MeshIsUprightAsTold) {
   EXPECT_LACKS(r.err, "upright");
 }
 
+TEST_F(Verbs, MeshIntoAFolderIsWrittenInIt) {
+  const std::string there = *dir_ / "meshes";
+  std::filesystem::create_directory(there);
+  for (const std::string& out : {there, *dir_ / "new/"}) {
+    const Result r = run(*dir_, {"mesh", run_dir(), "--resolution", "24", "--out", out});
+    ASSERT_EQ(r.code, 0) << r.err;
+    EXPECT_TRUE(std::filesystem::exists(std::filesystem::path(out) / "mesh.ply")) << r.out;
+    EXPECT_FALSE(std::filesystem::exists(there + ".ply")) << "beside the folder";
+  }
+}
+
 TEST_F(Verbs, MeshRefusesWhatMakesNoSense) {
   const auto refused = [&](std::vector<std::string> more, int code, const std::string& sentence) {
     std::vector<std::string> words{"mesh", run_dir()};

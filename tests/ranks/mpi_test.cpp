@@ -210,7 +210,7 @@ TEST(Mpirun, AStopSavesAndAnyNumberOfRanksGoesOn) {
     const std::optional<Result> ended = process.wait_for(30);
     ASSERT_TRUE(ended.has_value()) << "still runs after 30 s";
     ASSERT_LT(newest_step(out), kSteps) << "it was asked too late";
-    EXPECT_HAS(ended->err, "after its checkpoint; resume with: semfield train --resume");
+    EXPECT_HAS(ended->err, "after its checkpoint; resume with `semfield train --resume");
     const Result resumed = run(3, {"train", "--resume", out}, dir);
     ASSERT_EQ(resumed.code, 0) << resumed.err;
     EXPECT_EQ(checkpoint_fingerprint(out, kSteps), whole);

@@ -91,7 +91,7 @@ TEST_F(Demo, ASignalStopsItInOrder) {
   EXPECT_FALSE(fs::exists(root_ / "runs/demo/run.yaml"));
   const Result late = stopped("6", "step ", SIGTERM);
   EXPECT_EQ(late.code, 143) << late.err;
-  EXPECT_HAS(late.err, "resume with: semfield train --resume runs/demo");
+  EXPECT_HAS(late.err, "resume with `semfield train --resume runs/demo`");
   EXPECT_TRUE(fs::exists(root_ / "runs/demo/checkpoints/latest"));
   EXPECT_EQ(late.out, "");
 }

@@ -106,7 +106,7 @@ TEST(ServeVerb, ClicksOutliveKillsAndTheRunGoesOn) {
     served.process().send(SIGINT);
     const Result ended = served.process().wait();
     EXPECT_EQ(ended.code, 130);
-    EXPECT_HAS(ended.err, "all saved; continue with: semfield serve " + room);
+    EXPECT_HAS(ended.err, " labels, all saved\nnext        semfield serve " + room);
   }
   Served served(room, dir);
   ASSERT_TRUE(served.up()) << served.process().err_so_far();

@@ -98,8 +98,8 @@ std::string resolve_length(RunConfig& config, Device device) {
   if (last_step(config) == 0 && end_s(config) <= 0) {
     const bool cpu = device == Device::cpu;
     config.train.steps = cpu ? kStepsOnCpu : kStepsOnGpu;
-    text = fmt::format("{} steps, the length for a {}; --time or --steps asks for another", config.train.steps,
-                       cpu ? "CPU" : "GPU");
+    text = fmt::format("{} steps, the length for a {}; train.time_s or train.steps asks for another",
+                       config.train.steps, cpu ? "CPU" : "GPU");
   }
   if (config.train.steps > 0 && schedule.decay_steps == 0) schedule.decay_steps = config.train.steps;
   if (config.train.steps == 0) schedule.hold_steps = schedule.decay_steps = 0;

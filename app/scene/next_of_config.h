@@ -1,0 +1,28 @@
+// What people do next with the configuration of a scene, and with a run.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "app/next_steps.h"
+
+namespace semfield::app {
+
+struct KnownConfig {
+  std::string file;  ///< or a shipped name
+  std::string name;  ///< of its runs: runs/NAME
+  bool labels = false;
+  std::vector<std::string> set = {};  ///< what --set and its short forms gave
+  std::vector<std::string> modules = {};
+};
+
+/// Training, and labelling in a run of its own, so that either works after the other. A run that is there already keeps
+/// its folder.
+std::vector<NextStep> next_of_config(const KnownConfig& config);
+
+/// What follows on a run that was trained: scores and pictures of its held-out frames, if it has any, and its surface.
+std::vector<NextStep> next_of_run(const std::string& run, bool held_out);
+/// The run in the browser, where the build has pages that are served.
+std::vector<NextStep> next_of_look(const std::string& run);
+
+}  // namespace semfield::app

@@ -1,0 +1,128 @@
+#include "app/terminal.h"
+
+#include <sys/ioctl.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <cstdlib>
+#include <mutex>
+#include <string_view>
+
+#include "core/text.h"
+
+namespace semfield::app {
+
+namespace {
+
+std::mutex g_stderr;
+bool g_live = false;  // a live line stands there
+
+// Columns of the character at `text[i]` and the bytes of it. Wide ones of East Asia take two; of rarer ones two are
+// assumed as well, since a line that is too short does no harm.
+int columns_of(std::string_view text, std::size_t i, std::size_t& bytes) {
+  bytes = std::max<std::size_t>(1, utf8_length(text, i));
+  const auto lead = static_cast<unsigned char>(text[i]);
+  return bytes < 3 || (lead == 0xE2 && static_cast<unsigned char>(text[i + 1]) < 0xBA) ? 1 : 2;
+}
+
+int width_of(std::string_view text) {
+  int width = 0;
+  for (std::size_t i = 0, bytes = 0; i < text.size(); i += bytes) width += columns_of(text, i, bytes);
+  return width;
+}
+
+std::string cut(const std::string& text, int columns) {
+  std::size_t end = 0, bytes = 0;
+  for (int used = 0; end < text.size(); end += bytes) {
+    used += columns_of(text, end, bytes);
+    if (used > columns) break;
+  }
+  return text.substr(0, end);
+}
+
+std::string joined(const std::vector<LinePart>& parts) {
+  std::string line;
+  for (const LinePart& part : parts) line += part.text;
+  return line;
+}
+
+void clear_held() {
+  if (g_live) std::fputs("\r\033[K", stderr);
+  g_live = false;
+}
+
+}  // namespace
+
+std::string fitted(std::vector<LinePart> parts, int columns) {
+  std::string line = joined(parts);
+  while (width_of(line) > columns && parts.size() > 1) {
+    auto least = parts.begin();
+    for (auto part = parts.begin(); part != parts.end(); ++part)
+      if (part->rank >= least->rank) least = part;
+    parts.erase(least);
+    line = joined(parts);
+  }
+  return width_of(line) > columns ? cut(line, columns) : line;
+}
+
+std::string wrapped(const std::string& text, int columns) {
+  std::string out;
+  int used = 0;
+  for (std::size_t begin = 0; begin < text.size();) {
+    // A word, with the blanks before it: up to a blank that no command holds.
+    std::size_t word = begin;
+    while (word < text.size() && text[word] == ' ') ++word;
+    std::size_t end = word;
+    for (bool command = false; end < text.size() && text[end] != '\n' && (command || text[end] != ' '); ++end)
+      if (text[end] == '`') command = !command && text.find('`', end + 1) != std::string::npos;
+    const int blanks = static_cast<int>(word - begin),
+              width = width_of(std::string_view(text).substr(word, end - word));
+    if (used > 0 && used + blanks + width > columns) {
+      out += '\n';
+      used = 0;
+    } else {
+      out.append(text, begin, word - begin);
+      used += blanks;
+    }
+    out.append(text, word, end - word);
+    used += width;
+    if (end < text.size() && text[end] == '\n') {
+      out += '\n';
+      used = 0;
+      ++end;
+    }
+    begin = end;
+  }
+  return out;
+}
+
+int terminal_columns() {
+  winsize size{};
+  if (ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 0) return size.ws_col;
+  const char* const told = std::getenv("COLUMNS");
+  const int columns = told == nullptr ? 0 : std::atoi(told);
+  return columns > 0 ? columns : 80;
+}
+
+void show_live(const std::string& line) {
+  const std::lock_guard lock(g_stderr);
+  std::fprintf(stderr, "\r\033[K%s", line.c_str());
+  std::fflush(stderr);
+  g_live = true;
+}
+
+void clear_live() {
+  const std::lock_guard lock(g_stderr);
+  clear_held();
+  std::fflush(stderr);
+}
+
+void say(const std::string& text, bool terminal) {
+  const std::lock_guard lock(g_stderr);
+  clear_held();
+  std::fprintf(stderr, "%s\n", (terminal ? wrapped(text, terminal_columns()) : text).c_str());
+  std::fflush(stderr);
+}
+
+}  // namespace semfield::app
