@@ -138,7 +138,31 @@ void check_buffer(const FrameBuffer& b, const FrameInfo& f) {
   }
 }
 
-constexpr double kMostDistance_m = 1e6, kMostCoordinate_m = 1e7;
+constexpr double kMostDistance_m = 1e12, kMostCoordinate_m = 1e13;
+constexpr double kStray = 1e5;  // times the distance of the others from their middle
+
+// The training camera that stands so far from the others that bounds would be made for it alone; null: none does.
+const FrameInfo* stray_camera(const LoadedScene& scene, double& away_m) {
+  std::vector<const FrameInfo*> cameras;
+  for (const FrameInfo& frame : scene.info.frames)
+    if (frame.split == Split::train) cameras.push_back(&frame);
+  if (cameras.size() < 3) return nullptr;
+  std::vector<double> values(cameras.size());
+  const auto median = [&](const auto& of) {
+    std::transform(cameras.begin(), cameras.end(), values.begin(), of);
+    std::nth_element(values.begin(), values.begin() + std::ssize(values) / 2, values.end());
+    return values[values.size() / 2];
+  };
+  Vec3d middle;
+  for (int a = 0; a < 3; ++a) middle[a] = median([&](const FrameInfo* f) { return f->world_from_camera.t[a]; });
+  const auto distance = [&](const FrameInfo* f) { return length(f->world_from_camera.t - middle); };
+  const double usual = median(distance);
+  const FrameInfo* farthest =
+      *std::max_element(cameras.begin(), cameras.end(),
+                        [&](const FrameInfo* a, const FrameInfo* b) { return distance(a) < distance(b); });
+  away_m = distance(farthest);
+  return usual > 0 && away_m > kStray * usual ? farthest : nullptr;
+}
 
 // What is derived keeps to the limits of what can be written: a run stores it as settings, and reads it again.
 void check_extent(const LoadedScene& scene, Diagnostics& diagnostics) {
@@ -149,6 +173,14 @@ void check_extent(const LoadedScene& scene, Diagnostics& diagnostics) {
     reach = std::max({reach, std::abs(scene.bounds.lo[a]), std::abs(scene.bounds.hi[a])});
   }
   if (!finite || scene.bounds.empty()) return;  // reported already
+  if (double away_m = 0; const FrameInfo* stray = stray_camera(scene, away_m)) {
+    diagnostics.error("scene.pose.far", frame_place(*stray),
+                      "its camera is " + shortest_number(away_m) + (scene.info.metric ? " m" : " units") +
+                          " from the middle of the others, more than " + shortest_number(kStray) +
+                          " times as far as they are",
+                      "leave the stray pose out");
+    return;
+  }
   const FrameInfo* farthest = nullptr;
   for (const FrameInfo& frame : scene.info.frames) {
     const double at = length(frame.world_from_camera.t);
@@ -195,9 +227,9 @@ void describe(ParamVisitor& visit, SceneLoadOptions& p) {
       "the poses in the files are the inverse of what the dataset expects, usually world-to-camera matrices: they "
       "are inverted");
   SEMFIELD_PARAM(visit, p.convention, pose_scale, "multiplies camera centres; 0.001 for poses in millimetres",
-                 {1e-6, 1e6});
+                 {1e-9, 1e9});
   SEMFIELD_PARAM(visit, p.convention, depth_scale,
-                 "multiplies depth as read; 1000 for metres that were read as millimetres", {1e-6, 1e6});
+                 "multiplies depth as read; 1000 for metres that were read as millimetres", {1e-9, 1e9});
   SEMFIELD_PARAM(visit, p, check_geometry,
                  "whether poses that contradict depth or photographs, and bounds that no ray meets, are refused");
   SEMFIELD_PARAM(

@@ -200,12 +200,18 @@ PackedScene::Chunk put_chunk(AtomicFile& file, std::span<const std::byte> raw, s
   return chunk;
 }
 
+// Whether whole millimetres hold all depth of a frame: a scene may be in any unit.
+bool fits_millimetres(const std::vector<float>& depth_m) {
+  return std::all_of(depth_m.begin(), depth_m.end(), [](float d) {
+    const double mm = std::round(static_cast<double>(d) * 1000.0);
+    return !(d > 0) || (mm < 65535 && std::abs(mm - static_cast<double>(d) * 1000.0) <= static_cast<double>(d));
+  });
+}
+
 std::vector<std::uint16_t> millimetres(const std::vector<float>& depth_m) {
   std::vector<std::uint16_t> out(depth_m.size());
-  for (std::size_t i = 0; i < out.size(); ++i) {
-    const double mm = std::round(static_cast<double>(depth_m[i]) * 1000.0);
-    out[i] = mm >= 1 && mm < 65535 ? static_cast<std::uint16_t>(mm) : std::uint16_t{0};  // beyond 65.534 m: no depth
-  }
+  for (std::size_t i = 0; i < out.size(); ++i)
+    out[i] = depth_m[i] > 0 ? static_cast<std::uint16_t>(std::lround(static_cast<double>(depth_m[i]) * 1000.0)) : 0;
   return out;
 }
 
@@ -256,7 +262,7 @@ void write_packed_scene(const std::string& path, const SceneInfo& info,
     frame = {};
     read(static_cast<int>(i), frame);
     chunks[i][PackedScene::kColor] = put_chunk(file, raw_bytes(frame.rgb), 0);
-    if (options.with_depth && options.depth_as_mm) {
+    if (options.with_depth && options.depth_as_mm && fits_millimetres(frame.depth_m)) {
       chunks[i][PackedScene::kDepth] = put_chunk(file, raw_bytes(millimetres(frame.depth_m)), kMillimetres);
     } else if (options.with_depth) {
       chunks[i][PackedScene::kDepth] = put_chunk(file, raw_bytes(frame.depth_m), 0);

@@ -22,7 +22,9 @@ namespace semfield {
 inline constexpr std::uint32_t kPackedVersion = 3;
 
 struct PackOptions {
-  bool depth_as_mm = true;  ///< true: uint16 millimetres (rounded, up to 65.534 m); false: float, unchanged
+  /// true: uint16 millimetres in frames whose depth that rounds by at most 0.1 %, else, and with false, float,
+  /// unchanged.
+  bool depth_as_mm = true;
   bool with_depth = true;
   bool with_instances = true;
 };

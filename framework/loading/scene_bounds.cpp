@@ -63,7 +63,8 @@ void include_frustum(Box& box, const FrameInfo& frame, double distance_m) {
 
 void grow(Box& box, double share) {
   const Vec3d size = box.size();
-  const double least = 0.01 * std::max({size.x, size.y, size.z, 1e-6});  // a flat scene still gets a thickness
+  const double longest = std::max({size.x, size.y, size.z});
+  const double least = 0.01 * (longest > 0 ? longest : 1);  // a flat scene still gets a thickness
   for (int a = 0; a < 3; ++a) {
     const double margin = std::max(size[a] * share, least);
     box.lo[a] -= margin;
@@ -376,13 +377,13 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
   std::vector<float> focal;
   for (const FrameInfo* camera : seen.cameras) focal.push_back(static_cast<float>(camera->camera.fx));
   const Vec3d size = scene.bounds.empty() ? Vec3d{} : scene.bounds.size();
-  const double middle = seen.has_depth     ? quantile(seen.survey.distances, 0.5)
-                        : seen.corners     ? middle_of(scene.corners)
-                        : scene.rig.inward ? scene.rig.distance_m
-                        // Of contracted space far is as good as infinity, and tells nothing of where things are.
-                        : options.contracted ? 0.5 * std::max({size.x, size.y, size.z})
-                                             : 0.5 * (scene.near_m + scene.far_m);
-  scene.pixel_footprint_m = middle / quantile(focal, 0.5);
+  scene.middle_m = seen.has_depth     ? quantile(seen.survey.distances, 0.5)
+                   : seen.corners     ? middle_of(scene.corners)
+                   : scene.rig.inward ? scene.rig.distance_m
+                   // Of contracted space far is as good as infinity, and tells nothing of where things are.
+                   : options.contracted ? 0.5 * std::max({size.x, size.y, size.z})
+                                        : 0.5 * (scene.near_m + scene.far_m);
+  scene.pixel_footprint_m = scene.middle_m / quantile(focal, 0.5);
   warn_of_coarse_positions(scene, diagnostics);
   if (scene.extent_is_guessed) tell_of_guess(scene, options, diagnostics);
 }

@@ -54,24 +54,36 @@ void slope_inplace(DensityActivation activation, Real* x, std::int64_t n) {
   }
 }
 
-}  // namespace
-
+// sigma = per_m * f(raw).
 template <class Real>
-void density_forward(DensityActivation activation, View<const Real> raw, View<Real> sigma) {
+void activate(DensityActivation activation, Real per_m, View<const Real> raw, View<Real> sigma) {
   SEMFIELD_CHECK(raw.rows == sigma.rows, "raw and activated density differ in rows");
   for_blocks<Real>(raw, [&](Real* values, std::int64_t count, std::int64_t begin) {
     value_inplace(activation, values, count);
-    for (std::int64_t i = 0; i < count; ++i) *sigma.row(begin + i) = values[i];
+    for (std::int64_t i = 0; i < count; ++i) *sigma.row(begin + i) = values[i] * per_m;
   });
 }
 
 template <class Real>
-void density_backward(DensityActivation activation, View<const Real> raw, View<const Real> d_sigma, View<Real> d_raw) {
+void activate_backward(DensityActivation activation, Real per_m, View<const Real> raw, View<const Real> d_sigma,
+                       View<Real> d_raw) {
   SEMFIELD_CHECK(raw.rows == d_sigma.rows && raw.rows == d_raw.rows, "density gradients differ in rows");
   for_blocks<Real>(raw, [&](Real* values, std::int64_t count, std::int64_t begin) {
     slope_inplace(activation, values, count);
-    for (std::int64_t i = 0; i < count; ++i) *d_raw.row(begin + i) = *d_sigma.row(begin + i) * values[i];
+    for (std::int64_t i = 0; i < count; ++i) *d_raw.row(begin + i) = *d_sigma.row(begin + i) * values[i] * per_m;
   });
+}
+
+}  // namespace
+
+template <class Real>
+void density_forward(DensityActivation activation, View<const Real> raw, View<Real> sigma) {
+  activate<Real>(activation, 1, raw, sigma);
+}
+
+template <class Real>
+void density_backward(DensityActivation activation, View<const Real> raw, View<const Real> d_sigma, View<Real> d_raw) {
+  activate_backward<Real>(activation, 1, raw, d_sigma, d_raw);
 }
 
 template <class Real>
@@ -91,13 +103,19 @@ template <class Real>
 void density_forward(const DensityRule& rule, const Samples<Real>* samples, View<Real> raw, View<Real> sigma) {
   for (std::int64_t m = 0; m < raw.rows && rule.bias != 0; ++m) raw(m, 0) += static_cast<Real>(rule.bias);
   if (rule.deviation > 0) add_density_noise<Real>(rule.random, rule.first_ray, samples->first, rule.deviation, raw);
-  density_forward<Real>(rule.activation, raw, sigma);
+  activate<Real>(rule.activation, static_cast<Real>(rule.per_m), raw, sigma);
+}
+
+template <class Real>
+void density_backward(const DensityRule& rule, View<const Real> raw, View<const Real> d_sigma, View<Real> d_raw) {
+  activate_backward<Real>(rule.activation, static_cast<Real>(rule.per_m), raw, d_sigma, d_raw);
 }
 
 #define SEMFIELD_INSTANTIATE(Real)                                                                            \
   template void density_forward<Real>(DensityActivation, View<const Real>, View<Real>);                       \
   template void density_forward<Real>(const DensityRule&, const Samples<Real>*, View<Real>, View<Real>);      \
   template void density_backward<Real>(DensityActivation, View<const Real>, View<const Real>, View<Real>);    \
+  template void density_backward<Real>(const DensityRule&, View<const Real>, View<const Real>, View<Real>);   \
   template void add_density_noise<Real>(const RandomAddress&, std::int64_t, View<const std::int32_t>, double, \
                                         View<Real>);
 SEMFIELD_INSTANTIATE(float)

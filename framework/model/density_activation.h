@@ -1,4 +1,4 @@
-// From a field's raw density to attenuation in 1/m, and back.
+// From a field's raw density to attenuation along a ray, and back.
 #pragma once
 
 #include <array>
@@ -12,12 +12,12 @@
 
 namespace semfield {
 
-/// f(raw) = sigma in 1/m:
+/// f(raw) = sigma per unit of length (1 / DensityRule::per_m):
 ///   relu       max(raw, 0), f' = 1 for raw > 0, else 0 [Mildenhall20];
 ///   softplus   ln(1 + e^raw) = max(raw, 0) + log1p(e^-|raw|), f' = 1 / (1 + e^-raw);
-///   trunc_exp  e^min(raw, 15) [Mueller22]: 3.3e6 1/m is opaque within a micrometre. f' = e^min(raw, 15): above the
-///   clamp the
-///              slope at the clamp is used, so that a saturated density is finite and can still come down.
+///   trunc_exp  e^min(raw, 15) [Mueller22]: 3.3e6 is opaque within a millionth of the unit. f' = e^min(raw, 15): above
+///              the clamp the slope at the clamp is used, so that a saturated density is finite and can still come
+///              down.
 /// Non-finite raw values pass through as non-finite (relu keeps NaN): check_density names them, nothing hides them.
 enum class DensityActivation : std::uint8_t { relu, softplus, trunc_exp };
 
@@ -37,17 +37,23 @@ void density_forward(DensityActivation activation, View<const Real> raw, View<Re
 template <class Real>
 void density_backward(DensityActivation activation, View<const Real> raw, View<const Real> d_sigma, View<Real> d_raw);
 
-/// From raw density to sigma: bias, noise in training, activation.
+/// From raw density to sigma = f(raw + bias + noise) * per_m. The length keeps what a network has to say the same in
+/// every unit that a scene may be measured in.
 struct DensityRule {
   DensityActivation activation = DensityActivation::relu;
+  double per_m = 1;      ///< 1 / RenderRules::unit_m
   double bias = 0;       ///< added to raw density
   double deviation = 0;  ///< of the noise; 0: none
   RandomAddress random;  ///< of the noise
   std::int64_t first_ray = 0;
 };
-/// sigma = f(raw + bias + noise), [M, 1] each; raw is overwritten with what f saw. samples may be null without noise.
+/// [M, 1] each; raw is overwritten with what f saw. samples may be null without noise.
 template <class Real>
 void density_forward(const DensityRule& rule, const Samples<Real>* samples, View<Real> raw, View<Real> sigma);
+
+/// d_raw = d_sigma * f'(raw) * per_m, [M, 1] each, raw as density_forward left it; d_raw may be the memory of d_sigma.
+template <class Real>
+void density_backward(const DensityRule& rule, View<const Real> raw, View<const Real> d_sigma, View<Real> d_raw);
 
 /// raw += deviation * N(0, 1) (training noise of preset `paper` [Mildenhall20]). Sample k of ray r draws at index
 /// (first_ray + r) * 2^20 + k, so the values do not depend on how rays are cut into tiles. raw [M, 1]; first [R + 1,

@@ -79,6 +79,7 @@ template <class Real>
 DensityRule Pass<Real>::density_rule(const StepContext& ctx) const {
   DensityRule rule;
   rule.activation = rules_.rendering.density_activation;
+  rule.per_m = 1 / rules_.unit_m;
   rule.bias = rules_.rendering.density_bias;
   rule.first_ray = ctx.first_ray;
   if (!ctx.training || rules_.rendering.density_noise <= 0) return rule;
@@ -300,7 +301,7 @@ void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real
   stages_->composite_backward(in, out, grad, d_sigma, d_rgb, d_per_sample);
   if (semantic && !rounded) hidden_backward(ctx, lane, trace, d_per_sample, of_field);
   if (!d.sigma.empty()) stages_->add(d.sigma, d_sigma);
-  stages_->density_backward(rules_.rendering.density_activation, trace.out.sigma, d_sigma, d_sigma);
+  stages_->density_backward(density_rule(ctx), trace.out.sigma, d_sigma, d_sigma);
   of_field.sigma = d_sigma;
   of_field.rgb = d_rgb;
   const View<const std::int32_t> ray_of_sample = trace.samples.ray_of_sample.row_range(0, count);

@@ -46,6 +46,7 @@ void Pass<Real>::heads_backward(const StepContext& ctx, int lane, const PassTrac
 template <class Real>
 RayValues<Real> Pass<Real>::values_of(View<const double> near_far, const PassTrace<Real>& trace) const {
   RayValues<Real> values;
+  values.unit_m = rules_.unit_m;
   values.near_far = near_far;
   values.first = trace.samples.first;
   values.t = trace.samples.t;

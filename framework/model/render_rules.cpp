@@ -14,7 +14,7 @@ void describe(ParamVisitor& visit, SemanticsParams& p) {
 }
 
 void describe(ParamVisitor& visit, RenderingParams& p) {
-  SEMFIELD_PARAM(visit, p, density_activation, "raw density to attenuation in 1/m");
+  SEMFIELD_PARAM(visit, p, density_activation, "raw density to attenuation per unit_m");
   SEMFIELD_PARAM(visit, p, density_bias, "added to raw density; negative: training starts from thin fog", {-20, 20});
   SEMFIELD_PARAM(visit, p, far, "what a ray meets behind its last sample");
   SEMFIELD_PARAM(visit, p, density_noise, "standard deviation of the noise on raw density in training [Mildenhall20]",
@@ -26,6 +26,12 @@ void describe(ParamVisitor& visit, RenderingParams& p) {
   SEMFIELD_PARAM(visit, p, scene_scale,
                  "factor from metres to a metric encoder's coordinates [Zhi21: 0.1]; 0: from the scene's bounds",
                  {0, 1e6});
+  SEMFIELD_PARAM(
+      visit, p, unit_m,
+      "length that density and the losses count as 1, so that results do not depend on a scene's unit; 0: half the "
+      "distance at which cameras see things, at most a quarter of the bounds, and with contracted space the whole "
+      "distance; run.yaml has the number",
+      {0, 1e12});
   SEMFIELD_PARAM(
       visit, p, outside,
       "what lies outside the bounds: nothing, or all of space, contracted so that encoders hold it [Barron22]");

@@ -40,6 +40,7 @@ struct RenderingParams {
   std::vector<double> background{0, 0, 0};
   double early_stop = 1e-4;
   double scene_scale = 0;
+  double unit_m = 0;
   Outside outside = Outside::nothing;
 };
 void describe(ParamVisitor& visit, RenderingParams& params);
@@ -50,6 +51,7 @@ struct RenderRules {
   RenderingParams rendering;
   SemanticsParams semantics;
   bool deferred_class_layer = true;
+  double unit_m = 1;  ///< rendering.unit_m, resolved: density is per this length, and losses measure in it
 
   /// Added to colour only.
   std::array<double, 3> background() const {

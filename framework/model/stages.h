@@ -98,7 +98,7 @@ struct Stages {
   void (*map_positions)(View<const double> positions, const DomainMap& map, View<double> x) = nullptr;
   void (*density_forward)(const DensityRule& rule, const Samples<Real>* samples, View<Real> raw,
                           View<Real> sigma) = nullptr;
-  void (*density_backward)(DensityActivation activation, View<const Real> raw, View<const Real> d_sigma,
+  void (*density_backward)(const DensityRule& rule, View<const Real> raw, View<const Real> d_sigma,
                            View<Real> d_raw) = nullptr;
   void (*composite_forward)(const CompositeIn<Real>& in, const CompositeOut<Real>& out) = nullptr;
   void (*composite_backward)(const CompositeIn<Real>& in, const CompositeOut<Real>& out,

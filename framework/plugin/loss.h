@@ -32,6 +32,7 @@ struct RayValues {
   View<const Real> depth;          ///< [R, 1] sum of w t, metres along the ray
   View<const Real> opacity;        ///< [R, 1] sum of w
   ChannelTable<const Real> heads;  ///< what heads make, by name: logits [S, C]. Rays from S on have no row
+  double unit_m = 1;               ///< rendering.unit_m: losses by distance divide by it
 };
 
 /// dL/d(values). Losses add to them; those that no loss moves may be empty.

@@ -37,7 +37,8 @@ bool find_focus(const Cameras& cameras, Vec3d& focus) {
     focus = {solution[0], solution[1], solution[2]};
     for (std::size_t i = 0; i < cameras.size(); ++i) {
       const Vec3d from = focus - cameras[i]->world_from_camera.t, d = cameras[i]->world_from_camera.axis(2);
-      weight[i] = 1 / std::max(length(from - d * dot(d, from)), 1e-3 * length(from) + 1e-12);
+      const double off = std::max(length(from - d * dot(d, from)), 1e-3 * length(from));
+      weight[i] = off > 0 ? 1 / off : 0;  // a camera at the focus has its view axis through it anyway
     }
   }
   return true;

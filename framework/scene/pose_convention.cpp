@@ -44,8 +44,9 @@ void convert_info(SceneInfo& info, const PoseConvention& convention) {
       box->lo = box->lo * convention.pose_scale;
       box->hi = box->hi * convention.pose_scale;
     }
-    // Whether the hints were in the unit of the poses is not known; depth tells.
+    // Where poses and depth were in two units, it is not known in which of them the hints were; depth tells.
     const bool depth =
+        convention.depth_scale != convention.pose_scale &&
         std::any_of(info.frames.begin(), info.frames.end(), [](const FrameInfo& f) { return f.has_depth; });
     info.near_hint_m = depth ? 0 : info.near_hint_m * convention.pose_scale;
     info.far_hint_m = depth ? 0 : info.far_hint_m * convention.pose_scale;

@@ -148,8 +148,12 @@ void choose_by_labels(Session& s, bool labels_made, bool trainable, Diagnostics&
 }
 
 SceneExtent extent_of(const Session& s) {
-  return {s.scene.bounds, s.scene.near_m, s.scene.far_m, s.scene.pixel_footprint_m,
-          s.config.rendering.outside == Outside::contracted};
+  return {s.scene.bounds,
+          s.scene.near_m,
+          s.scene.far_m,
+          s.scene.pixel_footprint_m,
+          s.config.rendering.outside == Outside::contracted,
+          s.scene.middle_m};
 }
 
 // Scene, labels, manifest and plan. `last` is the sampler that the plan has asked, made for the scene's extent of now.
@@ -219,6 +223,7 @@ void fix_extent(Session& s, DeviceId device) {
   s.config.load.near_m = s.scene.near_m;
   s.config.load.far_m = s.scene.far_m;
   s.config.load.bounds = {b.lo.x, b.lo.y, b.lo.z, b.hi.x, b.hi.y, b.hi.z};
+  s.config.rendering.unit_m = unit_of(s.config, s.extent);
   s.chosen = choose_from_scene(s.config, s.extent, device.kind);
 }
 

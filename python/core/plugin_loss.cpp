@@ -88,6 +88,7 @@ class PythonLoss final : public Loss {
   template <class Real>
   static py::dict arrays(const RayValues<Real>& values) {
     py::dict out;
+    put(out, "unit_m", View<const double>(&values.unit_m, 1, 1));
     put(out, "near_far", values.near_far);
     put(out, "first", values.first);
     put(out, "t", values.t);

@@ -240,7 +240,8 @@ class Loss(_Plugin):
                 [R, 1] metres, 0: unknown, alpha [R, 1] in [0, 1], negative: unknown; those that the batch has.
             values: color [R, 3], depth and opacity [R, 1], near_far [R, 2]; t, delta, sigma and weight [M, 1] of samples,
                 those of ray r from first[r, 0] to first[r + 1, 0]; logits [S, C] of the first S rays, those behind them
-                have no label. float32 or, as the oracle of the laws, float64.
+                have no label; unit_m [1, 1], by which losses in metres divide. float32 or, as the oracle of the laws,
+                float64.
 
         Returns:
             [R] or [S], and by every name in `moves` an array of exactly the shape of the value. Not called for rays without

@@ -32,7 +32,8 @@ std::vector<float> ones(std::size_t count) { return std::vector<float>(count, 1.
 // The rays there, columns a `gap` apart; gradients begin with 1.
 struct DeviceRays {
   DeviceRays(const LossRays<float>& host, int gap)
-      : first(host.first, 1),
+      : unit_m(host.unit_m),
+        first(host.first, 1),
         near_far(host.near_far, 2),
         label(host.label, 1),
         truth(host.depth_target, 1),
@@ -69,6 +70,7 @@ struct DeviceRays {
         weight.read_only(),   color.read_only(), depth.read_only(), opacity.read_only(), {}};
     out.heads.set(channel::logits, logits.read_only());
     if (!further.head.empty()) out.heads.set(further.head, made.read_only());
+    out.unit_m = unit_m;
     return out;
   }
   RayGradients<float> gradients() const {
@@ -81,6 +83,7 @@ struct DeviceRays {
     return d_color.surroundings() + d_depth.surroundings() + d_weight.surroundings() + d_sigma.surroundings() +
            d_logits.surroundings() + d_made.surroundings();
   }
+  double unit_m;
   DeviceMatrix<std::int32_t> first;
   DeviceMatrix<double> near_far;
   DeviceMatrix<std::int16_t> label;
@@ -122,8 +125,9 @@ void expect_same(const testkit::Row& row, const std::vector<int>& counts, int ga
   if (losses.empty()) return;
   DeviceLaunch launch;
   const testkit::FurtherChannels further(losses[0].loss->traits());
-  const LossRays<float> host(counts, 1, soft_labels, further);
+  LossRays<float> host(counts, 1, soft_labels, further);
   LossRays<double> want(counts, 1, soft_labels, further);
+  host.unit_m = want.unit_m = 1.75;
   const double sum = want.add(*losses[0].loss, kScale);
   // Second in a list of two, of which the first does not work.
   cuda::StepCell cell;

@@ -137,7 +137,7 @@ TEST(CudaDensity, ActivationsAndTheirSlopes) {
         raw[i] = std::vector<float>{0, -0.F, 1e-30F, -100, 15, 80}[i];
       const std::vector<float> d_sigma = testing::random_floats(count, 6, -1, 1);
       const DeviceMatrix<float> raw_there(raw, 1, 3), sigma(count, 1, 2), d_there(d_sigma, 1, 2);
-      DensityRule rule{.activation = activation, .bias = -0.25};
+      DensityRule rule{.activation = activation, .per_m = 0.375, .bias = -0.25};
       cuda::density_forward(rule, nullptr, raw_there.view(), sigma.view());
       for (float& x : raw) x -= 0.25F;
       EXPECT_EQ(raw_there.read(), raw);
@@ -147,7 +147,9 @@ TEST(CudaDensity, ActivationsAndTheirSlopes) {
       const std::vector<double> wide_d = testing::widen(d_sigma);
       density_backward<double>(activation, testing::host_view(wide, 1), testing::host_view(wide_d, 1),
                                testing::host_view(slope, 1));
-      cuda::density_backward(activation, raw_there.read_only(), d_there.read_only(), d_there.view());  // in place
+      for (double& x : want) x *= rule.per_m;
+      for (double& x : slope) x *= rule.per_m;
+      cuda::density_backward(rule, raw_there.read_only(), d_there.read_only(), d_there.view());  // in place
       const std::vector<float> got = sigma.read(), got_d = d_there.read();
       for (std::size_t i = 0; i < got.size(); ++i) {
         constexpr double kSubnormal = 1e-38;  // numbers below it have fewer digits

@@ -49,7 +49,7 @@ Golden golden(const std::string& name, const std::string& passes, const std::str
   const bool bf16 = name.ends_with("bf16");
   return {name, "scene: {type: analytic_room" + scene +
                     "}\nsemantics: {hidden_width: 16, weight: 0.1}\n"
-                    "rendering: {density_activation: softplus, far: background}\npasses:\n" +
+                    "rendering: {density_activation: softplus, far: background, unit_m: 1}\npasses:\n" +
                     passes + more + "train: {steps: 20, rays: 128, adam: {learning_rate: 0.01}" + train +
                     "}\nruntime: {device: cpu, lanes: 8, tile_rays: " + tile_rays(passes) +
                     ", precision: " + (bf16 ? "bf16" : "fp32") + "}\n"};

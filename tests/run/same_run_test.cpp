@@ -34,10 +34,11 @@ std::string texts(const Diagnostics& diagnostics) {
 struct Trained {
   TempDir dir;
   std::string run = dir / "run";
-  explicit Trained(const std::string& labels = "") {
+  explicit Trained(const std::string& labels = "", const std::string& rendering = "") {
     const std::string config = write_packed_config(dir, 4, 0);
     std::string yaml = read_text_file(config);
     yaml.replace(yaml.find("room.sfpack}"), 12, "room.sfpack" + labels + "}");
+    yaml.replace(yaml.find("far: background}"), 16, "far: background" + rendering + "}");
     write_file_atomic(config, yaml);
     train(config, run, 4, false);
   }
@@ -92,7 +93,33 @@ struct Trained {
     }
     write_safetensors(found->path, found->file.tensors(), metadata);
   }
+  /// As 1.0 wrote it, whose density was per metre.
+  void drop_unit() const {
+    const auto without_unit = [](const std::string& text) {
+      const ConfigNode tree = parse_config_text(text, "run.yaml");
+      EXPECT_NE(tree.find("rendering")->find("unit_m"), nullptr);
+      return write_config(tree.with("rendering", tree.find("rendering")->without("unit_m")));
+    };
+    write_file_atomic(run + "/run.yaml", without_unit(read_text_file(run + "/run.yaml")));
+    Diagnostics ignored;
+    auto found = CheckpointStore::read(run + "/checkpoints").find_latest(ignored);
+    TensorMetadata metadata = found->file.metadata();
+    std::erase_if(metadata, [](const auto& entry) { return entry.first.starts_with("semfield.crc32c"); });
+    metadata.at("config") = without_unit(metadata.at("config"));
+    write_safetensors(found->path, found->file.tensors(), metadata);
+  }
 };
+
+TEST(SameRun, ARunOf1_0OpensAndGoesOnWithDensityPerMetre) {
+  const Trained other;
+  EXPECT_LACKS(read_text_file(other.run + "/run.yaml"), "unit_m: 1.0\n") << "the scene asks for another unit";
+  const Trained now("", ", unit_m: 1"), then("", ", unit_m: 1");
+  then.drop_unit();
+  EXPECT_EQ(then.open(), "");
+  EXPECT_EQ(then.open({}, OpenFor::rendering), "");
+  EXPECT_EQ(then.resume(6), now.resume(6));
+  EXPECT_EQ(checkpoint_fingerprint(then.run, 6), checkpoint_fingerprint(now.run, 6));
+}
 
 constexpr const char* kOtherLabels =
     "scene: it has changed since the run was trained: other labels; restore the data, or train again";

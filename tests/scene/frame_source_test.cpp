@@ -18,6 +18,7 @@ struct RoomDataset {
   bool depth = true, labels = true;
   int broken = -1;
   double offset = 0;
+  double stray = 0;      // of the camera of frame 2
   int sparse_depth = 1;  // every n-th pixel has depth
   double far_hint = 0;
   std::vector<std::string> names{"0", "1", "2", "3", "4", "5"};
@@ -34,7 +35,7 @@ struct RoomDataset {
                                {6, "f", {}, false}});
     for (int i = 0; i < 6; ++i) {
       FrameInfo f{.name = names[i], .camera = room_camera(), .world_from_camera = room_pose(i)};
-      f.world_from_camera.t.x += offset;
+      f.world_from_camera.t.x += offset + (i == 2 ? stray : 0);
       f.split = i == 5 ? Split::test : Split::train;
       f.has_depth = depth;
       f.has_labels = labels;
@@ -279,6 +280,24 @@ TEST(LoadScene, FarOriginIsWarnedAbout) {
   (void)load_scene(room, {}, d);
   ASSERT_EQ(d.all().size(), 1u);
   EXPECT_EQ(d.all()[0].remedy, "move the origin of the poses near the scene");
+}
+
+TEST(LoadScene, AStrayCameraIsNamedWhateverTheUnit) {
+  for (const double scale : {1e-4, 1.0, 1e6}) {
+    SceneLoadOptions options{.check_geometry = false};
+    options.convention.pose_scale = options.convention.depth_scale = scale;
+    RoomDataset room;
+    Diagnostics none;
+    const LoadedScene scene = load_scene(room, options, none);
+    EXPECT_TRUE(none.all().empty()) << none.all()[0].text();
+    EXPECT_NEAR(scene.bounds.size().x, 4 * scale, 0.4 * scale);
+    room.stray = 1e7;
+    Diagnostics d;
+    (void)load_scene(room, options, d);
+    ASSERT_EQ(d.error_count(), 1) << scale;
+    EXPECT_EQ(d.all()[0].code, "scene.pose.far");
+    EXPECT_HAS(d.all()[0].text(), "frame '2'");
+  }
 }
 
 TEST(LoadScene, SameForAnyNumberOfThreads) {

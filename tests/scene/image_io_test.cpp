@@ -303,6 +303,21 @@ TEST(PackedScene, MillimetresRoundToHalfAMillimetre) {
   for (std::size_t i = 0; i < a.depth_m.size(); ++i) EXPECT_NEAR(a.depth_m[i], b.depth_m[i], 0.000501);
 }
 
+TEST(PackedScene, DepthInAnotherUnitIsNotRounded) {
+  for (const float scale : {1e-4F, 1e3F, 1e6F}) {
+    const auto scaled = [&](int i, FrameBuffer& out) {
+      render(room_info(3), i, out);
+      for (float& depth : out.depth_m) depth *= scale;
+    };
+    const std::string path = fresh_folder("p") + "/room.semfield";
+    write_packed_scene(path, room_info(3), scaled);
+    FrameBuffer a, b;
+    scaled(0, a);
+    PackedScene(path).read(0, b);
+    EXPECT_EQ(a.depth_m, b.depth_m) << scale;
+  }
+}
+
 TEST(PackedScene, MessagesAreExact) {
   const std::string folder = fresh_folder("p");
   const std::string path = packed_room(folder, {}, 2);

@@ -73,6 +73,18 @@ TEST(RunConfig, RunsOfEarlierVersionsMayNameOurOwnKernels) {
   EXPECT_HAS(text, "room.yaml:11:", "gemm is gone");
 }
 
+TEST(RunConfig, DensityOfRunsOf1_0IsPerMetre) {
+  Registry registry = make_registry();
+  const ConfigNode now = resolved_config(open_text(hash_config()).config);
+  EXPECT_NEAR(run_config_of(now, registry).rendering.unit_m, 1, 0.3) << "half of what the cameras see afar";
+  const ConfigNode* rendering = now.find("rendering");
+  const auto unit_of = [&](const ConfigNode& tree) { return run_config_of(tree, registry).rendering.unit_m; };
+  EXPECT_EQ(unit_of(now.with("rendering", rendering->with("unit_m", ConfigNode::make_scalar("2.5", false, {})))), 2.5);
+  const ConfigNode then = now.with("rendering", rendering->without("unit_m"));
+  EXPECT_EQ(unit_of(then), 1) << "the resolved configuration of a run";
+  EXPECT_EQ(unit_of(then.without("base_dir")), 0) << "one that is written by hand asks the scene";
+}
+
 TEST(RunConfig, PrecisionAutoIsSettledWhenASessionOpens) {
   Registry registry = make_registry();
   Session s = open_text(hash_config("runtime: {device: cpu, precision: auto}\n"), registry);

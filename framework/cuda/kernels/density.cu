@@ -58,16 +58,17 @@ __global__ void __launch_bounds__(kThreads) forward_kernel(DensityRule rule, Sam
     value += static_cast<float>(rule.deviation * normal01(at_step(rule.random, cell), index));
   }
   raw(m, 0) = value;
-  const float density = activated(rule.activation, value);
+  const float density = activated(rule.activation, value) * static_cast<float>(rule.per_m);
   sigma(m, 0) = density;
   if (in_use && !(density >= 0 && isfinite(density))) note_fault(fault, Stage::density, m);
 }
 
 // 12 B per row.
 __global__ void __launch_bounds__(kThreads)
-    backward_kernel(DensityActivation activation, View<const float> raw, View<const float> d_sigma, View<float> d_raw) {
+    backward_kernel(DensityActivation activation, float per_m, View<const float> raw, View<const float> d_sigma,
+                    View<float> d_raw) {
   const std::int64_t m = thread_number();
-  if (m < raw.rows) d_raw(m, 0) = d_sigma(m, 0) * slope_of(activation, raw(m, 0));
+  if (m < raw.rows) d_raw(m, 0) = d_sigma(m, 0) * slope_of(activation, raw(m, 0)) * per_m;
 }
 
 }  // namespace
@@ -79,10 +80,10 @@ void density_forward(const DensityRule& rule, const Samples<float>* samples, Vie
   check_launch("density");
 }
 
-void density_backward(DensityActivation activation, View<const float> raw, View<const float> d_sigma,
-                      View<float> d_raw) {
+void density_backward(const DensityRule& rule, View<const float> raw, View<const float> d_sigma, View<float> d_raw) {
   if (raw.rows == 0) return;
-  backward_kernel<<<blocks_of(raw.rows, kThreads), kThreads, 0, launch().stream>>>(activation, raw, d_sigma, d_raw);
+  backward_kernel<<<blocks_of(raw.rows, kThreads), kThreads, 0, launch().stream>>>(
+      rule.activation, static_cast<float>(rule.per_m), raw, d_sigma, d_raw);
   check_launch("density gradient");
 }
 

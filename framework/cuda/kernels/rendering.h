@@ -25,13 +25,12 @@ void locate_backward(const Rays<float>& rays, const Samples<float>& samples, con
 /// locate for positions [N, 3] in world metres (density queries).
 void map_positions(View<const double> positions, const DomainMap& map, View<double> x);
 
-/// sigma = f(raw + bias + deviation N(0, 1)); raw is overwritten with what f saw. deviation 0: no noise. Sample k of
-/// ray first_ray + r draws at index (first_ray + r) 2^20 + k, as on the CPU. A result that is not in [0, inf) is a
+/// sigma = f(raw + bias + deviation N(0, 1)) * per_m; raw is overwritten with what f saw. deviation 0: no noise. Sample
+/// k of ray first_ray + r draws at index (first_ray + r) 2^20 + k, as on the CPU. A result that is not in [0, inf) is a
 /// fault of Stage::density, a raw value that is not finite one of Stage::raw_density; row = sample.
 void density_forward(const DensityRule& rule, const Samples<float>* samples, View<float> raw, View<float> sigma);
-/// d_raw = d_sigma f'(raw); may be the same memory.
-void density_backward(DensityActivation activation, View<const float> raw, View<const float> d_sigma,
-                      View<float> d_raw);
+/// d_raw = d_sigma f'(raw) * per_m; may be the same memory.
+void density_backward(const DensityRule& rule, View<const float> raw, View<const float> d_sigma, View<float> d_raw);
 
 /// As semfield::composite_forward; `in.hidden` and `out.hidden` cover the first out.hidden.rows rays. One warp per ray;
 /// scalars of a ray in float64. Weights of unused rows are 0. A colour of a sample that is not finite is a fault of

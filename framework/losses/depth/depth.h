@@ -7,7 +7,7 @@
 
 namespace semfield {
 
-/// expected       the rendered depth lies where the image says;
+/// expected       the rendered depth lies where the image says, in units of RayValues::unit_m;
 /// line_of_sight  all light comes from within a band about it [Rematas22].
 enum class DepthLossKind : std::uint8_t { expected, line_of_sight };
 template <>
@@ -19,7 +19,7 @@ struct DepthLossParams : LossRule {
   DepthLossParams() { weight = 0.1; }
   DepthLossKind kind = DepthLossKind::expected;
   double truncate_m = 0;
-  double band_m = 0.1;
+  double band_m = 0;  ///< 0: a tenth of the unit
 };
 
 void describe(ParamVisitor& visit, DepthLossParams& params);

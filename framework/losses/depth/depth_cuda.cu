@@ -7,7 +7,8 @@ namespace semfield::cuda {
 namespace {
 
 struct Body {
-  DepthLossParams params;
+  DepthLossParams params;  // its band with a number
+  double unit_m;
   View<const float> truth, depth, t, weight;
   View<float> d_depth, d_weight;
 
@@ -16,7 +17,7 @@ struct Body {
     if (!(of_ray > 0)) return 0;
     if (params.kind == DepthLossKind::expected) {
       if (at.lane != 0) return 0;
-      const LossValue loss = expected_depth_loss(depth(at.ray, 0), of_ray, params.truncate_m);
+      const LossValue loss = expected_depth_loss(depth(at.ray, 0), of_ray, params.truncate_m, unit_m);
       d_depth(at.ray, 0) += static_cast<float>(scale * loss.slope);
       return loss.value;
     }
@@ -33,6 +34,8 @@ struct Body {
 void add(const Loss& loss, const LossCall& call) {
   Body body;
   body.params = static_cast<const DepthLoss&>(loss).params;
+  body.params.band_m = band_of(body.params.band_m, call.values.unit_m);
+  body.unit_m = call.values.unit_m;
   body.truth = call.targets.more[channel::depth];
   body.depth = call.values.depth;
   body.t = call.values.t;

@@ -1,4 +1,4 @@
-// Loss `near_density`: the first decimetres in front of a camera are empty [Yang23].
+// Loss `near_density`: what lies right in front of a camera is empty [Yang23].
 #pragma once
 
 #include "plugin/loss.h"
@@ -11,7 +11,7 @@ struct NearDensityParams : LossRule {
     weight = 0.001;
     from_step = 0.1;
   }
-  double distance_m = 0.3;
+  double distance_m = 0;
 };
 
 void describe(ParamVisitor& visit, NearDensityParams& params);

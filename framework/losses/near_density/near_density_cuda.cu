@@ -24,7 +24,8 @@ struct Body {
 };
 
 void add(const Loss& loss, const LossCall& call) {
-  const Body body{static_cast<const NearDensityLoss&>(loss).params.distance_m, call.values.t, call.values.delta,
+  const double distance_m = static_cast<const NearDensityLoss&>(loss).params.distance_m;
+  const Body body{near_density_reach(distance_m, call.values.unit_m), call.values.t, call.values.delta,
                   call.values.sigma, call.gradients.sigma};
   launch_over_rays(call, body, "near-density loss");
 }

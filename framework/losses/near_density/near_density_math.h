@@ -6,6 +6,12 @@
 
 namespace semfield {
 
+/// How far from the camera the term reaches.
+SEMFIELD_HD inline double near_density_reach(double distance_m, double unit_m) {
+  constexpr double kReach = 0.3;
+  return distance_m > 0 ? distance_m : kReach * unit_m;
+}
+
 /// sigma delta of a sample closer than distance_m: a ray's sum is the optical depth there, where [Yang23] takes the
 /// mean density of the first samples, which depends on how many there are. An infinite interval counts up to
 /// distance_m.

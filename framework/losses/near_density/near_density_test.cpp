@@ -21,6 +21,18 @@ TEST(NearDensityLoss, IsTheOpticalDepthInFrontOfTheCamera) {
   EXPECT_EQ(rays.d_sigma, (std::vector<double>{2, 2, 0, 0}));
 }
 
+TEST(NearDensityLoss, ReachesThreeTenthsOfTheScenesUnit) {
+  const NearDensityLoss loss;
+  for (const double unit : {1e-4, 1.0, 1e6}) {
+    LossRays<double> rays({3});
+    rays.unit_m = unit;
+    rays.t = {0.1 * unit, 0.29 * unit, 0.31 * unit};
+    rays.delta = {0.2 * unit, 0.2 * unit, 0.2 * unit};
+    rays.sigma = {3 / unit, 5 / unit, 7 / unit};
+    EXPECT_NEAR(rays.add(loss, 1), 0.2 * 3 + 0.2 * 5, 1e-12) << unit;
+  }
+}
+
 TEST(NearDensityLoss, DoesNotDependOnHowManySamplesThereAre) {
   NearDensityLoss loss;
   loss.params.distance_m = 1;

@@ -240,6 +240,14 @@ void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& con
   if (config.base_dir.empty()) config.base_dir = std::filesystem::current_path().string();
 }
 
+ConfigNode with_path(const ConfigNode& tree, const std::string& path, const ConfigNode& value) {
+  const std::size_t dot = path.find('.');
+  if (dot == std::string::npos) return tree.with(path, value);
+  const std::string key = path.substr(0, dot);
+  const ConfigNode* child = tree.find(key);
+  return tree.with(key, with_path(child == nullptr ? ConfigNode() : *child, path.substr(dot + 1), value));
+}
+
 // Runs of earlier versions have a limit beside a number of steps: what it says of their last evaluation still holds.
 ConfigNode with_former_limit(const ConfigNode& tree, Diagnostics& diagnostics) {
   const ConfigNode* train = tree.find("train");
@@ -255,9 +263,17 @@ ConfigNode with_former_limit(const ConfigNode& tree, Diagnostics& diagnostics) {
   return tree.with("train", now);
 }
 
+// Runs of 1.0 say no unit: their density is per metre.
+ConfigNode with_former_unit(const ConfigNode& tree) {
+  const ConfigNode* rendering = tree.find("rendering");
+  if (tree.find("base_dir") == nullptr || rendering == nullptr || !rendering->is_map()) return tree;
+  if (rendering->find("unit_m") != nullptr) return tree;
+  return with_path(tree, "rendering.unit_m", ConfigNode::make_scalar("1", false, tree.location()));
+}
+
 // Runs of earlier versions say who multiplies matrices. What they say of our own kernels still holds.
 ConfigNode without_former_keys(const ConfigNode& written, Diagnostics& diagnostics) {
-  const ConfigNode tree = with_former_limit(written, diagnostics);
+  const ConfigNode tree = with_former_limit(with_former_unit(written), diagnostics);
   const ConfigNode* runtime = tree.find("runtime");
   const ConfigNode* gemm = runtime != nullptr && runtime->is_map() ? runtime->find("gemm") : nullptr;
   if (gemm == nullptr) return tree;
@@ -267,14 +283,6 @@ ConfigNode without_former_keys(const ConfigNode& written, Diagnostics& diagnosti
                       "remove the key; runtime.precision: bf16 is the faster arithmetic");
   }
   return tree.with("runtime", runtime->without("gemm"));
-}
-
-ConfigNode with_path(const ConfigNode& tree, const std::string& path, const ConfigNode& value) {
-  const std::size_t dot = path.find('.');
-  if (dot == std::string::npos) return tree.with(path, value);
-  const std::string key = path.substr(0, dot);
-  const ConfigNode* child = tree.find(key);
-  return tree.with(key, with_path(child == nullptr ? ConfigNode() : *child, path.substr(dot + 1), value));
 }
 
 }  // namespace

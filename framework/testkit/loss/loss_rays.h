@@ -116,6 +116,7 @@ struct LossRays {
     out.color = mat(color, 3).row_range(begin, n);
     out.depth = mat(depth, 1).row_range(begin, n);
     out.opacity = mat(opacity, 1).row_range(begin, n);
+    out.unit_m = unit_m;
     const auto [from, rows] = semantic_rows(begin, n);
     out.heads.set(channel::logits, mat(logits, kClasses).row_range(from, rows));
     if (!further.head.empty()) out.heads.set(further.head, mat(made, kColumns).row_range(begin, n));
@@ -142,6 +143,7 @@ struct LossRays {
   }
   double add(const Loss& loss, double scale) { return loss.add(targets(), values(), scale, gradients()); }
 
+  double unit_m = 1;
   std::int64_t semantic_rays = 0;  ///< the first rays, which have logits
   std::vector<std::int32_t> first;
   std::vector<std::int16_t> label;

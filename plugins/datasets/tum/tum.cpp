@@ -119,7 +119,7 @@ void describe(ParamVisitor& visit, TumParams& p) {
                  "[k1, k2, p1, p2, k3]; empty = those of the benchmark's camera that the folder's name says",
                  {-1e6, 1e6});
   SEMFIELD_PARAM(visit, p, within_s, "how far a depth image or a pose may be from an image, seconds", {0, 1e6});
-  SEMFIELD_PARAM(visit, p, depth_steps, "steps of a depth image per metre", {1e-3, 1e6});
+  SEMFIELD_PARAM(visit, p, depth_steps, "steps of a depth image per metre", {1e-6, 1e9});
 }
 
 void validate(const TumParams& p, Diagnostics& diagnostics) {

@@ -67,7 +67,7 @@ void describe(ParamVisitor& visit, OccupancyGridParams& params) {
   SEMFIELD_PARAM(visit, params, max_samples,
                  "most samples per ray; a ray that needs more takes longer steps; 0 = by the device", {0, 65536});
   SEMFIELD_PARAM(visit, params, step_m, "step along the ray in metres; 0 = sqrt(3) / 1024 of the scene's longest side",
-                 {0, 1e9});
+                 {0, 1e12});
   SEMFIELD_PARAM(
       visit, params, growth,
       "largest length of a step as a share of its distance from the camera, so that far steps double whenever the "
