@@ -261,11 +261,15 @@ TEST_F(TrainedRoom, VerticesGetTheColourThatTheirCamerasSee) {
     for (std::size_t k = 0; k < looks.count; ++k) {
       vertex.push_back(v);
       weight.push_back(looks.weight[k]);
+      const Vec3d eye = eyes[static_cast<std::size_t>(looks.eye[k])].world_from_camera.t;
       for (int axis = 0; axis < 3; ++axis) {
-        origin.push_back(surface.positions[v][axis] - offset * looks.direction[k][axis]);
+        origin.push_back(eye[axis]);
         direction.push_back(looks.direction[k][axis]);
       }
-      near_far.insert(near_far.end(), {0, 2 * offset});
+      double enter = 0, leave = HUGE_VAL;
+      ASSERT_TRUE(intersect(session_->limits.bounds, eye, looks.direction[k], enter, leave));
+      near_far.push_back(std::max(session_->limits.near_m, enter));
+      near_far.push_back(std::min(session_->limits.far_m, leave));
     }
   }
   ASSERT_GT(vertex.size(), 300U);
@@ -295,14 +299,19 @@ const Vec3d kCenter{0.31, -0.22, 0.13};
 constexpr double kRadius = 0.7, kGrowth = 2000;
 double red_at(double x) { return 0.5 + 0.3 * x; }
 
-struct BallParams {};
-void describe(ParamVisitor&, BallParams&) {}
+// Or one of fog, with a shell of another colour: what is seen of it is the sum of both.
+constexpr double kFog = 6, kShell = 0.15;
+
+struct BallParams {
+  bool fog = false;
+};
+void describe(ParamVisitor& visit, BallParams& p) { SEMFIELD_PARAM(visit, p, fog, "a ball of fog"); }
 void validate(const BallParams&, Diagnostics&) {}
 
 template <class Real>
 class BallField final : public Field<Real> {
  public:
-  BallField(const BallParams&, const FieldBuild&, const KernelTables&) {}
+  BallField(const BallParams& params, const FieldBuild&, const KernelTables&) : fog_(params.fog) {}
   FieldTraits traits() const noexcept override { return {1, false}; }
   std::size_t saved_bytes(std::int64_t, std::int64_t) const noexcept override { return 0; }
 
@@ -312,26 +321,31 @@ class BallField final : public Field<Real> {
     for (std::int64_t m = 0; m < in.position.rows; ++m) {
       const Vec3d p{static_cast<double>(in.position(m, 0)), static_cast<double>(in.position(m, 1)),
                     static_cast<double>(in.position(m, 2))};
-      const double inside = kRadius * kRadius - dot(p - kCenter, p - kCenter);
-      out.sigma(m, 0) = static_cast<Real>(kGrowth * inside);
-      for (int c = 0; c < 3 && !out.rgb.empty(); ++c) out.rgb(m, c) = static_cast<Real>(c == 0 ? red_at(p.x) : 0.25);
+      const double inside = kRadius * kRadius - dot(p - kCenter, p - kCenter), deep = kRadius - length(p - kCenter);
+      out.sigma(m, 0) = static_cast<Real>(fog_ ? (deep > 0 ? kFog : -1) : kGrowth * inside);
+      for (int c = 0; c < 3 && !out.rgb.empty(); ++c)
+        out.rgb(m, c) = static_cast<Real>(fog_ ? (deep < kShell ? 1 : 0.2) : c == 0 ? red_at(p.x) : 0.25);
       if (!out.feature.empty()) out.feature(m, 0) = static_cast<Real>(p.z > kCenter.z ? 1 : -1);
     }
   }
   void do_backward(const StepContext&, const Tensors<Real>&, const FieldIn<Real>&, const FieldOut<Real>&,
                    const FieldGrad<Real>&, Saved, View<Real>) const override {}
+
+ private:
+  bool fog_;
 };
 
 class Ball : public ::testing::Test {
  protected:
-  Ball() : registry(make_registry()) {
+  explicit Ball(const char* fog = "false") : registry(make_registry()) {
     registry.add_field<BallField, BallParams>("ball", "a ball of formulas");
     session = std::make_unique<Session>(
         open_text("scene: {type: analytic_room, frames: 8, load: {bounds: [-1, -1.5, -1, 1.2, 1.1, 1.3]}}\n"
                   "rendering: {scene_scale: 1}\n"
                   "semantics: {hidden_width: 4}\n"
                   "passes:\n  - {name: main, sampler: {type: stratified, samples: 400}, position: {type: identity},\n"
-                  "     direction: {type: identity}, field: {type: ball}}\n",
+                  "     direction: {type: identity}, field: {type: ball, fog: " +
+                      std::string(fog) + "}}\n",
                   registry));
   }
   SurfaceRequest request(double spacing, double level) const {
@@ -385,6 +399,44 @@ TEST_F(Ball, VerticesGetTheColourAndClassOfTheirPlace) {
   }
   EXPECT_GE(above, 0);
   EXPECT_GE(below, 0);
+}
+
+class Fog : public Ball {
+ protected:
+  Fog() : Ball("true") {}
+};
+
+// Of a soft field the cells around a vertex hold a part of what its pixels show, and in a wrong colour.
+TEST_F(Fog, VerticesGetTheColourOfThePixelsThatShowThem) {
+  constexpr double kSpacing = 0.04;
+  Surface surface = density_surface(*session->pipeline, request(kSpacing, kFog / 2));
+  const std::vector<RayCamera> eyes = cameras();
+  const std::vector<Sights> sights = sights_of(surface, eyes, session->limits, kSpacing);
+  const PointAttributes known = render_attributes(*session->pipeline, surface, {eyes, sights}, 1.5 * kSpacing,
+                                                  session->limits, session->plan.class_of_logit);
+  std::vector<double> off;
+  std::size_t burnt = 0, seen = 0;
+  for (std::size_t v = 0; v < surface.positions.size(); ++v) {
+    const Vec3d out = normalized(surface.positions[v] - kCenter);
+    const Looks looks = looks_at(surface.positions[v], surface.normals[v], sights[v], eyes);
+    if (looks.eye[0] < 0) continue;
+    ++seen;
+    burnt += known.color[v][0] >= 254 ? 1 : 0;
+    // The mean of the rays, by their chords through shell and core.
+    double red = 0;
+    for (std::size_t k = 0; k < looks.count; ++k) {
+      const double slope = -dot(looks.direction[k], out), aside = kRadius * std::sqrt(1 - slope * slope);
+      const double inner = kRadius - kShell, half = kRadius * slope;
+      const double core = aside < inner ? std::sqrt(inner * inner - aside * aside) : 0;
+      const double shell = std::exp(-kFog * (half - core)), behind = std::exp(-kFog * (half + core)),
+                   left = std::exp(-kFog * 2 * half);
+      red += looks.weight[k] * ((1 - shell) + 0.2 * (shell - behind) + (behind - left)) / (1 - left);
+    }
+    off.push_back(std::abs(known.color[v][0] - 255 * red));
+  }
+  ASSERT_GT(seen, 500U);
+  EXPECT_LT(burnt, seen / 20) << "rays that meet the shell alone";
+  EXPECT_GT(share_below(off, 8), 0.9) << "of 255";
 }
 
 TEST_F(Ball, ChosenLevelPutsTheSurfaceWhereItIsSeen) {

@@ -156,9 +156,9 @@ double choose_level(const Pipeline<float>& pipeline, const SurfaceRequest& reque
 
 namespace {
 
-// Short rays at some vertices, `rays` of them for each.
-struct ShortRays {
-  explicit ShortRays(std::size_t rows)
+// Rays to some vertices.
+struct VertexRays {
+  explicit VertexRays(std::size_t rows)
       : origin(3 * rows),
         direction(3 * rows),
         near_far(2 * rows),
@@ -167,6 +167,13 @@ struct ShortRays {
         entropy(rows),
         label(rows) {}
 
+  // The camera's own ray through a vertex, as rendering casts it.
+  void set(std::size_t r, Vec3d along, const RayCamera& eye, const RayLimits& limits) {
+    ray_of_direction(eye.world_from_camera.unrotate(along), eye.world_from_camera,
+                     {eye.camera.has_finite_lens(), eye.camera.is_wide()}, limits, &origin[3 * r], &direction[3 * r],
+                     &near_far[2 * r]);
+  }
+  // A short one, from `offset` before the vertex to as far behind it.
   void set(std::size_t r, Vec3d point, Vec3d along, double offset, const RayLimits& limits) {
     const Vec3d o = point - along * offset;
     double enter = 0, leave = 2 * offset;
@@ -216,7 +223,7 @@ PointAttributes render_attributes(Pipeline<float>& pipeline, const Surface& surf
   constexpr std::size_t kPoints = kBatch / Sights::kMost;
   std::vector<Looks> looks(std::min(points, kPoints));
   std::vector<std::size_t> first(looks.size() + 1);
-  ShortRays rays(looks.size() * Sights::kMost);
+  VertexRays rays(looks.size() * Sights::kMost);
   const std::array<double, 3> background = pipeline.options().rules.background();
   for (std::size_t begin = 0; begin < points; begin += kPoints) {
     const std::size_t count = std::min(kPoints, points - begin);
@@ -228,8 +235,14 @@ PointAttributes render_attributes(Pipeline<float>& pipeline, const Surface& surf
     for (std::size_t i = 0; i < count; ++i) first[i + 1] = first[i] + looks[i].count;
     for_points(static_cast<std::int64_t>(count), [&](std::int64_t at) {
       const auto i = static_cast<std::size_t>(at);
-      for (std::size_t k = 0; k < looks[i].count; ++k)
-        rays.set(first[i] + k, surface.positions[begin + i], looks[i].direction[k], offset, limits);
+      for (std::size_t k = 0; k < looks[i].count; ++k) {
+        const Vec3d along = looks[i].direction[k];
+        if (const std::int32_t eye = looks[i].eye[k]; eye >= 0) {
+          rays.set(first[i] + k, along, watch.cameras[static_cast<std::size_t>(eye)], limits);
+        } else {
+          rays.set(first[i] + k, surface.positions[begin + i], along, offset, limits);
+        }
+      }
     });
     pipeline.render(rays.job(static_cast<std::int64_t>(first[count]), semantics));
     for_points(static_cast<std::int64_t>(count), [&](std::int64_t at) {

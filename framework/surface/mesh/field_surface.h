@@ -46,9 +46,11 @@ struct Watch {
   std::span<const Sights> sights;  ///< per vertex, numbers of `cameras`
 };
 
-/// Colour, class and entropy of the vertices: short rays in the directions of looks_at, from `offset` before the
-/// surface to `offset` behind it [Zhi21, Sec. 4]. In a direction that no camera had, a field's colour is a guess, and
-/// on real photographs a wild one. Colour is that of what a ray met, divided by its opacity, and the weighted mean of
+/// Colour, class and entropy of the vertices: what the cameras of looks_at show of them, along the whole of their rays.
+/// A field that was trained briefly is soft, and its colour is right in the sum along a ray: a part of it, within some
+/// cells of the surface, is a guess, and on real photographs a wild one. So is the colour in a direction that no camera
+/// had. What no camera sees is looked at by short rays, from `offset` before the surface to `offset` behind it [Zhi21,
+/// Sec. 4]. Colour is that of what a ray met, divided by its opacity, and the weighted mean of
 /// the rays; class and entropy are those of the surest. Where no ray meets anything: black and kVoid.
 PointAttributes render_attributes(Pipeline<float>& pipeline, const Surface& surface, const Watch& watch, double offset,
                                   const RayLimits& limits, const ClassOfLogit& class_of_logit);

@@ -244,6 +244,7 @@ void lend_sights(const Surface& surface, std::span<Sights> sights) {
       Sights& other = sights[edges.to[e]];
       if (other.any()) continue;
       other = sights[v];
+      other.lent = true;
       reached.push_back(edges.to[e]);
     }
   }
@@ -256,11 +257,13 @@ Looks looks_at(Vec3d point, Vec3d normal, const Sights& sights, std::span<const 
     const Vec3d way = point - cameras[static_cast<std::size_t>(sights.camera[k])].world_from_camera.t;
     if (!(dot(way, normal) < 0)) continue;
     looks.direction[looks.count] = normalized(way);
+    looks.eye[looks.count] = sights.lent ? -1 : sights.camera[k];
     looks.weight[looks.count] = static_cast<double>(sights.weight[k]);
     sum += looks.weight[looks.count++];
   }
   if (looks.count == 0) {
     looks.direction[0] = normal * -1.0;
+    looks.eye[0] = -1;
     looks.weight[0] = sum = 1;
     looks.count = 1;
   }

@@ -16,6 +16,7 @@ struct Sights {
   static constexpr std::size_t kMost = 3;
   std::array<std::int32_t, kMost> camera{-1, -1, -1};  ///< numbers in the span of cameras; -1: no further one
   std::array<float, kMost> weight{};                   ///< pixels of the camera per area of the surface
+  bool lent = false;                                   ///< lend_sights: the cameras do not see it
 
   bool any() const { return camera[0] >= 0; }
 };
@@ -40,8 +41,9 @@ void lend_sights(const Surface& surface, std::span<Sights> sights);
 /// Directions in which points are looked at.
 struct Looks {
   std::size_t count = 0;
-  std::array<Vec3d, Sights::kMost> direction;  ///< unit, from the eye to the point
-  std::array<double, Sights::kMost> weight{};  ///< sum 1
+  std::array<Vec3d, Sights::kMost> direction;     ///< unit, from the eye to the point
+  std::array<std::int32_t, Sights::kMost> eye{};  ///< number of the camera that sees the point; -1: none does
+  std::array<double, Sights::kMost> weight{};     ///< sum 1
 };
 /// From the cameras of its sights that the point faces; along the negative normal where there are none.
 Looks looks_at(Vec3d point, Vec3d normal, const Sights& sights, std::span<const RayCamera> cameras);
