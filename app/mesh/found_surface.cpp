@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "app/progress_line.h"
+#include "core/usual_metre.h"
 
 namespace semfield::app {
 
@@ -11,8 +12,9 @@ namespace {
 // The mesh's, and that of the fused depth images, which is the mesh itself where it was made of them.
 MeshScores scores_of(const MeshOptions& options, const RunSurface& found, const Session& s,
                      const MeasuredDepth& measured) {
-  const DepthReference reference(measured.training, measured.held_out);
-  MeshScores scores{reference.points(), reference.held_out_points(), reference.score(found.surface), {}};
+  const double metre = usual_metre(s.scene.info.metric, s.extent.bounds.size());
+  const DepthReference reference(measured.training, measured.held_out, metre);
+  MeshScores scores{metre, reference.points(), reference.held_out_points(), reference.score(found.surface), {}};
   if (found.source == "sensor" || measured.training.empty()) return scores;
   Surface of_sensor = fused_surface(measured.training, s.limits, found.grid);
   drop_small_components(of_sensor, options.keep_components);

@@ -11,6 +11,7 @@
 #include "app/progress_line.h"
 #include "compute/parallel.h"
 #include "core/text.h"
+#include "core/usual_metre.h"
 #include "eval/image_output.h"
 #include "handover/costmap.h"
 #include "handover/point_files.h"
@@ -29,11 +30,12 @@ namespace fs = std::filesystem;
 
 constexpr long long kSplatResolution = 384;         // finer than a mesh: a splat has one colour
 constexpr std::int64_t kFittedPixels = 64'000'000;  // of all views that colours of splats are fitted to
-constexpr long long kMapResolution = 128;           // of scenes without a scale
+constexpr long long kMapResolution = 128;           // of scenes that are no rooms in metres
 constexpr double kMapEdge = 0.05;                   // metres; what robots plan with
 
-HeightBand band_of(const MeshOptions& options) {
-  HeightBand band;
+// What a robot of half a metre meets.
+HeightBand band_of(const MeshOptions& options, double metre) {
+  HeightBand band{0.1 * metre, metre};
   if (options.band.empty()) return band;
   const bool sound = options.band.size() == 2 && parse_number(options.band[0], band.low) &&
                      parse_number(options.band[1], band.high) && band.low < band.high;
@@ -62,7 +64,8 @@ HandOver::HandOver(const MeshOptions& options, const MeshTargets& targets, Opene
   sidecar_.convention = s.config.load.convention;
   if (s.pipeline->has_semantics()) sidecar_.classes = &classes();
   sidecar_.objects = objects();
-  band_of(options);  // before any work
+  metre_ = usual_metre(sidecar_.metric, s.extent.bounds.size());
+  band_of(options, metre_);  // before any work
 }
 
 std::vector<std::int32_t> HandOver::instances(std::span<const Vec3d> points) const {
@@ -97,7 +100,7 @@ void HandOver::look() {
     splats.emplace(*s.pipeline, around(spacing_of(options_, bounds, kSplatResolution)), bounds,
                    s.limits.clip && s.config.rendering.far == FarMode::background);
   if (targets_.maps()) {
-    const bool usual = !options_.voxel && !options_.resolution && s.scene.info.metric;
+    const bool usual = !options_.voxel && !options_.resolution && is_in_metres(s.scene.info.metric, bounds.size());
     const double edge = usual ? kMapEdge : spacing_of(options_, bounds, kMapResolution);
     map_.emplace(around(edge));
   }
@@ -176,7 +179,7 @@ void HandOver::write_maps() {
     add_map(path, "voxels", write_octomap(path, *map_, classes(), format == std::string("ot")));
   }
   if (!targets_.writes("pgm")) return;
-  const Costmap map = costmap_of(*map_, sidecar_.up.value_or(Vec3d{}), band_of(options_));
+  const Costmap map = costmap_of(*map_, sidecar_.up.value_or(Vec3d{}), band_of(options_, metre_));
   const std::string yaml = write_costmap(targets_.file("pgm"), map);
   print_note(context_,
              fmt::format("the floor is at {:.3g} along {}; {} has what lies {:.3g} to {:.3g} above it", map.floor,

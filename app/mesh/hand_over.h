@@ -56,6 +56,7 @@ class HandOver {
   const AppContext& context_;
   std::optional<ObjectSet> objects_;
   Sidecar sidecar_;
+  double metre_ = 1;  // usual_metre() of the scene
   PointSet points_;
   Splats splats_;
   std::optional<VoxelMap> map_;

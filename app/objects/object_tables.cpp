@@ -51,7 +51,7 @@ std::string table_csv(const ObjectSet& set, const ClassTable& classes) {
       "size_2\n";
   for (const ObjectRow& row : set.rows) {
     if (row.points == 0) continue;
-    out += fmt::format("{},{},{},{:.4f},{:.4f},{},{},{:.6g},{:.6g},{:.6g},{:.6g},{:.6g},{:.6g},{:.6g}\n", row.id,
+    out += fmt::format("{},{},{},{:.4f},{:.4f},{},{},{:.9g},{:.9g},{:.9g},{:.9g},{:.9g},{:.9g},{:.9g}\n", row.id,
                        csv_field(object_name(row, classes)), csv_field(object_class_name(row, classes)),
                        row.class_probability, row.agreement, row.views, row.points, row.area, row.centroid.x,
                        row.centroid.y, row.centroid.z, row.box.size.x, row.box.size.y, row.box.size.z);

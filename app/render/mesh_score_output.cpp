@@ -15,6 +15,12 @@ Json one_json(const MeshScore& score) {
   return out;
 }
 
+ScoreShares distances_of(const MeshScores& scores) {
+  ScoreShares out = kScoreDistances;
+  for (double& distance : out) distance *= scores.metre;
+  return out;
+}
+
 std::string cells(const std::optional<ScoreShares>& shares) {
   std::string out;
   for (std::size_t k = 0; k < kScoreDistances.size(); ++k)
@@ -46,7 +52,7 @@ MeasuredDepth measured_depth(const Session& session, const std::string& run, boo
 }
 
 Json scores_json(const MeshScores& scores) {
-  Json out{{"distances", kScoreDistances}, {"points", scores.points}, {"held_out_points", scores.held_out_points}};
+  Json out{{"distances", distances_of(scores)}, {"points", scores.points}, {"held_out_points", scores.held_out_points}};
   out["mesh"] = one_json(scores.mesh);
   out["sensor"] = scores.sensor ? one_json(*scores.sensor) : Json();
   return out;
@@ -54,8 +60,8 @@ Json scores_json(const MeshScores& scores) {
 
 std::string scores_table(const MeshScores& scores, bool metric) {
   std::string head;
-  for (const double distance : kScoreDistances)
-    head += metric ? fmt::format("{:>7.0f} cm", 100 * distance) : fmt::format("{:>10}", distance);
+  for (const double distance : distances_of(scores))
+    head += metric ? fmt::format("{:>7.4g} cm", 100 * distance) : fmt::format("{:>10.4g}", distance);
   std::string text = fmt::format("{:<24}{}   {} points of depth images, {} of held-out frames\n", "within", head,
                                  scores.points, scores.held_out_points);
   const auto rows = [&](const std::string& name, const MeshScore& score) {

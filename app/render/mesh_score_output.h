@@ -21,12 +21,14 @@ MeasuredDepth measured_depth(const Session& session, const std::string& run, boo
 
 /// Scores of a run's mesh, and of what the same fusion makes of the depth images of its training frames.
 struct MeshScores {
+  double metre = 1;  ///< of distances, in units of the scene (usual_metre)
   std::size_t points = 0, held_out_points = 0;
   MeshScore mesh;
   std::optional<MeshScore> sensor;  ///< none without depth of training frames
 };
 Json scores_json(const MeshScores& scores);
-/// A table with a line at each end. `metric`: distances are metres, shown in centimetres.
+/// A table with a line at each end. `metric`: the scene is in metres; distances are shown in centimetres, or else in
+/// its own unit.
 std::string scores_table(const MeshScores& scores, bool metric);
 
 }  // namespace semfield::app

@@ -56,7 +56,7 @@ void write_frame(const FrameInfo& info, const FrameBuffer& frame, const ClassTab
   if (info.has_depth) {
     for (std::size_t i = 0; i < values.size(); ++i) {
       const double mm = std::round(static_cast<double>(frame.depth_m[i]) * 1000);
-      const bool fits = mm >= 0 && mm <= kMostDepth_mm;
+      const bool fits = frame.depth_m[i] == 0 || (mm >= 1 && mm <= kMostDepth_mm);
       if (!fits) ++report.depth_clipped;
       values[i] = fits ? static_cast<std::uint16_t>(mm) : std::uint16_t{0};
     }

@@ -15,11 +15,16 @@ namespace semfield {
 
 namespace {
 
-std::string vector_text(Vec3d v) { return fmt::format("({:.3f}, {:.3f}, {:.3f})", v.x, v.y, v.z); }
-
+// To a thousandth of a room, whatever its unit.
 std::string extent_text(const Box& box) {
   if (box.empty()) return "none";
-  return vector_text(box.lo) + " to " + vector_text(box.hi);
+  const Vec3d size = box.size();
+  const double longest = std::max({size.x, size.y, size.z});
+  const int digits = longest > 0 ? std::clamp(3 - static_cast<int>(std::floor(std::log10(longest / 2))), 0, 12) : 3;
+  const auto text = [&](Vec3d v) {
+    return fmt::format("({:.{}f}, {:.{}f}, {:.{}f})", v.x, digits, v.y, digits, v.z, digits);
+  };
+  return text(box.lo) + " to " + text(box.hi);
 }
 
 std::string size_list(const LoadedScene& scene) {
@@ -230,11 +235,16 @@ nlohmann::ordered_json inspect_json(const LoadedScene& scene, const Diagnostics&
 
 void write_frusta_ply(const std::string& path, const LoadedScene& scene, double depth_m) {
   const std::size_t frames = scene.info.frames.size();
-  if (depth_m <= 0) depth_m = scene.bounds.empty() ? 0.1 : 0.02 * length(scene.bounds.size());
+  if (depth_m <= 0) {
+    const Box cameras = count_frames(scene).cameras;  // they tell a size where nothing else does
+    depth_m = 0.02 * length(scene.bounds.empty() ? cameras.size() : scene.bounds.size());
+    if (!(depth_m > 0)) depth_m = 0.1;
+  }
   std::string out = fmt::format(
       "ply\nformat binary_little_endian 1.0\ncomment camera frusta in world coordinates\nelement vertex {}\nproperty "
-      "float x\nproperty float y\n"
-      "property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nelement face {}\nproperty list "
+      "double x\nproperty double y\n"
+      "property double z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nelement face {}\nproperty "
+      "list "
       "uchar int vertex_indices\nend_header\n",
       frames * 5, frames * 5);
   for (const FrameInfo& f : scene.info.frames) {
@@ -247,7 +257,7 @@ void write_frusta_ply(const std::string& path, const LoadedScene& scene, double 
         p = f.world_from_camera.apply(Vec3d{(u - f.camera.cx) / f.camera.fx, (v - f.camera.cy) / f.camera.fy, 1} *
                                       depth_m);
       }
-      for (int a = 0; a < 3; ++a) put(out, static_cast<float>(p[a]));
+      for (int a = 0; a < 3; ++a) put(out, p[a]);
       for (const std::uint8_t c : f.split == Split::test ? test : train) put(out, c);
     }
   }

@@ -1,6 +1,7 @@
 // eval: metrics of a split as a table or one JSON object.
 #include <fmt/format.h>
 
+#include <cmath>
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
@@ -104,7 +105,9 @@ std::vector<std::string> print_values(const SplitScore& score, const char* how) 
   std::vector<std::string> missing;
   for (const auto& [name, value] : score.values()) {
     if (value) {
-      std::printf("  %-20s %.4f%s\n", name.c_str(), *value, how);
+      const bool small = *value != 0 && std::abs(*value) < 1e-3;  // a length of a scene in another unit
+      std::printf("  %-20s %s%s\n", name.c_str(),
+                  (small ? fmt::format("{:.4g}", *value) : fmt::format("{:.4f}", *value)).c_str(), how);
     } else {
       missing.push_back(name);
     }

@@ -167,7 +167,7 @@ int run(const FuseOptions& options, AppContext& context) {
                 "see `semfield inspect`");
   if (!s.config.labels.from.reader && s.config.labels.degrade.empty())
     print_note(context, "predictions are the scene's own labels: name others in scene.labels.from or .degrade");
-  const FusionParams& params = s.config.fuse;
+  const FusionParams params = settled(s.config.fuse, s.scene);
 
   const auto frames = static_cast<double>(s.scene.frames_of(Split::train).size());
   if (frames == 0)

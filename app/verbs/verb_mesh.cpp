@@ -177,15 +177,18 @@ void words(VerbWords& verb, MeshOptions& options) {
   verb.choice("--up AXIS", options.up, {"x", "-x", "y", "-y", "z", "-z"},
               "axis of the world that GLB, HTML and PGM files show upright (default: as the cameras stand)");
   verb.positive("--close-holes X", options.close_holes, "close holes whose border is at most this long, in metres");
-  verb.list("--band LOW,HIGH", options.band,
-            "heights above the floor, in metres, whose obstacles a PGM shows (default: 0.1,1)");
+  verb.list(
+      "--band LOW,HIGH", options.band,
+      "heights above the floor whose obstacles a PGM shows (default: 0.1,1 in metres; 1/50 and 1/5 of the longest side "
+      "of a scene that is no room in metres)");
   verb.value_in("--faces N", options.faces, 4, 4294967295.0,
                 "at most so many faces: edges are collapsed where form and classes change least");
   verb.flag("--points", options.points, "also write a labelled point cloud from the depth of the training views");
   verb.flag(
       "--score", options.score,
-      "also compare the mesh with the scene's depth images: completeness and accuracy within 2, 5 and 10 cm, next to "
-      "those of the fused depth images themselves");
+      "also compare the mesh with the scene's depth images: completeness and accuracy within 2, 5 and 10 cm (1/250, "
+      "1/100 and 1/50 of the longest side of a scene that is no room in metres), next to those of the fused depth "
+      "images themselves");
   verb.value("--out FILE", options.out, "file to write, or a folder for mesh.ply (default: the run folder)");
   verb.flag("--keep-unseen", options.keep_unseen, "keep what no training camera sees (default: it is left out)");
   verb.value_in("--keep-components X", options.keep_components, 0, 1,

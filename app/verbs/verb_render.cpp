@@ -33,24 +33,28 @@ using FrameSink = std::function<void(const NamedView& view, const RenderedFrame&
 
 constexpr double kToldBytes = 1e9;  // of probabilities; below, no note is needed
 
-void write_frame(const std::string& base, const RenderedFrame& frame, const Session& s, bool npy) {
+double depth_step_of(const Session& s) { return depth_step(s.scene.info.metric, s.extent.bounds.size()); }
+
+// Returns how many pixels are too far for the depth picture.
+std::int64_t write_frame(const std::string& base, const RenderedFrame& frame, const Session& s, bool npy) {
   const MapSize size{frame.width_px, frame.height_px};
   write_color(base + "_rgb.png", size, frame.rgb);
-  write_depth_mm(base + "_depth.png", size, frame.depth_m);
+  const std::int64_t beyond = write_depth(base + "_depth.png", size, frame.depth_m, depth_step_of(s));
   const DepthRange range = robust_depth_range(frame.depth_m);
   write_png_rgb(base + "_depth_vis.png", size.width_px, size.height_px,
                 depth_colors(frame.depth_m, range.near_m, range.far_m));
   if (npy) write_map_npy(base + "_depth.npy", size, frame.depth_m);
-  if (frame.label.empty()) return;
+  if (frame.label.empty()) return beyond;
   const int logits = static_cast<int>(s.plan.class_of_logit.size());
   write_label_ids(base + "_label.png", size, frame.label, s.scene.info.classes);
   write_label_colors(base + "_label_vis.png", size, frame.label, s.scene.info.classes);
   write_entropy(base + "_entropy.png", size, frame.entropy, logits);
   write_png_rgb(base + "_entropy_vis.png", size.width_px, size.height_px, entropy_colors(frame.entropy, logits));
   if (npy) write_map_npy(base + "_entropy.npy", size, frame.entropy);
-  if (frame.probability.empty()) return;
+  if (frame.probability.empty()) return beyond;
   const std::array<std::int64_t, 3> shape{size.height_px, size.width_px, s.classes()};
   write_npy(base + "_probability.npy", shape, frame.probability);
+  return beyond;
 }
 
 // Names of the classes in the order of the last axis of probabilities, as labels of type npz read them.
@@ -124,19 +128,30 @@ Rendered render_images(const RenderOptions& options, const Session& s, const std
   const ChannelOutput channels(options.channels, s);
   create_folder(folder);
   channels.write_axes(folder.string());
-  write_cameras((folder / "cameras.json").string(), cameras_of(views));
+  CameraSet cameras = cameras_of(views);
+  cameras.depth_step = depth_step_of(s);
+  write_cameras((folder / "cameras.json").string(), cameras);
+  if (cameras.depth_step != 1e-3)
+    print_note(context, fmt::format("a step of the depth pictures is {:g} {}, as cameras.json says", cameras.depth_step,
+                                    s.scene.info.metric ? "m" : "units"));
   if (options.probability) write_class_order((folder / "classes.json").string(), s.scene.info.classes);
   FrameOptions wanted;
   wanted.probability = options.probability;
   wanted.channels = channels.channels();
+  std::int64_t beyond = 0;
   const double seconds = render_all(
       s, views, wanted,
       [&](const NamedView& view, const RenderedFrame& frame) {
         const std::string base = (folder / view.file_name()).string();
-        write_frame(base, frame, s, options.npy);
+        beyond += write_frame(base, frame, s, options.npy);
         channels.write(base, frame);
       },
       context);
+  if (beyond > 0)
+    print_note(context,
+               fmt::format("{} pixels lie farther than {:g} and have no depth in the pictures; --npy writes the "
+                           "depth of all",
+                           beyond, kMostDepthSteps * cameras.depth_step));
   const Camera& first = views.front().camera.camera;
   return {views.size(), seconds, first.width_px, first.height_px, "folder", folder.string()};
 }

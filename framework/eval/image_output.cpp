@@ -8,6 +8,7 @@
 
 #include "core/check.h"
 #include "core/error.h"
+#include "core/usual_metre.h"
 #include "formats/image_io.h"
 
 namespace semfield {
@@ -166,20 +167,26 @@ void write_label_colors(const std::string& path, MapSize size, std::span<const s
   write_png_palette(path, size.width_px, size.height_px, index, palette);
 }
 
-std::int64_t write_depth_mm(const std::string& path, MapSize size, std::span<const float> depth_m) {
-  check_size(size, depth_m.size(), 1);
-  std::vector<std::uint16_t> mm(depth_m.size(), 0);
+double depth_step(bool metric, Vec3d scene_size) {
+  const double longest = std::max({scene_size.x, scene_size.y, scene_size.z});
+  if (is_in_metres(metric, scene_size) || !(longest > 0) || !std::isfinite(longest)) return 1e-3;
+  return std::pow(10.0, std::floor(std::log10(longest / 2)) - 3);
+}
+
+std::int64_t write_depth(const std::string& path, MapSize size, std::span<const float> depth, double step) {
+  check_size(size, depth.size(), 1);
+  std::vector<std::uint16_t> steps(depth.size(), 0);
   std::int64_t beyond = 0;
-  for (std::size_t i = 0; i < depth_m.size(); ++i) {
-    const double value = std::round(static_cast<double>(depth_m[i]) * 1000);
+  for (std::size_t i = 0; i < depth.size(); ++i) {
+    const double value = std::round(static_cast<double>(depth[i]) / step);
     if (!(value > 0)) continue;  // NaN, zero and negative: no value
-    if (value > 65535) {
+    if (value > kMostDepthSteps) {
       ++beyond;
     } else {
-      mm[i] = static_cast<std::uint16_t>(value);
+      steps[i] = static_cast<std::uint16_t>(value);
     }
   }
-  write_png_gray16(path, size.width_px, size.height_px, mm);
+  write_png_gray16(path, size.width_px, size.height_px, steps);
   return beyond;
 }
 

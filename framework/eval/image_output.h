@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "core/small_math.h"
 #include "scene/classes/class_table.h"
 
 namespace semfield {
@@ -42,9 +43,13 @@ void write_label_ids(const std::string& path, MapSize size, std::span<const std:
 void write_label_colors(const std::string& path, MapSize size, std::span<const std::int16_t> label,
                         const ClassTable& classes);
 
-/// 16-bit PNG, z-depth in millimetres; 0 = no value. Depths beyond 65.535 m do not fit and are written as 0; returns
-/// how many.
-std::int64_t write_depth_mm(const std::string& path, MapSize size, std::span<const float> depth_m);
+/// A step of depth pictures, in units of the scene: a thousandth, and in a scene that is no room in metres a thousandth
+/// of the power of ten with which its longest side is 2 to 20.
+double depth_step(bool metric, Vec3d scene_size);
+/// 16-bit PNG, z-depth in such steps; 0 = no value. Depths beyond kMostDepthSteps do not fit and are written as 0;
+/// returns how many.
+std::int64_t write_depth(const std::string& path, MapSize size, std::span<const float> depth, double step);
+inline constexpr std::int32_t kMostDepthSteps = 65534;  // readers take 65535 for "no depth"
 /// 16-bit PNG, 65535 = ln(classes) nats: the full range, whatever the image holds. One class: all 0.
 void write_entropy(const std::string& path, MapSize size, std::span<const float> entropy_nats, int classes);
 /// Float32 .npy of shape [height, width].

@@ -13,6 +13,8 @@ namespace semfield {
 
 namespace {
 
+constexpr double kRounding = 1e-6;  // of an edge: cubes that end where the band begins lie outside of it
+
 struct Upright {
   int axis = 2;
   bool negative = false;
@@ -74,7 +76,7 @@ Costmap costmap_of(const VoxelMap& map, Vec3d up, const HeightBand& band) {
       VoxelState& cell = out.cells[static_cast<std::size_t>(row * out.width + column)];
       for (std::int64_t layer = floor + 1; layer < layers; ++layer) {
         const double low = static_cast<double>(layer - floor - 1) * place.edge;
-        if (low + place.edge <= band.low + 1e-9 || low >= band.high - 1e-9) continue;
+        if (low + (1 - kRounding) * place.edge <= band.low || low + kRounding * place.edge >= band.high) continue;
         std::array<std::int64_t, 3> at{};
         at[axis] = upright.negative ? layers - 1 - layer : layer;
         at[right] = column;

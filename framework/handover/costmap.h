@@ -12,7 +12,7 @@ namespace semfield {
 
 /// Heights above the floor, world units.
 struct HeightBand {
-  double low = 0.1, high = 1.0;
+  double low = 0, high = 0;
 };
 
 /// Columns of cubes seen from the side that is up. Row 0 is the farthest along `along[1]`, as in an image.

@@ -1,7 +1,6 @@
 // LAS 1.4 [ASPRS19]: a header, three variable length records, and points of format 7 with extra bytes.
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "core/error.h"
 #include "handover/point_files.h"
@@ -19,7 +18,7 @@ constexpr std::uint16_t kClassNames = 256 * 16;
 struct LasLayout {
   std::vector<std::pair<const char*, std::uint8_t>> extra;
   std::uint16_t point_bytes = kPointBytes;
-  double step = 1e-4;
+  double step = 1e-6;
   Vec3d offset;
   Box box;
 };
@@ -32,11 +31,11 @@ LasLayout las_layout(const PointSet& points) {
     layout.point_bytes = static_cast<std::uint16_t>(layout.point_bytes + (type == kUint16 ? 2 : 4));
   layout.box = box_around(points.positions);
   if (layout.box.empty()) layout.box = {{}, {}};
-  for (int axis = 0; axis < 3; ++axis) {
-    layout.offset[axis] = std::round(layout.box.center()[axis]);
-    while (0.5 * layout.box.size()[axis] + 1 > layout.step * std::numeric_limits<std::int32_t>::max())
-      layout.step *= 10;
-  }
+  // At most ten million steps a side, which 32 bits hold many times over.
+  const double whole = decade(layout.box);
+  layout.step = 1e-6 * whole;
+  for (int axis = 0; axis < 3; ++axis)
+    layout.offset[axis] = whole * std::round(layout.box.center()[axis] / whole) + 0.0;
   return layout;
 }
 

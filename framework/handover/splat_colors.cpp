@@ -11,8 +11,8 @@ namespace semfield {
 namespace {
 
 constexpr double kLowPass = 0.3;  // square pixels that viewers widen every footprint by [Kerbl23]
-constexpr double kNear = 0.05;    // world units before which viewers draw nothing
-constexpr double kReach = 3;      // deviations that a footprint reaches
+constexpr double kNear = 8;   // deviations, before which a splat is no ellipse on the image; viewers draw it late too
+constexpr double kReach = 3;  // deviations that a footprint reaches
 constexpr float kLeastAlpha = 1.0F / 255, kMostPower = 11.1F;  // exp(-kMostPower / 2) is less
 constexpr float kLeastLeft = 1e-3F;  // of a pixel's light, that something behind still counts for
 constexpr std::int64_t kSplatsAtOnce = 1 << 14;
@@ -44,7 +44,7 @@ struct Drawing {
 bool footprint(const RayCamera& camera, Vec3d place, double deviation, Footprint& out) {
   const Camera& lens = camera.camera;
   const Vec3d p = camera.world_from_camera.apply_inverse(place);
-  if (p.z < kNear || !lens.is_within_lens(p)) return false;
+  if (p.z < kNear * deviation || !lens.is_within_lens(p)) return false;
   double u = lens.fx * p.x / p.z + lens.cx, v = lens.fy * p.y / p.z + lens.cy;
   if (camera.undistort) lens.project(p, u, v);
   const double x = p.x / p.z, y = p.y / p.z, sx = lens.fx * deviation / p.z, sy = lens.fy * deviation / p.z;

@@ -12,6 +12,7 @@
 #include <cmath>
 #include <cstring>
 #include <new>
+#include <optional>
 #include <span>
 #include <utility>
 

@@ -185,9 +185,11 @@ class CameraReader {
 
 void write_cameras(const std::string& path, const CameraSet& set) {
   std::string text = fmt::format(
-      "{{\n\"format\": \"{}\",\n\"axes\": \"OpenCV: x right, y down, z forward\",\n\"near_far\": \"{}\",\n\"cameras\": "
+      "{{\n\"format\": \"{}\",\n\"axes\": \"OpenCV: x right, y down, z forward\",\n\"near_far\": "
+      "\"{}\",\n{}\"cameras\": "
       "[\n",
-      kFormat, set.z_depth ? kZDepth : kAlongRay);
+      kFormat, set.z_depth ? kZDepth : kAlongRay,
+      set.depth_step > 0 ? fmt::format("\"depth_step\": {},\n", set.depth_step) : "");
   for (std::size_t i = 0; i < set.cameras.size(); ++i) {
     text += json_of(set.cameras[i]).dump(-1, ' ', false, Json::error_handler_t::replace);
     text += i + 1 < set.cameras.size() ? ",\n" : "\n";

@@ -18,10 +18,12 @@ struct PlacedCamera {
   double near_m = 0, far_m = 0;  ///< both 0: not told
 };
 
-/// Of one file. `z_depth`: near and far are z-depths; false: distances along the ray.
+/// Of one file. `z_depth`: near and far are z-depths; false: distances along the ray. `depth_step`: of the depth
+/// pictures beside the file, in units of the scene; 0: there are none. It is written and not read.
 struct CameraSet {
   std::vector<PlacedCamera> cameras;
   bool z_depth = false;
+  double depth_step = 0;
 };
 
 /// JSON, a line a camera; numbers are read back to the bit.

@@ -24,7 +24,7 @@ std::string describe_session(const Session& s) {
     for (const auto& [name, value] : step.facts) facts.push_back(name + " " + value);
     add("labels    " + step.type + ": " + join(facts));
   }
-  add(fmt::format("bounds    {:.2f} x {:.2f} x {:.2f} {} (from {}), near {:.3g}, far {:.3g} (from {})", size.x, size.y,
+  add(fmt::format("bounds    {:.3g} x {:.3g} x {:.3g} {} (from {}), near {:.3g}, far {:.3g} (from {})", size.x, size.y,
                   size.z, s.scene.info.metric ? "m" : "units of the poses", s.scene.bounds_from, s.extent.near_m,
                   s.extent.far_m, s.scene.near_far_from));
   if (s.pipeline) {

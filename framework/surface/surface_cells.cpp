@@ -11,7 +11,8 @@
 namespace semfield {
 
 namespace {
-constexpr std::int32_t kFarthest = 1 << 20;  // cells from the origin along an axis; 21 bits of a key
+constexpr std::int32_t kFarthest = 1 << 20;     // cells from the first along an axis; 21 bits of a key
+constexpr std::int32_t kFarthestOf0 = 1 << 30;  // cells from 0
 constexpr std::size_t kFirstEntries = 1024;
 constexpr std::int64_t kBlock = 4096;  // cells of a unit of work
 }  // namespace
@@ -48,19 +49,29 @@ SurfaceCells::SurfaceCells(double edge_m) : edge_m_(edge_m) {
   SEMFIELD_CHECK(edge_m > 0 && std::isfinite(edge_m), "a cell's edge is a positive length");
 }
 
-std::uint64_t SurfaceCells::key_of(const SurfaceCell& place) {
+// Counted from the first cell: scenes may lie far from 0.
+std::uint64_t SurfaceCells::key_of(const SurfaceCell& place) const {
   std::uint64_t key = 0;
-  for (const std::int32_t coordinate : place) key = key << 21 | static_cast<std::uint64_t>(coordinate + kFarthest);
+  for (std::size_t k = 0; k < 3; ++k)
+    key = key << 21 | static_cast<std::uint64_t>(place[k] - (places_.empty() ? place[k] : places_[0][k]) + kFarthest);
   return key;
+}
+
+bool SurfaceCells::fits(const SurfaceCell& place) const {
+  for (std::size_t k = 0; k < 3; ++k) {
+    if (std::abs(std::int64_t{place[k]}) >= kFarthestOf0) return false;
+    if (!places_.empty() && std::abs(place[k] - places_[0][k]) >= kFarthest - 1) return false;
+  }
+  return true;
 }
 
 bool SurfaceCells::find_place(Vec3d point, SurfaceCell& place) const {
   for (int axis = 0; axis < 3; ++axis) {
     const double at = std::floor(point[axis] / edge_m_);
-    if (!(std::abs(at) < kFarthest - 1)) return false;  // NaN too
+    if (!(std::abs(at) < kFarthestOf0)) return false;  // NaN too
     place[static_cast<std::size_t>(axis)] = static_cast<std::int32_t>(at);
   }
-  return true;
+  return fits(place);
 }
 
 std::int32_t SurfaceCells::add(Vec3d point) {
@@ -69,8 +80,7 @@ std::int32_t SurfaceCells::add(Vec3d point) {
 }
 
 std::int32_t SurfaceCells::add(const SurfaceCell& place) {
-  for (const std::int32_t at : place)
-    if (at <= 1 - kFarthest || at >= kFarthest - 1) return -1;
+  if (!fits(place)) return -1;
   const std::int32_t number = index_.add(key_of(place), count());
   if (number == count()) places_.push_back(place);
   return number;

@@ -44,8 +44,8 @@ class SurfaceCells {
   explicit SurfaceCells(double edge_m);
 
   double edge_m() const { return edge_m_; }
-  /// The cell that holds `point`, a new one when it is the first in it; -1 for a point that is not finite or more than
-  /// a million cells from the origin.
+  /// The cell that holds `point`, a new one when it is the first in it; -1 for a point that is not finite, more than a
+  /// million cells from the first one, or more than a billion from 0.
   std::int32_t add(Vec3d point);
   std::int32_t add(const SurfaceCell& place);  ///< likewise
   std::int32_t count() const { return static_cast<std::int32_t>(places_.size()); }
@@ -56,7 +56,8 @@ class SurfaceCells {
   std::vector<CellPair> neighbours() const;
 
  private:
-  static std::uint64_t key_of(const SurfaceCell& place);
+  std::uint64_t key_of(const SurfaceCell& place) const;  // unique where fits()
+  bool fits(const SurfaceCell& place) const;
   bool find_place(Vec3d point, SurfaceCell& place) const;
   double edge_m_ = 0;
   CellIndex index_;

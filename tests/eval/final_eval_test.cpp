@@ -226,10 +226,12 @@ TEST_F(ImageOutput, LabelsCarryOriginalIds) {
   EXPECT_FALSE(fs::exists(in("bad.png")));
 }
 
-TEST_F(ImageOutput, DepthInMillimetres) {
-  const std::vector<float> depth{1.2345f, 0, kNan, 65.535f, 65.6f, -1, kInf, 0.0004f};
-  EXPECT_EQ(write_depth_mm(in("d.png"), {4, 2}, depth), 2);
-  EXPECT_EQ(read_ids(in("d.png")).pixels, (std::vector<std::uint16_t>{1235, 0, 0, 65535, 0, 0, 0, 0}));
+TEST_F(ImageOutput, DepthInSteps) {
+  const std::vector<float> depth{1.2345f, 0, kNan, 65.534f, 65.535f, -1, kInf, 0.0004f};
+  EXPECT_EQ(write_depth(in("d.png"), {4, 2}, depth, 0.001), 2) << "readers take 65535 for none";
+  EXPECT_EQ(read_ids(in("d.png")).pixels, (std::vector<std::uint16_t>{1235, 0, 0, 65534, 0, 0, 0, 0}));
+  EXPECT_EQ(write_depth(in("d.png"), {4, 2}, depth, 0.01), 1);
+  EXPECT_EQ(read_ids(in("d.png")).pixels, (std::vector<std::uint16_t>{123, 0, 0, 6553, 6554, 0, 0, 0}));
 }
 
 TEST_F(ImageOutput, EntropyUsesTheFullRange) {

@@ -31,7 +31,7 @@ TEST(Correspondence, ShiftByTwoPixels) {
   // The second camera stands 0.5 m to the right: u falls by 8 * 0.5 / 2 = 2 pixels.
   std::vector<float> depth(64, 2.0F);
   const PosedDepth first{camera(), at(0, 0, 0), depth}, second{camera(), at(0.5, 0, 0), depth};
-  const FusionParams params;
+  const FusionParams params{.tolerance = 0.01};
   for (int row = 0; row < 8; ++row) {
     for (int column = 0; column < 8; ++column) {
       const auto hit = seen_at(second, *surface_point(first, column, row), params);

@@ -38,7 +38,7 @@ struct Row {
     depth.push_back(std::move(depth_m));
     prediction.push_back(std::move(labels));
   }
-  FusedFrame fuse(int target, int classes, const FusionParams& params = {}) const {
+  FusedFrame fuse(int target, int classes, const FusionParams& params = {.tolerance = 0.01}) const {
     std::vector<FusionView> views;
     for (std::size_t i = 0; i < x.size(); ++i) {
       Pose pose{.t = {x[i], 0, 0}};
@@ -168,7 +168,7 @@ TEST(LabelFusion, AWindowAveragesOneSurface) {
   std::vector<float> step = wall();
   for (std::size_t i = 5; i < 8; ++i) step[i] = 3;
   row.add(0, step, hard({2, 0, 0, 2, 1, 1, 1, 1}));
-  FusionParams params{.neighbourhood = 3, .hard_confidence = 0.8};
+  FusionParams params{.tolerance = 0.01, .neighbourhood = 3, .hard_confidence = 0.8};
   // 0: {2, 0} equal, the first | 1: {2, 0, 0} | 2: {0, 0, 2} | 3: {0, 2, 1} equal | 4: {2, 1}, column 5 is another
   // surface | 5..7: seen by nobody.
   const FusedFrame out = row.fuse(0, 3, params);
@@ -225,6 +225,7 @@ struct NoisyRoom {
   }
   int classes() const { return scene.info.classes.valid_count(); }
   double accuracy(FusionParams params, std::size_t method) const {
+    params.tolerance = 0.01;
     params.relative_tolerance = 0.03;  // a pixel of these small images is 3 % of the depth
     const LabelFusion fusion(views, classes(), params);
     ConfusionMatrix all(classes());
@@ -260,7 +261,7 @@ TEST(LabelFusion, CleanLabelsStayCleanButAtEdges) {
 
 TEST(LabelFusion, SameBitsForAnyThreads) {
   const NoisyRoom room(0.4F, true);
-  FusionParams params{.neighbourhood = 3};
+  FusionParams params{.tolerance = 0.01, .neighbourhood = 3};
   const LabelFusion fusion(room.views, room.classes(), params);
   const int before = thread_count();
   std::vector<FusedFrame> frames;

@@ -234,7 +234,6 @@ TEST(PropagateVerb, Refusals) {
   refused("nowhere --out soft", 66, "nowhere");
   refused("run --out soft --method mean", 78, "surface");
   refused("run --out soft --set 'propagate.vote_cells_m=[0.2, 0.1]'", 78, "the edges do not ascend");
-  refused("run --out soft --set 'propagate.vote_cells_m=[]'", 78, "no edge is given");
   refused("run --out soft --set scene.labels.frames=none", 65, "no training pixel carries a label");
 
   testkit::AnalyticSceneOptions options{.with_labels = false};

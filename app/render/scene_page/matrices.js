@@ -4,6 +4,9 @@ const dot = (a, b) => a.reduce((sum, v, i) => sum + v * b[i], 0);
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const unit = (a) => a.map((v) => v / Math.hypot(...a));
 const distance = (a, b) => Math.hypot(...add(a, b, -1));
+/** A length in the scene's unit: to a millimetre in a room, and as fine in scenes of other sizes; `coarser` digits less. */
+const length_text = (v, {low, high}, coarser = 0) =>
+  v.toFixed(Math.min(20, Math.max(0, 3 - coarser - Math.floor(Math.log10(distance(low, high) || 1)))));
 
 function product(a, b) {
   const out = new Array(16).fill(0);

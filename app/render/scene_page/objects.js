@@ -99,7 +99,7 @@ class ObjectList {
   tell() {
     const {unit} = this.page.facts, rows = [...this.chosen].map((id) => this.row(id));
     byId("chosen").textContent = rows.map((one) => {
-      const size = [...one.box.size].sort((a, b) => b - a).map((v) => v.toFixed(2)).join(" x ");
+      const size = [...one.box.size].sort((a, b) => b - a).map((v) => length_text(v, this.page.facts, 1)).join(" x ");
       return `${one.name}: ${one.class} (${Math.round(100 * one.class_probability)} %), ${size} ${unit}, seen in ${one.views} views`;
     }).join("\n") || "Click an object, shift and click for several.";
     if (this.page.live === null) return;

@@ -92,7 +92,7 @@ class Page {
   }
   show_scale() {
     const [near, far] = this.camera.depths(), unit = this.facts.unit;
-    const ends = {entropy: ["sure", "in doubt"], probability: ["0", "1"], depth: [`${far.toFixed(1)} ${unit}`, `${near.toFixed(1)} ${unit}`]}[this.mode];
+    const ends = {entropy: ["sure", "in doubt"], probability: ["0", "1"], depth: [`${length_text(far, this.facts, 2)} ${unit}`, `${length_text(near, this.facts, 2)} ${unit}`]}[this.mode];
     byId("scale").hidden = ends === undefined;
     if (ends !== undefined) [byId("scale").firstElementChild.textContent, byId("scale").lastElementChild.textContent] = ends;
   }
@@ -327,9 +327,9 @@ class Page {
     const {unit, labels, classes} = this.facts;
     const lines = this.points.map((point) => {
       const name = !labels ? "" : `${point.told ?? classes[point.label]?.name ?? "no class"} at `;
-      return `${name}${point.place.map((v) => v.toFixed(3)).join(", ")} ${unit}`;
+      return `${name}${point.place.map((v) => length_text(v, this.facts)).join(", ")} ${unit}`;
     });
-    if (this.points.length === 2) lines.push(`distance ${distance(this.points[0].place, this.points[1].place).toFixed(3)} ${unit}`);
+    if (this.points.length === 2) lines.push(`distance ${length_text(distance(this.points[0].place, this.points[1].place), this.facts)} ${unit}`);
     byId("reading").textContent = lines.join("\n");
     byId("reading").hidden = lines.length === 0;
     this.objects.tell();

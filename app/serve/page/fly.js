@@ -22,7 +22,7 @@ export function upOf(cameras) {
 export function paceOf(cameras) {
   const centre = cameras.reduce((total, {position}) => plus(total, position, 1 / cameras.length), [0, 0, 0]);
   const spread = cameras.reduce((total, {position}) => total + Math.hypot(...plus(position, centre, -1)), 0) / cameras.length;
-  return spread > 1e-6 ? spread / 3 : 0.5;
+  return spread > 0 ? spread / 3 : 0.5;
 }
 
 export class FreeCamera {

@@ -12,8 +12,9 @@ void describe(ParamVisitor& visit, FusionParams& p) {
   SEMFIELD_PARAM(visit, p, min_opacity, "learned depth: opacity of a rendered pixel below which it has no depth",
                  {0.01, 1});
   SEMFIELD_PARAM(visit, p, tolerance,
-                 "metres by which the depth of a point and of a view may differ; beyond them the point is hidden",
-                 {0, 1e6});
+                 "length by which the depth of a point and of a view may differ; beyond it the point is hidden; 0: "
+                 "1 cm, or 1/500 of the longest side of a scene that is no room in metres",
+                 {0, 1e12});
   SEMFIELD_PARAM(visit, p, relative_tolerance, "share of the point's depth that is added to tolerance", {0, 1});
   SEMFIELD_PARAM(visit, p, floor, "bayesian: least probability of a class in one view", {1e-12, 0.5});
   SEMFIELD_PARAM(visit, p, views, "other views asked for each frame; 0: all", {0, 1e6});

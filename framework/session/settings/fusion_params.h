@@ -35,7 +35,7 @@ struct FusionParams {
   std::vector<std::string> methods{"monocular", "bayesian", "average"};
   FusionDepth depth = FusionDepth::truth;
   double min_opacity = 0.5;
-  double tolerance = 0.01;
+  double tolerance = 0;
   double relative_tolerance = 0;
   double floor = 1e-4;
   int views = 0;

@@ -26,7 +26,7 @@ struct PropagationParams {
   double normal_sigma = 0.25;
   double vote_weight = 1;
   double min_confidence = 0;
-  std::vector<double> vote_cells_m{0.06, 0.12, 0.2};
+  std::vector<double> vote_cells_m;
   double least_votes = 8;
 };
 void describe(ParamVisitor& visit, PropagationParams& params);

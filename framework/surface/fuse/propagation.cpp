@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "compute/parallel.h"
+#include "core/usual_metre.h"
 #include "surface/label_diffusion.h"
 #include "surface/surface_pool.h"
 
@@ -174,7 +175,7 @@ void spread_over_surface(const Surface& surface, const PropagationParams& params
     voted += std::any_of(row.begin(), row.end(), [](double v) { return v > 0; }) ? 1 : 0;
   }
   add_step(out, surface, "surface",
-           {{"edge of a cell, m", fmt::format("{:.4g}", edge_m)},
+           {{surface.scene.info.metric ? "edge of a cell, m" : "edge of a cell, units", fmt::format("{:.4g}", edge_m)},
             {"cells", std::to_string(cells.pool.points.size())},
             {"cells with votes", std::to_string(voted)},
             {"connected parts", std::to_string(spread.parts)},
@@ -206,6 +207,14 @@ Pool pool_votes(const Surface& surface, double edge_m) {
   return pool;
 }
 
+std::vector<double> vote_edges(const LoadedScene& scene, const PropagationParams& params) {
+  std::vector<double> edges = params.vote_cells_m;
+  const Vec3d size = scene.bounds.empty() ? Vec3d{} : scene.bounds.size();
+  if (edges.empty())
+    for (const double edge : {0.06, 0.12, 0.2}) edges.push_back(edge * usual_metre(scene.info.metric, size));
+  return edges;
+}
+
 void pool_in_cells(const Surface& surface, const PropagationParams& params, const PropagationProgress& done,
                    TrainingLabels& out) {
   const auto width = static_cast<std::size_t>(surface.classes);
@@ -219,9 +228,10 @@ void pool_in_cells(const Surface& surface, const PropagationParams& params, cons
       return label.of(surface.given(k), p);
     });
   }
-  for (std::size_t size = 0; size < params.vote_cells_m.size(); ++size) {
-    const bool last = size + 1 == params.vote_cells_m.size();
-    const Pool pool = pool_votes(surface, params.vote_cells_m[size]);
+  const std::vector<double> edges = vote_edges(surface.scene, params);
+  for (std::size_t size = 0; size < edges.size(); ++size) {
+    const bool last = size + 1 == edges.size();
+    const Pool pool = pool_votes(surface, edges[size]);
     std::vector<std::int64_t> taken(surface.frames());
     parallel_for(std::ssize(taken), [&](std::int64_t index) {
       const auto k = static_cast<std::size_t>(index);
@@ -244,8 +254,10 @@ void pool_in_cells(const Surface& surface, const PropagationParams& params, cons
     });
     std::int64_t pixels = 0;
     for (const std::int64_t n : taken) pixels += n;
-    facts.emplace_back(fmt::format("pixels by cells of {:g} m", params.vote_cells_m[size]), std::to_string(pixels));
-    if (done) done(static_cast<int>(size) + 1, static_cast<int>(params.vote_cells_m.size()));
+    facts.emplace_back(
+        fmt::format("pixels by cells of {:.4g} {}", edges[size], surface.scene.info.metric ? "m" : "units"),
+        std::to_string(pixels));
+    if (done) done(static_cast<int>(size) + 1, static_cast<int>(edges.size()));
   }
   add_step(out, surface, "vote", std::move(facts));
 }

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "core/usual_metre.h"
 #include "scene/scene_checks.h"
 
 namespace semfield {
@@ -9,12 +10,12 @@ namespace semfield {
 namespace {
 
 // Poses of one frame in two readings of a scene: text files round, so not bit for bit.
-bool same_pose(const Pose& a, const Pose& b) {
+bool same_pose(const Pose& a, const Pose& b, double metre) {
   constexpr double kRotation = 1e-4, kShift = 1e-4;
   for (int i = 0; i < 3; ++i) {
     if (length(a.axis(i) - b.axis(i)) > kRotation) return false;
   }
-  return length(a.t - b.t) <= kShift * (1 + length(a.t));
+  return length(a.t - b.t) <= kShift * (metre + length(a.t));
 }
 
 void check_frame(const FrameInfo& frame, const TrainedField& run) {
@@ -26,7 +27,8 @@ void check_frame(const FrameInfo& frame, const TrainedField& run) {
                 frame_place(frame) + ": the scene of " + run.run_dir + " has no frame of this name",
                 "take depth from a run of this scene");
   }
-  if (!same_pose(found->world_from_camera, frame.world_from_camera)) {
+  const double metre = usual_metre(run.session.scene.info.metric, run.session.extent.bounds.size());
+  if (!same_pose(found->world_from_camera, frame.world_from_camera, metre)) {
     throw Error(ErrorKind::data, "fuse.depth.foreign",
                 frame_place(frame) + ": the camera stands elsewhere in the scene of " + run.run_dir,
                 "take depth from a run of this scene");
@@ -77,6 +79,13 @@ FrameMaps learned_depth(const TrainedField& run, const LoadedScene& scene, doubl
     if (done) done(static_cast<int>(maps.depth_m.size()));
   }
   return maps;
+}
+
+FusionParams settled(const FusionParams& params, const LoadedScene& scene) {
+  FusionParams out = params;
+  const Vec3d size = scene.bounds.empty() ? Vec3d{} : scene.bounds.size();
+  if (params.tolerance == 0) out.tolerance = 0.01 * usual_metre(scene.info.metric, size);
+  return out;
 }
 
 SceneFusion fuse_scene(const LoadedScene& scene, const TrainingLabels& labels, const FrameMaps& maps,

@@ -48,7 +48,10 @@ struct SceneFusion {
 /// Called for each frame and method in order with the labels of its pixels; `frame` indexes LoadedScene::info.frames.
 using OnFused = std::function<void(const std::string& method, int frame, const std::vector<std::int16_t>& label)>;
 
-/// Fuses every frame of `maps`. Frames without true labels are fused and not scored.
+/// With the tolerance of the scene where `params` leave it open.
+FusionParams settled(const FusionParams& params, const LoadedScene& scene);
+
+/// Fuses every frame of `maps`; `params` are settled(). Frames without true labels are fused and not scored.
 SceneFusion fuse_scene(const LoadedScene& scene, const TrainingLabels& labels, const FrameMaps& maps,
                        const FusionParams& params, const OnFused& on_fused);
 

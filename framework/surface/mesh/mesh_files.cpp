@@ -108,14 +108,23 @@ Box box_around(std::span<const Vec3d> positions) {
 }
 
 Vec3d offset_of_floats(const Box& box) {
-  constexpr double kExact = 2048;  // below it a step of 32 bits is an eighth of a millimetre
+  constexpr double kFar = 1024;  // sides of the box: a step of 32 bits is then 1/8,192 of a side
   Vec3d offset;
   if (box.empty()) return offset;
+  const Vec3d size = box.size();
   double largest = 0;
   for (int axis = 0; axis < 3; ++axis) largest = std::max({largest, std::abs(box.lo[axis]), std::abs(box.hi[axis])});
-  for (int axis = 0; axis < 3 && largest > kExact; ++axis)
-    offset[axis] = 100 * std::round(box.center()[axis] / 100) + 0.0;
+  if (!(largest >= kFar * std::max({size.x, size.y, size.z}))) return offset;
+  const double step = 100 * decade(box);
+  for (int axis = 0; axis < 3; ++axis) offset[axis] = step * std::round(box.center()[axis] / step) + 0.0;
   return offset;
+}
+
+double decade(const Box& box) {
+  if (box.empty()) return 1;
+  const Vec3d size = box.size();
+  const double longest = std::max({size.x, size.y, size.z});
+  return longest > 0 && std::isfinite(longest) ? std::pow(10.0, std::floor(std::log10(longest))) : 1;
 }
 
 }  // namespace semfield

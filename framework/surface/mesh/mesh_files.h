@@ -46,9 +46,11 @@ struct GlbLook {
 /// them back, and asset.extras say both. Throws Error(data) for files over 4 GiB.
 void write_glb(const std::string& path, const Surface& surface, const ClassTable& classes, const GlbLook& look);
 
-/// What coordinates of 32 bits are counted from: 0, or, where one is so large that they would be off by more than a
-/// tenth of a millimetre, the middle of the box in whole hundreds.
+/// What coordinates of 32 bits are counted from: 0, or, where one is 1,024 times as large as the box or more, the
+/// middle of the box in whole hundreds of its decade().
 Vec3d offset_of_floats(const Box& box);
+/// The power of ten that the longest side of a box has: 1 for 1 to 9.99. 1 for a box without a size.
+double decade(const Box& box);
 Box box_around(std::span<const Vec3d> positions);
 
 }  // namespace semfield

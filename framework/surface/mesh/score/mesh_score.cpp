@@ -16,17 +16,16 @@ namespace {
 constexpr std::int64_t kPiece = 1024;  // points that a thread takes at once
 constexpr RandomAddress kOfMesh{0, 0, stream_id("score/mesh")};
 
-// 21 bits an axis; what lies 10 km apart may share a number, and one of the two is then lost.
-std::uint64_t cube_of(Vec3d p) {
+// 21 bits an axis; what lies two million cubes apart may share a number, and one of the two is then lost.
+std::uint64_t cube_of(Vec3d p, double cube) {
   std::uint64_t key = 0;
   for (int axis = 0; axis < 3; ++axis)
-    key = key << 21 |
-          (static_cast<std::uint64_t>(static_cast<std::int64_t>(std::floor(p[axis] / kPointCube))) & 0x1FFFFF);
+    key = key << 21 | (static_cast<std::uint64_t>(static_cast<std::int64_t>(std::floor(p[axis] / cube))) & 0x1FFFFF);
   return key;
 }
 
 // The first point of every cube, in the order of views and pixels.
-std::vector<Vec3d> thinned(std::initializer_list<std::span<const DepthView>> all) {
+std::vector<Vec3d> thinned(std::initializer_list<std::span<const DepthView>> all, double cube) {
   std::vector<Vec3d> points;
   std::unordered_set<std::uint64_t> taken;
   for (const std::span<const DepthView> views : all) {
@@ -36,20 +35,21 @@ std::vector<Vec3d> thinned(std::initializer_list<std::span<const DepthView>> all
         if (!(distance > 0)) continue;
         const PixelPlace at = strided_place(static_cast<std::int64_t>(i), view.map.width_px, view.map.stride);
         const Vec3d point = point_at(view.camera, {}, at, static_cast<double>(distance));
-        if (taken.insert(cube_of(point)).second) points.push_back(point);
+        if (taken.insert(cube_of(point, cube)).second) points.push_back(point);
       }
     }
   }
   return points;
 }
 
-std::vector<double> distances(const std::vector<Vec3d>& points, const NearestSurface& to) {
+// In metres.
+std::vector<double> distances(const std::vector<Vec3d>& points, const NearestSurface& to, double metre) {
   std::vector<double> out(points.size());
   parallel_for((std::ssize(points) + kPiece - 1) / kPiece, [&](std::int64_t piece) {
     const auto end = std::min(points.size(), static_cast<std::size_t>((piece + 1) * kPiece));
     // Beyond the last distance that counts it is all the same.
     for (auto i = static_cast<std::size_t>(piece * kPiece); i < end; ++i)
-      out[i] = to.distance(points[i], 2 * kScoreDistances.back());
+      out[i] = to.distance(points[i], 2 * kScoreDistances.back() * metre) / metre;
   });
   return out;
 }
@@ -116,15 +116,17 @@ DepthView measured_view(const RayCamera& camera, const DepthMap& depth) {
   return view;
 }
 
-DepthReference::DepthReference(std::span<const DepthView> of_training, std::span<const DepthView> held_out)
-    : training_views_(of_training),
+DepthReference::DepthReference(std::span<const DepthView> of_training, std::span<const DepthView> held_out,
+                               double metre)
+    : metre_(metre),
+      training_views_(of_training),
       held_out_views_(held_out),
-      points_(thinned({of_training, held_out})),
-      held_out_(thinned({held_out})),
+      points_(thinned({of_training, held_out}, kPointCube * metre)),
+      held_out_(thinned({held_out}, kPointCube * metre)),
       measured_(points_) {}
 
 bool DepthReference::judges(Vec3d point) const {
-  const auto speaks = [&](const DepthView& view) { return speaks_of(view, point, kScoreDistances.back()); };
+  const auto speaks = [&](const DepthView& view) { return speaks_of(view, point, kScoreDistances.back() * metre_); };
   return std::any_of(training_views_.begin(), training_views_.end(), speaks) ||
          std::any_of(held_out_views_.begin(), held_out_views_.end(), speaks);
 }
@@ -132,8 +134,8 @@ bool DepthReference::judges(Vec3d point) const {
 MeshScore DepthReference::score(const Surface& surface) const {
   MeshScore score;
   const NearestSurface mesh(surface.positions, surface.triangles);
-  score.complete = shares_within(distances(points_, mesh));
-  if (!held_out_.empty()) score.complete_of_held_out = shares_within(distances(held_out_, mesh));
+  score.complete = shares_within(distances(points_, mesh, metre_));
+  if (!held_out_.empty()) score.complete_of_held_out = shares_within(distances(held_out_, mesh, metre_));
 
   const std::vector<Vec3d> drawn = drawn_from(surface);
   std::vector<char> is_judged(drawn.size());
@@ -145,7 +147,7 @@ MeshScore DepthReference::score(const Surface& surface) const {
   for (std::size_t i = 0; i < drawn.size(); ++i) {
     if (is_judged[i] != 0) judged.push_back(drawn[i]);
   }
-  score.accurate = shares_within(distances(judged, measured_));
+  score.accurate = shares_within(distances(judged, measured_, metre_));
   score.judged = drawn.empty() ? 0 : static_cast<double>(judged.size()) / static_cast<double>(drawn.size());
   for (std::size_t k = 0; k < score.f.size(); ++k) {
     const double sum = score.complete[k] + score.accurate[k];

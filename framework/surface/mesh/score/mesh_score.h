@@ -16,7 +16,7 @@ namespace semfield {
 /// known. The map has the size of the camera's image.
 DepthView measured_view(const RayCamera& camera, const DepthMap& depth);
 
-/// Distances that a score counts within, metres (or the scene's unit), ascending.
+/// Distances that a score counts within, ascending, in metres of usual_metre().
 inline constexpr std::array<double, 3> kScoreDistances{0.02, 0.05, 0.10};
 using ScoreShares = std::array<double, kScoreDistances.size()>;  ///< 0..1, for each of kScoreDistances
 
@@ -32,14 +32,16 @@ struct MeshScore {
 /// accuracy their precision. We differ: distances are taken to triangles of the mesh, and what no depth image speaks of
 /// is left out of accuracy, as [Schops17] do with laser scans.
 ///
-/// - Points of depth images are thinned to one per cube of kPointCube, so that what many frames show counts once.
+/// - Points of depth images are thinned to one per cube of kPointCube metres, so that what many frames show counts
+/// once.
 /// - kMeshPoints points of the mesh are drawn evenly by area, addressed by their number. A point is judged where some
 ///   depth image has a value at its pixel and the point lies no farther than kScoreDistances.back() behind it. What
 ///   lies behind everything that was measured is neither right nor wrong.
 class DepthReference {
  public:
-  /// Views of measured_view. Memory: about 130 bytes per cube of kPointCube that the images show.
-  DepthReference(std::span<const DepthView> of_training, std::span<const DepthView> held_out);
+  /// Views of measured_view; `metre` in units of the scene (usual_metre). Memory: about 130 bytes per cube of
+  /// kPointCube that the images show.
+  DepthReference(std::span<const DepthView> of_training, std::span<const DepthView> held_out, double metre = 1);
 
   /// Points after thinning: of all frames, and of those that are held out.
   std::size_t points() const { return points_.size(); }
@@ -49,6 +51,7 @@ class DepthReference {
  private:
   bool judges(Vec3d point) const;
 
+  double metre_;
   std::span<const DepthView> training_views_, held_out_views_;
   std::vector<Vec3d> points_, held_out_;
   NearestSurface measured_;  // all points
