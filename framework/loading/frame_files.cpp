@@ -238,6 +238,8 @@ ImageSize FrameFileCheck::check_header(const FrameInfo& frame, const char* what,
       if (is_drawn && turned_by_quarter(frame.orientation)) {
         wrong.message += " turned as the image's EXIF orientation says (" + std::to_string(frame.orientation) + ")";
         wrong.remedy = kShownRemedy;
+      } else if (what == kOptional[3].first && turned_by_quarter(frame.orientation)) {
+        wrong.remedy = "masks are of the pixels as stored, as COLMAP's are: turn them back";
       }
       diagnostics.error(wrong.code, frame_place(frame), wrong.message,
                         is_label ? wrong.remedy + "; labels of another one are scaled with " +
@@ -254,11 +256,12 @@ ImageSize FrameFileCheck::check_header(const FrameInfo& frame, const char* what,
 
 void FrameFileCheck::report(const std::string& source, std::size_t frames_left, Diagnostics& diagnostics) const {
   if (!turned_.empty()) {
-    diagnostics.note("scene.image.orientation", source,
-                     std::to_string(turned_.size()) + " of " + std::to_string(frames_left) +
-                         " images have an EXIF orientation by which viewers turn them; here pixels count as "
-                         "they are stored, as cameras of COLMAP do, and labels as drawn over the image as shown: " +
-                         first_names(turned_));
+    diagnostics.note(
+        "scene.image.orientation", source,
+        std::to_string(turned_.size()) + " of " + std::to_string(frames_left) +
+            " images have an EXIF orientation by which viewers turn them; here pixels count as "
+            "they are stored, as cameras and masks of COLMAP do, and labels as drawn over the image as shown: " +
+            first_names(turned_));
   }
   if (missing_ == MissingFiles::error) return;
   std::size_t lost = 0;

@@ -61,7 +61,8 @@ TEST(ClassTable, CsvColumnsAreReadByTheirNames) {
   const auto load = [&](const std::string& text) {
     write_file_atomic(path, text);
     std::string out;
-    for (const ClassEntry& e : ClassTable::load(path).entries()) {
+    const ClassTable table = ClassTable::load(path);
+    for (const ClassEntry& e : table.entries()) {
       out += std::to_string(e.id) + "=" + e.name + (e.ignore ? "!" : "");
       if (e.color != ClassTable::default_color(e.id))
         out += "(" + std::to_string(e.color[0]) + "," + std::to_string(e.color[1]) + "," + std::to_string(e.color[2]) +
