@@ -215,7 +215,7 @@ TEST(GeometrySurvey, DepthOfAnotherUnitIsToldFromPosesOfAnother) {
 TEST(GeometrySurvey, DepthOfAnotherUnitIsToldOfFewFrames) {
   Room room{.poses = walk(5, 0.4 * M_PI)};
   expect_quiet(ask(room), "poses agree with depth");
-  for (const auto& [scale, named] : {std::pair{6.5535, "6.5535 times"}, {1000.0, "1000"}, {0.25, "4 times"}}) {
+  for (const auto& [scale, named] : {std::pair{6.5535, "6.5535 times"}, {1000.0, "millimetres"}, {4.0, "4 times"}}) {
     room.spoiled = [by = scale](int, FrameBuffer& f) {
       for (float& z : f.depth_m) z *= static_cast<float>(by);
     };

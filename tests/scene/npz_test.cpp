@@ -272,9 +272,7 @@ TEST(Npy, FortranOrderOfAnyShape) {
     std::int64_t count = 1;
     for (const std::int64_t axis : shape) count *= axis;
     for (std::int32_t i = 0; i < count; ++i) stored.push_back(i);
-    std::string head = npy_header("<i4", shape);
-    head.replace(head.find("False"), 5, "True ");
-    plain_write(c.path, head + bytes_of(stored));
+    plain_write(c.path, npy(header("<i4", shape_text(shape), "True"), bytes_of(stored)));
     const NumpyValues found = read_npy_values(c.path, {});
     for (std::int64_t place = 0; place < count; ++place) {
       std::int64_t rest = place, from = 0;  // from the index in C order to the place in Fortran order

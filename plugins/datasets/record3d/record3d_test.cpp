@@ -136,7 +136,7 @@ TEST(Record3d, WhatDoesNotFitIsNamed) {
   EXPECT_HAS(first_problem(meta), "has no list 'poses'");
   meta = metadata();
   meta.erase("h");
-  EXPECT_HAS(first_problem(meta), "image size 'w' x 'h'");
+  EXPECT_HAS(first_problem(meta), "states no image size");
   meta = metadata();
   meta["perFrameIntrinsicCoeffs"] = {{1, 2, 3, 4}};
   EXPECT_HAS(first_problem(meta), "has 13 poses and 1 rows of 'perFrameIntrinsicCoeffs'");
