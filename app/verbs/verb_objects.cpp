@@ -158,11 +158,11 @@ void tell_unclaimed(const FoundObjects& found, const SegmentSet& segments, const
   const Annotations::Mark& first = segments.clicks[found.unclaimed.front()];
   const SceneInfo& info = s.scene.info;
   print_note(context,
-             fmt::format("{} of {} clicks are of no object, the first one on '{}' in frame '{}': fewer than {} "
-                         "points of the surface around them are of their class; train the run with the clicks, "
-                         "or lower objects.least_points",
+             fmt::format("{} of {} clicks are of no object, the first one on '{}' in frame '{}': too few points of the "
+                         "surface around them are of their class; train the run with the clicks, or raise "
+                         "objects.points and objects.rays",
                          found.unclaimed.size(), segments.clicks.size(), info.classes.valid(first.class_index).name,
-                         info.frames[static_cast<std::size_t>(first.frame)].name, s.config.objects.least_points));
+                         info.frames[static_cast<std::size_t>(first.frame)].name));
 }
 
 int run(const ObjectsOptions& options, AppContext& context) {

@@ -17,6 +17,8 @@ namespace {
 
 constexpr std::int64_t kLeastSights = 4;  // of a segment in the map of a view
 
+constexpr std::int64_t kLeastClicked = 6;  // points of a thing that somebody clicked: a cell and some around it
+
 class Clock {
  public:
   explicit Clock(FoundObjects& to) : to_(to) {}
@@ -91,8 +93,7 @@ FoundObjects find_objects(Session& session, const SegmentSet& segments, std::uni
   found.class_of = classes.most_probable();
   ClickedObjects told;
   if (clicked) {
-    told = clicked_objects(found.surface, found.touching, found.class_of, found.stuff, segments.clicks,
-                           params.least_points);
+    told = clicked_objects(found.surface, found.touching, found.class_of, found.stuff, segments.clicks, kLeastClicked);
     found.id = told.id;
     found.unclaimed = told.unclaimed;
     sights = point_sights(found.surface, found.id);

@@ -27,11 +27,6 @@ void walk(KnownScene& scene, Field&& field) {
   field("pixel_footprint_m", scene.pixel_footprint_m);
 }
 
-[[noreturn]] void refuse(const std::string& what) {
-  throw Error(ErrorKind::data, "checkpoint.metadata.damaged", "checkpoint metadata 'scene' cannot be read: " + what,
-              "resume from another checkpoint of the run");
-}
-
 }  // namespace
 
 std::string manifest_text(const KnownScene& scene) {
@@ -45,6 +40,7 @@ std::optional<KnownScene> read_manifest_text(const TensorMetadata& metadata) {
   const auto text = metadata.find("scene");
   if (text == metadata.end()) return std::nullopt;
   KnownScene scene;
+  const SceneManifest& m = scene.manifest;
   try {
     const nlohmann::json json = nlohmann::json::parse(text->second);
     walk(scene, [&](const char* name, auto& value) {
@@ -52,16 +48,17 @@ std::optional<KnownScene> read_manifest_text(const TensorMetadata& metadata) {
       if (std::string_view(name) == "direction_spread_deg" && !json.contains(name)) return;
       read_json_value(json, name, value);
     });
+    const auto negative = [](std::int64_t pixels) { return pixels < 0; };
+    if (std::ssize(m.train_class_pixels) != m.classes ||
+        std::any_of(m.train_class_pixels.begin(), m.train_class_pixels.end(), negative) ||
+        !(scene.pixel_footprint_m > 0) || !std::isfinite(scene.pixel_footprint_m))
+      throw std::out_of_range(std::to_string(m.train_class_pixels.size()) + " counts of pixels for " +
+                              std::to_string(m.classes) + " classes, a pixel of " +
+                              std::to_string(scene.pixel_footprint_m) + " m");
   } catch (const std::exception& e) {  // of the JSON, or out of range
-    refuse(e.what());
-  }
-  const SceneManifest& m = scene.manifest;
-  const auto negative = [](std::int64_t pixels) { return pixels < 0; };
-  if (std::ssize(m.train_class_pixels) != m.classes ||
-      std::any_of(m.train_class_pixels.begin(), m.train_class_pixels.end(), negative) ||
-      !(scene.pixel_footprint_m > 0) || !std::isfinite(scene.pixel_footprint_m)) {
-    refuse(std::to_string(m.train_class_pixels.size()) + " counts of pixels for " + std::to_string(m.classes) +
-           " classes, a pixel of " + std::to_string(scene.pixel_footprint_m) + " m");
+    throw Error(ErrorKind::data, "checkpoint.metadata.damaged",
+                std::string("checkpoint metadata 'scene' cannot be read: ") + e.what(),
+                "resume from another checkpoint of the run");
   }
   return scene;
 }
