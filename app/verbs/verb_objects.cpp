@@ -158,9 +158,8 @@ void tell_unclaimed(const FoundObjects& found, const SegmentSet& segments, const
   const Annotations::Mark& first = segments.clicks[found.unclaimed.front()];
   const SceneInfo& info = s.scene.info;
   print_note(context,
-             fmt::format("{} of {} clicks are of no object, the first one on '{}' in frame '{}': too few points of the "
-                         "surface around them are of their class; train the run with the clicks, or raise "
-                         "objects.points and objects.rays",
+             fmt::format("{} of {} clicks are of no object, the first one on '{}' in frame '{}': there is too "
+                         "little surface around them; raise objects.points and objects.rays",
                          found.unclaimed.size(), segments.clicks.size(), info.classes.valid(first.class_index).name,
                          info.frames[static_cast<std::size_t>(first.frame)].name));
 }

@@ -16,6 +16,8 @@ namespace {
 
 using Mark = Annotations::Mark;
 
+constexpr float kAround = 2;  // cost of ways (SurfaceGraph) that stay on a surface of one colour
+
 // The table without the classes that the events add: a run that has learned from them has those already.
 ClassTable classes_before(const ClassTable& classes, const std::vector<LabelEvent>& events) {
   std::set<std::string> added;
@@ -109,6 +111,7 @@ ClickedObjects clicked_objects(const ObjectSurface& surface, const TouchingCells
   const auto settled_on = [&](std::int32_t point) {
     return graph.settled()[static_cast<std::size_t>(point)].class_index[0];
   };
+  SurfaceGraph::Scratch scratch;
   std::map<std::int16_t, std::int32_t> id_of;  // of numbers whose clicks say which object they mean
   for (std::size_t k = 0; k < clicks.size(); ++k) {
     const std::int16_t number = numbers[k];
@@ -120,6 +123,7 @@ ClickedObjects clicked_objects(const ObjectSurface& surface, const TouchingCells
       return class_of[static_cast<std::size_t>(point)] == clicks[k].class_index;
     };
     std::set<std::int32_t> met;
+    std::vector<SurfaceGraph::Near> near;
     for (const std::int32_t seed : under[k]) {
       if (!named.contains(seed) || out.id[static_cast<std::size_t>(seed)] != 0 || !met.insert(seed).second) continue;
       std::vector<std::int32_t> piece{seed};
@@ -132,7 +136,17 @@ ClickedObjects clicked_objects(const ObjectSurface& surface, const TouchingCells
           if (its && met.insert(other).second) piece.push_back(other);
         }
       }
-      if (std::ssize(piece) < least && std::none_of(piece.begin(), piece.end(), agrees)) continue;
+      const bool seen = std::any_of(piece.begin(), piece.end(), agrees);
+      const bool is_all =
+          std::all_of(under[k].begin(), under[k].end(), [&](std::int32_t p) { return met.contains(p); });
+      if (std::ssize(piece) < least && (seen || is_all)) {  // the surface around the click, whatever the field says
+        graph.around(seed, kAround, static_cast<std::size_t>(4 * least), scratch, near);
+        for (const SurfaceGraph::Near& at : near) {
+          const bool its = out.id[static_cast<std::size_t>(at.point)] == 0 && settled_on(at.point) == number;
+          if (std::ssize(piece) < least && its && met.insert(at.point).second) piece.push_back(at.point);
+        }
+      }
+      if (std::ssize(piece) < least && !seen) continue;
       const bool known = clicks[k].object != 0 && id_of.contains(number);
       if (!known) out.class_of.push_back(static_cast<std::int16_t>(clicks[k].class_index));
       const std::int32_t object = known ? id_of[number] : static_cast<std::int32_t>(std::ssize(out.class_of));

@@ -25,8 +25,10 @@ struct ClickedObjects {
 /// click that the cheapest way over the surface leads to (SurfaceGraph), as far as ways lead over points of the click's
 /// class: `class_of` [points]. Clicks with a number are one object, wherever they are; clicks without one are an object
 /// for each piece of their class that touches; what lies under one click is one piece where it touches. Clicks of
-/// `stuff` [classes] and of void are no object's. A piece counts where it has `least` points or any point of the class,
-/// so the wall that shows behind the rim of a thing does not; an object has at least `least` points.
+/// `stuff` [classes] and of void are no object's. Where the field sees fewer than `least` points of the class at a
+/// click, the surface around it is taken, as far as it is smooth and of one colour. A smaller piece counts where it has
+/// any point of the class, so the wall that shows behind the rim of a thing does not; an object has at least `least`
+/// points.
 ClickedObjects clicked_objects(const ObjectSurface& surface, const TouchingCells& touching,
                                std::span<const std::int16_t> class_of, const std::vector<bool>& stuff,
                                std::span<const Annotations::Mark> clicks, std::int64_t least);

@@ -108,6 +108,14 @@ TEST(ClickObjects, OneClickIsOneObjectAndTheSurfaceAroundIt) {
   EXPECT_EQ(row.objects({{10, kChair, 0}}, 3), "000000000.0.0");
 }
 
+// The field has not learned the click: it is of the surface around it.
+TEST(ClickObjects, AClickThatTheFieldDoesNotSeeIsTheSurfaceAroundIt) {
+  EXPECT_EQ(Row("wwwwwcwwww").objects({{5, kChair, 0}}, 3), "0000111000");
+  EXPECT_EQ(Row("wwwww").objects({{2, kChair, 0}}, 3), "01110");
+  EXPECT_EQ(Row("wwwww").objects({{2, kChair, 0}, {3, kWall, 0}}, 3), "11100") << "as far as no other click is nearer";
+  EXPECT_EQ(Row("ww.ww").objects({{1, kChair, 0}}, 3), "00.00") << "no surface of three points";
+}
+
 TEST(ClickObjects, ClicksThatClaimNothingAreTold) {
   const Row row("cccc.w.c");
   std::vector<Annotations::Mark> marks;
