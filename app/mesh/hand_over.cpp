@@ -49,7 +49,11 @@ HeightBand band_of(const MeshOptions& options, double metre) {
 
 HandOver::HandOver(const MeshOptions& options, const MeshTargets& targets, OpenedRun& run, std::optional<Vec3d> up,
                    const AppContext& context)
-    : options_(options), targets_(targets), run_(run), context_(context), objects_(objects_of_run(run.run_dir, run.session.scene.info.classes.valid_count())) {
+    : options_(options),
+      targets_(targets),
+      run_(run),
+      context_(context),
+      objects_(objects_of_run(run.run_dir, run.session.scene.info.classes.valid_count())) {
   const std::int64_t step = objects_ ? nlohmann::json::parse(objects_->about).value("step", run.step) : run.step;
   if (step != run.step)
     print_note(context, fmt::format("the objects of {} are of step {}, the field is of step {}; `semfield objects {}` "

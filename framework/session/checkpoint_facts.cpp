@@ -46,7 +46,8 @@ std::optional<EventsKnown> clicks_of(const TensorFile& file) {
   const char* const end = text->second.data() + text->second.size();
   const auto events = std::from_chars(text->second.data(), end, known.events);
   const auto checksum = events.ptr < end ? std::from_chars(events.ptr + 1, end, known.checksum, 16) : events;
-  if (events.ec != std::errc{} || checksum.ec != std::errc{} || checksum.ptr != end || checksum.ptr == events.ptr || known.events < 0)
+  if (events.ec != std::errc{} || checksum.ec != std::errc{} || checksum.ptr != end || checksum.ptr == events.ptr ||
+      known.events < 0)
     refuse("checkpoint.metadata.damaged", file,
            fmt::format("metadata 'clicks' is '{}', no count and checksum", text->second));
   return known;

@@ -15,8 +15,6 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
-#include <mutex>
-#include <set>
 #include <sstream>
 
 #include "system/own_temporaries.h"
@@ -255,7 +253,7 @@ struct OwnTemporary {
 };
 std::array<OwnTemporary, 64> g_own;
 
-// Where there is no room, it stays until the next write into the folder.
+// Where there is no room, it stays until the next write of the same file.
 void remember(const std::string& path) {
   for (OwnTemporary& own : g_own) {
     if (path.size() >= own.path.size() || own.taken.exchange(true)) continue;
@@ -273,17 +271,6 @@ void forget(const std::string& path) {
   }
 }
 
-// What others left in a folder before they died goes when this process first writes there.
-void clean_once(const std::string& folder) {
-  static std::mutex mutex;
-  static std::set<std::string> cleaned;
-  {
-    const std::scoped_lock lock(mutex);
-    if (!cleaned.insert(folder).second) return;
-  }
-  remove_stale_temporaries(folder);
-}
-
 }  // namespace
 
 void remove_own_temporaries() noexcept {
@@ -292,7 +279,6 @@ void remove_own_temporaries() noexcept {
 }
 
 AtomicFile::AtomicFile(std::string path) : path_(std::move(path)), folder_(folder_of(path_)) {
-  clean_once(folder_);
   const std::string prefix = folder_ + "/." + std::filesystem::path(path_).filename().string() + ".";
   for (int number = 0; number < 100; ++number) {
     const std::string name = prefix + std::to_string(number) + ".tmp";

@@ -231,8 +231,8 @@ TEST(ObjectSets, NumbersThatCannotBeAreRefused) {
   const struct {
     const char* tensor;
     double value;
-  } real[] = {{"cell", -1},      {"cell", 0},      {"cell", 1e300},         {"position", 1e300}, {"position", 7},
-              {"cell", 1e-300}, {"row.agreement", -0.1}, {"row.agreement", 2}};
+  } real[] = {{"cell", -1},    {"cell", 0},      {"cell", 1e300},         {"position", 1e300},
+              {"position", 7}, {"cell", 1e-300}, {"row.agreement", -0.1}, {"row.agreement", 2}};
   for (const auto& bad : real) {
     change(path, bad.tensor, 0, bad.value);
     EXPECT_ERROR(read_object_set(path, kClasses), "objects.found.unreadable", path);

@@ -161,15 +161,6 @@ TEST(Files, TheNextWriteOfATargetRemovesWhatTheLastOneLeft) {
   EXPECT_EQ(entries(folder), 1u);
 }
 
-// A verb that was interrupted left its file; the next one in that folder writes another.
-TEST(Files, TheFirstWriteIntoAFolderRemovesWhatTheDeadLeft) {
-  const std::string folder = fresh_folder("left");
-  plain_write(folder + "/.mesh.ply.0.tmp", "left by a killed writer");
-  plain_write(folder + "/.mesh.ply.1.tmp", "and by another");
-  write_file_atomic(folder + "/other.json", std::string_view("new"));
-  EXPECT_EQ(entries(folder), 1u);
-}
-
 // What a handler of signals does: own files go, those of another writer and of a process that was forked do not.
 TEST(Files, AProcessThatEndsBySignalRemovesItsOwn) {
   const std::string folder = fresh_folder("ends");
