@@ -45,6 +45,13 @@ std::vector<NextStep> next_of_config(const KnownConfig& config) {
 #endif
 }
 
+std::vector<NextStep> next_of_scene(const std::string& folder, const std::string& name) {
+  std::error_code unknown;
+  const std::string file = "configs/" + name + ".yaml";
+  if (fs::exists(file, unknown)) return {{"inspect " + shell_word(file), "the configuration that is there already"}};
+  return {{"init " + shell_word(folder), "writes a configuration, and says what to do with it"}};
+}
+
 std::vector<NextStep> next_of_run(const std::string& run, bool held_out) {
   const std::string word = shell_word(run);
   std::vector<NextStep> steps;

@@ -20,6 +20,8 @@ struct KnownConfig {
 /// its folder.
 std::vector<NextStep> next_of_config(const KnownConfig& config);
 
+/// The configuration of a scene's folder, which is written or is there already.
+std::vector<NextStep> next_of_scene(const std::string& folder, const std::string& name);
 /// What follows on a run that was trained: scores and pictures of its held-out frames, if it has any, and its surface.
 std::vector<NextStep> next_of_run(const std::string& run, bool held_out);
 /// The run in the browser, where the build has pages that are served.

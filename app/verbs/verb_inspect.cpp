@@ -59,9 +59,9 @@ void check_ray_source(const LoadedScene& scene, const RunConfig& config, Diagnos
 int run(const InspectOptions& options, AppContext& context) {
   const std::string& what = options.config.config;
   const bool folder = names_a_scene(what, context);
-  OpenedDataset opened =
-      folder ? dataset_of(config_of(find_scene(what, "", context), kUsualPreset), options.config.set, context)
-             : dataset_of(options.config, context);
+  const FolderScene found = folder ? find_scene(what, "", context) : FolderScene();
+  OpenedDataset opened = folder ? dataset_of(config_of(found, kUsualPreset), options.config.set, context)
+                                : dataset_of(options.config, context);
   Diagnostics diagnostics;
   LoadedScene scene = load_for_labels(opened, diagnostics);
   if (!diagnostics.has_errors()) show_training_labels(scene, opened.config.labels, diagnostics);
@@ -78,7 +78,7 @@ int run(const InspectOptions& options, AppContext& context) {
     print_note(context, "cameras written to " + options.frusta);
   }
   if (folder) {
-    print_next(context, {{"init " + shell_word(what), "writes a configuration for this scene"}});
+    print_next(context, next_of_scene(what, found.name));
   } else if (!diagnostics.has_errors()) {
     const bool labels = std::any_of(scene.class_pixels.begin(), scene.class_pixels.end(),
                                     [](const std::vector<std::int64_t>& pixels) { return !pixels.empty(); });

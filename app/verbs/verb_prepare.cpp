@@ -6,11 +6,11 @@
 
 #include "app/child_process.h"
 #include "app/json_output.h"
-#include "app/next_steps.h"
 #include "app/program_in_path.h"
 #include "app/progress_line.h"
 #include "app/scene/configured_scene.h"
 #include "app/scene/folder_scene.h"
+#include "app/scene/next_of_config.h"
 #include "app/signals.h"
 #include "app/verb.h"
 #include "core/findings.h"
@@ -110,8 +110,7 @@ int run(const PrepareVerbOptions& options, AppContext& context) {
   } else {
     print_report(report, geometry);
   }
-  if (!found.has_errors())
-    print_next(context, {{"init " + shell_word(scene.path), "writes a configuration, and says what to do with it"}});
+  if (!found.has_errors()) print_next(context, next_of_scene(scene.path, scene.name));
   return found.has_errors() ? static_cast<int>(ErrorKind::data) : 0;
 }
 

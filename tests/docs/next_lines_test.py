@@ -11,7 +11,7 @@ import time
 
 sys.dont_write_bytecode = True
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
-from page_commands import Scratch, read  # noqa: E402
+from page_commands import Scratch  # noqa: E402
 
 NEXT = re.compile(r"^(?:next {8}| {12})(semfield \S.*?)(?: +# .+)?$", re.M)
 SAY_NEXT = ["init", "inspect", "train", "serve", "eval", "render", "mesh", "objects", "view"]  # `prepare`: tests/capture
@@ -67,7 +67,7 @@ def main():
     for start, more in (("semfield inspect data/my_photos", []), ("semfield init data/room_0", ["semfield objects runs/room_0"])):
         for backwards in (False, True):
             with tempfile.TemporaryDirectory(prefix="semfield_next_") as folder:
-                paster = Paster(Scratch(folder, os.path.abspath(options.program), options.scenes, (read("docs/guide/own_data.md"),)))
+                paster = Paster(Scratch(folder, os.path.abspath(options.program), options.scenes, ()))
                 for command in [start, *more]:
                     paster.paste(command, backwards)
             faults += paster.faults
