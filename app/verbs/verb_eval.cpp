@@ -14,8 +14,8 @@
 #include "eval/final_eval.h"
 #include "eval/json_number.h"
 #include "eval/protocol.h"
-#include "run/kept_scores.h"
 #include "run/open_run.h"
+#include "run/run_scores.h"
 #include "session/refined_poses.h"
 #include "system/files.h"
 

@@ -9,6 +9,7 @@
 
 #include "eval/eval_budget.h"
 #include "run/metrics_log.h"
+#include "run/open_run.h"
 #include "run/report_frames.h"
 #include "run/rows/tensorboard.h"
 #include "run/run_folder.h"
@@ -79,6 +80,19 @@ class RunScores {
   ScoredPart last_part_;
   ReportFrames report_frames_;
 };
+
+/// A row of metrics.jsonl for a scored part of `split`, "test" or "train".
+MetricsRow score_row(std::int64_t step, double train_s, const std::string& split, const ScoredPart& part,
+                     const SplitScore& score, const ClassTable& classes);
+
+/// Adds what the labels that trained are worth against the scene's own, on these frames.
+void add_given_scores(MetricsRow& row, const Session& session, const std::vector<int>& frames);
+
+/// Keeps the scores of every pixel of a split where reports look for them: a row of metrics.jsonl, and for test frames
+/// final_eval.json. Scores that are there already stay. `found`: what opening the run had to say. Returns why nothing
+/// was kept; "" otherwise.
+std::string keep_scores(const OpenedRun& run, const std::string& split, const SplitScore& score,
+                        const Diagnostics& found);
 
 /// Seconds since 1970, for events.
 double unix_seconds();

@@ -94,15 +94,14 @@ void Training::settle_length() {
   trainer_.set_length(config.schedule, config.train.steps);
   settled_ = true;
   if (listener_ == nullptr) return;
-  // Later corrections are in run.yaml: each by itself says nothing that anyone can act on.
-  if (!anew) {
-    const double rate = pace_->steps_per_s();
+  const double rate = pace_->steps_per_s();
+  if (!anew)  // what a later correction says nobody can act on
     listener_->note(
         fmt::format("the length is settled: {} steps for {:.4g} s of training{}; the learning rate falls from step {} "
-                    "on, to {:.4g} of the first; run.yaml has the numbers, also where the rate of steps changes them",
+                    "on, to {:.4g} "
+                    "of the first; run.yaml has the numbers, also where the rate of steps changes them",
                     *end, end_s(config), rate > 0 ? fmt::format(" ({:.3g} steps per second)", rate) : "", step(),
                     config.schedule.factor));
-  }
   Diagnostics never;
   check_length(config, never);
   for (const Diagnostic& finding : never.all()) listener_->warning(finding.message);
