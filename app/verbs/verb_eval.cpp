@@ -178,7 +178,7 @@ int run(const EvalOptions& options, AppContext& context) {
   }
   if (found.contains("protocol")) print_protocol(found["protocol"]);
   if (not_kept.empty())
-    print_next(context, {{"report " + shell_word(options.run), "writes its report anew, with these scores"}});
+    print_next(context, {{"report " + shell_word(options.run), "writes its report again, with these scores"}});
   return 0;
 }
 

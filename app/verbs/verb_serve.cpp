@@ -196,7 +196,7 @@ int run(const ServeOptions& options, AppContext& context) {
   const std::shared_ptr<const LabelState> state = session.state();
   print_note(context, fmt::format("stopped at step {} with {} labels, all saved", state->step, state->marks.size()));
   const std::string word = shell_word(session.run_dir());
-  print_next(context, {{"serve " + word, "goes on labelling"},
+  print_next(context, {{"serve " + word, "continues to label"},
                        {"train --resume " + word + " --time 5m", "trains on with these labels"}});
   return 128 + stop_signal();
 }
