@@ -30,11 +30,11 @@ class PythonLoss final : public Loss {
       throw Error(ErrorKind::usage, "plugin.python.moves",
                   owner_ + ": moves names no channel that it has a gradient of");
     // What it moves, it reads: a name that no head makes is refused before the run, and does not train nothing.
-    const auto is_of_head = [](const std::string& name) {
-      return name != channel::color && name != channel::depth && name != channel::weight && name != channel::sigma;
+    const auto is_of_pass = [](const std::string& one) {
+      return one == channel::color || one == channel::depth || one == channel::weight || one == channel::sigma;
     };
-    for (const std::string& name : moves_)
-      if (is_of_head(name) && std::find(heads_.begin(), heads_.end(), name) == heads_.end()) heads_.push_back(name);
+    for (const std::string& moved : moves_)
+      if (!is_of_pass(moved) && std::find(heads_.begin(), heads_.end(), moved) == heads_.end()) heads_.push_back(moved);
     traits_.targets.assign(targets_.begin(), targets_.end());
     traits_.heads.assign(heads_.begin(), heads_.end());
     traits_.moves.assign(moves_.begin(), moves_.end());
