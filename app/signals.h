@@ -5,10 +5,10 @@
 
 namespace semfield::app {
 
-/// At the start of the program. The stack is claimed (claim_stack; std::bad_alloc without room). SIGPIPE and SIGXFSZ are
-/// ignored: a closed pipe and a file limit show as failed writes, which are handled. SIGINT, SIGTERM and SIGHUP end it
-/// and leave no temporary file. Standard streams that the caller closed are opened on /dev/null, so that no file of ours
-/// gets their numbers and no message lands in it.
+/// At the start of the program. The stack is claimed (claim_stack; std::bad_alloc without room). SIGPIPE and SIGXFSZ
+/// are ignored: a closed pipe and a file limit show as failed writes, which are handled. SIGINT, SIGTERM and SIGHUP end
+/// it and leave no temporary file. Standard streams that the caller closed are opened on /dev/null, so that no file of
+/// ours gets their numbers and no message lands in it.
 void prepare_process();
 
 /// SIGINT and SIGTERM raise a flag; a second one says that the work of stopping goes on, a third ends the process at
