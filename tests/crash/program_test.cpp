@@ -2,13 +2,18 @@
 // at its file calls. A run that is gone on with ends in the bits of the run left alone.
 #include "tests/program.h"
 
+#include <alloca.h>
 #include <fmt/format.h>
 #include <signal.h>
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include <cstdio>
 
 #include "run/checkpoint_store.h"
 #include "system/files.h"
+#include "system/memory_limit.h"
 #include "tests/crash/victim_runs.h"
 #include "tests/session/train_testing.h"
 
@@ -179,6 +184,35 @@ TEST(Program, TooLittleMemoryIsASentence) {
   }
   EXPECT_EQ(done, 1);
   EXPECT_GE(refused, 1);
+}
+
+// Pages of the stack below here, as a deep call takes them.
+__attribute__((noinline)) void use_stack(std::size_t bytes) {
+  auto* const stack = static_cast<volatile char*>(alloca(bytes));
+  for (std::size_t at = bytes; at >= 4096; at -= 4096) stack[at - 1] = 0;
+}
+
+// How a process ends that uses its stack when its address space is used up.
+int signal_of_full_process(bool claims) {
+  const pid_t pid = fork();
+  if (pid == 0) {
+    const bool claimed = claims && claim_stack();
+    const rlimit none{4096, 4096};
+    setrlimit(RLIMIT_AS, &none);
+    use_stack(std::size_t{900} << 10);
+    _exit(claimed == claims && !claim_stack() ? 0 : 1);
+  }
+  int status = 0;
+  waitpid(pid, &status, 0);
+  return WIFSIGNALED(status) ? WTERMSIG(status) : WEXITSTATUS(status);
+}
+
+TEST(Program, AStackThatWasClaimedIsThereWhenNoMemoryIs) {
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+  GTEST_SKIP() << "a sanitizer reserves more address space than any limit allows";
+#endif
+  EXPECT_EQ(signal_of_full_process(false), SIGSEGV);
+  EXPECT_EQ(signal_of_full_process(true), 0);
 }
 
 TEST(Program, ADiskThatFillsUnderTheLogNamesTheCheckpointKept) {
