@@ -75,15 +75,17 @@ def edit_objects(page, run):
           window.fetch = ask;
           return new Promise((later) => { window.answer = later; }).then(() => ask(what, how));
         };
-        const {objects} = semfield;
+        const {objects} = semfield, button = document.getElementById('rename'), rename = (name) => {
+          document.getElementById('name').value = name;
+          button.disabled = false;
+          button.click();
+        };
         objects.choose(arguments[0]);
         semfield.points = [];
-        document.getElementById('name').value = 'slow';
-        document.getElementById('rename').click();
+        rename('slow');
         objects.choose(arguments[1]);
         semfield.points.push({place: objects.row(arguments[1]).box.center, object: arguments[1]});
-        document.getElementById('name').value = 'lost';
-        document.getElementById('rename').click();""", row["id"], other)
+        rename('lost');""", row["id"], other)
     page.wait("document.getElementById('edit-hint').textContent.startsWith('Not saved')", "an edit that is not saved does not say so")
     page.run("window.answer()")
     page.wait("document.getElementById('edit-hint').textContent === 'Saved.'", "no answer to an edit")
