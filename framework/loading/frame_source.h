@@ -50,8 +50,8 @@ struct LoadedScene {
   std::vector<StoredFrame> frames;  ///< as info.frames; empty where a frame could not be read
   Box bounds;                       ///< never empty after a load without errors
   double near_m = 0, far_m = 0;     ///< along the ray
-  double middle_m = 0;           ///< distance at which training cameras see things: the median, or what stands for it
-  double pixel_footprint_m = 0;  ///< world size of one of their pixels at that distance
+  double unit_m = 1;                ///< rendering.unit_m, unless it is given
+  double pixel_footprint_m = 0;     ///< world size of one pixel at the scene's middle depth (training frames)
   /// Corners of photographs without depth, where the poses put them: world points that tell where the scene is.
   SurveyPoints corners;
   std::string geometry;                    ///< what the check of poses against pixels found; empty = not asked

@@ -377,13 +377,17 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
   std::vector<float> focal;
   for (const FrameInfo* camera : seen.cameras) focal.push_back(static_cast<float>(camera->camera.fx));
   const Vec3d size = scene.bounds.empty() ? Vec3d{} : scene.bounds.size();
-  scene.middle_m = seen.has_depth     ? quantile(seen.survey.distances, 0.5)
-                   : seen.corners     ? middle_of(scene.corners)
-                   : scene.rig.inward ? scene.rig.distance_m
-                   // Of contracted space far is as good as infinity, and tells nothing of where things are.
-                   : options.contracted ? 0.5 * std::max({size.x, size.y, size.z})
-                                        : 0.5 * (scene.near_m + scene.far_m);
-  scene.pixel_footprint_m = scene.middle_m / quantile(focal, 0.5);
+  const double longest = std::max({size.x, size.y, size.z});
+  const double middle = seen.has_depth     ? quantile(seen.survey.distances, 0.5)
+                        : seen.corners     ? middle_of(scene.corners)
+                        : scene.rig.inward ? scene.rig.distance_m
+                        // Of contracted space far is as good as infinity, and tells nothing of where things are.
+                        : options.contracted ? 0.5 * longest
+                                             : 0.5 * (scene.near_m + scene.far_m);
+  scene.pixel_footprint_m = middle / quantile(focal, 0.5);
+  // docs/decisions/0043: an object fills less than what lies between it and its cameras.
+  const double unit_m = options.contracted ? middle : std::min(middle / 2, longest / 4);
+  scene.unit_m = unit_m > 0 ? unit_m : 1;
   warn_of_coarse_positions(scene, diagnostics);
   if (scene.extent_is_guessed) tell_of_guess(scene, options, diagnostics);
 }

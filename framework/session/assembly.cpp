@@ -224,7 +224,7 @@ PipelineOptions pipeline_options(const RunConfig& config, const BuildPlan& plan,
                                  const std::vector<PassParts<Real>>& passes) {
   PipelineOptions options;
   options.rules.rendering = config.rendering;
-  options.rules.unit_m = unit_of(config, extent);
+  if (config.rendering.unit_m > 0) options.rules.unit_m = config.rendering.unit_m;
   if (plan.late_samples) options.rules.rendering.early_stop = 0;
   options.rules.semantics = config.semantics;
   options.rules.deferred_class_layer = config.runtime.deferred_class_layer;
@@ -276,14 +276,6 @@ BuildRequest build_request(const RunConfig& config, const Registry& registry, co
   request.learns_colors = config.cameras.colors == CameraTrust::learned;
   request.periodic_evaluation = config.report.eval_every_s > 0;
   return request;
-}
-
-double unit_of(const RunConfig& config, const SceneExtent& extent) {
-  if (config.rendering.unit_m > 0) return config.rendering.unit_m;
-  if (!(extent.middle_m > 0) || extent.bounds.empty()) return 1;
-  if (extent.contracted) return extent.middle_m;  // docs/decisions/0043
-  const Vec3d size = extent.bounds.size();
-  return std::min(extent.middle_m / 2, std::max({size.x, size.y, size.z}) / 4);
 }
 
 SceneExtent extent_of(const RunConfig& config, double pixel_footprint_m) {

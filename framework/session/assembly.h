@@ -25,9 +25,6 @@ struct SceneExtent {
   double middle_m = 0;      ///< as LoadedScene has it; 0: unknown
 };
 
-/// rendering.unit_m, or where it is 0 what the extent gives.
-double unit_of(const RunConfig& config, const SceneExtent& extent);
-
 /// The extent that `config` was resolved to: its bounds, near and far are written out.
 SceneExtent extent_of(const RunConfig& config, double pixel_footprint_m);
 

@@ -148,12 +148,8 @@ void choose_by_labels(Session& s, bool labels_made, bool trainable, Diagnostics&
 }
 
 SceneExtent extent_of(const Session& s) {
-  return {s.scene.bounds,
-          s.scene.near_m,
-          s.scene.far_m,
-          s.scene.pixel_footprint_m,
-          s.config.rendering.outside == Outside::contracted,
-          s.scene.middle_m};
+  return {s.scene.bounds, s.scene.near_m, s.scene.far_m, s.scene.pixel_footprint_m,
+          s.config.rendering.outside == Outside::contracted};
 }
 
 // Scene, labels, manifest and plan. `last` is the sampler that the plan has asked, made for the scene's extent of now.
@@ -216,14 +212,11 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
 // Derived values become part of the resolved configuration, so that a later session cannot derive others.
 void fix_extent(Session& s, DeviceId device) {
   s.extent = extent_of(s);
-  s.limits.near_m = s.scene.near_m;
-  s.limits.far_m = s.scene.far_m;
-  s.limits.bounds = s.scene.bounds;
-  const Box& b = s.scene.bounds;
-  s.config.load.near_m = s.scene.near_m;
-  s.config.load.far_m = s.scene.far_m;
+  s.config.load.near_m = s.limits.near_m = s.scene.near_m;
+  s.config.load.far_m = s.limits.far_m = s.scene.far_m;
+  const Box& b = s.limits.bounds = s.scene.bounds;
   s.config.load.bounds = {b.lo.x, b.lo.y, b.lo.z, b.hi.x, b.hi.y, b.hi.z};
-  s.config.rendering.unit_m = unit_of(s.config, s.extent);
+  if (s.config.rendering.unit_m == 0) s.config.rendering.unit_m = s.scene.unit_m;
   s.chosen = choose_from_scene(s.config, s.extent, device.kind);
 }
 
