@@ -225,11 +225,12 @@ TEST(TurnedPictures, ExportsAreAsShownAndReadBack) {
     }
     write_png_gray8(folder + "/labels/" + name, quarter ? 30 : 40, quarter ? 40 : 30, shown);
   }
-  std::filesystem::remove_all(folder + "/room/semantic_class");
+  for (const char* name : {"/room/semantic_class", "/room/semantic_instance"})
+    std::filesystem::remove_all(folder + name);
   write_file_atomic(folder + "/room.yaml",
                     "include: " + std::string(SEMFIELD_SOURCE_DIR) +
-                        "/configs/presets/room.yaml\nscene: {type: replica, root: room, train_step: 1, test_step: 2, "
-                        "test_offset: 1, labels: {from: {type: images, folder: labels, pattern: '{number}.png'}}}\n");
+                        "/configs/presets/room.yaml\nscene: {type: replica, root: room, train_step: 1, test_step: 0, "
+                        "labels: {from: {type: images, folder: labels, pattern: '{number}.png'}}}\n");
   const Result degraded = semfield_run("degrade room.yaml --out given", folder);
   ASSERT_EQ(degraded.code, 0) << degraded.err;
   for (int i = 0; i < 5; ++i) {
