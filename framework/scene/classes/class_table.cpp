@@ -85,6 +85,7 @@ ClassEntry csv_entry(const TextRow& row, bool says_ignore) {
 }
 
 ClassTable load_csv(const std::string& path) {
+  (void)read_text_file(path, std::size_t{4} << 20);  // refuses what is too large for a class table
   const TextTable table = read_text_table(
       path, {{"id", "class_id", "classid", "label_id", "labelid", "category_id", "class_index", "index", "value",
               "label", "class"},
