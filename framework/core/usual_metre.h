@@ -8,10 +8,10 @@
 
 namespace semfield {
 
-/// Whether a scene of this size is in metres and as large as rooms and houses are.
+/// Whether a scene of this size is in metres: as large as shelves, rooms and houses are.
 inline bool is_in_metres(bool metric, Vec3d size) {
   const double longest = std::max({size.x, size.y, size.z});
-  return metric && longest >= 1 && longest <= 100;
+  return metric && longest >= 0.1 && longest <= 100;
 }
 
 /// 1 where is_in_metres(), else a fifth of the scene's longest side; 1 for a scene without a size.

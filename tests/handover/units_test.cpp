@@ -138,6 +138,7 @@ TEST(Units, AMeshIsJudgedWithinTheSameSharesOfAScene) {
 TEST(Units, AMetreIsOneInARoomAndAShareElsewhere) {
   EXPECT_EQ(usual_metre(true, {4, 3, 2}), 1);
   EXPECT_EQ(usual_metre(true, {40, 3, 2}), 1);
+  EXPECT_EQ(usual_metre(true, {0.6, 0.3, 0.3}), 1) << "a shelf";
   EXPECT_EQ(usual_metre(false, {4, 3, 2}), 0.8);
   EXPECT_EQ(usual_metre(true, {4000, 3000, 2000}), 800) << "millimetres that are told as metres";
   EXPECT_EQ(usual_metre(true, {}), 1);
