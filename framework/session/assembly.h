@@ -22,7 +22,6 @@ struct SceneExtent {
   double near_m = 0, far_m = 0;
   double pixel_footprint_m = 0;
   bool contracted = false;  ///< rendering.outside
-  double middle_m = 0;      ///< as LoadedScene has it; 0: unknown
 };
 
 /// The extent that `config` was resolved to: its bounds, near and far are written out.
