@@ -165,7 +165,8 @@ bool frame_camera(const TransformsFrame& in, const std::string& place, CameraFit
     }
   }
   const TransformsLens& l = in.lens;
-  if (l.fl_x == 0 && l.fl_y == 0 && l.camera_angle_x == 0 && l.camera_angle_y == 0 && l.kind != LensKind::equirectangular) {
+  if (l.fl_x == 0 && l.fl_y == 0 && l.camera_angle_x == 0 && l.camera_angle_y == 0 &&
+      l.kind != LensKind::equirectangular) {
     diagnostics.error("scene.camera.missing", place,
                       "no focal length: neither the file nor the frame has 'fl_x', 'camera_angle_x' or a matrix 'K'",
                       "write 'fl_x', 'fl_y', 'cx' and 'cy' in pixels");
