@@ -118,8 +118,10 @@ class Loader {
     if (!fs::exists(path, unknown) || fs::is_directory(path, unknown)) {
       const std::string shipped = shipped_config(item.text());
       if (shipped.empty()) {
-        const std::string place = shipped_place(item.text()), new_name = renamed(item.text()),
-                          near = new_name.empty() ? near_config(item.text(), path.string()) : new_name;
+        const std::string place = shipped_place(item.text()), new_name = renamed(item.text());
+        std::string near = new_name.empty() ? near_config(item.text(), path.string()) : new_name;
+        if (!near.empty() && !near.ends_with(".yaml")) near += ".yaml";  // which an include has to write
+        if (near == item.text()) near.clear();                           // a folder of that name
         noting(problems_, [&] {
           fail("config.include.file", item.location(),
                "include: no file '" + item.text() + "' (looked for '" + path.string() + "'" +
