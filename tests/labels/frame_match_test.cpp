@@ -247,20 +247,27 @@ TEST(LabelReaders, KeepCamerasApart) {
   EXPECT_EQ(reads("clicks", "file: " + folder + "/clicks.jsonl"), "10");
 }
 
+std::string mask_of(FrameMasks& masks, const std::string& image) {
+  FrameFiles files;
+  files.color = image;
+  masks.add_to(files);
+  return files.mask;
+}
+
 TEST(FrameMasks, OfTwoCamerasAreNotShared) {
   const FileCase c;
   c.put("masks/0001.png");
   FrameMasks flat(c.folder, "masks");
-  EXPECT_NE(flat.of("/s/images/left/0001.jpg"), "");
-  EXPECT_NE(flat.of("/s/images/right/0001.jpg"), "");
+  EXPECT_NE(mask_of(flat, "/s/images/left/0001.jpg"), "");
+  EXPECT_NE(mask_of(flat, "/s/images/right/0001.jpg"), "");
   Diagnostics found;
   flat.report(found);
   EXPECT_FINDING(found, "scene.mask.ambiguous", "/s/images/left/0001.jpg", "/s/images/right/0001.jpg");
   c.put("masks/a/left/0001.png");
   c.put("masks/b/left/0001.png");
   FrameMasks deep(c.folder, "masks");
-  EXPECT_EQ(deep.of("/s/b/left/0001.jpg"), c.folder + "/masks/b/left/0001.png");
-  EXPECT_EQ(deep.of("/s/a/left/0001.jpg"), c.folder + "/masks/a/left/0001.png");
+  EXPECT_EQ(mask_of(deep, "/s/b/left/0001.jpg"), c.folder + "/masks/b/left/0001.png");
+  EXPECT_EQ(mask_of(deep, "/s/a/left/0001.jpg"), c.folder + "/masks/a/left/0001.png");
 }
 
 }  // namespace
