@@ -159,7 +159,7 @@ TextTable read_text_table(const std::string& path, const std::vector<ColumnNames
                   row.place + ": " + std::to_string(row.fields.size()) + " columns, " +
                       (named ? "the first line names " + std::to_string(most)
                              : "at most " + std::to_string(most) + " are read"),
-                  "put a field that holds the separator in double quotes, or name every column in the first line");
+                  "put a field that holds the separator in double quotes, or name every column in the header");
     std::vector<std::string> fields(columns.size());
     for (std::size_t c = 0; c < columns.size(); ++c) {
       const std::size_t at = named ? (*named)[c] : c;

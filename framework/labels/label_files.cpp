@@ -103,7 +103,7 @@ void check_label_shape(std::int64_t width, std::int64_t height, const Camera& fr
               "label the image of this frame");
 }
 
-bool lies_beside_cameras(const std::string& path) {
+bool folder_has_cameras(const std::string& path) {
   std::error_code unknown;
   const std::string cameras = (std::filesystem::path(path).parent_path() / "cameras.json").string();
   return std::filesystem::is_regular_file(cameras, unknown) &&

@@ -43,9 +43,9 @@ bool has_file(const std::string& folder, const std::string& pattern, const Frame
 /// with the size that a file states before they make a raster of that size.
 void check_label_shape(std::int64_t width, std::int64_t height, const Camera& frame);
 
-/// Whether the file lies beside a cameras.json, as maps that `semfield render` wrote: they are of the cameras' pixels,
-/// which are those of images as stored.
-bool lies_beside_cameras(const std::string& path);
+/// Whether the folder of the file has a cameras.json, as maps that `semfield render` wrote: they are of the cameras'
+/// pixels, which are those of images as stored.
+bool folder_has_cameras(const std::string& path);
 
 /// Reports a folder that is not named or is none; true when it is one.
 bool check_folder(const std::string& folder, Diagnostics& diagnostics);

@@ -56,7 +56,7 @@ void FrameMasks::report(Diagnostics& diagnostics) const {
   if (moving_ > 0)
     diagnostics.note("scene.mask.moving", root_,
                      std::to_string(moving_) + " of " + std::to_string(images_) + " images have a " + kMovingMask +
-                         "NAME.png beside them: what is not black in it is masked");
+                         "NAME.png next to them: what is not black in it is masked");
   if (folder_.empty()) {
     if (fs::is_directory(fs::path(root_) / "masks", unknown))
       diagnostics.note(

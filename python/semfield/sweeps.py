@@ -13,7 +13,7 @@ from .scenes import PathLike
 
 
 def _rows(path: PathLike) -> List[Dict[str, str]]:
-    """Rows of a table. An apostrophe before a text keeps spreadsheets from taking it for a formula: it is no part of it."""
+    """Rows of a table. An apostrophe before a text keeps spreadsheets from taking it for a formula; it is taken off."""
     with open(path, newline="", encoding="utf-8") as file:
         return [{key: value[1:] if value.startswith("'") and value.lstrip("'")[:1] in tuple("=+-@\t\r") else value for key, value in row.items()}
                 for row in csv.DictReader(file)]

@@ -164,8 +164,8 @@ TEST(SceneErrors, TransformsJson) {
   EXPECT_EQ(transforms_error("{\"fl_x\": 4, \"frames\": [" + frame + "," + frame + "]}"),
             "ROOT/transforms.json: frame 1 (a): image is listed twice; keep one of the two frames");
   EXPECT_EQ(transforms_error("{\"frames\": [" + frame + "]}"),
-            "frame 'a' (ROOT/a.png): focal length is 0 x 0 pixels; it must be positive; check the intrinsics and the "
-            "axes convention");
+            "frame 'a' (ROOT/a.png): no focal length: neither the file nor the frame has 'fl_x', 'camera_angle_x' or a "
+            "matrix 'K'; write 'fl_x', 'fl_y', 'cx' and 'cy' in pixels");
   EXPECT_EQ(transforms_error("{\"fl_x\": 4, \"w\": 8, \"h\": 4, \"frames\": [" + frame + "]}"),
             "frame 'a' (ROOT/a.png): colour image 'ROOT/a.png' is 4 x 4 pixels, the camera 8 x 4: another aspect "
             "ratio; give the images that the cameras were made from, or scaled copies");

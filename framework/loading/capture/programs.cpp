@@ -61,7 +61,7 @@ void run_program(const Programs& programs, const std::string& name, const Progra
   if (log_text(run.log).find(std::strerror(ENOSPC)) != std::string::npos)
     throw Error(ErrorKind::io, "files.write.failed",
                 what + " found the disk full: " + said + "; its log is '" + run.log + "'",
-                "free some space; the same command goes on");
+                "free some space; the same command continues");
   throw Error(ErrorKind::failure, "capture.program.failed",
               what + " failed (" +
                   (code > 128 ? "signal " + std::to_string(code - 128) : "exit code " + std::to_string(code)) + ")" +

@@ -315,7 +315,7 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
   if (real_depth > 0)
     diagnostics.note("scene.depth.real", root_,
                      std::to_string(real_depth) +
-                         " depth files hold real numbers, which are taken as they are: the unit that the index tells "
+                         " depth files hold real numbers, which are taken as they are: the unit that the index states "
                          "is of integers");
   info_.metric = params_.metric || has_depth;
   info_.limit = index.limit;

@@ -124,7 +124,7 @@ class ImageLabelReader : public LabelReader {
     if (found == path_of_frame_.end())
       refuse_labels("labels.frame.unlabelled", folder, "no label image of frame '" + given.name + "'");
     const std::string& path = found->second;
-    const bool as_stored = lies_beside_cameras(path);
+    const bool as_stored = folder_has_cameras(path);
     const FrameInfo frame = as_stored ? as_shown(given) : given;
     if (kind == LabelImageKind::palette && !is_palette_png(path))
       refuse_labels("labels.image.palette", "'" + path + "'", "it is not a PNG with a palette",

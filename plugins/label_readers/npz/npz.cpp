@@ -127,7 +127,7 @@ class NpzReader : public LabelReader {
     if (found == path_of_frame_.end())
       refuse_labels("labels.frame.unlabelled", folder, "no array of frame '" + given.name + "'");
     const std::string& path = found->second;
-    const bool as_stored = lies_beside_cameras(path);
+    const bool as_stored = folder_has_cameras(path);
     const FrameInfo frame = as_stored ? as_shown(given) : given;
     const auto accept = [&](std::span<const std::int64_t> shape) {
       if (shape.size() != 3) {
