@@ -59,9 +59,9 @@ std::vector<QueryVector> read_json(const std::string& path) {
     QueryVector query{file_name(word), {}};
     if (!numbers.is_array()) refuse("'" + word + "' is not a list of numbers");
     for (const auto& number : numbers) {
-      if (!number.is_number() || !(std::abs(number.get<double>()) <= std::numeric_limits<float>::max()))
-        refuse("'" + word + "' holds something that is not a number");
-      query.values.push_back(number.get<float>());
+      if (!number.is_number()) refuse("'" + word + "' holds something that is not a number");
+      const double value = number.get<double>();  // a float has no place for some, which are then refused as infinite
+      query.values.push_back(std::abs(value) <= std::numeric_limits<float>::max() ? static_cast<float>(value) : INFINITY);
     }
     queries.push_back(std::move(query));
   }

@@ -145,7 +145,7 @@ constexpr double kStray = 1e5;  // times the distance of the others from their m
 const FrameInfo* stray_camera(const LoadedScene& scene, double& away_m) {
   std::vector<const FrameInfo*> cameras;
   for (const FrameInfo& frame : scene.info.frames)
-    if (frame.split == Split::train) cameras.push_back(&frame);
+    if (frame.split == Split::train && std::isfinite(length(frame.world_from_camera.t))) cameras.push_back(&frame);
   if (cameras.size() < 3) return nullptr;
   std::vector<double> values(cameras.size());
   const auto median = [&](const auto& of) {

@@ -116,6 +116,7 @@ TEST(RealLabels, HardPredictionsOfReplicaFrames) {
   const SceneInfo info = replica.open(d);
   auto reader = make_reader("images", "folder: " + root + "/cnn_strong\npattern: 'semantic_class_{number}.png'\n");
   const ClassTable table = reader->open(info.classes, d);
+  reader->match(info.frames, d);
   EXPECT_FALSE(d.has_errors());
   ASSERT_EQ(info.frames.size(), 70u);
   std::int64_t same = 0, counted = 0;
@@ -146,6 +147,7 @@ TEST(RealLabels, SoftPredictionsOfTheShelfBin) {
   const SceneInfo info = scene.open(d);
   auto reader = make_reader("npz", "folder: " + root + "/predictions\n");
   const ClassTable table = reader->open(info.classes, d);
+  reader->match(info.frames, d);
   EXPECT_FALSE(d.has_errors());
   ASSERT_EQ(info.frames.size(), 15u);
   const auto classes = static_cast<std::size_t>(table.valid_count());

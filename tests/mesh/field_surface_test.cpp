@@ -341,7 +341,7 @@ class Ball : public ::testing::Test {
     registry.add_field<BallField, BallParams>("ball", "a ball of formulas");
     session = std::make_unique<Session>(
         open_text("scene: {type: analytic_room, frames: 8, load: {bounds: [-1, -1.5, -1, 1.2, 1.1, 1.3]}}\n"
-                  "rendering: {scene_scale: 1}\n"
+                  "rendering: {scene_scale: 1, unit_m: 1}\n"
                   "semantics: {hidden_width: 4}\n"
                   "passes:\n  - {name: main, sampler: {type: stratified, samples: 400}, position: {type: identity},\n"
                   "     direction: {type: identity}, field: {type: ball, fog: " +

@@ -91,7 +91,7 @@ def test_probability_class_and_entropy_agree(box: sf.Run) -> None:
 
 def test_all_of_it_by_hand(scene: sf.Scene) -> None:
     """The whole way from a place to density, classes and colour in float64, with the tensors of the checkpoint."""
-    config: Any = {**config_of(scene), "rendering": {"density_activation": "softplus", "density_bias": -0.5, "scene_scale": 0.7}}
+    config: Any = {**config_of(scene), "rendering": {"density_activation": "softplus", "density_bias": -0.5, "scene_scale": 0.7, "unit_m": 1}}
     config["passes"] = [{**config["passes"][0], "position": {"type": "identity"}}]
     run = sf.open(config)
     trained(run, 20)

@@ -255,10 +255,10 @@ TEST(ScoreLines, EvalKeepsItsScoresForTheReport) {
   EXPECT_EQ(kept.get("psnr"), found["psnr"].get<double>());
   EXPECT_EQ(kept.get("frames"), 3);
   EXPECT_EQ(kept.get("pixels"), found["pixels"].get<double>());
-  EXPECT_HAS(read_text_file(dir / "run/final_eval.json"), "\"split\": \"test\"");
+  EXPECT_HAS(read_text_file(dir / "run/final_eval.json"), "\"split\":\"test\"");
   ASSERT_EQ(semfield_run("report run", dir.path()).code, 0);
   EXPECT_HAS(read_text_file(dir / "run/report.html"), "; all 3 frames</div>");
-  EXPECT_LACKS(read_text_file(dir / "run/report.html"), "a sample");
+  EXPECT_LACKS(read_text_file(dir / "run/report.html"), "Figures are of a sample");
   // A run that has ended prints what its folder holds.
   const Result again = semfield_run("train --resume run --threads 1", dir.path());
   EXPECT_EQ(again.out.find("train: miou_present="), 0u) << again.out;

@@ -225,8 +225,8 @@ TEST_F(RunLengthTest, AResumeWithNothingToTrainChangesNoFile) {
   EXPECT_EQ(contents(dir_ / "run"), before);
   EXPECT_HAS(nothing.notes,
              "the run has come to its end, 20 steps, and nothing of it was changed; to train on: "
-             "semfield train --resume " +
-                 (dir_ / "run") + " --time 5s");
+             "`semfield train --resume " +
+                 (dir_ / "run") + " --time 5s`");
   EXPECT_EQ(again.trained_s, 0);
   EXPECT_EQ(again.step, 20);
   EXPECT_EQ(again.values, ended.values);

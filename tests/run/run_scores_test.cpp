@@ -53,9 +53,9 @@ int test_frames() { return static_cast<int>(open_text(hash_config()).scene.frame
 TEST(EvalBudget, TheLastEvaluationGetsWhatIsLeftOfTheLimitAndItsShare) {
   EvalBudget budget(0.1, 100);
   budget.spend(2, 1000);  // 2 ms per pixel
-  EXPECT_DOUBLE_EQ(budget.left_s(60), 48) << "110 s less 60 s of training and 2 s of evaluation";
-  EXPECT_DOUBLE_EQ(budget.left_s(100), 8);
-  EXPECT_DOUBLE_EQ(budget.left_s(130), 5) << "a slow step over the limit leaves half of the share";
+  EXPECT_NEAR(budget.left_s(60), 48, 1e-9) << "110 s less 60 s of training and 2 s of evaluation";
+  EXPECT_NEAR(budget.left_s(100), 8, 1e-9);
+  EXPECT_NEAR(budget.left_s(130), 5, 1e-9) << "a slow step over the limit leaves half of the share";
   EXPECT_EQ(budget.stride_within(48, 24000, 8), 1);
   EXPECT_EQ(budget.stride_within(48, 24001, 8), 2);
   EXPECT_EQ(budget.stride_within(8, 16000, 8), 2) << "32 s; a quarter of the pixels takes 8 s";

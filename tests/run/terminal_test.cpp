@@ -158,7 +158,7 @@ TEST(Terminal, AnErrorStandsAloneAndBreaksBetweenWords) {
                                   dir.path());
   EXPECT_EQ(wrong.code, 78);
   EXPECT_EQ(wrong.screen.overflows(), 0) << wrong.screen.text();
-  EXPECT_HAS(wrong.screen.text(), "semfield: --set train.steppes");
+  EXPECT_HAS(wrong.screen.text(), "--set train.steppes=1: train: unknown key 'steppes'");
 }
 
 }  // namespace

@@ -295,8 +295,7 @@ TEST(LoadScene, AStrayCameraIsNamedWhateverTheUnit) {
     Diagnostics d;
     (void)load_scene(room, options, d);
     ASSERT_EQ(d.error_count(), 1) << scale;
-    EXPECT_EQ(d.all()[0].code, Code("scene.pose.far"));
-    EXPECT_HAS(d.all()[0].text(), "frame '2'");
+    EXPECT_FINDING(d, "scene.pose.far", "frame '2'");
   }
 }
 

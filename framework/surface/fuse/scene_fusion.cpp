@@ -89,7 +89,8 @@ FusionParams settled(const FusionParams& params, const LoadedScene& scene) {
 }
 
 SceneFusion fuse_scene(const LoadedScene& scene, const TrainingLabels& labels, const FrameMaps& maps,
-                       const FusionParams& params, const OnFused& on_fused) {
+                       const FusionParams& given, const OnFused& on_fused) {
+  const FusionParams params = settled(given, scene);
   const int classes = scene.info.classes.valid_count();
   std::vector<FusionView> views;
   for (std::size_t k = 0; k < maps.frames.size(); ++k) {

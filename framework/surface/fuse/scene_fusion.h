@@ -51,7 +51,7 @@ using OnFused = std::function<void(const std::string& method, int frame, const s
 /// With the tolerance of the scene where `params` leave it open.
 FusionParams settled(const FusionParams& params, const LoadedScene& scene);
 
-/// Fuses every frame of `maps`; `params` are settled(). Frames without true labels are fused and not scored.
+/// Fuses every frame of `maps`, with settled() parameters. Frames without true labels are fused and not scored.
 SceneFusion fuse_scene(const LoadedScene& scene, const TrainingLabels& labels, const FrameMaps& maps,
                        const FusionParams& params, const OnFused& on_fused);
 
