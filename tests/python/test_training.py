@@ -18,8 +18,8 @@ from conftest import config_of, tensors_of, trained
 
 
 def test_a_field_gets_better(run: sf.Run) -> None:
-    steps = list(run.train(80, every=20))
-    assert [s.step for s in steps] == [20, 40, 60, 80]
+    steps = list(run.train(160, every=40))
+    assert [s.step for s in steps] == [40, 80, 120, 160]
     assert steps[-1].loss < 0.5 * steps[0].loss
     score = run.evaluate("test")
     assert score.miou_present is not None and score.miou_present > 0.5
