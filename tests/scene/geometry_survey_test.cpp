@@ -384,6 +384,17 @@ TEST(GeometrySurvey, CornersOfPhotographsLieOnTheWalls) {
   }
 }
 
+TEST(GeometrySurvey, PhotographsSayTheSameInEveryUnit) {
+  Room room = photographs();
+  const Answer metres = ask(room);
+  for (const double unit : {1e-4, 1e6}) {
+    room.written = [unit](const Pose& p) { return times(p, unit); };
+    const Answer a = ask(room);
+    EXPECT_EQ(a.geometry, metres.geometry) << unit;
+    EXPECT_EQ(a.error, "") << unit;
+  }
+}
+
 TEST(GeometrySurvey, TheVerdictIsTheSameForAnyNumberOfThreads) {
   for (const bool depth : {true, false}) {
     Room room{.poses = walk(24)};

@@ -177,6 +177,7 @@ double off_epipolar_arc(Vec3d a, Vec3d b, Vec3d seen, const Camera& camera) {
 // to the other's centre, as far as both are in front.
 double off_epipolar_line(Vec3d ray, const Pose& pose, Vec3d seen, const Camera& camera) {
   Vec3d a = pose.rotate(ray), b = pose.t;
+  if (const double away = length(b); away > 0) b = b * (1 / away);  // a direction as well: no unit of length counts
   if (camera.is_wide()) return off_epipolar_arc(a, b, seen, camera);
   if (!(a.z > 0) && !(b.z > 0)) return 1e300;
   const auto clip = [](Vec3d& behind, Vec3d front) {
