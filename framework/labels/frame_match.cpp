@@ -235,19 +235,15 @@ std::map<std::string, std::size_t> match_frames(const std::vector<PictureName>& 
     if (found.other_folder && picture.labelled) elsewhere.push_back("'" + picture.path + "' for " + matching.shown(f));
     if (fresh) continue;
     const PictureName& before = pictures[claim->second.picture];
-    if (found.score == claim->second.score && picture.labelled == before.labelled) {
-      if (picture.labelled)
-        problems.error("labels.frame.twice", picture.place,
-                       "'" + picture.path + "' is frame '" + frames[f].name + "', of which '" + before.path + "' (" +
-                           before.place + ") is too",
-                       "keep the labels of one of them");
+    if (picture.labelled && before.labelled) {
+      problems.error("labels.frame.twice", picture.place,
+                     "'" + picture.path + "' is frame '" + frames[f].name + "', of which '" + before.path + "' (" +
+                         before.place + ") is too",
+                     "keep the labels of one of them");
       continue;
     }
     // The one with labels, or else the one that is called more alike, keeps the frame.
-    const bool takes = picture.labelled == before.labelled ? found.score > claim->second.score : picture.labelled;
-    const std::size_t loser = takes ? claim->second.picture : i;
-    lost[loser] = pictures[loser].labelled ? 1 : 0;
-    if (takes) claim->second = {i, found.score};
+    if (picture.labelled || (!before.labelled && found.score > claim->second.score)) claim->second = {i, found.score};
   }
   std::map<std::string, std::size_t> out;
   std::vector<char> labelled(frames.size());
@@ -347,6 +343,20 @@ std::map<std::string, std::string> match_files(const std::string& folder, const 
     report_strays(strays, strays.size() + frames_of.size(), "label files", unlabelled, folder, diagnostics);
   }
   return out;
+}
+
+void FramesFiles::match(const std::string& folder, const std::string& pattern, const std::vector<FrameInfo>& frames,
+                        Diagnostics& diagnostics) {
+  folder_ = folder;
+  path_of_frame_ = match_files(folder, pattern, frames, diagnostics);
+}
+
+FramesFiles::File FramesFiles::of(const FrameInfo& shown, const std::string& what) const {
+  const auto found = path_of_frame_.find(shown.name);
+  if (found == path_of_frame_.end())
+    refuse_labels("labels.frame.unlabelled", folder_, "no " + what + " of frame '" + shown.name + "'");
+  const bool as_stored = folder_has_cameras(found->second);
+  return {found->second, as_stored, as_stored ? as_shown(shown) : shown};
 }
 
 std::vector<std::string> picture_names(const std::vector<FrameInfo>& frames) {

@@ -21,10 +21,10 @@ struct PictureName {
 
 /// Frames by name, each with the index of its picture. A picture belongs to the frame whose image has its name, with or
 /// without an extension, and most of its folders, from the last; or to that whose FrameInfo::name it is, which goes
-/// before. It does not belong to a frame in a folder of another name if that name, or the picture's own, is told of
-/// others: left/0001 is never right/0001. Reported under `source`: pictures that may be of several frames, and two of
-/// one frame (errors); pictures with labels of no frame, counted and named with the frame that they may be meant for
-/// (a warning, or a note where none is like them); folders that differ (a warning).
+/// before. It does not belong to a frame in a folder of another name where other frames or pictures have that folder,
+/// or the picture's own: left/0001 is never right/0001. Reported under `source`: pictures that may be of several
+/// frames, and two of one frame (errors); pictures with labels of no frame, counted and named with the frame that they
+/// may be meant for (a warning, or a note where none is like them); folders that differ (a warning).
 std::map<std::string, std::size_t> match_frames(const std::vector<PictureName>& pictures,
                                                 const std::vector<FrameInfo>& frames, const std::string& source,
                                                 Diagnostics& diagnostics);
@@ -34,6 +34,28 @@ std::map<std::string, std::size_t> match_frames(const std::vector<PictureName>& 
 /// that are of several frames, and files of no frame beside those that are of one.
 std::map<std::string, std::string> match_files(const std::string& folder, const std::string& pattern,
                                                const std::vector<FrameInfo>& frames, Diagnostics& diagnostics);
+
+/// The label files of a reader whose frames have a file each.
+class FramesFiles {
+ public:
+  void clear() { path_of_frame_.clear(); }
+  /// As match_files.
+  void match(const std::string& folder, const std::string& pattern, const std::vector<FrameInfo>& frames,
+             Diagnostics& diagnostics);
+  bool has(const FrameInfo& frame) const { return path_of_frame_.contains(frame.name); }
+
+  struct File {
+    std::string path;
+    bool as_stored = false;  ///< of the image's pixels as stored (folder_has_cameras), not as shown
+    FrameInfo frame;         ///< with a camera of the picture that the labels are of
+  };
+  /// `shown`: as_shown() of the frame, as readers get it. Throws Error(data): there is no `what` of it.
+  File of(const FrameInfo& shown, const std::string& what) const;
+
+ private:
+  std::string folder_;
+  std::map<std::string, std::string> path_of_frame_;
+};
 
 /// For each frame the name of its image with as few folders as tell it from the others, by which match_frames finds it
 /// again; the name of the frame where it has no image file.

@@ -67,7 +67,7 @@ TEST(FrameMatch, PicturesOfOneCameraAreNeverThoseOfAnother) {
   EXPECT_EQ(matched(right, {"left/0001.png", "right/0001.png", "left/0002.png"}).frames, "0001=right/0001.png ");
 }
 
-// EuRoC: the camera is told two folders up.
+// EuRoC: the camera's folder is two above.
 TEST(FrameMatch, FoldersMayBeLeftOutInBetween) {
   const std::vector<FrameInfo> frames{frame_at("14", "/s/mav0/cam0/data/14.png"),
                                       frame_at("data_14", "/s/mav0/cam1/data/14.png")};
@@ -125,7 +125,7 @@ TEST(FrameMatch, LabelsOfNoFrameAreCountedAndNamedWithTheLikelyFrame) {
   const Matched more = matched(frames, {"IMG_1.png", "IMG_77.png"});
   EXPECT_FINDING(more.found, "labels.frame.unmatched", "1 of 2", "'IMG_77.png'");
   EXPECT_EQ(more.found.all().at(0).severity, Severity::note);
-  // A folder of another name is told, as a note where no folder tells images apart.
+  // A folder of another name is reported, as a note where no folder tells images apart.
   const Matched other = matched(frames, {"upload/IMG_1.png", "upload/IMG_2.png"});
   EXPECT_EQ(other.frames, "IMG_1=upload/IMG_1.png IMG_2=upload/IMG_2.png ");
   EXPECT_FINDING(other.found, "labels.frame.folder", "2 pictures", "'upload/IMG_1.png'");

@@ -237,6 +237,26 @@ TEST(Coco, EveryRefusalNamesTheEntry) {
             c.file + ": category 'a' has id 70000; ids run from 0 to 65535");
 }
 
+// Whichever is called more like the frame: the labels of the other would be gone.
+TEST(Coco, TwoImagesOfOneFrameAreRefused) {
+  FrameInfo frame = frame_of("rgb_3");
+  frame.source = "/scene/train/rgb_3.png";
+  const std::string own = "train/rgb_3.png";
+  for (const std::string other : {"train/rgb_3.jpg", "rgb_3.png", "rgb_3", "scene/train/rgb_3.png"}) {
+    for (const auto& [first, second] : {std::pair{own, other}, {other, own}}) {
+      CocoCase c;
+      std::string text = coco(note(1, "[[0,0,4,0,4,3]]") + "," + note(4, "[[0,0,4,0,4,3]]", 6));
+      text.replace(text.find("rgb_4.png"), 9, second);
+      text.replace(text.find(own), own.size(), first);
+      write_file_atomic(c.file, text);
+      Diagnostics d;
+      open_for(*c.reader, room_table(), {frame}, d);
+      EXPECT_FINDING(d, "labels.frame.twice", "image 2", "'" + second + "' is frame 'rgb_3', of which '" + first + "'");
+      EXPECT_TRUE(d.has_errors()) << first;
+    }
+  }
+}
+
 TEST(Coco, RunLengthTextRoundTrips) {
   for (const std::vector<std::int64_t>& counts : {std::vector<std::int64_t>{0, 12},
                                                   {4, 2, 3, 1, 2},

@@ -99,7 +99,7 @@ class ImageLabelReader : public LabelReader {
 
   ClassTable open(const ClassTable& known, Diagnostics& diagnostics) override {
     colors_.clear();
-    path_of_frame_.clear();
+    files_.clear();
     (void)check_folder(folder, pattern, diagnostics);
     ProblemList problems(diagnostics);
     ClassTable table = known;
@@ -114,23 +114,19 @@ class ImageLabelReader : public LabelReader {
   }
 
   void match(const std::vector<FrameInfo>& frames, Diagnostics& diagnostics) override {
-    path_of_frame_ = match_files(folder, pattern, frames, diagnostics);
+    files_.match(folder, pattern, frames, diagnostics);
   }
 
-  bool has(const FrameInfo& frame) const override { return path_of_frame_.contains(frame.name); }
+  bool has(const FrameInfo& frame) const override { return files_.has(frame); }
 
-  LabelRaster read(const FrameInfo& given, const ClassTable& table) const override {
-    const auto found = path_of_frame_.find(given.name);
-    if (found == path_of_frame_.end())
-      refuse_labels("labels.frame.unlabelled", folder, "no label image of frame '" + given.name + "'");
-    const std::string& path = found->second;
-    const bool as_stored = folder_has_cameras(path);
-    const FrameInfo frame = as_stored ? as_shown(given) : given;
+  LabelRaster read(const FrameInfo& shown, const ClassTable& table) const override {
+    const FramesFiles::File found = files_.of(shown, "label image");
+    const std::string& path = found.path;
     if (kind == LabelImageKind::palette && !is_palette_png(path))
       refuse_labels("labels.image.palette", "'" + path + "'", "it is not a PNG with a palette",
                     "set kind: ids or color");
     const ImageSize size = image_size(path);  // before anything is unpacked on the word of its header
-    check_label_shape(size.width_px, size.height_px, frame.camera);
+    check_label_shape(size.width_px, size.height_px, found.frame.camera);
     if (kind != LabelImageKind::color && size.channels > 1) {
       refuse_labels(
           "labels.image.channels", "'" + path + "'",
@@ -138,7 +134,7 @@ class ImageLabelReader : public LabelReader {
           "read the classes from the colours with --set scene.labels.from.kind=color");
     }
     LabelRaster raster = kind == LabelImageKind::color ? read_color(path, table) : read_index(path, table);
-    raster.as_stored = as_stored;
+    raster.as_stored = found.as_stored;
     return raster;
   }
 
@@ -225,7 +221,7 @@ class ImageLabelReader : public LabelReader {
   }
 
   std::vector<NamedColor> colors_;
-  std::map<std::string, std::string> path_of_frame_;
+  FramesFiles files_;
 };
 
 }  // namespace

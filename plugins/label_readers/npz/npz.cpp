@@ -100,7 +100,7 @@ class NpzReader : public LabelReader {
 
   ClassTable open(const ClassTable& known, Diagnostics& diagnostics) override {
     order_.clear();
-    path_of_frame_.clear();
+    files_.clear();
     if (!check_folder(folder, pattern, diagnostics)) return {};
     order_path_ = classes.empty() ? (std::filesystem::path(folder) / "classes.json").string() : classes;
     ProblemList problems(diagnostics);
@@ -117,18 +117,14 @@ class NpzReader : public LabelReader {
   }
 
   void match(const std::vector<FrameInfo>& frames, Diagnostics& diagnostics) override {
-    path_of_frame_ = match_files(folder, pattern, frames, diagnostics);
+    files_.match(folder, pattern, frames, diagnostics);
   }
 
-  bool has(const FrameInfo& frame) const override { return path_of_frame_.contains(frame.name); }
+  bool has(const FrameInfo& frame) const override { return files_.has(frame); }
 
-  LabelRaster read(const FrameInfo& given, const ClassTable& table) const override {
-    const auto found = path_of_frame_.find(given.name);
-    if (found == path_of_frame_.end())
-      refuse_labels("labels.frame.unlabelled", folder, "no array of frame '" + given.name + "'");
-    const std::string& path = found->second;
-    const bool as_stored = folder_has_cameras(path);
-    const FrameInfo frame = as_stored ? as_shown(given) : given;
+  LabelRaster read(const FrameInfo& shown, const ClassTable& table) const override {
+    const FramesFiles::File found = files_.of(shown, "array");
+    const std::string& path = found.path;
     const auto accept = [&](std::span<const std::int64_t> shape) {
       if (shape.size() != 3) {
         throw Error(ErrorKind::data, "labels.array.shape", "the shape is " + shape_text(shape),
@@ -140,7 +136,7 @@ class NpzReader : public LabelReader {
                     "name every class of the last axis, in its order");
       }
       check_image_limits(shape[1], shape[0]);
-      check_label_shape(shape[1], shape[0], frame.camera);
+      check_label_shape(shape[1], shape[0], found.frame.camera);
     };
     const NumpyArray probability = is_npy() ? read_npy(path, accept) : read_npz(path, key, accept);
     NumpyArray confidence;
@@ -153,7 +149,7 @@ class NpzReader : public LabelReader {
       });
     }
     LabelRaster raster = soft_raster(probability, confidence.values, path, table);
-    raster.as_stored = as_stored;
+    raster.as_stored = found.as_stored;
     return raster;
   }
 
@@ -199,7 +195,7 @@ class NpzReader : public LabelReader {
 
   std::vector<std::string> order_;  // class names by column
   std::string order_path_;
-  std::map<std::string, std::string> path_of_frame_;
+  FramesFiles files_;
 };
 
 }  // namespace
