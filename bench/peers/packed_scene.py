@@ -37,6 +37,8 @@ class Frame:
             raise ValueError(f"frame '{self.name}' has a lens with distortion: undistort the scene first")
         if version > 1 and manifest.take("B") != 0:
             raise ValueError(f"frame '{self.name}' is a fisheye or a panorama: peers read pinholes")
+        if version > 2:
+            manifest.take("B")  # how viewers turn the photograph; camera, pixels and labels are as stored
         rotation = np.array(manifest.take("9d")).reshape(3, 3)
         self.pose = np.concatenate([rotation, np.array(manifest.take("3d")).reshape(3, 1)], 1)
         self.split = manifest.take("B")
@@ -50,8 +52,8 @@ class PackedScene:
         with open(path, "rb") as file:
             self.data = file.read()
         magic, version, _, _, offset, size = struct.unpack_from("<8sIIQQQ", self.data)
-        if magic != b"SEMFPACK" or version not in (1, 2):
-            raise ValueError(f"{path} is not a packed scene of version 1 or 2: write it with `semfield pack`")
+        if magic != b"SEMFPACK" or version not in (1, 2, 3):
+            raise ValueError(f"{path} is not a packed scene of version 1 to 3: write it with `semfield pack`")
         manifest = Manifest(self.data[offset:offset + size])
         manifest.text()
         manifest.take("Bdd")

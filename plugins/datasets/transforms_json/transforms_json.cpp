@@ -129,7 +129,7 @@ Camera camera_of(const TransformsLens& lens, std::int32_t width, std::int32_t he
 // How large an image may be is for `limits` to say; here it has to be a size at all.
 bool whole_size(double value) { return value >= 1 && value <= 2147483647.0 && value == std::floor(value); }
 
-// What cannot be read is told with the headers.
+// What cannot be read is reported with the headers.
 bool is_real(const std::string& depth) {
   try {
     return has_real_depth(depth);
