@@ -139,14 +139,21 @@ void check_buffer(const FrameBuffer& b, const FrameInfo& f) {
 }
 
 constexpr double kMostDistance_m = 1e12, kMostCoordinate_m = 1e13;
-constexpr double kStray = 1e5;  // times the distance of the others from their middle
+constexpr double kStray = 1e5;  // times the distance of the others from their middle, or of what cameras see
 
-// The training camera that stands so far from the others that bounds would be made for it alone; null: none does.
-const FrameInfo* stray_camera(const LoadedScene& scene, double& away_m) {
+struct StrayCamera {
+  const FrameInfo* frame = nullptr;  // null: none is
+  double away_m = 0;                 // from the middle of the others
+  bool sees_too_near = false;        // the others may be as far away, for what they see
+};
+
+// The camera that stands so far from the others that bounds would be made for it alone, or that it shares nothing with
+// them.
+StrayCamera stray_camera(const LoadedScene& scene) {
   std::vector<const FrameInfo*> cameras;
   for (const FrameInfo& frame : scene.info.frames)
-    if (frame.split == Split::train && std::isfinite(length(frame.world_from_camera.t))) cameras.push_back(&frame);
-  if (cameras.size() < 3) return nullptr;
+    if (frame.split != Split::unused && std::isfinite(length(frame.world_from_camera.t))) cameras.push_back(&frame);
+  if (cameras.size() < 2) return {};
   std::vector<double> values(cameras.size());
   const auto median = [&](const auto& of) {
     std::transform(cameras.begin(), cameras.end(), values.begin(), of);
@@ -160,8 +167,10 @@ const FrameInfo* stray_camera(const LoadedScene& scene, double& away_m) {
   const FrameInfo* farthest =
       *std::max_element(cameras.begin(), cameras.end(),
                         [&](const FrameInfo* a, const FrameInfo* b) { return distance(a) < distance(b); });
-  away_m = distance(farthest);
-  return usual > 0 && away_m > kStray * usual ? farthest : nullptr;
+  const double away_m = distance(farthest);
+  if (cameras.size() > 2 && usual > 0 && away_m > kStray * usual) return {farthest, away_m, false};
+  // Where nothing tells what they see, unit_m is of the extent of the cameras themselves: none is so far away.
+  return away_m > kStray * 2 * scene.unit_m ? StrayCamera{farthest, away_m, true} : StrayCamera{};
 }
 
 // What is derived keeps to the limits of what can be written: a run stores it as settings, and reads it again.
@@ -173,11 +182,11 @@ void check_extent(const LoadedScene& scene, Diagnostics& diagnostics) {
     reach = std::max({reach, std::abs(scene.bounds.lo[a]), std::abs(scene.bounds.hi[a])});
   }
   if (!finite || scene.bounds.empty()) return;  // reported already
-  if (double away_m = 0; const FrameInfo* stray = stray_camera(scene, away_m)) {
-    diagnostics.error("scene.pose.far", frame_place(*stray),
-                      "its camera is " + shortest_number(away_m) + (scene.info.metric ? " m" : " units") +
+  if (const StrayCamera stray = stray_camera(scene); stray.frame != nullptr) {
+    diagnostics.error("scene.pose.far", frame_place(*stray.frame),
+                      "its camera is " + shortest_number(stray.away_m) + (scene.info.metric ? " m" : " units") +
                           " from the middle of the others, more than " + shortest_number(kStray) +
-                          " times as far as they are",
+                          (stray.sees_too_near ? " times as far as what cameras see" : " times as far as they are"),
                       "leave the stray pose out");
     return;
   }

@@ -18,7 +18,8 @@ struct RoomDataset {
   bool depth = true, labels = true;
   int broken = -1;
   double offset = 0;
-  double stray = 0;      // of the camera of frame 2
+  double stray = 0;      // of the cameras of frame 2 and the next
+  int strays = 1;        // so many
   int sparse_depth = 1;  // every n-th pixel has depth
   double far_hint = 0;
   std::vector<std::string> names{"0", "1", "2", "3", "4", "5"};
@@ -35,7 +36,7 @@ struct RoomDataset {
                                {6, "f", {}, false}});
     for (int i = 0; i < 6; ++i) {
       FrameInfo f{.name = names[i], .camera = room_camera(), .world_from_camera = room_pose(i)};
-      f.world_from_camera.t.x += offset + (i == 2 ? stray : 0);
+      f.world_from_camera.t.x += offset + (i >= 2 && i < 2 + strays ? stray : 0);
       f.split = i == 5 ? Split::test : Split::train;
       f.has_depth = depth;
       f.has_labels = labels;
@@ -295,7 +296,12 @@ TEST(LoadScene, AStrayCameraIsNamedWhateverTheUnit) {
     Diagnostics d;
     (void)load_scene(room, options, d);
     ASSERT_EQ(d.error_count(), 1) << scale;
-    EXPECT_FINDING(d, "scene.pose.far", "frame '2'");
+    EXPECT_FINDING(d, "scene.pose.far", "frame '2'", "times as far as they are");
+    room.strays = 3;  // half of all: which of the two groups is astray, nobody knows
+    Diagnostics groups;
+    (void)load_scene(room, options, groups);
+    ASSERT_EQ(groups.error_count(), 1) << scale;
+    EXPECT_FINDING(groups, "scene.pose.far", "times as far as what cameras see");
   }
 }
 
