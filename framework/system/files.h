@@ -50,7 +50,9 @@ void write_file_atomic(const std::string& path, std::span<const std::byte> bytes
 void write_file_atomic(const std::string& path, std::string_view text);
 
 /// Removes from `folder` the temporary files whose writer has died, whatever their target; returns how many. Those of
-/// living writers, of this process or another, stay. A folder that cannot be read is left alone.
+/// living writers, of this process or another, stay. A folder that cannot be read is left alone. For folders that are
+/// the program's own, such as a run's: other programs have names of that form too, so elsewhere nothing goes but what a
+/// write of the same target left (AtomicFile).
 int remove_stale_temporaries(const std::string& folder);
 
 /// The same promise for a file too large to hold: append in pieces, then commit. Without commit() nothing of it stays.

@@ -161,6 +161,15 @@ TEST(Files, TheNextWriteOfATargetRemovesWhatTheLastOneLeft) {
   EXPECT_EQ(entries(folder), 1u);
 }
 
+// Names of that form are not this program's alone, and what lies in the folder of a user is not known.
+TEST(Files, AWriteRemovesNothingOfOtherTargets) {
+  const std::string folder = fresh_folder("others");
+  for (const char* name : {"/.mesh.ply.0.tmp", "/.syncthing.frame.0001.tmp"}) plain_write(folder + name, "not ours");
+  write_file_atomic(folder + "/mesh.glb", std::string_view("new"));
+  EXPECT_EQ(entries(folder), 3u);
+  EXPECT_EQ(remove_stale_temporaries(folder), 2) << "as in a folder of its own";
+}
+
 // What a handler of signals does: own files go, those of another writer and of a process that was forked do not.
 TEST(Files, AProcessThatEndsBySignalRemovesItsOwn) {
   const std::string folder = fresh_folder("ends");
