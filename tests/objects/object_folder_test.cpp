@@ -72,6 +72,14 @@ TEST_F(ObjectFolders, EditsAreKeptAndTakenBack) {
   EXPECT_ERROR(other.edit(std::nullopt, other.state()), "view.undo.none");
 }
 
+// Places in a scene of millimetres, or far from 0, are known as finely as those in metres.
+TEST_F(ObjectFolders, TablesHoldPlacesOfAnyUnit) {
+  EditedObjects objects = *folder_.look();
+  objects.set.rows[0].centroid = {1234567.25, 0.000123456789, -2};
+  write_object_tables(dir_.path(), objects, info_);
+  EXPECT_HAS(read_text_file(dir_ / "objects.csv"), ",1234567.25,0.000123456789,-2,");
+}
+
 TEST_F(ObjectFolders, AnEditThatCannotBeChangesNothing) {
   edit(folder_, rename(2, "kept"));
   const std::string before = edits(), tables = table();

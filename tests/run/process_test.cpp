@@ -159,6 +159,24 @@ TEST(Process, EvalPrintsOneJsonObject) {
   EXPECT_HAS(rendered.out, "frames=3");
 }
 
+TEST(Process, AStepOfDepthPicturesSuitsTheSceneAndIsSaid) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, 5, 0);
+  for (const auto& [scale, step] : {std::pair{"1", "0.001"}, {"300", "0.1"}}) {
+    const std::string out = dir / scale, factor = std::string("=") + scale;
+    ASSERT_EQ(run({"train", config, "--set", "scene.load.pose_scale" + factor, "--set",
+                   "scene.load.depth_scale" + factor, "--out", out},
+                  dir)
+                  .code,
+              0);
+    const Result rendered = run({"render", out, "--split", "test", "--out", out + "_views"}, dir);
+    ASSERT_EQ(rendered.code, 0) << rendered.err;
+    EXPECT_HAS(read_text_file(out + "_views/cameras.json"), std::string("\"depth_step\": ") + step + ",\n");
+    EXPECT_EQ(rendered.err.find("a step of the depth pictures is 0.1 ") != std::string::npos, step[2] == '1')
+        << rendered.err;
+  }
+}
+
 struct Refusal {
   std::vector<std::string> words;
   int code;
