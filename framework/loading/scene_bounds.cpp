@@ -61,10 +61,11 @@ void include_frustum(Box& box, const FrameInfo& frame, double distance_m) {
   }
 }
 
-void grow(Box& box, double share) {
+// `away`: how far off it is seen, which stands for the size of a single point.
+void grow(Box& box, double share, double away) {
   const Vec3d size = box.size();
   const double longest = std::max({size.x, size.y, size.z});
-  const double least = 0.01 * (longest > 0 ? longest : 1);  // a flat scene still gets a thickness
+  const double least = 0.01 * (longest > 0 ? longest : away);  // a flat scene still gets a thickness
   for (int a = 0; a < 3; ++a) {
     const double margin = std::max(size[a] * share, least);
     box.lo[a] -= margin;
@@ -218,7 +219,7 @@ Box box_of_cones(const LoadedScene& scene, const Cameras& cameras, std::string& 
   Box box;
   for (const FrameInfo* camera : cameras) include_frustum(box, *camera, scene.far_m);
   from = "the view cones of " + std::to_string(cameras.size()) + " training cameras up to far";
-  grow(box, 0.02);
+  grow(box, 0.02, scene.far_m);
   if (scene.info.limit.empty()) return box;
   Box cut = box;
   for (int a = 0; a < 3; ++a) {
@@ -245,7 +246,7 @@ Box box_of_data(const LoadedScene& scene, Evidence& seen, std::string& from) {
       for (const FrameInfo* camera : seen.cameras) include_frustum(box, *camera, reach);
       from += " (valid on " + std::to_string(std::lround(seen.covered * 100)) + " % of pixels) and the view cones";
     }
-    grow(box, 0.02);
+    grow(box, 0.02, quantile(seen.survey.distances, 0.5));
     return box;
   }
   if (seen.corners) {
@@ -258,7 +259,7 @@ Box box_of_data(const LoadedScene& scene, Evidence& seen, std::string& from) {
   if (!scene.plain_background) return box_of_cones(scene, seen.cameras, from);
   from = "the object's silhouettes in " + frames;
   Box box = scene.plain_background->object;
-  grow(box, 0.02);
+  grow(box, 0.02, scene.far_m);
   return box;
 }
 
@@ -330,7 +331,7 @@ std::optional<SurveyedExtent> extent_of_points(std::vector<SurveyPoints> parts, 
   constexpr double kLost = 0.005;
   DepthSurvey survey = survey_depth(parts, kLost);
   if (survey.valid == 0) return std::nullopt;
-  grow(survey.box, margin);
+  grow(survey.box, margin, quantile(survey.distances, 0.5));
   return SurveyedExtent{survey.box, 0.5 * quantile(survey.distances, kLost),
                         1.1 * quantile(survey.distances, 1 - kLost), survey.valid};
 }
