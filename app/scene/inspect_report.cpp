@@ -195,6 +195,7 @@ nlohmann::ordered_json inspect_json(const LoadedScene& scene, const Diagnostics&
            {"far", scene.far_m},
            {"pixel", scene.pixel_footprint_m},
            {"geometry", scene.geometry},
+           {"cameras_fit", scene.cameras.corners > 0 ? Json(!scene.cameras_are_off()) : Json(nullptr)},
            {"masked", Json::object()},
            {"preset", nullptr},
            {"preset_why", nullptr}};

@@ -45,6 +45,12 @@ std::vector<NextStep> next_of_config(const KnownConfig& config) {
 #endif
 }
 
+std::vector<NextStep> next_of_cameras(bool off, const std::string& scene, const std::string& name) {
+  if (!off) return {};
+  return {{"prepare " + shell_word(scene) + " --out " + shell_word(unused(name + "_fixed")),
+           "fixes the cameras, in a scene of its own"}};
+}
+
 std::vector<NextStep> next_of_scene(const std::string& folder, const std::string& name) {
   std::error_code unknown;
   const std::string file = "configs/" + name + ".yaml";

@@ -20,6 +20,9 @@ struct KnownConfig {
 /// its folder.
 std::vector<NextStep> next_of_config(const KnownConfig& config);
 
+/// What fixes the cameras of a scene that do not fit its photographs; none where they do. `scene` is its folder, or a
+/// configuration; `name` is what it is called.
+std::vector<NextStep> next_of_cameras(bool off, const std::string& scene, const std::string& name);
 /// The configuration of a scene's folder, which is written or is there already.
 std::vector<NextStep> next_of_scene(const std::string& folder, const std::string& name);
 /// What follows on a run that was trained: scores and pictures of its held-out frames, if it has any, and its surface.

@@ -56,7 +56,7 @@ SplitScore score_frames(const Session& s, const EvalOptions& options, const std:
                         const AppContext& context, const std::vector<FrameInfo>* infos = nullptr) {
   EvalJob job = s.eval_job(frames);
   if (infos != nullptr) job.infos = infos;
-  job.fit_colors = options.fit_colors;
+  job.fit_colors = job.fit_colors || options.fit_colors;
   if (options.split == "train") job.given = &s.labels;
   ProgressLine progress(context, "scored");
   job.progress = [&](double done) { progress.show(done, static_cast<double>(frames.size())); };
@@ -135,7 +135,7 @@ int run(const EvalOptions& options, AppContext& context) {
   Json found = results(run, score, options.split);
   if (!options.protocol.empty()) found["protocol"] = protocol_json(score_by_protocol(options, s, score), s, frames);
   std::optional<SplitScore> refined;
-  if (options.refine_poses) {
+  if (options.refine_poses || s.config.cameras.poses == CameraTrust::learned) {
     std::vector<FrameInfo> infos = s.scene.info.frames;
     const std::vector<Pose> poses = refine_poses(s, context.registry, frames);
     for (std::size_t i = 0; i < frames.size(); ++i)
@@ -190,9 +190,11 @@ void words(VerbWords& verb, EvalOptions& options) {
               "the truth");
   verb.value("--out FILE", options.out, "also write the JSON object to this file");
   verb.flag("--refine-poses", options.refine_poses,
-            "score once more with poses of the frames fitted to the field, where they are not given to a pixel");
+            "score once more with poses of the frames fitted to the field, where they are not given to a pixel; always "
+            "where the run has learned poses");
   verb.flag("--fit-colors", options.fit_colors,
-            "score colours once more, each half of a frame under the map of colours that fits the other half");
+            "score colours once more, each half of a frame under the map of colours that fits the other half; always "
+            "where the run has learned colours");
   verb.run_settings(options.set);
 }
 

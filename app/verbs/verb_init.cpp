@@ -105,6 +105,8 @@ int run(const InitOptions& options, AppContext& context) {
     }
   }
   std::vector<NextStep> next{{"inspect " + shell_word(file), "bounds, classes, and every problem"}};
+  for (NextStep& step : next_of_cameras(scene.cameras_are_off(), found.path, found.name))
+    next.insert(next.begin(), std::move(step));
   if (!diagnostics.has_errors())
     for (NextStep& step : next_of_config({file, fs::path(file).stem().string(), found.labels}))
       next.push_back(std::move(step));

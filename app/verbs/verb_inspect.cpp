@@ -77,13 +77,17 @@ int run(const InspectOptions& options, AppContext& context) {
     write_frusta_ply(options.frusta, scene);
     print_note(context, "cameras written to " + options.frusta);
   }
+  std::vector<NextStep> next = next_of_cameras(scene.cameras_are_off(), what, scene.info.name);
+  const auto then = [&](std::vector<NextStep> more) {
+    std::move(more.begin(), more.end(), std::back_inserter(next));
+    print_next(context, next);
+  };
   if (folder) {
-    print_next(context, next_of_scene(what, found.name));
+    then(next_of_scene(what, found.name));
   } else if (!diagnostics.has_errors()) {
     const bool labels = std::any_of(scene.class_pixels.begin(), scene.class_pixels.end(),
                                     [](const std::vector<std::int64_t>& pixels) { return !pixels.empty(); });
-    print_next(context,
-               next_of_config({what, opened.config.name, labels, options.config.set, context.registry.module_files()}));
+    then(next_of_config({what, opened.config.name, labels, options.config.set, context.registry.module_files()}));
   }
   return diagnostics.has_errors() ? static_cast<int>(ErrorKind::data) : 0;
 }

@@ -11,11 +11,14 @@
 #include "app/scene/configured_scene.h"
 #include "app/scene/folder_scene.h"
 #include "app/scene/next_of_config.h"
+#include "app/scene/posed_scene.h"
 #include "app/signals.h"
 #include "app/verb.h"
 #include "core/findings.h"
 #include "core/text.h"
+#include "loading/capture/fix_cameras.h"
 #include "loading/capture/prepare.h"
+#include "scene/pose_convention.h"
 
 namespace semfield::app {
 
@@ -36,8 +39,9 @@ LensAsked lens_of(const std::string& word) {
                                      : LensAsked::automatic;
 }
 
-// Programs and steps end at the first stop signal; the folder's steps remember what is done.
-PrepareReport prepare(const PrepareVerbOptions& options, AppContext& context) {
+// Programs and steps end at the first stop signal; the folder's steps remember what is done. False where it came.
+template <class Work>
+bool stoppable(AppContext& context, const Work& work) {
   const auto stop_if_asked = [] {
     if (stop_signal() != 0) throw Stopped{};
   };
@@ -60,15 +64,94 @@ PrepareReport prepare(const PrepareVerbOptions& options, AppContext& context) {
     shown.clear();
     print_note(context, text);
   };
-  return prepare_scene({options.source, options.out, static_cast<std::size_t>(options.frames), options.threads,
-                        lens_of(options.lens), options.attempts, note},
-                       programs, progress);
+  try {
+    if constexpr (std::is_invocable_v<Work, const Programs&, const CaptureProgress&>)
+      work(programs, progress);
+    else
+      work(programs, progress, note);
+    return true;
+  } catch (const Stopped&) {
+    line.reset();
+    print_note(context, "stopped; the same command continues");
+    return false;
+  }
 }
 
 // What `inspect` would say of the scene that was written.
 std::string inspected(const FolderScene& scene, AppContext& context, Diagnostics& diagnostics) {
   OpenedDataset opened = dataset_of(config_of(scene, kUsualPreset), {}, context);
   return load_for_labels(opened, diagnostics).geometry;
+}
+
+// What a scene that has poses is fixed to.
+void print_fixed(const FixedCameras& fixed, const SceneInfo& info) {
+  std::printf("frames      %zu, %zu points found in several of them\n", info.frames.size(), fixed.points);
+  const std::string judges = fmt::format("median over {} points that took no part", fixed.judges);
+  if (fixed.kept) {
+    std::printf("cameras     right: the photographs ask for no change (%.2f pixels, %s)\n", fixed.given_px,
+                judges.c_str());
+  } else {
+    std::printf("cameras     %.2f -> %.2f pixels (%s)\n", fixed.given_px, fixed.fixed_px, judges.c_str());
+  }
+  if (fixed.given_on_depth >= 0)
+    std::printf("depth       %.0f %% -> %.0f %% of points lie on the depth shown\n", 100 * fixed.given_on_depth,
+                100 * fixed.fixed_on_depth);
+  for (const std::string& change : fixed.changes) std::printf("changed     %s\n", change.c_str());
+}
+
+// A scene that a dataset reads, or a configuration of one; else a video or photographs.
+bool has_poses(const std::string& source, AppContext& context) {
+  if (source.ends_with(".yaml") || source.ends_with(".yml")) return true;
+  if (!names_a_scene(source, context)) return false;
+  try {
+    (void)find_scene(source, "", context);
+    return true;
+  } catch (const Error& e) {
+    if (e.kind() != ErrorKind::no_input) throw;
+    return false;
+  }
+}
+
+int run_posed(const PrepareVerbOptions& options, AppContext& context) {
+  const bool folder = names_a_scene(options.source, context);
+  OpenedDataset opened = folder
+                             ? dataset_of(config_of(find_scene(options.source, "", context), kUsualPreset), {}, context)
+                             : dataset_of(ConfigOptions{options.source, {}}, context);
+  const PoseConvention convention = opened.config.load.convention;
+  Diagnostics found;
+  PosedScene scene;
+  scene.info = opened.dataset->open(found);
+  found.throw_if_errors(ErrorKind::data, "the scene cannot be prepared:");
+  convert_info(scene.info, convention);
+  scene.read = [&](int frame, FrameBuffer& out) {
+    opened.dataset->read(frame, out);
+    convert_depth(out, convention);
+  };
+  std::optional<FixedCameras> fixed;
+  const bool whole = stoppable(context, [&](const Programs& programs, const CaptureProgress& progress) {
+    fixed = fix_cameras(scene, options.out, options.threads, programs, progress);
+    write_fixed_scene(scene, *fixed, options.out, progress);
+  });
+  if (!whole) return 128 + stop_signal();
+  const FolderScene written = find_scene(options.out, "", context);
+  const std::string geometry = inspected(written, context, found);
+  for (const Diagnostic& finding : folded(found)) print_note(context, finding.shown());
+  if (context.json) {
+    print_json(context, {{"frames", scene.info.frames.size()},
+                         {"points", fixed->points},
+                         {"kept", fixed->kept},
+                         {"given_px", fixed->given_px},
+                         {"fixed_px", fixed->fixed_px},
+                         {"given_on_depth", fixed->given_on_depth},
+                         {"fixed_on_depth", fixed->fixed_on_depth},
+                         {"changes", fixed->changes},
+                         {"folder", options.out}});
+  } else {
+    print_fixed(*fixed, scene.info);
+    if (!geometry.empty()) std::printf("geometry    %s\n", geometry.c_str());
+  }
+  if (!found.has_errors()) print_next(context, next_of_scene(written.path, written.name));
+  return found.has_errors() ? static_cast<int>(ErrorKind::data) : 0;
 }
 
 void print_report(const PrepareReport& report, const std::string& geometry) {
@@ -84,13 +167,15 @@ void print_report(const PrepareReport& report, const std::string& geometry) {
 
 int run(const PrepareVerbOptions& options, AppContext& context) {
   install_stop_signals(!context.quiet);
+  if (has_poses(options.source, context)) return run_posed(options, context);
   PrepareReport report;
-  try {
-    report = prepare(options, context);
-  } catch (const Stopped&) {
-    print_note(context, "stopped; the same command continues");
-    return 128 + stop_signal();
-  }
+  const bool whole =
+      stoppable(context, [&](const Programs& programs, const CaptureProgress& progress, const auto& note) {
+        report = prepare_scene({options.source, options.out, static_cast<std::size_t>(options.frames), options.threads,
+                                lens_of(options.lens), options.attempts, note},
+                               programs, progress);
+      });
+  if (!whole) return 128 + stop_signal();
   Diagnostics found;
   const FolderScene scene = find_scene(options.out, "", context);
   const std::string geometry = inspected(scene, context, found);
@@ -115,7 +200,9 @@ int run(const PrepareVerbOptions& options, AppContext& context) {
 }
 
 void words(VerbWords& verb, PrepareVerbOptions& options) {
-  verb.operand("source", options.source, "video, or folder of photographs; folders in it are one camera each");
+  verb.operand("source", options.source,
+               "video, or folder of photographs; folders in it are one camera each. Or a scene that has poses, or its "
+               "configuration: its lens, poses and depth camera are fixed");
   verb.required("--out FOLDER", options.out, "scene to write; what was interrupted continues there");
   verb.value_in("--frames N", options.frames, 0, 10000,
                 "frames to keep of a video at most; 0: three a second, 30 to 300");
@@ -132,7 +219,7 @@ void words(VerbWords& verb, PrepareVerbOptions& options) {
 
 Verb verb_prepare() {
   return with_json(make_verb<PrepareVerbOptions>(
-      "prepare", 7, "make a scene from a video or photographs: COLMAP finds the camera poses", words, run));
+      "prepare", 7, "make a scene from a video or photographs, or fix the cameras of a scene", words, run));
 }
 
 }  // namespace semfield::app

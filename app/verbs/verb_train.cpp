@@ -53,8 +53,11 @@ std::string scores_text(const TrainOutcome& outcome) {
   const bool whole = part.frames == 0 || part.whole();
   std::string text = whole ? "" : fmt::format("sample={}/{} ", part.frames, part.of);
   if (part.stride > 1) text += fmt::format("sample_pixels=1/{} ", part.stride * part.stride);
-  const std::pair<const char*, const char*> figures[] = {
-      {"miou_present", "{:.4f}"}, {"total_accuracy", "{:.4f}"}, {"psnr", "{:.2f}"}, {"absrel", "{:.4f}"}};
+  const std::pair<const char*, const char*> figures[] = {{"miou_present", "{:.4f}"},
+                                                         {"total_accuracy", "{:.4f}"},
+                                                         {"psnr", "{:.2f}"},
+                                                         {"psnr_fitted_colors", "{:.2f}"},
+                                                         {"absrel", "{:.4f}"}};
   for (const auto& [name, format] : figures) {
     const std::string value = number(outcome.values, name, format);
     if (!value.empty()) text += fmt::format("{}{}={} ", whole ? "" : "sample_", name, value);

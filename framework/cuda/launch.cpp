@@ -27,6 +27,9 @@ LaunchScope::~LaunchScope() {
 
 void check(cudaError_t status, const char* what) {
   if (status == cudaSuccess) return;
+  if (status == cudaErrorMemoryAllocation)
+    throw Error(ErrorKind::unavailable, "memory.device.full", std::string("CUDA: no device memory for ") + what,
+                "close other programs that use the device, or set runtime.device: cpu");
   const bool no_device = status == cudaErrorNoDevice || status == cudaErrorInsufficientDriver;
   throw Error(no_device ? ErrorKind::unavailable : ErrorKind::failure, "device.cuda.failed",
               std::string("CUDA: ") + what + ": " + cudaGetErrorString(status) + " (" + cudaGetErrorName(status) + ")",

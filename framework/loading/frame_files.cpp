@@ -217,19 +217,27 @@ bool FrameFileCheck::present(const FrameInfo& frame, const char* what, const std
   return false;
 }
 
-ImageSize FrameFileCheck::check_headers(FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics) {
-  const ImageSize color = check_header(frame, kColorImage, files.color, diagnostics);
+ImageSize FrameFileCheck::check_headers(FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics,
+                                        const DepthCamera* depth_camera) {
+  const ImageSize color = check_header(frame, kColorImage, files.color, frame.camera, diagnostics);
   if (!files.color.empty()) frame.orientation = color.orientation;
-  for (const auto& [what, path] : kOptional) check_header(frame, what, files.*path, diagnostics);
+  for (const auto& [what, path] : kOptional) {
+    const bool apart = depth_camera != nullptr && path == &FrameFiles::depth;
+    const bool is_drawn = path == &FrameFiles::label || path == &FrameFiles::instance;
+    check_header(frame, what, files.*path,
+                 apart      ? depth_camera->camera
+                 : is_drawn ? shown_camera(frame)
+                            : frame.camera,
+                 diagnostics);
+  }
   return color;
 }
 
 ImageSize FrameFileCheck::check_header(const FrameInfo& frame, const char* what, const std::string& path,
-                                       Diagnostics& diagnostics) {
+                                       const Camera& camera, Diagnostics& diagnostics) {
   ImageSize size;
   if (path.empty()) return size;
   const bool is_label = what == kOptional[1].first, is_drawn = is_label || what == kOptional[2].first;
-  const Camera camera = is_drawn ? shown_camera(frame) : frame.camera;
   try {
     size = what == kOptional[0].first ? depth_size(path) : image_size(path);
     if (what == kColorImage && size.orientation != 1) turned_.push_back(frame.name);
@@ -318,8 +326,12 @@ void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const Fra
     if (rules.alpha) out.channels.push_back(alpha_channel(color.width_px, color.height_px, alpha));
     if (!files.depth.empty()) {
       Image<float> depth = read_depth(files.depth, rules.depth_unit_m);
-      check_size(depth, frame, files.depth);
-      out.depth_m = std::move(depth.pixels);
+      if (rules.depth_camera != nullptr) {
+        out.depth_m = drawn_depth(depth, *rules.depth_camera, frame.camera);
+      } else {
+        check_size(depth, frame, files.depth);
+        out.depth_m = std::move(depth.pixels);
+      }
     }
     if (!files.label.empty() && !classes.empty())
       read_labels(frame, files.label, rules.unknown_labels == UnknownLabels::as_void, classes, out.label);

@@ -13,6 +13,7 @@
 
 #include "config/params.h"
 #include "formats/image_io.h"
+#include "loading/depth_camera.h"
 #include "scene/scene.h"
 
 namespace semfield {
@@ -57,6 +58,7 @@ struct FrameReadRules {
   int alpha_background = -1;    ///< see read_rgb
   bool alpha = false;           ///< as a further channel
   UnknownLabels unknown_labels = UnknownLabels::error;  ///< what an id outside the class table is
+  const DepthCamera* depth_camera = nullptr;            ///< that took the depth, where it is another
   bool alpha_masks = false;                             ///< pixels of the colour image that are not opaque are masked
 };
 
@@ -89,13 +91,16 @@ class FrameFileCheck {
   /// Headers only: every size equal to the camera's, that of labels and instances to the picture's as it is shown, and
   /// labels of one channel. Each problem goes under the frame's place. Sets FrameInfo::orientation. Returns the size of
   /// the colour image; of one that cannot be read, zeros.
-  ImageSize check_headers(FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics);
+  /// Depth has the size of `depth_camera` where one is given.
+  ImageSize check_headers(FrameInfo& frame, const FrameFiles& files, Diagnostics& diagnostics,
+                          const DepthCamera* depth_camera = nullptr);
   /// After the last frame: says under `source` what was left out and how many images viewers turn by their EXIF
   /// orientation, and refuses a scene of which nothing is left.
   void report(const std::string& source, std::size_t frames_left, Diagnostics& diagnostics) const;
 
  private:
-  ImageSize check_header(const FrameInfo& frame, const char* what, const std::string& path, Diagnostics& diagnostics);
+  ImageSize check_header(const FrameInfo& frame, const char* what, const std::string& path, const Camera& camera,
+                         Diagnostics& diagnostics);
 
   MissingFiles missing_;
   std::string labels_key_;

@@ -450,6 +450,8 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
     scene.geometry = std::move(verdict.text);
     scene.corners = std::move(verdict.corners);
     scene.exposure = verdict.exposure;
+    scene.cameras = std::move(verdict.cameras);
+    scene.depth_beside = verdict.depth_beside;
   }
   // What poses of another convention do to bounds and distances would hide the cause.
   Diagnostics consequences;

@@ -11,6 +11,7 @@
 #include "scene/pose_convention.h"
 #include "scene/scene.h"
 #include "scene/stored_frame.h"
+#include "scene/survey/camera_check.h"
 #include "scene/survey/depth_survey.h"
 #include "scene/survey/plain_background.h"
 
@@ -55,6 +56,8 @@ struct LoadedScene {
   /// Corners of photographs without depth, where the poses put them: world points that tell where the scene is.
   SurveyPoints corners;
   std::string geometry;                    ///< what the check of poses against pixels found; empty = not asked
+  CameraCheck cameras;                     ///< whether they fit the photographs, where that was asked for
+  bool depth_beside = false;               ///< edges of depth lie beside those of the photographs
   std::optional<double> exposure;          ///< factor between overlapping frames (PhotoTallies), where it was asked for
   std::string bounds_from, near_far_from;  ///< one phrase each: "depth of 35 training frames", "the configuration", ...
   CameraRig rig;                           ///< of the training cameras
@@ -66,6 +69,8 @@ struct LoadedScene {
   /// Pixels of each frame with a valid depth: [frames]; counted of all frames, whosever depth is kept.
   std::vector<std::int64_t> depth_pixels;
 
+  /// Cameras or depth do not fit the photographs, and `prepare` can fix them.
+  bool cameras_are_off() const { return cameras.off || depth_beside; }
   std::vector<int> frames_of(Split split) const;
 };
 

@@ -185,7 +185,9 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   s.manifest = options.known ? options.known->manifest : manifest_of(s.scene, s.labels);
   if (options.known) s.scene.pixel_footprint_m = options.known->pixel_footprint_m;
   last = make_last_sampler(s.config, registry, extent_of(s));
-  const CameraReasons why = choose_cameras(s.config.cameras, {s.scene.info.tracked, s.scene.exposure});
+  const CameraReasons why = choose_cameras(
+      s.config.cameras, {s.scene.info.tracked, s.scene.exposure,
+                         s.scene.cameras.corners > 0 ? std::optional(!s.scene.cameras.off) : std::nullopt});
   BuildRequest request = build_request(s.config, registry, last->traits());
   request.poses_why = why.poses;
   request.colors_why = why.colors;
@@ -345,6 +347,8 @@ EvalJob Session::eval_job(std::vector<int> frames) const {
   job.frames = std::move(frames);
   job.classes = classes();
   job.undistort = plan.undistortion;
+  // A camera whose exposure changes shows held-out frames as no field can know them.
+  job.fit_colors = config.cameras.colors == CameraTrust::learned;
   return job;
 }
 

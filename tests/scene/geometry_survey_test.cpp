@@ -3,6 +3,7 @@
 
 #include "compute/parallel.h"
 #include "loading/frame_source.h"
+#include "scene/bundle.h"
 #include "scene/scene_checks.h"
 #include "tests/scene/tiny_scene.h"
 
@@ -203,8 +204,8 @@ TEST(GeometrySurvey, DepthOfAnotherUnitIsToldFromPosesOfAnother) {
     EXPECT_HAS(a.error, by < 1 ? "depth in metres was read as millimetres" : "depth in millimetres was read as metres")
         << a.error << a.geometry;
     EXPECT_HAS(a.error, by < 1 ? "add --set scene.load.depth_scale=1000 " : "add --set scene.load.depth_scale=0.001 ");
-    SceneLoadOptions mended{.convention = {.depth_scale = 1 / by}};
-    expect_quiet(ask(room, mended), "poses agree with depth");
+    SceneLoadOptions fixed{.convention = {.depth_scale = 1 / by}};
+    expect_quiet(ask(room, fixed), "poses agree with depth");
   }
   room.spoiled = [](int, FrameBuffer&) {};
   room.written = [](const Pose& p) { return times(p, 1000); };
@@ -272,8 +273,8 @@ TEST(GeometrySurvey, PhotographsWithoutDepthNameAxesAndInverse) {
     room.written = c.written;
     const Answer a = ask(room);
     for (const std::string& part : c.said) EXPECT_HAS(a.error, part) << a.error << a.geometry;
-    SceneLoadOptions mended{.convention = c.convention};
-    expect_quiet(ask(room, mended), "poses agree with the photographs: ");
+    SceneLoadOptions fixed{.convention = c.convention};
+    expect_quiet(ask(room, fixed), "poses agree with the photographs: ");
   }
 }
 
@@ -409,6 +410,69 @@ TEST(GeometrySurvey, TheVerdictIsTheSameForAnyNumberOfThreads) {
     EXPECT_EQ(one.error, four.error);
     EXPECT_NE(one.error, "");
   }
+}
+
+// Corners as sharp as photographs have them, and cameras off by what real captures are off by.
+TEST(GeometrySurvey, CamerasThatDoNotFitThePhotographsAreNamedWithWhatFits) {
+  for (const bool depth : {false, true}) {
+    Room room{.poses = walk(32, 0.08), .depth = depth, .width = 320, .height = 240};
+    expect_quiet(ask(room), depth ? "% of " : "poses agree with the photographs");
+
+    Room lens = room;
+    lens.focal = 1.12;
+    const Answer wrong_lens = ask(lens);
+    EXPECT_HAS(wrong_lens.warning, "cameras do not fit the photographs");
+    EXPECT_HAS(wrong_lens.warning, "with another lens (focal length ");
+    EXPECT_HAS(wrong_lens.warning, "semfield prepare SCENE --out NEW");
+    EXPECT_HAS(wrong_lens.geometry, "cameras do not fit the photographs");
+
+    Room shaken = room;
+    int frame = 0;
+    shaken.written = [&](const Pose& p) {
+      const double a = 0.02 * std::sin(2.1 * ++frame), b = 0.02 * std::cos(1.7 * frame);
+      return moved(p, {a, b, 0, 0.02 * std::sin(3.3 * frame), 0, 0});
+    };
+    EXPECT_HAS(ask(shaken).warning, "with corrected poses");
+  }
+}
+
+TEST(GeometrySurvey, ADelayBetweenPosesAndPhotographsIsNamed) {
+  std::vector<Pose> all;
+  for (int i = 0; i < 35; ++i) {
+    all.push_back(moved({}, {0.1 * std::sin(0.3 * i), -0.03 * i, 0, 0, 0, 0}));
+    all.back().t = {0.05 * i - 0.8, 0.1 * std::sin(0.25 * i), 0.3 * std::cos(0.1 * i)};
+  }
+  Room room{.poses = {all.begin(), all.end() - 1}, .depth = false, .width = 320, .height = 240};
+  std::size_t frame = 0;
+  room.written = [&](const Pose&) { return all[++frame]; };
+  const Answer a = ask(room);
+  EXPECT_HAS(a.warning, "with poses of 1 frame earlier") << a.geometry << a.error;
+}
+
+TEST(GeometrySurvey, DepthThatLiesBesideThePhotographsIsNamed) {
+  Room room{.poses = walk(24, 0.1), .width = 320, .height = 240};
+  // Boxes before the walls give depth edges; those of depth are five pixels off.
+  const auto boxes = [](int shift) {
+    return [shift](int, FrameBuffer& f) {
+      for (int y = 20; y < f.height_px; ++y) {
+        if (y % 60 > 25) continue;
+        for (int x = 40; x < f.width_px; x += 80) {
+          for (int i = 0; i < 20; ++i) {
+            const auto at = static_cast<std::size_t>(y * f.width_px + x + i);
+            std::fill_n(f.rgb.begin() + static_cast<std::ptrdiff_t>(3 * at), 3, std::uint8_t{250});
+            if (x + i - shift >= 0) f.depth_m[at - static_cast<std::size_t>(shift)] = 0.4f;
+          }
+        }
+      }
+    };
+  };
+  room.spoiled = boxes(0);
+  Diagnostics d;
+  EXPECT_FALSE(load_scene(room, {}, d).depth_beside);
+  room.spoiled = boxes(5);
+  const LoadedScene beside = load_scene(room, {.check_geometry = true}, d);
+  EXPECT_TRUE(beside.depth_beside);
+  EXPECT_HAS(beside.geometry, "their edges are 5 pixels right of those of depth");
 }
 
 }  // namespace

@@ -1,7 +1,6 @@
 #include "loading/capture/prepare.h"
 
 #include <algorithm>
-#include <cerrno>
 #include <cstdio>
 #include <filesystem>
 #include <map>
@@ -16,7 +15,6 @@
 #include "loading/capture/sharpness.h"
 #include "loading/capture/video.h"
 #include "system/files.h"
-#include "system/folder_lock.h"
 #include "system/sha256.h"
 #include "system/sorted_folder.h"
 
@@ -87,16 +85,6 @@ void copy_whole(const std::string& from, const std::string& to) {
   const std::string bytes = read_text_file(from, std::size_t{1} << 32);
   file.append(std::as_bytes(std::span<const char>(bytes)));
   file.commit();
-}
-
-void claim_folder(const std::string& scene, const Folders& folders) {
-  std::error_code unknown;
-  if (fs::exists(scene, unknown) && !fs::exists(folders.prepare, unknown) && !fs::is_empty(scene, unknown)) {
-    throw Error(ErrorKind::cannot_create, "files.output.exists", "'" + scene + "' is there already",
-                "name another folder with --out");
-  }
-  create_folders(folders.logs.string());
-  create_folders(folders.work.string());
 }
 
 std::string cut_text(const VideoFrames& cut) {
@@ -220,14 +208,8 @@ PrepareReport prepare_scene(const PrepareOptions& options, const Programs& progr
                 "the scene '" + scene + "' would lie in the folder of the photographs, which is never written to",
                 "name a folder next to it with --out");
   const Folders folders{fs::path(scene)};
-  claim_folder(scene, folders);
-  FolderLock lock;
-  if (const int cause = lock.take(folders.prepare.string()); cause == EWOULDBLOCK)
-    throw Error(ErrorKind::cannot_create, "capture.scene.busy", lock.holder() + " prepares '" + scene + "'",
-                "wait until it has ended");
-  else if (cause != 0)
-    throw write_error("lock", folders.prepare.string(), cause);
-  PrepareState state((folders.prepare / "steps.json").string(), identity_of(source, options));
+  const PrepareFolder folder(scene);
+  PrepareState state = folder.steps(identity_of(source, options));
   if (const std::string* refined = state.done("refined");
       refined != nullptr && state.done("published") == nullptr && fs::exists(folders.model))
     state.mark("published", std::string(*refined));

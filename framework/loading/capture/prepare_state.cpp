@@ -1,5 +1,6 @@
 #include "loading/capture/prepare_state.h"
 
+#include <cerrno>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
@@ -9,6 +10,7 @@
 
 namespace semfield {
 
+namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
 PrepareState::PrepareState(std::string file, std::string identity)
@@ -60,6 +62,21 @@ void PrepareState::write() const {
   write_file_atomic(
       file_,
       Json{{"made_from", identity_}, {"steps", steps}}.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+}
+
+PrepareFolder::PrepareFolder(const std::string& scene) : prepare_(scene + "/prepare") {
+  std::error_code unknown;
+  if (fs::exists(scene, unknown) && !fs::exists(prepare_, unknown) && !fs::is_empty(scene, unknown)) {
+    throw Error(ErrorKind::cannot_create, "files.output.exists", "'" + scene + "' is there already",
+                "name another folder with --out");
+  }
+  create_folders(logs());
+  create_folders(work());
+  if (const int cause = lock_.take(prepare_); cause == EWOULDBLOCK)
+    throw Error(ErrorKind::cannot_create, "capture.scene.busy", lock_.holder() + " prepares '" + scene + "'",
+                "wait until it has ended");
+  else if (cause != 0)
+    throw write_error("lock", prepare_, cause);
 }
 
 }  // namespace semfield

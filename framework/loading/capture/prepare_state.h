@@ -4,6 +4,8 @@
 #include <string>
 #include <vector>
 
+#include "system/folder_lock.h"
+
 namespace semfield {
 
 class PrepareState {
@@ -25,6 +27,23 @@ class PrepareState {
   void write() const;
   std::string file_, identity_;
   std::vector<std::pair<std::string, std::string>> steps_;
+};
+
+/// The folder of a scene that is being prepared: scene/prepare/ with its steps, logs and work. Held for as long as this
+/// lives.
+class PrepareFolder {
+ public:
+  /// `scene` is created, or is one that this began. Throws Error(cannot_create) for a folder of others, and where
+  /// another process prepares it.
+  explicit PrepareFolder(const std::string& scene);
+  /// `steps` of all that depends on `identity`; PrepareState says when it throws.
+  PrepareState steps(const std::string& identity) const { return {prepare_ + "/steps.json", identity}; }
+  std::string work() const { return prepare_ + "/work"; }
+  std::string logs() const { return prepare_ + "/log"; }
+
+ private:
+  std::string prepare_;
+  FolderLock lock_;
 };
 
 }  // namespace semfield

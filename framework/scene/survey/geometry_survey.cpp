@@ -5,6 +5,8 @@
 #include <cmath>
 #include <cstdio>
 
+#include "scene/rotation.h"
+
 namespace semfield {
 
 namespace {
@@ -20,6 +22,11 @@ constexpr double kByChance = 0.1;
 constexpr int kManyCorners = 300;  // so many cannot all be found wrongly
 constexpr double kPhotosClearly = 1.5;
 constexpr std::size_t kFewPairs = 3;
+
+constexpr double kInOrder = 0.25;        // of the way between any two, at most, between neighbours of a recording
+constexpr double kEdgesStronger = 1.02;  // times, where edges of depth lie elsewhere
+constexpr double kEdgesBeside = 2;       // pixels of the small picture
+constexpr const char* kFixRemedy = "`semfield prepare SCENE --out NEW` fixes them";
 
 std::string percent(double share) {
   char text[32];
@@ -76,6 +83,18 @@ Finding compare(const PoseConvention& fits, const PoseConvention& given, bool op
                                    : "depth is " + plain_number(large) + " times too large for the camera centres");
     set("depth_scale", plain_number(fits.depth_scale));
   }
+  return out;
+}
+
+Pose between(const Pose& a, const Pose& b, double share) {
+  const Quaternion p = quaternion_of(a), q = quaternion_of(b);
+  double cosine = 0;
+  for (std::size_t k = 0; k < 4; ++k) cosine += p[k] * q[k];
+  Quaternion mixed{};
+  for (std::size_t k = 0; k < 4; ++k) mixed[k] = (1 - share) * p[k] + share * (cosine < 0 ? -q[k] : q[k]);
+  Pose out;
+  set_rotation(out, mixed);
+  out.t = a.t * (1 - share) + b.t * share;
   return out;
 }
 
@@ -198,11 +217,13 @@ std::string judge_photos(const PhotoTallies& found, const SceneInfo& as_opened, 
 GeometrySurvey::GeometrySurvey(const SceneInfo& as_opened, const std::vector<Camera>& cameras,
                                const PoseConvention& given, bool exposure)
     : as_opened_(as_opened),
+      cameras_(cameras),
       given_(given),
       exposure_(exposure),
       pairs_(choose_pairs(as_opened, cameras)),
       wanted_(as_opened.frames.size()),
       frames_(as_opened.frames.size()),
+      edges_(as_opened.frames.size()),
       photos_(as_opened.frames.size()) {
   const bool has_depth =
       std::any_of(as_opened.frames.begin(), as_opened.frames.end(), [](const FrameInfo& f) { return f.has_depth; });
@@ -213,32 +234,119 @@ GeometrySurvey::GeometrySurvey(const SceneInfo& as_opened, const std::vector<Cam
 
 void GeometrySurvey::look_at(std::size_t frame, const Camera& camera, const FrameBuffer& pixels) {
   if (!wanted_[frame]) return;
-  if (pixels.depth_m.empty() || exposure_) photos_[frame] = photo_frame(camera, pixels);
+  photos_[frame] = photo_frame(camera, pixels);
+  if (!pixels.depth_m.empty()) edges_[frame] = edge_scores(camera, pixels);
   if (!pixels.depth_m.empty()) frames_[frame] = small_depth_frame(camera, pixels);
 }
 
+// The frames that tracks are of, as given.
+Bundle GeometrySurvey::bundle_of(const PhotoTallies& found) const {
+  Bundle out;
+  std::vector<std::int32_t> place(frames_.size(), -1);
+  bool has_depth = false;
+  for (const Track& track : found.tracks) {
+    out.tracks.push_back(track);
+    for (Sighting& s : out.tracks.back().seen) {
+      const auto frame = static_cast<std::size_t>(s.frame);
+      std::int32_t& at = place[frame];
+      if (at < 0) {
+        at = static_cast<std::int32_t>(out.stated.size());
+        out.stated.push_back(cameras_[frame]);
+        out.given.push_back(
+            converted_pose(as_opened_.frames[frame].world_from_camera, given_, as_opened_.opengl_files));
+        out.lens_of.push_back(0);
+        out.depth.push_back({frames_[frame].camera, frames_[frame].depth_m});
+        has_depth = has_depth || !frames_[frame].depth_m.empty();
+      }
+      s.frame = at;
+    }
+  }
+  out.poses = out.given;
+  out.lenses.resize(1);
+  if (!has_depth) out.depth.clear();
+  return out;
+}
+
+// Of the frames of bundle_of(), in the manifest's order. Empty where neighbours there are no neighbours in the scene.
+std::vector<Pose> GeometrySurvey::delayed_poses(const PhotoTallies& found, double frames) const {
+  const std::vector<FrameInfo>& all = as_opened_.frames;
+  const auto pose = [&](std::size_t i) {
+    return converted_pose(all[i].world_from_camera, given_, as_opened_.opengl_files);
+  };
+  double step = 0, reach = 0;
+  for (std::size_t i = 1; i < all.size(); ++i) {
+    step += length(pose(i).t - pose(i - 1).t);
+    reach += length(pose(i).t - pose((i * 7919) % all.size()).t);
+  }
+  if (step > kInOrder * reach) return {};
+  std::vector<Pose> out;
+  std::vector<bool> taken(all.size());
+  for (const Track& track : found.tracks) {
+    for (const Sighting& s : track.seen) {
+      const auto i = static_cast<std::size_t>(s.frame);
+      if (taken[i]) continue;
+      taken[i] = true;
+      const double at = std::clamp(static_cast<double>(i) + frames, 0.0, static_cast<double>(all.size() - 1));
+      const auto before = static_cast<std::size_t>(at), after = std::min(before + 1, all.size() - 1);
+      out.push_back(between(pose(before), pose(after), at - static_cast<double>(before)));
+    }
+  }
+  return out;
+}
+
+void GeometrySurvey::judge_cameras(GeometryVerdict& verdict, Diagnostics& diagnostics) const {
+  const CameraCheck& c = verdict.cameras;
+  const std::string corners = std::to_string(c.corners) + " corners of the photographs";
+  if (c.off) {
+    std::string text =
+        "cameras do not fit the photographs: " + percent(c.given) + " of " + corners + " lie where they put them";
+    for (const auto& [what, share] : c.fits) text += ", " + percent(share) + " with " + what;
+    diagnostics.warning("scene.camera.off", as_opened_.name, text, kFixRemedy);
+    verdict.text = text + "; " + verdict.text;
+  } else if (c.corners > 0 && !frames_.empty() && verdict.text.find("photographs") == std::string::npos) {
+    verdict.text += "; " + percent(c.given) + " of " + corners + " lie where the cameras put them";
+  }
+  const std::optional<DepthShift> shift = depth_shift(edges_, cameras_);
+  verdict.depth_beside = shift && shift->gain > kEdgesStronger && shift->steps >= kEdgesBeside;
+  if (!verdict.depth_beside) return;
+  const auto side = [](double px, const char* more, const char* less) {
+    return px == 0 ? std::string() : plain_number(std::abs(px)) + " pixels " + (px > 0 ? more : less);
+  };
+  const std::string right = side(shift->right_px, "right", "left"), down = side(shift->down_px, "below", "above");
+  const std::string text = "depth does not lie on the photographs: their edges are " + right +
+                           (right.empty() || down.empty() ? "" : " and ") + down + " of those of depth";
+  diagnostics.warning("scene.depth.beside", as_opened_.name, text, kFixRemedy);
+  verdict.text += "; " + text;
+}
+
 GeometryVerdict GeometrySurvey::conclude(Diagnostics& diagnostics) const {
-  if (pairs_.empty() && wide_.empty())
-    return {"could not be checked: no two frames look in a similar direction", {}, {}};
+  GeometryVerdict out;
+  if (pairs_.empty() && wide_.empty()) {
+    out.text = "could not be checked: no two frames look in a similar direction";
+    return out;
+  }
   std::vector<float> depths;
   for (const SmallFrame& frame : frames_)
     depths.insert(depths.end(), frame.point_depths.begin(), frame.point_depths.end());
-  GeometryVerdict out;
-  if (depths.empty() || exposure_) {
-    PhotoTallies found = vote_by_photos(as_opened_, photos_, pairs_, given_);
-    if (exposure_) out.exposure = found.exposure;
-    if (depths.empty()) {
-      out.text = judge_photos(found, as_opened_, diagnostics);
-      if (found.tallies.front().fits >= kFewFit * found.matches) out.corners = std::move(found.corners);
-      return out;
-    }
+  PhotoTallies found = vote_by_photos(as_opened_, photos_, pairs_, given_);
+  if (exposure_) out.exposure = found.exposure;
+  out.cameras =
+      check_cameras(bundle_of(found), kPhotoSide, [&](double frames) { return delayed_poses(found, frames); });
+  if (depths.empty()) {
+    const int before = diagnostics.error_count();
+    out.text = judge_photos(found, as_opened_, diagnostics);
+    if (diagnostics.error_count() == before) judge_cameras(out, diagnostics);
+    if (found.tallies.front().fits >= kFewFit * found.matches) out.corners = std::move(found.corners);
+    return out;
   }
+  const int before = diagnostics.error_count();
   std::sort(depths.begin(), depths.end());
   DepthRange range{depths[depths.size() / 2], 0};
   range.values = static_cast<int>(std::unique(depths.begin(), depths.end()) - depths.begin());
   const bool wide = wide_.size() > pairs_.size();
   out.text = judge_depth(vote_by_depth(as_opened_, frames_, wide ? wide_ : pairs_, given_), as_opened_, range, wide,
                          diagnostics);
+  if (diagnostics.error_count() == before) judge_cameras(out, diagnostics);
   return out;
 }
 

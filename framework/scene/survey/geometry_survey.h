@@ -6,6 +6,8 @@
 #include <string>
 #include <vector>
 
+#include "scene/survey/camera_check.h"
+#include "scene/survey/depth_edges.h"
 #include "scene/survey/photo_votes.h"
 
 namespace semfield {
@@ -16,6 +18,8 @@ struct GeometryVerdict {
   /// Corners of photographs that were found again in others, where the poses put them; empty with depth, and where the
   /// photographs do not agree with the poses.
   SurveyPoints corners;
+  CameraCheck cameras;
+  bool depth_beside = false;       ///< edges of depth lie beside those of the photographs
   std::optional<double> exposure;  ///< as PhotoTallies; nothing where nobody asked for it
 };
 
@@ -35,13 +39,20 @@ class GeometrySurvey {
   GeometryVerdict conclude(Diagnostics& diagnostics) const;
 
  private:
+  Bundle bundle_of(const PhotoTallies& found) const;
+  std::vector<Pose> delayed_poses(const PhotoTallies& found, double frames) const;
+  /// Adds to the text, and warnings, what the photographs say of the cameras in pixels.
+  void judge_cameras(GeometryVerdict& verdict, Diagnostics& diagnostics) const;
+
   const SceneInfo& as_opened_;
+  std::vector<Camera> cameras_;
   PoseConvention given_;
   bool exposure_;
   FramePairs pairs_;
   FramePairs wide_;  // of frames with depth, where there are hardly any others
   std::vector<bool> wanted_;
   std::vector<SmallFrame> frames_;
+  std::vector<EdgeScores> edges_;
   std::vector<PhotoFrame> photos_;  // of frames without depth, or where brightness is compared
 };
 

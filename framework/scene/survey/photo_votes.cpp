@@ -11,7 +11,6 @@ namespace semfield {
 
 namespace {
 
-constexpr std::int32_t kSide = 320;
 constexpr std::int32_t kCell = 16;  // pixels; one corner each
 constexpr std::size_t kCorners = 300;
 constexpr int kReach = 8;           // half the side of a patch, pixels
@@ -107,7 +106,8 @@ bool touches_mask(const FrameBuffer& frame, std::int32_t side, std::int32_t x, s
 }
 
 PhotoCorner corner_at(const Grey& g, Vec3d direction, std::int32_t x, std::int32_t y) {
-  PhotoCorner out{direction * (1 / direction.z), 0, {}};
+  PhotoCorner out;
+  out.ray = direction * (1 / direction.z);
   float mean = 0;
   for (int j = 0; j < 8; ++j) {
     for (int i = 0; i < 8; ++i) {
@@ -193,10 +193,18 @@ double off_epipolar_line(Vec3d ray, const Pose& pose, Vec3d seen, const Camera& 
   return std::hypot(wu - along * du, wv - along * dv);
 }
 
+// From a pixel of greatest strength to the peak of the parabola through it and its neighbours along (dx, dy).
+double to_peak(const Grey& strengths, std::int32_t x, std::int32_t y, std::int32_t dx, std::int32_t dy) {
+  const double before = std::sqrt(std::max(0.0f, strengths.at(x - dx, y - dy))), here = std::sqrt(strengths.at(x, y)),
+               after = std::sqrt(std::max(0.0f, strengths.at(x + dx, y + dy)));
+  const double bend = before - 2 * here + after;
+  return bend < 0 ? std::clamp(0.5 * (before - after) / bend, -0.5, 0.5) : 0.0;
+}
+
 }  // namespace
 
 PhotoFrame photo_frame(const Camera& camera, const FrameBuffer& frame) {
-  const std::int32_t side = std::max(1, (std::max(camera.width_px, camera.height_px) + kSide / 2) / kSide);
+  const std::int32_t side = std::max(1, (std::max(camera.width_px, camera.height_px) + kPhotoSide / 2) / kPhotoSide);
   const Grey g = grey_of(frame, side);
   const Grey strengths = corner_strength(g);
   struct Found {
@@ -223,8 +231,13 @@ PhotoFrame photo_frame(const Camera& camera, const FrameBuffer& frame) {
   out.camera.fy /= side;
   for (const Found& f : found) {
     if (touches_mask(frame, side, f.x, f.y)) continue;
-    const Vec3d direction = camera.direction((f.x + 0.5) * side, (f.y + 0.5) * side);
-    if (direction.z > 0) out.corners.push_back(corner_at(g, direction, f.x, f.y));
+    const double u = (f.x + 0.5 + to_peak(strengths, f.x, f.y, 1, 0)) * side,
+                 v = (f.y + 0.5 + to_peak(strengths, f.x, f.y, 0, 1)) * side;
+    const Vec3d direction = camera.direction(u, v);
+    if (!(direction.z > 0)) continue;
+    out.corners.push_back(corner_at(g, direction, f.x, f.y));
+    out.corners.back().u = u;
+    out.corners.back().v = v;
   }
   return out;
 }
@@ -234,6 +247,7 @@ namespace {
 // What one pair of frames says.
 struct Votes {
   int matches = 0;
+  std::vector<Track> tracks;
   std::vector<int> fits, focal_fits;  // of each convention, of each factor
   SurveyPoints corners;
   std::optional<double> brighter;  // median logarithm of the second frame's brightness over the first's
@@ -311,6 +325,10 @@ PhotoTallies vote_by_photos(const SceneInfo& as_opened, const std::vector<PhotoF
     const Matches matches = matches_of(frames[i].corners, frames[j].corners);
     out.matches = static_cast<int>(matches.size());
     if (out.matches < kFewestMatches) return;
+    for (const auto& [a, b] : matches) {
+      const PhotoCorner &x = frames[i].corners[a], &y = frames[j].corners[b];
+      out.tracks.push_back({{}, {{static_cast<std::int32_t>(i), x.u, x.v}, {static_cast<std::int32_t>(j), y.u, y.v}}});
+    }
     for (const PoseConvention& convention : all)
       out.fits.push_back(count_fits(matches, frames[i], frames[j], relative_pose(as_opened, convention, j, i), 1));
     const Pose j_from_i = relative_pose(as_opened, given, j, i);
@@ -332,6 +350,7 @@ PhotoTallies vote_by_photos(const SceneInfo& as_opened, const std::vector<PhotoF
     if (pair.matches < kFewestMatches) continue;
     ++out.pairs;
     out.matches += pair.matches;
+    out.tracks.insert(out.tracks.end(), pair.tracks.begin(), pair.tracks.end());
     const auto add = [&pair](auto& tally, int fits) {
       tally.fits += fits;
       tally.better_pairs += fits > pair.fits[0] ? 1 : 0;

@@ -6,6 +6,7 @@
 #include <optional>
 #include <vector>
 
+#include "scene/bundle.h"
 #include "scene/survey/depth_survey.h"
 #include "scene/survey/geometry_votes.h"
 
@@ -13,8 +14,9 @@ namespace semfield {
 
 /// A corner and what it looks like: 8 x 8 means of grey around it, mean 0 and length 1.
 struct PhotoCorner {
-  Vec3d ray;       ///< in camera axes, z = 1
-  float grey = 0;  ///< mean around it, 0 to 255
+  Vec3d ray;            ///< in camera axes, z = 1
+  double u = 0, v = 0;  ///< in the photograph as loaded, pixels
+  float grey = 0;       ///< mean around it, 0 to 255
   std::array<float, 64> patch;
 };
 
@@ -26,6 +28,9 @@ struct PhotoFrame {
 
 /// The strongest corners of a frame of about 320 pixels width or height, spread over it.
 PhotoFrame photo_frame(const Camera& camera, const FrameBuffer& frame);
+
+/// Longer side of the small pictures in which corners are found, pixels, about.
+inline constexpr std::int32_t kPhotoSide = 320;
 
 struct PhotoTally {
   PoseConvention convention;
@@ -41,6 +46,7 @@ struct FocalTally {
 };
 
 struct PhotoTallies {
+  std::vector<Track> tracks;        ///< of two frames each, all matches of such pairs; points are not set
   int matches = 0, pairs = 0;       ///< of pairs with enough matches to show that they overlap
   std::vector<PhotoTally> tallies;  ///< the convention given, the other axes, the inverse, both
   std::vector<FocalTally> focal;

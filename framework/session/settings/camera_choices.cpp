@@ -7,9 +7,11 @@ namespace semfield {
 CameraReasons choose_cameras(CameraParams& cameras, const CameraEvidence& evidence) {
   CameraReasons why;
   if (cameras.poses == CameraTrust::automatic) {
-    cameras.poses = evidence.tracked ? CameraTrust::learned : CameraTrust::given;
-    why.poses =
-        evidence.tracked ? "poses are a phone's, whose tracker drifts" : "poses are not those of a phone's tracker";
+    const bool fits = evidence.fits.value_or(false);
+    cameras.poses = evidence.tracked && !fits ? CameraTrust::learned : CameraTrust::given;
+    why.poses = !evidence.tracked ? "poses are not those of a phone's tracker"
+                : fits            ? "poses are a phone's, and the photographs fit them"
+                                  : "poses are a phone's, whose tracker drifts";
   }
   if (cameras.colors == CameraTrust::automatic) {
     const bool changes = evidence.exposure && *evidence.exposure > kExposureChanges;

@@ -12,6 +12,7 @@ namespace semfield {
 struct CameraEvidence {
   bool tracked = false;            ///< SceneInfo::tracked
   std::optional<double> exposure;  ///< LoadedScene::exposure
+  std::optional<bool> fits = {};   ///< the photographs, by LoadedScene::cameras; nothing: they say nothing
 };
 
 /// Brightness of overlapping frames that differs by more than this factor is a camera's that changes its exposure.
@@ -25,10 +26,10 @@ struct CameraReasons {
   std::vector<std::string> learned;  ///< a line for each that is learned, which no list of parts left out has
 };
 
-/// Puts what `auto` is in place of it. Poses: learned where a phone's tracker gave them, which drifts. Poses of
-/// renderings and of structure from motion are better than what training makes of them, and neither depth nor corners
-/// of photographs tell a drift from the errors of their own. Colours: learned where brightness changes by more than
-/// kExposureChanges.
+/// Puts what `auto` is in place of it. Poses: learned where a phone's tracker gave them, which drifts, and the
+/// photographs do not say that they fit. Poses of renderings and of structure from motion are better than what training
+/// makes of them, and far wrong ones are for `prepare` to fix, which training does less well. Colours: learned where
+/// brightness changes by more than kExposureChanges.
 CameraReasons choose_cameras(CameraParams& cameras, const CameraEvidence& evidence);
 
 }  // namespace semfield

@@ -280,5 +280,30 @@ TEST(TransformsDialects, AKeyTwiceIsRefused) {
   EXPECT_ERROR(s.open(d), "scene.index.twice", "'file_path'");
 }
 
+// Depth of a camera of its own is drawn into the colour image, whatever its size; what is not one is refused.
+TEST(TransformsDialects, DepthOfACameraOfItsOwn) {
+  Scene s("apart");
+  s.image("a.png");
+  s.image("b.png");
+  write_png_gray16(s.folder + "/d.png", 8, 6, std::vector<std::uint16_t>(48, 2000));
+  const std::string lens = "\"depth_camera\": {\"w\": 8, \"h\": 6, \"fl_x\": 3, \"fl_y\": 3, \"cx\": 4, \"cy\": 3, ";
+  const std::string still = "\"depth_from_color\": [[1,0,0,0],[0,1,0,0],[0,0,1,0.5],[0,0,0,1]]}, ";
+  s.index(kLens + lens + still, {kDepthFrame, "\"file_path\": \"b.png\""});
+  const FrameBuffer read = s.read();
+  ASSERT_EQ(read.depth_m.size(), 8u);
+  for (const float z : read.depth_m) EXPECT_NEAR(z, 1.5f, 1e-5f) << "the depth camera stands half a metre behind";
+  for (const std::string& bad : {lens + "\"depth_from_color\": [[1,0,0,0]]}, ",
+                                 std::string("\"depth_camera\": {") + still, std::string("\"depth_camera\": 7, "),
+                                 lens + "\"depth_from_color\": [[1,0,0,0],[0,1,0,0],[0,0,null,0],[0,0,0,1]]}, "}) {
+    s.index(kLens + bad, {kDepthFrame});
+    Diagnostics d;
+    (void)s.open(d);
+    EXPECT_TRUE(d.has_errors()) << bad;
+    std::string said;
+    for (const Diagnostic& one : d.all()) said += one.text();
+    EXPECT_HAS(said, "depth_camera");
+  }
+}
+
 }  // namespace
 }  // namespace semfield

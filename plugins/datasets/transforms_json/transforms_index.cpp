@@ -47,6 +47,7 @@ class FileReader {
     TransformsLens lens = values_.lens(root, {}, path_);
     lens.kind = *kind;
     const double depth_unit_m = values_.depth_unit(root, 0, path_);
+    read_depth_camera(root);
     read_classes(root);
     read_limit(root);
     // What is missing in every frame for a key that the file misspells would be said of every frame.
@@ -173,6 +174,24 @@ class FileReader {
     }
   }
 
+  void read_depth_camera(const json& root) {
+    if (!root.contains("depth_camera") || root["depth_camera"].is_null()) return;
+    const json& node = root["depth_camera"];
+    const std::string place = path_ + ": 'depth_camera'";
+    const json* rows = node.is_object() && node.contains("depth_from_color") ? &node["depth_from_color"] : nullptr;
+    if (rows == nullptr || !read_rows(*rows, out_.depth_from_color)) {
+      diagnostics_.error("scene.pose.format", place, "has no 'depth_from_color' of 4 rows of 4 numbers",
+                         "write the lens of the depth images (w, h, fl_x, fl_y, cx, cy), and the matrix that takes "
+                         "points from the axes of the colour camera (x right, y down, z forward) to those of the depth "
+                         "camera");
+      return;
+    }
+    const std::optional<LensKind> kind = values_.model(node, LensKind::perspective, place);
+    if (!kind) return;
+    out_.depth_lens = values_.lens(node, {}, place);
+    out_.depth_lens->kind = *kind;
+  }
+
   void read_classes(const json& root) {
     if (!root.contains("classes")) return;
     const json& classes = root["classes"];
@@ -289,24 +308,29 @@ class FileReader {
     return "";
   }
 
-  void read_matrix(const json& item, TransformsFrame& frame) {
-    const json* rows = item.contains("transform_matrix") ? &item["transform_matrix"] : nullptr;
-    bool valid = rows != nullptr && rows->is_array() && (rows->size() == 4 || rows->size() == 3);
-    for (std::size_t r = 0; valid && r < rows->size(); ++r) {
-      valid = (*rows)[r].is_array() && (*rows)[r].size() == 4;
+  // 3 or 4 rows of 4 numbers; empty where they are not.
+  static bool read_rows(const json& rows, std::vector<double>& out) {
+    bool valid = rows.is_array() && (rows.size() == 4 || rows.size() == 3);
+    for (std::size_t r = 0; valid && r < rows.size(); ++r) {
+      valid = rows[r].is_array() && rows[r].size() == 4;
       for (std::size_t c = 0; valid && c < 4; ++c) {
-        const json& v = (*rows)[r][c];
+        const json& v = rows[r][c];
         // Exporters write a lost pose as null; it is skipped and counted like NaN.
         if (v.is_null())
-          frame.matrix.push_back(std::nan(""));
+          out.push_back(std::nan(""));
         else if (v.is_number())
-          frame.matrix.push_back(v.get<double>());
+          out.push_back(v.get<double>());
         else
           valid = false;
       }
     }
-    if (valid) return;
-    frame.matrix.clear();
+    if (!valid) out.clear();
+    return valid;
+  }
+
+  void read_matrix(const json& item, TransformsFrame& frame) {
+    const json* rows = item.contains("transform_matrix") ? &item["transform_matrix"] : nullptr;
+    if (rows != nullptr && read_rows(*rows, frame.matrix)) return;
     diagnostics_.error(
         "scene.pose.format", frame.place,
         (rows == nullptr ? "has no 'transform_matrix'" : "'transform_matrix' is not 4 rows of 4 numbers") +

@@ -33,8 +33,11 @@ struct TransformsFrame {
 
 struct TransformsIndex {
   std::vector<TransformsFrame> frames;
-  std::string unclear_depth_key;       ///< a key that tells a unit of depth in a way that is not known; "" = none
-  Box limit;                           ///< instant-ngp's box of side aabb_scale in the poses' axes; empty = not told
+  std::string unclear_depth_key;  ///< a key that tells a unit of depth in a way that is not known; "" = none
+  Box limit;                      ///< instant-ngp's box of side aabb_scale in the poses' axes; empty = not told
+  /// Of the camera that took the depth images, where it is another: its lens, and depth_from_color [4][4] by rows.
+  std::optional<TransformsLens> depth_lens;
+  std::vector<double> depth_from_color;
   std::string classes;                 ///< path of a class table; "" = not told
   std::vector<ClassEntry> class_list;  ///< classes written in the file itself
 };

@@ -261,6 +261,7 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
   const std::vector<const TransformsFrame*> used = used_frames(index, diagnostics);
   const std::vector<Split> splits = splits_of(used, diagnostics);
   check.expect(used.size());
+  read_depth_camera(index, diagnostics);
   for (std::size_t i = 0; i < used.size(); ++i) {
     const TransformsFrame& in = *used[i];
     FrameInfo frame;
@@ -283,7 +284,7 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
     frame.has_instances = !files.instance.empty();
     has_labels = has_labels || frame.has_labels;
     has_depth = has_depth || frame.has_depth;
-    const std::int32_t colors = check.check_headers(frame, files, diagnostics).channels;
+    const std::int32_t colors = check.check_headers(frame, files, diagnostics, depth_camera()).channels;
     if ((colors == 2 || colors == 4) && params_.alpha_background >= 0 &&
         !in.channels.contains(std::string(kAlphaChannel)))
       frame.channels.push_back(alpha_info(frame.camera));
@@ -323,6 +324,26 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
   return info_;
 }
 
+void TransformsJson::read_depth_camera(const TransformsIndex& index, Diagnostics& diagnostics) {
+  depth_camera_.reset();
+  if (!index.depth_lens) return;
+  const std::string place = root_ + ": 'depth_camera'";
+  const TransformsLens& lens = *index.depth_lens;
+  if (!whole_size(lens.w) || !whole_size(lens.h) || lens.fl_x == 0) {
+    diagnostics.error("scene.camera.missing", place, "has no size or no focal length",
+                      "write 'w', 'h', 'fl_x', 'fl_y', 'cx' and 'cy' of the depth images, in pixels");
+    return;
+  }
+  DepthCamera out{camera_of(lens, static_cast<std::int32_t>(lens.w), static_cast<std::int32_t>(lens.h)),
+                  pose_from_rows(index.depth_from_color)};
+  if (!check_camera(out.camera, place, diagnostics)) return;
+  const PoseState state = check_pose(out.depth_from_color, place, diagnostics);
+  if (state == PoseState::not_finite)
+    diagnostics.error("scene.pose.format", place, "'depth_from_color' holds a value that is not finite",
+                      "write 4 rows of 4 numbers");
+  if (state == PoseState::good) depth_camera_ = out;
+}
+
 void TransformsJson::load_classes(const TransformsIndex& index, bool has_labels, Diagnostics& diagnostics) {
   const std::string folder = this->folder();
   const std::string path = !class_file_.empty()       ? class_file_
@@ -345,6 +366,7 @@ void TransformsJson::read(int frame, FrameBuffer& out) const {
   const std::vector<std::string> wanted = out.wanted;
   FrameReadRules rules;
   rules.depth_unit_m = depth_units_m_.at(i);
+  rules.depth_camera = depth_camera();
   rules.alpha_background = params_.alpha_background;
   rules.alpha_masks = params_.alpha_masks;
   rules.unknown_labels = params_.unknown_labels;

@@ -41,12 +41,15 @@ class TransformsJson final : public Dataset {
   std::vector<const TransformsFrame*> used_frames(const TransformsIndex& index, Diagnostics& diagnostics) const;
   std::vector<Split> splits_of(const std::vector<const TransformsFrame*>& frames, Diagnostics& diagnostics) const;
   std::string folder() const;
+  void read_depth_camera(const TransformsIndex& index, Diagnostics& diagnostics);
+  const DepthCamera* depth_camera() const { return depth_camera_ ? &*depth_camera_ : nullptr; }
   void load_classes(const TransformsIndex& index, bool has_labels, Diagnostics& diagnostics);
   TransformsJsonParams params_;
   std::string root_, class_file_;
   SceneInfo info_;
   std::vector<FrameFiles> files_;
   std::vector<std::map<std::string, std::string>> channels_;  // of each frame: name to file
+  std::optional<DepthCamera> depth_camera_;                   // where depth is of another camera
   std::vector<double> depth_units_m_;                         // of each frame
 };
 

@@ -33,8 +33,8 @@ const std::vector<std::string> kLensKeys{"w",
                                          "camera_matrix",
                                          "cam_K"};
 const std::vector<std::string> kFileKeys{
-    "frames",     "classes", "depth_unit_m", "train_filenames",     "test_filenames",         "val_filenames",
-    "aabb_scale", "scale",   "offset",       "integer_depth_scale", "depth_unit_scale_factor"};
+    "frames",     "classes", "depth_unit_m", "train_filenames",     "test_filenames",          "val_filenames",
+    "aabb_scale", "scale",   "offset",       "integer_depth_scale", "depth_unit_scale_factor", "depth_camera"};
 const std::vector<std::string> kFrameKeys{
     "file_path", "depth_path",       "label_path",   "instance_path",       "depth_file_path",
     "mask_path", "transform_matrix", "depth_unit_m", "integer_depth_scale", "depth_unit_scale_factor"};
