@@ -186,6 +186,11 @@ TEST(Process, FiguresOfATinySceneAreNotPrintedAsNought) {
                 dir)
                 .code,
             0);
+  const Result plan =
+      run({"train", config, "--set", "scene.load.pose_scale=1e-4", "--set", "scene.load.depth_scale=1e-4", "--dry-run"},
+          dir);
+  ASSERT_EQ(plan.code, 0) << plan.err;
+  EXPECT_HAS(plan.out, "bounds    0.000");
   const Result eval = run({"eval", dir / "run"}, dir);
   ASSERT_EQ(eval.code, 0) << eval.err;
   const Result json = run({"eval", dir / "run", "--json"}, dir);
