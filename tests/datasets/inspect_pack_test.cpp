@@ -1,4 +1,7 @@
 // inspect, pack and the choice of a preset: what a user reads, and that a packed scene is the scene.
+#include <cstring>
+
+#include "app/scene/capture_replica.h"
 #include "app/scene/inspect_report.h"
 #include "app/scene/pack_scene.h"
 #include "app/scene/preset_advice.h"
@@ -159,6 +162,47 @@ TEST(Inspect, FrustaFileHasTheStatedSize) {
   const std::size_t body = file.find("end_header\n") + 11;
   EXPECT_HAS(file, "element vertex 20\n");
   EXPECT_EQ(file.size() - body, 20u * 27 + 4u * (4 * 13 + 17));
+}
+
+// The layout has whole millimetres: depth of less is lost, and counted.
+TEST(Capture, DepthThatMillimetresDoNotHoldIsCounted) {
+  const std::string folder = fresh_folder("c");
+  write_png_rgb(folder + "/a.png", 4, 2, std::vector<std::uint8_t>(24, 9));
+  write_png_gray16(folder + "/d.png", 4, 2, std::vector<std::uint16_t>{0, 1, 4, 5, 10, 20, 30, 65000});
+  write_file_atomic(folder + "/transforms.json",
+                    std::string_view("{\"fl_x\": 3, \"depth_unit_m\": 0.0001, \"frames\": [{\"file_path\": "
+                                     "\"a.png\", \"depth_path\": \"d.png\", \"transform_matrix\": "
+                                     "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}"));
+  TransformsJson scene(TransformsJsonParams{.root = folder}, {});
+  Diagnostics d;
+  const SceneInfo info = scene.open(d);
+  ASSERT_FALSE(d.has_errors()) << d.all()[0].text();
+  EXPECT_EQ(capture_replica(scene, info, folder + "/out").depth_clipped, 2) << "a tenth and four tenths";
+  EXPECT_EQ(read_ids(folder + "/out/depth/depth_0.png").pixels,
+            (std::vector<std::uint16_t>{0, 0, 0, 1, 1, 2, 3, 6500}));
+}
+
+// Two cameras a thousandth apart, ten million away from 0, and nothing else that tells a size.
+TEST(Inspect, FrustaSuitTheDistanceAndThePlaceOfTheCameras) {
+  LoadedScene scene;
+  for (const double x : {1e7, 1e7 + 1e-3}) {
+    FrameInfo frame{.name = "f"};
+    frame.camera = room_camera();
+    frame.world_from_camera.t = {x, 0, 0};
+    scene.info.frames.push_back(frame);
+  }
+  scene.frames.resize(2);
+  scene.class_pixels.resize(2);
+  const std::string path = fresh_folder("f") + "/cameras.ply";
+  write_frusta_ply(path, scene);
+  const std::string file = read_text_file(path);
+  const auto number = [&](std::size_t vertex, std::size_t axis) {
+    double out = 0;
+    std::memcpy(&out, file.data() + file.find("end_header\n") + 11 + 27 * vertex + 8 * axis, sizeof out);
+    return out;
+  };
+  EXPECT_NEAR(number(5, 0) - number(0, 0), 1e-3, 1e-8) << "centres";
+  EXPECT_NEAR(number(1, 2), 2e-5, 1e-9) << "a fiftieth of their distance";
 }
 
 // The preset that `semfield inspect` advises is the one that trained best: docs/evidence/scenes.md has the figures.

@@ -109,6 +109,20 @@ TEST(FuseVerb, DepthOfARunAndItsOwnRow) {
                dir);
   EXPECT_EQ(other.code, 65);
   EXPECT_HAS(other.err, "the camera stands elsewhere in the scene of");
+
+  // In a room a ten-thousandth as large, cameras a fifth farther out are elsewhere too.
+  const auto scaled = [](const std::string& by) {
+    return " --set scene.load.pose_scale=" + by + " --set scene.load.depth_scale=" + by;
+  };
+  ASSERT_EQ(
+      semfield("train " + shell_word(config) + scaled("1e-4") + " --steps 2 --out " + shell_word(dir / "small"), dir)
+          .code,
+      0);
+  const std::string fuse = " --depth-from " + shell_word(dir / "small");
+  EXPECT_EQ(semfield("fuse " + shell_word(config) + scaled("1e-4") + fuse, dir).code, 0);
+  const Result elsewhere = semfield("fuse " + shell_word(config) + scaled("1.2e-4") + fuse, dir);
+  EXPECT_EQ(elsewhere.code, 65);
+  EXPECT_HAS(elsewhere.err, "the camera stands elsewhere in the scene of");
 }
 
 TEST(FuseVerb, RealProbabilities) {

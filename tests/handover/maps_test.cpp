@@ -62,19 +62,19 @@ TEST(VoxelMap, ARayFromOutsideIsCutToTheGrid) {
 }
 
 // A floor of ten by six cubes, a low thing, a high one, and one cube of the floor that nobody saw above.
-VoxelMap furnished(int up_axis, bool negative) {
+VoxelMap furnished(int up_axis, bool negative, double unit = 1) {
   const auto turned = [&](Vec3d p) {  // z of the room along the axis that is up
     if (negative) p.z = -p.z;
     Vec3d out;
     out[up_axis] = p.z;
     out[(up_axis + 1) % 3] = p.x;
     out[(up_axis + 2) % 3] = p.y;
-    return out;
+    return out * unit;
   };
   Box box;
   box.include(turned({0, 0, 0}));
   box.include(turned({0.99, 0.59, 0.99}));
-  VoxelMap map = map_of(box);
+  VoxelMap map = map_of(box, 0.1 * unit);
   for (int y = 0; y < 6; ++y)
     for (int x = 0; x < 10; ++x) {
       const double u = 0.1 * x + 0.05, v = 0.1 * y + 0.05;
@@ -117,6 +117,18 @@ TEST(Costmap, ABandAboveTheFloorIsSeenFromAbove) {
             "..........\n"
             "..........\n"
             "..........\n");
+}
+
+// The low thing ends 0.3 above the floor: a band reaches into it by a share of a cube, and another begins there.
+TEST(Costmap, ABandIsTheSameInEveryUnit) {
+  for (const double unit : {1e-4, 1.0, 1e6}) {
+    const VoxelMap map = furnished(2, false, unit);
+    const auto low_thing = [&](double from) {
+      return drawn(costmap_of(map, {0, 0, 1}, {from * unit, 0.5 * unit})).find('#') != std::string::npos;
+    };
+    EXPECT_TRUE(low_thing(0.299995)) << unit;
+    EXPECT_FALSE(low_thing(0.3)) << unit;
+  }
 }
 
 TEST(Costmap, TheImageIsNoMirrorWhateverIsUp) {

@@ -195,6 +195,37 @@ TEST(LabelExport, ImagesOfOneNameInTwoFoldersStayTwo) {
 
 using namespace testing_program;
 
+// Two cameras whose images have one name: readers find their frames by the folders.
+TEST(ExportVerb, ImagesOfOneNameAreCalledWithTheirFolders) {
+  const std::string folder = fresh_folder("rig"), room = folder + "/room";
+  std::string frames;
+  for (const std::string side : {"left", "right"}) {
+    std::filesystem::create_directories(room + "/" + side);
+    write_png_rgb(room + "/" + side + "/0001.png", 8, 6, std::vector<std::uint8_t>(144, 90));
+    frames += (frames.empty() ? "{" : ", {") + std::string("\"file_path\": \"") + side +
+              "/0001.png\", \"depth_path\": \"depth.png\", \"label_path\": \"label.png\", \"transform_matrix\": "
+              "[[1,0,0," +
+              (side == "left" ? "0" : "1") + "],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}";
+  }
+  write_png_gray16(room + "/depth.png", 8, 6, std::vector<std::uint16_t>(48, 1500));
+  write_png_gray8(room + "/label.png", 8, 6, std::vector<std::uint8_t>(48, 1));
+  write_file_atomic(room + "/classes.yaml", std::string_view("- {id: 0, name: void, ignore: true}\n"
+                                                             "- {id: 1, name: wall}\n- {id: 2, name: chair}\n"));
+  write_file_atomic(room + "/transforms.json", "{\"fl_x\": 8, \"depth_unit_m\": 0.001, \"frames\": [" + frames + "]}");
+  write_file_atomic(folder + "/room.yaml",
+                    std::string_view("scene: {type: transforms_json, root: room, test_every: 0}\n"
+                                     "passes:\n  - name: main\n    sampler: {type: stratified, samples: 8}\n"
+                                     "    position: {type: frequency, frequencies: 2}\n"
+                                     "    field: {type: nerf_mlp, depth: 2, width: 16, skip_at: 0}\n"
+                                     "train: {steps: 2, rays: 8}\n"));
+  const Result trained = semfield_run("train room.yaml --threads 1 --out run -q", folder);
+  ASSERT_EQ(trained.code, 0) << trained.err;
+  const Result r = semfield_run("export run --split train --format coco --out coco.json", folder);
+  ASSERT_EQ(r.code, 0) << r.err;
+  EXPECT_HAS(read_text_file(folder + "/coco.json"), "\"file_name\":\"left/0001.png\"",
+             "\"file_name\":\"right/0001.png\"");
+}
+
 TEST(ExportVerb, EveryFormHoldsTheRenderedLabels) {
   const std::string folder = fresh_folder("t");
   testing_room::write_replica(folder + "/room", 5);

@@ -1,4 +1,5 @@
 // Labels are drawn over pictures as viewers show them: every reader, every EXIF orientation, at every loaded size.
+#include <algorithm>
 #include <cmath>
 
 #include "formats/npz.h"
@@ -284,6 +285,35 @@ TEST(TurnedPictures, ExportsAreAsShownAndReadBack) {
   for (const char* number : {"0", "4"})
     EXPECT_EQ(read_ids(folder + "/again/semantic_class/semantic_class_" + number + ".png").pixels,
               read_ids(folder + "/labels/" + number + ".png").pixels);
+}
+
+// Frame 0 is shown upside down; the room's own label images are drawn over it so.
+TEST(TurnedPictures, ProbabilitiesAndFusedMapsAreAsShown) {
+  const std::string folder = fresh_folder("t");
+  testing_room::write_replica(folder + "/room", 5);
+  set_orientation(folder + "/room/rgb/rgb_0.png", 3);
+  const auto write_config = [&](const std::string& labels) {
+    write_file_atomic(folder + "/room.yaml", "include: " + std::string(SEMFIELD_SOURCE_DIR) +
+                                                 "/configs/presets/room.yaml\nscene: {type: replica, root: room, "
+                                                 "train_step: 2, test_step: 2, test_offset: 1" +
+                                                 labels + "}\n");
+  };
+  write_config("");
+  const Result fused = semfield_run("fuse room.yaml --method monocular --out maps", folder);
+  ASSERT_EQ(fused.code, 0) << fused.err;
+  EXPECT_EQ(read_ids(folder + "/maps/monocular/rgb_0_label.png").pixels,
+            read_ids(folder + "/room/semantic_class/semantic_class_0.png").pixels);
+  write_config(", labels: {degrade: [{type: simulated_predictions}]}");
+  const Result degraded = semfield_run("degrade room.yaml --out given", folder);
+  ASSERT_EQ(degraded.code, 0) << degraded.err;
+  const std::vector<float> soft =
+      read_npy(folder + "/given/probability/rgb_0.npy", [](std::span<const std::int64_t>) {}).values;
+  const std::vector<std::uint16_t> ids = read_ids(folder + "/given/semantic_class/semantic_class_0.png").pixels;
+  ASSERT_EQ(soft.size(), 6 * ids.size());
+  for (std::size_t p = 0; p < ids.size(); ++p) {
+    const auto row = soft.begin() + static_cast<std::ptrdiff_t>(6 * p);
+    ASSERT_EQ(ids[p], std::max_element(row, row + 6) - row + 1) << p;
+  }
 }
 
 }  // namespace

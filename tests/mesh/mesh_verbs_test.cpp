@@ -160,6 +160,29 @@ TEST_F(Verbs, MeshIsScoredAgainstDepthImages) {
   EXPECT_TRUE(of_sensor["score"]["sensor"].is_null());
 }
 
+// A scene of another unit: what is a length without being asked for is a share of its longest side.
+TEST_F(Verbs, LengthsThatNobodyNamesAreSharesOfALargeScene) {
+  const std::string large = *dir_ / "large";
+  const std::vector<std::string> scale{"--set", "scene.load.pose_scale=300", "--set", "scene.load.depth_scale=300"};
+  std::vector<std::string> train{"train", *dir_ / "config.yaml", "--out", large};
+  train.insert(train.end(), scale.begin(), scale.end());
+  ASSERT_EQ(run(*dir_, train).code, 0);
+  const Result scored =
+      run(*dir_, {"mesh", large, "--resolution", "48", "--score", "--json", "--out", *dir_ / "l.ply"});
+  ASSERT_EQ(scored.code, 0) << scored.err;
+  const nlohmann::json score = nlohmann::json::parse(scored.out)["score"];
+  const double metre = score["distances"][2].get<double>() / 0.1;
+  EXPECT_GT(metre, 150) << "a fifth of the room's longest side";
+  EXPECT_LT(metre, 600);
+  EXPECT_NEAR(score["distances"][0].get<double>(), 0.02 * metre, 1e-9 * metre);
+  EXPECT_GT(score["sensor"]["complete"][2], 0.9) << "the distances are those that are counted within";
+  const Result map = run(*dir_, {"mesh", large, "--format", "pgm", "--out", *dir_ / "l.pgm"});
+  ASSERT_EQ(map.code, 0) << map.err;
+  char band[64];
+  std::snprintf(band, sizeof band, "has what lies %.3g to %.3g above it", 0.1 * metre, metre);
+  EXPECT_HAS(map.err, band);
+}
+
 TEST_F(Verbs, AMeshOfASceneWithoutDepthHasNoScore) {
   const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene();
   Diagnostics diagnostics;

@@ -56,6 +56,20 @@ TEST(ReadSegments, AnImageOfAnotherSizeIsReadByItsNearestPixel) {
   EXPECT_EQ(frame.at(3, 2, kWidth, kHeight), 7);
 }
 
+// Orientation 6: viewers turn the image to the right, and stored pixel (x, y) is shown at (2 - y, x).
+TEST(ReadSegments, OfATurnedPhotographAreThoseOfItsStoredPixels) {
+  SceneInfo info = scene_info();
+  info.frames[0].orientation = 6;
+  std::vector<std::uint8_t> shown(kIds.size());
+  for (std::size_t y = 0; y < 3; ++y)
+    for (std::size_t x = 0; x < 4; ++x) shown[3 * x + 2 - y] = static_cast<std::uint8_t>(kIds[4 * y + x]);
+  const TempDir dir;
+  write_png_gray8(dir / "rgb_0.png", kHeight, kWidth, shown);
+  const FrameSegments frame = read_segments(dir.path(), "", info).frames[0];
+  EXPECT_EQ(frame.width_px, kWidth);
+  EXPECT_EQ(frame.id, kIds);
+}
+
 TEST(ReadSegments, PanopticImagesHaveClassesByName) {
   const TempDir dir;
   std::vector<std::uint8_t> rgb(3 * kIds.size(), 0);
@@ -156,6 +170,8 @@ TEST(ReadSegments, WhatIsWrongWithMasksOfNumPyIsNamed) {
                "'b'", "(6, 8)", "(3, 4)");
   EXPECT_ERROR(read({{"a", "|b1", {1, 3, 4}, all}}), "labels.array.shape", "'a'", "'masks'");
   EXPECT_ERROR(read({{"scores", "<f4", {3}, all}}), "labels.array.shape", "rgb_0.npz", "no masks");
+  EXPECT_ERROR(read({{"masks", "|b1", {10001, 3, 4}, std::string(12 * 10001, '\0')}}), "labels.array.shape", "'masks'",
+               "at most 10000 masks");
   const ByteArray masks{"masks", "|b1", {1, 3, 4}, all};
   EXPECT_ERROR(read({masks, {"class_ids", "|u1", {2}, "\1\1"}}), "labels.array.shape", "'class_ids'", "(2,)", "(1,)");
   EXPECT_ERROR(read({masks, {"class_ids", "|u1", {1}, "\7"}}), "labels.id.unknown", "'class_ids'", "mask 1", "7");

@@ -57,6 +57,7 @@ return Promise.all(['model', 'viewport', 'colors', 'fly', 'plots', 'events', 'ap
   is(plots.polyline([0, 1, 2], [1, null, 3], false), '0.0,38.0 200.0,2.0', 'a plot with a gap');
   const looks = {position: [0, 0, 0], rotation: [1, 0, 0, 0, 0, 1, 0, -1, 0], fov_deg: 60};  // along y, z is above
   is(fly.upOf([looks]).map(Math.round).map((v) => v + 0), [0, 0, 1], 'up');
+  is([1e-7, 1, 1e6].map((unit) => fly.paceOf([{position: [-3 * unit, 0, 0]}, {position: [3 * unit, 0, 0]}]) / unit).map((v) => v.toFixed(6)), Array(3).fill('1.000000'), 'the pace is that of any unit');
   const camera = new fly.FreeCamera(looks, [0, 0, 1]);
   camera.move(0, 0, 2);
   is(camera.position, [0, 2, 0], 'ahead');

@@ -138,6 +138,8 @@ TEST(LabelsSection, ShowsRunsThatKnowTheirLabelsAndNamesTheOthers) {
   EXPECT_EQ(count_of(html, "<svg viewBox=\"0 0 540"), 4u) << "two metrics over pixels and over frames";
   EXPECT_HAS(html, "logarithmic number of labels", "few: 0.700 at 76800", "many: 0.700 at 100",
              "older version): &lt;old&gt;.</p>");
+  for (const auto& [run, pixels] : {std::pair{0, 900}, {1, 300}}) input.runs[run].rows.back().set("pixels", pixels);
+  EXPECT_LACKS(labels_section(input, "test"), "<svg viewBox=\"0 0 540") << "scored on other pixels";
 }
 
 TEST(LabelsSection, SaysWhatWasDoneToLabelsAndWhatTheyWereWorth) {

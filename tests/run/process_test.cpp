@@ -177,6 +177,33 @@ TEST(Process, AStepOfDepthPicturesSuitsTheSceneAndIsSaid) {
   }
 }
 
+// A figure that is a length has its digits in a scene of any unit.
+TEST(Process, FiguresOfATinySceneAreNotPrintedAsNought) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, 5, 0);
+  ASSERT_EQ(run({"train", config, "--set", "scene.load.pose_scale=1e-4", "--set", "scene.load.depth_scale=1e-4",
+                 "--out", dir / "run"},
+                dir)
+                .code,
+            0);
+  const Result plan =
+      run({"train", config, "--set", "scene.load.pose_scale=1e-4", "--set", "scene.load.depth_scale=1e-4", "--dry-run"},
+          dir);
+  ASSERT_EQ(plan.code, 0) << plan.err;
+  EXPECT_HAS(plan.out, "bounds    0.000");
+  const Result eval = run({"eval", dir / "run"}, dir);
+  ASSERT_EQ(eval.code, 0) << eval.err;
+  const Result json = run({"eval", dir / "run", "--json"}, dir);
+  ASSERT_EQ(json.code, 0) << json.err;
+  for (const std::string name : {"absdiff", "sqrel", "rmse"}) {
+    const std::size_t at = eval.out.find("  " + name + " ");
+    ASSERT_NE(at, std::string::npos) << eval.out;
+    const double meant = nlohmann::json::parse(json.out)[name].get<double>();
+    ASSERT_LT(meant, 1e-3) << name;
+    EXPECT_NEAR(std::stod(eval.out.substr(at + 3 + name.size())), meant, 1e-3 * meant) << name;
+  }
+}
+
 struct Refusal {
   std::vector<std::string> words;
   int code;

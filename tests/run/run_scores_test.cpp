@@ -115,6 +115,31 @@ TEST(RunScores, ARunWithATimeLimitScoresEveryFrameAtFewerPixelsAndSaysSo) {
   EXPECT_EQ(cut.bits, whole.bits) << "what is scored changes no bit of training";
 }
 
+// 888 s are left after a probe of 300 s: too little for three frames of 300 s, and half of it is enough for one.
+TEST(RunScores, PicturesAreFinerThanTheScoresWhereTheTimeAllowsIt) {
+  class Pictures final : public RunListener {
+   public:
+    std::vector<std::int32_t> width_px;
+    double now_s() override { return clock_s_ += 300; }
+    std::string write_report(const RunFolder&, const Session&, const ReportFrames& frames) override {
+      for (const auto& [score, maps] : frames.strips()) width_px.push_back(maps.width_px);
+      return "";
+    }
+
+   private:
+    double clock_s_ = 0;
+  };
+  const TempDir dir;
+  Registry registry = make_registry();
+  RunConfig config = config_of(hash_config("report: {eval_every_s: 0, strips: 1, worst_frames: 0}\n"), registry);
+  config.train.steps = 60;
+  config.train.time_s = 1080;
+  Pictures pictures;
+  const TrainOutcome outcome = run_training(std::move(config), registry, {.out_dir = dir / "run"}, &pictures);
+  EXPECT_EQ(outcome.scored.stride, 2);
+  EXPECT_EQ(pictures.width_px, std::vector<std::int32_t>{48});
+}
+
 TEST(RunScores, WithoutATimeLimitTheWholeSplitIsScored) {
   const TempDir dir;
   const Scored scored = run_scored("report: {eval_every_s: 0, strips: 0}\n", 0, 1e6, dir);

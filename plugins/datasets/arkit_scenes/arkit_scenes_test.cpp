@@ -66,6 +66,8 @@ TEST(ArkitScenes, WhatDoesNotFitIsNamed) {
                "7 numbers");
   EXPECT_ERROR(open(scene_of("10 0 0 0 0 0 0\n10.1 0 0 0 0 0 0\n10.0 0 0 0 5 5 5\n"), d), "scene.index.twice",
                "lowres_wide.traj:3", "lowres_wide.traj:1");
+  EXPECT_ERROR(open(scene_of("10 0 0 0 0 0 0\nnan 0 0 0 0 0 0\n"), d), "scene.index.value", "lowres_wide.traj:2",
+               "the time is not finite");
   const std::string twice = scene_of("10 0 0 0 0 0 0\n");
   std::filesystem::copy(twice + "/lowres_wide/42_10.000.png", twice + "/lowres_wide/43_10.0.png");
   open(twice, d);

@@ -140,6 +140,34 @@ TEST(TransformsDialects, DepthAsArrays) {
   }
 }
 
+// 4 x 2 pixels of 16 bits and one value, in one strip without compression.
+void write_steps_tiff(const std::string& path, std::uint16_t steps) {
+  const std::uint16_t entries[][3] = {{256, 3, 4},   {257, 3, 2}, {258, 3, 16}, {259, 3, 1}, {262, 3, 1},
+                                      {273, 4, 122}, {277, 3, 1}, {278, 3, 2},  {279, 4, 16}};
+  std::string out("II\x2a\0\x08\0\0\0\x09\0", 10);
+  const auto put = [&out](std::uint32_t value, int bytes) {
+    for (int i = 0; i < bytes; ++i) out += static_cast<char>(value >> (8 * i));
+  };
+  for (const auto& [tag, type, value] : entries) {
+    put(tag, 2);
+    put(type, 2);
+    put(1, 4);
+    put(value, 4);
+  }
+  put(0, 4);
+  for (int i = 0; i < 8; ++i) put(steps, 2);
+  write_file_atomic(path, out);
+}
+
+TEST(TransformsDialects, DepthAsTiffOfSixteenBitsIsInSteps) {
+  if (!images_available()) GTEST_SKIP() << "this build reads no TIFF (SEMFIELD_WITH_IMAGES=OFF)";
+  Scene s("s");
+  s.image("a.png");
+  write_steps_tiff(s.folder + "/d.tif", 2000);
+  s.index(std::string(kLens) + "\"depth_unit_m\": 0.0005, ", {"\"file_path\": \"a.png\", \"depth_path\": \"d.tif\""});
+  EXPECT_EQ(s.read().depth_m, std::vector<float>(8, 1.0F));
+}
+
 std::string splits_of(const Scene& s, Diagnostics& d) {
   std::string out;
   for (const FrameInfo& f : s.open(d).frames) out += f.split == Split::test ? 'T' : f.split == Split::train ? '.' : '-';
