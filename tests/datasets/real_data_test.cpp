@@ -114,7 +114,10 @@ TEST(RealData, Record3dDoor) {
   Record3d phone(Record3dParams{{.root = data("record3d_door")}}, {});
   Diagnostics d;
   const LoadedScene s = load_scene(phone, {.width_px = 240}, d);
-  for (const Diagnostic& x : d.all()) EXPECT_EQ(x.severity, Severity::note) << x.text();
+  // The tracker's poses do not fit the photographs; nothing else is wrong.
+  for (const Diagnostic& x : d.all())
+    EXPECT_TRUE(x.severity == Severity::note || x.code == "scene.camera.off") << x.text();
+  EXPECT_TRUE(s.cameras_are_off());
   ASSERT_EQ(s.info.frames.size(), 86u);
   EXPECT_EQ(s.frames_of(Split::test).size(), 11u);
   EXPECT_EQ(s.info.frames[1].name, "4");
