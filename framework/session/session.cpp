@@ -157,8 +157,7 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
                      std::unique_ptr<Sampler<float>>& last, Diagnostics& diagnostics) {
   Session s;
   s.config = std::move(config);
-  DatasetBuild dataset_build;
-  dataset_build.config_dir = s.config.base_dir;
+  const DatasetBuild dataset_build{s.config.base_dir};
   std::unique_ptr<Dataset> dataset = s.config.dataset.entry->dataset(*s.config.dataset.params, dataset_build);
   SceneLoadOptions load = s.config.load;
   const bool make_labels = !options.known || options.labels;
@@ -185,9 +184,8 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   s.manifest = options.known ? options.known->manifest : manifest_of(s.scene, s.labels);
   if (options.known) s.scene.pixel_footprint_m = options.known->pixel_footprint_m;
   last = make_last_sampler(s.config, registry, extent_of(s));
-  const CameraReasons why = choose_cameras(
-      s.config.cameras, {s.scene.info.tracked, s.scene.exposure,
-                         s.scene.cameras.corners > 0 ? std::optional(!s.scene.cameras.off) : std::nullopt});
+  const std::optional<bool> fits = s.scene.cameras.corners > 0 ? std::optional(!s.scene.cameras.off) : std::nullopt;
+  const CameraReasons why = choose_cameras(s.config.cameras, {s.scene.info.tracked, s.scene.exposure, fits});
   BuildRequest request = build_request(s.config, registry, last->traits());
   request.poses_why = why.poses;
   request.colors_why = why.colors;
@@ -347,7 +345,6 @@ EvalJob Session::eval_job(std::vector<int> frames) const {
   job.frames = std::move(frames);
   job.classes = classes();
   job.undistort = plan.undistortion;
-  // A camera whose exposure changes shows held-out frames as no field can know them.
   job.fit_colors = config.cameras.colors == CameraTrust::learned;
   return job;
 }

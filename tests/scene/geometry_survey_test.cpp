@@ -1,6 +1,8 @@
 // Poses against pixels: every convention is named from depth and from photographs, and right scenes are left in peace.
 #include "scene/survey/geometry_survey.h"
 
+#include <algorithm>
+
 #include "compute/parallel.h"
 #include "loading/frame_source.h"
 #include "scene/bundle.h"

@@ -26,10 +26,8 @@ struct CameraReasons {
   std::vector<std::string> learned;  ///< a line for each that is learned, which no list of parts left out has
 };
 
-/// Puts what `auto` is in place of it. Poses: learned where a phone's tracker gave them, which drifts, and the
-/// photographs do not say that they fit. Poses of renderings and of structure from motion are better than what training
-/// makes of them, and far wrong ones are for `prepare` to fix, which training does less well. Colours: learned where
-/// brightness changes by more than kExposureChanges.
+/// Puts what `auto` is in place of it. Poses: learned where a phone's tracker gave them and photographs do not say that
+/// they fit; far wrong ones are for `prepare` to fix. Colours: learned where brightness changes.
 CameraReasons choose_cameras(CameraParams& cameras, const CameraEvidence& evidence);
 
 }  // namespace semfield

@@ -4,26 +4,24 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
-#include <limits>
-#include <numeric>
 #include <optional>
 
 #include "scene/rotation.h"
+#include "scene/survey/bundle_parts.h"
 
 namespace semfield {
 
+using namespace bundle_parts;
+
 namespace {
 
-constexpr int kPoseSize = 6, kLensSize = 8;
+constexpr int kPoseSize = 6;
+constexpr double kTurnMotion = 0.05, kShiftMotion = 0.05;  // of depth_from_color; the shift in Bundle::middle
+constexpr int kLensSize = 8;
 // One sigma of what a stated lens is off by.
 constexpr double kLensSigma[kLensSize] = {0.3, 0.3, 0.03, 0.03, 0.3, 0.3, 0.01, 0.01};
 constexpr double kAspect = 0.003;  // of fy over fx, beyond what was stated
 constexpr double kFixed = 1e12;
-constexpr double kLeastParallax = 0.01;  // radians between two rays that say where a point is
-constexpr double kDepthEdge = 0.04;      // relative step of depth between neighbours that is an edge
-constexpr double kOffDepth = 0.15;       // relative distance beyond which a point is not of the surface shown
-constexpr double kTurnMotion = 0.05, kShiftMotion = 0.05;  // of depth_from_color; the shift in Bundle::middle
-constexpr std::size_t kFewestOnDepth = 50;
 constexpr double kTogether = 0.2;  // share of a pose's sigma by which neighbours that stand still differ
 
 using Vec3e = Eigen::Vector3d;
@@ -66,38 +64,6 @@ Eigen::Matrix<double, kPoseSize, 1> moved_by(const Pose& given, const Pose& now)
   Eigen::Matrix<double, kPoseSize, 1> out;
   out << logarithm(turn), shift;
   return out;
-}
-
-// The surface that a frame's depth shows where a point in the axes of its depth camera is seen: a point and a normal.
-struct Facet {
-  Vec3e at, normal;
-};
-std::optional<Facet> facet_at(const BundleDepth& view, Vec3d p) {
-  const Camera& c = view.camera;
-  if (view.depth_m.empty() || !c.sees(p) || !c.is_within_lens(p)) return {};
-  double u = 0, v = 0;
-  c.project(p, u, v);
-  if (!(u >= 1 && v >= 1 && u < c.width_px - 1 && v < c.height_px - 1)) return {};
-  const auto x = static_cast<std::int32_t>(u), y = static_cast<std::int32_t>(v);
-  const auto at = [&](std::int32_t dx, std::int32_t dy) -> std::optional<Vec3e> {
-    const double depth =
-        static_cast<double>(view.depth_m[static_cast<std::size_t>(y + dy) * static_cast<std::size_t>(c.width_px) +
-                                         static_cast<std::size_t>(x + dx)]);
-    const Vec3d ray = c.direction(x + dx + 0.5, y + dy + 0.5);
-    if (!(depth > 0) || !(c.depth_of(ray) > 0)) return {};
-    return Vec3e(eigen(ray) * (depth / c.depth_of(ray)));
-  };
-  const auto middle = at(0, 0), left = at(-1, 0), right = at(1, 0), up = at(0, -1), down = at(0, 1);
-  if (!middle || !left || !right || !up || !down) return {};
-  const double reach = middle->norm();
-  for (const auto& side : {left, right, up, down}) {
-    if (std::abs(side->norm() - reach) > kDepthEdge * reach) return {};
-  }
-  const Vec3e normal = (*right - *left).cross(*down - *up);
-  if (!(normal.norm() > 0)) return {};
-  Facet out{*middle, normal.normalized()};
-  const double off = std::abs(out.normal.dot(eigen(p) - out.at));
-  return off < kOffDepth * reach ? std::optional<Facet>(out) : std::nullopt;
 }
 
 // A sighting's errors and their slopes, each in units of its sigma.
@@ -194,7 +160,7 @@ class Adjustment {
       if (facet) {
         out.count = 3;
         const double distance_sigma = 3 * o_.depth_share * in_depth.norm();
-        out.error.z() = facet->normal.dot(in_depth - facet->at) / distance_sigma;
+        out.error.z() = eigen(facet->normal).dot(in_depth - eigen(facet->at)) / distance_sigma;
         squared_depth = std::min(squared_depth, out.error.z() * out.error.z());
         out.weight[2] = 1 / (1 + squared_depth);
       }
@@ -233,7 +199,7 @@ class Adjustment {
     }
     if (facet) {
       const double distance_sigma = 3 * o_.depth_share * in_depth.norm();
-      const Eigen::RowVector3d n = facet->normal.transpose() / distance_sigma;
+      const Eigen::RowVector3d n = eigen(facet->normal).transpose() / distance_sigma;
       const Eigen::RowVector3d n_in_color = n * turn_of(b_.depth_from_color);
       out.by_pose.row(2) = n_in_color * p_by_pose;
       out.by_point.row(2) = n_in_color * p_by_point;
@@ -432,13 +398,6 @@ class Adjustment {
   mutable std::vector<Vec3d> points_;
 };
 
-double median(std::vector<double> values) {
-  if (values.empty()) return 0;
-  const auto middle = values.begin() + std::ssize(values) / 2;
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
 }  // namespace
 
 Camera LensChange::applied_to(const Camera& stated) const {
@@ -467,85 +426,9 @@ Pose moved(const Pose& world_from_camera, const std::array<double, 6>& by) {
   return out;
 }
 
-void Bundle::measure() {
-  std::vector<double> distances;
-  for (const Track& track : tracks)
-    for (const Sighting& s : track.seen)
-      distances.push_back(length(track.point - poses[static_cast<std::size_t>(s.frame)].t));
-  if (!distances.empty()) middle = median(std::move(distances));
-}
-
-double error_px(const Bundle& bundle, const Track& track, const Sighting& sighting) {
-  const auto f = static_cast<std::size_t>(sighting.frame);
-  const Camera camera = bundle.camera(f);
-  const Vec3d p = bundle.poses[f].apply_inverse(track.point);
-  if (!camera.sees(p)) return std::numeric_limits<double>::infinity();
-  double u = 0, v = 0;
-  camera.project(p, u, v);
-  return std::hypot(u - sighting.u, v - sighting.v);
-}
-
-double median_error_px(const Bundle& bundle) {
-  std::vector<double> errors;
-  for (const Track& track : bundle.tracks)
-    for (const Sighting& s : track.seen) errors.push_back(error_px(bundle, track, s));
-  return median(std::move(errors));
-}
-
-bool settle_point(const Bundle& bundle, Track& track) {
-  // Where all rays come nearest, then Gauss-Newton on the angles between rays and the point.
-  Mat3 a = Mat3::Zero();
-  Vec3e g = Vec3e::Zero();
-  std::vector<Vec3e> rays, centers;
-  double widest = 0;
-  for (const Sighting& s : track.seen) {
-    const auto f = static_cast<std::size_t>(s.frame);
-    const Vec3d ray = bundle.camera(f).direction(s.u, s.v);
-    if (dot(ray, ray) == 0) return false;
-    rays.push_back(eigen(bundle.poses[f].rotate(ray)));
-    centers.push_back(eigen(bundle.poses[f].t));
-    for (const Vec3e& other : rays) widest = std::max(widest, rays.back().cross(other).norm());
-  }
-  if (widest < kLeastParallax) return false;
-  for (int pass = 0; pass < 8; ++pass) {
-    Vec3e x = eigen(track.point);
-    a.setZero();
-    g.setZero();
-    for (std::size_t i = 0; i < rays.size(); ++i) {
-      const Mat3 across = Mat3::Identity() - rays[i] * rays[i].transpose();
-      const double reach = pass == 0 ? 1 : std::max(1e-9 * bundle.middle, (x - centers[i]).norm());
-      const double off = pass == 0 ? 0 : (across * (x - centers[i])).norm() / reach;
-      const double weight = 1 / (reach * reach * (1 + off * off / 1e-4));
-      a += weight * across;
-      g += weight * across * centers[i];
-    }
-    x = a.ldlt().solve(g);
-    if (!x.allFinite()) return false;
-    track.point = plain(x);
-  }
-  return std::all_of(track.seen.begin(), track.seen.end(),
-                     [&](const Sighting& s) { return std::isfinite(error_px(bundle, track, s)); });
-}
-
 void adjust(Bundle& bundle, const BundleOptions& options) {
   if (bundle.tracks.empty()) return;
   Adjustment(bundle, options).run();
-}
-
-double share_on_depth(const Bundle& bundle) {
-  std::size_t all = 0, on = 0;
-  for (const Track& track : bundle.tracks) {
-    for (const Sighting& s : track.seen) {
-      const auto f = static_cast<std::size_t>(s.frame);
-      if (f >= bundle.depth.size()) continue;
-      const Vec3d p = bundle.depth_from_color.apply(bundle.poses[f].apply_inverse(track.point));
-      const std::optional<Facet> facet = facet_at(bundle.depth[f], p);
-      if (!facet) continue;
-      ++all;
-      on += std::abs(facet->normal.dot(eigen(p) - facet->at)) < 0.02 * length(p) ? 1 : 0;
-    }
-  }
-  return all < kFewestOnDepth ? -1 : static_cast<double>(on) / static_cast<double>(all);
 }
 
 void align_depth(Bundle& bundle) {
@@ -562,8 +445,8 @@ void align_depth(Bundle& bundle) {
         if (!facet) continue;
         ++found;
         const double sigma = 0.02 * length(q);
-        const Vec3e n = facet->normal / sigma;
-        const double error = n.dot(eigen(q) - facet->at), weight = 1 / (1 + error * error);
+        const Vec3e n = eigen(facet->normal) / sigma;
+        const double error = n.dot(eigen(q - facet->at)), weight = 1 / (1 + error * error);
         Vec6 slope;
         slope << eigen(q).cross(n), n;
         h += weight * slope * slope.transpose();
