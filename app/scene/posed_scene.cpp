@@ -7,6 +7,7 @@
 
 #include "eval/image_output.h"
 #include "formats/image_io.h"
+#include "loading/depth_camera.h"
 #include "scene/classes/void_class.h"
 #include "system/files.h"
 
@@ -45,10 +46,6 @@ Json matrix_json(const Pose& pose, bool turned) {
   return out;
 }
 
-bool is_picture(const std::string& end) {
-  return end == ".jpg" || end == ".jpeg" || end == ".png" || end == ".JPG" || end == ".JPEG" || end == ".PNG";
-}
-
 // A power of ten of the unit with which the farthest depth fits 16 bits.
 double step_for(double farthest) {
   return farthest > 0 ? std::pow(10.0, std::ceil(std::log10(farthest / kMostDepthSteps))) : 1e-3;
@@ -62,8 +59,10 @@ void write_fixed_scene(const PosedScene& scene, const FixedCameras& cameras, con
   const ClassTable classes = info.classes.empty() ? info.classes : with_void(info.classes);
   const fs::path out(folder);
   Json index = lens_json(cameras.cameras.front());
-  const auto depth_camera = [&](std::size_t i) { return cameras.depth_cameras[i]; };
-  std::size_t first_depth = info.frames.size();
+  // The file names one depth camera. Where lenses differ, depth is drawn into the colour images here.
+  const std::vector<Camera>& of_depth = cameras.depth_cameras;
+  const bool one_depth_camera =
+      std::all_of(of_depth.begin(), of_depth.end(), [&](const Camera& c) { return c == of_depth.front(); });
   Json frames = Json::array(), train = Json::array(), test = Json::array();
   for (std::size_t i = 0; i < info.frames.size(); ++i) {
     const FrameInfo& frame = info.frames[i];
@@ -78,8 +77,7 @@ void write_fixed_scene(const PosedScene& scene, const FixedCameras& cameras, con
     };
     Json one;
     const std::string end = fs::path(frame.source).extension().string();
-    std::error_code unknown;
-    if (is_picture(end) && frame.orientation == 1 && fs::is_regular_file(frame.source, unknown)) {
+    if (is_photograph_file(frame) && frame.orientation == 1) {
       one["file_path"] = path("images", end);
       write_file_atomic((out / one["file_path"].get<std::string>()).string(),
                         read_text_file(frame.source, std::size_t{1} << 32));
@@ -90,7 +88,9 @@ void write_fixed_scene(const PosedScene& scene, const FixedCameras& cameras, con
     (frame.split == Split::test ? test : train).push_back(one["file_path"]);
     if (frame.split == Split::unused) train.erase(train.size() - 1);
     if (frame.has_depth) {
-      first_depth = std::min(first_depth, i);
+      if (cameras.depth_apart && !one_depth_camera)
+        pixels.depth_m = drawn_depth({pixels.width_px, pixels.height_px, 1, std::move(pixels.depth_m)},
+                                     {of_depth[i], cameras.depth_from_color}, cameras.cameras[i]);
       double farthest = 0;
       for (const float d : pixels.depth_m) farthest = std::max(farthest, std::isfinite(d) ? static_cast<double>(d) : 0);
       const double step = step_for(farthest);
@@ -127,8 +127,8 @@ void write_fixed_scene(const PosedScene& scene, const FixedCameras& cameras, con
       if (index.contains(key) && !lens.contains(key)) one[key] = 0;
     frames.push_back(std::move(one));
   }
-  if (cameras.depth_apart && first_depth < info.frames.size()) {
-    index["depth_camera"] = lens_json(depth_camera(first_depth));
+  if (cameras.depth_apart && one_depth_camera) {
+    index["depth_camera"] = lens_json(of_depth.front());
     index["depth_camera"]["depth_from_color"] = matrix_json(cameras.depth_from_color, false);
   }
   if (!classes.empty()) {

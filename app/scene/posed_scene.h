@@ -3,7 +3,6 @@
 
 #include <string>
 
-#include "app/progress_line.h"
 #include "loading/capture/fix_cameras.h"
 
 namespace semfield::app {

@@ -65,10 +65,7 @@ bool stoppable(AppContext& context, const Work& work) {
     print_note(context, text);
   };
   try {
-    if constexpr (std::is_invocable_v<Work, const Programs&, const CaptureProgress&>)
-      work(programs, progress);
-    else
-      work(programs, progress, note);
+    work(programs, progress, note);
     return true;
   } catch (const Stopped&) {
     line.reset();
@@ -99,24 +96,33 @@ void print_fixed(const FixedCameras& fixed, const SceneInfo& info) {
   for (const std::string& change : fixed.changes) std::printf("changed     %s\n", change.c_str());
 }
 
-// A scene that a dataset reads, or a configuration of one; else a video or photographs.
-bool has_poses(const std::string& source, AppContext& context) {
-  if (source.ends_with(".yaml") || source.ends_with(".yml")) return true;
-  if (!names_a_scene(source, context)) return false;
+bool names_a_config(const std::string& source) { return source.ends_with(".yaml") || source.ends_with(".yml"); }
+
+// The scene that a dataset reads in the folder; nothing of a video and of photographs without poses.
+std::optional<FolderScene> posed_scene_in(const std::string& source, AppContext& context) {
+  if (names_a_config(source)) return {};
   try {
-    (void)find_scene(source, "", context);
-    return true;
+    return find_scene(source, "", context);
   } catch (const Error& e) {
     if (e.kind() != ErrorKind::no_input) throw;
-    return false;
+    return {};
   }
 }
 
-int run_posed(const PrepareVerbOptions& options, AppContext& context) {
-  const bool folder = names_a_scene(options.source, context);
-  OpenedDataset opened = folder
-                             ? dataset_of(config_of(find_scene(options.source, "", context), kUsualPreset), {}, context)
-                             : dataset_of(ConfigOptions{options.source, {}}, context);
+// Poses are there: what asks how to find them would be ignored.
+void refuse_other_options(const PrepareVerbOptions& options) {
+  if (options.frames == 0 && options.attempts == 0 && lens_of(options.lens) == LensAsked::automatic) return;
+  throw Error(ErrorKind::usage, "capture.options.poses",
+              "'" + options.source +
+                  "' has poses, which are corrected; --frames, --lens and --attempts are for those "
+                  "without",
+              "leave them out; or copy the photographs alone into another folder, to find poses again");
+}
+
+int run_posed(const PrepareVerbOptions& options, const std::optional<FolderScene>& folder, AppContext& context) {
+  refuse_other_options(options);
+  OpenedDataset opened = folder ? dataset_of(config_of(*folder, kUsualPreset), {}, context)
+                                : dataset_of(ConfigOptions{options.source, {}}, context);
   const PoseConvention convention = opened.config.load.convention;
   Diagnostics found;
   PosedScene scene;
@@ -128,7 +134,7 @@ int run_posed(const PrepareVerbOptions& options, AppContext& context) {
     convert_depth(out, convention);
   };
   std::optional<FixedCameras> fixed;
-  const bool whole = stoppable(context, [&](const Programs& programs, const CaptureProgress& progress) {
+  const bool whole = stoppable(context, [&](const Programs& programs, const CaptureProgress& progress, const auto&) {
     fixed = fix_cameras(scene, options.out, options.threads, programs, progress);
     write_fixed_scene(scene, *fixed, options.out, progress);
   });
@@ -167,7 +173,8 @@ void print_report(const PrepareReport& report, const std::string& geometry) {
 
 int run(const PrepareVerbOptions& options, AppContext& context) {
   install_stop_signals(!context.quiet);
-  if (has_poses(options.source, context)) return run_posed(options, context);
+  const std::optional<FolderScene> posed = posed_scene_in(options.source, context);
+  if (posed || names_a_config(options.source)) return run_posed(options, posed, context);
   PrepareReport report;
   const bool whole =
       stoppable(context, [&](const Programs& programs, const CaptureProgress& progress, const auto& note) {

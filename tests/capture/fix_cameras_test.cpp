@@ -319,6 +319,20 @@ TEST(FixCameras, WhatCannotBeMendedIsRefused) {
   EXPECT_TRUE(blind.fix(folder + "/c").kept);
 }
 
+TEST(FixCameras, WhatMasksHideIsNotMatched) {
+  Capture c;
+  const std::size_t all = c.fix(fresh_folder("whole") + "/new").points;
+  const auto read = c.scene.read;
+  c.scene.read = [&](int frame, FrameBuffer& out) {
+    read(frame, out);
+    for (int y = 0; y < 240; ++y)
+      for (int x = 0; x < 320; ++x) out.used.push_back(x < 160 ? 0 : 1);
+  };
+  const std::size_t half = c.fix(fresh_folder("half") + "/new").points;
+  EXPECT_LT(half, 3 * all / 4);
+  EXPECT_GT(half, all / 4);
+}
+
 TEST(FixCameras, PairsAreOfFramesThatLookAtTheSame) {
   std::vector<Pose> poses;
   for (int i = 0; i < 60; ++i) {

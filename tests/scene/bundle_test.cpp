@@ -218,7 +218,7 @@ TEST(DepthCamera, TheNearestSurfaceHidesWhatIsBehindAndEdgesAreLeftOpen) {
   motion.t = {-0.2, 0, 0};  // the colour camera stands to the left: the near wall covers more of the far one
   const std::vector<float> seen = drawn_depth(image, {lens, motion}, lens);
   const auto at = [&](int x) { return seen[static_cast<std::size_t>(60 * 20 + x)]; };
-  EXPECT_NEAR(at(20), 1, 1e-4) << "near wall, seen further right";
+  for (const int x : {20, 26, 29}) EXPECT_NEAR(at(x), 1, 1e-4) << "near wall, seen further right, at " << x;
   EXPECT_NEAR(at(50), 4, 1e-3);
   for (int x = 0; x < 60; ++x)
     EXPECT_TRUE(at(x) == 0 || std::abs(at(x) - 1) < 1e-3 || std::abs(at(x) - 4) < 1e-2) << "nothing between, at " << x;

@@ -151,16 +151,20 @@ TEST(CameraCorrections, MoveAfterTheirShareOfTheRun) {
 const char* const kAuto = "cameras: {poses: auto, colors: auto}, ";
 
 TEST(CameraChoices, FollowTheEvidence) {
-  const auto chosen = [](CameraTrust asked, bool tracked, std::optional<double> exposure) {
+  const auto chosen = [](CameraTrust asked, bool tracked, std::optional<double> exposure,
+                         std::optional<bool> fits = {}) {
     CameraParams cameras;
     cameras.poses = cameras.colors = asked;
-    const CameraReasons why = choose_cameras(cameras, {tracked, exposure});
+    const CameraReasons why = choose_cameras(cameras, {tracked, exposure, fits});
     EXPECT_EQ(why.poses.empty() || why.colors.empty(), asked != CameraTrust::automatic);
     return std::pair{cameras.poses == CameraTrust::learned, cameras.colors == CameraTrust::learned};
   };
   using Both = std::pair<bool, bool>;
   EXPECT_EQ(chosen(CameraTrust::automatic, true, 1.02), (Both{true, false}));
   EXPECT_EQ(chosen(CameraTrust::automatic, false, 1.12), (Both{false, true}));
+  EXPECT_EQ(chosen(CameraTrust::automatic, true, 1.02, true), (Both{false, false})) << "photographs fit its poses";
+  EXPECT_EQ(chosen(CameraTrust::automatic, true, 1.02, false), (Both{true, false}));
+  EXPECT_EQ(chosen(CameraTrust::automatic, false, 1.02, false), (Both{false, false})) << "for prepare to fix";
   EXPECT_EQ(chosen(CameraTrust::automatic, false, {}), (Both{false, false})) << "nothing known";
   EXPECT_EQ(chosen(CameraTrust::given, true, 1.12), (Both{false, false})) << "what is asked for stands";
   EXPECT_EQ(chosen(CameraTrust::learned, false, {}), (Both{true, true}));
@@ -173,12 +177,15 @@ TEST(CameraChoices, AreSettledWhenASceneIsOpened) {
       open_text(with_scene(learned(hash_config(), kAuto), "{type: analytic_room, tracked: true}"), registry);
   EXPECT_EQ(phone.config.cameras.poses, CameraTrust::learned);
   EXPECT_EQ(phone.config.cameras.colors, CameraTrust::given);
+  EXPECT_FALSE(phone.eval_job({}).fit_colors);
   EXPECT_NE(phone.pipeline->store().find("cameras/pose/learned"), nullptr);
   EXPECT_EQ(phone.pipeline->store().find("cameras/color/learned"), nullptr);
   const std::vector<std::string> said = phone.choices();
   EXPECT_EQ(std::count(said.begin(), said.end(),
                        "train.cameras.poses: learned, because poses are a phone's, whose tracker drifts"),
             1);
+  const Session exposed = open_text(learned(hash_config(), "cameras: {colors: learned}, "), registry);
+  EXPECT_TRUE(exposed.eval_job({}).fit_colors) << "scores have a second PSNR";
   const Session other = open_text(learned(hash_config(), kAuto), registry);
   EXPECT_EQ(other.pipeline->cameras(), nullptr);
   const auto row = std::find_if(other.plan.left_out.begin(), other.plan.left_out.end(),

@@ -3,9 +3,9 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cctype>
 #include <cmath>
 #include <filesystem>
-#include <map>
 #include <numeric>
 #include <set>
 
@@ -130,33 +130,44 @@ class Fixing {
   }
 
  private:
-  // Links to the photographs under names that COLMAP takes, or copies of what is no file; and the depth.
+  // Links to the photographs under names that COLMAP takes, or copies of what is no file; depth and masks.
   void read_frames() {
     const std::size_t count = info_.frames.size();
     names_.resize(count);
+    used_.resize(count);
     bundle_.depth.resize(count);
-    const bool links = state_.done("photographs") == nullptr;
     for (std::size_t g = 0; g < bundle_.lenses.size(); ++g) create_folders((images_ / fmt::format("{}", g)).string());
     for (std::size_t i = 0; i < count; ++i) {
-      const FrameInfo& frame = info_.frames[i];
-      std::string end = fs::path(frame.source).extension().string();
-      std::error_code unknown;
-      const bool file = fs::is_regular_file(frame.source, unknown) &&
-                        (end == ".jpg" || end == ".jpeg" || end == ".png" || end == ".JPG");
-      names_[i] = fmt::format("{}/{:06}{}", bundle_.lens_of[i], i, file ? end : ".png");
-      const fs::path to = images_ / names_[i];
       progress_({"reading", "frames"}, static_cast<double>(i), static_cast<double>(count));
-      const bool copies = links && !file && !fs::exists(to);
-      if (links && file && !fs::exists(to)) fs::create_symlink(fs::absolute(frame.source), to);
-      if (!copies && !frame.has_depth) continue;
+      const FrameInfo& frame = info_.frames[i];
+      const bool is_file = is_photograph_file(frame);
+      const std::string end = is_file ? fs::path(frame.source).extension().string() : ".png";
+      names_[i] = fmt::format("{}/{:06}{}", bundle_.lens_of[i], i, end);
+      const fs::path to = images_ / names_[i];
       FrameBuffer pixels;
       scene_.read(static_cast<int>(i), pixels);
-      if (copies) write_png_rgb(to.string(), pixels.width_px, pixels.height_px, pixels.rgb);
+      std::error_code unknown, failed;
+      if (!fs::exists(fs::symlink_status(to, unknown))) {
+        if (is_file)
+          fs::create_symlink(fs::absolute(frame.source), to, failed);
+        else
+          write_png_rgb(to.string(), pixels.width_px, pixels.height_px, pixels.rgb);
+        if (failed) throw write_error("link", to.string(), failed.value());
+      }
       bundle_.depth[i] = depth_view(pixels, frame.camera);
+      used_[i] = std::move(pixels.used);
       has_depth_ = has_depth_ || !pixels.depth_m.empty();
     }
-    if (links) state_.mark("photographs");
     if (!has_depth_) bundle_.depth.clear();
+  }
+
+  // What a mask hides moves by itself: a person, or the robot that carries the camera.
+  bool is_hidden(const Sighting& s) const {
+    const auto f = static_cast<std::size_t>(s.frame);
+    const Camera& c = bundle_.stated[f];
+    if (used_[f].empty() || !(s.u >= 0 && s.v >= 0 && s.u < c.width_px && s.v < c.height_px)) return false;
+    return used_[f][static_cast<std::size_t>(s.v) * static_cast<std::size_t>(c.width_px) +
+                    static_cast<std::size_t>(s.u)] == 0;
   }
 
   void find_tracks() {
@@ -180,8 +191,10 @@ class Fixing {
       colmap_.match(settings, names_, pairs_by_pose(bundle_.given));
       state_.mark("matches");
     }
-    for (Track& track : feature_tracks(colmap_.database(settings), names_))
+    for (Track& track : feature_tracks(colmap_.database(settings), names_)) {
+      std::erase_if(track.seen, [&](const Sighting& s) { return is_hidden(s); });
       ((track_number_++ % kHeldOut == 0) ? judges_ : all_).push_back(std::move(track));
+    }
   }
 
   double scale_of(std::size_t frame) const { return longer_side(bundle_.stated[frame]) / 1024; }
@@ -260,7 +273,6 @@ class Fixing {
   // Depth that was brought into the colour image has its lens and its place, as wrong as they were stated; depth as the
   // sensor took it has its own. Edges say which: of a plain wall, points would lie on the depth of either.
   bool depth_is_registered() {
-    const std::vector<BundleDepth> stated = bundle_.depth;
     align_depth(bundle_);
     const double own = edge_score(bundle_.depth_from_color, false);
     const double registered = edge_score({}, true);
@@ -344,6 +356,7 @@ class Fixing {
   fs::path images_;
   ColmapSteps colmap_;
   std::vector<std::string> names_;
+  std::vector<std::vector<std::uint8_t>> used_;  // of each frame as its masks say; empty: every pixel
   Bundle bundle_;
   std::vector<Track> all_, judges_;
   std::size_t track_number_ = 0;
@@ -351,6 +364,13 @@ class Fixing {
 };
 
 }  // namespace
+
+bool is_photograph_file(const FrameInfo& frame) {
+  std::string end = fs::path(frame.source).extension().string();
+  for (char& c : end) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  std::error_code unknown;
+  return (end == ".jpg" || end == ".jpeg" || end == ".png") && fs::is_regular_file(frame.source, unknown);
+}
 
 std::vector<Pair> pairs_by_pose(const std::vector<Pose>& poses) {
   const std::size_t count = poses.size();

@@ -38,6 +38,9 @@ struct FixedCameras {
 FixedCameras fix_cameras(const PosedScene& scene, const std::string& out, int threads, const Programs& programs,
                          const CaptureProgress& progress);
 
+/// Whether the frame's source is a photograph that COLMAP and browsers read as it is: JPEG or PNG.
+bool is_photograph_file(const FrameInfo& frame);
+
 /// Pairs of frames that may see the same: each with its nearest by distance and angle, and with those behind it.
 std::vector<Pair> pairs_by_pose(const std::vector<Pose>& poses);
 

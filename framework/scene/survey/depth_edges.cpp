@@ -14,48 +14,30 @@ constexpr std::size_t kFewestEdges = 100;  // of a frame
 constexpr std::size_t kFewestFrames = 4;
 constexpr int kSide = 2 * kEdgeReach + 1;
 
-std::int32_t step_of(const Camera& camera) {
-  return std::max(1, (std::max(camera.width_px, camera.height_px) + kPhotoSide / 2) / kPhotoSide);
-}
-
 }  // namespace
 
 EdgeScores edge_scores(const Camera& camera, const FrameBuffer& frame) {
-  const std::int32_t step = step_of(camera), width = camera.width_px / step, height = camera.height_px / step;
-  const auto at = [width](std::int32_t x, std::int32_t y) {
-    return static_cast<std::size_t>(y) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x);
+  const std::int32_t step = photo_step(camera);
+  const Grey grey = grey_of(frame, step);
+  const auto depth = [&](std::int32_t x, std::int32_t y) {
+    const auto row = static_cast<std::size_t>(y * step + step / 2) * static_cast<std::size_t>(camera.width_px);
+    return frame.depth_m[row + static_cast<std::size_t>(x * step + step / 2)];
   };
-  std::vector<float> grey(at(0, height)), depth(at(0, height));
-  for (std::int32_t y = 0; y < height; ++y) {
-    for (std::int32_t x = 0; x < width; ++x) {
-      for (std::int32_t j = 0; j < step; ++j) {
-        const std::uint8_t* p =
-            &frame.rgb[3 * (static_cast<std::size_t>(y * step + j) * static_cast<std::size_t>(camera.width_px) +
-                            static_cast<std::size_t>(x * step))];
-        for (std::int32_t i = 0; i < 3 * step; ++i) grey[at(x, y)] += static_cast<float>(p[i]);
-      }
-      grey[at(x, y)] /= static_cast<float>(3 * step * step);
-      depth[at(x, y)] =
-          frame.depth_m[static_cast<std::size_t>(y * step + step / 2) * static_cast<std::size_t>(camera.width_px) +
-                        static_cast<std::size_t>(x * step + step / 2)];
-    }
-  }
   const auto jumps = [](float a, float b) { return a > 0 && b > 0 && std::max(a, b) > kJump * std::min(a, b); };
   // A strong edge counts little more than a plain one: patterns have the strongest.
   const auto strength = [](float a, float b) { return std::sqrt(std::abs(a - b)); };
   EdgeScores out(kSide * kSide);
   std::size_t edges = 0;
-  for (std::int32_t y = kEdgeReach; y < height - kEdgeReach - 1; ++y) {
-    for (std::int32_t x = kEdgeReach; x < width - kEdgeReach - 1; ++x) {
-      const bool across = jumps(depth[at(x, y)], depth[at(x + 1, y)]),
-                 down = jumps(depth[at(x, y)], depth[at(x, y + 1)]);
+  for (std::int32_t y = kEdgeReach; y < grey.height - kEdgeReach - 1; ++y) {
+    for (std::int32_t x = kEdgeReach; x < grey.width - kEdgeReach - 1; ++x) {
+      const bool across = jumps(depth(x, y), depth(x + 1, y)), down = jumps(depth(x, y), depth(x, y + 1));
       edges += (across ? 1 : 0) + (down ? 1 : 0);
       for (std::int32_t dy = -kEdgeReach; (across || down) && dy <= kEdgeReach; ++dy) {
         for (std::int32_t dx = -kEdgeReach; dx <= kEdgeReach; ++dx) {
-          const float here = grey[at(x + dx, y + dy)];
+          const float here = grey.at(x + dx, y + dy);
           float& score = out[static_cast<std::size_t>((dy + kEdgeReach) * kSide + dx + kEdgeReach)];
-          if (across) score += strength(here, grey[at(x + dx + 1, y + dy)]);
-          if (down) score += strength(here, grey[at(x + dx, y + dy + 1)]);
+          if (across) score += strength(here, grey.at(x + dx + 1, y + dy));
+          if (down) score += strength(here, grey.at(x + dx, y + dy + 1));
         }
       }
     }
@@ -77,7 +59,7 @@ std::optional<DepthShift> depth_shift(const std::vector<EdgeScores>& frames, con
   }
   if (found < kFewestFrames) return {};
   const auto best = static_cast<int>(std::max_element(all.begin(), all.end()) - all.begin());
-  const int step = step_of(cameras[first]);
+  const int step = photo_step(cameras[first]);
   const int right = best % kSide - kEdgeReach, down = best / kSide - kEdgeReach;
   return DepthShift{static_cast<double>(right * step), static_cast<double>(down * step), std::hypot(right, down),
                     static_cast<double>(all[static_cast<std::size_t>(best)] / all[kSide * kSide / 2])};

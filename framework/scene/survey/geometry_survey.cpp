@@ -243,7 +243,6 @@ void GeometrySurvey::look_at(std::size_t frame, const Camera& camera, const Fram
 Bundle GeometrySurvey::bundle_of(const PhotoTallies& found) const {
   Bundle out;
   std::vector<std::int32_t> place(frames_.size(), -1);
-  bool has_depth = false;
   for (const Track& track : found.tracks) {
     out.tracks.push_back(track);
     for (Sighting& s : out.tracks.back().seen) {
@@ -255,19 +254,16 @@ Bundle GeometrySurvey::bundle_of(const PhotoTallies& found) const {
         out.given.push_back(
             converted_pose(as_opened_.frames[frame].world_from_camera, given_, as_opened_.opengl_files));
         out.lens_of.push_back(0);
-        out.depth.push_back({frames_[frame].camera, frames_[frame].depth_m});
-        has_depth = has_depth || !frames_[frame].depth_m.empty();
       }
       s.frame = at;
     }
   }
   out.poses = out.given;
   out.lenses.resize(1);
-  if (!has_depth) out.depth.clear();
   return out;
 }
 
-// Of the frames of bundle_of(), in the manifest's order. Empty where neighbours there are no neighbours in the scene.
+// Of the frames of bundle_of(), in its order. Empty where frames are in no order of time.
 std::vector<Pose> GeometrySurvey::delayed_poses(const PhotoTallies& found, double frames) const {
   const std::vector<FrameInfo>& all = as_opened_.frames;
   const auto pose = [&](std::size_t i) {
@@ -294,17 +290,17 @@ std::vector<Pose> GeometrySurvey::delayed_poses(const PhotoTallies& found, doubl
   return out;
 }
 
-void GeometrySurvey::judge_cameras(GeometryVerdict& verdict, Diagnostics& diagnostics) const {
+void GeometrySurvey::judge_cameras(GeometryVerdict& verdict, bool with_depth, Diagnostics& diagnostics) const {
   const CameraCheck& c = verdict.cameras;
-  const std::string corners = std::to_string(c.corners) + " corners of the photographs";
+  const std::string corners = std::to_string(c.corners) + " corners";
   if (c.off) {
     std::string text =
         "cameras do not fit the photographs: " + percent(c.given) + " of " + corners + " lie where they put them";
     for (const auto& [what, share] : c.fits) text += ", " + percent(share) + " with " + what;
     diagnostics.warning("scene.camera.off", as_opened_.name, text, kFixRemedy);
-    verdict.text = text + "; " + verdict.text;
-  } else if (c.corners > 0 && !frames_.empty() && verdict.text.find("photographs") == std::string::npos) {
-    verdict.text += "; " + percent(c.given) + " of " + corners + " lie where the cameras put them";
+    verdict.text = "cameras do not fit the photographs (" + percent(c.given) + " of " + corners + "); " + verdict.text;
+  } else if (c.corners > 0 && with_depth) {  // else the text is of corners already
+    verdict.text += "; " + percent(c.given) + " of " + corners + " found again lie where the cameras put them";
   }
   const std::optional<DepthShift> shift = depth_shift(edges_, cameras_);
   verdict.depth_beside = shift && shift->gain > kEdgesStronger && shift->steps >= kEdgesBeside;
@@ -316,7 +312,7 @@ void GeometrySurvey::judge_cameras(GeometryVerdict& verdict, Diagnostics& diagno
   const std::string text = "depth does not lie on the photographs: their edges are " + right +
                            (right.empty() || down.empty() ? "" : " and ") + down + " of those of depth";
   diagnostics.warning("scene.depth.beside", as_opened_.name, text, kFixRemedy);
-  verdict.text += "; " + text;
+  verdict.text += "; depth does not lie on the photographs";
 }
 
 GeometryVerdict GeometrySurvey::conclude(Diagnostics& diagnostics) const {
@@ -335,7 +331,7 @@ GeometryVerdict GeometrySurvey::conclude(Diagnostics& diagnostics) const {
   if (depths.empty()) {
     const int before = diagnostics.error_count();
     out.text = judge_photos(found, as_opened_, diagnostics);
-    if (diagnostics.error_count() == before) judge_cameras(out, diagnostics);
+    if (diagnostics.error_count() == before) judge_cameras(out, false, diagnostics);
     if (found.tallies.front().fits >= kFewFit * found.matches) out.corners = std::move(found.corners);
     return out;
   }
@@ -346,7 +342,7 @@ GeometryVerdict GeometrySurvey::conclude(Diagnostics& diagnostics) const {
   const bool wide = wide_.size() > pairs_.size();
   out.text = judge_depth(vote_by_depth(as_opened_, frames_, wide ? wide_ : pairs_, given_), as_opened_, range, wide,
                          diagnostics);
-  if (diagnostics.error_count() == before) judge_cameras(out, diagnostics);
+  if (diagnostics.error_count() == before) judge_cameras(out, true, diagnostics);
   return out;
 }
 

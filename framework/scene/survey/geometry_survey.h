@@ -42,7 +42,7 @@ class GeometrySurvey {
   Bundle bundle_of(const PhotoTallies& found) const;
   std::vector<Pose> delayed_poses(const PhotoTallies& found, double frames) const;
   /// Adds to the text, and warnings, what the photographs say of the cameras in pixels.
-  void judge_cameras(GeometryVerdict& verdict, Diagnostics& diagnostics) const;
+  void judge_cameras(GeometryVerdict& verdict, bool with_depth, Diagnostics& diagnostics) const;
 
   const SceneInfo& as_opened_;
   std::vector<Camera> cameras_;

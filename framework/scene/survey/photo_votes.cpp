@@ -24,29 +24,6 @@ constexpr int kFewestGreys = 8, kFewestPairs = 8;
 constexpr double kDark = 4;  // grey steps: darker ones say little of a factor
 constexpr double kFocalFactors[] = {0.125, 0.25, 1.0 / 3, 0.5, 2, 3, 4, 6, 8};
 
-struct Grey {
-  std::int32_t width = 0, height = 0;
-  std::vector<float> value;
-  float at(std::int32_t x, std::int32_t y) const {
-    return value[static_cast<std::size_t>(y) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x)];
-  }
-};
-
-// Means of blocks of `side` x `side` pixels.
-Grey grey_of(const FrameBuffer& frame, std::int32_t side) {
-  Grey out{frame.width_px / side, frame.height_px / side, {}};
-  out.value.resize(static_cast<std::size_t>(out.width) * static_cast<std::size_t>(out.height));
-  for (std::int32_t y = 0; y < out.height * side; ++y) {
-    const std::uint8_t* p = frame.rgb.data() + static_cast<std::ptrdiff_t>(y) * frame.width_px * 3;
-    float* row = out.value.data() + static_cast<std::ptrdiff_t>(y / side) * out.width;
-    for (std::int32_t x = 0; x < out.width * side; ++x, p += 3) {
-      row[x / side] += static_cast<float>(77 * p[0] + 150 * p[1] + 29 * p[2]);  // of 256
-    }
-  }
-  for (float& v : out.value) v /= static_cast<float>(256 * side * side);
-  return out;
-}
-
 // Sums over 5 x 5 pixels of a picture, by running sums; the outermost two rows and columns stay 0.
 std::vector<float> box_sums(const std::vector<float>& in, std::int32_t width, std::int32_t height) {
   const auto at = [width](std::int32_t x, std::int32_t y) {
@@ -203,8 +180,26 @@ double to_peak(const Grey& strengths, std::int32_t x, std::int32_t y, std::int32
 
 }  // namespace
 
+std::int32_t photo_step(const Camera& camera) {
+  return std::max(1, (std::max(camera.width_px, camera.height_px) + kPhotoSide / 2) / kPhotoSide);
+}
+
+Grey grey_of(const FrameBuffer& frame, std::int32_t side) {
+  Grey out{frame.width_px / side, frame.height_px / side, {}};
+  out.value.resize(static_cast<std::size_t>(out.width) * static_cast<std::size_t>(out.height));
+  for (std::int32_t y = 0; y < out.height * side; ++y) {
+    const std::uint8_t* p = frame.rgb.data() + static_cast<std::ptrdiff_t>(y) * frame.width_px * 3;
+    float* row = out.value.data() + static_cast<std::ptrdiff_t>(y / side) * out.width;
+    for (std::int32_t x = 0; x < out.width * side; ++x, p += 3) {
+      row[x / side] += static_cast<float>(77 * p[0] + 150 * p[1] + 29 * p[2]);  // of 256
+    }
+  }
+  for (float& v : out.value) v /= static_cast<float>(256 * side * side);
+  return out;
+}
+
 PhotoFrame photo_frame(const Camera& camera, const FrameBuffer& frame) {
-  const std::int32_t side = std::max(1, (std::max(camera.width_px, camera.height_px) + kPhotoSide / 2) / kPhotoSide);
+  const std::int32_t side = photo_step(camera);
   const Grey g = grey_of(frame, side);
   const Grey strengths = corner_strength(g);
   struct Found {

@@ -26,6 +26,19 @@ struct PhotoFrame {
   std::vector<PhotoCorner> corners;
 };
 
+/// A small picture in grey, 0 to 255.
+struct Grey {
+  std::int32_t width = 0, height = 0;
+  std::vector<float> value;
+  float at(std::int32_t x, std::int32_t y) const {
+    return value[static_cast<std::size_t>(y) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x)];
+  }
+};
+/// Pixels of a photograph along a side of one of its small picture.
+std::int32_t photo_step(const Camera& camera);
+/// Means of blocks of `side` x `side` pixels.
+Grey grey_of(const FrameBuffer& frame, std::int32_t side);
+
 /// The strongest corners of a frame of about 320 pixels width or height, spread over it.
 PhotoFrame photo_frame(const Camera& camera, const FrameBuffer& frame);
 
