@@ -4,7 +4,7 @@
 #include <memory>
 #include <string>
 
-#include "core/work_scope.h"
+#include "core/workspace.h"
 #include "execution/ranks/ranks.h"
 #include "plugin/registry.h"
 #include "session/settings/run_config.h"

@@ -11,11 +11,13 @@
 #include <cerrno>
 #include <chrono>
 #include <csignal>
+#include <cstdlib>
 #include <filesystem>
+#include <sstream>
 #include <thread>
 
 #include "app/signals.h"
-#include "execution/ranks/launcher.h"
+#include "execution/ranks/ranks.h"
 #include "system/files.h"
 
 namespace semfield::app {
@@ -145,6 +147,19 @@ std::string child_failure(int status, const std::string& log_file) {
   const std::string how = WIFSIGNALED(status) ? fmt::format("ended by signal {}", WTERMSIG(status))
                                               : fmt::format("exit code {}", WEXITSTATUS(status));
   return fmt::format("{}: {} (see {})", how, last, log_file);
+}
+
+namespace fs = std::filesystem;
+
+std::string program_in_path(const std::string& name) {
+  const char* const folders = std::getenv("PATH");
+  std::istringstream stream(folders == nullptr ? "" : folders);
+  for (std::string folder; std::getline(stream, folder, ':');) {
+    const std::string candidate = (fs::path(folder.empty() ? "." : folder) / name).string();
+    std::error_code ignored;
+    if (fs::is_regular_file(candidate, ignored) && access(candidate.c_str(), X_OK) == 0) return candidate;
+  }
+  return {};
 }
 
 }  // namespace semfield::app

@@ -17,7 +17,7 @@ struct ChildFiles {
 };
 
 /// Starts `words`, the first of which is the program's file, in a process group of its own, so that Ctrl-C does not
-/// reach it, and without what a launcher said to this one (execution/ranks/launcher.h). `in_child` runs between fork
+/// reach it, and without what a launcher said to this one (execution/ranks/ranks.h). `in_child` runs between fork
 /// and exec, so it calls what is async-signal-safe alone. The thread that starts it is the one that it ends with.
 /// Throws write_error for the files, Error(unavailable) where no process can be had.
 pid_t start_child(const std::vector<std::string>& words, const ChildFiles& files,
@@ -40,5 +40,10 @@ int run_logged_child(const std::vector<std::string>& words, const std::string& l
 
 /// How a child that ended with this status failed: code or signal, the last line of its log, and where the rest is.
 std::string child_failure(int status, const std::string& log_file);
+
+// Programs of others, found as a shell finds them.
+
+/// File of the first program of that name in the folders of PATH; "" where there is none.
+std::string program_in_path(const std::string& name);
 
 }  // namespace semfield::app

@@ -5,7 +5,7 @@
 #include <string>
 
 #include "app/app_context.h"
-#include "eval/json_number.h"
+#include "eval/metrics.h"
 
 namespace semfield::app {
 

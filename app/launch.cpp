@@ -4,9 +4,9 @@
 
 #include "app/signals.h"
 #include "core/error.h"
-#include "execution/ranks/launcher.h"
+#include "execution/ranks/ranks.h"
 #include "run/run_folder.h"
-#include "session/ranks_session.h"
+#include "session/session.h"
 
 namespace semfield::app {
 

@@ -12,7 +12,7 @@ namespace semfield::app {
 /// What a verb does as one of several processes that a launcher started.
 enum class Launch : std::uint8_t {
   alone,   ///< it is refused
-  ranks,   ///< rank 0 runs it with AppContext::ranks, and the others follow (session/ranks_session.h)
+  ranks,   ///< rank 0 runs it with AppContext::ranks, and the others follow (session/session.h)
   beside,  ///< every process runs it, and it sees to the others itself
 };
 

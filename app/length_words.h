@@ -5,7 +5,7 @@
 #include <string>
 
 #include "app/verb.h"
-#include "session/settings/run_length.h"
+#include "session/settings/choices.h"
 
 namespace semfield::app {
 

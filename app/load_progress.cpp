@@ -3,7 +3,7 @@
 #include <memory>
 #include <string>
 
-#include "app/progress_line.h"
+#include "app/terminal.h"
 
 namespace semfield::app {
 

@@ -14,9 +14,7 @@
 #include "app/signals.h"
 #include "app/terminal.h"
 #include "core/error.h"
-#include "core/findings.h"
-#include "core/work_scope.h"
-#include "plugin/linked_plugins.h"
+#include "core/workspace.h"
 #include "plugin/loader.h"
 
 namespace {

@@ -16,9 +16,8 @@
 
 #include "app/terminal.h"
 #include "core/error.h"
-#include "core/findings.h"
-#include "system/memory_limit.h"
-#include "system/own_temporaries.h"
+#include "system/files.h"
+#include "system/process.h"
 
 namespace semfield::app {
 

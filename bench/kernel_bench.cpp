@@ -20,9 +20,9 @@
 #include "model/compositor.h"
 #include "model/optim/adam.h"
 #include "model/param_store.h"
-#include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
 #include "studies/step_work.h"
-#include "testkit/settings.h"
+#include "testkit/laws.h"
 
 namespace {
 

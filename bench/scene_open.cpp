@@ -16,7 +16,7 @@
 
 #include "compute/parallel.h"
 #include "loading/frame_source.h"
-#include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
 #include "session/settings/run_config.h"
 
 namespace {

@@ -1,18 +1,23 @@
-# semfield_add_plugin(KIND encoders NAME hash_grid SOURCES a.cpp b.cpp [CPU hash_grid_cpu.cpp] [SAME_BITS] [CUDA hash_grid_cuda.cu]
-#                     [LIBRARIES ...])
-# One line a plugin. Adds its sources to semfield_plugins, its `*_test.cpp` to the test suite, and its module to the
-# generated table of linked plugins. With CPU: compiles those files once per instruction set (cmake/Isa.cmake) and generates
-# `void <name>_kernels(KernelTables&)`, which calls <name>_cpu_kernels of the instruction set in use. With CUDA: those files go into the library
-# semfield_cuda, which is loaded when a run asks for the device, and `void cuda::<name>_cuda_kernels(KernelTables&)` of them is called then. With SAME_BITS multiplications and additions are never fused, so that every instruction set gives the same values: for
-# kernels whose results decide where something lies.
+# semfield_add_plugin(NAME hash_grid SOURCES a.cpp b.cpp [CPU hash_grid_cpu.cpp] [SAME_BITS] [CUDA hash_grid_cuda.cu] [LIBRARIES ...] [FOLDER path])
+# Adds the sources to semfield_plugins, the folder's `*_test.cpp` to the test suite, and the module to the generated table of linked plugins.
+# With CPU: compiles those files once per instruction set (cmake/Isa.cmake) and generates `void <name>_kernels(KernelTables&)`, which calls
+# <name>_cpu_kernels of the instruction set in use. With CUDA: those files go into the library semfield_cuda, which is loaded when a run asks for the
+# device, and `void cuda::<name>_cuda_kernels(KernelTables&)` of them is called then. With SAME_BITS multiplications and additions are never fused, so
+# that every instruction set gives the same values: for kernels whose results decide where something lies.
 function(semfield_add_plugin)
-  cmake_parse_arguments(ARG "SAME_BITS" "NAME" "SOURCES;CPU;CUDA;LIBRARIES" ${ARGN})
+  cmake_parse_arguments(ARG "SAME_BITS" "NAME;FOLDER" "SOURCES;CPU;CUDA;LIBRARIES" ${ARGN})
+  if(NOT ARG_FOLDER)
+    set(ARG_FOLDER ${CMAKE_CURRENT_SOURCE_DIR})
+  endif()
   if(NOT ARG_NAME)
-    get_filename_component(ARG_NAME ${CMAKE_CURRENT_SOURCE_DIR} NAME)
+    get_filename_component(ARG_NAME ${ARG_FOLDER} NAME)
   endif()
   set(target semfield_plugin_${ARG_NAME})
   # The folder of the plugins' kinds: plugins/, or that of SEMFIELD_EXTRA_PARTS.
-  get_filename_component(semfield_plugin_root ${CMAKE_CURRENT_SOURCE_DIR}/../.. ABSOLUTE)
+  get_filename_component(semfield_plugin_root ${ARG_FOLDER}/../.. ABSOLUTE)
+  foreach(list SOURCES CPU CUDA)
+    list(TRANSFORM ARG_${list} PREPEND "${ARG_FOLDER}/")
+  endforeach()
   add_library(${target} OBJECT ${ARG_SOURCES})
   if(ARG_CPU)
     semfield_kernel_objects(kernels ${target} ${ARG_CPU})
@@ -25,7 +30,6 @@ function(semfield_add_plugin)
     semfield_kernel_dispatch(${target} ${ARG_NAME})
   endif()
   if(ARG_CUDA)
-    list(TRANSFORM ARG_CUDA PREPEND "${CMAKE_CURRENT_SOURCE_DIR}/")
     set_property(GLOBAL APPEND PROPERTY SEMFIELD_PLUGIN_CUDA_SOURCES ${ARG_CUDA})
     set_property(GLOBAL APPEND PROPERTY SEMFIELD_CUDA_PLUGINS ${ARG_NAME})
     if(ARG_SAME_BITS)
@@ -35,10 +39,24 @@ function(semfield_add_plugin)
   target_link_libraries(${target} PUBLIC semfield PRIVATE semfield_warnings ${ARG_LIBRARIES})
   target_include_directories(${target} PUBLIC ${PROJECT_SOURCE_DIR}/plugins PRIVATE ${semfield_plugin_root})
   set_property(GLOBAL APPEND PROPERTY SEMFIELD_LINKED_PLUGINS ${ARG_NAME})
-  file(GLOB tests CONFIGURE_DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/*_test.cpp)
+  file(GLOB tests CONFIGURE_DEPENDS ${ARG_FOLDER}/*_test.cpp)
   foreach(test_file ${tests})
     set_property(GLOBAL APPEND PROPERTY SEMFIELD_PLUGIN_TESTS ${test_file})
   endforeach()
+endfunction()
+
+# semfield_add_plugin_folder(path): the same from the names of the folder's files: *_cpu.cpp are CPU, *.cu are CUDA, *_test.cpp and *_sample.cpp are
+# for tests, all other .cpp files are sources. Samplers keep the same bits.
+function(semfield_add_plugin_folder path)
+  file(GLOB sources RELATIVE ${path} CONFIGURE_DEPENDS ${path}/*.cpp)
+  file(GLOB cpu RELATIVE ${path} CONFIGURE_DEPENDS ${path}/*_cpu.cpp)
+  file(GLOB cuda RELATIVE ${path} CONFIGURE_DEPENDS ${path}/*.cu)
+  list(FILTER sources EXCLUDE REGEX "_(cpu|test|sample)\\.cpp$")
+  set(same_bits "")
+  if(path MATCHES "/samplers/[^/]+$")
+    set(same_bits SAME_BITS)
+  endif()
+  semfield_add_plugin(FOLDER ${path} ${same_bits} SOURCES ${sources} CPU ${cpu} CUDA ${cuda} LIBRARIES fmt::fmt nlohmann_json::nlohmann_json)
 endfunction()
 
 # semfield_add_loadable_plugin(NAME waves SOURCES waves.cpp ... [CPU waves_cpu.cpp] [SAME_BITS] [CUDA waves_cuda.cu] [LIBRARIES ...]): waves.so,

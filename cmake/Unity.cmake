@@ -1,9 +1,9 @@
 # Builds with CMAKE_UNITY_BUILD compile the files of a folder together, at most SEMFIELD_UNITY_FILES at a time: most of a small file's time goes into
 # the headers that all include. Names that a file keeps to itself are therefore unique in its folder. By folder, so that a new file changes what is
 # compiled together there alone.
-set(SEMFIELD_UNITY_FILES 10 CACHE STRING "How many files of a folder a unity build compiles together, at most")
+set(SEMFIELD_UNITY_FILES 5 CACHE STRING "How many files of a folder a unity build compiles together, at most")
 
-# semfield_unity_groups(folder): of every target that is declared there or below. A folder with one file joins the one above it.
+# semfield_unity_groups(folder): of every target that is declared there or below.
 function(semfield_unity_groups folder)
   if(NOT CMAKE_UNITY_BUILD)
     return()
@@ -35,14 +35,6 @@ function(semfield_group_by_folder target)
     list(APPEND folders ${folder})
   endforeach()
   list(REMOVE_DUPLICATES folders)
-  foreach(folder ${folders})
-    list(LENGTH in_${folder} count)
-    get_filename_component(above ${folder} DIRECTORY)
-    if(count EQUAL 1 AND above IN_LIST folders)
-      list(APPEND in_${above} ${in_${folder}})
-      set(in_${folder} "")
-    endif()
-  endforeach()
   foreach(folder ${folders})
     list(LENGTH in_${folder} count)
     math(EXPR parts "(${count} + ${SEMFIELD_UNITY_FILES} - 1) / ${SEMFIELD_UNITY_FILES}")

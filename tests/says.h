@@ -6,7 +6,7 @@
 
 #include <initializer_list>
 
-#include "core/findings.h"
+#include "core/error.h"
 #include "core/text.h"
 
 namespace semfield {

@@ -1,7 +1,7 @@
 #include "app/bench/bench_tools.h"
 
 #include "app/allocation_count.h"
-#include "system/shared_files.h"
+#include "system/files.h"
 
 namespace semfield::app {
 

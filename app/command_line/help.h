@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "app/command_line/grammar.h"
+#include "app/command_line/command_line.h"
 #include "core/error.h"
 
 namespace semfield::app {
@@ -23,5 +23,15 @@ Error unknown_verb(const Grammar& grammar, const std::string& group, const std::
 Error unknown_flag(const Grammar& grammar, const std::string& verb, const std::string& word);
 /// The verb takes no --json; says which do.
 Error no_json(const Grammar& grammar, const VerbGrammar& verb);
+
+// Manual pages of the program and of its verbs, in the macros of man(7).
+
+/// The page of a verb or group; of the program for nullptr.
+std::string man_page(const Grammar& grammar, const VerbGrammar* verb);
+/// "semfield-config-check.1"; "semfield.1" for nullptr.
+std::string man_file(const VerbGrammar* verb);
+
+/// docs/reference/verbs.md: every verb with its operands and options.
+std::string verbs_page(const Grammar& grammar);
 
 }  // namespace semfield::app

@@ -6,20 +6,17 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "app/mesh/found_surface.h"
 #include "app/objects/object_tables.h"
-#include "app/progress_line.h"
+#include "app/terminal.h"
 #include "compute/parallel.h"
+#include "core/small_math.h"
 #include "core/text.h"
-#include "core/usual_metre.h"
 #include "eval/image_output.h"
-#include "handover/costmap.h"
 #include "handover/point_files.h"
-#include "handover/splat_colors.h"
 #include "handover/splats.h"
-#include "surface/mesh/class_groups.h"
-#include "surface/mesh/point_cloud.h"
-#include "surface/mesh/upright.h"
+#include "handover/voxel_map.h"
+#include "surface/mesh/mesh_files.h"
+#include "surface/mesh/surface.h"
 #include "system/files.h"
 
 namespace semfield::app {
@@ -215,6 +212,43 @@ std::vector<std::string> HandOver::files() const {
   std::vector<std::string> out;
   for (const HandedFile& file : sidecar_.files) out.push_back(file.path);
   return out;
+}
+
+namespace {
+
+// The mesh's, and that of the fused depth images, which is the mesh itself where it was made of them.
+MeshScores scores_of(const MeshOptions& options, const RunSurface& found, const Session& s,
+                     const MeasuredDepth& measured) {
+  const double metre = usual_metre(s.scene.info.metric, s.extent.bounds.size());
+  const DepthReference reference(measured.training, measured.held_out, metre);
+  MeshScores scores{metre, reference.points(), reference.held_out_points(), reference.score(found.surface), {}};
+  if (found.source == "sensor" || measured.training.empty()) return scores;
+  Surface of_sensor = fused_surface(measured.training, s.limits, found.grid);
+  drop_small_components(of_sensor, options.keep_components);
+  scores.sensor = reference.score(of_sensor);
+  return scores;
+}
+
+}  // namespace
+
+double spacing_of(const MeshOptions& options, const Box& bounds, long long cells) {
+  const Vec3d size = bounds.size();
+  return options.voxel.value_or(std::max({size.x, size.y, size.z}) /
+                                static_cast<double>(options.resolution.value_or(cells)));
+}
+
+FoundSurface find_surface(const MeshOptions& options, OpenedRun& run, const AppContext& context) {
+  const Session& s = run.session;
+  const bool of_sensor = surface_source(options, s) == "sensor";
+  MeasuredDepth measured;
+  if (options.score || of_sensor) measured = measured_depth(run.session, options.run, of_sensor);
+  ProgressLine progress(context, "depth of", "views");
+  FoundSurface found{make_run_surface(s, options.run, options, measured.training,
+                                      {[&](const std::string& note) { print_note(context, note); },
+                                       [&](double done, double of) { progress.show(done, of); }}),
+                     {}};
+  if (options.score) found.scores = scores_of(options, found, s, measured);
+  return found;
 }
 
 }  // namespace semfield::app

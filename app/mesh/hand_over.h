@@ -9,13 +9,13 @@
 #include <vector>
 
 #include "app/app_context.h"
-#include "app/mesh/mesh_options.h"
 #include "app/mesh/mesh_targets.h"
-#include "handover/sidecar.h"
+#include "app/render/render_views.h"
+#include "handover/point_files.h"
 #include "handover/splats.h"
 #include "handover/voxel_map.h"
 #include "objects/object_set.h"
-#include "run/open_run.h"
+#include "run/run_scores.h"
 #include "surface/mesh/mesh_files.h"
 
 namespace semfield::app {
@@ -61,5 +61,19 @@ class HandOver {
   Splats splats_;
   std::optional<VoxelMap> map_;
 };
+
+// The surface of a run as `semfield mesh` is asked for it, with figures.
+
+struct FoundSurface : RunSurface {
+  std::optional<MeshScores> scores;
+};
+
+inline constexpr long long kMeshResolution = 256;  ///< cells along the longest side, where none are asked for
+
+/// What --voxel says, or the longest side over --resolution, or over `cells`.
+double spacing_of(const MeshOptions& options, const Box& bounds, long long cells);
+
+/// Throws Error(data) where there is no surface, or nothing of it is seen.
+FoundSurface find_surface(const MeshOptions& options, OpenedRun& run, const AppContext& context);
 
 }  // namespace semfield::app

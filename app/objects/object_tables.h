@@ -1,10 +1,14 @@
 // The table of objects as files: JSON, CSV and labelled points. Edits that a person made are in them.
 #pragma once
 
+#include <cstdint>
 #include <optional>
+#include <span>
 #include <string>
+#include <vector>
 
 #include "objects/object_edits.h"
+#include "objects/segments.h"
 #include "scene/scene.h"
 
 namespace semfield::app {
@@ -35,5 +39,14 @@ std::string object_name(const ObjectRow& row, const ClassTable& classes);
 
 /// A row of the table as a JSON object, as objects.json has it.
 std::string object_row_json(const ObjectRow& row, const ClassTable& classes);
+
+// Objects for the eye: a strip of panels for a view.
+
+/// Writes a PNG of panels side by side: the photograph, the segments that were given (left out where `given` is empty),
+/// the objects found and the true ones. A found object has the colour of the true one that it shares most pixels with;
+/// what is no object is grey. `id` [H * W] objects found, 0: none; `stuff` [classes]. `frame` has labels and instances.
+/// Throws as write_png_rgb.
+void write_object_strip(const std::string& path, const StoredFrame& frame, const FrameSegments& given,
+                        std::span<const std::int32_t> id, const std::vector<bool>& stuff);
 
 }  // namespace semfield::app

@@ -6,9 +6,8 @@
 
 #include "core/error.h"
 #include "surface/mesh/field_surface.h"
-#include "surface/mesh/shape/close_holes.h"
 #include "surface/mesh/shape/simplify.h"
-#include "surface/mesh/upright.h"
+#include "surface/mesh/surface.h"
 
 namespace semfield::app {
 

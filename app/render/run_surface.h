@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "session/session.h"
-#include "surface/mesh/depth_fusion.h"
+#include "surface/mesh/field_surface.h"
 #include "surface/mesh/surface.h"
 
 namespace semfield::app {

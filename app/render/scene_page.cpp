@@ -19,9 +19,8 @@
 #include "report/html.h"
 #include "run/run_folder.h"
 #include "scene/scene.h"
-#include "surface/mesh/upright.h"
+#include "surface/mesh/surface.h"
 #include "system/files.h"
-#include "system/shared_files.h"
 
 namespace semfield::app {
 

@@ -15,7 +15,7 @@
 #include <utility>
 #include <vector>
 
-#include "app/program_in_path.h"
+#include "app/child_process.h"
 #include "core/error.h"
 
 namespace semfield::app {

@@ -7,7 +7,7 @@
 #include <filesystem>
 
 #include "formats/image_io.h"
-#include "scene/classes/void_class.h"
+#include "scene/classes/class_table.h"
 #include "system/files.h"
 
 namespace semfield {

@@ -5,7 +5,7 @@
 #include <string>
 
 #include "plugin/dataset.h"
-#include "scene/pose_convention.h"
+#include "scene/camera_rig.h"
 
 namespace semfield {
 

@@ -4,11 +4,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <map>
 #include <span>
+#include <utility>
 
-#include "app/scene/preset_advice.h"
-#include "core/findings.h"
+#include "config/compose.h"
+#include "core/error.h"
+#include "core/text.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -274,4 +277,164 @@ void write_frusta_ply(const std::string& path, const LoadedScene& scene, double 
   write_file_atomic(path, out);
 }
 
+namespace {
+
+// The distance from the cameras' common focus beyond which one corner in twenty lies, in distances of the cameras from
+// it; 0 where too few corners were found again to say.
+double reach_of_surroundings(const LoadedScene& scene) {
+  constexpr std::size_t kFewestCorners = 100;
+  const SurveyPoints& c = scene.corners;
+  if (c.x.size() < kFewestCorners || !(scene.rig.distance_m > 0)) return 0;
+  std::vector<double> away;
+  for (std::size_t i = 0; i < c.x.size(); ++i) away.push_back(length(Vec3d{c.x[i], c.y[i], c.z[i]} - scene.rig.focus));
+  const auto far = away.begin() + static_cast<std::ptrdiff_t>(0.95 * static_cast<double>(away.size()));
+  std::nth_element(away.begin(), far, away.end());
+  return *far / scene.rig.distance_m;
+}
+
+}  // namespace
+
+std::string PresetAdvice::text() const {
+  const std::string set = background ? fmt::format(" with rendering.background: [{:.3g}, {:.3g}, {:.3g}]",
+                                                   (*background)[0], (*background)[1], (*background)[2])
+                                     : "";
+  return preset + set + ": " + why;
+}
+
+std::optional<PresetAdvice> advised_preset(const LoadedScene& scene) {
+  constexpr double kOpen = 5;  // a room around its subject ends nearer
+  if (scene.bounds.empty()) return std::nullopt;
+  PresetAdvice out{"presets/room.yaml", "", std::nullopt};
+  if (scene.plain_background) {
+    const auto& c = scene.plain_background->color;
+    out.preset = "presets/object.yaml";
+    out.why = fmt::format("the cameras stand around an object before one colour, ({}, {}, {})", c[0], c[1], c[2]);
+    if (c[0] != 255 || c[1] != 255 || c[2] != 255) out.background = {c[0] / 255.0, c[1] / 255.0, c[2] / 255.0};
+    return out;
+  }
+  const bool depth =
+      std::any_of(scene.info.frames.begin(), scene.info.frames.end(), [](const FrameInfo& f) { return f.has_depth; });
+  if (depth || !scene.rig.inward) {
+    out.why = depth ? "depth images show where the scene ends" : "the cameras do not stand around one place";
+    return out;
+  }
+  const double reach = reach_of_surroundings(scene);
+  const std::string around = "the cameras stand around one place";
+  if (reach > 0 && reach < kOpen) {
+    out.why =
+        fmt::format("{}, and what lies behind it ends within {:.2g} times their distance, as in a room", around, reach);
+    return out;
+  }
+  out.preset = "presets/unbounded.yaml";
+  out.why = around + (reach > 0 ? fmt::format(" and see what lies behind it, beyond {:.2g} times their distance", reach)
+                                : " and see what lies behind it");
+  return out;
+}
+
 }  // namespace semfield
+
+namespace semfield::app {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+// `run`, or with the first number behind it that nothing has yet.
+std::string unused(const std::string& run) {
+  std::error_code unknown;
+  std::string free = run;
+  for (int number = 2; fs::exists(free, unknown) && !fs::is_empty(free, unknown); ++number)
+    free = run + "_" + std::to_string(number);
+  return free;
+}
+
+}  // namespace
+
+std::vector<NextStep> next_of_config(const KnownConfig& config) {
+  std::string words = " " + shell_word(config.file);
+  for (const std::string& module : config.modules) words += " --plugin " + shell_word(module);
+  for (const std::string& setting : config.set) {
+    // "--threads runtime.threads=2" was typed as "--threads 2".
+    const bool is_short = setting.starts_with("--");
+    words += " --set " + shell_word(is_short ? setting.substr(setting.find(' ') + 1) : setting);
+  }
+  // What suits the scene comes first and gets the folder that pages call the run.
+  const auto with_folder = [&](const char* verb, const std::string& ending, const char* what) -> NextStep {
+    const std::string usual = "runs/" + config.name, run = unused(usual + ending);
+    return {verb + words + (run == usual ? "" : " --out " + shell_word(run)), what + run};
+  };
+#ifdef SEMFIELD_WITH_SERVE
+  if (!config.labels)
+    return {with_folder("serve", "", "label by clicks while it trains; writes "),
+            with_folder("train", "_unlabelled", "trains without labels; writes ")};
+  return {with_folder("train", "", "writes "),
+          with_folder("serve", "_clicks", "label by clicks while it trains; writes ")};
+#else
+  return {with_folder("train", "", "writes ")};
+#endif
+}
+
+std::vector<NextStep> next_of_cameras(bool off, const std::string& scene, const std::string& name) {
+  if (!off) return {};
+  return {{"prepare " + shell_word(scene) + " --out " + shell_word(unused(name + "_fixed")),
+           "fixes the cameras, in a scene of its own"}};
+}
+
+std::vector<NextStep> next_of_scene(const std::string& folder, const std::string& name) {
+  std::error_code unknown;
+  const std::string file = "configs/" + name + ".yaml";
+  if (fs::exists(file, unknown)) return {{"inspect " + shell_word(file), "the configuration that is there already"}};
+  return {{"init " + shell_word(folder), "writes a configuration, and says what to do with it"}};
+}
+
+std::vector<NextStep> next_of_run(const std::string& run, bool held_out) {
+  const std::string word = shell_word(run);
+  std::vector<NextStep> steps;
+  if (held_out) {
+    steps.push_back({"eval " + word, "scores every pixel of the held-out views"});
+    steps.push_back({"render " + word + " --split test", "colour, labels and depth of them"});
+  }
+  steps.push_back({"mesh " + word + " --format ply,html", "the surface, and a page that shows it"});
+  return steps;
+}
+
+std::vector<NextStep> next_of_look([[maybe_unused]] const std::string& run) {
+#ifdef SEMFIELD_WITH_SERVE
+  return {{"view " + shell_word(run), "the run in the browser"}};
+#else
+  return {};
+#endif
+}
+
+namespace {
+
+OpenedDataset dataset_of(RunConfig config, AppContext& context) {
+  OpenedDataset opened;
+  opened.config = std::move(config);
+  context.adopt(opened.config);
+  DatasetBuild build;
+  build.config_dir = opened.config.base_dir;
+  opened.dataset = opened.config.dataset.entry->dataset(*opened.config.dataset.params, build);
+  return opened;
+}
+
+}  // namespace
+
+OpenedDataset dataset_of(const ConfigOptions& options, AppContext& context) {
+  return dataset_of(load_run_config(options.config, options.set, context.registry), context);
+}
+
+OpenedDataset dataset_of(const ConfigNode& tree, const std::vector<std::string>& set, AppContext& context) {
+  return dataset_of(run_config_of(compose_config_tree(tree, set), context.registry), context);
+}
+
+LoadedScene load_for_labels(OpenedDataset& opened, Diagnostics& diagnostics) {
+  SceneLoadOptions load = opened.config.load;
+  load.depth = opened.config.labels.wants_depth() ? DepthKept::all : DepthKept::none;
+  load.with_instances = opened.config.labels.needs_instances();
+  LoadedScene scene = load_scene(*opened.dataset, load, diagnostics);
+  open_label_files(scene, opened.config.labels, diagnostics);
+  return scene;
+}
+
+}  // namespace semfield::app

@@ -1,9 +1,15 @@
 // What a scene holds, as text and as JSON, and its cameras as a mesh.
 #pragma once
 
+#include <array>
+#include <memory>
+#include <optional>
 #include <string>
+#include <vector>
 
 #include "app/json_output.h"
+#include "app/next_steps.h"
+#include "app/verb.h"
 #include "core/error.h"
 #include "loading/frame_source.h"
 
@@ -11,7 +17,7 @@ namespace semfield {
 
 /// Frames, splits, sizes, extent, bounds, near and far, class table with pixel fractions of train and test and how many
 /// labelled training frames see each class, then every problem with its remedy. `depth_use`: what training makes of
-/// depth images (session/settings/loss_config.h). Ends with a line feed.
+/// depth images (session/settings/run_config.h). Ends with a line feed.
 std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use = "");
 /// The same for programs.
 app::Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use = "");
@@ -20,4 +26,61 @@ app::Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics,
 /// test orange.
 void write_frusta_ply(const std::string& path, const LoadedScene& scene, double depth_m = 0);
 
+// Which of the shipped presets suits a scene, from what was found in it.
+
+struct PresetAdvice {
+  std::string preset;  ///< as `include` takes it: "presets/room.yaml"
+  std::string why;     ///< what was found, in one clause
+  /// rendering.background, where the preset's own is another.
+  std::optional<std::array<double, 3>> background;
+
+  /// "presets/object.yaml with rendering.background: [0, 0.2, 1]: ..."
+  std::string text() const;
+};
+
+/// Nothing of a scene that was not loaded. tests/datasets/inspect_pack_test.cpp holds it against training.
+std::optional<PresetAdvice> advised_preset(const LoadedScene& scene);
+
 }  // namespace semfield
+
+// What people do next with the configuration of a scene, and with a run.
+namespace semfield::app {
+
+struct KnownConfig {
+  std::string file;  ///< or a shipped name
+  std::string name;  ///< of its runs: runs/NAME
+  bool labels = false;
+  std::vector<std::string> set = {};  ///< what --set and its short forms gave
+  std::vector<std::string> modules = {};
+};
+
+/// Training, and labelling in a run of its own, so that either works after the other. A run that is there already keeps
+/// its folder.
+std::vector<NextStep> next_of_config(const KnownConfig& config);
+
+/// What fixes the cameras of a scene that do not fit its photographs; none where they do. `scene` is its folder, or a
+/// configuration; `name` is what it is called.
+std::vector<NextStep> next_of_cameras(bool off, const std::string& scene, const std::string& name);
+/// The configuration of a scene's folder, which is written or is there already.
+std::vector<NextStep> next_of_scene(const std::string& folder, const std::string& name);
+/// What follows on a run that was trained: scores and pictures of its held-out frames, if it has any, and its surface.
+std::vector<NextStep> next_of_run(const std::string& run, bool held_out);
+/// The run in the browser, where the build has pages that are served.
+std::vector<NextStep> next_of_look(const std::string& run);
+
+// The dataset that a configuration names, opened without training.
+
+struct OpenedDataset {
+  RunConfig config;
+  std::unique_ptr<Dataset> dataset;
+};
+
+/// From here on the program works under the limits and with the threads of the configuration.
+OpenedDataset dataset_of(const ConfigOptions& options, AppContext& context);
+/// The same of a tree that no file holds.
+OpenedDataset dataset_of(const ConfigNode& tree, const std::vector<std::string>& set, AppContext& context);
+
+/// The scene with what its label steps require.
+LoadedScene load_for_labels(OpenedDataset& opened, Diagnostics& diagnostics);
+
+}  // namespace semfield::app

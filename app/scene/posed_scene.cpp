@@ -7,8 +7,8 @@
 
 #include "eval/image_output.h"
 #include "formats/image_io.h"
-#include "loading/depth_camera.h"
-#include "scene/classes/void_class.h"
+#include "loading/depth_images.h"
+#include "scene/classes/class_table.h"
 #include "system/files.h"
 
 namespace semfield::app {

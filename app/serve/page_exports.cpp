@@ -13,7 +13,6 @@
 #include "core/error.h"
 #include "formats/zip_archive.h"
 #include "system/files.h"
-#include "system/sorted_folder.h"
 
 namespace semfield::app {
 

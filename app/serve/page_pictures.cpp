@@ -1,11 +1,14 @@
 #include "app/serve/page_pictures.h"
 
+#include <turbojpeg.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <memory>
 #include <nlohmann/json.hpp>
+#include <string>
 
-#include "app/serve/jpeg.h"
 #include "core/check.h"
 #include "core/error.h"
 #include "formats/png_codec.h"
@@ -84,6 +87,59 @@ std::vector<std::uint8_t> photo_jpeg(const Image<std::uint8_t>& photo, std::int3
   };
   const Image<std::uint8_t> small = resize_area(photo, shorter(photo.width_px), shorter(photo.height_px));
   return encode_jpeg(small.width_px, small.height_px, small.pixels);
+}
+
+Image<std::uint8_t> PagePhotos::read(int frame, std::int32_t most_px) {
+  const auto f = static_cast<std::size_t>(frame);
+  const StoredFrame& trained = session_.scene.frames.at(f);
+  if (most_px > 0 && most_px <= std::max(trained.width_px, trained.height_px))
+    return {trained.width_px, trained.height_px, 3, trained.rgb};
+  const std::lock_guard lock(mutex_);
+  if (!dataset_) open();
+  if (kept_frame_ == frame) return kept_;
+  FrameBuffer buffer;
+  dataset_->read(frame, buffer);
+  kept_ = {buffer.width_px, buffer.height_px, 3, std::move(buffer.rgb)};
+  kept_frame_ = frame;
+  return kept_;
+}
+
+void PagePhotos::open() {
+  const RunConfig& config = session_.config;
+  DatasetBuild build;
+  build.config_dir = config.base_dir;
+  std::unique_ptr<Dataset> dataset = config.dataset.entry->dataset(*config.dataset.params, build);
+  Diagnostics found;
+  info_ = dataset->open(found);
+  found.throw_if_errors(ErrorKind::data, "the photographs cannot be read any more:");
+  const std::vector<FrameInfo>& loaded = session_.scene.info.frames;
+  if (!std::equal(info_.frames.begin(), info_.frames.end(), loaded.begin(), loaded.end(),
+                  [](const FrameInfo& a, const FrameInfo& b) { return a.name == b.name; }))
+    throw Error(ErrorKind::data, "scene.frames.changed", "the scene's files list other frames than were loaded",
+                "start semfield serve again");
+  dataset_ = std::move(dataset);
+}
+
+std::vector<std::uint8_t> encode_jpeg(std::int32_t width_px, std::int32_t height_px, std::span<const std::uint8_t> rgb,
+                                      int quality) {
+  SEMFIELD_CHECK(
+      width_px > 0 && height_px > 0 &&
+          rgb.size() == std::size_t{3} * static_cast<std::size_t>(width_px) * static_cast<std::size_t>(height_px),
+      "a picture's colours do not match its size");
+  const std::unique_ptr<void, int (*)(tjhandle)> encoder(tjInitCompress(), tjDestroy);
+  if (!encoder)
+    throw Error(ErrorKind::internal, "internal.jpeg.failed",
+                std::string("TurboJPEG cannot start: ") + tjGetErrorStr2(nullptr));
+  std::vector<std::uint8_t> out(tjBufSize(width_px, height_px, TJSAMP_420));
+  unsigned char* at = out.data();
+  unsigned long bytes = out.size();
+  // The buffer is large enough for any picture, so it is never replaced by another.
+  if (tjCompress2(encoder.get(), rgb.data(), width_px, 0, height_px, TJPF_RGB, &at, &bytes, TJSAMP_420, quality,
+                  TJFLAG_NOREALLOC) != 0)
+    throw Error(ErrorKind::internal, "internal.jpeg.failed",
+                std::string("TurboJPEG: ") + tjGetErrorStr2(encoder.get()));
+  out.resize(bytes);
+  return out;
 }
 
 }  // namespace semfield::app

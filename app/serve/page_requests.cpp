@@ -2,8 +2,8 @@
 
 #include <charconv>
 
-#include "app/serve/request_json.h"
-#include "labels/clicks/label_event.h"
+#include "app/serve/page_state.h"
+#include "labels/clicks/click_log.h"
 
 namespace semfield::app {
 

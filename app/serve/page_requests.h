@@ -5,7 +5,7 @@
 #include <string>
 #include <string_view>
 
-#include "serve/label_state.h"
+#include "serve/label_loop.h"
 
 namespace semfield::app {
 

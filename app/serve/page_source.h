@@ -7,7 +7,7 @@
 #include <memory>
 
 #include "formats/image_io.h"
-#include "serve/label_state.h"
+#include "serve/label_loop.h"
 
 namespace semfield::app {
 

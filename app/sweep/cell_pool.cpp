@@ -17,11 +17,10 @@
 #include "app/child_process.h"
 #include "app/signals.h"
 #include "config/config_tree.h"
-#include "core/findings.h"
-#include "report/sweep/host_share.h"
+#include "core/error.h"
+#include "report/sweep/sweep_results.h"
 #include "system/files.h"
-#include "system/folder_lock.h"
-#include "system/memory_limit.h"
+#include "system/process.h"
 
 namespace semfield::app {
 

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "app/sweep/cell_files.h"
+#include "app/sweep/sweep_folder.h"
 
 namespace semfield::app {
 

@@ -3,9 +3,9 @@
 #include <algorithm>
 #include <filesystem>
 
-#include "app/scene/pack_scene.h"
+#include "app/scene/folder_scene.h"
 #include "app/sweep/cell_pool.h"
-#include "core/work_scope.h"
+#include "core/workspace.h"
 #include "loading/packed_scene.h"
 #include "session/settings/run_config.h"
 

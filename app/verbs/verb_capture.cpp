@@ -2,11 +2,11 @@
 #include <cstdio>
 
 #include "app/json_output.h"
-#include "app/progress_line.h"
 #include "app/scene/capture_replica.h"
-#include "app/scene/configured_scene.h"
+#include "app/scene/inspect_report.h"
+#include "app/terminal.h"
 #include "app/verb.h"
-#include "core/findings.h"
+#include "core/error.h"
 
 namespace semfield::app {
 

@@ -10,7 +10,7 @@
 #include "app/verb.h"
 #include "run/run_folder.h"
 #include "system/files.h"
-#include "system/shared_library.h"
+#include "system/process.h"
 
 namespace semfield::app {
 

@@ -4,10 +4,10 @@
 #include <cstdio>
 
 #include "app/json_output.h"
-#include "app/scene/configured_scene.h"
-#include "app/scene/label_folder.h"
+#include "app/scene/folder_scene.h"
+#include "app/scene/inspect_report.h"
 #include "app/verb.h"
-#include "core/findings.h"
+#include "core/error.h"
 
 namespace semfield::app {
 

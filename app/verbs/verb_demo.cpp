@@ -13,12 +13,11 @@
 #include "app/next_steps.h"
 #include "app/signals.h"
 #include "app/verb.h"
+#include "config/compose.h"
 #include "config/config_tree.h"
-#include "config/shipped_config.h"
 #include "core/text.h"
 #include "run/run_folder.h"
-#include "system/cache_folder.h"
-#include "system/shared_files.h"
+#include "system/files.h"
 
 namespace semfield::app {
 

@@ -7,16 +7,15 @@
 
 #include "app/json_output.h"
 #include "app/next_steps.h"
-#include "app/progress_line.h"
+#include "app/terminal.h"
 #include "app/verb.h"
-#include "core/findings.h"
+#include "core/error.h"
 #include "core/text.h"
+#include "eval/evaluator.h"
 #include "eval/final_eval.h"
-#include "eval/json_number.h"
-#include "eval/protocol.h"
-#include "run/open_run.h"
+#include "eval/metrics.h"
 #include "run/run_scores.h"
-#include "session/refined_poses.h"
+#include "session/training.h"
 #include "system/files.h"
 
 namespace semfield::app {
@@ -26,7 +25,7 @@ namespace {
 struct EvalOptions {
   std::string run, out;
   std::string split = "test";
-  std::string protocol;  ///< of eval/protocol.h; "": none
+  std::string protocol;  ///< of eval/evaluator.h; "": none
   bool refine_poses = false, fit_colors = false;
   std::vector<std::string> set;
 };

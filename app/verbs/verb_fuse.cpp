@@ -7,19 +7,19 @@
 #include <nlohmann/json.hpp>
 
 #include "app/json_output.h"
-#include "app/progress_line.h"
-#include "app/scene/label_folder.h"
+#include "app/scene/folder_scene.h"
+#include "app/terminal.h"
 #include "app/verb.h"
 #include "config/config_tree.h"
-#include "config/params_read.h"
-#include "core/findings.h"
+#include "config/params.h"
+#include "core/error.h"
 #include "eval/image_output.h"
-#include "formats/orientation.h"
+#include "formats/image_io.h"
 #include "labels/label_files.h"
-#include "run/open_run.h"
-#include "scene/classes/void_class.h"
-#include "scene/output_names.h"
-#include "surface/fuse/scene_fusion.h"
+#include "run/run_scores.h"
+#include "scene/classes/class_table.h"
+#include "scene/scene.h"
+#include "surface/fuse/fusion.h"
 #include "system/files.h"
 
 namespace semfield::app {

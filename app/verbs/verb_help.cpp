@@ -3,7 +3,6 @@
 #include <filesystem>
 
 #include "app/command_line/help.h"
-#include "app/command_line/man_page.h"
 #include "app/verb.h"
 #include "core/error.h"
 #include "plugin/reference.h"

@@ -5,13 +5,10 @@
 #include <filesystem>
 
 #include "app/json_output.h"
-#include "app/scene/configured_scene.h"
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
-#include "app/scene/next_of_config.h"
-#include "app/scene/preset_advice.h"
 #include "app/verb.h"
-#include "core/findings.h"
+#include "core/error.h"
 #include "core/text.h"
 #include "system/files.h"
 

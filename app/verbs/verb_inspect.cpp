@@ -4,15 +4,13 @@
 #include <numeric>
 
 #include "app/json_output.h"
-#include "app/scene/configured_scene.h"
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
-#include "app/scene/next_of_config.h"
 #include "app/verb.h"
 #include "core/text.h"
 #include "session/ray_source.h"
-#include "session/settings/label_choices.h"
-#include "session/settings/loss_config.h"
+#include "session/settings/choices.h"
+#include "session/settings/run_config.h"
 
 namespace semfield::app {
 

@@ -6,18 +6,16 @@
 #include <nlohmann/json.hpp>
 
 #include "app/json_output.h"
-#include "app/mesh/found_surface.h"
 #include "app/mesh/hand_over.h"
 #include "app/mesh/mesh_targets.h"
 #include "app/render/scene_page.h"
-#include "app/scene/next_of_config.h"
+#include "app/scene/inspect_report.h"
 #include "app/verb.h"
-#include "core/findings.h"
+#include "core/error.h"
 #include "core/text.h"
-#include "run/open_run.h"
-#include "surface/mesh/class_groups.h"
+#include "run/run_scores.h"
 #include "surface/mesh/mesh_files.h"
-#include "surface/mesh/upright.h"
+#include "surface/mesh/surface.h"
 
 namespace semfield::app {
 

@@ -2,10 +2,10 @@
 #include <cstdio>
 
 #include "app/json_output.h"
-#include "app/scene/configured_scene.h"
-#include "app/scene/pack_scene.h"
+#include "app/scene/folder_scene.h"
+#include "app/scene/inspect_report.h"
 #include "app/verb.h"
-#include "core/findings.h"
+#include "core/error.h"
 
 namespace semfield::app {
 

@@ -6,19 +6,17 @@
 
 #include "app/child_process.h"
 #include "app/json_output.h"
-#include "app/program_in_path.h"
-#include "app/progress_line.h"
-#include "app/scene/configured_scene.h"
 #include "app/scene/folder_scene.h"
-#include "app/scene/next_of_config.h"
+#include "app/scene/inspect_report.h"
 #include "app/scene/posed_scene.h"
 #include "app/signals.h"
+#include "app/terminal.h"
 #include "app/verb.h"
-#include "core/findings.h"
+#include "core/error.h"
 #include "core/text.h"
 #include "loading/capture/fix_cameras.h"
 #include "loading/capture/prepare.h"
-#include "scene/pose_convention.h"
+#include "scene/camera_rig.h"
 
 namespace semfield::app {
 

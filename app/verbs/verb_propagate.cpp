@@ -5,11 +5,11 @@
 #include <nlohmann/json.hpp>
 
 #include "app/json_output.h"
-#include "app/progress_line.h"
-#include "app/scene/label_folder.h"
+#include "app/scene/folder_scene.h"
+#include "app/terminal.h"
 #include "app/verb.h"
-#include "core/findings.h"
-#include "run/open_run.h"
+#include "core/error.h"
+#include "run/run_scores.h"
 #include "surface/fuse/propagation.h"
 
 namespace semfield::app {

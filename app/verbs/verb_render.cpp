@@ -11,16 +11,15 @@
 #include <nlohmann/json.hpp>
 
 #include "app/json_output.h"
-#include "app/progress_line.h"
-#include "app/render/frame_strip.h"
 #include "app/render/render_views.h"
 #include "app/render/video.h"
-#include "app/scene/next_of_config.h"
+#include "app/scene/inspect_report.h"
+#include "app/terminal.h"
 #include "app/verb.h"
-#include "core/findings.h"
+#include "core/error.h"
 #include "eval/image_output.h"
 #include "formats/image_io.h"
-#include "run/open_run.h"
+#include "run/run_scores.h"
 #include "system/files.h"
 
 namespace semfield::app {

@@ -2,11 +2,11 @@
 #include <cstdio>
 
 #include "app/json_output.h"
-#include "app/render/report_scene.h"
+#include "app/render/render_views.h"
 #include "app/verb.h"
-#include "core/findings.h"
+#include "core/error.h"
 #include "report/report.h"
-#include "run/open_run.h"
+#include "run/run_scores.h"
 #include "system/files.h"
 
 namespace semfield::app {

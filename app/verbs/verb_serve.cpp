@@ -13,16 +13,15 @@
 
 #include "app/child_process.h"
 #include "app/next_steps.h"
-#include "app/serve/page_photos.h"
 #include "app/serve/page_pictures.h"
 #include "app/serve/page_server.h"
-#include "app/serve/run_id.h"
+#include "app/serve/page_state.h"
 #include "app/signals.h"
-#include "core/findings.h"
+#include "core/error.h"
 #include "core/text.h"
 #include "run/run_folder.h"
 #include "serve/label_session.h"
-#include "system/shared_files.h"
+#include "system/files.h"
 
 #endif
 

@@ -18,11 +18,11 @@
 #include "app/verb.h"
 #include "compute/parallel.h"
 #include "core/device_id.h"
-#include "core/findings.h"
+#include "core/error.h"
 #include "execution/device_library.h"
-#include "execution/ranks/launcher.h"
-#include "report/sweep/host_share.h"
-#include "system/cpu_quota.h"
+#include "execution/ranks/ranks.h"
+#include "report/sweep/sweep_results.h"
+#include "system/process.h"
 
 namespace semfield::app {
 

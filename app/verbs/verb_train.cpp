@@ -9,19 +9,17 @@
 
 #include "app/json_output.h"
 #include "app/length_words.h"
-#include "app/progress_line.h"
-#include "app/render/report_scene.h"
-#include "app/scene/next_of_config.h"
+#include "app/render/render_views.h"
+#include "app/scene/inspect_report.h"
 #include "app/signals.h"
 #include "app/terminal.h"
 #include "app/verb.h"
 #include "config/compose.h"
-#include "core/findings.h"
+#include "core/error.h"
 #include "core/text.h"
-#include "report/run_report.h"
-#include "run/checkpoint_store.h"
+#include "report/report.h"
 #include "run/run_folder.h"
-#include "run/train_run.h"
+#include "run/run_loop.h"
 
 namespace semfield::app {
 

@@ -13,11 +13,11 @@
 #include <thread>
 
 #include "app/child_process.h"
-#include "app/scene/next_of_config.h"
+#include "app/scene/inspect_report.h"
 #include "app/signals.h"
 #include "app/view/view_server.h"
-#include "core/findings.h"
-#include "run/open_run.h"
+#include "core/error.h"
+#include "run/run_scores.h"
 
 #endif
 

@@ -9,9 +9,9 @@
 #include <sstream>
 
 #include "app/serve/page_requests.h"
-#include "app/serve/request_json.h"
+#include "app/serve/page_state.h"
 #include "core/error.h"
-#include "scene/camera_set.h"
+#include "scene/camera.h"
 
 namespace semfield::app {
 

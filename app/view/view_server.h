@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "app/serve/http_server.h"
-#include "app/serve/page_access.h"
 #include "app/serve/page_exports.h"
+#include "app/serve/page_server.h"
 #include "app/view/viewed_run.h"
 
 namespace semfield::app {

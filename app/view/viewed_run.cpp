@@ -9,12 +9,11 @@
 
 #include "app/json_output.h"
 #include "app/objects/object_tables.h"
-#include "app/serve/jpeg.h"
+#include "app/serve/page_pictures.h"
 #include "core/error.h"
-#include "eval/field_points.h"
+#include "eval/channel_query.h"
 #include "eval/image_output.h"
 #include "report/html.h"
-#include "run/checkpoint_store.h"
 #include "run/run_folder.h"
 
 namespace semfield::app {

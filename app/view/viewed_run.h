@@ -12,11 +12,11 @@
 #include <string>
 #include <vector>
 
-#include "app/objects/object_folder.h"
+#include "app/objects/object_files.h"
 #include "app/render/run_surface.h"
 #include "app/render/scene_page.h"
-#include "run/open_run.h"
-#include "serve/label_state.h"
+#include "run/run_scores.h"
+#include "serve/label_loop.h"
 
 namespace semfield::app {
 

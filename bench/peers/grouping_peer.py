@@ -7,7 +7,7 @@ what points are compared with. Embeddings of a sample are clustered by density [
 cluster. Things alone are grouped: which pixels are stuff is taken from the true labels. So the peer has true depth and true classes,
 where semfield renders both.
 
---damage makes the segments worse as framework/objects/damage.h does with 20 % split, 20 % joined, 20 % missing and borders
+--damage makes the segments worse as framework/objects/object_score.h does with 20 % split, 20 % joined, 20 % missing and borders
 moved by up to 2 pixels; its random numbers are others.
 
 Prints one JSON object: panoptic quality of the scene by the protocol of framework/objects/object_score.h, and seconds of all but reading."""

@@ -16,7 +16,6 @@
 #include <utility>
 
 #include "app/child_process.h"
-#include "app/program_in_path.h"
 #include "app/signals.h"
 #include "compute/parallel.h"
 #include "core/error.h"

@@ -10,7 +10,6 @@
 #include "core/text.h"
 #include "studies/label_bench.h"
 #include "system/files.h"
-#include "system/shared_files.h"
 
 namespace semfield::app {
 

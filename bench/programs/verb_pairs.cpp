@@ -12,7 +12,6 @@
 #include "run/run_folder.h"
 #include "studies/leave_out_page.h"
 #include "system/files.h"
-#include "system/shared_files.h"
 
 namespace semfield::app {
 

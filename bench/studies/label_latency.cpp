@@ -13,7 +13,7 @@
 #include "core/rng.h"
 #include "labels/clicks/click_log.h"
 #include "serve/label_session.h"
-#include "session/settings/run_length.h"
+#include "session/settings/choices.h"
 #include "studies/label_bench.h"
 
 namespace semfield {

@@ -5,10 +5,10 @@
 #include <algorithm>
 #include <cmath>
 
-#include "report/sweep/sweep_tables.h"
+#include "report/sweep/sweep_results.h"
 #include "studies/leave_out_side.h"
 #include "studies/step_bench.h"
-#include "system/sha256.h"
+#include "system/checksum.h"
 
 namespace semfield {
 

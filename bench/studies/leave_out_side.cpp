@@ -15,7 +15,7 @@
 #include "formats/image_formats.h"
 #include "formats/image_io.h"
 #include "studies/step_bench.h"
-#include "system/sha256.h"
+#include "system/checksum.h"
 
 namespace semfield {
 

@@ -8,7 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "core/check.h"
-#include "report/report_svg.h"
+#include "report/html.h"
 #include "run/run_folder.h"
 
 namespace semfield {

@@ -10,8 +10,8 @@
 
 #include "core/error.h"
 #include "execution/device_library.h"
-#include "run/run_compare.h"
 #include "run/run_folder.h"
+#include "run/run_scores.h"
 #include "studies/scale_trainings.h"
 #include "system/files.h"
 

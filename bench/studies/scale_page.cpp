@@ -6,7 +6,7 @@
 #include <array>
 #include <utility>
 
-#include "report/report_svg.h"
+#include "report/html.h"
 #include "studies/page_parts.h"
 
 namespace semfield {

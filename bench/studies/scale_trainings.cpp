@@ -8,7 +8,6 @@
 
 #include "compute/parallel.h"
 #include "core/error.h"
-#include "run/checkpoint_store.h"
 #include "run/metrics_log.h"
 #include "run/run_folder.h"
 #include "system/files.h"

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "compute/cpu_kernels.h"
+#include "compute/isa.h"
 #include "core/check.h"
 
 namespace semfield {

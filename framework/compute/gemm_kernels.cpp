@@ -1,6 +1,6 @@
 // The matrix product in the precision of its operands, for one instruction set.
-#include "compute/cpu_kernels.h"
 #include "compute/gemm_tiles.h"
+#include "compute/isa.h"
 
 namespace semfield::SEMFIELD_ISA {
 

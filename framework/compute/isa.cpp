@@ -1,6 +1,9 @@
 #include "compute/isa.h"
 
 #include <cstdlib>
+
+#include "isa_list.h"
+
 #if defined(__x86_64__) && defined(__linux__)
 #include <cpuid.h>
 #include <sys/syscall.h>
@@ -8,7 +11,6 @@
 #endif
 
 #include "core/error.h"
-#include "isa_list.h"
 
 namespace semfield {
 
@@ -97,5 +99,100 @@ std::string isas_of_machine() {
   }
   return text;
 }
+
+#define SEMFIELD_DECLARE(name)              \
+  namespace isa_##name {                    \
+    void gemm_kernels(CpuKernels<float>&);  \
+    void gemm_kernels(CpuKernels<double>&); \
+    void loop_kernels(CpuKernels<float>&);  \
+    void loop_kernels(CpuKernels<double>&); \
+  }
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE)
+#undef SEMFIELD_DECLARE
+namespace {
+
+template <class Real>
+CpuKernels<Real> chosen_kernels() {
+  using Fill = void (*)(CpuKernels<Real>&);
+  static constexpr IsaVariant<Fill> kGemm[] = {
+#define SEMFIELD_LIST(name) {Isa::name, isa_##name::gemm_kernels},
+      SEMFIELD_FOR_EACH_ISA(SEMFIELD_LIST)
+#undef SEMFIELD_LIST
+  };
+  static constexpr IsaVariant<Fill> kLoops[] = {
+#define SEMFIELD_LIST(name) {Isa::name, isa_##name::loop_kernels},
+      SEMFIELD_FOR_EACH_ISA(SEMFIELD_LIST)
+#undef SEMFIELD_LIST
+  };
+  CpuKernels<Real> kernels{};
+  best_variant(kGemm)(kernels);
+  best_variant(kLoops)(kernels);
+  return kernels;
+}
+
+}  // namespace
+
+template <class Real>
+const CpuKernels<Real>& cpu_kernels() {
+  static const CpuKernels<Real> kernels = chosen_kernels<Real>();
+  return kernels;
+}
+
+bool bf16_is_native() {
+#if defined(__AVX512BF16__)
+  return true;  // the whole build has them
+#else
+  return isa() >= Isa::avx512_bf16 && isa() != Isa::build;
+#endif
+}
+
+bool bf16_is_faster() {
+#if defined(__x86_64__)
+  return isa() == Isa::amx_bf16 || (bf16_is_native() && __builtin_cpu_is("amd") != 0);
+#else
+  return false;
+#endif
+}
+
+template const CpuKernels<float>& cpu_kernels<float>();
+template const CpuKernels<double>& cpu_kernels<double>();
+
+}  // namespace semfield
+
+#if defined(__SSE2__)
+#include <xmmintrin.h>
+#endif
+
+namespace semfield {
+
+namespace {
+
+#if defined(__SSE2__)
+constexpr std::uint64_t kMode = 0x8000 | 0x1F80 | 0x0040;  // flush to zero, every exception masked, denormals are zero
+constexpr std::uint64_t kStatus = 0x003F;                  // what has happened, no part of the mode
+std::uint64_t read_control() { return _mm_getcsr(); }
+void write_control(std::uint64_t value) { _mm_setcsr(static_cast<unsigned>(value)); }
+#elif defined(__aarch64__)
+constexpr std::uint64_t kMode = std::uint64_t{1} << 24;  // FZ: flushes inputs and results
+constexpr std::uint64_t kStatus = 0;
+std::uint64_t read_control() {
+  std::uint64_t value = 0;
+  asm volatile("mrs %0, fpcr" : "=r"(value));
+  return value;
+}
+void write_control(std::uint64_t value) { asm volatile("msr fpcr, %0" : : "r"(value)); }
+#else
+constexpr std::uint64_t kMode = 0;
+constexpr std::uint64_t kStatus = 0;
+std::uint64_t read_control() { return kMode; }
+void write_control(std::uint64_t) {}
+#endif
+
+}  // namespace
+
+// Both stay out of line, so that no arithmetic moves across them.
+ComputeFloatMode::ComputeFloatMode() : before_(read_control()) { write_control(kMode); }
+ComputeFloatMode::~ComputeFloatMode() { write_control(before_); }
+bool ComputeFloatMode::in_effect() { return (read_control() & ~kStatus) == kMode; }
 
 }  // namespace semfield

@@ -7,6 +7,8 @@
 #include <string>
 #include <string_view>
 
+#include "compute/gemm.h"
+
 /// Namespace of the variant that is being compiled, isa_avx2 for one; set by the build (cmake/Isa.cmake).
 #ifndef SEMFIELD_ISA
 #define SEMFIELD_ISA isa_build
@@ -51,5 +53,56 @@ Function best_variant(const IsaVariant<Function> (&variants)[kCount]) {
   }
   return variants[chosen].function;
 }
+
+// The vectorised loops of core/, compiled once per instruction set (compute/isa.h).
+
+template <class Real>
+struct CpuKernels {
+  void (*gemm)(const Gemm<Real>&);
+  void (*exp_inplace)(Real*, std::int64_t);
+  void (*expm1_inplace)(Real*, std::int64_t);
+  void (*sigmoid_inplace)(Real*, std::int64_t);
+  void (*softplus_inplace)(Real*, std::int64_t);
+  void (*sine_inplace)(Real* z, std::int64_t, Real frequency, Real* slope);
+  Real (*largest_of)(const Real*, std::int64_t);
+  bool (*all_finite)(const Real*, std::int64_t);
+  double (*sum_of)(const Real*, std::int64_t);
+  void (*relu_backward)(View<const Real> y, View<Real> dy);
+  void (*bias_backward)(View<const Real> dz, View<Real> d_bias);
+  void (*per_ray_backward)(View<const Real> dz, View<const std::int32_t> ray_of_sample, View<Real> d_ray_term);
+};
+
+/// Of the instruction set in use.
+template <class Real>
+const CpuKernels<Real>& cpu_kernels();
+
+/// Whether products of bf16 run by instructions of the CPU; false: emulated, slower than fp32.
+bool bf16_is_native();
+/// Whether they are also faster than those of fp32: on tiles, and by the dot products of AMD's CPUs. Intel's do
+/// half as many of these as fp32 multiply-adds.
+bool bf16_is_faster();
+
+extern template const CpuKernels<float>& cpu_kernels<float>();
+extern template const CpuKernels<double>& cpu_kernels<double>();
+
+// The floating-point mode of compute threads: set on entering numerical work, the caller's own restored on leaving.
+
+/// While it lives, this thread computes as every compute thread does: subnormal inputs and results count as 0, results
+/// are rounded to nearest, and nothing traps. Subnormal numbers carry no information that training or rendering needs,
+/// and some CPUs take 25 times as long over them. The mode is that of SSE and AVX (MXCSR) or AArch64 (FPCR);
+/// elsewhere this does nothing. Scopes nest.
+class ComputeFloatMode {
+ public:
+  ComputeFloatMode();
+  ~ComputeFloatMode();
+  ComputeFloatMode(const ComputeFloatMode&) = delete;
+  ComputeFloatMode& operator=(const ComputeFloatMode&) = delete;
+
+  /// This thread is in the mode; always where there is no such mode.
+  static bool in_effect();
+
+ private:
+  std::uint64_t before_;
+};
 
 }  // namespace semfield

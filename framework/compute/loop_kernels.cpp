@@ -7,9 +7,8 @@
 #include <limits>
 #include <type_traits>
 
-#include "compute/cpu_kernels.h"
 #include "compute/isa.h"
-#include "compute/sine.h"
+#include "compute/math_functions.h"
 
 namespace semfield::SEMFIELD_ISA {
 

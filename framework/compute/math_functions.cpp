@@ -1,6 +1,6 @@
 #include "compute/math_functions.h"
 
-#include "compute/cpu_kernels.h"
+#include "compute/isa.h"
 
 namespace semfield {
 

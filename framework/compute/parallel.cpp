@@ -5,19 +5,65 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <exception>
+#include <functional>
 #include <latch>
 #include <memory>
 #include <mutex>
 #include <system_error>
 #include <thread>
+#include <utility>
 #include <vector>
 
-#include "compute/float_mode.h"
-#include "compute/thread_team.h"
-#include "core/work_scope.h"
-#include "system/cpu_quota.h"
+#include "compute/index_body.h"
+#include "compute/isa.h"
+#include "core/workspace.h"
+#include "system/process.h"
 
 namespace semfield {
+
+/// Workers beside the thread that asks. A job is over when its indices are used up and every worker that took part has
+/// left it; a worker that never woke - other programs keep the cores busy - is not waited for. Those who wait stay
+/// awake for 0.2 milliseconds, so that jobs close together lose no time, and then sleep, so that they do not take
+/// the core from the one they wait for.
+class ThreadTeam {
+ public:
+  /// `start` is called in a thread of its own and must call its argument on `workers` threads, in parallel; it returns
+  /// when they have returned. Fewer threads are as good, only slower.
+  using Start = std::function<void(int workers, const std::function<void()>& serve)>;
+  ThreadTeam(int workers, Start start);
+  ~ThreadTeam();
+  ThreadTeam(const ThreadTeam&) = delete;
+  ThreadTeam& operator=(const ThreadTeam&) = delete;
+
+  int workers() const { return workers_; }
+  /// body(i) for every i in [0, count), each once; one job at a time. The first exception is rethrown at the end.
+  void run(std::int64_t count, IndexBody body);
+
+  /// Inside a body, on any thread of any team.
+  static bool inside_job();
+
+ private:
+  void serve();
+  void take_indices();
+
+  const int workers_;
+  // The job; written while the gate is closed and nobody is inside.
+  const IndexBody* body_ = nullptr;
+  const WorkSettings* settings_ = nullptr;  // of the thread that asks
+  std::int64_t count_ = 0;
+  std::exception_ptr failure_;
+  std::mutex failure_mutex_;
+  alignas(64) std::atomic<std::int64_t> next_{0};
+  // Workers inside the job, and the flag kClosed: who enters and sees the flag leaves at once.
+  static constexpr std::uint32_t kClosed = 0x80000000u;
+  alignas(64) std::atomic<std::uint32_t> gate_{kClosed};
+  alignas(64) std::atomic<std::uint32_t> epoch_{0};  // moves with every job
+  std::atomic<bool> stop_{false};
+  std::thread manager_;
+};
 
 namespace {
 
@@ -117,6 +163,90 @@ void parallel_for(std::int64_t count, IndexBody body) {
     }
   }
   team->run(count, body);
+}
+
+namespace {
+
+// Longer than most waits within a step: to wake a thread costs the one who does it some microseconds for each.
+constexpr std::chrono::microseconds kAwake{200};
+
+thread_local bool t_inside = false;
+
+void pause_briefly() {
+#if defined(__x86_64__) || defined(__i386__)
+  __builtin_ia32_pause();
+#else
+  std::this_thread::yield();
+#endif
+}
+
+// Until `value` is no longer `old`: a short while awake, then asleep. Returns the new value.
+std::uint32_t wait_for_change(const std::atomic<std::uint32_t>& value, std::uint32_t old) {
+  const auto end = std::chrono::steady_clock::now() + kAwake;
+  do {
+    for (int i = 0; i < 16; ++i) {
+      const std::uint32_t now = value.load(std::memory_order_acquire);
+      if (now != old) return now;
+      pause_briefly();
+    }
+  } while (std::chrono::steady_clock::now() < end);
+  value.wait(old, std::memory_order_acquire);
+  return value.load(std::memory_order_acquire);
+}
+
+}  // namespace
+
+ThreadTeam::ThreadTeam(int workers, Start start)
+    : workers_(workers), manager_([this, workers, start = std::move(start)] { start(workers, [this] { serve(); }); }) {}
+
+ThreadTeam::~ThreadTeam() {
+  stop_ = true;
+  epoch_.fetch_add(1, std::memory_order_release);
+  epoch_.notify_all();
+  manager_.join();
+}
+
+bool ThreadTeam::inside_job() { return t_inside; }
+
+void ThreadTeam::take_indices() {
+  const ComputeFloatMode mode;
+  const WorkScope scope(*settings_);
+  t_inside = true;
+  for (;;) {
+    const std::int64_t i = next_.fetch_add(1, std::memory_order_relaxed);
+    if (i >= count_) break;
+    try {
+      (*body_)(i);
+    } catch (...) {
+      const std::lock_guard<std::mutex> lock(failure_mutex_);
+      if (!failure_) failure_ = std::current_exception();
+    }
+  }
+  t_inside = false;
+}
+
+void ThreadTeam::serve() {
+  std::uint32_t seen = 0;  // a worker that comes late finds the epoch moved on and looks for a job at once
+  while (!stop_.load(std::memory_order_acquire)) {
+    const bool open = (gate_.fetch_add(1, std::memory_order_acq_rel) & kClosed) == 0;
+    if (open) take_indices();
+    if (gate_.fetch_sub(1, std::memory_order_acq_rel) == (kClosed | 1u)) gate_.notify_all();
+    seen = wait_for_change(epoch_, seen);
+  }
+}
+
+void ThreadTeam::run(std::int64_t count, IndexBody body) {
+  body_ = &body;
+  settings_ = &work_settings();
+  count_ = count;
+  next_.store(0, std::memory_order_relaxed);
+  gate_.fetch_and(~kClosed, std::memory_order_release);
+  epoch_.fetch_add(1, std::memory_order_release);
+  epoch_.notify_all();
+  take_indices();
+  std::uint32_t gate = gate_.fetch_or(kClosed, std::memory_order_acq_rel) | kClosed;
+  while (gate != kClosed) gate = wait_for_change(gate_, gate);
+  if (std::exception_ptr failure = std::exchange(failure_, nullptr)) std::rethrow_exception(failure);
 }
 
 }  // namespace semfield

@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "config/params_read.h"
+#include "config/params.h"
 
 namespace semfield {
 

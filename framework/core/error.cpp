@@ -1,10 +1,11 @@
 #include "core/error.h"
 
 #include <algorithm>
+#include <map>
 #include <mutex>
 #include <set>
+#include <tuple>
 
-#include "core/findings.h"
 #include "core/text.h"
 
 namespace semfield {
@@ -92,6 +93,96 @@ std::string join(const std::vector<std::string>& words, std::string_view separat
   for (const std::string& word : words) {
     if (!out.empty()) out += separator;
     out += word;
+  }
+  return out;
+}
+
+namespace {
+
+// The message without what differs from place to place: words with a digit or a slash are numbers and paths.
+std::string kind_of(const std::string& message) {
+  std::string kind;
+  for (std::size_t at = 0; at < message.size();) {
+    const std::size_t end = std::min(message.find(' ', at), message.size());
+    const std::string word = message.substr(at, end - at);
+    kind += word.find_first_of("0123456789/") == std::string::npos ? word + ' ' : std::string("# ");
+    at = end + 1;
+  }
+  return kind;
+}
+
+// "frame 'rgb_12'" of "frame 'rgb_12' (/data/rgb_12.png)", "transforms.json: frame 3" of "/data/transforms.json: frame
+// 3 (a.png)": the first of its kind has told the folder.
+std::string short_place(const std::string& where) {
+  const std::size_t name = where.rfind(": ");
+  const std::string place =
+      where.ends_with(')') ? where.substr(0, where.find(" (", name == std::string::npos ? 0 : name)) : where;
+  return place.substr(place.rfind('/') + 1);
+}
+
+std::string listed(const std::string& summary, const std::vector<Diagnostic>& lines, bool codes) {
+  std::string text = summary;
+  for (const Diagnostic& line : lines) {
+    if (!text.empty()) text += '\n';
+    text += codes ? line.shown() : line.text();
+  }
+  return text;
+}
+
+}  // namespace
+
+FindingsError::FindingsError(ErrorKind kind, std::string summary, std::vector<Diagnostic> lines,
+                             std::vector<Diagnostic> findings)
+    : Error(kind, lines.front().code, listed(summary, lines, false)),
+      summary_(std::move(summary)),
+      lines_(std::move(lines)),
+      findings_(std::move(findings)) {}
+
+std::string FindingsError::shown() const {
+  std::string text;
+  for (const std::string& step : context()) text += step + ": ";
+  return text + listed(summary_, lines_, true);
+}
+
+std::string with_code(std::string text, Code code) {
+  text.insert(std::min(text.find('\n'), text.size()), std::string(" [") + code.text() + ']');
+  return text;
+}
+
+std::string shown(const Error& error) {
+  const auto* findings = dynamic_cast<const FindingsError*>(&error);
+  return findings != nullptr ? findings->shown() : with_code(error.what(), error.code());
+}
+
+std::vector<Diagnostic> folded(const Diagnostics& diagnostics) {
+  constexpr std::size_t kNamed = 4;
+  struct Group {
+    std::size_t first;            // in `out`
+    std::set<std::string> where;  // of all its findings
+    std::vector<std::string> named;
+  };
+  std::vector<Diagnostic> out;
+  std::map<std::tuple<Severity, std::string, std::string, std::string>, Group> groups;
+  std::set<std::string> told;
+  for (const Diagnostic& finding : diagnostics.all()) {
+    if (!told.insert(finding.text()).second) continue;
+    const auto [found, fresh] = groups.try_emplace(
+        {finding.severity, finding.code.text(), kind_of(finding.message), finding.remedy}, Group{out.size(), {}, {}});
+    Group& group = found->second;
+    // One place says two things of a kind: both are kept, since its name tells nothing of the second.
+    if (!group.where.insert(finding.where).second || fresh) {
+      out.push_back(finding);
+    } else if (group.named.size() < kNamed) {
+      group.named.push_back(short_place(finding.where));
+    }
+  }
+  for (const auto& [kind, group] : groups) {
+    if (group.named.empty()) continue;
+    const std::size_t more = group.where.size() - 1;
+    Diagnostic& first = out[group.first];
+    (first.remedy.empty() ? first.message : first.remedy) += " (and " + std::to_string(more) +
+                                                             " more like this: " + join(group.named) +
+                                                             (more > group.named.size() ? ", ...)" : ")");
   }
   return out;
 }

@@ -9,4 +9,11 @@ namespace semfield {
 std::uint16_t half_of(float value);
 float float_of_half(std::uint16_t half);
 
+// A bfloat16 as memory holds it: the upper 16 bits of a float.
+
+/// Arithmetic is the device's own; the framework only makes room for such numbers and hands them on.
+struct Bf16 {
+  std::uint16_t bits;
+};
+
 }  // namespace semfield

@@ -1,6 +1,7 @@
 // Three-vectors and rigid transforms, small enough to need no library and safe to pass across module borders.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 
@@ -93,6 +94,20 @@ SEMFIELD_HD inline bool intersect(const Box& box, Vec3d origin, Vec3d direction,
     if (b < t_far) t_far = b;
   }
   return t_near <= t_far;
+}
+
+// A length that stands for a metre, so that a default which is meant for rooms suits a scene in any unit.
+
+/// Whether a scene of this size is in metres: as large as shelves, rooms and houses are.
+inline bool is_in_metres(bool metric, Vec3d size) {
+  const double longest = std::max({size.x, size.y, size.z});
+  return metric && longest >= 0.1 && longest <= 100;
+}
+
+/// 1 where is_in_metres(), else a fifth of the scene's longest side; 1 for a scene without a size.
+inline double usual_metre(bool metric, Vec3d size) {
+  const double longest = std::max({size.x, size.y, size.z});
+  return is_in_metres(metric, size) || !(longest > 0) || !std::isfinite(longest) ? 1 : longest / 5;
 }
 
 }  // namespace semfield

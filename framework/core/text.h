@@ -35,4 +35,16 @@ std::string shell_word(std::string_view text);
 /// A parser's message of nlohmann-json without its number: "parse error at line 1, column 5: ...".
 std::string json_cause(const std::string& message);
 
+// Names that were meant: known names near a misspelt one.
+
+/// As did_you_mean (core/error.h), by edit distance alone: for names that share their parts.
+std::string closest_spelling(std::string_view word, const std::vector<std::string>& known);
+
+// Names that look alike: one character, or a letter and its marks.
+
+/// The text with its composed characters taken apart [Unicode, NFD]: two names that look the same, of which macOS wrote
+/// one and another system the other, are equal so. Of the Basic Multilingual Plane without compatibility ideographs;
+/// marks keep the order in which they stand, and bytes that are no UTF-8 stay as they are.
+std::string decomposed(std::string_view text);
+
 }  // namespace semfield

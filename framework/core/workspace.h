@@ -3,7 +3,10 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <memory>
+#include <mutex>
+#include <string_view>
 #include <vector>
 
 #include "core/view.h"
@@ -95,6 +98,75 @@ class Workspace {
   std::size_t total_ = 0;  // bytes in use over all blocks
   std::size_t high_water_ = 0;
   std::int64_t growths_ = 0;
+};
+
+// What work is done with - threads, limits of inputs: set by whoever asks for the work, seen by every
+// thread that helps.
+
+struct InputLimits;
+
+/// How far the opening of a scene is. `doing` is "checking" (files, by their headers), "reading", "looking for the
+/// bounds" (a probe), or "read" at the end.
+using LoadProgress = std::function<void(std::string_view doing, std::size_t done, std::size_t total)>;
+
+/// What it points to must outlive every scope that was given it.
+struct WorkSettings {
+  int threads = 0;                              ///< 0: the default of the process (compute/parallel.h)
+  const InputLimits* limits = nullptr;          ///< null: the defaults (formats/text_rows.h)
+  const LoadProgress* load_progress = nullptr;  ///< null: nobody is told
+};
+
+/// Those of the innermost scope of this thread, or the defaults.
+const WorkSettings& work_settings();
+
+/// While it lives, work of this thread is done with `settings`, which are borrowed: a change of them is seen at once.
+/// Threads that parallel_for lends work under the same. Scopes nest.
+class WorkScope {
+ public:
+  explicit WorkScope(const WorkSettings& settings);
+  explicit WorkScope(WorkSettings&&) = delete;
+  ~WorkScope();
+  WorkScope(const WorkScope&) = delete;
+  WorkScope& operator=(const WorkScope&) = delete;
+
+ private:
+  const WorkSettings* before_;
+};
+
+// Arenas for calls that may run beside each other: scratch alone, nothing in one outlives its call.
+
+/// As many arenas as calls ran at a time.
+class WorkspacePool {
+ public:
+  /// An arena of the pool while it lives.
+  class Loan {
+   public:
+    explicit Loan(WorkspacePool& pool) : pool_(pool), arena_(pool.take()) {}
+    ~Loan() { pool_.give_back(std::move(arena_)); }
+    Loan(const Loan&) = delete;
+    Loan& operator=(const Loan&) = delete;
+    Workspace* get() const { return arena_.get(); }
+
+   private:
+    WorkspacePool& pool_;
+    std::unique_ptr<Workspace> arena_;
+  };
+
+ private:
+  std::unique_ptr<Workspace> take() {
+    const std::lock_guard lock(mutex_);
+    if (free_.empty()) return std::make_unique<Workspace>();
+    std::unique_ptr<Workspace> arena = std::move(free_.back());
+    free_.pop_back();
+    return arena;
+  }
+  void give_back(std::unique_ptr<Workspace> arena) {
+    const std::lock_guard lock(mutex_);
+    free_.push_back(std::move(arena));
+  }
+
+  std::mutex mutex_;
+  std::vector<std::unique_ptr<Workspace>> free_;
 };
 
 }  // namespace semfield

@@ -3,7 +3,7 @@
 
 #include <cuda_bf16.h>
 
-#include "core/bf16.h"
+#include "core/half.h"
 #include "core/view.h"
 
 namespace semfield::cuda {

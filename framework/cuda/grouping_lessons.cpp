@@ -5,7 +5,6 @@
 #include "compute/parallel.h"
 #include "cuda/kernels/adam.h"
 #include "cuda/kernels/layers.h"
-#include "cuda/kernels/mlp_rows.h"
 #include "cuda/launch.h"
 #include "cuda/matmul.h"
 #include "cuda/memory.h"

@@ -1,11 +1,57 @@
 #include "cuda/launch.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <string>
 
 #include "core/error.h"
+#include "cuda/memory.h"
 
 namespace semfield::cuda {
+
+namespace {
+
+std::byte* take(std::size_t bytes) { return allocate(bytes, "memory of a single call"); }
+void give_back(std::byte* block) { release(block); }
+
+void to_device(const void* from, std::byte* to, std::size_t bytes) {
+  check(cudaMemcpy(to, from, bytes, cudaMemcpyHostToDevice), "copying to the device");
+}
+void to_host(const std::byte* from, void* to, std::size_t bytes) {
+  check(cudaMemcpy(to, from, bytes, cudaMemcpyDeviceToHost), "copying from the device");
+}
+
+void run(bool deterministic, const std::function<void()>& body) {
+  const Buffer<FaultKey> fault(1, "fault of a single call");
+  check(cudaMemset(fault.data(), 0xFF, sizeof(FaultKey)), "resetting a fault");
+  Launch here;
+  here.fault = fault.data();
+  here.check_at_once = true;
+  here.deterministic = deterministic;
+  {
+    const LaunchScope scope(here);
+    body();
+    synchronize();
+  }
+  FaultKey left = kNoFault;
+  to_host(reinterpret_cast<const std::byte*>(fault.data()), &left, sizeof left);
+  if (left == kNoFault) return;
+  throw Error(ErrorKind::failure, "internal.cuda.fault",
+              fmt::format("CUDA: a fault of stage {} in row {} was not asked for", left >> kFaultRowBits,
+                          left & ((FaultKey{1} << kFaultRowBits) - 1)));
+}
+
+void on(int ordinal, const std::function<void()>& body) {
+  Launch here;
+  here.ordinal = ordinal;
+  const LaunchScope scope(here);
+  body();
+}
+
+}  // namespace
+
+DeviceCalls device_calls() { return {{Device::cuda, take, give_back}, to_device, to_host, run, on}; }
 
 namespace {
 thread_local Launch t_launch;
@@ -50,6 +96,32 @@ int multiprocessors() {
   int value = 0;
   check(cudaDeviceGetAttribute(&value, cudaDevAttrMultiProcessorCount, t_launch.ordinal), "asking for multiprocessors");
   return std::max(1, value / t_launch.beside);
+}
+
+namespace {
+constexpr int kOldestMajor = 8;  // bf16 matrix instructions
+}
+
+std::string describe_device(int ordinal) {
+  int count = 0;
+  check(cudaGetDeviceCount(&count), "looking for a device");
+  if (count == 0) check(cudaErrorNoDevice, "looking for a device");
+  if (ordinal >= count) {
+    throw Error(ErrorKind::unavailable, "device.gpu.number",
+                count == 1 ? "this machine has one CUDA device, cuda:0"
+                           : fmt::format("this machine has {} CUDA devices, cuda:0 to cuda:{}", count, count - 1),
+                "set runtime.device: cuda");
+  }
+  cudaDeviceProp found{};
+  check(cudaGetDeviceProperties(&found, ordinal), "asking for the device's properties");
+  if (found.major < kOldestMajor) {
+    throw Error(ErrorKind::unavailable, "device.gpu.old",
+                fmt::format("CUDA: {} has compute capability {}.{}, this build's kernels need 8.0", found.name,
+                            found.major, found.minor),
+                "set runtime.device: cpu");
+  }
+  return fmt::format("{}, {:.1f} GB, compute capability {}.{}", found.name,
+                     static_cast<double>(found.totalGlobalMem) / 1e9, found.major, found.minor);
 }
 
 }  // namespace semfield::cuda

@@ -5,13 +5,18 @@
 #include <cuda_runtime_api.h>
 
 #include <cstdint>
+#include <string>
 
 #include "core/rng.h"
 #include "core/view.h"
+#include "execution/device_library.h"
 #include "losses/loss_list.h"
 #include "model/optim/adam.h"
 
 namespace semfield::cuda {
+
+/// On the calling thread's device and its default stream.
+DeviceCalls device_calls();
 
 /// What changes from step to step. Kernels read it from device memory, so that a captured graph of a step stays valid.
 struct StepCell {
@@ -94,5 +99,11 @@ inline unsigned blocks_of(std::int64_t count, int threads) {
 
 /// Multiprocessors of the launch's device, divided by launch().beside: what a kernel that fills the device may fill.
 int multiprocessors();
+
+// Which GPU a run uses.
+
+/// "NVIDIA H200, 143.8 GB, compute capability 9.0". Throws Error(unavailable) without that device, or for one too old
+/// for this build's kernels.
+std::string describe_device(int ordinal);
 
 }  // namespace semfield::cuda

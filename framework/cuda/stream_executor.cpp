@@ -8,12 +8,11 @@
 
 #include "core/check.h"
 #include "core/error.h"
-#include "cuda/calls.h"
 #include "cuda/grouping_lessons.h"
-#include "cuda/device.h"
 #include "cuda/kernel_tables.h"
 #include "cuda/kernels/adam.h"
 #include "cuda/kernels/layers.h"
+#include "cuda/launch.h"
 #include "cuda/matmul.h"
 #include "cuda/stages.h"
 #include "execution/train_rays.h"

@@ -1,22 +1,40 @@
 // Renders whole frames and scores them against what the scene knows.
 #pragma once
 
+#include <cstdint>
 #include <functional>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
-#include "eval/entropy_groups.h"
+#include "core/small_math.h"
+#include "core/view.h"
 #include "eval/metrics.h"
-#include "eval/rays.h"
 #include "execution/pipeline.h"
 #include "labels/training_labels.h"
-#include "scene/stored_frame.h"
+#include "scene/camera.h"
+#include "scene/pixel_rays.h"
+#include "scene/scene.h"
 
 namespace semfield {
 
+/// Camera at a pose, ready to cast. `undistort` false: the caller knows that there is no distortion.
+struct RayCamera {
+  Camera camera;
+  Pose world_from_camera;
+  bool undistort = true;
+};
+
+/// Ray through the centre of pixel (column, row): origin [3], unit direction [3] in world axes, near_far [2] in metres
+/// along the ray. A pixel without an inverse distortion, or a ray that misses the bounds, gets near = far = 0: an empty
+/// ray. Returns the cosine between the ray and the optical axis, 1 of a wide lens: depth = cosine * distance (0 for a
+/// pixel without direction).
+double cast_ray(const RayCamera& camera, const RayLimits& limits, std::int32_t column, std::int32_t row, double* origin,
+                double* direction, double* near_far);
+
 /// Pixels that met something, and those of them whose opacity came in too few, too long steps
-/// (model/opacity_resolution.h).
+/// (model/density_activation.h).
 struct OpacityCounts {
   std::int64_t opaque_px = 0, under_resolved_px = 0;
   /// Above this share a run is told so.
@@ -126,5 +144,102 @@ SplitScore evaluate(Pipeline<float>& pipeline, const EvalJob& job, const RayLimi
 
 /// Up to `count` of `all`, evenly spaced, always the same ones.
 std::vector<int> evenly_spaced(const std::vector<int>& all, int count);
+
+// How much of a run's time its evaluations may take, and what fits into that.
+
+/// Evaluations while training get half of `share` of the seconds trained, the last one what is then left of
+/// (1 + share) times the time that the run was asked for. A share of 0 bounds nothing; without a time the last one is
+/// not bounded.
+class EvalBudget {
+ public:
+  EvalBudget(double share, double time_s) : share_(share), time_s_(time_s) {}
+
+  /// An evaluation of so many pixels took so long.
+  void spend(double seconds, double pixels);
+  bool knows_cost() const { return s_per_px_ >= 0; }
+  bool bounds_samples() const { return share_ > 0; }
+  bool bounds_last() const { return share_ > 0 && time_s_ > 0; }
+
+  /// Pixels of a sample that is scored every `every_s` seconds, so that it keeps to its share.
+  std::int32_t sample_stride(double pixels, double every_s, std::int32_t most) const;
+  /// Whether the samples so far kept to their share of `trained_s` seconds of training.
+  bool has_time_for_sample(double trained_s) const { return !bounds_samples() || spent_s_ <= share_ / 2 * trained_s; }
+  /// Seconds that the last evaluation may take after `train_s` seconds of training; infinite where nothing bounds it.
+  double left_s(double train_s) const;
+  /// The least stride with which `pixels` fit into `budget_s`, at most `most`; 1 where the cost is not known.
+  std::int32_t stride_within(double budget_s, double pixels, std::int32_t most) const;
+
+ private:
+  double share_, time_s_;
+  double spent_s_ = 0, s_per_px_ = -1;
+};
+
+// The pixels that a frame is scored at: every s-th of every s-th row.
+
+struct PixelPlace {
+  std::int32_t column = 0, row = 0;
+};
+
+/// Pixels that a stride takes of a side; the stride is at most its length.
+inline std::int32_t strided_px(std::int32_t length_px, std::int32_t stride) { return length_px / stride; }
+
+/// Where pixel `index` of the smaller map, `map_width_px` wide, lies in the frame.
+inline PixelPlace strided_place(std::int64_t index, std::int32_t map_width_px, std::int32_t stride) {
+  return {static_cast<std::int32_t>(index % map_width_px) * stride + stride / 2,
+          static_cast<std::int32_t>(index / map_width_px) * stride + stride / 2};
+}
+
+/// The values [height * width * channels] that a stride takes; an empty map stays empty.
+template <class Value>
+std::vector<Value> strided(std::vector<Value> whole, std::int32_t width_px, std::int32_t height_px,
+                           std::int32_t channels, std::int32_t stride) {
+  if (stride == 1 || whole.empty()) return whole;
+  const std::int32_t width = strided_px(width_px, stride), height = strided_px(height_px, stride);
+  std::vector<Value> out;
+  out.reserve(static_cast<std::size_t>(std::int64_t{width} * height * channels));
+  for (std::int64_t i = 0; i < std::int64_t{width} * height; ++i) {
+    const PixelPlace at = strided_place(i, width, stride);
+    const auto first = whole.begin() + (std::int64_t{at.row} * width_px + at.column) * channels;
+    out.insert(out.end(), first, first + channels);
+  }
+  return out;
+}
+
+// Figures by the rules of published evaluations: which frames and classes count, and what is void.
+
+/// What a protocol says. All pool the pixels of the held-out frames into one confusion matrix and take the mean of IoU
+/// and of recall over the classes present in truth.
+struct Protocol {
+  std::string name;
+  std::string cites;                 ///< keys of references.bib
+  std::vector<std::string> classes;  ///< names that count; empty: every class of the scene that is not void
+  std::string void_rule;             ///< a sentence
+};
+/// semantic_nerf [Zhi21], panoptic_lifting [Siddiqui23], nyu40 [Gupta13], scannet20 [Dai17]. Throws Error(usage) for
+/// another name.
+Protocol protocol_named(const std::string& name);
+std::vector<std::string> protocol_names();
+
+struct ProtocolClass {
+  std::string name;
+  std::int64_t truth_px = 0;
+  std::optional<double> iou;  ///< none where the class is not in truth
+};
+
+struct ProtocolScore {
+  Protocol protocol;
+  std::vector<ProtocolClass> classes;     ///< those of the scene's table that count, in its order
+  std::vector<std::string> void_classes;  ///< of the scene's table that do not: their truth is void
+  std::int64_t scored_px = 0;
+  std::optional<double> miou, total_accuracy, average_accuracy;  ///< none without scored pixels
+};
+
+/// From a confusion matrix of the scene's classes. Names are compared in small letters, '-' and '_' as blanks. A
+/// prediction of a class that does not count is wrong. Throws Error(data) where no class of the table counts.
+ProtocolScore protocol_score(const Protocol& protocol, const ConfusionMatrix& confusion, const ClassTable& classes);
+
+/// CRC-32C of names, sizes and class ids of the truth of frames, in hexadecimal digits: equal where the truth is.
+std::string truth_hash(std::span<const int> frames, const std::vector<FrameInfo>& infos,
+                       const std::vector<StoredFrame>& stored, const ClassTable& classes);
 
 }  // namespace semfield

@@ -7,7 +7,7 @@
 #include <stdexcept>
 
 #include "core/error.h"
-#include "eval/json_number.h"
+#include "eval/metrics.h"
 
 namespace semfield {
 

@@ -3,7 +3,10 @@
 
 #include <fmt/format.h>
 
+#include <Eigen/Dense>
 #include <algorithm>
+#include <array>
+#include <bit>
 #include <cmath>
 #include <limits>
 
@@ -309,6 +312,253 @@ double entropy_nats(std::span<const float> probabilities) {
     if (p > 0) h -= static_cast<double>(p) * std::log(static_cast<double>(p));
   }
   return h;
+}
+
+// Structural similarity of one image pair.
+
+namespace {
+
+constexpr int kWindow = 11;
+constexpr double kSigma = 1.5;
+constexpr double kC1 = 0.01 * 0.01;  // (K1 L)^2 with dynamic range L = 1
+constexpr double kC2 = 0.03 * 0.03;
+
+std::array<double, kWindow> window_weights() {
+  std::array<double, kWindow> w{};
+  double sum = 0;
+  for (int i = 0; i < kWindow; ++i) {
+    const double x = i - kWindow / 2;
+    w[static_cast<std::size_t>(i)] = std::exp(-x * x / (2 * kSigma * kSigma));
+    sum += w[static_cast<std::size_t>(i)];
+  }
+  for (double& value : w) value /= sum;
+  return w;
+}
+
+// Weighted moments of a window: means and raw second moments of both images.
+struct Moments {
+  double x = 0, y = 0, xx = 0, yy = 0, xy = 0;
+  void add(double w, const Moments& m) {
+    x += w * m.x;
+    y += w * m.y;
+    xx += w * m.xx;
+    yy += w * m.yy;
+    xy += w * m.xy;
+  }
+};
+
+// SSIM = (2 mu_x mu_y + C1)(2 s_xy + C2) / ((mu_x^2 + mu_y^2 + C1)(s_x^2 + s_y^2 + C2)) [Wang04, Eq. 13]
+double similarity(const Moments& m) {
+  const double vx = std::max(0.0, m.xx - m.x * m.x);
+  const double vy = std::max(0.0, m.yy - m.y * m.y);
+  const double vxy = m.xy - m.x * m.y;
+  return (2 * m.x * m.y + kC1) * (2 * vxy + kC2) / ((m.x * m.x + m.y * m.y + kC1) * (vx + vy + kC2));
+}
+
+}  // namespace
+
+std::optional<double> ssim(std::span<const float> truth, std::span<const float> predicted, std::int32_t width_px,
+                           std::int32_t height_px, std::int32_t channels, std::span<const std::uint8_t> used) {
+  SEMFIELD_CHECK(width_px >= 0 && height_px >= 0 && channels >= 1, "image size");
+  const std::size_t row_values = static_cast<std::size_t>(width_px) * static_cast<std::size_t>(channels);
+  SEMFIELD_CHECK(truth.size() == row_values * static_cast<std::size_t>(height_px) && predicted.size() == truth.size(),
+                 "images have width * height * channels values");
+  const std::int64_t out_rows = height_px - kWindow + 1;
+  const std::int64_t out_cols = width_px - kWindow + 1;
+  if (out_rows < 1 || out_cols < 1) return std::nullopt;
+  for (std::size_t i = 0; i < truth.size(); ++i) {
+    if (!std::isfinite(truth[i]) || !std::isfinite(predicted[i])) return std::nullopt;
+  }
+  const std::array<double, kWindow> w = window_weights();
+  // Masked pixels above and to the left of each pixel, to tell the windows that hold one.
+  const auto side = static_cast<std::size_t>(width_px) + 1;
+  std::vector<std::int64_t> masked(used.empty() ? 0 : side * (static_cast<std::size_t>(height_px) + 1));
+  for (std::size_t i = side; i < masked.size(); ++i) {
+    if (i % side == 0) continue;
+    const std::size_t pixel = (i / side - 1) * (side - 1) + i % side - 1;
+    masked[i] = masked[i - 1] + masked[i - side] - masked[i - side - 1] + (used[pixel] == 0 ? 1 : 0);
+  }
+  const auto counts = [&](std::int64_t row, std::int64_t column) {
+    if (masked.empty()) return true;
+    const std::size_t top = static_cast<std::size_t>(row) * side + static_cast<std::size_t>(column);
+    const std::size_t bottom = top + kWindow * side;
+    return masked[bottom + kWindow] - masked[bottom] == masked[top + kWindow] - masked[top];
+  };
+  // One sum a row, added in row order: the same bits for any number of threads.
+  std::vector<double> row_sum(static_cast<std::size_t>(out_rows), 0.0);
+  std::vector<std::int64_t> row_windows(row_sum.size());
+  parallel_for(out_rows, [&](std::int64_t r) {
+    std::vector<Moments> column(row_values);  // vertical pass
+    for (int k = 0; k < kWindow; ++k) {
+      const std::size_t base = static_cast<std::size_t>(r + k) * row_values;
+      for (std::size_t i = 0; i < row_values; ++i) {
+        const double x = truth[base + i];
+        const double y = predicted[base + i];
+        column[i].add(w[static_cast<std::size_t>(k)], {x, y, x * x, y * y, x * y});
+      }
+    }
+    double sum = 0;
+    const std::size_t outputs = static_cast<std::size_t>(out_cols) * static_cast<std::size_t>(channels);
+    for (std::size_t i = 0; i < outputs; ++i) {
+      if (!counts(r, static_cast<std::int64_t>(i) / channels)) continue;
+      ++row_windows[static_cast<std::size_t>(r)];
+      Moments m;
+      for (int k = 0; k < kWindow; ++k) {
+        m.add(w[static_cast<std::size_t>(k)],
+              column[i + static_cast<std::size_t>(k) * static_cast<std::size_t>(channels)]);
+      }
+      sum += similarity(m);
+    }
+    row_sum[static_cast<std::size_t>(r)] = sum;
+  });
+  double total = 0;
+  for (double sum : row_sum) total += sum;
+  std::int64_t windows = 0;
+  for (const std::int64_t n : row_windows) windows += n;
+  if (windows == 0) return std::nullopt;
+  return total / static_cast<double>(windows);
+}
+
+namespace {
+
+using Colors = Eigen::Matrix<double, 4, 3>;
+
+// A weak pull towards the identity, for halves of one colour.
+constexpr double kPull = 1e-3;
+
+struct Fit {
+  Eigen::Matrix4d square = Eigen::Matrix4d::Zero();
+  Colors right = Colors::Zero();
+
+  void add(const float* truth, const float* predicted) {
+    Eigen::Vector4d from(double{predicted[0]}, double{predicted[1]}, double{predicted[2]}, 1);
+    const Eigen::RowVector3d to(double{truth[0]}, double{truth[1]}, double{truth[2]});
+    if (!from.allFinite() || !to.allFinite()) return;
+    square += from * from.transpose();
+    right += from * to;
+  }
+  Colors solve() const {
+    const double pull = kPull * std::max(1.0, square(3, 3));
+    Colors identity = Colors::Zero();
+    identity.topRows<3>().setIdentity();
+    const Eigen::Matrix4d damped = square + pull * Eigen::Matrix4d::Identity();
+    return damped.ldlt().solve(right + pull * identity);
+  }
+};
+
+}  // namespace
+
+std::vector<float> fitted_by_halves(std::span<const float> truth, std::span<const float> predicted,
+                                    std::int32_t width_px, std::span<const std::uint8_t> used) {
+  SEMFIELD_CHECK(truth.size() == predicted.size(), "truth and prediction have one length");
+  const std::size_t pixels = predicted.size() / 3, width = static_cast<std::size_t>(width_px);
+  const auto half_of = [&](std::size_t pixel) { return pixel % width < width / 2 ? 0 : 1; };
+  Fit fits[2];
+  for (std::size_t p = 0; p < pixels; ++p) {
+    if (used.empty() || used[p] != 0) fits[half_of(p)].add(&truth[3 * p], &predicted[3 * p]);
+  }
+  const Colors maps[2] = {fits[1].solve(), fits[0].solve()};  // of the other half
+  std::vector<float> out(predicted.size());
+  for (std::size_t p = 0; p < pixels; ++p) {
+    const float* const color = &predicted[3 * p];
+    const Eigen::RowVector4d from(double{color[0]}, double{color[1]}, double{color[2]}, 1);
+    const Eigen::RowVector3d to = from * maps[half_of(p)];
+    for (int i = 0; i < 3; ++i) out[3 * p + static_cast<std::size_t>(i)] = static_cast<float>(to[i]);
+  }
+  return out;
+}
+
+// Histograms of entropy and the ranks that they tell.
+
+namespace {
+
+constexpr float kLeast_nats = 0x1p-24F;
+constexpr int kDroppedBits = 12;  // of a float's 23 bits of mantissa: 11 stay
+
+// The upper bits of a positive float count up with its value.
+int bin_of(float entropy_nats) {
+  if (!(entropy_nats >= kLeast_nats)) return 0;
+  const std::uint32_t above = std::bit_cast<std::uint32_t>(entropy_nats) - std::bit_cast<std::uint32_t>(kLeast_nats);
+  return std::min(EntropyHistogram::kBins - 1, 1 + static_cast<int>(above >> kDroppedBits));
+}
+
+}  // namespace
+
+void EntropyHistogram::add(float entropy_nats) {
+  if (!std::isfinite(entropy_nats)) {
+    ++nonfinite_;
+    return;
+  }
+  if (counts_.empty()) counts_.assign(kBins, 0);
+  ++counts_[static_cast<std::size_t>(bin_of(entropy_nats))];
+  ++pixels_;
+  sum_ += static_cast<double>(entropy_nats);
+}
+
+void EntropyHistogram::merge(const EntropyHistogram& other) {
+  if (counts_.empty()) {
+    counts_ = other.counts_;
+  } else if (!other.counts_.empty()) {
+    for (std::size_t b = 0; b < counts_.size(); ++b) counts_[b] += other.counts_[b];
+  }
+  sum_ += other.sum_;
+  pixels_ += other.pixels_;
+  nonfinite_ += other.nonfinite_;
+}
+
+std::optional<double> EntropyHistogram::mean() const {
+  if (pixels_ == 0 || nonfinite_ > 0) return std::nullopt;
+  return sum_ / static_cast<double>(pixels_);
+}
+
+std::optional<Auroc> auroc(const EntropyHistogram& low, const EntropyHistogram& high) {
+  if (low.pixels() == 0 || high.pixels() == 0 || low.nonfinite() > 0 || high.nonfinite() > 0) return std::nullopt;
+  double won = 0, tied = 0, below = 0;  // pairs; `below`: pixels of `low` in lower bins
+  for (int b = 0; b < EntropyHistogram::kBins; ++b) {
+    const auto l = static_cast<double>(low.bin(b)), h = static_cast<double>(high.bin(b));
+    won += h * below;
+    tied += h * l;
+    below += l;
+  }
+  const double pairs = static_cast<double>(low.pixels()) * static_cast<double>(high.pixels());
+  return Auroc{(won + tied / 2) / pairs, tied / 2 / pairs};
+}
+
+void PredictedEntropy::add(std::span<const float> entropy_nats, std::span<const std::int16_t> predicted,
+                           std::span<const std::int16_t> truth) {
+  SEMFIELD_CHECK(entropy_nats.size() == truth.size() && predicted.size() == truth.size(), "one value a pixel");
+  for (std::size_t i = 0; i < truth.size(); ++i) {
+    if (truth[i] == kVoid || predicted[i] == kVoid) continue;
+    (predicted[i] == truth[i] ? right : wrong).add(entropy_nats[i]);
+  }
+}
+
+void PredictedEntropy::merge(const PredictedEntropy& other) {
+  right.merge(other.right);
+  wrong.merge(other.wrong);
+}
+
+void GivenEntropy::add(std::span<const float> entropy_nats, std::span<const std::int16_t> given,
+                       std::span<const std::int16_t> truth) {
+  SEMFIELD_CHECK(entropy_nats.size() == truth.size() && (given.empty() || given.size() == truth.size()),
+                 "one value a pixel");
+  for (std::size_t i = 0; i < truth.size(); ++i) {
+    if (truth[i] == kVoid) continue;
+    const std::int16_t label = given.empty() ? std::int16_t{kVoid} : given[i];
+    (label == kVoid ? none : label == truth[i] ? right : wrong).add(entropy_nats[i]);
+  }
+}
+
+void GivenEntropy::merge(const GivenEntropy& other) {
+  right.merge(other.right);
+  wrong.merge(other.wrong);
+  none.merge(other.none);
+}
+
+std::optional<Auroc> GivenEntropy::detects_none() const {
+  EntropyHistogram labelled = right;
+  labelled.merge(wrong);
+  return auroc(labelled, none);
 }
 
 }  // namespace semfield

@@ -2,7 +2,9 @@
 #pragma once
 
 #include <array>
+#include <cmath>
 #include <cstdint>
+#include <limits>
 #include <optional>
 #include <span>
 #include <string>
@@ -135,5 +137,100 @@ class Calibration {
 
 /// H = -sum p ln p in nats, with 0 ln 0 = 0.
 double entropy_nats(std::span<const float> probabilities);
+
+// Colours of a view under an affine map of its own: cameras change exposure and white balance, which a field knows of
+// the cameras it was trained on alone.
+
+/// `predicted` [H, W, 3] with its left half under the 3 x 4 map of colours that fits the right half to `truth` best in
+/// squared error, and the other way round, so that no pixel is scored by a map that has seen it. Values that are not
+/// finite stay, and are left out of the fits, and so are those of masked pixels (`used` [H, W] is 0; empty: none).
+std::vector<float> fitted_by_halves(std::span<const float> truth, std::span<const float> predicted,
+                                    std::int32_t width_px, std::span<const std::uint8_t> used = {});
+
+// Entropy of groups of pixels: means, and how well it tells one group from the other.
+
+/// Counts of pixels by entropy, fine enough to compare ranks. Counts are integers, so they are the same in whatever
+/// order frames and tiles are merged; the mean is summed in that order.
+class EntropyHistogram {
+ public:
+  /// 2,048 bins an octave from 2^-24 nats, about what float probabilities resolve, to 8 nats, above the ln of 1,024
+  /// classes. Entropies of one bin differ by less than 1/2,048 of themselves; all below 2^-24 are one bin.
+  static constexpr int kBins = 1 + 27 * 2048;
+  /// A value that is not finite is counted and takes the figures away.
+  void add(float entropy_nats);
+  void merge(const EntropyHistogram& other);
+  std::int64_t pixels() const { return pixels_; }        ///< in bins
+  std::int64_t nonfinite() const { return nonfinite_; }  ///< in none
+  std::int64_t bin(int index) const { return counts_.empty() ? 0 : counts_[static_cast<std::size_t>(index)]; }
+  std::optional<double> mean() const;  ///< nats; none without pixels, or when a value was not finite
+
+ private:
+  std::vector<std::int64_t> counts_;  // empty until the first pixel
+  double sum_ = 0;
+  std::int64_t pixels_ = 0, nonfinite_ = 0;
+};
+
+/// Area under the ROC curve.
+struct Auroc {
+  double value = 0;
+  /// What binning may have changed at most: half of the share of pairs whose pixels lie in one bin.
+  double error = 0;
+};
+
+/// The chance that a pixel of `high` has a higher entropy than one of `low` [Hanley82]: 1 tells them apart, 0.5 is
+/// chance. Pixels of one bin are ties and count one half. None when a group has no pixel, or one that is not finite.
+std::optional<Auroc> auroc(const EntropyHistogram& low, const EntropyHistogram& high);
+
+/// Entropy of pixels whose predicted label is right, and wrong: those that the confusion matrix scores.
+struct PredictedEntropy {
+  EntropyHistogram right, wrong;
+  void add(std::span<const float> entropy_nats, std::span<const std::int16_t> predicted,
+           std::span<const std::int16_t> truth);
+  void merge(const PredictedEntropy& other);
+  /// Of entropy as a detector of wrong labels.
+  std::optional<Auroc> detects_wrong() const { return auroc(right, wrong); }
+};
+
+/// Entropy of training pixels by the label that they were given: the true one, a wrong one, none. Void truth is
+/// dropped.
+struct GivenEntropy {
+  EntropyHistogram right, wrong, none;
+  /// `given` and `truth` class indices or kVoid; an empty `given` is a frame without labels.
+  void add(std::span<const float> entropy_nats, std::span<const std::int16_t> given,
+           std::span<const std::int16_t> truth);
+  void merge(const GivenEntropy& other);
+  std::int64_t pixels() const { return right.pixels() + wrong.pixels() + none.pixels(); }
+  /// Of entropy as a detector of wrong labels among those given.
+  std::optional<Auroc> detects_wrong() const { return auroc(right, wrong); }
+  /// Of entropy as a detector of pixels that were given none.
+  std::optional<Auroc> detects_none() const;
+};
+
+// Numbers in the JSON files of a run: "inf", "-inf" and "nan" as texts, null for a value without data.
+
+/// Whole numbers are written as integers. `Json` is a type of nlohmann-json, which no header names.
+template <class Json>
+Json number_json(std::optional<double> value) {
+  if (!value) return nullptr;
+  if (std::isnan(*value)) return "nan";
+  if (std::isinf(*value)) return *value > 0 ? "inf" : "-inf";
+  if (std::abs(*value) < 1e15 && *value == std::floor(*value)) return static_cast<std::int64_t>(*value);
+  return *value;
+}
+
+/// False when `json` is none of what number_json writes.
+template <class Json>
+bool read_number_json(const Json& json, std::optional<double>& value) {
+  value.reset();
+  if (json.is_null()) return true;
+  if (json.is_number()) {
+    value = json.template get<double>();
+    return true;
+  }
+  if (json == "nan") value = std::numeric_limits<double>::quiet_NaN();
+  if (json == "inf") value = std::numeric_limits<double>::infinity();
+  if (json == "-inf") value = -std::numeric_limits<double>::infinity();
+  return value.has_value();
+}
 
 }  // namespace semfield

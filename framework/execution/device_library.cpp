@@ -3,7 +3,7 @@
 #include <dlfcn.h>
 
 #include "core/error.h"
-#include "system/shared_library.h"
+#include "system/process.h"
 
 namespace semfield {
 

@@ -1,6 +1,8 @@
 // Where a pipeline's steps and rendering run: lanes of the CPU, or a stream of a device.
 #pragma once
 
+#include <algorithm>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <optional>
@@ -8,14 +10,52 @@
 #include <string>
 #include <vector>
 
+#include "compute/parallel.h"
 #include "core/device_id.h"
 #include "core/error.h"
-#include "execution/pixel_pool.h"
-#include "execution/ray_batch.h"
-#include "execution/render_rays.h"
+#include "execution/train_rays.h"
 #include "model/optim/adam.h"
+#include "scene/camera.h"
+#include "scene/pixel_rays.h"
+#include "scene/scene.h"
 
 namespace semfield {
+
+/// How a pixel of a step is chosen, from (seed, step, ray) alone.
+enum class PixelChoice : std::uint8_t { all_images, one_image, label_balanced };
+
+/// Everything of a step's batch but the step: whoever draws from it gives the bits of RaySource::fill. Borrowed; valid
+/// while the source and its frames are.
+struct PixelPool {
+  struct Frame {
+    Camera camera;
+    Pose world_from_camera;
+    bool undistort = true;
+    const StoredFrame* pixels = nullptr;
+    bool has_labels = false;
+  };
+  std::vector<Frame> frames;
+  std::span<const std::int64_t> offsets;  ///< first pixel of each frame among all, and the total
+  RayLimits limits;
+  std::uint64_t seed = 1;
+  std::int64_t rays = 0, tile_rays = 0;  ///< of a step; tiles within which rays with a label come first
+  PixelChoice choice = PixelChoice::all_images;
+  double labelled_share = 0;  ///< of the rays of label_balanced, drawn for their labels
+  bool labels_apart = false;  ///< those rays come first of all and have no part in the colour loss
+  bool with_labels = false, with_depth = false, with_alpha = false, with_camera = false;
+  /// Labelled pixels by rank, for label_balanced: blocks of `block` pixels of the labelled frames, the first one of
+  /// each frame, and how many labelled pixels lie before each; the last entry counts all.
+  std::int64_t block = 1;
+  std::span<const std::size_t> block_offsets;
+  std::span<const std::uint32_t> ranks_before;
+  /// Pixels that are not masked by rank, in the same way, blocks of PixelMask::kWordPixels of every frame; empty where
+  /// no frame has a mask.
+  std::span<const std::size_t> used_block_offsets;
+  std::span<const std::uint32_t> used_before;
+  /// Logits of a frame's pixels, kVoid for those without a label. Throws Error(data) for a label that is no class.
+  std::function<void(std::size_t frame, std::span<std::int16_t> logit)> read_labels;
+  std::vector<std::int64_t> label_only;  ///< RayBatch::label_only, the same in every step
+};
 
 /// Gradients of a step, between backward and update.
 template <class Real>
@@ -88,6 +128,58 @@ class Executor {
   /// The semantic part at points (execution/point_network.h), which lives as long as the executor.
   virtual PointNetwork<Real>& points() {
     throw Error(ErrorKind::internal, "internal.executor.points", "this executor has no network at points");
+  }
+};
+
+// Some of the pixels of many frames by their rank: counts of blocks, in place of a list that outweighs the pixels.
+
+/// A training pixel: frame by its place in the training split, row * width + column.
+struct TrainPixel {
+  std::int32_t frame = 0;
+  std::int32_t index = 0;
+};
+
+struct PixelRanks {
+  static constexpr std::int64_t kBlock = 64;  ///< pixels; a block lies in one frame
+  std::vector<std::size_t> block_offsets;     ///< first block of each frame, and the total
+  std::vector<std::uint32_t> before;          ///< [blocks + 1] chosen pixels before each block; the last counts all
+
+  std::uint32_t count() const { return before.empty() ? 0 : before.back(); }
+  /// Of a frame: the rank of its first pixel that is chosen, and of the next frame's.
+  std::uint32_t first_of(std::size_t frame) const { return before[block_offsets[frame]]; }
+
+  /// `pixels` of each frame, 0 for one that has none; `chosen(TrainPixel)` is asked once for every pixel, from any
+  /// thread.
+  template <class Chosen>
+  void index(const std::vector<std::int64_t>& pixels, const Chosen& chosen) {
+    block_offsets.assign(1, 0);
+    for (const std::int64_t n : pixels)
+      block_offsets.push_back(block_offsets.back() + static_cast<std::size_t>((n + kBlock - 1) / kBlock));
+    before.assign(block_offsets.back() + 1, 0);
+    parallel_for(std::ssize(pixels), [&](std::int64_t frame) {
+      const auto f = static_cast<std::size_t>(frame);
+      for (std::size_t b = block_offsets[f]; b < block_offsets[f + 1]; ++b) {
+        const std::int64_t begin = static_cast<std::int64_t>(b - block_offsets[f]) * kBlock;
+        for (std::int64_t p = begin; p < std::min(begin + kBlock, pixels[f]); ++p)
+          before[b + 1] += chosen(TrainPixel{static_cast<std::int32_t>(f), static_cast<std::int32_t>(p)}) ? 1 : 0;
+      }
+    });
+    for (std::size_t b = 1; b < before.size(); ++b) before[b] += before[b - 1];
+  }
+
+  /// The pixel of a rank below count(); `chosen` as it was indexed.
+  template <class Chosen>
+  TrainPixel at(std::uint32_t rank, const Chosen& chosen) const {
+    const auto after = std::upper_bound(before.begin(), before.end(), rank);
+    const auto block = static_cast<std::size_t>(after - before.begin()) - 1;
+    const auto next_frame = std::upper_bound(block_offsets.begin(), block_offsets.end(), block);
+    const auto frame = static_cast<std::size_t>(next_frame - block_offsets.begin()) - 1;
+    TrainPixel pixel{static_cast<std::int32_t>(frame),
+                     static_cast<std::int32_t>(static_cast<std::int64_t>(block - block_offsets[frame]) * kBlock)};
+    for (std::uint32_t left = rank - before[block];; ++pixel.index) {
+      if (!chosen(pixel)) continue;
+      if (left-- == 0) return pixel;
+    }
   }
 };
 

@@ -1,13 +1,21 @@
 #include "execution/lane_executor.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <cstdlib>
 #include <functional>
 #include <numeric>
+#include <string>
+#include <type_traits>
 #include <utility>
 
-#include "compute/float_mode.h"
 #include "compute/isa.h"
-#include "losses/photometric.h"
+#include "compute/math_functions.h"
+#include "losses/semantic_cross_entropy.h"
+#include "model/optim/adam.h"
 #include "scene/classes/class_table.h"
 
 namespace semfield {
@@ -331,5 +339,297 @@ std::int64_t LaneExecutor<Real>::workspace_growths() const {
 
 template class LaneExecutor<float>;
 template class LaneExecutor<double>;
+
+namespace {
+
+// A message carries this many pieces of gradients, so that a rank adds its lanes to one while the next rank has those
+// before it.
+constexpr std::int64_t kPiecesTogether = 64;
+
+template <class T>
+std::span<std::byte> bytes_of(std::vector<T>& values, std::size_t count) {
+  return std::as_writable_bytes(std::span(values.data(), count));
+}
+
+}  // namespace
+
+template <class Real>
+LaneRanks<Real>::LaneRanks(Ranks& ranks, int lanes) : ranks_(&ranks), lanes_(lanes) {}
+
+// Rank r begins with the lane before which there are as near to r / size of all tiles as can be.
+template <class Real>
+void LaneRanks<Real>::share_out(std::int64_t tiles) {
+  const std::int64_t each = tiles / lanes_, more = tiles % lanes_;
+  first_.assign(static_cast<std::size_t>(ranks_->size()) + 1, lanes_);
+  int lane = 0;
+  for (int rank = 0; rank < ranks_->size(); ++rank) {
+    const auto off = [&](std::int64_t l) {  // tiles too many or too few, times the number of ranks
+      return std::abs((l * each + std::min(l, more)) * ranks_->size() - tiles * rank);
+    };
+    while (lane < lanes_ && off(lane + 1) < off(lane)) ++lane;
+    first_[static_cast<std::size_t>(rank)] = lane;
+  }
+}
+
+template <class Real>
+void LaneRanks<Real>::gather_losses(std::vector<StepLosses>& tiles) {
+  static_assert(std::is_trivially_copyable_v<StepLosses>);
+  const auto count = std::ssize(tiles);
+  // Of a rank its lanes in order, of a lane its tiles.
+  const auto each_of = [&](int rank, const auto& body) {
+    for (int lane = first_of(rank); lane < first_of(rank + 1); ++lane) {
+      for (std::int64_t tile = lane; tile < count; tile += lanes_) body(tiles[static_cast<std::size_t>(tile)]);
+    }
+  };
+  std::vector<StepLosses> own, all(tiles.size());
+  std::vector<std::size_t> bytes(static_cast<std::size_t>(ranks_->size()));
+  each_of(ranks_->rank(), [&](const StepLosses& losses) { own.push_back(losses); });
+  for (int r = 0; r < ranks_->size(); ++r) {
+    std::size_t tiles_of_rank = 0;
+    each_of(r, [&](const StepLosses&) { ++tiles_of_rank; });
+    bytes[static_cast<std::size_t>(r)] = tiles_of_rank * sizeof(StepLosses);
+  }
+  ranks_->all_gather(std::as_bytes(std::span(own)), bytes_of(all, all.size()), bytes);
+  std::size_t next = 0;
+  for (int r = 0; r < ranks_->size(); ++r) each_of(r, [&](StepLosses& losses) { losses = all[next++]; });
+}
+
+template <class Real>
+EncodedRows<Real> LaneRanks<Real>::gather_rows(const EncodedRows<Real>& own) {
+  const std::vector<std::int64_t> rows = all_of(*ranks_, own.x.rows);
+  const std::int64_t total = std::accumulate(rows.begin(), rows.end(), std::int64_t{0});
+  const std::int32_t dims = own.d_encoded.cols;
+  const auto gather = [&](const auto* from, auto& to, std::int64_t cols) {
+    const std::size_t row_bytes = static_cast<std::size_t>(cols) * sizeof *from;
+    std::vector<std::size_t> bytes;
+    for (const std::int64_t count : rows) bytes.push_back(static_cast<std::size_t>(count) * row_bytes);
+    const auto size = static_cast<std::size_t>(total * cols);
+    if (to.size() < size) to.resize(size);
+    const std::span<const std::byte> mine(reinterpret_cast<const std::byte*>(from),
+                                          static_cast<std::size_t>(own.x.rows) * row_bytes);
+    ranks_->all_gather(mine, bytes_of(to, size), bytes);
+  };
+  gather(own.x.data, x_, 3);
+  gather(own.d_encoded.data, d_encoded_, dims);
+  return {{x_.data(), total, 3}, {d_encoded_.data(), total, dims}};
+}
+
+template <class Real>
+void LaneRanks<Real>::share_rows(View<Real> column, const std::function<void(std::int64_t, std::int64_t)>& compute) {
+  const auto part = [&](int rank) { return part_of(column.rows, rank, ranks_->size()); };
+  const auto [begin, end] = part(ranks_->rank());
+  agree(*ranks_, [&, first = begin, last = end] { compute(first, last); });
+  std::vector<Real> own, all(static_cast<std::size_t>(column.rows));
+  for (std::int64_t r = begin; r < end; ++r) own.push_back(*column.row(r));
+  std::vector<std::size_t> bytes;
+  for (int r = 0; r < ranks_->size(); ++r)
+    bytes.push_back(static_cast<std::size_t>(part(r).second - part(r).first) * sizeof(Real));
+  ranks_->all_gather(std::as_bytes(std::span(own)), bytes_of(all, all.size()), bytes);
+  for (std::int64_t r = 0; r < column.rows; ++r) *column.row(r) = all[static_cast<std::size_t>(r)];
+}
+
+template <class Real>
+void LaneRanks<Real>::sum_lanes(ParamStore<Real>& store) {
+  const std::int64_t pieces = store.lane_pieces();
+  const int rank = ranks_->rank(), last = ranks_->size() - 1;
+  // Between the gradients, which lie apart, and a message; `copy` gets the gradient's elements and their place there.
+  const auto each = [&](std::int64_t begin, std::int64_t count, const auto& copy) {
+    std::size_t at = 0;
+    for (std::int64_t piece = begin; piece < begin + count; ++piece) {
+      const View<Real> part = store.lane_piece(piece);
+      const auto size = static_cast<std::size_t>(part.cols);
+      if (sums_.size() < at + size) sums_.resize(at + size);
+      copy(part.data, sums_.data() + at, size);
+      at += size;
+    }
+    return at;
+  };
+  const auto size = [](Real*, Real*, std::size_t) {};
+  const auto pack = [](Real* grad, Real* place, std::size_t n) { std::copy_n(grad, n, place); };
+  const auto unpack = [](Real* grad, Real* place, std::size_t n) { std::copy_n(place, n, grad); };
+  for (std::int64_t begin = 0; begin < pieces; begin += kPiecesTogether) {
+    const std::int64_t count = std::min(kPiecesTogether, pieces - begin);
+    if (rank > 0) {
+      ranks_->receive(rank - 1, bytes_of(sums_, each(begin, count, size)));
+      each(begin, count, unpack);
+    }
+    store.reduce_lanes(begin, count, first(), end());
+    if (rank < last) ranks_->send(rank + 1, bytes_of(sums_, each(begin, count, pack)));
+  }
+  const std::size_t all = each(0, pieces, pack);
+  ranks_->broadcast(bytes_of(sums_, all), last);
+  if (rank < last) each(0, pieces, unpack);
+}
+
+template class LaneRanks<float>;
+template class LaneRanks<double>;
+
+// Which ray or tensor is behind a step that failed.
+
+namespace {
+
+template <class Real>
+std::string element_text(const Tensor<Real>& t, std::int64_t element) {
+  return fmt::format("row {}, column {}", element / t.spec.cols, element % t.spec.cols);
+}
+
+// Of a table the whole gradient, and values and moments of the touched rows of one window: the moments of every touched
+// row would cost as much memory traffic as the update. From sound numbers comes nothing else, so what this finds was
+// written from outside; a value that is not finite is seen in the encoder's output in any case.
+//
+// Of rows [row, row + rows).
+template <class Real>
+Unsound<Real> unsound_of_table(const Tensor<Real>& t, std::int64_t step, std::int64_t row, std::int64_t rows) {
+  Unsound<Real> bad = first_unsound<Real>({}, t.view(t.grad).row_range(row, rows), {}, {}, false);
+  if (bad.element >= 0) {
+    bad.element += row * t.spec.cols;
+    return bad;
+  }
+  const std::int64_t window_rows = (t.spec.rows + kTableWindows - 1) / kTableWindows;
+  const std::int64_t begin = std::max(row, step % kTableWindows * window_rows);
+  const std::int64_t count = std::min(row + rows, (step % kTableWindows + 1) * window_rows) - begin;
+  if (count <= 0) return {};
+  const auto window = [&](const AlignedBuffer<Real>& buffer) { return t.view(buffer).row_range(begin, count); };
+  bad = first_unsound<Real>(window(t.value), window(t.grad), window(t.moment1), window(t.moment2), true);
+  if (bad.element >= 0) bad.element += begin * t.spec.cols;
+  return bad;
+}
+
+template <class Real>
+Unsound<Real> unsound_of_learned(const Tensor<Real>& t, std::int64_t step, std::int64_t row, std::int64_t rows) {
+  if (t.spec.role == TensorRole::sparse) return unsound_of_table(t, step, row, rows);
+  const auto part = [&](const AlignedBuffer<Real>& buffer) { return t.view(buffer).row_range(row, rows); };
+  Unsound<Real> bad = first_unsound<Real>(part(t.value), part(t.grad), part(t.moment1), part(t.moment2), false);
+  if (bad.element >= 0) bad.element += row * t.spec.cols;
+  return bad;
+}
+
+// The elements of a derived or state tensor that a step looks at, as a column; none of a rearranged one, which comes
+// anew from learned ones. Of a large one (the cells of a fine occupancy grid) they are a window, so that the check
+// costs the same for any grid; the sampler itself refuses what it would write.
+struct StateWindow {
+  std::int64_t begin, count;
+};
+template <class Real>
+StateWindow state_window(const Tensor<Real>& t, std::int64_t step) {
+  constexpr std::int64_t kWindow = std::int64_t{1} << 18;
+  if (t.spec.role == TensorRole::rearranged) return {0, 0};
+  const std::int64_t begin = step % ((t.size() + kWindow - 1) / kWindow) * kWindow;
+  return {begin, std::min(kWindow, t.size() - begin)};
+}
+
+// Of all tensors at once; which one it is, check_learned and check_state say.
+template <class Real>
+bool all_sound(const std::vector<Tensor<Real>>& tensors, std::int64_t step) {
+  std::atomic<bool> sound{true};
+  const auto tensor = [&](int i) -> const Tensor<Real>& { return tensors[static_cast<std::size_t>(i)]; };
+  for_ranges(
+      static_cast<int>(tensors.size()),
+      [&](int i) { return tensor(i).learned() ? tensor(i).spec.rows : state_window(tensor(i), step).count; },
+      [&](int i) { return tensor(i).learned() ? tensor(i).spec.cols : 1; },
+      [&](int i, std::int64_t row, std::int64_t rows) {
+        const Tensor<Real>& t = tensor(i);
+        const bool good = t.learned() ? unsound_of_learned(t, step, row, rows).element < 0
+                                      : all_finite(t.value.data() + state_window(t, step).begin + row, rows);
+        if (!good) sound = false;
+      });
+  return sound;
+}
+
+template <class Real>
+void check_learned(const Tensor<Real>& t, std::int64_t step, const StepLosses& losses) {
+  const Unsound<Real> bad = unsound_of_learned(t, step, 0, t.spec.rows);
+  if (bad.element < 0) return;
+  throw Error(ErrorKind::failure, "train.gradient.not_finite",
+              fmt::format("the {} of '{}' at {} is {:.6g} (loss {:.6g})", bad.array, t.name,
+                          element_text(t, bad.element), bad.found, losses.total),
+              std::string(fault_remedy()));
+}
+
+template <class Real>
+void check_state(const Tensor<Real>& t, std::int64_t step) {
+  const auto [begin, count] = state_window(t, step);
+  const std::int64_t at = first_non_finite<Real>(View<const Real>(t.value.data() + begin, count, 1));
+  if (at < 0) return;
+  throw Error(ErrorKind::failure, "train.tensor.not_finite",
+              fmt::format("'{}' holds {} at {}", t.name, t.value.data()[begin + at], element_text(t, begin + at)),
+              std::string(fault_remedy()));
+}
+
+}  // namespace
+
+template <class Real>
+StepLosses LaneExecutor<Real>::checked_gradients(std::int64_t step, const RayBatch& batch) {
+  ParamStore<Real>& store = pipeline_.store();
+  store.zero_gradients();
+  const StepLosses losses = gradients(step, batch);
+  if (hook_) hook_({step, store.learned_gradients(), nullptr});
+  const bool sound = all_sound(store.all(), step);
+  for (const Tensor<Real>& t : store.all()) {
+    if (!sound && t.learned()) check_learned(t, step, losses);
+  }
+  if (!std::isfinite(losses.total)) {
+    std::string terms;
+    const std::vector<LossEntry>& entries = options().losses.entries();
+    for (std::size_t i = 0; i < entries.size(); ++i) terms += fmt::format(", {} {}", entries[i].type, losses.terms[i]);
+    throw Error(
+        ErrorKind::failure, "train.loss.not_finite",
+        fmt::format("the loss is {} (colour {}, semantic {}{})", losses.total, losses.color, losses.semantic, terms),
+        std::string(fault_remedy()));
+  }
+  for (const Tensor<Real>& t : store.all()) {
+    if (!sound && !t.learned()) check_state(t, step);
+  }
+  return losses;
+}
+
+template <class Real>
+std::optional<RayFault> LaneExecutor<Real>::find_fault(std::int64_t step, const RayBatch& batch) {
+  const WorkScope scope(options().work);
+  const ComputeFloatMode mode;
+  std::optional<RayFault> fault;
+  BatchScales scales;
+  scales.color = color_normaliser(batch);
+  scales.semantic = 1;
+  try {
+    scales = pipeline_.scales_of(batch);
+  } catch (const Error&) {
+    // A label of some ray: that ray throws again below.
+  }
+  pipeline_.store().clear_gradients();
+  const RayBatch seen = moved(batch);
+  for (std::int64_t ray = 0; ray < batch.origin.rows && !fault; ++ray) {
+    try {
+      guard_rays<Real>(
+          {batch.origin.row_range(ray, 1), batch.direction.row_range(ray, 1), batch.near_far.row_range(ray, 1)},
+          batch.targets.color.row_range(ray, 1), ray);
+      train_tile(context(step, true, ray, arenas_.own()), 0, seen, {ray, 1, kAlone}, scales);
+    } catch (const RayFault& found) {
+      fault = found;
+    } catch (const Error& error) {
+      fault.emplace(ray, error.kind(), error.code(), error.message(), error.remedy());
+    }
+    for (const Tensor<Real>& t : pipeline_.store().all()) {
+      if (fault || t.lanes.size() == 0) continue;
+      const Real* const lane = t.lanes.data();
+      if (all_finite(lane, t.size())) continue;
+      std::int64_t at = 0;
+      while (all_finite(lane + at, 1)) ++at;
+      fault.emplace(ray, ErrorKind::failure, Code("train.gradient.not_finite"),
+                    "the gradient of '" + t.name + "' at " + element_text(t, at) + " that ray " + std::to_string(ray) +
+                        " gives is " + std::to_string(lane[at]),
+                    std::string(fault_remedy()));
+    }
+  }
+  pipeline_.store().clear_gradients();
+  return fault;
+}
+
+#define SEMFIELD_INSTANTIATE(Real)                                                          \
+  template StepLosses LaneExecutor<Real>::checked_gradients(std::int64_t, const RayBatch&); \
+  template std::optional<RayFault> LaneExecutor<Real>::find_fault(std::int64_t, const RayBatch&);
+SEMFIELD_INSTANTIATE(float)
+SEMFIELD_INSTANTIATE(double)
+#undef SEMFIELD_INSTANTIATE
 
 }  // namespace semfield

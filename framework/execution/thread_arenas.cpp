@@ -1,6 +1,6 @@
 #include "execution/thread_arenas.h"
 
-#include "system/memory_limit.h"
+#include "system/process.h"
 
 namespace semfield {
 

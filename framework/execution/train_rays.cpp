@@ -1,6 +1,83 @@
 #include "execution/train_rays.h"
 
+#include <algorithm>
+#include <cstring>
+
+#include "core/check.h"
+#include "execution/lane_executor.h"
+
 namespace semfield {
+
+RayBatch RayBatch::rows(std::int64_t begin, std::int64_t count) const {
+  RayBatch out = *this;
+  each_array(out, [&](auto& view) {
+    if (!view.empty()) view = view.row_range(begin, count);
+  });
+  if (label_only.empty()) return out;
+  const std::int64_t at = skipped + begin, tile = at / tile_rays;
+  out.label_only = label_only.row_range(tile, (at + count + tile_rays - 1) / tile_rays - tile);
+  out.skipped = at - tile * tile_rays;
+  return out;
+}
+
+std::int64_t RayBatch::without_color() const {
+  if (label_only.empty() || label_only.rows == 0) return 0;
+  return std::clamp<std::int64_t>(label_only(0, 0) - skipped, 0, origin.rows);
+}
+
+RayBatch BatchShape::batch() const {
+  RayBatch out;
+  const auto there = [&](auto& view, std::int32_t cols) {
+    view.rows = rays;
+    view.cols = cols;
+    view.row_stride = cols;
+  };
+  there(out.origin, 3);
+  there(out.direction, 3);
+  there(out.near_far, 2);
+  there(out.targets.color, 3);
+  if (labels) there(out.targets.label, 1);
+  for (std::int32_t i = 0; i < channels; ++i) {
+    const Channel& one = more[static_cast<std::size_t>(i)];
+    View<const float> view;
+    there(view, one.cols);
+    out.targets.more.set(one.name, view);
+  }
+  out.tile_rays = tile_rays;
+  return out;
+}
+
+BatchShape shape_of(const RayBatch& batch) {
+  BatchShape shape;
+  shape.rays = batch.origin.rows;
+  shape.tiles = batch.label_only.empty() ? 0 : batch.label_only.rows;
+  shape.tile_rays = batch.tile_rays;
+  shape.labels = !batch.targets.label.empty();
+  for (const auto& one : batch.targets.more) {
+    SEMFIELD_CHECK(one.name.size() < BatchShape::kNameBytes, "the name of a channel has at most 31 characters");
+    BatchShape::Channel& to = shape.more[static_cast<std::size_t>(shape.channels++)];
+    std::memcpy(to.name, one.name.data(), one.name.size());
+    to.cols = one.view.cols;
+  }
+  return shape;
+}
+
+double color_normaliser(const RayBatch& batch) {
+  std::int64_t rays = batch.origin.rows;
+  for (std::int64_t t = 0; t < batch.label_only.rows; ++t) rays -= batch.label_only(t, 0);
+  return static_cast<double>(std::max<std::int64_t>(1, 3 * rays));
+}
+
+SemanticTargets semantic_targets(const RayTargets& targets, std::int64_t rays) {
+  const View<const float> soft = targets.more[channel::soft_label];
+  SemanticTargets out;
+  if (soft.empty()) {
+    out.hard = targets.label.row_range(0, rays);
+  } else {
+    out.soft = soft.row_range(0, rays);
+  }
+  return out;
+}
 
 namespace {
 
@@ -139,6 +216,90 @@ void train_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::in
 #define SEMFIELD_INSTANTIATE(Real)                                                                 \
   template void train_rays<Real>(const std::vector<Pass<Real>>&, const std::vector<std::int64_t>&, \
                                  const TrainedRays<Real>&, const StepContext&, StepExecutor<Real>&);
+SEMFIELD_INSTANTIATE(float)
+SEMFIELD_INSTANTIATE(double)
+#undef SEMFIELD_INSTANTIATE
+
+template <class Real>
+RenderJob<Real> RenderJob<Real>::rows(std::int64_t begin, std::int64_t count) const {
+  RenderJob part = *this;
+  const auto cut = [&](auto&... views) { ((views = views.row_range(begin, count)), ...); };
+  cut(part.origin, part.direction, part.near_far, part.truth, part.color, part.depth, part.opacity, part.label,
+      part.entropy, part.confidence, part.truth_probability, part.probability, part.resolution);
+  part.heads = heads.row_range(begin, count);
+  return part;
+}
+
+template <class Real>
+void render_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::int64_t>& per_ray,
+                 const RenderJob<Real>& job, const StepContext& call) {
+  StepContext ctx = call;
+  const PassParts<Real>& parts = passes.back().parts();
+  const Stages<Real>& stages = *parts.stages;
+  const HostEnds<Real> ends{stages, *ctx.workspace};
+  const Rays<Real> rays{ends.sent(job.origin), ends.sent(job.direction), ends.sent(job.near_far)};
+  const bool classes =
+      parts.head && !(job.label.empty() && job.entropy.empty() && job.confidence.empty() && job.probability.empty());
+  const bool heads = job.heads.size() > 0;
+  Proposal<Real> proposal;
+  PassTrace<Real> trace;
+  for (std::size_t p = 0; p < passes.size(); ++p) {
+    ctx.pass = passes[p].parts().number;
+    const bool last = p + 1 == passes.size();
+    const PassTrace<Real> next =
+        passes[p].forward(ctx, kMainGradient, rays, p == 0 ? nullptr : &proposal, p == 0 ? 0 : per_ray[p - 1],
+                          {last && classes ? job.origin.rows : 0, last, last && heads});
+    trace = next;
+    proposal.samples = &trace.samples;
+    proposal.weight = trace.weight.row_range(0, trace.samples.count);
+  }
+  ends.fetch(trace.color, job.color);
+  ends.fetch(trace.depth, job.depth);
+  ends.fetch(trace.opacity, job.opacity);
+  for (const auto& channel : job.heads) {
+    const View<const Real> rows = passes.back().values_of({}, trace).heads[channel.name];
+    SEMFIELD_CHECK(rows.cols == channel.view.cols, "a channel of the pass, with its columns");
+    ends.fetch(rows, channel.view);
+  }
+  if (!job.resolution.empty()) {
+    const View<OpacityResolution> found = ends.room_for(job.resolution);
+    stages.opacity_resolutions(trace.samples, trace.weight, passes.back().rules().rendering.far, job.footprint_per_m,
+                               found);
+    ends.fetch(found, job.resolution);
+  }
+  if (!classes) return;
+  SEMFIELD_CHECK(job.probability.empty() || job.probability.cols == trace.semantic.rows.cols,
+                 "probabilities of rays have a column a logit");
+  ClassResults<Real> results;
+  results.truth = ends.sent(job.truth);
+  results.label = ends.room_for(job.label);
+  results.entropy = ends.room_for(job.entropy);
+  results.confidence = ends.room_for(job.confidence);
+  results.truth_probability = ends.room_for(job.truth_probability);
+  results.probability = ends.room_for(job.probability);
+  stages.class_results(trace.semantic.rows, results);
+  ends.fetch(results.label, job.label);
+  ends.fetch(results.entropy, job.entropy);
+  ends.fetch(results.confidence, job.confidence);
+  ends.fetch(results.truth_probability, job.truth_probability);
+  ends.fetch(results.probability, job.probability);
+}
+
+template <class Real>
+void query_density(const Pass<Real>& pass, View<const double> positions, View<Real> sigma, const StepContext& call) {
+  StepContext ctx = call;
+  ctx.pass = pass.parts().number;
+  const HostEnds<Real> ends{*pass.parts().stages, *ctx.workspace};
+  const View<Real> found = ends.room_for(sigma);
+  pass.density(ctx, ends.sent(positions), found);
+  ends.fetch(found, sigma);
+}
+
+#define SEMFIELD_INSTANTIATE(Real)                                                                  \
+  template struct RenderJob<Real>;                                                                  \
+  template void render_rays<Real>(const std::vector<Pass<Real>>&, const std::vector<std::int64_t>&, \
+                                  const RenderJob<Real>&, const StepContext&);                      \
+  template void query_density<Real>(const Pass<Real>&, View<const double>, View<Real>, const StepContext&);
 SEMFIELD_INSTANTIATE(float)
 SEMFIELD_INSTANTIATE(double)
 #undef SEMFIELD_INSTANTIATE

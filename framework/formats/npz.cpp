@@ -8,7 +8,6 @@
 #include "core/check.h"
 #include "core/error.h"
 #include "core/half.h"
-#include "formats/input_limits.h"
 #include "formats/text_rows.h"
 #include "formats/zip_archive.h"
 #include "system/files.h"

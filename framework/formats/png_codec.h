@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "formats/image_io.h"
-#include "formats/input_limits.h"
+#include "formats/text_rows.h"
 
 namespace semfield {
 

@@ -2,9 +2,13 @@
 #pragma once
 
 #include <cstdint>
+#include <stdexcept>
 #include <string>
 #include <string_view>
+#include <type_traits>
 #include <vector>
+
+#include "config/params.h"
 
 namespace semfield {
 
@@ -43,5 +47,52 @@ std::string csv_field(std::string_view value);
 /// Whole text as a number; false for anything else.
 bool parse_whole(std::string_view text, std::int64_t& out);
 bool parse_real(std::string_view text, double& out);
+
+// How large inputs may be: what every reader asks before it takes memory on the word of a file.
+
+/// The section `limits` of a configuration.
+struct InputLimits {
+  std::int64_t image_axis_px = 16384;
+  std::int64_t image_pixels = std::int64_t{1} << 28;
+  std::int64_t image_channels = 16;
+  std::int64_t image_bytes = std::int64_t{1} << 30;  ///< of one decoded image
+  std::int64_t pose_file_bytes = std::int64_t{256} << 20;
+  std::int64_t mesh_corners = (std::int64_t{1} << 31) - 1;
+  std::int64_t classes = 1024;
+  std::int64_t frames = std::int64_t{1} << 20;
+};
+void describe(ParamVisitor& visit, InputLimits& limits);
+
+/// Those of this thread's work_settings(), or else the defaults.
+const InputLimits& input_limits();
+
+/// Throws Error(data) "WHAT: COUNT NOUN; at most LIMIT are read" whose remedy names `limits.KEY`, when count is above
+/// limit.
+void check_input_limit(std::int64_t count, std::int64_t limit, const std::string& what, const std::string& noun,
+                       const std::string& key);
+
+/// Refuses empty images and those over the limits of axis, pixels, channels and bytes once decoded.
+void check_image_limits(std::int64_t width, std::int64_t height, std::int64_t channels = 1,
+                        std::int64_t bytes_a_value = 1);
+
+/// A file of poses or an index of frames as text; Error(data) above limits.pose_file_bytes, Error(no_input) as
+/// read_text_file.
+std::string read_pose_file(const std::string& path);
+
+// Numbers of JSON taken as they are: what a type would cut, or turn round, is refused.
+
+/// Numbers are counts and sizes, which are not negative. `Json` is one of nlohmann's. Throws std::out_of_range naming
+/// `key` and the value, and what Json throws for another kind of value.
+template <class Json, class T>
+void read_json_value(const Json& map, const char* key, T& into) {
+  const Json& from = map.at(key);
+  bool fits = !std::is_integral_v<T> || std::is_same_v<T, bool> || from.is_number_integer();
+  if (fits) {
+    from.get_to(into);
+    fits = Json(into) == from;
+  }
+  if constexpr (std::is_arithmetic_v<T> && std::is_signed_v<T>) fits = fits && into >= 0;
+  if (!fits) throw std::out_of_range(std::string(key) + " is " + from.dump());
+}
 
 }  // namespace semfield

@@ -1,9 +1,13 @@
 // A field as 3D Gaussians [Kerbl23], without a training of their own.
 #pragma once
 
+#include <array>
+#include <cstdint>
+#include <span>
 #include <string>
 #include <vector>
 
+#include "eval/evaluator.h"
 #include "handover/voxel_map.h"
 #include "surface/mesh/mesh_files.h"
 
@@ -64,5 +68,23 @@ void write_splat_ply(const std::string& path, const Splats& splats, const ClassT
 /// .splat: 32 bytes each, x y z and three deviations (float), red green blue and opacity (8 bits), w x y z (8 bits,
 /// 128 = 0). Ids have no place in it.
 void write_splat(const std::string& path, const Splats& splats, Vec3d offset);
+
+// Colours of splats, so that they look drawn as the field looks rendered.
+
+/// What the field shows from a place.
+struct SplatView {
+  RayCamera camera;
+  std::vector<std::uint8_t> rgb;  ///< [height_px, width_px, 3]
+};
+
+/// Draws the splats as viewers do, by weighted averages from front to back [Zwicker01] [Kerbl23], over `background`.
+/// The picture, [height_px, width_px, 3] in 0 to 1; empty for a wide lens, whose footprints are no ellipses.
+std::vector<float> draw_splats(const Splats& splats, const RayCamera& camera, const std::array<double, 3>& background);
+
+/// Changes colours so that pictures of the splats come near the views: a viewer widens every footprint by a part of a
+/// pixel and blurs what the field shows sharp. Simultaneous iterations [Gilbert72]: a splat's colour moves by the mean
+/// of what its pixels miss, weighted by its share in them. Views of a wide lens say nothing. The same bits for any
+/// number of threads.
+void fit_colors(Splats& splats, std::span<const SplatView> views, const std::array<double, 3>& background);
 
 }  // namespace semfield

@@ -8,8 +8,8 @@
 
 #include "labels/label_files.h"
 #include "loading/frame_masks.h"
-#include "scene/output_names.h"
-#include "system/sorted_folder.h"
+#include "scene/scene.h"
+#include "system/files.h"
 
 namespace semfield {
 

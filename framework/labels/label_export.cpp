@@ -5,9 +5,8 @@
 #include <nlohmann/json.hpp>
 
 #include "labels/mask_outlines.h"
-#include "labels/run_lengths.h"
-#include "scene/classes/class_names.h"
-#include "scene/output_names.h"
+#include "scene/classes/class_table.h"
+#include "scene/scene.h"
 #include "system/files.h"
 
 namespace semfield {

@@ -1,14 +1,19 @@
 // The labels that train: selected, read from files, degraded - beside the scene's own, which stay the truth.
 #pragma once
 
+#include <cstddef>
+#include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
+#include "core/error.h"
 #include "labels/clicks/annotations.h"
-#include "labels/label_selection.h"
-#include "labels/label_steps.h"
+#include "labels/label_files.h"
+#include "loading/frame_source.h"
 
 namespace semfield {
 
@@ -71,5 +76,49 @@ TrainingLabels make_training_labels(const LoadedScene& scene, const LabelConfig&
 
 /// The labels of a training frame become those of `unclicked` with its clicks of now.
 void paint_clicks(const Annotations& clicks, int frame, TrainingLabels& labels);
+
+// What a network saw, as checksums: whether a scene and its labels are still those of training.
+
+/// Checksums in hexadecimal digits.
+struct SceneInputs {
+  std::int64_t frames = 0;
+  std::string names;    ///< of frames, with their splits, in order
+  std::string cameras;  ///< poses, lenses and sizes as loaded, to six digits
+  std::string colors;   ///< pixels; "" where none was read
+  /// These two are not in checkpoints of earlier versions; "" where there are none, or none was read.
+  std::optional<std::string> labels;           ///< the scene's own of all frames, by which test frames are scored
+  std::optional<std::string> training_labels;  ///< that train, without clicks
+  std::string hash() const;
+};
+SceneInputs scene_inputs(const LoadedScene& scene, const TrainingLabels& labels);
+/// "other images", "other labels", ...: what differs. What one side does not know is not compared.
+std::vector<std::string> other_inputs(const SceneInputs& a, const SceneInputs& b);
+
+/// One warning where frames, cameras, images or labels are others; a note where the checkpoint does not tell labels.
+void warn_of_other_inputs(const SceneInputs& trained, const SceneInputs& now, Diagnostics& diagnostics);
+
+/// One JSON object. Reading throws Error(data) with the cause.
+std::string inputs_text(const SceneInputs& inputs);
+SceneInputs read_inputs_text(const std::string& text);
+
+// What the degradations share: the walk over frames with hard labels, and the classes that a scene has.
+
+/// Frames that have labels, ascending. `type` names the degradation in messages. Throws Error(data) naming a frame
+/// whose labels are soft.
+std::vector<std::size_t> hard_frames(const LoadedScene& scene, const LabelSet& labels, std::string_view type);
+
+/// Internal indices, ascending, of the classes that occur in the scene's own labels, of whatever split and frame: what
+/// is drawn at random is drawn from these, since a table may know many classes that the scene does not have. All
+/// classes of the table where the scene has no labels of its own. Throws Error(data) for an empty table.
+std::vector<std::int16_t> scene_classes(const LoadedScene& scene, std::string_view type);
+
+/// Calls change(frame, labels [H * W]) for every frame of hard_frames(), in parallel; a frame's result may depend on
+/// the frame alone. Returns the facts that every degradation tells: frames, labelled pixels before and after, pixels
+/// whose label is another one.
+StepFacts change_hard_labels(const LoadedScene& scene, std::string_view type, LabelSet& labels,
+                             const std::function<void(std::size_t frame, std::vector<std::int16_t>& hard)>& change);
+
+/// Whole number nearest to share * count; halves go up. At most `count` for shares up to 1.
+std::int64_t rounded_share(double share, std::int64_t count);
 
 }  // namespace semfield

@@ -5,6 +5,7 @@
 #include <array>
 #include <cstdint>
 #include <map>
+#include <set>
 #include <span>
 #include <string>
 #include <string_view>
@@ -12,8 +13,11 @@
 #include <vector>
 
 #include "config/params.h"
+#include "core/error.h"
+#include "core/text.h"
 #include "formats/image_io.h"
-#include "loading/depth_camera.h"
+#include "formats/text_rows.h"
+#include "loading/depth_images.h"
 #include "scene/scene.h"
 
 namespace semfield {
@@ -151,5 +155,54 @@ class FrameNames {
  private:
   std::map<std::string, int> next_;  // given names -> the number that the next of that name gets
 };
+
+// Files by the names that an index gives them: one that another system wrote may spell a path in another way.
+
+/// Finds files under names of another system; each folder is listed once. For one thread.
+class FileNames {
+ public:
+  /// The path of the file that `path` means: as it stands where that is there; else with slashes for Windows'
+  /// backslashes; else with those parts that differ from the only name in their folder that looks the same by nothing
+  /// but the form of its letters (core/text.h). Where nothing is there: `path` with slashes.
+  std::string of(const std::string& path);
+
+ private:
+  const std::string* looks_like(const std::string& folder, const std::string& name);
+
+  std::map<std::string, std::map<std::string, std::string>> folders_;  // -> by decomposed name; "" for one of several
+};
+
+/// With slashes for backslashes.
+std::string with_slashes(std::string path);
+
+// JSON files of poses and cameras.
+
+/// The whole file. Throws as read_pose_file, and Error(data) for what is no JSON and for a map that has one key twice,
+/// of which a parser would keep the last without a word. `Json` is a type of nlohmann-json, which no header names.
+template <class Json>
+Json read_pose_json(const std::string& path, const char* remedy) {
+  using Event = typename Json::parse_event_t;
+  std::vector<std::set<std::string>> keys;  // of the maps that are open
+  std::string twice;
+  const typename Json::parser_callback_t watch = [&](int, Event event, Json& parsed) {
+    if (event == Event::object_start) keys.emplace_back();
+    if (event == Event::object_end && !keys.empty()) keys.pop_back();
+    if (event == Event::key && !keys.empty() && !keys.back().insert(parsed.template get<std::string>()).second &&
+        twice.empty())
+      twice = parsed.template get<std::string>();
+    return true;
+  };
+  Json root;
+  try {
+    root = Json::parse(read_pose_file(path), watch);
+  } catch (const typename Json::exception& e) {
+    throw Error(ErrorKind::data, "scene.index.format", "'" + path + "' is not valid JSON: " + json_cause(e.what()),
+                remedy);
+  }
+  if (!twice.empty())
+    throw Error(ErrorKind::data, "scene.index.twice", "'" + path + "' has the key '" + twice + "' twice in one map",
+                "keep one of the two");
+  return root;
+}
 
 }  // namespace semfield

@@ -4,21 +4,19 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <mutex>
 #include <optional>
 #include <set>
 
 #include "compute/parallel.h"
-#include "config/params_read.h"
+#include "config/params.h"
 #include "core/check.h"
 #include "formats/image_io.h"
-#include "formats/input_limits.h"
-#include "loading/lens_masks.h"
-#include "loading/load_progress.h"
-#include "scene/alpha.h"
-#include "scene/output_names.h"
+#include "formats/text_rows.h"
+#include "loading/frame_masks.h"
+#include "scene/scene.h"
 #include "scene/scene_checks.h"
 #include "scene/survey/geometry_survey.h"
-#include "scene/unknown_labels.h"
 
 namespace semfield {
 
@@ -459,6 +457,18 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
   derive_extent(scene, std::move(surveyed), options, heard);
   check_extent(scene, heard);
   return scene;
+}
+
+namespace {
+
+// Of the process, since who is told may be the same for several sessions.
+std::mutex g_telling;
+
+}  // namespace
+
+void tell_load_progress(std::string_view doing, std::size_t done, std::size_t total) {
+  const std::lock_guard lock(g_telling);
+  if (const LoadProgress* told = work_settings().load_progress; told != nullptr && *told) (*told)(doing, done, total);
 }
 
 }  // namespace semfield

@@ -1,18 +1,19 @@
 // A scene in memory: every frame decoded, at the size asked for, with bounds, near and far.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "config/params.h"
+#include "core/workspace.h"
 #include "scene/camera_rig.h"
-#include "scene/pose_convention.h"
 #include "scene/scene.h"
-#include "scene/stored_frame.h"
 #include "scene/survey/camera_check.h"
-#include "scene/survey/depth_survey.h"
+#include "scene/survey/geometry_survey.h"
 #include "scene/survey/plain_background.h"
 
 namespace semfield {
@@ -113,5 +114,10 @@ Box box_of(const std::vector<double>& corners);
 /// load_scene calls it; whoever learns the depth of a scene without any calls it again.
 void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const SceneLoadOptions& options,
                    Diagnostics& diagnostics);
+
+// How far the opening of a scene is, for whoever shows it.
+
+/// Tells WorkSettings::load_progress of this thread. From any thread; one call is passed on at a time.
+void tell_load_progress(std::string_view doing, std::size_t done, std::size_t total);
 
 }  // namespace semfield

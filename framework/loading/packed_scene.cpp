@@ -17,7 +17,7 @@
 #include <utility>
 
 #include "formats/png_codec.h"
-#include "scene/alpha.h"
+#include "scene/scene.h"
 #include "system/checksum.h"
 #include "system/files.h"
 

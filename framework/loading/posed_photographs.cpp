@@ -1,15 +1,17 @@
 #include "loading/posed_photographs.h"
 
+#include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <filesystem>
 
-#include "config/params_read.h"
+#include "config/params.h"
+#include "core/error.h"
 #include "formats/image_io.h"
-#include "loading/camera_fit.h"
 #include "loading/depth_images.h"
-#include "loading/file_names.h"
+#include "loading/frame_files.h"
 #include "loading/frame_masks.h"
-#include "scene/frame_split.h"
+#include "scene/scene.h"
 #include "scene/scene_checks.h"
 
 namespace semfield {
@@ -152,6 +154,188 @@ void PosedPhotographs::read(int frame, FrameBuffer& out) const {
   } catch (Error& e) {
     e.while_doing("frame '" + info_.frames[i].name + "'");
     throw;
+  }
+}
+
+namespace {
+
+std::string factor_number(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.4g", value);
+  return text;
+}
+
+// Of one shape, but for a side that was rounded to whole pixels.
+bool is_scaled(const ImageSize& size, const Camera& camera) {
+  const double sx = static_cast<double>(size.width_px) / camera.width_px;
+  const double sy = static_cast<double>(size.height_px) / camera.height_px;
+  return std::abs(sx * camera.height_px - size.height_px) < 1 || std::abs(sy * camera.width_px - size.width_px) < 1;
+}
+
+// "2 times as large as": the camera's image against the file.
+std::string factor_text(const ImageSize& size, const Camera& camera) {
+  const double factor = static_cast<double>(camera.width_px) / size.width_px;
+  return factor > 1 ? factor_number(factor) + " times as large" : factor_number(1 / factor) + " times as small";
+}
+
+}  // namespace
+
+OtherSize other_size(std::string_view what, const std::string& path, const ImageSize& size, const Camera& camera) {
+  OtherSize out{"scene.image.size",
+                std::string(what) + " '" + path + "' is " + size_text(size.width_px, size.height_px) +
+                    " pixels, the camera " + size_text(camera.width_px, camera.height_px),
+                "colour, depth and labels of a frame need the size that its camera states"};
+  if (what != kColorImage) return out;
+  if (size.width_px != size.height_px && size.width_px == camera.height_px && size.height_px == camera.width_px) {
+    out.code = "scene.image.turned";
+    if (size.turned_by_exif()) {
+      out.message += ", which is that of the picture turned as the file's EXIF orientation says (" +
+                     std::to_string(size.orientation) + ")";
+      out.remedy = "pixels are read as they are stored: turn them, for example with `mogrify -auto-orient FILES`";
+    } else {
+      out.message += ": one is turned by a quarter against the other";
+      out.remedy = "turn the image files by a quarter, or export the cameras of the images as they are stored";
+    }
+  } else if (is_scaled(size, camera)) {
+    out.code = "scene.camera.size";
+    out.message += ": its intrinsics are of images " + factor_text(size, camera);
+    out.remedy = "give images of the camera's size, or divide its size, focal lengths and centre by " +
+                 factor_number(static_cast<double>(camera.width_px) / size.width_px);
+  }
+  return out;
+}
+
+bool CameraFit::fit(const std::string& image, const std::string& place, Camera& camera, Diagnostics& diagnostics) {
+  ImageSize size;
+  try {
+    size = image_size(image);
+  } catch (const Error&) {
+    return true;
+  }
+  if (size.width_px == camera.width_px && size.height_px == camera.height_px) return true;
+  if (!is_scaled(size, camera)) {
+    OtherSize wrong = other_size(kColorImage, image, size, camera);
+    const bool turned = size.width_px == camera.height_px && size.height_px == camera.width_px;
+    diagnostics.error(turned ? wrong.code : Code("scene.image.aspect"), place,
+                      turned ? wrong.message : wrong.message + ": another aspect ratio",
+                      turned ? wrong.remedy : "give the images that the cameras were made from, or scaled copies");
+    return false;
+  }
+  Scaled& one = scaled_[factor_text(size, camera)];
+  if (one.frames++ == 0) {
+    one.text = size_text(size.width_px, size.height_px) + " pixels, the cameras' " +
+               size_text(camera.width_px, camera.height_px) + ", " + factor_text(size, camera);
+  }
+  camera = camera.resized(size.width_px, size.height_px);
+  return true;
+}
+
+void CameraFit::report(const std::string& source, Diagnostics& diagnostics) const {
+  for (const auto& [factor, one] : scaled_) {
+    diagnostics.note(
+        "scene.camera.scaled", source,
+        "images are " + one.text + ": the intrinsics of " + std::to_string(one.frames) + " frames were scaled");
+  }
+}
+
+// Rays of the training frames against bounds, near and far.
+
+namespace {
+
+constexpr std::size_t kFrames = 64;
+constexpr int kColumns = 12, kRows = 9;
+constexpr double kFew = 0.05;
+
+std::string number(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.4g", value);
+  return text;
+}
+
+std::string box_text(const Box& box) {
+  std::string out;
+  for (const Vec3d& corner : {box.lo, box.hi}) {
+    for (int a = 0; a < 3; ++a) out += (out.empty() ? "[" : ",") + number(corner[a]);
+  }
+  return out + "]";
+}
+
+struct RayCounts {
+  int rays = 0, meet_box = 0, sampled = 0;
+  double nearest = 1e300, farthest = 0;  ///< where rays are inside of the box
+};
+
+RayCounts count_rays(const LoadedScene& scene, const std::vector<int>& usable) {
+  RayCounts out;
+  const std::size_t frames = std::min(usable.size(), kFrames);
+  for (std::size_t k = 0; k < frames; ++k) {
+    const FrameInfo& frame = scene.info.frames[static_cast<std::size_t>(usable[k * usable.size() / frames])];
+    for (int i = 0; i < kColumns * kRows; ++i) {
+      const Vec3d local = frame.camera.direction((i % kColumns + 0.5) * frame.camera.width_px / kColumns,
+                                                 (i / kColumns + 0.5) * frame.camera.height_px / kRows);
+      if (!(frame.camera.depth_of(local) > 0)) continue;  // no ray
+      ++out.rays;
+      double enters = 0, leaves = 0;
+      if (!intersect(scene.bounds, frame.world_from_camera.t, frame.world_from_camera.rotate(local), enters, leaves))
+        continue;
+      ++out.meet_box;
+      out.nearest = std::min(out.nearest, enters);
+      out.farthest = std::max(out.farthest, leaves);
+      if (std::max(enters, scene.near_m) < std::min(leaves, scene.far_m)) ++out.sampled;
+    }
+  }
+  return out;
+}
+
+// An error where the share is 0, else a warning.
+void report(Code code, double share, const std::string& key, const std::string& what, const std::string& remedy,
+            Diagnostics& diagnostics) {
+  if (share == 0) {
+    diagnostics.error(code, key, "none of " + what, remedy);
+  } else {
+    diagnostics.warning(code, key, "only " + number(std::max(0.1, std::round(1000 * share) / 10)) + " % of " + what,
+                        remedy);
+  }
+}
+
+std::string set_near_far(double near, double far) {
+  return "add --set scene.load.near_m=" + number(near) + " --set scene.load.far_m=" + number(far);
+}
+
+}  // namespace
+
+void check_rays(const LoadedScene& scene, const std::vector<int>& usable, const SeenExtent& seen,
+                Diagnostics& diagnostics) {
+  const RayCounts counts = count_rays(scene, usable);
+  const auto share = [&](int some) { return static_cast<double>(some) / std::max(1, counts.rays); };
+  const std::string span =
+      "near " + number(scene.near_m) + " and far " + number(scene.far_m) + " (from " + scene.near_far_from + ")";
+  const bool box_met = share(counts.meet_box) >= kFew;
+  if (counts.rays > 0 && !box_met && !seen.taken) {
+    return report("scene.bounds.missed", share(counts.meet_box), "scene.load.bounds",
+                  "the rays of the training cameras can meet the bounds " + box_text(scene.bounds) + " (from " +
+                      scene.bounds_from + ")",
+                  "the data suggest --set 'scene.load.bounds=" + box_text(seen.box) + "'", diagnostics);
+  }
+  if (!seen.distances.empty()) {
+    const auto inside = std::count_if(seen.distances.begin(), seen.distances.end(),
+                                      [&](float t) { return t >= scene.near_m && t <= scene.far_m; });
+    const double part = static_cast<double>(inside) / static_cast<double>(seen.distances.size());
+    const auto [nearest, farthest] = std::minmax_element(seen.distances.begin(), seen.distances.end());
+    if (part < kFew) {
+      return report("scene.bounds.near_far", part, "scene.load.near_m",
+                    "the depth of the training frames is between " + span,
+                    "depth lies from " + number(*nearest) + " to " + number(*farthest) + ": " +
+                        set_near_far(0.5 * *nearest, 1.05 * *farthest),
+                    diagnostics);
+    }
+  }
+  if (box_met && share(counts.sampled) < kFew) {
+    report("scene.bounds.near_far", share(counts.sampled), "scene.load.near_m",
+           "the rays of the training cameras can be inside the bounds between " + span,
+           "rays are inside from " + number(counts.nearest) + " to " + number(counts.farthest) + ": " +
+               set_near_far(std::max(counts.nearest, 0.01 * counts.farthest), counts.farthest),
+           diagnostics);
   }
 }
 

@@ -3,13 +3,17 @@
 #pragma once
 
 #include <array>
+#include <cstddef>
 #include <cstdint>
+#include <map>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include "config/params.h"
+#include "formats/image_io.h"
 #include "loading/frame_files.h"
+#include "loading/frame_source.h"
 #include "scene/scene.h"
 
 namespace semfield {
@@ -72,5 +76,49 @@ class PosedPhotographs {
   std::vector<FrameFiles> files_;
   std::vector<PosedPhotograph> photos_;  ///< of each frame
 };
+
+// Whether the camera of a frame is that of its image: the size that it states against the size of the file.
+
+/// What "colour image" is called in messages; other channels of a frame are others.
+inline constexpr const char* kColorImage = "colour image";
+
+/// What is wrong between an image of a frame and a camera of another size, and what to do. Of a colour image it says by
+/// which factor the intrinsics are off, or that it is turned by a quarter, by its EXIF orientation where that says so.
+struct OtherSize {
+  Code code;
+  std::string message, remedy;
+};
+OtherSize other_size(std::string_view what, const std::string& path, const ImageSize& size, const Camera& camera);
+
+/// Cameras of images that are scaled copies of those that they were made from: intrinsics follow the ratio of sizes.
+class CameraFit {
+ public:
+  /// Brings `camera` to the size of the file, where both are of one shape but for a rounded side. False when it
+  /// reported that they are not. A file that cannot be read is left to FrameFileCheck.
+  bool fit(const std::string& image, const std::string& place, Camera& camera, Diagnostics& diagnostics);
+  /// After the last frame: a note under `source` of the cameras that were scaled.
+  void report(const std::string& source, Diagnostics& diagnostics) const;
+
+ private:
+  struct Scaled {
+    std::string text;
+    std::size_t frames = 0;
+  };
+  std::map<std::string, Scaled> scaled_;  // factor -> what of the first frame
+};
+
+// Whether the bounds, near and far of a scene are where its cameras look.
+
+/// What the pixels themselves tell.
+struct SeenExtent {
+  const Box& box;                       ///< that the data suggest
+  const std::vector<float>& distances;  ///< of depth along its rays; empty without depth
+  bool taken;                           ///< the bounds of the scene are that box: nobody gave others
+};
+
+/// Rays of the training frames `usable` (a sparse grid of at most 64 of them) against bounds, near and far, and depth
+/// against near and far: an error where nothing lies in what would be sampled, a warning where less than 5 % does.
+void check_rays(const LoadedScene& scene, const std::vector<int>& usable, const SeenExtent& seen,
+                Diagnostics& diagnostics);
 
 }  // namespace semfield

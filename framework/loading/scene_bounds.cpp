@@ -5,7 +5,7 @@
 
 #include "compute/parallel.h"
 #include "loading/frame_source.h"
-#include "loading/ray_check.h"
+#include "loading/posed_photographs.h"
 
 namespace semfield {
 

@@ -7,8 +7,8 @@
 
 #include "core/host_device.h"
 #include "core/small_math.h"
+#include "model/param_store.h"
 #include "model/stages.h"
-#include "model/tensor_store.h"
 #include "plugin/sampler.h"
 
 namespace semfield {

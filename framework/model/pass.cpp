@@ -1,6 +1,9 @@
 #include "model/pass.h"
 
 #include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <numeric>
 
 #include "core/check.h"
 #include "core/error.h"
@@ -372,5 +375,305 @@ void Pass<Real>::scatter(const StepContext& ctx, View<const double> x, View<cons
 
 template class Pass<float>;
 template class Pass<double>;
+
+// What stands behind branches of its own: class logits where they do, and the channels of the other heads.
+
+template <class Real>
+bool Pass<Real>::heads_want_feature() const {
+  return std::any_of(heads_.begin(), heads_.end(),
+                     [](const auto& head) { return head.branch().rules().reads_feature; });
+}
+
+template <class Real>
+BranchCall<Real> Pass<Real>::branch_call(const Rays<Real>& rays, const PassTrace<Real>& trace,
+                                         std::int64_t count) const {
+  const std::int64_t most = count == trace.semantic_rays ? trace.semantic_samples : trace.samples.count;
+  return {&rays, &trace.samples, trace.weight, trace.out.feature, count, most};
+}
+
+template <class Real>
+void Pass<Real>::branch_forward(const StepContext& ctx, int lane, const Rays<Real>& rays,
+                                PassTrace<Real>& trace) const {
+  trace.semantic = branched_->forward(ctx, lane, branch_call(rays, trace, trace.semantic_rays));
+}
+
+template <class Real>
+void Pass<Real>::branch_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace,
+                                 View<const Real> d_logits) const {
+  branched_->backward(ctx, lane, trace.semantic, d_logits);
+}
+
+template <class Real>
+void Pass<Real>::heads_forward(const StepContext& ctx, int lane, const Rays<Real>& rays, PassTrace<Real>& trace) const {
+  for (std::size_t i = 0; i < heads_.size(); ++i)
+    trace.heads[i] = heads_[i].forward(ctx, lane, branch_call(rays, trace, rays.origin.rows));
+}
+
+template <class Real>
+void Pass<Real>::heads_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace,
+                                const ChannelTable<const Real>& d_heads) const {
+  for (std::size_t i = 0; i < heads_.size(); ++i)
+    heads_[i].backward(ctx, lane, trace.heads[i], d_heads[parts_.heads[i].channel]);
+}
+
+template <class Real>
+RayValues<Real> Pass<Real>::values_of(View<const double> near_far, const PassTrace<Real>& trace) const {
+  RayValues<Real> values;
+  values.unit_m = rules_.unit_m;
+  values.near_far = near_far;
+  values.first = trace.samples.first;
+  values.t = trace.samples.t;
+  values.delta = trace.samples.delta;
+  values.sigma = trace.sigma;
+  values.weight = trace.weight;
+  values.color = trace.color;
+  values.depth = trace.depth;
+  values.opacity = trace.opacity;
+  if (!trace.semantic.rows.empty()) values.heads.set(channel::logits, trace.semantic.rows);
+  for (std::size_t i = 0; i < heads_.size(); ++i)
+    if (!trace.heads[i].rows.empty()) values.heads.set(parts_.heads[i].channel, trace.heads[i].rows);
+  return values;
+}
+
+template <class Real>
+View<Real> Pass<Real>::axes(std::string_view channel) const {
+  for (std::size_t i = 0; i < heads_.size(); ++i)
+    if (parts_.heads[i].channel == channel && axes_[i] >= 0) return store_->tensors(axes_[i]).value[0];
+  return {};
+}
+
+#define SEMFIELD_INSTANTIATE(Real)                                                                                    \
+  template bool Pass<Real>::heads_want_feature() const;                                                               \
+  template void Pass<Real>::branch_forward(const StepContext&, int, const Rays<Real>&, PassTrace<Real>&) const;       \
+  template void Pass<Real>::branch_backward(const StepContext&, int, const PassTrace<Real>&, View<const Real>) const; \
+  template void Pass<Real>::heads_forward(const StepContext&, int, const Rays<Real>&, PassTrace<Real>&) const;        \
+  template void Pass<Real>::heads_backward(const StepContext&, int, const PassTrace<Real>&,                           \
+                                           const ChannelTable<const Real>&) const;                                    \
+  template RayValues<Real> Pass<Real>::values_of(View<const double>, const PassTrace<Real>&) const;                   \
+  template View<Real> Pass<Real>::axes(std::string_view) const;
+SEMFIELD_INSTANTIATE(float)
+SEMFIELD_INSTANTIATE(double)
+#undef SEMFIELD_INSTANTIATE
+
+// What is asked for by position and not along rays: density, of which samplers and meshes are made, and semantics,
+// where a point is a sample of weight 1.
+
+template <class Real>
+void Pass<Real>::density(const StepContext& ctx, View<const double> positions, View<Real> sigma) const {
+  Workspace& arena = *ctx.workspace;
+  const LiveRows<Real> all(*stages_, nullptr);
+  DensityRule rule = density_rule(ctx);
+  rule.deviation = 0;
+  for (std::int64_t begin = 0; begin < positions.rows; begin += stages_->density_batch) {
+    const std::int64_t count = std::min(stages_->density_batch, positions.rows - begin);
+    const Workspace::Scope scope(arena);
+    const View<const double> places = positions.row_range(begin, count);
+    const View<double> x = arena.take<double>(count, 3);
+    stages_->map_positions(places, parts_.domain, x);
+    const View<Real> encoded = arena.take<Real>(count, encoded_dims());
+    parts_.position->forward(ctx, store_->tensors(position_), x, encoded);
+    const View<Real> raw = arena.take<Real>(count, 1);
+    FieldIn<Real> in;
+    in.position = encoded;
+    FieldOut<Real> out;
+    out.sigma = raw;
+    parts_.field->forward(ctx, store_->tensors(field_), in, out, {});
+    const View<Real> found = sigma.row_range(begin, count);
+    stages_->density_forward(rule, nullptr, raw, found);
+    if (stages_->guard_density_at != nullptr) stages_->guard_density_at(places, raw, found);
+  }
+}
+
+template <class Real>
+void Pass<Real>::observe(const StepContext& ctx, const DensityQuery<Real>& query) const {
+  if (parts_.sampler->traits().observes) parts_.sampler->observe(ctx, store_->tensors(sampler_), query);
+}
+
+template <class Real>
+void Pass<Real>::observe(const StepContext& ctx) const {
+  observe(ctx, [&](View<const double> positions, View<Real> sigma) { density(ctx, positions, sigma); });
+}
+
+template <class Real>
+void Pass<Real>::point_colors(const StepContext& ctx, View<const double> positions, View<const double> directions,
+                              View<Real> color) const {
+  SEMFIELD_CHECK(stages_->host_memory, "colours of points are the CPU's");
+  if (positions.rows == 0) return;
+  Workspace& arena = *ctx.workspace;
+  const Workspace::Scope scope(arena);
+  const View<double> x = arena.take<double>(positions.rows, 3);
+  stages_->map_positions(positions, parts_.domain, x);
+  const View<Real> encoded = arena.take<Real>(positions.rows, encoded_dims());
+  parts_.position->forward(ctx, store_->tensors(position_), x, encoded);
+  FieldIn<Real> in;
+  in.position = encoded;
+  if (parts_.direction) {
+    const View<Real> seen = arena.take<Real>(positions.rows, parts_.direction->traits().out_dims);
+    parts_.direction->forward(ctx, store_->tensors(direction_), directions, seen);
+    in.direction = seen;
+    const View<std::int32_t> own = arena.take<std::int32_t>(positions.rows, 1);
+    std::iota(own.data, own.data + own.rows, 0);
+    in.ray_of_sample = own;
+  }
+  FieldOut<Real> out;
+  out.sigma = arena.take<Real>(positions.rows, 1);
+  out.rgb = color;
+  parts_.field->forward(ctx, store_->tensors(field_), in, out, {});
+}
+
+template <class Real>
+std::int32_t Pass<Real>::point_dims() const {
+  const std::int32_t feature = parts_.field->traits().feature_dims;
+  return branched_ ? branched_->branch().input_dims(feature) : feature;
+}
+
+template <class Real>
+void Pass<Real>::point_rows(const StepContext& ctx, View<const double> positions, View<Real> rows) const {
+  SEMFIELD_CHECK(parts_.head, "points of a pass with semantics");
+  if (positions.rows == 0) return;
+  Workspace& arena = *ctx.workspace;
+  const Workspace::Scope scope(arena);
+  const LiveRows<Real> all(*stages_, nullptr);
+  std::int32_t of_position = 0;
+  if (branched_) {
+    of_position = branched_->branch().input_dims(0);
+    branched_->branch().encode_points(ctx, positions, rows);
+    if (!branched_->branch().rules().reads_feature) return;
+  }
+  const View<double> x = arena.take<double>(positions.rows, 3);
+  stages_->map_positions(positions, parts_.domain, x);
+  const View<Real> encoded = arena.take<Real>(positions.rows, encoded_dims());
+  parts_.position->forward(ctx, store_->tensors(position_), x, encoded);
+  FieldIn<Real> in;
+  in.position = encoded;
+  FieldOut<Real> out;
+  out.feature = rows.col_range(of_position, parts_.field->traits().feature_dims);
+  parts_.field->forward(ctx, store_->tensors(field_), in, out, {});
+}
+
+template <class Real>
+PointTrace<Real> Pass<Real>::point_forward(const StepContext& ctx, int lane, View<const Real> rows,
+                                           View<Real> logits) const {
+  PointTrace<Real> trace;
+  if (branched_) {
+    trace.branch = branched_->branch().forward_points(ctx, lane, rows);
+    trace.feature = trace.branch.feature;
+  } else {
+    trace.feature = rows;
+  }
+  const Tensors<Real> head = head_tensors(lane);
+  trace.hidden = ctx.workspace->take<Real>(rows.rows, parts_.head->hidden_width());
+  parts_.head->hidden_forward(ctx, head, trace.feature, trace.hidden);
+  parts_.head->output_forward(ctx, head, trace.hidden, {}, logits);
+  return trace;
+}
+
+template <class Real>
+void Pass<Real>::point_backward(const StepContext& ctx, int lane, const PointTrace<Real>& trace,
+                                View<const Real> d_logits) const {
+  Workspace& arena = *ctx.workspace;
+  const Workspace::Scope scope(arena);
+  const Tensors<Real> head = head_tensors(lane);
+  const View<Real> d_hidden = arena.take<Real>(d_logits.rows, trace.hidden.cols);
+  const View<Real> d_feature = arena.take<Real>(d_logits.rows, trace.feature.cols);
+  parts_.head->output_backward(ctx, head, trace.hidden, {}, d_logits, d_hidden, {});
+  parts_.head->hidden_backward(ctx, head, trace.feature, trace.hidden, d_hidden, d_feature);
+  if (branched_) branched_->branch().backward(ctx, lane, trace.branch, d_feature);
+}
+
+#define SEMFIELD_INSTANTIATE(Real)                                                                                  \
+  template void Pass<Real>::density(const StepContext&, View<const double>, View<Real>) const;                      \
+  template void Pass<Real>::observe(const StepContext&, const DensityQuery<Real>&) const;                           \
+  template void Pass<Real>::observe(const StepContext&) const;                                                      \
+  template void Pass<Real>::point_colors(const StepContext&, View<const double>, View<const double>, View<Real>)    \
+      const;                                                                                                        \
+  template std::int32_t Pass<Real>::point_dims() const;                                                             \
+  template void Pass<Real>::point_rows(const StepContext&, View<const double>, View<Real>) const;                   \
+  template PointTrace<Real> Pass<Real>::point_forward(const StepContext&, int, View<const Real>, View<Real>) const; \
+  template void Pass<Real>::point_backward(const StepContext&, int, const PointTrace<Real>&, View<const Real>) const;
+SEMFIELD_INSTANTIATE(float)
+SEMFIELD_INSTANTIATE(double)
+#undef SEMFIELD_INSTANTIATE
+
+// Rendering that ends a ray where nothing behind can be seen.
+
+// Front to back in rounds of kRoundSamples samples per ray. A ray whose transmittance fell below early_stop asks no
+// further. Samples that were not evaluated keep sigma = 0, so they take no weight: |error| <= early_stop * max|value|
+// (numerics: certified). Under far: background the last sample takes the rest, black and with the logits of no feature,
+// which count as values too.
+template <class Real>
+void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<Real>& trace, bool colors) const {
+  Workspace& arena = *ctx.workspace;
+  const std::int64_t ray_count = trace.samples.first.rows - 1;
+  View<std::int32_t> next = arena.take<std::int32_t>(ray_count, 1);
+  View<Real> tau = arena.take<Real>(ray_count, 1);
+  for (std::int64_t r = 0; r < ray_count; ++r) next(r, 0) = trace.samples.first(r, 0);
+  stages_->fill(tau, Real(0));
+  stages_->fill(trace.sigma, Real(0));
+  if (colors) stages_->fill(trace.out.rgb, Real(0));
+  const bool semantic = trace.semantic_rays > 0;
+  const bool fills_hidden = semantic && !branched_;
+  const bool fills_feature = (semantic && branched_ && wants_feature()) || (trace.with_heads && heads_want_feature());
+  const bool in_bf16 = fills_hidden && feature_form(trace) != FeatureForm::full;
+  if (in_bf16) {
+    trace.rounded_hidden = arena.take<Bf16>(trace.semantic_samples, parts_.head->hidden_width());
+    std::fill_n(trace.rounded_hidden.data, trace.rounded_hidden.size(), Bf16{0});
+  } else if (fills_hidden) {
+    stages_->fill(trace.semantic.hidden, Real(0));
+  }
+  if (fills_feature) {
+    trace.out.feature = arena.take<Real>(trace.samples.count, parts_.field->traits().feature_dims);
+    stages_->fill(trace.out.feature, Real(0));
+  }
+  const double tau_stop = -std::log(rules_.rendering.early_stop);
+  View<std::int32_t> source = arena.take<std::int32_t>(ray_count * kRoundSamples, 1);
+  for (;;) {
+    const Workspace::Scope scope(arena);
+    PassTrace<Real> round;
+    round.samples.ray_of_sample = arena.take<std::int32_t>(ray_count * kRoundSamples, 1);
+    round.samples.first = trace.samples.first;  // only its row count is read
+    std::int64_t rows = 0, semantic_rows = 0;
+    for (std::int64_t r = 0; r < ray_count; ++r) {
+      const std::int32_t end = trace.samples.first(r + 1, 0);
+      if (static_cast<double>(tau(r, 0)) > tau_stop) next(r, 0) = end;
+      const std::int32_t stop = std::min<std::int32_t>(end, next(r, 0) + static_cast<std::int32_t>(kRoundSamples));
+      for (std::int32_t m = next(r, 0); m < stop; ++m, ++rows) {
+        source(rows, 0) = m;
+        round.samples.ray_of_sample(rows, 0) = static_cast<std::int32_t>(r);
+      }
+      if (r < trace.semantic_rays) semantic_rows = rows;
+    }
+    if (rows == 0) break;
+    round.samples.count = rows;
+    round.semantic_rays = trace.semantic_rays;
+    round.with_heads = trace.with_heads;
+    round.semantic_samples = semantic_rows;
+    round.x = arena.take<double>(rows, 3);
+    round.direction = trace.direction;
+    round.sigma = arena.take<Real>(rows, 1);
+    round.out.sigma = arena.take<Real>(rows, 1);
+    if (colors) round.out.rgb = arena.take<Real>(rows, 3);
+    if (fills_hidden && !in_bf16) round.semantic.hidden = arena.take<Real>(semantic_rows, parts_.head->hidden_width());
+    for (std::int64_t i = 0; i < rows; ++i) std::memcpy(round.x.row(i), trace.x.row(source(i, 0)), 3 * sizeof(double));
+    evaluate(ctx, lane, round, colors);
+    for (std::int64_t i = 0; i < rows; ++i) {
+      const std::int64_t m = source(i, 0);
+      const std::int64_t r = round.samples.ray_of_sample(i, 0);
+      trace.sigma(m, 0) = round.sigma(i, 0);
+      tau(r, 0) += round.sigma(i, 0) * trace.samples.delta(m, 0);
+      if (colors) std::copy_n(round.out.rgb.row(i), 3, trace.out.rgb.row(m));
+      if (in_bf16 && i < semantic_rows) {
+        std::copy_n(round.rounded_hidden.row(i), round.rounded_hidden.cols, trace.rounded_hidden.row(m));
+      } else if (fills_hidden && i < semantic_rows) {
+        std::copy_n(round.semantic.hidden.row(i), round.semantic.hidden.cols, trace.semantic.hidden.row(m));
+      }
+      if (fills_feature) std::copy_n(round.out.feature.row(i), trace.out.feature.cols, trace.out.feature.row(m));
+      next(r, 0) = static_cast<std::int32_t>(m + 1);
+    }
+  }
+}
+
+template void Pass<float>::evaluate_in_rounds(const StepContext&, int, PassTrace<float>&, bool) const;
+template void Pass<double>::evaluate_in_rounds(const StepContext&, int, PassTrace<double>&, bool) const;
 
 }  // namespace semfield

@@ -8,14 +8,13 @@
 #include <string>
 #include <vector>
 
-#include "core/workspace_pool.h"
-#include "model/branched_head.h"
+#include "core/workspace.h"
 #include "model/compositor.h"
 #include "model/density_activation.h"
-#include "model/domain_map.h"
+#include "model/head_branch.h"
+#include "model/param_store.h"
 #include "model/render_rules.h"
 #include "model/stages.h"
-#include "model/tensor_store.h"
 #include "plugin/encoder.h"
 #include "plugin/field.h"
 #include "plugin/loss.h"

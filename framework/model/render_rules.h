@@ -8,9 +8,12 @@
 
 #include "config/params.h"
 #include "core/error.h"
+#include "core/host_device.h"
+#include "core/small_math.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
 #include "model/density_activation.h"
+#include "plugin/encoder.h"
 
 namespace semfield {
 
@@ -56,6 +59,73 @@ struct RenderRules {
   /// Added to colour only.
   std::array<double, 3> background() const {
     return {rendering.background[0], rendering.background[1], rendering.background[2]};
+  }
+};
+
+// From world positions to an encoder's coordinates: one map, the same for every sample of a run.
+
+/// x = (p - center) * scale + offset. With a radius, all of space fits: places outside the cube of half-side `radius`
+/// about the centre are drawn into the cube of twice its side first, so that distances from its border count by their
+/// inverse [Barron22, Eq. 10, with the largest coordinate for the norm: the cube stays a cube, where encoders live].
+struct DomainMap {
+  Vec3d center;
+  double scale = 1;
+  double offset = 0;
+  double radius = 0;  ///< 0: space outside is not drawn in
+
+  /// unit_cube: the longest side of `bounds` spans [0, 1] (isotropic, so cells are cubes). metric: p * scene_scale when
+  /// it is given [Zhi21, Sec. 4: 0.1]; scene_scale 0 derives centre and scale so that `bounds` fits [-1, 1].
+  /// contracted: the cube about `bounds` takes half of that on every axis, the space outside it the rest; scene_scale
+  /// is not read.
+  static DomainMap make(Domain domain, const Box& bounds, double scene_scale, bool contracted = false) {
+    const Vec3d size = bounds.size();
+    const double longest = std::fmax(size.x, std::fmax(size.y, size.z));
+    const double span = contracted ? 2 * longest : longest;
+    const double radius = contracted ? 0.5 * longest : 0;
+    if (domain == Domain::unit_cube) return {bounds.center(), 1 / span, 0.5, radius};
+    if (scene_scale > 0 && !contracted) return {{0, 0, 0}, scene_scale, 0};
+    return {bounds.center(), 2 / span, 0, radius};
+  }
+
+  /// One coordinate of a place that is inside, or of a map without radius.
+  SEMFIELD_HD double along(int axis, double p) const { return (p - center[axis]) * scale + offset; }
+
+  SEMFIELD_HD Vec3d operator()(Vec3d p) const {
+    if (radius > 0) p = contract(p);
+    return {along(0, p.x), along(1, p.y), along(2, p.z)};
+  }
+
+  /// The place in the cube of half-side 2 radius that stands for p.
+  SEMFIELD_HD Vec3d contract(Vec3d p) const {
+    const Vec3d q = p - center;
+    const double reach = std::fmax(std::fabs(q.x), std::fmax(std::fabs(q.y), std::fabs(q.z)));
+    if (!(reach > radius)) return p;
+    const double shrunk = radius / reach;
+    return center + q * ((2 - shrunk) * shrunk);
+  }
+
+  /// dL/dp from the gradient of operator().
+  SEMFIELD_HD Vec3d gradient(Vec3d p, Vec3d d) const {
+    d = d * scale;
+    const Vec3d q = p - center;
+    int widest = 0;
+    for (int i = 1; i < 3; ++i)
+      if (std::fabs(q[i]) > std::fabs(q[widest])) widest = i;
+    const double reach = std::fabs(q[widest]);
+    if (!(radius > 0) || !(reach > radius)) return d;
+    const double shrunk = radius / reach;
+    Vec3d out = d * ((2 - shrunk) * shrunk);
+    out[widest] += dot(q, d) * (q[widest] < 0 ? -1 : 1) * 2 * shrunk * (shrunk - 1) / reach;
+    return out;
+  }
+
+  /// The place that contract() takes to p; p must be in the open cube of half-side 2 radius.
+  SEMFIELD_HD Vec3d expand(Vec3d p) const {
+    const Vec3d q = p - center;
+    const double reach = std::fmax(std::fabs(q.x), std::fmax(std::fabs(q.y), std::fabs(q.z)));
+    if (!(reach > radius)) return p;
+    const double grown = 1 / (2 - reach / radius);  // in radii
+    return center + q * (grown * radius / reach);
   }
 };
 

@@ -4,13 +4,12 @@
 #include <cstdint>
 #include <string_view>
 
-#include "core/bf16.h"
+#include "core/half.h"
 #include "model/compositor.h"
 #include "model/density_activation.h"
-#include "model/domain_map.h"
-#include "model/opacity_resolution.h"
 #include "model/optim/adam.h"
-#include "plugin/head/head_kernels.h"
+#include "model/render_rules.h"
+#include "plugin/head.h"
 #include "plugin/sampler.h"
 
 namespace semfield {
@@ -132,7 +131,7 @@ struct Stages {
 
   /// Of rendering. Logits are overwritten.
   void (*class_results)(View<Real> logits, const ClassResults<Real>& results) = nullptr;
-  /// Of every ray (model/opacity_resolution.h).
+  /// Of every ray (model/density_activation.h).
   void (*opacity_resolutions)(const Samples<Real>& samples, View<const Real> weight, FarMode far,
                               double footprint_per_m, View<OpacityResolution> result) = nullptr;
 

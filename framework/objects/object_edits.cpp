@@ -12,7 +12,7 @@
 
 #include "core/error.h"
 #include "core/text.h"
-#include "objects/object_table.h"
+#include "objects/object_set.h"
 #include "system/files.h"
 
 namespace semfield {

@@ -10,6 +10,8 @@
 #include <vector>
 
 #include "objects/find_objects.h"
+#include "objects/segments.h"
+#include "session/settings/run_config.h"
 
 namespace semfield {
 
@@ -55,5 +57,11 @@ class ObjectScore {
   std::map<std::pair<Segment, Segment>, std::int64_t> both_;       // true, found
   std::map<Segment, std::int64_t> found_, found_in_void_;
 };
+
+// Segments made worse in the ways of segmenters, with addressed randomness: what an evaluation of objects is tried on.
+
+/// Borders first, then merging, splitting, leaving out, and new numbers. A share is that of the image's segments,
+/// rounded to the nearest number of them. A frame's result depends on `seed` and its number alone.
+void damage_segments(SegmentSet& segments, const SegmentDamage& damage, std::uint64_t seed);
 
 }  // namespace semfield

@@ -1,11 +1,46 @@
 #include "objects/segments.h"
 
 #include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <filesystem>
+#include <nlohmann/json.hpp>
 #include <set>
+#include <span>
+#include <string>
+#include <vector>
 
 #include "compute/parallel.h"
+#include "core/text.h"
+#include "formats/image_io.h"
+#include "formats/npz.h"
+#include "formats/text_rows.h"
+#include "labels/frame_match.h"
+#include "labels/label_files.h"
+#include "labels/mask_outlines.h"
+#include "system/files.h"
 
 namespace semfield {
+
+/// Pixels of one segment.
+struct SegmentMask {
+  std::vector<PixelRun> runs;
+  std::int64_t area = 0;  ///< pixels
+  std::int16_t class_index = kVoid;
+};
+
+/// Segments of an image from its masks, which may overlap: the smaller lies in front of the larger.
+FrameSegments painted_segments(std::vector<SegmentMask> masks, std::int32_t width, std::int32_t height);
+
+/// Throws Error(data) beginning with `place` for a size over limits.*, or of another shape than the frame's image.
+void check_segment_size(std::int64_t width, std::int64_t height, const FrameInfo& frame, const std::string& place);
+
+/// Segments of a .npz archive: an array `masks` [N, H, W] ([N, 1, H, W] too), or, without it, one array [H, W] per mask
+/// in the order of the archive; of bool or uint8, where other than 0 is inside. `class_ids` [N], ids of the class
+/// table, gives segments their class; `scores` is not read, and nothing else beside `masks`. Throws Error(data) naming
+/// file and array: what NpzFile refuses, another type or shape, no masks, an image of another shape, and an id that is
+/// of no class.
+FrameSegments segments_of_arrays(const std::string& path, const FrameInfo& frame, const ClassTable& classes);
 
 std::int32_t FrameSegments::at(std::int32_t column, std::int32_t row, std::int32_t frame_width,
                                std::int32_t frame_height) const {
@@ -53,6 +88,455 @@ SegmentSet segments_of_scene(const LoadedScene& scene, Split split) {
     throw Error(ErrorKind::data, "objects.segments.none", "no training frame of the scene has instances",
                 "name segments of its images with --segments PATH");
   return set;
+}
+
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::json;
+
+constexpr std::uint16_t kNoSegment16 = 65535;
+
+Json read_json(const std::string& path) {
+  try {
+    return Json::parse(read_text_file(path));
+  } catch (const Json::exception& e) {
+    refuse_labels("labels.file.format", path, "not valid JSON: " + json_cause(e.what()), "write the segments again");
+  }
+}
+
+const Json& member(const Json& item, const char* key, const std::string& place) {
+  if (!item.is_object() || !item.contains(key))
+    refuse_labels("labels.file.format", place, std::string("has no '") + key + "'", "write the segments again");
+  return item.at(key);
+}
+
+std::int64_t whole_of(const Json& item, const char* key, const std::string& place) {
+  const Json& value = member(item, key, place);
+  if (!value.is_number_integer())
+    refuse_labels("labels.file.format", place, std::string("needs a whole number '") + key + "'");
+  return value.get<std::int64_t>();
+}
+
+std::string text_of(const Json& item, const char* key, const std::string& place) {
+  const Json& value = member(item, key, place);
+  if (!value.is_string()) refuse_labels("labels.file.format", place, std::string("needs a text '") + key + "'");
+  return value.get<std::string>();
+}
+
+std::vector<std::int64_t> run_counts(const Json& counts, const std::string& place) {
+  if (counts.is_string()) return counts_of_text(counts.get<std::string>());
+  std::vector<std::int64_t> out;
+  if (counts.is_array())
+    for (const Json& count : counts) out.push_back(count.is_number_integer() ? count.get<std::int64_t>() : -1);
+  if (out.empty()) refuse_labels("labels.run_lengths.damaged", place, "run lengths need 'counts', a list or a text");
+  return out;
+}
+
+Outline outline_of_numbers(const Json& part, const std::string& place) {
+  Outline outline;
+  if (part.is_array() && part.size() >= 6 && part.size() % 2 == 0 && part.size() <= 2 * kMaxOutlinePoints) {
+    for (std::size_t i = 0; i < part.size() && part[i].is_number() && part[i + 1].is_number(); i += 2)
+      outline.push_back({part[i].get<double>(), part[i + 1].get<double>()});
+  }
+  const bool inside = std::all_of(outline.begin(), outline.end(), [](const PixelPoint& p) {
+    return std::abs(p.x) <= kMaxCoordinate && std::abs(p.y) <= kMaxCoordinate;
+  });
+  if (outline.empty() || 2 * outline.size() != part.size() || !inside)
+    refuse_labels("labels.shape.points", place,
+                  "a polygon is a list [x, y, x, y, ...] of at least 3 points near the image");
+  return outline;
+}
+
+SegmentMask mask_of(const Json& segmentation, std::int32_t width, std::int32_t height, const std::string& place) {
+  SegmentMask mask;
+  if (segmentation.is_object()) {
+    const Json& size = member(segmentation, "size", place);
+    if (size != Json::array({height, width}))
+      refuse_labels("labels.image.size", place,
+                    "run lengths of size " + size.dump() + " in an image of [" + std::to_string(height) + "," +
+                        std::to_string(width) + "] (height, width)");
+    try {
+      mask.runs = runs_of_counts(run_counts(member(segmentation, "counts", place), place), width, height);
+    } catch (const Error& e) {
+      if (e.message().rfind(place, 0) == 0) throw;
+      refuse_labels(e.code(), place, e.message(), e.remedy());
+    }
+  } else if (segmentation.is_array()) {
+    for (const Json& part : segmentation) {
+      const std::vector<PixelRun> runs = outline_runs(outline_of_numbers(part, place), width, height);
+      mask.runs.insert(mask.runs.end(), runs.begin(), runs.end());
+    }
+  } else {
+    refuse_labels("labels.file.format", place, "'segmentation' is neither run lengths nor polygons");
+  }
+  mask.area = area_of(mask.runs);
+  return mask;
+}
+
+FrameSegments segments_of_ids(const std::string& path, const FrameInfo& frame) {
+  const Image<std::uint16_t> image = read_ids(path);
+  check_segment_size(image.width_px, image.height_px, frame, path);
+  FrameSegments out{image.width_px, image.height_px, {}, {}};
+  for (const std::uint16_t id : image.pixels) out.id.push_back(id == kNoSegment16 ? 0 : id);
+  return out;
+}
+
+// Masks of a segmenter of everything.
+FrameSegments segments_of_masks(const std::string& path, const FrameInfo& frame) {
+  const Json root = read_json(path);
+  const Json& list = root.is_array() ? root : member(root, "annotations", path);
+  if (!list.is_array()) refuse_labels("labels.file.format", path, "'annotations' is no list");
+  std::int64_t width = frame.camera.width_px, height = frame.camera.height_px;
+  for (const Json& item : list) {
+    const auto found = item.is_object() ? item.find("segmentation") : item.end();
+    if (!item.is_object() || found == item.end() || !found->is_object()) continue;
+    const Json& size = member(*found, "size", path);
+    if (!size.is_array() || size.size() != 2 || !size[0].is_number_integer() || !size[1].is_number_integer())
+      refuse_labels("labels.run_lengths.damaged", path, "'size' is no pair of whole numbers");
+    height = size[0].get<std::int64_t>();
+    width = size[1].get<std::int64_t>();
+    break;
+  }
+  check_segment_size(width, height, frame, path);
+  std::vector<SegmentMask> masks;
+  std::size_t number = 0;
+  for (const Json& item : list) {
+    const std::string place = path + ": mask " + std::to_string(++number);
+    masks.push_back(mask_of(member(item, "segmentation", place), static_cast<std::int32_t>(width),
+                            static_cast<std::int32_t>(height), place));
+  }
+  return painted_segments(std::move(masks), static_cast<std::int32_t>(width), static_cast<std::int32_t>(height));
+}
+
+// Classes of COCO's categories, by id.
+std::map<std::int64_t, std::int16_t> classes_of_categories(const Json& root, const ClassTable& classes,
+                                                           const std::string& path) {
+  std::map<std::int64_t, std::int16_t> out;
+  if (!root.contains("categories")) return out;
+  const ClassNames names(classes);
+  std::size_t number = 0;
+  for (const Json& item : root["categories"]) {
+    const std::string place = path + ": category " + std::to_string(++number);
+    const int index = names.find(text_of(item, "name", place));
+    if (index >= 0) out[whole_of(item, "id", place)] = static_cast<std::int16_t>(index);
+  }
+  return out;
+}
+
+std::int16_t class_of(const Json& item, const std::map<std::int64_t, std::int16_t>& classes) {
+  if (!item.contains("category_id") || !item["category_id"].is_number_integer()) return kVoid;
+  const auto found = classes.find(item["category_id"].get<std::int64_t>());
+  return found == classes.end() ? kVoid : found->second;
+}
+
+FrameSegments segments_of_colors(const std::string& path, const Json& annotation, const FrameInfo& frame,
+                                 const std::map<std::int64_t, std::int16_t>& classes, const std::string& place) {
+  const Image<std::uint8_t> image = read_rgb(path);
+  check_segment_size(image.width_px, image.height_px, frame, path);
+  FrameSegments out{image.width_px, image.height_px, {}, {}};
+  for (std::size_t i = 0; i < image.pixels.size(); i += 3)
+    out.id.push_back(image.pixels[i] + 256 * image.pixels[i + 1] + 65536 * image.pixels[i + 2]);
+  for (const Json& segment : member(annotation, "segments_info", place)) {
+    const std::int64_t id = whole_of(segment, "id", place);
+    if (id < 0 || id >= 1 << 24)
+      refuse_labels("labels.file.format", place, "segment " + std::to_string(id) + " is no colour of an image",
+                    "write ids from 0 to 16777215: R + 256 G + 65536 B");
+    if (const std::int16_t index = class_of(segment, classes); index != kVoid)
+      out.class_of[static_cast<std::int32_t>(id)] = index;
+  }
+  return out;
+}
+
+class Reading {
+ public:
+  Reading(const SceneInfo& info, const std::string& path) : info_(info) {
+    set_.from = path;
+    set_.frames.resize(info.frames.size());
+  }
+
+  void folder(const std::string& path, const std::string& given) {
+    for (const char* ending : {".png", ".json", ".npz"}) {
+      for (const std::string& pattern :
+           given.empty() ? std::vector<std::string>{"{name}", "{stem}"} : std::vector{given}) {
+        const std::string named = given.empty() ? pattern + ending : pattern;
+        Diagnostics found;
+        const std::map<std::string, std::string> files = match_files(path, named, info_.frames, found);
+        found.throw_if_errors(ErrorKind::data, "the segments have problems:");
+        for (std::size_t f = 0; f < info_.frames.size(); ++f) {
+          if (!set_.frames[f].empty() || info_.frames[f].split != Split::train || !files.contains(info_.frames[f].name))
+            continue;
+          const FrameInfo frame = as_shown(info_.frames[f]);
+          const std::string& file = files.at(frame.name);
+          set_.frames[f] = file.ends_with(".json")  ? segments_of_masks(file, frame)
+                           : file.ends_with(".npz") ? segments_of_arrays(file, frame, info_.classes)
+                                                    : segments_of_ids(file, frame);
+        }
+      }
+    }
+  }
+
+  void file(const std::string& path) {
+    const Json root = read_json(path);
+    const Json& list = member(root, "annotations", path);
+    if (!list.is_array()) refuse_labels("labels.file.format", path, "'annotations' is no list");
+    const std::map<std::int64_t, std::int16_t> classes = classes_of_categories(root, info_.classes, path);
+    const bool panoptic = !list.empty() && list[0].is_object() && list[0].contains("segments_info");
+    if (panoptic) {
+      of_panoptic(path, list, classes);
+    } else {
+      of_instances(path, root, list, classes);
+    }
+  }
+
+  SegmentSet finish() {
+    // Segments are drawn over images as viewers show them.
+    for (std::size_t f = 0; f < set_.frames.size(); ++f) {
+      FrameSegments& of = set_.frames[f];
+      const int orientation = info_.frames[f].orientation;
+      if (turned_by_quarter(orientation)) std::swap(of.width_px, of.height_px);
+      of.id = as_stored(std::move(of.id), of.width_px, of.height_px, orientation);
+    }
+    for (const FrameSegments& frame : set_.frames) set_.classes = set_.classes || !frame.class_of.empty();
+    if (std::all_of(set_.frames.begin(), set_.frames.end(), [](const FrameSegments& f) { return f.empty(); })) {
+      const std::vector<std::string> names = names_of(info_.frames.front());
+      throw Error(ErrorKind::data, "objects.segments.none",
+                  set_.from + ": holds no segments of a training frame, such as '" + names.front() + "'",
+                  "name files by their frames, or say how they are named with --pattern");
+    }
+    return std::move(set_);
+  }
+
+ private:
+  // For each name of a picture the training frame that it is of, as viewers show it; an index below 0: none.
+  std::vector<int> frames_of(const std::vector<PictureName>& pictures) const {
+    Diagnostics found;
+    std::vector<int> out(pictures.size(), -1);
+    const std::map<std::string, std::size_t> picture_of = match_frames(pictures, info_.frames, set_.from, found);
+    found.throw_if_errors(ErrorKind::data, "the segments have problems:");
+    for (std::size_t f = 0; f < info_.frames.size(); ++f) {
+      const auto picture = picture_of.find(info_.frames[f].name);
+      if (picture != picture_of.end() && info_.frames[f].split == Split::train)
+        out[picture->second] = static_cast<int>(f);
+    }
+    return out;
+  }
+
+  void of_panoptic(const std::string& path, const Json& list, const std::map<std::int64_t, std::int16_t>& classes) {
+    const fs::path inside = fs::path(path).replace_extension();
+    std::error_code unknown;
+    const fs::path folder = fs::is_directory(inside, unknown) ? inside : fs::path(path).parent_path();
+    std::vector<PictureName> pictures;
+    for (const Json& item : list) {
+      const std::string place = path + ": annotation " + std::to_string(pictures.size() + 1);
+      pictures.push_back({.path = text_of(item, "file_name", place), .place = place});
+    }
+    const std::vector<int> frames = frames_of(pictures);
+    for (std::size_t i = 0; i < frames.size(); ++i) {
+      if (frames[i] < 0) continue;
+      const auto f = static_cast<std::size_t>(frames[i]);
+      set_.frames[f] = segments_of_colors((folder / pictures[i].path).string(), list[i], as_shown(info_.frames[f]),
+                                          classes, pictures[i].place);
+    }
+  }
+
+  void of_instances(const std::string& path, const Json& root, const Json& list,
+                    const std::map<std::int64_t, std::int16_t>& classes) {
+    struct OfImage {
+      std::int32_t width = 0, height = 0;
+      FrameSegments* to = nullptr;
+      std::vector<SegmentMask> masks;
+    };
+    std::map<std::int64_t, OfImage> images;
+    std::vector<PictureName> pictures;
+    for (const Json& item : member(root, "images", path)) {
+      const std::string place = path + ": image " + std::to_string(pictures.size() + 1);
+      pictures.push_back({.path = text_of(item, "file_name", place), .place = place});
+    }
+    const std::vector<int> frames = frames_of(pictures);
+    std::size_t number = 0;
+    for (const Json& item : member(root, "images", path)) {
+      const std::string& place = pictures[number].place;
+      OfImage image;
+      if (const int f = frames[number++]; f >= 0) {
+        image.to = &set_.frames[static_cast<std::size_t>(f)];
+        const std::int64_t width = whole_of(item, "width", place), height = whole_of(item, "height", place);
+        check_segment_size(width, height, as_shown(info_.frames[static_cast<std::size_t>(f)]), place);
+        image.width = static_cast<std::int32_t>(width);
+        image.height = static_cast<std::int32_t>(height);
+      }
+      images[whole_of(item, "id", place)] = std::move(image);
+    }
+    number = 0;
+    for (const Json& item : list) {
+      const std::string place = path + ": annotation " + std::to_string(++number);
+      const auto image = images.find(whole_of(item, "image_id", place));
+      if (image == images.end())
+        refuse_labels("labels.annotation.reference", place,
+                      "no image has the id " + member(item, "image_id", place).dump());
+      if (image->second.to == nullptr) continue;
+      SegmentMask mask = mask_of(member(item, "segmentation", place), image->second.width, image->second.height, place);
+      mask.class_index = class_of(item, classes);
+      image->second.masks.push_back(std::move(mask));
+    }
+    for (auto& [id, image] : images)
+      if (image.to != nullptr && !image.masks.empty())
+        *image.to = painted_segments(std::move(image.masks), image.width, image.height);
+  }
+
+  const SceneInfo& info_;
+  SegmentSet set_;
+};
+
+}  // namespace
+
+SegmentSet read_segments(const std::string& path, const std::string& pattern, const SceneInfo& info) {
+  std::error_code unknown;
+  Reading reading(info, path);
+  if (fs::is_directory(path, unknown)) {
+    if (!pattern.empty()) {
+      Diagnostics found;
+      check_pattern(pattern, found);
+      found.throw_if_errors(ErrorKind::usage, "--pattern:");
+    }
+    reading.folder(path, pattern);
+  } else if (fs::exists(path, unknown)) {
+    reading.file(path);
+  } else {
+    throw Error(ErrorKind::no_input, "files.read.missing", "no file or folder '" + path + "'",
+                "name segments of the training images with --segments");
+  }
+  return reading.finish();
+}
+
+namespace {
+
+constexpr std::int64_t kMostMasks = 10'000;  // of an image; segmenters find some hundreds
+constexpr const char *kMasks = "masks", *kClassIds = "class_ids", *kScores = "scores";
+
+using Shape = std::span<const std::int64_t>;
+
+[[noreturn]] void refuse_shape(Shape shape, const std::string& remedy) {
+  throw Error(ErrorKind::data, "labels.array.shape", "the shape is " + shape_text(shape), remedy);
+}
+
+std::vector<PixelRun> runs_of_pixels(std::span<const std::uint8_t> inside, std::int32_t width) {
+  std::vector<PixelRun> runs;
+  for (std::size_t row = 0; row * static_cast<std::size_t>(width) < inside.size(); ++row) {
+    const std::span<const std::uint8_t> of_row = inside.subspan(row * static_cast<std::size_t>(width)).first(width);
+    for (std::int32_t x = 0; x < width; ++x) {
+      if (of_row[static_cast<std::size_t>(x)] == 0) continue;
+      const std::int32_t begin = x;
+      while (x < width && of_row[static_cast<std::size_t>(x)] != 0) ++x;
+      runs.push_back({static_cast<std::int32_t>(row), begin, x});
+    }
+  }
+  return runs;
+}
+
+class ArrayMasks {
+ public:
+  ArrayMasks(const std::string& path, const FrameInfo& frame) : path_(path), frame_(frame), file_(path) {}
+
+  FrameSegments read(const ClassTable& classes) {
+    const std::vector<std::string>& keys = file_.keys();
+    if (has(kMasks)) {
+      add(kMasks, 3, "save an array [masks, height, width]");
+    } else {
+      for (const std::string& key : keys)
+        if (key != kClassIds && key != kScores)
+          add(key, 2, "save an array [height, width] per mask, or all as 'masks'");
+    }
+    if (height_ == 0)
+      refuse_labels("labels.array.shape", path_, "holds no masks",
+                    "save an array 'masks' [masks, height, width], or an array [height, width] per mask");
+    if (has(kClassIds)) read_classes(classes);
+    return painted_segments(std::move(masks_), width_, height_);
+  }
+
+ private:
+  bool has(const char* key) const {
+    return std::find(file_.keys().begin(), file_.keys().end(), key) != file_.keys().end();
+  }
+
+  // The masks of an array of `axes` axes.
+  void add(const std::string& key, std::size_t axes, const char* remedy) {
+    const NumpyNumbers<std::uint8_t> array = file_.bytes(key, [&](Shape shape) {
+      const bool has_channel = axes == 3 && shape.size() == 4 && shape[1] == 1;
+      if (shape.size() != axes && !has_channel) refuse_shape(shape, remedy);
+      const std::int64_t height = shape[shape.size() - 2], width = shape.back();
+      check_segment_size(width, height, frame_, "masks");
+      const std::int64_t masks = std::ssize(masks_) + (axes == 3 ? shape[0] : 1);
+      if (masks > kMostMasks) refuse_shape(shape, "save at most " + std::to_string(kMostMasks) + " masks of an image");
+      if (height_ != 0 && (height != height_ || width != width_))
+        refuse_shape(shape, "save all masks of an image at the size of the first, " +
+                                shape_text(std::vector{std::int64_t{height_}, std::int64_t{width_}}));
+      height_ = static_cast<std::int32_t>(height);
+      width_ = static_cast<std::int32_t>(width);
+    });
+    const std::size_t pixels = static_cast<std::size_t>(height_) * static_cast<std::size_t>(width_);
+    for (std::size_t at = 0; at < array.values.size(); at += pixels) {
+      SegmentMask mask;
+      mask.runs = runs_of_pixels(std::span(array.values).subspan(at, pixels), width_);
+      mask.area = area_of(mask.runs);
+      masks_.push_back(std::move(mask));
+    }
+  }
+
+  void read_classes(const ClassTable& classes) {
+    const NumpyNumbers<std::int64_t> ids = file_.whole(kClassIds, [&](Shape shape) {
+      if (shape.size() != 1 || shape[0] != std::ssize(masks_))
+        refuse_shape(shape, "save one id per mask, " + shape_text(std::vector{std::ssize(masks_)}));
+    });
+    for (std::size_t k = 0; k < masks_.size(); ++k) {
+      const std::int64_t id = ids.values[k];
+      const int index = id < 0 || id > 65535 ? -2 : classes.index_of(static_cast<std::int32_t>(id));
+      if (index == -2)
+        refuse_labels("labels.id.unknown", "'" + path_ + "', entry '" + kClassIds + "'",
+                      "mask " + std::to_string(k + 1) + ": " + std::to_string(id) + " is the id of no class",
+                      "save ids of the run's classes.yaml, or leave 'class_ids' out");
+      masks_[k].class_index = static_cast<std::int16_t>(index);
+    }
+  }
+
+  const std::string& path_;
+  const FrameInfo& frame_;
+  NpzFile file_;
+  std::int32_t width_ = 0, height_ = 0;
+  std::vector<SegmentMask> masks_;
+};
+
+}  // namespace
+
+FrameSegments painted_segments(std::vector<SegmentMask> masks, std::int32_t width, std::int32_t height) {
+  std::stable_sort(masks.begin(), masks.end(),
+                   [](const SegmentMask& a, const SegmentMask& b) { return a.area > b.area; });
+  FrameSegments out{
+      width, height, std::vector<std::int32_t>(static_cast<std::size_t>(std::int64_t{width} * height), 0), {}};
+  std::int32_t id = 0;
+  for (const SegmentMask& mask : masks) {
+    ++id;
+    if (mask.class_index != kVoid) out.class_of[id] = mask.class_index;
+    for (const PixelRun& run : mask.runs)
+      std::fill_n(out.id.begin() + std::int64_t{run.y} * width + run.x0, run.x1 - run.x0, id);
+  }
+  return out;
+}
+
+void check_segment_size(std::int64_t width, std::int64_t height, const FrameInfo& frame, const std::string& place) {
+  try {
+    if (width <= 0 || height <= 0)
+      throw Error(ErrorKind::data, "labels.image.size",
+                  "an image of " + std::to_string(width) + " x " + std::to_string(height));
+    check_image_limits(width, height);
+    check_label_shape(width, height, frame.camera);
+  } catch (const Error& e) {
+    refuse_labels(e.code(), place, e.message(), e.remedy());
+  }
+}
+
+FrameSegments segments_of_arrays(const std::string& path, const FrameInfo& frame, const ClassTable& classes) {
+  return ArrayMasks(path, frame).read(classes);
 }
 
 }  // namespace semfield

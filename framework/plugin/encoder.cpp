@@ -1,7 +1,7 @@
 // Checked entry points of every encoder.
 #include "plugin/encoder.h"
 
-#include "plugin/view_checks.h"
+#include "plugin/reference.h"
 
 namespace semfield {
 

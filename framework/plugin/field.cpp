@@ -3,7 +3,7 @@
 
 #include <cstdint>
 
-#include "plugin/view_checks.h"
+#include "plugin/reference.h"
 
 namespace semfield {
 

@@ -1,12 +1,73 @@
 // Field: encoded position (and, for colour alone, encoded direction) to density, colour and a position-only feature.
 #pragma once
 
+#include <cstdint>
+#include <string>
+#include <vector>
+
 #include "compute/precision.h"
-#include "plugin/head/fused_head.h"
-#include "plugin/layer_shape.h"
+#include "core/half.h"
+#include "core/view.h"
 #include "plugin/parametric.h"
 
 namespace semfield {
+
+/// How a field hands its feature on. Every field can write it in full, FieldOut::feature; the other forms save the
+/// bytes between field and head.
+enum class FeatureForm : std::uint8_t {
+  full,          ///< FieldOut::feature alone
+  rounded,       ///< also FusedOut::feature
+  hidden_layer,  ///< also FusedOut::hidden: the field computes the head's hidden layer where its feature lies
+};
+
+/// The hidden layer of the semantic head, relu(feature W + b).
+template <class Real>
+struct HiddenLayer {
+  View<const Real> weight, bias;  ///< [F, H], [1, H]
+  View<Real> d_weight, d_bias;    ///< backward adds to them
+};
+
+/// Of M samples; empty: not wanted. At most one of FieldOut::feature and these two is given.
+template <class Real>
+struct FusedOut {
+  View<Bf16> feature;       ///< [M, F]
+  View<Bf16> hidden;        ///< [N <= M, H], `layer` of the first N features; wanted together with the colour
+  HiddenLayer<Real> layer;  ///< of `hidden`
+};
+
+/// dL/d(FusedOut), in the form in which forward gave it.
+struct FusedGrad {
+  View<const Bf16> feature;  ///< [N <= M, F]; zero for the rows behind
+  /// dL/d(hidden) before the ReLU: blocked_rows(N) x H numbers in 8 x 8 blocks of 128 contiguous bytes, blocks of 8
+  /// rows one behind the other; zero in the rows behind N. FusedOut::layer has room for the layer's own gradients.
+  const Bf16* hidden = nullptr;
+};
+/// Rows of FusedGrad::hidden: whole tiles of the fields that take it.
+constexpr std::int64_t blocked_rows(std::int64_t rows) { return (rows + 255) / 256 * 256; }
+
+// Matrix products of a network, as its field tells them: what a step costs, and what there is to probe.
+
+/// How often a product is made: for all samples, for all rays, or once per step (of weights with each other).
+enum class LayerRows : std::uint8_t { sample, ray, step };
+
+/// What it multiplies: inputs of the network have a gradient only where somebody wants it.
+enum class LayerInput : std::uint8_t { activation, position, direction };
+
+/// A product of forward or derive: rows through a weight [in, out].
+struct LayerShape {
+  std::string name;  ///< as its weight's tensor, "trunk_0"; a concatenated input makes two products of one weight
+  std::int64_t in = 0, out = 0;
+  LayerRows per = LayerRows::sample;
+  LayerInput input = LayerInput::activation;
+  std::int64_t rows = 1;  ///< for each sample, for each ray, or in all
+
+  std::int64_t rows_of(std::int64_t samples, std::int64_t rays) const {
+    return rows * (per == LayerRows::sample ? samples : per == LayerRows::ray ? rays : 1);
+  }
+  std::int64_t multiply_adds(std::int64_t samples, std::int64_t rays) const {
+    return rows_of(samples, rays) * in * out;
+  }
+};
 
 struct FieldTraits {
   std::int32_t feature_dims = 0;  ///< width of the feature the semantic head reads
@@ -41,7 +102,7 @@ template <class Real>
 class Field : public Parametric<Real> {
  public:
   virtual FieldTraits traits() const noexcept = 0;
-  /// What it offers a head whose hidden layer has `hidden_width` numbers (plugin/head/fused_head.h).
+  /// What it offers a head whose hidden layer has `hidden_width` numbers (plugin/field.h).
   virtual FeatureForm feature_form(std::int32_t hidden_width) const noexcept {
     (void)hidden_width;
     return FeatureForm::full;

@@ -10,7 +10,6 @@
 #include "compute/isa.h"
 #include "compute/layers.h"
 #include "compute/precision.h"
-#include "compute/row_loops.h"
 #include "plugin/parametric.h"
 
 namespace semfield {

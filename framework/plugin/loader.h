@@ -1,10 +1,13 @@
 // Linked and loaded modules into a registry.
 #pragma once
 
+#include <map>
 #include <string>
 #include <vector>
 
+#include "core/error.h"
 #include "plugin/module.h"
+#include "plugin/registry.h"
 
 namespace semfield {
 
@@ -30,7 +33,7 @@ struct LoadOptions {
 void load_module(Registry& registry, const std::string& path, const LoadOptions& options = {});
 
 /// What the laws said of a module's plugins, for every load of the same bytes by this version of the framework, until
-/// they are checked again; "" = they hold. Kept in the user's cache (system/file_verdicts.h).
+/// they are checked again; "" = they hold. Kept in the user's cache (system/files.h).
 void keep_check(const std::string& path, const std::string& broken_law, Diagnostics& notes);
 
 /// A module that a configuration names, which may come from anybody. What is loaded is the module of its file name that
@@ -45,5 +48,23 @@ void add_cuda_kernels_of_modules(Registry& registry);
 
 /// File whose static initialisers run now, in this thread; "" at any other time.
 const std::string& module_being_loaded();
+
+// The table that CMake generates from plugins/*/*.
+
+/// Registers every plugin that this build links.
+void register_linked_plugins(Registry& registry);
+
+// The file of a loadable module, looked at before any of its code runs.
+
+/// Throws Error(unavailable), begun with `doing`, for a file that is no shared library of this processor, that ends
+/// before what it says must be mapped, that has no section kPluginSection, or whose API number or ABI tag are not ours.
+void check_module_file(const std::string& path, const std::string& doing);
+
+/// Name and checksum of each of these files, which hold plugins. Throws Error(no_input).
+std::map<std::string, std::string> module_checksums(const std::vector<std::string>& files);
+
+/// A warning for each of `files` that is another one than in `trained`, by name; a name that is not there is no news.
+void warn_of_other_modules(const std::map<std::string, std::string>& trained, const std::vector<std::string>& files,
+                           Diagnostics& diagnostics);
 
 }  // namespace semfield

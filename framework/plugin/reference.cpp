@@ -3,7 +3,8 @@
 
 #include <algorithm>
 
-#include "config/params_read.h"
+#include "config/params.h"
+#include "core/error.h"
 
 namespace semfield {
 
@@ -142,3 +143,28 @@ std::string with_parameter_table(const std::string& page, const PluginEntry& ent
 }
 
 }  // namespace semfield
+
+// The sentences of failed shape checks.
+namespace semfield::view_checks {
+
+namespace {
+std::string shape(std::int64_t rows, std::int32_t cols) {
+  std::string text = "[";
+  text += std::to_string(rows);
+  text += ", ";
+  text += std::to_string(cols);
+  text += "]";
+  return text;
+}
+}  // namespace
+
+void fail_shape(const char* call, const char* view, std::int64_t rows, std::int32_t cols, std::int64_t want_rows,
+                std::int32_t want_cols) {
+  fail(call, std::string(view) + " is " + shape(rows, cols) + ", expected " + shape(want_rows, want_cols));
+}
+
+void fail(const char* call, const std::string& what) {
+  throw Error(ErrorKind::internal, "internal.view.shape", std::string(call) + ": " + what);
+}
+
+}  // namespace semfield::view_checks

@@ -17,7 +17,7 @@
 #include "plugin/encoder.h"
 #include "plugin/field.h"
 #include "plugin/grouping.h"
-#include "plugin/head/one_layer_head.h"
+#include "plugin/head.h"
 #include "plugin/kernels.h"
 #include "plugin/loss.h"
 #include "plugin/sampler.h"
@@ -238,14 +238,14 @@ class Registry {
     add(std::move(e));
   }
 
-  /// Impl is derived from LabelReader (labels/label_steps.h).
+  /// Impl is derived from LabelReader (labels/label_files.h).
   template <class Impl>
   void add_label_reader(std::string name, std::string summary) {
     PluginEntry e = entry_inside<Impl>(PluginKind::label_reader, std::move(name), std::move(summary));
     e.label_reader = copier<LabelReader, Impl>();
     add(std::move(e));
   }
-  /// Impl is derived from Degradation (labels/label_steps.h).
+  /// Impl is derived from Degradation (labels/label_files.h).
   template <class Impl>
   void add_degradation(std::string name, std::string summary) {
     PluginEntry e = entry_inside<Impl>(PluginKind::degradation, std::move(name), std::move(summary));

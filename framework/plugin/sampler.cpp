@@ -5,7 +5,7 @@
 
 #include "core/error.h"
 #include "plugin/quadrature.h"
-#include "plugin/view_checks.h"
+#include "plugin/reference.h"
 
 namespace semfield {
 

@@ -9,9 +9,11 @@
 #include <vector>
 
 #include "eval/final_eval.h"
-#include "labels/clicks/labelling_record.h"
+#include "labels/clicks/annotations.h"
 #include "run/metrics_log.h"
 #include "run/run_folder.h"
+#include "run/run_scores.h"
+#include "session/session.h"
 
 namespace semfield {
 
@@ -80,5 +82,12 @@ std::vector<WorstFrame> parse_worst_frames(std::string_view json, const std::str
 /// that its worst_frames.json names, and at most `most_frames` others, evenly chosen. Only metrics.jsonl must be there.
 /// Names are the folders', made unique.
 ReportInput read_report_input(const std::vector<std::string>& run_folders, int most_frames = 4);
+
+// The report of a run: everything it shows comes from the run folder and the frames rendered last.
+
+/// Writes report.html with its pictures and worst_frames.json into the folder; returns its path. `scene`:
+/// ReportInput::scene.
+std::string write_run_report(const RunFolder& folder, const Session& session, const ReportFrames& frames,
+                             std::string scene = {});
 
 }  // namespace semfield

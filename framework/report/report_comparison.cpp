@@ -6,7 +6,7 @@
 #include <cmath>
 
 #include "core/error.h"
-#include "report/report_parts.h"
+#include "report/report_sections.h"
 #include "run/run_scores.h"
 
 namespace semfield {

@@ -8,7 +8,7 @@
 
 #include "compute/parallel.h"
 #include "core/error.h"
-#include "plugin/abi_tag.h"
+#include "plugin/module.h"
 #include "run/run_folder.h"
 
 #ifndef SEMFIELD_VERSION_TEXT

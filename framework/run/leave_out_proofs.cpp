@@ -1,6 +1,6 @@
-#include "run/leave_out_proofs.h"
-
 #include <nlohmann/json.hpp>
+
+#include "run/run_folder.h"
 
 namespace semfield {
 

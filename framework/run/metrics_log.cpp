@@ -1,16 +1,23 @@
 // metrics.jsonl: writer, reader, resume.
 #include "run/metrics_log.h"
 
+#include <fcntl.h>
 #include <fmt/format.h>
 #include <unistd.h>
 
+#include <algorithm>
+#include <bit>
 #include <cerrno>
+#include <cmath>
 #include <cstring>
 #include <filesystem>
 #include <nlohmann/json.hpp>
+#include <span>
 
 #include "core/error.h"
-#include "eval/json_number.h"
+#include "eval/metrics.h"
+#include "session/settings/choices.h"
+#include "system/checksum.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -176,5 +183,124 @@ void MetricsLog::append(const MetricsRow& row) {
 }
 
 void MetricsLog::sync() { sync_file(descriptor_, path_); }
+
+std::int64_t StepRows::steps_until_row(std::int64_t step) const {
+  const std::int64_t every = session_.config.report.log_every_steps;
+  return every - step % every;
+}
+
+std::optional<MetricsRow> StepRows::add(const StepLosses& losses, std::int64_t step, double train_s) {
+  const RunConfig& config = session_.config;
+  mse_sum_ += losses.mse;
+  ++steps_;
+  if (step % config.report.log_every_steps != 0 && step != last_step(config)) return std::nullopt;
+  const double span = std::max(train_s - window_start_s_, 1e-9);
+  MetricsRow row;
+  row.step = step;
+  row.train_s = train_s;
+  row.set("loss", losses.total);
+  row.set("loss_color", losses.color);
+  if (session_.pipeline->has_semantics()) row.set("loss_semantic", losses.semantic);
+  const std::vector<LossEntry>& terms = config.losses;
+  for (std::size_t i = 0; i < terms.size(); ++i) {  // without a value while the term has not begun
+    row.set("loss_" + terms[i].type, (losses.active >> i & 1U) != 0 ? std::optional(losses.terms[i]) : std::nullopt);
+  }
+  row.set("psnr", -10 * std::log10(mse_sum_ / static_cast<double>(steps_)));
+  row.set("rays_per_s", static_cast<double>(steps_ * config.train.rays) / span);
+  row.set("samples_per_ray", static_cast<double>(losses.samples) / static_cast<double>(config.train.rays));
+  mse_sum_ = 0;
+  steps_ = 0;
+  window_start_s_ = train_s;
+  return row;
+}
+
+// Event records: protocol buffer messages Event and Summary with the few fields that a scalar needs.
+
+namespace {
+
+void put_varint(std::string& out, std::uint64_t value) {
+  while (value >= 0x80) {
+    out.push_back(static_cast<char>(value | 0x80));
+    value >>= 7;
+  }
+  out.push_back(static_cast<char>(value));
+}
+
+template <class T>
+void put_fixed(std::string& out, T value) {
+  char bytes[sizeof(T)];
+  std::memcpy(bytes, &value, sizeof(T));
+  out.append(bytes, sizeof(T));
+}
+
+enum Wire : std::uint64_t { varint = 0, fixed64 = 1, sized = 2, fixed32 = 5 };
+
+void put_key(std::string& out, std::uint64_t field, Wire wire) { put_varint(out, field << 3 | wire); }
+
+void put_text(std::string& out, std::uint64_t field, std::string_view text) {
+  put_key(out, field, Wire::sized);
+  put_varint(out, text.size());
+  out += text;
+}
+
+// Event { double wall_time = 1; int64 step = 2; string file_version = 3; Summary summary = 5; }
+std::string event_head(double now_s) {
+  std::string event;
+  put_key(event, 1, Wire::fixed64);
+  put_fixed(event, now_s);
+  return event;
+}
+
+}  // namespace
+
+std::uint32_t masked_crc32c(std::string_view bytes) {
+  const std::uint32_t crc = crc32c(std::as_bytes(std::span(bytes.data(), bytes.size())));
+  return std::rotr(crc, 15) + 0xA282EAD8u;
+}
+
+std::string record_frame(std::string_view bytes) {
+  std::string frame;
+  put_fixed(frame, static_cast<std::uint64_t>(bytes.size()));
+  put_fixed(frame, masked_crc32c(frame));
+  frame += bytes;
+  put_fixed(frame, masked_crc32c(bytes));
+  return frame;
+}
+
+EventWriter::EventWriter(const std::string& folder, double now_s) {
+  char host[256] = "host";
+  if (::gethostname(host, sizeof(host) - 1) != 0) std::strcpy(host, "host");
+  path_ =
+      fmt::format("{}/events.out.tfevents.{:010d}.{}.{}", folder, static_cast<std::int64_t>(now_s), host, ::getpid());
+  descriptor_ = ::open(path_.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0644);
+  if (descriptor_ < 0) {
+    throw Error(ErrorKind::cannot_create, "files.write.failed",
+                fmt::format("cannot open '{}' for writing: {}", path_, std::strerror(errno)),
+                "make the run folder writable, or choose another with --out");
+  }
+  std::string event = event_head(now_s);
+  put_text(event, 3, "brain.Event:2");
+  write(event);
+}
+
+EventWriter::~EventWriter() {
+  if (descriptor_ >= 0) ::close(descriptor_);
+}
+
+void EventWriter::scalar(std::string_view tag, std::int64_t step, double value, double now_s) {
+  std::string point;  // Summary.Value { string tag = 1; float simple_value = 2; }
+  put_text(point, 1, tag);
+  put_key(point, 2, Wire::fixed32);
+  put_fixed(point, static_cast<float>(value));
+  std::string summary;  // Summary { repeated Value value = 1; }
+  put_text(summary, 1, point);
+  std::string event = event_head(now_s);
+  put_key(event, 2, Wire::varint);
+  put_varint(event, static_cast<std::uint64_t>(step));
+  put_text(event, 5, summary);
+  write(event);
+}
+
+void EventWriter::write(const std::string& event) { append_all(descriptor_, path_, record_frame(event)); }
 
 }  // namespace semfield

@@ -8,6 +8,8 @@
 #include <utility>
 #include <vector>
 
+#include "session/session.h"
+
 namespace semfield {
 
 /// Split of an evaluation row that scored a sample of the split's frames: "test" -> "test_sample".
@@ -59,6 +61,52 @@ class MetricsLog {
   std::string path_;
   int descriptor_ = -1;
   std::int64_t torn_from_ = -1;  // where the part of a row begins that could not be taken back
+};
+
+// Rows of metrics.jsonl from the losses of steps: one every report.log_every_steps, with means since the row before.
+
+class StepRows {
+ public:
+  /// Borrows; `train_s`: seconds of training so far.
+  StepRows(const Session& session, double train_s) : session_(session), window_start_s_(train_s) {}
+
+  /// Steps from `step` to the next row.
+  std::int64_t steps_until_row(std::int64_t step) const;
+  /// The row that step `step` completes, if it does. To be called for every step; `train_s` is of now.
+  std::optional<MetricsRow> add(const StepLosses& losses, std::int64_t step, double train_s);
+  /// Seconds that were training and no steps: they do not count for rays_per_s.
+  void leave_out(double seconds) { window_start_s_ += seconds; }
+
+ private:
+  const Session& session_;
+  double mse_sum_ = 0, window_start_s_ = 0;
+  std::int64_t steps_ = 0;
+};
+
+// Scalars for TensorBoard: an events.out.tfevents file, written without its libraries.
+
+/// CRC-32C as record files store it: rotated and shifted, so that a checksum of checksums stays strong.
+std::uint32_t masked_crc32c(std::string_view bytes);
+
+/// One record: length (u64), its masked CRC (u32), the bytes, their masked CRC (u32), little-endian.
+std::string record_frame(std::string_view bytes);
+
+/// Appends events to a file of its own, `<folder>/events.out.tfevents.<seconds>.<host>.<pid>`.
+class EventWriter {
+ public:
+  /// `now_s`: seconds since 1970, part of the name and of the first event. Throws Error(cannot_create).
+  EventWriter(const std::string& folder, double now_s);
+  EventWriter(const EventWriter&) = delete;
+  EventWriter& operator=(const EventWriter&) = delete;
+  ~EventWriter();
+
+  void scalar(std::string_view tag, std::int64_t step, double value, double now_s);
+  const std::string& path() const { return path_; }
+
+ private:
+  void write(const std::string& event);
+  std::string path_;
+  int descriptor_ = -1;
 };
 
 }  // namespace semfield

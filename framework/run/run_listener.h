@@ -53,7 +53,7 @@ class RunListener : public TrainingListener {
   virtual void stop_waits(bool) {}
   /// A clock for what evaluations take; it never runs back.
   virtual double now_s();
-  /// Writes the report of a run that came to its end and returns its path (report/run_report.h); "": there is none.
+  /// Writes the report of a run that came to its end and returns its path (report/report.h); "": there is none.
   virtual std::string write_report(const RunFolder&, const Session&, const ReportFrames&) { return ""; }
 };
 

@@ -1,19 +1,39 @@
 #include "run/run_loop.h"
 
+#include <fmt/chrono.h>
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <cmath>
+#include <ctime>
 #include <filesystem>
+#include <limits>
+#include <optional>
+#include <set>
 #include <utility>
 
+#include "compute/parallel.h"
+#include "config/compose.h"
+#include "core/error.h"
+#include "core/text.h"
+#include "eval/final_eval.h"
 #include "execution/ranks/ranks.h"
-#include "scene/classes/class_names.h"
+#include "labels/clicks/click_file.h"
+#include "plugin/loader.h"
+#include "run/metrics_log.h"
+#include "run/run_folder.h"
+#include "scene/classes/class_table.h"
+#include "session/settings/choices.h"
 #include "session/settings/run_identity.h"
-#include "session/settings/run_length.h"
 #include "system/files.h"
+#include "system/process.h"
 
 namespace semfield {
+
+/// What the run in `folder` came to, from its files, where the checkpoint that it goes on from is of its last step,
+/// that step was scored, the page about it is there, and no setting changes; nothing is written. None: it has to be
+/// gone on with, if only to be scored.
+std::optional<TrainOutcome> ended_run(const RunFolder& folder, const RunConfig& config, const ResumePoint& point);
 
 namespace {
 
@@ -238,6 +258,433 @@ std::string RunLoop::save_without_folder(const std::string& place) {
   last_saved_ = write_checkpoint(store, log);
   saved_in_ = place;
   return last_saved_;
+}
+
+namespace {
+
+// A run that has room for classes and a folder keeps its clicks there.
+OpenedForTraining open(RunConfig config, Registry& registry, const RunSessionOptions& options, RunListener& listener) {
+  TrainRequest request;
+  request.out_dir = options.run_dir;
+  request.resume = options.resume;
+  request.keep = options.keep;
+  request.more = options.more;
+  LabelParams& labels = config.labels.selection;
+  if (labels.clicks.empty() && labels.class_room > 0 && !options.run_dir.empty())
+    labels.clicks = (std::filesystem::absolute(options.run_dir) / kClickFile).string();
+  if (options.run_dir.empty() && !config.self_training.at.empty())
+    throw Error(ErrorKind::usage, "run.folder.unnamed",
+                "train.self_training: its rounds are written to the run's folder, and this run has none",
+                "name a folder when the run is opened");
+  return open_for_training(std::move(config), registry, request, listener);
+}
+
+}  // namespace
+
+RunSession::RunSession(RunConfig config, Registry& registry, const RunSessionOptions& options, RunListener& listener)
+    : RunLoop(open(std::move(config), registry, options, listener), registry, &listener, {}),
+      annotations_(session().config.labels.clicks) {}
+
+bool RunSession::apply(const LabelEvent& event) {
+  const LabelConfig& labels = session().config.labels;
+  if (!annotations_ || labels.selection.clicks.empty())
+    throw Error(ErrorKind::usage, "labels.clicks.missing", "the run has no file of clicks",
+                "open it with a folder and scene.labels.class_room, or with scene.labels.clicks");
+  if (!clicks_) {  // not before somebody clicks: to learn from another run's clicks is no reason to hold their file
+    Diagnostics ignored;  // stated when the scene was opened by the file
+    clicks_.emplace(open_click_log(labels, run_dir(), ignored));
+  }
+  Annotations next = *annotations_;
+  if (!next.apply(event)) return false;
+  std::vector<int> frames = annotations_->frames_with_marks();
+  for (const int frame : next.frames_with_marks())
+    if (std::find(frames.begin(), frames.end(), frame) == frames.end()) frames.push_back(frame);
+  training().set_clicks(next, frames);
+  try {
+    clicks_->append(event);
+  } catch (...) {
+    training().set_clicks(*annotations_, frames);
+    throw;
+  }
+  annotations_ = std::move(next);
+  try {
+    write_classes();
+  } catch (const Error& error) {  // the event is stored already: a later one writes the file
+    listener().warning("classes.yaml is behind the classes: " + shown(error));
+  }
+  return true;
+}
+
+namespace {
+
+void write_left_out(const RunFolder& folder, const Session& session) {
+  std::vector<LeftOutRow> rows;
+  for (const LeftOut& out : session.plan.left_out) {
+    rows.push_back({out.component, out.rule, out.evidence, std::string(1, static_cast<char>(out.proof)), out.saving,
+                    out.measured.empty() ? shipped_saving(out.component) : out.measured});
+  }
+  write_file_atomic(folder.left_out_path(), left_out_json(rows));
+}
+
+// Those of earlier resumes, which the file holds that is about to be written again, and this one's.
+std::vector<std::string> settings_changed(const RunFolder& folder, const ResumePoint& point) {
+  std::vector<std::string> changes;
+  const std::string path = folder.environment_path();
+  if (std::filesystem::exists(path)) changes = parse_settings_changed(read_text_file(path), path);
+  for (const ConfigDifference& change : point.changed) {
+    const std::string line = fmt::format("step {}: {}", point.step(), change.text());
+    if (std::find(changes.begin(), changes.end(), line) == changes.end()) changes.push_back(line);
+  }
+  return changes;
+}
+
+void write_environment(const RunFolder& folder, Training& training, const Registry& registry,
+                       const ResumePoint& point) {
+  const Session& session = training.session();
+  Environment environment = this_environment();
+  environment.threads = thread_count();
+  environment.seed = session.config.runtime.seed;
+  environment.input_hash = training.inputs().hash();
+  environment.settings_changed = settings_changed(folder, point);
+  for (const PluginEntry* entry : registry.entries()) environment.modules.push_back(entry->module);
+  environment.more.emplace_back("started", fmt::format("{:%Y-%m-%d %H:%M} UTC", fmt::gmtime(std::time(nullptr))));
+  environment.more.emplace_back("device", session.pipeline->executor().description());
+  environment.more.emplace_back("matrix products", session.pipeline->executor().matrix_products());
+  environment.more.emplace_back("precision", std::string(precision_name(session.config.runtime.precision)));
+  write_file_atomic(folder.environment_path(), environment_json(environment));
+}
+
+}  // namespace
+
+OpenedForTraining open_for_training(RunConfig config, Registry& registry, const TrainRequest& request,
+                                    TrainingListener& listener) {
+  Diagnostics diagnostics;
+  SessionOptions options;
+  options.keep = request.keep;
+  options.probe = true;
+  options.ranks = request.ranks;
+  if (config.report.training_frames > 0) options.depth = DepthKept::all;
+  if (!request.out_dir.empty()) settle_click_file(config.labels, request.out_dir);
+  // A new run's folder is made when nothing can refuse the run any more; a resumed one is locked first.
+  if (!request.resume && !request.out_dir.empty()) RunFolder::require_new(request.out_dir);
+  std::optional<RunFolder> folder;
+  ResumePoint point;
+  if (request.resume) {
+    folder.emplace(RunFolder::resume(request.out_dir));
+    keep_components(config, request.keep);
+    point = find_resume_point(*folder, config, registry, diagnostics);
+    if (request.more.any()) {
+      const std::string before = length_text(config);
+      ask_more(config, request.more, point.step(), point.facts ? point.facts->train_s : 0);
+      point.changed.push_back({"length", before, length_text(config)});
+    }
+    require_scene_places(config, folder->path());
+    require_clicks({point.facts.has_value(), point.facts ? point.facts->clicks : std::nullopt}, config.labels,
+                   folder->path(), diagnostics);
+    if (point.facts) options.trained_classes = point.facts->classes;
+  }
+  const std::size_t before = diagnostics.all().size();
+  Session session = open_session(std::move(config), registry, options, diagnostics);
+  std::string findings;
+  for (std::size_t i = before; i < diagnostics.all().size(); ++i) findings += diagnostics.all()[i].text() + "\n";
+  SceneInputs inputs = scene_inputs(session.scene, session.labels);
+  if (point.facts) compare_with_training(*point.facts, inputs, session, diagnostics);
+  tell_findings(listener, diagnostics, session);
+  if (request.out_dir.empty()) return {std::nullopt, std::move(session), std::move(inputs), std::move(point)};
+  if (folder) {
+    if (std::optional<TrainOutcome> ended = ended_run(*folder, session.config, point))
+      return {std::move(*folder), std::move(session), std::move(inputs), std::move(point), std::move(ended)};
+  }
+  if (!folder) {
+    (void)run_config_text(session.config, registry);  // what cannot be stored leaves no folder
+    folder.emplace(RunFolder::create(request.out_dir));
+  }
+  write_run_config(*folder, session.config, registry);
+  if (!findings.empty() || std::filesystem::exists(folder->findings_path()))
+    write_file_atomic(folder->findings_path(), findings);
+  return {std::move(*folder), std::move(session), std::move(inputs), std::move(point)};
+}
+
+void write_run_config(const RunFolder& folder, const RunConfig& config, Registry& registry) {
+  const std::string text = run_config_text(config, registry);
+  std::error_code unknown;
+  if (std::filesystem::exists(folder.config_path(), unknown) && read_text_file(folder.config_path()) == text) return;
+  write_file_atomic(folder.config_path(), text);
+}
+
+void write_label_counts(const RunFolder& folder, const Session& session, const SelfTraining& self_training) {
+  LabelCounts counts = label_counts(session.manifest, session.scene.info.classes, session.labels.steps);
+  counts.rounds = self_training.rounds();
+  write_file_atomic(folder.labels_path(), label_counts_json(counts));
+}
+
+void write_run_records(const RunFolder& folder, Training& training, const Registry& registry,
+                       const ResumePoint& point) {
+  const Session& session = training.session();
+  const WorkSettings work = session.work();
+  const WorkScope scope(work);
+  if (!session.scene.info.classes.empty())
+    write_file_atomic(folder.classes_path(), named_classes(session.scene.info.classes).to_yaml());
+  write_left_out(folder, session);
+  write_environment(folder, training, registry, point);
+}
+
+// What a resumed run goes on from.
+
+namespace {
+
+// " --set KEY=VALUE" for a shell; nothing for a value that is absent.
+std::string set_text(const std::string& key, const std::string& value) {
+  return value == kAbsent ? std::string() : " --set " + shell_word(key + "=" + value);
+}
+
+void require_same_run(const std::vector<ConfigDifference>& identity, const RunFolder& folder) {
+  if (identity.empty()) return;
+  std::string changes, keep, anew;
+  for (const ConfigDifference& change : identity) {
+    changes += (changes.empty() ? "" : ", ") + change.text();
+    keep += set_text(change.key, change.left);
+    anew += set_text(change.key, change.right);
+  }
+  throw Error(ErrorKind::config, "run.config.other",
+              fmt::format("{}: that would be another run than the one in '{}'", changes, folder.path()),
+              fmt::format("to resume that one: semfield train --resume {}{}; to train again: semfield train {}{} "
+                          "--out NEW_FOLDER",
+                          shell_word(folder.path()), keep, shell_word(folder.config_path()), anew));
+}
+
+// What the run settled after the checkpoint, and the legs that were requested, are no changes of a setting.
+bool is_of_the_length(const std::string& key, bool was_open) {
+  return key.starts_with("train.schedule.legs") ||
+         (was_open && (key == "train.steps" || key == "train.time_s" || key == "train.schedule.hold_steps" ||
+                       key == "train.schedule.decay_steps"));
+}
+
+}  // namespace
+
+std::optional<RunConfig> settings_of_checkpoint(const CheckpointFacts& facts, Registry& registry) {
+  try {
+    Diagnostics diagnostics;
+    // Modules are loaded already, by run.yaml or by the command line.
+    RunConfig config =
+        read_run_config(parse_config_text(facts.config, "checkpoint").without("plugins"), registry, diagnostics);
+    if (!diagnostics.has_errors()) return config;
+  } catch (const Error&) {
+  }
+  return std::nullopt;
+}
+
+ResumePoint find_resume_point(const RunFolder& folder, const RunConfig& config, Registry& registry,
+                              Diagnostics& diagnostics) {
+  ResumePoint point;
+  std::optional<RunConfig> before;
+  if (const auto found = CheckpointStore::read(folder.checkpoints_path()).find_latest(diagnostics)) {
+    point.facts = read_checkpoint_facts(found->file, found->step);
+    point.path = found->path;
+    before = settings_of_checkpoint(*point.facts, registry);
+  }
+  if (!before) before = load_run_config(folder.config_path(), {}, registry);
+  if (point.facts && point.facts->seed != before->runtime.seed) {
+    throw Error(
+        ErrorKind::data, "checkpoint.seed.differs",
+        fmt::format("'{}': its seed is {}, its settings say {}", point.path, point.facts->seed, before->runtime.seed),
+        "resume from another checkpoint of the run: move this file out of the folder");
+  }
+  std::vector<ConfigDifference> refused;
+  for (ConfigDifference& change : changed_settings(resolved_config(*before), resolved_config(config))) {
+    if (is_of_the_length(change.key, last_step(*before) == 0)) continue;
+    (may_change_on_resume(change.key) ? point.changed : refused).push_back(std::move(change));
+  }
+  require_same_run(refused, folder);
+  return point;
+}
+
+void compare_with_training(const CheckpointFacts& facts, const SceneInputs& inputs, const Session& session,
+                           Diagnostics& diagnostics) {
+  if (facts.inputs) warn_of_other_inputs(*facts.inputs, inputs, diagnostics);
+  warn_of_other_modules(facts.modules, session.config.plugins, diagnostics);
+  if (!facts.scene) return;
+  // Clicks are meant to come, and other labels are reported already where both checksums are known.
+  const bool told = facts.inputs && !facts.inputs->training_labels.value_or("").empty() &&
+                    !inputs.training_labels.value_or("").empty();
+  Diagnostics ignored;
+  compare_training_labels(*facts.scene, session.manifest, session.scene.info.classes, session.config.runtime.keep,
+                          told || session.config.labels.clicks ? ignored : diagnostics);
+}
+
+namespace {
+
+// Keys that --set gives.
+std::set<std::string> keys_set(const std::string& config_path, const std::vector<std::string>& overrides) {
+  std::set<std::string> keys;
+  for (const ConfigSetting& setting : config_settings(compose_config(config_path, overrides)))
+    if (setting.from.starts_with("--")) keys.insert(setting.key);
+  return keys;
+}
+
+}  // namespace
+
+bool compare_settings_with_training(const CheckpointFacts& facts, const RunConfig& config, const RunFolder& folder,
+                                    const std::vector<std::string>& overrides, Registry& registry,
+                                    Diagnostics& diagnostics) {
+  const std::optional<RunConfig> trained = settings_of_checkpoint(facts, registry);
+  if (!trained) return true;
+  const std::set<std::string> on_purpose = keys_set(folder.config_path(), overrides);
+  bool same_scene = true;
+  std::vector<std::string> edited, asked;
+  std::string back, keep;
+  for (const ConfigDifference& change : changed_settings(resolved_config(*trained), resolved_config(config))) {
+    if (may_change_on_resume(change.key) || is_of_the_length(change.key, last_step(*trained) == 0)) continue;
+    same_scene = same_scene && !change.key.starts_with("scene.");
+    if (on_purpose.contains(change.key)) {
+      asked.push_back(change.text());
+      continue;
+    }
+    edited.push_back(change.text());
+    back += set_text(change.key, change.left);
+    keep += set_text(change.key, change.right);
+  }
+  if (!edited.empty()) {
+    throw Error(
+        ErrorKind::config, "run.config.edited",
+        fmt::format("'{}' is not as the run was trained: {}", folder.config_path(), join(edited)),
+        fmt::format("for the settings of training add{}, or restore the file; for the file's add{}", back, keep));
+  }
+  if (!asked.empty())
+    diagnostics.note("run.config.settings", "settings",
+                     "they differ from those that the run was trained with: " + join(asked));
+  return same_scene;
+}
+
+namespace {
+
+constexpr std::int64_t kAllSteps = std::numeric_limits<std::int64_t>::max();
+
+// As long again as it trained.
+std::string train_on_words(const std::string& run_dir, double train_s) {
+  return fmt::format("semfield train --resume {} --time {:.0f}s", shell_word(run_dir), std::ceil(train_s));
+}
+
+// What a run that goes on begins with.
+void tell_resumed(RunListener& listener, const RunLoop& loop, const ResumePoint& point) {
+  for (const ConfigDifference& change : point.changed)
+    listener.note(fmt::format("from step {} on: {}", point.step(), change.text()));
+  if (!point.facts) return listener.note("no checkpoint yet: starting from step 0");
+  const Training& training = loop.training();
+  listener.note(fmt::format("resuming at step {} ({:.1f} s of training) from {}", training.step(), training.train_s(),
+                            point.path));
+  // Its last evaluation may have been cut off, and settings of the page may be others now.
+  if (training.at_its_end())
+    listener.note(
+        fmt::format("the run has come to its end, {} steps: it is scored again, not trained; to train on: `{}`",
+                    training.step(), train_on_words(loop.run_dir(), training.train_s())));
+}
+
+TrainOutcome train_to_the_end(RunLoop& loop, RunListener& listener) {
+  const Training& training = loop.training();
+  const double start_s = training.train_s();
+  listener.stop_waits(true);
+  while (!training.at_its_end() && !loop.advance(kAllSteps).empty() && listener.stop_signal() == 0) {
+  }
+  if (!loop.saved() || training.step() == 0) loop.save();
+  listener.stop_waits(false);
+  TrainOutcome outcome;
+  outcome.signal = listener.stop_signal();
+  if (outcome.signal == 0) {
+    outcome.values = loop.scores().score_end(loop.moment());
+    outcome.scored = loop.scores().last_part();
+  }
+  outcome.step = training.step();
+  outcome.train_s = training.train_s();
+  outcome.trained_s = training.train_s() - start_s;
+  outcome.run_dir = loop.run_dir();
+  outcome.peak_bytes = peak_resident_bytes();
+  if (outcome.signal == 0)
+    outcome.report_path = listener.write_report(*loop.folder(), loop.session(), loop.scores().report_frames());
+  return outcome;
+}
+
+// A write that fails ends the run; the message then states what is left of it.
+void add_what_is_left(Error& error, const RunLoop& loop) {
+  const bool lost = dynamic_cast<const RankLost*>(&error) != nullptr;
+  const bool writing = error.kind() == ErrorKind::io || error.kind() == ErrorKind::cannot_create;
+  if (!lost && !(writing && error.message().starts_with("cannot "))) return;
+  const std::string kept = lost || error.context().empty() ? loop.kept_text() + "; " : "";  // a save has said it
+  error.while_doing(fmt::format("training ended at step {} ({}resume with `semfield train --resume {}`{})",
+                                loop.training().step(), kept, shell_word(loop.run_dir()),
+                                lost ? ", with any number of processes" : ""));
+}
+
+}  // namespace
+
+TrainOutcome run_training(RunConfig config, Registry& registry, const TrainRequest& request, RunListener* told) {
+  RunListener nobody;
+  RunListener& listener = told != nullptr ? *told : nobody;
+  OpenedForTraining opened = open_for_training(std::move(config), registry, request, listener);
+  if (opened.ended) {
+    listener.note(fmt::format("the run has come to its end, {} steps, and nothing of it was changed; to train on: `{}`",
+                              opened.ended->step, train_on_words(opened.ended->run_dir, opened.ended->train_s)));
+    return *opened.ended;
+  }
+  const ResumePoint point = opened.point;
+  RunLoopOptions options;
+  options.scores = options.saves = true;
+  RunLoop loop(std::move(opened), registry, &listener, options);
+  if (request.resume) tell_resumed(listener, loop, point);
+  const WorkSettings work = loop.session().work();
+  const WorkScope scope(work);
+  try {
+    return train_to_the_end(loop, listener);
+  } catch (Error& error) {
+    add_what_is_left(error, loop);
+    throw;
+  }
+}
+
+namespace {
+
+namespace fs = std::filesystem;
+
+// The scores that ended training, as metrics.jsonl has them: figures, and the part of the split that they are of.
+void read_scores(const RunFolder& folder, TrainOutcome& outcome) {
+  for (const MetricsRow& row : read_metrics(folder.metrics_path())) {
+    if (row.kind != "eval" || row.step != outcome.step || !row.split.starts_with("test")) continue;
+    outcome.values.clear();
+    outcome.scored = {};
+    for (const auto& [name, value] : row.values) {
+      const auto number = static_cast<std::int64_t>(value.value_or(0));
+      if (name == "frames") {
+        outcome.scored.frames = number;
+      } else if (name == "split_frames") {
+        outcome.scored.of = number;
+      } else if (name == "pixel_stride") {
+        outcome.scored.stride = static_cast<std::int32_t>(number);
+      } else if (name != "pixels") {
+        outcome.values.emplace_back(name, value);
+      }
+    }
+    if (outcome.scored.of == 0) outcome.scored.of = outcome.scored.frames;
+  }
+}
+
+}  // namespace
+
+std::optional<TrainOutcome> ended_run(const RunFolder& folder, const RunConfig& config, const ResumePoint& point) {
+  if (!point.facts || !point.changed.empty()) return std::nullopt;
+  if (last_step(config) == 0 || point.step() < last_step(config)) return std::nullopt;
+  if (!fs::exists(folder.report_path())) return std::nullopt;
+  // A scene without test frames has no last evaluation.
+  if (fs::exists(folder.final_eval_path()) &&
+      parse_final_eval(read_text_file(folder.final_eval_path()), folder.final_eval_path()).step != point.step())
+    return std::nullopt;
+  TrainOutcome outcome;
+  outcome.step = point.step();
+  outcome.train_s = point.facts->train_s;
+  outcome.run_dir = folder.path();
+  outcome.report_path = folder.report_path();
+  outcome.peak_bytes = peak_resident_bytes();
+  read_scores(folder, outcome);
+  return outcome;
 }
 
 }  // namespace semfield

@@ -8,16 +8,101 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <utility>
+#include <vector>
 
-#include "run/checkpoint_store.h"
+#include "config/explain.h"
+#include "labels/clicks/click_log.h"
 #include "run/metrics_log.h"
-#include "run/rows/step_rows.h"
+#include "run/run_folder.h"
 #include "run/run_listener.h"
 #include "run/run_scores.h"
-#include "run/run_start.h"
+#include "session/checkpoint_facts.h"
 #include "session/self_training.h"
+#include "session/session.h"
+#include "session/settings/choices.h"
+#include "session/settings/run_config.h"
+#include "session/training.h"
 
 namespace semfield {
+
+struct ResumePoint {
+  std::optional<CheckpointFacts> facts;   ///< of the newest checkpoint that verifies; none: the run begins at step 0
+  std::string path;                       ///< of that checkpoint
+  std::vector<ConfigDifference> changed;  ///< settings that are others than before, and may be
+  std::int64_t step() const { return facts ? facts->step : 0; }
+};
+
+/// Compares `config` with what the checkpoint was trained with, or with run.yaml where there is none. Throws
+/// Error(config) naming every setting that would make it another run, Error(data) for a bad checkpoint.
+ResumePoint find_resume_point(const RunFolder& folder, const RunConfig& config, Registry& registry,
+                              Diagnostics& diagnostics);
+
+/// None when a program of another version wrote them and they cannot be read.
+std::optional<RunConfig> settings_of_checkpoint(const CheckpointFacts& facts, Registry& registry);
+
+/// Warns of other inputs, labels and modules than the checkpoint's; Error(data) where classes have changed places.
+void compare_with_training(const CheckpointFacts& facts, const SceneInputs& inputs, const Session& session,
+                           Diagnostics& diagnostics);
+
+/// For a run that is looked at by `config`, its run.yaml with `overrides`: throws Error(config) naming each setting of
+/// the run's identity that run.yaml says otherwise than the checkpoint, and notes those that `overrides` say otherwise.
+/// False where they name other frames, sizes or bounds than those of training: then other inputs are no news.
+bool compare_settings_with_training(const CheckpointFacts& facts, const RunConfig& config, const RunFolder& folder,
+                                    const std::vector<std::string>& overrides, Registry& registry,
+                                    Diagnostics& diagnostics);
+
+// A whole training run in its folder: steps, rows, evaluations, checkpoints; started, stopped, killed and
+// resumed.
+
+struct TrainRequest {
+  std::string out_dir;
+  bool resume = false;            ///< continue in out_dir from its newest checkpoint that verifies
+  std::vector<std::string> keep;  ///< components forced back in
+  Ranks* ranks = nullptr;         ///< SessionOptions::ranks
+  AskedLength more = {};          ///< with `resume`: what it trains from its checkpoint on; neither: to its end
+};
+
+struct TrainOutcome {
+  int signal = 0;  ///< the signal that ended the run early, after its checkpoint
+  std::int64_t step = 0;
+  double train_s = 0;    ///< seconds of training of the whole run
+  double trained_s = 0;  ///< of them, those of this call
+  std::string run_dir;
+  std::string report_path;     ///< "" where the run was stopped or no report was requested
+  ScoreValues values;          ///< test split, final evaluation
+  ScoredPart scored;           ///< the frames that `values` are of
+  std::size_t peak_bytes = 0;  ///< of the process
+};
+
+/// A null `listener` hears nothing and never stops the run.
+TrainOutcome run_training(RunConfig config, Registry& registry, const TrainRequest& request,
+                          RunListener* listener = nullptr);
+
+// How a run begins or goes on: its folder and session, and what it writes down before the first step.
+
+struct OpenedForTraining {
+  std::optional<RunFolder> folder;  ///< locked; none where the request names none
+  Session session;
+  SceneInputs inputs;
+  ResumePoint point;                       ///< what a Training of the session is to load
+  std::optional<TrainOutcome> ended = {};  ///< of a run with nothing left to do; then nothing was written
+};
+
+/// Opens the scene and, for a run that goes on, finds its newest checkpoint; makes the folder of a new one when nothing
+/// can refuse it any more; writes run.yaml. Findings are reported. Throws Error, and then a new run has left nothing. A
+/// request without out_dir gets no folder.
+OpenedForTraining open_for_training(RunConfig config, Registry& registry, const TrainRequest& request,
+                                    TrainingListener& listener);
+
+/// run.yaml, as the session's configuration is now; nothing is written where the file says so already.
+void write_run_config(const RunFolder& folder, const RunConfig& config, Registry& registry);
+
+/// labels.json, with the rounds so far.
+void write_label_counts(const RunFolder& folder, const Session& session, const SelfTraining& self_training);
+
+/// classes.yaml, left_out.json and environment.json.
+void write_run_records(const RunFolder& folder, Training& training, const Registry& registry, const ResumePoint& point);
 
 /// What may happen between steps in addition to the rows of metrics.jsonl, and what ends training.
 struct RunLoopOptions {
@@ -108,6 +193,33 @@ class RunLoop {
   double next_eval_s_ = 0;
   Clock::time_point last_save_ = Clock::now(), last_progress_ = Clock::now();
   bool warned_of_slow_steps_ = false;
+};
+
+// Drive a run step by step from a program: the loop of a run, with clicks, and a folder once it has one.
+
+struct RunSessionOptions {
+  std::string run_dir;            ///< made, or gone on with where `resume`; "": the run has no folder until save()
+  bool resume = false;            ///< the configuration is run.yaml of run_dir, with overrides
+  std::vector<std::string> keep;  ///< components forced back in
+  AskedLength more = {};          ///< TrainRequest::more
+};
+
+/// Steps have the bits of `semfield train`, and every verb works on the folder. One thread at a time.
+class RunSession : public RunLoop {
+ public:
+  /// Throws as open_session and RunFolder do, and Error(usage) for rounds of self-training without a folder.
+  RunSession(RunConfig config, Registry& registry, const RunSessionOptions& options, RunListener& listener);
+
+  /// Clicks and classes; null where the configuration has neither scene.labels.clicks nor .class_room.
+  const Annotations* annotations() const { return annotations_ ? &*annotations_ : nullptr; }
+  /// The event is stored and synced, and counts from the next step on. False: an event of this id was there. Throws
+  /// Error(usage) for a run without a file of clicks: the configuration names one, or has scene.labels.class_room and
+  /// was opened with a folder; else as LabelSession::apply.
+  bool apply(const LabelEvent& event);
+
+ private:
+  std::optional<Annotations> annotations_;
+  std::optional<ClickLog> clicks_;
 };
 
 }  // namespace semfield

@@ -8,8 +8,8 @@
 #include <system_error>
 
 #include "core/check.h"
-#include "formats/input_limits.h"
-#include "scene/rotation.h"
+#include "formats/text_rows.h"
+#include "scene/camera.h"
 #include "system/files.h"
 
 namespace semfield {

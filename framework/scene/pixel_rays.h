@@ -26,7 +26,7 @@ struct RayLens {
   bool finite = true, wide = false;
 };
 
-/// cast_ray (eval/rays.h) from the unit direction `local` in camera axes, {0, 0, 0} for a pixel without one.
+/// cast_ray (eval/evaluator.h) from the unit direction `local` in camera axes, {0, 0, 0} for a pixel without one.
 SEMFIELD_HD inline double ray_of_direction(const Vec3d& local, const Pose& world_from_camera, RayLens lens,
                                            const RayLimits& limits, double* origin, double* direction,
                                            double* near_far) {

@@ -1,8 +1,14 @@
 // A scene as the rest of the house sees it: posed frames, classes, bounds.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
+#include <map>
+#include <optional>
+#include <span>
 #include <string>
+#include <string_view>
+#include <utility>
 #include <vector>
 
 #include "core/error.h"
@@ -31,7 +37,7 @@ struct FrameInfo {
   bool has_labels = false;
   bool has_instances = false;
   std::vector<FrameChannelInfo> channels;  ///< further ones, which are read where something wants them
-  /// EXIF: how viewers turn the image (formats/orientation.h). Cameras and pixels are those of the file as stored, and
+  /// EXIF: how viewers turn the image (formats/image_io.h). Cameras and pixels are those of the file as stored, and
   /// label files tell of the picture as it is shown.
   int orientation = 1;
 };
@@ -64,9 +70,191 @@ struct FrameBuffer {
   std::vector<float> depth_m;          ///< [H * W] depth (Camera::depth_of), 0 = invalid
   std::vector<std::int16_t> label;     ///< [H * W] internal class index, kVoid = void
   std::vector<std::int32_t> instance;  ///< [H * W] instance id, 0 = none
-  std::vector<std::uint8_t> used;      ///< [H * W] 0 = masked (scene/pixel_mask.h); empty: every pixel counts
+  std::vector<std::uint8_t> used;      ///< [H * W] 0 = masked (scene/scene.h); empty: every pixel counts
   std::vector<std::string> wanted;     ///< set by the caller: names of further channels that read() fills
   std::vector<FrameChannel> channels;  ///< those of FrameInfo::channels that are wanted
 };
+
+// Which frames are held out for tests where nothing but their order tells.
+
+/// The parameter `test_every` of datasets that list frames. A frame's rank is its place in the order of names; frames
+/// are ranked before any is left out, so that a missing file moves no other frame to another split.
+struct HoldOut {
+  std::int32_t every = 8;  ///< 0 = none
+  std::int32_t first = 0;  ///< rank of the first frame held out
+
+  /// A single frame trains.
+  Split split_of(std::size_t rank, std::size_t frames) const;
+};
+
+/// Reports test_every: 1.
+void check_test_every(std::int32_t every, Diagnostics& diagnostics);
+
+// What the files of a frame are called: one rule for all that write them.
+
+/// What the names of a frame's files begin with: its name, with '/' as '_'.
+std::string output_name(std::string_view frame);
+
+/// Frames added so far, by the names of their files.
+class OutputNames {
+ public:
+  /// Adds the next frame. Nothing where it can have files of its own; else what is wrong with its name: empty, longer
+  /// than 200 bytes, no line of text, or an earlier frame's files would be called the same.
+  std::optional<std::string> add(const std::string& frame);
+
+ private:
+  std::map<std::string, std::string> frames_;  // by output name
+};
+
+/// What to do about what OutputNames::add finds.
+inline constexpr const char* kFrameNameRemedy =
+    "give each frame a printable name of its own; '/' becomes '_' in names of files";
+
+/// Every frame must be able to have files of its own: an error for each that cannot. So no two frames of a scene that
+/// was opened share a file.
+void check_output_names(const SceneInfo& info, Diagnostics& diagnostics);
+
+// Which pixels of a frame count: the others draw no rays, teach nothing and are in no score.
+
+struct FrameBuffer;
+
+/// A bit a pixel, in words of 64, the first pixel lowest. Empty: every pixel counts, which costs nothing.
+class PixelMask {
+ public:
+  static constexpr std::int64_t kWordPixels = 64;
+
+  PixelMask() = default;
+  /// `used` [H * W], 0 = masked; empty where no pixel is masked.
+  explicit PixelMask(std::span<const std::uint8_t> used);
+
+  bool empty() const { return words_.empty(); }
+  bool uses(std::size_t pixel) const { return words_.empty() || ((words_[pixel / 64] >> (pixel % 64)) & 1) != 0; }
+  /// 0 for an empty mask.
+  std::int64_t masked_px() const { return masked_px_; }
+  std::span<const std::uint64_t> words() const { return words_; }
+  /// [H * W] of 1 and 0; empty for an empty mask.
+  std::vector<std::uint8_t> expand() const;
+  std::size_t bytes() const { return words_.capacity() * sizeof(std::uint64_t); }
+  bool operator==(const PixelMask&) const = default;
+
+ private:
+  std::vector<std::uint64_t> words_;
+  std::size_t pixels_ = 0;
+  std::int64_t masked_px_ = 0;
+};
+
+/// Takes colour, depth, label and instance from the masked pixels of FrameBuffer::used, so that nothing can read what
+/// lies there: black, no depth, void, none.
+void hide_masked(FrameBuffer& frame);
+
+// Pixels of one frame as a loaded scene keeps them: the narrowest type that holds every value exactly.
+
+/// Class indices, kVoid = void: a byte a pixel up to index 254, else two.
+class LabelMap {
+ public:
+  LabelMap() = default;
+  explicit LabelMap(std::vector<std::int16_t> labels);
+
+  std::size_t size() const { return narrow_.size() + wide_.size(); }
+  bool empty() const { return size() == 0; }
+  std::int16_t operator[](std::size_t i) const {
+    if (narrow_.empty()) return wide_[i];
+    return narrow_[i] == kNarrowVoid ? kVoid : static_cast<std::int16_t>(narrow_[i]);
+  }
+  /// [H * W], as read.
+  std::vector<std::int16_t> expand() const;
+  std::size_t bytes() const { return narrow_.capacity() + wide_.capacity() * sizeof(std::int16_t); }
+  bool operator==(const LabelMap&) const = default;
+
+ private:
+  static constexpr std::uint8_t kNarrowVoid = 255;
+  std::vector<std::uint8_t> narrow_;  // one of the two is empty
+  std::vector<std::int16_t> wide_;
+};
+
+/// z-depth in metres, 0 = invalid: two bytes per pixel where every value is a whole number of millimetres, else float.
+class DepthMap {
+ public:
+  DepthMap() = default;
+  explicit DepthMap(std::vector<float> depth_m);
+
+  std::size_t size() const { return millimetres_.size() + metres_.size(); }
+  bool empty() const { return size() == 0; }
+  float operator[](std::size_t i) const { return millimetres_.empty() ? metres_[i] : metres_of(millimetres_[i]); }
+  /// [H * W], the same bits as read.
+  std::vector<float> expand() const;
+  std::size_t bytes() const {
+    return millimetres_.capacity() * sizeof(std::uint16_t) + metres_.capacity() * sizeof(float);
+  }
+  bool operator==(const DepthMap&) const = default;
+
+ private:
+  static float metres_of(std::uint16_t mm) { return static_cast<float>(mm * 0.001); }
+  std::vector<std::uint16_t> millimetres_;  // one of the two is empty
+  std::vector<float> metres_;
+};
+
+/// A frame of a loaded scene; channels as in FrameBuffer, empty where the frame has none.
+struct StoredFrame {
+  std::int32_t width_px = 0, height_px = 0;
+  std::vector<std::uint8_t> rgb;  ///< [H * W * 3] as stored in the file
+  DepthMap depth_m;
+  LabelMap label;
+  std::vector<std::int32_t> instance;
+  PixelMask mask;
+  std::vector<std::uint8_t> alpha;     ///< [H * W] of the channel `alpha`, 255: the subject covers the pixel
+  std::vector<FrameChannel> channels;  ///< but `alpha`
+
+  /// Whether no pixel of it counts, as of one that could not be read.
+  bool is_unusable() const { return mask.masked_px() == std::int64_t{width_px} * height_px || rgb.empty(); }
+  /// Null where the frame has none of the name.
+  const FrameChannel* channel(std::string_view name) const;
+  /// Its numbers at pixel `index`, row by row from the top; zeros where the frame has none.
+  void read_channel(std::string_view name, std::int32_t index, std::span<float> out) const;
+
+  StoredFrame() = default;
+  explicit StoredFrame(FrameBuffer frame);
+  std::size_t bytes() const;
+};
+
+// The channel `alpha`: how much of each pixel the subject covers. Bytes in files and in memory, a column of floats on
+// the way between them, as every further channel.
+
+inline constexpr std::string_view kAlphaChannel = "alpha";
+
+/// What a frame tells that has one.
+FrameChannelInfo alpha_info(const Camera& camera);
+/// The channel of bytes [H * W], 255 is 1.
+FrameChannel alpha_channel(std::int32_t width_px, std::int32_t height_px, std::span<const std::uint8_t> alpha);
+/// [H * W] of a channel with values in [0, 1]; undoes alpha_channel exactly.
+std::vector<std::uint8_t> alpha_bytes(const FrameChannel& channel);
+
+// Values of label images that stand for no class: one finding for all frames of a scene.
+
+/// Values as text, numbers in their order.
+struct ByLengthThenText {
+  bool operator()(const std::string& a, const std::string& b) const {
+    return std::pair(a.size(), std::string_view(a)) < std::pair(b.size(), std::string_view(b));
+  }
+};
+/// Value -> the first of its pixels.
+using UnknownValues = std::map<std::string, std::size_t, ByLengthThenText>;
+
+/// What reading one label image throws for the values that its classes lack. `noun` is "label id" or "colour".
+class UnknownLabelError final : public Error {
+ public:
+  UnknownLabelError(std::string noun, UnknownValues values, const std::string& path, std::int32_t width_px,
+                    std::string remedy);
+
+ private:
+  friend void report_unknown_labels(const std::vector<FrameInfo>&, const std::vector<std::optional<UnknownLabelError>>&,
+                                    Diagnostics&);
+  std::string noun_, first_;
+  UnknownValues values_;
+};
+
+/// One error for those of `frames` that have one, under the place of the first.
+void report_unknown_labels(const std::vector<FrameInfo>& frames,
+                           const std::vector<std::optional<UnknownLabelError>>& found, Diagnostics& diagnostics);
 
 }  // namespace semfield

@@ -9,7 +9,7 @@
 #include <set>
 
 #include "core/check.h"
-#include "scene/rotation.h"
+#include "scene/camera.h"
 
 namespace semfield {
 

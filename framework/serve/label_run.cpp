@@ -8,8 +8,8 @@
 #include <iterator>
 
 #include "eval/metrics.h"
-#include "serve/mark_pixels.h"
-#include "serve/session_record.h"
+#include "serve/label_session.h"
+#include "serve/view_pictures.h"
 
 namespace semfield {
 

@@ -12,7 +12,6 @@
 #include "labels/clicks/annotations.h"
 #include "run/run_loop.h"
 #include "serve/label_loop.h"
-#include "serve/label_state.h"
 #include "serve/view_pictures.h"
 
 namespace semfield {

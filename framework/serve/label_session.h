@@ -8,9 +8,12 @@
 #include <optional>
 #include <string>
 
+#include "labels/clicks/annotations.h"
 #include "plugin/registry.h"
+#include "run/run_folder.h"
 #include "run/run_listener.h"
-#include "serve/label_state.h"
+#include "serve/label_loop.h"
+#include "session/session.h"
 
 namespace semfield {
 
@@ -65,5 +68,11 @@ class LabelSession {
   struct Parts;
   std::unique_ptr<Parts> parts_;
 };
+
+// What a labelling session writes for the report of its run.
+
+/// labelling.json and the pictures of the frames with the most clicks: photograph with clicks, labels, entropy. `state`
+/// has classes, marks and the step. Throws write_error.
+void write_session_record(const RunFolder& folder, const Session& session, LabelLoop& loop, const LabelState& state);
 
 }  // namespace semfield

@@ -6,7 +6,7 @@
 #include <unordered_map>
 #include <vector>
 
-#include "surface/surface_pool.h"
+#include "surface/surface_graph.h"
 
 namespace semfield {
 

@@ -6,8 +6,14 @@
 #include <array>
 #include <chrono>
 #include <cmath>
+#include <filesystem>
 #include <numbers>
+#include <unordered_map>
 #include <utility>
+
+#include "compute/parallel.h"
+#include "formats/image_io.h"
+#include "serve/label_loop.h"
 
 namespace semfield {
 
@@ -253,6 +259,262 @@ void ViewPictures::render_rows(double budget_s) {
     rows_done_ += band.camera.height_px;
   }
   spent_s_ += since(start);
+}
+
+namespace {
+
+constexpr double kSameDistance = 0.03;      // of the distance
+constexpr std::size_t kMarkPlaces = 8;      // of a stroke or an outline
+constexpr std::size_t kMostSeen = 1000;     // clicks of other views in one picture
+constexpr std::int32_t kSpotMargin_px = 2;  // a place at the border of a photograph is clicked badly
+
+PixelPlace pixel_at(const Camera& camera, PixelPoint p) {
+  return {std::clamp(static_cast<std::int32_t>(p.x), 0, camera.width_px - 1),
+          std::clamp(static_cast<std::int32_t>(p.y), 0, camera.height_px - 1)};
+}
+
+std::vector<PixelPlace> some_pixels(const std::vector<PixelPoint>& points) {
+  std::vector<PixelPlace> out;
+  const std::size_t count = std::min(points.size(), kMarkPlaces);
+  for (std::size_t i = 0; i < count; ++i) {
+    const PixelPoint& p = points[i * points.size() / count];
+    out.push_back({static_cast<std::int32_t>(p.x), static_cast<std::int32_t>(p.y)});
+  }
+  return out;
+}
+
+}  // namespace
+
+std::optional<PixelPoint> pixel_of(const RayCamera& camera, Vec3d place) {
+  const std::optional<PixelHit> hit = project_point(camera.camera, camera.world_from_camera, place);
+  if (!hit) return std::nullopt;
+  return PixelPoint{hit->u, hit->v};
+}
+
+SurfaceDistance distance_in(const SurfaceMap& map) {
+  return [&map](std::int32_t column, std::int32_t row) {
+    return map.empty() ? 0.0 : static_cast<double>(map.at(column, row));
+  };
+}
+
+std::optional<PixelPoint> seen_at(const RayCamera& camera, const SurfaceDistance& distance, Vec3d place,
+                                  double tolerance_m) {
+  const std::optional<PixelPoint> at = pixel_of(camera, place);
+  if (!at) return at;
+  const PixelPlace pixel = pixel_at(camera.camera, *at);
+  const double surface = distance(pixel.column, pixel.row), own = length(place - camera.world_from_camera.t);
+  const bool is_seen = surface > 0 && std::abs(own - surface) <= std::max(tolerance_m, kSameDistance * surface);
+  return is_seen ? at : std::nullopt;
+}
+
+void MarkPlaces::set(std::span<const Annotations::Mark> marks, std::span<const int> view_of_frame) {
+  std::unordered_map<std::string, Placed*> before;
+  for (Placed& placed : marks_) before.emplace(placed.id, &placed);
+  std::vector<Placed> now;
+  for (const Annotations::Mark& mark : marks) {
+    const int view = view_of_frame[static_cast<std::size_t>(mark.frame)];
+    if (view < 0 || mark.class_index == kVoid) continue;  // what is ignored is so in its own view alone
+    const auto known = before.find(mark.id);
+    if (known != before.end()) {
+      now.push_back(std::move(*known->second));
+    } else {
+      now.push_back({mark.id, view, some_pixels(mark.points), {}, -1});
+    }
+  }
+  marks_ = std::move(now);
+}
+
+std::vector<SeenMark> MarkPlaces::seen_by(const RayCamera& camera, const SurfaceDistance& distance, int own,
+                                          std::span<const PoolView> views, const RayLimits& limits,
+                                          double tolerance_m) {
+  std::vector<SeenMark> seen;
+  for (auto mark = marks_.rbegin(); mark != marks_.rend() && seen.size() < kMostSeen; ++mark) {
+    if (mark->view == own) continue;
+    const PoolView& view = views[static_cast<std::size_t>(mark->view)];
+    if (view.map.empty()) continue;
+    if (mark->step != view.map.step) {
+      mark->step = view.map.step;
+      mark->places.clear();
+      for (const PixelPlace& pixel : mark->pixels) {
+        const double way = static_cast<double>(view.map.at(pixel.column, pixel.row));
+        if (way > 0) mark->places.push_back(point_at(view.camera, limits, pixel, way));
+      }
+    }
+    std::vector<PixelPoint> points;
+    for (const Vec3d& place : mark->places)
+      if (const auto at = seen_at(camera, distance, place, tolerance_m)) points.push_back(*at);
+    if (!points.empty()) seen.push_back({mark->id, std::move(points)});
+  }
+  return seen;
+}
+
+std::optional<Spot> best_spot(std::span<const PoolView> views, Vec3d place, double tolerance_m) {
+  std::optional<Spot> best;
+  double most = 0;
+  for (std::size_t v = 0; v < views.size(); ++v) {
+    const RayCamera& camera = views[v].camera;
+    const auto at = seen_at(camera, distance_in(views[v].map), place, tolerance_m);
+    if (!at) continue;
+    const double w = camera.camera.width_px, h = camera.camera.height_px;
+    const double inside = std::min(std::min(at->x, w - at->x), std::min(at->y, h - at->y));
+    if (inside < kSpotMargin_px) continue;
+    const double middle = 1 - 0.5 * (std::pow(2 * at->x / w - 1, 2) + std::pow(2 * at->y / h - 1, 2)) / 2;
+    const double worth = middle * camera.camera.fx / w / length(place - camera.world_from_camera.t);
+    if (worth <= most) continue;
+    most = worth;
+    best = Spot{static_cast<int>(v), *at};
+  }
+  return best;
+}
+
+int nearest_view(std::span<const PoolView> views, const Pose& world_from_camera, double scale_m) {
+  int nearest = -1;
+  double least = INFINITY;
+  for (std::size_t v = 0; v < views.size(); ++v) {
+    const Pose& pose = views[v].camera.world_from_camera;
+    const double apart =
+        length(pose.t - world_from_camera.t) / scale_m + 1 - dot(pose.axis(2), world_from_camera.axis(2));
+    if (apart >= least) continue;
+    least = apart;
+    nearest = static_cast<int>(v);
+  }
+  return nearest;
+}
+
+namespace {
+
+constexpr float kColorSigma = 16;    // of 255
+constexpr double kSameShape = 0.02;  // of the ratio of the sides: sizes are rounded to pixels
+
+// exp(-d^2 / 2 s^2) of a squared difference of colours, by its root.
+std::array<float, 512> color_weights() {
+  std::array<float, 512> table{};
+  for (std::size_t i = 0; i < table.size(); ++i) {
+    const auto d = static_cast<float>(i);
+    table[i] = std::exp(-0.5F * d * d / (kColorSigma * kColorSigma)) + 1e-6F;
+  }
+  return table;
+}
+
+}  // namespace
+
+ViewLabels upsampled(const CoarseLabels& coarse, const StoredFrame& photo) {
+  ViewLabels out;
+  out.width_px = photo.width_px;
+  out.height_px = photo.height_px;
+  const std::int32_t width = photo.width_px, stride = coarse.stride;
+  const auto size = static_cast<std::size_t>(std::int64_t{width} * photo.height_px);
+  out.label.assign(size, kVoid);
+  out.entropy.assign(size, 0);
+  if (coarse.label.empty()) return out;
+  if (stride == 1) {
+    out.label = coarse.label;
+    out.entropy = coarse.entropy;
+    return out;
+  }
+  static const std::array<float, 512> weights = color_weights();
+  const auto color = [&](std::int32_t x, std::int32_t y) {
+    return &photo.rgb[3 * static_cast<std::size_t>(std::int64_t{y} * width + x)];
+  };
+  parallel_for(photo.height_px, [&](std::int64_t row) {
+    const auto y = static_cast<std::int32_t>(row);
+    const float v = (static_cast<float>(y) - static_cast<float>(stride / 2)) / static_cast<float>(stride);
+    const auto y0 = static_cast<std::int32_t>(std::floor(v));
+    for (std::int32_t x = 0; x < width; ++x) {
+      const float u = (static_cast<float>(x) - static_cast<float>(stride / 2)) / static_cast<float>(stride);
+      const auto x0 = static_cast<std::int32_t>(std::floor(u));
+      const std::uint8_t* const own = color(x, y);
+      std::array<std::int16_t, 4> label{};
+      std::array<float, 4> weight{};
+      float entropy = 0, sum = 0;
+      for (int k = 0; k < 4; ++k) {
+        const std::int32_t cx = std::clamp(x0 + (k & 1), 0, coarse.width_px - 1),
+                           cy = std::clamp(y0 + (k >> 1), 0, coarse.height_px - 1);
+        const std::uint8_t* const other = color(cx * stride + stride / 2, cy * stride + stride / 2);
+        float square = 0;
+        for (int c = 0; c < 3; ++c) {
+          const auto d = static_cast<float>(int{own[c]} - int{other[c]});
+          square += d * d;
+        }
+        const float near_x = 1 - std::abs(u - static_cast<float>(x0 + (k & 1))),
+                    near_y = 1 - std::abs(v - static_cast<float>(y0 + (k >> 1)));
+        const auto at = static_cast<std::size_t>(std::int64_t{cy} * coarse.width_px + cx);
+        const auto n = static_cast<std::size_t>(k);
+        weight[n] = (near_x * near_y + 0.02F) * weights[static_cast<std::size_t>(std::sqrt(square))];
+        label[n] = coarse.label[at];
+        entropy += weight[n] * static_cast<float>(coarse.entropy[at]);
+        sum += weight[n];
+      }
+      float best = -1;
+      std::int16_t chosen = kVoid;
+      for (std::size_t a = 0; a < 4; ++a) {
+        float votes = 0;
+        for (std::size_t b = 0; b < 4; ++b) votes += label[b] == label[a] ? weight[b] : 0.0F;
+        if (votes > best) {
+          best = votes;
+          chosen = label[a];
+        }
+      }
+      const auto at = static_cast<std::size_t>(std::int64_t{y} * width + x);
+      out.label[at] = chosen;
+      out.entropy[at] = static_cast<std::uint8_t>(std::lround(entropy / sum));
+    }
+  });
+  return out;
+}
+
+std::optional<StoredSize> stored_size_of(const FrameInfo& frame) {
+  std::error_code failed;
+  if (!std::filesystem::is_regular_file(frame.source, failed)) return std::nullopt;
+  const ImageSize stored = image_size(frame.source);
+  const Camera& camera = frame.camera;
+  const double x = static_cast<double>(stored.width_px) / camera.width_px,
+               y = static_cast<double>(stored.height_px) / camera.height_px;
+  if (std::abs(x / y - 1) > kSameShape || (stored.width_px <= camera.width_px && stored.height_px <= camera.height_px))
+    return std::nullopt;
+  return StoredSize{camera.resized(stored.width_px, stored.height_px),
+                    std::max(1, static_cast<std::int32_t>(std::lround(std::sqrt(x * y)))), frame.source};
+}
+
+std::vector<std::int16_t> labels_at(const StoredSize& size, RenderedFrame rendered) {
+  if (size.stride == 1) return std::move(rendered.label);
+  StoredFrame photo;
+  Image<std::uint8_t> image = read_rgb(size.image);
+  photo.width_px = image.width_px;
+  photo.height_px = image.height_px;
+  photo.rgb = std::move(image.pixels);
+  CoarseLabels coarse{size.stride, rendered.width_px, rendered.height_px, std::move(rendered.label), {}};
+  coarse.entropy.assign(coarse.label.size(), 0);
+  return upsampled(coarse, photo).label;
+}
+
+namespace {
+
+std::int32_t pixel_in(double at, std::int32_t length_px) {
+  return static_cast<std::int32_t>(std::clamp(std::floor(at), 0.0, static_cast<double>(length_px - 1)));
+}
+
+}  // namespace
+
+std::vector<PixelPlace> pixels_of(const Annotations::Mark& mark, std::int32_t width_px, std::int32_t height_px,
+                                  std::span<const std::int16_t> painted) {
+  std::vector<PixelPlace> out;
+  if (mark.points.empty()) return out;
+  const auto take = [&](std::int32_t x, std::int32_t y) {
+    if (painted.empty() || painted[static_cast<std::size_t>(std::int64_t{y} * width_px + x)] == mark.class_index)
+      out.push_back({x, y});
+  };
+  const std::vector<PixelRun> runs = runs_of(mark, width_px, height_px);
+  PixelPlace first{pixel_in(mark.points[0].x, width_px), pixel_in(mark.points[0].y, height_px)};
+  if (mark.fill && !runs.empty()) {  // a corner may lie outside of what an outline holds
+    const PixelRun& middle = runs[runs.size() / 2];
+    first = {(middle.x0 + middle.x1) / 2, middle.y};
+  }
+  take(first.column, first.row);
+  for (const PixelRun& run : runs)
+    for (std::int32_t x = run.x0; x < run.x1; ++x)
+      if (x != first.column || run.y != first.row) take(x, run.y);
+  return out;
 }
 
 }  // namespace semfield

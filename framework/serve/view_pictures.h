@@ -2,15 +2,62 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <list>
 #include <memory>
 #include <optional>
+#include <span>
+#include <string>
+#include <vector>
 
+#include "eval/evaluator.h"
+#include "labels/clicks/annotations.h"
+#include "scene/scene.h"
 #include "serve/label_loop.h"
-#include "serve/label_state.h"
-#include "serve/surface_sight.h"
+#include "surface/surface_graph.h"
 
 namespace semfield {
+
+/// Image point where a camera sees a world position; nothing behind the camera or outside of its image.
+std::optional<PixelPoint> pixel_of(const RayCamera& camera, Vec3d place);
+
+/// Distance to the surface along the ray of a pixel, 0 where the ray meets nothing.
+using SurfaceDistance = std::function<double(std::int32_t column, std::int32_t row)>;
+/// Of a map; 0 everywhere for one that is not made yet.
+SurfaceDistance distance_in(const SurfaceMap& map);
+
+/// pixel_of() where the place lies on the surface that the camera sees there, up to `tolerance_m` or 3 % of the
+/// distance; nothing where something hides it.
+std::optional<PixelPoint> seen_at(const RayCamera& camera, const SurfaceDistance& distance, Vec3d place,
+                                  double tolerance_m);
+
+/// Where clicks lie on the surface, by the maps of their views: up to eight places of a click.
+class MarkPlaces {
+ public:
+  /// `view_of_frame`: numbers in `views` by frame of the scene, -1 for none.
+  void set(std::span<const Annotations::Mark> marks, std::span<const int> view_of_frame);
+  /// The latest clicks, at most 1,000, that a camera sees; those of view `own` are left out (-1: none). Maps that were
+  /// made anew are read anew.
+  std::vector<SeenMark> seen_by(const RayCamera& camera, const SurfaceDistance& distance, int own,
+                                std::span<const PoolView> views, const RayLimits& limits, double tolerance_m);
+
+ private:
+  struct Placed {
+    std::string id;
+    int view = -1;
+    std::vector<PixelPlace> pixels;
+    std::vector<Vec3d> places;
+    std::int64_t step = -1;  // of the map that gave the places
+  };
+  std::vector<Placed> marks_;
+};
+
+/// The view that shows a place of the surface best: from near, in its middle, with nothing before it. Views without a
+/// map see nothing.
+std::optional<Spot> best_spot(std::span<const PoolView> views, Vec3d place, double tolerance_m);
+/// The view whose camera is like this one: near it, and with the same direction. `scale_m`: a way that counts as much
+/// as a turn of 90 degrees.
+int nearest_view(std::span<const PoolView> views, const Pose& world_from_camera, double scale_m);
 
 /// Made by the thread that trains.
 class ViewPictures {
@@ -61,5 +108,44 @@ class ViewPictures {
   bool shows_labels_ = false;      // something was learned when it began; all of its rows have labels, or none
   double spent_s_ = 0;
 };
+
+// Labels of every s-th pixel of a view, brought to its full size along the edges of the photograph, or to the size
+// of its stored image, which training may have made smaller.
+
+struct ViewLabels;
+
+/// Maps [height * width] of every `stride`-th pixel (eval/evaluator.h).
+struct CoarseLabels {
+  std::int32_t stride = 1, width_px = 0, height_px = 0;
+  std::vector<std::int16_t> label;
+  std::vector<std::uint8_t> entropy;
+};
+
+/// A pixel takes the label with the most weight among its four neighbours in the coarse map, weighted bilinearly and by
+/// how near their colours are to its own [Kopf07]; its entropy is their weighted mean.
+ViewLabels upsampled(const CoarseLabels& coarse, const StoredFrame& photo);
+
+/// Labels are rendered at every `stride`-th pixel of the stored image, about as many as training saw, and brought to
+/// the others along its edges (upsampled).
+struct StoredSize {
+  Camera camera;            ///< of the stored image
+  std::int32_t stride = 1;  ///< FrameOptions::stride
+  std::string image;        ///< its file
+};
+
+/// None for a frame of that size already, one without an image file, and one whose file has another shape, such as one
+/// that is turned by its EXIF data.
+std::optional<StoredSize> stored_size_of(const FrameInfo& frame);
+
+/// `rendered`: by `size`'s camera and stride. Labels [height * width] of the stored image; throws as read_rgb.
+std::vector<std::int16_t> labels_at(const StoredSize& size, RenderedFrame rendered);
+
+// Which pixels of a view a click or a stroke names.
+
+/// Pixels of a view of this size that the mark paints (runs_of); the first point's own comes first, or one in the
+/// middle of an outline. With `painted`
+/// [height * width], those alone that still have the mark's class.
+std::vector<PixelPlace> pixels_of(const Annotations::Mark& mark, std::int32_t width_px, std::int32_t height_px,
+                                  std::span<const std::int16_t> painted = {});
 
 }  // namespace semfield

@@ -2,13 +2,19 @@
 #pragma once
 
 #include <memory>
+#include <optional>
+#include <string>
+#include <vector>
 
+#include "core/view.h"
 #include "execution/device_library.h"
-#include "execution/network_plan.h"
 #include "execution/pipeline.h"
 #include "execution/ranks/ranks.h"
+#include "labels/clicks/annotations.h"
 #include "model/leave_out.h"
-#include "session/settings/device_choice.h"
+#include "scene/classes/class_table.h"
+#include "scene/scene.h"
+#include "session/settings/choices.h"
 #include "session/settings/run_config.h"
 
 namespace semfield {
@@ -83,5 +89,35 @@ extern template std::unique_ptr<Pipeline<float>> assemble<float>(const RunConfig
                                                                  const SceneExtent&, std::vector<float>, bool);
 extern template std::unique_ptr<Pipeline<double>> assemble<double>(const RunConfig&, const Registry&, const BuildPlan&,
                                                                    const SceneExtent&, std::vector<float>, bool);
+
+// Wide channels of a dataset, learned by their principal axes: found once, kept with the network, and applied to the
+// training frames.
+
+struct Session;
+
+/// The `width` directions that keep most of the rows' dot products: eigenvectors of the mean of f f^T over rows f of
+/// unit length, largest first, about the origin and not about the mean, so that angles stay what they were. Returns
+/// [cols, width] with orthonormal columns, whose largest element is positive. At most 65,536 cells are looked at,
+/// evenly spaced. Throws Error(data) where no frame has a row that is not zero.
+std::vector<float> principal_axes(const std::vector<const FrameChannel*>& maps, std::int32_t width);
+/// The rows of `map` become their coordinates: row times matrix [map.cols, width].
+void multiply_rows(FrameChannel& map, View<const float> matrix);
+
+/// Finds the axes of the heads that learn fewer columns than their channel has, puts them into the network's state and
+/// the channels of the training frames onto them. False where no head has any.
+bool settle_axes(Session& session);
+/// After a checkpoint has replaced the state: the frames' channels, which lie on the axes `before` in the order of the
+/// session's heads, go onto those of the checkpoint.
+void follow_axes(Session& session, const std::vector<std::vector<float>>& before);
+/// The axes in the network's state, one for each head of the session; empty for heads that have none.
+std::vector<std::vector<float>> axes_of(const Session& session);
+
+// Whether a scene's classes are still those that a network was trained with.
+
+/// Throws Error(data) with the first id that `trained`, a table as YAML, and `now` do not agree in; colours do not
+/// count. Labels would be shifted without a word. Classes that `clicks` gave names to may have had another one, or
+/// none: they are told by their place.
+void require_class_table(const std::string& trained, const ClassTable& now,
+                         const std::optional<Annotations>& clicks = {});
 
 }  // namespace semfield

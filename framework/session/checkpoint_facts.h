@@ -8,11 +8,22 @@
 #include <vector>
 
 #include "core/error.h"
-#include "labels/clicks/label_event.h"
-#include "labels/scene_inputs.h"
-#include "session/manifest_text.h"
+#include "formats/safetensors.h"
+#include "labels/clicks/click_log.h"
+#include "labels/training_labels.h"
+#include "model/leave_out.h"
 
 namespace semfield {
+
+struct KnownScene {
+  SceneManifest manifest;
+  double pixel_footprint_m = 0;
+};
+
+/// One JSON object, the value of the metadata key `scene`.
+std::string manifest_text(const KnownScene& scene);
+/// None without that key (checkpoints of version 0.1.0). Throws Error(data) when it cannot be read.
+std::optional<KnownScene> read_manifest_text(const TensorMetadata& metadata);
 
 struct CheckpointFacts {
   std::int64_t step = 0;

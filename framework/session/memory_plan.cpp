@@ -10,7 +10,7 @@
 #include "core/error.h"
 #include "core/text.h"
 #include "session/self_training.h"
-#include "system/memory_limit.h"
+#include "system/process.h"
 
 namespace semfield {
 

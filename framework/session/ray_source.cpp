@@ -9,7 +9,7 @@
 #include "core/check.h"
 #include "core/error.h"
 #include "core/rng.h"
-#include "scene/alpha.h"
+#include "scene/scene.h"
 
 namespace semfield {
 

@@ -7,11 +7,11 @@
 #include <string>
 #include <vector>
 
-#include "eval/rays.h"
+#include "eval/evaluator.h"
+#include "execution/executor.h"
 #include "execution/pipeline.h"
-#include "execution/pixel_ranks.h"
 #include "labels/training_labels.h"
-#include "scene/stored_frame.h"
+#include "scene/scene.h"
 #include "session/settings/run_config.h"
 
 namespace semfield {

@@ -11,7 +11,6 @@
 #include "formats/safetensors.h"
 #include "system/checksum.h"
 #include "system/files.h"
-#include "system/sorted_folder.h"
 
 namespace semfield {
 

@@ -1,26 +1,28 @@
 #include "session/session.h"
 
 #include <fmt/format.h>
+#include <sched.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <numeric>
 
-#include "compute/cpu_kernels.h"
+#include "compute/isa.h"
 #include "compute/parallel.h"
 #include "core/error.h"
+#include "core/text.h"
+#include "execution/ranks_executor.h"
 #include "formats/image_formats.h"
 #include "formats/image_io.h"
-#include "session/bounds_probe.h"
-#include "session/channel_axes.h"
-#include "session/ranks_session.h"
-#include "session/settings/camera_choices.h"
-#include "session/settings/head_config.h"
-#include "session/settings/label_choices.h"
-#include "session/settings/loss_config.h"
-#include "session/settings/run_length.h"
-#include "session/trained_classes.h"
-#include "system/memory_limit.h"
+#include "loading/frame_source.h"
+#include "session/assembly.h"
+#include "session/checkpoint_facts.h"
+#include "session/settings/choices.h"
+#include "session/settings/run_config.h"
+#include "session/trainer.h"
+#include "system/process.h"
 
 namespace semfield {
 
@@ -397,6 +399,291 @@ ConfusionMatrix score_training_labels(const Session& s, const std::vector<int>& 
   });
   for (const ConfusionMatrix& part : parts) score.merge(part);
   return score;
+}
+
+std::string describe_session(const Session& s) {
+  const WorkSettings work = s.work();
+  const WorkScope scope(work);
+  std::string out;
+  const auto add = [&](const std::string& line) { out += line + "\n"; };
+  const std::vector<int> train = s.scene.frames_of(Split::train), test = s.scene.frames_of(Split::test);
+  const FrameInfo& first = s.scene.info.frames.at(static_cast<std::size_t>(train.empty() ? 0 : train.front()));
+  const Vec3d size = s.extent.bounds.size();
+  add(fmt::format("scene     {}: {} training and {} test frames at {}x{}, {} classes, labels on {} training frames",
+                  s.scene.info.name, train.size(), test.size(), first.camera.width_px, first.camera.height_px,
+                  s.classes(), s.manifest.labelled_frames));
+  if (s.config.labels.from.reader) add("labels    from " + s.config.labels.from.type);
+  for (const TrainingLabels::Step& step : s.labels.steps) {
+    std::vector<std::string> facts;
+    for (const auto& [name, value] : step.facts) facts.push_back(name + " " + value);
+    add("labels    " + step.type + ": " + join(facts));
+  }
+  add(fmt::format("bounds    {:.3g} x {:.3g} x {:.3g} {} (from {}), near {:.3g}, far {:.3g} (from {})", size.x, size.y,
+                  size.z, s.scene.info.metric ? "m" : "units of the poses", s.scene.bounds_from, s.extent.near_m,
+                  s.extent.far_m, s.scene.near_far_from));
+  if (s.pipeline) {
+    for (const Pass<float>& pass : s.pipeline->passes()) {
+      std::string slots;
+      for (const PassConfig& p : s.config.passes) {
+        if (p.name != pass.parts().name) continue;
+        slots = p.sampler.entry->name + ", " + p.position.entry->name + " (" +
+                std::to_string(pass.parts().position->traits().out_dims) + ")";
+        if (pass.parts().direction) slots += ", direction " + p.direction.entry->name;
+        slots += ", " + p.field.entry->name;
+        if (pass.parts().branch) {
+          slots += ", semantics by " + p.branch()->position.entry->name + " (" +
+                   std::to_string(pass.parts().branch->position->traits().out_dims) + ") and " +
+                   p.branch()->field.entry->name;
+        }
+      }
+      add(fmt::format("pass      {}: {}{}", pass.parts().name, slots,
+                      pass.parts().head ? fmt::format(", {} classes", pass.parts().head->width()) : ", no semantics"));
+    }
+    for (const HeadConfig& head : s.config.heads) {
+      add(fmt::format("head      {}: {} columns{}, by {}, {} and {}", head.channel, head.width,
+                      head.source_width > 0 ? fmt::format(" (principal axes of {})", head.source_width) : "",
+                      head.head.entry->name, head.position.entry->name, head.field.entry->name));
+    }
+    add(fmt::format("learned   {} parameters; {} of {} rays, tiles of {}, {} lanes, {} threads",
+                    s.pipeline->store().learned_count(),
+                    (last_step(s.config) > 0 ? "" : "as many steps as fit into ") + length_text(s.config),
+                    s.config.train.rays, s.pipeline->tile_rays(), s.config.runtime.lanes, thread_count()));
+    out += memory_table(s.memory, allowed_memory(s.config.runtime.memory_gb));
+  }
+  for (const std::string& line : s.choices()) add("chosen    " + line);
+  for (const LeftOut& row : s.plan.left_out) {
+    add(fmt::format("left out  {} [{}]: {}; this saves {}", row.component, static_cast<char>(row.proof), row.evidence,
+                    row.saving));
+  }
+  for (const std::string& name : s.plan.kept) add("kept      " + name + " (--keep)");
+  return out;
+}
+
+namespace {
+
+constexpr std::int64_t kShortestRun = 4;  // in probes
+constexpr double kMostPoints = 1 << 16;   // rays that look for depth
+constexpr float kLeastOpacity = 0.5F;
+
+// The rendered depth of one training frame, where its rays meet something.
+SurveyPoints look(const Session& s, const FrameInfo& info, double downscale) {
+  const auto smaller = [&](std::int32_t size) { return std::max(1, static_cast<std::int32_t>(size / downscale)); };
+  const RayCamera camera{info.camera.resized(smaller(info.camera.width_px), smaller(info.camera.height_px)),
+                         info.world_from_camera, s.plan.undistortion};
+  const RenderedFrame seen = render_frame(*s.pipeline, camera, s.limits, s.plan.class_of_logit);
+  FrameBuffer depth;
+  depth.width_px = seen.width_px;
+  depth.height_px = seen.height_px;
+  for (std::size_t i = 0; i < seen.depth_m.size(); ++i)
+    depth.depth_m.push_back(seen.opacity[i] > kLeastOpacity ? seen.depth_m[i] / seen.opacity[i] : 0);
+  return survey_frame(camera.camera, camera.world_from_camera, depth, 1);
+}
+
+}  // namespace
+
+bool probe_is_due(const Session& s) {
+  const std::int64_t steps = s.config.load.probe_steps;
+  const std::int64_t end = last_step(s.config);  // 0: a time is given, and the probe is no part of it
+  return s.scene.extent_is_guessed && steps > 0 && (end == 0 || end >= kShortestRun * steps);
+}
+
+std::optional<SurveyedExtent> probe_extent(Session& s) {
+  const std::unique_ptr<RaySource> rays = s.make_ray_source();
+  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule, s.config.train.steps);
+  const std::int64_t steps = s.config.load.probe_steps;
+  while (trainer.step() < steps) {
+    trainer.advance_many(steps - trainer.step());
+    tell_load_progress("looking for the bounds", static_cast<std::size_t>(trainer.step()),
+                       static_cast<std::size_t>(steps));
+  }
+  tell_load_progress("read", 1, 1);
+  trainer.collect();
+  const double downscale = std::sqrt(std::max(1.0, static_cast<double>(rays->pixel_count()) / kMostPoints));
+  std::vector<SurveyPoints> parts;
+  for (const int f : s.scene.frames_of(Split::train))
+    parts.push_back(look(s, s.scene.info.frames[static_cast<std::size_t>(f)], downscale));
+  return extent_of_points(std::move(parts));
+}
+
+void use_probed_extent(const SurveyedExtent& seen, LoadedScene& scene, SceneLoadOptions& load,
+                       Diagnostics& diagnostics) {
+  const Vec3d before = scene.bounds.size();
+  const double far_before = scene.far_m;
+  Box box;
+  for (int a = 0; a < 3; ++a) {
+    box.lo[a] = std::max(scene.bounds.lo[a], seen.bounds.lo[a]);
+    box.hi[a] = std::min(scene.bounds.hi[a], seen.bounds.hi[a]);
+  }
+  load.bounds = {box.lo.x, box.lo.y, box.lo.z, box.hi.x, box.hi.y, box.hi.z};
+  if (load.far_m <= 0) load.far_m = std::min(scene.far_m, seen.far_m);
+  if (load.near_m <= 0) load.near_m = std::min(seen.near_m, 0.5 * load.far_m);
+  Diagnostics repeated;
+  derive_extent(scene, {}, load, repeated);
+  scene.bounds_from = scene.near_far_from = fmt::format("a probe of {} steps", load.probe_steps);
+  const Vec3d size = box.size();
+  diagnostics.note(
+      "scene.bounds.probed", "scene.load.bounds",
+      fmt::format("{:.3g} x {:.3g} x {:.3g} and far {:.3g}: where a probe of {} steps shows surfaces; the "
+                  "cameras alone gave {:.3g} x {:.3g} x {:.3g} and far {:.3g}, which probe_steps: 0 keeps",
+                  size.x, size.y, size.z, load.far_m, load.probe_steps, before.x, before.y, before.z, far_before));
+}
+
+namespace {
+
+// What rank 0 tells before the texts and numbers that a network is made of; no config: there will be no session.
+struct Building {
+  std::uint64_t config = 0, manifest = 0, weights = 0;  // bytes, bytes, numbers
+  std::int32_t trainable = 0, cuda = 0, ordinal = 0;
+};
+
+template <class T>
+std::span<std::byte> bytes_of(T& values) {
+  return std::as_writable_bytes(std::span(values));
+}
+
+void broadcast(Ranks& ranks, Building& building) { ranks.broadcast(std::as_writable_bytes(std::span(&building, 1))); }
+
+int cuda_devices() {
+  int count = 0;
+  while (cuda_available(nullptr, count)) ++count;
+  return count;
+}
+
+// Ranks of a host take its devices in turn, from the one that was asked for on.
+DeviceId device_of(const Ranks& ranks, DeviceId asked) {
+  if (asked.kind == Device::cpu) return asked;
+  const int count = cuda_devices();
+  if (count == 0) {
+    std::string why_not;
+    (void)cuda_available(&why_not, asked.ordinal);
+    throw Error(ErrorKind::unavailable, "device.gpu.unavailable",
+                ranks.name_of(ranks.rank()) + ": runtime.device: cuda: " + why_not, "set runtime.device: cpu");
+  }
+  return {asked.kind, (asked.ordinal + ranks.local_rank()) % count};
+}
+
+// The network of rank 0's session, without its scene.
+struct Follower {
+  RunConfig config;
+  BuildPlan plan;
+  SceneExtent extent;
+  std::unique_ptr<Pipeline<float>> pipeline;
+  DeviceId device;
+};
+
+Follower assemble_follower(Ranks& ranks, Registry& registry, const Building& building, const std::string& config,
+                           const std::string& manifest, std::vector<float> class_weight) {
+  Follower made;
+  made.config = run_config_of(parse_config_text(config, "the configuration of rank 0"), registry);
+  const KnownScene known = *read_manifest_text({{"scene", manifest}});
+  made.device = device_of(ranks, {building.cuda != 0 ? Device::cuda : Device::cpu, building.ordinal});
+  if (made.device.kind != Device::cpu) add_cuda_kernels(registry);
+  made.extent = extent_of(made.config, known.pixel_footprint_m);
+  std::unique_ptr<Sampler<float>> last = make_last_sampler(made.config, registry, made.extent);
+  BuildRequest request = build_request(made.config, registry, last->traits());
+  request.no_cuda.clear();
+  made.plan = plan_build(known.manifest, request, made.config.runtime.keep);
+  made.pipeline = assemble(make_parts<float>(made.config, registry, made.plan, made.extent, std::move(last)),
+                           std::move(class_weight), building.trainable != 0);
+  return made;
+}
+
+void serve_session(Ranks& ranks, Registry& registry, const Building& building) {
+  std::string config(building.config, '\0'), manifest(building.manifest, '\0');
+  std::vector<float> class_weight(building.weights);
+  ranks.broadcast(bytes_of(config));
+  ranks.broadcast(bytes_of(manifest));
+  ranks.broadcast(bytes_of(class_weight));
+  Follower made;
+  try {
+    agree(ranks, [&] { made = assemble_follower(ranks, registry, building, config, manifest, class_weight); });
+    agree(ranks, [&] {
+      run_on({made.device, building.trainable != 0, &ranks}, made.config, registry, made.plan, made.extent,
+             *made.pipeline);
+    });
+  } catch (const RankLost&) {
+    throw;
+  } catch (const Error&) {  // rank 0 throws it too
+    return;
+  }
+  WorkSettings work = made.pipeline->options().work;
+  work.limits = &made.config.limits;
+  const WorkScope scope(work);
+  static_cast<RanksExecutor&>(made.pipeline->executor()).serve();
+}
+
+}  // namespace
+
+void lead(Ranks& ranks, Session& session, Registry& registry, RunOn how) {
+  std::string config = write_config(resolved_config(session.config));
+  std::string manifest = manifest_text({session.manifest, session.scene.pixel_footprint_m});
+  std::vector<float> class_weight = session.pipeline->options().class_weight;
+  Building building{config.size(),
+                    manifest.size(),
+                    class_weight.size(),
+                    how.trainable ? 1 : 0,
+                    how.device.kind != Device::cpu ? 1 : 0,
+                    how.device.ordinal};
+  broadcast(ranks, building);
+  ranks.broadcast(bytes_of(config));
+  ranks.broadcast(bytes_of(manifest));
+  ranks.broadcast(bytes_of(class_weight));
+  agree(ranks, [&] { how.device = device_of(ranks, how.device); });
+  how.ranks = &ranks;
+  agree(ranks, [&] { run_on(how, session.config, registry, session.plan, session.extent, *session.pipeline); });
+}
+
+void follow(Ranks& ranks, Registry& registry) {
+  for (;;) {
+    Building building;
+    broadcast(ranks, building);
+    if (building.config == 0) return;
+    serve_session(ranks, registry, building);
+  }
+}
+
+void dismiss(Ranks& ranks) {
+  Building none;
+  broadcast(ranks, none);
+}
+
+std::string prepare_ranks(Ranks& ranks, const std::string& version) {
+  const std::vector<std::string> versions = texts_of(ranks, version);
+  const std::vector<std::string> sets = texts_of(ranks, std::string(isa_name(isa())));
+  for (int r = 1; r < ranks.size(); ++r) {
+    const auto i = static_cast<std::size_t>(r);
+    if (versions[i] != versions[0])
+      throw Error(ErrorKind::unavailable, "ranks.version.differs",
+                  ranks.name_of(r) + " runs " + versions[i] + ", and " + ranks.name_of(0) + " " + versions[0],
+                  "install the same version on all hosts");
+    if (sets[i] != sets[0])
+      throw Error(
+          ErrorKind::unavailable, "ranks.isa.differs",
+          ranks.name_of(r) + " computes with " + sets[i] + " instructions, and " + ranks.name_of(0) + " with " +
+              sets[0] + ": their results would differ in the last bits",
+          "set the environment variable SEMFIELD_ISA to the weaker of both for all ranks (mpirun -x SEMFIELD_ISA=" +
+              std::min(sets[i], sets[0]) + ")");
+  }
+  cpu_set_t own;
+  CPU_ZERO(&own);
+  (void)sched_getaffinity(0, sizeof own, &own);
+  const std::vector<cpu_set_t> all = all_of(ranks, own);
+  const auto host = [&](int r) { return ranks.name_of(r).substr(ranks.name_of(r).rfind(' ')); };
+  int together = 0;
+  for (int r = 0; r < ranks.size(); ++r) {
+    if (host(r) == host(ranks.rank()) && CPU_EQUAL(&all[static_cast<std::size_t>(r)], &own)) ++together;
+  }
+  const int threads = std::max(1, hardware_threads() / std::max(1, together));
+  set_thread_count(threads);
+  const auto cores = static_cast<int>(sysconf(_SC_NPROCESSORS_ONLN));
+  std::string text = std::to_string(ranks.size()) + " processes, " + std::to_string(ranks.local_size()) +
+                     " of them on this host, each with " + std::to_string(threads) +
+                     (threads == 1 ? " thread" : " threads") + " by default";
+  // Launchers bind processes to cores, Open MPI to a single one where there are two processes.
+  if (CPU_COUNT(&own) < cores && threads * ranks.local_size() < cores)
+    text += ": the launcher lets it use " + std::to_string(CPU_COUNT(&own)) + " of " + std::to_string(cores) +
+            " cores (mpirun --bind-to none: all)";
+  return text;
 }
 
 }  // namespace semfield

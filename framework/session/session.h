@@ -7,9 +7,10 @@
 #include <vector>
 
 #include "eval/evaluator.h"
+#include "execution/ranks/ranks.h"
 #include "model/leave_out.h"
 #include "session/assembly.h"
-#include "session/manifest_text.h"
+#include "session/checkpoint_facts.h"
 #include "session/memory_plan.h"
 #include "session/ray_source.h"
 #include "session/settings/run_config.h"
@@ -75,5 +76,37 @@ ConfusionMatrix score_training_labels(const Session& session, const std::vector<
 
 /// `train --dry-run`: scene, network, memory, and every component left out with its reason.
 std::string describe_session(const Session& session);
+
+// A short training that looks where a scene is whose bounds only the cameras tell.
+
+/// The scene's extent is a guess, a probe is asked for and the run is at least four times as long.
+bool probe_is_due(const Session& session);
+
+/// Trains `session` for scene.load.probe_steps steps and surveys the depth that it then renders from the training
+/// cameras; nothing where it shows no surface.
+std::optional<SurveyedExtent> probe_extent(Session& session);
+
+/// The extent of scene and configuration becomes what was seen, inside what was guessed; a note says so.
+void use_probed_extent(const SurveyedExtent& seen, LoadedScene& scene, SceneLoadOptions& load,
+                       Diagnostics& diagnostics);
+
+// A session whose steps and rendering are those of several processes. Rank 0 alone reads the scene and writes files;
+// the others get from it what their networks are made of, and follow.
+
+/// Rank 0, once `session` has its plan and its pipeline on the CPU: the other ranks assemble the same network,
+/// and from now on it runs on the device of all ranks that `how` names. Device `cuda` is a device for each rank of a
+/// host, in turn. Throws what a rank could not do, with its name; the others then wait for another session.
+void lead(Ranks& ranks, Session& session, Registry& registry, RunOn how);
+
+/// What the other ranks do until rank 0 calls dismiss: they serve the sessions that it leads, one after the other.
+/// Throws RankLost.
+void follow(Ranks& ranks, Registry& registry);
+/// Rank 0, when it leads no session any more.
+void dismiss(Ranks& ranks);
+
+/// All ranks, once: those that may run on the same cores share them (set_thread_count). Returns a sentence about
+/// processes and threads. Throws Error(unavailable) where ranks are programs of different versions, or where CPUs
+/// would compute with different instructions, so that the ranks' tensors would drift apart.
+std::string prepare_ranks(Ranks& ranks, const std::string& version);
 
 }  // namespace semfield

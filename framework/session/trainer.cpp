@@ -7,7 +7,7 @@
 #include <cstring>
 #include <set>
 
-#include "compute/float_mode.h"
+#include "compute/isa.h"
 #include "core/error.h"
 #include "execution/lane_executor.h"
 

@@ -9,7 +9,6 @@
 #include "execution/pipeline.h"
 #include "formats/safetensors.h"
 #include "model/optim/adam.h"
-#include "model/optim/schedule.h"
 #include "session/ray_source.h"
 
 namespace semfield {

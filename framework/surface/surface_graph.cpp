@@ -1,12 +1,131 @@
 #include "surface/surface_graph.h"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <functional>
+#include <limits>
 #include <queue>
 #include <tuple>
+#include <utility>
+
+#include "compute/isa.h"
+#include "compute/parallel.h"
+#include "core/check.h"
 
 namespace semfield {
+
+namespace {
+constexpr std::int32_t kFarthest = 1 << 20;     // cells from the first along an axis; 21 bits of a key
+constexpr std::int32_t kFarthestOf0 = 1 << 30;  // cells from 0
+constexpr std::size_t kFirstEntries = 1024;
+constexpr std::int64_t kBlock = 4096;  // cells of a unit of work
+}  // namespace
+
+// Its entry, or the free one where it belongs. The upper bits of a product with an odd number depend on all bits of the
+// key.
+std::size_t CellIndex::place_of(std::uint64_t key) const {
+  const int bits = std::countr_zero(entries_.size());
+  std::size_t place = (key * 0x9E3779B97F4A7C15U) >> (64 - bits);
+  while (entries_[place].number >= 0 && entries_[place].key != key) place = (place + 1) & (entries_.size() - 1);
+  return place;
+}
+
+std::int32_t CellIndex::find(std::uint64_t key) const { return entries_.empty() ? -1 : entries_[place_of(key)].number; }
+
+std::int32_t CellIndex::add(std::uint64_t key, std::int32_t fresh) {
+  if (2 * used_ >= entries_.size()) grow();
+  Entry& entry = entries_[place_of(key)];
+  if (entry.number < 0) {
+    entry = {key, fresh};
+    ++used_;
+  }
+  return entry.number;
+}
+
+void CellIndex::grow() {
+  const std::vector<Entry> before = std::exchange(entries_, {});
+  entries_.resize(std::max(kFirstEntries, 4 * before.size()));
+  for (const Entry& entry : before)
+    if (entry.number >= 0) entries_[place_of(entry.key)] = entry;
+}
+
+SurfaceCells::SurfaceCells(double edge_m) : edge_m_(edge_m) {
+  SEMFIELD_CHECK(edge_m > 0 && std::isfinite(edge_m), "a cell's edge is a positive length");
+}
+
+// Counted from the first cell: scenes may lie far from 0.
+std::uint64_t SurfaceCells::key_of(const SurfaceCell& place) const {
+  std::uint64_t key = 0;
+  for (std::size_t k = 0; k < 3; ++k)
+    key = key << 21 | static_cast<std::uint64_t>(place[k] - (places_.empty() ? place[k] : places_[0][k]) + kFarthest);
+  return key;
+}
+
+bool SurfaceCells::fits(const SurfaceCell& place) const {
+  for (std::size_t k = 0; k < 3; ++k) {
+    if (std::abs(std::int64_t{place[k]}) >= kFarthestOf0) return false;
+    if (!places_.empty() && std::abs(place[k] - places_[0][k]) >= kFarthest - 1) return false;
+  }
+  return true;
+}
+
+bool SurfaceCells::find_place(Vec3d point, SurfaceCell& place) const {
+  for (int axis = 0; axis < 3; ++axis) {
+    const double at = std::floor(point[axis] / edge_m_);
+    if (!(std::abs(at) < kFarthestOf0)) return false;  // NaN too
+    place[static_cast<std::size_t>(axis)] = static_cast<std::int32_t>(at);
+  }
+  return fits(place);
+}
+
+std::int32_t SurfaceCells::add(Vec3d point) {
+  SurfaceCell place{};
+  return find_place(point, place) ? add(place) : -1;
+}
+
+std::int32_t SurfaceCells::add(const SurfaceCell& place) {
+  if (!fits(place)) return -1;
+  const std::int32_t number = index_.add(key_of(place), count());
+  if (number == count()) places_.push_back(place);
+  return number;
+}
+
+std::int32_t SurfaceCells::near(Vec3d point) const {
+  SurfaceCell own{};
+  if (places_.empty() || !find_place(point, own)) return -1;
+  if (const std::int32_t found = index_.find(key_of(own)); found >= 0) return found;
+  std::int32_t nearest = -1;
+  double least = INFINITY;
+  for (std::int32_t k = 0; k < 27; ++k) {
+    const SurfaceCell other{own[0] + k % 3 - 1, own[1] + k / 3 % 3 - 1, own[2] + k / 9 - 1};
+    const std::int32_t found = index_.find(key_of(other));
+    if (found < 0) continue;
+    const Vec3d center{(other[0] + 0.5) * edge_m_, (other[1] + 0.5) * edge_m_, (other[2] + 0.5) * edge_m_};
+    const double distance = length(center - point);
+    if (distance >= least) continue;
+    least = distance;
+    nearest = found;
+  }
+  return nearest;
+}
+
+std::vector<CellPair> SurfaceCells::neighbours() const {
+  std::vector<std::vector<CellPair>> of_block(static_cast<std::size_t>((count() + kBlock - 1) / kBlock));
+  parallel_for(std::ssize(of_block), [&](std::int64_t block) {
+    for (std::int64_t cell = block * kBlock; cell < std::min<std::int64_t>(count(), (block + 1) * kBlock); ++cell) {
+      const SurfaceCell& own = place(static_cast<std::int32_t>(cell));
+      for (int offset = 14; offset < 27; ++offset) {  // the half of the 27 behind the cell itself
+        const SurfaceCell other{own[0] + offset / 9 - 1, own[1] + offset / 3 % 3 - 1, own[2] + offset % 3 - 1};
+        if (const std::int32_t found = index_.find(key_of(other)); found >= 0)
+          of_block[static_cast<std::size_t>(block)].push_back({static_cast<std::int32_t>(cell), found});
+      }
+    }
+  });
+  std::vector<CellPair> pairs;
+  for (const std::vector<CellPair>& some : of_block) pairs.insert(pairs.end(), some.begin(), some.end());
+  return pairs;
+}
 
 namespace {
 
@@ -116,6 +235,323 @@ void SurfaceGraph::around(std::int32_t point, float reach, std::size_t most, Scr
   }
   for (const std::int32_t at : scratch.touched) scratch.best[static_cast<std::size_t>(at)] = kUnreached;
   scratch.touched.clear();
+}
+
+namespace {
+constexpr std::int64_t kChunkRays = std::int64_t{1} << 16;
+}
+
+float SurfaceMap::at(std::int32_t column, std::int32_t row) const {
+  const std::int32_t x = std::clamp(column / stride, 0, width_px - 1), y = std::clamp(row / stride, 0, height_px - 1);
+  return distance_m[static_cast<std::size_t>(std::int64_t{y} * width_px + x)];
+}
+
+std::vector<float> surface_distances(Pipeline<float>& pipeline, const RayCamera& camera, const RayLimits& limits,
+                                     std::span<const PixelPlace> pixels) {
+  const WorkScope scope(pipeline.options().work);
+  const ComputeFloatMode mode;
+  const auto total = static_cast<std::int64_t>(pixels.size());
+  const std::int64_t most = std::min(total, kChunkRays);
+  std::vector<double> origin(3 * static_cast<std::size_t>(most)), direction(origin.size()),
+      near_far(2 * static_cast<std::size_t>(most));
+  std::vector<float> opacity(static_cast<std::size_t>(most)), distance(pixels.size());
+  for (std::int64_t begin = 0; begin < total; begin += most) {
+    const std::int64_t count = std::min(most, total - begin);
+    parallel_for((count + 255) / 256, [&](std::int64_t block) {
+      for (std::int64_t i = block * 256; i < std::min(count, (block + 1) * 256); ++i) {
+        const auto k = static_cast<std::size_t>(i);
+        const PixelPlace& pixel = pixels[static_cast<std::size_t>(begin) + k];
+        cast_ray(camera, limits, pixel.column, pixel.row, &origin[3 * k], &direction[3 * k], &near_far[2 * k]);
+      }
+    });
+    RenderJob<float> job;
+    job.origin = {origin.data(), count, 3};
+    job.direction = {direction.data(), count, 3};
+    job.near_far = {near_far.data(), count, 2};
+    job.depth = {distance.data() + begin, count, 1};
+    job.opacity = {opacity.data(), count, 1};
+    pipeline.render(job);
+    for (std::int64_t i = 0; i < count; ++i) {
+      const float met = opacity[static_cast<std::size_t>(i)];
+      float& value = distance[static_cast<std::size_t>(begin + i)];
+      value = met < kSurfaceOpacity ? 0.0F : value / met;
+    }
+  }
+  return distance;
+}
+
+SurfaceMap make_surface_map(Pipeline<float>& pipeline, const RayCamera& camera, const RayLimits& limits,
+                            std::int32_t stride, std::int64_t step) {
+  SurfaceMap map;
+  map.stride = std::clamp(stride, 1, std::min(camera.camera.width_px, camera.camera.height_px));
+  map.width_px = strided_px(camera.camera.width_px, map.stride);
+  map.height_px = strided_px(camera.camera.height_px, map.stride);
+  map.step = step;
+  std::vector<PixelPlace> pixels(static_cast<std::size_t>(std::int64_t{map.width_px} * map.height_px));
+  for (std::size_t i = 0; i < pixels.size(); ++i)
+    pixels[i] = strided_place(static_cast<std::int64_t>(i), map.width_px, map.stride);
+  map.distance_m = surface_distances(pipeline, camera, limits, pixels);
+  return map;
+}
+
+Vec3d point_at(const RayCamera& camera, const RayLimits& limits, const PixelPlace& pixel, double distance_m) {
+  double origin[3], direction[3], near_far[2];
+  cast_ray(camera, limits, pixel.column, pixel.row, origin, direction, near_far);
+  return {origin[0] + direction[0] * distance_m, origin[1] + direction[1] * distance_m,
+          origin[2] + direction[2] * distance_m};
+}
+
+namespace {
+
+SeenSurface seen_by(const PoolView& view, const RayLimits& limits) {
+  constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+  const SurfaceMap& map = view.map;
+  std::vector<Vec3d> places(map.distance_m.size(), Vec3d{kNone, kNone, kNone});
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    const auto distance = static_cast<double>(map.distance_m[i]);
+    if (!(distance > 0)) continue;
+    places[i] =
+        point_at(view.camera, limits, strided_place(static_cast<std::int64_t>(i), map.width_px, map.stride), distance);
+  }
+  return seen_surface(std::move(places), map.width_px, view.camera.world_from_camera.t);
+}
+
+double extent_of(std::span<const SeenSurface> seen) {
+  Vec3d low{INFINITY, INFINITY, INFINITY}, high{-INFINITY, -INFINITY, -INFINITY};
+  for (const SeenSurface& view : seen) {
+    for (const Vec3d& place : view.place) {
+      if (!is_place(place)) continue;
+      for (int axis = 0; axis < 3; ++axis) {
+        low[axis] = std::min(low[axis], place[axis]);
+        high[axis] = std::max(high[axis], place[axis]);
+      }
+    }
+  }
+  return low.x > high.x ? 0 : length(high - low);
+}
+
+}  // namespace
+
+PointDifference difference(const PoolPoint& a, const PoolPoint& b, double color_sigma, double normal_sigma) {
+  const Vec3d dc = a.color - b.color, dn = a.normal - b.normal;
+  return {dot(dc, dc) * (1 / (2 * color_sigma * color_sigma)), dot(dn, dn) * (1 / (2 * normal_sigma * normal_sigma))};
+}
+
+void SurfacePool::number(std::size_t view, const SeenSurface& seen, const StoredFrame& photo, std::int32_t stride) {
+  std::vector<std::int32_t>& of_pixel = point_of_pixel[view];
+  of_pixel.assign(seen.place.size(), -1);
+  for (std::size_t i = 0; i < of_pixel.size(); ++i) {
+    const PixelPlace pixel = strided_place(static_cast<std::int64_t>(i), seen.width_px, stride);
+    const auto at = static_cast<std::size_t>(std::int64_t{pixel.row} * photo.width_px + pixel.column);
+    if (photo.mask.uses(at)) of_pixel[i] = cells.add(seen.place[i]);
+  }
+}
+
+void SurfacePool::gather(std::size_t view, const SeenSurface& seen, const StoredFrame& photo, std::int32_t stride) {
+  points.resize(static_cast<std::size_t>(cells.count()));
+  const std::vector<std::int32_t>& of_pixel = point_of_pixel[view];
+  for (std::size_t i = 0; i < of_pixel.size(); ++i) {
+    if (of_pixel[i] < 0) continue;
+    const PixelPlace pixel = strided_place(static_cast<std::int64_t>(i), seen.width_px, stride);
+    const auto at = static_cast<std::size_t>(std::int64_t{pixel.row} * photo.width_px + pixel.column);
+    PoolPoint& point = points[static_cast<std::size_t>(of_pixel[i])];
+    const std::uint8_t* const rgb = &photo.rgb[3 * at];
+    point.color = point.color + Vec3d{double(rgb[0]), double(rgb[1]), double(rgb[2])};
+    point.position = point.position + seen.place[i];
+    point.normal = point.normal + seen.normal[i];
+    point.pixels += 1;
+    const bool interior = seen.is_interior(static_cast<std::int64_t>(i)), first = point.pixels == 1;
+    if (!first && (interior != point.interior ? !interior : seen.distance_m[i] >= point.distance_m)) continue;
+    point.distance_m = seen.distance_m[i];
+    point.interior = interior;
+    point.view = static_cast<int>(view);
+    point.pixel = pixel;
+  }
+}
+
+void SurfacePool::finish() {
+  for (PoolPoint& point : points) {
+    point.position = point.position * (1 / point.pixels);
+    point.color = point.color * (1 / (255 * point.pixels));
+    const double size = length(point.normal);
+    point.normal = size > 0 ? point.normal * (1 / size) : Vec3d{};
+  }
+}
+
+SurfacePool make_surface_pool(std::span<const PoolView> views, const RayLimits& limits, std::int64_t wanted) {
+  std::vector<SeenSurface> seen(views.size());
+  parallel_for(std::ssize(views), [&](std::int64_t v) {
+    const PoolView& view = views[static_cast<std::size_t>(v)];
+    if (!view.map.empty()) seen[static_cast<std::size_t>(v)] = seen_by(view, limits);
+  });
+  const double extent = extent_of(seen);
+  SurfacePool pool;
+  pool.point_of_pixel.resize(views.size());
+  for (std::size_t v = 0; v < views.size(); ++v) pool.point_of_pixel[v].assign(seen[v].place.size(), -1);
+  if (!(extent > 0)) return pool;
+  // A surface has as many cells as the square of their number per axis; the second turn corrects the first guess.
+  double cell_m = extent / std::sqrt(static_cast<double>(wanted));
+  for (int turn = 0; turn < 3; ++turn) {
+    pool = SurfacePool(cell_m, views.size());
+    for (std::size_t v = 0; v < views.size(); ++v)
+      if (!views[v].map.empty()) pool.number(v, seen[v], *views[v].photo, views[v].map.stride);
+    const double ratio = static_cast<double>(pool.cells.count()) / static_cast<double>(wanted);
+    if (ratio > 0.8 && ratio < 1.25) break;
+    cell_m *= std::clamp(std::sqrt(ratio), 0.2, 5.0);
+  }
+  for (std::size_t v = 0; v < views.size(); ++v)
+    if (!views[v].map.empty()) pool.gather(v, seen[v], *views[v].photo, views[v].map.stride);
+  pool.finish();
+  return pool;
+}
+
+}  // namespace semfield
+
+#define EIGEN_DONT_PARALLELIZE
+
+#include <Eigen/IterativeLinearSolvers>
+#include <Eigen/SparseCore>
+#include <mutex>
+#include <numeric>
+
+#include "core/error.h"
+
+namespace semfield {
+
+namespace {
+
+using Matrix = Eigen::SparseMatrix<double>;
+using Solver = Eigen::ConjugateGradient<Matrix, Eigen::Lower | Eigen::Upper, Eigen::IncompleteCholesky<double>>;
+
+constexpr double kResidual = 1e-6;  // of the right side that votes of weight 1 give
+constexpr int kMostIterations = 20000;
+
+// Connected parts: the root of a node is the least node of its part.
+class Parts {
+ public:
+  Parts(std::size_t nodes, std::span<const GraphEdge> edges) : parent_(nodes) {
+    std::iota(parent_.begin(), parent_.end(), 0);
+    for (const GraphEdge& edge : edges) {
+      const std::int32_t a = root(edge.a), b = root(edge.b);
+      parent_[static_cast<std::size_t>(std::max(a, b))] = std::min(a, b);
+    }
+  }
+  std::int32_t root(std::int32_t node) {
+    while (parent_[static_cast<std::size_t>(node)] != node) {
+      std::int32_t& up = parent_[static_cast<std::size_t>(node)];
+      up = parent_[static_cast<std::size_t>(up)];
+      node = up;
+    }
+    return node;
+  }
+
+ private:
+  std::vector<std::int32_t> parent_;
+};
+
+// The nodes of parts with votes, and the matrix L + D of them.
+struct System {
+  std::vector<std::int32_t> node_of_row;
+  Matrix matrix;
+};
+
+System build_system(std::span<const GraphEdge> edges, std::span<const double> held, std::span<const char> reached) {
+  System system;
+  std::vector<std::int32_t> row_of_node(reached.size(), -1);
+  for (std::size_t n = 0; n < reached.size(); ++n) {
+    if (reached[n] == 0) continue;
+    row_of_node[n] = static_cast<std::int32_t>(system.node_of_row.size());
+    system.node_of_row.push_back(static_cast<std::int32_t>(n));
+  }
+  std::vector<Eigen::Triplet<double>> entries;
+  std::vector<double> diagonal(system.node_of_row.size());
+  for (std::size_t row = 0; row < diagonal.size(); ++row)
+    diagonal[row] = held[static_cast<std::size_t>(system.node_of_row[row])];
+  for (const GraphEdge& edge : edges) {
+    const std::int32_t a = row_of_node[static_cast<std::size_t>(edge.a)],
+                       b = row_of_node[static_cast<std::size_t>(edge.b)];
+    if (a < 0) continue;  // both or none: they are of one part
+    entries.emplace_back(a, b, -edge.weight);
+    entries.emplace_back(b, a, -edge.weight);
+    diagonal[static_cast<std::size_t>(a)] += edge.weight;
+    diagonal[static_cast<std::size_t>(b)] += edge.weight;
+  }
+  const auto rows = static_cast<std::int32_t>(diagonal.size());
+  for (std::int32_t row = 0; row < rows; ++row) entries.emplace_back(row, row, diagonal[static_cast<std::size_t>(row)]);
+  system.matrix.resize(rows, rows);
+  system.matrix.setFromTriplets(entries.begin(), entries.end());
+  return system;
+}
+
+// Rows become distributions: rounding may leave sums beside 1 and values below 0.
+void normalise(std::span<float> row) {
+  float sum = 0;
+  for (float& value : row) sum += value = std::max(value, 0.0F);
+  for (float& value : row) value = sum > 0 ? value / sum : 0;
+}
+
+}  // namespace
+
+Diffusion diffuse_votes(std::span<const GraphEdge> edges, std::span<const double> votes, int classes,
+                        double vote_weight, const std::function<void(int done, int of)>& done) {
+  SEMFIELD_CHECK(classes > 0 && votes.size() % static_cast<std::size_t>(classes) == 0, "a row of votes a node");
+  const auto width = static_cast<std::size_t>(classes);
+  const std::size_t nodes = votes.size() / width;
+  std::vector<double> held(nodes);
+  std::vector<char> voted_class(width), reached(nodes), voted_part(nodes);
+  Parts parts(nodes, edges);
+  for (std::size_t n = 0; n < nodes; ++n) {
+    for (std::size_t c = 0; c < width; ++c) {
+      const double vote = votes[n * width + c];
+      held[n] += vote_weight * vote;
+      voted_class[c] |= vote > 0 ? 1 : 0;
+    }
+    if (held[n] > 0) voted_part[static_cast<std::size_t>(parts.root(static_cast<std::int32_t>(n)))] = 1;
+  }
+  Diffusion out;
+  out.probability.resize(votes.size());
+  for (std::size_t n = 0; n < nodes; ++n) {
+    const auto root = static_cast<std::size_t>(parts.root(static_cast<std::int32_t>(n)));
+    reached[n] = voted_part[root];
+    if (root != n) continue;
+    ++out.parts;
+    out.parts_without_vote += voted_part[n] == 0 ? 1 : 0;
+  }
+  const System system = build_system(edges, held, reached);
+  if (system.node_of_row.empty()) return out;
+  std::vector<std::size_t> asked;
+  for (std::size_t c = 0; c < width; ++c) {
+    if (voted_class[c] != 0) asked.push_back(c);
+  }
+  std::mutex told;
+  int solved = 0;
+  // A solver keeps the state of its last solution, so every worker has one; each class is solved alone.
+  const std::int64_t workers = std::min<std::int64_t>(thread_count(), std::ssize(asked));
+  parallel_for(workers, [&](std::int64_t worker) {
+    Solver solver;
+    solver.setTolerance(kResidual / std::max(1.0, vote_weight));
+    solver.setMaxIterations(kMostIterations);
+    solver.compute(system.matrix);
+    SEMFIELD_CHECK(solver.info() == Eigen::Success, "a Laplacian with votes is positive definite");
+    for (auto k = static_cast<std::size_t>(worker); k < asked.size(); k += static_cast<std::size_t>(workers)) {
+      const auto place = [&](Eigen::Index row) {
+        return static_cast<std::size_t>(system.node_of_row[static_cast<std::size_t>(row)]) * width + asked[k];
+      };
+      Eigen::VectorXd right(std::ssize(system.node_of_row));
+      for (Eigen::Index row = 0; row < right.size(); ++row) right[row] = vote_weight * votes[place(row)];
+      const Eigen::VectorXd solution = solver.solve(right);
+      if (solver.info() != Eigen::Success) {
+        throw Error(ErrorKind::failure, "fuse.diffusion.diverged", "the diffusion of a class's votes does not converge",
+                    "raise propagate.vote_weight, propagate.color_sigma or propagate.normal_sigma");
+      }
+      for (Eigen::Index row = 0; row < right.size(); ++row)
+        out.probability[place(row)] = static_cast<float>(solution[row]);
+      const std::lock_guard lock(told);
+      if (done) done(++solved, static_cast<int>(asked.size()));
+    }
+  });
+  for (std::size_t n = 0; n < nodes; ++n) normalise(std::span(out.probability).subspan(n * width, width));
+  return out;
 }
 
 }  // namespace semfield

@@ -1,6 +1,7 @@
 // Whole files in and out: a reader or a crash sees the old file or the new one.
 #include "system/files.h"
 
+#include <dlfcn.h>
 #include <fcntl.h>
 #include <sys/file.h>
 #include <sys/resource.h>
@@ -11,13 +12,22 @@
 #include <algorithm>
 #include <array>
 #include <atomic>
+#include <cctype>
 #include <cerrno>
+#include <charconv>
+#include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <span>
 #include <sstream>
+#include <string_view>
+#include <utility>
+#include <vector>
 
-#include "system/own_temporaries.h"
+#include "core/error.h"
+#include "system/checksum.h"
 
 namespace semfield {
 
@@ -373,6 +383,281 @@ void write_file_atomic(const std::string& path, std::span<const std::byte> bytes
 
 void write_file_atomic(const std::string& path, std::string_view text) {
   write_file_atomic(path, std::as_bytes(std::span<const char>(text.data(), text.size())));
+}
+
+// A hold on a folder or a file: flock of a lock file in it or beside it.
+
+namespace {
+
+std::string host_name() {
+  std::array<char, 256> name{};
+  return ::gethostname(name.data(), name.size() - 1) == 0 ? name.data() : "";
+}
+
+std::string lock_of(const std::string& folder) { return (std::filesystem::path(folder) / ".lock").string(); }
+
+// "PID HOST" of the file as words; it may hold anything.
+std::string holder_of(int descriptor) {
+  std::array<char, 320> text{};
+  const ssize_t size = ::pread(descriptor, text.data(), text.size() - 1, 0);
+  std::istringstream words(size > 0 ? text.data() : "");
+  std::string pid, host;
+  words >> pid >> host;
+  const auto digit = [](unsigned char c) { return std::isdigit(c) != 0; };
+  const auto of_a_name = [](unsigned char c) { return std::isalnum(c) != 0 || c == '-' || c == '.' || c == '_'; };
+  if (pid.empty() || !std::all_of(pid.begin(), pid.end(), digit)) return "process ?";
+  if (host.empty() || !std::all_of(host.begin(), host.end(), of_a_name)) return "process " + pid;
+  return "process " + pid + " on " + host;
+}
+
+}  // namespace
+
+FolderLock::FolderLock(FolderLock&& other) noexcept
+    : descriptor_(std::exchange(other.descriptor_, -1)), holder_(std::move(other.holder_)) {}
+
+FolderLock& FolderLock::operator=(FolderLock&& other) noexcept {
+  if (this == &other) return *this;
+  release();
+  descriptor_ = std::exchange(other.descriptor_, -1);
+  holder_ = std::move(other.holder_);
+  return *this;
+}
+
+FolderLock::~FolderLock() { release(); }
+
+void FolderLock::release() {
+  if (descriptor_ >= 0) ::close(descriptor_);
+  descriptor_ = -1;
+}
+
+int FolderLock::take(const std::string& folder, bool may_create) {
+  return lock(lock_of(folder), LOCK_EX, may_create ? O_CREAT : 0);
+}
+
+int FolderLock::take_file(const std::string& file) {
+  std::error_code unknown;
+  std::filesystem::path path = std::filesystem::weakly_canonical(file, unknown);
+  if (unknown) path = file;
+  return lock(path.parent_path() / ("." + path.filename().string() + ".lock"), LOCK_EX, O_CREAT);
+}
+
+int FolderLock::share(const std::string& folder) { return lock(lock_of(folder), LOCK_SH, O_CREAT); }
+
+int FolderLock::lock(const std::string& lock_file, int how, int more_flags) {
+  release();
+  int descriptor = -1;
+  do descriptor = ::open(lock_file.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | more_flags, 0644);
+  while (descriptor < 0 && errno == EINTR);
+  if (descriptor < 0) return errno;
+  int cause = ::flock(descriptor, how | LOCK_NB) == 0 ? 0 : errno;
+  if (cause == EWOULDBLOCK) holder_ = holder_of(descriptor);
+  descriptor_ = descriptor;
+  if (cause == 0) cause = sign(::getpid());
+  if (cause != 0) release();
+  return cause;
+}
+
+int FolderLock::sign(pid_t process) const {
+  const std::string text = std::to_string(process) + " " + host_name() + "\n";
+  errno = 0;
+  if (::ftruncate(descriptor_, 0) != 0) return errno;
+  ssize_t written = -1;
+  do written = ::pwrite(descriptor_, text.data(), text.size(), 0);
+  while (written < 0 && errno == EINTR);
+  const bool whole = written == static_cast<ssize_t>(text.size());
+  return whole ? 0 : errno != 0 ? errno : ENOSPC;
+}
+
+void FolderLock::keep_over_exec() const { ::fcntl(descriptor_, F_SETFD, 0); }
+
+// Where shipped files lie, told by where the framework's library lies.
+
+namespace fs = std::filesystem;
+
+std::string shared_root() {
+  std::error_code unknown;
+  if (const char* named = std::getenv("SEMFIELD_SHARE"); named != nullptr && *named != '\0') {
+    if (!fs::is_directory(named, unknown))
+      throw Error(ErrorKind::config, "config.environment.value",
+                  std::string("environment variable SEMFIELD_SHARE: no folder '") + named + "'",
+                  "set it to the folder that holds configs/ and scenes/, or leave it out");
+    return fs::absolute(named).lexically_normal().string();
+  }
+  Dl_info self{};
+  if (::dladdr(reinterpret_cast<const void*>(&shared_root), &self) == 0 || self.dli_fname == nullptr) return "";
+  // lib/, lib/semfield/ or lib/x86_64-linux-gnu/semfield/: libraries lie one to three folders below the prefix.
+  fs::path folder = fs::weakly_canonical(self.dli_fname, unknown).parent_path();
+  for (int level = 0; level < 3; ++level) {
+    folder = folder.parent_path();
+    const fs::path share = folder / "share" / "semfield";
+    if (fs::is_directory(share / "configs", unknown)) return share.string();
+  }
+  return "";
+}
+
+std::string shared_file(const std::string& relative) {
+  const std::string root = shared_root();
+  const fs::path path = (fs::path(root) / relative).lexically_normal();
+  std::error_code unknown;
+  if (root.empty() || !fs::exists(path, unknown))
+    throw Error(
+        ErrorKind::no_input, "files.shared.missing",
+        root.empty() ? "no file '" + relative + "', which comes with the program: no folder share/semfield"
+                     : "no file '" + path.string() + "', which comes with the program",
+        "install the component 'app' whole, or set SEMFIELD_SHARE to the folder that holds configs/ and scenes/");
+  return path.string();
+}
+
+namespace fs = std::filesystem;
+
+std::vector<fs::directory_entry> sorted_folder(const std::string& folder) {
+  std::vector<fs::directory_entry> entries;
+  std::error_code error;
+  for (fs::directory_iterator entry(folder, error), end; !error && entry != end; entry.increment(error))
+    entries.push_back(*entry);
+  if (error) {
+    throw Error(ErrorKind::no_input, "files.folder.unreadable",
+                "cannot read the folder '" + folder + "': " + error.message(),
+                error == std::errc::permission_denied ? "check the permissions" : "check the path");
+  }
+  std::sort(entries.begin(), entries.end());
+  return entries;
+}
+
+// An entry a file: FOLDER/CRC-SIZE-VERSION.
+
+namespace {
+
+constexpr std::string_view kHead = "semfield-verdict-1\n";
+constexpr std::size_t kMostBytes = std::size_t{1} << 32;  // of a file that is checked
+
+std::string hex32(std::uint32_t value) { return hex64(value).substr(8); }
+
+std::uint32_t crc_of(std::string_view text) { return crc32c(std::as_bytes(std::span(text.data(), text.size()))); }
+
+// "" where there is no cache.
+std::string entry_of(const std::string& file, const std::string& version) {
+  const std::string folder = cache_folder("checks");
+  if (folder.empty()) return "";
+  const std::string bytes = read_text_file(file, kMostBytes);
+  return folder + "/" + hex32(crc_of(bytes)) + "-" + std::to_string(bytes.size()) + "-" + version;
+}
+
+}  // namespace
+
+std::optional<FileVerdict> read_verdict(const std::string& file, const std::string& version, Diagnostics& notes) {
+  try {
+    const std::string entry = entry_of(file, version);
+    std::error_code ignored;
+    if (entry.empty() || !std::filesystem::exists(entry, ignored)) return std::nullopt;
+    // Head, fault, checksum of both: a line each, a fault may have several.
+    const std::string text = read_text_file(entry, std::size_t{1} << 20);
+    constexpr std::size_t kTail = 9;  // of eight digits and a line's end
+    const std::string_view all(text);
+    if (all.size() > kHead.size() + kTail && all.starts_with(kHead)) {
+      const std::string_view rest = all.substr(0, all.size() - kTail);
+      if (all.substr(rest.size()) == hex32(crc_of(rest)) + "\n" && rest.ends_with('\n'))
+        return FileVerdict{std::string(rest.substr(kHead.size(), rest.size() - kHead.size() - 1)), entry};
+    }
+    notes.note("files.verdict.lost", file,
+               "what a check found out about it is damaged in '" + entry + "' and is not used");
+  } catch (const Error& error) {
+    notes.note("files.verdict.lost", file, "whether it was checked cannot be read: " + error.message());
+  }
+  return std::nullopt;
+}
+
+void keep_verdict(const std::string& file, const std::string& version, const std::string& fault, Diagnostics& notes) {
+  try {
+    const std::string entry = entry_of(file, version);
+    if (entry.empty()) {
+      notes.note("files.verdict.lost", file, "there is no folder for caches, so what the check found is not kept");
+      return;
+    }
+    const std::string text = std::string(kHead) + fault + "\n";
+    write_file_atomic(entry, text + hex32(crc_of(text)) + "\n");
+  } catch (const Error& error) {
+    notes.note("files.verdict.lost", file, "what the check found is not kept: " + error.message());
+  }
+}
+
+namespace fs = std::filesystem;
+
+namespace {
+
+std::string_view variable(const char* name) {
+  const char* value = std::getenv(name);
+  return value == nullptr ? std::string_view() : std::string_view(value);
+}
+
+fs::path root() {
+  if (const auto own = variable("SEMFIELD_CACHE"); !own.empty()) return own == "off" ? fs::path() : fs::path(own);
+  if (const auto xdg = variable("XDG_CACHE_HOME"); !xdg.empty()) return fs::path(xdg) / "semfield";
+  if (const auto home = variable("HOME"); !home.empty()) return fs::path(home) / ".cache" / "semfield";
+  return {};
+}
+
+struct Entry {
+  fs::path path;
+  fs::file_time_type used;
+  std::uint64_t bytes;
+};
+
+std::uint64_t bytes_of(const fs::path& folder) {
+  std::uint64_t sum = 0;
+  std::error_code failed;
+  for (fs::directory_iterator it(folder, failed), end; !failed && it != end; it.increment(failed)) {
+    std::error_code gone;
+    const auto size = it->file_size(gone);
+    if (!gone) sum += size;
+  }
+  return sum;
+}
+
+}  // namespace
+
+std::string cache_folder(const std::string& name) {
+  const fs::path folder = root();
+  if (folder.empty() || !folder.is_absolute()) return "";
+  std::error_code failed;
+  fs::create_directories(folder / name, failed);
+  return failed ? "" : (folder / name).string();
+}
+
+std::uint64_t cache_limit() {
+  const auto text = variable("SEMFIELD_CACHE_GB");
+  if (text.empty()) return 2'000'000'000;
+  double gigabytes = -1;
+  const auto [end, failed] = std::from_chars(text.data(), text.data() + text.size(), gigabytes);
+  if (failed != std::errc() || end != text.data() + text.size() || !(gigabytes >= 0 && gigabytes <= 1e6)) {
+    throw Error(ErrorKind::config, "config.environment.value",
+                "environment variable SEMFIELD_CACHE_GB: '" + std::string(text) + "' is not a number from 0 to 1000000",
+                "set it to the gigabytes that the cache may hold, or set SEMFIELD_CACHE=off");
+  }
+  return static_cast<std::uint64_t>(gigabytes * 1e9);
+}
+
+void use_cache_entry(const std::string& entry, std::uint64_t limit) {
+  std::error_code failed;
+  const fs::path own(entry);
+  fs::last_write_time(own, fs::file_time_type::clock::now(), failed);
+  std::vector<Entry> entries;
+  std::uint64_t sum = 0;
+  for (fs::directory_iterator it(own.parent_path(), failed), end; !failed && it != end; it.increment(failed)) {
+    std::error_code gone;
+    if (!it->is_directory(gone)) continue;
+    const auto used = it->last_write_time(gone);
+    if (gone) continue;
+    entries.push_back({it->path(), used, bytes_of(it->path())});
+    sum += entries.back().bytes;
+  }
+  std::sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) { return a.used < b.used; });
+  for (const Entry& old : entries) {
+    if (sum <= limit) return;
+    if (old.path == own) continue;
+    fs::remove_all(old.path, failed);
+    sum -= old.bytes;
+  }
 }
 
 }  // namespace semfield

@@ -1,9 +1,13 @@
 // Whole files in and out, atomically.
 #pragma once
 
+#include <sys/types.h>
+
 #include <cstddef>
 #include <cstdint>
+#include <filesystem>
 #include <functional>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -86,5 +90,91 @@ class AtomicFile {
   std::uint64_t size_ = 0;
   int file_ = -1;
 };
+
+// A hold on a folder or a file, alone or shared, that ends with the processes that have it, however they end.
+
+/// flock of `FOLDER/.lock`, which says who took it last. The lock file stays: removing it would let two processes lock
+/// two files of one name.
+class FolderLock {
+ public:
+  FolderLock() = default;
+  FolderLock(FolderLock&& other) noexcept;
+  FolderLock& operator=(FolderLock&& other) noexcept;
+  ~FolderLock();
+
+  /// 0: held from now on. EWOULDBLOCK: another has it, whom holder() names. ENOENT: no lock file is there, and none may
+  /// be created. Any other errno: the folder cannot be written.
+  int take(const std::string& folder, bool may_create = true);
+  /// The same for one file in a folder that others may use: flock of `.NAME.lock` beside it, under any path that leads
+  /// to the file.
+  int take_file(const std::string& file);
+  /// As take() for a hold that others may share, while nobody has the folder alone; then EWOULDBLOCK.
+  int share(const std::string& folder);
+  bool held() const { return descriptor_ >= 0; }
+  /// Of a call that found another: "process 4711 on HOST", as far as the lock file tells.
+  const std::string& holder() const { return holder_; }
+  /// Writes the process for which it is held into the file. Errno or 0.
+  int sign(pid_t process) const;
+  /// In a forked child: the lock lives until the program that it starts has ended too. Async-signal-safe.
+  void keep_over_exec() const;
+
+ private:
+  int lock(const std::string& lock_file, int how, int more_flags);
+  void release();
+  int descriptor_ = -1;
+  std::string holder_;
+};
+
+// Files that come with the program and the library: configurations, scenes, pages.
+
+/// The folder of shipped files, which holds configs/ and scenes/: what the environment variable SEMFIELD_SHARE names,
+/// else share/semfield in a folder above the framework's library, which is the installed copy wherever its prefix was
+/// moved to, or in a build folder a link to the source tree. "" where there is none. Throws Error(config) where
+/// SEMFIELD_SHARE names no folder.
+std::string shared_root();
+
+/// Path of a shipped file or folder by its place in the source tree ("configs/paper.yaml"). Throws Error(no_input).
+std::string shared_file(const std::string& relative);
+
+// What lies in a folder, in the order of names: file systems each have an order of their own.
+
+/// Entries of `folder`, by name. Throws Error(no_input) for a folder that cannot be read.
+std::vector<std::filesystem::directory_entry> sorted_folder(const std::string& folder);
+
+// What a process that ends by a signal still does about its files.
+
+/// Removes the temporary files that this process is writing (AtomicFile). Async-signal-safe; nothing may be written
+/// afterwards.
+void remove_own_temporaries() noexcept;
+
+// What a check found out about files, kept in the user's cache: a verdict goes with the bytes of a file, wherever it
+// lies, and with the version of what checked it.
+
+struct FileVerdict {
+  std::string fault;  ///< what was found; "" = the file passed
+  std::string entry;  ///< the file of the cache that says so
+  bool passed() const { return fault.empty(); }
+};
+
+/// The last verdict about the file's bytes. Nothing for bytes that were never checked and where there is no cache; for
+/// an entry that is damaged or cannot be read nothing, with a note. `version` is a word of letters, digits and dots.
+std::optional<FileVerdict> read_verdict(const std::string& file, const std::string& version, Diagnostics& notes);
+
+/// Keeps it in place of an earlier one; a cache that cannot be written is a note. `fault` as in FileVerdict.
+void keep_verdict(const std::string& file, const std::string& version, const std::string& fault, Diagnostics& notes);
+
+// Where a program keeps what it can make again, and how much of it.
+
+/// FOLDER/NAME of the user's cache, made if need be: the environment variable SEMFIELD_CACHE, else
+/// XDG_CACHE_HOME/semfield, else HOME/.cache/semfield. "" where SEMFIELD_CACHE is `off`, where none of them is set, and
+/// where the folder cannot be made: then nothing is kept.
+std::string cache_folder(const std::string& name);
+
+/// Bytes that a cache folder may hold: SEMFIELD_CACHE_GB, or 2 GB. Throws Error(config) for what is no number.
+std::uint64_t cache_limit();
+
+/// Notes that `entry`, a folder in a cache folder, is used now, and removes the entries unused for longest until the
+/// folder holds at most `limit` bytes; `entry` stays. Others may read an entry meanwhile: they make anew what is gone.
+void use_cache_entry(const std::string& entry, std::uint64_t limit);
 
 }  // namespace semfield

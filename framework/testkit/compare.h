@@ -1,9 +1,13 @@
 // Two matrices side by side: where they differ most, and by how much.
 #pragma once
 
+#include <cstdint>
+#include <functional>
 #include <string>
+#include <vector>
 
 #include "core/view.h"
+#include "plugin/parametric.h"
 
 namespace semfield::testkit {
 
@@ -31,5 +35,57 @@ std::string compare_norms(View<const A> got, View<const B> want, double toleranc
 /// "" when every element has the same bits, else a sentence with the first element that has not.
 template <class A>
 std::string compare_bits(View<const A> got, View<const A> want);
+
+// Analytic gradients against central differences, in double.
+
+struct GradientCheck {
+  double tolerance = 1e-5;  ///< of the largest |gradient| in the matrix, or of `floor`
+  double floor = 1e-6;
+  int max_elements = 48;   ///< elements checked; the one with the largest gradient is always among them
+  std::uint64_t seed = 1;  ///< which elements
+};
+
+/// Central differences of `loss` with respect to elements of `x` (changed and restored) against `analytic` of the same
+/// shape. A step of 1e-6, its Richardson extrapolation and a step of 1e-7 are tried: a kink of the function within the
+/// step, or a high frequency, spoils one of them but a wrong gradient spoils all. Returns "" or a sentence with the
+/// worst element.
+std::string check_gradient(const std::function<double()>& loss, View<double> x, View<const double> analytic,
+                           const GradientCheck& options);
+
+// A component's tensors for a test: allocated as declared, filled reproducibly, with gradients.
+
+/// Allocates what `component` declares. Values are drawn in fp32 from (seed, tensor name, element), so that a float box
+/// and a double box of one component hold the same numbers.
+template <class Real>
+class TensorBox {
+ public:
+  /// Learned tensors start as declared plus uniform noise of +-`noise`, so that zero-initialised layers are exercised
+  /// too.
+  TensorBox(const Parametric<Real>& component, std::uint64_t seed, double noise = 0.1);
+  TensorBox(const TensorBox&) = delete;
+  TensorBox& operator=(const TensorBox&) = delete;
+
+  const Tensors<Real>& tensors() const { return tensors_; }
+  /// The same without gradients, as a renderer passes them.
+  Tensors<Real> values_only() const { return {value_views_, {}}; }
+  const std::vector<TensorSpec>& specs() const { return specs_; }
+  std::size_t count() const { return specs_.size(); }
+  View<Real> value(std::size_t index) const { return value_views_[index]; }
+  View<Real> grad(std::size_t index) const { return grad_views_[index]; }
+  /// Learned: trained by the optimiser (dense or sparse).
+  bool learned(std::size_t index) const {
+    return specs_[index].role == TensorRole::dense || specs_[index].role == TensorRole::sparse;
+  }
+  void fill_grads(Real value);
+
+ private:
+  std::vector<TensorSpec> specs_;
+  std::vector<std::vector<Real>> values_, grads_;
+  std::vector<View<Real>> value_views_, grad_views_;
+  Tensors<Real> tensors_;
+};
+
+extern template class TensorBox<float>;
+extern template class TensorBox<double>;
 
 }  // namespace semfield::testkit

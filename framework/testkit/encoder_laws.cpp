@@ -6,11 +6,8 @@
 #include "compute/parallel.h"
 #include "core/rng.h"
 #include "testkit/compare.h"
-#include "testkit/cost_laws.h"
-#include "testkit/gradient_check.h"
-#include "testkit/guarded.h"
+#include "testkit/field_bench.h"
 #include "testkit/laws.h"
-#include "testkit/tensor_box.h"
 
 namespace semfield::testkit {
 

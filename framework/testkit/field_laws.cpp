@@ -3,9 +3,7 @@
 #include <type_traits>
 
 #include "testkit/compare.h"
-#include "testkit/cost_laws.h"
 #include "testkit/field_bench.h"
-#include "testkit/gradient_check.h"
 #include "testkit/laws.h"
 
 namespace semfield::testkit {

@@ -3,16 +3,14 @@
 #include <cmath>
 
 #include "testkit/compare.h"
-#include "testkit/gradient_check.h"
-#include "testkit/guarded.h"
+#include "testkit/field_bench.h"
 #include "testkit/laws.h"
-#include "testkit/tensor_box.h"
 
 namespace semfield::testkit {
 
 namespace {
 
-constexpr std::int64_t kFew = 33;
+constexpr std::int64_t kFewFeatures = 33;
 
 // A head with tensors, inputs of `rows` rows and guarded outputs: per sample, then the output layer on the same rows as
 // if each were a ray.
@@ -69,7 +67,7 @@ struct HeadBench {
 
 template <class Real>
 void check_written(const Head<Real>& head, const HeadBuild& build, const LawOptions& options, Failures& failures) {
-  for (const std::int64_t rows : {std::int64_t{0}, std::int64_t{1}, std::int64_t{31}, kFew}) {
+  for (const std::int64_t rows : {std::int64_t{0}, std::int64_t{1}, std::int64_t{31}, kFewFeatures}) {
     HeadBench<Real> bench(head, build, rows, 3, options);
     bench.forward();
     bench.backward();
@@ -83,26 +81,26 @@ void check_written(const Head<Real>& head, const HeadBuild& build, const LawOpti
 
 // Compositing stands between the activations and the output layer, which must therefore be linear.
 void check_linear(const Head<double>& head, const HeadBuild& build, const LawOptions& options, Failures& failures) {
-  HeadBench<double> a(head, build, kFew, 0, options), b(head, build, kFew, 0, options),
-      sum(head, build, kFew, 0, options);
+  HeadBench<double> a(head, build, kFewFeatures, 0, options), b(head, build, kFewFeatures, 0, options),
+      sum(head, build, kFewFeatures, 0, options);
   fill_uniform(a.hidden.view(), "testkit/head_h_1", options.seed);
   fill_uniform(b.hidden.view(), "testkit/head_h_2", options.seed);
   fill_uniform(b.opacity.view(), "testkit/head_opacity_2", options.seed);
   const auto output = [&](HeadBench<double>& of) {
     head.output_forward(of.ctx, of.box.tensors(), of.hidden.view(), of.opacity.view(), of.out.view());
   };
-  for (std::int64_t r = 0; r < kFew; ++r) {
+  for (std::int64_t r = 0; r < kFewFeatures; ++r) {
     sum.opacity(r, 0) = 2 * a.opacity(r, 0) - 3 * b.opacity(r, 0);
     for (std::int32_t c = 0; c < sum.hidden.cols(); ++c) sum.hidden(r, c) = 2 * a.hidden(r, c) - 3 * b.hidden(r, c);
   }
   output(a), output(b), output(sum);
-  Guarded<double> wanted(kFew, head.width());
-  for (std::int64_t r = 0; r < kFew; ++r)
+  Guarded<double> wanted(kFewFeatures, head.width());
+  for (std::int64_t r = 0; r < kFewFeatures; ++r)
     for (std::int32_t c = 0; c < head.width(); ++c) wanted(r, c) = 2 * a.out(r, c) - 3 * b.out(r, c);
   note_failure(failures, "the output is linear in activations and opacity",
                compare<double, double>(sum.out.view(), wanted.view(), 1e-10));
   // Without an opacity each row stands for a sample, whose opacity is 1.
-  HeadBench<double> ones(head, build, kFew, 0, options), none(head, build, kFew, 0, options);
+  HeadBench<double> ones(head, build, kFewFeatures, 0, options), none(head, build, kFewFeatures, 0, options);
   ones.opacity.fill(1);
   ones.forward();
   none.forward();
@@ -112,7 +110,7 @@ void check_linear(const Head<double>& head, const HeadBuild& build, const LawOpt
 }
 
 void check_gradients(const Head<double>& head, const HeadBuild& build, const LawOptions& options, Failures& failures) {
-  HeadBench<double> bench(head, build, kFew, 0, options);
+  HeadBench<double> bench(head, build, kFewFeatures, 0, options);
   bench.forward();
   bench.backward();
   const GradientCheck check{options.gradient_tolerance, 1e-6, options.gradient_elements, options.seed};
@@ -130,7 +128,7 @@ void check_gradients(const Head<double>& head, const HeadBuild& build, const Law
 
 void check_accumulates(const Head<double>& head, const HeadBuild& build, const LawOptions& options,
                        Failures& failures) {
-  HeadBench<double> once(head, build, kFew, 0, options), twice(head, build, kFew, 0, options);
+  HeadBench<double> once(head, build, kFewFeatures, 0, options), twice(head, build, kFewFeatures, 0, options);
   once.forward();
   once.backward();
   twice.forward();
@@ -149,9 +147,9 @@ void check_accumulates(const Head<double>& head, const HeadBuild& build, const L
 
 // Each row of a batch has the bits that it has alone.
 void check_split(const Head<float>& head, const HeadBuild& build, const LawOptions& options, Failures& failures) {
-  HeadBench<float> whole(head, build, kFew, 0, options), part(head, build, kFew, 0, options);
+  HeadBench<float> whole(head, build, kFewFeatures, 0, options), part(head, build, kFewFeatures, 0, options);
   whole.forward();
-  for (const auto& [begin, count] : {std::pair<std::int64_t, std::int64_t>{0, 5}, {5, kFew - 5}}) {
+  for (const auto& [begin, count] : {std::pair<std::int64_t, std::int64_t>{0, 5}, {5, kFewFeatures - 5}}) {
     head.hidden_forward(part.ctx, part.box.tensors(), part.feature.view().row_range(begin, count),
                         part.hidden.view().row_range(begin, count));
     head.output_forward(part.ctx, part.box.tensors(), part.hidden.view().row_range(begin, count),
@@ -165,8 +163,8 @@ void check_split(const Head<float>& head, const HeadBuild& build, const LawOptio
 
 void check_precision(const Head<float>& single, const Head<double>& oracle, const HeadBuild& build,
                      const LawOptions& options, Failures& failures) {
-  HeadBench<float> narrow(single, build, kFew, 0, options);
-  HeadBench<double> wide(oracle, build, kFew, 0, options);
+  HeadBench<float> narrow(single, build, kFewFeatures, 0, options);
+  HeadBench<double> wide(oracle, build, kFewFeatures, 0, options);
   narrow.forward();
   narrow.backward();
   wide.forward();

@@ -4,7 +4,7 @@
 #include "execution/device_library.h"
 #include "plugin/encoder.h"
 #include "plugin/field.h"
-#include "plugin/head/head.h"
+#include "plugin/head.h"
 #include "plugin/sampler.h"
 
 namespace semfield::testkit {

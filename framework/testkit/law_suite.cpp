@@ -1,10 +1,10 @@
 // The laws of every kind on plugins that a registry has: what `semfield plugins check` runs.
-#include "plugin/check/law_suite.h"
+#include "plugin/law_suite.h"
 
 #include <algorithm>
 #include <map>
 
-#include "testkit/law_builds.h"
+#include "testkit/laws.h"
 
 namespace semfield::testkit {
 

@@ -2,17 +2,53 @@
 // framework.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
+#include <string>
 #include <type_traits>
+#include <vector>
 
 #include "core/workspace.h"
+#include "plugin/field.h"
 #include "plugin/registry.h"
-#include "testkit/failures.h"
-#include "testkit/settings.h"
 
 namespace semfield::testkit {
+
+using Failures = std::vector<std::string>;
+
+/// Adds "<law>: <sentence>" unless the sentence is empty.
+inline void note_failure(Failures& failures, const std::string& law, const std::string& sentence) {
+  if (!sentence.empty()) failures.push_back(law + ": " + sentence);
+}
+
+inline void append(Failures& to, const Failures& from) { to.insert(to.end(), from.begin(), from.end()); }
+
+/// One failure a line, for an assertion's message.
+std::string to_text(const Failures& failures);
+
+// Parameters of a registry entry from a small map of texts, without a config file.
+
+/// Parameter name to value as text: "16", "0.5", "true", a choice's name, lists as "1,2,3".
+using Settings = std::map<std::string, std::string>;
+
+struct SettingsLine {
+  int number = 0;     ///< in its file, from 1
+  Settings settings;  ///< empty: the defaults
+};
+/// Lines "name=value name=value" or "defaults" of a file as conformance.txt; blank ones and those that begin with '#'
+/// are passed over. Throws Error(config) with file and line for a word without '=', Error(no_input).
+std::vector<SettingsLine> read_settings_lines(const std::string& path);
+
+/// Reads `settings` into the parameters and returns every problem: unknown names, wrong types, values out of range.
+Failures apply_settings(PluginParams& params, const Settings& settings);
+/// Every parameter with its value as text; apply_settings() of it gives the same parameters.
+Settings settings_of(PluginParams& params);
+
+/// The entry's defaults with `settings` applied and validated. Throws Error(config) listing every problem.
+std::unique_ptr<PluginParams> make_params(const PluginEntry& entry, const Settings& settings = {});
 
 struct LawOptions {
   std::uint64_t seed = 1;
@@ -103,5 +139,50 @@ struct DatasetExpectation {
 Failures dataset_laws(Dataset& dataset, const DatasetExpectation& expected = {});
 Failures dataset_laws(const Registry& registry, const std::string& name, const Settings& settings,
                       const DatasetBuild& build, const DatasetExpectation& expected = {});
+
+// The ways in which plugins are built for their laws, and their twins in double on the CPU.
+
+/// A plugin in float on a device, and its oracle.
+template <class Float, class Double>
+struct Twins {
+  std::unique_ptr<Float> single;
+  std::unique_ptr<Double> oracle;
+};
+
+/// For positions and for directions.
+std::vector<EncoderBuild> encoder_builds(Device device);
+/// In fp32 with all inputs and outputs, and with one left out at a time; the same in bf16 where the field has such
+/// kernels for the device.
+std::vector<FieldBuild> field_builds(const Registry& registry, const std::string& name, Device device);
+SamplerBuild sampler_build(Device device);
+/// Of one column and of many.
+std::vector<HeadBuild> head_builds(Device device);
+
+/// "directions", "bf16, no feature", "".
+std::string text_of(const EncoderBuild& build);
+std::string text_of(const FieldBuild& build);
+std::string text_of(const SamplerBuild& build);
+std::string text_of(const HeadBuild& build);
+
+/// Throws what factories throw; a refusal is an Error.
+Twins<Encoder<float>, Encoder<double>> make_twins(const Registry& registry, const std::string& name,
+                                                  const Settings& settings, const EncoderBuild& build);
+Twins<Field<float>, Field<double>> make_twins(const Registry& registry, const std::string& name,
+                                              const Settings& settings, const FieldBuild& build);
+Twins<Sampler<float>, Sampler<double>> make_twins(const Registry& registry, const std::string& name,
+                                                  const Settings& settings, const SamplerBuild& build);
+Twins<Head<float>, Head<double>> make_twins(const Registry& registry, const std::string& name, const Settings& settings,
+                                            const HeadBuild& build);
+
+// Laws of what a component says that it costs: scratch memory and matrix products.
+
+/// What a component says that it takes of a workspace may be that much more than what a large batch takes.
+constexpr std::size_t kScratchFactor = 2;
+/// "" or a sentence: `said` is at least `taken` and, for a `large` batch, at most kScratchFactor times as much.
+std::string scratch_failure(std::size_t said, std::size_t taken, bool large);
+
+/// layers() are sound, multiply_adds() is their sum and what compute/gemm.h counts while derive and forward run
+/// (nothing is counted of a field that multiplies by itself); scratch_bytes() bounds what forward and backward take.
+void check_costs(const Field<float>& field, const FieldBuild& build, const LawOptions& options, Failures& failures);
 
 }  // namespace semfield::testkit

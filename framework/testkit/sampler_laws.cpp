@@ -4,9 +4,8 @@
 
 #include "core/rng.h"
 #include "testkit/compare.h"
-#include "testkit/guarded.h"
+#include "testkit/field_bench.h"
 #include "testkit/laws.h"
-#include "testkit/tensor_box.h"
 
 namespace semfield::testkit {
 

@@ -1,24 +1,522 @@
 #include "python/core/plugins.h"
 
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
 #include <algorithm>
 #include <filesystem>
 #include <memory>
 #include <set>
+#include <string>
+#include <string_view>
+#include <vector>
 
-#include "plugin/linked_plugins.h"
+#include "config/params.h"
+#include "core/error.h"
+#include "plugin/head.h"
 #include "plugin/loader.h"
+#include "plugin/loss.h"
+#include "plugin/parametric.h"
 #include "python/core/arrays.h"
 #include "python/core/errors.h"
-#include "python/core/plugin_calls.h"
-#include "python/core/plugin_head.h"
-#include "python/core/plugin_loss.h"
-#include "python/core/plugin_params.h"
-#include "python/core/plugin_tensors.h"
 #include "python/core/scene_values.h"
 
 namespace semfield::python {
+
+namespace py = pybind11;
+
+// An object of Python that threads without the GIL may hold and drop.
+using Held = std::shared_ptr<py::object>;
+
+inline Held hold(py::object object) {
+  return {new py::object(std::move(object)), [](py::object* p) {
+            if (Py_IsInitialized() == 0) return;  // the process ends: nothing is given back any more
+            const py::gil_scoped_acquire gil;
+            delete p;
+          }};
+}
+
+// Calls code of a plugin with the GIL; what it raises becomes an Error.
+template <class Call>
+auto called(const std::string& doing, const Call& call) {
+  const py::gil_scoped_acquire gil;
+  try {
+    return call();
+  } catch (py::error_already_set& raised) {
+    if (raised.matches(PyExc_KeyboardInterrupt)) {
+      note_interrupt();
+      throw;
+    }
+    throw error_of(raised, doing);
+  } catch (const py::cast_error& wrong) {
+    throw Error(ErrorKind::failure, "plugin.python.value", doing + ": " + wrong.what());
+  }
+}
+
+// Learned numbers of components that are written in Python, and arrays that they return.
+
+template <class Real>
+class PythonTensors {
+ public:
+  PythonTensors() = default;
+  /// Of `made`, an instance with a dict `tensors` of semfield.Tensor.
+  explicit PythonTensors(const py::object& made) {
+    for (const auto& [tensor, spec] : made.attr("tensors").template cast<py::dict>()) {
+      TensorSpec declared;
+      declared.name = py::str(tensor).template cast<std::string>();
+      declared.rows = spec.attr("rows").template cast<std::int64_t>();
+      declared.cols = spec.attr("cols").template cast<std::int32_t>();
+      declared.init = {spec.attr("low").template cast<double>(), spec.attr("high").template cast<double>()};
+      specs_.push_back(std::move(declared));
+    }
+  }
+
+  void declare(ParamDeclarer& declarer) const {
+    for (const TensorSpec& spec : specs_) declarer.tensor(spec);
+  }
+  py::dict values(const Tensors<Real>& tensors) const {
+    py::dict out;
+    for (std::size_t i = 0; i < specs_.size(); ++i)
+      out[py::str(specs_[i].name)] = borrowed(View<const Real>(tensors.value[i]));
+    return out;
+  }
+  /// What call(gradients by name) returns. Throws Error(failure) where it put another array in the place of one: what
+  /// is not added in place would be lost.
+  template <class Call>
+  py::object with_gradients(const std::string& doing, const Tensors<Real>& tensors, const Call& call) const {
+    py::dict given;
+    for (std::size_t i = 0; i < specs_.size() && i < tensors.grad.size(); ++i)
+      given[py::str(specs_[i].name)] = borrowed(tensors.grad[i]);
+    const py::dict before = given.attr("copy")();
+    const py::object answer = call(given);
+    for (const auto& [name, array] : before) {
+      if (given.contains(name) && py::object(given[name]).is(array)) continue;
+      throw Error(ErrorKind::failure, "plugin.python.gradient",
+                  doing + ": the gradient of '" + py::str(name).cast<std::string>() + "' was replaced",
+                  "add to it in place: grads[name] += ...");
+    }
+    if (given.size() != before.size())
+      throw Error(ErrorKind::failure, "plugin.python.gradient", doing + ": grads got a name that no tensor has",
+                  "declare the tensor in setup");
+    return answer;
+  }
+
+ private:
+  std::vector<TensorSpec> specs_;
+};
+
+using Shape = std::vector<py::ssize_t>;
+
+inline std::string shape_text(const py::ssize_t* sizes, std::size_t count) {
+  std::string out;
+  for (std::size_t i = 0; i < count; ++i) out += (i == 0 ? "" : ", ") + std::to_string(sizes[i]);
+  return "(" + out + (count == 1 ? ",)" : ")");
+}
+
+/// What `doing` ("head 'x'.output") returned, as an array of one of these shapes exactly: NumPy would stretch one row
+/// to all of them. Throws Error(failure) for another shape or type.
+inline py::array real_array(const std::string& doing, const py::handle& answer, const std::vector<Shape>& shapes) {
+  const py::array given = py::array::ensure(answer);
+  const auto has = [&](const Shape& shape) {
+    return std::equal(shape.begin(), shape.end(), given.shape(), given.shape() + given.ndim());
+  };
+  if (!given || std::none_of(shapes.begin(), shapes.end(), has)) {
+    PyErr_Clear();
+    std::string wanted;
+    for (const Shape& shape : shapes) wanted += (wanted.empty() ? "" : " or ") + shape_text(shape.data(), shape.size());
+    const std::string got = given ? shape_text(given.shape(), static_cast<std::size_t>(given.ndim()))
+                                  : py::repr(py::type::handle_of(answer)).cast<std::string>();
+    throw Error(ErrorKind::failure, "plugin.python.shape",
+                doing + ": expected an array of the shape " + wanted + ", got " + got);
+  }
+  if (std::string_view("fiub").find(given.dtype().kind()) == std::string_view::npos)
+    throw Error(ErrorKind::failure, "plugin.python.value",
+                doing + ": expected real numbers, got " + py::str(given.dtype()).cast<std::string>());
+  return given;
+}
+
+/// Copies what `doing` returned.
+template <class Real>
+void take(const std::string& doing, const py::object& answer, View<Real> to) {
+  const py::array given = real_array(doing, answer, {{to.rows, to.cols}});
+  py::array target = borrowed(to);
+  target[py::ellipsis()] = given;
+}
+
+// Heads that are written in Python.
+
+/// An instance of the class `type`, a subclass of semfield.Head.
+template <class Real>
+std::unique_ptr<Head<Real>> make_python_head(const std::string& name, const py::object& type,
+                                             const PythonParams& params, const HeadBuild& build);
+
+// Losses that are written in Python.
+
+/// An instance of the class `type`, a subclass of semfield.Loss.
+std::unique_ptr<Loss> make_python_loss(const std::string& name, const py::object& type, const PythonParams& params);
+
+namespace {
+
+// Whole numbers or not, by what the list holds.
+template <class T>
+bool all_are(const py::list& list, const T& is) {
+  return std::all_of(list.begin(), list.end(), [&](const py::handle item) { return is(item); });
+}
+
+bool is_whole(const py::handle& value) { return py::isinstance<py::int_>(value) && !py::isinstance<py::bool_>(value); }
+
+bool is_number(const py::handle& value) { return is_whole(value) || py::isinstance<py::float_>(value); }
+
+// A default that its own range refuses would be refused where nobody gave it.
+void require_in_range(const PythonParam& param, const std::string& owner) {
+  std::vector<double> numbers;
+  if (const auto* whole = std::get_if<std::int64_t>(&param.value)) numbers = {static_cast<double>(*whole)};
+  if (const auto* real = std::get_if<double>(&param.value)) numbers = {*real};
+  if (const auto* wholes = std::get_if<std::vector<std::int64_t>>(&param.value))
+    numbers.assign(wholes->begin(), wholes->end());
+  if (const auto* reals = std::get_if<std::vector<double>>(&param.value)) numbers = *reals;
+  for (const double number : numbers) {
+    if (number >= param.range.min && number <= param.range.max) continue;
+    throw Error(
+        ErrorKind::usage, "plugin.python.default",
+        owner + ": the default of '" + param.name + "' is " + shortest_number(number) + ", outside its own range");
+  }
+}
+
+}  // namespace
+
+void PythonParams::describe(ParamVisitor& visit) {
+  for (PythonParam& p : params_) {
+    const ParamInfo info{p.name, p.help, p.range};
+    struct Visit {
+      ParamVisitor& visit;
+      const ParamInfo& info;
+      void operator()(bool& value) const { visit.boolean(info, value); }
+      void operator()(std::int64_t& value) const { visit.integer(info, value); }
+      void operator()(double& value) const { visit.real(info, value); }
+      void operator()(std::string& value) const { visit.text(info, value); }
+      void operator()(ChoiceValue& value) const {
+        const std::vector<std::string_view> names(value.names.begin(), value.names.end());
+        visit.choice(info, value.index, names);
+      }
+      void operator()(std::vector<std::int64_t>& value) const { visit.integers(info, value); }
+      void operator()(std::vector<double>& value) const { visit.reals(info, value); }
+      void operator()(std::vector<std::string>& value) const { visit.texts(info, value); }
+    };
+    std::visit(Visit{visit, info}, p.value);
+  }
+}
+
+py::dict PythonParams::values() const {
+  py::dict out;
+  for (const PythonParam& p : params_) {
+    out[py::str(p.name)] = std::visit(
+        [](const auto& value) -> py::object {
+          if constexpr (std::is_same_v<std::decay_t<decltype(value)>, ChoiceValue>) {
+            return py::str(value.names[static_cast<std::size_t>(value.index)]);
+          } else {
+            return py::cast(value);
+          }
+        },
+        p.value);
+  }
+  return out;
+}
+
+std::vector<PythonParam> params_of(const py::list& declared, const std::string& owner) {
+  std::vector<PythonParam> out;
+  for (const py::handle row : declared) {
+    const auto item = py::reinterpret_borrow<py::dict>(row);
+    PythonParam p;
+    p.name = item["name"].cast<std::string>();
+    p.help = item["help"].cast<std::string>();
+    if (!item["low"].is_none()) p.range.min = item["low"].cast<double>();
+    if (!item["high"].is_none()) p.range.max = item["high"].cast<double>();
+    const py::object value = item["default"];
+    if (!item["choices"].is_none()) {
+      ChoiceValue choice{0, item["choices"].cast<std::vector<std::string>>()};
+      const auto at = std::find(choice.names.begin(), choice.names.end(), py::str(value).cast<std::string>());
+      if (at == choice.names.end())
+        throw Error(ErrorKind::usage, "plugin.python.default",
+                    owner + ": the default of '" + p.name + "' is none of its choices");
+      choice.index = static_cast<int>(at - choice.names.begin());
+      p.value = std::move(choice);
+    } else if (py::isinstance<py::bool_>(value)) {
+      p.value = value.cast<bool>();
+    } else if (is_whole(value)) {
+      p.value = value.cast<std::int64_t>();
+    } else if (py::isinstance<py::float_>(value)) {
+      p.value = value.cast<double>();
+    } else if (py::isinstance<py::str>(value)) {
+      p.value = value.cast<std::string>();
+    } else if (py::isinstance<py::list>(value) || py::isinstance<py::tuple>(value)) {
+      const py::list list(value);
+      if (!list.empty() && all_are(list, is_whole)) {
+        p.value = list.cast<std::vector<std::int64_t>>();
+      } else if (!list.empty() && all_are(list, [](const py::handle& v) { return py::isinstance<py::str>(v); })) {
+        p.value = list.cast<std::vector<std::string>>();
+      } else if (all_are(list, is_number)) {
+        p.value = list.cast<std::vector<double>>();
+      } else {
+        throw Error(ErrorKind::usage, "plugin.python.default",
+                    owner + ": the default of '" + p.name + "' is " + py::repr(value).cast<std::string>(),
+                    "a list has numbers alone, or texts alone");
+      }
+    } else {
+      throw Error(ErrorKind::usage, "plugin.python.default",
+                  owner + ": the default of '" + p.name + "' is " + py::repr(value).cast<std::string>(),
+                  "a parameter is a truth value, a number, a text, or a list of numbers or texts");
+    }
+    require_in_range(p, owner);
+    out.push_back(std::move(p));
+  }
+  return out;
+}
+
+namespace {
+
+template <class Real>
+class PythonHead final : public Head<Real> {
+ public:
+  PythonHead(const std::string& name, const py::object& type, const PythonParams& params, const HeadBuild& build)
+      : owner_("head '" + name + "'"), width_(build.width) {
+    if (build.device != Device::cpu)
+      throw Error(ErrorKind::unavailable, "plugin.kernels.missing",
+                  owner_ + " is written in Python and has no " + std::string(device_name(build.device)) + " kernels");
+    called(owner_, [&] {
+      const py::object made = type.attr("_made")(params.values(), build.feature_dims, build.width);
+      hidden_ = made.attr("hidden_width").template cast<std::int32_t>();
+      tensors_ = PythonTensors<Real>(made);
+      instance_ = hold(made);
+    });
+    if (hidden_ <= 0)
+      throw Error(ErrorKind::usage, "plugin.python.declaration", owner_ + ": setup must set hidden_width above 0");
+  }
+
+  std::int32_t hidden_width() const override { return hidden_; }
+  std::int32_t width() const override { return width_; }
+  void declare(ParamDeclarer& declarer) const override { tensors_.declare(declarer); }
+
+  void hidden_forward(const StepContext&, const Tensors<Real>& tensors, View<const Real> feature,
+                      View<Real> hidden) const override {
+    called(owner_ + ".hidden", [&] {
+      take(owner_ + ".hidden", instance_->attr("hidden")(borrowed(feature), tensors_.values(tensors)), hidden);
+    });
+  }
+  void hidden_backward(const StepContext&, const Tensors<Real>& tensors, View<const Real> feature,
+                       View<const Real> hidden, View<Real> d_hidden, View<Real> d_feature) const override {
+    called(owner_ + ".hidden_backward", [&] {
+      const std::string doing = owner_ + ".hidden_backward";
+      take(doing,
+           tensors_.with_gradients(doing, tensors,
+                                   [&](const py::dict& grads) {
+                                     return instance_->attr("hidden_backward")(borrowed(feature), borrowed(hidden),
+                                                                               borrowed(View<const Real>(d_hidden)),
+                                                                               tensors_.values(tensors), grads);
+                                   }),
+           d_feature);
+    });
+  }
+  void output_forward(const StepContext&, const Tensors<Real>& tensors, View<const Real> h, View<const Real> opacity,
+                      View<Real> rows) const override {
+    called(owner_ + ".output", [&] {
+      take(owner_ + ".output", instance_->attr("output")(borrowed(h), seen(opacity), tensors_.values(tensors)), rows);
+    });
+  }
+  void output_backward(const StepContext&, const Tensors<Real>& tensors, View<const Real> h, View<const Real> opacity,
+                       View<const Real> d_rows, View<Real> d_h, View<Real> d_opacity) const override {
+    called(owner_ + ".output_backward", [&] {
+      const std::string doing = owner_ + ".output_backward";
+      const py::object answer = tensors_.with_gradients(doing, tensors, [&](const py::dict& grads) {
+        return instance_->attr("output_backward")(borrowed(h), seen(opacity), borrowed(d_rows),
+                                                  tensors_.values(tensors), grads);
+      });
+      if (!py::isinstance<py::tuple>(answer) || py::len(answer) != 2)
+        throw Error(ErrorKind::failure, "plugin.python.shape",
+                    doing + ": expected two arrays, dL/dh and dL/d(opacity)");
+      take(doing + ", dL/dh", py::object(answer[py::int_(0)]), d_h);
+      if (!d_opacity.empty()) take(doing + ", dL/d(opacity)", py::object(answer[py::int_(1)]), d_opacity);
+    });
+  }
+
+ private:
+  static py::object seen(View<const Real> opacity) {
+    return opacity.empty() ? py::object(py::none()) : py::object(borrowed(opacity));
+  }
+
+  std::string owner_;
+  std::int32_t hidden_ = 0, width_ = 0;
+  PythonTensors<Real> tensors_;
+  Held instance_;
+};
+
+}  // namespace
+
+template <class Real>
+std::unique_ptr<Head<Real>> make_python_head(const std::string& name, const py::object& type,
+                                             const PythonParams& params, const HeadBuild& build) {
+  return std::make_unique<PythonHead<Real>>(name, type, params, build);
+}
+
+template std::unique_ptr<Head<float>> make_python_head<float>(const std::string&, const py::object&,
+                                                              const PythonParams&, const HeadBuild&);
+template std::unique_ptr<Head<double>> make_python_head<double>(const std::string&, const py::object&,
+                                                                const PythonParams&, const HeadBuild&);
+
+namespace {
+
+class PythonLoss final : public Loss {
+ public:
+  PythonLoss(const std::string& name, const py::object& type, const PythonParams& params)
+      : owner_("loss '" + name + "'") {
+    called(owner_, [&] {
+      const py::object made = type.attr("_made")(params.values());
+      rule_.weight = made.attr("weight").cast<double>();
+      rule_.from_step = made.attr("from_step").cast<double>();
+      targets_ = made.attr("targets").cast<std::vector<std::string>>();
+      heads_ = made.attr("heads").cast<std::vector<std::string>>();
+      moves_ = made.attr("moves").cast<std::vector<std::string>>();
+      instance_ = hold(made);
+    });
+    if (moves_.empty())
+      throw Error(ErrorKind::usage, "plugin.python.moves",
+                  owner_ + ": moves names no channel that it has a gradient of");
+    // What it moves, it reads: a name that no head makes is refused before the run, and does not train nothing.
+    const auto is_of_pass = [](const std::string& one) {
+      return one == channel::color || one == channel::depth || one == channel::weight || one == channel::sigma;
+    };
+    for (const std::string& moved : moves_)
+      if (!is_of_pass(moved) && std::find(heads_.begin(), heads_.end(), moved) == heads_.end()) heads_.push_back(moved);
+    traits_.targets.assign(targets_.begin(), targets_.end());
+    traits_.heads.assign(heads_.begin(), heads_.end());
+    traits_.moves.assign(moves_.begin(), moves_.end());
+  }
+
+  LossRule rule() const override { return rule_; }
+  LossTraits traits() const override { return traits_; }
+  std::int64_t counted_rays(const RayTargets& batch, std::int64_t rays) const override {
+    if (!has_targets(batch)) return 0;
+    const auto counted = called(owner_ + ".counted",
+                                [&] { return instance_->attr("counted")(arrays(batch), rays).cast<std::int64_t>(); });
+    if (counted < 0 || counted > rays)
+      throw Error(ErrorKind::failure, "plugin.python.value",
+                  owner_ + ".counted: " + std::to_string(counted) + " of " + std::to_string(rays) + " rays",
+                  "return how many of the batch's rays the mean is over");
+    return counted;
+  }
+  double add(const RayTargets& targets, const RayValues<float>& values, double scale,
+             const RayGradients<float>& gradients) const override {
+    return add_real(targets, values, scale, gradients);
+  }
+  double add(const RayTargets& targets, const RayValues<double>& values, double scale,
+             const RayGradients<double>& gradients) const override {
+    return add_real(targets, values, scale, gradients);
+  }
+  LossKernel kernel(Device device, std::string_view owner, const KernelTables&) const override {
+    throw Error(
+        ErrorKind::unavailable, "plugin.kernels.missing",
+        std::string(owner) + " is written in Python and has no " + std::string(device_name(device)) + " kernels");
+  }
+
+ private:
+  template <class T>
+  static void put(py::dict& out, std::string_view name, View<T> view) {
+    if (view.cols > 0) out[py::str(std::string(name))] = borrowed(view);
+  }
+  bool has_targets(const RayTargets& batch) const {
+    return std::all_of(targets_.begin(), targets_.end(), [&](const std::string& name) {
+      return name == channel::color   ? batch.color.cols > 0
+             : name == channel::label ? batch.label.cols > 0
+                                      : batch.more[name].cols > 0;
+    });
+  }
+  static py::dict arrays(const RayTargets& targets) {
+    py::dict out;
+    put(out, channel::color, targets.color);
+    put(out, channel::label, targets.label);
+    for (const auto& one : targets.more) put(out, one.name, one.view);
+    return out;
+  }
+  template <class Real>
+  static py::dict arrays(const RayValues<Real>& values) {
+    py::dict out;
+    put(out, "unit_m", View<const double>(&values.unit_m, 1, 1));
+    put(out, "near_far", values.near_far);
+    put(out, "first", values.first);
+    put(out, "t", values.t);
+    put(out, "delta", values.delta);
+    put(out, channel::sigma, values.sigma);
+    put(out, channel::weight, values.weight);
+    put(out, channel::color, values.color);
+    put(out, channel::depth, values.depth);
+    put(out, channel::opacity, values.opacity);
+    for (const auto& one : values.heads) put(out, one.name, one.view);
+    return out;
+  }
+  // Of RayValues or RayGradients: a channel that a loss moves.
+  template <class All>
+  static auto moved_in(const All& all, std::string_view name) {
+    if (name == channel::color) return all.color;
+    if (name == channel::depth) return all.depth;
+    if (name == channel::weight) return all.weight;
+    if (name == channel::sigma) return all.sigma;
+    return all.heads[name];
+  }
+
+  template <class Real>
+  double add_real(const RayTargets& targets, const RayValues<Real>& values, double scale,
+                  const RayGradients<Real>& gradients) const {
+    if (values.first.rows <= 1 || !has_targets(targets)) return 0;
+    return called(owner_ + ".value", [&] {
+      const py::object answer = instance_->attr("value")(arrays(targets), arrays(values));
+      if (!py::isinstance<py::tuple>(answer) || py::len(answer) != 2 || !py::isinstance<py::dict>(answer[py::int_(1)]))
+        throw Error(ErrorKind::failure, "plugin.python.value",
+                    owner_ + ".value: expected a loss and a dict of gradients");
+      const py::dict given = answer[py::int_(1)];
+      std::vector<Shape> lengths{{values.first.rows - 1}};
+      for (const std::string& name : heads_)
+        if (const auto rows = values.heads[name]; rows.cols > 0) lengths.push_back({rows.rows});
+      const py::array loss = real_array(owner_ + ".value", answer[py::int_(0)], lengths);
+      for (const std::string& name : moves_) {
+        if (moved_in(values, name).cols > 0 && !given.contains(name.c_str()))
+          throw Error(ErrorKind::failure, "plugin.python.moves",
+                      gradient_of(name) + " is missing, and `moves` names it", "give zeros where there is none");
+      }
+      for (const auto& [key, gradient] : given) {
+        const auto name = py::str(key).cast<std::string>();
+        if (!traits_.does_move(name))
+          throw Error(ErrorKind::failure, "plugin.python.moves", gradient_of(name) + ", which `moves` does not name");
+        add_rows(gradient_of(name), gradient, scale, moved_in(values, name), moved_in(gradients, name));
+      }
+      return loss.attr("sum")().template cast<double>();
+    });
+  }
+  std::string gradient_of(const std::string& name) const { return owner_ + ".value: gradient of '" + name + "'"; }
+  template <class Real>
+  static void add_rows(const std::string& what, const py::handle& given, double scale, View<const Real> value,
+                       View<Real> to) {
+    const auto array = py::array_t<double, py::array::c_style | py::array::forcecast>(
+        real_array(what, given, {{value.rows, value.cols}}));
+    if (to.empty()) return;
+    const auto rows = array.template unchecked<2>();
+    for (py::ssize_t r = 0; r < array.shape(0); ++r) {
+      for (std::int32_t c = 0; c < to.cols; ++c) to(r, c) += static_cast<Real>(scale * rows(r, c));
+    }
+  }
+
+  std::string owner_;
+  LossRule rule_;
+  std::vector<std::string> targets_, heads_, moves_;
+  LossTraits traits_;
+  Held instance_;
+};
+
+}  // namespace
+
+std::unique_ptr<Loss> make_python_loss(const std::string& name, const py::object& type, const PythonParams& params) {
+  return std::make_unique<PythonLoss>(name, type, params);
+}
 
 namespace {
 

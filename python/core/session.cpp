@@ -3,18 +3,19 @@
 #include <pybind11/stl.h>
 #include <unistd.h>
 
+#include <csignal>
 #include <optional>
 
-#include "core/findings.h"
-#include "core/work_scope.h"
-#include "eval/field_points.h"
+#include "core/error.h"
+#include "core/workspace.h"
+#include "eval/channel_query.h"
 #include "eval/final_eval.h"
 #include "python/core/arrays.h"
-#include "python/core/config_nodes.h"
-#include "python/core/device_arrays.h"
-#include "python/core/interrupt.h"
+#include "python/core/errors.h"
 #include "python/core/plugins.h"
 #include "python/core/scene_values.h"
+#include "report/report.h"
+#include "run/run_loop.h"
 #include "scene/scene_checks.h"
 
 namespace semfield::python {
@@ -385,6 +386,198 @@ py::dict PySession::query(const py::object& positions, const py::object& directi
     out["entropy"] = array_of(std::move(found.entropy), {count});
   }
   return out;
+}
+
+// The class Session of semfield._core.
+
+namespace {
+
+constexpr const char* kSplits[] = {"train", "test", "unused"};
+
+py::list frames_of(const PySession& self) {
+  py::list out;
+  for (const FrameInfo& frame : self.session().scene.info.frames) {
+    py::dict item;
+    item["name"] = frame.name;
+    item["split"] = kSplits[static_cast<std::size_t>(frame.split)];
+    item["camera"] = camera_dict(frame.camera);
+    item["pose"] = pose_array(frame.world_from_camera);
+    item["has_depth"] = frame.has_depth;
+    item["has_labels"] = frame.has_labels;
+    item["source"] = frame.source;
+    out.append(item);
+  }
+  return out;
+}
+
+py::list session_classes(const PySession& self) {
+  const Session& s = self.session();
+  const std::vector<std::int16_t> logits = s.logit_of_class();
+  py::list out;
+  for (int i = 0; i < s.classes(); ++i) {
+    const ClassEntry& entry = s.scene.info.classes.valid(i);
+    const bool learned = s.plan.semantics && logits[static_cast<std::size_t>(i)] != kVoid;
+    out.append(py::make_tuple(i, entry.id, entry.name, py::cast(entry.color), learned));
+  }
+  return out;
+}
+
+py::dict pixels_of(const PySession& self, int frame) {
+  const Session& s = self.session();
+  const auto f = static_cast<std::size_t>(frame);
+  if (frame < 0 || f >= s.scene.frames.size())
+    throw Error(ErrorKind::usage, "python.frame.range",
+                "frame " + std::to_string(frame) + ": there are " + std::to_string(s.scene.frames.size()));
+  const StoredFrame& stored = s.scene.frames[f];
+  const std::int32_t height = stored.height_px, width = stored.width_px;
+  py::dict out;
+  if (stored.rgb.empty()) return out;
+  out["rgb"] = array_of(std::vector<std::uint8_t>(stored.rgb), {height, width, 3});
+  if (!stored.depth_m.empty()) out["depth_m"] = array_of(stored.depth_m.expand(), {height, width});
+  const ClassTable& classes = s.scene.info.classes;
+  if (!stored.label.empty()) out["labels"] = ids_array(stored.label.expand(), classes, height, width);
+  if (f < s.labels.frames.size() && !s.labels.frames[f].empty()) {
+    const TrainingLabels::Frame& labels = s.labels.frames[f];
+    std::vector<std::int16_t> indices(labels.size());
+    for (std::size_t i = 0; i < indices.size(); ++i) indices[i] = labels[i];
+    out["training_labels"] = ids_array(indices, classes, height, width);
+  }
+  return out;
+}
+
+py::dict facts_of(const PySession& self) {
+  const Session& s = self.session();
+  py::dict out;
+  std::vector<double> bounds{s.scene.bounds.lo.x, s.scene.bounds.lo.y, s.scene.bounds.lo.z,
+                             s.scene.bounds.hi.x, s.scene.bounds.hi.y, s.scene.bounds.hi.z};
+  out["name"] = s.config.name;
+  out["bounds"] = array_of(std::move(bounds), {2, 3});
+  out["near_m"] = s.limits.near_m;
+  out["far_m"] = s.limits.far_m;
+  out["metric"] = s.scene.info.metric;
+  out["device"] = s.pipeline->executor().description();
+  const DeviceId device = s.pipeline->executor().device();
+  out["cuda"] = device.kind == Device::cuda ? device.ordinal : -1;
+  out["has_semantics"] = s.pipeline->has_semantics();
+  py::list left_out;
+  for (const LeftOut& part : s.plan.left_out)
+    left_out.append(py::make_tuple(part.component, part.rule, part.evidence, part.saving));
+  out["left_out"] = left_out;
+  return out;
+}
+
+}  // namespace
+
+void define_session(py::module_& module) {
+  using Opening = PySession::Opening;
+  const auto open = [](const py::object& config, const py::dict& set, const std::string& out,
+                       const std::vector<std::string>& keep, const py::object& scene) {
+    return PySession::open(config, set, Opening{out, keep, scene});
+  };
+  const auto resume = [](const std::string& run_dir, const py::dict& set, const std::vector<std::string>& keep) {
+    return PySession::resume(run_dir, set, Opening{run_dir, keep, py::none()});
+  };
+  module.def("open", open);
+  module.def("resume", resume);
+  module.def("load", &PySession::load);
+  module.def("train_run", train_run);
+  py::class_<PySession>(module, "Session")
+      .def_property_readonly("trains", &PySession::trains)
+      .def_property_readonly("step", &PySession::step)
+      .def_property_readonly("train_s", &PySession::train_s)
+      .def_property_readonly("run_dir", &PySession::run_dir)
+      .def("notes", &PySession::notes)
+      .def("rows", &PySession::rows)
+      .def("train", &PySession::train)
+      .def("train_more", &PySession::train_more)
+      .def_property_readonly("steps_left", &PySession::steps_left)
+      .def("save", &PySession::save)
+      .def("parameters", &PySession::parameters)
+      .def("set_labels", &PySession::set_labels)
+      .def("apply", &PySession::apply)
+      .def("annotations", &PySession::annotations)
+      .def("render", &PySession::render)
+      .def("channel_axes", &PySession::channel_axes)
+      .def("evaluate", &PySession::evaluate)
+      .def("query", &PySession::query)
+      .def("frames", frames_of)
+      .def("classes", session_classes)
+      .def("pixels", pixels_of)
+      .def("facts", facts_of)
+      .def("config", [](const PySession& self) { return object_of(resolved_config(self.session().config)); });
+}
+
+// `semfield train` as a call.
+
+namespace {
+
+// Tells a function of Python how the run goes, and asks it, and Ctrl-C, whether to stop.
+class Told final : public RunListener {
+ public:
+  explicit Told(const py::object& progress) : progress_(progress) {}
+
+  void note(const std::string& text) override { notes.push_back(text); }
+  void progress(const TrainProgress& p) override {
+    const py::gil_scoped_acquire gil;
+    if (progress_.is_none() || raised) return;
+    py::dict now;
+    now["step"] = p.step;
+    now["steps"] = p.steps;
+    now["loss"] = p.loss;
+    now["psnr"] = p.psnr;
+    now["miou_present"] = p.miou_present ? py::object(py::float_(*p.miou_present)) : py::none();
+    now["rays_per_s"] = p.rays_per_s;
+    now["train_s"] = p.train_s;
+    now["remaining_s"] = p.remaining_s;
+    try {
+      progress_(now);
+    } catch (py::error_already_set& error) {
+      raised.emplace(error);
+    }
+  }
+  int stop_signal() override { return raised || interrupt_.came() ? SIGINT : 0; }
+  void raise() const {
+    if (raised) throw py::error_already_set(*raised);
+    interrupt_.raise();
+  }
+  std::string write_report(const RunFolder& folder, const Session& session, const ReportFrames& frames) override {
+    return write_run_report(folder, session, frames);
+  }
+
+  std::optional<py::error_already_set> raised;
+  std::vector<std::string> notes;
+
+ private:
+  const py::object& progress_;
+  Interrupt interrupt_;
+};
+
+}  // namespace
+
+py::dict train_run(const py::object& config, const py::dict& set, const std::string& out, bool resume,
+                   const py::object& progress) {
+  Registry registry = base_registry();
+  const ConfigNode tree =
+      resume ? compose_config_with(RunFolder::read(out).config_path(), overrides_of(set)) : composed(config, set);
+  Told told(progress);
+  TrainOutcome outcome;
+  {
+    const Work working;
+    outcome = run_training(session_config_of(tree, registry), registry, {out, resume, {}}, &told);
+  }
+  told.raise();
+  py::dict scores;
+  for (const auto& [name, value] : outcome.values)
+    scores[py::str(name)] = value ? py::object(py::float_(*value)) : py::none();
+  py::dict result;
+  result["run_dir"] = outcome.run_dir;
+  result["report"] = outcome.report_path;
+  result["step"] = outcome.step;
+  result["train_s"] = outcome.train_s;
+  result["scores"] = scores;
+  result["scored"] = outcome.scored.frames == 0 ? std::string() : outcome.scored.text();
+  result["notes"] = told.notes;
+  return result;
 }
 
 }  // namespace semfield::python

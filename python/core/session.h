@@ -10,9 +10,9 @@
 #include <string>
 #include <vector>
 
-#include "python/core/interrupt.h"
-#include "run/open_run.h"
-#include "run/run_session.h"
+#include "python/core/errors.h"
+#include "run/run_loop.h"
+#include "run/run_scores.h"
 
 namespace semfield::python {
 

@@ -5,7 +5,7 @@
 #include <cctype>
 #include <set>
 
-#include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
 #include "plugin/registry.h"
 #include "tests/architecture/include_rules.h"
 

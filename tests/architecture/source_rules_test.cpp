@@ -1,5 +1,4 @@
-// Rules on the text of sources: length, the CUDA switch, fast math.
-#include <algorithm>
+// Rules on the text of sources: the CUDA switch, fast math, state.
 #include <cstdint>
 #include <filesystem>
 #include <fstream>
@@ -15,42 +14,12 @@
 namespace semfield::architecture {
 namespace {
 
-constexpr long kMostLines = 500;
-constexpr int kMostFiles = 30;
-constexpr std::int64_t kMostFolderLines = 4000;
-
 std::vector<SourceFile> all_sources() {
   std::vector<SourceFile> files;
   for (const char* folder : {"framework", "plugins", "app", "tests", "bench"}) {
     for (SourceFile& file : files_under(folder, {".h", ".cpp", ".cu", ".cuh"})) files.push_back(std::move(file));
   }
   return files;
-}
-
-TEST(SourceRules, NoFileIsTooLong) {
-  const std::vector<SourceFile> files = all_sources();
-  EXPECT_GT(files.size(), 50u);
-  for (const SourceFile& file : files)
-    EXPECT_LE(std::count(file.text.begin(), file.text.end(), '\n'), kMostLines)
-        << file.path << " wants to be two files";
-}
-
-TEST(SourceRules, NoFolderOfTheFrameworkIsTooFull) {
-  struct Folder {
-    int files = 0;
-    std::int64_t lines = 0;
-  };
-  std::map<std::string, Folder> folders;
-  for (const SourceFile& file : files_under("framework", {""})) {
-    Folder& folder = folders[std::filesystem::path(file.path).parent_path().string()];
-    ++folder.files;
-    folder.lines += std::count(file.text.begin(), file.text.end(), '\n');
-  }
-  EXPECT_GT(folders.size(), 25u);
-  for (const auto& [name, folder] : folders) {
-    EXPECT_LE(folder.files, kMostFiles) << name << " wants to be two folders";
-    EXPECT_LE(folder.lines, kMostFolderLines) << name << " wants to be two folders";
-  }
 }
 
 TEST(SourceRules, OneFileTestsForTheCudaCompiler) {

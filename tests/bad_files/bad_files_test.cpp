@@ -13,7 +13,6 @@
 #include "datasets/obj_room/raycast.h"
 #include "formats/image_io.h"
 #include "system/files.h"
-#include "system/shared_files.h"
 #include "tests/bad_files/case_file.h"
 #include "tests/scene/tiny_scene.h"
 

@@ -11,7 +11,7 @@
 
 #include "compute/peak_probe.h"
 #include "core/text.h"
-#include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
 #include "studies/step_bench.h"
 #include "tests/says.h"
 

@@ -3,7 +3,7 @@
 #include <nlohmann/json.hpp>
 #include <regex>
 
-#include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
 #include "studies/quadrature_bench.h"
 #include "tests/program.h"
 #include "tests/temp_dir.h"

@@ -4,11 +4,8 @@
 #include <set>
 
 #include "core/rng.h"
-#include "loading/capture/misplaced.h"
 #include "loading/capture/photographs.h"
-#include "loading/capture/prepare_state.h"
 #include "loading/capture/reconstruct.h"
-#include "loading/capture/sharpness.h"
 #include "tests/capture/model_files.h"
 #include "tests/capture/tiff_bytes.h"
 

@@ -12,7 +12,6 @@
 #include <memory>
 #include <random>
 
-#include "loading/capture/feature_tracks.h"
 #include "tests/says.h"
 #include "tests/scene/tiny_scene.h"
 

@@ -4,7 +4,7 @@
 #include <map>
 
 #include "loading/colmap_model.h"
-#include "scene/rotation.h"
+#include "scene/camera.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield::testing_room {

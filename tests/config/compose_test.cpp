@@ -1,9 +1,8 @@
 // Composition: include, merge, replace-on-type-change, overrides, like, paths.
 #include "config/compose.h"
 
-#include "config/shipped_config.h"
 #include "config_testing.h"
-#include "system/shared_files.h"
+#include "system/files.h"
 
 namespace semfield {
 namespace {

@@ -1,10 +1,11 @@
 // Parameters read from the tree: every mistake refused, with its exact sentence; written back exactly; described.
+#include "config/params.h"
+
 #include <array>
 #include <cmath>
 #include <cstring>
 #include <regex>
 
-#include "config/params_read.h"
 #include "config_testing.h"
 
 namespace semfield {

@@ -3,7 +3,7 @@
 
 #include <gtest/gtest.h>
 
-#include "testkit/law_builds.h"
+#include "testkit/laws.h"
 #include "tests/conformance/rows.h"
 
 namespace semfield::testkit {

@@ -3,7 +3,7 @@
 #include <cstdlib>
 #include <set>
 
-#include "testkit/guarded.h"
+#include "testkit/field_bench.h"
 #include "testkit/host_twin.h"
 #include "tests/conformance/builds.h"
 

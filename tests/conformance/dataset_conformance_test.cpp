@@ -8,7 +8,7 @@
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "loading/frame_source.h"
-#include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
 #include "system/files.h"
 #include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/rows.h"

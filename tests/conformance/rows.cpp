@@ -3,7 +3,7 @@
 
 #include <filesystem>
 
-#include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
 
 namespace semfield::testkit {
 

@@ -4,7 +4,7 @@
 #include <ostream>
 
 #include "plugin/registry.h"
-#include "testkit/settings.h"
+#include "testkit/laws.h"
 
 namespace semfield::testkit {
 

@@ -14,13 +14,12 @@
 #include <stdexcept>
 #include <thread>
 
-#include "compute/float_mode.h"
 #include "compute/isa.h"
 #include "compute/parallel.h"
 #include "core/error.h"
 #include "core/text.h"
-#include "core/work_scope.h"
-#include "system/cpu_quota.h"
+#include "core/workspace.h"
+#include "system/process.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
 

@@ -5,11 +5,9 @@
 #include <cstdlib>
 
 #include "core/error.h"
-#include "core/findings.h"
-#include "core/spelling.h"
 #include "core/text.h"
 #include "core/workspace.h"
-#include "system/sha256.h"
+#include "system/checksum.h"
 #include "tests/says.h"
 
 namespace semfield {

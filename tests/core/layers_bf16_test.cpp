@@ -4,7 +4,7 @@
 
 #include <limits>
 
-#include "compute/bf16/tile_layers.h"
+#include "compute/bf16/tiles.h"
 #include "compute/isa.h"
 #include "compute/layers.h"
 #include "core/rng.h"

@@ -10,7 +10,6 @@
 #include <string>
 
 #include "compute/math_functions.h"
-#include "compute/row_loops.h"
 #include "core/rng.h"
 
 namespace semfield {

@@ -6,9 +6,7 @@
 
 #include "core/error.h"
 #include "system/files.h"
-#include "system/folder_lock.h"
-#include "system/memory_limit.h"
-#include "system/sorted_folder.h"
+#include "system/process.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
 

@@ -11,7 +11,7 @@
 #include "core/rng.h"
 #include "labels/clicks/click_log.h"
 #include "loading/packed_scene.h"
-#include "run/checkpoint_store.h"
+#include "run/run_folder.h"
 #include "system/files.h"
 #include "tests/crash/scenarios.h"
 #include "tests/crash/victim_runs.h"

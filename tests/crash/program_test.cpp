@@ -11,9 +11,9 @@
 
 #include <cstdio>
 
-#include "run/checkpoint_store.h"
+#include "run/run_folder.h"
 #include "system/files.h"
-#include "system/memory_limit.h"
+#include "system/process.h"
 #include "tests/crash/victim_runs.h"
 #include "tests/session/train_testing.h"
 

@@ -4,7 +4,6 @@
 
 #include "labels/clicks/click_log.h"
 #include "loading/packed_scene.h"
-#include "run/checkpoint_store.h"
 #include "run/run_folder.h"
 #include "system/checksum.h"
 #include "system/files.h"

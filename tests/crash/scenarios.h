@@ -1,7 +1,7 @@
 // The saves that faults are thrown into, and what a fresh process finds after one.
 #pragma once
 
-#include "labels/clicks/label_event.h"
+#include "labels/clicks/click_log.h"
 
 namespace semfield::testing_crash {
 

@@ -2,7 +2,7 @@
 #include "cuda/steps/batch_drawer.h"
 
 #include "core/rng.h"
-#include "scene/alpha.h"
+#include "scene/scene.h"
 #include "session/trainer.h"
 #include "tests/cuda/device_fixture.h"
 #include "tests/session/train_testing.h"

@@ -8,7 +8,7 @@
 
 #include "device_fixture.h"
 #include "execution/device_library.h"
-#include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
 #include "plugin/reference.h"
 #include "testkit/host_twin.h"
 #include "tests/conformance/builds.h"

@@ -1,7 +1,7 @@
 // Groupings on the device against those of the CPU: sums, gradients, and networks that learn.
 #include "execution/device_library.h"
 #include "objects/object_network.h"
-#include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
 #include "testkit/compare.h"
 #include "tests/cuda/device_fixture.h"
 

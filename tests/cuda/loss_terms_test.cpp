@@ -6,7 +6,7 @@
 #include "cuda/kernel_tables.h"
 #include "device_fixture.h"
 #include "testkit/compare.h"
-#include "testkit/loss/loss_rays.h"
+#include "testkit/loss_rays.h"
 #include "tests/conformance/rows.h"
 #include "tests/says.h"
 

@@ -4,7 +4,7 @@
 #include <algorithm>
 
 #include "device_fixture.h"
-#include "losses/photometric.h"
+#include "losses/semantic_cross_entropy.h"
 #include "testkit/compare.h"
 
 namespace semfield {

@@ -6,9 +6,8 @@
 #include "device_field.h"
 #include "device_fixture.h"
 #include "execution/device_library.h"
-#include "plugin/head/one_layer_head.h"
+#include "plugin/head.h"
 #include "testkit/compare.h"
-#include "testkit/tensor_box.h"
 #include "tests/conformance/builds.h"
 #include "tests/plugin/mlp_network.h"
 

@@ -4,7 +4,7 @@
 #include <algorithm>
 
 #include "device_fixture.h"
-#include "model/opacity_resolution.h"
+#include "model/density_activation.h"
 #include "testkit/compare.h"
 
 namespace semfield {

@@ -1,11 +1,10 @@
 // Alpha of transparent images: offered, read where it is wanted, scaled with the colours, packed, and refused where it
 // is none.
-#include "scene/alpha.h"
-
-#include "app/scene/pack_scene.h"
+#include "app/scene/folder_scene.h"
 #include "datasets/packed/packed.h"
 #include "datasets/transforms_json/transforms_json.h"
 #include "formats/png_codec.h"
+#include "scene/scene.h"
 #include "system/files.h"
 #include "tests/scene/tiny_scene.h"
 

@@ -5,7 +5,7 @@
 #include <cstdlib>
 #include <filesystem>
 
-#include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
 #include "session/settings/run_config.h"
 #include "system/files.h"
 #include "tests/docs/pages.h"

@@ -5,9 +5,9 @@
 #include <regex>
 #include <set>
 
-#include "config/params_read.h"
+#include "config/params.h"
 #include "core/text.h"
-#include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
 #include "plugin/registry.h"
 #include "session/settings/run_config.h"
 #include "system/files.h"

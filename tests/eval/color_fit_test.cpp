@@ -1,11 +1,11 @@
 // Colours of a view under a map of its own.
-#include "eval/color_fit.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
+
+#include "eval/metrics.h"
 
 namespace semfield {
 namespace {

@@ -8,7 +8,6 @@
 
 #include "compute/parallel.h"
 #include "core/error.h"
-#include "eval/entropy_groups.h"
 #include "tests/says.h"
 
 namespace semfield {

@@ -1,6 +1,5 @@
 // Published protocols: which classes count, what is void, and a checksum of the truth.
-#include "eval/protocol.h"
-
+#include "eval/evaluator.h"
 #include "tests/says.h"
 
 namespace semfield {

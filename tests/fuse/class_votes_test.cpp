@@ -1,6 +1,4 @@
 // Votes of class probabilities against numbers worked out by hand, labels spread by diffusion, real predictions.
-#include "surface/fuse/class_votes.h"
-
 #include <Eigen/SparseCholesky>
 #include <Eigen/SparseCore>
 
@@ -10,8 +8,8 @@
 #include "datasets/replica/replica.h"
 #include "loading/frame_source.h"
 #include "scene/classes/class_table.h"
-#include "surface/fuse/scene_fusion.h"
-#include "surface/label_diffusion.h"
+#include "surface/fuse/fusion.h"
+#include "surface/surface_graph.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

@@ -1,11 +1,10 @@
 // Reprojection: two views of a plane by hand, an independent matrix product, hidden surfaces, choice of views.
-#include "surface/fuse/correspondence.h"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/Dense>
 
 #include "core/rng.h"
+#include "surface/fuse/fusion.h"
 
 namespace semfield {
 namespace {

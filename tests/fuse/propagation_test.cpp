@@ -7,7 +7,7 @@
 #include "core/rng.h"
 #include "eval/metrics.h"
 #include "surface/seen_surface.h"
-#include "surface/surface_cells.h"
+#include "surface/surface_graph.h"
 #include "testkit/analytic_scene.h"
 #include "tests/scene/tiny_scene.h"
 

@@ -8,9 +8,9 @@
 #include <stdexcept>
 
 #include "config/config_tree.h"
-#include "config/params_read.h"
+#include "config/params.h"
 #include "formats/image_io.h"
-#include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
 
 namespace semfield::fuzz {
 

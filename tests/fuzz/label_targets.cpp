@@ -1,14 +1,14 @@
 // Label files, class tables and what the labelling page's server is sent.
 #include <algorithm>
 
-#include "app/serve/http_reader.h"
+#include "app/serve/http_server.h"
 #include "app/serve/page_requests.h"
 #include "config/config_tree.h"
-#include "config/params_read.h"
-#include "datasets/obj_room/class_rules.h"
+#include "config/params.h"
+#include "datasets/obj_room/obj_room.h"
 #include "formats/npz.h"
-#include "labels/clicks/label_event.h"
-#include "labels/label_steps.h"
+#include "labels/clicks/click_log.h"
+#include "labels/label_files.h"
 #include "loading/depth_images.h"
 #include "scene/classes/class_import.h"
 #include "tests/fuzz/inputs.h"

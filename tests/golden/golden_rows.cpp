@@ -2,7 +2,7 @@
 // of all parameters, moments and states.
 #include <cstdio>
 
-#include "run/checkpoint_store.h"
+#include "run/run_folder.h"
 #include "session/trainer.h"
 #include "tests/session/train_testing.h"
 

@@ -3,8 +3,8 @@
 #include <fstream>
 
 #include "eval/final_eval.h"
-#include "model/opacity_resolution.h"
-#include "run/train_run.h"
+#include "model/density_activation.h"
+#include "run/run_loop.h"
 #include "tests/guards/poison.h"
 #include "tests/session/train_testing.h"
 

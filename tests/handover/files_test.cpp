@@ -8,7 +8,6 @@
 
 #include "core/text.h"
 #include "handover/point_files.h"
-#include "handover/sidecar.h"
 #include "handover/splats.h"
 #include "handover/voxel_map.h"
 #include "tests/says.h"

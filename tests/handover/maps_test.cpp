@@ -1,5 +1,5 @@
 // Voxels that rays free and fill, and maps of what stands above a floor.
-#include "handover/costmap.h"
+#include "handover/voxel_map.h"
 #include "system/files.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"

@@ -1,12 +1,11 @@
 // Splats drawn as viewers draw them, and colours that make up for it.
-#include "handover/splat_colors.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
 
 #include "compute/parallel.h"
 #include "eval/image_output.h"
+#include "handover/splats.h"
 
 namespace semfield {
 namespace {

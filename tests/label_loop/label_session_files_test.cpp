@@ -7,8 +7,8 @@
 
 #include "loading/packed_scene.h"
 #include "run/metrics_log.h"
-#include "run/open_run.h"
-#include "run/train_run.h"
+#include "run/run_loop.h"
+#include "run/run_scores.h"
 #include "system/files.h"
 #include "testkit/analytic_scene.h"
 #include "tests/label_loop/running_session.h"

@@ -5,8 +5,8 @@
 
 #include "labels/clicks/click_log.h"
 #include "report/report.h"
-#include "run/open_run.h"
 #include "run/run_folder.h"
+#include "run/run_scores.h"
 #include "system/files.h"
 #include "tests/label_loop/running_session.h"
 

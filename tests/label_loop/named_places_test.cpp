@@ -3,10 +3,9 @@
 
 #include "compute/parallel.h"
 #include "core/rng.h"
-#include "labels/outline_fill.h"
+#include "labels/mask_outlines.h"
 #include "serve/label_loop.h"
-#include "serve/label_upsampling.h"
-#include "serve/mark_pixels.h"
+#include "serve/view_pictures.h"
 #include "tests/label_loop/looped_room.h"
 
 namespace semfield {

@@ -2,7 +2,7 @@
 // that start anew.
 #include "core/rng.h"
 #include "session/trainer.h"
-#include "testkit/gradient_check.h"
+#include "testkit/compare.h"
 #include "tests/session/oracle.h"
 
 namespace semfield {

@@ -1,12 +1,10 @@
 // Which click is proposed next, what each way of choosing says of itself, and how clicks calibrate confidence.
-#include "serve/proposals.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
 
 #include "compute/parallel.h"
-#include "serve/calibration_fit.h"
+#include "serve/point_learner.h"
 #include "tests/label_loop/seen_room.h"
 
 namespace semfield {

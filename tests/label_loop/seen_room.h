@@ -1,7 +1,7 @@
 // The analytic room as the views of a labelling session see it, with exact distances: surfaces without a field.
 #pragma once
 
-#include "surface/surface_pool.h"
+#include "surface/surface_graph.h"
 #include "testkit/analytic_scene.h"
 
 namespace semfield::testing_loop {

@@ -1,9 +1,8 @@
 // Distances along the rays of a camera, near the truth once a room is learned, and what a view sees of the surface.
-#include "surface/surface_map.h"
-
 #include "compute/parallel.h"
-#include "serve/surface_sight.h"
+#include "serve/view_pictures.h"
 #include "session/trainer.h"
+#include "surface/surface_graph.h"
 #include "testkit/analytic_scene.h"
 #include "tests/label_loop/seen_room.h"
 #include "tests/session/train_testing.h"

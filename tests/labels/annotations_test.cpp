@@ -3,7 +3,7 @@
 
 #include <algorithm>
 
-#include "labels/outline_fill.h"
+#include "labels/mask_outlines.h"
 #include "tests/labels/annotations_case.h"
 
 namespace semfield {

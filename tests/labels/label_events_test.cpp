@@ -1,6 +1,6 @@
 // Label events: their text there and back, what is refused, and classes that are added, renamed, merged and deleted.
 #include "core/error.h"
-#include "labels/clicks/label_event.h"
+#include "labels/clicks/click_log.h"
 #include "tests/labels/annotations_case.h"
 #include "tests/scene/tiny_scene.h"
 

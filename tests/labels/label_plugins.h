@@ -2,9 +2,9 @@
 #pragma once
 
 #include "config/config_tree.h"
-#include "config/params_read.h"
-#include "labels/label_steps.h"
-#include "plugin/linked_plugins.h"
+#include "config/params.h"
+#include "labels/label_files.h"
+#include "plugin/loader.h"
 #include "plugin/registry.h"
 
 namespace semfield::testing_labels {

@@ -1,7 +1,6 @@
 // labelme and COCO: shapes to pixels, names to classes, every refusal.
 #include "core/rng.h"
-#include "labels/outline_fill.h"
-#include "labels/run_lengths.h"
+#include "labels/mask_outlines.h"
 #include "tests/labels/reader_case.h"
 
 namespace semfield {

@@ -1,6 +1,4 @@
 // Speckles are given to what surrounds them, and nothing else changes; label files of real scenes.
-#include "labels/small_regions.h"
-
 #include <algorithm>
 
 #include "core/rng.h"

@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <set>
 
-#include "labels/label_selection.h"
+#include "labels/label_files.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

@@ -3,12 +3,11 @@
 #include "core/error.h"
 #include "core/rng.h"
 #include "losses/loss_list.h"
-#include "losses/photometric.h"
 #include "losses/semantic_cross_entropy.h"
-#include "plugin/linked_plugins.h"
-#include "testkit/gradient_check.h"
-#include "testkit/loss/loss_rays.h"
-#include "testkit/settings.h"
+#include "plugin/loader.h"
+#include "testkit/compare.h"
+#include "testkit/laws.h"
+#include "testkit/loss_rays.h"
 #include "tests/says.h"
 
 namespace semfield {

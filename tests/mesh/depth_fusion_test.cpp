@@ -1,9 +1,9 @@
 // Depth of views of a ball before a wall, fused: where the surface lies, and what no view saw.
-#include "surface/mesh/depth_fusion.h"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
+
+#include "surface/mesh/field_surface.h"
 
 namespace semfield {
 namespace {

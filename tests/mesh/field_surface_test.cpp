@@ -4,7 +4,7 @@
 #include "compute/parallel.h"
 #include "core/rng.h"
 #include "session/trainer.h"
-#include "surface/mesh/point_cloud.h"
+#include "surface/mesh/mesh_files.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {

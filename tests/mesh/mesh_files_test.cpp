@@ -9,10 +9,9 @@
 #include "datasets/obj_room/mesh_io.h"
 #include "datasets/obj_room/raycast.h"
 #include "scene/camera_path.h"
-#include "surface/mesh/class_groups.h"
 #include "surface/mesh/marching_cubes.h"
 #include "surface/mesh/sights.h"
-#include "surface/mesh/upright.h"
+#include "surface/mesh/surface.h"
 #include "system/files.h"
 #include "tests/session/train_testing.h"
 

@@ -7,7 +7,6 @@
 #include <map>
 
 #include "surface/mesh/marching_cubes.h"
-#include "surface/mesh/shape/close_holes.h"
 #include "surface/mesh/shape/simplify.h"
 
 namespace semfield {

@@ -8,7 +8,7 @@
 
 #include "model/density_activation.h"
 #include "rays_of_slabs.h"
-#include "testkit/gradient_check.h"
+#include "testkit/compare.h"
 
 namespace semfield {
 namespace {

@@ -4,9 +4,9 @@
 #include "compute/math_functions.h"
 #include "encoder_box.h"
 #include "loss_cases.h"
-#include "losses/photometric.h"
+#include "losses/semantic_cross_entropy.h"
 #include "model/density_activation.h"
-#include "scene/stored_frame.h"
+#include "scene/scene.h"
 #include "tests/model_compositor/rays_of_slabs.h"
 #include "training_box.h"
 

@@ -6,7 +6,6 @@
 
 #include "encoder_box.h"
 #include "model/optim/adam.h"
-#include "model/optim/schedule.h"
 #include "named_case.h"
 
 namespace semfield::numerics {

@@ -11,7 +11,7 @@
 #include "eval/metrics.h"
 #include "model/compositor.h"
 #include "model/optim/adam.h"
-#include "scene/classes/soft_map.h"
+#include "scene/classes/class_table.h"
 #include "scene/scene_checks.h"
 #include "session/trainer.h"
 #include "surface/mesh/marching_cubes.h"

@@ -6,7 +6,6 @@
 
 #include "backend_parts.h"
 #include "compute/layers.h"
-#include "compute/row_loops.h"
 #include "core/rng.h"
 #include "model/compositor.h"
 #include "session/ray_source.h"

@@ -12,7 +12,7 @@
 #include "compute/math_functions.h"
 #include "compute/parallel.h"
 #include "core/rng.h"
-#include "testkit/settings.h"
+#include "testkit/laws.h"
 #include "thread_scope.h"
 
 namespace semfield::numerics {

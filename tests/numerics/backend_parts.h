@@ -1,7 +1,6 @@
 // What the files of group I share: the kernels of every instruction set side by side, and a device under test.
 #pragma once
 
-#include "compute/cpu_kernels.h"
 #include "compute/isa.h"
 #include "execution/device_library.h"
 #include "isa_list.h"
@@ -10,7 +9,7 @@
 
 namespace semfield {
 
-// The makers that compute/cpu_kernels.cpp chooses from; the suite calls each of them.
+// The makers that compute/isa.cpp chooses from; the suite calls each of them.
 #define SEMFIELD_DECLARE(name)              \
   namespace isa_##name {                    \
     void gemm_kernels(CpuKernels<float>&);  \

@@ -5,8 +5,8 @@
 #include "core/workspace.h"
 #include "named_case.h"
 #include "plugin/encoder.h"
-#include "testkit/settings.h"
-#include "testkit/tensor_box.h"
+#include "testkit/compare.h"
+#include "testkit/laws.h"
 
 namespace semfield::numerics {
 

@@ -4,7 +4,7 @@
 
 #include "core/rng.h"
 #include "core/small_math.h"
-#include "eval/rays.h"
+#include "eval/evaluator.h"
 #include "named_case.h"
 
 namespace semfield::numerics {

@@ -1,7 +1,7 @@
 // F05 to F09: poses and cameras. They are float64 throughout, so these cases have that row alone.
 #include <algorithm>
 
-#include "eval/rays.h"
+#include "eval/evaluator.h"
 #include "input_parts.h"
 #include "loading/frame_source.h"
 #include "named_case.h"

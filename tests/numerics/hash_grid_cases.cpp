@@ -2,8 +2,8 @@
 #include <fmt/format.h>
 
 #include "hash_reference.h"
-#include "plugins/encoders/hash_grid/hash_grid_math.h"
-#include "testkit/guarded.h"
+#include "plugins/encoders/hash_grid/hash_grid_kernels.h"
+#include "testkit/field_bench.h"
 
 namespace semfield::numerics {
 

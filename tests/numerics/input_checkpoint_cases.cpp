@@ -8,7 +8,7 @@
 #include "box_room.h"
 #include "core/rng.h"
 #include "input_parts.h"
-#include "run/checkpoint_store.h"
+#include "run/run_folder.h"
 #include "session/trainer.h"
 #include "system/files.h"
 #include "tests/scene/room_files.h"

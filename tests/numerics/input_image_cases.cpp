@@ -7,7 +7,7 @@
 #include "formats/png_codec.h"
 #include "input_parts.h"
 #include "loading/frame_source.h"
-#include "testkit/loss/loss_rays.h"
+#include "testkit/loss_rays.h"
 #include "tests/scene/exr_bytes.h"
 #include "tests/scene/png_bytes.h"
 #include "tests/scene/room_files.h"

@@ -5,7 +5,7 @@
 #include <fstream>
 
 #include "named_case.h"
-#include "testkit/settings.h"
+#include "testkit/laws.h"
 
 namespace semfield::numerics {
 

@@ -2,7 +2,7 @@
 #include <cctype>
 
 #include "named_case.h"
-#include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
 #include "tests/says.h"
 
 namespace semfield::numerics {

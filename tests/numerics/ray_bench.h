@@ -5,8 +5,8 @@
 #include <utility>
 
 #include "named_case.h"
-#include "testkit/settings.h"
-#include "testkit/tensor_box.h"
+#include "testkit/compare.h"
+#include "testkit/laws.h"
 #include "tests/model_compositor/rays_of_slabs.h"
 
 namespace semfield::numerics {

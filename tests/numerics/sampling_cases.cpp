@@ -4,7 +4,7 @@
 #include <cstring>
 
 #include "compute/isa.h"
-#include "plugins/samplers/importance/importance_math.h"
+#include "plugins/samplers/importance/importance_kernels.h"
 
 namespace semfield::numerics {
 

@@ -1,7 +1,6 @@
 // Group B: limits of rays, very long ways, and nothing at all.
 
 #include "loading/frame_source.h"
-#include "losses/photometric.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model_bench.h"
 #include "sampling_cases.h"

@@ -7,7 +7,7 @@
 #include "encoder_box.h"
 #include "loss_cases.h"
 #include "losses/semantic_cross_entropy.h"
-#include "plugin/head/one_layer_head.h"
+#include "plugin/head.h"
 #include "tests/model_compositor/rays_of_slabs.h"
 #include "training_box.h"
 

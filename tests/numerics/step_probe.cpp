@@ -5,7 +5,7 @@
 #include <iostream>
 
 #include "box_room.h"
-#include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
 #include "session/trainer.h"
 #include "system/checksum.h"
 #include "system/files.h"

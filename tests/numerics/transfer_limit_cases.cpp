@@ -2,7 +2,7 @@
 #include <cstring>
 
 #include "compute/parallel.h"
-#include "eval/rays.h"
+#include "eval/evaluator.h"
 #include "model_bench.h"
 #include "ray_bench.h"
 #include "training_box.h"

@@ -1,8 +1,7 @@
 // Clicks as objects: which points of a surface a click means, and clicks from a file.
-#include "objects/click_objects.h"
-
 #include <gtest/gtest.h>
 
+#include "objects/find_objects.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
 

@@ -1,10 +1,10 @@
 // Groups of points by clusters of segments and by what views say.
-#include "objects/clusters.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <set>
+
+#include "objects/find_objects.h"
 
 namespace semfield {
 namespace {

@@ -1,9 +1,9 @@
 // Segments made worse: shares, numbers, and the same again for the same seed.
-#include "objects/damage.h"
-
 #include <gtest/gtest.h>
 
 #include <set>
+
+#include "objects/object_score.h"
 
 namespace semfield {
 namespace {

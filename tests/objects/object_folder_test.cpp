@@ -1,6 +1,4 @@
 // The folder of objects that pages edit: nothing is half done, nothing is lost, and nobody edits what he has not seen.
-#include "app/objects/object_folder.h"
-
 #include <gtest/gtest.h>
 #include <sys/resource.h>
 
@@ -9,6 +7,7 @@
 #include <thread>
 #include <vector>
 
+#include "app/objects/object_files.h"
 #include "app/objects/object_tables.h"
 #include "core/error.h"
 #include "system/files.h"

@@ -6,8 +6,8 @@
 #include <cmath>
 
 #include "compute/parallel.h"
-#include "plugin/linked_plugins.h"
-#include "testkit/gradient_check.h"
+#include "plugin/loader.h"
+#include "testkit/compare.h"
 
 namespace semfield {
 namespace {

@@ -1,10 +1,9 @@
 // Segments from files: every form, and what is wrong with them.
-#include "objects/read_segments.h"
-
 #include <gtest/gtest.h>
 
 #include "formats/image_io.h"
 #include "formats/npz.h"
+#include "objects/segments.h"
 #include "system/files.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"

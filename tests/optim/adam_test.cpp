@@ -5,7 +5,6 @@
 
 #include "compute/parallel.h"
 #include "core/rng.h"
-#include "model/optim/schedule.h"
 
 namespace semfield {
 namespace {

@@ -3,7 +3,6 @@
 #include <cstdio>
 
 #include "config/config_tree.h"
-#include "plugin/linked_plugins.h"
 #include "plugin/loader.h"
 #include "session/training.h"
 

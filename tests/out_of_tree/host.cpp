@@ -1,7 +1,6 @@
 // Loads the outside plugins by path, runs their laws, and checks every refusal. Usage: host FOLDER_OF_MODULES.
 #include <cstdio>
 
-#include "plugin/linked_plugins.h"
 #include "plugin/loader.h"
 #include "testkit/laws.h"
 

@@ -6,8 +6,8 @@
 #include <stdexcept>
 
 #include "plugin/field.h"
-#include "testkit/guarded.h"
-#include "testkit/tensor_box.h"
+#include "testkit/compare.h"
+#include "testkit/field_bench.h"
 #include "tests/plugin/toy_encoder.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"

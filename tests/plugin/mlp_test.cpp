@@ -6,8 +6,6 @@
 
 #include "core/rng.h"
 #include "testkit/compare.h"
-#include "testkit/gradient_check.h"
-#include "testkit/tensor_box.h"
 #include "tests/plugin/mlp_network.h"
 
 namespace semfield {

@@ -2,11 +2,10 @@
 #include <atomic>
 #include <nlohmann/json.hpp>
 
-#include "plugin/check/law_suite.h"
+#include "plugin/law_suite.h"
 #include "plugin/loader.h"
-#include "system/file_verdicts.h"
 #include "system/files.h"
-#include "system/shared_library.h"
+#include "system/process.h"
 #include "tests/plugin/toy_encoder.h"
 #include "tests/program.h"
 #include "tests/sweep/tiny_sweep.h"

@@ -6,12 +6,10 @@
 #include <fstream>
 #include <sstream>
 
-#include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
 #include "plugin/reference.h"
 #include "testkit/compare.h"
-#include "testkit/gradient_check.h"
-#include "testkit/guarded.h"
-#include "testkit/tensor_box.h"
+#include "testkit/field_bench.h"
 #include "tests/plugin/toy_encoder.h"
 #include "tests/says.h"
 

@@ -1,9 +1,8 @@
 // Sessions whose work several processes share: the same bits, the same pictures and the same errors as in one. The
 // processes are threads here.
-#include "session/ranks_session.h"
-
 #include "compute/parallel.h"
 #include "execution/lane_executor.h"
+#include "session/session.h"
 #include "session/trainer.h"
 #include "tests/ranks/thread_ranks.h"
 #include "tests/session/train_testing.h"

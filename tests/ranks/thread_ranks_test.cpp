@@ -5,7 +5,7 @@
 #include <set>
 
 #include "core/error.h"
-#include "execution/ranks/launcher.h"
+#include "execution/ranks/ranks.h"
 #include "tests/says.h"
 
 namespace semfield {

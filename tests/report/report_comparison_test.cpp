@@ -1,7 +1,6 @@
 // A report holds against each other what can be: the same data, the same frames, and only evaluations that were made.
 #include "report/report_comparison.h"
 
-#include "report/report_parts.h"
 #include "report/report_sections.h"
 #include "tests/says.h"
 

@@ -5,8 +5,6 @@
 
 #include "core/error.h"
 #include "report/report.h"
-#include "report/report_convergence.h"
-#include "report/report_parts.h"
 #include "system/files.h"
 #include "tests/says.h"
 

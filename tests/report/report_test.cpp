@@ -9,7 +9,6 @@
 #include "eval/image_output.h"
 #include "formats/image_io.h"
 #include "report/html.h"
-#include "report/report_svg.h"
 #include "system/files.h"
 #include "tests/says.h"
 

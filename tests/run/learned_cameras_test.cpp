@@ -3,9 +3,9 @@
 
 #include <cmath>
 
-#include "run/open_run.h"
-#include "session/refined_poses.h"
+#include "run/run_scores.h"
 #include "session/trainer.h"
+#include "session/training.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {

@@ -8,7 +8,6 @@
 
 #include "core/error.h"
 #include "run/metrics_log.h"
-#include "run/rows/tensorboard.h"
 #include "system/files.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"

@@ -4,11 +4,11 @@
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
-#include "app/progress_line.h"
+#include "app/terminal.h"
 #include "core/rng.h"
 #include "execution/device_library.h"
-#include "run/checkpoint_store.h"
 #include "run/metrics_log.h"
+#include "run/run_folder.h"
 #include "system/files.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"

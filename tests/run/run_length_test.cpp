@@ -1,10 +1,8 @@
 // The length of a run: stated in steps or in seconds, settled, stored, repeated and gone on with. Clocks are
 // counted.
-#include "session/settings/run_length.h"
-
 #include "config/compose.h"
-#include "run/run_session.h"
-#include "run/train_run.h"
+#include "run/run_loop.h"
+#include "session/settings/choices.h"
 #include "system/files.h"
 #include "tests/session/train_testing.h"
 

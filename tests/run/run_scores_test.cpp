@@ -1,9 +1,9 @@
 // What a training run scores, and how the time that evaluation may take bounds it. Clocks are counted, never read.
 #include "run/run_scores.h"
 
+#include "eval/evaluator.h"
 #include "eval/final_eval.h"
-#include "eval/pixel_stride.h"
-#include "run/train_run.h"
+#include "run/run_loop.h"
 #include "system/files.h"
 #include "tests/session/train_testing.h"
 

@@ -2,7 +2,6 @@
 #include <regex>
 
 #include "formats/safetensors.h"
-#include "run/checkpoint_store.h"
 #include "run/run_folder.h"
 #include "system/files.h"
 #include "tests/program.h"

@@ -1,8 +1,8 @@
 // Self-training: when rounds come, what they label, and that a run killed around one ends in the same bits.
 #include "session/self_training.h"
 
-#include "run/checkpoint_store.h"
-#include "run/train_run.h"
+#include "run/run_folder.h"
+#include "run/run_loop.h"
 #include "session/trainer.h"
 #include "system/files.h"
 #include "tests/session/train_testing.h"

@@ -11,7 +11,6 @@
 
 #include "core/error.h"
 #include "formats/safetensors.h"
-#include "run/checkpoint_store.h"
 #include "run/run_folder.h"
 #include "session/checkpoint_facts.h"
 #include "system/checksum.h"

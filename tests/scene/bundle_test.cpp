@@ -1,12 +1,12 @@
 // Bundle adjustment against cameras that are known: what was made wrong comes back.
-#include "scene/bundle.h"
+#include "scene/survey/bundle.h"
 
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <random>
 
-#include "loading/depth_camera.h"
+#include "loading/depth_images.h"
 
 namespace semfield {
 namespace {

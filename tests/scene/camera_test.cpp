@@ -5,7 +5,6 @@
 #include <sstream>
 
 #include "scene/camera_path.h"
-#include "scene/camera_set.h"
 #include "system/files.h"
 #include "tests/scene/tiny_scene.h"
 

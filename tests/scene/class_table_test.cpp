@@ -4,8 +4,6 @@
 #include <set>
 
 #include "scene/classes/class_import.h"
-#include "scene/classes/class_names.h"
-#include "scene/classes/scannet_labels.h"
 #include "system/files.h"
 #include "tests/scene/tiny_scene.h"
 

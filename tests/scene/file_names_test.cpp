@@ -1,7 +1,6 @@
 // Files under names that another system wrote.
-#include "loading/file_names.h"
-
-#include "core/unicode_forms.h"
+#include "core/text.h"
+#include "loading/frame_files.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

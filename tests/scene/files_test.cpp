@@ -15,9 +15,7 @@
 #include "loading/frame_files.h"
 #include "loading/frame_source.h"
 #include "loading/packed_scene.h"
-#include "scene/frame_split.h"
-#include "scene/stored_frame.h"
-#include "system/own_temporaries.h"
+#include "scene/scene.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

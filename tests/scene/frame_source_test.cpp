@@ -5,7 +5,6 @@
 #include <sstream>
 
 #include "compute/parallel.h"
-#include "loading/load_progress.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

@@ -5,8 +5,8 @@
 
 #include "compute/parallel.h"
 #include "loading/frame_source.h"
-#include "scene/bundle.h"
 #include "scene/scene_checks.h"
+#include "scene/survey/bundle.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

@@ -6,8 +6,8 @@
 #include <cstring>
 
 #include "core/rng.h"
-#include "core/work_scope.h"
-#include "formats/input_limits.h"
+#include "core/workspace.h"
+#include "formats/text_rows.h"
 #include "system/files.h"
 #include "tests/scene/tiny_scene.h"
 

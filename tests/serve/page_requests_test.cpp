@@ -7,7 +7,7 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 
-#include "app/serve/jpeg.h"
+#include "app/serve/page_pictures.h"
 #include "core/error.h"
 #include "formats/zip_archive.h"
 #include "system/files.h"

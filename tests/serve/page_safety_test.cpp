@@ -4,7 +4,7 @@
 #include <random>
 #include <set>
 
-#include "app/serve/run_id.h"
+#include "app/serve/page_state.h"
 #include "system/files.h"
 #include "tests/says.h"
 #include "tests/serve/served_page.h"

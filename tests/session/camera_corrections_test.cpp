@@ -7,8 +7,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "model/domain_map.h"
-#include "session/settings/camera_choices.h"
+#include "model/render_rules.h"
+#include "session/settings/choices.h"
 #include "session/trainer.h"
 #include "tests/plugin/toy_encoder.h"
 #include "tests/session/oracle.h"

@@ -4,7 +4,7 @@
 
 #include "core/error.h"
 #include "session/ray_source.h"
-#include "session/settings/pace.h"
+#include "session/settings/choices.h"
 #include "session/trainer.h"
 #include "tests/session/oracle.h"
 #include "tests/session/train_testing.h"

@@ -2,7 +2,7 @@
 // after.
 #include "core/error.h"
 #include "labels/clicks/click_log.h"
-#include "session/trained_classes.h"
+#include "session/assembly.h"
 #include "session/training.h"
 #include "system/files.h"
 #include "tests/session/train_testing.h"

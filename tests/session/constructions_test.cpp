@@ -5,9 +5,9 @@
 #include "config/config_tree.h"
 #include "core/rng.h"
 #include "eval/evaluator.h"
-#include "loading/load_progress.h"
-#include "model/domain_map.h"
-#include "session/bounds_probe.h"
+#include "loading/frame_source.h"
+#include "model/render_rules.h"
+#include "session/session.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {

@@ -2,7 +2,7 @@
 #include <cfenv>
 #include <numeric>
 
-#include "compute/float_mode.h"
+#include "compute/isa.h"
 #include "compute/parallel.h"
 #include "core/error.h"
 #include "eval/evaluator.h"

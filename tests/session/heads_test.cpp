@@ -6,7 +6,7 @@
 
 #include "core/error.h"
 #include "eval/evaluator.h"
-#include "session/channel_axes.h"
+#include "session/assembly.h"
 #include "session/trainer.h"
 #include "session/training.h"
 #include "tests/session/oracle.h"

@@ -1,10 +1,9 @@
 // Which semantic branch the labels choose, what a run keeps of it, and rays that are drawn for their labels.
-#include "session/settings/label_choices.h"
-
 #include <numeric>
 
 #include "core/error.h"
 #include "session/ray_source.h"
+#include "session/settings/choices.h"
 #include "tests/session/oracle.h"
 #include "tests/session/train_testing.h"
 

@@ -2,10 +2,9 @@
 #include <cstring>
 
 #include "compute/parallel.h"
-#include "run/leave_out_proofs.h"
-#include "run/open_run.h"
 #include "run/run_folder.h"
-#include "run/train_run.h"
+#include "run/run_loop.h"
+#include "run/run_scores.h"
 #include "session/trainer.h"
 #include "system/files.h"
 #include "tests/session/train_testing.h"

@@ -1,6 +1,6 @@
 // The exact savings change no function and no gradient, by finite differences too; the field's points make its rays.
 #include "core/rng.h"
-#include "eval/field_points.h"
+#include "eval/channel_query.h"
 #include "execution/lane_executor.h"
 #include "execution/point_network.h"
 #include "session/training.h"

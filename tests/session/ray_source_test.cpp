@@ -9,7 +9,7 @@
 
 #include "compute/parallel.h"
 #include "core/rng.h"
-#include "scene/alpha.h"
+#include "scene/scene.h"
 #include "tests/says.h"
 
 namespace semfield {

@@ -1,12 +1,12 @@
 // Reading a run's configuration: every error at once, and the resolved form repeats it; which device a run gets.
 #include "session/settings/run_config.h"
 
-#include "compute/cpu_kernels.h"
+#include "compute/isa.h"
 #include "config/compose.h"
 #include "config/explain.h"
 #include "core/device_id.h"
 #include "session/assembly.h"
-#include "session/settings/device_choice.h"
+#include "session/settings/choices.h"
 #include "session/settings/run_identity.h"
 #include "tests/session/train_testing.h"
 

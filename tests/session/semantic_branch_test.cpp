@@ -1,12 +1,12 @@
 // A network of its own for semantics: gradients, what it leaves alone, what leaving samples out may change, its
 // settings.
 #include "compute/gemm.h"
+#include "compute/layers.h"
 #include "compute/parallel.h"
-#include "compute/row_loops.h"
 #include "core/error.h"
-#include "plugin/head/one_layer_head.h"
+#include "plugin/head.h"
 #include "session/trainer.h"
-#include "testkit/settings.h"
+#include "testkit/laws.h"
 #include "tests/session/oracle.h"
 
 namespace semfield {

@@ -2,9 +2,9 @@
 
 #include "compute/parallel.h"
 #include "loading/packed_scene.h"
-#include "plugin/linked_plugins.h"
-#include "report/run_report.h"
-#include "run/checkpoint_store.h"
+#include "plugin/loader.h"
+#include "report/report.h"
+#include "run/run_folder.h"
 #include "session/trainer.h"
 #include "system/checksum.h"
 #include "system/files.h"

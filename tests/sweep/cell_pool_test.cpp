@@ -8,9 +8,8 @@
 #include <sstream>
 
 #include "core/error.h"
-#include "report/sweep/host_share.h"
+#include "report/sweep/sweep_results.h"
 #include "system/files.h"
-#include "system/folder_lock.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield::app {

@@ -8,8 +8,8 @@
 
 #include "core/error.h"
 #include "datasets/obj_room/raycast.h"
-#include "plugin/linked_plugins.h"
-#include "run/leave_out_proofs.h"
+#include "plugin/loader.h"
+#include "run/run_folder.h"
 #include "studies/leave_out_page.h"
 #include "studies/leave_out_side.h"
 #include "system/files.h"

@@ -1,4 +1,6 @@
 // Sweep files: what becomes of grids, variants, scenes and lists of files, each error with its place; result tables.
+#include "report/sweep/sweep_file.h"
+
 #include <unistd.h>
 
 #include <algorithm>
@@ -6,13 +8,10 @@
 #include <set>
 #include <sstream>
 
-#include "plugin/linked_plugins.h"
-#include "report/sweep/sweep_cells.h"
-#include "report/sweep/sweep_schema.h"
-#include "report/sweep/sweep_tables.h"
+#include "plugin/loader.h"
+#include "report/sweep/sweep_results.h"
 #include "session/settings/run_config.h"
 #include "system/files.h"
-#include "system/shared_files.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
 

@@ -5,7 +5,6 @@
 
 #include "core/text.h"
 #include "system/files.h"
-#include "system/folder_lock.h"
 #include "tests/program.h"
 #include "tests/sweep/tiny_sweep.h"
 

@@ -1,9 +1,8 @@
 // Layers in bf16 for one instruction set.
 #include "compute/bf16/kernels.h"
 
-#include "compute/bf16/dots.h"
+#include "compute/bf16/tiles.h"
 #if defined(SEMFIELD_TILES)
-#include "compute/bf16/tile_layers.h"
 #endif
 
 namespace semfield::SEMFIELD_ISA {

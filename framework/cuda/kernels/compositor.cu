@@ -1,12 +1,160 @@
 // Emission and absorption along rays on the device: a warp per ray, tiles of 32 samples, sums in float64.
+#include <climits>
 #include <limits>
 
+#include "compute/math_functions.h"
+#include "cuda/kernels/device_code.cuh"
 #include "cuda/kernels/hidden_channels.h"
-#include "cuda/kernels/ray_scan.cuh"
+#include "cuda/kernels/losses.h"
 #include "cuda/kernels/rendering.h"
+#include "cuda/kernels/sampling.cuh"
+#include "cuda/stages.h"
 #include "model/compositor.h"
+#include "model/density_activation.h"
+#include "model/head_branch.h"
 
 namespace semfield::cuda {
+
+namespace {
+
+constexpr int kThreads = 256;
+
+__device__ std::int64_t thread_number() { return static_cast<std::int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; }
+
+// NaN stays NaN, as on the CPU.
+__device__ float truncated_exp(float x) {
+  constexpr float kMost = static_cast<float>(kTruncExpMax);
+  return expf(x > kMost ? kMost : x);
+}
+
+__device__ float activated(DensityActivation activation, float raw) {
+  switch (activation) {
+    case DensityActivation::relu:
+      return raw < 0 ? 0.0F : raw;
+    case DensityActivation::softplus:
+      return softplus(raw);
+    case DensityActivation::trunc_exp:
+      return truncated_exp(raw);
+  }
+  return raw;
+}
+
+__device__ float slope_of(DensityActivation activation, float raw) {
+  switch (activation) {
+    case DensityActivation::relu:
+      return raw > 0 ? 1.0F : 0.0F;
+    case DensityActivation::softplus:
+      return sigmoid(raw);
+    case DensityActivation::trunc_exp:
+      return truncated_exp(raw);
+  }
+  return 0;
+}
+
+// 12 B per row, and 8 B more with noise; noise is drawn in float64.
+__global__ void __launch_bounds__(kThreads) forward_kernel(DensityRule rule, Samples<float> samples, View<float> raw,
+                                                           View<float> sigma, const StepCell* cell, FaultKey* fault) {
+  const std::int64_t m = thread_number();
+  if (m >= raw.rows) return;
+  const bool ragged = !samples.first.empty();
+  const bool in_use = !ragged || m < samples.first(samples.first.rows - 1, 0);
+  float value = raw(m, 0);
+  if (in_use && !isfinite(value)) note_fault(fault, Stage::raw_density, m);
+  if (rule.bias != 0) value += static_cast<float>(rule.bias);
+  if (rule.deviation != 0 && ragged && in_use) {
+    const std::int32_t r = samples.ray_of_sample(m, 0);
+    const auto index =
+        (static_cast<std::uint64_t>(rule.first_ray + r) << 20) + static_cast<std::uint64_t>(m - samples.first(r, 0));
+    value += static_cast<float>(rule.deviation * normal01(at_step(rule.random, cell), index));
+  }
+  raw(m, 0) = value;
+  const float density = activated(rule.activation, value) * static_cast<float>(rule.per_m);
+  sigma(m, 0) = density;
+  if (in_use && !(density >= 0 && isfinite(density))) note_fault(fault, Stage::density, m);
+}
+
+// 12 B per row.
+__global__ void __launch_bounds__(kThreads)
+    backward_kernel(DensityActivation activation, float per_m, View<const float> raw, View<const float> d_sigma,
+                    View<float> d_raw) {
+  const std::int64_t m = thread_number();
+  if (m < raw.rows) d_raw(m, 0) = d_sigma(m, 0) * slope_of(activation, raw(m, 0)) * per_m;
+}
+
+}  // namespace
+
+void density_forward(const DensityRule& rule, const Samples<float>* samples, View<float> raw, View<float> sigma) {
+  if (raw.rows == 0) return;
+  forward_kernel<<<blocks_of(raw.rows, kThreads), kThreads, 0, launch().stream>>>(
+      rule, samples == nullptr ? Samples<float>{} : *samples, raw, sigma, launch().cell, launch().fault);
+  check_launch("density");
+}
+
+void density_backward(const DensityRule& rule, View<const float> raw, View<const float> d_sigma, View<float> d_raw) {
+  if (raw.rows == 0) return;
+  backward_kernel<<<blocks_of(raw.rows, kThreads), kThreads, 0, launch().stream>>>(
+      rule.activation, static_cast<float>(rule.per_m), raw, d_sigma, d_raw);
+  check_launch("density gradient");
+}
+
+// Whether steps along rays were short enough.
+
+namespace {
+
+// Both seen: the larger weight is first; of equal ones the earlier sample.
+__device__ OpacitySums merged(const OpacitySums& a, const OpacitySums& b) {
+  OpacitySums sum;
+  sum.opacity = a.opacity + b.opacity;
+  const bool take_b = b.first > a.first || (b.first == a.first && b.at < a.at);
+  sum.first = take_b ? b.first : a.first;
+  sum.at = take_b ? b.at : a.at;
+  const double other = take_b ? a.first : b.first, own = take_b ? b.second : a.second;
+  sum.second = other > own ? other : own;
+  return sum;
+}
+
+// A warp per ray, 4 B per sample; fixed tree of sums.
+__global__ void __launch_bounds__(kRayThreads)
+    resolution_kernel(Samples<float> samples, View<const float> weight, FarMode far, double footprint_per_m,
+                      View<OpacityResolution> result) {
+  const WarpRay at(samples.first);
+  if (!at.exists()) return;
+  const std::int32_t end = at.end - (far == FarMode::background ? 1 : 0);
+  OpacitySums sums;
+  sums.at = INT_MAX;
+  for (std::int32_t k = at.begin + at.lane; k < end; k += kWarp) {
+    OpacitySums one;
+    one.opacity = one.first = static_cast<double>(weight(k, 0));
+    one.at = k;
+    sums = merged(sums, one);
+  }
+  for (int offset = kWarp / 2; offset > 0; offset /= 2) {
+    OpacitySums other;
+    other.opacity = __shfl_xor_sync(kFullMask, sums.opacity, offset);
+    other.first = __shfl_xor_sync(kFullMask, sums.first, offset);
+    other.second = __shfl_xor_sync(kFullMask, sums.second, offset);
+    other.at = __shfl_xor_sync(kFullMask, sums.at, offset);
+    sums = merged(sums, other);
+  }
+  if (at.lane != 0) return;
+  OpacityResolution found = OpacityResolution::clear;
+  if (sums.opacity > 0) {
+    found = resolution_of(sums, static_cast<double>(samples.t(sums.at, 0)),
+                          static_cast<double>(samples.delta(sums.at, 0)), footprint_per_m);
+  }
+  result(at.ray, 0) = found;
+}
+
+}  // namespace
+
+void opacity_resolutions(const Samples<float>& samples, View<const float> weight, FarMode far, double footprint_per_m,
+                         View<OpacityResolution> result) {
+  const std::int64_t rays = samples.first.rows - 1;
+  if (rays == 0) return;
+  resolution_kernel<<<ray_blocks(rays), kRayThreads, 0, launch().stream>>>(samples, weight, far, footprint_per_m,
+                                                                           result);
+  check_launch("opacity resolution");
+}
 
 namespace {
 
@@ -204,6 +352,199 @@ void composite_backward(const CompositeIn<float>& in, const CompositeOut<float>&
                                                                                                     grad.color, d_rgb);
     check_launch("gradient of colour");
   }
+}
+
+// Samples that a semantic branch keeps, what its network reads of them, and dropout; points in place of samples.
+
+namespace {
+
+__device__ bool weighs(float weight, float least) { return weight >= least && weight > 0; }
+
+// A thread per ray, 4 B per sample.
+struct CountKept {
+  View<const std::int32_t> first;
+  View<const float> weight;
+  float least;
+  __device__ std::int32_t operator()(std::int64_t ray, FaultKey*) const {
+    std::int32_t count = 0;
+    for (std::int32_t m = first(ray, 0); m < first(ray + 1, 0); ++m) count += weighs(weight(m, 0), least) ? 1 : 0;
+    return count;
+  }
+};
+
+// A warp per ray: 4 B read per sample, 24 B moved a kept one. The sum of weights in a fixed tree.
+__global__ void __launch_bounds__(kRayThreads)
+    keep_kernel(Samples<float> samples, View<const float> weight, float least, BranchTrace<float> kept) {
+  fill_unused_rows(kept.samples, kept.share.rows);
+  const std::int64_t thread = static_cast<std::int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
+  const std::int64_t threads = static_cast<std::int64_t>(gridDim.x) * blockDim.x;
+  for (std::int64_t k = kept.samples.first(kept.share.rows, 0) + thread; k < kept.samples.count; k += threads) {
+    kept.source(k, 0) = 0;
+    kept.weight(k, 0) = 0;
+  }
+  const WarpRay at(samples.first);
+  if (at.ray >= kept.share.rows) return;
+  std::int32_t next = kept.samples.first(at.ray, 0);
+  float share = 0;
+  for (std::int32_t base = at.begin; base < at.end; base += kWarp) {
+    const std::int32_t m = base + at.lane;
+    const float w = m < at.end ? weight(m, 0) : 0.0F;
+    const bool keeps = m < at.end && weighs(w, least);
+    const unsigned all = __ballot_sync(kFullMask, keeps);
+    if (keeps) {
+      const std::int32_t k = next + __popc(all & ((1U << at.lane) - 1));
+      kept.samples.t(k, 0) = samples.t(m, 0);
+      kept.samples.delta(k, 0) = samples.delta(m, 0);
+      kept.samples.ray_of_sample(k, 0) = static_cast<std::int32_t>(at.ray);
+      kept.source(k, 0) = m;
+      kept.weight(k, 0) = w;
+      share += w;
+    }
+    next += __popc(all);
+  }
+  share = warp_sum(share);
+  if (at.lane == 0) kept.share(at.ray, 0) = share;
+}
+
+// A warp a row of the input, 8 B a value.
+__global__ void __launch_bounds__(kThreads)
+    join_kernel(BranchTrace<float> trace, View<const float> position, View<const float> feature) {
+  const std::int64_t k = (static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x) / kWarp;
+  if (k >= trace.input.rows) return;
+  const bool live = k < trace.samples.first(trace.share.rows, 0);
+  const std::int64_t source = live ? trace.source(k, 0) : 0;
+  for (std::int32_t c = static_cast<std::int32_t>(threadIdx.x) % kWarp; c < trace.input.cols; c += kWarp) {
+    float value = 0;
+    if (live) value = c < position.cols ? position(k, c) : feature(source, c - position.cols);
+    trace.input(k, c) = value;
+  }
+}
+
+// A thread kDropoutGroup values of a row, 8 B each.
+__global__ void __launch_bounds__(kThreads)
+    dropout_kernel(Dropout rule, Samples<float> samples, View<const float> from, View<float> to, const StepCell* cell) {
+  const std::int64_t at = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  const std::int32_t groups = (to.cols + kDropoutGroup - 1) / kDropoutGroup;
+  const std::int64_t k = at / groups;
+  const auto group = static_cast<std::int32_t>(at % groups);
+  if (k >= to.rows) return;
+  const std::int32_t begin = group * kDropoutGroup;
+  const bool live = k < samples.first(samples.first.rows - 1, 0);
+  DropoutFactors factors{};
+  if (live) {
+    const std::int32_t ray = samples.ray_of_sample(k, 0);
+    factors = dropout_factors(at_step(rule.random, cell), rule.share, rule.first_ray + ray, k - samples.first(ray, 0),
+                              group, to.cols);
+  }
+  for (std::int32_t i = 0; i < kDropoutGroup && begin + i < to.cols; ++i)
+    to(k, begin + i) = live ? from(k, begin + i) * factors.of[i] : 0.0F;
+}
+
+__global__ void __launch_bounds__(kThreads) count_kernel(View<std::int32_t> numbers) {
+  const std::int64_t i = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  if (i < numbers.rows) numbers(i, 0) = static_cast<std::int32_t>(i);
+}
+
+// A warp per point; 8 B per number of its row.
+__global__ void __launch_bounds__(kThreads)
+    choose_kernel(View<const std::int32_t> choice, View<const float> from, View<const std::int16_t> logit,
+                  View<float> to, View<std::int16_t> to_logit) {
+  const std::int64_t i = (static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x) / kWarp;
+  if (i >= to.rows) return;
+  const std::int64_t point = choice(i, 0);
+  const auto lane = static_cast<std::int32_t>(threadIdx.x % kWarp);
+  for (std::int32_t c = lane; c < to.cols; c += kWarp) to(i, c) = from(point, c);
+  if (lane == 0) to_logit(i, 0) = logit(point, 0);
+}
+
+}  // namespace
+
+void keep_samples(const Samples<float>& samples, View<const float> weight, float least,
+                  const BranchTrace<float>& kept) {
+  const std::int64_t rays = kept.share.rows;
+  if (rays == 0) return;
+  queue_offsets(CountKept{samples.first, weight, least}, rays, kept.samples.first);
+  keep_kernel<<<ray_blocks(rays), kRayThreads, 0, launch().stream>>>(samples, weight, least, kept);
+  check_launch("samples of a semantic branch");
+}
+
+void join_inputs(const BranchTrace<float>& trace, View<const float> position, View<const float> feature) {
+  if (trace.input.size() == 0) return;
+  join_kernel<<<blocks_of(trace.input.rows * kWarp, kThreads), kThreads, 0, launch().stream>>>(trace, position,
+                                                                                               feature);
+  check_launch("inputs of a semantic branch");
+}
+
+void drop_out(const Dropout& rule, const Samples<float>& samples, View<const float> from, View<float> to) {
+  if (to.size() == 0) return;
+  const std::int64_t groups = to.rows * ((to.cols + kDropoutGroup - 1) / kDropoutGroup);
+  dropout_kernel<<<blocks_of(groups, kThreads), kThreads, 0, launch().stream>>>(rule, samples, from, to, launch().cell);
+  check_launch("dropout");
+}
+
+void count_up(View<std::int32_t> numbers) {
+  if (numbers.rows == 0) return;
+  count_kernel<<<blocks_of(numbers.rows, kThreads), kThreads, 0, launch().stream>>>(numbers);
+  check_launch("numbers of rows");
+}
+
+void choose_points(View<const std::int32_t> choice, View<const float> from, View<const std::int16_t> logit,
+                   View<float> to, View<std::int16_t> to_logit) {
+  if (to.rows == 0) return;
+  choose_kernel<<<blocks_of(to.rows * kWarp, kThreads), kThreads, 0, launch().stream>>>(choice, from, logit, to,
+                                                                                        to_logit);
+  check_launch("points of a lesson");
+}
+
+// What rendering tells of classes, a warp per ray.
+
+namespace {
+
+constexpr int kRays = 8;  // a block
+constexpr int kClassThreads = kRays * kWarp;
+
+// Exponentials in float64, as on the CPU. 4 C B read (again from cache for each sweep) and up to 14 + 4 C B
+// written per ray.
+__global__ void __launch_bounds__(kClassThreads) results_kernel(View<const float> logits, ClassResults<float> results) {
+  const int lane = static_cast<int>(threadIdx.x % kWarp);
+  const std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * kRays + threadIdx.x / kWarp;
+  if (r >= logits.rows) return;
+  const float* const row = logits.row(r);
+  const RowTop top = top_of_row(row, logits.cols, lane);
+  const double rest = rest_of_row<double>(row, logits.cols, top, lane);
+  const auto largest = static_cast<float>(1.0 / (1.0 + rest));
+  // Of classes whose probabilities are equal in float the first is the ray's.
+  std::int32_t best = top.argmax;
+  double entropy = 0;  // H = ln Z + sum p_c (largest - s_c)
+  for (std::int32_t c = lane; c < logits.cols; c += kWarp) {
+    const double p = (c == top.argmax ? 1.0 : exp_below<double>(row, c, top.largest)) / (1.0 + rest);
+    if (static_cast<float>(p) >= largest && c < best) best = c;
+    if (!results.probability.empty()) results.probability(r, c) = static_cast<float>(p);
+    if (p > 0) entropy += p * (static_cast<double>(top.largest) - static_cast<double>(row[c]));
+  }
+  best = __reduce_min_sync(kFullMask, best);
+  entropy = warp_sum(entropy);
+  if (lane != 0) return;
+  if (!results.label.empty()) results.label(r, 0) = static_cast<std::int16_t>(best);
+  if (!results.entropy.empty()) results.entropy(r, 0) = static_cast<float>(log1p(rest) + entropy);
+  if (!results.confidence.empty()) results.confidence(r, 0) = largest;
+  if (results.truth_probability.empty()) return;
+  const std::int32_t truth = results.truth(r, 0);
+  float p = 0;
+  if (truth == top.argmax) {
+    p = largest;
+  } else if (truth >= 0 && truth < logits.cols) {
+    p = static_cast<float>(exp_below<double>(row, truth, top.largest) / (1.0 + rest));
+  }
+  results.truth_probability(r, 0) = p;
+}
+
+}  // namespace
+
+void class_results(View<float> logits, const ClassResults<float>& results) {
+  if (logits.rows == 0) return;
+  results_kernel<<<blocks_of(logits.rows, kRays), kClassThreads, 0, launch().stream>>>(logits, results);
+  check_launch("class results");
 }
 
 }  // namespace semfield::cuda

@@ -1,7 +1,7 @@
 // What kernels of loss terms share: a warp per ray, and the ray's loss as the sum over its lanes.
 #pragma once
 
-#include "cuda/kernels/ray_scan.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "cuda/loss_terms.h"
 
 namespace semfield::cuda {

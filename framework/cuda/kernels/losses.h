@@ -1,6 +1,9 @@
 // Losses on the device, twins of losses/: gradients per ray, and sums of a step in a fixed order.
 #pragma once
 
+#include <cstdint>
+
+#include "core/view.h"
 #include "core/workspace.h"
 #include "cuda/launch.h"
 #include "losses/loss_list.h"
@@ -40,5 +43,12 @@ void count_samples(View<const std::int32_t> first, View<const float> sigma, Loss
 
 /// As Stages::class_results.
 void class_results(View<float> logits, const ClassResults<float>& results);
+
+// The largest size of a number in a matrix, from which sums in fixed point take their unit.
+
+/// *largest = the larger of itself and the bits of the largest |value| of the rows in use (launch().live_rows); those
+/// of a NaN are larger than any number's. Device memory; the order does not matter, so matrices may be looked at beside
+/// each other.
+void find_largest(View<const float> values, std::uint32_t* largest);
 
 }  // namespace semfield::cuda

@@ -10,8 +10,7 @@
 #include "cuda/launch.h"
 #include "model/compositor.h"
 #include "model/density_activation.h"
-#include "model/domain_map.h"
-#include "model/opacity_resolution.h"
+#include "model/render_rules.h"
 #include "plugin/sampler.h"
 
 namespace semfield::cuda {

@@ -8,7 +8,7 @@
 #include <thread>
 
 #include "core/error.h"
-#include "cuda/ranks/nccl_library.h"
+#include "cuda/ranks/exchange.h"
 
 namespace semfield::cuda {
 

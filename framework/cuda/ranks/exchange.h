@@ -4,6 +4,7 @@
 #include <cuda_runtime_api.h>
 
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <span>
 #include <string>
@@ -41,5 +42,34 @@ std::unique_ptr<RankExchange> host_exchange(Ranks& ranks);
 /// To be called by all ranks, each for the device of launch(): through NCCL, where every rank has it and a device of
 /// its own. Else through the host's memory, and `why_not` says why.
 std::unique_ptr<RankExchange> meet_ranks(Ranks& ranks, std::string& why_not);
+
+// How the rays of a step are cut into shards, and which rank walks which.
+
+/// Shards of a step whose bits depend on its batch alone, however many ranks make it. Their gradients are added as a
+/// tree: ((0 + 1) + (2 + 3)) + ((4 + 5) + (6 + 7)).
+inline constexpr int kShards = 8;
+
+struct RayRange {
+  std::int64_t begin = 0, count = 0;
+};
+/// Shard `number` of `shards`: ceil(rays / shards) rays; the last ones get fewer, or none.
+RayRange shard_of(std::int64_t rays, int number, int shards);
+
+/// Most of kShards that a rank of `ranks` walks.
+constexpr int most_shards_of(int ranks) { return (kShards + ranks - 1) / ranks; }
+
+// The library that exchanges by NCCL: loaded when a run has several ranks, so that others do without NCCL.
+
+/// What it offers; its symbol is kNcclLibrarySymbol. All throw Error with NCCL's words.
+struct NcclLibrary {
+  std::size_t id_bytes = 0;
+  /// 22809 is 2.28.9.
+  int (*version)() = nullptr;
+  /// What rank 0 makes for all: id_bytes bytes.
+  void (*make_id)(std::byte* id) = nullptr;
+  /// To be called by all ranks, each for the device of launch(). Borrows `ranks`.
+  std::unique_ptr<RankExchange> (*join)(const std::byte* id, Ranks& ranks) = nullptr;
+};
+inline constexpr const char* kNcclLibrarySymbol = "semfield_nccl_library";
 
 }  // namespace semfield::cuda

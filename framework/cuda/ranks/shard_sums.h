@@ -6,7 +6,7 @@
 #include <span>
 
 #include "core/view.h"
-#include "cuda/ranks/shards.h"
+#include "cuda/ranks/exchange.h"
 
 namespace semfield::cuda {
 

@@ -1,6 +1,8 @@
 // Corrections of training cameras on the device, with the meaning of model/camera_corrections.h. Sums go over the rays
 // of a camera in a fixed tree, so that they are the same in every run.
+#include "cuda/grouping_lessons.h"
 #include "cuda/kernels/device_code.cuh"
+#include "cuda/launch.h"
 #include "cuda/stages.h"
 #include "model/camera_corrections.h"
 
@@ -145,6 +147,27 @@ void show_backward(View<const float> camera, View<const float> map, View<const f
 const CameraKernels<float>& camera_kernels() {
   static const CameraKernels<float> table{centre, centre_backward, move, move_backward, show, show_backward};
   return table;
+}
+
+// A slow copy follows: 12 B per number.
+
+namespace {
+
+constexpr int kFollowThreads = 256;
+
+__global__ void __launch_bounds__(kFollowThreads)
+    follow_kernel(const float* value, float* slow, std::int64_t count, float kept, float taken) {
+  const std::int64_t i = static_cast<std::int64_t>(blockIdx.x) * kFollowThreads + threadIdx.x;
+  if (i < count) slow[i] = kept * slow[i] + taken * value[i];
+}
+
+}  // namespace
+
+void follow(std::span<const float> value, std::span<float> slow, double share) {
+  const auto count = static_cast<std::int64_t>(slow.size());
+  follow_kernel<<<blocks_of(count, kFollowThreads), kFollowThreads, 0, launch().stream>>>(
+      value.data(), slow.data(), count, static_cast<float>(share), static_cast<float>(1 - share));
+  check_launch("slow copy of a network");
 }
 
 }  // namespace semfield::cuda

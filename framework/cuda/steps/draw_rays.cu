@@ -1,7 +1,7 @@
 // Pixels chosen, sorted within tiles and cast to rays. Compiled without fused multiplications and additions.
 #include "cuda/kernels/device_code.cuh"
 #include "cuda/steps/draw_rays.h"
-#include "scene/pixel_mask.h"
+#include "scene/scene.h"
 
 namespace semfield::cuda {
 

@@ -4,8 +4,8 @@
 #include <cstdint>
 
 #include "core/rng.h"
-#include "execution/pixel_pool.h"
-#include "execution/ray_batch.h"
+#include "execution/executor.h"
+#include "execution/train_rays.h"
 
 namespace semfield::cuda {
 

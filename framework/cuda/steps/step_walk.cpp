@@ -1,12 +1,18 @@
 // The walk of a step on the device: one shard of the batch on the step's stream, or several side by side, each on a
 // stream of its own.
-#include <algorithm>
-#include <optional>
+#include <fmt/format.h>
 
-#include "cuda/kernels/largest.h"
+#include <algorithm>
+#include <cmath>
+#include <optional>
+#include <utility>
+
+#include "core/check.h"
+#include "core/error.h"
+#include "cuda/kernels/losses.h"
 #include "cuda/stages.h"
 #include "cuda/stream_executor.h"
-#include "execution/host_ends.h"
+#include "execution/lane_executor.h"
 #include "execution/train_rays.h"
 
 namespace semfield::cuda {
@@ -232,6 +238,144 @@ void StreamExecutor::reserve_gradients() {
     gathered.push_back({store_->lane(0), of_rank * store_->lane_numbers()});
   }
   sums_->reserve(std::move(gathered));
+}
+
+// Steps whose batches are drawn on the device.
+
+namespace {
+
+bool has_finite_rays(const PixelPool& pool) {
+  return std::all_of(pool.frames.begin(), pool.frames.end(), [](const PixelPool::Frame& frame) {
+    const Pose& pose = frame.world_from_camera;
+    bool finite = frame.camera.has_finite_lens();
+    for (int i = 0; i < 3; ++i) {
+      finite = finite && std::isfinite(pose.t[i]);
+      for (int axis = 0; axis < 3; ++axis) finite = finite && std::isfinite(pose.axis(axis)[i]);
+    }
+    return finite;
+  });
+}
+
+}  // namespace
+
+// Several ranks have rank 0's pixels, and steps come from it.
+bool StreamExecutor::hold(const PixelPool& pool) {
+  SEMFIELD_CHECK(queued_.empty(), "pixels are taken in between steps");
+  if (sums_->ranks() > 1 || !options_.trainable || pool.tile_rays != tile_rays(pool.rays)) return false;
+  if (!has_finite_rays(pool)) return false;  // the host says which
+  const LaunchScope scope(step_launch());
+  try {
+    if (drawer_ && drawer_->relabel(pool)) return true;
+    drawer_.reset();
+    const std::size_t bytes = BatchDrawer::bytes_of(pool, kSlots), most = free_bytes() / 2;
+    if (bytes > most) {
+      if (std::exchange(told_of_pixels_, true)) return false;
+      notes_.push_back(
+          fmt::format("pixels stay in the host's memory, which makes the batches of steps: they take {:.1f} GB "
+                      "of the device's, where {:.1f} GB are left for them",
+                      static_cast<double>(bytes) * 1e-9, static_cast<double>(most) * 1e-9));
+      return false;
+    }
+    drawer_ = std::make_unique<BatchDrawer>(pool, kSlots);
+  } catch (const Error&) {  // of a label, or of memory: a step that the host draws says it where it counts
+    drawer_.reset();
+    return false;
+  }
+  return true;
+}
+
+std::vector<std::string> StreamExecutor::take_notes() {
+  std::vector<std::string> notes = sums_->take_notes();
+  notes.insert(notes.end(), notes_.begin(), notes_.end());
+  notes_.clear();
+  return notes;
+}
+
+void StreamExecutor::queue_drawn(std::int64_t step, std::uint32_t terms, const AdamStep& update) {
+  const LaunchScope scope(step_launch());
+  drawer_->draw(step);
+  RayBatch batch = drawer_->seen(step);
+  batch.terms = terms;
+  queue_batch(step, batch, update, drawer_->batch(step));
+}
+
+// What steps leave, read when they are waited for: sums of shards and ranks to losses, and faults.
+
+namespace {
+
+// In order, so that the sum does not depend on which rank had the shard.
+void add(LossSums& sum, const LossSums& shard) {
+  sum.squares += shard.squares;
+  sum.semantic += shard.semantic;
+  for (std::size_t i = 0; i < kMostLossTerms; ++i) sum.terms[i] += shard.terms[i];
+  sum.labelled += shard.labelled;
+  sum.correct += shard.correct;
+  sum.samples += shard.samples;
+  sum.dense |= shard.dense;
+}
+
+}  // namespace
+
+StepLosses StreamExecutor::losses_of(std::span<const StepSums* const> sums, const BatchScales& scales) const {
+  StepLosses out;
+  for (std::size_t p = 0; p < passes_.size(); ++p) {
+    LossSums pass;
+    for (int r = 0; r < sums_->ranks(); ++r) {
+      const auto [first, last] = sums_->own_of(r);
+      for (int s = first; s < last; ++s) add(pass, sums[static_cast<std::size_t>(r)]->shard[s - first][p]);
+    }
+    out.color += pass.squares;
+    out.semantic += pass.semantic;
+    out.mse = pass.squares;
+    for (std::size_t i = 0; i < kMostLossTerms; ++i) out.terms[i] += pass.terms[i];
+    out.samples = pass.samples;
+    out.labelled = pass.labelled;
+    out.correct = pass.correct;
+    if (pass.dense != 0) out.dense_passes |= 1U << p;
+  }
+  return host_.means_of(out, scales);
+}
+
+StepResults StreamExecutor::finish() {
+  done_.clear();
+  std::optional<std::int64_t> failed;
+  const std::vector<Queued> queued = std::exchange(queued_, {});
+  if (queued.empty()) return {};
+  const LaunchScope scope(step_launch());
+  for (std::size_t slot = 0; slot < queued.size() && !failed;) {
+    sums_->agree([&] { sums_->wait(); });
+    const std::vector<StepSums> all = sums_->of_all_ranks(staging_->sums(queued.size()));
+    bool has_room = true;
+    for (; slot < queued.size() && !failed; ++slot) {
+      std::vector<const StepSums*> of_step;
+      FaultKey fault = kNoFault;
+      for (std::size_t at = slot; at < all.size(); at += queued.size()) {
+        of_step.push_back(&all[at]);
+        fault = std::min(fault, all[at].fault);
+      }
+      has_room = fault == kNoFault || static_cast<Stage>(fault >> kFaultRowBits) != Stage::room;
+      if (!has_room) break;
+      const StepLosses losses = losses_of(of_step, queued[slot].scales);
+      if (fault != kNoFault || !std::isfinite(losses.total)) {
+        failed = queued[slot].step;
+      } else {
+        done_.push_back(losses);
+      }
+    }
+    if (!has_room) run_again(queued, slot);
+  }
+  if (failed) {
+    drop_gradients();
+    synchronize();
+  } else {
+    std::int64_t samples = 0;
+    for (const StepSums& sums : staging_->sums(queued.size())) samples = std::max(samples, sums.shard[0][0].samples);
+    if (room_.saw(samples)) {
+      forget_graphs();
+      forget_step();
+    }
+  }
+  return {done_, failed, std::nullopt};
 }
 
 }  // namespace semfield::cuda

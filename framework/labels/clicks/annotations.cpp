@@ -1,12 +1,15 @@
 #include "labels/clicks/annotations.h"
 
 #include <algorithm>
+#include <exception>
+#include <nlohmann/json.hpp>
 #include <set>
 
 #include "core/error.h"
 #include "formats/png_codec.h"
+#include "formats/text_rows.h"
 #include "labels/label_files.h"
-#include "scene/classes/class_names.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield {
 
@@ -397,6 +400,107 @@ Annotations replay(const SceneInfo& scene, int room, const std::vector<LabelEven
     }
   }
   return sum;
+}
+
+// Marks as pixels: what they paint in images of any size, and where they say to ignore labels.
+
+std::vector<PixelRun> runs_of(const Annotations::Mark& mark, std::int32_t width_px, std::int32_t height_px) {
+  std::vector<PixelRun> inside;
+  if (mark.fill) inside = outline_runs(mark.points, width_px, height_px);
+  return inside.empty() ? stroke_runs(mark.points, mark.radius_px, width_px, height_px) : inside;
+}
+
+std::vector<std::int16_t> Annotations::paint(int frame, std::span<const std::int16_t> base) const {
+  const Camera& camera = frames_.at(static_cast<std::size_t>(frame)).camera;
+  LabelRaster raster = void_raster(camera.width_px, camera.height_px);
+  if (!base.empty()) {
+    if (base.size() != raster.hard.size())
+      throw Error(ErrorKind::internal, "internal.labels.size", "labels to paint over have another size than the frame");
+    raster.hard.assign(base.begin(), base.end());
+  }
+  paint_marks(frame, raster);
+  return std::move(raster.hard);
+}
+
+// Over a raster of any size of the frame's shape.
+void Annotations::paint_marks(int frame, LabelRaster& raster) const {
+  const Camera& camera = frames_.at(static_cast<std::size_t>(frame)).camera;
+  const double scale_x = static_cast<double>(raster.width_px) / camera.width_px,
+               scale_y = static_cast<double>(raster.height_px) / camera.height_px;
+  for (const Mark& mark : marks()) {
+    if (mark.frame != frame) continue;
+    Mark scaled = mark;
+    scaled.radius_px *= scale_x;
+    for (PixelPoint& p : scaled.points) p = {p.x * scale_x, p.y * scale_y};
+    semfield::paint(runs_of(scaled, raster.width_px, raster.height_px), static_cast<std::int16_t>(mark.class_index),
+                    raster);
+  }
+}
+
+bool Annotations::clear_ignored(int frame, std::int32_t width_px, std::int32_t height_px,
+                                std::span<std::int16_t> labels) const {
+  const auto ignores = [&](const Mark& mark) { return mark.frame == frame && mark.class_index == kVoid; };
+  if (std::none_of(marks().begin(), marks().end(), ignores)) return false;
+  constexpr std::int16_t kUntouched = -2;
+  LabelRaster raster = void_raster(width_px, height_px);
+  std::fill(raster.hard.begin(), raster.hard.end(), kUntouched);
+  paint_marks(frame, raster);
+  for (std::size_t p = 0; p < labels.size(); ++p)
+    if (raster.hard.at(p) == kVoid) labels[p] = kVoid;
+  return true;
+}
+
+std::string labelling_record_json(const LabellingRecord& record) {
+  using Json = nlohmann::ordered_json;
+  Json classes = Json::array(), shown = Json::array();
+  for (const LabellingRecord::Class& c : record.classes)
+    classes.push_back({{"id", c.id},
+                       {"name", c.name},
+                       {"color", c.color},
+                       {"clicks", c.clicks},
+                       {"area_share", c.area_share},
+                       {"confidence", c.confidence}});
+  for (const LabellingRecord::Frame& f : record.shown) shown.push_back({{"frame", f.name}, {"clicks", f.clicks}});
+  return Json{{"step", record.step},     {"clicks", record.clicks},       {"clicked_frames", record.clicked_frames},
+              {"frames", record.frames}, {"classes", std::move(classes)}, {"shown", std::move(shown)}}
+             .dump(2, ' ', false, Json::error_handler_t::replace) +
+         "\n";
+}
+
+namespace {
+
+LabellingRecord record_of(const nlohmann::json& root) {
+  LabellingRecord record;
+  read_json_value(root, "step", record.step);
+  read_json_value(root, "clicks", record.clicks);
+  read_json_value(root, "clicked_frames", record.clicked_frames);
+  read_json_value(root, "frames", record.frames);
+  for (const nlohmann::json& from : root.at("classes")) {
+    LabellingRecord::Class& c = record.classes.emplace_back();
+    read_json_value(from, "id", c.id);
+    read_json_value(from, "name", c.name);
+    read_json_value(from, "color", c.color);
+    read_json_value(from, "clicks", c.clicks);
+    read_json_value(from, "area_share", c.area_share);
+    read_json_value(from, "confidence", c.confidence);
+  }
+  for (const nlohmann::json& from : root.at("shown")) {
+    LabellingRecord::Frame& f = record.shown.emplace_back();
+    read_json_value(from, "frame", f.name);
+    read_json_value(from, "clicks", f.clicks);
+  }
+  return record;
+}
+
+}  // namespace
+
+LabellingRecord parse_labelling_record(std::string_view json, const std::string& name) {
+  try {
+    return record_of(nlohmann::json::parse(json));
+  } catch (const std::exception& e) {  // of the JSON, or out of range
+    throw Error(ErrorKind::data, "run.record.damaged", "'" + name + "' cannot be read: " + e.what(),
+                "delete it; the labelling page writes it again");
+  }
 }
 
 }  // namespace semfield

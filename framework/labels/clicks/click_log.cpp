@@ -5,9 +5,15 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cmath>
 #include <filesystem>
 #include <map>
+#include <nlohmann/json.hpp>
+#include <set>
 
+#include "core/error.h"
+#include "core/text.h"
+#include "system/checksum.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -171,6 +177,278 @@ void ClickLog::append(const LabelEvent& event) {
     throw;
   }
   size_ += line.size();
+}
+
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+struct KindText {
+  LabelEventKind kind;
+  const char* type;
+  std::vector<std::string> keys;  // those it must have, beside "id" and "type"
+  std::vector<std::string> may;   // those it may have
+};
+
+const std::vector<KindText>& kinds() {
+  static const std::vector<KindText> all{
+      {LabelEventKind::click, "click", {"frame", "size", "points", "radius", "class"}, {"fill", "object"}},
+      {LabelEventKind::add_class, "class", {"name"}, {"color"}},
+      {LabelEventKind::change_class, "rename", {"class", "name"}, {"color"}},
+      {LabelEventKind::undo, "undo", {"of"}, {}},
+      {LabelEventKind::skip, "skip", {"frame", "size", "points"}, {}},
+      {LabelEventKind::merge_class, "merge", {"class", "into"}, {}},
+      {LabelEventKind::delete_class, "delete", {"class"}, {}}};
+  return all;
+}
+
+[[noreturn]] void refuse(Code code, const std::string& message, const std::string& remedy = {}) {
+  throw Error(ErrorKind::data, code, "event: " + message, remedy);
+}
+
+// What was found, short enough for a message.
+std::string shown(const Json& value) {
+  constexpr std::size_t kMost = 60;
+  if (value.is_array() || value.is_object())
+    return value.is_array() ? "a list of " + std::to_string(value.size()) : "a map";
+  std::string text = value.dump(-1, ' ', true, Json::error_handler_t::replace);
+  if (text.size() > kMost) text = text.substr(0, kMost) + "...";
+  return text;
+}
+
+[[noreturn]] void refuse_value(const char* key, const std::string& expected, const Json& found) {
+  refuse("labels.event.format", std::string("'") + key + "': expected " + expected + ", got " + shown(found));
+}
+
+// The keys of one object; the parser alone sees one that is given twice.
+Json parse_object(std::string_view text) {
+  if (text.size() > kMostEventBytes) {
+    refuse("labels.event.size",
+           "it is " + std::to_string(text.size()) + " bytes long; at most " + std::to_string(kMostEventBytes) +
+               " are read",
+           "send a stroke in parts");
+  }
+  std::set<std::string> keys;
+  std::string twice;
+  const Json::parser_callback_t watch = [&](int depth, Json::parse_event_t event, Json& parsed) {
+    if (event == Json::parse_event_t::key && depth == 1 && !keys.insert(parsed.get<std::string>()).second &&
+        twice.empty()) {
+      twice = shown(parsed);
+    }
+    return true;
+  };
+  Json root;
+  try {
+    root = Json::parse(text, watch);
+  } catch (const Json::exception& e) {
+    refuse("labels.event.format", "not valid JSON: " + json_cause(e.what()));
+  }
+  if (!root.is_object()) refuse("labels.event.format", "expected a map {\"id\":...,\"type\":...}, got " + shown(root));
+  if (!twice.empty()) refuse("labels.event.format", "key " + twice + " is given twice");
+  return root;
+}
+
+const Json& at(const Json& root, const char* key) {
+  const auto found = root.find(key);
+  if (found == root.end()) refuse("labels.event.format", std::string("key '") + key + "' is missing");
+  return *found;
+}
+
+// 1 to `most` bytes of text without control characters.
+std::string line_at(const Json& root, const char* key, std::size_t most) {
+  const Json& value = at(root, key);
+  const std::string* text = value.get_ptr<const std::string*>();
+  if (text == nullptr || text->empty() || text->size() > most || !is_line_of_text(*text))
+    refuse_value(key, "a text of 1 to " + std::to_string(most) + " bytes without control characters", value);
+  return *text;
+}
+
+std::string id_at(const Json& root, const char* key) {
+  const Json& value = at(root, key);
+  const std::string* text = value.get_ptr<const std::string*>();
+  if (text == nullptr || !is_event_id(*text)) refuse_value(key, "1 to 64 letters of a-z, A-Z, 0-9, '-' and '_'", value);
+  return *text;
+}
+
+// A whole number between two bounds; false for anything else.
+bool whole_between(const Json& value, std::int64_t low, std::int64_t high, std::int64_t& out) {
+  if (!value.is_number_integer()) return false;
+  if (value.is_number_unsigned() && value.get<std::uint64_t>() > static_cast<std::uint64_t>(high)) return false;
+  out = value.get<std::int64_t>();
+  return low <= out && out <= high;
+}
+
+void read_size(const Json& root, LabelEvent& event) {
+  const Json& size = at(root, "size");
+  std::int64_t w = 0, h = 0;
+  if (!size.is_array() || size.size() != 2) refuse_value("size", "[width, height]", size);
+  for (const std::size_t i : {std::size_t{0}, std::size_t{1}}) {
+    if (!whole_between(size[i], 1, kMostEventSide, i == 0 ? w : h))
+      refuse_value("size", "whole numbers from 1 to " + std::to_string(kMostEventSide), size[i]);
+  }
+  event.width_px = static_cast<std::int32_t>(w);
+  event.height_px = static_cast<std::int32_t>(h);
+}
+
+void read_points(const Json& root, LabelEvent& event) {
+  const Json& points = at(root, "points");
+  const std::size_t most = event.kind == LabelEventKind::skip ? 1 : kMostEventPoints;
+  if (!points.is_array() || points.empty() || points.size() > most) {
+    refuse_value("points", most == 1 ? "a list of one point" : "a list of 1 to " + std::to_string(most) + " points",
+                 points);
+  }
+  for (const Json& point : points) {
+    const std::string which = "'points': point " + std::to_string(event.points.size() + 1);
+    if (!point.is_array() || point.size() != 2 || !point[0].is_number() || !point[1].is_number())
+      refuse("labels.event.points", which + " is not a pair of numbers [x, y]: " + shown(point));
+    const PixelPoint p{point[0].get<double>(), point[1].get<double>()};
+    if (!(p.x >= 0 && p.x <= event.width_px && p.y >= 0 && p.y <= event.height_px)) {
+      refuse("labels.event.points",
+             which + ", (" + shown(point[0]) + ", " + shown(point[1]) + "), lies outside the image of " +
+                 std::to_string(event.width_px) + " x " + std::to_string(event.height_px),
+             "count pixels of the image of 'size'");
+    }
+    event.points.push_back(p);
+  }
+}
+
+void read_radius(const Json& root, LabelEvent& event) {
+  const Json& radius = at(root, "radius");
+  if (radius.is_number()) event.radius_px = radius.get<double>();
+  if (!radius.is_number() || !(event.radius_px >= 0 && event.radius_px <= kMostEventRadius))
+    refuse_value("radius", "pixels from 0 to a million", radius);
+}
+
+void read_fill(const Json& root, LabelEvent& event) {
+  const auto fill = root.find("fill");
+  if (fill == root.end()) return;
+  if (!fill->is_boolean()) refuse_value("fill", "true or false", *fill);
+  event.fill = fill->get<bool>();
+  if (event.fill && event.points.size() < kLeastOutlinePoints)
+    refuse("labels.event.points",
+           "'fill': an outline needs 3 points, and there are " + std::to_string(event.points.size()));
+}
+
+void read_object(const Json& root, LabelEvent& event) {
+  const auto object = root.find("object");
+  if (object == root.end()) return;
+  std::int64_t number = 0;
+  if (!whole_between(*object, 1, kMostObjectNumber, number))
+    refuse_value("object", "a whole number from 1 to " + std::to_string(kMostObjectNumber), *object);
+  event.object = static_cast<std::int32_t>(number);
+}
+
+void read_color(const Json& root, LabelEvent& event) {
+  const auto color = root.find("color");
+  if (color == root.end()) return;
+  std::array<std::uint8_t, 3> rgb{};
+  if (!color->is_array() || color->size() != 3) refuse_value("color", "[red, green, blue]", *color);
+  for (std::size_t i = 0; i < 3; ++i) {
+    std::int64_t value = 0;
+    if (!whole_between((*color)[i], 0, 255, value)) refuse_value("color", "whole numbers from 0 to 255", (*color)[i]);
+    rgb[i] = static_cast<std::uint8_t>(value);
+  }
+  event.color = rgb;
+}
+
+const KindText& kind_at(const Json& root) {
+  const Json& type = at(root, "type");
+  std::vector<std::string> known;
+  for (const KindText& kind : kinds()) {
+    if (type == kind.type) return kind;
+    known.emplace_back(kind.type);
+  }
+  refuse_value("type", join(known), type);
+}
+
+void check_keys(const Json& root, const KindText& kind) {
+  std::vector<std::string> known{"id", "type", "time_ms"};
+  known.insert(known.end(), kind.keys.begin(), kind.keys.end());
+  known.insert(known.end(), kind.may.begin(), kind.may.end());
+  for (const auto& item : root.items()) {
+    if (std::find(known.begin(), known.end(), item.key()) != known.end()) continue;
+    const std::string near = did_you_mean(item.key(), known);
+    refuse("labels.event.format", "unknown key " + shown(Json(item.key())) + " of a '" + kind.type + "'",
+           near.empty() ? "known: " + join(known) : "did you mean '" + near + "'?");
+  }
+}
+
+// The event's text behind a key that names a class; null for other keys.
+std::string LabelEvent::*name_behind(std::string_view key, LabelEventKind kind) {
+  if (key == "class" || (key == "name" && kind == LabelEventKind::add_class)) return &LabelEvent::class_name;
+  return key == "name" || key == "into" ? &LabelEvent::new_name : nullptr;
+}
+
+}  // namespace
+
+bool is_event_id(std::string_view text) {
+  const auto allowed = [](char c) {
+    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-' || c == '_';
+  };
+  return !text.empty() && text.size() <= 64 && std::all_of(text.begin(), text.end(), allowed);
+}
+
+LabelEvent parse_label_event(std::string_view json) {
+  const Json root = parse_object(json);
+  const KindText& kind = kind_at(root);
+  check_keys(root, kind);
+  LabelEvent event;
+  event.kind = kind.kind;
+  event.id = id_at(root, "id");
+  if (const auto time = root.find("time_ms");
+      time != root.end() && !whole_between(*time, 0, std::int64_t{1} << 53, event.unix_ms)) {
+    refuse_value("time_ms", "milliseconds since 1970", *time);
+  }
+  const bool click = kind.kind == LabelEventKind::click;
+  if (click || kind.kind == LabelEventKind::skip) {
+    event.frame = line_at(root, "frame", kMostFrameNameBytes);
+    read_size(root, event);
+    read_points(root, event);
+  }
+  if (click) {
+    read_radius(root, event);
+    read_fill(root, event);
+    read_object(root, event);
+  }
+  for (const std::string& key : kind.keys) {
+    if (const auto name = name_behind(key, event.kind)) event.*name = line_at(root, key.c_str(), kMostClassNameBytes);
+  }
+  read_color(root, event);
+  if (kind.kind == LabelEventKind::undo) {
+    event.of = id_at(root, "of");
+    if (event.of == event.id) refuse("labels.event.format", "'of': it is the event's own id");
+  }
+  return event;
+}
+
+std::string label_event_json(const LabelEvent& event) {
+  const auto kind =
+      std::find_if(kinds().begin(), kinds().end(), [&](const KindText& k) { return k.kind == event.kind; });
+  Json root;
+  root["id"] = event.id;
+  root["type"] = kind->type;
+  if (event.unix_ms != 0) root["time_ms"] = event.unix_ms;
+  for (const std::string& key : kind->keys) {
+    Json& value = root[key];
+    if (key == "frame") value = event.frame;
+    if (key == "size") value = {event.width_px, event.height_px};
+    if (key == "radius") value = event.radius_px;
+    if (key == "of") value = event.of;
+    if (const auto name = name_behind(key, event.kind)) value = event.*name;
+    if (key != "points") continue;
+    value = Json::array();
+    for (const PixelPoint& p : event.points) value.push_back({p.x, p.y});
+  }
+  if (event.fill) root["fill"] = true;
+  if (event.object != 0) root["object"] = event.object;
+  if (event.color) root["color"] = *event.color;
+  return root.dump(-1, ' ', false, Json::error_handler_t::strict);
+}
+
+void EventsKnown::add(const LabelEvent& event) {
+  const std::string line = label_event_json(event) + "\n";
+  checksum = crc32c(std::as_bytes(std::span(line)), checksum);
+  ++events;
 }
 
 }  // namespace semfield

@@ -1,16 +1,68 @@
 // clicks.jsonl: the label events of a run, a line each, on the disk before anybody is told that they are taken.
 #pragma once
 
+#include <array>
+#include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include "core/error.h"
-#include "labels/clicks/label_event.h"
-#include "system/folder_lock.h"
+#include "labels/mask_outlines.h"
+#include "system/files.h"
 
 namespace semfield {
+
+enum class LabelEventKind : std::uint8_t { click, add_class, change_class, undo, skip, merge_class, delete_class };
+
+struct LabelEvent {
+  std::string id;  ///< the client's, unique: 1 to 64 of [A-Za-z0-9_-]
+  LabelEventKind kind = LabelEventKind::click;
+  std::int64_t unix_ms = 0;                  ///< when it was taken; 0: not told
+  std::string frame;                         ///< click, skip: FrameInfo::name
+  std::int32_t width_px = 0, height_px = 0;  ///< click, skip: size of the image whose pixels `points` count
+  std::vector<PixelPoint> points;            ///< click: one, or the polyline of a stroke; skip: one
+  double radius_px = 0;                      ///< click: 0 = the pixels that the points or the stroke lie in, alone
+  bool fill = false;                         ///< click: `points` are a closed outline, and its inside is named
+  std::int32_t object = 0;                   ///< click: which thing of its class; 0: not told
+  std::string class_name;                    ///< click: what was named, a void name: nothing; else the class meant
+  std::string new_name;                      ///< change_class: the new name, or the old one where the colour alone
+                                             ///< changes; merge_class: whose clicks those of `class_name` become
+  std::optional<std::array<std::uint8_t, 3>>
+      color;       ///< add_class (none: the default of its id), change_class (none: unchanged)
+  std::string of;  ///< undo: id of the event undone; undoing an undo brings the event back
+  bool operator==(const LabelEvent&) const = default;
+};
+
+inline constexpr std::size_t kMostEventBytes = std::size_t{256} << 10;  ///< of an event as text
+inline constexpr std::size_t kMostEventPoints = 4096;
+inline constexpr std::int64_t kMostEventSide = 65536;  ///< pixels an axis
+inline constexpr double kMostEventRadius = 1e6;
+inline constexpr std::int32_t kMostObjectNumber = 65535;
+inline constexpr std::size_t kMostClassNameBytes = 128;
+inline constexpr std::size_t kMostFrameNameBytes = 4096;
+
+inline constexpr std::size_t kLeastOutlinePoints = 3;
+
+/// Whether `text` may be the id of an event.
+bool is_event_id(std::string_view text);
+
+/// Throws Error(data) with a sentence that names the key, for every value out of its bounds and for keys that are
+/// missing, unknown or given twice.
+LabelEvent parse_label_event(std::string_view json);
+
+/// One line without its end; parse_label_event gives the same event again.
+std::string label_event_json(const LabelEvent& event);
+
+/// How many events there are, and a CRC-32C of their lines: tells whether two lists begin with the same events.
+struct EventsKnown {
+  std::int64_t events = 0;
+  std::uint32_t checksum = 0;
+  void add(const LabelEvent& event);
+  bool operator==(const EventsKnown&) const = default;
+};
 
 inline constexpr const char* kClickFile = "clicks.jsonl";  ///< a run's own file, in its folder
 

@@ -1,13 +1,14 @@
 // Cameras of a scene that has poses, fixed by its photographs: lens, poses, and where the depth camera stands.
 #pragma once
 
+#include <cstddef>
 #include <functional>
 #include <string>
 #include <vector>
 
-#include "loading/capture/colmap_steps.h"
-#include "scene/bundle.h"
+#include "loading/capture/reconstruct.h"
 #include "scene/scene.h"
+#include "scene/survey/bundle.h"
 
 namespace semfield {
 
@@ -43,5 +44,12 @@ bool is_photograph_file(const FrameInfo& frame);
 
 /// Pairs of frames that may see the same: each with its nearest by distance and angle, and with those behind it.
 std::vector<Pair> pairs_by_pose(const std::vector<Pose>& poses);
+
+// What COLMAP found of the same point in several photographs, as tracks.
+
+/// Reads features and the matches that two views confirm from a database of COLMAP, and joins matches to tracks: of two
+/// that would bring two features of one image into a track, the later is dropped. `names` are those of the images;
+/// Sighting::frame is a place among them. Deterministic. Points are not set.
+std::vector<Track> feature_tracks(const std::string& database, const std::vector<std::string>& names);
 
 }  // namespace semfield

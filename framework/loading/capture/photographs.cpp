@@ -1,16 +1,26 @@
 #include "loading/capture/photographs.h"
 
+#include <fmt/format.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
 #include <algorithm>
 #include <array>
+#include <cmath>
+#include <cstdio>
 #include <filesystem>
 #include <map>
+#include <new>
+#include <nlohmann/json.hpp>
 #include <optional>
+#include <set>
+#include <span>
 
 #include "compute/parallel.h"
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "loading/frame_files.h"
-#include "system/sorted_folder.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -172,6 +182,332 @@ void check_photographs(const CaptureSource& source, Diagnostics& diagnostics) {
                          " photographs have an EXIF orientation by which viewers turn them; here pixels count as they "
                          "are stored, as the sensor saw them");
   }
+}
+
+double sharpness(std::span<const std::uint8_t> grey, std::int32_t width) {
+  const auto w = static_cast<std::size_t>(width), rows = grey.size() / w;
+  if (w < 3 || rows < 3) return 0;
+  double sum = 0, squares = 0, of_laplacian = 0, squares_of_laplacian = 0;
+  for (std::size_t y = 1; y + 1 < rows; ++y) {
+    for (std::size_t x = 1; x + 1 < w; ++x) {
+      const std::uint8_t* p = grey.data() + y * w + x;
+      const double here = *p, laplacian = 4.0 * here - p[-1] - p[1] - *(p - w) - *(p + w);
+      sum += here;
+      squares += here * here;
+      of_laplacian += laplacian;
+      squares_of_laplacian += laplacian * laplacian;
+    }
+  }
+  const double count = static_cast<double>((w - 2) * (rows - 2));
+  const double variance = squares / count - sum / count * (sum / count);
+  const double of_edges = squares_of_laplacian / count - of_laplacian / count * (of_laplacian / count);
+  return variance > 0 ? of_edges / variance : 0;
+}
+
+double sharpness_of(const std::string& photograph) {
+  Image<std::uint8_t> image = read_rgb(photograph);
+  constexpr std::int32_t kLongest = 1024;
+  const std::int32_t longest = std::max(image.width_px, image.height_px);
+  if (longest > kLongest) {
+    image = resize_area(image, std::max(1, image.width_px * kLongest / longest),
+                        std::max(1, image.height_px * kLongest / longest));
+  }
+  std::vector<std::uint8_t> grey;
+  grey.reserve(image.pixels.size() / 3);
+  for (std::size_t i = 0; i + 2 < image.pixels.size(); i += 3)
+    grey.push_back(static_cast<std::uint8_t>((image.pixels[i] + 2 * image.pixels[i + 1] + image.pixels[i + 2]) / 4));
+  return sharpness(grey, image.width_px);
+}
+
+double median_of(std::vector<double> values) {
+  if (values.empty()) return 0;
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+FrameChoice choose_frames(std::span<const std::uint8_t> frames, std::size_t pixels, std::int32_t width,
+                          std::size_t intervals) {
+  constexpr double kStill = 2;
+  const std::size_t count = frames.size() / pixels;
+  std::vector<double> sharp(count);
+  parallel_for(static_cast<std::int64_t>(count), [&](std::int64_t i) {
+    sharp[static_cast<std::size_t>(i)] = sharpness(frames.subspan(static_cast<std::size_t>(i) * pixels, pixels), width);
+  });
+  std::vector<std::size_t> best;
+  std::vector<double> of_best;
+  const std::size_t parts = std::min(intervals, count);
+  for (std::size_t k = 0; k < parts; ++k) {
+    const auto first = sharp.begin() + static_cast<std::ptrdiff_t>(k * count / parts);
+    const auto last = sharp.begin() + static_cast<std::ptrdiff_t>((k + 1) * count / parts);
+    const auto top = std::max_element(first, last);
+    best.push_back(static_cast<std::size_t>(top - sharp.begin()));
+    of_best.push_back(*top);
+  }
+  const double least = kBlurredShare * median_of(of_best);
+  FrameChoice out;
+  for (const std::size_t frame : best) {
+    if (sharp[frame] < least) {
+      ++out.blurred;
+      continue;
+    }
+    if (!out.kept.empty()) {
+      double off = 0;
+      for (std::size_t p = 0; p < pixels; ++p)
+        off += std::abs(frames[frame * pixels + p] - frames[out.kept.back() * pixels + p]);
+      if (off < kStill * static_cast<double>(pixels)) {
+        ++out.still;
+        continue;
+      }
+    }
+    out.kept.push_back(frame);
+  }
+  return out;
+}
+
+namespace fs = std::filesystem;
+
+namespace {
+
+constexpr int kViews = 8, kFieldDeg = 90;
+
+void check_shape(const fs::path& file, const std::string& name, ImageSize size) {
+  if (size.width_px == 2 * size.height_px && size.width_px >= 64) return;
+  throw Error(ErrorKind::data, "capture.panoramas.shape",
+              fmt::format("'{}' is {} x {}: an equirectangular panorama is twice as wide as high", file.string(),
+                          size.width_px, size.height_px),
+              fmt::format("take '{}' out, or do without --lens equirectangular", name));
+}
+
+// By what it holds, as the reader of photographs does.
+const char* decoder_of(const std::string& file) {
+  const std::string start = read_file_start(file, 4);
+  return start == "\x89PNG"                                                     ? "png"
+         : start == std::string("II*\0", 4) || start == std::string("MM\0*", 4) ? "tiff"
+                                                                                : "mjpeg";
+}
+
+}  // namespace
+
+std::vector<std::string> cut_panoramas(const PanoramaCut& cut, const Programs& programs,
+                                       const CaptureProgress& progress) {
+  for (const std::string& name : cut.names) {
+    const fs::path file = fs::path(cut.from) / name;
+    check_shape(file, name, image_size(file.string()));
+  }
+  fs::remove_all(cut.to);
+  std::vector<std::string> out;
+  std::set<std::string> taken;  // a.jpg and a.png are two
+  for (std::size_t i = 0; i < cut.names.size(); ++i) {
+    progress({"cutting", "panoramas"}, static_cast<double>(i), static_cast<double>(cut.names.size()));
+    const fs::path panorama = fs::path(cut.from) / cut.names[i];
+    const int side = image_size(panorama.string()).height_px / 2;
+    fs::path stem = fs::path(cut.names[i]).replace_extension();
+    if (!taken.insert(stem.string()).second) stem = cut.names[i];
+    create_folders((fs::path(cut.to) / stem.parent_path()).string());
+    std::string split = fmt::format("[0:v]split={}", kViews), bend;
+    std::vector<std::string> outputs;
+    for (int view = 0; view < kViews; ++view) {
+      const int turn_deg = view * 360 / kViews;
+      split += fmt::format("[in{}]", view);
+      bend += fmt::format(";[in{0}]v360=e:flat:yaw={1}:h_fov={2}:v_fov={2}:w={3}:h={3}:interp=cubic[out{0}]", view,
+                          turn_deg > 180 ? turn_deg - 360 : turn_deg, kFieldDeg, side);
+      out.push_back(fmt::format("{}_{:03}.jpg", stem.string(), turn_deg));
+      for (std::string word : {std::string("-map"), fmt::format("[out{}]", view), std::string("-frames:v"),
+                               std::string("1"), std::string("-q:v"), std::string("2"), std::string("-update"),
+                               std::string("1"), (fs::path(cut.to) / out.back()).string()})
+        outputs.push_back(std::move(word));
+    }
+    // One image of this name, whatever the name looks like: with '%' it might be a pattern of many.
+    std::vector<std::string> words{"-v",
+                                   "error",
+                                   "-nostdin",
+                                   "-y",
+                                   "-f",
+                                   "image2",
+                                   "-pattern_type",
+                                   "none",
+                                   "-c:v",
+                                   decoder_of(panorama.string()),
+                                   "-i",
+                                   panorama.string(),
+                                   "-filter_complex",
+                                   split + bend};
+    words.insert(words.end(), outputs.begin(), outputs.end());
+    run_program(programs, "ffmpeg",
+                {.words = std::move(words),
+                 .log = (fs::path(cut.logs) / "ffmpeg_views.txt").string(),
+                 .remedy = "check that the image can be opened; ffmpeg 5 is known to take these words"});
+  }
+  return out;
+}
+
+namespace fs = std::filesystem;
+
+namespace {
+
+constexpr std::int32_t kSide = 256;  // of the small pictures that are compared
+constexpr std::size_t kPixels = std::size_t{kSide} * kSide;
+constexpr std::size_t kLooks = 8;            // frames of an interval that are looked at, at most
+constexpr std::size_t kMostSelected = 2000;  // by one call of ffmpeg: a word of a command line holds 128 KiB
+
+// All of a file that may be larger than memory.
+class MappedFile {
+ public:
+  explicit MappedFile(const std::string& path) : size_(fs::file_size(path)) {
+    if (size_ == 0) return;
+    const int file = open_for_reading(path);
+    data_ = mmap(nullptr, size_, PROT_READ, MAP_PRIVATE, file, 0);
+    close(file);
+    if (data_ == MAP_FAILED) throw std::bad_alloc();
+  }
+  MappedFile(const MappedFile&) = delete;
+  MappedFile& operator=(const MappedFile&) = delete;
+  ~MappedFile() {
+    if (size_ > 0) munmap(data_, size_);
+  }
+  std::span<const std::uint8_t> bytes() const { return {static_cast<const std::uint8_t*>(data_), size_}; }
+
+ private:
+  std::size_t size_;
+  void* data_ = nullptr;
+};
+
+double seconds_of(const std::string& video, const std::string& log, const Programs& programs) {
+  const std::string remedy = "check that the file plays, or convert it: ffmpeg -i " + shell_word(video) + " video.mp4";
+  std::vector<std::string> words{
+      "-v", "error", "-select_streams", "v:0", "-show_entries", "stream=codec_type:format=duration", "-of", "json"};
+  const std::vector<std::string> film = film_words(video);
+  words.insert(words.end(), film.begin(), film.end());
+  try {
+    run_program(programs, "ffprobe", {.words = words, .log = log, .remedy = remedy});
+  } catch (const Error&) {
+    if (log_text(log).find("not on whitelist") == std::string::npos) throw;
+    throw Error(ErrorKind::data, "capture.video.format",
+                "'" + video + "' is no film in one file: " + last_lines(log, 1),
+                "convert it to .mp4 yourself, where you trust what it names");
+  }
+  const std::string text = log_text(log);
+  const std::size_t begin = text.find('{');
+  const nlohmann::json told =
+      nlohmann::json::parse(begin == std::string::npos ? "" : text.substr(begin), nullptr, false);
+  double seconds = 0;
+  const bool has_video = told.is_object() && told.contains("streams") && !told["streams"].empty();
+  if (has_video && told.contains("format") && told["format"].contains("duration") &&
+      told["format"]["duration"].is_string())
+    (void)parse_number(told["format"]["duration"].get<std::string>(), seconds);
+  if (!(seconds > 0 && seconds < 1e6))
+    throw Error(ErrorKind::data, "capture.video.empty", "'" + video + "' holds no video of a known length", remedy);
+  return seconds;
+}
+
+// For the name of a numbered file: ffmpeg takes a single '%' for the place of the number.
+std::string pattern_of(const std::string& folder) {
+  std::string out;
+  for (const char c : folder) out += c == '%' ? "%%" : std::string(1, c);
+  return out;
+}
+
+std::string rate_text(double frames, double seconds) {
+  char text[64];
+  std::snprintf(text, sizeof text, "%.6f", frames / seconds);
+  return text;
+}
+
+}  // namespace
+
+std::vector<std::string> film_words(const std::string& video) {
+  return {
+      "-protocol_whitelist", "file", "-format_whitelist", "mov,matroska,avi,mpegts,mpeg,mpegvideo,asf", "-i", video};
+}
+
+VideoFrames cut_video(const VideoCut& cut, const Programs& programs, const CaptureProgress& progress) {
+  VideoFrames out;
+  out.seconds = seconds_of(cut.video, (fs::path(cut.logs) / "ffprobe.txt").string(), programs);
+  out.intervals =
+      cut.wanted > 0 ? cut.wanted : std::clamp<std::size_t>(static_cast<std::size_t>(3 * out.seconds), 30, 300);
+  // The same filter gives the same frames to look at and to keep, so that a frame is known by its number.
+  const std::string rate = "fps=" + rate_text(static_cast<double>(kLooks * out.intervals), out.seconds);
+  fs::remove_all(cut.folder);
+  create_folders(cut.folder);
+  const std::string small = (fs::path(cut.folder) / "small.grey").string();
+  const std::string remedy = "check that the file plays to its end";
+  const auto total = static_cast<double>(kLooks * out.intervals);
+  const auto size_of = [](const std::string& file) {
+    std::error_code unknown;
+    const auto bytes = fs::file_size(file, unknown);
+    return unknown ? 0.0 : static_cast<double>(bytes);
+  };
+  const auto words_of_film = [&](const std::vector<std::string>& more) {
+    std::vector<std::string> words{"-v", "error", "-nostdin", "-y"};
+    for (const std::vector<std::string>& part : {film_words(cut.video), more})
+      words.insert(words.end(), part.begin(), part.end());
+    return words;
+  };
+  run_program(programs, "ffmpeg",
+              {.words = words_of_film(
+                   {"-an", "-vf",
+                    rate + ",scale=" + std::to_string(kSide) + ":" + std::to_string(kSide) + ":flags=area,format=gray",
+                    "-f", "rawvideo", small}),
+               .log = (fs::path(cut.logs) / "ffmpeg_look.txt").string(),
+               .tick =
+                   [&] {
+                     progress({"looking at", "frames"}, std::min(size_of(small) / kPixels, total), total);
+                   },
+               .remedy = remedy});
+  FrameChoice choice;
+  {
+    const MappedFile frames(small);
+    out.looked_at = frames.bytes().size() / kPixels;
+    choice = choose_frames(frames.bytes().first(out.looked_at * kPixels), kPixels, kSide, out.intervals);
+  }
+  fs::remove(small);
+  out.still = choice.still;
+  out.blurred = choice.blurred;
+  if (choice.kept.size() < 3) {
+    throw Error(ErrorKind::data, "capture.video.still",
+                "'" + cut.video + "' has " + std::to_string(choice.kept.size()) + " different frames of " +
+                    std::to_string(out.looked_at) + " looked at: " + std::to_string(choice.still) +
+                    " intervals are still, " + std::to_string(choice.blurred) + " blurred",
+                "walk around the scene slowly while filming");
+  }
+  const auto kept = static_cast<double>(choice.kept.size());
+  const auto file_of = [&](std::size_t number) {
+    char name[32];
+    std::snprintf(name, sizeof name, "%06zu.jpg", number);
+    return (fs::path(cut.folder) / name).string();
+  };
+  std::size_t written = 0;
+  for (std::size_t first = 0; first < choice.kept.size(); first += kMostSelected) {
+    const std::size_t last = std::min(first + kMostSelected, choice.kept.size());
+    std::string select = "select=";
+    for (std::size_t i = first; i < last; ++i)
+      select += (i == first ? "eq(n\\," : "+eq(n\\,") + std::to_string(choice.kept[i]) + ")";
+    run_program(programs, "ffmpeg",
+                {.words = words_of_film({"-an", "-vf", rate + "," + select, "-fps_mode", "passthrough", "-frames:v",
+                                         std::to_string(last - first), "-q:v", "2", "-start_number",
+                                         std::to_string(first + 1), pattern_of(cut.folder) + "/%06d.jpg"}),
+                 .log = (fs::path(cut.logs) / "ffmpeg_keep.txt").string(),
+                 .tick =
+                     [&] {
+                       while (fs::exists(file_of(written + 1))) ++written;
+                       progress({"writing", "frames"}, static_cast<double>(written), kept);
+                     },
+                 .remedy = remedy});
+  }
+  for (std::size_t i = 0; i < choice.kept.size(); ++i) {
+    char name[32];
+    std::snprintf(name, sizeof name, "frame_%06zu.jpg", choice.kept[i]);
+    std::error_code failed;
+    fs::rename(file_of(i + 1), fs::path(cut.folder) / name, failed);
+    if (failed)
+      throw Error(ErrorKind::data, "capture.video.short",
+                  "ffmpeg wrote " + std::to_string(i) + " of " + std::to_string(choice.kept.size()) + " frames of '" +
+                      cut.video + "'",
+                  remedy);
+    out.names.emplace_back(name);
+  }
+  return out;
 }
 
 }  // namespace semfield

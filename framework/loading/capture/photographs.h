@@ -1,10 +1,13 @@
 // What lies at the place that a scene is to be made of: a video, or photographs.
 #pragma once
 
+#include <cstdint>
+#include <span>
 #include <string>
 #include <vector>
 
 #include "core/error.h"
+#include "loading/capture/programs.h"
 
 namespace semfield {
 
@@ -31,5 +34,66 @@ CaptureSource look_at_source(const std::string& path);
 /// photographs two sizes or two lenses, by name. Notes those that viewers turn by their EXIF orientation: pixels count
 /// as they are stored, as the sensor saw them.
 void check_photographs(const CaptureSource& source, Diagnostics& diagnostics);
+
+// How sharp pictures are, and which frames of a film are worth a pose.
+
+/// Variance of the Laplacian over that of the picture [Pertuz13]: a blurred copy of the same picture has less. Grey
+/// values, row by row, `width` of them; 0 of an even picture.
+double sharpness(std::span<const std::uint8_t> grey, std::int32_t width);
+/// Of a photograph, at 1,024 pixels of its longer side. Throws as read_rgb does.
+double sharpness_of(const std::string& photograph);
+/// Below this share of the median, a picture is called blurred.
+inline constexpr double kBlurredShare = 0.3;
+double median_of(std::vector<double> values);
+
+/// Frames of a film that are kept, and why others were not.
+struct FrameChoice {
+  std::vector<std::size_t> kept;  ///< ascending
+  std::size_t still = 0;          ///< intervals whose sharpest frame shows what the kept one before it shows
+  std::size_t blurred = 0;        ///< intervals whose sharpest frame is blurred
+};
+/// Of `frames`, small grey pictures of `pixels` values each, the sharpest of each of `intervals` intervals of one
+/// length. A frame is still where it differs from the last one kept by less than two grey levels in the mean, and
+/// blurred below kBlurredShare of the median of the sharpest.
+FrameChoice choose_frames(std::span<const std::uint8_t> frames, std::size_t pixels, std::int32_t width,
+                          std::size_t intervals);
+
+// Panoramas as perspective views, which COLMAP can find the poses of.
+
+/// Equirectangular images, twice as wide as high, and where their views go.
+struct PanoramaCut {
+  std::vector<std::string> names;  ///< in `from`, in the order in which they were taken
+  std::string from, to;            ///< folders; `to` is made anew
+  std::string logs;                ///< folder
+};
+
+/// Eight views of 90 degrees around the horizon of each panorama, an eighth turn apart, as high as half of it: every
+/// point of the horizon is in two. Returns their names, those of a panorama in order. Throws Error(data) for images of
+/// another shape, naming one, and as run_program() does.
+std::vector<std::string> cut_panoramas(const PanoramaCut& cut, const Programs& programs,
+                                       const CaptureProgress& progress);
+
+// Photographs out of a video, by ffmpeg.
+
+struct VideoFrames {
+  std::vector<std::string> names;  ///< of the files written, in the order of time
+  double seconds = 0;              ///< of the video
+  std::size_t looked_at = 0, intervals = 0, still = 0, blurred = 0;
+};
+
+struct VideoCut {
+  std::string video;
+  std::string folder;      ///< gets the frames as "frame_000123.jpg"; replaced
+  std::string logs;        ///< folder of the logs
+  std::size_t wanted = 0;  ///< frames to keep at most; 0: three a second, 30 to 300
+};
+
+/// The file as words of ffmpeg and ffprobe that take a film of one file and nothing else: a playlist would have them
+/// read what it names.
+std::vector<std::string> film_words(const std::string& video);
+
+/// Writes the sharpest frame of each of `wanted` intervals (choose_frames), upright and at full size. Throws Error for
+/// a file that ffmpeg finds no video in, and for a film of fewer than three different frames.
+VideoFrames cut_video(const VideoCut& cut, const Programs& programs, const CaptureProgress& progress);
 
 }  // namespace semfield

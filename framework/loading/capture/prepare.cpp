@@ -9,14 +9,10 @@
 #include "compute/parallel.h"
 #include "core/text.h"
 #include "formats/image_io.h"
-#include "loading/capture/colmap_steps.h"
-#include "loading/capture/panoramas.h"
-#include "loading/capture/prepare_state.h"
-#include "loading/capture/sharpness.h"
-#include "loading/capture/video.h"
+#include "loading/capture/photographs.h"
+#include "loading/capture/reconstruct.h"
+#include "system/checksum.h"
 #include "system/files.h"
-#include "system/sha256.h"
-#include "system/sorted_folder.h"
 
 namespace semfield {
 

@@ -3,17 +3,294 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <cmath>
 #include <filesystem>
+#include <map>
+#include <nlohmann/json.hpp>
 #include <optional>
 #include <set>
+#include <string>
+#include <unordered_set>
+#include <vector>
 
+#include "core/error.h"
 #include "core/text.h"
-#include "loading/capture/settle_model.h"
 #include "loading/colmap_model.h"
 #include "system/files.h"
 
 namespace semfield {
+
+struct SettleTask {
+  std::string model;                      ///< folder of the model
+  FeatureSettings features;               ///< that it was found with
+  const std::vector<std::string>& names;  ///< of all images, in the order in which they were taken
+  std::string work;                       ///< folder of the models on the way, in which "refined" is the last
+};
+
+/// A mapper ends with observations that are wrong among those that are right, and least squares [Schonberger16] weighs
+/// the wrong ones most. So torn_images() are placed anew among the points of the others, misplaced_images() are left
+/// out, lenses become OPENCV ones or fisheyes, and three times what misses its point by more than 3, 2 and 2 times the
+/// mean error is left out and all else adjusted. Returns the names of the misplaced images.
+std::vector<std::string> settle_model(const SettleTask& task, const ColmapSteps& colmap);
+
+namespace fs = std::filesystem;
+using Json = nlohmann::ordered_json;
+
+PrepareState::PrepareState(std::string file, std::string identity)
+    : file_(std::move(file)), identity_(std::move(identity)) {
+  if (!std::filesystem::exists(file_)) {
+    write();
+    return;
+  }
+  const Json root = Json::parse(read_text_file(file_), nullptr, false);
+  const bool ours = root.is_object() && root.contains("made_from") && root["made_from"] == identity_ &&
+                    root.contains("steps") && root["steps"].is_object();
+  if (!ours) {
+    throw Error(ErrorKind::cannot_create, "capture.scene.other",
+                "the scene of '" + file_ + "' was begun from other photographs or with other options",
+                "name another folder with --out, or remove this one");
+  }
+  for (const auto& [step, found] : root["steps"].items())
+    steps_.emplace_back(step, found.is_string() ? found.get<std::string>() : "");
+}
+
+const std::string* PrepareState::done(const std::string& step) const {
+  for (const auto& [name, found] : steps_) {
+    if (name == step) return &found;
+  }
+  return nullptr;
+}
+
+std::vector<std::string> PrepareState::lines(const std::string& step) const {
+  std::vector<std::string> out;
+  const std::string* const found = done(step);
+  std::string_view rest = found == nullptr ? std::string_view() : *found;
+  for (std::string_view line; next_line(rest, line);) out.emplace_back(line);
+  return out;
+}
+
+void PrepareState::mark(const std::string& step, const std::string& found) {
+  std::erase_if(steps_, [&](const auto& one) { return one.first == step; });
+  steps_.emplace_back(step, found);
+  write();
+}
+
+void PrepareState::forget(const std::string& step) {
+  if (std::erase_if(steps_, [&](const auto& one) { return one.first == step; }) > 0) write();
+}
+
+void PrepareState::write() const {
+  Json steps = Json::object();
+  for (const auto& [step, found] : steps_) steps[step] = found;
+  write_file_atomic(
+      file_,
+      Json{{"made_from", identity_}, {"steps", steps}}.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+}
+
+PrepareFolder::PrepareFolder(const std::string& scene) : prepare_(scene + "/prepare") {
+  std::error_code unknown;
+  if (fs::exists(scene, unknown) && !fs::exists(prepare_, unknown) && !fs::is_empty(scene, unknown)) {
+    throw Error(ErrorKind::cannot_create, "files.output.exists", "'" + scene + "' is there already",
+                "name another folder with --out");
+  }
+  create_folders(logs());
+  create_folders(work());
+  if (const int cause = lock_.take(prepare_); cause == EWOULDBLOCK)
+    throw Error(ErrorKind::cannot_create, "capture.scene.busy", lock_.holder() + " prepares '" + scene + "'",
+                "wait until it has ended");
+  else if (cause != 0)
+    throw write_error("lock", prepare_, cause);
+}
+
+namespace fs = std::filesystem;
+
+std::vector<Pair> all_pairs(std::size_t count) {
+  std::vector<Pair> out;
+  for (std::size_t apart = 1; apart < count; ++apart) {
+    for (std::size_t i = 0; i + apart < count; ++i) out.emplace_back(i, i + apart);
+  }
+  return out;
+}
+
+std::vector<Pair> pairs_in_order(std::size_t count) {
+  constexpr std::size_t kBehind = 10, kSpread = 50;
+  std::vector<Pair> out;
+  std::set<Pair> seen;
+  const auto add = [&](std::size_t i, std::size_t j) {
+    if (j < count && seen.emplace(i, j).second) out.emplace_back(i, j);
+  };
+  for (std::size_t i = 0; i < count; ++i) {
+    for (std::size_t k = 1; k <= kBehind; ++k) add(i, i + k);
+    for (std::size_t k = 16; k < count; k *= 2) add(i, i + k);
+  }
+  const std::size_t spread = std::min(count, kSpread);
+  for (const auto& [i, j] : all_pairs(spread)) add(i * count / spread, j * count / spread);
+  return out;
+}
+
+double last_number_after(const std::string& text, const std::string& before) {
+  const std::size_t at = text.rfind(before);
+  if (at == std::string::npos) return 0;
+  const std::size_t first = at + before.size();
+  std::size_t end = first;
+  while (end < text.size() && is_digit(text[end])) ++end;
+  double value = 0;
+  return parse_number(std::string_view(text).substr(first, end - first), value) ? value : 0;
+}
+
+// What is asked of an image that joins: one at a wrong place does more harm than one without, and things that repeat
+// look alike.
+const std::vector<std::string> kStrict{"--Mapper.min_num_matches",           "30",
+                                       "--Mapper.abs_pose_min_num_inliers",  "60",
+                                       "--Mapper.abs_pose_min_inlier_ratio", "0.4"};
+
+std::string ColmapSteps::database(const FeatureSettings& settings) const {
+  return (fs::path(work_) / (settings.name + ".db")).string();
+}
+
+std::string ColmapSteps::log(const std::string& name) const { return (fs::path(logs_) / (name + ".txt")).string(); }
+
+void ColmapSteps::extract(const FeatureSettings& s, bool camera_per_folder, std::size_t images) const {
+  const std::string file = log("features_" + s.name);
+  for (const char* end : {"", "-wal", "-shm", "-journal"}) fs::remove(database(s) + end);
+  const std::string camera =
+      camera_per_folder ? "--ImageReader.single_camera_per_folder" : "--ImageReader.single_camera";
+  run_program(programs_, "colmap",
+              {.words = {"feature_extractor",
+                         "--database_path",
+                         database(s),
+                         "--image_path",
+                         images_,
+                         "--ImageReader.camera_model",
+                         s.lens,
+                         "--ImageReader.default_focal_length_factor",
+                         fmt::format("{:g}", s.focal),
+                         camera,
+                         "1",
+                         "--SiftExtraction.use_gpu",
+                         "0",
+                         "--SiftExtraction.num_threads",
+                         std::to_string(threads_),
+                         "--SiftExtraction.max_image_size",
+                         std::to_string(s.size_px),
+                         "--SiftExtraction.max_num_features",
+                         std::to_string(s.features),
+                         "--SiftExtraction.max_num_orientations",
+                         std::to_string(s.orientations),
+                         "--SiftExtraction.peak_threshold",
+                         std::to_string(s.contrast)},
+               .log = file,
+               .tick = [&] {
+                 progress_({"finding features of", "photographs"},
+                           last_number_after(log_text(file), "Processed file ["), static_cast<double>(images));
+               }});
+}
+
+// In parts: each is in the database when its call has ended, and its end is known.
+void ColmapSteps::match(const FeatureSettings& s, const std::vector<std::string>& names,
+                        const std::vector<Pair>& pairs) const {
+  constexpr std::size_t kPart = 100;
+  const auto total = static_cast<double>(pairs.size());
+  const std::string list = (fs::path(work_) / "pairs.txt").string();
+  for (std::size_t first = 0; first < pairs.size(); first += kPart) {
+    std::string text;
+    for (std::size_t i = first; i < std::min(pairs.size(), first + kPart); ++i)
+      text += names[pairs[i].first] + " " + names[pairs[i].second] + "\n";
+    write_file_atomic(list, text);
+    progress_({"matching", "pairs"}, static_cast<double>(first), total);
+    run_program(
+        programs_, "colmap",
+        {.words = {"matches_importer", "--database_path", database(s), "--match_list_path", list, "--match_type",
+                   "pairs", "--SiftMatching.use_gpu", "0", "--SiftMatching.num_threads", std::to_string(threads_)},
+         .log = log("matches_" + s.name),
+         .tick = [&] {
+           progress_({"matching", "pairs"}, static_cast<double>(first), total);
+         }});
+  }
+}
+
+std::vector<std::string> ColmapSteps::map(const FeatureSettings& s, bool relaxed, std::size_t images) const {
+  const std::string name = s.name + (relaxed ? "_relaxed" : ""), file = log("models_" + name);
+  const fs::path folder = fs::path(work_) / ("models_" + name);
+  fs::remove_all(folder);
+  create_folders(folder.string());
+  std::vector<std::string> words{"mapper", "--database_path", database(s), "--image_path", images_, "--output_path",
+                                 folder.string(), "--Mapper.num_threads", std::to_string(threads_),
+                                 "--Mapper.max_num_models", "10", "--Mapper.min_model_size",
+                                 std::to_string(std::clamp<std::size_t>(images / 3, 3, 10)),
+                                 // All is adjusted at the end once more, so less often on the way.
+                                 "--Mapper.ba_global_max_num_iterations", "20", "--Mapper.ba_global_images_ratio",
+                                 "1.4", "--Mapper.ba_global_points_ratio", "1.4"};
+  if (!relaxed) {
+    words.insert(words.end(), kStrict.begin(), kStrict.end());
+  } else {
+    words.insert(words.end(), {"--Mapper.init_min_num_inliers", "50", "--Mapper.init_min_tri_angle", "8",
+                               "--Mapper.abs_pose_min_num_inliers", "15", "--Mapper.abs_pose_min_inlier_ratio", "0.15",
+                               "--Mapper.min_num_matches", "10"});
+  }
+  try {
+    run_program(programs_, "colmap", {.words = words, .log = file, .tick = [&] {
+                                        const std::string text = log_text(file);
+                                        const std::size_t at = text.rfind("Registering image #");
+                                        progress_(
+                                            {"finding poses of", "photographs"},
+                                            at == std::string::npos ? 0 : last_number_after(text.substr(at), " ("),
+                                            static_cast<double>(images));
+                                      }});
+  } catch (const Error& e) {
+    // So ends a mapper that finds no two images to begin with.
+    if (e.kind() != ErrorKind::failure || log_text(file).find("sparse model") == std::string::npos) throw;
+  }
+  std::vector<std::string> out;
+  for (const fs::directory_entry& entry : sorted_folder(folder.string())) {
+    if (fs::exists(entry.path() / "images.bin")) out.push_back(entry.path().string());
+  }
+  return out;
+}
+
+// A program that makes one model of another.
+void ColmapSteps::model_step(const std::string& name, const std::string& from, const std::string& to,
+                             std::vector<std::string> words) const {
+  fs::remove_all(to);
+  create_folders(to);
+  words.insert(words.end(), {"--input_path", from, "--output_path", to});
+  progress_({"adjusting all poses,", "passes"}, 0, 1);
+  run_program(programs_, "colmap", {.words = std::move(words), .log = log(name), .tick = [&] {
+                                      progress_({"adjusting all poses,", "passes"}, 0, 1);
+                                    }});
+}
+
+void ColmapSteps::remove(const std::string& from, const std::vector<std::string>& names, const std::string& to) const {
+  std::string text;
+  for (const std::string& name : names) text += name + "\n";
+  const std::string list = (fs::path(work_) / "removed.txt").string();
+  write_file_atomic(list, text);
+  model_step("removed", from, to, {"image_deleter", "--image_names_path", list});
+}
+
+void ColmapSteps::filter(const std::string& from, double most_px, const std::string& to) const {
+  model_step("filtered", from, to, {"point_filtering", "--max_reproj_error", fmt::format("{:g}", most_px)});
+}
+
+void ColmapSteps::place(const FeatureSettings& settings, const std::string& from, const std::string& to) const {
+  std::vector<std::string> words{"image_registrator", "--database_path", database(settings)};
+  words.insert(words.end(), kStrict.begin(), kStrict.end());
+  model_step("placed", from, to, std::move(words));
+}
+
+void ColmapSteps::free_lenses(const std::string& from, const std::string& to) const {
+  fs::remove_all(to);
+  create_folders(to);
+  Diagnostics unread;
+  write_file_atomic((fs::path(to) / "cameras.bin").string(),
+                    colmap_cameras_file(read_colmap_model(from, unread).cameras));
+  for (const char* name : {"images.bin", "points3D.bin"}) fs::copy_file(fs::path(from) / name, fs::path(to) / name);
+}
+
+void ColmapSteps::adjust(const std::string& from, const std::string& to) const {
+  model_step("adjusted", from, to, {"bundle_adjuster"});
+}
 
 namespace fs = std::filesystem;
 
@@ -241,6 +518,131 @@ std::vector<Missing> missing_images(const std::vector<std::string>& names, const
     i = last;
   }
   return out;
+}
+
+namespace {
+
+constexpr std::size_t kLongestRun = 3;
+constexpr double kJump = 5;              // times the way between neighbours
+constexpr std::size_t kNeighbours = 30;  // points that the photographs around it share, at least
+constexpr double kFew = 0.05;            // of these, or else of its own, shared with it
+constexpr double kLeft = 0.6;            // of its points, in an image that fits them; blurred ones keep 0.7
+constexpr double kWeak = 0.5;            // of the usual number of points, seen in an image that is hardly held
+
+class Shares {
+ public:
+  explicit Shares(const std::vector<const ColmapImage*>& images) {
+    for (const ColmapImage* image : images) points_.emplace_back(image->points.begin(), image->points.end());
+  }
+  std::size_t count(std::size_t image) const { return points_[image].size(); }
+  std::size_t of(std::size_t a, std::size_t b) const {
+    const auto& [few, many] =
+        points_[a].size() < points_[b].size() ? std::tie(points_[a], points_[b]) : std::tie(points_[b], points_[a]);
+    return static_cast<std::size_t>(
+        std::count_if(few.begin(), few.end(), [&many = many](std::int64_t id) { return many.contains(id); }));
+  }
+
+ private:
+  std::vector<std::unordered_set<std::int64_t>> points_;
+};
+
+double median(std::vector<double> values) {
+  const auto middle = values.begin() + std::ssize(values) / 2;
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+}  // namespace
+
+std::vector<std::string> misplaced_images(const ColmapModel& model, const std::vector<std::string>& names) {
+  std::map<std::string, const ColmapImage*> by_name;
+  for (const ColmapImage& image : model.images) by_name[image.name] = &image;
+  std::vector<const ColmapImage*> images;  // with a pose, in the order in which they were taken
+  for (const std::string& name : names) {
+    if (const auto found = by_name.find(name); found != by_name.end()) images.push_back(found->second);
+  }
+  std::vector<std::string> out;
+  if (images.size() < 2 * kLongestRun) return out;
+  const auto apart = [&](std::size_t a, std::size_t b) {
+    return length(images[a]->world_from_camera.t - images[b]->world_from_camera.t);
+  };
+  const Shares shares(images);
+  std::vector<double> steps, seen;
+  for (std::size_t i = 0; i < images.size(); ++i) {
+    if (i > 0) steps.push_back(apart(i - 1, i));
+    seen.push_back(static_cast<double>(shares.count(i)));
+  }
+  const double usual_step = median(steps), usual_count = median(seen);
+  for (std::size_t first = 1; first + 1 < images.size(); ++first) {
+    for (std::size_t run = 1; run <= kLongestRun && first + run < images.size(); ++run) {
+      const std::size_t before = first - 1, last = first + run - 1, after = first + run;
+      const double least = kJump * std::max(usual_step, apart(before, after) / static_cast<double>(run + 1));
+      if (apart(before, first) < least || apart(last, after) < least) continue;
+      const auto shares_few = [&](std::size_t of) {
+        return static_cast<double>(shares.of(before, first)) < kFew * static_cast<double>(of) &&
+               static_cast<double>(shares.of(last, after)) < kFew * static_cast<double>(of);
+      };
+      const std::size_t around = shares.of(before, after);
+      const bool denied = around >= kNeighbours && shares_few(around);
+      const double most = *std::max_element(seen.begin() + static_cast<std::ptrdiff_t>(first),
+                                            seen.begin() + static_cast<std::ptrdiff_t>(after));
+      const bool weak = most < kWeak * usual_count && shares_few(static_cast<std::size_t>(most));
+      if (!denied && !weak) continue;
+      for (std::size_t i = first; i <= last; ++i) out.push_back(images[i]->name);
+      first = last;
+      break;
+    }
+  }
+  std::sort(out.begin(), out.end());
+  return out;
+}
+
+std::vector<std::string> torn_images(const ColmapModel& model, const ColmapModel& kept) {
+  std::map<std::string, std::size_t> left;
+  for (const ColmapImage& image : kept.images) left[image.name] = image.points.size();
+  std::vector<std::string> out;
+  for (const ColmapImage& image : model.images)
+    if (static_cast<double>(left[image.name]) < kLeft * static_cast<double>(image.points.size()))
+      out.push_back(image.name);
+  std::sort(out.begin(), out.end());
+  return out;
+}
+
+namespace {
+
+constexpr double kRounds[] = {3, 2, 2};  // times the mean error
+constexpr std::size_t kMostTorn = 3;     // of which one of the images may be torn; more are no outliers
+
+ColmapModel settled_model(const std::string& folder) {
+  Diagnostics known;  // said when the model was found
+  return read_colmap_model(folder, known);
+}
+
+}  // namespace
+
+std::vector<std::string> settle_model(const SettleTask& task, const ColmapSteps& colmap) {
+  const auto at = [&](const char* name) { return (std::filesystem::path(task.work) / name).string(); };
+  std::string current = task.model;
+  const ColmapModel found = settled_model(current);
+  colmap.filter(current, kRounds[0] * found.error_px, at("filtered"));
+  const std::vector<std::string> torn = torn_images(found, settled_model(at("filtered")));
+  if (!torn.empty() && kMostTorn * torn.size() <= found.images.size()) {
+    colmap.remove(at("filtered"), torn, at("sound"));
+    colmap.place(task.features, at("sound"), current = at("placed"));
+  }
+  const std::vector<std::string> misplaced = misplaced_images(settled_model(current), task.names);
+  if (!misplaced.empty()) {
+    colmap.remove(current, misplaced, at("kept"));
+    current = at("kept");
+  }
+  colmap.free_lenses(current, at("refined"));
+  for (const double times : kRounds) {
+    const double most_px = times * settled_model(at("refined")).error_px;
+    colmap.filter(at("refined"), most_px, at("filtered"));
+    colmap.adjust(at("filtered"), at("adjusted"));
+    colmap.filter(at("adjusted"), most_px, at("refined"));
+  }
+  return misplaced;
 }
 
 }  // namespace semfield

@@ -1,6 +1,5 @@
 #include "losses/depth/depth.h"
 
-#include "losses/depth/depth_math.h"
 #include "plugin/module.h"
 
 namespace semfield {

@@ -1,6 +1,6 @@
 // The depth loss on the device: a warp per ray.
 #include "cuda/kernels/loss_rays.cuh"
-#include "losses/depth/depth_math.h"
+#include "losses/depth/depth.h"
 
 namespace semfield::cuda {
 

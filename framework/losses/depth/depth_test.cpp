@@ -3,7 +3,7 @@
 
 #include <gtest/gtest.h>
 
-#include "testkit/loss/loss_rays.h"
+#include "testkit/loss_rays.h"
 
 namespace semfield {
 namespace {

@@ -1,6 +1,5 @@
 #include "losses/distortion/distortion.h"
 
-#include "losses/distortion/distortion_math.h"
 #include "plugin/module.h"
 
 namespace semfield {

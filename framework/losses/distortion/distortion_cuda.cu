@@ -1,6 +1,6 @@
 // The distortion loss on the device: a warp per ray, tiles of 32 samples from either end, sums by prefix in float64.
 #include "cuda/kernels/loss_rays.cuh"
-#include "losses/distortion/distortion_math.h"
+#include "losses/distortion/distortion.h"
 
 namespace semfield::cuda {
 

@@ -3,8 +3,7 @@
 
 #include <gtest/gtest.h>
 
-#include "losses/distortion/distortion_math.h"
-#include "testkit/loss/loss_rays.h"
+#include "testkit/loss_rays.h"
 
 namespace semfield {
 namespace {

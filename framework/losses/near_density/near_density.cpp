@@ -1,6 +1,5 @@
 #include "losses/near_density/near_density.h"
 
-#include "losses/near_density/near_density_math.h"
 #include "plugin/module.h"
 
 namespace semfield {

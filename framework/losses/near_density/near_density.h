@@ -1,6 +1,7 @@
 // Loss `near_density`: what lies right in front of a camera is empty [Yang23].
 #pragma once
 
+#include "core/host_device.h"
 #include "plugin/loss.h"
 
 namespace semfield {
@@ -24,5 +25,22 @@ class NearDensityLoss final : public LossOf<NearDensityLoss, NearDensityParams> 
   double sum(const RayTargets& targets, const RayValues<Real>& values, double scale,
              const RayGradients<Real>& gradients) const;
 };
+
+// The formula of the near-density loss, for CPU and GPU.
+
+/// How far from the camera the term reaches.
+SEMFIELD_HD inline double near_density_reach(double distance_m, double unit_m) {
+  constexpr double kReach = 0.3;
+  return distance_m > 0 ? distance_m : kReach * unit_m;
+}
+
+/// sigma delta of a sample closer than distance_m: a ray's sum is the optical depth there, where [Yang23] takes the
+/// mean density of the first samples, which depends on how many there are. An infinite interval counts up to
+/// distance_m.
+SEMFIELD_HD inline LossValue near_density_share(double t, double delta, double sigma, double distance_m) {
+  if (!(t < distance_m)) return {};
+  const double length = delta < distance_m ? delta : distance_m;
+  return {sigma * length, length};
+}
 
 }  // namespace semfield

@@ -1,7 +1,6 @@
 // The near-density loss on the device: a warp per ray.
 #include "cuda/kernels/loss_rays.cuh"
 #include "losses/near_density/near_density.h"
-#include "losses/near_density/near_density_math.h"
 
 namespace semfield::cuda {
 

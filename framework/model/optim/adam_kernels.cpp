@@ -5,7 +5,7 @@
 #include <type_traits>
 
 #include "compute/isa.h"
-#include "compute/multiply_add.h"
+#include "compute/math_functions.h"
 
 namespace semfield::SEMFIELD_ISA {
 

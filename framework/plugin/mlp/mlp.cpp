@@ -3,8 +3,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <type_traits>
 
+#include "compute/layers.h"
+#include "compute/math_functions.h"
+#include "compute/parallel.h"
 #include "core/check.h"
+#include "plugin/mlp/walk.h"
 
 namespace semfield {
 
@@ -222,5 +227,232 @@ std::vector<LayerShape> Mlp<Real>::layers() const {
 
 template class Mlp<float>;
 template class Mlp<double>;
+
+// Networks on a CPU: the walk over compute/layers.h in fp32, double and bf16.
+
+namespace {
+
+using namespace SEMFIELD_ISA;  // the rearranged weights, of this file
+
+/// Act: float, double or Bf16.
+template <class Activation>
+struct CpuLayers {
+  using Act = Activation;
+  using Real = SumOf<Act>;
+  static constexpr bool kRounds = std::is_same_v<Act, Bf16>;
+  static constexpr bool kColumnsAlone = !kRounds;  // columns of a product have the same bits without the others
+  static constexpr std::int32_t kChunk = 256;  // numbers of a row that wait on the stack
+
+  /// The tensors themselves, and what derive made of them.
+  struct Weights {
+    Weights(const MlpGraph&, const Tensors<Real>& of, Workspace&) : tensors(of) {}
+    const Tensors<Real>& tensors;
+  };
+
+  static std::size_t row_bytes(std::int64_t rows, std::int32_t cols) { return activation_bytes<Act>(rows, cols); }
+  static View<Act> rows_at(std::byte* memory, std::int64_t rows, std::int32_t cols) {
+    return activation_rows<Act>(memory, rows, cols);
+  }
+
+  static void product(const Weights& w, const MlpPart& part, const MlpProduct<CpuLayers>& p, Workspace&) {
+    Layer<Act> layer{.x = p.x,
+                     .weight = forward_weight<Act>(part.weight, w.tensors),
+                     .start = p.start,
+                     .row_of = p.row_of,
+                     .relu = p.relu,
+                     .y = p.y,
+                     .exact = p.exact};
+    if constexpr (!kRounds) layer.weight = layer.weight.col_range(p.columns.first, p.columns.cols);
+    apply(layer);
+  }
+  static void input_gradient(const Weights& w, const MlpPart& part, const MlpInputGradient<CpuLayers>& p, Workspace&) {
+    apply(Layer<Act>{.x = p.dz,
+                     .weight = backward_weight<Act>(part.weight, w.tensors),
+                     .start = p.start,
+                     .mask = p.mask,
+                     .y = p.y,
+                     .exact = p.exact});
+  }
+  static void weight_gradient(View<const Act> x, View<const Act> dz, View<Real> d_weight, View<Real> d_bias,
+                              Workspace&) {
+    semfield::weight_gradient(x, dz, d_weight, d_bias);
+  }
+  static void ray_product(View<const Real> rows, View<const Real> weight, View<const Real> bias, View<Real> term,
+                          Workspace&) {
+    apply(Layer<Real>{.x = rows, .weight = weight, .start = bias, .exact = term});
+  }
+  static void ray_weight_gradient(View<const Real> rows, View<const Real> d_term, View<Real> d_weight,
+                                  View<Real> d_bias, Workspace&) {
+    semfield::weight_gradient(rows, d_term, d_weight, d_bias);
+  }
+  static void per_ray_sum(View<const Act> dz, View<const std::int32_t> ray_of_sample, View<Real> d_term) {
+    semfield::per_ray_sum(dz, ray_of_sample, d_term);
+  }
+  static void gather(View<const Real> rays, View<const std::int32_t> ray_of_sample, View<Real> rows) {
+    for (std::int64_t m = 0; m < rows.rows; ++m) std::copy_n(rays.row(ray_of_sample(m, 0)), rows.cols, rows.row(m));
+  }
+
+  static void round(View<const Real> from, View<Act> to) {
+    if constexpr (kRounds) round_rows(from, to);
+  }
+  static void copy(View<const Real> from, View<Real> to) { copy_rows<Real>(from, to); }
+  static void add(View<const Real> from, View<Real> to) {
+    for (std::int64_t m = 0; m < to.rows; ++m) {
+      for (std::int32_t i = 0; i < to.cols; ++i) to(m, i) += from(m, i);
+    }
+  }
+  static void zero(View<Real> rows) { fill(rows, Real(0)); }
+  static void hand_on(View<const Act> value, const MlpOut<Real>& out) {
+    if constexpr (kRounds) {
+      if (!out.rows.empty()) widen_rows(value, out.rows);
+      for (std::int64_t m = 0; m < out.rounded.rows; ++m) std::copy_n(value.row(m), value.cols, out.rounded.row(m));
+    } else if (!out.rows.empty()) {
+      copy_rows<Real>(value, out.rows);
+    }
+  }
+  static void hand_on(View<const Real> exact, View<Bf16> rounded) {
+    if constexpr (kRounds) round_rows(exact, rounded);
+  }
+  static void take(const MlpGrad<Real>& grad, View<Real> sums) {
+    if (!grad.rows.empty()) return copy_rows<Real>(grad.rows, sums);
+    if constexpr (kRounds) {
+      const std::int64_t rows = grad.rounded.rows;
+      widen_rows(grad.rounded, sums.row_range(0, rows));
+      fill(sums.row_range(rows, sums.rows - rows), Real(0));
+    }
+  }
+
+  /// dz = sums times the slope of the activation that made `value`.
+  static void through(LayerActivation activation, View<const Act> value, View<const Act> slope, View<Real> sums,
+                      View<Act> dz) {
+    if (activation == LayerActivation::sine) return times(slope, sums, dz);
+    if constexpr (kRounds) {
+      round_rows(sums, dz, activation == LayerActivation::relu ? value : View<const Act>());
+    } else {
+      if (activation == LayerActivation::relu) relu_backward<Real>(value, dz);
+    }
+  }
+  static void times(View<const Act> slope, View<Real> sums, View<Act> dz) {
+    for (std::int64_t m = 0; m < sums.rows; ++m) {
+      for (std::int32_t i = 0; i < sums.cols; i += kChunk) {
+        const std::int32_t cols = std::min(kChunk, sums.cols - i);
+        Real factors[kChunk];
+        const View<Real> wide(factors, 1, cols);
+        if constexpr (kRounds) {
+          widen_rows(slope.row_range(m, 1).col_range(i, cols), wide);
+        } else {
+          copy_rows<Real>(slope.row_range(m, 1).col_range(i, cols), wide);
+        }
+        Real* const gradient = sums.row(m) + i;
+        for (std::int32_t k = 0; k < cols; ++k) gradient[k] *= factors[k];
+      }
+    }
+    if constexpr (kRounds) round_rows(sums, dz);
+  }
+  static void sine(View<Real> sums, Real frequency, View<Act> value, View<Act> slope) {
+    for (std::int64_t m = 0; m < sums.rows; ++m) {
+      for (std::int32_t i = 0; i < sums.cols; i += kChunk) {
+        const std::int32_t cols = std::min(kChunk, sums.cols - i);
+        Real slopes[kChunk];
+        sine_inplace(sums.row(m) + i, cols, frequency, slope.empty() ? nullptr : slopes);
+        const View<Act> slope_row = slope.empty() ? slope : slope.row_range(m, 1).col_range(i, cols);
+        if constexpr (kRounds) {
+          round_rows(sums.row_range(m, 1).col_range(i, cols), value.row_range(m, 1).col_range(i, cols));
+          if (!slope.empty()) round_rows(View<Real>(slopes, 1, cols), slope_row);
+        } else if (!slope.empty()) {
+          copy_rows<Real>(View<Real>(slopes, 1, cols), slope_row);
+        }
+      }
+    }
+  }
+  static void sigmoid(View<Real> rows) {
+    if (rows.contiguous()) return sigmoid_inplace(rows.data, rows.size());
+    for (std::int64_t m = 0; m < rows.rows; ++m) sigmoid_inplace(rows.row(m), rows.cols);
+  }
+  static void logit_gradient(View<const Real> value, View<const Real> d_value, View<Real> d_logit) {
+    for (std::int64_t m = 0; m < value.rows; ++m) {
+      for (std::int32_t c = 0; c < value.cols; ++c)
+        d_logit(m, c) = d_value(m, c) * (value(m, c) * (Real(1) - value(m, c)));
+    }
+  }
+};
+
+template <class Act>
+using Walk = MlpWalk<CpuLayers<Act>, Workspace>;
+
+template <class Act>
+void forward(const MlpGraph& graph, Workspace& arena, const Tensors<SumOf<Act>>& tensors, const MlpIn<SumOf<Act>>& in,
+             MlpOuts<SumOf<Act>> out, Saved saved) {
+  const Workspace::Scope scope(arena);
+  Walk<Act>(graph, tensors, in, out, arena).forward(saved);
+}
+
+template <class Act>
+void backward(const MlpGraph& graph, Workspace& arena, const Tensors<SumOf<Act>>& tensors, const MlpIn<SumOf<Act>>& in,
+              MlpOuts<SumOf<Act>> out, MlpGrads<SumOf<Act>> grad, Saved saved, View<SumOf<Act>> d_samples) {
+  const Workspace::Scope scope(arena);
+  Walk<Act>(graph, tensors, in, out, arena).backward(grad, saved, d_samples);
+}
+
+/// V of a fold.
+template <class Real>
+View<Real> second_part(const MlpFold& fold, std::span<const View<Real>> tensors) {
+  return tensors[static_cast<std::size_t>(fold.second_weight)].row_range(fold.first, fold.mid);
+}
+
+template <class Act>
+void derive(const MlpGraph& graph, const Tensors<SumOf<Act>>& t) {
+  using Real = SumOf<Act>;
+  const auto tensor = [&](int i) { return t.value[static_cast<std::size_t>(i)]; };
+  for (const MlpFold& fold : graph.folds) {
+    const View<const Real> second = second_part<Real>(fold, t.value);
+    apply(Layer<Real>{.x = tensor(fold.first_weight), .weight = second, .exact = tensor(fold.weight)});
+    apply(Layer<Real>{
+        .x = tensor(fold.first_bias), .weight = second, .start = tensor(fold.second_bias), .exact = tensor(fold.bias)});
+    rearrange<Real>(fold.second, t);
+  }
+  parallel_for(static_cast<std::int64_t>(graph.layers.size()), [&](std::int64_t i) {
+    for (const MlpPart& part : graph.layers[static_cast<std::size_t>(i)].parts) {
+      if (part.weight.backward >= 0) rearrange<Act>(part.weight, t);
+    }
+  });
+}
+
+/// dF += dP V^T, dV += F^T dP + b_F^T dp, db_F += dp V^T, db_V += dp.
+template <class Real>
+void derive_backward(const MlpGraph& graph, const Tensors<Real>& t) {
+  if (t.grad.empty()) return;
+  const auto grad_of = [&](int i) { return t.grad[static_cast<std::size_t>(i)]; };
+  for (const MlpFold& fold : graph.folds) {
+    const View<const Real> second_t = backward_weight<Real>(fold.second, t);
+    const View<Real> d_second = second_part<Real>(fold, t.grad);
+    const auto factor = [&](int i, View<const Real> d_out, View<Real> d_bias) {
+      const View<Real> d_factor = grad_of(i);
+      weight_gradient(t.value[static_cast<std::size_t>(i)], d_out, d_second, d_bias);
+      apply(Layer<Real>{.x = d_out, .weight = second_t, .start = d_factor, .exact = d_factor});
+    };
+    factor(fold.first_weight, grad_of(fold.weight), {});
+    factor(fold.first_bias, grad_of(fold.bias), grad_of(fold.second_bias));
+  }
+}
+
+template <class Act>
+constexpr MlpKernels<SumOf<Act>> kTable{
+    forward<Act>,
+    backward<Act>,
+    derive<Act>,
+    derive_backward<SumOf<Act>>,
+    MlpWalk<CpuLayers<Act>, Workspace>::saved_bytes,
+    scratch_of<CpuLayers<Act>>,
+    CpuLayers<Act>::kRounds,
+};
+
+}  // namespace
+
+void mlp_kernels(KernelTables& tables) {
+  tables.add(Device::cpu, kMlpOwner, &kTable<float>);
+  tables.add(Device::cpu, kMlpOwner, &kTable<Bf16>, Precision::bf16);
+  tables.add(Device::cpu, kMlpOwner, &kTable<double>);
+}
 
 }  // namespace semfield

@@ -3,10 +3,14 @@
 #include <algorithm>
 #include <charconv>
 #include <filesystem>
+#include <map>
+#include <nlohmann/json.hpp>
 #include <set>
 
-#include "config/params_read.h"
-#include "config/shipped_config.h"
+#include "config/compose.h"
+#include "config/params.h"
+#include "session/settings/run_config.h"
+#include "system/checksum.h"
 
 namespace semfield {
 
@@ -289,6 +293,201 @@ Sweep read_sweep(const std::string& path) {
   }
   diagnostics.throw_if_errors(ErrorKind::config, "");
   return sweep;
+}
+
+// A JSON schema of sweep files.
+
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+Json described(Json schema, const char* sentence) {
+  schema["description"] = sentence;
+  return schema;
+}
+
+// An unquoted number or bool is read as text where text is asked for.
+Json text(const char* sentence) {
+  return described({{"type", Json::array({"string", "number", "boolean"})}}, sentence);
+}
+Json number(const char* sentence) { return described({{"type", "number"}}, sentence); }
+Json list(Json items, const char* sentence) {
+  return described({{"type", "array"}, {"items", std::move(items)}}, sentence);
+}
+Json closed_map(Json properties, const char* sentence) {
+  return described({{"type", Json::array({"object", "null"})},
+                    {"properties", std::move(properties)},
+                    {"additionalProperties", false}},
+                   sentence);
+}
+Json named_maps(Json each, const char* sentence) {
+  return described({{"type", "object"}, {"minProperties", 1}, {"additionalProperties", std::move(each)}}, sentence);
+}
+Json overrides(const char* sentence) { return described({{"type", Json::array({"object", "null"})}}, sentence); }
+
+Json scene_schema() {
+  return closed_map({{"base", text("configuration of this scene, instead of the sweep's")},
+                     {"set", overrides("key paths and values, before the sweep's and the variant's own")},
+                     {"after", overrides("key paths and values, after the variant's own")},
+                     {"pack", {{"type", "boolean"}, {"description", "all cells read one packed copy"}}}},
+                    "a scene");
+}
+
+Json variant_schema() {
+  const Json method =
+      described({{"enum", Json::array({"monocular", "bayesian", "average"})}}, "how views are combined");
+  const Json fuse =
+      closed_map({{"method", method}, {"field", text("variant whose field gives the depth; else the true depth")}},
+                 "fuse labels over views instead of training");
+  return closed_map({{"base", text("configuration instead of the scene's")},
+                     {"set", overrides("key paths and values of this row")},
+                     {"x", number("abscissa of the plot")},
+                     {"paper", number("the paper's figure")},
+                     {"fuse", fuse},
+                     {"objects", text("variant in whose run objects are found instead of training")}},
+                    "a row of the table");
+}
+
+}  // namespace
+
+std::string sweep_schema() {
+  const Json path{{"type", "string"}};
+  const Json seed{{"type", "integer"}, {"minimum", 0}, {"maximum", 4294967295}};
+  const Json values{{"type", "array"}, {"minItems", 1}};
+  const Json properties{
+      {"name", text("of the experiment, its folder and files; default: the file's name")},
+      {"title", text("of table and plot")},
+      {"note", text("sentences above the table")},
+      {"split", described({{"enum", Json::array({"test", "train"})}}, "whose frames are scored; default: test")},
+      {"metrics", list(path,
+                       "columns, by their names in metrics.jsonl, training_... and given_... of training frames; the "
+                       "first is plotted")},
+      {"paper", text("what the paper's figures are")},
+      {"x_label", text("of the plot")},
+      {"base", text("configuration that every cell starts from")},
+      {"set", overrides("key paths and values for every cell, before the variant's own")},
+      {"scenes", named_maps(scene_schema(), "scenes by name; without them the base's own")},
+      {"use_scenes", list(path, "only these of them")},
+      {"seeds", list(seed, "each goes to runtime.seed and scene.labels.seed")},
+      {"variants", named_maps(variant_schema(), "rows by name")},
+      {"grid", named_maps(values, "instead of variants: key paths to lists of values, every combination a row")},
+      {"sweeps", list(path, "instead of all that: such files; the other keys are merged over each")},
+      {"include", described({{"oneOf", Json::array({path, Json{{"type", "array"}, {"items", path}}})}},
+                            "sweep files to start from, relative to this one; later ones win")}};
+  Json schema{{"$schema", "http://json-schema.org/draft-07/schema#"}, {"title", "Semfield sweep"}, {"type", "object"}};
+  schema["properties"] = properties;
+  schema["additionalProperties"] = false;
+  return schema.dump(2) + "\n";
+}
+
+namespace {
+
+// The resolved configuration of one cell; errors go into `diagnostics`, each once.
+std::string resolve(const Experiment& e, const CellUse& use, Registry& registry, std::set<std::string>& told,
+                    Diagnostics& diagnostics) {
+  const SweepScene& scene = e.scenes[use.scene];
+  const SweepVariant& variant = e.variants[use.variant];
+  std::vector<ConfigOverride> set = scene.set;
+  set.insert(set.end(), e.set.begin(), e.set.end());
+  set.insert(set.end(), variant.set.begin(), variant.set.end());
+  set.insert(set.end(), scene.after.begin(), scene.after.end());
+  Diagnostics found;
+  std::string text;
+  const std::string& base = variant.base.empty() ? scene.base : variant.base;
+  try {
+    RunConfig config = read_run_config(compose_config_with(base, set), registry, found);
+    config.name = scene.name;
+    // Not the working folder: from wherever a sweep is started, its cells are the same.
+    config.base_dir = std::filesystem::path(base).parent_path().string();
+    config.runtime.seed = static_cast<std::uint32_t>(e.seeds[use.seed]);
+    config.labels.selection.seed = e.seeds[use.seed];
+    if (!variant.objects.empty()) config.objects.seed = static_cast<std::uint32_t>(e.seeds[use.seed]);
+    config.report.eval_share = 0;  // cells are compared, so each scores every frame however long it takes
+    // As many as the configuration says, else all; experiments without a figure of training frames need none.
+    const bool training = e.split == "train" || e.wants_training_frames();
+    if (!training) config.report.training_frames = 0;
+    if (training && config.report.training_frames == 0) config.report.training_frames = 1000000;
+    if (!found.has_errors()) text = write_config(resolved_config(config));
+  } catch (const Error& error) {
+    found.error(error.code(), "", error.message(), error.remedy());
+  }
+  for (const Diagnostic& finding : found.all()) {
+    if (finding.severity != Severity::error || !told.insert(finding.text()).second) continue;
+    const std::string where = e.name + " / " + scene.name + " / " + variant.name;
+    diagnostics.error(finding.code, finding.where, finding.message + " (" + where + ")", finding.remedy);
+  }
+  return text;
+}
+
+// Limits of inputs change no result, so they are no part of what a cell is.
+std::string identity_of(const std::string& config) {
+  return write_config(parse_config_text(config, "cell").without("limits"));
+}
+
+// The dataset and its parameters: what a packed file depends on.
+std::string scene_section(const std::string& config) {
+  const ConfigNode root = parse_config_text(config, "cell");
+  return write_config(root.find("scene")->without("labels").without("load"));
+}
+
+}  // namespace
+
+std::string with_packed_scene(const std::string& config, const std::string& reader, const std::string& file) {
+  const ConfigNode root = parse_config_text(config, "cell");
+  ConfigNode scene = ConfigNode::make_map({}, {});
+  scene = scene.with("type", ConfigNode::make_scalar(reader, false, {}));
+  scene = scene.with("file", ConfigNode::make_scalar(file, true, {}));
+  for (const char* key : {"labels", "load"}) {
+    if (const ConfigNode* part = root.find("scene")->find(key)) scene = scene.with(key, *part);
+  }
+  return write_config(root.with("scene", scene));
+}
+
+std::vector<Cell> plan_cells(const Sweep& sweep, Registry& registry) {
+  std::vector<Cell> cells;
+  std::map<std::string, std::size_t> known;
+  std::set<std::string> told;
+  Diagnostics diagnostics;
+  for (std::size_t x = 0; x < sweep.experiments.size(); ++x) {
+    const Experiment& e = sweep.experiments[x];
+    for (std::size_t s = 0; s < e.scenes.size(); ++s) {
+      for (std::size_t seed = 0; seed < e.seeds.size(); ++seed) {
+        std::map<std::string, std::string> id_of_variant;
+        // Fields before the fusions that take their depth, and the objects found in them.
+        for (const bool trains : {true, false}) {
+          for (std::size_t v = 0; v < e.variants.size(); ++v) {
+            const SweepVariant& variant = e.variants[v];
+            if (variant.trains() != trains) continue;
+            const CellUse use{x, s, v, seed};
+            Cell cell;
+            cell.config = resolve(e, use, registry, told, diagnostics);
+            if (cell.config.empty()) continue;
+            cell.split = e.split;
+            cell.scene = e.scenes[s].name;
+            if (e.scenes[s].pack) cell.pack = hex64(fnv1a64(scene_section(cell.config)));
+            cell.label = e.name + " / " + variant.name;
+            cell.seed = e.seeds[seed];
+            if (variant.fuse) {
+              cell.fuse = *variant.fuse;
+              cell.field_cell = id_of_variant[variant.fuse->field];
+            }
+            if (!variant.objects.empty()) {
+              cell.objects = true;
+              cell.field_cell = id_of_variant[variant.objects];
+            }
+            cell.id = hex64(fnv1a64(identity_of(cell.config) + "\n" + cell.split + "\n" + cell.fuse.method + "\n" +
+                                    cell.field_cell));
+            id_of_variant[variant.name] = cell.id;
+            const auto [place, is_new] = known.emplace(cell.id, cells.size());
+            if (is_new) cells.push_back(std::move(cell));
+            cells[place->second].uses.push_back(use);
+          }
+        }
+      }
+    }
+  }
+  diagnostics.throw_if_errors(ErrorKind::config, "the sweep's configurations have errors:");
+  return cells;
 }
 
 }  // namespace semfield

@@ -1,6 +1,7 @@
 // A sweep as written: experiments, each a grid of differences over a base configuration, on scenes, with seeds.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -8,6 +9,7 @@
 #include <vector>
 
 #include "config/compose.h"
+#include "plugin/registry.h"
 
 namespace semfield {
 
@@ -66,5 +68,43 @@ struct Sweep {
 /// Reads a sweep file (docs/guide/sweeps.md), or one with a list `sweeps:` of such files whose other keys are merged
 /// over each. Throws Error(config) with every error on its own line.
 Sweep read_sweep(const std::string& path);
+
+// A JSON schema of sweep files, for editors.
+
+/// Draft 7, indented by two spaces; it refuses the keys that read_sweep refuses.
+std::string sweep_schema();
+
+// The cells of a sweep: every run that its tables need, each once however many tables show it.
+
+/// One figure of a table: indices into the sweep.
+struct CellUse {
+  std::size_t experiment = 0, scene = 0, variant = 0, seed = 0;
+};
+
+/// One run. Its id is a hash of all that its result depends on - the resolved configuration, what is scored, how labels
+/// are fused - so equal runs of several experiments are one cell, and a changed configuration is another one.
+struct Cell {
+  std::string id;      ///< 16 hexadecimal digits; the folder's name
+  std::string config;  ///< resolved YAML
+  std::string split;
+  std::string scene;  ///< name, for messages
+  std::string pack;   ///< hash of the scene's own section: cells with the same one share a packed file; empty: none
+  std::string label;  ///< "experiment / variant", of the first use
+  std::int64_t seed = 0;
+  FuseCell fuse;           ///< method empty: train, or find objects
+  bool objects = false;    ///< find objects in the run of field_cell
+  std::string field_cell;  ///< id of the cell whose field gives the depth, or the objects; empty: none
+  std::vector<CellUse> uses;
+
+  bool trains() const { return !objects && fuse.method.empty(); }
+};
+
+/// Cells in the order of the tables; those that others wait for come first. Seeds go to runtime.seed and
+/// scene.labels.seed. Throws Error(config) with every error of every cell's configuration, each named once.
+std::vector<Cell> plan_cells(const Sweep& sweep, Registry& registry);
+
+/// `config` with its dataset replaced by `reader` (Registry::pack_reader) of the packed scene `file`; labels and sizes
+/// stay.
+std::string with_packed_scene(const std::string& config, const std::string& reader, const std::string& file);
 
 }  // namespace semfield

@@ -2,11 +2,17 @@
 #pragma once
 
 #include <array>
+#include <cstddef>
 #include <cstdint>
+#include <set>
+#include <span>
 #include <string>
+#include <string_view>
+#include <unordered_map>
 #include <vector>
 
 #include "core/error.h"
+#include "core/half.h"
 
 namespace semfield {
 
@@ -50,6 +56,84 @@ class ClassTable {
   std::vector<ClassEntry> entries_;
   std::vector<int> valid_;              // internal index -> entry
   std::vector<std::int32_t> index_of_;  // id -> internal index / kVoid / -2
+};
+
+// Classes by name: what label files say, as the indices of a class table.
+
+/// A word by which labelling tools and data sets say that a pixel has no class, in any case and between any brackets or
+/// underscores: "void", "Unlabelled", "ignore", "__ignore__", "(none)", "other", ...; "_background_" and
+/// "__background__" too, as labelme and networks write it, but not "background", which is a class like others.
+bool is_void_name(std::string_view name);
+/// Whether a row of a class table that does not tell what is ignored means void: is_void_name(), but with other ids
+/// than 0 "other" and "unknown" are classes, as many data sets have them.
+bool is_void_entry(std::int32_t id, std::string_view name);
+
+/// Name of a class that has a logit and waits for its name: "unnamed 7" for id 7; and whether a name is one of these.
+std::string unnamed_class(std::int32_t id);
+bool is_unnamed_class(std::string_view name);
+/// The table without the classes that wait for their names.
+ClassTable named_classes(const ClassTable& classes);
+
+/// Names of a table, exact to the letter. A name for void that the table does not have means void.
+class ClassNames {
+ public:
+  explicit ClassNames(const ClassTable& classes);
+  /// Internal index, kVoid for an ignored class and for void, -2 for a name that is not in the table; of a name given
+  /// twice the entry with the lower id.
+  int find(const std::string& name) const;
+  /// As find(); throws Error(data) "PLACE: no class 'chiar'; did you mean 'chair'?" for a name that is not there, and
+  /// for one that two classes of the table have.
+  std::int16_t index_of(const std::string& name, const std::string& place) const;
+  /// "did you mean 'chair'?", or what else to do about a name that is not there.
+  std::string remedy_for(const std::string& name) const;
+
+ private:
+  std::vector<std::string> known_;
+  std::unordered_map<std::string, int> index_;
+  std::set<std::string> twice_;  // names of two classes
+};
+
+/// A table for label files that bring names alone: ids 1, 2, ... in the given order, void names ignored, and a void
+/// class, id 0. Colours by default_color.
+ClassTable table_of_names(const std::vector<std::string>& names);
+
+/// `entries` with an ignored class added where there is none: id 0, or the smallest id that is free.
+ClassTable with_void(std::vector<ClassEntry> entries);
+
+// An id for void, so that label images can be written of any class table.
+
+/// The table with an id for void: itself where it has one, else with an entry "void" of the lowest free id; without it
+/// void pixels would be written with the id of a class or with one that nobody knows. Internal indices do not change.
+ClassTable with_void(const ClassTable& classes);
+
+// Class probabilities of one frame's pixels, two bytes each.
+
+/// [H * W, C] probabilities of internal class indices as binary16. A row need not sum to 1 (the rest is "some other
+/// class"); a row of zeros is unlabelled.
+class SoftMap {
+ public:
+  SoftMap() = default;
+  SoftMap(std::size_t pixels, int classes);
+
+  bool empty() const { return values_.empty(); }
+  std::size_t pixels() const { return classes_ == 0 ? 0 : values_.size() / static_cast<std::size_t>(classes_); }
+  int classes() const { return classes_; }
+  float at(std::size_t pixel, int cls) const {
+    return float_of_half(values_[pixel * static_cast<std::size_t>(classes_) + static_cast<std::size_t>(cls)]);
+  }
+  /// Row of a pixel into `out` [classes].
+  void row(std::size_t pixel, std::span<float> out) const;
+  /// Throws Error(data) for a negative value or one that is not finite.
+  void set_row(std::size_t pixel, std::span<const float> probability);
+  /// Most probable class, the first of equals; kVoid for a row of zeros.
+  std::int16_t argmax(std::size_t pixel) const;
+  bool labelled(std::size_t pixel) const { return argmax(pixel) >= 0; }
+  std::size_t bytes() const { return values_.capacity() * sizeof(std::uint16_t); }
+  bool operator==(const SoftMap&) const = default;
+
+ private:
+  int classes_ = 0;
+  std::vector<std::uint16_t> values_;
 };
 
 }  // namespace semfield

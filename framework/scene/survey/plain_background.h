@@ -6,7 +6,7 @@
 #include <optional>
 
 #include "scene/camera_rig.h"
-#include "scene/stored_frame.h"
+#include "scene/scene.h"
 
 namespace semfield {
 

@@ -1,21 +1,39 @@
 #include "session/settings/run_config.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
+#include <array>
+#include <cmath>
 #include <filesystem>
 #include <functional>
+#include <string>
+#include <vector>
 
 #include "config/compose.h"
-#include "config/shipped_config.h"
 #include "core/device_id.h"
-#include "core/spelling.h"
+#include "core/text.h"
+#include "labels/clicks/click_log.h"
 #include "plugin/loader.h"
-#include "session/settings/head_config.h"
-#include "session/settings/label_config.h"
-#include "session/settings/loss_config.h"
-#include "session/settings/pass_config.h"
-#include "session/settings/run_length.h"
+#include "session/settings/choices.h"
 
 namespace semfield {
+
+/// The plugin that `node` names under 'type', with its parameters; `other_keys` of the map belong to others. Findings
+/// go to `diagnostics`, and the slot is then of no use.
+PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string& path, const Registry& registry,
+                     Diagnostics& diagnostics, const std::vector<std::string>& other_keys = {});
+/// The keys `position` and `field` of a branch; false where `node` is no map.
+bool read_branch_slots(const ConfigNode& node, const std::string& path, const Registry& registry, PluginSlot& position,
+                       PluginSlot& field, Diagnostics& diagnostics);
+/// The section `passes`.
+void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics);
+
+/// {type, every parameter}.
+ConfigNode typed_config(const std::string& type, const Describe& describe);
+/// What read_slot and read_passes would read, every parameter written out.
+ConfigNode slot_config(const PluginSlot& slot);
+ConfigNode pass_config(const PassConfig& pass);
 
 void describe(ParamVisitor& visit, TrainParams& p) {
   SEMFIELD_PARAM(
@@ -426,6 +444,634 @@ std::vector<SectionDoc> describe_sections() {
   docs.push_back({"heads[].branch", "the head's own network, besides its plugins `position` and `field`",
                   describe_params([&](ParamVisitor& visit) { describe(visit, head.rules); })});
   return docs;
+}
+
+void describe(ParamVisitor& visit, HeadConfig& p) {
+  SEMFIELD_PARAM(visit, p, channel,
+                 "name of the channel that the head makes, and of the dataset's channel that a loss compares with it");
+  SEMFIELD_PARAM(visit, p, width,
+                 "columns of the channel; fewer than the dataset's has: its principal axes; 0: at most 64 of the "
+                 "dataset's",
+                 {0, 1024});
+  SEMFIELD_PARAM(visit, p, source_width, "columns of the dataset's channel where `width` is smaller; written by a run",
+                 {0, 65536});
+}
+
+namespace {
+
+const std::vector<std::string> kKeys{"channel", "width", "source_width", "branch"};
+
+// Those that the framework makes or reads itself.
+constexpr std::array kTaken{channel::color,   channel::label,  channel::soft_label, channel::depth, channel::alpha,
+                            channel::opacity, channel::weight, channel::sigma,      channel::logits};
+
+void check_channel(const HeadConfig& head, const std::vector<HeadConfig>& earlier, const ConfigNode& item,
+                   Diagnostics& diagnostics) {
+  const auto refuse = [&](const std::string& what, const std::string& remedy) {
+    diagnostics.error("config.head.channel", item.location().text(), head.key + ".channel: " + what, remedy);
+  };
+  const std::string& name = head.channel;
+  const auto allowed = [](char c) { return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || c == '_'; };
+  if (name.empty()) return refuse("the head names no channel", "name the channel that it is to make, as `clip`");
+  if (!std::all_of(name.begin(), name.end(), allowed))
+    refuse("'" + name + "' cannot name a channel", "take small letters, digits and underscores");
+  if (std::find(kTaken.begin(), kTaken.end(), name) != kTaken.end())
+    refuse("'" + name + "' is a channel of the framework", "take another name");
+  for (const HeadConfig& other : earlier)
+    if (other.channel == name) refuse("'" + name + "' is made by " + other.key + " already", "keep one of them");
+}
+
+HeadConfig read_head(const ConfigNode& item, const std::string& path, const Registry& registry,
+                     Diagnostics& diagnostics) {
+  HeadConfig head;
+  head.key = path;
+  head.head = read_slot(PluginKind::head, item, path, registry, diagnostics, kKeys);
+  if (head.head.entry == nullptr) return head;
+  std::vector<std::string> of_plugin{"type", "branch"};
+  for (const ParamDoc& doc : describe_params([&](ParamVisitor& visit) { head.head.params->describe(visit); }))
+    of_plugin.push_back(doc.name);
+  read_params(
+      item, path, [&](ParamVisitor& visit) { describe(visit, head); }, diagnostics, of_plugin);
+  const ConfigNode* branch = item.find("branch");
+  if (branch == nullptr || branch->is_null()) {
+    diagnostics.error("config.key.missing", item.location().text(), path + ": key 'branch' is missing",
+                      "give the head a network of its own: branch: {position: {type: ...}, field: {type: ...}}");
+    return head;
+  }
+  const std::string below = path + ".branch";
+  if (read_branch_slots(*branch, below, registry, head.position, head.field, diagnostics))
+    read_params(*branch, below, [&](ParamVisitor& visit) { describe(visit, head.rules); }, diagnostics,
+                {"position", "field"});
+  return head;
+}
+
+}  // namespace
+
+std::vector<HeadConfig> read_heads(const ConfigNode& tree, const Registry& registry, Diagnostics& diagnostics) {
+  std::vector<HeadConfig> heads;
+  const ConfigNode* list = tree.find("heads");
+  if (list == nullptr || list->is_null()) return heads;
+  if (!list->is_list()) {
+    diagnostics.error("config.value.type", list->location().text(),
+                      "heads: expected a list of heads {type, channel, branch, ...}",
+                      "write heads: [{type: TYPE, channel: NAME, branch: {...}}]");
+    return heads;
+  }
+  for (std::size_t i = 0; i < list->items().size(); ++i) {
+    const ConfigNode& item = list->items()[i];
+    HeadConfig head = read_head(item, "heads." + std::to_string(i), registry, diagnostics);
+    if (head.head.entry == nullptr) continue;
+    check_channel(head, heads, item, diagnostics);
+    heads.push_back(std::move(head));
+  }
+  if (heads.size() > kMostHeads)
+    diagnostics.error("config.head.limit", list->location().text(),
+                      fmt::format("heads: {} heads, and a pass has at most {}", heads.size(), kMostHeads),
+                      "take some out");
+  return heads;
+}
+
+ConfigNode heads_config(const std::vector<HeadConfig>& heads) {
+  std::vector<ConfigNode> items;
+  for (const HeadConfig& one : heads) {
+    auto& head = const_cast<HeadConfig&>(one);  // describe() takes a mutable struct; the writer only looks
+    ConfigNode node = slot_config(head.head);
+    const ConfigNode own = params_to_config([&](ParamVisitor& visit) { describe(visit, head); });
+    for (const auto& [key, value] : own.entries()) node = node.with(key, value);
+    const ConfigNode rules = params_to_config([&](ParamVisitor& visit) { describe(visit, head.rules); });
+    items.push_back(
+        node.with("branch", rules.with("position", slot_config(head.position)).with("field", slot_config(head.field))));
+  }
+  return ConfigNode::make_list(std::move(items), {});
+}
+
+void check_heads_of_losses(const RunConfig& config, Diagnostics& diagnostics) {
+  for (const LossEntry& entry : config.losses) {
+    for (const std::string_view name : entry.loss->traits().heads) {
+      const auto makes = [&](const HeadConfig& head) { return head.channel == name; };
+      if (name == channel::logits || std::any_of(config.heads.begin(), config.heads.end(), makes)) continue;
+      diagnostics.error("config.loss.channel", entry.where,
+                        fmt::format("losses: '{}' reads the channel '{}', which no head makes", entry.type, name),
+                        fmt::format("add a head with channel: {} to the list `heads`", name));
+    }
+  }
+}
+
+void settle_heads(RunConfig& config, const SceneInfo& scene) {
+  for (HeadConfig& head : config.heads) {
+    int columns = 0;
+    for (const FrameInfo& frame : scene.frames) {
+      for (const FrameChannelInfo& one : frame.channels) {
+        if (frame.split != Split::train || one.name != head.channel) continue;
+        if (columns == 0) columns = one.cols;
+        if (columns != one.cols)
+          throw Error(ErrorKind::data, "scene.channel.columns",
+                      fmt::format("frame '{}': its channel '{}' has {} columns, and that of earlier frames {}",
+                                  frame.name, head.channel, one.cols, columns),
+                      "write the maps of all frames with the same model");
+      }
+    }
+    if (head.source_width > 0 && columns > 0 && columns != head.source_width)
+      throw Error(ErrorKind::data, "scene.channel.changed",
+                  fmt::format("{}: the dataset's channel '{}' has {} columns, and the run was trained on {}", head.key,
+                              head.channel, columns, head.source_width),
+                  "give it the maps that it was trained on");
+    if (head.width == 0) head.width = std::min(columns, kUsualHeadWidth);
+    if (head.width == 0)
+      throw Error(ErrorKind::config, "config.head.width",
+                  fmt::format("{}.width: no training frame has a channel '{}', so its columns are not known", head.key,
+                              head.channel),
+                  "set width, or give the dataset the channel");
+    if (columns > 0 && head.width > columns)
+      throw Error(ErrorKind::config, "config.head.width",
+                  fmt::format("{}.width: {} columns are asked for, and the dataset's channel '{}' has {}", head.key,
+                              head.width, head.channel, columns),
+                  "set it to at most that, or to 0");
+    if (columns > head.width) head.source_width = columns;
+  }
+}
+
+std::vector<LossEntry> read_losses(const ConfigNode& tree, const Registry& registry, Diagnostics& diagnostics) {
+  std::vector<LossEntry> entries;
+  const ConfigNode* list = tree.find("losses");
+  if (list == nullptr || list->is_null()) return entries;
+  if (!list->is_list()) {
+    diagnostics.error("config.value.type", list->location().text(), "losses: expected a list of terms {type, ...}",
+                      "write losses: [{type: distortion, weight: 0.002}]");
+    return entries;
+  }
+  for (std::size_t i = 0; i < list->items().size(); ++i) {
+    const ConfigNode& item = list->items()[i];
+    const std::string path = "losses." + std::to_string(i);
+    const int errors = diagnostics.error_count();
+    PluginSlot slot = read_slot(PluginKind::loss, item, path, registry, diagnostics);
+    if (diagnostics.error_count() > errors) continue;
+    LossEntry entry{slot.entry->name, slot.entry->loss(*slot.params), std::move(slot.params), item.location().text()};
+    const auto same = std::find_if(entries.begin(), entries.end(),
+                                   [&](const LossEntry& earlier) { return earlier.type == entry.type; });
+    if (same != entries.end()) {
+      diagnostics.error("config.loss.twice", entry.where,
+                        fmt::format("{}: the term '{}' is already at {}", path, entry.type, same->where),
+                        "keep one of them, with the weight that both together should have");
+      continue;
+    }
+    entries.push_back(std::move(entry));
+  }
+  if (entries.size() > kMostLossTerms) {
+    diagnostics.error("config.loss.limit", list->location().text(),
+                      fmt::format("losses: {} terms, and a list holds at most {}", entries.size(), kMostLossTerms),
+                      "take some out");
+    entries.resize(kMostLossTerms);
+  }
+  return entries;
+}
+
+ConfigNode losses_config(const std::vector<LossEntry>& entries) {
+  std::vector<ConfigNode> items;
+  for (const LossEntry& entry : entries)
+    items.push_back(typed_config(entry.type, [&](ParamVisitor& visit) { entry.params->describe(visit); }));
+  return ConfigNode::make_list(std::move(items), {});
+}
+
+std::vector<std::string> targets_of(const std::vector<LossEntry>& entries) {
+  std::vector<std::string> names;
+  for (const LossEntry& entry : entries) {
+    for (const std::string_view name : entry.loss->traits().targets)
+      if (std::find(names.begin(), names.end(), name) == names.end()) names.emplace_back(name);
+  }
+  return names;
+}
+
+bool losses_read(const std::vector<LossEntry>& entries, std::string_view target) {
+  return std::any_of(entries.begin(), entries.end(),
+                     [&](const LossEntry& entry) { return entry.loss->traits().reads_target(target); });
+}
+
+TrainingDepth training_depth(const LoadedScene& scene) {
+  TrainingDepth depth;
+  for (const int f : scene.frames_of(Split::train)) {
+    depth.frames += scene.info.frames[static_cast<std::size_t>(f)].has_depth ? 1 : 0;
+    depth.pixels += scene.depth_pixels[static_cast<std::size_t>(f)];
+  }
+  return depth;
+}
+
+std::string depth_use(const std::vector<LossEntry>& entries, const TrainingDepth& depth, Diagnostics& diagnostics) {
+  const bool read = losses_read(entries, channel::depth);
+  if (depth.frames == 0) return read ? "no training frame has a depth image; colour alone teaches geometry" : "";
+  if (!read)
+    return fmt::format("depth images of {} training frames give bounds and distances; no loss reads them",
+                       depth.frames);
+  if (depth.pixels > 0) return fmt::format("depth images of {} training frames will be used", depth.frames);
+  diagnostics.warning(
+      "scene.depth.empty", "losses",
+      fmt::format("the depth images of all {} training frames have no valid pixel, so no term can read them",
+                  depth.frames),
+      "export z-depth that is finite and above 0, or set losses: []");
+  return fmt::format("depth images of {} training frames have no valid pixel", depth.frames);
+}
+
+namespace {
+
+// Parameters of label readers that are paths.
+constexpr const char* kPathKeys[] = {"folder", "file", "classes"};
+
+ConfigNode step_config(const std::string& type, LabelStep& step) {
+  return typed_config(type, [&](ParamVisitor& visit) { step.describe(visit); });
+}
+
+// Whether a path has to be made absolute; --set is always written in the working folder.
+bool starts_elsewhere(const ConfigNode* value, bool paths_are_absolute) {
+  if (value == nullptr || !value->is_scalar() || value->text().empty()) return false;
+  return !paths_are_absolute || value->location().line <= 0;
+}
+
+}  // namespace
+
+void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, const Registry& registry, LabelConfig& config,
+                      Diagnostics& diagnostics) {
+  if (const ConfigNode* from = labels.find("from"); from != nullptr && !from->is_null()) {
+    ConfigNode anchored = *from;
+    for (const char* key : kPathKeys) {
+      const ConfigNode* value = from->is_map() ? from->find(key) : nullptr;
+      if (!starts_elsewhere(value, paths_are_absolute)) continue;
+      anchored = anchored.with(key, ConfigNode::make_scalar(resolve_path(*value), true, value->location()));
+    }
+    const int errors = diagnostics.error_count();
+    const PluginSlot slot = read_slot(PluginKind::label_reader, anchored, "scene.labels.from", registry, diagnostics);
+    if (diagnostics.error_count() == errors) config.from = {slot.entry->name, slot.entry->label_reader(*slot.params)};
+  }
+  const ConfigNode* list = labels.find("degrade");
+  if (list == nullptr || list->is_null()) return;
+  if (!list->is_list()) {
+    diagnostics.error(
+        "config.value.type", list->location().text(), "scene.labels.degrade: expected a list of steps {type, ...}",
+        "write degrade: [{type: TYPE, ...}], TYPE one of " + join(registry.names(PluginKind::degradation)));
+    return;
+  }
+  for (const ConfigNode& item : list->items()) {
+    const std::string path = "scene.labels.degrade." + std::to_string(config.degrade.size());
+    const int errors = diagnostics.error_count();
+    const PluginSlot slot = read_slot(PluginKind::degradation, item, path, registry, diagnostics);
+    if (diagnostics.error_count() == errors)
+      config.degrade.push_back({slot.entry->name, slot.entry->degradation(*slot.params)});
+  }
+}
+
+void anchor_click_file(const ConfigNode& labels, bool of_a_run, LabelConfig& config) {
+  namespace fs = std::filesystem;
+  const ConfigNode* value = labels.find("clicks");
+  if (value == nullptr || !value->is_scalar() || value->text().empty()) return;
+  if (starts_elsewhere(value, of_a_run)) {
+    config.selection.clicks = resolve_path(*value);
+    return;
+  }
+  std::error_code unknown;
+  if (!fs::is_regular_file(value->location().file, unknown)) return;  // a text that is no file of a run yet
+  const fs::path folder = fs::absolute(value->location().file).parent_path().lexically_normal(), file = value->text();
+  config.run_dir = folder.string();
+  if (file.is_absolute() && file.filename() == kClickFile && fs::exists(folder / kClickFile, unknown))
+    config.selection.clicks = kClickFile;
+}
+
+ConfigNode with_label_steps(const ConfigNode& labels, const LabelConfig& config) {
+  ConfigNode out = labels;
+  if (config.from.reader) out = out.with("from", step_config(config.from.type, *config.from.reader));
+  if (config.degrade.empty()) return out;
+  std::vector<ConfigNode> steps;
+  for (const LabelConfig::Step& step : config.degrade) steps.push_back(step_config(step.type, *step.degradation));
+  return out.with("degrade", ConfigNode::make_list(std::move(steps), {}));
+}
+
+void describe(ParamVisitor& visit, BranchRules& p) {
+  SEMFIELD_PARAM(visit, p, reads_feature,
+                 "the branch reads the field's feature as well as the position; no gradient goes back into the field");
+  SEMFIELD_PARAM(
+      visit, p, least_weight,
+      "samples of a smaller compositing weight are left out; this changes a logit by at most the sum of their "
+      "weights times the largest logit of a sample",
+      {0, 0.1});
+  SEMFIELD_PARAM(visit, p, dropout, "share of the branch's feature set to 0 in a training step [Srivastava14]",
+                 {0, 0.9});
+  SEMFIELD_PARAM(visit, p, learning_rate, "learning rate of branch and head, as a factor of train.adam.learning_rate",
+                 {0, 1e3});
+  SEMFIELD_PARAM(visit, p, weight_decay,
+                 "weight decay of branch and head: a step subtracts the learning rate times this share of a "
+                 "value [Loshchilov19]",
+                 {0, 10});
+}
+
+void describe(ParamVisitor& visit, SemanticBranchConfig& branch) {
+  SEMFIELD_PARAM(
+      visit, branch, labels,
+      "in a list, the labels that this branch is for; noisy: neighbouring labels often differ; few: fewer than one "
+      "training pixel in 500 has a label; dense: half of them or more have one; many: all others, and dense ones "
+      "where no earlier branch is for them; any: every kind");
+  describe(visit, branch.rules);
+}
+
+PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string& path, const Registry& registry,
+                     Diagnostics& diagnostics, const std::vector<std::string>& other_keys) {
+  PluginSlot slot;
+  if (!node.is_map()) {
+    diagnostics.error("config.value.type", node.location().text(),
+                      path + ": expected a map with 'type', one of " + join(registry.names(kind)), {});
+    return slot;
+  }
+  const ConfigNode* type = node.find("type");
+  if (type == nullptr || !type->is_scalar()) {
+    diagnostics.error("config.key.missing", node.location().text(), path + ": key 'type' is missing",
+                      "choose one of " + join(registry.names(kind)));
+    return slot;
+  }
+  try {
+    slot.entry = &registry.get(kind, type->text());
+  } catch (const Error& error) {
+    diagnostics.error(error.code(), type->location().text(), error.message(), error.remedy());
+    return slot;
+  }
+  slot.params = slot.entry->new_params();
+  std::vector<std::string> allowed = other_keys;
+  allowed.push_back("type");
+  const int errors = diagnostics.error_count();
+  read_params(
+      node, path, [&](ParamVisitor& visit) { slot.params->describe(visit); }, diagnostics, allowed);
+  if (diagnostics.error_count() == errors) {
+    Diagnostics relations;
+    slot.params->validate(relations);
+    for (const Diagnostic& finding : relations.all()) {
+      const std::string message = path + (finding.where.empty() ? "" : "." + finding.where) + ": " + finding.message;
+      if (finding.severity == Severity::error) {
+        diagnostics.error(finding.code, node.location().text(), message, finding.remedy);
+      } else {
+        diagnostics.warning(finding.code, node.location().text(), message, finding.remedy);
+      }
+    }
+  }
+  return slot;
+}
+
+bool read_branch_slots(const ConfigNode& node, const std::string& path, const Registry& registry, PluginSlot& position,
+                       PluginSlot& field, Diagnostics& diagnostics) {
+  if (!node.is_map()) {
+    diagnostics.error("config.value.type", node.location().text(), path + ": expected a map {position, field, ...}",
+                      {});
+    return false;
+  }
+  const auto slot = [&](const char* key, PluginKind kind, PluginSlot& out) {
+    const ConfigNode* plugin = node.find(key);
+    if (plugin == nullptr || plugin->is_null()) {
+      diagnostics.error("config.key.missing", node.location().text(), path + ": key '" + key + "' is missing", {});
+      return;
+    }
+    out = read_slot(kind, *plugin, path + "." + key, registry, diagnostics);
+  };
+  slot("position", PluginKind::encoder, position);
+  slot("field", PluginKind::field, field);
+  return true;
+}
+
+namespace {
+
+// {position, field} and the branch's own parameters.
+SemanticBranchConfig read_branch(const ConfigNode& node, const std::string& path, const Registry& registry,
+                                 Diagnostics& diagnostics) {
+  SemanticBranchConfig branch;
+  if (read_branch_slots(node, path, registry, branch.position, branch.field, diagnostics))
+    read_params(node, path, [&](ParamVisitor& visit) { describe(visit, branch); }, diagnostics, {"position", "field"});
+  return branch;
+}
+
+// One branch, or several from which the labels choose: one of them must take labels of any kind.
+std::vector<SemanticBranchConfig> read_branches(const ConfigNode& node, const std::string& path,
+                                                const Registry& registry, Diagnostics& diagnostics) {
+  std::vector<SemanticBranchConfig> branches;
+  if (!node.is_list()) {
+    branches.push_back(read_branch(node, path, registry, diagnostics));
+    return branches;
+  }
+  std::array<bool, ChoiceNames<LabelKind>::names.size()> served{};
+  constexpr auto kMany = static_cast<std::size_t>(LabelKind::many);
+  for (const ConfigNode& item : node.items()) {
+    branches.push_back(read_branch(item, path + "." + item_key(node, branches.size()), registry, diagnostics));
+    branches.back().key = "semantic." + item_key(node, branches.size() - 1);
+    bool& known = served[static_cast<std::size_t>(branches.back().labels)];
+    if (known || served[0] || (branches.back().labels == LabelKind::dense && served[kMany]))
+      diagnostics.error("config.branch.unreached", item.location().text(),
+                        path + ": an earlier branch takes all labels that this one is for", {});
+    known = true;
+  }
+  for (std::size_t kind = 1; kind < served.size() && !served[0]; ++kind) {
+    const bool among_many = kind == static_cast<std::size_t>(LabelKind::dense) && served[kMany];
+    if (!served[kind] && !among_many)
+      diagnostics.error("config.branch.missing", node.location().text(),
+                        path + ": no branch is for labels: " + std::string(ChoiceNames<LabelKind>::names[kind]),
+                        "add one, or let the last one be for labels: any");
+  }
+  return branches;
+}
+
+}  // namespace
+
+void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics) {
+  const ConfigNode* list = tree.find("passes");
+  if (list == nullptr || !list->is_list() || list->items().empty()) {
+    const Location& where = list == nullptr ? tree.location() : list->location();
+    diagnostics.error("config.value.type", where.text(),
+                      "passes: expected a list of at least one pass {name, sampler, position, direction, field}", {});
+    return;
+  }
+  static const std::vector<std::string> kKeys{"name", "like", "sampler", "position", "direction", "field", "semantic"};
+  for (std::size_t index = 0; index < list->items().size(); ++index) {
+    const ConfigNode& item = list->items()[index];
+    const std::string path = "passes." + item_key(*list, index);
+    PassConfig pass;
+    pass.key = path;
+    if (!item.is_map()) {
+      diagnostics.error("config.value.type", item.location().text(),
+                        path + ": expected a map {name, sampler, position, direction, field}", {});
+      continue;
+    }
+    for (const auto& [key, value] : item.entries()) {
+      if (std::find(kKeys.begin(), kKeys.end(), key) != kKeys.end()) continue;
+      const std::string near = did_you_mean(key, kKeys);
+      diagnostics.error("config.key.unknown", value.key_location().text(), path + ": unknown key '" + key + "'",
+                        near.empty() ? "known: " + join(kKeys) : "did you mean '" + near + "'?");
+    }
+    pass.name = read_text(item, path, "name", usual_pass_name(index), diagnostics);
+    const auto slot = [&](const char* key, PluginKind kind, PluginSlot& out, bool required) {
+      const ConfigNode* node = item.find(key);
+      if (node == nullptr || node->is_null()) {
+        if (required)
+          diagnostics.error("config.key.missing", item.location().text(), path + ": key '" + key + "' is missing", {});
+        return;
+      }
+      out = read_slot(kind, *node, path + "." + key, registry, diagnostics);
+    };
+    slot("sampler", PluginKind::sampler, pass.sampler, true);
+    slot("position", PluginKind::encoder, pass.position, true);
+    slot("direction", PluginKind::encoder, pass.direction, false);
+    slot("field", PluginKind::field, pass.field, true);
+    if (const ConfigNode* branch = item.find("semantic"); branch != nullptr && !branch->is_null())
+      pass.semantic = read_branches(*branch, path + ".semantic", registry, diagnostics);
+    for (const PassConfig& other : config.passes) {
+      if (other.name == pass.name)
+        diagnostics.error("config.pass.twice", item.location().text(),
+                          path + ": name '" + pass.name + "' is taken by an earlier pass", {});
+    }
+    config.passes.push_back(std::move(pass));
+  }
+}
+
+ConfigNode typed_config(const std::string& type, const Describe& describe) {
+  const ConfigNode params = params_to_config(describe);
+  std::vector<ConfigNode::Entry> entries{{"type", ConfigNode::make_scalar(type, false, {})}};
+  entries.insert(entries.end(), params.entries().begin(), params.entries().end());
+  return ConfigNode::make_map(std::move(entries), {});
+}
+
+ConfigNode slot_config(const PluginSlot& slot) {
+  return typed_config(slot.entry->name, [&](ParamVisitor& visit) { slot.params->describe(visit); });
+}
+
+ConfigNode pass_config(const PassConfig& pass) {
+  ConfigNode node = ConfigNode::make_map({{"name", ConfigNode::make_scalar(pass.name, true, {})}}, {});
+  node = node.with("sampler", slot_config(pass.sampler)).with("position", slot_config(pass.position));
+  if (pass.direction.entry != nullptr) node = node.with("direction", slot_config(pass.direction));
+  node = node.with("field", slot_config(pass.field));
+  std::vector<ConfigNode> branches;
+  for (const SemanticBranchConfig& branch : pass.semantic) {
+    // describe() takes a mutable struct; the writer only looks.
+    auto& editable = const_cast<SemanticBranchConfig&>(branch);
+    const ConfigNode own = params_to_config([&](ParamVisitor& visit) { describe(visit, editable); });
+    branches.push_back(own.with("position", slot_config(branch.position)).with("field", slot_config(branch.field)));
+  }
+  if (branches.empty()) return node;
+  return node.with("semantic",
+                   branches.size() == 1 ? branches.front() : ConfigNode::make_list(std::move(branches), {}));
+}
+
+void describe(ParamVisitor& visit, FusionParams& p) {
+  SEMFIELD_PARAM(visit, p, methods, "what is computed: monocular (a view's own prediction), bayesian, average");
+  SEMFIELD_PARAM(visit, p, depth,
+                 "depth that locates a point in other views: the scene's own, or that of a run's field");
+  SEMFIELD_PARAM(visit, p, min_opacity, "learned depth: opacity of a rendered pixel below which it has no depth",
+                 {0.01, 1});
+  SEMFIELD_PARAM(visit, p, tolerance,
+                 "length by which the depth of a point and of a view may differ; beyond it the point is hidden; 0: "
+                 "1 cm, or 1/500 of the longest side of a scene that is no room in metres",
+                 {0, 1e12});
+  SEMFIELD_PARAM(visit, p, relative_tolerance, "share of the point's depth that is added to tolerance", {0, 1});
+  SEMFIELD_PARAM(visit, p, floor, "bayesian: least probability of a class in one view", {1e-12, 0.5});
+  SEMFIELD_PARAM(visit, p, views, "other views asked for each frame; 0: all", {0, 1e6});
+  SEMFIELD_PARAM(visit, p, choose,
+                 "which views are asked when `views` is not 0: those of the nearest cameras, or evenly spaced frames");
+  SEMFIELD_PARAM(
+      visit, p, neighbourhood,
+      "side of the window of pixels whose predictions are averaged in another view; odd; 1: the nearest pixel",
+      {1, 15});
+  SEMFIELD_PARAM(visit, p, hard_confidence,
+                 "probability of the label in a prediction without probabilities; other classes share the rest",
+                 {1e-3, 1});
+}
+
+void validate(const FusionParams& p, Diagnostics& diagnostics) {
+  if (p.neighbourhood % 2 == 0) {
+    diagnostics.error("config.value.range", "fuse.neighbourhood",
+                      "a window of " + std::to_string(p.neighbourhood) + " pixels has no centre",
+                      "write an odd number");
+  }
+  if (p.methods.empty())
+    diagnostics.error("config.value.missing", "fuse.methods", "no method is named", "write for example [bayesian]");
+  try {
+    (void)fusion_methods(p.methods);
+  } catch (const Error& e) {
+    diagnostics.error(e.code(), "", e.message(), e.remedy());
+  }
+}
+
+bool FusionParams::agree(double a, double b) const { return std::abs(a - b) <= tolerance + relative_tolerance * a; }
+
+std::string_view fusion_method_name(FusionMethod method) {
+  return ChoiceNames<FusionMethod>::names[static_cast<std::size_t>(method)];
+}
+
+std::vector<FusionMethod> fusion_methods(const std::vector<std::string>& names) {
+  constexpr auto& known = ChoiceNames<FusionMethod>::names;
+  std::vector<FusionMethod> out;
+  for (const std::string& name : names) {
+    const auto found = std::find(known.begin(), known.end(), name);
+    if (found == known.end()) {
+      const std::vector<std::string> all(known.begin(), known.end());
+      const std::string near = did_you_mean(name, all);
+      throw Error(ErrorKind::config, "config.value.choice", "fuse.methods: there is no method '" + name + "'",
+                  near.empty() ? "known: " + join(all) : "did you mean '" + near + "'?");
+    }
+    const auto method = static_cast<FusionMethod>(found - known.begin());
+    if (std::find(out.begin(), out.end(), method) == out.end()) out.push_back(method);
+  }
+  return out;
+}
+
+void describe(ParamVisitor& visit, ObjectsParams& p) {
+  SEMFIELD_PARAM(visit, p, steps, "steps of learning on points of the surface", {1, 1e6});
+  SEMFIELD_PARAM(visit, p, views, "views of a step", {1, 256});
+  SEMFIELD_PARAM(visit, p, view_points, "points of each view of a step", {4, 65536});
+  SEMFIELD_PARAM(visit, p, learning_rate, "at the first step; it falls to a hundredth along half a cosine", {1e-6, 1});
+  SEMFIELD_PARAM(visit, p, frequencies,
+                 "octaves of sines of a position that the network reads, the lowest as long as the scene", {0, 16});
+  SEMFIELD_PARAM(visit, p, hidden_width, "units of a hidden layer", {4, 512});
+  SEMFIELD_PARAM(visit, p, hidden_layers, "hidden layers of the network", {1, 8});
+  SEMFIELD_PARAM(visit, p, rays, "rays of all training views together that look for the surface", {1000, 1e9});
+  SEMFIELD_PARAM(visit, p, points, "points that stand for the surface, about; cells are sized for it", {100, 1e7});
+  SEMFIELD_PARAM(visit, p, reach, "distance within which segments are of one object, in the units of the method",
+                 {1e-3, 1e3});
+  SEMFIELD_PARAM(visit, p, neighbours, "segments within reach that make a segment the inside of a cluster", {1, 1e6});
+  SEMFIELD_PARAM(visit, p, agree,
+                 "share of the sights of two groups of points in one segment from which they are one object", {0, 1});
+  SEMFIELD_PARAM(visit, p, least_views, "views that see two groups, from which their segments decide", {1, 1e6});
+  SEMFIELD_PARAM(visit, p, least_points, "points of an object; what is smaller is none", {1, 1e9});
+  SEMFIELD_PARAM(visit, p, stuff, "names of classes that have no objects");
+  SEMFIELD_PARAM(visit, p, seed, "seed of every random value of this phase");
+}
+
+void describe(ParamVisitor& visit, SegmentDamage& p) {
+  SEMFIELD_PARAM(visit, p, shuffle, "segments of an image get new numbers in random order");
+  SEMFIELD_PARAM(visit, p, split, "share of an image's segments that a random line cuts in two", {0, 1});
+  SEMFIELD_PARAM(visit, p, merge, "share of an image's segments that are joined with a random neighbour", {0, 1});
+  SEMFIELD_PARAM(visit, p, missing, "share of an image's segments that are left out", {0, 1});
+  SEMFIELD_PARAM(visit, p, border_px, "borders of segments move by up to so many pixels, in patches of 16", {0, 64});
+}
+
+void describe(ParamVisitor& visit, PropagationParams& p) {
+  SEMFIELD_PARAM(visit, p, method, "surface: diffusion over neighbouring cells; vote: labels pooled within a cell");
+  SEMFIELD_PARAM(visit, p, min_opacity, "opacity of a rendered pixel below which it has no depth", {0.01, 1});
+  SEMFIELD_PARAM(visit, p, cell_m,
+                 "surface: edge of a cell, m; 0: three pixels at the scene's middle depth, at least 1/500 of its "
+                 "longest side; the verb prints it",
+                 {0, 1e12});
+  SEMFIELD_PARAM(visit, p, color_sigma, "surface: difference of colour (0 to 1) at which a weight falls to exp(-1/2)",
+                 {1e-3, 1e3});
+  SEMFIELD_PARAM(visit, p, normal_sigma,
+                 "surface: distance between unit normals (0 to 2) at which a weight falls to exp(-1/2)", {1e-3, 1e3});
+  SEMFIELD_PARAM(visit, p, vote_weight,
+                 "surface: how strongly one labelled pixel holds its cell, where an edge between equal cells is 1",
+                 {1e-6, 1e6});
+  SEMFIELD_PARAM(visit, p, min_confidence, "pixels whose most probable class is less probable than this stay void",
+                 {0, 1});
+  SEMFIELD_PARAM(visit, p, vote_cells_m,
+                 "vote: edges of cells, ascending; the first with enough votes counts; []: 0.06, 0.12 and 0.2 m, or "
+                 "1.2 %, 2.4 % and 4 % of the longest side of a scene that is no room in metres",
+                 {1e-12, 1e12});
+  SEMFIELD_PARAM(visit, p, least_votes, "vote: how many votes are enough; the largest cell takes what there is",
+                 {1, 1e9});
+}
+
+void validate(const PropagationParams& p, Diagnostics& diagnostics) {
+  if (!std::is_sorted(p.vote_cells_m.begin(), p.vote_cells_m.end(), std::less_equal<>())) {
+    diagnostics.error("config.value.order", "propagate.vote_cells_m", "the edges do not ascend",
+                      "write the smallest first, each once");
+  }
 }
 
 }  // namespace semfield

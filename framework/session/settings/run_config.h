@@ -10,23 +10,118 @@
 
 #include "compute/precision.h"
 #include "config/config_tree.h"
-#include "config/params_read.h"
-#include "formats/input_limits.h"
+#include "config/params.h"
+#include "core/error.h"
+#include "formats/text_rows.h"
 #include "labels/training_labels.h"
 #include "loading/frame_source.h"
 #include "losses/loss_list.h"
 #include "model/head_branch.h"
 #include "model/optim/adam.h"
-#include "model/optim/schedule.h"
 #include "model/render_rules.h"
 #include "plugin/registry.h"
-#include "session/settings/fusion_params.h"
-#include "session/settings/objects_params.h"
-#include "session/settings/propagation_params.h"
 
 namespace semfield {
 
-/// automatic: the labels decide when a session opens (session/settings/label_choices.h).
+enum class FusionMethod : std::uint8_t { monocular, bayesian, average };
+template <>
+struct ChoiceNames<FusionMethod> {
+  static constexpr std::array<std::string_view, 3> names{"monocular", "bayesian", "average"};
+};
+
+enum class FusionDepth : std::uint8_t { truth, learned };
+template <>
+struct ChoiceNames<FusionDepth> {
+  static constexpr std::array<std::string_view, 2> names{"true", "learned"};
+};
+
+enum class ViewChoice : std::uint8_t { nearest, even };
+template <>
+struct ChoiceNames<ViewChoice> {
+  static constexpr std::array<std::string_view, 2> names{"nearest", "even"};
+};
+
+struct FusionParams {
+  std::vector<std::string> methods{"monocular", "bayesian", "average"};
+  FusionDepth depth = FusionDepth::truth;
+  double min_opacity = 0.5;
+  double tolerance = 0;
+  double relative_tolerance = 0;
+  double floor = 1e-4;
+  int views = 0;
+  ViewChoice choose = ViewChoice::nearest;
+  int neighbourhood = 1;
+  double hard_confidence = 0.7;
+
+  /// Depths `a` and `b` belong to one surface: |a - b| <= tolerance + relative_tolerance * a.
+  bool agree(double a, double b) const;
+};
+void describe(ParamVisitor& visit, FusionParams& params);
+void validate(const FusionParams& params, Diagnostics& diagnostics);
+
+/// Methods by name, each once, in the order given. Throws Error(config) naming one that does not exist.
+std::vector<FusionMethod> fusion_methods(const std::vector<std::string>& names);
+std::string_view fusion_method_name(FusionMethod method);
+
+// The section `objects`: how segments of images become objects. Declared here, where sections are read; used in
+// objects/.
+
+struct ObjectsParams {
+  std::int64_t steps = 1500;
+  std::int64_t views = 8;
+  std::int64_t view_points = 256;
+  double learning_rate = 1e-2;
+  std::int64_t frequencies = 9;
+  std::int64_t hidden_width = 64;
+  std::int64_t hidden_layers = 2;
+  std::int64_t rays = 1'500'000;
+  std::int64_t points = 200'000;
+  double reach = 0.25;
+  std::int64_t neighbours = 4;
+  double agree = 0.5;
+  std::int64_t least_views = 1;
+  std::int64_t least_points = 20;
+  std::vector<std::string> stuff{"wall", "floor", "ceiling"};
+  std::uint32_t seed = 1;
+};
+void describe(ParamVisitor& visit, ObjectsParams& params);
+
+/// Shares from 0 to 1; all of it happens in each image for itself.
+struct SegmentDamage {
+  bool shuffle = false;        ///< segments get new numbers in random order
+  double split = 0;            ///< segments cut in two along a random line through their middle
+  double merge = 0;            ///< segments joined with a random neighbour
+  double missing = 0;          ///< segments that are not there
+  std::int64_t border_px = 0;  ///< borders are moved by up to so many pixels, in patches
+
+  bool any() const { return shuffle || split > 0 || merge > 0 || missing > 0 || border_px > 0; }
+};
+void describe(ParamVisitor& visit, SegmentDamage& damage);
+
+// The section `propagate`: how labels spread over a learned surface. Declared here, where sections are read; used in
+// surface/fuse/.
+
+enum class PropagationMethod : std::uint8_t { surface, vote };
+template <>
+struct ChoiceNames<PropagationMethod> {
+  static constexpr std::array<std::string_view, 2> names{"surface", "vote"};
+};
+
+struct PropagationParams {
+  PropagationMethod method = PropagationMethod::surface;
+  double min_opacity = 0.5;
+  double cell_m = 0;
+  double color_sigma = 0.04;
+  double normal_sigma = 0.25;
+  double vote_weight = 1;
+  double min_confidence = 0;
+  std::vector<double> vote_cells_m;
+  double least_votes = 8;
+};
+void describe(ParamVisitor& visit, PropagationParams& params);
+void validate(const PropagationParams& params, Diagnostics& diagnostics);
+
+/// automatic: the labels decide when a session opens (session/settings/choices.h).
 enum class RaySourceKind : std::uint8_t { all_images, one_image, label_balanced, automatic };
 template <>
 struct ChoiceNames<RaySourceKind> {
@@ -199,5 +294,56 @@ struct SectionDoc {
   bool or_list = false;  ///< a list of such maps may stand there too
 };
 std::vector<SectionDoc> describe_sections();
+
+// The list `heads` of a configuration: read, written, and held against losses and scene.
+
+/// The key `heads` of the tree. A channel twice is an error, and so is one that the framework makes itself.
+std::vector<HeadConfig> read_heads(const ConfigNode& tree, const Registry& registry, Diagnostics& diagnostics);
+/// What read_heads would read, every parameter written out.
+ConfigNode heads_config(const std::vector<HeadConfig>& heads);
+/// An error for each loss that reads a channel which no head makes.
+void check_heads_of_losses(const RunConfig& config, Diagnostics& diagnostics);
+
+/// Columns of a head whose dataset has more for its channel, unless its own `width` says otherwise.
+inline constexpr int kUsualHeadWidth = 64;
+/// Settles width and source_width of the heads by the channels of the scene's training frames. Throws Error(config) for
+/// a head whose width neither says, and for one that is to have more columns than its channel; Error(data) for a
+/// channel whose frames differ in columns.
+void settle_heads(RunConfig& config, const SceneInfo& scene);
+
+// The list `losses` of a configuration: chosen by type, read, written, and held against the scene.
+
+/// The key `losses` of the tree; a type twice is an error.
+std::vector<LossEntry> read_losses(const ConfigNode& tree, const Registry& registry, Diagnostics& diagnostics);
+/// What read_losses would read, every parameter written out.
+ConfigNode losses_config(const std::vector<LossEntry>& entries);
+
+/// The targets that losses cannot do without, each once.
+std::vector<std::string> targets_of(const std::vector<LossEntry>& entries);
+/// True when one of them has the name.
+bool losses_read(const std::vector<LossEntry>& entries, std::string_view target);
+/// Depth images of training frames, and their valid pixels.
+struct TrainingDepth {
+  std::int64_t frames = 0, pixels = 0;
+};
+TrainingDepth training_depth(const LoadedScene& scene);
+/// What training makes of them, as a phrase; "" where there are none and no term asks for them. Warns where a term
+/// reads depth images without a valid pixel.
+std::string depth_use(const std::vector<LossEntry>& entries, const TrainingDepth& depth, Diagnostics& diagnostics);
+
+// `scene.labels.from` and `scene.labels.degrade`: steps chosen by type, read, written and documented.
+
+/// Reads both keys of the section `labels` (a map) into `config`. Paths of `from` start at the file that wrote them,
+/// unless `paths_are_absolute`.
+void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, const Registry& registry, LabelConfig& config,
+                      Diagnostics& diagnostics);
+
+/// Makes the path of the key `clicks` absolute, as those of `from`. `of_a_run`: `labels` is that of a run.yaml, in
+/// whose folder a relative path starts; an absolute one, which earlier versions wrote for the run's own file, gives way
+/// to that file where it lies beside the run.yaml.
+void anchor_click_file(const ConfigNode& labels, bool of_a_run, LabelConfig& config);
+
+/// `labels` with the keys `from` and `degrade` of `config`; without steps the keys are absent.
+ConfigNode with_label_steps(const ConfigNode& labels, const LabelConfig& config);
 
 }  // namespace semfield

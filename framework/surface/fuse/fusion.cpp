@@ -3,10 +3,15 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 #include "compute/parallel.h"
 #include "core/check.h"
+#include "core/error.h"
+#include "core/small_math.h"
+#include "scene/classes/class_table.h"
+#include "scene/scene_checks.h"
 
 namespace semfield {
 
@@ -164,6 +169,252 @@ FusedFrame LabelFusion::fuse(int target) const {
     counts[static_cast<std::size_t>(row)] = scratch.counts;
   });
   for (const FusionCounts& row : counts) out.counts.merge(row);
+  return out;
+}
+
+namespace {
+// Sums of the same terms in another order differ by less; predictions that differ by less count as equal.
+constexpr double kTie = 1e-9;
+}  // namespace
+
+HardLikelihood::HardLikelihood(double confidence, int classes) : hit(confidence) {
+  if (classes > 1) miss = (1 - confidence) / (classes - 1);
+  if (classes > 1 && !(hit > miss)) {
+    throw Error(ErrorKind::config, "config.value.range",
+                fmt::format("fuse.hard_confidence: {} says nothing among {} classes, each has {:.3g}", confidence,
+                            classes, miss),
+                fmt::format("write more than {:.3g}", 1.0 / classes));
+  }
+}
+
+ClassVotes::ClassVotes(int classes, double floor, HardLikelihood hard)
+    : floor_(floor),
+      hard_(hard),
+      log_hit_less_miss_(std::log(std::max(hard.hit, floor)) - std::log(std::max(hard.miss, floor))),
+      hit_less_miss_(hard.hit - hard.miss),
+      log_sum_(static_cast<std::size_t>(classes)),
+      sum_(static_cast<std::size_t>(classes)),
+      label_views_(static_cast<std::size_t>(classes)) {}
+
+void ClassVotes::clear() {
+  std::fill(log_sum_.begin(), log_sum_.end(), 0.0);
+  std::fill(sum_.begin(), sum_.end(), 0.0);
+  std::fill(label_views_.begin(), label_views_.end(), 0);
+  hard_views_ = views_ = 0;
+}
+
+void ClassVotes::add(std::span<const double> probability) {
+  for (std::size_t c = 0; c < sum_.size(); ++c) {
+    log_sum_[c] += std::log(std::max(probability[c], floor_));
+    sum_[c] += probability[c];
+  }
+  ++views_;
+}
+
+void ClassVotes::add(std::int16_t label) {
+  ++label_views_[static_cast<std::size_t>(label)];
+  ++hard_views_;
+  ++views_;
+}
+
+void ClassVotes::bayesian(std::span<double> out) const {
+  std::fill(out.begin(), out.end(), 0.0);
+  if (views_ == 0 || out.empty()) return;
+  double most = log_sum(0);
+  for (std::size_t c = 1; c < out.size(); ++c) most = std::max(most, log_sum(c));
+  double total = 0;  // at least 1: the largest term is exp(0)
+  for (std::size_t c = 0; c < out.size(); ++c) total += out[c] = std::exp(log_sum(c) - most);
+  for (double& p : out) p /= total;
+}
+
+void ClassVotes::average(std::span<double> out) const {
+  for (std::size_t c = 0; c < out.size(); ++c) out[c] = views_ == 0 ? 0 : sum(c) / views_;
+}
+
+template <class Score>
+std::int16_t ClassVotes::best(std::int16_t preferred, double tie, Score&& score) const {
+  if (views_ == 0 || sum_.empty()) return kVoid;
+  double most = score(0);
+  for (std::size_t c = 1; c < sum_.size(); ++c) most = std::max(most, score(c));
+  if (preferred >= 0 && score(static_cast<std::size_t>(preferred)) >= most - tie) return preferred;
+  for (std::size_t c = 0; c < sum_.size(); ++c) {
+    if (score(c) >= most - tie) return static_cast<std::int16_t>(c);
+  }
+  return kVoid;
+}
+
+std::int16_t ClassVotes::bayesian_label(std::int16_t preferred) const {
+  return best(preferred, kTie * views_, [this](std::size_t c) { return log_sum(c); });
+}
+
+std::int16_t ClassVotes::average_label(std::int16_t preferred) const {
+  return best(preferred, kTie * views_, [this](std::size_t c) { return sum(c); });
+}
+
+namespace {
+
+bool valid_depth(float z) { return z > 0 && std::isfinite(z); }
+
+double median_depth(std::span<const float> depth_m) {
+  std::vector<float> valid;
+  for (const float z : depth_m) {
+    if (valid_depth(z)) valid.push_back(z);
+  }
+  if (valid.empty()) return 1;
+  const auto middle = valid.begin() + static_cast<std::ptrdiff_t>(valid.size() / 2);
+  std::nth_element(valid.begin(), middle, valid.end());
+  return *middle;
+}
+
+}  // namespace
+
+bool same_surface(const PosedDepth& view, std::size_t pixel, double z_m, const FusionParams& params) {
+  const float z = view.depth_m[pixel];
+  return valid_depth(z) && params.agree(z_m, z);
+}
+
+std::optional<PixelHit> seen_at(const PosedDepth& view, Vec3d point, const FusionParams& params) {
+  const std::optional<PixelHit> hit = project_point(view.camera, view.world_from_camera, point);
+  if (!hit || !same_surface(view, view.pixel(hit->column, hit->row), hit->z_m, params)) return std::nullopt;
+  return hit;
+}
+
+std::vector<int> choose_views(std::span<const PosedDepth> views, int target, std::vector<int> others,
+                              const FusionParams& params) {
+  const auto wanted = static_cast<std::size_t>(params.views);
+  if (wanted == 0 || wanted >= others.size()) return others;
+  std::vector<int> chosen;
+  if (params.choose == ViewChoice::even) {
+    for (std::size_t k = 0; k < wanted; ++k) chosen.push_back(others[(2 * k + 1) * others.size() / (2 * wanted)]);
+    return chosen;
+  }
+  const double reach = median_depth(views[static_cast<std::size_t>(target)].depth_m);
+  const auto gaze = [&](const Pose& pose) { return pose.t + pose.axis(2) * reach; };
+  const Pose& own = views[static_cast<std::size_t>(target)].world_from_camera;
+  std::vector<std::pair<double, int>> by_distance;
+  for (const int other : others) {
+    const Pose& pose = views[static_cast<std::size_t>(other)].world_from_camera;
+    by_distance.emplace_back(length(pose.t - own.t) + length(gaze(pose) - gaze(own)), other);
+  }
+  std::sort(by_distance.begin(), by_distance.end());
+  for (std::size_t k = 0; k < wanted; ++k) chosen.push_back(by_distance[k].second);
+  std::sort(chosen.begin(), chosen.end());
+  return chosen;
+}
+
+namespace {
+
+// Poses of one frame in two readings of a scene: text files round, so not bit for bit.
+bool same_pose(const Pose& a, const Pose& b, double metre) {
+  constexpr double kRotation = 1e-4, kShift = 1e-4;
+  for (int i = 0; i < 3; ++i) {
+    if (length(a.axis(i) - b.axis(i)) > kRotation) return false;
+  }
+  return length(a.t - b.t) <= kShift * (metre + length(a.t));
+}
+
+void check_frame(const FrameInfo& frame, const TrainedField& run) {
+  const std::vector<FrameInfo>& known = run.session.scene.info.frames;
+  const auto found =
+      std::find_if(known.begin(), known.end(), [&](const FrameInfo& other) { return other.name == frame.name; });
+  if (found == known.end()) {
+    throw Error(ErrorKind::data, "fuse.depth.foreign",
+                frame_place(frame) + ": the scene of " + run.run_dir + " has no frame of this name",
+                "take depth from a run of this scene");
+  }
+  const double metre = usual_metre(run.session.scene.info.metric, run.session.extent.bounds.size());
+  if (!same_pose(found->world_from_camera, frame.world_from_camera, metre)) {
+    throw Error(ErrorKind::data, "fuse.depth.foreign",
+                frame_place(frame) + ": the camera stands elsewhere in the scene of " + run.run_dir,
+                "take depth from a run of this scene");
+  }
+}
+
+bool same_classes(const ClassTable& a, const ClassTable& b) {
+  const auto same = [](const ClassEntry& x, const ClassEntry& y) { return x.id == y.id && x.ignore == y.ignore; };
+  return std::equal(a.entries().begin(), a.entries().end(), b.entries().begin(), b.entries().end(), same);
+}
+
+}  // namespace
+
+FrameMaps true_depth(const LoadedScene& scene) {
+  FrameMaps maps;
+  bool any = false;
+  for (const int f : scene.frames_of(Split::train)) {
+    const StoredFrame& frame = scene.frames[static_cast<std::size_t>(f)];
+    any = any || !frame.depth_m.empty();
+    maps.frames.push_back(f);
+    maps.depth_m.push_back(frame.depth_m.empty() ? std::vector<float>(frame.rgb.size() / 3) : frame.depth_m.expand());
+  }
+  if (!any) {
+    throw Error(ErrorKind::data, "fuse.depth.none", "no training frame of the scene has depth",
+                "train on the scene and take the depth of the run: --depth-from RUN");
+  }
+  maps.label.resize(maps.frames.size());
+  return maps;
+}
+
+FrameMaps learned_depth(const TrainedField& run, const LoadedScene& scene, double min_opacity,
+                        const std::function<void(int done)>& done) {
+  const Session& s = run.session;
+  const bool labels = s.pipeline->has_semantics() && same_classes(s.scene.info.classes, scene.info.classes);
+  FrameMaps maps;
+  maps.frames = scene.frames_of(Split::train);
+  for (const int f : maps.frames) check_frame(scene.info.frames[static_cast<std::size_t>(f)], run);
+  for (const int f : maps.frames) {
+    const FrameInfo& info = scene.info.frames[static_cast<std::size_t>(f)];
+    const RayCamera camera{info.camera, info.world_from_camera, s.plan.undistortion};
+    RenderedFrame frame = render_named_frame(*s.pipeline, info.name, camera, s.limits, s.plan.class_of_logit);
+    for (std::size_t i = 0; i < frame.depth_m.size(); ++i) {
+      const float opacity = frame.opacity[i];
+      frame.depth_m[i] = opacity >= static_cast<float>(min_opacity) ? frame.depth_m[i] / opacity : 0.0F;
+    }
+    maps.depth_m.push_back(std::move(frame.depth_m));
+    maps.label.push_back(labels ? std::move(frame.label) : std::vector<std::int16_t>());
+    if (done) done(static_cast<int>(maps.depth_m.size()));
+  }
+  return maps;
+}
+
+FusionParams settled(const FusionParams& params, const LoadedScene& scene) {
+  FusionParams out = params;
+  const Vec3d size = scene.bounds.empty() ? Vec3d{} : scene.bounds.size();
+  if (params.tolerance == 0) out.tolerance = 0.01 * usual_metre(scene.info.metric, size);
+  return out;
+}
+
+SceneFusion fuse_scene(const LoadedScene& scene, const TrainingLabels& labels, const FrameMaps& maps,
+                       const FusionParams& given, const OnFused& on_fused) {
+  const FusionParams params = settled(given, scene);
+  const int classes = scene.info.classes.valid_count();
+  std::vector<FusionView> views;
+  for (std::size_t k = 0; k < maps.frames.size(); ++k) {
+    const auto f = static_cast<std::size_t>(maps.frames[k]);
+    const FrameInfo& info = scene.info.frames[f];
+    views.push_back({{info.camera, info.world_from_camera, maps.depth_m[k]}, &labels.frames[f]});
+  }
+  const LabelFusion fusion(views, classes, params);
+  const std::vector<FusionMethod> methods = fusion_methods(params.methods);
+  SceneFusion out;
+  for (const FusionMethod method : methods)
+    out.scores.push_back({std::string(fusion_method_name(method)), ConfusionMatrix(classes), {}});
+  const bool field =
+      std::any_of(maps.label.begin(), maps.label.end(), [](const auto& label) { return !label.empty(); });
+  if (field) out.scores.push_back({"field", ConfusionMatrix(classes), {}});
+  for (std::size_t k = 0; k < maps.frames.size(); ++k) {
+    const FusedFrame fused = fusion.fuse(static_cast<int>(k));
+    out.counts.merge(fused.counts);
+    const std::vector<std::int16_t> truth = scene.frames[static_cast<std::size_t>(maps.frames[k])].label.expand();
+    for (std::size_t m = 0; m < out.scores.size(); ++m) {
+      const std::vector<std::int16_t>& label =
+          m < methods.size() ? fused.label[static_cast<std::size_t>(methods[m])] : maps.label[k];
+      if (label.empty()) continue;
+      if (!truth.empty()) out.scores[m].confusion.add(truth, label);
+      if (on_fused) on_fused(out.scores[m].method, maps.frames[k], label);
+    }
+  }
+  for (std::size_t m = 0; m < methods.size(); ++m)
+    out.scores[m].views_mean = methods[m] == FusionMethod::monocular ? 1 : out.counts.views_mean();
   return out;
 }
 

@@ -6,9 +6,8 @@
 #include <cmath>
 
 #include "compute/parallel.h"
-#include "core/usual_metre.h"
-#include "surface/label_diffusion.h"
-#include "surface/surface_pool.h"
+#include "core/small_math.h"
+#include "surface/surface_graph.h"
 
 namespace semfield {
 

@@ -3,8 +3,8 @@
 
 #include <functional>
 
-#include "session/settings/propagation_params.h"
-#include "surface/fuse/scene_fusion.h"
+#include "session/settings/run_config.h"
+#include "surface/fuse/fusion.h"
 
 namespace semfield {
 

@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include "eval/rays.h"
+#include "eval/evaluator.h"
 #include "surface/mesh/surface.h"
 
 namespace semfield {

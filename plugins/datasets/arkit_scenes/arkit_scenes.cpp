@@ -11,7 +11,7 @@
 #include "core/text.h"
 #include "formats/text_rows.h"
 #include "plugin/module.h"
-#include "scene/rotation.h"
+#include "scene/camera.h"
 
 namespace semfield {
 

@@ -4,7 +4,7 @@
 #include <filesystem>
 
 #include "formats/image_io.h"
-#include "scene/rotation.h"
+#include "scene/camera.h"
 #include "scene/scene_checks.h"
 #include "system/files.h"
 #include "tests/conformance/dataset_samples.h"

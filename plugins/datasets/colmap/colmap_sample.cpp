@@ -3,7 +3,7 @@
 #include <sstream>
 
 #include "formats/image_io.h"
-#include "scene/rotation.h"
+#include "scene/camera.h"
 #include "system/files.h"
 #include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"

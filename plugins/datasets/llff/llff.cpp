@@ -7,11 +7,11 @@
 
 #include "formats/image_io.h"
 #include "formats/npz.h"
-#include "loading/camera_fit.h"
-#include "loading/file_names.h"
+#include "loading/frame_files.h"
 #include "loading/frame_masks.h"
+#include "loading/posed_photographs.h"
 #include "plugin/module.h"
-#include "scene/frame_split.h"
+#include "scene/scene.h"
 #include "scene/scene_checks.h"
 
 namespace semfield {

@@ -1,21 +1,24 @@
 // OBJ + MTL reading on tinyobjloader's callbacks, with every index checked here.
 #include "datasets/obj_room/mesh_io.h"
 
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <numeric>
+#include <tuple>
+
 #ifdef SEMFIELD_WITH_RAYCAST
 #include <tiny_obj_loader.h>
 #endif
 
-#include <algorithm>
 #include <charconv>
-#include <cmath>
 #include <filesystem>
-#include <map>
 #include <set>
 #include <sstream>
 #include <string_view>
 
-#include "formats/input_limits.h"
-#include "loading/file_names.h"
+#include "formats/text_rows.h"
+#include "loading/frame_files.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -367,5 +370,111 @@ TriangleMesh load_obj(const std::string& path, Diagnostics&) {
               "configure with -DSEMFIELD_WITH_RAYCAST=ON (needs tinyobjloader)");
 }
 #endif
+
+namespace {
+
+// Sets of triangles that are joined; the least number stands for a set.
+class Sets {
+ public:
+  explicit Sets(std::size_t count) : up_(count) { std::iota(up_.begin(), up_.end(), 0U); }
+  std::uint32_t of(std::uint32_t i) {
+    while (up_[i] != i) i = up_[i] = up_[up_[i]];
+    return i;
+  }
+  void join(std::uint32_t a, std::uint32_t b) {
+    const std::uint32_t x = of(a), y = of(b);
+    up_[std::max(x, y)] = std::min(x, y);
+  }
+
+ private:
+  std::vector<std::uint32_t> up_;
+};
+
+}  // namespace
+
+std::vector<std::int32_t> pieces_of(const TriangleMesh& mesh, const std::vector<std::int16_t>& class_of, double gap_m) {
+  using Cell = std::tuple<std::int16_t, int, int, int>;
+  std::map<Cell, std::uint32_t> first;  // triangle of a class in a cell
+  Sets sets(mesh.size());
+  const auto corner = [&](std::size_t t, std::size_t k) {
+    const Vec3f p = mesh.positions[mesh.triangles[t][k]];
+    return Vec3d{static_cast<double>(p.x), static_cast<double>(p.y), static_cast<double>(p.z)};
+  };
+  for (std::size_t t = 0; t < mesh.size(); ++t) {
+    const Vec3d a = corner(t, 0), ab = corner(t, 1) - a, ac = corner(t, 2) - a;
+    const auto n = static_cast<int>(
+        std::clamp(std::ceil(std::max({length(ab), length(ac), length(ac - ab)}) / gap_m), 1.0, 1000.0));
+    for (int i = 0; i <= n; ++i) {
+      for (int j = 0; i + j <= n; ++j) {
+        const Vec3d p = a + ab * (static_cast<double>(i) / n) + ac * (static_cast<double>(j) / n);
+        const Cell cell{class_of[t], static_cast<int>(std::floor(p.x / gap_m)),
+                        static_cast<int>(std::floor(p.y / gap_m)), static_cast<int>(std::floor(p.z / gap_m))};
+        const auto [found, fresh] = first.emplace(cell, static_cast<std::uint32_t>(t));
+        if (!fresh) sets.join(found->second, static_cast<std::uint32_t>(t));
+      }
+    }
+  }
+  for (const auto& [cell, t] : first) {
+    const auto [c, x, y, z] = cell;
+    for (int step = 14; step < 27; ++step) {  // half of the 26 cells around it
+      const auto other = first.find({c, x + step / 9 - 1, y + step / 3 % 3 - 1, z + step % 3 - 1});
+      if (other != first.end()) sets.join(t, other->second);
+    }
+  }
+  std::map<std::uint32_t, std::int32_t> number;
+  std::vector<std::int32_t> piece;
+  for (std::uint32_t t = 0; t < mesh.size(); ++t)
+    piece.push_back(number.emplace(sets.of(t), static_cast<std::int32_t>(number.size())).first->second);
+  return piece;
+}
+
+// Polygons into triangles by ear clipping.
+
+std::vector<std::array<int, 3>> triangulate_polygon(const std::vector<Vec3f>& corners) {
+  const int n = static_cast<int>(corners.size());
+  std::vector<std::array<int, 3>> out;
+  if (n == 3) return {{0, 1, 2}};
+  // Newell's normal: its largest component is the axis to drop.
+  Vec3d normal{};
+  for (int i = 0; i < n; ++i) {
+    const Vec3f p = corners[static_cast<std::size_t>(i)], q = corners[static_cast<std::size_t>((i + 1) % n)];
+    normal.x += static_cast<double>(p.y - q.y) * (p.z + q.z);
+    normal.y += static_cast<double>(p.z - q.z) * (p.x + q.x);
+    normal.z += static_cast<double>(p.x - q.x) * (p.y + q.y);
+  }
+  int drop = 0;
+  if (std::abs(normal.y) > std::abs(normal[drop])) drop = 1;
+  if (std::abs(normal.z) > std::abs(normal[drop])) drop = 2;
+  const int ax = (drop + 1) % 3, ay = (drop + 2) % 3;
+  const double sign = normal[drop] < 0 ? -1 : 1;
+  const auto turn = [&](int a, int b, int c) {  // > 0: left turn seen along the normal
+    const Vec3f &p = corners[static_cast<std::size_t>(a)], &q = corners[static_cast<std::size_t>(b)],
+                &r = corners[static_cast<std::size_t>(c)];
+    return sign * ((static_cast<double>(q[ax]) - p[ax]) * (static_cast<double>(r[ay]) - p[ay]) -
+                   (static_cast<double>(q[ay]) - p[ay]) * (static_cast<double>(r[ax]) - p[ax]));
+  };
+  std::vector<int> ring;
+  for (int i = 0; i < n; ++i) ring.push_back(i);
+  while (ring.size() > 3) {
+    const std::size_t m = ring.size();
+    std::size_t ear = m;
+    for (std::size_t i = 0; i < m && ear == m; ++i) {
+      const int a = ring[(i + m - 1) % m], b = ring[i], c = ring[(i + 1) % m];
+      if (turn(a, b, c) <= 0) continue;
+      bool clear = true;
+      for (std::size_t k = 0; k < m && clear; ++k) {
+        const int p = ring[k];
+        if (p == a || p == b || p == c) continue;
+        clear = !(turn(a, b, p) >= 0 && turn(b, c, p) >= 0 && turn(c, a, p) >= 0);
+      }
+      if (clear) ear = i;
+    }
+    if (ear == m) break;  // crosses itself or is flat: a fan of what is left
+    out.push_back({ring[(ear + m - 1) % m], ring[ear], ring[(ear + 1) % m]});
+    ring.erase(ring.begin() + static_cast<std::ptrdiff_t>(ear));
+  }
+  for (std::size_t i = 1; i + 1 < ring.size(); ++i) out.push_back({ring[0], ring[i], ring[i + 1]});
+  return out;
+}
 
 }  // namespace semfield

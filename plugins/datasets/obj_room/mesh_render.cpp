@@ -1,12 +1,23 @@
 // Shading: interleaved sampling of the light, smoothed over pixels that show the same surface [Keller01].
 #include "datasets/obj_room/mesh_render.h"
 
+#include <dlfcn.h>
+
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
+#include <filesystem>
 #include <map>
+#include <span>
+#include <type_traits>
 
 #include "compute/parallel.h"
+#include "core/error.h"
 #include "core/rng.h"
+#include "formats/image_io.h"
+#include "loading/packed_scene.h"
+#include "system/checksum.h"
+#include "system/files.h"
 
 namespace semfield {
 namespace {
@@ -315,6 +326,266 @@ void MeshRenderer::render(const Camera& camera, const Pose& pose, std::uint64_t 
       }
     }
   });
+}
+
+// Texture lookup: pyramid by box filter, bilinear in each level, linear between levels.
+
+// IEC 61966-2-1.
+float linear_of_srgb(float value) {
+  return value <= 0.04045f ? value / 12.92f : std::pow((value + 0.055f) / 1.055f, 2.4f);
+}
+float srgb_of_linear(float value) {
+  return value <= 0.0031308f ? value * 12.92f : 1.055f * std::pow(value, 1 / 2.4f) - 0.055f;
+}
+
+Texture::Texture(std::int32_t width, std::int32_t height, const std::vector<std::uint8_t>& rgb) {
+  std::array<float, 256> table{};
+  for (std::size_t i = 0; i < 256; ++i) table[i] = linear_of_srgb(static_cast<float>(i) / 255.0f);
+  Level base{width, height, std::vector<float>(rgb.size())};
+  for (std::size_t i = 0; i < rgb.size(); ++i) base.rgb[i] = table[rgb[i]];
+  levels_.push_back(std::move(base));
+  while (levels_.back().width > 1 || levels_.back().height > 1) {
+    const Level& fine = levels_.back();
+    Level coarse{std::max(1, fine.width / 2), std::max(1, fine.height / 2), {}};
+    coarse.rgb.resize(static_cast<std::size_t>(coarse.width) * static_cast<std::size_t>(coarse.height) * 3);
+    for (std::int32_t y = 0; y < coarse.height; ++y) {
+      for (std::int32_t x = 0; x < coarse.width; ++x) {
+        for (std::int32_t c = 0; c < 3; ++c) {
+          float sum = 0;
+          for (std::int32_t k = 0; k < 4; ++k) {
+            const std::int32_t sx = std::min(2 * x + (k & 1), fine.width - 1);
+            const std::int32_t sy = std::min(2 * y + (k >> 1), fine.height - 1);
+            sum += fine.rgb[static_cast<std::size_t>((sy * fine.width + sx) * 3 + c)];
+          }
+          coarse.rgb[static_cast<std::size_t>((y * coarse.width + x) * 3 + c)] = sum * 0.25f;
+        }
+      }
+    }
+    levels_.push_back(std::move(coarse));
+  }
+}
+
+Texture Texture::load(const std::string& path) {
+  const Image<std::uint8_t> image = read_rgb(path);
+  return Texture(image.width_px, image.height_px, image.pixels);
+}
+
+std::array<float, 3> Texture::bilinear(const Level& level, float u, float v) const {
+  const float x = (u - std::floor(u)) * static_cast<float>(level.width) - 0.5f;
+  const float y = (1 - (v - std::floor(v))) * static_cast<float>(level.height) - 0.5f;
+  const float fx = x - std::floor(x), fy = y - std::floor(y);
+  const auto wrap = [](float a, std::int32_t n) {
+    const std::int32_t i = static_cast<std::int32_t>(std::floor(a)) % n;
+    return i < 0 ? i + n : i;
+  };
+  const std::int32_t x0 = wrap(x, level.width), x1 = (x0 + 1) % level.width;
+  const std::int32_t y0 = wrap(y, level.height), y1 = (y0 + 1) % level.height;
+  const auto at = [&](std::int32_t px, std::int32_t py) {
+    return &level.rgb[static_cast<std::size_t>(py * level.width + px) * 3];
+  };
+  const float *a = at(x0, y0), *b = at(x1, y0), *c = at(x0, y1), *d = at(x1, y1);
+  std::array<float, 3> out{};
+  for (std::size_t k = 0; k < 3; ++k) {
+    const float top = a[k] + (b[k] - a[k]) * fx, bottom = c[k] + (d[k] - c[k]) * fx;
+    out[k] = top + (bottom - top) * fy;
+  }
+  return out;
+}
+
+std::array<float, 3> Texture::sample(float u, float v, float level) const {
+  if (!std::isfinite(u) || !std::isfinite(v)) return {0.5f, 0.5f, 0.5f};
+  const float top = static_cast<float>(levels_.size() - 1);
+  const float clamped = level > 0 ? std::min(level, top) : 0.0f;
+  const auto i = static_cast<std::size_t>(clamped);
+  const float f = clamped - static_cast<float>(i);
+  std::array<float, 3> a = bilinear(levels_[i], u, v);
+  if (f > 0 && i + 1 < levels_.size()) {
+    const std::array<float, 3> b = bilinear(levels_[i + 1], u, v);
+    for (std::size_t k = 0; k < 3; ++k) a[k] += (b[k] - a[k]) * f;
+  }
+  return a;
+}
+
+Mask Mask::load(const std::string& path) {
+  Mask mask;
+  const std::int32_t channels = image_size(path).channels;
+  const bool has_alpha = channels == 4 || channels == 2;
+  const Image<std::uint8_t> black = read_rgb(path, has_alpha ? 0 : -1);
+  mask.width_ = black.width_px;
+  mask.height_ = black.height_px;
+  mask.values_.resize(black.pixels.size() / 3);
+  if (has_alpha) {
+    // Over white minus over black is 255 (1 - alpha).
+    const Image<std::uint8_t> white = read_rgb(path, 255);
+    for (std::size_t i = 0; i < mask.values_.size(); ++i) {
+      mask.values_[i] =
+          static_cast<std::uint8_t>(std::clamp(255 - (white.pixels[3 * i] - black.pixels[3 * i]), 0, 255));
+    }
+  } else {
+    for (std::size_t i = 0; i < mask.values_.size(); ++i) {
+      mask.values_[i] =
+          static_cast<std::uint8_t>((black.pixels[3 * i] + black.pixels[3 * i + 1] + black.pixels[3 * i + 2]) / 3);
+    }
+  }
+  return mask;
+}
+
+bool Mask::opaque(float u, float v) const {
+  if (!std::isfinite(u) || !std::isfinite(v)) return true;
+  const auto x = std::min(static_cast<std::int32_t>((u - std::floor(u)) * static_cast<float>(width_)), width_ - 1);
+  const auto y =
+      std::min(static_cast<std::int32_t>((1 - (v - std::floor(v))) * static_cast<float>(height_)), height_ - 1);
+  return values_[static_cast<std::size_t>(y * width_ + x)] >= 128;
+}
+
+namespace {
+
+namespace fs = std::filesystem;
+
+class Sum {
+ public:
+  template <class T>
+  void add(const T& value) {
+    static_assert(std::is_trivially_copyable_v<T> && std::has_unique_object_representations_v<T>);
+    sha_.add(std::as_bytes(std::span<const T>(&value, 1)));
+  }
+  void add(double value) { sha_.add(std::as_bytes(std::span<const double>(&value, 1))); }
+  void add(float value) { sha_.add(std::as_bytes(std::span<const float>(&value, 1))); }
+  void add(Vec3d v) {
+    for (int k = 0; k < 3; ++k) add(v[k]);
+  }
+  void add(const std::string& text) {
+    add(static_cast<std::uint64_t>(text.size()));
+    sha_.add(std::as_bytes(std::span<const char>(text)));
+  }
+  template <class T, std::size_t kSize>
+  void add(const std::array<T, kSize>& values) {
+    for (const T& value : values) add(value);
+  }
+  /// Elements without gaps between or in them.
+  template <class T>
+  void add_all(const std::vector<T>& values) {
+    add(static_cast<std::uint64_t>(values.size()));
+    sha_.add(std::as_bytes(std::span<const T>(values)));
+  }
+  std::string hex() { return sha_.hex(); }
+
+ private:
+  Sha256 sha_;
+};
+
+/// Size and time of the file that holds this code: another build may cast other pictures.
+void add_program(Sum& sum) {
+  Dl_info info{};
+  if (dladdr(reinterpret_cast<const void*>(&add_program), &info) == 0 || info.dli_fname == nullptr) return;
+  std::error_code failed;
+  sum.add(static_cast<std::uint64_t>(fs::file_size(info.dli_fname, failed)));
+  sum.add(static_cast<std::int64_t>(fs::last_write_time(info.dli_fname, failed).time_since_epoch().count()));
+}
+
+/// A texture's bytes; one that cannot be read is a warning of the renderer and paints nothing.
+void add_file(Sum& sum, const std::string& path) {
+  sum.add(path);
+  if (path.empty()) return;
+  try {
+    sum.add(read_text_file(path));
+  } catch (const Error&) {
+    sum.add(std::string("unreadable"));
+  }
+}
+
+SceneInfo alone(const FrameInfo& frame, const ClassTable& classes) {
+  SceneInfo info;
+  info.name = "cast";
+  info.classes = classes;
+  info.frames = {frame};
+  return info;
+}
+
+}  // namespace
+
+std::string cast_key(const TriangleMesh& mesh, const std::vector<std::int16_t>& class_of,
+                     const RenderSettings& settings) {
+  Sum sum;
+  add_program(sum);
+  sum.add_all(mesh.positions);
+  sum.add_all(mesh.triangles);
+  sum.add_all(mesh.uv);
+  sum.add_all(mesh.normals);
+  sum.add_all(mesh.material_of);
+  sum.add_all(mesh.object_of);
+  if (!mesh.piece_of.empty()) sum.add_all(mesh.piece_of);
+  sum.add_all(class_of);
+  for (const Material& m : mesh.materials) {
+    sum.add(m.diffuse);
+    sum.add(m.emission);
+    sum.add(m.opacity);
+    add_file(sum, m.diffuse_map);
+    add_file(sum, m.opacity_map);
+  }
+  for (const Light& light : settings.lights) {
+    sum.add(light.position);
+    sum.add(light.radius_m);
+    sum.add(light.intensity);
+  }
+  sum.add(settings.ambient_above);
+  sum.add(settings.ambient_below);
+  sum.add(settings.up);
+  sum.add(settings.occlusion_m);
+  for (const int count : {settings.occlusion_rays, settings.shadow_rays, settings.supersample}) sum.add(count);
+  sum.add(settings.exposure);
+  sum.add(settings.background);
+  sum.add(settings.seed);
+  return sum.hex();
+}
+
+CastCache::CastCache(const std::string& key) {
+  const std::uint64_t limit = cache_limit();
+  const std::string rooms = cache_folder("rooms");
+  if (rooms.empty() || limit == 0) return;
+  const std::string folder = (fs::path(rooms) / key).string();
+  std::error_code failed;
+  fs::create_directory(folder, failed);
+  if (failed) return;
+  use_cache_entry(folder, limit);
+  folder_ = folder;
+}
+
+std::string CastCache::file_of(std::uint64_t number, const FrameInfo& frame) const {
+  Sum sum;
+  const Camera& c = frame.camera;
+  for (const double value : {c.fx, c.fy, c.cx, c.cy}) sum.add(value);
+  sum.add(c.width_px);
+  sum.add(c.height_px);
+  for (int axis = 0; axis < 3; ++axis) {
+    Vec3d unit{0, 0, 0};
+    unit[axis] = 1;
+    sum.add(frame.world_from_camera.rotate(unit));
+  }
+  sum.add(frame.world_from_camera.t);
+  return folder_ + "/" + std::to_string(number) + "_" + sum.hex().substr(0, 16) + ".sfpack";
+}
+
+bool CastCache::read(std::uint64_t number, const FrameInfo& frame, FrameBuffer& out) const {
+  if (folder_.empty()) return false;
+  try {
+    const std::string file = file_of(number, frame);
+    if (!fs::exists(file)) return false;
+    PackedScene(file).read(0, out);
+    return out.width_px == frame.camera.width_px && out.height_px == frame.camera.height_px && !out.rgb.empty();
+  } catch (const Error&) {
+    return false;
+  }
+}
+
+void CastCache::write(std::uint64_t number, const FrameInfo& frame, const ClassTable& classes,
+                      const FrameBuffer& cast) const {
+  if (folder_.empty()) return;
+  try {
+    write_packed_scene(file_of(number, frame), alone(frame, classes), [&cast](int, FrameBuffer& out) { out = cast; },
+                       {.depth_as_mm = false});
+  } catch (const Error&) {  // a full disk, or the folder was removed meanwhile
+  }
 }
 
 }  // namespace semfield

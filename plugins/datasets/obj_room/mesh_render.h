@@ -4,15 +4,54 @@
 #include <array>
 #include <cstdint>
 #include <memory>
+#include <string>
 #include <vector>
 
 #include "core/error.h"
 #include "datasets/obj_room/mesh_io.h"
 #include "datasets/obj_room/raycast.h"
-#include "datasets/obj_room/texture.h"
 #include "scene/scene.h"
 
 namespace semfield {
+
+/// Repeating RGB texture, linear [0, 1].
+class Texture {
+ public:
+  Texture() = default;
+  /// `rgb` is sRGB-coded [H * W * 3], top row first.
+  Texture(std::int32_t width, std::int32_t height, const std::vector<std::uint8_t>& rgb);
+  /// Throws Error naming the file.
+  static Texture load(const std::string& path);
+
+  bool empty() const { return levels_.empty(); }
+  std::int32_t width() const { return levels_.empty() ? 0 : levels_[0].width; }
+  std::int32_t height() const { return levels_.empty() ? 0 : levels_[0].height; }
+  /// Trilinear: (u, v) with v up as in OBJ files; `level` 0 = full size, each level halves it.
+  std::array<float, 3> sample(float u, float v, float level) const;
+
+ private:
+  struct Level {
+    std::int32_t width = 0, height = 0;
+    std::vector<float> rgb;
+  };
+  std::array<float, 3> bilinear(const Level& level, float u, float v) const;
+  std::vector<Level> levels_;
+};
+
+/// Repeating opacity mask [0, 1]: the image's alpha channel, or its brightness without one. Nearest texel.
+class Mask {
+ public:
+  static Mask load(const std::string& path);
+  bool empty() const { return values_.empty(); }
+  bool opaque(float u, float v) const;
+
+ private:
+  std::int32_t width_ = 0, height_ = 0;
+  std::vector<std::uint8_t> values_;
+};
+
+float linear_of_srgb(float value);
+float srgb_of_linear(float value);
 
 /// A ball of light.
 struct Light {
@@ -84,6 +123,32 @@ class MeshRenderer {
   std::vector<Color> object_color_;        // for surfaces without material
   std::vector<float> lattice_;             // 32^3 random values
   std::unique_ptr<Raycaster> rays_;
+};
+
+// Frames that were cast before: casting is the slowest part of opening a room, and every program that reads it would do
+// it again.
+
+/// SHA-256 over all that pictures of a mesh depend on beside the camera: the mesh, its classes, materials with the
+/// bytes of their textures, lights, settings, and the library that casts.
+std::string cast_key(const TriangleMesh& mesh, const std::vector<std::int16_t>& class_of,
+                     const RenderSettings& settings);
+
+/// A folder of the user's cache, one file a frame. Every read is checked by the file's checksums, and what is missing
+/// or damaged counts as not there. Thread-safe.
+class CastCache {
+ public:
+  /// Keeps nothing.
+  CastCache() = default;
+  /// The room of that key. Keeps nothing where there is no cache folder (system/files.h).
+  explicit CastCache(const std::string& key);
+
+  bool read(std::uint64_t number, const FrameInfo& frame, FrameBuffer& out) const;
+  /// A frame that cannot be written is not kept; the next program casts it again.
+  void write(std::uint64_t number, const FrameInfo& frame, const ClassTable& classes, const FrameBuffer& cast) const;
+
+ private:
+  std::string file_of(std::uint64_t number, const FrameInfo& frame) const;
+  std::string folder_;
 };
 
 }  // namespace semfield

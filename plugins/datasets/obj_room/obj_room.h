@@ -2,19 +2,38 @@
 #pragma once
 
 #include <array>
+#include <cstdint>
 #include <memory>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include "config/params.h"
-#include "datasets/obj_room/cast_cache.h"
+#include "core/small_math.h"
+#include "datasets/obj_room/mesh_io.h"
 #include "datasets/obj_room/mesh_render.h"
-#include "datasets/obj_room/room_path.h"
+#include "datasets/obj_room/raycast.h"
 #include "plugin/dataset.h"
 #include "scene/camera_path.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield {
+
+struct PathSettings {
+  int poses = 0;
+  std::uint64_t seed = 0;
+  Vec3d up{0, 0, 1};          ///< one of the world's axes
+  Box region;                 ///< camera centres stay in it, world units
+  double clearance_m = 0.35;  ///< no surface is nearer to a camera centre
+  double lowest_m = 0.9;      ///< height above the floor of the region
+  double highest_m = 1.9;
+};
+
+/// Seeded 6-DOF path, roll locked. Key positions are free, see surfaces in nearly every direction (so they lie inside
+/// the room) and can see each other along free segments; key directions turn by the golden angle towards surfaces;
+/// poses between the keys lie on a Catmull-Rom spline, or on the straight segment where the spline would come too near
+/// to a surface. Throws Error(data) when the region has no free space.
+std::vector<Pose> make_camera_path(const Raycaster& rays, const PathSettings& settings);
 
 enum class UpAxis : std::uint8_t { y, z };
 
@@ -87,5 +106,31 @@ class ObjRoom final : public Dataset {
   CastCache cast_;
   SceneInfo info_;
 };
+
+// From the names in a mesh file to classes.
+
+/// Every pattern given must match; '*' stands for any text, '?' for one character. Earlier rules win.
+struct ClassRule {
+  std::string object, group, material;  ///< "" = not asked
+  std::int32_t id = 0;
+};
+
+struct ClassRules {
+  ClassTable table;
+  std::vector<ClassRule> rules;
+};
+
+/// Reads classes.yaml or classes.csv as ClassTable::load does, or a YAML map
+///   classes: [{id, name, color, ignore}, ...]
+///   rules: [{object: "chair_*", class: chair}, {material: Glass, class: window}, ...]
+/// Errors name file, line and column; all of a file are reported together.
+ClassRules load_class_rules(const std::string& path);
+
+/// Internal class index of each triangle. Without a matching rule the object's name decides: the part before "__", or
+/// the name without trailing "_12", ".003" and the like, has to be a class name. Every object that has no class gets
+/// its own error in one pass (its triangles become void).
+std::vector<std::int16_t> classes_of_mesh(const TriangleMesh& mesh, const ClassRules& rules, Diagnostics& diagnostics);
+
+bool matches_glob(const std::string& text, const std::string& pattern);
 
 }  // namespace semfield

@@ -4,7 +4,7 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "loading/json_file.h"
+#include "loading/frame_files.h"
 #include "plugin/module.h"
 #include "scene/scene_checks.h"
 

@@ -6,10 +6,10 @@
 #include <limits>
 #include <nlohmann/json.hpp>
 
-#include "formats/input_limits.h"
-#include "loading/json_file.h"
+#include "formats/text_rows.h"
+#include "loading/frame_files.h"
 #include "plugin/module.h"
-#include "scene/rotation.h"
+#include "scene/camera.h"
 #include "scene/scene_checks.h"
 
 namespace semfield {

@@ -4,7 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "loading/frame_source.h"
-#include "scene/rotation.h"
+#include "scene/camera.h"
 #include "scene/scene_checks.h"
 #include "tests/scene/exr_bytes.h"
 #include "tests/scene/tiny_scene.h"

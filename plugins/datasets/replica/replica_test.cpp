@@ -3,7 +3,7 @@
 
 #include <clocale>
 
-#include "core/findings.h"
+#include "core/error.h"
 #include "labels/training_labels.h"
 #include "loading/frame_source.h"
 #include "tests/labels/reader_case.h"

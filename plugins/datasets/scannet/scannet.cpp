@@ -11,10 +11,9 @@
 #include "formats/text_rows.h"
 #include "loading/depth_images.h"
 #include "plugin/module.h"
-#include "scene/classes/scannet_labels.h"
-#include "scene/frame_split.h"
+#include "scene/classes/class_import.h"
+#include "scene/scene.h"
 #include "scene/scene_checks.h"
-#include "scene/unknown_labels.h"
 #include "system/files.h"
 
 namespace semfield {

@@ -11,7 +11,7 @@
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
 #include "plugin/module.h"
-#include "scene/rotation.h"
+#include "scene/camera.h"
 #include "scene/scene_checks.h"
 
 namespace semfield {

@@ -3,7 +3,7 @@
 
 #include <algorithm>
 
-#include "scene/rotation.h"
+#include "scene/camera.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

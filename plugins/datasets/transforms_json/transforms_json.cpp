@@ -2,22 +2,717 @@
 #include "datasets/transforms_json/transforms_json.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <filesystem>
 #include <map>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <set>
+#include <string>
+#include <unordered_map>
+#include <utility>
+#include <vector>
 
+#include "core/error.h"
+#include "core/text.h"
 #include "formats/image_io.h"
-#include "formats/input_limits.h"
 #include "formats/npz.h"
-#include "loading/camera_fit.h"
+#include "formats/text_rows.h"
 #include "loading/depth_images.h"
+#include "loading/frame_files.h"
 #include "loading/frame_masks.h"
+#include "loading/posed_photographs.h"
 #include "plugin/module.h"
-#include "scene/alpha.h"
-#include "scene/frame_split.h"
+#include "scene/scene.h"
 #include "scene/scene_checks.h"
 
 namespace semfield {
+
+/// Reads values of a file or of one of its frames; what is wrong goes into the diagnostics under `place`. `Json` is a
+/// type of nlohmann-json, which no header names.
+template <class Json>
+class TransformsValues {
+ public:
+  explicit TransformsValues(Diagnostics& diagnostics) : diagnostics_(diagnostics) {}
+
+  std::optional<double> number(const Json& node, const char* key, const std::string& place) {
+    if (!node.contains(key) || node[key].is_null()) return std::nullopt;
+    if (!node[key].is_number()) {
+      diagnostics_.error("scene.index.value", place, std::string("'") + key + "' is not a number", "write a number");
+      return std::nullopt;
+    }
+    return node[key].template get<double>();
+  }
+
+  // nerfstudio writes a flag, instant-ngp 0 or 1, and hand-made files "true". Nothing when reported.
+  std::optional<bool> flag(const Json& node, const char* key, const std::string& place) {
+    if (!node.contains(key) || node[key].is_null()) return false;
+    const Json& value = node[key];
+    if (value.is_boolean()) return value.template get<bool>();
+    for (const auto& [means, as_written] :
+         {std::pair{true, Json{1, "true", "True", "1"}}, std::pair{false, Json{0, "false", "False", "0", ""}}}) {
+      if (std::find(as_written.begin(), as_written.end(), value) != as_written.end()) return means;
+    }
+    diagnostics_.error("scene.index.value", place,
+                       std::string("'") + key + "' is " + value.dump() + ", neither true nor false",
+                       "write true or false");
+    return std::nullopt;
+  }
+
+  // The lens of a file or of one of its frames, which may leave it to the file; nothing when reported.
+  std::optional<LensKind> model(const Json& node, LensKind otherwise, const std::string& place) {
+    std::string model;
+    if (node.contains("camera_model") && !node["camera_model"].is_null()) {
+      if (!node["camera_model"].is_string()) {
+        diagnostics_.error("scene.index.value", place,
+                           "'camera_model' is " + node["camera_model"].dump() + ", which is not a name",
+                           "write \"camera_model\": \"OPENCV\", or leave the key out");
+        return std::nullopt;
+      }
+      model = node["camera_model"].template get<std::string>();
+    }
+    const std::optional<bool> fisheye = flag(node, "is_fisheye", place);
+    if (!fisheye) return std::nullopt;
+    if (*fisheye) model = "OPENCV_FISHEYE";
+    if (model.empty()) return otherwise;
+    static const std::map<std::string, LensKind> known{
+        {"OPENCV", LensKind::perspective},         {"PINHOLE", LensKind::perspective},
+        {"SIMPLE_PINHOLE", LensKind::perspective}, {"SIMPLE_RADIAL", LensKind::perspective},
+        {"RADIAL", LensKind::perspective},         {"PERSPECTIVE", LensKind::perspective},
+        {"OPENCV_FISHEYE", LensKind::fisheye},     {"EQUIRECTANGULAR", LensKind::equirectangular}};
+    if (const auto found = known.find(model); found != known.end()) return found->second;
+    diagnostics_.error(
+        "scene.camera.model", place,
+        "camera model '" + model +
+            "' is not supported (only OPENCV, PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV_FISHEYE, "
+            "EQUIRECTANGULAR)",
+        "undistort the images to a pinhole camera, for example with colmap image_undistorter");
+    return std::nullopt;
+  }
+
+  TransformsLens lens(const Json& node, const TransformsLens& base, const std::string& place) {
+    TransformsLens out = base;
+    const std::pair<const char*, double*> fields[] = {{"w", &out.w},
+                                                      {"h", &out.h},
+                                                      {"fl_x", &out.fl_x},
+                                                      {"fl_y", &out.fl_y},
+                                                      {"camera_angle_x", &out.camera_angle_x},
+                                                      {"camera_angle_y", &out.camera_angle_y},
+                                                      {"k1", &out.k1},
+                                                      {"k2", &out.k2},
+                                                      {"k3", &out.k3},
+                                                      {"k4", &out.k4},
+                                                      {"p1", &out.p1},
+                                                      {"p2", &out.p2}};
+    for (const auto& [key, field] : fields) {
+      if (const auto value = number(node, key, place)) *field = *value;
+    }
+    if (const auto value = number(node, "cx", place)) out.cx = value;
+    if (const auto value = number(node, "cy", place)) out.cy = value;
+    read_distortion(node, out, place);
+    read_camera_matrix(node, out, place);
+    return out;
+  }
+
+  /// Metres of one step of a depth image: `otherwise` where no key says; 0 = not told.
+  double depth_unit(const Json& node, double otherwise, const std::string& place) {
+    // Ours, instant-ngp's and nerfstudio's. What other names mean is not clear: steps per metre, or metres per step.
+    constexpr std::array kKeys{"depth_unit_m", "integer_depth_scale", "depth_unit_scale_factor"};
+    for (const char* key : {"depth_scale", "depth_scale_factor", "depth_factor", "depth_unit", "png_depth_scale"})
+      if (node.contains(key) && unclear_depth_key_.empty()) unclear_depth_key_ = key;
+    const char* from = nullptr;
+    double unit = otherwise;
+    for (const char* key : kKeys) {
+      const std::optional<double> value = number(node, key, place);
+      if (!value || *value == 0) continue;
+      if (!(*value >= 1e-9 && *value <= 1e6)) {
+        diagnostics_.error("scene.index.value", place, std::string(key) + " must be positive, from 1e-9 to 1e6",
+                           "write the metres of one step, such as 0.001");
+      } else if (from != nullptr && *value != unit) {
+        diagnostics_.error("scene.index.value", place,
+                           std::string("'") + key + "' is not what '" + from + "' says of the unit of depth",
+                           "keep one of the two");
+      } else {
+        from = key;
+        unit = *value;
+      }
+    }
+    return unit;
+  }
+  /// A key met that seems to tell the unit of depth, of which it is not clear how; "" for none.
+  const std::string& unclear_depth_key() const { return unclear_depth_key_; }
+
+ private:
+  // nerfstudio's list of all coefficients, which takes the place of the single keys there.
+  void read_distortion(const Json& node, TransformsLens& lens, const std::string& place) {
+    if (!node.contains("distortion_params") || node["distortion_params"].is_null()) return;
+    const Json& list = node["distortion_params"];
+    const std::pair<const char*, double*> fields[] = {{"k1", &lens.k1}, {"k2", &lens.k2}, {"k3", &lens.k3},
+                                                      {"k4", &lens.k4}, {"p1", &lens.p1}, {"p2", &lens.p2}};
+    if (!list.is_array() || list.size() != std::size(fields) ||
+        !std::all_of(list.begin(), list.end(), [](const Json& v) { return v.is_number(); })) {
+      diagnostics_.error("scene.index.value", place, "'distortion_params' is not a list of six numbers",
+                         "write [k1, k2, k3, k4, p1, p2]");
+      return;
+    }
+    for (std::size_t i = 0; i < std::size(fields); ++i) {
+      const auto& [key, field] = fields[i];
+      const double value = list[i].template get<double>();
+      if (node.contains(key) && node[key].is_number() && node[key].template get<double>() != value) {
+        diagnostics_.error("scene.index.value", place,
+                           std::string("'") + key + "' is not what 'distortion_params' has in its place",
+                           "keep one of the two");
+        return;
+      }
+      *field = value;
+    }
+  }
+
+  // The numbers of a 3 x 3, 3 x 4 or 4 x 4 matrix, of its rows or all in one list; the first three of its first three
+  // rows.
+  static std::optional<std::array<double, 9>> matrix_of(const Json& value) {
+    std::vector<double> all;
+    std::size_t rows = 0;
+    if (!value.is_array()) return std::nullopt;
+    for (const Json& row : value) {
+      rows += row.is_array() ? 1 : 0;
+      for (const Json& one : row.is_array() ? row : Json::array({row})) {
+        if (!one.is_number()) return std::nullopt;
+        all.push_back(one.template get<double>());
+      }
+    }
+    const std::size_t columns = all.size() == 9 ? 3 : all.size() == 12 || all.size() == 16 ? 4 : 0;
+    if (columns == 0 || (rows != 0 && rows != all.size() / columns)) return std::nullopt;
+    std::array<double, 9> out{};
+    for (std::size_t i = 0; i < 9; ++i) out[i] = all[i / 3 * columns + i % 3];
+    return out;
+  }
+
+  // A lens as the matrix of a pinhole camera, row by row or transposed.
+  void read_camera_matrix(const Json& node, TransformsLens& lens, const std::string& place) {
+    for (const char* key : {"K", "intrinsics", "intrinsic_matrix", "camera_matrix", "cam_K"}) {
+      if (!node.contains(key) || node[key].is_null()) continue;
+      const std::optional<std::array<double, 9>> found = matrix_of(node[key]);
+      std::array<double, 9> k = found.value_or(std::array<double, 9>{});
+      if (k[2] == 0 && k[5] == 0) {
+        std::swap(k[1], k[3]);
+        std::swap(k[2], k[6]);
+        std::swap(k[5], k[7]);
+      }
+      if (!found || k[1] != 0 || k[3] != 0 || k[6] != 0 || k[7] != 0 || k[8] != 1) {
+        if (lens.fl_x != 0 || lens.camera_angle_x != 0) continue;  // something else of that name
+        diagnostics_.error("scene.camera.format", place,
+                           std::string("'") + key + "' is not the matrix of a pinhole camera without skew",
+                           "write 'fl_x', 'fl_y', 'cx' and 'cy', or [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]");
+        return;
+      }
+      const std::pair<const char*, double> same[] = {{"fl_x", k[0]}, {"fl_y", k[4]}, {"cx", k[2]}, {"cy", k[5]}};
+      for (const auto& [name, value] : same) {
+        if (!node.contains(name) || !node[name].is_number() || node[name].template get<double>() == value) continue;
+        diagnostics_.error("scene.index.value", place,
+                           std::string("'") + name + "' is not what '" + key + "' has in its place",
+                           "keep one of the two");
+        return;
+      }
+      lens.fl_x = k[0];
+      lens.fl_y = k[4];
+      lens.cx = k[2];
+      lens.cy = k[5];
+      return;
+    }
+  }
+
+  Diagnostics& diagnostics_;
+  std::string unclear_depth_key_;
+};
+
+// Keys of transforms.json: those that are read, and what others look like.
+
+class TransformsKeys {
+ public:
+  /// As in read_transforms.
+  TransformsKeys(const std::string& label_key, const std::vector<std::string>& channels) : named_{label_key} {
+    for (const std::string& name : channels) named_.push_back(name + "_path");
+  }
+
+  /// The key that is read, of a file or with `of_frame` of one of its frames, that `key` is near; "" for one that is
+  /// read itself, is known from other programs, or is near none.
+  const std::string& meant_by(const std::string& key, bool of_frame);
+
+  /// A key NAME_path of a frame that names a .npy and that nothing reads is remembered by its name.
+  void look_for_map(const std::string& key, const std::string& file);
+  const std::set<std::string>& unread_maps() const { return unread_maps_; }
+
+ private:
+  std::vector<std::string> named_;  // keys of frames that the configuration names
+  std::set<std::string> unread_maps_;
+  std::map<std::string, std::string> meant_[2];  // of a file, of a frame: keys met -> what they look like, or ""
+};
+
+namespace {
+
+const std::vector<std::string> kLensKeys{"w",
+                                         "h",
+                                         "fl_x",
+                                         "fl_y",
+                                         "cx",
+                                         "cy",
+                                         "camera_angle_x",
+                                         "camera_angle_y",
+                                         "k1",
+                                         "k2",
+                                         "k3",
+                                         "k4",
+                                         "p1",
+                                         "p2",
+                                         "camera_model",
+                                         "is_fisheye",
+                                         "distortion_params",
+                                         "K",
+                                         "intrinsics",
+                                         "intrinsic_matrix",
+                                         "camera_matrix",
+                                         "cam_K"};
+const std::vector<std::string> kFileKeys{
+    "frames",     "classes", "depth_unit_m", "train_filenames",     "test_filenames",          "val_filenames",
+    "aabb_scale", "scale",   "offset",       "integer_depth_scale", "depth_unit_scale_factor", "depth_camera"};
+const std::vector<std::string> kFrameKeys{
+    "file_path", "depth_path",       "label_path",   "instance_path",       "depth_file_path",
+    "mask_path", "transform_matrix", "depth_unit_m", "integer_depth_scale", "depth_unit_scale_factor"};
+
+// What other programs, and people, call the keys.
+const std::map<std::string, std::string> kOtherNames{{"fx", "fl_x"},
+                                                     {"fy", "fl_y"},
+                                                     {"focal", "fl_x"},
+                                                     {"focal_length", "fl_x"},
+                                                     {"width", "w"},
+                                                     {"height", "h"},
+                                                     {"c_x", "cx"},
+                                                     {"c_y", "cy"},
+                                                     {"image", "file_path"},
+                                                     {"image_path", "file_path"},
+                                                     {"filename", "file_path"},
+                                                     {"file_name", "file_path"},
+                                                     {"pose", "transform_matrix"},
+                                                     {"matrix", "transform_matrix"},
+                                                     {"c2w", "transform_matrix"},
+                                                     {"transform", "transform_matrix"},
+                                                     {"camera_to_world", "transform_matrix"}};
+
+// Keys of nerfstudio, instant-ngp and Blender that are near one of ours.
+const std::vector<std::string> kStrangers{"frame_id", "filenames", "depth_unit"};
+
+std::string meant_key(const std::string& key, bool of_frame, const std::vector<std::string>& named) {
+  std::vector<std::string> known = kLensKeys;
+  const std::vector<std::string>& own = of_frame ? kFrameKeys : kFileKeys;
+  known.insert(known.end(), own.begin(), own.end());
+  if (of_frame) known.insert(known.end(), named.begin(), named.end());
+  const auto is_in = [&key](const std::vector<std::string>& list) {
+    return std::find(list.begin(), list.end(), key) != list.end();
+  };
+  if (is_in(known) || is_in(kStrangers)) return "";
+  if (const auto other = kOtherNames.find(key); other != kOtherNames.end()) {
+    const bool here = std::find(known.begin(), known.end(), other->second) != known.end();
+    return here ? other->second : "";
+  }
+  for (const char* end : {"_path", "_file_path", "_matrix"}) {
+    if (std::find(own.begin(), own.end(), key + end) != own.end()) return key + end;
+  }
+  return key.size() < 4 ? "" : closest_spelling(key, known);
+}
+
+}  // namespace
+
+const std::string& TransformsKeys::meant_by(const std::string& key, bool of_frame) {
+  const auto [found, fresh] = meant_[of_frame ? 1 : 0].try_emplace(key);
+  if (fresh) found->second = meant_key(key, of_frame, named_);
+  return found->second;
+}
+
+void TransformsKeys::look_for_map(const std::string& key, const std::string& file) {
+  const std::string end = "_path";
+  const auto among = [&](const std::vector<std::string>& keys) {
+    return std::find(keys.begin(), keys.end(), key) != keys.end();
+  };
+  const bool known = among(kFrameKeys) || among(named_);
+  if (!known && key.ends_with(end) && file.ends_with(".npy"))
+    unread_maps_.insert(key.substr(0, key.size() - end.size()));
+}
+
+// Reading transforms.json.
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+
+namespace {
+
+class FileReader {
+ public:
+  FileReader(std::string path, std::optional<Split> split, const std::string& label_key,
+             const std::vector<std::string>& channels, TransformsIndex& out, Diagnostics& diagnostics)
+      : path_(std::move(path)),
+        folder_(fs::path(path_).parent_path()),
+        split_(split),
+        label_key_(label_key),
+        channels_(channels),
+        keys_(label_key, channels),
+        values_(diagnostics),
+        out_(out),
+        diagnostics_(diagnostics) {}
+
+  void read() {
+    const int before = diagnostics_.error_count();
+    const json root = read_pose_json<json>(path_, "export the poses again");
+    if (!root.is_object() || !root.contains("frames") || !root["frames"].is_array()) {
+      throw Error(ErrorKind::data, "scene.index.format", "'" + path_ + "' has no list 'frames'",
+                  "give a transforms.json of nerfstudio, instant-ngp or Blender");
+    }
+    const std::optional<LensKind> kind = values_.model(root, LensKind::perspective, path_);
+    if (!kind) return;
+    TransformsLens lens = values_.lens(root, {}, path_);
+    lens.kind = *kind;
+    const double depth_unit_m = values_.depth_unit(root, 0, path_);
+    read_depth_camera(root);
+    read_classes(root);
+    read_limit(root);
+    // What is missing in every frame for a key that the file misspells would be said of every frame.
+    const bool sound = check_keys(root, false, path_);
+    SplitLists lists = read_split_lists(root);
+    for (std::size_t i = 0; i < root["frames"].size(); ++i) {
+      TransformsFrame frame = read_frame(root["frames"][i], i, lens, sound);
+      if (frame.files.color.empty()) {
+        frame.split = split_;
+      } else {
+        frame.split = split_in(lists, frame);
+        frame.depth_unit_m = values_.depth_unit(root["frames"][i], depth_unit_m, frame.place);
+      }
+      out_.frames.push_back(std::move(frame));
+    }
+    if (diagnostics_.error_count() == before) report_unmatched(lists);
+    if (out_.unclear_depth_key.empty()) out_.unclear_depth_key = values_.unclear_depth_key();
+    for (const std::string& name : keys_.unread_maps())
+      diagnostics_.note("scene.channel.unread", path_,
+                        "frames name maps of '" + name + "', which nothing reads; scene.channels: [" + name +
+                            "] offers them to heads and losses");
+  }
+
+ private:
+  // A list of names: each by its path, and whether a frame has it.
+  struct SplitList {
+    const char* key;
+    std::unordered_map<std::string, std::pair<std::string, bool>> names;
+    bool holds(const TransformsFrame& frame, const std::string& as_written) {
+      bool found = false;
+      for (const std::string& path :
+           {as_written, decomposed(fs::absolute(frame.files.color).lexically_normal().string())}) {
+        const auto name = names.find(path);
+        if (name == names.end()) continue;
+        found = name->second.second = true;
+      }
+      return found;
+    }
+  };
+  struct SplitLists {
+    SplitList train{"train_filenames", {}}, test{"test_filenames", {}}, val{"val_filenames", {}};
+    bool any() const { return !train.names.empty() || !test.names.empty() || !val.names.empty(); }
+  };
+
+  // Names are compared as the paths that they mean.
+  std::string path_of_name(const std::string& name) const {
+    return decomposed(fs::absolute(folder_ / with_slashes(name)).lexically_normal().string());
+  }
+
+  SplitLists read_split_lists(const json& root) {
+    SplitLists lists;
+    for (SplitList* list : {&lists.train, &lists.test, &lists.val}) {
+      if (!root.contains(list->key) || root[list->key].is_null()) continue;
+      const json& names = root[list->key];
+      if (!names.is_array() || !std::all_of(names.begin(), names.end(), [](const json& n) { return n.is_string(); })) {
+        diagnostics_.error("scene.index.value", path_, std::string("'") + list->key + "' is not a list of names",
+                           "write the 'file_path' of each frame");
+        continue;
+      }
+      for (const json& name : names) {
+        const auto text = name.get<std::string>();
+        list->names.try_emplace(path_of_name(text), text, false);
+      }
+    }
+    return lists;
+  }
+
+  // Where no list of training frames is given, all that no other list names train.
+  std::optional<Split> split_in(SplitLists& lists, const TransformsFrame& frame) {
+    if (!lists.any()) return split_;
+    const std::string path = path_of_name(frame.file_path);
+    const bool in_train = lists.train.holds(frame, path), in_test = lists.test.holds(frame, path),
+               in_val = lists.val.holds(frame, path);
+    const bool tests = lists.test.names.empty() ? in_val : in_test;
+    if (in_train && tests) {
+      diagnostics_.error("scene.split.overlap", frame.place, "is both in train_filenames and among the frames held out",
+                         "keep it in one of the two lists");
+    }
+    if (tests) return Split::test;
+    return in_train || (lists.train.names.empty() && !in_val) ? Split::train : Split::unused;
+  }
+
+  void report_unmatched(const SplitLists& lists) {
+    for (const SplitList* list : {&lists.train, &lists.test, &lists.val}) {
+      std::vector<std::string> unmatched;
+      for (const auto& [path, name] : list->names)
+        if (!name.second) unmatched.push_back(name.first);
+      if (unmatched.empty()) continue;
+      const auto least = std::min_element(unmatched.begin(), unmatched.end());
+      diagnostics_.error("scene.split.unknown", path_,
+                         std::to_string(unmatched.size()) + " of " + std::to_string(list->names.size()) +
+                             " names of '" + list->key + "' are no frame's, such as '" + *least + "'",
+                         "write each as the 'file_path' of its frame");
+    }
+  }
+
+  // A pose's place p is scale p + offset in instant-ngp, whose scene is the cube of side aabb_scale about (0.5, 0.5,
+  // 0.5) [Mueller22]; scale and offset are 0.33 and 0.5 where the file tells no others.
+  void read_limit(const json& root) {
+    const auto side = values_.number(root, "aabb_scale", path_);
+    if (!side) return;
+    const double scale = root.contains("scale") ? values_.number(root, "scale", path_).value_or(0) : 0.33;
+    Vec3d offset{0.5, 0.5, 0.5};
+    if (root.contains("offset")) {
+      const json& given = root["offset"];
+      for (std::size_t a = 0; a < 3; ++a) {
+        const json& one = given.is_array() && given.size() == 3 ? given[a] : given;
+        if (!one.is_number()) {
+          diagnostics_.error("scene.index.value", path_, "'offset' is neither a number nor a list of 3",
+                             "write [0.5, 0.5, 0.5]");
+          return;
+        }
+        offset[static_cast<int>(a)] = one.get<double>();
+      }
+    }
+    if (!(*side > 0) || !(scale > 0) || !std::isfinite(*side / scale)) {
+      diagnostics_.error("scene.index.value", path_, "'aabb_scale' and 'scale' must be positive",
+                         "write \"aabb_scale\": 1 or a power of two");
+      return;
+    }
+    for (int a = 0; a < 3; ++a) {
+      out_.limit.lo[a] = (0.5 - 0.5 * *side - offset[a]) / scale;
+      out_.limit.hi[a] = (0.5 + 0.5 * *side - offset[a]) / scale;
+    }
+  }
+
+  void read_depth_camera(const json& root) {
+    if (!root.contains("depth_camera") || root["depth_camera"].is_null()) return;
+    const json& node = root["depth_camera"];
+    const std::string place = path_ + ": 'depth_camera'";
+    const json* rows = node.is_object() && node.contains("depth_from_color") ? &node["depth_from_color"] : nullptr;
+    if (rows == nullptr || !read_rows(*rows, out_.depth_from_color)) {
+      diagnostics_.error("scene.pose.format", place, "has no 'depth_from_color' of 4 rows of 4 numbers",
+                         "write the lens of the depth images (w, h, fl_x, fl_y, cx, cy), and the matrix that takes "
+                         "points from the axes of the colour camera (x right, y down, z forward) to those of the depth "
+                         "camera");
+      return;
+    }
+    const std::optional<LensKind> kind = values_.model(node, LensKind::perspective, place);
+    if (!kind) return;
+    out_.depth_lens = values_.lens(node, {}, place);
+    out_.depth_lens->kind = *kind;
+  }
+
+  void read_classes(const json& root) {
+    if (!root.contains("classes")) return;
+    const json& classes = root["classes"];
+    if (classes.is_string()) {
+      out_.classes = names_.of((folder_ / classes.get<std::string>()).string());
+      return;
+    }
+    const bool valid = classes.is_array() && std::all_of(classes.begin(), classes.end(), [](const json& c) {
+                         return c.is_object() && c.contains("id") && c["id"].is_number_integer() &&
+                                c.contains("name") && c["name"].is_string() &&
+                                (!c.contains("ignore") || c["ignore"].is_boolean());
+                       });
+    if (!valid) {
+      diagnostics_.error("scene.index.value", path_, "'classes' is neither a path nor a list of {id, name, ignore}",
+                         "write \"classes\": \"classes.yaml\"");
+      return;
+    }
+    for (const json& c : classes) {
+      const auto id = c["id"].get<std::int64_t>();
+      ClassEntry entry;
+      entry.id = id < -1 || id > 70000
+                     ? -1
+                     : static_cast<std::int32_t>(id);  // out of range stays out of range: the table refuses it
+      entry.name = c["name"].get<std::string>();
+      entry.ignore = c.value("ignore", false);
+      entry.color = ClassTable::default_color(std::max(entry.id, 0));
+      out_.class_list.push_back(std::move(entry));
+    }
+  }
+
+  // Blender leaves the extension out.
+  std::string file_of(const fs::path& path) {
+    std::error_code ignored;
+    std::string as_written = names_.of(path.string());
+    if (fs::exists(as_written, ignored)) return as_written;
+    for (const char* extension : {".png", ".jpg", ".jpeg", ".JPG", ".PNG", ".exr", ".webp", ".tif"}) {
+      const std::string longer = names_.of(path.string() + extension);
+      if (fs::exists(longer, ignored)) return longer;
+    }
+    return as_written;
+  }
+
+  TransformsFrame read_frame(const json& item, std::size_t index, const TransformsLens& lens, bool sound) {
+    TransformsFrame frame;
+    frame.place = path_ + ": frame " + std::to_string(index);
+    if (!item.is_object()) {
+      diagnostics_.error("scene.index.format", frame.place, "is not a map",
+                         "write {\"file_path\": ..., \"transform_matrix\": ...}");
+      return frame;
+    }
+    const auto path_of = [&](const char* key) {
+      return item.contains(key) && item[key].is_string() ? item[key].get<std::string>() : std::string();
+    };
+    frame.file_path = path_of("file_path");
+    const bool keys_are_read = check_keys(item, true, frame.place + " (" + frame.file_path + ")");
+    if (frame.file_path.empty() && !keys_are_read) return frame;
+    if (frame.file_path.empty()) {
+      diagnostics_.error("scene.index.format", frame.place, "has no 'file_path'", "name the image of the frame");
+      return frame;
+    }
+    frame.place += " (" + frame.file_path + ")";
+    const std::optional<LensKind> kind = values_.model(item, lens.kind, frame.place);
+    if (!kind || !sound || !keys_are_read) return frame;
+    frame.lens = values_.lens(item, lens, frame.place);
+    frame.lens.kind = *kind;
+    frame.files.color = file_of(folder_ / frame.file_path);
+    std::string depth = path_of("depth_path");
+    if (depth.empty()) depth = path_of("depth_file_path");  // nerfstudio's name for it
+    if (!depth.empty()) frame.files.depth = file_of(folder_ / depth);
+    if (const std::string label = label_key_.empty() ? "" : path_of(label_key_.c_str()); !label.empty())
+      frame.files.label = file_of(folder_ / label);
+    if (const std::string instance = path_of("instance_path"); !instance.empty())
+      frame.files.instance = file_of(folder_ / instance);
+    if (const std::string mask = path_of("mask_path"); !mask.empty()) frame.files.mask = file_of(folder_ / mask);
+    for (const std::string& name : channels_)
+      if (const std::string file = path_of((name + "_path").c_str()); !file.empty())
+        frame.channels[name] = names_.of((folder_ / file).string());
+    read_matrix(item, frame);
+    return frame;
+  }
+
+  // Reports keys that look like one that is read, and intrinsics that are not 0 and are not read. False when it did:
+  // what is missing then, the key was meant to give.
+  bool check_keys(const json& node, bool of_frame, const std::string& place) {
+    const int before = diagnostics_.error_count();
+    for (const auto& [key, value] : node.items()) {
+      if (of_frame && value.is_string()) keys_.look_for_map(key, value.get<std::string>());
+      const std::string& meant = keys_.meant_by(key, of_frame);
+      if (meant.empty() || node.contains(meant)) continue;
+      std::string remedy = "write '" + meant + "'";
+      if (meant == "label_path") remedy += ", or read it as it is with --set scene.label_key=" + key;
+      diagnostics_.error("scene.index.key", place, "key '" + key + "' is not read; it looks like '" + meant + "'",
+                         remedy);
+    }
+    for (const char* key : {"skew", "k5", "k6", "rolling_shutter"}) {
+      if (!node.contains(key)) continue;
+      const json& value = node[key];
+      const auto is_zero = [](const json& v) { return v.is_null() || (v.is_number() && v.get<double>() == 0); };
+      if (value.is_array() ? std::all_of(value.begin(), value.end(), is_zero) : is_zero(value)) continue;
+      diagnostics_.error("scene.camera.model", place, std::string("'") + key + "' is not 0: such cameras are not read",
+                         "undistort the images to a pinhole camera, for example with colmap image_undistorter");
+    }
+    return diagnostics_.error_count() == before;
+  }
+
+  // Poses as exporters of trackers write them.
+  static std::string quaternion_in(const json& item) {
+    for (const auto& [key, value] : item.items()) {
+      const bool numbers =
+          value.is_array() && std::all_of(value.begin(), value.end(), [](const json& v) { return v.is_number(); });
+      if (numbers && (value.size() == 4 || value.size() == 7 || value.size() == 8))
+        return "; '" + key + "' looks like a quaternion, which is not read";
+    }
+    return "";
+  }
+
+  // 3 or 4 rows of 4 numbers; empty where they are not.
+  static bool read_rows(const json& rows, std::vector<double>& out) {
+    bool valid = rows.is_array() && (rows.size() == 4 || rows.size() == 3);
+    for (std::size_t r = 0; valid && r < rows.size(); ++r) {
+      valid = rows[r].is_array() && rows[r].size() == 4;
+      for (std::size_t c = 0; valid && c < 4; ++c) {
+        const json& v = rows[r][c];
+        // Exporters write a lost pose as null; it is skipped and counted like NaN.
+        if (v.is_null())
+          out.push_back(std::nan(""));
+        else if (v.is_number())
+          out.push_back(v.get<double>());
+        else
+          valid = false;
+      }
+    }
+    if (!valid) out.clear();
+    return valid;
+  }
+
+  void read_matrix(const json& item, TransformsFrame& frame) {
+    const json* rows = item.contains("transform_matrix") ? &item["transform_matrix"] : nullptr;
+    if (rows != nullptr && read_rows(*rows, frame.matrix)) return;
+    diagnostics_.error(
+        "scene.pose.format", frame.place,
+        (rows == nullptr ? "has no 'transform_matrix'" : "'transform_matrix' is not 4 rows of 4 numbers") +
+            quaternion_in(item),
+        "write the camera-to-world matrix row by row");
+  }
+
+  std::string path_;
+  fs::path folder_;
+  std::optional<Split> split_;
+  std::string label_key_;
+  std::vector<std::string> channels_;
+  TransformsKeys keys_;
+  TransformsValues<json> values_;
+  FileNames names_;
+  TransformsIndex& out_;
+  Diagnostics& diagnostics_;
+};
+
+}  // namespace
+
+TransformsIndex read_transforms(const std::string& root, const std::string& label_key,
+                                const std::vector<std::string>& channels, Diagnostics& diagnostics) {
+  TransformsIndex out;
+  std::error_code ignored;
+  const auto read = [&](const std::string& path, std::optional<Split> split) {
+    FileReader(path, split, label_key, channels, out, diagnostics).read();
+  };
+  const fs::path folder(root);
+  if (fs::exists(root, ignored) && !fs::is_directory(root, ignored)) {
+    read(root, std::nullopt);
+    return out;
+  }
+  if (!fs::is_directory(root, ignored))
+    throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + root + "' is missing", "check scene.root");
+  if (fs::exists(folder / "transforms.json", ignored)) {
+    read((folder / "transforms.json").string(), std::nullopt);
+    return out;
+  }
+  const bool has_test = fs::exists(folder / "transforms_test.json", ignored);
+  const std::pair<const char*, Split> parts[] = {{"transforms_train.json", Split::train},
+                                                 {"transforms_test.json", Split::test},
+                                                 {"transforms_val.json", has_test ? Split::unused : Split::test}};
+  bool any = false;
+  for (const auto& [name, split] : parts) {
+    if (!fs::exists(folder / name, ignored)) continue;
+    any = true;
+    read((folder / name).string(), split);
+  }
+  if (!any) {
+    throw Error(ErrorKind::no_input, "scene.poses.missing",
+                "no transforms.json or transforms_train.json in '" + root + "'",
+                "check scene.root; it names the folder of one scene");
+  }
+  return out;
+}
 
 namespace fs = std::filesystem;
 

@@ -2,7 +2,7 @@
 #include "datasets/transforms_json/transforms_json.h"
 
 #include "formats/png_codec.h"
-#include "scene/stored_frame.h"
+#include "scene/scene.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

@@ -11,9 +11,9 @@
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
-#include "loading/file_names.h"
+#include "loading/frame_files.h"
 #include "plugin/module.h"
-#include "scene/rotation.h"
+#include "scene/camera.h"
 
 namespace semfield {
 

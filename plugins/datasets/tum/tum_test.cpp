@@ -2,7 +2,7 @@
 // fit.
 #include "datasets/tum/tum.h"
 
-#include "scene/rotation.h"
+#include "scene/camera.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

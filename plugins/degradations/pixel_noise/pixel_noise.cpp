@@ -3,7 +3,7 @@
 #include <numeric>
 
 #include "core/rng.h"
-#include "labels/degradation_frames.h"
+#include "labels/training_labels.h"
 #include "plugin/module.h"
 
 namespace semfield {

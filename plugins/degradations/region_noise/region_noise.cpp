@@ -6,7 +6,7 @@
 
 #include "compute/parallel.h"
 #include "core/rng.h"
-#include "labels/degradation_frames.h"
+#include "labels/training_labels.h"
 #include "plugin/module.h"
 #include "scene/scene_checks.h"
 

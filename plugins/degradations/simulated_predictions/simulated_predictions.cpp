@@ -9,7 +9,7 @@
 #include <span>
 
 #include "core/rng.h"
-#include "labels/degradation_frames.h"
+#include "labels/training_labels.h"
 #include "plugin/module.h"
 #include "scene/scene_checks.h"
 

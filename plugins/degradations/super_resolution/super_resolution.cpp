@@ -2,7 +2,7 @@
 #include <algorithm>
 #include <array>
 
-#include "labels/degradation_frames.h"
+#include "labels/training_labels.h"
 #include "plugin/module.h"
 
 namespace semfield {

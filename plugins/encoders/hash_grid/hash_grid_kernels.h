@@ -1,10 +1,77 @@
 // Arguments and kernel table of the hash grid.
 #pragma once
 
+#include <cmath>
+#include <cstdint>
+
+#include "core/host_device.h"
 #include "core/view.h"
-#include "encoders/hash_grid/hash_grid_math.h"
 
 namespace semfield {
+
+/// Weight of the far vertex along an axis: w itself, or w^2 (3 - 2w), whose slope is 0 on cell borders [Mueller22 App.
+/// A].
+enum class Interpolation : std::uint8_t { linear, smoothstep };
+
+/// Cells along an axis at `level`: floor(base b^level), b = (finest / base)^(1 / (levels - 1)) [Mueller22 Eq. 2, 3].
+/// The tiny factor keeps the last level at `finest` and whole powers whole, whatever the library's exp rounds to.
+inline std::int64_t level_resolution(std::int64_t base, std::int64_t finest, int level, int levels) {
+  if (levels <= 1) return base;
+  const double growth = std::log(static_cast<double>(finest) / static_cast<double>(base)) / (levels - 1);
+  return static_cast<std::int64_t>(std::floor(static_cast<double>(base) * std::exp(growth * level) * (1 + 1e-12)));
+}
+
+/// Vertices of a grid with `resolution` cells along each axis, (N + 1)^3: exact in 64 bits up to N = 2^21 - 2.
+SEMFIELD_HD inline std::uint64_t vertex_count(std::int64_t resolution) {
+  const auto n = static_cast<std::uint64_t>(resolution) + 1;
+  return n * n * n;
+}
+
+/// Entry of vertex (x, y, z) of a dense level, x fastest. Index is 64-bit where the grid may exceed 2^32 vertices
+/// (N >= 1625), 32-bit where the caller knows that it does not.
+template <class Index>
+SEMFIELD_HD inline Index dense_index(Index x, Index y, Index z, Index vertices_per_axis) {
+  return x + vertices_per_axis * (y + vertices_per_axis * z);
+}
+
+/// Entry of vertex (x, y, z) of a hashed level, mask = entries - 1, entries a power of two [Mueller22 Eq. 4].
+SEMFIELD_HD inline std::uint32_t hash_index(std::uint32_t x, std::uint32_t y, std::uint32_t z, std::uint32_t mask) {
+  return (x ^ (y * 2654435761u) ^ (z * 805459861u)) & mask;
+}
+
+/// Nearest point of [0, 1]; NaN becomes 0, so that no address can leave the table.
+SEMFIELD_HD inline double clamp_unit(double x) {
+  const double above = x > 0 ? x : 0;
+  return above < 1 ? above : 1;
+}
+
+/// Cell and place within it along one axis.
+template <class Real>
+struct AxisCell {
+  std::uint32_t cell;
+  Real place;  // 0..1 from the near vertex to the far one
+};
+
+/// u in [0, 1]; the far face belongs to the last cell (place 1), so vertex `resolution` is the largest ever used. The
+/// difference is taken in float64 and is exact.
+template <class Real>
+SEMFIELD_HD inline AxisCell<Real> axis_cell(double u, double resolution) {
+  const double p = u * resolution;
+  const double whole = std::floor(p);
+  const double last = resolution - 1;
+  const double cell = whole < last ? whole : last;
+  return {static_cast<std::uint32_t>(static_cast<std::int32_t>(cell)), static_cast<Real>(p - cell)};
+}
+
+/// Weight of the far vertex and its slope.
+template <class Real>
+SEMFIELD_HD inline Real far_weight(Real w, Interpolation interpolation) {
+  return interpolation == Interpolation::smoothstep ? w * w * (Real(3) - Real(2) * w) : w;
+}
+template <class Real>
+SEMFIELD_HD inline Real far_weight_slope(Real w, Interpolation interpolation) {
+  return interpolation == Interpolation::smoothstep ? Real(6) * w * (Real(1) - w) : Real(1);
+}
 
 class KernelTables;
 class Workspace;

@@ -8,7 +8,7 @@
 #include <cstdint>
 #include <type_traits>
 
-#include "compute/multiply_add.h"
+#include "compute/math_functions.h"
 #include "encoders/hash_grid/hash_grid_kernels.h"
 
 namespace semfield {

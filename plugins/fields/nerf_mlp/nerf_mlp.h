@@ -4,6 +4,7 @@
 
 #include "config/params.h"
 #include "core/error.h"
+#include "core/host_device.h"
 #include "fields/nerf_mlp/nerf_mlp_kernels.h"
 
 namespace semfield {
@@ -35,5 +36,13 @@ class NerfMlp final : public FusedMlpField<Real, NerfMlpShape> {
 
 extern template class NerfMlp<float>;
 extern template class NerfMlp<double>;
+
+// Formulas of the NeRF network that are not matrix products.
+
+/// d sigmoid(x) / dx from y = sigmoid(x): y (1 - y).
+template <class Real>
+SEMFIELD_HD inline Real nerf_mlp_sigmoid_slope(Real y) {
+  return y * (Real(1) - y);
+}
 
 }  // namespace semfield

@@ -4,9 +4,9 @@
 // row, 2 256 128 more with the semantic layer. The same bits in every run and for every batch.
 #include <nv/target>
 
+#include "fields/nerf_mlp/nerf_mlp.h"
 #include "fields/nerf_mlp/nerf_mlp_fused.cuh"
 #include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"
-#include "fields/nerf_mlp/nerf_mlp_math.h"
 
 namespace semfield::cuda::fused {
 

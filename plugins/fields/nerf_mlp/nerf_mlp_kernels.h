@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "plugin/mlp/fused_field.h"
+#include "plugin/mlp/field.h"
 
 namespace semfield {
 

@@ -8,7 +8,6 @@
 #include "testkit/compare.h"
 #include "testkit/field_bench.h"
 #include "testkit/laws.h"
-#include "testkit/tensor_box.h"
 #include "tests/says.h"
 
 namespace semfield {

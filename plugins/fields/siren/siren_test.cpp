@@ -1,9 +1,9 @@
 // Tests of the field of sines: an independent forward, and how it starts.
 #include <gtest/gtest.h>
 
-#include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
 #include "testkit/field_bench.h"
-#include "testkit/settings.h"
+#include "testkit/laws.h"
 
 namespace semfield {
 namespace {

@@ -3,9 +3,9 @@
 #include <algorithm>
 
 #include "cuda/bf16.h"
+#include "fields/tiny_mlp/tiny_mlp.h"
 #include "fields/tiny_mlp/tiny_mlp_fused.cuh"
-#include "fields/tiny_mlp/tiny_mlp_math.h"
-#include "fields/tiny_mlp/tiny_mlp_weight_sums.cuh"
+#include "fields/tiny_mlp/tiny_mlp_tile.cuh"
 
 namespace semfield::cuda::tiny {
 

@@ -1,11 +1,12 @@
 // The assignment against every way of assigning.
+#include "groupings/assignment/assignment.h"
+
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <numeric>
 
 #include "core/rng.h"
-#include "groupings/assignment/assignment_math.h"
 
 namespace semfield {
 namespace {

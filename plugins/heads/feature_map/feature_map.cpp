@@ -1,5 +1,5 @@
 // A channel of any width by one hidden layer: feature maps of another model, learned so that all views agree.
-#include "plugin/head/one_layer_head.h"
+#include "plugin/head.h"
 #include "plugin/module.h"
 
 namespace semfield {

@@ -4,14 +4,12 @@
 #include <optional>
 
 #include "formats/image_io.h"
-#include "formats/orientation.h"
 #include "formats/text_rows.h"
 #include "labels/clicks/annotations.h"
 #include "labels/clicks/click_log.h"
 #include "labels/frame_match.h"
 #include "labels/label_files.h"
-#include "labels/label_steps.h"
-#include "labels/outline_fill.h"
+#include "labels/mask_outlines.h"
 #include "plugin/module.h"
 #include "system/files.h"
 

@@ -9,8 +9,7 @@
 #include "formats/png_codec.h"
 #include "labels/frame_match.h"
 #include "labels/label_files.h"
-#include "labels/label_steps.h"
-#include "labels/run_lengths.h"
+#include "labels/mask_outlines.h"
 #include "plugin/module.h"
 #include "system/files.h"
 

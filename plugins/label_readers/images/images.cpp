@@ -8,11 +8,10 @@
 #include "formats/text_rows.h"
 #include "labels/frame_match.h"
 #include "labels/label_files.h"
-#include "labels/label_steps.h"
 #include "loading/frame_files.h"
 #include "plugin/module.h"
 #include "scene/classes/class_import.h"
-#include "scene/unknown_labels.h"
+#include "scene/scene.h"
 #include "system/files.h"
 
 namespace semfield {

@@ -8,11 +8,9 @@
 #include "formats/png_codec.h"
 #include "labels/frame_match.h"
 #include "labels/label_files.h"
-#include "labels/label_steps.h"
-#include "labels/outline_fill.h"
+#include "labels/mask_outlines.h"
 #include "plugin/module.h"
 #include "system/files.h"
-#include "system/sorted_folder.h"
 
 namespace semfield {
 

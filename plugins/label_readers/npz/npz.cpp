@@ -7,10 +7,9 @@
 #include <nlohmann/json.hpp>
 
 #include "core/text.h"
-#include "formats/input_limits.h"
+#include "formats/text_rows.h"
 #include "labels/frame_match.h"
 #include "labels/label_files.h"
-#include "labels/label_steps.h"
 #include "plugin/module.h"
 #include "system/files.h"
 

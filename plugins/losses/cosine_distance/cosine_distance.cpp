@@ -1,6 +1,5 @@
 #include "losses/cosine_distance/cosine_distance.h"
 
-#include "losses/cosine_distance/cosine_distance_math.h"
 #include "plugin/module.h"
 
 namespace semfield {

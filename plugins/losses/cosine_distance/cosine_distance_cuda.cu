@@ -1,7 +1,6 @@
 // The cosine distance on the device: a warp per ray, sums of a row in float64.
 #include "cuda/kernels/loss_rays.cuh"
 #include "losses/cosine_distance/cosine_distance.h"
-#include "losses/cosine_distance/cosine_distance_math.h"
 
 namespace semfield::cuda {
 

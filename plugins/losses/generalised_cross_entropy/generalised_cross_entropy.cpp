@@ -2,7 +2,6 @@
 
 #include <algorithm>
 
-#include "losses/generalised_cross_entropy/generalised_cross_entropy_math.h"
 #include "plugin/module.h"
 
 namespace semfield {

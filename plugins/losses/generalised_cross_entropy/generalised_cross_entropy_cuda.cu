@@ -1,8 +1,7 @@
 // The generalised cross-entropy on the device: a warp per ray, sums of a row in float64.
+#include "cuda/kernels/device_code.cuh"
 #include "cuda/kernels/loss_rays.cuh"
-#include "cuda/kernels/softmax_row.cuh"
 #include "losses/generalised_cross_entropy/generalised_cross_entropy.h"
-#include "losses/generalised_cross_entropy/generalised_cross_entropy_math.h"
 
 namespace semfield::cuda {
 

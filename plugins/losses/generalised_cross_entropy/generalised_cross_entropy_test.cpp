@@ -4,7 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "losses/semantic_cross_entropy.h"
-#include "testkit/loss/loss_rays.h"
+#include "testkit/loss_rays.h"
 
 namespace semfield {
 namespace {

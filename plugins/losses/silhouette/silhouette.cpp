@@ -1,6 +1,5 @@
 #include "losses/silhouette/silhouette.h"
 
-#include "losses/silhouette/silhouette_math.h"
 #include "plugin/module.h"
 
 namespace semfield {

@@ -1,7 +1,6 @@
 // The silhouette loss on the device: a warp per ray.
 #include "cuda/kernels/loss_rays.cuh"
 #include "losses/silhouette/silhouette.h"
-#include "losses/silhouette/silhouette_math.h"
 
 namespace semfield::cuda {
 

@@ -7,7 +7,6 @@
 #include "core/check.h"
 #include "plugin/kernels.h"
 #include "samplers/importance/importance_kernels.h"
-#include "samplers/importance/importance_math.h"
 
 namespace semfield::SEMFIELD_ISA {
 

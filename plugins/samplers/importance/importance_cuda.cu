@@ -5,7 +5,6 @@
 #include "cuda/kernels/sampling.cuh"
 #include "plugin/kernels.h"
 #include "samplers/importance/importance_kernels.h"
-#include "samplers/importance/importance_math.h"
 
 namespace semfield::cuda {
 

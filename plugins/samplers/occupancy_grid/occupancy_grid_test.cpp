@@ -4,8 +4,8 @@
 #include <gtest/gtest.h>
 
 #include "compute/parallel.h"
+#include "testkit/compare.h"
 #include "testkit/laws.h"
-#include "testkit/tensor_box.h"
 
 namespace semfield {
 namespace {

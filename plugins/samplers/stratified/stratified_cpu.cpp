@@ -3,7 +3,6 @@
 #include "compute/isa.h"
 #include "plugin/kernels.h"
 #include "samplers/stratified/stratified_kernels.h"
-#include "samplers/stratified/stratified_math.h"
 
 namespace semfield::SEMFIELD_ISA {
 

@@ -2,7 +2,6 @@
 #include "cuda/kernels/sampling.cuh"
 #include "plugin/kernels.h"
 #include "samplers/stratified/stratified_kernels.h"
-#include "samplers/stratified/stratified_math.h"
 
 namespace semfield::cuda {
 

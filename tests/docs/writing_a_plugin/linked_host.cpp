@@ -2,7 +2,7 @@
 // what a module's test needs to read that sample. Usage: linked_host EMPTY_FOLDER.
 #include <cstdio>
 
-#include "plugin/linked_plugins.h"
+#include "plugin/loader.h"
 #include "testkit/laws.h"
 #include "tests/conformance/dataset_samples.h"
 

@@ -11,7 +11,6 @@
 #include <sstream>
 #include <thread>
 
-#include "execution/ranks/launcher.h"
 #include "execution/ranks/ranks.h"
 
 namespace semfield {

@@ -5,12 +5,36 @@
 #include <cstdint>
 #include <optional>
 #include <span>
+#include <vector>
 
-#include "scene/stored_frame.h"
-#include "surface/mesh/depth_fusion.h"
-#include "surface/mesh/score/nearest_surface.h"
+#include "scene/scene.h"
+#include "surface/mesh/field_surface.h"
+#include "surface/mesh/surface.h"
 
 namespace semfield {
+
+/// A triangle may have corners that are the same, so a set of points is one of triangles {i, i, i}.
+class NearestSurface {
+ public:
+  NearestSurface(std::vector<Vec3d> positions, std::vector<Triangle> triangles);
+  explicit NearestSurface(std::vector<Vec3d> points);
+
+  /// To the nearest point of any triangle, in units of the world; `most` where none is nearer. From any thread.
+  double distance(Vec3d point, double most) const;
+
+ private:
+  struct Node {
+    Box box;
+    std::uint32_t first = 0, end = 0;  // its triangles
+    std::uint32_t second = 0;          // number of the second child, the first follows the node; 0: a leaf
+  };
+  std::uint32_t build(std::uint32_t first, std::uint32_t end);
+  Vec3d middle(const Triangle& triangle) const;
+
+  std::vector<Vec3d> positions_;
+  std::vector<Triangle> triangles_;  // those of a node lie side by side
+  std::vector<Node> nodes_;
+};
 
 /// A depth image as a view: distances along the rays, in the unit of the scene; where the image has no value nothing is
 /// known. The map has the size of the camera's image.

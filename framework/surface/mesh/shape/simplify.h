@@ -7,6 +7,13 @@
 
 namespace semfield {
 
+/// Fills each loop of border edges that is at most `longest` long with the triangles of least area [Barequet95]; no
+/// vertex is added, and no edge gets a third triangle. Loops of more than kMostHoleEdges edges stay open, and where
+/// borders touch in a vertex the loops are those without a vertex twice. The outer border of an open surface is a loop
+/// as any other. Returns how many were closed; normals are set anew if any was.
+std::size_t close_holes(Surface& surface, double longest);
+inline constexpr std::size_t kMostHoleEdges = 400;
+
 /// Collapses edges, the one of least error first, until at most `faces` triangles are left or no edge can go
 /// [Garland97]. The error is the squared distance to the planes of all triangles that a vertex stands for, times their
 /// area, and borders have planes that hold them in place. A vertex moves to where the error is least; it keeps colour,

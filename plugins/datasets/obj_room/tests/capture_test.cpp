@@ -4,12 +4,12 @@
 
 #include "app/scene/capture_replica.h"
 #include "core/error.h"
-#include "datasets/obj_room/cast_cache.h"
+#include "datasets/obj_room/mesh_render.h"
 #include "datasets/obj_room/obj_room.h"
 #include "datasets/obj_room/tests/obj_testing.h"
 #include "datasets/replica/replica.h"
-#include "plugin/linked_plugins.h"
-#include "system/cache_folder.h"
+#include "plugin/loader.h"
+#include "system/files.h"
 
 namespace semfield {
 namespace {

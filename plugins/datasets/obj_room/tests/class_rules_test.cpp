@@ -1,9 +1,7 @@
 // From names to classes by rules and prefixes, what is said where they do not fit, and camera paths through a room.
-#include "datasets/obj_room/class_rules.h"
-
 #include <algorithm>
 
-#include "datasets/obj_room/room_path.h"
+#include "datasets/obj_room/obj_room.h"
 #include "datasets/obj_room/tests/obj_testing.h"
 
 namespace semfield {

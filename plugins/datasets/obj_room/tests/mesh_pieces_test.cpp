@@ -1,7 +1,7 @@
 // Pieces of a mesh by class and touch.
-#include "datasets/obj_room/mesh_pieces.h"
-
 #include <gtest/gtest.h>
+
+#include "datasets/obj_room/mesh_io.h"
 
 namespace semfield {
 namespace {

@@ -5,7 +5,6 @@
 #include <map>
 #include <set>
 
-#include "datasets/obj_room/class_rules.h"
 #include "datasets/obj_room/tests/obj_testing.h"
 #include "tests/datasets/rewritten_poses.h"
 

@@ -6,7 +6,6 @@
 #include "cuda/kernel_tables.h"
 #include "encoders/hash_grid/hash_grid.h"
 #include "testkit/compare.h"
-#include "testkit/tensor_box.h"
 #include "tests/cuda/device_fixture.h"
 
 namespace semfield {

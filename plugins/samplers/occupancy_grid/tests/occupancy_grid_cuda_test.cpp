@@ -3,7 +3,7 @@
 
 #include "core/error.h"
 #include "samplers/occupancy_grid/occupancy_grid.h"
-#include "testkit/tensor_box.h"
+#include "testkit/compare.h"
 #include "tests/cuda/sampler_bench.h"
 
 namespace semfield {

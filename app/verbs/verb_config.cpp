@@ -1,0 +1,206 @@
+// config: the group of the verbs in this folder.
+#include <algorithm>
+#include <cstdio>
+
+#include "app/json_output.h"
+#include "app/verb.h"
+#include "config/compose.h"
+#include "config/explain.h"
+#include "config/schema.h"
+#include "report/sweep/sweep_file.h"
+#include "session/settings/run_config.h"
+#include "session/settings/run_identity.h"
+
+namespace semfield::app {
+
+Verb verb_config() { return make_group("config", 150, "check, explain and compare configurations"); }
+
+// config check: a configuration read as a run would, every error reported.
+
+namespace {
+
+int check(const ConfigOptions& options, AppContext& context) {
+  load_run_config(options.config, options.set, context.registry);
+  if (context.json) {
+    print_json(context, {{"config", options.config}, {"errors", 0}});
+    return 0;
+  }
+  std::printf("%s: no errors\n", options.config.c_str());
+  return 0;
+}
+
+void check_words(VerbWords& verb, ConfigOptions& options) { verb.config(options); }
+
+}  // namespace
+
+Verb verb_config_check() {
+  return with_json(
+      make_verb<ConfigOptions>("config check", 10, "read a configuration and report every error", check_words, check));
+}
+
+// config diff: what differs between two configurations.
+
+namespace {
+
+struct DiffOptions {
+  std::string a, b;
+};
+
+int run(const DiffOptions& options, AppContext& context) {
+  const RunConfig first = load_run_config(options.a, {}, context.registry);
+  const RunConfig second = load_run_config(options.b, {}, context.registry);
+  const std::vector<ConfigDifference> found = changed_settings(resolved_config(first), resolved_config(second));
+  if (context.json) {
+    Json differences = Json::array();
+    for (const ConfigDifference& d : found)
+      differences.push_back(
+          {{"key", d.key}, {"a", d.left}, {"b", d.right}, {"other_training", is_part_of_identity(d.key)}});
+    print_json(context, {{"differences", differences}});
+    return 0;
+  }
+  for (const ConfigDifference& d : found)
+    std::printf("%s%s\n", d.text().c_str(), is_part_of_identity(d.key) ? "" : "   # the same training");
+  return 0;
+}
+
+void words(VerbWords& verb, DiffOptions& options) {
+  verb.operand("config_a", options.a, "configuration file (YAML), such as a run.yaml");
+  verb.operand("config_b", options.b, "the other one");
+}
+
+}  // namespace
+
+Verb verb_config_diff() {
+  return with_json(
+      make_verb<DiffOptions>("config diff", 30, "print what differs between two configurations", words, run));
+}
+
+// config explain: the final tree, with where each value comes from.
+
+namespace {
+
+// What stands as `auto` is settled when a session opens; each such setting's sentence, as comments below the tree.
+std::string open_choices(const ConfigNode& tree) {
+  std::string out;
+  const std::vector<ConfigSetting> settings = config_settings(tree);
+  for (const SectionDoc& section : describe_sections()) {
+    for (const ParamDoc& param : section.params) {
+      const std::string key = section.path + "." + param.name;
+      const bool open = std::any_of(settings.begin(), settings.end(),
+                                    [&](const ConfigSetting& s) { return s.key == key && s.value == "auto"; });
+      if (open) out += "# " + key + " is auto: " + param.help + "\n";
+    }
+  }
+  return out;
+}
+
+int explain(const ConfigOptions& options, AppContext& context) {
+  const ConfigNode written = compose_config(options.config, options.set);
+  const RunConfig config = load_run_config(options.config, options.set, context.registry);
+  const ConfigNode tree = with_origins(resolved_config(config), written);
+  if (context.json) {
+    Json settings = Json::array();
+    for (const ConfigSetting& setting : config_settings(tree))
+      settings.push_back({{"key", setting.key}, {"value", setting.value}, {"from", setting.from}});
+    print_json(context, {{"settings", settings}});
+    return 0;
+  }
+  std::fputs((explain_config(tree) + open_choices(tree)).c_str(), stdout);
+  return 0;
+}
+
+void explain_words(VerbWords& verb, ConfigOptions& options) { verb.config(options); }
+
+}  // namespace
+
+Verb verb_config_explain() {
+  return with_json(make_verb<ConfigOptions>(
+      "config explain", 20, "print the final tree, with the origin of every value", explain_words, explain));
+}
+
+// config schema: the JSON schema of configurations, or of sweep files.
+
+namespace {
+
+struct SchemaOptions {
+  bool of_sweeps = false;
+};
+
+std::vector<SchemaAlternative> alternatives(const Registry& registry, PluginKind kind) {
+  std::vector<SchemaAlternative> out;
+  for (const PluginEntry* entry : registry.entries()) {
+    if (entry->kind != kind) continue;
+    const std::unique_ptr<PluginParams> params = entry->new_params();
+    out.push_back(
+        {entry->name, entry->summary, describe_params([&](ParamVisitor& visit) { params->describe(visit); })});
+  }
+  return out;
+}
+
+int run(const SchemaOptions& options, AppContext& context) {
+  if (options.of_sweeps) {
+    std::fputs(sweep_schema().c_str(), stdout);
+    return 0;
+  }
+  std::vector<SchemaSection> sections;
+  for (const SectionDoc& section : describe_sections())
+    sections.push_back({section.path + (section.or_list ? "[?]" : ""), section.sentence, section.params});
+  const ParamDoc name{"name", "text", "", "", "name of the run and its default folder", {}};
+  const ParamDoc base{"base_dir",
+                      "text",
+                      "",
+                      "",
+                      "folder at which relative paths start that come from no file; default: the working folder",
+                      {}};
+  const ParamDoc plugins{
+      "plugins",
+      "list of text",
+      "[]",
+      "",
+      "plugin modules that it needs, by path; see docs/reference/configuration.md for which are loaded",
+      {}};
+  sections.push_back({"", "", {name, base, plugins}});
+  const ParamDoc pass{"name", "text", "main", "", "name of the pass, the prefix of its tensors", {}};
+  const ParamDoc like{"like", "text", "", "", "an earlier pass that this one starts from", {}};
+  sections.push_back({"passes[]", "one pass over the rays", {pass, like}});
+  const std::vector<SchemaChoice> choices{
+      {"losses[]", "terms of the loss in addition to colour and semantics; each type once",
+       alternatives(context.registry, PluginKind::loss)},
+      {"heads[]", "heads in addition to that of class logits", alternatives(context.registry, PluginKind::head)},
+      {"heads[].branch.position", "position encoder of the head's branch",
+       alternatives(context.registry, PluginKind::encoder)},
+      {"heads[].branch.field", "network of the head's branch", alternatives(context.registry, PluginKind::field)},
+      {"scene.labels.from", "label files to train on instead of the dataset's own labels",
+       alternatives(context.registry, PluginKind::label_reader)},
+      {"scene.labels.degrade[]", "changes of the training labels, in order",
+       alternatives(context.registry, PluginKind::degradation)},
+      {"objects.method", "what `semfield objects` learns from segments",
+       alternatives(context.registry, PluginKind::grouping)},
+      {"scene", "where frames come from", alternatives(context.registry, PluginKind::dataset)},
+      {"passes[].sampler", "where along a ray the field is evaluated",
+       alternatives(context.registry, PluginKind::sampler)},
+      {"passes[].position", "position encoder", alternatives(context.registry, PluginKind::encoder)},
+      {"passes[].direction", "direction encoder; leave it out for a view-independent field",
+       alternatives(context.registry, PluginKind::encoder)},
+      {"passes[].field", "the network", alternatives(context.registry, PluginKind::field)},
+      {"passes[].semantic[?].position", "position encoder of the semantic branch",
+       alternatives(context.registry, PluginKind::encoder)},
+      {"passes[].semantic[?].field", "network of the semantic branch",
+       alternatives(context.registry, PluginKind::field)},
+  };
+  std::fputs(json_schema_of("Semfield configuration", sections, choices).c_str(), stdout);
+  return 0;
+}
+
+void words(VerbWords& verb, SchemaOptions& options) {
+  verb.flag("--sweep", options.of_sweeps, "print the schema of sweep files instead");
+}
+
+}  // namespace
+
+Verb verb_config_schema() {
+  return make_verb<SchemaOptions>("config schema", 40, "print a JSON schema of configurations (and --plugin modules)",
+                                  words, run);
+}
+
+}  // namespace semfield::app

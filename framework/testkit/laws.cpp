@@ -1,0 +1,505 @@
+// Visitors that read and write parameters as texts.
+#include "testkit/laws.h"
+
+#include <algorithm>
+#include <cctype>
+#include <charconv>
+#include <cmath>
+#include <cstdio>
+#include <set>
+#include <system_error>
+
+#include "compute/gemm.h"
+#include "config/config_tree.h"
+#include "config/params.h"
+#include "core/text.h"
+#include "plugin/kernels.h"
+#include "system/files.h"
+#include "testkit/field_bench.h"
+
+namespace semfield::testkit {
+
+namespace {
+
+template <class T>
+bool parse_number(const std::string& text, T& value) {
+  const char* end = text.data() + text.size();
+  const auto [stop, problem] = std::from_chars(text.data(), end, value);
+  return problem == std::errc() && stop == end;
+}
+
+std::string real_text(double value) {
+  char text[40];
+  const auto [end, problem] = std::to_chars(text, text + sizeof(text), value);
+  return problem == std::errc() ? std::string(text, end) : std::string("nan");
+}
+
+std::vector<std::string> split(const std::string& text) {
+  std::vector<std::string> parts;
+  if (text.empty()) return parts;
+  std::size_t begin = 0;
+  for (;;) {
+    const std::size_t comma = text.find(',', begin);
+    parts.push_back(text.substr(begin, comma - begin));
+    if (comma == std::string::npos) return parts;
+    begin = comma + 1;
+  }
+}
+
+class SettingsReader final : public ParamVisitor {
+ public:
+  explicit SettingsReader(const Settings& settings) : settings_(settings) {}
+
+  void boolean(const ParamInfo& info, bool& value) override {
+    if (const std::string* text = given(info)) {
+      if (*text != "true" && *text != "false") return refuse(info, "expected true or false", *text);
+      value = *text == "true";
+    }
+  }
+  void integer(const ParamInfo& info, std::int64_t& value) override {
+    if (const std::string* text = given(info)) read_number(info, *text, "int", value);
+  }
+  void real(const ParamInfo& info, double& value) override {
+    if (const std::string* text = given(info)) read_number(info, *text, "real", value);
+  }
+  void text(const ParamInfo& info, std::string& value) override {
+    if (const std::string* text = given(info)) value = *text;
+  }
+  void choice(const ParamInfo& info, int& value, std::span<const std::string_view> names) override {
+    const std::string* text = given(info);
+    if (text == nullptr) return;
+    for (std::size_t i = 0; i < names.size(); ++i) {
+      if (names[i] == *text) {
+        value = static_cast<int>(i);
+        return;
+      }
+    }
+    refuse(info, "expected one of its choices", *text);
+  }
+  void integers(const ParamInfo& info, std::vector<std::int64_t>& value) override { read_list(info, "int", value); }
+  void reals(const ParamInfo& info, std::vector<double>& value) override { read_list(info, "real", value); }
+  void texts(const ParamInfo& info, std::vector<std::string>& value) override {
+    if (const std::string* text = given(info)) value = split(*text);
+  }
+
+  Failures finish() {
+    for (const auto& [name, value] : settings_) {
+      if (!seen_.contains(name)) failures_.push_back("unknown parameter '" + name + "'");
+    }
+    return failures_;
+  }
+
+ private:
+  const std::string* given(const ParamInfo& info) {
+    seen_.insert(std::string(info.name));
+    const auto found = settings_.find(std::string(info.name));
+    return found == settings_.end() ? nullptr : &found->second;
+  }
+  void refuse(const ParamInfo& info, const std::string& expected, const std::string& text) {
+    failures_.push_back(std::string(info.name) + ": " + expected + ", got '" + text + "'");
+  }
+  template <class T>
+  bool read_number(const ParamInfo& info, const std::string& text, const char* type, T& value) {
+    T parsed{};
+    const bool ok = parse_number(text, parsed);
+    const auto as_real = static_cast<double>(parsed);
+    if (!ok || !std::isfinite(as_real) || as_real < info.range.min || as_real > info.range.max) {
+      refuse(info,
+             std::string("expected ") + type + " in [" + real_text(info.range.min) + ", " + real_text(info.range.max) +
+                 "]",
+             text);
+      return false;
+    }
+    value = parsed;
+    return true;
+  }
+  template <class T>
+  void read_list(const ParamInfo& info, const char* type, std::vector<T>& value) {
+    const std::string* text = given(info);
+    if (text == nullptr) return;
+    std::vector<T> parsed;
+    for (const std::string& part : split(*text)) {
+      T element{};
+      if (!read_number(info, part, type, element)) return;
+      parsed.push_back(element);
+    }
+    value = std::move(parsed);
+  }
+
+  const Settings& settings_;
+  std::set<std::string> seen_;
+  Failures failures_;
+};
+
+class SettingsWriter final : public ParamVisitor {
+ public:
+  Settings settings;
+  void boolean(const ParamInfo& info, bool& value) override { put(info, value ? "true" : "false"); }
+  void integer(const ParamInfo& info, std::int64_t& value) override { put(info, std::to_string(value)); }
+  void real(const ParamInfo& info, double& value) override { put(info, real_text(value)); }
+  void text(const ParamInfo& info, std::string& value) override { put(info, value); }
+  void choice(const ParamInfo& info, int& value, std::span<const std::string_view> names) override {
+    put(info, std::string(names[static_cast<std::size_t>(value)]));
+  }
+  void integers(const ParamInfo& info, std::vector<std::int64_t>& value) override {
+    std::vector<std::string> parts;
+    for (const std::int64_t element : value) parts.push_back(std::to_string(element));
+    put(info, join(parts, ","));
+  }
+  void reals(const ParamInfo& info, std::vector<double>& value) override {
+    std::vector<std::string> parts;
+    for (const double element : value) parts.push_back(real_text(element));
+    put(info, join(parts, ","));
+  }
+  void texts(const ParamInfo& info, std::vector<std::string>& value) override { put(info, join(value, ",")); }
+
+ private:
+  void put(const ParamInfo& info, std::string text) { settings[std::string(info.name)] = std::move(text); }
+};
+
+}  // namespace
+
+std::vector<SettingsLine> read_settings_lines(const std::string& path) {
+  std::vector<SettingsLine> lines;
+  const std::string text = read_text_file(path);
+  std::string_view rest = text, line;
+  for (int number = 1; next_line(rest, line); ++number) {
+    const std::vector<std::string_view> words = words_of(line);
+    if (words.empty() || words[0].starts_with('#')) continue;
+    SettingsLine read{number, {}};
+    for (const std::string_view word : words) {
+      if (words.size() == 1 && word == "defaults") break;
+      const std::size_t equals = word.find('=');
+      if (equals == std::string_view::npos || equals == 0)
+        throw Error(ErrorKind::config, "plugin.laws.settings",
+                    path + ":" + std::to_string(number) + ": '" + std::string(word) + "' sets nothing",
+                    "write name=value name=value, or the one word defaults");
+      read.settings[std::string(word.substr(0, equals))] = word.substr(equals + 1);
+    }
+    lines.push_back(std::move(read));
+  }
+  return lines;
+}
+
+Failures apply_settings(PluginParams& params, const Settings& settings) {
+  SettingsReader reader(settings);
+  params.describe(reader);
+  return reader.finish();
+}
+
+Settings settings_of(PluginParams& params) {
+  SettingsWriter writer;
+  params.describe(writer);
+  return writer.settings;
+}
+
+std::unique_ptr<PluginParams> make_params(const PluginEntry& entry, const Settings& settings) {
+  std::unique_ptr<PluginParams> params = entry.new_params();
+  Diagnostics diagnostics;
+  for (const std::string& failure : apply_settings(*params, settings))
+    diagnostics.error("plugin.laws.settings", entry.name, failure, {});
+  params->validate(diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::config, {});
+  return params;
+}
+
+// Ways of building, and twins.
+
+std::vector<EncoderBuild> encoder_builds(Device device) {
+  std::vector<EncoderBuild> builds(2);
+  builds[1].is_direction = true;
+  for (EncoderBuild& build : builds) {
+    build.device = device;
+    build.extent_m = 6.0;
+    build.pixel_footprint_m = 0.01;
+  }
+  return builds;
+}
+
+std::vector<FieldBuild> field_builds(const Registry& registry, const std::string& name, Device device) {
+  FieldBuild all;
+  all.device = device;
+  all.position_dims = 39;
+  all.direction_dims = 16;
+  FieldBuild no_direction = all;
+  no_direction.direction_dims = 0;
+  FieldBuild no_feature = all;
+  no_feature.wants_feature = false;
+  FieldBuild no_savings = all;
+  no_savings.savings = {false, false, false};
+  std::vector<FieldBuild> builds{all, no_direction, no_feature, no_savings};
+  const std::string tables = registry.kernels().devices_of("field '" + name + "'");
+  if (tables.find(std::string(device_name(device)) + " bf16") != std::string::npos) {
+    for (FieldBuild build : {all, no_direction, no_savings}) {
+      build.precision = Precision::bf16;
+      builds.push_back(build);
+    }
+  }
+  return builds;
+}
+
+SamplerBuild sampler_build(Device device) {
+  SamplerBuild build;
+  build.device = device;
+  build.bounds = {{-3, -2, -1.2}, {3, 2, 1.2}};
+  build.near_m = 0.1;
+  build.far_m = 5.0;
+  return build;
+}
+
+std::vector<HeadBuild> head_builds(Device device) { return {{device, 24, 7}, {device, 5, 1}}; }
+
+std::string text_of(const EncoderBuild& build) { return build.is_direction ? "directions" : "positions"; }
+
+std::string text_of(const FieldBuild& build) {
+  std::string text = build.precision == Precision::bf16 ? "bf16" : "fp32";
+  if (build.direction_dims == 0) text += ", no direction";
+  if (!build.wants_feature) text += ", no feature";
+  const ExactSavings& savings = build.savings;
+  if (!savings.fold_feature_layer && !savings.direction_once_per_ray && !savings.deferred_class_layer)
+    text += ", no savings";
+  return text;
+}
+
+std::string text_of(const SamplerBuild&) { return {}; }
+
+std::string text_of(const HeadBuild& build) { return build.width == 1 ? "one column" : "several columns"; }
+
+Twins<Encoder<float>, Encoder<double>> make_twins(const Registry& registry, const std::string& name,
+                                                  const Settings& settings, const EncoderBuild& build) {
+  const PluginEntry& entry = registry.get(PluginKind::encoder, name);
+  const std::unique_ptr<PluginParams> params = make_params(entry, settings);
+  EncoderBuild on_cpu = build;
+  on_cpu.device = Device::cpu;
+  return {entry.encoder32(*params, build, registry.kernels()), entry.encoder64(*params, on_cpu, registry.kernels())};
+}
+
+Twins<Field<float>, Field<double>> make_twins(const Registry& registry, const std::string& name,
+                                              const Settings& settings, const FieldBuild& build) {
+  const PluginEntry& entry = registry.get(PluginKind::field, name);
+  const std::unique_ptr<PluginParams> params = make_params(entry, settings);
+  FieldBuild on_cpu = build;
+  on_cpu.device = Device::cpu;
+  on_cpu.precision = Precision::fp32;
+  return {entry.field32(*params, build, registry.kernels()), entry.field64(*params, on_cpu, registry.kernels())};
+}
+
+Twins<Sampler<float>, Sampler<double>> make_twins(const Registry& registry, const std::string& name,
+                                                  const Settings& settings, const SamplerBuild& build) {
+  const PluginEntry& entry = registry.get(PluginKind::sampler, name);
+  const std::unique_ptr<PluginParams> params = make_params(entry, settings);
+  SamplerBuild on_cpu = build;
+  on_cpu.device = Device::cpu;
+  return {entry.sampler32(*params, build, registry.kernels()), entry.sampler64(*params, on_cpu, registry.kernels())};
+}
+
+Twins<Head<float>, Head<double>> make_twins(const Registry& registry, const std::string& name, const Settings& settings,
+                                            const HeadBuild& build) {
+  const PluginEntry& entry = registry.get(PluginKind::head, name);
+  const std::unique_ptr<PluginParams> params = make_params(entry, settings);
+  HeadBuild on_cpu = build;
+  on_cpu.device = Device::cpu;
+  return {entry.head32(*params, build, registry.kernels()), entry.head64(*params, on_cpu, registry.kernels())};
+}
+
+// What a component says that it costs, against what its calls took.
+
+namespace {
+
+constexpr std::int64_t kCostSampleCounts[] = {1, 33};
+
+void check_layers(const Field<float>& field, Failures& failures) {
+  for (const LayerShape& layer : field.layers()) {
+    if (layer.name.empty() || layer.in < 1 || layer.out < 1 || layer.rows < 1)
+      failures.push_back("layers: '" + layer.name + "' has no name, or a size below 1");
+  }
+  for (const auto& [samples, rays] : {std::pair<std::int64_t, std::int64_t>{1, 1}, {1000, 7}, {0, 3}}) {
+    std::int64_t sum = 0;
+    for (const LayerShape& layer : field.layers()) sum += layer.multiply_adds(samples, rays);
+    const std::int64_t said = field.multiply_adds(samples, rays);
+    if (said != sum) {
+      failures.push_back("multiply_adds: " + std::to_string(said) + " for " + std::to_string(samples) + " samples of " +
+                         std::to_string(rays) + " rays, but the layers add up to " + std::to_string(sum));
+    }
+  }
+}
+
+void check_products(const Field<float>& field, const FieldBuild& build, const LawOptions& options, Failures& failures) {
+  FieldBench<float> bench(field, build, kCostSampleCounts[1], 0, options);
+  const std::int64_t before = multiply_adds_of_thread();
+  bench.derive();
+  bench.forward();
+  const std::int64_t made = multiply_adds_of_thread() - before;
+  const std::int64_t said = field.multiply_adds(kCostSampleCounts[1], bench.in().direction.rows);
+  if (made != 0 && made != said) {
+    failures.push_back("layers: they say " + std::to_string(said) + " multiply-adds, derive and forward made " +
+                       std::to_string(made));
+  }
+}
+
+void check_scratch(const Field<float>& field, const FieldBuild& build, const LawOptions& options, std::int64_t samples,
+                   Failures& failures) {
+  const bool large = samples == options.many_rows;
+  FieldBench<float> bench(field, build, samples, 0, options);
+  const std::int64_t rays = bench.in().direction.rows;
+  const std::size_t said = field.scratch_bytes(samples, rays);
+  bench.forward();
+  bench.backward();
+  const std::string law = "scratch_bytes, " + std::to_string(samples) + " samples";
+  note_failure(failures, law, scratch_failure(said, bench.workspace.high_water_bytes(), large));
+  FieldBench<float> unsaved(field, build, samples, 0, options);
+  field.forward(unsaved.ctx, unsaved.box.values_only(), unsaved.in(), unsaved.out(), {});
+  note_failure(failures, law + " without saved memory",
+               scratch_failure(said + field.saved_bytes(samples, rays), unsaved.workspace.high_water_bytes(), false));
+}
+
+}  // namespace
+
+std::string scratch_failure(std::size_t said, std::size_t taken, bool large) {
+  const std::string text = std::to_string(said) + " bytes, but " + std::to_string(taken) + " were taken";
+  if (said < taken) return text;
+  return large && said > kScratchFactor * taken ? text + ", less than 1/" + std::to_string(kScratchFactor) + " of it"
+                                                : std::string();
+}
+
+void check_costs(const Field<float>& field, const FieldBuild& build, const LawOptions& options, Failures& failures) {
+  check_layers(field, failures);
+  check_products(field, build, options, failures);
+  if (options.scratch.allocate != nullptr) return;  // a device's memory is not planned ahead
+  for (const std::int64_t samples : kCostSampleCounts) check_scratch(field, build, options, samples, failures);
+  check_scratch(field, build, options, options.many_rows, failures);
+}
+
+// The laws of declared parameters.
+
+namespace {
+
+// Names, sentences and defaults of every parameter, and which of them have a closed range.
+class Inspector final : public ParamVisitor {
+ public:
+  Failures failures;
+  struct Bounded {
+    std::string name;
+    Range range;
+    bool integer;
+  };
+  std::vector<Bounded> bounded;
+
+  void boolean(const ParamInfo& info, bool&) override { declare(info); }
+  void integer(const ParamInfo& info, std::int64_t& value) override {
+    declare(info);
+    in_range(info, static_cast<double>(value));
+    bounded.push_back({std::string(info.name), info.range, true});
+  }
+  void real(const ParamInfo& info, double& value) override {
+    declare(info);
+    in_range(info, value);
+    bounded.push_back({std::string(info.name), info.range, false});
+  }
+  void text(const ParamInfo& info, std::string&) override { declare(info); }
+  void choice(const ParamInfo& info, int& value, std::span<const std::string_view> names) override {
+    declare(info);
+    if (value < 0 || value >= static_cast<int>(names.size()))
+      note_failure(failures, std::string(info.name), "the default is none of the choices");
+  }
+  void integers(const ParamInfo& info, std::vector<std::int64_t>& value) override {
+    declare(info);
+    for (const std::int64_t element : value) in_range(info, static_cast<double>(element));
+  }
+  void reals(const ParamInfo& info, std::vector<double>& value) override {
+    declare(info);
+    for (const double element : value) in_range(info, element);
+  }
+  void texts(const ParamInfo& info, std::vector<std::string>&) override { declare(info); }
+
+ private:
+  void declare(const ParamInfo& info) {
+    const std::string name(info.name);
+    bool snake = !name.empty();
+    for (const char c : name)
+      snake &= (std::islower(static_cast<unsigned char>(c)) != 0) ||
+               (std::isdigit(static_cast<unsigned char>(c)) != 0) || c == '_';
+    if (!snake) failures.push_back("parameter '" + name + "': the name is not snake_case");
+    if (!names_.insert(name).second) failures.push_back("parameter '" + name + "': declared twice");
+    if (info.help.size() < 8) failures.push_back("parameter '" + name + "': no sentence says what it is");
+    if (info.range.min > info.range.max) failures.push_back("parameter '" + name + "': its range is empty");
+  }
+  void in_range(const ParamInfo& info, double value) {
+    if (!(value >= info.range.min && value <= info.range.max)) {
+      failures.push_back("parameter '" + std::string(info.name) + "': the default is outside its range");
+    }
+  }
+  std::set<std::string> names_;
+};
+
+bool names_parameter(const Failures& refusals, const std::string& name) {
+  for (const std::string& refusal : refusals) {
+    if (refusal.find(name) != std::string::npos) return true;
+  }
+  return false;
+}
+
+Describe describer(PluginParams& params) {
+  return [&params](ParamVisitor& visit) { params.describe(visit); };
+}
+
+void check_refusal(const PluginEntry& entry, const std::string& name, const std::string& value, Failures& failures) {
+  const std::unique_ptr<PluginParams> params = entry.new_params();
+  if (!names_parameter(apply_settings(*params, {{name, value}}), name)) {
+    failures.push_back("bad parameters: " + name + " = '" + value + "' is not refused by name");
+  }
+  const ConfigNode node = parse_config_text(name + ": " + value + "\n", "test.yaml");
+  Diagnostics diagnostics;
+  read_params(node, entry.name, describer(*params), diagnostics);
+  Failures refusals;
+  for (const Diagnostic& finding : diagnostics.all()) refusals.push_back(finding.text());
+  if (!diagnostics.has_errors() || !names_parameter(refusals, name)) {
+    failures.push_back("bad parameters: the config reader does not refuse " + name + ": " + value + " by name");
+  }
+}
+
+// Defaults written as YAML, parsed and read into fresh parameters are the same YAML again.
+void check_config_round_trip(const PluginEntry& entry, Failures& failures) {
+  const std::unique_ptr<PluginParams> params = entry.new_params();
+  const std::string written = write_config(params_to_config(describer(*params)));
+  const std::unique_ptr<PluginParams> again = entry.new_params();
+  Diagnostics diagnostics;
+  read_params(parse_config_text(written, "test.yaml"), entry.name, describer(*again), diagnostics);
+  for (const Diagnostic& finding : diagnostics.all()) note_failure(failures, "config round trip", finding.text());
+  if (write_config(params_to_config(describer(*again))) != written)
+    failures.push_back("config round trip: parameters change");
+}
+
+}  // namespace
+
+Failures declaration_laws(const PluginEntry& entry) {
+  Failures failures;
+  if (entry.summary.size() < 8) failures.push_back("entry: no sentence says what the plugin does");
+  const std::unique_ptr<PluginParams> params = entry.new_params();
+  Inspector inspector;
+  params->describe(inspector);
+  append(failures, inspector.failures);
+  Diagnostics diagnostics;
+  params->validate(diagnostics);
+  for (const Diagnostic& finding : diagnostics.all()) {
+    // A dataset's path has no default that could be valid.
+    if (finding.severity == Severity::error && entry.kind != PluginKind::dataset)
+      failures.push_back("defaults: " + finding.text());
+  }
+  const Settings written = settings_of(*params);
+  const std::unique_ptr<PluginParams> again = entry.new_params();
+  append(failures, apply_settings(*again, written));
+  if (settings_of(*again) != written) failures.push_back("round trip: parameters change when written and read");
+  check_config_round_trip(entry, failures);
+  check_refusal(entry, "no_such_parameter", "1", failures);
+  for (const Inspector::Bounded& parameter : inspector.bounded) {
+    check_refusal(entry, parameter.name, "not_a_number", failures);
+    const bool reachable = std::isfinite(parameter.range.max) && std::abs(parameter.range.max) < 9e15;
+    if (reachable)
+      check_refusal(entry, parameter.name, std::to_string(static_cast<long long>(std::floor(parameter.range.max)) + 1),
+                    failures);
+  }
+  return failures;
+}
+
+}  // namespace semfield::testkit

@@ -1,0 +1,382 @@
+// The laws of groupings.
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <vector>
+
+#include "core/rng.h"
+#include "testkit/compare.h"
+#include "testkit/laws.h"
+#include "testkit/loss_rays.h"
+
+namespace semfield::testkit {
+
+namespace {
+
+constexpr double kGroupingScale = 0.37;
+constexpr std::int32_t kSegments = 5;
+
+// Rows, slow rows and segments of an image's points, the same in both precisions.
+template <class Real>
+struct Points {
+  Points(std::int64_t count, std::int32_t width, std::uint64_t seed) : rows_count(count), cols(width) {
+    const auto size = static_cast<std::size_t>(count * width);
+    const RandomAddress address{seed, 0, stream_id("testkit/grouping")};
+    for (std::size_t i = 0; i < size; ++i) {
+      rows.push_back(static_cast<Real>(2 * uniform01(address, 2 * i) - 1));
+      slow.push_back(static_cast<Real>(2 * uniform01(address, 2 * i + 1) - 1));
+    }
+    gradient.assign(size, Real(0));
+    for (std::int64_t i = 0; i < count; ++i)
+      segment.push_back(static_cast<std::int32_t>(
+          uniform_below(address, static_cast<std::uint64_t>(i) + 1'000'000, static_cast<std::uint64_t>(kSegments))));
+  }
+  View<Real> view(std::vector<Real>& of) const { return {of.data(), rows_count, cols}; }
+  double add(const Grouping& grouping, double scale) {
+    return grouping.add({view(rows), view(slow), segment, kSegments}, scale, view(gradient));
+  }
+  std::int64_t rows_count;
+  std::int32_t cols;
+  std::vector<Real> rows, slow, gradient;
+  std::vector<std::int32_t> segment;
+};
+
+template <class Real>
+View<const Real> flat(const std::vector<Real>& v) {
+  return {v.data(), std::ssize(v), 1};
+}
+
+class GroupingLaws {
+ public:
+  GroupingLaws(const Grouping& grouping, const LawOptions& options) : grouping_(grouping), options_(options) {}
+
+  Failures run() {
+    require(grouping_.width() > 0, "width", "no outputs");
+    require(grouping_.slow_share() >= 0 && grouping_.slow_share() < 1, "slow share", "not in [0, 1)");
+    Points<double> at = points<double>(24), moved = at;
+    require(std::isfinite(moved.add(grouping_, kGroupingScale)), "loss", "not finite");
+    const auto value = [&] {
+      Points<double> copy = at;
+      return kGroupingScale * copy.add(grouping_, 0);
+    };
+    note("gradients", check_gradient(value, at.view(at.rows), column_as(moved), {1e-6, 1e-6, 200, options_.seed}));
+    float_against_double();
+    accumulate();
+    numbers_of_segments();
+    nothing();
+    extremes();
+    placed();
+    return failures_;
+  }
+
+ private:
+  template <class Real>
+  Points<Real> points(std::int64_t count) const {
+    return Points<Real>(count, grouping_.width(), options_.seed);
+  }
+  static View<const double> column_as(Points<double>& of) { return of.view(of.gradient); }
+  void note(const std::string& law, const std::string& sentence) { note_failure(failures_, law, sentence); }
+  void require(bool holds, const std::string& law, const std::string& sentence) {
+    if (!holds) note(law, sentence);
+  }
+
+  void float_against_double() {
+    Points<float> narrow = points<float>(97);
+    Points<double> wide = points<double>(97);
+    const double got = narrow.add(grouping_, kGroupingScale), want = wide.add(grouping_, kGroupingScale);
+    require(std::abs(got - want) <= options_.float_tolerance * std::abs(want), "float against double, loss",
+            std::to_string(got) + ", not " + std::to_string(want));
+    note("float against double, gradients",
+         compare(flat(narrow.gradient), flat(wide.gradient), options_.float_tolerance));
+  }
+
+  void accumulate() {
+    Points<double> once = points<double>(31), thrice = once;
+    const double sum = once.add(grouping_, 1);
+    require(thrice.add(grouping_, 1) == sum && thrice.add(grouping_, 2) == sum, "the loss is before its scale",
+            "it is another for another scale, or another time");
+    for (double& d : once.gradient) d *= 3;
+    note("gradients accumulate", compare(flat(thrice.gradient), flat(once.gradient), 1e-12));
+  }
+
+  // What a segment is called means nothing.
+  void numbers_of_segments() {
+    Points<double> as_they_are = points<double>(40), renamed = as_they_are;
+    for (std::int32_t& s : renamed.segment) s = (s + 2) % kSegments;
+    const double a = as_they_are.add(grouping_, 1), b = renamed.add(grouping_, 1);
+    require(std::abs(a - b) <= 1e-9 * std::abs(a), "numbers of segments", "the loss depends on them");
+    note("numbers of segments", compare(flat(renamed.gradient), flat(as_they_are.gradient), 1e-9));
+  }
+
+  void nothing() {
+    Points<double> none = points<double>(0), one = points<double>(1);
+    require(none.add(grouping_, 1) == 0, "no points", "their loss is not 0");
+    require(std::isfinite(one.add(grouping_, 1)), "one point", "its loss is not finite");
+  }
+
+  void extremes() {
+    Points<float> far = points<float>(16);
+    for (float& v : far.rows) v *= 1e4F;
+    require(std::isfinite(far.add(grouping_, 1)), "extremes", "the loss is not finite");
+    require(std::all_of(far.gradient.begin(), far.gradient.end(), [](float v) { return std::isfinite(v); }), "extremes",
+            "a gradient is not finite");
+  }
+
+  void placed() {
+    Points<float> at = points<float>(9);
+    std::copy_n(at.rows.begin(), grouping_.width(), at.rows.begin() + grouping_.width());
+    grouping_.place(at.view(at.rows));
+    require(std::all_of(at.rows.begin(), at.rows.end(), [](float v) { return std::isfinite(v); }), "place",
+            "a number is not finite");
+    require(std::equal(at.rows.begin(), at.rows.begin() + grouping_.width(), at.rows.begin() + grouping_.width()),
+            "place", "equal outputs have different places");
+  }
+
+  const Grouping& grouping_;
+  LawOptions options_;
+  Failures failures_;
+};
+
+}  // namespace
+
+Failures grouping_laws(const Grouping& grouping, const LawOptions& options) {
+  return GroupingLaws(grouping, options).run();
+}
+
+Failures grouping_laws(const Registry& registry, const std::string& name, const Settings& settings,
+                       const LawOptions& options) {
+  const PluginEntry& entry = registry.get(PluginKind::grouping, name);
+  return grouping_laws(*entry.grouping(*make_params(entry, settings)), options);
+}
+
+// The laws of losses.
+
+namespace {
+
+constexpr double kScale = 0.37;
+
+template <class Real>
+struct Gradient {
+  std::string_view channel;
+  std::vector<Real> LossRays<Real>::*value;
+  std::vector<Real> LossRays<Real>::*gradient;
+};
+
+template <class Real>
+std::vector<Gradient<Real>> every_gradient(const std::string& head) {
+  using Rays = LossRays<Real>;
+  std::vector<Gradient<Real>> all{{channel::color, &Rays::color, &Rays::d_color},
+                                  {channel::depth, &Rays::depth, &Rays::d_depth},
+                                  {channel::weight, &Rays::weight, &Rays::d_weight},
+                                  {channel::sigma, &Rays::sigma, &Rays::d_sigma},
+                                  {channel::logits, &Rays::logits, &Rays::d_logits}};
+  if (!head.empty()) all.push_back({head, &Rays::made, &Rays::d_made});
+  return all;
+}
+
+template <class Real>
+View<const Real> column(const std::vector<Real>& v) {
+  return View<const Real>(v.data(), static_cast<std::int64_t>(v.size()), 1);
+}
+
+std::string about(std::string_view channel) { return "gradient of " + std::string(channel); }
+
+class LossLaws {
+ public:
+  LossLaws(const Loss& loss, const LawOptions& options, bool soft_labels)
+      : loss_(loss), options_(options), traits_(loss.traits()), further_(traits_), soft_(soft_labels) {
+    lengths_ = awkward_ray_lengths();
+    if (options.many_rows < 4097)
+      for (int& length : lengths_) length = std::min(length, 9);  // one that is slow
+  }
+
+  Failures run() {
+    declared();
+    central_differences();
+    moves();
+    float_against_double();
+    accumulate();
+    rays_alone();
+    nothing();
+    without_targets();
+    unlabelled();
+    extremes();
+    return failures_;
+  }
+
+ private:
+  template <class Real>
+  LossRays<Real> rays(const std::vector<int>& counts) const {
+    return LossRays<Real>(counts, options_.seed, soft_, further_);
+  }
+  template <class Real>
+  std::vector<Gradient<Real>> gradients() const {
+    return every_gradient<Real>(further_.head);
+  }
+  void note(const std::string& law, const std::string& sentence) { note_failure(failures_, law, sentence); }
+  void require(bool holds, const std::string& law, const std::string& sentence) {
+    if (!holds) note(law, sentence);
+  }
+
+  void declared() {
+    require(loss_.rule().weight > 0, "traits", "the default weight is 0: a loss that is named works");
+    require(!traits_.moves.empty(), "traits", "it moves nothing");
+    LossRays<double> all = rays<double>(lengths_);
+    const std::int64_t counted = loss_.counted_rays(all.targets(), all.rays());
+    require(counted > 0 && counted <= all.rays(), "counted rays",
+            std::to_string(counted) + " of " + std::to_string(all.rays()));
+  }
+
+  // Of every value that a loss sees, moved by its traits or not: a slope that it does not give must be none.
+  void central_differences() {
+    LossRays<double> at = rays<double>({7, 0, 1, 12, 3, 5});
+    at.sum_opacity();
+    LossRays<double> moved = at;
+    moved.add(loss_, kScale);
+    const auto value = [&] {
+      LossRays<double> copy = at;
+      copy.sum_opacity();
+      return kScale * copy.add(loss_, 0);
+    };
+    const GradientCheck check{1e-6, 1e-6, 16 * options_.gradient_elements, options_.seed};
+    for (const Gradient<double>& one : gradients<double>())
+      note(about(one.channel),
+           check_gradient(value, LossRays<double>::mat(at.*one.value, 1), column(moved.*one.gradient), check));
+  }
+
+  void moves() {
+    LossRays<double> all = rays<double>(lengths_);
+    require(all.add(loss_, kScale) > 0, "traits", "random rays cost nothing");
+    for (const Gradient<double>& one : gradients<double>()) {
+      const std::vector<double>& gradient = all.*one.gradient;
+      const bool any = std::any_of(gradient.begin(), gradient.end(), [](double d) { return d != 0; });
+      require(any == traits_.does_move(one.channel), "traits",
+              std::string(any ? "moves " : "does not move ") + std::string(one.channel) + ", and says otherwise");
+    }
+  }
+
+  void float_against_double() {
+    LossRays<float> narrow = rays<float>(lengths_);
+    LossRays<double> wide = rays<double>(lengths_);
+    const double sum = wide.add(loss_, kScale), got = narrow.add(loss_, kScale);
+    require(std::abs(got - sum) <= options_.float_tolerance * std::abs(sum), "float against double, loss",
+            std::to_string(got) + ", not " + std::to_string(sum));
+    for (std::size_t i = 0; i < gradients<float>().size(); ++i) {
+      const Gradient<float> one = gradients<float>()[i];
+      note("float against double, " + about(one.channel),
+           compare(column(narrow.*one.gradient), column(wide.*gradients<double>()[i].gradient),
+                   options_.float_tolerance));
+    }
+  }
+
+  void accumulate() {
+    LossRays<double> once = rays<double>(lengths_), thrice = once;
+    const double sum = once.add(loss_, 1);
+    require(thrice.add(loss_, 1) == sum && thrice.add(loss_, 2) == sum, "the loss is before its scale",
+            "it is another for another scale, or another time");
+    for (const Gradient<double>& one : gradients<double>()) {
+      std::vector<double> wanted = once.*one.gradient;
+      for (double& d : wanted) d *= 3;
+      note("gradients accumulate, " + std::string(one.channel),
+           compare(column(thrice.*one.gradient), column(wanted), 1e-12));
+    }
+  }
+
+  void rays_alone() {
+    LossRays<float> whole = rays<float>(lengths_), parts = whole;
+    const double sum = whole.add(loss_, kScale);
+    double of_parts = 0;
+    for (std::int64_t r = 0; r < parts.rays(); r += 5) {
+      const std::int64_t count = std::min<std::int64_t>(5, parts.rays() - r);
+      of_parts += loss_.add(parts.targets(r, count), parts.values(r, count), kScale, parts.gradients(r, count));
+    }
+    require(std::abs(of_parts - sum) <= 1e-6 * std::abs(sum), "rays are independent, loss",
+            std::to_string(of_parts) + ", not " + std::to_string(sum));
+    for (const Gradient<float>& one : gradients<float>())
+      note("rays are independent, " + about(one.channel),
+           compare_bits(column(parts.*one.gradient), column(whole.*one.gradient)));
+  }
+
+  void nothing() {
+    LossRays<float> none = rays<float>({});
+    require(none.add(loss_, kScale) == 0, "no ray", "has a loss");
+    if (!traits_.does_move(channel::weight) && !traits_.does_move(channel::sigma)) return;
+    LossRays<float> empty = rays<float>({0, 0});
+    require(empty.add(loss_, kScale) == 0, "rays without a sample", "have a loss");
+  }
+
+  // Each target that it cannot do without, taken away.
+  void without_targets() {
+    for (const std::string_view name : traits_.targets) {
+      LossRays<float> all = rays<float>(lengths_);
+      RayTargets targets;
+      const RayTargets given = all.targets();
+      if (name != channel::color) targets.color = given.color;
+      if (name != channel::label) targets.label = given.label;
+      for (const auto& one : given.more)
+        if (one.name != name && name != channel::label) targets.more.set(one.name, one.view);
+      const std::string law = "without " + std::string(name);
+      require(loss_.counted_rays(targets, all.rays()) == 0, law, "rays are counted");
+      require(loss_.add(targets, all.values(), kScale, all.gradients()) == 0, law, "there is a loss");
+    }
+  }
+
+  void unlabelled() {
+    if (!traits_.reads_target(channel::label)) return;
+    LossRays<double> all = rays<double>(lengths_), other = all;
+    for (std::int64_t r = 0; r < all.semantic_rays; ++r) {
+      if (all.label[static_cast<std::size_t>(r)] >= 0) continue;
+      for (std::int32_t c = 0; c < all.kClasses; ++c) other.logits[static_cast<std::size_t>(r * all.kClasses + c)] += 1;
+    }
+    require(all.add(loss_, kScale) == other.add(loss_, kScale), "rays without a label", "have a loss");
+    for (std::int64_t r = 0; r < all.semantic_rays; ++r) {
+      if (all.label[static_cast<std::size_t>(r)] >= 0) continue;
+      for (std::int32_t c = 0; c < all.kClasses; ++c) {
+        if (all.d_logits[static_cast<std::size_t>(r * all.kClasses + c)] == 0) continue;
+        return note("rays without a label", "have a gradient of logits");
+      }
+    }
+  }
+
+  // An interval without an end, a near of 0, weights of 0 and logits far apart give finite numbers.
+  void extremes() {
+    LossRays<float> three = rays<float>({4, 3, 2});
+    for (std::size_t r = 0; r < 3; ++r) three.near_far[2 * r] = 0;
+    three.t = {0, 1, 1, 2, 0, 0, 0, 1e-30F, 3};
+    three.delta[3] = three.delta[8] = INFINITY;
+    three.weight = {0, 1, 0, 0, 0, 0, 0, 0.5F, 0.5F};
+    for (std::size_t i = 0; i < three.logits.size(); ++i) three.logits[i] = i % 2 == 0 ? 1e4F : -1e4F;
+    for (std::size_t i = 0; i < three.made.size(); ++i) three.made[i] = i < three.made.size() / 2 ? 0 : 1e18F;
+    require(std::isfinite(three.add(loss_, kScale)), "extremes", "the loss is not finite");
+    for (const Gradient<float>& one : gradients<float>()) {
+      const std::vector<float>& gradient = three.*one.gradient;
+      require(std::all_of(gradient.begin(), gradient.end(), [](float d) { return std::isfinite(d); }), "extremes",
+              about(one.channel) + " is not finite");
+    }
+  }
+
+  const Loss& loss_;
+  LawOptions options_;
+  LossTraits traits_;
+  FurtherChannels further_;
+  bool soft_;
+  std::vector<int> lengths_;
+  Failures failures_;
+};
+
+}  // namespace
+
+Failures loss_laws(const Loss& loss, const LawOptions& options) {
+  Failures failures = LossLaws(loss, options, false).run();
+  if (!loss.traits().reads_target(channel::label)) return failures;
+  for (const std::string& failure : LossLaws(loss, options, true).run()) failures.push_back("soft labels: " + failure);
+  return failures;
+}
+
+Failures loss_laws(const Registry& registry, const std::string& name, const Settings& settings,
+                   const LawOptions& options) {
+  const PluginEntry& entry = registry.get(PluginKind::loss, name);
+  return loss_laws(*entry.loss(*make_params(entry, settings)), options);
+}
+
+}  // namespace semfield::testkit
