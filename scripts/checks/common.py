@@ -12,7 +12,7 @@ BUILD = ROOT / "build" / "release"
 QUICKSTART = ROOT / "configs" / "quickstart.yaml"
 
 
-class Failed(Exception):
+class Failed(RuntimeError):
     """A command that a step needs has failed, or something that it needs is not there."""
 
 
@@ -33,6 +33,17 @@ def run(*words, **more):
 def ask(*words, **more):
     """The object that a verb of the program prints."""
     return json.loads(run(*words, "--json", "--quiet", **more))
+
+
+def read_pictures(pattern, pixels):
+    """Bytes of the picture, or of all that a pattern names, one after the other."""
+    return run("ffmpeg", "-v", "error", "-i", pattern, "-f", "rawvideo", "-pix_fmt", pixels, "-",
+               text=None, encoding=None)
+
+
+def write_pictures(pattern, raw, width, height, pixels, *filters):
+    run("ffmpeg", "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", pixels, "-s", f"{width}x{height}",
+        "-i", "-", *filters, "-start_number", "0", pattern, input=raw, text=None, encoding=None)
 
 
 def commit():

@@ -12,17 +12,6 @@ import subprocess
 from . import common
 
 
-def read_pictures(pattern, pixels):
-    """Bytes of all pictures of a folder, one after the other."""
-    return common.run("ffmpeg", "-v", "error", "-i", pattern, "-f", "rawvideo", "-pix_fmt", pixels, "-",
-                      text=None, encoding=None)
-
-
-def write_pictures(pattern, raw, width, height, pixels, *filters):
-    common.run("ffmpeg", "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", pixels, "-s", f"{width}x{height}",
-               "-i", "-", *filters, "-start_number", "0", pattern, input=raw, text=None, encoding=None)
-
-
 def other_axes(pose):
     """OpenCV to OpenGL camera axes, and back."""
     return [[row[0], -row[1], -row[2], row[3]] for row in pose[:3]] + [pose[3]]
@@ -69,10 +58,10 @@ class Scene:
         shutil.copytree(self.source / "rgb", self.folder / "rgb", dirs_exist_ok=True)
 
     def labels(self):
-        return bytearray(read_pictures(self.label_pattern, "gray"))
+        return bytearray(common.read_pictures(self.label_pattern, "gray"))
 
     def write_labels(self, raw, pixels="gray", *filters):
-        write_pictures(self.label_pattern, raw, self.width, self.height, pixels, *filters)
+        common.write_pictures(self.label_pattern, raw, self.width, self.height, pixels, *filters)
 
     def write_config(self, more=""):
         preset = common.ROOT / "configs" / "presets" / "room.yaml"
@@ -221,8 +210,8 @@ def turned_images(scene):
     scene.intrinsics = {"fl_x": w / 2, "fl_y": w / 2, "cx": w / 2, "cy": h / 2, "w": w, "h": h}
     scene.image_ending = ".jpg"
     scene.write()
-    raw = read_pictures(scene.image("%d"), "rgb24")
-    write_pictures(scene.image("%d", ".jpg"), raw, w, h, "rgb24", "-vf", "transpose=clock")
+    raw = common.read_pictures(scene.image("%d"), "rgb24")
+    common.write_pictures(scene.image("%d", ".jpg"), raw, w, h, "rgb24", "-vf", "transpose=clock")
     entry = struct.pack("<HHHIHHI", 1, 0x112, 3, 1, 8, 0, 0)  # one entry: the orientation, a short, is 8
     exif = b"Exif\0\0II*\0\x08\0\0\0" + entry
     for i in range(len(scene.poses)):
@@ -313,11 +302,12 @@ def play(program, scene, name, spoil, named_by, by_hand):
 
 
 def drill(words):
-    """Breaks own data in twelve ways in each of two formats, and in three of one, and looks at what `semfield inspect` says.
+    """Breaks own data in twelve ways in each of two formats, and in three of one, and looks at what `semfield inspect`
+says.
 
-A break counts as named when one line says what it is, its remedy as right when doing what that line says - a setting, a
-renamed file or key - makes inspect pass.
-The last line is `drill: breaks=... named=... right_remedy=... repeated_lines=...`."""
+A break counts as named when one line says what it is, its remedy as right when doing what that line says - a setting,
+a renamed file or key - makes inspect pass. The last line is `drill: breaks=... named=... right_remedy=...
+repeated_lines=...`."""
     parser = common.parser_of(drill)
     parser.add_argument("--program", type=pathlib.Path, default=common.BUILD / "bin" / "semfield", metavar="FILE")
     parser.add_argument("--quick", action="store_true", help="fewer and smaller frames")

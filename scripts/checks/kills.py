@@ -17,9 +17,9 @@ def run_test(build, program, cases, **settings):
 
 
 def torture(words):
-    """Kills the real program with SIGKILL at random moments of a training, resumes it each time, and compares the bits in
-the end with those of a run left alone. With CALLS also one kill at each of so many of a run's file calls, spread evenly; 0: at
-every one. Builds nothing: run ./scripts/test first."""
+    """Kills the real program with SIGKILL at random moments of a training, resumes it each time, and compares the bits
+in the end with those of a run left alone. With CALLS also one kill at each of so many of a run's file calls, spread
+evenly; 0: at every one. Builds nothing: run ./scripts/test first."""
     parser = common.parser_of(torture)
     parser.add_argument("kills", type=int, nargs="?", default=1000, metavar="KILLS", help="how many (default: 1000)")
     parser.add_argument("calls", type=int, nargs="?", metavar="CALLS")
@@ -34,9 +34,9 @@ every one. Builds nothing: run ./scripts/test first."""
 
 
 def sweep_torture(words):
-    """Starts two processes of one sweep in its folder and kills them at random moments, by SIGKILL and SIGTERM, until so
-many are killed. No finished result may be lost or changed, every exit code is a documented one, and the run to the end gives the
-figures of a sweep left alone. Builds nothing: run ./scripts/test first."""
+    """Starts two processes of one sweep in its folder and kills them at random moments, by SIGKILL and SIGTERM, until
+so many are killed. No finished result may be lost or changed, every exit code is a documented one, and the run to the
+end gives the figures of a sweep left alone. Builds nothing: run ./scripts/test first."""
     parser = common.parser_of(sweep_torture)
     parser.add_argument("kills", type=int, nargs="?", default=100, metavar="KILLS", help="how many (default: 100)")
     common.add_build(parser)
@@ -60,8 +60,8 @@ The last line is `soak: seconds=... exit=... early_peak_kb=... late_peak_kb=... 
     with common.work_folder(options.keep) as folder, open(folder / "train.txt", "w", encoding="utf-8") as log:
         begin, samples = time.monotonic(), []
         training = subprocess.Popen(
-            [options.build / "bin" / "semfield", "train", common.QUICKSTART, "--out", folder / "run", "--time", f"{seconds}s",
-             "--threads", str(options.threads), "--set", f"report.eval_every_s={every}",
+            [options.build / "bin" / "semfield", "train", common.QUICKSTART, "--out", folder / "run",
+             "--time", f"{seconds}s", "--threads", str(options.threads), "--set", f"report.eval_every_s={every}",
              "--set", f"report.checkpoint_every_s={every}"], stdout=log, stderr=log)
         process = pathlib.Path("/proc", str(training.pid))
         while training.poll() is None:
@@ -81,6 +81,6 @@ The last line is `soak: seconds=... exit=... early_peak_kb=... late_peak_kb=... 
     late = [sample[1:] for sample in samples if sample[0] >= last / 2]
     (early_kb, early_files), (late_kb, late_files) = (map(max, zip(*part)) for part in (early, late))
     growth = 100 * (late_kb - early_kb) / max(early_kb, 1)
-    print(f"soak: seconds={last:.0f} exit={code} early_peak_kb={early_kb} late_peak_kb={late_kb} growth_percent={growth:.2f} "
-          f"files={early_files}/{late_files}")
+    print(f"soak: seconds={last:.0f} exit={code} early_peak_kb={early_kb} late_peak_kb={late_kb} "
+          f"growth_percent={growth:.2f} files={early_files}/{late_files}")
     return 0 if code == 0 and growth < 1 and late_files <= early_files else 1
