@@ -1,4 +1,4 @@
-"""Pictures of the documents: meshes from above, and the film of clicks. Python's own library and ffmpeg."""
+"""Pictures of the documents: meshes from above, and the film of clicks, by NumPy and ffmpeg."""
 import colorsys
 import json
 import math
@@ -8,20 +8,19 @@ import struct
 import subprocess
 import time
 import urllib.request
-import zlib
+
+import numpy as np
 
 from . import common
 
 SAMPLES = 2  # a pixel's side in samples
-CUT = 0.1  # share of the box that is cut off at near walls; twice that under the ceiling
-TYPES = {"double": "d", "float": "f", "uchar": "B", "ushort": "H", "int": "i", "uint": "I"}
-TURNS = {"z": ("x", "y", "z"), "-z": ("x", "-y", "-z"), "y": ("x", "-z", "y"), "-y": ("x", "z", "-y"),
-         "x": ("y", "z", "x"), "-x": ("z", "y", "-x")}  # of the axis that becomes +z
+CUT = (0.1, 0.1, 0.2)  # shares of the box that are cut off at near walls and under the ceiling
+TYPES = {"double": "<f8", "float": "<f4", "uchar": "u1", "ushort": "<u2", "int": "<i4", "uint": "<u4"}
 CAPTURED = ("--set", "scene.width_px=320", "--set", "scene.height_px=240")
 
 
 def read_ply(path):
-    """A dict of the vertices' columns, and the corners of the faces."""
+    """The vertices as records, and the corners of the faces."""
     head, _, body = path.read_bytes().partition(b"end_header\n")
     lines = head.decode(errors="replace").split("\n")
     if "format binary_little_endian 1.0" not in lines:
@@ -29,30 +28,16 @@ def read_ply(path):
     counts = {line.split()[1]: int(line.split()[2]) for line in lines if line.startswith("element ")}
     first = next(i for i, line in enumerate(lines) if line.startswith("element face"))
     columns = [line.split()[1:] for line in lines[:first] if line.startswith("property ")]
-    row = struct.Struct("<" + "".join(TYPES[kind] for kind, _ in columns))
-    end = row.size * counts["vertex"]
-    vertices = dict(zip((name for _, name in columns), zip(*row.iter_unpack(body[:end]))))
-    return vertices, [face[1:] for face in struct.iter_unpack("<Biii", body[end:end + 13 * counts["face"]])]
+    vertices = np.frombuffer(body, [(name, TYPES[kind]) for kind, name in columns], counts["vertex"])
+    faces = np.frombuffer(body, [("count", "u1"), ("corners", "<i4", 3)], counts["face"], vertices.nbytes)
+    return vertices, faces["corners"]
 
 
-def write_png(path, width, rows):
-    """RGB rows, filtered by the pixel to the left."""
-    raw = b"".join(b"\1" + row[:3] + bytes((a - b) & 255 for a, b in zip(row[3:], row)) for row in rows)
-    head = struct.pack(">IIBBBBB", width, len(rows), 8, 2, 0, 0, 0)
-    chunks = ((b"IHDR", head), (b"IDAT", zlib.compress(raw, 9)), (b"IEND", b""))
-    pack = struct.Struct(">I").pack
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(
-        pack(len(data)) + kind + data + pack(zlib.crc32(kind + data)) for kind, data in chunks))
-
-
-def upright(vertices, axis):
-    """The vertices turned so that `axis` is +z."""
-    turned = dict(vertices)
-    for prefix in ("", "n"):
-        for to, source in zip("xyz", TURNS[axis]):
-            column = vertices[prefix + source[-1]]
-            turned[prefix + to] = tuple(-v for v in column) if source[0] == "-" else column
-    return turned
+def upright(vertices, names, axis):
+    """[N, 3] places or normals, turned so that `axis` is +z."""
+    x, y, z = (vertices[name].astype(float) for name in names)
+    turned = {"z": (x, y, z), "-z": (x, -y, -z), "y": (x, -z, y), "-y": (x, z, -y), "x": (y, z, x), "-x": (z, y, -x)}
+    return np.stack(turned[axis], 1)
 
 
 def object_color(number):
@@ -63,117 +48,84 @@ def object_color(number):
     return tuple(255 * v for v in colorsys.hsv_to_rgb(number * 0.618034 % 1, strength, value))
 
 
-def camera_of(vertices, azimuth, elevation):
-    """Eye and axes (right, up, back) of a camera outside the box that looks at a point below its middle."""
-    low, high = ([side(vertices[axis]) for axis in "xyz"] for side in (min, max))
-    middle = [(a + b) / 2 for a, b in zip(low, high)]
-    middle[2] -= 0.12 * (high[2] - low[2])
+def axes_of(azimuth, elevation):
+    """Right, up and back of a camera."""
     a, e = math.radians(azimuth), math.radians(elevation)
-    right = (-math.sin(a), math.cos(a), 0)
-    up = (-math.sin(e) * math.cos(a), -math.sin(e) * math.sin(a), math.cos(e))
-    back = (math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e))
-    return [m + 1.9 * math.dist(low, high) * b for m, b in zip(middle, back)], right, up, back
+    return np.array([[-math.sin(a), math.cos(a), 0],
+                     [-math.sin(e) * math.cos(a), -math.sin(e) * math.sin(a), math.cos(e)],
+                     [math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)]])
 
 
-def in_front(vertices, faces, back):
-    """Faces without those in the cut-off parts of the box."""
-    keep = [True] * len(vertices["x"])
-    for axis, side, share in zip("xyz", back, (CUT, CUT, 2 * CUT)):
-        low, high = min(vertices[axis]), max(vertices[axis])
-        cut = share * (high - low)
-        low, high = (low, high - cut) if side > 0 else (low + cut, high)
-        keep = [k and low <= v <= high for k, v in zip(keep, vertices[axis])]
-    return [face for face in faces if all(keep[corner] for corner in face)]
-
-
-def project(vertices, camera):
-    """Of each vertex x to the right and y down, both divided by depth, and depth."""
-    eye, right, up, back = camera
-    points = []
-    for place in zip(vertices["x"], vertices["y"], vertices["z"]):
-        ray = [v - e for v, e in zip(place, eye)]
-        x, y, z = (sum(a * b for a, b in zip(ray, axis)) for axis in (right, up, back))
-        points.append((x / -z, y / z, -z))
-    return points
-
-
-def rasterize(points, faces, width, height):
-    """Per sample the vertex that is seen, or -1: the nearest corner of the nearest face that looks at the camera."""
-    def area_of(a, b, c):
-        return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-
-    faces = [face for face in faces if area_of(*(points[corner] for corner in face)) < 0]
-    seen = {corner for face in faces for corner in face}
-    (x0, x1), (y0, y1) = ((f(points[i][k] for i in seen) for f in (min, max)) for k in (0, 1))
-    scale = 0.98 * min(width / (x1 - x0), height / (y1 - y0))
-    ox, oy = width / 2 - scale * (x0 + x1) / 2, height / 2 - scale * (y0 + y1) / 2
-    points = [(ox + scale * x, oy + scale * y, z) for x, y, z in points]
-    depth, owner = [math.inf] * (width * height), [-1] * (width * height)
-    for face in faces:
-        (ax, ay, az), (bx, by, bz), (cx, cy, cz) = corners = [points[corner] for corner in face]
-        area = area_of(*corners)
-        for y in range(max(0, math.ceil(min(ay, by, cy))), min(height - 1, math.floor(max(ay, by, cy))) + 1):
-            for x in range(max(0, math.ceil(min(ax, bx, cx))), min(width - 1, math.floor(max(ax, bx, cx))) + 1):
-                wb = ((x - ax) * (cy - ay) - (y - ay) * (cx - ax)) / area
-                wc = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / area
-                wa = 1 - wb - wc
-                if wa < 0 or wb < 0 or wc < 0:
-                    continue
-                z, at = wa * az + wb * bz + wc * cz, y * width + x
-                if z < depth[at]:
-                    depth[at] = z
-                    owner[at] = face[0] if wa >= wb and wa >= wc else face[1] if wb >= wc else face[2]
+def visible(places, faces, axes, width, height):
+    """[height, width] of the vertex that each sample sees, -1 for none: the nearest corner of the nearest face that
+    looks at a camera outside the box, which looks at a point below its middle. Cut-off parts are left out."""
+    low, high = places.min(0), places.max(0)
+    eye = (low + high) / 2 - [0, 0, 0.12 * (high[2] - low[2])] + 1.9 * math.dist(low, high) * axes[2]
+    rays = (places - eye) @ axes.T
+    points, depth = rays[:, :2] / rays[:, 2:] * [-1, 1], -rays[:, 2]
+    cut, near = (high - low) * CUT, axes[2] > 0
+    kept = ((places >= low + cut * ~near) & (places <= high - cut * near)).all(1)
+    faces = faces[kept[faces].all(1)]
+    (ax, ay), (bx, by), (cx, cy) = points[faces].transpose(1, 2, 0)
+    faces = faces[(bx - ax) * (cy - ay) < (by - ay) * (cx - ax)]
+    size, shown = np.array([width, height]), points[faces]
+    scale = 0.98 * min(size / np.ptp(shown, axis=(0, 1)))
+    points = size / 2 + scale * (points - (shown.min((0, 1)) + shown.max((0, 1))) / 2)
+    first = np.maximum(np.ceil(points[faces].min(1)), 0).astype(int)
+    last = np.minimum(np.floor(points[faces].max(1)), size - 1).astype(int)
+    owner, nearest = np.full((height, width), -1), np.full((height, width), np.inf)
+    for i in np.flatnonzero((first <= last).all(1)):
+        face, (x0, y0), (x1, y1) = faces[i], first[i], last[i]
+        (ax, ay), (bx, by), (cx, cy) = points[face]
+        x, y = np.arange(x0, x1 + 1), np.arange(y0, y1 + 1)[:, None]
+        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        b = ((x - ax) * (cy - ay) - (y - ay) * (cx - ax)) / area
+        c = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / area
+        shares = np.stack([1 - b - c, b, c])
+        z = np.tensordot(depth[face], shares, 1)
+        here = (slice(y0, y1 + 1), slice(x0, x1 + 1))
+        front = (shares >= 0).all(0) & (z < nearest[here])
+        nearest[here][front] = z[front]
+        owner[here][front] = face[shares.argmax(0)][front]
     return owner
-
-
-def rows_of(owner, colors, width, height):
-    """Rows of RGB bytes: means of SAMPLES x SAMPLES samples over white."""
-    colors = [tuple(map(int, color)) for color in colors] + [(255, 255, 255)]
-    for top in range(0, height, SAMPLES):
-        row = bytearray()
-        for left in range(0, width, SAMPLES):
-            samples = [colors[owner[(top + y) * width + left + x]] for y in range(SAMPLES) for x in range(SAMPLES)]
-            # Six bits a channel: the file is half the size, and nothing of it is seen.
-            row += bytes(v & 0xFC | v >> 6 for v in (sum(channel) // SAMPLES**2 for channel in zip(*samples)))
-        yield bytes(row)
 
 
 def mesh_picture(words):
     """Draws a mesh from above, in its colours and with --classes and --objects by class and by object, side by side.
-Faces that look away from the camera are left out, and so is what lies at the near walls and under the ceiling: the
-view into the room is open."""
+Faces that look away from the camera are left out, and so is what lies at the near walls and under the ceiling: the view
+into the room is open."""
     parser = common.parser_of(mesh_picture)
     parser.add_argument("mesh", type=pathlib.Path, metavar="MESH.ply", help="of `semfield mesh RUN`")
     parser.add_argument("out", type=pathlib.Path, metavar="OUT.png")
     parser.add_argument("--classes", type=pathlib.Path, metavar="CLASSES.yaml", help="colours of classes")
     parser.add_argument("--objects", action="store_true", help="also by object")
-    parser.add_argument("--up", default="z", choices=TURNS, help="upright axis (z); scenes of COLMAP mostly have -y")
+    parser.add_argument("--up", default="z", choices=("z", "-z", "y", "-y", "x", "-x"),
+                        help="upright axis (default: z); scenes of COLMAP mostly have -y")
     parser.add_argument("--view", nargs=2, type=float, default=(312, 38), metavar="DEG", help="azimuth and elevation")
     parser.add_argument("--size", nargs=2, type=int, default=(560, 440), metavar="PX", help="width and height")
     options = parser.parse_args(words)
-    width, height = (SAMPLES * v for v in options.size)
+    width, height = options.size
     vertices, faces = read_ply(options.mesh)
-    vertices = upright(vertices, options.up)
-    camera = camera_of(vertices, *options.view)
-    owner = rasterize(project(vertices, camera), in_front(vertices, faces, camera[3]), width, height)
-    light = [0.15 * r + 0.6 * u + 0.6 * b for r, u, b in zip(*camera[1:])]
-
-    def lit(column, color_of):
-        for normal, number in zip(zip(vertices["nx"], vertices["ny"], vertices["nz"]), vertices[column]):
-            shade = 0.7 + 0.35 * max(0, sum(n * l for n, l in zip(normal, light)) / math.hypot(*light))
-            yield [min(255, shade * v) for v in color_of(number)]
-
-    panels = [zip(*(vertices[name] for name in ("red", "green", "blue")))]
-    if options.classes and "label" in vertices:
+    axes = axes_of(*options.view)
+    light = np.array([0.15, 0.6, 0.6]) @ axes
+    normals = upright(vertices, ("nx", "ny", "nz"), options.up) @ light / np.linalg.norm(light)
+    shade = 0.7 + 0.35 * np.maximum(0, normals)[:, None]
+    panels = [np.stack([vertices[name] for name in ("red", "green", "blue")], 1)]
+    if options.classes and "label" in vertices.dtype.names:
         rows = re.findall(r"id: (\d+),.*?color: \[(\d+), (\d+), (\d+)\]", options.classes.read_text(encoding="utf-8"))
         table = {int(i): tuple(map(int, color)) for i, *color in rows}
-        panels.append(lit("label", lambda label: table.get(label, (0, 0, 0))))
-    if options.objects and "instance" not in vertices:
+        panels.append(shade * [table.get(label, (0, 0, 0)) for label in vertices["label"].tolist()])
+    if options.objects and "instance" not in vertices.dtype.names:
         raise common.Failed(f"{options.mesh} has no objects; find them with `semfield objects RUN` and write it again")
     if options.objects:
-        panels.append(lit("instance", object_color))
-    rows = [b"".join(row) for row in zip(*(rows_of(owner, colors, width, height) for colors in panels))]
-    write_png(options.out, len(panels) * width // SAMPLES, rows)
+        panels.append(shade * [object_color(number) for number in vertices["instance"].tolist()])
+    places = upright(vertices, ("x", "y", "z"), options.up)
+    owner = visible(places, faces, axes, width * SAMPLES, height * SAMPLES)
+    picture = np.concatenate([np.concatenate([np.minimum(colors, 255), [[255] * 3]])[owner] for colors in panels], 1)
+    # Means of the samples over white. Six bits a channel: the file is half the size, and nothing of it is seen.
+    picture = picture.astype(int).reshape(height, SAMPLES, -1, SAMPLES, 3).sum((1, 3)) // SAMPLES**2
+    picture = (picture & 0xFC | picture >> 6).astype(np.uint8)
+    common.write_pictures(options.out, picture.tobytes(), picture.shape[1], height, "rgb24")
     return 0
 
 

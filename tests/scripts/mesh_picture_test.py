@@ -4,7 +4,6 @@ import struct
 import subprocess
 import sys
 import tempfile
-import zlib
 
 HEADER = """ply
 format binary_little_endian 1.0
@@ -31,24 +30,17 @@ def square(corners, normal, color, label):
 
 
 def pixels(path):
-    """Rows of the RGB pixels of a PNG with the filters 'sub' and 'up'."""
-    data = open(path, "rb").read()
-    width, height = struct.unpack(">II", data[16:24])
-    start = data.index(b"IDAT") + 4
-    raw = zlib.decompress(data[start:start + struct.unpack(">I", data[start - 8:start - 4])[0]])
-    rows, above = [], bytes(3 * width)
-    for y in range(height):
-        kind, line = raw[y * (3 * width + 1)], bytearray(raw[y * (3 * width + 1) + 1:(y + 1) * (3 * width + 1)])
-        for i in range(3 * width):
-            line[i] = (line[i] + (above[i] if kind == 2 else line[i - 3] if i >= 3 else 0)) & 255
-        rows.append([tuple(line[i:i + 3]) for i in range(0, 3 * width, 3)])
-        above = bytes(line)
-    return rows
+    """Rows of the RGB pixels of a PNG."""
+    with open(path, "rb") as file:
+        width, height = struct.unpack(">II", file.read(24)[16:])
+    raw = subprocess.run(["ffmpeg", "-v", "error", "-i", path, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"],
+                         capture_output=True, check=True).stdout
+    return [[tuple(raw[3 * (y * width + x):][:3]) for x in range(width)] for y in range(height)]
 
 
 def draw(script, *words):
     size = ("--view", "270", "40", "--size", "60", "40")
-    return subprocess.run([sys.executable, script, "mesh_picture", *words, *size], capture_output=True, text=True)
+    return subprocess.run([script, "mesh_picture", *words, *size], capture_output=True, text=True)
 
 
 def main(script):
