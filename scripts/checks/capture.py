@@ -1,4 +1,5 @@
 """What `semfield prepare` finds from photographs alone, and what it makes of cameras that are wrong."""
+import contextlib
 import json
 import math
 import pathlib
@@ -7,11 +8,11 @@ import shutil
 import struct
 import subprocess
 import time
-import urllib.request
 
 import numpy as np
 
 from . import common
+from .film import Page
 from .splats import rotations
 
 SCENES = {"studio": "studio_room", "llff": "llff_room", "bonsai": "bonsai360"}
@@ -225,27 +226,14 @@ class Capture(Trainings):
         out, seconds = self.first
         begin, config = time.monotonic(), self.folder / "first.yaml"
         common.run(self.program, "init", out, "--out", config, "--replace", "--quiet")
-        words = [self.program, "serve", config, "--out", self.fresh("first_run"), "--json", "--quiet"]
-        server = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-        try:
-            page = json.loads(server.stdout.readline())["url"].rstrip("/")
-
-            def ask(address, body=None):
-                data = body and json.dumps(body).encode()
-                with urllib.request.urlopen(f"{page}/{address}", data, timeout=60) as answer:
-                    return json.load(answer)
-
-            view = ask("state?after=0")["views"][0]
+        with contextlib.closing(Page(self.program, config, "--out", self.fresh("first_run"))) as page:
+            view = page.state(lambda now: True)["views"][0]
             size = [view["width"], view["height"]]
-            ask("event", {"id": "check-1", "type": "class", "name": "thing", "color": [200, 30, 30]})
-            ask("event", {"id": "check-2", "type": "click", "frame": view["frame"], "size": size,
-                          "points": [[0.5 * v for v in size]], "radius": 2, "class": "thing"})
-            while ask("state?after=0")["overlay"]["events"] < 2:  # the labels know of both
-                time.sleep(0.2)
+            page.ask("event", {"id": "check-1", "type": "class", "name": "thing", "color": [200, 30, 30]})
+            page.ask("event", {"id": "check-2", "type": "click", "frame": view["frame"], "size": size,
+                               "points": [[0.5 * v for v in size]], "radius": 2, "class": "thing"})
+            page.state(lambda now: now["overlay"]["events"] >= 2)  # the labels know of both
             self.figures["minutes_to_click"] = (seconds + time.monotonic() - begin) / 60
-        finally:
-            server.terminate()
-            server.communicate()
 
 
 def add_common(parser):

@@ -1,6 +1,8 @@
 """What a run hands over to other programs, and the page of `semfield view`."""
+import base64
 import json
 import math
+import pathlib
 import signal
 import subprocess
 import sys
@@ -115,6 +117,30 @@ def opened(run):
             return True
         time.sleep(0.2)
     return False
+
+
+def mesh_picture(words):
+    """Draws a mesh from outside, in the colours of the page that shows it, side by side: a picture for a page of the
+documents. It needs chromium and chromium-driver."""
+    parser = common.parser_of(mesh_picture)
+    parser.add_argument("page", type=pathlib.Path, metavar="PAGE.html", help="of `semfield mesh RUN --out PAGE.html`")
+    parser.add_argument("out", type=pathlib.Path, metavar="OUT.png")
+    parser.add_argument("--modes", default="photo", help="of photo, class, object, with commas (default: %(default)s)")
+    parser.add_argument("--size", nargs=2, type=int, default=(560, 440), metavar="PX",
+                        help="width and height (560 440)")
+    options = parser.parse_args(words)
+    with browser.Driver() as driver, common.work_folder() as folder:
+        page = driver.browser(*options.size)
+        page.open(options.page.resolve().as_uri())
+        page.wait("document.body.dataset.state === 'ready'", "no picture", 60)
+        inputs = []
+        for mode in options.modes.split(","):
+            data = page.run("semfield.set_mode(arguments[0]); semfield.draw(); return canvas.toDataURL();", mode)
+            inputs += ["-i", folder / f"{mode}.png"]
+            inputs[-1].write_bytes(base64.b64decode(data.partition(",")[2]))
+        joined = ["-filter_complex", f"hstack=inputs={len(inputs) // 2}"] if len(inputs) > 2 else []
+        common.run("ffmpeg", "-v", "error", "-y", *inputs, *joined, options.out)
+    return 0
 
 
 def share_equal(found, meant):
