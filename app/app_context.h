@@ -35,4 +35,9 @@ struct AppContext {
 /// A sentence on stderr, unless the program is to be quiet.
 void print_note(const AppContext& context, const std::string& text);
 
+// What this binary is.
+
+/// Version, compiler, plugin interface, CPU and instruction sets, one line each.
+std::string version_lines();
+
 }  // namespace semfield::app

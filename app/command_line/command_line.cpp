@@ -15,11 +15,11 @@
 #include <type_traits>
 #include <utility>
 
+#include "app/app_context.h"
 #include "app/command_line/completion.h"
 #include "app/command_line/help.h"
 #include "app/json_output.h"
 #include "app/verb.h"
-#include "app/version_text.h"
 #include "core/check.h"
 #include "core/error.h"
 #include "core/text.h"

@@ -3,8 +3,7 @@
 #include <algorithm>
 
 #include "compute/parallel.h"
-#include "cuda/kernels/adam.h"
-#include "cuda/kernels/layers.h"
+#include "cuda/kernels/kernels.h"
 #include "cuda/launch.h"
 #include "cuda/matmul.h"
 #include "cuda/memory.h"

@@ -6,7 +6,7 @@
 #include "core/check.h"
 #include "cuda/bf16.h"
 #include "cuda/kernel_tables.h"
-#include "cuda/kernels/layers.h"
+#include "cuda/kernels/kernels.h"
 #include "cuda/launch.h"
 #include "cuda/matmul.h"
 #include "cuda/stages.h"

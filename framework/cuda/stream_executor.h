@@ -8,10 +8,10 @@
 #include <span>
 #include <vector>
 
-#include "cuda/kernels/losses.h"
-#include "cuda/loss_terms.h"
+#include "cuda/kernels/kernels.h"
 #include "cuda/memory.h"
 #include "cuda/ranks/gradient_sums.h"
+#include "cuda/stages.h"
 #include "cuda/steps/batch_drawer.h"
 #include "cuda/steps/sample_room.h"
 #include "cuda/store.h"

@@ -1,7 +1,6 @@
 // Adam on the device against the CPU's: the same bits where that one has fused multiply-add.
-#include "cuda/kernels/adam.h"
-
 #include "compute/isa.h"
+#include "cuda/kernels/kernels.h"
 #include "device_fixture.h"
 #include "model/param_store.h"
 

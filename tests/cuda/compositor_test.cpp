@@ -1,7 +1,7 @@
 // Compositing on the device against the CPU's in float64.
 #include <algorithm>
 
-#include "cuda/kernels/rendering.h"
+#include "cuda/kernels/kernels.h"
 #include "device_fixture.h"
 #include "testkit/compare.h"
 #include "tests/model_compositor/rays_of_slabs.h"

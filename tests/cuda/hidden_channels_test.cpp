@@ -1,6 +1,5 @@
 // Hidden channels along rays on the device, kept as fp32 or bf16, against plain sums in float64; room for samples.
-#include "cuda/kernels/hidden_channels.h"
-
+#include "cuda/kernels/kernels.h"
 #include "cuda/steps/sample_room.h"
 #include "cuda/stream_executor.h"
 #include "device_fixture.h"

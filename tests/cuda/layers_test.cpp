@@ -1,9 +1,8 @@
 // Products and layers on the device against plain loops in float64; which epilogues cuBLASLt has; same bits every run.
-#include "cuda/kernels/layers.h"
-
 #include <algorithm>
 #include <cstdio>
 
+#include "cuda/kernels/kernels.h"
 #include "cuda/matmul.h"
 #include "device_fixture.h"
 #include "testkit/compare.h"

@@ -1,9 +1,8 @@
 // Losses on the device against the CPU's in float64.
-#include "cuda/loss_terms.h"
-
 #include <iostream>
 
 #include "cuda/kernel_tables.h"
+#include "cuda/stages.h"
 #include "device_fixture.h"
 #include "testkit/compare.h"
 #include "testkit/loss_rays.h"

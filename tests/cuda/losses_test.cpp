@@ -1,8 +1,7 @@
 // Losses on the device against the CPU's in float64.
-#include "cuda/kernels/losses.h"
-
 #include <algorithm>
 
+#include "cuda/kernels/kernels.h"
 #include "device_fixture.h"
 #include "losses/semantic_cross_entropy.h"
 #include "testkit/compare.h"

@@ -1,8 +1,7 @@
 // Places of samples, densities, opacity resolution and the finite check on the device against the CPU's.
-#include "cuda/kernels/rendering.h"
-
 #include <algorithm>
 
+#include "cuda/kernels/kernels.h"
 #include "device_fixture.h"
 #include "model/density_activation.h"
 #include "testkit/compare.h"

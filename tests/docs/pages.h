@@ -9,7 +9,7 @@ namespace semfield::docs {
 /// Whole file under the project's folder; "" and a test failure when it cannot be read.
 std::string page(const std::string& path);
 
-/// Paths of every committed page: *.md at the top, under docs/, plugins/, scenes/, tests/ and bench/.
+/// Paths of every committed page: *.md at the top, under docs/, plugins/, scenes/, tests/ and studies/.
 std::vector<std::string> all_pages();
 
 struct Block {

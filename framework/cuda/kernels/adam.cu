@@ -3,9 +3,8 @@
 #include <algorithm>
 
 #include "core/check.h"
-#include "cuda/kernels/adam.h"
 #include "cuda/kernels/device_code.cuh"
-#include "cuda/kernels/rendering.h"
+#include "cuda/kernels/kernels.h"
 
 namespace semfield::cuda {
 

@@ -4,9 +4,7 @@
 
 #include "compute/math_functions.h"
 #include "cuda/kernels/device_code.cuh"
-#include "cuda/kernels/hidden_channels.h"
-#include "cuda/kernels/losses.h"
-#include "cuda/kernels/rendering.h"
+#include "cuda/kernels/kernels.h"
 #include "cuda/kernels/sampling.cuh"
 #include "cuda/stages.h"
 #include "model/compositor.h"

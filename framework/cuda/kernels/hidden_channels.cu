@@ -4,7 +4,7 @@
 #include <type_traits>
 
 #include "cuda/kernels/device_code.cuh"
-#include "cuda/kernels/hidden_channels.h"
+#include "cuda/kernels/kernels.h"
 
 namespace semfield::cuda {
 

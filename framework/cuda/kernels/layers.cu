@@ -8,7 +8,7 @@
 #include "compute/math_functions.h"
 #include "core/error.h"
 #include "cuda/kernels/device_code.cuh"
-#include "cuda/kernels/layers.h"
+#include "cuda/kernels/kernels.h"
 #include "cuda/matmul.h"
 
 namespace semfield::cuda {

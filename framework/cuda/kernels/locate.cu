@@ -1,6 +1,6 @@
 // Encoder coordinates of samples and of positions.
 #include "cuda/kernels/device_code.cuh"
-#include "cuda/kernels/rendering.h"
+#include "cuda/kernels/kernels.h"
 
 namespace semfield::cuda {
 

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "cuda/kernels/device_code.cuh"
-#include "cuda/loss_terms.h"
+#include "cuda/stages.h"
 
 namespace semfield::cuda {
 

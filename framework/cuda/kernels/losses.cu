@@ -3,7 +3,7 @@
 
 #include "core/check.h"
 #include "cuda/kernels/device_code.cuh"
-#include "cuda/kernels/losses.h"
+#include "cuda/kernels/kernels.h"
 
 namespace semfield::cuda {
 

@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "cuda/kernels/losses.h"
+#include "cuda/kernels/kernels.h"
 #include "cuda/launch.h"
 #include "cuda/memory.h"
 #include "cuda/ranks/exchange.h"

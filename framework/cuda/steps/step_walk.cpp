@@ -9,7 +9,7 @@
 
 #include "core/check.h"
 #include "core/error.h"
-#include "cuda/kernels/losses.h"
+#include "cuda/kernels/kernels.h"
 #include "cuda/stages.h"
 #include "cuda/stream_executor.h"
 #include "execution/lane_executor.h"

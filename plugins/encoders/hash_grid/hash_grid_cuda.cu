@@ -9,7 +9,7 @@
 #include "core/check.h"
 #include "core/workspace.h"
 #include "cuda/kernels/device_code.cuh"
-#include "cuda/kernels/losses.h"
+#include "cuda/kernels/kernels.h"
 #include "encoders/hash_grid/hash_grid_kernels.h"
 #include "plugin/kernels.h"
 

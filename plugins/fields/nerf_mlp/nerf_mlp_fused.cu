@@ -2,7 +2,7 @@
 
 #include "core/check.h"
 #include "cuda/bf16.h"
-#include "cuda/kernels/layers.h"
+#include "cuda/kernels/kernels.h"
 #include "cuda/launch.h"
 #include "fields/nerf_mlp/nerf_mlp_fused.cuh"
 #include "fields/nerf_mlp/nerf_mlp_fused.h"

@@ -2,7 +2,7 @@
 #include <algorithm>
 
 #include "core/check.h"
-#include "cuda/kernels/layers.h"
+#include "cuda/kernels/kernels.h"
 #include "fields/tiny_mlp/tiny_mlp_feature.cuh"
 #include "fields/tiny_mlp/tiny_mlp_fused.cuh"
 #include "fields/tiny_mlp/tiny_mlp_tile.cuh"
