@@ -2,7 +2,7 @@
 
 #include <charconv>
 
-#include "app/serve/page_state.h"
+#include "app/serve/request_json.h"
 #include "labels/clicks/click_log.h"
 
 namespace semfield::app {

@@ -9,7 +9,7 @@
 #include <sstream>
 
 #include "app/serve/page_requests.h"
-#include "app/serve/page_state.h"
+#include "app/serve/request_json.h"
 #include "core/error.h"
 #include "scene/camera.h"
 

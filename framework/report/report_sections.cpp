@@ -782,26 +782,26 @@ std::string round_facts(const ReportInput& input) {
   return out;
 }
 
-struct Column {
+struct LabelColumn {
   const char *head, *hint;
   std::string split, key;
 };
 
 std::string table(const ReportInput& input, const std::string& split) {
   // The last two are of runs with report.training_frames: what the labels were worth, and what was made of them.
-  const std::array<Column, 4> all{{{"mIoU", "", split, "miou"},
+  const std::array<LabelColumn, 4> all{{{"mIoU", "", split, "miou"},
                                    {"Total accuracy", "", split, "total_accuracy"},
                                    {"mIoU of the labels", "against the scene’s own", "train", "given_miou"},
                                    {"mIoU at their poses", "of the field", "train", "miou"}}};
-  std::vector<Column> columns;
-  for (const Column& column : all) {
+  std::vector<LabelColumn> columns;
+  for (const LabelColumn& column : all) {
     const auto has = [&](const ReportRun& run) { return run.labels && last_value(run, column.split, column.key); };
     if (std::any_of(input.runs.begin(), input.runs.end(), has)) columns.push_back(column);
   }
   std::string head =
       "<tr><th scope=\"col\">Run</th><th scope=\"col\" class=\"num\">Labelled frames</th>"
       "<th scope=\"col\" class=\"num\">Labelled pixels</th><th scope=\"col\" class=\"num\">Classes with labels</th>";
-  for (const Column& column : columns)
+  for (const LabelColumn& column : columns)
     head +=
         fmt::format("<th scope=\"col\" class=\"num\">{}<small class=\"d\">{}</small></th>", column.head, column.hint);
   std::string body;
@@ -819,7 +819,7 @@ std::string table(const ReportInput& input, const std::string& split) {
         html_escape(run.name), steps.empty() ? "" : fmt::format("<small class=\"d\">{}</small>", html_escape(steps)),
         count_text(labels.labelled_frames), count_text(labels.train_frames), count_text(labels.labelled_px),
         percent_text(share), taught, labels.classes.size());
-    for (const Column& column : columns) body += value_cell(last_value(run, column.split, column.key), 4, false);
+    for (const LabelColumn& column : columns) body += value_cell(last_value(run, column.split, column.key), 4, false);
     body += "</tr>\n";
   }
   return table_panel("Labels of each run", head + "</tr>", body) + step_facts(input) + round_facts(input);

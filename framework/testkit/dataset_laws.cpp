@@ -104,9 +104,9 @@ struct Agreement {
 Agreement reproject(const FrameInfo& from, const FrameBuffer& a, const FrameInfo& to, const FrameBuffer& b,
                     double tolerance) {
   Agreement result;
-  constexpr int kStep = 2;
-  for (int row = 0; row < a.height_px; row += kStep) {
-    for (int col = 0; col < a.width_px; col += kStep) {
+  constexpr int kStepPx = 2;
+  for (int row = 0; row < a.height_px; row += kStepPx) {
+    for (int col = 0; col < a.width_px; col += kStepPx) {
       const double z = a.depth_m[static_cast<std::size_t>(row * a.width_px + col)];
       const Vec3d unit = from.camera.direction(col + 0.5, row + 0.5);
       const double share = from.camera.depth_of(unit);

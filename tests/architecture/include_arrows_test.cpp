@@ -66,7 +66,7 @@ TEST(IncludeRules, KnownViolationsAreForbidden) {
       {"framework/run/run_loop.cpp", "report/report.h"},
       {"framework/report/report.cpp", "surface/mesh/surface.h"},
       {"framework/surface/fuse/fusion.cpp", "report/report.h"},
-      {"plugins/encoders/hash_grid/hash_grid.cpp", "encoders/frequency/frequency_kernels.h"},
+      {"plugins/encoders/hash_grid/hash_grid.cpp", "encoders/frequency/frequency_math.h"},
       {"plugins/encoders/hash_grid/hash_grid.cpp", "scene/scene.h"},
       {"plugins/encoders/hash_grid/hash_grid.cpp", "config/config_tree.h"},
       {"plugins/encoders/hash_grid/hash_grid.cpp", "execution/pipeline.h"},
@@ -95,7 +95,7 @@ TEST(IncludeRules, KnownArrowsAreAllowed) {
       {"plugins/encoders/hash_grid/hash_grid.cpp", "encoders/hash_grid/hash_grid_kernels.h"},
       {"plugins/datasets/replica/replica.cpp", "loading/frame_files.h"},
       {"plugins/losses/mine/mine.cpp", "losses/mine/mine_math.h"},
-      {"plugins/fused/hash_mlp/hash_mlp.cpp", "encoders/hash_grid/hash_grid_kernels.h"},
+      {"plugins/fused/hash_mlp/hash_mlp.cpp", "encoders/hash_grid/hash_grid_math.h"},
       {"plugins/encoders/hash_grid/hash_grid_test.cpp", "testkit/laws.h"},
       {"app/main.cpp", "session/trainer.h"},
   };

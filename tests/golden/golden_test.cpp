@@ -1,6 +1,7 @@
 // The program gives the bits that it gave: checksums of what golden_rows makes, on every instruction set.
 #include <gnu/libc-version.h>
 
+#include <algorithm>
 #include <cstdio>
 #include <map>
 #include <set>

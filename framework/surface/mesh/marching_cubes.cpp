@@ -15,12 +15,12 @@ namespace semfield {
 namespace {
 
 constexpr double kMostPoints = 4096;  // along an axis: layers then take 640 MiB
-constexpr std::uint32_t kNone = 0xFFFFFFFFU;
+constexpr std::uint32_t kNoVertex = 0xFFFFFFFFU;
 
 // Vertices on the edges of a layer that run along x and y, and on those that rise from it along z.
 struct LayerEdges {
   explicit LayerEdges(std::int64_t points) {
-    for (auto& axis : vertex) axis.assign(static_cast<std::size_t>(points), kNone);
+    for (auto& axis : vertex) axis.assign(static_cast<std::size_t>(points), kNoVertex);
   }
   std::array<std::vector<std::uint32_t>, 3> vertex;
 };
@@ -93,7 +93,7 @@ class Marcher {
 
   // Number in `vertices` of the one on the edge from `at` along `axis`.
   std::uint32_t cross_edge(double a, double b, Vec3d at, int axis, std::vector<Vec3d>& vertices) const {
-    if (dense(a) == dense(b)) return kNone;
+    if (dense(a) == dense(b)) return kNoVertex;
     // Both infinite, or one: halfway and the far end are what interpolation tends to.
     double share = (level_ - a) / (b - a);
     if (std::isnan(share)) share = 0.5;
@@ -118,8 +118,8 @@ class Marcher {
     each_point(strip, [&](std::size_t i, std::int64_t x, std::int64_t y) {
       const Vec3d at{static_cast<double>(x), static_cast<double>(y), static_cast<double>(z)};
       if (std::isnan(values[i])) strip.all_numbers = false;
-      edges.vertex[0][i] = x + 1 < grid_.nx ? cross_edge(values[i], values[i + 1], at, 0, strip.level) : kNone;
-      edges.vertex[1][i] = y + 1 < grid_.ny ? cross_edge(values[i], values[i + row], at, 1, strip.level) : kNone;
+      edges.vertex[0][i] = x + 1 < grid_.nx ? cross_edge(values[i], values[i + 1], at, 0, strip.level) : kNoVertex;
+      edges.vertex[1][i] = y + 1 < grid_.ny ? cross_edge(values[i], values[i + row], at, 1, strip.level) : kNoVertex;
     });
   }
 
@@ -141,7 +141,7 @@ class Marcher {
       strip.first_rising = next;
       next += strip.rising.size();
     }
-    if (next >= kNone) {
+    if (next >= kNoVertex) {
       throw Error(ErrorKind::data, "mesh.surface.size", "the surface has more vertices than 32 bits can number",
                   "choose a larger --voxel");
     }
@@ -155,7 +155,7 @@ class Marcher {
     const auto end = static_cast<std::size_t>(strip.end_row * grid_.nx);
     const auto number = [&](std::vector<std::uint32_t>& vertices, std::size_t first) {
       for (std::size_t i = begin; i < end; ++i) {
-        if (vertices[i] != kNone) vertices[i] += static_cast<std::uint32_t>(first);
+        if (vertices[i] != kNoVertex) vertices[i] += static_cast<std::uint32_t>(first);
       }
     };
     number(upper.vertex[0], strip.first_level);
