@@ -61,7 +61,7 @@ TEST_F(Words, HelpOfAVerbIsTheSameHoweverItIsAsked) {
 }
 
 TEST_F(Words, NoOptionSaysItsDefaultTwice) {
-  const std::string page = read_text_file(SEMFIELD_SOURCE_DIR "/docs/reference/verbs.md");
+  const std::string page = read_text_file(SEMFIELD_BINARY_DIR "/docs/docs/reference/verbs.md");
   const std::regex heading("\\n## ([a-z][a-z -]*)\\n");
   int verbs = 0;
   for (std::sregex_iterator it(page.begin(), page.end(), heading); it != std::sregex_iterator(); ++it, ++verbs) {

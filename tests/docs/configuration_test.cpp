@@ -1,8 +1,7 @@
-// Configurations in the documents are read by the program; the tables of sections are those of the declarations.
+// Configurations in the documents are read by the program.
 #include <gtest/gtest.h>
 #include <unistd.h>
 
-#include <cstdlib>
 #include <filesystem>
 
 #include "plugin/linked_plugins.h"
@@ -14,66 +13,6 @@ namespace semfield::docs {
 namespace {
 
 namespace fs = std::filesystem;
-
-std::string code(const std::string& text) { return text.empty() ? "" : "`" + text + "`"; }
-
-std::string cell(const std::string& text) {
-  std::string out;
-  for (const char c : text) {
-    if (c == '|') out += '\\';
-    out += c;
-  }
-  return out;
-}
-
-std::string heading_and_table(const std::string& heading, const std::vector<ParamDoc>& params) {
-  std::string text = "\n### " + heading + "\n\n";
-  text += "| key | type | default | allowed | meaning |\n|---|---|---|---|---|\n";
-  for (const ParamDoc& doc : params)
-    text += "| `" + doc.name + "` | " + doc.type + " | " + code(doc.default_value) + " | " +
-            cell(doc.choices.empty() ? doc.range : join(doc.choices)) + " | " + cell(doc.help) + " |\n";
-  return text;
-}
-
-std::string section_tables() {
-  std::string text = "\n";
-  for (const SectionDoc& section : describe_sections())
-    text += heading_and_table("`" + section.path + "`: " + section.sentence, section.params);
-  return text + "\n";
-}
-
-std::string degradation_tables() {
-  std::string text = "\n";
-  Registry registry;
-  register_linked_plugins(registry);
-  for (const std::string& name : registry.names(PluginKind::degradation)) {
-    const PluginEntry& entry = registry.get(PluginKind::degradation, name);
-    const std::unique_ptr<PluginParams> params = entry.new_params();
-    text += heading_and_table("`" + name + "`: " + entry.summary,
-                              describe_params([&](ParamVisitor& visit) { params->describe(visit); }));
-  }
-  return text + "\n";
-}
-
-// The part of a page between `begin` and `end` is `part`; written when the environment says so.
-void expect_part(const char* path, const std::string& begin, const std::string& end, const std::string& part) {
-  const std::string old = page(path);
-  const std::string fresh = with_part(old, begin, end, part);
-  if (std::getenv("SEMFIELD_WRITE_DOCS") != nullptr) {
-    write_file_atomic((fs::path(SEMFIELD_SOURCE_DIR) / path).string(), fresh);
-    return;
-  }
-  EXPECT_TRUE(old == fresh) << path << " is stale; run docs_test with SEMFIELD_WRITE_DOCS=1 in its environment";
-}
-
-TEST(ConfigurationPage, SectionTablesAreFresh) {
-  expect_part("docs/reference/configuration.md", "<!-- sections -->", "<!-- /sections -->", section_tables());
-}
-
-TEST(LabelExperimentsPage, TablesOfDegradationsAreFresh) {
-  expect_part("docs/guide/label_experiments.md", "<!-- degradations -->", "<!-- /degradations -->",
-              degradation_tables());
-}
 
 // A block marked `yaml` is a whole configuration, saved in configs/ as it or the text around it says.
 TEST(ConfigurationPage, EveryYamlBlockIsRead) {

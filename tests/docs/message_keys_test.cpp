@@ -108,7 +108,7 @@ void Keys::add(const std::string& path, const std::vector<ParamDoc>& params) {
 
 namespace fs = std::filesystem;
 
-// Codes look like keys, and the test docs_codes holds this page against the sources.
+// Codes look like keys; the build writes this page from the sources.
 std::set<std::string> codes() {
   static const std::regex row(R"(\n\| `([a-z0-9_.]+)` \|)");
   const std::string text = page("docs/reference/codes.md");
@@ -168,6 +168,20 @@ TEST(MessageKeys, EveryKeyIsOneThatSetTakes) {
     }
   }
   EXPECT_GT(seen, 50) << "messages name keys";
+}
+
+// scripts/docs_codes.py finds codes by what is before them: what looks like one of their areas is a code, a key or a file.
+TEST(MessageKeys, EveryLiteralThatLooksLikeACodeIsListed) {
+  const Keys keys;
+  const std::set<std::string> known = codes();
+  std::set<std::string> areas;
+  for (const std::string& code : known) areas.insert(code.substr(0, code.find('.')));
+  static const std::regex form(R"([a-z0-9_]+(\.[a-z0-9_]+){1,3})"), file(R"(.*\.(yaml|yml|csv|json|zip|ply|glb|npz))");
+  for (const Literal& literal : literals()) {
+    if (!std::regex_match(literal.text, form) || std::regex_match(literal.text, file)) continue;
+    if (!areas.contains(literal.text.substr(0, literal.text.find('.'))) || known.contains(literal.text)) continue;
+    EXPECT_TRUE(keys.known(literal.text, literal.dataset)) << literal.place << ": " << literal.text;
+  }
 }
 
 TEST(MessageKeys, NoRemedyNamesAKeyOfTheSceneWithoutItsPath) {

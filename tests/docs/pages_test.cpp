@@ -1,4 +1,4 @@
-// What pages point at exists: citations, folders, verbs and their options, exit codes. `scripts/site --check` looks at
+// What pages point at exists: citations, folders, verbs and their options, exit codes. `scripts/docs_check` looks at
 // links.
 #include "tests/docs/pages.h"
 
@@ -64,7 +64,7 @@ TEST(Pages, SourcesNameDocumentsThatExist) {
   int named = 0;
   for (const auto& [name, path] : found_in_tree(R"((?:^|[^A-Za-z0-9_/.-])(docs/[A-Za-z0-9_/.-]*[A-Za-z0-9_]))")) {
     ++named;
-    bool there = fs::exists(root / name);
+    bool there = fs::exists(root / name) || fs::exists(fs::path(SEMFIELD_BINARY_DIR) / "docs" / name);
     if (name.starts_with("docs/decisions/")) {
       for (const auto& entry : fs::directory_iterator(root / "docs/decisions"))
         there = there || fs::relative(entry.path(), root).generic_string().starts_with(name);
@@ -107,18 +107,20 @@ std::string help_of(const std::string& verb) {
   return help;
 }
 
-TEST(Readme, HasAtMost900Words) {
-  std::istringstream words(page("README.md"));
-  EXPECT_LE(std::distance(std::istream_iterator<std::string>(words), {}), 900) << "details belong to docs/";
-}
-
-TEST(VerbsPage, IsFresh) {
-  const fs::path tree = fs::path(SEMFIELD_BINARY_DIR) / "tests/docs/generated_pages";
-  fs::remove_all(tree);
-  fs::create_directories(tree / "plugins");
-  output_of("-q help --pages " + shell_word(tree.string()));
-  EXPECT_TRUE(read_text_file((tree / "docs/reference/verbs.md").string()) == page("docs/reference/verbs.md"))
-      << "docs/reference/verbs.md is stale; run: semfield help --pages PROJECT_FOLDER";
+// The built pages have every plugin's table and no mark where one belongs.
+TEST(BuiltPages, TablesArePutWhereAPageHasTheirMark) {
+  const fs::path built = fs::path(SEMFIELD_BINARY_DIR) / "docs";
+  EXPECT_HAS(page("docs/reference/plugins.md"), "### `hash_grid`");
+  EXPECT_HAS(read_text_file((built / "plugins/encoders/hash_grid/README.md").string()), "| `levels` | int |");
+  EXPECT_HAS(read_text_file((built / "docs/reference/configuration.md").string()), "### `train`");
+  int marked = 0;
+  for (const std::string& path : all_pages()) {
+    const std::regex mark("\n<!-- (parameters|sections|table [^>]*|sources) -->\n");
+    if (!std::regex_search(page(path), mark)) continue;
+    ++marked;
+    EXPECT_FALSE(std::regex_search(read_text_file((built / path).string()), mark)) << path;
+  }
+  EXPECT_GE(marked, 20);
 }
 
 TEST(VerbsPage, HasEveryVerbOfTheHelp) {
@@ -151,7 +153,6 @@ TEST(CommandLine, EveryVerbFileIsAVerbAndEveryVerbHasItsFile) {
     verbs.insert(file_of(verb));
     for (const std::string& word : words_of(output_of(verb + " --help"))) verbs.insert(file_of(verb + "_" + word));
   }
-  EXPECT_GE(files.size(), 30u);
   EXPECT_EQ(verbs, files);
 }
 

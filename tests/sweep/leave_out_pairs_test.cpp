@@ -109,22 +109,6 @@ TEST(LeaveOutPage, ASavingBelowItsNoiseIsSaidToBeNone) {
   EXPECT_EQ(saving_text(cost), "1.0 ± 0.2 % of a step (1 ms against 1.01 ms), 2.0 MB");
 }
 
-// The shipped page is that of the shipped table, and has a row for every pair.
-TEST(LeaveOutPage, TheShippedPageIsThatOfItsTable) {
-  const std::string json = in_source("docs/reference/leave_out.json");
-  const LeaveOutFindings shipped = parse_findings(read_text_file(json), json);
-  const std::string page = read_text_file(in_source("docs/reference/leave_out.md"));
-  EXPECT_EQ(page, with_findings(page, shipped, "leave_out.md"))
-      << "renew it: semfield-study pairs --write-docs docs/reference";
-  for (const LeaveOutPair& pair : leave_out_pairs()) {
-    const auto row = std::find_if(shipped.rows.begin(), shipped.rows.end(),
-                                  [&](const LeaveOutFinding& r) { return r.name == pair.name; });
-    ASSERT_NE(row, shipped.rows.end()) << pair.name;
-    EXPECT_EQ(row->proof, std::string(1, static_cast<char>(pair.proof)));
-    EXPECT_FALSE(row->saving.empty());
-  }
-}
-
 // What the library has of the table, of the last row of each component, is what the table in docs/ says.
 TEST(LeaveOutPage, TheLibraryHasTheShippedTable) {
   const std::string json = in_source("docs/reference/leave_out.json");

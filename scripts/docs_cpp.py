@@ -1,15 +1,8 @@
-#!/usr/bin/env python3
-"""Writes docs/reference/cpp.md, the C++ interface for plugins and programs, from the comments of its headers: scripts/cpp_reference [--check]
-
-A declaration is on the page if a `///` comment is above it or a `///<` one behind it, and it is not private. `--check` writes nothing and exits with 1 if
-the page is stale."""
-import argparse
+"""The page of the C++ interface for plugins and programs, from the comments of its headers. A declaration is on the page if a `///` comment is above it or a
+`///<` one behind it, and it is not private."""
 import os
 import re
-import sys
 
-REPOSITORY = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-PAGE = "docs/reference/cpp.md"
 GROUPS = [
     ("For plugins", ["plugin/module.h", "plugin/encoder.h", "plugin/field.h", "plugin/mlp/field.h", "plugin/sampler.h", "plugin/head/head.h", "plugin/loss.h",
                      "plugin/channels.h", "plugin/dataset.h", "plugin/grouping.h", "plugin/registry.h", "plugin/kernels.h", "loading/posed_photographs.h",
@@ -18,11 +11,11 @@ GROUPS = [
 ]
 HEAD = """# C++ interface
 
-Generated from the headers by `scripts/cpp_reference`. Headers are installed below `include/semfield`. The
-[plugin quick start](../guide/plugin_quick_start.md) and [training from C++](../guide/driving_training.md) show their use; what stays from version to version is in
-[promises](compatibility.md#promises).
+From the comments of the headers, which are installed below `include/semfield`. The [plugin quick start](../guide/plugin_quick_start.md) and
+[training from C++](../guide/driving_training.md) show their use; what stays from version to version is in [promises](compatibility.md#promises).
 """
 SCOPE = re.compile(r"^(?:template <[^>]*>\s*)?(?:class|struct|enum class) (\w+)(?: final)?\s*(?::[^;]*)?\{?")
+TYPE = ("class ", "struct ", "enum ", "template")
 
 
 def declaration_at(lines, i):
@@ -34,10 +27,9 @@ def declaration_at(lines, i):
             break
         if text.rstrip().endswith(",") and "(" not in text:
             break
-    text = re.sub(r"\s+", " ", text.strip())
-    text = re.sub(r"^(?:virtual|explicit|inline constexpr|inline|static constexpr|static) ", "", text)
-    return re.sub(r"\s*(?:\{.*|;|,|= 0;|: \w+_?\{?\(?.*)$", "", re.sub(r" = 0;$", ";", text)) if text.startswith(("class ", "struct ", "enum ", "template")) else \
-        re.sub(r"\s*(?:\{\}?.*|;|,)$", "", re.sub(r" = 0;$", ";", text))
+    text = re.sub(r"^(?:virtual|explicit|inline constexpr|inline|static constexpr|static) ", "", re.sub(r"\s+", " ", text.strip()))
+    end = r"\s*(?:\{.*|;|,|: \w+_?\{?\(?.*)$" if text.startswith(TYPE) else r"\s*(?:\{\}?.*|;|,)$"
+    return re.sub(end, "", re.sub(r" = 0;$", ";", text))
 
 
 def entries_of(text):
@@ -54,13 +46,12 @@ def entries_of(text):
             continue
         opened = SCOPE.match(line) or (SCOPE.match(lines[i + 1]) if line.startswith("template <") and i + 1 < len(lines) else None)
         behind = bare.split("///<", 1)[1].strip() if "///<" in bare else ""
-        if behind:
-            for more in lines[i + 1:]:
-                if not more.strip().startswith("///<"):
-                    break
-                behind += " " + more.strip()[4:].strip()
+        for more in lines[i + 1:] if behind else ():
+            if not more.strip().startswith("///<"):
+                break
+            behind += " " + more.strip()[4:].strip()
         said = " ".join(doc) or behind
-        if said and visible and bare and not bare.startswith(("//", "#", "///<", "template <")):
+        if said and visible and bare and not bare.startswith(("//", "#", "template <")):
             out.append((scope, declaration_at(lines, i), said))
         if bare and not bare.startswith("template <"):
             doc = []
@@ -69,39 +60,18 @@ def entries_of(text):
     return out
 
 
-def page():
+def page(root):
     out = HEAD
     for group, headers in GROUPS:
         out += f"\n## {group}\n"
         for header in headers:
-            path = os.path.join(REPOSITORY, "framework", header)
-            with open(path, encoding="utf-8") as file:
+            with open(os.path.join(root, "framework", header), encoding="utf-8") as file:
                 text = file.read()
             first = re.match(r"((?://[^/].*\n)+)", text)
             about = " ".join(line[2:].strip() for line in first[1].split("\n")) if first else ""
             out += f"\n### {header}\n\n{about.strip()}\n\n| declaration | what it is |\n|---|---|\n"
             for scope, declaration, said in entries_of(text):
                 name = f"{scope}: " if scope and not declaration.startswith(("class ", "struct ", "template <class Real> class")) else ""
-                cell = (name + declaration).replace("|", "\\|")
-                out += f"| `{cell}` | {said.replace('|', chr(92) + '|')} |\n"
+                cells = [cell.replace("|", "\\|") for cell in (name + declaration, said)]
+                out += f"| `{cells[0]}` | {cells[1]} |\n"
     return out
-
-
-def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if the page is stale")
-    options = parser.parse_args()
-    fresh, path = page(), os.path.join(REPOSITORY, PAGE)
-    if options.check:
-        with open(path, encoding="utf-8") as file:
-            if file.read() != fresh:
-                print(f"cpp_reference: {PAGE} is stale; run scripts/cpp_reference", file=sys.stderr)
-                return 1
-        return 0
-    with open(path, "w", encoding="utf-8") as file:
-        file.write(fresh)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
