@@ -7,50 +7,26 @@ EXIT_CODES = {"failure": 1, "usage": 2, "data": 65, "no_input": 66, "unavailable
               "io": 74, "config": 78}
 IN_A_LIST = "in a list"
 LONGEST_SENTENCE = 120
-# Where one of many places would say too little.
+# Where the first of many places would say too little.
 SENTENCES = {
-    "checkpoint.file.damaged": "bytes are too few for a header",
     "config.value.choice": "expected one of …, got '…'",
     "config.value.range": "expected a number in […, …], got …",
     "config.value.type": "expected a number, got '…'",
-    "device.field.slow": "fp32 runs layer by layer on a GPU, 3 to 15 times slower than bf16",
-    "export.process.failed": "the last words of the process",
     "files.path.unusable": "'…': Permission denied",
-    "files.zip.damaged": "not a zip archive: its end is missing",
     "internal.check.failed": "….cpp:…: … (violated: …)",
-    "internal.view.shape": "is …, expected …",
-    "objects.edit.invalid": "an object is a number from 1 on",
-    "objects.found.unreadable": "'…' has no … numbers of …",
     "plugin.module.unloadable": "cannot load plugin '…': undefined symbol: …",
-    "plugin.python.raised": "…: ValueError: … (plugin.py:12)",
-    "ranks.process.lost": "MPI failed while …: …",
-    "render.cameras.entry": "is not an object of keys and values",
-    "render.cameras.format": "not valid JSON: …",
-    "render.video.failed": "… (exit code …)",
-    "run.metrics.damaged": "not a JSON object",
-    "scene.bounds.missed": "none of the rays of the training cameras can meet the bounds …",
-    "scene.colmap.format": "'…' is not a number",
     "scene.image.turned": "colour image '…' is … pixels, the camera …: one is turned by a quarter against the other",
-    "scene.pose.convention": "poses have OpenGL axes (y up, z backward) where OpenCV axes are expected: …",
-    "system.library.missing": "…: cannot open shared object file",
-    "train.steps.chosen": "… steps, chosen from …",
     "usage.value.invalid": "--threads many: expected a whole number",
 }
 HEAD = """# Codes
 
-Every error and every finding has a code after its sentence, at the end of the line:
-
-```text
-semfield: room.yaml:7:11: train: unknown key 'rayss'; did you mean 'rays'? [config.key.unknown]
-```
-
-Sentences may change from version to version; a code stays with its cause, and a change is in the [changelog](../../CHANGELOG.md). Search pages and sources for it. Programs read it
-as `code`: in the findings of `semfield inspect --json` ([json](json.md)), in the answers of the labelling page ([HTTP](labelling_http.md)), and in the exceptions of the
-[Python package](../guide/python.md#errors).
+Every error and every finding has a code at the end of its line, such as `[config.key.unknown]`. Sentences may change from version to version; a code stays with its
+cause, and a change is in the [changelog](../../CHANGELOG.md). Programs read it as `code` in [JSON](json.md), in the answers of the [labelling page](labelling_http.md) and in the
+exceptions of the [Python package](../guide/python.md#errors).
 
 The second column is the [exit code](command_line.md#exit-codes) of an error that ends the program. *In a list* are findings, all of which one pass over an input reports at once:
-the program ends with 65 where the data are wrong and with 78 where the configuration is. Warnings and notes end nothing. The third column is what one of the places says that
-use the code, with … for values.
+the program ends with 65 where the data are wrong and with 78 where the configuration is. Warnings and notes end nothing. The third column is what one of the places says, with …
+for values.
 """
 CODE = re.compile(r'"([a-z0-9_]+(?:\.[a-z0-9_]+){1,3})"')
 # What is before a code: the kind of an error, the name of a function that takes a code first, a variable.
@@ -72,12 +48,6 @@ class Source:
         self.literals = [token.span() for token in tokens if token["text"]]
         self.blank = (PYTHON if python else CPP).sub(lambda m: re.sub(r"[^\n]", " ", m[0]), text)
         self.wrappers = dict(WRAPPER.findall(text))
-
-    def codes(self):
-        for start, end in self.literals:
-            found = CODE.fullmatch(self.text, start, end)
-            if found:
-                yield start, end, found[1]
 
     def arguments(self, at):
         """Places of the arguments behind the one that ends at `at`."""
@@ -127,39 +97,31 @@ class Source:
         call = before["call"]
         places = self.arguments(end)[1:2] if call in ("error", "warning", "note") else self.arguments(end)[:2 if call else 1]
         said = next(filter(None, (self.sentence(*place) for place in places)), "")
-        if before["kind"]:
-            return str(EXIT_CODES[before["kind"]]), said
         if call in ("warning", "note", "error_json"):
-            return {"error_json": "HTTP"}.get(call, call), said
-        if call is None:
-            kind = self.text[:start].endswith("return ") and re.search(r"ErrorKind::(\w+)", self.text[start:])
-            return (str(EXIT_CODES[kind[1]]) if kind else None), said
-        kind = self.wrappers.get(call) or (wrappers.get(call) if call not in ("report", "error") else None)
-        return (str(EXIT_CODES[kind]) if kind else IN_A_LIST), said
-
-
-def sources(root):
-    for folder in FOLDERS:
-        for where, folders, names in os.walk(os.path.join(root, folder)):
-            folders[:] = sorted(name for name in folders if name != "tests")
-            for name in sorted(names):
-                if name.endswith((".cpp", ".h", ".cu", ".py")) and not name.endswith("_test.cpp"):
-                    with open(os.path.join(where, name), encoding="utf-8") as file:
-                        text = file.read()
-                    if CODE.search(text) or "(Code code" in text:
-                        yield name, Source(text, name.endswith(".py"))
+            return call.replace("error_json", "HTTP"), said
+        kind = before["kind"] or self.wrappers.get(call) or (call not in ("report", "error") and wrappers.get(call))
+        if call is None and not kind and self.text[:start].endswith("return "):
+            kind = (re.search(r"ErrorKind::(\w+)", self.text[start:]) or [None, None])[1]
+        return (str(EXIT_CODES[kind]) if kind else IN_A_LIST if call else None), said
 
 
 def collect(root):
     """{code: (endings, sentence)}"""
-    codes, every = {}, list(sources(root))
-    wrappers = {call: kind for name, source in every if name.endswith(".h") for call, kind in source.wrappers.items()}
-    for _, source in every:
-        for start, end, code in source.codes():
-            found = source.use(start, end, wrappers)
+    codes, sources, wrappers = {}, [], {}
+    for path in sorted(os.path.join(where, name) for folder in FOLDERS for where, _, names in os.walk(os.path.join(root, folder)) for name in names):
+        if path.endswith((".cpp", ".h", ".cu", ".py")) and not path.endswith("_test.cpp") and "/tests/" not in path[len(root) + 1:].removeprefix("tests"):
+            with open(path, encoding="utf-8") as file:
+                text = file.read()
+            if CODE.search(text) or "(Code code" in text:
+                sources.append(Source(text, path.endswith(".py")))
+                wrappers.update(sources[-1].wrappers if path.endswith(".h") else {})
+    for source in sources:
+        for start, end in source.literals:
+            code = CODE.fullmatch(source.text, start, end)
+            found = code and source.use(start, end, wrappers)
             if found:
-                endings, sentence = codes.get(code, (set(), ""))
-                codes[code] = (endings | {found[0]} - {None}, sentence or found[1])
+                endings, sentence = codes.get(code[1], (set(), ""))
+                codes[code[1]] = (endings | {found[0]} - {None}, sentence or found[1])
     return codes
 
 

@@ -31,17 +31,16 @@ def links_of(text):
     return [m["target"] for m in LINK.finditer(FENCE.sub("", text)) if m["target"]]
 
 
+def anchor_of(heading):
+    """Lower case, punctuation dropped, blanks to hyphens."""
+    return re.sub(r"[^\w\- ]", "", re.sub(r"!?\[([^]]*)\]\([^)]*\)", r"\1", heading).lower()).replace(" ", "-")
+
+
 def anchors_of(text):
-    """Anchors that headings get: lower case, punctuation dropped, blanks to hyphens, a number behind one that is there."""
+    """Anchors of a page; one that is there gets a number."""
     anchors = set()
-    for heading in re.findall(r"^#+ +(.*?) *$", FENCE.sub("", text), re.M):
-        shown = re.sub(r"!?\[([^]]*)\]\([^)]*\)", r"\1", heading).lower()
-        base = anchor = re.sub(r"[^\w\- ]", "", shown).replace(" ", "-")
-        number = 0
-        while anchor in anchors:
-            number += 1
-            anchor = f"{base}-{number}"
-        anchors.add(anchor)
+    for base in map(anchor_of, re.findall(r"^#+ +(.*?) *$", FENCE.sub("", text), re.M)):
+        anchors.add(next(anchor for anchor in (base, *(f"{base}-{number}" for number in range(1, 1000))) if anchor not in anchors))
     return anchors
 
 

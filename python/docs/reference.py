@@ -23,29 +23,13 @@ HEAD = """# The Python module
 From the docstrings: `help(semfield.Run)` prints the same. The guide is [Python](../guide/python.md).
 
 """
-SECTION = re.compile(r"^(Args|Attributes|Returns|Yields|Raises):$")
-TITLES = {"Args": "Arguments", "Attributes": "Attributes", "Returns": "Returns", "Yields": "Yields", "Raises": "Raises"}
 
 
 def text_of(doc: str) -> str:
     """A docstring as Markdown: its sections become lists."""
-    out: List[str] = []
-    section = ""
-    for line in inspect.cleandoc(doc).replace("``", "`").split("\n"):
-        if SECTION.match(line):
-            section = line[:-1]
-            out += [f"{TITLES[section]}:", ""]
-            continue
-        if section and line and not line.startswith("    "):
-            section = ""
-        item = re.match(r"^    ([\w, *]+): (.*)$", line)
-        if section in ("Args", "Attributes", "Raises") and item:
-            out.append(f"- `{item[1]}`: {item[2]}")
-        elif section and line:
-            out.append("  " + line.strip() if out and out[-1].startswith(("- ", "  ")) else line.strip())
-        else:
-            out.append(line)
-    return "\n".join(out).rstrip()
+    text = re.sub(r"^Args:$", "Arguments:", inspect.cleandoc(doc).replace("``", "`"), flags=re.M)
+    text = re.sub(r"^(Arguments|Attributes|Returns|Yields|Raises):\n", r"\1:\n\n", text, flags=re.M)
+    return re.sub(r"^    (?! )", "", re.sub(r"^    ([\w, *]+): ", r"- `\1`: ", text, flags=re.M), flags=re.M).rstrip()
 
 
 def signature_of(thing: Any) -> str:
@@ -65,13 +49,9 @@ def members_of(cls: type) -> Iterator[Tuple[str, str]]:
         if name.startswith("_"):
             continue
         if isinstance(value, property):
-            told = "" if inspect.isbuiltin(value.fget) else signature_of(value.fget)[2:]
-            yield name + told, value.__doc__ or ""
-        elif isinstance(value, (staticmethod, classmethod)):
-            words = signature_of(getattr(cls, name))
-            yield f"{name}{words}", value.__func__.__doc__ or ""
-        elif inspect.isfunction(value):
-            yield f"{name}{signature_of(value)}", value.__doc__ or ""
+            yield name + ("" if inspect.isbuiltin(value.fget) else signature_of(value.fget)[2:]), value.__doc__ or ""
+        elif isinstance(value, (staticmethod, classmethod)) or inspect.isfunction(value):
+            yield name + signature_of(getattr(cls, name)), getattr(cls, name).__doc__ or ""
         elif callable(value) and getattr(value, "__doc__", None):  # of the extension
             yield f"{name}()", value.__doc__.split("\n\n")[-1]
 
@@ -83,14 +63,14 @@ def heading_of(name: str, thing: Any) -> str:
         return name + signature_of(thing).split(" -> ")[0]
     try:
         return name + signature_of(thing)
-    except ValueError:  # of the extension, which tells it in its docstring
+    except ValueError:  # of the extension: in its docstring
         return str(thing.__doc__).split("\n")[0].replace("numpy.ndarray", "ndarray").replace("semfield._core.", "")
 
 
 def entry(name: str, thing: Any) -> str:
-    heading = heading_of(name, thing)
+    heading, doc = heading_of(name, thing), thing.__doc__ or ""
     shown = "" if heading == name else f"```text\n{heading}\n```\n\n"
-    parts = [f"### {name}\n\n{shown}{text_of(words_of(thing))}\n"]
+    parts = [f"### {name}\n\n{shown}{text_of(doc.split(chr(10) * 2, 1)[-1] if inspect.isbuiltin(thing) else doc)}\n"]
     if inspect.isclass(thing) and not issubclass(thing, sf.Error):
         for heading, doc in members_of(thing):
             word = re.split(r"\W", heading)[0]
@@ -98,19 +78,11 @@ def entry(name: str, thing: Any) -> str:
     return "\n".join(parts)
 
 
-def words_of(thing: Any) -> str:
-    doc = thing.__doc__ or ""
-    return doc.split("\n\n", 1)[-1] if inspect.isbuiltin(thing) else doc
-
-
-def page() -> str:
-    told = {name for _, names in GROUPS for name in names}
-    public = {name for name in sf.__all__ if name not in ("errors", "__version__")}
-    if told != public:
-        raise SystemExit(f"reference.py: GROUPS and semfield.__all__ differ in {sorted(told ^ public)}")
-    return HEAD + "\n".join(f"## {title}\n\n" + "\n".join(entry(name, getattr(sf, name)) for name in names) for title, names in GROUPS)
-
-
 if __name__ == "__main__":
+    listed = {name for _, names in GROUPS for name in names}
+    public = {name for name in sf.__all__ if name not in ("errors", "__version__")}
+    if listed != public:
+        raise SystemExit(f"reference.py: GROUPS and semfield.__all__ differ in {sorted(listed ^ public)}")
+    page = HEAD + "\n".join(f"## {title}\n\n" + "\n".join(entry(name, getattr(sf, name)) for name in names) for title, names in GROUPS)
     with open(sys.argv[1], "w", encoding="utf-8") as file:
-        file.write(page())
+        file.write(page)
