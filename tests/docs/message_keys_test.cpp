@@ -205,7 +205,7 @@ TEST(PageKeys, EveryKeyIsOneThatSetTakes) {
   static const std::regex file(R"(.*\.(json|html|h|cpp|yaml|md|csv|py|npz))");
   int seen = 0;
   for (const std::string& path : all_pages()) {
-    if (path == "CHANGELOG.md" || path.starts_with("docs/decisions/")) continue;  // have keys of earlier versions
+    if (path == "CHANGELOG.md" || path == "docs/decisions.md") continue;  // have keys of earlier versions
     const std::string text = page(path);
     for (std::sregex_iterator found(text.begin(), text.end(), span), end; found != end; ++found) {
       const std::string key = std::regex_replace(std::regex_replace((*found)[1].str(), index, ".N"), name, "passes.N");
