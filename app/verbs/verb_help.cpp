@@ -37,7 +37,8 @@ void write_man_pages(const Grammar& grammar, const std::string& folder, const Ap
 std::string section_tables() {
   std::string text;
   for (const SectionDoc& section : describe_sections())
-    text += "### `" + section.path + "`: " + section.sentence + "\n\n" + parameter_table_markdown(section.params) + "\n";
+    text +=
+        "### `" + section.path + "`: " + section.sentence + "\n\n" + parameter_table_markdown(section.params) + "\n";
   return text;
 }
 
@@ -64,8 +65,8 @@ void write_pages(const Grammar& grammar, const fs::path& root, const AppContext&
       fill(root / tree / kind_folder(entry->kind) / entry->name / "README.md", "<!-- parameters -->\n",
            parameter_table_markdown(*entry));
   }
-  print_note(context, "verbs.md and plugins.md written, " + std::to_string(filled) + " tables filled under " +
-                          root.string());
+  print_note(context,
+             "verbs.md and plugins.md written, " + std::to_string(filled) + " tables filled under " + root.string());
 }
 
 int run(const HelpOptions& options, AppContext& context) {
@@ -92,7 +93,8 @@ void words(VerbWords& verb, HelpOptions& options) {
                          words_of_verbs());
   verb.flag("--man", options.man, "print a manual page, for man(1)");
   verb.value("--out FOLDER", options.out, "write the manual pages of the program and all verbs to this folder");
-  verb.value("--pages FOLDER", options.pages, "copy of the pages of the source tree, in which those about verbs, plugins and keys are written");
+  verb.value("--pages FOLDER", options.pages,
+             "copy of the pages of the source tree, in which those about verbs, plugins and keys are written");
   verb.needs("--out", "--man");
   verb.excludes("--pages", "--man");
 }
