@@ -143,7 +143,7 @@ int run(const EvalOptions& options, AppContext& context) {
     refined = score_frames(s, options, frames, context, &infos);
     for (const auto& [name, value] : refined->values()) found["refined_poses"][name] = number_json<Json>(value);
   }
-  const std::string not_kept = keep_scores(run, options.split, score, diagnostics);
+  const std::string not_kept = keep_scores(run, options.split, score, refined ? &*refined : nullptr, diagnostics);
   if (!not_kept.empty()) print_note(context, "the run's folder does not keep these scores: " + not_kept);
   if (!options.out.empty()) write_file_atomic(options.out, json_object(context, found));
   if (context.json) {

@@ -121,7 +121,8 @@ std::string cards_section(const ReportInput& input, const std::string& split) {
   std::string out = "<div class=\"cards\">\n";
   const bool several = input.runs.size() > 1;
   const bool ranked = unranked_because(input, split).empty();
-  for (const std::string_view key : {"miou_present", "total_accuracy", "psnr", "psnr_fitted_colors", "absrel"}) {
+  for (const std::string_view key : {"miou_present", "total_accuracy", "psnr", "psnr_fitted_colors",
+                                     "psnr_refined_poses", "absrel"}) {
     if (several && !ranked) break;
     const ReportMetric& metric = report_metric(key);
     std::vector<std::optional<double>> values;

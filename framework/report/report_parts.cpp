@@ -15,7 +15,7 @@ namespace semfield {
 
 namespace {
 
-constexpr std::array<ReportMetric, 22> kMetrics{{
+constexpr std::array<ReportMetric, 23> kMetrics{{
     {"miou", "mIoU", "", 4, 1, "mean over classes with a non-empty union"},
     {"miou_present", "mIoU (present)", "", 4, 1, "mean over classes that occur in truth"},
     {"total_accuracy", "Total accuracy", "", 4, 1, "share of pixels with the right class"},
@@ -23,6 +23,7 @@ constexpr std::array<ReportMetric, 22> kMetrics{{
     {"psnr", "PSNR", "dB", 4, 1, "from the squared error pooled over the split"},
     {"psnr_fitted_colors", "PSNR, colours fitted", "dB", 4, 1,
      "each half of a frame under the map of colours that fits the other half"},
+    {"psnr_refined_poses", "PSNR, poses fitted", "dB", 4, 1, "each frame from the pose that fits the field"},
     {"ssim", "SSIM", "", 4, 1, "mean over images"},
     {"absrel", "AbsRel", "", 3, -1, "depth: mean |error| / truth"},
     {"absdiff", "AbsDiff", "m", 3, -1, "depth: mean |error|"},

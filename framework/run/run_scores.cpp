@@ -211,13 +211,14 @@ void add_given_scores(MetricsRow& row, const Session& session, const std::vector
 }
 
 std::string keep_scores(const OpenedRun& run, const std::string& split, const SplitScore& score,
-                        const Diagnostics& found) {
+                        const SplitScore* refined, const Diagnostics& found) {
   // Figures of other data or settings are not the run's.
   for (const Diagnostic& finding : found.all())
     if (finding.code == "run.scene.changed" || finding.code == "run.config.settings") return finding.message;
   const ClassTable& classes = run.session.scene.info.classes;
   const std::int64_t frames = std::ssize(score.frames);
   MetricsRow row = score_row(run.step, run.train_s, split, {frames, frames, 1}, score, classes);
+  if (refined != nullptr) row.set("psnr_refined_poses", refined->color.psnr_db());
   if (split == "train") {
     std::vector<int> all;
     for (const FrameScore& frame : score.frames) all.push_back(frame.frame);

@@ -89,10 +89,10 @@ MetricsRow score_row(std::int64_t step, double train_s, const std::string& split
 void add_given_scores(MetricsRow& row, const Session& session, const std::vector<int>& frames);
 
 /// Keeps the scores of every pixel of a split where reports look for them: a row of metrics.jsonl, and for test frames
-/// final_eval.json. Scores that are there already stay. `found`: what opening the run had to say. Returns why nothing
-/// was kept; "" otherwise.
+/// final_eval.json. Scores that are there already stay. `refined`: the same frames once more with poses fitted to the
+/// field, or null. `found`: what opening the run had to say. Returns why nothing was kept; "" otherwise.
 std::string keep_scores(const OpenedRun& run, const std::string& split, const SplitScore& score,
-                        const Diagnostics& found);
+                        const SplitScore* refined, const Diagnostics& found);
 
 /// Seconds since 1970, for events.
 double unix_seconds();

@@ -145,6 +145,15 @@ TEST(Report, IsWellFormedAndSelfContained) {
   }
 }
 
+// What exposure and poses of held-out frames cost stands beside the plain figure, where somebody measured it.
+TEST(Report, SecondFiguresOfPsnrHaveTheirCards) {
+  ReportInput input = sample_input(1);
+  EXPECT_LACKS(make_report(input), "colours fitted", "poses fitted");
+  input.runs[0].rows.back().set("psnr_fitted_colors", 29.5);
+  input.runs[0].rows.back().set("psnr_refined_poses", 28.25);
+  EXPECT_HAS(make_report(input), "PSNR, colours fitted", "PSNR, poses fitted", "29.5", "28.2");
+}
+
 TEST(Report, SameInputSameBytesAndEveryPartCounts) {
   const ReportInput input = sample_input(2);
   const std::string page = make_report(input);
