@@ -116,7 +116,7 @@ def pcl(path):
 def node(script, path, module):
     program = need("node", "nodejs")
     if not (NODE_MODULES / module).is_dir():
-        raise Absent(f"no npm package {module} here: scripts/hand_over_check installs it")
+        raise Absent(f"no npm package {module} here: scripts/release_check hand_over installs it")
     return json.loads(run([program, "-e", script, path], cwd=NODE_MODULES.parent))
 
 

@@ -158,7 +158,7 @@ void expect_documented(const Result& r, int sent) {
   EXPECT_TRUE(documented) << "code " << r.code << ", signal " << r.signal << ", sent " << sent << "\n" << r.err;
 }
 
-// SEMFIELD_SWEEP_KILLS: starts and kills of both together; scripts/sweep_torture gives it.
+// SEMFIELD_SWEEP_KILLS: starts and kills of both together; scripts/release_check sweep_torture gives it.
 TEST(SweepTorture, KillsOfTwoProcessesSideBySideLoseNoResult) {
   const char* const asked = std::getenv("SEMFIELD_SWEEP_KILLS");
   const int kills = asked != nullptr ? std::atoi(asked) : 6;
