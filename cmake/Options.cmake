@@ -19,7 +19,6 @@ set(SEMFIELD_WITH_MPI AUTO CACHE STRING "Runs over several processes by MPI: ON,
 set(SEMFIELD_WITH_NCCL AUTO CACHE STRING "Gradients of several GPUs meet by NCCL: ON, OFF, or AUTO = where it is found (NCCL_INCLUDE_DIR and NCCL_LIBRARY name another)")
 set(SEMFIELD_CUDA_ARCHITECTURES "" CACHE STRING "What CUDA kernels are compiled for; empty: with AUTO the devices of this machine, with ON 80-real;90a-real;90-virtual. -virtual: PTX, which newer chips compile when a program starts")
 set(SEMFIELD_EXTRA_PARTS "" CACHE STRING "Folders of parts that are built in as if they lay in this tree: plugins/KIND/NAME")
-option(SEMFIELD_BUILD_BENCH "Build the measurement programs in bench/" OFF)
 option(SEMFIELD_BUILD_FUZZERS "Build the fuzzers of tests/fuzz (clang only; see the preset fuzz and scripts/fuzz)" OFF)
 set(SEMFIELD_MARCH "" CACHE STRING "-march of the whole build, for one machine, e.g. native; empty: any machine, kernels by SEMFIELD_ISAS")
 set(SEMFIELD_SANITIZE "" CACHE STRING "Sanitizers, e.g. address,undefined or thread; empty: none")

@@ -6,10 +6,24 @@
 #include <vector>
 
 #include "app/app_context.h"
-#include "studies/gpu_rows.h"
-#include "studies/step_rows.h"
 
 namespace semfield::app {
+
+struct BenchGpuOptions {
+  bool peers = false;
+  std::string only;  ///< beginning of the measurements' names; "": all
+  int repeats = 5;
+  std::string python;
+};
+
+struct BenchStepOptions {
+  bool peers = false;
+  int threads = 0;  ///< 0: every core
+  int repeats = 5;
+  std::string size = "full";  ///< full, or tiny: narrow networks and few rays, for tests
+  std::string peer_script, python;
+  std::vector<std::string> set;  ///< overrides of both networks' configurations
+};
 
 /// Each measures, prints, and returns the exit code.
 int bench_gpu(const BenchGpuOptions& options, AppContext& context);

@@ -1,6 +1,8 @@
 #include "app/command_line/help.h"
 
 #include <algorithm>
+#include <map>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -143,6 +145,11 @@ const VerbGrammar* verb_named(const Grammar& grammar, const std::vector<std::str
 Error unknown_verb(const Grammar& grammar, const std::string& group, const std::string& word) {
   const std::string head = group.empty() ? "" : group + " ";
   const std::string text = "there is no verb '" + head + word + "'";
+  // Verbs that were measurements for documents.
+  static const std::map<std::string, std::string> studies{
+      {"quadrature", "quadrature"}, {"pairs", "leave_out"}, {"scale", "scale"}, {"label", "labelling"}};
+  if (const auto study = studies.find(word); group == "bench" && study != studies.end())
+    return {ErrorKind::usage, "usage.verb.unknown", text, "run studies/" + study->second + ".py of the source tree"};
   if (const std::string near = did_you_mean(word, names_below(grammar, group)); !near.empty())
     return {ErrorKind::usage, "usage.verb.unknown", text, "did you mean " + command(head + near) + "?"};
   for (const VerbGrammar* other : grammar.below("")) {

@@ -52,6 +52,7 @@ PYBIND11_MODULE(_core, module) {
   define_session(module);
   define_plugins(module);
   define_device_arrays(module);
+  define_integral(module);
   module.def("write_pack", write_pack);
   module.def("is_pack", semfield::is_packed_scene);
   module.def("resolved", resolved);

@@ -29,5 +29,7 @@ void load_python_file(Registry& registry, const std::string& path);
 RunConfig session_config_of(const ConfigNode& tree, Registry& registry);
 
 void define_plugins(py::module_& module);
+/// The samplers and the compositor by themselves, for studies.
+void define_integral(py::module_& module);
 
 }  // namespace semfield::python

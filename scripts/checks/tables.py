@@ -130,7 +130,7 @@ def measure_objects(options, room, case, seed):
 
 def measure_peer(options, room, case, seed):
     damage = ["--damage"] if case == "degraded_peer" else []
-    return json.loads(common.run(options.peer, common.ROOT / "bench" / "peers" / "grouping_peer.py",
+    return json.loads(common.run(options.peer, common.ROOT / "studies" / "peers" / "grouping_peer.py",
                                  options.packed / f"{room}.sfpack", "--seed", seed, *damage,
                                  "--device", "cuda" if options.device == "gpu" else "cpu"))
 
@@ -183,7 +183,7 @@ The last line has means over the three rooms and the seeds; n/a is what was not 
     parser.add_argument("--out", type=pathlib.Path, default=pathlib.Path("object_tables"), help="folder of the objects")
     parser.add_argument("--seeds", type=int, default=3, help="how many (default: 3)")
     parser.add_argument("--only", default=",".join((*ROOMS, "replica")), metavar="ROOM,...")
-    parser.add_argument("--peer", metavar="PYTHON", help="a Python with PyTorch: runs bench/peers/grouping_peer.py too")
+    parser.add_argument("--peer", metavar="PYTHON", help="a Python with PyTorch: runs studies/peers/grouping_peer.py too")
     parser.add_argument("--packed", type=pathlib.Path, metavar="FOLDER", help="where ROOM.sfpack lie, for --peer")
     parser.add_argument("--json", type=pathlib.Path, metavar="FILE",
                         help="keeps the figures, with those of earlier calls of the same commit and device")

@@ -23,9 +23,8 @@ void check_folder(const std::string& folder, std::size_t at_least) {
 TEST(IncludeArrows, FrameworkKeepsItsFloors) { check_folder("framework", 100); }
 TEST(IncludeArrows, PluginsSeeTheSdkAlone) { check_folder("plugins", 50); }
 TEST(IncludeArrows, TheApplicationStandsOnTop) { check_folder("app", 1); }
-TEST(IncludeArrows, TestsAndBenchmarksKeepTheLibrariesApart) {
+TEST(IncludeArrows, TestsKeepTheLibrariesApart) {
   check_folder("tests", 20);
-  check_folder("bench", 0);
 }
 
 struct Arrow {
@@ -67,7 +66,6 @@ TEST(IncludeRules, KnownViolationsAreForbidden) {
       {"framework/run/train_run.cpp", "report/run_report.h"},
       {"framework/report/report.cpp", "surface/mesh/surface.h"},
       {"framework/surface/fuse/fusion.cpp", "report/report.h"},
-      {"framework/report/sweep/sweep_cells.cpp", "studies/step_bench.h"},
       {"plugins/encoders/hash_grid/hash_grid.cpp", "encoders/frequency/frequency_math.h"},
       {"plugins/encoders/hash_grid/hash_grid.cpp", "scene/scene.h"},
       {"plugins/encoders/hash_grid/hash_grid.cpp", "config/config_tree.h"},

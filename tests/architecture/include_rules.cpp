@@ -147,8 +147,8 @@ bool names_plugin(const std::string& target) {
 std::string forbidden_in_framework(const std::string& path, const std::string& target) {
   const std::string folder = folder_of(path);
   if (names_plugin(target)) return "the framework includes no plugin";
-  for (const char* above : {"app/", "tests/", "studies/"}) {
-    if (starts_with(target, above)) return "the framework includes neither the application nor tests nor studies";
+  for (const char* above : {"app/", "tests/"}) {
+    if (starts_with(target, above)) return "the framework includes neither the application nor tests";
   }
   const std::string other = folder_of(target);
   const auto floor = floors().find(folder);

@@ -21,7 +21,7 @@ constexpr std::int64_t kMostFolderLines = 4000;
 
 std::vector<SourceFile> all_sources() {
   std::vector<SourceFile> files;
-  for (const char* folder : {"framework", "plugins", "app", "tests", "bench"}) {
+  for (const char* folder : {"framework", "plugins", "app", "tests"}) {
     for (SourceFile& file : files_under(folder, {".h", ".cpp", ".cu", ".cuh"})) files.push_back(std::move(file));
   }
   return files;
@@ -99,7 +99,6 @@ TEST(SourceRules, StateOfTheProcessIsListed) {
   for (const char* folder : {"framework", "plugins", "app"}) {
     for (const SourceFile& source : files_under(folder, {".h", ".cpp", ".cu", ".cuh"})) {
       if (source.path.ends_with("_test.cpp") || source.path.find("/tests/") != std::string::npos) continue;
-      if (source.path.find("/bench/") != std::string::npos) continue;  // programs, linked into nothing
       std::istringstream lines(source.text);
       for (std::string line; std::getline(lines, line);) {
         if (!keeps_state(line)) continue;
@@ -150,7 +149,7 @@ std::vector<std::string> fast_math_in(const std::string& text) {
 
 TEST(SourceRules, NoBuildFileAsksForFastMath) {
   std::vector<SourceFile> files;
-  for (const char* folder : {"cmake", "framework", "plugins", "app", "tests", "bench", "scripts", ".ci"}) {
+  for (const char* folder : {"cmake", "framework", "plugins", "app", "tests", "scripts", ".ci"}) {
     for (SourceFile& file :
          files_under(folder, {"CMakeLists.txt", ".cmake", ".cmake.in", ".json", ".yml", ".yaml", ".sh"}))
       files.push_back(std::move(file));

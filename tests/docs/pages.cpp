@@ -27,7 +27,7 @@ std::vector<std::string> all_pages() {
   for (const auto& entry : fs::directory_iterator(root)) {
     if (entry.path().extension() == ".md") pages.push_back(entry.path().filename().string());
   }
-  for (const char* folder : {"docs", "plugins", "scenes", "tests", "bench"}) {
+  for (const char* folder : {"docs", "plugins", "scenes", "tests", "studies"}) {
     for (const auto& entry : fs::recursive_directory_iterator(root / folder)) {
       if (entry.path().extension() == ".md") pages.push_back(fs::relative(entry.path(), root).generic_string());
     }

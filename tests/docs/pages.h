@@ -9,7 +9,7 @@ namespace semfield::docs {
 /// Whole file under the project's folder, or a page that only the build writes; "" and a test failure when there is none.
 std::string page(const std::string& path);
 
-/// Paths of every page of the tree: *.md at the top, under docs/, plugins/, scenes/, tests/ and bench/.
+/// Paths of every page of the tree: *.md at the top, under docs/, plugins/, scenes/, tests/ and studies/.
 std::vector<std::string> all_pages();
 
 struct Block {

@@ -38,7 +38,7 @@ std::map<std::string, std::string> found_in_tree(const std::string& pattern) {
   const fs::path root = SEMFIELD_SOURCE_DIR;
   const std::set<std::string> endings{".h", ".cpp", ".cu", ".py", ".md", ".yaml", ".cmake", ".txt", ""};
   for (const char* folder :
-       {"framework", "plugins", "app", "tests", "bench", "scripts", "configs", "docs", "cmake", "scenes", "."}) {
+       {"framework", "plugins", "app", "tests", "studies", "scripts", "configs", "docs", "cmake", "scenes", "."}) {
     const bool top = std::string(folder) == ".";
     for (auto it = fs::recursive_directory_iterator(root / folder); it != fs::recursive_directory_iterator(); ++it) {
       if (top && it->is_directory()) it.disable_recursion_pending();

@@ -1,0 +1,84 @@
+// A whole training step on rays made up in memory, to be timed: batch, forward, losses, backward, scatter, Adam; and
+// its multiply-adds, from what its networks say of themselves.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "model/pass.h"
+#include "plugin/registry.h"
+
+namespace semfield {
+
+/// A matrix product of a step: `rows` rows through a weight [in, out]. Backward costs as much again for the weight's
+/// gradient, and once more for the input's where that is wanted.
+struct LayerWork {
+  std::string layer;
+  double rows = 0;
+  double in = 0, out = 0;
+  bool input_gradient = true;
+  bool once_a_step = false;
+  /// Floating-point operations of forward and backward; a multiply-add counts 2.
+  double flop() const { return 2 * rows * in * out * (input_gradient ? 3 : 2); }
+};
+double total_flop(const std::vector<LayerWork>& layers);
+
+/// The products of a field; of an encoded position that is learned a gradient is wanted.
+std::vector<LayerWork> field_work(const Field<float>& field, std::int64_t rays, std::int64_t samples,
+                                  bool position_learns);
+
+/// The products of a pass in which every ray has a label: field, semantic branch as if it kept every sample, and head.
+/// An encoding's own arithmetic is not counted.
+std::vector<LayerWork> pass_work(const PassParts<float>& parts, std::int64_t rays, std::int64_t samples,
+                                 bool deferred_class_layer);
+
+struct StepCaseOptions {
+  std::string config;            ///< configuration file; its scene is not opened
+  std::vector<std::string> set;  ///< overrides, as of --set
+  int classes = 29;              ///< C, every ray labelled; 0: no semantics
+  std::int64_t rays = 1024;
+};
+
+/// One pipeline with optimiser and a source of rays: eight random pictures (colours and labels uniform) seen by
+/// cameras in the inner half of the cube [-0.5, 0.5]^3 looking anywhere. A step is Trainer's, so what is timed is what
+/// trains.
+class StepCase {
+ public:
+  /// Throws Error(config).
+  StepCase(const StepCaseOptions& options, Registry& registry);
+  ~StepCase();
+  StepCase(StepCase&&) noexcept;
+
+  /// Workers for steps on so many threads, so that the next call of seconds() starts none.
+  static void start_threads(int threads);
+  /// Mean seconds of `steps` steps on `threads` threads.
+  double seconds(int threads, int steps);
+  /// Seconds in which `rays` rays are rendered: colour, depth, label and entropy.
+  double render_seconds(std::int64_t rays);
+  /// Samples that the networks of all passes evaluate in a step.
+  std::int64_t samples_per_step() const;
+  std::int64_t learned_count() const;
+  /// The matrix products of a step, pass by pass.
+  std::vector<LayerWork> work() const;
+  /// Total loss of the last step.
+  double loss() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+/// Median and ends of repeated measurements.
+struct Spread {
+  double median = 0, min = 0, max = 0;
+};
+Spread spread_of(std::vector<double> values);
+
+/// Runs every measurement once per round, in order (A B A B ...), `repeats` rounds; what drifts then meets all alike.
+/// Returns one spread a measurement.
+std::vector<Spread> alternate(const std::vector<std::function<double()>>& measurements, int repeats);
+
+}  // namespace semfield

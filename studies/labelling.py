@@ -1,0 +1,199 @@
+#!/usr/bin/env python3
+"""How many clicks a simulated person needs on the labelling page, and how long an answer takes.
+
+    studies/labelling.py CONFIG --clicks 180 --seeds 5 --geometry 30
+
+For each person `semfield serve` trains the scene without labels. The person then names one pixel after the other with
+the truth, by the page's own requests: the place that the page proposes (`surface`), or any pixel of any view
+(`random`); a pixel that is void in truth is passed over. mIoU is over the classes in the held-out views.
+Training continues.
+"""
+import argparse
+import http.client
+import json
+import random
+import re
+import statistics
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import urllib.parse
+import zlib
+
+import numpy as np
+
+import semfield as sf
+from common import settings, table
+from semfield.program import program
+
+MARKS = (10, 30, 60, 100, 180, 300)  # clicks after which the held-out views are scored
+
+
+class Page:
+    """A served run."""
+
+    def __init__(self, config, folder, words):
+        self.process = subprocess.Popen([program(), "serve", config, "--out", f"{folder}/run", *words],
+                                        stdout=subprocess.PIPE,
+                                        stderr=subprocess.STDOUT, text=True)
+        said = ""
+        for line in self.process.stdout:
+            said += line
+            found = re.search(r"http://[\d.]+:\d+/\S+", line)
+            if found:
+                self.url = urllib.parse.urlsplit(found.group(0))
+                threading.Thread(target=self.process.stdout.read, daemon=True).start()
+                return
+        sys.exit(f"labelling: semfield serve ended: {said.strip()[-600:]}")
+
+    def request(self, path, body=None):
+        connection = http.client.HTTPConnection(self.url.hostname, self.url.port, timeout=120)
+        connection.request("GET" if body is None else "POST", self.url.path.rstrip("/") + path,
+                           body and json.dumps(body))
+        answer = connection.getresponse()
+        data = answer.read()
+        connection.close()
+        if answer.status != 200:
+            sys.exit(f"labelling: {path} was answered by {answer.status}: {data[:300]!r}")
+        return data
+
+    def state(self, after=0):
+        state = json.loads(self.request(f"/state?after={after}"))
+        if state["failure"]:
+            sys.exit(f"labelling: training failed: {state['failure']}")
+        return state
+
+    def labels(self, view, client, full=False):
+        """[H, W] index of the class, -1 for none."""
+        data = self.request("/picture", {"client": client, "view": view, "labels": True, "full": full})
+        parts = []
+        while data:
+            size = struct.unpack_from("<I", data)[0]
+            parts.append(data[4:4 + size])
+            data = data[4 + size:]
+        return None if json.loads(parts[0])["stale"] else palette_indices(parts[2]) - 1
+
+    def close(self):
+        self.process.terminate()
+        self.process.wait()
+
+
+def palette_indices(png):
+    """[H, W] of a palette PNG of 8 bits a pixel."""
+    width, height, bits = struct.unpack_from(">IIB", png, 16)
+    data, at = b"", 8
+    while at < len(png):
+        size, kind = struct.unpack_from(">I4s", png, at)
+        data += png[at + 8:at + 8 + size] if kind == b"IDAT" else b""
+        at += size + 12
+    rows = np.frombuffer(zlib.decompress(data), np.uint8).reshape(height, width + 1)
+    if bits != 8 or rows[:, 0].any():
+        sys.exit("labelling: the page's labels are no plain PNG of 8 bits")
+    return rows[:, 1:].astype(np.int64)
+
+
+def miou(confusion):
+    """Over classes that are there in truth; [K, K + 1] pixels, row = truth, last column = no label."""
+    hit, truth = np.diag(confusion), confusion.sum(1)
+    return float(np.mean((hit / np.maximum(truth + confusion[:, :-1].sum(0) - hit, 1))[truth > 0]))
+
+
+def course(page, truth, question, seed, clicks):
+    """(mIoU by number of clicks, milliseconds of each answer, classes that have a click)."""
+    state = page.state()
+    index_of = {c["id"]: c["index"] for c in state["classes"]}
+    name_of = {c["id"]: c["name"] for c in state["classes"]}
+    views = [v for v in state["views"] if not v["held_out"]]
+    draw, scores, answers, named, events = random.Random(seed), {}, [], set(), state["events"]
+    while len(answers) < clicks:
+        proposal = state["proposal"] if question == "surface" else None
+        if proposal:
+            view, (x, y) = proposal["view"], proposal["at"]
+        else:
+            view = draw.randrange(len(views))
+            x, y = draw.randrange(views[view]["width"]) + 0.5, draw.randrange(views[view]["height"]) + 0.5
+        known = views[view]
+        id_ = int(truth[known["frame"]][int(y), int(x)])
+        event = {"id": f"p-{seed}-{events}", "frame": known["frame"], "size": [known["width"], known["height"]],
+                 "points": [[x, y]]}
+        begin, events = time.perf_counter(), events + 1
+        if id_ not in name_of:
+            page.request("/event", {**event, "type": "skip"})
+            state = page.state()
+            continue
+        page.request("/event", {**event, "type": "click", "radius": 0, "class": name_of[id_]})
+        revision = 0
+        while True:
+            state = page.state(revision)
+            revision = state["revision"]
+            if state["overlay"]["events"] >= state["events"]:
+                break
+        page.labels(view, "person")
+        answers.append(1e3 * (time.perf_counter() - begin))
+        named.add(id_)
+        if len(answers) in MARKS or len(answers) == clicks:
+            scores[len(answers)] = held_out_miou(page, truth, index_of)
+        state = page.state()
+    return scores, answers, len(named)
+
+
+def held_out_miou(page, truth, index_of):
+    confusion = np.zeros((len(index_of), len(index_of) + 1), np.int64)
+    for number, view in enumerate(page.state()["views"]):
+        if not view["held_out"]:
+            continue
+        found = None
+        while found is None:
+            found = page.labels(number, "score", full=True)
+        ids = truth[view["frame"]]
+        ids = ids[:: ids.shape[0] // found.shape[0], :: ids.shape[1] // found.shape[1]]
+        for id_, index in index_of.items():
+            confusion[index] += np.bincount(np.where(found < 0, len(index_of), found)[ids == id_],
+                                            minlength=len(index_of) + 1)
+    return miou(confusion)
+
+
+def main():
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("config", nargs="?", default="quickstart", help="of a labelled scene with held-out views")
+    p.add_argument("--questions", default="random,surface")
+    p.add_argument("--seeds", type=int, default=5, help="persons for each question; the seed is runtime.seed too")
+    p.add_argument("--clicks", type=int, default=180)
+    p.add_argument("--geometry", type=float, default=30, help="seconds of training before the first click")
+    p.add_argument("--device", default="auto")
+    p.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
+    options = p.parse_args()
+    with sf.open(options.config, settings(options.set)) as run:
+        truth = {f.name: labels for f in run.frames if (labels := run.pixels(f.name).labels) is not None}
+    rows = {}
+    for question in options.questions.split(","):
+        for seed in range(1, options.seeds + 1):
+            words = ["--device", options.device]
+            for setting in [*options.set, "scene.labels.frames=none", f"runtime.seed={seed}"]:
+                words += ["--set", setting]
+            with tempfile.TemporaryDirectory() as folder:
+                page = Page(options.config, folder, words)
+                try:
+                    while not (run := page.state()["run"])["geometry_ready"] or run["train_s"] < options.geometry:
+                        time.sleep(0.2)
+                    found = course(page, truth, question, seed, options.clicks)
+                    rows.setdefault(question, []).append(found)
+                finally:
+                    page.close()
+    marks = sorted({m for found in rows.values() for scores, _, _ in found for m in scores})
+    answers = [ms for found in rows.values() for _, times, _ in found for ms in times]
+    cells = []
+    for question, found in rows.items():
+        at = [[scores[m] for scores, _, _ in found] for m in marks]
+        cells.append([question, *(f"{statistics.median(s):.3f} ({min(s):.3f} to {max(s):.3f})" for s in at),
+                      f"{statistics.median(f[2] for f in found):.0f}"])
+    print(table(["question", *(f"mIoU after {m}" for m in marks), "classes"], cells))
+    print(f"labelling: answer_p50_ms={statistics.median(answers):.0f} answer_p95_ms={np.percentile(answers, 95):.0f}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
