@@ -1,14 +1,32 @@
-// Trains every golden configuration for 20 steps on the CPU and prints a line for each: its name and the checksum
-// of all parameters, moments and states.
-#include <cstdio>
+// Makes what the golden values are of and prints a line for each row: its name and a CRC-32C. Called with the parts
+// that it is to make:
+// steps  parameters, moments and states after 20 steps of every golden configuration on the CPU
+// cuda   the same on an NVIDIA GPU in deterministic mode; ends with 69 where there is none
+// files  of a run of 200 steps on the CPU what every verb writes, of a labelling session the clicks, the checkpoint
+//        and the pictures of the page, and run.yaml of every preset; times and facts of the machine are left out
+#include <fnmatch.h>
 
+#include <cstdio>
+#include <regex>
+
+#include "labels/clicks/click_log.h"
+#include "loading/packed_scene.h"
 #include "run/checkpoint_store.h"
+#include "run/run_start.h"
+#include "serve/label_run.h"
 #include "session/trainer.h"
+#include "system/checksum.h"
+#include "testkit/analytic_scene.h"
+#include "tests/program.h"
 #include "tests/session/train_testing.h"
+#ifdef SEMFIELD_PAGE
+#include "app/serve/page_pictures.h"
+#endif
 
 namespace semfield {
 namespace {
 
+namespace fs = std::filesystem;
 using namespace testing_train;
 
 constexpr std::int64_t kSteps = 20, kSaved = 10;
@@ -79,43 +97,300 @@ std::vector<Golden> goldens() {
   return all;
 }
 
+// `text` with every match of `pattern` replaced.
+std::string replaced(const std::string& text, const std::string& pattern, const std::string& by) {
+  return std::regex_replace(text, std::regex(pattern), by);
+}
+
+void print(const std::string& name, std::uint32_t value) {
+  std::printf("%s %08x\n", name.c_str(), value);
+  std::fflush(stdout);
+}
+
+std::uint32_t crc(std::string_view text, std::uint32_t before = 0) {
+  return crc32c(std::as_bytes(std::span(text)), before);
+}
+
 struct Run {
+  explicit Run(const std::string& yaml, Registry& registry) : session(open_text(yaml, registry)) {}
   Session session;
   std::unique_ptr<RaySource> rays = session.make_ray_source();
   Trainer trainer{*session.pipeline, *rays, session.config.adam, session.config.schedule};
-  void to(std::int64_t step) {
+  std::uint32_t to(std::int64_t step) {
     while (trainer.step() < step) trainer.advance();
+    trainer.collect();
+    return fingerprint(session.pipeline->store());
   }
 };
 
+// The checkpoint of a run, whose file has nothing but tensors and one fact.
+std::string saved(Run& run, CheckpointStore& store, std::int64_t step) {
+  run.to(step);
+  return store.save(step, run.trainer.state(), {{"train_s", "1"}});
+}
+
 std::uint32_t trained(const Golden& golden, Registry& registry) {
-  Run run{open_text(golden.yaml, registry)};
-  if (!golden.resumed) {
-    run.to(kSteps);
-    return fingerprint(run.session.pipeline->store());
-  }
-  run.to(kSaved);
+  Run run(golden.yaml, registry);
+  if (!golden.resumed) return run.to(kSteps);
   const TempDir dir;
   CheckpointStore store(dir.path());
-  store.save(kSaved, run.trainer.state(), {{"train_s", "1"}});
-  Run resumed{open_text(golden.yaml, registry)};
+  saved(run, store, kSaved);
+  Run resumed(golden.yaml, registry);
   Diagnostics diagnostics;
   auto found = store.find_latest(diagnostics);
   if (!found) throw Error(ErrorKind::failure, "test.error.made", "the checkpoint of step 10 is not found");
   resumed.trainer.load(found->file, found->step);
-  resumed.to(kSteps);
-  return fingerprint(resumed.session.pipeline->store());
+  return resumed.to(kSteps);
+}
+
+void print_steps(Registry& registry, bool cuda) {
+  for (Golden golden : goldens()) {
+    if (cuda) golden.yaml = replaced(golden.yaml, "device: cpu", "device: cuda, deterministic: true");
+    print((cuda ? "cuda/" : "steps/") + golden.name, trained(golden, registry));
+  }
+  if (cuda) {  // the bits are those of a compute capability
+    const Session session = open_text(replaced(goldens().front().yaml, "device: cpu", "device: cuda"), registry);
+    std::printf("device %s\n",
+                replaced(session.pipeline->executor().description(), ".*capability ", "compute_").c_str());
+  }
+}
+
+// Files that `words` of the program leave, after those of the rows above: a pattern per row.
+struct Made {
+  const char *row, *words, *files;
+};
+constexpr const char* kObjects = "objects run --score --set objects.steps=100 --set objects.points=2000";
+constexpr Made kMade[] = {
+    {"packed_scene", "", "room.sfpack"},
+    {"run_yaml", "", "run/run.yaml"},
+    {"run_rows", "", "run/metrics.jsonl"},
+    {"run_scores", "", "run/final_eval.json"},
+    {"run_worst_frames", "", "run/worst_frames.json"},
+    {"run_labels", "", "run/labels.json"},
+    {"run_left_out", "", "run/left_out.json"},
+    {"run_classes", "", "run/classes.yaml"},
+    {"eval", "", "eval.json"},
+    {"render_color", "render run --npy --probability --out render", "render/*_rgb.png"},
+    {"render_label", "", "render/*_label.png"},
+    {"render_depth", "", "render/*_depth.[np]*"},
+    {"render_entropy", "", "render/*_entropy.[np]*"},
+    {"render_probability", "", "render/*_probability.npy"},
+    {"render_for_the_eye", "", "render/*_vis.png"},
+    {"render_cameras", "", "render/*.json"},
+    {"mesh_ply", "mesh run --resolution 32 --format ply,obj,glb --points --out mesh.ply", "mesh*.ply"},
+    {"mesh_obj", "", "mesh*.[om][bt]*"},
+    {"mesh_glb", "", "mesh*.glb"},
+    {"mesh_sidecar", "", "mesh.json"},
+    {"mesh_density", "mesh run --resolution 24 --surface density --faces 900 --out dense.ply", "dense*.ply"},
+    {"points", "mesh run --resolution 24 --format las,pcd,splat,splats.ply,npz,bt,ot,pgm --out over", "over.[lp][ac]*"},
+    {"splats", "", "over.splat*"},
+    {"voxels_and_maps", "", "over.[nbopy][pbtga]*"},
+    {"objects_table", kObjects, "run/objects/objects.[cj]s*"},
+    {"objects_surface", "", "run/objects/objects.ply"},
+    {"objects_images", "", "run/objects/*/*.png"},
+    {"export_coco", "export run --out coco.json", "coco.json"},
+    {"export_coco_rle", "export run --format coco_rle --out rle.json", "rle.json"},
+    {"export_labelme", "export run --format labelme --out labelme", "labelme/*"},
+    {"export_png", "export run --format png --out png", "png/*"},
+    {"propagated", "propagate run --out spread", "spread/*"},
+    {"voted", "propagate run --method vote --out vote", "vote/*"},
+    {"fused", "fuse config.yaml --depth-from run --out fused", "fused/*"},
+    {"degraded", "degrade config.yaml --out degraded", "degraded/*"},
+    {"report", "report run --no-3d", "run/report.html"},
+};
+
+// What the page shows: numbers and pictures in their order, without style, tags and sentences.
+std::string report_data(const std::string& html) {
+  std::string data, text = replaced(html, "<style>[^<]*</style>", "");
+  for (std::size_t at = 0; at < text.size();) {
+    const bool tag = text[at] == '<';
+    const std::size_t end = std::min(text.find_first_of(tag ? ">" : "< \n", at + 1), text.size());
+    const std::string word = text.substr(at, end - at);
+    const std::size_t picture = word.find("data:");
+    if (tag && picture != std::string::npos) data += word.substr(picture, word.find('"', picture) - picture) + '\n';
+    if (!tag && word.find_first_of("0123456789") != std::string::npos) data += word + '\n';
+    at = tag ? end + 1 : end;
+  }
+  return data;
+}
+
+// Without what another folder, hour or version gives.
+std::string lasting(const std::string& path, const std::string& folder) {
+  const std::string text = read_text_file(path), ending = fs::path(path).extension();
+  if (ending != ".json" && ending != ".yaml" && ending != ".jsonl" && ending != ".html") return text;
+  const std::string here = replaced(text, folder, "DIR");
+  if (ending == ".html") return report_data(here);
+  return replaced(here, R"re("(semfield|train_s|seconds)": ?(\{[^}]*\}|[^,}\n]*))re", "");
+}
+
+void print_files_of(const Made& made, const std::string& folder) {
+  std::vector<std::string> names;
+  for (const auto& entry : fs::recursive_directory_iterator(folder))
+    if (entry.is_regular_file()) names.push_back(fs::relative(entry.path(), folder).string());
+  std::erase_if(names, [&](const std::string& name) { return fnmatch(made.files, name.c_str(), 0) != 0; });
+  if (names.empty()) throw Error(ErrorKind::failure, "test.error.made", std::string("no file ") + made.files);
+  std::sort(names.begin(), names.end());
+  std::uint32_t sum = 0;
+  for (const std::string& name : names) sum = crc(lasting(folder + "/" + name, folder), crc(name, sum));
+  print(std::string("files/") + made.row, sum);
+}
+
+void write_scene(const std::string& path) {
+  const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene();
+  Diagnostics diagnostics;
+  SceneInfo info = scene->open(diagnostics);
+  for (FrameInfo& frame : info.frames) frame.has_instances = true;
+  write_packed_scene(path, info, [&](int frame, FrameBuffer& buffer) {
+    scene->read(frame, buffer);
+    for (const std::int16_t label : buffer.label) buffer.instance.push_back(static_cast<std::uint16_t>(label + 1));
+  });
+}
+
+void run_program(const std::string& words, const TempDir& dir) {
+  const testing_program::Result done = testing_program::semfield_run(words, dir.path());
+  if (done.code != 0) throw Error(ErrorKind::failure, "test.error.made", "semfield " + words + ": " + done.err);
+}
+
+void print_run(const TempDir& dir) {
+  write_scene(dir / "room.sfpack");
+  std::string yaml = golden("run", pass("main", kGrid, kHash, kHarmonics, kTiny),
+                            "losses: [{type: depth, weight: 0.3}]\n"
+                            "report: {eval_every_s: 0, strips: 1, log_every_steps: 5, checkpoint_every_s: 0}\n",
+                            ", labels: {frames: 5, degrade: [{type: pixel_noise}]}")
+                         .yaml;
+  yaml = replaced(replaced(yaml, "analytic_room", "packed, file: room.sfpack"), "steps: 20,", "steps: 200,");
+  dir.write("config.yaml", yaml);
+  run_program("train config.yaml --out run --no-3d", dir);
+  run_program("eval run --protocol semantic_nerf --out eval.json", dir);
+  print("files/run_checkpoint", checkpoint_fingerprint(dir / "run", 200));
+  // From here on a step takes a second, and the machine is none.
+  for (const char* file : {"run/metrics.jsonl", "run/final_eval.json"}) {
+    const std::string text =
+        replaced(read_text_file(dir / file), R"re(("step":)(\d+),"train_s":[^,}]*)re", "$1$2,\"train_s\":$2");
+    dir.write(file, replaced(text, R"re("rays_per_s":[^,}]*)re", "\"rays_per_s\":128"));
+  }
+  dir.write("run/environment.json", "{\"seed\": 1}");
+  for (const Made& made : kMade) {
+    if (*made.words != '\0') run_program(made.words, dir);
+    print_files_of(made, dir.path());
+  }
+}
+
+// What opening a scene settles of each preset; the precision is the machine's.
+void print_presets(Registry& registry, const TempDir& dir) {
+  const std::string configs = SEMFIELD_SOURCE_DIR "/configs";
+  for (const std::string& folder : {configs, configs + "/presets"}) {
+    for (const auto& entry : fs::directory_iterator(folder)) {
+      const std::string name = entry.path().stem();
+      if (!entry.is_regular_file()) continue;
+      const std::string config =
+          dir.write(name + ".yaml", "include: " + entry.path().string() +
+                                        "\nscene: {type: packed, file: room.sfpack, labels: {frames: 50%}}\n"
+                                        "runtime: {device: cpu}\n");
+      RunListener nobody;
+      (void)open_for_training(load_run_config(config, {}, registry), registry, {.out_dir = dir / name}, nobody);
+      print("preset/" + name, crc(replaced(lasting(dir / name + "/run.yaml", dir.path()), "\n  precision:.*", "")));
+    }
+  }
+}
+
+LabelEvent event(const std::string& id, LabelEventKind kind, const std::string& name) {
+  return LabelEvent{.id = id, .kind = kind, .unix_ms = 1'700'000'000'000, .class_name = name};
+}
+
+LabelEvent click(const std::string& id, const FrameInfo& frame, const std::string& name,
+                 std::vector<PixelPoint> points) {
+  LabelEvent made = event(id, LabelEventKind::click, name);
+  made.frame = frame.name;
+  made.width_px = frame.camera.width_px;
+  made.height_px = frame.camera.height_px;
+  made.fill = points.size() == 4;
+  made.radius_px = made.fill ? 0 : 1.5;
+  made.points = std::move(points);
+  return made;
+}
+
+// No time passes here: surfaces and clicks are finished before training goes on for a number of steps.
+void print_labelling(Registry& registry, const TempDir& dir) {
+  const std::string yaml = replaced(golden("labelled", pass("main", kGrid, kHash, kHarmonics, kTiny),
+                                           kBranch + "losses: [{type: depth, weight: 0.3}]\n",
+                                           ", with_labels: false, with_classes: false, labels: {class_room: 4}")
+                                        .yaml,
+                                    "steps: 20,", "steps: 60,");
+  RunListener nobody;
+  LabelRun run(open_for_training(run_config_of(parse_config_text(yaml, "test.yaml"), registry), registry,
+                                 {.out_dir = dir / "labelled"}, nobody),
+               registry, nullptr);
+  const auto train_to = [&](std::int64_t step) { run.train(1e9, [&] { return run.step() >= step; }); };
+  train_to(60);
+  while (!run.loop().ready()) run.tend(false, false, false);
+  Annotations annotations(*run.session().config.labels.clicks);
+  run.take(annotations);
+  const SceneInfo& scene = run.session().scene.info;
+  const auto frame = [&](int view) -> const FrameInfo& {
+    return scene.frames[static_cast<std::size_t>(run.loop().views()[static_cast<std::size_t>(view)].frame)];
+  };
+  const std::string path = dir / "labelled/clicks.jsonl";
+  Diagnostics diagnostics;
+  {
+    ClickLog log = ClickLog::open(path, diagnostics);
+    for (const char* name : {"wall", "floor", "box"}) log.append(event(name, LabelEventKind::add_class, name));
+    log.append(click("a", frame(0), "wall", {{24.5, 5.5}}));
+    log.append(click("b", frame(0), "floor", {{20.5, 33.5}, {30.5, 34}}));
+    log.append(click("c", frame(3), "box", {{10, 10}, {20, 10}, {20, 22}, {10, 22}}));
+    log.append(click("d", frame(4), "floor", {{2.5, 2.5}}));
+    LabelEvent undo = event("e", LabelEventKind::undo, "");
+    undo.of = "d";
+    log.append(undo);
+  }
+  print("session/click_file", crc(read_text_file(path)));
+  for (const LabelEvent& read : read_click_log(path, diagnostics)) annotations.apply(read);
+  run.take(annotations);
+  while (!run.knows_all()) run.tend(false, false, false);
+  run.tend(false, true, false);  // a pause, in which what was learned quickly is learned well
+  train_to(100);
+  run.keep(true);
+  print("session/checkpoint", checkpoint_fingerprint(dir / "labelled", 100));
+#ifdef SEMFIELD_PAGE
+  const std::vector<ClassState> classes{{0, 1, "wall", {200, 30, 30}}, {1, 2, "floor", {30, 200, 30}}};
+  for (const bool full : {false, true}) {
+    run.pictures().begin({.client = "golden", .view = 3, .color = full, .entropy = true, .full = full});
+    std::optional<Picture> picture;
+    while (!picture) picture = run.pictures().work(1e9);
+    picture->render_ms = 0;
+    print(full ? "session/page_picture" : "session/page_labels", crc(app::picture_bytes(*picture, classes, false)));
+  }
+#else
+  std::printf("session/page_picture -\nsession/page_labels -\n");
+#endif
+}
+
+void print_files(Registry& registry) {
+  const TempDir dir;
+  fs::current_path(dir.path());
+  CheckpointStore store(dir / "store");
+  Run run(goldens().front().yaml, registry);
+  print("files/checkpoint_file", crc(read_text_file(saved(run, store, 1))));
+  print_run(dir);
+  print_presets(registry, dir);
+  print_labelling(registry, dir);
 }
 
 }  // namespace
 }  // namespace semfield
 
-int main() {
+int main(int argc, char** argv) {
   try {
     semfield::Registry registry = semfield::testing_train::make_registry();
-    for (const semfield::Golden& golden : semfield::goldens())
-      std::printf("%s %08x\n", golden.name.c_str(), semfield::trained(golden, registry));
+    for (int i = 1; i < argc; ++i) {
+      const std::string part = argv[i];
+      if (part == "files") semfield::print_files(registry);
+      if (part != "files") semfield::print_steps(registry, part == "cuda");
+    }
     return 0;
+  } catch (const semfield::Error& error) {
+    std::fprintf(stderr, "%s\n", error.what());
+    return static_cast<int>(error.kind());
   } catch (const std::exception& error) {
     std::fprintf(stderr, "%s\n", error.what());
     return 1;
