@@ -32,7 +32,7 @@ with tempfile.TemporaryDirectory() as folder:
     asked = [(name,) for name in sorted(os.listdir(copy)) if "." not in name and name != "checks"]
     asked += [("release_check", line.split()[0]) for line in run("release_check", "--list").stdout.splitlines()]
     for words in asked:
-        for flag in ("--help", "-h"):
+        for flag in ("--help",) if len(words) > 1 else ("--help", "-h"):
             answer = run(*words, flag)
             if answer.returncode == 69 and "needs the Python module" in answer.stderr:
                 continue
