@@ -564,3 +564,9 @@ int bench_step(const BenchStepOptions& options, AppContext& context) {
 }
 
 }  // namespace semfield::app
+
+// The studies by name, as the program finds them in their library.
+extern "C" void semfield_bench_studies(semfield::app::BenchStudies& studies);
+void semfield_bench_studies(semfield::app::BenchStudies& studies) {
+  studies = {semfield::app::bench_gpu, semfield::app::bench_step};
+}

@@ -2,11 +2,7 @@
 #include "plugin/registry.h"
 
 #include <algorithm>
-#include <filesystem>
-#include <fstream>
-#include <sstream>
 
-#include "plugin/linked_plugins.h"
 #include "plugin/reference.h"
 #include "testkit/compare.h"
 #include "testkit/gradient_check.h"
@@ -117,13 +113,6 @@ Registry toy_registry() {
   return registry;
 }
 
-std::string text_of(const std::filesystem::path& path) {
-  std::ifstream file(path);
-  std::ostringstream text;
-  text << file.rdbuf();
-  return text.str();
-}
-
 TEST(Reference, TheTableHasEveryParameterOnce) {
   const Registry registry = toy_registry();
   EXPECT_EQ(parameter_table_markdown(registry.get(PluginKind::encoder, "toy")),
@@ -140,51 +129,6 @@ TEST(Reference, ListShowAndMatrixNameThePlugin) {
   EXPECT_HAS(support_matrix_text(registry), "| encoder | toy | cpu | toys 1.0 |");
   EXPECT_EQ(error_of([&] { plugin_details_text(registry, "toi"); }),
             "no plugin named 'toi'; known: toy; did you mean 'toy'?");
-}
-
-TEST(Reference, TheTableInAPageIsReplacedBetweenItsMarkers) {
-  const Registry registry = toy_registry();
-  const PluginEntry& entry = registry.get(PluginKind::encoder, "toy");
-  const std::string page = "# Toy\n<!-- parameters -->\nstale\n<!-- /parameters -->\nrest\n";
-  const std::string fresh = with_parameter_table(page, entry);
-  EXPECT_EQ(fresh, "# Toy\n<!-- parameters -->\n" + parameter_table_markdown(entry) + "<!-- /parameters -->\nrest\n");
-  EXPECT_EQ(with_parameter_table(fresh, entry), fresh);
-  EXPECT_EQ(with_parameter_table("# no markers\n", entry), "# no markers\n");
-}
-
-TEST(CommittedPages, TheReferenceIsFresh) {
-  Registry registry;
-  register_linked_plugins(registry);
-  const std::filesystem::path page = std::filesystem::path(SEMFIELD_SOURCE_DIR) / "docs/reference/plugins.md";
-  EXPECT_TRUE(text_of(page) == plugins_markdown(registry))
-      << "docs/reference/plugins.md is stale; run: semfield help --pages PROJECT_FOLDER";
-}
-
-TEST(CommittedPages, TheTablesOfPluginFoldersAreFresh) {
-  Registry registry;
-  register_linked_plugins(registry);
-  const std::string empty_table = std::string(kTableBegin) + "\n" + kTableEnd;
-  std::vector<std::string> never_generated;
-  int checked = 0;
-  for (const PluginEntry* entry : registry.entries()) {
-    const std::string folder = std::string(kind_folder(entry->kind)) + "/" + entry->name;
-    const std::filesystem::path source = SEMFIELD_SOURCE_DIR;
-    std::filesystem::path readme = source / "plugins" / folder / "README.md";
-    if (!std::filesystem::exists(readme)) readme = source / "framework" / folder / "README.md";
-    const std::string page = text_of(readme);
-    if (page.find(kTableBegin) == std::string::npos || page.find(empty_table) != std::string::npos) {
-      never_generated.push_back(folder);
-      continue;
-    }
-    ++checked;
-    EXPECT_TRUE(with_parameter_table(page, *entry) == page)
-        << folder << "/README.md has a stale parameter table; run: semfield help --pages PROJECT_FOLDER";
-  }
-  if (!never_generated.empty()) {
-    GTEST_SKIP() << checked
-                 << " tables checked; without a README, its markers or a generated table: " << join(never_generated)
-                 << "; run: semfield help --pages PROJECT_FOLDER";
-  }
 }
 
 // The testkit's instruments notice what they are for.

@@ -1,6 +1,6 @@
 // bench gpu: training steps and frames on a GPU, beside the same steps in PyTorch, as a table or JSON.
+#include "app/bench/bench_studies.h"
 #include "app/verb.h"
-#include "app/verbs/bench/load_studies.h"
 
 namespace semfield::app {
 

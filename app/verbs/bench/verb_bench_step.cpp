@@ -1,6 +1,6 @@
 // bench step: whole training steps, the machine's limits and the peer, as a table or one JSON object.
+#include "app/bench/bench_studies.h"
 #include "app/verb.h"
-#include "app/verbs/bench/load_studies.h"
 
 namespace semfield::app {
 
