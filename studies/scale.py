@@ -23,7 +23,6 @@ PARTS = ("cpu", "gpu", "bits")
 # Rays: on each rank, and of all ranks together.
 SIZES = {("paper", "cpu"): (256, 1024), ("hash", "cpu"): (256, 1024), ("paper", "cuda"): (1024, 4096),
          ("hash", "cuda"): (8192, 8192)}
-QUICK = (16, 32)
 NARROW = {"passes.0.sampler.samples": 8, "passes.1.sampler.samples": 8, "semantics.hidden_width": 16,
           "passes.0.field.width": 32, "passes.0.field.view_width": 16}
 HASH_GPU = {"passes.0.sampler.samples": 32, "passes.0.position.log2_entries": 19,
@@ -31,7 +30,7 @@ HASH_GPU = {"passes.0.sampler.samples": 32, "passes.0.position.log2_entries": 19
 
 
 def sizes_of(results, step, device):
-    return QUICK if results["quick"] else SIZES[step, device]
+    return (16, 32) if results["quick"] else SIZES[step, device]
 
 
 def ms(seconds):
