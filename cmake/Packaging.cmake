@@ -1,5 +1,5 @@
 # Debian packages by CPack: `semfield` (program and libraries), `libsemfield-dev`, and `python3-semfield` where the build has the component
-# python. docs/decisions/0021-three-debian-packages.md says why these; the preset is `package`. Nothing where
+# python. docs/decisions.md, 0021, says why these; the preset is `package`. Nothing where
 # dpkg-shlibdeps is missing (package dpkg-dev).
 find_program(SEMFIELD_SHLIBDEPS dpkg-shlibdeps)
 if(NOT SEMFIELD_SHLIBDEPS)

@@ -1,13 +1,16 @@
-# semfield_add_test(NAME name SOURCES a.cpp ... [LIBRARIES ...] [LABELS ...] [PROGRAM target] [NEEDS target ...] [DEVICE]): one
-# GoogleTest program linked with the framework, the linked plugins and the testkit. PROGRAM is what its tests start, SEMFIELD_BINARY in
-# their sources; it and NEEDS are built before. Without DEVICE its tests see no device of the machine: `runtime.device: auto` is the
-# CPU, and golden values are the same everywhere.
+# semfield_add_test(NAME name [SOURCES a.cpp ...] [LIBRARIES ...] [LABELS ...] [PROGRAM target] [NEEDS target ...] [DEVICE]): one
+# GoogleTest program of the folder's *_test.cpp (or of SOURCES), linked with the framework, the linked plugins and the testkit. PROGRAM
+# is what its tests start, SEMFIELD_BINARY in their sources; it and NEEDS are built before. Without DEVICE its tests see no device of
+# the machine: `runtime.device: auto` is the CPU, and golden values are the same everywhere.
 include(GoogleTest)
 add_library(semfield_no_cache OBJECT ${PROJECT_SOURCE_DIR}/tests/no_cache.cpp)
 function(semfield_add_test)
   cmake_parse_arguments(ARG "DEVICE" "NAME;PROGRAM" "SOURCES;LIBRARIES;LABELS;NEEDS" ${ARGN})
+  if(NOT ARG_SOURCES)
+    file(GLOB ARG_SOURCES CONFIGURE_DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/*_test.cpp)
+  endif()
   add_executable(${ARG_NAME} ${ARG_SOURCES} $<TARGET_OBJECTS:semfield_no_cache>)
-  target_link_libraries(${ARG_NAME} PRIVATE semfield semfield_plugins semfield_testkit semfield_warnings GTest::gtest_main ${ARG_LIBRARIES})
+  target_link_libraries(${ARG_NAME} PRIVATE $<TARGET_NAME_IF_EXISTS:semfield_train_testing> semfield semfield_plugins semfield_testkit semfield_warnings GTest::gtest_main ${ARG_LIBRARIES})
   target_compile_definitions(${ARG_NAME} PRIVATE SEMFIELD_SOURCE_DIR="${PROJECT_SOURCE_DIR}" SEMFIELD_BINARY_DIR="${PROJECT_BINARY_DIR}")
   target_include_directories(${ARG_NAME} PRIVATE ${PROJECT_SOURCE_DIR})
   if(ARG_PROGRAM)

@@ -44,15 +44,6 @@ def table(head, rows):
     return "\n".join([text[0], "|" + "---|" * len(head), *text[1:]]) + "\n"
 
 
-def put_part(page, study, part, text, name):
-    """`page` with `text` between the lines <!-- STUDY: PART begin --> and <!-- STUDY: PART end -->."""
-    begin, end = (f"<!-- {study}: {part} {edge} -->" for edge in ("begin", "end"))
-    if begin not in page or end not in page.split(begin, 1)[1]:
-        sys.exit(f"{name} has no place for the part '{part}': put the lines '{begin}' and '{end}' there")
-    before, rest = page.split(begin, 1)
-    return f"{before}{begin}\n\n{text}\n{end}{rest.split(end, 1)[1]}"
-
-
 def read(path):
     return pathlib.Path(path).read_text(encoding="utf-8")
 

@@ -13,6 +13,7 @@ import http.client
 import json
 import random
 import re
+import signal
 import statistics
 import struct
 import subprocess
@@ -166,6 +167,7 @@ def main():
     p.add_argument("--device", default="auto")
     p.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     options = p.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the served run ends too
     with sf.open(options.config, settings(options.set)) as run:
         truth = {f.name: labels for f in run.frames if (labels := run.pixels(f.name).labels) is not None}
     rows = {}

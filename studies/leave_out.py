@@ -3,8 +3,7 @@
 
     studies/leave_out.py                                          # every pair, in minutes
     studies/leave_out.py --only undistortion,late_samples
-    studies/leave_out.py --write-docs docs/reference              # renews leave_out.json and the tables of leave_out.md
-    studies/leave_out.py --check docs/reference                   # whether the page's tables are those of its data
+    studies/leave_out.py --data docs/reference/leave_out.json     # puts its rows into the data
 
 Times are CPU seconds of one thread, medians of rounds that alternate. Rows of the data that no pair measures here stay
 as they are. Exit code 1 when a proof does not hold.
@@ -23,7 +22,7 @@ import time
 import numpy as np
 
 import semfield as sf
-from common import half_width, machine, put_part, read, settings, table, today, write
+from common import half_width, machine, read, settings, today, write
 
 PSNR_MARGIN_DB, MIOU_MARGIN = -0.1, -0.005  # lower limits of the interval of the mean difference
 ROOM = {"scene.frames": 30, "scene.test_frames": 5, "scene.width_px": 80, "scene.height_px": 60, "train.rays": 256}
@@ -337,20 +336,6 @@ def saving_text(of, times):
             f"({seconds_text(out_s)} against {seconds_text(kept_s)})")
 
 
-def with_findings(page, data, name):
-    """The page with its three parts made of the data."""
-    rows = data["rows"]
-    out = table(["component", "rule", "proof", "result", "saving, measured", "kept by"],
-                [[f"`{r['name']}`", r["rule"], r["proof"] + ("" if r["holds"] else ", **does not hold**"), r["result"],
-                  r["saving_measured"], r["kept_by"]] for r in rows if not r["but"]])
-    kept = table(["component", "it would be left out when", "saving, measured", "cost in quality", "kept, because"],
-                 [[f"`{r['name']}`", r["rule"], r["saving_measured"], r["result"] or "not measured", r["but"]]
-                  for r in rows if r["but"]])
-    for part, text in (("measured", data["about"] + "\n"), ("left out", out), ("kept", kept)):
-        page = put_part(page, "study pairs", part, text, name)
-    return page
-
-
 def merged(old, fresh):
     """The rows of `old` in their order, those measured now in place of theirs; what was not measured stays."""
     new = {row["name"]: row for row in fresh["rows"]}
@@ -361,15 +346,6 @@ def merged(old, fresh):
     return {"about": fresh["about"], "rows": rows + list(new.values())}
 
 
-def check(folder):
-    page, data = (pathlib.Path(folder) / name for name in ("leave_out.md", "leave_out.json"))
-    shipped = json.loads(read(data))
-    missing = {p.name for p in PAIRS} - {row["name"] for row in shipped["rows"]}
-    same = with_findings(read(page), shipped, str(page)) == read(page)
-    print(f"leave_out: page={'same' if same else 'DIFFERS'} missing={','.join(sorted(missing)) or 'none'}")
-    return 0 if same and not missing else 1
-
-
 def main():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--only", default="", help="pairs, with commas: " + ", ".join(pair.name for pair in PAIRS))
@@ -378,11 +354,8 @@ def main():
     p.add_argument("--steps", type=int, default=400, help="steps of each of these runs")
     p.add_argument("--most-steps", type=int, default=10**6, help="steps before pictures are compared, at most")
     p.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a value of all pairs")
-    p.add_argument("--write-docs", metavar="FOLDER", help="renew leave_out.json and leave_out.md there")
-    p.add_argument("--check", metavar="FOLDER", help="compare leave_out.md there with its data, and measure nothing")
+    p.add_argument("--data", metavar="FILE", help="put the rows into this file in the place of those of the same pairs")
     options = p.parse_args()
-    if options.check:
-        return check(options.check)
     only = options.only.split(",") if options.only else [pair.name for pair in PAIRS]
     unknown = set(only) - {pair.name for pair in PAIRS}
     if unknown:
@@ -402,11 +375,9 @@ def main():
     command = "studies/leave_out.py" + (" --only ..." if options.only else "")
     room = ", ".join(f"{key}={value}" for key, value in study.room.items())
     about = f"`{command}`, one core of {e['cpu']}, {e['compiler']}, {today()}; {options.rounds} rounds; scene: {room}."
-    if options.write_docs:
-        folder = pathlib.Path(options.write_docs)
-        data = merged(json.loads(read(folder / "leave_out.json")), {"about": about, "rows": rows})
-        write(folder / "leave_out.md", with_findings(read(folder / "leave_out.md"), data, "leave_out.md"))
-        write(folder / "leave_out.json", json.dumps(data, indent=2, ensure_ascii=False) + "\n")
+    if options.data:
+        data = merged(json.loads(read(options.data)), {"about": about, "rows": rows})
+        write(options.data, json.dumps(data, indent=2, ensure_ascii=False) + "\n")
     print(f"leave_out: pairs={len(rows)} hold={'all' if all_hold else 'not all'}")
     return 0 if all_hold else 1
 

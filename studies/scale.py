@@ -2,8 +2,7 @@
 """Training steps on 1, 2, ... ranks or GPUs, and whether their bits agree.
 
     studies/scale.py --only cpu,bits --out FOLDER                        # keeps scale.json
-    studies/scale.py --combine FOLDER/scale.json --write-docs docs       # adds its figures to docs/evidence/scale.md
-    studies/scale.py --check docs                                        # whether the page's tables are of its data
+    studies/scale.py --combine docs/evidence/scale.json FOLDER/scale.json --out docs/evidence   # adds figures to the data
 
 A step's time is that of batches of steps in metrics.jsonl of `semfield train`, which mpirun starts for several ranks.
 Exit code 1 when bits differ.
@@ -18,13 +17,12 @@ import subprocess
 import sys
 import tempfile
 
-from common import machine, put_part, read, table, today, write
+from common import machine, read, table, today, write
 
 PARTS = ("cpu", "gpu", "bits")
 # Rays: on each rank, and of all ranks together.
 SIZES = {("paper", "cpu"): (256, 1024), ("hash", "cpu"): (256, 1024), ("paper", "cuda"): (1024, 4096),
          ("hash", "cuda"): (8192, 8192)}
-QUICK = (16, 32)
 NARROW = {"passes.0.sampler.samples": 8, "passes.1.sampler.samples": 8, "semantics.hidden_width": 16,
           "passes.0.field.width": 32, "passes.0.field.view_width": 16}
 HASH_GPU = {"passes.0.sampler.samples": 32, "passes.0.position.log2_entries": 19,
@@ -32,7 +30,7 @@ HASH_GPU = {"passes.0.sampler.samples": 32, "passes.0.position.log2_entries": 19
 
 
 def sizes_of(results, step, device):
-    return QUICK if results["quick"] else SIZES[step, device]
+    return (16, 32) if results["quick"] else SIZES[step, device]
 
 
 def ms(seconds):
@@ -77,10 +75,6 @@ def measured_text(results):
              "; ".join(f"{b['ranks']} x {b['threads']}: {b['difference']}" for b in rows if b["difference"]) or "equal"]
             for (name, where), rows in of.items()])
     return text
-
-
-def with_scale(page, results):
-    return put_part(page, "study scale", "measured", measured_text(results), "scale.md")
 
 
 def merged(old, fresh):
@@ -183,7 +177,7 @@ class Bench:
 
     def bits(self, where):
         """The same training in every arrangement of ranks and threads, compared tensor by tensor with the first."""
-        import semfield as sf  # here, so that --check works without the module
+        import semfield as sf  # here, so that --combine works without the module
         device, quick = where["device"], self.options.quick
         arrangements = [(1, 1), (1, 2), (2, 1), (2, 2), (3, 1), (3, 2)][:3 if quick else 6]
         if device == "cuda":
@@ -226,17 +220,7 @@ def main():
     p.add_argument("--quick", action="store_true", help="narrow networks and few rays, for tests")
     p.add_argument("--combine", nargs="*", default=[], metavar="FILE",
                    help="scale.json of other machines; without --only nothing else is measured")
-    p.add_argument("--write-docs", metavar="FOLDER", help="renew evidence/scale.md and its data there")
-    p.add_argument("--check", metavar="FOLDER",
-                   help="compare evidence/scale.md there with its data, and measure nothing")
     options = p.parse_args()
-    if options.check or options.write_docs:
-        docs = pathlib.Path(options.check or options.write_docs)
-        page, data = docs / "evidence/scale.md", docs / "evidence/scale.json"
-    if options.check:
-        same = with_scale(read(page), json.loads(read(data))) == read(page)
-        print(f"scale: page={'same' if same else 'DIFFERS'}")
-        return 0 if same else 1
     found = [json.loads(read(file)) for file in options.combine]
     if not found or options.only:
         with tempfile.TemporaryDirectory() as folder:
@@ -246,10 +230,6 @@ def main():
         results = merged(results, more)
     if options.out:
         write(f"{options.out}/scale.json", json.dumps(results, indent=1) + "\n")
-    if options.write_docs:
-        results = merged(json.loads(read(data)), results)
-        write(page, with_scale(read(page), results))
-        write(data, json.dumps(results, indent=1) + "\n")
     print(measured_text(results))
     return 1 if any(b["difference"] for b in results["bits"]) else 0
 

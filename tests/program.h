@@ -10,6 +10,7 @@
 #include <chrono>
 #include <cstdlib>
 #include <optional>
+#include <stdexcept>
 #include <thread>
 
 #include "core/text.h"
@@ -39,6 +40,12 @@ inline Result semfield_run(const std::string& words, const std::string& folder, 
   const int status = std::system(command.c_str());  // NOLINT(cert-env33-c): words of a test
   return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, read_text_file(folder + "/stdout"),
           read_text_file(folder + "/stderr")};
+}
+
+/// Of a program that has to end in 0; the test ends otherwise.
+inline Result succeeded(Result result) {
+  if (result.code != 0) throw std::runtime_error("it ended in " + std::to_string(result.code) + ": " + result.err);
+  return result;
 }
 
 struct Limit {

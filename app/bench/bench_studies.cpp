@@ -1,4 +1,4 @@
-// The studies by name, as the program finds them in their library.
+// bench gpu: training steps and frames on a GPU, beside the same steps in PyTorch, as a table or JSON.
 #include "app/bench/bench_studies.h"
 
 #include <fmt/format.h>
@@ -25,13 +25,6 @@
 #include "run/run_folder.h"
 #include "system/files.h"
 
-extern "C" void semfield_bench_studies(semfield::app::BenchStudies& studies);
-void semfield_bench_studies(semfield::app::BenchStudies& studies) {
-  using namespace semfield::app;
-  studies = {bench_gpu, bench_step};
-}
-
-// bench gpu: training steps and frames on a GPU, beside the same steps in PyTorch, as a table or JSON.
 namespace semfield::app {
 
 namespace {
@@ -784,3 +777,9 @@ int bench_step(const BenchStepOptions& options, AppContext& context) {
 }
 
 }  // namespace semfield::app
+
+// The studies by name, as the program finds them in their library.
+extern "C" void semfield_bench_studies(semfield::app::BenchStudies& studies);
+void semfield_bench_studies(semfield::app::BenchStudies& studies) {
+  studies = {semfield::app::bench_gpu, semfield::app::bench_step};
+}

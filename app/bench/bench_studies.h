@@ -36,4 +36,8 @@ struct BenchStudies {
 };
 inline constexpr const char* kBenchStudiesSymbol = "semfield_bench_studies";
 
+/// Loads their library, which most runs of the program do without. Throws Error(unavailable) where it is missing,
+/// naming what to build.
+const BenchStudies& bench_studies();
+
 }  // namespace semfield::app

@@ -1,12 +1,9 @@
-// The studies of `bench`, which most runs of the program do without.
+// bench: the group of the verbs in this folder, whose studies are a library of their own.
 #include "app/bench/bench_studies.h"
 #include "app/verb.h"
 #include "system/process.h"
 
 namespace semfield::app {
-
-/// Loads their library. Throws Error(unavailable) where it is missing, naming what to build.
-const BenchStudies& bench_studies();
 
 const BenchStudies& bench_studies() {
   static const BenchStudies studies = [] {
@@ -17,8 +14,6 @@ const BenchStudies& bench_studies() {
   }();
   return studies;
 }
-
-// bench: the group of the verbs in this folder.
 
 Verb verb_bench() { return make_group("bench", 180, "measure the speed of training steps"); }
 

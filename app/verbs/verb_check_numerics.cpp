@@ -1,4 +1,4 @@
-// check-numerics: the stiff and extreme cases as a table, a JSON object or a page.
+// check-numerics: the stiff and extreme cases as a table or a JSON object.
 #include <fmt/format.h>
 
 #include <cstdio>
@@ -8,8 +8,6 @@
 #include "app/json_output.h"
 #include "app/numerics_suite.h"
 #include "app/verb.h"
-#include "run/run_folder.h"
-#include "system/files.h"
 #include "system/process.h"
 
 namespace semfield::app {
@@ -18,11 +16,7 @@ namespace {
 
 struct CheckNumericsOptions {
   std::vector<std::string> only;  ///< beginnings of ids; empty: every case
-  std::string page;               ///< Markdown page whose marked part the table replaces; "" = none
 };
-
-constexpr const char* kBegin = "<!-- check-numerics: the rest up to the end mark is written by the program -->";
-constexpr const char* kEnd = "<!-- check-numerics: end -->";
 
 struct Counts {
   int passed = 0, failed = 0, absent = 0, cases = 0;
@@ -91,43 +85,6 @@ void print_table(const std::vector<NumericsRow>& rows) {
   }
 }
 
-std::string cell(std::string text) {
-  for (std::size_t at = 0; (at = text.find('|', at)) != std::string::npos; at += 2) text.insert(at, "\\");
-  return text;
-}
-
-std::string page_part(const std::vector<NumericsRow>& rows) {
-  const Environment e = this_environment();
-  std::string text = fmt::format(
-      "{}\n\n`{}`\n\n{}; {}, {}. `exact`: claims without a tolerance, all of which hold.\n\n| id | case | input | "
-      "reference | precision | error | allowed | checks | time | status |\n|---|---|---|---|---|---|---|---|---|---|\n",
-      kBegin, last_line(count_cases(rows)), e.cpu, e.compiler, e.build_type);
-  std::string notes;
-  for (const NumericsRow& row : rows) {
-    text += fmt::format("| {} | {} | {} | {} | {} | {} | {} | {} | {} | {} |\n", row.id, row.name, cell(row.what),
-                        cell(row.reference), row.precision, number(row, row.error), number(row, row.tolerance),
-                        row.checks, time_text(row.seconds), status_text(row));
-    const std::string note = row.known_failure.empty()
-                                 ? row.note
-                                 : row.note + (row.note.empty() ? "" : "; ") + "known: " + row.known_failure;
-    if (!note.empty()) notes += fmt::format("- **{} {}** ({}): {}\n", row.id, row.name, row.precision, note);
-  }
-  if (!notes.empty()) text += "\nNotes of the run:\n\n" + notes;
-  return text + "\n" + kEnd;
-}
-
-// Replaces what stands between the marks; the words around them are the reader's.
-void write_page(const std::string& path, const std::vector<NumericsRow>& rows) {
-  std::string page = read_text_file(path);
-  const std::size_t begin = page.find(kBegin), end = page.find(kEnd);
-  if (begin == std::string::npos || end == std::string::npos || end < begin) {
-    throw Error(ErrorKind::data, "files.page.marks", path + ": no place for the table",
-                fmt::format("put the lines '{}' and '{}' where it should stand", kBegin, kEnd));
-  }
-  page.replace(begin, end + std::string_view(kEnd).size() - begin, page_part(rows));
-  write_file_atomic(path, page);
-}
-
 Json results(const std::vector<NumericsRow>& rows) {
   const Counts counts = count_cases(rows);
   Json out = {{"passed", counts.passed}, {"failed", counts.failed}, {"absent", counts.absent}, {"cases", counts.cases}};
@@ -159,7 +116,6 @@ int run(const CheckNumericsOptions& options, AppContext& context) {
   } else {
     print_table(rows);
   }
-  if (!options.page.empty()) write_page(options.page, rows);
   const Counts counts = count_cases(rows);
   if (!context.json) std::printf("%s\n", last_line(counts).c_str());
   return counts.failed == 0 ? 0 : static_cast<int>(ErrorKind::failure);
@@ -167,8 +123,6 @@ int run(const CheckNumericsOptions& options, AppContext& context) {
 
 void words(VerbWords& verb, CheckNumericsOptions& options) {
   verb.list("--only LIST", options.only, "case ids or prefixes of them: --only A,C03");
-  verb.value("--write PAGE", options.page,
-             "page whose marked part is replaced by the table, such as docs/evidence/numerics.md");
 }
 
 }  // namespace

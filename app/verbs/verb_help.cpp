@@ -6,6 +6,7 @@
 #include "app/verb.h"
 #include "core/error.h"
 #include "plugin/reference.h"
+#include "session/settings/run_config.h"
 #include "system/files.h"
 
 namespace semfield::app {
@@ -18,7 +19,7 @@ struct HelpOptions {
   std::vector<std::string> verb;
   bool man = false;
   std::string out;    ///< folder of all manual pages; "": one page to stdout
-  std::string pages;  ///< source tree whose generated pages are renewed
+  std::string pages;  ///< copy of the tree's pages, in which those about the program are written
 };
 
 void write_man_pages(const Grammar& grammar, const std::string& folder, const AppContext& context) {
@@ -31,26 +32,40 @@ void write_man_pages(const Grammar& grammar, const std::string& folder, const Ap
   print_note(context, std::to_string(grammar.verbs.size() + 1) + " manual pages written to " + folder);
 }
 
-// plugins.md and verbs.md in docs/reference, and the table of parameters in each plugin folder's README.
-void renew_pages(const Grammar& grammar, const fs::path& root, const AppContext& context) {
+// Tables of every section of a configuration, under headings of their own.
+std::string section_tables() {
+  std::string text;
+  for (const SectionDoc& section : describe_sections())
+    text +=
+        "### `" + section.path + "`: " + section.sentence + "\n\n" + parameter_table_markdown(section.params) + "\n";
+  return text;
+}
+
+// Pages of the program's own words: verbs and plugins whole, and tables where a page has their mark.
+void write_pages(const Grammar& grammar, const fs::path& root, const AppContext& context) {
   if (!fs::is_directory(root / "plugins"))
     throw Error(ErrorKind::no_input, "files.folder.missing", "--pages " + root.string() + ": it has no folder plugins",
-                "name a source tree");
-  int written = 0;
-  const auto write_if_new = [&written](const fs::path& path, const std::string& text) {
-    if (fs::exists(path) && read_text_file(path.string()) == text) return;
-    write_file_atomic(path.string(), text);
-    ++written;
+                "name a copy of the pages of the source tree");
+  const fs::path reference = root / "docs" / "reference";
+  fs::create_directories(reference);
+  write_file_atomic((reference / "plugins.md").string(), plugins_markdown(context.registry));
+  write_file_atomic((reference / "verbs.md").string(), verbs_page(grammar));
+  int filled = 0;
+  const auto fill = [&filled](const fs::path& path, const std::string& mark, const std::string& part) {
+    std::string text = fs::exists(path) ? read_text_file(path.string()) : "";
+    const std::size_t at = text.find(mark);
+    if (at == std::string::npos) return;
+    write_file_atomic(path.string(), text.replace(at, mark.size(), part));
+    ++filled;
   };
-  fs::create_directories(root / "docs" / "reference");
-  write_if_new(root / "docs" / "reference" / "plugins.md", plugins_markdown(context.registry));
-  write_if_new(root / "docs" / "reference" / "verbs.md", verbs_page(grammar));
+  fill(reference / "configuration.md", "<!-- sections -->\n", section_tables());
   for (const PluginEntry* entry : context.registry.entries()) {
-    const fs::path own = fs::path(kind_folder(entry->kind)) / entry->name / "README.md";
-    const fs::path readme = fs::exists(root / "framework" / own) ? root / "framework" / own : root / "plugins" / own;
-    if (fs::exists(readme)) write_if_new(readme, with_parameter_table(read_text_file(readme.string()), *entry));
+    for (const char* tree : {"framework", "plugins"})
+      fill(root / tree / kind_folder(entry->kind) / entry->name / "README.md", "<!-- parameters -->\n",
+           parameter_table_markdown(*entry));
   }
-  print_note(context, std::to_string(written) + " generated pages changed under " + root.string());
+  print_note(context,
+             "verbs.md and plugins.md written, " + std::to_string(filled) + " tables filled under " + root.string());
 }
 
 int run(const HelpOptions& options, AppContext& context) {
@@ -60,7 +75,7 @@ int run(const HelpOptions& options, AppContext& context) {
     throw Error(ErrorKind::usage, "usage.flag.conflict", "the pages of all verbs are written, and one is named",
                 "leave out one of them");
   if (!options.pages.empty()) {
-    renew_pages(grammar, options.pages, context);
+    write_pages(grammar, options.pages, context);
   } else if (!options.out.empty()) {
     write_man_pages(grammar, options.out, context);
   } else {
@@ -77,7 +92,8 @@ void words(VerbWords& verb, HelpOptions& options) {
                          words_of_verbs());
   verb.flag("--man", options.man, "print a manual page, for man(1)");
   verb.value("--out FOLDER", options.out, "write the manual pages of the program and all verbs to this folder");
-  verb.value("--pages FOLDER", options.pages, "source tree whose generated pages about verbs and plugins are renewed");
+  verb.value("--pages FOLDER", options.pages,
+             "copy of the pages of the source tree, in which those about verbs, plugins and keys are written");
   verb.needs("--out", "--man");
   verb.excludes("--pages", "--man");
 }

@@ -386,7 +386,7 @@ void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const
                         : options.contracted ? 0.5 * longest
                                              : 0.5 * (scene.near_m + scene.far_m);
   scene.pixel_footprint_m = middle / quantile(focal, 0.5);
-  // docs/decisions/0043: an object fills less than what lies between it and its cameras.
+  // docs/decisions.md, 0043: an object fills less than what lies between it and its cameras.
   const double unit_m = options.contracted ? middle : std::min(middle / 2, longest / 4);
   scene.unit_m = unit_m > 0 ? unit_m : 1;
   warn_of_coarse_positions(scene, diagnostics);

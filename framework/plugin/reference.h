@@ -3,7 +3,9 @@
 
 #include <cstdint>
 #include <string>
+#include <vector>
 
+#include "config/params.h"
 #include "core/view.h"
 #include "plugin/registry.h"
 
@@ -19,16 +21,11 @@ std::string devices_text(const Registry& registry, const PluginEntry& entry);
 /// Plugins by device: which kernels this build has. Datasets run on the host and have none.
 std::string support_matrix_text(const Registry& registry);
 
-/// Markdown table of one entry's parameters, or a sentence when it has none. Ends with a line feed.
+/// Markdown table of parameters, or a sentence when there are none. Ends with a line feed.
+std::string parameter_table_markdown(const std::vector<ParamDoc>& params);
 std::string parameter_table_markdown(const PluginEntry& entry);
-/// The whole reference page (docs/reference/plugins.md).
+/// The page of all plugins (docs/reference/plugins.md of the built documents).
 std::string plugins_markdown(const Registry& registry);
-
-inline constexpr const char* kTableBegin = "<!-- parameters -->";
-inline constexpr const char* kTableEnd = "<!-- /parameters -->";
-/// `page` with the lines between kTableBegin and kTableEnd replaced by the entry's table; unchanged when it lacks the
-/// pair of markers.
-std::string with_parameter_table(const std::string& page, const PluginEntry& entry);
 
 }  // namespace semfield
 

@@ -1,6 +1,7 @@
 // The program's own steps of the rendering integral: samples along rays, and what is composited from them.
 #include <pybind11/stl.h>
 
+#include "core/check.h"
 #include "model/compositor.h"
 #include "python/core/arrays.h"
 #include "python/core/plugins.h"
@@ -47,8 +48,9 @@ py::tuple sample(const Sampler<Real>& sampler, const Array<double>& rays, bool t
 template <class Real>
 py::tuple composite(const Array<Real>& t, const Array<Real>& delta, const Array<std::int32_t>& first,
                     const Array<Real>& sigma, const Array<Real>& values) {
-  if (delta.size() != t.size() || sigma.size() != t.size() || values.ndim() != 2 || values.shape(0) != t.size())
-    throw Error(ErrorKind::usage, "python.value.type", "composite: delta, sigma and values have a row for each of t");
+  SEMFIELD_CHECK(delta.size() == t.size() && sigma.size() == t.size() && values.ndim() == 2 &&
+                     values.shape(0) == t.size() && values.shape(1) >= 3,
+                 "delta, sigma and values have a row for each of t");
   const Samples<Real> samples{view_of(t), view_of(delta), {}, view_of(first), t.size()};
   const py::ssize_t rays = first.size() - 1, width = values.shape(1);  // of colour and hidden channels
   Array<Real> depth(rays), opacity(rays), sums({rays, width}), weight(t.size());

@@ -265,8 +265,8 @@ class Packages:
         self.systems.remove(self.system)
 
     def links(self):
-        done = subprocess.run([common.ROOT / "scripts" / "site", "--check"], capture_output=True, text=True)
-        found = re.findall(r"^site: .*links_broken=(\d+)$", done.stdout, re.M)
+        done = subprocess.run([common.ROOT / "scripts" / "docs_check"], capture_output=True, text=True)
+        found = re.findall(r"^docs: .*links_broken=(\d+) ", done.stdout, re.M)
         self.figures["links_broken"] = int(found[-1]) if found else None
         self.check(done.returncode == 0 and found == ["0"],
                    f"links of the documents: {done.stdout[-800:]}{done.stderr[-800:]}")

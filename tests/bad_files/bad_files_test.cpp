@@ -1,23 +1,306 @@
-// Every case of the tables through the real program: its exit code, what it says, and what refusing costs.
+// The table of bad files: scenes as they should be, and cases that spoil one thing in one of them, as text.
+
 #include <fcntl.h>
 #include <sys/resource.h>
+#include <sys/stat.h>
 #include <sys/wait.h>
+#include <zlib.h>
 
 #include <algorithm>
 #include <cstdlib>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
 #include <map>
 #include <set>
 #include <sstream>
 #include <stdexcept>
+#include <string>
+#include <vector>
 
 #include "datasets/obj_room/raycast.h"
 #include "formats/image_io.h"
+#include "system/checksum.h"
 #include "system/files.h"
-#include "tests/bad_files/case_file.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield::bad_files {
 namespace {
+
+/// One change of a folder, in the words of README.md.
+struct Edit {
+  std::string place;  ///< "poses.cases:12"
+  std::string verb;
+  std::vector<std::string> words;
+};
+
+/// A folder that is as it should be.
+struct Base {
+  std::string name;
+  std::vector<Edit> edits;
+};
+
+struct Case {
+  std::string name, place, base;
+  std::vector<Edit> edits;
+  std::string words;  ///< of the command line
+  int code = -1;
+  long most_mib = 256;             ///< at its peak
+  std::vector<std::string> says;   ///< parts of what is written to stderr or stdout; ROOT stands for the case's folder,
+                                   ///< SHARE for that of shipped files
+  std::vector<std::string> never;  ///< what may not be said
+};
+
+struct CaseFile {
+  std::vector<Base> bases;
+  std::vector<Case> cases;
+};
+
+namespace fs = std::filesystem;
+
+[[noreturn]] void fail(const std::string& place, const std::string& what) {
+  throw std::runtime_error(place + ": " + what);
+}
+
+int digit(char c, const std::string& place) {
+  if (c >= '0' && c <= '9') return c - '0';
+  if (c >= 'a' && c <= 'f') return c - 'a' + 10;
+  fail(place, "expected two small hexadecimal digits after \\x");
+}
+
+// \n, \t, \r, \\ and \xHH.
+std::string unescaped(const std::string& text, const std::string& place) {
+  std::string out;
+  for (std::size_t i = 0; i < text.size(); ++i) {
+    if (text[i] != '\\' || i + 1 == text.size()) {
+      out += text[i];
+      continue;
+    }
+    const char c = text[++i];
+    if (c == 'x' && i + 2 < text.size()) {
+      out += static_cast<char>(16 * digit(text[i + 1], place) + digit(text[i + 2], place));
+      i += 2;
+    } else {
+      out += c == 'n' ? '\n' : c == 't' ? '\t' : c == 'r' ? '\r' : c == '0' ? '\0' : c;
+    }
+  }
+  return out;
+}
+
+std::string rest_of(std::istringstream& in) {
+  std::string rest;
+  std::getline(in >> std::ws, rest);
+  return rest;
+}
+
+// "FILE REST" or, where REST is "<<", the lines up to ">>".
+Edit read_edit(const std::string& verb, std::istringstream& words, std::istream& file, int& line,
+               const std::string& place) {
+  Edit edit{place, verb, {}};
+  std::string first;
+  words >> first;
+  std::string rest;  // behind one blank; further ones belong to it
+  std::getline(words, rest);
+  if (!rest.empty()) rest.erase(0, 1);
+  if (rest == "<<") {
+    rest.clear();
+    for (std::string next; std::getline(file, next) && next != ">>"; ++line) rest += next + "\n";
+    ++line;
+    edit.words = {first, rest};
+    return edit;
+  }
+  if (verb == "setup") {
+    edit.words = {first + " " + rest};
+    return edit;
+  }
+  edit.words = {first};
+  const std::size_t arrow = verb == "replace" ? rest.find(" => ") : std::string::npos;
+  if (arrow != std::string::npos) {
+    edit.words.push_back(unescaped(rest.substr(0, arrow), place));
+    rest = rest.substr(arrow + 4);
+  } else if (verb == "replace" && rest.size() > 2 && rest.substr(rest.size() - 3) == " =>") {
+    edit.words.push_back(unescaped(rest.substr(0, rest.size() - 3), place));
+    rest.clear();
+  }
+  edit.words.push_back(unescaped(rest, place));
+  return edit;
+}
+
+std::string read_whole(const fs::path& path, const std::string& place) {
+  if (!fs::is_regular_file(path)) fail(place, "no file " + path.string());
+  return read_text_file(path.string());
+}
+
+void write_whole(const fs::path& path, const std::string& bytes) {
+  fs::create_directories(path.parent_path());
+  fs::remove(path);
+  std::ofstream(path, std::ios::binary) << bytes;
+}
+
+// "WIDTH HEIGHT KIND VALUE": kind gray8, gray16, rgb or palette.
+void write_image(const fs::path& path, const std::string& words, const std::string& place) {
+  std::istringstream in(words);
+  std::int32_t width = 0, height = 0;
+  std::string kind;
+  unsigned value = 0;
+  if (!(in >> width >> height >> kind >> value)) fail(place, "image FILE WIDTH HEIGHT KIND VALUE");
+  fs::create_directories(path.parent_path());
+  const std::size_t pixels = static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
+  const auto byte = static_cast<std::uint8_t>(value);
+  if (kind == "gray8") {
+    write_png_gray8(path.string(), width, height, std::vector<std::uint8_t>(pixels, byte));
+  } else if (kind == "gray16") {
+    write_png_gray16(path.string(), width, height,
+                     std::vector<std::uint16_t>(pixels, static_cast<std::uint16_t>(value)));
+  } else if (kind == "rgb") {
+    write_png_rgb(path.string(), width, height, std::vector<std::uint8_t>(pixels * 3, byte));
+  } else if (kind == "palette") {
+    write_png_palette(path.string(), width, height, std::vector<std::uint8_t>(pixels, byte),
+                      std::vector<std::uint8_t>{0, 0, 0, 255, 0, 0, 0, 255, 0});
+  } else {
+    fail(place, "unknown kind of image '" + kind + "'");
+  }
+}
+
+// "OFFSET HEX": bytes written over those that are there.
+void poke(std::string& bytes, const std::string& words, const std::string& place) {
+  std::istringstream in(words);
+  std::size_t offset = 0;
+  std::string hex;
+  if (!(in >> offset >> hex) || hex.size() % 2 != 0 || offset + hex.size() / 2 > bytes.size())
+    fail(place, "poke FILE OFFSET HEX, inside the file");
+  for (std::size_t i = 0; i < hex.size(); i += 2)
+    bytes[offset + i / 2] = static_cast<char>(16 * digit(hex[i], place) + digit(hex[i + 1], place));
+}
+
+// Right checksums of the chunks of a PNG.
+void seal_png(std::string& bytes) {
+  for (std::size_t at = 8; at + 12 <= bytes.size();) {
+    std::size_t length = 0;
+    for (std::size_t i = 0; i < 4; ++i) length = length << 8 | static_cast<unsigned char>(bytes[at + i]);
+    if (length > bytes.size() - at - 12) return;
+    const uLong crc = ::crc32(0, reinterpret_cast<const Bytef*>(bytes.data()) + at + 4, static_cast<uInt>(length + 4));
+    for (std::size_t i = 0; i < 4; ++i) bytes[at + 8 + length + i] = static_cast<char>(crc >> (24 - 8 * i) & 0xFF);
+    at += length + 12;
+  }
+}
+
+// Right checksums for a PNG or a packed scene that was changed on purpose.
+void seal(std::string& bytes) {
+  if (bytes.size() > 8 && bytes.substr(1, 3) == "PNG") return seal_png(bytes);
+  const std::uint64_t size = bytes.size();
+  std::uint64_t offset = 0, length = 0;
+  std::memcpy(bytes.data() + 16, &size, 8);
+  std::memcpy(&offset, bytes.data() + 24, 8);
+  std::memcpy(&length, bytes.data() + 32, 8);
+  const auto view = std::as_bytes(std::span<const char>(bytes));
+  if (offset <= size && length <= size - offset) {
+    const std::uint32_t crc = crc32c(view.subspan(offset, length));
+    std::memcpy(bytes.data() + 40, &crc, 4);
+  }
+  const std::uint32_t crc = crc32c(view.first(60));
+  std::memcpy(bytes.data() + 60, &crc, 4);
+}
+
+/// Throws std::runtime_error naming file and line for a line that is not understood.
+CaseFile read_cases(const std::string& path) {
+  std::ifstream file(path);
+  if (!file) throw std::runtime_error("no file " + path);
+  const std::string name = fs::path(path).filename().string();
+  CaseFile out;
+  std::vector<Edit>* edits = nullptr;
+  int line = 0;
+  for (std::string text; std::getline(file, text);) {
+    const std::string place = name + ":" + std::to_string(++line);
+    std::istringstream words(text);
+    std::string verb;
+    if (!(words >> verb) || verb[0] == '#') continue;
+    if (verb == "base") {
+      out.bases.push_back({rest_of(words), {}});
+      edits = &out.bases.back().edits;
+    } else if (verb == "case") {
+      Case next;
+      next.place = place;
+      words >> next.name >> next.base;
+      out.cases.push_back(next);
+      edits = &out.cases.back().edits;
+    } else if (edits == nullptr) {
+      fail(place, "'" + verb + "' before any base or case");
+    } else if (verb == "run") {
+      out.cases.back().words = rest_of(words);
+    } else if (verb == "within") {
+      if (!(words >> out.cases.back().most_mib)) fail(place, "within MEBIBYTES");
+    } else if (verb == "says") {
+      words >> out.cases.back().code;
+      out.cases.back().says.push_back(rest_of(words));
+    } else if (verb == "never") {
+      out.cases.back().never.push_back(rest_of(words));
+    } else if (verb == "and") {
+      out.cases.back().says.push_back(rest_of(words));
+    } else {
+      edits->push_back(read_edit(verb, words, file, line, place));
+    }
+  }
+  return out;
+}
+
+/// Applies the change to `folder`; `setup` gives a program's words to run in it. Throws std::runtime_error naming the
+/// line.
+void apply(const Edit& edit, const std::string& folder, void (*setup)(const std::string&, const std::string&)) {
+  const std::string& verb = edit.verb;
+  if (verb == "setup") return setup(edit.words[0], folder);
+  const fs::path path = fs::path(folder) / edit.words[0];
+  const std::string& what = edit.words.back();
+  if (verb == "write") return write_whole(path, what);
+  if (verb == "image") return write_image(path, what, edit.place);
+  if (verb == "folder") return (void)fs::create_directories(path);
+  if (verb == "copy") return write_whole(fs::path(folder) / what, read_whole(path, edit.place));
+  if (verb == "pipe") {
+    if (::mkfifo(path.c_str(), 0600) != 0) fail(edit.place, "cannot make the pipe");
+    return;
+  }
+  if (verb == "link") return fs::create_symlink(what, path);
+  if (verb == "remove") {
+    if (fs::remove_all(path) == 0) fail(edit.place, "nothing to remove");
+    return;
+  }
+  if (verb == "sparse") {  // a file of so many bytes that takes no space
+    write_whole(path, "");
+    return fs::resize_file(path, std::stoull(what));
+  }
+  if (verb == "fill") {  // "COUNT TEXT"
+    std::istringstream in(what);
+    std::size_t count = 0;
+    in >> count;
+    const std::string piece = rest_of(in);
+    std::string all;
+    for (std::size_t i = 0; i < count; ++i) all += piece;
+    return write_whole(path, all);
+  }
+  std::string bytes = read_whole(path, edit.place);
+  if (verb == "append") {
+    bytes += what;
+  } else if (verb == "prepend") {
+    bytes = what + bytes;
+  } else if (verb == "cut") {
+    const std::size_t size = std::stoull(what);
+    if (size >= bytes.size()) fail(edit.place, "the file is shorter already");
+    bytes.resize(size);
+  } else if (verb == "poke") {
+    poke(bytes, what, edit.place);
+  } else if (verb == "seal") {
+    seal(bytes);
+  } else if (verb == "replace") {
+    const std::size_t at = bytes.find(edit.words[1]);
+    if (edit.words.size() != 3 || at == std::string::npos) fail(edit.place, "nothing to replace");
+    bytes.replace(at, edit.words[1].size(), what);
+  } else {
+    fail(edit.place, "unknown change '" + verb + "'");
+  }
+  write_whole(path, bytes);
+}
+
+// Every case of the tables through the real program: its exit code, what it says, and what refusing costs.
 
 namespace fs = std::filesystem;
 
@@ -182,8 +465,8 @@ TEST_P(BadFiles, AreRefusedWithPlaceCauseAndRemedy) {
     const std::size_t whole = file.cases.size();
     GTEST_SKIP() << absent << " of " << whole << " cases need formats that this build does not read; the others hold";
   }
-  std::printf("%s: %zu cases, slowest %.2f s of the CPU, largest %ld MiB\n", GetParam().c_str(),
-              file.cases.size(), slowest_s, largest_kib >> 10);
+  std::printf("%s: %zu cases, slowest %.2f s of the CPU, largest %ld MiB\n", GetParam().c_str(), file.cases.size(),
+              slowest_s, largest_kib >> 10);
 }
 
 INSTANTIATE_TEST_SUITE_P(Tables, BadFiles, ::testing::ValuesIn(case_files()),

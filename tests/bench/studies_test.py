@@ -1,4 +1,5 @@
 """Every study in a smoke mode of a few seconds: studies_test.py FOLDER_OF_STUDIES STUDY."""
+import json
 import os
 import pathlib
 import shutil
@@ -30,22 +31,23 @@ def leave_out(folder):
     # Statistical pairs need seeds and minutes, and one pair lags by nature.
     pairs = run("--help").replace("\n", " ").split("with commas:")[1].split("--rounds")[0].replace(" ", "").split(",")
     slow = {"absent_classes", "empty_space_threshold", "table_size", "view_branch", "empty_space_lagging"}
-    docs = STUDIES.parent / "docs/reference"
-    for name in ("leave_out.md", "leave_out.json"):
-        shutil.copy(docs / name, folder)
-    out = run("--rounds", 2, "--most-steps", 40, "--set", "train.rays=96", *SMALL, "--write-docs", folder, "--only",
+    shipped = STUDIES.parent / "docs/reference/leave_out.json"
+    data = shutil.copy(shipped, folder)
+    named = {row["name"] for row in json.loads(shipped.read_text())["rows"]}
+    assert set(pairs) <= named, set(pairs) - named
+    out = run("--rounds", 2, "--most-steps", 40, "--set", "train.rays=96", *SMALL, "--data", data, "--only",
               ",".join(p for p in pairs if p not in slow))
     assert "leave_out: pairs=15 hold=all" in out, out
     assert out.count("nothing was left out") == 1, "in the room as it is learned alone\n" + out
-    run("--check", folder)
-    run("--check", docs)
+    assert {row["name"] for row in json.loads(pathlib.Path(data).read_text())["rows"]} == named
 
 
 def scale(folder):
     mpi = ["--ranks", 2] if len(os.sched_getaffinity(0)) > 1 and shutil.which("mpirun") else ["--ranks", 1]
     out = run("--quick", "--repeats", 1, "--out", folder, *mpi)
     assert "| quickstart |" in out and "| equal |" in out and "Paper step on CPU ranks" in out, out
-    run("--check", STUDIES.parent / "docs")
+    combined = run("--combine", STUDIES.parent / "docs/evidence/scale.json")
+    assert "NVIDIA H100" in combined, combined
 
 
 def labelling(folder):

@@ -5,7 +5,7 @@
 
 #include "testkit/field_bench.h"
 #include "testkit/host_twin.h"
-#include "tests/conformance/builds.h"
+#include "tests/conformance/rows.h"
 
 namespace semfield::testkit {
 namespace {

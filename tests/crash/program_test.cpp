@@ -63,8 +63,8 @@ bool has(const std::string& text, const std::string& part) { return text.find(pa
 
 void expect_goes_on_to_the_same_bits(const std::string& config, const std::string& run_dir, const TempDir& dir) {
   const bool begun = fs::exists(run_dir + "/run.yaml");
-  const Result r = run(begun ? Words{"train", "--resume", run_dir} : Words{"train", config, "--out", run_dir}, dir);
-  ASSERT_EQ(r.code, 0) << r.err;
+  const Result r =
+      succeeded(run(begun ? Words{"train", "--resume", run_dir} : Words{"train", config, "--out", run_dir}, dir));
   EXPECT_EQ(checkpoint_fingerprint(run_dir, kSteps), whole_fingerprint());
 }
 
@@ -83,8 +83,7 @@ TEST(Program, ASecondProcessOnARunIsRefusedAndReadersAreNot) {
   }
   // Evaluation reads the newest checkpoint between two saves and takes none of the files that are being written.
   for (int i = 0; i < 3; ++i) {
-    const Result read = run({"eval", run_dir}, other);
-    EXPECT_EQ(read.code, 0) << read.err;
+    const Result read = succeeded(run({"eval", run_dir}, other));
   }
   first.send(SIGTERM);
   const std::optional<Result> stopped = first.wait_for(kHang_s);

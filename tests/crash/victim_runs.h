@@ -1,6 +1,10 @@
 // Runs the victim with a fault planned, and reads back the record of its file calls.
 #pragma once
 
+#include <fstream>
+#include <map>
+#include <sstream>
+
 #include "tests/crash/scenarios.h"
 #include "tests/program.h"
 #include "tests/temp_dir.h"
@@ -18,7 +22,37 @@ struct FileCall {
   int cause = 0;     ///< errno of a failed call
   std::string data;  ///< written bytes
 };
-std::vector<FileCall> read_calls(const std::string& log);
+
+inline std::vector<FileCall> read_calls(const std::string& log) {
+  std::vector<FileCall> calls;
+  if (!fs::exists(log)) return calls;
+  std::ifstream lines(log);
+  const std::string data = read_text_file(log + ".data");
+  std::size_t taken = 0;
+  for (std::string line; std::getline(lines, line);) {
+    std::vector<std::string> fields;
+    std::istringstream split(line);
+    for (std::string field; std::getline(split, field, '\t');) fields.push_back(field);
+    if (fields.size() != 9)
+      throw Error(ErrorKind::internal, "test.error.made", "a line of the log is not whole: " + line);
+    FileCall c{std::stoi(fields[0]),
+               fields[1],
+               std::stoi(fields[2]),
+               fields[3],
+               fields[4],
+               std::stoll(fields[5]),
+               std::stoll(fields[6]),
+               std::stoll(fields[7]),
+               std::stoi(fields[8]),
+               {}};
+    if (c.name == "write" && c.result > 0) {
+      c.data = data.substr(taken, static_cast<std::size_t>(c.result));
+      taken += c.data.size();
+    }
+    calls.push_back(std::move(c));
+  }
+  return calls;
+}
 
 struct Fault {
   int call = 0;      ///< 0: none
@@ -46,14 +80,69 @@ class Trial {
   const std::string folder_ = root_ / "work", log_ = root_ / "log";
 };
 
-/// The environment that preloads the shim and plans `fault` for calls below `folder`.
-std::vector<std::string> fault_environment(const std::string& folder, const std::string& log, const Fault& fault);
-
 /// What an undisturbed save goes through and ends in; made once per kind.
 struct Undisturbed {
   std::uint32_t old_crc = 0, new_crc = 0;
   std::vector<FileCall> calls;
 };
-const Undisturbed& undisturbed(Save what);
+inline const Undisturbed& undisturbed(Save what);
+namespace fs = std::filesystem;
+using namespace testing_program;
+
+/// The environment that preloads the shim and plans `fault` for calls below `folder`.
+inline std::vector<std::string> fault_environment(const std::string& folder, const std::string& log,
+                                                  const Fault& fault) {
+  // By name: in LD_PRELOAD a space ends a path.
+  const fs::path shim = SEMFIELD_FAULT_SHIM;
+  return {"LD_PRELOAD=" + shim.filename().string(),
+          "LD_LIBRARY_PATH=" + shim.parent_path().string(),
+          "ASAN_OPTIONS=verify_asan_link_order=0",
+          "SEMFIELD_FAULT_BELOW=" + folder,
+          "SEMFIELD_FAULT_LOG=" + log,
+          "SEMFIELD_FAULT_CALL=" + std::to_string(fault.call),
+          "SEMFIELD_FAULT=" + fault.kind,
+          std::string("SEMFIELD_FAULT_STICKY=") + (fault.sticky ? "1" : "0")};
+}
+
+inline Trial::Trial(Save what) : what_(what) {
+  fs::create_directories(folder_);
+  prepare(what, folder_);
+}
+
+inline Result Trial::save(const Fault& fault) {
+  fs::remove(log_);
+  fs::remove(log_ + ".data");
+  return Process(SEMFIELD_VICTIM, {"save", name_of(what_), folder_}, root_.path(),
+                 fault_environment(folder_, log_, fault))
+      .wait();
+}
+
+inline Look Trial::look() const {
+  const Result r = Process(SEMFIELD_VICTIM, {"look", name_of(what_), folder_}, root_.path()).wait();
+  std::istringstream words(r.out);
+  Look found;
+  words >> std::hex >> found.crc >> std::dec >> found.temporaries;
+  std::getline(words >> std::ws, found.bad);
+  if (r.code != 0 || r.out.empty()) found.bad += "the process that looked ended with " + std::to_string(r.code) + r.err;
+  return found;
+}
+
+inline const Undisturbed& undisturbed(Save what) {
+  static std::map<Save, Undisturbed> made;
+  const auto present = made.find(what);
+  if (present != made.end()) return present->second;
+  Undisturbed& u = made[what];
+  u.old_crc = Trial(what).look().crc;
+  Trial trial(what);
+  const Result r = trial.save();
+  EXPECT_EQ(r.code, 0) << r.err;
+  u.calls = trial.calls();
+  const Look after = trial.look();
+  u.new_crc = after.crc;
+  EXPECT_EQ(after.bad, "");
+  EXPECT_NE(u.new_crc, u.old_crc);
+  EXPECT_GE(u.calls.size(), 8u) << "the shim saw no save: is it preloaded?";
+  return u;
+}
 
 }  // namespace semfield::testing_crash

@@ -11,7 +11,7 @@
 #include "plugin/loader.h"
 #include "plugin/reference.h"
 #include "testkit/host_twin.h"
-#include "tests/conformance/builds.h"
+#include "tests/conformance/rows.h"
 #include "tests/program.h"
 
 namespace semfield::testkit {
@@ -147,8 +147,8 @@ TEST(CudaConformance, EveryRegisteredPluginHasKernelsAndARow) {
 TEST(CudaConformance, TheProgramsMatrixShowsTheKernelsOfTheBuild) {
   std::string folder = ::testing::TempDir() + "semfield_matrix_XXXXXX";
   ASSERT_NE(::mkdtemp(folder.data()), nullptr);
-  const testing_program::Result result = testing_program::semfield_run("plugins list --devices", folder);
-  EXPECT_EQ(result.code, 0) << result.err;
+  const testing_program::Result result =
+      testing_program::succeeded(testing_program::semfield_run("plugins list --devices", folder));
   EXPECT_EQ(result.err, "");
   EXPECT_EQ(result.out, support_matrix_text(registry_with_cuda()));
   EXPECT_HAS(result.out, "| encoder | hash_grid | cpu, cuda |");

@@ -1,10 +1,20 @@
 // Losses on the device against the CPU's in float64.
-#include <algorithm>
 
+#include <algorithm>
+#include <iostream>
+
+#include "cuda/kernel_tables.h"
 #include "cuda/kernels/kernels.h"
+#include "cuda/stages.h"
 #include "device_fixture.h"
+#include "execution/device_library.h"
 #include "losses/semantic_cross_entropy.h"
+#include "objects/object_network.h"
+#include "plugin/loader.h"
 #include "testkit/compare.h"
+#include "testkit/loss_rays.h"
+#include "tests/conformance/rows.h"
+#include "tests/says.h"
 
 namespace semfield {
 namespace {
@@ -225,6 +235,337 @@ TEST(CudaClassResults, AsRenderingOnTheProcessor) {
       EXPECT_EQ(label.surroundings() + entropy.surroundings() + of_truth.surroundings() + probability.surroundings(),
                 "");
     }
+  }
+}
+
+// Losses on the device against the CPU's in float64.
+
+using testkit::LossRays;
+
+constexpr double kScale = 0.37;
+constexpr std::int64_t kUnused = 41;  // rows behind the samples that no ray owns
+constexpr std::int32_t kClasses = LossRays<float>::kClasses, kColumns = LossRays<float>::kColumns;
+
+std::vector<float> with_tail(const std::vector<float>& values, float tail) {
+  std::vector<float> all = values;
+  all.insert(all.end(), static_cast<std::size_t>(kUnused), tail);
+  return all;
+}
+std::vector<float> ones(std::size_t count) { return std::vector<float>(count, 1.F); }
+
+// The rays there, columns a `gap` apart; gradients begin with 1.
+struct DeviceRays {
+  DeviceRays(const LossRays<float>& host, int gap)
+      : unit_m(host.unit_m),
+        first(host.first, 1),
+        near_far(host.near_far, 2),
+        label(host.label, 1),
+        truth(host.depth_target, 1),
+        alpha(host.alpha_target, 1),
+        soft(host.soft, kClasses),
+        t(with_tail(host.t, 0.F), 1, 1 + gap),
+        delta(with_tail(host.delta, 0.F), 1, 1 + gap),
+        sigma(with_tail(host.sigma, 3.F), 1, 1 + gap),
+        weight(with_tail(host.weight, 0.F), 1, 1 + gap),
+        depth(host.depth, 1, 1 + gap),
+        opacity(host.opacity, 1, 1 + gap),
+        color(host.color, 3, 3 + gap),
+        logits(host.logits, kClasses, kClasses + gap),
+        further(host.further),
+        target(host.further_target, kColumns),
+        made(host.made, kColumns, kColumns + gap),
+        d_color(ones(host.color.size()), 3, 3 + gap),
+        d_depth(ones(host.depth.size()), 1, 1 + gap),
+        d_weight(with_tail(ones(host.t.size()), 1.F), 1, 1 + gap),
+        d_sigma(with_tail(ones(host.t.size()), 1.F), 1, 1 + gap),
+        d_logits(ones(host.logits.size()), kClasses, kClasses + gap),
+        d_made(ones(host.made.size()), kColumns, kColumns + gap) {}
+  RayTargets targets() const {
+    RayTargets out{.label = label.read_only()};
+    out.more.set(channel::depth, truth.read_only());
+    out.more.set(channel::alpha, alpha.read_only());
+    if (soft.view().rows > 0) out.more.set(channel::soft_label, soft.read_only());
+    if (!further.target.empty()) out.more.set(further.target, target.read_only());
+    return out;
+  }
+  RayValues<float> values() const {
+    RayValues<float> out{
+        near_far.read_only(), first.read_only(), t.read_only(),     delta.read_only(),   sigma.read_only(),
+        weight.read_only(),   color.read_only(), depth.read_only(), opacity.read_only(), {}};
+    out.heads.set(channel::logits, logits.read_only());
+    if (!further.head.empty()) out.heads.set(further.head, made.read_only());
+    out.unit_m = unit_m;
+    return out;
+  }
+  RayGradients<float> gradients() const {
+    RayGradients<float> out{d_color.view(), d_depth.view(), d_weight.view(), d_sigma.view(), {}};
+    out.heads.set(channel::logits, d_logits.view());
+    if (!further.head.empty()) out.heads.set(further.head, d_made.view());
+    return out;
+  }
+  std::string surroundings() const {
+    return d_color.surroundings() + d_depth.surroundings() + d_weight.surroundings() + d_sigma.surroundings() +
+           d_logits.surroundings() + d_made.surroundings();
+  }
+  double unit_m;
+  DeviceMatrix<std::int32_t> first;
+  DeviceMatrix<double> near_far;
+  DeviceMatrix<std::int16_t> label;
+  DeviceMatrix<float> truth, alpha, soft, t, delta, sigma, weight, depth, opacity, color, logits;
+  testkit::FurtherChannels further;
+  DeviceMatrix<float> target, made;
+  DeviceMatrix<float> d_color, d_depth, d_weight, d_sigma, d_logits, d_made;
+};
+
+// The gradient that was added; rows that no ray owns must still hold 1.
+std::vector<float> added(const DeviceMatrix<float>& gradient, std::size_t rows) {
+  std::vector<float> values = gradient.read();
+  for (std::size_t i = rows; i < values.size(); ++i) EXPECT_EQ(values[i], 1.F) << "unused row " << i;
+  values.resize(rows);
+  for (float& value : values) value -= 1;
+  return values;
+}
+
+const KernelTables& kernels() {
+  static const KernelTables tables = testing::tables_of({cuda::add_plugin_kernels});
+  return tables;
+}
+
+// A loss of a conformance row, with its kernels; none for a loss of CPUs alone.
+std::vector<cuda::DeviceLoss> device_losses(const testkit::Row& row) {
+  const PluginEntry& entry = testkit::linked_registry().get(PluginKind::loss, row.name);
+  std::shared_ptr<const Loss> loss = entry.loss(*testkit::make_params(entry, row.settings));
+  if (!kernels().has(Device::cuda, "loss '" + row.name + "'")) {
+    std::cout << "loss '" << row.name << "' has no cuda kernels: runs with it stay on the CPU\n";
+    return {};
+  }
+  const LossList list({{row.name, loss, nullptr, ""}, {row.name, loss, nullptr, ""}});
+  return cuda::loss_kernels(list, &kernels());
+}
+
+void loss_terms_expect_same(const testkit::Row& row, const std::vector<int>& counts, int gap,
+                            bool soft_labels = false) {
+  SCOPED_TRACE(row.text() + ", " + std::to_string(counts.size()) + " rays, gap " + std::to_string(gap));
+  const std::vector<cuda::DeviceLoss> losses = device_losses(row);
+  if (losses.empty()) return;
+  DeviceLaunch launch;
+  const testkit::FurtherChannels further(losses[0].loss->traits());
+  LossRays<float> host(counts, 1, soft_labels, further);
+  LossRays<double> want(counts, 1, soft_labels, further);
+  host.unit_m = want.unit_m = 1.75;
+  const double sum = want.add(*losses[0].loss, kScale);
+  // Second in a list of two, of which the first does not work.
+  cuda::StepCell cell;
+  cell.loss_scale[1] = kScale;
+  launch.set_cell(cell);
+  DeviceRays there(host, gap);
+  const DeviceMatrix<LossSums> sums(std::vector<LossSums>(1), 1);
+  const auto run = [&] {
+    cuda::add_losses(launch.arena(), losses, 2, {there.targets(), there.values(), there.gradients()}, sums.data());
+    return sums.read()[0];
+  };
+  const LossSums got = run();
+  EXPECT_NEAR(got.terms[1], sum, 1e-6 * sum);
+  EXPECT_EQ(got.terms[0], 0);
+  EXPECT_EQ(got.squares, 0);
+  // 1 was added to and taken from each of them.
+  constexpr double kTolerance = 1e-5, kRounding = 1e-2;
+  const auto compare = [&](const char* what, const DeviceMatrix<float>& gradient, const std::vector<double>& wanted) {
+    const std::vector<float> values = added(gradient, wanted.size());
+    EXPECT_EQ(testkit::compare(testing::host_view(values, 1), testing::host_view(wanted, 1), kTolerance, kRounding), "")
+        << what;
+  };
+  compare("colour", there.d_color, want.d_color);
+  compare("depth", there.d_depth, want.d_depth);
+  compare("weight", there.d_weight, want.d_weight);
+  compare("density", there.d_sigma, want.d_sigma);
+  compare("logits", there.d_logits, want.d_logits);
+  compare("a head's channel", there.d_made, want.d_made);
+  EXPECT_EQ(there.surroundings(), "");
+  EXPECT_EQ(run().terms[1], got.terms[1]) << "a second run gave other bits";
+  EXPECT_EQ(launch.take_fault(), std::nullopt);
+}
+
+TEST(CudaLosses, EachAsTheProcessor) {
+  SEMFIELD_NEEDS_DEVICE();
+  for (const testkit::Row& row : testkit::rows_of(PluginKind::loss)) {
+    for (const int gap : {0, 3}) loss_terms_expect_same(row, testkit::awkward_ray_lengths(), gap);
+    loss_terms_expect_same(row, testkit::awkward_ray_lengths(), 0, true);
+    loss_terms_expect_same(row, {1023, 1024, 1025, 2049, 5000}, 0);
+    for (const auto& counts : std::vector<std::vector<int>>{{0}, {1}, {0, 0, 3}})
+      loss_terms_expect_same(row, counts, 0);
+  }
+}
+
+TEST(CudaLosses, ManyRays) {
+  SEMFIELD_NEEDS_DEVICE();
+  std::vector<int> counts;
+  for (int r = 0; r < 4097; ++r) counts.push_back(r * 7 % 40);
+  for (const testkit::Row& row : testkit::rows_of(PluginKind::loss)) loss_terms_expect_same(row, counts, 0);
+}
+
+// A batch without what a loss compares with, as `bench step` makes it.
+TEST(CudaLosses, NoTargetsAreNoLoss) {
+  SEMFIELD_ON_DEVICE(launch);
+  const DeviceMatrix<LossSums> sums(std::vector<LossSums>(1), 1);
+  for (const testkit::Row& row : testkit::rows_of(PluginKind::loss)) {
+    const std::vector<cuda::DeviceLoss> losses = device_losses(row);
+    if (losses.empty() || losses[0].loss->traits().targets.empty()) continue;
+    const testkit::FurtherChannels further(losses[0].loss->traits());
+    const DeviceRays there(LossRays<float>(testkit::awkward_ray_lengths(), 1, false, further), 0);
+    cuda::add_losses(launch.arena(), losses, 1, {{}, there.values(), there.gradients()}, sums.data());
+    EXPECT_EQ(sums.read()[0].terms[0], 0) << row.text();
+  }
+  EXPECT_EQ(launch.take_fault(), std::nullopt);
+}
+
+struct ElsewhereParams : LossRule {};
+class Elsewhere final : public LossOf<Elsewhere, ElsewhereParams> {
+ public:
+  LossTraits traits() const override { return {}; }
+  template <class Real>
+  double sum(const RayTargets&, const RayValues<Real>&, double, const RayGradients<Real>&) const {
+    return 0;
+  }
+};
+
+TEST(CudaLosses, OneWithoutKernelsIsRefusedByName) {
+  EXPECT_HAS(
+      error_of([&] {
+        (void)cuda::loss_kernels(LossList({{"elsewhere", std::make_shared<Elsewhere>(), nullptr, ""}}), &kernels());
+      }),
+      "loss 'elsewhere' has no cuda kernels");
+}
+
+// Groupings on the device against those of the CPU: sums, gradients, and networks that learn.
+
+const Registry& registry() {
+  static const Registry* const with_device = [] {
+    auto* const made = new Registry();
+    register_linked_plugins(*made);
+    cuda_library().add_kernels(made->kernels());
+    return made;
+  }();
+  return *with_device;
+}
+
+std::unique_ptr<Grouping> grouping_of(const std::string& name) {
+  const PluginEntry& entry = registry().get(PluginKind::grouping, name);
+  return entry.grouping(*entry.new_params());
+}
+
+// Points of images whose segments differ in number and size; the last image has one segment alone.
+struct Images {
+  std::int64_t per_image;
+  std::vector<std::int32_t> segment, segments;
+  std::vector<float> rows, slow;
+
+  Images(std::int64_t count, std::int64_t points, std::int32_t width) : per_image(points) {
+    const RandomAddress random{3, 0, stream_id("groupings_test")};
+    for (std::int64_t i = 0; i < count; ++i) {
+      segments.push_back(i + 1 == count ? 1 : static_cast<std::int32_t>(3 + 40 * i));
+      for (std::int64_t p = 0; p < points; ++p) {
+        const double drawn = static_cast<double>(uniform01(random, static_cast<std::uint64_t>(i * points + p)));
+        segment.push_back(static_cast<std::int32_t>(drawn * drawn * segments.back()));  // some segments have no point
+      }
+    }
+    rows = testing::random_floats(std::ssize(segment) * width, 1, -1.5, 1.5);
+    slow = testing::random_floats(std::ssize(segment) * width, 2, -1.5, 1.5);
+  }
+};
+
+TEST(CudaGroupings, SumAndGradientsAreTheCpus) {
+  SEMFIELD_ON_DEVICE(launch);
+  for (const std::string& name : registry().names(PluginKind::grouping)) {
+    SCOPED_TRACE(name);
+    const std::unique_ptr<Grouping> grouping = grouping_of(name);
+    const GroupingKernel kernel = grouping->kernel(Device::cuda, registry().kernels());
+    ASSERT_NE(kernel, nullptr);
+    const std::int32_t width = grouping->width();
+    for (const std::int64_t points : {1, 2, 33, 256, 301}) {
+      SCOPED_TRACE(points);
+      const std::int64_t count = 4;
+      const Images images(count, points, width);
+      const DeviceMatrix<float> rows(images.rows, width), slow(images.slow, width),
+          gradients(std::vector<float>(images.rows.size(), 0.5F), width);
+      const DeviceMatrix<std::int32_t> segment(images.segment, 1), segments(images.segments, 1);
+      const DeviceMatrix<double> loss(std::vector<double>(images.segment.size(), 0), 1);
+      GroupingCall call;
+      call.rows = rows.read_only();
+      call.slow = grouping->slow_share() > 0 ? slow.read_only() : rows.read_only();
+      call.segment = segment.read_only();
+      call.segments = segments.read_only();
+      call.per_image = points;
+      call.most_segments = 3 + 40 * 2;
+      call.scale = 0.3;
+      call.gradients = gradients.view();
+      call.loss = loss.view();
+      kernel(*grouping, call, launch.arena());
+      std::vector<double> want(images.rows.size(), 0.5);
+      double want_loss = 0;
+      const std::vector<double> wide = testing::widen(images.rows), wide_slow = testing::widen(images.slow);
+      for (std::int64_t i = 0; i < count; ++i) {
+        const auto first = static_cast<std::size_t>(i * points * width);
+        const View<const double> own(wide.data() + first, points, width);
+        const View<const double> keys(wide_slow.data() + first, points, width);
+        want_loss += grouping->add(SegmentedPoints<double>{own, grouping->slow_share() > 0 ? keys : own,
+                                                           std::span(images.segment)
+                                                               .subspan(static_cast<std::size_t>(i * points),
+                                                                        static_cast<std::size_t>(points)),
+                                                           images.segments[static_cast<std::size_t>(i)]},
+                                   call.scale, View<double>(want.data() + first, points, width));
+      }
+      const std::vector<float> got = gradients.read();
+      for (std::size_t i = 0; i < got.size(); ++i) ASSERT_NEAR(got[i], want[i], 2e-5) << i;
+      double got_loss = 0;
+      for (const double of_point : loss.read()) got_loss += of_point;
+      EXPECT_NEAR(got_loss, want_loss, 1e-5 * (1 + std::abs(want_loss)));
+      EXPECT_EQ(gradients.surroundings() + loss.surroundings(), "");
+    }
+  }
+}
+
+// Two bars side by side, each one segment of every view, numbered anew in each.
+TEST(CudaGroupings, ANetworkLearnsWhatTheCpuDoesAndRepeatsItsBits) {
+  SEMFIELD_NEEDS_DEVICE();
+  std::vector<Vec3d> positions;
+  for (int i = 0; i < 40; ++i) positions.push_back({i < 20 ? -0.5 : 0.5, 0.05 * (i % 20) - 0.5, 0.1});
+  std::vector<SegmentSights> sights(3);
+  for (std::size_t v = 0; v < sights.size(); ++v) {
+    SegmentSights& view = sights[v];
+    for (int s = 0; s < 2; ++s) {
+      for (int i = 0; i < 20; ++i) {
+        view.point.push_back(20 * (v % 2 == 0 ? s : 1 - s) + i);
+        view.segment.push_back(s);
+      }
+      view.class_of.push_back(kVoid);
+    }
+    view.first = {0, 20, 40};
+  }
+  const Box box{{-1, -1, -1}, {1, 1, 1}};
+  const ObjectLearning learning{.steps = 25, .views = 4, .view_points = 64};
+  for (const std::string& name : registry().names(PluginKind::grouping)) {
+    SCOPED_TRACE(name);
+    const std::unique_ptr<Grouping> grouping = grouping_of(name);
+    std::vector<std::vector<float>> found;
+    double said = 0;
+    for (const bool on_gpu : {false, true, true}) {
+      ObjectNetwork<float> net(registry().kernels(), *grouping, {}, box, 3, learning.views);
+      const auto say = [&](double done, double of) { said = done / of; };
+      if (on_gpu)
+        EXPECT_TRUE(net.learn_on_gpu(0, positions, sights, learning, say));
+      else
+        net.learn(positions, sights, learning, {});
+      found.push_back(net.outputs(positions));
+    }
+    EXPECT_EQ(said, 1);
+    EXPECT_EQ(found[1], found[2]);
+    double largest = 0;
+    for (std::size_t i = 0; i < found[0].size(); ++i) {
+      EXPECT_NEAR(found[1][i], found[0][i], 0.02) << i;
+      largest = std::max(largest, std::abs(double{found[0][i]}));
+    }
+    EXPECT_GT(largest, 0.2) << "nothing was learned";
   }
 }
 

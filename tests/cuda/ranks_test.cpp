@@ -1,12 +1,16 @@
 // Steps that several ranks make together on devices against those of one. Ranks are threads of this process; where they
 // share a device, gradients meet in the host's memory.
+
 #include <cstdlib>
 
+#include "cuda/ranks/gradient_sums.h"
+#include "cuda/ranks/shard_sums.h"
 #include "execution/ranks_executor.h"
 #include "session/trainer.h"
 #include "tests/cuda/device_fixture.h"
 #include "tests/cuda/step_configs.h"
 #include "tests/ranks/thread_ranks.h"
+#include "tests/says.h"
 
 namespace semfield {
 namespace {
@@ -272,6 +276,296 @@ TEST(CudaRanks, TwoDevicesHaveTheBitsOfTwoRanksOnOne) {
     lead_ranks(2, true, yaml, train_into(two_devices));
     expect_same_bits(two_devices, one_device, yaml);
   }
+}
+
+// How gradients of a device meet: the cut of a step into shards, the tree in which they are added, and exchanges
+// between ranks that are threads with one device.
+
+using cuda::GradientSums;
+using cuda::kShards;
+using cuda::RayRange;
+using cuda::shard_of;
+using testing::DeviceLaunch;
+using testing::NotedFault;
+
+TEST(Shards, CoverTheRaysInOrderAndOnlyTheLastAreShorter) {
+  for (const std::int64_t rays : {1, 5, 8, 100, 192, 4096, 4099}) {
+    for (const int shards : {1, 2, 3, 8}) {
+      const std::int64_t each = shard_of(rays, 0, shards).count;
+      EXPECT_EQ(each, (rays + shards - 1) / shards);
+      std::int64_t begin = 0;
+      for (int s = 0; s < shards; ++s) {
+        const RayRange range = shard_of(rays, s, shards);
+        EXPECT_EQ(range.begin, begin) << rays << " rays, shard " << s;
+        begin += range.count;
+        EXPECT_TRUE(range.count == each || begin == rays) << rays << " rays, shard " << s;
+      }
+      EXPECT_EQ(begin, rays);
+    }
+  }
+}
+
+// Numbers of many sizes: their sum shows in which order they were added.
+std::vector<float> numbers(std::size_t count, std::uint64_t seed) {
+  std::vector<float> values = testing::random_floats(static_cast<std::int64_t>(count), seed, -1, 1);
+  for (std::size_t i = 0; i < count; ++i) values[i] *= static_cast<float>(std::int64_t{1} << (i * 7 + seed * 5) % 20);
+  return values;
+}
+std::vector<float> sum(const std::vector<float>& a, const std::vector<float>& b) {
+  std::vector<float> total(a.size());
+  for (std::size_t i = 0; i < a.size(); ++i) total[i] = a[i] + b[i];
+  return total;
+}
+std::vector<float> tree(std::size_t count, int first, int level) {
+  if (level == 0) return numbers(count, static_cast<std::uint64_t>(first));
+  return sum(tree(count, first, level - 1), tree(count, first + (1 << (level - 1)), level - 1));
+}
+
+// Gradients of a rank, with a launch of their own.
+struct Place {
+  Place(Ranks* ranks, bool deterministic, std::size_t count, std::vector<std::size_t> ends)
+      : gradients(count, "a test"), sums(options(ranks, deterministic), {gradients.data(), count}, std::move(ends)) {
+    sums.join();
+    sums.agree([&] { sums.reserve({}); });
+  }
+  static DeviceOptions options(Ranks* ranks, bool deterministic) {
+    return DeviceOptions{.deterministic = deterministic, .ranks = ranks};
+  }
+  void write(const std::vector<float>& values) {
+    cuda::upload<float>(values, gradients.data());
+    cuda::synchronize();
+  }
+  std::vector<float> read() {
+    std::vector<float> values(gradients.size());
+    cuda::download<float>(gradients.data(), values);
+    sums.wait();
+    return values;
+  }
+
+  DeviceLaunch launch;
+  cuda::Buffer<float> gradients;
+  GradientSums sums;
+};
+
+TEST(CudaShards, GradientsAreAddedAsATree) {
+  SEMFIELD_ON_DEVICE(launch);
+  constexpr std::size_t kCount = 64 * 20, kFirst = 64 * 3;  // two tensors of a block, in the other order in the sum
+  cuda::Buffer<float> blocks(cuda::kShards * kCount, "a test"), sum_there(kCount, "a test");
+  std::array<const float*, cuda::kShards> block{};
+  for (std::size_t s = 0; s < block.size(); ++s) {
+    const std::size_t place = (s * 3) % block.size();
+    block[s] = blocks.data() + place * kCount;
+    cuda::upload<float>(numbers(kCount, s), blocks.data() + place * kCount);
+  }
+  cuda::upload<float>(std::vector<float>(kCount, 0.5F), sum_there.data());
+  const std::vector<cuda::ShardTensor> tensors{{0, kFirst, sum_there.data() + kCount - kFirst},
+                                               {kFirst, kCount - kFirst, sum_there.data()}};
+  cuda::Buffer<std::byte> there(tensors.size() * sizeof(cuda::ShardTensor), "a test");
+  cuda::upload<std::byte>(std::as_bytes(std::span(tensors)), there.data());
+  cuda::add_shards({reinterpret_cast<const cuda::ShardTensor*>(there.data()), 2, kCount - kFirst}, block);
+  std::vector<float> got(kCount);
+  cuda::download<float>(sum_there.data(), got);
+  cuda::synchronize();
+  const std::vector<float> total = tree(kCount, 0, 3);
+  for (std::size_t i = 0; i < kCount; ++i) {
+    const std::size_t to = i < kFirst ? kCount - kFirst + i : i - kFirst;
+    ASSERT_EQ(got[to], 0.5F + total[i]) << i;
+  }
+}
+
+TEST(CudaShards, RowsInUseAreJoinedInOrder) {
+  SEMFIELD_ON_DEVICE(launch);
+  constexpr std::int64_t kRoom = 40;
+  for (const std::int32_t dims : {3, 8}) {
+    const std::vector<std::int32_t> counts{7, 0, 40, 1};
+    cuda::Buffer<double> x(4 * 3 * kRoom, "a test"), all_x(4 * 3 * kRoom, "a test");
+    cuda::Buffer<float> dy(4 * static_cast<std::size_t>(dims) * kRoom, "a test");
+    cuda::Buffer<float> all_dy(dy.size(), "a test");
+    cuda::Buffer<std::int32_t> count(counts.size() + 1, "a test");
+    cuda::Buffer<std::int32_t> largest(counts.size() + 1, "a test");
+    cuda::upload<std::int32_t>(std::vector<std::int32_t>{3, 9, 4, 5}, largest.data());
+    const auto largest_of = [&](std::size_t p) { return reinterpret_cast<std::uint32_t*>(largest.data() + p); };
+    std::vector<double> x_here(x.size());
+    std::vector<float> dy_here(dy.size());
+    for (std::size_t i = 0; i < x_here.size(); ++i) x_here[i] = static_cast<double>(i) + 0.25;
+    for (std::size_t i = 0; i < dy_here.size(); ++i) dy_here[i] = static_cast<float>(i) - 3;
+    cuda::upload<double>(x_here, x.data());
+    cuda::upload<float>(dy_here, dy.data());
+    cuda::upload<std::int32_t>(counts, count.data());
+    std::vector<cuda::EncoderRows> parts;
+    std::vector<double> want_x;
+    std::vector<float> want_dy;
+    for (std::size_t p = 0; p < counts.size(); ++p) {
+      const std::size_t rows = static_cast<std::size_t>(counts[p]), d = static_cast<std::size_t>(dims);
+      parts.push_back({{x.data() + p * 3 * kRoom, kRoom, 3, 3, Device::cuda},
+                       {dy.data() + p * d * kRoom, kRoom, dims, dims, Device::cuda},
+                       count.data() + p,
+                       largest_of(p)});
+      want_x.insert(want_x.end(), x_here.begin() + static_cast<std::ptrdiff_t>(p * 3 * kRoom),
+                    x_here.begin() + static_cast<std::ptrdiff_t>(p * 3 * kRoom + 3 * rows));
+      want_dy.insert(want_dy.end(), dy_here.begin() + static_cast<std::ptrdiff_t>(p * d * kRoom),
+                     dy_here.begin() + static_cast<std::ptrdiff_t>(p * d * kRoom + d * rows));
+    }
+    cuda::join_rows(parts, {all_x.view(4 * kRoom, 3), all_dy.view(4 * kRoom, dims), count.data() + counts.size(),
+                            largest_of(counts.size())});
+    std::vector<double> got_x(want_x.size());
+    std::vector<float> got_dy(want_dy.size());
+    std::vector<std::int32_t> got_count(1);
+    std::vector<std::int32_t> got_largest(1);
+    cuda::download<std::int32_t>(largest.data() + counts.size(), got_largest);
+    cuda::download<double>(all_x.data(), got_x);
+    cuda::download<float>(all_dy.data(), got_dy);
+    cuda::download<std::int32_t>(count.data() + counts.size(), got_count);
+    cuda::synchronize();
+    EXPECT_EQ(got_count[0], 48);
+    EXPECT_EQ(got_largest[0], 9);
+    EXPECT_EQ(got_x, want_x);
+    EXPECT_EQ(got_dy, want_dy);
+  }
+}
+
+TEST(CudaGradientSums, AnyNumberOfRanksGathersTheShardsOfAll) {
+  SEMFIELD_NEEDS_DEVICE();
+  constexpr std::size_t kCount = 64 * 20;
+  for (const int size : {1, 2, 3, 4, 5, 8}) {
+    as_ranks(size, [&](Ranks& ranks) {
+      Place place(&ranks, true, kCount, {kCount});
+      const auto slots = static_cast<std::size_t>(GradientSums::slots_of(Place::options(&ranks, true)));
+      cuda::Buffer<float> blocks(slots * kCount, "a test");
+      const auto of_shard = [&](int s) {
+        return blocks.data() + static_cast<std::size_t>(place.sums.slot_of(s)) * kCount;
+      };
+      place.sums.agree([&] { place.sums.reserve({{blocks.data(), slots / static_cast<std::size_t>(size) * kCount}}); });
+      const auto [first, last] = place.sums.own();
+      for (int s = first; s < last; ++s)
+        cuda::upload<float>(numbers(kCount, static_cast<std::uint64_t>(s)), of_shard(s));
+      place.sums.begin(false);
+      place.sums.meet(cuda::launch().fault);
+      for (int s = 0; s < kShards; ++s) {
+        std::vector<float> got(kCount);
+        cuda::download<float>(of_shard(s), got);
+        place.sums.wait();
+        EXPECT_EQ(got, numbers(kCount, static_cast<std::uint64_t>(s)))
+            << size << " ranks, rank " << ranks.rank() << ", shard " << s;
+      }
+    });
+  }
+}
+
+TEST(CudaGradientSums, WithoutShardsRanksAreAddedInTheirOrderPassByPass) {
+  SEMFIELD_NEEDS_DEVICE();
+  constexpr std::size_t kCount = (std::size_t{1} << 20) + 64 * 20;  // more than the host exchanges at once
+  for (const int size : {1, 2, 3}) {
+    std::vector<float> want = numbers(kCount, 0);
+    for (int r = 1; r < size; ++r) want = sum(want, numbers(kCount, static_cast<std::uint64_t>(r)));
+    as_ranks(size, [&](Ranks& ranks) {
+      Place place(&ranks, false, kCount, {64 * 5, 64 * 5, kCount});  // the second pass learns nothing
+      EXPECT_EQ(place.sums.shards(), size);
+      place.write(numbers(kCount, static_cast<std::uint64_t>(ranks.rank())));
+      place.sums.begin(true);
+      for (const std::size_t pass : {0, 1, 2}) place.sums.pass_done(pass);
+      place.sums.meet(cuda::launch().fault);
+      EXPECT_EQ(place.read(), want) << size << " ranks, rank " << ranks.rank();
+    });
+  }
+}
+
+TEST(CudaGradientSums, TheFirstFaultOfAnyRankIsThatOfAll) {
+  SEMFIELD_NEEDS_DEVICE();
+  for (const bool deterministic : {false, true}) {
+    as_ranks(3, [&](Ranks& ranks) {
+      Place place(&ranks, deterministic, 64, {64});
+      const cuda::Buffer<float> blocks(3 * 64, "a test");
+      place.sums.agree([&] { place.sums.reserve({{blocks.data(), 64}}); });
+      const auto meet = [&] {
+        place.sums.begin(false);
+        place.sums.meet(cuda::launch().fault);
+        place.sums.wait();
+        return place.launch.take_fault();
+      };
+      EXPECT_EQ(meet(), std::nullopt);
+      constexpr auto kLogits = static_cast<cuda::FaultKey>(cuda::Stage::logits) << cuda::kFaultRowBits;
+      if (ranks.rank() > 0) place.launch.set_fault(kLogits | static_cast<cuda::FaultKey>(10 - ranks.rank()));
+      EXPECT_EQ(meet(), (NotedFault{cuda::Stage::logits, 8}));
+      EXPECT_EQ(meet(), std::nullopt);
+    });
+  }
+}
+
+TEST(CudaGradientSums, RanksThatShareADeviceMeetOnTheHostAndSaySoOnce) {
+  SEMFIELD_NEEDS_DEVICE();
+  as_ranks(2, [](Ranks& ranks) {
+    Place place(&ranks, false, 64, {64});
+    place.sums.join();
+    EXPECT_TRUE(place.sums.waits());
+    const std::vector<std::string> notes = place.sums.take_notes();
+    ASSERT_EQ(notes.size(), 1u);
+    EXPECT_TRUE(place.sums.take_notes().empty());
+#ifdef SEMFIELD_NCCL
+    EXPECT_HAS(notes[0], "rank 0 of this test and rank 1 of this test share a device");
+#else
+    EXPECT_HAS(notes[0], "NCCL");
+#endif
+  });
+}
+
+TEST(CudaGradientSums, ARankWithADeviceOfItsOwnUsesNccl) {
+  SEMFIELD_NEEDS_DEVICE();
+#ifndef SEMFIELD_NCCL
+  GTEST_SKIP() << "this build has no NCCL";
+#endif
+  as_ranks(1, [](Ranks& ranks) {
+    Place place(&ranks, false, 64, {64});
+    for (const std::string& note : place.sums.take_notes()) ADD_FAILURE() << note;
+    EXPECT_FALSE(place.sums.waits());
+  });
+}
+
+TEST(CudaGradientSums, MoreRanksThanShardsAreRefusedOnAll) {
+  SEMFIELD_NEEDS_DEVICE();
+  int refused = 0;
+  std::mutex mutex;
+  as_ranks(kShards + 1, [&](Ranks& ranks) {
+    try {
+      const Place place(&ranks, true, 64, {64});
+    } catch (const Error& error) {
+      const std::lock_guard lock(mutex);
+      EXPECT_HAS(error.remedy(), "at most 8 processes") << error.what();
+      ++refused;
+    }
+  });
+  EXPECT_EQ(refused, kShards + 1);
+}
+
+// A rank that fails behind the others' backs does so before all of them the next time they agree.
+TEST(CudaGradientSums, AnErrorOfOneRankIsMetByAll) {
+  SEMFIELD_NEEDS_DEVICE();
+  int thrown = 0;
+  std::mutex mutex;
+  as_ranks(3, [&](Ranks& ranks) {
+    Place place(&ranks, false, 64, {64});
+    const auto message = [&](const std::function<void()>& work) -> std::string {
+      try {
+        place.sums.agree(work);
+        return "";
+      } catch (const Error& error) {
+        return error.message();
+      }
+    };
+    const auto fail_on = [&](int rank, const char* text) {
+      return [&ranks, rank, text] {
+        if (ranks.rank() == rank) throw Error(ErrorKind::unavailable, "test.error.made", text, "");
+      };
+    };
+    EXPECT_EQ(message([] {}), "");
+    EXPECT_EQ(message(fail_on(1, "no memory")), "no memory");
+    place.sums.afterwards(fail_on(2, "a launch failed"));
+    EXPECT_EQ(message([] {}), "a launch failed");
+    EXPECT_EQ(message([] {}), "");
+    const std::lock_guard lock(mutex);
+    ++thrown;
+  });
+  EXPECT_EQ(thrown, 3);
 }
 
 }  // namespace

@@ -1,12 +1,21 @@
 // Whole steps and runs on the device against those of the CPU: one step's losses and gradients, training,
 // checkpoints both ways, rendering, faults.
+
 #include <cstdio>
 
+#include "compute/isa.h"
 #include "core/error.h"
+#include "core/rng.h"
+#include "core/workspace.h"
+#include "cuda/kernels/kernels.h"
+#include "cuda/memory.h"
+#include "cuda/steps/batch_drawer.h"
+#include "device_fixture.h"
 #include "eval/evaluator.h"
+#include "model/param_store.h"
 #include "plugins/fields/nerf_mlp/tests/fused_fixture.h"
+#include "scene/scene.h"
 #include "session/trainer.h"
-#include "tests/cuda/device_fixture.h"
 #include "tests/cuda/step_configs.h"
 #include "tests/session/train_testing.h"
 
@@ -446,6 +455,701 @@ TEST(CudaBuild, WithoutADeviceTheReasonIsSaid) {
   EXPECT_HAS(error_of(ErrorKind::unavailable, [&] { open_text(hash_config("runtime: {device: cuda}\n"), registry); }),
              "runtime.device");
   EXPECT_EQ(runs_on(open_text(hash_config("runtime: {device: auto}\n"), registry)), Device::cpu);
+}
+
+// What an executor on a device promises beside steps: the gradient hook, and which of several devices it runs on.
+
+using testing::DeviceLaunch;
+using testing::DeviceMatrix;
+
+constexpr const char* kDeterministic = ", deterministic: true}\n";
+
+// A session with its trainer.
+struct Subject {
+  Subject(const std::string& yaml, const std::string& device, Registry& registry)
+      : session(open_text(yaml + "runtime: {device: " + device + kDeterministic, registry)) {}
+  void to(std::int64_t step) {
+    while (trainer.step() < step) trainer.advance_many(step - trainer.step());
+    trainer.collect();
+  }
+  void call(GradientHook<float> hook) { session.pipeline->executor().set_gradient_hook(std::move(hook)); }
+  std::uint32_t bits() { return fingerprint(session.pipeline->store()); }
+
+  Session session;
+  std::unique_ptr<RaySource> rays = session.make_ray_source();
+  Trainer trainer{*session.pipeline, *rays, session.config.adam, session.config.schedule};
+};
+
+int devices() {
+  int count = 0;
+  return cudaGetDeviceCount(&count) == cudaSuccess ? count : 0;
+}
+
+std::string config(const std::string& weight) {
+  std::string yaml = two_pass_config();
+  return yaml.replace(yaml.find("weight: 0.3"), 11, "weight: " + weight);
+}
+
+// On the hook's stream, by way of the host: the stream is waited for.
+void halve(const StepGradients<float>& gradients) {
+  const auto stream = static_cast<cudaStream_t>(gradients.stream);
+  for (const View<float>& gradient : gradients.tensors) {
+    std::vector<float> host(static_cast<std::size_t>(gradient.size()));
+    const std::size_t bytes = host.size() * sizeof(float);
+    cuda::check(cudaMemcpyAsync(host.data(), gradient.data, bytes, cudaMemcpyDeviceToHost, stream), "a test");
+    cuda::check(cudaStreamSynchronize(stream), "a test");
+    for (float& g : host) g *= 0.5F;
+    cuda::check(cudaMemcpyAsync(gradient.data, host.data(), bytes, cudaMemcpyHostToDevice, stream), "a test");
+    cuda::check(cudaStreamSynchronize(stream), "a test");
+  }
+}
+
+// Twelve steps: graphs are captured in the third, one without a hook and two with it.
+TEST(CudaGradientHook, SeesEveryLearnedTensorOfEveryStepAndKeepsTheBits) {
+  SEMFIELD_NEEDS_DEVICE();
+  Registry registry = make_registry();
+  for (const std::string& yaml : {hash_config(), two_pass_config()}) {
+    Subject plain(yaml, "cuda", registry), hooked(yaml, "cuda", registry);
+    std::vector<std::int64_t> steps;
+    hooked.call([&](const StepGradients<float>& gradients) {
+      steps.push_back(gradients.step);
+      EXPECT_NE(gradients.stream, nullptr);
+      std::size_t next = 0;
+      for (const Tensor<float>& t : hooked.session.pipeline->store().all()) {
+        if (!t.learned()) continue;
+        ASSERT_LT(next, gradients.tensors.size());
+        const View<float>& view = gradients.tensors[next++];
+        EXPECT_EQ(view.rows, t.spec.rows) << t.name;
+        EXPECT_EQ(view.cols, t.spec.cols) << t.name;
+        EXPECT_EQ(view.device, Device::cuda);
+        cudaPointerAttributes where{};
+        EXPECT_EQ(cudaPointerGetAttributes(&where, view.data), cudaSuccess);
+        EXPECT_EQ(where.type, cudaMemoryTypeDevice) << t.name;
+      }
+      EXPECT_EQ(next, gradients.tensors.size());
+    });
+    plain.to(12);
+    hooked.to(12);
+    EXPECT_EQ(plain.bits(), hooked.bits());
+    EXPECT_EQ(steps.size(), 12u);
+    hooked.call(nullptr);
+    plain.to(18);
+    hooked.to(18);
+    EXPECT_EQ(plain.bits(), hooked.bits());
+    EXPECT_EQ(steps.size(), 12u);
+  }
+}
+
+// The first moment after the first step is (1 - beta1) times the gradient.
+TEST(CudaGradientHook, HalfOfTheGradientsIsHalfOfTheWeight) {
+  SEMFIELD_NEEDS_DEVICE();
+  Registry registry = make_registry();
+  Subject full(config("0.25"), "cuda", registry), halved(config("0.25"), "cuda", registry);
+  Subject light(config("0.125"), "cuda", registry);
+  halved.call(halve);
+  for (Subject* run : {&full, &halved, &light}) run->to(1);
+  int semantic = 0;
+  for (std::size_t i = 0; i < full.session.pipeline->store().all().size(); ++i) {
+    const Tensor<float>& t = full.session.pipeline->store().all()[i];
+    if (!t.learned()) continue;
+    const float* const of_halved = halved.session.pipeline->store().all()[i].moment1.data();
+    const float* const of_light = light.session.pipeline->store().all()[i].moment1.data();
+    double largest = 0;
+    for (std::int64_t e = 0; e < t.size(); ++e) {
+      ASSERT_EQ(of_halved[e], 0.5F * t.moment1.data()[e]) << t.name << ' ' << e;
+      ASSERT_TRUE(!t.rule.semantic || of_halved[e] == of_light[e]) << t.name << ' ' << e;
+      largest = std::max<double>(largest, std::abs(of_halved[e]));
+    }
+    EXPECT_GT(largest, 0) << t.name;
+    semantic += t.rule.semantic ? 1 : 0;
+  }
+  EXPECT_GT(semantic, 0);
+}
+
+TEST(CudaGradientHook, AnErrorEndsTheStepAndChangesNothing) {
+  SEMFIELD_NEEDS_DEVICE();
+  Registry registry = make_registry();
+  Subject plain(hash_config(), "cuda", registry), hooked(hash_config(), "cuda", registry);
+  plain.to(5);
+  hooked.to(5);
+  hooked.call([](const StepGradients<float>& gradients) {
+    if (gradients.step == 7) throw Error(ErrorKind::failure, "test.error.made", "rank 3 is gone", "start it again");
+  });
+  EXPECT_HAS(error_of([&] { hooked.to(10); }), "rank 3 is gone");
+  EXPECT_EQ(hooked.trainer.step(), 7);
+  hooked.call(nullptr);
+  plain.to(9);
+  hooked.to(9);
+  EXPECT_EQ(plain.bits(), hooked.bits());
+}
+
+TEST(CudaDevices, AnOrdinalThatIsNotThereIsRefusedWithThoseThatAre) {
+  SEMFIELD_NEEDS_DEVICE();
+  Registry registry = make_registry();
+  const std::string missing = "cuda:" + std::to_string(devices());
+  EXPECT_HAS(error_of(ErrorKind::unavailable, [&] { const Subject run(hash_config(), missing, registry); }),
+             "runtime.device: " + missing + ": this machine has ", "cuda:" + std::to_string(devices() - 1))
+      << missing;
+}
+
+TEST(CudaDevices, TheCallersDeviceIsLeftAsItWas) {
+  SEMFIELD_NEEDS_DEVICE();
+  Registry registry = make_registry();
+  for (int ordinal = 0; ordinal < std::min(devices(), 2); ++ordinal) {
+    Subject run(hash_config(), "cuda:" + std::to_string(ordinal), registry);
+    EXPECT_EQ(run.session.pipeline->executor().device(), (DeviceId{Device::cuda, ordinal}));
+    run.to(4);
+    int current = -1;
+    EXPECT_EQ(cudaGetDevice(&current), cudaSuccess);
+    EXPECT_EQ(current, 0);
+  }
+}
+
+// Of equal devices; a run goes on on another one.
+TEST(CudaDevices, TwoDevicesOfAKindGiveTheSameBitsAndTakeOverFromEachOther) {
+  SEMFIELD_NEEDS_DEVICE();
+  if (devices() < 2) GTEST_SKIP() << "this machine has one device";
+  Registry registry = make_registry();
+  for (const char* precision : {"", ", precision: bf16"}) {
+    const std::string first = std::string("cuda:0") + precision, second = std::string("cuda:1") + precision;
+    Subject a(hash_config(), first, registry), b(hash_config(), second, registry);
+    a.to(20);
+    b.to(20);
+    EXPECT_EQ(a.bits(), b.bits()) << precision;
+    const TempDir dir;
+    write_safetensors(dir / "state.safetensors", a.trainer.state(), {});
+    Subject c(hash_config(), second, registry);
+    c.trainer.load(TensorFile::read(dir / "state.safetensors"), 20);
+    a.to(40);
+    c.to(40);
+    EXPECT_EQ(a.bits(), c.bits()) << precision;
+  }
+}
+
+// Device memory: what is copied there comes back, arenas and launches.
+
+TEST(CudaMemory, MatricesComeBackAndTheirSurroundingsAreWatched) {
+  SEMFIELD_NEEDS_DEVICE();
+  const std::vector<float> values = testing::random_floats(33 * 3, 1, -1, 1);
+  const DeviceMatrix<float> matrix(values, 3, 5);
+  EXPECT_EQ(matrix.read(), values);
+  EXPECT_EQ(matrix.surroundings(), "");
+  cuda::check(cudaMemset(matrix.data() + 3, 0, sizeof(float)), "writing into a gap");
+  EXPECT_NE(matrix.surroundings(), "");
+}
+
+TEST(CudaMemory, BuffersStartAsZerosAndArenasGiveAlignedDeviceMemory) {
+  SEMFIELD_ON_DEVICE(launch);
+  const cuda::Buffer<float> buffer(1001, "a test");
+  std::vector<float> back(1001, 7);
+  cuda::download<float>(buffer.data(), back);
+  cuda::synchronize();
+  EXPECT_EQ(back, std::vector<float>(1001, 0));
+  const Workspace::Scope scope(launch.arena());
+  for (const std::int64_t rows : {0, 1, 33}) {
+    const View<float> view = launch.arena().take<float>(rows, 3);
+    EXPECT_EQ(view.device, Device::cuda);
+    EXPECT_EQ(reinterpret_cast<std::uintptr_t>(view.data) % 256, 0u);
+  }
+}
+
+TEST(CudaMemory, ABufferIsClearedBeforeOtherStreamsUseIt) {
+  SEMFIELD_NEEDS_DEVICE();
+  constexpr std::size_t kCount = 1001, kBusyBytes = std::size_t{1} << 28;
+  const cuda::Buffer<std::byte> busy(kBusyBytes, "a test");
+  cudaStream_t stream = nullptr;
+  cuda::check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking), "a stream of a test");
+  const std::vector<float> values = testing::random_floats(kCount, 1, -1, 1);
+  std::vector<float> back(kCount);
+  {
+    cuda::Launch own{.stream = stream};
+    const cuda::LaunchScope scope(own);
+    for (int i = 0; i < 400; ++i) {  // the default stream has work for some 20 ms
+      cuda::check(cudaMemsetAsync(busy.data(), i, kBusyBytes, nullptr), "work of a test");
+    }
+    const cuda::Buffer<float> buffer(kCount, "a test");
+    cuda::upload<float>(values, buffer.data());
+    cuda::check(cudaDeviceSynchronize(), "waiting for both streams");
+    cuda::download<float>(buffer.data(), back);
+    cuda::synchronize();
+  }
+  cuda::check(cudaStreamDestroy(stream), "a stream of a test");
+  EXPECT_EQ(back, values);
+}
+
+TEST(CudaLaunch, AFaultIsTakenOutOfItsCellOnce) {
+  SEMFIELD_NEEDS_DEVICE();
+  DeviceLaunch launch(true);
+  EXPECT_EQ(launch.take_fault(), std::nullopt);
+  launch.set_fault((cuda::FaultKey{4} << cuda::kFaultRowBits) | 77);
+  EXPECT_EQ(cuda::first_fault_row(cuda::Stage::density), -1);  // another stage's
+  EXPECT_EQ(cuda::first_fault_row(static_cast<cuda::Stage>(4)), 77);
+  EXPECT_EQ(launch.take_fault(), std::nullopt);
+}
+
+// Batches drawn on the device are those that the host fills, bit by bit.
+
+using cuda::BatchDrawer;
+
+constexpr int kAhead = 5;
+
+// Frames of several sizes, lenses and channels, with an empty one among them.
+struct Frames {
+  std::vector<FrameBuffer> buffers{5};
+  std::vector<StoredFrame> stored;
+  std::vector<TrainingLabels::Frame> labels{5};
+  std::vector<RayCamera> cameras{5};
+  RayLimits limits;
+
+  explicit Frames(bool with_empty = true, bool with_masks = false) {
+    const std::int32_t side = with_empty ? 0 : 6;
+    const std::int32_t sizes[5][2] = {{17, 9}, {side, side}, {40, 31}, {8, 8}, {33, 5}};
+    for (std::size_t f = 0; f < 5; ++f) {
+      FrameBuffer& frame = buffers[f];
+      frame.width_px = sizes[f][0];
+      frame.height_px = sizes[f][1];
+      const auto pixels = static_cast<std::size_t>(frame.width_px * frame.height_px);
+      const auto random = [f](std::size_t i, std::uint64_t below) {
+        return uniform_below({7, f, stream_id("drawer_test")}, i, below);
+      };
+      frame.rgb.resize(3 * pixels);
+      for (std::size_t i = 0; i < frame.rgb.size(); ++i) frame.rgb[i] = static_cast<std::uint8_t>(random(i, 256));
+      frame.label.resize(pixels);
+      for (std::size_t i = 0; i < pixels; ++i)
+        frame.label[i] = random(i, 10) < 7 ? kVoid : static_cast<std::int16_t>(random(i + 5000, 4));
+      if (f != 3) {
+        frame.depth_m.resize(pixels);
+        for (std::size_t i = 0; i < pixels; ++i) frame.depth_m[i] = static_cast<float>(random(i, 6000)) * 0.001F;
+      }
+      if (with_masks && f != 3) {  // beside frames with masks, one without
+        frame.used.resize(pixels);
+        for (std::size_t i = 0; i < pixels; ++i) frame.used[i] = random(i + 9000, 3) > 0 ? 1 : 0;
+      }
+      std::vector<std::uint8_t> alpha(pixels);
+      for (std::size_t i = 0; i < pixels; ++i) alpha[i] = static_cast<std::uint8_t>(random(i + 9000, 256));
+      if (f != 0) frame.channels = {alpha_channel(frame.width_px, frame.height_px, alpha)};
+      RayCamera& camera = cameras[f];
+      camera.camera.width_px = frame.width_px;
+      camera.camera.height_px = frame.height_px;
+      camera.camera.fx = 21.3 + static_cast<double>(f);
+      camera.camera.fy = 20.1;
+      camera.camera.cx = 0.5 * frame.width_px + 0.37;
+      camera.camera.cy = 0.5 * frame.height_px - 0.21;
+      if (f == 2) camera.camera.k1 = -0.21, camera.camera.k2 = 0.05, camera.camera.p1 = 0.003;
+      if (f == 4) camera.camera.k1 = 0.3;
+      if (f == 3 && with_masks) camera.camera.lens = LensKind::fisheye;
+      if (f == 0 && with_masks) camera.camera.lens = LensKind::equirectangular;
+      camera.undistort = f != 4;
+      const double angle = 0.4 * static_cast<double>(f);
+      camera.world_from_camera.r = {
+          {{std::cos(angle), 0, std::sin(angle)}, {0, 1, 0}, {-std::sin(angle), 0, std::cos(angle)}}};
+      camera.world_from_camera.t = {0.1 * static_cast<double>(f), -0.3, 0.2};
+      stored.emplace_back(frame);
+    }
+    limits.near_m = 0.1;
+    limits.far_m = 5;
+  }
+  RaySource make(const RaySourceOptions& options) {
+    std::vector<TrainFrame> frames;
+    for (std::size_t f = 0; f < 5; ++f) {
+      labels[f].hard = stored[f].label;
+      frames.push_back({cameras[f], &stored[f], f == 0 ? nullptr : &labels[f], "frame"});
+    }
+    return RaySource(std::move(frames), {2, 0, kVoid, 1}, limits, options);
+  }
+};
+
+template <class T>
+std::vector<T> there(View<const T> view) {
+  std::vector<T> values(static_cast<std::size_t>(view.size()));
+  cuda::download<T>(view.data, values);
+  cuda::synchronize();
+  return values;
+}
+template <class T>
+void expect_bits(const std::vector<T>& got, const std::vector<T>& want, const char* what) {
+  ASSERT_EQ(got.size(), want.size()) << what;
+  EXPECT_EQ(std::memcmp(got.data(), want.data(), got.size() * sizeof(T)), 0) << what;
+}
+
+void expect_same_batches(const RaySource& source, const PixelPool& pool, BatchDrawer& drawer) {
+  BatchBuffers want;
+  for (const std::int64_t step : {0, 3, 4, 5, 1234567}) {
+    SCOPED_TRACE(step);
+    source.fill(step, want);
+    drawer.draw(step);
+    const RayBatch host = want.view(pool.with_labels), seen = drawer.seen(step);
+    const RayBatch got = cuda::BatchLayout(host).in(drawer.batch(step));
+    expect_bits(there(got.origin), want.origin, "origin");
+    expect_bits(there(got.direction), want.direction, "direction");
+    expect_bits(there(got.near_far), want.near_far, "near and far");
+    expect_bits(there(got.targets.color), want.target, "colour");
+    const View<const float> depth = got.targets.more[channel::depth], seen_depth = seen.targets.more[channel::depth];
+    ASSERT_EQ(seen.targets.label.empty(), host.targets.label.empty());
+    ASSERT_EQ(seen_depth.empty(), !pool.with_depth);
+    ASSERT_EQ(seen.label_only.rows, host.label_only.rows);
+    for (std::int64_t t = 0; t < host.label_only.rows; ++t)
+      EXPECT_EQ(seen.label_only(t, 0), host.label_only(t, 0)) << t;
+    if (!host.targets.label.empty()) {
+      expect_bits(there(got.targets.label), want.label, "label");
+      EXPECT_EQ(std::memcmp(seen.targets.label.data, want.label.data(), want.label.size() * sizeof(std::int16_t)), 0);
+    }
+    ASSERT_EQ(got.targets.more[channel::camera].empty(), !pool.with_camera);
+    if (pool.with_camera) expect_bits(there(got.targets.more[channel::camera]), want.of(channel::camera), "camera");
+    const View<const float> alpha = got.targets.more[channel::alpha], seen_alpha = seen.targets.more[channel::alpha];
+    ASSERT_EQ(seen_alpha.empty(), !pool.with_alpha);
+    if (pool.with_alpha) {
+      const std::vector<float>& wanted = want.of(channel::alpha);
+      expect_bits(there(alpha), wanted, "alpha");
+      EXPECT_EQ(std::memcmp(seen_alpha.data, wanted.data(), wanted.size() * sizeof(float)), 0);
+    }
+    if (pool.with_depth) {
+      const std::vector<float>& wanted = want.of(channel::depth);
+      expect_bits(there(depth), wanted, "depth");
+      EXPECT_EQ(std::memcmp(seen_depth.data, wanted.data(), wanted.size() * sizeof(float)), 0);
+    }
+  }
+}
+
+TEST(CudaBatchDrawer, GivesTheBitsOfMaskedFramesAndWideLenses) {
+  SEMFIELD_ON_DEVICE(launch);
+  for (const RaySourceKind kind :
+       {RaySourceKind::all_images, RaySourceKind::one_image, RaySourceKind::label_balanced}) {
+    SCOPED_TRACE(static_cast<int>(kind));
+    Frames frames(false, true);
+    RaySourceOptions options{.train = {.rays = 2500, .ray_source = kind, .labelled_share = 0.3},
+                             .targets = {std::string(channel::depth)},
+                             .tile_rays = 333};
+    RaySource source = frames.make(options);
+    const std::optional<PixelPool> pool = source.pool();
+    ASSERT_TRUE(pool);
+    ASSERT_FALSE(pool->used_before.empty());
+    BatchDrawer drawer(*pool, kAhead);
+    expect_same_batches(source, *pool, drawer);
+  }
+}
+
+TEST(CudaBatchDrawer, GivesTheBitsThatTheHostFills) {
+  SEMFIELD_ON_DEVICE(launch);
+  for (const RaySourceKind kind :
+       {RaySourceKind::all_images, RaySourceKind::one_image, RaySourceKind::label_balanced}) {
+    for (const bool teach : {true, false}) {
+      for (const std::int64_t tile : {32, 333, 3000}) {
+        SCOPED_TRACE(::testing::Message() << static_cast<int>(kind) << ' ' << teach << ' ' << tile);
+        Frames frames(kind != RaySourceKind::one_image);  // which takes every frame
+        frames.limits.z_depth = tile == 32;
+        frames.limits.clip = tile == 333;
+        frames.limits.bounds = {{-1, -1, -1}, {1.5, 1, 2}};
+        RaySourceOptions options{
+            .train = {.rays = 2500, .ray_source = kind, .labelled_share = 0.3, .label_rays_teach_color = teach}};
+        if (tile != 333) options.targets = {std::string(channel::depth)};
+        if (tile != 32) options.targets.emplace_back(channel::camera);
+        if (tile != 3000) options.targets.emplace_back(channel::alpha);
+        options.seed = 11 + static_cast<std::uint64_t>(tile);
+        options.tile_rays = tile;
+        RaySource source = frames.make(options);
+        const std::optional<PixelPool> pool = source.pool();
+        ASSERT_TRUE(pool);
+        BatchDrawer drawer(*pool, kAhead);
+        expect_same_batches(source, *pool, drawer);
+      }
+    }
+  }
+}
+
+TEST(CudaBatchDrawer, TakesNewLabelsOfTheSamePixels) {
+  SEMFIELD_ON_DEVICE(launch);
+  Frames frames;
+  RaySourceOptions options{.train = {.rays = 640, .ray_source = RaySourceKind::label_balanced}};
+  RaySource source = frames.make(options);
+  BatchDrawer drawer(*source.pool(), kAhead);
+  expect_same_batches(source, *source.pool(), drawer);
+  const std::uint64_t before = source.version();
+  frames.labels[2].hard = LabelMap(std::vector<std::int16_t>(40 * 31, 3));
+  frames.labels[4].hard = LabelMap();
+  source.relabel();
+  EXPECT_NE(source.version(), before);
+  ASSERT_TRUE(drawer.relabel(*source.pool()));
+  expect_same_batches(source, *source.pool(), drawer);
+  Frames others;
+  RaySource other = others.make(options);
+  EXPECT_FALSE(drawer.relabel(*other.pool()));
+}
+
+TEST(CudaBatchDrawer, WhatAHostMustSayIsLeftToIt) {
+  SEMFIELD_NEEDS_DEVICE();
+  Registry registry = make_registry();
+  const Session session = open_text(hash_config() + "runtime: {device: cuda}\n", registry);
+  const std::unique_ptr<RaySource> rays = session.make_ray_source();
+  Executor<float>& executor = session.pipeline->executor();
+  std::optional<PixelPool> pool = rays->pool();
+  ASSERT_TRUE(pool);
+  EXPECT_TRUE(executor.hold(*pool));
+  PixelPool bad_camera = *pool;
+  bad_camera.frames.back().camera.cx = NAN;
+  EXPECT_FALSE(executor.hold(bad_camera));
+  PixelPool bad_label = *pool;
+  bad_label.read_labels = [](std::size_t, std::span<std::int16_t>) {
+    throw Error(ErrorKind::data, "test.error.made", "no class", "");
+  };
+  EXPECT_FALSE(executor.hold(bad_label));
+}
+
+TEST(CudaBatchDrawer, PixelsThatDoNotFitStayOnTheHostWhichIsSaidOnce) {
+  SEMFIELD_NEEDS_DEVICE();
+  Registry registry = make_registry();
+  const Session session = open_text(hash_config() + "runtime: {device: cuda}\n", registry);
+  const std::unique_ptr<RaySource> rays = session.make_ray_source();
+  Executor<float>& executor = session.pipeline->executor();
+  std::optional<PixelPool> pool = rays->pool();
+  ASSERT_TRUE(pool);
+  std::vector<std::int64_t> offsets(pool->offsets.begin(), pool->offsets.end());
+  offsets.back() = std::int64_t{1} << 40;
+  pool->offsets = offsets;
+  (void)executor.take_notes();
+  EXPECT_FALSE(executor.hold(*pool));
+  const std::vector<std::string> notes = executor.take_notes();
+  ASSERT_EQ(notes.size(), 1u);
+  EXPECT_HAS(notes[0], "pixels stay in the host's memory");
+  EXPECT_FALSE(executor.hold(*pool));
+  EXPECT_TRUE(executor.take_notes().empty());
+}
+
+// Adam on the device against the CPU's: the same bits where that one has fused multiply-add.
+
+using AdamTensor = AdamTensor<float>;
+using cuda::Stage;
+using testing::NotedFault;
+
+constexpr double kRate = 1e-2;  // of every step here
+
+struct Shape {
+  std::int64_t rows;
+  std::int32_t cols;
+  bool touched_only = false;
+  bool semantic = false;
+  std::int64_t shift = 0;  // elements by which arrays miss an aligned start
+};
+
+// A tensor on both sides.
+struct Twin {
+  Twin(const Shape& shape_in, std::uint64_t seed) : shape(shape_in) {
+    const std::int64_t size = shape.rows * shape.cols;
+    value = testing::random_floats(size, seed, -1, 1);
+    m = testing::random_floats(size, seed + 1, -0.1, 0.1);
+    v = testing::random_floats(size, seed + 2, 0, 0.01);
+    grad = testing::random_floats(size, seed + 3, -1, 1);
+    for (std::int64_t r = 0; r < shape.rows; ++r) {  // most rows of a table without a gradient, some with one element
+      for (std::int32_t c = 0; c < shape.cols; ++c) {
+        const auto i = static_cast<std::size_t>(r * shape.cols + c);
+        if (shape.touched_only && (r % 5 != 1 || (r % 2 == 0 && c != r % shape.cols)))
+          grad[i] = c % 2 == 0 ? 0.F : -0.F;
+        if (r % 11 == 3) value[i] = -0.F;
+      }
+    }
+    for (auto* there : {&there_value, &there_m, &there_v, &there_grad})
+      *there = std::make_unique<DeviceMatrix<float>>(size + shape.shift, 1);
+    send();
+  }
+  void send() {
+    const auto shifted = [this](const std::vector<float>& from) {
+      std::vector<float> all(static_cast<std::size_t>(shape.shift), 0.F);
+      all.insert(all.end(), from.begin(), from.end());
+      return all;
+    };
+    there_value->write(shifted(value));
+    there_m->write(shifted(m));
+    there_v->write(shifted(v));
+    there_grad->write(shifted(grad));
+  }
+  AdamTensor tensor() const {
+    const auto at = [this](const auto& matrix) { return matrix->data() + shape.shift; };
+    return {at(there_value), at(there_grad),     at(there_m),    at(there_v), shape.rows,
+            shape.cols,      shape.touched_only, shape.semantic, rule().rate, rule().rate * rule().decay};
+  }
+  // Semantic tensors have a rule of their own.
+  LearningRule rule() const { return shape.semantic ? LearningRule{0.3, 0.1, true} : LearningRule{}; }
+  std::vector<float> back(const std::unique_ptr<DeviceMatrix<float>>& there) const {
+    const std::vector<float> all = there->read();
+    return {all.begin() + shape.shift, all.end()};
+  }
+  View<float> view(std::vector<float>& x) const { return {x.data(), shape.rows, shape.cols}; }
+  void update(AdamStep step) {
+    step.step_size *= rule().rate;
+    step.decay = kRate * (rule().rate * rule().decay);
+    if (shape.touched_only) {
+      adam_touched<float>(step, view(value), view(grad), view(m), view(v), 0, shape.rows);
+    } else {
+      adam_dense<float>(step, view(value), view(grad), view(m), view(v), 0, shape.rows);
+      grad.assign(grad.size(), 0.F);
+    }
+  }
+
+  Shape shape;
+  std::vector<float> value, m, v, grad;
+  std::unique_ptr<DeviceMatrix<float>> there_value, there_m, there_v, there_grad;
+};
+
+struct Model {
+  explicit Model(const std::vector<Shape>& shapes) {
+    for (const Shape& shape : shapes) {
+      twins.push_back(std::make_unique<Twin>(shape, 10 * (twins.size() + 1)));
+      total += shape.rows * shape.cols;
+    }
+    std::vector<AdamTensor> list;
+    for (const auto& twin : twins) list.push_back(twin->tensor());
+    tensors = std::make_unique<DeviceMatrix<AdamTensor>>(list, 1);
+  }
+  AdamTable<float> table() const { return {tensors->data(), static_cast<int>(twins.size()), total}; }
+  void check() const { cuda::check_gradients(table()); }
+  void update() const { cuda::adam_update(&cuda::launch().cell->adam, table()); }
+
+  std::vector<std::unique_ptr<Twin>> twins;
+  std::unique_ptr<DeviceMatrix<AdamTensor>> tensors;
+  std::int64_t total = 0;
+};
+
+cuda::StepCell cell_of(const AdamStep& step, std::uint64_t number, bool labelled = true) {
+  cuda::StepCell cell;
+  cell.step = number;
+  cell.adam = step;
+  cell.adam.labelled = labelled;
+  return cell;
+}
+
+// The same bits, or a unit of the last place where the CPU rounds products.
+void expect_same(const std::vector<float>& got, const std::vector<float>& want, const char* what) {
+  ASSERT_EQ(got.size(), want.size());
+  const bool fused = isa() != Isa::generic;
+  for (std::size_t i = 0; i < got.size(); ++i) {
+    if (fused) {
+      ASSERT_EQ(got[i], want[i]) << what << ' ' << i;
+    } else {
+      ASSERT_NEAR(got[i], want[i], 1.3e-7 * std::abs(want[i])) << what << ' ' << i;
+    }
+    ASSERT_EQ(std::signbit(got[i]), std::signbit(want[i])) << what << ' ' << i;
+  }
+}
+
+std::vector<Shape> shapes() {
+  std::vector<Shape> all{{1, 1},
+                         {0, 3},
+                         {63, 256},
+                         {1, 257},
+                         {7, 3},
+                         {1023, 1},
+                         {1025, 1},
+                         {4097, 3},
+                         {256, 29, false, true},
+                         {1, 29, false, true},
+                         {33, 3, false, false, 1}};
+  for (const std::int32_t cols : {1, 2, 3, 4, 5, 8, 1500}) {
+    for (const std::int64_t rows : {1, 31, 4097}) all.push_back({cols == 1500 ? rows % 100 : rows, cols, true});
+  }
+  all.push_back({1003, 2, true, false, 1});
+  all.push_back({1 << 19, 2, true});
+  return all;
+}
+
+TEST(CudaAdam, TheBitsOfTheProcessor) {
+  SEMFIELD_ON_DEVICE(launch);
+  Model model(shapes());
+  AdamParams rule;
+  for (std::int64_t number = 0; number < 3; ++number) {
+    const AdamStep step = adam_step(rule, kRate, number * 1000);
+    launch.set_cell(cell_of(step, static_cast<std::uint64_t>(number)));
+    model.check();
+    ASSERT_EQ(launch.take_fault(), std::nullopt);
+    model.update();
+    for (const auto& twin : model.twins) {
+      SCOPED_TRACE(std::to_string(twin->shape.rows) + " x " + std::to_string(twin->shape.cols) +
+                   (twin->shape.touched_only ? ", touched rows" : ""));
+      twin->update(step);
+      expect_same(twin->back(twin->there_value), twin->value, "value");
+      expect_same(twin->back(twin->there_m), twin->m, "first moment");
+      expect_same(twin->back(twin->there_v), twin->v, "second moment");
+      const std::vector<float> grad = twin->back(twin->there_grad);
+      for (const float g : grad) ASSERT_EQ(g, 0);
+      for (const auto* there : {&twin->there_value, &twin->there_m, &twin->there_v, &twin->there_grad})
+        EXPECT_EQ((*there)->surroundings(), "");
+      twin->grad = testing::random_floats(static_cast<std::int64_t>(grad.size()), 77, -1, 1);
+      twin->send();
+    }
+  }
+}
+
+TEST(CudaAdam, WithoutLabelsTheSemanticTensorsStay) {
+  SEMFIELD_ON_DEVICE(launch);
+  const Model model({{64, 3}, {64, 29, false, true}, {64, 3}});
+  launch.set_cell(cell_of(adam_step({}, kRate, 0), 0, false));
+  model.update();
+  for (const auto& twin : model.twins) {
+    EXPECT_EQ(twin->back(twin->there_value) == twin->value, twin->shape.semantic);
+    EXPECT_EQ(twin->back(twin->there_m) == twin->m, twin->shape.semantic);
+    EXPECT_EQ(twin->back(twin->there_grad) == twin->grad, twin->shape.semantic);
+  }
+}
+
+TEST(CudaAdam, AFaultOfAnyStageLeavesAllAlone) {
+  SEMFIELD_ON_DEVICE(launch);
+  const Model model({{64, 3}, {4097, 2, true}});
+  launch.set_cell(cell_of(adam_step({}, kRate, 0), 0));
+  launch.set_fault((static_cast<cuda::FaultKey>(Stage::density) << cuda::kFaultRowBits) | 3);
+  model.check();
+  model.update();
+  for (const auto& twin : model.twins) {
+    EXPECT_EQ(twin->back(twin->there_value), twin->value);
+    EXPECT_EQ(twin->back(twin->there_m), twin->m);
+    EXPECT_EQ(twin->back(twin->there_v), twin->v);
+    EXPECT_EQ(twin->back(twin->there_grad), twin->grad);
+  }
+  EXPECT_EQ(launch.take_fault(), (NotedFault{Stage::density, 3}));
+}
+
+TEST(CudaAdam, UnsoundElementsAreFoundInEveryArray) {
+  SEMFIELD_ON_DEVICE(launch);
+  const Model model({{3, 5}, {0, 7}, {700, 3}, {700, 3, false, false, 1}, {5000, 2, true}, {999, 3, true}, {2, 2}});
+  const float inf = std::numeric_limits<float>::infinity(), nan = std::numeric_limits<float>::quiet_NaN();
+  for (std::size_t tensor = 0; tensor < model.twins.size(); ++tensor) {
+    Twin& twin = *model.twins[tensor];
+    const Shape& shape = twin.shape;
+    if (shape.rows == 0) continue;
+    const std::int64_t windows = shape.touched_only ? kTableWindows : 1;
+    for (const std::int64_t row : {std::int64_t{1}, shape.rows / 2 / 10 * 10 + 1, shape.rows - 1}) {
+      if (shape.touched_only && row % 5 != 1) continue;  // not touched
+      const auto at = static_cast<std::size_t>(row * shape.cols + shape.cols - 1);
+      int array = 0;
+      for (auto* values : {&twin.grad, &twin.value, &twin.m, &twin.v}) {
+        for (const float bad : {nan, inf, -inf, array == 3 ? -1e-30F : -2e19F, array == 3 ? 2e38F : 2e19F}) {
+          const float before = std::exchange((*values)[at], bad);
+          twin.send();
+          int found = 0;
+          for (std::int64_t number = 0; number < windows; ++number) {
+            launch.set_cell(cell_of(adam_step({}, kRate, 0), static_cast<std::uint64_t>(number)));
+            model.check();
+            const auto fault = launch.take_fault();
+            if (!fault) continue;
+            EXPECT_EQ(*fault, (NotedFault{Stage::gradient, static_cast<std::int64_t>(tensor)}));
+            ++found;
+          }
+          EXPECT_EQ(found, array == 0 ? windows : 1)
+              << "tensor " << tensor << ", row " << row << ", array " << array << ", value " << bad;
+          (*values)[at] = before;
+        }
+        ++array;
+      }
+      twin.send();
+    }
+  }
+  // A row that no gradient touches is not looked at (row 13, which shares 16 bytes with it, has none either).
+  Twin& table = *model.twins[4];
+  table.m[2 * 12] = inf;
+  table.send();
+  for (std::uint64_t number = 0; number < kTableWindows; ++number) {
+    launch.set_cell(cell_of(adam_step({}, kRate, 0), number));
+    model.check();
+    EXPECT_EQ(launch.take_fault(), std::nullopt);
+  }
 }
 
 }  // namespace

@@ -1,7 +1,9 @@
 // Every key that a message or a page names is one that `--set` takes.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <filesystem>
+#include <map>
 #include <regex>
 #include <set>
 
@@ -19,96 +21,70 @@ namespace {
 /// Every key that `--set` takes; an index of a list is N: "passes.N.sampler.samples".
 class Keys {
  public:
-  Keys();
+  Keys() {
+    for (const SectionDoc& section : describe_sections()) add(section.path, section.params);
+    // By convention every dataset of files has these, or those that can say so.
+    for (const char* key : {"train.schedule.legs", "scene.root", "scene.file", "scene.classes", "scene.type",
+                            "scene.unknown_labels", "scene.masks", "scene.least_confidence", "passes.N"})
+      keys_.insert(key);
+    std::map<PluginKind, std::vector<std::string>> slots{{PluginKind::loss, {"losses.N"}},
+                                                         {PluginKind::head, {"heads.N"}},
+                                                         {PluginKind::grouping, {"objects.method"}},
+                                                         {PluginKind::label_reader, {"scene.labels.from"}},
+                                                         {PluginKind::degradation, {"scene.labels.degrade.N"}},
+                                                         {PluginKind::sampler, {"passes.N.sampler"}}};
+    slots[PluginKind::encoder] = {"passes.N.position", "passes.N.direction", "passes.N.semantic.position",
+                                  "heads.N.branch.position"};
+    slots[PluginKind::field] = {"passes.N.field", "passes.N.semantic.field", "heads.N.branch.field"};
+    Registry registry;
+    register_linked_plugins(registry);
+    for (const PluginEntry* entry : registry.entries()) {
+      const std::unique_ptr<PluginParams> own = entry->new_params();
+      const std::vector<ParamDoc> params = describe_params([&](ParamVisitor& visit) { own->describe(visit); });
+      for (const std::string& slot : slots[entry->kind]) add(slot, params);
+      if (entry->kind != PluginKind::dataset) continue;
+      for (const ParamDoc& doc : params) datasets_[entry->name].insert("scene." + doc.name);
+    }
+  }
 
-  /// `dataset`: the one whose keys count beside the framework's; "": none.
-  bool known(const std::string& key, const std::string& dataset) const;
+  /// `dataset`: the one whose keys count besides the framework's; "": none.
+  bool known(const std::string& key, const std::string& dataset) const {
+    const auto own = datasets_.find(dataset);
+    return keys_.contains(key) || (own != datasets_.end() && own->second.contains(key));
+  }
+
   /// Whether the framework or any dataset has it.
-  bool known_somewhere(const std::string& key) const;
-  /// Last parts of keys that a message could name bare: "near_m" for "scene.load.near_m".
-  std::set<std::string> bare() const;
+  bool known_somewhere(const std::string& key) const {
+    return keys_.contains(key) || std::any_of(datasets_.begin(), datasets_.end(),
+                                              [&](const auto& dataset) { return dataset.second.contains(key); });
+  }
+
+  /// Last parts of keys of the scene that a message could name bare: "near_m" for "scene.load.near_m".
+  std::set<std::string> bare() const {
+    std::set<std::string> all = keys_, out;
+    for (const auto& [name, keys] : datasets_) all.insert(keys.begin(), keys.end());
+    for (const std::string& key : all) {
+      const std::string last = key.substr(key.rfind('.') + 1);
+      if (key.starts_with("scene.") && last.find('_') != std::string::npos) out.insert(last);
+    }
+    return out;
+  }
 
  private:
-  void add(const std::string& path, const std::vector<ParamDoc>& params);
+  void add(const std::string& path, const std::vector<ParamDoc>& params) {
+    for (std::size_t dot = path.find('.'); dot != std::string::npos; dot = path.find('.', dot + 1))
+      keys_.insert(path.substr(0, dot));
+    keys_.insert(path);
+    for (const ParamDoc& doc : params) keys_.insert(path + "." + doc.name);
+  }
 
-  Registry registry_;
   std::set<std::string> keys_;
   std::map<std::string, std::set<std::string>> datasets_;
 };
 
-std::vector<ParamDoc> params_of(const PluginEntry& entry) {
-  const std::unique_ptr<PluginParams> params = entry.new_params();
-  return describe_params([&](ParamVisitor& visit) { params->describe(visit); });
-}
-
-Keys::Keys() {
-  for (const SectionDoc& section : describe_sections()) add(section.path, section.params);
-  // By convention every dataset of files has these, or those that can say so.
-  for (const char* key : {"train.schedule.legs", "scene.root", "scene.file", "scene.classes", "scene.type",
-                          "scene.unknown_labels", "scene.masks", "scene.least_confidence", "passes.N"})
-    keys_.insert(key);
-  register_linked_plugins(registry_);
-  for (const PluginEntry* entry : registry_.entries()) {
-    const std::vector<ParamDoc> params = params_of(*entry);
-    if (entry->kind == PluginKind::dataset) {
-      for (const ParamDoc& doc : params) datasets_[entry->name].insert("scene." + doc.name);
-      continue;
-    }
-    if (entry->kind == PluginKind::loss) {
-      add("losses.N", params);
-      continue;
-    }
-    if (entry->kind == PluginKind::head) {
-      add("heads.N", params);
-      continue;
-    }
-    if (entry->kind == PluginKind::grouping) {
-      add("objects.method", params);
-      continue;
-    }
-    if (entry->kind == PluginKind::label_reader || entry->kind == PluginKind::degradation) {
-      add(entry->kind == PluginKind::degradation ? "scene.labels.degrade.N" : "scene.labels.from", params);
-      continue;
-    }
-    for (const char* slot : {"sampler", "position", "direction", "field", "semantic.position", "semantic.field"})
-      add("passes.N." + std::string(slot), params);
-    for (const char* slot : {"position", "field"}) add("heads.N.branch." + std::string(slot), params);
-  }
-}
-
-bool Keys::known(const std::string& key, const std::string& dataset) const {
-  const auto own = datasets_.find(dataset);
-  return keys_.contains(key) || (own != datasets_.end() && own->second.contains(key));
-}
-
-bool Keys::known_somewhere(const std::string& key) const {
-  for (const auto& [dataset, own] : datasets_)
-    if (known(key, dataset)) return true;
-  return false;
-}
-
-std::set<std::string> Keys::bare() const {
-  std::set<std::string> out;
-  const auto take = [&](const std::string& key) {
-    const std::string last = key.substr(key.rfind('.') + 1);
-    if (key.starts_with("scene.") && last.find('_') != std::string::npos) out.insert(last);
-  };
-  for (const std::string& key : keys_) take(key);
-  for (const auto& [name, keys] : datasets_)
-    for (const std::string& key : keys) take(key);
-  return out;
-}
-
-void Keys::add(const std::string& path, const std::vector<ParamDoc>& params) {
-  for (std::size_t dot = path.find('.'); dot != std::string::npos; dot = path.find('.', dot + 1))
-    keys_.insert(path.substr(0, dot));
-  keys_.insert(path);
-  for (const ParamDoc& doc : params) keys_.insert(path + "." + doc.name);
-}
-
 namespace fs = std::filesystem;
 
-// Codes look like keys, and the test docs_codes holds this page against the sources.
+// Codes look like keys; the build writes this page from the sources.
 std::set<std::string> codes() {
   static const std::regex row(R"(\n\| `([a-z0-9_.]+)` \|)");
   const std::string text = page("docs/reference/codes.md");
@@ -170,6 +146,21 @@ TEST(MessageKeys, EveryKeyIsOneThatSetTakes) {
   EXPECT_GT(seen, 50) << "messages name keys";
 }
 
+// scripts/docs_codes.py finds codes by what is before them: what looks like one of their areas is a code, a key or a
+// file.
+TEST(MessageKeys, EveryLiteralThatLooksLikeACodeIsListed) {
+  const Keys keys;
+  const std::set<std::string> known = codes();
+  std::set<std::string> areas;
+  for (const std::string& code : known) areas.insert(code.substr(0, code.find('.')));
+  static const std::regex form(R"([a-z0-9_]+(\.[a-z0-9_]+){1,3})"), file(R"(.*\.(yaml|yml|csv|json|zip|ply|glb|npz))");
+  for (const Literal& literal : literals()) {
+    if (!std::regex_match(literal.text, form) || std::regex_match(literal.text, file)) continue;
+    if (!areas.contains(literal.text.substr(0, literal.text.find('.'))) || known.contains(literal.text)) continue;
+    EXPECT_TRUE(keys.known(literal.text, literal.dataset)) << literal.place << ": " << literal.text;
+  }
+}
+
 TEST(MessageKeys, NoRemedyNamesAKeyOfTheSceneWithoutItsPath) {
   const std::set<std::string> bare = Keys().bare();
   static const std::regex advice(R"((?:set|give|raise|lower|drop|change|check) ([a-z]+(?:_[a-z]+)+)\b)");
@@ -191,7 +182,7 @@ TEST(PageKeys, EveryKeyIsOneThatSetTakes) {
   static const std::regex file(R"(.*\.(json|html|h|cpp|yaml|md|csv|py|npz))");
   int seen = 0;
   for (const std::string& path : all_pages()) {
-    if (path == "CHANGELOG.md" || path.starts_with("docs/decisions/")) continue;  // have keys of earlier versions
+    if (path == "CHANGELOG.md" || path == "docs/decisions.md") continue;  // have keys of earlier versions
     const std::string text = page(path);
     for (std::sregex_iterator found(text.begin(), text.end(), span), end; found != end; ++found) {
       const std::string key = std::regex_replace(std::regex_replace((*found)[1].str(), index, ".N"), name, "passes.N");

@@ -3,11 +3,8 @@ the order printed, and those of `init` in the other order too; what such a comma
 import argparse
 import os
 import re
-import signal
-import subprocess
 import sys
 import tempfile
-import time
 
 sys.dont_write_bytecode = True
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
@@ -27,26 +24,14 @@ class Paster:
         self.scratch = scratch
         self.pasted, self.faults, self.telling = set(), [], set()
 
-    def serve(self, command):
-        said = ""
-        with subprocess.Popen(["bash", "-c", "exec " + command], cwd=self.scratch.folder, env=self.scratch.environment, text=True,
-                              stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
-            for line in process.stdout:
-                said += line
-                if ": open http" in line:
-                    time.sleep(SHOWN_S)
-                    process.send_signal(signal.SIGINT)
-        return 0 if process.returncode == 128 + signal.SIGINT else process.returncode, said
-
     def paste(self, command, backwards=False):
         """Runs the command, and then what it says is next."""
         if command in self.pasted:
             return
         self.pasted.add(command)
         verb = command.split()[1]
-        # The Scratch's own way to stop a page does not wait until it has trained.
-        run = self.serve if verb in ("serve", "view") else self.scratch.run
-        code, said = run(re.sub(r"(--time )[0-9.]+[mh]\b", r"\g<1>2s", command))
+        short = re.sub(r"(--time )[0-9.]+[mh]\b", r"\g<1>2s", command)
+        code, said = self.scratch.serve(short, SHOWN_S) if verb in ("serve", "view") else self.scratch.run(short)
         if code != 0:
             self.faults.append(f"`{command}` ends with {code}:\n{said[-2000:]}")
             return

@@ -23,6 +23,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 
 sys.dont_write_bytecode = True
 REPOSITORY = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
@@ -95,18 +96,20 @@ class Scratch:
         """Exit code and what it printed."""
         words = shlex.split(command, comments=True)
         if words[:2] == ["semfield", "serve"]:
-            return self.serve(command)
+            return self.serve(command, 0)
         done = subprocess.run(["bash", "-c", command], cwd=self.folder, env=self.environment, text=True, stdin=subprocess.DEVNULL,
                               stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
         return done.returncode, done.stdout
 
-    def serve(self, command):
+    def serve(self, command, shown_s):
+        """The same of a command that serves a page, which is stopped so long after it has begun."""
         said = ""
         with subprocess.Popen(["bash", "-c", "exec " + command], cwd=self.folder, env=self.environment, text=True, stdin=subprocess.DEVNULL,
                               stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
             for line in process.stdout:
                 said += line
-                if "serve: open http" in line:
+                if ": open http" in line:
+                    time.sleep(shown_s)
                     process.send_signal(signal.SIGINT)
         return 0 if process.returncode == 128 + signal.SIGINT else process.returncode, said
 

@@ -4,14 +4,12 @@ import json
 import math
 import os
 import shutil
+import struct
 import subprocess
 import sys
+import zlib
 
-sys.dont_write_bytecode = True
 REPOSITORY = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
-sys.path.insert(0, os.path.join(REPOSITORY, "scripts"))
-from drill_scene import Replica, TransformsJson, inverse, quaternion, write_png  # noqa: E402
-
 FRAMES, WIDTH, HEIGHT = 16, 80, 60
 
 
@@ -26,36 +24,65 @@ def rows(pose):
     return "".join(" ".join(repr(v) for v in row) + "\n" for row in pose)
 
 
+def write_png(path, width, height, pixels):
+    """8 bits, RGB."""
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    raw = b"".join(b"\0" + pixels[y * width * 3:(y + 1) * width * 3] for y in range(height))
+    with open(path, "wb") as file:
+        file.write(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)) +
+                   chunk(b"IDAT", zlib.compress(raw)) + chunk(b"IEND", b""))
+
+
+def poses_of(folder):
+    """Camera to world, OpenCV axes."""
+    with open(os.path.join(folder, "traj_w_c.txt"), encoding="utf-8") as file:
+        words = [[float(word) for word in line.split()] for line in file]
+    return [[row[4 * i:4 * i + 4] for i in range(4)] for row in words]
+
+
+def inverse(pose):
+    turned = [[pose[c][r] for c in range(3)] for r in range(3)]
+    return [turned[r] + [-sum(turned[r][c] * pose[c][3] for c in range(3))] for r in range(3)]
+
+
+def quaternion(r):
+    """w, x, y, z of a rotation, by its largest component."""
+    trace = r[0][0] + r[1][1] + r[2][2]
+    k = max(range(4), key=lambda i: trace if i == 0 else r[i - 1][i - 1])
+    if k == 0:
+        s = 2 * math.sqrt(1 + trace)
+        return [s / 4, (r[2][1] - r[1][2]) / s, (r[0][2] - r[2][0]) / s, (r[1][0] - r[0][1]) / s]
+    i, j, m = k - 1, k % 3, (k + 1) % 3
+    s = 2 * math.sqrt(1 + r[i][i] - r[j][j] - r[m][m])
+    out = [(r[m][j] - r[j][m]) / s, 0, 0, 0]
+    out[1 + i], out[1 + j], out[1 + m] = s / 4, (r[j][i] + r[i][j]) / s, (r[m][i] + r[i][m]) / s
+    return out
+
+
 def photos(source, folder):
-    """Photographs without labels, with a transforms.json and a COLMAP model of the same cameras; and labels beside, not named."""
-    scene = TransformsJson(source, folder, "none")
-    scene.write()
-    path = os.path.join(folder, "transforms.json")
-    with open(path) as file:
-        index = json.load(file)
-    index["frames"] = [{key: frame[key] for key in ("file_path", "transform_matrix")} for frame in index["frames"]]
-    write(folder, "transforms.json", json.dumps(index))
-    for name in ("depth", "semantic_class", "classes.yaml", "traj_w_c.txt"):
-        path = os.path.join(folder, name)
-        shutil.rmtree(path) if os.path.isdir(path) else os.remove(path)
-    os.rename(os.path.join(folder, "rgb"), os.path.join(folder, "images"))
-    write(folder, "transforms.json", json.dumps(index).replace("rgb/", "images/"))
-    images = ""
-    for i in scene.frames:
-        q, moved = quaternion(inverse(scene.poses[i])), inverse(scene.poses[i])
-        images += f"{i + 1} {q[3]} {q[0]} {q[1]} {q[2]} {moved[0][3]} {moved[1][3]} {moved[2][3]} 1 rgb_{i}.png\n\n"
+    """Photographs without labels, with a transforms.json and a COLMAP model of the same cameras."""
+    poses = poses_of(source)
+    shutil.copytree(os.path.join(source, "rgb"), os.path.join(folder, "images"))
+    frames, images = [], ""
+    for i, pose in enumerate(poses):
+        frames.append({"file_path": f"images/rgb_{i}.png", "transform_matrix": [[x, -y, -z, t] for x, y, z, t in pose[:3]] + [pose[3]]})
+        moved = inverse(pose)
+        images += f"{i + 1} {' '.join(map(repr, quaternion(moved) + [row[3] for row in moved]))} 1 rgb_{i}.png\n\n"
+    write(folder, "transforms.json", json.dumps({"camera_angle_x": math.pi / 2, "depth_unit_m": 0.001, "frames": frames}))
     write(folder, "sparse/0/cameras.txt", f"1 PINHOLE {WIDTH} {HEIGHT} {WIDTH / 2} {WIDTH / 2} {WIDTH / 2} {HEIGHT / 2}\n")
     write(folder, "sparse/0/images.txt", images)
     write(folder, "sparse/0/points3D.txt", "")
 
 
 def scannet(source, folder):
-    scene = Replica(source, folder, "none")
+    poses = poses_of(source)
     for old, new in (("rgb", "color"), ("depth", "depth"), ("semantic_class", "label-filt")):
-        for i in scene.frames:
-            os.renames(os.path.join(folder, old, f"{old}_{i}.png"), os.path.join(folder, new, f"{i}.png"))
-    for i in scene.frames:
-        write(folder, f"pose/{i}.txt", rows(scene.poses[i]))
+        os.makedirs(os.path.join(folder, new))
+        for i in range(len(poses)):
+            shutil.copyfile(os.path.join(source, old, f"{old}_{i}.png"), os.path.join(folder, new, f"{i}.png"))
+    for i, pose in enumerate(poses):
+        write(folder, f"pose/{i}.txt", rows(pose))
     camera = [[WIDTH / 2, 0, (WIDTH - 1) / 2, 0], [0, WIDTH / 2, (HEIGHT - 1) / 2, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
     for name in ("color", "depth"):
         write(folder, f"intrinsic/intrinsic_{name}.txt", rows(camera))
@@ -77,7 +104,7 @@ def ball(folder, splits):
         for i in range(frames):
             a = 2 * math.pi * i / frames + (0.2 if split == "test" else 0)
             pose = [[-math.sin(a), 0, math.cos(a), 3 * math.cos(a)], [math.cos(a), 0, math.sin(a), 3 * math.sin(a)], [0, 1, 0, 0], [0, 0, 0, 1]]
-            write_png(os.path.join(folder, split, f"r_{i}.png"), size, size, 3, pixels)
+            write_png(os.path.join(folder, split, f"r_{i}.png"), size, size, pixels)
             listed.append({"file_path": f"{split}/r_{i}.png", "transform_matrix": pose})
         name = f"transforms_{split}.json" if len(splits) > 1 else "transforms.json"
         write(folder, name, json.dumps({"camera_angle_x": 0.7, "frames": listed}))
@@ -95,7 +122,6 @@ def main():
                    [word for setting in settings for word in ("--set", setting)], check=True)
     photos(room, os.path.join(options.folder, "my_photos"))
     scannet(room, os.path.join(options.folder, "scene0000_00"))
-    os.remove(os.path.join(options.folder, "my_photos.yaml"))
     os.symlink("room_0", os.path.join(options.folder, "replica_apartment0"))
     os.symlink(os.path.join(REPOSITORY, "scenes", "room"), os.path.join(options.folder, "obj_living_room"))
     ball(os.path.join(options.folder, "lego"), ("train", "test"))

@@ -14,6 +14,7 @@ namespace fs = std::filesystem;
 
 std::string page(const std::string& path) {
   std::ifstream file(fs::path(SEMFIELD_SOURCE_DIR) / path, std::ios::binary);
+  if (!file.good()) file.open(fs::path(SEMFIELD_BINARY_DIR) / "docs" / path, std::ios::binary);
   EXPECT_TRUE(file.good()) << path << " cannot be read";
   std::ostringstream text;
   text << file.rdbuf();
@@ -49,17 +50,6 @@ std::vector<Block> blocks_of(const std::string& text) {
   }
   EXPECT_FALSE(inside) << "a fenced block has no end";
   return blocks;
-}
-
-std::string with_part(const std::string& text, const std::string& begin, const std::string& end,
-                      const std::string& part) {
-  const std::size_t from = text.find(begin);
-  const std::size_t to = from == std::string::npos ? from : text.find(end, from);
-  if (to == std::string::npos) {
-    ADD_FAILURE() << "no '" << begin << "' ... '" << end << "'";
-    return text;
-  }
-  return text.substr(0, from + begin.size()) + part + text.substr(to);
 }
 
 }  // namespace semfield::docs

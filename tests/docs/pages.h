@@ -1,4 +1,4 @@
-// The project's documents as text: pages, fenced blocks, parts between markers.
+// The project's documents as text: pages and fenced blocks.
 #pragma once
 
 #include <string>
@@ -6,10 +6,10 @@
 
 namespace semfield::docs {
 
-/// Whole file under the project's folder; "" and a test failure when it cannot be read.
+/// Whole file under the project's folder, or a page that only the build writes; "" and a test failure when there is none.
 std::string page(const std::string& path);
 
-/// Paths of every committed page: *.md at the top, under docs/, plugins/, scenes/, tests/ and studies/.
+/// Paths of every page of the tree: *.md at the top, under docs/, plugins/, scenes/, tests/ and studies/.
 std::vector<std::string> all_pages();
 
 struct Block {
@@ -17,9 +17,5 @@ struct Block {
   std::string text;
 };
 std::vector<Block> blocks_of(const std::string& text);
-
-/// `text` with everything between the markers replaced; both markers must be there once.
-std::string with_part(const std::string& text, const std::string& begin, const std::string& end,
-                      const std::string& part);
 
 }  // namespace semfield::docs

@@ -1,17 +1,502 @@
-// Whole frames fused: two views by hand, a box in front, windows, noise, threads.
+// Votes of class probabilities against numbers worked out by hand, labels spread by diffusion, real predictions.
+
 #include "surface/fuse/fusion.h"
 
+#include <gtest/gtest.h>
+
+#include <Eigen/Dense>
+#include <Eigen/SparseCholesky>
+#include <Eigen/SparseCore>
 #include <algorithm>
+#include <nlohmann/json.hpp>
 
 #include "compute/parallel.h"
+#include "core/error.h"
 #include "core/rng.h"
+#include "datasets/replica/replica.h"
 #include "eval/metrics.h"
+#include "formats/image_io.h"
+#include "formats/png_codec.h"
 #include "loading/frame_source.h"
+#include "loading/packed_scene.h"
+#include "scene/classes/class_table.h"
+#include "surface/fuse/propagation.h"
+#include "surface/seen_surface.h"
+#include "surface/surface_graph.h"
+#include "system/files.h"
 #include "testkit/analytic_scene.h"
+#include "tests/program.h"
 #include "tests/scene/tiny_scene.h"
+#include "tests/session/train_testing.h"
 
 namespace semfield {
 namespace {
+
+using Row = std::array<double, 3>;
+
+ClassVotes three(double floor = 1e-6, double confidence = 0.8) { return {3, floor, HardLikelihood(confidence, 3)}; }
+
+TEST(ClassVotes, BayesianIsTheProduct) {
+  ClassVotes votes = three();
+  votes.add(Row{0.5, 0.3, 0.2});
+  votes.add(Row{0.1, 0.6, 0.3});
+  // 0.05, 0.18, 0.06 of 0.29.
+  Row p{};
+  votes.bayesian(p);
+  EXPECT_NEAR(p[0], 5.0 / 29, 1e-14);
+  EXPECT_NEAR(p[1], 18.0 / 29, 1e-14);
+  EXPECT_NEAR(p[2], 6.0 / 29, 1e-14);
+  EXPECT_EQ(votes.bayesian_label(kVoid), 1);
+  EXPECT_EQ(votes.views(), 2);
+}
+
+TEST(ClassVotes, AverageIsTheMean) {
+  ClassVotes votes = three();
+  votes.add(Row{0.5, 0.3, 0.2});
+  votes.add(Row{0.1, 0.6, 0.3});
+  votes.add(Row{0.9, 0.0, 0.0});  // a tenth belongs to no class
+  Row p{};
+  votes.average(p);
+  EXPECT_NEAR(p[0], 0.5, 1e-15);
+  EXPECT_NEAR(p[1], 0.3, 1e-15);
+  EXPECT_NEAR(p[2], 0.5 / 3, 1e-15);
+  EXPECT_EQ(votes.average_label(kVoid), 0);
+}
+
+TEST(ClassVotes, ProductAndMeanDisagreeWhereOneViewIsSure) {
+  // Two hesitant views for class 0, one sure one for class 1: 0.6 * 0.6 * 0.01 = 0.0036 against 0.4 * 0.4 * 0.98.
+  ClassVotes votes = three();
+  votes.add(Row{0.6, 0.4, 0});
+  votes.add(Row{0.6, 0.4, 0});
+  votes.add(Row{0.01, 0.98, 0.01});
+  EXPECT_EQ(votes.bayesian_label(kVoid), 1);
+  Row p{};
+  votes.average(p);
+  EXPECT_NEAR(p[0], 1.21 / 3, 1e-15);
+  EXPECT_NEAR(p[1], 1.78 / 3, 1e-15);
+}
+
+TEST(ClassVotes, FloorKeepsOneViewFromRulingOutAClass) {
+  // Nine views give class 0 0.9; one gives it nothing. With a floor of 1e-3: 0.9^9 * 1e-3 = 3.9e-4 against
+  // 0.1^9 * 1 = 1e-9. With 1e-12 the one view wins: 3.9e-13 < 1e-9.
+  for (const auto& [floor, label] : {std::pair{1e-3, 0}, std::pair{1e-12, 1}}) {
+    ClassVotes votes = three(floor);
+    for (int i = 0; i < 9; ++i) votes.add(Row{0.9, 0.1, 0});
+    votes.add(Row{0, 1, 0});
+    EXPECT_EQ(votes.bayesian_label(kVoid), label) << floor;
+    Row p{};
+    votes.bayesian(p);
+    const double zero = std::pow(0.9, 9) * floor, one = std::pow(0.1, 9);
+    const double two = std::pow(floor, 10);
+    EXPECT_NEAR(p[0], zero / (zero + one + two), 1e-12);
+    EXPECT_EQ(votes.average_label(kVoid), 0);
+  }
+}
+
+TEST(ClassVotes, LabelsBecomeAConfusionLikelihood) {
+  ClassVotes votes = three(1e-6, 0.8);
+  votes.add(std::int16_t{2});
+  votes.add(Row{0.5, 0.3, 0.2});
+  // 0.1 * 0.5, 0.1 * 0.3, 0.8 * 0.2 of 0.24.
+  Row p{};
+  votes.bayesian(p);
+  EXPECT_NEAR(p[0], 5.0 / 24, 1e-14);
+  EXPECT_NEAR(p[1], 3.0 / 24, 1e-14);
+  EXPECT_NEAR(p[2], 16.0 / 24, 1e-14);
+  votes.average(p);
+  EXPECT_NEAR(p[0], 0.3, 1e-15);
+  EXPECT_NEAR(p[1], 0.2, 1e-15);
+  EXPECT_NEAR(p[2], 0.5, 1e-15);
+}
+
+TEST(ClassVotes, ManyViewsNeitherOverflowNorVanish) {
+  ClassVotes votes = three();
+  for (int i = 0; i < 100000; ++i) votes.add(Row{0.4, 0.35, 0.25});
+  Row p{};
+  votes.bayesian(p);
+  EXPECT_DOUBLE_EQ(p[0], 1);
+  EXPECT_DOUBLE_EQ(p[0] + p[1] + p[2], 1);
+}
+
+TEST(ClassVotes, EqualVotesGoToThePreferredLabelThenTheFirst) {
+  ClassVotes votes = three();
+  votes.add(std::int16_t{2});
+  votes.add(std::int16_t{1});
+  EXPECT_EQ(votes.bayesian_label(2), 2);
+  EXPECT_EQ(votes.average_label(2), 2);
+  EXPECT_EQ(votes.bayesian_label(1), 1);
+  EXPECT_EQ(votes.bayesian_label(0), 1);  // not among the best
+  EXPECT_EQ(votes.average_label(kVoid), 1);
+  votes.add(std::int16_t{1});
+  EXPECT_EQ(votes.bayesian_label(2), 1);
+}
+
+TEST(ClassVotes, NothingAddedIsVoid) {
+  ClassVotes votes = three();
+  votes.add(std::int16_t{2});
+  votes.clear();
+  EXPECT_EQ(votes.bayesian_label(0), kVoid);
+  EXPECT_EQ(votes.average_label(0), kVoid);
+  Row p{1, 1, 1};
+  votes.bayesian(p);
+  EXPECT_EQ(p, Row{});
+  votes.average(p);
+  EXPECT_EQ(p, Row{});
+}
+
+TEST(ClassVotes, AConfidenceThatSaysNothingIsRefused) {
+  EXPECT_HAS(error_of([] { HardLikelihood(0.25, 4); }), "0.25", "each has");
+  EXPECT_DOUBLE_EQ(HardLikelihood(0.7, 4).miss, 0.1);
+  EXPECT_DOUBLE_EQ(HardLikelihood(0.3, 1).hit, 0.3);
+}
+
+// Votes on a graph: a chain by hand, a direct factorisation as the oracle, parts that no vote reaches, threads.
+
+constexpr RandomAddress kAddress{7, 0, stream_id("test/graph")};
+
+// A ring of nodes with chords, weights over three decades, votes of whole and broken numbers on every ninth node.
+struct Graph {
+  int nodes = 400, classes = 3;
+  std::vector<GraphEdge> edges;
+  std::vector<double> votes;
+  Graph() : votes(static_cast<std::size_t>(nodes * classes)) {
+    for (int n = 0; n < nodes; ++n) {
+      for (const int chord : {1, 17}) {
+        const auto index = static_cast<std::uint64_t>(2 * n + (chord > 1 ? 1 : 0));
+        edges.push_back({n, (n + chord) % nodes, std::pow(10.0, -3 * double(uniform01(kAddress, index)))});
+      }
+      if (n % 9 != 0) continue;
+      const auto cls = uniform_below(kAddress, static_cast<std::uint64_t>(5000 + n), 3);
+      votes[static_cast<std::size_t>(n) * 3 + cls] = n % 2 == 0 ? 1 : 0.3;
+      votes[static_cast<std::size_t>(n) * 3 + (cls + 1) % 3] += n % 4 == 0 ? 0.2 : 0;
+    }
+  }
+  Diffusion spread(double weight) const { return diffuse_votes(edges, votes, classes, weight, {}); }
+};
+
+TEST(LabelDiffusion, AChainByHand) {
+  // Votes of weight 1 at both ends of 0 - 1 - 2: four equal resistors in a row, read at their three joints.
+  const std::vector<GraphEdge> chain{{0, 1, 1}, {1, 2, 1}};
+  const std::vector<double> votes{1, 0, 0, 0, 0, 1};
+  const Diffusion even = diffuse_votes(chain, votes, 2, 1, {});
+  const float expected[] = {0.75F, 0.25F, 0.5F, 0.5F, 0.25F, 0.75F};
+  for (std::size_t i = 0; i < 6; ++i) EXPECT_NEAR(even.probability[i], expected[i], 1e-5F) << i;
+  EXPECT_EQ(even.parts, 1);
+  // Votes that hold harder are nearer to seeds: 1/w + 1 + 1 + 1/w with w = 10.
+  EXPECT_NEAR(diffuse_votes(chain, votes, 2, 10, {}).probability[0], 2.1F / 2.2F, 1e-5F);
+  // A weak edge between 0 and 1 gives 1 to the other end: from 1, 1/0.1 to the left against 1 to the right.
+  const std::vector<GraphEdge> weak{{0, 1, 0.1}, {1, 2, 1}};
+  EXPECT_NEAR(diffuse_votes(weak, votes, 2, 1, {}).probability[2], 2.0F / 13.0F, 1e-5F);
+}
+
+TEST(LabelDiffusion, AgreesWithADirectFactorisation) {
+  const Graph graph;
+  for (const double weight : {0.01, 1.0, 1e4}) {
+    std::vector<Eigen::Triplet<double>> entries;
+    Eigen::MatrixXd right = Eigen::MatrixXd::Zero(graph.nodes, graph.classes);
+    for (const GraphEdge& e : graph.edges) {
+      entries.emplace_back(e.a, e.b, -e.weight);
+      entries.emplace_back(e.b, e.a, -e.weight);
+      entries.emplace_back(e.a, e.a, e.weight);
+      entries.emplace_back(e.b, e.b, e.weight);
+    }
+    for (int n = 0; n < graph.nodes; ++n) {
+      for (int c = 0; c < graph.classes; ++c) {
+        right(n, c) = weight * graph.votes[n * graph.classes + c];
+        entries.emplace_back(n, n, right(n, c));
+      }
+    }
+    Eigen::SparseMatrix<double> matrix(graph.nodes, graph.nodes);
+    matrix.setFromTriplets(entries.begin(), entries.end());
+    const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> oracle(matrix);
+    const Eigen::MatrixXd exact = oracle.solve(right);
+    const Diffusion out = graph.spread(weight);
+    for (int n = 0; n < graph.nodes; ++n) {
+      float sum = 0;
+      for (int c = 0; c < graph.classes; ++c) {
+        const float p = out.probability[n * graph.classes + c];
+        ASSERT_NEAR(p, exact(n, c), 2e-4) << "node " << n << ", class " << c << ", weight " << weight;
+        sum += p;
+      }
+      ASSERT_NEAR(sum, 1, 1e-6);
+    }
+  }
+}
+
+TEST(LabelDiffusion, PartsWithoutAVoteStayEmpty) {
+  // 0 - 1 with a vote, 2 - 3 without, 4 alone without, 5 alone with.
+  const std::vector<GraphEdge> edges{{0, 1, 0.5}, {3, 2, 1}};
+  std::vector<double> votes(12);
+  votes[2] = 3;   // node 1, class 0
+  votes[11] = 1;  // node 5, class 1
+  int told = 0;
+  const Diffusion out = diffuse_votes(edges, votes, 2, 1, [&](int done, int of) {
+    EXPECT_EQ(done, ++told);
+    EXPECT_EQ(of, 2);
+  });
+  EXPECT_EQ(told, 2);
+  const std::vector<float> expected{1, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 1};
+  for (std::size_t i = 0; i < expected.size(); ++i) EXPECT_NEAR(out.probability[i], expected[i], 1e-6F) << i;
+  EXPECT_EQ(out.parts, 4);
+  EXPECT_EQ(out.parts_without_vote, 2);
+  EXPECT_EQ(diffuse_votes(edges, std::vector<double>(12), 2, 1, {}).probability, std::vector<float>(12));
+}
+
+TEST(LabelDiffusion, ThreadsDoNotChangeABit) {
+  const Graph graph;
+  set_thread_count(1);
+  const Diffusion one = graph.spread(1);
+  set_thread_count(3);
+  const Diffusion three = graph.spread(1);
+  set_thread_count(0);
+  EXPECT_EQ(one.probability, three.probability);
+}
+
+// Real predictions of two networks on frames of Replica, fused with the true depth, where the data are at hand.
+
+const std::string kRoot = std::string(SEMFIELD_SOURCE_DIR) + "/../shared/data/replica_apartment0";
+
+LoadedScene apartment(const std::string& label_dir, int train_step) {
+  ReplicaParams p{.root = kRoot, .label_dir = label_dir, .train_step = train_step, .test_step = 0};
+  Replica replica(p, {});
+  Diagnostics diagnostics;
+  return load_scene(replica, {}, diagnostics);
+}
+
+// Total accuracy and mean IoU over the classes present, of the monocular predictions and of their fusion.
+struct Figures {
+  double monocular = 0, bayesian = 0, average = 0;
+  double miou_monocular = 0, miou_bayesian = 0;
+};
+
+Figures fuse_predictions(const std::string& network, int train_step) {
+  const LoadedScene scene = apartment("semantic_class", train_step);
+  const LoadedScene predicted = apartment(network, train_step);
+  TrainingLabels labels;
+  for (const StoredFrame& frame : predicted.frames) labels.frames.push_back({frame.label, {}});
+  const SceneFusion fusion = fuse_scene(scene, labels, true_depth(scene), {}, nullptr);
+  EXPECT_EQ(fusion.scores.size(), 3u);
+  const auto accuracy = [&](std::size_t k) { return *fusion.scores[k].confusion.total_accuracy(); };
+  const auto miou = [&](std::size_t k) { return *fusion.scores[k].confusion.miou_present(); };
+  return {accuracy(0), accuracy(1), accuracy(2), miou(0), miou(1)};
+}
+
+TEST(RealPredictions, MonocularIsAsItsMakersMeasured) {
+  if (!std::filesystem::exists(kRoot)) GTEST_SKIP() << "the optional Replica frames are not at hand";
+  for (const auto& [network, accuracy] : {std::pair{"cnn_strong", 0.859}, std::pair{"cnn_weak", 0.428}}) {
+    const LoadedScene scene = apartment("semantic_class", 1), predicted = apartment(network, 1);
+    ConfusionMatrix all(scene.info.classes.valid_count());
+    for (std::size_t f = 0; f < scene.frames.size(); ++f)
+      all.add(scene.frames[f].label.expand(), predicted.frames[f].label.expand());
+    EXPECT_NEAR(*all.total_accuracy(), accuracy, 0.001) << network;
+  }
+}
+
+TEST(RealPredictions, FusionImprovesAStrongNetwork) {
+  if (!std::filesystem::exists(kRoot)) GTEST_SKIP() << "the optional Replica frames are not at hand";
+  const Figures f = fuse_predictions("cnn_strong", 2);
+  EXPECT_NEAR(f.monocular, 0.8596, 0.0005);
+  EXPECT_GT(f.bayesian, f.monocular + 0.01);
+  EXPECT_GT(f.miou_bayesian, f.miou_monocular);
+  EXPECT_EQ(f.bayesian, f.average);  // labels without probabilities: both count votes
+}
+
+TEST(RealPredictions, MistakesThatAllViewsShareStay) {
+  if (!std::filesystem::exists(kRoot)) GTEST_SKIP() << "the optional Replica frames are not at hand";
+  const Figures f = fuse_predictions("cnn_weak", 2);
+  EXPECT_NEAR(f.monocular, 0.426, 0.001);
+  EXPECT_NEAR(f.bayesian, f.monocular, 0.005);
+}
+
+// Reprojection: two views of a plane by hand, an independent matrix product, hidden surfaces, choice of views.
+
+Camera camera(std::int32_t size = 8, double focal = 8) {
+  return Camera{.width_px = size, .height_px = size, .fx = focal, .fy = focal, .cx = size / 2.0, .cy = size / 2.0};
+}
+
+Pose at(double x, double y, double z) { return Pose{.t = {x, y, z}}; }
+
+TEST(Correspondence, PixelCentresOnAPlaneTwoMetresAhead) {
+  // Pixel (1, 3) has its centre at (1.5, 3.5): x = (1.5 - 4) / 8 * 2 = -0.625, y = -0.125, z = 2 (not along the ray).
+  std::vector<float> depth(64, 2.0F);
+  const PosedDepth view{camera(), at(10, 0, 0), depth};
+  const auto p = surface_point(view, 1, 3);
+  ASSERT_TRUE(p);
+  EXPECT_NEAR(p->x, 9.375, 1e-15);
+  EXPECT_NEAR(p->y, -0.125, 1e-15);
+  EXPECT_NEAR(p->z, 2, 1e-15);
+}
+
+TEST(Correspondence, ShiftByTwoPixels) {
+  // The second camera stands 0.5 m to the right: u falls by 8 * 0.5 / 2 = 2 pixels.
+  std::vector<float> depth(64, 2.0F);
+  const PosedDepth first{camera(), at(0, 0, 0), depth}, second{camera(), at(0.5, 0, 0), depth};
+  const FusionParams params{.tolerance = 0.01};
+  for (int row = 0; row < 8; ++row) {
+    for (int column = 0; column < 8; ++column) {
+      const auto hit = seen_at(second, *surface_point(first, column, row), params);
+      ASSERT_EQ(hit.has_value(), column >= 2) << column;
+      if (!hit) continue;
+      EXPECT_EQ(hit->column, column - 2);
+      EXPECT_EQ(hit->row, row);
+      EXPECT_NEAR(hit->z_m, 2, 1e-14);
+    }
+  }
+}
+
+TEST(Correspondence, OwnViewIsTheIdentity) {
+  std::vector<float> depth(64);
+  for (std::size_t i = 0; i < depth.size(); ++i) depth[i] = 0.3F + 0.17F * static_cast<float>(i % 13);
+  Pose pose = at(1, 2, 3);
+  const double s = std::sin(0.7), c = std::cos(0.7);
+  pose.r = {{{c, 0, s}, {0, 1, 0}, {-s, 0, c}}};
+  const PosedDepth view{camera(), pose, depth};
+  FusionParams exact{.tolerance = 1e-12, .relative_tolerance = 0};
+  for (int row = 0; row < 8; ++row) {
+    for (int column = 0; column < 8; ++column) {
+      const auto hit = seen_at(view, *surface_point(view, column, row), exact);
+      ASSERT_TRUE(hit);
+      EXPECT_EQ(hit->column, column);
+      EXPECT_EQ(hit->row, row);
+    }
+  }
+}
+
+TEST(Correspondence, BoundsAreThePixelsEdges) {
+  const Camera c = camera();
+  // u = 8 x / z + 4 with z = 1: x = -0.5 is the left edge, x = 0.5 the right one (outside).
+  const auto hit = project_point(c, {}, {-0.5, 0, 1});
+  ASSERT_TRUE(hit);
+  EXPECT_EQ(hit->column, 0);
+  EXPECT_EQ(hit->row, 4);
+  EXPECT_FALSE(project_point(c, {}, {-0.5 - 1e-9, 0, 1}));
+  EXPECT_FALSE(project_point(c, {}, {0.5, 0, 1}));
+  EXPECT_TRUE(project_point(c, {}, {0.5 - 1e-9, 0, 1}));
+  EXPECT_FALSE(project_point(c, {}, {0, 0, -1}));  // behind
+  EXPECT_FALSE(project_point(c, {}, {0, 0, 0}));
+  EXPECT_FALSE(project_point(c, {}, {NAN, 0, 1}));
+  EXPECT_FALSE(project_point(c, {}, {1e300, 0, 1e-300}));
+}
+
+TEST(Correspondence, AnotherDepthIsAnotherSurface) {
+  FusionParams params{.tolerance = 0.05, .relative_tolerance = 0.01};
+  // At z = 2 the two allow 0.07 m.
+  std::vector<float> depth(64, 2.0F);
+  const PosedDepth first{camera(), {}, depth};
+  const Vec3d point = *surface_point(first, 4, 4);
+  for (const auto& [z, seen] : {std::pair{2.06F, true},
+                                {1.94F, true},
+                                {2.08F, false},
+                                {1.92F, false},
+                                {0.5F, false},
+                                {0.0F, false},
+                                {-1.0F, false},
+                                {INFINITY, false},
+                                {NAN, false}}) {
+    std::vector<float> other(64, z);
+    EXPECT_EQ(seen_at({camera(), {}, other}, point, params).has_value(), seen) << z;
+    if (!(z > 0) || !std::isfinite(z)) {
+      EXPECT_FALSE(surface_point({camera(), {}, other}, 0, 0)) << z;
+    }
+  }
+  params.tolerance = 10;  // a pixel without depth agrees with nothing, however wide the tolerance
+  std::vector<float> none(64, 0.0F);
+  EXPECT_FALSE(seen_at({camera(), {}, none}, point, params));
+}
+
+// The same chain as 4 x 4 matrices: x_b ~ K [I | 0] B^-1 A (z K^-1 [u, v, 1], 1).
+TEST(Correspondence, AgreesWithMatrices) {
+  const RandomAddress address{7, 0, stream_id("test/correspondence")};
+  int hits = 0;
+  for (std::uint64_t trial = 0; trial < 2000; ++trial) {
+    auto random = [&, k = std::uint64_t{0}](double lo, double hi) mutable {
+      return lo + (hi - lo) * static_cast<double>(uniform_below(address, 32 * trial + k++, 1U << 30)) / (1U << 30);
+    };
+    Camera c = camera(64, random(20, 90));
+    c.fy = random(20, 90);
+    c.cx = random(28, 36);
+    c.cy = random(28, 36);
+    Eigen::Matrix4d pose[2];
+    Pose ours[2];
+    for (int i = 0; i < 2; ++i) {
+      const Eigen::Vector3d axis = Eigen::Vector3d(random(-1, 1), random(-1, 1), random(-1, 1)).normalized();
+      pose[i].setIdentity();
+      pose[i].topLeftCorner<3, 3>() = Eigen::AngleAxisd(random(0, 0.6), axis).toRotationMatrix();
+      pose[i].topRightCorner<3, 1>() = Eigen::Vector3d(random(-1, 1), random(-1, 1), random(-1, 1));
+      for (std::size_t row = 0; row < 3; ++row) {
+        for (std::size_t col = 0; col < 3; ++col)
+          ours[i].r[row][col] = pose[i](static_cast<long>(row), static_cast<long>(col));
+      }
+      ours[i].t = {pose[i](0, 3), pose[i](1, 3), pose[i](2, 3)};
+    }
+    const auto z = static_cast<float>(random(1, 5));
+    std::vector<float> depth(64 * 64, z);
+    const auto column = static_cast<int>(random(0, 64)), row = static_cast<int>(random(0, 64));
+    Eigen::Matrix3d k;
+    k << c.fx, 0, c.cx, 0, c.fy, c.cy, 0, 0, 1;
+    const Eigen::Vector3d in_a = z * (k.inverse() * Eigen::Vector3d(column + 0.5, row + 0.5, 1));
+    const Eigen::Vector4d world = pose[0] * in_a.homogeneous();
+    const Eigen::Vector3d in_b = (pose[1].inverse() * world).head<3>();
+    const Eigen::Vector3d image = k * in_b / in_b.z();
+    const std::optional<Vec3d> point = surface_point({c, ours[0], depth}, column, row);
+    ASSERT_TRUE(point);
+    EXPECT_NEAR(point->x, world.x(), 1e-12);
+    EXPECT_NEAR(point->y, world.y(), 1e-12);
+    EXPECT_NEAR(point->z, world.z(), 1e-12);
+    const auto hit = project_point(c, ours[1], *point);
+    const bool inside = in_b.z() > 0 && image.x() >= 0 && image.x() < 64 && image.y() >= 0 && image.y() < 64;
+    ASSERT_EQ(hit.has_value(), inside);
+    if (!hit) continue;
+    ++hits;
+    EXPECT_EQ(hit->column, static_cast<int>(std::floor(image.x())));
+    EXPECT_EQ(hit->row, static_cast<int>(std::floor(image.y())));
+    EXPECT_NEAR(hit->z_m, in_b.z(), 1e-12);
+  }
+  EXPECT_GT(hits, 300);
+}
+
+TEST(Correspondence, ALensDoesNotFoldPointsBackIntoTheImage) {
+  Camera c = camera();
+  c.k1 = -0.3;  // r (1 - 0.3 r^2) turns round at r = 1.054
+  const auto inside = project_point(c, {}, {0.4, 0, 1});
+  ASSERT_TRUE(inside);
+  EXPECT_FALSE(project_point(c, {}, {1.7, 0, 1}));  // 1.7 - 0.3 * 4.913 = 0.226: on the image, but no ray's
+  std::vector<float> depth(64, 3.0F);
+  const PosedDepth view{c, at(1, 1, 1), depth};
+  for (int i = 0; i < 8; ++i) {
+    const auto point = surface_point(view, i, 7 - i);
+    ASSERT_TRUE(point);
+    EXPECT_NEAR(view.world_from_camera.apply_inverse(*point).z, 3, 1e-12);
+    const auto hit = seen_at(view, *point, {});
+    ASSERT_TRUE(hit);
+    EXPECT_EQ(hit->column, i);
+    EXPECT_EQ(hit->row, 7 - i);
+  }
+}
+
+TEST(Correspondence, ChosenViews) {
+  std::vector<float> depth(64, 2.0F);
+  std::vector<PosedDepth> views;
+  for (const double x : {0.0, 5.0, 1.0, 0.2, 9.0}) views.push_back({camera(), at(x, 0, 0), depth});
+  PosedDepth turned = views[0];  // same place, looking aside: its gaze is 2 sqrt(2) away
+  turned.world_from_camera.r = {{{0, 0, 1}, {0, 1, 0}, {-1, 0, 0}}};
+  views.push_back(turned);
+  FusionParams params;
+  EXPECT_EQ(choose_views(views, 0, {1, 2, 3, 4, 5}, params), (std::vector<int>{1, 2, 3, 4, 5}));
+  params.views = 2;
+  EXPECT_EQ(choose_views(views, 0, {1, 2, 3, 4, 5}, params), (std::vector<int>{2, 3}));
+  params.views = 3;
+  EXPECT_EQ(choose_views(views, 0, {1, 2, 3, 4, 5}, params), (std::vector<int>{2, 3, 5}));  // 2.83 < 10
+  params.choose = ViewChoice::even;
+  params.views = 2;
+  EXPECT_EQ(choose_views(views, 0, {1, 2, 3, 4}, params), (std::vector<int>{2, 4}));
+  params.views = 1;
+  EXPECT_EQ(choose_views(views, 0, {1, 2, 3, 4, 5}, params), (std::vector<int>{3}));
+  params.views = 50;
+  EXPECT_EQ(choose_views(views, 4, {0, 1}, params), (std::vector<int>{0, 1}));
+}
+
+// Whole frames fused: two views by hand, a box in front, windows, noise, threads.
 
 constexpr auto kMonocular = static_cast<std::size_t>(FusionMethod::monocular);
 constexpr auto kBayesian = static_cast<std::size_t>(FusionMethod::bayesian);
@@ -20,13 +505,13 @@ constexpr auto kAverage = static_cast<std::size_t>(FusionMethod::average);
 TrainingLabels::Frame hard(std::vector<std::int16_t> labels) { return {LabelMap(std::move(labels)), {}}; }
 
 /// Views 8 pixels wide and 1 high, focal length 8: at 2 m a pixel is 0.25 m.
-struct Row {
+struct FusionRow {
   Camera camera;
   std::vector<std::vector<float>> depth;
   std::vector<TrainingLabels::Frame> prediction;
   std::vector<double> x;
 
-  Row() {
+  FusionRow() {
     camera.width_px = 8;
     camera.height_px = 1;
     camera.fx = camera.fy = 8;
@@ -58,7 +543,7 @@ SoftMap soft(const std::vector<std::array<float, 3>>& rows) {
 }
 
 TEST(LabelFusion, TwoViewsOfAWallByHand) {
-  Row row;
+  FusionRow row;
   // Column i of view 0 is column i - 2 of view 1. Probabilities are whole 256ths, exact in binary16.
   row.add(0, wall(),
           {{},
@@ -90,7 +575,7 @@ TEST(LabelFusion, TwoViewsOfAWallByHand) {
 }
 
 TEST(LabelFusion, HardLabelsVote) {
-  Row row;
+  FusionRow row;
   row.add(0, wall(), hard({0, 0, 0, 0, 0, 0, kVoid, kVoid}));
   row.add(0.5, wall(), hard({1, 1, 1, 1, 1, 1, kVoid, kVoid}));
   row.add(1.0, wall(), hard({1, 0, 1, kVoid, 1, 1, 1, 1}));
@@ -104,7 +589,7 @@ TEST(LabelFusion, HardLabelsVote) {
 
 TEST(LabelFusion, ABoxInFrontHidesTheWall) {
   // View 1 sees a box 1 m away in its columns 2 to 5; view 0 sees the wall alone. In both the wall is 2 m away.
-  Row row;
+  FusionRow row;
   row.add(0, wall(), hard({0, 0, 0, 0, 0, 0, 0, 0}));
   std::vector<float> boxed = wall();
   std::fill(boxed.begin() + 2, boxed.begin() + 6, 1.0F);
@@ -121,7 +606,7 @@ TEST(LabelFusion, ABoxInFrontHidesTheWall) {
 }
 
 TEST(LabelFusion, PixelsWithoutDepthKeepTheirLabel) {
-  Row row;
+  FusionRow row;
   std::vector<float> holes = wall();
   holes[3] = 0;
   holes[4] = NAN;
@@ -138,7 +623,7 @@ TEST(LabelFusion, PixelsWithoutDepthKeepTheirLabel) {
 }
 
 TEST(LabelFusion, OneViewIsTheIdentityAndVoidStaysVoid) {
-  Row row;
+  FusionRow row;
   row.add(0, wall(),
           {{},
            soft({{0.5F, 0.25F, 0.25F},
@@ -154,7 +639,7 @@ TEST(LabelFusion, OneViewIsTheIdentityAndVoidStaysVoid) {
   EXPECT_EQ(out.label[kBayesian], out.label[kMonocular]);
   EXPECT_EQ(out.label[kAverage], out.label[kMonocular]);
   EXPECT_EQ(out.counts, (FusionCounts{8, 0, 1, 0, 7}));
-  Row empty;
+  FusionRow empty;
   for (int k = 0; k < 3; ++k) empty.add(0.5 * k, wall(), hard(Labels(8, kVoid)));
   empty.add(0, wall(), {});
   out = empty.fuse(1, 3);
@@ -163,7 +648,7 @@ TEST(LabelFusion, OneViewIsTheIdentityAndVoidStaysVoid) {
 }
 
 TEST(LabelFusion, AWindowAveragesOneSurface) {
-  Row row;
+  FusionRow row;
   row.add(0, wall(), hard(Labels(8, kVoid)));
   std::vector<float> step = wall();
   for (std::size_t i = 5; i < 8; ++i) step[i] = 3;
@@ -178,11 +663,10 @@ TEST(LabelFusion, AWindowAveragesOneSurface) {
 }
 
 TEST(LabelFusion, WrongInputsAreRefused) {
-  Row row;
+  FusionRow row;
   row.add(0, wall(), hard(Labels(8, 3)));
-  EXPECT_EQ(error_of([&] { row.fuse(0, 3); }),
-            "view 0: pixel 0 has class index 3, there are 3; predict with the scene's class table");
-  Row small;
+  EXPECT_HAS(error_of([&] { row.fuse(0, 3); }), "there are");
+  FusionRow small;
   small.add(0, wall(), hard(Labels(7, 0)));
   EXPECT_HAS(error_of([&] { small.fuse(0, 3); }), "size of its camera");
 }
@@ -279,14 +763,542 @@ TEST(LabelFusion, SameBitsForAnyThreads) {
 TEST(FusionParams, MethodsAndWindowsAreChecked) {
   EXPECT_EQ(fusion_methods({"average", "bayesian", "average"}),
             (std::vector<FusionMethod>{FusionMethod::average, FusionMethod::bayesian}));
-  EXPECT_EQ(error_of([] { (void)fusion_methods({"bayesan"}); }),
-            "fuse.methods: there is no method 'bayesan'; did you mean 'bayesian'?");
+  EXPECT_HAS(error_of([] { (void)fusion_methods({"bayesan"}); }), "bayesan", "bayesian");
   FusionParams params{.methods = {"mean"}, .neighbourhood = 4};
   Diagnostics d;
   validate(params, d);
   ASSERT_EQ(d.error_count(), 2);
   EXPECT_EQ(d.all()[0].text(), "fuse.neighbourhood: a window of 4 pixels has no centre; write an odd number");
   EXPECT_EQ(d.all()[1].message, "fuse.methods: there is no method 'mean'");
+}
+
+// Labels spread over surfaces: cells and normals, a painted wall, the analytic room, pooled votes by hand, refusals.
+
+TEST(SurfaceCells, TouchingCellsAreNeighboursOnce) {
+  SurfaceCells cells(0.5);
+  EXPECT_EQ(cells.add(Vec3d{0.1, 0.1, 0.1}), 0);
+  EXPECT_EQ(cells.add(Vec3d{-0.1, 0.1, 0.1}), 1);  // the other side of 0 is another cell
+  EXPECT_EQ(cells.add(Vec3d{0.4, 0.4, 0.4}), 0);
+  EXPECT_EQ(cells.add(Vec3d{0.6, 0.6, 0.6}), 2);     // touches 0 in a corner
+  EXPECT_EQ(cells.add(Vec3d{-0.6, -0.1, -0.1}), 3);  // touches 1 in a corner; two cells from 0
+  EXPECT_EQ(cells.add(Vec3d{5, 5, 5}), 4);           // alone
+  EXPECT_EQ(cells.add(Vec3d{1e7, 0, 0}), -1);
+  EXPECT_EQ(cells.add(Vec3d{0, std::numeric_limits<double>::quiet_NaN(), 0}), -1);
+  EXPECT_EQ(cells.count(), 5);
+  std::vector<std::pair<int, int>> pairs;
+  for (const CellPair& pair : cells.neighbours())
+    pairs.emplace_back(std::min(pair.a, pair.b), std::max(pair.a, pair.b));
+  std::sort(pairs.begin(), pairs.end());
+  EXPECT_EQ(pairs, (std::vector<std::pair<int, int>>{{0, 1}, {0, 2}, {1, 3}}));
+}
+
+TEST(SurfaceCells, ManyKeepTheirNumbers) {
+  SurfaceCells cells(1);
+  std::vector<SurfaceCell> places;
+  for (std::int32_t i = 0; i < 20000; ++i) places.push_back({i % 31 - 15, i / 31 % 29 - 14, i / 899 * 40000 - 400000});
+  for (std::size_t i = 0; i < places.size(); ++i) ASSERT_EQ(cells.add(places[i]), static_cast<std::int32_t>(i));
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    ASSERT_EQ(cells.add(places[i]), static_cast<std::int32_t>(i));
+    ASSERT_EQ(cells.near({places[i][0] + 0.5, places[i][1] + 0.5, places[i][2] + 0.5}), static_cast<std::int32_t>(i));
+  }
+  EXPECT_EQ(cells.near({0.5, 0.5, 1000.5}), -1);
+}
+
+TEST(SurfaceCells, ABlockHasEveryPair) {
+  SurfaceCells cells(1);
+  for (int i = 0; i < 27; ++i) cells.add(Vec3d{i / 9 + 0.5, i / 3 % 3 + 0.5, i % 3 + 0.5});
+  // Of 3 x 3 x 3 cells: 3 directions with 2 x 9 pairs each, 6 with 2 x 2 x 3, 4 with 2 x 2 x 2.
+  EXPECT_EQ(cells.neighbours().size(), 54u + 72u + 32u);
+}
+
+TEST(SurfaceCells, NormalsOfTheAnalyticRoom) {
+  Diagnostics diagnostics;
+  const LoadedScene scene = load_scene(*testkit::make_analytic_scene(), {}, diagnostics);
+  const FrameInfo& info = scene.info.frames[1];
+  const std::vector<float> depth = scene.frames[1].depth_m.expand();
+  const PosedDepth view{info.camera, info.world_from_camera, depth};
+  const SeenSurface seen = seen_surface(surface_points(view), info.camera.width_px, info.world_from_camera.t);
+  int near = 0, asked = 0;
+  for (std::int32_t row = 0; row < info.camera.height_px; ++row) {
+    for (std::int32_t column = 0; column < info.camera.width_px; ++column) {
+      const Vec3d ray = normalized(info.world_from_camera.rotate(info.camera.direction(column + 0.5, row + 0.5)));
+      const testkit::AnalyticHit hit = testkit::intersect_analytic_room(info.world_from_camera.t, ray);
+      ++asked;
+      near += dot(hit.normal, seen.normal[view.pixel(column, row)]) > 0.95 ? 1 : 0;
+    }
+  }
+  EXPECT_GT(near, asked * 9 / 10) << "of " << asked;
+}
+
+// A wall 2.1 m before one camera of 16 x 8 pixels, focal length 16.8: a pixel is 0.125 m, and no face of a cell lies in
+// the wall. The left half is dark, the right half bright.
+struct PaintedWall {
+  LoadedScene scene;
+  TrainingLabels labels;
+  FrameMaps maps;
+  PropagationParams params;
+
+  static constexpr std::size_t kWidth = 16, kHeight = 8, kPixels = kWidth * kHeight;
+  PaintedWall() {
+    FrameInfo info{.name = "wall",
+                   .camera = {.width_px = kWidth, .height_px = kHeight, .fx = 16.8, .fy = 16.8, .cx = 8, .cy = 4},
+                   .split = Split::train};
+    scene.info.frames = {info};
+    scene.info.classes = ClassTable({{1, "dark", {}, false}, {2, "bright", {}, false}, {3, "other", {}, false}});
+    StoredFrame frame;
+    frame.width_px = kWidth;
+    frame.height_px = kHeight;
+    frame.rgb.assign(3 * kPixels, 40);
+    for (std::size_t p = 0; p < kPixels; ++p) {
+      if (p % kWidth >= kWidth / 2) std::fill_n(frame.rgb.begin() + static_cast<std::ptrdiff_t>(3 * p), 3, 200);
+    }
+    scene.frames.push_back(std::move(frame));
+    maps.frames = {0};
+    maps.depth_m = {std::vector<float>(kPixels, 2.1F)};
+    maps.label.resize(1);
+    params.cell_m = 0.125;
+    give(std::vector<std::int16_t>(kPixels, kVoid));
+  }
+  void give(std::vector<std::int16_t> given) {
+    labels.class_pixels = {std::vector<std::int64_t>(4)};
+    for (const std::int16_t c : given) ++labels.class_pixels[0][c < 0 ? 3 : static_cast<std::size_t>(c)];
+    labels.frames = {{LabelMap(std::move(given)), {}}};
+  }
+  TrainingLabels spread() const { return propagate_labels(scene, labels, maps, params, {}); }
+};
+
+std::string fact(const TrainingLabels& labels, const std::string& name) {
+  for (const auto& [key, value] : labels.steps.back().facts) {
+    if (key == name) return value;
+  }
+  return "no fact '" + name + "'";
+}
+
+TEST(Propagation, ColourDrawsTheBorderBetweenTwoClicks) {
+  PaintedWall wall;
+  std::vector<std::int16_t> clicks(PaintedWall::kPixels, kVoid);
+  clicks[3 * 16 + 7] = 0;   // dark, at the border
+  clicks[4 * 16 + 15] = 1;  // bright, at the far end
+  wall.give(clicks);
+  TrainingLabels out = wall.spread();
+  ASSERT_TRUE(out.soft);
+  for (std::size_t p = 0; p < PaintedWall::kPixels; ++p) {
+    EXPECT_EQ(out.frames[0][p], p % 16 < 8 ? 0 : 1) << p;
+    EXPECT_EQ(out.frames[0].soft.at(p, 2), 0) << "nobody voted for the third class";
+  }
+  EXPECT_EQ(fact(out, "cells"), "128");
+  EXPECT_EQ(fact(out, "cells with votes"), "2");
+  EXPECT_EQ(fact(out, "connected parts"), "1");
+  EXPECT_EQ(out.steps.back().type, "propagate surface");
+  // Without colour the border lies between the clicks: the click beside it takes the bright pixels next to it.
+  wall.params.color_sigma = 1000;
+  out = wall.spread();
+  EXPECT_EQ(out.frames[0][3 * 16 + 8], 0);
+}
+
+TEST(Propagation, DepthThatIsMissingAndPartsWithoutAVote) {
+  PaintedWall wall;
+  std::vector<std::int16_t> clicks(PaintedWall::kPixels, kVoid);
+  clicks[0] = 2;
+  clicks[7] = 1;  // on a pixel that will have no depth
+  wall.give(clicks);
+  std::vector<float>& depth = wall.maps.depth_m[0];
+  for (std::size_t row = 0; row < 8; ++row) {
+    depth[row * 16 + 6] = depth[row * 16 + 7] = 0;
+    for (std::size_t column = 8; column < 16; ++column) depth[row * 16 + column] = 3;  // out of touch
+  }
+  const TrainingLabels out = wall.spread();
+  for (std::size_t p = 0; p < PaintedWall::kPixels; ++p)
+    EXPECT_EQ(out.frames[0][p], p == 7 ? 1 : p % 16 < 6 ? 2 : kVoid) << p;
+  EXPECT_EQ(fact(out, "pixels without depth"), "16");
+  EXPECT_NE(fact(out, "parts without a vote"), "0");
+}
+
+TEST(Propagation, SureEnoughOnly) {
+  PaintedWall wall;
+  std::vector<std::int16_t> clicks(PaintedWall::kPixels, kVoid);
+  clicks[0] = 0;
+  clicks[15] = 1;
+  wall.give(clicks);
+  wall.params.color_sigma = 1000;
+  wall.params.min_confidence = 0.6;
+  const TrainingLabels out = wall.spread();
+  EXPECT_EQ(out.frames[0][0], 0);
+  EXPECT_EQ(out.frames[0][4 * 16 + 8], kVoid) << "half-way nothing is sure";
+}
+
+TEST(Propagation, VotesPooledByHand) {
+  PaintedWall wall;
+  wall.params.method = PropagationMethod::vote;
+  wall.params.vote_cells_m = {0.25, 0.5};  // 2 x 2 pixels, 4 x 4 pixels; the wall's borders are multiples of both
+  wall.params.least_votes = 3;
+  std::vector<std::int16_t> given(PaintedWall::kPixels, kVoid);
+  given[0] = given[1] = 0;
+  given[16] = 1;  // three votes in the first small cell
+  given[2] = 2;   // alone in the second one: its large cell has four votes
+  given[15] = 1;  // alone in the last ones of both sizes
+  wall.give(given);
+  const TrainingLabels out = wall.spread();
+  const auto row = [&](std::size_t pixel) {
+    return std::array<float, 3>{out.frames[0].soft.at(pixel, 0), out.frames[0].soft.at(pixel, 1),
+                                out.frames[0].soft.at(pixel, 2)};
+  };
+  const float third = float_of_half(half_of(1 / 3.0F)), two = float_of_half(half_of(2 / 3.0F));
+  EXPECT_EQ(row(0), (std::array<float, 3>{two, third, 0}));
+  EXPECT_EQ(row(16), row(0));
+  EXPECT_EQ(row(2), (std::array<float, 3>{0.5F, 0.25F, 0.25F}));
+  EXPECT_EQ(row(15), (std::array<float, 3>{0, 1, 0}));
+  EXPECT_EQ(row(17), (std::array<float, 3>{0, 0, 0})) << "a pixel without a label gets none";
+  EXPECT_EQ(fact(out, "pixels by cells of 0.25 m"), "3");
+  EXPECT_EQ(fact(out, "pixels by cells of 0.5 m"), "2");
+  EXPECT_EQ(out.steps.back().type, "propagate vote");
+}
+
+// The analytic room with a fraction of its labels, of which some are wrong.
+struct Room {
+  LoadedScene scene;
+  TrainingLabels labels;
+  FrameMaps maps;
+  Room(double kept, float wrong) {
+    Diagnostics diagnostics;
+    testkit::AnalyticSceneOptions options{.frames = 16};
+    scene = load_scene(*testkit::make_analytic_scene(options), {}, diagnostics);
+    maps = true_depth(scene);
+    labels.frames.resize(scene.frames.size());
+    labels.class_pixels.resize(scene.frames.size());
+    for (const int f : maps.frames) {
+      const auto frame = static_cast<std::size_t>(f);
+      std::vector<std::int16_t> given = scene.frames[frame].label.expand();
+      const RandomAddress address{3, frame, stream_id("test/room")};
+      for (std::size_t p = 0; p < given.size(); ++p) {
+        if (static_cast<double>(uniform01(address, 2 * p)) >= kept) {
+          given[p] = kVoid;
+        } else if (uniform01(address, 2 * p + 1) < wrong) {
+          given[p] = static_cast<std::int16_t>(uniform_below(address, 3 * p + 100000, 5));
+        }
+      }
+      labels.class_pixels[frame] = {1, 1, 1, 1, 1, 0};
+      labels.frames[frame].hard = LabelMap(std::move(given));
+    }
+  }
+  TrainingLabels spread(const PropagationParams& params) const {
+    return propagate_labels(scene, labels, maps, params, {});
+  }
+  ConfusionMatrix score(const TrainingLabels& of) const {
+    ConfusionMatrix out(scene.info.classes.valid_count());
+    for (const int f : maps.frames) {
+      const TrainingLabels::Frame& frame = of.frames[f];
+      std::vector<std::int16_t> given(frame.size());
+      for (std::size_t p = 0; p < given.size(); ++p) given[p] = frame[p];
+      out.add(scene.frames[f].label.expand(), given);
+    }
+    return out;
+  }
+};
+
+TEST(Propagation, FewLabelsFillTheAnalyticRoom) {
+  const Room room(0.01, 0);
+  const TrainingLabels out = room.spread({});
+  const ConfusionMatrix before = room.score(room.labels), after = room.score(out);
+  EXPECT_LT(before.scored_px(), after.scored_px() / 50);
+  EXPECT_EQ(after.void_predicted_px(), 0) << "the room is one surface";
+  EXPECT_GT(*after.total_accuracy(), 0.95);
+  EXPECT_GT(*after.miou_present(), 0.85);
+  EXPECT_EQ(fact(out, "pixels without depth"), "0");
+}
+
+TEST(Propagation, PoolingTakesNoiseOut) {
+  const Room room(1, 0.8F);
+  PropagationParams params{.method = PropagationMethod::vote};
+  const double before = *room.score(room.labels).total_accuracy();
+  const double after = *room.score(room.spread(params)).total_accuracy();
+  EXPECT_LT(before, 0.45);
+  EXPECT_GT(after, before + 0.25);
+  params.vote_cells_m = {1e-4};  // every pixel a cell of its own: nothing is pooled
+  EXPECT_EQ(*room.score(room.spread(params)).total_accuracy(), before);
+}
+
+TEST(Propagation, ThreadsDoNotChangeABit) {
+  const Room room(0.05, 0.2F);
+  for (const PropagationMethod method : {PropagationMethod::surface, PropagationMethod::vote}) {
+    PropagationParams params{.method = method};
+    set_thread_count(1);
+    const TrainingLabels one = room.spread(params);
+    set_thread_count(4);
+    const TrainingLabels four = room.spread(params);
+    set_thread_count(0);
+    for (const int f : room.maps.frames) EXPECT_EQ(one.frames[f].soft, four.frames[f].soft) << f;
+  }
+}
+
+TEST(Propagation, SoftLabelsVoteWithTheirProbabilities) {
+  PaintedWall wall;
+  SoftMap soft(PaintedWall::kPixels, 3);
+  soft.set_row(0, std::array<float, 3>{0.5F, 0.25F, 0.25F});
+  wall.labels.frames = {{{}, soft}};
+  wall.labels.class_pixels = {{1, 1, 1, 0}};
+  const TrainingLabels out = wall.spread();
+  for (const std::size_t p : {std::size_t{0}, PaintedWall::kPixels - 1}) {
+    EXPECT_EQ(out.frames[0].soft.at(p, 0), 0.5F);
+    EXPECT_EQ(out.frames[0].soft.at(p, 2), 0.25F);
+  }
+}
+
+TEST(Propagation, Refusals) {
+  PaintedWall wall;
+  EXPECT_HAS(error_of([&] { (void)wall.spread(); }), "no training pixel carries a label");
+  std::vector<std::int16_t> clicks(PaintedWall::kPixels, kVoid);
+  clicks[0] = 0;
+  wall.give(clicks);
+  wall.params.cell_m = 0;
+  EXPECT_HAS(error_of([&] { (void)wall.spread(); }), "propagate.cell_m");
+  wall.scene.pixel_footprint_m = 0.1;  // three of them, or 200 m / 500
+  EXPECT_EQ(fact(wall.spread(), "edge of a cell, m"), "0.3");
+  wall.scene.bounds = {{0, 0, 0}, {200, 1, 1}};
+  EXPECT_EQ(fact(wall.spread(), "edge of a cell, m"), "0.4");
+  wall.maps.depth_m[0].assign(PaintedWall::kPixels, 0);
+  EXPECT_HAS(error_of([&] { (void)wall.spread(); }), "no training pixel has depth");
+}
+
+// `semfield fuse` and `semfield propagate` as a user runs them: lines, JSON, maps, depth of a trained run, refusals.
+
+namespace fs = std::filesystem;
+
+using namespace testing_train;
+
+using namespace testing_program;
+
+Result semfield(const std::string& words, const TempDir& dir) {
+  return testing_program::semfield_run(words, dir.path());
+}
+
+// A packed analytic room and a configuration that trains on it for a moment.
+std::string write_scene(const TempDir& dir, bool with_depth = true) {
+  testkit::AnalyticSceneOptions options{.with_depth = with_depth};
+  const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene(options);
+  Diagnostics diagnostics;
+  const SceneInfo info = scene->open(diagnostics);
+  write_packed_scene(dir / "room.sfpack", info, [&](int frame, FrameBuffer& buffer) { scene->read(frame, buffer); });
+  std::string yaml =
+      with_scene(hash_config("report: {eval_every_s: 0, strips: 0}\n"), "{type: packed, file: room.sfpack}");
+  write_file_atomic(dir / "config.yaml", yaml);
+  return dir / "config.yaml";
+}
+
+TEST(FuseVerb, LinesJsonAndMaps) {
+  const TempDir dir;
+  const std::string config = write_scene(dir);
+  const Result lines = succeeded(semfield("fuse " + shell_word(config) + " --method monocular,bayesian", dir));
+  EXPECT_EQ(lines.out.find("fuse: method=monocular depth=true miou_present=1.0000 miou=1.0000 total_accuracy=1.0000 "
+                           "average_accuracy=1.0000 filled=0 views=1.0000\nfuse: method=bayesian depth=true "),
+            0u)
+      << lines.out;
+  EXPECT_HAS(lines.err, "predictions are the scene's own labels");
+
+  const Result r = succeeded(semfield(
+      "fuse " + shell_word(config) + " --json --set fuse.relative_tolerance=0.03 --out " + shell_word(dir / "maps"),
+      dir));
+  const auto rows = nlohmann::json::parse(r.out).at("scores");
+  ASSERT_EQ(rows.size(), 3u);
+  EXPECT_EQ(rows[0]["method"], "monocular");
+  EXPECT_EQ(rows[1]["method"], "bayesian");
+  EXPECT_EQ(rows[2]["method"], "average");
+  for (const auto& row : rows) {
+    EXPECT_EQ(row["depth"], "true");
+    for (const char* key : {"miou", "miou_present", "total_accuracy", "average_accuracy"})
+      EXPECT_GT(row[key].get<double>(), 0.9) << key;
+  }
+  EXPECT_GT(rows[1]["visible_views_mean"].get<double>(), 2);
+  const auto manifest = nlohmann::json::parse(read_text_file(dir / "maps/fuse.json"));
+  EXPECT_EQ(manifest["scores"], rows);
+  EXPECT_EQ(manifest["frames"], 9);
+  EXPECT_EQ(manifest["pixels"], 9 * 48 * 36);
+  for (const char* method : {"monocular", "bayesian", "average"}) {
+    int maps = 0;
+    for (const auto& entry : std::filesystem::directory_iterator(dir / ("maps/" + std::string(method)))) {
+      const std::string bytes = read_text_file(entry.path().string());
+      const PngImage png = decode_png(std::as_bytes(std::span(bytes)));
+      EXPECT_EQ(png.width_px, 48);
+      for (std::size_t i = 0; i < 48 * 36; ++i) ASSERT_LE(png.sample(i), 5u);  // ids, 0 = void
+      ++maps;
+    }
+    EXPECT_EQ(maps, 18);
+  }
+}
+
+TEST(FuseVerb, DepthOfARunAndItsOwnRow) {
+  const TempDir dir;
+  const std::string config = write_scene(dir);
+  ASSERT_EQ(semfield("train " + shell_word(config) + " --steps 200 --out " + shell_word(dir / "run"), dir).code, 0);
+  const Result r = succeeded(semfield("fuse " + shell_word(config) + " --json --depth-from " + shell_word(dir / "run") +
+                                          " --set fuse.tolerance=0.2 " + "--out " + shell_word(dir / "maps"),
+                                      dir));
+  const auto rows = nlohmann::json::parse(r.out).at("scores");
+  ASSERT_EQ(rows.size(), 4u);
+  EXPECT_EQ(rows[3]["method"], "field");
+  EXPECT_TRUE(rows[3]["visible_views_mean"].is_null());
+  EXPECT_GT(rows[3]["total_accuracy"].get<double>(), 0.6);
+  EXPECT_EQ(rows[1]["depth"], "learned");
+  EXPECT_GT(rows[1]["total_accuracy"].get<double>(), 0.7);
+  EXPECT_GT(rows[1]["visible_views_mean"].get<double>(), 1.5);
+  EXPECT_TRUE(std::filesystem::exists(dir / "maps/field"));
+  EXPECT_EQ(nlohmann::json::parse(read_text_file(dir / "maps/fuse.json"))["depth_from"]["step"], 200);
+
+  // A field of another scene: the same names, other places.
+  testkit::AnalyticSceneOptions moved{.frames = 10};
+  const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene(moved);
+  Diagnostics diagnostics;
+  const SceneInfo info = scene->open(diagnostics);
+  write_packed_scene(dir / "other.sfpack", info, [&](int frame, FrameBuffer& b) { scene->read(frame, b); });
+  const Result other =
+      semfield("fuse " + shell_word(config) + " --set " + shell_word("scene.file=" + (dir / "other.sfpack")) +
+                   " --depth-from " + shell_word(dir / "run"),
+               dir);
+  EXPECT_EQ(other.code, 65);
+  EXPECT_HAS(other.err, "the camera stands elsewhere in the scene of");
+
+  // In a room a ten-thousandth as large, cameras a fifth farther out are elsewhere too.
+  const auto scaled = [](const std::string& by) {
+    return " --set scene.load.pose_scale=" + by + " --set scene.load.depth_scale=" + by;
+  };
+  ASSERT_EQ(
+      semfield("train " + shell_word(config) + scaled("1e-4") + " --steps 2 --out " + shell_word(dir / "small"), dir)
+          .code,
+      0);
+  const std::string fuse = " --depth-from " + shell_word(dir / "small");
+  EXPECT_EQ(semfield("fuse " + shell_word(config) + scaled("1e-4") + fuse, dir).code, 0);
+  const Result elsewhere = semfield("fuse " + shell_word(config) + scaled("1.2e-4") + fuse, dir);
+  EXPECT_EQ(elsewhere.code, 65);
+  EXPECT_HAS(elsewhere.err, "the camera stands elsewhere in the scene of");
+}
+
+TEST(FuseVerb, RealProbabilities) {
+  const std::string root = std::string(SEMFIELD_SOURCE_DIR) + "/../shared/data/shelf_bin";
+  if (!std::filesystem::exists(root)) GTEST_SKIP() << "the optional shelf bin is not at hand";
+  const TempDir dir;
+  const std::string yaml =
+      with_scene(hash_config(), "{type: transforms_json, root: " + root +
+                                    ", labels: {from: {type: npz, folder: " + root + "/predictions}}}");
+  write_file_atomic(dir / "config.yaml", yaml);
+  const Result r = succeeded(semfield("fuse config.yaml --json", dir));
+  const auto rows = nlohmann::json::parse(r.out).at("scores");
+  ASSERT_EQ(rows.size(), 3u);
+  const double alone = rows[0]["miou_present"].get<double>();
+  EXPECT_NEAR(alone, 0.657, 0.001);
+  EXPECT_GT(rows[1]["miou_present"].get<double>(), alone + 0.03);
+  EXPECT_GT(rows[2]["miou_present"].get<double>(), alone + 0.04);
+}
+
+TEST(FuseVerb, Refusals) {
+  const TempDir dir;
+  const std::string config = write_scene(dir, false);
+  const auto refused = [&](const std::string& words, int code, const std::string& message) {
+    const Result r = semfield("fuse " + shell_word(config) + " " + words, dir);
+    EXPECT_EQ(r.code, code) << words;
+    EXPECT_HAS(r.err, message);
+    EXPECT_TRUE(r.out.empty()) << r.out;
+  };
+  refused("", 65, "no training frame of the scene has depth");
+  refused("--depth learned", 2, "name its folder: --depth-from RUN");
+  refused("--depth false", 2, "--depth false: expected true or learned");
+  refused("--depth true --depth-from x", 2, "exclude each other");
+  refused("--method bayesian,mean", 2, "--method bayesian,mean: expected monocular, bayesian or average");
+  refused("--set fuse.methods=[mean]", 78, "there is no method 'mean'");
+  refused("--depth-from " + shell_word(dir / "nowhere"), 66, "nowhere");
+  refused("--set fuse.neighbourhood=2", 78, "a window of 2 pixels has no centre");
+}
+
+// `semfield propagate` as a user runs it: its line, JSON, files that train again, the same bytes for any threads,
+// refusals.
+
+using nlohmann::json;
+
+json manifest_of(const std::string& folder) { return json::parse(read_text_file(folder + "/manifest.json")); }
+
+constexpr const char* kClicks = " --set 'scene.labels.degrade=[{type: propagation}]'";
+constexpr const char* kNoise = " --set 'scene.labels.degrade=[{type: pixel_noise, ratio: 0.6}]'";
+constexpr const char* kNpz =
+    " --set 'scene.labels.from={type: npz, folder: soft/probability, pattern: \"{name}.npy\"}'";
+
+TEST(PropagateVerb, ClicksBecomeLabelsThatTrainAgain) {
+  const TempDir dir;
+  write_packed_config(dir, 200, 0);
+  ASSERT_EQ(semfield(std::string("train config.yaml --out run") + kClicks, dir).code, 0);
+  const Result line = succeeded(semfield("propagate run --out soft", dir));
+  EXPECT_EQ(line.out.rfind("propagate: method=surface labelled_share=0.00", 0), 0u) << line.out;
+  EXPECT_HAS(line.out, "accuracy=1.0000->0.", " folder=soft\n");
+  EXPECT_HAS(line.err, "propagate.cell_m is 0.");
+
+  const json m = manifest_of(dir / "soft");
+  EXPECT_EQ(m["steps"][0]["type"], "propagation");
+  EXPECT_EQ(m["steps"][1]["type"], "propagate surface");
+  EXPECT_EQ(m["frames"].size(), 9u);
+  EXPECT_EQ(m["total"]["labelled_px"], 9 * 48 * 36);
+  EXPECT_GT(m["total"]["accuracy"].get<double>(), 0.6);  // the field has seen 200 steps
+  EXPECT_HAS(m["config"].get<std::string>(), "propagate:");
+
+  const Result one = succeeded(semfield("propagate run --json --threads 1 --out one", dir));
+  const json row = json::parse(one.out);
+  EXPECT_EQ(row["method"], "surface");
+  EXPECT_EQ(row["accuracy"]["before"], 1.0);
+  EXPECT_EQ(row["accuracy"]["after"], m["total"]["accuracy"]);
+  EXPECT_EQ(row["miou_present"]["after"], m["total"]["miou_present"]);
+  EXPECT_LT(row["labelled_share"]["before"].get<double>(), 0.01);
+  EXPECT_EQ(row["labelled_share"]["after"], 1.0);
+  int files = 0;
+  for (const auto& file : fs::recursive_directory_iterator(dir / "soft")) {
+    if (!file.is_regular_file() || file.path().filename() == "manifest.json") continue;  // which names the threads
+    const std::string other = dir / "one/" + fs::relative(file.path(), dir / "soft").string();
+    EXPECT_TRUE(read_text_file(file.path().string()) == read_text_file(other)) << other;
+    ++files;
+  }
+  EXPECT_EQ(files, 3 * 9 + 2);
+
+  // What was written is what trains: the same labels come back through the reader, and a run goes on with them.
+  const Result again = succeeded(semfield(std::string("degrade config.yaml --out again") + kNpz, dir));
+  EXPECT_EQ(manifest_of(dir / "again")["total"], m["total"]);
+  const Result trained = succeeded(semfield(std::string("train config.yaml --steps 20 --out second") + kNpz, dir));
+}
+
+TEST(PropagateVerb, PoolingNoisyLabels) {
+  const TempDir dir;
+  write_packed_config(dir, 200, 0);
+  ASSERT_EQ(semfield(std::string("train config.yaml --out run") + kNoise, dir).code, 0);
+  const Result r = succeeded(
+      semfield("propagate run --json --method vote --set 'propagate.vote_cells_m=[0.1, 0.3]' --out soft", dir));
+  const json row = json::parse(r.out);
+  EXPECT_EQ(row["method"], "vote");
+  EXPECT_LT(row["accuracy"]["before"].get<double>(), 0.6);
+  EXPECT_GT(row["accuracy"]["after"].get<double>(), row["accuracy"]["before"].get<double>() + 0.2);
+  EXPECT_EQ(row["labelled_share"]["after"], row["labelled_share"]["before"]);
+  EXPECT_EQ(manifest_of(dir / "soft")["steps"][1]["type"], "propagate vote");
+}
+
+TEST(PropagateVerb, Refusals) {
+  const TempDir dir;
+  write_packed_config(dir, 5, 0);
+  ASSERT_EQ(semfield("train config.yaml --out run", dir).code, 0);
+  const auto refused = [&](const std::string& words, int code, const std::string& message) {
+    const Result r = semfield("propagate " + words, dir);
+    EXPECT_EQ(r.code, code) << words;
+    EXPECT_HAS(r.err, message) << words << ": " << r.err;
+    EXPECT_TRUE(r.out.empty()) << r.out;
+    EXPECT_FALSE(fs::exists(dir / "soft")) << words;
+  };
+  refused("run --out run", 73, "holds files already");
+  refused("nowhere --out soft", 66, "nowhere");
+  refused("run --out soft --method mean", 78, "surface");
+  refused("run --out soft --set 'propagate.vote_cells_m=[0.2, 0.1]'", 78, "the edges do not ascend");
+  refused("run --out soft --set scene.labels.frames=none", 65, "no training pixel carries a label");
+
+  testkit::AnalyticSceneOptions options{.with_labels = false};
+  const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene(options);
+  Diagnostics diagnostics;
+  SceneInfo info = scene->open(diagnostics);
+  info.classes = {};
+  write_packed_scene(dir / "room.sfpack", info, [&](int frame, FrameBuffer& b) { scene->read(frame, b); });
+  ASSERT_EQ(semfield("train config.yaml --out plain", dir).code, 0);
+  refused("plain --out soft", 65, "the run's scene has no classes");
 }
 
 }  // namespace

@@ -19,8 +19,4 @@ std::span<const Target> targets();
 /// Null for a name that is none.
 const Target* find_target(std::string_view name);
 
-#define TARGET(name) void fuzz_##name(std::string_view bytes);
-#include "targets.inc"
-#undef TARGET
-
 }  // namespace semfield::fuzz

@@ -218,7 +218,9 @@ std::string report_data(const std::string& html) {
 std::string lasting(const std::string& path, const std::string& folder) {
   const std::string text = read_text_file(path), ending = fs::path(path).extension();
   if (ending != ".json" && ending != ".yaml" && ending != ".jsonl" && ending != ".html") return text;
-  const std::string here = replaced(text, folder, "DIR");
+  std::string here = text;
+  for (std::size_t at = here.find(folder); at != std::string::npos; at = here.find(folder))
+    here.replace(at, folder.size(), "DIR");
   if (ending == ".html") return report_data(here);
   return replaced(here, R"re("(semfield|train_s|seconds)": ?(\{[^}]*\}|[^,}\n]*))re", "");
 }
@@ -284,8 +286,8 @@ void print_presets(Registry& registry, const TempDir& dir) {
       const std::string name = entry.path().stem();
       if (!entry.is_regular_file()) continue;
       const std::string config =
-          dir.write(name + ".yaml", "include: " + entry.path().string() +
-                                        "\nscene: {type: packed, file: room.sfpack, labels: {frames: 50%}}\n"
+          dir.write(name + ".yaml", "include: \"" + entry.path().string() +
+                                        "\"\nscene: {type: packed, file: room.sfpack, labels: {frames: 50%}}\n"
                                         "runtime: {device: cpu}\n");
       RunListener nobody;
       (void)open_for_training(load_run_config(config, {}, registry), registry, {.out_dir = dir / name}, nobody);

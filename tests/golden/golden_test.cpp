@@ -30,7 +30,7 @@ constexpr const char* kHead =
     "# avx512_bf16 also names the maker of the CPU, since nothing promises that both round VDPBF16PS alike; amx "
     "stands\n"
     "# for both, the tile instructions and their emulation. Files (-) are made by the first three instruction sets.\n"
-    "# A change that is meant to change numbers names its rows in docs/decisions/0045-golden-net.md, writes the "
+    "# A change that is meant to change numbers names its rows in docs/decisions.md (0045), writes the "
     "columns\n"
     "# of its machine anew, and removes by hand those that it cannot write. On a CPU with every set, or a GPU:\n"
     "# SEMFIELD_WRITE_GOLDEN=1 build/release/tests/golden/golden_test [--gtest_filter='GoldenCuda*']\n";

@@ -1,7 +1,14 @@
 // Clicks in the analytic room: what they name, what undoing them leaves, what a surface made anew keeps of them, and
 // how sure the labels are.
+
 #include "compute/parallel.h"
-#include "tests/label_loop/looped_room.h"
+#include "core/rng.h"
+#include "serve/point_learner.h"
+#include "session/trainer.h"
+#include "testkit/compare.h"
+#include "tests/label_loop/labelled_room.h"
+#include "tests/session/oracle.h"
+#include "tests/session/train_testing.h"
 
 namespace semfield {
 namespace {
@@ -273,6 +280,401 @@ TEST(LabelLoop, TwentyClicksDoNotMakeWhatIsRightDoubtful) {
     const double right = room.share_right(), before = sure(loop);
     loop.set_temperature(fitted(loop, clicks).value_or(1));
     EXPECT_GT(sure(loop), std::min(right, before) - 0.15) << count << " clicks, temperature " << loop.temperature();
+  }
+}
+
+// The semantic part learned anew from points: what it learns, what it leaves alone, and the same bits for any threads.
+
+using namespace testing_train;
+
+const std::string kBranch =
+    "    semantic: {position: {type: frequency, frequencies: 3}, field: {type: tiny_mlp, hidden_width: 16, "
+    "hidden_layers: 2}, dropout: 0.1}\n";
+
+std::string config_of(bool branch) {
+  return stratified_config("type: analytic_room", branch ? kBranch : "", "rays: 24");
+}
+
+// Points of three regions along x: class 0, 1 and 4 of the room's five.
+struct Toy {
+  std::vector<Vec3d> places;
+  std::vector<std::int16_t> logit;
+
+  explicit Toy(std::uint64_t seed, int count = 240) {
+    const RandomAddress random{seed, 0, stream_id("point_learner_test")};
+    std::uint64_t n = 0;
+    const auto any = [&](double most) { return most * (2 * static_cast<double>(uniform01(random, n++)) - 1); };
+    for (int i = 0; i < count; ++i) {
+      const int region = i % 3;
+      places.push_back({1.3 * (region - 1) + any(0.4), any(1), any(0.8)});
+      logit.push_back(static_cast<std::int16_t>(region == 2 ? 4 : region));
+    }
+  }
+};
+
+PointLearning quick(std::int64_t steps = 120) { return PointLearning{.steps = steps, .batch = 192}; }
+
+double share_right(PointLearner& learner, const Toy& toy, const std::vector<bool>& live) {
+  const std::vector<float> p = learner.probabilities(learner.rows_at(toy.places), live);
+  const auto width = static_cast<std::ptrdiff_t>(learner.classes());
+  int right = 0;
+  for (std::size_t i = 0; i < toy.logit.size(); ++i) {
+    const auto row = p.begin() + static_cast<std::ptrdiff_t>(i) * width;
+    right += std::max_element(row, row + width) - row == toy.logit[i] ? 1 : 0;
+  }
+  return static_cast<double>(right) / static_cast<double>(toy.logit.size());
+}
+
+TEST(PointLearner, LearnsWhatCanBeToldApart) {
+  const Toy seen(1), other(2);
+  const Session session = open_text(config_of(true));
+  PointLearner learner(*session.pipeline);
+  ASSERT_EQ(learner.classes(), 5);
+  const std::vector<bool> live(5, true);
+  EXPECT_LT(share_right(learner, other, live), 0.7);
+  learner.learn(learner.rows_at(seen.places), seen.logit, {}, quick());
+  EXPECT_GT(share_right(learner, seen, live), 0.95);
+  EXPECT_GT(share_right(learner, other, live), 0.9) << "places that were not named";
+}
+
+TEST(PointLearner, LearnsTheSameBitsForAnyThreads) {
+  const Toy toy(3);
+  for (const bool branch : {false, true}) {
+    std::vector<std::uint32_t> bits;
+    std::vector<std::vector<float>> logits;
+    for (const int threads : {1, 2, 3}) {
+      set_thread_count(threads);
+      const Session session = open_text(config_of(branch));
+      PointLearner learner(*session.pipeline);
+      const PointRows rows = learner.rows_at(toy.places);
+      learner.learn(rows, toy.logit, {}, quick(20));
+      bits.push_back(fingerprint(session.pipeline->store()));
+      logits.push_back(learner.logits(rows));
+    }
+    set_thread_count(0);
+    EXPECT_EQ(bits[1], bits[0]);
+    EXPECT_EQ(bits[2], bits[0]);
+    EXPECT_EQ(logits[1], logits[0]);
+    EXPECT_EQ(logits[2], logits[0]);
+  }
+}
+
+// Whatever was learned before: points state everything, and colour and geometry stand.
+TEST(PointLearner, ChangesSemanticTensorsAloneAndForgetsWhatWasBefore) {
+  const Toy toy(4), other(5);
+  for (const bool branch : {false, true}) {
+    SCOPED_TRACE(branch);
+    Session session = open_text(config_of(branch));
+    const auto rays = session.make_ray_source();
+    Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule);
+    for (int i = 0; i < 4; ++i) trainer.advance();
+    ParamStore<float>& store = session.pipeline->store();
+    const auto copy = [&](bool semantic) {
+      std::vector<float> out;
+      for (const Tensor<float>& t : store.all()) {
+        if (t.rule.semantic != semantic || !is_stored(t.spec.role)) continue;
+        for (const AlignedBuffer<float>* buffer : {&t.value, &t.moment1, &t.moment2})
+          out.insert(out.end(), buffer->data(), buffer->data() + buffer->size());
+      }
+      return out;
+    };
+    const std::vector<float> field = copy(false), before = copy(true);
+    PointLearner learner(*session.pipeline);
+    const PointRows rows = learner.rows_at(toy.places);
+    learner.learn(rows, toy.logit, {}, quick(10));
+    const std::vector<float> learned = copy(true);
+    EXPECT_EQ(copy(false), field);
+    EXPECT_NE(learned, before);
+    learner.learn(learner.rows_at(other.places), other.logit, {}, quick(10));
+    EXPECT_NE(copy(true), learned);
+    learner.learn(rows, toy.logit, {}, quick(10));
+    EXPECT_EQ(copy(true), learned);
+    EXPECT_EQ(copy(false), field);
+    for (const Tensor<float>& t : store.all()) {
+      for (const AlignedBuffer<float>* buffer : {&t.moment1, &t.moment2, &t.grad, &t.lanes}) {
+        if (!t.rule.semantic) continue;
+        EXPECT_TRUE(std::all_of(buffer->data(), buffer->data() + buffer->size(), [](float x) { return x == 0; }))
+            << t.name;
+      }
+    }
+    trainer.advance();  // training goes on from there
+    EXPECT_NE(copy(false), field);
+  }
+}
+
+TEST(PointLearner, ClassesWithoutLabelsHaveNoProbability) {
+  const Toy toy(6, 30);
+  const Session session = open_text(config_of(true));
+  PointLearner learner(*session.pipeline);
+  const PointRows rows = learner.rows_at(toy.places);
+  const std::vector<bool> live{true, false, false, true, true};
+  const std::vector<float> p = learner.probabilities(rows, live), logits = learner.logits(rows);
+  for (std::size_t i = 0; i < 30; ++i) {
+    double norm = 0, sum = 0;
+    for (std::size_t c = 0; c < 5; ++c) norm += live[c] ? std::exp(static_cast<double>(logits[5 * i + c])) : 0;
+    for (std::size_t c = 0; c < 5; ++c) {
+      const auto found = static_cast<double>(p[5 * i + c]);
+      EXPECT_NEAR(found, live[c] ? std::exp(static_cast<double>(logits[5 * i + c])) / norm : 0, 1e-5);
+      EXPECT_TRUE(live[c] || found == 0);
+      sum += found;
+    }
+    EXPECT_NEAR(sum, 1, 1e-5);
+  }
+  for (const float found : learner.probabilities(rows, std::vector<bool>(5, false))) EXPECT_EQ(found, 0);
+  std::vector<float> extreme{1e30F, -1e30F, 0, -1e30F, 90, 90};
+  softmax_live(extreme, 3, {true, true, true});
+  EXPECT_EQ(extreme, (std::vector<float>{1, 0, 0, 0, 0.5F, 0.5F}));
+}
+
+TEST(PointLearner, NoPointsAreFine) {
+  const Session session = open_text(config_of(true));
+  PointLearner learner(*session.pipeline);
+  const std::uint32_t start = fingerprint(session.pipeline->store());
+  const PointRows none = learner.rows_at({});
+  EXPECT_EQ(none.count(), 0);
+  const Toy toy(7);
+  learner.learn(learner.rows_at(toy.places), toy.logit, {}, quick(3));
+  EXPECT_NE(fingerprint(session.pipeline->store()), start);
+  learner.learn(none, {}, {}, quick());
+  EXPECT_EQ(fingerprint(session.pipeline->store()), start);
+  EXPECT_TRUE(learner.logits(none).empty());
+  EXPECT_TRUE(learner.probabilities(none, std::vector<bool>(5, true)).empty());
+  // Points without a logit or a weight are no points.
+  learner.learn(learner.rows_at(toy.places), std::vector<std::int16_t>(toy.logit.size(), kVoid), {}, quick(3));
+  EXPECT_EQ(fingerprint(session.pipeline->store()), start);
+  learner.learn(learner.rows_at(toy.places), toy.logit, std::vector<float>(toy.logit.size(), 0.0F), quick(3));
+  EXPECT_EQ(fingerprint(session.pipeline->store()), start);
+}
+
+// One place named as two classes: the heavier is believed.
+TEST(PointLearner, WeightsTellHowOftenAPointIsDrawn) {
+  const Session session = open_text(config_of(true));
+  PointLearner learner(*session.pipeline);
+  const Toy toy(8, 60);
+  std::vector<Vec3d> places = toy.places;
+  places.insert(places.end(), toy.places.begin(), toy.places.end());
+  std::vector<std::int16_t> logit(60, 2);
+  logit.resize(120, 3);
+  for (const bool first : {true, false}) {
+    std::vector<float> weight(60, first ? 10.0F : 1.0F);
+    weight.resize(120, first ? 1.0F : 10.0F);
+    learner.learn(learner.rows_at(places), logit, weight, quick(60));
+    const std::vector<float> p = learner.probabilities(learner.rows_at(toy.places), std::vector<bool>(5, true));
+    double two = 0, three = 0;
+    for (std::size_t i = 0; i < 60; ++i) {
+      two += static_cast<double>(p[5 * i + 2]) / 60;
+      three += static_cast<double>(p[5 * i + 3]) / 60;
+    }
+    // 10 to the power of 3/4 : 1
+    EXPECT_NEAR(first ? two : three, 5.62 / 6.62, 0.08);
+    EXPECT_NEAR(first ? three : two, 1 / 6.62, 0.08);
+  }
+}
+
+// Semantics of points apart from rays: the logits of a ray's sample, gradients of head and branch alone, and tensors
+// that start anew.
+
+const std::string kPointPassBranch =
+    "position: {type: frequency, frequencies: 3}, field: {type: tiny_mlp, hidden_width: 12, hidden_layers: 2}";
+
+// `branch`: the body of the pass's section `semantic`, "" for none.
+std::string point_pass_config_of(const std::string& branch, const std::string& more = "") {
+  return stratified_config("type: analytic_room", branch.empty() ? "" : "    semantic: {" + branch + "}\n", "rays: 24",
+                           more);
+}
+
+const std::string kForms[] = {"", kPointPassBranch, kPointPassBranch + ", reads_feature: false"};
+
+// Places within the room.
+std::vector<double> places(std::int64_t count) {
+  const RandomAddress random{5, 0, stream_id("point_pass_test")};
+  std::vector<double> out;
+  for (std::int64_t i = 0; i < 3 * count; ++i)
+    out.push_back(1.8 * static_cast<double>(uniform01(random, static_cast<std::uint64_t>(i))) - 0.9);
+  return out;
+}
+
+template <class Real>
+std::vector<Real> rows_of(const Pass<Real>& pass, std::vector<double> at) {
+  Workspace arena;
+  StepContext ctx{.workspace = &arena};
+  const auto count = std::ssize(at) / 3;
+  std::vector<Real> rows(static_cast<std::size_t>(count * pass.point_dims()));
+  pass.point_rows(ctx, {at.data(), count, 3}, {rows.data(), count, pass.point_dims()});
+  return rows;
+}
+
+struct Asking {
+  bool training = false;
+  std::int64_t step = 0, first = 0;
+};
+
+template <class Real>
+std::vector<Real> logits_of(const Pass<Real>& pass, std::vector<Real> rows, const Asking& asking = {}) {
+  Workspace arena;
+  StepContext ctx{
+      .seed = 3, .step = asking.step, .training = asking.training, .first_ray = asking.first, .workspace = &arena};
+  const std::int64_t count = std::ssize(rows) / pass.point_dims();
+  const std::int32_t classes = pass.parts().head->width();
+  std::vector<Real> logits(static_cast<std::size_t>(count * classes));
+  (void)pass.point_forward(ctx, 0, {rows.data(), count, pass.point_dims()}, {logits.data(), count, classes});
+  return logits;
+}
+
+// With the class layer before compositing, a pass shows the logits of every sample: those of a ray that has this
+// sample alone, with weight 1.
+TEST(PointPass, LogitsAreThoseOfASampleOfWeightOne) {
+  for (const std::string& form : kForms) {
+    SCOPED_TRACE(form);
+    Registry registry = make_registry();
+    Oracle oracle(point_pass_config_of(form.empty() ? "" : form + ", least_weight: 0",
+                                       "runtime: {deferred_class_layer: false, tile_rays: 24, lanes: 1}\n"),
+                  registry);
+    const Pass<double>& pass = oracle.pipeline->passes().back();
+    Workspace arena;
+    StepContext ctx{.workspace = &arena};
+    oracle.pipeline->derive(0);
+    const RayBatch batch = oracle.batch.view(true);
+    const PassTrace<double> trace =
+        pass.forward(ctx, 0, {batch.origin, batch.direction, batch.near_far}, nullptr, 0, {batch.origin.rows});
+    const std::int64_t count = trace.semantic.sample_rows.rows;
+    ASSERT_GT(count, 100);
+    std::vector<double> at;
+    for (std::int64_t k = 0; k < count; ++k) {
+      const std::int64_t sample = form.empty() ? k : trace.semantic.branch.source(k, 0);
+      const std::int32_t ray = trace.samples.ray_of_sample(sample, 0);
+      for (int axis = 0; axis < 3; ++axis)
+        at.push_back(batch.origin(ray, axis) + trace.samples.t(sample, 0) * batch.direction(ray, axis));
+    }
+    const std::vector<double> logits = logits_of(pass, rows_of(pass, at));
+    double largest = 0;
+    for (std::int64_t k = 0; k < count; ++k) {
+      for (std::int32_t c = 0; c < trace.semantic.sample_rows.cols; ++c) {
+        const double expected = trace.semantic.sample_rows(k, c);
+        largest = std::max(largest, std::abs(expected));
+        ASSERT_NEAR(logits[k * trace.semantic.sample_rows.cols + c], expected, 1e-9) << k;
+      }
+    }
+    EXPECT_GT(largest, 1e-3);
+  }
+}
+
+TEST(PointPass, GradientsAreThoseOfFiniteDifferencesAndNoneReachesTheField) {
+  for (const std::string& form : {kForms[0], kForms[1], kForms[2], kPointPassBranch + ", dropout: 0.3"}) {
+    SCOPED_TRACE(form);
+    Registry registry = make_registry();
+    Oracle oracle(point_pass_config_of(form), registry);
+    const Pass<double>& pass = oracle.pipeline->passes().back();
+    ParamStore<double>& store = oracle.pipeline->store();
+    oracle.pipeline->derive(0);
+    std::vector<double> rows = rows_of(pass, places(40));
+    const std::int32_t classes = pass.parts().head->width();
+    std::vector<double> d(static_cast<std::size_t>(40 * classes)), logits(d.size());
+    for (std::size_t i = 0; i < d.size(); ++i) d[i] = std::sin(1.7 * static_cast<double>(i));
+    const View<double> all(rows.data(), 40, pass.point_dims());
+    const auto evaluate = [&](bool backward) {
+      Workspace arena;
+      StepContext ctx{.seed = 3, .training = true, .workspace = &arena};
+      pass.derive(ctx);
+      const PointTrace<double> trace = pass.point_forward(ctx, 0, all, {logits.data(), 40, classes});
+      if (backward) {
+        pass.point_backward(ctx, 0, trace, {d.data(), 40, classes});
+        store.reduce_lanes();
+        pass.derive_backward(ctx);
+      }
+      double sum = 0;
+      for (std::size_t i = 0; i < d.size(); ++i) sum += d[i] * logits[i];
+      return sum;
+    };
+    evaluate(true);
+    int checked = 0;
+    for (Tensor<double>& tensor : store.all()) {
+      if (tensor.grad.size() == 0) continue;
+      const std::vector<double> found(tensor.grad.data(), tensor.grad.data() + tensor.grad.size());
+      if (!tensor.rule.semantic) {
+        EXPECT_EQ(found, std::vector<double>(found.size(), 0.0)) << tensor.name;
+        continue;
+      }
+      if (!tensor.learned()) continue;
+      EXPECT_NE(found, std::vector<double>(found.size(), 0.0)) << tensor.name;
+      testkit::GradientCheck options{.max_elements = 12};
+      EXPECT_EQ(testkit::check_gradient([&] { return evaluate(false); }, tensor.view(tensor.value),
+                                        {found.data(), tensor.spec.rows, tensor.spec.cols}, options),
+                "")
+          << tensor.name;
+      ++checked;
+    }
+    EXPECT_GE(checked, form.empty() ? 4 : 8);
+  }
+}
+
+TEST(PointPass, DropoutIsForTrainingAlone) {
+  Registry registry = make_registry();
+  const Oracle with(point_pass_config_of(kPointPassBranch + ", dropout: 0.4"), registry),
+      without(point_pass_config_of(kPointPassBranch), registry);
+  const Pass<double>&drops = with.pipeline->passes().back(), &plain = without.pipeline->passes().back();
+  with.pipeline->derive(0);
+  without.pipeline->derive(0);
+  const std::vector<double> rows = rows_of(plain, places(20)), expected = logits_of(plain, rows);
+  EXPECT_EQ(rows_of(drops, places(20)), rows);
+  EXPECT_EQ(logits_of(drops, rows), expected);
+  EXPECT_EQ(logits_of(plain, rows, {true, 1}), expected);
+  const std::vector<double> first = logits_of(drops, rows, {true, 1}), second = logits_of(drops, rows, {true, 2});
+  EXPECT_NE(first, expected);
+  EXPECT_NE(first, second);
+  EXPECT_EQ(first, logits_of(drops, rows, {true, 1}));
+}
+
+// The same bits in one call and in many, with dropout too: it is addressed by a point's number.
+TEST(PointPass, RowsDoNotDependOnHowABatchIsSplit) {
+  for (const std::string& form : {kForms[0], kForms[1], kForms[2], kPointPassBranch + ", dropout: 0.3"}) {
+    SCOPED_TRACE(form);
+    const Session session = open_text(point_pass_config_of(form));
+    const Pass<float>& pass = session.pipeline->passes().back();
+    session.pipeline->derive(0);
+    const std::vector<double> at = places(83);
+    const std::vector<float> rows = rows_of(pass, at);
+    const auto dims = static_cast<std::size_t>(pass.point_dims());
+    for (const bool training : {false, true}) {
+      const std::vector<float> whole = logits_of(pass, rows, {training, 4});
+      const auto classes = whole.size() / 83;
+      for (const std::size_t size : {1, 7, 32, 64}) {
+        for (std::size_t begin = 0; begin < 83; begin += size) {
+          const std::size_t end = std::min<std::size_t>(83, begin + size);
+          const auto cut = [&](const auto& all, std::size_t width) {
+            return std::vector(all.begin() + static_cast<std::ptrdiff_t>(begin * width),
+                               all.begin() + static_cast<std::ptrdiff_t>(end * width));
+          };
+          ASSERT_EQ(rows_of(pass, cut(at, 3)), cut(rows, dims));
+          ASSERT_EQ(logits_of(pass, cut(rows, dims), {training, 4, static_cast<std::int64_t>(begin)}),
+                    cut(whole, classes));
+        }
+      }
+    }
+    EXPECT_TRUE(rows_of(pass, {}).empty());
+  }
+}
+
+TEST(PointPass, RestartedTensorsAreThoseOfTheBeginning) {
+  for (const std::string& yaml :
+       {point_pass_config_of(""), point_pass_config_of(kPointPassBranch), two_pass_config()}) {
+    Session session = open_text(yaml), fresh = open_text(yaml);
+    ParamStore<float>& store = session.pipeline->store();
+    const std::uint32_t start = fingerprint(store);
+    const auto rays = session.make_ray_source();
+    Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule);
+    for (int i = 0; i < 3; ++i) trainer.advance();
+    EXPECT_NE(fingerprint(store), start);
+    for (Tensor<float>& tensor : store.all()) {
+      if (!tensor.learned()) continue;
+      store.restart(tensor);
+      const Tensor<float>& first = *fresh.pipeline->store().find(tensor.name);
+      for (std::size_t i = 0; i < tensor.value.size(); ++i) {
+        ASSERT_EQ(tensor.value.data()[i], first.value.data()[i]) << tensor.name;
+        ASSERT_EQ(tensor.moment1.data()[i], 0) << tensor.name;
+        ASSERT_EQ(tensor.moment2.data()[i], 0) << tensor.name;
+      }
+    }
   }
 }
 

@@ -1,17 +1,117 @@
-// A labelling session: events from several threads, labels that follow, undo, what a run's folder holds and goes on
-// with, and what happens when training fails.
+// A labelling session of the analytic room whose training runs in a thread of its own.
+
+#include "serve/label_session.h"
+
+#include <sys/stat.h>
+
+#include <cstdlib>
 #include <future>
 #include <stdexcept>
+#include <thread>
 
+#include "core/error.h"
 #include "labels/clicks/click_log.h"
+#include "loading/packed_scene.h"
 #include "report/report.h"
+#include "run/metrics_log.h"
 #include "run/run_folder.h"
+#include "run/run_loop.h"
 #include "run/run_scores.h"
+#include "serve/label_run.h"
+#include "serve/view_pictures.h"
 #include "system/files.h"
-#include "tests/label_loop/running_session.h"
+#include "testkit/analytic_scene.h"
+#include "tests/label_loop/labelled_room.h"
+#include "tests/scene/tiny_scene.h"
+
+namespace semfield::testing_loop {
+namespace {
+
+inline constexpr int kSteps = 60;
+
+inline std::string session_config(const std::string& scene = "analytic_room, with_labels: false, with_classes: false") {
+  std::string yaml = room_config(scene);
+  yaml.replace(yaml.find("steps: 200"), 10, "steps: " + std::to_string(kSteps));
+  return yaml;
+}
+
+/// run() in a thread from start() on; what it throws is in `ended_with`. Stopped at the end.
+class RunningSession {
+ public:
+  RunningSession(const std::string& yaml, const std::string& run_dir, RunListener* listener = nullptr,
+                 int class_room = 6)
+      : RunningSession(run_config_of(parse_config_text(yaml, "test.yaml"), registry()), run_dir, listener, class_room) {
+  }
+  RunningSession(RunConfig config, const std::string& run_dir, RunListener* listener = nullptr, int class_room = 6)
+      : session(std::move(config), registry(), {run_dir, class_room}, listener) {}
+  ~RunningSession() { stop(); }
+  RunningSession(const RunningSession&) = delete;
+  RunningSession& operator=(const RunningSession&) = delete;
+
+  static Registry& registry() {
+    static Registry all = testing_train::make_registry();
+    return all;
+  }
+  RunningSession& start() {
+    thread_ = std::thread([this] {
+      try {
+        session.run();
+      } catch (const std::exception& error) {
+        ended_with = error.what();
+      }
+    });
+    return *this;
+  }
+  void stop() {
+    session.stop();
+    if (thread_.joinable()) thread_.join();
+  }
+
+  /// The first state that is as wanted. Far more time than it takes; a test that needs it has failed.
+  std::shared_ptr<const LabelState> wait_until(const std::function<bool(const LabelState&)>& wanted) const {
+    std::shared_ptr<const LabelState> state = session.state();
+    for (int turn = 0; !wanted(*state) && turn < 100; ++turn)
+      state = session.wait_state(state->revision, std::chrono::milliseconds(300));
+    EXPECT_TRUE(wanted(*state)) << state->phase << ", step " << state->step << ", failure: " << state->failure;
+    return state;
+  }
+  /// Labels know every event and all views have some.
+  std::shared_ptr<const LabelState> settled() const {
+    return wait_until([](const LabelState& s) { return s.geometry_ready && s.overlay_events == s.events; });
+  }
+
+  LabelEvent add(const std::string& id, const std::string& name) const {
+    return LabelEvent{.id = id, .kind = LabelEventKind::add_class, .class_name = name};
+  }
+  LabelEvent undo(const std::string& id, const std::string& of) const {
+    return LabelEvent{.id = id, .kind = LabelEventKind::undo, .of = of};
+  }
+  LabelEvent click(const std::string& id, int view, const std::string& name, PixelPoint at, double radius = 1) const {
+    const ViewState& shown = session.state()->views.at(static_cast<std::size_t>(view));
+    return LabelEvent{.id = id,
+                      .frame = shown.frame,
+                      .width_px = shown.width_px,
+                      .height_px = shown.height_px,
+                      .points = {at},
+                      .radius_px = radius,
+                      .class_name = name};
+  }
+
+  LabelSession session;
+  std::string ended_with;
+
+ private:
+  std::thread thread_;
+};
+
+}  // namespace
+}  // namespace semfield::testing_loop
 
 namespace semfield {
 namespace {
+
+// A labelling session: events from several threads, labels that follow, undo, what a run's folder holds and goes on
+// with, and what happens when training fails.
 
 using namespace testing_loop;
 
@@ -345,6 +445,696 @@ TEST(LabelSession, AnyExceptionIsAFailure) {
   EXPECT_EQ(picture.wait_for(std::chrono::seconds(40)), std::future_status::ready);
   EXPECT_EQ(run.session.state()->failure, "out of everything [internal.exception]");
   run.stop();
+}
+
+// The folder of a labelling session: files that cannot be written for a while, a folder that is moved or copied, clicks
+// that are lost, and a scene that has changed.
+
+// A file stands where the folder of checkpoints was, as if a disk had no room.
+TEST(LabelSession, FilesThatCannotBeWrittenForAWhileEndNothing) {
+  const TempDir dir;
+  const std::string folder = dir / "run";
+  std::string yaml = session_config();
+  yaml += "report: {eval_every_s: 0, checkpoint_every_s: 0.05, log_every_steps: 5}\n";
+  yaml.replace(yaml.find("steps: 60"), 9, "steps: 1000000");
+  std::int64_t step = 0;
+  {
+    RunningSession run(yaml, folder);
+    run.start();
+    run.wait_until([&](const LabelState&) { return std::filesystem::exists(folder + "/checkpoints/latest"); });
+    std::filesystem::rename(folder + "/checkpoints", dir / "aside");
+    testing_room::plain_write(folder + "/checkpoints", "");
+    const auto troubled = run.wait_until([](const LabelState& s) { return !s.trouble.empty(); });
+    EXPECT_HAS(troubled->trouble, "checkpoints");
+    EXPECT_EQ(troubled->failure, "");
+    EXPECT_TRUE(run.session.apply(run.add("1", "wall")));
+    run.wait_until([&](const LabelState& s) { return s.step > troubled->step + 20 && s.overlay_events == 1; });
+    std::filesystem::remove(folder + "/checkpoints");
+    std::filesystem::rename(dir / "aside", folder + "/checkpoints");
+    run.wait_until([](const LabelState& s) { return s.trouble.empty(); });
+    run.stop();
+    EXPECT_EQ(run.ended_with, "");
+    EXPECT_FALSE(run.session.failure().has_value());
+    step = run.session.state()->step;
+  }
+  Diagnostics findings;
+  EXPECT_GE(open_run(folder, {}, RunningSession::registry(), findings).step, step);
+  std::int64_t last = 0;  // no row is lost, none is torn
+  for (const MetricsRow& row : read_metrics(folder + "/metrics.jsonl")) {
+    EXPECT_EQ(row.step, last + 5);
+    last = row.step;
+  }
+  EXPECT_GT(last, 0);
+}
+
+TEST(LabelSession, ARunWhoseLastCheckpointCannotBeWrittenEndsWithThatError) {
+  const TempDir dir;
+  RunningSession run(session_config(), dir / "run");
+  run.start();
+  run.session.apply(run.add("1", "wall"));
+  run.wait_until([](const LabelState& s) { return s.step > 10; });
+  std::filesystem::remove_all(dir / "run/checkpoints");
+  testing_room::plain_write(dir / "run/checkpoints", "");
+  run.stop();
+  EXPECT_HAS(run.ended_with, "checkpoints");
+}
+
+ino_t inode_of(const std::string& path) {
+  struct stat facts {};
+  EXPECT_EQ(stat(path.c_str(), &facts), 0) << path;
+  return facts.st_ino;
+}
+
+TEST(LabelSession, TheTableOfClassesIsWrittenWhenItChangesAlone) {
+  const TempDir dir;
+  const std::string table = dir / "run/classes.yaml";
+  RunningSession run(session_config(), dir / "run");
+  run.start();
+  run.session.apply(run.add("1", "wall"));
+  run.settled();
+  run.session.save();
+  EXPECT_HAS(read_text_file(table), "wall");
+  const ino_t before = inode_of(table);
+  for (const char* id : {"2", "3", "4"}) run.session.apply(run.click(id, 2, "wall", {24.5, 5.5}));
+  run.settled();
+  run.session.save();
+  EXPECT_EQ(inode_of(table), before) << "clicks change no class";
+  run.session.apply(run.add("5", "floor"));
+  run.settled();
+  run.session.save();
+  EXPECT_NE(inode_of(table), before);
+  EXPECT_HAS(read_text_file(table), "floor");
+}
+
+// --- a folder that is moved, copied, or lacks its clicks ---
+
+std::string resume_refusal(const std::string& folder) {
+  return error_of([&] {
+    RunConfig config = load_run_config(folder + "/run.yaml", {}, RunningSession::registry());
+    const RunningSession run(std::move(config), folder);
+  });
+}
+
+std::vector<std::string> classes_of(const LabelSession& session) {
+  std::vector<std::string> names;
+  for (const ClassState& cls : session.state()->classes) names.push_back(cls.name);
+  return names;
+}
+
+TEST(LabelSession, AFolderThatWasMovedOrCopiedHasItsOwnClicks) {
+  namespace fs = std::filesystem;
+  const TempDir dir;
+  const std::string here = dir / "run", moved = dir / "moved", copied = dir / "copied", earlier = dir / "earlier";
+  const auto resumed = [](const std::string& folder) {
+    return load_run_config(folder + "/run.yaml", {}, RunningSession::registry());
+  };
+  {
+    RunningSession run(session_config(), here);
+    run.session.apply(run.add("1", "wall"));
+    run.session.apply(run.click("2", 2, "wall", {24.5, 5.5}));
+    run.start();
+    run.settled();
+    run.stop();
+    ASSERT_EQ(run.ended_with, "");
+  }
+  EXPECT_HAS(read_text_file(here + "/run.yaml"), "clicks: clicks.jsonl");
+  fs::copy(here, copied, fs::copy_options::recursive);
+  fs::rename(here, moved);
+  {  // another run of the old name
+    RunningSession other(session_config(), here);
+    EXPECT_TRUE(classes_of(other.session).empty());
+    other.session.apply(other.add("o", "door"));
+  }
+  const std::string theirs = read_text_file(here + "/clicks.jsonl");
+  // Earlier versions wrote the place that the file had.
+  fs::copy(copied, earlier, fs::copy_options::recursive);
+  std::string yaml = read_text_file(earlier + "/run.yaml");
+  yaml.replace(yaml.find("clicks: clicks.jsonl"), 20, "clicks: " + here + "/clicks.jsonl");
+  write_file_atomic(earlier + "/run.yaml", yaml);
+  for (const std::string& folder : {moved, copied, earlier}) {
+    RunningSession run(resumed(folder), folder);
+    EXPECT_EQ(classes_of(run.session), std::vector<std::string>{"wall"}) << folder;
+    EXPECT_EQ(run.session.state()->marks.size(), 1u) << folder;
+    EXPECT_TRUE(run.session.apply(run.click("3", 2, "wall", {24.5, 8.5})));
+    EXPECT_EQ(lines_of(folder + "/clicks.jsonl"), 3u);
+  }
+  EXPECT_EQ(read_text_file(here + "/clicks.jsonl"), theirs);
+  for (const std::string& folder : {moved, copied}) {
+    fs::remove(folder + "/clicks.jsonl");
+    const std::string said = "the run '" + folder + "' has learned from 2 events of clicks, and '" + folder +
+                             "/clicks.jsonl' is not there; put the file back, or say where it is: --set "
+                             "scene.labels.clicks=FILE";
+    EXPECT_EQ(resume_refusal(folder), said);
+    Diagnostics findings;
+    EXPECT_EQ(error_of([&] { (void)open_run(folder, {}, RunningSession::registry(), findings); }), said);
+    TrainRequest request{.out_dir = folder, .resume = true};
+    EXPECT_EQ(error_of([&] { (void)run_training(resumed(folder), RunningSession::registry(), request, nullptr); }),
+              said);
+    EXPECT_FALSE(fs::exists(folder + "/clicks.jsonl")) << "nothing is made in its place";
+  }
+}
+
+// The page shows the warnings of a changed scene that the terminal shows.
+TEST(LabelSession, WarningsReachThePage) {
+  const TempDir dir;
+  {
+    RunningSession run(load_run_config(testing_train::write_packed_config(dir, 20, 0), {}, RunningSession::registry()),
+                       dir / "run");
+    EXPECT_TRUE(run.session.state()->notes.empty());
+    run.start();
+    run.wait_until([](const LabelState& s) { return s.step >= 20; });
+    run.stop();
+  }
+  const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene();
+  Diagnostics ignored;
+  const SceneInfo info = scene->open(ignored);
+  write_packed_scene(dir / "room.sfpack", info, [&](int frame, FrameBuffer& buffer) {
+    scene->read(frame, buffer);
+    for (std::uint8_t& value : buffer.rgb) value = static_cast<std::uint8_t>(value / 2);
+  });
+  RunningSession again(load_run_config(dir / "run/run.yaml", {}, RunningSession::registry()), dir / "run");
+  const std::vector<std::string> notes = again.session.state()->notes;
+  ASSERT_EQ(notes.size(), 1u);
+  EXPECT_HAS(notes.front(), "other images");
+}
+
+// Pictures that a labelling session makes between its steps: of views, of free cameras, for several who look.
+
+PictureRequest of_camera(const FreeCamera& camera, const std::string& client) {
+  return PictureRequest{.client = client, .camera = camera, .most_px = 48, .color = true};
+}
+
+TEST(LabelSessionPictures, ViewsAndFreeCamerasAreDrawnWhileItTrains) {
+  const TempDir dir;
+  RunningSession run(session_config(), dir / "run");
+  run.session.apply(run.add("1", "wall"));
+  run.session.apply(run.click("2", 0, "wall", {24.5, 5.5}));
+  run.start();
+  const std::uint64_t overlay = run.settled()->overlay_revision;
+  PictureRequest view{.client = "a", .view = 3, .entropy = true};
+  const Picture labels = run.session.picture(view);
+  EXPECT_FALSE(labels.stale);
+  EXPECT_EQ(labels.label.size(), 48u * 36u);
+  EXPECT_EQ(labels.entropy.size(), labels.label.size());
+  EXPECT_TRUE(labels.rgb.empty());
+  EXPECT_GE(labels.overlay_revision, overlay);
+  const Picture seen = run.session.picture(of_camera(run.session.camera_of(3), "a"));
+  EXPECT_EQ(seen.width_px, 48);
+  EXPECT_EQ(seen.height_px, 36);
+  EXPECT_EQ(seen.rgb.size(), 3u * 48 * 36);
+  EXPECT_EQ(seen.label.size(), 48u * 36u);
+  // The camera of a view sees what its photograph shows.
+  const StoredFrame& photo = run.session.opened().scene.frames[run.session.frame_of(3)];
+  double wrong = 0;
+  for (std::size_t i = 0; i < seen.rgb.size(); ++i) wrong += std::abs(int{seen.rgb[i]} - int{photo.rgb[i]});
+  EXPECT_LT(wrong / static_cast<double>(seen.rgb.size()), 40);
+  view.color = view.full = true;
+  EXPECT_EQ(run.session.picture(view).rgb.size(), 3u * 48 * 36);
+}
+
+TEST(LabelSessionPictures, ALaterRequestOfTheSameClientTakesThePlace) {
+  const TempDir dir;
+  RunningSession run(session_config(), dir / "run");
+  const FreeCamera camera = run.session.camera_of(0);
+  const auto ask = [&](const std::string& client) {
+    return std::async(std::launch::async,
+                      [&run, camera, client] { return run.session.picture(of_camera(camera, client)); });
+  };
+  // Nobody trains yet, so both wait: the earlier one gets its response when the later one comes.
+  std::future<Picture> one = ask("a"), two = ask("a"), other = ask("b");
+  bool one_first = false, answered = false;
+  for (int turn = 0; !answered && turn < 2000; ++turn) {
+    one_first = one.wait_for(std::chrono::milliseconds(5)) == std::future_status::ready;
+    answered = one_first || two.wait_for(std::chrono::milliseconds(5)) == std::future_status::ready;
+  }
+  if (!answered) run.start();  // there would never be a response
+  ASSERT_TRUE(answered);
+  const Picture stale = (one_first ? one : two).get();
+  EXPECT_TRUE(stale.stale);
+  EXPECT_TRUE(stale.rgb.empty());
+  run.start();
+  const Picture made = (one_first ? two : one).get();
+  EXPECT_FALSE(made.stale);
+  EXPECT_FALSE(made.rgb.empty());
+  EXPECT_FALSE(other.get().stale) << "another client's has nothing to do with it";
+}
+
+// Nobody trains in these two, so whoever gets a response did not wait for a picture.
+TEST(LabelSessionPictures, OneThatNobodyWantsAnyMoreIsGivenUp) {
+  const TempDir dir;
+  RunningSession run(session_config(), dir / "run");
+  std::atomic<int> looks{0};
+  const Picture none = run.session.picture(of_camera(run.session.camera_of(0), "a"), [&] { return ++looks == 3; });
+  EXPECT_TRUE(none.stale);
+  EXPECT_EQ(looks, 3);
+}
+
+TEST(LabelSessionPictures, OfTooManyThatWaitTheOldestIsStale) {
+  const TempDir dir;
+  RunningSession run(session_config(), dir / "run");
+  std::vector<std::future<Picture>> waiting;
+  std::atomic<int> answered{0};
+  for (int k = 0; k < 40; ++k)
+    waiting.push_back(std::async(std::launch::async, [&, k] {
+      const Picture picture = run.session.picture(of_camera(run.session.camera_of(0), "c" + std::to_string(k)));
+      ++answered;
+      return picture;
+    }));
+  for (int turn = 0; answered < 24 && turn < 2000; ++turn) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  EXPECT_EQ(answered, 24) << "16 wait";
+  run.session.stop();
+  run.start();
+  for (std::future<Picture>& picture : waiting) EXPECT_TRUE(picture.get().stale);
+}
+
+TEST(LabelSessionPictures, WrongRequestsAreRefusedAndTheSessionGoesOn) {
+  const TempDir dir;
+  RunningSession run(session_config(), dir / "run");
+  run.start();
+  const auto refusal = [&](const PictureRequest& request) { return error_of([&] { run.session.picture(request); }); };
+  PictureRequest nothing{.client = "a"};
+  EXPECT_HAS(refusal(nothing), "picture: ");
+  PictureRequest far = nothing;
+  far.view = 1000;
+  EXPECT_HAS(refusal(far), "view 1000 is none of the 12");
+  PictureRequest large = of_camera(run.session.camera_of(0), "a");
+  large.most_px = 100000;
+  EXPECT_HAS(refusal(large), "most_px 100000");
+  EXPECT_FALSE(run.session.picture(of_camera(run.session.camera_of(0), "a")).stale);
+  EXPECT_TRUE(run.session.state()->failure.empty());
+}
+
+TEST(LabelSessionPictures, AfterTheEndTheyAreStale) {
+  const TempDir dir;
+  RunningSession run(session_config(), dir / "run");
+  std::future<Picture> waits =
+      std::async(std::launch::async, [&] { return run.session.picture(of_camera(run.session.camera_of(0), "a")); });
+  run.session.stop();
+  run.start();
+  EXPECT_TRUE(waits.get().stale);
+  run.stop();
+  EXPECT_TRUE(run.session.picture(of_camera(run.session.camera_of(0), "b")).stale);
+  EXPECT_EQ(run.ended_with, "");
+}
+
+// What the training thread of a labelling session makes of events that come together: clicks, skips, undos.
+
+// A run that has a surface, and whose events a test applies by itself.
+struct PreparedRun {
+  TempDir dir;
+  RunListener nobody;
+  LabelRun run;
+  Annotations annotations;
+
+  PreparedRun() : run(opened(), RunningSession::registry(), nullptr), annotations(*run.session().config.labels.clicks) {
+    for (int turn = 0; !run.loop().ready() && turn < 1000; ++turn) {
+      run.train(0.05);
+      run.tend(false, false, false);
+    }
+    run.take(annotations);
+  }
+  OpenedForTraining opened() {
+    const std::string yaml =
+        session_config("analytic_room, with_labels: false, with_classes: false, labels: {class_room: 4}");
+    TrainRequest request{.out_dir = dir / "run"};
+    return open_for_training(run_config_of(parse_config_text(yaml, "test.yaml"), RunningSession::registry()),
+                             RunningSession::registry(), request, nobody);
+  }
+  LabelState state() const {
+    LabelState out;
+    out.views.resize(run.loop().pooled().size());
+    run.describe(out);
+    return out;
+  }
+  LabelEvent event(const std::string& id, LabelEventKind kind, int view = 0, PixelPoint at = {}) const {
+    const int frame = run.loop().views()[view].frame;
+    return LabelEvent{.id = id,
+                      .kind = kind,
+                      .frame = run.session().scene.info.frames[frame].name,
+                      .width_px = 48,
+                      .height_px = 36,
+                      .points = {at}};
+  }
+  LabelEvent undo(const std::string& id, const std::string& of) const {
+    return LabelEvent{.id = id, .kind = LabelEventKind::undo, .of = of};
+  }
+  Vec3d place_of(const ProposalState& proposal) const {
+    const PixelPlace pixel{static_cast<std::int32_t>(proposal.at.x), static_cast<std::int32_t>(proposal.at.y)};
+    const PoolView& view = run.loop().views()[proposal.view];
+    return point_at(view.camera, run.session().limits, pixel,
+                    static_cast<double>(view.map.at(pixel.column, pixel.row)));
+  }
+};
+
+// Undoing a skip and skipping something else leaves as many as before; they are others all the same.
+TEST(LabelRun, ASkipInTheSteadOfAnotherCounts) {
+  PreparedRun room;
+  for (int k = 0; k < 10; ++k) {
+    const LabelState asked = room.state();
+    ASSERT_TRUE(asked.proposal.has_value());
+    const std::string own = "skip-" + std::to_string(k);
+    if (k > 0) room.annotations.apply(room.undo("undo-" + std::to_string(k), "skip-" + std::to_string(k - 1)));
+    room.annotations.apply(room.event(own, LabelEventKind::skip, asked.proposal->view, asked.proposal->at));
+    ASSERT_EQ(room.annotations.skips().size(), 1u);
+    room.run.take(room.annotations);
+    const LabelState next = room.state();
+    ASSERT_TRUE(next.proposal.has_value());
+    EXPECT_NE(next.proposal->id, asked.proposal->id);
+    EXPECT_GT(length(room.place_of(*next.proposal) - room.place_of(*asked.proposal)), room.run.loop().pool().cell_m())
+        << "round " << k;
+  }
+}
+
+// A region that nobody should label has no label and is not proposed; undone, it is as before.
+TEST(LabelRun, WhatIsIgnoredIsNotAskedAbout) {
+  PreparedRun room;
+  room.annotations.apply([&] {
+    LabelEvent add = room.undo("add", "");
+    add.kind = LabelEventKind::add_class;
+    add.class_name = "wall";
+    return add;
+  }());
+  LabelEvent wall = room.event("wall", LabelEventKind::click, 3, {24.5, 5.5});
+  wall.class_name = "wall";
+  room.annotations.apply(wall);
+  const auto learn = [&] {
+    room.run.take(room.annotations);
+    for (int turn = 0; !room.run.knows_all() && turn < 10'000; ++turn) room.run.tend(false, false, false);
+    ASSERT_TRUE(room.run.knows_all());
+  };
+  for (int view = 0; view < std::ssize(room.run.loop().pooled()); ++view) {  // but for view 3
+    if (view == 3) continue;
+    LabelEvent ignore = room.event("i" + std::to_string(view), LabelEventKind::click, view, {0, 0});
+    ignore.points = {{0, 0}, {48, 0}, {48, 36}, {0, 36}};
+    ignore.fill = true;
+    ignore.class_name = "void";
+    room.annotations.apply(ignore);
+  }
+  learn();
+  for (int k = 0; k < 5; ++k) {
+    const LabelState asked = room.state();
+    ASSERT_TRUE(asked.proposal.has_value());
+    EXPECT_EQ(asked.proposal->view, 3);
+    room.annotations.apply(room.event("s" + std::to_string(k), LabelEventKind::skip, 3, asked.proposal->at));
+    room.run.take(room.annotations);
+  }
+  const auto labelled = [&](int view) {
+    room.run.pictures().begin([&] { return PictureRequest{.view = view}; }());
+    const Picture picture = *room.run.pictures().work(1e9);
+    return picture.label.size() -
+           static_cast<std::size_t>(std::count(picture.label.begin(), picture.label.end(), kVoid));
+  };
+  EXPECT_EQ(labelled(1), 0u);
+  EXPECT_GT(labelled(3), 48u * 36 / 2);
+  room.annotations.apply(room.undo("back", "i1"));
+  learn();
+  EXPECT_GT(labelled(1), 48u * 36 / 2);
+}
+
+TEST(LabelRun, ClicksGiveTheStateItsNumbers) {
+  PreparedRun room;
+  LabelState state = room.state();
+  EXPECT_TRUE(state.geometry_ready);
+  EXPECT_EQ(state.temperature, 1);
+  for (const ViewState& view : state.views) {
+    EXPECT_TRUE(view.ready);
+    EXPECT_EQ(view.entropy, 1) << "nothing is known";
+  }
+  for (const char* name : {"wall", "floor"}) {
+    LabelEvent add = room.undo(name, "");
+    add.kind = LabelEventKind::add_class;
+    add.class_name = name;
+    room.annotations.apply(add);
+  }
+  LabelEvent wall = room.event("a", LabelEventKind::click, 0, {24.5, 5.5}),
+             floor = room.event("b", LabelEventKind::click, 0, {24.5, 33.5});
+  wall.class_name = "wall";
+  floor.class_name = "floor";
+  room.annotations.apply(wall);
+  room.annotations.apply(floor);
+  room.run.take(room.annotations);
+  state.classes = {{0, 1, "wall", {}, 1, 0, 0}, {1, 2, "floor", {}, 1, 0, 0}};
+  room.run.describe(state);
+  double area = 0;
+  for (const ClassState& cls : state.classes) {
+    area += cls.area_share;
+    EXPECT_GT(cls.confidence, 0.5);
+    EXPECT_LE(cls.confidence, 1);
+  }
+  EXPECT_NEAR(area, 1, 1e-9);
+  for (const ViewState& view : state.views) {
+    EXPECT_LT(view.entropy, 1);
+    EXPECT_GE(view.entropy, 0);
+  }
+  EXPECT_GE(state.proposal->class_guess, 0);
+  EXPECT_LE(state.proposal->class_guess, 1);
+  // A click of a void class takes labels away and names nothing.
+  LabelEvent none = room.event("c", LabelEventKind::click, 0, {24.5, 5.5});
+  none.class_name = "void";
+  none.radius_px = 5;
+  room.annotations.apply(none);
+  room.run.take(room.annotations);
+  EXPECT_EQ(room.run.loop().live(), (std::vector<bool>{false, true, false, false})) << "wall's click is painted over";
+}
+
+// A further stroke costs its own places alone, however many there are, and the others are found in pieces between steps
+// of training.
+TEST(LabelRun, AFurtherStrokeDoesNotPayForThoseBeforeIt) {
+  PreparedRun room;
+  LabelEvent add = room.undo("wall", "");
+  add.kind = LabelEventKind::add_class;
+  add.class_name = "wall";
+  room.annotations.apply(add);
+  const auto stroke = [&](int k) {
+    LabelEvent made = room.event("s" + std::to_string(k), LabelEventKind::click, k % 9, {2.0 + k % 40, 3.0});
+    for (int p = 0; p < 60; ++p) made.points.push_back({2.0 + (k + p) % 44, 3.0 + (7 * k + p) % 30});
+    made.radius_px = 1;
+    made.class_name = "wall";
+    room.annotations.apply(made);
+  };
+  for (int k = 0; k < 300; ++k) stroke(k);
+  room.run.take(room.annotations);
+  for (int turn = 0; !room.run.knows_all() && turn < 10'000; ++turn) {
+    room.run.train(0.001);
+    room.run.tend(false, false, false);
+  }
+  ASSERT_TRUE(room.run.knows_all());
+  EXPECT_TRUE(room.run.loop().learned());
+  const std::int64_t found = room.run.loop().places_found();
+  stroke(300);
+  room.run.take(room.annotations);
+  EXPECT_TRUE(room.run.knows_all()) << "at once";
+  EXPECT_LE(room.run.loop().places_found() - found, 60) << "its own, and those of strokes that it has painted over";
+  EXPECT_LE(room.run.loop().learned_points(), room.run.loop().pool().points.size() + 301);
+}
+
+TEST(LabelRun, ATurnOfTrainingEndsWhenSomebodyWaits) {
+  PreparedRun room;
+  LabelEvent add = room.undo("wall", "");
+  add.kind = LabelEventKind::add_class;
+  add.class_name = "wall";
+  room.annotations.apply(add);
+  LabelEvent click = room.event("c", LabelEventKind::click, 0, {5, 5});
+  click.class_name = "wall";
+  room.annotations.apply(click);
+  room.run.take(room.annotations);  // a change, after which training goes on
+  const std::int64_t before = room.state().step;
+  int looks = 0;
+  EXPECT_TRUE(room.run.train(5, [&] { return ++looks == 2; }));
+  EXPECT_EQ(looks, 2);
+  EXPECT_EQ(room.state().step, before + 2) << "a step at a time on a CPU";
+}
+
+// Pictures of views and of free cameras, made in pieces: their sizes, what they show, and requests that are refused.
+
+struct PicturedRoom : LoopedRoom {
+  PicturedRoom() : LoopedRoom(60) {}
+
+  ViewPictures pictures{*training, *loop};
+
+  FreeCamera camera() const { return {loop->views()[1].camera.world_from_camera, 60}; }
+  Picture made(const PictureRequest& request, double budget_s = 1e9) {
+    pictures.begin(request);
+    std::optional<Picture> picture;
+    for (int turn = 0; !picture && turn < 1000; ++turn) picture = pictures.work(budget_s);
+    EXPECT_TRUE(picture.has_value());
+    return picture ? std::move(*picture) : Picture();
+  }
+  std::string refusal(const PictureRequest& request) {
+    return error_of(ErrorKind::usage, [&] { pictures.begin(request); });
+  }
+};
+
+PictureRequest of_view(int view) { return PictureRequest{.view = view}; }
+
+PictureRequest view_pictures_of_camera(const FreeCamera& camera, std::int32_t most_px = 0) {
+  return PictureRequest{.camera = camera, .most_px = most_px, .color = true, .entropy = true, .full = true};
+}
+
+void expect_whole(const Picture& picture, bool rgb, bool label, bool entropy) {
+  const auto pixels = static_cast<std::size_t>(picture.width_px * picture.height_px);
+  EXPECT_GT(pixels, 0u);
+  EXPECT_EQ(picture.rgb.size(), rgb ? 3 * pixels : 0);
+  EXPECT_EQ(picture.label.size(), label ? pixels : 0);
+  EXPECT_EQ(picture.entropy.size(), entropy ? pixels : 0);
+}
+
+void expect_none(const Picture& picture) {
+  EXPECT_TRUE(picture.rgb.empty() && picture.label.empty() && picture.entropy.empty());
+}
+
+TEST(ViewPictures, AViewsLabelsAreThoseOfTheLoop) {
+  PicturedRoom room;
+  EXPECT_EQ(room.made(of_view(2)).label, std::vector<std::int16_t>(48 * 36, kVoid)) << "nothing is learned";
+  room.loop->learn(room.clicks(8));
+  PictureRequest request = of_view(2);
+  request.entropy = true;
+  const Picture coarse = room.made(request);
+  EXPECT_EQ(coarse.width_px, 48);
+  EXPECT_EQ(coarse.height_px, 36);
+  expect_whole(coarse, false, true, true);
+  EXPECT_EQ(coarse.label, room.loop->labels_of(2).label);
+  EXPECT_EQ(coarse.entropy, room.loop->labels_of(2).entropy);
+  while (!room.pictures.refine(0.001)) {
+  }
+  const SurfaceMap fine = room.loop->map_of(2, 1);
+  EXPECT_EQ(room.made(request).label, room.loop->labels_of(2, &fine).label) << "its own surface is finer";
+  EXPECT_FALSE(room.pictures.refine(1)) << "it is complete";
+  request.labels = false;
+  expect_whole(room.made(request), false, false, true);
+}
+
+TEST(ViewPictures, AFreeCameraIsRenderedInPieces) {
+  PicturedRoom room;
+  room.loop->learn(room.clicks(8));
+  const Picture whole = room.made(view_pictures_of_camera(room.camera()));
+  EXPECT_EQ(whole.width_px, 48);
+  EXPECT_EQ(whole.height_px, 36);
+  expect_whole(whole, true, true, true);
+  const Picture pieces = room.made(view_pictures_of_camera(room.camera()), 0);
+  EXPECT_EQ(pieces.rgb, whole.rgb);
+  EXPECT_EQ(pieces.label, whole.label);
+  EXPECT_EQ(pieces.entropy, whole.entropy);
+  const auto named = std::count_if(whole.label.begin(), whole.label.end(), [](std::int16_t l) { return l >= 0; });
+  EXPECT_GT(named, 48 * 36 / 2);
+  PictureRequest request = of_view(1);  // the same camera, but with its own focal length
+  request.color = request.full = true;
+  expect_whole(room.made(request), true, true, false);
+}
+
+TEST(ViewPictures, ClicksOfOtherViewsAreShownWhereTheyAreSeen) {
+  PicturedRoom room;
+  room.loop->learn(room.clicks(8));
+  const std::vector<Annotations::Mark> marks{{"own", room.loop->views()[1].frame, {{24.5, 18.5}}, 0, 0},
+                                             {"other", room.loop->views()[2].frame, {{24.5, 18.5}}, 0, 0}};
+  std::vector<int> view_of_frame(room.training->session().scene.frames.size(), -1);
+  for (int v = 0; v < std::ssize(room.loop->views()); ++v) view_of_frame[room.loop->views()[v].frame] = v;
+  room.pictures.set_marks(marks, view_of_frame);
+  const auto ids = [](const Picture& picture) {
+    std::string out;
+    for (const SeenMark& mark : picture.seen) out += mark.id + " ";
+    return out;
+  };
+  EXPECT_LACKS(ids(room.made(of_view(2))), "other") << "a view's own clicks are in the state";
+  EXPECT_LACKS(ids(room.made(of_view(1))), "own");
+  PictureRequest same = view_pictures_of_camera({room.loop->views()[2].camera.world_from_camera, 60});
+  const RayCamera& camera = room.loop->views()[2].camera;
+  same.camera->fov_deg = 2 * std::atan(camera.camera.width_px / (2 * camera.camera.fx)) * 57.29577951308232;
+  same.labels = true;
+  const Picture flown = room.made(same);
+  const auto other =
+      std::find_if(flown.seen.begin(), flown.seen.end(), [](const SeenMark& mark) { return mark.id == "other"; });
+  ASSERT_NE(other, flown.seen.end()) << "a free camera that looks as view 2 does";
+  EXPECT_NEAR(other->points[0].x, 24.5 * flown.width_px / 48, 1);
+  EXPECT_NEAR(other->points[0].y, 18.5 * flown.height_px / 36, 1);
+}
+
+TEST(ViewPictures, APointOfAFreeCameraIsFoundInAPhotograph) {
+  PicturedRoom room;
+  PictureRequest request{.camera = room.camera(), .at = PixelPoint{0.5, 0.5}, .labels = false};
+  const Picture answer = room.made(request);
+  expect_none(answer);
+  EXPECT_TRUE(answer.meets_surface);
+  EXPECT_EQ(answer.nearest_view, 1) << "the camera stands where view 1 was taken";
+  ASSERT_TRUE(answer.spot.has_value());
+  const RayCamera& seen = room.loop->views()[answer.spot->view].camera;
+  const PixelPlace there{static_cast<std::int32_t>(answer.spot->at.x), static_cast<std::int32_t>(answer.spot->at.y)};
+  const Vec3d middle = hit_at(room.loop->views()[1].camera, {24, 18}).point;
+  EXPECT_LT(length(hit_at(seen, there).point - middle), 0.5);
+  request.camera->world_from_camera.t = {1e6, -1e6, 1e6};
+  const Picture nothing = room.made(request);
+  EXPECT_FALSE(nothing.meets_surface);
+  EXPECT_FALSE(nothing.spot.has_value());
+  EXPECT_GE(nothing.nearest_view, 0);
+}
+
+TEST(ViewPictures, BoundsOfEveryNumberAreTaken) {
+  PicturedRoom room;
+  room.loop->learn(room.clicks(8));
+  for (const double fov : {1.0, 170.0}) {
+    FreeCamera camera = room.camera();
+    camera.fov_deg = fov;
+    const Picture picture = room.made(view_pictures_of_camera(camera, 48));
+    EXPECT_EQ(picture.width_px, 48);
+    EXPECT_EQ(picture.height_px, 36);
+    expect_whole(picture, true, true, true);
+  }
+  PictureRequest moving = view_pictures_of_camera(room.camera(), 4096);
+  moving.full = false;
+  const Picture quick = room.made(moving);  // a camera that moves gets what can be had at once
+  EXPECT_LT(quick.width_px, 4096);
+  EXPECT_GE(quick.width_px, 48);
+  expect_whole(quick, true, true, true);
+  FreeCamera away = room.camera();  // far outside the room: there is nothing to see, and no error
+  away.world_from_camera.t = {1e6, -1e6, 1e6};
+  const Picture nothing = room.made(view_pictures_of_camera(away, 64));
+  expect_whole(nothing, true, true, true);
+  EXPECT_EQ(nothing.label, std::vector<std::int16_t>(nothing.label.size(), kVoid));
+}
+
+TEST(ViewPictures, WrongRequestsAreRefusedWithASentence) {
+  PicturedRoom room;
+  const int views = static_cast<int>(room.loop->views().size());
+  EXPECT_HAS(room.refusal(of_view(views)), "view 9 is none of the 9");
+  EXPECT_HAS(room.refusal(of_view(-1)), "neither a view nor a camera");
+  PictureRequest both = view_pictures_of_camera(room.camera());
+  both.view = 2;
+  EXPECT_HAS(room.refusal(both), "both a view and a camera");
+  for (const std::int32_t side : {-1, 1, 47, 4097, std::numeric_limits<std::int32_t>::max()})
+    EXPECT_HAS(room.refusal(view_pictures_of_camera(room.camera(), side)), "most_px");
+  for (const double fov : {0.0, 0.5, 171.0, std::nan("")}) {
+    FreeCamera camera = room.camera();
+    camera.fov_deg = fov;
+    EXPECT_HAS(room.refusal(view_pictures_of_camera(camera)), "field of view");
+  }
+  for (const double bad : {std::nan(""), HUGE_VAL}) {
+    FreeCamera camera = room.camera();
+    camera.world_from_camera.t.y = bad;
+    EXPECT_HAS(room.refusal(view_pictures_of_camera(camera)), "not finite");
+    camera = room.camera();
+    camera.world_from_camera.r[1][2] = bad;
+    EXPECT_HAS(room.refusal(view_pictures_of_camera(camera)), "not finite");
+  }
+  EXPECT_FALSE(room.pictures.work(1).has_value()) << "nothing is under way";
+}
+
+// The first click, or the last undo, may come while rows of a picture are made.
+TEST(ViewPictures, APictureIsWholeWhateverIsLearnedMeanwhile) {
+  PicturedRoom room;
+  for (const bool click : {true, false}) {
+    PictureRequest request = view_pictures_of_camera(room.camera(), 4096);
+    request.camera->fov_deg = 100;
+    request.most_px = 96;
+    room.pictures.begin(request);
+    ASSERT_FALSE(room.pictures.work(0).has_value()) << "some rows are left";
+    room.loop->learn(click ? room.clicks(6) : std::vector<LabelledPixels>());
+    std::optional<Picture> picture;
+    while (!picture) picture = room.pictures.work(1e9);
+    const auto pixels = static_cast<std::size_t>(picture->width_px * picture->height_px);
+    EXPECT_EQ(picture->rgb.size(), 3 * pixels);
+    EXPECT_TRUE(picture->label.empty() || picture->label.size() == pixels) << picture->label.size();
+    EXPECT_TRUE(picture->entropy.empty() || picture->entropy.size() == pixels) << picture->entropy.size();
+  }
 }
 
 }  // namespace

@@ -1,11 +1,105 @@
-// Every degradation on cases small enough to be worked out by hand, and the exact counts that it promises.
+// Shared by the tests of degradations: a step from YAML, and scenes of a few labelled pixels.
+
 #include <algorithm>
+#include <clocale>
+#include <cstring>
+#include <nlohmann/json.hpp>
 #include <set>
 
-#include "tests/labels/degradation_testing.h"
+#include "compute/parallel.h"
+#include "core/rng.h"
+#include "datasets/replica/replica.h"
+#include "loading/frame_source.h"
+#include "scene/classes/class_table.h"
+#include "system/files.h"
+#include "tests/labels/reader_case.h"
+#include "tests/program.h"
+#include "tests/scene/tiny_scene.h"
+
+namespace semfield::testing_degrade {
+namespace {
+
+/// The step of a type with its keys as YAML ("{ratio: 0.5}"); every error is thrown.
+inline std::unique_ptr<Degradation> step(const std::string& type, const std::string& keys = "{}") {
+  return testing_labels::make_degradation(type, keys);
+}
+
+struct Case {
+  LoadedScene scene;
+  LabelSet labels;  ///< of every frame, the scene's own
+
+  /// Adds a training frame; the scene's class table has classes 0 .. classes - 1 with ids 1 .. classes.
+  void add(int width, int height, const std::vector<std::int16_t>& label,
+           const std::vector<std::int32_t>& instance = {}, const std::vector<float>& depth_m = {}) {
+    FrameBuffer buffer{
+        .width_px = width, .height_px = height, .depth_m = depth_m, .label = label, .instance = instance};
+    FrameInfo info;
+    info.name = "rgb_" + std::to_string(scene.frames.size());
+    info.has_labels = true;
+    info.has_instances = !instance.empty();
+    info.has_depth = !depth_m.empty();
+    scene.info.frames.push_back(info);
+    std::vector<std::int64_t> counts(static_cast<std::size_t>(scene.info.classes.valid_count()) + 1);
+    for (const std::int16_t c : label) ++counts[c == kVoid ? counts.size() - 1 : static_cast<std::size_t>(c)];
+    scene.class_pixels.push_back(counts);
+    scene.frames.emplace_back(buffer);
+    labels.push_back({label, {}});
+  }
+
+  StepFacts apply(const Degradation& degradation, std::uint64_t seed = 1) {
+    return degradation.apply(scene, seed, labels);
+  }
+};
+
+inline Case scene_of(int classes) {
+  Case c;
+  std::vector<ClassEntry> entries{{0, "void", {}, true}};
+  for (int i = 0; i < classes; ++i) entries.push_back({i + 1, "class_" + std::to_string(i), {}, false});
+  c.scene.info.classes = ClassTable(std::move(entries));
+  return c;
+}
+
+/// Blocks of 8 x 6 pixels with random classes, every 16th block void; instance = block + 1.
+inline void add_blocks(Case& c, int width, int height, std::uint64_t seed) {
+  const int classes = c.scene.info.classes.valid_count();
+  std::vector<std::int16_t> label;
+  std::vector<std::int32_t> instance;
+  std::vector<float> depth_m;
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < width; ++x) {
+      const int block = y / 6 * 64 + x / 8;
+      const auto drawn = static_cast<int>(uniform_below({seed, 0, 1}, static_cast<std::uint64_t>(block), 16));
+      label.push_back(drawn == 0 ? kVoid : static_cast<std::int16_t>(block % classes));
+      instance.push_back(block + 1);
+      depth_m.push_back(1.0F + 0.05F * static_cast<float>(x));
+    }
+  }
+  c.add(width, height, label, instance, depth_m);
+}
+
+inline std::string fact(const StepFacts& facts, const std::string& name) {
+  for (const auto& [key, value] : facts) {
+    if (key == name) return value;
+  }
+  return "no fact '" + name + "'";
+}
+
+/// Facts of all frames, hard and soft labels.
+inline bool same_labels(const LabelSet& a, const LabelSet& b) {
+  if (a.size() != b.size()) return false;
+  for (std::size_t f = 0; f < a.size(); ++f) {
+    if (a[f].hard != b[f].hard || !(a[f].soft == b[f].soft)) return false;
+  }
+  return true;
+}
+
+}  // namespace
+}  // namespace semfield::testing_degrade
 
 namespace semfield {
 namespace {
+
+// Every degradation on cases small enough to be worked out by hand, and the exact counts that it promises.
 
 using namespace testing_degrade;
 using Labels = std::vector<std::int16_t>;
@@ -181,20 +275,15 @@ TEST(RegionNoise, RefusalsAreExact) {
     Case c = instances();
     return error_of([&] { c.apply(*step("region_noise", keys)); });
   };
-  EXPECT_EQ(message("{instances: [6]}"),
-            "region_noise.instances: no labelled training frame sees instance 6; there are 5, 9");
-  EXPECT_EQ(message("{classes: [class_22]}"),
-            "region_noise.classes: the class table has no class 'class_22'; did you mean 'class_2'?");
+  EXPECT_HAS(message("{instances: [6]}"), "sees instance");
+  EXPECT_HAS(message("{classes: [class_22]}"), "class_22", "class_2");
   EXPECT_HAS(message("{min_frames: 7}"), "region_noise", "7 labelled training frames", "lower its min_frames");
   Case without = scene_of(2);
   without.add(2, 1, {0, 1});
-  EXPECT_EQ(error_of([&] { without.apply(*step("region_noise")); }),
-            "region_noise: frame 'rgb_0' has no instance image; use a scene whose dataset reads instances "
-            "(docs/reference/plugins.md says which do), or another degradation");
+  EXPECT_HAS(error_of([&] { without.apply(*step("region_noise")); }), "rgb_0", "instance image");
   Case single = scene_of(1);
   single.add(2, 1, {0, 0}, {1, 1});
-  EXPECT_EQ(error_of([&] { single.apply(*step("region_noise")); }),
-            "region_noise: the scene has one class, so no label can be a wrong one; remove this degradation");
+  EXPECT_HAS(error_of([&] { single.apply(*step("region_noise")); }), "wrong one");
   EXPECT_TRUE(step("region_noise")->needs_instances());
 }
 
@@ -321,6 +410,510 @@ TEST(Propagation, AllOfAClassMayBeKept) {
   const Labels clean = c.labels[0].hard;
   c.apply(*step("propagation", "{share: 1}"));
   EXPECT_EQ(c.labels[0].hard, clean);
+}
+
+// What every degradation promises, on real labels too; and predictions of a simulated network.
+
+struct Row {
+  std::string type, keys;
+  bool random = true;         ///< the seed changes the result
+  bool ranks_frames = false;  ///< what a frame gets depends on which other frames see an instance
+  bool may_label_void = false;
+};
+
+const std::vector<Row>& rows() {
+  static const std::vector<Row> all{
+      {"pixel_noise", "{ratio: 0.5}"},
+      {"pixel_noise", "{ratio: 0.9, flip_void: true}", true, false, true},
+      {"region_noise", "{ratio: 0.5, min_frames: 1}", true, true},
+      {"region_noise", "{ratio: 0.5, mode: even}", true, true},
+      {"super_resolution", "{factor: 8}", false},
+      {"super_resolution", "{factor: 5, mode: sparse}", false},
+      {"propagation", "{}"},
+      {"propagation", "{share: 0.1}"},
+      {"simulated_predictions", "{}"},
+      {"simulated_predictions", "{output: hard, depth_half_m: 0}"},
+  };
+  return all;
+}
+
+Case blocks() {
+  Case c = scene_of(7);
+  for (std::uint64_t f = 0; f < 5; ++f) add_blocks(c, 50, 41, f);
+  return c;
+}
+
+LabelSet degraded(const Row& row, Case c, std::uint64_t seed = 1) {
+  c.apply(*step(row.type, row.keys), seed);
+  return c.labels;
+}
+
+TEST(DegradationLaws, EveryTypeHasARow) {
+  const std::vector<std::string> names = testing_labels::linked_registry().names(PluginKind::degradation);
+  EXPECT_GE(names.size(), 5U);
+  for (const std::string& name : names) {
+    bool found = false;
+    for (const Row& row : rows()) found = found || row.type == name;
+    EXPECT_TRUE(found) << name;
+  }
+}
+
+TEST(DegradationLaws, SameSeedSameResultOnAnyNumberOfThreadsOtherSeedAnother) {
+  for (const Row& row : rows()) {
+    SCOPED_TRACE(row.type + " " + row.keys);
+    set_thread_count(1);
+    const LabelSet one = degraded(row, blocks());
+    set_thread_count(4);
+    EXPECT_TRUE(same_labels(one, degraded(row, blocks())));
+    EXPECT_EQ(same_labels(one, degraded(row, blocks(), 2)), !row.random);
+    EXPECT_FALSE(same_labels(one, blocks().labels)) << "nothing was changed";
+  }
+  set_thread_count(0);
+}
+
+TEST(DegradationLaws, AFrameDoesNotDependOnTheLabelsOfOthers) {
+  for (const Row& row : rows()) {
+    if (row.ranks_frames) continue;
+    SCOPED_TRACE(row.type + " " + row.keys);
+    const LabelSet all = degraded(row, blocks());
+    Case alone = blocks();
+    for (std::size_t f = 0; f < alone.labels.size(); ++f) {
+      if (f != 3) alone.labels[f] = {};
+    }
+    alone.labels = degraded(row, alone);
+    EXPECT_EQ(alone.labels[3].hard, all[3].hard);
+    EXPECT_TRUE(alone.labels[3].soft == all[3].soft);
+    EXPECT_TRUE(alone.labels[0].empty());
+  }
+}
+
+TEST(DegradationLaws, VoidStaysVoid) {
+  for (const Row& row : rows()) {
+    if (row.may_label_void) continue;
+    SCOPED_TRACE(row.type + " " + row.keys);
+    const Case clean = blocks();
+    const LabelSet after = degraded(row, clean);
+    std::int64_t void_pixels = 0;
+    for (std::size_t f = 0; f < after.size(); ++f) {
+      for (std::size_t p = 0; p < clean.labels[f].hard.size(); ++p) {
+        if (clean.labels[f].hard[p] != kVoid) continue;
+        ++void_pixels;
+        ASSERT_EQ(after[f].soft.empty() ? after[f].hard[p] : after[f].soft.argmax(p), kVoid);
+      }
+    }
+    EXPECT_GT(void_pixels, 100);
+  }
+}
+
+TEST(DegradationLaws, SoftLabelsAreRefusedWithTheFrame) {
+  for (const Row& row : rows()) {
+    Case c = blocks();
+    c.labels[2] = {{}, SoftMap(c.labels[2].hard.size(), 7)};
+    EXPECT_HAS(error_of([&] { c.apply(*step(row.type, row.keys)); }), row.type, "rgb_2", "hard labels");
+  }
+}
+
+TEST(DegradationLaws, FactsCountWhatChanged) {
+  for (const Row& row : rows()) {
+    SCOPED_TRACE(row.type + " " + row.keys);
+    Case c = blocks();
+    const LabelSet before = c.labels;
+    const StepFacts facts = c.apply(*step(row.type, row.keys));
+    std::int64_t changed = 0, labelled = 0;
+    for (std::size_t f = 0; f < before.size(); ++f) {
+      for (std::size_t p = 0; p < before[f].hard.size(); ++p) {
+        const FrameLabels& now = c.labels[f];
+        const std::int16_t label = now.soft.empty() ? now.hard[p] : now.soft.argmax(p);
+        changed += label != before[f].hard[p] ? 1 : 0;
+        labelled += label != kVoid ? 1 : 0;
+      }
+    }
+    EXPECT_EQ(fact(facts, "frames"), "5");
+    EXPECT_EQ(fact(facts, "pixels changed"), std::to_string(changed));
+    EXPECT_EQ(fact(facts, "labelled pixels after"), std::to_string(labelled));
+  }
+}
+
+TEST(DegradationLaws, ValuesOutOfRangeAndUnknownKeysAreRefused) {
+  for (const auto& [type, keys, named] : std::vector<std::array<std::string, 3>>{
+           {"pixel_noise", "{ratio: 1.5}", "ratio"},
+           {"region_noise", "{ratio: -0.1}", "ratio"},
+           {"region_noise", "{mode: sorted}", "sort"},
+           {"region_noise", "{instances: [3], classes: [chair]}", "exclude each other"},
+           {"super_resolution", "{factor: 1}", "factor"},
+           {"super_resolution", "{factor: 65}", "factor"},
+           {"propagation", "{share: 5}", "share"},
+           {"simulated_predictions", "{similar: 0}", "similar"},
+           {"simulated_predictions", "{strenght: 1}", "strength"}}) {
+    const std::string message = error_of([&type = type, &keys = keys] { (void)step(type, keys); });
+    EXPECT_HAS(message, named) << type << keys << ": " << message;
+  }
+}
+
+// Degradations on Replica frames, where they are at hand: the figures that the page of experiments states.
+
+TEST(DegradationRealData, ReplicaApartment) {
+  const std::string root = std::string(SEMFIELD_SOURCE_DIR) + "/../shared/data/replica_apartment0";
+  if (!std::filesystem::exists(root)) GTEST_SKIP() << "the optional Replica frames are not at hand";
+  ReplicaParams p{.root = root, .train_step = 2, .test_step = 2, .test_offset = 1};
+  Replica replica(p, {});
+  Diagnostics d;
+  SceneLoadOptions o{.width_px = 160, .with_instances = true};
+  Case clean;
+  clean.scene = load_scene(replica, o, d);
+  ASSERT_FALSE(d.has_errors());
+  clean.labels.resize(clean.scene.frames.size());
+  for (const int f : clean.scene.frames_of(Split::train)) {
+    const auto i = static_cast<std::size_t>(f);
+    clean.labels[i].hard = clean.scene.frames[i].label.expand();
+  }
+  for (std::uint64_t seed = 1; seed <= 4; ++seed) {
+    Case c = clean;
+    const double right =
+        std::stod(fact(c.apply(*step("simulated_predictions", "{output: hard}"), seed), "pixel accuracy"));
+    EXPECT_GT(right, 0.785);
+    EXPECT_LT(right, 0.82);
+  }
+  Case noisy = clean;
+  const StepFacts facts = noisy.apply(*step("pixel_noise", "{ratio: 0.9}"));
+  EXPECT_EQ(fact(facts, "pixels drawn"), std::to_string(35 * 160 * 160 * 9 / 10));
+  EXPECT_EQ(fact(facts, "classes drawn from, besides void"), "29") << "of the table's 101";
+  Case chairs = clean;
+  const StepFacts flipped = chairs.apply(*step("region_noise", "{classes: [chair], ratio: 0.5}"));
+  EXPECT_EQ(fact(flipped, "pixels changed"), fact(flipped, "pixels of flipped regions"));
+  EXPECT_GT(std::stoi(fact(flipped, "views flipped")), 5);
+}
+
+Case room(int frames = 3) {
+  Case c = scene_of(12);
+  for (int f = 0; f < frames; ++f) add_blocks(c, 96, 72, static_cast<std::uint64_t>(f));
+  return c;
+}
+
+double accuracy(const Case& clean, const Case& c) {
+  double right = 0, all = 0;
+  for (std::size_t f = 0; f < c.labels.size(); ++f) {
+    for (std::size_t p = 0; p < clean.labels[f].hard.size(); ++p) {
+      if (clean.labels[f].hard[p] == kVoid) continue;
+      all += 1;
+      right += (c.labels[f].soft.empty() ? c.labels[f].hard[p] : c.labels[f].soft.argmax(p)) == clean.labels[f].hard[p];
+    }
+  }
+  return right / all;
+}
+
+TEST(SimulatedPredictions, RowsAreProbabilitiesAndHardOutputIsTheirMaximum) {
+  Case soft = room(), hard = room();
+  soft.apply(*step("simulated_predictions"));
+  hard.apply(*step("simulated_predictions", "{output: hard}"));
+  std::vector<float> row(12);
+  for (std::size_t f = 0; f < soft.labels.size(); ++f) {
+    ASSERT_TRUE(soft.labels[f].hard.empty());
+    ASSERT_EQ(soft.labels[f].soft.classes(), 12);
+    for (std::size_t p = 0; p < soft.labels[f].soft.pixels(); ++p) {
+      soft.labels[f].soft.row(p, row);
+      double sum = 0;
+      for (const float x : row) sum += static_cast<double>(x);
+      ASSERT_NEAR(sum, soft.scene.frames[f].label[p] == kVoid ? 0.0 : 1.0, 0.003);  // 12 roundings to 11 bits
+      ASSERT_EQ(soft.labels[f].soft.argmax(p), hard.labels[f].hard[p]);
+    }
+  }
+}
+
+TEST(SimulatedPredictions, WithoutStrengthNothingIsWrong) {
+  Case c = room();
+  const StepFacts facts = c.apply(*step("simulated_predictions", "{strength: 0, output: hard}"));
+  EXPECT_TRUE(same_labels(c.labels, room().labels));
+  EXPECT_EQ(fact(facts, "pixel accuracy"), "1.000000");
+  EXPECT_EQ(fact(facts, "simulated"), "true");
+}
+
+// Facts go into files, which are the same whatever the program around has set.
+TEST(SimulatedPredictions, FactsDoNotDependOnTheLocale) {
+  if (std::setlocale(LC_ALL, "de_DE.UTF-8") == nullptr)
+    GTEST_SKIP() << "the locale de_DE.UTF-8 is not installed here: no comma was tried";
+  Case c = room();
+  const StepFacts facts = c.apply(*step("simulated_predictions", "{strength: 0, output: hard}"));
+  std::setlocale(LC_ALL, "C");
+  EXPECT_EQ(fact(facts, "pixel accuracy"), "1.000000");
+}
+
+TEST(SimulatedPredictions, ConfidenceFollowsTheSoftmaxAndDepth) {
+  // 12 classes, evidence 4, no error: e^4 / (e^4 + 11); at depth 3 of half depth 3 evidence 2.
+  for (const auto& [half, evidence] : std::vector<std::pair<std::string, double>>{{"0", 4.0}, {"3", 2.0}}) {
+    Case c = scene_of(12);
+    c.add(2, 1, {4, kVoid}, {}, {3.0F, 3.0F});
+    for (std::int64_t& n : c.scene.class_pixels[0]) n = 1;
+    c.apply(*step("simulated_predictions", "{strength: 0, evidence: 4, depth_half_m: " + half + "}"));
+    std::vector<float> row(12);
+    c.labels[0].soft.row(0, row);
+    EXPECT_NEAR(row[4], std::exp(evidence) / (std::exp(evidence) + 11), 1e-3);
+    EXPECT_NEAR(row[5], 1 / (std::exp(evidence) + 11), 1e-4);
+  }
+}
+
+TEST(SimulatedPredictions, ClassesThatTheSceneLacksHaveProbabilityZero) {
+  Case c = scene_of(12);
+  c.add(2, 1, {4, 7});
+  c.apply(*step("simulated_predictions"));
+  std::vector<float> row(12);
+  c.labels[0].soft.row(0, row);
+  for (std::size_t k = 0; k < 12; ++k) EXPECT_EQ(row[k] > 0, k == 4 || k == 7) << k;
+}
+
+TEST(SimulatedPredictions, RegionsAreMistakenAsAWholeForFewClassesAndAlikeInAllFrames) {
+  Case c = room(20);
+  const Case clean = c;
+  c.apply(*step("simulated_predictions",
+                "{output: hard, noise: 0, boundary_width: 0, overlap: 0, similar: 2, region_error: 0.3}"));
+  std::vector<std::set<std::int16_t>> taken_for(12);
+  int blocks = 0, mistaken = 0;
+  for (std::size_t f = 0; f < c.labels.size(); ++f) {
+    for (int y = 0; y < 72; y += 6) {
+      for (int x = 0; x < 96; x += 8) {
+        const auto at = [&](int i, int j) { return static_cast<std::size_t>((y + j) * 96 + x + i); };
+        const std::int16_t own = clean.labels[f].hard[at(0, 0)], now = c.labels[f].hard[at(0, 0)];
+        if (own == kVoid) continue;
+        for (int j = 0; j < 6; ++j) {
+          for (int i = 0; i < 8; ++i) ASSERT_EQ(c.labels[f].hard[at(i, j)], now);
+        }
+        ++blocks;
+        mistaken += now != own;
+        if (now != own) taken_for[own].insert(now);
+      }
+    }
+  }
+  EXPECT_NEAR(mistaken / static_cast<double>(blocks), 0.3, 0.05);  // a block is 0.7 % of the frame: chance 0.28
+  for (const std::set<std::int16_t>& others : taken_for) EXPECT_EQ(others.size(), 2u);
+}
+
+TEST(SimulatedPredictions, BoundariesStrayButInteriorsStay) {
+  Case c = scene_of(2);
+  Labels label;
+  for (int p = 0; p < 200 * 100; ++p) label.push_back(p % 200 < 100 ? 0 : 1);
+  c.add(200, 100, label);
+  c.apply(
+      *step("simulated_predictions", "{output: hard, noise: 0, region_error: 0, overlap: 0, boundary_width: 0.02}"));
+  int near = 0;
+  for (int y = 0; y < 100; ++y) {
+    for (int x = 0; x < 200; ++x) {
+      const auto p = static_cast<std::size_t>(y * 200 + x);
+      if (c.labels[0].hard[p] == label[p]) continue;
+      ASSERT_LT(std::abs(x - 99.5), 6 * 4) << "six standard deviations of 4 pixels";
+      ++near;
+    }
+  }
+  EXPECT_GT(near, 50);
+}
+
+TEST(SimulatedPredictions, NoiseOfClassesAndFramesIsIndependentAndSmooth) {
+  // One class of two everywhere: an error is where its noise falls short of the other's by the evidence. The difference
+  // of two fields of deviation 2 exceeds 2 in under 24 % of the pixels (exactly that at the nodes, less between them).
+  Case c = scene_of(2);
+  for (int f = 0; f < 2; ++f) c.add(100, 80, Labels(8000, 0));
+  c.scene.class_pixels[0][1] = 1;
+  const StepFacts facts =
+      c.apply(*step("simulated_predictions", "{output: hard, evidence: 2, noise: 2, region_error: 0, overlap: 0}"));
+  const double right = std::stod(fact(facts, "pixel accuracy"));
+  EXPECT_GT(right, 0.76);
+  EXPECT_LT(right, 0.95);
+  EXPECT_NE(c.labels[0].hard, c.labels[1].hard);
+  int borders = 0;
+  for (std::size_t p = 1; p < 8000; ++p) borders += c.labels[0].hard[p] != c.labels[0].hard[p - 1];
+  EXPECT_LT(borders, 80 * 10) << "patches, not single pixels";
+}
+
+TEST(SimulatedPredictions, ErrorsGrowWithStrength) {
+  double last = 1;
+  for (const char* strength : {"0.5", "1", "2"}) {
+    Case c = room();
+    c.apply(*step("simulated_predictions", std::string("{strength: ") + strength + "}"));
+    const double now = accuracy(room(), c);
+    EXPECT_LT(now, last - 0.03) << strength;
+    last = now;
+  }
+}
+
+// `semfield degrade`: the program on a tiny room; what it wrote is read back.
+
+namespace fs = std::filesystem;
+using namespace testing_program;
+using testing_room::fresh_folder;
+
+// A room of 5 frames of which 0, 2 and 4 train; returns the configuration's path.
+std::string write_config(const std::string& folder, const std::string& labels) {
+  fs::create_directories(folder + "/room");
+  testing_room::write_replica(folder + "/room", 5);
+  std::string yaml = "include: " + std::string(SEMFIELD_SOURCE_DIR) + "/configs/presets/room.yaml\n";
+  yaml += "scene: {type: replica, root: room, train_step: 2, test_step: 2, test_offset: 1, labels: " + labels + "}\n";
+  write_file_atomic(folder + "/room.yaml", std::string_view(yaml));
+  return folder + "/room.yaml";
+}
+
+nlohmann::json manifest_of(const std::string& folder) {
+  return nlohmann::json::parse(read_text_file(folder + "/manifest.json"));
+}
+
+std::vector<std::string> names_in(const std::string& folder) {
+  std::vector<std::string> out;
+  for (const auto& entry : fs::directory_iterator(folder)) out.push_back(entry.path().filename().string());
+  std::sort(out.begin(), out.end());
+  return out;
+}
+
+TEST(DegradeVerb, WritesIdsPreviewsClassesAndAManifestThatAgree) {
+  const std::string folder = fresh_folder("hard");
+  const std::string config = write_config(
+      folder, "{seed: 3, degrade: [{type: super_resolution, factor: 4, mode: sparse}, {type: pixel_noise}]}");
+  const Result r = succeeded(semfield_run("degrade " + shell_word(config) + " --out labels", folder));
+  EXPECT_EQ(names_in(folder), (std::vector<std::string>{"labels", "room", "room.yaml", "stderr", "stdout"}));
+  const std::string out = folder + "/labels";
+  EXPECT_EQ(names_in(out), (std::vector<std::string>{"classes.yaml", "manifest.json", "preview", "semantic_class"}));
+  EXPECT_EQ(names_in(out + "/semantic_class"),
+            (std::vector<std::string>{"semantic_class_0.png", "semantic_class_2.png", "semantic_class_4.png"}));
+  EXPECT_EQ(ClassTable::load(out + "/classes.yaml").valid_count(), 6);
+
+  const nlohmann::json m = manifest_of(out);
+  EXPECT_EQ(m["seed"], 3);
+  EXPECT_EQ(m["labels_from"], "the scene");
+  ASSERT_EQ(m["steps"].size(), 2u);
+  EXPECT_EQ(m["steps"][0]["type"], "super_resolution");
+  EXPECT_EQ(m["steps"][1]["facts"]["pixels drawn"], "1800");
+  EXPECT_HAS(m["config"].get<std::string>(), "pixel_noise");
+
+  // The figures, counted again from the images.
+  std::int64_t labelled = 0, changed = 0, right = 0;
+  for (const nlohmann::json& frame : m["frames"]) {
+    const Image<std::uint16_t> given = read_ids(out + "/" + frame["label"].get<std::string>());
+    const Image<std::uint16_t> preview = read_ids(out + "/" + frame["preview"].get<std::string>());
+    const Image<std::uint16_t> truth = read_ids(folder + "/room/" + frame["label"].get<std::string>());
+    ASSERT_EQ(given.pixels.size(), 1200u);
+    EXPECT_EQ(given.pixels, preview.pixels);
+    std::int64_t in_frame = 0;
+    for (std::size_t p = 0; p < given.pixels.size(); ++p) {
+      in_frame += given.pixels[p] != 0;
+      changed += given.pixels[p] != truth.pixels[p];
+      right += given.pixels[p] != 0 && given.pixels[p] == truth.pixels[p];
+      EXPECT_TRUE(given.pixels[p] == 0 || (p % 4 == 0 && p / 40 % 4 == 0));
+    }
+    EXPECT_EQ(frame["labelled_px"], in_frame);
+    labelled += in_frame;
+  }
+  EXPECT_EQ(m["total"]["labelled_px"], labelled);
+  EXPECT_EQ(m["total"]["changed_px"], changed);
+  EXPECT_DOUBLE_EQ(m["total"]["accuracy"], static_cast<double>(right) / static_cast<double>(labelled));
+  EXPECT_EQ(r.out.rfind("degrade: frames=3 labelled_px=" + std::to_string(labelled) + " accuracy=0.", 0), 0u) << r.out;
+}
+
+TEST(DegradeVerb, SoftLabelsAreWrittenAsProbabilities) {
+  const std::string folder = fresh_folder("soft");
+  const std::string config = write_config(folder, "{frames: 2, degrade: [{type: simulated_predictions}]}");
+  const std::string out = folder + "/labels";
+  const Result r = succeeded(semfield_run("degrade " + shell_word(config) + " --out labels/", folder));
+  const nlohmann::json m = manifest_of(out);
+  ASSERT_EQ(m["frames"].size(), 2u);
+  EXPECT_EQ(m["steps"][0]["facts"]["simulated"], "true");
+  for (const nlohmann::json& frame : m["frames"]) {
+    const std::string npy = read_text_file(out + "/" + frame["probability"].get<std::string>());
+    EXPECT_HAS(npy, "'shape': (30, 40, 6)");
+    const std::size_t bytes = std::size_t{30} * 40 * 6 * 4;
+    ASSERT_GT(npy.size(), bytes);
+    std::vector<float> values(bytes / 4);
+    std::memcpy(values.data(), npy.data() + npy.size() - bytes, bytes);
+    const Image<std::uint16_t> given = read_ids(out + "/" + frame["label"].get<std::string>());
+    for (std::size_t p = 0; p < given.pixels.size(); ++p) {
+      const auto row = values.begin() + static_cast<std::ptrdiff_t>(6 * p);
+      EXPECT_EQ(given.pixels[p], std::max_element(row, row + 6) - row + 1);
+    }
+  }
+}
+
+// What was written is read as label files, and written again.
+TEST(DegradeVerb, WrittenLabelsComeBackThroughTheReaders) {
+  const std::string folder = fresh_folder("again");
+  const std::string config = write_config(folder, "{frames: 2, degrade: [{type: simulated_predictions, strength: 2}]}");
+  ASSERT_EQ(semfield_run("degrade " + shell_word(config) + " --out first", folder).code, 0);
+  const std::vector<std::string> images = names_in(folder + "/first/semantic_class");
+  ASSERT_EQ(images.size(), 2u);
+  for (const auto& [kind, from] : std::vector<std::pair<std::string, std::string>>{
+           {"images", "{type: images, folder: first/semantic_class, pattern: 'semantic_class_{number}.png'}"},
+           {"npz", "{type: npz, folder: first/probability, pattern: '{name}.npy'}"}}) {
+    const std::string again = write_config(folder, "{from: " + from + "}");
+    const Result r = succeeded(semfield_run("degrade " + shell_word(again) + " --out " + kind, folder));
+    EXPECT_EQ(names_in(folder + "/" + kind + "/semantic_class"), images);
+    for (const std::string& name : images)
+      EXPECT_EQ(read_text_file(folder + "/first/semantic_class/" + name),
+                read_text_file(folder + "/" + kind + "/semantic_class/" + name));
+    EXPECT_EQ(manifest_of(folder + "/first")["total"], manifest_of(folder + "/" + kind)["total"]);
+    EXPECT_EQ(manifest_of(folder + "/" + kind)["labels_from"], kind);
+  }
+  for (const std::string& name : names_in(folder + "/first/probability"))
+    EXPECT_EQ(read_text_file(folder + "/first/probability/" + name),
+              read_text_file(folder + "/npz/probability/" + name));
+}
+
+TEST(DegradeVerb, ATableWithoutVoidGetsAnIdForIt) {
+  const std::string folder = fresh_folder("void");
+  const std::string config = write_config(folder, "{degrade: [{type: propagation}]}");
+  write_file_atomic(folder + "/room/classes.yaml",
+                    std::string_view("- {id: 1, name: west}\n- {id: 2, name: east}\n- {id: 3, name: ceiling}\n"
+                                     "- {id: 4, name: floor}\n- {id: 5, name: south}\n- {id: 6, name: north}\n"));
+  fs::create_directories(folder + "/labels");  // an empty folder may be there
+  const Result r = succeeded(semfield_run("degrade " + shell_word(config) + " --out labels", folder));
+  const ClassTable table = ClassTable::load(folder + "/labels/classes.yaml");
+  EXPECT_EQ(table.index_of(0), kVoid);
+  EXPECT_EQ(table.valid_count(), 6);
+  const Image<std::uint16_t> given = read_ids(folder + "/labels/semantic_class/semantic_class_2.png");
+  EXPECT_GT(std::count(given.pixels.begin(), given.pixels.end(), 0), 1190);
+}
+
+TEST(DegradeVerb, TheSameLabelsAsBefore) {
+  const std::string folder = fresh_folder("same");
+  const std::string config = write_config(folder, "{degrade: [{type: pixel_noise}, {type: region_noise}]}");
+  for (const char* name : {"a", "b"}) {
+    const Result r =
+        succeeded(semfield_run("degrade " + shell_word(config) + " --out " + name +
+                                   (*name == 'a' ? " --set runtime.threads=1" : " --set runtime.threads=3"),
+                               folder));
+  }
+  for (const std::string& name : names_in(folder + "/a/semantic_class"))
+    EXPECT_EQ(read_text_file(folder + "/a/semantic_class/" + name),
+              read_text_file(folder + "/b/semantic_class/" + name));
+}
+
+TEST(DegradeVerb, AUsedFolderAndProblemsLeaveNothingBehind) {
+  const std::string folder = fresh_folder("used");
+  const std::string config = write_config(folder, "{degrade: [{type: region_noise, instances: [77]}]}");
+  fs::create_directories(folder + "/full");
+  testing_room::plain_write(folder + "/full/mine.txt", "keep");
+  Result r = semfield_run("degrade " + shell_word(config) + " --out full", folder);
+  EXPECT_EQ(r.code, static_cast<int>(ErrorKind::cannot_create));
+  EXPECT_HAS(r.err, "holds files already");
+  EXPECT_EQ(names_in(folder + "/full"), (std::vector<std::string>{"mine.txt"}));
+
+  r = semfield_run("degrade " + shell_word(config) + " --out new", folder);
+  EXPECT_EQ(r.code, static_cast<int>(ErrorKind::data));
+  EXPECT_HAS(r.err, "no labelled training frame sees instance 77");
+  r = semfield_run("degrade " + shell_word(config) + " --out new --set scene.labels.frames=none --set " +
+                       "'scene.labels.degrade=[]'",
+                   folder);
+  EXPECT_EQ(r.code, static_cast<int>(ErrorKind::data));
+  EXPECT_HAS(r.err, "no training frame keeps labels");
+  testing_room::plain_write(folder + "/room/semantic_class/semantic_class_2.png", "no image");
+  r = semfield_run("degrade " + shell_word(config) + " --out new", folder);
+  EXPECT_EQ(r.code, static_cast<int>(ErrorKind::data));
+  EXPECT_HAS(r.err, "semantic_class_2.png");
+  EXPECT_EQ(names_in(folder), (std::vector<std::string>{"full", "room", "room.yaml", "stderr", "stdout"}));
+}
+
+TEST(DegradeVerb, AnErrorWhileWritingRemovesWhatWasWritten) {
+  const std::string folder = fresh_folder("limit");
+  const std::string config = write_config(folder, "{degrade: [{type: simulated_predictions}]}");
+  // Files may have 8 KiB at most: images fit, probabilities do not.
+  const Result r = semfield_run("degrade " + shell_word(config) + " --out labels", folder, "ulimit -f 16; ");
+  EXPECT_EQ(r.code, static_cast<int>(ErrorKind::io));
+  EXPECT_HAS(r.err, "probability");
+  EXPECT_EQ(names_in(folder), (std::vector<std::string>{"room", "room.yaml", "stderr", "stdout"}));
 }
 
 }  // namespace

@@ -1,6 +1,12 @@
-// The program itself: `mesh` and `render --video` of a small run, read back by other programs.
+// The program run with words, and a short run of a small scene that all tests of verbs share.
+
+#include <fcntl.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
 #include <cstdio>
 #include <cstdlib>
+#include <filesystem>
 #include <nlohmann/json.hpp>
 #include <numeric>
 
@@ -10,19 +16,72 @@
 #include "loading/packed_scene.h"
 #include "system/files.h"
 #include "testkit/analytic_scene.h"
-#include "tests/mesh/verbs_fixture.h"
+#include "tests/program.h"
+#include "tests/session/train_testing.h"
+
+namespace semfield::testing_verbs {
+namespace {
+
+using testing_program::Result;
+using testing_program::succeeded;
+
+// `path`: the PATH that it sees; "" leaves it. A hang is a failure, not a wait.
+inline Result run(const TempDir& dir, const std::vector<std::string>& words, const std::string& path = "") {
+  std::vector<std::string> environment;
+  if (!path.empty()) environment.push_back("PATH=" + path);
+  testing_program::Process process(testing_program::program(), words, dir.path(), environment);
+  return process.wait_for(120).value_or(Result{});
+}
+
+inline std::string answer_of(const std::string& command) {
+  std::string text;
+  FILE* const pipe = popen(command.c_str(), "r");
+  char buffer[256];
+  while (std::fgets(buffer, sizeof buffer, pipe) != nullptr) text += buffer;
+  pclose(pipe);
+  return text;
+}
+
+inline bool found(const std::string& program) { return !answer_of("command -v " + program).empty(); }
+
+// One short run for all tests.
+class Verbs : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    dir_ = new TempDir;
+    const std::unique_ptr<Dataset> scene = testkit::make_analytic_scene();
+    Diagnostics diagnostics;
+    const SceneInfo info = scene->open(diagnostics);
+    write_packed_scene(*dir_ / "room.sfpack", info,
+                       [&](int frame, FrameBuffer& buffer) { scene->read(frame, buffer); });
+    std::string yaml = testing_train::with_scene(testing_train::hash_config("report: {eval_every_s: 0, strips: 0}\n"),
+                                                 "{type: packed, file: room.sfpack}");
+    write_file_atomic(*dir_ / "config.yaml", yaml);
+    const Result trained = succeeded(run(*dir_, {"train", *dir_ / "config.yaml", "--out", *dir_ / "run"}));
+  }
+  static void TearDownTestSuite() {
+    delete dir_;
+    dir_ = nullptr;
+  }
+  static std::string run_dir() { return *dir_ / "run"; }
+  static inline TempDir* dir_ = nullptr;
+};
+
+}  // namespace
+}  // namespace semfield::testing_verbs
 
 namespace semfield {
 namespace {
+
+// The program itself: `mesh` and `render --video` of a small run, read back by other programs.
 
 namespace fs = std::filesystem;
 using namespace testing_verbs;
 
 TEST_F(Verbs, MeshWritesEveryFormatAndSaysSo) {
   const std::string stem = *dir_ / "out/room.v2";
-  const Result r = run(*dir_, {"mesh", run_dir(), "--resolution", "48", "--format", "ply,obj,glb", "--points", "--out",
-                               stem, "--json", "--faces", "3000", "--close-holes", "0.5"});
-  ASSERT_EQ(r.code, 0) << r.err;
+  const Result r = succeeded(run(*dir_, {"mesh", run_dir(), "--resolution", "48", "--format", "ply,obj,glb", "--points",
+                                         "--out", stem, "--json", "--faces", "3000", "--close-holes", "0.5"}));
   const nlohmann::json said = nlohmann::json::parse(r.out);
   EXPECT_GT(said["vertices"], 500);
   EXPECT_TRUE(said["faces"] > 1000 && said["faces"] <= 3000 && said["holes_closed"] > 0) << said;
@@ -45,13 +104,11 @@ TEST_F(Verbs, MeshWritesEveryFormatAndSaysSo) {
 }
 
 TEST_F(Verbs, MeshIsTheSameForAnyNumberOfThreadsAndItsDefaultsStandInTheRun) {
-  const Result first = run(*dir_, {"mesh", run_dir(), "--resolution", "32"});
-  ASSERT_EQ(first.code, 0) << first.err;
+  const Result first = succeeded(run(*dir_, {"mesh", run_dir(), "--resolution", "32"}));
   EXPECT_EQ(first.out.find("mesh: vertices="), 0U) << first.out;
   EXPECT_HAS(first.out, " file=" + run_dir() + "/mesh.ply," + run_dir() + "/mesh_classes.ply\n");
-  const Result second =
-      run(*dir_, {"mesh", run_dir(), "--resolution", "32", "--set", "runtime.threads=1", "--out", *dir_ / "one.ply"});
-  ASSERT_EQ(second.code, 0) << second.err;
+  const Result second = succeeded(
+      run(*dir_, {"mesh", run_dir(), "--resolution", "32", "--set", "runtime.threads=1", "--out", *dir_ / "one.ply"}));
   EXPECT_EQ(read_text_file(run_dir() + "/mesh.ply"), read_text_file(*dir_ / "one.ply"));
 }
 
@@ -59,8 +116,7 @@ TEST_F(Verbs, MeshColorsAreThoseAskedFor) {
   const auto files = [&](std::vector<std::string> more, const std::string& of) {
     std::vector<std::string> words{"mesh", of, "--resolution", "24", "--json"};
     words.insert(words.end(), more.begin(), more.end());
-    const Result r = run(*dir_, words);
-    EXPECT_EQ(r.code, 0) << r.err;
+    const Result r = succeeded(run(*dir_, words));
     return nlohmann::json::parse(r.out)["files"].get<std::vector<std::string>>();
   };
   using Files = std::vector<std::string>;
@@ -96,8 +152,7 @@ TEST_F(Verbs, MeshLeavesOutWhatNoCameraSeesUnlessTold) {
     std::vector<std::string> words{"mesh", run_dir(), "--resolution", "48", "--keep-components", "0", "--json"};
     words.insert(words.end(), {"--out", *dir_ / "seen.ply"});
     words.insert(words.end(), more.begin(), more.end());
-    const Result r = run(*dir_, words);
-    EXPECT_EQ(r.code, 0) << r.err;
+    const Result r = succeeded(run(*dir_, words));
     nlohmann::json said = nlohmann::json::parse(r.out);
     const bool told =
         r.err.find(" faces that no training camera sees are left out; --keep-unseen keeps them") != std::string::npos;
@@ -116,8 +171,7 @@ TEST_F(Verbs, MeshIsOfDepthWhereRaysEndInABackground) {
   const auto said = [&](std::vector<std::string> more) {
     std::vector<std::string> words{"mesh", run_dir(), "--resolution", "40", "--json", "--out", *dir_ / "which.ply"};
     words.insert(words.end(), more.begin(), more.end());
-    const Result r = run(*dir_, words);
-    EXPECT_EQ(r.code, 0) << r.err;
+    const Result r = succeeded(run(*dir_, words));
     return nlohmann::json::parse(r.out);
   };
   const nlohmann::json depth = said({}), density = said({"--level", "3"});
@@ -134,8 +188,7 @@ TEST_F(Verbs, MeshIsScoredAgainstDepthImages) {
   const auto with = [&](std::vector<std::string> more) {
     std::vector<std::string> all = words;
     all.insert(all.end(), more.begin(), more.end());
-    const Result r = run(*dir_, all);
-    EXPECT_EQ(r.code, 0) << r.err;
+    const Result r = succeeded(run(*dir_, all));
     return r.out;
   };
   EXPECT_LACKS(with({plain}), "complete");
@@ -168,16 +221,14 @@ TEST_F(Verbs, LengthsThatNobodyNamesAreSharesOfALargeScene) {
   train.insert(train.end(), scale.begin(), scale.end());
   ASSERT_EQ(run(*dir_, train).code, 0);
   const Result scored =
-      run(*dir_, {"mesh", large, "--resolution", "48", "--score", "--json", "--out", *dir_ / "l.ply"});
-  ASSERT_EQ(scored.code, 0) << scored.err;
+      succeeded(run(*dir_, {"mesh", large, "--resolution", "48", "--score", "--json", "--out", *dir_ / "l.ply"}));
   const nlohmann::json score = nlohmann::json::parse(scored.out)["score"];
   const double metre = score["distances"][2].get<double>() / 0.1;
   EXPECT_GT(metre, 150) << "a fifth of the room's longest side";
   EXPECT_LT(metre, 600);
   EXPECT_NEAR(score["distances"][0].get<double>(), 0.02 * metre, 1e-9 * metre);
   EXPECT_GT(score["sensor"]["complete"][2], 0.9) << "the distances are those that are counted within";
-  const Result map = run(*dir_, {"mesh", large, "--format", "pgm", "--out", *dir_ / "l.pgm"});
-  ASSERT_EQ(map.code, 0) << map.err;
+  const Result map = succeeded(run(*dir_, {"mesh", large, "--format", "pgm", "--out", *dir_ / "l.pgm"}));
   char band[64];
   std::snprintf(band, sizeof band, "has what lies %.3g to %.3g above it", 0.1 * metre, metre);
   EXPECT_HAS(map.err, band);
@@ -204,9 +255,8 @@ TEST_F(Verbs, AMeshOfASceneWithoutDepthHasNoScore) {
 }
 
 TEST_F(Verbs, MeshIsUprightAsTold) {
-  const Result r =
-      run(*dir_, {"mesh", run_dir(), "--resolution", "24", "--up", "-y", "--out", *dir_ / "up.glb", "--json"});
-  ASSERT_EQ(r.code, 0) << r.err;
+  const Result r = succeeded(
+      run(*dir_, {"mesh", run_dir(), "--resolution", "24", "--up", "-y", "--out", *dir_ / "up.glb", "--json"}));
   EXPECT_EQ(nlohmann::json::parse(r.out)["up"], (nlohmann::json{0.0, -1.0, 0.0}));
   EXPECT_LACKS(r.err, "upright");
 }
@@ -215,8 +265,7 @@ TEST_F(Verbs, MeshIntoAFolderIsWrittenInIt) {
   const std::string there = *dir_ / "meshes";
   std::filesystem::create_directory(there);
   for (const std::string& out : {there, *dir_ / "new/"}) {
-    const Result r = run(*dir_, {"mesh", run_dir(), "--resolution", "24", "--out", out});
-    ASSERT_EQ(r.code, 0) << r.err;
+    const Result r = succeeded(run(*dir_, {"mesh", run_dir(), "--resolution", "24", "--out", out}));
     EXPECT_TRUE(std::filesystem::exists(std::filesystem::path(out) / "mesh.ply")) << r.out;
     EXPECT_FALSE(std::filesystem::exists(there + ".ply")) << "beside the folder";
   }
@@ -250,9 +299,8 @@ TEST_F(Verbs, MeshRefusesWhatMakesNoSense) {
 TEST_F(Verbs, VideoIsDecodedByAnotherProgram) {
   if (!found("ffmpeg") || !found("ffprobe")) GTEST_SKIP() << "no ffmpeg here: no video was written";
   const std::string file = *dir_ / "a video: 1.mp4";
-  const Result r = run(
-      *dir_, {"render", run_dir(), "--trajectory", "smooth", "--frames", "7", "--video", "--fps", "10", "--out", file});
-  ASSERT_EQ(r.code, 0) << r.err;
+  const Result r = succeeded(run(*dir_, {"render", run_dir(), "--trajectory", "smooth", "--frames", "7", "--video",
+                                         "--fps", "10", "--out", file}));
   EXPECT_HAS(r.out, "render: frames=7 ", "file=" + file);
   // Four panels of 48 x 36 pixels.
   EXPECT_EQ(answer_of("ffprobe -v error -count_frames -show_entries stream=width,height,nb_read_frames,r_frame_rate "
@@ -262,17 +310,15 @@ TEST_F(Verbs, VideoIsDecodedByAnotherProgram) {
   for (const fs::directory_entry& entry : fs::directory_iterator(dir_->path()))
     EXPECT_LACKS(entry.path().string(), ".part") << entry.path();
   // Its first panel is the rendered colour, within what the coding loses.
-  const Result still =
-      run(*dir_, {"render", run_dir(), "--split", "test", "--video", "--panels", "rgb", "--out", *dir_ / "t.mkv"});
-  ASSERT_EQ(still.code, 0) << still.err;
+  const Result still = succeeded(
+      run(*dir_, {"render", run_dir(), "--split", "test", "--video", "--panels", "rgb", "--out", *dir_ / "t.mkv"}));
   EXPECT_EQ(answer_of("ffprobe -v error -show_entries stream=width,height -of csv=p=0 " + shell_word(*dir_ / "t.mkv")),
             "48,36\n");
 }
 
 TEST_F(Verbs, PicturesHaveTheWidthThatIsAskedForAndOnesForTheEye) {
   const std::string folder = *dir_ / "narrow";
-  const Result r = run(*dir_, {"render", run_dir(), "--split", "test", "--width", "24", "--out", folder});
-  ASSERT_EQ(r.code, 0) << r.err;
+  const Result r = succeeded(run(*dir_, {"render", run_dir(), "--split", "test", "--width", "24", "--out", folder}));
   EXPECT_HAS(r.out, " size=24x18 ");
   std::map<std::string, int> kinds;
   for (const fs::directory_entry& entry : fs::directory_iterator(folder)) {
@@ -289,9 +335,8 @@ TEST_F(Verbs, PicturesHaveTheWidthThatIsAskedForAndOnesForTheEye) {
     EXPECT_EQ(kinds[kind], frames) << kind;
   if (!found("ffmpeg") || !found("ffprobe")) return;
   const std::string file = *dir_ / "narrow.mp4";
-  const Result video = run(*dir_, {"render", run_dir(), "--split", "test", "--video", "--width", "24", "--panels",
-                                   "rgb,depth", "--out", file});
-  ASSERT_EQ(video.code, 0) << video.err;
+  const Result video = succeeded(run(*dir_, {"render", run_dir(), "--split", "test", "--video", "--width", "24",
+                                             "--panels", "rgb,depth", "--out", file}));
   EXPECT_HAS(video.out, " size=48x18 ");
   EXPECT_EQ(answer_of("ffprobe -v error -show_entries stream=width,height -of csv=p=0 " + shell_word(file)), "48,18\n");
 }
@@ -354,9 +399,8 @@ TEST_F(Verbs, VideoFollowsNoLink) {
   write_file_atomic(precious, "mine");
   for (const char* name : {".room.part.mp4", ".room.mp4.0.tmp", "room.mp4"})
     fs::create_symlink(precious, fs::path(folder) / name);
-  const Result r = run(*dir_, {"render", run_dir(), "--trajectory", "smooth", "--frames", "3", "--video", "--out",
-                               folder + "/room.mp4"});
-  EXPECT_EQ(r.code, 0) << r.err;
+  const Result r = succeeded(run(*dir_, {"render", run_dir(), "--trajectory", "smooth", "--frames", "3", "--video",
+                                         "--out", folder + "/room.mp4"}));
   EXPECT_EQ(read_text_file(precious), "mine");
   EXPECT_FALSE(fs::is_symlink(folder + "/room.mp4"));
   EXPECT_GT(fs::file_size(folder + "/room.mp4"), 500U);
@@ -385,8 +429,8 @@ std::map<std::string, std::string> files_of(const std::string& folder) {
 TEST_F(Verbs, CamerasOfARenderRenderTheSameAgain) {
   const std::string first = *dir_ / "first", again = *dir_ / "again";
   ASSERT_EQ(run(*dir_, {"render", run_dir(), "--npy", "--out", first}).code, 0);
-  const Result r = run(*dir_, {"render", run_dir(), "--npy", "--trajectory", first + "/cameras.json", "--out", again});
-  ASSERT_EQ(r.code, 0) << r.err;
+  const Result r =
+      succeeded(run(*dir_, {"render", run_dir(), "--npy", "--trajectory", first + "/cameras.json", "--out", again}));
   const auto want = files_of(first);
   EXPECT_GT(want.size(), 7U);
   EXPECT_EQ(want, files_of(again));
@@ -412,8 +456,7 @@ TEST_F(Verbs, CamerasOfARenderRenderTheSameAgain) {
 
 TEST_F(Verbs, ProbabilitiesOfViewsAreLabelsThatTrain) {
   const std::string out = *dir_ / "probable";
-  const Result r = run(*dir_, {"render", run_dir(), "--split", "train", "--probability", "--out", out});
-  ASSERT_EQ(r.code, 0) << r.err;
+  const Result r = succeeded(run(*dir_, {"render", run_dir(), "--split", "train", "--probability", "--out", out}));
   const nlohmann::json order = nlohmann::json::parse(read_text_file(out + "/classes.json"));
   const nlohmann::json cameras = nlohmann::json::parse(read_text_file(out + "/cameras.json"))["cameras"];
   for (const nlohmann::json& camera : cameras) {
@@ -430,8 +473,7 @@ TEST_F(Verbs, ProbabilitiesOfViewsAreLabelsThatTrain) {
                "{type: packed, file: room.sfpack, labels: {from: {type: npz, folder: probable, pattern: "
                "\"{name}_probability.npy\"}}}");
   write_file_atomic(*dir_ / "soft.yaml", yaml);
-  const Result trained = run(*dir_, {"train", *dir_ / "soft.yaml", "--steps", "2", "--out", *dir_ / "soft"});
-  EXPECT_EQ(trained.code, 0) << trained.err;
+  const Result trained = succeeded(run(*dir_, {"train", *dir_ / "soft.yaml", "--steps", "2", "--out", *dir_ / "soft"}));
 }
 
 TEST_F(Verbs, ProbabilitiesTellTheirSizeBeforeTheyAreRendered) {
@@ -460,9 +502,57 @@ TEST_F(Verbs, RenderRefusesWhatAVideoCannotHold) {
 }
 
 TEST_F(Verbs, SmoothPathRendersImagesToo) {
-  const Result r = run(*dir_, {"render", run_dir(), "--trajectory", "smooth", "--frames", "2"});
-  ASSERT_EQ(r.code, 0) << r.err;
+  const Result r = succeeded(run(*dir_, {"render", run_dir(), "--trajectory", "smooth", "--frames", "2"}));
   EXPECT_TRUE(fs::exists(run_dir() + "/render/smooth/00001_rgb.png"));
+}
+
+// The program itself: `mesh` in the forms of other programs, and `eval` by a published protocol.
+
+namespace fs = std::filesystem;
+
+TEST_F(Verbs, MeshWritesFilesForOtherPrograms) {
+  const std::string stem = *dir_ / "other/room";
+  const Result r =
+      succeeded(run(*dir_, {"mesh", run_dir(), "--resolution", "32", "--format",
+                            "las,pcd,splat,splats.ply,npz,bt,ot,pgm", "--band", "0.1,0.8", "--out", stem, "--json"}));
+  const nlohmann::json said = nlohmann::json::parse(r.out);
+  EXPECT_FALSE(said.contains("faces")) << "no surface is made for points";
+  EXPECT_GT(said["points"], 100);
+  std::vector<std::string> files;
+  for (const char* ending : {".las", ".pcd", ".splats.ply", ".splat", ".npz", ".bt", ".ot", ".pgm", ".yaml"})
+    files.push_back(stem + ending);
+  EXPECT_EQ(said["files"], files);
+  EXPECT_HAS(r.err, "the floor is at ", " along +z");
+  const nlohmann::json sidecar = nlohmann::json::parse(read_text_file(stem + ".json"));
+  EXPECT_EQ(sidecar["format"], "semfield-handover-1");
+  EXPECT_EQ(sidecar["files"].size(), files.size());
+  EXPECT_EQ(sidecar["world"]["unit"], "m");
+  EXPECT_EQ(sidecar["world"]["up"], (nlohmann::json{0.0, 0.0, 1.0}));
+  EXPECT_FALSE(sidecar["classes"].empty());
+  const std::string head = read_file_start(stem + ".splats.ply", 200);
+  const std::size_t count = std::stoul(head.substr(head.find("vertex ") + 7));
+  EXPECT_GT(count, 500U);
+  EXPECT_EQ(fs::file_size(stem + ".splat"), 32 * count);
+  // The ending alone says so, and a page alone has no sidecar.
+  const Result one =
+      succeeded(run(*dir_, {"mesh", run_dir(), "--resolution", "24", "--out", *dir_ / "one.splats.ply"}));
+  EXPECT_EQ(one.out, "mesh: file=" + *dir_ / "one.splats.ply" + "\n");
+  const Result page = succeeded(run(*dir_, {"mesh", run_dir(), "--resolution", "24", "--out", *dir_ / "alone.html"}));
+  EXPECT_FALSE(fs::exists(*dir_ / "alone.json"));
+}
+
+TEST_F(Verbs, EvalScoresByAProtocol) {
+  const Result r = succeeded(run(*dir_, {"eval", run_dir(), "--protocol", "semantic_nerf", "--json"}));
+  const nlohmann::json said = nlohmann::json::parse(r.out), of = said["protocol"];
+  EXPECT_EQ(of["miou"], said["miou_present"]);
+  EXPECT_EQ(of["total_accuracy"], said["total_accuracy"]);
+  EXPECT_EQ(of["frames"].size(), said["frames"]);
+  EXPECT_EQ(of["truth"].get<std::string>().size(), 8U);
+  const Result shown = run(*dir_, {"eval", run_dir(), "--protocol", "panoptic_lifting"});
+  EXPECT_HAS(shown.out, "protocol: name=panoptic_lifting miou=", " truth=" + of["truth"].get<std::string>());
+  const Result train = run(*dir_, {"eval", run_dir(), "--protocol", "semantic_nerf", "--split", "train"});
+  EXPECT_EQ(train.code, 2);
+  EXPECT_HAS(train.err, "[eval.protocol.split]");
 }
 
 }  // namespace

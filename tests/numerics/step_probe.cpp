@@ -4,8 +4,8 @@
 #include <cstdlib>
 #include <iostream>
 
-#include "box_room.h"
 #include "plugin/loader.h"
+#include "rooms.h"
 #include "session/trainer.h"
 #include "system/checksum.h"
 #include "system/files.h"

@@ -1,12 +1,52 @@
 #!/usr/bin/env python3
-"""The page in headless Chromium against the mock server: what a person does, what is seen, and what happens when things break."""
+"""The page in headless Chromium against the mock server: what a person does, its tools, haste on a loaded machine, and what happens when
+things break."""
 
 import pathlib
 
 import mock_server
 import page_case
-from mock_page_case import BLUE, RED, SIZE, MockPageCase
 
+
+SIZE = (120, 90)
+RED, BLUE = [230, 75, 70], [70, 150, 240]  # the first colours that the page offers
+
+
+class MockPageCase(page_case.PageCase):
+    SIZE = SIZE
+
+    def serve(self, **options):
+        self.room = mock_server.Room(views=options.pop("views", 6), size=SIZE, **options)
+        self.server = mock_server.Server(self.room)
+        self.url = self.server.start()
+        self.addCleanup(lambda: self.server.http.ended or self.server.stop())
+
+    def clicks(self):
+        return sum(e["type"] == "click" for e in self.room.events)
+
+    def wait_pixel(self, page, x, y, want, why, tolerance=14):
+        """Until the page shows about this colour at a pixel of the view."""
+        seen = None
+        for _ in range(60):
+            seen = page.pixels([self.page_of(page, x, y)])[0]
+            if max(abs(a - b) for a, b in zip(seen, want)) <= tolerance:
+                return
+        self.fail(f"{why}: {seen} at {x}, {y}, not {want}")
+
+    def mixed(self, view, x, y, color):
+        """The photograph with the overlay at its first opacity."""
+        photo = self.room.view(view)[0][int(y)][3 * int(x):3 * int(x) + 3]
+        return [0.45 * a + 0.55 * b for a, b in zip(photo, color)]
+
+    def pixel_of(self, view, which):
+        """A pixel well inside an object of the room."""
+        objects = self.room.view(view)[1]
+        inside = [(i + 0.5, j + 0.5) for j in range(8, SIZE[1] - 8) for i in range(8, SIZE[0] - 8)
+                  if all(objects[j + dj][i + di] == which for dj in (-5, 0, 5) for di in (-5, 0, 5))]
+        return inside[len(inside) // 2]
+
+
+# The page in headless Chromium against the mock server: what a person does, what is seen, and what happens when things break.
 RING = [255, 213, 74]
 
 
@@ -69,7 +109,7 @@ class PageTest(MockPageCase):
 
         page.keys("home", "e")
         page.wait("!document.getElementById('legend').hidden")
-        yellow = page.run("return import('./colors.js').then(({kEntropyColors}) => [kEntropyColors[40], kEntropyColors[220]])")
+        yellow = page.run("return import('./dom.js').then(({kEntropyColors}) => [kEntropyColors[40], kEntropyColors[220]])")
         wall = self.pixel_of(0, 2)
         self.wait_pixel(page, *far, self.mixed(0, *far, yellow[0]), "no entropy of what is known")
         self.wait_pixel(page, *wall, self.mixed(0, *wall, yellow[1]), "no entropy of what is unknown")
@@ -476,6 +516,412 @@ class PageTest(MockPageCase):
         page = self.open()
         said = page.run((pathlib.Path(__file__).parent / "modules.js").read_text())
         self.assertEqual(said, [])
+
+
+# The page's tools in headless Chromium against the mock server: polygons, deletion, classes that end, what is ignored, test frames, flight.
+class ToolsTest(MockPageCase):
+    def message(self, page, text):
+        page.wait(f"document.getElementById('messages').textContent.includes({text!r})", f"no message {text!r}: {page.text('#messages')!r}")
+
+    def test_a_polygon(self):
+        self.serve(classes=("sofa", "floor"))
+        page = self.open()
+        self.room.faults.add("overlay")
+        page.keys("1", "p")
+        page.wait("document.getElementById('tool-polygon').getAttribute('aria-pressed') == 'true'")
+        corners = [(30, 20), (70, 22), (80, 60), (35, 70)]
+        for corner in corners:
+            self.click(page, *corner)
+        page.wait("document.getElementById('readout').textContent.includes('4 corners')")
+        page.keys("backspace")
+        page.wait("document.getElementById('readout').textContent.includes('3 corners')")
+        self.click(page, *corners[3])
+        self.assertFalse(self.room.events, "a polygon that is open labels")
+        page.keys("enter")
+        self.wait_saved(page, 1)
+        event = self.room.events[-1]
+        self.assertEqual((event["fill"], event["class"], event["radius"], len(event["points"])), (True, "sofa", 0, 4))
+        self.assertLess(max(abs(a - b) for p, q in zip(event["points"], corners) for a, b in zip(p, q)), 0.3)
+        self.wait_pixel(page, 50, 45, self.mixed(0, 50, 45, [200, 60, 60]), "the polygon is not painted at once")
+        photo = self.room.view(0)[0][15][3 * 20:3 * 20 + 3]
+        self.wait_pixel(page, 20, 15, photo, "the polygon is painted outside")
+        page.keys("2")
+        for corner in ((90, 20), (110, 20), (110, 40)):  # closed by its first corner
+            self.click(page, *corner)
+        self.click(page, 90, 20)
+        self.wait_saved(page, 2)
+        page.mouse(*(self.page_of(page, x, y) for x, y in ((90, 60), (100, 60), (110, 65), (105, 80), (92, 75))))  # along the edge
+        page.keys("enter")
+        self.wait_saved(page, 3)
+        self.assertGreater(len(self.room.events[-1]["points"]), 3)
+        self.click(page, 10, 10)
+        page.keys("enter")
+        self.message(page, "A polygon needs three corners")
+        page.keys("escape")
+        self.message(page, "The polygon is dropped")
+        page.keys("z")
+        self.message(page, "Undone: polygon \"floor\"")
+        page.keys("b")
+        self.assertEqual(page.complaints(), [])
+
+    def test_one_click_is_deleted(self):
+        self.serve(classes=("sofa", "floor"))
+        page = self.open()
+        page.keys("1")
+        for k, at in enumerate(((30, 40), (60, 40), (90, 40))):
+            self.click(page, *at)
+            self.wait_saved(page, k + 1)
+        self.click(page, 60, 40)  # its own class: it is selected, not clicked again
+        page.wait("!document.getElementById('selection').hidden")
+        self.assertEqual(page.text("#selection-text"), 'Selected: click "sofa"')
+        page.keys("delete")
+        page.wait_for(lambda: [m["points"][0][0] > 45 and m["points"][0][0] < 75 for m in self.room.state(0)["marks"]], [False, False], "the click is not deleted")
+        page.wait("document.getElementById('selection').hidden")
+        self.message(page, "Deleted: click \"sofa\"")
+        page.keys("z")
+        page.wait_for(lambda: len(self.room.state(0)["marks"]), 3, "undo does not bring the click back")
+        page.keys("shift+z")
+        page.wait_for(lambda: len(self.room.state(0)["marks"]), 2, "redo does not delete it again")
+        page.hover(*self.page_of(page, 90, 40))  # no selection: what is under the pointer
+        page.wait("document.getElementById('readout').textContent.includes('Delete removes it')")
+        page.keys("delete")
+        page.wait_for(lambda: len(self.room.state(0)["marks"]), 1, "the click under the pointer is not deleted")
+        page.keys("2")
+        self.click(page, 30, 40)  # another class: a correction
+        self.wait_saved(page, 4)
+        self.assertTrue(page.run("return document.getElementById('selection').hidden"))
+        page.hover(5, 715)
+        page.keys("delete")
+        self.message(page, "Point at a click")
+
+    def test_the_eraser(self):
+        self.serve(classes=("sofa",))
+        page = self.open()
+        self.click(page, 30, 40)
+        page.mouse(self.page_of(page, 50, 30), self.page_of(page, 80, 30), self.page_of(page, 85, 50))
+        self.wait_saved(page, 2)
+        page.keys("x")
+        page.mouse(self.page_of(page, 70, 70))
+        self.message(page, "No click of this view is there")
+        page.mouse(self.page_of(page, 20, 40), self.page_of(page, 40, 40), self.page_of(page, 70, 40), self.page_of(page, 70, 28))
+        page.wait_for(lambda: self.room.state(0)["marks"], [], "the eraser leaves something")
+        self.message(page, "Deleted: 2 clicks")
+        page.keys("z", "z")
+        page.wait_for(lambda: len(self.room.state(0)["marks"]), 2, "undo does not bring them back")
+        self.assertEqual(self.clicks(), 2, "the eraser labels")
+
+    def test_classes_end(self):
+        self.serve(classes=("sofa",))
+        page = self.open()
+        for name, at in (("stool", (30, 40)), ("chair", (60, 40))):
+            self.make_class(page, name)
+            self.click(page, *at)
+        self.wait_saved(page, 2)
+        names = "[...document.querySelectorAll('#classes .name')].map((e) => e.textContent).join()"
+        page.keys("2", "f2")
+        page.wait("document.getElementById('class-dialog').open")
+        page.run("document.getElementById('merge-into').value = 'chair'")
+        page.click("#class-merge")
+        page.wait(f"{names} == 'sofa,chair'")
+        page.wait("[...document.querySelectorAll('#classes .clicks')].at(-1).textContent == '2'", "the clicks are not the other's")
+        page.wait_for(lambda: self.room.events[-1].get("into"), "chair", "no merge arrives")
+        self.message(page, "\"stool\" is merged into \"chair\", which got its 1 click.")
+        page.keys("z")
+        page.wait(f"{names} == 'sofa,stool,chair'", "a merge is not undone")
+        page.wait("[...document.querySelectorAll('#classes .clicks')].at(-1).textContent == '1'", "the click does not come back")
+        page.keys("3", "f2")
+        page.wait("document.getElementById('class-dialog').open")
+        page.click("#class-delete")
+        page.wait("document.getElementById('question').open")
+        self.assertIn("Its 1 click go with it", page.text("#question-text"))
+        page.keys("enter")  # the careful answer has the focus
+        self.message(page, "\"chair\" stays")
+        page.keys("f2")
+        page.wait("document.getElementById('class-dialog').open")
+        page.click("#class-delete")
+        page.wait("document.getElementById('question').open")
+        page.click("#question-yes")
+        page.wait(f"{names} == 'sofa,stool'")
+        page.wait_for(lambda: len(self.room.state(0)["marks"]), 1, "the clicks stay")
+        page.keys("z")
+        page.wait(f"{names} == 'sofa,stool,chair'")
+        page.wait_for(lambda: len(self.room.state(0)["marks"]), 2, "the clicks do not come back")
+        page.keys("1", "f2")  # the scene's own: its colour alone
+        page.wait("document.getElementById('class-dialog').open")
+        self.assertEqual(page.run("return [document.getElementById('class-name').disabled, document.getElementById('class-end').hidden]"), [True, True])
+        page.click("#class-cancel")
+
+    def test_what_is_ignored(self):
+        self.serve(classes=("sofa",))
+        page = self.open()
+        sofa = self.pixel_of(0, 4)
+        self.click(page, *sofa)
+        self.wait_saved(page, 1)
+        far = (sofa[0] + 9, sofa[1])
+        self.wait_pixel(page, *far, self.mixed(0, *far, [200, 60, 60]), "nothing is learned")
+        page.keys("i")
+        page.wait("document.getElementById('ignore').getAttribute('aria-pressed') == 'true'")
+        page.keys("]", "]", "]")
+        page.mouse(self.page_of(page, far[0] - 2, far[1]), self.page_of(page, far[0] + 2, far[1]))
+        self.wait_saved(page, 2)
+        self.assertEqual(self.room.events[-1]["class"], "void")
+        page.wait("document.querySelector('#ignore .clicks').textContent == '1'")
+        x, y = self.page_of(page, far[0], far[1] + 3)
+        near = page.pixels([(x + dx, y) for dx in range(16)])
+        self.assertTrue(all(max(p) - min(p) < 60 for p in near), f"they are not grey: {near}")
+        self.assertGreater(max(map(sum, near)) - min(map(sum, near)), 3 * 60, f"no stripes: {near}")
+        self.assertEqual(page.run("return [...document.querySelectorAll('#classes .clicks')].map((e) => e.textContent)"), ["1"])
+
+    def test_test_frames_are_looked_at(self):
+        self.serve(classes=("sofa",), held_out=2)
+        page = self.open()
+        self.click(page, *self.pixel_of(0, 4))
+        self.wait_saved(page, 1)
+        page.keys("end")
+        page.wait("document.querySelector('#strip [aria-current=true]').dataset.view == 5")
+        self.assertEqual(page.text("#strip [aria-current=true] .badge"), "test")
+        there = self.pixel_of(5, 4)
+        self.wait_pixel(page, *there, self.mixed(5, *there, [200, 60, 60]), "a test frame has no labels")
+        page.wait("document.getElementById('readout').textContent.includes('Held out for tests')")
+        self.click(page, *there)
+        self.message(page, "rgb_05 is held out for tests")
+        page.keys("p")
+        self.click(page, *there)
+        self.message(page, "rgb_05 is held out for tests")
+        page.keys("enter")
+        self.assertEqual((len(self.room.events), len(self.room.received)), (1, 1), "a label of a test frame was sent")
+
+    def test_clicks_of_other_views_are_shown(self):
+        self.serve(classes=("sofa",))
+        page = self.open()
+        self.click(page, *self.pixel_of(0, 4))
+        self.wait_saved(page, 1)
+        place = self.room.place(0, self.room.events[0]["points"][0])
+        view = next(k for k in range(1, 6) if mock_server.is_seen(self.room.cameras[k], place) and mock_server.pixel_of(self.room.cameras[k], *SIZE, place))
+        page.run(f"document.querySelector('#strip [data-view=\"{view}\"]').click()")
+        at = mock_server.pixel_of(self.room.cameras[view], *SIZE, place)
+        x, y = self.page_of(page, *at)
+        around = ((1, 0), (-1, 0), (0, 1), (0, -1))
+        for _ in range(60):  # a light ring
+            ring, far = ([page.pixels([(x + r * dx, y + r * dy)])[0] for dx, dy in around] for r in (3.5, 9))
+            if sum(map(sum, ring)) > sum(map(sum, far)) + 120:
+                break
+        else:
+            self.fail(f"the click of another view is not shown: {ring} in {far}")
+        page.hover(x, y)
+        page.wait("document.getElementById('readout').textContent.includes('(clicked as sofa in rgb_00)')")
+
+    def test_a_click_in_flight_labels(self):
+        self.serve(classes=("sofa",), held_out=1)
+        page = self.open()
+        page.keys("f")
+        page.wait("/\\d+ x \\d+, \\d+ ms/.test(document.getElementById('readout').textContent)", "no picture of the free camera")
+        middle = self.page_of(page, SIZE[0] / 2, SIZE[1] / 2)
+        page.mouse(middle)
+        self.wait_saved(page, 1)
+        event = self.room.events[-1]
+        self.assertNotEqual(event["frame"], "rgb_05")
+        self.message(page, f"Clicked as \"sofa\" in {event['frame']}, which shows this place best")
+        seen = self.room.view(self.room.frames.index(event["frame"]))[1][int(event["points"][0][1])][int(event["points"][0][0])]
+        self.assertEqual(seen, self.room.view(0)[1][SIZE[1] // 2][SIZE[0] // 2], "something else was labelled")
+        self.room.faults.add("hidden")
+        page.mouse((middle[0] + 60, middle[1]))
+        page.wait("document.querySelector('#messages .error')?.textContent.includes('no surface here to label. Fly nearer')")
+        self.assertEqual(self.clicks(), 1)
+        page.keys("v")
+        page.wait("document.getElementById('fly').getAttribute('aria-pressed') == 'false'", "v does not land")
+        self.message(page, "is the nearest photograph")
+
+    def test_a_photograph_is_sharp(self):
+        self.serve(classes=("sofa",), photo_scale=16)  # 1920 x 1440
+        page = self.open()
+        page.keys("o")
+        page.wait_for(lambda: (0, 1024) in self.room.photos, True, "a larger photograph is not asked for")
+        self.assertIn((0, 120), self.room.photos, "what the program has at hand comes first")
+        at = self.page_of(page, 64, 45)
+        for _ in range(9):
+            page.wheel(*at, -240)
+        # It has 1920 pixels: a page that has those asks for no more.
+        page.wait_for(lambda: any((0, most) in self.room.photos for most in (2048, 4096, 0)), True, "no full photograph when zoomed in")
+        for _ in range(60):  # a line of one of its pixels
+            row = page.pixels([(at[0] + dx, at[1]) for dx in range(-12, 13)])
+            white = [min(p) > 235 for p in row]
+            if any(white):
+                break
+        else:
+            self.fail(f"no line: {row}")
+        self.assertLess(sum(white), 24, "the line is as wide as a pixel that trains")
+        page.mouse((at[0] + 3, at[1]))
+        self.wait_saved(page, 1)
+        x = self.room.events[-1]["points"][0][0]
+        self.assertNotEqual(round(x, 2), round(x, 1), "a click has no place within a tenth of a pixel that trains")
+
+    def test_every_key_says_something(self):
+        self.serve(classes=("sofa",))
+        page = self.open()
+        for keys, words in (("7", "No class has the key 7"), ("enter", "Move a cross"), ("delete", "Point at a click"), ("c", "no label under the pointer"),
+                            ("v", "goes from a flight"), ("left", "This is the first view"), ("x", "Eraser:"), ("p", "Polygon:"), ("b", "Brush:"),
+                            ("z", "nothing to undo"), ("shift+z", "nothing to redo"), ("g", "There is no guess")):
+            page.hover(5, 715)
+            page.keys(keys)
+            self.message(page, words)
+        page.keys("end", "right")
+        self.message(page, "This is the last view")
+        box = page.box("#canvas")
+        page.mouse((box["x"] + 3, box["y"] + 3))
+        self.message(page, "Click into the picture")
+
+
+# The page in headless Chromium against the mock server: what a person does before the page has caught up, as on a loaded machine.
+# A label is of the class, view and proposal that the person saw, and what is not stored says so.
+# Events of one task: none that the browser itself queues comes between them.
+HASTE = """
+const byId = (id) => document.getElementById(id);
+const pointer = (type, [x, y], pointerId = 1) => byId('canvas').dispatchEvent(
+  new PointerEvent(type, {pointerId, pointerType: 'mouse', button: 0, buttons: 1, clientX: x, clientY: y, bubbles: true, cancelable: true}));
+const click = (at) => { pointer('pointerdown', at); pointer('pointerup', at); };
+const key = (key) => byId('canvas').dispatchEvent(new KeyboardEvent('keydown', {key, bubbles: true, cancelable: true}));
+const named = (name) => { byId('class-name').value = name; byId('class-dialog').querySelector('form').requestSubmit(byId('class-ok')); };
+"""
+
+
+class HasteTest(MockPageCase):
+    def haste(self, page, script, *points):
+        """`script` with the points of the view as p[0], p[1] ... in pixels of the page."""
+        page.run(HASTE + "const p = arguments[0];" + script, [self.page_of(page, *point) for point in points])
+
+    def message(self, page, text):
+        page.wait(f"document.getElementById('messages').textContent.includes({text!r})", f"no message {text!r}: {page.text('#messages')!r}")
+
+    def labels(self):
+        return [(e["class"], round(e["points"][0][0])) for e in self.room.events if e["type"] == "click"]
+
+    def opened(self, page, dialog="class-dialog"):
+        page.wait(f"document.getElementById('{dialog}').open")
+
+    def test_a_class_that_was_just_named(self):
+        self.serve()
+        page = self.open()
+        self.haste(page, "click(p[0]);", (30, 40))  # waits for the first class
+        self.opened(page)
+        self.haste(page, "named('sofa'); click(p[0]);", (60, 40))
+        self.wait_saved(page, 2)
+        page.keys("n")
+        self.opened(page)
+        self.haste(page, "named('floor'); click(p[0]); click(p[1]);", (90, 40), (90, 70))
+        self.wait_saved(page, 4)
+        self.assertEqual(self.labels(), [("sofa", 30), ("sofa", 60), ("floor", 90), ("floor", 90)])
+        self.assertEqual([e["name"] for e in self.room.events if e["type"] == "class"], ["sofa", "floor"])
+        page.keys("1", "f2")
+        self.opened(page)
+        self.haste(page, "named('couch'); click(p[0]);", (50, 60))
+        self.wait_saved(page, 5)
+        self.assertEqual(self.labels()[-1], ("couch", 50))
+        page.keys("f2")
+        self.opened(page)
+        self.haste(page, "byId('merge-into').value = 'floor'; byId('class-merge').click(); click(p[0]);", (10, 20))
+        self.wait_saved(page, 6)
+        self.assertEqual(self.labels()[-1], ("floor", 10))
+        page.keys("f2")
+        self.opened(page)
+        self.haste(page, "byId('class-delete').click();")
+        self.opened(page, "question")
+        self.haste(page, "byId('question-yes').click(); click(p[0]);", (20, 20))  # no class is left: it waits for a new one
+        self.opened(page)
+        self.haste(page, "named('wall');")
+        self.wait_saved(page, 7)
+        self.assertEqual(self.labels()[-1], ("wall", 20))
+        self.assertEqual(page.complaints(), [])
+
+    def test_a_dialog_that_opens_again_at_once(self):
+        self.serve()
+        page = self.open()
+        page.keys("n")
+        self.opened(page)
+        self.haste(page, "byId('class-cancel').click(); click(p[0]); ", (30, 40))  # its close event comes when the next one is open
+        self.opened(page)
+        self.haste(page, "named('sofa');")
+        self.wait_saved(page, 1)
+        self.assertEqual(self.labels(), [("sofa", 30)])
+
+    def test_a_stroke_is_of_the_class_that_began_it(self):
+        self.serve(classes=("sofa", "floor"))
+        page = self.open()
+        page.keys("1")
+        self.haste(page, "pointer('pointerdown', p[0]); pointer('pointermove', p[1]); key('2'); key(']'); pointer('pointerup', p[1]);", (30, 40), (60, 40))
+        self.wait_saved(page, 1)
+        event = self.room.events[-1]
+        self.assertEqual((event["class"], event["radius"]), ("sofa", 3))
+        self.assertEqual(page.text("#classes [aria-checked=true] .name"), "floor")
+
+    def test_what_is_not_stored_says_so(self):
+        self.serve(classes=("sofa", "floor"))
+        page = self.open()
+        page.keys("1")
+        self.haste(page, "key('ArrowRight'); click(p[0]);", (30, 40))  # the person still sees the view before
+        self.message(page, "Not stored: another view is coming")
+        self.haste(page, "pointer('pointerdown', p[0]); pointer('pointermove', p[1]); pointer('pointercancel', p[1]);", (30, 40), (60, 40))
+        self.message(page, "Not stored: the stroke was broken off")
+        self.haste(page, "pointer('pointerdown', p[0]); pointer('pointermove', p[1]); key('ArrowLeft'); pointer('pointerup', p[1]);", (30, 40), (60, 40))
+        self.message(page, "The stroke is dropped")
+        self.haste(page, "pointer('pointerdown', p[0]); pointer('pointermove', p[1]); pointer('pointerup', p[1]);", (-8, 40), (60, 40))
+        self.message(page, "Click into the picture")
+        page.keys("n")
+        self.opened(page)
+        page.mouse(self.page_of(page, 5, 5))
+        self.message(page, "Not stored: a window is open over the picture")
+        page.keys("escape", "p")
+        self.haste(page, "click(p[0]); click(p[1]); key('ArrowRight');", (30, 40), (60, 40))
+        self.message(page, "The polygon is dropped")
+        page.keys("b")
+        self.assertEqual(self.labels(), [])
+        self.click(page, 30, 40)
+        self.wait_saved(page, 1)
+
+    def test_a_click_without_a_class(self):
+        self.serve()
+        page = self.open()
+        self.haste(page, "click(p[0]);", (30, 40))
+        self.opened(page)
+        page.keys("escape")
+        self.message(page, "Not stored: the click has no class")
+        self.assertEqual(self.room.events, [])
+
+    def test_a_proposal_that_was_not_seen(self):
+        self.serve(classes=("sofa",))
+        page = self.open()
+        page.wait("document.getElementById('proposal-text').textContent.startsWith('Click proposed here')")
+        page.run("window.draws = window.requestAnimationFrame; window.requestAnimationFrame = () => 0;")  # no frame comes
+        before = self.room.state(0)["proposal"]["id"]
+        place = self.room.state(0)["proposal"]
+        self.room.apply({"id": "x-1", "type": "skip", "frame": self.room.frames[place["view"]], "size": list(SIZE), "points": [place["at"]]})
+        self.assertNotEqual(self.room.state(0)["proposal"]["id"], before)
+        page.run("return new Promise((resolve) => setTimeout(resolve, 700))")
+        for name in ("space", "g", "s"):
+            page.keys(name)
+            page.run("return new Promise((resolve) => setTimeout(resolve, 100))")
+        self.message(page, "another click has just been proposed")
+        self.assertEqual(len(self.room.events), 1)
+
+    def test_clicks_of_a_flight(self):
+        self.serve(classes=("sofa", "floor"))
+        page = self.open()
+        page.keys("1", "f")
+        page.wait("/\\d+ x \\d+, \\d+ ms/.test(document.getElementById('readout').textContent)", "no picture of the free camera")
+        self.room.faults.add("picture")  # every answer takes a while
+        self.haste(page, "click(p[0]); key('2'); click(p[1]); click(p[2]); key('Escape');", (60, 45), (70, 45), (50, 45))
+        page.wait("document.getElementById('fly').getAttribute('aria-pressed') == 'false'")
+        self.wait_saved(page, 3)
+        self.assertEqual([name for name, _ in self.labels()], ["sofa", "floor", "floor"])
+        page.keys("f")
+        page.wait("/\\d+ x \\d+, \\d+ ms/.test(document.getElementById('readout').textContent)", "no picture of the free camera")
+        self.haste(page, "click(p[0]); click(p[1]); key('z');", (60, 55), (70, 55))  # takes back what is still on its way
+        self.message(page, "Undone: the click of the flight")
+        self.wait_saved(page, 4)
+        self.haste(page, "pointer('pointerdown', p[0]); key('Escape'); pointer('pointerup', p[0]);", (60, 45))
+        self.message(page, "Not stored: the picture changed under it")
+        self.assertEqual([e["type"] for e in self.room.events], ["click"] * 4)
+        self.assertEqual(page.complaints(), [])
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 // Unit tests of the page's modules, run inside the page: the body of a function that returns a list of what is wrong.
-return Promise.all(['model', 'viewport', 'colors', 'fly', 'plots', 'events', 'api', 'pictures'].map((name) => import(`./${name}.js`)))
-.then(([model, viewport, colors, fly, plots, events, api, pictures]) => {
+return Promise.all(['model', 'stage', 'dom', 'flights', 'panel', 'api', 'pictures'].map((name) => import(`./${name}.js`)))
+.then(([model, viewport, colors, fly, plots, api, pictures]) => {
   const wrong = [];
   const is = (got, want, what) => { if (JSON.stringify(got) !== JSON.stringify(want)) wrong.push(`${what}: ${JSON.stringify(got)}`); };
   const image = {width: 100, height: 50}, screen = {width: 400, height: 400};

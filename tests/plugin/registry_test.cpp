@@ -1,17 +1,23 @@
 // The registry: names, near misses, order, kernel tables; its reference pages; the testkit itself.
+
 #include "plugin/registry.h"
+
+#include <unistd.h>
 
 #include <algorithm>
 #include <filesystem>
 #include <fstream>
 #include <sstream>
+#include <stdexcept>
 
+#include "plugin/field.h"
 #include "plugin/loader.h"
 #include "plugin/reference.h"
 #include "testkit/compare.h"
 #include "testkit/field_bench.h"
 #include "tests/plugin/toy_encoder.h"
 #include "tests/says.h"
+#include "tests/temp_dir.h"
 
 namespace semfield {
 namespace {
@@ -38,8 +44,8 @@ TEST(Registry, AnUnknownNameListsTheKnownAndTheNearest) {
   Registry registry;
   registry.add_encoder<toy::ToyEncoder, toy::ToyParams>("hash_grid", "A toy under a known name.");
   registry.add_encoder<toy::ToyEncoder, toy::ToyParams>("identity", "A toy under a known name.");
-  EXPECT_EQ(error_of(ErrorKind::config, [&] { registry.get(PluginKind::encoder, "hashgrid"); }),
-            "no encoder named 'hashgrid'; known: hash_grid, identity; did you mean 'hash_grid'?");
+  EXPECT_HAS(error_of(ErrorKind::config, [&] { registry.get(PluginKind::encoder, "hashgrid"); }), "hashgrid",
+             "hash_grid");
   EXPECT_THROW(registry.get(PluginKind::sampler, "identity"), Error);
 }
 
@@ -92,8 +98,8 @@ TEST(KernelTables, AMissingPairIsASentence) {
   EXPECT_EQ(tables.get<TableA>(Device::cpu, "encoder 'hash_grid'").value, 7);
   EXPECT_EQ(tables.devices_of("encoder 'hash_grid'"), "cpu");
   EXPECT_EQ(tables.devices_of("encoder 'other'"), "");
-  EXPECT_EQ(error_of(ErrorKind::unavailable, [&] { tables.get<TableA>(Device::cuda, "encoder 'hash_grid'"); }),
-            "encoder 'hash_grid' has no cuda kernels in this build (has: cpu)");
+  EXPECT_HAS(error_of(ErrorKind::unavailable, [&] { tables.get<TableA>(Device::cuda, "encoder 'hash_grid'"); }),
+             "hash_grid", "cpu");
   EXPECT_THROW(tables.get<TableB>(Device::cpu, "encoder 'other'"), Error);
 }
 
@@ -115,13 +121,6 @@ Registry toy_registry() {
   return registry;
 }
 
-std::string text_of(const std::filesystem::path& path) {
-  std::ifstream file(path);
-  std::ostringstream text;
-  text << file.rdbuf();
-  return text.str();
-}
-
 TEST(Reference, TheTableHasEveryParameterOnce) {
   const Registry registry = toy_registry();
   EXPECT_EQ(parameter_table_markdown(registry.get(PluginKind::encoder, "toy")),
@@ -136,53 +135,7 @@ TEST(Reference, ListShowAndMatrixNameThePlugin) {
   EXPECT_EQ(plugins_list_text(registry), "encoders\n  toy  Sines with a learned amplitude. [toys 1.0]\n");
   EXPECT_HAS(plugin_details_text(registry, "toy"), "gain: number = 1.5   ([0, 4])\n      factor of every output");
   EXPECT_HAS(support_matrix_text(registry), "| encoder | toy | cpu | toys 1.0 |");
-  EXPECT_EQ(error_of([&] { plugin_details_text(registry, "toi"); }),
-            "no plugin named 'toi'; known: toy; did you mean 'toy'?");
-}
-
-TEST(Reference, TheTableInAPageIsReplacedBetweenItsMarkers) {
-  const Registry registry = toy_registry();
-  const PluginEntry& entry = registry.get(PluginKind::encoder, "toy");
-  const std::string page = "# Toy\n<!-- parameters -->\nstale\n<!-- /parameters -->\nrest\n";
-  const std::string fresh = with_parameter_table(page, entry);
-  EXPECT_EQ(fresh, "# Toy\n<!-- parameters -->\n" + parameter_table_markdown(entry) + "<!-- /parameters -->\nrest\n");
-  EXPECT_EQ(with_parameter_table(fresh, entry), fresh);
-  EXPECT_EQ(with_parameter_table("# no markers\n", entry), "# no markers\n");
-}
-
-TEST(CommittedPages, TheReferenceIsFresh) {
-  Registry registry;
-  register_linked_plugins(registry);
-  const std::filesystem::path page = std::filesystem::path(SEMFIELD_SOURCE_DIR) / "docs/reference/plugins.md";
-  EXPECT_TRUE(text_of(page) == plugins_markdown(registry))
-      << "docs/reference/plugins.md is stale; run: semfield help --pages PROJECT_FOLDER";
-}
-
-TEST(CommittedPages, TheTablesOfPluginFoldersAreFresh) {
-  Registry registry;
-  register_linked_plugins(registry);
-  const std::string empty_table = std::string(kTableBegin) + "\n" + kTableEnd;
-  std::vector<std::string> never_generated;
-  int checked = 0;
-  for (const PluginEntry* entry : registry.entries()) {
-    const std::string folder = std::string(kind_folder(entry->kind)) + "/" + entry->name;
-    const std::filesystem::path source = SEMFIELD_SOURCE_DIR;
-    std::filesystem::path readme = source / "plugins" / folder / "README.md";
-    if (!std::filesystem::exists(readme)) readme = source / "framework" / folder / "README.md";
-    const std::string page = text_of(readme);
-    if (page.find(kTableBegin) == std::string::npos || page.find(empty_table) != std::string::npos) {
-      never_generated.push_back(folder);
-      continue;
-    }
-    ++checked;
-    EXPECT_TRUE(with_parameter_table(page, *entry) == page)
-        << folder << "/README.md has a stale parameter table; run: semfield help --pages PROJECT_FOLDER";
-  }
-  if (!never_generated.empty()) {
-    GTEST_SKIP() << checked
-                 << " tables checked; without a README, its markers or a generated table: " << join(never_generated)
-                 << "; run: semfield help --pages PROJECT_FOLDER";
-  }
+  EXPECT_HAS(error_of([&] { plugin_details_text(registry, "toi"); }), "toi", "toy");
 }
 
 // The testkit's instruments notice what they are for.
@@ -255,6 +208,242 @@ TEST(TensorBox, FloatAndDoubleHoldTheSameNumbers) {
   ASSERT_EQ(single.count(), 1u);
   EXPECT_EQ((difference<float, double>(single.value(0), twin.value(0)).max_abs), 0);
   EXPECT_NE(compare_bits<double>(twin.value(0), other.value(0)), "");
+}
+
+// Modules join the registry whole or not at all, with refusals that name both sides; wrappers refuse wrong shapes.
+
+using testkit::Guarded;
+
+void register_two_then_throw(Registry& registry) {
+  static const int kernel_table = 3;
+  registry.kernels().add(Device::cpu, "encoder 'half'", &kernel_table);
+  registry.add_encoder<toy::ToyEncoder, toy::ToyParams>("half_a", "A toy that must not stay.");
+  throw std::runtime_error("the second half is missing");
+}
+
+PluginModule sound_module() { return {kPluginApi, abi_tag_of_framework(), "toys", "1.0", toy::register_into}; }
+
+std::string refusal_of(Registry& registry, const PluginModule& module) {
+  return error_of(ErrorKind::unavailable, [&] { register_module(registry, module); });
+}
+
+TEST(Loader, RegistersASoundModuleUnderItsName) {
+  Registry registry;
+  register_module(registry, sound_module());
+  EXPECT_EQ(registry.get(PluginKind::encoder, "toy").module, "toys 1.0");
+}
+
+TEST(Loader, AnotherApiIsRefusedWithBothNumbers) {
+  Registry registry;
+  PluginModule module = sound_module();
+  module.api = 99;
+  EXPECT_EQ(refusal_of(registry, module), "the module speaks plugin API 99, this framework speaks " +
+                                              std::to_string(kPluginApi) +
+                                              "; rebuild the plugin against the installed headers");
+}
+
+TEST(Loader, AnotherAbiIsRefusedWithBothTags) {
+  Registry registry;
+  PluginModule module = sound_module();
+  module.abi_tag = "other-world";
+  const std::string refusal = refusal_of(registry, module);
+  EXPECT_HAS(refusal, "'other-world'", abi_tag_of_framework());
+  module.abi_tag = nullptr;
+  EXPECT_HAS(refusal_of(registry, module), "ABI ''");
+}
+
+TEST(Loader, ADescriptorWithoutItsPartsIsRefused) {
+  Registry registry;
+  PluginModule module = sound_module();
+  module.register_into = nullptr;
+  EXPECT_HAS(refusal_of(registry, module), "lacks its name, version or register function");
+}
+
+TEST(Loader, AThrowingModuleLeavesTheRegistryUnchanged) {
+  Registry registry;
+  register_module(registry, sound_module());
+  PluginModule module = sound_module();
+  module.name = "half";
+  module.register_into = register_two_then_throw;
+  EXPECT_EQ(refusal_of(registry, module), "while registering module 'half 1.0': the second half is missing");
+  EXPECT_EQ(registry.names(PluginKind::encoder), std::vector<std::string>{"toy"});
+  EXPECT_EQ(registry.kernels().devices_of("encoder 'half'"), "");
+}
+
+TEST(KernelTables, KnowForWhichDeviceAnOwnerHasKernels) {
+  KernelTables tables;
+  static const int fp32 = 0;
+  static const float bf16 = 0;
+  tables.add(Device::cpu, "field 'a'", &fp32);
+  tables.add(Device::cuda, "field 'b'", &bf16, Precision::bf16);
+  EXPECT_TRUE(tables.has(Device::cpu, "field 'a'"));
+  EXPECT_FALSE(tables.has(Device::cuda, "field 'a'"));
+  EXPECT_TRUE(tables.has(Device::cuda, "field 'b'"));
+  EXPECT_FALSE(tables.has(Device::cpu, "field 'b'"));
+  EXPECT_FALSE(tables.has(Device::cpu, "field 'c'"));
+}
+
+TEST(Loader, ADuplicateNameLeavesTheRegistryUnchanged) {
+  Registry registry;
+  register_module(registry, sound_module());
+  PluginModule module = sound_module();
+  module.name = "copies";
+  const std::string refusal = refusal_of(registry, module);
+  EXPECT_HAS(refusal,
+             "while registering module 'copies 1.0': the encoder name 'toy' of module 'copies 1.0' is "
+             "taken by module 'toys 1.0'");
+  EXPECT_EQ(registry.entries().size(), 1u);
+}
+
+TEST(Loader, AMissingFileIsNamed) {
+  Registry registry;
+  try {
+    load_module(registry, "/no/such/plugin.so");
+    FAIL() << "a missing file was loaded";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.message(), "cannot load plugin '/no/such/plugin.so': there is no such file");
+  }
+}
+
+TEST(Loader, AFileThatIsNoLibraryIsNamed) {
+  const TempDir dir;
+  const std::string path = dir.write("not_a_plugin.so", "plain text");
+  Registry registry;
+  const std::string error = error_of(ErrorKind::unavailable, [&] { load_module(registry, path); });
+  EXPECT_TRUE(error.starts_with("cannot load plugin '" + path + "': ")) << error;
+}
+
+// The public wrappers refuse wrong shapes with a sentence, and never call an implementation with nothing to do.
+
+std::string message_of(const std::function<void()>& call) {
+  try {
+    call();
+  } catch (const Error& error) {
+    EXPECT_EQ(error.kind(), ErrorKind::internal);
+    return error.message();
+  }
+  return "nothing was thrown";
+}
+
+class CheckedEncoder : public testing::Test {
+ protected:
+  KernelTables kernels;
+  toy::ToyEncoder<float> encoder{toy::ToyParams{}, EncoderBuild{}, kernels};
+  testkit::TensorBox<float> box{encoder, 1};
+  Workspace workspace;
+  StepContext ctx{1, 0, true, 0, 0, &workspace};
+  Guarded<double> x{4, 3};
+  Guarded<float> y{4, 2};
+  CheckedEncoder() { x.fill(0.25); }
+};
+
+TEST_F(CheckedEncoder, NamesTheViewOfAWrongShape) {
+  EXPECT_HAS(message_of([&] { encoder.forward(ctx, box.tensors(), x.view(), y.view().row_range(0, 3)); }),
+             "expected [");
+  EXPECT_HAS(message_of([&] { encoder.forward(ctx, box.tensors(), x.view().col_range(0, 2), y.view()); }),
+             "expected [");
+}
+
+TEST_F(CheckedEncoder, RefusesEmptyOverlappingAndForeignViews) {
+  EXPECT_HAS(message_of([&] { encoder.forward(ctx, box.tensors(), x.view(), View<float>(nullptr, 4, 2)); }), "not be");
+  EXPECT_HAS(message_of([&] { encoder.forward(ctx, box.tensors(), x.view(), View<float>(y.view().data, 4, 2, 1)); }),
+             "its columns");
+  EXPECT_HAS(message_of([&] {
+               encoder.forward(ctx, box.tensors(), x.view(), View<float>(y.view().data, 4, 2, 2, Device::cuda));
+             }),
+             "first argument");
+}
+
+TEST_F(CheckedEncoder, BackwardWantsGradients) {
+  y.fill(1);
+  EXPECT_HAS(message_of([&] { encoder.backward(ctx, box.values_only(), x.view(), y.view(), {}); }), "no gradients");
+}
+
+TEST_F(CheckedEncoder, ZeroRowsWriteNothing) {
+  encoder.forward(ctx, box.tensors(), x.view().row_range(0, 0), y.view().row_range(0, 0));
+  encoder.forward(ctx, box.tensors(), View<const double>(nullptr, 0, 3), View<float>(nullptr, 0, 2));
+  EXPECT_NE(y.unwritten(), "");
+}
+
+/// Hands its feature on in the forms up to `most`, and counts the calls that came through.
+class FormField final : public Field<float> {
+ public:
+  explicit FormField(FeatureForm most) : most_(most) {}
+  FieldTraits traits() const noexcept override { return {2, false}; }
+  FeatureForm feature_form(std::int32_t width) const noexcept override {
+    return most_ == FeatureForm::hidden_layer && width != 3 ? FeatureForm::rounded : most_;
+  }
+  std::size_t saved_bytes(std::int64_t, std::int64_t) const noexcept override { return 0; }
+  mutable int calls = 0;
+
+ protected:
+  void do_forward(const StepContext&, const Tensors<float>&, const FieldIn<float>&, const FieldOut<float>&,
+                  Saved) const override {
+    ++calls;
+  }
+  void do_backward(const StepContext&, const Tensors<float>&, const FieldIn<float>&, const FieldOut<float>&,
+                   const FieldGrad<float>&, Saved, View<float>) const override {
+    ++calls;
+  }
+
+ private:
+  FeatureForm most_;
+};
+
+class CheckedFieldForms : public testing::Test {
+ protected:
+  std::string forward(const FormField& field, const FieldOut<float>& out) {
+    return message_of([&] { field.forward(StepContext{}, {}, in(), out, {}); });
+  }
+  std::string backward(const FormField& field, const FieldOut<float>& out, const FieldGrad<float>& grad) {
+    return message_of([&] { field.backward(StepContext{}, {}, in(), out, grad, {}, {}); });
+  }
+  FieldIn<float> in() { return FieldIn<float>{.position = position.view()}; }
+  FieldOut<float> rounded() { return FieldOut<float>{.fused = {.feature = {numbers, 4, 2}}}; }
+  FieldOut<float> hidden(std::int32_t width) {
+    return FieldOut<float>{
+        .fused = {.hidden = {numbers, 3, width}, .layer = {.weight = {layer, 2, width}, .bias = {layer, 1, width}}}};
+  }
+  Guarded<float> position{4, 5}, feature{4, 2};
+  Bf16 numbers[16]{};
+  float layer[16]{};
+};
+
+TEST_F(CheckedFieldForms, AFieldGetsOnlyTheFormsThatItHas) {
+  const FormField full(FeatureForm::full), two(FeatureForm::rounded), all(FeatureForm::hidden_layer);
+  const std::string nothing = "nothing was thrown";
+  EXPECT_EQ(forward(full, rounded()), "field.forward: fused.feature is wanted of a field that has no such form");
+  EXPECT_EQ(forward(two, rounded()), nothing);
+  EXPECT_EQ(forward(two, hidden(3)), "field.forward: hidden is wanted of a field that does not compute such a layer");
+  EXPECT_EQ(forward(all, hidden(4)), "field.forward: hidden is wanted of a field that does not compute such a layer");
+  EXPECT_EQ(forward(all, hidden(3)), nothing);
+  EXPECT_EQ(full.calls + two.calls + all.calls, 2);
+}
+
+TEST_F(CheckedFieldForms, TheFeatureIsWantedOnce) {
+  const FormField all(FeatureForm::hidden_layer);
+  FieldOut<float> out = rounded();
+  out.feature = feature.view();
+  EXPECT_EQ(forward(all, out), "field.forward: the feature is wanted in more than one form");
+  out = hidden(3);
+  out.fused.layer.weight = {layer, 3, 3};
+  EXPECT_EQ(forward(all, out), "field.forward: layer.weight is [3, 3], expected [2, 3]");
+  out = hidden(3);
+  out.fused.hidden.rows = 5;
+  EXPECT_EQ(forward(all, out), "field.forward: hidden has more rows than there are samples");
+  EXPECT_EQ(all.calls, 0);
+}
+
+TEST_F(CheckedFieldForms, GradientsComeInAFormThatTheFieldHas) {
+  const FormField full(FeatureForm::full), all(FeatureForm::hidden_layer);
+  FieldGrad<float> grad{.fused = {.feature = View<Bf16>(numbers, 4, 2)}};
+  const std::string other = "field.backward: the feature's gradient comes in a form that the field does not have";
+  EXPECT_EQ(backward(full, {}, grad), other);
+  grad = {};
+  grad.fused.hidden = numbers;
+  EXPECT_EQ(backward(all, hidden(4), grad), other);
+  EXPECT_EQ(backward(all, hidden(3), grad), "nothing was thrown");
+  EXPECT_EQ(full.calls + all.calls, 1);
 }
 
 }  // namespace

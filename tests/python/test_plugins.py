@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
+import struct
 import subprocess
 import sys
+import zlib
 from pathlib import Path
-from typing import Any, Dict, Type
+from typing import Any, Dict, List, Type
 
 import numpy as np
 import pytest
@@ -486,3 +489,306 @@ class Bent(sf.Encoder):
     sf.command("plugins", "check", file)
     sf.load_plugin(file)
     assert "bent" in [name for _, name, _, _ in sf.plugins()]
+
+
+# Heads beside that of class logits: from a file of Python, on feature maps of a dataset, rendered and asked.
+# Of each wall, as a network might encode its word; nearly orthogonal.
+WORDS = np.random.default_rng(5).normal(size=(6, 96)).astype(np.float32)
+
+HEAD = '''
+import numpy as np
+import semfield as sf
+
+
+@sf.head("plain")
+class Plain(sf.Head):
+    """One linear layer and its bias."""
+
+    def setup(self):
+        self.hidden_width = self.feature_dims
+        self.tensors = {"weight": sf.Tensor(self.feature_dims, self.width, -0.5, 0.5), "bias": sf.Tensor(1, self.width)}
+
+    def hidden(self, feature, params):
+        return feature
+
+    def hidden_backward(self, feature, hidden, d_hidden, params, grads):
+        return d_hidden
+
+    def output(self, h, opacity, params):
+        share = np.ones((len(h), 1)) if opacity is None else opacity
+        return np.einsum("nh,hc->nc", h, params["weight"]) + share * params["bias"]
+
+    def output_backward(self, h, opacity, d_rows, params, grads):
+        share = np.ones((len(h), 1)) if opacity is None else opacity
+        grads["weight"] += h.T @ d_rows
+        grads["bias"] += (share * d_rows).sum(0, keepdims=True)
+        return d_rows @ params["weight"].T, d_rows @ params["bias"].T
+'''
+
+
+class WordBox(Box):
+    """The box of the tests, and for every second pixel the word of its wall."""
+
+    def frames(self) -> Any:
+        return [dataclasses.replace(f, channels={"words": (f.camera.height // 2, f.camera.width // 2, 96)}) for f in super().frames()]
+
+    def pixels(self, index: int) -> sf.Frame:
+        f = super().pixels(index)
+        return dataclasses.replace(f, channels={"words": WORDS[np.asarray(f.labels)[::2, ::2]]})
+
+
+def word_config(scene: sf.Scene, **head: Any) -> Dict[str, Any]:
+    sf.dataset("py_word_box")(WordBox)
+    return {**config_of(scene, steps=300), "scene": {"type": "py_word_box"},
+            "heads": [{"type": "feature_map", "channel": "words", "branch": BRANCH, **head}],
+            "losses": [{"type": "cosine_distance", "channel": "words"}]}
+
+
+def found_walls(made: np.ndarray) -> np.ndarray:
+    """The word that each pixel's row [H, W, 96] is nearest to."""
+    words = WORDS / np.linalg.norm(WORDS, axis=1, keepdims=True)
+    return np.argmax(made @ words.T, -1)
+
+
+def test_a_head_in_a_file_is_checked(tmp_path: Path) -> None:
+    file = tmp_path / "idea_head.py"
+    file.write_text(HEAD)
+    said = sf.command("plugins", "check", file)
+    assert "failed=0" in said, said
+
+
+@pytest.fixture(scope="module")
+def plain_head(tmp_path_factory: pytest.TempPathFactory) -> None:
+    file = tmp_path_factory.mktemp("head") / "plain_head.py"
+    file.write_text(HEAD)
+    sf.load_plugin(file)
+
+
+@pytest.mark.parametrize("type_", ["feature_map", "plain"])
+def test_feature_maps_are_learned_and_rendered(scene: sf.Scene, plain_head: None, type_: str) -> None:
+    run = sf.open(word_config(scene, type=type_, width=5))
+    trained(run, 300)
+    axes = run.channel_axes("words")
+    assert axes is not None and axes.shape == (96, 5)
+    assert np.allclose(axes.T @ axes, np.eye(5), atol=1e-5)
+    frame = next(f for f in run.frames if f.split == "test")
+    view = run.render(frame=frame.name, channels=["words"])
+    assert view.channels["words"].shape == (*view.depth_m.shape, 5)
+    walls = found_walls(view.channels["words"] @ axes.T)
+    truth = box_arrays()["labels"][[f.name for f in run.frames].index(frame.name)]
+    assert (walls == truth).mean() > 0.8
+    with pytest.raises(sf.UsageError, match="no head that makes a channel 'wrods'"):
+        run.render(frame=frame.name, channels=["wrods"])
+
+
+def write_png(path: Path, pixels: np.ndarray) -> None:
+    """8-bit gray [H, W] or RGB [H, W, 3]."""
+    height, width = pixels.shape[:2]
+    rows = b"".join(b"\0" + row.tobytes() for row in pixels.astype(np.uint8))
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 2 if pixels.ndim == 3 else 0, 0, 0, 0)
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
+
+
+def word_files(folder: Path) -> Path:
+    """The box as a transforms.json with a map of words per training frame; returns a configuration that learns them."""
+    box = box_arrays(count=12)
+    frames: List[Dict[str, Any]] = []
+    for i, (rgb, walls, pose) in enumerate(zip(box["images"], box["labels"], box["poses"])):
+        write_png(folder / f"{i}.png", rgb)
+        write_png(folder / f"{i}_label.png", walls)
+        np.save(folder / f"{i}_words.npy", WORDS[walls[::4, ::4]].astype(np.float16))
+        frames.append({"file_path": f"{i}.png", "label_path": f"{i}_label.png", "words_path": f"{i}_words.npy",
+                       "transform_matrix": (pose @ np.diag([1, -1, -1, 1])).tolist()})
+    camera = box["cameras"]._dict()
+    lens = {"w": 32, "h": 24, "fl_x": camera["fx"], "fl_y": camera["fy"], "cx": camera["cx"], "cy": camera["cy"]}
+    (folder / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+    (folder / "classes.yaml").write_text("\n".join(f"- {{id: {i}, name: {w}}}" for i, w in enumerate(box["classes"])))
+    config = {**NETWORK, "scene": {"type": "transforms_json", "root": str(folder), "channels": ["words"], "test_every": 4,
+                                   "load": {"bounds": [-1.1, -1.1, -1.1, 1.1, 1.1, 1.1], "near_m": 0.05, "far_m": 4}},
+              "heads": [{"type": "feature_map", "channel": "words", "width": 6, "branch": BRANCH}],
+              "losses": [{"type": "cosine_distance", "channel": "words"}],
+              "train": {**NETWORK["train"], "steps": 200}}
+    (folder / "words.yaml").write_text(json.dumps(config))
+    return folder / "words.yaml"
+
+
+def test_a_run_is_asked_by_words(tmp_path: Path) -> None:
+    config, run = word_files(tmp_path), tmp_path / "run"
+    sf.command("train", config, "--out", run)
+    resolved = (run / "run.yaml").read_text()
+    assert "source_width: 96" in resolved
+    queries = tmp_path / "words.json"
+    queries.write_text(json.dumps({"back wall": WORDS[1].tolist(), "floor": WORDS[4].tolist()}))
+    sf.command("render", run, "--query", queries, "--out", tmp_path / "asked")
+    sf.command("render", run, "--channel", "words", "--out", tmp_path / "maps")
+    maps = sorted((tmp_path / "maps").glob("*_words.npy"))
+    axes = np.load(tmp_path / "maps" / "words_axes.npy")
+    assert len(maps) == 3 and axes.shape == (96, 6)
+    for file in maps:
+        made, stem = np.load(file), file.name[:-len("_words.npy")]
+        asked = np.load(tmp_path / "asked" / f"{stem}_query_back_wall.npy")
+        cosine = made @ (axes.T @ WORDS[1]) / np.linalg.norm(made, axis=-1) / np.linalg.norm(WORDS[1])
+        assert np.allclose(asked, cosine, atol=1e-5)
+        assert (tmp_path / "asked" / f"{stem}_query_floor.png").stat().st_size > 100
+        truth = box_arrays(count=12)["labels"][int(stem)]
+        if (truth == 1).any() and (truth != 1).any():
+            assert asked[truth == 1].mean() > asked[truth != 1].mean() + 0.1
+    queries.write_text(json.dumps({"short": [1.0, 2.0]}))
+    with pytest.raises(sf.Error, match="vector 'short' has 2 numbers, and the channel 96"):
+        sf.command("render", run, "--query", queries)
+    with pytest.raises(sf.Error, match="did you mean 'words'"):
+        sf.command("render", run, "--channel", "word")
+
+
+# Losses written in Python: against one in C++, where they are wrong, from a file, and on a channel of a dataset.
+class Doubt(sf.Loss):
+    """1 - p of the label's class, as generalised_cross_entropy has it with q = 1."""
+
+    weight = sf.param(0.04, sf.Loss.weight.help, low=0, high=1e6)
+    targets = ["label"]
+    heads = ["logits"]
+    moves = ["logits"]
+
+    def counted(self, targets: Dict[str, np.ndarray], rays: int) -> int:
+        return int((targets["label"] >= 0).sum()) if "label" in targets else 0
+
+    def value(self, targets: Dict[str, np.ndarray], values: Dict[str, np.ndarray]) -> Any:
+        logits = values["logits"].astype(np.float64)
+        p = np.exp(logits - logits.max(1, keepdims=True))
+        p /= p.sum(1, keepdims=True)
+        label = targets["label"][:len(p), 0]
+        known = (label >= 0).astype(float)
+        truth = np.zeros_like(p)
+        truth[np.arange(len(p)), np.maximum(label, 0)] = known
+        of_label = (truth * p).sum(1)
+        return known * (1 - of_label), {"logits": of_label[:, None] * (known[:, None] * p - truth)}
+
+
+sf.loss("py_doubt")(Doubt)
+
+
+def with_loss(scene: sf.Scene, **loss: Any) -> Dict[str, Any]:
+    return {**config_of(scene), "losses": [loss], "semantics": {"weight": 0}}
+
+
+def test_a_loss_is_as_the_built_in_one(scene: sf.Scene) -> None:
+    a = sf.open(with_loss(scene, type="py_doubt", weight=0.5))
+    b = sf.open(with_loss(scene, type="generalised_cross_entropy", q=1.0, weight=0.5))
+    steps = [trained(run, 5)[0] for run in (a, b)]
+    assert steps[0].loss == pytest.approx(steps[1].loss, rel=1e-5)
+    assert steps[0].terms["py_doubt"] == pytest.approx(steps[1].terms["generalised_cross_entropy"], rel=1e-5)
+    moved = [name for name in a.parameters() if "/semantic/" in name and not name.startswith("adam/")]
+    assert moved
+    for name in moved:
+        assert np.allclose(a.parameters()[name], b.parameters()[name], atol=2e-3), name
+
+
+@pytest.mark.parametrize("what, says", [
+    ("columns", r"loss 'py_wrong'.value: gradient of 'logits': expected an array of the shape \((\d+), 6\), got \(\1, 5\)"),
+    ("rows", r"loss 'py_wrong'.value: gradient of 'logits': expected an array of the shape \(\d+, 6\), got \(\d+, 6\)"),
+    ("one row", r"loss 'py_wrong'.value: gradient of 'logits': expected an array of the shape \(\d+, 6\), got \(1, 6\)"),
+    ("flat", r"loss 'py_wrong'.value: gradient of 'logits': expected an array of the shape \(\d+, 6\), got \(\d+,\)"),
+    ("complex", r"loss 'py_wrong'.value: gradient of 'logits': expected real numbers, got complex128"),
+    ("missing", r"loss 'py_wrong'.value: gradient of 'logits' is missing, and `moves` names it"),
+    ("sum", r"loss 'py_wrong'.value: expected an array of the shape \(\d+,\)( or \(\d+,\))?, got \(\)"),
+    ("short", r"loss 'py_wrong'.value: expected an array of the shape \(\d+,\)( or \(\d+,\))?, got \(\d+,\)"),
+    ("column", r"loss 'py_wrong'.value: expected an array of the shape \(\d+,\)( or \(\d+,\))?, got \(\d+, 1\)"),
+    ("alone", r"loss 'py_wrong'.value: expected a loss and a dict of gradients"),
+    ("counted", r"loss 'py_wrong'.counted: -1 of \d+ rays"),
+    ("name", r"loss 'py_wrong'.value: gradient of 'color', which `moves` does not name"),
+    ("raises", r"loss 'py_wrong'.value: ZeroDivisionError: .*test_plugins.py:\d+"),
+])
+def test_a_loss_that_is_wrong(scene: sf.Scene, what: str, says: str) -> None:
+    class Wrong(Doubt):
+        """Wrong."""
+
+        def counted(self, targets: Dict[str, np.ndarray], rays: int) -> int:
+            return -1 if what == "counted" else super().counted(targets, rays)
+
+        def value(self, targets: Dict[str, np.ndarray], values: Dict[str, np.ndarray]) -> Any:
+            if what == "raises":
+                raise ZeroDivisionError("value is wrong")
+            loss, gradients = super().value(targets, values)
+            d = gradients["logits"]
+            return {"columns": (loss, {"logits": d[:, :-1]}), "rows": (loss, {"logits": d[:-1]}), "one row": (loss, {"logits": d[:1]}),
+                    "flat": (loss, {"logits": d.ravel()}), "complex": (loss, {"logits": d * 1j}), "missing": (loss, {}),
+                    "sum": (loss.sum(), gradients), "short": (loss[1:], gradients), "column": (loss[:, None], gradients),
+                    "alone": loss, "name": (loss, {**gradients, "color": d})}[what]
+
+    sf.loss("py_wrong")(Wrong)
+    with pytest.raises(sf.Error, match=says):
+        trained(sf.open(with_loss(scene, type="py_wrong")), 2)
+
+
+def test_what_a_loss_moves_is_there(scene: sf.Scene) -> None:
+    class Misspelt(Doubt):
+        """Moves what no head makes."""
+
+        moves = ["logit"]
+
+    sf.loss("py_misspelt")(Misspelt)
+    with pytest.raises(sf.Error, match="'py_misspelt' reads the channel 'logit', which no head makes"):
+        sf.open(with_loss(scene, type="py_misspelt"))
+
+
+LOSS = '''
+import numpy as np
+import semfield as sf
+
+
+@sf.loss("opaque")
+class Opaque(sf.Loss):
+    """Light of a ray that meets nothing costs."""
+
+    moves = ["weight"]
+
+    def value(self, targets, values):
+        missing = 1 - values["opacity"].astype(np.float64)[:, 0]
+        missing[values["first"][1:, 0] == values["first"][:-1, 0]] = 0
+        d = np.zeros_like(values["weight"], dtype=np.float64)
+        for ray, m in enumerate(missing):
+            d[values["first"][ray, 0]:values["first"][ray + 1, 0]] = -2 * m
+        return missing**2, {"weight": d}
+'''
+
+
+def test_a_loss_in_a_file_is_checked(tmp_path: Path) -> None:
+    file = tmp_path / "idea_loss.py"
+    file.write_text(LOSS)
+    said = sf.command("plugins", "check", file)
+    assert "failed=0" in said, said
+
+
+def test_a_channel_of_a_dataset_reaches_a_loss(scene: sf.Scene) -> None:
+    seen: Dict[str, Any] = {}
+
+    class Bright(sf.Loss):
+        """The error of the brightness."""
+
+        targets = ["brightness"]
+        moves = ["color"]
+
+        def value(self, targets: Dict[str, np.ndarray], values: Dict[str, np.ndarray]) -> Any:
+            seen["close"] = np.abs(targets["color"].mean(1, keepdims=True) - targets["brightness"]).max()
+            error = values["color"].mean(1, keepdims=True) - targets["brightness"]
+            return error[:, 0]**2, {"color": np.repeat(2 * error / 3, 3, 1)}
+
+    class BrightBox(Box):
+        """The box of the tests, and the brightness of its pixels."""
+
+        def frames(self) -> Any:
+            return [dataclasses.replace(f, channels={"brightness": (f.camera.height, f.camera.width, 1)}) for f in super().frames()]
+
+        def pixels(self, index: int) -> sf.Frame:
+            f = super().pixels(index)
+            return dataclasses.replace(f, channels={"brightness": f.rgb.mean(2, keepdims=True) / 255})
+
+    sf.loss("py_bright")(Bright)
+    sf.dataset("py_bright_box")(BrightBox)
+    run = sf.open({**config_of(scene), "scene": {"type": "py_bright_box"}, "losses": [{"type": "py_bright"}]})
+    assert trained(run, 3)[0].terms["py_bright"] > 0
+    assert seen["close"] < 1e-6

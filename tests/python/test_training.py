@@ -9,12 +9,13 @@ import signal
 import threading
 import time
 from pathlib import Path
+from typing import Any, Dict, List, Tuple
 
 import numpy as np
 import pytest
 
 import semfield as sf
-from conftest import config_of, tensors_of, trained
+from conftest import WALLS, box_arrays, cast, config_of, look, tensors_of, trained
 
 
 def test_a_field_gets_better(run: sf.Run) -> None:
@@ -197,3 +198,519 @@ def test_what_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(sf.InputError):
         sf.load(tmp_path / "nothing")
 
+
+# Labels from Python: whole label images, and clicks that are on the disk before the call returns.
+def same(a: sf.Run, b: sf.Run) -> bool:
+    mine, theirs = a.parameters(), b.parameters()
+    return mine.keys() == theirs.keys() and all(np.array_equal(mine[k], theirs[k]) for k in mine)
+
+
+def lines_of(run: sf.Run) -> List[Dict[str, Any]]:
+    file = Path(run.run_dir) / "clicks.jsonl"  # made by the first click
+    return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+
+
+@pytest.fixture()
+def unlabelled(scene: sf.Scene, tmp_path: Path) -> sf.Run:
+    """The box without labels that train, with room for eight classes."""
+    config = {**config_of(scene), "scene": {**scene.config(), "labels": {"frames": 0}}}
+    return sf.open(config, out=tmp_path / "run", class_room=8)
+
+
+def test_set_labels_train(scene: sf.Scene) -> None:
+    run, other = sf.open(config_of(scene)), sf.open(config_of(scene))
+    one = np.full((24, 32), 3)
+    one[:, :16] = -1
+    run.set_labels("0000", one)
+    assert np.array_equal(run.training_labels(0), one)
+    assert np.array_equal(other.training_labels(0), other.pixels(0).labels)
+    trained(run, 5)
+    trained(other, 5)
+    assert not same(run, other)
+    for frame in range(8):
+        run.set_labels(frame, np.full((24, 32), 3, np.uint8))
+    trained(run, 60)
+    assert np.mean(run.render(frame=0).label == 3) > 0.95
+
+
+def test_labels_that_cannot_be_set(run: sf.Run) -> None:
+    for frame, labels, says in [
+        (0, np.zeros((32, 24), int), r"frame '0000': expected the shape \[24, 32\], got \[32, 24\]"),
+        (0, np.zeros((24, 32)), "expected whole numbers, got float64"),
+        (0, np.full((24, 32), 77), "x 0, y 0: 77 is the id of no class"),
+        (0, np.full((24, 32), -2), "-2 is the id of no class"),
+        (0, None, "expected"),
+        (9, np.zeros((24, 32), int), "'0009' does not train"),
+        ("nine", np.zeros((24, 32), int), "no frame named 'nine'"),
+        (10, np.zeros((24, 32), int), "there are 10"),
+    ]:
+        before = run.training_labels(0)
+        with pytest.raises(sf.Error, match=says):
+            run.set_labels(frame, labels)
+        assert np.array_equal(run.training_labels(0), before)
+
+
+def test_a_class_without_a_logit_is_refused(scene: sf.Scene) -> None:
+    run = sf.open({**config_of(scene), "scene": {**scene.config(), "labels": {"frames": 1}}})
+    absent = [c for c in run.classes if not c.learned]
+    if not absent:  # one frame saw every wall: nothing to refuse
+        pytest.fail("the box's first frame shows all six walls")
+    with pytest.raises(sf.DataError, match="absent_classes"):
+        run.set_labels(0, np.full((24, 32), absent[0].id))
+    kept = sf.open({**config_of(scene), "scene": {**scene.config(), "labels": {"frames": 1}}},
+                   keep=["semantics", "absent_classes"])
+    kept.set_labels(0, np.full((24, 32), absent[0].id))
+    assert kept.training_labels(0)[0, 0] == absent[0].id
+
+
+def test_clicks_are_stored_and_count(unlabelled: sf.Run) -> None:
+    labels = unlabelled.labels
+    click = labels.add_click("0000", 3.5, 4.5, "left")
+    assert [e["id"] for e in lines_of(unlabelled)] == [click]
+    stroke = labels.add_stroke(1, [(2, 2), (12, 2)], "floor", radius_px=1.5)
+    assert [e["id"] for e in lines_of(unlabelled)] == [click, stroke]
+    assert [(c["frame"], c["class_"], c["radius_px"]) for c in labels.clicks] == [("0000", "left", 0.0), ("0001", "floor", 1.5)]
+    assert labels.clicks[1]["points"] == [(2.0, 2.0), (12.0, 2.0)]
+    painted = unlabelled.training_labels("0000")
+    assert painted[4, 3] == WALLS.index("left") and np.sum(painted >= 0) == 1
+    line = unlabelled.training_labels(1)
+    assert np.all(line[1:3, 2:12] == WALLS.index("floor")) and np.all(line[6:] == -1)
+    trained(unlabelled, 3)
+    assert unlabelled.has_semantics
+
+
+def test_new_classes(unlabelled: sf.Run) -> None:
+    labels = unlabelled.labels
+    assert labels.classes == WALLS
+    added = labels.add_class("lamp", color=(250, 240, 30))
+    assert labels.classes == [*WALLS, "lamp"]
+    lamp = next(c for c in unlabelled.classes if c.name == "lamp")
+    assert lamp.color == (250, 240, 30) and lamp.id == 6
+    labels.add_click("0002", 9, 9, "lamp")
+    assert unlabelled.training_labels("0002")[9, 9] == lamp.id
+    with pytest.raises(sf.DataError, match="has 1 clicks"):
+        labels.undo(added)
+    labels.rename_class("lamp", "lantern")
+    assert labels.clicks[0]["class_"] == "lantern" and labels.classes[-1] == "lantern"
+    labels.add_class("door")
+    with pytest.raises(sf.DataError, match="room for 8 classes"):
+        labels.add_class("window")
+
+
+def test_undo_and_undo_of_undo(unlabelled: sf.Run) -> None:
+    labels = unlabelled.labels
+    click = labels.add_click("0000", 3, 4, "left")
+    undone = labels.undo(click)
+    assert labels.clicks == [] and unlabelled.training_labels("0000") is None
+    labels.undo(undone)
+    assert [c["id"] for c in labels.clicks] == [click]
+    assert len(lines_of(unlabelled)) == 3
+    with pytest.raises(sf.DataError, match="nothing"):
+        labels.undo("nothing")
+
+
+@pytest.mark.parametrize("x, y, frame, class_, says", [
+    (32.5, 3, "0000", "left", "outside"),
+    (3, -1, "0000", "left", "outside"),
+    (3, 3, "0000", "lefft", "did you mean 'left'"),
+    (3, 3, "0000", "elephant", "elephant"),
+    (3, 3, "0008", "left", "^frame '0008' is not a training frame"),
+    (3, 3, "000", "left", "did you mean '000"),
+    (float("nan"), 3, "0000", "left", "finite x and y"),
+])
+def test_a_click_that_cannot_be(unlabelled: sf.Run, x: float, y: float, frame: str, class_: str, says: str) -> None:
+    with pytest.raises(sf.Error, match=says):
+        unlabelled.labels.add_click(frame, x, y, class_)
+    assert unlabelled.labels.clicks == [] and lines_of(unlabelled) == []
+
+
+def test_a_run_with_clicks_goes_on_with_the_same_bits(unlabelled: sf.Run, scene: sf.Scene, tmp_path: Path) -> None:
+    config = {**config_of(scene), "scene": {**scene.config(), "labels": {"frames": 0}}}
+    whole = sf.open(config, out=tmp_path / "whole", class_room=8)
+    for run in (unlabelled, whole):
+        run.labels.add_click("0000", 3.5, 4.5, "left", radius_px=3)
+        run.labels.add_class("lamp")
+        trained(run, 6)
+        run.labels.add_click("0001", 20, 10, "lamp", radius_px=2)
+    trained(whole, 9)
+    trained(unlabelled, 4)
+    unlabelled.save()
+    unlabelled.close()
+    again = sf.resume(tmp_path / "run")
+    assert again.labels.classes[-1] == "lamp" and len(again.labels.clicks) == 2
+    trained(again, 5)
+    assert again.step == whole.step == 15
+    assert same(again, whole)
+
+
+def test_what_to_do_without_a_file_of_clicks(run: sf.Run, scene: sf.Scene, tmp_path: Path) -> None:
+    with pytest.raises(sf.UsageError, match="class_room") as caught:
+        run.labels.add_click("0000", 3, 3, "left")
+    assert "out=" in str(caught.value)
+    assert run.labels.clicks == []
+    trained(run, 1)
+    run.save(tmp_path / "a")
+    with pytest.raises(sf.UsageError, match="resume"):
+        sf.load(tmp_path / "a").labels.add_click("0000", 3, 3, "left")
+
+
+# Rendered views: cameras and poses, depth and labels against the box, probabilities, arrays without copies.
+def test_depth_is_z_depth_of_the_box(box: sf.Run) -> None:
+    held_out = next(f for f in box.frames if f.split == "test")
+    view = box.render(frame=held_out.name)
+    _, _, depth = cast(held_out.camera, held_out.pose)
+    wrong = np.abs(view.depth_m - depth)
+    assert np.median(wrong) < 0.05 and np.quantile(wrong, 0.9) < 0.2
+    along_rays = depth * np.linalg.norm(np.stack(np.meshgrid(
+        (np.arange(32) + 0.5 - 16) / 16, (np.arange(24) + 0.5 - 12) / 16)), axis=0)
+    assert np.median(wrong) < np.median(np.abs(view.depth_m - along_rays))
+
+
+def test_labels_are_ids_of_the_scene(tmp_path: Path) -> None:
+    arrays = box_arrays()
+    ids = np.array([7, 40, 300, 1, 255, 65535])
+    arrays["labels"] = [ids[wall] for wall in arrays["labels"]]
+    arrays["classes"] = {int(i): f"wall {i}" for i in ids}
+    scene = sf.Scene(**arrays)
+    run = sf.open(config_of(scene))
+    trained(run, 80)
+    view = run.render(frame=0, probability=True)
+    assert view.label.dtype == np.int32
+    assert np.mean(view.label == arrays["labels"][0]) > 0.8
+    assert [c.index for c in run.classes] == list(range(6)) and {c.id for c in run.classes} == set(ids)
+    by_index = np.array([c.id for c in run.classes])
+    assert np.array_equal(by_index[view.probability.argmax(-1)], view.label)
+
+
+def test_probability_is_a_distribution(box: sf.Run) -> None:
+    view = box.render(frame=0, probability=True)
+    assert view.probability.shape == (24, 32, len(box.classes)) and view.probability.dtype == np.float32
+    assert np.allclose(view.probability.sum(-1), 1, atol=1e-5)
+    assert np.allclose(view.probability.max(-1), view.confidence, atol=1e-5)
+    p = view.probability.astype(np.float64)
+    assert np.allclose(-(p * np.log(np.maximum(p, 1e-30))).sum(-1), view.entropy, atol=1e-4)
+    assert box.render(frame=0).probability is None
+
+
+def test_poses_of_three_rows_and_of_four(box: sf.Run) -> None:
+    pose = look(0.4, 0.1)
+    whole, short, listed = box.render(pose), box.render(pose[:3]), box.render(pose.tolist())
+    assert np.array_equal(whole.rgb, short.rgb) and np.array_equal(whole.rgb, listed.rgb)
+    assert short.pose.shape == (4, 4) and np.array_equal(short.pose, pose)
+    frame = box.frames[3]
+    assert np.array_equal(box.render(frame=3).rgb, box.render(frame.pose, camera=frame.camera).rgb)
+    assert np.array_equal(box.render(frame=frame.name).rgb, box.render(frame=3).rgb)
+
+
+def test_a_pose_sees_what_is_before_it(box: sf.Run) -> None:
+    camera = sf.Camera.from_fov(32, 24, 60)
+    for yaw in (0.0, 1.6, 3.1, 4.7):
+        _, wall, _ = cast(camera, look(yaw))
+        assert np.mean(box.render(look(yaw), camera=camera).label == wall) > 0.8
+
+
+def test_sizes(box: sf.Run) -> None:
+    assert box.render(frame=0, width=16).rgb.shape == (12, 16, 3)
+    assert box.render(frame=0, height=48).rgb.shape == (48, 64, 3)
+    assert box.render(frame=0, width=10, height=10).depth_m.shape == (10, 10)
+    small = box.render(frame=0, width=16)
+    assert (small.camera.width, small.camera.height) == (16, 12) and small.camera.fx == pytest.approx(8)
+    camera = sf.Camera(20, 10, 12.0)
+    assert box.render(np.eye(4), camera=camera).rgb.shape == (10, 20, 3)
+    whole, sparse = box.render(frame=0), box.render(frame=0, stride=4)
+    assert sparse.rgb.shape == (6, 8, 3) and sparse.label.shape == (6, 8)
+    assert any(np.array_equal(sparse.rgb, whole.rgb[a::4, a::4]) for a in range(4))
+
+
+@pytest.mark.parametrize("wrong, says", [
+    (dict(pose=np.eye(3)), r"pose: expected the shape \[3, 4\], got \[3, 3\]"),
+    (dict(pose=np.zeros((2, 4, 4))), r"got \[2, 4, 4\]"),
+    (dict(pose=np.full((4, 4), np.nan)), "not finite"),
+    (dict(pose=2 * np.eye(4)), "0 0 0 1"),
+    (dict(pose=np.diag([1.0, 1, -1, 1])), "mirrors"),
+    (dict(pose="front"), "pose: expected numbers"),
+    (dict(), "give a pose, or the frame"),
+    (dict(frame="0001.png"), "did you mean '0001'"),
+    (dict(frame=20), "there are 20"),
+    (dict(frame=-1), "there are 20"),
+    (dict(frame=0, width=0), "0 x"),
+    (dict(frame=0, width=-4), "-4 x"),
+    (dict(frame=0, stride=0), "stride 0"),
+    (dict(frame=0, stride=25), "stride 25"),
+    (dict(frame=0, stride=1.5), "stride: 1.5"),
+    (dict(frame=0, camera=sf.Camera(4, 4, -1.0)), "focal"),
+    (dict(frame=0, device="gpu"), "expected cpu, cuda"),
+])
+def test_what_is_wrong_is_named(box: sf.Run, wrong: Any, says: str) -> None:
+    with pytest.raises(sf.Error, match=says):
+        box.render(**wrong)
+
+
+def test_a_device_that_is_not_there(box: sf.Run) -> None:
+    with pytest.raises(sf.UnavailableError, match="CUDA"):
+        box.render(frame=0, device="cuda:99")
+    with pytest.raises(sf.UnavailableError, match="CUDA"):
+        sf.to_device(np.zeros((2, 3), np.float32), "cuda:99")
+    with pytest.raises(sf.UsageError, match="cuda:N"):
+        sf.to_device(np.zeros(3), "cpu")
+
+
+def test_maps_are_no_copies(box: sf.Run) -> None:
+    view = box.render(frame=0, probability=True)
+    for name in ("rgb", "depth_m", "opacity", "label", "entropy", "confidence", "probability"):
+        array = getattr(view, name)
+        assert type(array.base).__name__ == "PyCapsule", name
+        assert array.flags.c_contiguous and array.flags.writeable, name
+
+
+def test_without_semantics(scene: sf.Scene) -> None:
+    run = sf.open({**config_of(scene), "scene": {**scene.config(), "labels": {"frames": 0}}})
+    view = run.render(frame=0)
+    assert not run.has_semantics and view.label is None and view.entropy is None and view.confidence is None
+    assert view.rgb.shape == (24, 32, 3)
+    assert run.query([[0, 0, 0]]).label is None
+    assert any("semantics" in part[0] for part in run.left_out)
+
+
+def test_maps_live_longer_than_the_run(scene: sf.Scene) -> None:
+    run = sf.open(config_of(scene))
+    view = run.render(frame=0)
+    before = view.rgb.copy()
+    run.close()
+    assert np.array_equal(view.rgb, before)
+    assert "float32[24, 32, 3]" in repr(view) and len(repr(view)) < 500
+
+
+def test_frames_of_the_run(box: sf.Run) -> None:
+    arrays = box_arrays(count=20, apart=0.5)
+    frames = box.frames
+    assert [f.split for f in frames] == ["train"] * 18 + ["test"] * 2
+    assert np.allclose(frames[4].pose, arrays["poses"][4]) and frames[4].camera.fx == pytest.approx(16)
+    frames[4].pose[:] = 0  # one's own copy
+    assert np.allclose(box.frames[4].pose, arrays["poses"][4])
+    loaded = box.pixels("0018")
+    assert np.array_equal(loaded.rgb, arrays["images"][18]) and np.array_equal(loaded.labels, arrays["labels"][18])
+    assert np.allclose(loaded.depth_m, arrays["depths"][18], atol=1e-6)
+
+
+# The field evaluated at points: bounds, grouping, and against what the network's parts say by hand.
+def points(count: int, low: float = -0.9, high: float = 0.9) -> Tuple[np.ndarray, np.ndarray]:
+    """[N, 3] positions and unit directions."""
+    random = np.random.default_rng(4)
+    along = random.normal(size=(count, 3))
+    return random.uniform(low, high, (count, 3)), along / np.linalg.norm(along, axis=1, keepdims=True)
+
+
+def test_shapes_and_types(box: sf.Run) -> None:
+    places, along = points(7)
+    found = box.query(places, along)
+    assert found.density.shape == (7,) and found.rgb.shape == (7, 3) and found.label.shape == (7,)
+    assert found.probability.shape == (7, len(WALLS)) and found.entropy.shape == (7,)
+    assert found.label.dtype == np.int32 and found.density.dtype == np.float32
+    assert box.query(places).rgb is None
+    assert box.query(np.zeros((0, 3))).probability.shape == (0, len(WALLS))
+    assert type(found.density.base).__name__ == "PyCapsule"
+
+
+def test_summed_along_rays_it_is_the_rendered_view(box: sf.Run) -> None:
+    frame = box.frames[0]
+    view, c = box.render(frame=0), frame.camera
+    rows, cols = np.mgrid[2:24:5, 2:32:6].reshape(2, -1)
+    in_camera = np.stack([(cols + 0.5 - c.cx) / c.fx, (rows + 0.5 - c.cy) / c.fy, np.ones(len(rows))], 1)
+    z = np.linspace(box.near_m, 3.5, 1200)[:, None, None]  # z-depth, behind the box at its end
+    places = frame.pose[:3, 3] + z * (in_camera @ frame.pose[:3, :3].T)
+    density = box.query(places.reshape(-1, 3)).density.reshape(places.shape[:2]).astype(np.float64)
+    crossed = density * np.diff(z[:2, 0, 0]) * np.linalg.norm(in_camera, axis=1)
+    weight = -np.diff(np.exp(-np.cumsum(crossed, 0)), axis=0, prepend=1)
+    assert np.median(np.abs(weight.sum(0) - view.opacity[rows, cols])) < 0.03
+    depth = (weight * z[:, :, 0]).sum(0)
+    solid = view.opacity[rows, cols] > 0.95
+    assert solid.sum() > 15 and np.median(np.abs(depth - view.depth_m[rows, cols])[solid]) < 0.06
+
+
+def test_classes_of_surfaces(box: sf.Run) -> None:
+    _, wall, depth = cast(box.frames[0].camera, box.frames[0].pose)
+    c, pose = box.frames[0].camera, box.frames[0].pose
+    rows, cols = np.mgrid[0:24, 0:32].reshape(2, -1)
+    at = depth[rows, cols, None] * np.stack([(cols + 0.5 - c.cx) / c.fx, (rows + 0.5 - c.cy) / c.fy, np.ones(len(rows))], 1)
+    found = box.query(pose[:3, 3] + at @ pose[:3, :3].T)
+    assert np.mean(found.label == wall[rows, cols]) > 0.85
+
+
+def test_outside_the_bounds_is_nothing(box: sf.Run) -> None:
+    low, high = box.bounds
+    outside = np.array([high + 0.01, low - 0.01, [high[0] + 0.01, 0, 0], [100, 0, 0], [0, 0, -1e6]])
+    assert np.all(box.query(outside).density == 0)
+    assert np.all(box.query((0.999 * outside[:1] - 0.0)).density >= 0)
+    assert box.query([[0.5 * (low[0] + high[0]), 0.0, 0.0]]).density[0] > 0
+
+
+def test_the_same_bits_for_any_grouping(box: sf.Run) -> None:
+    places, along = points(3000)
+    whole = box.query(places, along)
+    parts = [box.query(places[a:b], along[a:b]) for a, b in ((0, 1), (1, 64), (64, 129), (129, 2999), (2999, 3000))]
+    for name in ("density", "rgb", "label", "probability", "entropy"):
+        assert np.array_equal(np.concatenate([getattr(p, name) for p in parts]), getattr(whole, name)), name
+
+
+def test_more_points_than_are_asked_at_once(box: sf.Run) -> None:
+    places, _ = points(70_000)
+    found = box.query(places)
+    assert found.density.shape == (70_000,) and found.probability.shape == (70_000, 6)
+    last = box.query(places[-10:])
+    assert np.array_equal(found.density[-10:], last.density) and np.array_equal(found.label[-10:], last.label)
+
+
+def test_probability_class_and_entropy_agree(box: sf.Run) -> None:
+    found = box.query(points(500)[0])
+    p = found.probability.astype(np.float64)
+    assert np.allclose(p.sum(1), 1, atol=1e-5)
+    ids = np.array([c.id for c in box.classes])
+    assert np.array_equal(ids[p.argmax(1)], found.label)
+    assert np.allclose(-(p * np.log(np.maximum(p, 1e-30))).sum(1), found.entropy, atol=1e-4)
+
+
+def test_all_of_it_by_hand(scene: sf.Scene) -> None:
+    """The whole way from a place to density, classes and colour in float64, with the tensors of the checkpoint."""
+    config: Any = {**config_of(scene), "rendering": {"density_activation": "softplus", "density_bias": -0.5, "scene_scale": 0.7, "unit_m": 1}}
+    config["passes"] = [{**config["passes"][0], "position": {"type": "identity"}}]
+    run = sf.open(config)
+    trained(run, 20)
+    t = {k[len("main/"):]: v.astype(np.float64) for k, v in run.parameters().items() if k.startswith("main/")}
+
+    def layer(x: np.ndarray, name: str) -> np.ndarray:
+        return x @ t[name + "/weight"] + t[name + "/bias"]
+
+    places, along = points(200)
+    found = run.query(places, along)
+    hidden = np.maximum(layer(0.7 * places, "field/hidden_0"), 0)
+    geometry = layer(hidden, "field/geometry")
+    assert np.allclose(found.density, np.log1p(np.exp(geometry[:, 0] - 0.5)), rtol=1e-5)
+    logits = layer(np.maximum(layer(hidden, "semantic/hidden"), 0), "semantic/class")
+    p = np.exp(logits - logits.max(1, keepdims=True))
+    assert np.allclose(found.probability, p / p.sum(1, keepdims=True), atol=1e-5)
+    seen = np.concatenate([np.full((200, 1), 0.28209479177387814), 0.4886025119029199 * along[:, [1, 2, 0]]], 1)
+    color = np.maximum(layer(np.concatenate([geometry[:, 1:], seen], 1), "field/color_0"), 0)
+    color = layer(np.maximum(layer(color, "field/color_1"), 0), "field/rgb")
+    assert np.allclose(found.rgb, 1 / (1 + np.exp(-color)), atol=1e-5)
+
+
+def test_colours_need_directions_and_depend_on_them(box: sf.Run) -> None:
+    places, along = points(50)
+    there, back = box.query(places, along), box.query(places, -along)
+    assert there.rgb.min() >= 0 and there.rgb.max() <= 1
+    assert not np.array_equal(there.rgb, back.rgb)
+    assert np.array_equal(there.density, back.density)
+
+
+@pytest.mark.parametrize("places, along, says", [
+    ([0, 0, 0], None, r"positions: expected numbers of the shape \[N, 3\]"),
+    ([[0, 0]], None, r"\[N, 3\]"),
+    ([["a", "b", "c"]], None, "positions: expected numbers"),
+    ([[0, 0, 0], [0, np.nan, 0]], None, "position 1: .*not finite"),
+    ([[np.inf, 0, 0]], None, "not finite"),
+    ([[0, 0, 0]], [[1, 0, 0], [1, 0, 0]], "one for each of 1 positions, got 2"),
+    ([[0, 0, 0]], [[0, 0, 0]], "unit vector"),
+    ([[0, 0, 0]], [[0, 0, np.nan]], "not finite"),
+])
+def test_what_cannot_be_asked(box: sf.Run, places: Any, along: Any, says: str) -> None:
+    with pytest.raises(sf.Error, match=says):
+        box.query(places, along)
+
+
+def test_objects_are_a_table(box: sf.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    row = {"id": 1, "name": "chair 1", "class": "chair", "class_probability": 0.9, "agreement": 0.8, "views": 12, "points": 300, "area": 0.5,
+           "centroid": [1, 2, 3], "box": {"center": [1, 2, 3], "axes": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "size": [0.5, 1, 0.5]}}
+    (tmp_path / "objects.json").write_text(json.dumps({"objects": [row, {**row, "id": 2, "name": "2", "class": None}]}))
+    told = {"folder": str(tmp_path), "seconds": {"all": 2.5}, "score": {"pq": 0.9}}
+    words = tmp_path / "words"
+    program = tmp_path / "semfield"
+    program.write_text(f"#!/bin/sh\nfor word; do echo \"$word\"; done > {words}\necho '{json.dumps(told)}'\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("SEMFIELD_PROGRAM", str(program))
+    found = box.objects("masks", set={"objects.reach": 0.3, "objects.method": {"type": "assignment"}}, out="there", score=True)
+    said = words.read_text().split("\n")
+    assert said[:7] == ["objects", str(box.run_dir), "--quiet", "--segments", "masks", "--out", "there"] and "--score" in said and "--json" in said
+    assert "objects.reach=0.3" in said and 'objects.method={"type": "assignment"}' in said
+    assert [one.class_name for one in found.objects] == ["chair", ""] and found.count() == {"chair": 1, "": 1}
+    assert found.objects[0].box_axes.shape == (3, 3) and found.seconds["all"] == 2.5 and found.score == {"pq": 0.9}
+
+
+# Training and arrays on a CUDA device; skipped, and said so, where there is none.
+def on_cuda(scene: sf.Scene, **train: Any) -> Dict[str, Any]:
+    config = config_of(scene, **train)
+    return {**config, "runtime": {**config["runtime"], "device": "cuda"}}
+
+
+@pytest.fixture(scope="module")
+def cuda_run(scene: sf.Scene) -> sf.Run:
+    try:
+        run = sf.open(on_cuda(scene))
+    except sf.UnavailableError as error:
+        pytest.skip(f"no CUDA device: {error}")
+    trained(run, 60)
+    return run
+
+
+def test_trains_on_the_device(cuda_run: sf.Run) -> None:
+    assert "cpu" not in cuda_run.device
+    score = cuda_run.evaluate("test")
+    assert score.miou_present is not None and score.miou_present > 0.5
+
+
+def test_maps_are_dlpack(cuda_run: sf.Run) -> None:
+    host = cuda_run.render(frame=9, probability=True)
+    there = cuda_run.render(frame=9, probability=True, device="cuda")
+    for name in ("rgb", "depth_m", "opacity", "label", "entropy", "confidence", "probability"):
+        array = getattr(there, name)
+        assert isinstance(array, sf.DeviceArray) and array.__dlpack_device__() == (2, 0)
+        assert array.shape == getattr(host, name).shape and array.dtype == getattr(host, name).dtype
+        assert np.array_equal(array.numpy(), getattr(host, name))
+
+
+def test_torch_takes_them(cuda_run: sf.Run) -> None:
+    torch = pytest.importorskip("torch")
+    host = cuda_run.render(frame=9, probability=True)
+    there = cuda_run.render(frame=9, probability=True, device="cuda")
+    tensors = {n: torch.from_dlpack(getattr(there, n)) for n in ("rgb", "label", "probability")}
+    del there  # the tensors keep their memory
+    for name, tensor in tensors.items():
+        assert tensor.is_cuda
+        assert np.array_equal(tensor.cpu().numpy(), getattr(host, name))
+    assert torch.allclose(tensors["probability"].sum(-1).cpu(), torch.ones(24, 32), atol=1e-5)
+
+
+def test_a_capsule_that_nobody_takes_is_given_back(cuda_run: sf.Run) -> None:
+    array = sf.to_device(np.arange(12, dtype=np.float32).reshape(3, 4))
+    for _ in range(3):
+        array.__dlpack__()
+    assert np.array_equal(np.asarray(array), np.arange(12, dtype=np.float32).reshape(3, 4))
+
+
+def test_points_know_what_the_device_learned(cuda_run: sf.Run, scene: sf.Scene, tmp_path: Path) -> None:
+    cuda_run.save(tmp_path / "a")
+    with sf.load(tmp_path / "a", set={"runtime.device": "cpu"}) as other:
+        places = np.random.default_rng(1).uniform(-0.9, 0.9, (200, 3))
+        mine, theirs = cuda_run.query(places), other.query(places)
+        assert mine.density is not None and float(np.abs(mine.density).max()) > 0
+        assert np.array_equal(mine.density, theirs.density)
+        assert np.array_equal(mine.probability, theirs.probability)
+
+
+def test_bits_are_those_of_the_program(cuda_run: sf.Run, scene: sf.Scene, tmp_path: Path) -> None:
+    import glob
+    import json
+
+    from conftest import tensors_of
+
+    config = on_cuda(scene, steps=20)
+    config["runtime"]["deterministic"] = True
+    file = tmp_path / "box.yaml"
+    file.write_text(json.dumps(config))
+    sf.command("train", file, "--out", tmp_path / "by_program", "--quiet")
+    run = sf.open(config)
+    list(run.train(every=6))
+    run.save(tmp_path / "by_python")
+    one, two = (tensors_of(glob.glob(str(tmp_path / f / "checkpoints" / "*.safetensors"))[0])
+                for f in ("by_program", "by_python"))
+    assert one.keys() == two.keys() and all(one[k] == two[k] for k in one)

@@ -64,8 +64,7 @@ TEST(Mpirun, TrainsTheSameBitsOn1And2And3RanksOf1And2Threads) {
     for (const int ranks : {1, 2, 3}) {
       for (const char* threads : {"1", "2"}) {
         const std::string out = dir / (name + std::to_string(ranks) + threads);
-        const Result trained = run(ranks, {"train", config, "--out", out, "--threads", threads}, dir);
-        ASSERT_EQ(trained.code, 0) << trained.err;
+        const Result trained = succeeded(run(ranks, {"train", config, "--out", out, "--threads", threads}, dir));
         EXPECT_EQ(checkpoint_fingerprint(out, kSteps), expected) << ranks << " ranks of " << threads;
         EXPECT_EQ(lines_with(trained.out, "train: "), 1) << trained.out;
       }
@@ -181,8 +180,7 @@ TEST(Mpirun, AKilledRankEndsTheRunWithAMessageAndOneProcessGoesOnWithTheBitsOfAn
       EXPECT_HAS(ended->err, "rank " + std::to_string(kill_one.rank) + " on ", "has ended",
                  "resume with `semfield train --resume ");
     }
-    const Result resumed = alone({"train", "--resume", out}, dir);
-    ASSERT_EQ(resumed.code, 0) << resumed.err;
+    const Result resumed = succeeded(alone({"train", "--resume", out}, dir));
     EXPECT_EQ(checkpoint_fingerprint(out, kSteps), whole);
   }
 }
@@ -211,8 +209,7 @@ TEST(Mpirun, AStopSavesAndAnyNumberOfRanksGoesOn) {
     ASSERT_TRUE(ended.has_value()) << "still runs after 30 s";
     ASSERT_LT(newest_step(out), kSteps) << "it was asked too late";
     EXPECT_HAS(ended->err, "after its checkpoint; resume with `semfield train --resume");
-    const Result resumed = run(3, {"train", "--resume", out}, dir);
-    ASSERT_EQ(resumed.code, 0) << resumed.err;
+    const Result resumed = succeeded(run(3, {"train", "--resume", out}, dir));
     EXPECT_EQ(checkpoint_fingerprint(out, kSteps), whole);
   }
 }

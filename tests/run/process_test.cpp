@@ -1,12 +1,20 @@
 // The real program, killed and signalled: no run is lost and resumed ones end in the same bits; lines of its verbs.
-#include <signal.h>
 
+#include <poll.h>
+#include <pty.h>
+#include <signal.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <array>
 #include <cstdio>
 #include <nlohmann/json.hpp>
+#include <regex>
 
 #include "app/terminal.h"
 #include "core/rng.h"
 #include "execution/device_library.h"
+#include "formats/safetensors.h"
 #include "run/metrics_log.h"
 #include "run/run_folder.h"
 #include "system/files.h"
@@ -107,10 +115,9 @@ TEST(Process, RandomKillsLoseNoRunAndChangeNoBit) {
   }
   EXPECT_EQ(kills, wanted);
   const bool begun = std::filesystem::exists(victim + "/run.yaml");
-  const Result r = run(begun ? std::vector<std::string>{"train", "--resume", victim}
-                             : std::vector<std::string>{"train", config, "--out", victim},
-                       dir);
-  ASSERT_EQ(r.code, 0) << r.err;
+  const Result r = succeeded(run(begun ? std::vector<std::string>{"train", "--resume", victim}
+                                       : std::vector<std::string>{"train", config, "--out", victim},
+                                 dir));
   EXPECT_EQ(checkpoint_fingerprint(victim, steps), whole);
   EXPECT_EQ(remains_of(victim).temporaries, 0);
   std::printf(
@@ -130,8 +137,7 @@ void expect_orderly_stop(int signal, int code) {
   const Result r = process.wait();
   EXPECT_EQ(r.code, code) << r.err;
   EXPECT_HAS(r.err, "semfield train --resume");
-  const Result resumed = run({"train", "--resume", dir / "run", "--time", "1s"}, dir);
-  EXPECT_EQ(resumed.code, 0) << resumed.err;
+  const Result resumed = succeeded(run({"train", "--resume", dir / "run", "--time", "1s"}, dir));
   EXPECT_HAS(resumed.err, "resuming at step");
 }
 
@@ -142,20 +148,17 @@ TEST(Process, EvalPrintsOneJsonObject) {
   const TempDir dir;
   const std::string config = write_packed_config(dir, 30, 0);
   ASSERT_EQ(run({"train", config, "--out", dir / "run"}, dir).code, 0);
-  const Result r = run({"--json", "eval", dir / "run"}, dir);
-  ASSERT_EQ(r.code, 0) << r.err;
+  const Result r = succeeded(run({"--json", "eval", dir / "run"}, dir));
   for (const char* name : {"\"miou_present\":", "\"total_accuracy\":", "\"psnr\":", "\"absrel\":", "\"train_s\":",
                            "\"entropy_auroc\":", "\"auroc_error\":"}) {
     EXPECT_HAS(r.out, name) << name << " in " << r.out;
   }
   EXPECT_EQ(std::count(r.out.begin(), r.out.end(), '\n'), 1);
   EXPECT_LACKS(r.out, "given_right_entropy");
-  const Result trained = run({"--json", "eval", dir / "run", "--split", "train"}, dir);
-  ASSERT_EQ(trained.code, 0) << trained.err;
+  const Result trained = succeeded(run({"--json", "eval", dir / "run", "--split", "train"}, dir));
   for (const char* name : {"\"given_right_entropy\":1.", "\"given_wrong_auroc\":null"})
     EXPECT_HAS(trained.out, name) << name << " in " << trained.out;
-  const Result rendered = run({"render", dir / "run", "--split", "test", "--npy"}, dir);
-  ASSERT_EQ(rendered.code, 0) << rendered.err;
+  const Result rendered = succeeded(run({"render", dir / "run", "--split", "test", "--npy"}, dir));
   EXPECT_HAS(rendered.out, "frames=3");
 }
 
@@ -169,8 +172,7 @@ TEST(Process, AStepOfDepthPicturesSuitsTheSceneAndIsSaid) {
                   dir)
                   .code,
               0);
-    const Result rendered = run({"render", out, "--split", "test", "--out", out + "_views"}, dir);
-    ASSERT_EQ(rendered.code, 0) << rendered.err;
+    const Result rendered = succeeded(run({"render", out, "--split", "test", "--out", out + "_views"}, dir));
     EXPECT_HAS(read_text_file(out + "_views/cameras.json"), std::string("\"depth_step\": ") + step + ",\n");
     EXPECT_EQ(rendered.err.find("a step of the depth pictures is 0.1 ") != std::string::npos, step[2] == '1')
         << rendered.err;
@@ -186,15 +188,12 @@ TEST(Process, FiguresOfATinySceneAreNotPrintedAsNought) {
                 dir)
                 .code,
             0);
-  const Result plan =
+  const Result plan = succeeded(
       run({"train", config, "--set", "scene.load.pose_scale=1e-4", "--set", "scene.load.depth_scale=1e-4", "--dry-run"},
-          dir);
-  ASSERT_EQ(plan.code, 0) << plan.err;
+          dir));
   EXPECT_HAS(plan.out, "bounds    0.000");
-  const Result eval = run({"eval", dir / "run"}, dir);
-  ASSERT_EQ(eval.code, 0) << eval.err;
-  const Result json = run({"eval", dir / "run", "--json"}, dir);
-  ASSERT_EQ(json.code, 0) << json.err;
+  const Result eval = succeeded(run({"eval", dir / "run"}, dir));
+  const Result json = succeeded(run({"eval", dir / "run", "--json"}, dir));
   for (const std::string name : {"absdiff", "sqrel", "rmse"}) {
     const std::size_t at = eval.out.find("  " + name + " ");
     ASSERT_NE(at, std::string::npos) << eval.out;
@@ -204,54 +203,19 @@ TEST(Process, FiguresOfATinySceneAreNotPrintedAsNought) {
   }
 }
 
-struct Refusal {
-  std::vector<std::string> words;
-  int code;
-  std::string message;
-};
-
-TEST(Process, RefusalsNamePlaceCauseAndRemedy) {
+// What is wrong with words and configurations: tests/bad_files.
+TEST(Process, ARefusedRunLeavesNoFolder) {
   const TempDir dir;
   const std::string config = write_packed_config(dir, 5, 0);
-  ASSERT_EQ(run({"train", config, "--out", dir / "run"}, dir).code, 0);
-  const std::string bad_key = dir / "bad_key.yaml";
-  write_file_atomic(bad_key, "include: config.yaml\nsemantics: {wieght: 1}\ntrain: {rays: many}\n");
-  std::vector<Refusal> cases{
-      {{"train"}, 2, "expected either a configuration file or --resume RUN"},
-      {{"trian", config}, 2, ""},
-      {{"train", config, "--out", dir / "run"}, 73, "run"},
-      // Before the scene is read, which may take minutes: here it is not even there.
-      {{"train", config, "--set", "scene.file=" + (dir / "none.sfpack"), "--out", dir / "run"},
-       73,
-       "holds files already; continue that run with `semfield train --resume"},
-      {{"train", dir / "absent.yaml"}, 66, "absent.yaml"},
-      {{"train", bad_key, "--out", dir / "x"},
-       78,
-       "bad_key.yaml:2:13: semantics: unknown key 'wieght'; did you mean 'weight'?"},
-      {{"train", bad_key, "--out", dir / "x"}, 78, "bad_key.yaml:3:15: train.rays: expected int, got 'many'"},
-      {{"config", "check", bad_key, "--set", "train.stepps=1", "--set", "train"}, 78, "unknown key 'wieght'"},
-      {{"config", "check", bad_key, "--set", "train.stepps=1", "--set", "train"}, 78, "did you mean 'steps'?"},
-      {{"config", "check", bad_key, "--set", "train.stepps=1", "--set", "train"}, 78, "expected KEY=VALUE"},
-      {{"train", config, "--time", "soon"}, 2, "expected a positive time"},
-      {{"train", config, "--set", "passes.0.field.type=tiny_mpl", "--out", dir / "x"}, 78, "did you mean 'tiny_mlp'?"},
-      {{"train", config, "--out", "/proc/semfield"}, 73, "/proc/semfield"},
-      {{"train", "--resume", dir / "nowhere"}, 66, "nowhere"},
-      {{"eval", dir / "nowhere"}, 66, "nowhere"},
-      {{"eval", dir / "run", "--split", "best"}, 2, "expected test or train"},
-      {{"train", config, "--set", "scene.load.invert_poses=true", "--out", dir / "x"},
-       65,
-       "add --set scene.load.invert_poses=false"},
-      {{"train", config, "--keep", "undistorsion", "--dry-run"}, 2, "did you mean 'undistortion'?"},
-  };
   std::string why_not;  // this build or this machine has none
-  if (!cuda_available(&why_not))
-    cases.push_back({{"train", config, "--set", "runtime.device=cuda", "--out", dir / "x"}, 69, why_not});
-  for (const Refusal& c : cases) {
-    const Result r = run(c.words, dir);
-    EXPECT_EQ(r.code, c.code) << c.words[0] << ": " << r.err;
-    EXPECT_HAS(r.err, c.message) << "expected '" << c.message << "' in: " << r.err;
+  if (!cuda_available(&why_not)) {
+    const Result r = run({"train", config, "--set", "runtime.device=cuda", "--out", dir / "x"}, dir);
+    EXPECT_EQ(r.code, 69);
+    EXPECT_HAS(r.err, why_not);
   }
-  EXPECT_FALSE(std::filesystem::exists(dir / "x")) << "a refused run leaves no folder";
+  EXPECT_EQ(run({"train", config, "--out", "/proc/semfield"}, dir).code, 73);
+  EXPECT_EQ(run({"train", config, "--set", "passes.0.field.type=tiny_mpl", "--out", dir / "x"}, dir).code, 78);
+  EXPECT_FALSE(std::filesystem::exists(dir / "x"));
 }
 
 // The program's words about scores: those of a sample cannot be taken for those of the split.
@@ -260,8 +224,7 @@ TEST(ScoreLines, ASampleHasNamesOfItsOwn) {
   const TempDir dir;
   write_packed_config(dir, 200, 60);
   // A time that the first step exceeds leaves time for the least evaluation.
-  const Result cut = semfield_run("train config.yaml --time 0.001s --threads 1 --out cut", dir.path());
-  ASSERT_EQ(cut.code, 0) << cut.err;
+  const Result cut = succeeded(semfield_run("train config.yaml --time 0.001s --threads 1 --out cut", dir.path()));
   EXPECT_EQ(cut.out.find("train: sample=3/3 sample_pixels=1/"), 0u) << cut.out;
   EXPECT_HAS(cut.out, " sample_miou_present=0.");
   EXPECT_LACKS(cut.out, " miou_present=", " total_accuracy=", " psnr=", " absrel=");
@@ -271,9 +234,8 @@ TEST(ScoreLines, ASampleHasNamesOfItsOwn) {
   const Result eval = semfield_run("eval cut", dir.path());
   EXPECT_EQ(eval.out.find("cut: 3 test frames, step "), 0u) << eval.out;
 
-  const Result whole =
-      semfield_run("train config.yaml --time 0.001s --set report.eval_share=0 --threads 1 --out whole -q", dir.path());
-  ASSERT_EQ(whole.code, 0) << whole.err;
+  const Result whole = succeeded(
+      semfield_run("train config.yaml --time 0.001s --set report.eval_share=0 --threads 1 --out whole -q", dir.path()));
   EXPECT_EQ(whole.out.find("train: miou_present=0."), 0u) << whole.out;
   EXPECT_EQ(whole.err, "") << "-q";
 }
@@ -289,8 +251,7 @@ TEST(ScoreLines, EvalKeepsItsScoresForTheReport) {
     return rows;
   };
   ASSERT_EQ(evals().size(), 1u);
-  const Result eval = semfield_run("eval run --json", dir.path());
-  ASSERT_EQ(eval.code, 0) << eval.err;
+  const Result eval = succeeded(semfield_run("eval run --json", dir.path()));
   const nlohmann::json found = nlohmann::json::parse(eval.out);
   ASSERT_EQ(semfield_run("eval run -q", dir.path()).code, 0);
   ASSERT_EQ(evals().size(), 2u) << "the same scores are kept once";
@@ -308,8 +269,8 @@ TEST(ScoreLines, EvalKeepsItsScoresForTheReport) {
   const Result again = semfield_run("train --resume run --threads 1", dir.path());
   EXPECT_EQ(again.out.find("train: miou_present="), 0u) << again.out;
   // Figures of other settings are not the run's.
-  const Result other = semfield_run("eval run --set scene.load.width_px=24 --set scene.load.height_px=18", dir.path());
-  EXPECT_EQ(other.code, 0) << other.err;
+  const Result other =
+      succeeded(semfield_run("eval run --set scene.load.width_px=24 --set scene.load.height_px=18", dir.path()));
   EXPECT_HAS(other.err, "the run's folder does not keep these scores");
   EXPECT_EQ(evals().size(), 2u);
 }
@@ -317,8 +278,8 @@ TEST(ScoreLines, EvalKeepsItsScoresForTheReport) {
 TEST(ScoreLines, FiguresThatTheSceneCannotHaveAreNotPrinted) {
   const TempDir dir;
   write_packed_config(dir, 2, 60);
-  const Result r = semfield_run("train config.yaml --set scene.labels.frames=none --threads 1 --out run", dir.path());
-  ASSERT_EQ(r.code, 0) << r.err;
+  const Result r =
+      succeeded(semfield_run("train config.yaml --set scene.labels.frames=none --threads 1 --out run", dir.path()));
   EXPECT_EQ(r.out.find("train: psnr="), 0u) << r.out;
   EXPECT_HAS(r.out, " absrel=");
   EXPECT_LACKS(r.out, "=-");
@@ -328,13 +289,12 @@ TEST(Findings, WhatTrainingHasShownIsNotSaidAgain) {
   const TempDir dir;
   write_packed_config(dir, 2, 60);
   const std::string warning = "the size asked for changes the aspect ratio";
-  const Result trained = semfield_run(
-      "train config.yaml --set scene.load.width_px=20 --set scene.load.height_px=36 --threads 1 --out run", dir.path());
-  ASSERT_EQ(trained.code, 0) << trained.err;
+  const Result trained = succeeded(
+      semfield_run("train config.yaml --set scene.load.width_px=20 --set scene.load.height_px=36 --threads 1 --out run",
+                   dir.path()));
   EXPECT_HAS(trained.err, warning);
   for (const char* verb : {"eval run", "render run"}) {
-    const Result r = semfield_run(verb, dir.path());
-    EXPECT_EQ(r.code, 0) << r.err;
+    const Result r = succeeded(semfield_run(verb, dir.path()));
     EXPECT_LACKS(r.err, warning) << verb << "\n" << r.err;
   }
   std::filesystem::remove(dir / "run/findings.txt");
@@ -393,6 +353,342 @@ TEST(ProgressLine, ATerminalsLineIsOverwrittenAndCleared) {
 TEST(ProgressLine, QuietIsSilent) {
   EXPECT_EQ(written(false, true), "");
   EXPECT_EQ(written(true, true), "");
+}
+
+// A run's files say what was trained, and the program says what does not go with them.
+
+namespace fs = std::filesystem;
+
+TEST(RunTruth, AFolderThatIsNoUtf8IsRefusedBeforeTraining) {
+  const TempDir dir;
+  const std::string folder = dir / "caf\xe9";
+  fs::create_directory(folder);
+  write_packed_config(dir, 5, 0);
+  fs::copy(dir.path(), folder, fs::copy_options::none);  // files alone
+  const Result r = semfield_run("train config.yaml --out run", folder);
+  EXPECT_EQ(r.code, 78) << r.err;
+  EXPECT_HAS(r.err, "it is not UTF-8; nothing was written; give the folder or file another name", "caf\\xe9");
+  EXPECT_FALSE(fs::exists(folder + "/run"));
+  // Where only the run folder's name is none, the run's files hold no part of it.
+  const Result named = succeeded(semfield_run("train config.yaml --threads 1 --out caf\xe9/run", dir.path()));
+  const Result json = succeeded(semfield_run("--json eval caf\xe9/run", dir.path()));
+}
+
+// The newest checkpoint with its metadata changed, checksums and all.
+void edit_metadata(const std::string& run, int step, const std::function<void(TensorMetadata&)>& edit) {
+  const std::string path = run + "/checkpoints/" + CheckpointStore::file_name(step);
+  const TensorFile file = TensorFile::read(path);
+  TensorMetadata metadata = file.metadata();
+  edit(metadata);
+  write_safetensors(path, file.tensors(), metadata);
+}
+
+struct Edit {
+  std::string key, value;  ///< value "-": the key is removed
+  int code;
+  std::string said;
+};
+
+TEST(RunTruth, CheckpointMetadataIsReadStrictly) {
+  const TempDir dir;
+  const std::string config = write_packed_config(dir, 5, 0);
+  ASSERT_EQ(semfield_run("train config.yaml --threads 1 --out run", dir.path()).code, 0);
+  const std::string file = "step_00000005.safetensors': ";
+  const std::vector<Edit> edits{
+      {"format", "semfield-checkpoint-9", 65,
+       file + "its format is 'semfield-checkpoint-9', this program reads 'semfield-checkpoint-1'"},
+      {"format", "-", 65, file + "metadata 'format' is missing"},
+      {"step", "6", 65, file + "its name says step 5, its metadata step 6; name it step_00000006.safetensors"},
+      {"step", "5x", 65, file + "metadata 'step' is '5x', no number of that kind"},
+      {"step", "99999999999999999999", 65, file + "metadata 'step' is"},
+      {"train_s", "-", 65, file + "metadata 'train_s' is missing"},
+      {"train_s", "soon", 65, file + "metadata 'train_s' is 'soon'"},
+      {"train_s", "nan", 65, file + "metadata 'train_s' is 'nan'"},
+      {"train_s", "-1", 65, file + "metadata 'train_s' is '-1'"},
+      {"seed", "-", 65, file + "metadata 'seed' is missing"},
+      {"seed", "4294967296", 65, file + "metadata 'seed' is '4294967296'"},
+      {"config", "-", 65, file + "metadata 'config' is missing"},
+      {"classes", "-", 65, file + "metadata 'classes' is missing"},
+      {"classes", "- {id: 1", 65, "checkpoint metadata 'classes':1:3: a list or a map where a key should stand"},
+      {"inputs", "{}", 65, file + "metadata 'inputs' cannot be read"},
+      {"inputs", "-", 0, ""},  // of an earlier version
+      {"scene", "{\"classes\": 1000000}", 65, "metadata 'scene' cannot be read"},
+  };
+  const std::string saved = read_text_file((dir / "run") + "/checkpoints/step_00000005.safetensors");
+  for (const Edit& e : edits) {
+    SCOPED_TRACE(e.key + "=" + e.value);
+    edit_metadata(dir / "run", 5, [&](TensorMetadata& metadata) {
+      if (e.value == "-") metadata.erase(e.key);
+      if (e.value != "-") metadata[e.key] = e.value;
+    });
+    for (const char* words : {"eval run", "train --resume run"}) {
+      const Result r = semfield_run(words, dir.path());
+      EXPECT_EQ(r.code, e.code) << words << ": " << r.err;
+      EXPECT_HAS(r.err, e.said) << "not said: " << e.said << "\nbut: " << r.err;
+    }
+    write_file_atomic((dir / "run") + "/checkpoints/step_00000005.safetensors", saved);
+  }
+  edit_metadata(dir / "run", 5, [](TensorMetadata& metadata) { metadata["seed"] = "9"; });
+  const Result seed = semfield_run("train --resume run", dir.path());
+  EXPECT_EQ(seed.code, 65);
+  EXPECT_HAS(seed.err, "its seed is 9, its settings say 1");
+}
+
+TEST(RunTruth, SettingsOfAResumeAreStoredAndTold) {
+  const TempDir dir;
+  write_packed_config(dir, 5, 0);
+  ASSERT_EQ(semfield_run("train config.yaml --threads 1 --out run", dir.path()).code, 0);
+  const Result more =
+      succeeded(semfield_run("train --resume run --set train.steps=9 --set report.strips=1", dir.path()));
+  EXPECT_HAS(more.err, "from step 5 on: train.steps: 5 -> 9");
+  const std::string yaml = read_text_file((dir / "run") + "/run.yaml");
+  EXPECT_HAS(yaml, "\n  steps: 9\n", "\n  strips: 1\n");
+  // The next resume reads what the last one was given, and the report shows both.
+  const Result again = succeeded(semfield_run("train --resume run --set train.steps=12", dir.path()));
+  EXPECT_HAS(again.err, "from step 9 on: train.steps: 9 -> 12");
+  EXPECT_LACKS(again.err, "strips");
+  const std::vector<std::string> changes =
+      parse_settings_changed(read_text_file((dir / "run") + "/environment.json"), "environment.json");
+  EXPECT_EQ(changes, (std::vector<std::string>{"step 5: train.steps: 5 -> 9", "step 5: report.strips: 0 -> 1",
+                                               "step 9: train.steps: 9 -> 12"}));
+  EXPECT_HAS(read_text_file((dir / "run") + "/report.html"), "step 9: train.steps");
+  // A run.yaml that says something else than its checkpoint, as earlier versions left them.
+  std::string other = yaml;
+  other.replace(other.find("\n  rays: "), 9, "\n  rays: 1");
+  write_file_atomic((dir / "run") + "/run.yaml", other);
+  const Result refused = semfield_run("train --resume run", dir.path());
+  EXPECT_EQ(refused.code, 78) << refused.err;
+  const std::size_t at = refused.err.find("semfield train --resume run --set train.rays=");
+  ASSERT_NE(at, std::string::npos) << refused.err;
+  const std::string words = refused.err.substr(at + 9, refused.err.find(';', at) - at - 9);
+  EXPECT_EQ(semfield_run(words, dir.path()).code, 0) << "the remedy does what it says: " << words;
+}
+
+// Data that moved are found from another working folder, and stay found.
+TEST(RunTruth, MovedDataAreNamedOnTheCommandLine) {
+  const TempDir dir;
+  write_packed_config(dir, 5, 0);
+  ASSERT_EQ(semfield_run("train config.yaml --threads 1 --out run", dir.path()).code, 0);
+  fs::create_directory(dir / "elsewhere");
+  const std::string file = [&] {
+    for (const auto& entry : fs::directory_iterator(dir.path()))
+      if (entry.path().extension() == ".sfpack") return entry.path().filename().string();
+    return std::string();
+  }();
+  ASSERT_NE(file, "");
+  fs::rename(dir / file, (dir / "elsewhere") + "/moved.sfpack");
+  const Result gone = semfield_run("eval run", dir.path());
+  EXPECT_EQ(gone.code, 66) << gone.err;
+  EXPECT_HAS(gone.err, "if the data moved, add --set scene.file=NEW_PLACE");
+  const Result found = succeeded(semfield_run("eval ../run --set scene.file=moved.sfpack", dir / "elsewhere"));
+  const Result stored =
+      succeeded(semfield_run("train --resume ../run --set scene.file=moved.sfpack", dir / "elsewhere"));
+  EXPECT_EQ(semfield_run("eval run", dir.path()).code, 0);
+}
+
+TEST(RunTruth, RunsEqualComparesWhatWasTrained) {
+  const TempDir dir;
+  write_packed_config(dir, 8, 0);
+  const auto train = [&](const std::string& name, const std::string& more) {
+    const Result r = succeeded(semfield_run("train config.yaml --out " + name + " " + more, dir.path()));
+  };
+  train("a", "--threads 1");
+  train("b", "--threads 2 --set report.log_every_steps=3 --memory 100");
+  train("seed", "--threads 1 --set runtime.seed=7");
+  train("longer", "--threads 1 --steps 9");
+  const auto compare = [&](const std::string& other, int code, const std::string& said) {
+    const Result r = semfield_run("runs equal a " + other, dir.path());
+    EXPECT_EQ(r.code, code) << r.err;
+    EXPECT_EQ(r.out.substr(0, said.size()), said);
+  };
+  compare("b", 0, "runs: equal step=8 tensors=");
+  compare("seed", 1, "runs: different: runtime.seed: 1 -> 7\n");
+  compare("longer", 1, "runs: different: step: 8 -> 9\n");
+  // Equal runs have the same identity, whatever their threads.
+  const auto hash_of = [&](const std::string& name) {
+    return TensorFile::read(dir / (name + "/checkpoints/step_00000008.safetensors")).metadata().at("config_hash");
+  };
+  EXPECT_EQ(hash_of("a"), hash_of("b"));
+  EXPECT_NE(hash_of("a"), hash_of("seed"));
+  const std::string path = dir / "b/checkpoints/step_00000008.safetensors";
+  const TensorFile file = TensorFile::read(path);
+  std::vector<TensorRef> tensors = file.tensors();
+  std::vector<std::byte> bytes(tensors[1].bytes.begin(), tensors[1].bytes.end());
+  bytes[8] ^= std::byte{1};  // the lowest bit of element 2
+  tensors[1].bytes = bytes;
+  write_safetensors(path, tensors, file.metadata());
+  compare("b", 1, "runs: different: tensor '" + tensors[1].name + "' differs from element 2 on\n");
+  EXPECT_EQ(semfield_run("runs equal a nowhere", dir.path()).code, 66);
+}
+
+TEST(RunTruth, EveryNumberOfRunYamlIsOneToYaml11) {
+  const TempDir dir;
+  write_packed_config(dir, 1, 0);
+  ASSERT_EQ(semfield_run("train config.yaml --threads 1 --out run --set train.adam.epsilon=1e-12", dir.path()).code, 0);
+  const std::string yaml = read_text_file(dir / "run/run.yaml");
+  static const std::regex word(R"((?:: |\[|, )([-+.]?[0-9][^\s,\]]*))");
+  static const std::regex number(R"([-+]?(?:0|[1-9][0-9]*)(?:\.[0-9]*(?:[eE][-+][0-9]+)?)?)");
+  int seen = 0;
+  for (std::sregex_iterator found(yaml.begin(), yaml.end(), word), end; found != end; ++found, ++seen)
+    EXPECT_TRUE(std::regex_match((*found)[1].str(), number)) << (*found)[1];
+  EXPECT_GT(seen, 40);
+  EXPECT_HAS(yaml, "epsilon: 1.0e-12");
+}
+
+// What helps a run over a step that fails may change; the remedy of such a step says so.
+TEST(RunTruth, AResumeMayTakeAnotherSeedOrLearningRate) {
+  const TempDir dir;
+  write_packed_config(dir, 3, 0);
+  ASSERT_EQ(semfield_run("train config.yaml --threads 1 --out run", dir.path()).code, 0);
+  const Result r = succeeded(semfield_run(
+      "train --resume run --steps 5 --set runtime.seed=4 --set train.adam.learning_rate=0.001", dir.path()));
+  EXPECT_HAS(r.err, "from step 3 on: runtime.seed: 1 -> 4");
+  EXPECT_EQ(semfield_run("train --resume run --steps 6", dir.path()).code, 0) << "and it stays so";
+}
+
+// What people see on a terminal: a live line within its width, which leaves nothing behind, and notes of whole words.
+
+TEST(LiveLine, PartsGoByRankUntilTheRestFits) {
+  const std::vector<LinePart> parts{{0, "step 5"}, {2, "  loss 1"}, {3, "  a 1"}, {3, "  b 2"}, {1, "  0:05 left"}};
+  EXPECT_EQ(fitted(parts, 100), "step 5  loss 1  a 1  b 2  0:05 left");
+  EXPECT_EQ(fitted(parts, 35), "step 5  loss 1  a 1  b 2  0:05 left");
+  EXPECT_EQ(fitted(parts, 34), "step 5  loss 1  a 1  0:05 left");
+  EXPECT_EQ(fitted(parts, 26), "step 5  loss 1  0:05 left");
+  EXPECT_EQ(fitted(parts, 20), "step 5  0:05 left");
+  EXPECT_EQ(fitted(parts, 16), "step 5");
+  EXPECT_EQ(fitted(parts, 4), "step");
+  EXPECT_EQ(fitted({{0, "Küche"}}, 5), "Küche") << "columns, not bytes";
+  EXPECT_EQ(fitted({{0, "部屋の"}}, 5), "部屋") << "wide characters take two";
+}
+
+TEST(Notes, BreakBetweenWordsAndNeverInACommand) {
+  EXPECT_EQ(wrapped("the length is settled", 80), "the length is settled");
+  EXPECT_EQ(wrapped("the length is settled", 12), "the length\nis settled");
+  EXPECT_EQ(wrapped("the length is settled", 10), "the length\nis settled");
+  EXPECT_EQ(wrapped("go on with `semfield train --resume r`, or not", 20),
+            "go on with\n`semfield train --resume r`,\nor not");
+  EXPECT_EQ(wrapped("unbreakable/path/to/a/file is\n  indented", 8), "unbreakable/path/to/a/file\nis\n  indented");
+  EXPECT_EQ(wrapped("a ` alone is no command", 9), "a ` alone\nis no\ncommand");
+  EXPECT_EQ(wrapped("", 5), "");
+}
+
+// A terminal of 80 columns as far as the program uses one.
+class Screen {
+ public:
+  static constexpr std::size_t kColumns = 80;
+  void feed(std::string_view text) {
+    for (std::size_t i = 0; i < text.size(); ++i) {
+      const char c = text[i];
+      if (c == '\r') {
+        column_ = 0;
+      } else if (c == '\n') {
+        rows_.emplace_back();
+        column_ = 0;
+      } else if (text.substr(i, 3) == "\033[K") {
+        rows_.back().resize(std::min(rows_.back().size(), column_));
+        i += 2;
+      } else if ((c & 0xC0) != 0x80) {
+        if (column_ == kColumns) {  // goes on in the next row, in the middle of a word
+          ++overflows_;
+          rows_.emplace_back();
+          column_ = 0;
+        }
+        std::string& row = rows_.back();
+        row.resize(std::max(row.size(), column_ + 1), ' ');
+        row[column_++] = c;
+      }
+    }
+  }
+  const std::vector<std::string>& rows() const { return rows_; }
+  int overflows() const { return overflows_; }
+  std::string text() const {
+    std::string all;
+    for (const std::string& row : rows_) all += row + "\n";
+    return all;
+  }
+
+ private:
+  std::vector<std::string> rows_{""};
+  std::size_t column_ = 0;
+  int overflows_ = 0;
+};
+
+// The program on a terminal of 80 columns: what its screen shows at the end, and everything that was written.
+struct Shown {
+  Screen screen;
+  std::string written;
+  int code = -1;
+};
+Shown on_terminal(const std::vector<std::string>& words, const std::string& folder) {
+  const winsize size{.ws_row = 24, .ws_col = Screen::kColumns, .ws_xpixel = 0, .ws_ypixel = 0};
+  const std::string path = program();
+  std::vector<char*> argv{const_cast<char*>(path.c_str())};
+  for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
+  argv.push_back(nullptr);
+  int terminal = -1;
+  const pid_t pid = forkpty(&terminal, nullptr, nullptr, &size);
+  if (pid == 0) {
+    if (chdir(folder.c_str()) != 0) _exit(126);
+    execv(path.c_str(), argv.data());
+    _exit(127);
+  }
+  Shown shown;
+  std::array<char, 4096> part{};
+  for (ssize_t got = 0; (got = read(terminal, part.data(), part.size())) > 0;)
+    shown.written.append(part.data(), static_cast<std::size_t>(got));
+  close(terminal);
+  int status = 0;
+  waitpid(pid, &status, 0);
+  shown.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  shown.screen.feed(shown.written);
+  return shown;
+}
+
+std::size_t rows_with(const Screen& screen, std::string_view text) {
+  std::size_t count = 0;
+  for (const std::string& row : screen.rows()) count += row.find(text) != std::string::npos ? 1 : 0;
+  return count;
+}
+
+TEST(Terminal, TrainingLeavesNoLitterAndNotesStandAlone) {
+  const TempDir dir;
+  write_packed_config(dir, 200, 60);
+  const Shown train = on_terminal({"train", "config.yaml", "--time", "3s", "--out", "run", "--set",
+                                   "report.log_every_steps=1", "--set", "report.eval_every_s=1"},
+                                  dir.path());
+  ASSERT_EQ(train.code, 0) << train.written;
+  std::size_t updates = 0;
+  for (std::size_t at = 0; (at = train.written.find("\r\033[Kstep ", at)) != std::string::npos; ++at) ++updates;
+  ASSERT_GT(updates, 3u) << "the line is live";
+  EXPECT_HAS(train.written, " left\r\033[K", "miou_present");
+  EXPECT_EQ(rows_with(train.screen, "loss "), 0u) << train.screen.text();
+  EXPECT_EQ(rows_with(train.screen, "elapsed"), 0u) << train.screen.text();
+  // A note begins its row, and only what people copy runs over the edge.
+  std::size_t settled = 0;
+  for (const std::string& row : train.screen.rows()) settled += row.starts_with("the length is settled: ") ? 1 : 0;
+  EXPECT_EQ(settled, 1u) << train.screen.text();
+  EXPECT_EQ(rows_with(train.screen, "the length is settled"), 1u);
+  for (const std::string& row : train.screen.rows()) EXPECT_LE(row.size(), Screen::kColumns);
+  EXPECT_EQ(rows_with(train.screen, "next        semfield eval run"), 1u);
+
+  for (const std::vector<std::string>& words : std::vector<std::vector<std::string>>{
+           {"eval", "run"}, {"render", "run"}, {"mesh", "run"}, {"inspect", "config.yaml"}, {"report", "run"}}) {
+    const Shown verb = on_terminal(words, dir.path());
+    ASSERT_EQ(verb.code, 0) << verb.written;
+    for (const char* live : {"scored ", "rendered ", "depth of ", "scene: "})
+      EXPECT_EQ(rows_with(verb.screen, live), 0u) << words[0] << ":\n" << verb.screen.text();
+  }
+}
+
+TEST(Terminal, AnErrorStandsAloneAndBreaksBetweenWords) {
+  const TempDir dir;
+  write_packed_config(dir, 200, 60);
+  const Shown wrong = on_terminal({"train", "config.yaml", "--set", "train.steppes=1", "--set", "train.rays=many",
+                                   "--set", "runtime.device=an_accelerator_of_a_long_name"},
+                                  dir.path());
+  EXPECT_EQ(wrong.code, 78);
+  EXPECT_EQ(wrong.screen.overflows(), 0) << wrong.screen.text();
+  EXPECT_HAS(wrong.screen.text(), "--set train.steppes=1: train: unknown key 'steppes'");
 }
 
 }  // namespace

@@ -1,14 +1,22 @@
 // Stopping, saving, loading and going on gives the bits of the run that was never stopped; other checkpoints are
 // refused.
+
+#include <gtest/gtest.h>
+
+#include <cmath>
 #include <fstream>
 
 #include "compute/parallel.h"
+#include "config/compose.h"
+#include "eval/evaluator.h"
 #include "eval/final_eval.h"
 #include "run/metrics_log.h"
 #include "run/run_folder.h"
 #include "run/run_loop.h"
 #include "run/run_scores.h"
+#include "session/settings/choices.h"
 #include "session/trainer.h"
+#include "session/training.h"
 #include "system/files.h"
 #include "tests/session/train_testing.h"
 
@@ -252,44 +260,623 @@ TEST(TrainRun, LabelsOfAnotherClassAreRefusedWhereItHasNoLogit) {
   }
 }
 
-TEST(TrainRun, AFlippedBitIsFoundAndTheOlderCheckpointServes) {
-  Registry registry = make_registry();
-  const TempDir dir;
-  Opened run = open(two_pass_config(), registry);
-  CheckpointStore store(dir.path());
-  store.save(0, run.trainer->state(), {{"train_s", "0"}});
-  run.trainer->advance();
-  const std::string newest = store.save(1, run.trainer->state(), {{"train_s", "0"}});
-  {
-    std::fstream file(newest, std::ios::in | std::ios::out | std::ios::binary);
-    file.seekg(-100, std::ios::end);
-    const int byte = file.get();
-    file.seekp(-100, std::ios::end);
-    file.put(static_cast<char>(byte ^ 16));
+// The length of a run: stated in steps or in seconds, settled, stored, repeated and gone on with. Clocks are
+// counted.
+
+namespace fs = std::filesystem;
+
+constexpr double kStep_s = 0.25;
+
+/// Every step takes `step_s()` by this clock.
+class CountedSteps final : public RunListener {
+ public:
+  std::function<double(std::int64_t)> step_s = [](std::int64_t) { return kStep_s; };
+  std::function<int(std::int64_t)> signal_at = [](std::int64_t) { return 0; };
+  std::function<bool(std::int64_t)> save_at = [](std::int64_t) { return false; };
+  bool reports = false;
+  std::string notes;
+
+  double step_clock_s() override {
+    if (begun_) now_s_ += step_s(step_);
+    begun_ = !begun_;
+    return now_s_;
   }
-  Diagnostics diagnostics;
-  auto found = store.find_latest(diagnostics);
-  ASSERT_TRUE(found.has_value());
-  EXPECT_EQ(found->step, 0);
-  ASSERT_FALSE(diagnostics.all().empty());
-  EXPECT_HAS(diagnostics.all().front().text(), "step_00000001");
+  void stepped(std::int64_t step, const StepLosses&) override { step_ = step; }
+  int stop_signal() override { return signal_at(step_); }
+  bool save_request() override { return save_at(step_); }
+  void note(const std::string& text) override { notes += text + "\n"; }
+  std::string write_report(const RunFolder& folder, const Session&, const ReportFrames&) override {
+    if (!reports) return "";
+    write_file_atomic(folder.report_path(), "page\n");
+    return folder.report_path();
+  }
+
+ private:
+  bool begun_ = false;
+  double now_s_ = 0;
+  std::int64_t step_ = 0;
+};
+
+class RunLengthTest : public ::testing::Test {
+ protected:
+  RunConfig config(const std::string& more = "") {
+    Diagnostics diagnostics;
+    RunConfig read = read_run_config(
+        parse_config_text(hash_config("report: {eval_every_s: 0, checkpoint_every_s: 0}\n" + more), "test.yaml"),
+        registry_, diagnostics);
+    diagnostics.throw_if_errors(ErrorKind::config, "");
+    return read;
+  }
+  RunConfig stored(const std::string& run) { return load_run_config(dir_ / run + "/run.yaml", {}, registry_); }
+  RunConfig asked(const AskedLength& length, const std::string& more = "") {
+    RunConfig made = config(more);
+    ask(made, length);
+    return made;
+  }
+  TrainOutcome train(RunConfig config, const std::string& run, RunListener& listener) {
+    TrainRequest request{.out_dir = dir_ / run};
+    return run_training(std::move(config), registry_, request, &listener);
+  }
+  TrainOutcome resume(const std::string& run, const AskedLength& more, RunListener& listener) {
+    TrainRequest request{.out_dir = dir_ / run, .resume = true, .more = more};
+    return run_training(stored(run), registry_, request, &listener);
+  }
+  std::uint32_t bits(const std::string& run, std::int64_t step) { return checkpoint_fingerprint(dir_ / run, step); }
+  void copy_as_a_kill_leaves_it(const std::string& from, const std::string& to) {
+    fs::copy(dir_ / from, dir_ / to, fs::copy_options::recursive);
+    fs::remove(dir_ / to + "/.lock");
+  }
+
+  TempDir dir_;
+  Registry registry_ = make_registry();
+};
+
+TEST_F(RunLengthTest, ATimeIsSettledStoredAndRepeatedByNumbers) {
+  CountedSteps clock;
+  const TrainOutcome timed =
+      train(asked({0, 20}, "losses: [{type: distortion, weight: 0.1, from_step: 0.05}]\n"), "timed", clock);
+  EXPECT_EQ(timed.step, 80);
+  EXPECT_NEAR(timed.train_s, 20, 0.01);
+  EXPECT_EQ(timed.trained_s, timed.train_s);
+  EXPECT_HAS(clock.notes, "the length is settled: 80 steps for 20 s of training");
+  const RunConfig settled = stored("timed");
+  EXPECT_EQ(settled.train.steps, 80);
+  EXPECT_EQ(settled.train.time_s, 20);
+  EXPECT_EQ(settled.schedule.decay_steps, 80);
+  EXPECT_GE(settled.schedule.hold_steps, 8);
+  EXPECT_LE(settled.schedule.hold_steps, 12);
+  EXPECT_TRUE(settled.schedule.legs.empty());
+  EXPECT_NEAR(schedule_factor(settled.schedule, last_step(settled)), settled.schedule.factor, 1e-15);
+  // Another machine, by the numbers alone.
+  CountedSteps slow;
+  slow.step_s = [](std::int64_t step) { return step < 40 ? 3.0 : 1.0; };
+  EXPECT_EQ(train(stored("timed"), "again", slow).step, 80);
+  EXPECT_LACKS(slow.notes, "settled");
+  EXPECT_EQ(bits("again", 80), bits("timed", 80));
 }
 
-TEST(TrainRun, ARunFolderInUseIsRefused) {
+TEST_F(RunLengthTest, ARateThatChangesIsSettledAnewAndRepeatedByNumbers) {
+  CountedSteps clock;
+  clock.step_s = [](std::int64_t step) { return step < 60 ? 0.2 : 0.1; };
+  const TrainOutcome timed = train(asked({0, 20}), "timed", clock);
+  EXPECT_NEAR(timed.train_s, 20, 1.7);
+  EXPECT_LACKS(clock.notes, "settled again");
+  EXPECT_EQ(clock.notes.find("is settled"), clock.notes.rfind("is settled")) << "said once: " << clock.notes;
+  const RunConfig settled = stored("timed");
+  EXPECT_FALSE(settled.schedule.legs.empty());
+  EXPECT_EQ(last_step(settled), timed.step);
+  for (std::int64_t step = settled.schedule.hold_steps + 1; step < timed.step; ++step)
+    ASSERT_LE(schedule_factor(settled.schedule, step), schedule_factor(settled.schedule, step - 1)) << step;
+  CountedSteps other;
+  train(stored("timed"), "again", other);
+  EXPECT_EQ(bits("again", timed.step), bits("timed", timed.step));
+}
+
+TEST_F(RunLengthTest, ARunKilledOrStoppedBeforeItIsSettledTrainsWhatWasAskedFor) {
+  CountedSteps clock;
+  clock.save_at = [&](std::int64_t step) {
+    if (step == 5) copy_as_a_kill_leaves_it("stopped", "killed");
+    return false;
+  };
+  clock.signal_at = [](std::int64_t step) { return step == 6 ? 2 : 0; };
+  EXPECT_EQ(train(asked({0, 20}), "stopped", clock).step, 6);
+  EXPECT_EQ(stored("stopped").train.steps, 0);
+  for (const char* run : {"stopped", "killed"}) {
+    CountedSteps later;
+    const TrainOutcome ended = resume(run, {}, later);
+    EXPECT_EQ(ended.step, 80) << run;
+    EXPECT_NEAR(ended.train_s, 20, 0.01) << run;
+    EXPECT_LACKS(later.notes, " on: ");
+  }
+}
+
+TEST_F(RunLengthTest, ARunKilledAfterItWasSettledEndsWithTheBitsOfOneLeftAlone) {
+  CountedSteps clock;
+  clock.save_at = [&](std::int64_t step) {
+    if (step == 40) copy_as_a_kill_leaves_it("timed", "killed");
+    return step == 5;
+  };
+  EXPECT_EQ(train(asked({0, 20}), "timed", clock).step, 80);
+  CountedSteps later;
+  later.step_s = [](std::int64_t) { return 7.0; };
+  EXPECT_EQ(resume("killed", {}, later).step, 80);
+  EXPECT_HAS(later.notes, "resuming at step 5 ");
+  EXPECT_LACKS(later.notes, " on: ") << "what was settled is no change: " << later.notes;
+  EXPECT_EQ(bits("killed", 80), bits("timed", 80));
+}
+
+TEST_F(RunLengthTest, AResumeTrainsThatMuchMoreAtAUsefulRate) {
+  CountedSteps clock;
+  train(asked({40, 0}), "run", clock);
+  copy_as_a_kill_leaves_it("run", "cut");
+  CountedSteps more;
+  const TrainOutcome ended = resume("run", {30, 0}, more);
+  EXPECT_EQ(ended.step, 70);
+  EXPECT_NEAR(ended.trained_s, 30 * kStep_s, 1e-9);
+  EXPECT_HAS(more.notes, "from step 40 on: length: 40 steps -> 70 steps");
+  const ScheduleParams schedule = stored("run").schedule;
+  EXPECT_NEAR(schedule_factor(schedule, 39), std::pow(0.1, 39.0 / 40), 1e-12);
+  EXPECT_EQ(schedule_factor(schedule, 40), 0.5);
+  EXPECT_NEAR(schedule_factor(schedule, 70), 0.1, 1e-12);
+  // Cut off within the leg, and trained anew by the numbers: the same bits.
+  CountedSteps cut;
+  cut.signal_at = [](std::int64_t step) { return step == 52 ? 15 : 0; };
+  EXPECT_EQ(resume("cut", {30, 0}, cut).step, 52);
+  CountedSteps rest;
+  EXPECT_EQ(resume("cut", {}, rest).step, 70);
+  EXPECT_EQ(bits("cut", 70), bits("run", 70));
+  CountedSteps anew;
+  train(stored("run"), "anew", anew);
+  EXPECT_EQ(bits("anew", 70), bits("run", 70));
+}
+
+TEST_F(RunLengthTest, AResumeForATimeTrainsThatLongMore) {
+  CountedSteps clock;
+  train(asked({40, 0}), "run", clock);
+  CountedSteps more;
+  more.signal_at = [](std::int64_t step) { return step == 42 ? 2 : 0; };
+  EXPECT_EQ(resume("run", {0, 20}, more).step, 42);
+  EXPECT_EQ(last_step(stored("run")), 0) << "not settled yet";
+  CountedSteps rest;
+  const TrainOutcome ended = resume("run", {}, rest);
+  EXPECT_EQ(ended.step, 120);
+  EXPECT_NEAR(ended.train_s, 40 * kStep_s + 20, 0.01);
+  CountedSteps anew;
+  train(stored("run"), "anew", anew);
+  EXPECT_EQ(bits("anew", 120), bits("run", 120));
+}
+
+TEST_F(RunLengthTest, MoreIsCountedFromTheStepThatIsResumed) {
+  CountedSteps clock;
+  clock.signal_at = [](std::int64_t step) { return step == 10 ? 2 : 0; };
+  train(asked({40, 0}), "run", clock);
+  CountedSteps more;
+  EXPECT_EQ(resume("run", {25, 0}, more).step, 35) << "in place of what was left";
+  const ScheduleParams schedule = stored("run").schedule;
+  EXPECT_EQ(schedule_factor(schedule, 10), std::pow(0.1, 10.0 / 40)) << "the rate goes on, for it is above a half";
+}
+
+// Without the lock, which says who held the folder last.
+std::map<std::string, std::pair<std::string, fs::file_time_type>> contents(const std::string& folder) {
+  std::map<std::string, std::pair<std::string, fs::file_time_type>> files;
+  for (const fs::directory_entry& entry : fs::recursive_directory_iterator(folder))
+    if (entry.is_regular_file() && entry.path().filename() != ".lock")
+      files[entry.path().string()] = {read_text_file(entry.path().string()), entry.last_write_time()};
+  return files;
+}
+
+TEST_F(RunLengthTest, AResumeWithNothingToTrainChangesNoFile) {
+  CountedSteps clock;
+  clock.reports = true;
+  const TrainOutcome ended = train(asked({20, 0}), "run", clock);
+  const auto before = contents(dir_ / "run");
+  CountedSteps nothing;
+  nothing.reports = true;
+  const TrainOutcome again = resume("run", {}, nothing);
+  EXPECT_EQ(contents(dir_ / "run"), before);
+  EXPECT_HAS(nothing.notes,
+             "the run has come to its end, 20 steps, and nothing of it was changed; to train on: "
+             "`semfield train --resume " +
+                 (dir_ / "run") + " --time 5s`");
+  EXPECT_EQ(again.trained_s, 0);
+  EXPECT_EQ(again.step, 20);
+  EXPECT_EQ(again.values, ended.values);
+  EXPECT_EQ(again.scored.frames, ended.scored.frames);
+  EXPECT_EQ(again.report_path, ended.report_path);
+  // What it says works.
+  CountedSteps more;
+  more.reports = true;
+  EXPECT_EQ(resume("run", {0, 5}, more).step, 40);
+  // A run whose page or last figures are missing gets them.
+  fs::remove(dir_ / "run/final_eval.json");
+  fs::remove(dir_ / "run/report.html");
+  CountedSteps cut_off;
+  cut_off.reports = true;
+  EXPECT_EQ(resume("run", {}, cut_off).step, 40);
+  EXPECT_TRUE(fs::exists(dir_ / "run/final_eval.json") && fs::exists(dir_ / "run/report.html"));
+}
+
+TEST_F(RunLengthTest, AProgramThatDrivesARunHasTheSameLength) {
+  CountedSteps clock;
+  RunSessionOptions options{.run_dir = dir_ / "driven"};
+  {
+    RunSession run(asked({0, 20}), registry_, options, clock);
+    while (!run.training().at_its_end()) run.advance(1000);
+    EXPECT_EQ(run.training().step(), 80);
+    run.save("");
+  }
+  CountedSteps again;
+  train(stored("driven"), "again", again);
+  EXPECT_EQ(bits("again", 80), bits("driven", 80));
+}
+
+TEST_F(RunLengthTest, TheDeviceSettlesALengthThatNobodyAskedFor) {
+  for (const auto& [device, steps] : {std::pair{Device::cpu, kStepsOnCpu}, std::pair{Device::cuda, kStepsOnGpu}}) {
+    RunConfig open = config();
+    open.train.steps = open.schedule.decay_steps = 0;
+    EXPECT_HAS(resolve_length(open, device), std::to_string(steps) + " steps");
+    EXPECT_EQ(last_step(open), steps);
+    EXPECT_EQ(open.schedule.decay_steps, steps);
+    RunConfig fixed = config();
+    EXPECT_EQ(resolve_length(fixed, device), "");
+    EXPECT_EQ(fixed.schedule.decay_steps, 250000) << "what is written stays";
+  }
+  for (const char* preset : {"room", "object", "unbounded"}) {
+    const ConfigNode tree =
+        compose_config(std::string(SEMFIELD_SOURCE_DIR) + "/configs/presets/" + preset + ".yaml", {});
+    EXPECT_EQ(tree.find("train")->find("steps")->text(), "0") << preset;
+    EXPECT_EQ(tree.find("train")->find("schedule")->find("decay_steps")->text(), "0") << preset;
+  }
+}
+
+TEST_F(RunLengthTest, WhatNeverWorksInARunOfItsLengthIsRefused) {
+  const auto said = [&](const std::string& more) -> std::string {
+    RunConfig read = config(more);
+    read.train.steps = 100;
+    try {
+      CountedSteps clock;
+      train(std::move(read), "refused", clock);
+    } catch (const Error& error) {
+      EXPECT_FALSE(fs::exists(dir_ / "refused"));
+      return error.what();
+    }
+    return "nothing";
+  };
+  EXPECT_HAS(said("losses: [{type: distortion, from_step: 1}]\n"),
+             "the term 'distortion' never works: its from_step 1 is the end of the run of 100 steps");
+  EXPECT_HAS(said("losses: [{type: distortion, from_step: 0.995}]\n"), "never works");
+  RunConfig warm = config();
+  warm.schedule.warmup_steps = warm.train.steps;
+  Diagnostics never;
+  check_length(warm, never);
+  EXPECT_EQ(never.error_count(), 1);
+  --warm.schedule.warmup_steps;
+  Diagnostics fine;
+  check_length(warm, fine);
+  EXPECT_FALSE(fine.has_errors());
+}
+
+TEST_F(RunLengthTest, RunsOfEarlierVersionsKeepTheirStepsAndFilesOfTheirOwnAreTold) {
+  CountedSteps clock;
+  train(asked({10, 0}), "old", clock);
+  std::string yaml = read_text_file(dir_ / "old/run.yaml");
+  yaml.replace(yaml.find("time_s: 0.0"), 11, "time_limit_s: 85.0");
+  write_file_atomic(dir_ / "old/run.yaml", yaml);
+  const RunConfig read = stored("old");
+  EXPECT_EQ(read.train.steps, 10);
+  EXPECT_EQ(read.train.time_s, 85);
+  EXPECT_HAS(error_of([&] {
+               (void)run_config_of(parse_config_text(hash_config(), "own.yaml")
+                                       .with("train", parse_config_text("{time_limit_s: 60}", "own.yaml")),
+                                   registry_);
+             }),
+             "write train: {steps: 0, time_s: SECONDS}");
+}
+
+// What a training run scores, and how the time that evaluation may take bounds it. Clocks are counted, never read.
+
+struct Scored {
+  TrainOutcome outcome;
+  std::vector<MetricsRow> evals;
+  std::vector<std::string> notes;
+  std::vector<ScoreProgress> progress;
+  std::uint32_t bits = 0;
+};
+
+// A run whose every evaluation takes `each_s` by its clock, however many frames it has.
+Scored run_scored(const std::string& more, double time_s, double each_s, const TempDir& dir) {
+  Registry registry = make_registry();
+  RunConfig config = config_of(hash_config(more), registry);
+  config.train.steps = 60;
+  config.train.time_s = time_s;
+  Scored scored;
+  HookListener hooks;
+  hooks.on_note = [&](const std::string& text) { scored.notes.push_back(text); };
+  hooks.on_scoring = [&](const ScoreProgress& p) { scored.progress.push_back(p); };
+  double now_s = 0;
+  hooks.on_now_s = [&] { return now_s += each_s; };
+  TrainRequest request{.out_dir = dir / "run"};
+  scored.outcome = run_training(std::move(config), registry, request, &hooks);
+  for (const MetricsRow& row : read_metrics(request.out_dir + "/metrics.jsonl")) {
+    if (row.kind == "eval") scored.evals.push_back(row);
+  }
+  scored.bits = checkpoint_fingerprint(request.out_dir, 60);
+  return scored;
+}
+
+int test_frames() { return static_cast<int>(open_text(hash_config()).scene.frames_of(Split::test).size()); }
+
+TEST(EvalBudget, TheLastEvaluationGetsWhatIsLeftOfTheLimitAndItsShare) {
+  EvalBudget budget(0.1, 100);
+  budget.spend(2, 1000);  // 2 ms per pixel
+  EXPECT_NEAR(budget.left_s(60), 48, 1e-9) << "110 s less 60 s of training and 2 s of evaluation";
+  EXPECT_NEAR(budget.left_s(100), 8, 1e-9);
+  EXPECT_NEAR(budget.left_s(130), 5, 1e-9) << "a slow step over the limit leaves half of the share";
+  EXPECT_EQ(budget.stride_within(48, 24000, 8), 1);
+  EXPECT_EQ(budget.stride_within(48, 24001, 8), 2);
+  EXPECT_EQ(budget.stride_within(8, 16000, 8), 2) << "32 s; a quarter of the pixels takes 8 s";
+  EXPECT_EQ(budget.stride_within(8, 48000e3, 8), 8) << "no smaller than its bound";
+}
+
+TEST(EvalBudget, WithoutLimitOrShareNothingIsCut) {
+  for (const auto& [share, limit] : {std::pair{0.1, 0.0}, std::pair{0.0, 100.0}}) {
+    EvalBudget budget(share, limit);
+    budget.spend(1e6, 1);
+    EXPECT_EQ(budget.stride_within(budget.left_s(50), 1e9, 8), 1);
+  }
+}
+
+TEST(EvalBudget, SamplesKeepToHalfOfTheShare) {
+  EvalBudget budget(0.1, 0);
+  EXPECT_TRUE(budget.has_time_for_sample(0));
+  budget.spend(4, 1000);
+  EXPECT_FALSE(budget.has_time_for_sample(79)) << "4 s are more than a twentieth";
+  EXPECT_TRUE(budget.has_time_for_sample(80));
+  EXPECT_EQ(budget.sample_stride(1000, 80, 8), 1);
+  EXPECT_EQ(budget.sample_stride(1000, 20, 8), 2);
+  EXPECT_EQ(budget.sample_stride(1000, 10, 8), 3) << "a ninth of 4 s is under half a second, a quarter is not";
+  EvalBudget free(0, 0);
+  free.spend(4, 1000);
+  EXPECT_TRUE(free.has_time_for_sample(1));
+  EXPECT_EQ(free.sample_stride(1000, 1, 8), 1);
+}
+
+// Every frame whatever the time: figures of other frames each time flatter, and turn the order of settings round.
+TEST(RunScores, ARunWithATimeLimitScoresEveryFrameAtFewerPixelsAndSaysSo) {
+  const int all = test_frames();
+  ASSERT_GT(all, 2);
+  const TempDir dir, whole_dir;
+  // A probe of a frame takes more than a tenth of the time.
+  const Scored cut = run_scored("report: {eval_every_s: 0, strips: 2}\n", 1000, 1e5, dir);
+  ASSERT_EQ(cut.evals.size(), 1u);
+  EXPECT_EQ(cut.evals[0].split, "test_sample");
+  EXPECT_EQ(cut.evals[0].get("frames"), all);
+  EXPECT_EQ(cut.evals[0].get("split_frames"), all);
+  EXPECT_EQ(cut.evals[0].get("pixel_stride"), 2) << "256 of the 48 x 36 pixels of a frame at least";
+  EXPECT_EQ(cut.evals[0].get("pixels"), all * 24 * 18);
+  const std::string part = "all " + std::to_string(all) + " frames at 1 pixel in 4";
+  EXPECT_EQ(cut.outcome.scored.text(), part);
+  bool said = false;
+  for (const std::string& note : cut.notes)
+    said = said || note.find("the last evaluation scores " + part + " to end near the time asked for") == 0;
+  EXPECT_TRUE(said) << (cut.notes.empty() ? "" : cut.notes.back());
+  EXPECT_EQ(parse_final_eval(read_text_file(dir / "run/final_eval.json"), "f").frames.size(),
+            static_cast<std::size_t>(all));
+  const Scored whole = run_scored("report: {eval_every_s: 0, strips: 2, eval_share: 0}\n", 1000, 1e5, whole_dir);
+  ASSERT_EQ(whole.evals.size(), 1u);
+  EXPECT_EQ(whole.evals[0].split, "test");
+  EXPECT_EQ(whole.evals[0].get("frames"), all);
+  EXPECT_EQ(whole.evals[0].get("pixels"), all * 48 * 36);
+  EXPECT_FALSE(whole.evals[0].get("split_frames"));
+  EXPECT_EQ(cut.bits, whole.bits) << "what is scored changes no bit of training";
+}
+
+// 888 s are left after a probe of 300 s: too little for three frames of 300 s, and half of it is enough for one.
+TEST(RunScores, PicturesAreFinerThanTheScoresWhereTheTimeAllowsIt) {
+  class Pictures final : public RunListener {
+   public:
+    std::vector<std::int32_t> width_px;
+    double now_s() override { return clock_s_ += 300; }
+    std::string write_report(const RunFolder&, const Session&, const ReportFrames& frames) override {
+      for (const auto& [score, maps] : frames.strips()) width_px.push_back(maps.width_px);
+      return "";
+    }
+
+   private:
+    double clock_s_ = 0;
+  };
+  const TempDir dir;
+  Registry registry = make_registry();
+  RunConfig config = config_of(hash_config("report: {eval_every_s: 0, strips: 1, worst_frames: 0}\n"), registry);
+  config.train.steps = 60;
+  config.train.time_s = 1080;
+  Pictures pictures;
+  const TrainOutcome outcome = run_training(std::move(config), registry, {.out_dir = dir / "run"}, &pictures);
+  EXPECT_EQ(outcome.scored.stride, 2);
+  EXPECT_EQ(pictures.width_px, std::vector<std::int32_t>{48});
+}
+
+TEST(RunScores, WithoutATimeLimitTheWholeSplitIsScored) {
+  const TempDir dir;
+  const Scored scored = run_scored("report: {eval_every_s: 0, strips: 0}\n", 0, 1e6, dir);
+  ASSERT_EQ(scored.evals.size(), 1u);
+  EXPECT_EQ(scored.evals[0].split, "test");
+  EXPECT_TRUE(scored.outcome.scored.whole());
+  EXPECT_FALSE(scored.evals[0].per_class_iou.empty());
+}
+
+TEST(RunScores, APartOfTheTrainingFramesIsCalledASample) {
+  const TempDir dir;
+  const Scored scored = run_scored("report: {eval_every_s: 0, strips: 0, training_frames: 2}\n", 0, 0.001, dir);
+  ASSERT_EQ(scored.evals.size(), 2u);
+  EXPECT_EQ(scored.evals[1].split, "train_sample");
+  EXPECT_EQ(scored.evals[1].get("frames"), 2);
+  EXPECT_TRUE(scored.evals[1].get("given_miou"));
+  EXPECT_TRUE(scored.evals[1].get("given_right_entropy"));
+  EXPECT_FALSE(scored.evals[1].get("given_wrong_entropy")) << "no label is wrong";
+  EXPECT_FALSE(scored.evals[0].get("given_right_entropy")) << "test frames train nothing";
+  EXPECT_TRUE(scored.evals[0].get("entropy_auroc"));
+}
+
+// Figures of training frames against the maps and labels themselves, pixel by pixel, with a stride and without.
+TEST(RunScores, EntropyIsGroupedByTheLabelsThatTrained) {
+  std::string yaml = with_scene(
+      hash_config(), "{type: analytic_room, labels: {frames: 50%, degrade: [{type: pixel_noise, ratio: 0.5}]}}");
+  Session s = open_text(yaml);
+  EvalJob job = s.eval_job(s.scene.frames_of(Split::train));
+  job.frames.resize(4);
+  for (const std::int32_t stride : {1, 5}) {
+    std::vector<float> right, wrong, none, truly_right, truly_wrong;
+    job.stride = stride;
+    job.given = &s.labels;
+    job.on_frame = [&](const FrameScore& score, const RenderedFrame& maps) {
+      const auto f = static_cast<std::size_t>(score.frame);
+      const TrainingLabels::Frame& labels = s.labels.frames[f];
+      const std::vector<std::int16_t> truth = strided(s.scene.frames[f].label.expand(), 48, 36, 1, stride);
+      for (std::size_t i = 0; i < truth.size(); ++i) {
+        if (truth[i] == kVoid) continue;
+        const PixelPlace at = strided_place(static_cast<std::int64_t>(i), maps.width_px, stride);
+        const std::int16_t given = labels.empty() ? kVoid : labels[at.row * 48 + at.column];
+        (given == kVoid ? none : given == truth[i] ? right : wrong).push_back(maps.entropy[i]);
+        (maps.label[i] == truth[i] ? truly_right : truly_wrong).push_back(maps.entropy[i]);
+      }
+    };
+    const SplitScore score = evaluate(*s.pipeline, job, s.limits, s.plan.class_of_logit);
+    ASSERT_FALSE(right.empty() || wrong.empty() || none.empty()) << "the case has all three groups";
+    std::vector<float> labelled = right;
+    labelled.insert(labelled.end(), wrong.begin(), wrong.end());
+    const auto mean = [](const std::vector<float>& all) {
+      double sum = 0;
+      for (const float v : all) sum += static_cast<double>(v);
+      return sum / static_cast<double>(all.size());
+    };
+    const auto every_pair = [](const std::vector<float>& low, const std::vector<float>& high) {
+      double won = 0;
+      for (const float h : high) {
+        for (const float l : low) won += h > l ? 1 : h == l ? 0.5 : 0;
+      }
+      return won / (static_cast<double>(low.size()) * static_cast<double>(high.size()));
+    };
+    std::map<std::string, double> values;
+    for (const auto& [name, value] : score.values()) {
+      if (value) values[name] = *value;
+    }
+    EXPECT_EQ(values["given_right_px"], static_cast<double>(right.size()));
+    EXPECT_EQ(values["given_wrong_px"], static_cast<double>(wrong.size()));
+    EXPECT_EQ(values["given_none_px"], static_cast<double>(none.size()));
+    EXPECT_NEAR(values["given_right_entropy"], mean(right), 1e-9);
+    EXPECT_NEAR(values["given_wrong_entropy"], mean(wrong), 1e-9);
+    EXPECT_NEAR(values["given_none_entropy"], mean(none), 1e-9);
+    const double bound = score.entropy.detects_wrong()->error;
+    EXPECT_NEAR(values["entropy_auroc"], every_pair(truly_right, truly_wrong), bound);
+    EXPECT_NEAR(values["given_wrong_auroc"], every_pair(right, wrong), score.given.detects_wrong()->error);
+    EXPECT_NEAR(values["given_none_auroc"], every_pair(labelled, none), score.given.detects_none()->error);
+  }
+  job.given = nullptr;
+  job.on_frame = nullptr;
+  for (const auto& [name, value] : evaluate(*s.pipeline, job, s.limits, s.plan.class_of_logit).values())
+    EXPECT_FALSE(name.starts_with("given_")) << name << " without labels to group by";
+}
+
+TEST(RunScores, AStrideScoresExactlyThePixelsThatItTakes) {
+  Session s = open_text(hash_config());
+  EvalJob job = s.eval_job({s.scene.frames_of(Split::test).front()});
+  RenderedFrame whole, part;
+  job.on_frame = [&](const FrameScore&, const RenderedFrame& maps) { whole = maps; };
+  const SplitScore all = evaluate(*s.pipeline, job, s.limits, s.plan.class_of_logit);
+  job.stride = 5;
+  job.on_frame = [&](const FrameScore&, const RenderedFrame& maps) { part = maps; };
+  const SplitScore some = evaluate(*s.pipeline, job, s.limits, s.plan.class_of_logit);
+  EXPECT_EQ(part.width_px, 9);
+  EXPECT_EQ(part.height_px, 7);
+  EXPECT_EQ(part.rgb, strided(whole.rgb, 48, 36, 3, 5));
+  EXPECT_EQ(part.label, strided(whole.label, 48, 36, 1, 5));
+  EXPECT_EQ(part.depth_m, strided(whole.depth_m, 48, 36, 1, 5));
+  EXPECT_EQ(some.confusion.scored_px(), 63);
+  EXPECT_TRUE(some.color.psnr_db());
+  EXPECT_TRUE(all.ssim());
+  EXPECT_FALSE(some.ssim()) << "it needs neighbours";
+}
+
+// Poses that a run has learned, and poses fitted to a field that stays: both come nearer to the true ones.
+
+// Of a camera: three numbers of about the size of a radian, and as many of a metre, that add up to zero over frames.
+Pose disturbed(const Pose& pose, int number, double size) {
+  float numbers[kPoseNumbers];
+  for (int i = 0; i < kPoseNumbers; ++i) numbers[i] = static_cast<float>(size * std::sin(2.3 * number + 1.7 * i + 0.4));
+  return corrected(pose, numbers, 1);
+}
+
+// Root of the mean square of what two sets of poses differ by, in metres at a point a metre before each camera.
+double distance(const std::vector<Pose>& a, const std::vector<Pose>& b) {
+  double sum = 0;
+  for (std::size_t i = 0; i < a.size(); ++i) {
+    const Vec3d off = a[i].apply({0, 0, 1}) - b[i].apply({0, 0, 1});
+    sum += dot(off, off);
+  }
+  return std::sqrt(sum / static_cast<double>(a.size()));
+}
+
+std::vector<Pose> poses_of(const Session& session, Split split) {
+  std::vector<Pose> poses;
+  for (const int f : session.scene.frames_of(split))
+    poses.push_back(session.scene.info.frames[static_cast<std::size_t>(f)].world_from_camera);
+  return poses;
+}
+
+TEST(RefinedPoses, ComeBackToThoseOfTheField) {
+  Registry registry = make_registry();
+  Session session = open_text(hash_config(), registry);
+  const std::unique_ptr<RaySource> rays = session.make_ray_source();
+  Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, 600);
+  while (trainer.step() < 600) trainer.advance();
+  const std::vector<Pose> right = poses_of(session, Split::train);
+  const std::vector<int> frames = session.scene.frames_of(Split::train);
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    Pose& pose = session.scene.info.frames[static_cast<std::size_t>(frames[i])].world_from_camera;
+    pose = disturbed(pose, static_cast<int>(i), 0.03);
+  }
+  const std::vector<Pose> wrong = poses_of(session, Split::train);
+  const std::vector<Pose> refined = refine_poses(session, registry, frames, {.steps = 200, .rays = 512});
+  EXPECT_LT(distance(refined, right), 0.5 * distance(wrong, right));
+  EXPECT_EQ(distance(refine_poses(session, registry, frames, {.steps = 200, .rays = 512}), refined), 0);
+}
+
+TEST(LearnedPoses, AreThoseOfTrainingFramesWhenARunIsOpenedAgain) {
   Registry registry = make_registry();
   const TempDir dir;
-  TrainRequest request{.out_dir = dir / "run"};
-  HookListener hooks;
-  std::string refusal;
-  hooks.on_stop_signal = [&] {
-    TrainRequest second = request;
-    second.resume = true;
-    refusal = error_of(
-        [&] { run_training(load_run_config(request.out_dir + "/run.yaml", {}, registry), registry, second, {}); });
-    return 2;
-  };
-  run_training(config_of(hash_config("report: {eval_every_s: 0}\n"), registry), registry, request, &hooks);
-  EXPECT_HAS(refusal, "in use");
+  std::string yaml = hash_config();
+  yaml.replace(yaml.find("train: {"), 8, "train: {cameras: {poses: learned, pose_rate: 0.1}, ");
+  TrainRequest request;
+  request.out_dir = dir / "run";
+  const ConfigNode tree = parse_config_text(yaml, "test.yaml");
+  (void)run_training(run_config_of(tree, registry), registry, request, {});
+  Diagnostics found;
+  const OpenedRun opened = open_run(request.out_dir, {}, registry, found, OpenFor::rendering);
+  std::string notes;
+  for (const Diagnostic& finding : found.all()) notes += finding.text() + "\n";
+  EXPECT_HAS(notes, "training frames have the poses that the run has learned");
+  const Session given = open_text(hash_config(), registry);
+  EXPECT_GT(distance(poses_of(opened.session, Split::train), poses_of(given, Split::train)), 1e-4);
+  EXPECT_EQ(distance(poses_of(opened.session, Split::test), poses_of(given, Split::test)), 0);
+}
+
+// A file of another scene, or a damaged one: the given poses stay, and nothing is read past what is there.
+TEST(LearnedPoses, OfAnotherShapeAreNotUsed) {
+  Registry registry = make_registry();
+  Session session = open_text(hash_config(), registry);
+  const std::vector<Pose> given = poses_of(session, Split::train);
+  const TempDir dir;
+  for (const auto& [rows, cols] : {std::pair{2, 6}, {static_cast<int>(given.size()), 7}}) {
+    const std::vector<float> numbers(static_cast<std::size_t>(rows * cols), 0.3F);
+    write_safetensors(dir / "state.safetensors",
+                      {tensor_ref("cameras/pose/learned", {rows, cols}, std::span<const float>(numbers))}, {});
+    Diagnostics found;
+    use_learned_poses(session, TensorFile::read(dir / "state.safetensors"), found);
+    ASSERT_EQ(found.all().size(), 1U);
+    EXPECT_TRUE(found.all().front().code == "run.poses.other");
+    EXPECT_EQ(distance(poses_of(session, Split::train), given), 0);
+  }
 }
 
 }  // namespace

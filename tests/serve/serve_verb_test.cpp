@@ -13,7 +13,7 @@
 #include "run/run_folder.h"
 #include "system/files.h"
 #include "tests/program.h"
-#include "tests/serve/http_client.h"
+#include "tests/serve/served_page.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {

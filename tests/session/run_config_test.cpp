@@ -1,13 +1,27 @@
 // Reading a run's configuration: every error at once, and the resolved form repeats it; which device a run gets.
+
 #include "session/settings/run_config.h"
 
+#include <cstdlib>
+
 #include "compute/isa.h"
+#include "compute/parallel.h"
 #include "config/compose.h"
+#include "config/config_tree.h"
 #include "config/explain.h"
 #include "core/device_id.h"
+#include "core/rng.h"
+#include "eval/evaluator.h"
+#include "loading/frame_source.h"
+#include "model/render_rules.h"
+#include "run/run_loop.h"
 #include "session/assembly.h"
+#include "session/session.h"
 #include "session/settings/choices.h"
 #include "session/settings/run_identity.h"
+#include "session/trainer.h"
+#include "testkit/analytic_scene.h"
+#include "tests/session/oracle.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {
@@ -22,24 +36,6 @@ std::string errors_of(const std::string& yaml) {
   std::string text;
   for (const Diagnostic& finding : diagnostics.all()) text += finding.text() + "\n";
   return text;
-}
-
-TEST(RunConfig, CollectsEveryErrorWithItsPlace) {
-  const std::string text = errors_of(
-      "scene: {type: analytic_room, framez: 3}\n"
-      "sematics: {weight: 1}\n"
-      "passes:\n"
-      "  - sampler: {type: stratified, samples: many}\n"
-      "    position: {type: hashgrid}\n"
-      "    fild: {type: tiny_mlp}\n"
-      "train: {rays: -1}\n");
-  for (const char* part :
-       {"room.yaml:1:", "unknown key 'framez'; did you mean 'frames'?",
-        "unknown section 'sematics'; did you mean 'semantics'?", "passes.0.sampler.samples: expected int, got 'many'",
-        "no encoder named 'hashgrid'", "did you mean 'hash_grid'?", "unknown key 'fild'; did you mean 'field'?",
-        "key 'field' is missing", "train.rays: expected int in [0, 1048576], got -1"}) {
-    EXPECT_HAS(text, part) << "missing: " << part << "\nin:\n" << text;
-  }
 }
 
 // What a preset leaves to the device; numbers that are written stay.
@@ -221,14 +217,10 @@ TEST(DeviceForParts, ALossWithoutKernelsDoesTheSame) {
 
 TEST(DeviceForParts, CudaAskedForIsRefusedByNameWithARemedy) {
   PartsRun plugin("cuda", "field 'tiny_mlp'");
-  EXPECT_EQ(refusal_of(plugin),
-            "runtime.device: cuda: field 'tiny_mlp' has no cuda kernels; set runtime.device: cpu, or auto, which "
-            "stays on the CPU then");
+  EXPECT_HAS(refusal_of(plugin), "tiny_mlp", "cuda kernels");
   PartsRun term("cuda");
   term.config.losses[0].type = "glow";
-  EXPECT_EQ(refusal_of(term),
-            "runtime.device: cuda: loss 'glow' has no cuda kernels; set runtime.device: cpu, or auto, which "
-            "stays on the CPU then");
+  EXPECT_HAS(refusal_of(term), "glow", "cuda kernels");
 }
 
 constexpr DeviceId kCpu{Device::cpu, 0}, kGpu{Device::cuda, 0};
@@ -272,6 +264,584 @@ TEST(ShippedConfigurations, SettleTheirPrecision) {
     EXPECT_NE(precision, nullptr) << entry.path();
   }
   EXPECT_GE(with_networks, 18);
+}
+
+// Terms of the list `losses` in a run: read from the configuration, held against the scene, trained with.
+
+const char* const kEveryTerm =
+    "losses: [{type: depth, weight: 0.3}, {type: distortion, weight: 0.2, from_step: 0}, {type: near_density, weight: "
+    "0.1, from_step: 0, distance_m: 0.8}, {type: generalised_cross_entropy, weight: 0.3}]\n";
+
+void expect_says(const std::string& text, const std::vector<std::string>& parts) {
+  for (const std::string& part : parts) EXPECT_HAS(text, part) << "missing: " << part << "\nin:\n" << text;
+}
+
+TEST(LossConfig, StandsInTheResolvedFormAndOnlyThere) {
+  Registry registry = make_registry();
+  Diagnostics diagnostics;
+  const RunConfig with = read_run_config(parse_config_text(hash_config(kEveryTerm), "a.yaml"), registry, diagnostics);
+  const RunConfig without = read_run_config(parse_config_text(hash_config(), "a.yaml"), registry, diagnostics);
+  const std::string text = write_config(resolved_config(with));
+  expect_says(text, {"losses:", "type: distortion", "space: linear", "from_step: 0.0", "distance_m: 0.8"});
+  EXPECT_EQ(resolved_config(without).find("losses"), nullptr) << "old runs keep their identity";
+  const RunConfig again = read_run_config(parse_config_text(text, "run.yaml"), registry, diagnostics);
+  EXPECT_FALSE(diagnostics.has_errors());
+  EXPECT_EQ(write_config(resolved_config(again)), text);
+}
+
+std::string without_depth_images(std::string yaml) {
+  const std::string scene = "{type: analytic_room";
+  return yaml.replace(yaml.find(scene), scene.size(), scene + ", with_depth: false");
+}
+
+// A preset names the term for every scene; where no frame has a depth it is left out, bit for bit.
+TEST(LossConfig, DepthIsLeftOutWhereNoTrainingFrameHasIt) {
+  const std::string yaml = without_depth_images(hash_config("losses:\n  - {type: depth}\n"));
+  const Session s = open_text(yaml);
+  EXPECT_TRUE(s.config.losses.empty());
+  EXPECT_EQ(resolved_config(s.config).find("losses"), nullptr);
+  const auto& rows = s.plan.left_out;
+  const auto row = std::find_if(rows.begin(), rows.end(), [](const LeftOut& r) { return r.component == "loss_depth"; });
+  ASSERT_NE(row, rows.end());
+  EXPECT_EQ(row->evidence, "no training frame has a depth image");
+  EXPECT_EQ(row->proof, ProofClass::bitwise);
+  const Session kept = open_text(yaml, {"loss_depth"});
+  EXPECT_EQ(kept.plan.kept, std::vector<std::string>{"loss_depth"});
+  ASSERT_EQ(kept.config.losses.size(), 1u);
+  const std::uint32_t out = train_fingerprint(yaml, 2, 30);
+  EXPECT_EQ(out, train_fingerprint(yaml + "runtime: {keep: [loss_depth]}\n", 2, 30));
+  EXPECT_EQ(out, train_fingerprint(without_depth_images(hash_config()), 2, 30));
+}
+
+TEST(LossConfig, WhatBecomesOfDepthImagesIsSaid) {
+  LoadedScene scene;
+  for (const Split split : {Split::train, Split::train, Split::test}) {
+    FrameInfo info{.split = split, .has_depth = true};
+    scene.info.frames.push_back(info);
+  }
+  scene.depth_pixels = {0, 7, 9};
+  Registry registry = make_registry();
+  Diagnostics diagnostics;
+  const auto use = [&](const std::string& losses, const TrainingDepth& depth) {
+    const RunConfig config = read_run_config(parse_config_text(hash_config(losses), "a.yaml"), registry, diagnostics);
+    return depth_use(config.losses, depth, diagnostics);
+  };
+  const std::string term = "losses: [{type: depth}]\n";
+  EXPECT_EQ(use(term, training_depth(scene)), "depth images of 2 training frames will be used");
+  EXPECT_EQ(use("losses: []\n", training_depth(scene)),
+            "depth images of 2 training frames give bounds and distances; no loss reads them");
+  EXPECT_EQ(use("losses: []\n", {}), "");
+  EXPECT_EQ(use(term, {}), "no training frame has a depth image; colour alone teaches geometry");
+  EXPECT_TRUE(diagnostics.all().empty());
+  scene.depth_pixels = {0, 0, 9};
+  EXPECT_EQ(use(term, training_depth(scene)), "depth images of 2 training frames have no valid pixel");
+  ASSERT_EQ(diagnostics.all().size(), 1u);
+  EXPECT_HAS(diagnostics.all()[0].text(), "read them");
+  BuildRequest request;
+  LossTraits reads_depth;
+  reads_depth.targets = {channel::depth};
+  request.losses = {{"depth", "memory", true, reads_depth}, {"distortion", "walks", true, {}}};
+  request.depth_frames = 2;
+  request.depth_px = 0;
+  const BuildPlan plan = plan_build({}, request, {});
+  EXPECT_EQ(plan.no_losses, std::vector<std::string>{"depth"});
+  request.depth_px = 7;
+  EXPECT_TRUE(plan_build({}, request, {}).no_losses.empty());
+}
+
+TEST(LossConfig, DepthThatATermReadsIsHeldAndCounted) {
+  Registry registry = make_registry();
+  const auto opened = [&](const std::string& losses) {
+    Diagnostics diagnostics;
+    return open_session(read_run_config(parse_config_text(hash_config(losses), "a.yaml"), registry, diagnostics),
+                        registry, {}, diagnostics);
+  };
+  const Session with = opened("losses: [{type: depth}]\n"), without = opened("");
+  std::size_t bytes = 0;
+  for (const int f : with.scene.frames_of(Split::train)) {
+    const auto i = static_cast<std::size_t>(f);
+    EXPECT_EQ(with.scene.frames[i].depth_m.size(), with.scene.frames[i].rgb.size() / 3);
+    EXPECT_TRUE(without.scene.frames[i].depth_m.empty());
+    EXPECT_GT(without.scene.depth_pixels[i], 0) << "counted, kept or not";
+    bytes += with.scene.frames[i].depth_m.bytes();
+  }
+  EXPECT_EQ(with.memory_facts.frames, without.memory_facts.frames + bytes);
+}
+
+// Every preset of a kind of scene teaches geometry by depth images; the shipped room and the experiments only score by
+// them.
+TEST(ShippedConfigurations, PresetsNameTheDepthTerm) {
+  const auto losses_of = [](const std::string& file) {
+    const ConfigNode tree = compose_config(SEMFIELD_SOURCE_DIR "/configs/" + file, {});
+    const ConfigNode* losses = tree.find("losses");
+    return losses == nullptr ? std::string("none") : write_config_inline(*losses);
+  };
+  const std::string depth = "{type: depth, weight: 0.02}";
+  EXPECT_EQ(losses_of("presets/room.yaml"), "[" + depth + "]");
+  EXPECT_EQ(losses_of("presets/object.yaml"), "[" + depth + ", {type: silhouette, weight: 0.1}]");
+  EXPECT_EQ(losses_of("presets/unbounded.yaml"), "[" + depth +
+                                                     ", {type: distortion, weight: 0.03, from_step: 0}, {type: "
+                                                     "near_density, weight: 0.01, from_step: 0}]");
+  EXPECT_EQ(losses_of("scenes/replica.yaml"), "[{type: depth, weight: 0.02}]");
+  for (const char* file : {"quickstart.yaml", "quickstart_frequency.yaml", "experiments/editions/gpu_fast.yaml"})
+    EXPECT_EQ(losses_of(file), "[]") << file;
+}
+
+TEST(LossConfig, LeaveOutSaysOfEachTermWhyItIsNotThere) {
+  const auto rows = [&](const std::string& losses) {
+    std::vector<std::string> found;
+    for (const LeftOut& row : open_text(hash_config(losses)).plan.left_out) {
+      if (row.component.starts_with("loss_")) found.push_back(row.component + ": " + row.evidence);
+      if (row.component == kTrainingDepth) found.push_back(row.component);
+    }
+    return found;
+  };
+  const std::string no_channel = "loss_cosine_distance: `losses` names no term of type cosine_distance";
+  EXPECT_EQ(rows(""),
+            (std::vector<std::string>{kTrainingDepth, no_channel, "loss_depth: `losses` names no term of type depth",
+                                      "loss_distortion: `losses` names no term of type distortion",
+                                      "loss_generalised_cross_entropy: `losses` names no term of type "
+                                      "generalised_cross_entropy",
+                                      "loss_near_density: `losses` names no term of type near_density",
+                                      "loss_silhouette: `losses` names no term of type silhouette"}));
+  EXPECT_EQ(rows(std::string(kEveryTerm).insert(std::string(kEveryTerm).rfind(']'), ", {type: silhouette}")),
+            (std::vector<std::string>{no_channel, "loss_silhouette: no training frame has 'alpha'"}));
+}
+
+TEST(RaySourceDepth, IsTheDistanceAlongTheRayToTheFirstSurface) {
+  const Session session = open_text(hash_config(kEveryTerm));
+  BatchBuffers batch;
+  session.make_ray_source()->fill(5, batch);
+  ASSERT_EQ(batch.of(channel::depth).size(), batch.label.size());
+  double largest_angle = 0;
+  for (std::size_t r = 0; r < batch.of(channel::depth).size(); ++r) {
+    const double* o = &batch.origin[3 * r];
+    const double* d = &batch.direction[3 * r];
+    const auto hit = testkit::intersect_analytic_room({o[0], o[1], o[2]}, {d[0], d[1], d[2]});
+    if (batch.of(channel::depth)[r] == 0) {  // the surface lies at the end of the ray, where the bounds cut it off
+      EXPECT_NEAR(hit.t_m, batch.near_far[2 * r + 1], 0.02);
+      continue;
+    }
+    EXPECT_NEAR(batch.of(channel::depth)[r], hit.t_m, 2e-3) << "ray " << r;
+    largest_angle = std::max(largest_angle, std::abs(d[2]));
+  }
+  EXPECT_GT(largest_angle, 0.2) << "rays far from the axis tell z-depth from distance";
+  const Session plain = open_text(hash_config());
+  plain.make_ray_source()->fill(5, batch);
+  EXPECT_TRUE(batch.more.empty()) << "no term asks for it";
+  EXPECT_TRUE(batch.view(true).targets.more[channel::depth].empty());
+}
+
+TEST(RaySourceDepth, RaysThatAreThereForTheirLabelsTellNone) {
+  std::string yaml = hash_config(kEveryTerm);
+  yaml.replace(yaml.find("train: {"), 8,
+               "train: {ray_source: label_balanced, labelled_share: 0.5, label_rays_teach_color: false, ");
+  const Session session = open_text(yaml);
+  BatchBuffers batch;
+  session.make_ray_source()->fill(5, batch);
+  const auto tile = static_cast<std::size_t>(session.pipeline->tile_rays());
+  for (std::size_t r = 0; r < tile / 2; ++r) EXPECT_EQ(batch.of(channel::depth)[r], 0) << r;
+  const std::vector<float>& depth = batch.of(channel::depth);
+  EXPECT_TRUE(std::any_of(depth.begin(), depth.end(), [](float t) { return t > 0; }));
+}
+
+TEST(PipelineGradient, WithEveryTermOfTheLoss) {
+  expect_finite_differences(
+      std::string("scene: {type: analytic_room}\nsemantics: {hidden_width: 8, weight: 0.5}\nrendering: "
+                  "{density_activation: softplus}\npasses:\n  - sampler: {type: stratified, samples: 12}\n"
+                  "    position: {type: frequency, frequencies: 3}\n    direction: {type: spherical_harmonics, degree: "
+                  "2}\n    field: {type: nerf_mlp, depth: 3, width: 12, skip_at: 1, view_width: 8}\ntrain: {rays: "
+                  "24}\n") +
+          kEveryTerm,
+      2e-4);
+}
+
+TEST(Parity, LanesAndTilesOnlyChangeTheOrderOfSumsWithTermsToo) {
+  expect_same_gradients(two_pass_config(std::string("runtime: {lanes: 1, tile_rays: 64}\n") + kEveryTerm),
+                        two_pass_config(std::string("runtime: {lanes: 3, tile_rays: 4}\n") + kEveryTerm));
+}
+
+TEST(Determinism, RunsWithTermsAreTheSameForAnyThreadCount) {
+  const std::uint32_t one = train_fingerprint(hash_config(kEveryTerm), 1, 60);
+  EXPECT_EQ(one, train_fingerprint(hash_config(kEveryTerm), 2, 60));
+  EXPECT_EQ(one, train_fingerprint(hash_config(kEveryTerm), 4, 60));
+  EXPECT_NE(one, train_fingerprint(hash_config(), 1, 60));
+}
+
+TEST(LossTerms, OneThatHasNotBegunChangesNoBit) {
+  const std::string late = "losses: [{type: distortion, from_step: 0.5}]\n";  // of 3000 steps or more
+  EXPECT_EQ(train_fingerprint(hash_config(late), 2, 20), train_fingerprint(hash_config(), 2, 20));
+}
+
+// The head's own place is taken: no gradient of the cross-entropy is left, and its value is still reported.
+TEST(LossTerms, ALossOnLogitsStandsBesideTheCrossEntropyOrInItsPlace) {
+  Registry registry = make_registry();
+  const std::string term = "losses: [{type: generalised_cross_entropy, weight: 0.5}]\n";
+  const auto semantic_gradient = [&](const std::string& weight, const std::string& more) {
+    std::string yaml = two_pass_config(more);
+    yaml.replace(yaml.find("weight: 0.3"), 11, "weight: " + weight);
+    Oracle oracle(yaml, registry);
+    const StepLosses losses = oracle.gradients();
+    EXPECT_GT(losses.semantic, 0) << more;
+    std::vector<double> values;
+    for (const Tensor<double>& t : oracle.pipeline->store().all())
+      if (t.learned() && t.name.find("/semantic/") != std::string::npos)
+        values.insert(values.end(), t.grad.data(), t.grad.data() + t.size());
+    return values;
+  };
+  const std::vector<double> both = semantic_gradient("0.5", term);
+  const std::vector<double> entropy = semantic_gradient("0.5", "");
+  const std::vector<double> alone = semantic_gradient("0", term);
+  const std::vector<double> none = semantic_gradient("0", "");
+  ASSERT_GT(both.size(), 100u);
+  double largest = 0;
+  for (std::size_t i = 0; i < both.size(); ++i) {
+    largest = std::max(largest, std::abs(alone[i]));
+    EXPECT_EQ(none[i], 0);
+    ASSERT_NEAR(both[i], entropy[i] + alone[i], 1e-12);
+  }
+  EXPECT_GT(largest, 1e-4);
+}
+
+TEST(LossTerms, ALossOnLogitsIsLeftOutWithoutLabels) {
+  std::string yaml = hash_config("losses: [{type: generalised_cross_entropy}]\n");
+  yaml.replace(yaml.find("{type: analytic_room"), 20, "{type: analytic_room, labels: {frames: none}");
+  const Session s = open_text(yaml);
+  EXPECT_TRUE(s.config.losses.empty());
+  const auto& rows = s.plan.left_out;
+  const auto row = std::find_if(rows.begin(), rows.end(),
+                                [](const LeftOut& r) { return r.component == "loss_generalised_cross_entropy"; });
+  ASSERT_NE(row, rows.end());
+  EXPECT_EQ(row->rule, "there are no semantics");
+}
+
+double abs_rel(const std::string& losses) {
+  Session s = open_text(hash_config(losses));
+  const auto rays = s.make_ray_source();
+  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule, s.config.train.steps);
+  while (trainer.step() < 200) trainer.advance();
+  return evaluate(*s.pipeline, s.eval_job(s.scene.frames_of(Split::test)), s.limits, s.plan.class_of_logit)
+      .depth.abs_rel()
+      .value_or(1);
+}
+
+TEST(LossTerms, DepthImagesMakeDepthBetter) {
+  const double without = abs_rel(""), with = abs_rel("losses: [{type: depth, weight: 0.1}]\n");
+  EXPECT_LT(with, 0.7 * without) << "without " << without;
+  EXPECT_LT(abs_rel("losses: [{type: depth, kind: line_of_sight, weight: 0.02}]\n"), 0.9 * without);
+}
+
+TEST(LossTerms, MetricsNameEachAndSayNothingBeforeItBegins) {
+  const TempDir dir;
+  Registry registry = make_registry();
+  Diagnostics diagnostics;
+  const std::string yaml = hash_config(
+      "losses: [{type: depth}, {type: distortion, from_step: 0.5}]\nreport: "
+      "{log_every_steps: 10, eval_every_s: 0}\n");
+  RunConfig config = read_run_config(parse_config_text(yaml, "a.yaml"), registry, diagnostics);
+  ASSERT_FALSE(diagnostics.has_errors()) << diagnostics.all().front().text();
+  config.train.steps = 40;
+  TrainRequest request{.out_dir = dir / "run"};
+  TrainProgress last;
+  HookListener hooks;
+  hooks.on_progress = [&last](const TrainProgress& progress) { last = progress; };
+  run_training(std::move(config), registry, request, &hooks);
+  ASSERT_EQ(last.terms.size(), 2u);
+  EXPECT_EQ(last.terms[0].first, "depth");
+  EXPECT_EQ(last.terms[1].first, "distortion");
+  EXPECT_GT(last.terms[1].second, 0);
+  int rows = 0;
+  for (const MetricsRow& row : read_metrics(dir / "run/metrics.jsonl")) {
+    if (row.kind != "train") continue;
+    ++rows;
+    EXPECT_GT(row.get("loss_depth").value_or(0), 0) << row.step;
+    EXPECT_EQ(row.get("loss_distortion").has_value(), row.step > 20) << row.step;
+    const double sum = *row.get("loss_color") + 0.002 * row.get("loss_semantic").value_or(0) +
+                       0.1 * *row.get("loss_depth") + 0.002 * row.get("loss_distortion").value_or(0);
+    EXPECT_NEAR(*row.get("loss"), sum, 1e-6 * sum) << row.step;
+  }
+  EXPECT_EQ(rows, 4);
+}
+
+// How often opening a session makes each part of its network, and the bounds that a short training finds.
+
+using Counts = std::map<std::string, int>;
+
+// Counts what a maker makes under the name of its plugin.
+template <class Maker>
+void count_calls(Maker& maker, const std::string& name, const std::shared_ptr<Counts>& counts) {
+  if (!maker) return;
+  maker = [inner = maker, name, counts](const auto&... arguments) {
+    ++(*counts)[name];
+    return inner(arguments...);
+  };
+}
+
+// make_registry(), where each encoder, field and sampler NAME has a twin counted_NAME.
+struct CountingRegistry {
+  Registry registry = make_registry();
+  std::shared_ptr<Counts> counts = std::make_shared<Counts>();
+
+  CountingRegistry() {
+    std::vector<PluginEntry> twins;
+    for (const PluginEntry* entry : registry.entries()) {
+      PluginEntry twin = *entry;
+      count_calls(twin.encoder32, entry->name, counts);
+      count_calls(twin.field32, entry->name, counts);
+      count_calls(twin.sampler32, entry->name, counts);
+      twin.name = "counted_" + entry->name;
+      twins.push_back(std::move(twin));
+    }
+    for (PluginEntry& twin : twins) registry.add(std::move(twin));
+  }
+
+  // What opening makes of `yaml`, whose slots name twins.
+  Counts opened(const std::string& yaml, bool probe = false) {
+    counts->clear();
+    Diagnostics diagnostics;
+    SessionOptions options{.probe = probe};
+    RunConfig config = read_run_config(parse_config_text(yaml, "test.yaml"), registry, diagnostics);
+    diagnostics.throw_if_errors(ErrorKind::config, "");
+    const Session session = open_session(std::move(config), registry, options, diagnostics);
+    EXPECT_TRUE(session.pipeline);
+    return *counts;
+  }
+};
+
+std::string with_twins(std::string yaml, const std::vector<std::string>& names) {
+  for (const std::string& name : names)
+    for (std::size_t at = 0; (at = yaml.find("type: " + name, at)) != std::string::npos; at += 6)
+      yaml.replace(at, 6, "type: counted_");
+  return yaml;
+}
+
+TEST(Constructions, APartIsMadeOnce) {
+  CountingRegistry counting;
+  const Counts made =
+      counting.opened(with_twins(hash_config(), {"hash_grid", "spherical_harmonics", "tiny_mlp", "occupancy_grid"}));
+  EXPECT_EQ(made, (Counts{{"hash_grid", 1}, {"occupancy_grid", 1}, {"spherical_harmonics", 1}, {"tiny_mlp", 1}}));
+}
+
+TEST(Constructions, EachPassHasItsOwn) {
+  CountingRegistry counting;
+  const Counts made =
+      counting.opened(with_twins(two_pass_config(), {"frequency", "nerf_mlp", "stratified", "importance"}));
+  // Two passes; position and direction of each.
+  EXPECT_EQ(made, (Counts{{"frequency", 4}, {"importance", 1}, {"nerf_mlp", 2}, {"stratified", 1}}));
+}
+
+// The probe's tables and grids are sized by the bounds that it is to replace.
+TEST(Constructions, AProbeOfTheBoundsHasANetworkOfItsOwn) {
+  CountingRegistry counting;
+  std::string yaml =
+      with_scene(hash_config(), "{type: analytic_room, with_depth: false, with_labels: false, load: {probe_steps: 8}}");
+  const Counts made = counting.opened(
+      with_twins(std::move(yaml), {"hash_grid", "spherical_harmonics", "tiny_mlp", "occupancy_grid"}), true);
+  EXPECT_EQ(made, (Counts{{"hash_grid", 2}, {"occupancy_grid", 2}, {"spherical_harmonics", 2}, {"tiny_mlp", 2}}));
+}
+
+// The map from the world to encoders: affine inside, all of space drawn in outside, against its own inverse.
+
+const Box kBounds{{-1, 2, 3}, {3, 4, 5}};  // longest side 4, centre (1, 3, 4)
+
+DomainMap contracted() { return DomainMap::make(Domain::unit_cube, kBounds, 0, true); }
+
+// Addressed places from `least` to `most` radii (2 each) away, in all directions.
+Vec3d place(int i, double least, double most) {
+  const auto random = [i](int k) {
+    return static_cast<double>(uniform01({5, 0, 2}, static_cast<std::uint64_t>(8 * i + k)));
+  };
+  const Vec3d way = normalized(Vec3d{random(0) - 0.5, random(1) - 0.5, random(2) - 0.5});
+  return kBounds.center() + way * (2 * least * std::pow(most / least, random(3)));
+}
+
+double reach(Vec3d p) {
+  const Vec3d q = p - kBounds.center();
+  return std::max({std::abs(q.x), std::abs(q.y), std::abs(q.z)});
+}
+
+TEST(DomainMap, WithoutContractionItIsAffine) {
+  const DomainMap map = DomainMap::make(Domain::unit_cube, kBounds, 0);
+  EXPECT_EQ(map.radius, 0);
+  const Vec3d far = map({101, 3, 4});
+  EXPECT_EQ(far.x, 25.5);
+  EXPECT_EQ(DomainMap::make(Domain::metric, kBounds, 0.1)({7, 8, 9}).y, 8 * 0.1);
+}
+
+TEST(DomainMap, BoundsTakeTheInnerHalfAndKeepTheirShape) {
+  const DomainMap map = contracted();
+  EXPECT_EQ(map({-1, 3, 4}), (Vec3d{0.25, 0.5, 0.5}));
+  EXPECT_EQ(map({3, 4, 5}), (Vec3d{0.75, 0.625, 0.625}));
+  const DomainMap metric = DomainMap::make(Domain::metric, kBounds, 0.1, true);
+  EXPECT_EQ(metric({3, 3, 4}), (Vec3d{0.5, 0, 0}));
+}
+
+TEST(DomainMap, AllOfSpaceFitsTheCube) {
+  const DomainMap map = contracted();
+  for (int i = 0; i < 3000; ++i) {
+    const Vec3d x = map(place(i, 1e-3, 1e12));
+    for (int a = 0; a < 3; ++a) {
+      EXPECT_GE(x[a], 0);
+      EXPECT_LE(x[a], 1);
+    }
+  }
+  EXPECT_EQ(map({1e300, 3, 4}).x, 1);  // as good as infinity: the face, and no NaN
+  EXPECT_EQ(map({-1e300, -1e300, 1e300}), (Vec3d{0, 0, 1}));
+}
+
+TEST(DomainMap, ExpandIsTheInverse) {
+  const DomainMap map = contracted();
+  for (int i = 0; i < 3000; ++i) {
+    const Vec3d p = place(i, 1e-2, 1e4), back = map.expand(map.contract(p));
+    // An ulp near the face of the cube is a large part of the distance to it.
+    const double steep = std::max(1.0, reach(p) / map.radius);
+    EXPECT_LT(length(back - p), 1e-14 * steep * length(p)) << i;
+  }
+}
+
+TEST(DomainMap, ItIsContinuousAcrossTheBordersAndItsSlopeIsBounded) {
+  const DomainMap map = contracted();
+  double steepest = 0, flattest_inside = 1;
+  for (int i = 0; i < 2000; ++i) {
+    const Vec3d on = place(i, 0.5, 50);
+    const double h = 1e-6 * reach(on);
+    // On the border itself, where the formula changes.
+    const Vec3d border = kBounds.center() + (on - kBounds.center()) * (map.radius / reach(on));
+    const Vec3d within = map.contract(kBounds.center() + (border - kBounds.center()) * (1 - 1e-9));
+    const Vec3d beyond = map.contract(kBounds.center() + (border - kBounds.center()) * (1 + 1e-9));
+    EXPECT_LT(length(beyond - within), 1e-8 * map.radius);
+    for (int a = 0; a < 3; ++a) {
+      Vec3d step;
+      step[a] = h;
+      const Vec3d slope = (map.contract(on + step) - map.contract(on - step)) * (1 / (2 * h));
+      steepest = std::max(steepest, length(slope));
+      if (reach(on) < 0.99 * map.radius) flattest_inside = std::min(flattest_inside, length(slope));
+    }
+    // Farther places stay farther: nothing is folded.
+    EXPECT_GT(reach(map.contract(kBounds.center() + (on - kBounds.center()) * 1.01)), reach(map.contract(on)));
+  }
+  EXPECT_NEAR(flattest_inside, 1, 1e-6);
+  EXPECT_LE(steepest, 1.25);  // |(2 - 1/m) / m| <= 1 along, at most 1/2 more across each of two other axes
+}
+
+// A short training finds where a scene is whose bounds only the cameras show; and rays that go on beyond the bounds.
+
+std::string without_depth(const std::string& more) {
+  std::string yaml =
+      with_scene(hash_config(more),
+                 "{type: analytic_room, with_depth: false, with_labels: false, frames: 24, load: {probe_steps: 128}}");
+  yaml.replace(yaml.find("steps: 200"), 10, "steps: 512");
+  return yaml;
+}
+
+Session open_probing(const std::string& yaml, Registry& registry, Diagnostics& diagnostics) {
+  RunConfig config = read_run_config(parse_config_text(yaml, "test.yaml"), registry, diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::config, "");
+  SessionOptions options{.probe = true};
+  return open_session(std::move(config), registry, options, diagnostics);
+}
+
+double volume(const Box& box) { return box.size().x * box.size().y * box.size().z; }
+
+// The probe borrows the frames: their channels must come back as they were, for the run to find its axes in them.
+TEST(BoundsProbe, LeavesHeadsAndTheirChannelsToTheRun) {
+  Registry registry = make_channel_registry();
+  Diagnostics d;
+  std::string yaml = without_depth(
+      "heads:\n  - {type: feature_map, channel: albedo, width: 2, branch: {position: {type: frequency, frequencies: "
+      "2}, "
+      "field: {type: tiny_mlp, hidden_width: 8, hidden_layers: 1}}}\n"
+      "losses: [{type: cosine_distance, channel: albedo}]\n");
+  yaml.replace(yaml.find("with_depth: false"), 17, "with_depth: false, with_albedo: true");
+  const Session s = open_probing(yaml, registry, d);
+  ASSERT_EQ(s.scene.bounds_from, "a probe of 128 steps");
+  const View<const float> axes = s.pipeline->passes().back().axes("albedo");
+  ASSERT_EQ(axes.rows, 3);
+  for (std::int32_t a = 0; a < 2; ++a) {
+    for (std::int32_t b = 0; b < 2; ++b) {
+      double dot = 0;
+      for (std::int64_t row = 0; row < 3; ++row) dot += static_cast<double>(axes(row, a) * axes(row, b));
+      EXPECT_NEAR(dot, a == b ? 1 : 0, 1e-5) << a << " " << b;
+    }
+  }
+  const auto train = static_cast<std::size_t>(s.scene.frames_of(Split::train).front());
+  EXPECT_EQ(s.scene.frames[train].channels.at(0).cols, 2);
+}
+
+// The room is 4 m x 3 m x 2 m.
+TEST(BoundsProbe, ShrinksWhatTheCamerasGuessToTheRoom) {
+  Registry registry = make_registry();
+  Diagnostics d;
+  const Session guessed = open_text(without_depth(""), registry);
+  EXPECT_TRUE(guessed.scene.extent_is_guessed);
+  EXPECT_GT(volume(guessed.extent.bounds), 15 * 24);
+  std::vector<std::size_t> told;
+  const LoadProgress progress = [&](std::string_view doing, std::size_t done, std::size_t total) {
+    if (doing != "looking for the bounds") return;
+    told.push_back(done);
+    EXPECT_EQ(total, 128u);
+  };
+  WorkSettings work{.load_progress = &progress};
+  const WorkScope scope(work);
+  const Session s = open_probing(without_depth(""), registry, d);
+  EXPECT_EQ(s.scene.bounds_from, "a probe of 128 steps");
+  EXPECT_GT(told.size(), 3u) << "a probe says how far it is";
+  EXPECT_TRUE(std::is_sorted(told.begin(), told.end()));
+  EXPECT_LT(volume(s.extent.bounds), volume(guessed.extent.bounds) / 10);
+  for (int a = 0; a < 3; ++a) {
+    const double half = 2 - 0.5 * a;
+    EXPECT_LT(s.extent.bounds.lo[a], -0.75 * half) << a;
+    EXPECT_GT(s.extent.bounds.hi[a], 0.75 * half) << a;
+  }
+  EXPECT_LT(s.extent.far_m, guessed.extent.far_m);
+  EXPECT_GT(s.extent.far_m, 3);
+  // Part of the run: whoever opens it again takes these and probes no more.
+  EXPECT_EQ(box_of(s.config.load.bounds).hi, s.extent.bounds.hi);
+  EXPECT_FALSE(probe_is_due(s));
+  ASSERT_FALSE(d.all().empty());
+  EXPECT_HAS(d.all().back().text(), "a probe of 128 steps");
+}
+
+TEST(BoundsProbe, GivesTheSameBitsForAnyThreadsAndOnResuming) {
+  Registry registry = make_registry();
+  Diagnostics d;
+  const std::string more = "runtime: {threads: 1}\n";
+  const Session one = open_probing(without_depth(more), registry, d);
+  const Session two = open_probing(without_depth("runtime: {threads: 2}\n"), registry, d);
+  EXPECT_EQ(one.config.load.bounds, two.config.load.bounds);
+  EXPECT_EQ(one.config.load.far_m, two.config.load.far_m);
+  const Session again = open_probing(write_config(resolved_config(one.config)), registry, d);
+  EXPECT_EQ(again.config.load.bounds, one.config.load.bounds);
+  EXPECT_EQ(again.extent.pixel_footprint_m, one.extent.pixel_footprint_m);
+  EXPECT_EQ(fingerprint(again.pipeline->store()), fingerprint(one.pipeline->store()));
+}
+
+TEST(BoundsProbe, IsMadeOnlyWhereItHelps) {
+  Registry registry = make_registry();
+  Diagnostics d;
+  EXPECT_FALSE(open_probing(hash_config(), registry, d).scene.extent_is_guessed);  // depth shows it
+  std::string off = without_depth("");
+  off.replace(off.find("probe_steps: 128"), 16, "probe_steps: 0");
+  EXPECT_TRUE(open_probing(off, registry, d).scene.extent_is_guessed);
+  std::string brief = without_depth("");
+  brief.replace(brief.find("steps: 512"), 10, "steps: 511");
+  EXPECT_TRUE(open_probing(brief, registry, d).scene.extent_is_guessed);
+}
+
+TEST(Contraction, RaysGoOnBeyondTheBounds) {
+  std::string yaml = without_depth("");
+  yaml.replace(yaml.find("far: background"), 15, "far: background, outside: contracted");
+  yaml.replace(yaml.find("resolution: 32"), 14, "resolution: 32, cascades: 7, growth: 0.02");
+  const Session s = open_text(yaml);
+  EXPECT_FALSE(s.scene.extent_is_guessed);
+  EXPECT_FALSE(s.limits.clip);
+  EXPECT_EQ(s.extent.far_m, 64 * s.extent.bounds.size().x);
+  const DomainMap& map = s.pipeline->passes().front().parts().domain;
+  EXPECT_EQ(map.radius, 0.5 * s.extent.bounds.size().x);
+  const std::unique_ptr<RaySource> rays = s.make_ray_source();
+  BatchBuffers batch;
+  rays->fill(0, batch);
+  for (std::size_t r = 0; r < batch.label.size(); ++r) EXPECT_EQ(batch.near_far[2 * r + 1], s.extent.far_m);
 }
 
 }  // namespace

@@ -18,8 +18,7 @@ constexpr int kSteps = 120;
 // By hand, in a folder of its own.
 std::string results_of_one_process(const std::string& folder, const std::string& file) {
   const std::string out = folder + "/one";
-  const Result r = semfield_run("sweep " + shell_word(file) + " --out " + shell_word(out), folder);
-  EXPECT_EQ(r.code, 0) << r.err;
+  const Result r = succeeded(semfield_run("sweep " + shell_word(file) + " --out " + shell_word(out), folder));
   return results_without_times(out);
 }
 
@@ -87,8 +86,7 @@ class SweepRanks : public testing::Test {
 };
 
 TEST_F(SweepRanks, TheResultsAreThoseOfOneProcessAndOneOfThemTellsTheEnd) {
-  const Result r = Process(SEMFIELD_MPIRUN, words(3, false), folder_).wait();
-  EXPECT_EQ(r.code, 0) << r.err;
+  const Result r = succeeded(Process(SEMFIELD_MPIRUN, words(3, false), folder_).wait());
   EXPECT_EQ(r.out, last_line());
   EXPECT_HAS(r.err, "1 at a time in each of 3 processes");
   for (const char* rank : {"rank 0: [", "rank 1: [", "rank 2: ["})
@@ -119,8 +117,7 @@ TEST_F(SweepRanks, WithoutRecoveryTheSameCommandGoesOnWithAnyNumberOfRanks) {
     ASSERT_EQ(kill(held.process, SIGCONT), 0);
     EXPECT_NE(mpirun.wait().code, 0);
   }
-  const Result r = Process(SEMFIELD_MPIRUN, words(2, false), folder_).wait();
-  EXPECT_EQ(r.code, 0) << r.err;
+  const Result r = succeeded(Process(SEMFIELD_MPIRUN, words(2, false), folder_).wait());
   EXPECT_EQ(r.out, last_line());
   EXPECT_EQ(results_without_times(out_), results_of_one_process(folder_, file_));
 }

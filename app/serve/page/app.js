@@ -1,19 +1,13 @@
 // The page put together: state comes in, the parts show it, keys and buttons act.
-import {actionsOf} from './actions.js';
-import {PictureChannel, followState, postJson} from './api.js';
-import {Bars} from './bars.js';
-import {ask, askClass, followClicksBeside, showHelp} from './dialogs.js';
+import {PictureChannel, followState, postJson, safeStorage} from './api.js';
+import {Settings, actionsOf, ask, askClass, followClicksBeside, followKeys, showHelp} from './dialogs.js';
 import {byId} from './dom.js';
-import {safeStorage} from './events.js';
 import {Flights} from './flights.js';
-import {followKeys} from './keys.js';
 import {Labeller} from './labeller.js';
 import {OverlayEvents} from './model.js';
-import {Messages, Panel} from './panel.js';
+import {Bars, Messages, Panel, Strip} from './panel.js';
 import {Pictures} from './pictures.js';
-import {Settings} from './settings.js';
 import {Stage} from './stage.js';
-import {Strip} from './strip.js';
 
 const kRenderPause_ms = 4000;     // between renderings of a view that is only looked at
 const kLost = 'Connection lost, trying again; nothing is lost.';

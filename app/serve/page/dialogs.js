@@ -1,6 +1,6 @@
 // Dialogs: name and colour of a class, and the help.
-import {cssColor, freeColor, hexColor, kPalette, rgbOfHex} from './colors.js';
-import {byId, make, setText} from './dom.js';
+import {safeStorage} from './api.js';
+import {byId, cssColor, freeColor, hexColor, kPalette, make, rgbOfHex, setText} from './dom.js';
 import {nameProblem} from './model.js';
 
 // What is answered is done inside the event that answers: a dialog's close event, or a promise, comes after clicks that a person made
@@ -175,4 +175,129 @@ export function showHelp() {
     }
   }
   byId('help-dialog').showModal();
+}
+
+// What each key of the page does; the help in dialogs.js describes it.
+
+/// By the names of nameOfKey.
+export function actionsOf(page) {
+  const {stage, labeller} = page;
+  const actions = {
+    'n': () => page.make(), 'a': () => labeller.another(), 'F2': () => page.change(page.classOf(labeller.chosen)),
+    'z': () => page.undo(), 'ctrl+z': () => page.undo(),
+    'shift+z': () => labeller.redo(), 'ctrl+shift+z': () => labeller.redo(), 'ctrl+y': () => labeller.redo(),
+    ' ': () => page.space(), 'g': () => page.takeGuess(), 's': () => page.skip(),
+    'e': () => page.setKind(stage.kind === 'labels' ? 'entropy' : 'labels'),
+    'r': () => page.setRendered(!page.isRendered),
+    'o': () => { stage.isHidden = !stage.isHidden; page.changed(); },
+    't': () => { page.settings.set({names: !page.settings.names}); page.changed(); },
+    'c': () => page.chooseSeen(),
+    'b': () => stage.tools.use('brush'), 'p': () => stage.tools.use('polygon'), 'x': () => stage.tools.use('erase'),
+    'i': () => page.choose(labeller.ignore.name), 'Delete': () => page.remove(),
+    'Backspace': () => { if (!stage.tools.takeBack()) page.remove(); },
+    ',': () => page.neighbourClass(-1), '.': () => page.neighbourClass(1),
+    '[': () => page.setRadius(page.settings.radius - 1), ']': () => page.setRadius(page.settings.radius + 1),
+    '+': () => stage.zoom(1.25), '=': () => stage.zoom(1.25), '-': () => stage.zoom(0.8), '0': () => stage.fit(),
+    'f': () => page.fly(), 'v': () => (page.flight ? page.flights.toPhotograph() : page.messages.tell('v goes from a flight to the nearest photograph; f flies.')),
+    'Escape': () => page.leave(), '?': showHelp,
+    'Home': () => page.show(page.strip.shown[0]), 'End': () => page.show(page.strip.shown.at(-1)),
+    'Enter': () => page.enter(),
+  };
+  for (const [key, step] of [['ArrowLeft', -1], ['ArrowUp', -1], ['ArrowRight', 1], ['ArrowDown', 1]]) {
+    actions[key] = () => page.step(step);
+    const [dx, dy] = key === 'ArrowLeft' || key === 'ArrowRight' ? [step, 0] : [0, step];
+    actions[`shift+${key}`] = () => stage.moveCross(dx, dy, false);
+    actions[`ctrl+shift+${key}`] = () => stage.moveCross(dx, dy, true);
+  }
+  for (const digit of '123456789') {
+    actions[digit] = () => page.chooseByKey(digit);
+    actions[`shift+${digit}`] = () => {
+      if (!page.classes.some(({name}) => name === labeller.chosen)) return page.messages.tell('First choose the class for this key.');
+      page.settings.give(labeller.chosen, digit);
+      page.changed();
+    };
+  }
+  return actions;
+}
+
+// Keys of the whole page, left to the control that has the focus where it needs them itself.
+
+/// Keys that the focused element handles.
+function isTaken(event) {
+  const {target, key} = event;
+  if (target.matches('input[type="text"], select, textarea')) return true;
+  if (target.matches('input[type="range"]')) return /^(Arrow|Home|End|Page)/.test(key);
+  if (target.closest('button, a, summary')) return key === ' ' || key === 'Enter';
+  return false;
+}
+
+/// 'shift+z', 'ctrl+z', 'ArrowLeft', ' ', '1', 'shift+1' (of the key itself, not of what shift makes of it).
+export function nameOfKey(event) {
+  const digit = /^Digit([1-9])$/.exec(event.code);
+  const isLetter = /^[a-z]$/i.test(event.key);
+  const name = digit && event.shiftKey ? digit[1] : isLetter ? event.key.toLowerCase() : event.key;
+  const hasShift = event.shiftKey && (digit || isLetter || name.length > 1);
+  return `${event.ctrlKey || event.metaKey ? 'ctrl+' : ''}${hasShift ? 'shift+' : ''}${name}`;
+}
+
+/// actions: functions by nameOfKey. first(event, isDown) may take a key before them by returning true.
+export function followKeys(actions, first) {
+  addEventListener('keydown', (event) => {
+    if (document.querySelector('dialog[open]') || event.isComposing || event.defaultPrevented || isTaken(event)) return;
+    if (!event.ctrlKey && !event.metaKey && !event.altKey && first(event, true)) return event.preventDefault();
+    const action = event.altKey ? undefined : actions[nameOfKey(event)];
+    if (!action) return;
+    event.preventDefault();
+    action(event);
+  });
+  addEventListener('keyup', (event) => first(event, false));
+  // After a press with the mouse the keys belong to the view again.
+  const home = document.getElementById('canvas');
+  const giveBack = () => { if (!document.querySelector('dialog[open]')) home.focus({preventScroll: true}); };
+  document.addEventListener('click', (event) => { if (event.detail > 0 && event.target.closest('button')) giveBack(); });
+  document.addEventListener('change', (event) => { if (event.target.matches('select')) giveBack(); });
+  document.addEventListener('pointerup', (event) => { if (event.target.matches('input[type="range"]')) giveBack(); });
+}
+
+// What a person set in this browser: opacity, brush, keys of classes. Kept from visit to visit.
+
+const kKey = 'semfield.settings';
+const kFirst = {opacity: 55, radius: 3, names: false, digits: {}};
+
+export class Settings {
+  constructor(storage = safeStorage('localStorage')) {
+    this.storage = storage;
+    Object.assign(this, structuredClone(kFirst));
+    try {
+      const kept = JSON.parse(storage.getItem(kKey) ?? '{}');
+      for (const name of Object.keys(kFirst)) if (typeof kept[name] === typeof kFirst[name]) this[name] = kept[name];
+    } catch { /* not ours to read */ }
+  }
+
+  set(values) {
+    Object.assign(this, values);
+    const {opacity, radius, names, digits} = this;
+    try {
+      this.storage.setItem(kKey, JSON.stringify({opacity, radius, names, digits}));
+    } catch { /* full: forgotten at a reload */ }
+  }
+
+  /// digit of each class's name: those that a person gave, then the free ones in order.
+  keysOf(classes) {
+    const keys = new Map();
+    const taken = new Set();
+    for (const [name, digit] of Object.entries(this.digits)) {
+      if (!classes.some((row) => row.name === name) || taken.has(digit)) continue;
+      keys.set(name, digit);
+      taken.add(digit);
+    }
+    const free = [...'123456789'].filter((digit) => !taken.has(digit));
+    for (const {name} of classes) if (!keys.has(name) && free.length) keys.set(name, free.shift());
+    return keys;
+  }
+
+  give(name, digit) {
+    const digits = Object.fromEntries(Object.entries(this.digits).filter(([, other]) => other !== digit));
+    this.set({digits: {...digits, [name]: digit}});
+  }
 }

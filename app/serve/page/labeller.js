@@ -1,5 +1,5 @@
 // What a person does to the labels: clicks, classes, undo. Keeps what the program does not know yet and adds it to its state.
-import {EventQueue, Ids, safeStorage} from './events.js';
+import {EventQueue, Ids, safeStorage} from './api.js';
 import {MarkBirths, combined, kIgnore, merged, outlineCorners, strokeParts} from './model.js';
 
 const kMostHistory = 300;

@@ -1,5 +1,5 @@
 // What is shown: the program's state with the events on top that it does not know yet. Pure.
-import {freeColor} from './colors.js';
+import {freeColor} from './dom.js';
 
 /// The state with what a newer response brings; marks and history stay where it leaves them out.
 export function merged(state, answer) {

@@ -1,8 +1,163 @@
 // The right side: classes, exports and notes; and the line at the foot.
-import {cssColor} from './colors.js';
-import {byId, make, setAttribute, setStyle, setText} from './dom.js';
-import {duration, short} from './model.js';
-import {Plots} from './plots.js';
+import {photoAddress} from './api.js';
+import {byId, cssColor, make, setAttribute, setStyle, setText} from './dom.js';
+import {shapeOf} from './labeller.js';
+import {duration, orderedViews, reason, short} from './model.js';
+
+// Small plots of training: loss, PSNR and clicks over time.
+
+const kWidth = 200;
+const kHeight = 40;
+
+/// Points of a polyline in kWidth x kHeight, at most 400; `values` may have gaps (null). logarithmic: of a falling loss.
+export function polyline(times, values, logarithmic) {
+  const rows = times.map((t, i) => [t, values[i]]).filter(([, v]) => Number.isFinite(v) && (!logarithmic || v > 0));
+  if (rows.length < 2) return '';
+  const height = (v) => (logarithmic ? Math.log(v) : v);
+  const heights = rows.map(([, v]) => height(v));
+  const [low, high] = [Math.min(...heights), Math.max(...heights)];
+  const [first, last] = [rows[0][0], rows.at(-1)[0]];
+  const every = Math.ceil(rows.length / 400);
+  return rows.filter((_, i) => i % every === 0 || i + 1 === rows.length).map(([t, v]) => {
+    const x = (kWidth * (t - first)) / Math.max(1e-9, last - first);
+    const y = high > low ? kHeight - 2 - ((kHeight - 4) * (height(v) - low)) / (high - low) : kHeight / 2;
+    return `${x.toFixed(1)},${y.toFixed(1)}`;
+  }).join(' ');
+}
+
+const kPlots = [
+  {name: 'Loss', column: 1, logarithmic: true, text: (v) => v.toPrecision(3)},
+  {name: 'PSNR', column: 2, text: (v) => `${v.toFixed(1)} dB`},
+  {name: 'Clicks', column: 3, text: (v) => String(v)},
+];
+
+export class Plots {
+  constructor(element) {
+    this.rows = kPlots.map((plot) => {
+      const value = make('b');
+      const range = make('small');
+      const line = make('svg:polyline', {points: ''});
+      const svg = make('svg:svg', {viewBox: `0 0 ${kWidth} ${kHeight}`, preserveAspectRatio: 'none', role: 'img'}, line);
+      element.append(make('figure', {}, make('figcaption', {}, `${plot.name} `, value, range), svg));
+      return {...plot, value, range, line, svg};
+    });
+  }
+
+  update(history) {
+    const times = history.map((row) => row[0]);
+    for (const {name, column, logarithmic, text, value, range, line, svg} of this.rows) {
+      const values = history.map((row) => row[column]);
+      const known = values.filter(Number.isFinite);
+      const told = known.length ? text(known.at(-1)) : 'none yet';
+      const span = times.length > 1 ? duration(times.at(-1) - times[0]) : '';
+      setText(value, told);
+      setText(range, known.length > 1 ? `from ${text(known[0])}, ${span}` : '');
+      setAttribute(line, 'points', polyline(times, values, logarithmic));
+      setAttribute(svg, 'aria-label', `${name}: ${told}`);
+    }
+  }
+}
+
+// What lies around the view: tools, the proposed click, what is selected, the welcome and the line at the foot.
+
+const kTools = ['brush', 'polygon', 'erase'];
+
+export class Bars {
+  /// page: what it shows and does; messages of the page.
+  constructor(page, messages) { Object.assign(this, {page, messages}); }
+
+  /// All but the foot, once there is a state.
+  update() {
+    this.tools();
+    this.proposal();
+    this.selection();
+    this.welcome();
+  }
+
+  foot() {
+    const {labeller, state, isLost} = this.page;
+    const {unsaved} = labeller;
+    setText(byId('connection'), isLost ?? (state ? 'connected' : 'connecting'));
+    byId('connection').classList.toggle('lost', Boolean(isLost));
+    setText(byId('saving'), unsaved ? `${unsaved} not saved yet` : labeller.marks.length ? 'every click is saved' : '');
+    byId('saving').classList.toggle('waiting', unsaved > 0);
+    if (!unsaved) this.messages.settled();
+  }
+
+  tools() {
+    const {stage, settings, flight, isRendered, view} = this.page;
+    for (const [id, on] of [['show-photo', !isRendered], ['show-rendered', isRendered], ['show-labels', stage.kind === 'labels'],
+                            ['show-entropy', stage.kind === 'entropy'], ['fly', flight !== null],
+                            ...kTools.map((kind) => [`tool-${kind}`, stage.tools.kind === kind])]) {
+      setAttribute(byId(id), 'aria-pressed', on);
+    }
+    byId('opacity').value = stage.isHidden ? 0 : settings.opacity;
+    setText(byId('opacity-value'), stage.isHidden ? 'off' : `${settings.opacity} %`);
+    byId('radius').value = settings.radius;
+    setText(byId('radius-value'), `${settings.radius} px`);
+    byId('legend').hidden = stage.kind !== 'entropy' || flight !== null;
+    byId('pad').hidden = !flight;
+    byId('canvas').classList.toggle('flying', flight !== null);
+    byId('canvas').classList.toggle('locked', Boolean(view?.held_out));
+    setAttribute(byId('canvas'), 'aria-label', flight ? 'Free camera' : view ? `View ${view.frame}` : 'No view');
+  }
+
+  proposal() {
+    const {flight, index, state, classes} = this.page;
+    const {proposal, chosen} = this.page.labeller;
+    const text = byId('proposal-text');
+    const isHere = proposal?.view === index && !flight;
+    const none = classes.length === 0;
+    const guess = classes.find(({index}) => index >= 0 && index === proposal?.class_guess);
+    text.classList.toggle('some', Boolean(proposal) && !flight);
+    byId('to-photograph').hidden = !flight;
+    setText(text, flight ? 'Flying: w a s d q e move, drag looks around, a click labels, f leaves.'
+      : !proposal ? 'No click is proposed at the moment.'
+      : `Click proposed ${isHere ? 'here' : `in ${state.views[proposal.view].frame}`}: ${reason(proposal.why)}.`);
+    const take = byId('proposal-take');
+    take.hidden = byId('proposal-skip').hidden = !proposal || flight !== null;
+    this.fill(take, !isHere ? ['Go to it'] : chosen !== null ? ['Label as ', {...this.page.classOf(chosen), name: this.page.classOf(chosen).label ?? chosen}] : [none ? 'Name it' : 'Choose a class'], isHere && chosen === null && !none ? '' : 'space');
+    take.disabled = isHere && chosen === null && !none;
+    const button = byId('proposal-guess');
+    button.hidden = take.hidden || !isHere || !guess || guess.name === chosen;
+    if (!button.hidden) this.fill(button, ['Guess: ', guess], 'g');
+  }
+
+  selection() {
+    const {stage, flight} = this.page;
+    const mark = stage.marks.find(({id}) => id === stage.selected);
+    byId('selection').hidden = !mark || flight !== null;
+    if (mark) setText(byId('selection-text'), `Selected: ${shapeOf(mark)} "${mark.label}"`);
+  }
+
+  /// A button's words, a class with its swatch among them, and its key.
+  fill(button, parts, key) {
+    const told = JSON.stringify([parts, key]);
+    if (button.told === told) return;
+    button.told = told;
+    button.replaceChildren(...parts.flatMap((part) => {
+      if (typeof part === 'string') return [part];
+      const dot = make('span', {class: 'dot'});
+      dot.style.setProperty('--color', cssColor(part.color));
+      return [dot, part.name];
+    }), ...(key ? [' ', make('kbd', {}, key)] : []));
+  }
+
+  welcome() {
+    const welcome = byId('welcome');
+    const {flight, view, classes, labeller} = this.page;
+    const {views} = this.page.state;
+    const hasMarks = labeller.marks.length > 0;
+    const words = view?.held_out ? null : views.length === 0 ? ['There is no view to label', 'The scene has no training frame.']
+      : classes.length === 0 ? ['Name the first class', 'Press n, or click on something in the picture. Colour and geometry are being learned already; ' +
+          'labels of all views follow within a second of the first clicks.']
+      : !hasMarks && labeller.chosen === null ? ['Choose a class, then click', 'Keys 1 to 9 choose a class, n makes one. A click, or a drag along something, labels it.']
+      : !hasMarks ? [`Click on something that is "${this.page.classOf(labeller.chosen).label ?? labeller.chosen}"`, 'Or drag along it. Keys 1 to 9 choose another class, n makes one.'] : null;
+    welcome.hidden = !words || flight !== null;
+    if (words && this.welcomed !== words[0]) welcome.replaceChildren(make('h2', {}, words[0]), make('p', {}, words[1]));
+    this.welcomed = words?.[0];
+  }
+}
 
 const kWords = {labels: 'Label images', coco: 'COCO', mesh: 'Mesh'};
 const percent = (share) => (share >= 0.0995 ? `${Math.round(100 * share)}` : (100 * share).toFixed(1));
@@ -149,5 +304,93 @@ export class Messages {
     const message = make('div', {class: passes ? 'error passes' : 'error', role: 'alert', 'data-text': text},
                          make('p', {}, make('b', {}, sentence(what)), ` ${sentence(remedy)}`), close);
     this.list.append(message);
+  }
+}
+
+// The strip of views: thumbnails that load when they come into sight, clicks and entropy.
+
+export class Strip {
+  constructor(open) {
+    this.open = open;
+    this.list = byId('strip');
+    this.order = byId('order');
+    this.items = [];
+    this.shown = [];
+    this.seen = new IntersectionObserver((entries) => {
+      for (const {isIntersecting, target} of entries) {
+        if (!isIntersecting) continue;
+        this.seen.unobserve(target);
+        const image = target.querySelector('img');
+        image.src = photoAddress(target.dataset.view, target.dataset.photo, 160);
+        image.addEventListener('error', () => setTimeout(() => this.seen.observe(target), 3000), {once: true});
+      }
+    }, {root: this.list, rootMargin: '200px'});
+    this.order.addEventListener('change', () => this.arrange());
+    this.list.addEventListener('click', (event) => {
+      const button = event.target.closest('button');
+      if (button) this.open(Number(button.dataset.view));
+    });
+  }
+
+  build(views) {
+    this.list.replaceChildren();
+    this.items = views.map((view, i) => {
+      const image = make('img', {alt: '', draggable: 'false', width: view.width, height: view.height});
+      const name = make('span', {class: 'name'}, make('bdi', {dir: 'ltr'}, view.frame));
+      const clicks = make('span', {class: 'clicks'});
+      const bar = make('span', {class: 'bar'}, make('i'));
+      const badge = view.held_out ? [make('span', {class: 'badge'}, 'test')] : [];
+      const button = make('button', {'data-view': i, tabindex: -1, title: view.frame}, image, name, clicks, view.held_out ? '' : bar, ...badge);
+      const item = make('li', {}, button);
+      return {item, button, clicks, fill: bar.firstChild};
+    });
+    this.arrangement = '';
+  }
+
+  /// clicks: of each view, those included that are not saved yet.
+  update(views, clicks, current, proposed) {
+    this.views = views.map((view, i) => ({...view, clicks: clicks[i]}));
+    if (this.items.length !== views.length) this.build(views);
+    setText(byId('views-title'), `${views.length} view${views.length === 1 ? '' : 's'}`);
+    views.forEach((view, i) => {
+      const {button, clicks: count, fill} = this.items[i];
+      if (button.dataset.photo !== view.photo) {
+        button.dataset.photo = view.photo;
+        this.seen.unobserve(button);
+        this.seen.observe(button);
+      }
+      const percent = Math.round(100 * view.entropy);
+      setText(count, clicks[i] ? String(clicks[i]) : '');
+      setStyle(fill, 'width', `${percent}%`);
+      const label = view.held_out ? `${view.frame}: held out for tests, only to look at` : `${view.frame}: ${clicks[i]} click${clicks[i] === 1 ? '' : 's'}, entropy ${percent} %${i === proposed ? ', click proposed' : ''}`;
+      setAttribute(button, 'aria-label', label);
+      setAttribute(button, 'title', label);
+      setAttribute(button, 'aria-current', i === current);
+      setAttribute(button, 'tabindex', i === current ? 0 : -1);
+      button.classList.toggle('proposed', i === proposed);
+    });
+    if (this.current !== current || !this.arrangement) {
+      this.current = current;
+      this.arrange();
+    }
+  }
+
+  /// Sorted anew when the person asks or goes to another view, not under the pointer.
+  arrange() {
+    this.shown = orderedViews(this.views, this.order.value);
+    const arrangement = this.shown.join();
+    if (arrangement !== this.arrangement) {
+      const had = this.list.contains(document.activeElement) ? document.activeElement : null;
+      this.list.append(...this.shown.map((i) => this.items[i].item));
+      this.arrangement = arrangement;
+      had?.focus();
+    }
+    this.items[this.current]?.item.scrollIntoView({block: 'nearest', inline: 'nearest'});
+  }
+
+  /// The view `steps` further along the strip than `view`.
+  neighbour(view, steps) {
+    const at = this.shown.indexOf(view);
+    return this.shown[Math.min(Math.max(at + steps, 0), this.shown.length - 1)];
   }
 }

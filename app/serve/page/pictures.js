@@ -1,6 +1,6 @@
 // Photographs and overlays of views: fetched when a view is looked at, kept for the last few.
 import {getBlob, photoAddress} from './api.js';
-import {kEntropyColors} from './colors.js';
+import {kEntropyColors} from './dom.js';
 
 const kKept = 16;
 const kKeptLarge = 3;      // photographs larger than the view: some have many megapixels

@@ -43,7 +43,7 @@ CameraReasons choose_cameras(CameraParams& cameras, const CameraEvidence& eviden
 
 namespace {
 
-constexpr std::int64_t kRaysOnCpu = 1024, kRaysOnGpu = 8192;  // docs/decisions/0036
+constexpr std::int64_t kRaysOnCpu = 1024, kRaysOnGpu = 8192;  // docs/decisions.md, 0036
 
 // "field 'ball'".
 std::string owner_of(const PluginSlot& slot) {

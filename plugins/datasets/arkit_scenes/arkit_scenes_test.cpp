@@ -60,25 +60,5 @@ TEST(ArkitScenes, TimesOfIntrinsicsMayBeOffByAMillisecond) {
   EXPECT_FINDING(lost, "scene.camera.missing", "42_10.000.png");
 }
 
-TEST(ArkitScenes, WhatDoesNotFitIsNamed) {
-  Diagnostics d;
-  EXPECT_ERROR(open(scene_of("10 0 0 0 0 0 0\n10.1 0 0 0 0 0\n"), d), "scene.index.value", "lowres_wide.traj:2",
-               "7 numbers");
-  EXPECT_ERROR(open(scene_of("10 0 0 0 0 0 0\n10.1 0 0 0 0 0 0\n10.0 0 0 0 5 5 5\n"), d), "scene.index.twice",
-               "lowres_wide.traj:3", "lowres_wide.traj:1");
-  EXPECT_ERROR(open(scene_of("10 0 0 0 0 0 0\nnan 0 0 0 0 0 0\n"), d), "scene.index.value", "lowres_wide.traj:2",
-               "the time is not finite");
-  const std::string twice = scene_of("10 0 0 0 0 0 0\n");
-  std::filesystem::copy(twice + "/lowres_wide/42_10.000.png", twice + "/lowres_wide/43_10.0.png");
-  open(twice, d);
-  EXPECT_FINDING(d, "scene.frame.twice", "43_10.0.png", "42_10.000.png");
-  const std::string folder = scene_of("10 0 0 0 0 0 0\n");
-  std::filesystem::rename(folder + "/lowres_wide/42_10.100.png", folder + "/lowres_wide/first.png");
-  open(folder, d);
-  EXPECT_FINDING(d, "scene.frame.name", "first.png");
-  std::filesystem::remove(folder + "/lowres_wide.traj");
-  EXPECT_ERROR(open(folder, d), "files.folder.missing", "lowres_wide.traj");
-}
-
 }  // namespace
 }  // namespace semfield

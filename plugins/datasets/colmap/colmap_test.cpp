@@ -245,27 +245,6 @@ TEST(Colmap, MissingImagesAreLeftOutWhereAsked) {
   EXPECT_EQ(info.frames[0].name, "b");
 }
 
-TEST(Colmap, EveryCutOfABinaryFileIsRefusedWithFileAndOffset) {
-  const std::string folder = scene_folder("c", 8, 4, [](const std::string& f) { Binary().write(f); });
-  const Binary whole;
-  const std::pair<const char*, const std::string*> files[] = {
-      {"cameras.bin", &whole.cameras}, {"images.bin", &whole.images}, {"points3D.bin", &whole.points}};
-  for (const auto& [name, bytes] : files) {
-    const std::string path = folder + "/sparse/0/" + name;
-    for (std::size_t size = 0; size < bytes->size(); size += size < 200 ? 1 : 97) {
-      plain_write(path, bytes->substr(0, size));
-      Diagnostics d;
-      const std::string error = error_of([&] { open(folder, d); });
-      ASSERT_EQ(error.find("'" + path + "' "), 0u) << size << ": " << error;
-      ASSERT_NE(error.find("(offset "), std::string::npos) << error;
-    }
-    plain_write(path, *bytes + "x");
-    Diagnostics d;
-    EXPECT_HAS(error_of([&] { open(folder, d); }), "has 1 bytes after its last record");
-    plain_write(path, *bytes);
-  }
-}
-
 TEST(Colmap, AbsurdCountsAndNumbersAreRefused) {
   const std::string folder = scene_folder("a", 8, 4, [](const std::string& f) { Binary().write(f); });
   const auto refused = [&](const char* file, const std::string& bytes) {
@@ -294,14 +273,6 @@ TEST(Colmap, AbsurdCountsAndNumbersAreRefused) {
   EXPECT_HAS(refused("cameras.bin", with(whole.cameras, 32, -1.0)), "focal length is -1 x 5 pixels");
 }
 
-TEST(Colmap, OneIdTwiceIsRefused) {
-  const std::string folder = scene_folder("i", 8, 4, write_text);
-  plain_write(folder + "/sparse/0/images.txt", "1 1 0 0 0 0 0 0 7 a.png\n\n1 1 0 0 0 0 0 1 7 b.png\n\n");
-  Diagnostics d;
-  open(folder, d);
-  EXPECT_FINDING(d, "scene.index.twice", "images.txt:3", "images.txt:1");
-}
-
 TEST(Colmap, NamesOfOtherSystemsAreFound) {
   const std::string folder = scene_folder("w", 8, 4, write_text);
   std::filesystem::create_directories(folder + "/images/cafe\u0301");
@@ -316,27 +287,6 @@ TEST(Colmap, NamesOfOtherSystemsAreFound) {
   EXPECT_EQ(info.frames[0].name, "b");
   EXPECT_EQ(info.frames[1].name, "a");
   EXPECT_EQ(info.frames[1].source, folder + "/images/cafe\u0301/a.png");
-}
-
-TEST(Colmap, BrokenTextNamesItsLine) {
-  const std::string folder = scene_folder("x", 8, 4, write_text);
-  const std::string model = folder + "/sparse/0/";
-  const auto refused = [&](const char* file, const std::string& text) {
-    write_text(folder + "/sparse/0");
-    plain_write(model + file, text);
-    Diagnostics d;
-    return error_of([&] { open(folder, d); });
-  };
-  EXPECT_EQ(refused("images.txt", "1 1 0 0 0 0 0 0 7 a.png\n\n2 1 0 0 0 0 z 0 7 b.png\n\n"),
-            model + "images.txt:3: 'z' is not a number; export the model again with colmap model_converter");
-  EXPECT_EQ(refused("images.txt", "1 1 0 0 0 0 0 0 7 a.png\n2 1 0 0 0 0 0 0 7 b.png\n"),
-            model +
-                "images.txt:2: the points of image 1 are 10 numbers, not triples 'x y point'; keep the line of "
-                "points after each image, even an empty one");
-  EXPECT_HAS(refused("points3D.txt", "4 1 2 inf 0 0 0 0\n"), "points3D.txt:1: point 4 has a position");
-  const std::string point = "4 1 2 3 0 0 0 0\n";
-  EXPECT_HAS(refused("points3D.txt", point + point), "points3D.txt:2: point 4 has the id of an earlier point");
-  EXPECT_HAS(refused("cameras.txt", "7 PINHOLE\n"), "cameras.txt:1: expected 'id MODEL width height parameters'");
 }
 
 }  // namespace

@@ -97,18 +97,5 @@ TEST(Polycam, CorrectedCamerasTakeThePlaceOfTheOthers) {
   EXPECT_EQ(p.root, folder);
 }
 
-TEST(Polycam, WhatDoesNotFitIsNamed) {
-  const std::string folder = export_of();
-  std::filesystem::remove(folder + "/keyframes/cameras/100.json");
-  json camera = camera_json(1);
-  camera.erase("t_13");
-  plain_write(folder + "/keyframes/cameras/101.json", camera.dump());
-  Diagnostics d;
-  Polycam(params_of(folder), {}).open(d);
-  EXPECT_FINDING(d, "scene.pose.missing", "100.png", "100.json");
-  EXPECT_FINDING(d, "scene.index.value", "101.json", "'t_13'");
-  EXPECT_ERROR(Polycam(params_of(folder + "/keyframes"), {}).open(d), "files.folder.missing", "keyframes");
-}
-
 }  // namespace
 }  // namespace semfield

@@ -8,7 +8,7 @@
 #include "system/files.h"
 #include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
-#include "tests/scene/exr_bytes.h"
+#include "tests/scene/image_bytes.h"
 
 namespace semfield::testkit {
 

@@ -164,31 +164,6 @@ TEST(Scannet, FramesAreTakenEvenlyAmongThoseWithAPose) {
   EXPECT_HAS(d.all()[1].text(), "5 of 10 frames with a pose are taken, evenly spaced");
 }
 
-TEST(Scannet, TroubleNamesFileCauseAndRemedy) {
-  const std::string folder = write_scannet("t", 4);
-  const std::string f = folder + "/";
-  const auto place = [&](const char* n) { return std::string("frame '") + n + "' (" + f + "color/" + n + ".png): "; };
-  std::filesystem::remove(f + "depth/0.png");
-  plain_write(f + "pose/10.txt", "1 0 0 x");
-  write_png_gray16(f + "label-filt/20.png", 10, 10, std::vector<std::uint16_t>(100, 101));
-  plain_write(f + "pose/30.txt", "2 0 0 0\n0 2 0 0\n0 0 2 0\n0 0 0 1\n");
-  plain_write(f + "intrinsic/extrinsic_color.txt", "1 0 0 0.04\n0 1 0 0\n0 0 1 0\n0 0 0 1\n");
-  plain_write(f + "color/left.jpg", "");
-  const std::vector<std::string> found = problems(params_of(folder));  // the size of depth is told by the next frame
-  SCOPED_TRACE(join(found, "\n"));
-  const auto has = [&](const std::string& text) {
-    return std::any_of(found.begin(), found.end(),
-                       [&](const std::string& x) { return x.find(text) != std::string::npos; });
-  };
-  EXPECT_EQ(found.size(), 6u);
-  EXPECT_TRUE(has("color/left.jpg': the name is not a frame's number; name colour images <id>.jpg or <id>.png"));
-  EXPECT_TRUE(has(place("10") + "'" + f + "pose/10.txt': 'x' is not a number"));
-  EXPECT_TRUE(has(place("0") + "depth image '" + f + "depth/0.png' is missing"));
-  EXPECT_TRUE(has(place("20") + "'" + f + "label-filt/20.png' is 10 x 10 pixels, the colour image 40 x 30: another"));
-  EXPECT_TRUE(has(place("30") + "pose is not a rotation"));
-  EXPECT_TRUE(has("extrinsic_color.txt: is not the identity"));
-}
-
 TEST(Scannet, UnknownRawIdsAreRefusedOrVoid) {
   const std::string folder = write_scannet("u", 2);
   std::vector<std::uint16_t> raw(kLabelWidth * kLabelHeight, 101);
@@ -218,19 +193,6 @@ TEST(Scannet, WhatIsMissingIsLeftOutWhereAsked) {
   EXPECT_EQ(d.all()[1].text(), folder + ": 1 frame is left out, whose pose is missing: 10");
   ASSERT_EQ(s.info.frames.size(), 4u);
   EXPECT_FALSE(s.info.frames[1].has_depth);
-}
-
-TEST(Scannet, IntrinsicsAreChecked) {
-  const std::string folder = write_scannet("i", 2);
-  const std::string file = folder + "/intrinsic/intrinsic_color.txt";
-  plain_write(file, "40 1 19.5 0\n0 40 14.5 0\n0 0 1 0\n0 0 0 1\n");
-  EXPECT_HAS(problems(params_of(folder))[0], file + ": is not a pinhole camera without skew");
-  plain_write(file, "40 0 39.5 0\n0 40 29.5 0\n0 0 1 0\n0 0 0 1\n");
-  EXPECT_HAS(problems(params_of(folder))[0], "is the middle of an image 2 times as large as this one of 40 x 30");
-  plain_write(file, "40 0 39.5 0\n0 40 14.5 0\n0 0 1 0\n0 0 0 1\n");
-  EXPECT_HAS(problems(params_of(folder))[0], "its principal point is far from the middle of images of 40 x 30");
-  std::filesystem::remove(file);
-  EXPECT_HAS(problems(params_of(folder))[0], "intrinsic_color.txt'");
 }
 
 TEST(Scannet, SomeFramesWithoutLabels) {

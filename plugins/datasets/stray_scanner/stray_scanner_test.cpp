@@ -74,29 +74,5 @@ TEST(StrayScanner, DepthOfLowConfidenceCountsAsNone) {
   EXPECT_GT(*std::min_element(out.depth_m.begin(), out.depth_m.end()), 0.5F);
 }
 
-TEST(StrayScanner, WhatDoesNotFitIsNamed) {
-  Diagnostics d;
-  open(recording_of(kHeader + row_of(0)), d);
-  EXPECT_FINDING(d, "scene.pose.count", "000003.png", "frame 3");
-  EXPECT_ERROR(open(recording_of("time, x, y, z\n1, 2, 3, 4\n"), d), "scene.index.format", "odometry.csv", "'qx'");
-  EXPECT_ERROR(open(recording_of(kHeader + row_of(0) + "1, 3, a, 0, 0, 0, 0, 0, 1\n"), d), "scene.index.value",
-               "odometry.csv:3", "'x'");
-  EXPECT_ERROR(open(recording_of(kHeader + row_of(0), "20, 0, 20\n0, 20, 15\n"), d), "scene.camera.format",
-               "camera_matrix.csv");
-  const std::string sound = kHeader + row_of(0) + row_of(3);
-  EXPECT_ERROR(open(recording_of(sound + row_of(3)), d), "scene.index.twice", "odometry.csv:4", "frame 3",
-               "odometry.csv:3");
-  EXPECT_ERROR(open(recording_of(sound + "1, 3.7, 0, 0, 0, 0, 0, 0, 1\n"), d), "scene.index.value", "odometry.csv:4",
-               "'frame'");
-  EXPECT_ERROR(open(recording_of("timestamp, frame, x, y, z, x, qx, qy, qz, qw\n1, 0, 1, 2, 3, 4, 0, 0, 0, 1\n"), d),
-               "scene.index.twice", "odometry.csv:1", "'x'");
-  EXPECT_ERROR(open(recording_of(sound + "1, 4, 9, 1, 2, 3, 0, 0, 0, 1\n"), d), "scene.index.format", "odometry.csv:4",
-               "10", "9");
-  const std::string video = recording_of(kHeader + row_of(0));
-  std::filesystem::remove_all(video + "/rgb");
-  Diagnostics none;
-  EXPECT_ERROR(open(video, none), "scene.frames.none", "ffmpeg -i rgb.mp4", "rgb/%06d.jpg");
-}
-
 }  // namespace
 }  // namespace semfield

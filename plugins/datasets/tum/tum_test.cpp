@@ -116,20 +116,12 @@ TEST(Tum, NamesWithBackslashesAreRead) {
   EXPECT_TRUE(info.metric);
 }
 
+// Bad lines of the lists: tests/bad_files/indexes.cases.
 TEST(Tum, WhatDoesNotFitIsNamed) {
   Diagnostics d;
   open(params_of(recording_of(row_at("10.00", room_pose(0)))), d);
   EXPECT_FINDING(d, "scene.pose.count", "groundtruth.txt", "1 of 2 images");
   EXPECT_ERROR(open(params_of(recording_of(row_at("99.0", room_pose(0)))), d), "scene.pose.count", "within 20 ms");
-  EXPECT_ERROR(open(params_of(recording_of("10.0 1 2 3\n")), d), "scene.index.format", "groundtruth.txt:1", "4 words");
-  EXPECT_ERROR(open(params_of(recording_of("10.0 a 0 0 0 0 0 1\n")), d), "scene.index.value", "groundtruth.txt:1",
-               "'a'");
-  EXPECT_ERROR(open(params_of(recording_of(usual_poses(), "noon rgb/a.png\n")), d), "scene.index.value", "rgb.txt:1");
-  for (const char* time : {"nan", "inf", "1e999"})
-    EXPECT_ERROR(open(params_of(recording_of(usual_poses(), std::string(time) + " rgb/a.png\n10.1 rgb/b.png\n")), d),
-                 "scene.index.value", "rgb.txt:1", time);
-  EXPECT_ERROR(open(params_of(recording_of("nan 0 0 0 0 0 0 1\n" + usual_poses())), d), "scene.index.value",
-               "groundtruth.txt:1", "'nan'");
   TumParams p = params_of("x");
   p.lens = {1, 2};
   Diagnostics wrong;

@@ -52,7 +52,7 @@ void validate(const HashGridParams& p, Diagnostics& diagnostics) {
 namespace {
 
 constexpr double kCellsPerPixel = 1.25;
-constexpr int kLevelsOnCpu = 8, kLevelsOnGpu = 16;           // docs/decisions/0036
+constexpr int kLevelsOnCpu = 8, kLevelsOnGpu = 16;           // docs/decisions.md, 0036
 constexpr double kCellSteps = 8;                             // a frame more or less must not change the network
 constexpr int kUnknownResolution = 2048;                     // of the paper [Mueller22 Tab. 1]
 constexpr std::int64_t kLevelBytes = std::int64_t{1} << 20;  // a core's L2 cache

@@ -1,5 +1,8 @@
 // Tests of the hash grid against a long double trilinear reference, beside cases C06 to C14 of tests/numerics.
+
 #include "encoders/hash_grid/hash_grid.h"
+
+#include <gtest/gtest.h>
 
 #include <algorithm>
 
@@ -156,80 +159,6 @@ TEST(HashGrid, MatchesTheReferenceForEveryShape) {
   }
 }
 
-TEST(HashGrid, FacesOfTheCubeAreOrdinaryPlaces) {  // C08; run under AddressSanitizer it also proves the addresses
-  const std::vector<double> edge{0, 1, 1 - 0x1p-24, -1e-7, 1 + 1e-7, -0.0, -1e300, 1e300, 5e-324, 0.5};
-  std::vector<double> x;
-  for (double a : edge) {
-    for (double b : edge) {
-      for (double c : edge) x.insert(x.end(), {a, b, c});
-    }
-  }
-  const HashGridParams p = params_of(8, 2, 10, 4, 1 << 20);
-  EXPECT_LE(largest_error(Grid<float>(p), x), 3e-7);
-  EXPECT_LE(largest_error(Grid<double>(p), x), 1e-10);  // 1 - 2^-24 at N = 2^20: exact place; others at rounding
-  Grid<float> ones(p);
-  for (auto& table : ones.table) std::fill(table.begin(), table.end(), 1.f);
-  for (const auto& points : {x, random_points(500)}) {
-    for (float y : ones.forward(points)) EXPECT_NEAR(y, 1.f, 2e-7f);  // partition of unity
-  }
-  Grid<float> grid(p);
-  const auto dx = grid.backward(x, std::vector<float>(grid.forward(x).size(), 1.f));
-  for (std::size_t i = 0; i < x.size(); ++i) {
-    EXPECT_EQ(dx[i] == 0.f, x[i] < 0 || x[i] > 1) << x[i];  // clamped: constant outside
-  }
-  EXPECT_EQ(axis_cell<float>(1.0, 7.0).cell, 6u);  // the far face has no cell beyond it
-  EXPECT_EQ(axis_cell<float>(1.0, 7.0).place, 1.f);
-}
-
-TEST(HashGrid, GradientsMatchDifferences) {  // C14
-  for (Interpolation interpolation : {Interpolation::linear, Interpolation::smoothstep}) {
-    for (int features : {1, 2, 4, 8}) {
-      Grid<double> grid(params_of(3, features, 6, 2, 9, interpolation));
-      const auto x = random_points(5, 11);
-      std::vector<double> dy(static_cast<std::size_t>(5 * grid.width));
-      for (std::size_t i = 0; i < dy.size(); ++i) dy[i] = std::cos(1.3 * static_cast<double>(i));
-      const auto loss = [&](const std::vector<double>& at) {
-        const auto y = grid.forward(at);
-        long double sum = 0;
-        for (std::size_t i = 0; i < y.size(); ++i) sum += static_cast<long double>(y[i]) * dy[i];
-        return static_cast<double>(sum);
-      };
-      const auto dx = grid.backward(x, dy);
-      for (std::size_t i = 0; i < x.size(); ++i) {
-        auto plus = x, minus = x;
-        const double h = 1e-6;
-        plus[i] += h;
-        minus[i] -= h;
-        const double expected = (loss(plus) - loss(minus)) / (2 * h);
-        EXPECT_NEAR(dx[i], expected, 1e-7 * std::max(1.0, std::fabs(expected)));
-      }
-      for (std::size_t l = 0; l < grid.table.size(); ++l) {
-        for (std::size_t i = 0; i < grid.table[l].size(); ++i) {
-          const double kept = grid.table[l][i];  // the loss is linear in the tables: a large step is exact
-          grid.table[l][i] = kept + 1;
-          const double above = loss(x);
-          grid.table[l][i] = kept - 1;
-          const double below = loss(x);
-          grid.table[l][i] = kept;
-          EXPECT_NEAR(grid.grad[l][i], (above - below) / 2, 1e-12) << "level " << l << " element " << i;
-        }
-      }
-    }
-  }
-}
-
-TEST(HashGrid, GradientsAddUp) {
-  Grid<float> grid(params_of(2, 2, 6, 2, 5));
-  const auto x = random_points(20);
-  const std::vector<float> dy(static_cast<std::size_t>(20 * grid.width), 0.5f);
-  grid.backward(x, dy);
-  const auto once = grid.grad;
-  grid.backward(x, dy);
-  for (std::size_t l = 0; l < once.size(); ++l) {
-    for (std::size_t i = 0; i < once[l].size(); ++i) EXPECT_NEAR(grid.grad[l][i], 2 * once[l][i], 1e-5f);
-  }
-}
-
 // Blocks, tiles, groups, strides and threads: nothing but the row's own coordinates may decide its bits.
 TEST(HashGrid, RowsAndThreadsDoNotChangeBits) {
   Grid<float> grid(params_of(5, 2, 16, 8, 500));  // its tables are large enough to be fetched ahead
@@ -262,29 +191,6 @@ TEST(HashGrid, RowsAndThreadsDoNotChangeBits) {
 }
 
 // Lanes of a group go through the same instructions: a row that moves within its group keeps the bits of its slope.
-template <class Real>
-void expect_slopes_without_a_place(const HashGridParams& params) {
-  Grid<Real> grid(params);
-  constexpr std::int64_t rows = 83;
-  const auto x = random_points(rows);
-  std::vector<Real> dy = grid.forward(x);
-  std::reverse(dy.begin(), dy.end());
-  const auto whole = grid.backward(x, dy);
-  for (std::int64_t begin = 1; begin < rows; ++begin) {
-    const auto part = grid.backward({x.begin() + 3 * begin, x.end()}, {dy.begin() + begin * grid.width, dy.end()});
-    ASSERT_TRUE(std::equal(part.begin(), part.end(), whole.begin() + 3 * begin)) << begin << ": " << params.features;
-  }
-}
-TEST(HashGrid, PlacesOfRowsDoNotChangeSlopes) {
-  for (int features : {1, 2, 4, 8}) {
-    for (Interpolation interpolation : {Interpolation::linear, Interpolation::smoothstep}) {
-      const HashGridParams p = params_of(6, features, 10, 4, 300, interpolation);  // dense levels and hashed ones
-      expect_slopes_without_a_place<float>(p);
-      expect_slopes_without_a_place<double>(p);
-    }
-  }
-}
-
 TEST(HashGrid, TheFirstRowThatIsNotFiniteIsNamedForAnyThreads) {
   const Grid<float> grid(params_of(3, 2, 6, 2, 5));
   auto x = random_points(60000);
@@ -294,6 +200,87 @@ TEST(HashGrid, TheFirstRowThatIsNotFiniteIsNamedForAnyThreads) {
     EXPECT_HAS(error_of([&] { grid.forward(x); }), "row 9003 ");
   }
   set_thread_count(0);
+}
+
+// Tests of the hash grid's levels, addresses and parameters (case C11 and the refusal of C10 among them).
+
+TEST(HashGridLevels, LevelsFollowThePaper) {
+  const HashGridShape shape = hash_grid_shape(HashGridParams{});
+  EXPECT_EQ(shape.level[0].resolution, 16);
+  EXPECT_EQ(shape.level[15].resolution, 2048);
+  const double growth = std::exp(std::log(2048.0 / 16) / 15);
+  for (int l = 0; l < 16; ++l) {
+    EXPECT_NEAR(shape.level[l].resolution, 16 * std::pow(growth, l) - 0.5, 0.5 + 1e-6);
+    const auto n = static_cast<std::int64_t>(shape.level[l].resolution + 1);
+    EXPECT_EQ(shape.level[l].dense, n * n * n <= 524288);
+    EXPECT_EQ(shape.level[l].entries, std::min<std::int64_t>(n * n * n, 524288));
+  }
+  const HashGridShape powers = hash_grid_shape(params_of(8, 2, 19, 16, 2048));
+  for (int l = 0; l < 8; ++l) EXPECT_EQ(powers.level[l].resolution, 16 << l);
+  Declared declared;
+  HashGrid<float>(params_of(11, 4, 8, 2, 64), {}, Grid<float>::kernels()).declare(declared);
+  ASSERT_EQ(declared.specs.size(), 11u);
+  EXPECT_EQ(declared.specs[0].name, "level_00");
+  EXPECT_EQ(declared.specs[10].name, "level_10");
+  EXPECT_EQ(declared.specs[10].rows, 256);
+  EXPECT_EQ(declared.specs[0].rows, 27);
+  EXPECT_EQ(declared.specs[3].cols, 4);
+  EXPECT_EQ(declared.specs[3].role, TensorRole::sparse);
+  EXPECT_EQ(declared.specs[3].init.high, 1e-4);
+  EXPECT_EQ(declared.specs[3].init.low, -1e-4);
+}
+
+TEST(HashGridLevels, RefuseImpossibleParameters) {
+  const auto errors = [](const HashGridParams& p) {
+    Diagnostics diagnostics;
+    validate(p, diagnostics);
+    return diagnostics.error_count();
+  };
+  EXPECT_EQ(errors(HashGridParams{}), 0);
+  EXPECT_EQ(errors(params_of(4, 3, 10, 4, 8)), 1);
+  EXPECT_EQ(errors(params_of(4, 2, 10, 9, 8)), 1);
+  EXPECT_EQ(errors(params_of(1, 2, 10, 4, 8)), 1);
+  EXPECT_EQ(errors(params_of(1, 2, 10, 8, 8)), 0);
+  EXPECT_EQ(errors(params_of(4, 2, 0, 9, 0)), 0);  // to be chosen
+  const KernelTables& kernels = Grid<float>::kernels();
+  EXPECT_THROW(HashGrid<float>(HashGridParams{}, EncoderBuild{.in_dims = 2}, kernels), Error);
+  EXPECT_THROW(HashGrid<float>(params_of(2, 2, 10, 16, 1 << 21), {}, kernels), Error);  // finer than weights can say
+}
+
+struct Chosen {
+  int finest, log2_entries;
+  std::vector<std::string> sentences;
+};
+Chosen chosen_for(HashGridParams p, double extent_m, double pixel_m, Device device = Device::cpu) {
+  EncoderBuild build{.device = device, .extent_m = extent_m, .pixel_footprint_m = pixel_m};
+  Chosen out{};
+  choose(p, build, out.sentences);
+  out.finest = p.finest_resolution;
+  out.log2_entries = p.log2_entries;
+  return out;
+}
+
+TEST(HashGridLevels, SizesAreChosenFromTheScene) {
+  // 6.4 m at pixels of 25 mm: cells of 20 mm, 320 a side; 12 * 321^2 = 1,236,492 vertices, more than 2^19, but 1 MiB is
+  // 2^17 entries of 8 bytes.
+  const Chosen room = chosen_for(params_of(8, 2, 0, 16, 0), 6.4, 0.025);
+  EXPECT_EQ(room.finest, 320);
+  EXPECT_EQ(room.log2_entries, 17);
+  EXPECT_EQ(room.sentences.size(), 2u);
+  EXPECT_EQ(chosen_for(params_of(8, 8, 0, 16, 0), 6.4, 0.025).log2_entries, 15);  // 32 bytes an entry
+  // 2 m at 50 mm: 50 cells, of steps of 8 the nearest is 48; 12 * 49^2 = 28,812 <= 2^15.
+  const Chosen small = chosen_for(params_of(8, 2, 0, 16, 0), 2.0, 0.05);
+  EXPECT_EQ(small.finest, 48);
+  EXPECT_EQ(small.log2_entries, 15);
+  EXPECT_EQ(chosen_for(params_of(8, 2, 0, 16, 0), 0.2, 0.05).finest, 16);  // never below the coarsest level
+  EXPECT_EQ(chosen_for(params_of(8, 2, 0, 16, 0), 0.2, 0.05).log2_entries, 14);
+  EXPECT_EQ(chosen_for(params_of(8, 2, 0, 16, 0), 0, 0).finest, 2048);  // nothing known
+  EXPECT_EQ(chosen_for(params_of(8, 2, 0, 16, 0), 6.4, 0.025, Device::cuda).log2_entries, 19);
+  // What is written stays, without a word.
+  const Chosen fixed = chosen_for(params_of(8, 2, 12, 16, 99), 6.4, 0.025);
+  EXPECT_EQ(fixed.finest, 99);
+  EXPECT_EQ(fixed.log2_entries, 12);
+  EXPECT_TRUE(fixed.sentences.empty());
 }
 
 }  // namespace

@@ -128,23 +128,6 @@ TEST(OneBlob, SlopesAreExact) {
   }
 }
 
-TEST(OneBlob, GradientMatchesDifferences) {
-  const std::vector<double> x{0.31, 0.7, 0.02};
-  std::vector<double> dy(48);
-  for (std::size_t i = 0; i < dy.size(); ++i) dy[i] = std::cos(2.1 * static_cast<double>(i));
-  const auto dx = slopes<double>(16, x, dy);
-  for (std::size_t axis = 0; axis < 3; ++axis) {
-    auto plus = x, minus = x;
-    plus[axis] += 1e-6;
-    minus[axis] -= 1e-6;
-    const auto yp = encode<double>(16, plus);
-    const auto ym = encode<double>(16, minus);
-    double expected = 0;
-    for (std::size_t i = 0; i < dy.size(); ++i) expected += dy[i] * (yp[i] - ym[i]) / 2e-6;
-    EXPECT_NEAR(dx[axis], expected, 1e-7) << axis;
-  }
-}
-
 TEST(OneBlob, OutsideTheCubeCountsAsItsRim) {
   const double above = std::nextafter(1.0, 2.0), below = -std::numeric_limits<double>::min();
   const std::vector<float> rim = encode<float>(16, {0, 1, 0.4});

@@ -20,7 +20,7 @@ void bad_density(const double* position, double sigma) {
 }
 namespace {
 
-constexpr std::int64_t kSamplesOnCpu = 128, kSamplesOnGpu = 256;  // docs/decisions/0036
+constexpr std::int64_t kSamplesOnCpu = 128, kSamplesOnGpu = 256;  // docs/decisions.md, 0036
 
 constexpr double kPadding = 0.01;  // of the longest side: walls lie on the bounds and must not lie on the grid's faces
 constexpr double kLeastSide = 0.02;    // of the longest side: a flat scene still gets cells with volume

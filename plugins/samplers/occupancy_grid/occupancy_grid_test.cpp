@@ -365,19 +365,5 @@ TEST(OccupancyGrid, RefusesWhatItCannotUse) {
   EXPECT_THROW(bench.learn(ball<float>(NAN, 0), 1), Error);
 }
 
-TEST(OccupancyGrid, Laws) {
-  for (const std::int64_t cascades : {1, 2, 5}) {
-    OccupancyGridParams params = small_grid();
-    params.resolution = 32;
-    params.max_samples = 64;
-    params.cascades = cascades;
-    params.growth = cascades == 5 ? 0.03 : 0;
-    const OccupancyGrid<float> single(params, room(), Bench<float>::tables());
-    const OccupancyGrid<double> twin(params, room(), Bench<double>::tables());
-    const auto failures = testkit::sampler_laws(single, twin, room());
-    EXPECT_TRUE(failures.empty()) << testkit::to_text(failures);
-  }
-}
-
 }  // namespace
 }  // namespace semfield

@@ -174,18 +174,6 @@ TEST(CudaHashGrid, FollowsItsTwinOnTheCpu) {
   expect_twins(params_of(16, 2, 14, 16, 2048), 4097, 1);
 }
 
-TEST(CudaHashGrid, NoRowsDoNothing) {
-  SEMFIELD_NEEDS_DEVICE();
-  const HashGrid<float> encoder = make<float>(params_of(4, 2, 8, 4, 16), Device::cuda);
-  DeviceLaunch launch(true, true);
-  DeviceTables tables(testkit::TensorBox<float>(encoder, 1, 1));
-  const DeviceMatrix<double> x(0, 3);
-  const DeviceMatrix<float> y(0, 8), dx(0, 3);
-  encoder.forward(context(launch), tables.tensors(), x.read_only(), y.view());
-  encoder.backward(context(launch), tables.tensors(), x.read_only(), y.read_only(), dx.view());
-  for (const std::vector<float>& grad : tables.gradients()) EXPECT_EQ(grad, std::vector<float>(grad.size(), 0));
-}
-
 TEST(CudaHashGrid, FixedPointGivesTheSameBitsEveryTimeAndAddsToWhatIsThere) {
   SEMFIELD_NEEDS_DEVICE();
   constexpr std::int64_t kRows = 100'000;  // many blocks meet in the coarse levels' few entries

@@ -1,8 +1,15 @@
-// The big network on the device against the CPU's in float64: every switch, output and width; the same bits every run.
+// The big network on the device: against the CPU's in float64 for every switch, output and width, and its fused
+// kernels.
+
+#include <algorithm>
 
 #include "cuda/kernel_tables.h"
 #include "fields/nerf_mlp/nerf_mlp.h"
-#include "tests/cuda/device_field.h"
+#include "fields/nerf_mlp/nerf_mlp_fused.h"
+#include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"
+#include "plugins/fields/nerf_mlp/tests/fused_fixture.h"
+#include "testkit/compare.h"
+#include "tests/cuda/device_fixture.h"
 
 namespace semfield {
 namespace {
@@ -204,6 +211,435 @@ TEST(CudaNerfMlp, ASteadyStateAllocatesNothing) {
     pair.device.forward();
     pair.device.backward();
     EXPECT_EQ(pair.device.launch.arena().growth_count(), growths);
+  }
+}
+
+// The big network through its fused kernels, against the CPU's and against the layers one by one.
+
+using testing::DeviceMatrix;
+using testing::host_view;
+
+const KernelTables& layer_tables() {
+  static const KernelTables tables = testing::tables_of({cuda::add_mlp_kernels});
+  return tables;
+}
+
+FieldBuild build_of(Device device, std::int32_t position_dims, std::int32_t direction_dims) {
+  return FieldBuild{.device = device,
+                    .position_dims = position_dims,
+                    .direction_dims = direction_dims,
+                    .precision = device == Device::cpu ? Precision::fp32 : Precision::bf16};
+}
+
+std::string near_norm(const DeviceMatrix<float>& got, const DeviceMatrix<float>& want, double tolerance) {
+  const std::vector<double> values = testing::widen(want.read());
+  return testing::near_norm(got, host_view(values, want.view().cols), tolerance);
+}
+
+/// The fused kernels and the layers one by one, from the same inputs.
+void expect_same_network(const NerfMlpParams& params, std::int32_t position_dims, std::int32_t direction_dims,
+                         std::int64_t samples, const Wanted& wanted = {}, std::int32_t padding = 0) {
+  SCOPED_TRACE(std::to_string(samples) + " samples, depth " + std::to_string(params.depth) + ", skip " +
+               std::to_string(params.skip_at) + ", position " + std::to_string(position_dims) + ", direction " +
+               std::to_string(direction_dims) + ", wanted " + std::to_string(wanted.sigma) +
+               std::to_string(wanted.rgb) + std::to_string(wanted.feature));
+  const NerfMlp<double> cpu(params, build_of(Device::cpu, position_dims, direction_dims), cpu_tables());
+  FieldBench<double> bench(cpu, build_of(Device::cpu, position_dims, direction_dims), samples, 0, {});
+  const NerfMlp<float> gpu(params, build_of(Device::cuda, position_dims, direction_dims), device_tables());
+  const DeviceField fused(gpu, bench, padding);
+  fused.derive();
+  fused.forward();
+  fused.backward(wanted);
+  const NerfMlp<float> layered(params, build_of(Device::cuda, position_dims, direction_dims), layer_tables());
+  const DeviceField layers(layered, bench, padding);
+  layers.derive();
+  layers.forward();
+  layers.backward(wanted);
+  // A unit within rounding of zero may fall on either side of its ReLU (testkit/laws.h), in either of the two.
+  constexpr double kOutput = 0.02, kGradient = 0.25;
+  EXPECT_EQ(near_norm(*fused.sigma, *layers.sigma, kOutput), "") << "sigma";
+  EXPECT_EQ(near_norm(*fused.rgb, *layers.rgb, kOutput), "") << "rgb";
+  EXPECT_EQ(near_norm(*fused.feature, *layers.feature, kOutput), "") << "feature";
+  EXPECT_EQ(near_norm(*fused.d_position, *layers.d_position, kGradient), "") << "d_position";
+  for (std::size_t i = 0; i < fused.grads.size(); ++i) {
+    if (!bench.box.learned(i)) continue;
+    EXPECT_EQ(near_norm(*fused.grads[i], *layers.grads[i], kGradient), "") << bench.box.specs()[i].name;
+  }
+  for (const auto* m : {&fused.sigma, &fused.rgb, &fused.feature, &fused.d_position})
+    EXPECT_EQ((*m)->surroundings(), "");
+}
+
+TEST(CudaNerfMlpFused, IsTheNetworkOfTheLayersOneByOne) {
+  SEMFIELD_NEEDS_FUSED();
+  for (const std::int64_t samples : {1, 63, 257, 40000}) expect_same_network({}, 63, 27, samples);
+  expect_same_network({}, 60, 0, 257);
+  expect_same_network({2, 256, 0, 128}, 64, 16, 130, {}, 3);
+  expect_same_network({3, 256, 1, 128}, 7, 3, 130);
+  expect_same_network({15, 256, 14, 128}, 63, 27, 130);
+  for (const Wanted& wanted : {Wanted{true, false, false}, Wanted{false, true, false}, Wanted{false, false, true}})
+    expect_same_network({}, 63, 27, 130, wanted);
+}
+
+TEST(CudaNerfMlpFused, IsTheCpusNetworkAndRepeatsBitForBit) {
+  SEMFIELD_NEEDS_FUSED();
+  const NerfMlp<double> cpu({}, build_of(Device::cpu, 63, 27), cpu_tables());
+  FieldBench<double> bench(cpu, build_of(Device::cpu, 63, 27), 1025, 0, {});
+  bench.forward();
+  bench.backward({}, false);
+  const NerfMlp<float> gpu({}, build_of(Device::cuda, 63, 27), device_tables());
+  const DeviceField device(gpu, bench);
+  device.derive();
+  std::vector<float> first, sigma, rgb;
+  for (int run = 0; run < 3; ++run) {
+    for (const auto& grad : device.grads)
+      grad->write(std::vector<float>(static_cast<std::size_t>(grad->view().size())));
+    device.forward();
+    device.backward({}, false);
+    if (run == 0) first = device.all_grads(), sigma = device.sigma->read(), rgb = device.rgb->read();
+    EXPECT_EQ(device.all_grads(), first) << "run " << run;
+  }
+  EXPECT_EQ(near(*device.sigma, bench.sigma.view(), 0.02), "") << "sigma";
+  EXPECT_EQ(near(*device.rgb, bench.rgb.view(), 0.02), "") << "rgb";
+  EXPECT_EQ(near(*device.feature, bench.feature.view(), 0.02), "") << "feature";
+  for (std::size_t i = 0; i < bench.box.count(); ++i) {
+    if (!bench.box.learned(i)) continue;
+    EXPECT_EQ(testing::near_norm(*device.grads[i], bench.box.grad(i), 0.25), "") << bench.box.specs()[i].name;
+  }
+  // Rows are the same alone as in the batch, and with nothing saved.
+  device.forward({}, false);
+  EXPECT_EQ(device.sigma->read(), sigma);
+  EXPECT_EQ(device.rgb->read(), rgb);
+  FieldIn<float> in = device.in();
+  in.position = in.position.row_range(200, 300);
+  in.ray_of_sample = in.ray_of_sample.row_range(200, 300);
+  const DeviceMatrix<float> few(300, 1);
+  FieldOut<float> out{.sigma = few.view()};
+  gpu.forward(device.ctx, device.tensors(), in, out, {});
+  EXPECT_EQ(few.read(), std::vector<float>(sigma.begin() + 200, sigma.begin() + 500));
+}
+
+// The fused kernels of the big network, one by one: every layer against plain loops over what the layer before left.
+// Only GPUs of compute capability 9.0 run them.
+
+using testing::DeviceLaunch;
+using testing::random_floats;
+using Bf16 = __nv_bfloat16;
+
+double rounded(double x) { return __bfloat162float(Bf16(static_cast<float>(x))); }
+
+/// Rows of a blocked matrix: 8 x 8 blocks one behind the other.
+std::vector<double> rows_of(const std::vector<Bf16>& blocked, std::int64_t rows, int cols) {
+  std::vector<double> result;
+  for (std::int64_t m = 0; m < rows; ++m) {
+    for (int c = 0; c < cols; ++c)
+      result.push_back(__bfloat162float(blocked[(m / 8 * (cols / 8) + c / 8) * 64 + m % 8 * 8 + c % 8]));
+  }
+  return result;
+}
+std::vector<Bf16> part(const DeviceMatrix<Bf16>& all, std::int64_t begin, std::int64_t count) {
+  const std::vector<Bf16> values = all.read();
+  return {values.begin() + begin, values.begin() + begin + count};
+}
+
+/// x [M, k] times the k rows of w [any, n] from `first` on, rounded to bf16, added to `sum`.
+void add_product(const std::vector<double>& x, int k, const std::vector<float>& w, int n, int first, bool transposed,
+                 std::vector<double>& sum) {
+  const std::size_t rows = x.size() / static_cast<std::size_t>(k);
+  for (std::size_t m = 0; m < rows; ++m) {
+    for (int i = 0; i < k; ++i) {
+      const double value = x[m * static_cast<std::size_t>(k) + static_cast<std::size_t>(i)];
+      if (value == 0) continue;
+      const auto out = static_cast<int>(sum.size() / rows);
+      for (int j = 0; j < out; ++j) {
+        const auto at = transposed ? (first + j) * n + i : (first + i) * n + j;
+        sum[m * static_cast<std::size_t>(out) + static_cast<std::size_t>(j)] += value * rounded(w[at]);
+      }
+    }
+  }
+}
+
+/// A network of three layers, the position again at the last, with every buffer that forward and backward use.
+struct Small {
+  static constexpr int kDepth = 3, kRays = 9;
+  static constexpr std::int64_t kRows = 300, kBlocks = 8, kAll = kBlocks * 64;
+  static constexpr std::int64_t kSemantic = 201, kSemanticBlocks = 4;  // rows that have the semantic layer
+  std::vector<float> x = random_floats(kRows * 63, 1, -1, 1);
+  std::vector<float> w[kDepth] = {random_floats(63 * 256, 2, -0.2, 0.2), random_floats(256 * 256, 3, -0.1, 0.1),
+                                  random_floats(319 * 256, 4, -0.1, 0.1)};
+  std::vector<float> b[kDepth] = {random_floats(256, 5, -0.1, 0.1), random_floats(256, 6, -0.1, 0.1),
+                                  random_floats(256, 7, -0.1, 0.1)};
+  std::vector<float> wv = random_floats(256 * 128, 8, -0.1, 0.1), wc = random_floats(128 * 3, 9, -0.2, 0.2);
+  std::vector<float> bc = random_floats(3, 10, -1, 1), wd = random_floats(256, 11, -0.1, 0.1);
+  std::vector<float> ws = random_floats(256 * 128, 14, -0.1, 0.1), bs = random_floats(128, 15, -0.3, 0.3);
+  std::vector<float> bd = random_floats(1, 12, -1, 1), terms = random_floats(kRays * 128, 13, -0.2, 0.2);
+  std::vector<std::int32_t> ray;
+
+  DeviceLaunch launch;
+  DeviceMatrix<float> d_x{x, 63}, d_w0{w[0], 256}, d_w1{w[1], 256}, d_w2{w[2], 256}, d_wv{wv, 128}, d_wc{wc, 3};
+  DeviceMatrix<float> d_b0{b[0], 256}, d_b1{b[1], 256}, d_b2{b[2], 256}, d_bc{bc, 3}, d_wd{wd, 1}, d_bd{bd, 1};
+  DeviceMatrix<float> d_terms{terms, 128}, d_ws{ws, 128}, d_bs{bs, 128};
+  DeviceMatrix<Bf16> semantic{kSemantic, 128};
+  DeviceMatrix<Bf16> position{kAll, 64}, trunk{kDepth * kAll, 256}, hidden{kAll, 128}, d_trunk{kDepth * kAll, 256};
+  DeviceMatrix<Bf16> d_hidden{kAll, 128};
+  DeviceMatrix<std::uint32_t> trunk_mask{kDepth * kBlocks * 128, 4}, hidden_mask{kBlocks * 128, 2};
+  DeviceMatrix<float> sigma{kRows, 1}, rgb{kRows, 3}, feature{kRows, 256};
+  DeviceMatrix<Bf16> rounded_feature{kRows, 256};
+  DeviceMatrix<std::byte> slabs{std::int64_t{1} << 21, 1};
+
+  static std::vector<std::int32_t> rays() {
+    std::vector<std::int32_t> values;
+    for (std::int64_t m = 0; m < kRows; ++m) values.push_back(static_cast<std::int32_t>(m / 50 + (m >= 100 ? 2 : 0)));
+    return values;
+  }
+  Small() : ray(rays()), rays_on_device(ray, 1) {
+    cuda::fused::pack_position(d_x.view(), kBlocks, position.data());
+    std::array<cuda::fused::Slabs, cuda::fused::kMostSlabs> all;
+    all[0] = {d_w0.view(), false, 256, 1};
+    all[1] = {d_w1.view(), false, 256, 4};
+    all[2] = {d_w2.view().row_range(0, 63), false, 256, 1};
+    all[3] = {d_w2.view().row_range(63, 256), false, 256, 4};
+    all[4] = {d_wv.view(), false, 256, 4, d_ws.view()};
+    EXPECT_LE(cuda::fused::slab_bytes(all, 5), static_cast<std::size_t>(slabs.view().rows));
+    cuda::fused::pack_slabs(all, 5, slabs.data());
+    cuda::fused::Forward call;
+    call.rows = kRows, call.blocks = kBlocks, call.depth = kDepth, call.skip_at = 2;
+    call.weights = slabs.data(), call.position = position.data();
+    call.bias = {d_b0.data(), d_b1.data(), d_b2.data()};
+    call.density_weight = d_wd.data(), call.density_bias = d_bd.data();
+    call.color_weight = d_wc.data(), call.color_bias = d_bc.data();
+    call.ray_term = d_terms.view(), call.ray_of_sample = rays_on_device.view();
+    call.trunk = trunk.data(), call.hidden = hidden.data();
+    call.trunk_mask = reinterpret_cast<uint4*>(trunk_mask.data());
+    call.hidden_mask = reinterpret_cast<uint2*>(hidden_mask.data());
+    call.sigma = sigma.view(), call.rgb = rgb.view(), call.feature = feature.view();
+    call.rounded_feature = rounded_feature.view();
+    call.semantic = semantic.view(), call.semantic_bias = d_bs.data();
+    cuda::fused::forward(call);
+    cuda::check(cudaDeviceSynchronize(), "the fused forward");
+  }
+  std::vector<double> layer(const DeviceMatrix<Bf16>& of, int i) const {
+    return rows_of(part(of, i * kAll * 256, kAll * 256), kRows, 256);
+  }
+  DeviceMatrix<std::int32_t> rays_on_device;
+};
+
+std::string compare(const std::vector<double>& got, const std::vector<double>& want, int cols, double tolerance) {
+  return testkit::compare<double, double>(host_view(got, cols), host_view(want, cols), tolerance);
+}
+
+TEST(CudaNerfMlpFused, EveryLayerFollowsFromTheOneBefore) {
+  SEMFIELD_NEEDS_FUSED();
+  const Small net;
+  std::vector<double> x;
+  for (const float v : net.x) x.push_back(rounded(v));
+  const std::vector<double> position = rows_of(net.position.read(), net.kAll, 64);
+  for (std::int64_t m = 0; m < net.kAll; ++m) {
+    for (int c = 0; c < 64; ++c) {
+      const double want = m < net.kRows && c < 63 ? x[m * 63 + c] : 0;
+      ASSERT_EQ(position[m * 64 + c], want) << m << ", " << c;
+    }
+  }
+  std::vector<double> below, exact;
+  for (int i = 0; i < net.kDepth; ++i) {
+    exact.clear();
+    for (std::int64_t m = 0; m < net.kRows; ++m) exact.insert(exact.end(), net.b[i].begin(), net.b[i].end());
+    if (i == 0 || i == 2) add_product(x, 63, net.w[i], 256, 0, false, exact);
+    if (i > 0) add_product(below, 256, net.w[i], 256, i == 2 ? 63 : 0, false, exact);
+    for (double& v : exact) v = std::max(v, 0.0);
+    below = net.layer(net.trunk, i);
+    EXPECT_EQ(compare(below, exact, 256, 4e-3), "") << "layer " << i;
+  }
+  const std::vector<double> feature = testing::widen(net.feature.read()), sigma = testing::widen(net.sigma.read());
+  EXPECT_EQ(compare(feature, exact, 256, 1e-5), "") << "feature";
+  std::vector<double> in_rows;
+  for (const Bf16 v : net.rounded_feature.read()) in_rows.push_back(__bfloat162float(v));
+  EXPECT_EQ(in_rows, below);
+  EXPECT_EQ(net.rounded_feature.surroundings(), "");
+  std::vector<double> want;
+  for (std::int64_t m = 0; m < net.kRows; ++m) {
+    want.push_back(net.bd[0]);
+    for (int c = 0; c < 256; ++c) want.back() += exact[m * 256 + c] * net.wd[c];
+  }
+  EXPECT_EQ(compare(sigma, want, 1, 1e-5), "") << "sigma";
+
+  std::vector<double> view, color;
+  for (std::int64_t m = 0; m < net.kRows; ++m) {
+    const auto begin = net.terms.begin() + net.ray[m] * 128;
+    view.insert(view.end(), begin, begin + 128);
+  }
+  add_product(below, 256, net.wv, 128, 0, false, view);
+  for (double& v : view) v = std::max(v, 0.0);
+  EXPECT_EQ(compare(rows_of(net.hidden.read(), net.kRows, 128), view, 128, 4e-3), "") << "view layer";
+  for (std::int64_t m = 0; m < net.kRows; ++m) {
+    for (int c = 0; c < 3; ++c) {
+      double logit = net.bc[c];
+      for (int n = 0; n < 128; ++n) logit += view[m * 128 + n] * net.wc[n * 3 + c];
+      color.push_back(1 / (1 + std::exp(-logit)));
+    }
+  }
+  EXPECT_EQ(compare(testing::widen(net.rgb.read()), color, 3, 1e-5), "") << "colour";
+
+  std::vector<double> semantic, in_memory;
+  for (std::int64_t m = 0; m < net.kSemantic; ++m) semantic.insert(semantic.end(), net.bs.begin(), net.bs.end());
+  below.resize(static_cast<std::size_t>(net.kSemantic * 256));
+  add_product(below, 256, net.ws, 128, 0, false, semantic);
+  for (double& v : semantic) v = std::max(v, 0.0);
+  for (const Bf16 v : net.semantic.read()) in_memory.push_back(__bfloat162float(v));
+  EXPECT_EQ(compare(in_memory, semantic, 128, 4e-3), "") << "semantic layer";
+  EXPECT_EQ(net.semantic.surroundings(), "");
+}
+
+TEST(CudaNerfMlpFused, EveryGradientFollowsFromTheLayerAbove) {
+  SEMFIELD_NEEDS_FUSED();
+  Small net;
+  const std::vector<float> g_sigma = random_floats(net.kRows, 21, -1, 1),
+                           g_rgb = random_floats(net.kRows * 3, 22, -9, 9);
+  const std::vector<float> g_feature = random_floats(net.kRows * 256, 23, -1, 1);
+  const DeviceMatrix<float> d_sigma(g_sigma, 1), d_rgb(g_rgb, 3), d_feature(g_feature, 256);
+  const DeviceMatrix<Bf16> d_semantic(random_floats(net.kSemanticBlocks * 64 * 128, 24, -1, 1), 128);
+  std::array<cuda::fused::Slabs, cuda::fused::kMostSlabs> all;
+  all[0] = {net.d_ws.view(), true, 256, 2};
+  all[1] = {net.d_wv.view(), true, 256, 2};
+  all[2] = {net.d_w2.view().row_range(63, 256), true, 256, 4};
+  all[3] = {net.d_w1.view(), true, 256, 4};
+  cuda::fused::pack_slabs(all, 4, net.slabs.data());
+  cuda::fused::InputGradient call;
+  call.rows = net.kRows, call.blocks = net.kBlocks, call.depth = net.kDepth, call.weights = net.slabs.data();
+  call.density_weight = net.d_wd.data(), call.color_weight = net.d_wc.data();
+  call.trunk_mask = reinterpret_cast<const uint4*>(net.trunk_mask.data());
+  call.hidden_mask = reinterpret_cast<const uint2*>(net.hidden_mask.data());
+  call.rgb = net.rgb.view(), call.d_rgb = d_rgb.view(), call.d_sigma = d_sigma.view();
+  call.d_feature = d_feature.view();
+  call.d_semantic = d_semantic.data(), call.semantic_blocks = net.kSemanticBlocks;
+  call.d_trunk = net.d_trunk.data(), call.d_hidden = net.d_hidden.data();
+  cuda::fused::input_gradient(call);
+
+  const std::vector<double> hidden = rows_of(net.hidden.read(), net.kRows, 128);
+  const std::vector<float> rgb = net.rgb.read();
+  std::vector<double> d_logit, want;
+  for (std::size_t i = 0; i < rgb.size(); ++i) d_logit.push_back(g_rgb[i] * double{rgb[i]} * (1 - double{rgb[i]}));
+  for (std::int64_t m = 0; m < net.kRows; ++m) {
+    for (int n = 0; n < 128; ++n) {
+      double sum = 0;
+      for (int c = 0; c < 3; ++c) sum += d_logit[m * 3 + c] * net.wc[n * 3 + c];
+      want.push_back(hidden[m * 128 + n] > 0 ? sum : 0);
+    }
+  }
+  const std::vector<double> dv = rows_of(net.d_hidden.read(), net.kRows, 128);
+  EXPECT_EQ(compare(dv, want, 128, 4e-3), "") << "view layer";
+
+  std::vector<double> above = dv;
+  for (int i = net.kDepth - 1; i >= 0; --i) {
+    want.assign(static_cast<std::size_t>(net.kRows * 256), 0);
+    if (i == 2) {
+      add_product(above, 128, net.wv, 128, 0, true, want);
+      std::vector<double> of_semantic = rows_of(d_semantic.read(), net.kSemanticBlocks * 64, 128);
+      of_semantic.resize(static_cast<std::size_t>(net.kRows * 128));
+      add_product(of_semantic, 128, net.ws, 128, 0, true, want);
+      for (std::size_t k = 0; k < want.size(); ++k)
+        want[k] += g_feature[k] + double{g_sigma[k / 256]} * net.wd[k % 256];
+    } else {
+      add_product(above, 256, net.w[i + 1], 256, i == 1 ? 63 : 0, true, want);
+    }
+    const std::vector<double> h = net.layer(net.trunk, i);
+    for (std::size_t k = 0; k < want.size(); ++k) want[k] = h[k] > 0 ? want[k] : 0;
+    above = net.layer(net.d_trunk, i);
+    EXPECT_EQ(compare(above, want, 256, 4e-3), "") << "layer " << i;
+  }
+  const std::vector<double> behind = rows_of(part(net.d_trunk, 0, net.kAll * 256), net.kAll, 256);
+  for (std::size_t k = static_cast<std::size_t>(net.kRows * 256); k < behind.size(); ++k) ASSERT_EQ(behind[k], 0) << k;
+
+  // Sums over rows: of each ray, and with the heads' activations.
+  const DeviceMatrix<float> d_term(net.kRays, 128);
+  cuda::fused::per_ray_sums(net.d_hidden.data(), net.rays_on_device.view(), d_term.view());
+  std::vector<double> sums(static_cast<std::size_t>(net.kRays * 128), 0);
+  for (std::int64_t m = 0; m < net.kRows; ++m) {
+    for (int n = 0; n < 128; ++n) sums[net.ray[m] * 128 + n] += dv[m * 128 + n];
+  }
+  EXPECT_EQ(compare(testing::widen(d_term.read()), sums, 128, 1e-5), "") << "rays";
+
+  const DeviceMatrix<float> d_wc(std::vector<float>(128 * 3, 1.0F), 3), d_bc(std::vector<float>(3, 1.0F), 3);
+  cuda::fused::HeadGradient color;
+  color.x = net.hidden.data(), color.d = d_rgb.view(), color.y = net.rgb.view();
+  color.d_weight = d_wc.view(), color.d_bias = d_bc.view();
+  cuda::fused::head_gradients({}, color, net.launch.arena());
+  std::vector<double> weight(128 * 3, 1), bias(3, 1);
+  for (std::int64_t m = 0; m < net.kRows; ++m) {
+    for (int c = 0; c < 3; ++c) {
+      const double g = d_logit[m * 3 + c];
+      bias[c] += g;
+      for (int n = 0; n < 128; ++n) weight[n * 3 + c] += g * hidden[m * 128 + n];
+    }
+  }
+  EXPECT_EQ(compare(testing::widen(d_wc.read()), weight, 3, 1e-5), "") << "colour weight";
+  EXPECT_EQ(compare(testing::widen(d_bc.read()), bias, 3, 1e-5), "") << "colour bias";
+
+  const DeviceMatrix<float> d_wd(std::vector<float>(256, 1.0F), 1), d_bd(std::vector<float>(1, 1.0F), 1);
+  cuda::fused::HeadGradient density;
+  density.x = net.trunk.data() + 2 * net.kAll * 256, density.d = d_sigma.view();
+  density.d_weight = d_wd.view(), density.d_bias = d_bd.view();
+  cuda::fused::head_gradients(density, {}, net.launch.arena());
+  const std::vector<double> h = net.layer(net.trunk, 2);
+  weight.assign(256, 1);
+  bias.assign(1, 1);
+  for (std::int64_t m = 0; m < net.kRows; ++m) {
+    bias[0] += g_sigma[m];
+    for (int n = 0; n < 256; ++n) weight[n] += double{g_sigma[m]} * h[m * 256 + n];
+  }
+  EXPECT_EQ(compare(testing::widen(d_wd.read()), weight, 1, 1e-5), "") << "density weight";
+  EXPECT_EQ(compare(testing::widen(d_bd.read()), bias, 1, 1e-5), "") << "density bias";
+}
+
+TEST(CudaNerfMlpFused, WeightGradientsAreSumsOverAllRows) {
+  SEMFIELD_NEEDS_FUSED();
+  DeviceLaunch launch;
+  for (const std::int64_t blocks : {4, 44}) {
+    SCOPED_TRACE(std::to_string(blocks) + " blocks");
+    const std::int64_t rows = blocks * 64;
+    // Values whose products and sums are exact in fp32, so that any order gives the same.
+    const auto whole = [&](std::int64_t count, std::uint64_t seed) {
+      std::vector<float> values = random_floats(count, seed, -3, 3);
+      for (float& v : values) v = std::round(v);
+      return values;
+    };
+    const std::vector<float> av = whole(rows * 256, 1), pv = whole(rows * 64, 2), bv = whole(rows * 256, 3);
+    const std::vector<float> vv = whole(rows * 128, 4);
+    const DeviceMatrix<Bf16> a(av, 256), p(pv, 64), b(bv, 256), v(vv, 128);
+    const DeviceMatrix<float> ab(std::vector<float>(256 * 256, 1.0F), 256), pb(std::vector<float>(63 * 256, 2.0F), 256);
+    const DeviceMatrix<float> avw(std::vector<float>(256 * 128, 3.0F), 128), b_sum(std::vector<float>(256), 256);
+    const DeviceMatrix<float> p_sum(std::vector<float>(256), 256), v_sum(std::vector<float>(128), 128);
+    cuda::fused::WeightGradients call;
+    call.count = 3;
+    const std::int64_t fewer = blocks - 4;  // of the last matrix
+    call.all[0] = {a.data(), b.data(), 256, 256, ab.view(), b_sum.view(), blocks};
+    call.all[1] = {p.data(), b.data(), 64, 256, pb.view(), p_sum.view(), blocks};
+    call.all[2] = {a.data(), v.data(), 256, 128, avw.view(), v_sum.view(), fewer};
+    cuda::fused::weight_gradients(call, launch.arena());
+    const auto bf16 = [](const std::vector<float>& values) {
+      std::vector<Bf16> result;
+      for (const float x : values) result.push_back(Bf16(x));
+      return result;
+    };
+    const std::vector<double> ar = rows_of(bf16(av), rows, 256), pr = rows_of(bf16(pv), rows, 64);
+    const std::vector<double> br = rows_of(bf16(bv), rows, 256), vr = rows_of(bf16(vv), rows, 128);
+    const auto want = [&](const std::vector<double>& x, int k, int taken, const std::vector<double>& y, int n,
+                          double start, std::int64_t count) {
+      std::vector<double> sum(static_cast<std::size_t>(taken * n), start);
+      for (std::int64_t m = 0; m < count; ++m) {
+        for (int i = 0; i < taken; ++i) {
+          for (int j = 0; j < n; ++j) sum[i * n + j] += x[m * k + i] * y[m * n + j];
+        }
+      }
+      return sum;
+    };
+    EXPECT_EQ(compare(testing::widen(ab.read()), want(ar, 256, 256, br, 256, 1, rows), 256, 0), "");
+    EXPECT_EQ(compare(testing::widen(pb.read()), want(pr, 64, 63, br, 256, 2, rows), 256, 0), "");
+    EXPECT_EQ(compare(testing::widen(avw.read()), want(ar, 256, 256, vr, 128, 3, fewer * 64), 128, 0), "");
+    const std::vector<double> ones(static_cast<std::size_t>(rows), 1);
+    EXPECT_EQ(compare(testing::widen(b_sum.read()), want(ones, 1, 1, br, 256, 0, rows), 256, 0), "");
+    EXPECT_EQ(compare(testing::widen(p_sum.read()), want(ones, 1, 1, br, 256, 0, rows), 256, 0), "");
+    EXPECT_EQ(compare(testing::widen(v_sum.read()), want(ones, 1, 1, vr, 128, 0, fewer * 64), 128, 0), "");
+    for (const DeviceMatrix<float>* m : {&ab, &pb, &avw, &b_sum, &p_sum, &v_sum}) EXPECT_EQ(m->surroundings(), "");
   }
 }
 

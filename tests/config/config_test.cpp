@@ -1,0 +1,997 @@
+// What the tests of configs share: the message of a refusal, files in a folder of their own.
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstring>
+#include <iterator>
+#include <nlohmann/json.hpp>
+#include <regex>
+#include <sstream>
+
+#include "config/compose.h"
+#include "config/config_tree.h"
+#include "config/explain.h"
+#include "config/params.h"
+#include "config/schema.h"
+#include "system/files.h"
+#include "tests/says.h"
+#include "tests/temp_dir.h"
+
+namespace semfield {
+
+enum class Interp { linear, smoothstep };
+template <>
+struct ChoiceNames<Interp> {
+  static constexpr std::array<std::string_view, 2> names{"linear", "smoothstep"};
+};
+
+namespace {
+
+/// What the Error(config) says that `body` throws; "" when it throws nothing.
+inline std::string refusal(const std::function<void()>& body) { return error_of(ErrorKind::config, body); }
+
+// The tree: what it takes, where it says things stand, what it refuses, and writing it back.
+
+ConfigNode parse(const std::string& yaml) { return parse_config_text(yaml, "room.yaml"); }
+std::string refused(const std::string& yaml) {
+  return refusal([&] { parse(yaml); });
+}
+std::string times(const std::string& part, int count) {
+  std::string out;
+  for (int i = 0; i < count; ++i) out += part;
+  return out;
+}
+
+TEST(ConfigTree, KeepsKindsTextsAndOrder) {
+  const ConfigNode root = parse("b: 1\na: [x, 'y', 010]\nc: {d: ~}\ne:\n");
+  ASSERT_TRUE(root.is_map());
+  ASSERT_EQ(root.entries().size(), 4u);
+  EXPECT_EQ(root.entries()[0].first, "b");
+  EXPECT_EQ(root.find("b")->text(), "1");
+  ASSERT_EQ(root.find("a")->items().size(), 3u);
+  EXPECT_FALSE(root.find("a")->items()[0].quoted());
+  EXPECT_TRUE(root.find("a")->items()[1].quoted());
+  EXPECT_EQ(root.find("a")->items()[2].text(), "010");
+  EXPECT_TRUE(root.find("c")->find("d")->is_null());
+  EXPECT_TRUE(root.find("e")->is_null());
+  EXPECT_EQ(root.find("nothing"), nullptr);
+}
+
+TEST(ConfigTree, EveryNodeKnowsItsPlace) {
+  const ConfigNode root = parse("scene:\n  root: data\npasses:\n  - name: coarse\n    levels: [1, 22]\nlast:\n");
+  EXPECT_EQ(root.find("scene")->key_location().text(), "room.yaml:1:1");
+  EXPECT_EQ(root.find("scene")->find("root")->location().text(), "room.yaml:2:9");
+  EXPECT_EQ(root.find("scene")->find("root")->key_location().text(), "room.yaml:2:3");
+  const ConfigNode& pass = root.find("passes")->items()[0];
+  EXPECT_EQ(pass.location().text(), "room.yaml:4:5");
+  EXPECT_EQ(pass.find("levels")->items()[1].location().text(), "room.yaml:5:17");
+  EXPECT_EQ(root.find("last")->location().text(), "room.yaml:6:1");
+}
+
+TEST(ConfigTree, ColumnsCountCharacters) {
+  const ConfigNode root = parse("größe: [über, ä, z]\n");
+  EXPECT_EQ(root.find("größe")->location().text(), "room.yaml:1:8");
+  EXPECT_EQ(root.find("größe")->items()[2].location().text(), "room.yaml:1:18");
+}
+
+TEST(ConfigTree, WindowsAndOldMacLineEndsAndByteOrderMark) {
+  for (const std::string text : {"a: 1\r\nb: x\r\n", "a: 1\rb: x\r",
+                                 "\xEF\xBB\xBF"
+                                 "a: 1\nb: x\n"}) {
+    const ConfigNode root = parse(text);
+    ASSERT_EQ(root.entries().size(), 2u) << text;
+    EXPECT_EQ(root.find("a")->location().text(), "room.yaml:1:4");
+    EXPECT_EQ(root.find("b")->text(), "x");
+    EXPECT_EQ(root.find("b")->location().text(), "room.yaml:2:4");
+  }
+}
+
+TEST(ConfigTree, EmptyFilesAreEmptyMaps) {
+  for (const std::string text : {"", "\n\n", "# only a comment\n", "\xEF\xBB\xBF"}) {
+    const ConfigNode root = parse(text);
+    EXPECT_TRUE(root.is_map()) << "'" << text << "'";
+    EXPECT_TRUE(root.entries().empty());
+  }
+  EXPECT_TRUE(ConfigNode().is_map());
+  EXPECT_EQ(ConfigNode().location().text(), "");
+}
+
+TEST(ConfigTree, TopMayBeAnything) {
+  EXPECT_TRUE(parse("- a\n- b\n").is_list());
+  EXPECT_TRUE(parse("word").is_scalar());
+  EXPECT_TRUE(parse("---\na: 1\n...\n").is_map());
+}
+
+TEST(ConfigTree, CommandLineValuesHaveLineZero) {
+  const ConfigNode value = parse_config_value("{a: [1, x]}", "--set b={a: [1, x]}");
+  EXPECT_EQ(value.find("a")->items()[1].location().text(), "--set b={a: [1, x]}");
+  EXPECT_TRUE(parse_config_value("", "--set b=").is_null());
+  EXPECT_HAS(refusal([] { parse_config_value("[1", "--set b=[1"); }), "--set b=[1:", "left open?");
+}
+
+TEST(ConfigTree, CopiesDoNotShareChanges) {
+  const ConfigNode one = parse("a: 1\nb: 2\n");
+  const ConfigNode two = one.with("a", *one.find("b")).with("c", ConfigNode()).without("b");
+  EXPECT_EQ(one.find("a")->text(), "1");
+  EXPECT_EQ(write_config(two), "a: 2\nc: {}\n");
+}
+
+// More of them, through the program: tests/bad_files/config.cases.
+TEST(ConfigTree, RefusalsNamePlaceAndCause) {
+  const std::pair<std::string, std::string> cases[] = {
+      {"x: {a: 1, 'a': 2}\n", "1:11: duplicate key 'a' (first at room.yaml:1:5)"},
+      {"a: !mine {b: 1}\n", "1:4: tags"},
+      {"- a\nb: 1\n", "2:1: more than one"},
+      {"~: b\n", "1:1: a key is missing"},
+      {"? " + times("k", 600) + "\n: b\n", "1:3: a key longer than 512"},
+      {"a: b: c\n", "1:5: a ':'"},
+      {"a: @x\n", "1:4: this character"},
+      {"a: 'x", "1:6: a quoted text"},
+      {"a: \"x\\\"\n", "1:4: a quoted text"},
+      {"a: - b\n", "1:4: a '-'"},
+      {"a: \"\\q\"\n", "1:7: unknown escape character: q"},
+      {"a:\n\tb: 1\n", "2:3: a tab"},
+      {"a: \"\\0\"\n", "1:4: NUL"}};
+  for (const auto& [yaml, said] : cases) EXPECT_HAS(refused(yaml), "room.yaml:" + said);
+  // Lone continuation, overlong '/', a surrogate, beyond U+10FFFF, cut short.
+  for (const std::string bad : {"\x80", "\xC0\xAF", "\xED\xA0\x80", "\xF4\x90\x80\x80", "\xE2\x82"})
+    EXPECT_HAS(refused("a: " + bad), "room.yaml:1:4: not valid UTF-8");
+  EXPECT_EQ(refused("x: {a: 1}\ny: {a: 1}\n"), "");
+  EXPECT_EQ(parse("a: |\n  x\n  \ty\n").find("a")->text(), "x\n\ty\n");
+  EXPECT_EQ(parse("a: 'it''s'\n").find("a")->text(), "it's");
+  EXPECT_EQ(parse("a: \"\\u00e9\xF0\x9F\x8F\xA0\"").find("a")->text(), "\xC3\xA9\xF0\x9F\x8F\xA0");
+}
+
+TEST(ConfigTree, DepthOf64IsTheLast) {
+  EXPECT_TRUE(parse(times("[", 64) + times("]", 64)).is_list());
+  EXPECT_EQ(refused(times("[", 65) + times("]", 65)), "room.yaml:1:65: nested deeper than 64 levels");
+  std::string deep;
+  for (int i = 0; i < 65; ++i) deep += times(" ", i) + "a:\n";
+  EXPECT_EQ(refused(deep + times(" ", 65) + "b: 1\n"), "room.yaml:65:65: nested deeper than 64 levels");
+}
+
+TEST(ConfigTree, SizeOfOneMebibyteIsTheLast) {
+  const std::string comment = "#" + times("x", 1023);
+  std::string text;
+  for (int i = 0; i < 1024; ++i) text += comment.substr(0, 1023) + "\n";
+  ASSERT_EQ(text.size(), std::size_t{1} << 20);
+  EXPECT_TRUE(parse(text).is_map());
+  EXPECT_EQ(refused(text + "\n"), "room.yaml: larger than 1 MiB; keep big tables in files of their own");
+  const TempDir folder;
+  const std::string path = folder.write("big.yaml", text + "\n");
+  EXPECT_HAS(refusal([&] { parse_config_file(path); }), path, "larger than");
+}
+
+TEST(ConfigTree, HostileInputIsRefused) {
+  std::vector<std::string> hostile = {"[[:", "{foo:", "{foo", "[[", "a: ["};
+  for (const std::string part :
+       {"[",  "{",   "- ",     "? ", "[[:", "{foo:", "[\"]\",", "{a: ", "&a ", "!a ",    "*a ", "a: [",
+        "[?", "[a,", "[[[]],", "|",  "[:",  "{:",    "[-",      ",",    "a: ", "x: y\n", "]",   "\"a\":"}) {
+    hostile.push_back(times(part, 100000));
+  }
+  for (const std::string& text : hostile) EXPECT_TRUE(refused(text).starts_with("room.yaml")) << text.substr(0, 12);
+}
+
+TEST(ConfigTree, MissingFileIsNoInput) {
+  EXPECT_HAS(error_of(ErrorKind::no_input, [&] { parse_config_file("/nonexistent/room.yaml"); }),
+             "/nonexistent/room.yaml");
+}
+
+TEST(ConfigWrite, BlockAndInlineForms) {
+  const std::string yaml =
+      "scene:\n  type: replica\n  betas: [0.9, 0.999]\npasses:\n  - name: coarse\n    sampler:\n      type: "
+      "stratified\n"
+      "    tags: []\n  - 7\n  - [1, 2]\n  - - a\n    - b: {}\nnone: null\n";
+  EXPECT_EQ(write_config(parse(yaml)), yaml);
+  EXPECT_EQ(
+      write_config_inline(parse(yaml)),
+      "{scene: {type: replica, betas: [0.9, 0.999]}, passes: [{name: coarse, sampler: {type: stratified}, tags: []}, "
+      "7, [1, 2], [a, {b: {}}]], none: null}");
+  EXPECT_EQ(write_config(ConfigNode()), "{}\n");
+}
+
+TEST(ConfigWrite, RoundTripOfTexts) {
+  std::istringstream words(
+      "010 true no null ~ #b - ... *a &a !a %a @a `a [a a] {a a} a,b a'b a\"b a\\b 1e5 .nan größe "
+      "\xE2\x80\xA8 \xEF\xBB\xBF \xC2\x85 \x01\x7F \xF0\x9F\x8F\xA0 a: :a 10% = << | >");
+  std::vector<std::string> texts(std::istream_iterator<std::string>(words), {});
+  texts.insert(texts.end(), {"", " ", "a: b", "a #b", "- a", "--- a", "? a", "line\nline\n\n", "\ttab\t", " lead",
+                             "trail ", "../data/x y.png"});
+  for (const std::string& text : texts) {
+    for (const bool in_list : {false, true}) {
+      ConfigNode value = ConfigNode::make_scalar(text, true, {});
+      if (in_list) value = ConfigNode::make_list({value, ConfigNode::make_list({value}, {})}, {});
+      const std::string key = text.empty() ? "empty" : text;
+      const ConfigNode root = ConfigNode::make_map({{"k", value}, {key, value}}, {});
+      EXPECT_TRUE(equal_config(root, parse(write_config(root)))) << write_config(root);
+      EXPECT_TRUE(equal_config(root, parse(write_config_inline(root)))) << write_config_inline(root);
+    }
+  }
+}
+
+TEST(ConfigWrite, RoundTripKeepsQuotesThatMatter) {
+  const ConfigNode root = parse(
+      "a: [1, '1', true, 'true', word, 'word', ~, '~', -5, +5, .5, 1e-3, 10%]\nb: it's [so]\nc: {}\nd: []\n"
+      "e: >\n  folded\n  text\nf: multi\n  line\n010: x\n'null': y\ng: [[], {}, [[1]]]\n");
+  EXPECT_TRUE(equal_config(root, parse(write_config(root)))) << write_config(root);
+  EXPECT_TRUE(equal_config(root, parse(write_config_inline(root))));
+  EXPECT_FALSE(equal_config(parse("a: 1"), parse("a: '1'")));
+  EXPECT_TRUE(equal_config(parse("a: word"), parse("a: 'word'")));
+  EXPECT_FALSE(equal_config(parse("a: null"), parse("a: 'null'")));
+  EXPECT_FALSE(equal_config(parse("a: 1\nb: 2"), parse("b: 2\na: 1")));
+  EXPECT_FALSE(equal_config(parse("a: [1]"), parse("a: [1, 2]")));
+}
+
+TEST(ConfigWrite, PlainTexts) {
+  for (const char* plain : {"hash_grid", "data/room_0", "../x", "./x", "a b", "/abs/path"})
+    EXPECT_TRUE(is_plain_text(plain)) << plain;
+  for (const char* typed : {"1", "-1", "010", "1e5", ".5", "true", "No", "null", "~", ".inf", "-.inf", "10%"}) {
+    EXPECT_FALSE(is_plain_text(typed)) << typed;
+    EXPECT_TRUE(looks_typed(typed)) << typed;
+  }
+  EXPECT_FALSE(looks_typed("a: b"));
+  EXPECT_FALSE(looks_typed("010 #"));  // needs quotes, so it cannot be a number
+  EXPECT_FALSE(is_plain_text("a: b"));
+}
+
+// Composition: include, merge, replace-on-type-change, overrides, like, paths.
+
+namespace fs = std::filesystem;
+
+ConfigNode compose_parse(const std::string& yaml) { return parse_config_text(yaml, "t.yaml"); }
+std::string merged(const std::string& base, const std::string& over) {
+  return write_config_inline(merge_config(compose_parse(base), compose_parse(over)));
+}
+
+TEST(Merge, MapsMergeListsAndScalarsReplace) {
+  EXPECT_EQ(merged("{a: 1, b: {c: 2, d: 3}}", "{b: {d: 4, e: 5}, f: 6}"), "{a: 1, b: {c: 2, d: 4, e: 5}, f: 6}");
+  EXPECT_EQ(merged("{a: [1, 2, 3]}", "{a: [4]}"), "{a: [4]}");
+  EXPECT_EQ(merged("{a: {b: 1}}", "{a: 2}"), "{a: 2}");
+  EXPECT_EQ(merged("{a: 2}", "{a: {b: 1}}"), "{a: {b: 1}}");
+  EXPECT_EQ(merged("{a: {b: 1}}", "{a: ~}"), "{a: null}");
+  EXPECT_EQ(merged("{a: {b: 1}}", "{a: {}}"), "{a: {b: 1}}");
+}
+
+TEST(Merge, ChangedTypeReplacesWhole) {
+  EXPECT_EQ(merged("{e: {type: hash_grid, levels: 8}}", "{e: {type: frequency}}"), "{e: {type: frequency}}");
+  EXPECT_EQ(merged("{e: {type: hash_grid, levels: 8}}", "{e: {type: hash_grid, features: 2}}"),
+            "{e: {type: hash_grid, levels: 8, features: 2}}");
+  EXPECT_EQ(merged("{e: {levels: 8}}", "{e: {type: hash_grid}}"), "{e: {levels: 8, type: hash_grid}}");
+  EXPECT_EQ(merged("{e: {type: {x: 1}}}", "{e: {type: {y: 1}}}"),
+            "{e: {type: {x: 1, y: 1}}}");  // a key called type, no type
+}
+
+TEST(Merge, LeavesItsArgumentsAlone) {
+  const ConfigNode base = compose_parse("{a: {b: 1}}"), over = compose_parse("{a: {b: 2}}");
+  merge_config(base, over);
+  EXPECT_EQ(write_config_inline(base), "{a: {b: 1}}");
+  EXPECT_EQ(write_config_inline(over), "{a: {b: 2}}");
+}
+
+TEST(Compose, IncludesThenLocalKeysThenOverrides) {
+  const TempDir folder;
+  folder.write("parts/base.yaml", "train: {steps: 10, rate: 0.1}\nscene: {root: data}\n");
+  folder.write("parts/more.yaml", "include: base.yaml\ntrain: {rate: 0.2}\n");
+  folder.write("parts/last.yaml", "train: {batch: 64}\nscene: {root: other}\n");
+  const std::string path =
+      folder.write("room.yaml", "include: [parts/more.yaml, parts/last.yaml]\ntrain: {batch: 32}\n");
+  const ConfigNode root = compose_config(path, {"train.steps=20", "runtime.seed=7"});
+  EXPECT_EQ(write_config_inline(root),
+            "{train: {steps: 20, rate: 0.2, batch: 32}, scene: {root: other}, runtime: {seed: 7}}");
+  EXPECT_EQ(root.find("train")->find("steps")->location().text(), "--set train.steps=20");
+  EXPECT_EQ(root.find("train")->find("rate")->location().text(), folder / "parts/more.yaml" + ":2:15");
+  EXPECT_EQ(root.find("train")->find("batch")->location().text(), path + ":2:16");
+}
+
+TEST(Compose, SameFileTwiceIsNoCycle) {
+  const TempDir folder;
+  folder.write("base.yaml", "a: 1\n");
+  folder.write("left.yaml", "include: base.yaml\nb: 1\n");
+  folder.write("right.yaml", "include: base.yaml\nc: 1\n");
+  EXPECT_EQ(write_config_inline(compose_config(folder.write("room.yaml", "include: [left.yaml, right.yaml]\n"))),
+            "{a: 1, b: 1, c: 1}");
+}
+
+// An include that is missing, odd or itself, through the program: tests/bad_files/config.cases.
+TEST(Compose, RefusesMissingAndCyclicIncludes) {
+  const TempDir folder;
+  const std::string old = folder.write("old.yaml", "include: parts/hash_room.yaml\n");
+  EXPECT_HAS(refusal([&] { compose_config(old); }), "'parts/hash_room.yaml'", "presets/room.yaml");
+  const std::string a = folder.write("a.yaml", "include: sub/b.yaml\n");
+  const std::string b = folder.write("sub/b.yaml", "x: 1\ninclude: ../a.yaml\n");
+  EXPECT_HAS(refusal([&] { compose_config(a); }), b + ":2:10: include: ", a + " -> " + b + " -> " + a);
+}
+
+TEST(Compose, ShippedPartsAreIncludedFromAnyFolder) {
+  const TempDir folder;
+  const std::string path = folder.write("room.yaml", "include: presets/room.yaml\ntrain: {rays: 7}\n");
+  const ConfigNode root = compose_config(path);
+  EXPECT_EQ(write_config(root.find("passes")->items().at(0)),
+            write_config(compose_config(shared_file("configs/presets/room.yaml")).find("passes")->items().at(0)));
+  EXPECT_EQ(root.find("train")->find("rays")->text(), "7");
+  // A file of one's own comes first.
+  folder.write("presets/room.yaml", "train: {steps: 3}\n");
+  EXPECT_EQ(write_config_inline(compose_config(path)), "{train: {steps: 3, rays: 7}}");
+}
+
+TEST(Compose, ConfigurationsAreFoundByName) {
+  const TempDir folder;
+  const fs::path before = fs::current_path();
+  fs::current_path(folder / "");  // nothing lies there
+  const std::string shipped = shared_file("configs/quickstart.yaml");
+  for (const char* name : {"quickstart", "quickstart.yaml", "configs/quickstart.yaml", "configs/quickstart"})
+    EXPECT_EQ(find_config(name), shipped) << name;
+  EXPECT_EQ(find_config("scenes/../paper"), shared_file("configs/paper.yaml"));
+  fs::current_path(before);
+  const std::string own = folder.write("quickstart.yaml", "{}");
+  EXPECT_EQ(find_config(folder / "quickstart"), own);
+  EXPECT_EQ(find_config(own), own);
+}
+
+TEST(Compose, AnUnknownConfigurationNamesBothPlacesAndTheNearest) {
+  const auto said = [](const std::string& name) { return error_of(ErrorKind::no_input, [&] { find_config(name); }); };
+  const std::string configs = shared_root() + "/configs/";
+  EXPECT_HAS(said("qickstart"), "'qickstart' and '" + configs + "qickstart'", "did you mean 'quickstart'?");
+  EXPECT_HAS(said("presets/rom.yaml"), "did you mean 'presets/room.yaml'?");
+  EXPECT_LACKS(said("xyz.yaml"), "did you mean");
+  const TempDir folder;
+  folder.write("my_room.yaml", "{}");
+  EXPECT_HAS(said(folder / "my_rom.yaml"), "did you mean '" + folder / "my_room.yaml" + "'?");
+}
+
+TEST(SharedFiles, TheEnvironmentNamesAnotherFolder) {
+  const TempDir folder;
+  const std::string part = folder.write("configs/presets/room.yaml", "train: {steps: 5}\n");
+  ::setenv("SEMFIELD_SHARE", (folder / "").c_str(), 1);
+  EXPECT_EQ(shared_file("configs/presets/room.yaml"), part);
+  EXPECT_EQ(find_config("presets/room"), part);
+  EXPECT_THROW(shared_file("scenes/room"), Error);
+  ::setenv("SEMFIELD_SHARE", (folder / "none").c_str(), 1);
+  EXPECT_EQ(refusal([] { shared_root(); }),
+            "environment variable SEMFIELD_SHARE: no folder '" + folder / "none" +
+                "'; set it to the folder that holds configs/ and scenes/, or leave it out");
+  ::unsetenv("SEMFIELD_SHARE");
+  EXPECT_TRUE(std::filesystem::exists(shared_file("scenes/room/room.obj")));
+}
+
+TEST(Compose, RefusesIncludesThatMultiply) {
+  const TempDir folder;
+  folder.write("f0.yaml", "a: 1\n");
+  for (int i = 1; i <= 20; ++i) {
+    const std::string below = "f" + std::to_string(i - 1) + ".yaml";
+    folder.write("f" + std::to_string(i) + ".yaml", "include: [" + below + ", " + below + "]\n");
+  }
+  const std::string message = refusal([&] { compose_config(folder / "f20.yaml"); });
+  EXPECT_TRUE(message.ends_with("include: more than 256 files or 32 levels")) << message;
+}
+
+class Overrides : public testing::Test {
+ protected:
+  const TempDir folder_;
+  const std::string path_ = folder_.write(
+      "room.yaml",
+      "train: {steps: 10}\npasses:\n  - {name: coarse, encoder: {type: hash_grid, levels: 8}}\n  - {name: fine}\n"
+      "empty:\nnone: []\n");
+  std::string set(const std::vector<std::string>& overrides) const {
+    return write_config_inline(compose_config(path_, overrides));
+  }
+  std::string refused(const std::string& text) const {
+    return refusal([&] { set({text}); });
+  }
+};
+
+TEST_F(Overrides, ValuesAreYaml) {
+  EXPECT_TRUE(set({"train.betas=[0.9, 0.99]"}).starts_with("{train: {steps: 10, betas: [0.9, 0.99]}"));
+  EXPECT_TRUE(set({"train={rate: 1e-3}"}).starts_with("{train: {steps: 10, rate: 1e-3}"));
+  EXPECT_TRUE(set({"train.note='a=b.c'"}).starts_with("{train: {steps: 10, note: \"a=b.c\"}"));
+  EXPECT_TRUE(set({"train.note=a=b.c"}).starts_with("{train: {steps: 10, note: a=b.c}"));
+  EXPECT_TRUE(set({"train.steps="}).starts_with("{train: {steps: null}"));
+  EXPECT_TRUE(set({"train.steps=1", "train.steps=2"}).starts_with("{train: {steps: 2}"));
+  EXPECT_TRUE(set({"a.b.c=1"}).ends_with("a: {b: {c: 1}}}"));
+  EXPECT_HAS(set({"empty.x=1"}), "empty: {x: 1}");
+}
+
+TEST_F(Overrides, ListItemsByIndex) {
+  EXPECT_HAS(set({"passes.0.encoder.levels=4"}), "{name: coarse, encoder: {type: hash_grid, levels: 4}}");
+  EXPECT_HAS(set({"passes.1.samples=3"}), "{name: fine, samples: 3}");
+}
+
+TEST_F(Overrides, ListItemsByName) {
+  for (const char* key : {"encoder.levels=4", "encoder.type=frequency", "encoder={type: frequency, frequencies: 4}"})
+    EXPECT_EQ(set({"passes.coarse." + std::string(key)}), set({"passes.0." + std::string(key)})) << key;
+  EXPECT_EQ(set({"passes.fine.samples=3"}), set({"passes.1.samples=3"}));
+  // A pass that an override names is called by its new name from there on.
+  EXPECT_EQ(set({"passes.fine.name=last", "passes.last.samples=3"}), set({"passes.1.samples=3", "passes.1.name=last"}));
+}
+
+// What messages call a pass that is given no name.
+TEST(Names, OfPassesWithoutOneAndOfBranches) {
+  const TempDir folder;
+  const std::string path = folder.write("room.yaml",
+                                        "passes:\n"
+                                        "  - {n: 1, semantic: [{labels: few, n: 1}, {labels: any, n: 1}]}\n"
+                                        "  - {name: a.b, n: 1}\n"
+                                        "  - {name: '2', n: 1}\n"
+                                        "  - {n: 1, losses: [{type: x, n: 1}]}\n");
+  const ConfigNode passes = *compose_config(path).find("passes");
+  // A name with a dot, and one that looks like an index, are no keys.
+  const char* keys[] = {"main", "1", "2", "pass3"};
+  for (std::size_t i = 0; i < 4; ++i) {
+    EXPECT_EQ(item_key(passes, i), keys[i]);
+    EXPECT_EQ(write_config(compose_config(path, {"passes." + std::string(keys[i]) + ".n=2"})),
+              write_config(compose_config(path, {"passes." + std::to_string(i) + ".n=2"})));
+  }
+  EXPECT_EQ(write_config(compose_config(path, {"passes.main.semantic.any.n=2"})),
+            write_config(compose_config(path, {"passes.0.semantic.1.n=2"})));
+  EXPECT_EQ(item_key(*passes.items()[3].find("losses"), 0), "0");
+}
+
+TEST_F(Overrides, ChangedTypeReplacesWhole) {
+  EXPECT_HAS(set({"passes.0.encoder.type=frequency"}), "encoder: {type: frequency}");
+  EXPECT_HAS(set({"passes.0.encoder.type=hash_grid"}), "encoder: {type: hash_grid, levels: 8}");
+  EXPECT_HAS(set({"passes.0.encoder={type: frequency, frequencies: 4}"}), "encoder: {type: frequency, frequencies: 4}");
+}
+
+TEST_F(Overrides, RefusesPathsThatLeadNowhere) {
+  const std::pair<const char*, std::string> cases[] = {
+      {"train.steps.x=1", "'train.steps' is '10' (" + path_ + ":1:16)"},
+      {"passes.2.name=x", "(coarse, fine) or its index (0 to 1), got '2'"},
+      {"passes.corse.name=x", "'corse'; did you mean 'coarse'?"},
+      {"passes.-1.name=x", "got '-1'"},
+      {"none.0=x", "it is empty, got '0'"},
+      {"train", "expected KEY=VALUE"},
+      {"train..x=1", "empty key in 'train..x'"},
+      {"train.=1", "empty key in 'train.'"},
+      {"include=x.yaml", "not by an override"},
+      {"a=*x", "aliases"}};
+  for (const auto& [words, said] : cases) EXPECT_HAS(refused(words), "--set " + std::string(words) + ": ", said);
+}
+
+TEST(Like, OwnKeysWinOverTheNamedPass) {
+  const TempDir folder;
+  const std::string path = folder.write("room.yaml",
+                                        "passes:\n"
+                                        "  - name: coarse\n    sampler: {type: stratified, samples: 64}\n    field: "
+                                        "{type: nerf_mlp, depth: 8, width: 256}\n"
+                                        "  - name: fine\n    like: coarse\n    sampler: {type: importance, "
+                                        "keep_previous: true}\n    field: {width: 128}\n"
+                                        "  - like: fine\n    name: finest\n");
+  EXPECT_EQ(
+      write_config_inline(*compose_config(path).find("passes")),
+      "[{name: coarse, sampler: {type: stratified, samples: 64}, field: {type: nerf_mlp, depth: 8, width: 256}}, "
+      "{name: fine, sampler: {type: importance, keep_previous: true}, field: {type: nerf_mlp, depth: 8, width: 128}}, "
+      "{name: finest, sampler: {type: importance, keep_previous: true}, field: {type: nerf_mlp, depth: 8, width: "
+      "128}}]");
+  // An override of the named pass reaches those that are like it.
+  EXPECT_HAS(write_config_inline(compose_config(path, {"passes.0.field.depth=4"})),
+             "finest, sampler: {type: importance, keep_previous: true}, field: {type: nerf_mlp, depth: 4, "
+             "width: 128}");
+}
+
+TEST(Like, RefusesUnknownNames) {
+  const TempDir folder;
+  const auto refused_of = [&](const std::string& passes) {
+    const std::string file = folder.write("a.yaml", "passes:\n" + passes);
+    return refusal([&] { compose_config(file); });
+  };
+  EXPECT_HAS(refused_of("  - name: coarse\n  - {name: fine, like: corse}\n"), "a.yaml:3:24: like: ", "'corse'",
+             "did you mean 'coarse'?");
+  EXPECT_HAS(refused_of("  - {name: fine, like: coarse}\n  - name: coarse\n"), "a.yaml:2:24: like: ", "first one");
+  EXPECT_HAS(refused_of("  - {name: fine, like: fine}\n"), "a.yaml:2:24: like: ", "first one");
+  EXPECT_HAS(refused_of("  - {name: fine, like: [x]}\n"), "a.yaml:2:24: like: ", "a list");
+}
+
+TEST(ResolvePath, RelativeToTheFileThatWroteIt) {
+  const TempDir folder;
+  folder.write("parts/base.yaml", "scene: {root: ../data/./room, out: /tmp/x/../y}\n");
+  const ConfigNode root = compose_config(folder.write("room.yaml", "include: parts/base.yaml\n"), {"mesh=../m.obj"});
+  EXPECT_EQ(resolve_path(*root.find("scene")->find("root")), folder / "data/room");
+  EXPECT_EQ(resolve_path(*root.find("scene")->find("out")), "/tmp/y");
+  EXPECT_EQ(resolve_path(*root.find("mesh")),
+            (std::filesystem::current_path() / "../m.obj").lexically_normal().string());
+  const ConfigNode here = parse_config_text("root: data", "configs/room.yaml");
+  EXPECT_EQ(resolve_path(*here.find("root")), (std::filesystem::current_path() / "configs/data").string());
+}
+
+// Parameters read from the tree: every mistake refused, with its exact sentence; written back exactly; described.
+
+struct Sample {
+  int levels = 16;
+  std::int64_t seed = 1;
+  std::uint8_t small = 3;
+  double growth = 1.5;
+  float rate = 0.25f;
+  bool dense = false;
+  std::string root = "data/room";
+  Interp interpolation = Interp::linear;
+  std::vector<std::int64_t> skips{4};
+  std::vector<double> betas{0.9, 0.999};
+  std::vector<std::string> files;
+};
+
+void describe(ParamVisitor& visit, Sample& p) {
+  SEMFIELD_PARAM(visit, p, levels, "L, number of resolutions", {1, 32});
+  SEMFIELD_PARAM(visit, p, seed, "Seed of all randomness", {0});
+  SEMFIELD_PARAM(visit, p, small, "A byte");
+  SEMFIELD_PARAM(visit, p, growth, "b, growth of the resolution", {1, 2.5});
+  SEMFIELD_PARAM(visit, p, rate, "Learning rate");
+  SEMFIELD_PARAM(visit, p, dense, "Dense or hashed");
+  SEMFIELD_PARAM(visit, p, root, "Folder");
+  SEMFIELD_PARAM(visit, p, interpolation, "Weights between corners");
+  SEMFIELD_PARAM(visit, p, skips, "Layers that see the input again", {0, 8});
+  SEMFIELD_PARAM(visit, p, betas, "Decay of the moments", {0, 1});
+  SEMFIELD_PARAM(visit, p, files, "Plugin files");
+}
+
+Describe describer(Sample& p) {
+  return [&p](ParamVisitor& visit) { describe(visit, p); };
+}
+
+/// All errors of reading `yaml` (a map) at path "encoder", one per line.
+std::string errors_of(const std::string& yaml, Sample* out = nullptr) {
+  Sample sample;
+  Diagnostics diagnostics;
+  read_params(parse_config_text(yaml, "room.yaml"), "encoder", describer(sample), diagnostics, {"type"});
+  if (out != nullptr) *out = sample;
+  std::string text;
+  for (const Diagnostic& finding : diagnostics.all()) text += (text.empty() ? "" : "\n") + finding.text();
+  return text;
+}
+
+TEST(ParamsRead, TakesEveryType) {
+  Sample p;
+  EXPECT_EQ(errors_of("type: x\nlevels: 8\nseed: 9223372036854775807\nsmall: 255\ngrowth: 2\nrate: 1e-3\ndense: true\n"
+                      "root: 10%\ninterpolation: smoothstep\nskips: [0, +8]\nbetas: [.5, 1.]\nfiles: [a, 'b c', 3]\n",
+                      &p),
+            "");
+  EXPECT_EQ(p.levels, 8);
+  EXPECT_EQ(p.seed, std::numeric_limits<std::int64_t>::max());
+  EXPECT_EQ(p.small, 255);
+  EXPECT_EQ(p.growth, 2.0);
+  EXPECT_EQ(p.rate, 1e-3f);
+  EXPECT_TRUE(p.dense);
+  EXPECT_EQ(p.root, "10%");
+  EXPECT_EQ(p.interpolation, Interp::smoothstep);
+  EXPECT_EQ(p.skips, (std::vector<std::int64_t>{0, 8}));
+  EXPECT_EQ(p.betas, (std::vector<double>{0.5, 1.0}));
+  EXPECT_EQ(p.files, (std::vector<std::string>{"a", "b c", "3"}));
+}
+
+TEST(ParamsRead, MissingKeysKeepDefaults) {
+  Sample p;
+  EXPECT_EQ(errors_of("", &p), "");
+  EXPECT_EQ(p.levels, 16);
+  EXPECT_EQ(p.betas.size(), 2u);
+  Diagnostics diagnostics;
+  const ConfigNode parent = parse_config_text("train:\n", "room.yaml");  // every line of the section commented out
+  read_params(*parent.find("train"), "train", describer(p), diagnostics);
+  EXPECT_FALSE(diagnostics.has_errors());
+}
+
+TEST(ParamsRead, IntegersAreStrict) {
+  for (const std::string word :
+       {"big", "010", "8.0", "1e1", "0x10", "1_000", "true", "'8'", "~", "[8]", "{a: 8}", "+", "+-8"})
+    EXPECT_HAS(errors_of("levels: " + word), "room.yaml:1:9: encoder.levels: expected int, got ");
+  EXPECT_HAS(errors_of("levels:"), "room.yaml:1:8: encoder.levels: expected int, got nothing");
+  EXPECT_HAS(errors_of("seed: 9223372036854775808"), "room.yaml:1:7: encoder.seed: ", "64 bits");
+}
+
+TEST(ParamsRead, RangesAreNamed) {
+  const std::pair<const char*, const char*> cases[] = {{"levels: 99", "levels: expected int in [1, 32], got 99"},
+                                                       {"levels: 0", "levels: expected int in [1, 32], got 0"},
+                                                       {"seed: -1", "seed: expected int >= 0, got -1"},
+                                                       {"small: 256", "small: expected int in [0, 255], got 256"},
+                                                       {"growth: 3", "growth: expected number in [1, 2.5], got 3"},
+                                                       {"rate: 1e39", "rate: expected number in [-3.4028234"},
+                                                       {"skips: [1, 9]", "skips.1: expected int in [0, 8], got 9"}};
+  for (const auto& [yaml, said] : cases) EXPECT_HAS(errors_of(yaml), std::string("encoder.") + said);
+}
+
+TEST(ParamsRead, NumbersAreStrict) {
+  const std::pair<const char*, std::vector<std::string>> cases[] = {
+      {"finite", {".nan", ".NaN", ".inf", "-.inf", "nan", "inf"}},
+      {"range of a double", {"1e400", "-1e400", "1e-400"}},
+      {"leading zeros", {"010", "00.5", "-01"}},
+      {"expected number", {"big", "1e", "1e+", ".", "-x", "1.2.3", "1,5", "0x1p3", "1f", "1 2", "e5", "infinity"}}};
+  for (const auto& [why, words] : cases) {
+    for (const std::string& word : words)
+      EXPECT_HAS(errors_of("rate: " + word), "room.yaml:1:7: encoder.rate: expected number, got '" + word + "'", why);
+  }
+  Sample p;
+  EXPECT_EQ(errors_of("growth: 1.5e0\nrate: -0.5", &p), "");
+  EXPECT_EQ(p.growth, 1.5);
+  EXPECT_EQ(p.rate, -0.5f);
+}
+
+TEST(ParamsRead, BoolsAreTrueOrFalse) {
+  for (const std::string word : {"no", "yes", "on", "True", "FALSE", "1", "y", "'true'"})
+    EXPECT_HAS(errors_of("dense: " + word), "room.yaml:1:8: encoder.dense: expected bool, got ", "true or false");
+}
+
+TEST(ParamsRead, ChoicesListsTexts) {
+  const std::pair<const char*, const char*> cases[] = {
+      {"interpolation: smothstep", "1:16: encoder.interpolation: expected one of linear, smoothstep, got 'smothstep'"},
+      {"interpolation: 1", "1:16: encoder.interpolation: expected one of"},
+      {"skips: 5", "1:8: encoder.skips: expected list of int, got '5'; write [5]"},
+      {"betas: {a: 1}", "1:8: encoder.betas: expected list of number, got a map"},
+      {"files: [[a]]", "1:9: encoder.files.0: expected text, got a list"},
+      {"root: ~", "1:7: encoder.root: expected text, got nothing"}};
+  for (const auto& [yaml, said] : cases) EXPECT_HAS(errors_of(yaml), std::string("room.yaml:") + said);
+  Sample p;
+  EXPECT_HAS(errors_of("betas: [0.5, x, 0.7, y]", &p), "1:14: encoder.betas.1: ", "1:22: encoder.betas.3: ");
+  EXPECT_EQ(p.betas, (std::vector<double>{0.9, 0.999}));  // not half a list
+}
+
+TEST(ParamsRead, UnknownKeysAndAllErrorsAtOnce) {
+  EXPECT_HAS(errors_of("encoder_levels_of_all: 1"), "room.yaml:1:1: encoder: unknown key 'encoder_levels_of_all'",
+             "levels, seed, small, growth, rate, dense, root, interpolation, skips, betas, files, type");
+  EXPECT_HAS(errors_of("n_level: 8\nlevels: big\ndense: no\n"), "room.yaml:2:9: ", "room.yaml:3:8: ",
+             "room.yaml:1:1: encoder: unknown key 'n_level'; did you mean 'levels'?");
+  Diagnostics diagnostics;
+  Sample p;
+  read_params(
+      parse_config_text("x: 1", "room.yaml"), "", [](ParamVisitor&) {}, diagnostics);
+  read_params(parse_config_text("[1]", "room.yaml"), "train", describer(p), diagnostics);
+  ASSERT_EQ(diagnostics.error_count(), 2);
+  EXPECT_HAS(diagnostics.all()[0].text(), "room.yaml:1:1: unknown key 'x'; there are no keys here");
+  EXPECT_HAS(diagnostics.all()[1].text(), "room.yaml:1:1: train: expected a map, got a list");
+}
+
+TEST(ParamsRead, ReadTextOfFreeKeys) {
+  Diagnostics diagnostics;
+  const ConfigNode root = parse_config_text("name: coarse\nbad: [1]\n", "room.yaml");
+  EXPECT_EQ(read_text(root, "passes.0", "name", "x", diagnostics), "coarse");
+  EXPECT_EQ(read_text(root, "passes.0", "none", "x", diagnostics), "x");
+  EXPECT_FALSE(diagnostics.has_errors());
+  EXPECT_EQ(read_text(root, "passes.0", "bad", "x", diagnostics), "x");
+  EXPECT_EQ(diagnostics.all()[0].text(), "room.yaml:2:6: passes.0.bad: expected text, got a list");
+}
+
+TEST(ParamsWrite, ResolvedTreeReadsBackTheSame) {
+  Sample p;
+  p.growth = 0.1 + 0.2 + 1.0;
+  p.rate = 1e-5f;
+  p.seed = std::numeric_limits<std::int64_t>::max();
+  p.root = "010";
+  p.interpolation = Interp::smoothstep;
+  p.betas = {5e-324, 0.1, 1.0};
+  p.files = {"true", "a: b", "größe", ""};
+  const std::string yaml = write_config(params_to_config(describer(p)));
+  Sample q;
+  EXPECT_EQ(errors_of(yaml, &q), "") << yaml;
+  EXPECT_HAS(yaml, "root: \"010\"\n");  // other YAML readers must see a text, too
+  EXPECT_HAS(yaml, "files: [\"true\", \"a: b\", ");
+  EXPECT_EQ(write_config(params_to_config(describer(q))), yaml);
+  EXPECT_EQ(q.growth, p.growth);
+  EXPECT_EQ(q.rate, p.rate);
+  EXPECT_EQ(q.seed, p.seed);
+  EXPECT_EQ(q.betas, p.betas);
+  EXPECT_EQ(q.files, p.files);
+  EXPECT_EQ(q.root, p.root);
+  EXPECT_EQ(
+      write_config(params_to_config(describer(*std::make_unique<Sample>()))),
+      "levels: 16\nseed: 1\nsmall: 3\ngrowth: 1.5\nrate: 0.25\ndense: false\nroot: data/room\ninterpolation: linear\n"
+      "skips: [4]\nbetas: [0.9, 0.999]\nfiles: []\n");
+}
+
+TEST(ParamsWrite, DoublesAreShortestAndExact) {
+  EXPECT_EQ(shortest_number(0.1), "0.1");
+  EXPECT_EQ(shortest_number(64), "64.0");
+  EXPECT_EQ(shortest_number(1e-5), "1.0e-05");
+  EXPECT_EQ(shortest_number(-2e300), "-2.0e+300");
+  EXPECT_EQ(shortest_number(-0.0), "-0.0");
+  std::uint64_t state = 88172645463325252ull;
+  for (int i = 0; i < 2000; ++i) {  // bit patterns from xorshift: all magnitudes
+    state ^= state << 13, state ^= state >> 7, state ^= state << 17;
+    double value = 0;
+    static_assert(sizeof value == sizeof state);
+    std::memcpy(&value, &state, sizeof value);
+    if (!std::isfinite(value)) continue;
+    // What YAML 1.1, which most readers speak, takes for a number and not for a text.
+    static const std::regex number_of_yaml_1_1("[-+]?[0-9]+\\.[0-9]*([eE][-+][0-9]+)?");
+    ASSERT_TRUE(std::regex_match(shortest_number(value), number_of_yaml_1_1)) << shortest_number(value);
+    struct One {
+      double x = 0;
+    } one{value}, again;
+    const auto of = [](One& o) { return [&o](ParamVisitor& visit) { SEMFIELD_PARAM(visit, o, x, "x"); }; };
+    Diagnostics diagnostics;
+    read_params(parse_config_text(write_config(params_to_config(of(one))), "t"), "", of(again), diagnostics);
+    ASSERT_FALSE(diagnostics.has_errors()) << diagnostics.all()[0].text();
+    ASSERT_EQ(std::memcmp(&again.x, &value, sizeof value), 0) << shortest_number(value);
+  }
+}
+
+TEST(ParamsDescribe, OneRowAParameter) {
+  Sample p;
+  const std::vector<ParamDoc> docs = describe_params(describer(p));
+  ASSERT_EQ(docs.size(), 11u);
+  EXPECT_EQ(docs[0].name, "levels");
+  EXPECT_EQ(docs[0].type, "int");
+  EXPECT_EQ(docs[0].default_value, "16");
+  EXPECT_EQ(docs[0].range, "[1, 32]");
+  EXPECT_EQ(docs[0].help, "L, number of resolutions");
+  EXPECT_EQ(docs[1].range, ">= 0");
+  EXPECT_EQ(docs[2].range, "[0, 255]");
+  EXPECT_EQ(docs[3].range, "[1, 2.5]");
+  EXPECT_EQ(docs[4].range, "");  // the limits of float are no news
+  EXPECT_EQ(docs[6].default_value, "data/room");
+  EXPECT_EQ(docs[7].type, "choice");
+  EXPECT_EQ(docs[7].choices, (std::vector<std::string>{"linear", "smoothstep"}));
+  EXPECT_EQ(docs[9].type, "list of number");
+  EXPECT_EQ(docs[9].default_value, "[0.9, 0.999]");
+  EXPECT_EQ(docs[10].default_value, "[]");
+}
+
+// What is shown of parameters: the JSON schema, and explanations of a key.
+
+// The JSON schema says what the readers take: checked by a small validator on values that must and must not pass.
+
+using nlohmann::json;
+
+struct GridParams {
+  int levels = 16;
+  Interp mode = Interp::smoothstep;
+  double growth = 1.5;
+  std::vector<double> betas{0.9};
+};
+void schema_describe(ParamVisitor& visit, GridParams& p) {
+  SEMFIELD_PARAM(visit, p, levels, "L, number of resolutions", {1, 32});
+  SEMFIELD_PARAM(visit, p, mode, "Weights");
+  SEMFIELD_PARAM(visit, p, growth, "b", {1});
+  SEMFIELD_PARAM(visit, p, betas, "Decay", {0, 1});
+}
+struct RootParams {
+  std::string root = "010";
+  bool dense = true;
+  std::vector<std::string> files;
+};
+void schema_describe(ParamVisitor& visit, RootParams& p) {
+  SEMFIELD_PARAM(visit, p, root, "Folder");
+  SEMFIELD_PARAM(visit, p, dense, "Dense");
+  SEMFIELD_PARAM(visit, p, files, "Files");
+}
+
+template <class Params>
+std::vector<ParamDoc> docs_of() {
+  Params params;
+  return describe_params([&](ParamVisitor& visit) { schema_describe(visit, params); });
+}
+
+json schema() {
+  return json::parse(
+      json_schema_of("test",
+                     {{"train", "how long", docs_of<RootParams>()},
+                      {"train.grid", "", docs_of<GridParams>()},
+                      {"scene.labels", "", docs_of<RootParams>()}},
+                     {{"scene",
+                       "the dataset",
+                       {{"replica", "Rendered rooms", docs_of<RootParams>()}, {"grid", "", docs_of<GridParams>()}}},
+                      {"passes[].encoder", "", {{"hash_grid", "", docs_of<GridParams>()}}},
+                      {"passes[].branch[?].encoder", "", {{"hash_grid", "", docs_of<GridParams>()}}}}));
+}
+
+bool has_type(const json& value, const std::string& type) {
+  if (type == "integer") return value.is_number_integer();
+  if (type == "number") return value.is_number();
+  if (type == "null") return value.is_null();
+  if (type == "string") return value.is_string();
+  if (type == "boolean") return value.is_boolean();
+  if (type == "array") return value.is_array();
+  return type == "object" && value.is_object();
+}
+
+/// The words of draft 7 that the schema uses.
+bool valid(const json& value, const json& rule) {
+  for (const auto& [word, what] : rule.items()) {
+    if (word == "type") {
+      bool any = false;
+      for (const json& type : what.is_array() ? what : json::array({what})) any = any || has_type(value, type);
+      if (!any) return false;
+    } else if (word == "minimum" || word == "maximum") {
+      if (value.is_number() && (word == "minimum" ? value < what : value > what)) return false;
+    } else if (word == "enum") {
+      if (std::find(what.begin(), what.end(), value) == what.end()) return false;
+    } else if (word == "const") {
+      if (value != what) return false;
+    } else if (word == "items") {
+      for (const json& item : value) {
+        if (value.is_array() && !valid(item, what)) return false;
+      }
+    } else if (word == "properties") {
+      for (const auto& [key, child] : what.items()) {
+        if (value.is_object() && value.contains(key) && !valid(value[key], child)) return false;
+      }
+    } else if (word == "additionalProperties") {
+      EXPECT_EQ(what, false);
+      if (!value.is_object()) continue;
+      for (const auto& [key, child] : value.items()) {
+        if (!rule["properties"].contains(key)) return false;
+      }
+    } else if (word == "required") {
+      for (const json& key : what) {
+        if (value.is_object() && !value.contains(key)) return false;
+      }
+    } else if (word == "oneOf") {
+      int matches = 0;
+      for (const json& one : what) matches += valid(value, one) ? 1 : 0;
+      if (matches != 1) return false;
+    } else if (word != "$schema" && word != "title" && word != "description" && word != "default") {
+      ADD_FAILURE() << "a word the test does not know: " << word;
+    }
+  }
+  return true;
+}
+
+TEST(Schema, TakesWhatTheReadersTake) {
+  const json rule = schema();
+  for (const char* text :
+       {R"({})", R"({"include": "a.yaml"})", R"({"include": ["a.yaml", "b.yaml"]})",
+        R"({"train": {"root": "x", "dense": false, "files": ["a"], "grid": {"levels": 32, "growth": 1.0}}})",
+        R"({"train": null})", R"({"train": {"root": 10}})",
+        R"({"train": {"grid": {"mode": "linear", "betas": [0, 1]}}})",
+        R"({"scene": {"type": "replica", "root": "x", "labels": {"root": "y"}}})",
+        R"({"scene": {"type": "grid", "levels": 2, "labels": {}}})", R"({"scene": {"root": "x", "levels": 3}})",
+        R"({"passes": [{"encoder": {"type": "hash_grid", "levels": 4}}, {}]})",
+        R"({"passes": [{"branch": {"encoder": {"type": "hash_grid", "levels": 4}}}, {"branch": null}]})",
+        R"({"passes": [{"branch": [{"encoder": {"type": "hash_grid", "levels": 4}}, {}]}]})"}) {
+    EXPECT_TRUE(valid(json::parse(text), rule)) << text;
+  }
+}
+
+TEST(Schema, RefusesWhatTheReadersRefuse) {
+  const json rule = schema();
+  for (const char* text : {R"([])",
+                           R"({"trian": {}})",
+                           R"({"include": 3})",
+                           R"({"train": {"rooot": "x"}})",
+                           R"({"train": {"dense": "no"}})",
+                           R"({"train": {"files": "a"}})",
+                           R"({"train": {"grid": {"levels": 33}}})",
+                           R"({"train": {"grid": {"levels": 0}}})",
+                           R"({"train": {"grid": {"levels": 1.5}}})",
+                           R"({"train": {"grid": {"growth": 0.5}}})",
+                           R"({"train": {"grid": {"mode": "cubic"}}})",
+                           R"({"train": {"grid": {"betas": [2]}}})",
+                           R"({"train": {"grid": {"betas": 0.5}}})",
+                           R"({"scene": {"type": "replika"}})",
+                           R"({"scene": {"type": "replica", "levels": 2}})",
+                           R"({"scene": {"type": "grid", "labels": {"x": 1}}})",
+                           R"({"scene": {"nothing": 1}})",
+                           R"({"passes": {}})",
+                           R"({"passes": [{"encoder": {"type": "hash_grid", "n": 4}}]})",
+                           R"({"passes": [{"branch": [{"encodr": {}}]}]})",
+                           R"({"passes": [{"branch": {"encoder": {"type": "hash_grid", "n": 4}}}]})",
+                           R"({"passes": [{"encodr": {}}]})"}) {
+    EXPECT_FALSE(valid(json::parse(text), rule)) << text;
+  }
+}
+
+TEST(Schema, RefusesDescriptionsThatMakeNoSense) {
+  ParamDoc odd{.name = "files", .type = "texts"};
+  const auto made_of = [](const std::vector<SchemaSection>& sections) {
+    try {
+      json_schema_of("test", sections);
+    } catch (const Error& error) {
+      return error.kind() == ErrorKind::internal ? "internal" : "another kind";
+    }
+    return "nothing was thrown";
+  };
+  EXPECT_STREQ(made_of({{"train", "", {odd}}}), "internal");
+  EXPECT_STREQ(made_of({{"train", "", {}}, {"train", "", {}}}), "internal");
+  EXPECT_STREQ(made_of({{"passes[]", "", {}}, {"passes.x", "", {}}}), "internal");
+  odd.type = "list of text";
+  EXPECT_STREQ(made_of({{"train", "", {odd}}}), "nothing was thrown");
+}
+
+TEST(Schema, CarriesSentencesAndDefaults) {
+  const json rule = schema();
+  const json& train = rule["properties"]["train"];
+  EXPECT_EQ(rule["title"], "test");
+  EXPECT_EQ(train["description"], "how long");
+  EXPECT_EQ(train["properties"]["root"]["default"], "010");
+  EXPECT_EQ(train["properties"]["dense"]["default"], true);
+  EXPECT_EQ(train["properties"]["files"]["default"], json::array());
+  const json& grid = train["properties"]["grid"]["properties"];
+  EXPECT_EQ(
+      grid["levels"],
+      json::parse(
+          R"({"type": "integer", "minimum": 1, "maximum": 32, "description": "L, number of resolutions", "default": 16})"));
+  EXPECT_EQ(grid["growth"], json::parse(R"({"type": "number", "minimum": 1, "description": "b", "default": 1.5})"));
+  EXPECT_EQ(grid["mode"]["default"], "smoothstep");
+  EXPECT_EQ(grid["betas"]["default"], json::parse("[0.9]"));
+  EXPECT_EQ(rule["properties"]["scene"]["oneOf"][0]["description"], "Rendered rooms");
+}
+
+// Explaining where values come from, and what differs between two configs.
+
+std::string diff(const std::string& a, const std::string& b) {
+  return diff_config(parse_config_text(a, "a.yaml"), parse_config_text(b, "b.yaml"));
+}
+
+TEST(Explain, EveryValueWithItsOrigin) {
+  const TempDir folder;
+  const std::string base = folder.write("base.yaml", "train:\n  steps: 10\n  betas: [0.9, 0.999]\nlabels: {}\n");
+  const std::string room =
+      folder.write("room.yaml", "include: base.yaml\ntrain:\n  rate: 0.1\npasses:\n  - name: größe\n");
+  const std::string text = explain_config(compose_config(room, {"train.steps=20", "train.betas.1=0.99"}));
+  EXPECT_EQ(text,
+            "train:\n"
+            "  steps: 20           # --set train.steps=20\n"
+            "  betas: [0.9, 0.99]  # " +
+                base +
+                ":3:10, --set train.betas.1=0.99\n"
+                "  rate: 0.1           # " +
+                room +
+                ":3:9\n"
+                "labels: {}            # " +
+                base +
+                ":4:9\n"
+                "passes:\n"
+                "  - name: \"größe\"     # " +
+                room + ":5:11\n");
+  EXPECT_TRUE(
+      equal_config(parse_config_text(text, "again"), compose_config(room, {"train.steps=20", "train.betas.1=0.99"})));
+}
+
+TEST(Explain, DefaultsAndOddOrigins) {
+  const ConfigNode tree = ConfigNode::make_map({{"a", ConfigNode::make_scalar("1", false, {})},
+                                                {"b", parse_config_value("'x\n\n  y'", "--set b='x\n\n  y'")},
+                                                {"long", ConfigNode::make_scalar(std::string(90, 'x'), false, {})}},
+                                               {});
+  const std::string text = explain_config(tree);
+  EXPECT_EQ(text,
+            "a: 1       # default\nb: \"x\\ny\"  # --set b='x    y'\nlong: " + std::string(90, 'x') + "  # default\n");
+  EXPECT_TRUE(equal_config(parse_config_text(text, "again"), tree));
+}
+
+TEST(Explain, DefaultsBesideWhatWasWritten) {
+  const ConfigNode written =
+      parse_config_text("train: {rate: 1e-3}\npasses:\n  - name: x\nreport:\nextra: 1\n", "a.yaml");
+  const ConfigNode resolved =
+      parse_config_value("{train: {steps: 10, rate: 0.001}, passes: [{name: x, n: 2}], report: {strips: 4}}", "");
+  EXPECT_EQ(explain_config(with_origins(resolved, written)),
+            "train:\n"
+            "  steps: 10   # default\n"
+            "  rate: 1e-3  # a.yaml:1:15\n"
+            "passes:\n"
+            "  - name: x   # a.yaml:3:11\n"
+            "    n: 2      # default\n"
+            "report:\n"
+            "  strips: 4   # default\n"
+            "extra: 1      # a.yaml:5:8\n");
+}
+
+TEST(Diff, NothingDiffers) {
+  EXPECT_EQ(diff("a: 1\nb: {c: word}\n", "# moved\nb:\n  c: 'word'\na: 1\n"), "");
+  EXPECT_EQ(diff("", ""), "");
+  EXPECT_EQ(diff("a: []\nb: {}", "b: {}\na: []"), "");
+}
+
+TEST(Diff, OnlyDifferencesByPath) {
+  EXPECT_EQ(
+      diff("train: {steps: 10, rate: 0.1, betas: [0.9, 0.99]}", "train: {steps: 20, rate: 0.1, betas: [0.9, 0.999]}"),
+      "train.steps: 10 -> 20\ntrain.betas: [0.9, 0.99] -> [0.9, 0.999]\n");
+  EXPECT_EQ(diff("a: 1", "a: '1'"), "a: 1 -> \"1\"\n");
+  EXPECT_EQ(diff("a: 0.1", "a: 0.10"), "a: 0.1 -> 0.10\n");
+  EXPECT_EQ(diff("passes: [{name: x, n: 1}]", "passes: [{name: x, n: 2}]"), "passes.x.n: 1 -> 2\n");
+  // An index where the names differ: both sides take it.
+  EXPECT_EQ(diff("passes: [{name: x, n: 1}]", "passes: [{name: y, n: 2}]"),
+            "passes.0.name: x -> y\npasses.0.n: 1 -> 2\n");
+}
+
+TEST(Diff, WhatOneSideLacks) {
+  EXPECT_EQ(diff("a: 1\nb: {c: 2, d: {e: 3}}\n", "a: 1\nf: [1]\n"),
+            "b.c: 2 -> (absent)\nb.d.e: 3 -> (absent)\nf: (absent) -> [1]\n");
+  EXPECT_EQ(diff("passes: [{n: 1}]", "passes: [{n: 1}, {n: 2, m: {}}]"),
+            "passes.1.n: (absent) -> 2\npasses.1.m: (absent) -> {}\n");
+  EXPECT_EQ(diff("passes: [{n: 1}, x]", "passes: []"), "passes.0.n: 1 -> (absent)\npasses.1: x -> (absent)\n");
+  EXPECT_EQ(diff("a: {b: 1}", "a: 2"), "a: {b: 1} -> 2\n");
+  EXPECT_EQ(diff("a: {b: 1}", "a: {}"), "a.b: 1 -> (absent)\n");
+  EXPECT_EQ(diff("[1]", "[2]"), "(top): [1] -> [2]\n");
+}
+
+}  // namespace
+}  // namespace semfield

@@ -1,0 +1,645 @@
+// Broken scenes and the exact sentences that they get: place, cause, remedy.
+
+#include <gtest/gtest.h>
+
+#include <cstring>
+
+#include "app/scene/capture_replica.h"
+#include "app/scene/folder_scene.h"
+#include "app/scene/inspect_report.h"
+#include "app/scene/posed_scene.h"
+#include "datasets/colmap/colmap.h"
+#include "datasets/llff/llff.h"
+#include "datasets/packed/packed.h"
+#include "datasets/record3d/record3d.h"
+#include "datasets/replica/replica.h"
+#include "datasets/transforms_json/transforms_json.h"
+#include "formats/png_codec.h"
+#include "loading/frame_source.h"
+#include "scene/scene.h"
+#include "system/files.h"
+#include "tests/datasets/rewritten_poses.h"
+#include "tests/scene/tiny_scene.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_room;
+
+// Alpha of transparent images: offered, read where it is wanted, scaled with the colours, packed, and refused where it
+// is none.
+
+constexpr std::int32_t kSide = 4;
+
+// Frame a: red, alpha 16 times the pixel's number; frame b: the same without alpha.
+std::string two_images(const std::string& name) {
+  const std::string folder = fresh_folder(name);
+  std::vector<std::uint8_t> with, without;
+  for (std::uint8_t i = 0; i < kSide * kSide; ++i) {
+    with.insert(with.end(), {200, 0, 0, static_cast<std::uint8_t>(16 * i)});
+    without.insert(without.end(), {200, 0, 0});
+  }
+  const auto write = [&](const char* file, int color_type, const std::vector<std::uint8_t>& rows) {
+    const std::vector<std::uint8_t> png = encode_png(kSide, kSide, color_type, 8, rows);
+    write_file_atomic(folder + file, std::as_bytes(std::span(png)));
+  };
+  write("/a.png", 6, with);
+  write("/b.png", 2, without);
+  const std::string pose = R"("transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]])";
+  write_file_atomic(folder + "/transforms.json", R"({"fl_x": 4, "frames": [{"file_path": "a.png", )" + pose +
+                                                     R"(}, {"file_path": "b.png", )" + pose + "}]}");
+  return folder;
+}
+
+SceneLoadOptions load(double downscale, bool wanted) {
+  SceneLoadOptions options{.downscale = downscale, .near_m = 1, .far_m = 2, .bounds = {-1, -1, -1, 1, 1, 1}};
+  options.check_geometry = false;
+  if (wanted) options.channels = {std::string(kAlphaChannel)};
+  return options;
+}
+
+TEST(Alpha, IsReadWhereItIsWantedAndScaledWithTheColours) {
+  TransformsJson scene({.root = two_images("s"), .test_every = 0}, {});
+  Diagnostics d;
+  const LoadedScene plain = load_scene(scene, load(1, false), d), whole = load_scene(scene, load(1, true), d),
+                    half = load_scene(scene, load(2, true), d);
+  EXPECT_FALSE(d.has_errors());
+  ASSERT_EQ(plain.frames.size(), 2U);
+  EXPECT_TRUE(plain.frames[0].alpha.empty());
+  ASSERT_EQ(whole.frames[0].alpha.size(), 16U);
+  for (std::size_t i = 0; i < 16; ++i) EXPECT_EQ(whole.frames[0].alpha[i], 16 * i);
+  EXPECT_TRUE(whole.frames[0].channels.empty()) << "kept in bytes alone";
+  EXPECT_EQ(whole.frames[0].bytes(), plain.frames[0].bytes() + 16);
+  EXPECT_EQ(half.frames[0].alpha, (std::vector<std::uint8_t>{40, 72, 168, 200})) << "means of four";
+  EXPECT_TRUE(whole.frames[1].alpha.empty()) << "an image without";
+}
+
+TEST(Alpha, IsNotOfferedWhereItIsDropped) {
+  TransformsJson scene({.root = two_images("s"), .test_every = 0, .alpha_background = -1}, {});
+  Diagnostics d;
+  EXPECT_TRUE(scene.open(d).frames.at(0).channels.empty());
+}
+
+TEST(Alpha, APackedSceneHasIt) {
+  const std::string folder = two_images("s");
+  TransformsJson scene({.root = folder, .test_every = 0}, {});
+  Diagnostics d;
+  (void)pack_scene(scene, folder + "/packed", load(2, false), {}, d);
+  Packed packed(PackedParams{"packed"}, DatasetBuild{folder});
+  const LoadedScene a = load_scene(scene, load(2, true), d), b = load_scene(packed, load(1, true), d);
+  EXPECT_FALSE(d.has_errors());
+  EXPECT_EQ(a.frames[0].alpha, b.frames[0].alpha);
+  EXPECT_FALSE(b.frames[0].alpha.empty());
+  EXPECT_TRUE(b.frames[1].alpha.empty());
+  EXPECT_TRUE(load_scene(packed, load(1, false), d).frames[0].alpha.empty());
+  EXPECT_EQ(read_text_file(folder + "/packed").at(8), 2) << "a build that knows no alpha says so by the version";
+}
+
+TEST(Alpha, IsAShareOfEachPixelOfTheImage) {
+  FrameChannelInfo told{std::string(kAlphaChannel), kSide, kSide, 1};
+  std::vector<float> values(kSide * kSide, 0.5F);
+  const auto refusal = [&] {
+    TransformsJson images({.root = two_images("s"), .test_every = 0}, {});
+    Diagnostics d;
+    const SceneReader reader{[&](Diagnostics& found) {
+                               SceneInfo info = images.open(found);
+                               for (FrameInfo& frame : info.frames) frame.channels = {told};
+                               return info;
+                             },
+                             [&](int frame, FrameBuffer& out) {
+                               out.wanted.clear();
+                               images.read(frame, out);
+                               out.channels.push_back({told.name, told.height, told.width, told.cols, values});
+                             }};
+    (void)load_scene(reader, load(1, true), d);
+    return d;
+  };
+  EXPECT_FALSE(refusal().has_errors());
+  values[6] = 1.5F;
+  EXPECT_FINDING(refusal(), "scene.alpha.range", "1.5", "x 2, y 1", "frame 'a'");
+  told.width = 2;
+  values.assign(kSide * 2, 0.5F);
+  EXPECT_FINDING(refusal(), "scene.alpha.size", "2 x 4", "4 x 4");
+}
+
+// A scene whose cameras were fixed, written and read again.
+
+struct Source {
+  PosedScene scene;
+  FixedCameras fixed;
+
+  Source() {
+    SceneInfo& info = scene.info;
+    info.name = "source";
+    info.classes = ClassTable(std::vector<ClassEntry>{{7, "wall", {1, 2, 3}, false}, {300, "lamp", {4, 5, 6}, false}});
+    for (int i = 0; i < 4; ++i) {
+      FrameInfo f{.name = "a/" + std::to_string(i),
+                  .source = "none",
+                  .camera = room_camera(16, 12),
+                  .world_from_camera = room_pose(i)};
+      f.split = i == 1 ? Split::test : i == 3 ? Split::unused : Split::train;
+      f.has_depth = f.has_labels = f.has_instances = true;
+      info.frames.push_back(f);
+      fixed.cameras.push_back(f.camera);
+      fixed.cameras.back().fx *= 1.1;
+      fixed.cameras.back().k1 = i == 2 ? 0 : -0.01;
+      fixed.poses.push_back(room_pose(i + 1));
+    }
+    scene.read = [](int frame, FrameBuffer& out) {
+      out.width_px = 16;
+      out.height_px = 12;
+      for (int p = 0; p < 16 * 12; ++p) {
+        for (int c = 0; c < 3; ++c) out.rgb.push_back(static_cast<std::uint8_t>(p + c));
+        out.depth_m.push_back(p == 5 ? 0.0f : 2.0f + 0.001f * static_cast<float>(p + frame));
+        out.label.push_back(p == 7 ? kVoid : static_cast<std::int16_t>(p % 2));
+        out.instance.push_back(p);
+        out.used.push_back(p == 9 ? 0 : 1);
+      }
+    };
+  }
+  void write(const std::string& folder) const {
+    app::write_fixed_scene(scene, fixed, folder, [](const CaptureStep&, double, double) {});
+  }
+};
+
+TEST(FixedScene, HasTheNewCamerasAndEverythingElseAsItWas) {
+  const Source source;
+  const std::string folder = fresh_folder("fixed");
+  source.write(folder);
+  TransformsJson again(TransformsJsonParams{.root = folder}, {});
+  Diagnostics d;
+  const SceneInfo info = again.open(d);
+  for (const Diagnostic& one : d.all()) EXPECT_EQ(one.severity, Severity::note) << one.text();
+  ASSERT_EQ(info.frames.size(), 3u) << "the unused one is in neither list";
+  EXPECT_EQ(info.frames[0].name, "0");
+  EXPECT_TRUE(info.frames[1].split == Split::test && info.frames[2].split == Split::train);
+  for (std::size_t i = 0; i < 3; ++i) {
+    const Camera &found = info.frames[i].camera, &wanted = source.fixed.cameras[i];
+    EXPECT_TRUE(found == wanted) << i << ": " << found.fx << " " << found.k1;
+    EXPECT_LT(length(info.frames[i].world_from_camera.t - source.fixed.poses[i].t), 1e-12);
+    EXPECT_LT(length(info.frames[i].world_from_camera.axis(2) - source.fixed.poses[i].axis(2)), 1e-12);
+    FrameBuffer was, is;
+    source.scene.read(static_cast<int>(i), was);
+    again.read(static_cast<int>(i), is);
+    EXPECT_EQ(is.rgb, was.rgb);
+    EXPECT_EQ(is.label, was.label);
+    EXPECT_EQ(is.instance, was.instance);
+    EXPECT_EQ(is.used, was.used);
+    ASSERT_EQ(is.depth_m.size(), was.depth_m.size());
+    for (std::size_t p = 0; p < was.depth_m.size(); ++p) EXPECT_NEAR(is.depth_m[p], was.depth_m[p], 6e-5) << p;
+  }
+}
+
+// One camera that took all depth stands in the file; of several, depth is drawn into the colour images.
+TEST(FixedScene, DepthOfACameraOfItsOwn) {
+  Source source;
+  source.fixed.depth_apart = true;
+  source.fixed.depth_from_color.t = {0, 0, 0.5};
+  source.fixed.depth_cameras.assign(4, source.scene.info.frames[0].camera);
+  const auto middle = [](const std::string& folder) {
+    TransformsJson again(TransformsJsonParams{.root = folder}, {});
+    Diagnostics d;
+    (void)again.open(d);
+    FrameBuffer out;
+    again.read(0, out);
+    return out.depth_m[6 * 16 + 8];
+  };
+  const std::string one = fresh_folder("one"), several = fresh_folder("several");
+  source.write(one);
+  EXPECT_HAS(read_text_file(one + "/transforms.json"), "\"depth_camera\"");
+  EXPECT_NEAR(middle(one), 1.6f, 0.02f);
+  source.fixed.depth_cameras[3].fx += 1;
+  source.write(several);
+  EXPECT_EQ(read_text_file(several + "/transforms.json").find("depth_camera"), std::string::npos);
+  EXPECT_NEAR(middle(several), 1.6f, 0.02f);
+}
+
+// inspect, pack and the choice of a preset: what a user reads, and that a packed scene is the scene.
+
+ReplicaParams room_params(const std::string& folder) {
+  return ReplicaParams{.root = folder, .train_step = 2, .test_step = 2, .test_offset = 1};
+}
+
+TEST(Pack, PackedSceneIsTheScene) {
+  const std::string folder = fresh_folder("room");
+  write_replica(folder, 6);
+  Replica replica(room_params(folder), {});
+  Diagnostics d;
+  SceneLoadOptions half{.downscale = 2};
+  const PackSummary summary = pack_scene(replica, folder + "/room.semfield", half, {}, d);
+  EXPECT_EQ(summary.frames, 6);
+  EXPECT_EQ(summary.bytes, std::filesystem::file_size(folder + "/room.semfield"));
+  Packed packed(PackedParams{"room.semfield"}, DatasetBuild{folder});
+  SceneLoadOptions whole{.with_instances = half.with_instances = true};
+  const LoadedScene a = load_scene(replica, half, d), b = load_scene(packed, whole, d);
+  EXPECT_FALSE(d.has_errors());
+  ASSERT_EQ(b.frames.size(), 6u);
+  EXPECT_EQ(a.bounds.hi, b.bounds.hi);
+  EXPECT_EQ(a.far_m, b.far_m);
+  EXPECT_EQ(a.class_pixels, b.class_pixels);
+  for (std::size_t i = 0; i < 6; ++i) {
+    EXPECT_EQ(a.frames[i].rgb, b.frames[i].rgb);
+    EXPECT_EQ(a.frames[i].depth_m, b.frames[i].depth_m);
+    EXPECT_EQ(a.frames[i].label, b.frames[i].label);
+    EXPECT_EQ(a.frames[i].instance, b.frames[i].instance);
+    EXPECT_EQ(a.info.frames[i].split, b.info.frames[i].split);
+    EXPECT_EQ(a.info.frames[i].camera.fx, b.info.frames[i].camera.fx);
+  }
+}
+
+TEST(Pack, MasksAndWideLensesStayAndWhatAMaskHidesDoesNot) {
+  const std::string folder = fresh_folder("room");
+  write_png_rgb(folder + "/a.png", 4, 2, std::vector<std::uint8_t>(24, 9));
+  write_png_rgb(folder + "/b.png", 4, 2, std::vector<std::uint8_t>(24, 9));
+  write_png_gray8(folder + "/m.png", 4, 2, std::vector<std::uint8_t>{255, 255, 255, 0, 255, 255, 255, 255});
+  const std::string eye = "\"transform_matrix\": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}";
+  write_file_atomic(
+      folder + "/transforms.json",
+      "{\"camera_model\": \"OPENCV_FISHEYE\", \"fl_x\": 3, \"k4\": 0.01, \"frames\": [{\"file_path\": \"a.png\", "
+      "\"mask_path\": \"m.png\", " +
+          eye + ", {\"file_path\": \"b.png\", " + eye + "]}");
+  TransformsJson scene(TransformsJsonParams{.root = folder}, {});
+  Diagnostics d;
+  (void)pack_scene(scene, folder + "/room.semfield", {}, {}, d);
+  ASSERT_FALSE(d.has_errors()) << d.all()[0].text();
+  Packed packed(PackedParams{"room.semfield"}, DatasetBuild{folder});
+  const SceneInfo info = packed.open(d);
+  EXPECT_EQ(info.frames[0].camera.lens, LensKind::fisheye);
+  EXPECT_EQ(info.frames[0].camera.k4, 0.01);
+  FrameBuffer out;
+  packed.read(0, out);
+  EXPECT_EQ(out.used, (std::vector<std::uint8_t>{1, 1, 1, 0, 1, 1, 1, 1}));
+  EXPECT_EQ(out.rgb[9], 0);
+  EXPECT_EQ(out.rgb[8], 9);
+  packed.read(1, out);
+  EXPECT_TRUE(out.used.empty());
+}
+
+TEST(Pack, WhatIsPackedIsMended) {
+  const std::string folder = fresh_folder("room");
+  write_replica(folder, 6);
+  Replica replica(room_params(folder), {});
+  Diagnostics d;
+  SceneLoadOptions options{.convention = {true, true, 0.5, 2}};
+  (void)pack_scene(replica, folder + "/room.semfield", options, {}, d);
+  Packed packed(PackedParams{"room.semfield"}, DatasetBuild{folder});
+  options.check_geometry = false;
+  const LoadedScene a = load_scene(replica, options, d);
+  SceneLoadOptions plain{.check_geometry = false};
+  const LoadedScene b = load_scene(packed, plain, d);
+  EXPECT_FALSE(d.has_errors());
+  for (std::size_t i = 0; i < 6; ++i) {
+    EXPECT_EQ(a.info.frames[i].world_from_camera.r, b.info.frames[i].world_from_camera.r);
+    EXPECT_EQ(a.info.frames[i].world_from_camera.t, b.info.frames[i].world_from_camera.t);
+    EXPECT_EQ(a.frames[i].depth_m, b.frames[i].depth_m);
+  }
+  EXPECT_EQ(a.bounds.lo, b.bounds.lo);
+  EXPECT_EQ(a.far_m, b.far_m);
+}
+
+TEST(Inspect, TellsHowMuchIsMasked) {
+  LoadedScene scene;
+  FrameBuffer frame{.width_px = 4, .height_px = 2};
+  frame.rgb.assign(24, 9);
+  for (const char* name : {"a", "b"}) {
+    scene.info.frames.push_back({.name = name});
+    scene.frames.emplace_back(frame);
+    scene.class_pixels.emplace_back();
+    frame.used = {1, 1, 0, 1, 1, 0, 1, 1};
+  }
+  EXPECT_HAS(inspect_report(scene, {}), "masked      1 of 2 frames, 25.0 % of their pixels, most in 'b' (25.0 %)");
+  EXPECT_EQ(inspect_json(scene, {}, "")["masked"].dump(), "{\"b\":0.25}");
+}
+
+TEST(Inspect, NamesThePresetThatSuitsTheCameras) {
+  LoadedScene scene;
+  const auto says = [&](const std::string& text) { return inspect_report(scene, {}).find(text) != std::string::npos; };
+  EXPECT_FALSE(says("preset"));  // nothing was loaded
+  scene.bounds = {{-1, -1, -1}, {1, 1, 1}};
+  EXPECT_TRUE(says("preset      presets/room.yaml:"));
+  scene.rig.inward = true;
+  EXPECT_TRUE(says("preset      presets/unbounded.yaml:"));
+  scene.plain_background = PlainBackground{{255, 255, 255}, scene.bounds};
+  EXPECT_TRUE(
+      says("preset      presets/object.yaml: the cameras stand around an object before one colour, (255, 255, 255)"));
+  scene.plain_background->color = {0, 51, 255};
+  EXPECT_TRUE(says("preset      presets/object.yaml with rendering.background: [0, 0.2, 1]:"));
+  scene.info.frames.resize(1);
+  scene.frames.resize(1);
+  scene.class_pixels.resize(1);
+  scene.info.frames[0].has_depth = true;
+  scene.plain_background.reset();
+  EXPECT_TRUE(says("preset      presets/room.yaml: depth images show where the scene ends"));
+  const app::Json json = inspect_json(scene, {});
+  EXPECT_EQ(json.at("preset"), "presets/room.yaml");
+  EXPECT_EQ(json.at("preset_why"), "depth images show where the scene ends");
+}
+
+TEST(Inspect, ReportTellsFramesClassesAndProblems) {
+  const std::string folder = fresh_folder("room");
+  write_replica(folder, 6);
+  cut(folder + "/rgb/rgb_3.png", 20);
+  Replica replica(room_params(folder), {});
+  Diagnostics d;
+  const LoadedScene scene = load_scene(replica, {}, d);
+  const std::string report = inspect_report(scene, d);
+  EXPECT_HAS(
+      report, "frames      6 (3 train, 3 test), 5 read, 6 with depth\n", "size        40 x 30 (6 frames)\n",
+      "bounds      (", " from depth of 3 training frames\n", "near, far   0.1, 10 from the dataset\n",
+      "labelled frames: 3 train, 2 test", "north", "3 of 3",
+      "error       frame 'rgb_3' (" + folder + "/rgb/rgb_3.png): '" + folder + "/rgb/rgb_3.png': PNG is truncated");
+}
+
+TEST(Inspect, FrustaFileHasTheStatedSize) {
+  const std::string folder = fresh_folder("room");
+  write_replica(folder, 4);
+  Replica replica(room_params(folder), {});
+  Diagnostics d;
+  const LoadedScene scene = load_scene(replica, {}, d);
+  write_frusta_ply(folder + "/cameras.ply", scene);
+  const std::string file = read_text_file(folder + "/cameras.ply");
+  const std::size_t body = file.find("end_header\n") + 11;
+  EXPECT_HAS(file, "element vertex 20\n");
+  EXPECT_EQ(file.size() - body, 20u * 27 + 4u * (4 * 13 + 17));
+}
+
+// The layout has whole millimetres: depth of less is lost, and counted.
+TEST(Capture, DepthThatMillimetresDoNotHoldIsCounted) {
+  const std::string folder = fresh_folder("c");
+  write_png_rgb(folder + "/a.png", 4, 2, std::vector<std::uint8_t>(24, 9));
+  write_png_gray16(folder + "/d.png", 4, 2, std::vector<std::uint16_t>{0, 1, 4, 5, 10, 20, 30, 65000});
+  write_file_atomic(folder + "/transforms.json",
+                    std::string_view("{\"fl_x\": 3, \"depth_unit_m\": 0.0001, \"frames\": [{\"file_path\": "
+                                     "\"a.png\", \"depth_path\": \"d.png\", \"transform_matrix\": "
+                                     "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}"));
+  TransformsJson scene(TransformsJsonParams{.root = folder}, {});
+  Diagnostics d;
+  const SceneInfo info = scene.open(d);
+  ASSERT_FALSE(d.has_errors()) << d.all()[0].text();
+  EXPECT_EQ(capture_replica(scene, info, folder + "/out").depth_clipped, 2) << "a tenth and four tenths";
+  EXPECT_EQ(read_ids(folder + "/out/depth/depth_0.png").pixels,
+            (std::vector<std::uint16_t>{0, 0, 0, 1, 1, 2, 3, 6500}));
+}
+
+// Two cameras a thousandth apart, ten million away from 0, and nothing else that tells a size.
+TEST(Inspect, FrustaSuitTheDistanceAndThePlaceOfTheCameras) {
+  LoadedScene scene;
+  for (const double x : {1e7, 1e7 + 1e-3}) {
+    FrameInfo frame{.name = "f"};
+    frame.camera = room_camera();
+    frame.world_from_camera.t = {x, 0, 0};
+    scene.info.frames.push_back(frame);
+  }
+  scene.frames.resize(2);
+  scene.class_pixels.resize(2);
+  const std::string path = fresh_folder("f") + "/cameras.ply";
+  write_frusta_ply(path, scene);
+  const std::string file = read_text_file(path);
+  const auto number = [&](std::size_t vertex, std::size_t axis) {
+    double out = 0;
+    std::memcpy(&out, file.data() + file.find("end_header\n") + 11 + 27 * vertex + 8 * axis, sizeof out);
+    return out;
+  };
+  EXPECT_NEAR(number(5, 0) - number(0, 0), 1e-3, 1e-8) << "centres";
+  EXPECT_NEAR(number(1, 2), 2e-5, 1e-9) << "a fiftieth of their distance";
+}
+
+// The preset that `semfield inspect` advises is the one that trained best: docs/evidence/scenes.md has the figures.
+
+std::string data(const std::string& name) { return std::string(SEMFIELD_SOURCE_DIR) + "/../shared/data/" + name; }
+
+template <class Reader, class Params>
+std::function<std::unique_ptr<Dataset>(const std::string&)> reads() {
+  return [](const std::string& root) -> std::unique_ptr<Dataset> {
+    Params params;
+    params.root = root;
+    return std::make_unique<Reader>(params, DatasetBuild{});
+  };
+}
+const auto kTransforms = reads<TransformsJson, TransformsJsonParams>();
+
+struct Measured {
+  const char *name, *folder, *preset;
+  std::function<std::unique_ptr<Dataset>(const std::string&)> reader;
+  int width_px;
+};
+void PrintTo(const Measured& m, std::ostream* out) { *out << m.name; }
+
+class PresetAdviceOf : public testing::TestWithParam<Measured> {};
+
+TEST_P(PresetAdviceOf, IsWhatTrainedBest) {
+  const Measured& scene = GetParam();
+  if (!std::filesystem::exists(data(scene.folder)))
+    GTEST_SKIP() << "the optional scene " << scene.folder << " is not at hand";
+  SceneLoadOptions options{.width_px = scene.width_px, .depth = DepthKept::none};
+  Diagnostics d;
+  const LoadedScene loaded = load_scene(*scene.reader(data(scene.folder)), options, d);
+  EXPECT_FALSE(d.has_errors());
+  const std::optional<PresetAdvice> advice = advised_preset(loaded);
+  ASSERT_TRUE(advice);
+  EXPECT_EQ(advice->preset, std::string("presets/") + scene.preset) << advice->why;
+  EXPECT_FALSE(advice->background) << "white is the preset's own";
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    RealScenes, PresetAdviceOf,
+    testing::Values(Measured{"bonsai", "bonsai360", "room.yaml", kTransforms, 400},
+                    Measured{"bonsai_llff", "bonsai360", "room.yaml", reads<Llff, LlffParams>(), 400},
+                    Measured{"llff_room", "llff_room", "room.yaml", kTransforms, 400},
+                    Measured{"studio", "studio_room", "room.yaml", kTransforms, 480},
+                    Measured{"studio_colmap", "studio_room", "room.yaml", reads<Colmap, ColmapParams>(), 480},
+                    Measured{"hololens", "hololens_room", "room.yaml", kTransforms, 180},
+                    Measured{"shelf", "shelf_bin", "room.yaml", kTransforms, 160},
+                    Measured{"lego", "lego", "object.yaml", kTransforms, 200},
+                    Measured{"replica", "replica_apartment0", "room.yaml", reads<Replica, ReplicaParams>(), 160}),
+    [](const auto& row) { return row.param.name; });
+
+// Forward-facing photographs: the box of what is seen and not that of the view cones.
+TEST(SceneBounds, CornersTellWhereAForwardFacingRoomIs) {
+  if (!std::filesystem::exists(data("llff_room"))) GTEST_SKIP() << "the optional scene llff_room is not at hand";
+  SceneLoadOptions options{.width_px = 400};
+  Diagnostics d;
+  const LoadedScene scene = load_scene(*kTransforms(data("llff_room")), options, d);
+  EXPECT_HAS(scene.bounds_from, "corners found again");
+  EXPECT_GT(scene.near_m, 3);  // LLFF's own figures are 8.9 to 47
+  EXPECT_LT(scene.near_m, 14);
+  EXPECT_GT(scene.far_m, 45);
+  EXPECT_LT(scene.far_m, 70);
+}
+
+LoadedScene inward_scene(double reach, std::size_t corners) {
+  LoadedScene scene{.bounds = {{-1, -1, -1}, {1, 1, 1}}, .rig = {.inward = true, .distance_m = 2}};
+  for (std::size_t i = 0; i < corners; ++i) {
+    const double away = i % 3 == 0 ? 2 * reach : 1;
+    scene.corners.x.push_back(static_cast<float>(away));
+    scene.corners.y.push_back(0);
+    scene.corners.z.push_back(0);
+    scene.corners.distance.push_back(1);
+  }
+  return scene;
+}
+
+TEST(PresetAdvice, SurroundingsThatEndAreARoom) {
+  EXPECT_EQ(advised_preset(inward_scene(3, 600))->preset, "presets/room.yaml");
+  EXPECT_EQ(advised_preset(inward_scene(20, 600))->preset, "presets/unbounded.yaml");
+  EXPECT_EQ(advised_preset(inward_scene(3, 20))->preset, "presets/unbounded.yaml") << "too few corners to say";
+}
+
+// The datasets on real scenes, where they are at hand.
+
+TEST(RealData, ReplicaApartment) {
+  if (!std::filesystem::exists(data("replica_apartment0")))
+    GTEST_SKIP() << "the optional Replica frames are not at hand";
+  ReplicaParams p{.root = data("replica_apartment0"), .train_step = 2, .test_step = 2, .test_offset = 1};
+  Replica replica(p, {});
+  Diagnostics d;
+  SceneLoadOptions o{.width_px = 160};
+  const LoadedScene s = load_scene(replica, o, d);
+  for (const Diagnostic& x : d.all()) EXPECT_EQ(x.severity, Severity::note) << x.text();
+  EXPECT_EQ(s.frames_of(Split::train).size(), 35u);
+  EXPECT_EQ(s.frames_of(Split::test).size(), 35u);
+  EXPECT_NEAR(s.info.frames[0].camera.fx, 80.0, 1e-9);
+  EXPECT_NEAR(s.info.frames[0].camera.cx, 80.0, 1e-9);  // 159.5 with integer centres
+  EXPECT_FALSE(s.bounds.empty());
+  EXPECT_LT(length(s.bounds.size()), 40.0);
+}
+
+TEST(RealData, StudioRoomPhotographs) {
+  if (!std::filesystem::exists(data("studio_room"))) GTEST_SKIP() << "the optional studio photographs are not at hand";
+  TransformsJsonParams p{.root = data("studio_room")};
+  TransformsJson scene(p, {});
+  Diagnostics d;
+  const SceneInfo info = scene.open(d);
+  EXPECT_FALSE(d.has_errors());
+  ASSERT_EQ(info.frames.size(), 35u);
+  EXPECT_EQ(info.frames[0].name, "0017");
+  EXPECT_EQ(info.frames[0].camera.width_px, 960);
+  EXPECT_FALSE(info.metric);
+  EXPECT_NEAR(info.frames[0].world_from_camera.axis(2).x, -0.8959027551102706, 1e-9);
+  FrameBuffer f;
+  scene.read(0, f);
+  EXPECT_EQ(f.rgb.size(), 960u * 540 * 3);
+}
+
+// The two exports of one reconstruction agree up to a similarity: x' = s Q x + t.
+TEST(RealData, StudioRoomByColmapAndByTransforms) {
+  if (!std::filesystem::exists(data("studio_room"))) GTEST_SKIP() << "the optional studio photographs are not at hand";
+  TransformsJsonParams pt;
+  ColmapParams pc;
+  pt.root = pc.root = data("studio_room");
+  TransformsJson by_json(pt, {});
+  Colmap by_colmap(pc, {});
+  Diagnostics d;
+  const SceneInfo json = by_json.open(d), colmap = by_colmap.open(d);
+  for (const Diagnostic& x : d.all()) EXPECT_EQ(x.severity, Severity::note) << x.text();
+  ASSERT_EQ(colmap.frames.size(), 35u);
+  std::map<std::string, const FrameInfo*> other;
+  for (const FrameInfo& f : json.frames) other[f.name] = &f;
+  const FrameInfo &a = colmap.frames[0], &b = *other.at(a.name);
+  const Vec3d a_far = colmap.frames[20].world_from_camera.t - a.world_from_camera.t;
+  const double scale =
+      length(other.at(colmap.frames[20].name)->world_from_camera.t - b.world_from_camera.t) / length(a_far);
+  const auto turned = [&](Vec3d v) { return b.world_from_camera.rotate(a.world_from_camera.unrotate(v)); };  // Q
+  for (const FrameInfo& f : colmap.frames) {
+    const FrameInfo& g = *other.at(f.name);
+    EXPECT_EQ(f.split, g.split) << f.name;
+    for (int axis = 0; axis < 3; ++axis)
+      EXPECT_LT(length(turned(f.world_from_camera.axis(axis)) - g.world_from_camera.axis(axis)), 1e-6) << f.name;
+    const Vec3d moved = turned(f.world_from_camera.t - a.world_from_camera.t) * scale + b.world_from_camera.t;
+    EXPECT_LT(length(moved - g.world_from_camera.t), 1e-6) << f.name;
+    // The model is of images twice as large.
+    EXPECT_EQ(f.camera.width_px, 960);
+    EXPECT_NEAR(f.camera.fx, g.camera.fx, 1e-9);
+    EXPECT_NEAR(f.camera.fy, g.camera.fy, 1e-9);
+    EXPECT_NEAR(f.camera.cx, g.camera.cx, 1e-9);
+    EXPECT_NEAR(f.camera.cy, g.camera.cy, 1e-9);
+    EXPECT_EQ(f.camera.k2, g.camera.k2);
+    EXPECT_EQ(f.camera.p1, g.camera.p1);
+  }
+  EXPECT_FALSE(colmap.bounds.empty());
+}
+
+TEST(RealData, LlffAndTransformsOfOneSceneAgree) {
+  if (!std::filesystem::exists(data("llff_room"))) GTEST_SKIP() << "the optional scene llff_room is not at hand";
+  TransformsJsonParams pt;
+  LlffParams pl;
+  pt.root = pl.root = data("llff_room");
+  TransformsJson by_json(pt, {});
+  Llff by_llff(pl, {});
+  Diagnostics d;
+  const SceneInfo json = by_json.open(d), llff = by_llff.open(d);
+  for (const Diagnostic& x : d.all()) EXPECT_EQ(x.severity, Severity::note) << x.text();
+  ASSERT_EQ(json.frames.size(), llff.frames.size());
+  for (std::size_t i = 0; i < json.frames.size(); ++i) {
+    const FrameInfo &a = json.frames[i], &b = llff.frames[i];
+    EXPECT_EQ(a.name, b.name);
+    EXPECT_EQ(a.split, b.split);
+    EXPECT_NEAR(a.camera.fx, b.camera.fx, 1e-3);
+    EXPECT_EQ(a.camera.cy, b.camera.cy);
+    for (int axis = 0; axis < 3; ++axis)
+      EXPECT_LT(length(a.world_from_camera.axis(axis) - b.world_from_camera.axis(axis)), 1e-5) << a.name;
+    EXPECT_LT(length(a.world_from_camera.t - b.world_from_camera.t), 1e-5) << a.name;
+  }
+}
+
+TEST(RealData, Record3dDoor) {
+  if (!std::filesystem::exists(data("record3d_door")))
+    GTEST_SKIP() << "the optional recording of a phone is not at hand";
+  Record3d phone(Record3dParams{{.root = data("record3d_door")}}, {});
+  Diagnostics d;
+  const LoadedScene s = load_scene(phone, {.width_px = 240}, d);
+  // The tracker's poses do not fit the photographs; nothing else is wrong.
+  for (const Diagnostic& x : d.all())
+    EXPECT_TRUE(x.severity == Severity::note || x.code == "scene.camera.off") << x.text();
+  EXPECT_TRUE(s.cameras_are_off());
+  ASSERT_EQ(s.info.frames.size(), 86u);
+  EXPECT_EQ(s.frames_of(Split::test).size(), 11u);
+  EXPECT_EQ(s.info.frames[1].name, "4");
+  EXPECT_EQ(s.info.frames.back().name, "344");  // the last of 345 poses, of 341 frames that were exported
+  EXPECT_HAS(s.geometry, "poses agree with depth");
+}
+
+TEST(RealData, ShelfBinWithDepthAndLabels) {
+  if (!std::filesystem::exists(data("shelf_bin"))) GTEST_SKIP() << "the optional shelf bin is not at hand";
+  TransformsJsonParams p{.root = data("shelf_bin"), .test_every = 5};
+  TransformsJson scene(p, {});
+  Diagnostics d;
+  const LoadedScene s = load_scene(scene, {}, d);
+  EXPECT_FALSE(d.has_errors());
+  EXPECT_EQ(s.frames_of(Split::test).size(), 3u);
+  EXPECT_EQ(s.info.classes.valid_count(), 4);
+  EXPECT_TRUE(s.info.metric);
+  std::int64_t labelled = 0;
+  for (const auto& counts : s.class_pixels) labelled += counts[0] + counts[1] + counts[2] + counts[3];
+  EXPECT_GT(labelled, 10000);
+  EXPECT_HAS(s.bounds_from, "view cones");
+}
+
+TEST(RealData, ReplicaConventionsAreTold) {
+  if (!std::filesystem::exists(data("replica_apartment0")))
+    GTEST_SKIP() << "the optional Replica frames are not at hand";
+  ReplicaParams p{.root = data("replica_apartment0"), .train_step = 2, .test_step = 2, .test_offset = 1};
+  Replica replica(p, {});
+  expect_conventions_told(replica, "poses agree with depth");
+}
+
+TEST(RealData, StudioRoomConventionsAreToldFromPhotographs) {
+  if (!std::filesystem::exists(data("studio_room"))) GTEST_SKIP() << "the optional studio photographs are not at hand";
+  TransformsJsonParams pt;
+  ColmapParams pc;
+  pt.root = pc.root = data("studio_room");
+  TransformsJson by_json(pt, {});
+  expect_conventions_told(by_json, "poses agree with the photographs");
+  Colmap by_colmap(pc, {});
+  expect_conventions_told(by_colmap, "poses agree with the photographs");
+}
+
+TEST(RealData, ShelfBinConventionsAreToldFromSparseDepth) {
+  if (!std::filesystem::exists(data("shelf_bin"))) GTEST_SKIP() << "the optional shelf bin is not at hand";
+  TransformsJsonParams p{.root = data("shelf_bin")};
+  TransformsJson scene(p, {});
+  expect_conventions_told(scene, "poses agree with depth");
+}
+
+}  // namespace
+}  // namespace semfield

@@ -1,0 +1,824 @@
+// PNG files that viewers turn by an EXIF orientation.
+
+#include "labels/label_export.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/rng.h"
+#include "core/text.h"
+#include "datasets/replica/replica.h"
+#include "datasets/transforms_json/transforms_json.h"
+#include "formats/image_io.h"
+#include "formats/npz.h"
+#include "labels/mask_outlines.h"
+#include "labels/training_labels.h"
+#include "loading/frame_files.h"
+#include "scene/classes/class_import.h"
+#include "scene/classes/class_table.h"
+#include "scene/scene.h"
+#include "system/files.h"
+#include "tests/labels/reader_case.h"
+#include "tests/program.h"
+#include "tests/scene/image_bytes.h"
+
+namespace semfield::testing_labels {
+namespace {
+
+/// Adds the chunk eXIf to a PNG, before its last chunk.
+inline void set_orientation(const std::string& path, int orientation) {
+  const std::string file = read_text_file(path);
+  std::vector<std::uint8_t> bytes(file.begin(), file.end() - 12);
+  const auto value = static_cast<std::uint8_t>(orientation);
+  testing_room::put_chunk(bytes, "eXIf", {'M', 'M', 0, 42, 0, 0, 0, 8, 0, 1, 1, 18, 0, 3, 0, 0, 0, 1, 0, value, 0, 0});
+  testing_room::put_chunk(bytes, "IEND", {});
+  write_file_atomic(path, std::string(bytes.begin(), bytes.end()));
+}
+
+/// As [Exif 2.3] has it, by hand: the stored pixel (x, y) that viewers show top left and top right, of a picture stored
+/// as w x h pixels.
+struct ShownCorners {
+  int left_x, left_y, right_x, right_y;
+};
+inline ShownCorners shown_corners(int orientation, int w, int h) {
+  const int r = w - 1, b = h - 1;
+  const ShownCorners all[8] = {{0, 0, r, 0}, {r, 0, 0, 0}, {r, b, 0, b}, {0, b, r, b},
+                               {0, 0, 0, b}, {0, b, 0, 0}, {r, b, r, 0}, {r, 0, r, b}};
+  return all[orientation - 1];
+}
+
+}  // namespace
+}  // namespace semfield::testing_labels
+
+namespace semfield {
+namespace {
+
+// Labels out and in again: regions traced exactly, files read back by the project and by a Python script of its own.
+
+using namespace testing_labels;
+using namespace testing_room;
+
+LabelledFrame drawn(const std::string& name, const Rows& rows) {
+  LabelledFrame frame{name, "", static_cast<std::int32_t>(rows[0].size()), static_cast<std::int32_t>(rows.size()), {}};
+  for (const std::string& row : rows) {
+    for (const char c : row) frame.label.push_back(c == '.' ? kVoid : static_cast<std::int16_t>(c - '0'));
+  }
+  return frame;
+}
+
+// Holes in holes, holes that touch at corners, regions that touch at corners, the whole border.
+const Rows kHard{
+    "0000000000002", "0111110101002", "0100010010102", "0102010101012", "0100010000002",
+    "0111111111100", "0000000000100", "1111.11110101", "1000.00010111", "1011111010000",
+    "1010.01010121", "1010101010111", "1111111111110",
+};
+
+LabelledFrame noisy(const std::string& name, std::int32_t width, std::int32_t height, double order) {
+  LabelledFrame frame{name, "", width, height, std::vector<std::int16_t>(static_cast<std::size_t>(width * height))};
+  const RandomAddress address{7, static_cast<std::uint64_t>(width), stream_id("test")};
+  for (std::size_t i = 0; i < frame.label.size(); ++i) {
+    // Blocks of classes 0..2 and void, sprinkled with single pixels.
+    const std::size_t x = i % static_cast<std::size_t>(width), y = i / static_cast<std::size_t>(width);
+    const std::uint64_t block = uniform_below(address, 1000000 + x / 7 * 1000 + y / 5, 4);
+    const bool noise = static_cast<double>(uniform_below(address, 2 * i, 1000)) >= order * 1000;
+    frame.label[i] = static_cast<std::int16_t>(noise ? uniform_below(address, 2 * i + 1, 4) : block) - std::int16_t{1};
+  }
+  return frame;
+}
+
+void expect_regions_give_the_map_back(const LabelledFrame& frame) {
+  LabelRaster even_odd = void_raster(frame.width_px, frame.height_px);
+  std::vector<int> winding(frame.label.size());
+  std::int64_t area = 0;
+  for (const MaskRegion& region : mask_regions(frame.label, frame.width_px, frame.height_px)) {
+    const std::vector<PixelRun> runs = outline_runs(region.outline, frame.width_px, frame.height_px);
+    EXPECT_EQ(area_of(runs), region.area_px);
+    area += region.area_px;
+    paint(runs, region.index, even_odd);
+    // The sum of signed crossings to the right of each centre: 1 inside a clockwise outline, for the non-zero rule.
+    for (std::size_t i = 0; i < region.outline.size(); ++i) {
+      const PixelPoint a = region.outline[i], b = region.outline[(i + 1) % region.outline.size()];
+      ASSERT_TRUE((a.x == b.x) != (a.y == b.y)) << "an edge that is no edge of pixels";
+      for (auto y = static_cast<std::int32_t>(std::min(a.y, b.y)); y < std::max(a.y, b.y) && a.x == b.x; ++y) {
+        for (std::int32_t x = 0; x < a.x; ++x) winding[y * frame.width_px + x] += a.y < b.y ? 1 : -1;
+      }
+    }
+  }
+  EXPECT_EQ(even_odd.hard, frame.label);
+  std::int64_t labelled = 0;
+  for (std::size_t i = 0; i < frame.label.size(); ++i) {
+    labelled += frame.label[i] >= 0;
+    ASSERT_EQ(winding[i], frame.label[i] >= 0 ? 1 : 0) << i;
+  }
+  EXPECT_EQ(area, labelled);
+}
+
+TEST(MaskOutlines, GiveTheSamePixelsBack) {
+  expect_regions_give_the_map_back(drawn("a", kHard));
+  for (const double order : {0.0, 0.5, 0.9, 1.0}) {
+    expect_regions_give_the_map_back(noisy("a", 61, 47, order));
+    expect_regions_give_the_map_back(noisy("a", 1, 40, order));
+    expect_regions_give_the_map_back(noisy("a", 40, 1, order));
+  }
+  EXPECT_TRUE(mask_regions(std::vector<std::int16_t>(6, kVoid), 3, 2).empty());
+}
+
+TEST(MaskOutlines, OneRegionAConnectedAreaWithCornersOnly) {
+  const LabelledFrame ring = drawn("a", {"0000", "0110", "0000"});
+  const std::vector<MaskRegion> regions = mask_regions(ring.label, 4, 3);
+  ASSERT_EQ(regions.size(), 2u);
+  EXPECT_EQ(regions[0].outline.size(), 4u + 4 + 2) << "two rectangles, and the cut's ends";
+  EXPECT_EQ(regions[1].outline.size(), 4u);
+  const LabelledFrame diagonal = drawn("a", {"0.", ".0"});
+  EXPECT_EQ(mask_regions(diagonal.label, 2, 2).size(), 2u);
+}
+
+TEST(LabelExport, ClassesThatWaitForTheirNamesAreNoCategories) {
+  const std::string folder = fresh_folder("t");
+  CocoExport coco(ClassTable({{1, "wall", {}, false}, {2, unnamed_class(2), {}, false}, {3, "cup", {}, false}}),
+                  CocoMasks::polygons);
+  LabelledFrame frame{"a", "", 2, 2, {0, 0, 2, 2}};
+  coco.add(frame);
+  coco.write(folder + "/coco.json");
+  const std::string json = read_text_file(folder + "/coco.json");
+  EXPECT_LACKS(json, "unnamed");
+  EXPECT_HAS(json, "\"cup\"");
+  EXPECT_EQ(named_classes(ClassTable({{1, "wall", {}, false}, {2, unnamed_class(2), {}, false}})).entries().size(), 1u);
+}
+
+TEST(LabelExport, OwnReadersGiveTheSameMapBack) {
+  const std::string folder = fresh_folder("t");
+  const std::vector<LabelledFrame> frames{drawn("a/hard", kHard), noisy("noise", 61, 47, 0.7)};
+  for (const CocoMasks masks : {CocoMasks::polygons, CocoMasks::run_lengths}) {
+    CocoExport coco(room_table(), masks);
+    for (const LabelledFrame& frame : frames) coco.add(frame);
+    coco.write(folder + "/coco.json");
+    auto reader = make_reader("coco", "file: " + folder + "/coco.json");
+    for (const ClassTable& known : {room_table(), ClassTable{}}) {
+      EXPECT_EQ(read_labels(*reader, frame_of("a/hard"), known).hard, frames[0].label);
+      EXPECT_EQ(read_labels(*reader, frame_of("noise"), known).hard, frames[1].label);
+    }
+  }
+  const std::string labelme = fresh_folder("labelme");
+  for (const LabelledFrame& frame : frames) EXPECT_GT(write_labelme(labelme, frame, room_table()), 10);
+  auto reader = make_reader("labelme", "folder: " + labelme);
+  EXPECT_EQ(read_labels(*reader, frame_of("a/hard"), room_table()).hard, frames[0].label);
+  EXPECT_EQ(read_labels(*reader, frame_of("noise"), room_table()).hard, frames[1].label);
+}
+
+bool has_python() { return std::system("python3 -c 'import json' >/dev/null 2>&1") == 0; }
+
+// What the script prints: the size, then the class of every pixel.
+std::vector<std::string> decoded(const std::string& kind, const std::string& file, const std::string& image) {
+  const std::string command = "python3 " + shell_word(SEMFIELD_SOURCE_DIR "/tests/labels/decode_export.py") + " " +
+                              kind + " " + shell_word(file) + " " + shell_word(image) + " 2>&1";
+  std::vector<std::string> lines;
+  FILE* pipe = ::popen(command.c_str(), "r");
+  char line[256];
+  while (pipe != nullptr && std::fgets(line, sizeof line, pipe) != nullptr) {
+    lines.emplace_back(line);
+    if (!lines.back().empty() && lines.back().back() == '\n') lines.back().pop_back();
+  }
+  EXPECT_EQ(::pclose(pipe), 0) << (lines.empty() ? "" : lines.back());
+  return lines;
+}
+
+std::vector<std::string> wanted(const LabelledFrame& frame, bool with_id) {
+  const ClassTable table = room_table();
+  std::vector<std::string> lines{std::to_string(frame.width_px) + " " + std::to_string(frame.height_px)};
+  for (const std::int16_t c : frame.label) {
+    const std::string id = c < 0 || !with_id ? "" : std::to_string(table.valid(c).id) + ":";
+    lines.push_back(c < 0 ? "-" : id + table.valid(c).name);
+  }
+  return lines;
+}
+
+TEST(LabelExport, AnotherReaderGivesTheSameMapBack) {
+  if (!has_python()) GTEST_SKIP() << "python3 is not at hand";
+  const std::string folder = fresh_folder("t");
+  LabelledFrame first = drawn("hard", kHard), second = noisy("noise", 61, 47, 0.7);
+  second.image_path = folder + "/images/noise_17.jpg";
+  for (const CocoMasks masks : {CocoMasks::polygons, CocoMasks::run_lengths}) {
+    CocoExport coco(room_table(), masks);
+    coco.add(first);
+    coco.add(second);
+    EXPECT_GT(coco.annotations(), 5);
+    coco.write(folder + "/coco.json");
+    EXPECT_EQ(decoded("coco", folder + "/coco.json", "hard.png"), wanted(first, true));
+    EXPECT_EQ(decoded("coco", folder + "/coco.json", "noise_17.jpg"), wanted(second, true));
+  }
+  write_labelme(folder, first, room_table());
+  write_labelme(folder, second, room_table());
+  EXPECT_EQ(decoded("labelme", folder + "/hard.json", "hard.png"), wanted(first, false));
+  EXPECT_EQ(decoded("labelme", folder + "/noise.json", "images/noise_17.jpg"), wanted(second, false));
+}
+
+// Readers know an image by its file's stem.
+TEST(LabelExport, ImagesOfOneNameInTwoFoldersStayTwo) {
+  const std::string path = fresh_folder("alike") + "/coco.json";
+  LabelledFrame first = drawn("0001", kHard), second = drawn("right_0001", kHard), third = drawn("left/0001", kHard);
+  first.image_path = "/room/front/0001.jpg";
+  second.image_path = "/room/right/0001.jpg";
+  third.image_path = "/room/left/0001.jpg";
+  CocoExport coco(room_table(), CocoMasks::polygons);
+  for (const LabelledFrame& frame : {first, second, third}) coco.add(frame);
+  coco.write(path);
+  const std::string text = read_text_file(path);
+  for (const char* name : {"0001.jpg", "right_0001.jpg", "left_0001.jpg"})
+    EXPECT_HAS(text, "\"file_name\":\"" + std::string(name) + "\"") << name;
+  EXPECT_HAS(error_of([&] { coco.add(second); }), "right_0001", "is called");
+}
+
+// `semfield export` and `semfield classes`: the program on a tiny room; what it wrote is compared with what it renders.
+
+using namespace testing_program;
+
+// Two cameras whose images have one name: readers find their frames by the folders.
+TEST(ExportVerb, ImagesOfOneNameAreCalledWithTheirFolders) {
+  const std::string folder = fresh_folder("rig"), room = folder + "/room";
+  std::string frames;
+  for (const std::string side : {"left", "right"}) {
+    std::filesystem::create_directories(room + "/" + side);
+    write_png_rgb(room + "/" + side + "/0001.png", 8, 6, std::vector<std::uint8_t>(144, 90));
+    frames += (frames.empty() ? "{" : ", {") + std::string("\"file_path\": \"") + side +
+              "/0001.png\", \"depth_path\": \"depth.png\", \"label_path\": \"label.png\", \"transform_matrix\": "
+              "[[1,0,0," +
+              (side == "left" ? "0" : "1") + "],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}";
+  }
+  write_png_gray16(room + "/depth.png", 8, 6, std::vector<std::uint16_t>(48, 1500));
+  write_png_gray8(room + "/label.png", 8, 6, std::vector<std::uint8_t>(48, 1));
+  write_file_atomic(room + "/classes.yaml", std::string_view("- {id: 0, name: void, ignore: true}\n"
+                                                             "- {id: 1, name: wall}\n- {id: 2, name: chair}\n"));
+  write_file_atomic(room + "/transforms.json", "{\"fl_x\": 8, \"depth_unit_m\": 0.001, \"frames\": [" + frames + "]}");
+  write_file_atomic(folder + "/room.yaml",
+                    std::string_view("scene: {type: transforms_json, root: room, test_every: 0}\n"
+                                     "passes:\n  - name: main\n    sampler: {type: stratified, samples: 8}\n"
+                                     "    position: {type: frequency, frequencies: 2}\n"
+                                     "    field: {type: nerf_mlp, depth: 2, width: 16, skip_at: 0}\n"
+                                     "train: {steps: 2, rays: 8}\n"));
+  const Result trained = succeeded(semfield_run("train room.yaml --threads 1 --out run -q", folder));
+  const Result r = succeeded(semfield_run("export run --split train --format coco --out coco.json", folder));
+  EXPECT_HAS(read_text_file(folder + "/coco.json"), "\"file_name\":\"left/0001.png\"",
+             "\"file_name\":\"right/0001.png\"");
+}
+
+TEST(ExportVerb, EveryFormHoldsTheRenderedLabels) {
+  const std::string folder = fresh_folder("t");
+  testing_room::write_replica(folder + "/room", 5);
+  // Labels by way of a reader: the class images under another name.
+  std::filesystem::rename(folder + "/room/semantic_class", folder + "/predictions");
+  write_file_atomic(
+      folder + "/room.yaml",
+      "include: " + std::string(SEMFIELD_SOURCE_DIR) +
+          "/configs/presets/room.yaml\n"
+          "scene: {type: replica, root: room, train_step: 2, test_step: 2, test_offset: 1, labels: {from: "
+          "{type: images, folder: predictions, pattern: 'semantic_class_{number}.png'}}}\n");
+  const Result trained = succeeded(semfield_run("train room.yaml --steps 20 --threads 1 --out run -q", folder));
+  const Result render = succeeded(semfield_run("render run --split test --out rendered -q", folder));
+  const ClassTable table = ClassTable::load(folder + "/room/classes.yaml");
+  for (const std::string format : {"coco", "coco_rle", "labelme"}) {
+    const Result r =
+        succeeded(semfield_run("export run --split test --format " + format + " --out " + format + ".json", folder));
+    EXPECT_EQ(r.out.find("export: frames=2 shapes="), 0u) << r.out;
+    const std::string path = folder + "/" + format + ".json";
+    const auto reader =
+        format == "labelme" ? make_reader("labelme", "folder: " + path) : make_reader("coco", "file: " + path);
+    for (const std::string name : {"rgb_1", "rgb_3"}) {
+      const Image<std::uint16_t> ids = read_ids(folder + "/rendered/" + name + "_label.png");
+      std::vector<std::int16_t> rendered;
+      for (const std::uint16_t id : ids.pixels) rendered.push_back(static_cast<std::int16_t>(table.index_of(id)));
+      EXPECT_EQ(read_labels(*reader, frame_of(name), table).hard, rendered) << format << " " << name;
+    }
+  }
+  // A run that loads its images smaller: labels still have the size of the images, unless an option says otherwise.
+  const std::string half = "export run --split test --set scene.load.downscale=2 ";
+  for (const std::string size : {"stored", "trained"}) {
+    const Result r = succeeded(semfield_run(half + "--size " + size + " --out half.json", folder));
+    const std::string json = read_text_file(folder + "/half.json");
+    EXPECT_HAS(json, size == "stored" ? R"("height":30,"id":1,"width":40)" : R"("height":15,"id":1,"width":20)")
+        << json.substr(0, 200);
+  }
+  ASSERT_EQ(semfield_run(half + "--format png --out images", folder).code, 0);
+  EXPECT_EQ(read_text_file(folder + "/images/classes.yaml"), table.to_yaml());
+  for (const std::string name : {"rgb_1", "rgb_3"}) {
+    const Image<std::uint16_t> ids = read_ids(folder + "/images/" + name + "_label.png"),
+                               whole = read_ids(folder + "/rendered/" + name + "_label.png");
+    ASSERT_EQ(ids.width_px, 40);
+    ASSERT_EQ(ids.height_px, 30);
+    int alike = 0;
+    for (std::size_t i = 0; i < ids.pixels.size(); ++i) alike += ids.pixels[i] == whole.pixels[i];
+    EXPECT_GT(alike, 40 * 30 * 8 / 10) << name << ": rendered at every second pixel, and brought to the others";
+  }
+  // No region of the exported labels is smaller than asked; large ones are tested in small_regions_test.cpp.
+  const Result calm =
+      succeeded(semfield_run("export run --split test --min-area 30 --format coco --out calm.json", folder));
+  EXPECT_HAS(calm.err, " regions of fewer than 30 pixels took the class around them: ");
+  const auto coco = make_reader("coco", "file: " + folder + "/calm.json");
+  for (const std::string name : {"rgb_1", "rgb_3"}) {
+    const std::vector<std::int16_t> labels = read_labels(*coco, frame_of(name), table).hard;
+    std::int64_t smallest = std::ssize(labels);
+    for (const MaskRegion& region : mask_regions(labels, 40, 30)) smallest = std::min(smallest, region.area_px);
+    EXPECT_GE(smallest, 30) << name;
+  }
+  EXPECT_EQ(semfield_run("export run --min-area -1 --out x.json", folder).err,
+            "semfield: --min-area -1: expected 0 to 1000000000 [usage.value.invalid]\n");
+  const Result wrong = semfield_run("export run --format coc --out x.json", folder);
+  EXPECT_EQ(wrong.code, 2);
+  EXPECT_EQ(
+      wrong.err,
+      "semfield: --format coc: expected coco, coco_rle, labelme or png; did you mean coco? [usage.value.invalid]\n");
+  EXPECT_EQ(semfield_run("export none --out x.json", folder).code, 66);
+}
+
+TEST(ClassesVerb, ConvertsTables) {
+  const std::string folder = fresh_folder("t");
+  EXPECT_EQ(semfield_run("classes nyu40", folder).out, published_classes("nyu40").to_yaml());
+  ASSERT_EQ(semfield_run("classes scannet20 --format cvat --out labelmap.txt", folder).code, 0);
+  EXPECT_EQ(load_cvat_labelmap(folder + "/labelmap.txt").valid_count(), 20);
+  EXPECT_EQ(semfield_run("classes labelmap.txt --format csv", folder).out.find("class_id,class\n0,void\n1,wall\n"), 0u);
+  EXPECT_NE(semfield_run("classes nyu13 --colors semfield", folder).out, published_classes("nyu13").to_yaml());
+  write_file_atomic(folder + "/l.tsv", std::string_view("id\traw_category\tnyu40id\n2\toffice chair\t5\n"));
+  EXPECT_HAS(semfield_run("classes l.tsv --ids nyu40", folder).out, "{id: 5, name: \"chair\"");
+  EXPECT_HAS(semfield_run("classes l.tsv", folder).out, "{id: 2, name: \"office chair\"");
+  const Result wrong = semfield_run("classes nyu13 --ids nyu40", folder);
+  EXPECT_EQ(wrong.code, 2);
+  EXPECT_SAID(wrong.err, "usage.flag.conflict", "semfield: --ids nyu40", "'nyu13'", "scannetv2-labels.combined.tsv");
+  EXPECT_EQ(semfield_run("classes nyu13 --format yml", folder).err,
+            "semfield: --format yml: expected yaml, csv or cvat; did you mean yaml? [usage.value.invalid]\n");
+  EXPECT_EQ(semfield_run("classes none.yaml", folder).code, 66);
+}
+
+// Labels are drawn over pictures as viewers show them: every reader, every EXIF orientation, at every loaded size.
+
+using testing_room::fresh_folder;
+
+// A frame stored as w x h pixels, and its labels as shown: chair top left, table top right, the rest wall.
+struct TurnedCase {
+  int w, h, orientation;
+  std::string folder;
+  LoadedScene scene;
+
+  TurnedCase(int width, int height, int turned, int divide = 1)
+      : w(width), h(height), orientation(turned), folder(fresh_folder("t")) {
+    const std::string image = folder + "/images/a.png";
+    std::filesystem::create_directories(folder + "/images");
+    write_png_rgb(image, w, h, std::vector<std::uint8_t>(static_cast<std::size_t>(3 * w * h), 99));
+    set_orientation(image, orientation);
+    FrameInfo frame{.name = "a", .source = image, .camera = {.width_px = w / divide, .height_px = h / divide}};
+    frame.orientation = image_size(image).orientation;
+    EXPECT_EQ(frame.orientation, orientation);
+    scene.info.frames = {frame};
+    scene.info.classes = room_table();
+    scene.frames.resize(1);
+    scene.class_pixels.resize(1);
+  }
+  int shown_w() const { return orientation >= 5 ? h : w; }
+  int shown_h() const { return orientation >= 5 ? w : h; }
+  std::vector<std::uint8_t> shown_ids() const {
+    std::vector<std::uint8_t> ids(static_cast<std::size_t>(w * h), 1);
+    ids[0] = 4;
+    ids[static_cast<std::size_t>(shown_w() - 1)] = 7;
+    return ids;
+  }
+
+  // Labels of the loaded frame, its pixels as stored.
+  Rows read(const std::string& type, const std::string& yaml) {
+    LabelConfig config;
+    config.from = {type, make_reader(type, yaml)};
+    Diagnostics found;
+    open_label_files(scene, config, found);
+    const TrainingLabels labels = make_training_labels(scene, config, found);
+    for (const Diagnostic& d : found.all())
+      if (d.severity != Severity::note) ADD_FAILURE() << d.text();
+    const Camera& camera = scene.info.frames[0].camera;
+    LabelRaster raster{camera.width_px, camera.height_px, {}, {}};
+    for (std::size_t p = 0; p < labels.frames.at(0).size(); ++p) raster.hard.push_back(labels.frames[0][p]);
+    return rows_of(raster);
+  }
+  Rows wanted() const {
+    Rows rows(static_cast<std::size_t>(h), std::string(static_cast<std::size_t>(w), '0'));
+    const ShownCorners at = shown_corners(orientation, w, h);
+    rows[static_cast<std::size_t>(at.left_y)][static_cast<std::size_t>(at.left_x)] = '1';
+    rows[static_cast<std::size_t>(at.right_y)][static_cast<std::size_t>(at.right_x)] = '2';
+    return rows;
+  }
+  std::string size_keys(const char* width, const char* height) const {
+    return std::string("\"") + width + "\": " + std::to_string(shown_w()) + ", \"" + height +
+           "\": " + std::to_string(shown_h());
+  }
+};
+
+TEST(TurnedPictures, EveryReaderUnderstandsThemAsShown) {
+  for (const auto& [w, h] : {std::pair{5, 3}, std::pair{4, 4}}) {
+    for (int orientation = 1; orientation <= 8; ++orientation) {
+      TurnedCase c(w, h, orientation);
+      const std::string told = std::to_string(w) + " x " + std::to_string(h) + ", " + std::to_string(orientation);
+      const int right = c.shown_w();
+      const std::string r0 = std::to_string(right - 1), r1 = std::to_string(right), all = std::to_string(c.shown_h());
+
+      write_file_atomic(
+          c.folder + "/coco.json",
+          "{\"images\": [{\"id\": 1, \"file_name\": \"a.png\", " + c.size_keys("width", "height") +
+              "}], \"categories\": [{\"id\": 1, \"name\": \"wall\"}, {\"id\": 4, \"name\": \"chair\"}, {\"id\": 7, "
+              "\"name\": \"table\"}], \"annotations\": [{\"image_id\": 1, \"category_id\": 1, \"segmentation\": "
+              "[[0,0," +
+              r1 + ",0," + r1 + "," + all + ",0," + all +
+              "]]}, {\"image_id\": 1, \"category_id\": 4, \"segmentation\": [[0,0,1,0,1,1,0,1]]}, {\"image_id\": 1, "
+              "\"category_id\": 7, \"segmentation\": [[" +
+              r0 + ",0," + r1 + ",0," + r1 + ",1," + r0 + ",1]]}]}");
+      EXPECT_EQ(c.read("coco", "file: " + c.folder + "/coco.json"), c.wanted()) << told;
+
+      std::filesystem::create_directories(c.folder + "/labelme");
+      const auto box = [](const char* name, const std::string& corners) {
+        return std::string("{\"label\": \"") + name + "\", \"shape_type\": \"rectangle\", \"points\": [" + corners +
+               "]}";
+      };
+      write_file_atomic(c.folder + "/labelme/a.json",
+                        "{\"imagePath\": \"../images/a.png\", " + c.size_keys("imageWidth", "imageHeight") +
+                            ", \"shapes\": [" + box("wall", "[0,0],[" + r1 + "," + all + "]") + "," +
+                            box("chair", "[0,0],[1,1]") + "," + box("table", "[" + r0 + ",0],[" + r1 + ",1]") + "]}");
+      EXPECT_EQ(c.read("labelme", "folder: " + c.folder + "/labelme"), c.wanted()) << told;
+
+      std::filesystem::create_directories(c.folder + "/ids");
+      const std::vector<std::uint8_t> ids = c.shown_ids();
+      write_png_gray8(c.folder + "/ids/a.png", c.shown_w(), c.shown_h(), ids);
+      EXPECT_EQ(c.read("images", "folder: " + c.folder + "/ids"), c.wanted()) << told;
+
+      std::filesystem::create_directories(c.folder + "/soft");
+      write_file_atomic(c.folder + "/soft/classes.json", std::string_view(R"(["wall", "chair", "table"])"));
+      std::vector<float> soft;
+      for (const std::uint8_t id : ids)
+        for (const int of : {1, 4, 7}) soft.push_back(id == of ? 1.0F : 0.0F);
+      const std::vector<NpzEntry> entries{{"probability", {c.shown_h(), c.shown_w(), 3}, soft}};
+      write_npz(c.folder + "/soft/a.npz", entries);
+      EXPECT_EQ(c.read("npz", "folder: " + c.folder + "/soft"), c.wanted()) << told;
+
+      write_file_atomic(c.folder + "/clicks.csv",
+                        "x,y,frame,class,radius\n2,1,a,wall,99\n0,0,a,chair,\n" + r0 + ",0,a,table,\n");
+      EXPECT_EQ(c.read("clicks", "file: " + c.folder + "/clicks.csv"), c.wanted()) << told;
+
+      // The labelling page, and maps of `semfield render`, are of pixels as stored.
+      const std::string size = "\"size\":[" + std::to_string(w) + "," + std::to_string(h) + "]";
+      const auto click = [&](const char* id, const char* name, int x, int y, int radius) {
+        return std::string("{\"id\":\"") + id + "\",\"type\":\"click\",\"frame\":\"a\"," + size + ",\"points\":[[" +
+               std::to_string(x) + ".5," + std::to_string(y) + ".5]],\"radius\":" + std::to_string(radius) +
+               ",\"class\":\"" + name + "\"}\n";
+      };
+      const ShownCorners at = shown_corners(orientation, w, h);
+      write_file_atomic(c.folder + "/clicks.jsonl", click("1", "wall", 1, 1, 99) +
+                                                        click("2", "chair", at.left_x, at.left_y, 0) +
+                                                        click("3", "table", at.right_x, at.right_y, 0));
+      EXPECT_EQ(c.read("clicks", "file: " + c.folder + "/clicks.jsonl"), c.wanted()) << told;
+
+      std::filesystem::create_directories(c.folder + "/render");
+      std::vector<std::uint8_t> stored;
+      for (const std::string& row : c.wanted())
+        for (const char index : row) stored.push_back(index == '0' ? 1 : index == '1' ? 4 : 7);
+      write_png_gray8(c.folder + "/render/a_label.png", w, h, stored);
+      write_file_atomic(c.folder + "/render/cameras.json", std::string_view("{\"format\": \"semfield-cameras-1\"}"));
+      EXPECT_EQ(c.read("images", "{folder: " + c.folder + "/render, pattern: '{name}_label.png'}"), c.wanted()) << told;
+    }
+  }
+}
+
+// Loaded at half the size, in the quarter that is shown top left.
+TEST(TurnedPictures, AreScaledAsTheyAreStored) {
+  for (int orientation = 1; orientation <= 8; ++orientation) {
+    TurnedCase c(8, 4, orientation, 2);
+    const int across = c.shown_w(), down = c.shown_h();
+    std::vector<std::uint8_t> ids(32, 1);
+    for (int y = 0; y < down / 2; ++y)
+      for (int x = 0; x < across / 2; ++x) ids[static_cast<std::size_t>(y * across + x)] = 4;
+    std::filesystem::create_directories(c.folder + "/ids");
+    write_png_gray8(c.folder + "/ids/a.png", across, down, ids);
+    const ShownCorners at = shown_corners(orientation, 4, 2);
+    Rows wanted(2, "0000");
+    const std::size_t half = at.left_x == 0 ? 0 : 2;
+    wanted[static_cast<std::size_t>(at.left_y)][half] = wanted[static_cast<std::size_t>(at.left_y)][half + 1] = '1';
+    EXPECT_EQ(c.read("images", "folder: " + c.folder + "/ids"), wanted) << orientation;
+  }
+}
+
+TEST(TurnedPictures, LabelsOfTheStoredPixelsAreRefusedWithTheRemedy) {
+  TurnedCase c(5, 3, 6);
+  std::filesystem::create_directories(c.folder + "/ids");
+  write_png_gray8(c.folder + "/ids/a.png", 5, 3, c.shown_ids());
+  LabelConfig config;
+  config.from = {"images", make_reader("images", "folder: " + c.folder + "/ids")};
+  Diagnostics found;
+  open_label_files(c.scene, config, found);
+  const std::string said = error_of([&] { (void)make_training_labels(c.scene, config, found); });
+  EXPECT_HAS(said, "labels are 5 x 3 pixels, the frame is 3 x 5");
+  EXPECT_HAS(said, "as shown, by its EXIF orientation 6");
+  EXPECT_HAS(said, "exiftool -Orientation=");
+}
+
+// The scene's own label and instance images, which a person or a tool has drawn too.
+TEST(TurnedPictures, LabelImagesOfTheSceneAreReadAsShown) {
+  for (int orientation = 1; orientation <= 8; ++orientation) {
+    TurnedCase c(5, 3, orientation);
+    const std::string label = c.folder + "/label.png";
+    const std::vector<std::uint8_t> ids = c.shown_ids();
+    write_png_gray8(label, c.shown_w(), c.shown_h(), ids);
+    const FrameFiles files{c.scene.info.frames[0].source, "", label, label};
+    FrameInfo frame = c.scene.info.frames[0];
+    frame.orientation = 1;
+    Diagnostics found;
+    FrameFileCheck check(MissingFiles::error, "");
+    check.check_headers(frame, files, found);
+    for (const Diagnostic& d : found.all()) ADD_FAILURE() << d.text();
+    EXPECT_EQ(frame.orientation, orientation);
+    FrameBuffer out;
+    read_frame_files(frame, files, {}, room_table(), out);
+    EXPECT_EQ(rows_of({5, 3, out.label, {}}), c.wanted()) << orientation;
+    const ShownCorners at = shown_corners(orientation, 5, 3);
+    EXPECT_EQ(out.instance[static_cast<std::size_t>(5 * at.left_y + at.left_x)], 4);
+    EXPECT_EQ(out.instance[static_cast<std::size_t>(5 * at.right_y + at.right_x)], 7);
+  }
+}
+
+using namespace testing_program;
+
+// `render` shows pixels as stored; what is exported for tools, and what degrade writes, as the photograph is shown.
+TEST(TurnedPictures, ExportsAreAsShownAndReadBack) {
+  const std::string folder = fresh_folder("t");
+  testing_room::write_replica(folder + "/room", 5);
+  const std::vector<int> turns{3, 6, 8, 5, 7};
+  std::filesystem::create_directories(folder + "/labels");
+  for (int i = 0; i < 5; ++i) {
+    const std::string name = std::to_string(i) + ".png", label = folder + "/room/semantic_class/semantic_class_" + name;
+    const int turn = turns[static_cast<std::size_t>(i)];
+    set_orientation(folder + "/room/rgb/rgb_" + name, turn);
+    const Image<std::uint16_t> stored = read_ids(label);
+    std::vector<std::uint8_t> shown(stored.pixels.size());
+    const bool quarter = turn >= 5;
+    for (int y = 0; y < 30; ++y) {
+      for (int x = 0; x < 40; ++x) {
+        const std::uint8_t id = static_cast<std::uint8_t>(stored.pixels[static_cast<std::size_t>(40 * y + x)]);
+        // Turned by hand: 3 by half, 6 to the right, 8 to the left, 5 mirrored about one diagonal, 7 about the other.
+        const int u = turn == 3 ? 39 - x : turn == 6 || turn == 7 ? 29 - y : y;
+        const int v = turn == 3 ? 29 - y : turn == 8 || turn == 7 ? 39 - x : x;
+        shown[static_cast<std::size_t>(v * (quarter ? 30 : 40) + u)] = id;
+      }
+    }
+    write_png_gray8(folder + "/labels/" + name, quarter ? 30 : 40, quarter ? 40 : 30, shown);
+  }
+  for (const char* name : {"/room/semantic_class", "/room/semantic_instance"})
+    std::filesystem::remove_all(folder + name);
+  write_file_atomic(folder + "/room.yaml",
+                    "include: " + std::string(SEMFIELD_SOURCE_DIR) +
+                        "/configs/presets/room.yaml\nscene: {type: replica, root: room, train_step: 1, test_step: 0, "
+                        "labels: {from: {type: images, folder: labels, pattern: '{number}.png'}}}\n");
+  const Result degraded = succeeded(semfield_run("degrade room.yaml --out given", folder));
+  for (int i = 0; i < 5; ++i) {
+    const std::string number = std::to_string(i);
+    EXPECT_EQ(read_ids(folder + "/given/semantic_class/semantic_class_" + number + ".png").pixels,
+              read_ids(folder + "/labels/" + number + ".png").pixels)
+        << turns[static_cast<std::size_t>(i)];
+  }
+  const Result trained = succeeded(semfield_run("train room.yaml --steps 20 --threads 1 --out run -q", folder));
+  ASSERT_EQ(semfield_run("render run --split train --out rendered -q", folder).code, 0);
+  const ClassTable table = ClassTable::load(folder + "/room/classes.yaml");
+  for (const std::string format : {"coco", "labelme", "png"}) {
+    const Result r = succeeded(
+        semfield_run("export run --split train --min-area 0 --format " + format + " --out " + format + ".x", folder));
+    const std::string path = folder + "/" + format + ".x";
+    for (int i = 0; i < 5; ++i) {
+      const std::string name = "rgb_" + std::to_string(i);
+      const int turn = turns[static_cast<std::size_t>(i)];
+      const Image<std::uint16_t> stored = read_ids(folder + "/rendered/" + name + "_label.png");
+      FrameInfo frame{.name = name, .source = folder + "/room/rgb/" + name + ".png"};
+      frame.camera.width_px = turn >= 5 ? 30 : 40;
+      frame.camera.height_px = turn >= 5 ? 40 : 30;
+      auto reader = format == "coco" ? make_reader("coco", "file: " + path)
+                    : format == "labelme"
+                        ? make_reader("labelme", "folder: " + path)
+                        : make_reader("images", "{folder: " + path + ", pattern: '{name}_label.png'}");
+      const LabelRaster shown = read_labels(*reader, frame, table);
+      ASSERT_EQ(shown.width_px, frame.camera.width_px) << format;
+      int wrong = 0;
+      for (int y = 0; y < 30; ++y) {
+        for (int x = 0; x < 40; ++x) {
+          const int u = turn == 3 ? 39 - x : turn == 6 || turn == 7 ? 29 - y : y;
+          const int v = turn == 3 ? 29 - y : turn == 8 || turn == 7 ? 39 - x : x;
+          wrong += shown.hard[static_cast<std::size_t>(v * shown.width_px + u)] !=
+                   table.index_of(stored.pixels[static_cast<std::size_t>(40 * y + x)]);
+        }
+      }
+      EXPECT_EQ(wrong, 0) << format << " " << turn;
+    }
+  }
+  // A packed scene still knows how its photographs are shown.
+  ASSERT_EQ(semfield_run("pack room.yaml --out room.sfpack", folder).code, 0);
+  write_file_atomic(folder + "/packed.yaml",
+                    "include: " + std::string(SEMFIELD_SOURCE_DIR) +
+                        "/configs/presets/room.yaml\nscene: {type: packed, file: room.sfpack, labels: {from: {type: "
+                        "images, folder: labels, pattern: '{number}.png'}}}\n");
+  const Result packed = succeeded(semfield_run("degrade packed.yaml --out again", folder));
+  for (const char* number : {"0", "4"})
+    EXPECT_EQ(read_ids(folder + "/again/semantic_class/semantic_class_" + number + ".png").pixels,
+              read_ids(folder + "/labels/" + number + ".png").pixels);
+}
+
+// Frame 0 is shown upside down; the room's own label images are drawn over it so.
+TEST(TurnedPictures, ProbabilitiesAndFusedMapsAreAsShown) {
+  const std::string folder = fresh_folder("t");
+  testing_room::write_replica(folder + "/room", 5);
+  set_orientation(folder + "/room/rgb/rgb_0.png", 3);
+  const auto write_config = [&](const std::string& labels) {
+    write_file_atomic(folder + "/room.yaml", "include: " + std::string(SEMFIELD_SOURCE_DIR) +
+                                                 "/configs/presets/room.yaml\nscene: {type: replica, root: room, "
+                                                 "train_step: 2, test_step: 2, test_offset: 1" +
+                                                 labels + "}\n");
+  };
+  write_config("");
+  const Result fused = succeeded(semfield_run("fuse room.yaml --method monocular --out maps", folder));
+  EXPECT_EQ(read_ids(folder + "/maps/monocular/rgb_0_label.png").pixels,
+            read_ids(folder + "/room/semantic_class/semantic_class_0.png").pixels);
+  write_config(", labels: {degrade: [{type: simulated_predictions}]}");
+  const Result degraded = succeeded(semfield_run("degrade room.yaml --out given", folder));
+  const std::vector<float> soft =
+      read_npy(folder + "/given/probability/rgb_0.npy", [](std::span<const std::int64_t>) {}).values;
+  const std::vector<std::uint16_t> ids = read_ids(folder + "/given/semantic_class/semantic_class_0.png").pixels;
+  ASSERT_EQ(soft.size(), 6 * ids.size());
+  for (std::size_t p = 0; p < ids.size(); ++p) {
+    const auto row = soft.begin() + static_cast<std::ptrdiff_t>(6 * p);
+    ASSERT_EQ(ids[p], std::max_element(row, row + 6) - row + 1) << p;
+  }
+}
+
+// Speckles are given to what surrounds them, and nothing else changes; label files of real scenes.
+
+std::vector<std::int16_t> map_of(const std::vector<std::string>& rows) {
+  std::vector<std::int16_t> label;
+  for (const std::string& row : rows) {
+    for (const char c : row) label.push_back(c == '.' ? kVoid : static_cast<std::int16_t>(c - '0'));
+  }
+  return label;
+}
+
+TEST(SmallRegions, TakeTheClassAroundThem) {
+  std::vector<std::int16_t> label = map_of({
+      "1111122222",
+      "1311122.22",  // a speckle, and one of void
+      "1111152222",  // between two classes, equally near: the one that comes first
+      "1134112222",  // two speckles side by side
+      "1111122222",
+  });
+  const SmallRegions found = fill_small_regions(label, 10, 5, 3);
+  EXPECT_EQ(label, map_of({
+                       "1111122222",
+                       "1111122222",
+                       "1111122222",
+                       "1111112222",
+                       "1111122222",
+                   }));
+  EXPECT_EQ(found.regions, 5);
+  EXPECT_EQ(found.pixels, 5);
+}
+
+TEST(SmallRegions, ConnectionThroughCornersIsNone) {
+  std::vector<std::int16_t> label = map_of({"1000", "0100", "0010", "0000"});
+  EXPECT_EQ(fill_small_regions(label, 4, 4, 3).pixels, 3) << "three regions of a pixel each";
+  EXPECT_EQ(label, map_of({"0000", "0000", "0000", "0000"}));
+}
+
+TEST(SmallRegions, AreaIsTheFirstThatStays) {
+  const std::vector<std::int16_t> before = map_of({"00000", "01100", "00000"});
+  std::vector<std::int16_t> label = before;
+  for (const std::int64_t area : {0, 1, 2}) {
+    EXPECT_EQ(fill_small_regions(label, 5, 3, area).pixels, 0) << area;
+    EXPECT_EQ(label, before) << area;
+  }
+  EXPECT_EQ(fill_small_regions(label, 5, 3, 3).pixels, 2);
+}
+
+TEST(SmallRegions, AMapOfSmallRegionsAloneStays) {
+  const std::vector<std::int16_t> before = map_of({"0101", "1010"});
+  std::vector<std::int16_t> label = before;
+  const SmallRegions found = fill_small_regions(label, 4, 2, 2);
+  EXPECT_EQ(found.regions, 0);
+  EXPECT_EQ(label, before);
+}
+
+// Blocks of four classes under single pixels of noise: every region from the area on keeps each of its pixels, and none
+// below it is left.
+TEST(SmallRegions, NoRegionFromTheAreaOnChanges) {
+  constexpr std::int32_t kWidth = 61, kHeight = 47;
+  constexpr std::int64_t kArea = 12;
+  const RandomAddress address{3, 0, stream_id("test")};
+  std::vector<std::int16_t> label;
+  for (std::int32_t y = 0; y < kHeight; ++y) {
+    for (std::int32_t x = 0; x < kWidth; ++x) {
+      const std::uint64_t pixel = static_cast<std::uint64_t>(y * kWidth + x);
+      const bool noise = uniform_below(address, 2 * pixel, 100) < 25;
+      const auto block = static_cast<std::uint64_t>(1000000 + x / 9 * 100 + y / 7);
+      label.push_back(static_cast<std::int16_t>(uniform_below(address, noise ? 2 * pixel + 1 : block, 4)));
+    }
+  }
+  const std::vector<std::int16_t> before = label;
+  const SmallRegions found = fill_small_regions(label, kWidth, kHeight, kArea);
+  std::int64_t small = 0, large = 0;
+  for (const MaskRegion& region : mask_regions(before, kWidth, kHeight)) {
+    if (region.area_px < kArea) {
+      ++small;
+      continue;
+    }
+    ++large;
+    for (const PixelRun& run : outline_runs(region.outline, kWidth, kHeight)) {
+      for (std::int32_t x = run.x0; x < run.x1; ++x)
+        ASSERT_EQ(label[run.y * kWidth + x], region.index) << x << " " << run.y;
+    }
+  }
+  EXPECT_EQ(found.regions, small);
+  EXPECT_GT(small, 100);
+  EXPECT_GT(large, 10);
+  for (const MaskRegion& region : mask_regions(label, kWidth, kHeight)) EXPECT_GE(region.area_px, kArea);
+}
+
+// Real predictions of networks through the label readers, where they are at hand.
+
+using namespace testing_labels;
+
+std::string data(const std::string& name) { return std::string(SEMFIELD_SOURCE_DIR) + "/../shared/data/" + name; }
+
+TEST(RealLabels, HardPredictionsOfReplicaFrames) {
+  const std::string root = data("replica_apartment0");
+  if (!std::filesystem::exists(root + "/cnn_strong")) GTEST_SKIP() << "the optional Replica frames are not at hand";
+  ReplicaParams p{.root = root, .train_step = 2, .test_step = 2, .test_offset = 1};
+  Replica replica(p, {});
+  Diagnostics d;
+  const SceneInfo info = replica.open(d);
+  auto reader = make_reader("images", "folder: " + root + "/cnn_strong\npattern: 'semantic_class_{number}.png'\n");
+  const ClassTable table = reader->open(info.classes, d);
+  reader->match(info.frames, d);
+  EXPECT_FALSE(d.has_errors());
+  ASSERT_EQ(info.frames.size(), 70u);
+  std::int64_t same = 0, counted = 0;
+  for (std::size_t f = 0; f < info.frames.size(); ++f) {
+    ASSERT_TRUE(reader->has(info.frames[f])) << info.frames[f].name;
+    const LabelRaster raster = reader->read(info.frames[f], table);
+    ASSERT_EQ(raster.width_px, 320);
+    FrameBuffer truth;
+    replica.read(static_cast<int>(f), truth);
+    for (std::size_t i = 0; i < truth.label.size(); ++i) {
+      if (truth.label[i] < 0 || raster.hard[i] < 0) continue;
+      ++counted;
+      same += truth.label[i] == raster.hard[i];
+    }
+  }
+  // The data's own description says 85.9 % of pixels; a frame taken for its neighbour would lose several per cent.
+  const double accuracy = static_cast<double>(same) / static_cast<double>(counted);
+  EXPECT_NEAR(accuracy, 0.859, 0.01);
+  RecordProperty("accuracy", std::to_string(accuracy));
+}
+
+TEST(RealLabels, SoftPredictionsOfTheShelfBin) {
+  const std::string root = data("shelf_bin");
+  if (!std::filesystem::exists(root + "/predictions")) GTEST_SKIP() << "the optional shelf bin is not at hand";
+  TransformsJsonParams p{.root = root};
+  TransformsJson scene(p, {});
+  Diagnostics d;
+  const SceneInfo info = scene.open(d);
+  auto reader = make_reader("npz", "folder: " + root + "/predictions\n");
+  const ClassTable table = reader->open(info.classes, d);
+  reader->match(info.frames, d);
+  EXPECT_FALSE(d.has_errors());
+  ASSERT_EQ(info.frames.size(), 15u);
+  const auto classes = static_cast<std::size_t>(table.valid_count());
+  ASSERT_EQ(classes, 4u);
+  std::int64_t same = 0, counted = 0;
+  double highest = 0;
+  for (std::size_t f = 0; f < info.frames.size(); ++f) {
+    ASSERT_TRUE(reader->has(info.frames[f])) << info.frames[f].name;
+    const LabelRaster raster = reader->read(info.frames[f], table);
+    ASSERT_EQ(raster.width_px, 320);
+    ASSERT_EQ(raster.height_px, 240);
+    ASSERT_EQ(raster.soft.size(), 320u * 240 * 4);
+    FrameBuffer truth;
+    scene.read(static_cast<int>(f), truth);
+    for (std::int32_t y = 0; y < 240; ++y) {
+      for (std::int32_t x = 0; x < 320; ++x) {
+        const auto row = raster.soft.begin() + (std::int64_t{y} * 320 + x) * 4;
+        float sum = 0;
+        for (std::int64_t c = 0; c < 4; ++c) sum += row[c];
+        highest = std::max(highest, static_cast<double>(sum));
+        const std::int64_t ty = std::int64_t{2 * y + 1} * truth.height_px / 480,
+                           tx = std::int64_t{2 * x + 1} * truth.width_px / 640;
+        const std::int16_t label = truth.label[ty * truth.width_px + tx];
+        if (label < 0 || sum < 0.5F) continue;
+        ++counted;
+        same += std::max_element(row, row + 4) - row == label;
+      }
+    }
+  }
+  EXPECT_LE(highest, 1.01);
+  const double accuracy = static_cast<double>(same) / static_cast<double>(counted);
+  EXPECT_GT(accuracy, 0.7);
+  RecordProperty("accuracy", std::to_string(accuracy));
+  std::printf("shelf bin: %lld pixels of objects, %.3f of them predicted right, sums up to %.4f\n",
+              static_cast<long long>(counted), accuracy, highest);
+}
+
+}  // namespace
+}  // namespace semfield

@@ -1,0 +1,1024 @@
+// Label images, class probabilities and clicks: values to classes, names of files, every refusal.
+
+#include <algorithm>
+#include <set>
+
+#include "core/rng.h"
+#include "formats/image_io.h"
+#include "formats/npz.h"
+#include "labels/frame_match.h"
+#include "labels/label_files.h"
+#include "labels/mask_outlines.h"
+#include "labels/training_labels.h"
+#include "loading/frame_masks.h"
+#include "tests/labels/reader_case.h"
+#include "tests/scene/tiny_scene.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_labels;
+using testing_room::fresh_folder;
+
+// --- images ---
+
+std::unique_ptr<LabelReader> images(const std::string& folder, const std::string& rest) {
+  return make_reader("images", "folder: " + folder + "\n" + rest + "\n");
+}
+
+TEST(LabelImages, IdsPalettesAndColours) {
+  const std::string folder = fresh_folder("t");
+  const std::vector<std::uint8_t> ids{0, 1, 4, 7};
+  write_png_gray8(folder + "/semantic_class_12.png", 2, 2, ids);
+  auto reader = images(folder, "pattern: 'semantic_class_{number}.png'");
+  EXPECT_EQ(rows_of(read_labels(*reader, frame_of("rgb_12"), room_table())), (Rows{".0", "12"}));
+  EXPECT_FALSE(reader->has(frame_of("rgb_1")));
+  EXPECT_FALSE(reader->has(frame_of("rgb"))) << "no number";
+
+  const std::vector<std::uint8_t> palette(8 * 3, 200);
+  write_png_palette(folder + "/p.png", 2, 2, ids, palette);
+  reader = images(folder, "kind: palette\npattern: '{stem}.png'");
+  FrameInfo frame = frame_of("a/b");
+  frame.source = "/x/p.jpg";
+  EXPECT_EQ(rows_of(read_labels(*reader, frame, room_table())), (Rows{".0", "12"}));
+
+  const std::vector<std::uint8_t> rgb{0, 0, 0, 10, 20, 30, 40, 50, 60, 70, 80, 90};
+  write_png_rgb(folder + "/c.png", 2, 2, rgb);
+  reader = images(folder, "kind: color");
+  EXPECT_EQ(rows_of(read_labels(*reader, frame_of("c"), room_table())), (Rows{".0", "12"}));
+  write_file_atomic(folder + "/colors.csv", std::string_view("r,g,b,name\n0,0,0,table\n10,20,30,\"chair\"\n40,50,60,"
+                                                             "void\n70,80,90,chair\n"));
+  reader = images(folder, "kind: color\nfile: " + folder + "/colors.csv");
+  EXPECT_EQ(rows_of(read_labels(*reader, frame_of("c"), room_table())), (Rows{"21", ".1"}));
+  // Without a table of the scene: names in the order of the file, with its colours.
+  Diagnostics d;
+  const ClassTable table = open_for(*reader, {}, {frame_of("c")}, d);
+  ASSERT_EQ(table.valid_count(), 2);
+  EXPECT_EQ(table.valid(0).name, "table");
+  EXPECT_EQ(table.valid(1).color, (std::array<std::uint8_t, 3>{10, 20, 30}));
+  EXPECT_EQ(rows_of(reader->read(frame_of("c"), table)), (Rows{"01", ".1"}));
+}
+
+TEST(LabelImages, ColumnsOfTheTableOfColoursAreReadByTheirNames) {
+  const std::string folder = fresh_folder("t");
+  const std::vector<std::uint8_t> rgb{1, 2, 3, 10, 20, 30};
+  write_png_rgb(folder + "/c.png", 2, 1, rgb);
+  write_file_atomic(folder + "/colors.csv",
+                    std::string_view("id,name,red,green,blue\n0,__ignore__,1,2,3\n1,chair,10,20,30\n"));
+  auto reader = images(folder, "kind: color\nfile: " + folder + "/colors.csv");
+  EXPECT_EQ(rows_of(read_labels(*reader, frame_of("c", 2, 1), room_table())), (Rows{".1"}));
+  write_file_atomic(folder + "/colors.csv", std::string_view("name,red,green\nchair,10,20\n"));
+  EXPECT_HAS(open_findings(*reader, room_table()), "colors.csv:1: expected columns r, g, b and name");
+  write_file_atomic(folder + "/colors.csv", std::string_view("1,2,3,chair,4\n"));
+  EXPECT_HAS(open_findings(*reader, room_table()), "colors.csv:1: 5 columns, at most 4 are read");
+}
+
+TEST(LabelImages, AClassTableForASceneWithoutOne) {
+  const std::string folder = fresh_folder("t");
+  write_file_atomic(folder + "/classes.csv", std::string_view("class_id,class\n0,void\n1,wall\n5,lamp\n"));
+  const std::vector<std::uint8_t> ids{0, 1, 5, 9};
+  write_png_gray8(folder + "/a.png", 2, 2, ids);
+  auto reader = images(folder, "unknown: void\nclasses: " + folder + "/classes.csv");
+  EXPECT_EQ(rows_of(read_labels(*reader, frame_of("a"), {})), (Rows{".0", "1."}));
+}
+
+TEST(LabelImages, RefusalsNameFileAndPixel) {
+  const std::string folder = fresh_folder("t");
+  const std::vector<std::uint8_t> ids{0, 1, 4, 9};
+  write_png_gray8(folder + "/a.png", 2, 2, ids);
+  const std::vector<std::uint8_t> rgb{0, 0, 0, 10, 20, 30, 40, 50, 60, 70, 80, 91};
+  write_png_rgb(folder + "/c.png", 2, 2, rgb);
+  write_file_atomic(folder + "/broken.png", std::string_view("nothing"));
+  const auto read = [&](const std::string& rest, const std::string& name) {
+    auto reader = images(folder, rest);
+    Diagnostics d;
+    const ClassTable table = open_for(*reader, room_table(), {frame_of(name)}, d);
+    return error_of([&] { (void)reader->read(frame_of(name), table); });
+  };
+  EXPECT_EQ(read("kind: palette", "broken"),
+            "'" + folder + "/broken.png': it is not a PNG with a palette; set kind: ids or color");
+  EXPECT_HAS(read("", "broken"), "broken.png");
+
+  const auto opened = [&](const std::string& rest, const ClassTable& known = room_table()) {
+    return open_findings(*images(folder, rest), known);
+  };
+  const auto colors = [&](const std::string& text, const ClassTable& known = room_table()) {
+    write_file_atomic(folder + "/c.csv", text);
+    return opened("kind: color\nfile: " + folder + "/c.csv", known);
+  };
+  const std::string csv = folder + "/c.csv";
+  EXPECT_EQ(colors("1,2,3\n"), csv + ":1: expected 'r,g,b,name'");
+  EXPECT_EQ(colors("1,2,3,wal\n"), csv + ":1: no class 'wal'; did you mean 'wall'?");
+  EXPECT_EQ(colors("1,2,3,\"wall\n"), csv + ":1: a quote is not closed; end the field with a double quote");
+  EXPECT_EQ(colors("\n"), csv + ": no colours in it; write lines 'r,g,b,name'");
+  EXPECT_EQ(opened("", {}), "classes: the scene has no class table; name one in scene.labels.from.classes");
+  EXPECT_HAS(opened("classes: " + folder + "/none.csv", {}), "none.csv");
+  EXPECT_HAS(opened("kind: color", ClassTable({{1, "a", {1, 1, 1}, false}, {2, "b", {1, 1, 1}, false}})),
+             "same colour");
+  EXPECT_HAS(open_findings(*images(folder + "/none", ""), room_table()), folder + "/none", "a folder");
+}
+
+// --- class probabilities ---
+
+struct NpzCase {
+  std::string folder = fresh_folder("t");
+  NpzCase() { classes(R"(["table", "other", "wall"])"); }
+  void classes(const std::string& text) const { write_file_atomic(folder + "/classes.json", text); }
+  // 1 x 2 pixels.
+  void write(const std::vector<float>& values, std::int64_t columns = 3) const {
+    const NpzEntry entry{"probability", {1, 2, columns}, values};
+    const std::vector<float> confidence{1.0F, 0.5F};
+    const NpzEntry second{"confidence", {1, 2}, confidence};
+    const std::vector<NpzEntry> entries{entry, second};
+    write_npz(folder + "/a.npz", entries);
+  }
+  std::unique_ptr<LabelReader> reader(const std::string& rest = "") const {
+    return make_reader("npz", "folder: " + folder + "\n" + rest);
+  }
+  std::string read_error(const std::string& rest = "") const {
+    auto r = reader(rest);
+    Diagnostics d;
+    const ClassTable table = open_for(*r, room_table(), {frame_of("a", 4, 2)}, d);
+    for (const Diagnostic& x : d.all()) ADD_FAILURE() << x.text();
+    return error_of([&] { (void)r->read(frame_of("a", 4, 2), table); });
+  }
+};
+
+TEST(NpzLabels, ColumnsGoToTheirClasses) {
+  const NpzCase c;
+  c.write({0.5F, 0.25F, 0.25F, 0, 0, 0});
+  const LabelRaster raster = read_labels(*c.reader(), frame_of("a", 4, 2), room_table());
+  EXPECT_EQ(raster.width_px, 2);
+  EXPECT_EQ(raster.height_px, 1);
+  EXPECT_TRUE(raster.hard.empty());
+  EXPECT_EQ(raster.soft, (std::vector<float>{0.25F, 0, 0.5F, 0, 0, 0}));
+  for (const char* order : {R"({"table": 0, "other": 1, "wall": 2})", R"({"0": "table", "1": "other", "2": "wall"})"}) {
+    c.classes(order);
+    EXPECT_EQ(read_labels(*c.reader(), frame_of("a", 4, 2), room_table()).soft, raster.soft) << order;
+  }
+  c.write({0.5F, 0.25F, 0.25F, 0, 0, 1});
+  EXPECT_EQ(read_labels(*c.reader("confidence_key: confidence"), frame_of("a", 4, 2), room_table()).soft,
+            (std::vector<float>{0.25F, 0, 0.5F, 0.5F, 0, 0}));
+  // Without a table of the scene: names in the order of the file; "other" is void.
+  Diagnostics d;
+  const auto reader = c.reader();
+  const ClassTable table = open_for(*reader, {}, {frame_of("a", 4, 2)}, d);
+  ASSERT_EQ(table.valid_count(), 2);
+  EXPECT_EQ(table.valid(0).name, "table");
+  EXPECT_EQ(reader->read(frame_of("a", 4, 2), table).soft, (std::vector<float>{0.5F, 0.25F, 0, 1}));
+  EXPECT_FALSE(reader->has(frame_of("b", 4, 2)));
+}
+
+// Arrays that are none, and their order of classes: tests/bad_files/labels.cases.
+TEST(NpzLabels, RefusalsNameFileAndPixel) {
+  const NpzCase c;
+  const std::string file = "'" + c.folder + "/a.npz'";
+  const float nan = std::numeric_limits<float>::quiet_NaN(), infinity = std::numeric_limits<float>::infinity();
+  const std::pair<std::vector<float>, const char*> rows[] = {
+      {{0.5F, 0.25F, 0.25F, 1, 2, 3}, "x 1, y 0: the classes"},
+      {{0.5F, -0.25F, 0.25F, 0, 0, 0}, "x 0, y 0: class 'other'"},
+      {{nan, 0, 0, 0, 0, 0}, "x 0, y 0: class 'table' has nan"},
+      {{infinity, 0, 0, 0, 0, 0}, "x 0, y 0: the classes"}};
+  for (const auto& [values, said] : rows) {
+    c.write(values);
+    EXPECT_HAS(c.read_error(), file + ": pixel ", said);
+  }
+  c.write({0.5F, 0.5F, 0, 0}, 2);
+  EXPECT_HAS(c.read_error(), file + ", entry 'probability': 2 classes", "names 3");
+  EXPECT_HAS(c.read_error("key: logits"), file, "'logits'", "probability, confidence");
+  EXPECT_HAS(c.read_error("key: confidence"), file + ", entry 'confidence'", "(1, 2)");
+  c.write({0.5F, 0.25F, 0.25F, 0, 0, 0});
+  EXPECT_HAS(c.read_error("confidence_key: probability"), file, "entry 'probability'", "(1, 2, 3)");
+  // Another shape than the frame's is found in its header, before any value is looked at.
+  auto r = c.reader();
+  Diagnostics d;
+  const ClassTable table = open_for(*r, room_table(), {frame_of("a", 4, 3)}, d);
+  EXPECT_HAS(error_of([&] { (void)r->read(frame_of("a", 4, 3), table); }), file, "2 x 1 pixels", "4 x 3");
+  testing_room::cut(c.folder + "/a.npz", 40);
+  EXPECT_HAS(c.read_error(), file + ": not a zip archive");
+
+  const std::pair<const char*, const char*> orders[] = {{"[", "not valid JSON"},
+                                                        {"[]", "no class names"},
+                                                        {"[\"wall\", 3]", "entry 2"},
+                                                        {"[\"wall\", \"wall\"]", "'wall' is named twice"},
+                                                        {"{\"wall\": 0, \"table\": 0}", "column 0"},
+                                                        {"{\"wall\": null}", "'wall'"}};
+  for (const auto& [order, said] : orders) {
+    c.classes(order);
+    EXPECT_HAS(open_findings(*c.reader(), room_table()), c.folder + "/classes.json: ", said);
+  }
+  EXPECT_HAS(error_of([&] { (void)c.reader("pattern: '{name}.npy'\nconfidence_key: c"); }), ".npy");
+  EXPECT_HAS(error_of([&] { (void)c.reader("key: ''"); }), "no array is named");
+}
+
+// --- clicks ---
+
+TEST(Clicks, PixelsAndDiscsInAVoidImage) {
+  const std::string file = fresh_folder("t") + "/clicks.csv";
+  auto reader = make_reader("clicks", "file: " + file);
+  write_file_atomic(
+      file, std::string_view("frame,x,y,class,radius\nrgb_1,3,0,table,1\n\nrgb_1,0,2,\"wall\"\nrgb_1,1,2,void,\n"));
+  EXPECT_EQ(rows_of(read_labels(*reader, frame_of("rgb_1"), room_table())), (Rows{"..22", "...2", "0..."}));
+  EXPECT_FALSE(reader->has(frame_of("rgb_2")));
+  // A frame loaded at half its stored size: coordinates are those of the stored image, and no click gets lost.
+  const std::string stored = fresh_folder("images") + "/rgb_1.png";
+  write_png_gray8(stored, 8, 6, std::vector<std::uint8_t>(48));
+  write_file_atomic(file, std::string_view("rgb_1,7,5,table\nrgb_1,0,0,chair\n"));
+  FrameInfo frame = frame_of("rgb_1");
+  frame.source = stored;
+  EXPECT_EQ(rows_of(read_labels(*reader, frame, room_table())), (Rows{"1...", "....", "...2"}));
+  Diagnostics d;
+  const ClassTable table = reader->open({}, d);
+  EXPECT_EQ(table.valid(0).name, "chair");
+  EXPECT_EQ(table.valid(1).name, "table");
+}
+
+TEST(Clicks, RefusalsNameTheLine) {
+  const std::string file = fresh_folder("t") + "/clicks.csv";
+  auto reader = make_reader("clicks", "file: " + file);
+  const auto findings = [&](const std::string& text) {
+    write_file_atomic(file, text);
+    return open_findings(*reader, room_table());
+  };
+  const std::pair<const char*, const char*> bad[] = {{"# mine\n,1,2,wall\n", ":2: no frame"},
+                                                     {"a,1,,wall\n", ":1: y: "},
+                                                     {"a,1,2,\n", ":1: no class"},
+                                                     {"a,1,2,wall,3,4\n", ":1: 6 columns"},
+                                                     {"image,row,col,label\na,2,1,wall,3\n", ":2: 5 columns"},
+                                                     {"image,row,label\na,2,wall\n", ":1: expected columns"}};
+  for (const auto& [text, said] : bad) EXPECT_HAS(findings(text), file + said);
+  EXPECT_EQ(findings("image,row,col,label\na,2,1,wall\n"), "");
+  ASSERT_EQ(findings("a,1,2,wall\n"), "");
+  EXPECT_HAS(error_of([&] { (void)reader->read(frame_of("zz"), room_table()); }), "no click in frame 'zz'");
+}
+
+// labelme and COCO: shapes to pixels, names to classes, every refusal.
+
+// --- filling ---
+
+Rows filled(const Outline& outline, int width, int height) {
+  LabelRaster raster = void_raster(width, height);
+  paint(outline_runs(outline, width, height), 1, raster);
+  return rows_of(raster);
+}
+
+TEST(OutlineFill, ThePixelCentreDecides) {
+  EXPECT_EQ(filled({{0.6, 0.6}, {3.4, 0.6}, {3.4, 2.4}, {0.6, 2.4}}, 4, 3), (Rows{"....", ".11.", "...."}));
+  EXPECT_EQ(filled({{0.4, 0.4}, {2.6, 0.4}, {2.6, 1.6}, {0.4, 1.6}}, 4, 3), (Rows{"111.", "111.", "...."}));
+  // A triangle: centres (x + .5, y + .5) with x + y + 1 < 4.
+  EXPECT_EQ(filled({{0, 0}, {4, 0}, {0, 4}}, 4, 4), (Rows{"111.", "11..", "1...", "...."}));
+}
+
+TEST(OutlineFill, NeighboursShareNoPixelAndLeaveNoneOut) {
+  // A fan of triangles around a point that is a pixel centre, its corners on pixel centres too.
+  const std::vector<PixelPoint> rim{{0.5, 0.5}, {4.5, 0.5}, {8.5, 0.5}, {8.5, 4.5},
+                                    {8.5, 8.5}, {4.5, 8.5}, {0.5, 8.5}, {0.5, 4.5}};
+  std::vector<int> count(9 * 9);
+  for (std::size_t i = 0; i < rim.size(); ++i) {
+    for (const PixelRun& run : outline_runs({{4.5, 4.5}, rim[i], rim[(i + 1) % rim.size()]}, 9, 9)) {
+      for (int x = run.x0; x < run.x1; ++x) ++count[run.y * 9 + x];
+    }
+  }
+  for (int y = 0; y < 9; ++y) {
+    for (int x = 0; x < 9; ++x) EXPECT_EQ(count[y * 9 + x], x < 8 && y < 8 ? 1 : 0);
+  }
+}
+
+TEST(OutlineFill, EvenOddAndPartsOutsideTheImage) {
+  // An outline that winds twice around the middle leaves it out.
+  EXPECT_EQ(filled({{0, 0}, {5, 0}, {5, 5}, {0, 5}, {0, 0}, {1, 1}, {4, 1}, {4, 4}, {1, 4}, {1, 1}}, 5, 5),
+            (Rows{"11111", "1...1", "1...1", "1...1", "11111"}));
+  EXPECT_EQ(filled({{-1e6, -1e6}, {1e6, -1e6}, {1e6, 1e6}, {-1e6, 1e6}}, 3, 2), (Rows{"111", "111"}));
+  EXPECT_EQ(filled({{10, 10}, {20, 10}, {20, 20}}, 3, 2), (Rows{"...", "..."}));
+  EXPECT_TRUE(outline_runs({}, 3, 2).empty());
+  LabelRaster disc = void_raster(5, 5);
+  paint(disc_runs({2.5, 2.5}, 1.0, 5, 5), 1, disc);
+  EXPECT_EQ(rows_of(disc), (Rows{".....", "..1..", ".111.", "..1..", "....."}));
+  EXPECT_TRUE(disc_runs({-9, 2}, 1, 5, 5).empty());
+}
+
+// --- labelme ---
+
+std::string shape(const std::string& label, const std::string& type, const std::string& points) {
+  return R"({"label": ")" + label + R"(", "shape_type": ")" + type + R"(", "points": )" + points + "}";
+}
+std::string labelme(const std::string& shapes, const std::string& image = "x/rgb_3.jpg") {
+  return R"({"imagePath": ")" + image + R"(", "imageWidth": 6, "imageHeight": 4, "imageData": null, "shapes": [)" +
+         shapes + "]}";
+}
+
+struct LabelmeCase {
+  std::string folder = fresh_folder("t");
+  std::unique_ptr<LabelReader> reader = make_reader("labelme", "folder: " + folder);
+  void write(const std::string& name, const std::string& text) const { write_file_atomic(folder + "/" + name, text); }
+};
+
+TEST(Labelme, ShapesAreFilledInTheirOrder) {
+  LabelmeCase c;
+  c.write("rgb_3.json",
+          labelme(shape("wall", "polygon", "[[0,0],[6,0],[6,4],[0,4]]") + "," +
+                  shape("chair", "rectangle", "[[4,3],[1,1]]") + "," +
+                  shape("table", "circle", "[[4.5,2.5],[5.5,2.5]]") + "," + shape("void", "point", "[[6,0.2]]")));
+  EXPECT_EQ(rows_of(read_labels(*c.reader, frame_of("rgb_3"), room_table())),
+            (Rows{"00000.", "011120", "011222", "000020"}));
+}
+
+TEST(Labelme, FramesAreFoundByImageOrFileAndTheTableIsBuiltInOrderOfNames) {
+  LabelmeCase c;
+  c.write("mine.json", labelme(shape("table", "point", "[[0.5,0.5]]") + "," + shape("chair", "point", "[[1,1]]"),
+                               "..\\\\images\\\\0017.png"));
+  c.write("other.json", labelme("", "0018.png"));
+  c.write("settings.json", "{\"a\": 1}");
+  Diagnostics d;
+  const ClassTable table = open_for(*c.reader, {}, {frame_of("0017"), frame_of("0018"), frame_of("0019")}, d);
+  ASSERT_EQ(d.all().size(), 2u);
+  EXPECT_EQ(d.all()[1].code, Code("labels.frame.folder")) << "images is not nowhere";
+  EXPECT_EQ(d.all()[0].text(), c.folder + "/settings.json: no labelme file (it has no 'shapes'); left out");
+  ASSERT_EQ(table.entries().size(), 3u);
+  EXPECT_EQ(table.entries()[1].name, "chair");
+  EXPECT_EQ(table.entries()[1].id, 1);
+  EXPECT_TRUE(table.entries()[0].ignore);
+  EXPECT_TRUE(c.reader->has(frame_of("0017")));
+  EXPECT_FALSE(c.reader->has(frame_of("0018"))) << "nothing is drawn in it";
+  EXPECT_FALSE(c.reader->has(frame_of("0019")));
+  FrameInfo renamed = frame_of("a");
+  renamed.source = "/images/0017.jpg";
+  Diagnostics others;
+  c.reader->match({renamed}, others);
+  EXPECT_EQ(rows_of(c.reader->read(renamed, table))[0], "1.....");
+  c.reader->match({frame_of("mine")}, others);
+  EXPECT_TRUE(c.reader->has(frame_of("mine")));
+  EXPECT_TRUE(others.all().empty());
+  EXPECT_HAS(error_of([&] { (void)c.reader->read(frame_of("0019"), table); }),
+             "there is no labelme file for frame '0019'");
+}
+
+TEST(Labelme, VoidWordsOfToolsAreVoid) {
+  LabelmeCase c;
+  c.write("rgb_3.json", labelme(shape("chair", "rectangle", "[[0,0],[6,4]]") + "," +
+                                    shape("__ignore__", "rectangle", "[[0,0],[2,4]]"),
+                                "rgb_3.png"));
+  EXPECT_EQ(rows_of(read_labels(*c.reader, frame_of("rgb_3"), {}))[0], "..0000");
+}
+
+TEST(Labelme, EveryRefusalNamesFileAndShape) {
+  LabelmeCase c;
+  const std::pair<std::string, const char*> bad[] = {{"3", ": shape 1: the shape has no label"},
+                                                     {R"({"label": "chair"})", ": shape 1 ('chair'): "},
+                                                     {shape("chair", "circle", "[[0,0]]"), "a circle of 1 points"},
+                                                     {shape("chair", "point", "[]"), "a point of 0 points"}};
+  for (const auto& [text, said] : bad) {
+    c.write("a.json", labelme(text));
+    EXPECT_HAS(open_findings(*c.reader, room_table()), c.folder + "/a.json", said);
+  }
+}
+
+TEST(Labelme, ManyProblemsAreCounted) {
+  LabelmeCase c;
+  for (int i = 0; i < 30; ++i) c.write(std::to_string(i) + ".json", "[");
+  Diagnostics d;
+  (void)c.reader->open({}, d);
+  ASSERT_EQ(d.all().size(), 21u);
+  EXPECT_EQ(d.all()[20].text(), "10 further problems are not listed");
+}
+
+// --- COCO ---
+
+const std::string kCategories =
+    R"("categories": [{"id": 1, "name": "wall"}, {"id": 4, "name": "chair"}, {"id": 9, "name": "table"}])";
+
+std::string coco(const std::string& annotations, const std::string& categories = kCategories) {
+  return R"({"images": [{"id": 5, "file_name": "train/rgb_3.png", "width": 4, "height": 3},
+    {"id": 6, "file_name": "rgb_4.png", "width": 4, "height": 3}], "annotations": [)" +
+         annotations + "], " + categories + "}";
+}
+std::string note(int category, const std::string& segmentation, int image = 5) {
+  return R"({"id": 1, "image_id": )" + std::to_string(image) + R"(, "category_id": )" + std::to_string(category) +
+         R"(, "segmentation": )" + segmentation + "}";
+}
+
+struct CocoCase {
+  std::string file = fresh_folder("t") + "/instances.json";
+  std::unique_ptr<LabelReader> reader = make_reader("coco", "file: " + file);
+  std::string findings(const std::string& text, const ClassTable& known = room_table()) {
+    write_file_atomic(file, text);
+    return open_findings(*reader, known);
+  }
+};
+
+TEST(Coco, PolygonsAndBothRunLengthsAndSmallOnesStayVisible) {
+  CocoCase c;
+  // The chair comes first and is smaller than the wall. Counts go down the columns of a 4 x 3 image.
+  const std::string wall = note(1, "[[0,0,4,0,4,3,0,3]]");
+  for (const std::string chair :
+       {"[[1,1,2,1,2,3,1,3],[3,0,4,0,4,1,3,1]]", R"({"size": [3, 4], "counts": [4, 2, 3, 1, 2]})",
+        R"({"size": [3, 4], "counts": "423OO"})"}) {
+    EXPECT_EQ(c.findings(coco(note(4, chair) + "," + wall)), "") << chair;
+    EXPECT_EQ(rows_of(read_labels(*c.reader, frame_of("rgb_3"), room_table())), (Rows{"0001", "0100", "0100"}))
+        << chair;
+  }
+  EXPECT_FALSE(c.reader->has(frame_of("rgb_4")));
+  EXPECT_FALSE(c.reader->has(frame_of("rgb_5")));
+}
+
+TEST(Coco, WithoutATableIdsAreKept) {
+  CocoCase c;
+  ASSERT_EQ(c.findings(coco(note(9, "[[0,0,4,0,4,3,0,3]]"))), "");
+  Diagnostics d;
+  const ClassTable table = open_for(*c.reader, {}, {frame_of("rgb_3")}, d);
+  EXPECT_EQ(table.index_of(9), 2);
+  EXPECT_EQ(table.index_of(4), 1);
+  EXPECT_EQ(table.index_of(0), kVoid);
+  // With the scene's table it is the name that counts: table is 7 there.
+  EXPECT_EQ(rows_of(c.reader->read(frame_of("rgb_3"), room_table()))[0], "2222");
+  ASSERT_EQ(c.findings(coco(note(0, "[[0,0,4,0,4,3,0,3]]"), R"("categories": [{"id": 0, "name": "person"}])"), {}), "");
+  const ClassTable zero = c.reader->open({}, d);
+  EXPECT_EQ(zero.index_of(0), 0);
+  EXPECT_EQ(zero.index_of(1), kVoid);
+}
+
+// As Roboflow writes them: a group that is called as its only class.
+TEST(Coco, CategoriesOfOneNameAreOneClass) {
+  CocoCase c;
+  const std::string twins =
+      R"("categories": [{"id": 0, "name": "Lodged"}, {"id": 1, "name": "Lodged"}, {"id": 2, "name": "_background_"}])";
+  write_file_atomic(c.file, coco(note(1, "[[0,0,4,0,4,3,0,3]]") + "," + note(2, "[[0,0,1,0,1,1,0,1]]"), twins));
+  Diagnostics d;
+  const ClassTable table = open_for(*c.reader, {}, {frame_of("rgb_3")}, d);
+  EXPECT_EQ(table.valid_count(), 1);
+  EXPECT_EQ(table.index_of(1), 0) << "the id that labels have";
+  EXPECT_EQ(table.index_of(2), kVoid);
+  EXPECT_EQ(rows_of(c.reader->read(frame_of("rgb_3"), table))[0], ".000");
+  EXPECT_EQ(unfound(d.all(), "classes.name.twice", {"categories 0 and 1", "'Lodged'", "id 1"}), "");
+}
+
+TEST(Coco, EveryRefusalNamesTheEntry) {
+  CocoCase c;
+  const std::pair<std::string, const char*> bad[] = {
+      {coco("{}"), ": annotation 1: needs a whole number 'category_id'"},
+      {coco("7"), ": annotation 1: needs a whole number 'category_id'"},
+      {coco(note(1, "[]") + "," + note(1, "null")), ": 2 annotations"},
+      {coco(note(1, "{\"size\": [3, 4]}")), ": annotation 1: run lengths need 'counts'"},
+      {coco(note(1, "{\"counts\": []}")), ": annotation 1: run lengths"},
+      {coco("", R"("categories": [{"id": 4, "name": "a"}, {"id": 4, "name": "b"}, {"id": 5}])"),
+       ": category 3: needs a text 'name'"}};
+  for (const auto& [text, said] : bad) EXPECT_HAS(c.findings(text), c.file + said);
+  EXPECT_EQ(c.findings(coco(note(1, "{\"counts\": [4, 2]}"))), "");
+  Diagnostics d;
+  c.reader->match({frame_of("rgb_3")}, d);
+  EXPECT_HAS(error_of([&] { (void)c.reader->read(frame_of("rgb_3"), room_table()); }), "6 of 12 pixels");
+  EXPECT_HAS(c.findings(coco("", R"("categories": [{"id": 70000, "name": "a"}])"), {}), "70000", "65535");
+}
+
+// Whichever is called more like the frame: the labels of the other would be gone.
+TEST(Coco, TwoImagesOfOneFrameAreRefused) {
+  FrameInfo frame = frame_of("rgb_3");
+  frame.source = "/scene/train/rgb_3.png";
+  const std::string own = "train/rgb_3.png";
+  for (const std::string other : {"train/rgb_3.jpg", "rgb_3.png", "rgb_3", "scene/train/rgb_3.png"}) {
+    for (const auto& [first, second] : {std::pair{own, other}, {other, own}}) {
+      CocoCase c;
+      std::string text = coco(note(1, "[[0,0,4,0,4,3]]") + "," + note(4, "[[0,0,4,0,4,3]]", 6));
+      text.replace(text.find("rgb_4.png"), 9, second);
+      text.replace(text.find(own), own.size(), first);
+      write_file_atomic(c.file, text);
+      Diagnostics d;
+      open_for(*c.reader, room_table(), {frame}, d);
+      EXPECT_FINDING(d, "labels.frame.twice", "image 2", "'" + second + "' is frame 'rgb_3', of which '" + first + "'");
+      EXPECT_TRUE(d.has_errors()) << first;
+    }
+  }
+}
+
+TEST(Coco, RunLengthTextRoundTrips) {
+  for (const std::vector<std::int64_t>& counts : {std::vector<std::int64_t>{0, 12},
+                                                  {4, 2, 3, 1, 2},
+                                                  {1, 1, 1, 1, 1, 1},
+                                                  {1000000, 1, 5, 70000, 0, 3, 16, 31, 32, 1024, 15}}) {
+    EXPECT_EQ(counts_of_text(text_of_counts(counts)), counts);
+  }
+  EXPECT_EQ(text_of_counts({4, 2, 3, 1, 2}), "423OO");
+  EXPECT_HAS(error_of([] { (void)counts_of_text("4P"); }), "the text ends within a number");
+  EXPECT_HAS(error_of([] { (void)counts_of_text("ooooooooooooo0"); }), "number 1 is too large");
+  EXPECT_HAS(error_of([] { (void)counts_of_text("O"); }), "count 1 is negative");
+}
+
+// Label files find the pictures that they are of, and no others: rigs of cameras, prefixes of tools, files of no frame.
+
+FrameInfo frame_at(const std::string& name, const std::string& source) {
+  FrameInfo frame = frame_of(name);
+  frame.source = source;
+  return frame;
+}
+
+// Two cameras whose images have the same names, as datasets name their frames.
+std::vector<FrameInfo> rig(int views = 2) {
+  std::vector<FrameInfo> frames;
+  for (const std::string side : {"left", "right"}) {
+    for (int i = 1; i <= views; ++i) {
+      const std::string number = "000" + std::to_string(i);
+      frames.push_back(
+          frame_at(side == "left" ? number : side + "_" + number, "/s/images/" + side + "/" + number + ".png"));
+    }
+  }
+  return frames;
+}
+
+struct Matched {
+  std::string frames;  // "frame=picture ..."
+  Diagnostics found;
+  std::string said() const {
+    std::string out;
+    for (const Diagnostic& d : found.all()) out += d.shown() + "\n";
+    return out;
+  }
+};
+
+Matched matched(const std::vector<FrameInfo>& frames, const std::vector<std::string>& names) {
+  std::vector<PictureName> pictures;
+  for (const std::string& name : names) pictures.push_back({.path = name, .place = "place of " + name});
+  Matched out;
+  for (const auto& [frame, picture] : match_frames(pictures, frames, "labels.json", out.found))
+    out.frames += frame + "=" + names[picture] + " ";
+  return out;
+}
+
+TEST(FrameMatch, PicturesOfOneCameraAreNeverThoseOfAnother) {
+  const Matched left = matched(rig(), {"left/0001.png", "left\\0002.png"});
+  EXPECT_EQ(left.frames, "0001=left/0001.png 0002=left\\0002.png ");
+  EXPECT_TRUE(left.found.all().empty()) << left.said();
+  const Matched deep = matched(rig(), {"/home/me/images/right/0002.jpg", "./left/0002"});
+  EXPECT_EQ(deep.frames, "0002=./left/0002 right_0002=/home/me/images/right/0002.jpg ");
+  // Its own frame is not in the scene; the other camera's of the same number is.
+  std::vector<FrameInfo> short_left = rig();
+  short_left.erase(short_left.begin() + 1);
+  const Matched lost = matched(short_left, {"left/0001.png", "left/0002.png"});
+  EXPECT_EQ(lost.frames, "0001=left/0001.png ");
+  EXPECT_FINDING(lost.found, "labels.frame.unmatched", "1 of 2", "'left/0002.png'");
+  // One camera alone is loaded, and the labels are of both.
+  const std::vector<FrameInfo> right{frame_at("0001", "/s/right/0001.png"), frame_at("0002", "/s/right/0002.png")};
+  EXPECT_EQ(matched(right, {"left/0001.png", "right/0001.png", "left/0002.png"}).frames, "0001=right/0001.png ");
+}
+
+// EuRoC: the camera's folder is two above.
+TEST(FrameMatch, FoldersMayBeLeftOutInBetween) {
+  const std::vector<FrameInfo> frames{frame_at("14", "/s/mav0/cam0/data/14.png"),
+                                      frame_at("data_14", "/s/mav0/cam1/data/14.png")};
+  EXPECT_EQ(matched(frames, {"cam1/14.png"}).frames, "data_14=cam1/14.png ");
+  EXPECT_EQ(matched(frames, {"mav0/cam0/14.png"}).frames, "14=mav0/cam0/14.png ");
+  EXPECT_TRUE(matched(frames, {"data/14.png"}).found.has_errors());
+  // Images made smaller lie in a folder of another name.
+  const std::vector<FrameInfo> small{frame_at("1", "/s/images_4/left/1.png"),
+                                     frame_at("right_1", "/s/images_4/right/1.png")};
+  const Matched both = matched(small, {"images/right/1.png", "images/left/1.png"});
+  EXPECT_EQ(both.frames, "1=images/left/1.png right_1=images/right/1.png ");
+  EXPECT_TRUE(both.found.all().empty()) << both.said();
+}
+
+TEST(FrameMatch, AmbiguityIsAnErrorThatListsTheFrames) {
+  const Matched bare = matched(rig(), {"0001.png", "0002.png"});
+  EXPECT_EQ(bare.frames, "");
+  EXPECT_FINDING(bare.found, "labels.frame.ambiguous", "place of 0001.png", "'images/left/0001.png'",
+                 "'images/right/0001.png'");
+  EXPECT_EQ(bare.found.error_count(), 2);
+  EXPECT_TRUE(matched(rig(), {"train/0001.png"}).found.has_errors()) << "a folder that no image is in tells nothing";
+  // A name that only a frame has shows that names of frames are meant.
+  EXPECT_EQ(matched(rig(), {"0001.png", "right_0001.png"}).frames, "0001=0001.png right_0001=right_0001.png ");
+  // The extension decides between two images of one folder.
+  const std::vector<FrameInfo> both{frame_at("a", "/s/a.jpg"), frame_at("s_a", "/s/a.png")};
+  EXPECT_EQ(matched(both, {"a.png"}).frames, "s_a=a.png ");
+  EXPECT_FINDING(matched({frame_at("x", "/s/a.png")}, {"a.jpg", "a.tif"}).found, "labels.frame.twice", "a.jpg", "a.tif",
+                 "'x'");
+}
+
+TEST(FrameMatch, AnotherNameDecidesWhereTheFirstDoesNot) {
+  Diagnostics found;
+  const std::vector<PictureName> pictures{{.path = "0001.png", .place = "a", .other = "right_0001.json"},
+                                          {.path = "moved.png", .place = "b", .other = "left/0002.json"},
+                                          {.path = "0001.png", .place = "c", .file = "/s/images/left/0001.png"}};
+  EXPECT_EQ(match_frames(pictures, rig(), "f", found),
+            (std::map<std::string, std::size_t>{{"right_0001", 0}, {"0002", 1}, {"0001", 2}}));
+  EXPECT_TRUE(found.all().empty());
+}
+
+TEST(FrameMatch, LabelsOfNoFrameAreCountedAndNamedWithTheLikelyFrame) {
+  std::vector<FrameInfo> frames;
+  std::vector<std::string> names;
+  for (int i = 0; i < 6; ++i) {
+    const std::string stem = "IMG_" + std::to_string(i);
+    frames.push_back(frame_at(stem, "/s/images/" + stem + ".png"));
+    names.push_back(i % 2 == 1 ? stem + ".png" : i == 0 ? "8f2c1a3b-IMG_0.png" : stem + "_png.rf.0a1b2c.jpg");
+  }
+  const Matched half = matched(frames, names);
+  EXPECT_EQ(half.frames, "IMG_1=IMG_1.png IMG_3=IMG_3.png IMG_5=IMG_5.png ");
+  EXPECT_FINDING(half.found, "labels.frame.unmatched", "3 of 6", "'8f2c1a3b-IMG_0.png', meant for frame 'IMG_0'?",
+                 "'IMG_2_png.rf.0a1b2c.jpg', meant for frame 'IMG_2'?");
+  EXPECT_EQ(half.found.all().at(0).severity, Severity::warning);
+  // Labels of more pictures than the scene has: told, but nothing is wrong with their names.
+  const Matched more = matched(frames, {"IMG_1.png", "IMG_77.png"});
+  EXPECT_FINDING(more.found, "labels.frame.unmatched", "1 of 2", "'IMG_77.png'");
+  EXPECT_EQ(more.found.all().at(0).severity, Severity::note);
+  // A folder of another name is reported, as a note where no folder tells images apart.
+  const Matched other = matched(frames, {"upload/IMG_1.png", "upload/IMG_2.png"});
+  EXPECT_EQ(other.frames, "IMG_1=upload/IMG_1.png IMG_2=upload/IMG_2.png ");
+  EXPECT_FINDING(other.found, "labels.frame.folder", "2 pictures", "'upload/IMG_1.png'");
+}
+
+TEST(FrameMatch, NamesOfExportsAreFoundAgain) {
+  const std::string folder = fresh_folder("t");
+  std::vector<FrameInfo> frames{frame_at("a b", "nothing")};
+  for (const char* side : {"left", "right"}) {
+    std::filesystem::create_directories(folder + "/" + side);
+    for (const char* name : {"1", "2"}) {
+      if (side[0] == 'l' && name[0] == '2') continue;
+      const std::string path = folder + "/" + side + "/" + name + ".png";
+      write_png_gray8(path, 1, 1, std::vector<std::uint8_t>(1));
+      frames.push_back(frame_at(std::string(side) + name, path));
+    }
+  }
+  const std::vector<std::string> names = picture_names(frames);
+  EXPECT_EQ(names, (std::vector<std::string>{"a b.png", "left/1.png", "right/1.png", "2.png"}));
+  EXPECT_EQ(matched(frames, names).frames, "a b=a b.png left1=left/1.png right1=right/1.png right2=2.png ");
+}
+
+// Files of label images by a pattern.
+struct FileCase {
+  std::string folder = fresh_folder("t");
+  void put(const std::string& name) const {
+    std::filesystem::create_directories(std::filesystem::path(folder + "/" + name).parent_path());
+    testing_room::plain_write(folder + "/" + name, "x");
+  }
+  std::string read(const std::vector<FrameInfo>& frames, const std::string& pattern, Diagnostics& found) const {
+    std::string out;
+    for (const auto& [frame, path] : match_files(folder, pattern, frames, found))
+      out += frame + "=" + path.substr(folder.size() + 1) + " ";
+    return out;
+  }
+};
+
+TEST(FilesOfFrames, FoldersOfTheImagesGoBefore) {
+  const FileCase c;
+  for (const char* name : {"left/0001.png", "images/right/0001.png", "right/0001.png", "right/0002.png"}) c.put(name);
+  for (const char* pattern : {"{name}.png", "{stem}.png", "{number}.png"}) {
+    Diagnostics found;
+    EXPECT_EQ(c.read(rig(), pattern, found),
+              "0001=left/0001.png right_0001=images/right/0001.png right_0002=right/0002.png ");
+    EXPECT_FALSE(found.has_errors()) << pattern;
+  }
+}
+
+TEST(FilesOfFrames, TheCameraMayBeToldAlone) {
+  const FileCase c;
+  for (const char* name : {"cam0/14.png", "cam1/14.png"}) c.put(name);
+  Diagnostics found;
+  EXPECT_EQ(c.read({frame_at("14", "/s/mav0/cam0/data/14.png"), frame_at("data_14", "/s/mav0/cam1/data/14.png")},
+                   "{stem}.png", found),
+            "14=cam0/14.png data_14=cam1/14.png ");
+}
+
+TEST(FilesOfFrames, OneOfSeveralFramesIsAnError) {
+  const FileCase c;
+  c.put("0001.png");
+  for (const char* pattern : {"{name}.png", "{stem}.png", "{number}.png"}) {
+    Diagnostics found;
+    (void)c.read(rig(), pattern, found);
+    EXPECT_FINDING(found, "labels.frame.ambiguous", "/s/images/left/0001.png", "/s/images/right/0001.png");
+  }
+  c.put("right_0001.png");
+  Diagnostics named;
+  EXPECT_EQ(c.read(rig(), "{name}.png", named), "0001=0001.png right_0001=right_0001.png ") << "names of frames";
+  EXPECT_FALSE(named.has_errors());
+}
+
+TEST(FilesOfFrames, ThoseOfNoFrameAreNamed) {
+  const FileCase c;
+  for (const char* name : {"a.png", "7d-b.png", "notes.txt"}) c.put(name);
+  Diagnostics found;
+  EXPECT_EQ(c.read({frame_at("a", "/s/a.jpg"), frame_at("b", "/s/b.jpg")}, "{name}.png", found), "a=a.png ");
+  EXPECT_FINDING(found, "labels.frame.unmatched", "1 of 2 label files", "'7d-b.png', meant for frame 'b'?");
+}
+
+// Every reader on a rig of which one camera is labelled.
+TEST(LabelReaders, KeepCamerasApart) {
+  const std::string folder = fresh_folder("t");
+  const std::vector<FrameInfo> frames = rig(1);
+  const auto reads = [&](const std::string& type, const std::string& yaml) {
+    const auto reader = make_reader(type, yaml);
+    Diagnostics found;
+    (void)open_for(*reader, room_table(), frames, found);
+    for (const Diagnostic& d : found.all()) ADD_FAILURE() << type << ": " << d.text();
+    return std::to_string(reader->has(frames[0])) + std::to_string(reader->has(frames[1]));
+  };
+  write_file_atomic(folder + "/coco.json",
+                    std::string_view(R"({"images": [{"id": 1, "file_name": "left/0001.png", "width": 4, "height": 3}],
+  "categories": [{"id": 1, "name": "wall"}],
+  "annotations": [{"image_id": 1, "category_id": 1, "segmentation": [[0, 0, 4, 0, 4, 3]]}]})"));
+  EXPECT_EQ(reads("coco", "file: " + folder + "/coco.json"), "10");
+  const std::string shapes =
+      R"("imageWidth": 4, "imageHeight": 3, "shapes": [{"label": "wall", "shape_type": "point", "points": [[1, 1]]}]})";
+  for (const std::string image : {"../images/left/0001.png", "0001.png"}) {
+    std::filesystem::create_directories(folder + "/labelme/left");
+    write_file_atomic(folder + "/labelme/left/0001.json", R"({"imagePath": ")" + image + "\", " + shapes);
+    EXPECT_EQ(reads("labelme", "folder: " + folder + "/labelme"), "10") << image;
+  }
+  for (const char* name : {"/ids/left", "/soft/left"}) std::filesystem::create_directories(folder + name);
+  write_png_gray8(folder + "/ids/left/0001.png", 4, 3, std::vector<std::uint8_t>(12, 1));
+  EXPECT_EQ(reads("images", "folder: " + folder + "/ids"), "10");
+  write_file_atomic(folder + "/soft/classes.json", std::string_view(R"(["wall"])"));
+  const std::vector<float> sure(12, 1.0F);
+  const std::vector<NpzEntry> entries{{"probability", {3, 4, 1}, sure}};
+  write_npz(folder + "/soft/left/0001.npz", entries);
+  EXPECT_EQ(reads("npz", "folder: " + folder + "/soft"), "10");
+  write_file_atomic(folder + "/clicks.csv", std::string_view("left/0001,1,1,wall\n"));
+  EXPECT_EQ(reads("clicks", "file: " + folder + "/clicks.csv"), "10");
+  // A log of the page names frames as the run does: the left one's name is the stem of both.
+  write_file_atomic(
+      folder + "/clicks.jsonl",
+      std::string_view(
+          R"({"id":"1","type":"click","frame":"0001","size":[4,3],"points":[[1,1]],"radius":0,"class":"wall"})"
+          "\n"));
+  EXPECT_EQ(reads("clicks", "file: " + folder + "/clicks.jsonl"), "10");
+}
+
+std::string mask_of(FrameMasks& masks, const std::string& image) {
+  FrameFiles files;
+  files.color = image;
+  masks.add_to(files);
+  return files.mask;
+}
+
+TEST(FrameMasks, OfTwoCamerasAreNotShared) {
+  const FileCase c;
+  c.put("masks/0001.png");
+  FrameMasks flat(c.folder, "masks");
+  EXPECT_NE(mask_of(flat, "/s/images/left/0001.jpg"), "");
+  EXPECT_NE(mask_of(flat, "/s/images/right/0001.jpg"), "");
+  Diagnostics found;
+  flat.report(found);
+  EXPECT_FINDING(found, "scene.mask.ambiguous", "/s/images/left/0001.jpg", "/s/images/right/0001.jpg");
+  c.put("masks/a/left/0001.png");
+  c.put("masks/b/left/0001.png");
+  FrameMasks deep(c.folder, "masks");
+  EXPECT_EQ(mask_of(deep, "/s/b/left/0001.jpg"), c.folder + "/masks/b/left/0001.png");
+  EXPECT_EQ(mask_of(deep, "/s/a/left/0001.jpg"), c.folder + "/masks/a/left/0001.png");
+}
+
+// Which labels train: the scene's own or those of files, scaled, selected, degraded; the truth stays.
+
+ClassTable two_classes() {
+  return ClassTable({{0, "void", {}, true}, {4, "wall", {}, false}, {9, "chair", {}, false}});
+}
+
+// Frames a and b train, t tests; 4 x 2 pixels.
+LoadedScene tiny_scene(bool with_labels) {
+  LoadedScene scene;
+  if (with_labels) scene.info.classes = two_classes();
+  for (const char* name : {"a", "b", "t"}) {
+    FrameInfo f{.name = name, .camera = {.width_px = 4, .height_px = 2}, .has_labels = with_labels};
+    f.split = f.name == "t" ? Split::test : Split::train;
+    scene.info.frames.push_back(f);
+    FrameBuffer b{.width_px = 4, .height_px = 2};
+    b.rgb.assign(24, 0);
+    if (with_labels) b.label = {0, 0, 1, kVoid, 1, 1, 1, 1};
+    scene.frames.emplace_back(b);
+    scene.class_pixels.push_back(with_labels ? std::vector<std::int64_t>{2, 5, 1} : std::vector<std::int64_t>{});
+  }
+  return scene;
+}
+
+// 8 x 4 pixels, twice the frames' size: class 1 in the right half.
+struct Files final : LabelReader {
+  bool soft = false;
+  std::int32_t width = 8;
+  void describe(ParamVisitor&) override {}
+  ClassTable open(const ClassTable&, Diagnostics&) override { return two_classes(); }
+  bool has(const FrameInfo& frame) const override { return frame.name != "a"; }
+  LabelRaster read(const FrameInfo&, const ClassTable& classes) const override {
+    LabelRaster out{width, 4, {}, {}};
+    for (int i = 0; i < 4 * width; ++i) {
+      const int c = i % width < width / 2 ? 0 : 1;
+      if (soft) {
+        for (int k = 0; k < classes.valid_count(); ++k) out.soft.push_back(k == c ? 0.5F : 0.25F);
+      } else {
+        out.hard.push_back(static_cast<std::int16_t>(c));
+      }
+    }
+    return out;
+  }
+};
+
+struct VoidFirst final : Degradation {
+  void describe(ParamVisitor&) override {}
+  StepFacts apply(const LoadedScene&, std::uint64_t seed, LabelSet& labels) const override {
+    for (FrameLabels& f : labels) {
+      if (!f.hard.empty()) f.hard[0] = kVoid;
+    }
+    return {{"seed", std::to_string(seed)}};
+  }
+};
+
+LabelConfig files_config(bool soft = false, std::int32_t width = 8) {
+  LabelConfig config;
+  auto reader = std::make_unique<Files>();
+  reader->soft = soft;
+  reader->width = width;
+  config.from = {"files", std::move(reader)};
+  return config;
+}
+
+TEST(TrainingLabels, AreTheScenesOwnWithoutAnyStep) {
+  const LoadedScene scene = tiny_scene(true);
+  Diagnostics d;
+  const TrainingLabels labels = make_training_labels(scene, LabelConfig{}, d);
+  EXPECT_EQ(labels.frames[0].hard, scene.frames[0].label);
+  EXPECT_TRUE(labels.frames[2].empty()) << "a test frame does not train";
+  EXPECT_EQ(labels.class_pixels[0], (std::vector<std::int64_t>{2, 5, 1}));
+  EXPECT_FALSE(labels.soft);
+}
+
+TEST(TrainingLabels, SelectionAndDegradationLeaveTheTruthAlone) {
+  const LoadedScene scene = tiny_scene(true);
+  LabelConfig config{.selection = {.frames = "1", .seed = 7}};
+  config.degrade.push_back({"void_first", std::make_unique<VoidFirst>()});
+  Diagnostics d;
+  const TrainingLabels labels = make_training_labels(scene, config, d);
+  EXPECT_EQ(labels.frames[0][0], kVoid);
+  EXPECT_EQ(labels.frames[0][1], 0);
+  EXPECT_TRUE(labels.frames[1].empty());
+  EXPECT_EQ(scene.frames[0].label[0], 0);
+  ASSERT_EQ(labels.steps.size(), 1u);
+  EXPECT_EQ(labels.steps[0].facts[0].second, "7");
+  EXPECT_EQ(labels.class_pixels[0], (std::vector<std::int64_t>{1, 5, 2}));
+}
+
+TEST(TrainingLabels, ATypeNamedAgainDrawsAnew) {
+  const LoadedScene scene = tiny_scene(true);
+  LabelConfig config{.selection = {.seed = 7}};
+  for (const char* type : {"void_first", "other", "void_first"})
+    config.degrade.push_back({type, std::make_unique<VoidFirst>()});
+  Diagnostics d;
+  const TrainingLabels labels = make_training_labels(scene, config, d);
+  EXPECT_EQ(labels.steps[0].facts[0].second, "7");
+  EXPECT_EQ(labels.steps[1].facts[0].second, "7");
+  EXPECT_EQ(labels.steps[2].facts[0].second, std::to_string(7 + (std::int64_t{1} << 53)));
+}
+
+TEST(TrainingLabels, FilesReplaceTrainingLabelsAndGiveTestFramesTheirTruth) {
+  LoadedScene scene = tiny_scene(false);
+  LabelConfig config = files_config();
+  Diagnostics d;
+  open_label_files(scene, config, d);
+  EXPECT_EQ(scene.info.classes.valid_count(), 2);
+  read_test_labels(scene, config, d);
+  const TrainingLabels labels = make_training_labels(scene, config, d);
+  EXPECT_FALSE(d.has_errors());
+  EXPECT_TRUE(labels.frames[0].empty());
+  const LabelMap halves(std::vector<std::int16_t>{0, 0, 1, 1, 0, 0, 1, 1});
+  EXPECT_EQ(labels.frames[1].hard, halves);
+  EXPECT_TRUE(labels.frames[2].empty());
+  EXPECT_EQ(scene.frames[2].label, halves);
+  EXPECT_TRUE(scene.info.frames[2].has_labels);
+  // A scene with its own labels keeps them as the truth.
+  LoadedScene own = tiny_scene(true);
+  read_test_labels(own, config, d);
+  EXPECT_EQ(own.frames[2].label[3], kVoid);
+  EXPECT_EQ(make_training_labels(own, config, d).frames[1].hard, halves);
+}
+
+TEST(TrainingLabels, SoftFilesCountTheMostProbableClass) {
+  LoadedScene scene = tiny_scene(true);
+  const LabelConfig config = files_config(true);
+  Diagnostics d;
+  const TrainingLabels labels = make_training_labels(scene, config, d);
+  EXPECT_TRUE(labels.soft);
+  EXPECT_EQ(labels.frames[1][0], 0);
+  EXPECT_EQ(labels.frames[1][3], 1);
+  EXPECT_EQ(labels.frames[1].soft.at(0, 1), 0.25F);
+  EXPECT_EQ(labels.class_pixels[1], (std::vector<std::int64_t>{4, 4, 0}));
+}
+
+TEST(TrainingLabels, LabelsOfAnotherShapeAreRefusedNamingTheFrame) {
+  LoadedScene scene = tiny_scene(true);
+  const LabelConfig config = files_config(false, 16);
+  Diagnostics d;
+  EXPECT_THROW((void)make_training_labels(scene, config, d), Error);
+  ASSERT_EQ(d.error_count(), 1);
+  EXPECT_HAS(d.all()[0].text(), "16", "another shape");
+}
+
+TEST(SoftMap, HalvesAreNearestAndExact) {
+  for (std::uint32_t h = 0; h < 0x10000u; ++h) {
+    const float f = float_of_half(static_cast<std::uint16_t>(h));
+    if (std::isnan(f)) continue;
+    ASSERT_EQ(half_of(f), h);
+  }
+  EXPECT_EQ(half_of(65519.0F), 0x7BFF);
+  EXPECT_EQ(half_of(65520.0F), 0x7C00);
+  EXPECT_EQ(half_of(1.0F + 0x1p-11F), 0x3C00) << "a tie goes to the even half";
+  EXPECT_EQ(half_of(1.0F + 3 * 0x1p-11F), 0x3C02);
+  EXPECT_EQ(half_of(0x1.8p-25F), 1);  // subnormal
+  EXPECT_TRUE(std::isnan(float_of_half(half_of(NAN))));
+}
+
+TEST(SoftMap, RefusesWhatIsNoProbability) {
+  SoftMap map(2, 2);
+  map.set_row(1, std::array<float, 2>{0.2F, 0.6F});
+  EXPECT_EQ(map.argmax(0), kVoid);
+  EXPECT_EQ(map.argmax(1), 1);
+  EXPECT_THROW(map.set_row(0, std::array<float, 2>{-0.1F, 1}), Error);
+  EXPECT_THROW(map.set_row(0, std::array<float, 2>{NAN, 1}), Error);
+}
+
+// Label selection: exact counts, spacing, determinism, refusals.
+
+// 180 training frames 0, 5, ..., 895 and as many test frames, as in the paper.
+SceneInfo paper_split() {
+  SceneInfo info;
+  for (int i = 0; i < 900; ++i) {
+    if (i % 5 != 0 && i % 5 != 2) continue;
+    FrameInfo f{
+        .name = "rgb_" + std::to_string(i), .split = i % 5 == 0 ? Split::train : Split::test, .has_labels = true};
+    info.frames.push_back(f);
+  }
+  return info;
+}
+
+TEST(LabelSelection, CountsAreExact) {
+  EXPECT_EQ(label_frame_count("all", 180), 180);
+  EXPECT_EQ(label_frame_count("none", 180), 0);
+  EXPECT_EQ(label_frame_count("10%", 180), 18);
+  EXPECT_EQ(label_frame_count("5%", 180), 9);
+  EXPECT_EQ(label_frame_count("0.1%", 180), 1);
+  EXPECT_EQ(label_frame_count("0%", 180), 0);
+  EXPECT_EQ(label_frame_count("100%", 180), 180);
+  EXPECT_EQ(label_frame_count("2", 180), 2);
+  EXPECT_EQ(label_frame_count("10%", 0), 0);
+}
+
+TEST(LabelSelection, EvenKeyFramesAreSpacedAndOnlyTrainingFrames) {
+  const SceneInfo info = paper_split();
+  LabelParams p{.frames = "10%"};
+  const std::vector<int> keep = select_label_frames(info, p);
+  ASSERT_EQ(keep.size(), 18u);
+  for (std::size_t k = 0; k < keep.size(); ++k) EXPECT_EQ(info.frames[keep[k]].name, "rgb_" + std::to_string(50 * k));
+}
+
+TEST(LabelSelection, RandomIsSeededWithoutRepeats) {
+  const SceneInfo info = paper_split();
+  LabelParams p{.frames = "18", .mode = LabelMode::random};
+  const std::vector<int> a = select_label_frames(info, p);
+  EXPECT_EQ(a, select_label_frames(info, p));
+  EXPECT_EQ(std::set<int>(a.begin(), a.end()).size(), 18u);
+  for (const int i : a) EXPECT_EQ(info.frames[i].split, Split::train);
+  p.seed = 2;
+  EXPECT_NE(a, select_label_frames(info, p));
+  p.seed = 1;
+  p.frames = "40";
+  const std::vector<int> larger = select_label_frames(info, p);
+  for (const int i : a) EXPECT_TRUE(std::binary_search(larger.begin(), larger.end(), i));
+}
+
+TEST(LabelSelection, NamedFrames) {
+  SceneInfo info = paper_split();
+  LabelParams p{.mode = LabelMode::named, .names = {"rgb_100", "rgb_0", "rgb_100"}};
+  const std::vector<int> keep = select_label_frames(info, p);
+  ASSERT_EQ(keep.size(), 2u);
+  EXPECT_EQ(info.frames[keep[1]].name, "rgb_100");
+  p.names = {"rgb_2"};
+  EXPECT_HAS(error_of([&] { (void)select_label_frames(info, p); }), "rgb_2", "training frame");
+  info.frames[0].has_labels = false;
+  p.names = {"rgb_0"};
+  EXPECT_HAS(error_of([&] { (void)select_label_frames(info, p); }), "rgb_0", "no labels");
+}
+
+TEST(LabelSelection, RefusalsAreExact) {
+  const auto message = [](const std::string& frames) { return error_of([&] { (void)label_frame_count(frames, 20); }); };
+  EXPECT_HAS(message("25"), "25", "20");
+  const std::string want = "scene.labels.frames: expected all, none, a share such as 10%, or a number, got '";
+  for (const char* bad : {"", "some", "-1", "101%", "%", "10 %", "nan%"})
+    EXPECT_EQ(message(bad), want + bad + "'; write for example 10%");
+  Diagnostics d;
+  LabelParams p{.mode = LabelMode::named};
+  validate(p, d);
+  EXPECT_EQ(d.error_count(), 1);
+}
+
+// Frame 0 shows classes 0 and 1, frame 1 class 2 alone, frame 2 classes 0, 1 and 3: 2 first, then 1.
+TEST(LabelSelection, CoverageTakesTheFrameThatShowsMostNewClasses) {
+  SceneInfo info;
+  for (int i = 0; i < 4; ++i) {
+    FrameInfo f{.split = i == 3 ? Split::test : Split::train, .has_labels = true};
+    info.frames.push_back(f);
+  }
+  const std::vector<std::vector<std::int64_t>> pixels{
+      {9, 9, 0, 0, 0}, {0, 0, 1, 0, 30}, {1, 1, 0, 1, 0}, {5, 5, 5, 5, 5}};
+  LabelParams p{.frames = "1", .mode = LabelMode::coverage};
+  EXPECT_EQ(select_label_frames(info, p, pixels), (std::vector<int>{2}));
+  p.frames = "2";
+  EXPECT_EQ(select_label_frames(info, p, pixels), (std::vector<int>{1, 2}));
+  p.frames = "3";
+  EXPECT_EQ(select_label_frames(info, p, pixels), (std::vector<int>{0, 1, 2}));
+}
+
+}  // namespace
+}  // namespace semfield

@@ -1,0 +1,847 @@
+// Surfaces of known solids: closed, oriented, accurate to second order; every sign pattern, random ones too.
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <functional>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <set>
+
+#include "app/render/scene_page.h"
+#include "compute/parallel.h"
+#include "core/error.h"
+#include "core/rng.h"
+#include "core/text.h"
+#include "datasets/obj_room/mesh_io.h"
+#include "datasets/obj_room/raycast.h"
+#include "scene/camera_path.h"
+#include "surface/mesh/marching_cubes.h"
+#include "surface/mesh/mesh_files.h"
+#include "surface/mesh/shape/simplify.h"
+#include "surface/mesh/sights.h"
+#include "surface/mesh/surface.h"
+#include "system/files.h"
+#include "tests/says.h"
+#include "tests/session/train_testing.h"
+
+namespace semfield {
+namespace {
+
+using Solid = std::function<double(Vec3d)>;
+
+Surface surface_of(const VoxelGrid& grid, const Solid& solid, double level = 0) {
+  return marching_cubes(grid, level, [&](std::int64_t z, std::span<double> values) {
+    ASSERT_EQ(static_cast<std::int64_t>(values.size()), grid.layer_points());
+    for (std::int64_t i = 0; i < grid.layer_points(); ++i)
+      values[i] = solid(
+          grid.world({static_cast<double>(i % grid.nx), static_cast<double>(i / grid.nx), static_cast<double>(z)}));
+  });
+}
+
+bool on_border(const VoxelGrid& grid, Vec3d p) {
+  const std::int64_t last[3] = {grid.nx - 1, grid.ny - 1, grid.nz - 1};
+  for (int axis = 0; axis < 3; ++axis) {
+    const double index = (p[axis] - grid.origin[axis]) / grid.spacing;
+    if (index < 1e-9 || index > static_cast<double>(last[axis]) - 1e-9) return true;
+  }
+  return false;
+}
+
+// Every edge: once in each direction, or on the border of the grid. Returns V - E + F.
+std::int64_t expect_closed(const Surface& surface, const VoxelGrid& grid, bool border_allowed) {
+  std::map<std::pair<std::uint32_t, std::uint32_t>, int> directed;
+  std::set<std::uint32_t> used;
+  for (const Triangle& t : surface.triangles) {
+    for (int i = 0; i < 3; ++i) {
+      const std::uint32_t a = t[i], b = t[(i + 1) % 3];
+      EXPECT_NE(a, b);
+      ++directed[{a, b}];
+      used.insert(a);
+    }
+  }
+  EXPECT_EQ(used.size(), surface.positions.size()) << "a vertex without a triangle";
+  std::int64_t edges = 0, open = 0;
+  for (const auto& [edge, count] : directed) {
+    EXPECT_EQ(count, 1) << "two triangles run along an edge in the same direction";
+    const bool both = directed.count({edge.second, edge.first}) != 0;
+    edges += both && edge.first > edge.second ? 0 : 1;
+    if (both) continue;
+    ++open;
+    EXPECT_TRUE(border_allowed && on_border(grid, surface.positions[edge.first]) &&
+                on_border(grid, surface.positions[edge.second]))
+        << "a crack inside the grid";
+  }
+  EXPECT_TRUE(border_allowed || open == 0) << open;
+  return static_cast<std::int64_t>(surface.positions.size()) - edges +
+         static_cast<std::int64_t>(surface.triangles.size());
+}
+
+VoxelGrid unit_grid(double spacing) { return VoxelGrid::covering({{-1, -1.2, -0.9}, {1.1, 1, 1}}, spacing); }
+
+const Vec3d kCenter{0.03, -0.11, 0.07};
+constexpr double kRadius = 0.61;
+double ball(Vec3d p) { return kRadius * kRadius - dot(p - kCenter, p - kCenter); }
+double ring(Vec3d p) {
+  const double around = std::hypot(p.x, p.y) - 0.55;
+  return 0.2 * 0.2 - around * around - p.z * p.z;
+}
+
+struct SphereErrors {
+  double radius = 0, normal = 0, volume = 0;
+};
+
+SphereErrors sphere_errors(double spacing) {
+  const VoxelGrid grid = unit_grid(spacing);
+  Surface surface = surface_of(grid, ball);
+  EXPECT_EQ(expect_closed(surface, grid, false), 2);
+  set_vertex_normals(surface);
+  SphereErrors errors;
+  for (std::size_t v = 0; v < surface.positions.size(); ++v) {
+    const Vec3d out = surface.positions[v] - kCenter;
+    errors.radius = std::max(errors.radius, std::abs(length(out) - kRadius));
+    errors.normal = std::max(errors.normal, length(surface.normals[v] - normalized(out)));
+  }
+  double volume = 0;
+  for (const Triangle& t : surface.triangles)
+    volume += dot(surface.positions[t[0]], cross(surface.positions[t[1]], surface.positions[t[2]])) / 6;
+  errors.volume = std::abs(volume - 4.0 / 3 * 3.141592653589793 * kRadius * kRadius * kRadius);
+  return errors;
+}
+
+TEST(MarchingCubes, SphereConvergesAtOrderTwo) {
+  const SphereErrors coarse = sphere_errors(0.1), fine = sphere_errors(0.05), finest = sphere_errors(0.025);
+  EXPECT_LT(coarse.radius, 0.1 * 0.1);
+  EXPECT_LT(finest.radius, 0.025 * 0.025);
+  EXPECT_GT(coarse.radius / fine.radius, 3);
+  EXPECT_GT(fine.radius / finest.radius, 3);
+  EXPECT_GT(coarse.volume / finest.volume, 12) << "16 at order two";
+  EXPECT_LT(finest.normal, 0.1) << "normals point outward";
+  EXPECT_GT(finest.radius, 0);
+}
+
+TEST(MarchingCubes, TorusIsClosedAndHasAHole) {
+  const VoxelGrid grid = unit_grid(0.04);
+  EXPECT_EQ(expect_closed(surface_of(grid, ring), grid, false), 0);
+}
+
+TEST(MarchingCubes, EveryPatternIsClosedAmongItsNeighbours) {
+  // The pattern in the middle of a grid whose other points are empty, then dense.
+  for (unsigned pattern = 0; pattern < 256; ++pattern) {
+    for (const double around : {-1.0, 1.0}) {
+      const VoxelGrid grid{{0, 0, 0}, 1, 4, 4, 4};
+      const Surface surface = surface_of(grid, [&](Vec3d p) {
+        const auto x = static_cast<int>(p.x) - 1, y = static_cast<int>(p.y) - 1, z = static_cast<int>(p.z) - 1;
+        if ((x | y | z) < 0 || (x | y | z) > 1) return around;
+        return (pattern >> (x + 2 * y + 4 * z) & 1) != 0 ? 1.0 : -1.0;
+      });
+      expect_closed(surface, grid, false);
+      if (::testing::Test::HasFailure()) FAIL() << "pattern " << pattern << " in " << around;
+    }
+  }
+}
+
+TEST(MarchingCubes, RandomFieldsAreClosed) {
+  // Half of the points dense at random: every ambiguous pair of cubes occurs many times.
+  for (std::uint64_t seed = 1; seed <= 6; ++seed) {
+    const VoxelGrid grid{{-3, 5, 0.5}, 0.25, 19, 17, 21};
+    std::uint64_t n = 0;
+    const RandomAddress address{seed, 0, stream_id("mesh_test/field")};
+    const Surface surface = surface_of(
+        grid, [&](Vec3d) { return static_cast<double>(uniform01(address, n++)); }, 0.5);
+    EXPECT_GT(surface.triangles.size(), 10000U);
+    expect_closed(surface, grid, true);
+  }
+}
+
+TEST(MarchingCubes, ThreadsChangeNeitherVerticesNorTriangles) {
+  const VoxelGrid grid{{-3, 5, 0.5}, 0.25, 130, 111, 5};  // layers of several strips
+  const auto surface_on = [&](int threads) {
+    set_thread_count(threads);
+    std::uint64_t n = 0;
+    const RandomAddress address{7, 0, stream_id("mesh_test/field")};
+    const Surface surface = surface_of(
+        grid, [&](Vec3d) { return static_cast<double>(uniform01(address, n++)); }, 0.5);
+    set_thread_count(0);
+    return surface;
+  };
+  const Surface one = surface_on(1);
+  expect_closed(one, grid, true);
+  for (const int threads : {2, 7}) {
+    const Surface many = surface_on(threads);
+    EXPECT_EQ(many.triangles, one.triangles) << threads << " threads";
+    ASSERT_EQ(many.positions.size(), one.positions.size());
+    for (std::size_t i = 0; i < one.positions.size(); ++i)
+      ASSERT_TRUE(many.positions[i].x == one.positions[i].x && many.positions[i].y == one.positions[i].y &&
+                  many.positions[i].z == one.positions[i].z)
+          << "vertex " << i << ", " << threads << " threads";
+  }
+}
+
+TEST(MarchingCubes, ValuesOnTheLevelStayClosed) {
+  const VoxelGrid grid{{0, 0, 0}, 1, 9, 9, 9};
+  // Whole numbers, many of them exactly on the level.
+  const Surface surface = surface_of(
+      grid, [](Vec3d p) { return 3 - std::abs(p.x - 4) - std::abs(p.y - 4) - std::abs(p.z - 4); }, 0);
+  EXPECT_EQ(expect_closed(surface, grid, false), 2);
+  for (const Vec3d& p : surface.positions)
+    EXPECT_NEAR(std::abs(p.x - 4) + std::abs(p.y - 4) + std::abs(p.z - 4), 3, 1e-12);
+}
+
+TEST(MarchingCubes, InfiniteDensityIsAWall) {
+  const VoxelGrid grid{{0, 0, 0}, 1, 5, 5, 5};
+  const Surface surface = surface_of(
+      grid, [](Vec3d p) { return p.x > 1.5 ? HUGE_VAL : 0.0; }, 1);
+  ASSERT_FALSE(surface.positions.empty());
+  for (const Vec3d& p : surface.positions) EXPECT_TRUE(p.x >= 1 && p.x <= 2);
+}
+
+TEST(MarchingCubes, RefusesWhatIsNoNumberAndGridsThatAreNone) {
+  const VoxelGrid grid{{0, 0, 0}, 0.5, 3, 3, 3};
+  EXPECT_HAS(
+      error_of(
+          ErrorKind::data,
+          [&] { surface_of(grid, [](Vec3d p) { return p.z > 0.7 && p.x > 0.2 && p.y > 0.7 ? std::nan("") : 0.0; }); }),
+      "(0.500000, 1.000000, 1.000000)");
+  EXPECT_THROW(VoxelGrid::covering({}, 0.1), Error);
+  EXPECT_THROW(VoxelGrid::covering({{0, 0, 0}, {1, 1, 1}}, 0), Error);
+  EXPECT_THROW(VoxelGrid::covering({{0, 0, 0}, {1, 1, 1}}, std::nan("")), Error);
+  EXPECT_THROW(VoxelGrid::covering({{0, 0, 0}, {1, 1, 1}}, 1e-5), Error);
+}
+
+TEST(VoxelGrid, CoversTheBoundsWithCubes) {
+  const Box box{{-1, 2, 0}, {1, 2.5, 0.9}};
+  const VoxelGrid grid = VoxelGrid::covering(box, 2.0 / 64);
+  EXPECT_EQ(grid.nx, 65);
+  EXPECT_EQ(grid.ny, 17);
+  EXPECT_EQ(grid.nz, 30);
+  for (int axis = 0; axis < 3; ++axis) {
+    const Vec3d last = grid.world(
+        {static_cast<double>(grid.nx - 1), static_cast<double>(grid.ny - 1), static_cast<double>(grid.nz - 1)});
+    EXPECT_LE(grid.world({0, 0, 0})[axis], box.lo[axis] + 1e-12);
+    EXPECT_GE(last[axis], box.hi[axis] - 1e-12);
+    EXPECT_LT(last[axis], box.hi[axis] + grid.spacing);
+  }
+}
+
+TEST(Components, SmallOnesGoAndVerticesAreRenumbered) {
+  const VoxelGrid grid = unit_grid(0.05);
+  const auto two = [](Vec3d p) {
+    return std::max(ball(p), 0.01 - dot(p - Vec3d{0.9, 0.8, 0.8}, p - Vec3d{0.9, 0.8, 0.8}));
+  };
+  const Surface both = surface_of(grid, two), alone = surface_of(grid, ball);
+  const Components parts = components_of(both);
+  ASSERT_EQ(parts.faces.size(), 2U);
+  EXPECT_EQ(parts.faces[0] + parts.faces[1], static_cast<std::int64_t>(both.triangles.size()));
+  Surface cleaned = both;
+  EXPECT_EQ(drop_small_components(cleaned, 0.1), 1);
+  EXPECT_EQ(cleaned.positions, alone.positions);
+  EXPECT_EQ(cleaned.triangles, alone.triangles);
+  Surface whole = both;
+  EXPECT_EQ(drop_small_components(whole, 0), 2);
+  EXPECT_EQ(whole.triangles, both.triangles);
+}
+
+// Boxes and spheres with fewer faces, and holes that are closed.
+
+// The level set of a function on a grid over [-1, 1]^3.
+template <class Value>
+Surface level_set(double spacing, const Value& value) {
+  const VoxelGrid grid = VoxelGrid::covering({{-1, -1, -1}, {1, 1, 1}}, spacing);
+  Surface surface = marching_cubes(grid, 0, [&](std::int64_t z, std::span<double> values) {
+    for (std::int64_t i = 0; i < grid.layer_points(); ++i)
+      values[static_cast<std::size_t>(i)] = value(
+          grid.world({static_cast<double>(i % grid.nx), static_cast<double>(i / grid.nx), static_cast<double>(z)}));
+  });
+  set_vertex_normals(surface);
+  return surface;
+}
+double in_box(Vec3d p) { return 0.713 - std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)}); }
+double in_ball(Vec3d p) { return 0.8 - length(p); }
+
+// Of each pair of vertices, how often one triangle runs from the first to the second.
+std::map<std::pair<std::uint32_t, std::uint32_t>, int> sides_of(const Surface& surface) {
+  std::map<std::pair<std::uint32_t, std::uint32_t>, int> sides;
+  for (const Triangle& t : surface.triangles)
+    for (std::size_t k = 0; k < 3; ++k) ++sides[{t[k], t[(k + 1) % 3]}];
+  return sides;
+}
+std::size_t border_sides(const Surface& surface) {
+  const auto sides = sides_of(surface);
+  std::size_t count = 0;
+  for (const auto& [side, times] : sides) {
+    EXPECT_EQ(times, 1) << "no side has two triangles";
+    count += sides.contains({side.second, side.first}) ? 0 : 1;
+  }
+  return count;
+}
+double volume(const Surface& surface) {
+  double sum = 0;
+  for (const Triangle& t : surface.triangles)
+    sum += dot(surface.positions[t[0]], cross(surface.positions[t[1]], surface.positions[t[2]])) / 6;
+  return sum;
+}
+std::size_t euler(const Surface& surface) {
+  return surface.positions.size() + surface.triangles.size() - sides_of(surface).size() / 2;
+}
+
+TEST(Simplify, AClosedBoxStaysClosedAndKeepsItsForm) {
+  Surface box = level_set(0.05, in_box);
+  const double before = volume(box);
+  ASSERT_EQ(border_sides(box), 0U);
+  ASSERT_GT(box.triangles.size(), 5000U);
+  simplify(box, 200);
+  EXPECT_LE(box.triangles.size(), 200U);
+  EXPECT_GT(box.triangles.size(), 190U);
+  EXPECT_EQ(border_sides(box), 0U);
+  EXPECT_EQ(euler(box), 2U) << "one ball, without a handle";
+  EXPECT_NEAR(volume(box), before, 0.001 * before) << "flat faces lose nothing";
+  EXPECT_EQ(box.normals.size(), box.positions.size());
+}
+
+TEST(Simplify, ABallKeepsItsRadius) {
+  Surface ball = level_set(0.05, in_ball);
+  for (const Vec3d& p : ball.positions)  // a colour that tells the place
+    ball.attributes.color.push_back({static_cast<std::uint8_t>(100 + 100 * p.x),
+                                     static_cast<std::uint8_t>(100 + 100 * p.y),
+                                     static_cast<std::uint8_t>(100 + 100 * p.z)});
+  simplify(ball, 500);
+  double off = 0;
+  for (std::size_t v = 0; v < ball.positions.size(); ++v) {
+    const auto& c = ball.attributes.color[v];
+    off += length(Vec3d{c[0] / 100.0 - 1, c[1] / 100.0 - 1, c[2] / 100.0 - 1} - ball.positions[v]);
+  }
+  EXPECT_LT(off / static_cast<double>(ball.positions.size()), 0.08) << "of the nearer end; of any it is 0.095";
+  EXPECT_LE(ball.triangles.size(), 500U);
+  EXPECT_EQ(border_sides(ball), 0U);
+  for (const Vec3d& p : ball.positions) EXPECT_NEAR(length(p), 0.8, 0.02);
+  for (std::size_t v = 0; v < ball.positions.size(); ++v) EXPECT_GT(dot(ball.normals[v], ball.positions[v]), 0.7);
+}
+
+// All of it lies in one plane, so that borders alone have a form.
+Surface flat(int side, const std::function<bool(int, int)>& is_there) {
+  Surface surface;
+  for (int y = 0; y <= side; ++y)
+    for (int x = 0; x <= side; ++x) surface.positions.push_back({0.25 * x, 0.25 * y, 0});
+  const auto number = [&](int x, int y) { return static_cast<std::uint32_t>((side + 1) * y + x); };
+  for (int y = 0; y < side; ++y) {
+    for (int x = 0; x < side; ++x) {
+      if (!is_there(x, y)) continue;
+      surface.triangles.push_back({number(x, y), number(x + 1, y), number(x + 1, y + 1)});
+      surface.triangles.push_back({number(x, y), number(x + 1, y + 1), number(x, y + 1)});
+    }
+  }
+  const std::vector<char> all(surface.triangles.size(), 1);
+  keep_triangles(surface, all);
+  set_vertex_normals(surface);
+  return surface;
+}
+double area(const Surface& surface) {
+  double sum = 0;
+  for (const Triangle& t : surface.triangles) sum += area_of(surface, t);
+  return sum;
+}
+
+// A square hole of 4 x 4 quads of side 0.25 in a level square of side 2.
+Surface with_hole() {
+  return flat(8, [](int x, int y) { return x < 2 || x >= 6 || y < 2 || y >= 6; });
+}
+
+TEST(Simplify, BordersStayWhereTheyAre) {
+  Surface surface = with_hole();
+  ASSERT_EQ(surface.triangles.size(), 96U);
+  simplify(surface, 12);
+  EXPECT_LE(surface.triangles.size(), 12U);
+  EXPECT_NEAR(area(surface), 3, 1e-9) << "the hole and the corners";
+  EXPECT_GE(border_sides(surface), 8U);
+}
+
+// A ring as thin as it gets: its hole is there still.
+TEST(Simplify, ARingStaysARing) {
+  Surface ring = level_set(0.1, [](Vec3d p) {
+    const double off = std::hypot(p.x, p.y) - 0.6;
+    return 0.0625 - off * off - p.z * p.z;
+  });
+  ASSERT_EQ(euler(ring), 0U);
+  simplify(ring, 4);
+  EXPECT_EQ(border_sides(ring), 0U);
+  EXPECT_EQ(euler(ring), 0U);
+  EXPECT_GE(ring.triangles.size(), 14U) << "no ring has fewer faces";
+}
+
+TEST(Simplify, LabelsAndColoursStayWithTheirPlaces) {
+  Surface square = flat(40, [](int, int) { return true; });  // of side 10
+  PointAttributes& known = square.attributes;
+  for (const Vec3d& p : square.positions) {
+    const bool left = p.x < 4.1;
+    known.label.push_back(left ? 3 : 7);
+    known.color.push_back(left ? std::array<std::uint8_t, 3>{10, 20, 30} : std::array<std::uint8_t, 3>{200, 0, 0});
+    known.entropy.push_back(left ? 0.25F : 0.5F);
+  }
+  simplify(square, 200);
+  EXPECT_LE(square.triangles.size(), 200U);
+  ASSERT_EQ(known.label.size(), square.positions.size());
+  ASSERT_EQ(known.color.size(), square.positions.size());
+  ASSERT_EQ(known.entropy.size(), square.positions.size());
+  for (std::size_t v = 0; v < known.label.size(); ++v) {
+    const bool left = known.label[v] == 3;
+    EXPECT_EQ(known.color[v][0], left ? 10 : 200);
+    EXPECT_EQ(known.entropy[v], left ? 0.25F : 0.5F);
+    EXPECT_TRUE(left ? square.positions[v].x < 4.2 : square.positions[v].x > 4.05) << square.positions[v].x;
+  }
+  double lefts = 0;
+  for (const Triangle& t : square.triangles) lefts += triangle_label(known, t) == 3 ? area_of(square, t) : 0;
+  EXPECT_NEAR(lefts, 41.25, 1.5) << "half of the column of quads between the classes";
+}
+
+TEST(Simplify, TheResultIsTheSameEachTimeAndEnoughIsLeftAlone) {
+  Surface one = level_set(0.1, in_ball), two = level_set(0.1, in_ball);
+  const Surface whole = one;
+  simplify(one, whole.triangles.size());
+  EXPECT_EQ(one.positions, whole.positions);
+  simplify(one, 100);
+  simplify(two, 100);
+  EXPECT_EQ(one.positions, two.positions);
+  EXPECT_EQ(one.triangles, two.triangles);
+  Surface least = level_set(0.2, in_ball);
+  simplify(least, 1);
+  EXPECT_EQ(border_sides(least), 0U) << "a budget that cannot be met leaves a closed surface";
+  EXPECT_GE(least.triangles.size(), 4U);
+}
+
+TEST(CloseHoles, AHoleIsClosedFromTheLengthOfItsBorderOn) {
+  Surface surface = with_hole();
+  ASSERT_EQ(border_sides(surface), 48U);
+  const std::size_t before = surface.triangles.size(), vertices = surface.positions.size();
+  EXPECT_EQ(close_holes(surface, 3.99), 0U);
+  EXPECT_EQ(surface.triangles.size(), before);
+  EXPECT_EQ(close_holes(surface, 4.01), 1U);
+  EXPECT_EQ(surface.triangles.size(), before + 14) << "a loop of 16 edges";
+  EXPECT_EQ(surface.positions.size(), vertices);
+  EXPECT_EQ(border_sides(surface), 32U) << "the outer border";
+  EXPECT_NEAR(area(surface), 4, 1e-12);
+  for (const Vec3d& n : surface.normals) EXPECT_EQ(n, (Vec3d{0, 0, 1})) << "as the faces around it";
+}
+
+TEST(CloseHoles, HolesThatTouchInAVertexAreEachClosed) {
+  for (const bool rising : {true, false}) {
+    Surface surface = flat(8, [&](int x, int y) { return x != (rising ? y : 7 - y) || x < 2 || x > 4; });
+    ASSERT_EQ(border_sides(surface), 44U);
+    EXPECT_EQ(close_holes(surface, 1.01), 3U);
+    EXPECT_EQ(border_sides(surface), 32U);
+    EXPECT_NEAR(area(surface), 4, 1e-12);
+  }
+}
+
+// Every format read back by a program that shares no code with the writers, and what cameras see of surfaces.
+
+bool python_found() { return std::system("python3 -c 'import json, struct' >/dev/null 2>&1") == 0; }
+
+// Ids over 255, a name of two words, two names that become one, and void with an id of its own.
+ClassTable classes() {
+  return ClassTable({{7, "void", {0, 0, 0}, true},
+                     {3, "wall", {200, 100, 50}, false},
+                     {300, "dining table", {10, 20, 30}, false},
+                     {65535, "dining_table", {255, 255, 255}, false}});
+}
+
+// A ball at coordinates that 32 bits cannot hold, labelled by height.
+Surface mesh_files_ball(bool semantics) {
+  const VoxelGrid grid = VoxelGrid::covering({{999, -2, 0}, {1001, 0, 2}}, 0.25);
+  Surface surface = marching_cubes(grid, 0, [&](std::int64_t z, std::span<double> values) {
+    for (std::int64_t i = 0; i < grid.layer_points(); ++i) {
+      const Vec3d p =
+          grid.world({static_cast<double>(i % grid.nx), static_cast<double>(i / grid.nx), static_cast<double>(z)}) -
+          Vec3d{1000, -1, 1};
+      values[i] = 0.6 - dot(p, p);
+    }
+  });
+  set_vertex_normals(surface);
+  for (const Vec3d& p : surface.positions) {
+    const auto shade = static_cast<std::uint8_t>(std::lround(120 * p.z));
+    surface.attributes.color.push_back({shade, static_cast<std::uint8_t>(255 - shade), 17});
+    if (!semantics) continue;
+    const auto slice = static_cast<std::int16_t>(std::floor(2.2 * (p.z - 0.2)));
+    surface.attributes.label.push_back(static_cast<std::int16_t>(std::clamp(slice - 1, -1, 2)));
+    surface.attributes.entropy.push_back(static_cast<float>(std::abs(p.x - 1000)));
+    surface.attributes.instance.push_back(p.z < 1 ? 0 : p.y < -1 ? 4 : 9);
+  }
+  return surface;
+}
+
+nlohmann::json linear(const std::array<std::uint8_t, 3>& color) {
+  return {linear_light(color[0]), linear_light(color[1]), linear_light(color[2])};
+}
+
+void write_expected(const std::string& path, const Surface& s, const GlbLook& look,
+                    const std::vector<std::string>& names) {
+  nlohmann::json want;
+  want["up"] = {look.up.x, look.up.y, look.up.z};
+  want["unlit"] = look.unlit;
+  for (std::size_t v = 0; v < s.positions.size(); ++v) {
+    want["positions"].push_back({s.positions[v].x, s.positions[v].y, s.positions[v].z});
+    want["normals"].push_back({s.normals[v].x, s.normals[v].y, s.normals[v].z});
+    want["colors"].push_back(s.attributes.color[v]);
+    want["linear_colors"].push_back(linear(s.attributes.color[v]));
+  }
+  static const std::map<int, int> ids{{-1, 7}, {0, 3}, {1, 300}, {2, 65535}};
+  want["ids"] = nlohmann::json::array();
+  for (const std::int16_t label : s.attributes.label) want["ids"].push_back(ids.at(label));
+  want["entropy"] = s.attributes.entropy;
+  want["instances"] = s.attributes.instance;
+  want["triangles"] = s.triangles;
+  // Groups by a rule of their own: the class of two corners, else of the surest corner.
+  std::map<int, nlohmann::json> groups;
+  std::map<std::pair<int, int>, nlohmann::json> primitives;  // by object, then by class
+  for (const Triangle& t : s.triangles) {
+    int label = -1;
+    if (!s.attributes.label.empty()) {
+      std::map<int, int> votes;
+      for (const std::uint32_t v : t) ++votes[s.attributes.label[v]];
+      std::uint32_t surest = t[0];
+      for (const std::uint32_t v : t) surest = s.attributes.entropy[v] < s.attributes.entropy[surest] ? v : surest;
+      label = s.attributes.label[surest];
+      for (const auto& [candidate, count] : votes) label = count > 1 ? candidate : label;
+    }
+    groups[label]["triangles"].push_back(t);
+    int object = 0;
+    if (!s.attributes.instance.empty()) {
+      std::map<int, int> votes;
+      for (const std::uint32_t v : t) ++votes[s.attributes.instance[v]];
+      object = s.attributes.instance[t[0]];
+      for (const auto& [candidate, count] : votes) object = count > 1 ? candidate : object;
+    }
+    primitives[{object, label}]["triangles"].push_back(t);
+  }
+  static const std::map<int, std::array<std::uint8_t, 3>> colors{
+      {-1, {128, 128, 128}}, {0, {200, 100, 50}}, {1, {10, 20, 30}}, {2, {255, 255, 255}}};
+  std::size_t n = 0;
+  for (auto& [label, group] : groups) {
+    group["name"] = names.at(n++);
+    group["id"] = label < 0 ? -1 : ids.at(label);
+    group["linear"] = linear(colors.at(label));
+    want["groups"].push_back(group);
+    for (auto& [key, primitive] : primitives) {
+      if (key.second != label) continue;
+      primitive["name"] = group["name"];
+      primitive["id"] = group["id"];
+      primitive["object"] = key.first;
+    }
+  }
+  for (const auto& [key, primitive] : primitives) want["primitives"].push_back(primitive);
+  want["objects"] = {{"4", "red chair"}, {"9", "object 9"}};
+  ASSERT_EQ(n, names.size());
+  write_file_atomic(path, want.dump());
+}
+
+void expect_read_back(bool semantics, const GlbLook& look, const std::vector<std::string>& names) {
+  if (!python_found()) GTEST_SKIP() << "no python3 here: the mesh files were written but not read by another program";
+  const TempDir dir;
+  const Surface surface = mesh_files_ball(semantics);
+  write_expected(dir / "expected.json", surface, look, names);
+  write_ply(dir / "mesh.ply", surface, classes());
+  write_ply(dir / "points.ply", PointSet{surface.positions, {}, {}, surface.attributes}, classes());
+  write_obj(dir / "mesh.obj", surface, classes());
+  write_glb(dir / "mesh.glb", surface, classes(), look);
+  const std::string command =
+      "python3 " + shell_word(SEMFIELD_SOURCE_DIR "/tests/mesh/read_mesh_files.py") + " " + shell_word(dir.path());
+  EXPECT_EQ(std::system(command.c_str()), 0);
+}
+
+TEST(MeshFiles, AnotherProgramReadsWhatWasMeant) {
+  expect_read_back(true, {{0, 0, 1}, true, {{4, "red chair"}}}, {"void", "wall", "dining_table", "dining_table_65535"});
+}
+
+TEST(MeshFiles, WithoutSemanticsThereIsOneMaterial) {
+  for (const Vec3d up : {Vec3d{0, 1, 0}, {0, -1, 0}, {-1, 0, 0}, {0, 0, -1}, normalized(Vec3d{0.3, -0.9, 0.2})})
+    expect_read_back(false, {up, false}, {"surface"});
+}
+
+TEST(MeshFiles, ClassColorsAreThoseOfTheTable) {
+  const Surface surface = mesh_files_ball(true);
+  const auto colors = class_colors(surface.attributes, classes());
+  ASSERT_EQ(colors.size(), surface.positions.size());
+  static const std::map<int, std::array<std::uint8_t, 3>> table{
+      {-1, {128, 128, 128}}, {0, {200, 100, 50}}, {1, {10, 20, 30}}, {2, {255, 255, 255}}};
+  std::map<int, int> seen;
+  for (std::size_t v = 0; v < colors.size(); ++v) {
+    EXPECT_EQ(colors[v], table.at(surface.attributes.label[v])) << v;
+    ++seen[surface.attributes.label[v]];
+  }
+  EXPECT_EQ(seen.size(), 4U);
+}
+
+// Cameras around a room, pitched by turns, in a world with another axis upright.
+TEST(Upright, CamerasTellTheAxisThatTheyStandAlong) {
+  for (const char* name : {"x", "-x", "y", "-y", "z", "-z"}) {
+    const Vec3d up = *axis_named(name);
+    const LevelAxes axes = level_axes(up);
+    std::vector<Pose> poses;
+    for (int i = 0; i < 12; ++i) poses.push_back(look_along({}, axes.direction(0.9 * i, 0.15 * (i % 5) - 0.5), up));
+    EXPECT_EQ(up_of_cameras(poses), up) << name;
+    EXPECT_EQ(axis_text(up), (name[0] == '-' ? "" : "+") + std::string(name));
+  }
+}
+
+TEST(Upright, ATiltedWorldKeepsItsDirectionAndCamerasThatCancelTellNothing) {
+  const Vec3d up = normalized(Vec3d{1, 2, 2});
+  EXPECT_NEAR(length(*up_of_cameras(std::vector{look_along({}, {2, -1, 0}, up)}) - up), 0, 1e-12);
+  EXPECT_EQ(axis_text(up), "(0.333, 0.667, 0.667)");
+  const std::vector<Pose> against{look_along({}, {1, 0, 0}, {0, 0, 1}), look_along({}, {1, 0, 0}, {0, 0, -1})};
+  EXPECT_FALSE(up_of_cameras(against));
+  EXPECT_FALSE(up_of_cameras({}));
+  for (const char* none : {"", "w", "+", "-", "xy", "--x", "Y"}) EXPECT_FALSE(axis_named(none)) << none;
+}
+
+TEST(MeshFiles, TheHousesOwnObjReaderAgrees) {
+  if (!raycast_available()) GTEST_SKIP() << "this build reads no meshes";
+  const TempDir dir;
+  const Surface surface = mesh_files_ball(true);
+  write_obj(dir / "mesh.obj", surface, classes());
+  Diagnostics diagnostics;
+  const TriangleMesh mesh = load_obj(dir / "mesh.obj", diagnostics);
+  EXPECT_TRUE(diagnostics.all().empty()) << diagnostics.all().front().text();
+  EXPECT_EQ(mesh.size() + static_cast<std::size_t>(mesh.zero_area_skipped), surface.triangles.size());
+  ASSERT_EQ(mesh.materials.size(), 4U);
+  EXPECT_EQ(mesh.materials[2].name, "dining_table");
+  EXPECT_NEAR(mesh.materials[1].diffuse[0], linear_light(200), 1e-5);
+}
+
+TEST(MeshFiles, ClassGroupsHoldEveryTriangleOnce) {
+  const Surface surface = mesh_files_ball(true);
+  std::size_t triangles = 0;
+  for (const ClassGroup& group : class_groups(surface, classes())) triangles += group.triangles.size();
+  EXPECT_EQ(triangles, surface.triangles.size());
+}
+
+TEST(MeshFiles, AFolderThatIsNotThereIsAnErrorWithThePath) {
+  EXPECT_HAS(error_of([&] { write_ply("/proc/none/mesh.ply", mesh_files_ball(true), classes()); }), "/proc/none");
+}
+
+// What cameras see of surfaces whose shape is a formula.
+
+constexpr double kCell = 0.04;
+
+// Where `solid` is positive, in a cube of 3 m.
+Surface mesh_files_surface_of(const std::function<double(Vec3d)>& solid) {
+  const VoxelGrid grid = VoxelGrid::covering({{-1.5, -1.5, -1.5}, {1.5, 1.5, 1.5}}, kCell);
+  Surface surface = marching_cubes(grid, 0, [&](std::int64_t z, std::span<double> values) {
+    for (std::int64_t i = 0; i < grid.layer_points(); ++i)
+      values[i] = solid(
+          grid.world({static_cast<double>(i % grid.nx), static_cast<double>(i / grid.nx), static_cast<double>(z)}));
+  });
+  set_vertex_normals(surface);
+  return surface;
+}
+
+double ball_value(Vec3d p, Vec3d center, double radius) { return radius - length(p - center); }
+// Walls around [-1, 1]^3.
+double walls(Vec3d p) { return std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)}) - 1; }
+
+RayCamera camera_at(Vec3d place, Vec3d towards) {
+  const Vec3d up = std::abs(normalized(towards - place).z) > 0.9 ? Vec3d{0, 1, 0} : Vec3d{0, 0, 1};
+  return {{160, 120, 100, 100, 80, 60}, look_along(place, normalized(towards - place), up), true};
+}
+
+// Cameras that look every way from a place.
+std::vector<RayCamera> around(Vec3d place) {
+  std::vector<RayCamera> out;
+  for (int axis = 0; axis < 3; ++axis) {
+    for (const double sign : {-1.0, 1.0}) {
+      Vec3d ahead;
+      ahead[axis] = sign;
+      RayCamera camera = camera_at(place, place + ahead);
+      camera.camera = {160, 160, 70, 70, 80, 80};
+      out.push_back(camera);
+    }
+  }
+  return out;
+}
+
+RayLimits limits() { return RayLimits{.near_m = 0.05, .far_m = 10}; }
+
+Surface seen_of(Surface surface, const std::vector<RayCamera>& cameras) {
+  keep_triangles(surface, triangles_in_sight(surface, sights_of(surface, cameras, limits(), kCell)));
+  return surface;
+}
+
+// A room with a hollow behind one wall, which is where a field holds what it likes.
+TEST(Sights, WhatLiesBehindAWallGoesAndTheRoomStaysWhole) {
+  const Vec3d hollow{1.25, 0, 0};
+  const auto solid = [&](Vec3d p) { return std::min(walls(p), -ball_value(p, hollow, 0.15)); };
+  const Surface all = mesh_files_surface_of(solid), room = mesh_files_surface_of(walls);
+  const Surface kept = seen_of(all, around({0.1, -0.2, 0.1}));
+  EXPECT_GT(all.triangles.size(), room.triangles.size() + 100);
+  EXPECT_EQ(kept.triangles.size(), room.triangles.size());
+  for (const Vec3d& p : kept.positions) EXPECT_GT(length(p - hollow), 0.2);
+}
+
+// A pillar hides a part of the wall behind it.
+TEST(Sights, OneCameraLeavesAShadowThatASecondOneFills) {
+  const Vec3d pillar{0.3, 0, 0};
+  const auto solid = [&](Vec3d p) { return std::max(walls(p), 0.3 - std::hypot(p.x - pillar.x, p.y - pillar.y)); };
+  const Surface all = mesh_files_surface_of(solid);
+  const RayCamera front = camera_at({-0.9, 0, 0}, {1, 0, 0});
+  const auto in_shadow = [](const Surface& surface) {
+    return std::count_if(surface.positions.begin(), surface.positions.end(),
+                         [](const Vec3d& p) { return p.x > 0.99 && std::abs(p.y) < 0.3 && std::abs(p.z) < 0.5; });
+  };
+  ASSERT_GT(in_shadow(all), 200);
+  const Surface one = seen_of(all, {front});
+  EXPECT_EQ(in_shadow(one), 0);
+  const bool beside = std::any_of(one.positions.begin(), one.positions.end(),
+                                  [](const Vec3d& p) { return p.x > 0.99 && std::abs(p.y) > 0.85; });
+  EXPECT_TRUE(beside) << "the wall beside the shadow is there";
+  EXPECT_EQ(in_shadow(seen_of(all, {front, camera_at({0.8, -0.9, 0}, {1, 0, 0}), camera_at({0.8, 0.9, 0}, {1, 0, 0})})),
+            in_shadow(all));
+}
+
+TEST(Sights, NoFringeIsLeftAtTheRimOfWhatIsSeen) {
+  const Surface all = mesh_files_surface_of([](Vec3d p) { return ball_value(p, {0, 0, 0}, 1); });
+  const RayCamera camera = camera_at({-4, 0, 0}, {0, 0, 0});
+  const Surface kept = seen_of(all, {camera});
+  ASSERT_FALSE(kept.positions.empty());
+  // A camera at a distance of 4 sees the ball up to x = -1/4.
+  for (const Vec3d& p : kept.positions) EXPECT_LT(p.x, -0.25 + 3 * kCell);
+  const auto near_rim = std::count_if(kept.positions.begin(), kept.positions.end(),
+                                      [](const Vec3d& p) { return p.x > -0.25 - 3 * kCell; });
+  EXPECT_GT(near_rim, 100) << "and little of it is missing";
+}
+
+// What stands on a table is seen from all sides but one.
+TEST(Sights, AnObjectThatIsSeenButForALittleStaysClosed) {
+  const auto solid = [](Vec3d p) { return std::min(ball_value(p, {0, 0, 0}, 1), p.z + 0.85); };
+  const Surface all = mesh_files_surface_of(solid);
+  std::vector<RayCamera> cameras;
+  for (int i = 0; i < 8; ++i) cameras.push_back(camera_at({3 * std::cos(i * 0.785), 3 * std::sin(i * 0.785), 0.5}, {}));
+  cameras.push_back(camera_at({0.01, 0, 3}, {}));
+  const std::vector<Sights> sights = sights_of(all, cameras, limits(), kCell);
+  std::int64_t below = 0, unseen = 0;
+  for (std::size_t v = 0; v < sights.size(); ++v) {
+    if (all.positions[v].z > -0.84 || std::hypot(all.positions[v].x, all.positions[v].y) > 0.45) continue;
+    ++below;
+    unseen += sights[v].any() ? 0 : 1;
+  }
+  ASSERT_GT(below, 200);
+  EXPECT_EQ(unseen, below);
+  EXPECT_EQ(seen_of(all, cameras).triangles.size(), all.triangles.size());
+}
+
+TEST(Sights, AreTheCamerasThatShowAPointLargestAndLendThemselves) {
+  const Surface all = mesh_files_surface_of([](Vec3d p) { return ball_value(p, {0, 0, 0}, 1); });
+  const std::vector<RayCamera> cameras{camera_at({-4, 0, 0}, {}), camera_at({-2.5, 0, 0}, {}), camera_at({4, 0, 0}, {}),
+                                       camera_at({-3, 1, 0}, {}), camera_at({-3, -1, 0}, {})};
+  std::vector<Sights> sights = sights_of(all, cameras, limits(), kCell);
+  const auto vertex = [&](Vec3d wanted) {
+    const auto nearest =
+        std::min_element(all.positions.begin(), all.positions.end(),
+                         [&](const Vec3d& a, const Vec3d& b) { return length(a - wanted) < length(b - wanted); });
+    return static_cast<std::size_t>(nearest - all.positions.begin());
+  };
+  const std::size_t left = vertex({-1, 0, 0}), right = vertex({1, 0, 0}), top = vertex({0, 0, 1});
+  EXPECT_EQ(sights[left].camera[0], 1) << "the nearest";
+  EXPECT_TRUE(std::is_sorted(sights[left].weight.rbegin(), sights[left].weight.rend()));
+  EXPECT_GE(sights[left].camera[2], 0);
+  EXPECT_EQ(sights[right].camera, (std::array<std::int32_t, 3>{2, -1, -1}));
+  EXPECT_FALSE(sights[top].any());
+
+  const Looks facing = looks_at(all.positions[right], all.normals[right], sights[right], cameras);
+  ASSERT_EQ(facing.count, 1U);
+  EXPECT_LT(length(facing.direction[0] - Vec3d{-1, 0, 0}), 0.05);
+  EXPECT_EQ(facing.weight[0], 1);
+  const Looks three = looks_at(all.positions[left], all.normals[left], sights[left], cameras);
+  ASSERT_EQ(three.count, 3U);
+  EXPECT_NEAR(three.weight[0] + three.weight[1] + three.weight[2], 1, 1e-12);
+  const Looks nobody = looks_at(all.positions[top], all.normals[top], sights[top], cameras);
+  EXPECT_EQ(nobody.direction[0], all.normals[top] * -1.0);
+
+  lend_sights(all, sights);
+  EXPECT_TRUE(std::all_of(sights.begin(), sights.end(), [](const Sights& s) { return s.any(); }));
+  // A camera that was lent may look at the back: then nobody's direction is taken.
+  const Looks back = looks_at({0, 0, 0}, {1, 0, 0}, Sights{{0, -1, -1}, {1, 0, 0}}, cameras);
+  EXPECT_EQ(back.direction[0], (Vec3d{-1, 0, 0}));
+}
+
+TEST(Sights, FollowTheLensAndTheLimitsAndNotTheThreads) {
+  const Surface all = mesh_files_surface_of([](Vec3d p) { return std::max(walls(p), ball_value(p, {0, 0, 0}, 0.3)); });
+  std::vector<RayCamera> cameras = around({-0.7, 0.1, 0});
+  const auto flags = [&](const RayLimits& most) {
+    std::vector<char> out;
+    for (const Sights& s : sights_of(all, cameras, most, kCell)) out.push_back(s.any() ? 1 : 0);
+    return out;
+  };
+  const std::vector<char> wide = flags(limits());
+  RayLimits short_sighted = limits();
+  short_sighted.far_m = 1;
+  const std::vector<char> near = flags(short_sighted);
+  for (std::size_t v = 0; v < all.positions.size(); ++v) {
+    if (near[v] == 0) continue;
+    EXPECT_LE(length(all.positions[v] - Vec3d{-0.7, 0.1, 0}), 1 + 1e-9);
+  }
+  // A barrel lens sees further to the side than the pinhole of its focal length.
+  cameras.resize(1);
+  const std::vector<char> pinhole = flags(limits());
+  cameras[0].camera.k1 = -0.2;
+  const std::vector<char> barrel = flags(limits());
+  cameras[0].undistort = false;
+  EXPECT_EQ(flags(limits()), pinhole) << "whoever does not undistort, casts rays of a pinhole";
+  const auto count = [](const std::vector<char>& of) { return std::count(of.begin(), of.end(), 1); };
+  EXPECT_GT(count(barrel), count(pinhole) + 100);
+
+  cameras = around({-0.7, 0.1, 0});
+  const int threads = thread_count();
+  set_thread_count(1);
+  EXPECT_EQ(flags(limits()), wide);
+  set_thread_count(threads);
+}
+
+}  // namespace
+}  // namespace semfield
+
+namespace semfield::app {
+namespace {
+
+// The page of a surface as text: what stands in it, whatever the names in the scene are.
+
+std::string element(const std::string& page, const std::string& open) {
+  const std::size_t begin = page.find(open);
+  if (begin == std::string::npos) return {};
+  const std::size_t from = begin + open.size();
+  return page.substr(from, page.find("</", from) - from);
+}
+
+// Names are those of the places that the page's parts are filled into.
+TEST(ScenePage, NamesOfAnySceneStayNames) {
+  const std::vector<std::string> names{"/*mesh*/", "/*facts*/", "/*script*/", "<!--title-->", "</script>", "/*style*/"};
+  std::vector<ClassEntry> entries;
+  for (const std::string& name : names)
+    entries.push_back({static_cast<std::int32_t>(entries.size()) + 1, name, {}, false});
+  Surface surface;
+  surface.positions = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}};
+  surface.triangles = {{0, 1, 2}};
+  surface.attributes.color.assign(3, {1, 2, 3});
+  surface.attributes.label.assign(3, 0);
+  surface.attributes.entropy.assign(3, 0);
+  ScenePage page;
+  page.title = "/*mesh*/ <!--connect-->";
+  page.about = {"/*mesh*/"};
+  page.run = "/*style*/";
+  const std::string text = scene_page_text(surface, ClassTable(entries), page);
+  const nlohmann::json facts =
+      nlohmann::json::parse(element(text, "<script type=\"application/json\" id=\"facts\">"), nullptr, false);
+  ASSERT_TRUE(facts.is_object());
+  ASSERT_EQ(facts.at("classes").size(), names.size());
+  for (std::size_t i = 0; i < names.size(); ++i) EXPECT_EQ(facts.at("classes")[i].at("name"), names[i]);
+  EXPECT_EQ(facts.at("title"), page.title);
+  EXPECT_EQ(facts.at("run"), page.run);
+  const std::string mesh = element(text, "<script type=\"text/plain\" id=\"mesh\">");
+  EXPECT_FALSE(mesh.empty());
+  EXPECT_EQ(mesh.find('*'), std::string::npos) << "the mesh is where it belongs";
+  EXPECT_EQ(element(text, "<title>"), "/*mesh*/ &lt;!--connect--&gt;");
+  EXPECT_HAS(text, "connect-src 'none'");
+}
+
+}  // namespace
+}  // namespace semfield::app

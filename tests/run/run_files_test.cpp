@@ -1,0 +1,438 @@
+// Tensor files, checkpoints and the run folder: round trips, every damage refused, a good checkpoint at every moment.
+
+#include <signal.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <array>
+#include <cmath>
+#include <cstdio>
+#include <cstring>
+#include <fstream>
+#include <limits>
+#include <map>
+#include <nlohmann/json.hpp>
+
+#include "core/error.h"
+#include "formats/safetensors.h"
+#include "run/metrics_log.h"
+#include "run/run_folder.h"
+#include "session/checkpoint_facts.h"
+#include "system/checksum.h"
+#include "system/files.h"
+#include "tests/says.h"
+#include "tests/temp_dir.h"
+
+namespace semfield {
+namespace {
+
+namespace fs = std::filesystem;
+
+class Folder : public ::testing::Test {
+ protected:
+  std::string in(const std::string& name) const { return dir_ / name; }
+  const TempDir dir_;
+  const std::string& path_ = dir_.path();
+};
+
+std::string sample_file() {
+  static const std::vector<float> weights{1, -2.5f, 3e-30f, 4, 5, 6};
+  static const std::vector<double> exact{3.141592653589793};
+  static const std::vector<std::int64_t> steps{-1, 1ll << 40};
+  static const std::vector<std::uint8_t> grid{1, 0, 255};
+  return encode_safetensors(
+      {tensor_ref("grid", {3}, grid), tensor_ref("trunk_0/weight", {2, 3}, weights), tensor_ref("exact", {}, exact),
+       tensor_ref("steps", {2}, steps), tensor_ref("none", {0, 4}, std::span<const float>())},
+      {{"format", "semfield 1"}, {"note", "quote \" and \"semfield.crc32c\":\"11111111"}});
+}
+
+TEST(Safetensors, RoundTrip) {
+  const TensorFile file = TensorFile::decode(sample_file(), "memory", {});
+  EXPECT_EQ(file.tensors().size(), 5u);
+  EXPECT_EQ(file.floats("trunk_0/weight", 6), (std::vector<float>{1, -2.5f, 3e-30f, 4, 5, 6}));
+  EXPECT_EQ(file.integers("steps", 2), (std::vector<std::int64_t>{-1, 1ll << 40}));
+  ASSERT_NE(file.find("trunk_0/weight"), nullptr);
+  EXPECT_EQ(file.find("trunk_0/weight")->shape, (std::vector<std::int64_t>{2, 3}));
+  EXPECT_EQ(file.find("grid")->bytes[2], std::byte{255});
+  EXPECT_EQ(file.find("none")->bytes.size(), 0u);
+  EXPECT_EQ(file.metadata().at("format"), "semfield 1");
+  EXPECT_EQ(file.metadata().size(), 2u);
+  EXPECT_HAS(error_of(ErrorKind::data, [&] { (void)file.floats("trunk_0/weight", 7); }),
+             "6 elements of F32, expected 7 of F32");
+  EXPECT_HAS(error_of(ErrorKind::data, [&] { (void)file.floats("absent", 1); }), "has no tensor 'absent'");
+}
+
+// The layout as any other reader of the format sees it.
+TEST(Safetensors, LayoutReadsIndependently) {
+  const std::string file = sample_file();
+  std::uint64_t length = 0;
+  std::memcpy(&length, file.data(), 8);
+  EXPECT_EQ(length % 8, 0u);
+  EXPECT_EQ(file[8], '{');
+  const nlohmann::json header = nlohmann::json::parse(file.substr(8, length));
+  const auto& entry = header.at("trunk_0/weight");
+  EXPECT_EQ(entry.at("dtype"), "F32");
+  EXPECT_EQ(entry.at("shape"), nlohmann::json({2, 3}));
+  const std::uint64_t begin = entry.at("data_offsets")[0];
+  EXPECT_EQ(begin % 4, 0u);
+  float second = 0;
+  std::memcpy(&second, file.data() + 8 + length + begin + 4, 4);
+  EXPECT_EQ(second, -2.5f);
+  for (const auto& item : header.at("__metadata__").items()) EXPECT_TRUE(item.value().is_string());
+  const std::string data = file.substr(8 + length + begin, 24);
+  char sum[9];
+  std::snprintf(sum, sizeof(sum), "%08x", crc32c(std::as_bytes(std::span(data.data(), data.size()))));
+  EXPECT_EQ(header.at("__metadata__").at("semfield.crc32c:trunk_0/weight"), sum);
+}
+
+TEST(Safetensors, EveryTruncationIsRefused) {  // G10
+  const std::string good = sample_file();
+  for (std::size_t size = 0; size < good.size(); ++size)
+    EXPECT_THROW((void)TensorFile::decode(good.substr(0, size), "cut", {}), Error) << size;
+  EXPECT_THROW((void)TensorFile::decode(good + '\0', "grown", {}), Error);
+}
+
+// A file of another program: the layout without checksums.
+std::string bare_file(const std::string& header, std::size_t data_bytes) {
+  const std::uint64_t length = header.size();
+  std::string file(8, '\0');
+  std::memcpy(file.data(), &length, 8);
+  return file + header + std::string(data_bytes, '\0');
+}
+
+constexpr const char* kLongName =
+    R"({"a name that lies on the heap, and not in the text itself":{"dtype":"F32","shape":[1],)";
+constexpr const char* kNoCounts[] = {"[0, 9223372036854775808]",
+                                     "[9223372036854775808, 0]",
+                                     "[\"x\", 0]",
+                                     "[0, null]",
+                                     "[0, -1]",
+                                     "[0.5, 4]",
+                                     "[[0], 4]",
+                                     "null"};
+
+// Each is refused, and nothing else of the header is destroyed twice on the way out.
+TEST(Safetensors, OffsetsThatAreNoCountsAreRefused) {
+  const auto decode = [](const std::string& offsets) {
+    (void)TensorFile::decode(bare_file(std::string(kLongName) + "\"data_offsets\":" + offsets + "}}", 4), "hostile",
+                             {.require_checksums = false});
+  };
+  decode("[0, 4]");
+  for (const char* offsets : kNoCounts)
+    EXPECT_ERROR(decode(offsets), "checkpoint.file.damaged", "hostile", "data_offsets");
+}
+
+TEST(Safetensors, WriterChecksItsInput) {
+  const std::vector<float> values{1, 2};
+  EXPECT_NE(error_of(ErrorKind::internal, [&] { (void)encode_safetensors({tensor_ref("w", {3}, values)}, {}); }), "");
+  EXPECT_NE(error_of(ErrorKind::internal,
+                     [&] {
+                       (void)encode_safetensors({tensor_ref("w", {2}, values), tensor_ref("w", {2}, values)}, {});
+                     }),
+            "");
+}
+
+using CheckpointTest = Folder;
+
+void save(CheckpointStore& store, std::int64_t step) {
+  const std::vector<float> values{static_cast<float>(step)};
+  store.save(step, {tensor_ref("w", {1}, values)}, {{"step", std::to_string(step)}});
+}
+
+TEST_F(CheckpointTest, KeepsTheNewestAndNamesTheLatest) {
+  CheckpointStore store(in("checkpoints"), 2);
+  Diagnostics diagnostics;
+  EXPECT_FALSE(store.find_latest(diagnostics).has_value());
+  for (std::int64_t step : {100, 200, 300}) save(store, step);
+  ASSERT_EQ(store.list().size(), 2u);
+  EXPECT_EQ(store.list()[1].step, 200);
+  EXPECT_EQ(read_text_file(in("checkpoints/latest")), "step_00000300.safetensors\n");
+  const auto found = store.find_latest(diagnostics);
+  ASSERT_TRUE(found.has_value());
+  EXPECT_EQ(found->step, 300);
+  EXPECT_EQ(found->file.floats("w", 1)[0], 300.0f);
+  EXPECT_TRUE(diagnostics.all().empty());
+}
+
+TEST_F(CheckpointTest, StaleTemporaryFilesGoAndOtherFilesStay) {
+  fs::create_directories(in("c"));
+  std::ofstream(in("c/.step_00000001.safetensors.77.0.tmp")) << "torn";
+  std::ofstream(in("c/notes.txt")) << "mine";
+  CheckpointStore store(in("c"));
+  EXPECT_FALSE(fs::exists(in("c/.step_00000001.safetensors.77.0.tmp")));
+  EXPECT_TRUE(fs::exists(in("c/notes.txt")));
+}
+
+// What evaluation uses, beside a run that trains.
+TEST_F(CheckpointTest, ReadingChangesNothing) {
+  {
+    CheckpointStore store(in("c"));
+    save(store, 100);
+  }
+  std::ofstream(in("c/.step_00000200.safetensors.0.tmp")) << "being written";
+  const CheckpointStore reader = CheckpointStore::read(in("c"));
+  Diagnostics diagnostics;
+  EXPECT_EQ(reader.find_latest(diagnostics)->step, 100);
+  EXPECT_TRUE(fs::exists(in("c/.step_00000200.safetensors.0.tmp")));
+  EXPECT_FALSE(CheckpointStore::read(in("none")).find_latest(diagnostics).has_value());
+  EXPECT_FALSE(fs::exists(in("none")));
+}
+
+// Taken for an empty one, the run would start over and put its own checkpoints aside.
+TEST_F(CheckpointTest, AFolderThatCannotBeReadIsNoEmptyFolder) {
+  std::ofstream(in("c")) << "a file where the folder should be";
+  const std::string message = error_of(ErrorKind::io, [&] { (void)CheckpointStore::read(in("c")).list(); });
+  EXPECT_HAS(message, "cannot read the folder '" + in("c") + "': Not a directory");
+}
+
+using RunFolderTest = Folder;
+
+TEST_F(RunFolderTest, WhatKilledRunsLeftIsRemoved) {
+  // Killed before run.yaml was there: the same command works again.
+  fs::create_directories(in("run"));
+  std::ofstream(in("run/.lock")) << "77\n";
+  std::ofstream(in("run/.run.yaml.0.tmp")) << "torn";
+  {
+    const RunFolder run = RunFolder::create(in("run"));
+    EXPECT_FALSE(fs::exists(in("run/.run.yaml.0.tmp")));
+    write_file_atomic(run.config_path(), "a: 1\n");
+    fs::create_directories(in("run/render/test"));
+  }
+  for (const char* name :
+       {"run/.report.html.0.tmp", "run/render/test/.0017_rgb.png.1.tmp", "run/.classes.yaml.77.3.tmp"})
+    std::ofstream(in(name)) << "torn";
+  const RunFolder run = RunFolder::resume(in("run"));
+  for (const auto& entry : fs::recursive_directory_iterator(in("run")))
+    EXPECT_NE(entry.path().extension(), ".tmp") << entry.path();
+}
+
+TEST_F(RunFolderTest, CreateRefusesFilesAndResumeNeedsARun) {
+  {
+    const RunFolder run = RunFolder::create(in("new/run"));
+    EXPECT_EQ(run.config_path(), in("new/run/run.yaml"));
+    EXPECT_EQ(run.render_path("test", "seq/0017", "depth"), in("new/run/render/test/seq_0017_depth.png"));
+    EXPECT_TRUE(fs::is_directory(in("new/run/render/test")));
+  }
+  EXPECT_HAS(error_of(ErrorKind::cannot_create, [&] { (void)RunFolder::create(in("new/run")); }),
+             "holds files already");
+  EXPECT_HAS(error_of(ErrorKind::no_input, [&] { (void)RunFolder::resume(in("new/run")); }), "no run.yaml");
+  write_file_atomic(in("new/run/run.yaml"), "a: 1\n");
+  EXPECT_NO_THROW((void)RunFolder::resume(in("new/run")));
+  EXPECT_NE(error_of(ErrorKind::no_input, [&] { (void)RunFolder::read(in("absent")); }), "");
+  // A folder of other files stays as it was.
+  fs::create_directories(in("photos"));
+  std::ofstream(in("photos/a.jpg")) << "x";
+  EXPECT_NE(error_of(ErrorKind::cannot_create, [&] { (void)RunFolder::create(in("photos")); }), "");
+  EXPECT_FALSE(fs::exists(in("photos/.lock")));
+}
+
+TEST_F(RunFolderTest, EnvironmentAndLeftOutRoundTrip) {
+  Environment e = this_environment();
+  EXPECT_FALSE(e.compiler.empty());
+  EXPECT_GE(e.hardware_threads, 1);
+  e.seed = 18446744073709551615ull;
+  e.modules = {"hash_grid 1.0", "nerf_mlp 1.0"};
+  const auto entries = parse_environment(environment_json(e), "environment.json");
+  const auto value = [&](const std::string& key) {
+    for (const auto& [name, text] : entries) {
+      if (name == key) return text;
+    }
+    return std::string("absent");
+  };
+  EXPECT_EQ(value("seed"), "18446744073709551615");
+  EXPECT_EQ(value("modules"), "hash_grid 1.0, nerf_mlp 1.0");
+  const std::vector<LeftOutRow> rows{{"semantic head", "no labels", "0 label files", "B", "6.9 %", ""}};
+  const auto read = parse_left_out(left_out_json(rows), "left_out.json");
+  ASSERT_EQ(read.size(), 1u);
+  EXPECT_EQ(read[0].evidence, "0 label files");
+  EXPECT_EQ(read[0].saving_measured, "");
+  EXPECT_HAS(left_out_json(rows), "\"saving_measured\": null");
+  EXPECT_NE(error_of(ErrorKind::data, [] { (void)parse_left_out("[{}]", "left_out.json"); }), "");
+  EXPECT_NE(error_of(ErrorKind::data, [] { (void)parse_environment("{", "environment.json"); }), "");
+}
+
+// metrics.jsonl and the TensorBoard file, each read back by code that shares nothing with its writer.
+
+namespace fs = std::filesystem;
+
+class LogTest : public ::testing::Test {
+ protected:
+  std::string in(const std::string& name) const { return dir_ / name; }
+  const TempDir dir_;
+};
+
+MetricsRow train_row(std::int64_t step) {
+  MetricsRow row{.step = step, .train_s = 0.1 * static_cast<double>(step)};
+  row.set("loss", 1.0 / 3);
+  return row;
+}
+
+TEST_F(LogTest, RowsComeBackExactly) {
+  {
+    MetricsLog log = MetricsLog::create(in("metrics.jsonl"));
+    log.append(train_row(7));
+    MetricsRow row{.kind = "eval", .step = 7, .split = "test"};
+    row.set("psnr", std::numeric_limits<double>::infinity());
+    row.set("miou", std::nullopt);
+    row.set("absrel", std::numeric_limits<double>::quiet_NaN());
+    row.per_class_iou = {{"wall", 0.25}, {"a \"b\"\n", std::nullopt}};
+    log.append(row);
+  }
+  const auto rows = read_metrics(in("metrics.jsonl"));
+  ASSERT_EQ(rows.size(), 2u);
+  EXPECT_EQ(rows[0].kind, "train");
+  EXPECT_EQ(rows[0].get("loss"), 1.0 / 3);
+  EXPECT_EQ(rows[0].train_s, 0.1 * 7);
+  EXPECT_EQ(rows[1].get("psnr"), std::numeric_limits<double>::infinity());
+  EXPECT_FALSE(rows[1].get("miou").has_value());
+  EXPECT_TRUE(std::isnan(*rows[1].get("absrel")));
+  EXPECT_EQ(rows[1].per_class_iou[1].first, "a \"b\"\n");
+  // Any JSON reader can read every line.
+  std::ifstream file(in("metrics.jsonl"));
+  std::string line;
+  ASSERT_TRUE(std::getline(file, line) && std::getline(file, line));
+  const auto json = nlohmann::json::parse(line);
+  EXPECT_EQ(json.at("psnr"), "inf");
+  EXPECT_EQ(json.at("split"), "test");
+  EXPECT_TRUE(json.at("miou").is_null());
+  EXPECT_FALSE(std::getline(file, line));
+}
+
+TEST_F(LogTest, OnlyATornLastLineIsForgiven) {
+  const std::string good = metrics_line(train_row(1)) + "\n" + metrics_line(train_row(2)) + "\n";
+  for (std::size_t cut = 0; cut <= good.size(); ++cut) {
+    const auto rows = parse_metrics(good.substr(0, cut), "m");
+    EXPECT_EQ(rows.size(), cut == good.size() ? 2u : cut >= good.find('\n') + 1 ? 1u : 0u);
+  }
+  EXPECT_HAS(error_of(ErrorKind::data, [&] { (void)parse_metrics("{\"kind\":\"train\",\n" + good, "metrics.jsonl"); }),
+             "metrics.jsonl:1: not a JSON object");
+  EXPECT_THROW((void)parse_metrics("{\"kind\":\"train\"}\n", "m"), Error);
+  EXPECT_THROW((void)parse_metrics("{\"step\":1,\"loss\":\"high\"}\n", "m"), Error);
+}
+
+TEST_F(LogTest, ResumeDropsLaterRowsAndTheTornLine) {
+  {
+    MetricsLog log = MetricsLog::create(in("m"));
+    for (std::int64_t step : {10, 20, 30}) log.append(train_row(step));
+  }
+  std::ofstream(in("m"), std::ios::app) << "{\"kind\":\"tra";
+  EXPECT_THROW((void)MetricsLog::create(in("m")), Error);
+  {
+    MetricsLog log = MetricsLog::resume(in("m"), 20);
+    log.append(train_row(25));
+  }
+  const auto rows = read_metrics(in("m"));
+  ASSERT_EQ(rows.size(), 3u);
+  EXPECT_EQ(rows[1].step, 20);
+  EXPECT_EQ(rows[2].step, 25);
+}
+
+// After a power cut lines behind the last sync may be anything; ahead of a row that is kept they may not.
+TEST_F(LogTest, ResumeDropsWhatAPowerCutLeftAndRefusesOtherDamage) {
+  const std::string good = metrics_line(train_row(10)) + "\n" + metrics_line(train_row(20)) + "\n";
+  const std::string zeros(50, '\0'), later = metrics_line(train_row(30)) + "\n";
+  std::ofstream(in("m")) << good << zeros << "\n" << later << zeros;
+  {
+    MetricsLog log = MetricsLog::resume(in("m"), 20);
+    log.append(train_row(25));
+    log.sync();
+  }
+  EXPECT_EQ(read_text_file(in("m")), good + metrics_line(train_row(25)) + "\n");
+  std::ofstream(in("n")) << "half a row}\n" << good;
+  EXPECT_HAS(error_of(ErrorKind::data, [&] { (void)MetricsLog::resume(in("n"), 20); }),
+             in("n") + ":1: not a JSON object");
+}
+
+// --- an independent reader of records and of the few protobuf fields in them ---
+
+std::uint32_t slow_crc32c(const std::string& bytes) {
+  std::uint32_t crc = 0xFFFFFFFFu;
+  for (unsigned char byte : bytes) {
+    crc ^= byte;
+    for (int bit = 0; bit < 8; ++bit) crc = (crc & 1) != 0 ? (crc >> 1) ^ 0x82F63B78u : crc >> 1;
+  }
+  return ~crc;
+}
+
+template <class T>
+T fixed(const std::string& bytes, std::size_t at) {
+  T value;
+  std::memcpy(&value, bytes.data() + at, sizeof(T));
+  return value;
+}
+
+std::vector<std::string> records(const std::string& file) {
+  std::vector<std::string> out;
+  const auto masked = [](const std::string& bytes) {
+    const std::uint32_t crc = slow_crc32c(bytes);
+    return ((crc >> 15) | (crc << 17)) + 0xA282EAD8u;
+  };
+  std::size_t at = 0;
+  while (at < file.size()) {
+    const auto length = fixed<std::uint64_t>(file, at);
+    EXPECT_EQ(fixed<std::uint32_t>(file, at + 8), masked(file.substr(at, 8)));
+    out.push_back(file.substr(at + 12, length));
+    EXPECT_EQ(fixed<std::uint32_t>(file, at + 12 + length), masked(out.back()));
+    at += 16 + length;
+  }
+  return out;
+}
+
+// field number -> raw payload (varints as eight bytes)
+std::map<int, std::string> fields(const std::string& message) {
+  std::map<int, std::string> out;
+  std::size_t at = 0;
+  const auto varint = [&] {
+    std::uint64_t value = 0;
+    for (int shift = 0;; shift += 7) {
+      const auto byte = static_cast<unsigned char>(message.at(at++));
+      value |= static_cast<std::uint64_t>(byte & 0x7F) << shift;
+      if (byte < 0x80) return value;
+    }
+  };
+  while (at < message.size()) {
+    const std::uint64_t key = varint();
+    std::size_t size = 0;
+    if ((key & 7) == 0) {
+      const std::uint64_t value = varint();
+      out[static_cast<int>(key >> 3)] = std::string(reinterpret_cast<const char*>(&value), 8);
+      continue;
+    }
+    if ((key & 7) == 1) size = 8;
+    if ((key & 7) == 5) size = 4;
+    if ((key & 7) == 2) size = varint();
+    out[static_cast<int>(key >> 3)] = message.substr(at, size);
+    at += size;
+  }
+  return out;
+}
+
+TEST_F(LogTest, TensorboardFileReadsBack) {
+  std::string path;
+  {
+    EventWriter writer(dir_.path(), 1000.25);
+    path = writer.path();
+    writer.scalar("eval/psnr", 20000, 31.5, 1001.5);
+    writer.scalar("train/loss", 300, std::numeric_limits<double>::infinity(), 1002);
+  }
+  EXPECT_EQ(fs::path(path).filename().string().rfind("events.out.tfevents.0000001000.", 0), 0u) << path;
+  const auto events = records(read_text_file(path));
+  ASSERT_EQ(events.size(), 3u);
+  EXPECT_EQ(fields(events[0])[3], "brain.Event:2");
+  EXPECT_EQ(fixed<double>(fields(events[0])[1], 0), 1000.25);
+  auto event = fields(events[1]);
+  EXPECT_EQ(fixed<double>(event[1], 0), 1001.5);
+  EXPECT_EQ(fixed<std::uint64_t>(event[2], 0), 20000u);
+  auto value = fields(fields(event[5])[1]);
+  EXPECT_EQ(value[1], "eval/psnr");
+  EXPECT_EQ(fixed<float>(value[2], 0), 31.5f);
+}
+
+TEST(Tensorboard, ChecksumOfTheStandardCheckValue) {
+  // CRC-32C("123456789") = E3069283, then rotated by 15 and shifted.
+  EXPECT_EQ(slow_crc32c("123456789"), 0xE3069283u);
+  EXPECT_EQ(masked_crc32c("123456789"), ((0xE3069283u >> 15) | (0xE3069283u << 17)) + 0xA282EAD8u);
+}
+
+}  // namespace
+}  // namespace semfield

@@ -1,0 +1,887 @@
+// A network of its own for semantics: gradients, what it leaves alone, what leaving samples out may change, its
+// settings.
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "compute/gemm.h"
+#include "compute/layers.h"
+#include "compute/parallel.h"
+#include "core/error.h"
+#include "eval/evaluator.h"
+#include "plugin/head.h"
+#include "session/assembly.h"
+#include "session/ray_source.h"
+#include "session/settings/choices.h"
+#include "session/trainer.h"
+#include "session/training.h"
+#include "testkit/laws.h"
+#include "tests/session/oracle.h"
+#include "tests/session/train_testing.h"
+
+namespace semfield {
+namespace {
+
+using namespace testing_train;
+
+// `branch` is the body of the pass's section `semantic`, "" for none.
+std::string config_of(const std::string& branch, const std::string& more = "") {
+  return stratified_config("type: analytic_room", branch.empty() ? "" : "    semantic: {" + branch + "}\n", "rays: 24",
+                           more);
+}
+const std::string kPlugins =
+    "position: {type: frequency, frequencies: 3}, field: {type: tiny_mlp, hidden_width: 12, hidden_layers: 2}";
+
+// Of the tensors of branch and head: weights are constants to them, and so is which samples are left out.
+TEST(HeadBranch, GradientsAreThoseOfFiniteDifferences) {
+  for (const char* more : {"", ", reads_feature: false", ", dropout: 0.3", ", least_weight: 0.02"}) {
+    SCOPED_TRACE(more);
+    expect_finite_differences(config_of(kPlugins + more), 2e-4, "/semantic",
+                              8 * 3);  // two layers of branch and of head
+  }
+}
+
+TEST(HeadBranch, TilesLanesAndTheDeferredClassLayerChangeNoGradient) {
+  for (const char* more : {"", ", dropout: 0.25", ", least_weight: 0.05"}) {
+    expect_same_gradients(config_of(kPlugins + more, "runtime: {lanes: 1, tile_rays: 24}\n"),
+                          config_of(kPlugins + more, "runtime: {lanes: 3, tile_rays: 4}\n"));
+    expect_same_gradients(config_of(kPlugins + more),
+                          config_of(kPlugins + more, "runtime: {deferred_class_layer: false}\n"));
+  }
+}
+
+// Colour and geometry learn as they do in a scene without labels, to the last bit.
+TEST(HeadBranch, LabelsDoNotShapeTheField) {
+  Registry registry = make_registry();
+  Oracle labelled(config_of(kPlugins), registry);
+  std::string none = config_of(kPlugins);
+  none = with_scene(none, "{type: analytic_room, with_labels: false}");
+  Oracle unlabelled(none, registry);
+  ASSERT_FALSE(unlabelled.pipeline->has_semantics());
+  EXPECT_GT(labelled.gradients().semantic, 0);
+  unlabelled.gradients();
+  int compared = 0;
+  for (const Tensor<double>& t : unlabelled.pipeline->store().all()) {
+    if (!t.learned()) continue;
+    const Tensor<double>* other = labelled.pipeline->store().find(t.name);
+    ASSERT_NE(other, nullptr) << t.name;
+    for (std::int64_t i = 0; i < t.size(); ++i)
+      ASSERT_EQ(t.grad.data()[i], other->grad.data()[i]) << t.name << " " << i;
+    ++compared;
+  }
+  EXPECT_GT(compared, 5);
+}
+
+// |change of a logit| <= sum of the weights left out times the largest logit of a sample.
+TEST(HeadBranch, LeavingSamplesOutChangesLogitsWithinTheBound) {
+  Registry registry = make_registry();
+  const std::string off = "runtime: {deferred_class_layer: false, tile_rays: 24, lanes: 1}\n";
+  Oracle all(config_of(kPlugins + ", least_weight: 0", off), registry);
+  const auto trace_of = [](Oracle& o, Workspace& arena) {
+    StepContext ctx{.workspace = &arena};
+    const RayBatch batch = o.batch.view(true);
+    return o.pipeline->passes()[0].forward(ctx, 0, {batch.origin, batch.direction, batch.near_far}, nullptr, 0,
+                                           {batch.origin.rows});
+  };
+  Workspace arena_all;
+  const PassTrace<double> a = trace_of(all, arena_all);
+  std::vector<double> weights(a.weight.data, a.weight.data + a.samples.count);
+  std::sort(weights.begin(), weights.end());
+  std::int64_t before = 0;
+  for (const std::size_t part : {8, 4, 2}) {
+    const double least = weights[weights.size() / part];
+    ASSERT_LT(least, 0.1);
+    Oracle some(config_of(kPlugins + ", least_weight: " + std::to_string(least), off), registry);
+    Workspace arena_some;
+    const PassTrace<double> b = trace_of(some, arena_some);
+    double largest = 0;
+    for (std::int64_t k = 0; k < a.semantic.sample_rows.rows; ++k) {
+      for (std::int32_t c = 0; c < a.semantic.sample_rows.cols; ++c)
+        largest = std::max(largest, std::abs(a.semantic.sample_rows(k, c)));
+    }
+    double moved = 0;
+    for (std::int64_t r = 0; r < a.semantic.rows.rows; ++r) {
+      const double left_out = a.semantic.branch.share(r, 0) - b.semantic.branch.share(r, 0);
+      EXPECT_GE(left_out, -1e-15);
+      for (std::int32_t c = 0; c < a.semantic.rows.cols; ++c) {
+        const double change = std::abs(a.semantic.rows(r, c) - b.semantic.rows(r, c));
+        EXPECT_LE(change, left_out * largest + 1e-12);
+        moved = std::max(moved, change);
+      }
+    }
+    EXPECT_GT(moved, 0);
+    const std::int64_t left = a.semantic.branch.samples.count - b.semantic.branch.samples.count;
+    EXPECT_GT(left, before) << "samples of weight below " << least;
+    before = left;
+    EXPECT_GT(b.semantic.branch.samples.count, 0);
+  }
+}
+
+// One step from the same values: its tensors move by the factor, and lose their part first; all others move alike.
+TEST(HeadBranch, ItsRateAndDecayHoldForBranchAndHeadAlone) {
+  const auto stepped = [](const std::string& more, std::vector<float>& before, std::vector<float>& after,
+                          std::vector<bool>& semantic) {
+    Session s = open_text(config_of(kPlugins + more));
+    const auto rays = s.make_ray_source();
+    Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
+    const auto copy = [&](std::vector<float>& to) {
+      for (const Tensor<float>& t : s.pipeline->store().all()) {
+        if (t.spec.role == TensorRole::dense) to.insert(to.end(), t.value.data(), t.value.data() + t.size());
+      }
+    };
+    for (const Tensor<float>& t : s.pipeline->store().all()) {
+      if (t.spec.role == TensorRole::dense)
+        semantic.insert(semantic.end(), static_cast<std::size_t>(t.size()), t.rule.semantic);
+    }
+    copy(before);
+    trainer.advance();
+    copy(after);
+    return s.config.adam.learning_rate;
+  };
+  std::vector<float> start, plain, start_own, own;
+  std::vector<bool> semantic, same;
+  stepped("", start, plain, semantic);
+  const double rate = stepped(", learning_rate: 0.25, weight_decay: 8", start_own, own, same);
+  ASSERT_EQ(start, start_own);
+  int moved = 0;
+  for (std::size_t i = 0; i < start.size(); ++i) {
+    if (!semantic[i]) {
+      ASSERT_EQ(own[i], plain[i]) << i;
+      continue;
+    }
+    const double was = static_cast<double>(start[i]), step = static_cast<double>(plain[i]) - was;
+    ASSERT_NEAR(own[i], was * (1 - rate * 0.25 * 8) + 0.25 * step, 1e-6) << i;
+    moved += std::abs(step) > 1e-5 ? 1 : 0;
+  }
+  EXPECT_GT(moved, 100);
+}
+
+TEST(HeadBranch, RunsHaveTheSameBitsForAnyThreadsAndLearn) {
+  const std::string yaml =
+      hash_config().insert(hash_config().find("train: "), "    semantic: {" + kPlugins +
+                                                              ", dropout: 0.1, "
+                                                              "weight_decay: 0.01, learning_rate: 0.2}\n");
+  const auto train = [&](int threads) {
+    Session s = open_text(yaml);
+    set_thread_count(threads);
+    const auto rays = s.make_ray_source();
+    Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
+    StepLosses last;
+    const double first = trainer.advance().semantic;
+    while (trainer.step() < 80) last = trainer.advance();
+    set_thread_count(0);
+    EXPECT_LT(last.semantic, 0.7 * first);
+    return fingerprint(s.pipeline->store());
+  };
+  EXPECT_EQ(train(1), train(3));
+}
+
+// What is wrong in the section is said with the key that is wrong.
+TEST(HeadBranch, WrongSettingsAreNamed) {
+  const auto refusal = [](const std::string& branch) { return error_of([&] { open_text(config_of(branch)); }); };
+  EXPECT_HAS(refusal("field: {type: tiny_mlp}"), "passes.0.semantic: key 'position' is missing");
+  EXPECT_HAS(refusal("position: {type: frequency}"), "passes.0.semantic: key 'field' is missing");
+  EXPECT_HAS(refusal(kPlugins + ", least_wieght: 0.1"), "least_weight");
+  EXPECT_HAS(refusal(kPlugins + ", dropout: 1"), "dropout");
+  EXPECT_HAS(refusal("position: {type: hash_grid}, field: {type: tiny_mlp}"), "learned tensors");
+  EXPECT_HAS(refusal("position: {type: spherical_harmonics}, field: {type: tiny_mlp}"), "semantic.position");
+  EXPECT_EQ(refusal(kPlugins), "");
+}
+
+// run.yaml says what was trained.
+TEST(HeadBranch, TheResolvedConfigurationHoldsIt) {
+  Registry registry = make_registry();
+  const Session s = open_text(config_of(kPlugins + ", learning_rate: 0.3, weight_decay: 0.02, dropout: 0.1"), registry);
+  Diagnostics diagnostics;
+  const RunConfig again = read_run_config(resolved_config(s.config), registry, diagnostics);
+  EXPECT_EQ(diagnostics.error_count(), 0);
+  const SemanticBranchConfig* const branch = again.passes[0].branch();
+  ASSERT_NE(branch, nullptr);
+  EXPECT_EQ(branch->rules.learning_rate, 0.3);
+  EXPECT_EQ(branch->rules.weight_decay, 0.02);
+  EXPECT_EQ(branch->rules.dropout, 0.1);
+  EXPECT_EQ(branch->rules.least_weight, 1e-3);
+  for (const Tensor<float>& t : s.pipeline->store().all()) {
+    EXPECT_EQ(t.rule.rate, t.rule.semantic ? 0.3 : 1) << t.name;
+    EXPECT_LACKS(t.name, "semantic/field/color") << "a branch has no colour: " << t.name;
+  }
+}
+
+// A pass trains with any head: one that is not the program's own needs its class alone.
+
+/// logits = feature W: no hidden layer and no bias.
+class LinearHead final : public Head<double> {
+ public:
+  LinearHead(std::int32_t feature, std::int32_t classes) : feature_(feature), classes_(classes) {}
+  std::int32_t hidden_width() const override { return feature_; }
+  std::int32_t width() const override { return classes_; }
+  void declare(ParamDeclarer& declarer) const override {
+    declarer.tensor({"weight", feature_, classes_, Init::uniform(0.5)});
+    declarer.tensor({"weight_t", classes_, feature_, {}, TensorRole::derived});
+  }
+  void derive(const StepContext&, const Tensors<double>& t) const override {
+    transpose<double>(t.value[0], t.value[1]);
+  }
+  void hidden_forward(const StepContext&, const Tensors<double>&, View<const double> feature,
+                      View<double> hidden) const override {
+    copy_rows<double>(feature, hidden);
+  }
+  void hidden_backward(const StepContext&, const Tensors<double>&, View<const double>, View<const double>,
+                       View<double> d_hidden, View<double> d_feature) const override {
+    copy_rows<double>(d_hidden, d_feature);
+  }
+  void output_forward(const StepContext&, const Tensors<double>& t, View<const double> h, View<const double>,
+                      View<double> logits) const override {
+    gemm<double>(h, t.value[0], logits);
+  }
+  void output_backward(const StepContext&, const Tensors<double>& t, View<const double> h, View<const double>,
+                       View<const double> d_logits, View<double> d_h, View<double> d_share) const override {
+    gemm_at_b_add<double>(h, d_logits, t.grad[0]);
+    gemm<double>(d_logits, t.value[1], d_h);
+    if (!d_share.empty()) fill(d_share, 0.0);
+  }
+
+ private:
+  std::int32_t feature_, classes_;
+};
+
+PassParts<double> parts_with_linear_head(const Session& session, const Registry& registry) {
+  const auto params = [&](PluginKind kind, const char* name, const testkit::Settings& settings) {
+    return testkit::make_params(registry.get(kind, name), settings);
+  };
+  PassParts<double> parts{.name = "main"};
+  SamplerBuild sampler{.bounds = session.extent.bounds, .near_m = session.extent.near_m, .far_m = session.extent.far_m};
+  parts.sampler =
+      registry.get(PluginKind::sampler, "stratified")
+          .sampler64(*params(PluginKind::sampler, "stratified", {{"samples", "12"}}), sampler, registry.kernels());
+  parts.position = registry.get(PluginKind::encoder, "frequency")
+                       .encoder64(*params(PluginKind::encoder, "frequency", {{"frequencies", "3"}}), EncoderBuild{},
+                                  registry.kernels());
+  FieldBuild field{.position_dims = parts.position->traits().out_dims};
+  parts.field = registry.get(PluginKind::field, "tiny_mlp")
+                    .field64(*params(PluginKind::field, "tiny_mlp", {{"hidden_width", "16"}, {"color_width", "16"}}),
+                             field, registry.kernels());
+  parts.head = std::make_unique<LinearHead>(parts.field->traits().feature_dims,
+                                            static_cast<std::int32_t>(session.plan.class_of_logit.size()));
+  parts.domain = DomainMap::make(Domain::metric, session.extent.bounds, session.config.rendering.scene_scale);
+  return parts;
+}
+
+TEST(SemanticHeads, AnyHeadTrainsThroughThePass) {
+  for (const bool deferred : {true, false}) {
+    SCOPED_TRACE(deferred ? "class layer once per ray" : "class layer once per sample");
+    Registry registry = make_registry();
+    Oracle oracle(hash_config(), registry);
+    PipelineOptions options{
+        .rules = {.rendering = {.density_activation = DensityActivation::softplus}, .deferred_class_layer = deferred}};
+    std::vector<PassParts<double>> passes;
+    passes.push_back(parts_with_linear_head(oracle.session, registry));
+    oracle.pipeline = std::make_unique<Pipeline<double>>(std::move(passes), options, true);
+    EXPECT_GT(oracle.gradients().labelled, 0);
+    expect_finite_differences(oracle, 1e-5);
+  }
+}
+
+// A head that says nothing of bf16 is never given any.
+TEST(SemanticHeads, RefuseBf16ThatTheyDoNotTake) {
+  const LinearHead head(3, 2);
+  EXPECT_FALSE(head.takes_rounded());
+  EXPECT_THROW((void)head.hidden_layer({}), Error);
+  const Head<double>& base = head;
+  EXPECT_THROW(base.rounded_hidden_forward({}, {}, View<const Bf16>(), View<Bf16>()), Error);
+}
+
+// Heads beside that of class logits: gradients, what they leave alone, principal axes, settings, and what is left out.
+
+const std::string kBranch =
+    "branch: {position: {type: frequency, frequencies: 3}, field: {type: tiny_mlp, hidden_width: 12, hidden_layers: 2}";
+
+std::string head_yaml(const std::string& of_head = "", const std::string& of_branch = "") {
+  return "heads:\n  - {type: feature_map, channel: albedo, hidden_width: 11" + of_head + ", " + kBranch + of_branch +
+         "}}\nlosses: [{type: cosine_distance, channel: albedo, weight: 0.7}]\n";
+}
+
+// The dataset offers `albedo`, three columns.
+std::string head_config_of(const std::string& more, const std::string& of_pass = "") {
+  return stratified_config("type: analytic_room, with_albedo: true", of_pass, "rays: 24", more);
+}
+const std::string kSemanticBranch =
+    "    semantic: {position: {type: frequency, frequencies: 2}, field: {type: tiny_mlp}}\n";
+
+TEST(Heads, GradientsAreThoseOfFiniteDifferences) {
+  for (const char* of_branch : {"", ", reads_feature: true", ", dropout: 0.3", ", least_weight: 0.02"}) {
+    SCOPED_TRACE(of_branch);
+    Registry registry = make_channel_registry();
+    Oracle oracle(head_config_of(head_yaml("", of_branch)), registry);
+    expect_finite_differences(oracle, 2e-4, "/heads/albedo", 8 * 3);  // two layers of branch and of head
+  }
+}
+
+// With a semantic branch or without one: colour, geometry and class logits learn as they do alone, to the last bit.
+TEST(Heads, ChangeNoOtherGradient) {
+  for (const auto& [of_pass, of_branch] :
+       std::vector<std::pair<std::string, std::string>>{{"", ""},
+                                                        {"", ", reads_feature: true"},
+                                                        {kSemanticBranch, ""},
+                                                        {kSemanticBranch, ", reads_feature: true"}}) {
+    Registry registry = make_channel_registry();
+    Oracle with(head_config_of(head_yaml("", of_branch), of_pass), registry),
+        without(head_config_of("", of_pass), registry);
+    const StepLosses a = with.gradients(), b = without.gradients();
+    EXPECT_EQ(a.color, b.color);
+    EXPECT_EQ(a.semantic, b.semantic);
+    EXPECT_GT(a.terms[0], 0);
+    int compared = 0;
+    for (const Tensor<double>& t : without.pipeline->store().all()) {
+      if (!t.learned()) continue;
+      const Tensor<double>* other = with.pipeline->store().find(t.name);
+      ASSERT_NE(other, nullptr) << t.name;
+      ASSERT_TRUE(std::equal(t.grad.data(), t.grad.data() + t.size(), other->grad.data())) << t.name;
+      ++compared;
+    }
+    EXPECT_GT(compared, 8);
+  }
+}
+
+TEST(Heads, TilesAndLanesChangeNoGradient) {
+  Registry registry = make_channel_registry();
+  Oracle one(head_config_of(head_yaml() + "runtime: {lanes: 1, tile_rays: 24}\n"), registry);
+  Oracle many(head_config_of(head_yaml() + "runtime: {lanes: 3, tile_rays: 4}\n"), registry);
+  EXPECT_NEAR(one.gradients().total, many.gradients().total, 1e-12);
+  for (const Tensor<double>& t : one.pipeline->store().all()) {
+    if (!t.learned() || t.name.find("/heads/") == std::string::npos) continue;
+    const Tensor<double>* other = many.pipeline->store().find(t.name);
+    for (std::int64_t i = 0; i < t.size(); ++i) ASSERT_NEAR(t.grad.data()[i], other->grad.data()[i], 1e-10) << t.name;
+  }
+}
+
+double mean_cosine(const FrameChannel& map, const std::vector<float>& rgb) {
+  double sum = 0;
+  const std::int64_t cells = std::int64_t{map.height} * map.width;
+  for (std::int64_t i = 0; i < cells; ++i) {
+    double dot = 0, a = 0, b = 0;
+    for (std::int64_t c = 3 * i; c < 3 * i + 3; ++c) {
+      const double x = map.values[static_cast<std::size_t>(c)], y = rgb[static_cast<std::size_t>(c)];
+      dot += x * y, a += x * x, b += y * y;
+    }
+    sum += dot / std::sqrt(std::max(a * b, 1e-30));
+  }
+  return sum / static_cast<double>(cells);
+}
+
+// The channel is the colour of every second row: what the head renders points where the colours do.
+TEST(Heads, LearnTheChannelAndRenderIt) {
+  Registry registry = make_channel_registry();
+  std::string yaml = hash_config(head_yaml("", ", learning_rate: 0.3"));
+  yaml.replace(yaml.find("type: analytic_room"), 19, "type: analytic_room, with_albedo: true");
+  yaml.replace(yaml.find("hidden_width: 12"), 16, "hidden_width: 32");
+  Session session = open_text(yaml, registry);
+  const std::unique_ptr<RaySource> rays = session.make_ray_source();
+  Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, session.config.train.steps);
+  const double first = trainer.advance().terms[0];
+  double last = first;
+  while (trainer.step() < 200) last = trainer.advance().terms[0];
+  EXPECT_LT(last, 0.5 * first);
+  FrameOptions options;
+  options.channels = {"albedo"};
+  const int test = session.scene.frames_of(Split::test).front();
+  const FrameInfo& info = session.scene.info.frames[static_cast<std::size_t>(test)];
+  const RenderedFrame frame = render_frame(*session.pipeline, {info.camera, info.world_from_camera, false},
+                                           session.limits, session.plan.class_of_logit, {}, options);
+  ASSERT_EQ(frame.channels.size(), 1U);
+  EXPECT_EQ(frame.channels[0].cols, 3);
+  std::vector<float> truth;
+  for (const std::uint8_t value : session.scene.frames[static_cast<std::size_t>(test)].rgb)
+    truth.push_back(static_cast<float>(value) / 255);
+  FrameChannel gray = frame.channels[0];
+  std::fill(gray.values.begin(), gray.values.end(), 1.0F);
+  EXPECT_LT(1 - mean_cosine(frame.channels[0], truth), 0.5 * (1 - mean_cosine(gray, truth)));
+}
+
+TEST(Heads, AChannelThatIsNotFiniteIsNamed) {
+  Registry registry = make_channel_registry();
+  Session session = open_text(head_config_of(head_yaml()), registry);
+  Tensor<float>* bias = session.pipeline->store().find("main/heads/albedo/output/bias");
+  ASSERT_NE(bias, nullptr);
+  bias->value.data()[1] = std::numeric_limits<float>::quiet_NaN();
+  session.pipeline->executor().upload(0);
+  const FrameInfo& info = session.scene.info.frames.front();
+  FrameOptions options;
+  options.channels = {"albedo"};
+  EXPECT_HAS(error_of([&] {
+               (void)render_frame(*session.pipeline, {info.camera, info.world_from_camera, false}, session.limits,
+                                  session.plan.class_of_logit, {}, options);
+             }),
+             "channel of a head");
+}
+
+TEST(Heads, ARunWithOneHasTheSameBitsOnAnyThreads) {
+  const std::string yaml = head_config_of(head_yaml(", width: 2"), kSemanticBranch);
+  Registry registry = make_channel_registry();
+  const auto after = [&](int threads) {
+    Session session = open_text(yaml + "runtime: {threads: " + std::to_string(threads) + "}\n", registry);
+    const WorkSettings work = session.work();
+    const WorkScope scope(work);
+    const std::unique_ptr<RaySource> rays = session.make_ray_source();
+    Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, 10);
+    while (trainer.step() < 10) trainer.advance();
+    return fingerprint(session.pipeline->store());
+  };
+  EXPECT_EQ(after(1), after(3));
+}
+
+TEST(ChannelAxes, KeepWhatTheRowsHaveMostOf) {
+  // Rows (a, 0, b, 0, 0) with a well above b.
+  FrameChannel map{"wide", 4, 5, 5, std::vector<float>(100, 0)};
+  for (std::size_t i = 0; i < 20; ++i) {
+    map.values[5 * i] = 3 + 0.1F * static_cast<float>(i % 3);
+    map.values[5 * i + 2] = (i % 2 == 0 ? 1.0F : -1.0F);
+  }
+  std::fill_n(map.values.begin() + 5 * 7, 5, 0.0F);
+  const FrameChannel before = map;
+  const std::vector<float> axes = principal_axes({&map}, 2);
+  const View<const float> matrix(axes.data(), 5, 2);
+  EXPECT_NEAR(matrix(0, 0), 1, 0.02) << "the largest is positive";
+  EXPECT_NEAR(std::abs(matrix(2, 1)), 1, 0.02);
+  multiply_rows(map, matrix);
+  EXPECT_EQ(map.cols, 2);
+  for (std::size_t i = 0; i < 20; ++i) {
+    double wide = 0, narrow = 0;
+    for (std::size_t c = 0; c < 5; ++c) wide += std::pow(static_cast<double>(before.values[5 * i + c]), 2);
+    for (std::size_t c = 0; c < 2; ++c) narrow += std::pow(static_cast<double>(map.values[2 * i + c]), 2);
+    EXPECT_NEAR(narrow, wide, 1e-4) << i << ": all of it lies on two axes, and a row of zeros stays one";
+  }
+}
+
+TEST(ChannelAxes, AChannelOfZerosIsNamed) {
+  const FrameChannel map{"empty", 2, 2, 3, std::vector<float>(12, 0)};
+  try {
+    (void)principal_axes({&map}, 2);
+    FAIL() << "axes of nothing";
+  } catch (const Error& error) {
+    EXPECT_NE(error.message().find("'empty'"), std::string::npos) << error.what();
+  }
+}
+
+// The axes are state: a session that goes on takes those of the checkpoint, and its frames with them.
+TEST(ChannelAxes, GoWithTheCheckpoint) {
+  Registry registry = make_channel_registry();
+  SessionOptions options;
+  const std::string yaml = head_config_of(head_yaml(", width: 2"));
+  const auto opened = [&] { return open_text(yaml, registry); };
+  Session first = opened();
+  ASSERT_EQ(first.config.heads[0].source_width, 3);
+  const std::vector<std::vector<float>> axes = axes_of(first);
+  ASSERT_EQ(axes[0].size(), 6U);
+  Session other = opened();
+  const auto channel_of = [](Session& s) -> FrameChannel& {
+    return s.scene.frames[static_cast<std::size_t>(s.scene.frames_of(Split::train).front())].channels[0];
+  };
+  EXPECT_EQ(channel_of(other).cols, 2);
+  // The same span by turned axes, as another machine may find it.
+  const View<float> now = other.pipeline->passes().back().axes("albedo");
+  for (std::int64_t d = 0; d < 3; ++d) {
+    const float a = now(d, 0), b = now(d, 1);
+    now(d, 0) = 0.6F * a - 0.8F * b;
+    now(d, 1) = 0.8F * a + 0.6F * b;
+  }
+  const std::vector<float> before = channel_of(other).values;
+  follow_axes(other, axes);
+  const std::vector<float>& after = channel_of(other).values;
+  for (std::size_t i = 0; i + 1 < after.size(); i += 2) {
+    EXPECT_NEAR(after[i], 0.6F * before[i] - 0.8F * before[i + 1], 1e-5);
+    EXPECT_NEAR(after[i + 1], 0.8F * before[i] + 0.6F * before[i + 1], 1e-5);
+  }
+}
+
+std::string refusal_with(const std::string& more) {
+  Registry registry = make_channel_registry();
+  try {
+    (void)open_text(head_config_of(more), registry);
+  } catch (const Error& error) {
+    return error.what();
+  }
+  return "accepted";
+}
+
+TEST(Heads, WrongSettingsAreNamed) {
+  const auto expect = [](const std::string& more, const std::string& said) {
+    const std::string found = refusal_with(more);
+    EXPECT_NE(found.find(said), std::string::npos) << found;
+  };
+  const std::string head = "{type: feature_map, channel: albedo, " + kBranch + "}}";
+  expect("heads: {type: feature_map}\n", "heads: expected a list of heads");
+  expect("heads: [{type: feature_map, channel: albedo}]\n", "heads.0: key 'branch' is missing");
+  expect("heads: [{type: feature_mpa, channel: albedo}]\n", "did you mean 'feature_map'?");
+  expect("heads: [{type: feature_map, chanel: albedo, " + kBranch + "}}]\n", "did you mean 'channel'?");
+  expect("heads: [{type: feature_map, " + kBranch + "}}]\n", "heads.0.channel: the head names no channel");
+  expect("heads: [{type: feature_map, channel: depth, " + kBranch + "}}]\n", "'depth' is a channel of the framework");
+  expect("heads: [{type: feature_map, channel: A-B, " + kBranch + "}}]\n", "'A-B' cannot name a channel");
+  expect("heads: [" + head + ", " + head + "]\n", "heads.1.channel: 'albedo' is made by heads.0 already");
+  expect("losses: [{type: cosine_distance, channel: clip}]\n",
+         "'cosine_distance' reads the channel 'clip', which no head makes");
+  expect(head_yaml(", width: 4"), "heads.0.width: 4 columns are asked for, and the dataset's channel 'albedo' has 3");
+  expect("heads: [{type: feature_map, channel: clip, " + kBranch + "}}]\nruntime: {keep: [head_clip]}\n",
+         "heads.0.width: no training frame has a channel 'clip'");
+}
+
+TEST(Heads, OneThatNoLossReadsIsLeftOutAndKeptByName) {
+  const std::string head = "heads: [{type: feature_map, channel: albedo, width: 2, " + kBranch + "}}]\n";
+  Registry registry = make_channel_registry();
+  const Session left = open_text(head_config_of(head), registry);
+  EXPECT_TRUE(left.config.heads.empty());
+  const auto& rows = left.plan.left_out;
+  EXPECT_TRUE(std::any_of(rows.begin(), rows.end(), [](const LeftOut& r) { return r.component == "head_albedo"; }));
+  const Session kept = open_text(head_config_of(head), registry, {"head_albedo"});
+  EXPECT_EQ(kept.pipeline->passes().back().parts().heads.size(), 1U);
+}
+
+TEST(Heads, TheResolvedConfigurationHoldsThem) {
+  Registry registry = make_channel_registry();
+  const Session session = open_text(head_config_of(head_yaml(", width: 2")), registry);
+  Diagnostics diagnostics;
+  const RunConfig again = read_run_config(resolved_config(session.config), registry, diagnostics);
+  EXPECT_TRUE(diagnostics.all().empty());
+  ASSERT_EQ(again.heads.size(), 1U);
+  EXPECT_EQ(again.heads[0].width, 2);
+  EXPECT_EQ(again.heads[0].source_width, 3);
+  EXPECT_EQ(again.heads[0].field.entry->name, "tiny_mlp");
+}
+
+// Which semantic branch the labels choose, what a run keeps of it, and rays that are drawn for their labels.
+
+std::string branches_config_of(const std::string& branches, const std::string& labels) {
+  return "scene: {type: analytic_room, labels: {" + labels +
+         "}}\n"
+         "semantics: {hidden_width: 8}\n"
+         "passes:\n"
+         "  - name: main\n"
+         "    sampler: {type: stratified, samples: 8}\n"
+         "    position: {type: hash_grid, levels: 3, log2_entries: 8, finest_resolution: 32}\n"
+         "    field: {type: tiny_mlp, hidden_width: 8, color_width: 8}\n"
+         "    semantic: " +
+         branches + "\n";
+}
+std::string branch(const std::string& labels, const std::string& position) {
+  return "{labels: " + labels + ", position: {type: " + position + "}, field: {type: tiny_mlp, hidden_width: 8}}";
+}
+const std::string kThree =
+    "[" + branch("noisy", "frequency") + ", " + branch("few", "one_blob") + ", " + branch("any", "identity") + "]";
+
+LoadedScene frames_of(std::int32_t width_px, std::int32_t height_px, std::vector<Split> splits) {
+  LoadedScene scene;
+  for (const Split split : splits) {
+    FrameInfo info{.split = split};
+    scene.info.frames.push_back(info);
+    StoredFrame frame;
+    frame.width_px = width_px;
+    frame.height_px = height_px;
+    scene.frames.push_back(frame);
+  }
+  return scene;
+}
+
+// Two rows of three pixels: pairs beside and above one another, void in none, the end of a row is no neighbour of the
+// next one's start.
+TEST(BranchChoice, CountsLabelledPixelsAndNeighboursThatAgree) {
+  const LoadedScene scene = frames_of(3, 2, {Split::train, Split::train, Split::test});
+  TrainingLabels labels;
+  labels.frames.resize(3);
+  labels.frames[0].hard = LabelMap({1, 1, 2, 2, kVoid, 2});
+  labels.frames[2].hard = LabelMap({0, 1, 0, 1, 0, 1});
+  const LabelStatistics s = label_statistics(scene, labels);
+  EXPECT_EQ(s.pixels, 12);
+  EXPECT_EQ(s.labelled, 5);
+  EXPECT_EQ(s.neighbours, 4);  // 1-1, 1-2 in the first row; 1 above 2, 2 above 2
+  EXPECT_EQ(s.equal, 2);
+  EXPECT_DOUBLE_EQ(s.share(), 5.0 / 12);
+  EXPECT_DOUBLE_EQ(s.agreement(), 0.5);
+  EXPECT_EQ(s.apart, 1);  // 2, none, 2 in the second row
+  EXPECT_EQ(s.apart_equal, 1);
+}
+
+TEST(BranchChoice, KindsHaveTheirBorders) {
+  const auto kind = [](std::int64_t labelled, std::int64_t neighbours, std::int64_t equal) {
+    return kind_of({1000000, labelled, neighbours, equal});
+  };
+  const auto sparse = [](std::int64_t labelled, std::int64_t apart, std::int64_t equal) {
+    return kind_of({1000000, labelled, 0, 0, apart, equal});
+  };
+  EXPECT_EQ(sparse(4000, 7500, 5600), LabelKind::many);
+  EXPECT_EQ(sparse(4000, 7500, 1200), LabelKind::noisy) << "on a grid, and most of them wrong";
+  EXPECT_EQ(sparse(4000, 1000, 0), LabelKind::many) << "too far from each other to tell";
+  EXPECT_EQ(sparse(1000, 1900, 0), LabelKind::few) << "clicks: a class each, and so none agrees";
+  EXPECT_EQ(kind(1000000, 1990000, 1600000), LabelKind::dense);
+  EXPECT_EQ(kind(500000, 990000, 800000), LabelKind::dense);
+  EXPECT_EQ(kind(499999, 990000, 800000), LabelKind::many);
+  EXPECT_EQ(kind(1000000, 1990000, 1580000), LabelKind::noisy);
+  EXPECT_EQ(kind(1999, 0, 0), LabelKind::few);
+  EXPECT_EQ(kind(2000, 0, 0), LabelKind::many);
+  EXPECT_EQ(kind(1000, 1600, 1000), LabelKind::noisy) << "few and seen to be wrong";
+  EXPECT_EQ(kind(1000, 400, 100), LabelKind::few) << "too few neighbours to tell";
+  EXPECT_EQ(kind_of({}), LabelKind::few);
+}
+
+TEST(BranchChoice, ASessionBuildsTheBranchForItsLabelsAndSaysSo) {
+  struct Case {
+    const char *labels, *position, *kind;
+  };
+  for (const Case& c :
+       {Case{"frames: 1, degrade: [{type: propagation, share: 0}]", "one_blob", "few"},
+        Case{"degrade: [{type: pixel_noise, ratio: 0.6}]", "frequency", "noisy"},
+        Case{"degrade: [{type: super_resolution, factor: 4, mode: sparse}]", "identity", "many"},
+        Case{"degrade: [{type: super_resolution, factor: 4, mode: sparse}, {type: pixel_noise, ratio: 0.9}]",
+             "frequency", "noisy"},
+        Case{"frames: all", "identity", "dense"},
+        Case{"degrade: [{type: super_resolution, factor: 4, mode: dense}]", "identity", "dense"}}) {
+    SCOPED_TRACE(c.labels);
+    Registry registry = make_registry();
+    const Session s = open_text(branches_config_of(kThree, c.labels), registry);
+    ASSERT_EQ(s.config.passes[0].semantic.size(), 1U);
+    EXPECT_EQ(s.config.passes[0].branch()->position.entry->name, c.position);
+    ASSERT_EQ(s.chosen_by_labels.size(), 1U);
+    EXPECT_HAS(s.chosen_by_labels[0],
+               "passes.main.semantic." + std::string(c.position == std::string("identity") ? "any" : c.kind) + ": " +
+                   c.position,
+               "labels are " + std::string(c.kind));
+    EXPECT_HAS(describe_session(s), s.chosen_by_labels[0]);
+    // What a run keeps names one branch, and opens as it is whatever the labels are then.
+    Diagnostics diagnostics;
+    RunConfig again = read_run_config(resolved_config(s.config), registry, diagnostics);
+    EXPECT_EQ(diagnostics.error_count(), 0);
+    EXPECT_TRUE(choose_branches(again, {1000, 1, 0, 0}).empty());
+    EXPECT_EQ(again.passes[0].branch()->position.entry->name, c.position);
+  }
+}
+
+// Dense labels are many: a branch for many takes them unless an earlier one is for them.
+TEST(BranchChoice, DenseLabelsTakeABranchOfTheirOwnOrThatForMany) {
+  const auto key_of = [](const std::string& branches) {
+    return open_text(branches_config_of("[" + branches + "]", "frames: all")).config.passes[0].branch()->key;
+  };
+  const std::string noisy_few = branch("noisy", "frequency") + ", " + branch("few", "one_blob") + ", ";
+  const std::string dense = branch("dense", "frequency"), many = branch("many", "identity");
+  EXPECT_EQ(key_of(noisy_few + dense + ", " + many), "semantic.dense");
+  EXPECT_EQ(key_of(noisy_few + dense + ", " + branch("any", "identity")), "semantic.dense");
+  EXPECT_EQ(key_of(noisy_few + many), "semantic.many");
+  EXPECT_HAS(
+      error_of([&] { open_text(branches_config_of("[" + noisy_few + many + ", " + dense + "]", "frames: all")); }),
+      "an earlier branch takes all labels");
+  EXPECT_HAS(error_of([&] { open_text(branches_config_of("[" + noisy_few + dense + "]", "frames: all")); }),
+             "no branch is for labels: many");
+}
+
+TEST(BranchChoice, AListThatLeavesLabelsOutOrNamesThemTwiceIsRefused) {
+  const auto refusal = [](const std::string& branches) {
+    return error_of([&] { open_text(branches_config_of(branches, "frames: all")); });
+  };
+  EXPECT_HAS(refusal("[" + branch("few", "one_blob") + ", " + branch("many", "identity") + "]"),
+             "passes.main.semantic: no branch is for labels: noisy");
+  EXPECT_HAS(refusal("[" + branch("any", "one_blob") + ", " + branch("few", "identity") + "]"),
+             "an earlier branch takes all labels");
+  EXPECT_HAS(refusal("[" + branch("few", "one_blob") + ", " + branch("few", "identity") + ", " +
+                     branch("any", "frequency") + "]"),
+             "an earlier branch takes all labels");
+  EXPECT_HAS(refusal("[" + branch("some", "one_blob") + "]"), "passes.main.semantic.some");
+  EXPECT_EQ(refusal(kThree), "");
+}
+
+TEST(BranchChoice, WhatLabelsCannotShowIsSaid) {
+  Registry registry = make_registry();
+  const auto said = [&](const LabelStatistics& statistics) {
+    Diagnostics diagnostics;
+    RunConfig config =
+        read_run_config(parse_config_text(branches_config_of(kThree, "frames: all"), "a.yaml"), registry, diagnostics);
+    return choose_branches(config, statistics).at(0);
+  };
+  EXPECT_HAS(said({1000, 1000, 1900, 1805}), "95 % of neighbouring labels agree");
+  EXPECT_HAS(said({1000, 10, 0, 0, 19, 1}), "5.26 % of labels next to each other within 32 pixels agree");
+  const std::string clicks = said({1000000, 20, 0, 0, 3, 0});
+  EXPECT_HAS(clicks,
+             "labels are few (0.002 % of the training pixels have one; too few lie side by side to see "
+             "whether many are wrong");
+  EXPECT_HAS(said({1000, 0, 0, 0}), "because labels are to come");
+}
+
+TEST(BranchChoice, NothingIsSaidOfBranchesWithoutLabels) {
+  const Session s = open_text(branches_config_of(kThree, "frames: none"));
+  EXPECT_FALSE(s.plan.semantics);
+  EXPECT_EQ(s.chosen_by_labels, std::vector<std::string>());
+}
+
+TEST(RaySourceChoice, TheLabelsDecideWhereItIsLeftOpen) {
+  const auto opened = [&](const std::string& labels, const std::vector<std::string>& keep = {}) {
+    return open_text(
+        branches_config_of("{position: {type: one_blob}, field: {type: tiny_mlp, hidden_width: 8}}", labels) +
+            "train: {rays: 64, ray_source: auto, labelled_share: 0.25}\n",
+        keep);
+  };
+  struct Case {
+    Session s;
+    RaySourceKind kind;
+    std::string line;
+  };
+  std::vector<Case> cases;
+  cases.push_back({opened("frames: none"), RaySourceKind::all_images,
+                   "train.ray_source: all_images was chosen, because no training pixel has a label"});
+  cases.push_back(
+      {opened("frames: none", {"semantics", "absent_classes"}), RaySourceKind::label_balanced,
+       "train.ray_source: label_balanced was chosen, because labels may come; until then rays come from all "
+       "pixels"});
+  cases.push_back({opened("frames: 1"), RaySourceKind::label_balanced,
+                   "of the training pixels have a label; they get 25 % of the rays"});
+  cases.push_back({opened("frames: all"), RaySourceKind::label_balanced, "get 25 % of the rays"});
+  for (const Case& c : cases) {
+    SCOPED_TRACE(c.line);
+    EXPECT_EQ(c.s.config.train.ray_source, c.kind);
+    ASSERT_EQ(c.s.chosen_by_labels.size(), 1u);
+    EXPECT_HAS(c.s.chosen_by_labels[0], c.line);
+    const std::string name(ChoiceNames<RaySourceKind>::names[static_cast<std::size_t>(c.kind)]);
+    EXPECT_HAS(write_config(resolved_config(c.s.config)), "ray_source: " + name);
+    (void)c.s.make_ray_source();
+  }
+}
+
+TEST(RaySourceChoice, EvenlyDrawnRaysWarnWhereTheyHardlyMeetALabel) {
+  const auto said = [](RaySourceKind kind, std::int64_t labelled) {
+    TrainParams train{.ray_source = kind};
+    Diagnostics diagnostics;
+    warn_of_rare_labels(train, {labelled, 100000, false}, diagnostics);
+    return diagnostics.all().empty() ? "" : diagnostics.all()[0].text();
+  };
+  EXPECT_HAS(said(RaySourceKind::all_images, 400), "0.4", "4.1", "1024");
+  EXPECT_NE(said(RaySourceKind::one_image, 4999), "");
+  EXPECT_EQ(said(RaySourceKind::all_images, 5000), "");
+  EXPECT_EQ(said(RaySourceKind::all_images, 0), "");
+  EXPECT_EQ(said(RaySourceKind::label_balanced, 400), "");
+  EXPECT_EQ(said(RaySourceKind::automatic, 400), "");
+}
+
+TEST(RaySourceChoice, RaysThatTeachNoColourAreRefused) {
+  const auto errors = [](const std::string& train) {
+    Registry registry = make_registry();
+    Diagnostics diagnostics;
+    const std::string branch_of_all = "{position: {type: one_blob}, field: {type: tiny_mlp, hidden_width: 8}}";
+    read_run_config(
+        parse_config_text(branches_config_of(branch_of_all, "frames: all") + "train: {" + train + "}\n", "a.yaml"),
+        registry, diagnostics);
+    return diagnostics.all().empty() ? "" : diagnostics.all()[0].text();
+  };
+  const std::string apart = "labelled_share: 1, label_rays_teach_color: false, ray_source: ";
+  const std::string refusal =
+      ": train.labelled_share: 1 draws every ray for its label, and label_rays_teach_color is false: nothing would "
+      "teach "
+      "colour; lower labelled_share, or set train.label_rays_teach_color: true";
+  EXPECT_EQ(errors(apart + "label_balanced"), "a.yaml:9:25" + refusal);
+  EXPECT_EQ(errors(apart + "auto"), "a.yaml:9:25" + refusal);
+  EXPECT_EQ(errors(apart + "all_images"), "");
+  EXPECT_EQ(errors("labelled_share: 0.999, label_rays_teach_color: false, ray_source: label_balanced"), "");
+}
+
+// Rays that are drawn for their labels and teach no colour: where they stand in a batch, and what the losses and
+// gradients make of them.
+
+// With a branch of the position alone, so labels shape nothing else.
+std::string label_config(const std::string& train, const std::string& more = "") {
+  return stratified_config(
+      "type: analytic_room, labels: {frames: 1}",
+      "    semantic: {position: {type: one_blob}, field: {type: tiny_mlp, hidden_width: 8}, reads_feature: false}\n",
+      "rays: 26, ray_source: label_balanced, " + train, more);
+}
+const std::string kApart = "labelled_share: 0.3, label_rays_teach_color: false";
+
+TEST(LabelRays, StandFirstInEveryTileAndAreCountedAlikeForAnyTiles) {
+  EXPECT_EQ(label_only_rays(0, 0, 1000), 0);
+  EXPECT_EQ(label_only_rays(1, 0, 1000), 1000);
+  EXPECT_EQ(label_only_rays(0.3, 0, 26), 7);
+  EXPECT_EQ(label_only_rays(0.3, 0, 10) + label_only_rays(0.3, 10, 20) + label_only_rays(0.3, 20, 26), 7);
+
+  Registry registry = make_registry();
+  for (const int tile_rays : {26, 8, 5, 1}) {
+    SCOPED_TRACE(tile_rays);
+    const std::string tiles = "runtime: {tile_rays: " + std::to_string(tile_rays) + "}\n";
+    const Oracle apart(label_config(kApart, tiles), registry),
+        together(label_config("labelled_share: 0.3", tiles), registry);
+    const std::vector<std::int64_t>& apart_of_tile = apart.batch.label_only;
+    EXPECT_EQ(std::accumulate(apart_of_tile.begin(), apart_of_tile.end(), std::int64_t{0}), 7);
+    EXPECT_TRUE(together.batch.label_only.empty());
+    std::int64_t labelled = 0;
+    for (std::int64_t begin = 0; begin < 26; begin += tile_rays) {
+      const std::int64_t end = std::min<std::int64_t>(begin + tile_rays, 26);
+      const std::int64_t first = label_only_rays(0.3, begin, end);
+      for (std::int64_t row = begin; row < begin + first; ++row) EXPECT_NE(apart.batch.label[row], kVoid) << row;
+      // The same rays as without, in another order at most.
+      std::vector<float> with(apart.batch.target.begin() + 3 * begin, apart.batch.target.begin() + 3 * end);
+      std::vector<float> without(together.batch.target.begin() + 3 * begin, together.batch.target.begin() + 3 * end);
+      std::sort(with.begin(), with.end());
+      std::sort(without.begin(), without.end());
+      EXPECT_EQ(with, without);
+      labelled += first;
+    }
+    EXPECT_EQ(labelled, 7);
+    // A message about a row names the pixel that stands there.
+    std::vector<std::string> places;
+    for (std::int64_t row = 0; row < 26; ++row) places.push_back(apart.rays->place_of_row(3, row));
+    std::vector<std::string> others;
+    for (std::int64_t row = 0; row < 26; ++row) others.push_back(together.rays->place_of_row(3, row));
+    std::sort(places.begin(), places.end());
+    std::sort(others.begin(), others.end());
+    EXPECT_EQ(places, others);
+  }
+}
+
+TEST(LabelRays, TheirColoursCountForNothing) {
+  Registry registry = make_registry();
+  Oracle oracle(label_config(kApart, "runtime: {tile_rays: 13}\n"), registry);
+  const StepLosses before = oracle.gradients();
+  EXPECT_GT(before.color, 0);
+  EXPECT_GT(before.semantic, 0);
+  std::int64_t moved = 0;
+  for (std::int64_t row = 0; row < 26; ++row) {
+    const bool label_only = row % 13 < label_only_rays(0.3, row / 13 * 13, row / 13 * 13 + 13);
+    BatchBuffers changed = oracle.batch;
+    changed.target[3 * row] = 1 - changed.target[3 * row];
+    std::swap(changed, oracle.batch);
+    const StepLosses after = oracle.gradients();
+    std::swap(changed, oracle.batch);
+    EXPECT_EQ(after.semantic, before.semantic);
+    if (label_only) {
+      EXPECT_EQ(after.color, before.color) << row;
+    } else {
+      moved += after.color != before.color ? 1 : 0;
+    }
+  }
+  EXPECT_EQ(moved, 19);
+}
+
+// The second difference of a squared error by its target is 2 over what the sum is divided by, whatever was rendered.
+TEST(LabelRays, TheColourLossIsTheMeanOverTheOthers) {
+  constexpr float kStep = 0.25F;
+  Registry registry = make_registry();
+  for (const auto& [train, counted] : {std::pair{kApart, 19}, std::pair{std::string("labelled_share: 0.3"), 26}}) {
+    Oracle oracle(label_config(train), registry);
+    float& target = oracle.batch.target.back();  // of an evenly drawn ray
+    const float kept = target;
+    const double at = oracle.gradients().color;
+    target = kept + kStep;
+    const double above = oracle.gradients().color;
+    target = kept - kStep;
+    const double below = oracle.gradients().color;
+    EXPECT_NEAR(above + below - 2 * at, 2 * double{kStep} * double{kStep} / (3 * counted), 1e-9) << train;
+  }
+}
+
+TEST(LabelRays, GradientsAreThoseOfFiniteDifferencesAndOfAnyTiles) {
+  std::string shared = label_config(kApart);  // the head behind the pass's own field: labels shape all of it
+  const std::size_t branch = shared.find("    semantic: {");
+  shared.erase(branch, shared.find('\n', branch) + 1 - branch);
+  expect_finite_differences(shared, 2e-4);
+  expect_same_gradients(label_config(kApart, "runtime: {lanes: 1, tile_rays: 26}\n"),
+                        label_config(kApart, "runtime: {lanes: 3, tile_rays: 26}\n"));
+}
+
+}  // namespace
+}  // namespace semfield
