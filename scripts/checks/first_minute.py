@@ -13,7 +13,8 @@ from . import common
 PRESETS = ("room", "unbounded", "object")
 MOST_CPU_S, MOST_GPU_MS, MOST_OFF = 360, 1.2, 0.15
 GPU_STEPS = (500, 1500)  # the difference leaves out what happens once
-FIGURES = ("build_cpu_s", "demo_wall_s", "time_asked", "time_trained", "resume_trained", "object_gpu_ms", "advice_right")
+FIGURES = ("build_cpu_s", "demo_wall_s", "time_asked", "time_trained", "resume_trained", "object_gpu_ms",
+           "advice_right")
 
 
 class Measurement:
@@ -128,8 +129,8 @@ def first_minute(words):
 
   build   a clean build of the demo from a clone of HEAD with the compiler's cache off, then the demo from there
   length  trains for --time seconds, resumes for as many more, and compares what was asked with what was trained
-  advice  for every scene of --scenes: is the preset that `semfield inspect` advises at least as good, on held-out frames,
-          as each other one after --train-time seconds of training?
+  advice  for every scene of --scenes: is the preset that `semfield inspect` advises at least as good, on held-out
+          frames, as each other one after --train-time seconds of training?
   gpu     milliseconds per step of the preset object with 8,192 rays, where there is an NVIDIA device
 
 Exit code 1 where a promise is broken: more than 360 s of CPU time for the build, a training more than 15 % longer or

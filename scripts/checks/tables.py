@@ -183,7 +183,7 @@ The last line has means over the three rooms and the seeds; n/a is what was not 
     parser.add_argument("--out", type=pathlib.Path, default=pathlib.Path("object_tables"), help="folder of the objects")
     parser.add_argument("--seeds", type=int, default=3, help="how many (default: 3)")
     parser.add_argument("--only", default=",".join((*ROOMS, "replica")), metavar="ROOM,...")
-    parser.add_argument("--peer", metavar="PYTHON", help="a Python with PyTorch: runs studies/peers/grouping_peer.py too")
+    parser.add_argument("--peer", metavar="PYTHON", help="a Python with PyTorch: runs the peer too")
     parser.add_argument("--packed", type=pathlib.Path, metavar="FOLDER", help="where ROOM.sfpack lie, for --peer")
     parser.add_argument("--json", type=pathlib.Path, metavar="FILE",
                         help="keeps the figures, with those of earlier calls of the same commit and device")
