@@ -1,12 +1,14 @@
 // Votes of class probabilities against numbers worked out by hand, labels spread by diffusion, real predictions.
 
+#include "surface/fuse/fusion.h"
+
+#include <gtest/gtest.h>
+
 #include <Eigen/Dense>
 #include <Eigen/SparseCholesky>
 #include <Eigen/SparseCore>
-#include <gtest/gtest.h>
-#include <nlohmann/json.hpp>
-
 #include <algorithm>
+#include <nlohmann/json.hpp>
 
 #include "compute/parallel.h"
 #include "core/error.h"
@@ -20,7 +22,6 @@
 #include "scene/classes/class_table.h"
 #include "surface/fuse/class_votes.h"
 #include "surface/fuse/correspondence.h"
-#include "surface/fuse/fusion.h"
 #include "surface/fuse/propagation.h"
 #include "surface/fuse/scene_fusion.h"
 #include "surface/label_diffusion.h"

@@ -6,8 +6,8 @@
 
 #include "core/view.h"
 #include "encoder_box.h"
-#include "ray_bench.h"
 #include "plugins/encoders/hash_grid/hash_grid_math.h"
+#include "ray_bench.h"
 #include "rooms.h"
 #include "testkit/guarded.h"
 

@@ -6,8 +6,8 @@
 #include "loading/frame_source.h"
 #include "losses/photometric.h"
 #include "losses/semantic_cross_entropy.h"
-#include "ray_bench.h"
 #include "plugins/samplers/importance/importance_math.h"
+#include "ray_bench.h"
 #include "testkit/analytic_scene.h"
 
 namespace semfield::numerics {
