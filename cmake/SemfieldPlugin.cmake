@@ -56,7 +56,7 @@ function(semfield_add_plugin_folder path)
   if(path MATCHES "/samplers/[^/]+$")
     set(same_bits SAME_BITS)
   endif()
-  semfield_add_plugin(FOLDER ${path} ${same_bits} SOURCES ${sources} CPU ${cpu} CUDA ${cuda} LIBRARIES fmt::fmt nlohmann_json::nlohmann_json)
+  semfield_add_plugin(FOLDER ${path} ${same_bits} SOURCES ${sources} CPU ${cpu} CUDA ${cuda} LIBRARIES $<TARGET_NAME_IF_EXISTS:fmt::fmt> $<TARGET_NAME_IF_EXISTS:nlohmann_json::nlohmann_json>)
 endfunction()
 
 # semfield_add_loadable_plugin(NAME waves SOURCES waves.cpp ... [CPU waves_cpu.cpp] [SAME_BITS] [CUDA waves_cuda.cu] [LIBRARIES ...]): waves.so,

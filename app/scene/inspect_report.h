@@ -38,7 +38,7 @@ struct PresetAdvice {
   std::string text() const;
 };
 
-/// Nothing of a scene that was not loaded. tests/datasets/inspect_pack_test.cpp holds it against training.
+/// Nothing of a scene that was not loaded. tests/datasets/datasets_test.cpp holds it against training.
 std::optional<PresetAdvice> advised_preset(const LoadedScene& scene);
 
 }  // namespace semfield

@@ -634,8 +634,7 @@ TEST(SourceRules, NoBuildFileAsksForFastMath) {
 
 TEST(SourceRules, NoSourceTurnsFastMathOn) {
   // Two files name the flags because they search for them: this one in sources, the other in the commands of a build.
-  const std::set<std::string> searches{"tests/architecture/architecture_test.cpp",
-                                       "tests/numerics/backend_cases.cpp"};
+  const std::set<std::string> searches{"tests/architecture/architecture_test.cpp", "tests/numerics/backend_cases.cpp"};
   for (const SourceFile& file : all_sources()) {
     if (searches.contains(file.path)) continue;
     for (const std::string& flag : fast_math_in(file.text)) ADD_FAILURE() << file.path << " has " << flag;

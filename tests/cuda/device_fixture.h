@@ -31,8 +31,8 @@ inline bool has_device() {
 }
 
 /// First line of every test that launches a kernel.
-#define SEMFIELD_NEEDS_DEVICE()                                           \
-  if (!::semfield::testing::has_device())                                 \
+#define SEMFIELD_NEEDS_DEVICE()                                     \
+  if (!::semfield::testing::has_device())                           \
   GTEST_SKIP() << "this machine has no NVIDIA GPU that its driver " \
                   "offers"
 /// The same, with a launch of that name.

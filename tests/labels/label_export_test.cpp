@@ -309,7 +309,7 @@ TEST(ExportVerb, EveryFormHoldsTheRenderedLabels) {
     for (std::size_t i = 0; i < ids.pixels.size(); ++i) alike += ids.pixels[i] == whole.pixels[i];
     EXPECT_GT(alike, 40 * 30 * 8 / 10) << name << ": rendered at every second pixel, and brought to the others";
   }
-  // No region of the exported labels is smaller than asked; large ones are tested in small_regions_test.cpp.
+  // No region of the exported labels is smaller than asked; large ones are tested in SmallRegions below.
   const Result calm =
       succeeded(semfield_run("export run --split test --min-area 30 --format coco --out calm.json", folder));
   EXPECT_HAS(calm.err, " regions of fewer than 30 pixels took the class around them: ");

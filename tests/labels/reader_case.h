@@ -1,4 +1,5 @@
-// Label readers and degradations of the registry with the parameters of a YAML map, and readers on small files of a test.
+// Label readers and degradations of the registry with the parameters of a YAML map, and readers on small files of a
+// test.
 #pragma once
 
 #include "config/config_tree.h"

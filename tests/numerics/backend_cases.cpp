@@ -60,7 +60,7 @@ SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE)
 
 namespace semfield::numerics {
 
-/// The same cases' rows on a device beside the CPU, "fp32 on cuda" (device_cases.cpp, device_step_cases.cpp).
+/// The same cases' rows on a device beside the CPU, "fp32 on cuda".
 struct DeviceUnderTest {
   Registry registry;  ///< with the device's kernels
   DeviceCalls calls;

@@ -40,7 +40,7 @@ std::vector<float> render_room_frame(const Registry& known, const std::string& y
 
 // A small scene of formulas with its pipeline, rays and trainer, from a configuration in text.
 
-/// Two passes of the paper's shape, narrow, on the analytic room (box_room.h); `more` is YAML appended at the top
+/// Two passes of the paper's shape, narrow, on the analytic room; `more` is YAML appended at the top
 /// level.
 std::string small_config(const std::string& more = "");
 /// Hash grid behind an occupancy grid on the same room.

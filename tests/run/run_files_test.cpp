@@ -132,6 +132,38 @@ TEST(Safetensors, WriterChecksItsInput) {
             "");
 }
 
+// What would be cut to the size of a number of ours, or turn negative, is refused where it is read.
+TEST(CheckpointFacts, NumbersThatCannotBeAreRefused) {
+  CheckpointFacts facts;
+  facts.clicks = EventsKnown{3, 7};
+  KnownScene& scene = facts.scene.emplace();
+  scene.manifest.classes = 1;
+  scene.manifest.train_class_pixels = {5};
+  scene.manifest.train_pixels = 10;
+  scene.pixel_footprint_m = 0.5;
+  facts.inputs.emplace().frames = 4;
+  const auto read = [&](const char* key, const std::string& good, const std::string& bad) {
+    TensorMetadata metadata = checkpoint_metadata(facts, "hash");
+    std::string& text = metadata.at(key);
+    const std::size_t at = text.find(good);
+    EXPECT_NE(at, std::string::npos) << key << ": " << text;
+    text.replace(at, good.size(), bad);
+    (void)read_checkpoint_facts(TensorFile::decode(encode_safetensors({}, metadata), "a.safetensors", {}));
+  };
+  read("scene", "10", "10");
+  const std::array<const char*, 3> cases[] = {{"scene", "\"classes\":1", "\"classes\":4294967297"},
+                                              {"scene", "\"classes\":1", "\"classes\":1.5"},
+                                              {"scene", "\"train_pixels\":10", "\"train_pixels\":-1"},
+                                              {"scene", "\"train_pixels\":10", "\"train_pixels\":18446744073709551615"},
+                                              {"scene", "[5]", "[-5]"},
+                                              {"inputs", "\"frames\":4", "\"frames\":1e30"},
+                                              {"clicks", "3 ", "99999999999999999999 "},
+                                              {"clicks", "3 ", "-3 "},
+                                              {"step", "0", "18446744073709551615"},
+                                              {"seed", "0", "4294967296"}};
+  for (const auto& [key, good, bad] : cases) EXPECT_ERROR(read(key, good, bad), "checkpoint.metadata.damaged", key);
+}
+
 using CheckpointTest = Folder;
 
 void save(CheckpointStore& store, std::int64_t step) {

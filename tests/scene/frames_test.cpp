@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <sstream>
+#include <tuple>
 
 #include "compute/parallel.h"
 #include "loading/frame_source.h"
@@ -455,6 +456,38 @@ TEST(SceneChecks, OpenGlAxesTurn) {
   EXPECT_EQ(p.axis(1), (Vec3d{0, -1, 0}));
   EXPECT_EQ(p.axis(2), (Vec3d{0, 0, -1}));
   EXPECT_EQ(p.t, (Vec3d{5, 6, 7}));
+}
+
+// A lens that puts the whole image on one spot, or most of it nowhere.
+TEST(SceneChecks, LensesThatNoCameraHasAreNamed) {
+  const auto said = [](LensKind lens, double Camera::*coefficient, double value) {
+    Camera c = testing_room::room_camera();
+    c.lens = lens;
+    c.*coefficient = value;
+    Diagnostics d;
+    const bool good = check_camera(c, "frame 'a'", d);
+    EXPECT_EQ(good, !d.has_errors());
+    return d.all().empty() ? std::string("nothing") : d.all().back().shown();
+  };
+  using C = Camera;
+  for (const auto& [lens, coefficient, value] :
+       std::vector<std::tuple<LensKind, double C::*, double>>{{LensKind::perspective, &C::k1, 1e9},
+                                                              {LensKind::perspective, &C::k4, 1e12},
+                                                              {LensKind::perspective, &C::k1, 1e300},
+                                                              {LensKind::perspective, &C::k1, -1e9},
+                                                              {LensKind::perspective, &C::p1, 1e9},
+                                                              {LensKind::perspective, &C::p2, -1e300},
+                                                              {LensKind::fisheye, &C::k1, 1e9},
+                                                              {LensKind::fisheye, &C::k1, 1e300},
+                                                              {LensKind::fisheye, &C::k3, -1e300},
+                                                              {LensKind::fisheye, &C::k1, -1e9}})
+    EXPECT_HAS(said(lens, coefficient, value), "[scene.camera.distortion]") << value;
+  EXPECT_HAS(said(LensKind::perspective, &C::k1, 20), "[scene.camera.bent]", "times their angle");
+  for (const double usual : {-0.05, 0.15, 0.4}) {
+    EXPECT_EQ(said(LensKind::perspective, &C::k1, usual), "nothing") << usual;
+    EXPECT_EQ(said(LensKind::fisheye, &C::k1, usual), "nothing") << usual;
+  }
+  EXPECT_EQ(said(LensKind::fisheye, &C::k1, -0.5), "nothing") << "a circle in the middle of the image";
 }
 
 TEST(SceneChecks, FramesOfOnePoseAreNamed) {

@@ -1,5 +1,5 @@
-// A page server over a source that is no training, and a plain socket as an HTTP client: what is sent is what the test wrote,
-// byte for byte.
+// A page server over a source that is no training, and a plain socket as an HTTP client: what is sent is what the test
+// wrote, byte for byte.
 #pragma once
 
 #include <arpa/inet.h>

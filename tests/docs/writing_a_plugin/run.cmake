@@ -42,7 +42,7 @@ while(TRUE)
     message(FATAL_ERROR "unknown kind of block: '${info}'")
   endif()
 endwhile()
-if(files LESS 11)
+if(files LESS 10)
   message(FATAL_ERROR "only ${files} blocks were found in ${PAGE}")
 endif()
 
