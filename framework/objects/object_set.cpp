@@ -152,7 +152,7 @@ ObjectSet read_object_set(const std::string& path, int classes) {
   set.id = numbers_of<std::int32_t, std::int64_t>(file, "id", points, 0, static_cast<std::int64_t>(rows));
   set.class_of = numbers_of<std::int16_t, std::int64_t>(file, "class", points, kVoid, most_class);
   set.color.resize(points);
-  const TensorRef& color = tensor_of(file, "color", TensorType::u8, 3 * points);
+  const TensorRef color = tensor_of(file, "color", TensorType::u8, 3 * points);
   if (points > 0) std::memcpy(set.color.data(), color.bytes.data(), color.bytes.size());
   for (std::size_t i = 0; i < points; ++i) {
     const Vec3d at{position[3 * i], position[3 * i + 1], position[3 * i + 2]};
