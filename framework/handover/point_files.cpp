@@ -30,6 +30,7 @@ struct LasLayout {
 
 LasLayout las_layout(const PointSet& points) {
   LasLayout layout;
+  layout.extra.reserve(3);
   if (points.attributes.has_labels()) layout.extra = {{"label", kUint16}, {"entropy", kFloat32}};
   if (points.attributes.has_instances()) layout.extra.emplace_back("instance", kUint32);
   for (const auto& [name, type] : layout.extra)
