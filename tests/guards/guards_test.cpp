@@ -810,7 +810,66 @@ using namespace testing_train;
 
 using namespace testing_guards;
 
+bool is_head(const std::string& name) { return name.find("/semantic/") != std::string::npos; }
+
 class VoidBatches : public ::testing::TestWithParam<const char*> {};
+
+TEST_P(VoidBatches, LeaveTheHeadAlone) {
+  const std::string normalisation = GetParam();
+  Registry registry = make_registry();
+  std::string yaml = two_pass_config();
+  yaml.replace(yaml.find("weight: 0.3"), 11, "weight: 0.3, normalisation: " + normalisation);
+  Subject subject(yaml, registry, 5);  // with labels: the head has moments
+  const Snapshot before(subject);
+  bool head_has_moments = false;
+  for (const auto& [name, bits] : before.bits) {
+    if (!is_head(name) || name.back() != 'm') continue;
+    for (const std::uint32_t b : bits) head_has_moments = head_has_moments || b != 0;
+  }
+  ASSERT_TRUE(head_has_moments);
+
+  // The same scene, every pixel void.
+  std::vector<TrainFrame> frames;
+  std::vector<TrainingLabels::Frame> labels(subject.session.scene.frames.size());
+  for (const int f : subject.session.scene.frames_of(Split::train)) {
+    const auto i = static_cast<std::size_t>(f);
+    const FrameInfo& info = subject.session.scene.info.frames[i];
+    const auto pixels =
+        static_cast<std::size_t>(info.camera.width_px) * static_cast<std::size_t>(info.camera.height_px);
+    labels[i].hard = LabelMap(std::vector<std::int16_t>(pixels, kVoid));
+    frames.push_back({{info.camera, info.world_from_camera, false}, &subject.session.scene.frames[i], &labels[i], ""});
+  }
+  RaySourceOptions options{.train = {.rays = 64}, .tile_rays = subject.session.pipeline->tile_rays()};
+  const RaySource source(std::move(frames), {0, 1, 2, 3, 4}, subject.session.limits, options);
+
+  BatchBuffers batch;
+  source.fill(5, batch);
+  subject.store().zero_gradients();
+  const StepLosses losses = subject.session.pipeline->gradients(5, batch.view(true));
+  EXPECT_EQ(losses.semantic, 0);
+  EXPECT_EQ(losses.labelled, 0);
+  EXPECT_EQ(losses.total, losses.color);
+  for (const Tensor<float>& t : subject.store().all()) {
+    for (std::size_t i = 0; i < t.grad.size() && is_head(t.name); ++i) ASSERT_EQ(t.grad.data()[i], 0) << t.name;
+  }
+  subject.store().clear_gradients();
+
+  Trainer trainer(*subject.session.pipeline, source, subject.session.config.adam, subject.session.config.schedule);
+  for (int i = 0; i < 4; ++i) {
+    const StepLosses step = trainer.advance();
+    EXPECT_EQ(step.semantic, 0);
+    EXPECT_TRUE(std::isfinite(step.total));
+  }
+  bool field_moved = false;
+  for (const auto& [name, bits] : Snapshot(subject).bits) {
+    if (is_head(name)) {
+      EXPECT_EQ(bits, before.bits.at(name)) << name;
+    } else {
+      field_moved = field_moved || bits != before.bits.at(name);
+    }
+  }
+  EXPECT_TRUE(field_moved);
+}
 
 INSTANTIATE_TEST_SUITE_P(Normalisations, VoidBatches, ::testing::Values("mean_labelled", "sum", "mean_rays"),
                          [](const auto& test) { return std::string(test.param); });
