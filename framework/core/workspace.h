@@ -113,7 +113,7 @@ using LoadProgress = std::function<void(std::string_view doing, std::size_t done
 struct WorkSettings {
   int threads = 0;                              ///< 0: the default of the process (compute/parallel.h)
   const InputLimits* limits = nullptr;          ///< null: the defaults (formats/text_rows.h)
-  const LoadProgress* load_progress = nullptr;  ///< null: nobody is told
+  const LoadProgress* load_progress = nullptr;  ///< null: nothing is reported
 };
 
 /// Those of the innermost scope of this thread, or the defaults.

@@ -59,7 +59,7 @@ struct Launch {
   /// Rows of the batch that are in use, in device memory (a sampler's count); null: all. Rows behind it hold finite
   /// numbers and get gradient 0, so a kernel may compute or leave them.
   const std::int32_t* live_rows = nullptr;
-  /// Bits of the largest |dy| that an encoder's backward gets, in device memory (kernels/largest.h); null: it looks.
+  /// Bits of the largest |dy| that an encoder's backward gets, in device memory (kernels/kernels.h); null: it looks.
   const std::uint32_t* largest = nullptr;
   bool check_at_once = false;  ///< first_fault_row waits for the device and tells; false: it says -1 at once
   bool deterministic = false;  ///< sums in a fixed order, whatever it costs

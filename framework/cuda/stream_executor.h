@@ -127,7 +127,7 @@ class StreamExecutor final : public Executor<float> {
   class ShardExecutor;
   class Points;
   std::int64_t growths() const;
-  /// Whether forward and backward of the first `rays` rays of a shard do (memory_advice.cpp).
+  /// Whether forward and backward of the first `rays` rays of a shard do (memory.cpp).
   bool fits(std::int64_t rays, const Shape& shape, std::int64_t step);
   /// The error of a step that did not fit, with settings that do.
   Error with_settings_that_fit(const Error& error, const Shape& shape, std::int64_t step);

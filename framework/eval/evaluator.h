@@ -50,7 +50,7 @@ struct OpacityCounts {
 /// Maps of one frame, row-major. Label, entropy and confidence are empty without semantics.
 struct RenderedFrame {
   std::int32_t width_px = 0, height_px = 0;
-  std::int32_t stride = 1;               ///< of the frame's pixels (pixel_stride.h)
+  std::int32_t stride = 1;               ///< of the frame's pixels
   std::vector<float> rgb;                ///< [H * W * 3] in [0, 1]
   std::vector<float> depth_m;            ///< [H * W] z-depth, expected depth sum w t (not divided by opacity)
   std::vector<float> opacity;            ///< [H * W]
@@ -67,7 +67,7 @@ struct RenderedFrame {
 using ClassOfLogit = std::vector<int>;
 
 struct FrameOptions {
-  std::int32_t stride = 1;               ///< pixels taken (pixel_stride.h); maps are smaller by it
+  std::int32_t stride = 1;               ///< pixels taken; maps are smaller by it
   std::function<void(double)> progress;  ///< share of the pixels that are done, 0 to 1; may be null
   bool probability = false;              ///< fill RenderedFrame::probability, 4 C bytes per pixel
   int classes = 0;                       ///< C of the scene; read for `probability` alone
@@ -122,7 +122,7 @@ struct EvalJob {
   int classes = 0;
   bool undistort = true;
   std::int32_t stride = 1;                ///< above 1 SSIM has no value: it needs neighbours
-  bool fit_colors = false;                ///< score colours once more under maps of half frames (color_fit.h)
+  bool fit_colors = false;                ///< score colours once more under maps of half frames (fitted_by_halves)
   const TrainingLabels* given = nullptr;  ///< of the frames scored; null: entropy is not grouped by them
   /// Called with the number of frames that are done, parts of one included; may be null.
   std::function<void(double)> progress;

@@ -23,7 +23,7 @@ struct LabelledFrame {
 enum class CocoMasks { polygons, run_lengths };
 
 /// Frames of one COCO file [Lin14]; categories are the classes with a name that are not ignored, under their own ids.
-/// Labels name no others (class_names.h: is_unnamed_class). Polygons run along pixel edges, a hole being joined by a
+/// Labels name no others (class_table.h: is_unnamed_class). Polygons run along pixel edges, a hole being joined by a
 /// cut without width, so they give the same pixels back. Run lengths are marked iscrowd, as COCO wants it. An image is
 /// called as LabelledFrame::picture says; else as its file, or as its frame where it has none or where another image
 /// was called so before.

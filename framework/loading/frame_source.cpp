@@ -461,7 +461,7 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
 
 namespace {
 
-// Of the process, since who is told may be the same for several sessions.
+// Of the process, since several sessions may report to one listener.
 std::mutex g_telling;
 
 }  // namespace

@@ -26,7 +26,7 @@ struct Session {
   SceneExtent extent;
   std::vector<std::string> chosen;            ///< a line for each parameter that was chosen from the scene
   std::vector<std::string> chosen_by_device;  ///< and for each size that the device decided
-  /// And for each choice that the labels made (label_choices.h), and each correction of cameras (camera_choices.h).
+  /// And for each choice that the labels made (settings/choices.h), and each correction of cameras.
   std::vector<std::string> chosen_by_labels;
   RayLimits limits;
   MemoryFacts memory_facts;
@@ -54,13 +54,13 @@ struct SessionOptions {
   bool trainable = true;
   bool build = true;                  ///< false: stop after the plan
   DepthKept depth = DepthKept::test;  ///< what a later evaluation compares with
-  /// What training knew of the scene (manifest_text.h); then the training labels are not made again.
+  /// What training knew of the scene (checkpoint_facts.h); then the training labels are not made again.
   std::optional<KnownScene> known;
-  bool pixels = true;      ///< false, with `known`: no pixel is read. Enough to render, not to evaluate.
-  bool probe = false;      ///< let a short training find the bounds of a scene that only guesses them (bounds_probe.h)
-  Ranks* ranks = nullptr;  ///< processes that this session's work is shared with (ranks_session.h); null: none
-  bool instances = false;  ///< keep the instances of frames
-  bool labels = false;     ///< make the training labels although `known` is given
+  bool pixels = true;          ///< false, with `known`: no pixel is read. Enough to render, not to evaluate.
+  bool probe = false;          ///< let a short training find the bounds of a scene that only guesses them
+  Ranks* ranks = nullptr;      ///< processes that this session's work is shared with; null: none
+  bool instances = false;      ///< keep the instances of frames
+  bool labels = false;         ///< make the training labels although `known` is given
   LoadProgress progress = {};  ///< told while the scene is opened; null: whom the caller's WorkSettings tell
   /// The class table that the network was trained with, as YAML; a scene with another one is refused.
   std::optional<std::string> trained_classes;

@@ -1,3 +1,4 @@
+// What the machine lets this process have: CPU time, memory, libraries that are loaded late.
 #include "system/process.h"
 
 #include <alloca.h>

@@ -1,4 +1,4 @@
-// How much CPU time a control group allows, as whole cores.
+// What the machine lets this process have: CPU time, memory, libraries that are loaded late.
 #pragma once
 
 #include <cstddef>
@@ -6,6 +6,8 @@
 #include <string>
 
 namespace semfield {
+
+// How much CPU time a control group allows, as whole cores.
 
 /// Cores' worth of time that Linux control groups grant this process, rounded up: the smallest of its group and the
 /// groups above, version 2 (cpu.max) or 1 (cpu.cfs_quota_us); 0 = no limit, or none that can be read. `groups` is the

@@ -799,9 +799,6 @@ TEST(ReadingInjection, ColoursAndSoftLabelsOfABatch) {
   }
 }
 
-}  // namespace semfield
-
-namespace semfield {
 namespace {
 
 // Batches without a label leave the head bitwise alone; dead densities and thin matter between long steps are reported.

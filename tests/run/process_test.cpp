@@ -273,6 +273,10 @@ TEST(ScoreLines, EvalKeepsItsScoresForTheReport) {
       succeeded(semfield_run("eval run --set scene.load.width_px=24 --set scene.load.height_px=18", dir.path()));
   EXPECT_HAS(other.err, "the run's folder does not keep these scores");
   EXPECT_EQ(evals().size(), 2u);
+  // Colours from poses that fit the field stand beside the plain figure.
+  const Result fitted = succeeded(semfield_run("eval run --refine-poses --json", dir.path()));
+  const nlohmann::json refined = nlohmann::json::parse(fitted.out)["refined_poses"];
+  EXPECT_EQ(evals().back().get("psnr_refined_poses"), refined["psnr"].get<double>());
 }
 
 TEST(ScoreLines, FiguresThatTheSceneCannotHaveAreNotPrinted) {

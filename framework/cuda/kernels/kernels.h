@@ -1,5 +1,4 @@
-// Linear layers over a batch on the device, for activations kept as fp32 or bf16: what fields and the semantic head are
-// made of. Twins of compute/layers.h. Everything is queued on launch().stream; products go through cuda/matmul.h.
+// The kernels of a step on the device, as host code launches them: layers, Adam, hidden channels, losses, compositing.
 #pragma once
 
 #include <cuda_bf16.h>
@@ -20,6 +19,9 @@
 #include "plugin/sampler.h"
 
 namespace semfield::cuda {
+
+// Linear layers over a batch on the device, for activations kept as fp32 or bf16: what fields and the semantic head are
+// made of. Twins of compute/layers.h. Everything is queued on launch().stream; products go through cuda/matmul.h.
 
 enum class Activation : std::uint8_t { none, relu };
 

@@ -1,4 +1,4 @@
-// Squared colour error on the device, and counts of a pass.
+// The kernels of losses on the device.
 #include <algorithm>
 
 #include "core/check.h"
@@ -6,6 +6,8 @@
 #include "cuda/kernels/kernels.h"
 
 namespace semfield::cuda {
+
+// Squared colour error on the device, and counts of a pass.
 
 namespace {
 

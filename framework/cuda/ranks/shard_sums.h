@@ -26,7 +26,7 @@ struct ShardTensors {
 void add_shards(const ShardTensors& tensors, const std::array<const float*, kShards>& block);
 
 /// Rows of an encoder with the gradient at its outputs, contiguous; the first *count are in use, and *largest is the
-/// largest |dy| among them (kernels/largest.h). Device memory.
+/// largest |dy| among them (kernels/kernels.h). Device memory.
 struct EncoderRows {
   View<double> x;                    ///< [N, 3]
   View<float> dy;                    ///< [N, D]

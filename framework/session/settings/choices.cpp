@@ -1,3 +1,4 @@
+// What is decided where the configuration leaves it open: cameras, device, labels, pace and length of a run.
 #include "session/settings/choices.h"
 
 #include <fmt/format.h>

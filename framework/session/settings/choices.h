@@ -1,4 +1,4 @@
-// What a scene decides of corrections of its cameras, where the configuration leaves it open.
+// What is decided where the configuration leaves it open: cameras, device, labels, pace and length of a run.
 #pragma once
 
 #include <cstdint>
@@ -15,6 +15,8 @@
 #include "session/settings/run_config.h"
 
 namespace semfield {
+
+// What a scene decides of corrections of its cameras, where the configuration leaves it open.
 
 struct CameraEvidence {
   bool tracked = false;            ///< SceneInfo::tracked

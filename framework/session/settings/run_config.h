@@ -140,7 +140,7 @@ void describe(ParamVisitor& visit, TrainParams& params);
 void validate(const TrainParams& params, Diagnostics& diagnostics);
 
 /// What is believed of training cameras: as given, or learned with the field (model/camera_corrections.h). `automatic`
-/// is decided by the scene (camera_choices.h).
+/// is decided by the scene (choices.h).
 enum class CameraTrust : std::uint8_t { given, learned, automatic };
 template <>
 struct ChoiceNames<CameraTrust> {
@@ -204,7 +204,7 @@ struct PluginSlot {
   std::unique_ptr<PluginParams> params;
 };
 
-/// Labels that a semantic branch is meant for; label_choices.h says which a scene has.
+/// Labels that a semantic branch is meant for; choices.h says which a scene has.
 enum class LabelKind : std::uint8_t { any, few, noisy, many, dense };
 template <>
 struct ChoiceNames<LabelKind> {

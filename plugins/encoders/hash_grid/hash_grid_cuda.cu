@@ -1,5 +1,4 @@
-// CUDA kernels of the hash grid: forward, and the gradient of positions. The gradient of tables is in
-// hash_grid_scatter_cuda.cu.
+// CUDA kernels of the hash grid: forward, and the gradients of positions and tables.
 
 #include <algorithm>
 #include <bit>
