@@ -2,25 +2,25 @@
 
 #include <cstdlib>
 
-#include "isa_list.h"
-
 #if defined(__x86_64__) && defined(__linux__)
 #include <cpuid.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 #endif
+#if defined(__SSE2__)
+#include <xmmintrin.h>
+#endif
 
 #include "core/error.h"
+#include "isa_list.h"
 
 namespace semfield {
 
 namespace {
 
-constexpr Isa kBuilt[] = {
 #define SEMFIELD_LIST(name) Isa::name,
-    SEMFIELD_FOR_EVERY_ISA(SEMFIELD_LIST)
+constexpr Isa kBuilt[] = {SEMFIELD_FOR_EVERY_ISA(SEMFIELD_LIST)};
 #undef SEMFIELD_LIST
-};
 
 bool processor_has(Isa isa) {
 #if defined(__x86_64__)
@@ -100,41 +100,23 @@ std::string isas_of_machine() {
   return text;
 }
 
-#define SEMFIELD_DECLARE(name)              \
-  namespace isa_##name {                    \
-    void gemm_kernels(CpuKernels<float>&);  \
-    void gemm_kernels(CpuKernels<double>&); \
-    void loop_kernels(CpuKernels<float>&);  \
-    void loop_kernels(CpuKernels<double>&); \
-  }
-SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE)
-#undef SEMFIELD_DECLARE
-namespace {
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, gemm_kernels, CpuKernels<float>)
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, gemm_kernels, CpuKernels<double>)
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, loop_kernels, CpuKernels<float>)
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, loop_kernels, CpuKernels<double>)
 
-template <class Real>
-CpuKernels<Real> chosen_kernels() {
-  using Fill = void (*)(CpuKernels<Real>&);
-  static constexpr IsaVariant<Fill> kGemm[] = {
-#define SEMFIELD_LIST(name) {Isa::name, isa_##name::gemm_kernels},
-      SEMFIELD_FOR_EACH_ISA(SEMFIELD_LIST)
-#undef SEMFIELD_LIST
-  };
-  static constexpr IsaVariant<Fill> kLoops[] = {
-#define SEMFIELD_LIST(name) {Isa::name, isa_##name::loop_kernels},
-      SEMFIELD_FOR_EACH_ISA(SEMFIELD_LIST)
-#undef SEMFIELD_LIST
-  };
-  CpuKernels<Real> kernels{};
-  best_variant(kGemm)(kernels);
-  best_variant(kLoops)(kernels);
-  return kernels;
-}
-
-}  // namespace
 
 template <class Real>
 const CpuKernels<Real>& cpu_kernels() {
-  static const CpuKernels<Real> kernels = chosen_kernels<Real>();
+  using Fill = void (*)(CpuKernels<Real>&);
+  static constexpr IsaVariant<Fill> kGemm[] = {SEMFIELD_FOR_EACH_ISA(SEMFIELD_VARIANT, gemm_kernels)};
+  static constexpr IsaVariant<Fill> kLoops[] = {SEMFIELD_FOR_EACH_ISA(SEMFIELD_VARIANT, loop_kernels)};
+  static const CpuKernels<Real> kernels = [] {
+    CpuKernels<Real> filled{};
+    best_variant(kGemm)(filled);
+    best_variant(kLoops)(filled);
+    return filled;
+  }();
   return kernels;
 }
 
@@ -156,14 +138,6 @@ bool bf16_is_faster() {
 
 template const CpuKernels<float>& cpu_kernels<float>();
 template const CpuKernels<double>& cpu_kernels<double>();
-
-}  // namespace semfield
-
-#if defined(__SSE2__)
-#include <xmmintrin.h>
-#endif
-
-namespace semfield {
 
 namespace {
 

@@ -17,7 +17,6 @@
 #include <utility>
 #include <vector>
 
-#include "compute/index_body.h"
 #include "compute/isa.h"
 #include "core/workspace.h"
 #include "system/process.h"

@@ -6,14 +6,10 @@
 
 namespace semfield {
 
-void check_failed(const char* expression, const char* file, int line, const std::string& why) {
-  check_failed(expression, file, line, why.c_str());
-}
-
-void check_failed(const char* expression, const char* file, int line, const char* why) {
+void check_failed(const char* expression, const char* file, int line, std::string_view why) {
   const char* base = std::strrchr(file, '/');
   throw Error(ErrorKind::internal, "internal.check.failed",
-              std::string(base ? base + 1 : file) + ":" + std::to_string(line) + ": " + why +
+              std::string(base ? base + 1 : file) + ":" + std::to_string(line) + ": " + std::string(why) +
                   " (violated: " + expression + ")");
 }
 

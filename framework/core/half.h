@@ -1,4 +1,4 @@
-// Half precision: a float in two bytes.
+// Numbers in two bytes, and the arithmetic of matrix products.
 #pragma once
 
 #include <cstdint>
@@ -16,4 +16,10 @@ struct Bf16 {
   std::uint16_t bits;
 };
 
+/// fp32: in the type of the operands (float64 in the oracle). bf16: operands and the activations between layers rounded
+/// to bf16 (8 significant bits), products and sums in fp32; weights, their gradients and all else stay fp32. automatic:
+/// a wish of settings alone, which the opening of a session turns into one of the two.
+enum class Precision : std::uint8_t { fp32, bf16, automatic };
+
 }  // namespace semfield
+

@@ -105,22 +105,6 @@ const CameraKernels<Real>& cpu_camera_kernels() {
 }
 
 template <class Real>
-void CentredTable<Real>::declare(ParamDeclarer& declarer) const {
-  declarer.tensor({"learned", rows_, cols_, Init::constant(0), TensorRole::dense});
-  declarer.tensor({"used", rows_, cols_, Init::constant(0), TensorRole::derived});
-}
-
-template <class Real>
-void CentredTable<Real>::derive(const StepContext&, const Tensors<Real>& tensors) const {
-  kernels_->centre(tensors.value[kLearned], share_, tensors.value[kUsed]);
-}
-
-template <class Real>
-void CentredTable<Real>::derive_backward(const StepContext&, const Tensors<Real>& tensors) const {
-  kernels_->centre_backward(tensors.grad[kUsed], share_, tensors.grad[kLearned]);
-}
-
-template <class Real>
 CameraCorrections<Real>::CameraCorrections(const CameraRules& rules, const Stages<Real>& stages,
                                            TensorStore<Real>& store)
     : rules_(rules),
@@ -144,32 +128,8 @@ void CameraCorrections<Real>::derive_backward(const StepContext& ctx) const {
   if (rules_.colors) color_table_.derive_backward(ctx, store_->tensors(color_));
 }
 
-template <class Real>
-void CameraCorrections<Real>::move(View<const float> camera, View<double> origin, View<double> direction) const {
-  kernels_->move(camera, used(pose_), rules_.distance_m, origin, direction);
-}
-
-template <class Real>
-void CameraCorrections<Real>::move_backward(int lane, View<const float> camera, View<const double> direction,
-                                            View<const Real> d_ray) const {
-  kernels_->move_backward(camera, used(pose_), rules_.distance_m, direction, d_ray, gradient(pose_, lane));
-}
-
-template <class Real>
-void CameraCorrections<Real>::show(View<const float> camera, View<const Real> color, View<Real> shown) const {
-  kernels_->show(camera, used(color_), color, shown);
-}
-
-template <class Real>
-void CameraCorrections<Real>::show_backward(int lane, View<const float> camera, View<const Real> color,
-                                            View<const Real> d_shown, View<Real> d_color) const {
-  kernels_->show_backward(camera, used(color_), color, d_shown, d_color, gradient(color_, lane));
-}
-
 template const CameraKernels<float>& cpu_camera_kernels<float>();
 template const CameraKernels<double>& cpu_camera_kernels<double>();
-template class CentredTable<float>;
-template class CentredTable<double>;
 template class CameraCorrections<float>;
 template class CameraCorrections<double>;
 

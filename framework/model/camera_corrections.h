@@ -105,9 +105,16 @@ class CentredTable final : public Parametric<Real> {
  public:
   CentredTable(std::int64_t rows, std::int32_t cols, double share, const CameraKernels<Real>& kernels)
       : rows_(rows), cols_(cols), share_(share), kernels_(&kernels) {}
-  void declare(ParamDeclarer& declarer) const override;
-  void derive(const StepContext&, const Tensors<Real>& tensors) const override;
-  void derive_backward(const StepContext&, const Tensors<Real>& tensors) const override;
+  void declare(ParamDeclarer& declarer) const override {
+    declarer.tensor({"learned", rows_, cols_, Init::constant(0), TensorRole::dense});
+    declarer.tensor({"used", rows_, cols_, Init::constant(0), TensorRole::derived});
+  }
+  void derive(const StepContext&, const Tensors<Real>& tensors) const override {
+    kernels_->centre(tensors.value[kLearned], share_, tensors.value[kUsed]);
+  }
+  void derive_backward(const StepContext&, const Tensors<Real>& tensors) const override {
+    kernels_->centre_backward(tensors.grad[kUsed], share_, tensors.grad[kLearned]);
+  }
   static constexpr int kLearned = 0, kUsed = 1;
 
  private:
@@ -127,13 +134,21 @@ class CameraCorrections {
   void derive(const StepContext& ctx) const;
   void derive_backward(const StepContext& ctx) const;
   /// Moves rays where poses are corrected.
-  void move(View<const float> camera, View<double> origin, View<double> direction) const;
+  void move(View<const float> camera, View<double> origin, View<double> direction) const {
+    kernels_->move(camera, used(pose_), rules_.distance_m, origin, direction);
+  }
   /// From d_ray [R, 6] into the lane's gradients.
-  void move_backward(int lane, View<const float> camera, View<const double> direction, View<const Real> d_ray) const;
+  void move_backward(int lane, View<const float> camera, View<const double> direction, View<const Real> d_ray) const {
+    kernels_->move_backward(camera, used(pose_), rules_.distance_m, direction, d_ray, gradient(pose_, lane));
+  }
   /// Where colours are corrected.
-  void show(View<const float> camera, View<const Real> color, View<Real> shown) const;
+  void show(View<const float> camera, View<const Real> color, View<Real> shown) const {
+    kernels_->show(camera, used(color_), color, shown);
+  }
   void show_backward(int lane, View<const float> camera, View<const Real> color, View<const Real> d_shown,
-                     View<Real> d_color) const;
+                     View<Real> d_color) const {
+    kernels_->show_backward(camera, used(color_), color, d_shown, d_color, gradient(color_, lane));
+  }
 
   static constexpr const char* kPoseName = "cameras/pose";
   static constexpr const char* kColorName = "cameras/color";
@@ -149,10 +164,5 @@ class CameraCorrections {
   TensorStore<Real>* store_;
   int pose_ = -1, color_ = -1;
 };
-
-extern template class CentredTable<float>;
-extern template class CentredTable<double>;
-extern template class CameraCorrections<float>;
-extern template class CameraCorrections<double>;
 
 }  // namespace semfield

@@ -65,50 +65,6 @@ struct BranchTrace {
   Saved saved;
 };
 
-/// A head's row of a ray = sum over its kept samples of weight times what the head makes of the branch's feature.
-/// Weights are constants: labels do not shape density. Leaving out samples of weight below w changes a value by at most
-/// the sum of the weights left out times the largest value of a sample.
-template <class Real>
-class HeadBranch {
- public:
-  /// Adds the parts' tensors to `store`. Throws Error(config) where the encoder learns. Borrows parts, store and
-  /// stages.
-  HeadBranch(const BranchParts<Real>& parts, const BranchPlace& place, TensorStore<Real>& store,
-             const Stages<Real>& stages);
-
-  std::int32_t feature_dims() const { return parts_->field->traits().feature_dims; }
-  const BranchRules& rules() const { return parts_->rules; }
-
-  /// Keeps the samples of the call that weigh, encodes them and runs the network, in ctx.workspace.
-  BranchTrace<Real> forward(const StepContext& ctx, int lane, const BranchCall<Real>& call) const;
-  /// The same of single samples, whose inputs are known: input [K, input_dims], each sample a ray of its own.
-  BranchTrace<Real> forward_points(const StepContext& ctx, int lane, View<const Real> input) const;
-  /// Columns of the input: the encoded position, and behind it `feature_dims` of the field's feature where it is read.
-  std::int32_t input_dims(std::int32_t feature_dims) const {
-    return parts_->position->traits().out_dims + (parts_->rules.reads_feature ? feature_dims : 0);
-  }
-  /// The first columns of input [N, input_dims] at world positions [N, 3].
-  void encode_points(const StepContext& ctx, View<const double> positions, View<Real> input) const;
-  /// d_feature [K, B] of trace.feature; it is changed (dropout). Gradients go into the lane's.
-  void backward(const StepContext& ctx, int lane, const BranchTrace<Real>& trace, View<Real> d_feature) const;
-
-  void derive(const StepContext& ctx) const;
-  void derive_backward(const StepContext& ctx) const;
-
- private:
-  void run_network(const StepContext& ctx, int lane, BranchTrace<Real>& trace) const;
-  void take_outputs(const StepContext& ctx, std::int64_t rows, std::int64_t rays, BranchTrace<Real>& trace) const;
-  FieldIn<Real> field_in(const BranchTrace<Real>& trace) const;
-  bool drops_out(const BranchTrace<Real>& trace) const { return trace.feature.data != trace.out.feature.data; }
-  Dropout dropout(const StepContext& ctx) const;
-
-  const BranchParts<Real>* parts_;
-  BranchPlace place_;
-  TensorStore<Real>* store_;
-  const Stages<Real>* stages_;
-  int position_ = 0, field_ = 0;
-};
-
 /// Address of the dropout's random values; that of other heads also has their prefix in front.
 inline constexpr const char* kBranchDropout = "semantic_branch/dropout";
 /// Columns that share a block of random numbers.
@@ -131,9 +87,6 @@ SEMFIELD_HD inline DropoutFactors dropout_factors(const RandomAddress& address, 
   return factors;
 }
 
-extern template class HeadBranch<float>;
-extern template class HeadBranch<double>;
-
 // A head behind a branch of its own: rows of its channel for the first rays of a call, and their gradients. Weights are
 // constants to it, and nothing flows back into the field: what it learns changes no bit of the rest of the pass.
 
@@ -147,34 +100,55 @@ struct HeadTrace {
   View<Real> rows;           ///< [R, C] the channel
 };
 
+/// A ray's row = sum over its kept samples of weight times what the head makes of the branch's feature. Weights are
+/// constants: labels do not shape density. Leaving out samples of weight below w changes a value by at most the sum of
+/// the weights left out times the largest value of a sample.
 template <class Real>
 class BranchedHead {
  public:
-  /// Adds the tensors of head and branch to `store` under `prefix`, "PASS/semantic" or "PASS/heads/CHANNEL". Throws
-  /// Error(config) where the branch's encoder learns. Borrows all. `deferred`: the output layer once per ray.
+  /// Adds the tensors of head and branch to `store`. Throws Error(config) where the branch's encoder learns. Borrows
+  /// all. `deferred`: the output layer once per ray.
   BranchedHead(const Head<Real>& head, const BranchParts<Real>& branch, const BranchPlace& place, bool deferred,
                TensorStore<Real>& store, const Stages<Real>& stages);
 
-  const HeadBranch<Real>& branch() const { return branch_; }
-  Tensors<Real> tensors(int lane) const { return store_->tensors(component_, lane); }
+  const BranchRules& rules() const { return branch_->rules; }
+  /// Of the head.
+  Tensors<Real> tensors(int lane) const { return store_->tensors(head_tensors_, lane); }
 
   /// All of it in ctx.workspace. Neither call touches what the pass's own do, so both may run beside them.
   HeadTrace<Real> forward(const StepContext& ctx, int lane, const BranchCall<Real>& call) const;
   /// Gradients from d_rows [R, C] into the lane's.
   void backward(const StepContext& ctx, int lane, const HeadTrace<Real>& trace, View<const Real> d_rows) const;
 
+  /// Columns of the branch's input: the encoded position, and behind it `feature_dims` of the field's feature where it
+  /// is read.
+  std::int32_t input_dims(std::int32_t feature_dims) const {
+    return branch_->position->traits().out_dims + (branch_->rules.reads_feature ? feature_dims : 0);
+  }
+  /// The first columns of input [N, input_dims] at world positions [N, 3].
+  void encode_points(const StepContext& ctx, View<const double> positions, View<Real> input) const;
+  /// The branch at single samples, whose inputs are known: input [K, input_dims], each sample a ray of its own.
+  BranchTrace<Real> forward_points(const StepContext& ctx, int lane, View<const Real> input) const;
+  /// d_feature [K, B] of trace.feature; it is changed (dropout). Gradients go into the lane's.
+  void branch_backward(const StepContext& ctx, int lane, const BranchTrace<Real>& trace, View<Real> d_feature) const;
+
   void derive(const StepContext& ctx) const;
   void derive_backward(const StepContext& ctx) const;
 
  private:
+  BranchTrace<Real> branch_forward(const StepContext& ctx, int lane, const BranchCall<Real>& call) const;
+  void run_network(const StepContext& ctx, int lane, BranchTrace<Real>& trace) const;
+  void take_outputs(const StepContext& ctx, std::int64_t rows, std::int64_t rays, BranchTrace<Real>& trace) const;
+  bool drops_out(const BranchTrace<Real>& trace) const { return trace.feature.data != trace.out.feature.data; }
+  Dropout dropout(const StepContext& ctx) const;
+
   const Head<Real>* head_;
+  const BranchParts<Real>* branch_;
+  BranchPlace place_;
+  bool deferred_;
   TensorStore<Real>* store_;
   const Stages<Real>* stages_;
-  std::string pass_;
-  Guarded guarded_;  // what its rows are
-  bool deferred_;
-  int component_;
-  HeadBranch<Real> branch_;
+  int head_tensors_, position_, field_;
 };
 
 /// Axes of a channel [source, width]: a state that no step changes.
@@ -189,8 +163,5 @@ class ChannelAxes final : public Parametric<Real> {
  private:
   std::int32_t source_, width_;
 };
-
-extern template class BranchedHead<float>;
-extern template class BranchedHead<double>;
 
 }  // namespace semfield

@@ -373,15 +373,11 @@ void Pass<Real>::scatter(const StepContext& ctx, View<const double> x, View<cons
   parts_.position->backward(ctx, store_->tensors(position_), x, dy, {});
 }
 
-template class Pass<float>;
-template class Pass<double>;
-
 // What stands behind branches of its own: class logits where they do, and the channels of the other heads.
 
 template <class Real>
 bool Pass<Real>::heads_want_feature() const {
-  return std::any_of(heads_.begin(), heads_.end(),
-                     [](const auto& head) { return head.branch().rules().reads_feature; });
+  return std::any_of(heads_.begin(), heads_.end(), [](const auto& head) { return head.rules().reads_feature; });
 }
 
 template <class Real>
@@ -441,19 +437,6 @@ View<Real> Pass<Real>::axes(std::string_view channel) const {
     if (parts_.heads[i].channel == channel && axes_[i] >= 0) return store_->tensors(axes_[i]).value[0];
   return {};
 }
-
-#define SEMFIELD_INSTANTIATE(Real)                                                                                    \
-  template bool Pass<Real>::heads_want_feature() const;                                                               \
-  template void Pass<Real>::branch_forward(const StepContext&, int, const Rays<Real>&, PassTrace<Real>&) const;       \
-  template void Pass<Real>::branch_backward(const StepContext&, int, const PassTrace<Real>&, View<const Real>) const; \
-  template void Pass<Real>::heads_forward(const StepContext&, int, const Rays<Real>&, PassTrace<Real>&) const;        \
-  template void Pass<Real>::heads_backward(const StepContext&, int, const PassTrace<Real>&,                           \
-                                           const ChannelTable<const Real>&) const;                                    \
-  template RayValues<Real> Pass<Real>::values_of(View<const double>, const PassTrace<Real>&) const;                   \
-  template View<Real> Pass<Real>::axes(std::string_view) const;
-SEMFIELD_INSTANTIATE(float)
-SEMFIELD_INSTANTIATE(double)
-#undef SEMFIELD_INSTANTIATE
 
 // What is asked for by position and not along rays: density, of which samplers and meshes are made, and semantics,
 // where a point is a sample of weight 1.
@@ -524,7 +507,7 @@ void Pass<Real>::point_colors(const StepContext& ctx, View<const double> positio
 template <class Real>
 std::int32_t Pass<Real>::point_dims() const {
   const std::int32_t feature = parts_.field->traits().feature_dims;
-  return branched_ ? branched_->branch().input_dims(feature) : feature;
+  return branched_ ? branched_->input_dims(feature) : feature;
 }
 
 template <class Real>
@@ -536,9 +519,9 @@ void Pass<Real>::point_rows(const StepContext& ctx, View<const double> positions
   const LiveRows<Real> all(*stages_, nullptr);
   std::int32_t of_position = 0;
   if (branched_) {
-    of_position = branched_->branch().input_dims(0);
-    branched_->branch().encode_points(ctx, positions, rows);
-    if (!branched_->branch().rules().reads_feature) return;
+    of_position = branched_->input_dims(0);
+    branched_->encode_points(ctx, positions, rows);
+    if (!branched_->rules().reads_feature) return;
   }
   const View<double> x = arena.take<double>(positions.rows, 3);
   stages_->map_positions(positions, parts_.domain, x);
@@ -556,7 +539,7 @@ PointTrace<Real> Pass<Real>::point_forward(const StepContext& ctx, int lane, Vie
                                            View<Real> logits) const {
   PointTrace<Real> trace;
   if (branched_) {
-    trace.branch = branched_->branch().forward_points(ctx, lane, rows);
+    trace.branch = branched_->forward_points(ctx, lane, rows);
     trace.feature = trace.branch.feature;
   } else {
     trace.feature = rows;
@@ -578,22 +561,8 @@ void Pass<Real>::point_backward(const StepContext& ctx, int lane, const PointTra
   const View<Real> d_feature = arena.take<Real>(d_logits.rows, trace.feature.cols);
   parts_.head->output_backward(ctx, head, trace.hidden, {}, d_logits, d_hidden, {});
   parts_.head->hidden_backward(ctx, head, trace.feature, trace.hidden, d_hidden, d_feature);
-  if (branched_) branched_->branch().backward(ctx, lane, trace.branch, d_feature);
+  if (branched_) branched_->branch_backward(ctx, lane, trace.branch, d_feature);
 }
-
-#define SEMFIELD_INSTANTIATE(Real)                                                                                  \
-  template void Pass<Real>::density(const StepContext&, View<const double>, View<Real>) const;                      \
-  template void Pass<Real>::observe(const StepContext&, const DensityQuery<Real>&) const;                           \
-  template void Pass<Real>::observe(const StepContext&) const;                                                      \
-  template void Pass<Real>::point_colors(const StepContext&, View<const double>, View<const double>, View<Real>)    \
-      const;                                                                                                        \
-  template std::int32_t Pass<Real>::point_dims() const;                                                             \
-  template void Pass<Real>::point_rows(const StepContext&, View<const double>, View<Real>) const;                   \
-  template PointTrace<Real> Pass<Real>::point_forward(const StepContext&, int, View<const Real>, View<Real>) const; \
-  template void Pass<Real>::point_backward(const StepContext&, int, const PointTrace<Real>&, View<const Real>) const;
-SEMFIELD_INSTANTIATE(float)
-SEMFIELD_INSTANTIATE(double)
-#undef SEMFIELD_INSTANTIATE
 
 // Rendering that ends a ray where nothing behind can be seen.
 
@@ -673,7 +642,7 @@ void Pass<Real>::evaluate_in_rounds(const StepContext& ctx, int lane, PassTrace<
   }
 }
 
-template void Pass<float>::evaluate_in_rounds(const StepContext&, int, PassTrace<float>&, bool) const;
-template void Pass<double>::evaluate_in_rounds(const StepContext&, int, PassTrace<double>&, bool) const;
+template class Pass<float>;
+template class Pass<double>;
 
 }  // namespace semfield

@@ -10,7 +10,6 @@
 
 #include "core/workspace.h"
 #include "model/compositor.h"
-#include "model/density_activation.h"
 #include "model/head_branch.h"
 #include "model/param_store.h"
 #include "model/render_rules.h"
@@ -209,7 +208,7 @@ class Pass {
   void rounded_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, View<const Real> d_ray_hidden,
                         View<Real> dots, FieldGrad<Real>& grad) const;
   /// True when the field's feature is wanted of every sample of the rays with semantics, or of all rays.
-  bool wants_feature() const { return parts_.head && (!branched_ || branched_->branch().rules().reads_feature); }
+  bool wants_feature() const { return parts_.head && (!branched_ || branched_->rules().reads_feature); }
   bool heads_want_feature() const;
   bool wants_feature(const PassTrace<Real>& trace) const {
     return (trace.semantic_rays > 0 && wants_feature()) || (trace.with_heads && heads_want_feature());
@@ -236,8 +235,5 @@ class Pass {
   int sampler_ = 0, position_ = 0, direction_ = -1, field_ = 0, head_ = -1;
   bool encoder_learns_ = false;
 };
-
-extern template class Pass<float>;
-extern template class Pass<double>;
 
 }  // namespace semfield

@@ -53,7 +53,4 @@ class RayGuard {
   const Samples<Real>& samples_;
 };
 
-extern template class RayGuard<float>;
-extern template class RayGuard<double>;
-
 }  // namespace semfield

@@ -12,7 +12,6 @@
 #include "core/small_math.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
-#include "model/density_activation.h"
 #include "plugin/encoder.h"
 
 namespace semfield {

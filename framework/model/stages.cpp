@@ -205,30 +205,23 @@ void opacity_resolutions(const Samples<Real>& samples, View<const Real> weight, 
 template <class Real>
 void guard(const GuardPlace<Real>& place, Guarded value, View<const Real> values) {
   const RayGuard<Real> guard(place.pass, place.first_ray, *place.samples);
-  switch (value) {
-    case Guarded::encoded_position:
-      return guard.per_sample("encoded position", values);
-    case Guarded::encoded_direction:
-      return guard.per_ray("encoded direction", values);
-    case Guarded::raw_density:
-      return guard.per_sample("raw density", values);
-    case Guarded::sample_color:
-      return guard.per_sample("colour", values);
-    case Guarded::feature:
-      return guard.per_sample("feature", values);
-    case Guarded::semantic_feature:
-      return guard.per_sample("semantic feature", values);
-    case Guarded::color:
-      return guard.per_ray("colour", values);
-    case Guarded::depth:
-      return guard.per_ray("depth", values);
-    case Guarded::opacity:
-      return guard.per_ray("opacity", values);
-    case Guarded::logits:
-      return guard.per_ray("logits", values);
-    case Guarded::channel:
-      return guard.per_ray("channel of a head", values);
-  }
+  // By Guarded.
+  static constexpr struct {
+    const char* name;
+    bool per_ray;
+  } kValues[] = {{"encoded position", false},
+                 {"encoded direction", true},
+                 {"raw density", false},
+                 {"colour", false},
+                 {"feature", false},
+                 {"semantic feature", false},
+                 {"colour", true},
+                 {"depth", true},
+                 {"opacity", true},
+                 {"logits", true},
+                 {"channel of a head", true}};
+  const auto& of = kValues[static_cast<std::size_t>(value)];
+  of.per_ray ? guard.per_ray(of.name, values) : guard.per_sample(of.name, values);
 }
 
 template <class Real>

@@ -6,7 +6,6 @@
 
 #include "core/half.h"
 #include "model/compositor.h"
-#include "model/density_activation.h"
 #include "model/optim/adam.h"
 #include "model/render_rules.h"
 #include "plugin/head.h"
@@ -131,7 +130,7 @@ struct Stages {
 
   /// Of rendering. Logits are overwritten.
   void (*class_results)(View<Real> logits, const ClassResults<Real>& results) = nullptr;
-  /// Of every ray (model/density_activation.h).
+  /// Of every ray (model/compositor.h).
   void (*opacity_resolutions)(const Samples<Real>& samples, View<const Real> weight, FarMode far,
                               double footprint_per_m, View<OpacityResolution> result) = nullptr;
 

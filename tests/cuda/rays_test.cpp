@@ -8,7 +8,7 @@
 #include "device_fixture.h"
 #include "execution/lane_executor.h"
 #include "model/camera_corrections.h"
-#include "model/density_activation.h"
+#include "model/compositor.h"
 #include "session/trainer.h"
 #include "testkit/compare.h"
 #include "tests/cuda/step_configs.h"
@@ -468,9 +468,9 @@ TEST(CudaDensity, ActivationsAndTheirSlopes) {
       EXPECT_EQ(raw_there.read(), raw);
       const std::vector<double> wide = testing::widen(raw);
       std::vector<double> want(raw.size()), slope(raw.size());
-      density_forward<double>(activation, testing::host_view(wide, 1), testing::host_view(want, 1));
+      density_forward<double>({activation}, nullptr, testing::host_view(wide, 1), testing::host_view(want, 1));
       const std::vector<double> wide_d = testing::widen(d_sigma);
-      density_backward<double>(activation, testing::host_view(wide, 1), testing::host_view(wide_d, 1),
+      density_backward<double>({activation}, testing::host_view(wide, 1), testing::host_view(wide_d, 1),
                                testing::host_view(slope, 1));
       for (double& x : want) x *= rule.per_m;
       for (double& x : slope) x *= rule.per_m;

@@ -8,7 +8,6 @@
 #include "eval/final_eval.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
-#include "model/density_activation.h"
 #include "model/optim/adam.h"
 #include "model/ray_guard.h"
 #include "run/run_loop.h"

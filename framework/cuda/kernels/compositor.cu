@@ -8,7 +8,6 @@
 #include "cuda/kernels/sampling.cuh"
 #include "cuda/stages.h"
 #include "model/compositor.h"
-#include "model/density_activation.h"
 #include "model/head_branch.h"
 
 namespace semfield::cuda {

@@ -12,7 +12,6 @@
 #include "losses/loss_list.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
-#include "model/density_activation.h"
 #include "model/optim/adam.h"
 #include "model/render_rules.h"
 #include "model/stages.h"

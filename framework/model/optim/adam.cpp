@@ -5,45 +5,29 @@
 #include <atomic>
 #include <cmath>
 #include <limits>
-#include <type_traits>
 
 #include "compute/isa.h"
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "isa_list.h"
-#include "model/optim/adam_kernels.h"
 
 namespace semfield {
 
-#define SEMFIELD_DECLARE(name)                   \
-  namespace isa_##name {                         \
-    const AdamKernels<float>& adam_kernels32();  \
-    const AdamKernels<double>& adam_kernels64(); \
-  }
-SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE)
-#undef SEMFIELD_DECLARE
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, adam_kernels, AdamKernels<float>)
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, adam_kernels, AdamKernels<double>)
 
 namespace {
-
-template <class Real, class Get32, class Get64>
-constexpr auto adam_kernels_of(Get32 get32, Get64 get64) {
-  if constexpr (std::is_same_v<Real, float>) {
-    return get32;
-  } else {
-    return get64;
-  }
-}
 
 // Of the instruction set in use.
 template <class Real>
 const AdamKernels<Real>& kernels() {
-  using Get = const AdamKernels<Real>& (*)();
-  static constexpr IsaVariant<Get> kVariants[] = {
-#define SEMFIELD_LIST(name) {Isa::name, adam_kernels_of<Real>(isa_##name::adam_kernels32, isa_##name::adam_kernels64)},
-      SEMFIELD_FOR_EACH_ISA(SEMFIELD_LIST)
-#undef SEMFIELD_LIST
-  };
-  static const AdamKernels<Real>& chosen = best_variant(kVariants)();
+  static constexpr IsaVariant<void (*)(AdamKernels<Real>&)> kVariants[] = {
+      SEMFIELD_FOR_EACH_ISA(SEMFIELD_VARIANT, adam_kernels)};
+  static const AdamKernels<Real> chosen = [] {
+    AdamKernels<Real> filled{};
+    best_variant(kVariants)(filled);
+    return filled;
+  }();
   return chosen;
 }
 
@@ -52,14 +36,6 @@ template <class Real>
 AdamRange<Real> range_of(View<Real> value, View<const Real> grad, View<Real> m, View<Real> v, std::int64_t begin,
                          std::int64_t count) {
   return {value.row(begin), const_cast<Real*>(grad.row(begin)), m.row(begin), v.row(begin), count, value.cols};
-}
-
-template <class Real, class Grad>
-void check_shapes(const View<Real>& value, const Grad& grad, const View<Real>& m, const View<Real>& v) {
-  SEMFIELD_CHECK(value.contiguous() && grad.contiguous() && m.contiguous() && v.contiguous(),
-                 "the optimiser needs contiguous tensors");
-  SEMFIELD_CHECK(value.size() == grad.size() && value.size() == m.size() && value.size() == v.size(),
-                 "value, gradient and moments differ in size");
 }
 
 }  // namespace
@@ -96,43 +72,6 @@ template <class Real>
 std::int64_t adam_touched(const AdamStep& step, View<Real> value, View<Real> grad, View<Real> m, View<Real> v,
                           std::int64_t begin, std::int64_t count) {
   return kernels<Real>().touched(step, range_of<Real>(value, grad, m, v, begin, count));
-}
-
-template <class Real>
-void adam_dense_parallel(const AdamStep& step, View<Real> value, View<const Real> grad, View<Real> m, View<Real> v) {
-  check_shapes(value, grad, m, v);
-  struct Job {
-    const AdamStep& step;
-    View<Real> value;
-    View<const Real> grad;
-    View<Real> m, v;
-    std::int64_t range;
-  } const job{step, value, grad, m, v, rows_per_range(value.cols)};
-  parallel_for((value.rows + job.range - 1) / job.range, [&job](std::int64_t i) {
-    const std::int64_t begin = i * job.range;
-    adam_dense(job.step, job.value, job.grad, job.m, job.v, begin, std::min(job.range, job.value.rows - begin));
-  });
-}
-
-template <class Real>
-std::int64_t adam_touched_parallel(const AdamStep& step, View<Real> value, View<Real> grad, View<Real> m,
-                                   View<Real> v) {
-  check_shapes(value, grad, m, v);
-  struct Job {
-    const AdamStep& step;
-    View<Real> value, grad, m, v;
-    std::int64_t range;
-    std::int64_t* touched;
-  };
-  std::int64_t touched = 0;
-  const Job job{step, value, grad, m, v, rows_per_range(value.cols), &touched};
-  parallel_for((value.rows + job.range - 1) / job.range, [&job](std::int64_t i) {
-    const std::int64_t begin = i * job.range;
-    const std::int64_t rows = std::min(job.range, job.value.rows - begin);
-    const std::int64_t n = adam_touched(job.step, job.value, job.grad, job.m, job.v, begin, rows);
-    __atomic_fetch_add(job.touched, n, __ATOMIC_RELAXED);  // integers: any order gives the same sum
-  });
-  return touched;
 }
 
 template <class Real>
@@ -229,8 +168,6 @@ Unsound<Real> first_unsound(View<const Real> value, View<const Real> grad, View<
                                  std::int64_t);                                                                       \
   template std::int64_t adam_touched<Real>(const AdamStep&, View<Real>, View<Real>, View<Real>, View<Real>,           \
                                            std::int64_t, std::int64_t);                                               \
-  template void adam_dense_parallel<Real>(const AdamStep&, View<Real>, View<const Real>, View<Real>, View<Real>);     \
-  template std::int64_t adam_touched_parallel<Real>(const AdamStep&, View<Real>, View<Real>, View<Real>, View<Real>); \
   template void adam_update<Real>(const AdamStep*, const AdamTable<Real>&);                                           \
   template std::int64_t first_non_finite<Real>(View<const Real>);                                                     \
   template Unsound<Real> first_unsound<Real>(View<const Real>, View<const Real>, View<const Real>, View<const Real>,  \

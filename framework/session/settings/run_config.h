@@ -8,10 +8,10 @@
 #include <string_view>
 #include <vector>
 
-#include "compute/precision.h"
 #include "config/config_tree.h"
 #include "config/params.h"
 #include "core/error.h"
+#include "core/half.h"
 #include "formats/text_rows.h"
 #include "labels/training_labels.h"
 #include "loading/frame_source.h"
