@@ -11,7 +11,6 @@
 
 #include "core/error.h"
 #include "cuda/launch.h"
-#include "cuda/memory.h"
 
 namespace semfield::cuda {
 

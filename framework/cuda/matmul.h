@@ -7,10 +7,23 @@
 #include <span>
 #include <type_traits>
 
+#include "core/half.h"
 #include "core/view.h"
 #include "core/workspace.h"
 
 namespace semfield::cuda {
+
+// The framework's bf16 memory as CUDA's type.
+
+static_assert(sizeof(Bf16) == sizeof(__nv_bfloat16));
+
+inline View<__nv_bfloat16> as_bf16(View<Bf16> v) {
+  return {reinterpret_cast<__nv_bfloat16*>(v.data), v.rows, v.cols, v.row_stride, v.device};
+}
+inline View<const __nv_bfloat16> as_bf16(View<const Bf16> v) {
+  return {reinterpret_cast<const __nv_bfloat16*>(v.data), v.rows, v.cols, v.row_stride, v.device};
+}
+inline const __nv_bfloat16* as_bf16(const Bf16* p) { return reinterpret_cast<const __nv_bfloat16*>(p); }
 
 enum class Element : std::uint8_t { fp32, bf16 };
 

@@ -4,8 +4,6 @@
 #include <type_traits>
 
 #include "core/check.h"
-#include "cuda/bf16.h"
-#include "cuda/kernel_tables.h"
 #include "cuda/kernels/kernels.h"
 #include "cuda/launch.h"
 #include "cuda/matmul.h"
@@ -397,8 +395,8 @@ SmallProduct times(const Matrix& a, const Matrix& b, View<float> d, bool add) {
   return product;
 }
 
-void head_hidden_forward(const HeadShape& shape, Workspace& arena, const Tensors<float>& tensors, View<const float> feature,
-                    View<float> hidden) {
+void head_hidden_forward(const HeadShape& shape, Workspace& arena, const Tensors<float>& tensors,
+                         View<const float> feature, View<float> hidden) {
   const Workspace::Scope scope(arena);
   const View<const float> weight = tensors.value[kHiddenWeight], bias = tensors.value[kHiddenBias];
   if (shape.precision == Precision::bf16) {
@@ -416,8 +414,9 @@ void layer_backward(Workspace& arena, const Tensors<float>& tensors, const Linea
   linear_backward<Act, Dx>(call, arena);
 }
 
-void head_hidden_backward(const HeadShape& shape, Workspace& arena, const Tensors<float>& tensors, View<const float> feature,
-                     View<const float> hidden, View<float> d_hidden, View<float> d_feature) {
+void head_hidden_backward(const HeadShape& shape, Workspace& arena, const Tensors<float>& tensors,
+                          View<const float> feature, View<const float> hidden, View<float> d_hidden,
+                          View<float> d_feature) {
   const Workspace::Scope scope(arena);
   const View<const float> weight = tensors.value[kHiddenWeight];
   cuda::relu_backward<float>(hidden, d_hidden);
@@ -526,7 +525,7 @@ void output_backward(const HeadShape& shape, Workspace& arena, const Tensors<flo
 
 const HeadKernels<float>& head_kernels() {
   static constexpr HeadKernels<float> kernels{
-      nullptr,         head_hidden_forward,         head_hidden_backward,        output_forward,
+      nullptr,         head_hidden_forward,    head_hidden_backward,   output_forward,
       output_backward, rounded_hidden_forward, rounded_hidden_backward};
   return kernels;
 }

@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include "cuda/memory.h"
+#include "cuda/launch.h"
 #include "cuda/ranks/shard_sums.h"
 #include "model/param_store.h"
 

@@ -8,8 +8,6 @@
 
 #include "core/check.h"
 #include "core/error.h"
-#include "cuda/grouping_lessons.h"
-#include "cuda/kernel_tables.h"
 #include "cuda/kernels/kernels.h"
 #include "cuda/launch.h"
 #include "cuda/matmul.h"
@@ -368,6 +366,67 @@ void StreamExecutor::update(std::int64_t step) {
   derive(context(step, true, train_arena_));
 }
 
+// Which settings fit into the device's memory, found by trying: said when a step does not.
+
+namespace {
+
+constexpr double kMargin = 0.9;      // of what is free: for graphs, products' workspaces and neighbours
+constexpr std::int64_t kRound = 32;  // rays
+
+}  // namespace
+
+void StreamExecutor::forget_step() {
+  synchronize();
+  check(cudaStreamSynchronize(beside_), "waiting for the device");
+  for (Track& track : tracks_) {
+    check(cudaStreamSynchronize(track.stream), "waiting for the device");
+    track.arena.forget();
+  }
+  train_arena_.forget();
+  beside_arena_.forget();
+}
+
+// Forward and backward of the first `rays` rays of each shard; the arenas' high-water marks say what they took.
+bool StreamExecutor::fits(std::int64_t rays, const Shape& shape, std::int64_t step) {
+  forget_step();
+  try {
+    sums_->begin(false);
+    walk_shards(shape, step, rays);
+  } catch (const Error& error) {
+    if (error.kind() != ErrorKind::unavailable) throw;
+    return false;
+  }
+  return true;
+}
+
+// Halves a shard until it fits; what that took says what a ray takes. Parameters stay as they are.
+Error StreamExecutor::with_settings_that_fit(const Error& error, const Shape& shape, std::int64_t step) {
+  room_.give_all();
+  const std::int64_t rays = tile_rays(rays_), shards = sums_->shards();
+  std::int64_t fit = rays / 2;
+  while (fit > 0 && !fits(fit, shape, step)) fit /= 2;
+  if (fit == 0) return error;
+  std::size_t taken = train_arena_.high_water_bytes() + beside_arena_.high_water_bytes();
+  for (const Track& track : tracks_) taken += track.arena.high_water_bytes();
+  const double each = static_cast<double>(taken) / static_cast<double>(fit);
+  forget_step();
+  // An arena asks for an eighth more than its high-water mark (core/workspace.h).
+  const double most = kMargin * static_cast<double>(free_bytes()) / (1.125 * each);
+  std::int64_t more = std::min(static_cast<std::int64_t>(most), rays) / kRound * kRound;
+  while (more > fit && !fits(more, shape, step)) more = more * 3 / 4 / kRound * kRound;
+  fit = std::max(fit, more);
+  forget_step();
+  drop_gradients();
+  if (fit == rays) {
+    return {error.kind(), error.code(), error.message(),
+            "other processes held the memory and have freed it: start again; or runtime.device: cpu"};
+  }
+  return {error.kind(), error.code(), error.message(),
+          fmt::format("any of these fits: train.rays: {} (now {}); {:.2f} times the samples in every pass; "
+                      "runtime.device: cpu",
+                      fit * shards, rays_, static_cast<double>(fit) / static_cast<double>(rays))};
+}
+
 }  // namespace semfield::cuda
 
 namespace {
@@ -382,7 +441,8 @@ std::unique_ptr<semfield::Executor<float>> make(semfield::Pipeline<float>& host,
 
 extern "C" const semfield::DeviceLibrary* semfield_device_library();
 extern "C" const semfield::DeviceLibrary* semfield_device_library() {
-  static const semfield::DeviceLibrary library{add_kernels, &semfield::cuda::stages(), describe, make,
-                                               semfield::cuda::device_calls(), semfield::cuda::learn_grouping};
+  static const semfield::DeviceLibrary library{
+      add_kernels, &semfield::cuda::stages(),      describe,
+      make,        semfield::cuda::device_calls(), semfield::cuda::learn_grouping};
   return &library;
 }

@@ -445,9 +445,8 @@ int FolderLock::share(const std::string& folder) { return lock(lock_of(folder), 
 
 int FolderLock::lock(const std::string& lock_file, int how, int more_flags) {
   release();
-  int descriptor = -1;
-  do descriptor = ::open(lock_file.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | more_flags, 0644);
-  while (descriptor < 0 && errno == EINTR);
+  const int descriptor =
+      uninterrupted([&] { return ::open(lock_file.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | more_flags, 0644); });
   if (descriptor < 0) return errno;
   int cause = ::flock(descriptor, how | LOCK_NB) == 0 ? 0 : errno;
   if (cause == EWOULDBLOCK) holder_ = holder_of(descriptor);
@@ -461,9 +460,7 @@ int FolderLock::sign(pid_t process) const {
   const std::string text = std::to_string(process) + " " + host_name() + "\n";
   errno = 0;
   if (::ftruncate(descriptor_, 0) != 0) return errno;
-  ssize_t written = -1;
-  do written = ::pwrite(descriptor_, text.data(), text.size(), 0);
-  while (written < 0 && errno == EINTR);
+  const ssize_t written = uninterrupted([&] { return ::pwrite(descriptor_, text.data(), text.size(), 0); });
   const bool whole = written == static_cast<ssize_t>(text.size());
   return whole ? 0 : errno != 0 ? errno : ENOSPC;
 }

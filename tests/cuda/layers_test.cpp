@@ -3,11 +3,10 @@
 #include <algorithm>
 #include <cstdio>
 
-#include "cuda/kernel_tables.h"
 #include "cuda/kernels/kernels.h"
 #include "cuda/matmul.h"
 #include "cuda/stages.h"
-#include "cuda/steps/sample_room.h"
+#include "cuda/steps/batch_drawer.h"
 #include "cuda/stream_executor.h"
 #include "device_fixture.h"
 #include "execution/device_library.h"

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <iostream>
 
-#include "cuda/kernel_tables.h"
 #include "cuda/kernels/kernels.h"
 #include "cuda/stages.h"
 #include "device_fixture.h"

@@ -56,10 +56,6 @@ __device__ inline Place<N> place_of(std::int64_t i, std::int32_t cols) {
   return {i / groups, static_cast<std::int32_t>(i % groups) * N};
 }
 
-__device__ inline std::int64_t thread_index() {
-  return static_cast<std::int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
-}
-
 // One thread N numbers of `out`; reads in.cols numbers per row, writes out.cols.
 template <class From, class To, int N, bool kAdd>
 __global__ void copy_kernel(View<const From> in, View<To> out) {
@@ -84,20 +80,9 @@ __global__ void copy_kernel(View<const From> in, View<To> out) {
 
 template <class From, class To, bool kAdd>
 void copy_or_add(View<const From> in, View<To> out) {
-  if (out.size() == 0) return;
-  if (packs(in) && packs(out)) {
-    copy_kernel<From, To, 4, kAdd><<<blocks_of(out.size() / 4, kThreads), kThreads, 0, launch().stream>>>(in, out);
-  } else {
-    copy_kernel<From, To, 1, kAdd><<<blocks_of(out.size(), kThreads), kThreads, 0, launch().stream>>>(in, out);
-  }
-  check_launch("copy of a matrix");
-}
-
-__global__ void fill_kernel(View<float> out, float value) {
-  const std::int64_t i = thread_index();
-  if (i >= out.size()) return;
-  const Place<1> at = place_of<1>(i, out.cols);
-  out(at.row, at.col) = value;
+  const bool by_four = packs(in) && packs(out);
+  queue("copy of a matrix", blocks_of(out.size() / (by_four ? 4 : 1), kThreads), kThreads,
+        by_four ? copy_kernel<From, To, 4, kAdd> : copy_kernel<From, To, 1, kAdd>, in, out);
 }
 
 // 32 x 32 numbers a block of 32 x 8 threads through shared memory, so that reads and writes are rows.
@@ -262,37 +247,23 @@ void add_rows(View<const From> in, View<To> out) {
   copy_or_add<From, To, true>(in, out);
 }
 
-void fill(View<float> out, float value) {
-  if (out.size() == 0) return;
-  fill_kernel<<<blocks_of(out.size(), kThreads), kThreads, 0, launch().stream>>>(out, value);
-  check_launch("fill");
-}
-
 void transpose(View<const float> in, View<float> out) {
-  if (in.size() == 0) return;
   const dim3 grid(blocks_of(in.cols, kWarp), blocks_of(in.rows, kWarp));
-  transpose_kernel<<<grid, dim3(kWarp, 8), 0, launch().stream>>>(in, out);
-  check_launch("transpose");
+  queue("transpose", grid, dim3(kWarp, 8), transpose_kernel, in, out);
 }
 
 template <class Act, class Grad>
 void relu_backward(View<const Act> y, View<Grad> dy) {
-  if (dy.size() == 0) return;
-  if (packs(y) && packs(dy)) {
-    relu_backward_kernel<Act, Grad, 4><<<blocks_of(dy.size() / 4, kThreads), kThreads, 0, launch().stream>>>(y, dy);
-  } else {
-    relu_backward_kernel<Act, Grad, 1><<<blocks_of(dy.size(), kThreads), kThreads, 0, launch().stream>>>(y, dy);
-  }
-  check_launch("relu backward");
+  const bool by_four = packs(y) && packs(dy);
+  queue("relu backward", blocks_of(dy.size() / (by_four ? 4 : 1), kThreads), kThreads,
+        by_four ? relu_backward_kernel<Act, Grad, 4> : relu_backward_kernel<Act, Grad, 1>, y, dy);
 }
 
 template <class Act>
 void finish_layer(View<const float> bias, Activation activation, View<Act> y, std::uint32_t* mask) {
-  if (y.size() == 0) return;
   const std::int64_t words = (y.cols + 31) / 32;
-  finish_kernel<Act><<<blocks_of(y.rows * words, kThreads), kThreads, 0, launch().stream>>>(
-      bias, activation == Activation::relu, y, mask);
-  check_launch("bias and activation");
+  queue("bias and activation", blocks_of(y.rows * words, kThreads), kThreads, finish_kernel<Act>, bias,
+        activation == Activation::relu, y, mask);
 }
 
 namespace {
@@ -333,8 +304,7 @@ void add_column_sums(View<const Act> dz, View<float> sums, Workspace& arena) {
   const std::int64_t rows_each = (dz.rows + parts - 1) / parts;
   const Workspace::Scope scope(arena);
   const View<float> partial = arena.take<float>(parts, dz.cols);
-  partial_sums_kernel<Act><<<static_cast<unsigned>(parts), kThreads, 0, launch().stream>>>(dz, rows_each, partial);
-  check_launch("column sums");
+  queue("column sums", static_cast<unsigned>(parts), kThreads, partial_sums_kernel<Act>, dz, rows_each, partial);
   add_partials(partial, sums);
 }
 
@@ -343,18 +313,15 @@ void mask_and_sum(const std::uint32_t* mask, View<__nv_bfloat16> dx, View<float>
 }
 
 void add_partials(View<const float> partial, View<float> sums) {
-  if (sums.size() == 0) return;
-  add_partials_kernel<<<blocks_of(sums.cols, kWarp), dim3(kWarp, kWarp), 0, launch().stream>>>(partial, sums);
-  check_launch("sums of parts");
+  queue("sums of parts", blocks_of(sums.cols, kWarp), dim3(kWarp, kWarp), add_partials_kernel, partial, sums);
 }
 
 template <class Act>
 void per_ray_backward(View<const Act> dz, View<const std::int32_t> ray_of_sample, View<float> d_ray_term) {
   if (d_ray_term.size() == 0) return;
   constexpr int kColumns = 128;
-  per_ray_kernel<Act><<<static_cast<unsigned>(d_ray_term.rows), kColumns, 0, launch().stream>>>(
-      dz, ray_of_sample, launch().live_rows, d_ray_term);
-  check_launch("sums over rays");
+  queue("sums over rays", static_cast<unsigned>(d_ray_term.rows), kColumns, per_ray_kernel<Act>, dz, ray_of_sample,
+        launch().live_rows, d_ray_term);
 }
 
 #define SEMFIELD_INSTANTIATE(Act)                                                            \
@@ -440,7 +407,7 @@ __device__ inline Operand left_of(const Matrix& a) {
 __device__ inline Operand right_of(const Matrix& b) {
   return {static_cast<const float*>(b.data), b.stride, b.transposed};
 }
-__device__ inline std::int64_t terms_of(const Matrix& a) {
+__host__ __device__ inline std::int64_t terms_of(const Matrix& a) {
   return a.data == nullptr ? 0 : a.transposed ? a.rows : a.cols;
 }
 
@@ -534,7 +501,7 @@ __global__ void __launch_bounds__(kThreads) small_products_kernel(const __grid_c
 __global__ void add_parts_kernel(const __grid_constant__ Products products) {
   const SmallProduct& p = products.all[blockIdx.y];
   const View<float>& partial = products.partial[blockIdx.y];
-  const std::int64_t i = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  const std::int64_t i = thread_index();
   if (partial.empty() || i >= p.d.size()) return;
   float sum = 0;
 #pragma unroll 8
@@ -560,24 +527,18 @@ void small_products(std::span<const SmallProduct> list, Workspace* arena) {
     const int i = products.count++;
     products.all[i] = p;
     const std::int64_t tiles = std::int64_t{blocks_of(p.d.rows, kTile)} * blocks_of(p.d.cols, kTile);
-    const auto terms = [](const Matrix& a) { return a.data == nullptr ? 0 : a.transposed ? a.rows : a.cols; };
     const bool in_one = arena == nullptr || tiles >= multiprocessors();
     const std::int64_t parts =
-        std::clamp<std::int64_t>((terms(p.a) + terms(p.a2)) / kTermsOfPart, 1, in_one ? 1 : kMostParts);
+        std::clamp<std::int64_t>((terms_of(p.a) + terms_of(p.a2)) / kTermsOfPart, 1, in_one ? 1 : kMostParts);
     if (parts > 1 && p.d.size() > 0) {
       products.partial[i] = arena->take<float>(parts, static_cast<std::int32_t>(p.d.size()));
       in_parts = std::max(in_parts, p.d.size());
     }
     products.first_block[i + 1] = products.first_block[i] + static_cast<unsigned>(tiles * parts);
   }
-  const unsigned blocks = products.first_block[products.count];
-  if (blocks == 0) return;
-  small_products_kernel<<<blocks, kThreads, 0, launch().stream>>>(products);
-  check_launch("small products");
-  if (in_parts == 0) return;
+  queue("small products", products.first_block[products.count], kThreads, small_products_kernel, products);
   const dim3 grid(blocks_of(in_parts, kThreads), static_cast<unsigned>(products.count));
-  add_parts_kernel<<<grid, kThreads, 0, launch().stream>>>(products);
-  check_launch("parts of small products");
+  queue("parts of small products", grid, kThreads, add_parts_kernel, products);
 }
 
 // Matrix products of shapes that cuBLASLt has no kernel for.
@@ -629,8 +590,7 @@ void simple_product(const Product& p) {
   }
   const std::int64_t terms = p.a.transposed ? p.a.rows : p.a.cols;
   const dim3 grid(blocks_of(p.d.rows, kSimpleTile), blocks_of(p.d.cols, kSimpleTile));
-  product_kernel<<<grid, dim3(kSimpleTile, kSimpleTile), 0, launch().stream>>>(p.a, p.b, p.d, terms, p.add);
-  check_launch("a plain product");
+  queue("a plain product", grid, dim3(kSimpleTile, kSimpleTile), product_kernel, p.a, p.b, p.d, terms, p.add);
 }
 
 // A bias that enters each row of a layer by a share of its own: products of one row or one column, which take as long
@@ -711,9 +671,7 @@ __global__ void __launch_bounds__(kThreads)
 }  // namespace
 
 void shared_bias_forward(View<const float> share, View<const float> bias, View<float> y) {
-  if (y.size() == 0) return;
-  forward_kernel<<<blocks_of(y.rows, kWarps), kThreads, 0, launch().stream>>>(share, bias, y);
-  check_launch("shared bias");
+  queue("shared bias", blocks_of(y.rows, kWarps), kThreads, forward_kernel, share, bias, y);
 }
 
 void shared_bias_backward(const SharedBiasBackward& call, Workspace& arena) {
@@ -721,8 +679,8 @@ void shared_bias_backward(const SharedBiasBackward& call, Workspace& arena) {
   const Workspace::Scope scope(arena);
   const unsigned blocks = blocks_of(call.dy.rows, kBlockRows);
   const View<float> partial = arena.take<float>(blocks, call.dy.cols);
-  backward_kernel<<<blocks, kThreads, 0, launch().stream>>>(call.share, call.bias, call.dy, call.d_share, partial);
-  check_launch("gradient of a shared bias");
+  queue("gradient of a shared bias", blocks, kThreads, backward_kernel, call.share, call.bias, call.dy, call.d_share,
+        partial);
   add_partials(partial, call.d_bias);
 }
 
@@ -733,37 +691,24 @@ namespace {
 /// body(row, column) for every number of `rows` x `cols`.
 template <class Body>
 __global__ void each_kernel(std::int64_t rows, std::int32_t cols, Body body) {
-  const std::int64_t i = static_cast<std::int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
+  const std::int64_t i = thread_index();
   if (i < rows * cols) body(i / cols, static_cast<std::int32_t>(i % cols));
 }
 template <class Body>
 void for_each(std::int64_t rows, std::int32_t cols, const char* what, Body body) {
-  if (rows == 0 || cols == 0) return;
-  each_kernel<<<blocks_of(rows * cols, kThreads), kThreads, 0, launch().stream>>>(rows, cols, body);
-  check_launch(what);
-}
-
-__device__ inline float wide(float value) { return value; }
-__device__ inline float wide(__nv_bfloat16 value) { return __bfloat162float(value); }
-template <class Act>
-__device__ Act narrow(float value) {
-  if constexpr (sizeof(Act) == sizeof(float)) {
-    return value;
-  } else {
-    return __float2bfloat16_rn(value);
-  }
+  queue(what, blocks_of(rows * cols, kThreads), kThreads, each_kernel<Body>, rows, cols, body);
 }
 
 template <class Sums, class Act>
 struct EndOfRow {
   LayerEnd<Sums, Act> end;
   __device__ void operator()(std::int64_t row, std::int32_t col) const {
-    float value = wide(end.sums(row, col));
+    float value = to_float(end.sums(row, col));
     if (!end.start.empty() && col < end.start.cols)
       value += end.start(!end.row_of.empty() ? end.row_of(row, 0) : end.start.rows == 1 ? 0 : row, col);
     if (end.relu && value < 0) value = 0;  // NaN stays NaN
-    if (!end.mask.empty() && !(wide(end.mask(row, col)) > 0)) value = 0;
-    end.out(row, col) = narrow<Act>(value);
+    if (!end.mask.empty() && !(to_float(end.mask(row, col)) > 0)) value = 0;
+    end.out(row, col) = from_float<Act>(value);
   }
 };
 
@@ -777,8 +722,8 @@ struct SineOfRow {
     turns -= rint(turns);
     float sine = 0, cosine = 0;
     sincos_of_quarters(4.0 * turns, sine, cosine);
-    value(row, col) = narrow<Act>(sine);
-    if (!slope.empty()) slope(row, col) = narrow<Act>(frequency * cosine);
+    value(row, col) = from_float<Act>(sine);
+    if (!slope.empty()) slope(row, col) = from_float<Act>(frequency * cosine);
   }
 };
 
@@ -788,8 +733,14 @@ struct SlopeOfRow {
   View<const float> sums;
   View<Act> dz;
   __device__ void operator()(std::int64_t row, std::int32_t col) const {
-    dz(row, col) = narrow<Act>(sums(row, col) * wide(slope(row, col)));
+    dz(row, col) = from_float<Act>(sums(row, col) * to_float(slope(row, col)));
   }
+};
+
+struct FillOfRow {
+  View<float> out;
+  float value;
+  __device__ void operator()(std::int64_t row, std::int32_t col) const { out(row, col) = value; }
 };
 
 struct GatherOfRow {
@@ -840,6 +791,8 @@ SEMFIELD_INSTANTIATE(__nv_bfloat16)
 template void finish_rows<float, float>(const LayerEnd<float, float>&);
 template void finish_rows<float, __nv_bfloat16>(const LayerEnd<float, __nv_bfloat16>&);
 template void finish_rows<__nv_bfloat16, __nv_bfloat16>(const LayerEnd<__nv_bfloat16, __nv_bfloat16>&);
+
+void fill(View<float> out, float value) { for_each(out.rows, out.cols, "fill", FillOfRow{out, value}); }
 
 void gather_rows(View<const float> in, View<const std::int32_t> ray_of_sample, View<float> out) {
   for_each(out.rows, out.cols, "rows of rays for samples", GatherOfRow{in, ray_of_sample, out});

@@ -78,22 +78,18 @@ __global__ void __launch_bounds__(kThreads) map_kernel(View<const double> positi
 }  // namespace
 
 void locate(const Rays<float>& rays, const Samples<float>& samples, const DomainMap& map, View<double> x) {
-  if (x.rows == 0) return;
-  locate_kernel<<<blocks_of(x.rows, kSamples), kThreads, 0, launch().stream>>>(rays, samples, map, x, launch().fault);
-  check_launch("locating samples");
+  queue("locating samples", blocks_of(x.rows, kSamples), kThreads, locate_kernel, rays, samples, map, x,
+        launch().fault);
 }
 
 void locate_backward(const Rays<float>& rays, const Samples<float>& samples, const DomainMap& map, View<const float> dx,
                      View<float> d_ray) {
-  gradient_kernel<<<blocks_of(d_ray.rows, kSamples / kWarp), kSamples, 0, launch().stream>>>(rays, samples, map, dx,
-                                                                                             d_ray);
-  check_launch("gradients of rays");
+  queue("gradients of rays", blocks_of(d_ray.rows, kSamples / kWarp), kSamples, gradient_kernel, rays, samples, map, dx,
+        d_ray);
 }
 
 void map_positions(View<const double> positions, const DomainMap& map, View<double> x) {
-  if (x.rows == 0) return;
-  map_kernel<<<blocks_of(x.rows, kSamples), kThreads, 0, launch().stream>>>(positions, map, x);
-  check_launch("mapping positions");
+  queue("mapping positions", blocks_of(x.rows, kSamples), kThreads, map_kernel, positions, map, x);
 }
 
 }  // namespace semfield::cuda

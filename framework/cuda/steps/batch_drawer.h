@@ -10,7 +10,6 @@
 
 #include "cuda/kernels/kernels.h"
 #include "cuda/launch.h"
-#include "cuda/memory.h"
 #include "cuda/ranks/exchange.h"
 #include "cuda/steps/draw_rays.h"
 #include "execution/executor.h"
@@ -136,6 +135,27 @@ class BatchDrawer {
   std::vector<Buffer<double>> directions_;
   std::int16_t* seen_label_ = nullptr;  // pinned [ahead, rays]
   float *seen_depth_ = nullptr, *seen_alpha_ = nullptr;
+};
+
+// Room for the samples of a step, where a sampler leaves most of what there can be unused.
+
+/// A step's arrays have a row for every sample that there can be, and every kernel passes over all of them. So steps
+/// get room for a quarter more samples than those before them had. A step that had more is made again with room for all
+/// (Stage::room).
+class SampleRoom {
+ public:
+  /// most: samples that there can be; 0: room is never less than that.
+  void begin(std::int64_t most) { most_ = most, rows_ = 0; }
+  /// 0: for all.
+  std::int64_t rows() const { return rows_; }
+  void give_all() { rows_ = 0; }
+  /// From the next step whose graph is not captured yet; for tests.
+  void give(std::int64_t rows) { rows_ = rows; }
+  /// What steps used at most. Returns whether the room is another one now.
+  bool saw(std::int64_t samples);
+
+ private:
+  std::int64_t most_ = 0, rows_ = 0;
 };
 
 }  // namespace semfield::cuda

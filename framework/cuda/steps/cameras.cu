@@ -1,6 +1,5 @@
 // Corrections of training cameras on the device, with the meaning of model/camera_corrections.h. Sums go over the rays
 // of a camera in a fixed tree, so that they are the same in every run.
-#include "cuda/grouping_lessons.h"
 #include "cuda/kernels/device_code.cuh"
 #include "cuda/launch.h"
 #include "cuda/stages.h"
@@ -36,7 +35,7 @@ __device__ Vec3d rotation_of(const float* pose) {
 __global__ void __launch_bounds__(kThreads)
     move_kernel(View<const float> camera, View<const float> pose, double distance_m, View<double> origin,
                 View<double> direction) {
-  const std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  const std::int64_t r = thread_index();
   if (r >= camera.rows) return;
   const float* const row = pose.row(static_cast<std::int64_t>(camera(r, 0)));
   const Vec3d moved = rotated(rotation_of(row), {direction(r, 0), direction(r, 1), direction(r, 2)});
@@ -73,13 +72,13 @@ __global__ void __launch_bounds__(kThreads)
 // One thread per ray.
 __global__ void __launch_bounds__(kThreads)
     show_kernel(View<const float> camera, View<const float> map, View<const float> color, View<float> shown) {
-  const std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  const std::int64_t r = thread_index();
   if (r < camera.rows) shown_color(map.row(static_cast<std::int64_t>(camera(r, 0))), color.row(r), shown.row(r));
 }
 
 __global__ void __launch_bounds__(kThreads) show_gradient_kernel(View<const float> camera, View<const float> map,
                                                                  View<const float> d_shown, View<float> d_color) {
-  const std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  const std::int64_t r = thread_index();
   if (r >= camera.rows) return;
   shown_color_gradient(map.row(static_cast<std::int64_t>(camera(r, 0))), d_shown.row(r), d_color.row(r));
 }
@@ -104,42 +103,37 @@ __global__ void __launch_bounds__(kThreads) map_gradient_kernel(View<const float
 }
 
 void centre(View<const float> learned, double share, View<float> used) {
-  centre_kernel<<<static_cast<unsigned>(learned.cols), kThreads, 0, launch().stream>>>(learned, share, used, false);
-  check_launch("centring corrections of cameras");
+  queue("centring corrections of cameras", static_cast<unsigned>(learned.cols), kThreads, centre_kernel, learned, share,
+        used, false);
 }
 
 void centre_backward(View<const float> d_used, double share, View<float> d_learned) {
-  centre_kernel<<<static_cast<unsigned>(d_used.cols), kThreads, 0, launch().stream>>>(d_used, share, d_learned, true);
-  check_launch("centring gradients of cameras");
+  queue("centring gradients of cameras", static_cast<unsigned>(d_used.cols), kThreads, centre_kernel, d_used, share,
+        d_learned, true);
 }
 
 void move(View<const float> camera, View<const float> pose, double distance_m, View<double> origin,
           View<double> direction) {
-  move_kernel<<<blocks_of(camera.rows, kThreads), kThreads, 0, launch().stream>>>(camera, pose, distance_m, origin,
-                                                                                  direction);
-  check_launch("moving rays");
+  queue("moving rays", blocks_of(camera.rows, kThreads), kThreads, move_kernel, camera, pose, distance_m, origin,
+        direction);
 }
 
 void move_backward(View<const float> camera, View<const float> pose, double distance_m, View<const double> direction,
                    View<const float> d_ray, View<float> d_pose) {
-  move_backward_kernel<<<static_cast<unsigned>(d_pose.rows), kThreads, 0, launch().stream>>>(camera, pose, distance_m,
-                                                                                             direction, d_ray, d_pose);
-  check_launch("gradients of poses");
+  queue("gradients of poses", static_cast<unsigned>(d_pose.rows), kThreads, move_backward_kernel, camera, pose,
+        distance_m, direction, d_ray, d_pose);
 }
 
 void show(View<const float> camera, View<const float> map, View<const float> color, View<float> shown) {
-  show_kernel<<<blocks_of(camera.rows, kThreads), kThreads, 0, launch().stream>>>(camera, map, color, shown);
-  check_launch("colours of cameras");
+  queue("colours of cameras", blocks_of(camera.rows, kThreads), kThreads, show_kernel, camera, map, color, shown);
 }
 
 void show_backward(View<const float> camera, View<const float> map, View<const float> color, View<const float> d_shown,
                    View<float> d_color, View<float> d_map) {
-  show_gradient_kernel<<<blocks_of(camera.rows, kThreads), kThreads, 0, launch().stream>>>(camera, map, d_shown,
-                                                                                           d_color);
-  check_launch("gradients of colours");
-  map_gradient_kernel<<<static_cast<unsigned>(d_map.rows), kThreads, 0, launch().stream>>>(camera, color, d_shown,
-                                                                                           d_map);
-  check_launch("gradients of colours of cameras");
+  queue("gradients of colours", blocks_of(camera.rows, kThreads), kThreads, show_gradient_kernel, camera, map, d_shown,
+        d_color);
+  queue("gradients of colours of cameras", static_cast<unsigned>(d_map.rows), kThreads, map_gradient_kernel, camera,
+        color, d_shown, d_map);
 }
 
 }  // namespace
@@ -157,7 +151,7 @@ constexpr int kFollowThreads = 256;
 
 __global__ void __launch_bounds__(kFollowThreads)
     follow_kernel(const float* value, float* slow, std::int64_t count, float kept, float taken) {
-  const std::int64_t i = static_cast<std::int64_t>(blockIdx.x) * kFollowThreads + threadIdx.x;
+  const std::int64_t i = thread_index();
   if (i < count) slow[i] = kept * slow[i] + taken * value[i];
 }
 
@@ -165,9 +159,8 @@ __global__ void __launch_bounds__(kFollowThreads)
 
 void follow(std::span<const float> value, std::span<float> slow, double share) {
   const auto count = static_cast<std::int64_t>(slow.size());
-  follow_kernel<<<blocks_of(count, kFollowThreads), kFollowThreads, 0, launch().stream>>>(
-      value.data(), slow.data(), count, static_cast<float>(share), static_cast<float>(1 - share));
-  check_launch("slow copy of a network");
+  queue("slow copy of a network", blocks_of(count, kFollowThreads), kFollowThreads, follow_kernel, value.data(),
+        slow.data(), count, static_cast<float>(share), static_cast<float>(1 - share));
 }
 
 }  // namespace semfield::cuda

@@ -1,5 +1,5 @@
 // The distortion loss on the device: a warp per ray, tiles of 32 samples from either end, sums by prefix in float64.
-#include "cuda/kernels/loss_rays.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "losses/distortion/distortion.h"
 
 namespace semfield::cuda {
