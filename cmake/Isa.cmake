@@ -14,11 +14,11 @@ include(${CMAKE_CURRENT_LIST_DIR}/KernelObjects.cmake)
 set(SEMFIELD_KERNEL_ISAS ${SEMFIELD_ISAS})
 list(REMOVE_ITEM SEMFIELD_KERNEL_ISAS avx512_bf16 amx_emulated amx_bf16)
 
-# SEMFIELD_FOR_EACH_ISA(X) expands to X(generic) X(avx2) ...: what dispatchers are written with.
+# SEMFIELD_FOR_EACH_ISA(X, more) expands to X(generic, more) X(avx2, more) ...: what dispatchers are written with.
 function(semfield_isa_macro name isas)
-  list(TRANSFORM isas REPLACE "(.+)" "X(\\1)" OUTPUT_VARIABLE calls)
+  list(TRANSFORM isas REPLACE "(.+)" "X(\\1 __VA_OPT__(,) __VA_ARGS__)" OUTPUT_VARIABLE calls)
   list(JOIN calls " " calls)
-  set(semfield_isa_macros "${semfield_isa_macros}#define ${name}(X) ${calls}\n" PARENT_SCOPE)
+  set(semfield_isa_macros "${semfield_isa_macros}#define ${name}(X, ...) ${calls}\n" PARENT_SCOPE)
 endfunction()
 set(semfield_isa_macros "// Generated: the instruction sets that this build has kernels for.\n#pragma once\n\n")
 semfield_isa_macro(SEMFIELD_FOR_EACH_ISA "${SEMFIELD_KERNEL_ISAS}")

@@ -52,11 +52,4 @@ void gemm(View<const Real> a, View<const Real> b, View<Real> c, bool accumulate 
 template <class Real>
 void gemm_at_b_add(View<const Real> a, View<const Real> b, View<Real> c);
 
-extern template void gemm<float>(const Gemm<float>&);
-extern template void gemm<double>(const Gemm<double>&);
-extern template void gemm<float>(View<const float>, View<const float>, View<float>, bool, View<const float>);
-extern template void gemm<double>(View<const double>, View<const double>, View<double>, bool, View<const double>);
-extern template void gemm_at_b_add<float>(View<const float>, View<const float>, View<float>);
-extern template void gemm_at_b_add<double>(View<const double>, View<const double>, View<double>);
-
 }  // namespace semfield

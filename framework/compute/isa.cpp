@@ -2,25 +2,25 @@
 
 #include <cstdlib>
 
-#include "isa_list.h"
-
 #if defined(__x86_64__) && defined(__linux__)
 #include <cpuid.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 #endif
+#if defined(__SSE2__)
+#include <xmmintrin.h>
+#endif
 
 #include "core/error.h"
+#include "isa_list.h"
 
 namespace semfield {
 
 namespace {
 
-constexpr Isa kBuilt[] = {
 #define SEMFIELD_LIST(name) Isa::name,
-    SEMFIELD_FOR_EVERY_ISA(SEMFIELD_LIST)
+constexpr Isa kBuilt[] = {SEMFIELD_FOR_EVERY_ISA(SEMFIELD_LIST)};
 #undef SEMFIELD_LIST
-};
 
 bool processor_has(Isa isa) {
 #if defined(__x86_64__)
@@ -53,6 +53,27 @@ Isa choose() {
                   "' is not an instruction set that this CPU and this build have",
               "set one of: " + isas_of_machine() + ", or unset it");
 }
+
+#if defined(__SSE2__)
+constexpr std::uint64_t kMode = 0x8000 | 0x1F80 | 0x0040;  // flush to zero, every exception masked, denormals are zero
+constexpr std::uint64_t kStatus = 0x003F;                  // what has happened, no part of the mode
+std::uint64_t read_control() { return _mm_getcsr(); }
+void write_control(std::uint64_t value) { _mm_setcsr(static_cast<unsigned>(value)); }
+#elif defined(__aarch64__)
+constexpr std::uint64_t kMode = std::uint64_t{1} << 24;  // FZ: flushes inputs and results
+constexpr std::uint64_t kStatus = 0;
+std::uint64_t read_control() {
+  std::uint64_t value = 0;
+  asm volatile("mrs %0, fpcr" : "=r"(value));
+  return value;
+}
+void write_control(std::uint64_t value) { asm volatile("msr fpcr, %0" : : "r"(value)); }
+#else
+constexpr std::uint64_t kMode = 0;
+constexpr std::uint64_t kStatus = 0;
+std::uint64_t read_control() { return kMode; }
+void write_control(std::uint64_t) {}
+#endif
 
 }  // namespace
 
@@ -100,41 +121,22 @@ std::string isas_of_machine() {
   return text;
 }
 
-#define SEMFIELD_DECLARE(name)              \
-  namespace isa_##name {                    \
-    void gemm_kernels(CpuKernels<float>&);  \
-    void gemm_kernels(CpuKernels<double>&); \
-    void loop_kernels(CpuKernels<float>&);  \
-    void loop_kernels(CpuKernels<double>&); \
-  }
-SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE)
-#undef SEMFIELD_DECLARE
-namespace {
-
-template <class Real>
-CpuKernels<Real> chosen_kernels() {
-  using Fill = void (*)(CpuKernels<Real>&);
-  static constexpr IsaVariant<Fill> kGemm[] = {
-#define SEMFIELD_LIST(name) {Isa::name, isa_##name::gemm_kernels},
-      SEMFIELD_FOR_EACH_ISA(SEMFIELD_LIST)
-#undef SEMFIELD_LIST
-  };
-  static constexpr IsaVariant<Fill> kLoops[] = {
-#define SEMFIELD_LIST(name) {Isa::name, isa_##name::loop_kernels},
-      SEMFIELD_FOR_EACH_ISA(SEMFIELD_LIST)
-#undef SEMFIELD_LIST
-  };
-  CpuKernels<Real> kernels{};
-  best_variant(kGemm)(kernels);
-  best_variant(kLoops)(kernels);
-  return kernels;
-}
-
-}  // namespace
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, gemm_kernels, CpuKernels<float>)
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, gemm_kernels, CpuKernels<double>)
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, loop_kernels, CpuKernels<float>)
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, loop_kernels, CpuKernels<double>)
 
 template <class Real>
 const CpuKernels<Real>& cpu_kernels() {
-  static const CpuKernels<Real> kernels = chosen_kernels<Real>();
+  using Fill = void (*)(CpuKernels<Real>&);
+  static constexpr IsaVariant<Fill> kGemm[] = {SEMFIELD_FOR_EACH_ISA(SEMFIELD_VARIANT, gemm_kernels)};
+  static constexpr IsaVariant<Fill> kLoops[] = {SEMFIELD_FOR_EACH_ISA(SEMFIELD_VARIANT, loop_kernels)};
+  static const CpuKernels<Real> kernels = [] {
+    CpuKernels<Real> filled{};
+    best_variant(kGemm)(filled);
+    best_variant(kLoops)(filled);
+    return filled;
+  }();
   return kernels;
 }
 
@@ -156,39 +158,6 @@ bool bf16_is_faster() {
 
 template const CpuKernels<float>& cpu_kernels<float>();
 template const CpuKernels<double>& cpu_kernels<double>();
-
-}  // namespace semfield
-
-#if defined(__SSE2__)
-#include <xmmintrin.h>
-#endif
-
-namespace semfield {
-
-namespace {
-
-#if defined(__SSE2__)
-constexpr std::uint64_t kMode = 0x8000 | 0x1F80 | 0x0040;  // flush to zero, every exception masked, denormals are zero
-constexpr std::uint64_t kStatus = 0x003F;                  // what has happened, no part of the mode
-std::uint64_t read_control() { return _mm_getcsr(); }
-void write_control(std::uint64_t value) { _mm_setcsr(static_cast<unsigned>(value)); }
-#elif defined(__aarch64__)
-constexpr std::uint64_t kMode = std::uint64_t{1} << 24;  // FZ: flushes inputs and results
-constexpr std::uint64_t kStatus = 0;
-std::uint64_t read_control() {
-  std::uint64_t value = 0;
-  asm volatile("mrs %0, fpcr" : "=r"(value));
-  return value;
-}
-void write_control(std::uint64_t value) { asm volatile("msr fpcr, %0" : : "r"(value)); }
-#else
-constexpr std::uint64_t kMode = 0;
-constexpr std::uint64_t kStatus = 0;
-std::uint64_t read_control() { return kMode; }
-void write_control(std::uint64_t) {}
-#endif
-
-}  // namespace
 
 // Both stay out of line, so that no arithmetic moves across them.
 ComputeFloatMode::ComputeFloatMode() : before_(read_control()) { write_control(kMode); }

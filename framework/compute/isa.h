@@ -41,6 +41,12 @@ struct IsaVariant {
   Isa isa;
   Function function;
 };
+/// With SEMFIELD_FOR_EACH_ISA: the declaration of a variant's `fill`, which fills a table, and its place in a list.
+#define SEMFIELD_DECLARE_VARIANT(name, fill, Table) \
+  namespace isa_##name {                            \
+    void fill(Table&);                              \
+  }
+#define SEMFIELD_VARIANT(name, fill) {Isa::name, isa_##name::fill},
 
 /// The last variant that needs no more than isa(); variants are listed weakest first and begin with the weakest of the
 /// build.
@@ -81,9 +87,6 @@ bool bf16_is_native();
 /// Whether they are also faster than those of fp32: on tiles, and by the dot products of AMD's CPUs. Intel's do
 /// half as many of these as fp32 multiply-adds.
 bool bf16_is_faster();
-
-extern template const CpuKernels<float>& cpu_kernels<float>();
-extern template const CpuKernels<double>& cpu_kernels<double>();
 
 // The floating-point mode of compute threads: set on entering numerical work, the caller's own restored on leaving.
 

@@ -1,29 +1,15 @@
 #include "compute/layers.h"
 
-#include <algorithm>
-
-#include "compute/bf16/kernels.h"
 #include "compute/gemm.h"
-#include "compute/isa.h"
-#include "core/check.h"
 #include "isa_list.h"
 
 namespace semfield {
 
-#define SEMFIELD_DECLARE(name)            \
-  namespace isa_##name {                  \
-    void fill_bf16_kernels(Bf16Kernels&); \
-  }
-SEMFIELD_FOR_EVERY_ISA(SEMFIELD_DECLARE)
-#undef SEMFIELD_DECLARE
+SEMFIELD_FOR_EVERY_ISA(SEMFIELD_DECLARE_VARIANT, fill_bf16_kernels, Bf16Kernels)
 
 const Bf16Kernels& bf16_kernels() {
-  using Fill = void (*)(Bf16Kernels&);
-  static constexpr IsaVariant<Fill> kVariants[] = {
-#define SEMFIELD_LIST(name) {Isa::name, isa_##name::fill_bf16_kernels},
-      SEMFIELD_FOR_EVERY_ISA(SEMFIELD_LIST)
-#undef SEMFIELD_LIST
-  };
+  static constexpr IsaVariant<void (*)(Bf16Kernels&)> kVariants[] = {
+      SEMFIELD_FOR_EVERY_ISA(SEMFIELD_VARIANT, fill_bf16_kernels)};
   static const Bf16Kernels chosen = [] {
     Bf16Kernels filled{};
     best_variant(kVariants)(filled);
@@ -182,12 +168,6 @@ void weighted_row_sum_backward(View<const float> weight, View<const Bf16> rows, 
 }
 
 template <class Real>
-void relu_backward(View<const Real> y, View<Real> dy) {
-  SEMFIELD_CHECK(y.rows == dy.rows && y.cols == dy.cols, "shapes of a ReLU do not fit");
-  cpu_kernels<Real>().relu_backward(y, dy);
-}
-
-template <class Real>
 void transpose(View<const Real> in, View<Real> out) {
   SEMFIELD_CHECK(in.rows == out.cols && in.cols == out.rows, "shapes of a transpose do not fit");
   constexpr std::int32_t kBlock = 16;  // a block's rows stay in cache while its columns are written
@@ -199,18 +179,7 @@ void transpose(View<const Real> in, View<Real> out) {
   }
 }
 
-template <class Real>
-void copy_rows(View<const Real> in, View<Real> out) {
-  SEMFIELD_CHECK(in.rows == out.rows && in.cols == out.cols, "shapes of a copy do not fit");
-  for (std::int64_t r = 0; r < in.rows; ++r) std::copy_n(in.row(r), in.cols, out.row(r));
-}
-
-template <class Real>
-void fill(View<Real> out, Real value) {
-  for (std::int64_t r = 0; r < out.rows; ++r) std::fill_n(out.row(r), out.cols, value);
-}
-
-SEMFIELD_ROW_LOOPS_OF(, float)
-SEMFIELD_ROW_LOOPS_OF(, double)
+template void transpose<float>(View<const float>, View<float>);
+template void transpose<double>(View<const double>, View<double>);
 
 }  // namespace semfield

@@ -1,10 +1,13 @@
 // Layers of networks and their gradients over a tile of samples, with activations in the type of the sums or in bf16.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <type_traits>
 
+#include "compute/isa.h"
+#include "core/check.h"
 #include "core/half.h"
 #include "core/view.h"
 #include "core/workspace.h"
@@ -109,7 +112,10 @@ View<const Activation> as_input(View<const SumOf<Activation>> values, Workspace&
 
 /// dy = y > 0 ? dy : 0, in place: gradient after a ReLU to gradient before it.
 template <class Real>
-void relu_backward(View<const Real> y, View<Real> dy);
+void relu_backward(View<const Real> y, View<Real> dy) {
+  SEMFIELD_CHECK(y.rows == dy.rows && y.cols == dy.cols, "shapes of a ReLU do not fit");
+  cpu_kernels<Real>().relu_backward(y, dy);
+}
 
 /// out [cols, rows] = in^T.
 template <class Real>
@@ -117,17 +123,31 @@ void transpose(View<const Real> in, View<Real> out);
 
 /// Row-wise copy between strided matrices of one shape.
 template <class Real>
-void copy_rows(View<const Real> in, View<Real> out);
+void copy_rows(View<const Real> in, View<Real> out) {
+  SEMFIELD_CHECK(in.rows == out.rows && in.cols == out.cols, "shapes of a copy do not fit");
+  for (std::int64_t r = 0; r < in.rows; ++r) std::copy_n(in.row(r), in.cols, out.row(r));
+}
 template <class Real>
-void fill(View<Real> out, Real value);
+void fill(View<Real> out, Real value) {
+  for (std::int64_t r = 0; r < out.rows; ++r) std::fill_n(out.row(r), out.cols, value);
+}
 
-#define SEMFIELD_ROW_LOOPS_OF(prefix, Real)                               \
-  prefix template void relu_backward<Real>(View<const Real>, View<Real>); \
-  prefix template void transpose<Real>(View<const Real>, View<Real>);     \
-  prefix template void copy_rows<Real>(View<const Real>, View<Real>);     \
-  prefix template void fill<Real>(View<Real>, Real);
+// The kernels of layers in bf16, compiled once per instruction set (compute/isa.h).
 
-SEMFIELD_ROW_LOOPS_OF(extern, float)
-SEMFIELD_ROW_LOOPS_OF(extern, double)
+struct Bf16Kernels {
+  std::int64_t (*packed_words)(std::int64_t in, std::int64_t out);
+  void (*pack_weight)(View<const float> weight, bool transposed, std::uint32_t* words);
+  void (*layer)(const Layer<Bf16>& layer);
+  void (*weight_gradient)(View<const Bf16> x, View<const Bf16> dz, View<float> d_weight);
+  void (*add_rows)(View<const Bf16> rows, View<float> sum);  // sum [1, cols] += every row, in order
+  void (*round_rows)(View<const float> from, View<Bf16> to, View<const Bf16> mask);
+  void (*widen_rows)(View<const Bf16> from, View<float> to);
+  void (*weighted_sum)(View<const float> weight, View<const Bf16> rows, View<float> sum);
+  void (*weighted_sum_backward)(View<const float> weight, View<const Bf16> rows, View<const float> d_sum,
+                                View<float> dots, View<Bf16> d_rows);
+};
+
+/// Of the instruction set in use.
+const Bf16Kernels& bf16_kernels();
 
 }  // namespace semfield

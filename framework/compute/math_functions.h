@@ -25,55 +25,53 @@ SEMFIELD_HD inline Real softplus(Real x) {
 /// x[i] = e^x[i]. float: own polynomial, at most 2 ulp, subnormal results kept, +inf above 88.73, 0 below -104; double:
 /// std::exp. NaN stays NaN. An element's result does not depend on its place.
 template <class Real>
-void exp_inplace(Real* x, std::int64_t n);
+void exp_inplace(Real* x, std::int64_t n) {
+  cpu_kernels<Real>().exp_inplace(x, n);
+}
 
 /// x[i] = e^x[i] - 1 with small relative error everywhere (float: at most 2.4e-7), exactly 0 at 0, -1 for very negative
 /// x.
 template <class Real>
-void expm1_inplace(Real* x, std::int64_t n);
+void expm1_inplace(Real* x, std::int64_t n) {
+  cpu_kernels<Real>().expm1_inplace(x, n);
+}
 
 /// x[i] = sigmoid(x[i]).
 template <class Real>
-void sigmoid_inplace(Real* x, std::int64_t n);
+void sigmoid_inplace(Real* x, std::int64_t n) {
+  cpu_kernels<Real>().sigmoid_inplace(x, n);
+}
 
 /// x[i] = softplus(x[i]) with small relative error everywhere (float: at most 4e-7).
 template <class Real>
-void softplus_inplace(Real* x, std::int64_t n);
+void softplus_inplace(Real* x, std::int64_t n) {
+  cpu_kernels<Real>().softplus_inplace(x, n);
+}
 
 /// z[i] = sin(frequency z[i]) and, where it is given, slope[i] = frequency cos(frequency z[i]): the derivative. The
 /// absolute error of the sine is some 1e-7 (float) and 1e-16 |frequency z| (both). NaN where z is not finite.
 template <class Real>
-void sine_inplace(Real* z, std::int64_t n, Real frequency, Real* slope);
+void sine_inplace(Real* z, std::int64_t n, Real frequency, Real* slope) {
+  cpu_kernels<Real>().sine_inplace(z, n, frequency, slope);
+}
 
 /// Largest of x[0..n), n >= 1; NaN is passed over unless all are.
 template <class Real>
-Real largest_of(const Real* x, std::int64_t n);
+Real largest_of(const Real* x, std::int64_t n) {
+  return cpu_kernels<Real>().largest_of(x, n);
+}
 
 /// Neither NaN nor infinite, each of them.
 template <class Real>
-bool all_finite(const Real* x, std::int64_t n);
+bool all_finite(const Real* x, std::int64_t n) {
+  return cpu_kernels<Real>().all_finite(x, n);
+}
 
 /// Sum in double, in a fixed order that is not that of the elements.
 template <class Real>
-double sum_of(const Real* x, std::int64_t n);
-
-extern template void exp_inplace<float>(float*, std::int64_t);
-extern template void exp_inplace<double>(double*, std::int64_t);
-extern template void expm1_inplace<float>(float*, std::int64_t);
-extern template void expm1_inplace<double>(double*, std::int64_t);
-extern template void sigmoid_inplace<float>(float*, std::int64_t);
-extern template void sigmoid_inplace<double>(double*, std::int64_t);
-extern template void softplus_inplace<float>(float*, std::int64_t);
-extern template void softplus_inplace<double>(double*, std::int64_t);
-extern template void sine_inplace<float>(float*, std::int64_t, float, float*);
-extern template void sine_inplace<double>(double*, std::int64_t, double, double*);
-
-#define SEMFIELD_ROWS_OF(prefix, Real)                              \
-  prefix template Real largest_of<Real>(const Real*, std::int64_t); \
-  prefix template bool all_finite<Real>(const Real*, std::int64_t); \
-  prefix template double sum_of<Real>(const Real*, std::int64_t);
-SEMFIELD_ROWS_OF(extern, float)
-SEMFIELD_ROWS_OF(extern, double)
+double sum_of(const Real* x, std::int64_t n) {
+  return cpu_kernels<Real>().sum_of(x, n);
+}
 
 // Sine and cosine by short polynomials on an eighth of a turn, and their reduction from quarters of a turn.
 

@@ -1,6 +1,5 @@
 #include "compute/parallel.h"
 
-#include <omp.h>
 #include <sched.h>
 
 #include <algorithm>
@@ -8,7 +7,6 @@
 #include <chrono>
 #include <cstdint>
 #include <exception>
-#include <functional>
 #include <latch>
 #include <memory>
 #include <mutex>
@@ -17,12 +15,31 @@
 #include <utility>
 #include <vector>
 
-#include "compute/index_body.h"
 #include "compute/isa.h"
 #include "core/workspace.h"
 #include "system/process.h"
 
 namespace semfield {
+
+namespace {
+
+// OpenMP gives the threads; they are handed out by ThreadTeam and not by regions of OpenMP. At the end of a region the
+// GNU runtime has every thread wait for every other in a busy loop of milliseconds, before which no call can come:
+// beside another program on the same cores, threads then take the core from the one that they wait for, and a step
+// takes many times longer.
+template <class Serve>
+void start_workers(int workers, const Serve& serve) {
+#if defined(__SANITIZE_THREAD__)
+  // The OpenMP runtime is not built for ThreadSanitizer, which then sees no order between a region's end and what comes
+  // after it. The team is the same; only where its threads come from differs.
+  std::vector<std::thread> threads;
+  for (int i = 0; i < workers; ++i) threads.emplace_back(serve);
+  for (std::thread& thread : threads) thread.join();
+#else
+#pragma omp parallel num_threads(workers)
+  serve();
+#endif
+}
 
 /// Workers beside the thread that asks. A job is over when its indices are used up and every worker that took part has
 /// left it; a worker that never woke - other programs keep the cores busy - is not waited for. Those who wait stay
@@ -30,10 +47,8 @@ namespace semfield {
 /// the core from the one they wait for.
 class ThreadTeam {
  public:
-  /// `start` is called in a thread of its own and must call its argument on `workers` threads, in parallel; it returns
-  /// when they have returned. Fewer threads are as good, only slower.
-  using Start = std::function<void(int workers, const std::function<void()>& serve)>;
-  ThreadTeam(int workers, Start start);
+  explicit ThreadTeam(int workers)
+      : workers_(workers), manager_([this, workers] { start_workers(workers, [this] { serve(); }); }) {}
   ~ThreadTeam();
   ThreadTeam(const ThreadTeam&) = delete;
   ThreadTeam& operator=(const ThreadTeam&) = delete;
@@ -62,29 +77,10 @@ class ThreadTeam {
   alignas(64) std::atomic<std::uint32_t> gate_{kClosed};
   alignas(64) std::atomic<std::uint32_t> epoch_{0};  // moves with every job
   std::atomic<bool> stop_{false};
-  std::thread manager_;
+  std::thread manager_;  // it starts the workers; fewer are as good, only slower
 };
 
-namespace {
-
 std::atomic<int> g_threads{0};
-
-// OpenMP gives the threads; they are handed out by ThreadTeam and not by regions of OpenMP. At the end of a region the
-// GNU runtime has every thread wait for every other in a busy loop of milliseconds, before which no call can come:
-// beside another program on the same cores, threads then take the core from the one that they wait for, and a step
-// takes many times longer.
-void start_workers(int workers, const std::function<void()>& serve) {
-#if defined(__SANITIZE_THREAD__)
-  // The OpenMP runtime is not built for ThreadSanitizer, which then sees no order between a region's end and what comes
-  // after it. The team is the same; only where its threads come from differs.
-  std::vector<std::thread> threads;
-  for (int i = 0; i < workers; ++i) threads.emplace_back(serve);
-  for (std::thread& thread : threads) thread.join();
-#else
-#pragma omp parallel num_threads(workers)
-  serve();
-#endif
-}
 
 // Throws std::system_error when so many threads cannot live side by side: the OpenMP runtime would end the process.
 void ask_for_threads(int count) {
@@ -129,44 +125,6 @@ void run_serially(std::int64_t count, IndexBody body) {
   for (std::int64_t i = 0; i < count; ++i) body(i);
 }
 
-}  // namespace
-
-int hardware_threads() {
-  static const int quota = cpu_quota();
-  const int cores = cores_of_process();
-  return quota > 0 ? std::min(quota, cores) : cores;
-}
-void keep_libraries_serial() { omp_set_num_threads(1); }
-void set_thread_count(int threads) { g_threads = threads; }
-int thread_count() {
-  if (const int own = work_settings().threads; own > 0) return own;
-  const int all = g_threads;
-  return all > 0 ? all : hardware_threads();
-}
-
-bool inside_parallel() { return ThreadTeam::inside_job(); }
-
-void parallel_for(std::int64_t count, IndexBody body) {
-  if (count <= 1 || ThreadTeam::inside_job()) return run_serially(count, body);
-  const int workers = thread_count() - 1;
-  if (workers <= 0) return run_serially(count, body);
-  const std::unique_lock<std::mutex> job(teams().one_job, std::try_to_lock);
-  if (!job.owns_lock()) return run_serially(count, body);  // another thread of the caller's has the workers
-  std::unique_ptr<ThreadTeam>& team = teams().team;
-  if (!team || team->workers() != workers) {
-    team.reset();
-    try {
-      ask_for_threads(workers + 1);  // with the one that starts them
-      team = std::make_unique<ThreadTeam>(workers, start_workers);
-    } catch (const std::system_error&) {  // no memory or no right to another thread: the same values, only later
-      return run_serially(count, body);
-    }
-  }
-  team->run(count, body);
-}
-
-namespace {
-
 // Longer than most waits within a step: to wake a thread costs the one who does it some microseconds for each.
 constexpr std::chrono::microseconds kAwake{200};
 
@@ -196,8 +154,38 @@ std::uint32_t wait_for_change(const std::atomic<std::uint32_t>& value, std::uint
 
 }  // namespace
 
-ThreadTeam::ThreadTeam(int workers, Start start)
-    : workers_(workers), manager_([this, workers, start = std::move(start)] { start(workers, [this] { serve(); }); }) {}
+int hardware_threads() {
+  static const int quota = cpu_quota();
+  const int cores = cores_of_process();
+  return quota > 0 ? std::min(quota, cores) : cores;
+}
+void set_thread_count(int threads) { g_threads = threads; }
+int thread_count() {
+  if (const int own = work_settings().threads; own > 0) return own;
+  const int all = g_threads;
+  return all > 0 ? all : hardware_threads();
+}
+
+bool inside_parallel() { return ThreadTeam::inside_job(); }
+
+void parallel_for(std::int64_t count, IndexBody body) {
+  if (count <= 1 || ThreadTeam::inside_job()) return run_serially(count, body);
+  const int workers = thread_count() - 1;
+  if (workers <= 0) return run_serially(count, body);
+  const std::unique_lock<std::mutex> job(teams().one_job, std::try_to_lock);
+  if (!job.owns_lock()) return run_serially(count, body);  // another thread of the caller's has the workers
+  std::unique_ptr<ThreadTeam>& team = teams().team;
+  if (!team || team->workers() != workers) {
+    team.reset();
+    try {
+      ask_for_threads(workers + 1);  // with the one that starts them
+      team = std::make_unique<ThreadTeam>(workers);
+    } catch (const std::system_error&) {  // no memory or no right to another thread: the same values, only later
+      return run_serially(count, body);
+    }
+  }
+  team->run(count, body);
+}
 
 ThreadTeam::~ThreadTeam() {
   stop_ = true;

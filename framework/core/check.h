@@ -2,12 +2,12 @@
 #pragma once
 
 #include <string>
+#include <string_view>
 
 namespace semfield {
 
 /// Throws Error(ErrorKind::internal) with the failed expression, its place and `why`.
-[[noreturn]] void check_failed(const char* expression, const char* file, int line, const char* why);
-[[noreturn]] void check_failed(const char* expression, const char* file, int line, const std::string& why);
+[[noreturn]] void check_failed(const char* expression, const char* file, int line, std::string_view why);
 
 }  // namespace semfield
 

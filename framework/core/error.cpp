@@ -1,11 +1,13 @@
 #include "core/error.h"
 
 #include <algorithm>
+#include <cstring>
 #include <map>
 #include <mutex>
 #include <set>
 #include <tuple>
 
+#include "core/check.h"
 #include "core/text.h"
 
 namespace semfield {
@@ -28,6 +30,36 @@ std::string printable(const std::string& text) {
     }
   }
   return out;
+}
+
+// The message without what differs from place to place: words with a digit or a slash are numbers and paths.
+std::string kind_of(const std::string& message) {
+  std::string kind;
+  for (std::size_t at = 0; at < message.size();) {
+    const std::size_t end = std::min(message.find(' ', at), message.size());
+    const std::string word = message.substr(at, end - at);
+    kind += word.find_first_of("0123456789/") == std::string::npos ? word + ' ' : std::string("# ");
+    at = end + 1;
+  }
+  return kind;
+}
+
+// "frame 'rgb_12'" of "frame 'rgb_12' (/data/rgb_12.png)", "transforms.json: frame 3" of "/data/transforms.json: frame
+// 3 (a.png)": the first of its kind has told the folder.
+std::string short_place(const std::string& where) {
+  const std::size_t name = where.rfind(": ");
+  const std::string place =
+      where.ends_with(')') ? where.substr(0, where.find(" (", name == std::string::npos ? 0 : name)) : where;
+  return place.substr(place.rfind('/') + 1);
+}
+
+std::string listed(const std::string& summary, const std::vector<Diagnostic>& lines, bool codes) {
+  std::string text = summary;
+  for (const Diagnostic& line : lines) {
+    if (!text.empty()) text += '\n';
+    text += codes ? line.shown() : line.text();
+  }
+  return text;
 }
 
 }  // namespace
@@ -97,40 +129,6 @@ std::string join(const std::vector<std::string>& words, std::string_view separat
   return out;
 }
 
-namespace {
-
-// The message without what differs from place to place: words with a digit or a slash are numbers and paths.
-std::string kind_of(const std::string& message) {
-  std::string kind;
-  for (std::size_t at = 0; at < message.size();) {
-    const std::size_t end = std::min(message.find(' ', at), message.size());
-    const std::string word = message.substr(at, end - at);
-    kind += word.find_first_of("0123456789/") == std::string::npos ? word + ' ' : std::string("# ");
-    at = end + 1;
-  }
-  return kind;
-}
-
-// "frame 'rgb_12'" of "frame 'rgb_12' (/data/rgb_12.png)", "transforms.json: frame 3" of "/data/transforms.json: frame
-// 3 (a.png)": the first of its kind has told the folder.
-std::string short_place(const std::string& where) {
-  const std::size_t name = where.rfind(": ");
-  const std::string place =
-      where.ends_with(')') ? where.substr(0, where.find(" (", name == std::string::npos ? 0 : name)) : where;
-  return place.substr(place.rfind('/') + 1);
-}
-
-std::string listed(const std::string& summary, const std::vector<Diagnostic>& lines, bool codes) {
-  std::string text = summary;
-  for (const Diagnostic& line : lines) {
-    if (!text.empty()) text += '\n';
-    text += codes ? line.shown() : line.text();
-  }
-  return text;
-}
-
-}  // namespace
-
 FindingsError::FindingsError(ErrorKind kind, std::string summary, std::vector<Diagnostic> lines,
                              std::vector<Diagnostic> findings)
     : Error(kind, lines.front().code, listed(summary, lines, false)),
@@ -185,6 +183,13 @@ std::vector<Diagnostic> folded(const Diagnostics& diagnostics) {
                                                              (more > group.named.size() ? ", ...)" : ")");
   }
   return out;
+}
+
+void check_failed(const char* expression, const char* file, int line, std::string_view why) {
+  const char* base = std::strrchr(file, '/');
+  throw Error(ErrorKind::internal, "internal.check.failed",
+              std::string(base ? base + 1 : file) + ":" + std::to_string(line) + ": " + std::string(why) +
+                  " (violated: " + expression + ")");
 }
 
 }  // namespace semfield

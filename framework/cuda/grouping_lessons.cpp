@@ -1,12 +1,9 @@
-#include "cuda/grouping_lessons.h"
-
 #include <algorithm>
 
 #include "compute/parallel.h"
 #include "cuda/kernels/kernels.h"
 #include "cuda/launch.h"
 #include "cuda/matmul.h"
-#include "cuda/memory.h"
 #include "cuda/store.h"
 
 namespace semfield::cuda {

@@ -6,14 +6,15 @@
 #include <string>
 
 #include "core/error.h"
-#include "cuda/memory.h"
 
 namespace semfield::cuda {
 
 namespace {
 
+thread_local Launch t_launch;
+constexpr int kOldestMajor = 8;  // bf16 matrix instructions
+
 std::byte* take(std::size_t bytes) { return allocate(bytes, "memory of a single call"); }
-void give_back(std::byte* block) { release(block); }
 
 void to_device(const void* from, std::byte* to, std::size_t bytes) {
   check(cudaMemcpy(to, from, bytes, cudaMemcpyHostToDevice), "copying to the device");
@@ -51,11 +52,7 @@ void on(int ordinal, const std::function<void()>& body) {
 
 }  // namespace
 
-DeviceCalls device_calls() { return {{Device::cuda, take, give_back}, to_device, to_host, run, on}; }
-
-namespace {
-thread_local Launch t_launch;
-}
+DeviceCalls device_calls() { return {{Device::cuda, take, release}, to_device, to_host, run, on}; }
 
 const Launch& launch() { return t_launch; }
 
@@ -98,9 +95,46 @@ int multiprocessors() {
   return std::max(1, value / t_launch.beside);
 }
 
-namespace {
-constexpr int kOldestMajor = 8;  // bf16 matrix instructions
+std::byte* allocate(std::size_t bytes, const char* what) {
+  void* memory = nullptr;
+  const cudaError_t status = cudaMalloc(&memory, bytes);
+  if (status == cudaErrorMemoryAllocation) {
+    (void)cudaGetLastError();  // this error is answered here and must not come back at the next launch
+    std::size_t unused = 0, total = 0;
+    (void)cudaMemGetInfo(&unused, &total);
+    throw Error(ErrorKind::unavailable, "memory.device.full",
+                fmt::format("CUDA: no device memory for '{}': requested {:.1f} MB, free {:.1f} MB of {:.1f} MB", what,
+                            1e-6 * static_cast<double>(bytes), 1e-6 * static_cast<double>(unused),
+                            1e-6 * static_cast<double>(total)),
+                "lower train.rays, take fewer samples per ray, or set runtime.precision: bf16");
+  }
+  check(status, what);
+  return static_cast<std::byte*>(memory);
 }
+
+void release(std::byte* memory) noexcept {
+  if (memory != nullptr) (void)cudaFree(memory);
+}
+
+BlockSource arena_source() {
+  return {Device::cuda, [](std::size_t bytes) { return allocate(bytes, "activations of a step"); }, release};
+}
+
+std::byte* zeroed(std::size_t bytes, const char* what) {
+  if (bytes == 0) return nullptr;
+  std::byte* const memory = allocate(bytes, what);
+  // Queued on the default stream, for which the streams of pipelines do not wait.
+  check(cudaMemset(memory, 0, bytes), what);
+  check(cudaStreamSynchronize(nullptr), what);
+  return memory;
+}
+
+std::size_t free_bytes() {
+  std::size_t unused = 0, total = 0;
+  check(cudaMemGetInfo(&unused, &total), "asking for free memory");
+  return unused;
+}
+void synchronize() { check(cudaStreamSynchronize(launch().stream), "waiting for the device"); }
 
 std::string describe_device(int ordinal) {
   int count = 0;

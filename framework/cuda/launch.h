@@ -1,14 +1,18 @@
-// What every kernel launch of this thread shares: stream, the step's numbers in device memory, and where a fault is
-// noted.
+// What every kernel launch of this thread shares: stream, the step's numbers in device memory, where a fault is noted;
+// and device memory.
 #pragma once
 
 #include <cuda_runtime_api.h>
 
+#include <cstddef>
 #include <cstdint>
+#include <memory>
+#include <span>
 #include <string>
 
 #include "core/rng.h"
 #include "core/view.h"
+#include "core/workspace.h"
 #include "execution/device_library.h"
 #include "losses/loss_list.h"
 #include "model/optim/adam.h"
@@ -99,6 +103,55 @@ inline unsigned blocks_of(std::int64_t count, int threads) {
 
 /// Multiprocessors of the launch's device, divided by launch().beside: what a kernel that fills the device may fill.
 int multiprocessors();
+
+// Device memory: arenas, buffers, and what to say when there is none left.
+
+/// Device memory, 256-byte aligned. Throws Error(exhausted): requested, free and total bytes, the buffer's name and
+/// three settings that make a run smaller. During a graph capture it is an error too: a step must not allocate.
+std::byte* allocate(std::size_t bytes, const char* what);
+/// The same, filled with zeros; null for none.
+std::byte* zeroed(std::size_t bytes, const char* what);
+void release(std::byte* memory) noexcept;
+
+/// The source of device arenas.
+BlockSource arena_source();
+
+/// Owned device array; starts as zeros.
+template <class T>
+class Buffer {
+ public:
+  Buffer() = default;
+  Buffer(std::size_t count, const char* what)
+      : data_(reinterpret_cast<T*>(zeroed(count * sizeof(T), what))), size_(count) {}
+  T* data() const { return data_.get(); }
+  std::size_t size() const { return size_; }
+  View<T> view(std::int64_t rows, std::int32_t cols) const { return View<T>(data(), rows, cols, cols, Device::cuda); }
+
+ private:
+  struct Release {
+    void operator()(T* memory) const { release(reinterpret_cast<std::byte*>(memory)); }
+  };
+  std::unique_ptr<T, Release> data_;
+  std::size_t size_ = 0;
+};
+
+/// Copies in launch().stream. `upload` and `download` wait for the copy when the host memory is pageable.
+template <class T>
+void upload(std::span<const T> from, T* to) {
+  if (from.empty()) return;
+  check(cudaMemcpyAsync(to, from.data(), from.size_bytes(), cudaMemcpyHostToDevice, launch().stream),
+        "copying to the device");
+}
+template <class T>
+void download(const T* from, std::span<T> to) {
+  if (to.empty()) return;
+  check(cudaMemcpyAsync(to.data(), from, to.size_bytes(), cudaMemcpyDeviceToHost, launch().stream),
+        "copying from the device");
+}
+/// Waits for the stream.
+void synchronize();
+/// Of the device's memory, what nobody uses.
+std::size_t free_bytes();
 
 // Which GPU a run uses.
 

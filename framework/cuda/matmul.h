@@ -7,10 +7,23 @@
 #include <span>
 #include <type_traits>
 
+#include "core/half.h"
 #include "core/view.h"
 #include "core/workspace.h"
 
 namespace semfield::cuda {
+
+// The framework's bf16 memory as CUDA's type.
+
+static_assert(sizeof(Bf16) == sizeof(__nv_bfloat16));
+
+inline View<__nv_bfloat16> as_bf16(View<Bf16> v) {
+  return {reinterpret_cast<__nv_bfloat16*>(v.data), v.rows, v.cols, v.row_stride, v.device};
+}
+inline View<const __nv_bfloat16> as_bf16(View<const Bf16> v) {
+  return {reinterpret_cast<const __nv_bfloat16*>(v.data), v.rows, v.cols, v.row_stride, v.device};
+}
+inline const __nv_bfloat16* as_bf16(const Bf16* p) { return reinterpret_cast<const __nv_bfloat16*>(p); }
 
 enum class Element : std::uint8_t { fp32, bf16 };
 
@@ -42,28 +55,19 @@ struct Matrix {
 /// What happens to D = A B (+ D) before it is written.
 enum class Epilogue : std::uint8_t {
   none,
-  bias,            ///< D + bias
-  relu,            ///< max(D, 0)
-  bias_relu,       ///< max(D + bias, 0)
-  relu_mask,       ///< relu, and mask = D > 0
-  bias_relu_mask,  ///< bias_relu, and mask = D > 0
-  masked,          ///< D where mask is set, else 0: the gradient of a ReLU
-  column_sums,     ///< D unchanged; sums = column sums of B
+  bias,       ///< D + bias
+  relu,       ///< max(D, 0)
+  bias_relu,  ///< max(D + bias, 0)
 };
-
-/// Bits of a row of a ReLU's mask: one a column, rows start at multiples of 128 bits.
-constexpr std::int64_t mask_stride_bits(std::int64_t cols) { return (cols + 127) / 128 * 128; }
 
 /// D = A B, or D + A B with `add`. Operands fp32: products and sums in fp32 (with `tf32` operands are cut to TF32's 10
 /// bits of mantissa where cuBLASLt has such a kernel), D fp32; operands bf16: sums in fp32, D fp32 or bf16.
 struct Product {
-  Matrix a, b, d;
+  Matrix a{}, b{}, d{};
   bool add = false;
   bool tf32 = false;
   Epilogue epilogue = Epilogue::none;
-  const void* bias = nullptr;     ///< [columns of D], of D's type
-  std::uint32_t* mask = nullptr;  ///< [rows of D] of mask_stride_bits(columns of D), 16-byte aligned
-  float* sums = nullptr;          ///< [columns of B]; D is fp32 then
+  const void* bias = nullptr;  ///< [columns of D], of D's type
 };
 
 /// Queues the product on launch().stream. false, and nothing is queued: cuBLASLt has no kernel with this epilogue
@@ -76,9 +80,9 @@ void forget_stream(cudaStream_t stream);
 
 /// D = C + A B + A2 B2 (+ D with `add`), all fp32; C, A and B, A2 and B2 may be absent.
 struct SmallProduct {
-  Matrix a, b, a2, b2;
-  View<const float> c;
-  View<float> d;
+  Matrix a{}, b{}, a2{}, b2{};
+  View<const float> c{};
+  View<float> d{};
   bool add = false;
 };
 /// Products that do not depend on each other, in one launch (two where one has many terms and a small D): where

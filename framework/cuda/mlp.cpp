@@ -4,12 +4,9 @@
 #include <type_traits>
 
 #include "core/check.h"
-#include "cuda/bf16.h"
-#include "cuda/kernel_tables.h"
 #include "cuda/kernels/kernels.h"
 #include "cuda/launch.h"
 #include "cuda/matmul.h"
-#include "cuda/stages.h"
 #include "plugin/kernels.h"
 #include "plugin/mlp/walk.h"
 
@@ -17,9 +14,8 @@ namespace semfield::cuda {
 
 namespace {
 
-Epilogue forward_epilogue(bool bias, Activation activation, bool mask) {
+Epilogue forward_epilogue(bool bias, Activation activation) {
   if (activation == Activation::none) return bias ? Epilogue::bias : Epilogue::none;
-  if (mask) return bias ? Epilogue::bias_relu_mask : Epilogue::relu_mask;
   return bias ? Epilogue::bias_relu : Epilogue::relu;
 }
 
@@ -28,74 +24,6 @@ View<const float> bias_of(const View<const float>& exact, const View<const float
 View<const __nv_bfloat16> bias_of(const View<const float>&, const View<const __nv_bfloat16>& rounded) {
   return rounded;
 }
-
-}  // namespace
-
-template <class Act, class Out>
-void linear_forward(const LinearForward<Act, Out>& call) {
-  if (call.y.size() == 0) return;
-  Product p;
-  p.a = Matrix(call.x);
-  p.b = Matrix(call.weight);
-  p.d = Matrix(call.y);
-  p.add = call.add;
-  const View<const Out> bias = bias_of(call.bias, call.rounded_bias);
-  p.epilogue = forward_epilogue(!call.bias.empty(), call.activation, call.mask != nullptr);
-  p.bias = bias.data;
-  p.mask = call.mask;
-  const bool in_one = call.bias.empty() || !bias.empty();
-  if (in_one && product(p)) return;
-  p.epilogue = Epilogue::none;
-  p.bias = nullptr;
-  p.mask = nullptr;
-  product(p);
-  if (!call.bias.empty() || call.activation == Activation::relu) {
-    finish_layer(call.bias, call.activation, call.y, call.mask);
-  }
-}
-
-template <class Act, class Dx>
-void linear_backward(const LinearBackward<Act, Dx>& call, Workspace& arena) {
-  if (call.dz.rows == 0) return;
-  const Workspace::Scope scope(arena);
-  if (!call.d_weight.empty()) {
-    Product p;
-    p.a = Matrix(call.x.col_range(0, static_cast<std::int32_t>(call.d_weight.rows)), true);
-    p.b = Matrix(call.dz.col_range(0, call.d_weight.cols));
-    p.d = Matrix(call.d_weight);
-    p.add = true;
-    product(p);
-  }
-  // Own passes: cuBLASLt's epilogues for the sums and for the gradient of a ReLU are kernels of their own on Hopper,
-  // and take more than twice as long.
-  if (!call.d_bias.empty()) add_column_sums<Act>(call.dz.col_range(0, call.d_bias.cols), call.d_bias, arena);
-  if (call.dx.empty()) return;
-  Product p;
-  p.a = Matrix(call.dz);
-  p.b = Matrix(call.weight, true);
-  p.d = Matrix(call.dx);
-  p.add = call.add_to_dx;
-  product(p);
-  if (!call.relu_input) return;
-  if constexpr (std::is_same_v<Dx, __nv_bfloat16>) {
-    if (call.mask != nullptr && call.dx.cols % 8 == 0 && call.dx.row_stride % 8 == 0) {
-      mask_and_sum(call.mask, call.dx, call.dx_sums, arena);
-      return;
-    }
-  }
-  relu_backward<Act, Dx>(call.x, call.dx);
-  if (!call.dx_sums.empty()) add_column_sums<Dx>(call.dx.col_range(0, call.dx_sums.cols), call.dx_sums, arena);
-}
-
-#define SEMFIELD_INSTANTIATE(Act, Out)                                    \
-  template void linear_forward<Act, Out>(const LinearForward<Act, Out>&); \
-  template void linear_backward<Act, Out>(const LinearBackward<Act, Out>&, Workspace&);
-SEMFIELD_INSTANTIATE(float, float)
-SEMFIELD_INSTANTIATE(__nv_bfloat16, float)
-SEMFIELD_INSTANTIATE(__nv_bfloat16, __nv_bfloat16)
-#undef SEMFIELD_INSTANTIATE
-
-namespace {
 
 View<float> writable(View<const float> rows) {
   return {const_cast<float*>(rows.data), rows.rows, rows.cols, rows.row_stride, rows.device};
@@ -178,23 +106,13 @@ struct DeviceLayers {
 
   static void weight_gradient(View<const Act> x, View<const Act> dz, View<float> d_weight, View<float> d_bias,
                               Workspace& arena) {
-    LinearBackward<Act, Act> call;
-    call.x = x;
-    call.dz = dz;
-    call.d_weight = d_weight;
-    call.d_bias = d_bias;
-    linear_backward(call, arena);
+    linear_backward(LinearBackward<Act, Act>{.x = x, .dz = dz, .d_weight = d_weight, .d_bias = d_bias}, arena);
   }
 
   static void ray_product(View<const float> rows, View<const float> weight, View<const float> bias, View<float> term,
                           Workspace&) {
-    LinearForward<float, float> call;
-    call.x = rows;
-    call.weight = weight;
-    call.bias = bias;
-    call.rounded_bias = bias;
-    call.y = term;
-    linear_forward(call);
+    linear_forward(
+        LinearForward<float, float>{.x = rows, .weight = weight, .bias = bias, .y = term, .rounded_bias = bias});
   }
   static void ray_weight_gradient(View<const float> rows, View<const float> d_term, View<float> d_weight,
                                   View<float> d_bias, Workspace& arena) {
@@ -274,13 +192,9 @@ struct DeviceLayers {
   /// out = start + dz W^T, 0 where the mask is not positive.
   template <class Out>
   static void gradient_into(View<const Act> weight, const MlpInputGradient<DeviceLayers>& p, View<Out> out) {
-    Product call;
-    call.a = Matrix(p.dz);
-    call.b = Matrix(weight, true);
-    call.d = Matrix(out);
-    call.add = static_cast<const void*>(p.start.data) == out.data;
-    cuda::product(call);
-    if (!p.start.empty() && !call.add) {
+    const bool add = static_cast<const void*>(p.start.data) == out.data;
+    cuda::product({.a = Matrix(p.dz), .b = Matrix(weight, true), .d = Matrix(out), .add = add});
+    if (!p.start.empty() && !add) {
       if constexpr (std::is_same_v<Out, float>) finish_rows(LayerEnd<float, float>{out, p.start, {}, false, {}, out});
     }
     if (!p.mask.empty()) {
@@ -311,16 +225,12 @@ void derive(const MlpGraph& graph, const Tensors<float>& t) {
   const auto value = [&](int i) { return t.value[static_cast<std::size_t>(i)]; };
   for (const MlpFold& fold : graph.folds) {
     const View<const float> second = value(fold.second_weight).row_range(fold.first, fold.mid);
-    std::array<SmallProduct, 2> products;
-    auto& [weight, bias] = products;
-    weight.a = Matrix(value(fold.first_weight));
-    weight.b = Matrix(second);
-    weight.d = value(fold.weight);
-    bias.a = Matrix(value(fold.first_bias));
-    bias.b = Matrix(second);
-    bias.c = value(fold.second_bias);
-    bias.d = value(fold.bias);
-    small_products(products);
+    small_products(std::array<SmallProduct, 2>{
+        SmallProduct{.a = Matrix(value(fold.first_weight)), .b = Matrix(second), .d = value(fold.weight)},
+        SmallProduct{.a = Matrix(value(fold.first_bias)),
+                     .b = Matrix(second),
+                     .c = value(fold.second_bias),
+                     .d = value(fold.bias)}});
   }
 }
 
@@ -332,23 +242,16 @@ void derive_backward(const MlpGraph& graph, const Tensors<float>& t) {
   for (const MlpFold& fold : graph.folds) {
     const View<float> d_product = grad_of(fold.weight), d_bias = grad_of(fold.bias);
     const View<const float> second = value(fold.second_weight).row_range(fold.first, fold.mid);
-    std::array<SmallProduct, 4> products;
-    auto& [first_weight, second_weight, first_bias, second_bias] = products;
-    first_weight.a = Matrix(d_product);
-    first_weight.b = Matrix(second, true);
-    first_weight.d = grad_of(fold.first_weight);
-    second_weight.a = Matrix(value(fold.first_weight), true);
-    second_weight.b = Matrix(d_product);
-    second_weight.a2 = Matrix(value(fold.first_bias), true);
-    second_weight.b2 = Matrix(d_bias);
-    second_weight.d = grad_of(fold.second_weight).row_range(fold.first, fold.mid);
-    first_bias.a = Matrix(d_bias);
-    first_bias.b = Matrix(second, true);
-    first_bias.d = grad_of(fold.first_bias);
-    second_bias.c = d_bias;
-    second_bias.d = grad_of(fold.second_bias);
-    for (SmallProduct& p : products) p.add = true;
-    small_products(products);
+    small_products(std::array<SmallProduct, 4>{
+        SmallProduct{.a = Matrix(d_product), .b = Matrix(second, true), .d = grad_of(fold.first_weight), .add = true},
+        SmallProduct{.a = Matrix(value(fold.first_weight), true),
+                     .b = Matrix(d_product),
+                     .a2 = Matrix(value(fold.first_bias), true),
+                     .b2 = Matrix(d_bias),
+                     .d = grad_of(fold.second_weight).row_range(fold.first, fold.mid),
+                     .add = true},
+        SmallProduct{.a = Matrix(d_bias), .b = Matrix(second, true), .d = grad_of(fold.first_bias), .add = true},
+        SmallProduct{.c = d_bias, .d = grad_of(fold.second_bias), .add = true}});
   }
 }
 
@@ -356,16 +259,7 @@ template <class Act>
 constexpr MlpKernels<float> kTable{
     forward<Act>, backward<Act>, derive, derive_backward, Walk<Act>::saved_bytes, nullptr, DeviceLayers<Act>::kRounds};
 
-}  // namespace
-
-void add_mlp_kernels(KernelTables& tables) {
-  tables.add(Device::cuda, kMlpOwner, &kTable<float>);
-  tables.add(Device::cuda, kMlpOwner, &kTable<__nv_bfloat16>, Precision::bf16);
-}
-
 // Heads of one hidden layer on the device. Everything is queued on launch().stream.
-
-namespace {
 
 constexpr std::int32_t kMostSmallClasses = 128;  // with more, cuBLASLt's kernels are the faster ones
 
@@ -379,26 +273,15 @@ View<__nv_bfloat16> rounded(Workspace& arena, View<const float> in) {
 template <class Act, class Out>
 void layer(View<const Act> x, View<const Act> weight, View<const float> bias, View<Out> y,
            Activation activation = Activation::none) {
-  LinearForward<Act, Out> call;
-  call.x = x;
-  call.weight = weight;
-  call.bias = bias;
-  call.y = y;
-  call.activation = activation;
-  linear_forward(call);
+  linear_forward(LinearForward<Act, Out>{.x = x, .weight = weight, .bias = bias, .y = y, .activation = activation});
 }
 
 SmallProduct times(const Matrix& a, const Matrix& b, View<float> d, bool add) {
-  SmallProduct product;
-  product.a = a;
-  product.b = b;
-  product.d = d;
-  product.add = add;
-  return product;
+  return {.a = a, .b = b, .d = d, .add = add};
 }
 
-void head_hidden_forward(const HeadShape& shape, Workspace& arena, const Tensors<float>& tensors, View<const float> feature,
-                    View<float> hidden) {
+void head_hidden_forward(const HeadShape& shape, Workspace& arena, const Tensors<float>& tensors,
+                         View<const float> feature, View<float> hidden) {
   const Workspace::Scope scope(arena);
   const View<const float> weight = tensors.value[kHiddenWeight], bias = tensors.value[kHiddenBias];
   if (shape.precision == Precision::bf16) {
@@ -409,68 +292,53 @@ void head_hidden_forward(const HeadShape& shape, Workspace& arena, const Tensors
 }
 
 template <class Act, class Dx>
-void layer_backward(Workspace& arena, const Tensors<float>& tensors, const LinearBackward<Act, Dx>& operands) {
-  LinearBackward<Act, Dx> call = operands;
-  call.d_weight = tensors.grad[kHiddenWeight];
-  call.d_bias = tensors.grad[kHiddenBias];
-  linear_backward<Act, Dx>(call, arena);
+void layer_backward(Workspace& arena, const Tensors<float>& tensors, View<const Act> x, View<const Act> dz,
+                    View<const Act> weight, View<Dx> dx) {
+  linear_backward(LinearBackward<Act, Dx>{.x = x,
+                                          .dz = dz,
+                                          .weight = weight,
+                                          .d_weight = tensors.grad[kHiddenWeight],
+                                          .d_bias = tensors.grad[kHiddenBias],
+                                          .dx = dx},
+                  arena);
 }
 
-void head_hidden_backward(const HeadShape& shape, Workspace& arena, const Tensors<float>& tensors, View<const float> feature,
-                     View<const float> hidden, View<float> d_hidden, View<float> d_feature) {
+void head_hidden_backward(const HeadShape& shape, Workspace& arena, const Tensors<float>& tensors,
+                          View<const float> feature, View<const float> hidden, View<float> d_hidden,
+                          View<float> d_feature) {
   const Workspace::Scope scope(arena);
   const View<const float> weight = tensors.value[kHiddenWeight];
   cuda::relu_backward<float>(hidden, d_hidden);
   if (shape.precision == Precision::bf16) {
-    LinearBackward<__nv_bfloat16, float> call;
-    call.x = rounded(arena, feature);
-    call.dz = rounded(arena, d_hidden);
-    call.weight = rounded(arena, weight);
-    call.dx = d_feature;
-    layer_backward(arena, tensors, call);
+    layer_backward<__nv_bfloat16, float>(arena, tensors, rounded(arena, feature), rounded(arena, d_hidden),
+                                         rounded(arena, weight), d_feature);
   } else {
-    LinearBackward<float, float> call;
-    call.x = feature;
-    call.dz = d_hidden;
-    call.weight = weight;
-    call.dx = d_feature;
-    layer_backward(arena, tensors, call);
+    layer_backward<float, float>(arena, tensors, feature, d_hidden, weight, d_feature);
   }
 }
 
 void rounded_hidden_forward(const HeadShape&, Workspace& arena, const Tensors<float>& tensors, View<const Bf16> feature,
                             View<Bf16> hidden) {
   const Workspace::Scope scope(arena);
-  LinearForward<__nv_bfloat16, __nv_bfloat16> call;
-  call.x = as_bf16(feature);
-  call.weight = rounded(arena, tensors.value[kHiddenWeight]);
-  call.bias = tensors.value[kHiddenBias];
-  call.rounded_bias = rounded(arena, tensors.value[kHiddenBias]);
-  call.y = as_bf16(hidden);
-  call.activation = Activation::relu;
-  linear_forward(call);
+  linear_forward(
+      LinearForward<__nv_bfloat16, __nv_bfloat16>{.x = as_bf16(feature),
+                                                  .weight = rounded(arena, tensors.value[kHiddenWeight]),
+                                                  .bias = tensors.value[kHiddenBias],
+                                                  .y = as_bf16(hidden),
+                                                  .activation = Activation::relu,
+                                                  .rounded_bias = rounded(arena, tensors.value[kHiddenBias])});
 }
 
 void rounded_hidden_backward(const HeadShape&, Workspace& arena, const Tensors<float>& tensors,
                              View<const Bf16> feature, View<const Bf16> d_hidden, View<Bf16> d_feature) {
   const Workspace::Scope scope(arena);
-  LinearBackward<__nv_bfloat16, __nv_bfloat16> call;
-  call.x = as_bf16(feature);
-  call.dz = as_bf16(d_hidden);
-  call.weight = rounded(arena, tensors.value[kHiddenWeight]);
-  call.dx = as_bf16(d_feature);
-  layer_backward(arena, tensors, call);
+  layer_backward<__nv_bfloat16, __nv_bfloat16>(arena, tensors, as_bf16(feature), as_bf16(d_hidden),
+                                               rounded(arena, tensors.value[kHiddenWeight]), as_bf16(d_feature));
 }
 
 /// d = a b (+ d), a product of the class layer with many classes: TF32 where the head computes in bf16.
 void large_product(const HeadShape& shape, const Matrix& a, const Matrix& b, View<float> d, bool add) {
-  Product p;
-  p.a = a;
-  p.b = b;
-  p.d = Matrix(d);
-  p.add = add;
-  p.tf32 = shape.precision == Precision::bf16;
-  product(p);
+  product({.a = a, .b = b, .d = Matrix(d), .add = add, .tf32 = shape.precision == Precision::bf16});
 }
 
 void output_forward(const HeadShape& shape, Workspace& arena, const Tensors<float>& tensors, View<const float> h,
@@ -486,9 +354,7 @@ void output_forward(const HeadShape& shape, Workspace& arena, const Tensors<floa
     large_product(shape, Matrix(h), Matrix(weight), logits, true);
     return;
   }
-  SmallProduct product = times(Matrix(h), Matrix(weight), logits, false);
-  product.a2 = Matrix(share);
-  product.b2 = Matrix(bias);
+  const SmallProduct product{.a = Matrix(h), .b = Matrix(weight), .a2 = Matrix(share), .b2 = Matrix(bias), .d = logits};
   small_products({&product, 1}, &arena);
 }
 
@@ -497,14 +363,10 @@ void output_backward(const HeadShape& shape, Workspace& arena, const Tensors<flo
   const View<const float> weight = tensors.value[kOutputWeight], bias = tensors.value[kOutputBias];
   const View<float> d_weight = tensors.grad[kOutputWeight], d_bias = tensors.grad[kOutputBias];
   if (share.empty()) {
-    LinearBackward<float, float> call;
-    call.x = h;
-    call.dz = d_logits;
-    call.weight = weight;
-    call.d_weight = d_weight;
-    call.d_bias = d_bias;
-    call.dx = d_h;
-    linear_backward<float, float>(call, arena);
+    linear_backward(
+        LinearBackward<float, float>{
+            .x = h, .dz = d_logits, .weight = weight, .d_weight = d_weight, .d_bias = d_bias, .dx = d_h},
+        arena);
     return;
   }
   if (shape.width > kMostSmallClasses) {
@@ -524,9 +386,54 @@ void output_backward(const HeadShape& shape, Workspace& arena, const Tensors<flo
 
 }  // namespace
 
+template <class Act, class Out>
+void linear_forward(const LinearForward<Act, Out>& call) {
+  if (call.y.size() == 0) return;
+  Product p{.a = Matrix(call.x), .b = Matrix(call.weight), .d = Matrix(call.y), .add = call.add};
+  const View<const Out> bias = bias_of(call.bias, call.rounded_bias);
+  p.epilogue = forward_epilogue(!call.bias.empty(), call.activation);
+  p.bias = bias.data;
+  const bool in_one = call.bias.empty() || !bias.empty();
+  if (in_one && product(p)) return;
+  p.epilogue = Epilogue::none;
+  p.bias = nullptr;
+  product(p);
+  const bool relu = call.activation == Activation::relu;
+  if (!call.bias.empty() || relu) finish_rows(LayerEnd<Out, Out>{call.y, call.bias, {}, relu, {}, call.y});
+}
+
+template <class Act, class Dx>
+void linear_backward(const LinearBackward<Act, Dx>& call, Workspace& arena) {
+  if (call.dz.rows == 0) return;
+  const Workspace::Scope scope(arena);
+  if (!call.d_weight.empty()) {
+    product({.a = Matrix(call.x.col_range(0, static_cast<std::int32_t>(call.d_weight.rows)), true),
+             .b = Matrix(call.dz.col_range(0, call.d_weight.cols)),
+             .d = Matrix(call.d_weight),
+             .add = true});
+  }
+  // An own pass: cuBLASLt's epilogue for the sums is a kernel of its own on Hopper, and takes more than twice as long.
+  if (!call.d_bias.empty()) add_column_sums<Act>(call.dz.col_range(0, call.d_bias.cols), call.d_bias, arena);
+  if (call.dx.empty()) return;
+  product({.a = Matrix(call.dz), .b = Matrix(call.weight, true), .d = Matrix(call.dx), .add = call.add_to_dx});
+}
+
+#define SEMFIELD_INSTANTIATE(Act, Out)                                    \
+  template void linear_forward<Act, Out>(const LinearForward<Act, Out>&); \
+  template void linear_backward<Act, Out>(const LinearBackward<Act, Out>&, Workspace&);
+SEMFIELD_INSTANTIATE(float, float)
+SEMFIELD_INSTANTIATE(__nv_bfloat16, float)
+SEMFIELD_INSTANTIATE(__nv_bfloat16, __nv_bfloat16)
+#undef SEMFIELD_INSTANTIATE
+
+void add_mlp_kernels(KernelTables& tables) {
+  tables.add(Device::cuda, kMlpOwner, &kTable<float>);
+  tables.add(Device::cuda, kMlpOwner, &kTable<__nv_bfloat16>, Precision::bf16);
+}
+
 const HeadKernels<float>& head_kernels() {
   static constexpr HeadKernels<float> kernels{
-      nullptr,         head_hidden_forward,         head_hidden_backward,        output_forward,
+      nullptr,         head_hidden_forward,    head_hidden_backward,   output_forward,
       output_backward, rounded_hidden_forward, rounded_hidden_backward};
   return kernels;
 }

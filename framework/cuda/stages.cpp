@@ -1,10 +1,8 @@
-#include "cuda/stages.h"
 
 #include "core/check.h"
 #include "core/error.h"
-#include "cuda/bf16.h"
 #include "cuda/kernels/kernels.h"
-#include "model/head_branch.h"
+#include "cuda/matmul.h"
 
 namespace semfield::cuda {
 
@@ -32,10 +30,6 @@ void copy(View<const std::byte> from, View<std::byte> to) {
   }
 }
 
-void locate_samples(const GuardPlace<float>& place, const Rays<float>& rays, const DomainMap& map, View<double> x) {
-  locate(rays, *place.samples, map, x);
-}
-
 void keep(Workspace& arena, const Samples<float>& samples, View<const float> weight, float least, std::int64_t most,
           BranchTrace<float>& trace) {
   trace.samples.t = arena.take<float>(most, 1);
@@ -47,33 +41,9 @@ void keep(Workspace& arena, const Samples<float>& samples, View<const float> wei
   keep_samples(samples, weight, least, trace);
 }
 
-void sum_by_weight(const Samples<float>& samples, View<const float> weight, View<const float> values, View<float> out) {
-  hidden_forward<float>(samples, weight, values, out);
-}
-
-void sum_by_weight_backward(const Samples<float>& samples, View<const float> weight, View<const float> d_out,
-                            View<float> d_values) {
-  HiddenBackward<float> call;
-  call.weight = weight;
-  call.d_out = d_out;
-  call.d_hidden = d_values;
-  hidden_backward(samples, call);
-}
-
-void rounded_sum(const Samples<float>& samples, View<const float> weight, View<const Bf16> hidden, View<float> out) {
-  hidden_forward<__nv_bfloat16>(samples, weight, as_bf16(hidden), out);
-}
-
 void rounded_sum_backward(const Samples<float>& samples, const RoundedSumBackward<float>& sum) {
-  HiddenBackward<__nv_bfloat16> call;
-  call.weight = sum.weight;
-  call.hidden = as_bf16(sum.hidden);
-  call.d_out = sum.d_out;
-  call.dots = sum.dots;
-  call.d_hidden = as_bf16(sum.d_hidden);
-  call.blocked = sum.blocked;
-  call.relu_output = true;
-  hidden_backward(samples, call);
+  hidden_backward(samples, HiddenBackward<__nv_bfloat16>{sum.weight, as_bf16(sum.hidden), sum.d_out, sum.dots,
+                                                         as_bf16(sum.d_hidden), true, sum.blocked});
 }
 
 // The other values are looked at by the kernels that make or read them.
@@ -90,7 +60,9 @@ Stages<float> make_stages() {
   s.density_batch = kDensityBatch;
   s.set_live_rows = set_live_rows;
   s.copy = copy;
-  s.locate = locate_samples;
+  s.locate = [](const GuardPlace<float>& place, const Rays<float>& rays, const DomainMap& map, View<double> x) {
+    locate(rays, *place.samples, map, x);
+  };
   s.locate_backward = cuda::locate_backward;
   s.map_positions = cuda::map_positions;
   s.density_forward = cuda::density_forward;
@@ -103,9 +75,13 @@ Stages<float> make_stages() {
   s.keep = keep;
   s.join = join_inputs;
   s.drop_out = cuda::drop_out;
-  s.sum_by_weight = sum_by_weight;
-  s.sum_by_weight_backward = sum_by_weight_backward;
-  s.rounded_sum = rounded_sum;
+  s.sum_by_weight = hidden_forward<float>;
+  s.sum_by_weight_backward = [](const Samples<float>& samples, View<const float> weight, View<const float> d_out,
+                                View<float> d_values) {
+    hidden_backward(samples, HiddenBackward<float>{weight, {}, d_out, {}, d_values});
+  };
+  s.rounded_sum = [](const Samples<float>& samples, View<const float> weight, View<const Bf16> hidden,
+                     View<float> out) { hidden_forward<__nv_bfloat16>(samples, weight, as_bf16(hidden), out); };
   s.rounded_sum_backward = rounded_sum_backward;
   s.class_results = cuda::class_results;
   s.opacity_resolutions = cuda::opacity_resolutions;

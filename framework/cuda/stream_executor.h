@@ -9,11 +9,9 @@
 #include <vector>
 
 #include "cuda/kernels/kernels.h"
-#include "cuda/memory.h"
+#include "cuda/launch.h"
 #include "cuda/ranks/gradient_sums.h"
-#include "cuda/stages.h"
 #include "cuda/steps/batch_drawer.h"
-#include "cuda/steps/sample_room.h"
 #include "cuda/store.h"
 #include "execution/device_library.h"
 #include "execution/pipeline.h"
@@ -127,7 +125,7 @@ class StreamExecutor final : public Executor<float> {
   class ShardExecutor;
   class Points;
   std::int64_t growths() const;
-  /// Whether forward and backward of the first `rays` rays of a shard do (memory.cpp).
+  /// Whether forward and backward of the first `rays` rays of a shard do.
   bool fits(std::int64_t rays, const Shape& shape, std::int64_t step);
   /// The error of a step that did not fit, with settings that do.
   Error with_settings_that_fit(const Error& error, const Shape& shape, std::int64_t step);

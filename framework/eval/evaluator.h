@@ -34,7 +34,7 @@ double cast_ray(const RayCamera& camera, const RayLimits& limits, std::int32_t c
                 double* direction, double* near_far);
 
 /// Pixels that met something, and those of them whose opacity came in too few, too long steps
-/// (model/density_activation.h).
+/// (model/compositor.h).
 struct OpacityCounts {
   std::int64_t opaque_px = 0, under_resolved_px = 0;
   /// Above this share a run is told so.

@@ -249,15 +249,6 @@ void softmax_entropy(View<const Real> logits, View<Real> entropy) {
   }
 }
 
-#define SEMFIELD_INSTANTIATE(Real)                                                                                \
-  template SemanticLoss semantic_cross_entropy<Real>(View<const Real>, const SemanticTargets&, View<const float>, \
-                                                     double, double, View<Real>, std::int64_t);                   \
-  template void softmax<Real>(View<const Real>, View<Real>);                                                      \
-  template void softmax_entropy<Real>(View<const Real>, View<Real>);
-SEMFIELD_INSTANTIATE(float)
-SEMFIELD_INSTANTIATE(double)
-#undef SEMFIELD_INSTANTIATE
-
 // Squared colour error and its gradient.
 
 template <class Real>
@@ -277,7 +268,14 @@ double photometric_loss(View<const Real> color, View<const float> target, double
   return sum;
 }
 
-template double photometric_loss<float>(View<const float>, View<const float>, double, double, View<float>);
-template double photometric_loss<double>(View<const double>, View<const float>, double, double, View<double>);
+#define SEMFIELD_INSTANTIATE(Real)                                                                                \
+  template SemanticLoss semantic_cross_entropy<Real>(View<const Real>, const SemanticTargets&, View<const float>, \
+                                                     double, double, View<Real>, std::int64_t);                   \
+  template double photometric_loss<Real>(View<const Real>, View<const float>, double, double, View<Real>);        \
+  template void softmax<Real>(View<const Real>, View<Real>);                                                      \
+  template void softmax_entropy<Real>(View<const Real>, View<Real>);
+SEMFIELD_INSTANTIATE(float)
+SEMFIELD_INSTANTIATE(double)
+#undef SEMFIELD_INSTANTIATE
 
 }  // namespace semfield

@@ -5,27 +5,15 @@ namespace semfield {
 namespace {
 
 template <class Real>
-double mean_of(View<const Real> table, std::int32_t column) {
-  double sum = 0;
-  for (std::int64_t r = 0; r < table.rows; ++r) sum += static_cast<double>(table(r, column));
-  return sum / static_cast<double>(table.rows);
-}
-
-template <class Real>
-void centre(View<const Real> learned, double share, View<Real> used) {
-  for (std::int32_t c = 0; c < learned.cols; ++c) {
-    const double mean = share * mean_of(learned, c);
-    for (std::int64_t r = 0; r < learned.rows; ++r)
-      used(r, c) = static_cast<Real>(static_cast<double>(learned(r, c)) - mean);
-  }
-}
-
-template <class Real>
-void centre_backward(View<const Real> d_used, double share, View<Real> d_learned) {
-  for (std::int32_t c = 0; c < d_used.cols; ++c) {
-    const double mean = share * mean_of(d_used, c);
-    for (std::int64_t r = 0; r < d_used.rows; ++r)
-      d_learned(r, c) += static_cast<Real>(static_cast<double>(d_used(r, c)) - mean);
+void centre(View<const Real> from, double share, View<Real> to, bool add) {
+  for (std::int32_t c = 0; c < from.cols; ++c) {
+    double sum = 0;
+    for (std::int64_t r = 0; r < from.rows; ++r) sum += static_cast<double>(from(r, c));
+    const double mean = share * (sum / static_cast<double>(from.rows));
+    for (std::int64_t r = 0; r < from.rows; ++r) {
+      const auto centred = static_cast<Real>(static_cast<double>(from(r, c)) - mean);
+      to(r, c) = add ? to(r, c) + centred : centred;
+    }
   }
 }
 
@@ -99,25 +87,9 @@ Pose corrected(const Pose& world_from_camera, const float* numbers, double dista
 
 template <class Real>
 const CameraKernels<Real>& cpu_camera_kernels() {
-  static const CameraKernels<Real> table{centre<Real>, centre_backward<Real>, move<Real>, move_backward<Real>,
-                                         show<Real>,   show_backward<Real>};
+  static const CameraKernels<Real> table{centre<Real>, move<Real>, move_backward<Real>, show<Real>,
+                                         show_backward<Real>};
   return table;
-}
-
-template <class Real>
-void CentredTable<Real>::declare(ParamDeclarer& declarer) const {
-  declarer.tensor({"learned", rows_, cols_, Init::constant(0), TensorRole::dense});
-  declarer.tensor({"used", rows_, cols_, Init::constant(0), TensorRole::derived});
-}
-
-template <class Real>
-void CentredTable<Real>::derive(const StepContext&, const Tensors<Real>& tensors) const {
-  kernels_->centre(tensors.value[kLearned], share_, tensors.value[kUsed]);
-}
-
-template <class Real>
-void CentredTable<Real>::derive_backward(const StepContext&, const Tensors<Real>& tensors) const {
-  kernels_->centre_backward(tensors.grad[kUsed], share_, tensors.grad[kLearned]);
 }
 
 template <class Real>
@@ -144,32 +116,8 @@ void CameraCorrections<Real>::derive_backward(const StepContext& ctx) const {
   if (rules_.colors) color_table_.derive_backward(ctx, store_->tensors(color_));
 }
 
-template <class Real>
-void CameraCorrections<Real>::move(View<const float> camera, View<double> origin, View<double> direction) const {
-  kernels_->move(camera, used(pose_), rules_.distance_m, origin, direction);
-}
-
-template <class Real>
-void CameraCorrections<Real>::move_backward(int lane, View<const float> camera, View<const double> direction,
-                                            View<const Real> d_ray) const {
-  kernels_->move_backward(camera, used(pose_), rules_.distance_m, direction, d_ray, gradient(pose_, lane));
-}
-
-template <class Real>
-void CameraCorrections<Real>::show(View<const float> camera, View<const Real> color, View<Real> shown) const {
-  kernels_->show(camera, used(color_), color, shown);
-}
-
-template <class Real>
-void CameraCorrections<Real>::show_backward(int lane, View<const float> camera, View<const Real> color,
-                                            View<const Real> d_shown, View<Real> d_color) const {
-  kernels_->show_backward(camera, used(color_), color, d_shown, d_color, gradient(color_, lane));
-}
-
 template const CameraKernels<float>& cpu_camera_kernels<float>();
 template const CameraKernels<double>& cpu_camera_kernels<double>();
-template class CentredTable<float>;
-template class CentredTable<double>;
 template class CameraCorrections<float>;
 template class CameraCorrections<double>;
 

@@ -77,10 +77,8 @@ struct CameraRules {
 /// Stages of corrections. Cameras are numbered from 0; `camera` [R, 1] says whose a ray is. N cameras.
 template <class Real>
 struct CameraKernels {
-  /// used [N, K] = learned [N, K] less `share` of the mean of its column.
-  void (*centre)(View<const Real> learned, double share, View<Real> used) = nullptr;
-  /// d_learned += d_used less `share` of the mean of its column.
-  void (*centre_backward)(View<const Real> d_used, double share, View<Real> d_learned) = nullptr;
+  /// to [N, K] = from [N, K] less `share` of the mean of its column, or with `add` to += it, the gradient.
+  void (*centre)(View<const Real> from, double share, View<Real> to, bool add) = nullptr;
   /// origin, direction [R, 3] under the pose [N, 6] of their cameras, whose shifts count by `distance_m`.
   void (*move)(View<const float> camera, View<const Real> pose, double distance_m, View<double> origin,
                View<double> direction) = nullptr;
@@ -105,9 +103,16 @@ class CentredTable final : public Parametric<Real> {
  public:
   CentredTable(std::int64_t rows, std::int32_t cols, double share, const CameraKernels<Real>& kernels)
       : rows_(rows), cols_(cols), share_(share), kernels_(&kernels) {}
-  void declare(ParamDeclarer& declarer) const override;
-  void derive(const StepContext&, const Tensors<Real>& tensors) const override;
-  void derive_backward(const StepContext&, const Tensors<Real>& tensors) const override;
+  void declare(ParamDeclarer& declarer) const override {
+    declarer.tensor({"learned", rows_, cols_, Init::constant(0), TensorRole::dense});
+    declarer.tensor({"used", rows_, cols_, Init::constant(0), TensorRole::derived});
+  }
+  void derive(const StepContext&, const Tensors<Real>& tensors) const override {
+    kernels_->centre(tensors.value[kLearned], share_, tensors.value[kUsed], false);
+  }
+  void derive_backward(const StepContext&, const Tensors<Real>& tensors) const override {
+    kernels_->centre(tensors.grad[kUsed], share_, tensors.grad[kLearned], true);
+  }
   static constexpr int kLearned = 0, kUsed = 1;
 
  private:
@@ -127,13 +132,21 @@ class CameraCorrections {
   void derive(const StepContext& ctx) const;
   void derive_backward(const StepContext& ctx) const;
   /// Moves rays where poses are corrected.
-  void move(View<const float> camera, View<double> origin, View<double> direction) const;
+  void move(View<const float> camera, View<double> origin, View<double> direction) const {
+    kernels_->move(camera, used(pose_), rules_.distance_m, origin, direction);
+  }
   /// From d_ray [R, 6] into the lane's gradients.
-  void move_backward(int lane, View<const float> camera, View<const double> direction, View<const Real> d_ray) const;
+  void move_backward(int lane, View<const float> camera, View<const double> direction, View<const Real> d_ray) const {
+    kernels_->move_backward(camera, used(pose_), rules_.distance_m, direction, d_ray, gradient(pose_, lane));
+  }
   /// Where colours are corrected.
-  void show(View<const float> camera, View<const Real> color, View<Real> shown) const;
+  void show(View<const float> camera, View<const Real> color, View<Real> shown) const {
+    kernels_->show(camera, used(color_), color, shown);
+  }
   void show_backward(int lane, View<const float> camera, View<const Real> color, View<const Real> d_shown,
-                     View<Real> d_color) const;
+                     View<Real> d_color) const {
+    kernels_->show_backward(camera, used(color_), color, d_shown, d_color, gradient(color_, lane));
+  }
 
   static constexpr const char* kPoseName = "cameras/pose";
   static constexpr const char* kColorName = "cameras/color";
@@ -149,10 +162,5 @@ class CameraCorrections {
   TensorStore<Real>* store_;
   int pose_ = -1, color_ = -1;
 };
-
-extern template class CentredTable<float>;
-extern template class CentredTable<double>;
-extern template class CameraCorrections<float>;
-extern template class CameraCorrections<double>;
 
 }  // namespace semfield

@@ -8,14 +8,6 @@
 
 namespace semfield {
 
-template <class Real>
-AlignedBuffer<Real>::AlignedBuffer(std::size_t count)
-    : data_(new (std::align_val_t{64}) Real[std::max<std::size_t>(count, 1)]()), size_(count) {}
-
-template <class Real>
-ParamStore<Real>::ParamStore(std::uint64_t seed, int lanes, bool trainable)
-    : seed_(seed), lanes_(lanes), trainable_(trainable) {}
-
 namespace {
 
 class Collector final : public ParamDeclarer {
@@ -181,8 +173,6 @@ std::size_t ParamStore<Real>::bytes() const {
   return sum;
 }
 
-template class AlignedBuffer<float>;
-template class AlignedBuffer<double>;
 template std::vector<TensorSpec> specs_of<float>(const Parametric<float>&);
 template std::vector<TensorSpec> specs_of<double>(const Parametric<double>&);
 template TensorBytes declared_bytes<float>(const Parametric<float>&, int, bool);

@@ -2,6 +2,7 @@
 // threads.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <memory>
 #include <new>
@@ -80,7 +81,8 @@ template <class Real>
 class AlignedBuffer {
  public:
   AlignedBuffer() = default;
-  explicit AlignedBuffer(std::size_t count);
+  explicit AlignedBuffer(std::size_t count)
+      : data_(new (std::align_val_t{64}) Real[std::max<std::size_t>(count, 1)]()), size_(count) {}
   Real* data() const { return data_.get(); }
   std::size_t size() const { return size_; }
 
@@ -132,7 +134,7 @@ std::vector<TensorSpec> specs_of(const Parametric<Real>& part);
 template <class Real>
 class ParamStore final : public TensorStore<Real> {
  public:
-  ParamStore(std::uint64_t seed, int lanes, bool trainable);
+  ParamStore(std::uint64_t seed, int lanes, bool trainable) : seed_(seed), lanes_(lanes), trainable_(trainable) {}
 
   /// Declares `part` under `prefix`, allocates and initialises; returns the component's number.
   int add(const std::string& prefix, const Parametric<Real>& part, const LearningRule& rule = {}) override;
@@ -179,14 +181,5 @@ class ParamStore final : public TensorStore<Real> {
   std::vector<AdamTensor<Real>> learned_;
   std::vector<LaneSum> lane_sums_;
 };
-
-extern template class AlignedBuffer<float>;
-extern template class AlignedBuffer<double>;
-extern template std::vector<TensorSpec> specs_of<float>(const Parametric<float>&);
-extern template std::vector<TensorSpec> specs_of<double>(const Parametric<double>&);
-extern template TensorBytes declared_bytes<float>(const Parametric<float>&, int, bool);
-extern template TensorBytes declared_bytes<double>(const Parametric<double>&, int, bool);
-extern template class ParamStore<float>;
-extern template class ParamStore<double>;
 
 }  // namespace semfield

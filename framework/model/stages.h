@@ -2,20 +2,34 @@
 #pragma once
 
 #include <cstdint>
+#include <string>
 #include <string_view>
 
+#include "core/error.h"
 #include "core/half.h"
+#include "core/host_device.h"
+#include "core/rng.h"
 #include "model/compositor.h"
-#include "model/density_activation.h"
 #include "model/optim/adam.h"
 #include "model/render_rules.h"
+#include "plugin/field.h"
 #include "plugin/head.h"
 #include "plugin/sampler.h"
 
 namespace semfield {
 
+/// K kept samples of the first R rays; lives in the tile's workspace.
 template <class Real>
-struct BranchTrace;
+struct BranchTrace {
+  Samples<Real> samples;
+  View<std::int32_t> source;  ///< [K, 1] number of the sample in the pass
+  View<Real> weight;          ///< [K, 1] compositing weight, a constant here
+  View<Real> share;           ///< [R, 1] sum of a ray's kept weights
+  View<Real> input;           ///< [K, Dp (+ F)] encoded position (and the field's feature)
+  FieldOut<Real> out;         ///< feature [K, B] alone
+  View<Real> feature;         ///< [K, B] what the head reads: the same, or what dropout left of it
+  Saved saved;
+};
 
 /// Values that the end of a stage looks at.
 enum class Guarded : std::uint8_t {
@@ -46,6 +60,28 @@ struct Dropout {
   std::int64_t first_ray = 0;
   double share = 0;
 };
+
+/// Address of the dropout's random values; that of other heads also has their prefix in front.
+inline constexpr const char* kBranchDropout = "semantic_branch/dropout";
+/// Columns that share a block of random numbers.
+inline constexpr std::int32_t kDropoutGroup = 4;
+/// What is left of columns 4 g .. 4 g + 3 of a ray's kept sample `k`, of `cols`: factors 0 or 1 / (1 - share). Rays are
+/// numbered through the batch, so tiles do not matter.
+struct DropoutFactors {
+  float of[kDropoutGroup];
+};
+SEMFIELD_HD inline DropoutFactors dropout_factors(const RandomAddress& address, double share, std::int64_t ray,
+                                                  std::int64_t k, std::int32_t group, std::int32_t cols) {
+  const auto row = (static_cast<std::uint64_t>(ray) << 20) + static_cast<std::uint64_t>(k);
+  const PhiloxBlock block =
+      random_block(address, row * static_cast<std::uint64_t>(cols) + static_cast<std::uint64_t>(group));
+  const double below = share * 4294967296.0;
+  const auto stays = static_cast<float>(1 / (1 - share));
+  DropoutFactors factors;
+  for (std::int32_t i = 0; i < kDropoutGroup; ++i)
+    factors.of[i] = static_cast<double>(block.v[i]) < below ? 0.0F : stays;
+  return factors;
+}
 
 /// Backward of the sum of hidden activations in bf16 along rays, and of the ReLU that made them.
 template <class Real>
@@ -131,7 +167,7 @@ struct Stages {
 
   /// Of rendering. Logits are overwritten.
   void (*class_results)(View<Real> logits, const ClassResults<Real>& results) = nullptr;
-  /// Of every ray (model/density_activation.h).
+  /// Of every ray (model/compositor.h).
   void (*opacity_resolutions)(const Samples<Real>& samples, View<const Real> weight, FarMode far,
                               double footprint_per_m, View<OpacityResolution> result) = nullptr;
 
@@ -171,6 +207,51 @@ class LiveRows {
  private:
   const std::int32_t* (*set_)(const std::int32_t*);
   const std::int32_t* before_ = nullptr;
+};
+
+// Values of rays that no later stage may see: found at the stage that made them, named by pass, ray and sample.
+
+/// An error that belongs to one ray. Who knows the rays' pixels adds frame and pixel.
+class RayFault : public Error {
+ public:
+  /// `ray` counts within the batch of a step, or within the call that rendered.
+  RayFault(std::int64_t ray, ErrorKind kind, Code code, std::string message, std::string remedy = {});
+  std::int64_t ray() const noexcept { return ray_; }
+
+ private:
+  std::int64_t ray_;
+};
+
+/// The remedy of a value that left the numbers during training.
+std::string_view fault_remedy();
+
+/// Rays of a call as they come in: origin, direction and limits of each must be finite, and colours where they are
+/// given ([R, 3], else empty). Throws RayFault; first_ray is added to its number.
+template <class Real>
+void guard_rays(const Rays<Real>& rays, View<const float> target, std::int64_t first_ray);
+
+/// The checks of one tile of one pass. Every value is looked at, as whole arrays: a tile costs a reading of what is in
+/// cache. All throw RayFault for the first bad value.
+template <class Real>
+class RayGuard {
+ public:
+  /// Borrows all of them. `samples` may lack t (rounds of rendering): then a message names the ray alone.
+  RayGuard(std::string_view pass, std::int64_t first_ray, const Samples<Real>& samples)
+      : pass_(pass), first_ray_(first_ray), samples_(samples) {}
+
+  /// Distances finite, intervals finite and not negative, coordinates x [M, 3] finite.
+  void samples(View<const double> x) const;
+  /// values [M, C], a row per sample, each finite.
+  void per_sample(const char* name, View<const Real> values) const;
+  /// values [R, C], a row per ray, each finite.
+  void per_ray(const char* name, View<const Real> values) const;
+
+ private:
+  [[noreturn]] void fail(const char* name, std::int64_t row, const std::string& what) const;
+
+  std::string_view pass_;
+  std::int64_t first_ray_;
+  const Samples<Real>& samples_;
 };
 
 }  // namespace semfield

@@ -5,7 +5,6 @@
 #include <string>
 #include <vector>
 
-#include "compute/precision.h"
 #include "core/half.h"
 #include "core/view.h"
 #include "plugin/parametric.h"

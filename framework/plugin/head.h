@@ -4,7 +4,6 @@
 #include <string>
 #include <vector>
 
-#include "compute/precision.h"
 #include "core/half.h"
 #include "plugin/field.h"
 #include "plugin/layer_weights.h"

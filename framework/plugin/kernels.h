@@ -10,7 +10,7 @@
 #include <typeinfo>
 #include <vector>
 
-#include "compute/precision.h"
+#include "core/half.h"
 #include "core/view.h"
 
 namespace semfield {

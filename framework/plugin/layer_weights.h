@@ -9,7 +9,7 @@
 
 #include "compute/isa.h"
 #include "compute/layers.h"
-#include "compute/precision.h"
+#include "core/half.h"
 #include "plugin/parametric.h"
 
 namespace semfield {

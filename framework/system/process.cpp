@@ -23,6 +23,25 @@ namespace semfield {
 
 namespace {
 
+// visit(folder, whether it is of version 2) for the control groups of `controller` in the text of /proc/self/cgroup,
+// and those above them.
+template <class Visit>
+void for_groups(const std::string& groups, const std::string& root, const std::string& controller, const Visit& visit) {
+  std::istringstream lines(groups);
+  for (std::string line; std::getline(lines, line);) {  // number:controllers:path; version 2 names no controller
+    const std::size_t first = line.find(':'), second = line.find(':', first + 1);
+    if (second == std::string::npos) continue;
+    const std::string controllers = "," + line.substr(first + 1, second - first - 1) + ",";
+    const bool unified = controllers == ",,";
+    if (!unified && controllers.find("," + controller + ",") == std::string::npos) continue;
+    for (std::string path = line.substr(second + 1);; path.resize(path.rfind('/'))) {
+      if (path == "/") path.clear();
+      visit(root + (unified ? "" : "/" + controller) + path, unified);
+      if (path.rfind('/') == std::string::npos) break;
+    }
+  }
+}
+
 int cores_of(double quota_us, double period_us) {
   return quota_us > 0 && period_us > 0 ? static_cast<int>(std::ceil(quota_us / period_us)) : 0;
 }
@@ -36,31 +55,6 @@ int limit_of(const std::string& folder) {
   std::istringstream(read_system_file(folder + "/cpu.cfs_period_us")) >> period_us;
   return cores_of(quota_us, period_us);
 }
-
-}  // namespace
-
-int cpu_quota(const std::string& groups, const std::string& root) {
-  int least = 0;
-  std::istringstream lines(groups);
-  for (std::string line; std::getline(lines, line);) {  // number:controllers:path; version 2 names no controller
-    const std::size_t first = line.find(':'), second = line.find(':', first + 1);
-    if (second == std::string::npos) continue;
-    const std::string controllers = "," + line.substr(first + 1, second - first - 1) + ",";
-    if (controllers != ",," && controllers.find(",cpu,") == std::string::npos) continue;
-    const std::string mount = controllers == ",," ? root : root + "/cpu";
-    for (std::string path = line.substr(second + 1);; path.resize(path.rfind('/'))) {
-      if (path == "/") path.clear();
-      const int limit = limit_of(mount + path);
-      if (limit > 0 && (least == 0 || limit < least)) least = limit;
-      if (path.rfind('/') == std::string::npos) break;
-    }
-  }
-  return least;
-}
-
-int cpu_quota() { return cpu_quota(read_system_file("/proc/self/cgroup"), "/sys/fs/cgroup"); }
-
-namespace {
 
 // The number behind a word of a text of "word number" lines, or the text's only number when the word is "".
 std::optional<std::size_t> number_in(const std::string& text, const std::string& word) {
@@ -86,24 +80,25 @@ std::size_t room_in(const std::string& folder, const char* limit_file, const cha
 
 }  // namespace
 
+int cpu_quota(const std::string& groups, const std::string& root) {
+  int least = 0;
+  for_groups(groups, root, "cpu", [&](const std::string& folder, bool) {
+    const int limit = limit_of(folder);
+    if (limit > 0 && (least == 0 || limit < least)) least = limit;
+  });
+  return least;
+}
+
+int cpu_quota() { return cpu_quota(read_system_file("/proc/self/cgroup"), "/sys/fs/cgroup"); }
+
 std::size_t available_memory(const std::string& meminfo, const std::string& groups, const std::string& root) {
   std::size_t least = kNoMemoryLimit;
   if (const auto kilobytes = number_in(meminfo, "MemAvailable:")) least = *kilobytes * 1024;
-  std::istringstream lines(groups);
-  for (std::string line; std::getline(lines, line);) {  // number:controllers:path; version 2 names no controller
-    const std::size_t first = line.find(':'), second = line.find(':', first + 1);
-    if (second == std::string::npos) continue;
-    const std::string controllers = "," + line.substr(first + 1, second - first - 1) + ",";
-    const bool unified = controllers == ",,";
-    if (!unified && controllers.find(",memory,") == std::string::npos) continue;
-    for (std::string path = line.substr(second + 1);; path.resize(path.rfind('/'))) {
-      if (path == "/") path.clear();
-      least = std::min(least, unified ? room_in(root + path, "/memory.max", "/memory.current", "inactive_file")
-                                      : room_in(root + "/memory" + path, "/memory.limit_in_bytes",
-                                                "/memory.usage_in_bytes", "total_inactive_file"));
-      if (path.rfind('/') == std::string::npos) break;
-    }
-  }
+  for_groups(groups, root, "memory", [&](const std::string& folder, bool unified) {
+    least = std::min(
+        least, unified ? room_in(folder, "/memory.max", "/memory.current", "inactive_file")
+                       : room_in(folder, "/memory.limit_in_bytes", "/memory.usage_in_bytes", "total_inactive_file"));
+  });
   return least;
 }
 

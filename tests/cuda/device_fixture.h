@@ -14,7 +14,6 @@
 #include "core/view.h"
 #include "core/workspace.h"
 #include "cuda/launch.h"
-#include "cuda/memory.h"
 #include "plugin/field.h"
 #include "plugin/kernels.h"
 #include "testkit/compare.h"

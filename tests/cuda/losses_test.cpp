@@ -3,9 +3,7 @@
 #include <algorithm>
 #include <iostream>
 
-#include "cuda/kernel_tables.h"
 #include "cuda/kernels/kernels.h"
-#include "cuda/stages.h"
 #include "device_fixture.h"
 #include "execution/device_library.h"
 #include "losses/semantic_cross_entropy.h"

@@ -4,11 +4,10 @@
 
 #include "core/rng.h"
 #include "cuda/kernels/kernels.h"
-#include "cuda/stages.h"
 #include "device_fixture.h"
 #include "execution/lane_executor.h"
 #include "model/camera_corrections.h"
-#include "model/density_activation.h"
+#include "model/compositor.h"
 #include "session/trainer.h"
 #include "testkit/compare.h"
 #include "tests/cuda/step_configs.h"
@@ -466,11 +465,11 @@ TEST(CudaDensity, ActivationsAndTheirSlopes) {
       cuda::density_forward(rule, nullptr, raw_there.view(), sigma.view());
       for (float& x : raw) x -= 0.25F;
       EXPECT_EQ(raw_there.read(), raw);
-      const std::vector<double> wide = testing::widen(raw);
+      std::vector<double> wide = testing::widen(raw);
       std::vector<double> want(raw.size()), slope(raw.size());
-      density_forward<double>(activation, testing::host_view(wide, 1), testing::host_view(want, 1));
+      density_forward<double>({activation}, nullptr, testing::host_view(wide, 1), testing::host_view(want, 1));
       const std::vector<double> wide_d = testing::widen(d_sigma);
-      density_backward<double>(activation, testing::host_view(wide, 1), testing::host_view(wide_d, 1),
+      density_backward<double>({activation}, testing::host_view(wide, 1), testing::host_view(wide_d, 1),
                                testing::host_view(slope, 1));
       for (double& x : want) x *= rule.per_m;
       for (double& x : slope) x *= rule.per_m;
@@ -661,10 +660,10 @@ TEST(CudaCameras, KeepTheMeanAsTheCpuDoes) {
     const double share = rows == 37 ? 0 : 1;
     std::vector<float> from = random_floats(rows * kPoseNumbers, 3, -1, 2), to(from.size()), sum(from.size(), 0.5F);
     const DeviceMatrix<float> t_from(from, kPoseNumbers), t_to(rows, kPoseNumbers), t_sum(sum, kPoseNumbers);
-    gpu.centre(t_from.read_only(), share, t_to.view());
-    gpu.centre_backward(t_from.read_only(), share, t_sum.view());
-    cpu.centre(host(from, kPoseNumbers), share, host(to, kPoseNumbers));
-    cpu.centre_backward(host(from, kPoseNumbers), share, host(sum, kPoseNumbers));
+    gpu.centre(t_from.read_only(), share, t_to.view(), false);
+    gpu.centre(t_from.read_only(), share, t_sum.view(), true);
+    cpu.centre(host(from, kPoseNumbers), share, host(to, kPoseNumbers), false);
+    cpu.centre(host(from, kPoseNumbers), share, host(sum, kPoseNumbers), true);
     expect_close(t_to.read(), to, 1e-6);
     expect_close(t_sum.read(), sum, 1e-6);
   }

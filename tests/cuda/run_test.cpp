@@ -8,7 +8,7 @@
 #include "core/rng.h"
 #include "core/workspace.h"
 #include "cuda/kernels/kernels.h"
-#include "cuda/memory.h"
+#include "cuda/launch.h"
 #include "cuda/steps/batch_drawer.h"
 #include "device_fixture.h"
 #include "eval/evaluator.h"

@@ -11,7 +11,6 @@
 #include "losses/loss_list.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
-#include "model/density_activation.h"
 #include "model/optim/adam.h"
 #include "plugin/loader.h"
 #include "rays_of_slabs.h"
@@ -449,12 +448,11 @@ TEST(Adam, SameBitsForAnyRangesAndThreads) {
   const std::int64_t touched = lazy.touched(step);
   const int before = thread_count();
   set_thread_count(2);
-  adam_dense_parallel<float>(step, threads.view(threads.value), threads.view(threads.grad), threads.view(threads.m),
-                             threads.view(threads.v));
-  EXPECT_EQ(
-      adam_touched_parallel<float>(step, lazy_threads.view(lazy_threads.value), lazy_threads.view(lazy_threads.grad),
-                                   lazy_threads.view(lazy_threads.m), lazy_threads.view(lazy_threads.v)),
-      touched);
+  const auto tensor = [](State<float>& of, bool touched_only) {
+    return AdamTensor<float>{of.value.data(), of.grad.data(), of.m.data(), of.v.data(), kRows, 2, touched_only};
+  };
+  const std::array tensors{tensor(threads, false), tensor(lazy_threads, true)};
+  adam_update<float>(&step, {tensors.data(), 2, 4 * kRows});
   set_thread_count(before);
   EXPECT_LT(touched, kRows);
   EXPECT_EQ(whole.value, ranges.value);

@@ -13,7 +13,7 @@
 #include "formats/safetensors.h"
 #include "loading/frame_files.h"
 #include "losses/semantic_cross_entropy.h"
-#include "model/density_activation.h"
+#include "model/compositor.h"
 #include "model/optim/adam.h"
 #include "named_case.h"
 #include "plugin/head.h"
@@ -345,9 +345,9 @@ View<Real> column(std::vector<Real>& v) {
 }
 
 template <class Real>
-std::vector<Real> density_of(DensityActivation kind, const std::vector<Real>& raw) {
+std::vector<Real> density_of(DensityActivation kind, std::vector<Real> raw) {
   std::vector<Real> sigma(raw.size(), Real(-9));
-  density_forward<Real>(kind, column(raw), column(sigma));
+  density_forward<Real>({kind}, nullptr, column(raw), column(sigma));
   return sigma;
 }
 /// d_raw for d_sigma = 1.
@@ -355,7 +355,7 @@ template <class Real>
 std::vector<Real> density_slope(DensityActivation kind, const std::vector<Real>& raw) {
   std::vector<Real> slope(raw.size(), Real(-9));
   const std::vector<Real> ones(raw.size(), Real(1));
-  density_backward<Real>(kind, column(raw), column(ones), column(slope));
+  density_backward<Real>({kind}, column(raw), column(ones), column(slope));
   return slope;
 }
 
@@ -550,7 +550,7 @@ void large_exponents(CaseRun& run) {
         rays.forward();
         rays.backward();
         std::vector<Real> d_raw(3);
-        density_backward<Real>(kind, column(std::as_const(raws)), column(std::as_const(rays.d_sigma)), column(d_raw));
+        density_backward<Real>({kind}, column(std::as_const(raws)), column(std::as_const(rays.d_sigma)), column(d_raw));
         for (std::size_t i = 0; i < 3; ++i) {
           run.expect(std::isfinite(rays.sigma[i]) && std::isfinite(rays.weight[i]), "forward is finite");
           run.expect(std::isfinite(rays.d_sigma[i]) && std::isfinite(d_raw[i]), "backward is finite");

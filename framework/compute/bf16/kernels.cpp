@@ -1,9 +1,5 @@
 // Layers in bf16 for one instruction set.
-#include "compute/bf16/kernels.h"
-
 #include "compute/bf16/tiles.h"
-#if defined(SEMFIELD_TILES)
-#endif
 
 namespace semfield::SEMFIELD_ISA {
 

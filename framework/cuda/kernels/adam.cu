@@ -242,33 +242,14 @@ unsigned blocks_for(const AdamTable<float>& table, int per_processor) {
 
 std::size_t shared_bytes(int count) { return sizeof(int) * (static_cast<std::size_t>(count) + 1); }
 
-}  // namespace
-
-void check_gradients(const AdamTable<float>& table) {
-  if (table.elements == 0) return;
-  check_kernel<<<blocks_for(table, kCheckBlocks), kThreads, shared_bytes(table.count), launch().stream>>>(
-      table.tensors, table.count, launch().cell, launch().fault);
-  check_launch("check of gradients");
-}
-
-void adam_update(const AdamStep* step, const AdamTable<float>& table) {
-  if (table.elements == 0) return;
-  update_kernel<<<blocks_for(table, kUpdateBlocks), kThreads, shared_bytes(table.count), launch().stream>>>(
-      step, table.tensors, table.count, launch().fault);
-  check_launch("Adam");
-}
-
 // The check for values that are not finite.
-
-namespace {
 
 constexpr int kBlocksPerProcessor = 8;
 
 // Threads stride over the values, four at a time where rows have no gaps; 4 C bytes per row.
 __global__ void __launch_bounds__(kThreads)
     guard_kernel(Stage stage, View<const float> values, bool by_fours, FaultKey* fault) {
-  const std::int64_t size = values.size(), stride = static_cast<std::int64_t>(gridDim.x) * kThreads;
-  const std::int64_t thread = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  const std::int64_t size = values.size(), stride = grid_threads(), thread = thread_index();
   std::int64_t begin = thread;
   if (by_fours) {
     for (std::int64_t i = thread; i < size / 4; i += stride) {
@@ -288,14 +269,27 @@ __global__ void __launch_bounds__(kThreads)
 
 }  // namespace
 
+void check_gradients(const AdamTable<float>& table) {
+  if (table.elements == 0) return;
+  check_kernel<<<blocks_for(table, kCheckBlocks), kThreads, shared_bytes(table.count), launch().stream>>>(
+      table.tensors, table.count, launch().cell, launch().fault);
+  check_launch("check of gradients");
+}
+
+void adam_update(const AdamStep* step, const AdamTable<float>& table) {
+  if (table.elements == 0) return;
+  update_kernel<<<blocks_for(table, kUpdateBlocks), kThreads, shared_bytes(table.count), launch().stream>>>(
+      step, table.tensors, table.count, launch().fault);
+  check_launch("Adam");
+}
+
 void guard_finite(Stage stage, View<const float> values) {
   if (values.empty() || values.size() == 0) return;
   const bool by_fours = values.contiguous() && reinterpret_cast<std::uintptr_t>(values.data) % alignof(float4) == 0;
   const auto most = static_cast<std::int64_t>(multiprocessors()) * kBlocksPerProcessor * kThreads;
   const std::int64_t accesses = by_fours ? values.size() / 4 + 1 : values.size();
-  guard_kernel<<<blocks_of(std::min(accesses, most), kThreads), kThreads, 0, launch().stream>>>(stage, values, by_fours,
-                                                                                                launch().fault);
-  check_launch("looking for values that are not finite");
+  queue("looking for values that are not finite", blocks_of(std::min(accesses, most), kThreads), kThreads, guard_kernel,
+        stage, values, by_fours, launch().fault);
 }
 
 }  // namespace semfield::cuda

@@ -5,19 +5,14 @@
 #include "compute/math_functions.h"
 #include "cuda/kernels/device_code.cuh"
 #include "cuda/kernels/kernels.h"
-#include "cuda/kernels/sampling.cuh"
-#include "cuda/stages.h"
 #include "model/compositor.h"
-#include "model/density_activation.h"
-#include "model/head_branch.h"
+#include "model/stages.h"
 
 namespace semfield::cuda {
 
 namespace {
 
 constexpr int kThreads = 256;
-
-__device__ std::int64_t thread_number() { return static_cast<std::int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; }
 
 // NaN stays NaN, as on the CPU.
 __device__ float truncated_exp(float x) {
@@ -50,9 +45,9 @@ __device__ float slope_of(DensityActivation activation, float raw) {
 }
 
 // 12 B per row, and 8 B more with noise; noise is drawn in float64.
-__global__ void __launch_bounds__(kThreads) forward_kernel(DensityRule rule, Samples<float> samples, View<float> raw,
+__global__ void __launch_bounds__(kThreads) density_kernel(DensityRule rule, Samples<float> samples, View<float> raw,
                                                            View<float> sigma, const StepCell* cell, FaultKey* fault) {
-  const std::int64_t m = thread_number();
+  const std::int64_t m = thread_index();
   if (m >= raw.rows) return;
   const bool ragged = !samples.first.empty();
   const bool in_use = !ragged || m < samples.first(samples.first.rows - 1, 0);
@@ -73,31 +68,13 @@ __global__ void __launch_bounds__(kThreads) forward_kernel(DensityRule rule, Sam
 
 // 12 B per row.
 __global__ void __launch_bounds__(kThreads)
-    backward_kernel(DensityActivation activation, float per_m, View<const float> raw, View<const float> d_sigma,
-                    View<float> d_raw) {
-  const std::int64_t m = thread_number();
+    density_slope_kernel(DensityActivation activation, float per_m, View<const float> raw, View<const float> d_sigma,
+                         View<float> d_raw) {
+  const std::int64_t m = thread_index();
   if (m < raw.rows) d_raw(m, 0) = d_sigma(m, 0) * slope_of(activation, raw(m, 0)) * per_m;
 }
 
-}  // namespace
-
-void density_forward(const DensityRule& rule, const Samples<float>* samples, View<float> raw, View<float> sigma) {
-  if (raw.rows == 0) return;
-  forward_kernel<<<blocks_of(raw.rows, kThreads), kThreads, 0, launch().stream>>>(
-      rule, samples == nullptr ? Samples<float>{} : *samples, raw, sigma, launch().cell, launch().fault);
-  check_launch("density");
-}
-
-void density_backward(const DensityRule& rule, View<const float> raw, View<const float> d_sigma, View<float> d_raw) {
-  if (raw.rows == 0) return;
-  backward_kernel<<<blocks_of(raw.rows, kThreads), kThreads, 0, launch().stream>>>(
-      rule.activation, static_cast<float>(rule.per_m), raw, d_sigma, d_raw);
-  check_launch("density gradient");
-}
-
 // Whether steps along rays were short enough.
-
-namespace {
 
 // Both seen: the larger weight is first; of equal ones the earlier sample.
 __device__ OpacitySums merged(const OpacitySums& a, const OpacitySums& b) {
@@ -142,19 +119,6 @@ __global__ void __launch_bounds__(kRayThreads)
   }
   result(at.ray, 0) = found;
 }
-
-}  // namespace
-
-void opacity_resolutions(const Samples<float>& samples, View<const float> weight, FarMode far, double footprint_per_m,
-                         View<OpacityResolution> result) {
-  const std::int64_t rays = samples.first.rows - 1;
-  if (rays == 0) return;
-  resolution_kernel<<<ray_blocks(rays), kRayThreads, 0, launch().stream>>>(samples, weight, far, footprint_per_m,
-                                                                           result);
-  check_launch("opacity resolution");
-}
-
-namespace {
 
 // What a lane reads of its sample.
 struct Sample {
@@ -319,42 +283,7 @@ __global__ void __launch_bounds__(kColorThreads) color_gradient_kernel(Samples<f
   d_rgb(m, c) = value;
 }
 
-}  // namespace
-
-void composite_forward(const CompositeIn<float>& in, const CompositeOut<float>& out) {
-  const Samples<float>& samples = *in.samples;
-  const std::int64_t rays = samples.first.rows - 1;
-  if (rays == 0 && out.weight.rows == 0) return;
-  forward_kernel<<<ray_blocks(rays), kRayThreads, 0, launch().stream>>>(samples, in, out, launch().fault);
-  check_launch("compositing");
-  if (!in.hidden.empty() && !out.hidden.empty()) hidden_forward<float>(samples, out.weight, in.hidden, out.hidden);
-}
-
-void composite_backward(const CompositeIn<float>& in, const CompositeOut<float>& out, const CompositeGrad<float>& grad,
-                        View<float> d_sigma, View<float> d_rgb, View<float> d_hidden) {
-  const Samples<float>& samples = *in.samples;
-  const std::int64_t rays = samples.first.rows - 1;
-  const View<const float> d_out = in.hidden.empty() ? View<const float>() : grad.hidden;
-  const bool with_dots = !d_sigma.empty() && !d_out.empty() && grad.hidden_moves_density;
-  if (with_dots || !d_hidden.empty()) {
-    hidden_backward<float>(samples,
-                           {out.weight, in.hidden, d_out, with_dots ? d_sigma : View<float>(), d_hidden, false});
-  }
-  if (!d_sigma.empty() && d_sigma.rows > 0) {
-    density_gradient_kernel<<<ray_blocks(rays), kRayThreads, 0, launch().stream>>>(
-        samples, in, grad, with_dots ? d_out.rows : grad.dotted_rays, d_sigma);
-    check_launch("gradient of density");
-  }
-  if (!d_rgb.empty() && d_rgb.rows > 0) {
-    color_gradient_kernel<<<blocks_of(d_rgb.rows, kColorRows), kColorThreads, 0, launch().stream>>>(samples, out.weight,
-                                                                                                    grad.color, d_rgb);
-    check_launch("gradient of colour");
-  }
-}
-
 // Samples that a semantic branch keeps, what its network reads of them, and dropout; points in place of samples.
-
-namespace {
 
 __device__ bool weighs(float weight, float least) { return weight >= least && weight > 0; }
 
@@ -374,9 +303,8 @@ struct CountKept {
 __global__ void __launch_bounds__(kRayThreads)
     keep_kernel(Samples<float> samples, View<const float> weight, float least, BranchTrace<float> kept) {
   fill_unused_rows(kept.samples, kept.share.rows);
-  const std::int64_t thread = static_cast<std::int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
-  const std::int64_t threads = static_cast<std::int64_t>(gridDim.x) * blockDim.x;
-  for (std::int64_t k = kept.samples.first(kept.share.rows, 0) + thread; k < kept.samples.count; k += threads) {
+  for (std::int64_t k = kept.samples.first(kept.share.rows, 0) + thread_index(); k < kept.samples.count;
+       k += grid_threads()) {
     kept.source(k, 0) = 0;
     kept.weight(k, 0) = 0;
   }
@@ -407,7 +335,7 @@ __global__ void __launch_bounds__(kRayThreads)
 // A warp a row of the input, 8 B a value.
 __global__ void __launch_bounds__(kThreads)
     join_kernel(BranchTrace<float> trace, View<const float> position, View<const float> feature) {
-  const std::int64_t k = (static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x) / kWarp;
+  const std::int64_t k = thread_index() / kWarp;
   if (k >= trace.input.rows) return;
   const bool live = k < trace.samples.first(trace.share.rows, 0);
   const std::int64_t source = live ? trace.source(k, 0) : 0;
@@ -421,7 +349,7 @@ __global__ void __launch_bounds__(kThreads)
 // A thread kDropoutGroup values of a row, 8 B each.
 __global__ void __launch_bounds__(kThreads)
     dropout_kernel(Dropout rule, Samples<float> samples, View<const float> from, View<float> to, const StepCell* cell) {
-  const std::int64_t at = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  const std::int64_t at = thread_index();
   const std::int32_t groups = (to.cols + kDropoutGroup - 1) / kDropoutGroup;
   const std::int64_t k = at / groups;
   const auto group = static_cast<std::int32_t>(at % groups);
@@ -439,7 +367,7 @@ __global__ void __launch_bounds__(kThreads)
 }
 
 __global__ void __launch_bounds__(kThreads) count_kernel(View<std::int32_t> numbers) {
-  const std::int64_t i = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  const std::int64_t i = thread_index();
   if (i < numbers.rows) numbers(i, 0) = static_cast<std::int32_t>(i);
 }
 
@@ -447,7 +375,7 @@ __global__ void __launch_bounds__(kThreads) count_kernel(View<std::int32_t> numb
 __global__ void __launch_bounds__(kThreads)
     choose_kernel(View<const std::int32_t> choice, View<const float> from, View<const std::int16_t> logit,
                   View<float> to, View<std::int16_t> to_logit) {
-  const std::int64_t i = (static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x) / kWarp;
+  const std::int64_t i = thread_index() / kWarp;
   if (i >= to.rows) return;
   const std::int64_t point = choice(i, 0);
   const auto lane = static_cast<std::int32_t>(threadIdx.x % kWarp);
@@ -455,48 +383,7 @@ __global__ void __launch_bounds__(kThreads)
   if (lane == 0) to_logit(i, 0) = logit(point, 0);
 }
 
-}  // namespace
-
-void keep_samples(const Samples<float>& samples, View<const float> weight, float least,
-                  const BranchTrace<float>& kept) {
-  const std::int64_t rays = kept.share.rows;
-  if (rays == 0) return;
-  queue_offsets(CountKept{samples.first, weight, least}, rays, kept.samples.first);
-  keep_kernel<<<ray_blocks(rays), kRayThreads, 0, launch().stream>>>(samples, weight, least, kept);
-  check_launch("samples of a semantic branch");
-}
-
-void join_inputs(const BranchTrace<float>& trace, View<const float> position, View<const float> feature) {
-  if (trace.input.size() == 0) return;
-  join_kernel<<<blocks_of(trace.input.rows * kWarp, kThreads), kThreads, 0, launch().stream>>>(trace, position,
-                                                                                               feature);
-  check_launch("inputs of a semantic branch");
-}
-
-void drop_out(const Dropout& rule, const Samples<float>& samples, View<const float> from, View<float> to) {
-  if (to.size() == 0) return;
-  const std::int64_t groups = to.rows * ((to.cols + kDropoutGroup - 1) / kDropoutGroup);
-  dropout_kernel<<<blocks_of(groups, kThreads), kThreads, 0, launch().stream>>>(rule, samples, from, to, launch().cell);
-  check_launch("dropout");
-}
-
-void count_up(View<std::int32_t> numbers) {
-  if (numbers.rows == 0) return;
-  count_kernel<<<blocks_of(numbers.rows, kThreads), kThreads, 0, launch().stream>>>(numbers);
-  check_launch("numbers of rows");
-}
-
-void choose_points(View<const std::int32_t> choice, View<const float> from, View<const std::int16_t> logit,
-                   View<float> to, View<std::int16_t> to_logit) {
-  if (to.rows == 0) return;
-  choose_kernel<<<blocks_of(to.rows * kWarp, kThreads), kThreads, 0, launch().stream>>>(choice, from, logit, to,
-                                                                                        to_logit);
-  check_launch("points of a lesson");
-}
-
 // What rendering tells of classes, a warp per ray.
-
-namespace {
 
 constexpr int kRays = 8;  // a block
 constexpr int kClassThreads = kRays * kWarp;
@@ -539,10 +426,80 @@ __global__ void __launch_bounds__(kClassThreads) results_kernel(View<const float
 
 }  // namespace
 
+void density_forward(const DensityRule& rule, const Samples<float>* samples, View<float> raw, View<float> sigma) {
+  queue("density", blocks_of(raw.rows, kThreads), kThreads, density_kernel, rule,
+        samples == nullptr ? Samples<float>{} : *samples, raw, sigma, launch().cell, launch().fault);
+}
+
+void density_backward(const DensityRule& rule, View<const float> raw, View<const float> d_sigma, View<float> d_raw) {
+  queue("density gradient", blocks_of(raw.rows, kThreads), kThreads, density_slope_kernel, rule.activation,
+        static_cast<float>(rule.per_m), raw, d_sigma, d_raw);
+}
+
+void opacity_resolutions(const Samples<float>& samples, View<const float> weight, FarMode far, double footprint_per_m,
+                         View<OpacityResolution> result) {
+  queue("opacity resolution", blocks_of(samples.first.rows - 1, kRaysPerBlock), kRayThreads, resolution_kernel, samples,
+        weight, far, footprint_per_m, result);
+}
+
+void composite_forward(const CompositeIn<float>& in, const CompositeOut<float>& out) {
+  const Samples<float>& samples = *in.samples;
+  const std::int64_t rays = samples.first.rows - 1;
+  if (rays == 0 && out.weight.rows == 0) return;
+  queue("compositing", ray_blocks(rays), kRayThreads, forward_kernel, samples, in, out, launch().fault);
+  if (!in.hidden.empty() && !out.hidden.empty()) hidden_forward<float>(samples, out.weight, in.hidden, out.hidden);
+}
+
+void composite_backward(const CompositeIn<float>& in, const CompositeOut<float>& out, const CompositeGrad<float>& grad,
+                        View<float> d_sigma, View<float> d_rgb, View<float> d_hidden) {
+  const Samples<float>& samples = *in.samples;
+  const std::int64_t rays = samples.first.rows - 1;
+  const View<const float> d_out = in.hidden.empty() ? View<const float>() : grad.hidden;
+  const bool with_dots = !d_sigma.empty() && !d_out.empty() && grad.hidden_moves_density;
+  if (with_dots || !d_hidden.empty()) {
+    hidden_backward<float>(samples,
+                           {out.weight, in.hidden, d_out, with_dots ? d_sigma : View<float>(), d_hidden, false});
+  }
+  if (!d_sigma.empty() && d_sigma.rows > 0) {
+    queue("gradient of density", ray_blocks(rays), kRayThreads, density_gradient_kernel, samples, in, grad,
+          with_dots ? d_out.rows : grad.dotted_rays, d_sigma);
+  }
+  if (!d_rgb.empty() && d_rgb.rows > 0) {
+    queue("gradient of colour", blocks_of(d_rgb.rows, kColorRows), kColorThreads, color_gradient_kernel, samples,
+          out.weight, grad.color, d_rgb);
+  }
+}
+
+void keep_samples(const Samples<float>& samples, View<const float> weight, float least,
+                  const BranchTrace<float>& kept) {
+  const std::int64_t rays = kept.share.rows;
+  if (rays == 0) return;
+  queue_offsets(CountKept{samples.first, weight, least}, rays, kept.samples.first);
+  queue("samples of a semantic branch", ray_blocks(rays), kRayThreads, keep_kernel, samples, weight, least, kept);
+}
+
+void join_inputs(const BranchTrace<float>& trace, View<const float> position, View<const float> feature) {
+  queue("inputs of a semantic branch", blocks_of(trace.input.rows * kWarp, kThreads), kThreads, join_kernel, trace,
+        position, feature);
+}
+
+void drop_out(const Dropout& rule, const Samples<float>& samples, View<const float> from, View<float> to) {
+  const std::int64_t groups = to.rows * ((to.cols + kDropoutGroup - 1) / kDropoutGroup);
+  queue("dropout", blocks_of(groups, kThreads), kThreads, dropout_kernel, rule, samples, from, to, launch().cell);
+}
+
+void count_up(View<std::int32_t> numbers) {
+  queue("numbers of rows", blocks_of(numbers.rows, kThreads), kThreads, count_kernel, numbers);
+}
+
+void choose_points(View<const std::int32_t> choice, View<const float> from, View<const std::int16_t> logit,
+                   View<float> to, View<std::int16_t> to_logit) {
+  queue("points of a lesson", blocks_of(to.rows * kWarp, kThreads), kThreads, choose_kernel, choice, from, logit, to,
+        to_logit);
+}
+
 void class_results(View<float> logits, const ClassResults<float>& results) {
-  if (logits.rows == 0) return;
-  results_kernel<<<blocks_of(logits.rows, kRays), kClassThreads, 0, launch().stream>>>(logits, results);
-  check_launch("class results");
+  queue("class results", blocks_of(logits.rows, kRays), kClassThreads, results_kernel, logits, results);
 }
 
 }  // namespace semfield::cuda

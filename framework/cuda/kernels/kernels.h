@@ -4,15 +4,18 @@
 #include <cuda_bf16.h>
 
 #include <cstdint>
+#include <memory>
+#include <span>
+#include <vector>
 
 #include "core/rng.h"
 #include "core/view.h"
 #include "core/workspace.h"
 #include "cuda/launch.h"
+#include "execution/device_library.h"
 #include "losses/loss_list.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
-#include "model/density_activation.h"
 #include "model/optim/adam.h"
 #include "model/render_rules.h"
 #include "model/stages.h"
@@ -30,35 +33,27 @@ enum class Activation : std::uint8_t { none, relu };
 /// given), bias [1, out] fp32 or empty, y [M, out] of Act or float.
 template <class Act, class Out>
 struct LinearForward {
-  View<const Act> x, weight;
-  View<const float> bias;
-  View<Out> y;
+  View<const Act> x{}, weight{};
+  View<const float> bias{};
+  View<Out> y{};
   Activation activation = Activation::none;
   bool add = false;
   /// The same bias as Out. cuBLASLt adds a bias of the output's type alone: without it, bf16 outputs cost a further
   /// pass.
-  View<const Out> rounded_bias;
-  /// With relu, if not null: [M] rows of mask_stride_bits(out) bits, y > 0, for LinearBackward.
-  std::uint32_t* mask = nullptr;
+  View<const Out> rounded_bias{};
 };
 template <class Act, class Out>
 void linear_forward(const LinearForward<Act, Out>& call);
 
 /// From dz [M, out] = dL/d(x W + b): d_weight [in, out] fp32 +=, d_bias [1, out] fp32 +=, dx [M, in] = dz W^T (or +=
-/// with add_to_dx), with relu_input masked by x > 0. weight [in, out], not transposed: a product reads either way. x,
-/// dz and weight may have more columns (rows) than d_weight: padding. Empty views are not computed. Sums have a fixed
-/// order.
+/// with add_to_dx). weight [in, out], not transposed: a product reads either way. x, dz and weight may have more
+/// columns (rows) than d_weight: padding. Empty views are not computed. Sums have a fixed order.
 template <class Act, class Dx>
 struct LinearBackward {
-  View<const Act> x, dz, weight;
-  View<float> d_weight, d_bias;
-  View<Dx> dx;
+  View<const Act> x{}, dz{}, weight{};
+  View<float> d_weight{}, d_bias{};
+  View<Dx> dx{};
   bool add_to_dx = false;
-  bool relu_input = false;
-  /// x > 0 as bits, if forward wrote them: an eighth of x's bytes to read.
-  std::uint32_t* mask = nullptr;
-  /// [1, in] += column sums of dx with relu_input: the bias gradient of the layer that made x, in the same pass.
-  View<float> dx_sums;
 };
 template <class Act, class Dx>
 void linear_backward(const LinearBackward<Act, Dx>& call, Workspace& arena);
@@ -67,31 +62,16 @@ void linear_backward(const LinearBackward<Act, Dx>& call, Workspace& arena);
 /// wider.
 template <class From, class To>
 void convert(View<const From> in, View<To> out);
-/// out [cols, rows] = in^T.
-void transpose(View<const float> in, View<float> out);
 void fill(View<float> out, float value);
 /// out += in.
 template <class From, class To>
 void add_rows(View<const From> in, View<To> out);
 /// dz = y > 0 ? dy : 0.
-template <class Act, class Grad>
-void relu_backward(View<const Act> y, View<Grad> dy);
 template <class Act>
-void relu_backward(View<const Act> y, View<Act> dy) {
-  relu_backward<Act, Act>(y, dy);
-}
-/// y = activation(y + bias), mask as in LinearForward: the pass behind a product that cuBLASLt cannot finish itself.
-/// bias [1, out] or empty.
-template <class Act>
-void finish_layer(View<const float> bias, Activation activation, View<Act> y, std::uint32_t* mask);
+void relu_backward(View<const Act> y, View<Act> dy);
 /// sums [1, cols] += column sums of dz, rows in an order that depends on their number alone.
 template <class Act>
 void add_column_sums(View<const Act> dz, View<float> sums, Workspace& arena);
-/// dx = x > 0 ? dx : 0 by mask (LinearForward::mask), and sums [1, dx.cols] += its column sums; dx.cols a multiple of
-/// 8, rows of dx on 16-byte boundaries.
-void mask_and_sum(const std::uint32_t* mask, View<__nv_bfloat16> dx, View<float> sums, Workspace& arena);
-/// sums [1, cols] += sums over the rows of partial [any, cols], in a fixed order.
-void add_partials(View<const float> partial, View<float> sums);
 /// y [M, out] = share [M, 1] bias [1, out].
 void shared_bias_forward(View<const float> share, View<const float> bias, View<float> y);
 /// From dy [M, out]: d_share [M, 1] = dy bias^T, d_bias [1, out] += share^T dy. Sums have a fixed order.
@@ -158,11 +138,11 @@ void hidden_forward(const Samples<float>& samples, View<const float> weight, Vie
 /// those samples; its other rows are left alone.
 template <class Act>
 struct HiddenBackward {
-  View<const float> weight;
-  View<const Act> hidden;
-  View<const float> d_out;
-  View<float> dots;
-  View<Act> d_hidden;  ///< may have more rows than `hidden`
+  View<const float> weight{};
+  View<const Act> hidden{};
+  View<const float> d_out{};
+  View<float> dots{};
+  View<Act> d_hidden{};  ///< may have more rows than `hidden`
   bool relu_output = false;
   /// d_hidden lies in 8 x 8 blocks (FusedGrad::hidden): contiguous, rows and columns multiples of 8.
   bool blocked = false;
@@ -249,5 +229,60 @@ void opacity_resolutions(const Samples<float>& samples, View<const float> weight
 
 /// A value of values [N, C] that is not finite is a fault of `stage` with its row.
 void guard_finite(Stage stage, View<const float> values);
+
+// The stages of a pass on the device as a table.
+
+const Stages<float>& stages();
+const HeadKernels<float>& head_kernels();
+const CameraKernels<float>& camera_kernels();
+
+/// As Stages::keep, in views of `most` rows whose memory is there: kept.first, t, delta and ray_of_sample, source,
+/// weight, and a ray's sum of weights into share. Rows behind the kept ones get t = delta = weight = source = 0 and the
+/// last ray's number.
+void keep_samples(const Samples<float>& samples, View<const float> weight, float least, const BranchTrace<float>& kept);
+/// As Stages::join; rows behind those kept are 0.
+void join_inputs(const BranchTrace<float>& trace, View<const float> position, View<const float> feature);
+/// As Stages::drop_out.
+void drop_out(const Dropout& rule, const Samples<float>& samples, View<const float> from, View<float> to);
+
+/// As Stages::count_up.
+void count_up(View<std::int32_t> numbers);
+/// Row i of `to` and `to_logit` is row choice(i, 0) of `from` and `logit`.
+void choose_points(View<const std::int32_t> choice, View<const float> from, View<const std::int16_t> logit,
+                   View<float> to, View<std::int16_t> to_logit);
+
+// The list `losses` on the device: each one's kernel, and their sums of a step.
+
+/// A loss of the list, and what adds it on the device.
+struct DeviceLoss {
+  std::shared_ptr<const Loss> loss;
+  LossKernel add = nullptr;
+};
+
+/// In the order of the list. Throws Error(unavailable) naming the first loss without kernels.
+std::vector<DeviceLoss> loss_kernels(const LossList& losses, const KernelTables* tables);
+/// Adds gradients of the losses whose bit is set in `which`, scaled by launch().cell; sums->terms gets their sums, in a
+/// fixed order. `call` has everything but `scale` and `of_ray`.
+void add_losses(Workspace& arena, const std::vector<DeviceLoss>& losses, std::uint32_t which, LossCall call,
+                LossSums* sums);
+
+// The kernels that a build with CUDA adds to the plugins' tables.
+
+/// Those of networks (plugin/mlp) and heads (plugin/head).
+void add_mlp_kernels(KernelTables& tables);
+void add_head_kernels(KernelTables& tables);
+/// Adds these, and calls NAME_cuda_kernels of every linked plugin that has a NAME_cuda.cu. Generated by
+/// cmake/SemfieldPlugin.cmake.
+void add_plugin_kernels(KernelTables& tables);
+
+// Learning a grouping on the device.
+
+/// As DeviceLibrary::learn_grouping. A step is a gather of its points, the network forward, its slow copy forward where
+/// there is one, the grouping's kernel, the network backward and Adam, all queued; draws of many steps are sent at
+/// once.
+void learn_grouping(const GroupingLessons& lessons);
+
+/// slow = share * slow + (1 - share) * value.
+void follow(std::span<const float> value, std::span<float> slow, double share);
 
 }  // namespace semfield::cuda

@@ -56,10 +56,6 @@ __device__ inline Place<N> place_of(std::int64_t i, std::int32_t cols) {
   return {i / groups, static_cast<std::int32_t>(i % groups) * N};
 }
 
-__device__ inline std::int64_t thread_index() {
-  return static_cast<std::int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
-}
-
 // One thread N numbers of `out`; reads in.cols numbers per row, writes out.cols.
 template <class From, class To, int N, bool kAdd>
 __global__ void copy_kernel(View<const From> in, View<To> out) {
@@ -84,72 +80,25 @@ __global__ void copy_kernel(View<const From> in, View<To> out) {
 
 template <class From, class To, bool kAdd>
 void copy_or_add(View<const From> in, View<To> out) {
-  if (out.size() == 0) return;
-  if (packs(in) && packs(out)) {
-    copy_kernel<From, To, 4, kAdd><<<blocks_of(out.size() / 4, kThreads), kThreads, 0, launch().stream>>>(in, out);
-  } else {
-    copy_kernel<From, To, 1, kAdd><<<blocks_of(out.size(), kThreads), kThreads, 0, launch().stream>>>(in, out);
-  }
-  check_launch("copy of a matrix");
-}
-
-__global__ void fill_kernel(View<float> out, float value) {
-  const std::int64_t i = thread_index();
-  if (i >= out.size()) return;
-  const Place<1> at = place_of<1>(i, out.cols);
-  out(at.row, at.col) = value;
-}
-
-// 32 x 32 numbers a block of 32 x 8 threads through shared memory, so that reads and writes are rows.
-__global__ void transpose_kernel(View<const float> in, View<float> out) {
-  __shared__ float tile[kWarp][kWarp + 1];
-  const std::int64_t row = static_cast<std::int64_t>(blockIdx.y) * kWarp;
-  const std::int32_t col = static_cast<std::int32_t>(blockIdx.x) * kWarp;
-  const auto x = static_cast<std::int32_t>(threadIdx.x);
-  for (int y = static_cast<int>(threadIdx.y); y < kWarp; y += 8) {
-    if (row + y < in.rows && col + x < in.cols) tile[y][x] = in(row + y, col + x);
-  }
-  __syncthreads();
-  for (int y = static_cast<int>(threadIdx.y); y < kWarp; y += 8) {
-    if (col + y < in.cols && row + x < in.rows) out(col + y, static_cast<std::int32_t>(row + x)) = tile[x][y];
-  }
+  const bool by_four = packs(in) && packs(out);
+  queue("copy of a matrix", blocks_of(out.size() / (by_four ? 4 : 1), kThreads), kThreads,
+        by_four ? copy_kernel<From, To, 4, kAdd> : copy_kernel<From, To, 1, kAdd>, in, out);
 }
 
 // One thread N numbers: reads y and dy, writes dy.
-template <class Act, class Grad, int N>
-__global__ void relu_backward_kernel(View<const Act> y, View<Grad> dy) {
+template <class Act, int N>
+__global__ void relu_backward_kernel(View<const Act> y, View<Act> dy) {
   const std::int64_t i = thread_index();
   if (i * N >= dy.size()) return;
   const Place<N> at = place_of<N>(i, dy.cols);
   const Pack<Act, N> of = *reinterpret_cast<const Pack<Act, N>*>(y.row(at.row) + at.col);
-  auto* place = reinterpret_cast<Pack<Grad, N>*>(dy.row(at.row) + at.col);
-  Pack<Grad, N> gradient = *place;
+  auto* place = reinterpret_cast<Pack<Act, N>*>(dy.row(at.row) + at.col);
+  Pack<Act, N> gradient = *place;
 #pragma unroll
   for (int k = 0; k < N; ++k) {
-    if (!(to_float(of.v[k]) > 0)) gradient.v[k] = from_float<Grad>(0);
+    if (!(to_float(of.v[k]) > 0)) gradient.v[k] = from_float<Act>(0);
   }
   *place = gradient;
-}
-
-// One thread up to 32 columns of a row, which are one word of the mask.
-template <class Act>
-__global__ void finish_kernel(View<const float> bias, bool relu, View<Act> y, std::uint32_t* mask) {
-  const std::int32_t words = (y.cols + 31) / 32;
-  const std::int64_t i = thread_index();
-  if (i >= y.rows * words) return;
-  const std::int64_t row = i / words;
-  const std::int32_t word = static_cast<std::int32_t>(i % words);
-  std::uint32_t bits = 0;
-  for (std::int32_t k = 0; k < 32 && word * 32 + k < y.cols; ++k) {
-    const std::int32_t col = word * 32 + k;
-    float value = to_float(y(row, col));
-    if (!bias.empty()) value += bias(0, col);
-    if (relu && value < 0) value = 0;  // NaN stays NaN
-    const Act kept = from_float<Act>(value);
-    if (to_float(kept) > 0) bits |= 1u << k;
-    y(row, col) = kept;
-  }
-  if (mask != nullptr) mask[row * (mask_stride_bits(y.cols) / 32) + word] = bits;
 }
 
 // A block sums `rows_each` rows, a thread one column (columns beyond the block's threads in further turns): partial
@@ -183,40 +132,33 @@ __global__ void add_partials_kernel(View<const float> partial, View<float> sums)
   sums(0, col) += total;
 }
 
-// A block masks and sums `rows_each` rows: 32 threads a row of 256 columns, 8 columns (16 bytes, a byte of the mask) a
-// thread, so a warp moves 512 bytes at a time; groups of threads that share columns are added in order at the end.
-// partial [blocks, cols].
-constexpr int kMaskedColumns = 8;
-template <bool kMask>
-__global__ void mask_and_sum_kernel(const std::uint8_t* mask, std::int64_t mask_stride, View<__nv_bfloat16> dx,
-                                    std::int64_t rows_each, View<float> partial) {
+// A block sums `rows_each` rows of bf16: 32 threads a row of 256 columns, 8 columns (16 bytes) a thread, so a warp
+// reads 512 bytes at a time; groups of threads that share columns are added in order at the end. partial [blocks,
+// cols].
+constexpr int kSummedColumns = 8;
+__global__ void sum_by_eights_kernel(View<const __nv_bfloat16> dz, std::int64_t rows_each, View<float> partial) {
   extern __shared__ float share[];  // [groups][cols]
-  const auto threads_a_row = static_cast<int>(dx.cols / kMaskedColumns);
+  const auto threads_a_row = static_cast<int>(dz.cols / kSummedColumns);
   const int groups = static_cast<int>(blockDim.x) / threads_a_row;
   const int group = static_cast<int>(threadIdx.x) / threads_a_row, at = static_cast<int>(threadIdx.x) % threads_a_row;
   const std::int64_t begin = static_cast<std::int64_t>(blockIdx.x) * rows_each;
-  const std::int64_t end = begin + rows_each < dx.rows ? begin + rows_each : dx.rows;
-  float sum[kMaskedColumns] = {};
+  const std::int64_t end = begin + rows_each < dz.rows ? begin + rows_each : dz.rows;
+  float sum[kSummedColumns] = {};
   if (group < groups) {
 #pragma unroll 4
     for (std::int64_t row = begin + group; row < end; row += groups) {
-      auto* const place = reinterpret_cast<Pack<__nv_bfloat16, kMaskedColumns>*>(dx.row(row) + at * kMaskedColumns);
-      Pack<__nv_bfloat16, kMaskedColumns> value = *place;
-      const unsigned bits = kMask ? mask[row * mask_stride + at] : 0xFFu;
+      const auto value =
+          *reinterpret_cast<const Pack<__nv_bfloat16, kSummedColumns>*>(dz.row(row) + at * kSummedColumns);
 #pragma unroll
-      for (int k = 0; k < kMaskedColumns; ++k) {
-        if ((bits >> k & 1u) == 0) value.v[k] = from_float<__nv_bfloat16>(0);
-        sum[k] += to_float(value.v[k]);
-      }
-      if (kMask) *place = value;
+      for (int k = 0; k < kSummedColumns; ++k) sum[k] += to_float(value.v[k]);
     }
 #pragma unroll
-    for (int k = 0; k < kMaskedColumns; ++k) share[group * dx.cols + at * kMaskedColumns + k] = sum[k];
+    for (int k = 0; k < kSummedColumns; ++k) share[group * dz.cols + at * kSummedColumns + k] = sum[k];
   }
   __syncthreads();
-  for (std::int32_t col = static_cast<std::int32_t>(threadIdx.x); col < dx.cols; col += blockDim.x) {
+  for (std::int32_t col = static_cast<std::int32_t>(threadIdx.x); col < dz.cols; col += blockDim.x) {
     float total = 0;
-    for (int g = 0; g < groups; ++g) total += share[g * dx.cols + col];
+    for (int g = 0; g < groups; ++g) total += share[g * dz.cols + col];
     partial(blockIdx.x, col) = total;
   }
 }
@@ -250,134 +192,27 @@ __global__ void per_ray_kernel(View<const Act> dz, View<const std::int32_t> ray_
   }
 }
 
-}  // namespace
-
-template <class From, class To>
-void convert(View<const From> in, View<To> out) {
-  copy_or_add<From, To, false>(in, out);
+// sums [1, cols] += sums over the rows of partial [any, cols], in a fixed order.
+void add_partials(View<const float> partial, View<float> sums) {
+  queue("sums of parts", blocks_of(sums.cols, kWarp), dim3(kWarp, kWarp), add_partials_kernel, partial, sums);
 }
 
-template <class From, class To>
-void add_rows(View<const From> in, View<To> out) {
-  copy_or_add<From, To, true>(in, out);
-}
-
-void fill(View<float> out, float value) {
-  if (out.size() == 0) return;
-  fill_kernel<<<blocks_of(out.size(), kThreads), kThreads, 0, launch().stream>>>(out, value);
-  check_launch("fill");
-}
-
-void transpose(View<const float> in, View<float> out) {
-  if (in.size() == 0) return;
-  const dim3 grid(blocks_of(in.cols, kWarp), blocks_of(in.rows, kWarp));
-  transpose_kernel<<<grid, dim3(kWarp, 8), 0, launch().stream>>>(in, out);
-  check_launch("transpose");
-}
-
-template <class Act, class Grad>
-void relu_backward(View<const Act> y, View<Grad> dy) {
-  if (dy.size() == 0) return;
-  if (packs(y) && packs(dy)) {
-    relu_backward_kernel<Act, Grad, 4><<<blocks_of(dy.size() / 4, kThreads), kThreads, 0, launch().stream>>>(y, dy);
-  } else {
-    relu_backward_kernel<Act, Grad, 1><<<blocks_of(dy.size(), kThreads), kThreads, 0, launch().stream>>>(y, dy);
-  }
-  check_launch("relu backward");
-}
-
-template <class Act>
-void finish_layer(View<const float> bias, Activation activation, View<Act> y, std::uint32_t* mask) {
-  if (y.size() == 0) return;
-  const std::int64_t words = (y.cols + 31) / 32;
-  finish_kernel<Act><<<blocks_of(y.rows * words, kThreads), kThreads, 0, launch().stream>>>(
-      bias, activation == Activation::relu, y, mask);
-  check_launch("bias and activation");
-}
-
-namespace {
-
-// mask null: sums alone.
-void sum_by_eights(const std::uint32_t* mask, View<__nv_bfloat16> dx, View<float> sums, Workspace& arena) {
+void sum_by_eights(View<const __nv_bfloat16> dz, View<float> sums, Workspace& arena) {
   constexpr std::int64_t kLeastRows = 64;
-  const std::int64_t parts = std::min<std::int64_t>(8 * multiprocessors(), (dx.rows + kLeastRows - 1) / kLeastRows);
-  const std::int64_t rows_each = (dx.rows + parts - 1) / parts;
-  const int threads_a_row = dx.cols / kMaskedColumns;
-  const int threads = std::max(kThreads, threads_a_row) / threads_a_row * threads_a_row;
-  const std::size_t shared = sizeof(float) * static_cast<std::size_t>(threads) * kMaskedColumns;
-  const Workspace::Scope scope(arena);
-  const View<float> partial = arena.take<float>(parts, dx.cols);
-  const auto kernel = mask != nullptr ? mask_and_sum_kernel<true> : mask_and_sum_kernel<false>;
-  kernel<<<static_cast<unsigned>(parts), static_cast<unsigned>(threads), shared, launch().stream>>>(
-      reinterpret_cast<const std::uint8_t*>(mask), mask_stride_bits(dx.cols) / 8, dx, rows_each, partial);
-  check_launch("mask and column sums");
-  if (!sums.empty()) add_partials(partial.col_range(0, sums.cols), sums);
-}
-
-}  // namespace
-
-template <class Act>
-void add_column_sums(View<const Act> dz, View<float> sums, Workspace& arena) {
-  if (dz.size() == 0) return;
-  if constexpr (std::is_same_v<Act, __nv_bfloat16>) {
-    constexpr int kMostColumns = 1024 * kMaskedColumns;
-    if (dz.cols % kMaskedColumns == 0 && dz.cols <= kMostColumns && dz.row_stride % kMaskedColumns == 0 &&
-        reinterpret_cast<std::uintptr_t>(dz.data) % 16 == 0) {
-      const View<Act> rows(const_cast<Act*>(dz.data), dz.rows, dz.cols, dz.row_stride, dz.device);
-      return sum_by_eights(nullptr, rows, sums, arena);
-    }
-  }
-  constexpr std::int64_t kMostParts = 1024;
-  constexpr std::int64_t kLeastRows = 64;
-  const std::int64_t parts = std::min<std::int64_t>(kMostParts, (dz.rows + kLeastRows - 1) / kLeastRows);
+  const std::int64_t parts = std::min<std::int64_t>(8 * multiprocessors(), (dz.rows + kLeastRows - 1) / kLeastRows);
   const std::int64_t rows_each = (dz.rows + parts - 1) / parts;
+  const int threads_a_row = dz.cols / kSummedColumns;
+  const int threads = std::max(kThreads, threads_a_row) / threads_a_row * threads_a_row;
+  const std::size_t shared = sizeof(float) * static_cast<std::size_t>(threads) * kSummedColumns;
   const Workspace::Scope scope(arena);
   const View<float> partial = arena.take<float>(parts, dz.cols);
-  partial_sums_kernel<Act><<<static_cast<unsigned>(parts), kThreads, 0, launch().stream>>>(dz, rows_each, partial);
+  sum_by_eights_kernel<<<static_cast<unsigned>(parts), static_cast<unsigned>(threads), shared, launch().stream>>>(
+      dz, rows_each, partial);
   check_launch("column sums");
-  add_partials(partial, sums);
+  add_partials(partial.col_range(0, sums.cols), sums);
 }
-
-void mask_and_sum(const std::uint32_t* mask, View<__nv_bfloat16> dx, View<float> sums, Workspace& arena) {
-  if (dx.size() > 0) sum_by_eights(mask, dx, sums, arena);
-}
-
-void add_partials(View<const float> partial, View<float> sums) {
-  if (sums.size() == 0) return;
-  add_partials_kernel<<<blocks_of(sums.cols, kWarp), dim3(kWarp, kWarp), 0, launch().stream>>>(partial, sums);
-  check_launch("sums of parts");
-}
-
-template <class Act>
-void per_ray_backward(View<const Act> dz, View<const std::int32_t> ray_of_sample, View<float> d_ray_term) {
-  if (d_ray_term.size() == 0) return;
-  constexpr int kColumns = 128;
-  per_ray_kernel<Act><<<static_cast<unsigned>(d_ray_term.rows), kColumns, 0, launch().stream>>>(
-      dz, ray_of_sample, launch().live_rows, d_ray_term);
-  check_launch("sums over rays");
-}
-
-#define SEMFIELD_INSTANTIATE(Act)                                                            \
-  template void finish_layer<Act>(View<const float>, Activation, View<Act>, std::uint32_t*); \
-  template void add_column_sums<Act>(View<const Act>, View<float>, Workspace&);              \
-  template void per_ray_backward<Act>(View<const Act>, View<const std::int32_t>, View<float>);
-SEMFIELD_INSTANTIATE(float)
-SEMFIELD_INSTANTIATE(__nv_bfloat16)
-#undef SEMFIELD_INSTANTIATE
-template void convert<float, float>(View<const float>, View<float>);
-template void convert<float, __nv_bfloat16>(View<const float>, View<__nv_bfloat16>);
-template void convert<__nv_bfloat16, __nv_bfloat16>(View<const __nv_bfloat16>, View<__nv_bfloat16>);
-template void convert<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<float>);
-template void add_rows<float, float>(View<const float>, View<float>);
-template void add_rows<float, __nv_bfloat16>(View<const float>, View<__nv_bfloat16>);
-template void add_rows<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<float>);
-template void relu_backward<float, float>(View<const float>, View<float>);
-template void relu_backward<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<float>);
-template void relu_backward<__nv_bfloat16, __nv_bfloat16>(View<const __nv_bfloat16>, View<__nv_bfloat16>);
 
 // Several small fp32 products in one launch, where cuBLASLt's launches would take longer than the products.
-
-namespace {
 
 constexpr int kTile = 32;   // rows and columns of D that a block computes
 constexpr int kTerms = 32;  // of a slab: what a block multiplies at a time
@@ -440,7 +275,7 @@ __device__ inline Operand left_of(const Matrix& a) {
 __device__ inline Operand right_of(const Matrix& b) {
   return {static_cast<const float*>(b.data), b.stride, b.transposed};
 }
-__device__ inline std::int64_t terms_of(const Matrix& a) {
+__host__ __device__ inline std::int64_t terms_of(const Matrix& a) {
   return a.data == nullptr ? 0 : a.transposed ? a.rows : a.cols;
 }
 
@@ -534,7 +369,7 @@ __global__ void __launch_bounds__(kThreads) small_products_kernel(const __grid_c
 __global__ void add_parts_kernel(const __grid_constant__ Products products) {
   const SmallProduct& p = products.all[blockIdx.y];
   const View<float>& partial = products.partial[blockIdx.y];
-  const std::int64_t i = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  const std::int64_t i = thread_index();
   if (partial.empty() || i >= p.d.size()) return;
   float sum = 0;
 #pragma unroll 8
@@ -546,43 +381,7 @@ __global__ void add_parts_kernel(const __grid_constant__ Products products) {
   p.d(row, col) = sum;
 }
 
-}  // namespace
-
-void small_products(std::span<const SmallProduct> list, Workspace* arena) {
-  constexpr std::int64_t kTermsOfPart = 256, kMostParts = 32;
-  if (list.size() > kMostSmallProducts)
-    throw Error(ErrorKind::internal, "internal.cuda.shape", "too many small products for one launch");
-  std::optional<Workspace::Scope> scope;
-  if (arena != nullptr) scope.emplace(*arena);
-  Products products{};
-  std::int64_t in_parts = 0;  // the largest D that is summed from parts
-  for (const SmallProduct& p : list) {
-    const int i = products.count++;
-    products.all[i] = p;
-    const std::int64_t tiles = std::int64_t{blocks_of(p.d.rows, kTile)} * blocks_of(p.d.cols, kTile);
-    const auto terms = [](const Matrix& a) { return a.data == nullptr ? 0 : a.transposed ? a.rows : a.cols; };
-    const bool in_one = arena == nullptr || tiles >= multiprocessors();
-    const std::int64_t parts =
-        std::clamp<std::int64_t>((terms(p.a) + terms(p.a2)) / kTermsOfPart, 1, in_one ? 1 : kMostParts);
-    if (parts > 1 && p.d.size() > 0) {
-      products.partial[i] = arena->take<float>(parts, static_cast<std::int32_t>(p.d.size()));
-      in_parts = std::max(in_parts, p.d.size());
-    }
-    products.first_block[i + 1] = products.first_block[i] + static_cast<unsigned>(tiles * parts);
-  }
-  const unsigned blocks = products.first_block[products.count];
-  if (blocks == 0) return;
-  small_products_kernel<<<blocks, kThreads, 0, launch().stream>>>(products);
-  check_launch("small products");
-  if (in_parts == 0) return;
-  const dim3 grid(blocks_of(in_parts, kThreads), static_cast<unsigned>(products.count));
-  add_parts_kernel<<<grid, kThreads, 0, launch().stream>>>(products);
-  check_launch("parts of small products");
-}
-
 // Matrix products of shapes that cuBLASLt has no kernel for.
-
-namespace {
 
 constexpr int kSimpleTile = 16;
 
@@ -616,27 +415,8 @@ __global__ void product_kernel(Matrix a, Matrix b, Matrix d, std::int64_t terms,
   }
 }
 
-}  // namespace
-
-void simple_product(const Product& p) {
-  if (p.d.rows == 0 || p.d.cols == 0) return;
-  constexpr std::int64_t kMostColumns = std::int64_t{65535} * kSimpleTile;
-  if (p.d.cols > kMostColumns) {
-    throw Error(ErrorKind::failure, "internal.cuda.shape",
-                "a matrix product of " + std::to_string(p.d.cols) + " columns; at most " +
-                    std::to_string(kMostColumns) + " are computed",
-                "");
-  }
-  const std::int64_t terms = p.a.transposed ? p.a.rows : p.a.cols;
-  const dim3 grid(blocks_of(p.d.rows, kSimpleTile), blocks_of(p.d.cols, kSimpleTile));
-  product_kernel<<<grid, dim3(kSimpleTile, kSimpleTile), 0, launch().stream>>>(p.a, p.b, p.d, terms, p.add);
-  check_launch("a plain product");
-}
-
 // A bias that enters each row of a layer by a share of its own: products of one row or one column, which take as long
 // as moving y does.
-
-namespace {
 
 constexpr int kWarps = kThreads / kWarp;
 constexpr int kWarpRows = 4;
@@ -708,62 +488,29 @@ __global__ void __launch_bounds__(kThreads)
   }
 }
 
-}  // namespace
-
-void shared_bias_forward(View<const float> share, View<const float> bias, View<float> y) {
-  if (y.size() == 0) return;
-  forward_kernel<<<blocks_of(y.rows, kWarps), kThreads, 0, launch().stream>>>(share, bias, y);
-  check_launch("shared bias");
-}
-
-void shared_bias_backward(const SharedBiasBackward& call, Workspace& arena) {
-  if (call.dy.size() == 0) return;
-  const Workspace::Scope scope(arena);
-  const unsigned blocks = blocks_of(call.dy.rows, kBlockRows);
-  const View<float> partial = arena.take<float>(blocks, call.dy.cols);
-  backward_kernel<<<blocks, kThreads, 0, launch().stream>>>(call.share, call.bias, call.dy, call.d_share, partial);
-  check_launch("gradient of a shared bias");
-  add_partials(partial, call.d_bias);
-}
-
 // One thread per number, bound by memory; rows are short and strided, so a thread finds its row by a division.
-
-namespace {
 
 /// body(row, column) for every number of `rows` x `cols`.
 template <class Body>
 __global__ void each_kernel(std::int64_t rows, std::int32_t cols, Body body) {
-  const std::int64_t i = static_cast<std::int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
+  const std::int64_t i = thread_index();
   if (i < rows * cols) body(i / cols, static_cast<std::int32_t>(i % cols));
 }
 template <class Body>
 void for_each(std::int64_t rows, std::int32_t cols, const char* what, Body body) {
-  if (rows == 0 || cols == 0) return;
-  each_kernel<<<blocks_of(rows * cols, kThreads), kThreads, 0, launch().stream>>>(rows, cols, body);
-  check_launch(what);
-}
-
-__device__ inline float wide(float value) { return value; }
-__device__ inline float wide(__nv_bfloat16 value) { return __bfloat162float(value); }
-template <class Act>
-__device__ Act narrow(float value) {
-  if constexpr (sizeof(Act) == sizeof(float)) {
-    return value;
-  } else {
-    return __float2bfloat16_rn(value);
-  }
+  queue(what, blocks_of(rows * cols, kThreads), kThreads, each_kernel<Body>, rows, cols, body);
 }
 
 template <class Sums, class Act>
 struct EndOfRow {
   LayerEnd<Sums, Act> end;
   __device__ void operator()(std::int64_t row, std::int32_t col) const {
-    float value = wide(end.sums(row, col));
+    float value = to_float(end.sums(row, col));
     if (!end.start.empty() && col < end.start.cols)
       value += end.start(!end.row_of.empty() ? end.row_of(row, 0) : end.start.rows == 1 ? 0 : row, col);
     if (end.relu && value < 0) value = 0;  // NaN stays NaN
-    if (!end.mask.empty() && !(wide(end.mask(row, col)) > 0)) value = 0;
-    end.out(row, col) = narrow<Act>(value);
+    if (!end.mask.empty() && !(to_float(end.mask(row, col)) > 0)) value = 0;
+    end.out(row, col) = from_float<Act>(value);
   }
 };
 
@@ -777,8 +524,8 @@ struct SineOfRow {
     turns -= rint(turns);
     float sine = 0, cosine = 0;
     sincos_of_quarters(4.0 * turns, sine, cosine);
-    value(row, col) = narrow<Act>(sine);
-    if (!slope.empty()) slope(row, col) = narrow<Act>(frequency * cosine);
+    value(row, col) = from_float<Act>(sine);
+    if (!slope.empty()) slope(row, col) = from_float<Act>(frequency * cosine);
   }
 };
 
@@ -788,8 +535,14 @@ struct SlopeOfRow {
   View<const float> sums;
   View<Act> dz;
   __device__ void operator()(std::int64_t row, std::int32_t col) const {
-    dz(row, col) = narrow<Act>(sums(row, col) * wide(slope(row, col)));
+    dz(row, col) = from_float<Act>(sums(row, col) * to_float(slope(row, col)));
   }
+};
+
+struct FillOfRow {
+  View<float> out;
+  float value;
+  __device__ void operator()(std::int64_t row, std::int32_t col) const { out(row, col) = value; }
 };
 
 struct GatherOfRow {
@@ -816,6 +569,119 @@ struct LogitOfRow {
 
 }  // namespace
 
+template <class From, class To>
+void convert(View<const From> in, View<To> out) {
+  copy_or_add<From, To, false>(in, out);
+}
+
+template <class From, class To>
+void add_rows(View<const From> in, View<To> out) {
+  copy_or_add<From, To, true>(in, out);
+}
+
+template <class Act>
+void relu_backward(View<const Act> y, View<Act> dy) {
+  const bool by_four = packs(y) && packs(dy);
+  queue("relu backward", blocks_of(dy.size() / (by_four ? 4 : 1), kThreads), kThreads,
+        by_four ? relu_backward_kernel<Act, 4> : relu_backward_kernel<Act, 1>, y, dy);
+}
+
+template <class Act>
+void add_column_sums(View<const Act> dz, View<float> sums, Workspace& arena) {
+  if (dz.size() == 0) return;
+  if constexpr (std::is_same_v<Act, __nv_bfloat16>) {
+    constexpr int kMostColumns = 1024 * kSummedColumns;
+    if (dz.cols % kSummedColumns == 0 && dz.cols <= kMostColumns && dz.row_stride % kSummedColumns == 0 &&
+        reinterpret_cast<std::uintptr_t>(dz.data) % 16 == 0)
+      return sum_by_eights(dz, sums, arena);
+  }
+  constexpr std::int64_t kMostParts = 1024;
+  constexpr std::int64_t kLeastRows = 64;
+  const std::int64_t parts = std::min<std::int64_t>(kMostParts, (dz.rows + kLeastRows - 1) / kLeastRows);
+  const std::int64_t rows_each = (dz.rows + parts - 1) / parts;
+  const Workspace::Scope scope(arena);
+  const View<float> partial = arena.take<float>(parts, dz.cols);
+  queue("column sums", static_cast<unsigned>(parts), kThreads, partial_sums_kernel<Act>, dz, rows_each, partial);
+  add_partials(partial, sums);
+}
+
+template <class Act>
+void per_ray_backward(View<const Act> dz, View<const std::int32_t> ray_of_sample, View<float> d_ray_term) {
+  if (d_ray_term.size() == 0) return;
+  constexpr int kColumns = 128;
+  queue("sums over rays", static_cast<unsigned>(d_ray_term.rows), kColumns, per_ray_kernel<Act>, dz, ray_of_sample,
+        launch().live_rows, d_ray_term);
+}
+
+#define SEMFIELD_INSTANTIATE(Act)                                               \
+  template void relu_backward<Act>(View<const Act>, View<Act>);                 \
+  template void add_column_sums<Act>(View<const Act>, View<float>, Workspace&); \
+  template void per_ray_backward<Act>(View<const Act>, View<const std::int32_t>, View<float>);
+SEMFIELD_INSTANTIATE(float)
+SEMFIELD_INSTANTIATE(__nv_bfloat16)
+#undef SEMFIELD_INSTANTIATE
+template void convert<float, float>(View<const float>, View<float>);
+template void convert<float, __nv_bfloat16>(View<const float>, View<__nv_bfloat16>);
+template void convert<__nv_bfloat16, __nv_bfloat16>(View<const __nv_bfloat16>, View<__nv_bfloat16>);
+template void convert<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<float>);
+template void add_rows<float, float>(View<const float>, View<float>);
+template void add_rows<float, __nv_bfloat16>(View<const float>, View<__nv_bfloat16>);
+template void add_rows<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<float>);
+
+void small_products(std::span<const SmallProduct> list, Workspace* arena) {
+  constexpr std::int64_t kTermsOfPart = 256, kMostParts = 32;
+  if (list.size() > kMostSmallProducts)
+    throw Error(ErrorKind::internal, "internal.cuda.shape", "too many small products for one launch");
+  std::optional<Workspace::Scope> scope;
+  if (arena != nullptr) scope.emplace(*arena);
+  Products products{};
+  std::int64_t in_parts = 0;  // the largest D that is summed from parts
+  for (const SmallProduct& p : list) {
+    const int i = products.count++;
+    products.all[i] = p;
+    const std::int64_t tiles = std::int64_t{blocks_of(p.d.rows, kTile)} * blocks_of(p.d.cols, kTile);
+    const bool in_one = arena == nullptr || tiles >= multiprocessors();
+    const std::int64_t parts =
+        std::clamp<std::int64_t>((terms_of(p.a) + terms_of(p.a2)) / kTermsOfPart, 1, in_one ? 1 : kMostParts);
+    if (parts > 1 && p.d.size() > 0) {
+      products.partial[i] = arena->take<float>(parts, static_cast<std::int32_t>(p.d.size()));
+      in_parts = std::max(in_parts, p.d.size());
+    }
+    products.first_block[i + 1] = products.first_block[i] + static_cast<unsigned>(tiles * parts);
+  }
+  queue("small products", products.first_block[products.count], kThreads, small_products_kernel, products);
+  const dim3 grid(blocks_of(in_parts, kThreads), static_cast<unsigned>(products.count));
+  queue("parts of small products", grid, kThreads, add_parts_kernel, products);
+}
+
+void simple_product(const Product& p) {
+  if (p.d.rows == 0 || p.d.cols == 0) return;
+  constexpr std::int64_t kMostColumns = std::int64_t{65535} * kSimpleTile;
+  if (p.d.cols > kMostColumns) {
+    throw Error(ErrorKind::failure, "internal.cuda.shape",
+                "a matrix product of " + std::to_string(p.d.cols) + " columns; at most " +
+                    std::to_string(kMostColumns) + " are computed",
+                "");
+  }
+  const std::int64_t terms = p.a.transposed ? p.a.rows : p.a.cols;
+  const dim3 grid(blocks_of(p.d.rows, kSimpleTile), blocks_of(p.d.cols, kSimpleTile));
+  queue("a plain product", grid, dim3(kSimpleTile, kSimpleTile), product_kernel, p.a, p.b, p.d, terms, p.add);
+}
+
+void shared_bias_forward(View<const float> share, View<const float> bias, View<float> y) {
+  queue("shared bias", blocks_of(y.rows, kWarps), kThreads, forward_kernel, share, bias, y);
+}
+
+void shared_bias_backward(const SharedBiasBackward& call, Workspace& arena) {
+  if (call.dy.size() == 0) return;
+  const Workspace::Scope scope(arena);
+  const unsigned blocks = blocks_of(call.dy.rows, kBlockRows);
+  const View<float> partial = arena.take<float>(blocks, call.dy.cols);
+  queue("gradient of a shared bias", blocks, kThreads, backward_kernel, call.share, call.bias, call.dy, call.d_share,
+        partial);
+  add_partials(partial, call.d_bias);
+}
+
 template <class Sums, class Act>
 void finish_rows(const LayerEnd<Sums, Act>& end) {
   for_each(end.out.rows, end.out.cols, "the end of a layer", EndOfRow<Sums, Act>{end});
@@ -840,6 +706,8 @@ SEMFIELD_INSTANTIATE(__nv_bfloat16)
 template void finish_rows<float, float>(const LayerEnd<float, float>&);
 template void finish_rows<float, __nv_bfloat16>(const LayerEnd<float, __nv_bfloat16>&);
 template void finish_rows<__nv_bfloat16, __nv_bfloat16>(const LayerEnd<__nv_bfloat16, __nv_bfloat16>&);
+
+void fill(View<float> out, float value) { for_each(out.rows, out.cols, "fill", FillOfRow{out, value}); }
 
 void gather_rows(View<const float> in, View<const std::int32_t> ray_of_sample, View<float> out) {
   for_each(out.rows, out.cols, "rows of rays for samples", GatherOfRow{in, ray_of_sample, out});

@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "core/error.h"
-#include "cuda/memory.h"
+#include "cuda/launch.h"
 #include "cuda/ranks/exchange.h"
 #include "cuda/ranks/shard_sums.h"
 #include "cuda/steps/batch_drawer.h"

@@ -1,6 +1,7 @@
 #include "cuda/steps/batch_drawer.h"
 
 #include <algorithm>
+#include <bit>
 #include <cstring>
 
 #include "compute/parallel.h"
@@ -48,11 +49,32 @@ BatchLayout layout_of(const PixelPool& pool) {
 }
 
 template <class T>
-Buffer<std::byte> held(std::span<const T> values, const char* what) {
-  Buffer<std::byte> memory(values.size_bytes(), what);
-  upload<std::byte>(std::as_bytes(values), memory.data());
+Buffer<T> held(std::span<const T> values, const char* what) {
+  Buffer<T> memory(values.size(), what);
+  upload<T>(values, memory.data());
   return memory;
 }
+
+constexpr std::size_t kAlignBytes = 256;
+
+// Rows of a contiguous view behind each other.
+template <class T>
+void put(std::byte* to, View<const T> from) {
+  SEMFIELD_CHECK(!from.empty() && from.contiguous(), "rows of a batch lie behind each other");
+  std::memcpy(to, from.data, static_cast<std::size_t>(from.size()) * sizeof(T));
+}
+
+constexpr std::int64_t kLeast = 8192;  // fewer rows make no step faster
+constexpr double kSpare = 1.25, kTight = 1.06;
+constexpr double kWorth = 0.75;  // of the room before: each change costs two steps without a graph
+
+// Up to 16 sizes an octave, so that few graphs are made.
+std::int64_t rounded_up(std::int64_t rows) {
+  const int bits = std::bit_width(static_cast<std::uint64_t>(rows));
+  const std::int64_t unit = std::int64_t{1} << std::max(0, bits - 4);
+  return (rows + unit - 1) / unit * unit;
+}
+
 }  // namespace
 
 std::size_t BatchDrawer::bytes_of(const PixelPool& pool, int ahead) {
@@ -75,7 +97,7 @@ BatchDrawer::BatchDrawer(const PixelPool& pool, int ahead)
       layout_(layout_of(pool)),
       ahead_(ahead) {
   const auto steps = static_cast<std::size_t>(ahead), rays = static_cast<std::size_t>(pool.rays);
-  scratch_ = Buffer<std::byte>(steps * rays * sizeof(DrawnRay), "rays of steps");
+  scratch_ = Buffer<DrawnRay>(steps * rays, "rays of steps");
   batches_ = Buffer<std::byte>(steps * layout_.bytes(), "batches of steps");
   send_pixels(pool);
   send_labels(pool);
@@ -85,21 +107,15 @@ BatchDrawer::BatchDrawer(const PixelPool& pool, int ahead)
   synchronize();
 }
 
-BatchDrawer::~BatchDrawer() {
-  (void)cudaFreeHost(seen_label_);
-  (void)cudaFreeHost(seen_depth_);
-  (void)cudaFreeHost(seen_alpha_);
-}
-
 void BatchDrawer::send_pixels(const PixelPool& pool) {
   rule_.seed = pool.seed;
   rule_.rays = pool.rays;
   rule_.tile_rays = pool.tile_rays;
   rule_.limits = pool.limits;
   const auto pixels = static_cast<std::size_t>(pool.offsets.back());
-  rgb_ = Buffer<std::byte>(3 * pixels, "colours of pixels");
+  rgb_ = Buffer<std::uint8_t>(3 * pixels, "colours of pixels");
   if (pool.with_depth) depth_ = Buffer<float>(pixels, "depth of pixels");
-  if (pool.with_alpha) alpha_ = Buffer<std::byte>(pixels, "alpha of pixels");
+  if (pool.with_alpha) alpha_ = Buffer<std::uint8_t>(pixels, "alpha of pixels");
   if (pool.with_labels) label_ = Buffer<std::int16_t>(pixels, "labels of pixels");
   std::vector<HeldFrame> frames;
   for (std::size_t f = 0; f < pool.frames.size(); ++f) {
@@ -113,7 +129,7 @@ void BatchDrawer::send_pixels(const PixelPool& pool) {
     there.world_from_camera = frame.world_from_camera;
     there.width_px = frame.pixels->width_px;
     there.lens = {frame.camera.has_finite_lens(), frame.camera.is_wide()};
-    upload<std::byte>(std::as_bytes(std::span(frame.pixels->rgb)), rgb_.data() + 3 * first);
+    upload<std::uint8_t>(frame.pixels->rgb, rgb_.data() + 3 * first);
     if (pool.with_depth && !frame.pixels->depth_m.empty()) {
       const std::vector<float> depth = frame.pixels->depth_m.expand();
       upload<float>(depth, depth_.data() + first);
@@ -121,7 +137,7 @@ void BatchDrawer::send_pixels(const PixelPool& pool) {
     }
     if (pool.with_alpha && !frame.pixels->alpha.empty()) {
       there.has_alpha = true;
-      upload<std::byte>(std::as_bytes(std::span(frame.pixels->alpha)), alpha_.data() + first);
+      upload<std::uint8_t>(frame.pixels->alpha, alpha_.data() + first);
     }
     frames_.push_back(frame.pixels);
   }
@@ -129,13 +145,13 @@ void BatchDrawer::send_pixels(const PixelPool& pool) {
   send_masks(pool);
   frame_table_ = held<HeldFrame>(frames, "cameras of frames");
   offsets_ = held<std::int64_t>(pool.offsets, "pixels of frames");
-  held_.frames = reinterpret_cast<const HeldFrame*>(frame_table_.data());
-  held_.offsets = reinterpret_cast<const std::int64_t*>(offsets_.data());
+  held_.frames = frame_table_.data();
+  held_.offsets = offsets_.data();
   held_.frame_count = static_cast<std::int32_t>(frames.size());
-  held_.rgb = reinterpret_cast<const std::uint8_t*>(rgb_.data());
+  held_.rgb = rgb_.data();
   held_.label = label_.data();
   held_.depth_m = depth_.data();
-  held_.alpha = reinterpret_cast<const std::uint8_t*>(alpha_.data());
+  held_.alpha = alpha_.data();
   synchronize();
 }
 
@@ -155,9 +171,9 @@ void BatchDrawer::send_masks(const PixelPool& pool) {
   used_block_offsets_ = held<std::int64_t>(blocks, "blocks of masks");
   used_before_ = held<std::uint32_t>(pool.used_before, "ranks of pixels");
   synchronize();
-  held_.used_words = reinterpret_cast<const std::uint64_t*>(used_words_.data());
-  held_.used_block_offsets = reinterpret_cast<const std::int64_t*>(used_block_offsets_.data());
-  held_.used_before = reinterpret_cast<const std::uint32_t*>(used_before_.data());
+  held_.used_words = used_words_.data();
+  held_.used_block_offsets = used_block_offsets_.data();
+  held_.used_before = used_before_.data();
   held_.used_blocks = std::ssize(words);
 }
 
@@ -206,8 +222,8 @@ void BatchDrawer::send_labels(const PixelPool& pool) {
   block_offsets_ = held<std::int64_t>(blocks, "blocks of labels");
   ranks_ = held<std::uint32_t>(pool.ranks_before, "ranks of labels");
   synchronize();
-  held_.block_offsets = reinterpret_cast<const std::int64_t*>(block_offsets_.data());
-  held_.ranks_before = reinterpret_cast<const std::uint32_t*>(ranks_.data());
+  held_.block_offsets = block_offsets_.data();
+  held_.ranks_before = ranks_.data();
   held_.blocks = std::ssize(pool.ranks_before) - 1;
 }
 
@@ -236,16 +252,16 @@ void BatchDrawer::draw(std::int64_t step) {
   batches.alpha = const_cast<float*>(more[channel::alpha].data);
   batches.camera = const_cast<float*>(more[channel::camera].data);
   batches.stride = static_cast<std::int64_t>(layout_.bytes());
-  draw_rays(held_, rule_, step, ahead_, reinterpret_cast<DrawnRay*>(scratch_.data()), batches);
+  draw_rays(held_, rule_, step, ahead_, scratch_.data(), batches);
   const auto fetch = [&](void* to, const void* from, std::size_t bytes) {
     check(cudaMemcpy2DAsync(to, bytes, from, layout_.bytes(), bytes, static_cast<std::size_t>(ahead_),
                             cudaMemcpyDeviceToHost, launch().stream),
           "fetching labels");
   };
   const auto rays = static_cast<std::size_t>(rule_.rays);
-  if (with_labels_) fetch(seen_label_, batches.label, rays * sizeof(std::int16_t));
-  if (with_depth_) fetch(seen_depth_, batches.depth, rays * sizeof(float));
-  if (with_alpha_) fetch(seen_alpha_, batches.alpha, rays * sizeof(float));
+  if (with_labels_) fetch(seen_label_.get(), batches.label, rays * sizeof(std::int16_t));
+  if (with_depth_) fetch(seen_depth_.get(), batches.depth, rays * sizeof(float));
+  if (with_alpha_) fetch(seen_alpha_.get(), batches.alpha, rays * sizeof(float));
   synchronize();
   first_ = step;
   any_ = true;
@@ -261,25 +277,12 @@ RayBatch BatchDrawer::seen(std::int64_t step) const {
   const std::size_t at = static_cast<std::size_t>(step - first_) * static_cast<std::size_t>(rule_.rays);
   RayBatch batch = layout_.in(nullptr);
   each_array(batch, [](auto& view) { view.data = nullptr, view.device = Device::cpu; });
-  if (with_labels_) batch.targets.label.data = seen_label_ + at;
-  if (with_depth_) batch.targets.more.set(channel::depth, {seen_depth_ + at, rule_.rays, 1});
-  if (with_alpha_) batch.targets.more.set(channel::alpha, {seen_alpha_ + at, rule_.rays, 1});
+  if (with_labels_) batch.targets.label.data = seen_label_.get() + at;
+  if (with_depth_) batch.targets.more.set(channel::depth, {seen_depth_.get() + at, rule_.rays, 1});
+  if (with_alpha_) batch.targets.more.set(channel::alpha, {seen_alpha_.get() + at, rule_.rays, 1});
   if (with_camera_) batch.targets.more.set(channel::camera, {nullptr, rule_.rays, 1});
   return batch;
 }
-
-namespace {
-
-constexpr std::size_t kAlignBytes = 256;
-
-// Rows of a contiguous view behind each other.
-template <class T>
-void put(std::byte* to, View<const T> from) {
-  SEMFIELD_CHECK(!from.empty() && from.contiguous(), "rows of a batch lie behind each other");
-  std::memcpy(to, from.data, static_cast<std::size_t>(from.size()) * sizeof(T));
-}
-
-}  // namespace
 
 BatchLayout::BatchLayout(const RayBatch& like)
     : shape_(shape_of(like)), label_only_(like.label_only.data, like.label_only.data + shape_.tiles) {
@@ -318,13 +321,8 @@ Staging::Staging(int slots, const RayBatch& like) : layout_(like) {
   host_ = pinned<std::byte>(static_cast<std::size_t>(slots) * bytes, "pinned memory of batches");
   host_sums_ = pinned<StepSums>(static_cast<std::size_t>(slots), "pinned memory of sums");
   device_ = Buffer<std::byte>(bytes, "batch of rays");
-  device_sums_ = Buffer<std::byte>(sizeof(StepSums), "sums of a step");
+  device_sums_ = Buffer<StepSums>(1, "sums of a step");
   check(cudaMemsetAsync(device_sums_.data(), 0xFF, sizeof(FaultKey), launch().stream), "resetting a fault");
-}
-
-Staging::~Staging() {
-  (void)cudaFreeHost(host_);
-  (void)cudaFreeHost(host_sums_);
 }
 
 void Staging::send(int slot, const StepCell& cell, const RayBatch& batch) {
@@ -351,6 +349,18 @@ void Staging::fetch(int slot) {
   check(cudaMemcpyAsync(&host_sums_[slot], device_sums_.data(), sizeof(StepSums), cudaMemcpyDeviceToHost,
                         launch().stream),
         "fetching sums");
+}
+
+bool SampleRoom::saw(std::int64_t samples) {
+  if (most_ == 0) return false;
+  const std::int64_t now = rows_ == 0 ? most_ : rows_;
+  const double used = static_cast<double>(samples);
+  std::int64_t wanted = std::max(kLeast, rounded_up(static_cast<std::int64_t>(used * kSpare)));
+  if (static_cast<double>(wanted) > kWorth * static_cast<double>(most_)) wanted = most_;
+  const bool tight = used * kTight > static_cast<double>(now);
+  if (wanted == now || (!tight && static_cast<double>(wanted) > kWorth * static_cast<double>(now))) return false;
+  rows_ = wanted == most_ ? 0 : wanted;
+  return true;
 }
 
 }  // namespace semfield::cuda

@@ -1,6 +1,6 @@
 // Pixels chosen, sorted within tiles and cast to rays. Compiled without fused multiplications and additions.
 #include "cuda/kernels/device_code.cuh"
-#include "cuda/steps/draw_rays.h"
+#include "cuda/steps/batch_drawer.h"
 #include "scene/scene.h"
 
 namespace semfield::cuda {
@@ -65,7 +65,7 @@ __device__ bool for_its_label(const DrawRule& rule, std::int64_t ray) {
 __global__ void __launch_bounds__(kThreads)
     choose_kernel(const __grid_constant__ HeldPixels held, const __grid_constant__ DrawRule rule, std::int64_t first,
                   DrawnRay* chosen) {
-  const std::int64_t ray = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  const std::int64_t ray = thread_index();
   if (ray >= rule.rays) return;
   const auto step = static_cast<std::uint64_t>(first + blockIdx.y);
   constexpr std::uint32_t kPixel = stream_id("ray_source/pixel"), kFrame = stream_id("ray_source/frame");
@@ -162,7 +162,7 @@ __device__ T* of_step(T* array, std::int64_t stride, unsigned step) {
 __global__ void __launch_bounds__(kThreads)
     cast_kernel(const __grid_constant__ HeldPixels held, const __grid_constant__ DrawRule rule, const DrawnRay* chosen,
                 const __grid_constant__ DrawnBatches batches) {
-  const std::int64_t ray = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  const std::int64_t ray = thread_index();
   if (ray >= rule.rays) return;
   const DrawnRay drawn = chosen[static_cast<std::int64_t>(blockIdx.y) * rule.rays + ray];
   const HeldFrame& frame = held.frames[drawn.frame];
@@ -206,12 +206,9 @@ void draw_rays(const HeldPixels& pixels, const DrawRule& rule, std::int64_t firs
   const auto steps = static_cast<unsigned>(count);
   const dim3 by_ray(blocks_of(rule.rays, kThreads), steps);
   const dim3 by_tile(static_cast<unsigned>((rule.rays + rule.tile_rays - 1) / rule.tile_rays), steps);
-  choose_kernel<<<by_ray, kThreads, 0, launch().stream>>>(pixels, rule, first, scratch);
-  check_launch("choosing pixels");
-  sort_kernel<<<by_tile, kSortThreads, 0, launch().stream>>>(rule, scratch);
-  check_launch("sorting rays");
-  cast_kernel<<<by_ray, kThreads, 0, launch().stream>>>(pixels, rule, scratch, batches);
-  check_launch("casting rays");
+  queue("choosing pixels", by_ray, kThreads, choose_kernel, pixels, rule, first, scratch);
+  queue("sorting rays", by_tile, kSortThreads, sort_kernel, rule, scratch);
+  queue("casting rays", by_ray, kThreads, cast_kernel, pixels, rule, scratch, batches);
 }
 
 }  // namespace semfield::cuda

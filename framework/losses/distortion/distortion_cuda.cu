@@ -1,5 +1,5 @@
 // The distortion loss on the device: a warp per ray, tiles of 32 samples from either end, sums by prefix in float64.
-#include "cuda/kernels/loss_rays.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "losses/distortion/distortion.h"
 
 namespace semfield::cuda {
@@ -58,13 +58,12 @@ struct Body {
 };
 
 void add(const Loss& loss, const LossCall& call) {
-  Body body;
-  body.space = static_cast<const DistortionLoss&>(loss).params.space;
-  body.near_far = call.values.near_far;
-  body.t = call.values.t;
-  body.delta = call.values.delta;
-  body.weight = call.values.weight;
-  body.d_weight = call.gradients.weight;
+  const Body body{static_cast<const DistortionLoss&>(loss).params.space,
+                  call.values.near_far,
+                  call.values.t,
+                  call.values.delta,
+                  call.values.weight,
+                  call.gradients.weight};
   launch_over_rays(call, body, "distortion loss");
 }
 

@@ -1,5 +1,5 @@
 // The near-density loss on the device: a warp per ray.
-#include "cuda/kernels/loss_rays.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "losses/near_density/near_density.h"
 
 namespace semfield::cuda {

@@ -5,45 +5,29 @@
 #include <atomic>
 #include <cmath>
 #include <limits>
-#include <type_traits>
 
 #include "compute/isa.h"
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "isa_list.h"
-#include "model/optim/adam_kernels.h"
 
 namespace semfield {
 
-#define SEMFIELD_DECLARE(name)                   \
-  namespace isa_##name {                         \
-    const AdamKernels<float>& adam_kernels32();  \
-    const AdamKernels<double>& adam_kernels64(); \
-  }
-SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE)
-#undef SEMFIELD_DECLARE
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, adam_kernels, AdamKernels<float>)
+SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, adam_kernels, AdamKernels<double>)
 
 namespace {
-
-template <class Real, class Get32, class Get64>
-constexpr auto adam_kernels_of(Get32 get32, Get64 get64) {
-  if constexpr (std::is_same_v<Real, float>) {
-    return get32;
-  } else {
-    return get64;
-  }
-}
 
 // Of the instruction set in use.
 template <class Real>
 const AdamKernels<Real>& kernels() {
-  using Get = const AdamKernels<Real>& (*)();
-  static constexpr IsaVariant<Get> kVariants[] = {
-#define SEMFIELD_LIST(name) {Isa::name, adam_kernels_of<Real>(isa_##name::adam_kernels32, isa_##name::adam_kernels64)},
-      SEMFIELD_FOR_EACH_ISA(SEMFIELD_LIST)
-#undef SEMFIELD_LIST
-  };
-  static const AdamKernels<Real>& chosen = best_variant(kVariants)();
+  static constexpr IsaVariant<void (*)(AdamKernels<Real>&)> kVariants[] = {
+      SEMFIELD_FOR_EACH_ISA(SEMFIELD_VARIANT, adam_kernels)};
+  static const AdamKernels<Real> chosen = [] {
+    AdamKernels<Real> filled{};
+    best_variant(kVariants)(filled);
+    return filled;
+  }();
   return chosen;
 }
 
@@ -54,12 +38,41 @@ AdamRange<Real> range_of(View<Real> value, View<const Real> grad, View<Real> m, 
   return {value.row(begin), const_cast<Real*>(grad.row(begin)), m.row(begin), v.row(begin), count, value.cols};
 }
 
-template <class Real, class Grad>
-void check_shapes(const View<Real>& value, const Grad& grad, const View<Real>& m, const View<Real>& v) {
-  SEMFIELD_CHECK(value.contiguous() && grad.contiguous() && m.contiguous() && v.contiguous(),
-                 "the optimiser needs contiguous tensors");
-  SEMFIELD_CHECK(value.size() == grad.size() && value.size() == m.size() && value.size() == v.size(),
-                 "value, gradient and moments differ in size");
+// First range of kRangeElements of `size` elements that good(begin, count) denies, whichever thread finds one first; or
+// -1.
+template <class Good>
+std::int64_t first_bad_range(std::int64_t size, const Good& good) {
+  constexpr std::int64_t kNone = std::numeric_limits<std::int64_t>::max();
+  std::atomic<std::int64_t> first_bad = kNone;
+  parallel_for((size + kRangeElements - 1) / kRangeElements, [&](std::int64_t i) {
+    const std::int64_t begin = i * kRangeElements;
+    if (good(begin, std::min(kRangeElements, size - begin))) return;
+    std::int64_t known = first_bad;
+    while (i < known && !first_bad.compare_exchange_weak(known, i)) {
+    }
+  });
+  return first_bad == kNone ? -1 : first_bad.load();
+}
+
+template <class Real>
+std::int64_t first_outside(View<const Real> values, Real low, Real high) {
+  SEMFIELD_CHECK(values.empty() || values.contiguous(), "the finite check needs contiguous tensors");
+  const std::int64_t range =
+      first_bad_range(values.empty() ? 0 : values.size(), [&](std::int64_t begin, std::int64_t count) {
+        return kernels<Real>().all_within(values.data + begin, count, low, high);
+      });
+  if (range < 0) return -1;
+  std::int64_t at = range * kRangeElements;
+  while (values.data[at] >= low && values.data[at] <= high) ++at;
+  return at;
+}
+
+// Of the way from `from` to `factor`.
+double fallen(ScheduleKind kind, double from, double factor, double progress) {
+  constexpr double kPi = 3.14159265358979323846;
+  if (kind == ScheduleKind::exponential) return from > 0 ? from * std::pow(factor / from, progress) : factor;
+  if (kind == ScheduleKind::cosine) return factor + (from - factor) * 0.5 * (1 + std::cos(kPi * progress));
+  return from;
 }
 
 }  // namespace
@@ -99,43 +112,6 @@ std::int64_t adam_touched(const AdamStep& step, View<Real> value, View<Real> gra
 }
 
 template <class Real>
-void adam_dense_parallel(const AdamStep& step, View<Real> value, View<const Real> grad, View<Real> m, View<Real> v) {
-  check_shapes(value, grad, m, v);
-  struct Job {
-    const AdamStep& step;
-    View<Real> value;
-    View<const Real> grad;
-    View<Real> m, v;
-    std::int64_t range;
-  } const job{step, value, grad, m, v, rows_per_range(value.cols)};
-  parallel_for((value.rows + job.range - 1) / job.range, [&job](std::int64_t i) {
-    const std::int64_t begin = i * job.range;
-    adam_dense(job.step, job.value, job.grad, job.m, job.v, begin, std::min(job.range, job.value.rows - begin));
-  });
-}
-
-template <class Real>
-std::int64_t adam_touched_parallel(const AdamStep& step, View<Real> value, View<Real> grad, View<Real> m,
-                                   View<Real> v) {
-  check_shapes(value, grad, m, v);
-  struct Job {
-    const AdamStep& step;
-    View<Real> value, grad, m, v;
-    std::int64_t range;
-    std::int64_t* touched;
-  };
-  std::int64_t touched = 0;
-  const Job job{step, value, grad, m, v, rows_per_range(value.cols), &touched};
-  parallel_for((value.rows + job.range - 1) / job.range, [&job](std::int64_t i) {
-    const std::int64_t begin = i * job.range;
-    const std::int64_t rows = std::min(job.range, job.value.rows - begin);
-    const std::int64_t n = adam_touched(job.step, job.value, job.grad, job.m, job.v, begin, rows);
-    __atomic_fetch_add(job.touched, n, __ATOMIC_RELAXED);  // integers: any order gives the same sum
-  });
-  return touched;
-}
-
-template <class Real>
 void adam_update(const AdamStep* step, const AdamTable<Real>& table) {
   const auto rows = [&](int i) {
     const AdamTensor<Real>& t = table.tensors[i];
@@ -155,42 +131,6 @@ void adam_update(const AdamStep* step, const AdamTable<Real>& table) {
     }
   });
 }
-
-namespace {
-
-// First range of kRangeElements of `size` elements that good(begin, count) denies, whichever thread finds one first; or
-// -1.
-template <class Good>
-std::int64_t first_bad_range(std::int64_t size, const Good& good) {
-  struct Job {
-    const Good& good;
-    std::int64_t size;
-    std::atomic<std::int64_t> first_bad;
-  } job{good, size, std::numeric_limits<std::int64_t>::max()};
-  parallel_for((size + kRangeElements - 1) / kRangeElements, [&job](std::int64_t i) {
-    const std::int64_t begin = i * kRangeElements;
-    if (job.good(begin, std::min(kRangeElements, job.size - begin))) return;
-    std::int64_t known = job.first_bad;
-    while (i < known && !job.first_bad.compare_exchange_weak(known, i)) {
-    }
-  });
-  return job.first_bad == std::numeric_limits<std::int64_t>::max() ? -1 : job.first_bad.load();
-}
-
-template <class Real>
-std::int64_t first_outside(View<const Real> values, Real low, Real high) {
-  SEMFIELD_CHECK(values.empty() || values.contiguous(), "the finite check needs contiguous tensors");
-  const std::int64_t range =
-      first_bad_range(values.empty() ? 0 : values.size(), [&](std::int64_t begin, std::int64_t count) {
-        return kernels<Real>().all_within(values.data + begin, count, low, high);
-      });
-  if (range < 0) return -1;
-  std::int64_t at = range * kRangeElements;
-  while (values.data[at] >= low && values.data[at] <= high) ++at;
-  return at;
-}
-
-}  // namespace
 
 template <class Real>
 std::int64_t first_non_finite(View<const Real> values) {
@@ -229,8 +169,6 @@ Unsound<Real> first_unsound(View<const Real> value, View<const Real> grad, View<
                                  std::int64_t);                                                                       \
   template std::int64_t adam_touched<Real>(const AdamStep&, View<Real>, View<Real>, View<Real>, View<Real>,           \
                                            std::int64_t, std::int64_t);                                               \
-  template void adam_dense_parallel<Real>(const AdamStep&, View<Real>, View<const Real>, View<Real>, View<Real>);     \
-  template std::int64_t adam_touched_parallel<Real>(const AdamStep&, View<Real>, View<Real>, View<Real>, View<Real>); \
   template void adam_update<Real>(const AdamStep*, const AdamTable<Real>&);                                           \
   template std::int64_t first_non_finite<Real>(View<const Real>);                                                     \
   template Unsound<Real> first_unsound<Real>(View<const Real>, View<const Real>, View<const Real>, View<const Real>,  \
@@ -262,18 +200,6 @@ void describe(ParamVisitor& visit, ScheduleParams& params) {
                  "steps before the rate begins to fall; train.time_s settles them with train.steps", {0, 1e12});
   SEMFIELD_PARAM(visit, params, warmup_steps, "steps of linear rise at the start; 0 = none", {0, 1e12});
 }
-
-namespace {
-
-// Of the way from `from` to `factor`.
-double fallen(ScheduleKind kind, double from, double factor, double progress) {
-  constexpr double kPi = 3.14159265358979323846;
-  if (kind == ScheduleKind::exponential) return from > 0 ? from * std::pow(factor / from, progress) : factor;
-  if (kind == ScheduleKind::cosine) return factor + (from - factor) * 0.5 * (1 + std::cos(kPi * progress));
-  return from;
-}
-
-}  // namespace
 
 double schedule_factor(const ScheduleParams& params, std::int64_t step) {
   ScheduleLeg leg{0, 1, params.hold_steps, params.decay_steps, 0};

@@ -51,12 +51,6 @@ template <class Real>
 std::int64_t adam_touched(const AdamStep& step, View<Real> value, View<Real> grad, View<Real> m, View<Real> v,
                           std::int64_t begin, std::int64_t count);
 
-/// Whole tensors, cut into fixed ranges over parallel_for.
-template <class Real>
-void adam_dense_parallel(const AdamStep& step, View<Real> value, View<const Real> grad, View<Real> m, View<Real> v);
-template <class Real>
-std::int64_t adam_touched_parallel(const AdamStep& step, View<Real> value, View<Real> grad, View<Real> m, View<Real> v);
-
 /// A learned tensor as an update sees it: arrays of rows * cols numbers.
 template <class Real>
 struct AdamTensor {
@@ -113,6 +107,28 @@ struct Unsound {
 template <class Real>
 Unsound<Real> first_unsound(View<const Real> value, View<const Real> grad, View<const Real> m, View<const Real> v,
                             bool touched_only);
+
+// The loops over one range of a tensor, compiled once per instruction set (compute/isa.h).
+
+/// Contiguous arrays of rows * cols elements: value, gradient and the two moments.
+template <class Real>
+struct AdamRange {
+  Real* value;
+  Real* grad;
+  Real* m;
+  Real* v;
+  std::int64_t rows;
+  std::int32_t cols;
+};
+
+template <class Real>
+struct AdamKernels {
+  void (*dense)(const AdamStep& step, const AdamRange<Real>& range);  ///< the gradient is left as it is
+  std::int64_t (*touched)(const AdamStep& step, const AdamRange<Real>& range);
+  bool (*all_within)(const Real* values, std::int64_t count, Real low, Real high);  ///< false for a NaN
+  /// The limits of first_unsound for the rows that `touched` would visit, and some beside them.
+  bool (*touched_sound)(const AdamRange<Real>& range);
+};
 
 // Several tensors cut into ranges that are the units of one parallel loop: a loop for each tensor would end with a
 // wait.

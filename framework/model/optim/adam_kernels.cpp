@@ -1,16 +1,15 @@
 // Adam updates as plain vector loops, for one instruction set.
-#include "model/optim/adam_kernels.h"
-
 #include <cmath>
 #include <type_traits>
 
 #include "compute/isa.h"
 #include "compute/math_functions.h"
+#include "model/optim/adam.h"
 
 namespace semfield::SEMFIELD_ISA {
 
-const AdamKernels<float>& adam_kernels32();
-const AdamKernels<double>& adam_kernels64();
+void adam_kernels(AdamKernels<float>& kernels);
+void adam_kernels(AdamKernels<double>& kernels);
 
 namespace {
 
@@ -179,11 +178,13 @@ bool touched_sound(const AdamRange<Real>& range) {
 }
 
 template <class Real>
-constexpr AdamKernels<Real> kKernels{dense<Real>, touched<Real>, all_within<Real>, touched_sound<Real>};
+void fill(AdamKernels<Real>& kernels) {
+  kernels = {dense<Real>, touched<Real>, all_within<Real>, touched_sound<Real>};
+}
 
 }  // namespace
 
-const AdamKernels<float>& adam_kernels32() { return kKernels<float>; }
-const AdamKernels<double>& adam_kernels64() { return kKernels<double>; }
+void adam_kernels(AdamKernels<float>& kernels) { fill(kernels); }
+void adam_kernels(AdamKernels<double>& kernels) { fill(kernels); }
 
 }  // namespace semfield::SEMFIELD_ISA

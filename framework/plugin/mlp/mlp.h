@@ -9,7 +9,6 @@
 #include <string_view>
 #include <vector>
 
-#include "compute/precision.h"
 #include "core/half.h"
 #include "core/workspace.h"
 #include "plugin/field.h"

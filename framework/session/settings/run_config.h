@@ -8,15 +8,14 @@
 #include <string_view>
 #include <vector>
 
-#include "compute/precision.h"
 #include "config/config_tree.h"
 #include "config/params.h"
 #include "core/error.h"
+#include "core/half.h"
 #include "formats/text_rows.h"
 #include "labels/training_labels.h"
 #include "loading/frame_source.h"
 #include "losses/loss_list.h"
-#include "model/head_branch.h"
 #include "model/optim/adam.h"
 #include "model/render_rules.h"
 #include "plugin/registry.h"
@@ -169,7 +168,7 @@ struct ChoiceNames<Precision> {
 };
 
 struct RuntimeParams {
-  std::string device = "auto";  ///< or what device_of reads (core/device_id.h)
+  std::string device = "auto";  ///< or what device_of reads (core/view.h)
   Precision precision = Precision::fp32;
   bool deterministic = false;
   int threads = 0;
@@ -211,7 +210,7 @@ struct ChoiceNames<LabelKind> {
   static constexpr std::array<std::string_view, 5> names{"any", "few", "noisy", "many", "dense"};
 };
 
-/// What a pass's semantic branch is beside its plugins (model/head_branch.h).
+/// What a pass's semantic branch is beside its plugins (model/render_rules.h).
 struct SemanticBranchConfig {
   std::string key = "semantic";  ///< below its pass: "semantic.few" when it is one of several
   LabelKind labels = LabelKind::any;

@@ -1,9 +1,9 @@
 #include <type_traits>
 
 #include "core/check.h"
-#include "cuda/bf16.h"
 #include "cuda/kernels/kernels.h"
 #include "cuda/launch.h"
+#include "cuda/matmul.h"
 #include "fields/nerf_mlp/nerf_mlp_fused.cuh"
 #include "fields/nerf_mlp/nerf_mlp_fused.h"
 #include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"

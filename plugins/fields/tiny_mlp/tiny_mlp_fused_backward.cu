@@ -2,7 +2,7 @@
 // a block's tiles in registers too.
 #include <algorithm>
 
-#include "cuda/bf16.h"
+#include "cuda/matmul.h"
 #include "fields/tiny_mlp/tiny_mlp.h"
 #include "fields/tiny_mlp/tiny_mlp_fused.cuh"
 #include "fields/tiny_mlp/tiny_mlp_tile.cuh"

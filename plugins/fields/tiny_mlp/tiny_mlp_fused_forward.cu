@@ -2,7 +2,7 @@
 #include <algorithm>
 
 #include "core/check.h"
-#include "cuda/bf16.h"
+#include "cuda/matmul.h"
 #include "fields/tiny_mlp/tiny_mlp_fused.cuh"
 
 namespace semfield::cuda::tiny {

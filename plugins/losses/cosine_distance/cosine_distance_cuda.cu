@@ -1,5 +1,5 @@
 // The cosine distance on the device: a warp per ray, sums of a row in float64.
-#include "cuda/kernels/loss_rays.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "losses/cosine_distance/cosine_distance.h"
 
 namespace semfield::cuda {

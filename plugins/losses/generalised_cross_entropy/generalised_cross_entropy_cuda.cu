@@ -1,6 +1,5 @@
 // The generalised cross-entropy on the device: a warp per ray, sums of a row in float64.
 #include "cuda/kernels/device_code.cuh"
-#include "cuda/kernels/loss_rays.cuh"
 #include "losses/generalised_cross_entropy/generalised_cross_entropy.h"
 
 namespace semfield::cuda {

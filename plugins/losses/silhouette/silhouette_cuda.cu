@@ -1,5 +1,5 @@
 // The silhouette loss on the device: a warp per ray.
-#include "cuda/kernels/loss_rays.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "losses/silhouette/silhouette.h"
 
 namespace semfield::cuda {

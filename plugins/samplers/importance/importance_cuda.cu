@@ -2,7 +2,7 @@
 #include <algorithm>
 
 #include "core/check.h"
-#include "cuda/kernels/sampling.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "plugin/kernels.h"
 #include "samplers/importance/importance_kernels.h"
 

@@ -5,8 +5,7 @@
 
 #include "core/check.h"
 #include "cuda/kernels/device_code.cuh"
-#include "cuda/kernels/sampling.cuh"
-#include "cuda/memory.h"
+#include "cuda/launch.h"
 #include "plugin/kernels.h"
 #include "samplers/occupancy_grid/occupancy_grid_kernels.h"
 

@@ -1,5 +1,5 @@
 // CUDA kernels of the stratified sampler.
-#include "cuda/kernels/sampling.cuh"
+#include "cuda/kernels/device_code.cuh"
 #include "plugin/kernels.h"
 #include "samplers/stratified/stratified_kernels.h"
 

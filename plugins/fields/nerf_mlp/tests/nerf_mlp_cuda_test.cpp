@@ -3,7 +3,7 @@
 
 #include <algorithm>
 
-#include "cuda/kernel_tables.h"
+#include "cuda/kernels/kernels.h"
 #include "fields/nerf_mlp/nerf_mlp.h"
 #include "fields/nerf_mlp/nerf_mlp_fused.h"
 #include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"

@@ -1,14 +1,82 @@
-// Corrections of training cameras on the device, with the meaning of model/camera_corrections.h. Sums go over the rays
-// of a camera in a fixed tree, so that they are the same in every run.
-#include "cuda/grouping_lessons.h"
+// Rays on the device: encoder coordinates of their samples and of positions, and corrections of training cameras with
+// the meaning of model/camera_corrections.h, whose sums go over the rays of a camera in a fixed tree.
 #include "cuda/kernels/device_code.cuh"
-#include "cuda/launch.h"
-#include "cuda/stages.h"
+#include "cuda/kernels/kernels.h"
 #include "model/camera_corrections.h"
 
 namespace semfield::cuda {
 
 namespace {
+
+constexpr int kSamples = 128;  // a block
+constexpr int kCoordinateThreads = 3 * kSamples;
+
+// Coordinate `axis` of the place whose coordinates `p` gives: one alone where the map is affine.
+template <class Place>
+__device__ double mapped(const DomainMap& map, const Place& p, int axis) {
+  return map.radius > 0 ? map({p(0), p(1), p(2)})[axis] : map.along(axis, p(axis));
+}
+
+// One thread a coordinate, so that a warp writes consecutive numbers. A row: 12 B of t, delta and ray and 24 B of x;
+// the 48 B of a ray are read once for its samples and then found in cache.
+__global__ void __launch_bounds__(kCoordinateThreads)
+    locate_kernel(Rays<float> rays, Samples<float> samples, DomainMap map, View<double> x, FaultKey* fault) {
+  const std::int64_t m = static_cast<std::int64_t>(blockIdx.x) * kSamples + threadIdx.x / 3;
+  const int axis = static_cast<int>(threadIdx.x % 3);
+  if (m >= x.rows) return;
+  if (m >= samples.first(rays.origin.rows, 0)) {
+    x(m, axis) = map.offset;
+    return;
+  }
+  const std::int32_t r = samples.ray_of_sample(m, 0);
+  const float t = samples.t(m, 0);
+  const auto place = [&](int a) { return rays.origin(r, a) + static_cast<double>(t) * rays.direction(r, a); };
+  const double at = mapped(map, place, axis);
+  x(m, axis) = at;
+  bool sound = isfinite(at) && isfinite(t);
+  if (axis == 0) {
+    const float delta = samples.delta(m, 0);
+    sound = sound && delta >= 0 && isfinite(delta);
+  }
+  if (!sound) note_fault(fault, Stage::samples, m);
+}
+
+// A warp per ray; 16 B per sample, and 72 B per ray.
+__global__ void __launch_bounds__(kSamples)
+    gradient_kernel(Rays<float> rays, Samples<float> samples, DomainMap map, View<const float> dx, View<float> d_ray) {
+  const std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * (kSamples / kWarp) + threadIdx.x / kWarp;
+  if (r >= d_ray.rows) return;
+  const int lane = static_cast<int>(threadIdx.x % kWarp);
+  const std::int32_t end = samples.first(r + 1, 0);
+  double sum[6] = {};
+  for (std::int32_t m = samples.first(r, 0) + lane; m < end; m += kWarp) {
+    const auto t = static_cast<double>(samples.t(m, 0));
+    Vec3d p, d;
+    for (int i = 0; i < 3; ++i) {
+      p[i] = rays.origin(r, i) + t * rays.direction(r, i);
+      d[i] = static_cast<double>(dx(m, i));
+    }
+    const Vec3d d_place = map.gradient(p, d);
+    for (int i = 0; i < 3; ++i) {
+      sum[i] += d_place[i];
+      sum[3 + i] += d_place[i] * t;
+    }
+  }
+  for (int i = 0; i < 6; ++i) {
+    const double all = warp_sum(sum[i]);
+    if (lane == 0) d_ray(r, i) += static_cast<float>(all);
+  }
+}
+
+// One thread per coordinate; 48 B per row.
+__global__ void __launch_bounds__(kCoordinateThreads)
+    map_kernel(View<const double> positions, DomainMap map, View<double> x) {
+  const std::int64_t m = static_cast<std::int64_t>(blockIdx.x) * kSamples + threadIdx.x / 3;
+  const int axis = static_cast<int>(threadIdx.x % 3);
+  if (m < x.rows)
+    x(m, axis) = mapped(
+        map, [&](int a) { return positions(m, a); }, axis);
+}
 
 constexpr int kThreads = 128;
 
@@ -36,7 +104,7 @@ __device__ Vec3d rotation_of(const float* pose) {
 __global__ void __launch_bounds__(kThreads)
     move_kernel(View<const float> camera, View<const float> pose, double distance_m, View<double> origin,
                 View<double> direction) {
-  const std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  const std::int64_t r = thread_index();
   if (r >= camera.rows) return;
   const float* const row = pose.row(static_cast<std::int64_t>(camera(r, 0)));
   const Vec3d moved = rotated(rotation_of(row), {direction(r, 0), direction(r, 1), direction(r, 2)});
@@ -73,13 +141,13 @@ __global__ void __launch_bounds__(kThreads)
 // One thread per ray.
 __global__ void __launch_bounds__(kThreads)
     show_kernel(View<const float> camera, View<const float> map, View<const float> color, View<float> shown) {
-  const std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  const std::int64_t r = thread_index();
   if (r < camera.rows) shown_color(map.row(static_cast<std::int64_t>(camera(r, 0))), color.row(r), shown.row(r));
 }
 
 __global__ void __launch_bounds__(kThreads) show_gradient_kernel(View<const float> camera, View<const float> map,
                                                                  View<const float> d_shown, View<float> d_color) {
-  const std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * kThreads + threadIdx.x;
+  const std::int64_t r = thread_index();
   if (r >= camera.rows) return;
   shown_color_gradient(map.row(static_cast<std::int64_t>(camera(r, 0))), d_shown.row(r), d_color.row(r));
 }
@@ -103,71 +171,71 @@ __global__ void __launch_bounds__(kThreads) map_gradient_kernel(View<const float
   }
 }
 
-void centre(View<const float> learned, double share, View<float> used) {
-  centre_kernel<<<static_cast<unsigned>(learned.cols), kThreads, 0, launch().stream>>>(learned, share, used, false);
-  check_launch("centring corrections of cameras");
-}
-
-void centre_backward(View<const float> d_used, double share, View<float> d_learned) {
-  centre_kernel<<<static_cast<unsigned>(d_used.cols), kThreads, 0, launch().stream>>>(d_used, share, d_learned, true);
-  check_launch("centring gradients of cameras");
+void centre(View<const float> from, double share, View<float> to, bool add) {
+  queue("centring corrections of cameras", static_cast<unsigned>(from.cols), kThreads, centre_kernel, from, share, to,
+        add);
 }
 
 void move(View<const float> camera, View<const float> pose, double distance_m, View<double> origin,
           View<double> direction) {
-  move_kernel<<<blocks_of(camera.rows, kThreads), kThreads, 0, launch().stream>>>(camera, pose, distance_m, origin,
-                                                                                  direction);
-  check_launch("moving rays");
+  queue("moving rays", blocks_of(camera.rows, kThreads), kThreads, move_kernel, camera, pose, distance_m, origin,
+        direction);
 }
 
 void move_backward(View<const float> camera, View<const float> pose, double distance_m, View<const double> direction,
                    View<const float> d_ray, View<float> d_pose) {
-  move_backward_kernel<<<static_cast<unsigned>(d_pose.rows), kThreads, 0, launch().stream>>>(camera, pose, distance_m,
-                                                                                             direction, d_ray, d_pose);
-  check_launch("gradients of poses");
+  queue("gradients of poses", static_cast<unsigned>(d_pose.rows), kThreads, move_backward_kernel, camera, pose,
+        distance_m, direction, d_ray, d_pose);
 }
 
 void show(View<const float> camera, View<const float> map, View<const float> color, View<float> shown) {
-  show_kernel<<<blocks_of(camera.rows, kThreads), kThreads, 0, launch().stream>>>(camera, map, color, shown);
-  check_launch("colours of cameras");
+  queue("colours of cameras", blocks_of(camera.rows, kThreads), kThreads, show_kernel, camera, map, color, shown);
 }
 
 void show_backward(View<const float> camera, View<const float> map, View<const float> color, View<const float> d_shown,
                    View<float> d_color, View<float> d_map) {
-  show_gradient_kernel<<<blocks_of(camera.rows, kThreads), kThreads, 0, launch().stream>>>(camera, map, d_shown,
-                                                                                           d_color);
-  check_launch("gradients of colours");
-  map_gradient_kernel<<<static_cast<unsigned>(d_map.rows), kThreads, 0, launch().stream>>>(camera, color, d_shown,
-                                                                                           d_map);
-  check_launch("gradients of colours of cameras");
-}
-
-}  // namespace
-
-const CameraKernels<float>& camera_kernels() {
-  static const CameraKernels<float> table{centre, centre_backward, move, move_backward, show, show_backward};
-  return table;
+  queue("gradients of colours", blocks_of(camera.rows, kThreads), kThreads, show_gradient_kernel, camera, map, d_shown,
+        d_color);
+  queue("gradients of colours of cameras", static_cast<unsigned>(d_map.rows), kThreads, map_gradient_kernel, camera,
+        color, d_shown, d_map);
 }
 
 // A slow copy follows: 12 B per number.
-
-namespace {
 
 constexpr int kFollowThreads = 256;
 
 __global__ void __launch_bounds__(kFollowThreads)
     follow_kernel(const float* value, float* slow, std::int64_t count, float kept, float taken) {
-  const std::int64_t i = static_cast<std::int64_t>(blockIdx.x) * kFollowThreads + threadIdx.x;
+  const std::int64_t i = thread_index();
   if (i < count) slow[i] = kept * slow[i] + taken * value[i];
 }
 
 }  // namespace
 
+void locate(const Rays<float>& rays, const Samples<float>& samples, const DomainMap& map, View<double> x) {
+  queue("locating samples", blocks_of(x.rows, kSamples), kCoordinateThreads, locate_kernel, rays, samples, map, x,
+        launch().fault);
+}
+
+void locate_backward(const Rays<float>& rays, const Samples<float>& samples, const DomainMap& map, View<const float> dx,
+                     View<float> d_ray) {
+  queue("gradients of rays", blocks_of(d_ray.rows, kSamples / kWarp), kSamples, gradient_kernel, rays, samples, map, dx,
+        d_ray);
+}
+
+void map_positions(View<const double> positions, const DomainMap& map, View<double> x) {
+  queue("mapping positions", blocks_of(x.rows, kSamples), kCoordinateThreads, map_kernel, positions, map, x);
+}
+
+const CameraKernels<float>& camera_kernels() {
+  static const CameraKernels<float> table{centre, move, move_backward, show, show_backward};
+  return table;
+}
+
 void follow(std::span<const float> value, std::span<float> slow, double share) {
   const auto count = static_cast<std::int64_t>(slow.size());
-  follow_kernel<<<blocks_of(count, kFollowThreads), kFollowThreads, 0, launch().stream>>>(
-      value.data(), slow.data(), count, static_cast<float>(share), static_cast<float>(1 - share));
-  check_launch("slow copy of a network");
+  queue("slow copy of a network", blocks_of(count, kFollowThreads), kFollowThreads, follow_kernel, value.data(),
+        slow.data(), count, static_cast<float>(share), static_cast<float>(1 - share));
 }
 
 }  // namespace semfield::cuda
