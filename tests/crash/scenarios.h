@@ -19,7 +19,13 @@ namespace semfield::testing_crash {
 enum class Save { checkpoint, first, scene, text, clicks };
 /// Those that replace a file.
 inline constexpr Save kSaves[] = {Save::checkpoint, Save::first, Save::scene, Save::text};
-inline const char* name_of(Save what);
+inline const char* name_of(Save what) {
+  return what == Save::clicks       ? "clicks"
+         : what == Save::checkpoint ? "checkpoint"
+         : what == Save::first      ? "first"
+         : what == Save::scene      ? "scene"
+                                    : "text";
+}
 
 struct Look {
   std::uint32_t crc = 0;  ///< of the newest file that verifies, byte for byte; 0: there is none
@@ -117,14 +123,6 @@ inline void look_at_scene(const std::string& folder, Look& out) {
   out.crc = crc_of(folder + "/room.sfpack");
   // Nobody starts up in a folder of scenes: what is left goes when the same file is packed again.
   remove_stale_temporaries(folder);
-}
-
-inline const char* name_of(Save what) {
-  return what == Save::clicks       ? "clicks"
-         : what == Save::checkpoint ? "checkpoint"
-         : what == Save::first      ? "first"
-         : what == Save::scene      ? "scene"
-                                    : "text";
 }
 
 inline Save save_of(const std::string& name) {

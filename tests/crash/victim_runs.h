@@ -60,33 +60,6 @@ struct Fault {
   bool sticky = false;
 };
 
-/// A folder with the state before a save, and the save with a fault in it.
-class Trial {
- public:
-  explicit Trial(Save what);
-  Trial(const Trial&) = delete;
-  Trial& operator=(const Trial&) = delete;
-
-  testing_program::Result save(const Fault& fault = {});
-  /// Of the last save; calls behind a kill are missing.
-  std::vector<FileCall> calls() const { return read_calls(log_); }
-  /// By a fresh process.
-  Look look() const;
-  const std::string& folder() const { return folder_; }
-
- private:
-  Save what_;
-  const TempDir root_;
-  const std::string folder_ = root_ / "work", log_ = root_ / "log";
-};
-
-/// What an undisturbed save goes through and ends in; made once per kind.
-struct Undisturbed {
-  std::uint32_t old_crc = 0, new_crc = 0;
-  std::vector<FileCall> calls;
-};
-inline const Undisturbed& undisturbed(Save what);
-namespace fs = std::filesystem;
 using namespace testing_program;
 
 /// The environment that preloads the shim and plans `fault` for calls below `folder`.
@@ -104,29 +77,49 @@ inline std::vector<std::string> fault_environment(const std::string& folder, con
           std::string("SEMFIELD_FAULT_STICKY=") + (fault.sticky ? "1" : "0")};
 }
 
-inline Trial::Trial(Save what) : what_(what) {
-  fs::create_directories(folder_);
-  prepare(what, folder_);
-}
+/// A folder with the state before a save, and the save with a fault in it.
+class Trial {
+ public:
+  explicit Trial(Save what) : what_(what) {
+    fs::create_directories(folder_);
+    prepare(what, folder_);
+  }
+  Trial(const Trial&) = delete;
+  Trial& operator=(const Trial&) = delete;
 
-inline Result Trial::save(const Fault& fault) {
-  fs::remove(log_);
-  fs::remove(log_ + ".data");
-  return Process(SEMFIELD_VICTIM, {"save", name_of(what_), folder_}, root_.path(),
-                 fault_environment(folder_, log_, fault))
-      .wait();
-}
+  Result save(const Fault& fault = {}) {
+    fs::remove(log_);
+    fs::remove(log_ + ".data");
+    return Process(SEMFIELD_VICTIM, {"save", name_of(what_), folder_}, root_.path(),
+                   fault_environment(folder_, log_, fault))
+        .wait();
+  }
+  /// Of the last save; calls behind a kill are missing.
+  std::vector<FileCall> calls() const { return read_calls(log_); }
+  /// By a fresh process.
+  Look look() const {
+    const Result r = Process(SEMFIELD_VICTIM, {"look", name_of(what_), folder_}, root_.path()).wait();
+    std::istringstream words(r.out);
+    Look found;
+    words >> std::hex >> found.crc >> std::dec >> found.temporaries;
+    std::getline(words >> std::ws, found.bad);
+    if (r.code != 0 || r.out.empty())
+      found.bad += "the process that looked ended with " + std::to_string(r.code) + r.err;
+    return found;
+  }
+  const std::string& folder() const { return folder_; }
 
-inline Look Trial::look() const {
-  const Result r = Process(SEMFIELD_VICTIM, {"look", name_of(what_), folder_}, root_.path()).wait();
-  std::istringstream words(r.out);
-  Look found;
-  words >> std::hex >> found.crc >> std::dec >> found.temporaries;
-  std::getline(words >> std::ws, found.bad);
-  if (r.code != 0 || r.out.empty()) found.bad += "the process that looked ended with " + std::to_string(r.code) + r.err;
-  return found;
-}
+ private:
+  Save what_;
+  const TempDir root_;
+  const std::string folder_ = root_ / "work", log_ = root_ / "log";
+};
 
+/// What an undisturbed save goes through and ends in; made once per kind.
+struct Undisturbed {
+  std::uint32_t old_crc = 0, new_crc = 0;
+  std::vector<FileCall> calls;
+};
 inline const Undisturbed& undisturbed(Save what) {
   static std::map<Save, Undisturbed> made;
   const auto present = made.find(what);

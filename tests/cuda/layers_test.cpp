@@ -1,7 +1,6 @@
 // Products and layers on the device against plain loops in float64; which epilogues cuBLASLt has; same bits every run.
 
 #include <algorithm>
-#include <cstdio>
 
 #include "cuda/kernels/kernels.h"
 #include "cuda/matmul.h"
@@ -10,10 +9,8 @@
 #include "device_fixture.h"
 #include "execution/device_library.h"
 #include "plugin/head.h"
-#include "session/trainer.h"
 #include "testkit/compare.h"
 #include "tests/conformance/rows.h"
-#include "tests/plugin/mlp_network.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {
@@ -170,41 +167,6 @@ TEST(CudaProduct, OfBf16OperandsSumsInFp32) {
   expect_products<Bf16, Bf16>(4e-3, true);
 }
 
-TEST(CudaProduct, RepeatsBitForBit) {
-  SEMFIELD_ON_DEVICE(launch);
-  constexpr std::int64_t kRows = 65536;
-  const DeviceMatrix<Bf16> x(random_floats(kRows * 256, 1, -1, 1), 256), dz(random_floats(kRows * 256, 2, -1, 1), 256);
-  std::vector<float> first;
-  for (int run = 0; run < 3; ++run) {
-    const DeviceMatrix<float> d(std::vector<float>(256 * 256), 256);
-    EXPECT_TRUE(
-        cuda::product({.a = Matrix(x.view(), true), .b = Matrix(dz.view()), .d = Matrix(d.view()), .add = true}));
-    if (run == 0) first = d.read();
-    EXPECT_EQ(d.read(), first);
-  }
-}
-
-// No assertion but that the calls are accepted: what cuBLASLt lacks is made up for by further passes, and costs time.
-TEST(CudaProduct, TellsWhichEpiloguesCublasLtHas) {
-  SEMFIELD_ON_DEVICE(launch);
-  constexpr std::int64_t kRows = 4096;
-  const DeviceMatrix<Bf16> x(random_floats(kRows * 256, 1, -1, 1), 256), w(random_floats(256 * 256, 2, -1, 1), 256);
-  const DeviceMatrix<Bf16> y(kRows, 256), bias(random_floats(256, 3, -1, 1), 256);
-  const char* const names[] = {"none", "bias", "relu", "bias_relu"};
-  for (int e = 0; e < 4; ++e) {
-    Product p;
-    p.epilogue = static_cast<Epilogue>(e);
-    p.a = Matrix(x.view());
-    p.b = Matrix(w.view());
-    p.d = Matrix(y.view());
-    if (p.epilogue == Epilogue::bias || p.epilogue == Epilogue::bias_relu) p.bias = bias.data();
-    const bool has = cuda::product(p);
-    std::printf("cuBLASLt, bf16, %s: %s\n", names[e], has ? "yes" : "no");
-    RecordProperty(names[e], has ? 1 : 0);
-  }
-  cuda::check(cudaDeviceSynchronize(), "products with epilogues");
-}
-
 // y = relu(x W + b), then gradients of a product behind it, in one shape; `in_one`: with the bias as an epilogue adds
 // it.
 template <class Act, class Out>
@@ -327,126 +289,10 @@ TEST(CudaLayers, SumsOverRaysLeaveOutUnusedRows) {
   EXPECT_EQ(sums.read(), (std::vector<float>{3, 0, 12, 0, 6, 0}));
 }
 
-// Networks with every kind of layer, heads and forms of fields on the device, against the CPU's.
+// Heads and forms of fields on the device, against the CPU's.
 
 using testing::DeviceField;
 using testkit::Row;
-
-using namespace testing_mlp;
-
-template <class Real>
-std::vector<Real> numbers(std::int64_t count, double phase) {
-  std::vector<Real> values;
-  for (std::int64_t i = 0; i < count; ++i)
-    values.push_back(static_cast<float>(std::sin(phase + 1.7 * static_cast<double>(i))));
-  return values;
-}
-template <class Real>
-std::vector<double> flat(View<const Real> view) {
-  return {view.data, view.data + view.size()};
-}
-template <class Real>
-std::string near(const DeviceMatrix<float>& got, View<const Real> want, double tolerance) {
-  const std::vector<double> values = flat<Real>(want);
-  return testing::near_norm(got, host_view(values, want.cols), tolerance);
-}
-
-template <class T>
-using Matrices = std::vector<std::unique_ptr<DeviceMatrix<T>>>;
-
-/// Against the CPU's in float64, or in bf16, which rounds the same numbers.
-template <class Real>
-void expect_twin(bool fold, bool rays_once, std::int64_t samples, double output, double gradient) {
-  constexpr Precision kPrecision = std::is_same_v<Real, float> ? Precision::bf16 : Precision::fp32;
-  SCOPED_TRACE("fold " + std::to_string(fold) + ", once per ray " + std::to_string(rays_once) + ", " +
-               std::to_string(samples) + " samples");
-  static const KernelTables cpu = testing::tables_of({mlp_kernels}), gpu = testing::tables_of({cuda::add_mlp_kernels});
-  const Mlp<Real> host = everything<Real>(build_of(fold, rays_once, kPrecision), cpu);
-  const Mlp<float> device = everything<float>(build_of(fold, rays_once, kPrecision, Device::cuda), gpu);
-  const testkit::TensorBox<Real> box(host, 1);
-  if (kPrecision == Precision::bf16) {  // the device rounds biases too
-    for (std::size_t i = 0; i < box.count(); ++i) {
-      if (!box.specs()[i].name.ends_with("/bias")) continue;
-      const View<Real> bias = box.value(i);
-      for (std::int32_t c = 0; c < bias.cols; ++c)
-        bias(0, c) = __bfloat162float(__float2bfloat16(static_cast<float>(bias(0, c))));
-    }
-  }
-  const std::vector<Real> x = numbers<Real>(samples * kIn, 0), rays = numbers<Real>(kRays * kRay, 2);
-  std::vector<std::int32_t> ray_of;
-  for (std::int64_t m = 0; m < samples; ++m) ray_of.push_back(static_cast<std::int32_t>(m * kRays / samples));
-
-  Workspace arena;
-  std::vector<Real> outputs[3], weights[3], dx(x.size());
-  std::vector<MlpOut<Real>> out(3);
-  std::vector<MlpGrad<Real>> grad(3);
-  for (std::size_t k = 0; k < 3; ++k) {
-    outputs[k].resize(static_cast<std::size_t>(samples * kOut[k]));
-    weights[k] = numbers<Real>(samples * kOut[k], 3 + static_cast<double>(k));
-    for (Real& weight : weights[k]) weight += 1;  // all of one sign: sums that cancel are their roundings
-    out[k].rows = {outputs[k].data(), samples, kOut[k]};
-    grad[k].rows = {weights[k].data(), samples, kOut[k]};
-  }
-  const MlpIn<Real> in{{x.data(), samples, kIn}, {rays.data(), kRays, kRay}, {ray_of.data(), samples, 1}};
-  const Saved saved(arena.take_bytes(host.saved_bytes(samples)), host.saved_bytes(samples));
-  host.derive({}, box.tensors());
-  host.forward(arena, box.tensors(), in, out, saved);
-  host.backward(arena, box.tensors(), in, out, grad, saved, {dx.data(), samples, kIn});
-  host.derive_backward({}, box.tensors());
-
-  DeviceLaunch launch;
-  Matrices<float> values, grads, outs, out_weights;
-  std::vector<View<float>> value_views, grad_views;
-  const testkit::TensorBox<float> specs(device, 1);
-  for (std::size_t i = 0; i < specs.count(); ++i) {
-    ASSERT_EQ(specs.specs()[i].name, box.specs()[i].name);
-    values.push_back(std::make_unique<DeviceMatrix<float>>(flat<Real>(box.value(i)), box.value(i).cols));
-    grads.push_back(std::make_unique<DeviceMatrix<float>>(
-        std::vector<float>(static_cast<std::size_t>(box.value(i).size())), box.value(i).cols));
-    value_views.push_back(values.back()->view());
-    grad_views.push_back(grads.back()->view());
-  }
-  const Tensors<float> tensors{value_views, grad_views};
-  const DeviceMatrix<float> x_there(flat<Real>(host_view(x, kIn)), kIn),
-      rays_there(flat<Real>(host_view(rays, kRay)), kRay), dx_there(samples, kIn);
-  const DeviceMatrix<std::int32_t> ray_there(ray_of, 1);
-  const MlpIn<float> in_there{x_there.view(), rays_there.view(), ray_there.view()};
-  std::vector<MlpOut<float>> out_there(3);
-  std::vector<MlpGrad<float>> grad_there(3);
-  for (std::size_t k = 0; k < 3; ++k) {
-    outs.push_back(std::make_unique<DeviceMatrix<float>>(samples, kOut[k], kOut[k] + 3));
-    out_weights.push_back(std::make_unique<DeviceMatrix<float>>(flat<Real>(host_view(weights[k], kOut[k])), kOut[k]));
-    out_there[k].rows = outs[k]->view();
-    grad_there[k].rows = out_weights[k]->view();
-  }
-  const std::size_t bytes = device.saved_bytes(samples);
-  const Saved saved_there(launch.arena().take_bytes(bytes), bytes);
-  device.derive({}, tensors);
-  device.forward(launch.arena(), tensors, in_there, out_there, {});
-  for (const auto& rows : outs) EXPECT_EQ(rows->surroundings(), "");
-  device.forward(launch.arena(), tensors, in_there, out_there, saved_there);
-  device.backward(launch.arena(), tensors, in_there, out_there, grad_there, saved_there, dx_there.view());
-  device.derive_backward({}, tensors);
-
-  for (std::size_t k = 0; k < 3; ++k) EXPECT_EQ(near<Real>(*outs[k], out[k].rows, output), "") << "output " << k;
-  EXPECT_EQ(near<Real>(dx_there, host_view(dx, kIn), gradient), "");
-  for (std::size_t i = 0; i < specs.count(); ++i) {
-    if (!is_learned(specs.specs()[i].role)) continue;
-    EXPECT_EQ(near<Real>(*grads[i], box.grad(i), gradient), "") << specs.specs()[i].name;
-  }
-}
-
-TEST(CudaMlp, IsTheCpusForEverySwitchAndSize) {
-  SEMFIELD_NEEDS_DEVICE();
-  for (const bool fold : {true, false}) {
-    for (const bool rays_once : {true, false}) {
-      for (const std::int64_t samples : {1, 33, 1030}) {
-        expect_twin<double>(fold, rays_once, samples, 2e-5, 2e-4);
-        if (!fold) expect_twin<float>(fold, rays_once, samples, 5e-3, 5e-2);  // a product's bias is rounded there alone
-      }
-    }
-  }
-}
 
 // The class layer once per ray on the device against plain sums in float64: few classes and many take different
 // kernels.
@@ -788,18 +634,10 @@ std::string roomy_config() {
   return yaml.replace(yaml.find("max_samples: 96"), 15, "max_samples: 512, step_m: 0.1");
 }
 
-struct Subject {
+struct Subject : TestRun {
   Subject(const std::string& more, Registry& registry)
-      : session(open_text(roomy_config() + "runtime: {device: cuda" + more + "}\n", registry)) {}
+      : TestRun(roomy_config() + "runtime: {device: cuda" + more + "}\n", registry) {}
   SampleRoom& room() { return dynamic_cast<cuda::StreamExecutor&>(session.pipeline->executor()).sample_room(); }
-  std::uint32_t bits() {
-    trainer.collect();
-    return fingerprint(session.pipeline->store());
-  }
-
-  Session session;
-  std::unique_ptr<RaySource> rays = session.make_ray_source();
-  Trainer trainer{*session.pipeline, *rays, session.config.adam, session.config.schedule};
 };
 
 // Several steps are queued; room is short from the first, and later ones change nothing until it is made again.
@@ -819,6 +657,8 @@ TEST(CudaSampleRoom, AStepWithTooLittleIsMadeAgainToTheSameBits) {
       EXPECT_EQ(got[i].total, want[i].total);
     }
     EXPECT_EQ(limited.trainer.step(), plain.trainer.step());
+    limited.trainer.collect();
+    plain.trainer.collect();
     EXPECT_EQ(limited.bits(), plain.bits());
     EXPECT_EQ(limited.room().rows(), 0);
   }

@@ -12,7 +12,6 @@
 #include "testkit/compare.h"
 #include "testkit/loss_rays.h"
 #include "tests/conformance/rows.h"
-#include "tests/says.h"
 
 namespace semfield {
 namespace {
@@ -48,23 +47,6 @@ TEST(CudaPhotometric, LossAndGradient) {
     cuda::photometric_loss(launch.arena(), color_there.read_only(), target_there.read_only(), normaliser, {},
                            sums.data());
     EXPECT_EQ(sums.read()[0].squares, got) << "a second run gave other bits";
-  }
-}
-
-TEST(CudaCounts, SamplesAndDensity) {
-  SEMFIELD_ON_DEVICE(launch);
-  for (const std::int32_t count : {0, 1, 1023, 1025, 300001}) {
-    const DeviceMatrix<std::int32_t> first(std::vector<std::int32_t>{0, count / 2, count}, 1);
-    for (const int kind : {0, 1, 2}) {  // none; the last sample; one behind those in use
-      std::vector<float> sigma(static_cast<std::size_t>(count) + 9, 0.F);
-      if (kind == 1 && count > 0) sigma[static_cast<std::size_t>(count) - 1] = 1e-30F;
-      if (kind == 2) sigma[count] = 1;
-      const DeviceMatrix<float> there(sigma, 1);
-      const DeviceMatrix<LossSums> sums(1, 1);
-      cuda::count_samples(first.read_only(), there.read_only(), sums.data());
-      EXPECT_EQ(sums.read()[0].samples, count);
-      EXPECT_EQ(sums.read()[0].dense, kind == 1 && count > 0 ? 1 : 0) << count << ", kind " << kind;
-    }
   }
 }
 
@@ -392,14 +374,10 @@ TEST(CudaLosses, EachAsTheProcessor) {
     loss_terms_expect_same(row, {1023, 1024, 1025, 2049, 5000}, 0);
     for (const auto& counts : std::vector<std::vector<int>>{{0}, {1}, {0, 0, 3}})
       loss_terms_expect_same(row, counts, 0);
+    std::vector<int> many;
+    for (int r = 0; r < 4097; ++r) many.push_back(r * 7 % 40);
+    loss_terms_expect_same(row, many, 0);
   }
-}
-
-TEST(CudaLosses, ManyRays) {
-  SEMFIELD_NEEDS_DEVICE();
-  std::vector<int> counts;
-  for (int r = 0; r < 4097; ++r) counts.push_back(r * 7 % 40);
-  for (const testkit::Row& row : testkit::rows_of(PluginKind::loss)) loss_terms_expect_same(row, counts, 0);
 }
 
 // A batch without what a loss compares with, as `bench step` makes it.
@@ -415,24 +393,6 @@ TEST(CudaLosses, NoTargetsAreNoLoss) {
     EXPECT_EQ(sums.read()[0].terms[0], 0) << row.text();
   }
   EXPECT_EQ(launch.take_fault(), std::nullopt);
-}
-
-struct ElsewhereParams : LossRule {};
-class Elsewhere final : public LossOf<Elsewhere, ElsewhereParams> {
- public:
-  LossTraits traits() const override { return {}; }
-  template <class Real>
-  double sum(const RayTargets&, const RayValues<Real>&, double, const RayGradients<Real>&) const {
-    return 0;
-  }
-};
-
-TEST(CudaLosses, OneWithoutKernelsIsRefusedByName) {
-  EXPECT_HAS(
-      error_of([&] {
-        (void)cuda::loss_kernels(LossList({{"elsewhere", std::make_shared<Elsewhere>(), nullptr, ""}}), &kernels());
-      }),
-      "loss 'elsewhere' has no cuda kernels");
 }
 
 // Groupings on the device against those of the CPU: sums, gradients, and networks that learn.

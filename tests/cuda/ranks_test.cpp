@@ -8,9 +8,9 @@
 #include "execution/ranks_executor.h"
 #include "session/trainer.h"
 #include "tests/cuda/device_fixture.h"
-#include "tests/cuda/step_configs.h"
 #include "tests/ranks/thread_ranks.h"
 #include "tests/says.h"
+#include "tests/session/step_configs.h"
 
 namespace semfield {
 namespace {

@@ -5,13 +5,13 @@
 #include "core/rng.h"
 #include "cuda/kernels/kernels.h"
 #include "device_fixture.h"
-#include "execution/lane_executor.h"
+#include "execution/point_network.h"
 #include "model/camera_corrections.h"
 #include "model/compositor.h"
 #include "session/trainer.h"
 #include "testkit/compare.h"
-#include "tests/cuda/step_configs.h"
 #include "tests/model/rays_of_slabs.h"
+#include "tests/session/step_configs.h"
 
 namespace semfield {
 namespace {
@@ -194,30 +194,19 @@ TEST(CudaCompositor, EveryModeAndWidthAsTheProcessor) {
   EXPECT_EQ(launch.take_fault(), std::nullopt);
 }
 
-TEST(CudaCompositor, LabelledRaysAreTheFirst) {
+TEST(CudaCompositor, AwkwardBatchesAsTheProcessor) {
   SEMFIELD_ON_DEVICE(launch);
   for (const std::int64_t labelled : {0, 1, 6, 14})
     expect_same({awkward_counts(), 64, 0, 50, 1.0}, FarMode::open, labelled);
-}
-
-TEST(CudaCompositor, EmptyBatchesAndSingleRays) {
-  SEMFIELD_ON_DEVICE(launch);
   for (const std::int64_t unused : {0, 40}) {
     for (const auto& counts : std::vector<std::vector<int>>{{}, {0}, {1}, {0, 0, 3}})
       expect_same({counts, 8, 0, unused, 1.0}, FarMode::background, -1);
   }
-}
-
-TEST(CudaCompositor, LongRays) {  // more than 32 tiles of 32 samples, whose optical depths a warp holds at once
-  SEMFIELD_ON_DEVICE(launch);
+  // More than 32 tiles of 32 samples, whose optical depths a warp holds at once.
   expect_same({{1023, 1024, 1025, 1056, 2049, 5000}, 16, 0, 9, 0.5}, FarMode::open, -1);
-}
-
-TEST(CudaCompositor, ManyRays) {
-  SEMFIELD_ON_DEVICE(launch);
-  std::vector<int> counts;
-  for (int r = 0; r < 4097; ++r) counts.push_back(r * 7 % 40);
-  expect_same({counts, 64, 0, 1000, 1.0}, FarMode::open, 3001);
+  std::vector<int> many;
+  for (int r = 0; r < 4097; ++r) many.push_back(r * 7 % 40);
+  expect_same({many, 64, 0, 1000, 1.0}, FarMode::open, 3001);
 }
 
 TEST(CudaCompositor, GradientKeepsItsSignInFogOfAnyDepth) {
@@ -265,26 +254,6 @@ TEST(CudaCompositor, InfiniteIntervalsAndHugeDensities) {
   const std::vector<float> d_sigma = device.d_sigma.read();
   for (const float d : d_sigma) EXPECT_TRUE(std::isfinite(d));
   EXPECT_EQ(d_sigma[3], 0);
-}
-
-TEST(CudaCompositor, ARayDoesNotDependOnItsNeighbours) {
-  SEMFIELD_ON_DEVICE(launch);
-  RayBuffers<float> both({40, 170}, 64), alone({170}, 64);
-  fill(both, 3, 1.0);
-  alone.take_inputs(both);
-  DeviceRays a(both, 0, 0), b(alone, 33, 0);
-  for (DeviceRays* rays : {&a, &b}) {
-    rays->forward();
-    rays->backward();
-  }
-  const auto same_end = [&](const DeviceMatrix<float>& whole, const DeviceMatrix<float>& part, std::size_t count) {
-    const std::vector<float> x = whole.read(), y = part.read();
-    return std::equal(x.end() - static_cast<std::ptrdiff_t>(count), x.end(), y.begin());
-  };
-  EXPECT_TRUE(same_end(a.color, b.color, 3));
-  EXPECT_TRUE(same_end(a.out_hidden, b.out_hidden, 64));
-  EXPECT_TRUE(same_end(a.d_sigma, b.d_sigma, 170));
-  EXPECT_TRUE(same_end(a.d_hidden, b.d_hidden, 170 * 64));
 }
 
 TEST(CudaCompositor, DetachedHiddenLeavesDensityAlone) {
@@ -433,25 +402,6 @@ TEST(CudaLocate, FaultsOfSamplesInUse) {
   EXPECT_EQ(fault_of([](Batch& b) { b.delta[b.used] = kNan; }), std::nullopt);
 }
 
-TEST(CudaLocate, MapsPositions) {
-  SEMFIELD_ON_DEVICE(launch);
-  for (const double radius : {0.0, 1.5}) {
-    const DomainMap map{{0.5, -2, 3}, 0.37, 0.5, radius};
-    for (const std::int64_t count : {0, 1, 33, 4097}) {
-      const std::vector<double> positions = testing::widen(testing::random_floats(3 * count, 8, -4, 4));
-      const DeviceMatrix<double> from(positions, 3, 5), x(count, 3, 4);
-      cuda::map_positions(from.read_only(), map, x.view());
-      const std::vector<double> got = x.read();
-      for (std::size_t i = 0; i < got.size(); ++i) {
-        const std::size_t row = i - i % 3;
-        const Vec3d want = map({positions[row], positions[row + 1], positions[row + 2]});
-        ASSERT_NEAR(got[i], want[static_cast<int>(i % 3)], radius > 0 ? 4e-15 : 1e-15) << i;
-      }
-      EXPECT_EQ(x.surroundings(), "");
-    }
-  }
-}
-
 TEST(CudaDensity, ActivationsAndTheirSlopes) {
   SEMFIELD_ON_DEVICE(launch);
   for (const auto activation : {DensityActivation::relu, DensityActivation::softplus, DensityActivation::trunc_exp}) {
@@ -484,31 +434,6 @@ TEST(CudaDensity, ActivationsAndTheirSlopes) {
     }
   }
   EXPECT_EQ(launch.take_fault(), std::nullopt);
-}
-
-TEST(CudaDensity, NoiseIsThatOfTheProcessor) {
-  SEMFIELD_ON_DEVICE(launch);
-  cuda::StepCell cell{.step = (std::uint64_t{1} << 33) + 5};
-  launch.set_cell(cell);
-  const Batch host(100, 40);
-  const DeviceBatch device(host);
-  DensityRule rule{.bias = 0.5, .deviation = 1.5, .random = {3, 0, 99}, .first_ray = 7000};
-  const std::vector<float> raw = testing::random_floats(device.rows, 5, -2, 2);
-  const DeviceMatrix<float> there(raw, 1), sigma(device.rows, 1);
-  cuda::density_forward(rule, &device.samples, there.view(), sigma.view());
-  std::vector<float> want = raw;
-  for (float& x : want) x += 0.5F;
-  RandomAddress address = rule.random;
-  address.step = cell.step;
-  add_density_noise<float>(address, rule.first_ray, testing::host_view(host.first, 1), rule.deviation,
-                           testing::host_view(want, 1));
-  const std::vector<float> got = there.read(), density = sigma.read();
-  for (std::size_t i = 0; i < got.size(); ++i) {
-    ASSERT_NEAR(got[i], want[i], 1e-6) << i;  // the same draw; its logarithm and cosine may round apart
-    ASSERT_EQ(density[i], std::max(0.F, got[i])) << i;
-  }
-  EXPECT_EQ(std::vector<float>(got.begin() + static_cast<std::ptrdiff_t>(host.used), got.end()),
-            std::vector<float>(want.begin() + static_cast<std::ptrdiff_t>(host.used), want.end()));
 }
 
 TEST(CudaDensity, FaultsNameTheStage) {
@@ -666,36 +591,6 @@ TEST(CudaCameras, KeepTheMeanAsTheCpuDoes) {
     cpu.centre(host(from, kPoseNumbers), share, host(sum, kPoseNumbers), true);
     expect_close(t_to.read(), to, 1e-6);
     expect_close(t_sum.read(), sum, 1e-6);
-  }
-}
-
-TEST(CudaCameras, RaysGetTheGradientsOfTheirSamples) {
-  SEMFIELD_ON_DEVICE(launch);
-  constexpr std::int64_t kUnused = 11;
-  std::vector<std::int32_t> first{0}, ray;
-  for (std::int64_t r = 0; r < kRays; ++r) {
-    ray.insert(ray.end(), static_cast<std::size_t>(r * 11 % 71), static_cast<std::int32_t>(r));
-    first.push_back(static_cast<std::int32_t>(ray.size()));
-  }
-  const auto used = static_cast<std::int64_t>(ray.size()), all = used + kUnused;
-  std::vector<float> t = random_floats(all, 1, 0.1, 9), delta(t.size(), 0.1F), dx = random_floats(3 * all, 2, -1, 1);
-  ray.resize(t.size(), kRays - 1);
-  std::vector<double> origin = doubles(3 * kRays, 3), direction = doubles(3 * kRays, 4);
-  const DeviceMatrix<std::int32_t> t_first(first, 1), t_ray(ray, 1);
-  const DeviceMatrix<float> t_t(t, 1), t_delta(delta, 1), t_dx(dx, 3);
-  const DeviceMatrix<double> t_origin(origin, 3), t_direction(direction, 3);
-  for (const bool contracted : {false, true}) {
-    const DomainMap map = DomainMap::make(Domain::unit_cube, {{-1, -2, 0}, {2, 1, 2}}, 0, contracted);
-    std::vector<float> d_ray = random_floats(6 * kRays, 5, -1, 1);
-    const DeviceMatrix<float> t_d_ray(d_ray, 6);
-    cuda::stages().locate_backward({t_origin.read_only(), t_direction.read_only(), {}},
-                                   {t_t.view(), t_delta.view(), t_ray.view(), t_first.view(), all}, map,
-                                   t_dx.read_only(), t_d_ray.view());
-    cpu_stages<float>().locate_backward({host(origin, 3), host(direction, 3), {}},
-                                        {host(t, 1), host(delta, 1), host(ray, 1), host(first, 1), used}, map,
-                                        host(dx, 3), host(d_ray, 6));
-    expect_close(t_d_ray.read(), d_ray, 1e-4);
-    EXPECT_EQ(t_d_ray.surroundings(), "");
   }
 }
 

@@ -15,30 +15,19 @@
 #include "model/param_store.h"
 #include "plugins/fields/nerf_mlp/tests/fused_fixture.h"
 #include "scene/scene.h"
-#include "session/trainer.h"
-#include "tests/cuda/step_configs.h"
-#include "tests/session/train_testing.h"
+#include "tests/session/gradient_hook.h"
+#include "tests/session/step_configs.h"
 
 namespace semfield {
 namespace {
 
 using namespace testing_train;
 
-// A session with its trainer; both devices take the batch as one tile, so that rays have the same numbers.
-struct Training {
-  Training(Registry& registry, std::string yaml, const std::string& runtime)
-      : session(open_text(yaml + "runtime: {" + runtime + "}\n", registry)),
-        rays(session.make_ray_source()),
-        trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, session.config.train.steps) {}
-  StepLosses train(std::int64_t steps) {
-    StepLosses last;
-    while (trainer.step() < steps) last = trainer.advance_many(steps - trainer.step()).back();
-    trainer.collect();
-    return last;
-  }
-  Session session;
-  std::unique_ptr<RaySource> rays;
-  Trainer trainer;
+// Both devices take the batch as one tile, so that rays have the same numbers.
+struct Training : TestRun {
+  Training(Registry& registry, const std::string& yaml, const std::string& runtime)
+      : TestRun(yaml + "runtime: {" + runtime + "}\n", registry) {}
+  StepLosses train(std::int64_t steps) { return to(steps); }
 };
 
 Device runs_on(const Session& session) { return session.pipeline->executor().device().kind; }
@@ -72,43 +61,11 @@ void expect_equal_gradients(const Training& cuda, const Training& cpu, double to
   }
 }
 
-struct StepCaseRow {
-  const char* name;
-  std::string (*config)(const std::string&);
-  const char* more;
-};
-const StepCaseRow kSteps[] = {
-    {"two_pass", two_pass_config, ""},
-    {"hash", hash_config, ""},
-    {"closed", two_pass_config, "rendering: {far: closed, background: [0.2, 0.5, 0.9]}\n"},
-    {"background", two_pass_config, "rendering: {far: background, density_activation: softplus}\n"},
-    {"trunc_exp", two_pass_config, "rendering: {density_activation: trunc_exp, density_bias: -1}\n"},
-    {"noise", two_pass_config, "rendering: {density_noise: 1}\n"},
-    {"few_labels", few_labels_config, ""},
-    {"label_rays_apart", label_rays_config,
-     "ray_source: label_balanced, labelled_share: 0.3, label_rays_teach_color: false, "},
-    {"branch", branch_config, ""},
-    {"branch_of_position", branch_config, ", reads_feature: false, least_weight: 0.03"},
-    {"branch_with_dropout", branch_config, ", dropout: 0.3, weight_decay: 0.1, learning_rate: 0.2"},
-    {"terms", two_pass_config, kTerms},
-    {"terms_hash", hash_config, kTerms},
-    {"terms_and_branch", branch_and_terms_config, kTerms},
-    {"head", head_config, ""},
-    {"head_with_dropout", head_config, ", dropout: 0.3, weight_decay: 0.1, learning_rate: 0.2"},
-    {"head_of_the_feature", two_pass_head_config, ""},
-    {"head_on_principal_axes", two_pass_head_config, ", width: 2"},
-    {"head_beside_a_branch", branch_and_head_config, ", reads_feature: true"},
-    {"cameras", cameras_config, ""},
-    {"cameras_contracted", contracted_cameras_config, ""},
-    {"cameras_two_pass", two_pass_cameras_config, kTerms},
-    {"line_of_sight", two_pass_config, "losses: [{type: depth, kind: line_of_sight, weight: 0.3}]\n"},
-};
-
-class CudaStep : public ::testing::TestWithParam<StepCaseRow> {};
+class CudaStep : public ::testing::TestWithParam<StepCase> {};
 
 TEST_P(CudaStep, LossesAndGradientsAreTheProcessors) {
   SEMFIELD_NEEDS_DEVICE();
-  const StepCaseRow& row = GetParam();
+  const StepCase& row = GetParam();
   Registry registry = make_registry();
   const std::string yaml = row.config(row.more);
   for (const char* savings :
@@ -130,8 +87,7 @@ TEST_P(CudaStep, LossesAndGradientsAreTheProcessors) {
     expect_equal_gradients(cuda, cpu, 2e-3, what);
   }
 }
-INSTANTIATE_TEST_SUITE_P(All, CudaStep, ::testing::ValuesIn(kSteps),
-                         [](const ::testing::TestParamInfo<StepCaseRow>& row) { return row.param.name; });
+INSTANTIATE_TEST_SUITE_P(All, CudaStep, ::testing::ValuesIn(kStepCases), name_of_step);
 
 std::string paper_config(const std::string& scene, std::int32_t hidden_width) {
   const std::string encodings =
@@ -263,7 +219,8 @@ TEST(CudaRun, CheckpointsGoBothWays) {
 TEST(CudaRun, RendersWhatTheProcessorRenders) {
   SEMFIELD_NEEDS_DEVICE();
   Registry registry = make_registry();
-  for (const auto& config : {hash_config(), two_pass_config(), branch_config(", dropout: 0.2")}) {
+  for (const auto& config : {hash_config(), two_pass_config(), branch_config(", dropout: 0.2"),
+                             head_config(", learning_rate: 0.3")}) {
     Training cuda(registry, config, "device: cuda");
     cuda.train(100);
     const int frame = cuda.session.scene.frames_of(Split::train).front();
@@ -272,6 +229,7 @@ TEST(CudaRun, RendersWhatTheProcessorRenders) {
     const std::vector<std::int16_t> truth;
     const auto draw = [&](Training& of) {
       FrameOptions options{.probability = true, .classes = of.session.classes()};
+      if (!of.session.config.heads.empty()) options.channels = {"albedo"};
       return render_frame(*of.session.pipeline, camera, of.session.limits, of.session.plan.class_of_logit, truth,
                           options);
     };
@@ -289,50 +247,24 @@ TEST(CudaRun, RendersWhatTheProcessorRenders) {
     EXPECT_LT(worst, 2e-2);  // the CPU stops rays early, the device does not
     EXPECT_LT(worst_depth, 5e-2);
     EXPECT_LE(other_label, a.label.size() / 200);
+    ASSERT_EQ(a.channels.size(), cuda.session.config.heads.size());
+    for (std::size_t c = 0; c < a.channels.size(); ++c) {
+      const std::vector<float>&got = a.channels[c].values, &want = b.channels[c].values;
+      ASSERT_EQ(got.size(), want.size());
+      double off = 0, largest = 0;
+      for (std::size_t i = 0; i < want.size(); ++i) {
+        off = std::max(off, std::abs(double{got[i]} - want[i]));
+        largest = std::max(largest, std::abs(double{want[i]}));
+      }
+      EXPECT_GT(largest, 0.1);
+      EXPECT_LT(off, 0.02 * largest);
+    }
     const auto classes = static_cast<std::size_t>(cuda.session.classes());
     ASSERT_EQ(a.probability.size(), classes * a.label.size());
     for (std::size_t i = 0; i < a.label.size(); ++i) {
       const float* const row = a.probability.data() + i * classes;
       ASSERT_EQ(row[a.label[i]], a.confidence[i]) << "pixel " << i;
       ASSERT_EQ(*std::max_element(row, row + classes), a.confidence[i]) << "pixel " << i;
-    }
-  }
-}
-
-// The channel is the room's colour: what the head renders points where the colours do, on the device as on a CPU.
-TEST(CudaRun, AHeadLearnsItsChannelAndRendersItAsOnTheProcessor) {
-  SEMFIELD_NEEDS_DEVICE();
-  Registry registry = make_registry();
-  for (const char* precision : {"fp32", "bf16"}) {
-    for (const std::string& config : {head_config(", learning_rate: 0.3"), two_pass_head_config(", width: 2")}) {
-      SCOPED_TRACE(precision + ("\n" + config));
-      const std::string of_precision = std::string(", precision: ") + precision;
-      Training cuda(registry, config, "device: cuda" + of_precision);
-      ASSERT_EQ(runs_on(cuda.session), Device::cuda);
-      const double first = cuda.train(1).terms[0], last = cuda.train(300).terms[0];
-      EXPECT_LT(last, 0.6 * first);
-      Training cpu(registry, config, "device: cpu" + of_precision);
-      copy_values(cuda.session.pipeline->store(), cpu.session.pipeline->store());
-      cpu.session.pipeline->executor().upload(300);
-      const int test = cuda.session.scene.frames_of(Split::test).front();
-      const FrameInfo& info = cuda.session.scene.info.frames[static_cast<std::size_t>(test)];
-      const auto draw = [&](Training& of) {
-        FrameOptions options;
-        options.channels = {"albedo"};
-        return render_frame(*of.session.pipeline, {info.camera, info.world_from_camera, false}, of.session.limits,
-                            of.session.plan.class_of_logit, {}, options);
-      };
-      const RenderedFrame a = draw(cuda), b = draw(cpu);
-      ASSERT_EQ(a.channels.size(), 1U);
-      ASSERT_EQ(a.channels[0].cols, b.channels[0].cols);
-      ASSERT_EQ(a.channels[0].values.size(), b.channels[0].values.size());
-      double worst = 0, largest = 0;
-      for (std::size_t i = 0; i < a.channels[0].values.size(); ++i) {
-        worst = std::max(worst, std::abs(double{a.channels[0].values[i]} - b.channels[0].values[i]));
-        largest = std::max(largest, std::abs(double{b.channels[0].values[i]}));
-      }
-      EXPECT_GT(largest, 0.1);
-      EXPECT_LT(worst, (precision[0] == 'b' ? 0.05 : 0.02) * largest);
     }
   }
 }
@@ -415,40 +347,6 @@ TEST(CudaRun, AStepThatDoesNotFitNamesRaysThatDo) {
   EXPECT_TRUE(std::isfinite(fitting.train(6).total));
 }
 
-// A field of the CPU alone: it reads what it is given where it runs.
-struct PlainParams {};
-void describe(ParamVisitor&, PlainParams&) {}
-void validate(const PlainParams&, Diagnostics&) {}
-
-template <class Real>
-class PlainField final : public Field<Real> {
- public:
-  PlainField(const PlainParams&, const FieldBuild&, const KernelTables&) {}
-  FieldTraits traits() const noexcept override { return {1, false}; }
-  std::size_t saved_bytes(std::int64_t, std::int64_t) const noexcept override { return 0; }
-
- protected:
-  void do_forward(const StepContext&, const Tensors<Real>&, const FieldIn<Real>& in, const FieldOut<Real>& out,
-                  Saved) const override {
-    for (std::int64_t m = 0; m < in.position.rows; ++m) out.sigma(m, 0) = in.position(m, 0);
-  }
-  void do_backward(const StepContext&, const Tensors<Real>&, const FieldIn<Real>&, const FieldOut<Real>&,
-                   const FieldGrad<Real>&, Saved, View<Real>) const override {}
-};
-
-TEST(CudaRun, APartWithoutKernelsStaysOnTheProcessorOrIsRefusedByName) {
-  SEMFIELD_NEEDS_DEVICE();
-  Registry registry = make_registry();
-  registry.add_field<PlainField, PlainParams>("plain", "a field of the CPU alone");
-  const std::string yaml =
-      "scene: {type: analytic_room, frames: 4}\n"
-      "passes:\n  - {name: main, sampler: {type: stratified, samples: 8}, position: {type: identity},\n"
-      "     direction: {type: identity}, field: {type: plain}}\n";
-  EXPECT_EQ(runs_on(open_text(yaml + "runtime: {device: auto}\n", registry)), Device::cpu);
-  EXPECT_HAS(error_of(ErrorKind::unavailable, [&] { open_text(yaml + "runtime: {device: cuda}\n", registry); }),
-             "field 'plain' has no cuda kernels");
-}
-
 TEST(CudaBuild, WithoutADeviceTheReasonIsSaid) {
   if (testing::has_device()) GTEST_SKIP() << "this machine has a device";
   Registry registry = make_registry();
@@ -462,32 +360,15 @@ TEST(CudaBuild, WithoutADeviceTheReasonIsSaid) {
 using testing::DeviceLaunch;
 using testing::DeviceMatrix;
 
-constexpr const char* kDeterministic = ", deterministic: true}\n";
-
-// A session with its trainer.
-struct Subject {
+// A deterministic run.
+struct Subject : TestRun {
   Subject(const std::string& yaml, const std::string& device, Registry& registry)
-      : session(open_text(yaml + "runtime: {device: " + device + kDeterministic, registry)) {}
-  void to(std::int64_t step) {
-    while (trainer.step() < step) trainer.advance_many(step - trainer.step());
-    trainer.collect();
-  }
-  void call(GradientHook<float> hook) { session.pipeline->executor().set_gradient_hook(std::move(hook)); }
-  std::uint32_t bits() { return fingerprint(session.pipeline->store()); }
-
-  Session session;
-  std::unique_ptr<RaySource> rays = session.make_ray_source();
-  Trainer trainer{*session.pipeline, *rays, session.config.adam, session.config.schedule};
+      : TestRun(yaml + "runtime: {device: " + device + ", deterministic: true}\n", registry) {}
 };
 
 int devices() {
   int count = 0;
   return cudaGetDeviceCount(&count) == cudaSuccess ? count : 0;
-}
-
-std::string config(const std::string& weight) {
-  std::string yaml = two_pass_config();
-  return yaml.replace(yaml.find("weight: 0.3"), 11, "weight: " + weight);
 }
 
 // On the hook's stream, by way of the host: the stream is waited for.
@@ -504,83 +385,28 @@ void halve(const StepGradients<float>& gradients) {
   }
 }
 
-// Twelve steps: graphs are captured in the third, one without a hook and two with it.
+constexpr const char* kDeterministic = "device: cuda, deterministic: true";
+
 TEST(CudaGradientHook, SeesEveryLearnedTensorOfEveryStepAndKeepsTheBits) {
   SEMFIELD_NEEDS_DEVICE();
-  Registry registry = make_registry();
-  for (const std::string& yaml : {hash_config(), two_pass_config()}) {
-    Subject plain(yaml, "cuda", registry), hooked(yaml, "cuda", registry);
-    std::vector<std::int64_t> steps;
-    hooked.call([&](const StepGradients<float>& gradients) {
-      steps.push_back(gradients.step);
-      EXPECT_NE(gradients.stream, nullptr);
-      std::size_t next = 0;
-      for (const Tensor<float>& t : hooked.session.pipeline->store().all()) {
-        if (!t.learned()) continue;
-        ASSERT_LT(next, gradients.tensors.size());
-        const View<float>& view = gradients.tensors[next++];
-        EXPECT_EQ(view.rows, t.spec.rows) << t.name;
-        EXPECT_EQ(view.cols, t.spec.cols) << t.name;
+  expect_hook_sees_every_tensor(
+      kDeterministic, [](const StepGradients<float>& gradients, const Tensor<float>& t, const View<float>& view) {
+        EXPECT_NE(gradients.stream, nullptr);
         EXPECT_EQ(view.device, Device::cuda);
         cudaPointerAttributes where{};
         EXPECT_EQ(cudaPointerGetAttributes(&where, view.data), cudaSuccess);
         EXPECT_EQ(where.type, cudaMemoryTypeDevice) << t.name;
-      }
-      EXPECT_EQ(next, gradients.tensors.size());
-    });
-    plain.to(12);
-    hooked.to(12);
-    EXPECT_EQ(plain.bits(), hooked.bits());
-    EXPECT_EQ(steps.size(), 12u);
-    hooked.call(nullptr);
-    plain.to(18);
-    hooked.to(18);
-    EXPECT_EQ(plain.bits(), hooked.bits());
-    EXPECT_EQ(steps.size(), 12u);
-  }
+      });
 }
 
-// The first moment after the first step is (1 - beta1) times the gradient.
 TEST(CudaGradientHook, HalfOfTheGradientsIsHalfOfTheWeight) {
   SEMFIELD_NEEDS_DEVICE();
-  Registry registry = make_registry();
-  Subject full(config("0.25"), "cuda", registry), halved(config("0.25"), "cuda", registry);
-  Subject light(config("0.125"), "cuda", registry);
-  halved.call(halve);
-  for (Subject* run : {&full, &halved, &light}) run->to(1);
-  int semantic = 0;
-  for (std::size_t i = 0; i < full.session.pipeline->store().all().size(); ++i) {
-    const Tensor<float>& t = full.session.pipeline->store().all()[i];
-    if (!t.learned()) continue;
-    const float* const of_halved = halved.session.pipeline->store().all()[i].moment1.data();
-    const float* const of_light = light.session.pipeline->store().all()[i].moment1.data();
-    double largest = 0;
-    for (std::int64_t e = 0; e < t.size(); ++e) {
-      ASSERT_EQ(of_halved[e], 0.5F * t.moment1.data()[e]) << t.name << ' ' << e;
-      ASSERT_TRUE(!t.rule.semantic || of_halved[e] == of_light[e]) << t.name << ' ' << e;
-      largest = std::max<double>(largest, std::abs(of_halved[e]));
-    }
-    EXPECT_GT(largest, 0) << t.name;
-    semantic += t.rule.semantic ? 1 : 0;
-  }
-  EXPECT_GT(semantic, 0);
+  expect_half_of_the_gradients_is_half_of_the_weight(kDeterministic, halve);
 }
 
 TEST(CudaGradientHook, AnErrorEndsTheStepAndChangesNothing) {
   SEMFIELD_NEEDS_DEVICE();
-  Registry registry = make_registry();
-  Subject plain(hash_config(), "cuda", registry), hooked(hash_config(), "cuda", registry);
-  plain.to(5);
-  hooked.to(5);
-  hooked.call([](const StepGradients<float>& gradients) {
-    if (gradients.step == 7) throw Error(ErrorKind::failure, "test.error.made", "rank 3 is gone", "start it again");
-  });
-  EXPECT_HAS(error_of([&] { hooked.to(10); }), "rank 3 is gone");
-  EXPECT_EQ(hooked.trainer.step(), 7);
-  hooked.call(nullptr);
-  plain.to(9);
-  hooked.to(9);
-  EXPECT_EQ(plain.bits(), hooked.bits());
+  expect_an_error_of_the_hook_ends_the_step(kDeterministic);
 }
 
 TEST(CudaDevices, AnOrdinalThatIsNotThereIsRefusedWithThoseThatAre) {
@@ -628,16 +454,6 @@ TEST(CudaDevices, TwoDevicesOfAKindGiveTheSameBitsAndTakeOverFromEachOther) {
 
 // Device memory: what is copied there comes back, arenas and launches.
 
-TEST(CudaMemory, MatricesComeBackAndTheirSurroundingsAreWatched) {
-  SEMFIELD_NEEDS_DEVICE();
-  const std::vector<float> values = testing::random_floats(33 * 3, 1, -1, 1);
-  const DeviceMatrix<float> matrix(values, 3, 5);
-  EXPECT_EQ(matrix.read(), values);
-  EXPECT_EQ(matrix.surroundings(), "");
-  cuda::check(cudaMemset(matrix.data() + 3, 0, sizeof(float)), "writing into a gap");
-  EXPECT_NE(matrix.surroundings(), "");
-}
-
 TEST(CudaMemory, BuffersStartAsZerosAndArenasGiveAlignedDeviceMemory) {
   SEMFIELD_ON_DEVICE(launch);
   const cuda::Buffer<float> buffer(1001, "a test");
@@ -677,21 +493,13 @@ TEST(CudaMemory, ABufferIsClearedBeforeOtherStreamsUseIt) {
   EXPECT_EQ(back, values);
 }
 
-TEST(CudaLaunch, AFaultIsTakenOutOfItsCellOnce) {
-  SEMFIELD_NEEDS_DEVICE();
-  DeviceLaunch launch(true);
-  EXPECT_EQ(launch.take_fault(), std::nullopt);
-  launch.set_fault((cuda::FaultKey{4} << cuda::kFaultRowBits) | 77);
-  EXPECT_EQ(cuda::first_fault_row(cuda::Stage::density), -1);  // another stage's
-  EXPECT_EQ(cuda::first_fault_row(static_cast<cuda::Stage>(4)), 77);
-  EXPECT_EQ(launch.take_fault(), std::nullopt);
-}
-
 // Batches drawn on the device are those that the host fills, bit by bit.
 
 using cuda::BatchDrawer;
 
 constexpr int kAhead = 5;
+constexpr RaySourceKind kKinds[] = {RaySourceKind::all_images, RaySourceKind::one_image,
+                                    RaySourceKind::label_balanced};
 
 // Frames of several sizes, lenses and channels, with an empty one among them.
 struct Frames {
@@ -813,8 +621,7 @@ void expect_same_batches(const RaySource& source, const PixelPool& pool, BatchDr
 
 TEST(CudaBatchDrawer, GivesTheBitsOfMaskedFramesAndWideLenses) {
   SEMFIELD_ON_DEVICE(launch);
-  for (const RaySourceKind kind :
-       {RaySourceKind::all_images, RaySourceKind::one_image, RaySourceKind::label_balanced}) {
+  for (const RaySourceKind kind : kKinds) {
     SCOPED_TRACE(static_cast<int>(kind));
     Frames frames(false, true);
     RaySourceOptions options{.train = {.rays = 2500, .ray_source = kind, .labelled_share = 0.3},
@@ -831,8 +638,7 @@ TEST(CudaBatchDrawer, GivesTheBitsOfMaskedFramesAndWideLenses) {
 
 TEST(CudaBatchDrawer, GivesTheBitsThatTheHostFills) {
   SEMFIELD_ON_DEVICE(launch);
-  for (const RaySourceKind kind :
-       {RaySourceKind::all_images, RaySourceKind::one_image, RaySourceKind::label_balanced}) {
+  for (const RaySourceKind kind : kKinds) {
     for (const bool teach : {true, false}) {
       for (const std::int64_t tile : {32, 333, 3000}) {
         SCOPED_TRACE(::testing::Message() << static_cast<int>(kind) << ' ' << teach << ' ' << tile);
@@ -1088,22 +894,6 @@ TEST(CudaAdam, WithoutLabelsTheSemanticTensorsStay) {
     EXPECT_EQ(twin->back(twin->there_m) == twin->m, twin->shape.semantic);
     EXPECT_EQ(twin->back(twin->there_grad) == twin->grad, twin->shape.semantic);
   }
-}
-
-TEST(CudaAdam, AFaultOfAnyStageLeavesAllAlone) {
-  SEMFIELD_ON_DEVICE(launch);
-  const Model model({{64, 3}, {4097, 2, true}});
-  launch.set_cell(cell_of(adam_step({}, kRate, 0), 0));
-  launch.set_fault((static_cast<cuda::FaultKey>(Stage::density) << cuda::kFaultRowBits) | 3);
-  model.check();
-  model.update();
-  for (const auto& twin : model.twins) {
-    EXPECT_EQ(twin->back(twin->there_value), twin->value);
-    EXPECT_EQ(twin->back(twin->there_m), twin->m);
-    EXPECT_EQ(twin->back(twin->there_v), twin->v);
-    EXPECT_EQ(twin->back(twin->there_grad), twin->grad);
-  }
-  EXPECT_EQ(launch.take_fault(), (NotedFault{Stage::density, 3}));
 }
 
 TEST(CudaAdam, UnsoundElementsAreFoundInEveryArray) {

@@ -1,4 +1,4 @@
-# Installs the build tree into an empty prefix, builds this project against it and runs its host, then moves the prefix and uses the program there. Called by CTest with BUILD_DIR, WORK_DIR,
+# Installs the build tree into an empty prefix, builds this project against it and runs it, then moves the prefix and uses the program there. Called by CTest with BUILD_DIR, WORK_DIR,
 # SOURCE_DIR, GENERATOR, COMPILER and FLAGS.
 function(step what)
   execute_process(COMMAND ${ARGN} RESULT_VARIABLE code OUTPUT_VARIABLE output ERROR_VARIABLE output)
@@ -13,8 +13,6 @@ step("install" ${CMAKE_COMMAND} --install ${BUILD_DIR} --prefix ${WORK_DIR}/pref
 step("configure" ${CMAKE_COMMAND} -S ${SOURCE_DIR} -B ${WORK_DIR}/build -G ${GENERATOR} -DCMAKE_CXX_COMPILER=${COMPILER}
      -DCMAKE_CXX_COMPILER_LAUNCHER=${LAUNCHER} "-DCMAKE_CXX_FLAGS=${FLAGS}" -DCMAKE_PREFIX_PATH=${WORK_DIR}/prefix)
 step("build" ${CMAKE_COMMAND} --build ${WORK_DIR}/build)
-step("host" ${WORK_DIR}/build/host ${WORK_DIR}/build)
-message(STATUS "${last_output}")
 step("drive" ${WORK_DIR}/build/drive ${WORK_DIR}/build)
 message(STATUS "${last_output}")
 

@@ -12,45 +12,12 @@
 #include "session/trainer.h"
 #include "tests/ranks/thread_ranks.h"
 #include "tests/says.h"
-#include "tests/session/train_testing.h"
+#include "tests/session/step_configs.h"
 
 namespace semfield {
 namespace {
 
 using testing::as_ranks;
-
-std::vector<std::byte> bytes_of(const std::string& text) {
-  const auto all = std::as_bytes(std::span(text));
-  return {all.begin(), all.end()};
-}
-std::string text_of(std::span<const std::byte> bytes) {
-  return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
-}
-
-TEST(ThreadRanks, EveryCallBringsWhatItSays) {
-  as_ranks(3, [](Ranks& ranks) {
-    ASSERT_EQ(ranks.size(), 3);
-    const std::string mine(static_cast<std::size_t>(ranks.rank()), static_cast<char>('a' + ranks.rank()));
-    EXPECT_EQ(texts_of(ranks, mine), (std::vector<std::string>{"", "b", "cc"}));
-    std::vector<std::byte> data = bytes_of(ranks.rank() == 2 ? "xyz" : "...");
-    ranks.broadcast(data, 2);
-    EXPECT_EQ(text_of(data), "xyz");
-    std::vector<std::byte> all(3);
-    const std::size_t sizes[] = {0, 1, 2};
-    ranks.gather(bytes_of(mine), all, sizes);
-    EXPECT_EQ(text_of(all), ranks.rank() == 0 ? "bcc" : std::string(3, '\0'));
-    std::vector<std::byte> letter(2);
-    if (ranks.rank() == 0) {
-      ranks.send(1, bytes_of("ab"));
-      ranks.send(1, bytes_of("cd"));
-    } else if (ranks.rank() == 1) {
-      ranks.receive(0, letter);
-      EXPECT_EQ(text_of(letter), "ab");
-      ranks.receive(0, letter);
-      EXPECT_EQ(text_of(letter), "cd");
-    }
-  });
-}
 
 TEST(ThreadRanks, AnErrorOfOneReachesAllThatAgree) {
   int thrown = 0;
@@ -68,39 +35,6 @@ TEST(ThreadRanks, AnErrorOfOneReachesAllThatAgree) {
   EXPECT_EQ(thrown, 3);
 }
 
-TEST(ThreadRanks, NobodyWaitsForARankThatHasEnded) {
-  try {
-    as_ranks(3, [](Ranks& ranks) {
-      if (ranks.rank() == 1) throw Error(ErrorKind::failure, "test.error.made", "the first error", "");
-      (void)all_of(ranks, 1);
-    });
-    FAIL() << "the others went on";
-  } catch (const RankLost&) {
-    FAIL() << "the error itself is what counts";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.message(), "the first error");
-  }
-  EXPECT_THROW(as_ranks(2,
-                        [](Ranks& ranks) {
-                          if (ranks.rank() == 1) (void)all_of(ranks, 1);
-                        }),
-               RankLost);
-}
-
-TEST(ThreadRanks, WhoWatchesSeesThatARankHasEnded) {
-  as_ranks(2, [](Ranks& ranks) {
-    ranks.watch();
-    (void)all_of(ranks, 1);
-    if (ranks.rank() == 1) return;
-    EXPECT_FALSE(ranks.lost());
-    const auto watch = [&] {
-      for (;;) ranks.watch();
-    };
-    EXPECT_THROW(watch(), RankLost);
-    EXPECT_TRUE(ranks.lost());
-  });
-}
-
 // What launchers say of a process, as each of them writes it into the environment.
 
 using Variables = std::map<std::string, std::string>;
@@ -112,14 +46,11 @@ std::optional<Launched> launched_in(const Variables& variables) {
   });
 }
 
-void expect_place(const Variables& variables, const Launched& expected) {
+std::string place_in(const Variables& variables) {
   const std::optional<Launched> found = launched_in(variables);
-  ASSERT_TRUE(found.has_value());
-  EXPECT_EQ(found->rank, expected.rank);
-  EXPECT_EQ(found->size, expected.size);
-  EXPECT_EQ(found->local_rank, expected.local_rank);
-  EXPECT_EQ(found->local_size, expected.local_size);
-  EXPECT_EQ(found->by, expected.by);
+  if (!found) return "no rank";
+  return std::to_string(found->rank) + " of " + std::to_string(found->size) + ", " +
+         std::to_string(found->local_rank) + " of " + std::to_string(found->local_size) + " by " + found->by;
 }
 
 // The message of the error; "" where there is none.
@@ -145,76 +76,63 @@ Variables with(Variables variables, const Variables& more) {
   return variables;
 }
 
-TEST(Launcher, AProcessStartedByHandIsNoRank) {
-  EXPECT_FALSE(launched_in({}).has_value());
-  EXPECT_FALSE(launched_in({{"PMIX_RANK", "1"}}).has_value());
-  EXPECT_FALSE(launched_in({{"OMPI_COMM_WORLD_RANK", ""}, {"OMPI_COMM_WORLD_SIZE", ""}}).has_value());
-}
-
-TEST(Launcher, AloneUnderALauncherIsNoRankEither) {
-  EXPECT_FALSE(launched_in({{"OMPI_COMM_WORLD_RANK", "0"},
-                            {"OMPI_COMM_WORLD_SIZE", "1"},
-                            {"OMPI_COMM_WORLD_LOCAL_RANK", "0"},
-                            {"OMPI_COMM_WORLD_LOCAL_SIZE", "1"}})
-                   .has_value());
-  EXPECT_FALSE(launched_in({{"PMI_RANK", "0"}, {"PMI_SIZE", "1"}}).has_value());
-  EXPECT_FALSE(launched_in({{"SLURM_STEP_NUM_TASKS", "1"}, {"SLURM_PROCID", "0"}}).has_value());
-}
-
-TEST(Launcher, OpenMpi) {
-  expect_place(kOpenMpi, {5, 8, 1, 4, "mpirun"});
-  // Its helpers may have been started by srun, as a step of their own.
-  expect_place(with(kOpenMpi, {{"SLURM_STEP_NUM_TASKS", "2"}, {"SLURM_PROCID", "1"}}), {5, 8, 1, 4, "mpirun"});
-}
-
-TEST(Launcher, LaunchersThatSpeakPmi) {
-  expect_place({{"PMI_RANK", "2"}, {"PMI_SIZE", "4"}}, {2, 4, 2, 4, "mpirun"});
-  const Variables local{{"PMI_RANK", "2"}, {"PMI_SIZE", "4"}, {"MPI_LOCALRANKID", "0"}, {"MPI_LOCALNRANKS", "2"}};
-  expect_place(local, {2, 4, 0, 2, "mpirun"});
-  expect_place(with(local, {{"SLURM_STEP_NUM_TASKS", "2"}, {"SLURM_PROCID", "1"}}), {2, 4, 0, 2, "mpirun"});
-}
-
-TEST(Launcher, AStepOfSlurm) {
-  expect_place(with(kStep, {{"SLURM_NODEID", "2"}, {"SLURM_STEP_TASKS_PER_NODE", "2(x2),3"}}), {5, 7, 1, 3, "srun"});
-  expect_place(with(kStep, {{"SLURM_NODEID", "1"}, {"SLURM_STEP_TASKS_PER_NODE", "2(x2),3"}}), {5, 7, 1, 2, "srun"});
-  expect_place(kStep, {5, 7, 1, 7, "srun"});
-  expect_place({{"SLURM_STEP_NUM_TASKS", "7"}, {"SLURM_PROCID", "5"}}, {5, 7, 5, 7, "srun"});
-  // Speaking PMI.
-  expect_place(with(kStep, {{"PMI_RANK", "5"}, {"PMI_SIZE", "7"}}), {5, 7, 1, 7, "srun"});
-}
-
-// It is given the rank of its one task, and the size of the whole job.
-TEST(Launcher, ABatchScriptIsNoStep) {
-  EXPECT_FALSE(launched_in({{"SLURM_PROCID", "0"},
-                            {"SLURM_LOCALID", "0"},
-                            {"SLURM_NODEID", "0"},
-                            {"SLURM_NTASKS", "8"},
-                            {"SLURM_TASKS_PER_NODE", "4(x2)"}})
-                   .has_value());
+TEST(Launcher, EachNamesTheRankInItsOwnWords) {
+  const Variables pmi{{"PMI_RANK", "2"}, {"PMI_SIZE", "4"}};
+  const Variables local = with(pmi, {{"MPI_LOCALRANKID", "0"}, {"MPI_LOCALNRANKS", "2"}});
+  const Variables step_of_two{{"SLURM_STEP_NUM_TASKS", "2"}, {"SLURM_PROCID", "1"}};
+  const Variables nodes{{"SLURM_NODEID", "2"}, {"SLURM_STEP_TASKS_PER_NODE", "2(x2),3"}};
+  const std::pair<Variables, const char*> rows[] = {
+      // By hand, or alone under a launcher.
+      {{}, "no rank"},
+      {{{"PMIX_RANK", "1"}}, "no rank"},
+      {{{"OMPI_COMM_WORLD_RANK", ""}, {"OMPI_COMM_WORLD_SIZE", ""}}, "no rank"},
+      {{{"OMPI_COMM_WORLD_RANK", "0"},
+        {"OMPI_COMM_WORLD_SIZE", "1"},
+        {"OMPI_COMM_WORLD_LOCAL_RANK", "0"},
+        {"OMPI_COMM_WORLD_LOCAL_SIZE", "1"}},
+       "no rank"},
+      {{{"PMI_RANK", "0"}, {"PMI_SIZE", "1"}}, "no rank"},
+      {{{"SLURM_STEP_NUM_TASKS", "1"}, {"SLURM_PROCID", "0"}}, "no rank"},
+      // Helpers of Open MPI may have been started by srun, as a step of their own.
+      {kOpenMpi, "5 of 8, 1 of 4 by mpirun"},
+      {with(kOpenMpi, step_of_two), "5 of 8, 1 of 4 by mpirun"},
+      {pmi, "2 of 4, 2 of 4 by mpirun"},
+      {local, "2 of 4, 0 of 2 by mpirun"},
+      {with(local, step_of_two), "2 of 4, 0 of 2 by mpirun"},
+      {with(kStep, nodes), "5 of 7, 1 of 3 by srun"},
+      {with(with(kStep, nodes), {{"SLURM_NODEID", "1"}}), "5 of 7, 1 of 2 by srun"},
+      {kStep, "5 of 7, 1 of 7 by srun"},
+      {{{"SLURM_STEP_NUM_TASKS", "7"}, {"SLURM_PROCID", "5"}}, "5 of 7, 5 of 7 by srun"},
+      {with(kStep, {{"PMI_RANK", "5"}, {"PMI_SIZE", "7"}}), "5 of 7, 1 of 7 by srun"},
+      // A batch script is given the rank of its one task, and the size of the whole job.
+      {{{"SLURM_PROCID", "0"},
+        {"SLURM_LOCALID", "0"},
+        {"SLURM_NODEID", "0"},
+        {"SLURM_NTASKS", "8"},
+        {"SLURM_TASKS_PER_NODE", "4(x2)"}},
+       "no rank"}};
+  for (const auto& [variables, place] : rows) EXPECT_EQ(place_in(variables), place);
 }
 
 TEST(Launcher, NumbersWithoutSenseAreRefusedByTheirVariable) {
-  const auto names = [](const Variables& variables, const std::string& text) {
-    const std::string message = refusal(variables);
-    EXPECT_HAS(message, text) << "'" << message << "' lacks '" << text << "'";
-  };
-  names(with(kOpenMpi, {{"OMPI_COMM_WORLD_SIZE", "0"}}), "OMPI_COMM_WORLD_SIZE: '0' is not a number of processes");
-  names(with(kOpenMpi, {{"OMPI_COMM_WORLD_SIZE", "8x"}}), "OMPI_COMM_WORLD_SIZE: '8x'");
-  names(with(kOpenMpi, {{"OMPI_COMM_WORLD_SIZE", "99999999999"}}), "OMPI_COMM_WORLD_SIZE: '99999999999'");
-  names(with(kOpenMpi, {{"OMPI_COMM_WORLD_RANK", "8"}}), "OMPI_COMM_WORLD_RANK: '8' is not a rank of 8 processes");
-  names(with(kOpenMpi, {{"OMPI_COMM_WORLD_RANK", "-1"}}), "OMPI_COMM_WORLD_RANK: '-1'");
-  names(with(kOpenMpi, {{"OMPI_COMM_WORLD_RANK", ""}}), "OMPI_COMM_WORLD_RANK is not set");
-  names(with(kOpenMpi, {{"OMPI_COMM_WORLD_LOCAL_RANK", "4"}}), "OMPI_COMM_WORLD_LOCAL_RANK: '4'");
-  names({{"PMI_RANK", "1"}}, "PMI_SIZE is not set");
-  names({{"PMI_RANK", "4"}, {"PMI_SIZE", "4"}}, "PMI_RANK: '4'");
-  names({{"PMI_RANK", "1"}, {"PMI_SIZE", "4"}, {"MPI_LOCALRANKID", "2"}, {"MPI_LOCALNRANKS", "2"}},
-        "MPI_LOCALRANKID: '2'");
-  names(with(kStep, {{"SLURM_STEP_NUM_TASKS", "0"}}), "SLURM_STEP_NUM_TASKS: '0'");
-  names(with(kStep, {{"SLURM_PROCID", "7"}}), "SLURM_PROCID: '7'");
-  names(with(kStep, {{"SLURM_LOCALID", "7"}}), "SLURM_LOCALID: '7'");
-  names(with(kStep, {{"SLURM_NODEID", "2"}, {"SLURM_STEP_TASKS_PER_NODE", "4(x2)"}}),
-        "SLURM_STEP_TASKS_PER_NODE: '4(x2)' does not tell the tasks of node 2");
-  names(with(kStep, {{"SLURM_STEP_TASKS_PER_NODE", "four"}}), "SLURM_STEP_TASKS_PER_NODE: 'four'");
+  const Variables pmi{{"PMI_RANK", "1"}, {"PMI_SIZE", "4"}, {"MPI_LOCALRANKID", "1"}, {"MPI_LOCALNRANKS", "2"}};
+  const std::tuple<Variables, const char*, const char*> rows[] = {{kOpenMpi, "OMPI_COMM_WORLD_SIZE", "0"},
+                                                                  {kOpenMpi, "OMPI_COMM_WORLD_SIZE", "8x"},
+                                                                  {kOpenMpi, "OMPI_COMM_WORLD_SIZE", "99999999999"},
+                                                                  {kOpenMpi, "OMPI_COMM_WORLD_RANK", "8"},
+                                                                  {kOpenMpi, "OMPI_COMM_WORLD_RANK", "-1"},
+                                                                  {kOpenMpi, "OMPI_COMM_WORLD_RANK", ""},
+                                                                  {kOpenMpi, "OMPI_COMM_WORLD_LOCAL_RANK", "4"},
+                                                                  {pmi, "PMI_SIZE", ""},
+                                                                  {pmi, "PMI_RANK", "4"},
+                                                                  {pmi, "MPI_LOCALRANKID", "2"},
+                                                                  {kStep, "SLURM_STEP_NUM_TASKS", "0"},
+                                                                  {kStep, "SLURM_PROCID", "7"},
+                                                                  {kStep, "SLURM_LOCALID", "7"},
+                                                                  {kStep, "SLURM_STEP_TASKS_PER_NODE", "four"}};
+  for (const auto& [variables, name, value] : rows)
+    EXPECT_HAS(refusal(with(variables, {{name, value}})), name, value) << name << "=" << value;
+  EXPECT_HAS(refusal(with(kStep, {{"SLURM_NODEID", "2"}, {"SLURM_STEP_TASKS_PER_NODE", "4(x2)"}})), "node 2");
 }
 
 std::set<std::string> settings_of_child() {
@@ -259,20 +177,13 @@ void as_leader(int size, const std::string& yaml, const std::function<void(Sessi
   });
 }
 
-void train(Session& session, std::int64_t steps) {
+StepLosses train(Session& session, std::int64_t steps) {
   const auto rays = session.make_ray_source();
   Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, session.config.train.steps);
-  while (trainer.step() < steps) trainer.advance();
+  StepLosses last;
+  while (trainer.step() < steps) last = trainer.advance();
   trainer.collect();
-}
-
-std::uint32_t fingerprint_of_ranks(int size, const std::string& yaml, std::int64_t steps) {
-  std::uint32_t found = 0;
-  as_leader(size, yaml, [&](Session& session) {
-    train(session, steps);
-    found = fingerprint(session.pipeline->store());
-  });
-  return found;
+  return last;
 }
 
 std::string two_tables_config() {
@@ -288,87 +199,26 @@ struct Shape {
   std::int64_t steps;
 };
 
-// Past the warm-up of the occupancy grid; two passes; tables of two passes; bf16; fewer lanes than ranks.
-TEST(RanksSession, TrainingHasTheBitsOfOneProcess) {
-  std::string labels_apart = hash_config(), albedo = hash_config("losses: [{type: albedo}]\n");
-  labels_apart.replace(labels_apart.find("train: {"), 8,
-                       "train: {ray_source: label_balanced, labelled_share: 0.3, label_rays_teach_color: false, ");
-  albedo.replace(albedo.find("{type: analytic_room"), 20, "{type: analytic_room, with_albedo: true");
-  std::string head = hash_config(
-      "heads:\n  - {type: feature_map, channel: albedo, width: 2, branch: {position: {type: frequency, frequencies: "
-      "2}, "
-      "field: {type: tiny_mlp, hidden_width: 8, hidden_layers: 1}}}\n"
-      "losses: [{type: cosine_distance, channel: albedo}]\n");
-  head.replace(head.find("{type: analytic_room"), 20, "{type: analytic_room, with_albedo: true");
-  const Shape shapes[] = {
-      {"a head on principal axes", head, 12},
-      {"hash grid", hash_config(), 60},
-      {"two passes", two_pass_config(), 6},
-      {"two tables", two_tables_config(), 6},
-      {"bf16", hash_config("runtime: {precision: bf16}\n"), 20},
-      {"two lanes", hash_config("runtime: {lanes: 2}\n"), 20},
-      {"labels apart", labels_apart, 12},
-      {"a channel of the dataset", albedo, 12},
-      {"a term from step 8 on", hash_config("losses: [{type: distortion, from_step: 0.04}]\n"), 12}};
+// Also past the warm-up of the occupancy grid, with tables of two passes, in bf16, and with fewer lanes than ranks.
+TEST(RanksSession, TrainingHasTheBitsAndLossesOfOneProcess) {
+  std::vector<Shape> shapes{{"hash grid", hash_config(), 60},
+                            {"two tables", two_tables_config(), 6},
+                            {"bf16", hash_config("runtime: {precision: bf16}\n"), 20},
+                            {"two lanes", hash_config("runtime: {lanes: 2}\n"), 20}};
+  for (const StepCase& step : kStepCases) shapes.push_back({step.name, step.config(step.more), 8});
   for (const Shape& shape : shapes) {
     SCOPED_TRACE(shape.name);
-    const std::uint32_t alone = train_fingerprint(shape.yaml, 1, shape.steps);
-    for (const int size : {1, 2, 3, 5}) EXPECT_EQ(fingerprint_of_ranks(size, shape.yaml, shape.steps), alone) << size;
-  }
-}
-
-TEST(RanksSession, LossesAreThoseOfOneProcess) {
-  const auto losses_of = [](Session& session) {
-    const auto rays = session.make_ray_source();
-    Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule);
-    return trainer.advance();
-  };
-  Session alone = open_text(two_pass_config());
-  const StepLosses expected = losses_of(alone);
-  as_leader(3, two_pass_config(), [&](Session& session) {
-    const StepLosses found = losses_of(session);
-    EXPECT_EQ(found.total, expected.total);
-    EXPECT_EQ(found.semantic, expected.semantic);
-    EXPECT_EQ(found.samples, expected.samples);
-    EXPECT_EQ(found.labelled, expected.labelled);
-    EXPECT_EQ(found.correct, expected.correct);
-  });
-}
-
-template <class T>
-void expect_same(const std::vector<T>& found, const std::vector<T>& expected, const char* what) {
-  ASSERT_EQ(found.size(), expected.size()) << what;
-  ASSERT_FALSE(found.empty()) << what;
-  EXPECT_EQ(std::memcmp(found.data(), expected.data(), found.size() * sizeof(T)), 0) << what;
-}
-
-TEST(RanksSession, FramesAndScoresAreThoseOfOneProcess) {
-  const auto frame_of = [](const Session& s) {
-    const FrameInfo& info = s.scene.info.frames.front();
-    FrameOptions options;
-    options.classes = s.classes();
-    options.probability = true;
-    return render_frame(*s.pipeline, {info.camera, info.world_from_camera, false}, s.limits, s.plan.class_of_logit, {},
-                        options);
-  };
-  const auto score_of = [](const Session& s) {
-    return evaluate(*s.pipeline, s.eval_job(s.scene.frames_of(Split::test)), s.limits, s.plan.class_of_logit).values();
-  };
-  Session alone = open_text(hash_config());
-  train(alone, 40);
-  const RenderedFrame expected = frame_of(alone);
-  const auto scores = score_of(alone);
-  for (const int size : {2, 3}) {
-    as_leader(size, hash_config(), [&](Session& session) {
-      train(session, 40);
-      const RenderedFrame found = frame_of(session);
-      expect_same(found.rgb, expected.rgb, "rgb");
-      expect_same(found.depth_m, expected.depth_m, "depth");
-      expect_same(found.label, expected.label, "label");
-      expect_same(found.entropy, expected.entropy, "entropy");
-      expect_same(found.probability, expected.probability, "probability");
-      EXPECT_EQ(score_of(session), scores);
-    });
+    TestRun alone(shape.yaml);
+    const StepLosses expected = alone.to(shape.steps);
+    for (const int size : {2, 3}) {
+      as_leader(size, shape.yaml, [&](Session& session) {
+        const StepLosses found = train(session, shape.steps);
+        EXPECT_EQ(found.total, expected.total) << size;
+        EXPECT_EQ(found.samples, expected.samples) << size;
+        EXPECT_EQ(found.correct, expected.correct) << size;
+        EXPECT_EQ(fingerprint(session.pipeline->store()), alone.bits()) << size;
+      });
+    }
   }
 }
 
@@ -381,7 +231,7 @@ TEST(RanksSession, DensitiesAreThoseOfOneProcess) {
     return sigma;
   };
   const std::vector<float> expected = densities_of(open_text(hash_config()));
-  as_leader(3, hash_config(), [&](Session& session) { expect_same(densities_of(session), expected, "density"); });
+  as_leader(3, hash_config(), [&](Session& session) { EXPECT_EQ(densities_of(session), expected); });
 }
 
 // Message of a step with a weight that is not a number, and the tensors after the weight was mended and steps went on.

@@ -9,7 +9,6 @@
 #include <array>
 #include <cstdio>
 #include <nlohmann/json.hpp>
-#include <regex>
 
 #include "app/terminal.h"
 #include "core/rng.h"
@@ -36,56 +35,36 @@ class Process : public testing_program::Process {
 
 Result run(const std::vector<std::string>& words, const TempDir& dir) { return Process(words, dir).wait(); }
 
-int kills_wanted() {
-  const char* wanted = std::getenv("SEMFIELD_TORTURE_KILLS");
-  return wanted != nullptr ? std::max(1, std::atoi(wanted)) : 50;
-}
-
-// What a kill leaves behind, before anything is cleaned.
-struct Remains {
-  bool begun = false;      ///< run.yaml is there, so the run can be resumed
-  std::int64_t step = -1;  ///< of the newest checkpoint; -1: none
-  std::string bad;         ///< a checkpoint that does not verify
-  int temporaries = 0;
-};
-
-Remains remains_of(const std::string& run_dir) {
-  Remains found{.begun = std::filesystem::exists(run_dir + "/run.yaml")};
-  if (!std::filesystem::exists(run_dir)) return found;
-  for (const auto& entry : std::filesystem::recursive_directory_iterator(run_dir))
-    found.temporaries += entry.path().extension() == ".tmp" ? 1 : 0;
-  if (!std::filesystem::exists(run_dir + "/checkpoints")) return found;
+// Of the newest checkpoint that a kill has left; -1: none. A damaged one is a failure.
+std::int64_t newest_step(const std::string& run_dir) {
+  if (!std::filesystem::exists(run_dir + "/checkpoints")) return -1;
   Diagnostics diagnostics;
-  try {
-    const auto newest = CheckpointStore::read(run_dir + "/checkpoints").find_latest(diagnostics);
-    if (newest) found.step = newest->step;
-  } catch (const Error& error) {
-    found.bad = error.what();
-  }
-  for (const Diagnostic& finding : diagnostics.all()) found.bad += finding.text();
-  return found;
+  const auto newest = CheckpointStore::read(run_dir + "/checkpoints").find_latest(diagnostics);
+  EXPECT_TRUE(diagnostics.all().empty()) << diagnostics.all().front().text();
+  return newest ? newest->step : -1;
 }
 
 TEST(Process, RandomKillsLoseNoRunAndChangeNoBit) {
   const TempDir dir;
-  const int steps = 200, wanted = kills_wanted();
+  const int steps = 200;
+  const char* const asked = std::getenv("SEMFIELD_TORTURE_KILLS");
+  const int wanted = asked != nullptr ? std::max(1, std::atoi(asked)) : 50;
   write_packed_config(dir, steps, 0.02);
   // Small steps: a thousand kills are about starts, saves and resumes.
-  const std::string config = dir / "small.yaml";
+  const std::string config = dir / "small.yaml", victim = dir / "victim";
   write_file_atomic(config, "include: config.yaml\ntrain: {rays: 24}\nruntime: {threads: 1}\n");
   const auto start = std::chrono::steady_clock::now();
   ASSERT_EQ(run({"train", config, "--out", dir / "whole"}, dir).code, 0);
   const double whole_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   const std::uint32_t whole = checkpoint_fingerprint(dir / "whole", steps);
-
-  const std::string victim = dir / "victim";
-  int kills = 0, runs = 0, during_write = 0, before_run = 0, before_checkpoint = 0;
+  const auto words = [&] {
+    return std::filesystem::exists(victim + "/run.yaml") ? std::vector<std::string>{"train", "--resume", victim}
+                                                         : std::vector<std::string>{"train", config, "--out", victim};
+  };
+  int kills = 0;
   std::int64_t step = -1;
   for (int attempt = 0; kills < wanted && attempt < 10 * wanted; ++attempt) {
-    const bool begun = std::filesystem::exists(victim + "/run.yaml");
-    Process process(begun ? std::vector<std::string>{"train", "--resume", victim}
-                          : std::vector<std::string>{"train", config, "--out", victim},
-                    dir);
+    Process process(words(), dir);
     // Up to half of what the whole run takes on this machine, so that kills fall into every part of it.
     const double share = static_cast<double>(uniform01({7, 0, 1}, static_cast<std::uint64_t>(attempt)));
     std::this_thread::sleep_for(std::chrono::duration<double>(0.005 + 0.5 * whole_s * share));
@@ -97,52 +76,19 @@ TEST(Process, RandomKillsLoseNoRunAndChangeNoBit) {
       EXPECT_EQ(checkpoint_fingerprint(victim, steps), whole);
       std::filesystem::remove_all(victim);
       step = -1;
-      ++runs;
       continue;
     }
+    const std::int64_t left = newest_step(victim);
+    EXPECT_GE(left, step) << "kill " << kills << " lost a checkpoint";
     ++kills;
-    const Remains left = remains_of(victim);
-    EXPECT_EQ(left.bad, "") << "kill " << kills;
-    EXPECT_GE(left.step, step) << "kill " << kills << " lost a checkpoint";
-    step = left.step;
-    before_run += left.begun ? 0 : 1;
-    before_checkpoint += left.begun && left.step < 0 ? 1 : 0;
-    during_write += left.temporaries > 0 ? 1 : 0;
-    if (kills % 100 == 0) {
-      std::printf("%d kills, %d runs ended\n", kills, runs);
-      std::fflush(stdout);
-    }
+    step = left;
   }
   EXPECT_EQ(kills, wanted);
-  const bool begun = std::filesystem::exists(victim + "/run.yaml");
-  const Result r = succeeded(run(begun ? std::vector<std::string>{"train", "--resume", victim}
-                                       : std::vector<std::string>{"train", config, "--out", victim},
-                                 dir));
+  (void)succeeded(run(words(), dir));
   EXPECT_EQ(checkpoint_fingerprint(victim, steps), whole);
-  EXPECT_EQ(remains_of(victim).temporaries, 0);
-  std::printf(
-      "%d kills: %d before the run's folder was begun, %d before its first checkpoint, %d within a write; "
-      "%d runs ended, all with the bits of the run left alone\n",
-      kills, before_run, before_checkpoint, during_write, runs + 1);
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(victim))
+    EXPECT_NE(entry.path().extension(), ".tmp");
 }
-
-void expect_orderly_stop(int signal, int code) {
-  const TempDir dir;
-  const std::string config = write_packed_config(dir, 1000000, 0);
-  Process process({"train", config, "--out", dir / "run"}, dir);
-  for (int i = 0; i < 12000 && !std::filesystem::exists((dir / "run") + "/metrics.jsonl"); ++i)
-    std::this_thread::sleep_for(std::chrono::milliseconds(10));
-  std::this_thread::sleep_for(std::chrono::milliseconds(200));
-  process.send(signal);
-  const Result r = process.wait();
-  EXPECT_EQ(r.code, code) << r.err;
-  EXPECT_HAS(r.err, "semfield train --resume");
-  const Result resumed = succeeded(run({"train", "--resume", dir / "run", "--time", "1s"}, dir));
-  EXPECT_HAS(resumed.err, "resuming at step");
-}
-
-TEST(Process, SigintSavesAndExits130) { expect_orderly_stop(SIGINT, 130); }
-TEST(Process, SigtermSavesAndExits143) { expect_orderly_stop(SIGTERM, 143); }
 
 TEST(Process, EvalPrintsOneJsonObject) {
   const TempDir dir;
@@ -378,66 +324,6 @@ TEST(RunTruth, AFolderThatIsNoUtf8IsRefusedBeforeTraining) {
   const Result json = succeeded(semfield_run("--json eval caf\xe9/run", dir.path()));
 }
 
-// The newest checkpoint with its metadata changed, checksums and all.
-void edit_metadata(const std::string& run, int step, const std::function<void(TensorMetadata&)>& edit) {
-  const std::string path = run + "/checkpoints/" + CheckpointStore::file_name(step);
-  const TensorFile file = TensorFile::read(path);
-  TensorMetadata metadata = file.metadata();
-  edit(metadata);
-  write_safetensors(path, file.tensors(), metadata);
-}
-
-struct Edit {
-  std::string key, value;  ///< value "-": the key is removed
-  int code;
-  std::string said;
-};
-
-TEST(RunTruth, CheckpointMetadataIsReadStrictly) {
-  const TempDir dir;
-  const std::string config = write_packed_config(dir, 5, 0);
-  ASSERT_EQ(semfield_run("train config.yaml --threads 1 --out run", dir.path()).code, 0);
-  const std::string file = "step_00000005.safetensors': ";
-  const std::vector<Edit> edits{
-      {"format", "semfield-checkpoint-9", 65,
-       file + "its format is 'semfield-checkpoint-9', this program reads 'semfield-checkpoint-1'"},
-      {"format", "-", 65, file + "metadata 'format' is missing"},
-      {"step", "6", 65, file + "its name says step 5, its metadata step 6; name it step_00000006.safetensors"},
-      {"step", "5x", 65, file + "metadata 'step' is '5x', no number of that kind"},
-      {"step", "99999999999999999999", 65, file + "metadata 'step' is"},
-      {"train_s", "-", 65, file + "metadata 'train_s' is missing"},
-      {"train_s", "soon", 65, file + "metadata 'train_s' is 'soon'"},
-      {"train_s", "nan", 65, file + "metadata 'train_s' is 'nan'"},
-      {"train_s", "-1", 65, file + "metadata 'train_s' is '-1'"},
-      {"seed", "-", 65, file + "metadata 'seed' is missing"},
-      {"seed", "4294967296", 65, file + "metadata 'seed' is '4294967296'"},
-      {"config", "-", 65, file + "metadata 'config' is missing"},
-      {"classes", "-", 65, file + "metadata 'classes' is missing"},
-      {"classes", "- {id: 1", 65, "checkpoint metadata 'classes':1:3: a list or a map where a key should stand"},
-      {"inputs", "{}", 65, file + "metadata 'inputs' cannot be read"},
-      {"inputs", "-", 0, ""},  // of an earlier version
-      {"scene", "{\"classes\": 1000000}", 65, "metadata 'scene' cannot be read"},
-  };
-  const std::string saved = read_text_file((dir / "run") + "/checkpoints/step_00000005.safetensors");
-  for (const Edit& e : edits) {
-    SCOPED_TRACE(e.key + "=" + e.value);
-    edit_metadata(dir / "run", 5, [&](TensorMetadata& metadata) {
-      if (e.value == "-") metadata.erase(e.key);
-      if (e.value != "-") metadata[e.key] = e.value;
-    });
-    for (const char* words : {"eval run", "train --resume run"}) {
-      const Result r = semfield_run(words, dir.path());
-      EXPECT_EQ(r.code, e.code) << words << ": " << r.err;
-      EXPECT_HAS(r.err, e.said) << "not said: " << e.said << "\nbut: " << r.err;
-    }
-    write_file_atomic((dir / "run") + "/checkpoints/step_00000005.safetensors", saved);
-  }
-  edit_metadata(dir / "run", 5, [](TensorMetadata& metadata) { metadata["seed"] = "9"; });
-  const Result seed = semfield_run("train --resume run", dir.path());
-  EXPECT_EQ(seed.code, 65);
-  EXPECT_HAS(seed.err, "its seed is 9, its settings say 1");
-}
-
 TEST(RunTruth, SettingsOfAResumeAreStoredAndTold) {
   const TempDir dir;
   write_packed_config(dir, 5, 0);
@@ -468,26 +354,16 @@ TEST(RunTruth, SettingsOfAResumeAreStoredAndTold) {
   EXPECT_EQ(semfield_run(words, dir.path()).code, 0) << "the remedy does what it says: " << words;
 }
 
-// Data that moved are found from another working folder, and stay found.
+// From another working folder too, and they stay found. What is said of them: tests/bad_files/runs.cases.
 TEST(RunTruth, MovedDataAreNamedOnTheCommandLine) {
   const TempDir dir;
   write_packed_config(dir, 5, 0);
   ASSERT_EQ(semfield_run("train config.yaml --threads 1 --out run", dir.path()).code, 0);
   fs::create_directory(dir / "elsewhere");
-  const std::string file = [&] {
-    for (const auto& entry : fs::directory_iterator(dir.path()))
-      if (entry.path().extension() == ".sfpack") return entry.path().filename().string();
-    return std::string();
-  }();
-  ASSERT_NE(file, "");
-  fs::rename(dir / file, (dir / "elsewhere") + "/moved.sfpack");
-  const Result gone = semfield_run("eval run", dir.path());
-  EXPECT_EQ(gone.code, 66) << gone.err;
-  EXPECT_HAS(gone.err, "if the data moved, add --set scene.file=NEW_PLACE");
-  const Result found = succeeded(semfield_run("eval ../run --set scene.file=moved.sfpack", dir / "elsewhere"));
-  const Result stored =
-      succeeded(semfield_run("train --resume ../run --set scene.file=moved.sfpack", dir / "elsewhere"));
-  EXPECT_EQ(semfield_run("eval run", dir.path()).code, 0);
+  fs::rename(dir / "room.sfpack", dir / "elsewhere/moved.sfpack");
+  for (const char* words : {"eval ../run", "train --resume ../run"})
+    (void)succeeded(semfield_run(words + std::string(" --set scene.file=moved.sfpack"), dir / "elsewhere"));
+  (void)succeeded(semfield_run("eval run", dir.path()));
 }
 
 TEST(RunTruth, RunsEqualComparesWhatWasTrained) {
@@ -523,20 +399,6 @@ TEST(RunTruth, RunsEqualComparesWhatWasTrained) {
   write_safetensors(path, tensors, file.metadata());
   compare("b", 1, "runs: different: tensor '" + tensors[1].name + "' differs from element 2 on\n");
   EXPECT_EQ(semfield_run("runs equal a nowhere", dir.path()).code, 66);
-}
-
-TEST(RunTruth, EveryNumberOfRunYamlIsOneToYaml11) {
-  const TempDir dir;
-  write_packed_config(dir, 1, 0);
-  ASSERT_EQ(semfield_run("train config.yaml --threads 1 --out run --set train.adam.epsilon=1e-12", dir.path()).code, 0);
-  const std::string yaml = read_text_file(dir / "run/run.yaml");
-  static const std::regex word(R"((?:: |\[|, )([-+.]?[0-9][^\s,\]]*))");
-  static const std::regex number(R"([-+]?(?:0|[1-9][0-9]*)(?:\.[0-9]*(?:[eE][-+][0-9]+)?)?)");
-  int seen = 0;
-  for (std::sregex_iterator found(yaml.begin(), yaml.end(), word), end; found != end; ++found, ++seen)
-    EXPECT_TRUE(std::regex_match((*found)[1].str(), number)) << (*found)[1];
-  EXPECT_GT(seen, 40);
-  EXPECT_HAS(yaml, "epsilon: 1.0e-12");
 }
 
 // What helps a run over a step that fails may change; the remedy of such a step says so.

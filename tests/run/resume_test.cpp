@@ -4,10 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <fstream>
 
-#include "compute/parallel.h"
-#include "config/compose.h"
 #include "eval/evaluator.h"
 #include "eval/final_eval.h"
 #include "run/metrics_log.h"
@@ -15,7 +12,6 @@
 #include "run/run_loop.h"
 #include "run/run_scores.h"
 #include "session/settings/choices.h"
-#include "session/trainer.h"
 #include "session/training.h"
 #include "system/files.h"
 #include "tests/session/train_testing.h"
@@ -25,68 +21,23 @@ namespace {
 
 using namespace testing_train;
 
-struct Opened {
-  Session session;
-  std::unique_ptr<RaySource> rays;
-  std::unique_ptr<Trainer> trainer;
-};
-
-Opened open(const std::string& yaml, Registry& registry) {
-  Opened o{open_text(yaml, registry), nullptr, nullptr};
-  o.rays = o.session.make_ray_source();
-  o.trainer = std::make_unique<Trainer>(*o.session.pipeline, *o.rays, o.session.config.adam, o.session.config.schedule);
-  return o;
-}
-
-void expect_resume_is_exact(const std::string& yaml, int first, int second) {
-  Registry registry = make_registry();
-  Opened whole = open(yaml, registry);
-  for (int i = 0; i < first + second; ++i) whole.trainer->advance();
-
-  const TempDir dir;
-  Opened before = open(yaml, registry);
-  for (int i = 0; i < first; ++i) before.trainer->advance();
-  CheckpointStore store(dir.path());
-  store.save(first, before.trainer->state(), {{"train_s", "1"}});
-
-  Opened after = open(yaml, registry);
-  after.trainer->advance();  // a used trainer must not matter
-  Diagnostics diagnostics;
-  auto found = store.find_latest(diagnostics);
-  ASSERT_TRUE(found.has_value());
-  set_thread_count(1);  // another thread count too
-  after.trainer->load(found->file, found->step);
-  EXPECT_EQ(after.trainer->step(), first);
-  for (int i = 0; i < second; ++i) after.trainer->advance();
-  set_thread_count(0);
-  EXPECT_EQ(fingerprint(whole.session.pipeline->store()), fingerprint(after.session.pipeline->store()));
-}
-
-TEST(Resume, HashRunIsBitExact) { expect_resume_is_exact(hash_config(), 45, 30); }
-TEST(Resume, TwoPassRunIsBitExact) { expect_resume_is_exact(two_pass_config(), 4, 4); }
-
 TEST(Resume, AnotherNetworksCheckpointIsRefusedAndNothingChanges) {
   Registry registry = make_registry();
   const TempDir dir;
-  Opened wide = open(hash_config(), registry);
-  CheckpointStore store(dir.path());
-  store.save(0, wide.trainer->state(), {{"train_s", "0"}});
+  TestRun wide(hash_config(), registry);
+  write_safetensors(dir / "state.safetensors", wide.trainer.state(), {});
   std::string narrow_yaml = hash_config();
   narrow_yaml.replace(narrow_yaml.find("color_width: 32"), 15, "color_width: 16");
-  Opened narrow = open(narrow_yaml, registry);
-  const std::uint32_t before = fingerprint(narrow.session.pipeline->store());
-  Diagnostics diagnostics;
-  auto found = store.find_latest(diagnostics);
-  ASSERT_TRUE(found.has_value());
-  EXPECT_HAS(error_of(ErrorKind::data, [&] { narrow.trainer->load(found->file, 0); }), "another network's checkpoint");
-  EXPECT_EQ(before, fingerprint(narrow.session.pipeline->store()));
+  TestRun narrow(narrow_yaml, registry);
+  const std::uint32_t before = narrow.bits();
+  EXPECT_HAS(error_of(ErrorKind::data,
+                      [&] { narrow.trainer.load(TensorFile::read(dir / "state.safetensors"), 0); }),
+             "another network's checkpoint");
+  EXPECT_EQ(before, narrow.bits());
 }
 
 RunConfig config_of(const std::string& yaml, Registry& registry) {
-  Diagnostics diagnostics;
-  RunConfig config = read_run_config(parse_config_text(yaml, "test.yaml"), registry, diagnostics);
-  diagnostics.throw_if_errors(ErrorKind::config, "");
-  return config;
+  return run_config_of(parse_config_text(yaml, "test.yaml"), registry);
 }
 
 TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
@@ -114,7 +65,7 @@ TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
     EXPECT_GT(psnr, *start.color.psnr_db() + 4) << "200 steps teach the field the room's colours";
   }
 
-  // Evaluating the folder gives the run's own last figures, and training from run.yaml repeats the run bit for bit.
+  // Evaluating the folder gives the run's own last figures.
   Diagnostics diagnostics;
   OpenedRun opened = open_run(request.out_dir, {}, registry, diagnostics);
   const SplitScore score =
@@ -154,41 +105,6 @@ TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
   EXPECT_EQ(seen.label, unseen.label);
   EXPECT_EQ(seen.depth_m, unseen.depth_m);
   EXPECT_EQ(seen.entropy, unseen.entropy);
-  request.out_dir = dir / "again";
-  EXPECT_EQ(run_training(load_run_config(dir / "run/run.yaml", {}, registry), registry, request, {}).report_path, "");
-  EXPECT_FALSE(std::filesystem::exists(dir / "again/report.html")) << "nobody asked for one";
-  CheckpointStore first(dir / "run/checkpoints"), second(dir / "again/checkpoints");
-  auto a = first.find_latest(diagnostics), b = second.find_latest(diagnostics);
-  ASSERT_TRUE(a && b);
-  for (const TensorRef& t : a->file.tensors()) {
-    const TensorRef* other = b->file.find(t.name);
-    ASSERT_NE(other, nullptr) << t.name;
-    EXPECT_TRUE(std::equal(t.bytes.begin(), t.bytes.end(), other->bytes.begin())) << t.name;
-  }
-}
-
-TEST(TrainRun, AStopSignalSavesAndResumeGoesOn) {
-  Registry registry = make_registry();
-  const TempDir dir;
-  TrainRequest request{.out_dir = dir / "run"};
-  int asked = 0;
-  HookListener hooks;
-  hooks.on_stop_signal = [&] { return ++asked >= 30 ? 15 : 0; };
-  const std::string yaml = hash_config("report: {eval_every_s: 0}\n");
-  const TrainOutcome stopped = run_training(config_of(yaml, registry), registry, request, &hooks);
-  EXPECT_EQ(stopped.signal, 15);
-  EXPECT_EQ(stopped.step, 30);
-  request.resume = true;
-  const TrainOutcome done =
-      run_training(load_run_config(request.out_dir + "/run.yaml", {}, registry), registry, request, {});
-  EXPECT_EQ(done.step, 200);
-  std::int64_t last = 0;
-  for (const MetricsRow& row : read_metrics(request.out_dir + "/metrics.jsonl")) {
-    if (row.kind != "train") continue;
-    EXPECT_GT(row.step, last) << "rows go on without a gap or repeat";
-    last = row.step;
-  }
-  EXPECT_EQ(last, 200);
 }
 
 // A class that had no label when the run began has some when it goes on: from the file of clicks, or from other labels
@@ -228,36 +144,6 @@ TEST(TrainRun, LabelsOfAnotherClassMayComeWhereEveryClassHasALogit) {
   EXPECT_EQ(opened.step, 8);
   EXPECT_EQ(opened.session.plan.class_of_logit.size(), 8u);
   EXPECT_HAS(opened.session.scene.info.classes.to_yaml(), "couch");
-}
-
-TEST(TrainRun, LabelsOfAnotherClassAreRefusedWhereItHasNoLogit) {
-  Registry registry = make_registry();
-  const TempDir dir;
-  for (const bool kept : {false, true}) {
-    TrainRequest request{.out_dir = dir / (kept ? "kept" : "run")};
-    std::string yaml = hash_config("report: {eval_every_s: 0}\n");
-    if (kept) yaml += "runtime: {keep: [absent_classes]}\n";
-    const auto with = [&](const std::string& scene) {
-      std::string out = yaml;
-      return out.replace(out.find("analytic_room}"), 14, "analytic_room" + scene + "}");
-    };
-    RunConfig config = config_of(with(", absent_class: 3"), registry);
-    config.train.steps = 3;
-    (void)run_training(std::move(config), registry, request, {});
-    // The same scene, whose labels hold the class now.
-    const CheckpointFacts facts = read_checkpoint_facts(
-        CheckpointStore(request.out_dir + "/checkpoints").find_latest(*std::make_unique<Diagnostics>())->file);
-    Session now = open_text(with(""), registry);
-    Diagnostics diagnostics;
-    const std::string said =
-        error_of([&] { compare_with_training(facts, scene_inputs(now.scene, now.labels), now, diagnostics); });
-    if (kept) {
-      EXPECT_EQ(said, "");
-      EXPECT_EQ(diagnostics.all().size(), 1u) << "a warning: the labels are others";
-    } else {
-      EXPECT_HAS(said, "the network has one logit for each class with such pixels");
-    }
-  }
 }
 
 // The length of a run: stated in steps or in seconds, settled, stored, repeated and gone on with. Clocks are
@@ -300,12 +186,7 @@ class CountedSteps final : public RunListener {
 class RunLengthTest : public ::testing::Test {
  protected:
   RunConfig config(const std::string& more = "") {
-    Diagnostics diagnostics;
-    RunConfig read = read_run_config(
-        parse_config_text(hash_config("report: {eval_every_s: 0, checkpoint_every_s: 0}\n" + more), "test.yaml"),
-        registry_, diagnostics);
-    diagnostics.throw_if_errors(ErrorKind::config, "");
-    return read;
+    return config_of(hash_config("report: {eval_every_s: 0, checkpoint_every_s: 0}\n" + more), registry_);
   }
   RunConfig stored(const std::string& run) { return load_run_config(dir_ / run + "/run.yaml", {}, registry_); }
   RunConfig asked(const AskedLength& length, const std::string& more = "") {
@@ -521,39 +402,6 @@ TEST_F(RunLengthTest, TheDeviceSettlesALengthThatNobodyAskedFor) {
     EXPECT_EQ(resolve_length(fixed, device), "");
     EXPECT_EQ(fixed.schedule.decay_steps, 250000) << "what is written stays";
   }
-  for (const char* preset : {"room", "object", "unbounded"}) {
-    const ConfigNode tree =
-        compose_config(std::string(SEMFIELD_SOURCE_DIR) + "/configs/presets/" + preset + ".yaml", {});
-    EXPECT_EQ(tree.find("train")->find("steps")->text(), "0") << preset;
-    EXPECT_EQ(tree.find("train")->find("schedule")->find("decay_steps")->text(), "0") << preset;
-  }
-}
-
-TEST_F(RunLengthTest, WhatNeverWorksInARunOfItsLengthIsRefused) {
-  const auto said = [&](const std::string& more) -> std::string {
-    RunConfig read = config(more);
-    read.train.steps = 100;
-    try {
-      CountedSteps clock;
-      train(std::move(read), "refused", clock);
-    } catch (const Error& error) {
-      EXPECT_FALSE(fs::exists(dir_ / "refused"));
-      return error.what();
-    }
-    return "nothing";
-  };
-  EXPECT_HAS(said("losses: [{type: distortion, from_step: 1}]\n"),
-             "the term 'distortion' never works: its from_step 1 is the end of the run of 100 steps");
-  EXPECT_HAS(said("losses: [{type: distortion, from_step: 0.995}]\n"), "never works");
-  RunConfig warm = config();
-  warm.schedule.warmup_steps = warm.train.steps;
-  Diagnostics never;
-  check_length(warm, never);
-  EXPECT_EQ(never.error_count(), 1);
-  --warm.schedule.warmup_steps;
-  Diagnostics fine;
-  check_length(warm, fine);
-  EXPECT_FALSE(fine.has_errors());
 }
 
 TEST_F(RunLengthTest, RunsOfEarlierVersionsKeepTheirStepsAndFilesOfTheirOwnAreTold) {
@@ -696,15 +544,6 @@ TEST(RunScores, PicturesAreFinerThanTheScoresWhereTheTimeAllowsIt) {
   EXPECT_EQ(pictures.width_px, std::vector<std::int32_t>{48});
 }
 
-TEST(RunScores, WithoutATimeLimitTheWholeSplitIsScored) {
-  const TempDir dir;
-  const Scored scored = run_scored("report: {eval_every_s: 0, strips: 0}\n", 0, 1e6, dir);
-  ASSERT_EQ(scored.evals.size(), 1u);
-  EXPECT_EQ(scored.evals[0].split, "test");
-  EXPECT_TRUE(scored.outcome.scored.whole());
-  EXPECT_FALSE(scored.evals[0].per_class_iou.empty());
-}
-
 TEST(RunScores, APartOfTheTrainingFramesIsCalledASample) {
   const TempDir dir;
   const Scored scored = run_scored("report: {eval_every_s: 0, strips: 0, training_frames: 2}\n", 0, 0.001, dir);
@@ -826,10 +665,9 @@ std::vector<Pose> poses_of(const Session& session, Split split) {
 
 TEST(RefinedPoses, ComeBackToThoseOfTheField) {
   Registry registry = make_registry();
-  Session session = open_text(hash_config(), registry);
-  const std::unique_ptr<RaySource> rays = session.make_ray_source();
-  Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, 600);
-  while (trainer.step() < 600) trainer.advance();
+  TestRun run(hash_config(), registry);
+  run.to(600);
+  Session& session = run.session;
   const std::vector<Pose> right = poses_of(session, Split::train);
   const std::vector<int> frames = session.scene.frames_of(Split::train);
   for (std::size_t i = 0; i < frames.size(); ++i) {

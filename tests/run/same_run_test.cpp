@@ -284,22 +284,6 @@ TEST_F(RunSessionTest, HasTheBitsAndTheRowsOfTheWholeRun) {
   EXPECT_HAS(error_of([&] { run.save(""); }), "somebody continued the run");
 }
 
-TEST_F(RunSessionTest, GoesOnFromWhereItWasSaved) {
-  const std::uint32_t bits = whole_run();
-  {
-    RunSession run(config(), registry_, {dir_ / "a", false, {}}, nobody_);
-    drive(run, 12);
-    run.save("");
-    EXPECT_HAS(error_of([&] { run.save(dir_ / "b"); }), "cannot be saved in");
-    EXPECT_FALSE(fs::exists(dir_ / "b"));
-  }
-  RunSession again(load_run_config(dir_ / "a/run.yaml", {}, registry_), registry_, {dir_ / "a", true, {}}, nobody_);
-  EXPECT_EQ(again.training().step(), 12);
-  drive(again, kSteps);
-  again.save("");
-  EXPECT_EQ(checkpoint_fingerprint(dir_ / "a", kSteps), bits);
-}
-
 TEST_F(RunSessionTest, RoundsOfSelfTrainingNeedAFolderAndHaveTheBitsOfTheWholeRun) {
   const std::vector<std::string> set{"scene.labels.degrade=[{type: propagation}]", "train.self_training.at=[0.5]",
                                      "train.self_training.confidence=0.3", "train.ray_source=label_balanced"};
@@ -552,24 +536,6 @@ TEST(SelfTraining, KilledAroundARoundARunEndsInTheSameBits) {
   EXPECT_FALSE(fs::exists(dir / "without/self_labels"));
   train(dir, registry, "threads", {}, {"runtime.threads=3"});
   EXPECT_EQ(checkpoint_fingerprint(dir / "threads", kSelfTrainingSteps), bits);
-}
-
-TEST(SelfTraining, AStopWithinARoundIsAnsweredAndTheRoundMadeAfterwards) {
-  Registry registry = make_registry();
-  const TempDir dir;
-  write_packed_config(dir, kSelfTrainingSteps, 0);
-  train(dir, registry, "whole");
-  bool rendering = false;
-  HookListener hooks;
-  hooks.on_scoring = [&](const ScoreProgress& p) { rendering = rendering || p.done > 2; };
-  hooks.on_stop_signal = [&] { return rendering ? 15 : 0; };
-  const TrainOutcome stopped = train(dir, registry, "run", &hooks);
-  EXPECT_EQ(stopped.signal, 15);
-  EXPECT_EQ(stopped.step, 30);
-  EXPECT_FALSE(fs::exists((dir / "run") + kFirstRound));
-  resume(dir / "run", registry);
-  EXPECT_EQ(checkpoint_fingerprint(dir / "run", kSelfTrainingSteps),
-            checkpoint_fingerprint(dir / "whole", kSelfTrainingSteps));
 }
 
 TEST(SelfTraining, ARoundThatIsLostOrDamagedIsRefusedAndTheRemedyWorks) {

@@ -2,12 +2,10 @@
 
 #include <gtest/gtest.h>
 
-#include <cfenv>
 #include <cmath>
 #include <cstdlib>
 #include <numeric>
 
-#include "compute/isa.h"
 #include "compute/parallel.h"
 #include "config/compose.h"
 #include "core/error.h"
@@ -18,84 +16,26 @@
 #include "session/training.h"
 #include "system/checksum.h"
 #include "tests/session/oracle.h"
-#include "tests/session/train_testing.h"
+#include "tests/session/step_configs.h"
 
 namespace semfield {
 namespace {
 
 using namespace testing_train;
 
-TEST(Determinism, HashRunOf200StepsIsTheSameFor1And2And4Threads) {
-  const std::uint32_t one = train_fingerprint(hash_config(), 1, 200);
-  EXPECT_EQ(one, train_fingerprint(hash_config(), 2, 200));
-  EXPECT_EQ(one, train_fingerprint(hash_config(), 4, 200));
-}
+class SameBits : public ::testing::TestWithParam<StepCase> {};
 
-TEST(Determinism, TwoPassRunIsTheSameFor1And3Threads) {
-  const std::uint32_t one = train_fingerprint(two_pass_config(), 1, 25);
-  EXPECT_EQ(one, train_fingerprint(two_pass_config(), 3, 25));
+// Past the warm-up of the occupancy grid, in fp32 and in bf16.
+TEST_P(SameBits, ForAnyNumberOfThreads) {
+  const std::string yaml = GetParam().config(GetParam().more);
+  const std::uint32_t one = train_fingerprint(yaml, 1, 36);
+  EXPECT_EQ(one, train_fingerprint(yaml, 3, 36));
+  const std::string bf16 = yaml + "runtime: {device: cpu, precision: bf16}\n";
+  const std::uint32_t rounded = train_fingerprint(bf16, 1, 5);
+  EXPECT_EQ(rounded, train_fingerprint(bf16, 3, 5));
+  EXPECT_NE(rounded, train_fingerprint(yaml, 2, 5));
 }
-
-TEST(Determinism, Bf16RunIsTheSameFor1And2ThreadsAndNotThatOfFp32) {
-  const std::string bf16 = "runtime: {precision: bf16}\n";
-  const std::uint32_t one = train_fingerprint(hash_config(bf16), 1, 40);
-  EXPECT_EQ(one, train_fingerprint(hash_config(bf16), 2, 40));
-  EXPECT_NE(one, train_fingerprint(hash_config(), 2, 40));
-  EXPECT_EQ(train_fingerprint(two_pass_config(bf16), 1, 5), train_fingerprint(two_pass_config(bf16), 3, 5));
-}
-
-// Every third value of what a step reads and writes is subnormal.
-void make_subnormal(ParamStore<float>& store) {
-  for (Tensor<float>& t : store.all()) {
-    if (t.spec.role != TensorRole::dense) continue;
-    for (const AlignedBuffer<float>* buffer : {&t.value, &t.moment1, &t.moment2}) {
-      for (std::size_t i = 0; i < buffer->size(); i += 3) buffer->data()[i] = 1e-39F;
-    }
-  }
-}
-
-int subnormal_count(const ParamStore<float>& store) {
-  int found = 0;
-  for (const Tensor<float>& t : store.all()) {
-    if (t.spec.role != TensorRole::dense) continue;
-    for (const AlignedBuffer<float>* buffer : {&t.value, &t.grad, &t.moment1, &t.moment2}) {
-      for (std::size_t i = 0; i < buffer->size(); ++i)
-        found += std::fpclassify(buffer->data()[i]) == FP_SUBNORMAL ? 1 : 0;
-    }
-  }
-  return found;
-}
-
-TEST(Determinism, AStepLeavesNoSubnormalNumberForAnyThreadCountAndCallersMode) {
-#if !defined(__SSE2__) && !defined(__aarch64__)
-  GTEST_SKIP() << "this CPU has no mode that flushes subnormals";
-#endif
-  std::uint32_t first = 0;
-  for (const int rounding : {FE_TONEAREST, FE_UPWARD}) {
-    for (const int threads : {1, 2, 16}) {
-      Session s = open_text(two_pass_config());
-      make_subnormal(s.pipeline->store());
-      const auto rays = s.make_ray_source();
-      Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
-      set_thread_count(threads);
-      std::fesetround(rounding);
-      for (int i = 0; i < 2; ++i) trainer.advance();
-      EXPECT_EQ(std::fegetround(), rounding);
-      EXPECT_FALSE(ComputeFloatMode::in_effect());
-      // A step that throws gives the caller's mode back too.
-      const std::uint32_t made = fingerprint(s.pipeline->store());
-      EXPECT_EQ(subnormal_count(s.pipeline->store()), 0) << threads << " threads";
-      s.pipeline->store().all().front().value.data()[0] = std::numeric_limits<float>::quiet_NaN();
-      EXPECT_THROW(trainer.advance(), Error);
-      EXPECT_EQ(std::fegetround(), rounding);
-      EXPECT_FALSE(ComputeFloatMode::in_effect());
-      std::fesetround(FE_TONEAREST);
-      set_thread_count(0);
-      if (first == 0) first = made;
-      EXPECT_EQ(made, first) << threads << " threads";
-    }
-  }
-}
+INSTANTIATE_TEST_SUITE_P(All, SameBits, ::testing::ValuesIn(kStepCases), name_of_step);
 
 TEST(Determinism, AnotherSeedGivesAnotherRun) {
   EXPECT_NE(train_fingerprint(two_pass_config(), 2, 3),
@@ -152,13 +92,7 @@ TEST(Probability, OfAFrameSumsToOneAndItsLargestIsTheLabelsConfidence) {
     const Session& s = training.session();
     const FrameInfo& info = s.scene.info.frames.front();
     FrameOptions asked{.stride = 3, .probability = true};
-    const RenderedFrame plain = training.render(info.camera, info.world_from_camera, {3, nullptr});
     const RenderedFrame frame = training.render(info.camera, info.world_from_camera, asked);
-    EXPECT_TRUE(plain.probability.empty());
-    EXPECT_EQ(plain.rgb, frame.rgb);
-    EXPECT_EQ(plain.label, frame.label);
-    EXPECT_EQ(plain.entropy, frame.entropy);
-    EXPECT_EQ(plain.confidence, frame.confidence);
     const auto classes = static_cast<std::size_t>(s.classes());
     ASSERT_EQ(frame.probability.size(), classes * frame.label.size());
     std::vector<double> mass(classes, 0);
@@ -178,10 +112,9 @@ TEST(Probability, OfAFrameSumsToOneAndItsLargestIsTheLabelsConfidence) {
 }
 
 TEST(Determinism, RenderingIsTheSameForAnyGroupingOfRays) {
-  Session s = open_text(hash_config());
-  const auto source = s.make_ray_source();
-  Trainer trainer(*s.pipeline, *source, s.config.adam, s.config.schedule);
-  while (trainer.step() < 60) trainer.advance();
+  TestRun run(hash_config());
+  run.to(60);
+  const Session& s = run.session;
   const FrameRays rays(s, 500);
   const auto render = [&](std::int64_t chunk) {
     std::vector<float> probability, others(6 * 500, 0.0F);
@@ -207,10 +140,9 @@ TEST(Determinism, RenderingIsTheSameForAnyGroupingOfRays) {
 // The float pipeline against the same parameters in double, and those against the sum of exponentials of its logits.
 TEST(Probability, AgreesWithTheOracleInDouble) {
   Registry registry = make_registry();
-  Session s = open_text(two_pass_config(), registry);
-  const auto source = s.make_ray_source();
-  Trainer trainer(*s.pipeline, *source, s.config.adam, s.config.schedule);
-  while (trainer.step() < 600) trainer.advance();
+  TestRun run(two_pass_config(), registry);
+  run.to(600);
+  const Session& s = run.session;
   const auto oracle = assemble<double>(s.config, registry, s.plan, s.extent, {}, true);
   for (Tensor<double>& t : oracle->store().all()) {
     const Tensor<float>* const from = s.pipeline->store().find(t.name);
@@ -370,26 +302,6 @@ TEST(Units, APowerOfTwoChangesNoBit) {
       EXPECT_EQ(got.learned, want.learned);
       EXPECT_EQ(got.color, want.color);
       EXPECT_NEAR(got.depth_m, want.depth_m * scale, 1e-12 * want.depth_m * scale);
-    }
-  }
-}
-
-TEST(Units, AnyOtherChangesNoMoreThanRounding) {
-  for (const Case& c : cases()) {
-    SCOPED_TRACE(c.name);
-    const Outcome want = train_in_unit(c, 1);
-    for (const double scale : {1e-4, 1e3, 1e6}) {
-      SCOPED_TRACE(scale);
-      const Outcome got = train_in_unit(c, scale);
-      EXPECT_NEAR(got.unit_m, want.unit_m * scale, 1e-6 * want.unit_m * scale);
-      ASSERT_EQ(got.losses.size(), want.losses.size());
-      for (std::size_t i = 0; i < want.losses.size(); ++i)  // rounding grows from step to step, to 2.3 % at most
-        EXPECT_NEAR(got.losses[i], want.losses[i], 0.05 * std::abs(want.losses[i])) << i;
-      EXPECT_NEAR(got.depth_m, want.depth_m * scale, 0.02 * want.depth_m * scale);
-      double off = 0;
-      for (std::size_t i = 0; i < want.color.size(); ++i)
-        off += std::abs(static_cast<double>(got.color[i] - want.color[i])) / static_cast<double>(want.color.size());
-      EXPECT_LT(off, 0.005);
     }
   }
 }

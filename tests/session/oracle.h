@@ -24,6 +24,16 @@ struct Oracle {
   }
 };
 
+/// One pass of the paper's network, narrow: its sample positions do not depend on the parameters, so that the loss is
+/// the derivative's own function.
+inline std::string one_pass_config(const std::string& more = "") {
+  return "scene: {type: analytic_room}\nsemantics: {hidden_width: 8, weight: 0.5}\n"
+         "rendering: {density_activation: softplus}\npasses:\n  - sampler: {type: stratified, samples: 12}\n"
+         "    position: {type: frequency, frequencies: 3}\n    direction: {type: spherical_harmonics, degree: 2}\n"
+         "    field: {type: nerf_mlp, depth: 3, width: 12, skip_at: 1, view_width: 8}\ntrain: {rays: 24}\n" +
+         more;
+}
+
 /// Losses and gradients of the same tensors, each of which must have one.
 inline void expect_same_gradients(const std::string& yaml, const std::string& other_yaml) {
   Registry registry = make_registry();

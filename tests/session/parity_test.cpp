@@ -12,7 +12,6 @@
 #include "model/camera_corrections.h"
 #include "model/render_rules.h"
 #include "session/settings/choices.h"
-#include "session/trainer.h"
 #include "session/training.h"
 #include "tests/plugin/toy_encoder.h"
 #include "tests/session/oracle.h"
@@ -73,42 +72,17 @@ TEST(Parity, DeferredClassLayer) { expect_unchanged_without("deferred_class_laye
 TEST(Parity, FoldedFeatureLayer) { expect_unchanged_without("fold_feature_layer"); }
 TEST(Parity, DirectionOncePerRay) { expect_unchanged_without("direction_once_per_ray"); }
 
-TEST(PipelineGradient, OnePassWithSemantics) {
-  // One pass: the sample positions do not depend on the parameters, so the loss is the derivative's own function.
-  expect_finite_differences(
-      "scene: {type: analytic_room}\nsemantics: {hidden_width: 8, weight: 0.5}\nrendering: {density_activation: "
-      "softplus}\n"
-      "passes:\n  - sampler: {type: stratified, samples: 12}\n    position: {type: frequency, frequencies: 3}\n"
-      "    direction: {type: spherical_harmonics, degree: 2}\n    field: {type: nerf_mlp, depth: 3, width: 12, "
-      "skip_at: 1, view_width: 8}\n"
-      "train: {rays: 24}\n",
-      2e-4);
-}
-
-TEST(PipelineGradient, HashGridAndTinyMlp) {
-  expect_finite_differences(
-      "scene: {type: analytic_room}\nsemantics: {hidden_width: 8, weight: 0.5}\nrendering: {density_activation: "
-      "softplus, far: background}\n"
-      "passes:\n  - sampler: {type: stratified, samples: 12}\n    position: {type: hash_grid, levels: 3, log2_entries: "
-      "8, finest_resolution: 32}\n"
-      "    direction: {type: spherical_harmonics, degree: 2}\n    field: {type: tiny_mlp, hidden_width: 8, "
-      "color_width: 8}\n"
-      "train: {rays: 24}\n",
-      2e-4);
+TEST(PipelineGradient, OfBothNetworksWithSemantics) {
+  expect_finite_differences(one_pass_config(), 2e-4);
+  expect_finite_differences(stratified_config("type: analytic_room", "", "rays: 24"), 2e-4);
 }
 
 TEST(Parity, StoppedSemanticGradientLeavesTheDensityLayerAlone) {
   Registry registry = make_registry();
-  const std::string off =
-      "rendering: {density_activation: softplus}\npasses:\n  - sampler: {type: stratified, samples: 8}\n    position: "
-      "{type: frequency, frequencies: 3}\n"
-      "    direction: {type: frequency, frequencies: 2}\n    field: {type: nerf_mlp, depth: 2, width: 12, skip_at: 0, "
-      "view_width: 8}\n";
-  Oracle stopped(
-      "scene: {type: analytic_room}\ntrain: {rays: 32}\nsemantics: {weight: 5, stop_gradient_to_density: true}\n" + off,
-      registry);
-  Oracle none("scene: {type: analytic_room, with_labels: false}\ntrain: {rays: 32}\n" + off, registry);
-  Oracle flowing("scene: {type: analytic_room}\ntrain: {rays: 32}\nsemantics: {weight: 5}\n" + off, registry);
+  std::string stop = one_pass_config(), unlabelled = one_pass_config();
+  stop.replace(stop.find("weight: 0.5"), 11, "weight: 0.5, stop_gradient_to_density: true");
+  Oracle stopped(stop, registry), flowing(one_pass_config(), registry);
+  Oracle none(with_scene(unlabelled, "{type: analytic_room, with_labels: false}"), registry);
   ASSERT_FALSE(none.pipeline->has_semantics());
   stopped.gradients();
   none.gradients();
@@ -221,39 +195,6 @@ std::vector<Vec3d> directions(std::size_t count) {
 
 FieldPoints ask(const Session& s, const std::vector<Vec3d>& places, const std::vector<Vec3d>& seen) {
   return field_at(*s.pipeline, places, seen, s.limits, s.plan.class_of_logit, s.classes());
-}
-
-TEST(FieldPoints, FloatAgreesWithDouble) {
-  Registry registry = make_registry();
-  for (const std::string& yaml : {hash_config(), two_pass_config()}) {
-    Oracle oracle(yaml, registry);
-    oracle.pipeline->derive(0);
-    const Session& s = oracle.session;
-    const std::vector<Vec3d> places = points_in(s.scene.bounds, 200), seen = directions(200);
-    const auto logits = static_cast<std::int32_t>(s.plan.class_of_logit.size());
-    struct Answers {
-      std::vector<double> sigma, color, logits;
-    };
-    const auto answers = [&]<class Real>(Pipeline<Real>& pipeline) {
-      std::vector<Real> sigma(200), color(600), values(200 * static_cast<std::size_t>(logits));
-      PointQuery<Real> query{.position = {&places.data()->x, 200, 3},
-                             .direction = {&seen.data()->x, 200, 3},
-                             .sigma = {sigma.data(), 200, 1},
-                             .color = {color.data(), 200, 3},
-                             .logits = {values.data(), 200, logits}};
-      query_points(pipeline, query);
-      return Answers{{sigma.begin(), sigma.end()}, {color.begin(), color.end()}, {values.begin(), values.end()}};
-    };
-    const Answers single = answers(*s.pipeline), exact = answers(*oracle.pipeline);
-    const auto near = [](const std::vector<double>& a, const std::vector<double>& b) {
-      double largest = 1e-6;
-      for (const double v : b) largest = std::max(largest, std::abs(v));
-      for (std::size_t i = 0; i < a.size(); ++i) ASSERT_NEAR(a[i], b[i], 1e-4 * largest) << i;
-    };
-    near(single.sigma, exact.sigma);
-    near(single.color, exact.color);
-    near(single.logits, exact.logits);
-  }
 }
 
 // A ray is the sum over its samples, so points show what it renders.
@@ -445,26 +386,16 @@ TEST(CameraCorrections, GradientsAreThoseOfFiniteDifferences) {
 }
 
 TEST(CameraCorrections, TilesAndLanesChangeNoGradient) {
-  Registry registry = make_registry();
   const std::string yaml = stratified_config("type: analytic_room", "", kLearned + "rays: 24");
-  Oracle one(yaml + "runtime: {lanes: 1, tile_rays: 24}\n", registry);
-  Oracle many(yaml + "runtime: {lanes: 3, tile_rays: 4}\n", registry);
-  EXPECT_NEAR(one.gradients().total, many.gradients().total, 1e-12);
-  for (const Tensor<double>& t : one.pipeline->store().all()) {
-    if (!t.learned()) continue;
-    const Tensor<double>* other = many.pipeline->store().find(t.name);
-    for (std::int64_t i = 0; i < t.size(); ++i) ASSERT_NEAR(t.grad.data()[i], other->grad.data()[i], 1e-10) << t.name;
-  }
+  expect_same_gradients(yaml + "runtime: {lanes: 1, tile_rays: 24}\n", yaml + "runtime: {lanes: 3, tile_rays: 4}\n");
 }
 
 TEST(CameraCorrections, KeepTheMeanAndAreAbsentWhereNobodyAsks) {
   Registry registry = make_registry();
-  Session session = open_text(learned(hash_config()), registry);
-  const std::unique_ptr<RaySource> rays = session.make_ray_source();
-  Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, session.config.train.steps);
-  while (trainer.step() < 20) trainer.advance();
+  TestRun run(learned(hash_config()), registry);
+  run.to(20);
   for (const char* name : {"cameras/pose/used", "cameras/color/used"}) {
-    const Tensor<float>* used = session.pipeline->store().find(name);
+    const Tensor<float>* used = run.store().find(name);
     ASSERT_NE(used, nullptr) << name;
     double largest = 0;
     for (std::int32_t c = 0; c < used->spec.cols; ++c) {
@@ -486,17 +417,15 @@ TEST(CameraCorrections, KeepTheMeanAndAreAbsentWhereNobodyAsks) {
 // Until then the field is fog, whose gradients would move right poses.
 TEST(CameraCorrections, MoveAfterTheirShareOfTheRun) {
   Registry registry = make_registry();
-  Session session = open_text(learned(hash_config(), "cameras: {poses: learned, from_step: 0.1}, "), registry);
-  const std::unique_ptr<RaySource> rays = session.make_ray_source();
-  Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, session.config.train.steps);
-  const Tensor<float>* pose = session.pipeline->store().find("cameras/pose/learned");
+  TestRun run(learned(hash_config(), "cameras: {poses: learned, from_step: 0.1}, "), registry);
+  const Tensor<float>* pose = run.store().find("cameras/pose/learned");
   ASSERT_NE(pose, nullptr);
   const auto moved = [&] {
     return std::any_of(pose->value.data(), pose->value.data() + pose->size(), [](float x) { return x != 0; });
   };
-  while (trainer.step() < session.config.train.steps / 10) trainer.advance();
+  run.to(run.session.config.train.steps / 10);
   EXPECT_FALSE(moved());
-  while (trainer.step() < session.config.train.steps / 10 + 2) trainer.advance();
+  run.to(run.session.config.train.steps / 10 + 2);
   EXPECT_TRUE(moved());
 }
 
@@ -540,10 +469,7 @@ TEST(CameraChoices, AreSettledWhenASceneIsOpened) {
   EXPECT_TRUE(exposed.eval_job({}).fit_colors) << "scores have a second PSNR";
   const Session other = open_text(learned(hash_config(), kAuto), registry);
   EXPECT_EQ(other.pipeline->cameras(), nullptr);
-  const auto row = std::find_if(other.plan.left_out.begin(), other.plan.left_out.end(),
-                                [](const LeftOut& one) { return one.component == "camera_poses"; });
-  ASSERT_NE(row, other.plan.left_out.end());
-  EXPECT_EQ(row->evidence, "poses are not those of a phone's tracker");
+  EXPECT_EQ(left_out_row(other, "camera_poses").evidence, "poses are not those of a phone's tracker");
   const Session kept = open_text(learned(hash_config(), kAuto), registry, {"camera_poses"});
   EXPECT_NE(kept.pipeline->store().find("cameras/pose/learned"), nullptr);
   EXPECT_EQ(kept.plan.kept, std::vector<std::string>{"camera_poses"});
@@ -559,11 +485,6 @@ TEST(CameraCorrections, AnEncoderThatCannotIsRefusedByName) {
   yaml.replace(position, yaml.find('\n', position) - position, "    position: {type: toy}");
   EXPECT_HAS(error_of(ErrorKind::config, [&] { (void)open_text(yaml, registry); }),
              "encoder 'toy' has learned tensors and gives no gradient of positions by itself");
-}
-
-TEST(CameraCorrections, ARunHasTheSameBitsOnAnyThreads) {
-  const std::string yaml = learned(hash_config());
-  EXPECT_EQ(train_fingerprint(yaml, 1, 12), train_fingerprint(yaml, 3, 12));
 }
 
 }  // namespace

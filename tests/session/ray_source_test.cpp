@@ -9,14 +9,13 @@
 #include <ostream>
 #include <set>
 
-#include "compute/parallel.h"
 #include "core/error.h"
 #include "core/rng.h"
 #include "scene/scene.h"
 #include "session/settings/choices.h"
-#include "session/trainer.h"
 #include "session/training.h"
 #include "tests/says.h"
+#include "tests/session/gradient_hook.h"
 #include "tests/session/oracle.h"
 #include "tests/session/train_testing.h"
 
@@ -177,23 +176,6 @@ TEST(RaySource, LabelBalancedGivesExactlyItsShareInEveryTileLabelledFirst) {
   }
 }
 
-TEST(RaySource, LabelsOfUnselectedFramesAreVoid) {
-  Fixture f;
-  RaySourceOptions options{.train = {.rays = 2000}};
-  const RaySource source = f.make(options);
-  BatchBuffers batch;
-  source.fill(0, batch);
-  int ones = 0;
-  for (std::size_t r = 0; r < 2000; ++r) {
-    EXPECT_NE(batch.label[r], 0);
-    ones += batch.label[r] == 1 ? 1 : 0;
-    if (batch.label[r] == 1) {
-      EXPECT_EQ(batch.target[3 * r], 0.0F);
-    }
-  }
-  EXPECT_GT(ones, 5);
-}
-
 TEST(RaySource, ATileHoldsItsLabelledRaysAndThenTheOthersInTheirOrder) {
   Fixture f;
   RaySourceOptions options{.train = {.rays = 1500}, .tile_rays = 1};
@@ -216,27 +198,6 @@ TEST(RaySource, ATileHoldsItsLabelledRaysAndThenTheOthersInTheirOrder) {
       }
     }
   }
-}
-
-TEST(RaySource, TheBatchDoesNotDependOnThreads) {
-  Fixture f;
-  RaySourceOptions options{.train = {.rays = 500}};
-  const RaySource source = f.make(options);
-  BatchBuffers one, two;
-  set_thread_count(1);
-  source.fill(3, one);
-  set_thread_count(3);
-  source.fill(3, two);
-  set_thread_count(0);
-  EXPECT_EQ(one.direction, two.direction);
-  EXPECT_EQ(one.target, two.target);
-}
-
-TEST(RaySource, NoLabelledPixelIsAnErrorForLabelBalanced) {
-  Fixture f;
-  f.a.label.assign(32, kVoid);
-  RaySourceOptions options{.train = {.ray_source = RaySourceKind::label_balanced}};
-  EXPECT_THROW(f.make(options), Error);
 }
 
 TEST(RaySource, LabelsThatMayComeAreWaitedFor) {
@@ -455,16 +416,6 @@ TEST(Masks, WhatLiesBehindThemIsInNoScore) {
   EXPECT_NE(first, open);
 }
 
-TEST(Masks, NoRayIsDrawnForAMaskedPixel) {
-  Session s = open_text(masked_room(3, -1));
-  const auto rays = s.make_ray_source();
-  for (std::int64_t ray = 0; ray < 2000; ++ray) {
-    const RaySource::Pixel pixel = rays->choose(1, ray);
-    const int frame = s.drawn_frames()[static_cast<std::size_t>(pixel.frame)];
-    EXPECT_TRUE(s.scene.frames[static_cast<std::size_t>(frame)].mask.uses(static_cast<std::size_t>(pixel.index)));
-  }
-}
-
 TEST(Masks, ASceneOfWhichEveryPixelIsMaskedIsRefused) {
   EXPECT_ERROR(open_text(masked_room(4, -1)), "scene.mask.all", "analytic_room", "every pixel");
 }
@@ -514,30 +465,6 @@ TEST(Channels, WhatNoLossReadsIsNotRead) {
   }
 }
 
-TEST(Channels, ALossWithoutItsChannelIsLeftOutAndSaysSo) {
-  Registry registry = make_channel_registry();
-  const Session session = open_text(albedo_config(false, kAlbedo), registry);
-  EXPECT_TRUE(session.config.losses.empty());
-  const auto& rows = session.plan.left_out;
-  const auto row =
-      std::find_if(rows.begin(), rows.end(), [](const LeftOut& r) { return r.component == "loss_albedo"; });
-  ASSERT_NE(row, rows.end());
-  EXPECT_EQ(row->evidence, "no training frame has 'albedo'");
-}
-
-// A second error of all rays against nearly the same colours: gradients of twice that and more.
-TEST(Channels, ALossOnAChannelTrains) {
-  Registry registry = make_channel_registry();
-  Session session = open_text(albedo_config(true, kAlbedo), registry);
-  const std::unique_ptr<RaySource> rays = session.make_ray_source();
-  Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, session.config.train.steps);
-  const double first = trainer.advance().terms[0];
-  double last = first;
-  while (trainer.step() < 60) last = trainer.advance().terms[0];
-  EXPECT_GT(first, 0);
-  EXPECT_LT(last, 0.5 * first);
-}
-
 TEST(RayBatch, RowsCutEveryArrayAndItsCountsOfTiles) {
   std::vector<double> three(30), two(20);
   std::vector<float> color(30), more(40);
@@ -579,115 +506,33 @@ TEST(RayBatch, RowsCutEveryArrayAndItsCountsOfTiles) {
 
 // The gradient hook: what a program sees and may change between backward and Adam.
 
-// A session with its trainer.
-struct Subject {
-  Subject(const std::string& yaml, Registry& registry) : session(open_text(yaml, registry)) {}
-  void to(std::int64_t step) {
-    while (trainer.step() < step) trainer.advance();
-  }
-  void call(GradientHook<float> hook) { session.pipeline->executor().set_gradient_hook(std::move(hook)); }
-  ParamStore<float>& store() { return session.pipeline->store(); }
-
-  Session session;
-  std::unique_ptr<RaySource> rays = session.make_ray_source();
-  Trainer trainer{*session.pipeline, *rays, session.config.adam, session.config.schedule};
-};
-
 TEST(GradientHook, SeesEveryLearnedTensorOfEveryStepAndKeepsTheBits) {
-  Registry registry = make_registry();
-  for (const std::string& yaml : {hash_config(), two_pass_config()}) {
-    Subject plain(yaml, registry), hooked(yaml, registry);
-    std::vector<std::int64_t> steps;
-    hooked.call([&](const StepGradients<float>& gradients) {
-      steps.push_back(gradients.step);
-      EXPECT_EQ(gradients.stream, nullptr);
-      std::size_t next = 0;
-      double sum = 0;
-      for (const Tensor<float>& t : hooked.store().all()) {
-        if (!t.learned()) continue;
-        ASSERT_LT(next, gradients.tensors.size());
-        const View<float>& view = gradients.tensors[next++];
+  expect_hook_sees_every_tensor(
+      "", [](const StepGradients<float>& gradients, const Tensor<float>& t, const View<float>& view) {
+        EXPECT_EQ(gradients.stream, nullptr);
         EXPECT_EQ(view.data, t.grad.data()) << t.name;
-        EXPECT_EQ(view.rows, t.spec.rows) << t.name;
-        EXPECT_EQ(view.cols, t.spec.cols) << t.name;
         EXPECT_EQ(view.device, Device::cpu);
-        for (std::int64_t i = 0; i < view.size(); ++i) sum += std::abs(view.data[i]);
-      }
-      EXPECT_EQ(next, gradients.tensors.size());
-      EXPECT_GT(sum, 0);
-    });
-    plain.to(6);
-    hooked.to(6);
-    EXPECT_EQ(fingerprint(plain.store()), fingerprint(hooked.store()));
-    EXPECT_EQ(steps, (std::vector<std::int64_t>{0, 1, 2, 3, 4, 5}));
-    hooked.call(nullptr);
-    plain.to(8);
-    hooked.to(8);
-    EXPECT_EQ(fingerprint(plain.store()), fingerprint(hooked.store()));
-    EXPECT_EQ(steps.size(), 6u);
-  }
+      });
 }
 
-// The first moment after the first step is (1 - beta1) times the gradient: unlike the update it keeps its scale. Of the
-// fixed losses the semantic one has a weight, and the head learns from it alone.
 TEST(GradientHook, HalfOfTheGradientsIsHalfOfTheWeight) {
-  Registry registry = make_registry();
-  const auto config = [](const std::string& weight) {
-    std::string yaml = two_pass_config();
-    return yaml.replace(yaml.find("weight: 0.3"), 11, "weight: " + weight);
-  };
-  Subject full(config("0.25"), registry), halved(config("0.25"), registry), light(config("0.125"), registry);
-  halved.call([](const StepGradients<float>& gradients) {
+  expect_half_of_the_gradients_is_half_of_the_weight("", [](const StepGradients<float>& gradients) {
     for (const View<float>& gradient : gradients.tensors) {
       for (std::int64_t i = 0; i < gradient.size(); ++i) gradient.data[i] *= 0.5F;
     }
   });
-  for (Subject* run : {&full, &halved, &light}) run->to(1);
-  int semantic = 0;
-  for (std::size_t i = 0; i < full.store().all().size(); ++i) {
-    const Tensor<float>& t = full.store().all()[i];
-    if (!t.learned()) continue;
-    const float* const of_halved = halved.store().all()[i].moment1.data();
-    const float* const of_light = light.store().all()[i].moment1.data();
-    for (std::int64_t e = 0; e < t.size(); ++e) {
-      ASSERT_EQ(of_halved[e], 0.5F * t.moment1.data()[e]) << t.name << ' ' << e;
-      ASSERT_TRUE(!t.rule.semantic || of_halved[e] == of_light[e]) << t.name << ' ' << e;
-    }
-    semantic += t.rule.semantic ? 1 : 0;
-  }
-  EXPECT_GT(semantic, 0);
 }
 
-TEST(GradientHook, AnErrorEndsTheStepAndChangesNothing) {
-  Registry registry = make_registry();
-  Subject plain(hash_config(), registry), hooked(hash_config(), registry);
-  plain.to(3);
-  hooked.to(3);
-  hooked.call([](const StepGradients<float>&) {
-    throw Error(ErrorKind::failure, "test.error.made", "rank 3 is gone", "start it again");
-  });
-  try {
-    hooked.trainer.advance();
-    FAIL() << "the step went on";
-  } catch (const Error& error) {
-    EXPECT_HAS(error.message(), "rank 3 is gone");
-    EXPECT_EQ(error.remedy(), "start it again");
-  }
-  EXPECT_EQ(hooked.trainer.step(), 3);
-  hooked.call(nullptr);
-  plain.to(5);
-  hooked.to(5);
-  EXPECT_EQ(fingerprint(plain.store()), fingerprint(hooked.store()));
-}
+TEST(GradientHook, AnErrorEndsTheStepAndChangesNothing) { expect_an_error_of_the_hook_ends_the_step(""); }
 
 TEST(GradientHook, WhatItWritesIsChecked) {
   Registry registry = make_registry();
-  Subject run(hash_config(), registry);
+  TestRun run(hash_config(), registry);
   run.to(2);
-  run.call([](const StepGradients<float>& gradients) { gradients.tensors.back().data[0] = NAN; });
-  const std::uint32_t before = fingerprint(run.store());
+  call(run, [](const StepGradients<float>& gradients) { gradients.tensors.back().data[0] = NAN; });
+  const std::uint32_t before = run.bits();
   EXPECT_THROW(run.trainer.advance(), Error);
-  EXPECT_EQ(fingerprint(run.store()), before);
+  EXPECT_EQ(run.bits(), before);
   EXPECT_EQ(run.trainer.step(), 2);
 }
 

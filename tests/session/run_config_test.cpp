@@ -19,10 +19,9 @@
 #include "session/session.h"
 #include "session/settings/choices.h"
 #include "session/settings/run_identity.h"
-#include "session/trainer.h"
 #include "testkit/analytic_scene.h"
 #include "tests/session/oracle.h"
-#include "tests/session/train_testing.h"
+#include "tests/session/step_configs.h"
 
 namespace semfield {
 namespace {
@@ -108,10 +107,12 @@ TEST(RunConfig, ADeviceIsNamedByKindAndOrdinal) {
 }
 
 TEST(RunConfig, ResolvedFormReadsBackTheSame) {
-  for (const std::string& yaml : {hash_config(), two_pass_config()}) {
+  for (const StepCase& step : kStepCases) {
+    SCOPED_TRACE(step.name);
     Registry registry = make_registry();
     Diagnostics diagnostics;
-    const RunConfig first = read_run_config(parse_config_text(yaml, "/tmp/a.yaml"), registry, diagnostics);
+    const RunConfig first =
+        read_run_config(parse_config_text(step.config(step.more), "/tmp/a.yaml"), registry, diagnostics);
     const ConfigNode resolved = resolved_config(first);
     const RunConfig second =
         read_run_config(parse_config_text(write_config(resolved), "/elsewhere/run.yaml"), registry, diagnostics);
@@ -183,11 +184,6 @@ struct PartsRun {
   Diagnostics said;
 };
 
-const std::string kStays =
-    " has no cuda kernels, so the run stays on the CPU, which is tens to hundreds of times slower than a GPU; use "
-    "parts "
-    "that have kernels for it: `semfield plugins list --devices` lists them";
-
 std::string refusal_of(PartsRun& run) {
   return error_of(ErrorKind::unavailable, [&] { run.choose(); });
 }
@@ -197,22 +193,17 @@ TEST(DeviceForParts, IsTheDeviceWhereEveryPartHasKernels) {
   EXPECT_EQ(PartsRun("cuda").choose().device.kind, Device::cuda);
 }
 
-TEST(DeviceForParts, APluginWithoutKernelsLeavesTheRunOnTheProcessorWithANote) {
-  PartsRun run("auto", "encoder 'hash_grid'");
-  EXPECT_EQ(run.choose().device.kind, Device::cpu);
-  ASSERT_EQ(run.said.all().size(), 1u);
-  EXPECT_EQ(run.said.all()[0].text(), "runtime.device: encoder 'hash_grid'" + kStays);
-}
-
-TEST(DeviceForParts, ALossWithoutKernelsDoesTheSame) {
-  PartsRun run("auto");
-  run.config.losses[0].type = "glow";  // which the build has no kernels of
-  const ChosenDevice chosen = run.choose();
-  EXPECT_EQ(chosen.device.kind, Device::cpu);
-  EXPECT_EQ(chosen.no_cuda, "loss 'glow' has no cuda kernels");
-  ASSERT_EQ(run.said.all().size(), 1u);
-  EXPECT_EQ(run.said.all()[0].severity, Severity::warning);
-  EXPECT_EQ(run.said.all()[0].text(), "runtime.device: loss 'glow'" + kStays);
+TEST(DeviceForParts, APartWithoutKernelsLeavesTheRunOnTheProcessorWithANote) {
+  PartsRun plugin("auto", "encoder 'hash_grid'"), loss("auto");
+  loss.config.losses[0].type = "glow";  // which the build has no kernels of
+  for (const auto& [run, part] : {std::pair{&plugin, "encoder 'hash_grid'"}, std::pair{&loss, "loss 'glow'"}}) {
+    const ChosenDevice chosen = run->choose();
+    EXPECT_EQ(chosen.device.kind, Device::cpu);
+    EXPECT_EQ(chosen.no_cuda, part + std::string(" has no cuda kernels"));
+    ASSERT_EQ(run->said.all().size(), 1u);
+    EXPECT_EQ(run->said.all()[0].severity, Severity::warning);
+    EXPECT_HAS(run->said.all()[0].text(), "runtime.device", part, "`semfield plugins list --devices`");
+  }
 }
 
 TEST(DeviceForParts, CudaAskedForIsRefusedByNameWithARemedy) {
@@ -225,30 +216,17 @@ TEST(DeviceForParts, CudaAskedForIsRefusedByNameWithARemedy) {
 
 constexpr DeviceId kCpu{Device::cpu, 0}, kGpu{Device::cuda, 0};
 
-TEST(SlowPaths, Fp32OnAGpuSaysWhatItCosts) {
-  PartsRun run("auto");
-  run.registry.kernels().add(Device::cuda, "field 'tiny_mlp'", &kStays, Precision::bf16);
-  EXPECT_EQ(run.slow_paths(kGpu, Precision::fp32),
-            "runtime.precision: fp32 runs layer by layer on a GPU, 3 to 15 times slower than bf16; set "
-            "runtime.precision: auto\n");
-  EXPECT_EQ(run.slow_paths(kGpu, Precision::bf16), "");
-  EXPECT_EQ(run.slow_paths(kCpu, Precision::fp32), "");
-}
-
-TEST(SlowPaths, AFieldWithoutKernelsOfBf16IsNamed) {
-  PartsRun run("auto");  // its registry has CUDA kernels of fp32 alone
-  EXPECT_EQ(precision_of(run.config, run.registry, kGpu), Precision::fp32);
-  EXPECT_EQ(run.slow_paths(kGpu, Precision::fp32),
-            "runtime.precision: fp32 runs layer by layer on a GPU, 3 to 15 times slower than bf16; field 'tiny_mlp' "
-            "has no kernels of bf16; use a field that has: `semfield plugins list --devices` lists them\n");
-}
-
-TEST(SlowPaths, EmulatedBf16OnACpuSaysSo) {
-  PartsRun run("cpu");
-  EXPECT_EQ(run.slow_paths(kCpu, Precision::bf16, false),
-            "runtime.precision: this CPU has no bf16 instructions: they are emulated, which is slower than fp32; set "
-            "runtime.precision: auto\n");
-  EXPECT_EQ(run.slow_paths(kCpu, Precision::bf16, true), "");
+TEST(SlowPaths, AreSaidWhereTheyAreTaken) {
+  PartsRun both("auto"), fp32_alone("auto"), cpu("cpu");
+  static constexpr int kTable = 0;
+  both.registry.kernels().add(Device::cuda, "field 'tiny_mlp'", &kTable, Precision::bf16);
+  EXPECT_HAS(both.slow_paths(kGpu, Precision::fp32), "runtime.precision: fp32", "set runtime.precision: auto");
+  EXPECT_EQ(both.slow_paths(kGpu, Precision::bf16), "");
+  EXPECT_EQ(both.slow_paths(kCpu, Precision::fp32), "");
+  EXPECT_EQ(precision_of(fp32_alone.config, fp32_alone.registry, kGpu), Precision::fp32);
+  EXPECT_HAS(fp32_alone.slow_paths(kGpu, Precision::fp32), "field 'tiny_mlp' has no kernels of bf16");
+  EXPECT_HAS(cpu.slow_paths(kCpu, Precision::bf16, false), "they are emulated");
+  EXPECT_EQ(cpu.slow_paths(kCpu, Precision::bf16, true), "");
 }
 
 // Every file of configs/ that has networks, with what it includes.
@@ -272,23 +250,6 @@ const char* const kEveryTerm =
     "losses: [{type: depth, weight: 0.3}, {type: distortion, weight: 0.2, from_step: 0}, {type: near_density, weight: "
     "0.1, from_step: 0, distance_m: 0.8}, {type: generalised_cross_entropy, weight: 0.3}]\n";
 
-void expect_says(const std::string& text, const std::vector<std::string>& parts) {
-  for (const std::string& part : parts) EXPECT_HAS(text, part) << "missing: " << part << "\nin:\n" << text;
-}
-
-TEST(LossConfig, StandsInTheResolvedFormAndOnlyThere) {
-  Registry registry = make_registry();
-  Diagnostics diagnostics;
-  const RunConfig with = read_run_config(parse_config_text(hash_config(kEveryTerm), "a.yaml"), registry, diagnostics);
-  const RunConfig without = read_run_config(parse_config_text(hash_config(), "a.yaml"), registry, diagnostics);
-  const std::string text = write_config(resolved_config(with));
-  expect_says(text, {"losses:", "type: distortion", "space: linear", "from_step: 0.0", "distance_m: 0.8"});
-  EXPECT_EQ(resolved_config(without).find("losses"), nullptr) << "old runs keep their identity";
-  const RunConfig again = read_run_config(parse_config_text(text, "run.yaml"), registry, diagnostics);
-  EXPECT_FALSE(diagnostics.has_errors());
-  EXPECT_EQ(write_config(resolved_config(again)), text);
-}
-
 std::string without_depth_images(std::string yaml) {
   const std::string scene = "{type: analytic_room";
   return yaml.replace(yaml.find(scene), scene.size(), scene + ", with_depth: false");
@@ -300,11 +261,8 @@ TEST(LossConfig, DepthIsLeftOutWhereNoTrainingFrameHasIt) {
   const Session s = open_text(yaml);
   EXPECT_TRUE(s.config.losses.empty());
   EXPECT_EQ(resolved_config(s.config).find("losses"), nullptr);
-  const auto& rows = s.plan.left_out;
-  const auto row = std::find_if(rows.begin(), rows.end(), [](const LeftOut& r) { return r.component == "loss_depth"; });
-  ASSERT_NE(row, rows.end());
-  EXPECT_EQ(row->evidence, "no training frame has a depth image");
-  EXPECT_EQ(row->proof, ProofClass::bitwise);
+  EXPECT_EQ(left_out_row(s, "loss_depth").evidence, "no training frame has a depth image");
+  EXPECT_EQ(left_out_row(s, "loss_depth").proof, ProofClass::bitwise);
   const Session kept = open_text(yaml, {"loss_depth"});
   EXPECT_EQ(kept.plan.kept, std::vector<std::string>{"loss_depth"});
   ASSERT_EQ(kept.config.losses.size(), 1u);
@@ -337,16 +295,6 @@ TEST(LossConfig, WhatBecomesOfDepthImagesIsSaid) {
   EXPECT_EQ(use(term, training_depth(scene)), "depth images of 2 training frames have no valid pixel");
   ASSERT_EQ(diagnostics.all().size(), 1u);
   EXPECT_HAS(diagnostics.all()[0].text(), "read them");
-  BuildRequest request;
-  LossTraits reads_depth;
-  reads_depth.targets = {channel::depth};
-  request.losses = {{"depth", "memory", true, reads_depth}, {"distortion", "walks", true, {}}};
-  request.depth_frames = 2;
-  request.depth_px = 0;
-  const BuildPlan plan = plan_build({}, request, {});
-  EXPECT_EQ(plan.no_losses, std::vector<std::string>{"depth"});
-  request.depth_px = 7;
-  EXPECT_TRUE(plan_build({}, request, {}).no_losses.empty());
 }
 
 TEST(LossConfig, DepthThatATermReadsIsHeldAndCounted) {
@@ -368,44 +316,14 @@ TEST(LossConfig, DepthThatATermReadsIsHeldAndCounted) {
   EXPECT_EQ(with.memory_facts.frames, without.memory_facts.frames + bytes);
 }
 
-// Every preset of a kind of scene teaches geometry by depth images; the shipped room and the experiments only score by
-// them.
-TEST(ShippedConfigurations, PresetsNameTheDepthTerm) {
-  const auto losses_of = [](const std::string& file) {
-    const ConfigNode tree = compose_config(SEMFIELD_SOURCE_DIR "/configs/" + file, {});
-    const ConfigNode* losses = tree.find("losses");
-    return losses == nullptr ? std::string("none") : write_config_inline(*losses);
-  };
-  const std::string depth = "{type: depth, weight: 0.02}";
-  EXPECT_EQ(losses_of("presets/room.yaml"), "[" + depth + "]");
-  EXPECT_EQ(losses_of("presets/object.yaml"), "[" + depth + ", {type: silhouette, weight: 0.1}]");
-  EXPECT_EQ(losses_of("presets/unbounded.yaml"), "[" + depth +
-                                                     ", {type: distortion, weight: 0.03, from_step: 0}, {type: "
-                                                     "near_density, weight: 0.01, from_step: 0}]");
-  EXPECT_EQ(losses_of("scenes/replica.yaml"), "[{type: depth, weight: 0.02}]");
-  for (const char* file : {"quickstart.yaml", "quickstart_frequency.yaml", "experiments/editions/gpu_fast.yaml"})
-    EXPECT_EQ(losses_of(file), "[]") << file;
-}
-
 TEST(LossConfig, LeaveOutSaysOfEachTermWhyItIsNotThere) {
-  const auto rows = [&](const std::string& losses) {
-    std::vector<std::string> found;
-    for (const LeftOut& row : open_text(hash_config(losses)).plan.left_out) {
-      if (row.component.starts_with("loss_")) found.push_back(row.component + ": " + row.evidence);
-      if (row.component == kTrainingDepth) found.push_back(row.component);
-    }
-    return found;
-  };
-  const std::string no_channel = "loss_cosine_distance: `losses` names no term of type cosine_distance";
-  EXPECT_EQ(rows(""),
-            (std::vector<std::string>{kTrainingDepth, no_channel, "loss_depth: `losses` names no term of type depth",
-                                      "loss_distortion: `losses` names no term of type distortion",
-                                      "loss_generalised_cross_entropy: `losses` names no term of type "
-                                      "generalised_cross_entropy",
-                                      "loss_near_density: `losses` names no term of type near_density",
-                                      "loss_silhouette: `losses` names no term of type silhouette"}));
-  EXPECT_EQ(rows(std::string(kEveryTerm).insert(std::string(kEveryTerm).rfind(']'), ", {type: silhouette}")),
-            (std::vector<std::string>{no_channel, "loss_silhouette: no training frame has 'alpha'"}));
+  const Session none = open_text(hash_config()), with = open_text(hash_config(kEveryTerm));
+  for (const char* term : {"cosine_distance", "depth", "distortion", "generalised_cross_entropy", "near_density"})
+    EXPECT_HAS(left_out_row(none, "loss_" + std::string(term)).evidence, "names no term of type ", term);
+  EXPECT_NO_THROW(left_out_row(none, kTrainingDepth));
+  EXPECT_THROW(left_out_row(with, "loss_depth"), Error);
+  const Session seen = open_text(hash_config("losses: [{type: silhouette}]\n"));
+  EXPECT_EQ(left_out_row(seen, "loss_silhouette").evidence, "no training frame has 'alpha'");
 }
 
 TEST(RaySourceDepth, IsTheDistanceAlongTheRayToTheFirstSurface) {
@@ -445,27 +363,11 @@ TEST(RaySourceDepth, RaysThatAreThereForTheirLabelsTellNone) {
   EXPECT_TRUE(std::any_of(depth.begin(), depth.end(), [](float t) { return t > 0; }));
 }
 
-TEST(PipelineGradient, WithEveryTermOfTheLoss) {
-  expect_finite_differences(
-      std::string("scene: {type: analytic_room}\nsemantics: {hidden_width: 8, weight: 0.5}\nrendering: "
-                  "{density_activation: softplus}\npasses:\n  - sampler: {type: stratified, samples: 12}\n"
-                  "    position: {type: frequency, frequencies: 3}\n    direction: {type: spherical_harmonics, degree: "
-                  "2}\n    field: {type: nerf_mlp, depth: 3, width: 12, skip_at: 1, view_width: 8}\ntrain: {rays: "
-                  "24}\n") +
-          kEveryTerm,
-      2e-4);
-}
+TEST(PipelineGradient, WithEveryTermOfTheLoss) { expect_finite_differences(one_pass_config(kEveryTerm), 2e-4); }
 
 TEST(Parity, LanesAndTilesOnlyChangeTheOrderOfSumsWithTermsToo) {
   expect_same_gradients(two_pass_config(std::string("runtime: {lanes: 1, tile_rays: 64}\n") + kEveryTerm),
                         two_pass_config(std::string("runtime: {lanes: 3, tile_rays: 4}\n") + kEveryTerm));
-}
-
-TEST(Determinism, RunsWithTermsAreTheSameForAnyThreadCount) {
-  const std::uint32_t one = train_fingerprint(hash_config(kEveryTerm), 1, 60);
-  EXPECT_EQ(one, train_fingerprint(hash_config(kEveryTerm), 2, 60));
-  EXPECT_EQ(one, train_fingerprint(hash_config(kEveryTerm), 4, 60));
-  EXPECT_NE(one, train_fingerprint(hash_config(), 1, 60));
 }
 
 TEST(LossTerms, OneThatHasNotBegunChangesNoBit) {
@@ -508,27 +410,7 @@ TEST(LossTerms, ALossOnLogitsIsLeftOutWithoutLabels) {
   yaml.replace(yaml.find("{type: analytic_room"), 20, "{type: analytic_room, labels: {frames: none}");
   const Session s = open_text(yaml);
   EXPECT_TRUE(s.config.losses.empty());
-  const auto& rows = s.plan.left_out;
-  const auto row = std::find_if(rows.begin(), rows.end(),
-                                [](const LeftOut& r) { return r.component == "loss_generalised_cross_entropy"; });
-  ASSERT_NE(row, rows.end());
-  EXPECT_EQ(row->rule, "there are no semantics");
-}
-
-double abs_rel(const std::string& losses) {
-  Session s = open_text(hash_config(losses));
-  const auto rays = s.make_ray_source();
-  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule, s.config.train.steps);
-  while (trainer.step() < 200) trainer.advance();
-  return evaluate(*s.pipeline, s.eval_job(s.scene.frames_of(Split::test)), s.limits, s.plan.class_of_logit)
-      .depth.abs_rel()
-      .value_or(1);
-}
-
-TEST(LossTerms, DepthImagesMakeDepthBetter) {
-  const double without = abs_rel(""), with = abs_rel("losses: [{type: depth, weight: 0.1}]\n");
-  EXPECT_LT(with, 0.7 * without) << "without " << without;
-  EXPECT_LT(abs_rel("losses: [{type: depth, kind: line_of_sight, weight: 0.02}]\n"), 0.9 * without);
+  EXPECT_EQ(left_out_row(s, "loss_generalised_cross_entropy").rule, "there are no semantics");
 }
 
 TEST(LossTerms, MetricsNameEachAndSayNothingBeforeItBegins) {
@@ -622,14 +504,6 @@ TEST(Constructions, APartIsMadeOnce) {
   EXPECT_EQ(made, (Counts{{"hash_grid", 1}, {"occupancy_grid", 1}, {"spherical_harmonics", 1}, {"tiny_mlp", 1}}));
 }
 
-TEST(Constructions, EachPassHasItsOwn) {
-  CountingRegistry counting;
-  const Counts made =
-      counting.opened(with_twins(two_pass_config(), {"frequency", "nerf_mlp", "stratified", "importance"}));
-  // Two passes; position and direction of each.
-  EXPECT_EQ(made, (Counts{{"frequency", 4}, {"importance", 1}, {"nerf_mlp", 2}, {"stratified", 1}}));
-}
-
 // The probe's tables and grids are sized by the bounds that it is to replace.
 TEST(Constructions, AProbeOfTheBoundsHasANetworkOfItsOwn) {
   CountingRegistry counting;
@@ -697,31 +571,6 @@ TEST(DomainMap, ExpandIsTheInverse) {
     const double steep = std::max(1.0, reach(p) / map.radius);
     EXPECT_LT(length(back - p), 1e-14 * steep * length(p)) << i;
   }
-}
-
-TEST(DomainMap, ItIsContinuousAcrossTheBordersAndItsSlopeIsBounded) {
-  const DomainMap map = contracted();
-  double steepest = 0, flattest_inside = 1;
-  for (int i = 0; i < 2000; ++i) {
-    const Vec3d on = place(i, 0.5, 50);
-    const double h = 1e-6 * reach(on);
-    // On the border itself, where the formula changes.
-    const Vec3d border = kBounds.center() + (on - kBounds.center()) * (map.radius / reach(on));
-    const Vec3d within = map.contract(kBounds.center() + (border - kBounds.center()) * (1 - 1e-9));
-    const Vec3d beyond = map.contract(kBounds.center() + (border - kBounds.center()) * (1 + 1e-9));
-    EXPECT_LT(length(beyond - within), 1e-8 * map.radius);
-    for (int a = 0; a < 3; ++a) {
-      Vec3d step;
-      step[a] = h;
-      const Vec3d slope = (map.contract(on + step) - map.contract(on - step)) * (1 / (2 * h));
-      steepest = std::max(steepest, length(slope));
-      if (reach(on) < 0.99 * map.radius) flattest_inside = std::min(flattest_inside, length(slope));
-    }
-    // Farther places stay farther: nothing is folded.
-    EXPECT_GT(reach(map.contract(kBounds.center() + (on - kBounds.center()) * 1.01)), reach(map.contract(on)));
-  }
-  EXPECT_NEAR(flattest_inside, 1, 1e-6);
-  EXPECT_LE(steepest, 1.25);  // |(2 - 1/m) / m| <= 1 along, at most 1/2 more across each of two other axes
 }
 
 // A short training finds where a scene is whose bounds only the cameras show; and rays that go on beyond the bounds.

@@ -5,7 +5,6 @@
 #include "plugin/loader.h"
 #include "report/report.h"
 #include "run/run_folder.h"
-#include "session/trainer.h"
 #include "system/checksum.h"
 #include "system/files.h"
 #include "testkit/analytic_scene.h"
@@ -194,6 +193,12 @@ Session open_text(const std::string& yaml, const std::vector<std::string>& keep)
   return open_text(yaml, registry, keep);
 }
 
+const LeftOut& left_out_row(const Session& session, const std::string& component) {
+  for (const LeftOut& row : session.plan.left_out)
+    if (row.component == component) return row;
+  throw Error(ErrorKind::failure, "test.error.made", component + " is not left out");
+}
+
 std::string with_scene(std::string yaml, const std::string& scene) {
   const std::string own = "{type: analytic_room}";
   return yaml.replace(yaml.find(own), own.size(), scene);
@@ -231,14 +236,21 @@ std::string stratified_config(const std::string& scene, const std::string& pass_
 
 std::uint32_t train_fingerprint(const std::string& yaml, int threads, std::int64_t steps) {
   Registry registry = make_channel_registry();
-  Session s = open_text(yaml, registry);
+  TestRun run(yaml, registry);
   set_thread_count(threads);
-  const auto rays = s.make_ray_source();
-  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule, s.config.train.steps);
-  while (trainer.step() < steps) trainer.advance();
+  run.to(steps);
   set_thread_count(0);
-  return fingerprint(s.pipeline->store());
+  return run.bits();
 }
+
+StepLosses TestRun::to(std::int64_t step) {
+  StepLosses last;
+  while (trainer.step() < step) last = trainer.advance_many(step - trainer.step()).back();
+  trainer.collect();
+  return last;
+}
+
+std::uint32_t TestRun::bits() const { return fingerprint(store()); }
 
 std::uint32_t fingerprint(const ParamStore<float>& store) {
   std::uint32_t crc = 0;

@@ -4,6 +4,7 @@
 #include "plugin/registry.h"
 #include "run/run_loop.h"
 #include "session/session.h"
+#include "session/trainer.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
 
@@ -24,6 +25,25 @@ Session open_text(const std::string& yaml, Registry& registry, const std::vector
                   Ranks* ranks = nullptr);
 /// The same with one registry of make_registry() for all.
 Session open_text(const std::string& yaml, const std::vector<std::string>& keep = {});
+/// A session with its rays and its trainer.
+struct TestRun {
+  TestRun(const std::string& yaml, Registry& registry, const std::vector<std::string>& keep = {})
+      : session(open_text(yaml, registry, keep)) {}
+  explicit TestRun(const std::string& yaml) : session(open_text(yaml)) {}
+  /// Trains up to that step, several steps at a time where the device takes them; the losses of the last one.
+  StepLosses to(std::int64_t step);
+  ParamStore<float>& store() const { return session.pipeline->store(); }
+  /// fingerprint() of what was trained.
+  std::uint32_t bits() const;
+
+  Session session;
+  std::unique_ptr<RaySource> rays = session.make_ray_source();
+  Trainer trainer{*session.pipeline, *rays, session.config.adam, session.config.schedule, session.config.train.steps};
+};
+
+/// What the session's list says of the component that it leaves out; throws where it is not left out.
+const LeftOut& left_out_row(const Session& session, const std::string& component);
+
 /// `yaml`, whose scene is {type: analytic_room}, with another.
 std::string with_scene(std::string yaml, const std::string& scene);
 

@@ -88,29 +88,6 @@ TEST(Training, TwoInTwoThreadsGetTheBitsThatEachGetsAlone) {
   }
 }
 
-TEST(Training, InTurnsTwoGetTheBitsThatEachGetsAlone) {
-  const std::string hash = hash_config();
-  const std::string paper = two_pass_config("runtime: {precision: bf16}\n");
-  Registry registry = make_registry();
-  Training a(config_of(hash, registry), registry);
-  Training b(config_of(paper, registry), registry);
-  for (int i = 0; i < 6; ++i) {
-    a.advance();
-    b.advance();
-  }
-  EXPECT_EQ(bits_of(a), bits_after(hash, 6));
-  EXPECT_EQ(bits_of(b), bits_after(paper, 6));
-}
-
-TEST(Training, LimitsOfOneSessionAreNotThoseOfTheNext) {
-  Registry registry = make_registry();
-  EXPECT_THROW(Training(config_of(hash_config("limits: {frames: 3}\n"), registry), registry), Error);
-  RunConfig plain = config_of(hash_config(), registry);
-  const std::unique_ptr<Dataset> room = plain.dataset.entry->dataset(*plain.dataset.params, {});
-  Diagnostics diagnostics;
-  EXPECT_EQ(load_scene(*room, {}, diagnostics).frames.size(), 12U);
-}
-
 TEST(Training, TellsItsListenerAndObeysACancelAfterTheStep) {
   struct Listener final : TrainingListener {
     std::vector<std::int64_t> steps;
@@ -189,12 +166,10 @@ class SetLabels : public testing::TestWithParam<std::string> {
   Registry registry_ = make_registry();
 };
 std::string name_of_way(const testing::TestParamInfo<std::string>& info) {
-  return std::array{"as_configured", "label_balanced", "one_thread"}[info.index];
+  return std::array{"as_configured", "label_balanced"}[info.index];
 }
 INSTANTIATE_TEST_SUITE_P(RaySources, SetLabels,
-                         testing::Values(two_pass_config(), balanced(two_pass_config()),
-                                         two_pass_config("runtime: {threads: 1}\n")),
-                         name_of_way);
+                         testing::Values(two_pass_config(), balanced(two_pass_config())), name_of_way);
 
 TEST_P(SetLabels, TrainsOnThemAndResumesToTheSameBits) {
   const auto whole = open();

@@ -28,21 +28,6 @@ TEST(DepthLoss, ExpectedIsTheErrorOfTheRenderedDepth) {
   EXPECT_EQ(c.rays.d_depth, (std::vector<double>{-10, 0})) << "further away, and nothing for a pixel without depth";
 }
 
-TEST(DepthLoss, CountsInTheUnitOfTheScene) {
-  Case c;
-  DepthLoss loss;
-  c.rays.unit_m = 4;
-  EXPECT_EQ(c.rays.add(loss, 10), 0.125);
-  EXPECT_EQ(c.rays.d_depth, (std::vector<double>{-2.5, 0}));
-  loss.params.truncate_m = 0.25;
-  EXPECT_EQ(c.rays.add(loss, 10), 0.0625) << "the setting is in metres";
-  Case of_sight;
-  of_sight.rays.unit_m = 12;  // a tenth of it reaches the samples at 1 and 3
-  loss.params = {};
-  loss.params.kind = DepthLossKind::line_of_sight;
-  EXPECT_DOUBLE_EQ(of_sight.rays.add(loss, 10), 0.2);
-}
-
 TEST(DepthLoss, AnErrorBeyondTheTruncationHasNoSlope) {
   Case c;
   DepthLoss loss;

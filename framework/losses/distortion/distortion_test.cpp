@@ -59,21 +59,5 @@ TEST(DistortionLoss, IsLeastWhereLightComesFromOnePlace) {
   EXPECT_DOUBLE_EQ(spread.d_weight[0], 2 * (0.5 * 0.8 + 0.5 * 0.2 / 3));
 }
 
-TEST(DistortionMap, PlacesLieInTheUnitIntervalInOrder) {
-  for (const DistortionSpace space : {DistortionSpace::linear, DistortionSpace::disparity}) {
-    for (const double near_m : {0.0, 0.1, 1.0}) {
-      const DistortionMap map(space, near_m, 8);
-      double before = 0;
-      for (double t = 0; t < 10; t += 0.01) {
-        const double place = map.place(t);
-        EXPECT_GE(place, before);
-        EXPECT_LE(place, 1 + 1e-15);
-        before = place;
-      }
-      EXPECT_DOUBLE_EQ(map.length(4, INFINITY), 1);
-    }
-  }
-}
-
 }  // namespace
 }  // namespace semfield

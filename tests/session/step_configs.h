@@ -59,4 +59,38 @@ inline std::string branch_and_head_config(const std::string& of_branch) {
   return with_albedo(branch_config("") + head_lists("", of_branch));
 }
 
+/// Steps of every kind that a configuration can ask for.
+struct StepCase {
+  const char* name;
+  std::string (*config)(const std::string&);
+  const char* more;
+};
+inline const StepCase kStepCases[] = {
+    {"two_pass", two_pass_config, ""},
+    {"hash", hash_config, ""},
+    {"closed", two_pass_config, "rendering: {far: closed, background: [0.2, 0.5, 0.9]}\n"},
+    {"background", two_pass_config, "rendering: {far: background, density_activation: softplus}\n"},
+    {"trunc_exp", two_pass_config, "rendering: {density_activation: trunc_exp, density_bias: -1}\n"},
+    {"noise", two_pass_config, "rendering: {density_noise: 1}\n"},
+    {"few_labels", few_labels_config, ""},
+    {"label_rays_apart", label_rays_config,
+     "ray_source: label_balanced, labelled_share: 0.3, label_rays_teach_color: false, "},
+    {"branch", branch_config, ""},
+    {"branch_of_position", branch_config, ", reads_feature: false, least_weight: 0.03"},
+    {"branch_with_dropout", branch_config, ", dropout: 0.3, weight_decay: 0.1, learning_rate: 0.2"},
+    {"terms", two_pass_config, kTerms},
+    {"terms_hash", hash_config, kTerms},
+    {"terms_and_branch", branch_and_terms_config, kTerms},
+    {"head", head_config, ""},
+    {"head_with_dropout", head_config, ", dropout: 0.3, weight_decay: 0.1, learning_rate: 0.2"},
+    {"head_of_the_feature", two_pass_head_config, ""},
+    {"head_on_principal_axes", two_pass_head_config, ", width: 2"},
+    {"head_beside_a_branch", branch_and_head_config, ", reads_feature: true"},
+    {"cameras", cameras_config, ""},
+    {"cameras_contracted", contracted_cameras_config, ""},
+    {"cameras_two_pass", two_pass_cameras_config, kTerms},
+    {"line_of_sight", two_pass_config, "losses: [{type: depth, kind: line_of_sight, weight: 0.3}]\n"},
+};
+inline std::string name_of_step(const ::testing::TestParamInfo<StepCase>& row) { return row.param.name; }
+
 }  // namespace semfield::testing_train
