@@ -49,6 +49,13 @@ inline std::string unfound(const std::vector<Diagnostic>& findings, Code code,
   return "no finding with " + wanted + (there.empty() ? std::string(": there are none") : " among" + there);
 }
 
+/// Every finding as it is shown, a line each.
+inline std::string all_said(const Diagnostics& diagnostics) {
+  std::string out;
+  for (const Diagnostic& finding : diagnostics.all()) out += finding.shown() + "\n";
+  return out;
+}
+
 /// "" when `work` throws an Error with the code, or one that lists such a finding, which holds every one of `parts`.
 template <class Work>
 std::string unrefused(const Work& work, Code code, std::initializer_list<std::string_view> parts) {

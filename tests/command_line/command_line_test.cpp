@@ -63,20 +63,29 @@ TEST_F(Words, HelpOfAVerbIsTheSameHoweverItIsAsked) {
 }
 
 // Verbs that the help of a group, or of the program, lists.
-std::vector<std::string> verbs_of(const std::string& help, const std::string& group) {
+std::vector<std::string> verbs_of(const std::string& help, const std::string& group = "") {
   static const std::regex row("\\n  ([a-z-]+) ");
-  const std::size_t list = std::min(help.find("\nVerbs:"), help.size());
+  const std::string list = help.substr(std::min(help.find("\nVerbs:"), help.size()));
   std::vector<std::string> out;
-  for (std::sregex_iterator it(help.begin() + static_cast<std::ptrdiff_t>(list), help.end(), row), end; it != end; ++it)
+  for (std::sregex_iterator it(list.begin(), list.end(), row), end; it != end; ++it)
     out.push_back(group + (*it)[1].str());
   return out;
 }
 
-TEST_F(Words, NoOptionSaysItsDefaultTwice) {
-  std::vector<std::string> verbs = verbs_of(run("help").out, "");
+// Groups, and the verbs below them.
+std::vector<std::string> verbs_and_groups(const std::function<std::string(const std::string&)>& help) {
+  std::vector<std::string> verbs = verbs_of(help(""));
   for (std::size_t i = 0; i < verbs.size(); ++i) {
-    const std::string verb = verbs[i], text = run("help " + verb).out;
-    for (const std::string& word : verbs_of(text, verb + " ")) verbs.push_back(word);
+    for (const std::string& word : verbs_of(help(verbs[i]), verbs[i] + " ")) verbs.push_back(word);
+  }
+  return verbs;
+}
+
+TEST_F(Words, NoOptionSaysItsDefaultTwice) {
+  const auto help = [&](const std::string& verb) { return run("help " + verb).out; };
+  const std::vector<std::string> verbs = verbs_and_groups(help);
+  for (const std::string& verb : verbs) {
+    const std::string text = help(verb);
     std::size_t begin = 0;
     while (begin < text.size()) {  // an option, with the lines that belong to it
       const std::size_t end = std::min(text.find("--", begin + 1), text.size());
@@ -154,20 +163,8 @@ TEST_F(Words, AnOperandIsNoVerb) {
 TEST_F(Words, NumbersOutsideTheirRangesAreRefused) {
   const std::regex row(R"(    (--[a-z-]+) (N|X|GB)\b)"), range(R"(\((-?[0-9.e+]+) to (-?[0-9.e+]+)[;)])");
   int options = 0;
-  std::vector<std::string> verbs;
-  const auto verbs_of = [&](const std::string& help) {
-    std::vector<std::string> found;
-    const std::string list = help.substr(std::min(help.find("\nVerbs:"), help.size()));
-    const std::regex name(R"(\n  ([a-z-]+) )");
-    for (auto it = std::sregex_iterator(list.begin(), list.end(), name); it != std::sregex_iterator(); ++it)
-      found.push_back((*it)[1]);
-    return found;
-  };
-  for (const std::string& verb : verbs_of(run("help").out)) {
-    const std::vector<std::string> below = verbs_of(run("help " + verb).out);
-    if (below.empty()) verbs.push_back(verb);
-    for (const std::string& word : below) verbs.push_back(verb + " " + word);
-  }
+  const std::vector<std::string> verbs =
+      verbs_and_groups([&](const std::string& verb) { return run("help " + verb).out; });
   EXPECT_GE(verbs.size(), 30u);
   for (const std::string& verb : verbs) {
     // One line an option: sentences are wrapped.
@@ -267,15 +264,6 @@ class JsonOutput : public ::testing::Test {
   Result run(const std::string& words) { return testing_program::semfield_run(words, dir_.path()); }
   TempDir dir_;
 };
-
-std::vector<std::string> verbs_of(const std::string& help) {
-  std::vector<std::string> found;
-  const std::string list = help.substr(std::min(help.find("\nVerbs:"), help.size()));
-  const std::regex name(R"(\n  ([a-z-]+) )");
-  for (auto it = std::sregex_iterator(list.begin(), list.end(), name); it != std::sregex_iterator(); ++it)
-    found.push_back((*it)[1]);
-  return found;
-}
 
 TEST_F(JsonOutput, EveryVerbPrintsOneObjectOrRefuses) {
   const std::string version = json::parse(run("--version --json").out).at("semfield");

@@ -123,17 +123,6 @@ TEST(BuiltPages, TablesArePutWhereAPageHasTheirMark) {
   EXPECT_GE(marked, 20);
 }
 
-TEST(VerbsPage, HasEveryVerbOfTheHelp) {
-  const std::string text = page("docs/reference/verbs.md");
-  const std::set<std::string> verbs = matches(output_of("--help"), R"(\n  ([a-z-]+) )");
-  EXPECT_GE(verbs.size(), 20u);
-  for (const std::string& verb : verbs) {
-    EXPECT_HAS(text, "\n## " + verb + "\n") << verb;
-    for (const std::string& option : matches(help_of(verb), R"(\n +(--[a-z][a-z-]*))"))
-      EXPECT_HAS(text, "`" + option) << verb << " " << option;
-  }
-}
-
 // Every app/verbs/**/verb_NAME.cpp by its file, "config_check", and every verb and group of the help written that way.
 TEST(CommandLine, EveryVerbFileIsAVerbAndEveryVerbHasItsFile) {
   std::set<std::string> files, verbs;

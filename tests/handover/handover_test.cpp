@@ -9,7 +9,6 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
-#include "compute/parallel.h"
 #include "core/small_math.h"
 #include "core/text.h"
 #include "eval/image_output.h"
@@ -402,14 +401,6 @@ Splats wall() {
   return out;
 }
 
-double error(const Splats& splats, const SplatView& view) {
-  const std::vector<float> drawn = draw_splats(splats, view.camera, kBlack);
-  double sum = 0;
-  for (std::size_t i = 0; i < drawn.size(); ++i)
-    sum += std::pow(static_cast<double>(drawn[i]) - view.rgb[i] / 255.0, 2) / static_cast<double>(drawn.size());
-  return sum;
-}
-
 TEST(SplatColors, NearOnesCoverFarOnesAndWhatIsLeftIsBackground) {
   Splats splats;
   splats.deviation = 0.1;
@@ -433,24 +424,6 @@ TEST(SplatColors, AFootprintIsTheDeviationOnTheImageAndPartOfAPixel) {
     EXPECT_NEAR(rgb[static_cast<std::size_t>(3 * (4 * 9 + 4 + away))], 0.5 * std::exp(-away * away / (2 * (1 + 0.3))),
                 1e-5)
         << away;
-}
-
-TEST(SplatColors, AFitMakesPicturesOfTheViews) {
-  const SplatView view{camera(), to_bytes(draw_splats(wall(), camera(), kBlack))};
-  Splats grey = wall();
-  for (auto& color : grey.points.attributes.color) color = {128, 128, 128};
-  const double before = error(grey, view);
-  Splats fitted = grey;
-  fit_colors(fitted, {&view, 1}, kBlack);
-  EXPECT_LT(error(fitted, view), 0.1 * before);
-  set_thread_count(3);
-  Splats again = grey;
-  fit_colors(again, {&view, 1}, kBlack);
-  set_thread_count(1);
-  Splats alone = grey;
-  fit_colors(alone, {&view, 1}, kBlack);
-  set_thread_count(0);
-  EXPECT_EQ(again.points.attributes.color, alone.points.attributes.color);
 }
 
 TEST(SplatColors, WhatNoViewShowsKeepsItsColor) {
@@ -661,18 +634,6 @@ TEST(Units, FilesGiveTheMeshBack) {
       if (std::sscanf(line.c_str(), "v %lf %lf %lf", &p.x, &p.y, &p.z) == 3) places.push_back(p);
     }
     expect_same(places, unit, meant, 1e-4);
-    write_glb(dir / "a.glb", surface, {}, {});
-    const std::string glb = read_text_file(dir / "a.glb");
-    const auto json_bytes = number_at<std::uint32_t>(glb, 12);
-    const auto accessors = nlohmann::json::parse(glb.substr(20, json_bytes))["accessors"];
-    const Box box = box_around(meant);
-    for (const auto& accessor : accessors) {
-      if (!accessor.contains("min")) continue;
-      for (int k = 0; k < 3; ++k) {
-        EXPECT_NEAR(accessor["min"][static_cast<std::size_t>(k)].get<double>() / unit, box.lo[k], 1e-4);
-        EXPECT_NEAR(accessor["max"][static_cast<std::size_t>(k)].get<double>() / unit, box.hi[k], 1e-4);
-      }
-    }
   }
 }
 
@@ -821,28 +782,6 @@ TEST(Units, DepthPictures) {
   }
   EXPECT_EQ(depth_step(true, {40, 3, 3}), 1e-3) << "millimetres, where metres are known";
   EXPECT_EQ(depth_step(false, {}), 1e-3);
-}
-
-TEST(Units, APackedSceneKeepsItsDepth) {
-  const TempDir dir;
-  for (const double unit : {1e-4, 1.0, 1e6}) {
-    const Room room(unit);
-    const auto frame_of = [&](int f, FrameBuffer& out) {
-      const StoredFrame& frame = room.scene.frames[static_cast<std::size_t>(f)];
-      out.width_px = frame.width_px;
-      out.height_px = frame.height_px;
-      out.rgb = frame.rgb;
-      out.depth_m = frame.depth_m.expand();
-      out.label = frame.label.expand();
-    };
-    write_packed_scene(dir / "a.pack", room.scene.info, frame_of);
-    FrameBuffer meant, found;
-    frame_of(0, meant);
-    PackedScene(dir / "a.pack").read(0, found);
-    ASSERT_EQ(found.depth_m.size(), meant.depth_m.size());
-    for (std::size_t i = 0; i < meant.depth_m.size(); ++i)
-      ASSERT_NEAR(found.depth_m[i], meant.depth_m[i], 5.1e-4 * unit) << unit;
-  }
 }
 
 }  // namespace

@@ -15,58 +15,58 @@
 #include "tests/labels/reader_case.h"
 #include "tests/scene/tiny_scene.h"
 
-namespace semfield::testing_annotations {
+namespace semfield {
 namespace {
 
 using namespace testing_labels;
 
 // Frames a (8 x 6), b (8 x 6) and t (test).
-inline SceneInfo scene_of(const ClassTable& classes = {}) {
+SceneInfo scene_of(const ClassTable& classes = {}) {
   SceneInfo scene{.frames = {frame_of("a", 8, 6), frame_of("b", 8, 6), frame_of("t", 8, 6)}};
   scene.frames[2].split = Split::test;
   scene.classes = classes;
   return scene;
 }
 
-inline LabelEvent click(const std::string& id, const std::string& name, PixelPoint at, double radius = 0,
-                        const std::string& frame = "a") {
+LabelEvent click(const std::string& id, const std::string& name, PixelPoint at, double radius = 0,
+                 const std::string& frame = "a") {
   return LabelEvent{
       .id = id, .frame = frame, .width_px = 8, .height_px = 6, .points = {at}, .radius_px = radius, .class_name = name};
 }
 
-inline LabelEvent add(const std::string& id, const std::string& name) {
+LabelEvent add(const std::string& id, const std::string& name) {
   return LabelEvent{.id = id, .kind = LabelEventKind::add_class, .class_name = name};
 }
 
-inline LabelEvent rename(const std::string& id, const std::string& from, const std::string& to) {
+LabelEvent rename(const std::string& id, const std::string& from, const std::string& to) {
   LabelEvent event = add(id, from);
   event.kind = LabelEventKind::change_class;
   event.new_name = to;
   return event;
 }
 
-inline LabelEvent undo(const std::string& id, const std::string& of) {
+LabelEvent undo(const std::string& id, const std::string& of) {
   return LabelEvent{.id = id, .kind = LabelEventKind::undo, .of = of};
 }
 
-inline std::string names_of_table(const ClassTable& table) {
+std::string names_of_table(const ClassTable& table) {
   std::string out;
   for (const ClassEntry& e : table.entries()) out += std::to_string(e.id) + (e.ignore ? "-" : "=") + e.name + " ";
   return out;
 }
 
-inline Rows painted(const Annotations& annotations, int frame = 0, std::vector<std::int16_t> base = {}) {
+Rows painted(const Annotations& annotations, int frame = 0, std::vector<std::int16_t> base = {}) {
   return rows_of({8, 6, annotations.paint(frame, base), {}});
 }
 
-inline std::string ids(const std::vector<Annotations::Mark>& marks) {
+std::string ids(const std::vector<Annotations::Mark>& marks) {
   std::string out;
   for (const Annotations::Mark& mark : marks) out += mark.id + " ";
   return out;
 }
 
 // Refused, and nothing has changed.
-inline std::string refusal(Annotations& annotations, const LabelEvent& event) {
+std::string refusal(Annotations& annotations, const LabelEvent& event) {
   const std::string classes = annotations.classes().to_yaml(), marks = ids(annotations.marks());
   const std::string checked = error_of([&] { (void)annotations.check(event); });
   const std::string applied = error_of([&] { (void)annotations.apply(event); });
@@ -77,27 +77,19 @@ inline std::string refusal(Annotations& annotations, const LabelEvent& event) {
   return applied;
 }
 
-inline LabelEvent merge(const std::string& id, const std::string& from, const std::string& into) {
+LabelEvent merge(const std::string& id, const std::string& from, const std::string& into) {
   LabelEvent event = rename(id, from, into);
   event.kind = LabelEventKind::merge_class;
   return event;
 }
 
-inline LabelEvent remove_class(const std::string& id, const std::string& name) {
+LabelEvent remove_class(const std::string& id, const std::string& name) {
   LabelEvent event = add(id, name);
   event.kind = LabelEventKind::delete_class;
   return event;
 }
 
-}  // namespace
-}  // namespace semfield::testing_annotations
-
-namespace semfield {
-namespace {
-
 // What label events add up to: classes that keep their places, clicks in order, undo and redo, and what they paint.
-
-using namespace testing_annotations;
 
 TEST(Annotations, ClassesGetTheNextFreeIdsBehindTheScenesOwn) {
   Annotations bare(scene_of(), 3);
@@ -330,17 +322,6 @@ Rows stroke(const std::vector<PixelPoint>& points, double radius, int width, int
   return rows_of(raster);
 }
 
-TEST(Strokes, OfOnePointAreDiscs) {
-  for (const double radius : {0.6, 1.0, 2.3, 4.0}) {
-    for (const PixelPoint at : {PixelPoint{4.5, 3.5}, PixelPoint{0.2, 5.9}, PixelPoint{8.7, 1.1}}) {
-      LabelRaster disc = void_raster(9, 7);
-      paint(disc_runs(at, radius, 9, 7), 1, disc);
-      disc.hard[static_cast<int>(at.y) * 9 + static_cast<int>(at.x)] = 1;
-      EXPECT_EQ(stroke({at}, radius, 9, 7), rows_of(disc)) << radius << " at " << at.x << ", " << at.y;
-    }
-  }
-}
-
 TEST(Strokes, CoverEveryPixelWhoseCentreIsNear) {
   // Against the distance to the polyline, pixel by pixel; without the pixels of the line itself.
   const std::vector<PixelPoint> line{{3.3, 2.1}, {20.7, 9.4}, {18.2, 25.5}, {5.5, 25.5}, {5.5, 12}};
@@ -469,46 +450,29 @@ TEST(LabelEvent, EveryRefusalNamesTheKey) {
       {R"({"type":"undo","of":"a"})", "event: key 'id' is missing"},
       {R"({"id":"a","type":"undo"})", "event: key 'of' is missing"},
       {R"({"id":"a","type":"undo","of":"a"})", "event: 'of': it is the event's own id"},
-      {R"({"id":"a","type":"undo","of":7})", "event: 'of': expected 1"},
       {R"({"id":"a","type":"class"})", "event: key 'name' is missing"},
-      {R"({"id":"a","type":"class","name":"b","color":[1,2]})", "event: 'color': expected"},
       {R"({"id":"a","type":"class","name":"b","color":[1,2,256]})", "event: 'color': expected whole"},
-      {R"({"id":"a","type":"class","name":"b","color":[1,2,1.5]})", "event: 'color': expected whole"},
       {R"({"id":"a","type":"class","name":"b","colour":[1,2,3]})", "event: unknown key"},
-      {R"({"id":"a","type":"rename","class":"b"})", "event: key 'name' is missing"},
       {R"({"id":"a","type":"skip","frame":"f","size":[4,3],"points":[[1,1],[2,2]]})", "event: 'points': expected a"},
       {R"({"id":"a","type":"skip","frame":"f","size":[4,3],"points":[[1,1]],"radius":1})", "event: unknown key"},
       {click_with("\"click\"", "\"klick\""), "event: 'type': expected click"},
       {R"({"id":"a","type":"merge","class":"b"})", "event: key 'into' is missing"},
-      {R"({"id":"a","type":"merge","class":"b","into":7})", "event: 'into': expected a"},
-      {R"({"id":"a","type":"delete"})", "event: key 'class' is missing"},
       {R"({"id":"a","type":"delete","class":"b","into":"c"})", "event: unknown key \"into\" of a 'delete'"},
       {click_with("\"class\":\"chair\"", "\"class\":\"chair\",\"fill\":1"), "event: 'fill': expected true"},
       {click_with("\"class\":\"chair\"", "\"class\":\"chair\",\"fill\":true"), "event: 'fill': an outline"},
       {click_with("a1-17", "a 17"), "event: 'id': expected 1"},
-      {click_with("a1-17", ""), "event: 'id': expected 1 to 64 letters"},
       {click_with("a1-17", std::string(65, 'a')), "event: 'id': expected 1 to 64 letters"},
-      {click_with("\"a1-17\"", "17"), "event: 'id': expected 1 to 64 letters"},
-      {click_with("\"rgb_12\"", "12"), "event: 'frame': expected a"},
       {click_with("rgb_12", "a\\nb"), "event: 'frame': expected a"},
       {click_with("\"frame\":\"rgb_12\",", ""), "event: key 'frame' is missing"},
       {click_with("[320,240]", "[320]"), "event: 'size': expected [width, height], got a list of 1"},
-      {click_with("[320,240]", "[0,240]"), "event: 'size': expected whole numbers from 1 to 65536, got 0"},
       {click_with("[320,240]", "[320,65537]"), "event: 'size': expected whole numbers from 1 to 65536, got 65537"},
       {click_with("[320,240]", "[320.5,240]"), "event: 'size': expected whole numbers from 1 to 65536, got 320.5"},
-      {click_with("[320,240]", "[18446744073709551615,240]"), "event: 'size': expected whole"},
       {click_with("[[12.5,33.0]]", "[]"), "event: 'points': expected a list of 1 to 4096 points, got a list of 0"},
-      {click_with("[[12.5,33.0]]", "7"), "event: 'points': expected a list of 1 to 4096 points, got 7"},
       {click_with("[12.5,33.0]", "[12.5]"), "event: 'points': point 1 is not a pair of numbers [x, y]: a list of 1"},
       {click_with("[12.5,33.0]", "[1,2],[3,\"4\"]"), "event: 'points': point 2 is not a pair of numbers [x, y]"},
       {click_with("[12.5,33.0]", "[320.001,33]"), "event: 'points': point 1"},
-      {click_with("[12.5,33.0]", "[1,-1e-300]"), "event: 'points': point 1"},
       {click_with("[12.5,33.0]", "[1e999,1]"), "event: not valid JSON: number overflow"},
-      {click_with("\"radius\":4", "\"radius\":-1"), "event: 'radius': expected pixels from 0 to a million, got -1"},
       {click_with("\"radius\":4", "\"radius\":1000001"), "event: 'radius': expected pixels"},
-      {click_with("\"radius\":4", "\"radius\":true"), "event: 'radius': expected pixels from 0 to a million, got true"},
-      {click_with("\"radius\":4,", ""), "event: key 'radius' is missing"},
-      {click_with("chair", ""), "event: 'class': expected a"},
       {click_with("chair", std::string(129, 'c')), "event: 'class': expected a text of 1 to 128 bytes"},
       {click_with("chair", "ch\\u0000air"), "event: 'class': expected a"},
       {click_with("chair", "ch\xff"), "event: not valid JSON"},
@@ -534,8 +498,6 @@ TEST(LabelEvent, DeepNestingIsRefusedWithoutACrash) {
 }
 
 // Classes merged and deleted with their clicks, filled outlines and regions to ignore; and every one of them undone.
-
-using namespace testing_annotations;
 
 // "id=class " of each mark.
 std::string classes_of(const Annotations& annotations) {
@@ -686,10 +648,6 @@ TEST(ClassEvents, WhatIsIgnoredHasNoLabelUntilItIsNamed) {
 
 using testing_room::fresh_folder;
 
-LabelEvent click_file_add(const std::string& id, const std::string& name) {
-  return LabelEvent{.id = id, .kind = LabelEventKind::add_class, .class_name = name};
-}
-
 std::string log_of(const std::vector<LabelEvent>& events) {
   std::string text;
   for (const LabelEvent& event : events) text += label_event_json(event) + "\n";
@@ -722,8 +680,7 @@ struct RunOfClicks {
   }
 };
 
-const std::vector<LabelEvent> kThree{click_file_add("1", "chair"), click_file_add("2", "table"),
-                                     click_file_add("3", "lamp")};
+const std::vector<LabelEvent> kThree{add("1", "chair"), add("2", "table"), add("3", "lamp")};
 
 TEST(ClickFile, ARunsOwnIsWrittenAsSuchAndAnotherByItsPlace) {
   RunOfClicks run("click_file_own");
@@ -754,7 +711,7 @@ TEST(ClickFile, ClicksThatTrainingKnewHaveToBeThere) {
   write_file_atomic(file, log_of(kThree));
   EXPECT_EQ(run.warning(trained), "");
   std::vector<LabelEvent> more = kThree;
-  more.push_back(click_file_add("4", "door"));
+  more.push_back(add("4", "door"));
   write_file_atomic(file, log_of(more));
   EXPECT_EQ(run.warning(trained), "") << "clicks that come later are no change";
   write_file_atomic(file, log_of({kThree[0], kThree[2], kThree[1]}));
@@ -791,19 +748,9 @@ TEST(ClickFile, AFileThatHasGrownSinceItWasReadIsRefused) {
 
 // The file of label events: what is appended stays, torn lines are cut, other bad lines are named.
 
-LabelEvent click_file_undo(const std::string& id, const std::string& of) {
-  return LabelEvent{.id = id, .kind = LabelEventKind::undo, .of = of};
-}
+std::string line(const std::string& id) { return label_event_json(undo(id, "x")) + "\n"; }
 
-std::string line(const std::string& id) { return label_event_json(click_file_undo(id, "x")) + "\n"; }
-
-std::string findings(const Diagnostics& diagnostics) {
-  std::string out;
-  for (const Diagnostic& d : diagnostics.all()) out += d.text() + "\n";
-  return out;
-}
-
-std::string click_file_ids(const std::vector<LabelEvent>& events) {
+std::string event_ids(const std::vector<LabelEvent>& events) {
   std::string out;
   for (const LabelEvent& event : events) out += event.id + " ";
   return out;
@@ -816,17 +763,17 @@ TEST(ClickLog, KeepsWhatIsAppended) {
     ClickLog log = ClickLog::open(path, diagnostics);
     EXPECT_TRUE(std::filesystem::exists(path));
     EXPECT_TRUE(log.events().empty());
-    log.append(click_file_undo("1", "x"));
+    log.append(undo("1", "x"));
     EXPECT_EQ(read_text_file(path), line("1"));
     ClickLog moved = std::move(log);
-    moved.append(click_file_undo("2", "x"));
-    EXPECT_EQ(click_file_ids(moved.events()), "1 2 ");
+    moved.append(undo("2", "x"));
+    EXPECT_EQ(event_ids(moved.events()), "1 2 ");
   }
   ClickLog again = ClickLog::open(path, diagnostics);
-  again.append(click_file_undo("3", "2"));
-  EXPECT_EQ(click_file_ids(again.events()), "1 2 3 ");
+  again.append(undo("3", "2"));
+  EXPECT_EQ(event_ids(again.events()), "1 2 3 ");
   EXPECT_EQ(read_click_log(path, diagnostics), again.events());
-  EXPECT_EQ(findings(diagnostics), "");
+  EXPECT_EQ(all_said(diagnostics), "");
 }
 
 TEST(ClickLog, CutsATornLineAndSaysSo) {
@@ -836,13 +783,13 @@ TEST(ClickLog, CutsATornLineAndSaysSo) {
                                   std::string(5, '\0'), line("3").substr(0, 9) + std::string(7, '\0') + "\"}\n"}) {
     testing_room::plain_write(path, whole + torn);
     Diagnostics read, opened;
-    EXPECT_EQ(click_file_ids(read_click_log(path, read)), "1 2 ");
-    EXPECT_HAS(findings(read), path + said);
+    EXPECT_EQ(event_ids(read_click_log(path, read)), "1 2 ");
+    EXPECT_HAS(all_said(read), path + said);
     EXPECT_EQ(read_text_file(path), whole + torn);  // reading changes nothing
     ClickLog log = ClickLog::open(path, opened);
-    EXPECT_EQ(findings(opened), findings(read));
+    EXPECT_EQ(all_said(opened), all_said(read));
     EXPECT_EQ(read_text_file(path), whole);
-    log.append(click_file_undo("4", "x"));
+    log.append(undo("4", "x"));
     EXPECT_EQ(read_text_file(path), whole + line("4"));
   }
 }
@@ -871,28 +818,28 @@ TEST(ClickLog, AFailedAppendLeavesTheFileAndALaterOneSucceeds) {
   const std::string path = fresh_folder("click_log_test") + "/clicks.jsonl";
   Diagnostics diagnostics;
   ClickLog log = ClickLog::open(path, diagnostics);
-  log.append(click_file_undo("1", "x"));
+  log.append(undo("1", "x"));
   rlimit before{};
   ASSERT_EQ(getrlimit(RLIMIT_FSIZE, &before), 0);
   const auto handler = std::signal(SIGXFSZ, SIG_IGN);
   const rlimit tight{line("1").size() + 10, before.rlim_max};  // ten bytes of the next line fit
   ASSERT_EQ(setrlimit(RLIMIT_FSIZE, &tight), 0);
-  const std::string error = error_of([&] { log.append(click_file_undo("2", "x")); });
+  const std::string error = error_of([&] { log.append(undo("2", "x")); });
   ASSERT_EQ(setrlimit(RLIMIT_FSIZE, &before), 0);
   (void)std::signal(SIGXFSZ, handler);
   EXPECT_EQ(error.find("cannot append to '" + path + "': the limit of a file's size is reached: need "), 0u) << error;
-  EXPECT_EQ(click_file_ids(log.events()), "1 ");
+  EXPECT_EQ(event_ids(log.events()), "1 ");
   EXPECT_EQ(read_text_file(path), line("1"));
-  log.append(click_file_undo("3", "x"));
+  log.append(undo("3", "x"));
   EXPECT_EQ(read_text_file(path), line("1") + line("3"));
-  EXPECT_EQ(click_file_ids(log.events()), "1 3 ");
+  EXPECT_EQ(event_ids(log.events()), "1 3 ");
 }
 
 TEST(ClickLog, ASecondWriterIsRefusedAndTold) {
   const std::string folder = fresh_folder("click_log_test"), path = folder + "/clicks.jsonl";
   Diagnostics diagnostics;
   ClickLog log = ClickLog::open(path, diagnostics);
-  log.append(click_file_undo("1", "x"));
+  log.append(undo("1", "x"));
   std::filesystem::create_symlink(path, folder + "/link.jsonl");
   for (const std::string& name : {path, folder + "/link.jsonl", folder + "/./clicks.jsonl"}) {
     const std::string error = error_of([&] { (void)ClickLog::open(name, diagnostics); });
@@ -900,10 +847,10 @@ TEST(ClickLog, ASecondWriterIsRefusedAndTold) {
               0u)
         << error;
   }
-  EXPECT_EQ(click_file_ids(read_click_log(path, diagnostics)), "1 ");  // reading takes no hold
+  EXPECT_EQ(event_ids(read_click_log(path, diagnostics)), "1 ");  // reading takes no hold
   { const ClickLog ended = std::move(log); }
   ClickLog again = ClickLog::open(path, diagnostics);
-  EXPECT_EQ(click_file_ids(again.events()), "1 ");
+  EXPECT_EQ(event_ids(again.events()), "1 ");
 }
 
 // A program that takes no lock: its lines stay, and nothing is appended behind them or cut off with them.
@@ -911,28 +858,19 @@ TEST(ClickLog, WhatAnotherProgramWroteIsNeitherCutOffNorBuiltUpon) {
   const std::string path = fresh_folder("click_log_test") + "/clicks.jsonl";
   Diagnostics diagnostics;
   ClickLog log = ClickLog::open(path, diagnostics);
-  log.append(click_file_undo("1", "x"));
+  log.append(undo("1", "x"));
   for (const std::string& theirs : {line("1") + line("2"), line("1").substr(4), std::string()}) {
     testing_room::plain_write(path, theirs);
-    const std::string error = error_of([&] { log.append(click_file_undo("3", "x")); });
+    const std::string error = error_of([&] { log.append(undo("3", "x")); });
     EXPECT_EQ(error, "'" + path + "' has " + std::to_string(theirs.size()) + " bytes where this program left " +
                          std::to_string(line("1").size()) +
                          ": another program has changed it; end that program, and start this one again");
     EXPECT_EQ(read_text_file(path), theirs);
-    EXPECT_EQ(click_file_ids(log.events()), "1 ");
+    EXPECT_EQ(event_ids(log.events()), "1 ");
   }
   std::filesystem::remove(path);
-  EXPECT_HAS(error_of([&] { log.append(click_file_undo("3", "x")); }), path, "to it");
+  EXPECT_HAS(error_of([&] { log.append(undo("3", "x")); }), path, "to it");
   EXPECT_FALSE(std::filesystem::exists(path));
-}
-
-TEST(ClickLog, TellsWhereItCannotBe) {
-  Diagnostics diagnostics;
-  const std::string folder = fresh_folder("click_log_test");
-  EXPECT_HAS(error_of([&] { (void)ClickLog::open(folder + "/none/clicks.jsonl", diagnostics); }),
-             folder + "/none/clicks.jsonl", "or directory");
-  EXPECT_HAS(error_of([&] { (void)ClickLog::open(folder, diagnostics); }), folder, "a file");
-  EXPECT_HAS(error_of([&] { (void)read_click_log(folder + "/none", diagnostics); }), folder + "/none", "or directory");
 }
 
 // `scene.labels.from: {type: clicks}` of a log of label events, and scene.labels.clicks and .class_room over labels.
@@ -957,12 +895,6 @@ std::string log_file(const std::string& text, const std::string& name = "clicks.
   return path;
 }
 
-std::string click_reader_names_of_table(const ClassTable& table) {
-  std::string out;
-  for (const ClassEntry& e : table.entries()) out += std::to_string(e.id) + "=" + e.name + " ";
-  return out;
-}
-
 TEST(ClickReader, ReadsALogOfTheLabellingPage) {
   for (const char* name : {"clicks.jsonl", "other.txt"}) {  // by its extension, or by what is in it
     const auto reader = make_reader("clicks", "file: " + log_file(kLog, name));
@@ -970,7 +902,7 @@ TEST(ClickReader, ReadsALogOfTheLabellingPage) {
     const ClassTable table = open_for(*reader, {}, {frame_of("a"), frame_of("b")}, diagnostics);
     EXPECT_TRUE(diagnostics.all().empty());
     EXPECT_TRUE(reader->adds_classes());
-    EXPECT_EQ(click_reader_names_of_table(table), "0=void 1=light ");
+    EXPECT_EQ(names_of_table(table), "0-void 1=light ");
     EXPECT_EQ(table.valid(0).color, (std::array<std::uint8_t, 3>{1, 2, 3}));
     EXPECT_TRUE(reader->has(frame_of("a")));
     EXPECT_FALSE(reader->has(frame_of("b"))) << "its click was undone";
@@ -984,15 +916,8 @@ TEST(ClickReader, ClassesOfALogStandBehindThoseOfTheScene) {
   const auto reader = make_reader("clicks", "file: " + log_file(kLog));
   Diagnostics diagnostics;
   const ClassTable table = open_for(*reader, room_table(), {frame_of("a")}, diagnostics);
-  EXPECT_EQ(click_reader_names_of_table(table), "0=void 1=wall 4=chair 7=table 8=light ");
+  EXPECT_EQ(names_of_table(table), "0-void 1=wall 4=chair 7=table 8=light ");
   EXPECT_EQ(rows_of(reader->read(frame_of("a"), table)), (Rows{"3.3.", ".333", "..3."}));
-}
-
-TEST(ClickReader, NamesTheLineOfABadEvent) {
-  const std::string path = log_file(kLog + R"({"id":"7","type":"undo","of":"5"})" + "\n");
-  EXPECT_HAS(open_findings(*make_reader("clicks", "file: " + path), {}), "undone already");
-  const std::string none = log_file(R"({"id":"1","type":"class","name":"lamp"})" + std::string("\n"));
-  EXPECT_HAS(open_findings(*make_reader("clicks", "file: " + none), {}), none, "in it");
 }
 
 // --- scene.labels.clicks and class_room ---
@@ -1025,7 +950,7 @@ TEST(ClickedLabels, ArePaintedOverThoseOfTheConfiguration) {
   LabelConfig config{.selection = {.clicks = log_file(kLog)}};
   Diagnostics diagnostics;
   open_label_files(scene, config, diagnostics);
-  EXPECT_EQ(click_reader_names_of_table(scene.info.classes), "0=void 1=wall 4=chair 7=table 8=light ");
+  EXPECT_EQ(names_of_table(scene.info.classes), "0-void 1=wall 4=chair 7=table 8=light ");
   EXPECT_EQ(scene.class_pixels[0], (std::vector<std::int64_t>{12, 0, 0, 0, 0}));
   TrainingLabels labels = make_training_labels(scene, config, diagnostics);
   EXPECT_EQ(rows_of_frame(labels, 0), (Rows{"3030", "0333", "0030"}));
@@ -1066,7 +991,7 @@ TEST(ClickedLabels, RoomWaitsForNames) {
   LabelConfig config{.selection = {.clicks = fresh_folder("none") + "/clicks.jsonl", .class_room = 3}};
   Diagnostics diagnostics;
   open_label_files(scene, config, diagnostics);
-  EXPECT_EQ(click_reader_names_of_table(scene.info.classes), "0=void 1=unnamed 1 2=unnamed 2 3=unnamed 3 ");
+  EXPECT_EQ(names_of_table(scene.info.classes), "0-void 1=unnamed 1 2=unnamed 2 3=unnamed 3 ");
   const TrainingLabels labels = make_training_labels(scene, config, diagnostics);
   EXPECT_TRUE(labels.frames[0].empty());
   EXPECT_TRUE(diagnostics.all().empty());
@@ -1075,16 +1000,7 @@ TEST(ClickedLabels, RoomWaitsForNames) {
   config.selection.class_room = 1;
   config.selection.clicks = log_file(kLog);
   open_label_files(more, config, diagnostics);
-  EXPECT_EQ(click_reader_names_of_table(more.info.classes), "0=void 1=wall 4=chair 7=table 8=light ");
-}
-
-TEST(ClickedLabels, ATornLineIsTold) {
-  LoadedScene scene = loaded_scene(true);
-  LabelConfig config{.selection = {.clicks = log_file(kLog + "{\"id\":\"7")}};
-  Diagnostics diagnostics;
-  open_label_files(scene, config, diagnostics);
-  ASSERT_EQ(diagnostics.all().size(), 1u);
-  EXPECT_HAS(diagnostics.all()[0].text(), "yet acknowledged");
+  EXPECT_EQ(names_of_table(more.info.classes), "0-void 1=wall 4=chair 7=table 8=light ");
 }
 
 }  // namespace

@@ -1,14 +1,11 @@
 // Shared by the tests of degradations: a step from YAML, and scenes of a few labelled pixels.
 
 #include <algorithm>
-#include <clocale>
-#include <cstring>
 #include <nlohmann/json.hpp>
 #include <set>
 
 #include "compute/parallel.h"
 #include "core/rng.h"
-#include "datasets/replica/replica.h"
 #include "loading/frame_source.h"
 #include "scene/classes/class_table.h"
 #include "system/files.h"
@@ -128,43 +125,6 @@ TEST(PixelNoise, CountIsTheFloorOfAreaTimesRatio) {
   }
   Case c = one_colour(3, 10, 10);  // 0.29 * 100 is 28.999999999999996 in double
   EXPECT_EQ(fact(c.apply(*step("pixel_noise", "{ratio: 0.29}")), "pixels drawn"), "29");
-}
-
-TEST(PixelNoise, DrawnPixelsAreDistinct) {
-  // With all pixels drawn, one drawn twice would leave another with its label. Of 100,000 pixels with 999 classes, void
-  // and the own class, each value has 1/1000 of the pixels: the own one about 100, not 100,000 / e.
-  Case c = one_colour(999, 400, 250);
-  c.apply(*step("pixel_noise", "{ratio: 1}"));
-  EXPECT_NEAR(count(c.labels[1].hard, 998), 100, 50);
-}
-
-TEST(PixelNoise, ClassesAndVoidAreEquallyLikely) {
-  Case c = one_colour(9, 300, 200);
-  c.apply(*step("pixel_noise", "{ratio: 1}"));
-  double chi_square = 0;
-  for (std::int16_t k = kVoid; k < 9; ++k) {
-    const double d = static_cast<double>(count(c.labels[1].hard, k)) - 6000;
-    chi_square += d * d / 6000;
-  }
-  EXPECT_LT(chi_square, 27.88) << "0.1 % of fair draws with 9 degrees of freedom are above";
-}
-
-TEST(PixelNoise, PlacesAreEquallyLikely) {
-  Case c = one_colour(3, 40, 10);
-  for (int i = 0; i < 999; ++i) c.add(40, 10, Labels(400, 2));
-  c.apply(*step("pixel_noise", "{ratio: 0.25}"));
-  std::vector<double> changed(400);
-  double sum = 0;
-  for (std::size_t f = 1; f < c.labels.size(); ++f) {
-    for (std::size_t p = 0; p < 400; ++p) changed[p] += c.labels[f].hard[p] != 2 ? 1 : 0;
-  }
-  for (const double n : changed) sum += n;
-  const double mean = sum / 400;
-  EXPECT_NEAR(mean, 1000 * 0.25 * 0.75, 5);
-  double chi_square = 0;
-  for (const double n : changed) chi_square += (n - mean) * (n - mean) / (mean * (1 - mean / 1000));
-  EXPECT_LT(chi_square, 399 + 3.1 * std::sqrt(2 * 399.0));
-  EXPECT_GT(chi_square, 399 - 3.1 * std::sqrt(2 * 399.0));
 }
 
 TEST(PixelNoise, VoidPixelsAreDrawnButStayVoidUnlessTold) {
@@ -552,54 +512,10 @@ TEST(DegradationLaws, ValuesOutOfRangeAndUnknownKeysAreRefused) {
 
 // Degradations on Replica frames, where they are at hand: the figures that the page of experiments states.
 
-TEST(DegradationRealData, ReplicaApartment) {
-  const std::string root = std::string(SEMFIELD_SOURCE_DIR) + "/../shared/data/replica_apartment0";
-  if (!std::filesystem::exists(root)) GTEST_SKIP() << "the optional Replica frames are not at hand";
-  ReplicaParams p{.root = root, .train_step = 2, .test_step = 2, .test_offset = 1};
-  Replica replica(p, {});
-  Diagnostics d;
-  SceneLoadOptions o{.width_px = 160, .with_instances = true};
-  Case clean;
-  clean.scene = load_scene(replica, o, d);
-  ASSERT_FALSE(d.has_errors());
-  clean.labels.resize(clean.scene.frames.size());
-  for (const int f : clean.scene.frames_of(Split::train)) {
-    const auto i = static_cast<std::size_t>(f);
-    clean.labels[i].hard = clean.scene.frames[i].label.expand();
-  }
-  for (std::uint64_t seed = 1; seed <= 4; ++seed) {
-    Case c = clean;
-    const double right =
-        std::stod(fact(c.apply(*step("simulated_predictions", "{output: hard}"), seed), "pixel accuracy"));
-    EXPECT_GT(right, 0.785);
-    EXPECT_LT(right, 0.82);
-  }
-  Case noisy = clean;
-  const StepFacts facts = noisy.apply(*step("pixel_noise", "{ratio: 0.9}"));
-  EXPECT_EQ(fact(facts, "pixels drawn"), std::to_string(35 * 160 * 160 * 9 / 10));
-  EXPECT_EQ(fact(facts, "classes drawn from, besides void"), "29") << "of the table's 101";
-  Case chairs = clean;
-  const StepFacts flipped = chairs.apply(*step("region_noise", "{classes: [chair], ratio: 0.5}"));
-  EXPECT_EQ(fact(flipped, "pixels changed"), fact(flipped, "pixels of flipped regions"));
-  EXPECT_GT(std::stoi(fact(flipped, "views flipped")), 5);
-}
-
 Case room(int frames = 3) {
   Case c = scene_of(12);
   for (int f = 0; f < frames; ++f) add_blocks(c, 96, 72, static_cast<std::uint64_t>(f));
   return c;
-}
-
-double accuracy(const Case& clean, const Case& c) {
-  double right = 0, all = 0;
-  for (std::size_t f = 0; f < c.labels.size(); ++f) {
-    for (std::size_t p = 0; p < clean.labels[f].hard.size(); ++p) {
-      if (clean.labels[f].hard[p] == kVoid) continue;
-      all += 1;
-      right += (c.labels[f].soft.empty() ? c.labels[f].hard[p] : c.labels[f].soft.argmax(p)) == clean.labels[f].hard[p];
-    }
-  }
-  return right / all;
 }
 
 TEST(SimulatedPredictions, RowsAreProbabilitiesAndHardOutputIsTheirMaximum) {
@@ -628,16 +544,6 @@ TEST(SimulatedPredictions, WithoutStrengthNothingIsWrong) {
   EXPECT_EQ(fact(facts, "simulated"), "true");
 }
 
-// Facts go into files, which are the same whatever the program around has set.
-TEST(SimulatedPredictions, FactsDoNotDependOnTheLocale) {
-  if (std::setlocale(LC_ALL, "de_DE.UTF-8") == nullptr)
-    GTEST_SKIP() << "the locale de_DE.UTF-8 is not installed here: no comma was tried";
-  Case c = room();
-  const StepFacts facts = c.apply(*step("simulated_predictions", "{strength: 0, output: hard}"));
-  std::setlocale(LC_ALL, "C");
-  EXPECT_EQ(fact(facts, "pixel accuracy"), "1.000000");
-}
-
 TEST(SimulatedPredictions, ConfidenceFollowsTheSoftmaxAndDepth) {
   // 12 classes, evidence 4, no error: e^4 / (e^4 + 11); at depth 3 of half depth 3 evidence 2.
   for (const auto& [half, evidence] : std::vector<std::pair<std::string, double>>{{"0", 4.0}, {"3", 2.0}}) {
@@ -659,79 +565,6 @@ TEST(SimulatedPredictions, ClassesThatTheSceneLacksHaveProbabilityZero) {
   std::vector<float> row(12);
   c.labels[0].soft.row(0, row);
   for (std::size_t k = 0; k < 12; ++k) EXPECT_EQ(row[k] > 0, k == 4 || k == 7) << k;
-}
-
-TEST(SimulatedPredictions, RegionsAreMistakenAsAWholeForFewClassesAndAlikeInAllFrames) {
-  Case c = room(20);
-  const Case clean = c;
-  c.apply(*step("simulated_predictions",
-                "{output: hard, noise: 0, boundary_width: 0, overlap: 0, similar: 2, region_error: 0.3}"));
-  std::vector<std::set<std::int16_t>> taken_for(12);
-  int blocks = 0, mistaken = 0;
-  for (std::size_t f = 0; f < c.labels.size(); ++f) {
-    for (int y = 0; y < 72; y += 6) {
-      for (int x = 0; x < 96; x += 8) {
-        const auto at = [&](int i, int j) { return static_cast<std::size_t>((y + j) * 96 + x + i); };
-        const std::int16_t own = clean.labels[f].hard[at(0, 0)], now = c.labels[f].hard[at(0, 0)];
-        if (own == kVoid) continue;
-        for (int j = 0; j < 6; ++j) {
-          for (int i = 0; i < 8; ++i) ASSERT_EQ(c.labels[f].hard[at(i, j)], now);
-        }
-        ++blocks;
-        mistaken += now != own;
-        if (now != own) taken_for[own].insert(now);
-      }
-    }
-  }
-  EXPECT_NEAR(mistaken / static_cast<double>(blocks), 0.3, 0.05);  // a block is 0.7 % of the frame: chance 0.28
-  for (const std::set<std::int16_t>& others : taken_for) EXPECT_EQ(others.size(), 2u);
-}
-
-TEST(SimulatedPredictions, BoundariesStrayButInteriorsStay) {
-  Case c = scene_of(2);
-  Labels label;
-  for (int p = 0; p < 200 * 100; ++p) label.push_back(p % 200 < 100 ? 0 : 1);
-  c.add(200, 100, label);
-  c.apply(
-      *step("simulated_predictions", "{output: hard, noise: 0, region_error: 0, overlap: 0, boundary_width: 0.02}"));
-  int near = 0;
-  for (int y = 0; y < 100; ++y) {
-    for (int x = 0; x < 200; ++x) {
-      const auto p = static_cast<std::size_t>(y * 200 + x);
-      if (c.labels[0].hard[p] == label[p]) continue;
-      ASSERT_LT(std::abs(x - 99.5), 6 * 4) << "six standard deviations of 4 pixels";
-      ++near;
-    }
-  }
-  EXPECT_GT(near, 50);
-}
-
-TEST(SimulatedPredictions, NoiseOfClassesAndFramesIsIndependentAndSmooth) {
-  // One class of two everywhere: an error is where its noise falls short of the other's by the evidence. The difference
-  // of two fields of deviation 2 exceeds 2 in under 24 % of the pixels (exactly that at the nodes, less between them).
-  Case c = scene_of(2);
-  for (int f = 0; f < 2; ++f) c.add(100, 80, Labels(8000, 0));
-  c.scene.class_pixels[0][1] = 1;
-  const StepFacts facts =
-      c.apply(*step("simulated_predictions", "{output: hard, evidence: 2, noise: 2, region_error: 0, overlap: 0}"));
-  const double right = std::stod(fact(facts, "pixel accuracy"));
-  EXPECT_GT(right, 0.76);
-  EXPECT_LT(right, 0.95);
-  EXPECT_NE(c.labels[0].hard, c.labels[1].hard);
-  int borders = 0;
-  for (std::size_t p = 1; p < 8000; ++p) borders += c.labels[0].hard[p] != c.labels[0].hard[p - 1];
-  EXPECT_LT(borders, 80 * 10) << "patches, not single pixels";
-}
-
-TEST(SimulatedPredictions, ErrorsGrowWithStrength) {
-  double last = 1;
-  for (const char* strength : {"0.5", "1", "2"}) {
-    Case c = room();
-    c.apply(*step("simulated_predictions", std::string("{strength: ") + strength + "}"));
-    const double now = accuracy(room(), c);
-    EXPECT_LT(now, last - 0.03) << strength;
-    last = now;
-  }
 }
 
 // `semfield degrade`: the program on a tiny room; what it wrote is read back.
@@ -805,29 +638,6 @@ TEST(DegradeVerb, WritesIdsPreviewsClassesAndAManifestThatAgree) {
   EXPECT_EQ(r.out.rfind("degrade: frames=3 labelled_px=" + std::to_string(labelled) + " accuracy=0.", 0), 0u) << r.out;
 }
 
-TEST(DegradeVerb, SoftLabelsAreWrittenAsProbabilities) {
-  const std::string folder = fresh_folder("soft");
-  const std::string config = write_config(folder, "{frames: 2, degrade: [{type: simulated_predictions}]}");
-  const std::string out = folder + "/labels";
-  const Result r = succeeded(semfield_run("degrade " + shell_word(config) + " --out labels/", folder));
-  const nlohmann::json m = manifest_of(out);
-  ASSERT_EQ(m["frames"].size(), 2u);
-  EXPECT_EQ(m["steps"][0]["facts"]["simulated"], "true");
-  for (const nlohmann::json& frame : m["frames"]) {
-    const std::string npy = read_text_file(out + "/" + frame["probability"].get<std::string>());
-    EXPECT_HAS(npy, "'shape': (30, 40, 6)");
-    const std::size_t bytes = std::size_t{30} * 40 * 6 * 4;
-    ASSERT_GT(npy.size(), bytes);
-    std::vector<float> values(bytes / 4);
-    std::memcpy(values.data(), npy.data() + npy.size() - bytes, bytes);
-    const Image<std::uint16_t> given = read_ids(out + "/" + frame["label"].get<std::string>());
-    for (std::size_t p = 0; p < given.pixels.size(); ++p) {
-      const auto row = values.begin() + static_cast<std::ptrdiff_t>(6 * p);
-      EXPECT_EQ(given.pixels[p], std::max_element(row, row + 6) - row + 1);
-    }
-  }
-}
-
 // What was written is read as label files, and written again.
 TEST(DegradeVerb, WrittenLabelsComeBackThroughTheReaders) {
   const std::string folder = fresh_folder("again");
@@ -865,20 +675,6 @@ TEST(DegradeVerb, ATableWithoutVoidGetsAnIdForIt) {
   EXPECT_EQ(table.valid_count(), 6);
   const Image<std::uint16_t> given = read_ids(folder + "/labels/semantic_class/semantic_class_2.png");
   EXPECT_GT(std::count(given.pixels.begin(), given.pixels.end(), 0), 1190);
-}
-
-TEST(DegradeVerb, TheSameLabelsAsBefore) {
-  const std::string folder = fresh_folder("same");
-  const std::string config = write_config(folder, "{degrade: [{type: pixel_noise}, {type: region_noise}]}");
-  for (const char* name : {"a", "b"}) {
-    const Result r =
-        succeeded(semfield_run("degrade " + shell_word(config) + " --out " + name +
-                                   (*name == 'a' ? " --set runtime.threads=1" : " --set runtime.threads=3"),
-                               folder));
-  }
-  for (const std::string& name : names_in(folder + "/a/semantic_class"))
-    EXPECT_EQ(read_text_file(folder + "/a/semantic_class/" + name),
-              read_text_file(folder + "/b/semantic_class/" + name));
 }
 
 TEST(DegradeVerb, AUsedFolderAndProblemsLeaveNothingBehind) {

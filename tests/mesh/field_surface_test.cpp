@@ -75,230 +75,9 @@ void expect_twins_agree(const std::string& yaml) {
 TEST(Density, FloatAgreesWithItsTwinOfAHashGrid) { expect_twins_agree(hash_config()); }
 TEST(Density, FloatAgreesWithItsTwinOfTwoPasses) { expect_twins_agree(two_pass_config()); }
 
-// One trained field for the tests below.
-class TrainedRoom : public ::testing::Test {
- protected:
-  static void SetUpTestSuite() {
-    registry_ = new Registry(make_registry());
-    session_ = new Session(open_text(hash_config(), *registry_));
-    const std::unique_ptr<RaySource> rays = session_->make_ray_source();
-    Trainer trainer(*session_->pipeline, *rays, session_->config.adam, session_->config.schedule);
-    while (trainer.step() < 400) trainer.advance();
-  }
-  static void TearDownTestSuite() {
-    delete session_;
-    delete registry_;
-    session_ = nullptr;
-    registry_ = nullptr;
-  }
-  static std::vector<RayCamera> cameras() {
-    std::vector<RayCamera> out;
-    for (const int f : session_->scene.frames_of(Split::train)) {
-      const FrameInfo& info = session_->scene.info.frames[f];
-      out.push_back({info.camera, info.world_from_camera, false});
-    }
-    return out;
-  }
-  static SurfaceRequest request() {
-    const Vec3d size = session_->extent.bounds.size();
-    SurfaceRequest request{
-        .grid = VoxelGrid::covering(session_->extent.bounds, std::max({size.x, size.y, size.z}) / 96),
-        .opaque_border = true};
-    request.level_per_m =
-        choose_level(*session_->pipeline, request, look(*session_->pipeline, cameras(), session_->limits, 1024));
-    return request;
-  }
-  static Registry* registry_;
-  static Session* session_;
-};
-Registry* TrainedRoom::registry_ = nullptr;
-Session* TrainedRoom::session_ = nullptr;
-
-// Cells between p and the grid's border, 0 on it and beyond.
-double cells_to_border(const VoxelGrid& grid, Vec3d p) {
-  const std::int64_t points[3] = {grid.nx, grid.ny, grid.nz};
-  double least = HUGE_VAL;
-  for (int axis = 0; axis < 3; ++axis) {
-    const double index = (p[axis] - grid.origin[axis]) / grid.spacing;
-    least = std::min({least, index, static_cast<double>(points[axis] - 1) - index});
-  }
-  return std::max(0.0, least);
-}
-
-// Distances along a ray at which the density rises through the level and stays above it for `cells` cells; the border
-// is dense.
-std::vector<double> rises(const Pipeline<double>& field, const SurfaceRequest& request, Vec3d origin, Vec3d direction,
-                          double length, int cells) {
-  constexpr int kStepsACell = 8;
-  const double step = request.grid.spacing / kStepsACell;
-  const auto count = static_cast<std::int64_t>(length / step) + 1;
-  std::vector<double> position, sigma(static_cast<std::size_t>(count)), out;
-  for (std::int64_t i = 0; i < count; ++i) {
-    const Vec3d p = origin + direction * (static_cast<double>(i) * step);
-    position.insert(position.end(), {p.x, p.y, p.z});
-  }
-  field.density({position.data(), count, 3}, {sigma.data(), count, 1});
-  for (std::size_t i = 0; i < sigma.size(); ++i) {
-    const Vec3d p{position[3 * i], position[3 * i + 1], position[3 * i + 2]};
-    if (cells_to_border(request.grid, p) == 0) sigma[i] = HUGE_VAL;
-  }
-  const auto dense = [&](double value) { return value > request.level_per_m; };
-  for (std::size_t i = 1; i < sigma.size(); ++i) {
-    if (dense(sigma[i - 1]) || !dense(sigma[i])) continue;
-    const auto rise = sigma.begin() + static_cast<std::ptrdiff_t>(i);
-    if (!std::all_of(rise, rise + std::min<std::ptrdiff_t>(kStepsACell * cells, sigma.end() - rise), dense)) continue;
-    const double share = (request.level_per_m - sigma[i - 1]) / (sigma[i] - sigma[i - 1]);
-    out.push_back((static_cast<double>(i - 1) + share) * step);
-  }
-  return out;
-}
-
 double share_below(const std::vector<double>& values, double limit) {
   const auto below = std::count_if(values.begin(), values.end(), [&](double value) { return value < limit; });
   return static_cast<double>(below) / static_cast<double>(values.size());
-}
-
-// Tests of what is made of a field, not of how well it was trained: what is expected comes from the field itself, in
-// float64 and without the grid. A fold between two points of the grid is lost, hence fractions.
-TEST_F(TrainedRoom, VerticesLieWhereTheDensityCrossesTheLevel) {
-  const SurfaceRequest asked = request();
-  const double cell = asked.grid.spacing, reach = 2;
-  const Surface surface = density_surface(*session_->pipeline, asked);
-  ASSERT_GT(surface.triangles.size(), 1000U);
-  const auto twin = twin_of(*session_, *registry_);
-  std::vector<double> inside, border;  // cells between a vertex and the nearest crossing, against its normal
-  for (std::size_t v = 0; v < surface.positions.size(); v += 7) {
-    const Vec3d p = surface.positions[v], n = surface.normals[v];
-    double off = reach;
-    for (const double t : rises(*twin, asked, p + n * (reach * cell), n * -1.0, 2 * reach * cell, 0))
-      off = std::min(off, std::abs(t / cell - reach));
-    (cells_to_border(asked.grid, p) < 1 ? border : inside).push_back(off);
-  }
-  ASSERT_GT(inside.size(), 100U);
-  ASSERT_GT(border.size(), 100U);
-  EXPECT_GT(share_below(inside, 0.5), 0.9);
-  EXPECT_GT(share_below(inside, 0.1), 0.5) << "interpolated between points of the grid";
-  EXPECT_GT(share_below(border, 1), 0.95) << "the border's step is somewhere in its cell";
-}
-
-TEST_F(TrainedRoom, SightLinesEndAtTheSurface) {
-  const SurfaceRequest asked = request();
-  const Surface surface = density_surface(*session_->pipeline, asked);
-  const SightLines lines = look(*session_->pipeline, cameras(), session_->limits, 512);
-  const auto twin = twin_of(*session_, *registry_);
-  const double longest = length(session_->extent.bounds.size()) + asked.grid.spacing;
-  // Cells between the first crossing of each line and the nearest vertex. What is thinner than a cell may be missed.
-  std::vector<double> off;
-  for (std::size_t r = 0; r < lines.surface.size(); ++r) {
-    const Vec3d from = lines.origin[r] + lines.direction[r] * lines.near[r];
-    const std::vector<double> met = rises(*twin, asked, from, lines.direction[r], longest, 1);
-    ASSERT_FALSE(met.empty()) << "the border at the latest";
-    const Vec3d p = from + lines.direction[r] * met.front();
-    double nearest = HUGE_VAL;
-    for (const Vec3d& vertex : surface.positions) nearest = std::min(nearest, dot(vertex - p, vertex - p));
-    off.push_back(std::sqrt(nearest) / asked.grid.spacing);
-  }
-  ASSERT_GT(off.size(), 100U);
-  EXPECT_GT(share_below(off, 1.5), 0.96) << "no part of what is seen is missing";
-}
-
-TEST_F(TrainedRoom, VerticesGetWhatAShortRayRenders) {
-  const SurfaceRequest asked = request();
-  const double offset = 1.5 * asked.grid.spacing;
-  Surface surface = density_surface(*session_->pipeline, asked);
-  drop_small_components(surface, 0.01);
-  ASSERT_GT(surface.triangles.size(), 1000U);
-  surface.attributes =
-      render_attributes(*session_->pipeline, surface, {}, offset, session_->limits, session_->plan.class_of_logit);
-  const PointAttributes& known = surface.attributes;
-  ASSERT_EQ(known.color.size(), surface.positions.size());
-  ASSERT_EQ(known.label.size(), surface.positions.size());
-  ASSERT_EQ(known.entropy.size(), surface.positions.size());
-  for (const float e : known.entropy) EXPECT_TRUE(e >= 0 && e <= std::log(5.0F) + 1e-4F);
-
-  std::vector<std::size_t> vertex;
-  std::vector<double> origin, direction, near_far;
-  for (std::size_t v = 0; v < surface.positions.size(); v += 7) {
-    if (cells_to_border(asked.grid, surface.positions[v]) < 2) continue;  // rays that the bounds may cut
-    vertex.push_back(v);
-    for (int axis = 0; axis < 3; ++axis) {
-      origin.push_back(surface.positions[v][axis] + offset * surface.normals[v][axis]);
-      direction.push_back(-surface.normals[v][axis]);
-    }
-    near_far.insert(near_far.end(), {0, 2 * offset});
-  }
-  ASSERT_GT(vertex.size(), 100U);
-  const auto count = static_cast<std::int64_t>(vertex.size());
-  std::vector<double> color(3 * vertex.size()), entropy(vertex.size());
-  std::vector<std::int16_t> label(vertex.size());
-  RenderJob<double> job{.origin = {origin.data(), count, 3},
-                        .direction = {direction.data(), count, 3},
-                        .near_far = {near_far.data(), count, 2},
-                        .color = {color.data(), count, 3},
-                        .label = {label.data(), count, 1},
-                        .entropy = {entropy.data(), count, 1}};
-  twin_of(*session_, *registry_)->render(job);
-  std::vector<double> color_off, entropy_off;
-  std::int64_t same = 0;
-  for (std::size_t i = 0; i < vertex.size(); ++i) {
-    const std::size_t v = vertex[i];
-    for (std::size_t c = 0; c < 3; ++c) color_off.push_back(std::abs(known.color[v][c] - 255 * color[3 * i + c]));
-    entropy_off.push_back(std::abs(static_cast<double>(known.entropy[v]) - entropy[i]));
-    same += known.label[v] == session_->plan.class_of_logit[label[i]] ? 1 : 0;
-  }
-  EXPECT_GT(static_cast<double>(same) / static_cast<double>(count), 0.99);
-  EXPECT_GT(share_below(color_off, 1), 0.99) << "of 255";
-  EXPECT_GT(share_below(entropy_off, 0.01), 0.99) << "nats";
-}
-
-// A camera's direction counts, and not the normal's.
-TEST_F(TrainedRoom, VerticesGetTheColourThatTheirCamerasSee) {
-  const SurfaceRequest asked = request();
-  const double offset = 1.5 * asked.grid.spacing;
-  Surface surface = density_surface(*session_->pipeline, asked);
-  const std::vector<RayCamera> eyes = cameras();
-  const std::vector<Sights> sights = sights_of(surface, eyes, session_->limits, asked.grid.spacing);
-  const PointAttributes known = render_attributes(*session_->pipeline, surface, {eyes, sights}, offset,
-                                                  session_->limits, session_->plan.class_of_logit);
-  std::vector<std::size_t> vertex;
-  std::vector<double> origin, direction, near_far, weight;
-  for (std::size_t v = 0; v < surface.positions.size(); v += 5) {
-    if (cells_to_border(asked.grid, surface.positions[v]) < 2 || sights[v].camera[1] < 0) continue;
-    const Looks looks = looks_at(surface.positions[v], surface.normals[v], sights[v], eyes);
-    for (std::size_t k = 0; k < looks.count; ++k) {
-      vertex.push_back(v);
-      weight.push_back(looks.weight[k]);
-      const Vec3d eye = eyes[static_cast<std::size_t>(looks.eye[k])].world_from_camera.t;
-      for (int axis = 0; axis < 3; ++axis) {
-        origin.push_back(eye[axis]);
-        direction.push_back(looks.direction[k][axis]);
-      }
-      double enter = 0, leave = HUGE_VAL;
-      ASSERT_TRUE(intersect(session_->limits.bounds, eye, looks.direction[k], enter, leave));
-      near_far.push_back(std::max(session_->limits.near_m, enter));
-      near_far.push_back(std::min(session_->limits.far_m, leave));
-    }
-  }
-  ASSERT_GT(vertex.size(), 300U);
-  const auto count = static_cast<std::int64_t>(vertex.size());
-  std::vector<double> color(3 * vertex.size()), opacity(vertex.size());
-  RenderJob<double> job{.origin = {origin.data(), count, 3},
-                        .direction = {direction.data(), count, 3},
-                        .near_far = {near_far.data(), count, 2},
-                        .color = {color.data(), count, 3},
-                        .opacity = {opacity.data(), count, 1}};
-  twin_of(*session_, *registry_)->render(job);
-  std::vector<double> off;
-  for (std::size_t i = 0; i < vertex.size();) {
-    double sum = 0, met = 0;
-    const std::size_t v = vertex[i];
-    for (; i < vertex.size() && vertex[i] == v; ++i) {
-      sum += weight[i] * color[3 * i] / opacity[i];
-      met += weight[i];
-    }
-    off.push_back(std::abs(static_cast<double>(known.color[v][0]) - 255 * std::min(1.0, sum / met)));
-  }
-  EXPECT_GT(share_below(off, 1.5), 0.99) << "of 255";
 }
 
 // A field of formulas: a ball whose density grows towards its middle, its colour a function of the place.
@@ -558,21 +337,17 @@ TEST(DepthFusion, LiesOnWhatTheViewsShow) {
     const Surface surface = fused_surface(around(stride), limits(), grid(spacing));
     ASSERT_GT(surface.triangles.size(), 2000U);
     double sum = 0, most = 0;
-    for (const Vec3d& p : surface.positions) sum += off(p), most = std::max(most, off(p));
+    std::size_t wrong = 0;
+    for (std::size_t i = 0; i < surface.positions.size(); ++i) {
+      const Vec3d p = surface.positions[i];
+      sum += off(p), most = std::max(most, off(p));
+      const Vec3d outward = std::abs(length(p) - kDepthFusionRadius) < std::abs(p.z - kWall) ? p : Vec3d{0, 0, -1};
+      wrong += dot(surface.normals[i], outward) < 0 ? 1 : 0;
+    }
+    EXPECT_LT(wrong, surface.positions.size() / 100) << "it faces the cameras";
     EXPECT_LT(sum / static_cast<double>(surface.positions.size()), 0.15 * spacing) << stride;
     EXPECT_LT(most, kAgreeCells * spacing * 1.5) << stride;
   }
-}
-
-TEST(DepthFusion, FacesTheCameras) {
-  const Surface surface = fused_surface(around(), limits(), grid(0.05));
-  std::size_t wrong = 0;
-  for (std::size_t i = 0; i < surface.positions.size(); ++i) {
-    const Vec3d p = surface.positions[i];
-    const Vec3d outward = std::abs(length(p) - kDepthFusionRadius) < std::abs(p.z - kWall) ? p : Vec3d{0, 0, -1};
-    wrong += dot(surface.normals[i], outward) < 0 ? 1 : 0;
-  }
-  EXPECT_LT(wrong, surface.positions.size() / 100);
 }
 
 // Behind the ball, behind the wall and outside the images nobody knows anything.

@@ -15,8 +15,6 @@
 #include "core/error.h"
 #include "core/rng.h"
 #include "core/text.h"
-#include "datasets/obj_room/mesh_io.h"
-#include "datasets/obj_room/raycast.h"
 #include "scene/camera_path.h"
 #include "surface/mesh/marching_cubes.h"
 #include "surface/mesh/mesh_files.h"
@@ -33,12 +31,21 @@ namespace {
 using Solid = std::function<double(Vec3d)>;
 
 Surface surface_of(const VoxelGrid& grid, const Solid& solid, double level = 0) {
-  return marching_cubes(grid, level, [&](std::int64_t z, std::span<double> values) {
+  Surface surface = marching_cubes(grid, level, [&](std::int64_t z, std::span<double> values) {
     ASSERT_EQ(static_cast<std::int64_t>(values.size()), grid.layer_points());
     for (std::int64_t i = 0; i < grid.layer_points(); ++i)
       values[i] = solid(
           grid.world({static_cast<double>(i % grid.nx), static_cast<double>(i / grid.nx), static_cast<double>(z)}));
   });
+  set_vertex_normals(surface);
+  return surface;
+}
+
+double volume(const Surface& surface) {
+  double sum = 0;
+  for (const Triangle& t : surface.triangles)
+    sum += dot(surface.positions[t[0]], cross(surface.positions[t[1]], surface.positions[t[2]])) / 6;
+  return sum;
 }
 
 bool on_border(const VoxelGrid& grid, Vec3d p) {
@@ -84,30 +91,21 @@ VoxelGrid unit_grid(double spacing) { return VoxelGrid::covering({{-1, -1.2, -0.
 const Vec3d kCenter{0.03, -0.11, 0.07};
 constexpr double kRadius = 0.61;
 double ball(Vec3d p) { return kRadius * kRadius - dot(p - kCenter, p - kCenter); }
-double ring(Vec3d p) {
-  const double around = std::hypot(p.x, p.y) - 0.55;
-  return 0.2 * 0.2 - around * around - p.z * p.z;
-}
-
 struct SphereErrors {
   double radius = 0, normal = 0, volume = 0;
 };
 
 SphereErrors sphere_errors(double spacing) {
   const VoxelGrid grid = unit_grid(spacing);
-  Surface surface = surface_of(grid, ball);
+  const Surface surface = surface_of(grid, ball);
   EXPECT_EQ(expect_closed(surface, grid, false), 2);
-  set_vertex_normals(surface);
   SphereErrors errors;
   for (std::size_t v = 0; v < surface.positions.size(); ++v) {
     const Vec3d out = surface.positions[v] - kCenter;
     errors.radius = std::max(errors.radius, std::abs(length(out) - kRadius));
     errors.normal = std::max(errors.normal, length(surface.normals[v] - normalized(out)));
   }
-  double volume = 0;
-  for (const Triangle& t : surface.triangles)
-    volume += dot(surface.positions[t[0]], cross(surface.positions[t[1]], surface.positions[t[2]])) / 6;
-  errors.volume = std::abs(volume - 4.0 / 3 * 3.141592653589793 * kRadius * kRadius * kRadius);
+  errors.volume = std::abs(volume(surface) - 4.0 / 3 * 3.141592653589793 * kRadius * kRadius * kRadius);
   return errors;
 }
 
@@ -120,11 +118,6 @@ TEST(MarchingCubes, SphereConvergesAtOrderTwo) {
   EXPECT_GT(coarse.volume / finest.volume, 12) << "16 at order two";
   EXPECT_LT(finest.normal, 0.1) << "normals point outward";
   EXPECT_GT(finest.radius, 0);
-}
-
-TEST(MarchingCubes, TorusIsClosedAndHasAHole) {
-  const VoxelGrid grid = unit_grid(0.04);
-  EXPECT_EQ(expect_closed(surface_of(grid, ring), grid, false), 0);
 }
 
 TEST(MarchingCubes, EveryPatternIsClosedAmongItsNeighbours) {
@@ -140,19 +133,6 @@ TEST(MarchingCubes, EveryPatternIsClosedAmongItsNeighbours) {
       expect_closed(surface, grid, false);
       if (::testing::Test::HasFailure()) FAIL() << "pattern " << pattern << " in " << around;
     }
-  }
-}
-
-TEST(MarchingCubes, RandomFieldsAreClosed) {
-  // Half of the points dense at random: every ambiguous pair of cubes occurs many times.
-  for (std::uint64_t seed = 1; seed <= 6; ++seed) {
-    const VoxelGrid grid{{-3, 5, 0.5}, 0.25, 19, 17, 21};
-    std::uint64_t n = 0;
-    const RandomAddress address{seed, 0, stream_id("mesh_test/field")};
-    const Surface surface = surface_of(
-        grid, [&](Vec3d) { return static_cast<double>(uniform01(address, n++)); }, 0.5);
-    EXPECT_GT(surface.triangles.size(), 10000U);
-    expect_closed(surface, grid, true);
   }
 }
 
@@ -247,19 +227,10 @@ TEST(Components, SmallOnesGoAndVerticesAreRenumbered) {
 // Boxes and spheres with fewer faces, and holes that are closed.
 
 // The level set of a function on a grid over [-1, 1]^3.
-template <class Value>
-Surface level_set(double spacing, const Value& value) {
-  const VoxelGrid grid = VoxelGrid::covering({{-1, -1, -1}, {1, 1, 1}}, spacing);
-  Surface surface = marching_cubes(grid, 0, [&](std::int64_t z, std::span<double> values) {
-    for (std::int64_t i = 0; i < grid.layer_points(); ++i)
-      values[static_cast<std::size_t>(i)] = value(
-          grid.world({static_cast<double>(i % grid.nx), static_cast<double>(i / grid.nx), static_cast<double>(z)}));
-  });
-  set_vertex_normals(surface);
-  return surface;
+Surface level_set(double spacing, const Solid& value) {
+  return surface_of(VoxelGrid::covering({{-1, -1, -1}, {1, 1, 1}}, spacing), value);
 }
 double in_box(Vec3d p) { return 0.713 - std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)}); }
-double in_ball(Vec3d p) { return 0.8 - length(p); }
 
 // Of each pair of vertices, how often one triangle runs from the first to the second.
 std::map<std::pair<std::uint32_t, std::uint32_t>, int> sides_of(const Surface& surface) {
@@ -277,12 +248,6 @@ std::size_t border_sides(const Surface& surface) {
   }
   return count;
 }
-double volume(const Surface& surface) {
-  double sum = 0;
-  for (const Triangle& t : surface.triangles)
-    sum += dot(surface.positions[t[0]], cross(surface.positions[t[1]], surface.positions[t[2]])) / 6;
-  return sum;
-}
 std::size_t euler(const Surface& surface) {
   return surface.positions.size() + surface.triangles.size() - sides_of(surface).size() / 2;
 }
@@ -299,25 +264,6 @@ TEST(Simplify, AClosedBoxStaysClosedAndKeepsItsForm) {
   EXPECT_EQ(euler(box), 2U) << "one ball, without a handle";
   EXPECT_NEAR(volume(box), before, 0.001 * before) << "flat faces lose nothing";
   EXPECT_EQ(box.normals.size(), box.positions.size());
-}
-
-TEST(Simplify, ABallKeepsItsRadius) {
-  Surface ball = level_set(0.05, in_ball);
-  for (const Vec3d& p : ball.positions)  // a colour that tells the place
-    ball.attributes.color.push_back({static_cast<std::uint8_t>(100 + 100 * p.x),
-                                     static_cast<std::uint8_t>(100 + 100 * p.y),
-                                     static_cast<std::uint8_t>(100 + 100 * p.z)});
-  simplify(ball, 500);
-  double off = 0;
-  for (std::size_t v = 0; v < ball.positions.size(); ++v) {
-    const auto& c = ball.attributes.color[v];
-    off += length(Vec3d{c[0] / 100.0 - 1, c[1] / 100.0 - 1, c[2] / 100.0 - 1} - ball.positions[v]);
-  }
-  EXPECT_LT(off / static_cast<double>(ball.positions.size()), 0.08) << "of the nearer end; of any it is 0.095";
-  EXPECT_LE(ball.triangles.size(), 500U);
-  EXPECT_EQ(border_sides(ball), 0U);
-  for (const Vec3d& p : ball.positions) EXPECT_NEAR(length(p), 0.8, 0.02);
-  for (std::size_t v = 0; v < ball.positions.size(); ++v) EXPECT_GT(dot(ball.normals[v], ball.positions[v]), 0.7);
 }
 
 // All of it lies in one plane, so that borders alone have a form.
@@ -371,46 +317,6 @@ TEST(Simplify, ARingStaysARing) {
   EXPECT_GE(ring.triangles.size(), 14U) << "no ring has fewer faces";
 }
 
-TEST(Simplify, LabelsAndColoursStayWithTheirPlaces) {
-  Surface square = flat(40, [](int, int) { return true; });  // of side 10
-  PointAttributes& known = square.attributes;
-  for (const Vec3d& p : square.positions) {
-    const bool left = p.x < 4.1;
-    known.label.push_back(left ? 3 : 7);
-    known.color.push_back(left ? std::array<std::uint8_t, 3>{10, 20, 30} : std::array<std::uint8_t, 3>{200, 0, 0});
-    known.entropy.push_back(left ? 0.25F : 0.5F);
-  }
-  simplify(square, 200);
-  EXPECT_LE(square.triangles.size(), 200U);
-  ASSERT_EQ(known.label.size(), square.positions.size());
-  ASSERT_EQ(known.color.size(), square.positions.size());
-  ASSERT_EQ(known.entropy.size(), square.positions.size());
-  for (std::size_t v = 0; v < known.label.size(); ++v) {
-    const bool left = known.label[v] == 3;
-    EXPECT_EQ(known.color[v][0], left ? 10 : 200);
-    EXPECT_EQ(known.entropy[v], left ? 0.25F : 0.5F);
-    EXPECT_TRUE(left ? square.positions[v].x < 4.2 : square.positions[v].x > 4.05) << square.positions[v].x;
-  }
-  double lefts = 0;
-  for (const Triangle& t : square.triangles) lefts += triangle_label(known, t) == 3 ? area_of(square, t) : 0;
-  EXPECT_NEAR(lefts, 41.25, 1.5) << "half of the column of quads between the classes";
-}
-
-TEST(Simplify, TheResultIsTheSameEachTimeAndEnoughIsLeftAlone) {
-  Surface one = level_set(0.1, in_ball), two = level_set(0.1, in_ball);
-  const Surface whole = one;
-  simplify(one, whole.triangles.size());
-  EXPECT_EQ(one.positions, whole.positions);
-  simplify(one, 100);
-  simplify(two, 100);
-  EXPECT_EQ(one.positions, two.positions);
-  EXPECT_EQ(one.triangles, two.triangles);
-  Surface least = level_set(0.2, in_ball);
-  simplify(least, 1);
-  EXPECT_EQ(border_sides(least), 0U) << "a budget that cannot be met leaves a closed surface";
-  EXPECT_GE(least.triangles.size(), 4U);
-}
-
 TEST(CloseHoles, AHoleIsClosedFromTheLengthOfItsBorderOn) {
   Surface surface = with_hole();
   ASSERT_EQ(border_sides(surface), 48U);
@@ -449,16 +355,10 @@ ClassTable classes() {
 
 // A ball at coordinates that 32 bits cannot hold, labelled by height.
 Surface mesh_files_ball(bool semantics) {
-  const VoxelGrid grid = VoxelGrid::covering({{999, -2, 0}, {1001, 0, 2}}, 0.25);
-  Surface surface = marching_cubes(grid, 0, [&](std::int64_t z, std::span<double> values) {
-    for (std::int64_t i = 0; i < grid.layer_points(); ++i) {
-      const Vec3d p =
-          grid.world({static_cast<double>(i % grid.nx), static_cast<double>(i / grid.nx), static_cast<double>(z)}) -
-          Vec3d{1000, -1, 1};
-      values[i] = 0.6 - dot(p, p);
-    }
+  Surface surface = surface_of(VoxelGrid::covering({{999, -2, 0}, {1001, 0, 2}}, 0.25), [](Vec3d p) {
+    const Vec3d off = p - Vec3d{1000, -1, 1};
+    return 0.6 - dot(off, off);
   });
-  set_vertex_normals(surface);
   for (const Vec3d& p : surface.positions) {
     const auto shade = static_cast<std::uint8_t>(std::lround(120 * p.z));
     surface.attributes.color.push_back({shade, static_cast<std::uint8_t>(255 - shade), 17});
@@ -559,20 +459,6 @@ TEST(MeshFiles, WithoutSemanticsThereIsOneMaterial) {
     expect_read_back(false, {up, false}, {"surface"});
 }
 
-TEST(MeshFiles, ClassColorsAreThoseOfTheTable) {
-  const Surface surface = mesh_files_ball(true);
-  const auto colors = class_colors(surface.attributes, classes());
-  ASSERT_EQ(colors.size(), surface.positions.size());
-  static const std::map<int, std::array<std::uint8_t, 3>> table{
-      {-1, {128, 128, 128}}, {0, {200, 100, 50}}, {1, {10, 20, 30}}, {2, {255, 255, 255}}};
-  std::map<int, int> seen;
-  for (std::size_t v = 0; v < colors.size(); ++v) {
-    EXPECT_EQ(colors[v], table.at(surface.attributes.label[v])) << v;
-    ++seen[surface.attributes.label[v]];
-  }
-  EXPECT_EQ(seen.size(), 4U);
-}
-
 // Cameras around a room, pitched by turns, in a world with another axis upright.
 TEST(Upright, CamerasTellTheAxisThatTheyStandAlong) {
   for (const char* name : {"x", "-x", "y", "-y", "z", "-z"}) {
@@ -595,45 +481,13 @@ TEST(Upright, ATiltedWorldKeepsItsDirectionAndCamerasThatCancelTellNothing) {
   for (const char* none : {"", "w", "+", "-", "xy", "--x", "Y"}) EXPECT_FALSE(axis_named(none)) << none;
 }
 
-TEST(MeshFiles, TheHousesOwnObjReaderAgrees) {
-  if (!raycast_available()) GTEST_SKIP() << "this build reads no meshes";
-  const TempDir dir;
-  const Surface surface = mesh_files_ball(true);
-  write_obj(dir / "mesh.obj", surface, classes());
-  Diagnostics diagnostics;
-  const TriangleMesh mesh = load_obj(dir / "mesh.obj", diagnostics);
-  EXPECT_TRUE(diagnostics.all().empty()) << diagnostics.all().front().text();
-  EXPECT_EQ(mesh.size() + static_cast<std::size_t>(mesh.zero_area_skipped), surface.triangles.size());
-  ASSERT_EQ(mesh.materials.size(), 4U);
-  EXPECT_EQ(mesh.materials[2].name, "dining_table");
-  EXPECT_NEAR(mesh.materials[1].diffuse[0], linear_light(200), 1e-5);
-}
-
-TEST(MeshFiles, ClassGroupsHoldEveryTriangleOnce) {
-  const Surface surface = mesh_files_ball(true);
-  std::size_t triangles = 0;
-  for (const ClassGroup& group : class_groups(surface, classes())) triangles += group.triangles.size();
-  EXPECT_EQ(triangles, surface.triangles.size());
-}
-
-TEST(MeshFiles, AFolderThatIsNotThereIsAnErrorWithThePath) {
-  EXPECT_HAS(error_of([&] { write_ply("/proc/none/mesh.ply", mesh_files_ball(true), classes()); }), "/proc/none");
-}
-
 // What cameras see of surfaces whose shape is a formula.
 
 constexpr double kCell = 0.04;
 
 // Where `solid` is positive, in a cube of 3 m.
-Surface mesh_files_surface_of(const std::function<double(Vec3d)>& solid) {
-  const VoxelGrid grid = VoxelGrid::covering({{-1.5, -1.5, -1.5}, {1.5, 1.5, 1.5}}, kCell);
-  Surface surface = marching_cubes(grid, 0, [&](std::int64_t z, std::span<double> values) {
-    for (std::int64_t i = 0; i < grid.layer_points(); ++i)
-      values[i] = solid(
-          grid.world({static_cast<double>(i % grid.nx), static_cast<double>(i / grid.nx), static_cast<double>(z)}));
-  });
-  set_vertex_normals(surface);
-  return surface;
+Surface mesh_files_surface_of(const Solid& solid) {
+  return surface_of(VoxelGrid::covering({{-1.5, -1.5, -1.5}, {1.5, 1.5, 1.5}}, kCell), solid);
 }
 
 double ball_value(Vec3d p, Vec3d center, double radius) { return radius - length(p - center); }
@@ -698,18 +552,6 @@ TEST(Sights, OneCameraLeavesAShadowThatASecondOneFills) {
             in_shadow(all));
 }
 
-TEST(Sights, NoFringeIsLeftAtTheRimOfWhatIsSeen) {
-  const Surface all = mesh_files_surface_of([](Vec3d p) { return ball_value(p, {0, 0, 0}, 1); });
-  const RayCamera camera = camera_at({-4, 0, 0}, {0, 0, 0});
-  const Surface kept = seen_of(all, {camera});
-  ASSERT_FALSE(kept.positions.empty());
-  // A camera at a distance of 4 sees the ball up to x = -1/4.
-  for (const Vec3d& p : kept.positions) EXPECT_LT(p.x, -0.25 + 3 * kCell);
-  const auto near_rim = std::count_if(kept.positions.begin(), kept.positions.end(),
-                                      [](const Vec3d& p) { return p.x > -0.25 - 3 * kCell; });
-  EXPECT_GT(near_rim, 100) << "and little of it is missing";
-}
-
 // What stands on a table is seen from all sides but one.
 TEST(Sights, AnObjectThatIsSeenButForALittleStaysClosed) {
   const auto solid = [](Vec3d p) { return std::min(ball_value(p, {0, 0, 0}, 1), p.z + 0.85); };
@@ -727,41 +569,6 @@ TEST(Sights, AnObjectThatIsSeenButForALittleStaysClosed) {
   ASSERT_GT(below, 200);
   EXPECT_EQ(unseen, below);
   EXPECT_EQ(seen_of(all, cameras).triangles.size(), all.triangles.size());
-}
-
-TEST(Sights, AreTheCamerasThatShowAPointLargestAndLendThemselves) {
-  const Surface all = mesh_files_surface_of([](Vec3d p) { return ball_value(p, {0, 0, 0}, 1); });
-  const std::vector<RayCamera> cameras{camera_at({-4, 0, 0}, {}), camera_at({-2.5, 0, 0}, {}), camera_at({4, 0, 0}, {}),
-                                       camera_at({-3, 1, 0}, {}), camera_at({-3, -1, 0}, {})};
-  std::vector<Sights> sights = sights_of(all, cameras, limits(), kCell);
-  const auto vertex = [&](Vec3d wanted) {
-    const auto nearest =
-        std::min_element(all.positions.begin(), all.positions.end(),
-                         [&](const Vec3d& a, const Vec3d& b) { return length(a - wanted) < length(b - wanted); });
-    return static_cast<std::size_t>(nearest - all.positions.begin());
-  };
-  const std::size_t left = vertex({-1, 0, 0}), right = vertex({1, 0, 0}), top = vertex({0, 0, 1});
-  EXPECT_EQ(sights[left].camera[0], 1) << "the nearest";
-  EXPECT_TRUE(std::is_sorted(sights[left].weight.rbegin(), sights[left].weight.rend()));
-  EXPECT_GE(sights[left].camera[2], 0);
-  EXPECT_EQ(sights[right].camera, (std::array<std::int32_t, 3>{2, -1, -1}));
-  EXPECT_FALSE(sights[top].any());
-
-  const Looks facing = looks_at(all.positions[right], all.normals[right], sights[right], cameras);
-  ASSERT_EQ(facing.count, 1U);
-  EXPECT_LT(length(facing.direction[0] - Vec3d{-1, 0, 0}), 0.05);
-  EXPECT_EQ(facing.weight[0], 1);
-  const Looks three = looks_at(all.positions[left], all.normals[left], sights[left], cameras);
-  ASSERT_EQ(three.count, 3U);
-  EXPECT_NEAR(three.weight[0] + three.weight[1] + three.weight[2], 1, 1e-12);
-  const Looks nobody = looks_at(all.positions[top], all.normals[top], sights[top], cameras);
-  EXPECT_EQ(nobody.direction[0], all.normals[top] * -1.0);
-
-  lend_sights(all, sights);
-  EXPECT_TRUE(std::all_of(sights.begin(), sights.end(), [](const Sights& s) { return s.any(); }));
-  // A camera that was lent may look at the back: then nobody's direction is taken.
-  const Looks back = looks_at({0, 0, 0}, {1, 0, 0}, Sights{{0, -1, -1}, {1, 0, 0}}, cameras);
-  EXPECT_EQ(back.direction[0], (Vec3d{-1, 0, 0}));
 }
 
 TEST(Sights, FollowTheLensAndTheLimitsAndNotTheThreads) {

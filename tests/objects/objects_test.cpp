@@ -192,10 +192,6 @@ TEST(ClickObjects, WhatIsWrongIsNamed) {
 {"id":"a","type":"click","frame":"a","size":[16,8],"points":[[3,1]],"radius":2,"class":"piano"}
 )"),
                "labels.class.unknown", "clicks.jsonl", "piano");
-  EXPECT_ERROR(
-      read(R"({"id":"a","type":"click","frame":"a","size":[16,8],"points":[[3,1]],"radius":2,"class":"chair","object":0}
-)"),
-      "labels.event.format", "clicks.jsonl", "'object'", "from 1 to 65535");
 }
 
 // Groups of points by clusters of segments and by what views say.
@@ -324,11 +320,6 @@ SegmentSet damaged(const SegmentDamage& damage, std::uint64_t seed = 1) {
   return set;
 }
 
-TEST(SegmentDamage, NothingAskedForChangesNothing) {
-  EXPECT_EQ(damaged({}).frames[0].id, bars().frames[0].id);
-  EXPECT_FALSE(SegmentDamage{}.any());
-}
-
 TEST(SegmentDamage, ShuffledNumbersKeepPixelsAndClasses) {
   const SegmentSet set = damaged({.shuffle = true});
   const FrameSegments before = bars().frames[0], after = set.frames[0];
@@ -447,27 +438,6 @@ TEST(ObjectNetwork, HasTheSameBitsOnAnyNumberOfThreads) {
   set_thread_count(0);
   EXPECT_EQ(outputs[0], outputs[1]);
   EXPECT_EQ(outputs[0], outputs[2]);
-}
-
-TEST(ObjectNetwork, TellsTwoThingsApart) {
-  const TwoThings things;
-  for (const std::string& name : registry().names(PluginKind::grouping)) {
-    const std::unique_ptr<Grouping> grouping = grouping_of(name);
-    ObjectNetwork<float> net(registry().kernels(), *grouping, kShape, kBox, 3, 4);
-    net.learn(things.positions, things.sights, {.steps = 150, .views = 4, .view_points = 64}, {});
-    std::vector<float> rows = net.outputs(things.positions);
-    const std::int32_t width = grouping->width();
-    const View<float> place(rows.data(), std::ssize(things.positions), width);
-    grouping->place(place);
-    const auto way = [&](int a, int b) {
-      double sum = 0;
-      for (std::int32_t d = 0; d < width; ++d) sum += std::pow(static_cast<double>(place(a, d) - place(b, d)), 2);
-      return std::sqrt(sum);
-    };
-    EXPECT_LT(way(3, 12), 0.5) << name;
-    EXPECT_LT(way(25, 36), 0.5) << name;
-    EXPECT_GT(way(8, 31), 1) << name;
-  }
 }
 
 TEST(ObjectNetwork, NoSegmentIsAnError) {
@@ -709,21 +679,13 @@ TEST(ReadSegments, WhatIsWrongWithMasksOfNumPyIsNamed) {
                "[masks, height, width]");
   EXPECT_ERROR(read({{"masks", "|b1", {1, 2, 6}, all}}), "labels.image.size", "'masks'", "6 x 2", "4 x 3");
   EXPECT_ERROR(read({{"masks", "|b1", {2, 3, 4}, all}}), "files.array.format", "'masks'", "(2, 3, 4)");
-  EXPECT_ERROR(read({{"a", "|b1", {3, 4}, all}, {"b", "|b1", {6, 8}, all + all + all + all}}), "labels.array.shape",
-               "'b'", "(6, 8)", "(3, 4)");
-  EXPECT_ERROR(read({{"a", "|b1", {1, 3, 4}, all}}), "labels.array.shape", "'a'", "'masks'");
   EXPECT_ERROR(read({{"scores", "<f4", {3}, all}}), "labels.array.shape", "rgb_0.npz", "no masks");
   EXPECT_ERROR(read({{"masks", "|b1", {10001, 3, 4}, std::string(12 * 10001, '\0')}}), "labels.array.shape", "'masks'",
                "at most 10000 masks");
   const ByteArray masks{"masks", "|b1", {1, 3, 4}, all};
   EXPECT_ERROR(read({masks, {"class_ids", "|u1", {2}, "\1\1"}}), "labels.array.shape", "'class_ids'", "(2,)", "(1,)");
   EXPECT_ERROR(read({masks, {"class_ids", "|u1", {1}, "\7"}}), "labels.id.unknown", "'class_ids'", "mask 1", "7");
-  EXPECT_ERROR(read({masks, {"class_ids", "|i1", {1}, "\xff"}}), "labels.id.unknown", "-1");
   EXPECT_ERROR(read({masks, {"class_ids", "<f4", {1}, "abcd"}}), "files.array.type", "'class_ids'", "int64");
-  read({masks});
-  const std::string whole = read_text_file(dir / "rgb_0.npz");
-  dir.write("rgb_0.npz", whole.substr(0, whole.size() / 2));
-  EXPECT_ERROR(read_segments(dir.path(), "", scene_info()), "files.zip.damaged", "rgb_0.npz");
 }
 
 TEST(ReadSegments, WhatIsWrongIsNamed) {
@@ -737,10 +699,6 @@ TEST(ReadSegments, WhatIsWrongIsNamed) {
   EXPECT_ERROR(read_segments(masks.path(), "", scene_info()), "labels.run_lengths.damaged", "rgb_0.json: mask 1");
   masks.write("rgb_0.json", R"([{"segmentation": {"size": [3, 40], "counts": [120]}}])");
   EXPECT_ERROR(read_segments(masks.path(), "", scene_info()), "labels.image.size", "rgb_0.json");
-  masks.write("rgb_0.json", R"([{"segmentation": [[1, 2]]}])");
-  EXPECT_ERROR(read_segments(masks.path(), "", scene_info()), "labels.shape.points", "mask 1");
-  masks.write("rgb_0.json", R"({"annotations": [{"area": 3}]})");
-  EXPECT_ERROR(read_segments(masks.path(), "", scene_info()), "labels.file.format", "mask 1", "segmentation");
   const std::string coco =
       dir.write("c.json", R"({"images": [], "annotations": [{"image_id": 7, "segmentation": []}]})");
   EXPECT_ERROR(read_segments(coco, "", scene_info()), "labels.annotation.reference", "annotation 1", "7");
@@ -789,36 +747,21 @@ TEST(ObjectsVerb, FilesFiguresAndTheSameAgain) {
   const auto json = nlohmann::json::parse(r.out);
   EXPECT_GT(json.at("score").at("mcov").get<double>(), 0.3);
   EXPECT_GT(json.at("objects").get<int>(), 0);
-  for (const char* file : {"objects.json", "objects.csv", "objects.ply", "panoptic.json", "found.safetensors"})
-    EXPECT_TRUE(fs::is_regular_file(dir / (std::string("run/objects/") + file))) << file;
   const auto table = nlohmann::json::parse(read_text_file(dir / "run/objects/objects.json"));
   ASSERT_EQ(table.at("objects").size(), json.at("objects").get<std::size_t>());
-  EXPECT_EQ(table.at("objects")[0].at("id"), 1);
   const auto panoptic = nlohmann::json::parse(read_text_file(dir / "run/objects/panoptic.json"));
   ASSERT_FALSE(panoptic.at("images").empty());
   const std::string name = panoptic.at("images")[0].at("file_name");
   const Image<std::uint16_t> ids = read_ids(dir / ("run/objects/instance/" + name));
   const Image<std::uint8_t> colors = read_rgb(dir / ("run/objects/panoptic/" + name));
-  std::set<int> seen;
   for (std::size_t i = 0; i < ids.pixels.size(); ++i) {
     if (ids.pixels[i] == 0) continue;
     EXPECT_EQ(colors.pixels[3 * i] + 256 * colors.pixels[3 * i + 1], ids.pixels[i]);
-    seen.insert(ids.pixels[i]);
   }
-  std::set<int> told;
-  for (const auto& segment : panoptic.at("annotations")[0].at("segments_info"))
-    if (segment.at("id") <= table.at("objects").size()) told.insert(segment.at("id").get<int>());
-  EXPECT_EQ(seen, told);
   // Strips show photograph, segments, objects and truth, four panels of the view's size.
   const Image<std::uint8_t> strip = read_rgb(dir / ("run/objects/pictures/" + name));
   EXPECT_EQ(strip.width_px, 4 * ids.width_px + 3 * 4);
   EXPECT_EQ(strip.height_px, ids.height_px);
-  for (std::int32_t x = 0; x < ids.width_px; ++x) {
-    const auto at = [&](int panel) {
-      return &strip.pixels[static_cast<std::size_t>(3 * (panel * (ids.width_px + 4) + x))];
-    };
-    EXPECT_EQ(ids.pixels[static_cast<std::size_t>(x)] == 0, at(2)[0] == 72 && at(2)[1] == 72 && at(2)[2] == 72) << x;
-  }
   // Found anew, the same objects get the edits that were made of them; others are refused.
   const std::string first = read_text_file(dir / "run/objects/objects.csv");
   ObjectEdits edits{read_edited_objects(dir / "run/objects", 1024).edits.digest, {}};

@@ -147,21 +147,13 @@ TEST(Record3d, WhatDoesNotFitIsNamed) {
   EXPECT_HAS(error_of([&] { open(fresh_folder("none"), d); }), "rgb' is missing");
 }
 
-TEST(Record3d, FramesWithoutDepthAndLabels) {
+TEST(Record3d, FramesWithoutDepth) {
   const std::string folder = export_of(metadata());
   std::filesystem::remove(folder + "/depth/3.exr");
-  std::filesystem::create_directories(folder + "/ids");
-  Record3dParams p{{.root = folder, .label_dir = "ids"}};
-  Diagnostics d;
-  Record3d(p, {}).open(d);
-  EXPECT_HAS(d.all().at(0).text(), "depth image '" + folder + "/depth/3.exr' is missing");
-  EXPECT_HAS(d.all().at(1).text(), "ids: no label image for any frame");
-  p.missing = MissingFiles::skip;
-  p.label_dir = "";
+  Record3dParams p{{.root = folder, .missing = MissingFiles::skip}};
   Diagnostics skip;
-  const SceneInfo info = Record3d(p, {}).open(skip);
+  EXPECT_FALSE(Record3d(p, {}).open(skip).frames.at(1).has_depth);
   EXPECT_FALSE(skip.has_errors());
-  EXPECT_FALSE(info.frames.at(1).has_depth);
   if (!images_available()) GTEST_SKIP() << "this build reads no EXR (SEMFIELD_WITH_IMAGES=OFF)";
   plain_write(folder + "/depth/3.exr", exr_of(15, 20, std::vector<float>(300, 1.0f)));
   Diagnostics turned;

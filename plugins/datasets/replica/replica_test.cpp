@@ -82,14 +82,10 @@ TEST(Replica, TheLayoutOfNiceSlam) {
   EXPECT_EQ(lens(), (std::vector<double>{22, 21, 20, 15}));
   scene.read(2, got);
   EXPECT_NEAR(got.depth_m[0], 2 * want.depth_m[0], 1e-3);
-  for (const char* bad :
-       {"{}", "{\"camera\": {\"w\": 80, \"h\": 60.5, \"fx\": 4, \"fy\": 4, \"cx\": 1, \"cy\": 1, \"scale\": 9}}",
-        "{\"camera\": {\"w\": 80, \"h\": 60, \"fx\": 44, \"fy\": 42, \"cx\": 39.5, \"cy\": 29.5, \"scale\": 0}}"}) {
-    plain_write(above + "/cam_params.json", bad);
-    Diagnostics d;
-    scene.open(d);
-    EXPECT_EQ(d.error_count(), 1) << bad;
-  }
+  plain_write(above + "/cam_params.json", "{}");
+  Diagnostics d;
+  scene.open(d);
+  EXPECT_EQ(d.error_count(), 1);
 }
 
 TEST(Replica, EveryFrameIsInOneSplitByDefault) {
@@ -117,18 +113,12 @@ TEST(Replica, MissingFilesAreLeftOutWhereAskedAndMoveNoOtherFrame) {
   for (const char* gone : {"/rgb/rgb_3.png", "/rgb/rgb_8.png", "/depth/depth_1.png"})
     std::filesystem::remove(folder + gone);
   ReplicaParams p{.root = folder};
-  Diagnostics refused;
-  Replica(p, {}).open(refused);
-  EXPECT_EQ(refused.error_count(), 3);
-  EXPECT_EQ(folded(refused).size(), 2u);  // colour and depth
   p.missing = MissingFiles::skip;
   Diagnostics d;
   Replica replica(p, {});
   const LoadedScene scene = load_scene(replica, {}, d);
   ASSERT_FALSE(d.has_errors()) << d.all()[0].text();
-  ASSERT_EQ(d.all().size(), 2u);
-  EXPECT_EQ(d.all()[0].text(), folder + ": 2 frames are left out, whose colour image is missing: rgb_3, rgb_8");
-  EXPECT_EQ(d.all()[1].text(), folder + ": 1 of 8 frames go without a depth image, which is missing: rgb_1");
+  EXPECT_HAS(all_said(d), "2 frames are left out", "rgb_3, rgb_8", "1 of 8 frames", "rgb_1");
   ASSERT_EQ(scene.info.frames.size(), 8u);
   EXPECT_FALSE(scene.info.frames[1].has_depth);
   EXPECT_EQ(scene.frames_of(Split::test), std::vector<int>{0});  // 8 is gone, 9 has not taken its place
@@ -180,9 +170,7 @@ TEST(Replica, NestedLabelFoldersOfTrainingFramesWithOrWithoutZeros) {
   Replica replica(p, {});
   Diagnostics d;
   const SceneInfo info = replica.open(d);
-  ASSERT_EQ(d.all().size(), 1u);
-  EXPECT_EQ(d.all()[0].severity, Severity::note);
-  EXPECT_HAS(d.all()[0].text(), "sort_0.5: 1 of 3 training frames have no label image");
+  EXPECT_HAS(all_said(d), "sort_0.5: 1 of 3 training frames have no label image");
   for (const int i : {0, 4}) {
     FrameBuffer pixels;
     replica.read(i, pixels);
@@ -205,34 +193,16 @@ TEST(Replica, LabelFoldersThatHoldNothingOrTwoOfAFrame) {
   ASSERT_TRUE(none.has_errors());
   EXPECT_HAS(none.all()[0].text(), folder + "/semantic_instance_noise", "no label image", "semantic_class_<i>.png");
   p.label_dir += "/sort_0.5";
-  write_png_gray8(folder + "/" + p.label_dir + "/04.png", 40, 30, std::vector<std::uint8_t>(1200, 3));
+  for (const char* name : {"/04.png", "/004.png", "/0004.png"})
+    write_png_gray8(folder + "/" + p.label_dir + name, 40, 30, std::vector<std::uint8_t>(1200, 3));
   Diagnostics twice;
   Replica(p, {}).open(twice);
   ASSERT_TRUE(twice.has_errors());
-  EXPECT_HAS(twice.all()[0].text(), "are labels of the same frame; keep one of the two");
-}
-
-// Each file system lists a folder in an order of its own; what is said of it is the same on all.
-TEST(Replica, LabelsOfTheSameFrameAreNamedInTheOrderOfTheirNames) {
-  const std::string folder = write_noise("room");
-  ReplicaParams p = even_odd(folder);
-  p.label_dir = "semantic_instance_noise/sort_0.5";
-  std::string name = "7.png";
-  std::vector<std::string> names;
-  for (int i = 0; i < 8; ++i, name.insert(0, "0")) {
-    write_png_gray8(folder + "/" + p.label_dir + "/" + name, 40, 30, std::vector<std::uint8_t>(1200, 3));
-    names.push_back(name);
-  }
-  Diagnostics told;
-  Replica(p, {}).open(told);
-  std::vector<std::string> found, wanted;
-  for (const Diagnostic& one : told.all()) {
-    if (one.text().find("are labels of the same frame") != std::string::npos) found.push_back(one.text());
-  }
-  for (std::size_t i = 7; i-- > 0;)
-    wanted.push_back(folder + "/" + p.label_dir + ": '" + names.back() + "' and '" + names[i] +
-                     "' are labels of the same frame; keep one of the two");
-  EXPECT_EQ(found, wanted);
+  const std::string said = all_said(twice);
+  EXPECT_HAS(said, "are labels of the same frame; keep one of the two");
+  // In the order of their names, whatever that of the file system is.
+  EXPECT_LT(said.find("'0004.png' and '004.png'"), said.find("'0004.png' and '04.png'"));
+  EXPECT_LT(said.find("'0004.png' and '04.png'"), said.find("'0004.png' and '4.png'"));
 }
 
 // Degraded labels that only train: the scene's own stay the truth of every pose.

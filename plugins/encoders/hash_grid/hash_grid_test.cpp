@@ -1,4 +1,4 @@
-// Tests of the hash grid against a long double trilinear reference, beside cases C06 to C14 of tests/numerics.
+// Tests of the hash grid's bits, levels and parameters; cases C06 to C14 of tests/numerics have its values and slopes.
 
 #include "encoders/hash_grid/hash_grid.h"
 
@@ -8,6 +8,8 @@
 
 #include "compute/parallel.h"
 #include "core/rng.h"
+#include "tests/conformance/rows.h"
+#include "tests/encoder_box.h"
 #include "tests/says.h"
 
 namespace semfield {
@@ -23,176 +25,67 @@ HashGridParams params_of(int levels, int features, int log2_entries, int base, i
                         .interpolation = interpolation};
 }
 
-class Declared final : public ParamDeclarer {
- public:
-  int tensor(TensorSpec spec) override {
-    specs.push_back(std::move(spec));
-    return static_cast<int>(specs.size()) - 1;
-  }
-  std::vector<TensorSpec> specs;
-};
+const KernelTables& kernels() { return testkit::linked_registry().kernels(); }
 
-/// An encoder with tables of its own.
 template <class Real>
-struct Grid {
-  explicit Grid(const HashGridParams& params, std::uint64_t seed = 1) : encoder(params, {}, kernels()) {
-    Declared declared;
-    encoder.declare(declared);
-    std::uint64_t element = 0;
-    for (const TensorSpec& spec : declared.specs) {
-      const auto size = static_cast<std::size_t>(spec.rows * spec.cols);
-      table.emplace_back(size);
-      for (Real& v : table.back()) v = static_cast<Real>(2 * uniform01({seed, 0, 9}, element++) - 1);
-      grad.emplace_back(size, Real(0));
-    }
-    for (std::size_t l = 0; l < table.size(); ++l) {
-      value_views.emplace_back(table[l].data(), declared.specs[l].rows, declared.specs[l].cols);
-      grad_views.emplace_back(grad[l].data(), declared.specs[l].rows, declared.specs[l].cols);
-    }
-    width = encoder.traits().out_dims;
-  }
-  static const KernelTables& kernels() {
-    static const KernelTables tables = [] {
-      KernelTables t;
-      hash_grid_kernels(t);
-      return t;
-    }();
-    return tables;
-  }
-  Tensors<Real> tensors() const { return {value_views, grad_views}; }
-  StepContext context() const { return StepContext{.workspace = &workspace}; }
-  std::vector<Real> forward(const std::vector<double>& x) const {
-    const auto rows = static_cast<std::int64_t>(x.size() / 3);
-    std::vector<Real> y(static_cast<std::size_t>(rows * width), static_cast<Real>(NAN));
-    encoder.forward(context(), tensors(), View<const double>(x.data(), rows, 3), View<Real>(y.data(), rows, width));
-    return y;
-  }
-  std::vector<Real> backward(const std::vector<double>& x, const std::vector<Real>& dy) {
-    const auto rows = static_cast<std::int64_t>(x.size() / 3);
-    std::vector<Real> dx(x.size(), static_cast<Real>(NAN));
-    encoder.backward(context(), tensors(), View<const double>(x.data(), rows, 3),
-                     View<const Real>(dy.data(), rows, width), View<Real>(dx.data(), rows, 3));
-    return dx;
-  }
-  HashGrid<Real> encoder;
-  std::vector<std::vector<Real>> table, grad;
-  std::vector<View<Real>> value_views, grad_views;
-  std::int32_t width = 0;
-  mutable Workspace workspace;
-};
+testkit::EncoderBox<Real> grid_of(const HashGridParams& params) {
+  return testkit::EncoderBox<Real>(std::make_unique<HashGrid<Real>>(params, EncoderBuild{}, kernels()));
+}
 
-std::vector<double> random_points(std::int64_t rows, std::uint64_t seed = 3) {
+std::vector<double> random_points(std::int64_t rows) {
   std::vector<double> x(static_cast<std::size_t>(3 * rows));
   for (std::size_t i = 0; i < x.size(); ++i) {
-    const PhiloxBlock b = random_block({seed, 0, 4}, i);
+    const PhiloxBlock b = random_block({3, 0, 4}, i);
     x[i] = ((std::uint64_t{b.v[0]} << 21) ^ b.v[1]) * 0x1p-53;
   }
   return x;
 }
 
-__extension__ using Wide = unsigned __int128;
-
-/// Entry of a vertex by 128-bit arithmetic.
-std::size_t reference_entry(const HashGridLevel& level, const std::uint64_t* v) {
-  if (level.dense) {
-    const auto n = static_cast<Wide>(level.resolution) + 1;
-    return static_cast<std::size_t>(v[0] + n * v[1] + n * n * v[2]);
+// The weight w of a cell's far corner becomes w^2 (3 - 2 w): as if the point lay there.
+TEST(HashGrid, SmoothstepMovesPointsWithinTheirCells) {
+  constexpr double kCells = 37;
+  std::vector<double> x = random_points(133), moved = x;
+  for (double& v : moved) {
+    const double cell = std::floor(v * kCells), w = v * kCells - cell;
+    v = (cell + w * w * (3 - 2 * w)) / kCells;
   }
-  const std::uint64_t mixed = v[0] ^ (v[1] * 2654435761ull) ^ (v[2] * 805459861ull);
-  return static_cast<std::size_t>((mixed & 0xFFFFFFFFull) % static_cast<std::uint64_t>(level.entries));
-}
-
-/// Feature f of level l at x: three nested linear interpolations in long double.
-template <class Real>
-long double reference(const Grid<Real>& grid, int l, int f, const double* x) {
-  const HashGridShape& shape = grid.encoder.shape();
-  const HashGridLevel& level = shape.level[l];
-  std::uint64_t cell[3];
-  long double w[3];
-  for (int d = 0; d < 3; ++d) {
-    const long double p = std::min(1.0L, std::max(0.0L, static_cast<long double>(x[d]))) * level.resolution;
-    cell[d] = static_cast<std::uint64_t>(std::min<long double>(std::floor(p), level.resolution - 1));
-    w[d] = p - cell[d];
-    if (shape.interpolation == Interpolation::smoothstep) w[d] = w[d] * w[d] * (3 - 2 * w[d]);
-  }
-  long double along_z[2];
-  for (std::uint64_t k = 0; k < 2; ++k) {
-    long double along_y[2];
-    for (std::uint64_t j = 0; j < 2; ++j) {
-      long double ends[2];
-      for (std::uint64_t i = 0; i < 2; ++i) {
-        const std::uint64_t v[3] = {cell[0] + i, cell[1] + j, cell[2] + k};
-        ends[i] = grid.table[l][reference_entry(level, v) * static_cast<std::size_t>(shape.features) + f];
-      }
-      along_y[j] = ends[0] + w[0] * (ends[1] - ends[0]);
-    }
-    along_z[k] = along_y[0] + w[1] * (along_y[1] - along_y[0]);
-  }
-  return along_z[0] + w[2] * (along_z[1] - along_z[0]);
-}
-
-template <class Real>
-double largest_error(const Grid<Real>& grid, const std::vector<double>& x) {
-  const auto y = grid.forward(x);
-  const HashGridShape& shape = grid.encoder.shape();
-  long double worst = 0;
-  for (std::size_t r = 0; r < x.size() / 3; ++r) {
-    for (int l = 0; l < shape.levels; ++l) {
-      for (int f = 0; f < shape.features; ++f) {
-        const Real got = y[r * static_cast<std::size_t>(grid.width) + static_cast<std::size_t>(l * shape.features + f)];
-        const long double error = std::fabs(got - reference(grid, l, f, &x[3 * r]));
-        worst = std::isnan(got) ? 1e30L : std::max(worst, error);
-      }
-    }
-  }
-  return static_cast<double>(worst);
-}
-
-TEST(HashGrid, MatchesTheReferenceForEveryShape) {
-  const auto x = random_points(133);
-  for (int features : {1, 2, 4, 8}) {
-    for (Interpolation interpolation : {Interpolation::linear, Interpolation::smoothstep}) {
-      const HashGridParams p = params_of(6, features, 12, 4, 300, interpolation);
-      EXPECT_LE(largest_error(Grid<float>(p), x), 3e-7) << features;
-      EXPECT_LE(largest_error(Grid<double>(p), x), 2e-13) << features;
-    }
+  for (const int features : {1, 2, 4, 8}) {
+    auto smooth = grid_of<double>(params_of(1, features, 12, 37, 37, Interpolation::smoothstep));
+    auto linear = grid_of<double>(params_of(1, features, 12, 37, 37));
+    const std::vector<double> got = smooth.forward(x), want = linear.forward(moved);
+    for (std::size_t i = 0; i < got.size(); ++i) ASSERT_NEAR(got[i], want[i], 2e-13) << features;
   }
 }
 
 // Blocks, tiles, groups, strides and threads: nothing but the row's own coordinates may decide its bits.
 TEST(HashGrid, RowsAndThreadsDoNotChangeBits) {
-  Grid<float> grid(params_of(5, 2, 16, 8, 500));  // its tables are large enough to be fetched ahead
-  constexpr std::int64_t rows = 50000;            // more than a block, in pieces that threads share
+  auto grid = grid_of<float>(params_of(5, 2, 16, 8, 500));  // its tables are large enough to be fetched ahead
+  constexpr std::int64_t rows = 50000;                      // more than a block, in pieces that threads share
   const auto x = random_points(rows);
   const auto whole = grid.forward(x);
-  for (std::int64_t begin : {0, 1, 15, 16, 1023, 1024, 4095, 4096, 8192, 49151, 49152, 49999}) {
-    std::vector<float> part(33, -1.f);  // 3 rows of stride 11
-    const std::int64_t count = std::min<std::int64_t>(3, rows - begin);
-    grid.encoder.forward(grid.context(), grid.tensors(), View<const double>(&x[3 * begin], count, 3),
-                         View<float>(part.data(), count, 10, 11));
-    for (std::int64_t r = 0; r < count; ++r) {
-      for (std::int64_t c = 0; c < 10; ++c) ASSERT_EQ(part[r * 11 + c], whole[(begin + r) * 10 + c]);
-      ASSERT_EQ(part[r * 11 + 10], -1.f);
-    }
+  for (std::int64_t begin : {0, 1, 15, 16, 1023, 1024, 4095, 4096, 8192, 49151, 49152, 49997}) {
+    const auto at = x.begin() + 3 * begin;
+    const auto part = grid.forward(std::vector<double>(at, at + 9));
+    EXPECT_TRUE(std::equal(part.begin(), part.end(), whole.begin() + 10 * begin)) << begin;
   }
-  std::vector<float> dy(whole.rbegin(), whole.rend());
-  set_thread_count(1);
-  const auto dx = grid.backward(x, dy);
-  const auto grads = grid.grad;
-  EXPECT_EQ(grid.forward(x), whole);
-  for (const int threads : {2, 3, 7, 16}) {
-    for (auto& g : grid.grad) std::fill(g.begin(), g.end(), 0.f);
+  const std::vector<float> dy(whole.rbegin(), whole.rend());
+  std::vector<float> dx, grad;
+  for (const int threads : {1, 2, 3, 7, 16}) {
     set_thread_count(threads);
+    grid.tensors().fill_grads(0);
     EXPECT_EQ(grid.forward(x), whole) << threads << " threads";
-    EXPECT_EQ(grid.backward(x, dy), dx) << threads << " threads";
-    EXPECT_EQ(grid.grad, grads) << threads << " threads";
+    const auto slopes = grid.backward(x, dy);
+    const View<float> of_table = grid.tensors().grad(4);
+    const std::vector<float> sums(of_table.data, of_table.data + of_table.size());
+    if (threads == 1) dx = slopes, grad = sums;
+    EXPECT_EQ(slopes, dx) << threads << " threads";
+    EXPECT_EQ(sums, grad) << threads << " threads";
   }
   set_thread_count(0);
 }
 
-// Lanes of a group go through the same instructions: a row that moves within its group keeps the bits of its slope.
 TEST(HashGrid, TheFirstRowThatIsNotFiniteIsNamedForAnyThreads) {
-  const Grid<float> grid(params_of(3, 2, 6, 2, 5));
+  auto grid = grid_of<float>(params_of(3, 2, 6, 2, 5));
   auto x = random_points(60000);
   for (const std::size_t row : {59000, 20001, 9003, 9004}) x[3 * row + 1] = NAN;
   for (const int threads : {1, 2, 7}) {
@@ -201,8 +94,6 @@ TEST(HashGrid, TheFirstRowThatIsNotFiniteIsNamedForAnyThreads) {
   }
   set_thread_count(0);
 }
-
-// Tests of the hash grid's levels, addresses and parameters (case C11 and the refusal of C10 among them).
 
 TEST(HashGridLevels, LevelsFollowThePaper) {
   const HashGridShape shape = hash_grid_shape(HashGridParams{});
@@ -217,17 +108,16 @@ TEST(HashGridLevels, LevelsFollowThePaper) {
   }
   const HashGridShape powers = hash_grid_shape(params_of(8, 2, 19, 16, 2048));
   for (int l = 0; l < 8; ++l) EXPECT_EQ(powers.level[l].resolution, 16 << l);
-  Declared declared;
-  HashGrid<float>(params_of(11, 4, 8, 2, 64), {}, Grid<float>::kernels()).declare(declared);
-  ASSERT_EQ(declared.specs.size(), 11u);
-  EXPECT_EQ(declared.specs[0].name, "level_00");
-  EXPECT_EQ(declared.specs[10].name, "level_10");
-  EXPECT_EQ(declared.specs[10].rows, 256);
-  EXPECT_EQ(declared.specs[0].rows, 27);
-  EXPECT_EQ(declared.specs[3].cols, 4);
-  EXPECT_EQ(declared.specs[3].role, TensorRole::sparse);
-  EXPECT_EQ(declared.specs[3].init.high, 1e-4);
-  EXPECT_EQ(declared.specs[3].init.low, -1e-4);
+  const std::vector<TensorSpec> specs = grid_of<float>(params_of(11, 4, 8, 2, 64)).tensors().specs();
+  ASSERT_EQ(specs.size(), 11u);
+  EXPECT_EQ(specs[0].name, "level_00");
+  EXPECT_EQ(specs[10].name, "level_10");
+  EXPECT_EQ(specs[10].rows, 256);
+  EXPECT_EQ(specs[0].rows, 27);
+  EXPECT_EQ(specs[3].cols, 4);
+  EXPECT_EQ(specs[3].role, TensorRole::sparse);
+  EXPECT_EQ(specs[3].init.high, 1e-4);
+  EXPECT_EQ(specs[3].init.low, -1e-4);
 }
 
 TEST(HashGridLevels, RefuseImpossibleParameters) {
@@ -242,9 +132,7 @@ TEST(HashGridLevels, RefuseImpossibleParameters) {
   EXPECT_EQ(errors(params_of(1, 2, 10, 4, 8)), 1);
   EXPECT_EQ(errors(params_of(1, 2, 10, 8, 8)), 0);
   EXPECT_EQ(errors(params_of(4, 2, 0, 9, 0)), 0);  // to be chosen
-  const KernelTables& kernels = Grid<float>::kernels();
-  EXPECT_THROW(HashGrid<float>(HashGridParams{}, EncoderBuild{.in_dims = 2}, kernels), Error);
-  EXPECT_THROW(HashGrid<float>(params_of(2, 2, 10, 16, 1 << 21), {}, kernels), Error);  // finer than weights can say
+  EXPECT_THROW(HashGrid<float>(HashGridParams{}, EncoderBuild{.in_dims = 2}, kernels()), Error);
 }
 
 struct Chosen {

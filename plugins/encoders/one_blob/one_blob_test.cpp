@@ -4,37 +4,26 @@
 #include <algorithm>
 
 #include "core/rng.h"
+#include "tests/conformance/rows.h"
+#include "tests/encoder_box.h"
 #include "tests/says.h"
 
 namespace semfield {
 namespace {
 
 template <class Real>
-OneBlob<Real> make(int bins, std::int32_t in_dims = 3) {
-  static const KernelTables tables = [] {
-    KernelTables t;
-    one_blob_kernels(t);
-    return t;
-  }();
-  EncoderBuild build{.in_dims = in_dims};
-  return OneBlob<Real>({bins}, build, tables);
+testkit::EncoderBox<Real> box(int bins, std::int32_t in_dims = 3) {
+  return {testkit::linked_registry(), "one_blob", {{"bins", std::to_string(bins)}}, in_dims};
 }
 
 template <class Real>
 std::vector<Real> encode(int bins, const std::vector<double>& x) {
-  const auto rows = static_cast<std::int64_t>(x.size() / 3);
-  std::vector<Real> y(x.size() * static_cast<std::size_t>(bins));
-  make<Real>(bins).forward({}, {}, View<const double>(x.data(), rows, 3), View<Real>(y.data(), rows, 3 * bins));
-  return y;
+  return box<Real>(bins).forward(x);
 }
 
 template <class Real>
 std::vector<Real> slopes(int bins, const std::vector<double>& x, const std::vector<Real>& dy) {
-  const auto rows = static_cast<std::int64_t>(x.size() / 3);
-  std::vector<Real> dx(x.size());
-  make<Real>(bins).backward({}, {}, View<const double>(x.data(), rows, 3), View<const Real>(dy.data(), rows, 3 * bins),
-                            View<Real>(dx.data(), rows, 3));
-  return dx;
+  return box<Real>(bins).backward(x, dy);
 }
 
 /// Coordinates within [0, 1] with all bits of a double in use, both faces among them.
@@ -63,48 +52,15 @@ double largest_error(int bins) {
     const long double z = distance(x[i / k], static_cast<int>(i % k), bins);
     worst = std::max(worst, std::fabs(y[i] - std::exp(-z * z / 2)));
   }
-  ::testing::Test::RecordProperty("error_of_" + std::to_string(bins) + "_bins_in_1e-18",
-                                  std::to_string(static_cast<std::int64_t>(worst * 1e18L)));
   return static_cast<double>(worst);
 }
 
 // 64 bins from coordinates rounded to single precision would be off by 2e-6.
 TEST(OneBlob, ValuesAreTheGaussianAtTheMiddlesOfBins) {
   for (const int bins : kBins) EXPECT_LE(largest_error<float>(bins), 1.2e-7) << bins;
-}
-
-TEST(OneBlob, DoubleIsTheOracle) {
   for (const int bins : {2, 16, 64}) EXPECT_LE(largest_error<double>(bins), 2e-16) << bins;
   // k x is rounded: by 2^-48 at most, times a slope of e^(-1/2).
   for (const int bins : {3, 17, 49, 63}) EXPECT_LE(largest_error<double>(bins), 2.4e-15) << bins;
-}
-
-TEST(OneBlob, LayoutIsTheBinsOfEachCoordinate) {
-  const std::vector<double> x{0.125, 0.375, 0.875};  // middles of bins 0, 1 and 3 of 4
-  const auto y = encode<double>(4, x);
-  ASSERT_EQ(y.size(), 12u);
-  const int middle[] = {0, 1, 3};
-  for (int c = 0; c < 3; ++c) {
-    for (int b = 0; b < 4; ++b) {
-      const int apart = b - middle[c];
-      EXPECT_NEAR(y[4 * c + b], std::exp(-0.5 * apart * apart), 1e-15) << c << ' ' << b;
-    }
-  }
-  EXPECT_EQ(make<float>(16).traits().out_dims, 48);
-  EXPECT_EQ(make<float>(16).traits().domain, Domain::unit_cube);
-  EXPECT_EQ(OneBlobParams{}.bins, 16);
-}
-
-// Reading at middles loses nothing against integrals over bins: a blob's values add up to the integral sqrt(2 pi)
-// wherever it lies between two middles (Poisson's sum: to 2 e^(-2 pi^2) of it, 5.4e-9).
-TEST(OneBlob, ABlobInsideTheCubeHasTheSameSumEverywhere) {
-  for (int i = 0; i <= 100; ++i) {
-    const double at = 0.3 + 0.004 * i;
-    const auto y = encode<double>(64, {at, at, at});
-    double sum = 0;
-    for (std::size_t b = 0; b < 64; ++b) sum += y[b];
-    EXPECT_NEAR(sum, std::sqrt(2 * M_PI), 1.4e-8) << at;
-  }
 }
 
 TEST(OneBlob, SlopesAreExact) {
@@ -179,7 +135,8 @@ TEST(OneBlob, RefusesWhatCannotBeEncoded) {
     x[3 * 68] = bad;
     EXPECT_HAS(error_of([&] { encode<float>(16, x); }), "row 66 ") << bad;
   }
-  EXPECT_THROW(make<float>(16, 2), Error);
+  EXPECT_THROW(box<float>(16, 2), Error);
+  EXPECT_EQ(box<float>(16).encoder().traits().domain, Domain::unit_cube);
 }
 
 }  // namespace

@@ -1,4 +1,4 @@
-// Tests of the NeRF network: laws for every switch, exactness of the savings, parameter count, an independent forward.
+// Tests of the NeRF network: exactness of the savings, parameter count, an independent forward.
 #include "fields/nerf_mlp/nerf_mlp.h"
 
 #include <algorithm>
@@ -8,6 +8,7 @@
 #include "testkit/compare.h"
 #include "testkit/field_bench.h"
 #include "testkit/laws.h"
+#include "tests/plain_network.h"
 #include "tests/says.h"
 
 namespace semfield {
@@ -30,30 +31,6 @@ FieldBuild build_of(std::int32_t position_dims, std::int32_t direction_dims, boo
   return FieldBuild{.position_dims = position_dims,
                     .direction_dims = direction_dims,
                     .savings = {.fold_feature_layer = fold, .direction_once_per_ray = once}};
-}
-
-void expect_laws(const NerfMlpParams& params, const FieldBuild& build) {
-  LawOptions options{.many_rows = 1025};
-  const NerfMlp<float> field32(params, build, tables());
-  const NerfMlp<double> field64(params, build, tables());
-  const testkit::Failures failures = testkit::field_laws(field32, field64, build, options);
-  EXPECT_TRUE(failures.empty()) << testkit::to_text(failures);
-}
-
-TEST(NerfMlp, LawsWithEverySwitch) {
-  for (const bool fold : {true, false}) {
-    for (const bool once : {true, false}) {
-      SCOPED_TRACE("fold " + std::to_string(fold) + ", once per ray " + std::to_string(once));
-      expect_laws(kSmall, build_of(7, 5, fold, once));
-    }
-  }
-}
-
-TEST(NerfMlp, LawsWithoutDirectionSkipOrDepth) {
-  expect_laws(kSmall, build_of(7, 0));
-  expect_laws({3, 8, 0, 5}, build_of(6, 3));
-  expect_laws({1, 8, 0, 4}, build_of(6, 3));
-  expect_laws({2, 70, 1, 33}, build_of(9, 4));
 }
 
 std::int64_t learned_count(const NerfMlpParams& params, const FieldBuild& build) {
@@ -105,35 +82,8 @@ TEST(NerfMlp, SavingsChangeNeitherOutputsNorGradients) {
     FieldBench<double> saving(field, build, 33, 0, options);
     saving.forward();
     saving.backward();
-    const auto same = [](View<const double> got, View<const double> want) {
-      return testkit::compare<double, double>(got, want, 1e-12);
-    };
-    EXPECT_EQ(same(saving.sigma.view(), plain.sigma.view()), "");
-    EXPECT_EQ(same(saving.rgb.view(), plain.rgb.view()), "");
-    EXPECT_EQ(same(saving.feature.view(), plain.feature.view()), "");
-    EXPECT_EQ(same(saving.d_position.view(), plain.d_position.view()), "");
-    int compared = 0;
-    for (std::size_t i = 0; i < plain.box.count(); ++i) {
-      if (!plain.box.learned(i)) continue;
-      const std::string& name = plain.box.specs()[i].name;
-      ASSERT_EQ(saving.box.specs()[i].name, name);
-      ASSERT_EQ(same(saving.box.value(i), plain.box.value(i)), "") << name;
-      EXPECT_EQ(same(saving.box.grad(i), plain.box.grad(i)), "") << name;
-      ++compared;
-    }
-    EXPECT_EQ(compared, 2 * (4 + 4));
+    expect_same_network(saving, plain);
   }
-}
-
-/// [x, extra] W + b with plain loops; rectified when wanted.
-std::vector<double> layer(const std::vector<double>& x, View<const double> w, View<const double> b, bool relu) {
-  std::vector<double> y(static_cast<std::size_t>(w.cols));
-  for (std::int32_t n = 0; n < w.cols; ++n) {
-    double sum = b(0, n);
-    for (std::size_t k = 0; k < x.size(); ++k) sum += x[k] * w(static_cast<std::int64_t>(k), n);
-    y[n] = relu ? std::max(0.0, sum) : sum;
-  }
-  return y;
 }
 
 TEST(NerfMlp, ForwardIsThePapersNetwork) {
@@ -141,13 +91,6 @@ TEST(NerfMlp, ForwardIsThePapersNetwork) {
   const NerfMlp<double> field(kSmall, build, tables());
   FieldBench<double> bench(field, build, 33, 0, {});
   bench.forward();
-  const auto tensor = [&](const std::string& name) -> View<const double> {
-    for (std::size_t i = 0; i < bench.box.count(); ++i) {
-      if (bench.box.specs()[i].name == name) return bench.box.value(i);
-    }
-    ADD_FAILURE() << "no tensor " << name;
-    return {};
-  };
   const FieldIn<double> in = bench.in();
   for (std::int64_t m = 0; m < 33; ++m) {
     const std::vector<double> x(in.position.row(m), in.position.row(m) + 7);
@@ -155,15 +98,14 @@ TEST(NerfMlp, ForwardIsThePapersNetwork) {
     std::vector<double> h = x;
     for (int i = 0; i < 4; ++i) {
       if (i == 2) h.insert(h.begin(), x.begin(), x.end());
-      const std::string name = "trunk_" + std::to_string(i);
-      h = layer(h, tensor(name + "/weight"), tensor(name + "/bias"), true);
+      h = plain_layer(bench, "trunk_" + std::to_string(i), h, true);
     }
-    EXPECT_NEAR(bench.sigma(m, 0), layer(h, tensor("density/weight"), tensor("density/bias"), false)[0], 1e-12);
+    EXPECT_NEAR(bench.sigma(m, 0), plain_layer(bench, "density", h)[0], 1e-12);
     for (int c = 0; c < 12; ++c) EXPECT_NEAR(bench.feature(m, c), h[c], 1e-12);
-    std::vector<double> f = layer(h, tensor("feature/weight"), tensor("feature/bias"), false);
+    std::vector<double> f = plain_layer(bench, "feature", h);
     f.insert(f.end(), d, d + 5);
-    const auto v = layer(f, tensor("view/weight"), tensor("view/bias"), true);
-    const auto logit = layer(v, tensor("color/weight"), tensor("color/bias"), false);
+    const auto v = plain_layer(bench, "view", f, true);
+    const auto logit = plain_layer(bench, "color", v);
     for (int c = 0; c < 3; ++c) EXPECT_NEAR(bench.rgb(m, c), 1 / (1 + std::exp(-logit[c])), 1e-12);
   }
 }
@@ -189,13 +131,6 @@ TEST(NerfMlp, RefusesASkipBeyondTheTrunk) {
   EXPECT_THROW(NerfMlp<float>({}, build_of(0, 5), tables()), Error);
 }
 
-TEST(NerfMlp, SaysWhenADeviceHasNoKernels) {
-  FieldBuild build = build_of(7, 5);
-  build.device = Device::cuda;
-  EXPECT_HAS(error_of([&] { const NerfMlp<float> field({}, build, tables()); }),
-             "field 'nerf_mlp' has no cuda kernels");
-}
-
 TEST(NerfMlp, SaysWhereAGpuComputesItLayerByLayer) {
   const auto said = [](const NerfMlpParams& params, bool hopper = true, bool fold = true, bool branch = false) {
     const MlpKernels<float> layers;
@@ -211,15 +146,11 @@ TEST(NerfMlp, SaysWhereAGpuComputesItLayerByLayer) {
     t.add(Device::cuda, "field 'nerf_mlp'", &table, build.precision);
     return NerfMlp<float>(params, build, t).slow_path();
   };
-  const std::string slow = "field 'nerf_mlp' runs layer by layer here, which is slower than its fused kernels: ";
-  const std::string shape = slow +
-                            "they take width: 256, view_width: 128, depth: 2 to 15, encoded positions of up to 64, and "
-                            "runtime.fold_feature_layer and direction_once_per_ray where there is a direction";
   EXPECT_EQ(said({}), "");
-  EXPECT_EQ(said(kSmall), shape);
-  EXPECT_EQ(said({}, true, false), shape);
-  EXPECT_EQ(said({}, true, true, true), slow + "they do not take a semantic branch");
-  EXPECT_EQ(said({}, false), slow + "they need a GPU of compute capability 9.0");
+  EXPECT_HAS(said(kSmall), "field 'nerf_mlp' runs layer by layer", "width: 256");
+  EXPECT_EQ(said({}, true, false), said(kSmall));
+  EXPECT_HAS(said({}, true, true, true), "semantic branch");
+  EXPECT_HAS(said({}, false), "compute capability 9.0");
   EXPECT_EQ((NerfMlp<float>(kSmall, build_of(63, 27), tables()).slow_path()), "") << "on a CPU";
 }
 

@@ -64,32 +64,11 @@ TEST(ObjRoomShipped, IsRichSmallAndWithoutFault) {
   ObjRoom room(p, {});
   Diagnostics d;
   const SceneInfo info = room.open(d);
-  EXPECT_EQ(texts(d), std::vector<std::string>{});
+  EXPECT_EQ(all_said(d), "");
   EXPECT_GE(info.classes.valid_count(), 12);
   check_frames(room, info, 16);
   EXPECT_GT(info.near_hint_m, 0);
   EXPECT_GT(info.far_hint_m, info.near_hint_m);
-
-  const TriangleMesh mesh = load_obj(kShipped + "/room.obj", d);
-  EXPECT_GE(mesh.objects.size(), 25u);
-  const auto of_class = [&](const std::string& name) {
-    return std::count_if(mesh.objects.begin(), mesh.objects.end(),
-                         [&](const std::string& o) { return matches_glob(o, name + "_*"); });
-  };
-  EXPECT_GE(of_class("chair"), 2);
-  std::set<std::int16_t> used;
-  const ClassRules rules = load_class_rules(kShipped + "/classes.yaml");
-  for (const std::int16_t c : classes_of_mesh(mesh, rules, d)) used.insert(c);
-  EXPECT_FALSE(d.has_errors());
-  EXPECT_EQ(used.count(kVoid), 0u);
-  EXPECT_GE(used.size(), 12u);
-  EXPECT_LE(static_cast<int>(used.size()), rules.table.valid_count());
-
-  std::uintmax_t bytes = 0;
-  for (const auto& entry : fs::recursive_directory_iterator(kShipped)) {
-    if (entry.is_regular_file()) bytes += entry.file_size();
-  }
-  EXPECT_LT(bytes, 3u << 20);
 }
 
 TEST(ObjRoomShipped, TrainAndTestFramesAreDistinctAndSpread) {
@@ -139,7 +118,7 @@ TEST(ObjRoom, CamerasOfAFileAndBoundsFromWhatTheyMeet) {
   ObjRoom room(p, {});
   Diagnostics d;
   const SceneInfo info = room.open(d);
-  EXPECT_EQ(texts(d), std::vector<std::string>{});
+  EXPECT_EQ(all_said(d), "");
   ASSERT_EQ(info.frames.size(), 6u);
   EXPECT_NEAR(info.frames[3].world_from_camera.t.x, 0.1, 1e-9);
   EXPECT_EQ(info.frames[3].world_from_camera.axis(2), (Vec3d{0, 1, 0}));
@@ -211,29 +190,24 @@ void expect_no_errors(const Diagnostics& d) {
   for (const Diagnostic& x : d.all()) EXPECT_NE(x.severity, Severity::error) << x.text();
 }
 
-TEST(ObjRoomOthers, LivingRoom) {
-  if (!fs::exists(data("obj_living_room"))) GTEST_SKIP() << "the optional living room is not at hand";
-  ObjRoomParams p = small(data("obj_living_room"), 32, 24);
-  p.up = UpAxis::y;
-  ObjRoom room(p, {});
-  Diagnostics d;
-  const SceneInfo info = room.open(d);
-  expect_no_errors(d);
-  EXPECT_EQ(info.classes.valid_count(), 16);
-  check_frames(room, info, 6);
-}
+class ObjRoomOthers : public testing::TestWithParam<std::pair<const char*, int>> {};
 
-TEST(ObjRoomOthers, Classroom) {
-  if (!fs::exists(data("obj_classroom"))) GTEST_SKIP() << "the optional classroom is not at hand";
-  ObjRoomParams p = small(data("obj_classroom"), 32, 24);
+TEST_P(ObjRoomOthers, OpensWithItsClassesAndPoses) {
+  const auto& [name, classes] = GetParam();
+  if (!fs::exists(data(name))) GTEST_SKIP() << "the optional OBJ rooms are not at hand";
+  ObjRoomParams p = small(data(name), 64, 48);
   p.up = UpAxis::y;
+  p.frames = 16;
   ObjRoom room(p, {});
   Diagnostics d;
   const SceneInfo info = room.open(d);
   expect_no_errors(d);
-  EXPECT_EQ(info.classes.valid_count(), 19);
-  check_frames(room, info, 6);
+  EXPECT_EQ(info.classes.valid_count(), classes);
+  check_frames(room, info, 18);
+  expect_conventions_told(room, "poses agree with depth");
 }
+INSTANTIATE_TEST_SUITE_P(Rooms, ObjRoomOthers,
+                         testing::Values(std::pair("obj_living_room", 16), std::pair("obj_classroom", 19)));
 
 TEST(ObjRoomShipped, PoseConventionsAreTold) {
   ObjRoomParams p = small(kShipped, 64, 48);
@@ -242,43 +216,7 @@ TEST(ObjRoomShipped, PoseConventionsAreTold) {
   expect_conventions_told(room, "poses agree with depth");
 }
 
-TEST(ObjRoomOthers, PoseConventionsAreTold) {
-  for (const char* name : {"obj_living_room", "obj_classroom"}) {
-    if (!fs::exists(data(name))) GTEST_SKIP() << "the optional OBJ rooms are not at hand";
-    ObjRoomParams p = small(data(name), 64, 48);
-    p.up = UpAxis::y;
-    p.frames = 16;
-    ObjRoom room(p, {});
-    expect_conventions_told(room, "poses agree with depth");
-  }
-}
-
-TEST(ObjRoomOthers, SceneNetRoomWithItsTrajectory) {
-  if (!fs::exists(data("obj_scenenet_room89"))) GTEST_SKIP() << "the optional SceneNet room is not at hand";
-  // The room comes without a class table: rules by pattern, and a class for the rest.
-  const std::string folder = fresh_folder("classes");
-  plain_write(folder + "/rules.yaml",
-              "classes:\n  - {id: 1, name: chair}\n  - {id: 2, name: table}\n  - {id: 3, name: floor}\n"
-              "  - {id: 4, name: wall}\n  - {id: 5, name: other}\nrules:\n  - {object: \"chair*\", class: chair}\n"
-              "  - {object: \"*able*\", class: table}\n  - {object: \"floor*\", class: floor}\n"
-              "  - {object: \"*wall*\", class: wall}\n  - {object: \"*\", class: other}\n");
-  ObjRoomParams p = small(data("obj_scenenet_room89"), 32, 24);
-  p.up = UpAxis::y;
-  p.classes = folder + "/rules.yaml";
-  p.cameras = "room_89_simple_trajectory_random_poses_SE3_3x4.txt";
-  p.camera_axes = CameraAxes::right_up_backward;
-  ObjRoom room(p, {});
-  Diagnostics d;
-  const SceneInfo info = room.open(d);
-  expect_no_errors(d);
-  check_frames(room, info, 6);
-}
-
 // A captured room is the room, every channel through the Replica layout and back; cast frames are kept and found again.
-
-namespace fs = std::filesystem;
-
-namespace fs = std::filesystem;
 
 template <class Params>
 std::unique_ptr<Dataset> linked(const std::string& name, const Params& params) {
@@ -312,7 +250,7 @@ void round_trip(Dataset& source, int frames, const std::string& folder) {
 
   const std::unique_ptr<Dataset> replica = linked("replica", all_frames(folder));
   const SceneInfo back = replica->open(d);
-  EXPECT_EQ(texts(d), std::vector<std::string>{});
+  EXPECT_EQ(all_said(d), "");
   ASSERT_EQ(back.frames.size(), static_cast<std::size_t>(frames));
   ASSERT_EQ(back.classes.valid_count(), info.classes.valid_count());
   for (int c = 0; c < info.classes.valid_count(); ++c) {
@@ -436,7 +374,7 @@ TEST(Capture, ChannelsThatTheSceneLacksAreLeftOut) {
     EXPECT_FALSE(fs::exists(folder + "/" + name)) << name;
   Diagnostics d;
   const SceneInfo back = linked("replica", all_frames(folder))->open(d);
-  EXPECT_EQ(texts(d), std::vector<std::string>{});
+  EXPECT_EQ(all_said(d), "");
   ASSERT_EQ(back.frames.size(), 2u);
   EXPECT_FALSE(back.frames[0].has_depth || back.frames[0].has_labels || back.frames[0].has_instances);
 }
@@ -446,10 +384,8 @@ TEST(Capture, RefusesWhatTheLayoutCannotHold) {
   Wall wall;
   wall.info.frames[1].camera.fx += 1;
   wall.info.frames[1].camera.k1 = 0.1;
-  EXPECT_EQ(error_of([&] { capture_replica(wall, wall.info, folder); }),
-            "the scene does not fit the Replica layout\nframe 1: has lens distortion; undistort the images "
-            "first\nframe 1: has "
-            "another camera than frame 0; the layout has one camera for all");
+  EXPECT_HAS(error_of([&] { capture_replica(wall, wall.info, folder); }), "frame 1: has lens distortion",
+             "frame 1: has another camera");
   EXPECT_TRUE(fs::is_empty(folder));
   wall.info.frames[1] = wall.info.frames[0];
   capture_replica(wall, wall.info, folder);
@@ -513,15 +449,6 @@ class CastCacheTest : public testing::Test {
   fs::path folder_;
 };
 
-TEST_F(CastCacheTest, FramesComeBackBitForBit) {
-  const auto cast = frames(params());
-  ASSERT_EQ(kept().size(), 3U);
-  const auto written = fs::last_write_time(kept()[0]);
-  expect_equal(frames(params()), cast);
-  EXPECT_EQ(kept().size(), 3U);
-  EXPECT_EQ(fs::last_write_time(kept()[0]), written) << "was cast again";
-}
-
 // What is kept is what is read: pictures of one file in the place of another come back as they are.
 TEST_F(CastCacheTest, AKeptFrameIsReadAndNotCast) {
   const auto cast = frames(params());
@@ -547,7 +474,6 @@ TEST_F(CastCacheTest, ADamagedFileIsCastAgainAndMended) {
 
 TEST_F(CastCacheTest, WhateverChangesPicturesHasItsOwnPlace) {
   const auto cast = frames(params());
-  int others = 0;
   const auto differs = [&](const auto& change) {
     ObjRoomParams p = params();
     change(p);
@@ -555,14 +481,12 @@ TEST_F(CastCacheTest, WhateverChangesPicturesHasItsOwnPlace) {
     const auto changed = frames(p);
     EXPECT_EQ(kept().size(), before + 3);
     EXPECT_NE(changed[0].rgb, cast[0].rgb);
-    ++others;
   };
   differs([](ObjRoomParams& p) { p.exposure = 1.1; });
   differs([](ObjRoomParams& p) { p.seed = 7; });
   differs([](ObjRoomParams& p) { p.daylight = 0; });
   differs([](ObjRoomParams& p) { p.hfov_deg = 70; });
   differs([](ObjRoomParams& p) { p.occlusion_rays = 4; });
-  EXPECT_EQ(others, 5);
   expect_equal(frames(params()), cast);
 }
 

@@ -13,17 +13,6 @@ namespace semfield::testing_obj {
 using testing_room::fresh_folder;
 using testing_room::plain_write;
 
-/// "severity|text" of every finding.
-inline std::vector<std::string> texts(const Diagnostics& diagnostics) {
-  std::vector<std::string> out;
-  for (const Diagnostic& d : diagnostics.all())
-    out.push_back((d.severity == Severity::error     ? "error|"
-                   : d.severity == Severity::warning ? "warning|"
-                                                     : "note|") +
-                  d.text());
-  return out;
-}
-
 /// Eight corners and six quads of a box, one object a face: x-, x+, y-, y+, z-, z+.
 inline void add_box(std::ostringstream& obj, const Box& box, const std::array<const char*, 6>& names, int& vertices) {
   constexpr std::array<std::array<int, 4>, 6> kFaces{

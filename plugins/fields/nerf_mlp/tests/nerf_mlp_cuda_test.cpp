@@ -160,60 +160,6 @@ TEST(CudaNerfMlp, OutputsAndGradientsThatAreAbsentChangeNoOther) {
   }
 }
 
-TEST(CudaNerfMlp, RowsDoNotDependOnTheBatch) {
-  SEMFIELD_NEEDS_DEVICE();
-  for (const Precision precision : kPrecisions) {
-    const Network network{{}, 63, 27, true, true, precision};
-    Pair pair(network, 4097);
-    pair.device.forward();
-    const std::vector<float> sigma = pair.device.sigma->read(), rgb = pair.device.rgb->read();
-    // Without anything saved, and the first 1,000 rows alone: within rounding, since a product of another shape may use
-    // another algorithm.
-    pair.device.forward({}, false);
-    EXPECT_EQ(pair.device.sigma->read(), sigma);
-    EXPECT_EQ(pair.device.rgb->read(), rgb);
-    FieldIn<float> in = pair.device.in();
-    in.position = in.position.row_range(0, 1000);
-    in.ray_of_sample = in.ray_of_sample.row_range(0, 1000);
-    FieldOut<float> out{.sigma = pair.device.sigma->view().row_range(0, 1000),
-                        .rgb = pair.device.rgb->view().row_range(0, 1000)};
-    pair.gpu.forward(pair.device.ctx, pair.device.tensors(), in, out, {});
-    const std::vector<double> before = testing::widen(sigma);
-    EXPECT_EQ(near(*pair.device.sigma, testing::host_view(before, 1), pair.output()), "");
-  }
-}
-
-TEST(CudaNerfMlp, RepeatsBitForBit) {
-  SEMFIELD_NEEDS_DEVICE();
-  for (const Precision precision : kPrecisions) {
-    Pair pair({{}, 63, 27, true, true, precision}, 4097);
-    std::vector<float> first;
-    for (int run = 0; run < 3; ++run) {
-      for (const auto& grad : pair.device.grads)
-        grad->write(std::vector<float>(static_cast<std::size_t>(grad->view().size())));
-      pair.device.forward();
-      pair.device.backward({}, false);
-      if (run == 0) first = pair.device.all_grads();
-      EXPECT_EQ(pair.device.all_grads(), first) << "run " << run;
-    }
-  }
-}
-
-TEST(CudaNerfMlp, ASteadyStateAllocatesNothing) {
-  SEMFIELD_NEEDS_DEVICE();
-  for (const Precision precision : kPrecisions) {
-    Pair pair({{}, 63, 27, true, true, precision}, 300);
-    pair.device.forward();
-    pair.device.backward();
-    pair.device.forward();
-    pair.device.backward();
-    const std::int64_t growths = pair.device.launch.arena().growth_count();
-    pair.device.forward();
-    pair.device.backward();
-    EXPECT_EQ(pair.device.launch.arena().growth_count(), growths);
-  }
-}
-
 // The big network through its fused kernels, against the CPU's and against the layers one by one.
 
 using testing::DeviceMatrix;

@@ -37,8 +37,8 @@ inline std::string near_norm(const DeviceMatrix<float>& got, View<const float> w
 namespace semfield {
 namespace {
 
-// The small network on the device: against the CPU's in float64 for every switch, width and output, and in bf16; and
-// what a device adds: unused rows, and the same bits in every run.
+// The small network on the device, whole and asked for its feature alone: against the CPU's in float64 for every switch
+// and width, and in bf16; and what a device adds: unused rows, and the same bits in every run.
 
 using testing::DeviceField;
 using testing::DeviceMatrix;
@@ -51,11 +51,13 @@ struct Network {
   std::int32_t position_dims = 32, direction_dims = 16;
   bool once = true;
   Precision precision = Precision::fp32;
+  bool feature_only = false;
 
   FieldBuild build(Device device) const {
     return FieldBuild{.device = device,
                       .position_dims = position_dims,
                       .direction_dims = direction_dims,
+                      .feature_only = feature_only,
                       .savings = {.direction_once_per_ray = once},
                       .precision = device == Device::cpu ? Precision::fp32 : precision};
   }
@@ -65,9 +67,15 @@ struct Network {
            std::to_string(params.color_layers) + " x " + std::to_string(params.color_width) + ", feature " +
            std::to_string(static_cast<int>(params.feature)) + ", position " + std::to_string(position_dims) +
            ", direction " + std::to_string(direction_dims) + ", once " + std::to_string(once) + ", bf16 " +
-           std::to_string(precision == Precision::bf16);
+           std::to_string(precision == Precision::bf16) + ", feature alone " + std::to_string(feature_only);
   }
+  Wanted outputs() const { return feature_only ? Wanted{false, false, true} : Wanted{}; }
 };
+
+/// Asked for its feature alone, as a semantic branch is.
+Network branch(std::int32_t position_dims, int width, int layers) {
+  return {TinyMlpParams{.hidden_width = width, .hidden_layers = layers}, position_dims, 0, true, Precision::bf16, true};
+}
 
 struct Held {
   TinyMlp<float> network;
@@ -96,10 +104,13 @@ Tolerances tolerances(Precision precision) {
   return precision == Precision::bf16 ? Tolerances{0.02, 0.25} : Tolerances{1e-5, 1e-4};
 }
 
-void expect_oracle(const OnDevice& device, FieldBench<double>& bench, const Tolerances& t, bool with_d_position) {
+void expect_oracle(const OnDevice& device, FieldBench<double>& bench, const Tolerances& t, const Wanted& outputs,
+                   bool with_d_position) {
   constexpr double kSumOfTerms = 0.05;  // a single output may cancel; its terms do not
-  EXPECT_EQ(near(*device.sigma, bench.sigma.view(), t.output, kSumOfTerms), "") << "sigma";
-  EXPECT_EQ(near(*device.rgb, bench.rgb.view(), t.output, kSumOfTerms), "") << "rgb";
+  if (outputs.sigma) {
+    EXPECT_EQ(near(*device.sigma, bench.sigma.view(), t.output, kSumOfTerms), "") << "sigma";
+    EXPECT_EQ(near(*device.rgb, bench.rgb.view(), t.output, kSumOfTerms), "") << "rgb";
+  }
   EXPECT_EQ(near(*device.feature, bench.feature.view(), t.output, kSumOfTerms), "") << "feature";
   if (with_d_position) {
     EXPECT_EQ(near_norm(*device.d_position, bench.d_position.view(), t.gradient), "") << "d_position";
@@ -116,12 +127,12 @@ void expect_like_the_oracle(const Network& network, std::int64_t samples, std::i
                             bool with_d_position = true) {
   SCOPED_TRACE(network.text() + ", samples " + std::to_string(samples) + ", padding " + std::to_string(padding));
   Oracle oracle(network, samples);
-  oracle.bench.forward();
+  oracle.bench.forward(network.outputs());
   oracle.bench.backward(gradients, with_d_position);
   const OnDevice device(network, device_tables(), oracle.bench, padding);
-  device.forward();
+  device.forward(network.outputs());
   device.backward(gradients, with_d_position);
-  expect_oracle(device, oracle.bench, tolerances(network.precision), with_d_position);
+  expect_oracle(device, oracle.bench, tolerances(network.precision), network.outputs(), with_d_position);
 }
 
 constexpr TinyFeature kHidden = TinyFeature::hidden, kGeometry = TinyFeature::geometry;
@@ -172,33 +183,6 @@ TEST_P(CudaTinyMlp, AbsentGradientsCountAsZero) {
   }
 }
 
-TEST_P(CudaTinyMlp, AnOutputThatIsNotWantedChangesNoOther) {
-  SEMFIELD_NEEDS_DEVICE();
-  for (const TinyFeature feature : {kHidden, kGeometry}) {
-    for (const Network& network : {Network{{64, 1, 15, 64, 2, feature}, 32, 16, true, GetParam()},
-                                   Network{{12, 2, 5, 10, 2, feature}, 7, 4, true, GetParam()}}) {
-      SCOPED_TRACE(network.text());
-      Oracle oracle(network, 333);
-      const OnDevice whole(network, device_tables(), oracle.bench, 0);
-      whole.forward();
-      for (const Wanted wanted : {Wanted{true, false, false}, Wanted{false, true, false}, Wanted{true, false, true},
-                                  Wanted{true, true, false}, Wanted{false, false, true}}) {
-        const OnDevice part(network, device_tables(), oracle.bench, 0);
-        part.field.forward(part.ctx, {part.value_views, {}}, part.in(), part.out(wanted), {});
-        if (wanted.sigma) {
-          EXPECT_EQ(part.sigma->read(), whole.sigma->read());
-        }
-        if (wanted.rgb) {
-          EXPECT_EQ(part.rgb->read(), whole.rgb->read());
-        }
-        if (wanted.feature) {
-          EXPECT_EQ(part.feature->read(), whole.feature->read());
-        }
-      }
-    }
-  }
-}
-
 TEST(CudaTinyMlpFused, RowsDoNotDependOnTheirBatch) {
   SEMFIELD_NEEDS_DEVICE();
   const Network network{{}, 32, 16, true, Precision::bf16};
@@ -220,21 +204,23 @@ TEST(CudaTinyMlpFused, RowsDoNotDependOnTheirBatch) {
   EXPECT_EQ(split.d_position->read(), whole.d_position->read());
 }
 
-TEST_P(CudaTinyMlp, GradientsAreAddedAndHaveTheSameBitsInEveryRun) {
+TEST(CudaTinyMlpBits, GradientsAreAddedAndHaveTheSameBitsInEveryRun) {
   SEMFIELD_NEEDS_DEVICE();
-  const Network network{{}, 32, 16, true, GetParam()};
-  Oracle oracle(network, 50001);
-  const OnDevice once(network, device_tables(), oracle.bench, 0), twice(network, device_tables(), oracle.bench, 0);
-  for (const OnDevice* device : {&once, &twice}) {
-    device->forward();
-    device->backward();
-  }
-  for (std::size_t i = 0; i < once.grads.size(); ++i) EXPECT_EQ(once.grads[i]->read(), twice.grads[i]->read());
-  twice.backward();
-  for (std::size_t i = 0; i < once.grads.size(); ++i) {
-    std::vector<float> doubled = once.grads[i]->read();
-    for (float& value : doubled) value += value;
-    EXPECT_EQ(twice.grads[i]->read(), doubled) << oracle.bench.box.specs()[i].name;
+  for (const Network& network : {Network{}, Network{{}, 32, 16, true, Precision::bf16}, branch(115, 128, 3)}) {
+    SCOPED_TRACE(network.text());
+    Oracle oracle(network, 50001);
+    const OnDevice once(network, device_tables(), oracle.bench, 0), twice(network, device_tables(), oracle.bench, 0);
+    for (const OnDevice* device : {&once, &twice}) {
+      device->forward(network.outputs());
+      device->backward(network.outputs());
+    }
+    for (std::size_t i = 0; i < once.grads.size(); ++i) EXPECT_EQ(once.grads[i]->read(), twice.grads[i]->read());
+    twice.backward(network.outputs());
+    for (std::size_t i = 0; i < once.grads.size(); ++i) {
+      std::vector<float> doubled = once.grads[i]->read();
+      for (float& value : doubled) value += value;
+      EXPECT_EQ(twice.grads[i]->read(), doubled) << oracle.bench.box.specs()[i].name;
+    }
   }
 }
 
@@ -242,15 +228,16 @@ TEST_P(CudaTinyMlp, GradientsAreAddedAndHaveTheSameBitsInEveryRun) {
 TEST(CudaTinyMlpFused, RowsBehindTheLiveOnesAreZero) {
   SEMFIELD_NEEDS_DEVICE();
   for (const Network& network :
-       {Network{{}, 32, 16, true, Precision::bf16}, Network{{12, 1, 5, 10, 2, kHidden}, 7, 4, true, Precision::bf16}}) {
+       {Network{{}, 32, 16, true, Precision::bf16}, Network{{12, 1, 5, 10, 2, kHidden}, 7, 4, true, Precision::bf16},
+        branch(112, 64, 2)}) {
     for (const std::int64_t live : {0, 1, 64, 200, 333}) {
       SCOPED_TRACE(network.text() + ", live " + std::to_string(live));
       Oracle oracle(network, 333);
       OnDevice some(network, device_tables(), oracle.bench, 0), all(network, device_tables(), oracle.bench, 0);
       const DeviceMatrix<std::int32_t> count(std::vector<std::int32_t>{static_cast<std::int32_t>(live)}, 1);
       some.launch.set_live_rows(count.data());
-      some.forward();
-      some.backward();
+      some.forward(network.outputs());
+      some.backward(network.outputs());
       some.launch.set_live_rows(nullptr);
       // The same gradient from all rows when those behind have none.
       for (const auto* weight : {&all.w_sigma, &all.w_rgb, &all.w_feature}) {
@@ -258,10 +245,12 @@ TEST(CudaTinyMlpFused, RowsBehindTheLiveOnesAreZero) {
         std::fill(w.begin() + live * (*weight)->view().cols, w.end(), 0.0f);
         (*weight)->write(w);
       }
-      all.forward();
-      all.backward();
+      all.forward(network.outputs());
+      all.backward(network.outputs());
       using Output = std::unique_ptr<DeviceMatrix<float>> OnDevice::*;
-      for (const Output output : {&OnDevice::sigma, &OnDevice::rgb, &OnDevice::feature, &OnDevice::d_position}) {
+      std::vector<Output> outputs{&OnDevice::feature, &OnDevice::d_position};
+      if (!network.feature_only) outputs.insert(outputs.end(), {&OnDevice::sigma, &OnDevice::rgb});
+      for (const Output output : outputs) {
         const auto &got = some.*output, &want = all.*output;
         std::vector<float> expected = want->read();
         std::fill(expected.begin() + live * want->view().cols, expected.end(), 0.0f);
@@ -277,34 +266,39 @@ TEST(CudaTinyMlpFused, RowsBehindTheLiveOnesAreZero) {
 // shows which the tolerance of bf16 would hide.
 TEST(CudaTinyMlpFused, AgreesWithTheCpuInBf16) {
   SEMFIELD_NEEDS_DEVICE();
-  // A bias's sum cancels, and the CPU adds the rounded gradients, the device those that products round later. The CPU
-  // does not round directions.
-  constexpr double kOutput = 5e-3, kWeight = 0.1, kBias = 0.15;
+  constexpr double kOutput = 5e-3;
+  std::vector<Network> networks{branch(112, 64, 2), branch(115, 128, 3), branch(48, 64, 1), branch(39, 40, 4)};
   for (const TinyFeature feature : {kHidden, kGeometry}) {
-    for (const Network& network : {Network{{64, 1, 15, 64, 2, feature}, 32, 16, true, Precision::bf16},
-                                   Network{{64, 1, 15, 64, 2, feature}, 16, 9, true, Precision::bf16},
-                                   Network{{64, 1, 15, 64, 2, feature}, 64, 0, true, Precision::bf16},
-                                   Network{{24, 1, 7, 40, 2, feature}, 13, 5, false, Precision::bf16}}) {
-      SCOPED_TRACE(network.text());
-      Oracle oracle(network, 4097);
-      const OnDevice fused(network, device_tables(), oracle.bench, 0);
-      fused.forward();
-      fused.backward();
-      FieldBuild rounded = network.build(Device::cpu);
-      rounded.precision = Precision::bf16;
-      const TinyMlp<float> cpu(network.params, rounded, cpu_tables());
-      FieldBench<float> bench(cpu, rounded, 4097, 0, {});
-      bench.forward();
-      bench.backward();
+    networks.push_back({{64, 1, 15, 64, 2, feature}, 32, 16, true, Precision::bf16});
+    networks.push_back({{64, 1, 15, 64, 2, feature}, 16, 9, true, Precision::bf16});
+    networks.push_back({{64, 1, 15, 64, 2, feature}, 64, 0, true, Precision::bf16});
+    networks.push_back({{24, 1, 7, 40, 2, feature}, 13, 5, false, Precision::bf16});
+  }
+  for (const Network& network : networks) {
+    SCOPED_TRACE(network.text());
+    // A bias's sum cancels, and the CPU adds the rounded gradients, the device those that products round later. The CPU
+    // does not round directions.
+    const double weight = network.feature_only ? 0.05 : 0.1, bias = network.feature_only ? 0.05 : 0.15;
+    Oracle oracle(network, 4097);
+    const OnDevice fused(network, device_tables(), oracle.bench, 0);
+    fused.forward(network.outputs());
+    fused.backward(network.outputs());
+    FieldBuild rounded = network.build(Device::cpu);
+    rounded.precision = Precision::bf16;
+    const TinyMlp<float> cpu(network.params, rounded, cpu_tables());
+    FieldBench<float> bench(cpu, rounded, 4097, 0, {});
+    bench.forward(network.outputs());
+    bench.backward(network.outputs());
+    if (!network.feature_only) {
       EXPECT_EQ(near_norm(*fused.sigma, bench.sigma.view(), kOutput), "") << "sigma";
       EXPECT_EQ(near_norm(*fused.rgb, bench.rgb.view(), kOutput), "") << "rgb";
-      EXPECT_EQ(near_norm(*fused.feature, bench.feature.view(), kOutput), "") << "feature";
-      EXPECT_EQ(near_norm(*fused.d_position, bench.d_position.view(), kWeight), "") << "d_position";
-      for (std::size_t i = 0; i < fused.grads.size(); ++i) {
-        if (!bench.box.learned(i)) continue;
-        const std::string& name = bench.box.specs()[i].name;
-        EXPECT_EQ(near_norm(*fused.grads[i], bench.box.grad(i), name.ends_with("/bias") ? kBias : kWeight), "") << name;
-      }
+    }
+    EXPECT_EQ(near_norm(*fused.feature, bench.feature.view(), kOutput), "") << "feature";
+    EXPECT_EQ(near_norm(*fused.d_position, bench.d_position.view(), weight), "") << "d_position";
+    for (std::size_t i = 0; i < fused.grads.size(); ++i) {
+      if (!bench.box.learned(i)) continue;
+      const std::string& name = bench.box.specs()[i].name;
+      EXPECT_EQ(near_norm(*fused.grads[i], bench.box.grad(i), name.ends_with("/bias") ? bias : weight), "") << name;
     }
   }
 }
@@ -347,157 +341,34 @@ TEST(CudaTinyMlpFused, ExchangesItsFeatureInBf16) {
   for (std::size_t i = 0; i < plain.grads.size(); ++i) EXPECT_EQ(sharing.grads[i]->read(), plain.grads[i]->read());
 }
 
-// The small network asked for its feature alone, in bf16 on the device: against the CPU's in float64 and in bf16,
-// unused rows, and the same bits in every run.
-
-constexpr Wanted kFeature{false, false, true};
-
-struct FeatureNetwork {
-  std::int32_t position_dims = 112;
-  int width = 64, layers = 2;
-
-  TinyMlpParams params() const { return TinyMlpParams{.hidden_width = width, .hidden_layers = layers}; }
-  FieldBuild build(Device device) const {
-    return FieldBuild{.device = device,
-                      .position_dims = position_dims,
-                      .feature_only = true,
-                      .precision = device == Device::cpu ? Precision::fp32 : Precision::bf16};
-  }
-  std::string text() const {
-    return std::to_string(position_dims) + " numbers, " + std::to_string(layers) + " x " + std::to_string(width);
-  }
-};
-
-class FeatureOnDevice : private Held, public DeviceField {
- public:
-  FeatureOnDevice(const FeatureNetwork& shape, const KernelTables& tables, FieldBench<double>& bench,
-                  std::int32_t padding = 0)
-      : Held{TinyMlp<float>(shape.params(), shape.build(Device::cuda), tables)}, DeviceField(network, bench, padding) {}
-  void run(bool with_d_position = true) const {
-    forward(kFeature);
-    backward(kFeature, with_d_position);
-  }
-};
-
-struct FeatureOracle {
-  FeatureOracle(const FeatureNetwork& network, std::int64_t samples)
-      : field(network.params(), network.build(Device::cpu), cpu_tables()),
-        bench(field, network.build(Device::cpu), samples, 0, {}) {}
-  TinyMlp<double> field;
-  FieldBench<double> bench;
-};
-
 TEST(CudaTinyMlpFeature, IsTheCpuNetworkForEveryWidthDepthAndSize) {
   SEMFIELD_NEEDS_DEVICE();
-  constexpr double kOutput = 0.02, kSumOfTerms = 0.05, kGradient = 0.25;  // as tiny_mlp_test.cpp for bf16
   struct Case {
-    FeatureNetwork network;
+    Network network;
     std::int64_t samples;
     std::int32_t padding;
   };
-  for (const Case& c : {Case{{112, 64, 2}, 4097, 0}, Case{{115, 128, 3}, 1000, 0}, Case{{103, 128, 2}, 1000, 1},
-                        Case{{48, 64, 1}, 333, 4}, Case{{48, 128, 4}, 333, 0}, Case{{39, 40, 2}, 333, 3},
-                        Case{{1, 3, 2}, 33, 0}, Case{{128, 128, 4}, 1, 0}, Case{{64, 64, 2}, 0, 0}}) {
-    for (const bool with_d_position : {true, false}) {
-      SCOPED_TRACE(c.network.text() + ", samples " + std::to_string(c.samples));
-      FeatureOracle oracle(c.network, c.samples);
-      oracle.bench.forward(kFeature);
-      oracle.bench.backward(kFeature, with_d_position);
-      const FeatureOnDevice device(c.network, device_tables(), oracle.bench, c.padding);
-      device.run(with_d_position);
-      EXPECT_EQ(near(*device.feature, oracle.bench.feature.view(), kOutput, kSumOfTerms), "");
-      if (with_d_position) {
-        EXPECT_EQ(testing::near_norm(*device.d_position, oracle.bench.d_position.view(), kGradient), "");
-      }
-      for (std::size_t i = 0; i < oracle.bench.box.count(); ++i) {
-        if (!oracle.bench.box.learned(i)) continue;
-        EXPECT_EQ(testing::near_norm(*device.grads[i], oracle.bench.box.grad(i), kGradient), "")
-            << oracle.bench.box.specs()[i].name;
-      }
-      EXPECT_EQ(device.feature->surroundings(), "");
-      EXPECT_EQ(device.d_position->surroundings(), "");
-    }
-  }
-}
-
-// The same operands rounded alike and summed in another order: far closer than to float64.
-TEST(CudaTinyMlpFeature, AgreesWithTheCpuInBf16) {
-  SEMFIELD_NEEDS_DEVICE();
-  constexpr double kOutput = 5e-3, kGradient = 5e-2;  // a bias's sum cancels
-  for (const FeatureNetwork& network : {FeatureNetwork{112, 64, 2}, FeatureNetwork{115, 128, 3},
-                                        FeatureNetwork{48, 64, 1}, FeatureNetwork{39, 40, 4}}) {
-    SCOPED_TRACE(network.text());
-    FeatureOracle oracle(network, 4097);
-    const FeatureOnDevice fused(network, device_tables(), oracle.bench);
-    fused.run();
-    FieldBuild rounded = network.build(Device::cpu);
-    rounded.precision = Precision::bf16;
-    const TinyMlp<float> cpu(network.params(), rounded, cpu_tables());
-    FieldBench<float> bench(cpu, rounded, 4097, 0, {});
-    bench.forward(kFeature);
-    bench.backward(kFeature);
-    EXPECT_EQ(near_norm(*fused.feature, bench.feature.view(), kOutput), "");
-    EXPECT_EQ(near_norm(*fused.d_position, bench.d_position.view(), kGradient), "");
-    for (std::size_t i = 0; i < fused.grads.size(); ++i) {
-      if (!bench.box.learned(i)) continue;
-      EXPECT_EQ(near_norm(*fused.grads[i], bench.box.grad(i), kGradient), "") << bench.box.specs()[i].name;
-    }
+  for (const Case& c :
+       {Case{branch(112, 64, 2), 4097, 0}, Case{branch(115, 128, 3), 1000, 0}, Case{branch(103, 128, 2), 1000, 1},
+        Case{branch(48, 64, 1), 333, 4}, Case{branch(48, 128, 4), 333, 0}, Case{branch(39, 40, 2), 333, 3},
+        Case{branch(1, 3, 2), 33, 0}, Case{branch(128, 128, 4), 1, 0}, Case{branch(64, 64, 2), 0, 0}}) {
+    for (const bool with_d_position : {true, false})
+      expect_like_the_oracle(c.network, c.samples, c.padding, c.network.outputs(), with_d_position);
   }
 }
 
 TEST(CudaTinyMlpFeature, GivesTheSameWithoutASavedBatchAndWithoutAGradientNothing) {
   SEMFIELD_NEEDS_DEVICE();
-  const FeatureNetwork network;
-  FeatureOracle oracle(network, 333);
-  const FeatureOnDevice saved(network, device_tables(), oracle.bench), unsaved(network, device_tables(), oracle.bench);
-  saved.forward(kFeature);
-  unsaved.forward(kFeature, false);
+  const Network network = branch(112, 64, 2);
+  Oracle oracle(network, 333);
+  const OnDevice saved(network, device_tables(), oracle.bench, 0), unsaved(network, device_tables(), oracle.bench, 0);
+  saved.forward(network.outputs());
+  unsaved.forward(network.outputs(), false);
   EXPECT_EQ(saved.feature->read(), unsaved.feature->read());
   saved.backward({false, false, false});
   for (const auto* matrix : {saved.d_position.get(), saved.grads[0].get()}) {
     const std::vector<float> values = matrix->read();
     EXPECT_TRUE(std::all_of(values.begin(), values.end(), [](float value) { return value == 0; }));
-  }
-}
-
-TEST(CudaTinyMlpFeature, GradientsAreAddedAndHaveTheSameBitsInEveryRun) {
-  SEMFIELD_NEEDS_DEVICE();
-  const FeatureNetwork network{115, 128, 3};
-  FeatureOracle oracle(network, 50001);
-  const FeatureOnDevice once(network, device_tables(), oracle.bench), twice(network, device_tables(), oracle.bench);
-  for (const FeatureOnDevice* device : {&once, &twice}) device->run();
-  for (std::size_t i = 0; i < once.grads.size(); ++i) EXPECT_EQ(once.grads[i]->read(), twice.grads[i]->read());
-  twice.backward(kFeature);
-  for (std::size_t i = 0; i < once.grads.size(); ++i) {
-    std::vector<float> doubled = once.grads[i]->read();
-    for (float& value : doubled) value += value;
-    EXPECT_EQ(twice.grads[i]->read(), doubled) << oracle.bench.box.specs()[i].name;
-  }
-}
-
-TEST(CudaTinyMlpFeature, RowsBehindTheLiveOnesAreZero) {
-  SEMFIELD_NEEDS_DEVICE();
-  const FeatureNetwork network;
-  for (const std::int64_t live : {0, 1, 64, 200, 333}) {
-    SCOPED_TRACE("live " + std::to_string(live));
-    FeatureOracle oracle(network, 333);
-    FeatureOnDevice some(network, device_tables(), oracle.bench), all(network, device_tables(), oracle.bench);
-    const DeviceMatrix<std::int32_t> count(std::vector<std::int32_t>{static_cast<std::int32_t>(live)}, 1);
-    some.launch.set_live_rows(count.data());
-    some.run();
-    some.launch.set_live_rows(nullptr);
-    std::vector<float> w = all.w_feature->read();  // the same gradient from all rows when those behind have none
-    std::fill(w.begin() + live * network.width, w.end(), 0.0F);
-    all.w_feature->write(w);
-    all.run();
-    for (const auto& [got, want] :
-         {std::pair{some.feature.get(), all.feature.get()}, std::pair{some.d_position.get(), all.d_position.get()}}) {
-      std::vector<float> expected = want->read();
-      std::fill(expected.begin() + live * want->view().cols, expected.end(), 0.0F);
-      EXPECT_EQ(got->read(), expected);
-    }
-    for (std::size_t i = 0; i < some.grads.size(); ++i)
-      EXPECT_EQ(near_norm(*some.grads[i], *all.grads[i], 1e-6), "") << oracle.bench.box.specs()[i].name;
   }
 }
 
