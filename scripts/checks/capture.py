@@ -1,5 +1,4 @@
 """What `semfield prepare` finds from photographs alone, and what it makes of cameras that are wrong."""
-import contextlib
 import json
 import math
 import pathlib
@@ -12,15 +11,14 @@ import time
 import numpy as np
 
 from . import common
-from .film import Page
-from .splats import rotations
+from .hand_over import rotations
 
 SCENES = {"studio": "studio_room", "llff": "llff_room", "bonsai": "bonsai360"}
 MOST_PHOTOGRAPHS, KILLED_PHOTOGRAPHS = 80, 12
 LEAST_REGISTERED, MOST_DEG, MOST_SHARE = 0.95, 0.5, 0.005
 WRONG_DEG, WRONG_SHARE = 5, 0.05
 CAPTURE = {**dict.fromkeys([f"{name}_registered" for name in SCENES], ".3f"), "pose_error_deg": ".3f",
-           "pose_error_share": ".5f", "minutes_to_click": ".1f", "noise_psnr_loss": ".2f", "noise_miou_loss": ".3f",
+           "pose_error_share": ".5f", "noise_psnr_loss": ".2f", "noise_miou_loss": ".3f",
            "right_psnr_loss": ".2f", "record3d_gain": ".2f", "killed_lost": "d"}
 
 NOISE_DEG, NOISE_M, FOCAL, CENTRE_PX = 1, 0.02, 1.1, 30
@@ -133,8 +131,6 @@ class Trainings:
 
 
 class Capture(Trainings):
-    first = None  # the scene that was prepared first, and its seconds
-
     def photographs(self, name, scene, names):
         out = self.fresh(name)
         out.mkdir()
@@ -160,7 +156,6 @@ class Capture(Trainings):
         self.figures[f"{short}_registered"] = found["registered"] / found["photographs"]
         for key, values in (("pose_error_deg", degrees), ("pose_error_share", shares)):
             self.figures[key] = max(self.figures.get(key, 0), values.mean())
-        self.first = self.first or (out, seconds)
 
     def config(self, name, scene):
         path = self.folder / f"{name}.yaml"
@@ -221,20 +216,6 @@ class Capture(Trainings):
         common.say(f"prepare registered {registered} of {KILLED_PHOTOGRAPHS}, and {again} after it was killed")
         self.figures["killed_lost"] = max(0, registered - again)
 
-    def click(self):
-        """Minutes from the photographs of the first scene to the answer of a first click."""
-        out, seconds = self.first
-        begin, config = time.monotonic(), self.folder / "first.yaml"
-        common.run(self.program, "init", out, "--out", config, "--replace", "--quiet")
-        with contextlib.closing(Page(self.program, config, "--out", self.fresh("first_run"))) as page:
-            view = page.state(lambda now: True)["views"][0]
-            size = [view["width"], view["height"]]
-            page.ask("event", {"id": "check-1", "type": "class", "name": "thing", "color": [200, 30, 30]})
-            page.ask("event", {"id": "check-2", "type": "click", "frame": view["frame"], "size": size,
-                               "points": [[0.5 * v for v in size]], "radius": 2, "class": "thing"})
-            page.state(lambda now: now["overlay"]["events"] >= 2)  # the labels know of both
-            self.figures["minutes_to_click"] = (seconds + time.monotonic() - begin) / 60
-
 
 def add_common(parser):
     parser.add_argument("folder", type=pathlib.Path, metavar="FOLDER", help="folder of the scenes")
@@ -260,7 +241,6 @@ registered, an error is over 0.5 degrees or 0.5 %, or a photograph is lost."""
     parser = common.parser_of(capture)
     parser.add_argument("--scenes", help="names, with commas (default: all three; none with --quick)")
     parser.add_argument("--quick", action="store_true", help="without trainings")
-    parser.add_argument("--click", action="store_true", help="also the first click on a page of the first scene")
     add_common(parser)
     options = parser.parse_args(words)
     wanted = options.scenes.split(",") if options.scenes else [] if options.quick else list(SCENES.values())
@@ -269,8 +249,6 @@ registered, an error is over 0.5 degrees or 0.5 %, or a photograph is lost."""
     with common.work_folder(options.keep) as folder:
         check = Capture(options, folder)
         check.attempt(*(lambda short=short: check.scene(short) for short, name in SCENES.items() if name in wanted))
-        if options.click and check.first:
-            check.click()
         check.attempt(check.killed, *([] if options.quick else [check.noise, check.record3d]))
     figures = check.figures
     common.print_line("capture", figures, CAPTURE)

@@ -5,16 +5,13 @@ import pathlib
 import re
 import resource
 import shutil
-import subprocess
 import time
 
 from . import common
 
 PRESETS = ("room", "unbounded", "object")
-MOST_CPU_S, MOST_GPU_MS, MOST_OFF = 360, 1.2, 0.15
-GPU_STEPS = (500, 1500)  # the difference leaves out what happens once
-FIGURES = ("build_cpu_s", "demo_wall_s", "time_asked", "time_trained", "resume_trained", "object_gpu_ms",
-           "advice_right")
+MOST_CPU_S, MOST_OFF = 360, 0.15
+FIGURES = ("build_cpu_s", "demo_wall_s", "time_asked", "time_trained", "resume_trained", "advice_right")
 
 
 class Measurement:
@@ -105,24 +102,6 @@ class Measurement:
             self.promise(held[-1], f"{scene.name}: {advised} is advised; held-out PSNR {shown}")
         self.figures["advice_right"] = f"{sum(held)}/{len(held)}"
 
-    def gpu(self):
-        packed = self.options.gpu_scene
-        scene = f"type: packed, file: {json.dumps(str(packed.resolve()))}" if packed else "type: obj_room"
-        config = self.write("gpu.yaml", f"include: presets/object.yaml\nscene: {{{scene}}}\ntrain: {{rays: 8192}}\n"
-                                        "runtime: {device: cuda}\n")
-        first, last = (self.semfield("train", config, "--steps", steps, "--out", f"runs/gpu_{steps}")["train_s"]
-                       for steps in GPU_STEPS)
-        ms = 1e3 * (last - first) / (GPU_STEPS[1] - GPU_STEPS[0])
-        self.figures["object_gpu_ms"] = f"{ms:.2f}"
-        self.promise(ms <= MOST_GPU_MS, f"a step of the preset object takes {ms:.2f} ms of {MOST_GPU_MS}")
-
-    def reason_to_leave_out(self, part):
-        if part == "advice" and not self.options.scenes:
-            return "name a folder of scenes with --scenes"
-        if part == "gpu" and subprocess.run(["sh", "-c", "nvidia-smi -L"], capture_output=True).returncode != 0:
-            return "no NVIDIA device answers nvidia-smi"
-        return None
-
 
 def first_minute(words):
     """Measures what the first minutes with Semfield promise, in parts:
@@ -131,12 +110,11 @@ def first_minute(words):
   length  trains for --time seconds, resumes for as many more, and compares what was asked with what was trained
   advice  for every scene of --scenes: is the preset that `semfield inspect` advises at least as good, on held-out
           frames, as each other one after --train-time seconds of training?
-  gpu     milliseconds per step of the preset object with 8,192 rays, where there is an NVIDIA device
 
 Exit code 1 where a promise is broken: more than 360 s of CPU time for the build, a training more than 15 % longer or
-shorter than asked, 1.2 ms per step, an advice that is worse by more than --margin dB.
+shorter than asked, an advice that is worse by more than --margin dB.
 The last line is `first_minute: build_cpu_s=... ... advice_right=...`; n/a is what was left out."""
-    parts = ("build", "length", "advice", "gpu")
+    parts = ("build", "length", "advice")
     parser = common.parser_of(first_minute)
     parser.add_argument("--only", default=",".join(parts), metavar="LIST", help="parts (default: %(default)s)")
     parser.add_argument("--program", type=pathlib.Path, metavar="FOLDER",
@@ -147,15 +125,14 @@ The last line is `first_minute: build_cpu_s=... ... advice_right=...`; n/a is wh
     parser.add_argument("--train-time", type=float, default=60, help="seconds of each training of advice (%(default)s)")
     parser.add_argument("--downscale", type=int, default=2, help="what images are divided by there (%(default)s)")
     parser.add_argument("--margin", type=float, default=0.3, help="dB that an advised preset may lose (%(default)s)")
-    parser.add_argument("--gpu-scene", type=pathlib.Path, metavar="FILE", help="packed (default: the shipped room)")
     options = parser.parse_args(words)
     if not set(options.only.split(",")) <= set(parts):
         parser.error(f"--only: the parts are {', '.join(parts)}")
     with common.work_folder() as folder:
         measurement = Measurement(options, folder)
         for part in (part for part in parts if part in options.only.split(",")):
-            if reason := measurement.reason_to_leave_out(part):
-                common.say(f"{part} is not measured: {reason}")
+            if part == "advice" and not options.scenes:
+                common.say("advice is not measured: name a folder of scenes with --scenes")
                 continue
             try:
                 getattr(measurement, part)()

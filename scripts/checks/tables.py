@@ -1,22 +1,15 @@
-"""Tables of figures: labels, of a sweep, and objects, of runs."""
-import csv
+"""The table of figures of objects, of runs."""
 import datetime
 import hashlib
 import json
 import math
 import pathlib
 import statistics
-import sys
 
 from . import common
 
 # 0.975 quantiles of Student's t for two to ten seeds.
 STUDENT = dict(enumerate((12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262), 2))
-SETTINGS = {"click": "click", "p01": "1 %", "p10": "10 %", "noise90": "90 % noise", "two": "two key-frames",
-            "f10": "10 % of the frames", "sr16": "sparse x 16", "all": "all"}
-NETWORKS = ("labels_fast", "labels_paper", "labels_today")  # the hash grid with its branch, the paper's, the grid alone
-METRICS = {"miou_present": "mIoU", "ece": "ECE", "entropy_auroc": "AUROC of entropy"}
-
 ROOMS = ("living", "class", "room")
 EXACT = ("objects.damage.shuffle=true",)
 WORSE = (*EXACT, *(f"objects.damage.{what}" for what in ("split=0.2", "merge=0.2", "missing=0.2", "border_px=2")))
@@ -26,99 +19,6 @@ CASES = {"exact": EXACT, "degraded": WORSE, "assignment": (*EXACT, "objects.meth
 def half_width(values):
     """Half of the 95 % interval of a mean."""
     return STUDENT[len(values)] * statistics.stdev(values) / math.sqrt(len(values))
-
-
-def read(path):
-    """{(experiment, variant, metric): {(scene, seed): value}} of a sweep's results."""
-    path = path / "results.csv" if path.is_dir() else path
-    try:
-        with open(path, newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    except OSError as error:
-        raise common.Failed(f"{path}: {error.strerror}; it is written by semfield sweep") from None
-    values = {}
-    try:
-        for row in rows:
-            key = row["experiment"], row["variant"], row["metric"]
-            values.setdefault(key, {})[row["scene"], row["seed"]] = float(row["value"])
-    except KeyError as key:
-        raise common.Failed(f"{path}: there is no column {key}; give the results.csv of a sweep") from None
-    return values
-
-
-def shared_cells(values, metric, variant, networks, scene=None):
-    """The cells of each network that all `networks` have, of one scene or of all."""
-    of = [values.get((network, variant, metric), {}) for network in networks]
-    keys = sorted(key for key in set.intersection(*map(set, of)) if scene in (None, key[0]))
-    return [{key: cells[key] for key in keys} for cells in of]
-
-
-def means(values, metric, variants, networks):
-    """Of each network, over the cells that all have of these variants."""
-    of = [shared_cells(values, metric, variant, networks) for variant in variants]
-    joined = [[value for cells in of for value in cells[i].values()] for i in range(len(networks))]
-    return [statistics.mean(found) if found else math.nan for found in joined]
-
-
-def text(value, digits):
-    return "n/a" if math.isnan(value) else f"{value:.{digits}f}"
-
-
-def cell_text(cells):
-    """A mean with half of its 95 % interval, which there is none of where a scene has one seed."""
-    if not cells:
-        return "n/a"
-    of = [[value for key, value in cells.items() if key[0] == scene] for scene in {key[0] for key in cells}]
-    mean = statistics.mean(cells.values())
-    if min(map(len, of)) < 2:
-        return f"{mean:.3f}"
-    half = math.hypot(*(half_width(seeds) * len(seeds) / len(cells) for seeds in of))
-    return f"{mean:.3f} ± {half:.3f}"
-
-
-def print_table(values, metric, label, scene):
-    rows = {name: shared_cells(values, metric, name, NETWORKS, scene) for name in SETTINGS.values()}
-    title = f"{label}, {scene}" if scene else label
-    if not any(of[0] for of in rows.values()):
-        return print(f"{title}: no cell that all three have\n")
-    print(f"| {title} | branch | paper | today | cells |\n|---|---|---|---|---|")
-    for name, of in rows.items():
-        print(f"| {name} | {' | '.join(map(cell_text, of))} | {len(of[0])} |")
-    print()
-
-
-def label_tables(words):
-    """Tables of `semfield sweep configs/experiments/gpu.yaml`: mIoU of present classes, ECE and the AUROC of entropy.
-
-One row a label setting: the hash grid with its semantic branch, the paper's networks and the hash grid alone, each
-over the scenes and seeds that all three have, with how many those are. "±" is half of the 95 % interval: Student's t
-over the seeds of a scene, the scenes' own half widths combined as independent ones; none where a scene has one seed.
-It says nothing about other scenes. The last line has branch/paper of every setting, PSNR as branch/grid over all
-settings, and `step`, the time of a step of the branch as a share of that of the grid alone."""
-    parser = common.parser_of(label_tables)
-    parser.add_argument("path", type=pathlib.Path, nargs="?", default="runs/gpu", metavar="FOLDER",
-                        help="a sweep's folder or its results.csv (default: %(default)s)")
-    parser.add_argument("--scenes", action="store_true", help="a table of every scene too")
-    options = parser.parse_args(words)
-    sys.stdout.reconfigure(encoding="utf-8")  # ± in any locale
-    values = read(options.path)
-    for what in ("frames", "pixels"):
-        for variant in SETTINGS.values():
-            first, *others = shared_cells(values, what, variant, NETWORKS)
-            if any(cells != first for cells in others):
-                raise common.Failed(f"{variant}: networks were scored on other {what}: their figures do not compare")
-    scenes = sorted({scene for key, cells in values.items() if key[0] in NETWORKS for scene, _ in cells})
-    for metric, label in METRICS.items():
-        for scene in [None, *(scenes if options.scenes else [])]:
-            print_table(values, metric, label, scene)
-    line = {name: "/".join(text(mean, 3) for mean in means(values, "miou_present", [variant], NETWORKS[:2]))
-            for name, variant in SETTINGS.items()}
-    of = {metric: means(values, metric, SETTINGS.values(), NETWORKS[::2]) for metric in ("psnr", "train_s", "steps")}
-    line["psnr"] = "/".join(text(mean, 2) for mean in of["psnr"])
-    (branch_s, grid_s), (branch_steps, grid_steps) = of["train_s"], of["steps"]
-    line["step"] = text(branch_s / branch_steps / (grid_s / grid_steps), 2)
-    common.print_line("labels", line, dict.fromkeys(line, ""))
-    return 0
 
 
 def measure_objects(options, room, case, seed):

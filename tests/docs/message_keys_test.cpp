@@ -146,7 +146,7 @@ TEST(MessageKeys, EveryKeyIsOneThatSetTakes) {
   EXPECT_GT(seen, 50) << "messages name keys";
 }
 
-// scripts/docs_codes.py finds codes by what is before them: what looks like one of their areas is a code, a key or a
+// scripts/docs_parts.py finds codes by what is before them: what looks like one of their areas is a code, a key or a
 // file.
 TEST(MessageKeys, EveryLiteralThatLooksLikeACodeIsListed) {
   const Keys keys;

@@ -1,11 +1,10 @@
-"""Label tables of a small results.csv, object tables of a program that only answers: tables_test.py RELEASE_CHECK."""
+"""Object tables of a program that only answers: tables_test.py RELEASE_CHECK."""
 import json
 import pathlib
 import subprocess
 import sys
 import tempfile
 
-HEAD = "experiment,scene,variant,seed,metric,value\n"
 PROGRAM = """#!/usr/bin/env python3
 import json, pathlib, sys
 room, words = pathlib.Path(sys.argv[2]).name, " ".join(sys.argv)
@@ -25,56 +24,6 @@ def lines_of(*words):
     done = run(*words)
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
-
-
-def rows(metric, variant, scene, *networks):
-    """A row per seed for the branch, the paper's networks and the grid alone."""
-    return "".join(f"labels_{name},{scene},{variant},{seed},{metric},{value}\n"
-                   for name, seeds in zip(("fast", "paper", "today"), networks) for seed, value in enumerate(seeds, 1))
-
-
-def check_labels(folder):
-    def tables(text, *words):
-        (folder / "results.csv").write_text(HEAD + text, encoding="utf-8")
-        return lines_of("label_tables", folder, *words)
-
-    base = rows("miou_present", "click", "walk", (0.6, 0.8), (0.5, 0.6), (0.3, 0.5))
-    base += rows("miou_present", "all", "walk", (0.9,)) + rows("miou_present", "all", "other", (), (0.1,))  # none has both
-    for metric, branch, grid in (("psnr", 30, 29), ("train_s", 12, 10), ("steps", 100, 100)):
-        base += rows(metric, "click", "walk", (branch,), (), (grid,))
-    last = ("labels: click=0.700/0.550 p01=n/a/n/a p10=n/a/n/a noise90=n/a/n/a two=n/a/n/a f10=n/a/n/a sr16=n/a/n/a "
-            "all=n/a/n/a psnr=30.00/29.00 step=1.20")
-    lines = tables(base)
-    assert lines[-1] == last, lines[-1]
-    # t(0.975, 1) = 12.706 times the standard error, half of the distance of two seeds.
-    assert "| click | 0.700 ± 1.271 | 0.550 ± 0.635 | 0.400 ± 1.271 | 2 |" in lines, lines
-    assert "| all | n/a | n/a | n/a | 0 |" in lines and "ECE: no cell that all three have" in lines, lines
-
-    # Three seeds, t(0.975, 2) = 4.3027: standard deviation 0.1, half width 0.2484; 0 in the other scene; 0.2484 / 2 of both.
-    more = rows("ece", "1 %", "walk", (0.1, 0.2, 0.3), (0.5,) * 3, (0.5,) * 3)
-    more += rows("ece", "1 %", "room", (0.4,) * 3, (0.3,) * 3, (0.1,) * 3)
-    # Two seeds in one scene, one in the other: the mean has no interval, the scene has.
-    more += rows("entropy_auroc", "10 %", "walk", (0.7, 0.8), (0.5, 0.6), (0.2, 0.3))
-    more += rows("entropy_auroc", "10 %", "room", (0.9,), (0.8,), (0.7,))
-    # t(0.975, 3) = 3.1824 and t(0.975, 4) = 2.7764.
-    more += rows("ece", "all", "walk", (0.1, 0.2, 0.3, 0.4), (0.5,) * 4, (0.5,) * 4)
-    more += rows("ece", "click", "walk", (0.1, 0.2, 0.3, 0.4, 0.5), (0.5,) * 5, (0.5,) * 5)
-    lines = tables(base + more, "--scenes")
-    assert lines[-1] == last, lines[-1]
-    for want in ("| ECE | branch | paper | today | cells |", "| 1 % | 0.300 ± 0.124 | 0.400 ± 0.000 | 0.300 ± 0.000 | 6 |",
-                 "| all | 0.250 ± 0.205 | 0.500 ± 0.000 | 0.500 ± 0.000 | 4 |",
-                 "| click | 0.300 ± 0.196 | 0.500 ± 0.000 | 0.500 ± 0.000 | 5 |", "| 10 % | 0.800 | 0.633 | 0.400 | 3 |",
-                 "| ECE, walk | branch | paper | today | cells |", "| 1 % | 0.200 ± 0.248 | 0.500 ± 0.000 | 0.500 ± 0.000 | 3 |",
-                 "| 10 % | 0.750 ± 0.635 | 0.550 ± 0.635 | 0.250 ± 0.635 | 2 |", "| 10 % | 0.900 | 0.800 | 0.700 | 1 |",
-                 "mIoU, room: no cell that all three have"):
-        assert want in lines, (want, lines)
-    assert not any("walk" in line for line in tables(base + more))
-
-    (folder / "results.csv").write_text(HEAD + base + rows("frames", "click", "walk", (30,), (15,), (30,)))
-    assert run("label_tables", folder).returncode == 1, "scored on other frames"
-    (folder / "other.csv").write_text("a,b\n1,2\n")
-    assert run("label_tables", folder / "other.csv").returncode == 1
-    assert run("label_tables", folder / "absent").returncode == 1
 
 
 def check_objects(folder):
@@ -109,5 +58,4 @@ def check_objects(folder):
 
 
 with tempfile.TemporaryDirectory() as name:
-    check_labels(pathlib.Path(name))
     check_objects(pathlib.Path(name))

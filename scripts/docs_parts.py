@@ -1,0 +1,327 @@
+"""What the scripts of the documents share: pages and links, tables of data, the page of all codes."""
+import csv
+import json
+import math
+import os
+import re
+import statistics
+import urllib.parse
+
+NOT_OURS = re.compile(r"\.|build|(?:runs|out|data|__pycache__)$")
+GENERATED = {f"docs/reference/{name}.md" for name in ("codes", "cpp", "plugins", "python", "verbs")}  # by the target docs_pages
+FENCE = re.compile(r"^(`{3,})[^`\n]*\n.*?^\1`*[ ]*$\n?", re.M | re.S)
+# A code span, or the target of a link or an image.
+LINK = re.compile(r"(?P<code>(?<!`)(?P<ticks>`+)(?!`).*?(?<!`)(?P=ticks)(?!`))|\]\((?P<target>[^)\s]+)(?:\s+\"[^\"]*\")?\)", re.S)
+# What only the site would show: a list or table that an empty line has to separate from the text above, HTML that loads or links.
+RUN_ON = re.compile(r"(?:\A|\n\n)(?![-*|] |[#<>\s]|\d+\. )[^\n]+(?:\n[^\n]+)*?\n((?:[-*|] |\d+\. )[^\n]*)")
+LOADED = re.compile(r"(?:url\(|@import )[\"']?((?:https?:)?//[^\"')]+)")
+HTML = re.compile(r"<(?:a|img|script|link|iframe)\b[^>]*")
+
+
+def pages_of(root):
+    """{path: text} of every Markdown file."""
+    pages = {}
+    for where, folders, names in os.walk(root):
+        folders[:] = sorted(folder for folder in folders if not NOT_OURS.match(folder))
+        for name in sorted(names):
+            if name.endswith(".md"):
+                path = os.path.join(where, name)
+                with open(path, encoding="utf-8") as file:
+                    pages[os.path.relpath(path, root).replace(os.sep, "/")] = file.read()
+    return pages
+
+
+def links_of(text):
+    return [m["target"] for m in LINK.finditer(FENCE.sub("", text)) if m["target"]]
+
+
+def anchor_of(heading):
+    """Lower case, punctuation dropped, blanks to hyphens."""
+    return re.sub(r"[^\w\- ]", "", re.sub(r"!?\[([^]]*)\]\([^)]*\)", r"\1", heading).lower()).replace(" ", "-")
+
+
+def anchors_of(text):
+    """Anchors of a page; one that is there gets a number."""
+    anchors = set()
+    for base in map(anchor_of, re.findall(r"^#+ +(.*?) *$", FENCE.sub("", text), re.M)):
+        anchors.add(next(anchor for anchor in (base, *(f"{base}-{number}" for number in range(1, 1000))) if anchor not in anchors))
+    return anchors
+
+
+def resolve(page, target):
+    """Path in the repository of what `target` means in `page`."""
+    return os.path.normpath(os.path.join(os.path.dirname(page), urllib.parse.unquote(target))).replace(os.sep, "/")
+
+
+def is_external(target):
+    return re.match(r"[a-z][a-z0-9+.-]*:", target) is not None
+
+
+def fault_of_address(target):
+    """What is wrong with the form of an address elsewhere; None when nothing is."""
+    address = urllib.parse.urlsplit(target)
+    if address.scheme not in ("http", "https"):
+        return "a link starts with https://, or is relative"
+    return None if re.fullmatch(r"(localhost|127\.0\.0\.1|[\w-]+(\.[\w-]+)+)", address.hostname or "") else "no name of a host"
+
+
+def check(root, pages):
+    """Number of links, and a sentence for each fault. Pages are those of the tree, where links to generated pages are taken as they are, or the built ones."""
+    anchors = {path: anchors_of(text) for path, text in pages.items()}
+    count, faults, reached = 0, [], set()
+    for path, text in pages.items():
+        prose = re.sub(r"<!--.*?-->\n?", "", FENCE.sub("\n", text), flags=re.S)
+        faults += [f"{path}: '{line}' is shown as text; an empty line before a list or table is missing" for line in RUN_ON.findall(prose)]
+        faults += [f"{path}: '{tag}': Markdown has links and images" for tag in HTML.findall(LINK.sub("", prose))]
+        for target in links_of(text):
+            count += 1
+            if is_external(target):
+                fault = fault_of_address(target)
+                faults += [f"{path}: {target}: {fault}"] if fault else []
+                continue
+            name, _, anchor = target.partition("#")
+            file = resolve(path, name) if name else path
+            reached.add(file)
+            if file.startswith("..") or not (file in pages or file in GENERATED or os.path.exists(os.path.join(root, file))):
+                faults.append(f"{path}: {target}: no such file")
+            elif anchor and file in anchors and anchor not in anchors[file]:
+                faults.append(f"{path}: {target}: {file} has no heading of that name")
+    index = "docs/index.md"
+    listed = {resolve(index, link) for link in links_of(pages.get(index, "").partition("\n## All pages\n")[2])}
+    faults += [f"{index}: lists no {page} under 'All pages'" for page in pages if listed and page not in listed and (page.startswith("docs/") or "/" not in page)]
+    for where, _, names in os.walk(os.path.join(root, "docs")):
+        for file in (resolve("", os.path.relpath(os.path.join(where, name), root)) for name in names):
+            if not file.endswith((".md", ".css")) and file not in reached:
+                faults.append(f"{file}: no page links to it")
+            if file.endswith(".css"):
+                with open(os.path.join(root, file), encoding="utf-8") as sheet:
+                    faults += [f"{file}: {address}: is loaded from another host" for address in LOADED.findall(sheet.read())]
+    return count, faults
+
+
+# Tables of pages that are made from the data in docs/evidence when the pages are built (scripts/docs_pages). A page asks for one by a comment:
+#
+#   <!-- table benchmark.json: scene seconds psnr -->                     a row per row of a list, these members as columns
+#   <!-- table objects.json: pq mcov -->                                  a row per group of runs: means over its runs
+#   <!-- table gpu_cells.csv scene=walk experiment=labels_paper|labels_today: miou_present psnr -->   a row per variant of sweeps, some rows of theirs
+#   <!-- sources -->                                                      where each file of data comes from
+#
+# Means of several seeds have half their 95 % interval (Student's t) and the number of seeds.
+#
+# Every file of data has a date, a commit, a device, the command that wrote it and the number n of runs behind a figure: as its own members, in each of its rows,
+# or, where the format has no room for them, in sources.json.
+EVIDENCE = "docs/evidence"
+SOURCE = ("date", "commit", "device", "command", "n")
+STUDENT = {2: 12.706, 3: 4.303, 4: 3.182, 5: 2.776}
+MARK = re.compile(r"<!-- table (?P<files>[^:>]*): (?P<columns>[^>]*?) -->\n|<!-- sources -->\n")
+
+
+def read_json(root, name):
+    with open(os.path.join(root, EVIDENCE, name), encoding="utf-8") as file:
+        return json.load(file)
+
+
+def mean_of(values):
+    if not values or isinstance(values[0], str):
+        return values[0] if values else "–"
+    if len(values) == 1 and values[0] == int(values[0]):
+        return f"{values[0]:.0f}"
+    digits = 1 if max(values) >= 10 else 3
+    mean = f"{statistics.mean(values):.{digits}f}"
+    if len(values) == 1:
+        return mean
+    return f"{mean} ± {STUDENT[len(values)] * statistics.stdev(values) / math.sqrt(len(values)):.{digits}f} ({len(values)})"
+
+
+def rows_of(root, words):
+    """(name of the row, column, value) of files of data; words are names of files and filters KEY=VALUE|VALUE."""
+    filters = dict(word.split("=") for word in words if "=" in word)
+    for name in (word for word in words if "=" not in word):
+        if name.endswith(".csv"):
+            with open(os.path.join(root, EVIDENCE, name), encoding="utf-8") as file:
+                for row in csv.DictReader(file):
+                    if row["value"] and all(row[key] in allowed.split("|") for key, allowed in filters.items()):
+                        many = "|" in filters.get("experiment", "")
+                        yield row["variant"], row["metric"] + (f", {row['experiment']}" if many else ""), float(row["value"])
+            continue
+        data = read_json(root, name)
+        groups = ((i, [row]) for i, row in enumerate(data)) if isinstance(data, list) else data["rows"].items()
+        for group, runs in groups:
+            for run in runs:
+                yield from ((group, key, value) for key, value in run.items() if not isinstance(value, (dict, list)))
+
+
+def table_of(root, files, columns):
+    cells = {}
+    for row, column, value in rows_of(root, files):
+        cells.setdefault(row, {}).setdefault(column, []).append(value)
+    found = list(dict.fromkeys(column for row in cells.values() for column in row))
+    shown = [column for asked in columns for column in found if column == asked or column.startswith(asked + ", ")]
+    lost = [asked for asked in columns if not any(column.split(", ")[0] == asked for column in shown)]
+    if lost:
+        raise SystemExit(f"docs_tables: {' '.join(files)} has no {', '.join(lost)}")
+    named = isinstance(next(iter(cells)), str)
+    out = f"|{' |' * named} {' | '.join(shown)} |\n|{'---|' * (named + len(shown))}\n"
+    for name, row in cells.items():
+        out += f"|{f' {name} |' * named} {' | '.join(mean_of(row.get(column, [])) for column in shown)} |\n"
+    return out
+
+
+def sources_of(root):
+    """{file of data: {member of SOURCE: what it or sources.json states}}; what rows state is joined."""
+    folder = os.path.join(root, EVIDENCE)
+    names = sorted(name for name in os.listdir(folder) if name.endswith((".json", ".csv")) and name != "sources.json") if os.path.isdir(folder) else []
+    out = dict(read_json(root, "sources.json")) if os.path.exists(os.path.join(folder, "sources.json")) else {}
+    for name in names:
+        data = read_json(root, name) if name.endswith(".json") else []
+        rows = data if isinstance(data, list) else [data]
+        stated = {key: sorted({str(row[key]) for row in rows}) for key in SOURCE if rows and all(row.get(key) is not None for row in rows)}
+        out[name] = {**out.get(name, {}), **{key: "; ".join(values if len(values) < 3 else [values[0], "…", values[-1]]) for key, values in stated.items()}}
+    return {name: out[name] for name in names}
+
+
+def sources_table(root):
+    out = "| data | date | commit | device | command | n |\n|---|---|---|---|---|---|\n"
+    for name, source in sources_of(root).items():
+        out += f"| [{name}]({name}) | {' | '.join(f'`{source[key]}`' if key == 'command' else str(source[key]) for key in SOURCE)} |\n"
+    return out
+
+
+def filled(root, text):
+    return MARK.sub(lambda m: table_of(root, m["files"].split(), m["columns"].split()) if m["files"] else sources_table(root), text)
+
+
+# The page of all codes of errors and findings, from the sources.
+FOLDERS = ("app", "framework", "plugins", "python", "tests/numerics")
+EXIT_CODES = {"failure": 1, "usage": 2, "data": 65, "no_input": 66, "unavailable": 69, "internal": 70, "cannot_create": 73,
+              "io": 74, "config": 78}
+IN_A_LIST = "in a list"
+LONGEST_SENTENCE = 120
+# Where the first of many places would say too little.
+SENTENCES = {
+    "config.value.choice": "expected one of …, got '…'",
+    "config.value.range": "expected a number in […, …], got …",
+    "config.value.type": "expected a number, got '…'",
+    "files.path.unusable": "'…': Permission denied",
+    "internal.check.failed": "….cpp:…: … (violated: …)",
+    "plugin.module.unloadable": "cannot load plugin '…': undefined symbol: …",
+    "scene.image.turned": "colour image '…' is … pixels, the camera …: one is turned by a quarter against the other",
+    "usage.value.invalid": "--threads many: expected a whole number",
+}
+HEAD = """# Codes
+
+Every error and every finding has a code at the end of its line, such as `[config.key.unknown]`. Sentences may change from version to version; a code stays with its
+cause, and a change is in the [changelog](../../CHANGELOG.md). Programs read it as `code` in [JSON](json.md), in the answers of the [labelling page](labelling_http.md) and in the
+exceptions of the [Python package](../guide/python.md#errors).
+
+The second column is the [exit code](command_line.md#exit-codes) of an error that ends the program. *In a list* are findings, all of which one pass over an input reports at once:
+the program ends with 65 where the data are wrong and with 78 where the configuration is. Warnings and notes end nothing. The third column is what one of the places says, with …
+for values.
+"""
+CODE = re.compile(r'"([a-z0-9_]+(?:\.[a-z0-9_]+){1,3})"')
+# What is before a code: the kind of an error, the name of a function that takes a code first, a variable.
+BEFORE = re.compile(r"(?:ErrorKind::(?P<kind>\w+),|kind\(\),|\b(?P<call>refuse\w*|fail|report|error|warning|note|error_json)\(|"
+                    r"\b(?:value_or|Code)\(|code ?= ?|code: str =|OtherSize out\{|\breturn|\belse)\s*$")
+# A function that takes a code and throws an error of one kind.
+WRAPPER = re.compile(r"\b(\w+)(?: = \[&\])?\(Code code,[^;]*?\{\s+(?:throw|return) Error\(ErrorKind::(\w+), code,", re.S)
+LITERAL = r'"(?:[^"\\\n]|\\.)*"'
+CPP = re.compile(rf'//[^\n]*|R"(\w*)\(.*?\)\1"|(?P<text>{LITERAL})|(?<!\w)\'(?:[^\'\\]|\\.)+\'', re.S)
+PYTHON = re.compile(rf'#[^\n]*|""".*?"""|(?P<text>{LITERAL})|\'(?:[^\'\\\n]|\\.)*\'', re.S)
+
+
+class Source:
+    """A file: its text, the same without comments and insides of literals, and the places of the literals."""
+
+    def __init__(self, text, python):
+        self.text, self.python = text, python
+        tokens = list((PYTHON if python else CPP).finditer(text))
+        self.literals = [token.span() for token in tokens if token["text"]]
+        self.blank = (PYTHON if python else CPP).sub(lambda m: re.sub(r"[^\n]", " ", m[0]), text)
+        self.wrappers = dict(WRAPPER.findall(text))
+
+    def arguments(self, at):
+        """Places of the arguments behind the one that ends at `at`."""
+        depth, begin, places = 0, None, []
+        while at < len(self.blank) and depth >= 0 and self.blank[at] != ";":
+            c = self.blank[at]
+            depth += (c in "([{") - (c in ")]}")
+            if depth < 0 or depth == 0 and c == ",":
+                places += [] if begin is None else [(begin, at)]
+                begin = at + 1
+            at += 1
+        return places
+
+    def sentence(self, begin, end):
+        """The literals of an argument, or of the variable that it names, as a sentence, values as …; "" where there are none."""
+        name = self.blank[begin:end].strip()
+        made = [m.end() for m in re.finditer(rf"\b{name} = ", self.blank[:begin])] if re.fullmatch(r"[a-z]\w*", name) else []
+        if made:
+            begin, end = made[-1], self.blank.index(";", made[-1])
+        out, last = "", begin
+        for start, stop in self.literals:
+            if start < begin or stop > end:
+                continue
+            between = self.blank[last:start]
+            if re.search(r"\?|(?<!:):(?!:)", between) and out:
+                break
+            glued = not re.sub(r"fmt::format\(|std::string\(|\b[fr]?$", "", between).strip()
+            out += ("" if glued else "…") + self.text[start + 1:stop - 1]
+            last = stop
+        if out and "{" not in out and re.search(r"\w", self.blank[last:end]):
+            out += "…"
+        out = re.sub(r"\{[^{}]*\}" if self.python else r"\{(?::[^{}]*)?\}", "…", out.replace("{{", "{").replace("}}", "}").replace("\\n", " ").replace("\\", ""))
+        out = re.sub(r"^(?:…?[.:;,]? ?)+", "", " ".join(out.split()))
+        if not re.search(r"[a-z]{2,}.* |: …", out):
+            return ""
+        return out if len(out) <= LONGEST_SENTENCE else out[:LONGEST_SENTENCE].rsplit(" ", 1)[0] + " …"
+
+    def use(self, start, end, wrappers):
+        """How what has the code ends (an exit code, a class of Python, "in a list", "warning", "note", "HTTP"; None: said elsewhere), and its
+        sentence; None where no code is expected."""
+        before = BEFORE.search(self.text[max(0, start - 120):start])
+        if not before:
+            return None
+        if self.python:
+            raised = list(re.finditer(r"raise (\w+)\(", self.blank[:start]))
+            return (f"`{raised[-1][1]}`", self.sentence(raised[-1].end(), start)) if raised else (None, "")
+        call = before["call"]
+        places = self.arguments(end)[1:2] if call in ("error", "warning", "note") else self.arguments(end)[:2 if call else 1]
+        said = next(filter(None, (self.sentence(*place) for place in places)), "")
+        if call in ("warning", "note", "error_json"):
+            return call.replace("error_json", "HTTP"), said
+        kind = before["kind"] or self.wrappers.get(call) or (call not in ("report", "error") and wrappers.get(call))
+        if call is None and not kind and self.text[:start].endswith("return "):
+            kind = (re.search(r"ErrorKind::(\w+)", self.text[start:]) or [None, None])[1]
+        return (str(EXIT_CODES[kind]) if kind else IN_A_LIST if call else None), said
+
+
+def collect(root):
+    """{code: (endings, sentence)}"""
+    codes, sources, wrappers = {}, [], {}
+    for path in sorted(os.path.join(where, name) for folder in FOLDERS for where, _, names in os.walk(os.path.join(root, folder)) for name in names):
+        if path.endswith((".cpp", ".h", ".cu", ".py")) and not path.endswith("_test.cpp") and "/tests/" not in path[len(root) + 1:].removeprefix("tests"):
+            with open(path, encoding="utf-8") as file:
+                text = file.read()
+            if CODE.search(text) or "(Code code" in text:
+                sources.append(Source(text, path.endswith(".py")))
+                wrappers.update(sources[-1].wrappers if path.endswith(".h") else {})
+    for source in sources:
+        for start, end in source.literals:
+            code = CODE.fullmatch(source.text, start, end)
+            found = code and source.use(start, end, wrappers)
+            if found:
+                endings, sentence = codes.get(code[1], (set(), ""))
+                codes[code[1]] = (endings | {found[0]} - {None}, sentence or found[1])
+    return codes
+
+
+def codes_page(root):
+    codes, text, area = collect(root), HEAD, ""
+    for code in sorted(codes, key=lambda c: c.split(".")):
+        endings, sentence = codes[code]
+        if code.split(".")[0] != area:
+            area = code.split(".")[0]
+            text += f"\n## {area}\n\n| code | exit code | sentence |\n|---|---|---|\n"
+        said = re.sub(r"[|*\[]", r"\\\g<0>", SENTENCES.get(code) or sentence or "…").replace("<", "&lt;")
+        text += f"| `{code}` | {', '.join(sorted(endings or {IN_A_LIST}))} | {said} |\n"
+    return text
