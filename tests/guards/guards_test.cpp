@@ -3,7 +3,6 @@
 #include <cstring>
 
 #include "eval/final_eval.h"
-#include "model/compositor.h"
 #include "model/optim/adam.h"
 #include "model/stages.h"
 #include "run/run_loop.h"
