@@ -94,12 +94,12 @@ namespace {
 constexpr std::size_t kPiece = std::size_t{1} << 20;  // numbers of a rank that the others get at once
 
 // Page-locked memory of the host.
-class Pinned {
+class PinnedBytes {
  public:
-  Pinned() = default;
-  Pinned(const Pinned&) = delete;
-  Pinned& operator=(const Pinned&) = delete;
-  ~Pinned() { (void)cudaFreeHost(data_); }
+  PinnedBytes() = default;
+  PinnedBytes(const PinnedBytes&) = delete;
+  PinnedBytes& operator=(const PinnedBytes&) = delete;
+  ~PinnedBytes() { (void)cudaFreeHost(data_); }
   /// Nothing may be on its way to or from it.
   void reserve(std::size_t count) {
     if (count <= size_) return;
@@ -208,7 +208,7 @@ class HostExchange final : public RankExchange {
   }
 
   Ranks& ranks_;
-  Pinned own_, all_;
+  PinnedBytes own_, all_;
   FaultKey least_ = kNoFault;
 };
 
