@@ -214,17 +214,7 @@ __attribute__((noinline)) void tile(const TileArgs<Op>& t) {
 template <class Op>
 using TileFunction = void (*)(const TileArgs<Op>&);
 
-struct TileChoice {
-  int rows;
-  int index;  // into the functions of a width: 0 full height, 1: 4 rows, 2: 2 rows, 3: 1 row
-};
-
-inline TileChoice choose_rows(std::int64_t left, int full) {
-  if (left >= full) return {full, 0};
-  if (left >= 4) return {4, 1};
-  return left >= 2 ? TileChoice{2, 2} : TileChoice{1, 3};
-}
-
+// Full height, 4 rows, 2 rows, 1 row.
 template <class Op, int kBytes, int kVecs, bool kTransposedA>
 constexpr TileFunction<Op> kTiles[4] = {
     tile<Op, kBytes, rows_of_tile(kVecs), kVecs, kTransposedA>, tile<Op, kBytes, 4, kVecs, kTransposedA>,
@@ -268,6 +258,20 @@ const Real* start_of_row(const Gemm<Real>& g, std::int64_t row, std::int64_t col
   return nullptr;
 }
 
+/// Runs the tiles of rows [row, end) of C; place(row, rows) fills `t` for one that begins there.
+template <class Op, class Place>
+inline void run_rows(const Cover<Op>& shape, const TileArgs<Op>& t, std::int64_t row, std::int64_t end,
+                     const Place& place) {
+  while (row < end) {
+    const std::int64_t left = end - row;
+    const int index = left >= shape.rows ? 0 : left >= 4 ? 1 : left >= 2 ? 2 : 3;
+    const int rows = index == 0 ? shape.rows : 8 >> index;
+    place(row, rows);
+    shape.tiles[index](t);
+    row += rows;
+  }
+}
+
 /// Runs the tiles of rows [row, end) of C over one panel, rows [k0, k0 + count) of B: `t` holds its B, k and columns;
 /// place(row, rows) sets A for a tile that begins there.
 template <class Op, class Place>
@@ -277,17 +281,12 @@ inline void run_tiles(const Gemm<typename Op::Out>& g, const Cover<Op>& shape, T
   t.c_row = g.c_row;
   t.mask_row = g.mask_row;
   t.relu = g.relu && last_k;
-  while (row < end) {
-    const TileChoice choice = choose_rows(end - row, shape.rows);
-    place(row, choice.rows);
-    t.c = g.c + row * g.c_row + col;
-    t.mask = last_k && g.mask != nullptr ? g.mask + row * g.mask_row + col : nullptr;
-    for (int i = 0; i < choice.rows; ++i) {
-      t.start[i] = first_k ? start_of_row(g, row + i, col) : t.c + i * g.c_row;
-    }
-    shape.tiles[choice.index](t);
-    row += choice.rows;
-  }
+  run_rows(shape, t, row, end, [&](std::int64_t at, int rows) {
+    place(at, rows);
+    t.c = g.c + at * g.c_row + col;
+    t.mask = last_k && g.mask != nullptr ? g.mask + at * g.mask_row + col : nullptr;
+    for (int i = 0; i < rows; ++i) t.start[i] = first_k ? start_of_row(g, at + i, col) : t.c + i * g.c_row;
+  });
 }
 
 }  // namespace

@@ -105,7 +105,6 @@ SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, gemm_kernels, CpuKernels<double>
 SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, loop_kernels, CpuKernels<float>)
 SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, loop_kernels, CpuKernels<double>)
 
-
 template <class Real>
 const CpuKernels<Real>& cpu_kernels() {
   using Fill = void (*)(CpuKernels<Real>&);

@@ -1,11 +1,13 @@
 #include "core/error.h"
 
 #include <algorithm>
+#include <cstring>
 #include <map>
 #include <mutex>
 #include <set>
 #include <tuple>
 
+#include "core/check.h"
 #include "core/text.h"
 
 namespace semfield {
@@ -185,6 +187,13 @@ std::vector<Diagnostic> folded(const Diagnostics& diagnostics) {
                                                              (more > group.named.size() ? ", ...)" : ")");
   }
   return out;
+}
+
+void check_failed(const char* expression, const char* file, int line, std::string_view why) {
+  const char* base = std::strrchr(file, '/');
+  throw Error(ErrorKind::internal, "internal.check.failed",
+              std::string(base ? base + 1 : file) + ":" + std::to_string(line) + ": " + std::string(why) +
+                  " (violated: " + expression + ")");
 }
 
 }  // namespace semfield

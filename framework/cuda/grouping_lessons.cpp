@@ -4,7 +4,6 @@
 #include "cuda/kernels/kernels.h"
 #include "cuda/launch.h"
 #include "cuda/matmul.h"
-#include "cuda/stages.h"
 #include "cuda/store.h"
 
 namespace semfield::cuda {

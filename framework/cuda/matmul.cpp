@@ -35,27 +35,10 @@ std::uint32_t alignment_of(const void* pointer) {
 
 cudaDataType_t type_of(Element element) { return element == Element::fp32 ? CUDA_R_32F : CUDA_R_16BF; }
 
-cublasLtEpilogue_t epilogue_of(Epilogue epilogue) {
-  switch (epilogue) {
-    case Epilogue::none:
-      break;
-    case Epilogue::bias:
-      return CUBLASLT_EPILOGUE_BIAS;
-    case Epilogue::relu:
-      return CUBLASLT_EPILOGUE_RELU;
-    case Epilogue::bias_relu:
-      return CUBLASLT_EPILOGUE_RELU_BIAS;
-    case Epilogue::relu_mask:
-      return CUBLASLT_EPILOGUE_RELU_AUX;
-    case Epilogue::bias_relu_mask:
-      return CUBLASLT_EPILOGUE_RELU_AUX_BIAS;
-    case Epilogue::masked:
-      return CUBLASLT_EPILOGUE_DRELU;
-    case Epilogue::column_sums:
-      return CUBLASLT_EPILOGUE_BGRADA;
-  }
-  return CUBLASLT_EPILOGUE_DEFAULT;
-}
+// By Epilogue.
+constexpr cublasLtEpilogue_t kEpilogues[] = {
+    CUBLASLT_EPILOGUE_DEFAULT,  CUBLASLT_EPILOGUE_BIAS,          CUBLASLT_EPILOGUE_RELU,  CUBLASLT_EPILOGUE_RELU_BIAS,
+    CUBLASLT_EPILOGUE_RELU_AUX, CUBLASLT_EPILOGUE_RELU_AUX_BIAS, CUBLASLT_EPILOGUE_DRELU, CUBLASLT_EPILOGUE_BGRADA};
 
 // cuBLASLt thinks in columns: our row-major D = A B is its D^T = B^T A^T, so its first operand is our B.
 struct Problem {
@@ -75,7 +58,7 @@ struct Problem {
     check_lt(cublasLtMatmulDescInit(&call, arithmetic, CUDA_R_32F), "describing a product");
     set(CUBLASLT_MATMUL_DESC_TRANSA, p.b.transposed ? CUBLAS_OP_T : CUBLAS_OP_N);
     set(CUBLASLT_MATMUL_DESC_TRANSB, p.a.transposed ? CUBLAS_OP_T : CUBLAS_OP_N);
-    set(CUBLASLT_MATMUL_DESC_EPILOGUE, epilogue_of(p.epilogue));
+    set(CUBLASLT_MATMUL_DESC_EPILOGUE, kEpilogues[static_cast<std::size_t>(p.epilogue)]);
     const void* vector = p.epilogue == Epilogue::column_sums ? p.sums : p.bias;
     if (vector != nullptr) set(CUBLASLT_MATMUL_DESC_BIAS_POINTER, vector);
     if (p.mask != nullptr) {

@@ -7,7 +7,6 @@
 #include "cuda/kernels/kernels.h"
 #include "cuda/launch.h"
 #include "cuda/matmul.h"
-#include "cuda/stages.h"
 #include "plugin/kernels.h"
 #include "plugin/mlp/walk.h"
 

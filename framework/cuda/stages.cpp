@@ -1,4 +1,3 @@
-#include "cuda/stages.h"
 
 #include "core/check.h"
 #include "core/error.h"

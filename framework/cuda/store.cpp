@@ -138,25 +138,15 @@ void Store::fetch(std::size_t i) const {
   cuda::download<float>(moment_of(moment2_, i).data, {t.moment2.data(), count});
 }
 
-void Store::upload() {
-  for (std::size_t i = 0; i < places_.size(); ++i) send(i);
-  synchronize();
-}
-
-void Store::download() const {
-  for (std::size_t i = 0; i < places_.size(); ++i) fetch(i);
-  synchronize();
-}
-
-void Store::upload_semantic() {
+void Store::upload(bool semantic) {
   for (std::size_t i = 0; i < places_.size(); ++i)
-    if (host_.all()[i].rule.semantic) send(i);
+    if (!semantic || host_.all()[i].rule.semantic) send(i);
   synchronize();
 }
 
-void Store::download_semantic() const {
+void Store::download(bool semantic) const {
   for (std::size_t i = 0; i < places_.size(); ++i)
-    if (host_.all()[i].rule.semantic) fetch(i);
+    if (!semantic || host_.all()[i].rule.semantic) fetch(i);
   synchronize();
 }
 

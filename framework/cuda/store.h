@@ -36,11 +36,9 @@ class Store final : public TensorStore<float> {
   /// Main gradients += those of the lanes of all shards, as a tree.
   void add_lanes(const std::array<int, kShards>& lane_of_shard) const;
 
-  void upload();
-  void download() const;
-  /// Values and moments of the tensors that labels shape, to the device and back.
-  void upload_semantic();
-  void download_semantic() const;
+  /// Values and moments to the device and back, of all tensors or of those that labels shape alone.
+  void upload(bool semantic = false);
+  void download(bool semantic = false) const;
   /// Gradients that no update clears: those of derived tensors.
   void zero_derived_gradients() const;
   /// All of them, after a step that failed.

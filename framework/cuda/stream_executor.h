@@ -11,7 +11,6 @@
 #include "cuda/kernels/kernels.h"
 #include "cuda/launch.h"
 #include "cuda/ranks/gradient_sums.h"
-#include "cuda/stages.h"
 #include "cuda/steps/batch_drawer.h"
 #include "cuda/store.h"
 #include "execution/device_library.h"

@@ -11,8 +11,8 @@
 #include <vector>
 
 #include "compute/parallel.h"
-#include "core/device_id.h"
 #include "core/error.h"
+#include "core/view.h"
 #include "execution/train_rays.h"
 #include "model/optim/adam.h"
 #include "scene/camera.h"

@@ -5,27 +5,15 @@ namespace semfield {
 namespace {
 
 template <class Real>
-double mean_of(View<const Real> table, std::int32_t column) {
-  double sum = 0;
-  for (std::int64_t r = 0; r < table.rows; ++r) sum += static_cast<double>(table(r, column));
-  return sum / static_cast<double>(table.rows);
-}
-
-template <class Real>
-void centre(View<const Real> learned, double share, View<Real> used) {
-  for (std::int32_t c = 0; c < learned.cols; ++c) {
-    const double mean = share * mean_of(learned, c);
-    for (std::int64_t r = 0; r < learned.rows; ++r)
-      used(r, c) = static_cast<Real>(static_cast<double>(learned(r, c)) - mean);
-  }
-}
-
-template <class Real>
-void centre_backward(View<const Real> d_used, double share, View<Real> d_learned) {
-  for (std::int32_t c = 0; c < d_used.cols; ++c) {
-    const double mean = share * mean_of(d_used, c);
-    for (std::int64_t r = 0; r < d_used.rows; ++r)
-      d_learned(r, c) += static_cast<Real>(static_cast<double>(d_used(r, c)) - mean);
+void centre(View<const Real> from, double share, View<Real> to, bool add) {
+  for (std::int32_t c = 0; c < from.cols; ++c) {
+    double sum = 0;
+    for (std::int64_t r = 0; r < from.rows; ++r) sum += static_cast<double>(from(r, c));
+    const double mean = share * (sum / static_cast<double>(from.rows));
+    for (std::int64_t r = 0; r < from.rows; ++r) {
+      const auto centred = static_cast<Real>(static_cast<double>(from(r, c)) - mean);
+      to(r, c) = add ? to(r, c) + centred : centred;
+    }
   }
 }
 
@@ -99,8 +87,8 @@ Pose corrected(const Pose& world_from_camera, const float* numbers, double dista
 
 template <class Real>
 const CameraKernels<Real>& cpu_camera_kernels() {
-  static const CameraKernels<Real> table{centre<Real>, centre_backward<Real>, move<Real>, move_backward<Real>,
-                                         show<Real>,   show_backward<Real>};
+  static const CameraKernels<Real> table{centre<Real>, move<Real>, move_backward<Real>, show<Real>,
+                                         show_backward<Real>};
   return table;
 }
 

@@ -77,10 +77,8 @@ struct CameraRules {
 /// Stages of corrections. Cameras are numbered from 0; `camera` [R, 1] says whose a ray is. N cameras.
 template <class Real>
 struct CameraKernels {
-  /// used [N, K] = learned [N, K] less `share` of the mean of its column.
-  void (*centre)(View<const Real> learned, double share, View<Real> used) = nullptr;
-  /// d_learned += d_used less `share` of the mean of its column.
-  void (*centre_backward)(View<const Real> d_used, double share, View<Real> d_learned) = nullptr;
+  /// to [N, K] = from [N, K] less `share` of the mean of its column, or with `add` to += it, the gradient.
+  void (*centre)(View<const Real> from, double share, View<Real> to, bool add) = nullptr;
   /// origin, direction [R, 3] under the pose [N, 6] of their cameras, whose shifts count by `distance_m`.
   void (*move)(View<const float> camera, View<const Real> pose, double distance_m, View<double> origin,
                View<double> direction) = nullptr;
@@ -110,10 +108,10 @@ class CentredTable final : public Parametric<Real> {
     declarer.tensor({"used", rows_, cols_, Init::constant(0), TensorRole::derived});
   }
   void derive(const StepContext&, const Tensors<Real>& tensors) const override {
-    kernels_->centre(tensors.value[kLearned], share_, tensors.value[kUsed]);
+    kernels_->centre(tensors.value[kLearned], share_, tensors.value[kUsed], false);
   }
   void derive_backward(const StepContext&, const Tensors<Real>& tensors) const override {
-    kernels_->centre_backward(tensors.grad[kUsed], share_, tensors.grad[kLearned]);
+    kernels_->centre(tensors.grad[kUsed], share_, tensors.grad[kLearned], true);
   }
   static constexpr int kLearned = 0, kUsed = 1;
 

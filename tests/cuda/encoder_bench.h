@@ -3,7 +3,7 @@
 #pragma once
 
 #include "core/error.h"
-#include "cuda/stages.h"
+#include "cuda/kernels/kernels.h"
 #include "plugin/encoder.h"
 #include "testkit/compare.h"
 #include "tests/cuda/device_fixture.h"

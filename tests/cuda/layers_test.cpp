@@ -5,7 +5,6 @@
 
 #include "cuda/kernels/kernels.h"
 #include "cuda/matmul.h"
-#include "cuda/stages.h"
 #include "cuda/steps/batch_drawer.h"
 #include "cuda/stream_executor.h"
 #include "device_fixture.h"

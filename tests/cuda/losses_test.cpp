@@ -4,7 +4,6 @@
 #include <iostream>
 
 #include "cuda/kernels/kernels.h"
-#include "cuda/stages.h"
 #include "device_fixture.h"
 #include "execution/device_library.h"
 #include "losses/semantic_cross_entropy.h"

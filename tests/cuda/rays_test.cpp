@@ -4,7 +4,6 @@
 
 #include "core/rng.h"
 #include "cuda/kernels/kernels.h"
-#include "cuda/stages.h"
 #include "device_fixture.h"
 #include "execution/lane_executor.h"
 #include "model/camera_corrections.h"
@@ -661,10 +660,10 @@ TEST(CudaCameras, KeepTheMeanAsTheCpuDoes) {
     const double share = rows == 37 ? 0 : 1;
     std::vector<float> from = random_floats(rows * kPoseNumbers, 3, -1, 2), to(from.size()), sum(from.size(), 0.5F);
     const DeviceMatrix<float> t_from(from, kPoseNumbers), t_to(rows, kPoseNumbers), t_sum(sum, kPoseNumbers);
-    gpu.centre(t_from.read_only(), share, t_to.view());
-    gpu.centre_backward(t_from.read_only(), share, t_sum.view());
-    cpu.centre(host(from, kPoseNumbers), share, host(to, kPoseNumbers));
-    cpu.centre_backward(host(from, kPoseNumbers), share, host(sum, kPoseNumbers));
+    gpu.centre(t_from.read_only(), share, t_to.view(), false);
+    gpu.centre(t_from.read_only(), share, t_sum.view(), true);
+    cpu.centre(host(from, kPoseNumbers), share, host(to, kPoseNumbers), false);
+    cpu.centre(host(from, kPoseNumbers), share, host(sum, kPoseNumbers), true);
     expect_close(t_to.read(), to, 1e-6);
     expect_close(t_sum.read(), sum, 1e-6);
   }

@@ -3,7 +3,7 @@
 
 #include <algorithm>
 
-#include "cuda/stages.h"
+#include "cuda/kernels/kernels.h"
 #include "plugin/kernels.h"
 #include "plugin/sampler.h"
 #include "samplers/stratified/stratified.h"

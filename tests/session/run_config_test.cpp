@@ -9,7 +9,7 @@
 #include "config/compose.h"
 #include "config/config_tree.h"
 #include "config/explain.h"
-#include "core/device_id.h"
+#include "core/view.h"
 #include "core/rng.h"
 #include "eval/evaluator.h"
 #include "loading/frame_source.h"

@@ -9,6 +9,7 @@
 #endif
 
 #include <algorithm>
+#include <cstdint>
 #include <cstring>
 
 #include "compute/isa.h"
@@ -168,17 +169,14 @@ inline void layer(const Layer<Bf16>& l) {
       t.c_row = kPanel;
       t.k = pairs;
       t.cols = static_cast<int>(cols);
-      for (std::int64_t at = row; at < end;) {
-        const TileChoice choice = choose_rows(end - at, shape.rows);
+      run_rows(shape, t, row, end, [&](std::int64_t at, int rows) {
         t.a = reinterpret_cast<const std::uint32_t*>(l.x.row(at));
         t.c = sums + (at - row) * kPanel;
-        for (int i = 0; i < choice.rows; ++i) {
+        for (int i = 0; i < rows; ++i) {
           const float* start = start_of(l, at + i);
           t.start[i] = start == nullptr ? nullptr : start + first;
         }
-        shape.tiles[choice.index](t);
-        at += choice.rows;
-      }
+      });
       finish_rows(l, row, end, first, cols, sums);
     }
   }
@@ -221,14 +219,11 @@ inline void weight_gradient(View<const Bf16> x, View<const Bf16> dz, View<float>
           t.c_row = d_weight.row_stride;
           t.k = (depth + 1) / 2;
           t.cols = static_cast<int>(cols);
-          for (std::int64_t at = row; at < std::min<std::int64_t>(row + kRows, x.cols);) {
-            const TileChoice choice = choose_rows(std::min<std::int64_t>(row + kRows, x.cols) - at, shape.rows);
+          run_rows(shape, t, row, std::min<std::int64_t>(row + kRows, x.cols), [&](std::int64_t at, int rows) {
             t.a = a + (at - row);
             t.c = d_weight.row(at) + first;
-            for (int i = 0; i < choice.rows; ++i) t.start[i] = t.c + i * t.c_row;
-            shape.tiles[choice.index](t);
-            at += choice.rows;
-          }
+            for (int i = 0; i < rows; ++i) t.start[i] = t.c + i * t.c_row;
+          });
         }
       }
     }
@@ -284,12 +279,6 @@ inline void weight_gradient(View<const Bf16> x, View<const Bf16> dz, View<float>
 }  // namespace
 }  // namespace dots
 }  // namespace semfield::SEMFIELD_ISA
-
-#if defined(__AVX512F__)
-#endif
-
-#include <cstdint>
-
 
 namespace semfield::SEMFIELD_ISA {
 namespace {

@@ -5,7 +5,6 @@
 #include "compute/math_functions.h"
 #include "cuda/kernels/device_code.cuh"
 #include "cuda/kernels/kernels.h"
-#include "cuda/stages.h"
 #include "model/compositor.h"
 #include "model/head_branch.h"
 

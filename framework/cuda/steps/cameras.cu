@@ -1,8 +1,8 @@
 // Corrections of training cameras on the device, with the meaning of model/camera_corrections.h. Sums go over the rays
 // of a camera in a fixed tree, so that they are the same in every run.
 #include "cuda/kernels/device_code.cuh"
+#include "cuda/kernels/kernels.h"
 #include "cuda/launch.h"
-#include "cuda/stages.h"
 #include "model/camera_corrections.h"
 
 namespace semfield::cuda {
@@ -102,14 +102,9 @@ __global__ void __launch_bounds__(kThreads) map_gradient_kernel(View<const float
   }
 }
 
-void centre(View<const float> learned, double share, View<float> used) {
-  queue("centring corrections of cameras", static_cast<unsigned>(learned.cols), kThreads, centre_kernel, learned, share,
-        used, false);
-}
-
-void centre_backward(View<const float> d_used, double share, View<float> d_learned) {
-  queue("centring gradients of cameras", static_cast<unsigned>(d_used.cols), kThreads, centre_kernel, d_used, share,
-        d_learned, true);
+void centre(View<const float> from, double share, View<float> to, bool add) {
+  queue("centring corrections of cameras", static_cast<unsigned>(from.cols), kThreads, centre_kernel, from, share, to,
+        add);
 }
 
 void move(View<const float> camera, View<const float> pose, double distance_m, View<double> origin,
@@ -139,7 +134,7 @@ void show_backward(View<const float> camera, View<const float> map, View<const f
 }  // namespace
 
 const CameraKernels<float>& camera_kernels() {
-  static const CameraKernels<float> table{centre, centre_backward, move, move_backward, show, show_backward};
+  static const CameraKernels<float> table{centre, move, move_backward, show, show_backward};
   return table;
 }
 

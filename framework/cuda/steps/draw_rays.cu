@@ -1,6 +1,6 @@
 // Pixels chosen, sorted within tiles and cast to rays. Compiled without fused multiplications and additions.
 #include "cuda/kernels/device_code.cuh"
-#include "cuda/steps/draw_rays.h"
+#include "cuda/steps/batch_drawer.h"
 #include "scene/scene.h"
 
 namespace semfield::cuda {

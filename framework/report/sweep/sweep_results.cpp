@@ -12,8 +12,8 @@
 
 #include "config/params.h"
 #include "core/check.h"
-#include "core/device_id.h"
 #include "core/error.h"
+#include "core/view.h"
 #include "formats/text_rows.h"
 #include "report/html.h"
 #include "run/metrics_log.h"

@@ -7,7 +7,6 @@
 #include <string>
 #include <vector>
 
-#include "core/device_id.h"
 #include "core/error.h"
 #include "core/view.h"
 #include "labels/training_labels.h"

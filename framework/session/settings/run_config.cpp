@@ -9,7 +9,7 @@
 #include <functional>
 
 #include "config/compose.h"
-#include "core/device_id.h"
+#include "core/view.h"
 #include "core/text.h"
 #include "labels/clicks/click_log.h"
 #include "plugin/loader.h"

@@ -169,7 +169,7 @@ struct ChoiceNames<Precision> {
 };
 
 struct RuntimeParams {
-  std::string device = "auto";  ///< or what device_of reads (core/device_id.h)
+  std::string device = "auto";  ///< or what device_of reads (core/view.h)
   Precision precision = Precision::fp32;
   bool deterministic = false;
   int threads = 0;

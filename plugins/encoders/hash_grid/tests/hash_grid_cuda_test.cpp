@@ -3,7 +3,7 @@
 #include <algorithm>
 
 #include "core/error.h"
-#include "cuda/stages.h"
+#include "cuda/kernels/kernels.h"
 #include "encoders/hash_grid/hash_grid.h"
 #include "testkit/compare.h"
 #include "tests/cuda/device_fixture.h"

@@ -3,7 +3,7 @@
 
 #include <algorithm>
 
-#include "cuda/stages.h"
+#include "cuda/kernels/kernels.h"
 #include "fields/nerf_mlp/nerf_mlp.h"
 #include "fields/nerf_mlp/nerf_mlp_fused.h"
 #include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"

@@ -4,7 +4,7 @@
 
 #include <algorithm>
 
-#include "cuda/stages.h"
+#include "cuda/kernels/kernels.h"
 #include "fields/tiny_mlp/tiny_mlp.h"
 #include "tests/cuda/device_fixture.h"
 
