@@ -1,6 +1,5 @@
 #include "compute/parallel.h"
 
-#include <omp.h>
 #include <sched.h>
 
 #include <algorithm>
@@ -133,7 +132,6 @@ int hardware_threads() {
   const int cores = cores_of_process();
   return quota > 0 ? std::min(quota, cores) : cores;
 }
-void keep_libraries_serial() { omp_set_num_threads(1); }
 void set_thread_count(int threads) { g_threads = threads; }
 int thread_count() {
   if (const int own = work_settings().threads; own > 0) return own;

@@ -28,8 +28,6 @@ int thread_count();
 /// The default of this process; 0 means every core. Sessions do not touch it: it is for work under no session's
 /// settings, such as that of tests and benchmarks.
 void set_thread_count(int threads);
-/// Libraries that use OpenMP themselves run in this thread alone when it calls them.
-void keep_libraries_serial();
 /// Cores this process may run on: its affinity, and the quota of its control groups.
 int hardware_threads();
 

@@ -49,8 +49,8 @@ Store::Store(ParamStore<float>& host, bool trainable, int lanes)
     table.push_back(
         learn(value_of(i), grad_of(i), moment_of(moment1_, i), moment_of(moment2_, i), t.spec.role, t.rule));
   }
-  learned_table_ = Buffer<std::byte>(table.size() * sizeof(AdamTensor<float>), "table of tensors");
-  cuda::upload<std::byte>(std::as_bytes(std::span<const AdamTensor<float>>(table)), learned_table_.data());
+  learned_table_ = Buffer<AdamTensor<float>>(table.size(), "table of tensors");
+  cuda::upload<AdamTensor<float>>(table, learned_table_.data());
   make_lanes(of_lane);
   synchronize();
 }
@@ -66,8 +66,8 @@ void Store::make_lanes(std::int64_t numbers) {
     table.push_back({places_[i].of_lane, count, grad_of(i).data});
     longest_in_lane_ = std::max(longest_in_lane_, count);
   }
-  lane_table_ = Buffer<std::byte>(table.size() * sizeof(ShardTensor), "table of the shards' gradients");
-  cuda::upload<std::byte>(std::as_bytes(std::span<const ShardTensor>(table)), lane_table_.data());
+  lane_table_ = Buffer<ShardTensor>(table.size(), "table of the shards' gradients");
+  cuda::upload<ShardTensor>(table, lane_table_.data());
   synchronize();
 }
 
@@ -166,12 +166,11 @@ AdamTable<float> Store::semantic(double weight_decay) {
     one.decay = t.spec.rows > 1 ? weight_decay : 0;  // not of biases
     elements += t.size();
   }
-  const std::span<const std::byte> bytes = std::as_bytes(std::span<const AdamTensor<float>>(table));
-  if (semantic_table_.size() < bytes.size())
-    semantic_table_ = Buffer<std::byte>(bytes.size(), "table of semantic tensors");
-  cuda::upload<std::byte>(bytes, semantic_table_.data());
+  if (semantic_table_.size() < table.size())
+    semantic_table_ = Buffer<AdamTensor<float>>(table.size(), "table of semantic tensors");
+  cuda::upload<AdamTensor<float>>(table, semantic_table_.data());
   synchronize();
-  return {reinterpret_cast<const AdamTensor<float>*>(semantic_table_.data()), static_cast<int>(table.size()), elements};
+  return {semantic_table_.data(), static_cast<int>(table.size()), elements};
 }
 
 void Store::zero_derived_gradients() const {
@@ -188,9 +187,7 @@ void Store::clear_lanes(int first, int count) const {
 void Store::add_lanes(const std::array<int, kShards>& lane_of_shard) const {
   std::array<const float*, kShards> block{};
   for (std::size_t s = 0; s < kShards; ++s) block[s] = lane(lane_of_shard[s]);
-  add_shards({reinterpret_cast<const ShardTensor*>(lane_table_.data()),
-              static_cast<int>(lane_table_.size() / sizeof(ShardTensor)), longest_in_lane_},
-             block);
+  add_shards({lane_table_.data(), static_cast<int>(lane_table_.size()), longest_in_lane_}, block);
 }
 
 void Store::clear_gradients() const {

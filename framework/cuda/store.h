@@ -48,8 +48,7 @@ class Store final : public TensorStore<float> {
   AdamTable<float> semantic(double weight_decay);
   /// Learned tensors, in device memory.
   AdamTable<float> learned() const {
-    return {reinterpret_cast<const AdamTensor<float>*>(learned_table_.data()),
-            static_cast<int>(learned_table_.size() / sizeof(AdamTensor<float>)), host_.learned_count()};
+    return {learned_table_.data(), static_cast<int>(learned_table_.size()), host_.learned_count()};
   }
 
  private:
@@ -71,11 +70,11 @@ class Store final : public TensorStore<float> {
   bool trainable_;
   std::vector<Place> places_;
   Buffer<float> values_, grads_, derived_grads_, moment1_, moment2_;
-  Buffer<std::byte> learned_table_, semantic_table_;
+  Buffer<AdamTensor<float>> learned_table_, semantic_table_;
   int lane_count_;
   std::size_t lane_numbers_ = 0;
   Buffer<float> lanes_;
-  Buffer<std::byte> lane_table_;  // ShardTensors
+  Buffer<ShardTensor> lane_table_;
   std::int64_t longest_in_lane_ = 0;
   std::size_t gradients_added_ = 0;
   std::size_t next_ = 0;  // tensor of the host's store that the next component begins with

@@ -14,7 +14,7 @@
 #include "cuda/matmul.h"
 #include "execution/lane_executor.h"
 #include "execution/train_rays.h"
-#include "model/ray_guard.h"
+#include "model/stages.h"
 #include "scene/classes/class_table.h"
 
 namespace semfield::cuda {
@@ -819,7 +819,7 @@ std::vector<StepCell> cells_of(const PointLessons<float>& lessons) {
 class StreamExecutor::Points final : public PointNetwork<float> {
  public:
   explicit Points(StreamExecutor& owner)
-      : owner_(owner), pass_(owner.passes_.back()), sums_(sizeof(LossSums), "sums of learning from points") {}
+      : owner_(owner), pass_(owner.passes_.back()), sums_(1, "sums of learning from points") {}
 
   void rows(View<const double> positions, View<float> rows) override {
     over_points(
@@ -934,7 +934,7 @@ class StreamExecutor::Points final : public PointNetwork<float> {
     const PointTrace<float> trace = pass_.point_forward(ctx, kMainGradient, input, logits);
     SemanticTargets targets;
     targets.hard = truth;
-    semantic_cross_entropy(arena, logits, targets, {}, 1, d_logits, reinterpret_cast<LossSums*>(sums_.data()));
+    semantic_cross_entropy(arena, logits, targets, {}, 1, d_logits, sums_.data());
     pass_.point_backward(ctx, kMainGradient, trace, d_logits);
     pass_.derive_backward(ctx);
     stages().adam(&launch().cell->adam, lesson.tensors);
@@ -942,7 +942,7 @@ class StreamExecutor::Points final : public PointNetwork<float> {
 
   StreamExecutor& owner_;
   const Pass<float>& pass_;
-  Buffer<std::byte> sums_;
+  Buffer<LossSums> sums_;
 };
 
 PointNetwork<float>& StreamExecutor::points() {

@@ -13,7 +13,7 @@
 #include "model/camera_corrections.h"
 #include "model/param_store.h"
 #include "model/pass.h"
-#include "model/ray_guard.h"
+#include "model/stages.h"
 
 namespace semfield {
 

@@ -9,7 +9,7 @@
 #include "compute/math_functions.h"
 #include "core/check.h"
 #include "core/error.h"
-#include "model/ray_guard.h"
+#include "model/stages.h"
 
 namespace semfield {
 namespace {

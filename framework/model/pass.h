@@ -130,7 +130,7 @@ class Pass {
   RayValues<Real> values_of(View<const double> near_far, const PassTrace<Real>& trace) const;
 
   /// Everything of the rays, in ctx.workspace (the caller's scope keeps it until backward is done). A value of a stage
-  /// that is not finite is a fault: RayFault on a CPU (model/ray_guard.h). In training a pass leaves what stands behind
+  /// that is not finite is a fault: RayFault on a CPU (model/stages.h). In training a pass leaves what stands behind
   /// branches to branch_forward and heads_forward.
   PassTrace<Real> forward(const StepContext& ctx, int lane, const Rays<Real>& rays, const Proposal<Real>* previous,
                           std::int64_t previous_per_ray, const PassRequest& request) const;

@@ -5,7 +5,7 @@
 #include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
 #include "model/optim/adam.h"
-#include "model/ray_guard.h"
+#include "model/stages.h"
 
 namespace semfield {
 namespace {

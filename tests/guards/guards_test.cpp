@@ -9,7 +9,7 @@
 #include "losses/semantic_cross_entropy.h"
 #include "model/compositor.h"
 #include "model/optim/adam.h"
-#include "model/ray_guard.h"
+#include "model/stages.h"
 #include "run/run_loop.h"
 #include "session/trainer.h"
 #include "testkit/analytic_scene.h"

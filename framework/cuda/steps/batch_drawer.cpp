@@ -49,9 +49,9 @@ BatchLayout layout_of(const PixelPool& pool) {
 }
 
 template <class T>
-Buffer<std::byte> held(std::span<const T> values, const char* what) {
-  Buffer<std::byte> memory(values.size_bytes(), what);
-  upload<std::byte>(std::as_bytes(values), memory.data());
+Buffer<T> held(std::span<const T> values, const char* what) {
+  Buffer<T> memory(values.size(), what);
+  upload<T>(values, memory.data());
   return memory;
 }
 }  // namespace
@@ -76,7 +76,7 @@ BatchDrawer::BatchDrawer(const PixelPool& pool, int ahead)
       layout_(layout_of(pool)),
       ahead_(ahead) {
   const auto steps = static_cast<std::size_t>(ahead), rays = static_cast<std::size_t>(pool.rays);
-  scratch_ = Buffer<std::byte>(steps * rays * sizeof(DrawnRay), "rays of steps");
+  scratch_ = Buffer<DrawnRay>(steps * rays, "rays of steps");
   batches_ = Buffer<std::byte>(steps * layout_.bytes(), "batches of steps");
   send_pixels(pool);
   send_labels(pool);
@@ -98,9 +98,9 @@ void BatchDrawer::send_pixels(const PixelPool& pool) {
   rule_.tile_rays = pool.tile_rays;
   rule_.limits = pool.limits;
   const auto pixels = static_cast<std::size_t>(pool.offsets.back());
-  rgb_ = Buffer<std::byte>(3 * pixels, "colours of pixels");
+  rgb_ = Buffer<std::uint8_t>(3 * pixels, "colours of pixels");
   if (pool.with_depth) depth_ = Buffer<float>(pixels, "depth of pixels");
-  if (pool.with_alpha) alpha_ = Buffer<std::byte>(pixels, "alpha of pixels");
+  if (pool.with_alpha) alpha_ = Buffer<std::uint8_t>(pixels, "alpha of pixels");
   if (pool.with_labels) label_ = Buffer<std::int16_t>(pixels, "labels of pixels");
   std::vector<HeldFrame> frames;
   for (std::size_t f = 0; f < pool.frames.size(); ++f) {
@@ -114,7 +114,7 @@ void BatchDrawer::send_pixels(const PixelPool& pool) {
     there.world_from_camera = frame.world_from_camera;
     there.width_px = frame.pixels->width_px;
     there.lens = {frame.camera.has_finite_lens(), frame.camera.is_wide()};
-    upload<std::byte>(std::as_bytes(std::span(frame.pixels->rgb)), rgb_.data() + 3 * first);
+    upload<std::uint8_t>(frame.pixels->rgb, rgb_.data() + 3 * first);
     if (pool.with_depth && !frame.pixels->depth_m.empty()) {
       const std::vector<float> depth = frame.pixels->depth_m.expand();
       upload<float>(depth, depth_.data() + first);
@@ -122,7 +122,7 @@ void BatchDrawer::send_pixels(const PixelPool& pool) {
     }
     if (pool.with_alpha && !frame.pixels->alpha.empty()) {
       there.has_alpha = true;
-      upload<std::byte>(std::as_bytes(std::span(frame.pixels->alpha)), alpha_.data() + first);
+      upload<std::uint8_t>(frame.pixels->alpha, alpha_.data() + first);
     }
     frames_.push_back(frame.pixels);
   }
@@ -130,13 +130,13 @@ void BatchDrawer::send_pixels(const PixelPool& pool) {
   send_masks(pool);
   frame_table_ = held<HeldFrame>(frames, "cameras of frames");
   offsets_ = held<std::int64_t>(pool.offsets, "pixels of frames");
-  held_.frames = reinterpret_cast<const HeldFrame*>(frame_table_.data());
-  held_.offsets = reinterpret_cast<const std::int64_t*>(offsets_.data());
+  held_.frames = frame_table_.data();
+  held_.offsets = offsets_.data();
   held_.frame_count = static_cast<std::int32_t>(frames.size());
-  held_.rgb = reinterpret_cast<const std::uint8_t*>(rgb_.data());
+  held_.rgb = rgb_.data();
   held_.label = label_.data();
   held_.depth_m = depth_.data();
-  held_.alpha = reinterpret_cast<const std::uint8_t*>(alpha_.data());
+  held_.alpha = alpha_.data();
   synchronize();
 }
 
@@ -156,9 +156,9 @@ void BatchDrawer::send_masks(const PixelPool& pool) {
   used_block_offsets_ = held<std::int64_t>(blocks, "blocks of masks");
   used_before_ = held<std::uint32_t>(pool.used_before, "ranks of pixels");
   synchronize();
-  held_.used_words = reinterpret_cast<const std::uint64_t*>(used_words_.data());
-  held_.used_block_offsets = reinterpret_cast<const std::int64_t*>(used_block_offsets_.data());
-  held_.used_before = reinterpret_cast<const std::uint32_t*>(used_before_.data());
+  held_.used_words = used_words_.data();
+  held_.used_block_offsets = used_block_offsets_.data();
+  held_.used_before = used_before_.data();
   held_.used_blocks = std::ssize(words);
 }
 
@@ -207,8 +207,8 @@ void BatchDrawer::send_labels(const PixelPool& pool) {
   block_offsets_ = held<std::int64_t>(blocks, "blocks of labels");
   ranks_ = held<std::uint32_t>(pool.ranks_before, "ranks of labels");
   synchronize();
-  held_.block_offsets = reinterpret_cast<const std::int64_t*>(block_offsets_.data());
-  held_.ranks_before = reinterpret_cast<const std::uint32_t*>(ranks_.data());
+  held_.block_offsets = block_offsets_.data();
+  held_.ranks_before = ranks_.data();
   held_.blocks = std::ssize(pool.ranks_before) - 1;
 }
 
@@ -237,7 +237,7 @@ void BatchDrawer::draw(std::int64_t step) {
   batches.alpha = const_cast<float*>(more[channel::alpha].data);
   batches.camera = const_cast<float*>(more[channel::camera].data);
   batches.stride = static_cast<std::int64_t>(layout_.bytes());
-  draw_rays(held_, rule_, step, ahead_, reinterpret_cast<DrawnRay*>(scratch_.data()), batches);
+  draw_rays(held_, rule_, step, ahead_, scratch_.data(), batches);
   const auto fetch = [&](void* to, const void* from, std::size_t bytes) {
     check(cudaMemcpy2DAsync(to, bytes, from, layout_.bytes(), bytes, static_cast<std::size_t>(ahead_),
                             cudaMemcpyDeviceToHost, launch().stream),
@@ -319,7 +319,7 @@ Staging::Staging(int slots, const RayBatch& like) : layout_(like) {
   host_ = pinned<std::byte>(static_cast<std::size_t>(slots) * bytes, "pinned memory of batches");
   host_sums_ = pinned<StepSums>(static_cast<std::size_t>(slots), "pinned memory of sums");
   device_ = Buffer<std::byte>(bytes, "batch of rays");
-  device_sums_ = Buffer<std::byte>(sizeof(StepSums), "sums of a step");
+  device_sums_ = Buffer<StepSums>(1, "sums of a step");
   check(cudaMemsetAsync(device_sums_.data(), 0xFF, sizeof(FaultKey), launch().stream), "resetting a fault");
 }
 

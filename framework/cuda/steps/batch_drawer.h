@@ -141,7 +141,7 @@ class Staging {
 
   /// Device memory.
   const StepCell* cell() const { return reinterpret_cast<const StepCell*>(device_.data()); }
-  StepSums* device_sums() const { return reinterpret_cast<StepSums*>(device_sums_.data()); }
+  StepSums* device_sums() const { return device_sums_.data(); }
   /// The batch on the device.
   RayBatch batch() const { return layout_.in(device_.data() + kCellBytes); }
 
@@ -153,7 +153,8 @@ class Staging {
   BatchLayout layout_;
   std::byte* host_ = nullptr;  // [slots, kCellBytes + layout_.bytes()]
   StepSums* host_sums_ = nullptr;
-  Buffer<std::byte> device_, device_sums_;
+  Buffer<std::byte> device_;
+  Buffer<StepSums> device_sums_;
 };
 
 /// Launches are those of launch(). Colours take 3 B per pixel, labels 2 B, depth 4 B and alpha 1 B where a term reads
@@ -193,8 +194,13 @@ class BatchDrawer {
   bool any_ = false;
   std::vector<const StoredFrame*> frames_;  // whose pixels are held
   std::vector<bool> labelled_;
-  Buffer<std::byte> frame_table_, rgb_, alpha_, scratch_, batches_, offsets_, block_offsets_, ranks_;
-  Buffer<std::byte> used_words_, used_block_offsets_, used_before_;
+  Buffer<HeldFrame> frame_table_;
+  Buffer<std::uint8_t> rgb_, alpha_;
+  Buffer<DrawnRay> scratch_;
+  Buffer<std::byte> batches_;
+  Buffer<std::int64_t> offsets_, block_offsets_, used_block_offsets_;
+  Buffer<std::uint32_t> ranks_, used_before_;
+  Buffer<std::uint64_t> used_words_;
   Buffer<std::int16_t> label_;
   Buffer<float> depth_;
   std::vector<Buffer<double>> directions_;
