@@ -5,7 +5,6 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
-#include <type_traits>
 
 #include "compute/isa.h"
 #include "compute/math_functions.h"
@@ -69,41 +68,6 @@ inline float expm1_value(float x) {
   return 2.0f * (scale * expm1_series(v.r) + (scale - 0.5f));
 }
 
-template <class Real>
-void exp_inplace(Real* x, std::int64_t n) {
-  for (std::int64_t i = 0; i < n; ++i) {
-    if constexpr (std::is_same_v<Real, float>) {
-      x[i] = exp_value(x[i]);
-    } else {
-      x[i] = std::exp(x[i]);
-    }
-  }
-}
-
-template <class Real>
-void expm1_inplace(Real* x, std::int64_t n) {
-  for (std::int64_t i = 0; i < n; ++i) {
-    if constexpr (std::is_same_v<Real, float>) {
-      x[i] = expm1_value(x[i]);
-    } else {
-      x[i] = std::expm1(x[i]);
-    }
-  }
-}
-
-template <class Real>
-void sigmoid_inplace(Real* x, std::int64_t n) {
-  for (std::int64_t i = 0; i < n; ++i) {
-    if constexpr (std::is_same_v<Real, float>) {
-      const float e = exp_value(-std::abs(x[i]));
-      x[i] = (x[i] < 0.0f ? e : 1.0f) / (1.0f + e);
-    } else {
-      const Real e = std::exp(-std::abs(x[i]));
-      x[i] = (x[i] < Real(0) ? e : Real(1)) / (Real(1) + e);
-    }
-  }
-}
-
 // log1p(e) = 2 atanh(s) with s = e / (2 + e) <= 1/3: an odd series without any reduction; the next term is below 2e-9
 // of the sum.
 inline float softplus_value(float x) {
@@ -119,15 +83,29 @@ inline float softplus_value(float x) {
   return (x > 0.0f ? x : 0.0f) + 2.0f * (s + s * (q * p));
 }
 
+// The oracle's.
+inline double exp_value(double x) { return std::exp(x); }
+inline double expm1_value(double x) { return std::expm1(x); }
+inline double softplus_value(double x) { return (x > 0.0 ? x : 0.0) + std::log1p(std::exp(-std::abs(x))); }
+
+template <class Real>
+void exp_inplace(Real* x, std::int64_t n) {
+  for (std::int64_t i = 0; i < n; ++i) x[i] = exp_value(x[i]);
+}
+template <class Real>
+void expm1_inplace(Real* x, std::int64_t n) {
+  for (std::int64_t i = 0; i < n; ++i) x[i] = expm1_value(x[i]);
+}
+template <class Real>
+void sigmoid_inplace(Real* x, std::int64_t n) {
+  for (std::int64_t i = 0; i < n; ++i) {
+    const Real e = exp_value(-std::abs(x[i]));
+    x[i] = (x[i] < Real(0) ? e : Real(1)) / (Real(1) + e);
+  }
+}
 template <class Real>
 void softplus_inplace(Real* x, std::int64_t n) {
-  for (std::int64_t i = 0; i < n; ++i) {
-    if constexpr (std::is_same_v<Real, float>) {
-      x[i] = softplus_value(x[i]);
-    } else {
-      x[i] = (x[i] > Real(0) ? x[i] : Real(0)) + std::log1p(std::exp(-std::abs(x[i])));
-    }
-  }
+  for (std::int64_t i = 0; i < n; ++i) x[i] = softplus_value(x[i]);
 }
 
 template <class Real>

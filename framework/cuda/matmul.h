@@ -70,7 +70,7 @@ constexpr std::int64_t mask_stride_bits(std::int64_t cols) { return (cols + 127)
 /// D = A B, or D + A B with `add`. Operands fp32: products and sums in fp32 (with `tf32` operands are cut to TF32's 10
 /// bits of mantissa where cuBLASLt has such a kernel), D fp32; operands bf16: sums in fp32, D fp32 or bf16.
 struct Product {
-  Matrix a, b, d;
+  Matrix a{}, b{}, d{};
   bool add = false;
   bool tf32 = false;
   Epilogue epilogue = Epilogue::none;
@@ -89,9 +89,9 @@ void forget_stream(cudaStream_t stream);
 
 /// D = C + A B + A2 B2 (+ D with `add`), all fp32; C, A and B, A2 and B2 may be absent.
 struct SmallProduct {
-  Matrix a, b, a2, b2;
-  View<const float> c;
-  View<float> d;
+  Matrix a{}, b{}, a2{}, b2{};
+  View<const float> c{};
+  View<float> d{};
   bool add = false;
 };
 /// Products that do not depend on each other, in one launch (two where one has many terms and a small D): where

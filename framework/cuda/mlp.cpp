@@ -31,11 +31,7 @@ View<const __nv_bfloat16> bias_of(const View<const float>&, const View<const __n
 template <class Act, class Out>
 void linear_forward(const LinearForward<Act, Out>& call) {
   if (call.y.size() == 0) return;
-  Product p;
-  p.a = Matrix(call.x);
-  p.b = Matrix(call.weight);
-  p.d = Matrix(call.y);
-  p.add = call.add;
+  Product p{.a = Matrix(call.x), .b = Matrix(call.weight), .d = Matrix(call.y), .add = call.add};
   const View<const Out> bias = bias_of(call.bias, call.rounded_bias);
   p.epilogue = forward_epilogue(!call.bias.empty(), call.activation, call.mask != nullptr);
   p.bias = bias.data;
@@ -56,23 +52,16 @@ void linear_backward(const LinearBackward<Act, Dx>& call, Workspace& arena) {
   if (call.dz.rows == 0) return;
   const Workspace::Scope scope(arena);
   if (!call.d_weight.empty()) {
-    Product p;
-    p.a = Matrix(call.x.col_range(0, static_cast<std::int32_t>(call.d_weight.rows)), true);
-    p.b = Matrix(call.dz.col_range(0, call.d_weight.cols));
-    p.d = Matrix(call.d_weight);
-    p.add = true;
-    product(p);
+    product({.a = Matrix(call.x.col_range(0, static_cast<std::int32_t>(call.d_weight.rows)), true),
+             .b = Matrix(call.dz.col_range(0, call.d_weight.cols)),
+             .d = Matrix(call.d_weight),
+             .add = true});
   }
   // Own passes: cuBLASLt's epilogues for the sums and for the gradient of a ReLU are kernels of their own on Hopper,
   // and take more than twice as long.
   if (!call.d_bias.empty()) add_column_sums<Act>(call.dz.col_range(0, call.d_bias.cols), call.d_bias, arena);
   if (call.dx.empty()) return;
-  Product p;
-  p.a = Matrix(call.dz);
-  p.b = Matrix(call.weight, true);
-  p.d = Matrix(call.dx);
-  p.add = call.add_to_dx;
-  product(p);
+  product({.a = Matrix(call.dz), .b = Matrix(call.weight, true), .d = Matrix(call.dx), .add = call.add_to_dx});
   if (!call.relu_input) return;
   if constexpr (std::is_same_v<Dx, __nv_bfloat16>) {
     if (call.mask != nullptr && call.dx.cols % 8 == 0 && call.dx.row_stride % 8 == 0) {
@@ -175,23 +164,13 @@ struct DeviceLayers {
 
   static void weight_gradient(View<const Act> x, View<const Act> dz, View<float> d_weight, View<float> d_bias,
                               Workspace& arena) {
-    LinearBackward<Act, Act> call;
-    call.x = x;
-    call.dz = dz;
-    call.d_weight = d_weight;
-    call.d_bias = d_bias;
-    linear_backward(call, arena);
+    linear_backward(LinearBackward<Act, Act>{.x = x, .dz = dz, .d_weight = d_weight, .d_bias = d_bias}, arena);
   }
 
   static void ray_product(View<const float> rows, View<const float> weight, View<const float> bias, View<float> term,
                           Workspace&) {
-    LinearForward<float, float> call;
-    call.x = rows;
-    call.weight = weight;
-    call.bias = bias;
-    call.rounded_bias = bias;
-    call.y = term;
-    linear_forward(call);
+    linear_forward(
+        LinearForward<float, float>{.x = rows, .weight = weight, .bias = bias, .y = term, .rounded_bias = bias});
   }
   static void ray_weight_gradient(View<const float> rows, View<const float> d_term, View<float> d_weight,
                                   View<float> d_bias, Workspace& arena) {
@@ -271,13 +250,9 @@ struct DeviceLayers {
   /// out = start + dz W^T, 0 where the mask is not positive.
   template <class Out>
   static void gradient_into(View<const Act> weight, const MlpInputGradient<DeviceLayers>& p, View<Out> out) {
-    Product call;
-    call.a = Matrix(p.dz);
-    call.b = Matrix(weight, true);
-    call.d = Matrix(out);
-    call.add = static_cast<const void*>(p.start.data) == out.data;
-    cuda::product(call);
-    if (!p.start.empty() && !call.add) {
+    const bool add = static_cast<const void*>(p.start.data) == out.data;
+    cuda::product({.a = Matrix(p.dz), .b = Matrix(weight, true), .d = Matrix(out), .add = add});
+    if (!p.start.empty() && !add) {
       if constexpr (std::is_same_v<Out, float>) finish_rows(LayerEnd<float, float>{out, p.start, {}, false, {}, out});
     }
     if (!p.mask.empty()) {
@@ -308,16 +283,12 @@ void derive(const MlpGraph& graph, const Tensors<float>& t) {
   const auto value = [&](int i) { return t.value[static_cast<std::size_t>(i)]; };
   for (const MlpFold& fold : graph.folds) {
     const View<const float> second = value(fold.second_weight).row_range(fold.first, fold.mid);
-    std::array<SmallProduct, 2> products;
-    auto& [weight, bias] = products;
-    weight.a = Matrix(value(fold.first_weight));
-    weight.b = Matrix(second);
-    weight.d = value(fold.weight);
-    bias.a = Matrix(value(fold.first_bias));
-    bias.b = Matrix(second);
-    bias.c = value(fold.second_bias);
-    bias.d = value(fold.bias);
-    small_products(products);
+    small_products(std::array<SmallProduct, 2>{
+        SmallProduct{.a = Matrix(value(fold.first_weight)), .b = Matrix(second), .d = value(fold.weight)},
+        SmallProduct{.a = Matrix(value(fold.first_bias)),
+                     .b = Matrix(second),
+                     .c = value(fold.second_bias),
+                     .d = value(fold.bias)}});
   }
 }
 
@@ -329,23 +300,16 @@ void derive_backward(const MlpGraph& graph, const Tensors<float>& t) {
   for (const MlpFold& fold : graph.folds) {
     const View<float> d_product = grad_of(fold.weight), d_bias = grad_of(fold.bias);
     const View<const float> second = value(fold.second_weight).row_range(fold.first, fold.mid);
-    std::array<SmallProduct, 4> products;
-    auto& [first_weight, second_weight, first_bias, second_bias] = products;
-    first_weight.a = Matrix(d_product);
-    first_weight.b = Matrix(second, true);
-    first_weight.d = grad_of(fold.first_weight);
-    second_weight.a = Matrix(value(fold.first_weight), true);
-    second_weight.b = Matrix(d_product);
-    second_weight.a2 = Matrix(value(fold.first_bias), true);
-    second_weight.b2 = Matrix(d_bias);
-    second_weight.d = grad_of(fold.second_weight).row_range(fold.first, fold.mid);
-    first_bias.a = Matrix(d_bias);
-    first_bias.b = Matrix(second, true);
-    first_bias.d = grad_of(fold.first_bias);
-    second_bias.c = d_bias;
-    second_bias.d = grad_of(fold.second_bias);
-    for (SmallProduct& p : products) p.add = true;
-    small_products(products);
+    small_products(std::array<SmallProduct, 4>{
+        SmallProduct{.a = Matrix(d_product), .b = Matrix(second, true), .d = grad_of(fold.first_weight), .add = true},
+        SmallProduct{.a = Matrix(value(fold.first_weight), true),
+                     .b = Matrix(d_product),
+                     .a2 = Matrix(value(fold.first_bias), true),
+                     .b2 = Matrix(d_bias),
+                     .d = grad_of(fold.second_weight).row_range(fold.first, fold.mid),
+                     .add = true},
+        SmallProduct{.a = Matrix(d_bias), .b = Matrix(second, true), .d = grad_of(fold.first_bias), .add = true},
+        SmallProduct{.c = d_bias, .d = grad_of(fold.second_bias), .add = true}});
   }
 }
 
@@ -376,22 +340,11 @@ View<__nv_bfloat16> rounded(Workspace& arena, View<const float> in) {
 template <class Act, class Out>
 void layer(View<const Act> x, View<const Act> weight, View<const float> bias, View<Out> y,
            Activation activation = Activation::none) {
-  LinearForward<Act, Out> call;
-  call.x = x;
-  call.weight = weight;
-  call.bias = bias;
-  call.y = y;
-  call.activation = activation;
-  linear_forward(call);
+  linear_forward(LinearForward<Act, Out>{.x = x, .weight = weight, .bias = bias, .y = y, .activation = activation});
 }
 
 SmallProduct times(const Matrix& a, const Matrix& b, View<float> d, bool add) {
-  SmallProduct product;
-  product.a = a;
-  product.b = b;
-  product.d = d;
-  product.add = add;
-  return product;
+  return {.a = a, .b = b, .d = d, .add = add};
 }
 
 void head_hidden_forward(const HeadShape& shape, Workspace& arena, const Tensors<float>& tensors,
@@ -406,11 +359,15 @@ void head_hidden_forward(const HeadShape& shape, Workspace& arena, const Tensors
 }
 
 template <class Act, class Dx>
-void layer_backward(Workspace& arena, const Tensors<float>& tensors, const LinearBackward<Act, Dx>& operands) {
-  LinearBackward<Act, Dx> call = operands;
-  call.d_weight = tensors.grad[kHiddenWeight];
-  call.d_bias = tensors.grad[kHiddenBias];
-  linear_backward<Act, Dx>(call, arena);
+void layer_backward(Workspace& arena, const Tensors<float>& tensors, View<const Act> x, View<const Act> dz,
+                    View<const Act> weight, View<Dx> dx) {
+  linear_backward(LinearBackward<Act, Dx>{.x = x,
+                                          .dz = dz,
+                                          .weight = weight,
+                                          .d_weight = tensors.grad[kHiddenWeight],
+                                          .d_bias = tensors.grad[kHiddenBias],
+                                          .dx = dx},
+                  arena);
 }
 
 void head_hidden_backward(const HeadShape& shape, Workspace& arena, const Tensors<float>& tensors,
@@ -420,55 +377,35 @@ void head_hidden_backward(const HeadShape& shape, Workspace& arena, const Tensor
   const View<const float> weight = tensors.value[kHiddenWeight];
   cuda::relu_backward<float>(hidden, d_hidden);
   if (shape.precision == Precision::bf16) {
-    LinearBackward<__nv_bfloat16, float> call;
-    call.x = rounded(arena, feature);
-    call.dz = rounded(arena, d_hidden);
-    call.weight = rounded(arena, weight);
-    call.dx = d_feature;
-    layer_backward(arena, tensors, call);
+    layer_backward<__nv_bfloat16, float>(arena, tensors, rounded(arena, feature), rounded(arena, d_hidden),
+                                         rounded(arena, weight), d_feature);
   } else {
-    LinearBackward<float, float> call;
-    call.x = feature;
-    call.dz = d_hidden;
-    call.weight = weight;
-    call.dx = d_feature;
-    layer_backward(arena, tensors, call);
+    layer_backward<float, float>(arena, tensors, feature, d_hidden, weight, d_feature);
   }
 }
 
 void rounded_hidden_forward(const HeadShape&, Workspace& arena, const Tensors<float>& tensors, View<const Bf16> feature,
                             View<Bf16> hidden) {
   const Workspace::Scope scope(arena);
-  LinearForward<__nv_bfloat16, __nv_bfloat16> call;
-  call.x = as_bf16(feature);
-  call.weight = rounded(arena, tensors.value[kHiddenWeight]);
-  call.bias = tensors.value[kHiddenBias];
-  call.rounded_bias = rounded(arena, tensors.value[kHiddenBias]);
-  call.y = as_bf16(hidden);
-  call.activation = Activation::relu;
-  linear_forward(call);
+  linear_forward(
+      LinearForward<__nv_bfloat16, __nv_bfloat16>{.x = as_bf16(feature),
+                                                  .weight = rounded(arena, tensors.value[kHiddenWeight]),
+                                                  .bias = tensors.value[kHiddenBias],
+                                                  .y = as_bf16(hidden),
+                                                  .activation = Activation::relu,
+                                                  .rounded_bias = rounded(arena, tensors.value[kHiddenBias])});
 }
 
 void rounded_hidden_backward(const HeadShape&, Workspace& arena, const Tensors<float>& tensors,
                              View<const Bf16> feature, View<const Bf16> d_hidden, View<Bf16> d_feature) {
   const Workspace::Scope scope(arena);
-  LinearBackward<__nv_bfloat16, __nv_bfloat16> call;
-  call.x = as_bf16(feature);
-  call.dz = as_bf16(d_hidden);
-  call.weight = rounded(arena, tensors.value[kHiddenWeight]);
-  call.dx = as_bf16(d_feature);
-  layer_backward(arena, tensors, call);
+  layer_backward<__nv_bfloat16, __nv_bfloat16>(arena, tensors, as_bf16(feature), as_bf16(d_hidden),
+                                               rounded(arena, tensors.value[kHiddenWeight]), as_bf16(d_feature));
 }
 
 /// d = a b (+ d), a product of the class layer with many classes: TF32 where the head computes in bf16.
 void large_product(const HeadShape& shape, const Matrix& a, const Matrix& b, View<float> d, bool add) {
-  Product p;
-  p.a = a;
-  p.b = b;
-  p.d = Matrix(d);
-  p.add = add;
-  p.tf32 = shape.precision == Precision::bf16;
-  product(p);
+  product({.a = a, .b = b, .d = Matrix(d), .add = add, .tf32 = shape.precision == Precision::bf16});
 }
 
 void output_forward(const HeadShape& shape, Workspace& arena, const Tensors<float>& tensors, View<const float> h,
@@ -484,9 +421,7 @@ void output_forward(const HeadShape& shape, Workspace& arena, const Tensors<floa
     large_product(shape, Matrix(h), Matrix(weight), logits, true);
     return;
   }
-  SmallProduct product = times(Matrix(h), Matrix(weight), logits, false);
-  product.a2 = Matrix(share);
-  product.b2 = Matrix(bias);
+  const SmallProduct product{.a = Matrix(h), .b = Matrix(weight), .a2 = Matrix(share), .b2 = Matrix(bias), .d = logits};
   small_products({&product, 1}, &arena);
 }
 
@@ -495,14 +430,10 @@ void output_backward(const HeadShape& shape, Workspace& arena, const Tensors<flo
   const View<const float> weight = tensors.value[kOutputWeight], bias = tensors.value[kOutputBias];
   const View<float> d_weight = tensors.grad[kOutputWeight], d_bias = tensors.grad[kOutputBias];
   if (share.empty()) {
-    LinearBackward<float, float> call;
-    call.x = h;
-    call.dz = d_logits;
-    call.weight = weight;
-    call.d_weight = d_weight;
-    call.d_bias = d_bias;
-    call.dx = d_h;
-    linear_backward<float, float>(call, arena);
+    linear_backward(
+        LinearBackward<float, float>{
+            .x = h, .dz = d_logits, .weight = weight, .d_weight = d_weight, .d_bias = d_bias, .dx = d_h},
+        arena);
     return;
   }
   if (shape.width > kMostSmallClasses) {

@@ -43,15 +43,8 @@ void keep(Workspace& arena, const Samples<float>& samples, View<const float> wei
 }
 
 void rounded_sum_backward(const Samples<float>& samples, const RoundedSumBackward<float>& sum) {
-  HiddenBackward<__nv_bfloat16> call;
-  call.weight = sum.weight;
-  call.hidden = as_bf16(sum.hidden);
-  call.d_out = sum.d_out;
-  call.dots = sum.dots;
-  call.d_hidden = as_bf16(sum.d_hidden);
-  call.blocked = sum.blocked;
-  call.relu_output = true;
-  hidden_backward(samples, call);
+  hidden_backward(samples, HiddenBackward<__nv_bfloat16>{sum.weight, as_bf16(sum.hidden), sum.d_out, sum.dots,
+                                                         as_bf16(sum.d_hidden), true, sum.blocked});
 }
 
 // The other values are looked at by the kernels that make or read them.

@@ -1,5 +1,7 @@
 #include "system/checksum.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <array>
 #include <bit>
@@ -50,11 +52,7 @@ std::uint64_t fnv1a64(std::string_view text) {
   return h;
 }
 
-std::string hex64(std::uint64_t value) {
-  std::string out(16, '0');
-  for (int i = 15; i >= 0; --i, value >>= 4) out[static_cast<std::size_t>(i)] = "0123456789abcdef"[value & 15u];
-  return out;
-}
+std::string hex64(std::uint64_t value) { return fmt::format("{:016x}", value); }
 
 namespace {
 
@@ -113,9 +111,7 @@ std::string Sha256::hex() {
   for (std::size_t i = 0; i < 8; ++i) end[1 + zeros + i] = static_cast<std::byte>(bits >> (56 - 8 * i));
   add(std::span(end).first(1 + zeros + 8));
   std::string text;
-  for (const std::uint32_t word : state_) {
-    for (int shift = 28; shift >= 0; shift -= 4) text += "0123456789abcdef"[(word >> shift) & 15];
-  }
+  for (const std::uint32_t word : state_) text += fmt::format("{:08x}", word);
   return text;
 }
 

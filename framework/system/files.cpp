@@ -14,7 +14,6 @@
 #include <atomic>
 #include <cctype>
 #include <cerrno>
-#include <charconv>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -27,6 +26,7 @@
 #include <vector>
 
 #include "core/error.h"
+#include "core/text.h"
 #include "system/checksum.h"
 
 namespace semfield {
@@ -625,8 +625,7 @@ std::uint64_t cache_limit() {
   const auto text = variable("SEMFIELD_CACHE_GB");
   if (text.empty()) return 2'000'000'000;
   double gigabytes = -1;
-  const auto [end, failed] = std::from_chars(text.data(), text.data() + text.size(), gigabytes);
-  if (failed != std::errc() || end != text.data() + text.size() || !(gigabytes >= 0 && gigabytes <= 1e6)) {
+  if (!parse_number(text, gigabytes) || !(gigabytes >= 0 && gigabytes <= 1e6)) {
     throw Error(ErrorKind::config, "config.environment.value",
                 "environment variable SEMFIELD_CACHE_GB: '" + std::string(text) + "' is not a number from 0 to 1000000",
                 "set it to the gigabytes that the cache may hold, or set SEMFIELD_CACHE=off");

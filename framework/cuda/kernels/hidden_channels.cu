@@ -222,26 +222,22 @@ void for_width(std::int32_t cols, int channels, const F& f) {
 
 template <class Act>
 void hidden_forward(const Samples<float>& samples, View<const float> weight, View<const Act> hidden, View<float> out) {
-  if (out.rows == 0) return;
   for_width(out.cols, channels_at_once(kMostAtOnce<Act>, hidden, out), [&](auto beside, auto vec) {
-    forward_kernel<beside.value, vec.value, Act>
-        <<<static_cast<unsigned>(out.rows), kWarps * kWarp, 0, launch().stream>>>(samples.first, weight, hidden, out);
+    queue("compositing hidden channels", static_cast<unsigned>(out.rows), kWarps * kWarp,
+          forward_kernel<beside.value, vec.value, Act>, samples.first, weight, hidden, out);
   });
-  check_launch("compositing hidden channels");
 }
 
 template <class Act>
 void hidden_backward(const Samples<float>& samples, const HiddenBackward<Act>& call) {
   const std::int64_t rows =
       std::max(call.d_hidden.empty() ? 0 : call.d_hidden.rows, call.dots.empty() ? 0 : call.hidden.rows);
-  if (rows == 0) return;
   const std::int32_t cols = call.d_hidden.empty() ? call.hidden.cols : call.d_hidden.cols;
   const int channels = channels_at_once(kMostAtOnce<Act>, call.hidden, call.d_out, call.d_hidden);
   for_width(cols, channels, [&](auto beside, auto vec) {
-    backward_kernel<beside.value, vec.value, Act><<<blocks_of(rows, kBackWarps * kRowsAtOnce<vec.value> * beside.value),
-                                                    kBackWarps * kWarp, 0, launch().stream>>>(samples, call);
+    queue("gradient of hidden channels", blocks_of(rows, kBackWarps * kRowsAtOnce<vec.value> * beside.value),
+          kBackWarps * kWarp, backward_kernel<beside.value, vec.value, Act>, samples, call);
   });
-  check_launch("gradient of hidden channels");
 }
 
 #define SEMFIELD_INSTANTIATE(Act)                                                                            \

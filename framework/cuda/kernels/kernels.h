@@ -33,14 +33,14 @@ enum class Activation : std::uint8_t { none, relu };
 /// given), bias [1, out] fp32 or empty, y [M, out] of Act or float.
 template <class Act, class Out>
 struct LinearForward {
-  View<const Act> x, weight;
-  View<const float> bias;
-  View<Out> y;
+  View<const Act> x{}, weight{};
+  View<const float> bias{};
+  View<Out> y{};
   Activation activation = Activation::none;
   bool add = false;
   /// The same bias as Out. cuBLASLt adds a bias of the output's type alone: without it, bf16 outputs cost a further
   /// pass.
-  View<const Out> rounded_bias;
+  View<const Out> rounded_bias{};
   /// With relu, if not null: [M] rows of mask_stride_bits(out) bits, y > 0, for LinearBackward.
   std::uint32_t* mask = nullptr;
 };
@@ -53,15 +53,15 @@ void linear_forward(const LinearForward<Act, Out>& call);
 /// order.
 template <class Act, class Dx>
 struct LinearBackward {
-  View<const Act> x, dz, weight;
-  View<float> d_weight, d_bias;
-  View<Dx> dx;
+  View<const Act> x{}, dz{}, weight{};
+  View<float> d_weight{}, d_bias{};
+  View<Dx> dx{};
   bool add_to_dx = false;
   bool relu_input = false;
   /// x > 0 as bits, if forward wrote them: an eighth of x's bytes to read.
   std::uint32_t* mask = nullptr;
   /// [1, in] += column sums of dx with relu_input: the bias gradient of the layer that made x, in the same pass.
-  View<float> dx_sums;
+  View<float> dx_sums{};
 };
 template <class Act, class Dx>
 void linear_backward(const LinearBackward<Act, Dx>& call, Workspace& arena);
@@ -161,11 +161,11 @@ void hidden_forward(const Samples<float>& samples, View<const float> weight, Vie
 /// those samples; its other rows are left alone.
 template <class Act>
 struct HiddenBackward {
-  View<const float> weight;
-  View<const Act> hidden;
-  View<const float> d_out;
-  View<float> dots;
-  View<Act> d_hidden;  ///< may have more rows than `hidden`
+  View<const float> weight{};
+  View<const Act> hidden{};
+  View<const float> d_out{};
+  View<float> dots{};
+  View<Act> d_hidden{};  ///< may have more rows than `hidden`
   bool relu_output = false;
   /// d_hidden lies in 8 x 8 blocks (FusedGrad::hidden): contiguous, rows and columns multiples of 8.
   bool blocked = false;

@@ -86,12 +86,6 @@ BatchDrawer::BatchDrawer(const PixelPool& pool, int ahead)
   synchronize();
 }
 
-BatchDrawer::~BatchDrawer() {
-  (void)cudaFreeHost(seen_label_);
-  (void)cudaFreeHost(seen_depth_);
-  (void)cudaFreeHost(seen_alpha_);
-}
-
 void BatchDrawer::send_pixels(const PixelPool& pool) {
   rule_.seed = pool.seed;
   rule_.rays = pool.rays;
@@ -244,9 +238,9 @@ void BatchDrawer::draw(std::int64_t step) {
           "fetching labels");
   };
   const auto rays = static_cast<std::size_t>(rule_.rays);
-  if (with_labels_) fetch(seen_label_, batches.label, rays * sizeof(std::int16_t));
-  if (with_depth_) fetch(seen_depth_, batches.depth, rays * sizeof(float));
-  if (with_alpha_) fetch(seen_alpha_, batches.alpha, rays * sizeof(float));
+  if (with_labels_) fetch(seen_label_.get(), batches.label, rays * sizeof(std::int16_t));
+  if (with_depth_) fetch(seen_depth_.get(), batches.depth, rays * sizeof(float));
+  if (with_alpha_) fetch(seen_alpha_.get(), batches.alpha, rays * sizeof(float));
   synchronize();
   first_ = step;
   any_ = true;
@@ -262,9 +256,9 @@ RayBatch BatchDrawer::seen(std::int64_t step) const {
   const std::size_t at = static_cast<std::size_t>(step - first_) * static_cast<std::size_t>(rule_.rays);
   RayBatch batch = layout_.in(nullptr);
   each_array(batch, [](auto& view) { view.data = nullptr, view.device = Device::cpu; });
-  if (with_labels_) batch.targets.label.data = seen_label_ + at;
-  if (with_depth_) batch.targets.more.set(channel::depth, {seen_depth_ + at, rule_.rays, 1});
-  if (with_alpha_) batch.targets.more.set(channel::alpha, {seen_alpha_ + at, rule_.rays, 1});
+  if (with_labels_) batch.targets.label.data = seen_label_.get() + at;
+  if (with_depth_) batch.targets.more.set(channel::depth, {seen_depth_.get() + at, rule_.rays, 1});
+  if (with_alpha_) batch.targets.more.set(channel::alpha, {seen_alpha_.get() + at, rule_.rays, 1});
   if (with_camera_) batch.targets.more.set(channel::camera, {nullptr, rule_.rays, 1});
   return batch;
 }
@@ -321,11 +315,6 @@ Staging::Staging(int slots, const RayBatch& like) : layout_(like) {
   device_ = Buffer<std::byte>(bytes, "batch of rays");
   device_sums_ = Buffer<StepSums>(1, "sums of a step");
   check(cudaMemsetAsync(device_sums_.data(), 0xFF, sizeof(FaultKey), launch().stream), "resetting a fault");
-}
-
-Staging::~Staging() {
-  (void)cudaFreeHost(host_);
-  (void)cudaFreeHost(host_sums_);
 }
 
 void Staging::send(int slot, const StepCell& cell, const RayBatch& batch) {

@@ -90,12 +90,17 @@ struct StepSums {
   LossSums shard[kShards][kMostPasses];
 };
 
-/// Page-locked memory of the host; cudaFreeHost gives it back.
+/// Page-locked memory of the host.
+struct FreePinned {
+  void operator()(void* memory) const { (void)cudaFreeHost(memory); }
+};
 template <class T>
-T* pinned(std::size_t count, const char* what) {
+using Pinned = std::unique_ptr<T[], FreePinned>;
+template <class T>
+Pinned<T> pinned(std::size_t count, const char* what) {
   void* memory = nullptr;
   check(cudaMallocHost(&memory, count * sizeof(T)), what);
-  return static_cast<T*>(memory);
+  return Pinned<T>(static_cast<T*>(memory));
 }
 
 /// The arrays of a batch in one block, in the order of each_array.
@@ -123,9 +128,6 @@ class Staging {
  public:
   /// For batches of the shape of `like`.
   Staging(int slots, const RayBatch& like);
-  ~Staging();
-  Staging(const Staging&) = delete;
-  Staging& operator=(const Staging&) = delete;
 
   bool fits(const RayBatch& batch) const { return layout_.fits(batch); }
   /// Copies cell and batch into the slot and queues its way to the device.
@@ -137,7 +139,7 @@ class Staging {
   /// Queues the copy of the device's sums into the slot.
   void fetch(int slot);
   /// Of the first `slots`.
-  std::span<const StepSums> sums(std::size_t slots) const { return {host_sums_, slots}; }
+  std::span<const StepSums> sums(std::size_t slots) const { return {host_sums_.get(), slots}; }
 
   /// Device memory.
   const StepCell* cell() const { return reinterpret_cast<const StepCell*>(device_.data()); }
@@ -148,11 +150,13 @@ class Staging {
  private:
   static constexpr std::size_t kCellBytes = 256;
   static_assert(sizeof(StepCell) <= kCellBytes);
-  std::byte* slot_at(int slot) const { return host_ + static_cast<std::size_t>(slot) * (kCellBytes + layout_.bytes()); }
+  std::byte* slot_at(int slot) const {
+    return host_.get() + static_cast<std::size_t>(slot) * (kCellBytes + layout_.bytes());
+  }
 
   BatchLayout layout_;
-  std::byte* host_ = nullptr;  // [slots, kCellBytes + layout_.bytes()]
-  StepSums* host_sums_ = nullptr;
+  Pinned<std::byte> host_;  // [slots, kCellBytes + layout_.bytes()]
+  Pinned<StepSums> host_sums_;
   Buffer<std::byte> device_;
   Buffer<StepSums> device_sums_;
 };
@@ -163,9 +167,6 @@ class BatchDrawer {
  public:
   /// Steps that are drawn at once: `ahead`. Throws Error(unavailable) where memory is short.
   BatchDrawer(const PixelPool& pool, int ahead);
-  ~BatchDrawer();
-  BatchDrawer(const BatchDrawer&) = delete;
-  BatchDrawer& operator=(const BatchDrawer&) = delete;
 
   /// Bytes of device memory that a pool takes.
   static std::size_t bytes_of(const PixelPool& pool, int ahead);
@@ -204,8 +205,8 @@ class BatchDrawer {
   Buffer<std::int16_t> label_;
   Buffer<float> depth_;
   std::vector<Buffer<double>> directions_;
-  std::int16_t* seen_label_ = nullptr;  // pinned [ahead, rays]
-  float *seen_depth_ = nullptr, *seen_alpha_ = nullptr;
+  Pinned<std::int16_t> seen_label_;  // [ahead, rays]
+  Pinned<float> seen_depth_, seen_alpha_;
 };
 
 // Room for the samples of a step, where a sampler leaves most of what there can be unused.

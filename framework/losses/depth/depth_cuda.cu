@@ -32,16 +32,16 @@ struct Body {
 };
 
 void add(const Loss& loss, const LossCall& call) {
-  Body body;
-  body.params = static_cast<const DepthLoss&>(loss).params;
-  body.params.band_m = band_of(body.params.band_m, call.values.unit_m);
-  body.unit_m = call.values.unit_m;
-  body.truth = call.targets.more[channel::depth];
-  body.depth = call.values.depth;
-  body.t = call.values.t;
-  body.weight = call.values.weight;
-  body.d_depth = call.gradients.depth;
-  body.d_weight = call.gradients.weight;
+  DepthLossParams params = static_cast<const DepthLoss&>(loss).params;
+  params.band_m = band_of(params.band_m, call.values.unit_m);
+  const Body body{params,
+                  call.values.unit_m,
+                  call.targets.more[channel::depth],
+                  call.values.depth,
+                  call.values.t,
+                  call.values.weight,
+                  call.gradients.depth,
+                  call.gradients.weight};
   launch_over_rays(call, body, "depth loss");
 }
 

@@ -58,13 +58,12 @@ struct Body {
 };
 
 void add(const Loss& loss, const LossCall& call) {
-  Body body;
-  body.space = static_cast<const DistortionLoss&>(loss).params.space;
-  body.near_far = call.values.near_far;
-  body.t = call.values.t;
-  body.delta = call.values.delta;
-  body.weight = call.values.weight;
-  body.d_weight = call.gradients.weight;
+  const Body body{static_cast<const DistortionLoss&>(loss).params.space,
+                  call.values.near_far,
+                  call.values.t,
+                  call.values.delta,
+                  call.values.weight,
+                  call.gradients.weight};
   launch_over_rays(call, body, "distortion loss");
 }
 

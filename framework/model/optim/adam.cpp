@@ -101,19 +101,16 @@ namespace {
 // -1.
 template <class Good>
 std::int64_t first_bad_range(std::int64_t size, const Good& good) {
-  struct Job {
-    const Good& good;
-    std::int64_t size;
-    std::atomic<std::int64_t> first_bad;
-  } job{good, size, std::numeric_limits<std::int64_t>::max()};
-  parallel_for((size + kRangeElements - 1) / kRangeElements, [&job](std::int64_t i) {
+  constexpr std::int64_t kNone = std::numeric_limits<std::int64_t>::max();
+  std::atomic<std::int64_t> first_bad = kNone;
+  parallel_for((size + kRangeElements - 1) / kRangeElements, [&](std::int64_t i) {
     const std::int64_t begin = i * kRangeElements;
-    if (job.good(begin, std::min(kRangeElements, job.size - begin))) return;
-    std::int64_t known = job.first_bad;
-    while (i < known && !job.first_bad.compare_exchange_weak(known, i)) {
+    if (good(begin, std::min(kRangeElements, size - begin))) return;
+    std::int64_t known = first_bad;
+    while (i < known && !first_bad.compare_exchange_weak(known, i)) {
     }
   });
-  return job.first_bad == std::numeric_limits<std::int64_t>::max() ? -1 : job.first_bad.load();
+  return first_bad == kNone ? -1 : first_bad.load();
 }
 
 template <class Real>
