@@ -125,6 +125,33 @@ void run_serially(std::int64_t count, IndexBody body) {
   for (std::int64_t i = 0; i < count; ++i) body(i);
 }
 
+// Longer than most waits within a step: to wake a thread costs the one who does it some microseconds for each.
+constexpr std::chrono::microseconds kAwake{200};
+
+thread_local bool t_inside = false;
+
+void pause_briefly() {
+#if defined(__x86_64__) || defined(__i386__)
+  __builtin_ia32_pause();
+#else
+  std::this_thread::yield();
+#endif
+}
+
+// Until `value` is no longer `old`: a short while awake, then asleep. Returns the new value.
+std::uint32_t wait_for_change(const std::atomic<std::uint32_t>& value, std::uint32_t old) {
+  const auto end = std::chrono::steady_clock::now() + kAwake;
+  do {
+    for (int i = 0; i < 16; ++i) {
+      const std::uint32_t now = value.load(std::memory_order_acquire);
+      if (now != old) return now;
+      pause_briefly();
+    }
+  } while (std::chrono::steady_clock::now() < end);
+  value.wait(old, std::memory_order_acquire);
+  return value.load(std::memory_order_acquire);
+}
+
 }  // namespace
 
 int hardware_threads() {
@@ -159,37 +186,6 @@ void parallel_for(std::int64_t count, IndexBody body) {
   }
   team->run(count, body);
 }
-
-namespace {
-
-// Longer than most waits within a step: to wake a thread costs the one who does it some microseconds for each.
-constexpr std::chrono::microseconds kAwake{200};
-
-thread_local bool t_inside = false;
-
-void pause_briefly() {
-#if defined(__x86_64__) || defined(__i386__)
-  __builtin_ia32_pause();
-#else
-  std::this_thread::yield();
-#endif
-}
-
-// Until `value` is no longer `old`: a short while awake, then asleep. Returns the new value.
-std::uint32_t wait_for_change(const std::atomic<std::uint32_t>& value, std::uint32_t old) {
-  const auto end = std::chrono::steady_clock::now() + kAwake;
-  do {
-    for (int i = 0; i < 16; ++i) {
-      const std::uint32_t now = value.load(std::memory_order_acquire);
-      if (now != old) return now;
-      pause_briefly();
-    }
-  } while (std::chrono::steady_clock::now() < end);
-  value.wait(old, std::memory_order_acquire);
-  return value.load(std::memory_order_acquire);
-}
-
-}  // namespace
 
 ThreadTeam::~ThreadTeam() {
   stop_ = true;

@@ -200,10 +200,6 @@ ReadLoop best_read_loop() {
   return read_loop;
 }
 
-}  // namespace
-
-namespace {
-
 double fp32_flop(const Width& width) { return 2.0 * kChains * kRounds * width.floats; }
 constexpr double kBf16Flop = 2.0 * kChains * kRounds * 32;
 constexpr std::int64_t kReads = 1 << 14;  // of one call and lane

@@ -32,6 +32,36 @@ std::string printable(const std::string& text) {
   return out;
 }
 
+// The message without what differs from place to place: words with a digit or a slash are numbers and paths.
+std::string kind_of(const std::string& message) {
+  std::string kind;
+  for (std::size_t at = 0; at < message.size();) {
+    const std::size_t end = std::min(message.find(' ', at), message.size());
+    const std::string word = message.substr(at, end - at);
+    kind += word.find_first_of("0123456789/") == std::string::npos ? word + ' ' : std::string("# ");
+    at = end + 1;
+  }
+  return kind;
+}
+
+// "frame 'rgb_12'" of "frame 'rgb_12' (/data/rgb_12.png)", "transforms.json: frame 3" of "/data/transforms.json: frame
+// 3 (a.png)": the first of its kind has told the folder.
+std::string short_place(const std::string& where) {
+  const std::size_t name = where.rfind(": ");
+  const std::string place =
+      where.ends_with(')') ? where.substr(0, where.find(" (", name == std::string::npos ? 0 : name)) : where;
+  return place.substr(place.rfind('/') + 1);
+}
+
+std::string listed(const std::string& summary, const std::vector<Diagnostic>& lines, bool codes) {
+  std::string text = summary;
+  for (const Diagnostic& line : lines) {
+    if (!text.empty()) text += '\n';
+    text += codes ? line.shown() : line.text();
+  }
+  return text;
+}
+
 }  // namespace
 
 std::optional<Code> Code::parse(std::string_view text) {
@@ -98,40 +128,6 @@ std::string join(const std::vector<std::string>& words, std::string_view separat
   }
   return out;
 }
-
-namespace {
-
-// The message without what differs from place to place: words with a digit or a slash are numbers and paths.
-std::string kind_of(const std::string& message) {
-  std::string kind;
-  for (std::size_t at = 0; at < message.size();) {
-    const std::size_t end = std::min(message.find(' ', at), message.size());
-    const std::string word = message.substr(at, end - at);
-    kind += word.find_first_of("0123456789/") == std::string::npos ? word + ' ' : std::string("# ");
-    at = end + 1;
-  }
-  return kind;
-}
-
-// "frame 'rgb_12'" of "frame 'rgb_12' (/data/rgb_12.png)", "transforms.json: frame 3" of "/data/transforms.json: frame
-// 3 (a.png)": the first of its kind has told the folder.
-std::string short_place(const std::string& where) {
-  const std::size_t name = where.rfind(": ");
-  const std::string place =
-      where.ends_with(')') ? where.substr(0, where.find(" (", name == std::string::npos ? 0 : name)) : where;
-  return place.substr(place.rfind('/') + 1);
-}
-
-std::string listed(const std::string& summary, const std::vector<Diagnostic>& lines, bool codes) {
-  std::string text = summary;
-  for (const Diagnostic& line : lines) {
-    if (!text.empty()) text += '\n';
-    text += codes ? line.shown() : line.text();
-  }
-  return text;
-}
-
-}  // namespace
 
 FindingsError::FindingsError(ErrorKind kind, std::string summary, std::vector<Diagnostic> lines,
                              std::vector<Diagnostic> findings)

@@ -5,10 +5,15 @@
 namespace semfield {
 
 namespace {
+
 constexpr std::size_t kAlign = 64;
 constexpr std::size_t kSourceAlign = 256;
 constexpr std::size_t kMinBlock = std::size_t{1} << 20;
 std::size_t rounded(std::size_t bytes, std::size_t align) { return (bytes + align - 1) / align * align; }
+
+// A thread's own, so that two sessions in two threads do not meet here.
+thread_local const WorkSettings* t_settings = nullptr;
+
 }  // namespace
 
 Workspace::~Workspace() { clear_blocks(); }
@@ -98,13 +103,6 @@ std::size_t Workspace::reserved_bytes() const noexcept {
   for (const Block& block : blocks_) sum += block.bytes;
   return sum;
 }
-
-namespace {
-
-// A thread's own, so that two sessions in two threads do not meet here.
-thread_local const WorkSettings* t_settings = nullptr;
-
-}  // namespace
 
 const WorkSettings& work_settings() {
   static const WorkSettings defaults;

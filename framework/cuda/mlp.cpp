@@ -26,63 +26,6 @@ View<const __nv_bfloat16> bias_of(const View<const float>&, const View<const __n
   return rounded;
 }
 
-}  // namespace
-
-template <class Act, class Out>
-void linear_forward(const LinearForward<Act, Out>& call) {
-  if (call.y.size() == 0) return;
-  Product p{.a = Matrix(call.x), .b = Matrix(call.weight), .d = Matrix(call.y), .add = call.add};
-  const View<const Out> bias = bias_of(call.bias, call.rounded_bias);
-  p.epilogue = forward_epilogue(!call.bias.empty(), call.activation, call.mask != nullptr);
-  p.bias = bias.data;
-  p.mask = call.mask;
-  const bool in_one = call.bias.empty() || !bias.empty();
-  if (in_one && product(p)) return;
-  p.epilogue = Epilogue::none;
-  p.bias = nullptr;
-  p.mask = nullptr;
-  product(p);
-  if (!call.bias.empty() || call.activation == Activation::relu) {
-    finish_layer(call.bias, call.activation, call.y, call.mask);
-  }
-}
-
-template <class Act, class Dx>
-void linear_backward(const LinearBackward<Act, Dx>& call, Workspace& arena) {
-  if (call.dz.rows == 0) return;
-  const Workspace::Scope scope(arena);
-  if (!call.d_weight.empty()) {
-    product({.a = Matrix(call.x.col_range(0, static_cast<std::int32_t>(call.d_weight.rows)), true),
-             .b = Matrix(call.dz.col_range(0, call.d_weight.cols)),
-             .d = Matrix(call.d_weight),
-             .add = true});
-  }
-  // Own passes: cuBLASLt's epilogues for the sums and for the gradient of a ReLU are kernels of their own on Hopper,
-  // and take more than twice as long.
-  if (!call.d_bias.empty()) add_column_sums<Act>(call.dz.col_range(0, call.d_bias.cols), call.d_bias, arena);
-  if (call.dx.empty()) return;
-  product({.a = Matrix(call.dz), .b = Matrix(call.weight, true), .d = Matrix(call.dx), .add = call.add_to_dx});
-  if (!call.relu_input) return;
-  if constexpr (std::is_same_v<Dx, __nv_bfloat16>) {
-    if (call.mask != nullptr && call.dx.cols % 8 == 0 && call.dx.row_stride % 8 == 0) {
-      mask_and_sum(call.mask, call.dx, call.dx_sums, arena);
-      return;
-    }
-  }
-  relu_backward<Act, Dx>(call.x, call.dx);
-  if (!call.dx_sums.empty()) add_column_sums<Dx>(call.dx.col_range(0, call.dx_sums.cols), call.dx_sums, arena);
-}
-
-#define SEMFIELD_INSTANTIATE(Act, Out)                                    \
-  template void linear_forward<Act, Out>(const LinearForward<Act, Out>&); \
-  template void linear_backward<Act, Out>(const LinearBackward<Act, Out>&, Workspace&);
-SEMFIELD_INSTANTIATE(float, float)
-SEMFIELD_INSTANTIATE(__nv_bfloat16, float)
-SEMFIELD_INSTANTIATE(__nv_bfloat16, __nv_bfloat16)
-#undef SEMFIELD_INSTANTIATE
-
-namespace {
-
 View<float> writable(View<const float> rows) {
   return {const_cast<float*>(rows.data), rows.rows, rows.cols, rows.row_stride, rows.device};
 }
@@ -317,16 +260,7 @@ template <class Act>
 constexpr MlpKernels<float> kTable{
     forward<Act>, backward<Act>, derive, derive_backward, Walk<Act>::saved_bytes, nullptr, DeviceLayers<Act>::kRounds};
 
-}  // namespace
-
-void add_mlp_kernels(KernelTables& tables) {
-  tables.add(Device::cuda, kMlpOwner, &kTable<float>);
-  tables.add(Device::cuda, kMlpOwner, &kTable<__nv_bfloat16>, Precision::bf16);
-}
-
 // Heads of one hidden layer on the device. Everything is queued on launch().stream.
-
-namespace {
 
 constexpr std::int32_t kMostSmallClasses = 128;  // with more, cuBLASLt's kernels are the faster ones
 
@@ -452,6 +386,64 @@ void output_backward(const HeadShape& shape, Workspace& arena, const Tensors<flo
 }
 
 }  // namespace
+
+template <class Act, class Out>
+void linear_forward(const LinearForward<Act, Out>& call) {
+  if (call.y.size() == 0) return;
+  Product p{.a = Matrix(call.x), .b = Matrix(call.weight), .d = Matrix(call.y), .add = call.add};
+  const View<const Out> bias = bias_of(call.bias, call.rounded_bias);
+  p.epilogue = forward_epilogue(!call.bias.empty(), call.activation, call.mask != nullptr);
+  p.bias = bias.data;
+  p.mask = call.mask;
+  const bool in_one = call.bias.empty() || !bias.empty();
+  if (in_one && product(p)) return;
+  p.epilogue = Epilogue::none;
+  p.bias = nullptr;
+  p.mask = nullptr;
+  product(p);
+  if (!call.bias.empty() || call.activation == Activation::relu) {
+    finish_layer(call.bias, call.activation, call.y, call.mask);
+  }
+}
+
+template <class Act, class Dx>
+void linear_backward(const LinearBackward<Act, Dx>& call, Workspace& arena) {
+  if (call.dz.rows == 0) return;
+  const Workspace::Scope scope(arena);
+  if (!call.d_weight.empty()) {
+    product({.a = Matrix(call.x.col_range(0, static_cast<std::int32_t>(call.d_weight.rows)), true),
+             .b = Matrix(call.dz.col_range(0, call.d_weight.cols)),
+             .d = Matrix(call.d_weight),
+             .add = true});
+  }
+  // Own passes: cuBLASLt's epilogues for the sums and for the gradient of a ReLU are kernels of their own on Hopper,
+  // and take more than twice as long.
+  if (!call.d_bias.empty()) add_column_sums<Act>(call.dz.col_range(0, call.d_bias.cols), call.d_bias, arena);
+  if (call.dx.empty()) return;
+  product({.a = Matrix(call.dz), .b = Matrix(call.weight, true), .d = Matrix(call.dx), .add = call.add_to_dx});
+  if (!call.relu_input) return;
+  if constexpr (std::is_same_v<Dx, __nv_bfloat16>) {
+    if (call.mask != nullptr && call.dx.cols % 8 == 0 && call.dx.row_stride % 8 == 0) {
+      mask_and_sum(call.mask, call.dx, call.dx_sums, arena);
+      return;
+    }
+  }
+  relu_backward<Act, Dx>(call.x, call.dx);
+  if (!call.dx_sums.empty()) add_column_sums<Dx>(call.dx.col_range(0, call.dx_sums.cols), call.dx_sums, arena);
+}
+
+#define SEMFIELD_INSTANTIATE(Act, Out)                                    \
+  template void linear_forward<Act, Out>(const LinearForward<Act, Out>&); \
+  template void linear_backward<Act, Out>(const LinearBackward<Act, Out>&, Workspace&);
+SEMFIELD_INSTANTIATE(float, float)
+SEMFIELD_INSTANTIATE(__nv_bfloat16, float)
+SEMFIELD_INSTANTIATE(__nv_bfloat16, __nv_bfloat16)
+#undef SEMFIELD_INSTANTIATE
+
+void add_mlp_kernels(KernelTables& tables) {
+  tables.add(Device::cuda, kMlpOwner, &kTable<float>);
+  tables.add(Device::cuda, kMlpOwner, &kTable<__nv_bfloat16>, Precision::bf16);
+}
 
 const HeadKernels<float>& head_kernels() {
   static constexpr HeadKernels<float> kernels{

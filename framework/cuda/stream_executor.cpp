@@ -28,6 +28,63 @@ std::int64_t last_labelled(View<const std::int16_t> label) {
   return n;
 }
 
+// Which settings fit into the device's memory, found by trying: said when a step does not.
+
+constexpr double kMargin = 0.9;      // of what is free: for graphs, products' workspaces and neighbours
+constexpr std::int64_t kRound = 32;  // rays
+
+// Steps whose batches are drawn on the device.
+
+bool has_finite_rays(const PixelPool& pool) {
+  return std::all_of(pool.frames.begin(), pool.frames.end(), [](const PixelPool::Frame& frame) {
+    const Pose& pose = frame.world_from_camera;
+    bool finite = frame.camera.has_finite_lens();
+    for (int i = 0; i < 3; ++i) {
+      finite = finite && std::isfinite(pose.t[i]);
+      for (int axis = 0; axis < 3; ++axis) finite = finite && std::isfinite(pose.axis(axis)[i]);
+    }
+    return finite;
+  });
+}
+
+// What steps leave, read when they are waited for: sums of shards and ranks to losses, and faults.
+
+// In order, so that the sum does not depend on which rank had the shard.
+void add(LossSums& sum, const LossSums& shard) {
+  sum.squares += shard.squares;
+  sum.semantic += shard.semantic;
+  for (std::size_t i = 0; i < kMostLossTerms; ++i) sum.terms[i] += shard.terms[i];
+  sum.labelled += shard.labelled;
+  sum.correct += shard.correct;
+  sum.samples += shard.samples;
+  sum.dense |= shard.dense;
+}
+
+// The semantic part at points of space: what it reads there, its logits, and steps of learning from points.
+
+constexpr std::int64_t kChunkPoints = std::int64_t{1} << 17;
+
+template <class T>
+View<const T> column(std::span<const T> values) {
+  return {values.data(), std::ssize(values), 1};
+}
+
+// The numbers of each step, as kernels read them.
+std::vector<StepCell> cells_of(const PointLessons<float>& lessons) {
+  std::vector<StepCell> cells(lessons.updates.size());
+  for (std::size_t n = 0; n < cells.size(); ++n) {
+    cells[n].step = n;
+    cells[n].adam = lessons.updates[n];
+    cells[n].semantic_normaliser = static_cast<double>(lessons.batch);
+  }
+  return cells;
+}
+
+// Rendering and density queries: a batch is cut into chunks, whose results are waited for at the end.
+
+constexpr std::int64_t kFewestRays = 256;
+constexpr std::int64_t kChunkPositions = std::int64_t{1} << 20;
+
 }  // namespace
 
 StreamExecutor::StreamExecutor(Pipeline<float>& host, std::vector<PassParts<float>> parts, const DeviceOptions& options)
@@ -367,15 +424,6 @@ void StreamExecutor::update(std::int64_t step) {
   derive(context(step, true, train_arena_));
 }
 
-// Which settings fit into the device's memory, found by trying: said when a step does not.
-
-namespace {
-
-constexpr double kMargin = 0.9;      // of what is free: for graphs, products' workspaces and neighbours
-constexpr std::int64_t kRound = 32;  // rays
-
-}  // namespace
-
 void StreamExecutor::forget_step() {
   synchronize();
   check(cudaStreamSynchronize(beside_), "waiting for the device");
@@ -654,24 +702,6 @@ void StreamExecutor::reserve_gradients() {
   sums_->reserve(std::move(gathered));
 }
 
-// Steps whose batches are drawn on the device.
-
-namespace {
-
-bool has_finite_rays(const PixelPool& pool) {
-  return std::all_of(pool.frames.begin(), pool.frames.end(), [](const PixelPool::Frame& frame) {
-    const Pose& pose = frame.world_from_camera;
-    bool finite = frame.camera.has_finite_lens();
-    for (int i = 0; i < 3; ++i) {
-      finite = finite && std::isfinite(pose.t[i]);
-      for (int axis = 0; axis < 3; ++axis) finite = finite && std::isfinite(pose.axis(axis)[i]);
-    }
-    return finite;
-  });
-}
-
-}  // namespace
-
 // Several ranks have rank 0's pixels, and steps come from it.
 bool StreamExecutor::hold(const PixelPool& pool) {
   SEMFIELD_CHECK(queued_.empty(), "pixels are taken in between steps");
@@ -712,23 +742,6 @@ void StreamExecutor::queue_drawn(std::int64_t step, std::uint32_t terms, const A
   batch.terms = terms;
   queue_batch(step, batch, update, drawer_->batch(step));
 }
-
-// What steps leave, read when they are waited for: sums of shards and ranks to losses, and faults.
-
-namespace {
-
-// In order, so that the sum does not depend on which rank had the shard.
-void add(LossSums& sum, const LossSums& shard) {
-  sum.squares += shard.squares;
-  sum.semantic += shard.semantic;
-  for (std::size_t i = 0; i < kMostLossTerms; ++i) sum.terms[i] += shard.terms[i];
-  sum.labelled += shard.labelled;
-  sum.correct += shard.correct;
-  sum.samples += shard.samples;
-  sum.dense |= shard.dense;
-}
-
-}  // namespace
 
 StepLosses StreamExecutor::losses_of(std::span<const StepSums* const> sums, const BatchScales& scales) const {
   StepLosses out;
@@ -791,30 +804,6 @@ StepResults StreamExecutor::finish() {
   }
   return {done_, failed, std::nullopt};
 }
-
-// The semantic part at points of space: what it reads there, its logits, and steps of learning from points.
-
-namespace {
-
-constexpr std::int64_t kChunkPoints = std::int64_t{1} << 17;
-
-template <class T>
-View<const T> column(std::span<const T> values) {
-  return {values.data(), std::ssize(values), 1};
-}
-
-// The numbers of each step, as kernels read them.
-std::vector<StepCell> cells_of(const PointLessons<float>& lessons) {
-  std::vector<StepCell> cells(lessons.updates.size());
-  for (std::size_t n = 0; n < cells.size(); ++n) {
-    cells[n].step = n;
-    cells[n].adam = lessons.updates[n];
-    cells[n].semantic_normaliser = static_cast<double>(lessons.batch);
-  }
-  return cells;
-}
-
-}  // namespace
 
 class StreamExecutor::Points final : public PointNetwork<float> {
  public:
@@ -952,15 +941,6 @@ PointNetwork<float>& StreamExecutor::points() {
   }
   return *points_;
 }
-
-// Rendering and density queries: a batch is cut into chunks, whose results are waited for at the end.
-
-namespace {
-
-constexpr std::int64_t kFewestRays = 256;
-constexpr std::int64_t kChunkPositions = std::int64_t{1} << 20;
-
-}  // namespace
 
 Launch StreamExecutor::render_launch() const {
   Launch next;

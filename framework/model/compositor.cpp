@@ -12,6 +12,7 @@
 #include "model/stages.h"
 
 namespace semfield {
+
 namespace {
 
 constexpr std::int32_t kAlphaBlock = 64;  // samples whose exponentials are taken together
@@ -82,55 +83,6 @@ bool hidden_covers(const View<const Real>& hidden, std::int64_t rays, std::int64
   return !hidden.empty() && ray < rays;
 }
 
-}  // namespace
-
-template <class Real>
-void composite_forward(const CompositeIn<Real>& in, const CompositeOut<Real>& out) {
-  check_shapes(in, out);
-  const Samples<Real>& samples = *in.samples;
-  const bool wants_color = !out.color.empty() && !in.rgb.empty();
-  for (std::int64_t r = 0; r + 1 < samples.first.rows; ++r) {
-    const std::int32_t begin = *samples.first.row(r), end = *samples.first.row(r + 1);
-    Real* hidden = hidden_covers(in.hidden, out.hidden.rows, r) ? out.hidden.row(r) : nullptr;
-    if (hidden != nullptr) {
-      for (std::int32_t c = 0; c < in.hidden.cols; ++c) hidden[c] = 0;
-    }
-    RaySums sums;
-    Real transmittance = 1;
-    const std::int32_t rest = in.far == FarMode::background ? end - 1 : -1;
-    for (std::int32_t first = begin; first < end; first += kAlphaBlock) {
-      const std::int32_t stop = std::min(end, first + kAlphaBlock);
-      Real alpha[kAlphaBlock], after[kAlphaBlock];
-      block_alphas(in, first, stop, rest, alpha);
-      block_transmittances(in, first, stop, rest, sums.tau, after);
-      for (std::int32_t k = first; k < stop; ++k) {
-        const Real weight = transmittance * alpha[k - first];
-        *out.weight.row(k) = weight;
-        transmittance = after[k - first];
-        if (weight == Real(0)) continue;
-        const double w = static_cast<double>(weight);
-        sums.opacity += w;
-        sums.depth += w * static_cast<double>(*samples.t.row(k));
-        if (wants_color) {
-          const Real* rgb = in.rgb.row(k);
-          for (int c = 0; c < 3; ++c) sums.color[c] += w * static_cast<double>(rgb[c]);
-        }
-        if (hidden != nullptr) add_scaled(weight, in.hidden.row(k), hidden, in.hidden.cols);
-      }
-    }
-    if (!out.color.empty()) {
-      const double behind = in.far == FarMode::closed ? 0.0 : static_cast<double>(transmittance);
-      for (int c = 0; c < 3; ++c) {
-        out.color.row(r)[c] = static_cast<Real>(sums.color[c] + behind * in.background[static_cast<std::size_t>(c)]);
-      }
-    }
-    if (!out.depth.empty()) *out.depth.row(r) = static_cast<Real>(sums.depth);
-    if (!out.opacity.empty()) *out.opacity.row(r) = static_cast<Real>(sums.opacity);
-  }
-}
-
-namespace {
-
 // Gradients at one ray's outputs.
 template <class Real>
 struct RayGrad {
@@ -199,7 +151,98 @@ void ray_density_gradient(const CompositeIn<Real>& in, const RayGrad<Real>& grad
   }
 }
 
+// Density activations: block by block through the vectorised functions of compute/.
+
+constexpr std::int64_t kDensityBlock = 256;
+
+// f(values, count, first row) for blocks of raw densities, copied: a gradient may be written over its own input.
+template <class Real, class F>
+void for_blocks(View<const Real> raw, const F& f) {
+  Real values[kDensityBlock];
+  for (std::int64_t begin = 0; begin < raw.rows; begin += kDensityBlock) {
+    const std::int64_t count = std::min(kDensityBlock, raw.rows - begin);
+    for (std::int64_t i = 0; i < count; ++i) values[i] = *raw.row(begin + i);
+    f(values, count, begin);
+  }
+}
+
+// The activation's value or slope, in place. Written so that NaN stays NaN.
+template <class Real>
+void truncated_exp(Real* x, std::int64_t n) {
+  for (std::int64_t i = 0; i < n; ++i) x[i] = x[i] > Real(kTruncExpMax) ? Real(kTruncExpMax) : x[i];
+  exp_inplace(x, n);
+}
+template <class Real>
+void value_inplace(DensityActivation activation, Real* x, std::int64_t n) {
+  switch (activation) {
+    case DensityActivation::relu:
+      for (std::int64_t i = 0; i < n; ++i) x[i] = x[i] < 0 ? Real(0) : x[i];
+      return;
+    case DensityActivation::softplus:
+      return softplus_inplace(x, n);
+    case DensityActivation::trunc_exp:
+      return truncated_exp(x, n);
+  }
+}
+template <class Real>
+void slope_inplace(DensityActivation activation, Real* x, std::int64_t n) {
+  switch (activation) {
+    case DensityActivation::relu:
+      for (std::int64_t i = 0; i < n; ++i) x[i] = x[i] > 0 ? Real(1) : Real(0);
+      return;
+    case DensityActivation::softplus:
+      return sigmoid_inplace(x, n);
+    case DensityActivation::trunc_exp:
+      return truncated_exp(x, n);
+  }
+}
+
 }  // namespace
+
+template <class Real>
+void composite_forward(const CompositeIn<Real>& in, const CompositeOut<Real>& out) {
+  check_shapes(in, out);
+  const Samples<Real>& samples = *in.samples;
+  const bool wants_color = !out.color.empty() && !in.rgb.empty();
+  for (std::int64_t r = 0; r + 1 < samples.first.rows; ++r) {
+    const std::int32_t begin = *samples.first.row(r), end = *samples.first.row(r + 1);
+    Real* hidden = hidden_covers(in.hidden, out.hidden.rows, r) ? out.hidden.row(r) : nullptr;
+    if (hidden != nullptr) {
+      for (std::int32_t c = 0; c < in.hidden.cols; ++c) hidden[c] = 0;
+    }
+    RaySums sums;
+    Real transmittance = 1;
+    const std::int32_t rest = in.far == FarMode::background ? end - 1 : -1;
+    for (std::int32_t first = begin; first < end; first += kAlphaBlock) {
+      const std::int32_t stop = std::min(end, first + kAlphaBlock);
+      Real alpha[kAlphaBlock], after[kAlphaBlock];
+      block_alphas(in, first, stop, rest, alpha);
+      block_transmittances(in, first, stop, rest, sums.tau, after);
+      for (std::int32_t k = first; k < stop; ++k) {
+        const Real weight = transmittance * alpha[k - first];
+        *out.weight.row(k) = weight;
+        transmittance = after[k - first];
+        if (weight == Real(0)) continue;
+        const double w = static_cast<double>(weight);
+        sums.opacity += w;
+        sums.depth += w * static_cast<double>(*samples.t.row(k));
+        if (wants_color) {
+          const Real* rgb = in.rgb.row(k);
+          for (int c = 0; c < 3; ++c) sums.color[c] += w * static_cast<double>(rgb[c]);
+        }
+        if (hidden != nullptr) add_scaled(weight, in.hidden.row(k), hidden, in.hidden.cols);
+      }
+    }
+    if (!out.color.empty()) {
+      const double behind = in.far == FarMode::closed ? 0.0 : static_cast<double>(transmittance);
+      for (int c = 0; c < 3; ++c) {
+        out.color.row(r)[c] = static_cast<Real>(sums.color[c] + behind * in.background[static_cast<std::size_t>(c)]);
+      }
+    }
+    if (!out.depth.empty()) *out.depth.row(r) = static_cast<Real>(sums.depth);
+    if (!out.opacity.empty()) *out.opacity.row(r) = static_cast<Real>(sums.opacity);
+  }
+}
 
 template <class Real>
 void composite_backward(const CompositeIn<Real>& in, const CompositeOut<Real>& out, const CompositeGrad<Real>& grad,
@@ -248,56 +291,6 @@ void check_density(const Samples<Real>& samples, View<const Real> sigma, std::in
     }
   }
 }
-
-// Density activations: block by block through the vectorised functions of compute/.
-
-namespace {
-
-constexpr std::int64_t kDensityBlock = 256;
-
-// f(values, count, first row) for blocks of raw densities, copied: a gradient may be written over its own input.
-template <class Real, class F>
-void for_blocks(View<const Real> raw, const F& f) {
-  Real values[kDensityBlock];
-  for (std::int64_t begin = 0; begin < raw.rows; begin += kDensityBlock) {
-    const std::int64_t count = std::min(kDensityBlock, raw.rows - begin);
-    for (std::int64_t i = 0; i < count; ++i) values[i] = *raw.row(begin + i);
-    f(values, count, begin);
-  }
-}
-
-// The activation's value or slope, in place. Written so that NaN stays NaN.
-template <class Real>
-void truncated_exp(Real* x, std::int64_t n) {
-  for (std::int64_t i = 0; i < n; ++i) x[i] = x[i] > Real(kTruncExpMax) ? Real(kTruncExpMax) : x[i];
-  exp_inplace(x, n);
-}
-template <class Real>
-void value_inplace(DensityActivation activation, Real* x, std::int64_t n) {
-  switch (activation) {
-    case DensityActivation::relu:
-      for (std::int64_t i = 0; i < n; ++i) x[i] = x[i] < 0 ? Real(0) : x[i];
-      return;
-    case DensityActivation::softplus:
-      return softplus_inplace(x, n);
-    case DensityActivation::trunc_exp:
-      return truncated_exp(x, n);
-  }
-}
-template <class Real>
-void slope_inplace(DensityActivation activation, Real* x, std::int64_t n) {
-  switch (activation) {
-    case DensityActivation::relu:
-      for (std::int64_t i = 0; i < n; ++i) x[i] = x[i] > 0 ? Real(1) : Real(0);
-      return;
-    case DensityActivation::softplus:
-      return sigmoid_inplace(x, n);
-    case DensityActivation::trunc_exp:
-      return truncated_exp(x, n);
-  }
-}
-
-}  // namespace
 
 template <class Real>
 void add_density_noise(const RandomAddress& address, std::int64_t first_ray, View<const std::int32_t> first,

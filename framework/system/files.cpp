@@ -31,6 +31,8 @@
 
 namespace semfield {
 
+namespace fs = std::filesystem;
+
 namespace {
 
 std::string cause_text(int cause) { return std::strerror(cause); }
@@ -124,6 +126,102 @@ int sync_entry_of(const std::string& path) {
                      : S_ISCHR(mode) || S_ISBLK(mode) ? "device"
                                                       : "special file";
   throw Error(ErrorKind::no_input, "files.read.kind", "'" + path + "' is a " + what + ", not a file", "check the path");
+}
+
+// Names of the temporary files that this process is writing, for a handler of signals, which may neither lock nor take
+// memory. A place is never given back to the system, so that what it reads is always a name of ours.
+struct OwnTemporary {
+  std::atomic<bool> taken{false};
+  std::atomic<pid_t> writer{0};  // 0: none is there
+  std::array<char, 1024> path{};
+};
+std::array<OwnTemporary, 64> g_own;
+
+// Where there is no room, it stays until the next write of the same file.
+void remember(const std::string& path) {
+  for (OwnTemporary& own : g_own) {
+    if (path.size() >= own.path.size() || own.taken.exchange(true)) continue;
+    std::copy_n(path.c_str(), path.size() + 1, own.path.begin());
+    own.writer = ::getpid();
+    return;
+  }
+}
+
+void forget(const std::string& path) {
+  for (OwnTemporary& own : g_own) {
+    if (own.writer != ::getpid() || path != own.path.data()) continue;
+    own.writer = 0;
+    own.taken = false;
+  }
+}
+
+// A hold on a folder or a file: flock of a lock file in it or beside it.
+
+std::string host_name() {
+  std::array<char, 256> name{};
+  return ::gethostname(name.data(), name.size() - 1) == 0 ? name.data() : "";
+}
+
+std::string lock_of(const std::string& folder) { return (std::filesystem::path(folder) / ".lock").string(); }
+
+// "PID HOST" of the file as words; it may hold anything.
+std::string holder_of(int descriptor) {
+  std::array<char, 320> text{};
+  const ssize_t size = ::pread(descriptor, text.data(), text.size() - 1, 0);
+  std::istringstream words(size > 0 ? text.data() : "");
+  std::string pid, host;
+  words >> pid >> host;
+  const auto digit = [](unsigned char c) { return std::isdigit(c) != 0; };
+  const auto of_a_name = [](unsigned char c) { return std::isalnum(c) != 0 || c == '-' || c == '.' || c == '_'; };
+  if (pid.empty() || !std::all_of(pid.begin(), pid.end(), digit)) return "process ?";
+  if (host.empty() || !std::all_of(host.begin(), host.end(), of_a_name)) return "process " + pid;
+  return "process " + pid + " on " + host;
+}
+
+// An entry a file: FOLDER/CRC-SIZE-VERSION.
+
+constexpr std::string_view kHead = "semfield-verdict-1\n";
+constexpr std::size_t kMostBytes = std::size_t{1} << 32;  // of a file that is checked
+
+std::string hex32(std::uint32_t value) { return hex64(value).substr(8); }
+
+std::uint32_t crc_of(std::string_view text) { return crc32c(std::as_bytes(std::span(text.data(), text.size()))); }
+
+// "" where there is no cache.
+std::string entry_of(const std::string& file, const std::string& version) {
+  const std::string folder = cache_folder("checks");
+  if (folder.empty()) return "";
+  const std::string bytes = read_text_file(file, kMostBytes);
+  return folder + "/" + hex32(crc_of(bytes)) + "-" + std::to_string(bytes.size()) + "-" + version;
+}
+
+std::string_view variable(const char* name) {
+  const char* value = std::getenv(name);
+  return value == nullptr ? std::string_view() : std::string_view(value);
+}
+
+fs::path root() {
+  if (const auto own = variable("SEMFIELD_CACHE"); !own.empty()) return own == "off" ? fs::path() : fs::path(own);
+  if (const auto xdg = variable("XDG_CACHE_HOME"); !xdg.empty()) return fs::path(xdg) / "semfield";
+  if (const auto home = variable("HOME"); !home.empty()) return fs::path(home) / ".cache" / "semfield";
+  return {};
+}
+
+struct Entry {
+  fs::path path;
+  fs::file_time_type used;
+  std::uint64_t bytes;
+};
+
+std::uint64_t bytes_of(const fs::path& folder) {
+  std::uint64_t sum = 0;
+  std::error_code failed;
+  for (fs::directory_iterator it(folder, failed), end; !failed && it != end; it.increment(failed)) {
+    std::error_code gone;
+    const auto size = it->file_size(gone);
+    if (!gone) sum += size;
+  }
+  return sum;
 }
 
 }  // namespace
@@ -252,37 +350,6 @@ int remove_stale_temporaries(const std::string& folder) {
   return static_cast<int>(std::count_if(found.begin(), found.end(), remove_if_stale));
 }
 
-namespace {
-
-// Names of the temporary files that this process is writing, for a handler of signals, which may neither lock nor take
-// memory. A place is never given back to the system, so that what it reads is always a name of ours.
-struct OwnTemporary {
-  std::atomic<bool> taken{false};
-  std::atomic<pid_t> writer{0};  // 0: none is there
-  std::array<char, 1024> path{};
-};
-std::array<OwnTemporary, 64> g_own;
-
-// Where there is no room, it stays until the next write of the same file.
-void remember(const std::string& path) {
-  for (OwnTemporary& own : g_own) {
-    if (path.size() >= own.path.size() || own.taken.exchange(true)) continue;
-    std::copy_n(path.c_str(), path.size() + 1, own.path.begin());
-    own.writer = ::getpid();
-    return;
-  }
-}
-
-void forget(const std::string& path) {
-  for (OwnTemporary& own : g_own) {
-    if (own.writer != ::getpid() || path != own.path.data()) continue;
-    own.writer = 0;
-    own.taken = false;
-  }
-}
-
-}  // namespace
-
 void remove_own_temporaries() noexcept {
   for (const OwnTemporary& own : g_own)
     if (own.writer == ::getpid()) ::unlink(own.path.data());
@@ -385,33 +452,6 @@ void write_file_atomic(const std::string& path, std::string_view text) {
   write_file_atomic(path, std::as_bytes(std::span<const char>(text.data(), text.size())));
 }
 
-// A hold on a folder or a file: flock of a lock file in it or beside it.
-
-namespace {
-
-std::string host_name() {
-  std::array<char, 256> name{};
-  return ::gethostname(name.data(), name.size() - 1) == 0 ? name.data() : "";
-}
-
-std::string lock_of(const std::string& folder) { return (std::filesystem::path(folder) / ".lock").string(); }
-
-// "PID HOST" of the file as words; it may hold anything.
-std::string holder_of(int descriptor) {
-  std::array<char, 320> text{};
-  const ssize_t size = ::pread(descriptor, text.data(), text.size() - 1, 0);
-  std::istringstream words(size > 0 ? text.data() : "");
-  std::string pid, host;
-  words >> pid >> host;
-  const auto digit = [](unsigned char c) { return std::isdigit(c) != 0; };
-  const auto of_a_name = [](unsigned char c) { return std::isalnum(c) != 0 || c == '-' || c == '.' || c == '_'; };
-  if (pid.empty() || !std::all_of(pid.begin(), pid.end(), digit)) return "process ?";
-  if (host.empty() || !std::all_of(host.begin(), host.end(), of_a_name)) return "process " + pid;
-  return "process " + pid + " on " + host;
-}
-
-}  // namespace
-
 FolderLock::FolderLock(FolderLock&& other) noexcept
     : descriptor_(std::exchange(other.descriptor_, -1)), holder_(std::move(other.holder_)) {}
 
@@ -469,8 +509,6 @@ void FolderLock::keep_over_exec() const { ::fcntl(descriptor_, F_SETFD, 0); }
 
 // Where shipped files lie, told by where the framework's library lies.
 
-namespace fs = std::filesystem;
-
 std::string shared_root() {
   std::error_code unknown;
   if (const char* named = std::getenv("SEMFIELD_SHARE"); named != nullptr && *named != '\0') {
@@ -505,8 +543,6 @@ std::string shared_file(const std::string& relative) {
   return path.string();
 }
 
-namespace fs = std::filesystem;
-
 std::vector<fs::directory_entry> sorted_folder(const std::string& folder) {
   std::vector<fs::directory_entry> entries;
   std::error_code error;
@@ -520,27 +556,6 @@ std::vector<fs::directory_entry> sorted_folder(const std::string& folder) {
   std::sort(entries.begin(), entries.end());
   return entries;
 }
-
-// An entry a file: FOLDER/CRC-SIZE-VERSION.
-
-namespace {
-
-constexpr std::string_view kHead = "semfield-verdict-1\n";
-constexpr std::size_t kMostBytes = std::size_t{1} << 32;  // of a file that is checked
-
-std::string hex32(std::uint32_t value) { return hex64(value).substr(8); }
-
-std::uint32_t crc_of(std::string_view text) { return crc32c(std::as_bytes(std::span(text.data(), text.size()))); }
-
-// "" where there is no cache.
-std::string entry_of(const std::string& file, const std::string& version) {
-  const std::string folder = cache_folder("checks");
-  if (folder.empty()) return "";
-  const std::string bytes = read_text_file(file, kMostBytes);
-  return folder + "/" + hex32(crc_of(bytes)) + "-" + std::to_string(bytes.size()) + "-" + version;
-}
-
-}  // namespace
 
 std::optional<FileVerdict> read_verdict(const std::string& file, const std::string& version, Diagnostics& notes) {
   try {
@@ -577,41 +592,6 @@ void keep_verdict(const std::string& file, const std::string& version, const std
     notes.note("files.verdict.lost", file, "what the check found is not kept: " + error.message());
   }
 }
-
-namespace fs = std::filesystem;
-
-namespace {
-
-std::string_view variable(const char* name) {
-  const char* value = std::getenv(name);
-  return value == nullptr ? std::string_view() : std::string_view(value);
-}
-
-fs::path root() {
-  if (const auto own = variable("SEMFIELD_CACHE"); !own.empty()) return own == "off" ? fs::path() : fs::path(own);
-  if (const auto xdg = variable("XDG_CACHE_HOME"); !xdg.empty()) return fs::path(xdg) / "semfield";
-  if (const auto home = variable("HOME"); !home.empty()) return fs::path(home) / ".cache" / "semfield";
-  return {};
-}
-
-struct Entry {
-  fs::path path;
-  fs::file_time_type used;
-  std::uint64_t bytes;
-};
-
-std::uint64_t bytes_of(const fs::path& folder) {
-  std::uint64_t sum = 0;
-  std::error_code failed;
-  for (fs::directory_iterator it(folder, failed), end; !failed && it != end; it.increment(failed)) {
-    std::error_code gone;
-    const auto size = it->file_size(gone);
-    if (!gone) sum += size;
-  }
-  return sum;
-}
-
-}  // namespace
 
 std::string cache_folder(const std::string& name) {
   const fs::path folder = root();

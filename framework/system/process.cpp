@@ -56,21 +56,6 @@ int limit_of(const std::string& folder) {
   return cores_of(quota_us, period_us);
 }
 
-}  // namespace
-
-int cpu_quota(const std::string& groups, const std::string& root) {
-  int least = 0;
-  for_groups(groups, root, "cpu", [&](const std::string& folder, bool) {
-    const int limit = limit_of(folder);
-    if (limit > 0 && (least == 0 || limit < least)) least = limit;
-  });
-  return least;
-}
-
-int cpu_quota() { return cpu_quota(read_system_file("/proc/self/cgroup"), "/sys/fs/cgroup"); }
-
-namespace {
-
 // The number behind a word of a text of "word number" lines, or the text's only number when the word is "".
 std::optional<std::size_t> number_in(const std::string& text, const std::string& word) {
   std::istringstream words(text);
@@ -94,6 +79,17 @@ std::size_t room_in(const std::string& folder, const char* limit_file, const cha
 }
 
 }  // namespace
+
+int cpu_quota(const std::string& groups, const std::string& root) {
+  int least = 0;
+  for_groups(groups, root, "cpu", [&](const std::string& folder, bool) {
+    const int limit = limit_of(folder);
+    if (limit > 0 && (least == 0 || limit < least)) least = limit;
+  });
+  return least;
+}
+
+int cpu_quota() { return cpu_quota(read_system_file("/proc/self/cgroup"), "/sys/fs/cgroup"); }
 
 std::size_t available_memory(const std::string& meminfo, const std::string& groups, const std::string& root) {
   std::size_t least = kNoMemoryLimit;

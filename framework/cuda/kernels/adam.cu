@@ -242,25 +242,7 @@ unsigned blocks_for(const AdamTable<float>& table, int per_processor) {
 
 std::size_t shared_bytes(int count) { return sizeof(int) * (static_cast<std::size_t>(count) + 1); }
 
-}  // namespace
-
-void check_gradients(const AdamTable<float>& table) {
-  if (table.elements == 0) return;
-  check_kernel<<<blocks_for(table, kCheckBlocks), kThreads, shared_bytes(table.count), launch().stream>>>(
-      table.tensors, table.count, launch().cell, launch().fault);
-  check_launch("check of gradients");
-}
-
-void adam_update(const AdamStep* step, const AdamTable<float>& table) {
-  if (table.elements == 0) return;
-  update_kernel<<<blocks_for(table, kUpdateBlocks), kThreads, shared_bytes(table.count), launch().stream>>>(
-      step, table.tensors, table.count, launch().fault);
-  check_launch("Adam");
-}
-
 // The check for values that are not finite.
-
-namespace {
 
 constexpr int kBlocksPerProcessor = 8;
 
@@ -286,6 +268,20 @@ __global__ void __launch_bounds__(kThreads)
 }
 
 }  // namespace
+
+void check_gradients(const AdamTable<float>& table) {
+  if (table.elements == 0) return;
+  check_kernel<<<blocks_for(table, kCheckBlocks), kThreads, shared_bytes(table.count), launch().stream>>>(
+      table.tensors, table.count, launch().cell, launch().fault);
+  check_launch("check of gradients");
+}
+
+void adam_update(const AdamStep* step, const AdamTable<float>& table) {
+  if (table.elements == 0) return;
+  update_kernel<<<blocks_for(table, kUpdateBlocks), kThreads, shared_bytes(table.count), launch().stream>>>(
+      step, table.tensors, table.count, launch().fault);
+  check_launch("Adam");
+}
 
 void guard_finite(Stage stage, View<const float> values) {
   if (values.empty() || values.size() == 0) return;

@@ -74,21 +74,7 @@ __global__ void __launch_bounds__(kThreads)
   if (m < raw.rows) d_raw(m, 0) = d_sigma(m, 0) * slope_of(activation, raw(m, 0)) * per_m;
 }
 
-}  // namespace
-
-void density_forward(const DensityRule& rule, const Samples<float>* samples, View<float> raw, View<float> sigma) {
-  queue("density", blocks_of(raw.rows, kThreads), kThreads, density_kernel, rule,
-        samples == nullptr ? Samples<float>{} : *samples, raw, sigma, launch().cell, launch().fault);
-}
-
-void density_backward(const DensityRule& rule, View<const float> raw, View<const float> d_sigma, View<float> d_raw) {
-  queue("density gradient", blocks_of(raw.rows, kThreads), kThreads, density_slope_kernel, rule.activation,
-        static_cast<float>(rule.per_m), raw, d_sigma, d_raw);
-}
-
 // Whether steps along rays were short enough.
-
-namespace {
 
 // Both seen: the larger weight is first; of equal ones the earlier sample.
 __device__ OpacitySums merged(const OpacitySums& a, const OpacitySums& b) {
@@ -133,16 +119,6 @@ __global__ void __launch_bounds__(kRayThreads)
   }
   result(at.ray, 0) = found;
 }
-
-}  // namespace
-
-void opacity_resolutions(const Samples<float>& samples, View<const float> weight, FarMode far, double footprint_per_m,
-                         View<OpacityResolution> result) {
-  queue("opacity resolution", blocks_of(samples.first.rows - 1, kRaysPerBlock), kRayThreads, resolution_kernel, samples,
-        weight, far, footprint_per_m, result);
-}
-
-namespace {
 
 // What a lane reads of its sample.
 struct Sample {
@@ -307,39 +283,7 @@ __global__ void __launch_bounds__(kColorThreads) color_gradient_kernel(Samples<f
   d_rgb(m, c) = value;
 }
 
-}  // namespace
-
-void composite_forward(const CompositeIn<float>& in, const CompositeOut<float>& out) {
-  const Samples<float>& samples = *in.samples;
-  const std::int64_t rays = samples.first.rows - 1;
-  if (rays == 0 && out.weight.rows == 0) return;
-  queue("compositing", ray_blocks(rays), kRayThreads, forward_kernel, samples, in, out, launch().fault);
-  if (!in.hidden.empty() && !out.hidden.empty()) hidden_forward<float>(samples, out.weight, in.hidden, out.hidden);
-}
-
-void composite_backward(const CompositeIn<float>& in, const CompositeOut<float>& out, const CompositeGrad<float>& grad,
-                        View<float> d_sigma, View<float> d_rgb, View<float> d_hidden) {
-  const Samples<float>& samples = *in.samples;
-  const std::int64_t rays = samples.first.rows - 1;
-  const View<const float> d_out = in.hidden.empty() ? View<const float>() : grad.hidden;
-  const bool with_dots = !d_sigma.empty() && !d_out.empty() && grad.hidden_moves_density;
-  if (with_dots || !d_hidden.empty()) {
-    hidden_backward<float>(samples,
-                           {out.weight, in.hidden, d_out, with_dots ? d_sigma : View<float>(), d_hidden, false});
-  }
-  if (!d_sigma.empty() && d_sigma.rows > 0) {
-    queue("gradient of density", ray_blocks(rays), kRayThreads, density_gradient_kernel, samples, in, grad,
-          with_dots ? d_out.rows : grad.dotted_rays, d_sigma);
-  }
-  if (!d_rgb.empty() && d_rgb.rows > 0) {
-    queue("gradient of colour", blocks_of(d_rgb.rows, kColorRows), kColorThreads, color_gradient_kernel, samples,
-          out.weight, grad.color, d_rgb);
-  }
-}
-
 // Samples that a semantic branch keeps, what its network reads of them, and dropout; points in place of samples.
-
-namespace {
 
 __device__ bool weighs(float weight, float least) { return weight >= least && weight > 0; }
 
@@ -439,39 +383,7 @@ __global__ void __launch_bounds__(kThreads)
   if (lane == 0) to_logit(i, 0) = logit(point, 0);
 }
 
-}  // namespace
-
-void keep_samples(const Samples<float>& samples, View<const float> weight, float least,
-                  const BranchTrace<float>& kept) {
-  const std::int64_t rays = kept.share.rows;
-  if (rays == 0) return;
-  queue_offsets(CountKept{samples.first, weight, least}, rays, kept.samples.first);
-  queue("samples of a semantic branch", ray_blocks(rays), kRayThreads, keep_kernel, samples, weight, least, kept);
-}
-
-void join_inputs(const BranchTrace<float>& trace, View<const float> position, View<const float> feature) {
-  queue("inputs of a semantic branch", blocks_of(trace.input.rows * kWarp, kThreads), kThreads, join_kernel, trace,
-        position, feature);
-}
-
-void drop_out(const Dropout& rule, const Samples<float>& samples, View<const float> from, View<float> to) {
-  const std::int64_t groups = to.rows * ((to.cols + kDropoutGroup - 1) / kDropoutGroup);
-  queue("dropout", blocks_of(groups, kThreads), kThreads, dropout_kernel, rule, samples, from, to, launch().cell);
-}
-
-void count_up(View<std::int32_t> numbers) {
-  queue("numbers of rows", blocks_of(numbers.rows, kThreads), kThreads, count_kernel, numbers);
-}
-
-void choose_points(View<const std::int32_t> choice, View<const float> from, View<const std::int16_t> logit,
-                   View<float> to, View<std::int16_t> to_logit) {
-  queue("points of a lesson", blocks_of(to.rows * kWarp, kThreads), kThreads, choose_kernel, choice, from, logit, to,
-        to_logit);
-}
-
 // What rendering tells of classes, a warp per ray.
-
-namespace {
 
 constexpr int kRays = 8;  // a block
 constexpr int kClassThreads = kRays * kWarp;
@@ -513,6 +425,78 @@ __global__ void __launch_bounds__(kClassThreads) results_kernel(View<const float
 }
 
 }  // namespace
+
+void density_forward(const DensityRule& rule, const Samples<float>* samples, View<float> raw, View<float> sigma) {
+  queue("density", blocks_of(raw.rows, kThreads), kThreads, density_kernel, rule,
+        samples == nullptr ? Samples<float>{} : *samples, raw, sigma, launch().cell, launch().fault);
+}
+
+void density_backward(const DensityRule& rule, View<const float> raw, View<const float> d_sigma, View<float> d_raw) {
+  queue("density gradient", blocks_of(raw.rows, kThreads), kThreads, density_slope_kernel, rule.activation,
+        static_cast<float>(rule.per_m), raw, d_sigma, d_raw);
+}
+
+void opacity_resolutions(const Samples<float>& samples, View<const float> weight, FarMode far, double footprint_per_m,
+                         View<OpacityResolution> result) {
+  queue("opacity resolution", blocks_of(samples.first.rows - 1, kRaysPerBlock), kRayThreads, resolution_kernel, samples,
+        weight, far, footprint_per_m, result);
+}
+
+void composite_forward(const CompositeIn<float>& in, const CompositeOut<float>& out) {
+  const Samples<float>& samples = *in.samples;
+  const std::int64_t rays = samples.first.rows - 1;
+  if (rays == 0 && out.weight.rows == 0) return;
+  queue("compositing", ray_blocks(rays), kRayThreads, forward_kernel, samples, in, out, launch().fault);
+  if (!in.hidden.empty() && !out.hidden.empty()) hidden_forward<float>(samples, out.weight, in.hidden, out.hidden);
+}
+
+void composite_backward(const CompositeIn<float>& in, const CompositeOut<float>& out, const CompositeGrad<float>& grad,
+                        View<float> d_sigma, View<float> d_rgb, View<float> d_hidden) {
+  const Samples<float>& samples = *in.samples;
+  const std::int64_t rays = samples.first.rows - 1;
+  const View<const float> d_out = in.hidden.empty() ? View<const float>() : grad.hidden;
+  const bool with_dots = !d_sigma.empty() && !d_out.empty() && grad.hidden_moves_density;
+  if (with_dots || !d_hidden.empty()) {
+    hidden_backward<float>(samples,
+                           {out.weight, in.hidden, d_out, with_dots ? d_sigma : View<float>(), d_hidden, false});
+  }
+  if (!d_sigma.empty() && d_sigma.rows > 0) {
+    queue("gradient of density", ray_blocks(rays), kRayThreads, density_gradient_kernel, samples, in, grad,
+          with_dots ? d_out.rows : grad.dotted_rays, d_sigma);
+  }
+  if (!d_rgb.empty() && d_rgb.rows > 0) {
+    queue("gradient of colour", blocks_of(d_rgb.rows, kColorRows), kColorThreads, color_gradient_kernel, samples,
+          out.weight, grad.color, d_rgb);
+  }
+}
+
+void keep_samples(const Samples<float>& samples, View<const float> weight, float least,
+                  const BranchTrace<float>& kept) {
+  const std::int64_t rays = kept.share.rows;
+  if (rays == 0) return;
+  queue_offsets(CountKept{samples.first, weight, least}, rays, kept.samples.first);
+  queue("samples of a semantic branch", ray_blocks(rays), kRayThreads, keep_kernel, samples, weight, least, kept);
+}
+
+void join_inputs(const BranchTrace<float>& trace, View<const float> position, View<const float> feature) {
+  queue("inputs of a semantic branch", blocks_of(trace.input.rows * kWarp, kThreads), kThreads, join_kernel, trace,
+        position, feature);
+}
+
+void drop_out(const Dropout& rule, const Samples<float>& samples, View<const float> from, View<float> to) {
+  const std::int64_t groups = to.rows * ((to.cols + kDropoutGroup - 1) / kDropoutGroup);
+  queue("dropout", blocks_of(groups, kThreads), kThreads, dropout_kernel, rule, samples, from, to, launch().cell);
+}
+
+void count_up(View<std::int32_t> numbers) {
+  queue("numbers of rows", blocks_of(numbers.rows, kThreads), kThreads, count_kernel, numbers);
+}
+
+void choose_points(View<const std::int32_t> choice, View<const float> from, View<const std::int16_t> logit,
+                   View<float> to, View<std::int16_t> to_logit) {
+  queue("points of a lesson", blocks_of(to.rows * kWarp, kThreads), kThreads, choose_kernel, choice, from, logit, to,
+        to_logit);
+}
 
 void class_results(View<float> logits, const ClassResults<float>& results) {
   queue("class results", blocks_of(logits.rows, kRays), kClassThreads, results_kernel, logits, results);

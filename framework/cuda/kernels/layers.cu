@@ -235,39 +235,6 @@ __global__ void per_ray_kernel(View<const Act> dz, View<const std::int32_t> ray_
   }
 }
 
-}  // namespace
-
-template <class From, class To>
-void convert(View<const From> in, View<To> out) {
-  copy_or_add<From, To, false>(in, out);
-}
-
-template <class From, class To>
-void add_rows(View<const From> in, View<To> out) {
-  copy_or_add<From, To, true>(in, out);
-}
-
-void transpose(View<const float> in, View<float> out) {
-  const dim3 grid(blocks_of(in.cols, kWarp), blocks_of(in.rows, kWarp));
-  queue("transpose", grid, dim3(kWarp, 8), transpose_kernel, in, out);
-}
-
-template <class Act, class Grad>
-void relu_backward(View<const Act> y, View<Grad> dy) {
-  const bool by_four = packs(y) && packs(dy);
-  queue("relu backward", blocks_of(dy.size() / (by_four ? 4 : 1), kThreads), kThreads,
-        by_four ? relu_backward_kernel<Act, Grad, 4> : relu_backward_kernel<Act, Grad, 1>, y, dy);
-}
-
-template <class Act>
-void finish_layer(View<const float> bias, Activation activation, View<Act> y, std::uint32_t* mask) {
-  const std::int64_t words = (y.cols + 31) / 32;
-  queue("bias and activation", blocks_of(y.rows * words, kThreads), kThreads, finish_kernel<Act>, bias,
-        activation == Activation::relu, y, mask);
-}
-
-namespace {
-
 // mask null: sums alone.
 void sum_by_eights(const std::uint32_t* mask, View<__nv_bfloat16> dx, View<float> sums, Workspace& arena) {
   constexpr std::int64_t kLeastRows = 64;
@@ -285,66 +252,7 @@ void sum_by_eights(const std::uint32_t* mask, View<__nv_bfloat16> dx, View<float
   if (!sums.empty()) add_partials(partial.col_range(0, sums.cols), sums);
 }
 
-}  // namespace
-
-template <class Act>
-void add_column_sums(View<const Act> dz, View<float> sums, Workspace& arena) {
-  if (dz.size() == 0) return;
-  if constexpr (std::is_same_v<Act, __nv_bfloat16>) {
-    constexpr int kMostColumns = 1024 * kMaskedColumns;
-    if (dz.cols % kMaskedColumns == 0 && dz.cols <= kMostColumns && dz.row_stride % kMaskedColumns == 0 &&
-        reinterpret_cast<std::uintptr_t>(dz.data) % 16 == 0) {
-      const View<Act> rows(const_cast<Act*>(dz.data), dz.rows, dz.cols, dz.row_stride, dz.device);
-      return sum_by_eights(nullptr, rows, sums, arena);
-    }
-  }
-  constexpr std::int64_t kMostParts = 1024;
-  constexpr std::int64_t kLeastRows = 64;
-  const std::int64_t parts = std::min<std::int64_t>(kMostParts, (dz.rows + kLeastRows - 1) / kLeastRows);
-  const std::int64_t rows_each = (dz.rows + parts - 1) / parts;
-  const Workspace::Scope scope(arena);
-  const View<float> partial = arena.take<float>(parts, dz.cols);
-  queue("column sums", static_cast<unsigned>(parts), kThreads, partial_sums_kernel<Act>, dz, rows_each, partial);
-  add_partials(partial, sums);
-}
-
-void mask_and_sum(const std::uint32_t* mask, View<__nv_bfloat16> dx, View<float> sums, Workspace& arena) {
-  if (dx.size() > 0) sum_by_eights(mask, dx, sums, arena);
-}
-
-void add_partials(View<const float> partial, View<float> sums) {
-  queue("sums of parts", blocks_of(sums.cols, kWarp), dim3(kWarp, kWarp), add_partials_kernel, partial, sums);
-}
-
-template <class Act>
-void per_ray_backward(View<const Act> dz, View<const std::int32_t> ray_of_sample, View<float> d_ray_term) {
-  if (d_ray_term.size() == 0) return;
-  constexpr int kColumns = 128;
-  queue("sums over rays", static_cast<unsigned>(d_ray_term.rows), kColumns, per_ray_kernel<Act>, dz, ray_of_sample,
-        launch().live_rows, d_ray_term);
-}
-
-#define SEMFIELD_INSTANTIATE(Act)                                                            \
-  template void finish_layer<Act>(View<const float>, Activation, View<Act>, std::uint32_t*); \
-  template void add_column_sums<Act>(View<const Act>, View<float>, Workspace&);              \
-  template void per_ray_backward<Act>(View<const Act>, View<const std::int32_t>, View<float>);
-SEMFIELD_INSTANTIATE(float)
-SEMFIELD_INSTANTIATE(__nv_bfloat16)
-#undef SEMFIELD_INSTANTIATE
-template void convert<float, float>(View<const float>, View<float>);
-template void convert<float, __nv_bfloat16>(View<const float>, View<__nv_bfloat16>);
-template void convert<__nv_bfloat16, __nv_bfloat16>(View<const __nv_bfloat16>, View<__nv_bfloat16>);
-template void convert<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<float>);
-template void add_rows<float, float>(View<const float>, View<float>);
-template void add_rows<float, __nv_bfloat16>(View<const float>, View<__nv_bfloat16>);
-template void add_rows<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<float>);
-template void relu_backward<float, float>(View<const float>, View<float>);
-template void relu_backward<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<float>);
-template void relu_backward<__nv_bfloat16, __nv_bfloat16>(View<const __nv_bfloat16>, View<__nv_bfloat16>);
-
 // Several small fp32 products in one launch, where cuBLASLt's launches would take longer than the products.
-
-namespace {
 
 constexpr int kTile = 32;   // rows and columns of D that a block computes
 constexpr int kTerms = 32;  // of a slab: what a block multiplies at a time
@@ -513,37 +421,7 @@ __global__ void add_parts_kernel(const __grid_constant__ Products products) {
   p.d(row, col) = sum;
 }
 
-}  // namespace
-
-void small_products(std::span<const SmallProduct> list, Workspace* arena) {
-  constexpr std::int64_t kTermsOfPart = 256, kMostParts = 32;
-  if (list.size() > kMostSmallProducts)
-    throw Error(ErrorKind::internal, "internal.cuda.shape", "too many small products for one launch");
-  std::optional<Workspace::Scope> scope;
-  if (arena != nullptr) scope.emplace(*arena);
-  Products products{};
-  std::int64_t in_parts = 0;  // the largest D that is summed from parts
-  for (const SmallProduct& p : list) {
-    const int i = products.count++;
-    products.all[i] = p;
-    const std::int64_t tiles = std::int64_t{blocks_of(p.d.rows, kTile)} * blocks_of(p.d.cols, kTile);
-    const bool in_one = arena == nullptr || tiles >= multiprocessors();
-    const std::int64_t parts =
-        std::clamp<std::int64_t>((terms_of(p.a) + terms_of(p.a2)) / kTermsOfPart, 1, in_one ? 1 : kMostParts);
-    if (parts > 1 && p.d.size() > 0) {
-      products.partial[i] = arena->take<float>(parts, static_cast<std::int32_t>(p.d.size()));
-      in_parts = std::max(in_parts, p.d.size());
-    }
-    products.first_block[i + 1] = products.first_block[i] + static_cast<unsigned>(tiles * parts);
-  }
-  queue("small products", products.first_block[products.count], kThreads, small_products_kernel, products);
-  const dim3 grid(blocks_of(in_parts, kThreads), static_cast<unsigned>(products.count));
-  queue("parts of small products", grid, kThreads, add_parts_kernel, products);
-}
-
 // Matrix products of shapes that cuBLASLt has no kernel for.
-
-namespace {
 
 constexpr int kSimpleTile = 16;
 
@@ -577,26 +455,8 @@ __global__ void product_kernel(Matrix a, Matrix b, Matrix d, std::int64_t terms,
   }
 }
 
-}  // namespace
-
-void simple_product(const Product& p) {
-  if (p.d.rows == 0 || p.d.cols == 0) return;
-  constexpr std::int64_t kMostColumns = std::int64_t{65535} * kSimpleTile;
-  if (p.d.cols > kMostColumns) {
-    throw Error(ErrorKind::failure, "internal.cuda.shape",
-                "a matrix product of " + std::to_string(p.d.cols) + " columns; at most " +
-                    std::to_string(kMostColumns) + " are computed",
-                "");
-  }
-  const std::int64_t terms = p.a.transposed ? p.a.rows : p.a.cols;
-  const dim3 grid(blocks_of(p.d.rows, kSimpleTile), blocks_of(p.d.cols, kSimpleTile));
-  queue("a plain product", grid, dim3(kSimpleTile, kSimpleTile), product_kernel, p.a, p.b, p.d, terms, p.add);
-}
-
 // A bias that enters each row of a layer by a share of its own: products of one row or one column, which take as long
 // as moving y does.
-
-namespace {
 
 constexpr int kWarps = kThreads / kWarp;
 constexpr int kWarpRows = 4;
@@ -668,25 +528,7 @@ __global__ void __launch_bounds__(kThreads)
   }
 }
 
-}  // namespace
-
-void shared_bias_forward(View<const float> share, View<const float> bias, View<float> y) {
-  queue("shared bias", blocks_of(y.rows, kWarps), kThreads, forward_kernel, share, bias, y);
-}
-
-void shared_bias_backward(const SharedBiasBackward& call, Workspace& arena) {
-  if (call.dy.size() == 0) return;
-  const Workspace::Scope scope(arena);
-  const unsigned blocks = blocks_of(call.dy.rows, kBlockRows);
-  const View<float> partial = arena.take<float>(blocks, call.dy.cols);
-  queue("gradient of a shared bias", blocks, kThreads, backward_kernel, call.share, call.bias, call.dy, call.d_share,
-        partial);
-  add_partials(partial, call.d_bias);
-}
-
 // One thread per number, bound by memory; rows are short and strided, so a thread finds its row by a division.
-
-namespace {
 
 /// body(row, column) for every number of `rows` x `cols`.
 template <class Body>
@@ -766,6 +608,144 @@ struct LogitOfRow {
 };
 
 }  // namespace
+
+template <class From, class To>
+void convert(View<const From> in, View<To> out) {
+  copy_or_add<From, To, false>(in, out);
+}
+
+template <class From, class To>
+void add_rows(View<const From> in, View<To> out) {
+  copy_or_add<From, To, true>(in, out);
+}
+
+void transpose(View<const float> in, View<float> out) {
+  const dim3 grid(blocks_of(in.cols, kWarp), blocks_of(in.rows, kWarp));
+  queue("transpose", grid, dim3(kWarp, 8), transpose_kernel, in, out);
+}
+
+template <class Act, class Grad>
+void relu_backward(View<const Act> y, View<Grad> dy) {
+  const bool by_four = packs(y) && packs(dy);
+  queue("relu backward", blocks_of(dy.size() / (by_four ? 4 : 1), kThreads), kThreads,
+        by_four ? relu_backward_kernel<Act, Grad, 4> : relu_backward_kernel<Act, Grad, 1>, y, dy);
+}
+
+template <class Act>
+void finish_layer(View<const float> bias, Activation activation, View<Act> y, std::uint32_t* mask) {
+  const std::int64_t words = (y.cols + 31) / 32;
+  queue("bias and activation", blocks_of(y.rows * words, kThreads), kThreads, finish_kernel<Act>, bias,
+        activation == Activation::relu, y, mask);
+}
+
+template <class Act>
+void add_column_sums(View<const Act> dz, View<float> sums, Workspace& arena) {
+  if (dz.size() == 0) return;
+  if constexpr (std::is_same_v<Act, __nv_bfloat16>) {
+    constexpr int kMostColumns = 1024 * kMaskedColumns;
+    if (dz.cols % kMaskedColumns == 0 && dz.cols <= kMostColumns && dz.row_stride % kMaskedColumns == 0 &&
+        reinterpret_cast<std::uintptr_t>(dz.data) % 16 == 0) {
+      const View<Act> rows(const_cast<Act*>(dz.data), dz.rows, dz.cols, dz.row_stride, dz.device);
+      return sum_by_eights(nullptr, rows, sums, arena);
+    }
+  }
+  constexpr std::int64_t kMostParts = 1024;
+  constexpr std::int64_t kLeastRows = 64;
+  const std::int64_t parts = std::min<std::int64_t>(kMostParts, (dz.rows + kLeastRows - 1) / kLeastRows);
+  const std::int64_t rows_each = (dz.rows + parts - 1) / parts;
+  const Workspace::Scope scope(arena);
+  const View<float> partial = arena.take<float>(parts, dz.cols);
+  queue("column sums", static_cast<unsigned>(parts), kThreads, partial_sums_kernel<Act>, dz, rows_each, partial);
+  add_partials(partial, sums);
+}
+
+void mask_and_sum(const std::uint32_t* mask, View<__nv_bfloat16> dx, View<float> sums, Workspace& arena) {
+  if (dx.size() > 0) sum_by_eights(mask, dx, sums, arena);
+}
+
+void add_partials(View<const float> partial, View<float> sums) {
+  queue("sums of parts", blocks_of(sums.cols, kWarp), dim3(kWarp, kWarp), add_partials_kernel, partial, sums);
+}
+
+template <class Act>
+void per_ray_backward(View<const Act> dz, View<const std::int32_t> ray_of_sample, View<float> d_ray_term) {
+  if (d_ray_term.size() == 0) return;
+  constexpr int kColumns = 128;
+  queue("sums over rays", static_cast<unsigned>(d_ray_term.rows), kColumns, per_ray_kernel<Act>, dz, ray_of_sample,
+        launch().live_rows, d_ray_term);
+}
+
+#define SEMFIELD_INSTANTIATE(Act)                                                            \
+  template void finish_layer<Act>(View<const float>, Activation, View<Act>, std::uint32_t*); \
+  template void add_column_sums<Act>(View<const Act>, View<float>, Workspace&);              \
+  template void per_ray_backward<Act>(View<const Act>, View<const std::int32_t>, View<float>);
+SEMFIELD_INSTANTIATE(float)
+SEMFIELD_INSTANTIATE(__nv_bfloat16)
+#undef SEMFIELD_INSTANTIATE
+template void convert<float, float>(View<const float>, View<float>);
+template void convert<float, __nv_bfloat16>(View<const float>, View<__nv_bfloat16>);
+template void convert<__nv_bfloat16, __nv_bfloat16>(View<const __nv_bfloat16>, View<__nv_bfloat16>);
+template void convert<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<float>);
+template void add_rows<float, float>(View<const float>, View<float>);
+template void add_rows<float, __nv_bfloat16>(View<const float>, View<__nv_bfloat16>);
+template void add_rows<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<float>);
+template void relu_backward<float, float>(View<const float>, View<float>);
+template void relu_backward<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<float>);
+template void relu_backward<__nv_bfloat16, __nv_bfloat16>(View<const __nv_bfloat16>, View<__nv_bfloat16>);
+
+void small_products(std::span<const SmallProduct> list, Workspace* arena) {
+  constexpr std::int64_t kTermsOfPart = 256, kMostParts = 32;
+  if (list.size() > kMostSmallProducts)
+    throw Error(ErrorKind::internal, "internal.cuda.shape", "too many small products for one launch");
+  std::optional<Workspace::Scope> scope;
+  if (arena != nullptr) scope.emplace(*arena);
+  Products products{};
+  std::int64_t in_parts = 0;  // the largest D that is summed from parts
+  for (const SmallProduct& p : list) {
+    const int i = products.count++;
+    products.all[i] = p;
+    const std::int64_t tiles = std::int64_t{blocks_of(p.d.rows, kTile)} * blocks_of(p.d.cols, kTile);
+    const bool in_one = arena == nullptr || tiles >= multiprocessors();
+    const std::int64_t parts =
+        std::clamp<std::int64_t>((terms_of(p.a) + terms_of(p.a2)) / kTermsOfPart, 1, in_one ? 1 : kMostParts);
+    if (parts > 1 && p.d.size() > 0) {
+      products.partial[i] = arena->take<float>(parts, static_cast<std::int32_t>(p.d.size()));
+      in_parts = std::max(in_parts, p.d.size());
+    }
+    products.first_block[i + 1] = products.first_block[i] + static_cast<unsigned>(tiles * parts);
+  }
+  queue("small products", products.first_block[products.count], kThreads, small_products_kernel, products);
+  const dim3 grid(blocks_of(in_parts, kThreads), static_cast<unsigned>(products.count));
+  queue("parts of small products", grid, kThreads, add_parts_kernel, products);
+}
+
+void simple_product(const Product& p) {
+  if (p.d.rows == 0 || p.d.cols == 0) return;
+  constexpr std::int64_t kMostColumns = std::int64_t{65535} * kSimpleTile;
+  if (p.d.cols > kMostColumns) {
+    throw Error(ErrorKind::failure, "internal.cuda.shape",
+                "a matrix product of " + std::to_string(p.d.cols) + " columns; at most " +
+                    std::to_string(kMostColumns) + " are computed",
+                "");
+  }
+  const std::int64_t terms = p.a.transposed ? p.a.rows : p.a.cols;
+  const dim3 grid(blocks_of(p.d.rows, kSimpleTile), blocks_of(p.d.cols, kSimpleTile));
+  queue("a plain product", grid, dim3(kSimpleTile, kSimpleTile), product_kernel, p.a, p.b, p.d, terms, p.add);
+}
+
+void shared_bias_forward(View<const float> share, View<const float> bias, View<float> y) {
+  queue("shared bias", blocks_of(y.rows, kWarps), kThreads, forward_kernel, share, bias, y);
+}
+
+void shared_bias_backward(const SharedBiasBackward& call, Workspace& arena) {
+  if (call.dy.size() == 0) return;
+  const Workspace::Scope scope(arena);
+  const unsigned blocks = blocks_of(call.dy.rows, kBlockRows);
+  const View<float> partial = arena.take<float>(blocks, call.dy.cols);
+  queue("gradient of a shared bias", blocks, kThreads, backward_kernel, call.share, call.bias, call.dy, call.d_share,
+        partial);
+  add_partials(partial, call.d_bias);
+}
 
 template <class Sums, class Act>
 void finish_rows(const LayerEnd<Sums, Act>& end) {

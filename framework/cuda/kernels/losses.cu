@@ -7,9 +7,9 @@
 
 namespace semfield::cuda {
 
-// Squared colour error on the device, and counts of a pass.
-
 namespace {
+
+// Squared colour error on the device, and counts of a pass.
 
 constexpr int kThreads = 256;
 constexpr int kEach = 16;  // values of a thread
@@ -59,33 +59,7 @@ __global__ void __launch_bounds__(kThreads)
   sums->dense = dense;
 }
 
-}  // namespace
-
-void photometric_loss(Workspace& arena, View<const float> color, View<const float> target, double normaliser,
-                      View<float> d_color, LossSums* sums) {
-  const Workspace::Scope scope(arena);
-  const unsigned blocks = blocks_of(3 * color.rows, kThreads * kEach);
-  if (blocks == 0) {
-    check(cudaMemsetAsync(&sums->squares, 0, sizeof sums->squares, launch().stream), "clearing a sum");
-    return;
-  }
-  double* const of_block = blocks == 1 ? &sums->squares : arena.take<double>(blocks, 1).data;
-  queue("colour loss", blocks, kThreads, error_kernel, color, target, 2.0 / normaliser, d_color, of_block);
-  if (blocks == 1) return;
-  sum_in_order(of_block, blocks, &sums->squares);
-}
-
-void sum_in_order(const double* numbers, std::int64_t count, double* total) {
-  queue("sum of a loss", 1, kThreads, total_kernel, numbers, count, total);
-}
-
-void count_samples(View<const std::int32_t> first, View<const float> sigma, LossSums* sums) {
-  queue("counting samples", 1, kThreads, count_kernel, first, sigma, sums);
-}
-
 // Cross-entropy on the device, a warp per ray, by log-sum-exp from the row maximum; sums of a row are in float64.
-
-namespace {
 
 constexpr int kRays = 8;  // a block
 constexpr int kSoftmaxThreads = kRays * kWarp;
@@ -238,23 +212,7 @@ __global__ void __launch_bounds__(kSoftmaxThreads)
   sums->correct = term.correct;
 }
 
-}  // namespace
-
-void semantic_cross_entropy(Workspace& arena, View<const float> logits, const SemanticTargets& targets,
-                            View<const float> class_weight, double scale, View<float> d_logits, LossSums* sums) {
-  SEMFIELD_CHECK(launch().cell != nullptr, "the divisor of the semantic loss is read from the step's cell");
-  const Workspace::Scope scope(arena);
-  const unsigned blocks = blocks_of(logits.rows, kRays);
-  Term* const of_block = blocks == 0 ? nullptr : reinterpret_cast<Term*>(arena.take_bytes(blocks * sizeof(Term)));
-  const Rule rule{targets.hard, targets.soft, class_weight, 0, launch().fault};
-  queue("semantic loss", blocks, kSoftmaxThreads, cross_entropy_kernel, rule, launch().cell, scale, logits, d_logits,
-        of_block);
-  queue("sum of the semantic loss", 1, kSoftmaxThreads, term_total_kernel, of_block, blocks, sums);
-}
-
 // Looks for the largest size of a number: 4 B per number read.
-
-namespace {
 
 constexpr int kRowsOfBlock = 32;
 
@@ -281,6 +239,40 @@ __global__ void __launch_bounds__(kThreads)
 }
 
 }  // namespace
+
+void photometric_loss(Workspace& arena, View<const float> color, View<const float> target, double normaliser,
+                      View<float> d_color, LossSums* sums) {
+  const Workspace::Scope scope(arena);
+  const unsigned blocks = blocks_of(3 * color.rows, kThreads * kEach);
+  if (blocks == 0) {
+    check(cudaMemsetAsync(&sums->squares, 0, sizeof sums->squares, launch().stream), "clearing a sum");
+    return;
+  }
+  double* const of_block = blocks == 1 ? &sums->squares : arena.take<double>(blocks, 1).data;
+  queue("colour loss", blocks, kThreads, error_kernel, color, target, 2.0 / normaliser, d_color, of_block);
+  if (blocks == 1) return;
+  sum_in_order(of_block, blocks, &sums->squares);
+}
+
+void sum_in_order(const double* numbers, std::int64_t count, double* total) {
+  queue("sum of a loss", 1, kThreads, total_kernel, numbers, count, total);
+}
+
+void count_samples(View<const std::int32_t> first, View<const float> sigma, LossSums* sums) {
+  queue("counting samples", 1, kThreads, count_kernel, first, sigma, sums);
+}
+
+void semantic_cross_entropy(Workspace& arena, View<const float> logits, const SemanticTargets& targets,
+                            View<const float> class_weight, double scale, View<float> d_logits, LossSums* sums) {
+  SEMFIELD_CHECK(launch().cell != nullptr, "the divisor of the semantic loss is read from the step's cell");
+  const Workspace::Scope scope(arena);
+  const unsigned blocks = blocks_of(logits.rows, kRays);
+  Term* const of_block = blocks == 0 ? nullptr : reinterpret_cast<Term*>(arena.take_bytes(blocks * sizeof(Term)));
+  const Rule rule{targets.hard, targets.soft, class_weight, 0, launch().fault};
+  queue("semantic loss", blocks, kSoftmaxThreads, cross_entropy_kernel, rule, launch().cell, scale, logits, d_logits,
+        of_block);
+  queue("sum of the semantic loss", 1, kSoftmaxThreads, term_total_kernel, of_block, blocks, sums);
+}
 
 void find_largest(View<const float> values, std::uint32_t* largest) {
   if (values.size() == 0) return;

@@ -78,25 +78,6 @@ __global__ void __launch_bounds__(kCoordinateThreads)
         map, [&](int a) { return positions(m, a); }, axis);
 }
 
-}  // namespace
-
-void locate(const Rays<float>& rays, const Samples<float>& samples, const DomainMap& map, View<double> x) {
-  queue("locating samples", blocks_of(x.rows, kSamples), kCoordinateThreads, locate_kernel, rays, samples, map, x,
-        launch().fault);
-}
-
-void locate_backward(const Rays<float>& rays, const Samples<float>& samples, const DomainMap& map, View<const float> dx,
-                     View<float> d_ray) {
-  queue("gradients of rays", blocks_of(d_ray.rows, kSamples / kWarp), kSamples, gradient_kernel, rays, samples, map, dx,
-        d_ray);
-}
-
-void map_positions(View<const double> positions, const DomainMap& map, View<double> x) {
-  queue("mapping positions", blocks_of(x.rows, kSamples), kCoordinateThreads, map_kernel, positions, map, x);
-}
-
-namespace {
-
 constexpr int kThreads = 128;
 
 // A block per column; 8 B per row.
@@ -219,16 +200,7 @@ void show_backward(View<const float> camera, View<const float> map, View<const f
         color, d_shown, d_map);
 }
 
-}  // namespace
-
-const CameraKernels<float>& camera_kernels() {
-  static const CameraKernels<float> table{centre, move, move_backward, show, show_backward};
-  return table;
-}
-
 // A slow copy follows: 12 B per number.
-
-namespace {
 
 constexpr int kFollowThreads = 256;
 
@@ -239,6 +211,26 @@ __global__ void __launch_bounds__(kFollowThreads)
 }
 
 }  // namespace
+
+void locate(const Rays<float>& rays, const Samples<float>& samples, const DomainMap& map, View<double> x) {
+  queue("locating samples", blocks_of(x.rows, kSamples), kCoordinateThreads, locate_kernel, rays, samples, map, x,
+        launch().fault);
+}
+
+void locate_backward(const Rays<float>& rays, const Samples<float>& samples, const DomainMap& map, View<const float> dx,
+                     View<float> d_ray) {
+  queue("gradients of rays", blocks_of(d_ray.rows, kSamples / kWarp), kSamples, gradient_kernel, rays, samples, map, dx,
+        d_ray);
+}
+
+void map_positions(View<const double> positions, const DomainMap& map, View<double> x) {
+  queue("mapping positions", blocks_of(x.rows, kSamples), kCoordinateThreads, map_kernel, positions, map, x);
+}
+
+const CameraKernels<float>& camera_kernels() {
+  static const CameraKernels<float> table{centre, move, move_backward, show, show_backward};
+  return table;
+}
 
 void follow(std::span<const float> value, std::span<float> slow, double share) {
   const auto count = static_cast<std::int64_t>(slow.size());

@@ -54,6 +54,27 @@ Buffer<T> held(std::span<const T> values, const char* what) {
   upload<T>(values, memory.data());
   return memory;
 }
+
+constexpr std::size_t kAlignBytes = 256;
+
+// Rows of a contiguous view behind each other.
+template <class T>
+void put(std::byte* to, View<const T> from) {
+  SEMFIELD_CHECK(!from.empty() && from.contiguous(), "rows of a batch lie behind each other");
+  std::memcpy(to, from.data, static_cast<std::size_t>(from.size()) * sizeof(T));
+}
+
+constexpr std::int64_t kLeast = 8192;  // fewer rows make no step faster
+constexpr double kSpare = 1.25, kTight = 1.06;
+constexpr double kWorth = 0.75;  // of the room before: each change costs two steps without a graph
+
+// Up to 16 sizes an octave, so that few graphs are made.
+std::int64_t rounded_up(std::int64_t rows) {
+  const int bits = std::bit_width(static_cast<std::uint64_t>(rows));
+  const std::int64_t unit = std::int64_t{1} << std::max(0, bits - 4);
+  return (rows + unit - 1) / unit * unit;
+}
+
 }  // namespace
 
 std::size_t BatchDrawer::bytes_of(const PixelPool& pool, int ahead) {
@@ -263,19 +284,6 @@ RayBatch BatchDrawer::seen(std::int64_t step) const {
   return batch;
 }
 
-namespace {
-
-constexpr std::size_t kAlignBytes = 256;
-
-// Rows of a contiguous view behind each other.
-template <class T>
-void put(std::byte* to, View<const T> from) {
-  SEMFIELD_CHECK(!from.empty() && from.contiguous(), "rows of a batch lie behind each other");
-  std::memcpy(to, from.data, static_cast<std::size_t>(from.size()) * sizeof(T));
-}
-
-}  // namespace
-
 BatchLayout::BatchLayout(const RayBatch& like)
     : shape_(shape_of(like)), label_only_(like.label_only.data, like.label_only.data + shape_.tiles) {
   each_array(like, [this]<class T>(const View<const T>& view) {
@@ -342,21 +350,6 @@ void Staging::fetch(int slot) {
                         launch().stream),
         "fetching sums");
 }
-
-namespace {
-
-constexpr std::int64_t kLeast = 8192;  // fewer rows make no step faster
-constexpr double kSpare = 1.25, kTight = 1.06;
-constexpr double kWorth = 0.75;  // of the room before: each change costs two steps without a graph
-
-// Up to 16 sizes an octave, so that few graphs are made.
-std::int64_t rounded_up(std::int64_t rows) {
-  const int bits = std::bit_width(static_cast<std::uint64_t>(rows));
-  const std::int64_t unit = std::int64_t{1} << std::max(0, bits - 4);
-  return (rows + unit - 1) / unit * unit;
-}
-
-}  // namespace
 
 bool SampleRoom::saw(std::int64_t samples) {
   if (most_ == 0) return false;

@@ -38,6 +38,43 @@ AdamRange<Real> range_of(View<Real> value, View<const Real> grad, View<Real> m, 
   return {value.row(begin), const_cast<Real*>(grad.row(begin)), m.row(begin), v.row(begin), count, value.cols};
 }
 
+// First range of kRangeElements of `size` elements that good(begin, count) denies, whichever thread finds one first; or
+// -1.
+template <class Good>
+std::int64_t first_bad_range(std::int64_t size, const Good& good) {
+  constexpr std::int64_t kNone = std::numeric_limits<std::int64_t>::max();
+  std::atomic<std::int64_t> first_bad = kNone;
+  parallel_for((size + kRangeElements - 1) / kRangeElements, [&](std::int64_t i) {
+    const std::int64_t begin = i * kRangeElements;
+    if (good(begin, std::min(kRangeElements, size - begin))) return;
+    std::int64_t known = first_bad;
+    while (i < known && !first_bad.compare_exchange_weak(known, i)) {
+    }
+  });
+  return first_bad == kNone ? -1 : first_bad.load();
+}
+
+template <class Real>
+std::int64_t first_outside(View<const Real> values, Real low, Real high) {
+  SEMFIELD_CHECK(values.empty() || values.contiguous(), "the finite check needs contiguous tensors");
+  const std::int64_t range =
+      first_bad_range(values.empty() ? 0 : values.size(), [&](std::int64_t begin, std::int64_t count) {
+        return kernels<Real>().all_within(values.data + begin, count, low, high);
+      });
+  if (range < 0) return -1;
+  std::int64_t at = range * kRangeElements;
+  while (values.data[at] >= low && values.data[at] <= high) ++at;
+  return at;
+}
+
+// Of the way from `from` to `factor`.
+double fallen(ScheduleKind kind, double from, double factor, double progress) {
+  constexpr double kPi = 3.14159265358979323846;
+  if (kind == ScheduleKind::exponential) return from > 0 ? from * std::pow(factor / from, progress) : factor;
+  if (kind == ScheduleKind::cosine) return factor + (from - factor) * 0.5 * (1 + std::cos(kPi * progress));
+  return from;
+}
+
 }  // namespace
 
 void describe(ParamVisitor& visit, AdamParams& params) {
@@ -94,39 +131,6 @@ void adam_update(const AdamStep* step, const AdamTable<Real>& table) {
     }
   });
 }
-
-namespace {
-
-// First range of kRangeElements of `size` elements that good(begin, count) denies, whichever thread finds one first; or
-// -1.
-template <class Good>
-std::int64_t first_bad_range(std::int64_t size, const Good& good) {
-  constexpr std::int64_t kNone = std::numeric_limits<std::int64_t>::max();
-  std::atomic<std::int64_t> first_bad = kNone;
-  parallel_for((size + kRangeElements - 1) / kRangeElements, [&](std::int64_t i) {
-    const std::int64_t begin = i * kRangeElements;
-    if (good(begin, std::min(kRangeElements, size - begin))) return;
-    std::int64_t known = first_bad;
-    while (i < known && !first_bad.compare_exchange_weak(known, i)) {
-    }
-  });
-  return first_bad == kNone ? -1 : first_bad.load();
-}
-
-template <class Real>
-std::int64_t first_outside(View<const Real> values, Real low, Real high) {
-  SEMFIELD_CHECK(values.empty() || values.contiguous(), "the finite check needs contiguous tensors");
-  const std::int64_t range =
-      first_bad_range(values.empty() ? 0 : values.size(), [&](std::int64_t begin, std::int64_t count) {
-        return kernels<Real>().all_within(values.data + begin, count, low, high);
-      });
-  if (range < 0) return -1;
-  std::int64_t at = range * kRangeElements;
-  while (values.data[at] >= low && values.data[at] <= high) ++at;
-  return at;
-}
-
-}  // namespace
 
 template <class Real>
 std::int64_t first_non_finite(View<const Real> values) {
@@ -196,18 +200,6 @@ void describe(ParamVisitor& visit, ScheduleParams& params) {
                  "steps before the rate begins to fall; train.time_s settles them with train.steps", {0, 1e12});
   SEMFIELD_PARAM(visit, params, warmup_steps, "steps of linear rise at the start; 0 = none", {0, 1e12});
 }
-
-namespace {
-
-// Of the way from `from` to `factor`.
-double fallen(ScheduleKind kind, double from, double factor, double progress) {
-  constexpr double kPi = 3.14159265358979323846;
-  if (kind == ScheduleKind::exponential) return from > 0 ? from * std::pow(factor / from, progress) : factor;
-  if (kind == ScheduleKind::cosine) return factor + (from - factor) * 0.5 * (1 + std::cos(kPi * progress));
-  return from;
-}
-
-}  // namespace
 
 double schedule_factor(const ScheduleParams& params, std::int64_t step) {
   ScheduleLeg leg{0, 1, params.hold_steps, params.decay_steps, 0};
