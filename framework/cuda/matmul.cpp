@@ -36,9 +36,8 @@ std::uint32_t alignment_of(const void* pointer) {
 cudaDataType_t type_of(Element element) { return element == Element::fp32 ? CUDA_R_32F : CUDA_R_16BF; }
 
 // By Epilogue.
-constexpr cublasLtEpilogue_t kEpilogues[] = {
-    CUBLASLT_EPILOGUE_DEFAULT,  CUBLASLT_EPILOGUE_BIAS,          CUBLASLT_EPILOGUE_RELU,  CUBLASLT_EPILOGUE_RELU_BIAS,
-    CUBLASLT_EPILOGUE_RELU_AUX, CUBLASLT_EPILOGUE_RELU_AUX_BIAS, CUBLASLT_EPILOGUE_DRELU, CUBLASLT_EPILOGUE_BGRADA};
+constexpr cublasLtEpilogue_t kEpilogues[] = {CUBLASLT_EPILOGUE_DEFAULT, CUBLASLT_EPILOGUE_BIAS, CUBLASLT_EPILOGUE_RELU,
+                                             CUBLASLT_EPILOGUE_RELU_BIAS};
 
 // cuBLASLt thinks in columns: our row-major D = A B is its D^T = B^T A^T, so its first operand is our B.
 struct Problem {
@@ -59,12 +58,7 @@ struct Problem {
     set(CUBLASLT_MATMUL_DESC_TRANSA, p.b.transposed ? CUBLAS_OP_T : CUBLAS_OP_N);
     set(CUBLASLT_MATMUL_DESC_TRANSB, p.a.transposed ? CUBLAS_OP_T : CUBLAS_OP_N);
     set(CUBLASLT_MATMUL_DESC_EPILOGUE, kEpilogues[static_cast<std::size_t>(p.epilogue)]);
-    const void* vector = p.epilogue == Epilogue::column_sums ? p.sums : p.bias;
-    if (vector != nullptr) set(CUBLASLT_MATMUL_DESC_BIAS_POINTER, vector);
-    if (p.mask != nullptr) {
-      set(CUBLASLT_MATMUL_DESC_EPILOGUE_AUX_POINTER, p.mask);
-      set(CUBLASLT_MATMUL_DESC_EPILOGUE_AUX_LD, mask_stride_bits(p.d.cols));
-    }
+    if (p.bias != nullptr) set(CUBLASLT_MATMUL_DESC_BIAS_POINTER, p.bias);
   }
 
  private:
@@ -88,7 +82,7 @@ struct ProductKey {
   MatrixKey a, b, d;
   bool add, tf32;
   Epilogue epilogue;
-  std::uint32_t vector_alignment, mask_alignment;
+  std::uint32_t bias_alignment;
   auto operator<=>(const ProductKey&) const = default;
 };
 
@@ -98,9 +92,7 @@ class Library {
 
   /// The algorithm of a product, found at its first call; none: there is no kernel.
   std::optional<cublasLtMatmulAlgo_t> algorithm(const Product& p, Problem& problem) {
-    const void* const vector = p.epilogue == Epilogue::column_sums ? p.sums : p.bias;
-    const ProductKey key{key_of(p.a), key_of(p.b), key_of(p.d),          p.add,
-                         p.tf32,      p.epilogue,  alignment_of(vector), alignment_of(p.mask)};
+    const ProductKey key{key_of(p.a), key_of(p.b), key_of(p.d), p.add, p.tf32, p.epilogue, alignment_of(p.bias)};
     const std::lock_guard lock(mutex_);
     const auto known = algorithms_.find(key);
     if (known != algorithms_.end()) return known->second;

@@ -55,17 +55,10 @@ struct Matrix {
 /// What happens to D = A B (+ D) before it is written.
 enum class Epilogue : std::uint8_t {
   none,
-  bias,            ///< D + bias
-  relu,            ///< max(D, 0)
-  bias_relu,       ///< max(D + bias, 0)
-  relu_mask,       ///< relu, and mask = D > 0
-  bias_relu_mask,  ///< bias_relu, and mask = D > 0
-  masked,          ///< D where mask is set, else 0: the gradient of a ReLU
-  column_sums,     ///< D unchanged; sums = column sums of B
+  bias,       ///< D + bias
+  relu,       ///< max(D, 0)
+  bias_relu,  ///< max(D + bias, 0)
 };
-
-/// Bits of a row of a ReLU's mask: one a column, rows start at multiples of 128 bits.
-constexpr std::int64_t mask_stride_bits(std::int64_t cols) { return (cols + 127) / 128 * 128; }
 
 /// D = A B, or D + A B with `add`. Operands fp32: products and sums in fp32 (with `tf32` operands are cut to TF32's 10
 /// bits of mantissa where cuBLASLt has such a kernel), D fp32; operands bf16: sums in fp32, D fp32 or bf16.
@@ -74,9 +67,7 @@ struct Product {
   bool add = false;
   bool tf32 = false;
   Epilogue epilogue = Epilogue::none;
-  const void* bias = nullptr;     ///< [columns of D], of D's type
-  std::uint32_t* mask = nullptr;  ///< [rows of D] of mask_stride_bits(columns of D), 16-byte aligned
-  float* sums = nullptr;          ///< [columns of B]; D is fp32 then
+  const void* bias = nullptr;  ///< [columns of D], of D's type
 };
 
 /// Queues the product on launch().stream. false, and nothing is queued: cuBLASLt has no kernel with this epilogue

@@ -14,9 +14,8 @@ namespace semfield::cuda {
 
 namespace {
 
-Epilogue forward_epilogue(bool bias, Activation activation, bool mask) {
+Epilogue forward_epilogue(bool bias, Activation activation) {
   if (activation == Activation::none) return bias ? Epilogue::bias : Epilogue::none;
-  if (mask) return bias ? Epilogue::bias_relu_mask : Epilogue::relu_mask;
   return bias ? Epilogue::bias_relu : Epilogue::relu;
 }
 
@@ -392,18 +391,15 @@ void linear_forward(const LinearForward<Act, Out>& call) {
   if (call.y.size() == 0) return;
   Product p{.a = Matrix(call.x), .b = Matrix(call.weight), .d = Matrix(call.y), .add = call.add};
   const View<const Out> bias = bias_of(call.bias, call.rounded_bias);
-  p.epilogue = forward_epilogue(!call.bias.empty(), call.activation, call.mask != nullptr);
+  p.epilogue = forward_epilogue(!call.bias.empty(), call.activation);
   p.bias = bias.data;
-  p.mask = call.mask;
   const bool in_one = call.bias.empty() || !bias.empty();
   if (in_one && product(p)) return;
   p.epilogue = Epilogue::none;
   p.bias = nullptr;
-  p.mask = nullptr;
   product(p);
-  if (!call.bias.empty() || call.activation == Activation::relu) {
-    finish_layer(call.bias, call.activation, call.y, call.mask);
-  }
+  const bool relu = call.activation == Activation::relu;
+  if (!call.bias.empty() || relu) finish_rows(LayerEnd<Out, Out>{call.y, call.bias, {}, relu, {}, call.y});
 }
 
 template <class Act, class Dx>
@@ -416,20 +412,10 @@ void linear_backward(const LinearBackward<Act, Dx>& call, Workspace& arena) {
              .d = Matrix(call.d_weight),
              .add = true});
   }
-  // Own passes: cuBLASLt's epilogues for the sums and for the gradient of a ReLU are kernels of their own on Hopper,
-  // and take more than twice as long.
+  // An own pass: cuBLASLt's epilogue for the sums is a kernel of its own on Hopper, and takes more than twice as long.
   if (!call.d_bias.empty()) add_column_sums<Act>(call.dz.col_range(0, call.d_bias.cols), call.d_bias, arena);
   if (call.dx.empty()) return;
   product({.a = Matrix(call.dz), .b = Matrix(call.weight, true), .d = Matrix(call.dx), .add = call.add_to_dx});
-  if (!call.relu_input) return;
-  if constexpr (std::is_same_v<Dx, __nv_bfloat16>) {
-    if (call.mask != nullptr && call.dx.cols % 8 == 0 && call.dx.row_stride % 8 == 0) {
-      mask_and_sum(call.mask, call.dx, call.dx_sums, arena);
-      return;
-    }
-  }
-  relu_backward<Act, Dx>(call.x, call.dx);
-  if (!call.dx_sums.empty()) add_column_sums<Dx>(call.dx.col_range(0, call.dx_sums.cols), call.dx_sums, arena);
 }
 
 #define SEMFIELD_INSTANTIATE(Act, Out)                                    \

@@ -174,22 +174,13 @@ TEST(CudaProduct, RepeatsBitForBit) {
   SEMFIELD_ON_DEVICE(launch);
   constexpr std::int64_t kRows = 65536;
   const DeviceMatrix<Bf16> x(random_floats(kRows * 256, 1, -1, 1), 256), dz(random_floats(kRows * 256, 2, -1, 1), 256);
-  std::vector<float> first, first_sums;
+  std::vector<float> first;
   for (int run = 0; run < 3; ++run) {
-    const DeviceMatrix<float> d(std::vector<float>(256 * 256), 256), sums(std::vector<float>(256), 256);
-    Product p{.a = Matrix(x.view(), true),
-              .b = Matrix(dz.view()),
-              .d = Matrix(d.view()),
-              .add = true,
-              .epilogue = Epilogue::column_sums,
-              .sums = sums.data()};
-    if (!cuda::product(p)) {
-      p.epilogue = Epilogue::none;
-      cuda::product(p);
-    }
-    if (run == 0) first = d.read(), first_sums = sums.read();
+    const DeviceMatrix<float> d(std::vector<float>(256 * 256), 256);
+    EXPECT_TRUE(
+        cuda::product({.a = Matrix(x.view(), true), .b = Matrix(dz.view()), .d = Matrix(d.view()), .add = true}));
+    if (run == 0) first = d.read();
     EXPECT_EQ(d.read(), first);
-    EXPECT_EQ(sums.read(), first_sums);
   }
 }
 
@@ -199,25 +190,14 @@ TEST(CudaProduct, TellsWhichEpiloguesCublasLtHas) {
   constexpr std::int64_t kRows = 4096;
   const DeviceMatrix<Bf16> x(random_floats(kRows * 256, 1, -1, 1), 256), w(random_floats(256 * 256, 2, -1, 1), 256);
   const DeviceMatrix<Bf16> y(kRows, 256), bias(random_floats(256, 3, -1, 1), 256);
-  const DeviceMatrix<float> d(std::vector<float>(256 * 256), 256), sums(1, 256);
-  const DeviceMatrix<std::uint32_t> mask(kRows, static_cast<std::int32_t>(cuda::mask_stride_bits(256) / 32));
-  const char* const names[] = {"none",      "bias",           "relu",   "bias_relu",
-                               "relu_mask", "bias_relu_mask", "masked", "column_sums"};
-  for (int e = 0; e < 8; ++e) {
+  const char* const names[] = {"none", "bias", "relu", "bias_relu"};
+  for (int e = 0; e < 4; ++e) {
     Product p;
     p.epilogue = static_cast<Epilogue>(e);
     p.a = Matrix(x.view());
     p.b = Matrix(w.view());
     p.d = Matrix(y.view());
-    if (p.epilogue == Epilogue::bias || p.epilogue == Epilogue::bias_relu || p.epilogue == Epilogue::bias_relu_mask)
-      p.bias = bias.data();
-    if (p.epilogue >= Epilogue::relu_mask && p.epilogue <= Epilogue::masked) p.mask = mask.data();
-    if (p.epilogue == Epilogue::column_sums) {
-      p.a = Matrix(x.view(), true);
-      p.b = Matrix(x.view());
-      p.d = Matrix(d.view());
-      p.sums = sums.data();
-    }
+    if (p.epilogue == Epilogue::bias || p.epilogue == Epilogue::bias_relu) p.bias = bias.data();
     const bool has = cuda::product(p);
     std::printf("cuBLASLt, bf16, %s: %s\n", names[e], has ? "yes" : "no");
     RecordProperty(names[e], has ? 1 : 0);
@@ -225,26 +205,25 @@ TEST(CudaProduct, TellsWhichEpiloguesCublasLtHas) {
   cuda::check(cudaDeviceSynchronize(), "products with epilogues");
 }
 
-// y = relu(x W + b), then its gradients, in one shape; `masks` through bits, else through y.
+// y = relu(x W + b), then gradients of a product behind it, in one shape; `in_one`: with the bias as an epilogue adds
+// it.
 template <class Act, class Out>
-void expect_layer(std::int64_t rows, std::int32_t in, std::int32_t out, bool masks, double tolerance) {
-  SCOPED_TRACE(std::to_string(rows) + " rows, " + std::to_string(in) + " to " + std::to_string(out) + ", masks " +
-               std::to_string(masks));
+void expect_layer(std::int64_t rows, std::int32_t in, std::int32_t out, bool in_one, double tolerance) {
+  SCOPED_TRACE(std::to_string(rows) + " rows, " + std::to_string(in) + " to " + std::to_string(out) + ", in one " +
+               std::to_string(in_one));
   constexpr bool kRounds = std::is_same_v<Out, Bf16>;  // the bias that an epilogue adds
   DeviceLaunch launch;
   const std::vector<float> bias_values = random_floats(out, 3, -1, 1);
   const DeviceMatrix<Act> x(random_floats(rows * in, 1, -1, 1), in), w(random_floats(in * out, 2, -1, 1), out);
   const DeviceMatrix<float> bias(bias_values, out);
   const DeviceMatrix<Out> rounded_bias(bias_values, out), y(rows, out);
-  const auto words = static_cast<std::int32_t>(cuda::mask_stride_bits(out) / 32);
-  const DeviceMatrix<std::uint32_t> mask(rows, words);
   LinearForward<Act, Out> forward;
   forward.x = x.view(), forward.weight = w.view(), forward.bias = bias.view(), forward.y = y.view();
   forward.activation = Activation::relu;
-  if (masks) forward.rounded_bias = rounded_bias.view(), forward.mask = mask.data();
+  if (in_one) forward.rounded_bias = rounded_bias.view();
   linear_forward(forward);
 
-  const std::vector<double> xv = read(x), wv = read(w), bv = rounded(bias_values, kRounds && masks);
+  const std::vector<double> xv = read(x), wv = read(w), bv = rounded(bias_values, kRounds && in_one);
   std::vector<double> want;
   for (std::int64_t i = 0; i < rows; ++i) {
     for (std::int32_t j = 0; j < out; ++j) {
@@ -257,7 +236,7 @@ void expect_layer(std::int64_t rows, std::int32_t in, std::int32_t out, bool mas
   const double floor = std::sqrt(static_cast<double>(in));
   EXPECT_EQ((testkit::compare<double, double>(host_view(got, out), host_view(want, out), tolerance, floor)), "");
 
-  // The layer before it: gradients of x2 = y through a second product back to `out` columns, masked by y > 0.
+  // Gradients of x2 = y through a second product back to `out` columns.
   if constexpr (std::is_same_v<Act, Out>) {
     constexpr std::int32_t kNext = 24;
     const DeviceMatrix<Act> dz(random_floats(rows * kNext, 4, -1, 1), kNext),
@@ -270,8 +249,7 @@ void expect_layer(std::int64_t rows, std::int32_t in, std::int32_t out, bool mas
     LinearBackward<Act, Act> backward;
     backward.x = y.view(), backward.dz = dz.view(), backward.weight = next.view();
     backward.d_weight = d_weight.view(), backward.d_bias = d_bias.view(), backward.dx = dx.view();
-    backward.add_to_dx = true, backward.relu_input = true;
-    if (masks) backward.mask = mask.data();
+    backward.add_to_dx = true;
     linear_backward(backward, launch.arena());
     const std::vector<double> zv = read(dz), nv = read(next);
     for (std::int64_t i = 0; i < rows; ++i) {
@@ -283,7 +261,7 @@ void expect_layer(std::int64_t rows, std::int32_t in, std::int32_t out, bool mas
       for (std::int32_t j = 0; j < out; ++j) {
         double sum = start[i * out + j];
         for (std::int32_t n = 0; n < kNext; ++n) sum += zv[i * kNext + n] * nv[j * kNext + n];
-        want_dx.push_back(got[i * out + j] > 0 ? sum : 0);
+        want_dx.push_back(sum);
       }
     }
     const auto near = [&](const std::vector<double>& is, const std::vector<double>& should, std::int32_t cols,
@@ -299,11 +277,11 @@ void expect_layer(std::int64_t rows, std::int32_t in, std::int32_t out, bool mas
 TEST(CudaLayers, ForwardAndGradientsFollowTheFormulas) {
   SEMFIELD_NEEDS_DEVICE();
   for (const std::int64_t rows : {0, 1, 31, 33, 4097}) {
-    for (const bool masks : {false, true}) {
-      expect_layer<float, float>(rows, 17, 40, masks, 3e-6);
-      expect_layer<Bf16, float>(rows, 24, 40, masks, 3e-6);
-      expect_layer<Bf16, Bf16>(rows, 24, 40, masks, 8e-3);
-      expect_layer<Bf16, Bf16>(rows, 64, 256, masks, 8e-3);
+    for (const bool in_one : {false, true}) {
+      expect_layer<float, float>(rows, 17, 40, in_one, 3e-6);
+      expect_layer<Bf16, float>(rows, 24, 40, in_one, 3e-6);
+      expect_layer<Bf16, Bf16>(rows, 24, 40, in_one, 8e-3);
+      expect_layer<Bf16, Bf16>(rows, 64, 256, in_one, 8e-3);
     }
   }
 }
@@ -327,18 +305,13 @@ TEST(CudaLayers, PassesOverMatrices) {
       cuda::relu_backward<float>(in.view(), sum.view());
       const std::vector<double> masked = read(sum);
       for (std::size_t i = 0; i < added.size(); ++i) ASSERT_EQ(masked[i], values[i] > 0 ? added[i] : 0) << i;
-      const DeviceMatrix<float> turned(5, static_cast<std::int32_t>(rows));
-      cuda::transpose(in.view(), turned.view());
-      const std::vector<float> t = turned.read();
-      for (std::size_t i = 0; i < t.size(); ++i)
-        ASSERT_EQ(t[i], values[i % static_cast<std::size_t>(rows) * 5 + i / static_cast<std::size_t>(rows)]) << i;
       const DeviceMatrix<float> sums(std::vector<float>(5, 1.0F), 5);
       cuda::add_column_sums<float>(in.view(), sums.view(), launch.arena());
       std::vector<double> want(5, 1.0);
       for (std::size_t i = 0; i < values.size(); ++i) want[i % 5] += values[i];
       const std::vector<float> got_sums = sums.read();
       for (std::size_t c = 0; c < 5; ++c) EXPECT_NEAR(got_sums[c], want[c], 1e-4);
-      for (const DeviceMatrix<float>* m : {&in, &sum, &turned, &sums}) EXPECT_EQ(m->surroundings(), "");
+      for (const DeviceMatrix<float>* m : {&in, &sum, &sums}) EXPECT_EQ(m->surroundings(), "");
       EXPECT_EQ(wide.surroundings(), "");
     }
   }

@@ -41,27 +41,19 @@ struct LinearForward {
   /// The same bias as Out. cuBLASLt adds a bias of the output's type alone: without it, bf16 outputs cost a further
   /// pass.
   View<const Out> rounded_bias{};
-  /// With relu, if not null: [M] rows of mask_stride_bits(out) bits, y > 0, for LinearBackward.
-  std::uint32_t* mask = nullptr;
 };
 template <class Act, class Out>
 void linear_forward(const LinearForward<Act, Out>& call);
 
 /// From dz [M, out] = dL/d(x W + b): d_weight [in, out] fp32 +=, d_bias [1, out] fp32 +=, dx [M, in] = dz W^T (or +=
-/// with add_to_dx), with relu_input masked by x > 0. weight [in, out], not transposed: a product reads either way. x,
-/// dz and weight may have more columns (rows) than d_weight: padding. Empty views are not computed. Sums have a fixed
-/// order.
+/// with add_to_dx). weight [in, out], not transposed: a product reads either way. x, dz and weight may have more
+/// columns (rows) than d_weight: padding. Empty views are not computed. Sums have a fixed order.
 template <class Act, class Dx>
 struct LinearBackward {
   View<const Act> x{}, dz{}, weight{};
   View<float> d_weight{}, d_bias{};
   View<Dx> dx{};
   bool add_to_dx = false;
-  bool relu_input = false;
-  /// x > 0 as bits, if forward wrote them: an eighth of x's bytes to read.
-  std::uint32_t* mask = nullptr;
-  /// [1, in] += column sums of dx with relu_input: the bias gradient of the layer that made x, in the same pass.
-  View<float> dx_sums{};
 };
 template <class Act, class Dx>
 void linear_backward(const LinearBackward<Act, Dx>& call, Workspace& arena);
@@ -70,31 +62,16 @@ void linear_backward(const LinearBackward<Act, Dx>& call, Workspace& arena);
 /// wider.
 template <class From, class To>
 void convert(View<const From> in, View<To> out);
-/// out [cols, rows] = in^T.
-void transpose(View<const float> in, View<float> out);
 void fill(View<float> out, float value);
 /// out += in.
 template <class From, class To>
 void add_rows(View<const From> in, View<To> out);
 /// dz = y > 0 ? dy : 0.
-template <class Act, class Grad>
-void relu_backward(View<const Act> y, View<Grad> dy);
 template <class Act>
-void relu_backward(View<const Act> y, View<Act> dy) {
-  relu_backward<Act, Act>(y, dy);
-}
-/// y = activation(y + bias), mask as in LinearForward: the pass behind a product that cuBLASLt cannot finish itself.
-/// bias [1, out] or empty.
-template <class Act>
-void finish_layer(View<const float> bias, Activation activation, View<Act> y, std::uint32_t* mask);
+void relu_backward(View<const Act> y, View<Act> dy);
 /// sums [1, cols] += column sums of dz, rows in an order that depends on their number alone.
 template <class Act>
 void add_column_sums(View<const Act> dz, View<float> sums, Workspace& arena);
-/// dx = x > 0 ? dx : 0 by mask (LinearForward::mask), and sums [1, dx.cols] += its column sums; dx.cols a multiple of
-/// 8, rows of dx on 16-byte boundaries.
-void mask_and_sum(const std::uint32_t* mask, View<__nv_bfloat16> dx, View<float> sums, Workspace& arena);
-/// sums [1, cols] += sums over the rows of partial [any, cols], in a fixed order.
-void add_partials(View<const float> partial, View<float> sums);
 /// y [M, out] = share [M, 1] bias [1, out].
 void shared_bias_forward(View<const float> share, View<const float> bias, View<float> y);
 /// From dy [M, out]: d_share [M, 1] = dy bias^T, d_bias [1, out] += share^T dy. Sums have a fixed order.

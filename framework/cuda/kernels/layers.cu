@@ -85,56 +85,20 @@ void copy_or_add(View<const From> in, View<To> out) {
         by_four ? copy_kernel<From, To, 4, kAdd> : copy_kernel<From, To, 1, kAdd>, in, out);
 }
 
-// 32 x 32 numbers a block of 32 x 8 threads through shared memory, so that reads and writes are rows.
-__global__ void transpose_kernel(View<const float> in, View<float> out) {
-  __shared__ float tile[kWarp][kWarp + 1];
-  const std::int64_t row = static_cast<std::int64_t>(blockIdx.y) * kWarp;
-  const std::int32_t col = static_cast<std::int32_t>(blockIdx.x) * kWarp;
-  const auto x = static_cast<std::int32_t>(threadIdx.x);
-  for (int y = static_cast<int>(threadIdx.y); y < kWarp; y += 8) {
-    if (row + y < in.rows && col + x < in.cols) tile[y][x] = in(row + y, col + x);
-  }
-  __syncthreads();
-  for (int y = static_cast<int>(threadIdx.y); y < kWarp; y += 8) {
-    if (col + y < in.cols && row + x < in.rows) out(col + y, static_cast<std::int32_t>(row + x)) = tile[x][y];
-  }
-}
-
 // One thread N numbers: reads y and dy, writes dy.
-template <class Act, class Grad, int N>
-__global__ void relu_backward_kernel(View<const Act> y, View<Grad> dy) {
+template <class Act, int N>
+__global__ void relu_backward_kernel(View<const Act> y, View<Act> dy) {
   const std::int64_t i = thread_index();
   if (i * N >= dy.size()) return;
   const Place<N> at = place_of<N>(i, dy.cols);
   const Pack<Act, N> of = *reinterpret_cast<const Pack<Act, N>*>(y.row(at.row) + at.col);
-  auto* place = reinterpret_cast<Pack<Grad, N>*>(dy.row(at.row) + at.col);
-  Pack<Grad, N> gradient = *place;
+  auto* place = reinterpret_cast<Pack<Act, N>*>(dy.row(at.row) + at.col);
+  Pack<Act, N> gradient = *place;
 #pragma unroll
   for (int k = 0; k < N; ++k) {
-    if (!(to_float(of.v[k]) > 0)) gradient.v[k] = from_float<Grad>(0);
+    if (!(to_float(of.v[k]) > 0)) gradient.v[k] = from_float<Act>(0);
   }
   *place = gradient;
-}
-
-// One thread up to 32 columns of a row, which are one word of the mask.
-template <class Act>
-__global__ void finish_kernel(View<const float> bias, bool relu, View<Act> y, std::uint32_t* mask) {
-  const std::int32_t words = (y.cols + 31) / 32;
-  const std::int64_t i = thread_index();
-  if (i >= y.rows * words) return;
-  const std::int64_t row = i / words;
-  const std::int32_t word = static_cast<std::int32_t>(i % words);
-  std::uint32_t bits = 0;
-  for (std::int32_t k = 0; k < 32 && word * 32 + k < y.cols; ++k) {
-    const std::int32_t col = word * 32 + k;
-    float value = to_float(y(row, col));
-    if (!bias.empty()) value += bias(0, col);
-    if (relu && value < 0) value = 0;  // NaN stays NaN
-    const Act kept = from_float<Act>(value);
-    if (to_float(kept) > 0) bits |= 1u << k;
-    y(row, col) = kept;
-  }
-  if (mask != nullptr) mask[row * (mask_stride_bits(y.cols) / 32) + word] = bits;
 }
 
 // A block sums `rows_each` rows, a thread one column (columns beyond the block's threads in further turns): partial
@@ -168,40 +132,33 @@ __global__ void add_partials_kernel(View<const float> partial, View<float> sums)
   sums(0, col) += total;
 }
 
-// A block masks and sums `rows_each` rows: 32 threads a row of 256 columns, 8 columns (16 bytes, a byte of the mask) a
-// thread, so a warp moves 512 bytes at a time; groups of threads that share columns are added in order at the end.
-// partial [blocks, cols].
-constexpr int kMaskedColumns = 8;
-template <bool kMask>
-__global__ void mask_and_sum_kernel(const std::uint8_t* mask, std::int64_t mask_stride, View<__nv_bfloat16> dx,
-                                    std::int64_t rows_each, View<float> partial) {
+// A block sums `rows_each` rows of bf16: 32 threads a row of 256 columns, 8 columns (16 bytes) a thread, so a warp
+// reads 512 bytes at a time; groups of threads that share columns are added in order at the end. partial [blocks,
+// cols].
+constexpr int kSummedColumns = 8;
+__global__ void sum_by_eights_kernel(View<const __nv_bfloat16> dz, std::int64_t rows_each, View<float> partial) {
   extern __shared__ float share[];  // [groups][cols]
-  const auto threads_a_row = static_cast<int>(dx.cols / kMaskedColumns);
+  const auto threads_a_row = static_cast<int>(dz.cols / kSummedColumns);
   const int groups = static_cast<int>(blockDim.x) / threads_a_row;
   const int group = static_cast<int>(threadIdx.x) / threads_a_row, at = static_cast<int>(threadIdx.x) % threads_a_row;
   const std::int64_t begin = static_cast<std::int64_t>(blockIdx.x) * rows_each;
-  const std::int64_t end = begin + rows_each < dx.rows ? begin + rows_each : dx.rows;
-  float sum[kMaskedColumns] = {};
+  const std::int64_t end = begin + rows_each < dz.rows ? begin + rows_each : dz.rows;
+  float sum[kSummedColumns] = {};
   if (group < groups) {
 #pragma unroll 4
     for (std::int64_t row = begin + group; row < end; row += groups) {
-      auto* const place = reinterpret_cast<Pack<__nv_bfloat16, kMaskedColumns>*>(dx.row(row) + at * kMaskedColumns);
-      Pack<__nv_bfloat16, kMaskedColumns> value = *place;
-      const unsigned bits = kMask ? mask[row * mask_stride + at] : 0xFFu;
+      const auto value =
+          *reinterpret_cast<const Pack<__nv_bfloat16, kSummedColumns>*>(dz.row(row) + at * kSummedColumns);
 #pragma unroll
-      for (int k = 0; k < kMaskedColumns; ++k) {
-        if ((bits >> k & 1u) == 0) value.v[k] = from_float<__nv_bfloat16>(0);
-        sum[k] += to_float(value.v[k]);
-      }
-      if (kMask) *place = value;
+      for (int k = 0; k < kSummedColumns; ++k) sum[k] += to_float(value.v[k]);
     }
 #pragma unroll
-    for (int k = 0; k < kMaskedColumns; ++k) share[group * dx.cols + at * kMaskedColumns + k] = sum[k];
+    for (int k = 0; k < kSummedColumns; ++k) share[group * dz.cols + at * kSummedColumns + k] = sum[k];
   }
   __syncthreads();
-  for (std::int32_t col = static_cast<std::int32_t>(threadIdx.x); col < dx.cols; col += blockDim.x) {
+  for (std::int32_t col = static_cast<std::int32_t>(threadIdx.x); col < dz.cols; col += blockDim.x) {
     float total = 0;
-    for (int g = 0; g < groups; ++g) total += share[g * dx.cols + col];
+    for (int g = 0; g < groups; ++g) total += share[g * dz.cols + col];
     partial(blockIdx.x, col) = total;
   }
 }
@@ -235,21 +192,24 @@ __global__ void per_ray_kernel(View<const Act> dz, View<const std::int32_t> ray_
   }
 }
 
-// mask null: sums alone.
-void sum_by_eights(const std::uint32_t* mask, View<__nv_bfloat16> dx, View<float> sums, Workspace& arena) {
+// sums [1, cols] += sums over the rows of partial [any, cols], in a fixed order.
+void add_partials(View<const float> partial, View<float> sums) {
+  queue("sums of parts", blocks_of(sums.cols, kWarp), dim3(kWarp, kWarp), add_partials_kernel, partial, sums);
+}
+
+void sum_by_eights(View<const __nv_bfloat16> dz, View<float> sums, Workspace& arena) {
   constexpr std::int64_t kLeastRows = 64;
-  const std::int64_t parts = std::min<std::int64_t>(8 * multiprocessors(), (dx.rows + kLeastRows - 1) / kLeastRows);
-  const std::int64_t rows_each = (dx.rows + parts - 1) / parts;
-  const int threads_a_row = dx.cols / kMaskedColumns;
+  const std::int64_t parts = std::min<std::int64_t>(8 * multiprocessors(), (dz.rows + kLeastRows - 1) / kLeastRows);
+  const std::int64_t rows_each = (dz.rows + parts - 1) / parts;
+  const int threads_a_row = dz.cols / kSummedColumns;
   const int threads = std::max(kThreads, threads_a_row) / threads_a_row * threads_a_row;
-  const std::size_t shared = sizeof(float) * static_cast<std::size_t>(threads) * kMaskedColumns;
+  const std::size_t shared = sizeof(float) * static_cast<std::size_t>(threads) * kSummedColumns;
   const Workspace::Scope scope(arena);
-  const View<float> partial = arena.take<float>(parts, dx.cols);
-  const auto kernel = mask != nullptr ? mask_and_sum_kernel<true> : mask_and_sum_kernel<false>;
-  kernel<<<static_cast<unsigned>(parts), static_cast<unsigned>(threads), shared, launch().stream>>>(
-      reinterpret_cast<const std::uint8_t*>(mask), mask_stride_bits(dx.cols) / 8, dx, rows_each, partial);
-  check_launch("mask and column sums");
-  if (!sums.empty()) add_partials(partial.col_range(0, sums.cols), sums);
+  const View<float> partial = arena.take<float>(parts, dz.cols);
+  sum_by_eights_kernel<<<static_cast<unsigned>(parts), static_cast<unsigned>(threads), shared, launch().stream>>>(
+      dz, rows_each, partial);
+  check_launch("column sums");
+  add_partials(partial.col_range(0, sums.cols), sums);
 }
 
 // Several small fp32 products in one launch, where cuBLASLt's launches would take longer than the products.
@@ -619,35 +579,21 @@ void add_rows(View<const From> in, View<To> out) {
   copy_or_add<From, To, true>(in, out);
 }
 
-void transpose(View<const float> in, View<float> out) {
-  const dim3 grid(blocks_of(in.cols, kWarp), blocks_of(in.rows, kWarp));
-  queue("transpose", grid, dim3(kWarp, 8), transpose_kernel, in, out);
-}
-
-template <class Act, class Grad>
-void relu_backward(View<const Act> y, View<Grad> dy) {
+template <class Act>
+void relu_backward(View<const Act> y, View<Act> dy) {
   const bool by_four = packs(y) && packs(dy);
   queue("relu backward", blocks_of(dy.size() / (by_four ? 4 : 1), kThreads), kThreads,
-        by_four ? relu_backward_kernel<Act, Grad, 4> : relu_backward_kernel<Act, Grad, 1>, y, dy);
-}
-
-template <class Act>
-void finish_layer(View<const float> bias, Activation activation, View<Act> y, std::uint32_t* mask) {
-  const std::int64_t words = (y.cols + 31) / 32;
-  queue("bias and activation", blocks_of(y.rows * words, kThreads), kThreads, finish_kernel<Act>, bias,
-        activation == Activation::relu, y, mask);
+        by_four ? relu_backward_kernel<Act, 4> : relu_backward_kernel<Act, 1>, y, dy);
 }
 
 template <class Act>
 void add_column_sums(View<const Act> dz, View<float> sums, Workspace& arena) {
   if (dz.size() == 0) return;
   if constexpr (std::is_same_v<Act, __nv_bfloat16>) {
-    constexpr int kMostColumns = 1024 * kMaskedColumns;
-    if (dz.cols % kMaskedColumns == 0 && dz.cols <= kMostColumns && dz.row_stride % kMaskedColumns == 0 &&
-        reinterpret_cast<std::uintptr_t>(dz.data) % 16 == 0) {
-      const View<Act> rows(const_cast<Act*>(dz.data), dz.rows, dz.cols, dz.row_stride, dz.device);
-      return sum_by_eights(nullptr, rows, sums, arena);
-    }
+    constexpr int kMostColumns = 1024 * kSummedColumns;
+    if (dz.cols % kSummedColumns == 0 && dz.cols <= kMostColumns && dz.row_stride % kSummedColumns == 0 &&
+        reinterpret_cast<std::uintptr_t>(dz.data) % 16 == 0)
+      return sum_by_eights(dz, sums, arena);
   }
   constexpr std::int64_t kMostParts = 1024;
   constexpr std::int64_t kLeastRows = 64;
@@ -659,14 +605,6 @@ void add_column_sums(View<const Act> dz, View<float> sums, Workspace& arena) {
   add_partials(partial, sums);
 }
 
-void mask_and_sum(const std::uint32_t* mask, View<__nv_bfloat16> dx, View<float> sums, Workspace& arena) {
-  if (dx.size() > 0) sum_by_eights(mask, dx, sums, arena);
-}
-
-void add_partials(View<const float> partial, View<float> sums) {
-  queue("sums of parts", blocks_of(sums.cols, kWarp), dim3(kWarp, kWarp), add_partials_kernel, partial, sums);
-}
-
 template <class Act>
 void per_ray_backward(View<const Act> dz, View<const std::int32_t> ray_of_sample, View<float> d_ray_term) {
   if (d_ray_term.size() == 0) return;
@@ -675,9 +613,9 @@ void per_ray_backward(View<const Act> dz, View<const std::int32_t> ray_of_sample
         launch().live_rows, d_ray_term);
 }
 
-#define SEMFIELD_INSTANTIATE(Act)                                                            \
-  template void finish_layer<Act>(View<const float>, Activation, View<Act>, std::uint32_t*); \
-  template void add_column_sums<Act>(View<const Act>, View<float>, Workspace&);              \
+#define SEMFIELD_INSTANTIATE(Act)                                               \
+  template void relu_backward<Act>(View<const Act>, View<Act>);                 \
+  template void add_column_sums<Act>(View<const Act>, View<float>, Workspace&); \
   template void per_ray_backward<Act>(View<const Act>, View<const std::int32_t>, View<float>);
 SEMFIELD_INSTANTIATE(float)
 SEMFIELD_INSTANTIATE(__nv_bfloat16)
@@ -689,9 +627,6 @@ template void convert<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<floa
 template void add_rows<float, float>(View<const float>, View<float>);
 template void add_rows<float, __nv_bfloat16>(View<const float>, View<__nv_bfloat16>);
 template void add_rows<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<float>);
-template void relu_backward<float, float>(View<const float>, View<float>);
-template void relu_backward<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<float>);
-template void relu_backward<__nv_bfloat16, __nv_bfloat16>(View<const __nv_bfloat16>, View<__nv_bfloat16>);
 
 void small_products(std::span<const SmallProduct> list, Workspace* arena) {
   constexpr std::int64_t kTermsOfPart = 256, kMostParts = 32;
