@@ -3,7 +3,6 @@
 #include "core/error.h"
 #include "cuda/kernels/kernels.h"
 #include "cuda/matmul.h"
-#include "model/head_branch.h"
 
 namespace semfield::cuda {
 

@@ -48,6 +48,19 @@ struct RenderingParams {
 void describe(ParamVisitor& visit, RenderingParams& params);
 void validate(const RenderingParams& params, Diagnostics& diagnostics);
 
+/// What a branch is beside its plugins: a network of its own for what a head reads, smooth where the pass's field is
+/// sharp, and run on the samples that weigh alone.
+struct BranchRules {
+  bool reads_feature = true;   ///< the field's feature beside the position; no gradient goes back into the field
+  double least_weight = 1e-3;  ///< samples of a smaller compositing weight are left out
+  double dropout = 0;          ///< share of feature values that a training step sets to 0 [Srivastava14]
+  double learning_rate = 1;    ///< of branch and head, as a factor to the run's
+  double weight_decay = 0;     ///< of branch and head: share of a value times the learning rate [Loshchilov19]
+};
+
+/// Most heads of a pass beside that of class logits.
+inline constexpr std::size_t kMostHeads = 4;
+
 /// The same for every pass.
 struct RenderRules {
   RenderingParams rendering;

@@ -15,7 +15,6 @@
 #include "core/check.h"
 #include "losses/semantic_cross_entropy.h"
 #include "model/camera_corrections.h"
-#include "model/head_branch.h"
 #include "scene/classes/class_table.h"
 
 namespace semfield {

@@ -7,16 +7,29 @@
 
 #include "core/error.h"
 #include "core/half.h"
+#include "core/host_device.h"
+#include "core/rng.h"
 #include "model/compositor.h"
 #include "model/optim/adam.h"
 #include "model/render_rules.h"
+#include "plugin/field.h"
 #include "plugin/head.h"
 #include "plugin/sampler.h"
 
 namespace semfield {
 
+/// K kept samples of the first R rays; lives in the tile's workspace.
 template <class Real>
-struct BranchTrace;
+struct BranchTrace {
+  Samples<Real> samples;
+  View<std::int32_t> source;  ///< [K, 1] number of the sample in the pass
+  View<Real> weight;          ///< [K, 1] compositing weight, a constant here
+  View<Real> share;           ///< [R, 1] sum of a ray's kept weights
+  View<Real> input;           ///< [K, Dp (+ F)] encoded position (and the field's feature)
+  FieldOut<Real> out;         ///< feature [K, B] alone
+  View<Real> feature;         ///< [K, B] what the head reads: the same, or what dropout left of it
+  Saved saved;
+};
 
 /// Values that the end of a stage looks at.
 enum class Guarded : std::uint8_t {
@@ -47,6 +60,28 @@ struct Dropout {
   std::int64_t first_ray = 0;
   double share = 0;
 };
+
+/// Address of the dropout's random values; that of other heads also has their prefix in front.
+inline constexpr const char* kBranchDropout = "semantic_branch/dropout";
+/// Columns that share a block of random numbers.
+inline constexpr std::int32_t kDropoutGroup = 4;
+/// What is left of columns 4 g .. 4 g + 3 of a ray's kept sample `k`, of `cols`: factors 0 or 1 / (1 - share). Rays are
+/// numbered through the batch, so tiles do not matter.
+struct DropoutFactors {
+  float of[kDropoutGroup];
+};
+SEMFIELD_HD inline DropoutFactors dropout_factors(const RandomAddress& address, double share, std::int64_t ray,
+                                                  std::int64_t k, std::int32_t group, std::int32_t cols) {
+  const auto row = (static_cast<std::uint64_t>(ray) << 20) + static_cast<std::uint64_t>(k);
+  const PhiloxBlock block =
+      random_block(address, row * static_cast<std::uint64_t>(cols) + static_cast<std::uint64_t>(group));
+  const double below = share * 4294967296.0;
+  const auto stays = static_cast<float>(1 / (1 - share));
+  DropoutFactors factors;
+  for (std::int32_t i = 0; i < kDropoutGroup; ++i)
+    factors.of[i] = static_cast<double>(block.v[i]) < below ? 0.0F : stays;
+  return factors;
+}
 
 /// Backward of the sum of hidden activations in bf16 along rays, and of the ReLU that made them.
 template <class Real>

@@ -465,7 +465,7 @@ TEST(CudaDensity, ActivationsAndTheirSlopes) {
       cuda::density_forward(rule, nullptr, raw_there.view(), sigma.view());
       for (float& x : raw) x -= 0.25F;
       EXPECT_EQ(raw_there.read(), raw);
-      const std::vector<double> wide = testing::widen(raw);
+      std::vector<double> wide = testing::widen(raw);
       std::vector<double> want(raw.size()), slope(raw.size());
       density_forward<double>({activation}, nullptr, testing::host_view(wide, 1), testing::host_view(want, 1));
       const std::vector<double> wide_d = testing::widen(d_sigma);

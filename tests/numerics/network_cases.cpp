@@ -345,7 +345,7 @@ View<Real> column(std::vector<Real>& v) {
 }
 
 template <class Real>
-std::vector<Real> density_of(DensityActivation kind, const std::vector<Real>& raw) {
+std::vector<Real> density_of(DensityActivation kind, std::vector<Real> raw) {
   std::vector<Real> sigma(raw.size(), Real(-9));
   density_forward<Real>({kind}, nullptr, column(raw), column(sigma));
   return sigma;

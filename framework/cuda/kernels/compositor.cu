@@ -6,7 +6,7 @@
 #include "cuda/kernels/device_code.cuh"
 #include "cuda/kernels/kernels.h"
 #include "model/compositor.h"
-#include "model/head_branch.h"
+#include "model/stages.h"
 
 namespace semfield::cuda {
 

@@ -16,7 +16,6 @@
 #include "labels/training_labels.h"
 #include "loading/frame_source.h"
 #include "losses/loss_list.h"
-#include "model/head_branch.h"
 #include "model/optim/adam.h"
 #include "model/render_rules.h"
 #include "plugin/registry.h"
@@ -211,7 +210,7 @@ struct ChoiceNames<LabelKind> {
   static constexpr std::array<std::string_view, 5> names{"any", "few", "noisy", "many", "dense"};
 };
 
-/// What a pass's semantic branch is beside its plugins (model/head_branch.h).
+/// What a pass's semantic branch is beside its plugins (model/render_rules.h).
 struct SemanticBranchConfig {
   std::string key = "semantic";  ///< below its pass: "semantic.few" when it is one of several
   LabelKind labels = LabelKind::any;
