@@ -113,18 +113,20 @@ struct TileArgs {
   bool relu;
 };
 
+#if defined(__AVX512F__)
+// The 32-bit words of the first `count` numbers.
+template <class Real>
+inline __mmask16 first_words(int count) {
+  return static_cast<__mmask16>((1u << (count * static_cast<int>(sizeof(Real) / 4))) - 1);
+}
+#endif
+
 // The first `cols` lanes of a vector (none when cols <= 0), zeros beyond; memory past them is never touched.
 template <class S, class Real>
 inline typename S::Vec load_part(const Real* p, int cols) {
   const int count = std::clamp(cols, 0, S::kLanes);
 #if defined(__AVX512F__)
-  if constexpr (sizeof(typename S::Vec) == 64) {
-    if constexpr (sizeof(Real) == 4) {
-      return (typename S::Vec)_mm512_maskz_loadu_ps(static_cast<__mmask16>((1u << count) - 1), p);
-    } else {
-      return (typename S::Vec)_mm512_maskz_loadu_pd(static_cast<__mmask8>((1u << count) - 1), p);
-    }
-  }
+  if constexpr (sizeof(typename S::Vec) == 64) return (typename S::Vec)_mm512_maskz_loadu_ps(first_words<Real>(count), p);
 #endif
   alignas(64) Real buffer[S::kLanes] = {};
   for (int i = 0; i < count; ++i) buffer[i] = p[i];
@@ -135,14 +137,7 @@ template <class S, class Real>
 inline void store_part(Real* p, typename S::Vec v, int cols) {
   const int count = std::clamp(cols, 0, S::kLanes);
 #if defined(__AVX512F__)
-  if constexpr (sizeof(typename S::Vec) == 64) {
-    if constexpr (sizeof(Real) == 4) {
-      _mm512_mask_storeu_ps(p, static_cast<__mmask16>((1u << count) - 1), (__m512)v);
-    } else {
-      _mm512_mask_storeu_pd(p, static_cast<__mmask8>((1u << count) - 1), (__m512d)v);
-    }
-    return;
-  }
+  if constexpr (sizeof(typename S::Vec) == 64) return _mm512_mask_storeu_ps(p, first_words<Real>(count), (__m512)v);
 #endif
   for (int i = 0; i < count; ++i) p[i] = v[i];
 }

@@ -38,6 +38,14 @@ bool processor_has(Isa isa) {
   return isa == Isa::generic || isa == Isa::build;
 }
 
+template <class Wanted>
+std::string names_of(const Wanted& wanted) {
+  std::string text;
+  for (const Isa built : kBuilt)
+    if (wanted(built)) text += (text.empty() ? "" : " ") + std::string(isa_name(built));
+  return text;
+}
+
 Isa choose() {
   Isa best = kBuilt[0];
   for (const Isa built : kBuilt) {
@@ -108,18 +116,9 @@ Isa isa() {
 }
 
 std::string isas_of_build() {
-  std::string text;
-  for (const Isa built : kBuilt) text += (text.empty() ? "" : " ") + std::string(isa_name(built));
-  return text;
+  return names_of([](Isa) { return true; });
 }
-
-std::string isas_of_machine() {
-  std::string text;
-  for (const Isa built : kBuilt) {
-    if (processor_has(built)) text += (text.empty() ? "" : " ") + std::string(isa_name(built));
-  }
-  return text;
-}
+std::string isas_of_machine() { return names_of(processor_has); }
 
 SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, gemm_kernels, CpuKernels<float>)
 SEMFIELD_FOR_EACH_ISA(SEMFIELD_DECLARE_VARIANT, gemm_kernels, CpuKernels<double>)
