@@ -45,7 +45,7 @@ StreamExecutor::StreamExecutor(Pipeline<float>& host, std::vector<PassParts<floa
   check(cudaEventCreateWithFlags(&forked_, cudaEventDisableTiming), "making an event");
   check(cudaEventCreateWithFlags(&joined_, cudaEventDisableTiming), "making an event");
   const LaunchScope on_stream(step_launch());
-  store_ = std::make_unique<Store>(host.store(), options.trainable, GradientSums::slots_of(options));
+  store_ = std::make_unique<Store>(host.store(), options.trainable, GradientSums::lanes_of(options));
   passes_.reserve(parts.size());
   store_->freeze(host.options().cameras.alone);
   std::vector<std::size_t> ends;
@@ -60,7 +60,7 @@ StreamExecutor::StreamExecutor(Pipeline<float>& host, std::vector<PassParts<floa
   }
   sums_ = std::make_unique<GradientSums>(options, store_->gradients(), std::move(ends));
   const auto [first, last] = sums_->own();
-  for (int s = first; s < last && GradientSums::slots_of(options) > 0; ++s) {
+  for (int s = first; s < last && GradientSums::lanes_of(options) > 0; ++s) {
     Track& track = tracks_.emplace_back();
     check(cudaStreamCreateWithFlags(&track.stream, cudaStreamNonBlocking), "making a stream");
     check(cudaEventCreateWithFlags(&track.walked, cudaEventDisableTiming), "making an event");

@@ -63,7 +63,7 @@ class StreamExecutor::ShardExecutor final : public StepExecutor<float> {
       rows.shard.push_back({trace.x, d_encoded, first.data + first.rows - 1, nullptr});
     }
     const LiveRows<float> live(stages(), trace.samples);
-    find_largest(d_encoded, rows.gathered->largest());
+    find_largest(d_encoded, rows.all->largest());
   }
   // Shards that run beside each other fill the device as it is.
   StepContext begin_branch(const StepContext& ctx) override {
@@ -92,12 +92,10 @@ class StreamExecutor::ShardExecutor final : public StepExecutor<float> {
   }
 
  private:
-  bool in_place(std::size_t pass) const {
-    return !owner_.tracks_.empty() && owner_.rows_[pass].gathered->size().in_place;
-  }
+  bool in_place(std::size_t pass) const { return !owner_.tracks_.empty() && owner_.rows_[pass].all->size().in_place; }
   EncoderRows place(std::size_t pass, std::int64_t rows) const {
     const std::int64_t first = (ctx_.first_ray - owner_.first_ray()) * owner_.host_.per_ray()[pass];
-    return owner_.rows_[pass].gathered->place(first, rows);
+    return owner_.rows_[pass].all->place(first, rows);
   }
   LossSums* sums(std::size_t pass) const { return &owner_.staging_->device_sums()->shard[shard_][pass]; }
 
@@ -165,9 +163,9 @@ void StreamExecutor::walk_shards(const Shape& shape, std::int64_t step, std::int
   }
   for (EncoderRowsOfPass& pass : rows_) {
     pass.shard.clear();
-    if (pass.gathered) pass.gathered->begin();
+    if (pass.all) pass.all->begin();
   }
-  store_->clear_lanes(sums_->slot_of(first), last - first);
+  store_->clear_lanes(first, last - first);
   check(cudaEventRecord(forked_, stream_), "marking a step");
   std::deque<Workspace::Scope> taken;  // until the rows of encoders are collected
   for (int s = first; s < last; ++s) {
@@ -179,13 +177,13 @@ void StreamExecutor::walk_shards(const Shape& shape, std::int64_t step, std::int
     const LaunchScope scope(next);
     taken.emplace_back(track.arena);
     Shard shard = shard_at(s);
-    shard.lane = sums_->slot_of(s);
+    shard.lane = s;
     if (shard.batch.origin.rows > 0) walk(shape, shard, step, track.arena);
     check(cudaEventRecord(track.walked, track.stream), "marking a shard");
   }
   for (Track& track : tracks_) check(cudaStreamWaitEvent(stream_, track.walked, 0), "waiting for a shard");
   for (EncoderRowsOfPass& pass : rows_) {
-    if (pass.gathered && !pass.gathered->size().in_place) pass.gathered->collect(pass.shard);
+    if (pass.all && !pass.all->size().in_place) pass.all->collect(pass.shard);
   }
 }
 
@@ -194,9 +192,9 @@ void StreamExecutor::complete_gradients(std::int64_t step) {
   if (tracks_.empty()) return;
   StepContext ctx = context(step, true, train_arena_);
   for (std::size_t p = 0; p < passes_.size(); ++p) {
-    if (!rows_[p].gathered) continue;
+    if (!rows_[p].all) continue;
     const Workspace::Scope scope(train_arena_);
-    const EncoderRows rows = rows_[p].gathered->joined();
+    const EncoderRows rows = rows_[p].all->all();
     Launch next = launch();
     next.live_rows = rows.count;
     next.largest = rows.largest;
@@ -204,9 +202,7 @@ void StreamExecutor::complete_gradients(std::int64_t step) {
     ctx.pass = passes_[p].parts().number;
     passes_[p].scatter(ctx, rows.x, rows.dy);
   }
-  std::array<int, kShards> lane_of_shard{};
-  for (int s = 0; s < kShards; ++s) lane_of_shard[static_cast<std::size_t>(s)] = sums_->slot_of(s);
-  store_->add_lanes(lane_of_shard);
+  store_->add_lanes();
   for (const Pass<float>& pass : passes_) {
     ctx.pass = pass.parts().number;
     pass.derive_backward(ctx);
@@ -214,30 +210,19 @@ void StreamExecutor::complete_gradients(std::int64_t step) {
   if (cameras_) cameras_->derive_backward(ctx);
 }
 
-// Memory that a step of this batch needs beside the arenas, and what ranks exchange of it.
+// Memory that a step of this batch needs beside the arenas.
 void StreamExecutor::reserve_gradients() {
-  std::vector<GradientSums::Gathered> gathered;
   if (!tracks_.empty()) {
     rows_.resize(passes_.size());
     for (std::size_t p = 0; p < passes_.size(); ++p) {
       if (!passes_[p].scatters()) continue;
-      GatheredRows::Size size;
-      size.dims = passes_[p].encoded_dims();
-      for (int r = 0; r < sums_->ranks(); ++r) {
-        const auto [first, last] = sums_->own_of(r);
-        const RayRange end = shard_of(rays_, last - 1, kShards);
-        size.of_rank.push_back((end.begin + end.count - shard_of(rays_, first, kShards).begin) * host_.per_ray()[p]);
-      }
-      size.rank = sums_->rank();
-      size.in_place = !passes_[p].parts().sampler->traits().keeps_to_room;
-      std::unique_ptr<GatheredRows>& rows = rows_[p].gathered;
-      if (!rows || rows->size() != size) rows = std::make_unique<GatheredRows>(size);
-      gathered.push_back({rows->blocks(), rows->each()});
+      const ShardRows::Size size{passes_[p].encoded_dims(), rays_ * host_.per_ray()[p],
+                                 !passes_[p].parts().sampler->traits().keeps_to_room};
+      std::unique_ptr<ShardRows>& rows = rows_[p].all;
+      if (!rows || rows->size() != size) rows = std::make_unique<ShardRows>(size);
     }
-    const auto of_rank = static_cast<std::size_t>(most_shards_of(sums_->ranks()));
-    gathered.push_back({store_->lane(0), of_rank * store_->lane_numbers()});
   }
-  sums_->reserve(std::move(gathered));
+  sums_->reserve();
 }
 
 // Steps whose batches are drawn on the device.
