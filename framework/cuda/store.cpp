@@ -184,9 +184,9 @@ void Store::clear_lanes(int first, int count) const {
   check(cudaMemsetAsync(lane(first), 0, bytes, launch().stream), "clearing gradients");
 }
 
-void Store::add_lanes(const std::array<int, kShards>& lane_of_shard) const {
+void Store::add_lanes() const {
   std::array<const float*, kShards> block{};
-  for (std::size_t s = 0; s < kShards; ++s) block[s] = lane(lane_of_shard[s]);
+  for (int s = 0; s < kShards; ++s) block[static_cast<std::size_t>(s)] = lane(s);
   add_shards({lane_table_.data(), static_cast<int>(lane_table_.size()), longest_in_lane_}, block);
 }
 

@@ -34,7 +34,7 @@ class Store final : public TensorStore<float> {
   std::size_t lane_numbers() const { return lane_numbers_; }
   void clear_lanes(int first, int count) const;
   /// Main gradients += those of the lanes of all shards, as a tree.
-  void add_lanes(const std::array<int, kShards>& lane_of_shard) const;
+  void add_lanes() const;
 
   /// Values and moments to the device and back, of all tensors or of those that labels shape alone.
   void upload(bool semantic = false);

@@ -101,7 +101,7 @@ StreamExecutor::StreamExecutor(Pipeline<float>& host, std::vector<PassParts<floa
   check(cudaEventCreateWithFlags(&forked_, cudaEventDisableTiming), "making an event");
   check(cudaEventCreateWithFlags(&joined_, cudaEventDisableTiming), "making an event");
   const LaunchScope on_stream(step_launch());
-  store_ = std::make_unique<Store>(host.store(), options.trainable, GradientSums::slots_of(options));
+  store_ = std::make_unique<Store>(host.store(), options.trainable, GradientSums::lanes_of(options));
   passes_.reserve(parts.size());
   store_->freeze(host.options().cameras.alone);
   std::vector<std::size_t> ends;
@@ -116,7 +116,7 @@ StreamExecutor::StreamExecutor(Pipeline<float>& host, std::vector<PassParts<floa
   }
   sums_ = std::make_unique<GradientSums>(options, store_->gradients(), std::move(ends));
   const auto [first, last] = sums_->own();
-  for (int s = first; s < last && GradientSums::slots_of(options) > 0; ++s) {
+  for (int s = first; s < last && GradientSums::lanes_of(options) > 0; ++s) {
     Track& track = tracks_.emplace_back();
     check(cudaStreamCreateWithFlags(&track.stream, cudaStreamNonBlocking), "making a stream");
     check(cudaEventCreateWithFlags(&track.walked, cudaEventDisableTiming), "making an event");
@@ -525,7 +525,7 @@ class StreamExecutor::ShardExecutor final : public StepExecutor<float> {
       rows.shard.push_back({trace.x, d_encoded, first.data + first.rows - 1, nullptr});
     }
     const LiveRows<float> live(stages(), trace.samples);
-    find_largest(d_encoded, rows.gathered->largest());
+    find_largest(d_encoded, rows.all->largest());
   }
   // Shards that run beside each other fill the device as it is.
   StepContext begin_branch(const StepContext& ctx) override {
@@ -554,12 +554,10 @@ class StreamExecutor::ShardExecutor final : public StepExecutor<float> {
   }
 
  private:
-  bool in_place(std::size_t pass) const {
-    return !owner_.tracks_.empty() && owner_.rows_[pass].gathered->size().in_place;
-  }
+  bool in_place(std::size_t pass) const { return !owner_.tracks_.empty() && owner_.rows_[pass].all->size().in_place; }
   EncoderRows place(std::size_t pass, std::int64_t rows) const {
     const std::int64_t first = (ctx_.first_ray - owner_.first_ray()) * owner_.host_.per_ray()[pass];
-    return owner_.rows_[pass].gathered->place(first, rows);
+    return owner_.rows_[pass].all->place(first, rows);
   }
   LossSums* sums(std::size_t pass) const { return &owner_.staging_->device_sums()->shard[shard_][pass]; }
 
@@ -627,9 +625,9 @@ void StreamExecutor::walk_shards(const Shape& shape, std::int64_t step, std::int
   }
   for (EncoderRowsOfPass& pass : rows_) {
     pass.shard.clear();
-    if (pass.gathered) pass.gathered->begin();
+    if (pass.all) pass.all->begin();
   }
-  store_->clear_lanes(sums_->slot_of(first), last - first);
+  store_->clear_lanes(first, last - first);
   check(cudaEventRecord(forked_, stream_), "marking a step");
   std::deque<Workspace::Scope> taken;  // until the rows of encoders are collected
   for (int s = first; s < last; ++s) {
@@ -641,13 +639,13 @@ void StreamExecutor::walk_shards(const Shape& shape, std::int64_t step, std::int
     const LaunchScope scope(next);
     taken.emplace_back(track.arena);
     Shard shard = shard_at(s);
-    shard.lane = sums_->slot_of(s);
+    shard.lane = s;
     if (shard.batch.origin.rows > 0) walk(shape, shard, step, track.arena);
     check(cudaEventRecord(track.walked, track.stream), "marking a shard");
   }
   for (Track& track : tracks_) check(cudaStreamWaitEvent(stream_, track.walked, 0), "waiting for a shard");
   for (EncoderRowsOfPass& pass : rows_) {
-    if (pass.gathered && !pass.gathered->size().in_place) pass.gathered->collect(pass.shard);
+    if (pass.all && !pass.all->size().in_place) pass.all->collect(pass.shard);
   }
 }
 
@@ -656,9 +654,9 @@ void StreamExecutor::complete_gradients(std::int64_t step) {
   if (tracks_.empty()) return;
   StepContext ctx = context(step, true, train_arena_);
   for (std::size_t p = 0; p < passes_.size(); ++p) {
-    if (!rows_[p].gathered) continue;
+    if (!rows_[p].all) continue;
     const Workspace::Scope scope(train_arena_);
-    const EncoderRows rows = rows_[p].gathered->joined();
+    const EncoderRows rows = rows_[p].all->all();
     Launch next = launch();
     next.live_rows = rows.count;
     next.largest = rows.largest;
@@ -666,9 +664,7 @@ void StreamExecutor::complete_gradients(std::int64_t step) {
     ctx.pass = passes_[p].parts().number;
     passes_[p].scatter(ctx, rows.x, rows.dy);
   }
-  std::array<int, kShards> lane_of_shard{};
-  for (int s = 0; s < kShards; ++s) lane_of_shard[static_cast<std::size_t>(s)] = sums_->slot_of(s);
-  store_->add_lanes(lane_of_shard);
+  store_->add_lanes();
   for (const Pass<float>& pass : passes_) {
     ctx.pass = pass.parts().number;
     pass.derive_backward(ctx);
@@ -676,30 +672,19 @@ void StreamExecutor::complete_gradients(std::int64_t step) {
   if (cameras_) cameras_->derive_backward(ctx);
 }
 
-// Memory that a step of this batch needs beside the arenas, and what ranks exchange of it.
+// Memory that a step of this batch needs beside the arenas.
 void StreamExecutor::reserve_gradients() {
-  std::vector<GradientSums::Gathered> gathered;
   if (!tracks_.empty()) {
     rows_.resize(passes_.size());
     for (std::size_t p = 0; p < passes_.size(); ++p) {
       if (!passes_[p].scatters()) continue;
-      GatheredRows::Size size;
-      size.dims = passes_[p].encoded_dims();
-      for (int r = 0; r < sums_->ranks(); ++r) {
-        const auto [first, last] = sums_->own_of(r);
-        const RayRange end = shard_of(rays_, last - 1, kShards);
-        size.of_rank.push_back((end.begin + end.count - shard_of(rays_, first, kShards).begin) * host_.per_ray()[p]);
-      }
-      size.rank = sums_->rank();
-      size.in_place = !passes_[p].parts().sampler->traits().keeps_to_room;
-      std::unique_ptr<GatheredRows>& rows = rows_[p].gathered;
-      if (!rows || rows->size() != size) rows = std::make_unique<GatheredRows>(size);
-      gathered.push_back({rows->blocks(), rows->each()});
+      const ShardRows::Size size{passes_[p].encoded_dims(), rays_ * host_.per_ray()[p],
+                                 !passes_[p].parts().sampler->traits().keeps_to_room};
+      std::unique_ptr<ShardRows>& rows = rows_[p].all;
+      if (!rows || rows->size() != size) rows = std::make_unique<ShardRows>(size);
     }
-    const auto of_rank = static_cast<std::size_t>(most_shards_of(sums_->ranks()));
-    gathered.push_back({store_->lane(0), of_rank * store_->lane_numbers()});
   }
-  sums_->reserve(std::move(gathered));
+  sums_->reserve();
 }
 
 // Several ranks have rank 0's pixels, and steps come from it.

@@ -81,7 +81,7 @@ class StreamExecutor final : public Executor<float> {
   // Of a pass whose encoder learns, in a walk of several shards.
   struct EncoderRowsOfPass {
     std::vector<EncoderRows> shard;
-    std::unique_ptr<GatheredRows> gathered;
+    std::unique_ptr<ShardRows> all;
   };
   struct Queued {
     std::int64_t step;

@@ -21,7 +21,7 @@ namespace semfield {
 struct DeviceOptions {
   int ordinal = 0;
   bool trainable = true;
-  bool deterministic = false;  ///< sums in a fixed order: the same bits in every run and for any number of ranks
+  bool deterministic = false;  ///< sums in a fixed order: the same bits in every run; for one rank
   const KernelTables* kernels = nullptr;  ///< where losses find theirs; null only without losses
   Ranks* ranks = nullptr;  ///< processes that make every step together, each with a device; null: this one alone
 };

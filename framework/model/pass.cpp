@@ -15,7 +15,7 @@ template <class Real>
 BranchedHead<Real>::BranchedHead(const Head<Real>& head, const BranchParts<Real>& branch, const BranchPlace& place,
                                  bool deferred, TensorStore<Real>& store, const Stages<Real>& stages)
     : head_(&head), branch_(&branch), place_(place), deferred_(deferred), store_(&store), stages_(&stages) {
-  if (declared_bytes<Real>(*branch.position, 1, true).learns) {
+  if (learns<Real>(*branch.position)) {
     throw Error(ErrorKind::config, "config.encoder.learned",
                 "pass '" + place.pass + "': the position encoder of the branch '" + place.prefix +
                     "' has learned tensors, and the branch is to be smoother than such tables",
@@ -197,8 +197,8 @@ template <class Real>
 Pass<Real>::Pass(PassParts<Real> parts, const RenderRules& rules, TensorStore<Real>& store)
     : parts_(std::move(parts)), rules_(rules), store_(&store), stages_(parts_.stages) {
   const std::string& name = parts_.name;
-  encoder_learns_ = declared_bytes<Real>(*parts_.position, 1, true).learns;
-  if (parts_.direction && declared_bytes<Real>(*parts_.direction, 1, true).learns) {
+  encoder_learns_ = learns<Real>(*parts_.position);
+  if (parts_.direction && learns<Real>(*parts_.direction)) {
     throw Error(
         ErrorKind::config, "config.encoder.learned",
         "pass '" + name +

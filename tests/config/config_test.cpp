@@ -252,13 +252,6 @@ TEST(Compose, SameFileTwiceIsNoCycle) {
             "{a: 1, b: 1, c: 1}");
 }
 
-// An include that is missing, odd or itself, through the program: tests/bad_files/config.cases.
-TEST(Compose, AnIncludeOfAnEarlierVersionNamesThePreset) {
-  const TempDir folder;
-  const std::string old = folder.write("old.yaml", "include: parts/hash_room.yaml\n");
-  EXPECT_HAS(refusal([&] { compose_config(old); }), "'parts/hash_room.yaml'", "presets/room.yaml");
-}
-
 TEST(Compose, ShippedPartsAreIncludedFromAnyFolder) {
   const TempDir folder;
   const std::string path = folder.write("room.yaml", "include: presets/room.yaml\ntrain: {rays: 7}\n");

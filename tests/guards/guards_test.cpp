@@ -5,7 +5,7 @@
 #include "eval/final_eval.h"
 #include "model/optim/adam.h"
 #include "model/stages.h"
-#include "run/run_loop.h"
+#include "run/run.h"
 #include "session/trainer.h"
 #include "tests/session/train_testing.h"
 

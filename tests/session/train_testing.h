@@ -2,7 +2,7 @@
 #pragma once
 
 #include "plugin/registry.h"
-#include "run/run_loop.h"
+#include "run/run.h"
 #include "session/session.h"
 #include "session/trainer.h"
 #include "tests/says.h"

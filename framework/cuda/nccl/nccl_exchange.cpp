@@ -42,10 +42,6 @@ class NcclExchange final : public RankExchange {
       return ncclAllReduce(block.data(), block.data(), block.size(), ncclFloat32, ncclSum, all_, stream);
     });
   }
-  void gather(float* blocks, std::size_t each, FaultKey* fault, cudaStream_t stream) override {
-    const float* const own = blocks + static_cast<std::size_t>(ranks_.rank()) * each;
-    together(fault, stream, [&] { return ncclAllGather(own, blocks, each, ncclFloat32, all_, stream); });
-  }
 
   // A device that waits for one whose process has ended waits for ever. So when this one fails, its process must end.
   void wait(cudaStream_t stream) override {

@@ -146,28 +146,6 @@ class HostExchange final : public RankExchange {
     put_fault(fault, stream);
   }
 
-  void gather(float* blocks, std::size_t each, FaultKey* fault, cudaStream_t stream) override {
-    const auto own = static_cast<std::size_t>(ranks_.rank());
-    const FaultKey key = fetch(blocks + own * each, each, fault, stream);
-    std::optional<Error> failed;
-    for (std::size_t begin = 0; begin < each; begin += kPiece) {
-      const std::size_t count = std::min(kPiece, each - begin);
-      gather_piece(begin, count);
-      if (failed) continue;
-      try {
-        for (std::size_t r = 0; r < size(); ++r) {
-          if (r != own) put(all_.data() + r * count, blocks + r * each + begin, count, stream);
-        }
-        check(cudaStreamSynchronize(stream), "waiting for gradients");  // the next piece takes their place
-      } catch (const Error& error) {
-        failed = error;  // the others still wait for this rank's pieces
-      }
-    }
-    find_least(key, fault);
-    if (failed) throw Error(*failed);
-    put_fault(fault, stream);
-  }
-
   void wait(cudaStream_t stream) override { check(cudaStreamSynchronize(stream), "waiting for the device"); }
 
  private:

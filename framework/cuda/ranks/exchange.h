@@ -23,15 +23,13 @@ class RankExchange {
   RankExchange& operator=(const RankExchange&) = delete;
   virtual ~RankExchange() = default;
 
-  /// Whether `sum` and `gather` only queue work on their stream, so that a graph may hold them. Else they wait for the
-  /// stream and for the other ranks.
+  /// Whether `sum` only queues work on its stream, so that a graph may hold it. Else it waits for the stream and for
+  /// the other ranks.
   virtual bool queues() const = 0;
   /// Memory for calls with up to `most` numbers of a rank. Throws Error(unavailable).
   virtual void reserve(std::size_t most) = 0;
   /// block = its sum over ranks, and *fault = the least of theirs; null: not wanted. Device memory.
   virtual void sum(std::span<float> block, FaultKey* fault, cudaStream_t stream) = 0;
-  /// blocks [size, each]: row r of rank r becomes that of all. *fault as above.
-  virtual void gather(float* blocks, std::size_t each, FaultKey* fault, cudaStream_t stream) = 0;
   /// Waits for the stream. Throws RankLost where it waits for a rank that has ended.
   virtual void wait(cudaStream_t stream) = 0;
 };
@@ -45,8 +43,8 @@ std::unique_ptr<RankExchange> meet_ranks(Ranks& ranks, std::string& why_not);
 
 // How the rays of a step are cut into shards, and which rank walks which.
 
-/// Shards of a step whose bits depend on its batch alone, however many ranks make it. Their gradients are added as a
-/// tree: ((0 + 1) + (2 + 3)) + ((4 + 5) + (6 + 7)).
+/// Shards of a step whose bits depend on its batch alone. Their gradients are added as a tree:
+/// ((0 + 1) + (2 + 3)) + ((4 + 5) + (6 + 7)).
 inline constexpr int kShards = 8;
 
 struct RayRange {
@@ -54,9 +52,6 @@ struct RayRange {
 };
 /// Shard `number` of `shards`: ceil(rays / shards) rays; the last ones get fewer, or none.
 RayRange shard_of(std::int64_t rays, int number, int shards);
-
-/// Most of kShards that a rank of `ranks` walks.
-constexpr int most_shards_of(int ranks) { return (kShards + ranks - 1) / ranks; }
 
 // The library that exchanges by NCCL: loaded when a run has several ranks, so that others do without NCCL.
 

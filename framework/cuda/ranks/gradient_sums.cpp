@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <numeric>
 
 #include "cuda/launch.h"
 
@@ -36,24 +35,16 @@ std::pair<int, int> GradientSums::own_of(int rank) const {
   return {static_cast<int>(begin), static_cast<int>(end)};
 }
 
-int GradientSums::slots_of(const DeviceOptions& options) {
-  const int ranks = options.ranks == nullptr ? 1 : options.ranks->size();
-  return options.trainable && options.deterministic ? ranks * most_shards_of(ranks) : 0;
-}
-
-int GradientSums::slot_of(int shard) const {
-  int rank = 0;
-  while (shard >= own_of(rank).second) ++rank;
-  return rank * most_shards_of(ranks()) + shard - own_of(rank).first;
+int GradientSums::lanes_of(const DeviceOptions& options) {
+  return options.trainable && options.deterministic ? kShards : 0;
 }
 
 void GradientSums::join() {
   if (ranks_ == nullptr || exchange_) return;
-  if (ranks() > shards_) {
-    throw Error(ErrorKind::config, "ranks.shards.too_few",
-                fmt::format("runtime.deterministic cuts a step into {} shards, and this run has {} processes", shards_,
-                            ranks()),
-                fmt::format("start at most {} processes, or set runtime.deterministic: false", shards_));
+  if (deterministic_ && ranks() > 1) {
+    throw Error(ErrorKind::config, "ranks.deterministic.several",
+                fmt::format("runtime.deterministic gives the bits of one GPU, and this run has {} processes", ranks()),
+                "start one process, or set runtime.deterministic: false");
   }
   std::string why_not;
   exchange_ = meet_ranks(*ranks_, why_not);
@@ -61,17 +52,12 @@ void GradientSums::join() {
     notes_.push_back("gradients meet in the host's memory, which takes longer than NCCL: " + why_not);
 }
 
-void GradientSums::reserve(std::vector<Gathered> gathered) {
-  gathered_ = std::move(gathered);
-  if (!exchange_) return;
+void GradientSums::reserve() {
+  if (!exchange_ || deterministic_) return;
   std::size_t most = 0, begin = 0;
-  if (deterministic_) {
-    for (const Gathered& one : gathered_) most = std::max(most, one.each);
-  } else {
-    for (const std::size_t end : ends_) {
-      most = std::max(most, end - begin);
-      begin = end;
-    }
+  for (const std::size_t end : ends_) {
+    most = std::max(most, end - begin);
+    begin = end;
   }
   exchange_->reserve(most);
 }
@@ -119,15 +105,8 @@ void GradientSums::sum_pass(std::size_t pass, FaultKey* fault) {
 }
 
 void GradientSums::meet(FaultKey* fault) {
-  if (!exchange_) return;
-  if (!deterministic_) {
-    for (std::size_t p = next_pass_; p < ends_.size(); ++p) sum_pass(p, p + 1 == ends_.size() ? fault : nullptr);
-  } else {
-    check(cudaEventRecord(walked_, launch().stream), "marking a step");
-    check(cudaStreamWaitEvent(between_, walked_, 0), "waiting for a step");
-    for (std::size_t i = 0; i < gathered_.size(); ++i)
-      exchange_->gather(gathered_[i].blocks, gathered_[i].each, i + 1 == gathered_.size() ? fault : nullptr, between_);
-  }
+  if (!exchange_ || deterministic_) return;
+  for (std::size_t p = next_pass_; p < ends_.size(); ++p) sum_pass(p, p + 1 == ends_.size() ? fault : nullptr);
   check(cudaEventRecord(summed_, between_), "marking a sum");
   check(cudaStreamWaitEvent(launch().stream, summed_, 0), "waiting for a sum");
 }
@@ -160,9 +139,8 @@ struct Layout {
   static std::size_t padded(std::size_t count) { return (count + kAlign - 1) / kAlign * kAlign; }
 };
 
-// `room`: what the block is laid out for.
-EncoderRows rows_in(float* block, std::int64_t room, std::int64_t rows, std::int32_t dims) {
-  const Layout at(room, dims);
+EncoderRows rows_in(float* block, std::int64_t rows, std::int32_t dims) {
+  const Layout at(rows, dims);
   EncoderRows all;
   all.x = {reinterpret_cast<double*>(block + at.x), rows, 3, 3, Device::cuda};
   all.dy = {block + at.dy, rows, dims, dims, Device::cuda};
@@ -173,42 +151,23 @@ EncoderRows rows_in(float* block, std::int64_t room, std::int64_t rows, std::int
 
 }  // namespace
 
-GatheredRows::GatheredRows(Size size)
-    : size_(std::move(size)),
-      most_(*std::max_element(size_.of_rank.begin(), size_.of_rank.end())),
-      all_(std::accumulate(size_.of_rank.begin(), size_.of_rank.end(), std::int64_t{0})),
-      each_(Layout(most_, size_.dims).end),
-      blocks_(size_.of_rank.size() * each_, "rows of an encoder") {
-  if (size_.of_rank.size() == 1) return;
-  joined_ = Buffer<float>(Layout(all_, size_.dims).end, "rows of an encoder of all ranks");
-}
+ShardRows::ShardRows(const Size& size) : size_(size), memory_(Layout(size.rows, size.dims).end, "rows of an encoder") {}
 
-EncoderRows GatheredRows::block(int rank) const {
-  EncoderRows rows = rows_in(blocks_.data() + static_cast<std::size_t>(rank) * each_, most_,
-                             size_.of_rank[static_cast<std::size_t>(rank)], size_.dims);
+EncoderRows ShardRows::all() const {
+  EncoderRows rows = rows_in(memory_.data(), size_.rows, size_.dims);
   if (size_.in_place) rows.count = nullptr;
   return rows;
 }
 
-void GatheredRows::begin() {
+void ShardRows::begin() {
   check(cudaMemsetAsync(largest(), 0, sizeof(std::uint32_t), launch().stream), "clearing a largest gradient");
 }
 
-EncoderRows GatheredRows::place(std::int64_t first, std::int64_t rows) const {
-  EncoderRows own = block(size_.rank);
+EncoderRows ShardRows::place(std::int64_t first, std::int64_t rows) const {
+  EncoderRows own = all();
   own.x = own.x.row_range(first, rows);
   own.dy = own.dy.row_range(first, rows);
   return own;
-}
-
-EncoderRows GatheredRows::joined() const {
-  if (size_.of_rank.size() == 1) return block(0);
-  std::vector<EncoderRows> parts;
-  for (int r = 0; r < static_cast<int>(size_.of_rank.size()); ++r) parts.push_back(block(r));
-  const EncoderRows all = rows_in(joined_.data(), all_, all_, size_.dims);
-  check(cudaMemsetAsync(all.largest, 0, sizeof *all.largest, launch().stream), "clearing a largest gradient");
-  join_rows(parts, all);
-  return all;
 }
 
 }  // namespace semfield::cuda

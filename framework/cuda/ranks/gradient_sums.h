@@ -20,9 +20,8 @@
 namespace semfield::cuda {
 
 /// By default a rank has one shard of the batch, and gradients are summed pass by pass, each while the next pass is
-/// walked. With DeviceOptions::deterministic there are kShards shards, however many ranks there are; a rank has some in
-/// a row, and what each leaves is gathered, a block of memory a rank. Without ranks nothing is exchanged; launches are
-/// those of launch().
+/// walked. With DeviceOptions::deterministic there are kShards shards, and one rank walks them all. Without ranks
+/// nothing is exchanged; launches are those of launch().
 class GradientSums {
  public:
   /// Borrows `gradients`, in device memory, those of pass p behind those of the pass before, from ends[p - 1] to
@@ -37,9 +36,8 @@ class GradientSums {
   /// This rank's: [first, second).
   std::pair<int, int> own() const { return own_of(rank()); }
   std::pair<int, int> own_of(int rank) const;
-  /// Places of shards in what is gathered: [ranks, most_shards_of(ranks)]; none without DeviceOptions::deterministic.
-  static int slots_of(const DeviceOptions& options);
-  int slot_of(int shard) const;
+  /// Lanes of gradients, one for each shard; none without DeviceOptions::deterministic.
+  static int lanes_of(const DeviceOptions& options);
   int rank() const { return ranks_ == nullptr ? 0 : ranks_->rank(); }
   int ranks() const { return ranks_ == nullptr ? 1 : ranks_->size(); }
 
@@ -47,14 +45,8 @@ class GradientSums {
   void join();
   /// What `join` has to tell, once.
   std::vector<std::string> take_notes() { return std::exchange(notes_, {}); }
-  /// Blocks [ranks, each] of device memory that `meet` fills with those of all ranks, with
-  /// DeviceOptions::deterministic.
-  struct Gathered {
-    float* blocks = nullptr;
-    std::size_t each = 0;
-  };
   /// Memory for what meets. Throws Error(unavailable).
-  void reserve(std::vector<Gathered> gathered);
+  void reserve();
   /// Calls `work`, which may fail on one rank: then all throw.
   void agree(const std::function<void()>& work);
   /// Calls `work` when the other ranks rely on this one's step. With several ranks its error is thrown by the next
@@ -68,8 +60,7 @@ class GradientSums {
   void begin(bool overlapped);
   /// The gradients of pass p are complete, on launch().stream.
   void pass_done(std::size_t pass);
-  /// The gradients become those of the batch, or what is gathered that of all ranks, and *fault the least of all, for
-  /// what launch().stream does next.
+  /// The gradients become those of the batch, and *fault the least of all, for what launch().stream does next.
   void meet(FaultKey* fault);
   /// Waits for launch().stream.
   void wait();
@@ -92,46 +83,36 @@ class GradientSums {
   cudaEvent_t walked_ = nullptr, summed_ = nullptr;
   bool overlapped_ = false;
   std::size_t next_pass_ = 0;  // that is to be summed
-  std::vector<Gathered> gathered_;
 };
 
-// Rows of a learned encoder with their gradients, of all shards of a step: gathered from every rank, scattered at once.
+// Rows of a learned encoder with their gradients, of all shards of a step, scattered at once.
 
-/// All ranks scatter the same rows in the same order, so the bits of a table do not depend on who walked which shard.
 /// Where hardly a row of a shard is unused (its gradient is 0), shards write into their place at once; else the rows in
 /// use are collected.
-class GatheredRows {
+class ShardRows {
  public:
   struct Size {
-    std::int32_t dims = 0;              ///< of the encoder's output
-    std::vector<std::int64_t> of_rank;  ///< most rows of each rank
-    int rank = 0;
+    std::int32_t dims = 0;  ///< of the encoder's output
+    std::int64_t rows = 0;  ///< at most
     bool in_place = false;
     bool operator==(const Size&) const = default;
   };
-  explicit GatheredRows(Size size);
+  explicit ShardRows(const Size& size);
 
   const Size& size() const { return size_; }
   /// Before the shards of a step.
   void begin();
-  /// This rank's rows [first, first + rows), in place.
+  /// Rows [first, first + rows), in place.
   EncoderRows place(std::int64_t first, std::int64_t rows) const;
-  /// Bits of this rank's largest |dy|.
-  std::uint32_t* largest() const { return block(size_.rank).largest; }
-  /// Not in place: this rank's rows, from its shards in order.
-  void collect(std::span<const EncoderRows> of_shards) const { join_rows(of_shards, block(size_.rank)); }
-  /// [ranks, each]: rank r writes row r, and reads all once they have met.
-  float* blocks() const { return blocks_.data(); }
-  std::size_t each() const { return each_; }
-  /// Those of all ranks, once they have met.
-  EncoderRows joined() const;
+  /// Bits of the largest |dy|.
+  std::uint32_t* largest() const { return all().largest; }
+  /// Not in place: all rows, from the shards in order.
+  void collect(std::span<const EncoderRows> of_shards) const { join_rows(of_shards, all()); }
+  EncoderRows all() const;
 
  private:
-  EncoderRows block(int rank) const;
   Size size_;
-  std::int64_t most_ = 0, all_ = 0;  // rows of a rank, of all
-  std::size_t each_ = 0;             // numbers of a block
-  Buffer<float> blocks_, joined_;
+  Buffer<float> memory_;
 };
 
 }  // namespace semfield::cuda
