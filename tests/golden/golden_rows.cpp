@@ -13,7 +13,7 @@
 #include "loading/packed_scene.h"
 #include "run/run_folder.h"
 #include "run/run_loop.h"
-#include "serve/label_run.h"
+#include "serve/label_session.h"
 #include "session/trainer.h"
 #include "system/checksum.h"
 #include "testkit/analytic_scene.h"

@@ -18,7 +18,6 @@
 #include "run/run_folder.h"
 #include "run/run_loop.h"
 #include "run/run_scores.h"
-#include "serve/label_run.h"
 #include "serve/view_pictures.h"
 #include "system/files.h"
 #include "testkit/analytic_scene.h"
