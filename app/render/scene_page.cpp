@@ -138,35 +138,6 @@ Json facts_of(const Surface& surface, const ClassTable& classes, const ScenePage
   return out;
 }
 
-// Text inside a script element: nothing in it may end the element.
-std::string harmless(std::string text) {
-  for (std::size_t at = text.find('<'); at != std::string::npos; at = text.find('<', at + 6))
-    text.replace(at, 1, "\\u003c");
-  return text;
-}
-
-// The page with every place filled; what fills one is not looked at again, whatever it holds.
-std::string filled(const std::string& page, std::map<std::string, std::string> parts) {
-  std::string out;
-  for (std::size_t from = 0;;) {
-    std::size_t at = std::string::npos;
-    auto next = parts.end();
-    for (auto part = parts.begin(); part != parts.end(); ++part)
-      if (const std::size_t found = page.find(part->first, from); found < at) {
-        at = found;
-        next = part;
-      }
-    out += page.substr(from, at == std::string::npos ? at : at - from);
-    if (next == parts.end()) break;
-    out += next->second;
-    from = at + next->first.size();
-    parts.erase(next);
-  }
-  if (parts.empty()) return out;
-  throw Error(ErrorKind::no_input, "files.shared.missing", "viewer.html: '" + parts.begin()->first + "' is not in it",
-              "install the component 'app' whole, or run the program from its build folder");
-}
-
 // The viewer around `facts`; "connect": whom the page may ask.
 std::string viewer(const std::string& title, const Json& facts, const std::string& mesh, bool live) {
   const auto part = [](const std::string& name) {
@@ -175,11 +146,11 @@ std::string viewer(const std::string& title, const Json& facts, const std::strin
   std::string script;
   for (const char* name : {"matrices", "drawing", "camera", "objects"}) script += part(std::string(name) + ".js");
   if (live) script += part("live.js");
-  return filled(part("viewer.html"), {{"<!--connect-->", live ? "'self'" : "'none'"},
+  return filled_page(part("viewer.html"), {{"<!--connect-->", live ? "'self'" : "'none'"},
                                       {"<!--title-->", html_escape(title)},
                                       {"/*style*/", part("viewer.css")},
                                       {"/*script*/", script + part("viewer.js")},
-                                      {"/*facts*/", harmless(json_text(facts))},
+                                      {"/*facts*/", script_json(json_text(facts))},
                                       {"/*mesh*/", mesh}});
 }
 

@@ -13,9 +13,17 @@
 
 #include "app/serve/http_server.h"
 #include "app/serve/page_requests.h"
-#include "app/serve/page_state.h"
 
 namespace semfield::app {
+
+/// One export, as the page shows it.
+struct ExportState {
+  std::string id;
+  std::string what;                ///< export_name()
+  std::string state = "waiting";   ///< then "running", then "done", "failed" or "canceled"
+  std::string text;                ///< a short sentence
+  std::vector<std::string> files;  ///< names, when it is done
+};
 
 struct ExportOptions {
   std::string program;  ///< file of this program

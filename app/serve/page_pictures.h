@@ -8,9 +8,9 @@
 #include <string>
 #include <vector>
 
-#include "app/serve/page_source.h"
 #include "formats/image_io.h"
 #include "plugin/dataset.h"
+#include "serve/label_loop.h"
 #include "session/session.h"
 
 namespace semfield::app {

@@ -1,11 +1,106 @@
 #include "app/serve/page_requests.h"
 
+#include <algorithm>
 #include <charconv>
+#include <set>
 
-#include "app/serve/request_json.h"
+#include "core/text.h"
 #include "labels/clicks/click_log.h"
 
 namespace semfield::app {
+
+namespace {
+
+std::string shown(const Json& value) {
+  constexpr std::size_t kMost = 60;
+  if (value.is_array()) return "a list of " + std::to_string(value.size());
+  if (value.is_object()) return "a map";
+  const std::string text = value.dump(-1, ' ', true, Json::error_handler_t::replace);
+  return text.size() > kMost ? text.substr(0, kMost) + "..." : text;
+}
+
+void check_keys(const Json& map, const std::vector<std::string>& known) {
+  for (const auto& item : map.items()) {
+    if (std::find(known.begin(), known.end(), item.key()) != known.end()) continue;
+    const std::string near = did_you_mean(item.key(), known);
+    refuse_request("unknown key " + shown(Json(item.key())),
+                   near.empty() ? "known: " + join(known) : "did you mean '" + near + "'?");
+  }
+}
+
+}  // namespace
+
+void refuse_request(const std::string& message, const std::string& remedy) {
+  throw Error(ErrorKind::data, "serve.request.invalid", "request: " + message, remedy);
+}
+
+void refuse_request_value(const std::string& key, const std::string& expected, const Json& found) {
+  refuse_request("'" + key + "': expected " + expected + ", got " + shown(found));
+}
+
+Json parse_request(std::string_view text, const std::vector<std::string>& known) {
+  std::vector<std::set<std::string>> keys;
+  std::string twice;
+  const Json::parser_callback_t watch = [&](int, Json::parse_event_t event, Json& parsed) {
+    if (event == Json::parse_event_t::object_start) keys.emplace_back();
+    if (event == Json::parse_event_t::object_end && !keys.empty()) keys.pop_back();
+    if (event == Json::parse_event_t::key && !keys.empty() && !keys.back().insert(parsed.get<std::string>()).second &&
+        twice.empty())
+      twice = shown(parsed);
+    return true;
+  };
+  Json root;
+  try {
+    root = Json::parse(text, watch);
+  } catch (const Json::exception& e) {
+    refuse_request("not valid JSON: " + json_cause(e.what()));
+  }
+  if (!root.is_object()) refuse_request("expected a map, got " + shown(root));
+  if (!twice.empty()) refuse_request("key " + twice + " is given twice");
+  check_keys(root, known);
+  return root;
+}
+
+void read_request_flag(const Json& root, const char* key, bool& into) {
+  const auto found = root.find(key);
+  if (found == root.end()) return;
+  if (!found->is_boolean()) refuse_request_value(key, "true or false", *found);
+  into = found->get<bool>();
+}
+
+void read_request_number(const Json& root, const char* key, std::int32_t low, std::int32_t high, std::int32_t& into) {
+  const auto found = root.find(key);
+  if (found == root.end()) return;
+  const bool whole = found->is_number_unsigned() && found->get<std::uint64_t>() <= static_cast<std::uint64_t>(high);
+  if (!whole || found->get<std::int32_t>() < low)
+    refuse_request_value(key, "a whole number from " + std::to_string(low) + " to " + std::to_string(high), *found);
+  into = found->get<std::int32_t>();
+}
+
+FreeCamera read_request_camera(const Json& map) {
+  if (!map.is_object()) refuse_request_value("camera", "a map", map);
+  check_keys(map, {"position", "rotation", "fov_deg"});
+  FreeCamera camera;
+  const auto position = request_numbers<3>(map, "position", 1e6);
+  const auto rotation = request_numbers<9>(map, "rotation", 1.01);
+  camera.world_from_camera.t = {position[0], position[1], position[2]};
+  auto& r = camera.world_from_camera.r;
+  for (std::size_t i = 0; i < 9; ++i) r[i / 3][i % 3] = rotation[i];
+  double off = 0;
+  for (int a = 0; a < 3; ++a)
+    for (int b = 0; b < 3; ++b)
+      off = std::max(off, std::abs(dot(camera.world_from_camera.axis(a), camera.world_from_camera.axis(b)) - (a == b)));
+  const Pose& pose = camera.world_from_camera;
+  if (!(off <= 1e-3) || !(dot(cross(pose.axis(0), pose.axis(1)), pose.axis(2)) > 0))
+    refuse_request("'rotation' is not a rotation",
+                   "send the rows of world_from_camera: orthonormal columns, right-handed");
+  if (const auto fov = map.find("fov_deg"); fov != map.end()) {
+    if (fov->is_number()) camera.fov_deg = fov->get<double>();
+    if (!fov->is_number() || !(camera.fov_deg >= 1 && camera.fov_deg <= 170))
+      refuse_request_value("fov_deg", "degrees from 1 to 170", *fov);
+  }
+  return camera;
+}
 
 PictureRequest parse_picture_request(std::string_view json) {
   const Json root =
@@ -82,6 +177,51 @@ std::uint64_t query_number(std::string_view query, std::string_view key, std::ui
   if (cause != std::errc() || end != digits->data() + digits->size() || value > most)
     refuse_request("'" + std::string(key) + "': expected a whole number from 0 to " + std::to_string(most));
   return value;
+}
+
+namespace {
+
+int status_of(ErrorKind kind) {
+  if (kind == ErrorKind::data || kind == ErrorKind::usage) return 400;
+  return kind == ErrorKind::internal ? 500 : 503;
+}
+
+}  // namespace
+
+std::string camera_json(const FreeCamera& camera) {
+  const Pose& pose = camera.world_from_camera;
+  Json rotation = Json::array();
+  for (const auto& row : pose.r)
+    for (const double value : row) rotation.push_back(value);
+  return json_text({{"position", {pose.t.x, pose.t.y, pose.t.z}}, {"rotation", rotation}, {"fov_deg", camera.fov_deg}});
+}
+
+std::string error_json(Code code, const std::string& message, const std::string& remedy) {
+  return json_text({{"error", message}, {"code", code.text()}, {"remedy", remedy}});
+}
+
+HttpResponse json_answer(const Json& json) { return {200, "application/json", json_text(json)}; }
+
+HttpResponse safe_answer(const std::function<HttpResponse()>& answer) noexcept {
+  try {
+    try {
+      return answer();
+    } catch (const Error& e) {
+      return {status_of(e.kind()), "application/json", error_json(e.code(), e.message(), e.remedy())};
+    } catch (const std::exception& e) {
+      return {500, "application/json",
+              error_json("internal.exception", std::string("internal error: ") + e.what(), "")};
+    }
+  } catch (const std::exception&) {  // no memory
+    return {500, "text/plain", ""};
+  }
+}
+
+HttpResponse wrong_method(const char* allowed) {
+  HttpResponse wrong{405, "application/json",
+                     error_json("serve.request.method", "this address takes another method", "")};
+  wrong.allow = allowed;
+  return wrong;
 }
 
 }  // namespace semfield::app

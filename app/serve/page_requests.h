@@ -1,13 +1,51 @@
-// What the page requests, as it comes over the wire: JSON of pictures and exports, numbers of queries.
+// What pages request, as it comes over the wire, and answers: JSON read strictly, numbers of queries, errors. Every
+// refusal is Error(data) with a sentence that names the key.
 #pragma once
 
+#include <array>
+#include <cmath>
+#include <functional>
 #include <optional>
 #include <string>
 #include <string_view>
+#include <vector>
 
+#include "app/json_output.h"
+#include "app/serve/http_server.h"
+#include "core/error.h"
 #include "serve/label_loop.h"
 
 namespace semfield::app {
+
+[[noreturn]] void refuse_request(const std::string& message, const std::string& remedy = {});
+[[noreturn]] void refuse_request_value(const std::string& key, const std::string& expected, const Json& found);
+
+/// A map whose keys, and those of the maps in it, are known and given once.
+Json parse_request(std::string_view text, const std::vector<std::string>& known);
+
+/// What is missing leaves `into` as it is.
+void read_request_flag(const Json& root, const char* key, bool& into);
+void read_request_number(const Json& root, const char* key, std::int32_t low, std::int32_t high, std::int32_t& into);
+
+/// N numbers of at most this size.
+template <std::size_t N>
+std::array<double, N> request_numbers(const Json& map, const char* key, double most) {
+  const auto found = map.find(key);
+  if (found == map.end()) refuse_request(std::string("key '") + key + "' is missing");
+  const std::string expected = std::to_string(N) + " numbers";
+  if (!found->is_array() || found->size() != N) refuse_request_value(key, expected, *found);
+  std::array<double, N> out{};
+  for (std::size_t i = 0; i < N; ++i) {
+    const Json& value = (*found)[i];
+    if (!value.is_number()) refuse_request_value(key, expected, value);
+    out[i] = value.get<double>();
+    if (!(std::abs(out[i]) <= most)) refuse_request_value(key, expected + " of a size that a scene can have", value);
+  }
+  return out;
+}
+
+/// {"position", "rotation", "fov_deg"}: rows of world_from_camera, degrees of the picture's width.
+FreeCamera read_request_camera(const Json& map);
 
 inline constexpr std::int32_t kMostPictureSide = 2048;  ///< pixels of a free camera's picture
 inline constexpr std::int32_t kMostPhotoSide = 65536;   ///< pixels that a request for a photograph may name
@@ -31,5 +69,20 @@ std::optional<std::string_view> query_value(std::string_view query, std::string_
 
 /// The same as a whole number from 0 to `most`; `otherwise` where it is missing. Throws Error(data).
 std::uint64_t query_number(std::string_view query, std::string_view key, std::uint64_t otherwise, std::uint64_t most);
+
+// What is answered.
+
+/// {"position", "rotation", "fov_deg"}, as requests for pictures of a free camera state it.
+std::string camera_json(const FreeCamera& camera);
+
+/// {"error", "code", "remedy"}.
+std::string error_json(Code code, const std::string& message, const std::string& remedy);
+/// Texts of files and folders may be no UTF-8; numbers that are none become null.
+HttpResponse json_answer(const Json& json);
+/// What `answer` returns, or what it throws as such a response: what the client did wrong is 400; what could not be
+/// kept or made now is 503.
+HttpResponse safe_answer(const std::function<HttpResponse()>& answer) noexcept;
+/// 405 at an address that takes another method.
+HttpResponse wrong_method(const char* allowed);
 
 }  // namespace semfield::app

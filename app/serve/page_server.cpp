@@ -13,12 +13,10 @@
 #include <chrono>
 #include <cstdint>
 #include <filesystem>
-#include <nlohmann/json.hpp>
 #include <thread>
 
 #include "app/serve/page_pictures.h"
 #include "app/serve/page_requests.h"
-#include "app/serve/page_state.h"
 #include "core/error.h"
 #include "system/files.h"
 
@@ -49,55 +47,112 @@ class Counted {
   std::atomic<int>& count_;
 };
 
-HttpResponse json(std::string text) { return {200, "application/json", std::move(text)}; }
+Json run_json(const LabelState& s, const std::string& id) {
+  return {{"id", id},
+          {"name", s.name},
+          {"folder", s.run_dir},
+          {"device", s.device},
+          {"step", s.step},
+          {"train_s", s.train_s},
+          {"loss", s.loss},
+          {"psnr", s.psnr_db},
+          {"rays_per_s", s.rays_per_s},
+          {"phase", s.phase},
+          {"geometry_ready", s.geometry_ready},
+          {"temperature", s.temperature}};
+}
+
+Json class_json(const ClassState& c) {
+  return {{"index", c.index},
+          {"id", c.id},
+          {"name", c.name},
+          {"own", c.own},
+          {"color", c.color},
+          {"clicks", c.clicks},
+          {"area_share", c.area_share},
+          {"confidence", c.confidence}};
+}
+
+Json view_json(const ViewState& v) {
+  return {{"frame", v.frame},     {"width", v.width_px}, {"height", v.height_px}, {"clicks", v.clicks},
+          {"entropy", v.entropy}, {"ready", v.ready},    {"photo", v.photo},      {"held_out", v.held_out}};
+}
+
+Json mark_json(const Annotations::Mark& mark, const PageSource& source) {
+  Json points = Json::array();
+  for (const PixelPoint& p : mark.points) points.push_back({p.x, p.y});
+  return {{"id", mark.id},
+          {"view", source.view_of(mark.frame)},
+          {"points", std::move(points)},
+          {"radius", mark.radius_px},
+          {"fill", mark.fill},
+          {"object", mark.object},
+          {"class", mark.class_index}};
+}
+
+Json proposal_json(const std::optional<ProposalState>& p) {
+  if (!p) return nullptr;
+  return {
+      {"id", p->id}, {"view", p->view}, {"at", {p->at.x, p->at.y}}, {"why", p->why}, {"class_guess", p->class_guess}};
+}
+
+template <class Items, class ToJson>
+Json list(const Items& items, ToJson&& to_json) {
+  Json out = Json::array();
+  for (const auto& item : items) out.push_back(to_json(item));
+  return out;
+}
+
+// `known`: the session's revision that the client has seen, 0 for none: marks and history that are no newer are null.
+// `first`: PageOptions::first_revision; `now`: what the client gives back as `after`.
+Json state_json(const LabelState& s, const PageSource& source, const std::vector<ExportState>& exports,
+                const std::string& run_id, std::uint64_t known, std::uint64_t first, std::uint64_t now) {
+  Json out;
+  out["revision"] = now;
+  out["overlay"] = {{"revision", first + s.overlay_revision}, {"events", s.overlay_events}};
+  out["events"] = s.events;
+  out["run"] = run_json(s, run_id);
+  out["room"] = {{"named", s.named}, {"most", s.room}};
+  out["classes"] = list(s.classes, class_json);
+  out["views"] = list(s.views, view_json);
+  out["proposal"] = proposal_json(s.proposal);
+  out["marks"] = nullptr;
+  if (known == 0 || s.marks_revision > known)
+    out["marks"] = list(s.marks, [&](const Annotations::Mark& mark) { return mark_json(mark, source); });
+  out["history"] = nullptr;
+  if (known == 0 || s.history_revision > known)
+    out["history"] = list(s.history, [](const HistoryRow& row) {
+      return Json{row.train_s, row.loss, row.psnr_db, row.clicks};
+    });
+  out["exports"] = list(exports, [](const ExportState& e) {
+    return Json{{"id", e.id}, {"what", e.what}, {"state", e.state}, {"text", e.text}, {"files", e.files}};
+  });
+  out["notes"] = s.notes;
+  out["trouble"] = s.trouble;
+  out["failure"] = s.failure;
+  return out;
+}
 
 }  // namespace
 
 PageServer::PageServer(PageSource& source, PageOptions options)
-    : source_(source), options_(std::move(options)), exports_([&source] { source.save(); }, options_.exports) {
-  HttpOptions& http = options_.http;
-  http.port = free_port(http.address, http.port, options_.next_port);
-  access_ = std::make_unique<PageAccess>(options_.token, http.address, http.port);
-  HttpHandler& self = *this;
-  http_ = std::make_unique<HttpServer>(http, self);
+    : PageHost([&source] { source.save(); }, options.exports, "export/", "docs/reference/labelling_http.md"),
+      source_(source),
+      options_(std::move(options)) {
+  std::map<std::string, Place> places{{"state", {"GET", [this](const HttpRequest& r) { return get_state(r); }}},
+                                      {"photo", {"GET", [this](const HttpRequest& r) { return get_photo(r); }}},
+                                      {"camera", {"GET", [this](const HttpRequest& r) { return get_camera(r); }}},
+                                      {"event", {"POST", [this](const HttpRequest& r) { return post_event(r); }}},
+                                      {"picture", {"POST", [this](const HttpRequest& r) { return post_picture(r); }}},
+                                      {"export", {"POST", [this](const HttpRequest& r) { return post_export(r); }}}};
+  for (const auto& [name, file] : options_.files)
+    places[name] = {"GET", [file](const HttpRequest&) { return HttpResponse{200, file.type, file.bytes}; }};
+  open(options_.token, options_.http, options_.next_port, std::move(places));
 }
 
 PageServer::~PageServer() {
   stopping_ = true;
-  http_.reset();
-}
-
-std::optional<HttpResponse> PageServer::refuse(const HttpRequest& head) noexcept {
-  try {
-    return access_->refuse(head);
-  } catch (const std::exception&) {  // no memory
-    return HttpResponse{500, "text/plain", ""};
-  }
-}
-
-HttpResponse PageServer::answer(const HttpRequest& request) noexcept {
-  return safe_answer([&] { return route(access_->name_of(request.path), request); });
-}
-
-HttpResponse PageServer::route(const std::string& name, const HttpRequest& request) {
-  using Get = HttpResponse (PageServer::*)(const HttpRequest&) const;
-  static const std::map<std::string, Get> gets{
-      {"state", &PageServer::get_state}, {"photo", &PageServer::get_photo}, {"camera", &PageServer::get_camera}};
-  using Post = HttpResponse (PageServer::*)(const HttpRequest&);
-  static const std::map<std::string, Post> posts{
-      {"event", &PageServer::post_event}, {"picture", &PageServer::post_picture}, {"export", &PageServer::post_export}};
-  if (const auto post = posts.find(name); post != posts.end())
-    return request.method == "POST" ? (this->*(post->second))(request) : wrong_method("POST");
-  if (const auto get = gets.find(name); get != gets.end())
-    return request.method == "GET" ? (this->*(get->second))(request) : wrong_method("GET");
-  const std::string exported = "export/";
-  const auto file = options_.files.find(name);
-  if (file == options_.files.end() && !name.starts_with(exported))
-    return {404, "application/json",
-            error_json("serve.address.unknown", "nothing is at this address", "see docs/reference/labelling_http.md")};
-  if (request.method != "GET") return wrong_method("GET");
-  if (file == options_.files.end()) return exports_.download(name.substr(exported.size()));
-  return {200, file->second.type, file->second.bytes};
+  close();
 }
 
 // Exports change beside the session, so the page follows the sum of both counts.
@@ -118,8 +173,8 @@ HttpResponse PageServer::get_state(const HttpRequest& request) const {
     const bool last = left.count() <= 0 || at_once || after == 0 || request.abandoned();
     const auto state = last ? source_.state() : source_.wait_state(known, std::min(kStateLook, left));
     if (last || state->revision + exported > after)
-      return json(state_json(*state, source_, exports_.list(), options_.run_id, known,
-                             {first, first + state->revision + exported}));
+      return json_answer(state_json(*state, source_, exports_.list(), options_.run_id, known, first,
+                                    first + state->revision + exported));
   }
 }
 
@@ -151,7 +206,7 @@ HttpResponse PageServer::get_photo(const HttpRequest& request) const {
 }
 
 HttpResponse PageServer::get_camera(const HttpRequest& request) const {
-  return json(camera_json(source_.camera_of(view_of(request))));
+  return {200, "application/json", camera_json(source_.camera_of(view_of(request)))};
 }
 
 HttpResponse PageServer::post_event(const HttpRequest& request) {
@@ -159,7 +214,7 @@ HttpResponse PageServer::post_event(const HttpRequest& request) {
   event.unix_ms = now_ms();
   const bool applied = source_.apply(event);
   const std::uint64_t revision = options_.first_revision + source_.state()->revision + exports_.changes();
-  return json(nlohmann::ordered_json{{"applied", applied}, {"revision", revision}}.dump());
+  return json_answer({{"applied", applied}, {"revision", revision}});
 }
 
 HttpResponse PageServer::post_picture(const HttpRequest& request) {
@@ -176,9 +231,9 @@ HttpResponse PageServer::post_export(const HttpRequest& request) {
     if (!exports_.cancel(wanted.cancel))
       throw Error(ErrorKind::data, "serve.export.unknown", "no export '" + wanted.cancel + "'",
                   "the state lists those that exist");
-    return json(nlohmann::ordered_json{{"id", wanted.cancel}}.dump());
+    return json_answer({{"id", wanted.cancel}});
   }
-  return json(nlohmann::ordered_json{{"id", exports_.start(*wanted.what)}}.dump());
+  return json_answer({{"id", exports_.start(*wanted.what)}});
 }
 
 namespace {
@@ -301,6 +356,79 @@ std::map<std::string, PageFile> read_page_files(const std::string& folder) {
                 "install the component 'app' whole, or run the program from its build folder");
   files[""] = index->second;
   return files;
+}
+
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Kept {
+  std::string id, place;
+};
+
+// None: there is no such file, or it holds something else.
+std::optional<Kept> kept_in(const fs::path& run_dir) {
+  constexpr std::size_t kMostBytes = 8192;
+  std::error_code unknown;
+  const fs::path file = run_dir / "run_id";
+  if (!fs::is_regular_file(file, unknown)) return std::nullopt;
+  const std::string text = read_file_start(file.string(), kMostBytes);
+  const std::size_t end = text.find('\n');
+  if (end != 32 || text.find_first_not_of("0123456789abcdef") != end || !text.ends_with('\n')) return std::nullopt;
+  return Kept{text.substr(0, end), text.substr(end + 1, text.size() - end - 2)};
+}
+
+bool is_copy(const Kept& kept, const fs::path& place) {
+  std::error_code unknown;
+  if (kept.place == place || fs::equivalent(kept.place, place, unknown)) return false;
+  const std::optional<Kept> original = kept_in(kept.place);
+  return original && original->id == kept.id;
+}
+
+}  // namespace
+
+std::string kept_run_id(const std::string& run_dir) {
+  const fs::path place = fs::weakly_canonical(fs::absolute(run_dir));
+  std::optional<Kept> kept = kept_in(place);
+  if (kept && kept->place == place) return kept->id;
+  if (kept && is_copy(*kept, place)) {
+    fs::remove(place / "serve_token");
+    kept.reset();
+  }
+  const std::string id = kept ? kept->id : new_token();
+  write_file_atomic((place / "run_id").string(), id + "\n" + place.string() + "\n");
+  return id;
+}
+
+void PageHost::open(std::string token, HttpOptions http, bool next_port, std::map<std::string, Place> places) {
+  places_ = std::move(places);
+  http.port = free_port(http.address, http.port, next_port);
+  access_ = std::make_unique<PageAccess>(std::move(token), http.address, http.port);
+  HttpHandler& self = *this;
+  http_ = std::make_unique<HttpServer>(http, self);
+}
+
+std::optional<HttpResponse> PageHost::refuse(const HttpRequest& head) noexcept {
+  std::optional<HttpResponse> refused;
+  const HttpResponse failed = safe_answer([&] {
+    refused = access_->refuse(head);
+    return HttpResponse{};
+  });
+  return failed.status == 200 ? refused : failed;
+}
+
+HttpResponse PageHost::answer(const HttpRequest& request) noexcept {
+  return safe_answer([&] { return route(access_->name_of(request.path), request); });
+}
+
+HttpResponse PageHost::route(const std::string& name, const HttpRequest& request) {
+  if (name.starts_with(files_))
+    return request.method == "GET" ? exports_.download(name.substr(files_.size())) : wrong_method("GET");
+  const auto place = places_.find(name);
+  if (place == places_.end())
+    return {404, "application/json",
+            error_json("serve.address.unknown", "nothing is at this address", "see " + guide_)};
+  return request.method == place->second.method ? place->second.answer(request) : wrong_method(place->second.method);
 }
 
 }  // namespace semfield::app

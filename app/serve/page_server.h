@@ -1,7 +1,9 @@
-// The page over HTTP: every address below the secret folder, and what it returns.
+// Pages over HTTP: every address below the secret folder, and what it returns.
 #pragma once
 
 #include <atomic>
+#include <chrono>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
@@ -9,7 +11,8 @@
 
 #include "app/serve/http_server.h"
 #include "app/serve/page_exports.h"
-#include "app/serve/page_source.h"
+#include "formats/image_io.h"
+#include "serve/label_loop.h"
 
 namespace semfield::app {
 
@@ -53,6 +56,70 @@ struct PageFile {
 /// folder or its index.html is missing.
 std::map<std::string, PageFile> read_page_files(const std::string& folder);
 
+// A run's id: by it a browser keeps what it has not sent yet, so that nothing enters another run.
+
+/// 32 hexadecimal digits, made once and kept in `run_dir`/run_id beside the folder's place. A folder that was moved
+/// keeps its id. A copy, whose original is still where it was, is another run: it gets an id of its own, and its
+/// serve_token goes, so that a page of the original does not go on with the copy. Throws as new_token, and write_error.
+std::string kept_run_id(const std::string& run_dir);
+
+/// What the labelling page and the viewer have in common: an address with a secret, the places below it, and exports.
+class PageHost : private HttpHandler {
+ public:
+  PageHost(const PageHost&) = delete;
+  PageHost& operator=(const PageHost&) = delete;
+
+  /// The address to open.
+  std::string url() const { return access_->url(); }
+  int port() const { return access_->port(); }
+
+ protected:
+  struct Place {
+    const char* method;
+    std::function<HttpResponse(const HttpRequest&)> answer;
+  };
+  /// Files of exports are at `files`ID/NUMBER; `guide` describes the places.
+  PageHost(std::function<void()> save, ExportOptions exports, std::string files, std::string guide)
+      : exports_(std::move(save), std::move(exports)), files_(std::move(files)), guide_(std::move(guide)) {}
+  /// Serves `places` when it returns; `next_port`: when the port is taken, one of the 99 behind it. Throws as free_port
+  /// does. Answers may come until close(), which whoever inherits calls first when it ends.
+  void open(std::string token, HttpOptions http, bool next_port, std::map<std::string, Place> places);
+  void close() { http_.reset(); }
+
+  PageExports exports_;
+
+ private:
+  std::optional<HttpResponse> refuse(const HttpRequest& head) noexcept override;
+  HttpResponse answer(const HttpRequest& request) noexcept override;
+  HttpResponse route(const std::string& name, const HttpRequest& request);
+
+  std::string files_, guide_;
+  std::map<std::string, Place> places_;
+  std::unique_ptr<PageAccess> access_;
+  std::unique_ptr<HttpServer> http_;
+};
+
+// The labelling page.
+
+/// Called from several threads at once; see LabelSession for what each call does and throws. `view` is always the
+/// number of a view that is there.
+class PageSource {
+ public:
+  virtual ~PageSource() = default;
+  virtual bool apply(const LabelEvent& event) = 0;
+  virtual std::shared_ptr<const LabelState> state() const = 0;
+  virtual std::shared_ptr<const LabelState> wait_state(std::uint64_t after, std::chrono::milliseconds most) const = 0;
+  virtual Picture picture(const PictureRequest& request, const std::function<bool()>& abandoned) = 0;
+  /// Photograph of a view as its file has it. Where its longest side would be brought down to `most_px` (0: never)
+  /// anyhow, a smaller one may be given that still is as large.
+  virtual Image<std::uint8_t> photo(int view, std::int32_t most_px) = 0;
+  virtual FreeCamera camera_of(int view) const = 0;
+  /// Number of the view that shows a frame of the scene; -1: none.
+  virtual int view_of(int frame) const = 0;
+  /// Writes a checkpoint, and returns when it is there.
+  virtual void save() = 0;
+};
+
 struct PageOptions {
   HttpOptions http;
   bool next_port = false;  ///< when http.port is taken, one of the 99 behind it
@@ -64,26 +131,17 @@ struct PageOptions {
   int longest_poll_ms = 20000;       ///< how long a request for news waits
 };
 
-class PageServer final : private HttpHandler {
+class PageServer final : public PageHost {
  public:
   /// Serves when it returns; the source must outlive it. Throws as free_port does.
   PageServer(PageSource& source, PageOptions options);
   /// Requests that wait for news get a response, pictures are waited for.
   ~PageServer() override;
-  PageServer(const PageServer&) = delete;
-  PageServer& operator=(const PageServer&) = delete;
 
   /// Requests for news no longer wait: the session ends.
   void end_waiting() { stopping_ = true; }
-  /// The address to open.
-  std::string url() const { return access_->url(); }
-  int port() const { return access_->port(); }
 
  private:
-  std::optional<HttpResponse> refuse(const HttpRequest& head) noexcept override;
-  HttpResponse answer(const HttpRequest& request) noexcept override;
-
-  HttpResponse route(const std::string& name, const HttpRequest& request);
   HttpResponse get_state(const HttpRequest& request) const;
   HttpResponse get_photo(const HttpRequest& request) const;
   HttpResponse get_camera(const HttpRequest& request) const;
@@ -95,11 +153,8 @@ class PageServer final : private HttpHandler {
 
   PageSource& source_;
   PageOptions options_;
-  PageExports exports_;
   std::atomic<bool> stopping_{false};
   mutable std::atomic<int> waiting_for_news_{0};
-  std::unique_ptr<PageAccess> access_;
-  std::unique_ptr<HttpServer> http_;
 };
 
 }  // namespace semfield::app

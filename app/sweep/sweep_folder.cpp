@@ -5,12 +5,14 @@
 #include <cerrno>
 #include <chrono>
 #include <filesystem>
+#include <nlohmann/json.hpp>
 #include <string_view>
 #include <thread>
 #include <utility>
 
 #include "app/signals.h"
 #include "formats/text_rows.h"
+#include "report/report.h"
 #include "report/sweep/sweep_results.h"
 #include "system/files.h"
 
@@ -67,11 +69,10 @@ bool notice_cell(EndedCells& ended, const std::string& sweep_folder, const std::
   return ended.has(id);
 }
 
-namespace fs = std::filesystem;
-
 namespace {
 
 using Clock = std::chrono::steady_clock;
+using Json = nlohmann::ordered_json;
 
 constexpr std::chrono::milliseconds kLockLook{10};   // between two attempts at a lock
 constexpr std::chrono::seconds kPatience{2};         // before the user hears of a wait
@@ -154,18 +155,18 @@ void SweepFolder::write_tables(EndedCells& ended) const {
   for (const Cell& cell : cells_) notice_cell(ended, path_, cell.id);
   if (!alone.held()) return;
   std::string page = "# " + sweep_.name + "\n";
+  Json data{{"title", sweep_.name}, {"experiments", Json::array()}};
   for (std::size_t e = 0; e < sweep_.experiments.size(); ++e) {
     const ExperimentTable table(sweep_, e, cells_, ended.results);
     const std::string name = sweep_.experiments[e].name;
     page += "\n" + table.markdown();
+    data["experiments"].push_back(Json::parse(table.json()));
     if (!table.unequal().empty()) note_("experiment '" + name + "' has no tables: " + table.unequal());
     write_if_changed(fs::path(path_) / (name + ".csv"), table.csv());
-    const std::string svg = table.svg();
-    if (svg.empty()) continue;
-    write_if_changed(fs::path(path_) / (name + ".svg"), svg);
-    page += "\n![" + sweep_.experiments[e].title + "](" + name + ".svg)\n";
   }
   write_if_changed(fs::path(path_) / "tables.md", page);
+  write_if_changed(fs::path(path_) / "tables.html",
+                   report_page(data.dump(-1, ' ', false, Json::error_handler_t::replace)));
   write_if_changed(fs::path(path_) / "results.csv", results_csv(sweep_, cells_, ended.results));
 }
 

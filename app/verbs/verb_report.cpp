@@ -34,9 +34,8 @@ std::string scene_of(const std::string& run_dir, AppContext& context) {
 
 int run(const ReportOptions& options, AppContext& context) {
   const std::string path = options.out.empty() ? options.runs.front() + "/report.html" : options.out;
-  ReportInput input = read_report_input(options.runs);
-  if (!options.flat) input.scene = scene_of(options.runs.front(), context);
-  write_file_atomic(path, make_report(input));
+  const std::string data = read_report(options.runs);
+  write_file_atomic(path, report_page(data, options.flat ? "" : scene_of(options.runs.front(), context)));
   if (context.json) {
     print_json(context, {{"runs", options.runs}, {"file", path}});
     return 0;

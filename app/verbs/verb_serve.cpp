@@ -15,7 +15,6 @@
 #include "app/next_steps.h"
 #include "app/serve/page_pictures.h"
 #include "app/serve/page_server.h"
-#include "app/serve/page_state.h"
 #include "app/signals.h"
 #include "core/error.h"
 #include "core/text.h"

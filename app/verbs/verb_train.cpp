@@ -129,7 +129,7 @@ class ShownRun final : public RunListener {
     const std::vector<CheckpointStore::Entry> saved = CheckpointStore::read(folder.checkpoints_path()).list();
     if (!flat_ && !context_.ranks && !saved.empty())
       scene = report_scene(session, folder.path(), saved.front().step, context_);
-    return write_run_report(folder, session, frames, std::move(scene));
+    return write_run_report(folder, session, frames, scene);
   }
 
  private:

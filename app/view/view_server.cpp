@@ -4,12 +4,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <map>
 #include <numbers>
 #include <sstream>
 
 #include "app/serve/page_requests.h"
-#include "app/serve/request_json.h"
 #include "core/error.h"
 #include "scene/camera.h"
 
@@ -20,7 +18,7 @@ namespace {
 constexpr std::size_t kMostFilmFrames = 20'000;
 constexpr std::int32_t kMostFilmSide = 4096;
 
-HttpResponse json(std::string text) { return {200, "application/json", std::move(text)}; }
+HttpResponse json_text_answer(std::string text) { return {200, "application/json", std::move(text)}; }
 HttpResponse bytes(std::string data) { return {200, "application/octet-stream", std::move(data)}; }
 
 std::int32_t number_in(const Json& root, const char* key, std::int32_t low, std::int32_t high) {
@@ -77,52 +75,19 @@ CameraSet film_cameras(const std::string& lines, std::int32_t width, std::int32_
 }  // namespace
 
 ViewServer::ViewServer(std::vector<ViewedRun*> runs, ViewOptions options)
-    : runs_(std::move(runs)), options_(std::move(options)), films_(nullptr, options_.films) {
-  HttpOptions& http = options_.http;
-  http.most_body_bytes = std::size_t{8} << 20;  // a path of the camera
-  http.port = free_port(http.address, http.port, options_.next_port);
-  access_ = std::make_unique<PageAccess>(new_token(), http.address, http.port);
-  HttpHandler& self = *this;
-  http_ = std::make_unique<HttpServer>(http, self);
-}
-
-ViewServer::~ViewServer() { http_.reset(); }
-
-std::optional<HttpResponse> ViewServer::refuse(const HttpRequest& head) noexcept {
-  std::optional<HttpResponse> refused;
-  const HttpResponse failed = safe_answer([&] {
-    refused = access_->refuse(head);
-    return HttpResponse{};
-  });
-  return failed.status == 200 ? refused : failed;
-}
-
-HttpResponse ViewServer::answer(const HttpRequest& request) noexcept {
-  return safe_answer([&] { return route(access_->name_of(request.path), request); });
-}
-
-HttpResponse ViewServer::route(const std::string& name, const HttpRequest& request) {
-  struct Place {
-    const char* method;
-    HttpResponse (ViewServer::*answer)(const HttpRequest&);
-  };
-  static const std::map<std::string, Place> places{{"", {"GET", &ViewServer::get_page}},
-                                                   {"surface", {"GET", &ViewServer::get_surface}},
-                                                   {"probability", {"GET", &ViewServer::get_probability}},
-                                                   {"state", {"GET", &ViewServer::get_state}},
-                                                   {"picture", {"POST", &ViewServer::post_picture}},
-                                                   {"point", {"POST", &ViewServer::post_point}},
-                                                   {"edit", {"POST", &ViewServer::post_edit}},
-                                                   {"film", {"POST", &ViewServer::post_film}}};
-  const std::string film = "film/";
-  if (name.starts_with(film))
-    return request.method == "GET" ? films_.download(name.substr(film.size())) : wrong_method("GET");
-  const auto place = places.find(name);
-  if (place == places.end())
-    return {404, "application/json",
-            error_json("serve.address.unknown", "nothing is at this address", "see docs/guide/viewing.md")};
-  return request.method == place->second.method ? (this->*(place->second.answer))(request)
-                                                : wrong_method(place->second.method);
+    : PageHost(nullptr, options.films, "film/", "docs/guide/viewing.md"), runs_(std::move(runs)) {
+  options.http.most_body_bytes = std::size_t{8} << 20;  // a path of the camera
+  HttpResponse page{200, "text/html; charset=utf-8", std::move(options.page)};
+  page.own_code = true;
+  open(new_token(), options.http, options.next_port,
+       {{"", {"GET", [page](const HttpRequest&) { return page; }}},
+        {"surface", {"GET", [this](const HttpRequest& r) { return get_surface(r); }}},
+        {"probability", {"GET", [this](const HttpRequest& r) { return get_probability(r); }}},
+        {"state", {"GET", [this](const HttpRequest&) { return get_state(); }}},
+        {"picture", {"POST", [this](const HttpRequest& r) { return post_picture(r); }}},
+        {"point", {"POST", [this](const HttpRequest& r) { return post_point(r); }}},
+        {"edit", {"POST", [this](const HttpRequest& r) { return post_edit(r); }}},
+        {"film", {"POST", [this](const HttpRequest& r) { return post_film(r); }}}});
 }
 
 ViewedRun& ViewServer::run(std::uint64_t number) const {
@@ -130,32 +95,26 @@ ViewedRun& ViewServer::run(std::uint64_t number) const {
   return *runs_[number];
 }
 
-HttpResponse ViewServer::get_page(const HttpRequest&) {
-  HttpResponse page{200, "text/html; charset=utf-8", options_.page};
-  page.own_code = true;
-  return page;
-}
-
-HttpResponse ViewServer::get_surface(const HttpRequest& request) {
+HttpResponse ViewServer::get_surface(const HttpRequest& request) const {
   return bytes(run(query_number(request.query, "run", 0, 1)).scene(query_number(request.query, "fine", 0, 1) == 1));
 }
 
-HttpResponse ViewServer::get_probability(const HttpRequest& request) {
+HttpResponse ViewServer::get_probability(const HttpRequest& request) const {
   return bytes(run(query_number(request.query, "run", 0, 1))
                    .probability(static_cast<int>(query_number(request.query, "class", 0, 65535)),
                                 query_number(request.query, "fine", 0, 1) == 1));
 }
 
-HttpResponse ViewServer::get_state(const HttpRequest&) {
+HttpResponse ViewServer::get_state() const {
   Json runs = Json::array(), films = Json::array();
   for (const ViewedRun* one : runs_)
     runs.push_back({{"name", one->name()}, {"step", one->step()}, {"newest", one->newest_step()}});
-  for (const ExportState& film : films_.list())
+  for (const ExportState& film : exports_.list())
     films.push_back({{"id", film.id}, {"state", film.state}, {"text", film.text}, {"files", film.files}});
-  return json(Json{{"runs", runs}, {"films", films}}.dump(-1, ' ', false, Json::error_handler_t::replace));
+  return json_answer({{"runs", runs}, {"films", films}});
 }
 
-HttpResponse ViewServer::post_picture(const HttpRequest& request) {
+HttpResponse ViewServer::post_picture(const HttpRequest& request) const {
   const Json root = parse_request(request.body, {"run", "camera", "width", "height", "map", "class", "near", "far"});
   ViewPicture wanted;
   if (!root.contains("camera")) refuse_request("key 'camera' is missing");
@@ -178,21 +137,21 @@ HttpResponse ViewServer::post_picture(const HttpRequest& request) {
   return {200, "image/jpeg", std::string(jpeg.begin(), jpeg.end())};
 }
 
-HttpResponse ViewServer::post_point(const HttpRequest& request) {
+HttpResponse ViewServer::post_point(const HttpRequest& request) const {
   const Json root = parse_request(request.body, {"run", "at"});
   const std::array<double, 3> at = request_numbers<3>(root, "at", 1e9);
-  return json(run(static_cast<std::uint64_t>(number_in(root, "run", 0, 1))).point({at[0], at[1], at[2]}));
+  return json_text_answer(run(static_cast<std::uint64_t>(number_in(root, "run", 0, 1))).point({at[0], at[1], at[2]}));
 }
 
-HttpResponse ViewServer::post_edit(const HttpRequest& request) {
+HttpResponse ViewServer::post_edit(const HttpRequest& request) const {
   Json root = parse_request(request.body, {"do", "object", "objects", "name", "at", "plane", "fine", "made_on"});
   bool fine = false;
   read_request_flag(root, "fine", fine);
   const std::string made_on = word_in(root, "made_on");
   root.erase("fine");
   root.erase("made_on");
-  if (word_in(root, "do") == "undo") return json(run(0).edit(std::nullopt, made_on, fine));
-  return json(run(0).edit(parse_object_edit(root.dump(), "request"), made_on, fine));
+  if (word_in(root, "do") == "undo") return json_text_answer(run(0).edit(std::nullopt, made_on, fine));
+  return json_text_answer(run(0).edit(parse_object_edit(root.dump(), "request"), made_on, fine));
 }
 
 HttpResponse ViewServer::post_film(const HttpRequest& request) {
@@ -201,7 +160,7 @@ HttpResponse ViewServer::post_film(const HttpRequest& request) {
       film_cameras(word_in(root, "path"), number_in(root, "width", 16, kMostFilmSide),
                    number_in(root, "height", 16, kMostFilmSide), real_in(root, "fov_deg", 1, 170));
   const auto write = [&](const std::string& folder) { write_cameras(folder + "/path.json", cameras); };
-  return json(Json{{"id", films_.start(ExportKind::film, write)}}.dump());
+  return json_answer({{"id", exports_.start(ExportKind::film, write)}});
 }
 
 }  // namespace semfield::app

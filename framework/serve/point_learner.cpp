@@ -243,29 +243,6 @@ std::vector<double> entropies(const ProposalInput& in) {
   return out;
 }
 
-double margin(std::span<const float> probability) {
-  float first = 0, second = 0;
-  for (const float p : probability) {
-    if (p > first) {
-      second = first;
-      first = p;
-    } else {
-      second = std::max(second, p);
-    }
-  }
-  return static_cast<double>(first - second);
-}
-
-template <class Score>
-Asked best_of(std::size_t count, const Score& score) {
-  Asked best{0, -INFINITY, "uncertain"};
-  for (std::size_t i = 0; i < count; ++i) {
-    const double found = score(i);
-    if (found > best.gain) best = {static_cast<std::int32_t>(i), found, "uncertain"};
-  }
-  return best;
-}
-
 bool is_barred(const ProposalInput& in, std::size_t point) {
   return in.barred != nullptr && !in.barred->empty() && (*in.barred)[point];
 }
@@ -312,10 +289,13 @@ std::vector<std::int32_t> candidates_of(const ProposalInput& in, std::span<const
   return out;
 }
 
-Asked by_surface(const ProposalInput& in) {
+}  // namespace
+
+std::optional<Asked> choose_click(const ProposalInput& in) {
+  if (in.pool->points.empty()) return std::nullopt;
   const std::vector<float> doubt = doubts(in);
   const std::vector<std::int32_t> candidates = candidates_of(in, doubt);
-  if (candidates.empty()) return {0, 0, "unseen"};
+  if (candidates.empty()) return Asked{0, 0, "unseen"};
   std::vector<double> gain(candidates.size());
   constexpr std::int64_t kBlock = 16;
   parallel_for((std::ssize(candidates) + kBlock - 1) / kBlock, [&](std::int64_t block) {
@@ -335,40 +315,7 @@ Asked by_surface(const ProposalInput& in) {
   const auto best = static_cast<std::size_t>(std::max_element(gain.begin(), gain.end()) - gain.begin());
   const std::int32_t point = candidates[best];
   const float way = in.graph->settled()[static_cast<std::size_t>(point)].cost[0];
-  return {point, gain[best], way >= in.rules.unseen ? "unseen" : "uncertain"};
-}
-
-}  // namespace
-
-std::optional<Asked> choose_click(Acquisition how, const ProposalInput& in) {
-  const std::vector<PoolPoint>& points = in.pool->points;
-  if (points.empty()) return std::nullopt;
-  const RandomAddress address{in.seed, in.round, stream_id(kRandom)};
-  const auto any = static_cast<std::int32_t>(uniform_below(address, 1u << 30, points.size()));
-  const auto width = static_cast<std::size_t>(in.classes);
-  const bool learned = named_classes(in) > 1;  // else nothing is doubted
-  switch (how) {
-    case Acquisition::random:
-      break;
-    case Acquisition::farthest:
-      if (in.answered.empty()) break;
-      return best_of(points.size(), [&](std::size_t i) {
-        double nearest = INFINITY;
-        for (const Vec3d& place : in.answered) nearest = std::min(nearest, length(points[i].position - place));
-        return nearest;
-      });
-    case Acquisition::entropy: {
-      if (!learned) break;
-      const std::vector<double> entropy = entropies(in);
-      return best_of(points.size(), [&](std::size_t i) { return entropy[i]; });
-    }
-    case Acquisition::margin:
-      if (!learned) break;
-      return best_of(points.size(), [&](std::size_t i) { return -margin(in.probability.subspan(i * width, width)); });
-    case Acquisition::surface:
-      return by_surface(in);
-  }
-  return Asked{any, 0, "unseen"};
+  return Asked{point, gain[best], way >= in.rules.unseen ? "unseen" : "uncertain"};
 }
 
 }  // namespace semfield

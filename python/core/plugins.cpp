@@ -144,18 +144,6 @@ void take(const std::string& doing, const py::object& answer, View<Real> to) {
   target[py::ellipsis()] = given;
 }
 
-// Heads that are written in Python.
-
-/// An instance of the class `type`, a subclass of semfield.Head.
-template <class Real>
-std::unique_ptr<Head<Real>> make_python_head(const std::string& name, const py::object& type,
-                                             const PythonParams& params, const HeadBuild& build);
-
-// Losses that are written in Python.
-
-/// An instance of the class `type`, a subclass of semfield.Loss.
-std::unique_ptr<Loss> make_python_loss(const std::string& name, const py::object& type, const PythonParams& params);
-
 namespace {
 
 // Whole numbers or not, by what the list holds.
@@ -279,13 +267,14 @@ namespace {
 template <class Real>
 class PythonHead final : public Head<Real> {
  public:
-  PythonHead(const std::string& name, const py::object& type, const PythonParams& params, const HeadBuild& build)
+  PythonHead(const std::string& name, const Held& type, const PythonParams& params, const HeadBuild& build,
+             const KernelTables&)
       : owner_("head '" + name + "'"), width_(build.width) {
     if (build.device != Device::cpu)
       throw Error(ErrorKind::unavailable, "plugin.kernels.missing",
                   owner_ + " is written in Python and has no " + std::string(device_name(build.device)) + " kernels");
     called(owner_, [&] {
-      const py::object made = type.attr("_made")(params.values(), build.feature_dims, build.width);
+      const py::object made = type->attr("_made")(params.values(), build.feature_dims, build.width);
       hidden_ = made.attr("hidden_width").template cast<std::int32_t>();
       tensors_ = PythonTensors<Real>(made);
       instance_ = hold(made);
@@ -351,27 +340,11 @@ class PythonHead final : public Head<Real> {
   Held instance_;
 };
 
-}  // namespace
-
-template <class Real>
-std::unique_ptr<Head<Real>> make_python_head(const std::string& name, const py::object& type,
-                                             const PythonParams& params, const HeadBuild& build) {
-  return std::make_unique<PythonHead<Real>>(name, type, params, build);
-}
-
-template std::unique_ptr<Head<float>> make_python_head<float>(const std::string&, const py::object&,
-                                                              const PythonParams&, const HeadBuild&);
-template std::unique_ptr<Head<double>> make_python_head<double>(const std::string&, const py::object&,
-                                                                const PythonParams&, const HeadBuild&);
-
-namespace {
-
 class PythonLoss final : public Loss {
  public:
-  PythonLoss(const std::string& name, const py::object& type, const PythonParams& params)
-      : owner_("loss '" + name + "'") {
+  PythonLoss(const std::string& name, const Held& type, const PythonParams& params) : owner_("loss '" + name + "'") {
     called(owner_, [&] {
-      const py::object made = type.attr("_made")(params.values());
+      const py::object made = type->attr("_made")(params.values());
       rule_.weight = made.attr("weight").cast<double>();
       rule_.from_step = made.attr("from_step").cast<double>();
       targets_ = made.attr("targets").cast<std::vector<std::string>>();
@@ -512,14 +485,6 @@ class PythonLoss final : public Loss {
   Held instance_;
 };
 
-}  // namespace
-
-std::unique_ptr<Loss> make_python_loss(const std::string& name, const py::object& type, const PythonParams& params) {
-  return std::make_unique<PythonLoss>(name, type, params);
-}
-
-namespace {
-
 Domain domain_of(const std::string& name, const std::string& owner) {
   if (name == "metric") return Domain::metric;
   if (name == "unit_cube") return Domain::unit_cube;
@@ -531,7 +496,8 @@ Domain domain_of(const std::string& name, const std::string& owner) {
 template <class Real>
 class PythonEncoder final : public Encoder<Real> {
  public:
-  PythonEncoder(const std::string& name, const Held& type, const PythonParams& params, const EncoderBuild& build)
+  PythonEncoder(const std::string& name, const Held& type, const PythonParams& params, const EncoderBuild& build,
+                const KernelTables&)
       : owner_("encoder '" + name + "'") {
     called(owner_, [&] {
       py::dict facts;
@@ -652,18 +618,6 @@ void add(PluginEntry entry) {
   }
 }
 
-PluginEntry entry_of(const py::dict& declared, PluginKind kind) {
-  PluginEntry entry;
-  entry.slow = true;
-  entry.kind = kind;
-  entry.name = declared["name"].cast<std::string>();
-  entry.summary = declared["summary"].cast<std::string>();
-  const std::vector<PythonParam> params =
-      params_of(declared["params"].cast<py::list>(), std::string(kind_name(kind)) + " '" + entry.name + "'");
-  entry.new_params = [params] { return std::unique_ptr<PluginParams>(std::make_unique<PythonParams>(params)); };
-  return entry;
-}
-
 void list_types(const ConfigNode& node, std::set<std::string>& types) {
   for (const ConfigNode& item : node.items()) list_types(item, types);
   for (const auto& [key, value] : node.entries()) {
@@ -676,50 +630,48 @@ void list_types(const ConfigNode& node, std::set<std::string>& types) {
 
 Registry& base_registry() { return base().registry; }
 
-void add_encoder(const py::dict& declared) {
-  PluginEntry entry = entry_of(declared, PluginKind::encoder);
+namespace {
+
+// What makes a `Made` of the class that was decorated.
+template <class Interface, class Made>
+auto factory(const Held& type, const std::string& name) {
+  return [type, name](const PluginParams& params, const auto&... build) {
+    const auto& own = static_cast<const PythonParams&>(params);
+    return std::unique_ptr<Interface>(std::make_unique<Made>(name, type, own, build...));
+  };
+}
+
+// Where the decorators of semfield/plugins.py add their plugins.
+void add_plugin(const py::dict& declared) {
+  PluginEntry entry;
+  entry.slow = true;
+  entry.name = declared["name"].cast<std::string>();
+  entry.summary = declared["summary"].cast<std::string>();
+  const auto kind = declared["kind"].cast<std::string>();
+  const std::vector<PythonParam> params =
+      params_of(declared["params"].cast<py::list>(), kind + " '" + entry.name + "'");
+  entry.new_params = [params] { return std::unique_ptr<PluginParams>(std::make_unique<PythonParams>(params)); };
   const Held type = hold(declared["class"]);
-  entry.encoder32 = [type, name = entry.name](const PluginParams& p, const EncoderBuild& build, const KernelTables&) {
-    return std::unique_ptr<Encoder<float>>(
-        std::make_unique<PythonEncoder<float>>(name, type, static_cast<const PythonParams&>(p), build));
-  };
-  entry.encoder64 = [type, name = entry.name](const PluginParams& p, const EncoderBuild& build, const KernelTables&) {
-    return std::unique_ptr<Encoder<double>>(
-        std::make_unique<PythonEncoder<double>>(name, type, static_cast<const PythonParams&>(p), build));
-  };
+  if (kind == "encoder") {
+    entry.kind = PluginKind::encoder;
+    entry.encoder32 = factory<Encoder<float>, PythonEncoder<float>>(type, entry.name);
+    entry.encoder64 = factory<Encoder<double>, PythonEncoder<double>>(type, entry.name);
+  } else if (kind == "head") {
+    entry.kind = PluginKind::head;
+    entry.head32 = factory<Head<float>, PythonHead<float>>(type, entry.name);
+    entry.head64 = factory<Head<double>, PythonHead<double>>(type, entry.name);
+  } else if (kind == "loss") {
+    entry.kind = PluginKind::loss;
+    entry.saves = "calls of Python";
+    entry.loss = factory<Loss, PythonLoss>(type, entry.name);
+  } else {
+    entry.kind = PluginKind::dataset;
+    entry.dataset = factory<Dataset, PythonDataset>(type, entry.name);
+  }
   add(std::move(entry));
 }
 
-void add_dataset(const py::dict& declared) {
-  PluginEntry entry = entry_of(declared, PluginKind::dataset);
-  const Held type = hold(declared["class"]);
-  entry.dataset = [type, name = entry.name](const PluginParams& p, const DatasetBuild& build) {
-    return std::unique_ptr<Dataset>(
-        std::make_unique<PythonDataset>(name, type, static_cast<const PythonParams&>(p), build));
-  };
-  add(std::move(entry));
-}
-
-void add_head(const py::dict& declared) {
-  PluginEntry entry = entry_of(declared, PluginKind::head);
-  const Held type = hold(declared["class"]);
-  entry.head32 = [type, name = entry.name](const PluginParams& p, const HeadBuild& build, const KernelTables&) {
-    return make_python_head<float>(name, *type, static_cast<const PythonParams&>(p), build);
-  };
-  entry.head64 = [type, name = entry.name](const PluginParams& p, const HeadBuild& build, const KernelTables&) {
-    return make_python_head<double>(name, *type, static_cast<const PythonParams&>(p), build);
-  };
-  add(std::move(entry));
-}
-
-void add_loss(const py::dict& declared) {
-  PluginEntry entry = entry_of(declared, PluginKind::loss);
-  entry.saves = "calls of Python";
-  entry.loss = [type = hold(declared["class"]), name = entry.name](const PluginParams& p) {
-    return make_python_loss(name, *type, static_cast<const PythonParams&>(p));
-  };
-  add(std::move(entry));
-}
+}  // namespace
 
 void load_python_file(Registry& registry, const std::string& path) {
   const std::string doing = "cannot load plugin '" + path + "'";
@@ -760,10 +712,7 @@ RunConfig session_config_of(const ConfigNode& tree, Registry& registry) {
 }
 
 void define_plugins(py::module_& module) {
-  module.def("add_encoder", add_encoder);
-  module.def("add_dataset", add_dataset);
-  module.def("add_head", add_head);
-  module.def("add_loss", add_loss);
+  module.def("add_plugin", add_plugin);
   module.def("load_plugin", [](const std::string& path) {
     Base& b = base();
     const std::string file = std::filesystem::absolute(path).lexically_normal().string();

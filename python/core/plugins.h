@@ -43,15 +43,8 @@ class PythonParams final : public PluginParams {
 /// From dicts {name, help, default, low, high, choices}. Throws Error(usage) for a default of no known kind.
 std::vector<PythonParam> params_of(const py::list& declared, const std::string& owner);
 
-namespace py = pybind11;
-
 /// What every session of this process starts from: linked plugins, and those that were loaded or defined since.
 Registry& base_registry();
-
-/// Where the decorators of semfield/plugins.py add their plugins now.
-void add_encoder(const py::dict& declared);
-void add_dataset(const py::dict& declared);
-void add_loss(const py::dict& declared);
 
 /// Runs a file of Python, whose plugins go into `registry`. Throws Error(unavailable) for a file that raises, or that
 /// defines no plugin. To be called with the GIL.

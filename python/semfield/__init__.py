@@ -28,17 +28,12 @@ except ModuleNotFoundError as missing:
 
 from . import errors
 from ._core import DeviceArray, __version__
-from .captures import Prepared, prepare
-from .devices import to_device
 from .errors import ConfigError, DataError, Error, Finding, InputError, UnavailableError, UsageError, WriteError
-from .labels import Labels
-from .objects import Object, Objects
 from .plugins import Dataset, Encoder, Head, Loss, Tensor, dataset, encoder, head, load_plugin, loss, param, plugins
-from .program import CommandError, command
-from .results import Outcome, Points, Score, Step, View
-from .runs import Run, Training, load, open, resolved, resume, train
+from .program import CommandError, Object, Objects, Prepared, Sweep, command, prepare, sweep
+from .runs import (Labels, Outcome, Points, Run, Score, Step, Training, View, load, open, resolved, resume, to_device,
+                   train)
 from .scenes import Camera, ClassEntry, Frame, Scene
-from .sweeps import Sweep, sweep
 
 __all__ = [
     "Camera", "ClassEntry", "CommandError", "ConfigError", "DataError", "Dataset", "DeviceArray", "Encoder", "Error",

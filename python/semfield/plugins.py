@@ -316,60 +316,44 @@ class Dataset(_Plugin):
         return {"rgb": f.rgb, "labels": f.labels, "depth_m": f.depth_m, "mask": _mask(f.mask), "channels": dict(f.channels)}
 
 
-E_ = TypeVar("E_", bound=Type[Encoder])
-D_ = TypeVar("D_", bound=Type[Dataset])
-H_ = TypeVar("H_", bound=Type[Head])
-L_ = TypeVar("L_", bound=Type[Loss])
+C_ = TypeVar("C_", bound=Type[_Plugin])
 
 
-def _summary(cls: type, base: type, summary: str) -> str:
-    if not (isinstance(cls, type) and issubclass(cls, base)):
-        raise UsageError(f"{cls!r}: expected a subclass of semfield.{base.__name__}", code="plugin.python.declaration")
-    text = summary or (cls.__doc__ or "").strip().split("\n")[0]
-    if not text:
-        raise UsageError(f"{cls.__name__}: a plugin has a sentence that says what it is; give a docstring or summary=",
-                         code="plugin.python.declaration")
-    return text
+def _plugin(base: Type[_Plugin], name: str, summary: str) -> Callable[[C_], C_]:
+    """What makes a subclass of `base` a plugin. Defined again, the last one counts."""
+
+    def add(cls: C_) -> C_:
+        is_one = isinstance(cls, type) and issubclass(cls, base)
+        if not is_one:
+            raise UsageError(f"{cls!r}: expected a subclass of semfield.{base.__name__}", code="plugin.python.declaration")
+        text = summary or (cls.__doc__ or "").strip().split("\n")[0]
+        if not text:
+            raise UsageError(f"{cls.__name__}: a plugin has a sentence that says what it is; give a docstring or summary=",
+                             code="plugin.python.declaration")
+        _core.add_plugin({"kind": base.__name__.lower(), "name": name, "summary": text, "class": cls, "params": cls._params()})
+        return cls
+
+    return add
 
 
-def encoder(name: str, summary: str = "") -> Callable[[E_], E_]:
+def encoder(name: str, summary: str = "") -> Callable[[C_], C_]:
     """Makes a subclass of Encoder a plugin: ``position: {type: NAME}``. Defined again, the last one counts."""
-
-    def add(cls: E_) -> E_:
-        _core.add_encoder({"name": name, "summary": _summary(cls, Encoder, summary), "class": cls, "params": cls._params()})
-        return cls
-
-    return add
+    return _plugin(Encoder, name, summary)
 
 
-def dataset(name: str, summary: str = "") -> Callable[[D_], D_]:
+def dataset(name: str, summary: str = "") -> Callable[[C_], C_]:
     """Makes a subclass of Dataset a plugin: ``scene: {type: NAME}``. Defined again, the last one counts."""
-
-    def add(cls: D_) -> D_:
-        _core.add_dataset({"name": name, "summary": _summary(cls, Dataset, summary), "class": cls, "params": cls._params()})
-        return cls
-
-    return add
+    return _plugin(Dataset, name, summary)
 
 
-def head(name: str, summary: str = "") -> Callable[[H_], H_]:
+def head(name: str, summary: str = "") -> Callable[[C_], C_]:
     """Makes a subclass of Head a plugin: ``heads: [{type: NAME, ...}]``. Defined again, the last one counts."""
-
-    def add(cls: H_) -> H_:
-        _core.add_head({"name": name, "summary": _summary(cls, Head, summary), "class": cls, "params": cls._params()})
-        return cls
-
-    return add
+    return _plugin(Head, name, summary)
 
 
-def loss(name: str, summary: str = "") -> Callable[[L_], L_]:
+def loss(name: str, summary: str = "") -> Callable[[C_], C_]:
     """Makes a subclass of Loss a plugin: ``losses: [{type: NAME}]``. Defined again, the last one counts."""
-
-    def add(cls: L_) -> L_:
-        _core.add_loss({"name": name, "summary": _summary(cls, Loss, summary), "class": cls, "params": cls._params()})
-        return cls
-
-    return add
+    return _plugin(Loss, name, summary)
 
 
 def plugins() -> List[Tuple[str, str, str, str]]:

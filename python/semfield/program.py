@@ -1,7 +1,9 @@
-"""The program `semfield` of this installation: verbs that Python has no call for."""
+"""The program `semfield` of this installation: verbs, and what those give back that Python has calls for."""
 
 from __future__ import annotations
 
+import csv
+import dataclasses
 import json
 import os
 import pathlib
@@ -9,10 +11,15 @@ import re
 import shutil
 import signal
 import subprocess
-from typing import Any, List
+from typing import Any, Dict, List, Mapping, Optional, Tuple, Union
+
+import numpy as np
 
 from . import _core
-from .errors import Error, UnavailableError
+from .errors import Error, InputError, UnavailableError
+
+PathLike = Union[str, "os.PathLike[str]"]
+Array = np.ndarray[Any, Any]
 
 
 class CommandError(Error):
@@ -65,3 +72,200 @@ def command(*words: Any, json_output: bool = False) -> Any:
         error.stderr = told
         raise error
     return json.loads(out) if json_output else out
+
+
+def _options(words: List[Any], **options: Any) -> List[Any]:
+    """`words`, and an option by its name for each value that is not None."""
+    return words + [word for name, value in options.items() if value is not None for word in (f"--{name}", value)]
+
+
+@dataclasses.dataclass(frozen=True)
+class Prepared:
+    """A scene that `prepare` made: `sf.open` takes {"scene": prepared.config()}.
+
+    Attributes:
+        folder: of the scene.
+        photographs: how many there are, or how many frames of a video were kept.
+        registered: how many of them have a pose.
+        error_px: mean reprojection error, pixels.
+        points: that tell where the scene is.
+        attempts: that finding the poses took.
+        missing: a sentence for each run of photographs without a pose, with what to do.
+    """
+
+    folder: str
+    photographs: int
+    registered: int
+    error_px: float
+    points: int
+    attempts: int
+    missing: Tuple[str, ...]
+
+    def config(self) -> dict[str, Any]:
+        """The section `scene` of a configuration that reads this scene."""
+        return {"type": "colmap", "root": os.path.abspath(self.folder)}
+
+
+def prepare(source: PathLike, out: PathLike, frames: int = 0, attempts: int = 0, threads: Optional[int] = None, lens: str = "auto") -> Prepared:
+    """Makes a scene of a video or of photographs: finds their camera poses with COLMAP. One that was stopped continues.
+
+    Args:
+        source: a video, or a folder of photographs; it is never written to.
+        out: the scene's folder.
+        frames: of a video, at most; 0: three a second, 30 to 300.
+        attempts: to give every photograph a pose, at most 4. 0: 4, or as many as a finished scene was given.
+        threads: of COLMAP; None: every core.
+        lens: "auto", "fisheye", or "equirectangular" for panoramas, each of which becomes eight views.
+
+    Raises:
+        CommandError: a program is missing or failed, the source cannot be used, or no poses were found.
+    """
+    told = command(*_options(["prepare", source, "--quiet"], out=out, frames=frames, attempts=attempts, lens=lens, threads=threads), json_output=True)
+    return Prepared(**{f.name: told[f.name] for f in dataclasses.fields(Prepared) if f.name != "missing"},
+                    missing=tuple(told["missing"]))
+
+
+@dataclasses.dataclass(frozen=True)
+class Object:
+    """One thing of the scene. Lengths and areas are in the unit of the input, metres in a metric scene.
+
+    Attributes:
+        id: from 1; its value in the images of ids.
+        name: "chair 3", or the name that a person gave it.
+        class_name: "" if it is not known.
+        class_probability: share of the votes for the class.
+        agreement: mean share of what a view sees of it that is in one segment.
+        views: training views that see it.
+        points: of the surface, one per cell.
+        area: of the surface that is seen.
+        centroid: [3], world.
+        box_center: [3] of a turned box around it.
+        box_axes: [3, 3], a unit vector in each row.
+        box_size: [3], edges along the axes.
+    """
+
+    id: int
+    name: str
+    class_name: str
+    class_probability: float
+    agreement: float
+    views: int
+    points: int
+    area: float
+    centroid: Array
+    box_center: Array
+    box_axes: Array
+    box_size: Array
+
+
+@dataclasses.dataclass(frozen=True)
+class Objects:
+    """What was found.
+
+    Attributes:
+        folder: of the images and tables (docs/guide/objects.md).
+        objects: in the order of their ids.
+        seconds: of each part of the work.
+        score: figures against the true objects of the scene, None unless asked for.
+    """
+
+    folder: str
+    objects: Tuple[Object, ...]
+    seconds: Dict[str, float]
+    score: Optional[Dict[str, float]]
+
+    def count(self) -> Dict[str, int]:
+        """How many objects each class has."""
+        found: Dict[str, int] = {}
+        for one in self.objects:
+            found[one.class_name] = found.get(one.class_name, 0) + 1
+        return found
+
+
+def _object(row: Dict[str, Any]) -> Object:
+    box = row["box"]
+    plain = {name: row[name] for name in ("id", "name", "class_probability", "agreement", "views", "points", "area")}
+    return Object(**plain, class_name=row["class"] or "", centroid=np.array(row["centroid"], float), box_center=np.array(box["center"], float),
+                  box_axes=np.array(box["axes"], float), box_size=np.array(box["size"], float))
+
+
+def find_objects(run_dir: PathLike, segments: Optional[PathLike], set: Optional[Mapping[str, Any]],  # noqa: A002 - as in open()
+                 out: Optional[PathLike], score: bool) -> Objects:
+    words = _options(["objects", run_dir, "--quiet"], segments=segments, out=out)
+    if score:
+        words.append("--score")
+    for key, value in (set or {}).items():
+        words += ["--set", f"{key}={value if isinstance(value, str) else json.dumps(value)}"]
+    told = command(*words, json_output=True)
+    table = json.loads((pathlib.Path(told["folder"]) / "objects.json").read_text(encoding="utf-8"))
+    return Objects(told["folder"], tuple(_object(row) for row in table["objects"]), told["seconds"], told.get("score"))
+
+
+def _rows(path: PathLike) -> List[Dict[str, str]]:
+    """Rows of a table. An apostrophe before a text keeps spreadsheets from taking it for a formula; it is taken off."""
+    with open(path, newline="", encoding="utf-8") as file:
+        return [{key: value[1:] if value.startswith("'") and value.lstrip("'")[:1] in tuple("=+-@\t\r") else value for key, value in row.items()}
+                for row in csv.DictReader(file)]
+
+
+class Sweep:
+    """The folder of a sweep that ran.
+
+    Attributes:
+        folder: holds cells/, tables.md, results.csv and a .csv a table.
+    """
+
+    def __init__(self, folder: PathLike) -> None:
+        self.folder = os.fspath(folder)
+
+    def __repr__(self) -> str:
+        return f"Sweep({self.folder!r})"
+
+    def _file(self, name: str) -> pathlib.Path:
+        path = pathlib.Path(self.folder) / name
+        if not path.is_file():
+            raise InputError(f"no sweep has ended in {self.folder!r}: there is no {name}; run semfield.sweep(file, out=...)", exit_code=66,
+                             code="sweep.result.missing")
+        return path
+
+    def table(self) -> List[Dict[str, Any]]:
+        """A row for every value of every finished cell: experiment, scene, variant, seed, metric, value.
+
+        ``pandas.DataFrame(sweep.table())`` takes them.
+        """
+        rows: List[Dict[str, Any]] = []
+        for row in _rows(self._file("results.csv")):
+            rows.append({**row, "seed": int(row["seed"]), "value": float(row["value"])})
+        return rows
+
+    def means(self) -> List[Dict[str, Any]]:
+        """A row for every variant, scene and metric: n, mean, half_width of the 95 % interval over seeds."""
+        rows: List[Dict[str, Any]] = []
+        self._file("results.csv")
+        for path in sorted(pathlib.Path(self.folder).glob("*.csv")):
+            if path.name in ("results.csv", "cells.csv"):
+                continue
+            for row in _rows(path):
+                rows.append({**row, "experiment": path.stem, "n": int(row["n"]), "mean": float(row["mean"]),
+                             "half_width": float(row["half_width"])})
+        return rows
+
+    def markdown(self) -> str:
+        """The tables as people read them."""
+        return self._file("tables.md").read_text(encoding="utf-8")
+
+
+def sweep(file: PathLike, out: PathLike, jobs: Optional[int] = None, threads: Optional[int] = None) -> Sweep:
+    """Runs a sweep file; cells that are done are not run again, so a stopped sweep continues.
+
+    Args:
+        file: YAML, docs/guide/sweeps.md.
+        out: the sweep's folder.
+        jobs: cells at a time; None: every core.
+        threads: of each cell; None: 1.
+
+    Raises:
+        CommandError: a cell failed, or the file is wrong.
+    """
+    command(*_options(["sweep", file, "--quiet"], out=out, jobs=jobs, threads=threads))
+    return Sweep(out)

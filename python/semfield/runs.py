@@ -1,25 +1,257 @@
-"""Runs: opened, trained step by step, looked at, asked, saved."""
+"""Runs: opened, trained step by step, labelled, looked at, asked, saved; and what their calls give back."""
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import json
 import os
+import uuid
 import warnings
 from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
 from . import _core
-from .devices import ordinal_of
-from .errors import UsageError
-from .labels import Labels
-from .objects import Objects, find_objects
-from .results import Outcome, Points, Score, Step, View
-from .scenes import Camera, ClassEntry, Frame, PathLike, Scene, _floats, _number, _pixels, _temporary, _whole
+from .errors import Error, UsageError
+from .program import Objects, find_objects
+from .scenes import Camera, ClassEntry, Frame, PathLike, Scene, _Arrays, _floats, _number, _pixels, _temporary, _whole
 
 Config = Union[str, "os.PathLike[str]", Mapping[str, Any]]
 FrameId = Union[str, int]  #: name of a frame, or its number in `Run.frames`
+Array = Any  #: numpy.ndarray, or a DeviceArray where a device was asked for
+
+
+@dataclasses.dataclass(frozen=True)
+class Step:
+    """Where a training is.
+
+    Attributes:
+        step: steps made.
+        train_s: seconds of training.
+        loss: total, mean over the steps since the last report; as are the next ones.
+        loss_color, loss_semantic: parts of it, before their weights; semantic in nats.
+        psnr: of the training rays, dB.
+        terms: value of each further term of the loss that has begun.
+        steps_per_s: speed since the last report.
+    """
+
+    step: int
+    train_s: float
+    loss: float
+    loss_color: float
+    loss_semantic: float
+    psnr: float
+    terms: Dict[str, float]
+    steps_per_s: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class View(_Arrays):
+    """What a camera sees.
+
+    Attributes:
+        rgb: [H, W, 3] float32 in [0, 1], display-referred.
+        depth_m: [H, W] float32, z-depth in metres, expected value, not divided by opacity.
+        opacity: [H, W] float32 in [0, 1].
+        label: [H, W] int32, class ids of the scene; None without semantics, as are the next three.
+        entropy: [H, W] float32, nats.
+        confidence: [H, W] float32, probability of the label.
+        probability: [H, W, C] float32, in the order of `Run.classes`; None where it was not asked for.
+        camera: what was rendered; with `stride` n the maps have every n-th of its pixels.
+        pose: [4, 4] float64, camera to world.
+        channels: [H, W, C] float32 each, by name: those of heads that were asked for.
+    """
+
+    rgb: Array
+    depth_m: Array
+    opacity: Array
+    label: Optional[Array]
+    entropy: Optional[Array]
+    confidence: Optional[Array]
+    probability: Optional[Array]
+    camera: Camera
+    pose: np.ndarray[Any, Any]
+    channels: Dict[str, Array] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Points(_Arrays):
+    """The field at N points.
+
+    Attributes:
+        density: [N] float32, 1/m; 0 outside the bounds that rays are clipped to.
+        rgb: [N, 3] float32 in [0, 1]; None where no directions were given.
+        label: [N] int32, class ids; None without semantics, as are the next two.
+        probability: [N, C] float32, in the order of `Run.classes`.
+        entropy: [N] float32, nats.
+    """
+
+    density: np.ndarray[Any, Any]
+    rgb: Optional[np.ndarray[Any, Any]]
+    label: Optional[np.ndarray[Any, Any]]
+    probability: Optional[np.ndarray[Any, Any]]
+    entropy: Optional[np.ndarray[Any, Any]]
+
+
+class Score:
+    """Scores of frames, pooled over all their pixels.
+
+    Every name of `values` is an attribute too: ``score.miou_present``. A figure without data is None.
+
+    Attributes:
+        values: name to figure: psnr (dB), ssim, miou, miou_present, total_accuracy, absrel, ece, ...
+        detail: what final_eval.json holds: classes, confusion, reliability, entropy, per_frame.
+    """
+
+    def __init__(self, values: Dict[str, Optional[float]], detail: Dict[str, Any]) -> None:
+        self.values = values
+        self.detail = detail
+
+    def __getattr__(self, name: str) -> Optional[float]:
+        values: Dict[str, Optional[float]] = self.__dict__.get("values", {})
+        if name in values:
+            return values[name]
+        raise AttributeError(f"no score named {name!r}; there are {', '.join(values)}")
+
+    def __dir__(self) -> List[str]:
+        return [*super().__dir__(), *self.values]
+
+    @property
+    def confusion(self) -> np.ndarray[Any, Any]:
+        """[K, K] int64 pixels, row = truth, column = prediction, in the order of detail["classes"]."""
+        return np.asarray(self.detail["confusion"]["pixels"], dtype=np.int64)
+
+    def __repr__(self) -> str:
+        shown = ", ".join(f"{k}={'none' if v is None else f'{v:.4g}'}" for k, v in self.values.items())
+        return f"Score({shown})"
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """What `train` left.
+
+    Attributes:
+        run_dir: the run's folder.
+        report: path of report.html; "" where none was asked for.
+        step: steps made.
+        train_s: seconds of training.
+        scores: figures of the test frames; empty without any.
+        scored: which part of them was scored.
+        notes: what the run had to say.
+    """
+
+    run_dir: str
+    report: str
+    step: int
+    train_s: float
+    scores: Dict[str, Optional[float]]
+    scored: str
+    notes: List[str]
+
+
+def ordinal_of(device: str) -> int:
+    """Number of a CUDA device: 0 of "cuda", N of "cuda:N", -1 of "cpu"."""
+    if device == "cpu":
+        return -1
+    if device == "cuda":
+        return 0
+    number = str(device)[5:]
+    if str(device).startswith("cuda:") and number.isdecimal() and len(number) < 10:
+        return int(number)
+    raise UsageError(f"device {device!r}: expected cpu, cuda or cuda:N", code="usage.value.devices")
+
+
+def to_device(array: np.ndarray[Any, Any], device: str = "cuda") -> _core.DeviceArray:
+    """A copy of an array of any shape, such as [N, 3], in the memory of a CUDA device: "cuda" or "cuda:N".
+
+    Raises:
+        UnavailableError: there is no such device.
+    """
+    ordinal = ordinal_of(device)
+    if ordinal < 0:
+        raise UsageError("to_device: an array in the memory of the CPU is the array itself; name cuda or cuda:N",
+                         code="python.device.host")
+    return _core.to_device(np.asarray(array), ordinal)
+
+
+class Labels:
+    """Clicks and classes of a run; each counts from the next step on, and is stored before the call returns.
+
+    The run must have been opened with `class_room` and `out`, or its configuration names a file of clicks.
+    """
+
+    def __init__(self, session: Any, frame: Callable[[Union[str, int]], Dict[str, Any]]) -> None:
+        self._session: Any = session
+        self._frame = frame
+
+    def __repr__(self) -> str:
+        return f"Labels(clicks={len(self.clicks)}, classes={self.classes})"
+
+    def _apply(self, kind: str, **more: Any) -> str:
+        if self._session.trains and not self._session.config()["scene"]["labels"]["clicks"]:
+            raise UsageError("this run has no place for clicks; open it with class_room= and out=: "
+                             "semfield.open(config, out=\"runs/a\", class_room=20)", code="labels.clicks.missing")
+        event = {"id": uuid.uuid4().hex, "type": kind, **more}
+        try:
+            self._session.apply(json.dumps(event))
+        except Error as error:  # the event is the caller's: its id says nothing
+            name = f"event '{event['id']}': "
+            findings = [f._replace(message=f.message.replace(name, "")) for f in error.findings]
+            raise type(error)(str(error).replace(name, ""), findings, error.remedy, error.context, error.exit_code,
+                              error.code) from None
+        return str(event["id"])
+
+    def add_class(self, name: str, color: Optional[Tuple[int, int, int]] = None) -> str:
+        """Adds a class; there is room for as many as the run was opened with. Returns the id for undo."""
+        more: Dict[str, Any] = {"name": name}
+        if color is not None:
+            more["color"] = [_whole("color", c, 0, 255) for c in color]
+        return self._apply("class", **more)
+
+    def add_click(self, frame: Union[str, int], x: float, y: float, class_: str, radius_px: float = 0.0) -> str:
+        """Names a pixel of a training frame.
+
+        Args:
+            frame: its name or number.
+            x, y: pixels of the loaded frame; the first pixel's centre is (0.5, 0.5).
+            class_: name of a class.
+            radius_px: pixels within this distance are named too.
+
+        Returns:
+            The id for undo.
+        """
+        return self.add_stroke(frame, [(x, y)], class_, radius_px)
+
+    def add_stroke(self, frame: Union[str, int], points: Sequence[Tuple[float, float]], class_: str, radius_px: float = 0.0) -> str:
+        """Names the pixels along a line through `points`, [N, 2] pixels x, y."""
+        known = self._frame(frame)
+        at = _floats("points", points)
+        if at.ndim != 2 or at.shape[1] != 2 or not np.isfinite(at).all():
+            raise UsageError(f"a click is at finite x and y, and a stroke at [N, 2] of them; got {points!r}",
+                             code="python.value.type")
+        size = [known["camera"]["width"], known["camera"]["height"]]
+        return self._apply("click", frame=known["name"], size=size, radius=_number("radius_px", radius_px),
+                           points=at.tolist(), **{"class": class_})
+
+    def rename_class(self, name: str, new_name: str, color: Optional[Tuple[int, int, int]] = None) -> str:
+        """Gives a class that was added another name, or with the same name another colour. Returns the id for undo."""
+        more: Dict[str, Any] = {} if color is None else {"color": [_whole("color", c, 0, 255) for c in color]}
+        return self._apply("rename", **{"class": name, "name": new_name, **more})
+
+    def undo(self, event: str) -> str:
+        """Takes a click, a class or an undo back."""
+        return self._apply("undo", of=event)
+
+    @property
+    def clicks(self) -> List[Dict[str, Any]]:
+        """Clicks in force: id, frame, points, radius_px, class_ (None: labels are taken away)."""
+        return list(self._session.annotations()["clicks"])
+
+    @property
+    def classes(self) -> List[str]:
+        """Names of the classes that have one."""
+        return list(self._session.annotations()["named"])
 
 
 class _Closed:

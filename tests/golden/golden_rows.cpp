@@ -13,7 +13,7 @@
 #include "loading/packed_scene.h"
 #include "run/run.h"
 #include "run/run_folder.h"
-#include "serve/label_run.h"
+#include "serve/label_session.h"
 #include "session/trainer.h"
 #include "system/checksum.h"
 #include "testkit/analytic_scene.h"
@@ -199,19 +199,10 @@ constexpr Made kMade[] = {
     {"report", "report run --no-3d", "run/report.html"},
 };
 
-// What the page shows: numbers and pictures in their order, without style, tags and sentences.
+// What the page shows.
 std::string report_data(const std::string& html) {
-  std::string data, text = replaced(html, "<style>[^<]*</style>", "");
-  for (std::size_t at = 0; at < text.size();) {
-    const bool tag = text[at] == '<';
-    const std::size_t end = std::min(text.find_first_of(tag ? ">" : "< \n", at + 1), text.size());
-    const std::string word = text.substr(at, end - at);
-    const std::size_t picture = word.find("data:");
-    if (tag && picture != std::string::npos) data += word.substr(picture, word.find('"', picture) - picture) + '\n';
-    if (!tag && word.find_first_of("0123456789") != std::string::npos) data += word + '\n';
-    at = tag ? end + 1 : end;
-  }
-  return data;
+  const std::size_t begin = html.find("id=\"data\">");
+  return html.substr(begin, html.find("</script>", begin) - begin);
 }
 
 // Without what another folder, hour or version gives.

@@ -20,7 +20,7 @@ TEST(LabelLoop, BeforeTheFirstClickNothingIsNamed) {
   LabelLoop& loop = *room.loop;
   EXPECT_EQ(loop.views().size(), room.training->session().drawn_frames().size());
   EXPECT_FALSE(loop.ready());
-  EXPECT_FALSE(loop.propose(Acquisition::surface, 1, 0).has_value());
+  EXPECT_FALSE(loop.propose(1, 0).has_value());
   EXPECT_EQ(loop.labels_of(0).label, std::vector<std::int16_t>(48 * 36, kVoid)) << "no surface yet";
   room.training->train(20);
   for (std::size_t v = 0; v < loop.views().size(); ++v) {
@@ -36,7 +36,7 @@ TEST(LabelLoop, BeforeTheFirstClickNothingIsNamed) {
   EXPECT_TRUE(loop.pool_probability().empty());
   const ViewLabels labels = loop.labels_of(0);
   EXPECT_EQ(labels.label, std::vector<std::int16_t>(48 * 36, kVoid));
-  EXPECT_EQ(loop.propose(Acquisition::surface, 1, 0)->why, "unseen");
+  EXPECT_EQ(loop.propose(1, 0)->why, "unseen");
 }
 
 // The loop proposes, and gets true labels.
@@ -45,7 +45,7 @@ TEST(LabelLoop, AFewClicksNameMostOfTheRoom) {
   LabelLoop& loop = *room.loop;
   std::vector<LabelledPixels> clicks;
   for (std::uint64_t round = 0; round < 16; ++round) {
-    const std::optional<Asked> asked = loop.propose(Acquisition::surface, 1, round);
+    const std::optional<Asked> asked = loop.propose(1, round);
     ASSERT_TRUE(asked.has_value());
     const PoolPoint& point = loop.pool().points[asked->point];
     clicks.push_back(room.click(point.view, point.pixel));
@@ -123,8 +123,8 @@ TEST(LabelLoop, UndoGivesTheBitsOfNeverHavingClicked) {
     EXPECT_EQ(room.loop->labels_of(v).label, other.loop->labels_of(v).label);
     EXPECT_EQ(room.loop->labels_of(v).entropy, other.loop->labels_of(v).entropy);
   }
-  EXPECT_EQ(room.loop->propose(Acquisition::surface, 1, 3)->point,
-            other.loop->propose(Acquisition::surface, 1, 3)->point);
+  EXPECT_EQ(room.loop->propose(1, 3)->point,
+            other.loop->propose(1, 3)->point);
   room.loop->learn({});
   other.loop->learn(room.clicks(2, 40));
   other.loop->learn({});
@@ -206,7 +206,7 @@ TEST(LabelLoop, WhatWasPassedOverIsNotAskedForAgain) {
   std::vector<LabelledPixels> skipped;
   std::vector<Vec3d> places;
   for (std::uint64_t round = 0; round < 5; ++round) {
-    const Asked asked = *loop.propose(Acquisition::surface, 1, round);
+    const Asked asked = *loop.propose(1, round);
     const PoolPoint& point = loop.pool().points[asked.point];
     for (const Vec3d& place : places) EXPECT_GT(length(place - point.position), 2 * loop.pool().cell_m());
     places.push_back(point.position);

@@ -883,7 +883,7 @@ TEST(LabelUpsampling, LabelsAndEntropyAreThoseOfTheNeighbours) {
   set_thread_count(0);
 }
 
-// Which click is proposed next, what each way of choosing says of itself, and how clicks calibrate confidence.
+// Which click is proposed next, and why, and how clicks calibrate confidence.
 
 // The room's surface, and what is known of it.
 struct Known {
@@ -891,7 +891,6 @@ struct Known {
   SurfacePool pool = make_surface_pool(room.views, room_limits(), 600);
   SurfaceGraph graph{pool, {}};
   std::vector<float> probability;
-  std::vector<Vec3d> answered;
   std::vector<std::int32_t> passed;
 
   ProposalInput input(std::uint64_t seed = 1, std::uint64_t round = 0) const {
@@ -899,7 +898,6 @@ struct Known {
                          .graph = &graph,
                          .probability = probability,
                          .classes = 3,
-                         .answered = answered,
                          .passed = passed,
                          .seed = seed,
                          .round = round};
@@ -914,13 +912,9 @@ struct Known {
   }
   std::int32_t click(std::int16_t cls, std::int32_t point) {
     graph.add({point, cls});
-    answered.push_back(pool.points[point].position);
     return point;
   }
 };
-
-constexpr Acquisition kAll[] = {Acquisition::random, Acquisition::farthest, Acquisition::entropy, Acquisition::margin,
-                                Acquisition::surface};
 
 TEST(Proposals, BarredPointsAreNotAskedAbout) {
   Known known;
@@ -929,7 +923,7 @@ TEST(Proposals, BarredPointsAreNotAskedAbout) {
   for (std::uint64_t round = 0; round < 20; ++round) {
     ProposalInput input = known.input(1, round);
     input.barred = &barred;
-    const auto asked = choose_click(Acquisition::surface, input);
+    const auto asked = choose_click(input);
     ASSERT_TRUE(asked.has_value());
     EXPECT_FALSE(barred[asked->point]) << round;
   }
@@ -939,71 +933,30 @@ TEST(Proposals, NothingIsAskedOfAnEmptyPool) {
   const SurfacePool none;
   const SurfaceGraph graph(none, {});
   ProposalInput in{.pool = &none, .graph = &graph};
-  for (const Acquisition how : kAll) EXPECT_FALSE(choose_click(how, in).has_value());
+  EXPECT_FALSE(choose_click(in).has_value());
 }
 
 TEST(Proposals, BeforeTheFirstClickAnythingIsUnseen) {
   const Known known;
-  for (const Acquisition how : kAll) {
-    const std::optional<Asked> asked = choose_click(how, known.input());
-    ASSERT_TRUE(asked.has_value());
-    EXPECT_GE(asked->point, 0);
-    EXPECT_LT(asked->point, std::ssize(known.pool.points));
-    EXPECT_EQ(asked->why, "unseen");
-  }
-}
-
-TEST(Proposals, EachWayOfChoosingDoesWhatItSays) {
-  Known known;
-  const std::size_t odd = known.pool.points.size() / 3;
-  known.doubt_only(odd);
-  EXPECT_EQ(choose_click(Acquisition::entropy, known.input())->point, static_cast<std::int32_t>(odd));
-  EXPECT_EQ(choose_click(Acquisition::margin, known.input())->point, static_cast<std::int32_t>(odd));
-  // The margin looks at two classes alone, entropy at all of them.
-  const std::size_t torn = 7, spread = 11;
-  for (std::size_t i = 0; i < known.pool.points.size(); ++i)
-    for (std::size_t c = 0; c < 3; ++c) known.probability[3 * i + c] = c == 0 ? 0.9F : 0.05F;
-  for (std::size_t c = 0; c < 3; ++c) {
-    known.probability[3 * torn + c] = c < 2 ? 0.5F : 0.0F;
-    known.probability[3 * spread + c] = c == 0 ? 0.4F : 0.3F;
-  }
-  EXPECT_EQ(choose_click(Acquisition::margin, known.input())->point, static_cast<std::int32_t>(torn));
-  EXPECT_EQ(choose_click(Acquisition::entropy, known.input())->point, static_cast<std::int32_t>(spread));
-
-  known.click(0, 0);
-  known.click(0, 5);
-  const std::int32_t far = choose_click(Acquisition::farthest, known.input())->point;
-  const auto nearest = [&](std::size_t i) {
-    double least = INFINITY;
-    for (const Vec3d& place : known.answered) least = std::min(least, length(known.pool.points[i].position - place));
-    return least;
-  };
-  for (std::size_t i = 0; i < known.pool.points.size(); ++i)
-    EXPECT_LE(nearest(i), nearest(static_cast<std::size_t>(far)));
-  // Random pixels: not one of them alone.
-  std::vector<std::int32_t> drawn;
-  for (std::uint64_t round = 0; round < 20; ++round)
-    drawn.push_back(choose_click(Acquisition::random, known.input(1, round))->point);
-  std::sort(drawn.begin(), drawn.end());
-  EXPECT_GT(std::unique(drawn.begin(), drawn.end()) - drawn.begin(), 15);
+  const std::optional<Asked> asked = choose_click(known.input());
+  ASSERT_TRUE(asked.has_value());
+  EXPECT_GE(asked->point, 0);
+  EXPECT_LT(asked->point, std::ssize(known.pool.points));
+  EXPECT_EQ(asked->why, "unseen");
 }
 
 TEST(Proposals, TheSameSeedAndRoundAskTheSameForAnyThreads) {
   Known known;
   known.click(0, 3);
   known.doubt_only(20);
-  std::vector<std::int32_t> asked;
   for (std::uint64_t round = 0; round < 6; ++round) {
-    for (const Acquisition how : kAll) {
-      set_thread_count(1);
-      const Asked one = *choose_click(how, known.input(9, round));
-      set_thread_count(3);
-      const Asked three = *choose_click(how, known.input(9, round));
-      set_thread_count(0);
-      EXPECT_EQ(one.point, three.point);
-      EXPECT_EQ(one.gain, three.gain);
-      if (how == Acquisition::surface) asked.push_back(one.point);
-    }
+    set_thread_count(1);
+    const Asked one = *choose_click(known.input(9, round));
+    set_thread_count(3);
+    const Asked three = *choose_click(known.input(9, round));
+    set_thread_count(0);
+    EXPECT_EQ(one.point, three.point);
+    EXPECT_EQ(one.gain, three.gain);
   }
 }
 
@@ -1014,7 +967,7 @@ TEST(Proposals, WithOneClassTheOpenSurfaceIsAskedFor) {
   for (std::size_t i = 0; i < known.pool.points.size(); ++i)
     known.probability.insert(known.probability.end(), {1.0F, 0.0F, 0.0F});
   for (std::uint64_t round = 0; round < 10; ++round) {
-    const Asked asked = *choose_click(Acquisition::surface, known.input(2, round));
+    const Asked asked = *choose_click(known.input(2, round));
     EXPECT_NE(asked.point, clicked);
     EXPECT_TRUE(known.pool.points[asked.point].interior);
     EXPECT_GT(asked.gain, 0);
@@ -1030,7 +983,7 @@ TEST(Proposals, WhatWasPassedOverIsNotAskedAgain) {
   SurfaceGraph::Scratch scratch;
   std::vector<SurfaceGraph::Near> near;
   for (int turn = 0; turn < 12; ++turn) {
-    const Asked asked = *choose_click(Acquisition::surface, known.input(4, static_cast<std::uint64_t>(turn)));
+    const Asked asked = *choose_click(known.input(4, static_cast<std::uint64_t>(turn)));
     for (const std::int32_t point : known.passed) {
       known.graph.around(point, ProposalRules().reach, ProposalRules().most, scratch, near);
       for (const SurfaceGraph::Near& n : near) EXPECT_NE(n.point, asked.point) << "beside what was passed over";

@@ -12,7 +12,6 @@
 
 #include "app/serve/page_pictures.h"
 #include "app/serve/page_requests.h"
-#include "app/serve/page_state.h"
 #include "core/error.h"
 #include "formats/png_codec.h"
 #include "formats/zip_archive.h"

@@ -331,18 +331,18 @@ TEST(SweepTables, WhatWasScoredOnOtherFramesOrPixelsIsNotCompared) {
     EXPECT_HAS(table.markdown(), "\nNot compared: its variants were scored on other ");
     EXPECT_LACKS(table.markdown(), "| miou |");
     EXPECT_EQ(table.csv(), "variant,scene,metric,n,mean,half_width\n");
-    EXPECT_EQ(table.svg(), "");
+    EXPECT_HAS(table.json(), "\"tables\":[],\"plot\":null");
   }
 }
 
-TEST(SweepTables, ThePlotIsAFileOfItsOwn) {
+TEST(SweepTables, ThePageHasTheFirstMetricOverItsAbscissa) {
   const Example x;
-  const std::string svg = ExperimentTable(x.sweep, 0, x.cells, x.results).svg();
-  EXPECT_EQ(svg.rfind("<svg xmlns=\"http://www.w3.org/2000/svg\"", 0), 0u);
-  EXPECT_HAS(svg, "Noise: miou");
+  const auto page = nlohmann::json::parse(ExperimentTable(x.sweep, 0, x.cells, x.results).json());
+  EXPECT_EQ(page["plot"]["title"], "miou");
+  EXPECT_EQ(page["tables"][0][0][0], "miou");
   Example bare;
   for (SweepVariant& v : bare.sweep.experiments[0].variants) v.x.reset();
-  EXPECT_EQ(ExperimentTable(bare.sweep, 0, bare.cells, bare.results).svg(), "");
+  EXPECT_HAS(ExperimentTable(bare.sweep, 0, bare.cells, bare.results).json(), "\"plot\":null");
 }
 
 TEST(SweepResults, AreWrittenReadAndTakenFromRunsAndFusions) {

@@ -36,7 +36,7 @@ TEST(SweepVerb, RunsEveryCellOnceAndWritesItsTables) {
   EXPECT_HAS(csv, "tiny,room,clean,1,given_miou_present,1", "tiny,room,noisy,1,miou_present,",
              "tiny,room,fused,1,miou_present,");
   EXPECT_HAS(read_text_file(out + "/tables.md"), "| fused |");
-  EXPECT_TRUE(fs::exists(out + "/tiny.svg"));
+  EXPECT_HAS(read_text_file(out + "/tables.html"), "\"experiments\"", "\"fused\"");
   EXPECT_EQ(packs_of(out).size(), 1U);
 
   // Again, from another working folder: nothing runs, the same bytes.
@@ -243,7 +243,7 @@ TEST(SweepShared, TwoProcessesRunEveryCellOnceAndLeaveTheFilesOfOne) {
   EXPECT_EQ(count_of(of_a.err, "packing the scene") + count_of(of_b.err, "packing the scene"), 1U);
 
   EXPECT_EQ(results_without_times(both), results_without_times(one));
-  for (const char* name : {"tables.md", "cells.csv", "tiny.csv", "tiny.svg"})
+  for (const char* name : {"tables.md", "cells.csv", "tiny.csv", "tables.html"})
     EXPECT_EQ(read_text_file(both + "/" + name), read_text_file(one + "/" + name)) << name;
   const auto names = [](const std::string& out) {
     std::set<std::string> found;

@@ -15,7 +15,6 @@
 #include "core/error.h"
 #include "core/view.h"
 #include "formats/text_rows.h"
-#include "report/html.h"
 #include "run/metrics_log.h"
 #include "system/files.h"
 
@@ -186,14 +185,15 @@ std::string metric_label(const std::string& metric) {
   return found == labels.end() ? metric : found->second;
 }
 
-// A bar would end the table's cell.
-std::string md(const std::string& text) {
-  std::string out;
-  for (const char c : text) {
-    if (c == '|') out += '\\';
-    out += c;
+// A line of a table in Markdown; a bar would end the cell.
+std::string md_line(const std::vector<std::string>& cells) {
+  std::string out = "|";
+  for (const std::string& cell : cells) {
+    out += ' ';
+    for (const char c : cell) out += c == '|' ? "\\|" : std::string(1, c);
+    out += " |";
   }
-  return out;
+  return out + "\n";
 }
 
 }  // namespace
@@ -283,41 +283,48 @@ MeanInterval ExperimentTable::over_scenes(std::size_t variant, const std::string
   return out;
 }
 
-std::string ExperimentTable::metric_table(const std::string& metric, bool with_paper) const {
+std::vector<std::vector<std::string>> ExperimentTable::rows_of(const std::string& metric, bool with_paper) const {
   const Experiment& e = experiment_;
   const bool many = e.scenes.size() > 1;
-  std::string out = "| " + metric_label(metric) + " |", rule = "|---|";
-  const auto column = [&](const std::string& head) {
-    out += " " + head + " |";
-    rule += "---|";
-  };
-  for (const SweepScene& scene : e.scenes) column(md(scene.name));
-  if (many) column("mean");
-  if (with_paper) column("paper" + (e.paper.empty() ? "" : " (" + md(e.paper) + ")"));
-  out += "\n" + rule + "\n";
+  std::vector<std::vector<std::string>> rows{{metric_label(metric)}};
+  for (const SweepScene& scene : e.scenes) rows[0].push_back(scene.name);
+  if (many) rows[0].push_back("mean");
+  if (with_paper) rows[0].push_back("paper" + (e.paper.empty() ? "" : " (" + e.paper + ")"));
   for (std::size_t v = 0; v < e.variants.size(); ++v) {
-    out += "| " + md(e.variants[v].name) + " |";
-    for (std::size_t s = 0; s < e.scenes.size(); ++s) out += " " + cell_text(at(s, v, metric)) + " |";
-    if (many) out += " " + cell_text(over_scenes(v, metric)) + " |";
-    if (with_paper) out += " " + (e.variants[v].paper ? fmt::format("{:.3f}", *e.variants[v].paper) : "–") + " |";
-    out += "\n";
+    std::vector<std::string>& row = rows.emplace_back(1, e.variants[v].name);
+    for (std::size_t s = 0; s < e.scenes.size(); ++s) row.push_back(cell_text(at(s, v, metric)));
+    if (many) row.push_back(cell_text(over_scenes(v, metric)));
+    if (with_paper) row.push_back(e.variants[v].paper ? fmt::format("{:.3f}", *e.variants[v].paper) : "–");
+  }
+  return rows;
+}
+
+std::vector<std::vector<std::vector<std::string>>> ExperimentTable::tables() const {
+  const std::vector<SweepVariant>& variants = experiment_.variants;
+  bool paper = std::any_of(variants.begin(), variants.end(), [](const SweepVariant& v) { return v.paper.has_value(); });
+  std::vector<std::vector<std::vector<std::string>>> out;
+  for (const std::string& metric : unequal_.empty() ? experiment_.metrics : std::vector<std::string>()) {
+    out.push_back(rows_of(metric, paper));
+    paper = false;  // its figures are of the first metric
   }
   return out;
 }
 
+std::string ExperimentTable::scored_text() const {
+  const std::size_t seeds = experiment_.seeds.size();
+  return fmt::format("Scored on {} frames; {}.", experiment_.split == "train" ? "training" : "held-out",
+                     seeds == 1 ? "one seed" : fmt::format("mean of {} seeds ± half the 95 % interval", seeds));
+}
+
 std::string ExperimentTable::markdown() const {
   const Experiment& e = experiment_;
-  std::string out = "## " + e.title + "\n\n";
-  if (!e.note.empty()) out += e.note + "\n\n";
-  const std::size_t seeds = e.seeds.size();
-  out += fmt::format("Scored on {} frames; {}.\n", e.split == "train" ? "training" : "held-out",
-                     seeds == 1 ? "one seed" : fmt::format("mean of {} seeds ± half the 95 % interval", seeds));
-  if (!unequal_.empty()) return out + "\nNot compared: " + md(unequal_) + ".\n";
-  bool paper =
-      std::any_of(e.variants.begin(), e.variants.end(), [](const SweepVariant& v) { return v.paper.has_value(); });
-  for (const std::string& metric : e.metrics) {
-    out += "\n" + metric_table(metric, paper);
-    paper = false;  // its figures are of the first metric
+  std::string out = "## " + e.title + "\n\n" + (e.note.empty() ? "" : e.note + "\n\n") + scored_text() + "\n";
+  if (!unequal_.empty()) out += "\nNot compared: " + unequal_ + ".\n";
+  for (const auto& rows : tables()) {
+    out += "\n" + md_line(rows[0]) + "|";
+    for (std::size_t i = 0; i < rows[0].size(); ++i) out += "---|";
+    out += "\n";
+    for (std::size_t i = 1; i < rows.size(); ++i) out += md_line(rows[i]);
   }
   return out;
 }
@@ -339,34 +346,30 @@ std::string ExperimentTable::csv() const {
   return out;
 }
 
-std::string ExperimentTable::svg() const {
-  if (!unequal_.empty()) return {};
+std::string ExperimentTable::json() const {
   const Experiment& e = experiment_;
-  PlotSpec spec;
-  spec.title = e.title + ": " + metric_label(e.metrics.front());
-  spec.x_label = e.x_label;
-  spec.markers = true;
+  Json series = Json::array();
   std::size_t places = 0;
-  for (std::size_t s = 0; s < e.scenes.size(); ++s) {
-    PlotSeries series;
-    series.name = e.scenes[s].name;
-    series.color = static_cast<int>(s % 8);
+  for (std::size_t s = 0; s < e.scenes.size() && unequal_.empty(); ++s) {
+    std::multimap<double, Json> points;
     for (std::size_t v = 0; v < e.variants.size(); ++v) {
       const MeanInterval m = at(s, v, e.metrics.front());
       if (!e.variants[v].x || m.n == 0) continue;
-      PlotPoint point{*e.variants[v].x, m.mean};
-      if (m.half_width > 0) {
-        point.low = m.mean - m.half_width;
-        point.high = m.mean + m.half_width;
-      }
-      series.points.push_back(point);
+      Json point{{"x", *e.variants[v].x}, {"y", m.mean}};
+      if (m.half_width > 0) point.update({{"low", m.mean - m.half_width}, {"high", m.mean + m.half_width}});
+      points.emplace(*e.variants[v].x, std::move(point));
     }
-    std::sort(series.points.begin(), series.points.end(),
-              [](const PlotPoint& a, const PlotPoint& b) { return a.x < b.x; });
-    places = std::max(places, series.points.size());
-    if (!series.points.empty()) spec.series.push_back(std::move(series));
+    places = std::max(places, points.size());
+    Json line{{"name", e.scenes[s].name}, {"color", s}, {"points", Json::array()}};
+    for (auto& [x, point] : points) line["points"].push_back(std::move(point));
+    series.push_back(std::move(line));
   }
-  return places < 2 ? std::string() : figure_svg(spec.title, {spec}, 1);
+  Json plot;
+  if (places > 1)
+    plot = {{"title", metric_label(e.metrics.front())}, {"x_label", e.x_label}, {"series", std::move(series)}};
+  return Json{{"name", e.name},      {"title", e.title},   {"note", e.note}, {"scored", scored_text()},
+              {"unequal", unequal_}, {"tables", tables()}, {"plot", plot}}
+      .dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
 int cells_at_a_time(int own, int cores, int processes, int threads) {

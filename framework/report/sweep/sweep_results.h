@@ -68,12 +68,14 @@ class ExperimentTable {
   std::string markdown() const;
   /// variant, scene, metric, n, mean, half_width; no rows where they cannot be compared.
   std::string csv() const;
-  /// The first metric over `x`, a line per scene, as a file of its own; empty when fewer than two variants have an x,
-  /// or they cannot be compared.
-  std::string svg() const;
+  /// For report_page: what markdown() says, and the first metric over `x`, a line per scene; without a plot when fewer
+  /// than two variants have an x, or they cannot be compared.
+  std::string json() const;
 
  private:
-  std::string metric_table(const std::string& metric, bool with_paper) const;
+  std::vector<std::vector<std::string>> rows_of(const std::string& metric, bool with_paper) const;
+  std::vector<std::vector<std::vector<std::string>>> tables() const;  // [metric][row, first the heads][cell]
+  std::string scored_text() const;
   void note_unequal(const CellUse& use, const CellValues& values);
   const Experiment& experiment_;
   std::vector<CellValues> scored_;  // [scene] frames and pixels of its first run

@@ -1,0 +1,769 @@
+// The page of runs, of a comparison and of a sweep: what the JSON in it holds, as tables, plots and pictures.
+const data = JSON.parse(document.getElementById("data").textContent);
+const runs = data.runs ?? [], several = runs.length > 1, split = data.split ?? "";
+
+// ---- values of runs
+
+const kSample = "_sample";
+const kTexts = {inf: Infinity, "-inf": -Infinity, nan: NaN};
+/** A value of a row of metrics.jsonl, or null. */
+const get = (row, key) => (row && Object.hasOwn(row, key) ? kTexts[row[key]] ?? row[key] : null);
+const kMetrics = [  // in the order of the table; digits; 1: larger is better, -1: smaller
+  ["miou", "mIoU", "", 4, 1, "mean over classes with a non-empty union"],
+  ["miou_present", "mIoU (present)", "", 4, 1, "mean over classes that occur in truth"],
+  ["total_accuracy", "Total accuracy", "", 4, 1, "share of pixels with the right class"],
+  ["average_accuracy", "Average accuracy", "", 4, 1, "mean recall over classes in truth"],
+  ["psnr", "PSNR", "dB", 4, 1, "from the squared error pooled over the split"],
+  ["psnr_fitted_colors", "PSNR, colours fitted", "dB", 4, 1,
+    "each half of a frame under the map of colours that fits the other half"],
+  ["psnr_refined_poses", "PSNR, poses fitted", "dB", 4, 1, "each frame from the pose that fits the field"],
+  ["ssim", "SSIM", "", 4, 1, "mean over images"],
+  ["absrel", "AbsRel", "", 3, -1, "depth: mean |error| / truth"],
+  ["absdiff", "AbsDiff", "m", 3, -1, "depth: mean |error|"],
+  ["sqrel", "SqRel", "m", 3, -1, "depth: mean error² / truth"],
+  ["rmse", "RMSE", "m", 3, -1, "depth"],
+  ["delta1", "δ < 1.25", "", 4, 1, "depth: share of pixels within that factor"],
+  ["delta2", "δ < 1.25²", "", 4, 1, "depth: share of pixels within that factor"],
+  ["delta3", "δ < 1.25³", "", 4, 1, "depth: share of pixels within that factor"],
+  ["depth_coverage", "Depth coverage", "", 4, 1, "share of valid truth with a prediction"],
+  ["under_resolved", "Under-resolved", "", 3, -1, "share of opaque pixels whose opacity came in one or two long steps"],
+  ["ece", "ECE", "", 3, -1, "expected calibration error, 15 bins"],
+  ["nll", "NLL", "nats", 3, -1, "of the true class, a pixel"],
+  ["entropy_auroc", "Entropy AUROC", "", 3, 1, "entropy as a detector of wrong pixels; 0.5 is chance"],
+  ["rays_per_s", "Rays per second", "", 3, 1, "last training row"],
+  ["samples_per_ray", "Samples per ray", "", 3, 0, "last training row"],
+  ["loss", "Training loss", "", 3, 0, "last training row"],
+].map(([key, label, unit, digits, better, help]) => ({key, label, unit, digits, better, help}));
+const metric_of = (key) => kMetrics.find((metric) => metric.key === key);
+
+/** "4 of 30 frames at 1 pixel in 4" where the row is of a part of its split, else "". */
+function sample_text(row) {
+  if (!row?.split?.endsWith(kSample)) return "";
+  const [frames, all, stride] = ["frames", "split_frames", "pixel_stride"].map((key) => get(row, key));
+  if (frames === null) return "some frames";
+  if (all === null) return `${frames} frames`;  // of versions that did not write it
+  return (frames === all ? `all ${all} frames` : `${frames} of ${all} frames`) +
+    (stride > 1 ? ` at 1 pixel in ${stride * stride}` : "");
+}
+/** What a row scored: "all 30 frames", "a sample, 4 of 30 frames"; "" where it does not say. */
+function part_text(row) {
+  const sample = sample_text(row), frames = get(row, "frames");
+  return sample ? `a sample, ${sample}` : frames === null ? "" : `all ${frames} frames`;
+}
+/** Evaluations that count: those of the part of the split that was scored last. */
+function eval_rows(run, of = split) {
+  const rows = run.rows.filter((row) => row.kind === "eval" && (!of || row.split === of || row.split === of + kSample));
+  const last = rows.at(-1);
+  return rows.filter((row) => row.split === last.split && sample_text(row) === sample_text(last));
+}
+const last_row = (run) => eval_rows(run).at(-1);
+const last_value = (run, key, of = split) => get(eval_rows(run, of).findLast((row) => get(row, key) !== null), key);
+/** Evaluations that a curve goes through: those of one sample of frames, or else those that the figures are of. */
+function curve_rows(run) {
+  const rows = run.rows.filter((row) => row.kind === "eval" && row.split === split + kSample);
+  const same = rows.filter((row) => sample_text(row) === sample_text(rows[0]));
+  return same.length < 2 ? eval_rows(run) : same;
+}
+const largest = (run, key) => run.rows.reduce((most, row) => Math.max(most, get(row, key) ?? 0), 0);
+const trained_s = (run) => largest(run, "train_s");
+const fact = (run, name) => run.environment.find(([key]) => key === name)?.[1] ?? "";
+
+/** Names of the runs by a value of theirs; those without one are in no group. */
+function grouped(value_of) {
+  const groups = new Map();
+  for (const run of runs) {
+    const value = value_of(run);
+    if (value) groups.set(value, [...(groups.get(value) ?? []), run.name]);
+  }
+  return [...groups];
+}
+/** Why figures of these runs cannot be ranked, a sentence each. */
+function reasons_against_ranking() {
+  const listed = (groups, told) => groups.map(([value, names]) => names.join(", ") + told(value, names)).join("; ");
+  const inputs = grouped((run) => fact(run, "input_hash"));
+  const reasons = [];
+  if (inputs.length > 1)
+    reasons.push(
+      "they read different data (another scene, or other frames or sizes of one): " + listed(inputs, (_, [name]) => {
+        const {scene} = runs.find((run) => run.name === name);
+        return scene ? ` on ${scene}` : "";
+      }));
+  // Other data have another number of frames; that is no reason of its own.
+  const parts = grouped(
+    (run) =>
+      (inputs.length > 1 && last_row(run) && !sample_text(last_row(run)) ? "all frames" : part_text(last_row(run))));
+  const frames = grouped((run) => run.eval?.per_frame.map(({frame}) => frame).join("\n"));
+  const pixels = grouped((run) => get(last_row(run), "pixels")?.toFixed(0));
+  const on = (value) => ` on ${value.split("\n")[0]}`;
+  if (parts.length > 1)
+    reasons.push("their last evaluations scored other parts of the split: " + listed(parts, (value) => ` ${value}`));
+  else if (inputs.length < 2 && frames.length > 1)
+    reasons.push("they were scored on other frames: " + listed(frames, (value) => `${on(value)} and others`));
+  else if (inputs.length < 2 && pixels.length > 1)
+    reasons.push("they were scored on other pixels: " + listed(pixels, on));
+  return reasons;
+}
+const unranked = reasons_against_ranking(), ranked = unranked.length === 0;
+
+/** Index of the best value; -1 where there are not two different ones. */
+function best_of(values, better) {
+  const known = values.filter((value) => value !== null && !Number.isNaN(value));
+  if (!better || new Set(known).size < 2) return -1;
+  return values.indexOf(better > 0 ? Math.max(...known) : Math.min(...known));
+}
+/**
+ * When the evaluations first reached a level: {before, at: seconds, first: at the first one, only: of one}; or null.
+ */
+function time_of_level(rows, {key, better}, level) {
+  const known = rows.filter((row) => get(row, key) !== null),
+        i = known.findIndex((row) => better * (get(row, key) - level) >= 0);
+  return i < 0 ? null :
+                 {before: known[i - 1]?.train_s ?? 0, at: known[i].train_s, first: i === 0, only: rows.length === 1};
+}
+/** Index of the run that came first for certain, or -1. */
+const first_for_certain = (times) => times.length < 2 ? -1 : times.findIndex((one, i) => one &&
+  times.every((other, j) => i === j || (other && one.at <= other.before)));
+/**
+ * Where a curve first covers `share` of the way from its first to its last value, read as straight lines; null where
+ * the last is no better than the first.
+ */
+function time_to_share(points, better, share) {
+  const [first, last] = [points[0], points.at(-1)];
+  if (points.length < 2 || better * (last.y - first.y) <= 0) return null;
+  const level = first.y + share * (last.y - first.y),
+        i = points.findIndex((p, k) => k > 0 && better * (p.y - level) >= 0);
+  if (i < 0) return last.x;  // rounding kept the last value a hair from its own level
+  const before = points[i - 1], after = points[i], way = after.y - before.y;
+  return way === 0 ? before.x : before.x + (level - before.y) / way * (after.x - before.x);
+}
+
+// ---- pieces of the page
+
+const two = (n) => String(n).padStart(2, "0");
+function duration(seconds) {
+  if (seconds < 100) return `${figure(seconds, 3)} s`;
+  const s = Math.round(seconds), m = Math.floor(s / 60);
+  return s < 3600 ? `${m} min ${two(s % 60)} s` : `${Math.floor(m / 60)} h ${two(m % 60)} min`;
+}
+const percent = (share) =>
+  share > 0 && share < 0.001 ? "under 0.1 %" : `${(100 * share).toFixed(share > 0 && share < 0.01 ? 1 : 0)} %`;
+const count = (n) => n.toLocaleString("en-US");
+const counted = (n, what) => `${count(n)} ${what}${n === 1 ? "" : "s"}`;
+const ratio = (part, whole) => (whole > 0 ? part / whole : 0);
+const sum = (numbers) => numbers.reduce((all, one) => all + one, 0);
+
+const small = (text) => text && html`<small class="d">${text}</small>`;
+const grey = (text) => html`<span class="none">${text}</span>`;
+const hint = (...text) => html`<p class="hint after">${text}</p>`;
+const swatch = (color) => html`<span class="sw" style="background:rgb(${color.join(" ")})"></span>`;
+const head = (name, more, kind = "num") => html`<th scope="col" class="${kind}">${name}${small(more)}</th>`;
+const row = (name, cells) => html`<tr><th scope="row">${name}</th>${cells}</tr>`;
+const cell = (text, more) => html`<td class="num">${text}${small(more)}</td>`;
+const value_cell = (value, digits, is_best) => value === null ?
+  html`<td class="num none">–</td>` :
+  html`<td class="num${is_best && " best"}">${figure(value, digits)}</td>`;
+const table = (label, heads, rows, kind = "panel ") => html`<div class="${kind}scroll" tabindex="0" role="region"
+aria-label="${label}"><table><thead>${heads}</thead><tbody>${rows}</tbody></table></div>`;
+const of_runs = (first, heads) => html`<tr>${head(first, "", "")}${heads}</tr>`;
+const details = (title, ...parts) => html`<details><summary>${title}</summary>${parts}</details>`;
+const panel = (title, note, ...parts) =>
+  html`<figure class="panel"><figcaption>${title}<span>${note}</span></figcaption>${parts}</figure>`;
+const section = (id, title, sentence, ...parts) => html`<section id="${id}" aria-labelledby="${id}-h"><h2
+id="${id}-h">${title}</h2>${sentence && html`<p class="hint">${sentence}</p>`}${parts}</section>`;
+/** A plot for each of two abscissae, and a box that changes between them. */
+const choice = (id, label, one, other) => html`<input class="pick" type="checkbox" id="${id}"><label
+for="${id}">${label}</label><div class="plots one">${one}</div><div class="plots two">${other}</div>`;
+const run_heads = (sampled) => runs.map((run) => {
+  const sample = sampled && sample_text(last_row(run));
+  return head(run.name, sample && `sample: ${sample}`);
+});
+const legend = (names = several ? runs.map(({name}) => name) : []) =>
+  names.length > 0 && html`<ul class="legend">${names.map((name, i) => html`<li>${line_sample(i)}${name}</li>`)}</ul>`;
+const of_run = (run) => several && `: ${run.name}`;
+const of_first = several ? ` Pictures are of ${runs[0].name}.` : "";
+/** Names the runs for which something is missing; the sentence ends before the names. */
+function missing(sentence, is_missing) {
+  const names = runs.filter(is_missing).map(({name}) => name);
+  return names.length > 0 && hint(`${sentence} ${names.join(", ")}.`);
+}
+const strips = (some) =>
+  some.map(({name, note, images}) => html`<div class="panel strip"><h3>${name}${note && html`<span>${note}</span>`}</h3>
+<div class="imgs">${images.map(({caption, png}) => html`<figure><img alt="${caption}, frame ${name}" loading="lazy"
+src="${png}"><figcaption>${caption}</figcaption></figure>`)}</div></div>`);
+
+// ---- the head: what the runs are, what to mind about them, and their largest figures
+
+function facts() {
+  const told = runs.map((run) => {
+    const frames = run.labels ?
+      [`${count(run.labels.train_frames)} training${
+        run.labels.classes.length ? ` (${count(run.labels.labelled_frames)} labelled)` : ""}`] :
+      [];
+    const last = last_row(run),
+          held_out =
+            split === "test" && (get(last, "split_frames") ?? (sample_text(last) ? null : get(last, "frames")));
+    if (held_out) frames.push(`${count(held_out)} test`);
+    const version = fact(run, "version"), device = fact(run, "device");
+    return {
+      Scene: run.scene,
+      Frames: frames.join(", "),
+      Started: fact(run, "started"),
+      Version: version && `Semfield ${version}`,
+      Device: !device || device === "cpu" ? fact(run, "cpu") : device
+    };
+  });
+  const names = Object.keys(told[0]).filter((name) => told.some((of) => of[name]));  // what no run states is left out
+  if (!several)
+    return names.length > 0 &&
+      html`<dl class="facts">${names.map((name) => html`<div><dt>${name}</dt><dd>${told[0][name]}</dd></div>`)}</dl>`;
+  return html`<div class="facts">${table("Runs", of_runs("Run", names.map((name) => head(name, "", ""))),
+    runs.map((run, i) => row(run.name, names.map((name) => html`<td>${told[i][name]}</td>`))))}</div>`;
+}
+function notices() {
+  const sampled = runs.filter((run) => sample_text(last_row(run)))
+                    .map((run) => (several ? `${run.name}: ` : "") + sample_text(last_row(run)));
+  return [
+    several && !ranked && `The runs are not ranked: ${unranked.join("; ")}.`,
+    sampled.length > 0 &&
+      `Figures are of a sample of the split “${split}” (${
+        sampled.join(
+          "; ")}); \`semfield eval\` on the run folder scores every pixel, and \`semfield report\` shows that then.`
+  ].map((text) => text && html`<p class="notice">${text}</p>`);
+}
+function cards() {
+  const card = (label, value, unit, note) => html`<div class="card"><div class="k">${label}</div><div
+class="v">${value}${unit && html`<span class="u">${unit}</span>`}</div><div class="n">${note}</div></div>`;
+  const shown = several && !ranked ?
+    [] :
+    ["miou_present", "total_accuracy", "psnr", "psnr_fitted_colors", "psnr_refined_poses", "absrel"];
+  const longest = runs.reduce((a, b) => (trained_s(b) > trained_s(a) ? b : a));
+  return html`<div class="cards">${shown.map((key) => {
+    const {label, unit, better, help} = metric_of(key), values = runs.map((run) => last_value(run, key));
+    const first = best_of(values, better), best = first < 0 ? values.findIndex((value) => value !== null) : first;
+    if (best < 0) return "";
+    const part = part_text(last_row(runs[best])), note = several ? `best: ${runs[best].name}` : help;
+    return card(label, figure(values[best], key === "absrel" ? 2 : 3), unit, part ? `${note}; ${part}` : note);
+  })}${card(several ? "Longest training" : "Training", duration(trained_s(longest)), "",
+    `${several ? `${longest.name}: ` : ""}${count(largest(longest, "step"))} steps, evaluation not counted`)}</div>`;
+}
+
+// ---- figures, classes, pictures
+
+/** The last evaluation, or the last training row for what only training knows. */
+function table_value(run, key) {
+  const value = last_value(run, key);
+  if (value !== null || !["rays_per_s", "samples_per_ray", "loss"].includes(key)) return value;
+  return get(run.rows.findLast((one) => one.kind === "train" && get(one, key) !== null), key);
+}
+function figures() {
+  const rows = kMetrics.map(({key, label, unit, digits, better, help}) => {
+    const values = runs.map((run) => table_value(run, key)), best = ranked ? best_of(values, better) : -1;
+    if (values.every((value) => value === null)) return "";
+    return row(
+      [label, unit && [" ", grey(unit)], small(help)], values.map((value, i) => value_cell(value, digits, i === best)));
+  });
+  rows.push(row(["Training time", small("evaluation not counted")], runs.map((run) => cell(duration(trained_s(run))))));
+  const sampled = runs.some((run) => sample_text(last_row(run)));
+  const sentence = !runs.some((run) => last_row(run)) ?
+    "No frame was scored: the scene has no test frames, or the run has not come to an evaluation." :
+    `Last evaluation${split ? ` on the split “${split}”` : ""}${
+      sampled ? ", of the sample that the head names" : ""}.` +
+      (!several  ? "" :
+          ranked ? " The best of each row is set in bold." :
+                   " The runs are not ranked; the reason is at the top.");
+  return section("figures", "Figures", sentence,
+    html`<div class="figures">${table("Figures", of_runs("Metric", run_heads(true)), rows)}</div>`);
+}
+
+function classes() {
+  const of_each = runs.map((run) => eval_rows(run).findLast((one) => one.per_class_iou)?.per_class_iou ?? {});
+  const names = new Set([...data.classes.map(({name}) => name), ...of_each.flatMap(Object.keys)]);
+  const bars = [...names].filter((name) => of_each.some((ious) => Object.hasOwn(ious, name))).map((name) => {
+    const color = data.classes.find((one) => one.name === name)?.color ?? [128, 128, 128];
+    const ious = of_each.map((of) => get(of, name));
+    const bar = (iou, i) => html`<i style="width:${(100 * Math.min(1, Math.max(0, iou))).toFixed(1)}%;background:${
+      several ? paint(i) : `rgb(${color.join(" ")})`}"></i>`;
+    return html`<div class="bar"><span class="name">${swatch(color)}${name}</span><span>${ious.map((iou, i) =>
+      html`<div class="tr">${iou !== null && bar(iou, i)}</div>`)}</span><span class="val">${ious.map((iou) =>
+      iou === null ? html`<div class="none">no data</div>` : html`<div>${iou.toFixed(3)}</div>`)}</span></div>`;
+  });
+  return bars.length > 0 &&
+    section("classes", "Intersection over union by class",
+      several ? "Bars run from 0 to 1, in the order and colours of the legend." :
+                "Bars run from 0 to 1, in the colours of the label images.",
+      legend(), html`<div class="panel bars">${bars}</div>`);
+}
+
+function frames() {
+  if (data.strips.length === 0) return "";
+  const [first, ...more] = data.strips, entropy = first.images.some(({caption}) => caption === "entropy");
+  return section("frames", "Rendered frames",
+    (entropy ? "Entropy runs over its full range, 0 to ln C; depth is bright where near." :
+               "Depth is bright where near.") +
+      of_first,
+    strips([first]),
+    more.length > 0 &&
+      html`<details class="panel more"><summary>${more.length} more frame${more.length > 1 && "s"}</summary>${
+        strips(more)}</details>`);
+}
+const scene = () => data.scene &&
+  section("scene", "3D", `A coarse mesh${several ? ` of ${runs[0].name}` : ""}. Drag to turn; click it first to zoom.`,
+    html`<iframe loading="lazy" title="The scene in three dimensions" srcdoc="${data.scene}"></iframe>`);
+
+function left_out() {
+  const rows = new Map();  // a row that several runs have stands once, with their names
+  for (const run of runs)
+    for (const one of run.left_out) {
+      const key = JSON.stringify(one);
+      rows.set(key, [one, [...(rows.get(key)?.[1] ?? []), run.name]]);
+    }
+  return rows.size > 0 &&
+    section("left-out", "Left out, and why",
+      "Parts that this scene does not need were not built. Proof: B, bitwise the same result; C, within a " +
+        "certified bound; S, the same within statistics.",
+      html`<div class="left-out">${
+        table("Left out", of_runs("Component", ["Found here", "Saving", "Proof"].map((name) => head(name, "", ""))),
+          [...rows.values()].map(([one, names]) => row(
+                                   [
+                                     one.component, small(one.rule),
+                                     several && small(names.length === runs.length ? "every run" : names.join(", "))
+                                   ],
+                                   html`<td>${one.evidence}</td><td>${one.saving_estimate}${
+                                     small(one.saving_measured &&
+                                       `measured: ${one.saving_measured}`)}</td><td>${one.proof}</td>`)))}</div>`);
+}
+function setup() {
+  const parts =
+    runs
+      .flatMap(
+        (run) => [run.environment.length > 0 &&
+            details(["Environment", of_run(run)],
+              html`<div class="scroll"><table><tbody>${run.environment.filter(([, value]) => value).map(([
+                key, value
+              ]) => row(key.replaceAll("_", " "), html`<td class="code">${value}</td>`))}</tbody></table></div>`),
+          run.config && details(["Configuration", of_run(run)], html`<pre tabindex="0">${run.config}</pre>`)])
+      .filter((part) => part);
+  return parts.length > 0 &&
+    section("setup", "Set-up", "What it takes to repeat the run.", html`<div class="panel">${parts}</div>`);
+}
+
+// ---- error against the number of labels, and clicks
+
+const has_labels = (run) => run.labels?.classes.length > 0;  // a scene without classes has none to report
+
+/** Each run is a point of its own: what else differs between runs is not known here, so no line joins them. */
+function label_plots(key_of_count, x_label) {
+  const counts = runs.filter(has_labels).map((run) => run.labels[key_of_count]), least = Math.min(...counts);
+  const log_x = least > 0 && Math.max(...counts) >= 10 * least;
+  return ["miou", "total_accuracy"].map((key) => {
+    const series =
+      runs
+        .map(
+          (run, color) => ({name: run.name, color, points: [{x: run.labels?.[key_of_count], y: last_value(run, key)}]}))
+        .filter(({points: [{y}]}, i) => has_labels(runs[i]) && y !== null);
+    const title = metric_of(key).label;
+    return series.length > 0 && panel(title, log_x ? "logarithmic number of labels" : "higher is better",
+      plot({title, x_label, markers: true, log_x, series}));
+  });
+}
+function labels() {
+  const known = runs.filter(has_labels);
+  if (known.length === 0) return "";
+  // The last two are of runs with report.training_frames: what the labels were worth, and what was made of them.
+  const columns = [
+    ["mIoU", "", split, "miou"], ["Total accuracy", "", split, "total_accuracy"],
+    ["mIoU of the labels", "against the scene’s own", "train", "given_miou"],
+    ["mIoU at their poses", "of the field", "train", "miou"]
+  ].filter(([, , of, key]) => runs.some((run) => run.labels && last_value(run, key, of) !== null));
+  const rows = known.map((run) => {
+    const of = run.labels, taught = of.classes.filter(({pixels}) => pixels > 0).length;
+    return row([run.name, small(of.degrade.map(({type}) => type).join(", "))], [
+      cell(`${count(of.labelled_frames)} of ${count(of.train_frames)}`),
+      cell(count(of.labelled_pixels), `${percent(ratio(of.labelled_pixels, of.train_pixels))} of all`),
+      cell(`${taught} of ${of.classes.length}`),
+      columns.map(([, , part, key]) => value_cell(last_value(run, key, part), 4))
+    ]);
+  });
+  const told =
+    runs.flatMap((run) => (run.labels?.degrade ?? []).map(({type, facts}) => [run.name, type, Object.entries(facts)]))
+      .filter(([, , list]) => list.length > 0)
+      .map(([name, type, list]) => hint(`${name}, ${type}: ${list.map((one) => one.join(" ")).join(", ")}.`));
+  const rounds = runs.flatMap((run) => run.rounds.map((text) => hint(`${run.name}, ${text}.`)));
+  const plots = known.length > 1 && ranked ? label_plots("labelled_pixels", "labelled pixels in training") : [];
+  return section("labels", known.length > 1 ? "Error against number of labels" : "Labels in training",
+    known.length > 1 ? "One point for each run, at its last evaluation; runs may differ in more than their labels." :
+                       "What the semantic head learned from.",
+    plots.some((one) => one) &&
+      [
+        legend(),
+        choice(
+          "label-frames", "count labelled frames", plots, label_plots("labelled_frames", "labelled frames in training"))
+      ],
+    table("Labels of each run",
+      of_runs("Run",
+        [
+          head("Labelled frames"), head("Labelled pixels"), head("Classes with labels"),
+          columns.map(([name, more]) => head(name, more))
+        ]),
+      rows),
+    told, rounds,
+    missing("Left out, because their folders hold no labels.json (made by an older version):", (run) => !run.labels),
+    missing("Left out, because their scenes have no classes:", (run) => run.labels && !has_labels(run)));
+}
+function clicks() {
+  const tables = runs.filter(({clicked}) => clicked).map((run) => {
+    const of = run.clicked;
+    return [
+      hint(several && `${run.name}: `,
+        `${counted(of.clicks, "click")} in ${count(of.clicked_frames)} of ${count(of.frames)} frames, at step ${
+          count(of.step)}.`),
+      table("Classes of the clicks", of_runs("Class", ["Clicks", "Surface", "Sure"].map((name) => head(name))),
+        of.classes.map(
+          (one) => row([swatch(one.color), " ", one.name, grey(` ${one.id}`)],
+            [count(one.clicks), percent(one.area_share), percent(one.confidence)].map((text) => cell(text)))))
+    ];
+  });
+  return tables.length > 0 &&
+    section("clicks", "Clicks",
+      "What was named on the labelling page. Surface: share of what the views show; sure: mean probability of " +
+        "the class there.",
+      tables,
+      data.clicked.length > 0 &&
+        [hint("Frames with the most clicks, which are drawn on the photographs.", of_first), strips(data.clicked)]);
+}
+
+// ---- what the final evaluation says beside figures
+
+const kNoDetail = "Left out, because their folders hold no final_eval.json (made by an older version, or not ended):";
+const without_detail = () => missing(kNoDetail, (run) => !run.eval);
+const kMostClasses = 64, kMostConfusions = 5;  // of a table that can still be read
+const px_text = (pixels) => `${count(pixels)} px`;
+
+function confusions_of({classes: all, confusion: {pixels}}) {
+  const truth = pixels.map(sum), predicted = pixels.map((_, p) => sum(pixels.map((of) => of[p])));
+  const found = pixels.flatMap((of, t) => of.map((n, p) => ({t, p, n, share: ratio(n, truth[t])})))
+                  .filter(({t, p, n}) => t !== p && n > 0);
+  const wrong = sum(found.map(({n}) => n));
+  // Twice: those that cost most pixels are of large classes, those that hide a class of small ones.
+  const list = (title, key) => html`<div><h4>${title}</h4><ul>${
+    found.toSorted((a, b) => b[key] - a[key])
+      .slice(0, kMostConfusions)
+      .map(({t, p, n, share}) => html`<li>${swatch(all[t].color)}${all[t].name} read as ${swatch(all[p].color)}${
+             all[p].name}: ${percent(share)} of ${all[t].name}${
+             small(`${px_text(n)}, ${percent(ratio(n, wrong))} of all wrong pixels`)}</li>`)}</ul></div>`;
+  const shown = all.map((_, i) => i)
+                  .sort((a, b) => truth[b] + predicted[b] - truth[a] - predicted[a])
+                  .slice(0, kMostClasses)
+                  .sort((a, b) => a - b);
+  const one = (t, p) => {
+    const n = pixels[t][p], share = ratio(n, truth[t]);
+    // The root shows small fractions; half of full colour keeps the figures legible.
+    return n === 0 ? html`<td></td>` :
+                     html`<td class="${t === p ? "ok" : "no"}" style="--p:${(60 * Math.sqrt(share)).toFixed(0)}%"
+title="${all[t].name} read as ${all[p].name}: ${percent(share)} of ${all[t].name}, ${px_text(n)}">${
+                       share < 0.005 ? "·" : (100 * share).toFixed(0)}</td>`;
+  };
+  const rows =
+    shown.filter((t) => truth[t] > 0)
+      .map((t) => html`<tr><th scope="row" class="row" title="${all[t].name}">${swatch(all[t].color)}${grey(all[t].id)}
+${all[t].name}</th>${shown.map((p) => one(t, p))}${
+             cell(count(truth[t]))}</tr>`);  // read, but never true: a column alone
+  return [
+    found.length === 0 ?
+      html`<p class="hint">Every scored pixel has its class.</p>` :
+      html`<div class="words">${list("Most pixels", "n")}${list("Largest share of a class", "share")}</div>`,
+    html`<div class="scroll" tabindex="0" role="region" aria-label="Confusion matrix"><table
+class="cm"><thead><tr><th scope="col"
+class="row">truth ↓ read as →</th>${
+      shown.map((p) => html`<th scope="col" title="${all[p].name}"><span class="v">${swatch(all[p].color)}${all[p].id}
+${all[p].name}</span></th>`)}${head("pixels")}</tr></thead><tbody>${rows}</tbody></table></div>`,
+    shown.length < all.length &&
+      hint(`The ${shown.length} of ${all.length} classes with the most pixels; \`semfield eval --json\` prints all.`)
+  ];
+}
+function confusions() {
+  const some = runs.filter((run) => run.eval?.confusion.pixels.flat().some((n) => n > 0));
+  return some.length > 0 &&
+    section("confusion", "Confusions",
+      "Which classes are taken for which, over all pixels of the last evaluation. A row holds all pixels of a " +
+        "true class and sums to 100 %; “·” is less than half a per cent.",
+      html`<div class="panel">${
+        some.map((run, i) => several ?
+            html`<details ${i === 0 && "open"}><summary>${run.name}</summary>${confusions_of(run.eval)}</details>` :
+            html`<div class="pad">${confusions_of(run.eval)}</div>`)}</div>`,
+      without_detail());
+}
+
+function reliability(run, color) {
+  const {bins, nonfinite_pixels: lost} = run.eval.reliability, all = sum(bins.map(({pixels}) => pixels));
+  const held =
+    bins.map((bin, i) => ({...bin, from: i / bins.length, to: (i + 1) / bins.length, share: ratio(bin.pixels, all)}))
+      .filter(({pixels}) => pixels > 0);
+  const mean = (value_of) => sum(held.map((bin) => bin.pixels * value_of(bin))) / Math.max(1, all);
+  const ece = all > 0 && !lost ? mean(({accuracy, confidence}) => Math.abs(accuracy - confidence)) : null;
+  const sure = mean(({confidence}) => confidence), right = mean(({accuracy}) => accuracy), lean = sure - right;
+  const means = `Mean confidence ${sure.toFixed(3)}, accuracy ${right.toFixed(3)}`,
+        auroc = run.eval.entropy?.auroc ?? null;
+  const series = {
+    name: run.name,
+    color,
+    points: held.map(({confidence: x, accuracy: y}) => ({x, y})),
+    bars: held.map(({from, to, share, accuracy}) => ({
+      from,
+      to,
+      height: share,
+      text: `confidence ${from.toFixed(2)} to ${to.toFixed(2)}: ${percent(share)} of the pixels, accuracy ${
+        accuracy.toFixed(3)}`
+    }))
+  };
+  const perfect = {name: "perfect calibration", color: 0, points: [{x: 0, y: 0}, {x: 1, y: 1}], reference: true};
+  return panel(run.name,
+    ece === null ? `no ECE: ${px_text(lost)} without finite probabilities` : `ECE ${figure(ece, 3)}`, plot({
+      title: "Accuracy",
+      x_label: "confidence",
+      markers: true,
+      end_values: false,
+      x_range: [0, 1],
+      y_range: [0, 1],
+      series: [series, perfect]
+    }),
+    html`<p class="hint note">${means}${
+      Math.abs(lean) >= 0.0005 &&
+      `: ${lean > 0 ? "over-confident" : "under-confident"} by ${Math.abs(lean).toFixed(3)}`}.${
+      auroc !== null &&
+      ` AUROC ${figure(auroc, 3)}: in ${
+        percent(auroc)} of all pairs of a wrong and a right pixel the wrong one has the higher entropy.`}</p>`,
+    details("Bins",
+      table("Reliability bins",
+        of_runs("Confidence",
+          ["Pixels", "Share", "Mean confidence", "Accuracy", "Accuracy − confidence"].map((name) => head(name))),
+        held.map(({from, to, pixels, share, confidence, accuracy}) => row(`${from.toFixed(2)} to ${to.toFixed(2)}`,
+                   [
+                     count(pixels), percent(share), confidence.toFixed(3), accuracy.toFixed(3),
+                     figure(Math.round(1000 * (accuracy - confidence)) / 1000, 3)
+                   ].map((text) => cell(text)))),
+        "")));
+}
+/** Entropy at training poses by what the label was worth, of runs with report.training_frames. */
+function given_table() {
+  const columns = [
+    ["Labelled rightly", "mean entropy, nats", "given_right_entropy"],
+    ["Labelled wrongly", "mean entropy, nats", "given_wrong_entropy"],
+    ["Unlabelled", "mean entropy, nats", "given_none_entropy"],
+    ["Wrong against right", "AUROC of entropy", "given_wrong_auroc"],
+    ["Unlabelled against labelled", "AUROC of entropy", "given_none_auroc"]
+  ];
+  const some = runs.filter((run) => columns.some(([, , key]) => last_value(run, key, "train") !== null));
+  return some.length > 0 && [
+    hint(
+      "Entropy of the pixels of training frames, by the label that they were given. An AUROC of 0.5 is chance; 1 " +
+        "means that entropy separates the two groups."),
+    table("Entropy by the label given", of_runs("Run", columns.map(([name, more]) => head(name, more))),
+      some.map((run) => row(run.name, columns.map(([, , key]) => value_cell(last_value(run, key, "train"), 3)))))
+  ];
+}
+function calibration() {
+  const plots = runs.map((run, i) => run.eval?.reliability.bins.length > 0 && reliability(run, i)),
+        given = given_table();
+  return (given || plots.some((one) => one)) &&
+    section("calibration", "Calibration",
+      "Does a class with probability 0.8 turn out right in 80 % of the cases? Dots: share of right pixels over " +
+        "mean confidence, in 15 bins; on the dotted line it is as sure as it is right, " +
+        "below it too sure. Bars: share of all pixels that a bin holds. ECE is the mean distance from the line, " +
+          "weighted by pixels. AUROC says how well entropy finds wrong pixels: 0.5 is chance, " +
+        "1 is all wrong pixels above all right ones.",
+      html`<div class="plots">${plots}</div>`, given, without_detail());
+}
+
+function worst() {
+  // Worst first; frames without a mIoU after those with one, by PSNR.
+  const rank = (frame) => [get(frame, "miou_present") ?? 2, get(frame, "psnr") ?? Infinity];
+  const compared = (a, b) => (a < b ? -1 : a > b ? 1 : 0);
+  const sorted = (all) => all.toSorted((a, b) => compared(rank(a)[0], rank(b)[0]) || compared(rank(a)[1], rank(b)[1]));
+  const tables =
+    runs.filter((run) => run.eval?.per_frame.length > 0)
+      .map(
+        (run) => details([`Scores of all ${run.eval.per_frame.length} frames`, of_run(run)],
+          table("Scores of frames",
+            of_runs("Frame", ["mIoU (present)", "PSNR, dB", "AbsRel"].map((name) => head(name))),
+            sorted(run.eval.per_frame).map((frame) => row(frame.frame, [["miou_present", 4], ["psnr", 4],
+              ["absrel", 3]].map(([key, digits]) => value_cell(get(frame, key), digits)))),
+            "")));
+  return data.worst.length + tables.length > 0 && section("worst", "Worst frames",
+    data.worst.length > 0 && `The frames with the lowest scores, worst first.${of_first}`, strips(data.worst),
+    tables.length > 0 && html`<div class="panel below">${tables}</div>`);
+}
+
+// ---- error against run time
+
+const kShares = [0.9, 0.95];
+const kCurves = [
+  {key: "loss", title: "Training loss", note: "logarithmic", trains: true, log_y: true, digits: 3},
+  {key: "psnr", title: "PSNR", note: "dB, higher is better", digits: 3},
+  {key: "miou_present", title: "mIoU (present)", note: "higher is better", digits: 3},
+  {key: "absrel", title: "Depth AbsRel", note: "logarithmic, lower is better", log_y: true, digits: 2}
+];
+/** One for each term of the list `losses` too. */
+function all_curves() {
+  const terms = new Set(runs.flatMap((run) => run.rows.filter(({kind}) => kind === "train").flatMap(Object.keys))
+    .filter((key) => key.startsWith("loss_") && key !== "loss_color" && key !== "loss_semantic"));
+  return [
+    ...kCurves, ...[...terms].map((key) => ({
+      key,
+      title: `Loss: ${key.slice(5)}`,
+      note: "logarithmic, before its weight",
+      trains: true,
+      log_y: true,
+      digits: 3
+    }))
+  ];
+}
+/** Values over seconds of training. */
+const points_of = (run, {key, trains}) => (trains ? run.rows.filter(({kind}) => kind === "train") : curve_rows(run))
+  .map((one) => ({x: get(one, "train_s"), y: get(one, key)})).filter(({y}) => Number.isFinite(y));
+
+/** The part of the split that every curve is of: "" for all of it; null where runs differ. */
+function common_part() {
+  const parts = new Set(runs.map((run) => curve_rows(run)[0]).filter((one) => one).map(sample_text));
+  return parts.size > 1 ? null : [...parts][0] ?? "";
+}
+/** What the values at the lines' ends are of. */
+function parts_sentence() {
+  const common = common_part();
+  if (common === null)
+    return ` The curves are of different parts of the split: ${
+      runs.map((run) => [run.name, curve_rows(run)[0]])
+        .filter(([, first]) => first)
+        .map(([name, first]) => `${name}: ${sample_text(first) ? `a sample, ${sample_text(first)}` : "all frames"}`)
+        .join("; ")}.`;
+  const last = last_row(runs[0]);
+  return (common && ` Evaluations while training are of a sample: ${common}.`) +
+    (common && !several && last && sample_text(last) !== common ?
+        ` The figures above are of ${part_text(last)}, so they differ from the ends of the curves.` :
+        "");
+}
+function curve_plots(unit, x_label, log_x) {
+  const part = common_part();
+  return all_curves().map((curve) => {
+    const series = runs.map((run, color) => {
+      const points = points_of(run, curve);
+      const marks = curve.trains ?
+        [] :
+        kShares.map((share) => [share, time_to_share(points, metric_of(curve.key).better, share)])
+          .filter(([, at]) => at !== null)
+          .map(([share, at]) => ({
+            x: at / unit,
+            diamond: share !== kShares[0],
+            text: `${run.name}: ${percent(share)} of the way after ${duration(at)}`
+          }));
+      return {name: run.name, color, points: thinned(points, 240).map(({x, y}) => ({x: x / unit, y})), marks};
+    });
+    if (series.every(({points}) => points.length === 0)) return "";
+    return panel(curve.title, curve.trains || !part ? curve.note : `${curve.note}; ${part}`,
+      plot({...curve, x_label, log_x, markers: !curve.trains, series}));
+  });
+}
+function convergence() {
+  const curves = kCurves.filter((curve) => !curve.trains && runs.some((run) => points_of(run, curve).length > 0));
+  const rows = runs.map((run) => row(run.name, curves.map((curve) => {
+    const points = points_of(run, curve), {digits, better} = metric_of(curve.key);
+    return [
+      points.length === 0 ? value_cell(null) :
+                            cell(figure(points.at(-1).y, digits), `from ${figure(points[0].y, digits)}`),
+      kShares.map((share) => time_to_share(points, better, share))
+        .map((at) => (at === null ? value_cell(null) : cell(duration(at))))
+    ];
+  })));
+  return curves.length > 0 && [
+    html`<h3>Time to the last value</h3><p class="hint">t90 and t95 are the training time at which a curve, read as
+straight
+lines between evaluations, first covers 90&#160;% and 95&#160;% of the way from its first to its last value; a later
+dip does not count. In the plots: ring and
+diamond. Every run is held against its own last value, so a run that ends low can be quick. A dash: fewer than two
+evaluations, or the last is no better
+than the first.</p>`,
+    table("Time to 90 % and 95 % of the last value",
+      html`<tr><th scope="col" rowspan="2">Run</th>${
+        curves.map(({key}) => html`<th scope="colgroup" colspan="3" class="grp">${metric_of(key).label}${
+                     metric_of(key).unit && `, ${metric_of(key).unit}`}</th>`)}</tr><tr>${
+        curves.map(() => ["last", "t90", "t95"].map((name) => head(name)))}</tr>`,
+      rows)
+  ];
+}
+/** When each run first reached the level that the weakest ended at. */
+function common_level() {
+  if (!several || !ranked) return "";
+  const curves = runs.map(curve_rows),
+        same = curves.every(
+          (rows) => rows.length > 0 && curves[0].length > 0 && part_text(rows[0]) === part_text(curves[0][0]));
+  const rows_of = same ? curves : runs.map((run) => eval_rows(run));
+  const time = (at, is_best) => at === null ?
+    value_cell(null) :
+    html`<td class="num${is_best && " best"}">${at.first && "≤ "}${duration(at.at)}${
+      at.first && small(at.only ? "its only evaluation" : "its first evaluation")}</td>`;
+  const rows = ["psnr", "miou_present", "absrel"].map(metric_of).map((metric) => {
+    const last = rows_of.map((rows) => get(rows.at(-1), metric.key));
+    if (!last.every(Number.isFinite)) return "";
+    const level = metric.better > 0 ? Math.min(...last) : Math.max(...last),
+          times = rows_of.map((rows) => time_of_level(rows, metric, level));
+    return row(`${metric.label} ${metric.better > 0 ? "≥" : "≤"} ${figure(level, metric.digits)}${
+                 metric.unit && ` ${metric.unit}`}`,
+      times.map((at, i) => time(at, i === first_for_certain(times))));
+  }).filter((one) => one);
+  return rows.length > 0 && [
+    html`<h3>Time to a common level</h3><p class="hint">Training time of the first evaluation at the level that every
+run ended at
+or beyond. A run came there between that evaluation and the one before; “≤” says that there was none before. Bold:
+first for certain.</p>`,
+    table("Time to reach a level", of_runs("Level", run_heads(false)), rows)
+  ];
+}
+function curves() {
+  const longest = Math.max(...runs.map(trained_s));
+  const [unit, name] = longest <= 600 ? [1, "seconds"] :
+    longest <= 3 * 3600               ? [60, "minutes"] :
+                                        [3600, "hours"],
+               x_label = `${name} of training`;
+  const plots = curve_plots(unit, x_label, false),
+        times = runs.flatMap(({rows}) => rows.map((one) => get(one, "train_s"))).filter((t) => t > 0);
+  const first = times.reduce((a, b) => Math.min(a, b), Infinity),
+        is_long = times.length > 0 && longest >= 10 * first;  // a logarithmic axis shows more
+  return plots.some((one) => one) &&
+    section("curves", "Error against run time",
+      `Time is training alone; evaluation and output are not counted. The number at a line’s end is its last value.${
+        parts_sentence()}`,
+      legend(),
+      is_long ? choice("log-time", "logarithmic time", plots, curve_plots(unit, x_label, true)) :
+                html`<div class="plots">${plots}</div>`,
+      convergence(), common_level());
+}
+
+// ---- a sweep
+
+/** `tables`: rows of texts, the heads first; `plot`: as plot() takes it, or null. */
+function experiment({name, title, note, scored, unequal, tables, plot: drawn}) {
+  return section(name, title, note, hint(scored), unequal && html`<p class="notice">Not compared: ${unequal}.</p>`,
+    drawn && [legend(drawn.series.map((one) => one.name)),
+      html`<div class="plots">${panel(drawn.title, "", plot({...drawn, markers: true}))}</div>`],
+    tables.map(([[label, ...columns], ...rows]) => table(label, of_runs(label, columns.map((text) => head(text))),
+      rows.map(([first, ...cells]) => row(first, cells.map((text) => cell(text)))))));
+}
+
+// ---- the page
+
+function page() {
+  const parts = data.experiments ? data.experiments.map((one) => [one.name, one.title, experiment(one)]) : [
+    ["scene", "3D", scene()], ["frames", "Frames", frames()], ["clicks", "Clicks", clicks()],
+    ["figures", "Figures", figures()], ["curves", "Error against run time", curves()], ["labels", "Labels", labels()],
+    ["classes", "Classes", classes()], ["confusion", "Confusions", confusions()],
+    ["calibration", "Calibration", calibration()], ["worst", "Worst frames", worst()],
+    ["left-out", "Left out", left_out()], ["setup", "Set-up", setup()]
+  ];
+  const shown = parts.filter(([, , part]) => part);
+  return html`<header class="top"><h1>${data.title}</h1>${runs.length > 0 && facts()}<nav aria-label="Sections">${
+    shown.map(([id, name]) => html`<a href="#${id}">${name}</a>
+`)}</nav>${runs.length > 0 && [notices(),
+    cards()]}</header><main>${shown.map(([, , part]) => part)}</main><footer>Made by Semfield from the
+${data.experiments ? "cells’" : "run folder’s"} files; the same files give the same bytes.</footer>`;
+}
+document.body.insertAdjacentHTML("beforeend", page().text);
