@@ -316,7 +316,7 @@ void tell_memory(const RunConfig& config, RunListener& listener) {
     throw Error(ErrorKind::unavailable, "memory.training.size",
                 fmt::format("the first steps took {} of memory, and runtime.memory_gb allows {:g} GB",
                             memory_text(bytes), most_gb),
-                "lower train.rays, runtime.lanes or passes.main.position.log2_entries, or raise scene.load.downscale");
+                "lower train.rays or runtime.lanes, make the encoder smaller, or raise scene.load.downscale");
   listener.note(fmt::format("the first steps took {} of memory", memory_text(bytes)));
 }
 

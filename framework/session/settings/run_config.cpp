@@ -720,7 +720,8 @@ ConfigNode head_config(const HeadConfig& head) {
   own.channel = head.channel;
   own.width = head.width;
   own.source_width = head.source_width;
-  for (const auto& [key, value] : params_to_config(described(own)).entries()) node = node.with(key, value);
+  const ConfigNode params = params_to_config(described(own));
+  for (const auto& [key, value] : params.entries()) node = node.with(key, value);
   return node.with("branch", branch_config(written(head.rules), head.position, head.field));
 }
 
