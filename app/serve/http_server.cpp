@@ -314,28 +314,17 @@ constexpr double kLeastBytesPerSecond = 20e3;
 constexpr auto kGrace = std::chrono::seconds(20);
 
 const char* reason(int status) {
-  switch (status) {
-    case 200:
-      return "OK";
-    case 308:
-      return "Permanent Redirect";
-    case 400:
-      return "Bad Request";
-    case 403:
-      return "Forbidden";
-    case 404:
-      return "Not Found";
-    case 405:
-      return "Method Not Allowed";
-    case 408:
-      return "Request Timeout";
-    case 413:
-      return "Content Too Large";
-    case 503:
-      return "Service Unavailable";
-    default:
-      return "Internal Server Error";
-  }
+  static const std::map<int, const char*> reasons{{200, "OK"},
+                                                  {308, "Permanent Redirect"},
+                                                  {400, "Bad Request"},
+                                                  {403, "Forbidden"},
+                                                  {404, "Not Found"},
+                                                  {405, "Method Not Allowed"},
+                                                  {408, "Request Timeout"},
+                                                  {413, "Content Too Large"},
+                                                  {503, "Service Unavailable"}};
+  const auto found = reasons.find(status);
+  return found == reasons.end() ? "Internal Server Error" : found->second;
 }
 
 std::string head_text(const HttpResponse& response, std::size_t bytes, bool keep) {
@@ -392,10 +381,8 @@ std::string_view HttpReply::piece() {
 
 namespace {
 
-using Clock = std::chrono::steady_clock;
 using std::chrono::milliseconds;
 
-constexpr std::size_t kReceivedAtOnce = std::size_t{64} << 10;
 constexpr milliseconds kFarewell{1000};
 constexpr milliseconds kLinger{2000};  // for what a client still sends behind the request that ends its connection
 constexpr milliseconds kTurn{500};     // at most between looks at the times
@@ -652,7 +639,7 @@ void HttpServer::Impl::serve(std::uint64_t number, Peer& peer, short events) {
 }
 
 void HttpServer::Impl::receive(Peer& peer) {
-  std::array<char, kReceivedAtOnce> piece;
+  std::array<char, kReadAtOnce> piece;
   const ssize_t got = recv(peer.socket.get(), piece.data(), piece.size(), 0);
   if (got == 0 || (got < 0 && errno != EAGAIN && errno != EINTR)) return peer.socket.close();
   if (got > 0 && peer.at == Peer::At::reading) peer.reader.take({piece.data(), static_cast<std::size_t>(got)});

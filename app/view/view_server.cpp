@@ -4,14 +4,272 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <numbers>
 #include <sstream>
 
+#include "app/json_output.h"
+#include "app/objects/object_tables.h"
+#include "app/serve/page_pictures.h"
 #include "app/serve/page_requests.h"
 #include "core/error.h"
+#include "eval/channel_query.h"
+#include "eval/image_output.h"
+#include "report/html.h"
+#include "run/run_folder.h"
 #include "scene/camera.h"
 
 namespace semfield::app {
+
+namespace {
+
+constexpr long long kCoarseCells = 64, kFineCells = 256;
+constexpr std::int64_t kCoarseRays = 120'000, kFineRays = 3'000'000;
+constexpr std::int64_t kBandRays = 16'384;  // between two looks at whether anybody still waits
+constexpr int kQuality = 90;
+
+RayCamera ray_camera(const ViewPicture& wanted) {
+  RayCamera camera;
+  camera.undistort = false;
+  camera.world_from_camera = wanted.camera.world_from_camera;
+  camera.camera.width_px = wanted.width_px;
+  camera.camera.height_px = wanted.height_px;
+  camera.camera.fx = camera.camera.fy =
+      wanted.width_px / (2 * std::tan(wanted.camera.fov_deg / 360 * std::numbers::pi));
+  camera.camera.cx = wanted.width_px / 2.0;
+  camera.camera.cy = wanted.height_px / 2.0;
+  return camera;
+}
+
+}  // namespace
+
+// The field for one call; calls take turns in the order in which they come. What a person waits for comes before a
+// mesh, which gives the field back between its views.
+class ViewedRun::Turn {
+ public:
+  Turn(ViewedRun& run, bool hurried) : run_(run), hurried_(hurried), scope_(run.work_) {
+    if (hurried_) ++run_.hurried_;
+    take();
+  }
+  ~Turn() {
+    if (hurried_) --run_.hurried_;
+    give();
+  }
+  Turn(const Turn&) = delete;
+  Turn& operator=(const Turn&) = delete;
+  void let_others() {
+    while (run_.hurried_ > 0) {
+      give();
+      take();
+    }
+  }
+
+ private:
+  void take() {
+    std::unique_lock lock(run_.field_lock_);
+    const std::uint64_t own = run_.last_turn_++;
+    run_.field_free_.wait(lock, [&] { return run_.turn_ == own; });
+  }
+  void give() {
+    {
+      const std::scoped_lock lock(run_.field_lock_);
+      ++run_.turn_;
+    }
+    run_.field_free_.notify_all();
+  }
+
+  ViewedRun& run_;
+  bool hurried_;
+  WorkScope scope_;
+};
+
+ViewedRun::ViewedRun(OpenedRun run)
+    : run_(std::move(run)),
+      work_(run_.session.work()),
+      objects_((std::filesystem::path(run_.run_dir) / "objects").string(), run_.session.scene.info) {
+  page_ = scene_page_of(run_.session, run_.run_dir, run_.step, upright_of(run_.session).value_or(Vec3d{0, 1, 0}));
+  try {
+    objects_.mend();
+  } catch (const Error& e) {
+    if (e.kind() == ErrorKind::data) throw;
+    page_.about.push_back("The tables of the objects lack edits that are saved: " + e.message() + ".");
+  }
+  show_objects(objects_.look());
+}
+
+void ViewedRun::show_objects(const EditedObjects* now) {
+  if (now == nullptr) page_.objects.reset();
+  if (now != nullptr && (!page_.objects || shown_ != objects_.state())) page_.objects = now->set;
+  shown_ = objects_.state();
+}
+
+std::int64_t ViewedRun::newest_step() const {
+  const std::vector<CheckpointStore::Entry> all =
+      CheckpointStore::read(RunFolder::read(run_.run_dir).checkpoints_path()).list();
+  return all.empty() ? run_.step : all.front().step;
+}
+
+std::shared_ptr<const RunSurface> ViewedRun::surface(bool fine) {
+  const auto which = static_cast<std::size_t>(fine);
+  const std::scoped_lock made_once(surface_lock_[which]);
+  if (surface_[which]) return surface_[which];
+  SurfaceWishes wishes;
+  wishes.resolution = fine ? kFineCells : kCoarseCells;
+  wishes.depth_rays = fine ? kFineRays : kCoarseRays;
+  Turn turn(*this, false);
+  SurfaceNews news;
+  news.views = [&](double, double) { turn.let_others(); };
+  RunSurface made;
+  try {
+    made = make_run_surface(run_.session, run_.run_dir, wishes, {}, news);
+  } catch (const Error& e) {
+    if (e.kind() != ErrorKind::data) throw;
+    const std::scoped_lock lock(page_lock_);
+    trouble_ = e.message();
+  }
+  surface_[which] = std::make_shared<const RunSurface>(std::move(made));
+  return surface_[which];
+}
+
+std::string ViewedRun::scene(bool fine) {
+  const std::shared_ptr<const RunSurface> made = surface(fine);
+  const std::scoped_lock lock(page_lock_);
+  const EditedObjects* const now = objects_.look();  // another program may have changed them
+  show_objects(now);
+  const std::size_t edits = now == nullptr ? 0 : now->edits.edits.size();
+  ScenePage page = page_;
+  if (made->surface.triangles.empty()) page.about.push_back(trouble_ + ": the field is seen when the camera rests.");
+  return scene_bytes(made->surface, run_.session.scene.info.classes, page,
+                     json_text({{"fine", fine}, {"edits", edits}, {"state", shown_}}));
+}
+
+void ViewedRun::check_class(int class_index) const {
+  if (!run_.session.pipeline->has_semantics())
+    throw Error(ErrorKind::data, "run.semantics.none", run_.run_dir + ": the run has no semantics",
+                "train with labels");
+  if (class_index < 0 || class_index >= run_.session.classes())
+    throw Error(ErrorKind::data, "view.class.unknown", fmt::format("class {} is not there", class_index),
+                fmt::format("number them from 0 to {}", run_.session.classes() - 1));
+}
+
+std::vector<std::uint8_t> ViewedRun::picture(const ViewPicture& wanted, const std::function<bool()>& abandoned) {
+  const bool of_class = wanted.map == "class" || wanted.map == "entropy" || wanted.map == "probability";
+  if (of_class) check_class(wanted.class_index);
+  FrameOptions options;
+  options.probability = wanted.map == "probability";
+  options.classes = run_.session.classes();
+  options.color = !(wanted.map == "entropy" || wanted.map == "depth" || wanted.map == "probability");
+  const RayCamera camera = ray_camera(wanted);
+  std::vector<std::uint8_t> rgb;
+  const std::int64_t rows_at_once = std::max<std::int64_t>(1, kBandRays / wanted.width_px);
+  for (std::int32_t row = 0; row < wanted.height_px; row += static_cast<std::int32_t>(rows_at_once)) {
+    if (abandoned()) return {};
+    RayCamera band = camera;
+    band.camera.height_px = std::min<std::int32_t>(static_cast<std::int32_t>(rows_at_once), wanted.height_px - row);
+    band.camera.cy -= row;
+    RenderedFrame frame;
+    {
+      const Turn turn(*this, true);
+      frame = render_frame(*run_.session.pipeline, band, run_.session.limits, run_.session.plan.class_of_logit, {},
+                           options);
+    }
+    paint(wanted, band, frame, rgb);
+  }
+  return encode_jpeg(wanted.width_px, wanted.height_px, rgb, kQuality);
+}
+
+void ViewedRun::paint(const ViewPicture& wanted, const RayCamera& band, const RenderedFrame& frame,
+                      std::vector<std::uint8_t>& rgb) const {
+  const auto add = [&](const std::vector<std::uint8_t>& part) { rgb.insert(rgb.end(), part.begin(), part.end()); };
+  const std::size_t pixels = frame.opacity.size();
+  if (wanted.map == "photo") return add(to_bytes(frame.rgb));
+  if (wanted.map == "depth") return add(depth_colors(frame.depth_m, wanted.near_m, wanted.far_m));
+  if (wanted.map == "entropy")
+    return add(entropy_colors(frame.entropy, static_cast<int>(run_.session.plan.class_of_logit.size())));
+  if (wanted.map == "probability") {
+    const auto classes = static_cast<std::size_t>(run_.session.classes());
+    for (std::size_t i = 0; i < pixels; ++i) {
+      const auto color = perceptual_color(
+          static_cast<double>(frame.probability[i * classes + static_cast<std::size_t>(wanted.class_index)]));
+      rgb.insert(rgb.end(), color.begin(), color.end());
+    }
+    return;
+  }
+  // Classes and objects keep the light of the picture, so that a form is seen.
+  const std::vector<std::uint8_t> of_class =
+      wanted.map == "class" ? label_colors(frame.label, run_.session.scene.info.classes) : std::vector<std::uint8_t>();
+  const std::scoped_lock lock(page_lock_);
+  const auto width = static_cast<std::size_t>(frame.width_px);
+  for (std::size_t i = 0; i < pixels; ++i) {
+    const double light = 0.3 * static_cast<double>(frame.rgb[3 * i]) + 0.6 * static_cast<double>(frame.rgb[3 * i + 1]) +
+                         0.1 * static_cast<double>(frame.rgb[3 * i + 2]);
+    std::array<double, 3> color{0.35 * 255 * light + 30, 0.35 * 255 * light + 30, 0.35 * 255 * light + 30};
+    if (!of_class.empty())
+      for (std::size_t k = 0; k < 3; ++k) color[k] = of_class[3 * i + k] * (0.55 + 0.45 * light);
+    if (of_class.empty() && page_.objects && frame.opacity[i] >= kSurfaceOpacity) {
+      const double z = static_cast<double>(frame.depth_m[i] / frame.opacity[i]);
+      const Vec3d ray{(static_cast<double>(i % width) + 0.5 - band.camera.cx) / band.camera.fx,
+                      (static_cast<double>(i / width) + 0.5 - band.camera.cy) / band.camera.fy, 1};
+      if (const std::int32_t id = page_.objects->at(band.world_from_camera.apply(ray * z)); id > 0)
+        for (std::size_t k = 0; k < 3; ++k) color[k] = ClassTable::default_color(id)[k] * (0.55 + 0.45 * light);
+    }
+    for (const double value : color) rgb.push_back(static_cast<std::uint8_t>(std::lround(std::min(value, 255.0))));
+  }
+}
+
+std::string ViewedRun::point(Vec3d place) {
+  const Session& s = run_.session;
+  FieldPoints at;
+  {
+    const Turn turn(*this, true);
+    at = field_at(*s.pipeline, {&place, 1}, {}, s.limits, s.plan.class_of_logit, s.classes());
+  }
+  std::vector<std::pair<float, int>> order;
+  for (int c = 0; c < std::ssize(at.probability); ++c)
+    order.emplace_back(-at.probability[static_cast<std::size_t>(c)], c);
+  std::sort(order.begin(), order.end());
+  Json classes = Json::array();
+  for (const auto& [negative, c] : order)
+    if (negative < -0.005F || classes.empty())
+      classes.push_back({{"name", s.scene.info.classes.valid(c).name}, {"probability", -negative}});
+  Json out{{"classes", classes}, {"object", nullptr}};
+  if (!at.entropy.empty()) out["entropy"] = at.entropy[0];
+  const std::scoped_lock lock(page_lock_);
+  if (!page_.objects) return json_text(out);
+  const std::int32_t id = page_.objects->at(place);
+  if (id > 0) out["object"] = object_name(page_.objects->rows[static_cast<std::size_t>(id) - 1], s.scene.info.classes);
+  return json_text(out);
+}
+
+std::string ViewedRun::probability(int class_index, bool fine) {
+  check_class(class_index);
+  const std::shared_ptr<const RunSurface> made = surface(fine);
+  const Session& s = run_.session;
+  const Turn turn(*this, true);
+  const FieldPoints at =
+      field_at(*s.pipeline, made->surface.positions, {}, s.limits, s.plan.class_of_logit, s.classes());
+  std::string out;
+  for (std::size_t i = static_cast<std::size_t>(class_index); i < at.probability.size();
+       i += static_cast<std::size_t>(s.classes()))
+    out += static_cast<char>(std::lround(255 * std::clamp(at.probability[i], 0.0F, 1.0F)));
+  return out;
+}
+
+std::string ViewedRun::edit(const std::optional<ObjectEdit>& edit, const std::string& made_on, bool fine) {
+  const std::shared_ptr<const RunSurface> made = surface(fine);
+  const std::scoped_lock lock(page_lock_);
+  const EditedObjects& now = objects_.edit(edit, made_on);
+  show_objects(&now);
+  const std::vector<std::uint16_t> ids = vertex_objects(made->surface, now.set);
+  const std::span<const std::uint8_t> bytes(reinterpret_cast<const std::uint8_t*>(ids.data()), 2 * ids.size());
+  return json_text({{"objects", Json::parse(page_objects_json(now.set, run_.session.scene.info.classes))},
+                    {"ids", base64(bytes)},
+                    {"edits", now.edits.edits.size()},
+                    {"state", shown_},
+                    {"said", edit ? "Saved." : "The last edit is taken back."}});
+}
+
+// Places over HTTP.
 
 namespace {
 

@@ -107,8 +107,8 @@ struct ProposalRules {
   std::int64_t candidates = 256;
 };
 
-/// What a choice knows. `probability` [N, C] of the pool's points; empty while nothing is learned. `passed`: points that
-/// somebody did not want to name; `barred`: points that nobody shall name.
+/// What a choice knows. `probability` [N, C] of the pool's points; empty while nothing is learned. `passed`: points
+/// that somebody did not want to name; `barred`: points that nobody shall name.
 struct ProposalInput {
   const SurfacePool* pool = nullptr;
   const SurfaceGraph* graph = nullptr;
