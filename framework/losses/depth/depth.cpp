@@ -66,13 +66,9 @@ template double DepthLoss::sum<float>(const RayTargets&, const RayValues<float>&
 template double DepthLoss::sum<double>(const RayTargets&, const RayValues<double>&, double,
                                        const RayGradients<double>&) const;
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(depth, "1.0", [](Registry& registry) {
   registry.add_loss<DepthLoss>("depth", "depth images of training frames; pixels without depth count for nothing",
                                "depth of training frames in memory, two bytes per pixel, and its gradient");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(depth, "1.0", register_into)
+})
 
 }  // namespace semfield

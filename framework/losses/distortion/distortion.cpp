@@ -44,14 +44,10 @@ template double DistortionLoss::sum<float>(const RayTargets&, const RayValues<fl
 template double DistortionLoss::sum<double>(const RayTargets&, const RayValues<double>&, double,
                                             const RayGradients<double>&) const;
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(distortion, "1.0", [](Registry& registry) {
   registry.add_loss<DistortionLoss>(
       "distortion", "light of a ray comes from one place [Barron22, Eq. 15]; begun early it condenses fog",
       "two walks along each ray and the gradient of its weights");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(distortion, "1.0", register_into)
+})
 
 }  // namespace semfield

@@ -40,14 +40,10 @@ template double NearDensityLoss::sum<float>(const RayTargets&, const RayValues<f
 template double NearDensityLoss::sum<double>(const RayTargets&, const RayValues<double>&, double,
                                              const RayGradients<double>&) const;
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(near_density, "1.0", [](Registry& registry) {
   registry.add_loss<NearDensityLoss>(
       "near_density", "what lies right in front of a camera is empty [Yang23]; begun early it can end all density",
       "a gradient per sample");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(near_density, "1.0", register_into)
+})
 
 }  // namespace semfield

@@ -101,14 +101,10 @@ void Frequency<Real>::do_backward(const StepContext&, const Tensors<Real>&, View
 template class Frequency<float>;
 template class Frequency<double>;
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(frequency, "1.0", [](Registry& registry) {
   frequency_kernels(registry.kernels());
   registry.add_encoder<Frequency, FrequencyParams>(
       "frequency", "Sines and cosines of the coordinates at doubling frequencies, exact at every band.");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(frequency, "1.0", register_into)
+})
 
 }  // namespace semfield

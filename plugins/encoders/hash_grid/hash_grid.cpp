@@ -198,14 +198,10 @@ void HashGrid<Real>::do_backward(const StepContext& ctx, const Tensors<Real>& te
 template class HashGrid<float>;
 template class HashGrid<double>;
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(hash_grid, "1.0", [](Registry& registry) {
   hash_grid_kernels(registry.kernels());
   registry.add_encoder<HashGrid, HashGridParams>(
       "hash_grid", "Learned features on nested grids, interpolated; fine grids share a table by hashing.");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(hash_grid, "1.0", register_into)
+})
 
 }  // namespace semfield

@@ -39,13 +39,9 @@ void Identity<Real>::do_backward(const StepContext&, const Tensors<Real>&, View<
 template class Identity<float>;
 template class Identity<double>;
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(identity, "1.0", [](Registry& registry) {
   identity_kernels(registry.kernels());
   registry.add_encoder<Identity, IdentityParams>("identity", "Passes coordinates through unchanged.");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(identity, "1.0", register_into)
+})
 
 }  // namespace semfield

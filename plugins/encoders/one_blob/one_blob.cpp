@@ -50,14 +50,10 @@ void OneBlob<Real>::do_backward(const StepContext&, const Tensors<Real>&, View<c
 template class OneBlob<float>;
 template class OneBlob<double>;
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(one_blob, "1.0", [](Registry& registry) {
   one_blob_kernels(registry.kernels());
   registry.add_encoder<OneBlob, OneBlobParams>(
       "one_blob", "A Gaussian about each coordinate of the unit cube, read at the middles of bins.");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(one_blob, "1.0", register_into)
+})
 
 }  // namespace semfield

@@ -58,14 +58,10 @@ void SphericalHarmonics<Real>::do_backward(const StepContext&, const Tensors<Rea
 template class SphericalHarmonics<float>;
 template class SphericalHarmonics<double>;
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(spherical_harmonics, "1.0", [](Registry& registry) {
   spherical_harmonics_kernels(registry.kernels());
   registry.add_encoder<SphericalHarmonics, SphericalHarmonicsParams>(
       "spherical_harmonics", "Real orthonormal spherical harmonics of view directions.");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(spherical_harmonics, "1.0", register_into)
+})
 
 }  // namespace semfield

@@ -5,8 +5,9 @@
 #include "cuda/launch.h"
 #include "cuda/matmul.h"
 #include "fields/nerf_mlp/nerf_mlp_fused.cuh"
-#include "fields/nerf_mlp/nerf_mlp_fused.h"
 #include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"
+#include "fields/nerf_mlp/nerf_mlp_kernels.h"
+#include "plugin/kernels.h"
 
 namespace semfield::cuda {
 
@@ -289,6 +290,25 @@ void FusedNerfMlp::backward(const NerfMlpShape& s, const StepContext& ctx, const
     linear_backward(of_ray, arena);
   }
   if (!d_position.empty()) position_backward(s, t, call.blocks, call.d_trunk, d_position, arena);
+}
+
+// As the field finds them.
+
+void nerf_mlp_cuda_kernels(KernelTables& tables);
+
+namespace {
+
+FeatureForm feature_form(const NerfMlpShape&, std::int32_t hidden_width) {
+  return FusedNerfMlp::computes_layer(hidden_width) ? FeatureForm::hidden_layer : FeatureForm::rounded;
+}
+
+constexpr NerfMlpFused<float> kFused{FusedNerfMlp::serves, FusedNerfMlp::forward, FusedNerfMlp::backward,
+                                     FusedNerfMlp::saved_bytes, feature_form};
+
+}  // namespace
+
+void nerf_mlp_cuda_kernels(KernelTables& tables) {
+  tables.add(Device::cuda, "field 'nerf_mlp'", &kFused, Precision::bf16);
 }
 
 }  // namespace semfield::cuda

@@ -3,9 +3,7 @@
 
 #include "core/check.h"
 #include "cuda/kernels/kernels.h"
-#include "fields/tiny_mlp/tiny_mlp_feature.cuh"
 #include "fields/tiny_mlp/tiny_mlp_fused.cuh"
-#include "fields/tiny_mlp/tiny_mlp_tile.cuh"
 
 namespace semfield::cuda::tiny {
 
@@ -327,7 +325,7 @@ namespace {
 constexpr int kWeightThreads = 128;
 constexpr int kTile = 64;  // rows, inputs and outputs that a block takes at a time
 constexpr int kTilePitch = pitch_of(kTile);
-constexpr int kChunk = 8;                                  // numbers of 16 bytes
+constexpr int kChunk = 8;                                        // numbers of 16 bytes
 constexpr int kLoads = kTile * kTile / kChunk / kWeightThreads;  // of a thread
 constexpr std::int64_t kFewestRows = 128, kMostRanges = 128;
 
@@ -363,7 +361,8 @@ struct Fetched {
   __device__ void load(const __nv_bfloat16* from, int columns, int col0, std::int64_t row0, std::int64_t end) {
 #pragma unroll
     for (int i = 0; i < kLoads; ++i) {
-      const int number = static_cast<int>(threadIdx.x) + i * kWeightThreads, col = col0 + number % (kTile / kChunk) * kChunk;
+      const int number = static_cast<int>(threadIdx.x) + i * kWeightThreads,
+                col = col0 + number % (kTile / kChunk) * kChunk;
       const std::int64_t row = row0 + number / (kTile / kChunk);
       chunk[i] =
           row < end && col < columns ? *reinterpret_cast<const uint4*>(from + row * columns + col) : uint4{0, 0, 0, 0};
@@ -490,8 +489,8 @@ void feature_weight_gradients(const LayersOf<float>& d, const Activations& x, co
   }
   const std::int64_t ranges = (x.rows + call.rows_a_range - 1) / call.rows_a_range;
   call.partial = arena.take<float>(ranges, static_cast<std::int32_t>(call.start[d.count])).data;
-  partial_kernel<<<dim3(static_cast<unsigned>(ranges), static_cast<unsigned>(tiles)), kWeightThreads, 0, launch().stream>>>(
-      call);
+  partial_kernel<<<dim3(static_cast<unsigned>(ranges), static_cast<unsigned>(tiles)), kWeightThreads, 0,
+                   launch().stream>>>(call);
   check_launch("small network: weight gradients of a feature");
   sum_kernel<<<blocks_of(call.start[d.count], kSumColumns), dim3(kSumColumns, kSumSegments), 0, launch().stream>>>(
       call);

@@ -5,7 +5,6 @@
 #include "cuda/matmul.h"
 #include "fields/tiny_mlp/tiny_mlp.h"
 #include "fields/tiny_mlp/tiny_mlp_fused.cuh"
-#include "fields/tiny_mlp/tiny_mlp_tile.cuh"
 
 namespace semfield::cuda::tiny {
 

@@ -92,15 +92,11 @@ template double GeneralisedCrossEntropy::sum<float>(const RayTargets&, const Ray
 template double GeneralisedCrossEntropy::sum<double>(const RayTargets&, const RayValues<double>&, double,
                                                      const RayGradients<double>&) const;
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(generalised_cross_entropy, "1.0", [](Registry& registry) {
   registry.add_loss<GeneralisedCrossEntropy>(
       "generalised_cross_entropy",
       "Class labels many of which may be wrong: (1 - p^q) / q of the label's class [Zhang18].",
       "an exponential per class and labelled ray");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(generalised_cross_entropy, "1.0", register_into)
+})
 
 }  // namespace semfield

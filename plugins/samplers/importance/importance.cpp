@@ -59,13 +59,9 @@ void Importance<Real>::do_sample(const StepContext& ctx, const Tensors<Real>&, c
 template class Importance<float>;
 template class Importance<double>;
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(importance, "1.0", [](Registry& registry) {
   importance_kernels(registry.kernels());
   registry.add_sampler<Importance, ImportanceParams>("importance", "Samples where the previous pass found weight.");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(importance, "1.0", register_into)
+})
 
 }  // namespace semfield

@@ -189,14 +189,10 @@ std::string OccupancyGrid<Real>::status(const Tensors<Real>& tensors) const {
 template class OccupancyGrid<float>;
 template class OccupancyGrid<double>;
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(occupancy_grid, "1.0", [](Registry& registry) {
   occupancy_grid_kernels(registry.kernels());
   registry.add_sampler<OccupancyGrid, OccupancyGridParams>(
       "occupancy_grid", "Fixed steps along the ray that leave out cells known to be empty; one pass suffices.");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(occupancy_grid, "1.0", register_into)
+})
 
 }  // namespace semfield

@@ -40,14 +40,10 @@ void Stratified<Real>::do_sample(const StepContext& ctx, const Tensors<Real>&, c
 template class Stratified<float>;
 template class Stratified<double>;
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(stratified, "1.0", [](Registry& registry) {
   stratified_kernels(registry.kernels());
   registry.add_sampler<Stratified, StratifiedParams>(
       "stratified", "One sample in each of N bins of the ray, equal in distance or disparity.");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(stratified, "1.0", register_into)
+})
 
 }  // namespace semfield

@@ -1,7 +1,7 @@
 // When tests of the fused kernels of the big network run.
 #pragma once
 
-#include "fields/nerf_mlp/nerf_mlp_fused.h"
+#include "fields/nerf_mlp/nerf_mlp_kernels.h"
 #include "tests/cuda/device_fixture.h"
 
 namespace semfield::testing {
