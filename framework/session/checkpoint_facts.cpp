@@ -58,7 +58,7 @@ std::optional<EventsKnown> clicks_of(const TensorFile& file) {
 }
 
 SceneInputs inputs_of(const TensorFile& file) {
-  const std::string& text = text_of(file, "inputs");
+  const std::string text = text_of(file, "inputs");
   try {
     return read_inputs_text(text);
   } catch (const Error& error) {

@@ -323,14 +323,14 @@ std::string near_product(const DeviceMatrix<float>& got, const std::vector<doubl
 TEST(CudaHead, ClassLayerAndItsGradients) {
   SEMFIELD_ON_DEVICE(launch);
   constexpr std::int32_t kFeature = 16;
-  struct Shape {
+  struct HeadShape {
     std::int64_t rays;
     std::int32_t hidden, classes;
     Precision precision = Precision::fp32;
   };
-  for (const Shape& s : {Shape{1, 1, 1}, Shape{1000, 128, 29}, Shape{3000, 64, 128}, Shape{700, 64, 129},
-                         Shape{1000, 128, 512}, Shape{1000, 128, 29, Precision::bf16},
-                         Shape{700, 64, 129, Precision::bf16}, Shape{1000, 128, 512, Precision::bf16}}) {
+  for (const HeadShape& s : {HeadShape{1, 1, 1}, HeadShape{1000, 128, 29}, HeadShape{3000, 64, 128}, HeadShape{700, 64, 129},
+                         HeadShape{1000, 128, 512}, HeadShape{1000, 128, 29, Precision::bf16},
+                         HeadShape{700, 64, 129, Precision::bf16}, HeadShape{1000, 128, 512, Precision::bf16}}) {
     const bool cut = s.precision == Precision::bf16 && s.classes > 128;
     const double tolerance = cut ? 2e-3 : 1e-6;
     SCOPED_TRACE(std::to_string(s.rays) + " rays, hidden " + std::to_string(s.hidden) + ", classes " +
