@@ -83,7 +83,7 @@ inline void expect_an_error_of_the_hook_ends_the_step(const std::string& runtime
   call(hooked, [](const StepGradients<float>& gradients) {
     if (gradients.step == 7) throw Error(ErrorKind::failure, "test.error.made", "rank 3 is gone", "start it again");
   });
-  EXPECT_HAS(error_of([&] { hooked.to(10); }), "rank 3 is gone; start it again");
+  EXPECT_HAS(error_of([&] { hooked.to(10); }), "rank 3 is gone", "start it again");
   EXPECT_EQ(hooked.trainer.step(), 7);
   call(hooked, nullptr);
   plain.to(9);
