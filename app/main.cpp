@@ -76,7 +76,7 @@ int main(int argc, char** argv) {
     return leads || !context.ranks ? told(error) : static_cast<int>(error.kind());
   } catch (const std::bad_alloc&) {
     return told({ErrorKind::failure, "memory.host.full", "out of memory",
-                 "lower train.rays or scene.load.downscale, or see `semfield train --dry-run`"});
+                 "lower train.rays or runtime.lanes, or raise scene.load.downscale"});
   } catch (const std::filesystem::filesystem_error& error) {  // a path of the user's that cannot even be looked at
     return told({ErrorKind::no_input, "files.path.unusable",
                  "'" + error.path1().string() + "': " + error.code().message(), "check the path and its permissions"});

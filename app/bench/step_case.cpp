@@ -237,7 +237,7 @@ std::vector<LayerWork> field_work(const Field<float>& field, std::int64_t rays, 
 std::vector<LayerWork> pass_work(const PassParts<float>& parts, std::int64_t rays, std::int64_t samples,
                                  bool deferred_class_layer) {
   std::vector<LayerWork> work =
-      field_work(*parts.field, rays, samples, declared_bytes<float>(*parts.position, 1, true).learns);
+      field_work(*parts.field, rays, samples, learns<float>(*parts.position));
   if (parts.head == nullptr) return work;
   double feature = parts.field->traits().feature_dims;
   if (parts.branch != nullptr) {

@@ -49,7 +49,7 @@ struct DiffOptions {
 int run(const DiffOptions& options, AppContext& context) {
   const RunConfig first = load_run_config(options.a, {}, context.registry);
   const RunConfig second = load_run_config(options.b, {}, context.registry);
-  const std::vector<ConfigDifference> found = changed_settings(resolved_config(first), resolved_config(second));
+  const std::vector<ConfigDifference> found = config_differences(resolved_config(first), resolved_config(second));
   if (context.json) {
     Json differences = Json::array();
     for (const ConfigDifference& d : found)

@@ -19,7 +19,7 @@
 #include "core/text.h"
 #include "report/report.h"
 #include "run/run_folder.h"
-#include "run/run_loop.h"
+#include "run/run.h"
 
 namespace semfield::app {
 
@@ -214,7 +214,7 @@ void words(VerbWords& verb, TrainOptions& options) {
   declare_length(verb, options.length);
   verb.threads(set);
   verb.setting(set, "--memory GB", "runtime.memory_gb",
-               "GB that the run may use; a run that needs more is refused (default: what is free)");
+               "GB that the run may use; it ends after its first steps if they take more (default: what is free)");
   verb.device(set);
   verb.repeated("--keep COMPONENT", options.keep, "keep a component that would be left out");
   verb.flag("--weak", options.weak, "under mpirun or srun: train.rays in each process, not in all together");

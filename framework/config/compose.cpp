@@ -10,6 +10,7 @@
 #include <unordered_map>
 #include <utility>
 
+#include "config/explain.h"
 #include "core/error.h"
 #include "system/files.h"
 
@@ -24,20 +25,6 @@ constexpr int kMaxIncludeDepth = 32;
 
 [[noreturn]] void fail(Code code, const Location& where, const std::string& message, const std::string& remedy = {}) {
   throw Error(ErrorKind::config, code, where.text() + ": " + message, remedy);
-}
-
-std::string kind_text(const ConfigNode& node) {
-  switch (node.kind()) {
-    case ConfigNode::Kind::null:
-      return "nothing";
-    case ConfigNode::Kind::scalar:
-      return "'" + node.text() + "'";
-    case ConfigNode::Kind::list:
-      return "a list";
-    case ConfigNode::Kind::map:
-      return "a map";
-  }
-  return {};
 }
 
 const ConfigNode* scalar_type(const ConfigNode& map) {
@@ -99,15 +86,6 @@ class Loader {
     std::string shown;     // path for messages
   };
 
-  // What a preset of earlier versions is called today; empty: it is none.
-  static std::string renamed(const std::string& written) {
-    constexpr std::string_view kOld = "parts/";
-    const std::size_t at = written.rfind(kOld);
-    if (at == std::string::npos) return {};
-    const std::string file = written.substr(at + kOld.size());
-    if (file == "hash_room.yaml") return "presets/room.yaml";
-    return file == "object.yaml" || file == "unbounded.yaml" ? "presets/" + file : std::string();
-  }
   ConfigNode load_included(const ConfigNode& item) {
     if (!item.is_scalar())
       fail("config.include.file", item.location(), "include: expected a file name, got " + kind_text(item));
@@ -118,17 +96,16 @@ class Loader {
     if (!fs::exists(path, unknown) || fs::is_directory(path, unknown)) {
       const std::string shipped = shipped_config(item.text());
       if (shipped.empty()) {
-        const std::string place = shipped_place(item.text()), new_name = renamed(item.text());
-        std::string near = new_name.empty() ? near_config(item.text(), path.string()) : new_name;
+        const std::string place = shipped_place(item.text());
+        std::string near = near_config(item.text(), path.string());
         if (!near.empty() && !near.ends_with(".yaml")) near += ".yaml";  // which an include has to write
         if (near == item.text()) near.clear();                           // a folder of that name
         noting(problems_, [&] {
           fail("config.include.file", item.location(),
                "include: no file '" + item.text() + "' (looked for '" + path.string() + "'" +
                    (place.empty() ? ")" : " and '" + place + "')"),
-               !new_name.empty() ? "the preset is called " + new_name + " now"
-               : near.empty()    ? "paths in a config are relative to the file that wrote them"
-                                 : "did you mean '" + near + "'?");
+               near.empty() ? "paths in a config are relative to the file that wrote them"
+                            : "did you mean '" + near + "'?");
         });
         // What else is wrong is known by the file that was meant.
         return near.empty() ? ConfigNode::make_map({}, item.location())
@@ -210,32 +187,32 @@ ConfigNode set_at(const ConfigNode& node, const std::vector<std::string>& segmen
   return node.with(segment, child);
 }
 
-ConfigNode apply_override(const ConfigNode& root, const std::string& key, const ConfigNode& value,
-                          const Location& origin) {
+ConfigNode apply_override(const ConfigNode& root, const ConfigOverride& over) {
+  const Location& origin = over.value.location();
   std::vector<std::string> segments;
-  for (std::size_t begin = 0; begin <= key.size();) {
-    const std::size_t end = std::min(key.find('.', begin), key.size());
-    segments.push_back(key.substr(begin, end - begin));
+  for (std::size_t begin = 0; begin <= over.key.size();) {
+    const std::size_t end = std::min(over.key.find('.', begin), over.key.size());
+    segments.push_back(over.key.substr(begin, end - begin));
     if (segments.back().empty())
-      fail("config.set.key", origin, "empty key in '" + key + "'",
+      fail("config.set.key", origin, "empty key in '" + over.key + "'",
            "write sections and keys with dots between: train.steps");
     begin = end + 1;
   }
   if (segments.size() > 32) fail("config.set.key", origin, "key path longer than 32 levels");
   if (segments[0] == "include")
     fail("config.set.key", origin, "include: files are included by a config, not by an override");
-  return set_at(root, segments, 0, value, origin);
+  return set_at(root, segments, 0, over.value, origin);
 }
 
-ConfigNode apply_override(const ConfigNode& root, const std::string& text) {
+ConfigOverride override_of(const ConfigOverride& node) { return node; }
+ConfigOverride override_of(const std::string& text) {
   const std::size_t equals = text.find('=');
   // "--threads runtime.threads=2" was typed as "--threads 2".
   const std::size_t key = text.starts_with("--") ? text.find(' ') + 1 : 0;
-  const Location origin{key > 0 ? text.substr(0, key) + text.substr(equals + 1) : "--set " + text, 0, 0};
+  const std::string origin = key > 0 ? text.substr(0, key) + text.substr(equals + 1) : "--set " + text;
   if (equals == std::string::npos)
-    fail("config.set.format", origin, "expected KEY=VALUE", "for example --set train.steps=1000");
-  return apply_override(root, text.substr(key, equals - key),
-                        parse_config_value(std::string_view(text).substr(equals + 1), origin.file), origin);
+    fail("config.set.format", {origin, 0, 0}, "expected KEY=VALUE", "for example --set train.steps=1000");
+  return {text.substr(key, equals - key), parse_config_value(std::string_view(text).substr(equals + 1), origin)};
 }
 
 // Every pass has a name, by which overrides can call it.
@@ -285,15 +262,10 @@ ConfigNode resolve_like(const ConfigNode& root) {
       "passes", ConfigNode::make_list(std::move(items), passes->location()).with_key_location(passes->key_location()));
 }
 
-ConfigNode with_overrides(ConfigNode root, const std::vector<ConfigOverride>& overrides) {
-  for (const ConfigOverride& o : overrides)
-    root = apply_override(with_named_passes(root), o.key, o.value, o.value.location());
-  return resolve_like(with_named_passes(root));
-}
-
-ConfigNode with_overrides(ConfigNode root, const std::vector<std::string>& overrides, Diagnostics* problems = nullptr) {
-  for (const std::string& text : overrides)
-    noting(problems, [&] { root = apply_override(with_named_passes(root), text); });
+template <class Override>
+ConfigNode with_overrides(ConfigNode root, const std::vector<Override>& overrides, Diagnostics* problems = nullptr) {
+  for (const Override& over : overrides)
+    noting(problems, [&] { root = apply_override(with_named_passes(root), override_of(over)); });
   return resolve_like(with_named_passes(root));
 }
 
@@ -340,12 +312,8 @@ ConfigNode merge_config(const ConfigNode& base, const ConfigNode& over) {
   return ConfigNode::make_map(std::move(entries), over.location()).with_key_location(over.key_location());
 }
 
-ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides) {
-  return with_overrides(Loader().load(find_config(path)), overrides);
-}
-
-ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides, Diagnostics& problems) {
-  return with_overrides(Loader(&problems).load(find_config(path)), overrides, &problems);
+ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides, Diagnostics* problems) {
+  return with_overrides(Loader(problems).load(find_config(path)), overrides, problems);
 }
 
 ConfigNode compose_config_with(const std::string& path, const std::vector<ConfigOverride>& overrides) {

@@ -17,12 +17,11 @@ ConfigNode merge_config(const ConfigNode& base, const ConfigNode& over);
 /// including file, else among the shipped configurations; cycles refused), then local keys, then each "a.b=value" of
 /// `overrides` in order (items of lists by item_key or by index: "passes.main.sampler.samples=32"); what a flag of the
 /// command line sets is written "--threads runtime.threads=2", and messages then name the flag. Also resolves `like:
-/// NAME` of list items under `passes` (the item is merged onto the earlier item of that name). Throws Error(config).
-ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides = {});
-
-/// The same, as far as it goes: a mistake in what is included or overridden goes into `problems`, and the rest is
-/// composed without it, or with the file whose name is nearest.
-ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides, Diagnostics& problems);
+/// NAME` of list items under `passes` (the item is merged onto the earlier item of that name). Throws Error(config);
+/// but a mistake in what is included or overridden goes into `problems` where they are given, and the rest is composed
+/// without it, or with the file whose name is nearest.
+ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides = {},
+                          Diagnostics* problems = nullptr);
 
 /// What overrides and messages call an item of a list: its `name`, or the `labels` that a semantic branch is for, where
 /// that is one plain word and no other item has it; else its index. A pass that no `name` was written for has one

@@ -46,11 +46,19 @@ class Source {
 
   const std::string& text() const { return text_; }
 
+  /// Columns count characters, not bytes. Places are asked for in rising order, so counting resumes at the last one.
   Location at_offset(std::size_t offset) const {
     if (is_value_) return {name_, 0, 0};
-    const auto next = std::upper_bound(line_starts_.begin(), line_starts_.end(), std::min(offset, text_.size()));
-    const std::size_t line = static_cast<std::size_t>(next - line_starts_.begin()) - 1;
-    return {name_, static_cast<int>(line) + 1, column(line, std::min(offset, text_.size()))};
+    if (offset < offset_) offset_ = 0, line_ = column_ = 1;
+    for (; offset_ < std::min(offset, text_.size()); ++offset_) {
+      if (text_[offset_] == '\n') {
+        ++line_;
+        column_ = 1;
+      } else {
+        column_ += (static_cast<unsigned char>(text_[offset_]) & 0xC0u) != 0x80u ? 1 : 0;
+      }
+    }
+    return {name_, line_, column_};
   }
 
   Location at(const YAML::Mark& mark) const { return at_offset(mark.pos < 0 ? 0 : static_cast<std::size_t>(mark.pos)); }
@@ -76,28 +84,15 @@ class Source {
     return false;
   }
 
-  /// True when the line of `where` starts with blanks of which one is a tab.
-  bool indented_by_tab(const Location& where) const {
-    if (where.line < 1 || static_cast<std::size_t>(where.line) > line_starts_.size()) return false;
-    std::size_t i = line_starts_[static_cast<std::size_t>(where.line) - 1];
-    while (i < text_.size() && text_[i] == ' ') ++i;
-    return i < text_.size() && text_[i] == '\t';
+  /// True when the line of `mark` starts with blanks of which one is a tab.
+  bool indented_by_tab(const YAML::Mark& mark) const {
+    const std::size_t offset = std::min(static_cast<std::size_t>(std::max(mark.pos, 0)), text_.size());
+    const std::size_t begin = offset == 0 ? 0 : text_.rfind('\n', offset - 1) + 1;
+    const std::size_t first = text_.find_first_not_of(' ', begin);
+    return !is_value_ && first != std::string::npos && text_[first] == '\t';
   }
 
  private:
-  // Columns count characters, not bytes. Places come in rising order, so counting goes on from the last one.
-  int column(std::size_t line, std::size_t offset) const {
-    if (line != column_line_ || offset < column_offset_) {
-      column_line_ = line;
-      column_offset_ = line_starts_[line];
-      column_ = 1;
-    }
-    for (; column_offset_ < offset; ++column_offset_) {
-      column_ += (static_cast<unsigned char>(text_[column_offset_]) & 0xC0u) != 0x80u ? 1 : 0;
-    }
-    return column_;
-  }
-
   // Drops a byte order mark and turns CR LF and CR into LF.
   void normalise(std::string_view yaml) {
     if (yaml.substr(0, 3) == "\xEF\xBB\xBF") yaml.remove_prefix(3);
@@ -108,10 +103,6 @@ class Source {
       } else if (i + 1 == yaml.size() || yaml[i + 1] != '\n') {
         text_ += '\n';
       }
-    }
-    line_starts_.push_back(0);
-    for (std::size_t i = 0; i < text_.size(); ++i) {
-      if (text_[i] == '\n') line_starts_.push_back(i + 1);
     }
   }
 
@@ -146,9 +137,8 @@ class Source {
   std::string name_;
   bool is_value_;
   std::string text_;
-  std::vector<std::size_t> line_starts_;
-  mutable std::size_t column_line_ = 0, column_offset_ = 0;
-  mutable int column_ = 1;
+  mutable std::size_t offset_ = 0;
+  mutable int line_ = 1, column_ = 1;
 };
 
 /// Builds the tree from parser events and refuses on sight what the tree does not allow.
@@ -318,7 +308,7 @@ ConfigNode parse(std::string_view yaml, const std::string& name, bool is_value) 
     }
   } catch (const YAML::Exception& error) {
     const Location where = source.at(error.mark);
-    if (source.indented_by_tab(where))
+    if (source.indented_by_tab(error.mark))
       source.fail("config.yaml.syntax", where, "a tab cannot indent YAML", "use spaces");
     source.fail("config.yaml.syntax", where, plain_message(error.msg));
   }
@@ -360,11 +350,11 @@ struct ConfigNode::Data {
   Kind kind = Kind::map;
   bool quoted = false;
   bool has_key_place = false;
-  std::string text;
-  std::vector<ConfigNode> items;
-  std::vector<Entry> entries;
-  Location where;
-  Location key_where;
+  std::string text = {};
+  std::vector<ConfigNode> items = {};
+  std::vector<Entry> entries = {};
+  Location where = {};
+  Location key_where = {};
 };
 
 ConfigNode::ConfigNode() {
@@ -373,42 +363,29 @@ ConfigNode::ConfigNode() {
 }
 
 ConfigNode ConfigNode::make_null(Location where) {
-  auto data = std::make_shared<Data>();
-  data->kind = Kind::null;
-  data->where = std::move(where);
   ConfigNode node;
-  node.data_ = std::move(data);
+  node.data_ = std::make_shared<const Data>(Data{.kind = Kind::null, .where = std::move(where)});
   return node;
 }
 
 ConfigNode ConfigNode::make_scalar(std::string text, bool quoted, Location where) {
-  auto data = std::make_shared<Data>();
-  data->kind = Kind::scalar;
-  data->text = std::move(text);
-  data->quoted = quoted;
-  data->where = std::move(where);
   ConfigNode node;
-  node.data_ = std::move(data);
+  node.data_ = std::make_shared<const Data>(
+      Data{.kind = Kind::scalar, .quoted = quoted, .text = std::move(text), .where = std::move(where)});
   return node;
 }
 
 ConfigNode ConfigNode::make_list(std::vector<ConfigNode> items, Location where) {
-  auto data = std::make_shared<Data>();
-  data->kind = Kind::list;
-  data->items = std::move(items);
-  data->where = std::move(where);
   ConfigNode node;
-  node.data_ = std::move(data);
+  node.data_ =
+      std::make_shared<const Data>(Data{.kind = Kind::list, .items = std::move(items), .where = std::move(where)});
   return node;
 }
 
 ConfigNode ConfigNode::make_map(std::vector<Entry> entries, Location where) {
-  auto data = std::make_shared<Data>();
-  data->kind = Kind::map;
-  data->entries = std::move(entries);
-  data->where = std::move(where);
   ConfigNode node;
-  node.data_ = std::move(data);
+  node.data_ =
+      std::make_shared<const Data>(Data{.kind = Kind::map, .entries = std::move(entries), .where = std::move(where)});
   return node;
 }
 

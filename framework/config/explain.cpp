@@ -99,6 +99,12 @@ void diff(const ConfigNode& a, const ConfigNode& b, const std::string& path, std
 
 }  // namespace
 
+std::string kind_text(const ConfigNode& node) {
+  if (node.is_null()) return "nothing";
+  if (node.is_scalar()) return (node.quoted() ? "text '" : "'") + node.text() + "'";
+  return node.is_list() ? "a list" : "a map";
+}
+
 std::string explain_config(const ConfigNode& node) {
   const std::vector<ConfigLine> lines = config_lines(node);
   std::size_t column = 0;

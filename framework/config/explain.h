@@ -1,12 +1,19 @@
-// What a composed configuration is made of, and how two differ, as text.
+// What a composed configuration is made of, what is wrong with it, and how two differ, as text.
 #pragma once
 
 #include <string>
 #include <vector>
 
 #include "config/config_tree.h"
+#include "core/error.h"
 
 namespace semfield {
+
+/// What a node is, for messages: "nothing", "'12'", "text '12'", "a list", "a map".
+std::string kind_text(const ConfigNode& node);
+/// An error with "did you mean" for each key of `map` that is not known: "<what> 'KEY'".
+void refuse_unknown_keys(const ConfigNode& map, const std::string& what, const std::vector<std::string>& known,
+                         Diagnostics& diagnostics);
 
 /// The tree as YAML with the origin of every value as an aligned comment: "  levels: 8   # room.yaml:7:13"; values of
 /// no file (filled in by the program) say "default". Parsing the text gives an equal tree.

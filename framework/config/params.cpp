@@ -11,25 +11,12 @@
 #include <system_error>
 #include <utility>
 
+#include "config/explain.h"
 #include "core/check.h"
 #include "core/text.h"
 
 namespace semfield {
 namespace {
-
-std::string found(const ConfigNode& node) {
-  switch (node.kind()) {
-    case ConfigNode::Kind::null:
-      return "nothing";
-    case ConfigNode::Kind::scalar:
-      return (node.quoted() ? "text '" : "'") + node.text() + "'";
-    case ConfigNode::Kind::list:
-      return "a list";
-    case ConfigNode::Kind::map:
-      return "a map";
-  }
-  return {};
-}
 
 // The digits of `text` from `at` on, as many as there are.
 std::size_t skip_digits(std::string_view text, std::size_t at) {
@@ -111,7 +98,7 @@ class Reader final : public ParamVisitor {
     if (node->is_scalar() && !node->quoted() && (node->text() == "true" || node->text() == "false")) {
       value = node->text() == "true";
     } else {
-      report("config.value.type", *node, key_path(info.name), "bool", found(*node), "write true or false");
+      report("config.value.type", *node, key_path(info.name), "bool", kind_text(*node), "write true or false");
     }
   }
   void integer(const ParamInfo& info, std::int64_t& value) override {
@@ -134,7 +121,7 @@ class Reader final : public ParamVisitor {
     }
     const std::vector<std::string> known(names.begin(), names.end());
     const std::string near = node->is_scalar() ? did_you_mean(node->text(), known) : std::string();
-    report("config.value.choice", *node, key_path(info.name), "one of " + join(known), found(*node),
+    report("config.value.choice", *node, key_path(info.name), "one of " + join(known), kind_text(*node),
            near.empty() ? "" : "did you mean '" + near + "'?");
   }
   void integers(const ParamInfo& info, std::vector<std::int64_t>& value) override {
@@ -186,7 +173,7 @@ class Reader final : public ParamVisitor {
     if (node.is_scalar() && !node.quoted()) read = parse_integer(node.text(), remedy);
     if (!read) {
       if (node.is_scalar() && node.quoted()) remedy = "numbers stand without quotes";
-      report("config.value.type", node, path, "int", found(node), remedy);
+      report("config.value.type", node, path, "int", kind_text(node), remedy);
       return false;
     }
     if (!in_range(node, path, range, static_cast<double>(*read), "int")) return false;
@@ -200,7 +187,7 @@ class Reader final : public ParamVisitor {
     if (node.is_scalar() && !node.quoted()) read = parse_number(node.text(), remedy);
     if (!read) {
       if (node.is_scalar() && node.quoted()) remedy = "numbers stand without quotes";
-      report("config.value.type", node, path, "number", found(node), remedy);
+      report("config.value.type", node, path, "number", kind_text(node), remedy);
       return false;
     }
     if (!in_range(node, path, range, *read, "number")) return false;
@@ -210,7 +197,7 @@ class Reader final : public ParamVisitor {
 
   bool read_word(const ConfigNode& node, const std::string& path, std::string& value) {
     if (!node.is_scalar()) {
-      report("config.value.type", node, path, "text", found(node));
+      report("config.value.type", node, path, "text", kind_text(node));
       return false;
     }
     value = node.text();
@@ -223,7 +210,7 @@ class Reader final : public ParamVisitor {
     const ConfigNode* node = get(info);
     if (node == nullptr) return;
     if (!node->is_list()) {
-      report("config.value.type", *node, key_path(info.name), type, found(*node),
+      report("config.value.type", *node, key_path(info.name), type, kind_text(*node),
              node->is_scalar() ? "write [" + node->text() + "]" : "");
       return;
     }
@@ -249,21 +236,25 @@ void read_params(const ConfigNode& node, const std::string& path, const Describe
                  const std::vector<std::string>& other_keys) {
   const std::string prefix = path.empty() ? "" : path + ": ";
   if (!node.is_map() && !node.is_null()) {  // a section with every line commented out is an empty one
-    diagnostics.error("config.value.type", node.location().text(), prefix + "expected a map, got " + found(node), {});
+    diagnostics.error("config.value.type", node.location().text(), prefix + "expected a map, got " + kind_text(node),
+                      {});
     return;
   }
   Reader reader(node, path, diagnostics);
   describe(reader);
   std::vector<std::string> known = reader.seen();
   known.insert(known.end(), other_keys.begin(), other_keys.end());
-  for (const ConfigNode::Entry& entry : node.entries()) {
-    if (std::find(known.begin(), known.end(), entry.first) != known.end()) continue;
-    const std::string near = did_you_mean(entry.first, known);
-    std::string remedy = "known: " + join(known);
+  refuse_unknown_keys(node, prefix + "unknown key", known, diagnostics);
+}
+
+void refuse_unknown_keys(const ConfigNode& map, const std::string& what, const std::vector<std::string>& known,
+                         Diagnostics& diagnostics) {
+  for (const auto& [key, value] : map.entries()) {
+    if (std::find(known.begin(), known.end(), key) != known.end()) continue;
+    const std::string near = did_you_mean(key, known);
+    std::string remedy = known.empty() ? "there are no keys here" : "known: " + join(known);
     if (!near.empty()) remedy = "did you mean '" + near + "'?";
-    if (known.empty()) remedy = "there are no keys here";
-    diagnostics.error("config.key.unknown", entry.second.key_location().text(),
-                      prefix + "unknown key '" + entry.first + "'", remedy);
+    diagnostics.error("config.key.unknown", value.key_location().text(), what + " '" + key + "'", remedy);
   }
 }
 
@@ -273,7 +264,7 @@ std::string read_text(const ConfigNode& parent, const std::string& path, const s
   if (node == nullptr) return fallback;
   if (node->is_scalar()) return node->text();
   diagnostics.error("config.value.type", node->location().text(),
-                    (path.empty() ? key : path + "." + key) + ": expected text, got " + found(*node), {});
+                    (path.empty() ? key : path + "." + key) + ": expected text, got " + kind_text(*node), {});
   return fallback;
 }
 

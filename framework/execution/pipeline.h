@@ -81,9 +81,6 @@ class Pipeline {
   StepLosses gradients(std::int64_t step, const RayBatch& batch);
   std::optional<RayFault> find_fault(std::int64_t step, const RayBatch& batch);
 
-  /// Scratch of all lanes for a batch, from the samplers' capacities: an upper bound, known before step 0.
-  std::size_t predicted_workspace_bytes(std::int64_t rays) const;
-
  private:
   PipelineOptions options_;
   ParamStore<Real> store_;
@@ -99,8 +96,6 @@ class Pipeline {
 extern template class Pipeline<float>;
 extern template class Pipeline<double>;
 
-// What a pipeline will hold, computed from its parts before anything of it is allocated.
-
 /// Rays per tile: `options.tile_rays`, or what the samplers' capacities ask for. `per_ray` gets the most samples per
 /// ray after each pass.
 template <class Real>
@@ -111,22 +106,5 @@ std::int64_t tile_rays_of(const std::vector<const PassParts<Real>*>& passes, con
 /// count, because they are the order of its sums.
 template <class Real>
 int lanes_of(const std::vector<const PassParts<Real>*>& passes, const PipelineOptions& options, std::int64_t rays);
-
-struct NetworkPlan {
-  TensorBytes tensors;
-  std::size_t activations = 0;  ///< arenas of all threads, without logits: samplers' capacities, so at most
-  std::size_t logits = 0;       ///< class logits and their gradients, in the arenas too
-  std::size_t step_rows = 0;    ///< a step's samples and encoded positions, and the scratch of their encoder
-  std::size_t density = 0;      ///< scratch of threads that ask for densities
-  std::size_t workspace() const { return activations + logits + step_rows; }
-};
-
-/// Samples of a tile that have hidden activations: those of its labelled rays. Runs label a third to all of their rays.
-inline constexpr double kUsualLabelledShare = 0.6;
-
-/// For steps of `rays` rays, `labelled` of which get logits, on `threads` threads.
-template <class Real>
-NetworkPlan plan_network(const std::vector<const PassParts<Real>*>& passes, const PipelineOptions& options,
-                         std::int64_t rays, int threads, bool trainable, double labelled = kUsualLabelledShare);
 
 }  // namespace semfield

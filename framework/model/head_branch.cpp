@@ -9,7 +9,7 @@ template <class Real>
 HeadBranch<Real>::HeadBranch(const BranchParts<Real>& parts, const BranchPlace& place, TensorStore<Real>& store,
                              const Stages<Real>& stages)
     : parts_(&parts), place_(place), store_(&store), stages_(&stages) {
-  if (declared_bytes<Real>(*parts_->position, 1, true).learns) {
+  if (learns<Real>(*parts_->position)) {
     throw Error(ErrorKind::config, "config.encoder.learned",
                 "pass '" + place.pass + "': the position encoder of the branch '" + place.prefix +
                     "' has learned tensors, and the branch is to be smoother than such tables",

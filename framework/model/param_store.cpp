@@ -34,41 +34,11 @@ constexpr std::int64_t kChunk = 1 << 10;  // elements a parallel task; sums are 
 
 }  // namespace
 
-TensorBytes& TensorBytes::operator+=(const TensorBytes& other) {
-  values += other.values;
-  gradients += other.gradients;
-  moments += other.moments;
-  lanes += other.lanes;
-  stored += other.stored;
-  learns = learns || other.learns;
-  return *this;
-}
-
 template <class Real>
 std::vector<TensorSpec> specs_of(const Parametric<Real>& part) {
   Collector collector;
   part.declare(collector);
   return std::move(collector.specs);
-}
-
-template <class Real>
-TensorBytes declared_bytes(const Parametric<Real>& part, int lanes, bool trainable) {
-  TensorBytes sum;
-  for (const TensorSpec& spec : specs_of(part)) {
-    const auto bytes = static_cast<std::size_t>(spec.rows) * static_cast<std::size_t>(spec.cols) * sizeof(Real);
-    const bool learned = is_learned(spec.role);
-    TensorBytes one;
-    one.values = bytes;
-    one.learns = learned;
-    if (trainable && has_gradient(spec.role)) {
-      one.gradients = bytes;
-      if (learned) one.moments = 2 * bytes;
-      if (spec.role != TensorRole::sparse) one.lanes = bytes * static_cast<std::size_t>(lanes);
-    }
-    if (is_stored(spec.role)) one.stored = one.values + one.moments;
-    sum += one;
-  }
-  return sum;
 }
 
 template <class Real>
@@ -185,8 +155,6 @@ template class AlignedBuffer<float>;
 template class AlignedBuffer<double>;
 template std::vector<TensorSpec> specs_of<float>(const Parametric<float>&);
 template std::vector<TensorSpec> specs_of<double>(const Parametric<double>&);
-template TensorBytes declared_bytes<float>(const Parametric<float>&, int, bool);
-template TensorBytes declared_bytes<double>(const Parametric<double>&, int, bool);
 template class ParamStore<float>;
 template class ParamStore<double>;
 

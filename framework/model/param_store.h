@@ -2,6 +2,7 @@
 // threads.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <memory>
 #include <new>
@@ -109,20 +110,23 @@ struct Tensor {
   }
 };
 
-/// What the tensors of a part will take, known before they are allocated.
-struct TensorBytes {
-  std::size_t values = 0, gradients = 0, moments = 0, lanes = 0;
-  std::size_t stored = 0;  ///< in a checkpoint: values and moments of what is not derived
-  bool learns = false;
-  std::size_t total() const { return values + gradients + moments + lanes; }
-  TensorBytes& operator+=(const TensorBytes& other);
-};
-template <class Real>
-TensorBytes declared_bytes(const Parametric<Real>& part, int lanes, bool trainable);
-
 /// What a part declares, in order.
 template <class Real>
 std::vector<TensorSpec> specs_of(const Parametric<Real>& part);
+/// Whether any of it is learned.
+template <class Real>
+bool learns(const Parametric<Real>& part) {
+  const std::vector<TensorSpec> specs = specs_of(part);
+  return std::any_of(specs.begin(), specs.end(), [](const TensorSpec& spec) { return is_learned(spec.role); });
+}
+/// Numbers of a gradient lane of the part.
+template <class Real>
+std::int64_t lane_size(const Parametric<Real>& part) {
+  std::int64_t sum = 0;
+  for (const TensorSpec& spec : specs_of(part))
+    if (has_gradient(spec.role) && spec.role != TensorRole::sparse) sum += std::int64_t{spec.rows} * spec.cols;
+  return sum;
+}
 
 /// Owns the tensors of a pipeline on the CPU.
 ///
@@ -184,8 +188,6 @@ extern template class AlignedBuffer<float>;
 extern template class AlignedBuffer<double>;
 extern template std::vector<TensorSpec> specs_of<float>(const Parametric<float>&);
 extern template std::vector<TensorSpec> specs_of<double>(const Parametric<double>&);
-extern template TensorBytes declared_bytes<float>(const Parametric<float>&, int, bool);
-extern template TensorBytes declared_bytes<double>(const Parametric<double>&, int, bool);
 extern template class ParamStore<float>;
 extern template class ParamStore<double>;
 

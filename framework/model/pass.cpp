@@ -15,8 +15,8 @@ template <class Real>
 Pass<Real>::Pass(PassParts<Real> parts, const RenderRules& rules, TensorStore<Real>& store)
     : parts_(std::move(parts)), rules_(rules), store_(&store), stages_(parts_.stages) {
   const std::string& name = parts_.name;
-  encoder_learns_ = declared_bytes<Real>(*parts_.position, 1, true).learns;
-  if (parts_.direction && declared_bytes<Real>(*parts_.direction, 1, true).learns) {
+  encoder_learns_ = learns<Real>(*parts_.position);
+  if (parts_.direction && learns<Real>(*parts_.direction)) {
     throw Error(
         ErrorKind::config, "config.encoder.learned",
         "pass '" + name +

@@ -15,8 +15,7 @@
 #include "eval/final_eval.h"
 #include "labels/clicks/click_file.h"
 #include "plugin/loader.h"
-#include "run/run_folder.h"
-#include "run/run_loop.h"
+#include "run/run.h"
 #include "session/checkpoint_facts.h"
 #include "session/settings/choices.h"
 #include "session/settings/run_identity.h"
@@ -272,7 +271,7 @@ struct Side {
 };
 
 std::vector<ConfigDifference> changes_of_identity(const ConfigNode& a, const ConfigNode& b) {
-  std::vector<ConfigDifference> changes = changed_settings(a, b);
+  std::vector<ConfigDifference> changes = config_differences(a, b);
   std::erase_if(changes, [](const ConfigDifference& change) { return !is_part_of_identity(change.key); });
   return changes;
 }
@@ -341,10 +340,8 @@ std::string first_difference(const Side& a, const Side& b) {
       changes_of_identity(read ? *a.settings : a.text(), read ? *b.settings : b.text());
   if (!changes.empty()) return changes.front().text();
   if (a.facts.classes != b.facts.classes) return "the class tables differ";
-  if (a.facts.inputs && b.facts.inputs) {
-    const std::vector<std::string> others = other_inputs(*a.facts.inputs, *b.facts.inputs);
-    if (!others.empty()) return "the scenes differ: " + join(others);
-  }
+  const std::vector<std::string> others = other_inputs(a.facts.inputs, b.facts.inputs);
+  if (!others.empty()) return "the scenes differ: " + join(others);
   if (a.facts.step != b.facts.step) return fmt::format("step: {} -> {}", a.facts.step, b.facts.step);
   return difference_of_tensors(a.file, b.file);
 }
@@ -407,8 +404,7 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
   Diagnostics of_scene;
   run.session = open_session(std::move(config), registry, options, of_scene);
   add_untold(of_scene, folder.findings_path(), diagnostics);
-  if (facts.inputs && same_scene)
-    warn_of_other_inputs(*facts.inputs, scene_inputs(run.session.scene, run.session.labels), diagnostics);
+  if (same_scene) warn_of_other_inputs(facts.inputs, scene_inputs(run.session.scene, run.session.labels), diagnostics);
   warn_of_other_modules(facts.modules, run.session.config.plugins, diagnostics);
   load_pipeline(*run.session.pipeline, found->file);
   use_learned_poses(run.session, found->file, diagnostics);

@@ -14,10 +14,20 @@
 #include "plugin/registry.h"
 #include "run/metrics_log.h"
 #include "run/run_folder.h"
-#include "run/run_listener.h"
 #include "session/session.h"
 
 namespace semfield {
+
+class RunListener;
+
+/// Which part of a split an evaluation scored.
+struct ScoredPart {
+  std::int64_t frames = 0, of = 0;
+  std::int32_t stride = 1;
+  bool whole() const { return frames == of && stride == 1; }
+  /// "4 of 30 frames", "all 30 frames at 1 pixel in 4".
+  std::string text() const;
+};
 
 /// Opens a finished or interrupted run for evaluation and rendering: run.yaml, scene, newest checkpoint.
 struct OpenedRun {

@@ -54,10 +54,9 @@ std::vector<int> held_out_frames(const Session& session) {
 
 }  // namespace
 
-LabelRun::LabelRun(OpenedForTraining opened, Registry& registry, RunListener* listener)
-    // Labels change with every click, so rounds of self-training are left to `train`; a full disk is waited for.
-    : run_(std::move(opened), registry, listener, {.rounds = false, .rows_wait = true}),
-      training_(run_.training()),
+LabelRun::LabelRun(std::unique_ptr<Run> run)
+    : run_(std::move(run)),
+      training_(run_->training()),
       loop_(training_, training_.session().drawn_frames(), {}, held_out_frames(training_.session())),
       pictures_(training_, loop_) {
   view_of_frame_.assign(session().scene.frames.size(), -1);
@@ -217,7 +216,7 @@ bool LabelRun::train(double budget_s, const std::function<bool()>& interrupted) 
   const auto most = static_cast<std::int64_t>(std::clamp(budget_s / std::max(step_s_, 1e-5), 1.0, 256.0));
   std::int64_t made = 0;
   while (made < most) {
-    const std::span<const StepLosses> steps = run_.advance(most - made);
+    const std::span<const StepLosses> steps = run_->advance(most - made);
     made += std::ssize(steps);
     show(steps);
     if (interrupted && interrupted()) break;
@@ -278,7 +277,7 @@ bool LabelRun::tend(bool looked_at, bool pause, bool quiet) {
 
 void LabelRun::describe(LabelState& state) const {
   state.name = session().config.name;
-  state.run_dir = run_.run_dir();
+  state.run_dir = run_->run_dir();
   state.device = session().pipeline->executor().description();
   state.step = training_.step();
   state.train_s = training_.train_s();
@@ -346,9 +345,9 @@ bool LabelRun::keep_is_due() const { return !failed_to_keep_ || seconds_since(*f
 
 void LabelRun::keep(bool checkpoint) {
   failed_to_keep_ = Clock::now();
-  run_.write_rows();
-  run_.write_classes();
-  if (checkpoint || run_.save_is_due()) run_.save();
+  run_->write_rows();
+  run_->write_classes();
+  if (checkpoint || run_->save_is_due()) run_->save();
   failed_to_keep_.reset();
 }
 

@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "labels/clicks/annotations.h"
-#include "run/run_loop.h"
+#include "run/run.h"
 #include "serve/label_loop.h"
 #include "serve/view_pictures.h"
 
@@ -18,11 +18,11 @@ namespace semfield {
 
 class LabelRun {
  public:
-  /// `opened` has room for classes (scene.labels.class_room), so its network has semantics.
-  LabelRun(OpenedForTraining opened, Registry& registry, RunListener* listener);
+  /// `run`, by Driver::page, has a folder and room for classes (scene.labels.class_room), so its network has semantics.
+  explicit LabelRun(std::unique_ptr<Run> run);
 
   const Session& session() const { return training_.session(); }
-  const RunFolder& folder() const { return *run_.folder(); }
+  const RunFolder& folder() const { return *run_->folder(); }
   const LabelLoop& loop() const { return loop_; }
   ViewPictures& pictures() { return pictures_; }
   std::int64_t step() const { return training_.step(); }
@@ -67,7 +67,7 @@ class LabelRun {
   // What nobody shall name in these frames.
   void ignore_pixels(const Annotations& annotations, std::span<const int> frames);
 
-  RunLoop run_;
+  std::unique_ptr<Run> run_;
   Training& training_;
   LabelLoop loop_;
   ViewPictures pictures_;

@@ -43,14 +43,14 @@ std::optional<Error> error_of(const Work& work) {
 }
 
 struct LabelSession::Parts {
-  Parts(OpenedForTraining opened, Registry& registry, std::vector<std::string> warnings, RunListener* listener)
+  Parts(std::unique_ptr<Run> opened, std::vector<std::string> warnings)
       : notes(std::move(warnings)),
-        annotations(*opened.session.config.labels.clicks),
+        annotations(*opened->annotations()),
         log([&] {
           Diagnostics ignored;  // stated when the scene was opened by the file
-          return open_click_log(opened.session.config.labels, opened.folder->path(), ignored);
+          return open_click_log(opened->session().config.labels, opened->run_dir(), ignored);
         }()),
-        run(std::move(opened), registry, listener) {}
+        run(std::move(opened)) {}
 
   using Clock = std::chrono::steady_clock;
   static constexpr auto kPauseAfter = std::chrono::milliseconds(700);
@@ -152,9 +152,10 @@ class Noting final : public RunListener {
   RunListener* told_;
 };
 
-OpenedForTraining open_labelling(RunConfig config, Registry& registry, const LabelSessionOptions& options,
-                                 RunListener& listener) {
+std::unique_ptr<Run> open_labelling(RunConfig config, Registry& registry, const LabelSessionOptions& options,
+                                    RunListener* listener, RunListener& opening) {
   TrainRequest request;
+  request.driver = Driver::page;
   request.out_dir = options.run_dir;
   const std::filesystem::path folder = std::filesystem::absolute(options.run_dir);
   request.resume = std::filesystem::exists(folder / "run.yaml");
@@ -164,7 +165,7 @@ OpenedForTraining open_labelling(RunConfig config, Registry& registry, const Lab
   config.train.ray_source = RaySourceKind::label_balanced;
   // Views of the page are where the files put them, and labels with them.
   if (config.cameras.poses == CameraTrust::automatic) config.cameras.poses = CameraTrust::given;
-  return open_for_training(std::move(config), registry, request, listener);
+  return std::make_unique<Run>(std::move(config), registry, request, listener, &opening);
 }
 
 }  // namespace
@@ -206,8 +207,8 @@ void LabelSession::Parts::name_classes(LabelState& next) const {
 LabelSession::LabelSession(RunConfig config, Registry& registry, const LabelSessionOptions& options,
                            RunListener* told) {
   Noting noting(told);
-  parts_ = std::make_unique<Parts>(open_labelling(std::move(config), registry, options, noting), registry,
-                                   std::move(noting.warnings), told);
+  std::unique_ptr<Run> opened = open_labelling(std::move(config), registry, options, told, noting);
+  parts_ = std::make_unique<Parts>(std::move(opened), std::move(noting.warnings));
   auto first = std::make_shared<LabelState>();
   const Session& session = parts_->run.session();
   for (const PoolView& view : parts_->run.loop().views()) {

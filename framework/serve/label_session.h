@@ -11,7 +11,7 @@
 #include "labels/clicks/annotations.h"
 #include "plugin/registry.h"
 #include "run/run_folder.h"
-#include "run/run_listener.h"
+#include "run/run.h"
 #include "serve/label_loop.h"
 #include "session/session.h"
 

@@ -72,7 +72,7 @@ std::vector<std::string> smooth_encoders(const Registry& registry) {
   for (const PluginEntry* entry : registry.entries()) {
     if (entry->kind != PluginKind::encoder) continue;
     const auto encoder = entry->encoder32(*entry->new_params(), {}, registry.kernels());
-    if (encoder->traits().domain != Domain::direction && !declared_bytes<float>(*encoder, 1, true).learns)
+    if (encoder->traits().domain != Domain::direction && !learns<float>(*encoder))
       names.push_back(entry->name);
   }
   return names;
@@ -102,7 +102,7 @@ std::unique_ptr<BranchParts<Real>> make_branch(const BranchSlots& branch, const 
   parts->rules = branch.rules;
   parts->position =
       make_encoder<Real>(branch.position, build.registry, build.extent, false, build.device, branch.key + ".position");
-  if (declared_bytes<Real>(*parts->position, 1, true).learns) {
+  if (learns<Real>(*parts->position)) {
     throw Error(ErrorKind::config, "config.encoder.learned",
                 branch.key + ".position: '" + branch.position.entry->name +
                     "' has learned tensors, and the branch is to be smoother than such tables",
@@ -157,7 +157,7 @@ PassParts<Real> make_pass(std::size_t number, const PassBuild& build, std::uniqu
   parts.sampler = sampler ? std::move(sampler) : make_sampler<Real>(pass.sampler, registry, extent, build.device);
   parts.position = make_encoder<Real>(pass.position, registry, extent, false, build.device, pass.key + ".position");
   if (build.plan.learned_poses > 0 && !parts.position->traits().gives_dx_alone &&
-      declared_bytes<Real>(*parts.position, 1, true).learns) {
+      learns<Real>(*parts.position)) {
     throw Error(ErrorKind::config, "config.encoder.poses",
                 pass.key + ".position: encoder '" + pass.position.entry->name +
                     "' has learned tensors and gives no gradient of positions by itself, so poses cannot be learned",
@@ -331,11 +331,6 @@ template <class Real>
 bool NetworkParts<Real>::needs_bounds() const {
   return std::any_of(passes.begin(), passes.end(),
                      [](const PassParts<Real>& pass) { return pass.position->traits().domain == Domain::unit_cube; });
-}
-
-template <class Real>
-NetworkPlan NetworkParts<Real>::plan(const RunConfig& config, bool trainable) const {
-  return plan_network<Real>(pointers_to(passes), options, config.train.rays, thread_count(), trainable);
 }
 
 template <class Real>

@@ -49,8 +49,6 @@ struct NetworkParts {
 
   /// Whether a position encoder lives in the unit cube: rays must then be clipped to the bounds.
   bool needs_bounds() const;
-  /// What the pipeline will hold: steps of train.rays rays on thread_count() threads.
-  NetworkPlan plan(const RunConfig& config, bool trainable) const;
 };
 
 /// `last`, where given, becomes the sampler of the last pass; it was made for the same `extent`. Throws Error(config)

@@ -57,11 +57,10 @@ std::optional<EventsKnown> clicks_of(const TensorFile& file) {
   return known;
 }
 
-std::optional<SceneInputs> inputs_of(const TensorFile& file) {
-  const auto text = file.metadata().find("inputs");
-  if (text == file.metadata().end()) return std::nullopt;
+SceneInputs inputs_of(const TensorFile& file) {
+  const std::string& text = text_of(file, "inputs");
   try {
-    return read_inputs_text(text->second);
+    return read_inputs_text(text);
   } catch (const Error& error) {
     refuse("checkpoint.metadata.damaged", file, fmt::format("metadata 'inputs' cannot be read: {}", error.message()));
   }
@@ -88,8 +87,8 @@ TensorMetadata checkpoint_metadata(const CheckpointFacts& facts, const std::stri
   metadata["config"] = facts.config;
   metadata["config_hash"] = config_hash;
   metadata["classes"] = facts.classes;
-  if (facts.scene) metadata["scene"] = manifest_text(*facts.scene);
-  if (facts.inputs) metadata["inputs"] = inputs_text(*facts.inputs);
+  metadata["scene"] = manifest_text(facts.scene);
+  metadata["inputs"] = inputs_text(facts.inputs);
   if (!facts.modules.empty()) metadata["modules"] = nlohmann::json(facts.modules).dump();
   if (facts.clicks) metadata["clicks"] = fmt::format("{} {:08x}", facts.clicks->events, facts.clicks->checksum);
   if (!facts.self_labels.empty()) metadata["self_labels"] = facts.self_labels;
@@ -108,7 +107,7 @@ CheckpointFacts read_checkpoint_facts(const TensorFile& file) {
   facts.seed = number_of<std::uint32_t>(file, "seed");
   facts.config = text_of(file, "config");
   facts.classes = text_of(file, "classes");
-  facts.scene = read_manifest_text(file.metadata());
+  facts.scene = read_manifest_text(text_of(file, "scene"));
   facts.inputs = inputs_of(file);
   facts.clicks = clicks_of(file);
   facts.modules = modules_of(file);
@@ -175,18 +174,12 @@ std::string manifest_text(const KnownScene& scene) {
   return json.dump();
 }
 
-std::optional<KnownScene> read_manifest_text(const TensorMetadata& metadata) {
-  const auto text = metadata.find("scene");
-  if (text == metadata.end()) return std::nullopt;
+KnownScene read_manifest_text(const std::string& text) {
   KnownScene scene;
   const SceneManifest& m = scene.manifest;
   try {
-    const nlohmann::json json = nlohmann::json::parse(text->second);
-    walk(scene, [&](const char* name, auto& value) {
-      // Not in checkpoints of before it was counted: then it stays unknown, as in the run that wrote them.
-      if (std::string_view(name) == "direction_spread_deg" && !json.contains(name)) return;
-      read_json_value(json, name, value);
-    });
+    const nlohmann::json json = nlohmann::json::parse(text);
+    walk(scene, [&](const char* name, auto& value) { read_json_value(json, name, value); });
     const auto negative = [](std::int64_t pixels) { return pixels < 0; };
     if (std::ssize(m.train_class_pixels) != m.classes ||
         std::any_of(m.train_class_pixels.begin(), m.train_class_pixels.end(), negative) ||

@@ -22,8 +22,8 @@ struct KnownScene {
 
 /// One JSON object, the value of the metadata key `scene`.
 std::string manifest_text(const KnownScene& scene);
-/// None without that key (checkpoints of version 0.1.0). Throws Error(data) when it cannot be read.
-std::optional<KnownScene> read_manifest_text(const TensorMetadata& metadata);
+/// Throws Error(data) when it cannot be read.
+KnownScene read_manifest_text(const std::string& text);
 
 struct CheckpointFacts {
   std::int64_t step = 0;
@@ -31,8 +31,8 @@ struct CheckpointFacts {
   std::uint32_t seed = 0;
   std::string config;               ///< the resolved YAML
   std::string classes;              ///< the class table as YAML; "" = none
-  std::optional<KnownScene> scene;  ///< these two: not in checkpoints of earlier versions
-  std::optional<SceneInputs> inputs;
+  KnownScene scene;
+  SceneInputs inputs;
   std::optional<EventsKnown>
       clicks;  ///< events of clicks that training knew; none: it had no clicks, or an earlier version
   std::map<std::string, std::string> modules;  ///< loaded plugin modules: name and checksum of each file

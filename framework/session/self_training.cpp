@@ -83,10 +83,6 @@ std::vector<std::int64_t> round_steps(const RunConfig& config) {
   return out;
 }
 
-std::size_t self_label_bytes(std::int64_t train_pixels, int classes) {
-  return static_cast<std::size_t>(train_pixels) * index_bytes(classes);
-}
-
 SelfTraining::SelfTraining(const Session& session, RaySource& rays, std::string folder)
     : session_(session), rays_(rays), folder_(std::move(folder)), frames_(session.drawn_frames()) {}
 

@@ -17,9 +17,6 @@ namespace semfield {
 /// before the rate's first fall; none while train.steps is not settled.
 std::vector<std::int64_t> round_steps(const RunConfig& config);
 
-/// Bytes that the labels of a round take in memory and, about, on disk.
-std::size_t self_label_bytes(std::int64_t train_pixels, int classes);
-
 /// The rounds of one run [Lee13]. A round renders every training frame; a pixel without a label of its own whose most
 /// probable class has at least `confidence`, at an opacity of at least `min_opacity`, takes that class as its label
 /// until the next round replaces all that this one gave. Labels that were given never change, and neither do class

@@ -98,21 +98,20 @@ BuiltParts built_parts(const Session& s, const Ranks* ranks) {
   return built;
 }
 
-// What the process holds once the scene is in memory.
-void measure_scene(Session& s) {
-  MemoryFacts& facts = s.memory_facts;
-  release_freed_memory();
-  facts.loaded = resident_bytes();
-  facts.loading = peak_resident_bytes();
-  for (const StoredFrame& frame : s.scene.frames) {
-    facts.frames += frame.bytes();
-    facts.pixels =
-        std::max(facts.pixels, static_cast<std::size_t>(frame.width_px) * static_cast<std::size_t>(frame.height_px));
+// Before pixels are read: throws Error(unavailable) when `frames` of them, `bytes` in all, do not fit.
+void require_frame_memory(double memory_gb, std::size_t bytes, std::size_t frames) {
+  const std::size_t held = resident_bytes();
+  std::size_t room = available_memory();
+  if (memory_gb > 0) {
+    const auto limit = static_cast<std::size_t>(memory_gb * (1 << 30));
+    room = std::min(room, limit > held ? limit - held : 0);
   }
-  for (const TrainingLabels::Frame& frame : s.labels.frames) facts.frames += frame.bytes();
-  for (const TrainingLabels::Frame& frame : s.labels.unclicked) facts.frames += frame.bytes();
-  facts.train_pixels = s.manifest.train_pixels;
-  facts.classes = s.classes();
+  if (bytes <= room) return;
+  throw Error(ErrorKind::unavailable, "memory.frames.size",
+              fmt::format("the pixels of {} frames would take {} of memory, {} are available, and the program "
+                          "holds {} already",
+                          frames, memory_text(bytes), memory_text(room), memory_text(held)),
+              "raise scene.load.downscale, take fewer frames, or raise runtime.memory_gb where it sets the limit");
 }
 
 }  // namespace
@@ -172,8 +171,8 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   const bool needs_depth =
       of_losses || options.depth == DepthKept::all || (make_labels && s.config.labels.wants_depth());
   load.depth = needs_depth || keeps(s.config, kTrainingDepth) ? DepthKept::all : options.depth;
-  load.before_pixels = [&](std::size_t bytes, std::size_t frames, std::int32_t width_px) {
-    require_frame_memory(s.config, bytes, frames, width_px);
+  load.before_pixels = [&](std::size_t bytes, std::size_t frames, std::int32_t /*width_px*/) {
+    require_frame_memory(s.config.runtime.memory_gb, bytes, frames);
   };
   s.scene = load_scene(*dataset, load, diagnostics);
   open_label_files(s.scene, s.config.labels, diagnostics);
@@ -225,17 +224,9 @@ void fix_extent(Session& s, DeviceId device) {
 // The network is built once, `last` in it; what else depends on its parts is asked of them.
 void build_session(Session& s, Registry& registry, const SessionOptions& options, RunOn how,
                    std::unique_ptr<Sampler<float>> last) {
-  if (options.trainable) measure_scene(s);
   NetworkParts<float> parts = make_parts<float>(s.config, registry, s.plan, s.extent, std::move(last));
   s.limits.clip = !s.extent.contracted && parts.needs_bounds();
   s.config.runtime.lanes = parts.options.lanes;  // derived, as the extent is
-  if (options.trainable) {
-    NetworkPlan network = parts.plan(s.config, true);
-    // The host then holds the tensors alone.
-    if (how.device.kind != Device::cpu) network.activations = network.logits = network.step_rows = network.density = 0;
-    s.memory = plan_memory(s.config, s.memory_facts, network);
-    require_memory(s.config, registry, s.plan, s.extent, s.memory_facts, s.memory);
-  }
 
   std::vector<float> class_weight;
   if (s.plan.semantics && s.config.semantics.balance_classes) {
@@ -255,6 +246,75 @@ void build_session(Session& s, Registry& registry, const SessionOptions& options
   }
 }
 
+constexpr std::int64_t kShortestRun = 4;  // in probes
+constexpr double kMostPoints = 1 << 16;   // rays that look for depth
+constexpr float kLeastOpacity = 0.5F;
+
+// The rendered depth of one training frame, where its rays meet something.
+SurveyPoints look(const Session& s, const FrameInfo& info, double downscale) {
+  const auto smaller = [&](std::int32_t size) { return std::max(1, static_cast<std::int32_t>(size / downscale)); };
+  const RayCamera camera{info.camera.resized(smaller(info.camera.width_px), smaller(info.camera.height_px)),
+                         info.world_from_camera, s.plan.undistortion};
+  const RenderedFrame seen = render_frame(*s.pipeline, camera, s.limits, s.plan.class_of_logit);
+  FrameBuffer depth;
+  depth.width_px = seen.width_px;
+  depth.height_px = seen.height_px;
+  for (std::size_t i = 0; i < seen.depth_m.size(); ++i)
+    depth.depth_m.push_back(seen.opacity[i] > kLeastOpacity ? seen.depth_m[i] / seen.opacity[i] : 0);
+  return survey_frame(camera.camera, camera.world_from_camera, depth, 1);
+}
+
+// The scene's extent is a guess, a probe is asked for and the run is at least four times as long.
+bool probe_is_due(const Session& s) {
+  const std::int64_t steps = s.config.load.probe_steps;
+  const std::int64_t end = last_step(s.config);  // 0: a time is given, and the probe is no part of it
+  return s.scene.extent_is_guessed && steps > 0 && (end == 0 || end >= kShortestRun * steps);
+}
+
+// Trains `s` for scene.load.probe_steps steps and surveys the depth that it then renders from the training cameras;
+// nothing where it shows no surface.
+std::optional<SurveyedExtent> probe_extent(Session& s) {
+  const std::unique_ptr<RaySource> rays = s.make_ray_source();
+  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule, s.config.train.steps);
+  const std::int64_t steps = s.config.load.probe_steps;
+  while (trainer.step() < steps) {
+    trainer.advance_many(steps - trainer.step());
+    tell_load_progress("looking for the bounds", static_cast<std::size_t>(trainer.step()),
+                       static_cast<std::size_t>(steps));
+  }
+  tell_load_progress("read", 1, 1);
+  trainer.collect();
+  const double downscale = std::sqrt(std::max(1.0, static_cast<double>(rays->pixel_count()) / kMostPoints));
+  std::vector<SurveyPoints> parts;
+  for (const int f : s.scene.frames_of(Split::train))
+    parts.push_back(look(s, s.scene.info.frames[static_cast<std::size_t>(f)], downscale));
+  return extent_of_points(std::move(parts));
+}
+
+// The extent of scene and configuration becomes what was seen, inside what was guessed; a note says so.
+void use_probed_extent(const SurveyedExtent& seen, LoadedScene& scene, SceneLoadOptions& load,
+                       Diagnostics& diagnostics) {
+  const Vec3d before = scene.bounds.size();
+  const double far_before = scene.far_m;
+  Box box;
+  for (int a = 0; a < 3; ++a) {
+    box.lo[a] = std::max(scene.bounds.lo[a], seen.bounds.lo[a]);
+    box.hi[a] = std::min(scene.bounds.hi[a], seen.bounds.hi[a]);
+  }
+  load.bounds = {box.lo.x, box.lo.y, box.lo.z, box.hi.x, box.hi.y, box.hi.z};
+  if (load.far_m <= 0) load.far_m = std::min(scene.far_m, seen.far_m);
+  if (load.near_m <= 0) load.near_m = std::min(seen.near_m, 0.5 * load.far_m);
+  Diagnostics repeated;
+  derive_extent(scene, {}, load, repeated);
+  scene.bounds_from = scene.near_far_from = fmt::format("a probe of {} steps", load.probe_steps);
+  const Vec3d size = box.size();
+  diagnostics.note(
+      "scene.bounds.probed", "scene.load.bounds",
+      fmt::format("{:.3g} x {:.3g} x {:.3g} and far {:.3g}: where a probe of {} steps shows surfaces; the "
+                  "cameras alone gave {:.3g} x {:.3g} x {:.3g} and far {:.3g}, which probe_steps: 0 keeps",
+                  size.x, size.y, size.z, load.far_m, load.probe_steps, before.x, before.y, before.z, far_before));
+}
+
 // The scene is lent to a session of its own, whose sizes the guess chooses; only what it sees comes back.
 // The network of the probe is another one: its tables and grids are sized by the bounds that it is to find.
 void probe_bounds(Session& s, Registry& registry, const SessionOptions& options, DeviceId device,
@@ -269,7 +329,6 @@ void probe_bounds(Session& s, Registry& registry, const SessionOptions& options,
   probe.labels = std::move(s.labels);
   probe.manifest = s.manifest;
   probe.plan = s.plan;
-  probe.memory_facts = s.memory_facts;
   fix_extent(probe, device);
   SessionOptions alone = options;
   alone.ranks = nullptr;
@@ -283,7 +342,6 @@ void probe_bounds(Session& s, Registry& registry, const SessionOptions& options,
 }  // namespace
 
 Session open_session(RunConfig config, Registry& registry, const SessionOptions& options, Diagnostics& diagnostics) {
-  const std::size_t program_bytes = resident_bytes();
   keep_components(config, options.keep);
   if (config.labels.selection.class_room > 0) keep_components(config, {"semantics", "absent_classes"});
   const InputLimits limits = config.limits;
@@ -311,7 +369,6 @@ Session open_session(RunConfig config, Registry& registry, const SessionOptions&
   std::unique_ptr<Sampler<float>> last;  // a probe takes it along, for its extent is another one
   Session s = load_session(std::move(config), registry, options, chosen, last, diagnostics);
   s.chosen_by_device = std::move(by_device);
-  s.memory_facts.program = program_bytes;
   if (options.probe && probe_is_due(s)) probe_bounds(s, registry, options, device, std::move(last), diagnostics);
   fix_extent(s, device);
   if (options.trainable) say_slow_paths(s.config, registry, device, bf16_is_native(), diagnostics);
@@ -448,7 +505,6 @@ std::string describe_session(const Session& s) {
                     s.pipeline->store().learned_count(),
                     (last_step(s.config) > 0 ? "" : "as many steps as fit into ") + length_text(s.config),
                     s.config.train.rays, s.pipeline->tile_rays(), s.config.runtime.lanes, thread_count()));
-    out += memory_table(s.memory, allowed_memory(s.config.runtime.memory_gb));
   }
   for (const std::string& line : s.choices()) add("chosen    " + line);
   for (const LeftOut& row : s.plan.left_out) {
@@ -457,75 +513,6 @@ std::string describe_session(const Session& s) {
   }
   for (const std::string& name : s.plan.kept) add("kept      " + name + " (--keep)");
   return out;
-}
-
-namespace {
-
-constexpr std::int64_t kShortestRun = 4;  // in probes
-constexpr double kMostPoints = 1 << 16;   // rays that look for depth
-constexpr float kLeastOpacity = 0.5F;
-
-// The rendered depth of one training frame, where its rays meet something.
-SurveyPoints look(const Session& s, const FrameInfo& info, double downscale) {
-  const auto smaller = [&](std::int32_t size) { return std::max(1, static_cast<std::int32_t>(size / downscale)); };
-  const RayCamera camera{info.camera.resized(smaller(info.camera.width_px), smaller(info.camera.height_px)),
-                         info.world_from_camera, s.plan.undistortion};
-  const RenderedFrame seen = render_frame(*s.pipeline, camera, s.limits, s.plan.class_of_logit);
-  FrameBuffer depth;
-  depth.width_px = seen.width_px;
-  depth.height_px = seen.height_px;
-  for (std::size_t i = 0; i < seen.depth_m.size(); ++i)
-    depth.depth_m.push_back(seen.opacity[i] > kLeastOpacity ? seen.depth_m[i] / seen.opacity[i] : 0);
-  return survey_frame(camera.camera, camera.world_from_camera, depth, 1);
-}
-
-}  // namespace
-
-bool probe_is_due(const Session& s) {
-  const std::int64_t steps = s.config.load.probe_steps;
-  const std::int64_t end = last_step(s.config);  // 0: a time is given, and the probe is no part of it
-  return s.scene.extent_is_guessed && steps > 0 && (end == 0 || end >= kShortestRun * steps);
-}
-
-std::optional<SurveyedExtent> probe_extent(Session& s) {
-  const std::unique_ptr<RaySource> rays = s.make_ray_source();
-  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule, s.config.train.steps);
-  const std::int64_t steps = s.config.load.probe_steps;
-  while (trainer.step() < steps) {
-    trainer.advance_many(steps - trainer.step());
-    tell_load_progress("looking for the bounds", static_cast<std::size_t>(trainer.step()),
-                       static_cast<std::size_t>(steps));
-  }
-  tell_load_progress("read", 1, 1);
-  trainer.collect();
-  const double downscale = std::sqrt(std::max(1.0, static_cast<double>(rays->pixel_count()) / kMostPoints));
-  std::vector<SurveyPoints> parts;
-  for (const int f : s.scene.frames_of(Split::train))
-    parts.push_back(look(s, s.scene.info.frames[static_cast<std::size_t>(f)], downscale));
-  return extent_of_points(std::move(parts));
-}
-
-void use_probed_extent(const SurveyedExtent& seen, LoadedScene& scene, SceneLoadOptions& load,
-                       Diagnostics& diagnostics) {
-  const Vec3d before = scene.bounds.size();
-  const double far_before = scene.far_m;
-  Box box;
-  for (int a = 0; a < 3; ++a) {
-    box.lo[a] = std::max(scene.bounds.lo[a], seen.bounds.lo[a]);
-    box.hi[a] = std::min(scene.bounds.hi[a], seen.bounds.hi[a]);
-  }
-  load.bounds = {box.lo.x, box.lo.y, box.lo.z, box.hi.x, box.hi.y, box.hi.z};
-  if (load.far_m <= 0) load.far_m = std::min(scene.far_m, seen.far_m);
-  if (load.near_m <= 0) load.near_m = std::min(seen.near_m, 0.5 * load.far_m);
-  Diagnostics repeated;
-  derive_extent(scene, {}, load, repeated);
-  scene.bounds_from = scene.near_far_from = fmt::format("a probe of {} steps", load.probe_steps);
-  const Vec3d size = box.size();
-  diagnostics.note(
-      "scene.bounds.probed", "scene.load.bounds",
-      fmt::format("{:.3g} x {:.3g} x {:.3g} and far {:.3g}: where a probe of {} steps shows surfaces; the "
-                  "cameras alone gave {:.3g} x {:.3g} x {:.3g} and far {:.3g}, which probe_steps: 0 keeps",
-                  size.x, size.y, size.z, load.far_m, load.probe_steps, before.x, before.y, before.z, far_before));
 }
 
 namespace {
@@ -575,7 +562,7 @@ Follower assemble_follower(Ranks& ranks, Registry& registry, const Building& bui
                            const std::string& manifest, std::vector<float> class_weight) {
   Follower made;
   made.config = run_config_of(parse_config_text(config, "the configuration of rank 0"), registry);
-  const KnownScene known = *read_manifest_text({{"scene", manifest}});
+  const KnownScene known = read_manifest_text(manifest);
   made.device = device_of(ranks, {building.cuda != 0 ? Device::cuda : Device::cpu, building.ordinal});
   if (made.device.kind != Device::cpu) add_cuda_kernels(registry);
   made.extent = extent_of(made.config, known.pixel_footprint_m);

@@ -11,7 +11,6 @@
 #include "model/leave_out.h"
 #include "session/assembly.h"
 #include "session/checkpoint_facts.h"
-#include "session/memory_plan.h"
 #include "session/ray_source.h"
 #include "session/settings/run_config.h"
 
@@ -29,8 +28,6 @@ struct Session {
   /// And for each choice that the labels made (settings/choices.h), and each correction of cameras.
   std::vector<std::string> chosen_by_labels;
   RayLimits limits;
-  MemoryFacts memory_facts;
-  MemoryPlan memory;  ///< of training; empty for sessions that do not train
   std::unique_ptr<Pipeline<float>> pipeline;
 
   /// What this session's work is done with; borrows from it.
@@ -66,29 +63,16 @@ struct SessionOptions {
   std::optional<std::string> trained_classes;
 };
 
-/// Loads the scene, selects labels, decides what is left out, fixes bounds and distances in `config.load`, plans memory
-/// and assembles; what does not fit is refused before it is allocated (memory_plan.h).
+/// Loads the scene, selects labels, decides what is left out, fixes bounds and distances in `config.load`, and
+/// assembles; pixels that do not fit into memory are refused before they are read.
 /// Problems that do not stop go into `diagnostics`; those that do are thrown together.
 Session open_session(RunConfig config, Registry& registry, const SessionOptions& options, Diagnostics& diagnostics);
 
 /// The labels that train, scored against the scene's own on `frames`; void labels are dropped and counted.
 ConfusionMatrix score_training_labels(const Session& session, const std::vector<int>& frames);
 
-/// `train --dry-run`: scene, network, memory, and every component left out with its reason.
+/// `train --dry-run`: scene, network, and every component left out with its reason.
 std::string describe_session(const Session& session);
-
-// A short training that looks where a scene is whose bounds only the cameras tell.
-
-/// The scene's extent is a guess, a probe is asked for and the run is at least four times as long.
-bool probe_is_due(const Session& session);
-
-/// Trains `session` for scene.load.probe_steps steps and surveys the depth that it then renders from the training
-/// cameras; nothing where it shows no surface.
-std::optional<SurveyedExtent> probe_extent(Session& session);
-
-/// The extent of scene and configuration becomes what was seen, inside what was guessed; a note says so.
-void use_probed_extent(const SurveyedExtent& seen, LoadedScene& scene, SceneLoadOptions& load,
-                       Diagnostics& diagnostics);
 
 // A session whose steps and rendering are those of several processes. Rank 0 alone reads the scene and writes files;
 // the others get from it what their networks are made of, and follow.

@@ -15,7 +15,7 @@
 #include "python/core/plugins.h"
 #include "python/core/scene_values.h"
 #include "report/report.h"
-#include "run/run_loop.h"
+#include "run/run.h"
 #include "scene/scene_checks.h"
 
 namespace semfield::python {
@@ -107,8 +107,8 @@ std::unique_ptr<PySession> PySession::open(const py::object& config, const py::d
   ConfigNode tree = composed(config, set);
   if (!how.scene.is_none()) tree = with_scene(tree, how.scene.cast<py::dict>());
   made->run_ = opened([&] {
-    return std::make_unique<RunSession>(session_config_of(tree, made->registry_), made->registry_,
-                                        RunSessionOptions{how.run_dir, false, how.keep}, made->notes_);
+    return std::make_unique<Run>(session_config_of(tree, made->registry_), made->registry_,
+                                        TrainRequest{how.run_dir, false, how.keep}, &made->notes_);
   });
   return made;
 }
@@ -118,8 +118,8 @@ std::unique_ptr<PySession> PySession::resume(const std::string& run_dir, const p
   const std::vector<ConfigOverride> overrides = overrides_of(set);
   made->run_ = opened([&] {
     const ConfigNode tree = compose_config_with(RunFolder::read(run_dir).config_path(), overrides);
-    return std::make_unique<RunSession>(session_config_of(tree, made->registry_), made->registry_,
-                                        RunSessionOptions{run_dir, true, how.keep}, made->notes_);
+    return std::make_unique<Run>(session_config_of(tree, made->registry_), made->registry_,
+                                        TrainRequest{run_dir, true, how.keep}, &made->notes_);
   });
   return made;
 }
@@ -137,7 +137,7 @@ std::unique_ptr<PySession> PySession::load(const std::string& run_dir, const py:
   return made;
 }
 
-RunSession& PySession::training() {
+Run& PySession::training() {
   refuse_fork();
   if (run_) return *run_;
   throw Error(ErrorKind::usage, "python.session.read_only", "this run was opened to be looked at",
@@ -167,12 +167,12 @@ std::int64_t PySession::steps_left() const {
 }
 
 void PySession::train_more(std::int64_t steps, double seconds) {
-  RunSession& run = training();
+  Run& run = training();
   computed([&] { run.train_more({steps, seconds}); });
 }
 
 py::dict PySession::train(std::int64_t steps, bool to_end) {
-  RunSession& run = training();
+  Run& run = training();
   StepLosses sum;
   std::int64_t made = 0;
   std::vector<std::int64_t> active(session().config.losses.size(), 0);
@@ -217,12 +217,12 @@ py::dict PySession::train(std::int64_t steps, bool to_end) {
 }
 
 std::string PySession::save(const std::string& run_dir) {
-  RunSession& run = training();
+  Run& run = training();
   return computed([&] { return run.save(run_dir); });
 }
 
 py::dict PySession::parameters() {
-  RunSession& run = training();
+  Run& run = training();
   const std::vector<TensorRef> tensors = computed([&] { return run.training().state(); });
   py::dict out;
   for (const TensorRef& tensor : tensors) {
@@ -235,7 +235,7 @@ py::dict PySession::parameters() {
 }
 
 void PySession::set_labels(int frame, const py::object& ids) {
-  RunSession& run = training();
+  Run& run = training();
   const std::vector<FrameInfo>& frames = session().scene.info.frames;
   if (frame < 0 || frame >= std::ssize(frames))
     throw Error(ErrorKind::usage, "python.frame.range",
@@ -247,7 +247,7 @@ void PySession::set_labels(int frame, const py::object& ids) {
 }
 
 bool PySession::apply(const std::string& event) {
-  RunSession& run = training();
+  Run& run = training();
   const LabelEvent parsed = parse_label_event(event);
   return computed([&] { return run.apply(parsed); });
 }

@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "python/core/errors.h"
-#include "run/run_loop.h"
+#include "run/run.h"
 #include "run/run_scores.h"
 
 namespace semfield::python {
@@ -82,7 +82,7 @@ class PySession {
 
  private:
   PySession();
-  RunSession& training();
+  Run& training();
   void refuse_fork() const;
   template <class Call>
   auto computed(const Call& call) const;
@@ -91,7 +91,7 @@ class PySession {
   Registry registry_;  // of its own: plugins that are loaded later leave it alone
   Notes notes_;
   mutable std::mutex mutex_;
-  std::unique_ptr<RunSession> run_;
+  std::unique_ptr<Run> run_;
   std::unique_ptr<OpenedRun> loaded_;
 };
 

@@ -314,7 +314,7 @@ TEST(IncludeRules, KnownViolationsAreForbidden) {
       {"framework/session/settings/run_config.cpp", "eval/evaluator.h"},
       {"framework/eval/evaluator.cpp", "session/session.h"},
       {"framework/session/session.cpp", "run/run_folder.h"},
-      {"framework/run/run_loop.cpp", "report/report.h"},
+      {"framework/run/run.cpp", "report/report.h"},
       {"framework/report/report.cpp", "surface/mesh/surface.h"},
       {"framework/surface/fuse/fusion.cpp", "report/report.h"},
       {"plugins/encoders/hash_grid/hash_grid.cpp", "encoders/frequency/frequency_math.h"},

@@ -233,7 +233,7 @@ void fuzz_checkpoint(std::string_view bytes) {
         promise(tensor.bytes.size() == count * tensor_type_bytes(tensor.type), "bytes that do not fill the shape");
         accepted([&] { (void)file.floats(tensor.name, static_cast<std::int64_t>(count)); });
       }
-      accepted([&] { (void)read_manifest_text(file.metadata()); });
+      accepted([&] { (void)read_checkpoint_facts(file); });
       (void)read_checkpoint_facts(file, 2);
     });
   }

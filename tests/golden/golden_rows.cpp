@@ -11,8 +11,8 @@
 
 #include "labels/clicks/click_log.h"
 #include "loading/packed_scene.h"
+#include "run/run.h"
 #include "run/run_folder.h"
-#include "run/run_loop.h"
 #include "serve/label_run.h"
 #include "session/trainer.h"
 #include "system/checksum.h"
@@ -289,8 +289,8 @@ void print_presets(Registry& registry, const TempDir& dir) {
           dir.write(name + ".yaml", "include: \"" + entry.path().string() +
                                         "\"\nscene: {type: packed, file: room.sfpack, labels: {frames: 50%}}\n"
                                         "runtime: {device: cpu}\n");
-      RunListener nobody;
-      (void)open_for_training(load_run_config(config, {}, registry), registry, {.out_dir = dir / name}, nobody);
+      (void)semfield::Run(load_run_config(config, {}, registry), registry, TrainRequest{.out_dir = dir / name},
+                          nullptr);
       print("preset/" + name, crc(replaced(lasting(dir / name + "/run.yaml", dir.path()), "\n  precision:.*", "")));
     }
   }
@@ -319,10 +319,10 @@ void print_labelling(Registry& registry, const TempDir& dir) {
                                            ", with_labels: false, with_classes: false, labels: {class_room: 4}")
                                         .yaml,
                                     "steps: 20,", "steps: 60,");
-  RunListener nobody;
-  LabelRun run(open_for_training(run_config_of(parse_config_text(yaml, "test.yaml"), registry), registry,
-                                 {.out_dir = dir / "labelled"}, nobody),
-               registry, nullptr);
+  TrainRequest labelled{.out_dir = dir / "labelled"};
+  labelled.driver = Driver::page;
+  LabelRun run(std::make_unique<semfield::Run>(run_config_of(parse_config_text(yaml, "test.yaml"), registry), registry,
+                                               labelled, nullptr));
   const auto train_to = [&](std::int64_t step) { run.train(1e9, [&] { return run.step() >= step; }); };
   train_to(60);
   while (!run.loop().ready()) run.tend(false, false, false);

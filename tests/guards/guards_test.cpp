@@ -11,7 +11,7 @@
 #include "model/density_activation.h"
 #include "model/optim/adam.h"
 #include "model/ray_guard.h"
-#include "run/run_loop.h"
+#include "run/run.h"
 #include "session/trainer.h"
 #include "testkit/analytic_scene.h"
 #include "tests/session/train_testing.h"

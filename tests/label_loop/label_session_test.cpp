@@ -15,7 +15,7 @@
 #include "report/report.h"
 #include "run/metrics_log.h"
 #include "run/run_folder.h"
-#include "run/run_loop.h"
+#include "run/run.h"
 #include "run/run_scores.h"
 #include "serve/label_run.h"
 #include "serve/view_pictures.h"
@@ -746,19 +746,19 @@ struct PreparedRun {
   LabelRun run;
   Annotations annotations;
 
-  PreparedRun() : run(opened(), RunningSession::registry(), nullptr), annotations(*run.session().config.labels.clicks) {
+  PreparedRun() : run(opened()), annotations(*run.session().config.labels.clicks) {
     for (int turn = 0; !run.loop().ready() && turn < 1000; ++turn) {
       run.train(0.05);
       run.tend(false, false, false);
     }
     run.take(annotations);
   }
-  OpenedForTraining opened() {
+  std::unique_ptr<Run> opened() {
     const std::string yaml =
         session_config("analytic_room, with_labels: false, with_classes: false, labels: {class_room: 4}");
-    TrainRequest request{.out_dir = dir / "run"};
-    return open_for_training(run_config_of(parse_config_text(yaml, "test.yaml"), RunningSession::registry()),
-                             RunningSession::registry(), request, nobody);
+    Registry& registry = RunningSession::registry();
+    return std::make_unique<Run>(run_config_of(parse_config_text(yaml, "test.yaml"), registry), registry,
+                                 TrainRequest{.out_dir = dir / "run", .driver = Driver::page}, &nobody);
   }
   LabelState state() const {
     LabelState out;

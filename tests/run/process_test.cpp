@@ -415,7 +415,7 @@ TEST(RunTruth, CheckpointMetadataIsReadStrictly) {
       {"classes", "-", 65, file + "metadata 'classes' is missing"},
       {"classes", "- {id: 1", 65, "checkpoint metadata 'classes':1:3: a list or a map where a key should stand"},
       {"inputs", "{}", 65, file + "metadata 'inputs' cannot be read"},
-      {"inputs", "-", 0, ""},  // of an earlier version
+      {"inputs", "-", 65, file + "metadata 'inputs' is missing"},
       {"scene", "{\"classes\": 1000000}", 65, "metadata 'scene' cannot be read"},
   };
   const std::string saved = read_text_file((dir / "run") + "/checkpoints/step_00000005.safetensors");

@@ -11,8 +11,8 @@
 #include "eval/evaluator.h"
 #include "eval/final_eval.h"
 #include "run/metrics_log.h"
+#include "run/run.h"
 #include "run/run_folder.h"
-#include "run/run_loop.h"
 #include "run/run_scores.h"
 #include "session/settings/choices.h"
 #include "session/trainer.h"
@@ -498,9 +498,9 @@ TEST_F(RunLengthTest, AResumeWithNothingToTrainChangesNoFile) {
 
 TEST_F(RunLengthTest, AProgramThatDrivesARunHasTheSameLength) {
   CountedSteps clock;
-  RunSessionOptions options{.run_dir = dir_ / "driven"};
+  TrainRequest options{.out_dir = dir_ / "driven"};
   {
-    RunSession run(asked({0, 20}), registry_, options, clock);
+    semfield::Run run(asked({0, 20}), registry_, options, &clock);
     while (!run.training().at_its_end()) run.advance(1000);
     EXPECT_EQ(run.training().step(), 80);
     run.save("");
@@ -554,23 +554,6 @@ TEST_F(RunLengthTest, WhatNeverWorksInARunOfItsLengthIsRefused) {
   Diagnostics fine;
   check_length(warm, fine);
   EXPECT_FALSE(fine.has_errors());
-}
-
-TEST_F(RunLengthTest, RunsOfEarlierVersionsKeepTheirStepsAndFilesOfTheirOwnAreTold) {
-  CountedSteps clock;
-  train(asked({10, 0}), "old", clock);
-  std::string yaml = read_text_file(dir_ / "old/run.yaml");
-  yaml.replace(yaml.find("time_s: 0.0"), 11, "time_limit_s: 85.0");
-  write_file_atomic(dir_ / "old/run.yaml", yaml);
-  const RunConfig read = stored("old");
-  EXPECT_EQ(read.train.steps, 10);
-  EXPECT_EQ(read.train.time_s, 85);
-  EXPECT_HAS(error_of([&] {
-               (void)run_config_of(parse_config_text(hash_config(), "own.yaml")
-                                       .with("train", parse_config_text("{time_limit_s: 60}", "own.yaml")),
-                                   registry_);
-             }),
-             "write train: {steps: 0, time_s: SECONDS}");
 }
 
 // What a training run scores, and how the time that evaluation may take bounds it. Clocks are counted, never read.

@@ -136,12 +136,12 @@ TEST(Safetensors, WriterChecksItsInput) {
 TEST(CheckpointFacts, NumbersThatCannotBeAreRefused) {
   CheckpointFacts facts;
   facts.clicks = EventsKnown{3, 7};
-  KnownScene& scene = facts.scene.emplace();
+  KnownScene& scene = facts.scene;
   scene.manifest.classes = 1;
   scene.manifest.train_class_pixels = {5};
   scene.manifest.train_pixels = 10;
   scene.pixel_footprint_m = 0.5;
-  facts.inputs.emplace().frames = 4;
+  facts.inputs.frames = 4;
   const auto read = [&](const char* key, const std::string& good, const std::string& bad) {
     TensorMetadata metadata = checkpoint_metadata(facts, "hash");
     std::string& text = metadata.at(key);

@@ -3,8 +3,8 @@
 
 #include "eval/final_eval.h"
 #include "loading/packed_scene.h"
+#include "run/run.h"
 #include "run/run_folder.h"
-#include "run/run_loop.h"
 #include "run/run_scores.h"
 #include "session/self_training.h"
 #include "session/settings/run_identity.h"
@@ -233,13 +233,13 @@ namespace fs = std::filesystem;
 
 constexpr int kSteps = 20;
 
-class RunSessionTest : public ::testing::Test {
+class DrivenRun : public ::testing::Test {
  protected:
-  RunSessionTest() { write_packed_config(dir_, kSteps, 0); }
+  DrivenRun() { write_packed_config(dir_, kSteps, 0); }
   RunConfig config(const std::vector<std::string>& set = {}) {
     return load_run_config(dir_ / "config.yaml", set, registry_);
   }
-  static void drive(RunSession& run, std::int64_t until) {
+  static void drive(semfield::Run& run, std::int64_t until) {
     while (run.training().step() < until) run.advance(until - run.training().step());
   }
   std::uint32_t whole_run(const std::vector<std::string>& set = {}) {
@@ -258,9 +258,9 @@ class RunSessionTest : public ::testing::Test {
   } nobody_;
 };
 
-TEST_F(RunSessionTest, HasTheBitsAndTheRowsOfTheWholeRun) {
+TEST_F(DrivenRun, HasTheBitsAndTheRowsOfTheWholeRun) {
   const std::uint32_t bits = whole_run();
-  RunSession run(config(), registry_, {}, nobody_);
+  semfield::Run run(config(), registry_, {}, &nobody_);
   drive(run, 7);
   drive(run, kSteps);
   EXPECT_EQ(run.run_dir(), "");
@@ -284,28 +284,28 @@ TEST_F(RunSessionTest, HasTheBitsAndTheRowsOfTheWholeRun) {
   EXPECT_HAS(error_of([&] { run.save(""); }), "somebody continued the run");
 }
 
-TEST_F(RunSessionTest, GoesOnFromWhereItWasSaved) {
+TEST_F(DrivenRun, GoesOnFromWhereItWasSaved) {
   const std::uint32_t bits = whole_run();
   {
-    RunSession run(config(), registry_, {dir_ / "a", false, {}}, nobody_);
+    semfield::Run run(config(), registry_, {dir_ / "a", false, {}}, &nobody_);
     drive(run, 12);
     run.save("");
     EXPECT_HAS(error_of([&] { run.save(dir_ / "b"); }), "cannot be saved in");
     EXPECT_FALSE(fs::exists(dir_ / "b"));
   }
-  RunSession again(load_run_config(dir_ / "a/run.yaml", {}, registry_), registry_, {dir_ / "a", true, {}}, nobody_);
+  semfield::Run again(load_run_config(dir_ / "a/run.yaml", {}, registry_), registry_, {dir_ / "a", true, {}}, &nobody_);
   EXPECT_EQ(again.training().step(), 12);
   drive(again, kSteps);
   again.save("");
   EXPECT_EQ(checkpoint_fingerprint(dir_ / "a", kSteps), bits);
 }
 
-TEST_F(RunSessionTest, RoundsOfSelfTrainingNeedAFolderAndHaveTheBitsOfTheWholeRun) {
+TEST_F(DrivenRun, RoundsOfSelfTrainingNeedAFolderAndHaveTheBitsOfTheWholeRun) {
   const std::vector<std::string> set{"scene.labels.degrade=[{type: propagation}]", "train.self_training.at=[0.5]",
                                      "train.self_training.confidence=0.3", "train.ray_source=label_balanced"};
-  EXPECT_HAS(error_of([&] { RunSession(config(set), registry_, {}, nobody_); }), "train.self_training");
+  EXPECT_HAS(error_of([&] { semfield::Run(config(set), registry_, {}, &nobody_); }), "train.self_training");
   const std::uint32_t bits = whole_run(set);
-  RunSession run(config(set), registry_, {dir_ / "driven", false, {}}, nobody_);
+  semfield::Run run(config(set), registry_, {dir_ / "driven", false, {}}, &nobody_);
   drive(run, 3);
   // A stop before the round leaves it due.
   while (run.training().step() < 10) run.advance(10 - run.training().step());
@@ -320,41 +320,39 @@ TEST_F(RunSessionTest, RoundsOfSelfTrainingNeedAFolderAndHaveTheBitsOfTheWholeRu
 }
 
 // What may happen between steps is the driver's to say: who waits for a disk writes rows and checkpoints on request.
-TEST_F(RunSessionTest, ADriverSaysWhatHappensBetweenSteps) {
-  const auto advanced = [&](const std::string& folder, const RunLoopOptions& options) {
-    TrainRequest request{.out_dir = dir_ / folder};
-    RunLoop run(open_for_training(config({"report.checkpoint_every_s=1e-9", "report.eval_every_s=1e-9"}), registry_,
-                                  request, nobody_),
-                registry_, &nobody_, options);
+TEST_F(DrivenRun, ADriverSaysWhatHappensBetweenSteps) {
+  const auto advanced = [&](const std::string& folder, Driver driver) {
+    semfield::Run run(config({"report.checkpoint_every_s=1e-9", "report.eval_every_s=1e-9"}), registry_,
+                      {.out_dir = dir_ / folder, .driver = driver}, &nobody_);
     while (run.training().step() < kSteps) run.advance(kSteps);
-    EXPECT_EQ(run.saved(), options.saves);
+    EXPECT_EQ(run.saved(), driver == Driver::command);
     const std::vector<MetricsRow> before = read_metrics(dir_ / folder + "/metrics.jsonl");
     run.save();
     return std::pair(before, read_metrics(dir_ / folder + "/metrics.jsonl"));
   };
   const auto is_eval = [](const MetricsRow& row) { return row.kind == "eval"; };
-  const auto [waiting, saved] = advanced("waits", {.rounds = false, .rows_wait = true});
+  const auto [waiting, saved] = advanced("waits", Driver::page);
   EXPECT_TRUE(waiting.empty());
   EXPECT_FALSE(saved.empty());
   EXPECT_FALSE(fs::exists(dir_ / "waits/labels.json"));
   EXPECT_EQ(std::ranges::count_if(saved, is_eval), 0);
-  const auto [scored, ended] = advanced("scores", {.scores = true, .saves = true});
+  const auto [scored, ended] = advanced("scores", Driver::command);
   EXPECT_EQ(ended.size(), scored.size());
   EXPECT_GT(std::ranges::count_if(scored, is_eval), 0);
   EXPECT_EQ(checkpoint_fingerprint(dir_ / "scores", kSteps), checkpoint_fingerprint(dir_ / "waits", kSteps));
   EXPECT_EQ(std::ssize(scored) - std::ranges::count_if(scored, is_eval), std::ssize(saved));
 }
 
-TEST_F(RunSessionTest, ClicksAreInTheFolderBeforeTheyCount) {
+TEST_F(DrivenRun, ClicksAreInTheFolderBeforeTheyCount) {
   LabelEvent click{.id = "c1", .points = {{5.5, 5.5}}, .class_name = "lamp"};
   LabelEvent lamp{.id = "c0", .kind = LabelEventKind::add_class};
   lamp.class_name = "lamp";
-  RunSession bare(config(), registry_, {}, nobody_);
+  semfield::Run bare(config(), registry_, {}, &nobody_);
   EXPECT_HAS(error_of([&] { bare.apply(lamp); }), "no file of clicks");
   const std::vector<std::string> room{"scene.labels.class_room=12"};
   std::uint32_t bits = 0;
   {
-    RunSession run(config(room), registry_, {dir_ / "a", false, {}}, nobody_);
+    semfield::Run run(config(room), registry_, {dir_ / "a", false, {}}, &nobody_);
     drive(run, 4);
     const FrameInfo& frame = run.session().scene.info.frames[run.session().drawn_frames().front()];
     click.frame = frame.name;
@@ -376,7 +374,7 @@ TEST_F(RunSessionTest, ClicksAreInTheFolderBeforeTheyCount) {
     drive(run, 12);
     bits = fingerprint(run.session().pipeline->store());
   }
-  RunSession again(load_run_config(dir_ / "a/run.yaml", {}, registry_), registry_, {dir_ / "a", true, {}}, nobody_);
+  semfield::Run again(load_run_config(dir_ / "a/run.yaml", {}, registry_), registry_, {dir_ / "a", true, {}}, &nobody_);
   EXPECT_EQ(again.annotations()->marks().size(), 1U);
   drive(again, 12);
   EXPECT_EQ(fingerprint(again.session().pipeline->store()), bits);
@@ -614,27 +612,6 @@ TEST(SelfTraining, ARoundThatIsLostOrDamagedIsRefusedAndTheRemedyWorks) {
   EXPECT_EQ(checkpoint_fingerprint(dir / "other", kSelfTrainingSteps),
             checkpoint_fingerprint(dir / "whole", kSelfTrainingSteps));
   EXPECT_TRUE(read_text_file((dir / "other") + kSecondRound) == read_text_file((dir / "whole") + kSecondRound));
-}
-
-TEST(SelfTraining, MemoryIsPlanned) {
-  Registry registry = make_registry();
-  const TempDir dir;
-  write_packed_config(dir, kSelfTrainingSteps, 0);
-  Diagnostics diagnostics;
-  const auto plan_of = [&](const std::vector<std::string>& more) {
-    return open_session(config_in(dir, registry, more), registry, {}, diagnostics).memory;
-  };
-  const auto bytes_of = [](const std::vector<MemoryItem>& items, const std::string& name) {
-    std::size_t bytes = 0;
-    for (const MemoryItem& item : items) bytes += item.name == name ? item.bytes : 0;
-    return bytes;
-  };
-  const MemoryPlan with = plan_of({}), without = plan_of({"train.self_training.at=[]"});
-  EXPECT_EQ(bytes_of(with.held, "labels of self-training"), 9u * 48 * 36);
-  EXPECT_GT(bytes_of(with.turns, "round of self-training"), 4u * 9 * 48 * 36);
-  EXPECT_EQ(bytes_of(without.held, "labels of self-training") + bytes_of(without.turns, "round of self-training"), 0u);
-  EXPECT_EQ(self_label_bytes(10, 254), 10u);
-  EXPECT_EQ(self_label_bytes(10, 255), 20u);
 }
 
 TEST(SelfTraining, WithoutLabelsNothingIsDueAndThatIsSaid) {

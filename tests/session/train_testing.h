@@ -2,7 +2,7 @@
 #pragma once
 
 #include "plugin/registry.h"
-#include "run/run_loop.h"
+#include "run/run.h"
 #include "session/session.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"

@@ -392,40 +392,6 @@ constexpr double kFurtherRate = 0.5;  // of a leg, where the rate has fallen bel
 
 }  // namespace
 
-std::vector<ScheduleLeg> read_legs(const ConfigNode& list, Diagnostics& diagnostics) {
-  const std::string path = "train.schedule.legs";
-  std::vector<ScheduleLeg> legs;
-  if (list.is_null()) return legs;
-  if (!list.is_list()) {
-    diagnostics.error("config.value.type", list.location().text(),
-                      path + ": expected a list of maps {start, rate, hold_until, end}",
-                      "`semfield train --resume RUN --time T` writes it");
-    return legs;
-  }
-  for (std::size_t i = 0; i < list.items().size(); ++i) {
-    const ConfigNode& item = list.items()[i];
-    const std::string place = path + "." + std::to_string(i);
-    ScheduleLeg leg;
-    const int errors = diagnostics.error_count();
-    read_params(
-        item, place, [&](ParamVisitor& visit) { describe(visit, leg); }, diagnostics);
-    const bool last = i + 1 == list.items().size();
-    if (diagnostics.error_count() == errors &&
-        ((!legs.empty() && leg.start <= legs.back().start) || (leg.end == 0 ? !last : leg.end < leg.start)))
-      diagnostics.error("config.schedule.legs", item.location().text(),
-                        place + ": the leg does not follow on the one before",
-                        "legs start one after the other, and only the last may have no end yet");
-    legs.push_back(leg);
-  }
-  return legs;
-}
-
-ConfigNode legs_config(const std::vector<ScheduleLeg>& legs) {
-  std::vector<ConfigNode> items;
-  for (ScheduleLeg leg : legs) items.push_back(params_to_config([&](ParamVisitor& visit) { describe(visit, leg); }));
-  return ConfigNode::make_list(std::move(items), {});
-}
-
 std::int64_t last_step(const RunConfig& config) {
   const std::vector<ScheduleLeg>& legs = config.schedule.legs;
   return legs.empty() ? config.train.steps : legs.back().end;

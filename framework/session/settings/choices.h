@@ -160,10 +160,6 @@ struct AskedLength {
   bool any() const { return steps > 0 || seconds > 0; }
 };
 
-/// The list train.schedule.legs of a configuration, and back; an error for legs that do not follow each other.
-std::vector<ScheduleLeg> read_legs(const ConfigNode& legs, Diagnostics& diagnostics);
-ConfigNode legs_config(const std::vector<ScheduleLeg>& legs);
-
 /// Steps of the run at its end; 0: not settled yet.
 std::int64_t last_step(const RunConfig& config);
 /// Seconds of training of the run at its end, as they were asked for; 0: nobody did.

@@ -7,11 +7,14 @@
 #include <cmath>
 #include <filesystem>
 #include <functional>
+#include <initializer_list>
 
 #include "config/compose.h"
+#include "config/explain.h"
 #include "core/device_id.h"
 #include "core/text.h"
 #include "labels/clicks/click_log.h"
+#include "model/pass.h"
 #include "plugin/loader.h"
 #include "session/settings/choices.h"
 
@@ -92,10 +95,8 @@ void describe(ParamVisitor& visit, RuntimeParams& p) {
       visit, p, precision,
       "precision of the networks' matrix products: fp32; bf16 operands with fp32 sums, weights and gradients; or auto, "
       "which is bf16 where the machine computes it faster and all fields have it, and run.yaml has the choice");
-  SEMFIELD_PARAM(
-      visit, p, deterministic,
-      "GPUs sum in a fixed order, so that every run gives the same bits on any number of equal GPUs; the CPU "
-      "always does");
+  SEMFIELD_PARAM(visit, p, deterministic,
+                 "a GPU sums in a fixed order, so that every run gives the same bits; the CPU always does");
   SEMFIELD_PARAM(visit, p, threads, "CPU threads, 0: every core; results do not depend on it", {0, 4096});
   SEMFIELD_PARAM(visit, p, seed, "seed of every random value");
   SEMFIELD_PARAM(visit, p, lanes,
@@ -108,7 +109,8 @@ void describe(ParamVisitor& visit, RuntimeParams& p) {
       "components to build although the scene does not need them, like --keep; `train --dry-run` names them");
   SEMFIELD_PARAM(
       visit, p, memory_gb,
-      "most memory that training may take, GB; 0: what is free; a run that needs more is refused at the start",
+      "most memory that training may take, GB; 0: what is free; larger images are refused before they are read, and a "
+      "run that takes more ends after its first steps",
       {0, 1e6});
   SEMFIELD_PARAM(visit, p, fold_feature_layer, "multiply a field's feature and view layer once per step (exact)");
   SEMFIELD_PARAM(visit, p, direction_once_per_ray, "compute the view layer's direction term once per ray (exact)");
@@ -147,8 +149,8 @@ void describe(ParamVisitor& visit, ReportParams& p) {
 
 namespace {
 
-// Calls `section(key path, params)` for every fixed section of `config`: the one list that reading, writing and
-// documenting share.
+// Every fixed section of `config`, as `section(key path, sentence, params)`: the one list by which sections are read,
+// validated, written and documented.
 template <class Config, class Fn>
 void each_section(Config& config, Fn&& section) {
   section("scene.labels", "which training frames keep their labels", config.labels.selection);
@@ -169,25 +171,40 @@ void each_section(Config& config, Fn&& section) {
   section("limits", "how large inputs may be; what is larger is refused", config.limits);
 }
 
-// The keys at the top: those of the sections, and of what is no section of parameters.
-std::vector<std::string> top_keys() {
-  std::vector<std::string> keys;
-  RunConfig defaults;
-  each_section(defaults, [&](std::string_view path, const char*, auto&) {
-    std::string key(path.substr(0, path.find('.')));
-    if (std::find(keys.begin(), keys.end(), key) == keys.end()) keys.push_back(std::move(key));
-  });
-  keys.insert(keys.end(), {"heads", "losses", "passes", "plugins", "name", "base_dir"});
-  return keys;
-}
+// Keys that are no parameters of a section, besides the sections themselves.
+constexpr const char* kOtherKeys[] = {"heads",
+                                      "losses",
+                                      "passes",
+                                      "plugins",
+                                      "name",
+                                      "base_dir",
+                                      "scene.labels.from",
+                                      "scene.labels.degrade",
+                                      "train.schedule.legs",
+                                      "objects.method"};
 
-// Sub-sections of a section, which are keys of its map but no parameters.
-std::vector<std::string> nested_keys(std::string_view path) {
-  if (path == "train") return {"adam", "cameras", "schedule", "self_training"};
-  if (path == "train.schedule") return {"legs"};
-  if (path == "scene.labels") return {"from", "degrade"};
-  if (path == "objects") return {"method", "damage"};
-  return {};
+// Keys of versions before 1.0, and what to do instead.
+struct GoneKey {
+  const char *section, *key, *remedy;
+};
+constexpr GoneKey kGoneKeys[] = {
+    {"train", "time_limit_s", "write train: {steps: 0, time_s: SECONDS} to have steps and schedule settled for a time"},
+    {"runtime", "gemm", "remove the key; runtime.precision: bf16 is the faster arithmetic"},
+};
+
+// Keys that the map at `path` may have and that are no parameters of it; "": the top.
+std::vector<std::string> other_keys(std::string_view path) {
+  std::vector<std::string> keys;
+  const auto add = [&](std::string_view known) {
+    if (!path.empty() && !(known.starts_with(path) && known.substr(path.size()).starts_with('.'))) return;
+    const std::string_view below = path.empty() ? known : known.substr(path.size() + 1);
+    std::string key(below.substr(0, below.find('.')));
+    if (std::find(keys.begin(), keys.end(), key) == keys.end()) keys.push_back(std::move(key));
+  };
+  const RunConfig defaults;
+  each_section(defaults, [&](std::string_view known, const char*, const auto&) { add(known); });
+  for (const char* known : kOtherKeys) add(known);
+  return keys;
 }
 
 const ConfigNode* find_path(const ConfigNode& tree, std::string_view path) {
@@ -200,11 +217,43 @@ const ConfigNode* find_path(const ConfigNode& tree, std::string_view path) {
   return node;
 }
 
+ConfigNode with_path(const ConfigNode& tree, const std::string& path, const ConfigNode& value) {
+  const std::size_t dot = path.find('.');
+  if (dot == std::string::npos) return tree.with(path, value);
+  const std::string key = path.substr(0, dot);
+  const ConfigNode* child = tree.find(key);
+  return tree.with(key, with_path(child == nullptr ? ConfigNode() : *child, path.substr(dot + 1), value));
+}
+
+template <class Params>
+Describe described(Params& params) {
+  return [&params](ParamVisitor& visit) { describe(visit, params); };
+}
+Describe described(PluginParams& params) {
+  return [&params](ParamVisitor& visit) { params.describe(visit); };
+}
+
+// The list at `path`, with its place; none where nothing is written there, or no list, which is an error.
+const ConfigNode* list_at(const ConfigNode& tree, const std::string& path, const std::string& of,
+                          const std::string& remedy, Diagnostics& diagnostics) {
+  const ConfigNode* list = find_path(tree, path);
+  if (list == nullptr || list->is_null()) return nullptr;
+  if (list->is_list()) return list;
+  diagnostics.error("config.value.type", list->location().text(), path + ": expected a list of " + of, remedy);
+  return nullptr;
+}
+
+// The map at `path`; none where nothing is written there, or no map.
+const ConfigNode* map_at(const ConfigNode& tree, const std::string& path) {
+  const ConfigNode* map = find_path(tree, path);
+  return map != nullptr && map->is_map() ? map : nullptr;
+}
+
 // Relations between the values of a section; a finding's place is that of its key where the section's map has it.
 template <class Params>
 void validate_section(const ConfigNode& tree, const std::string& path, const Params& params, Diagnostics& diagnostics) {
   Diagnostics relations;
-  validate(params, relations);
+  if constexpr (requires { validate(params, relations); }) validate(params, relations);
   for (const Diagnostic& finding : relations.all()) {
     const ConfigNode* section = find_path(tree, path);
     const std::string key = finding.where.substr(std::min(finding.where.rfind('.') + 1, finding.where.size()));
@@ -215,100 +264,91 @@ void validate_section(const ConfigNode& tree, const std::string& path, const Par
   }
 }
 
+// Whether a path has to be made absolute: those of a run.yaml are, or start at its base_dir; --set is always written in
+// the working folder.
+bool starts_elsewhere(const ConfigNode* value, bool of_a_run) {
+  if (value == nullptr || !value->is_scalar() || value->text().empty()) return false;
+  return !of_a_run || value->location().line <= 0;
+}
+
+// `map` with its paths relative to the file that wrote them, or to the working folder.
+ConfigNode anchored(const ConfigNode& map, std::initializer_list<const char*> keys, bool of_a_run) {
+  ConfigNode out = map;
+  for (const char* key : keys) {
+    const ConfigNode* value = map.is_map() ? map.find(key) : nullptr;
+    if (!starts_elsewhere(value, of_a_run)) continue;
+    out = out.with(key, ConfigNode::make_scalar(resolve_path(*value), true, value->location()));
+  }
+  return out;
+}
+
+void read_label_steps(const ConfigNode& tree, bool of_a_run, const Registry& registry, LabelConfig& config,
+                      Diagnostics& diagnostics) {
+  if (const ConfigNode* from = find_path(tree, "scene.labels.from"); from != nullptr && !from->is_null()) {
+    const int errors = diagnostics.error_count();
+    const PluginSlot slot =
+        read_slot(PluginKind::label_reader, anchored(*from, {"folder", "file", "classes"}, of_a_run),
+                  "scene.labels.from", registry, diagnostics);
+    if (diagnostics.error_count() == errors) config.from = {slot.entry->name, slot.entry->label_reader(*slot.params)};
+  }
+  const ConfigNode* list = list_at(
+      tree, "scene.labels.degrade", "steps {type, ...}",
+      "write degrade: [{type: TYPE, ...}], TYPE one of " + join(registry.names(PluginKind::degradation)), diagnostics);
+  if (list == nullptr) return;
+  for (const ConfigNode& item : list->items()) {
+    const std::string path = "scene.labels.degrade." + std::to_string(config.degrade.size());
+    const int errors = diagnostics.error_count();
+    const PluginSlot slot = read_slot(PluginKind::degradation, item, path, registry, diagnostics);
+    if (diagnostics.error_count() == errors)
+      config.degrade.push_back({slot.entry->name, slot.entry->degradation(*slot.params)});
+  }
+}
+
+// The path of the key `clicks` becomes absolute. In a run.yaml a relative one starts at the run's folder; an absolute
+// one of the run's own file gives way to that file where it lies next to the run.yaml.
+void anchor_click_file(const ConfigNode& labels, bool of_a_run, LabelConfig& config) {
+  namespace fs = std::filesystem;
+  const ConfigNode* value = labels.find("clicks");
+  if (value == nullptr || !value->is_scalar() || value->text().empty()) return;
+  if (starts_elsewhere(value, of_a_run)) {
+    config.selection.clicks = resolve_path(*value);
+    return;
+  }
+  std::error_code unknown;
+  if (!fs::is_regular_file(value->location().file, unknown)) return;  // a text that is no file of a run yet
+  const fs::path folder = fs::absolute(value->location().file).parent_path().lexically_normal(), file = value->text();
+  config.run_dir = folder.string();
+  if (file.is_absolute() && file.filename() == kClickFile && fs::exists(folder / kClickFile, unknown))
+    config.selection.clicks = kClickFile;
+}
+
 void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics) {
   const ConfigNode* scene = tree.find("scene");
+  const bool of_a_run = !config.base_dir.empty();
   if (scene == nullptr) {
     diagnostics.error(
         "config.key.missing", tree.location().text(), "scene: section is missing",
         "name a dataset: scene: {type: TYPE, ...}, TYPE one of " + join(registry.names(PluginKind::dataset)));
     return;
   }
-  // By convention these keys of a scene are paths: relative to the file that wrote them, or to the working folder for
-  // --set.
-  ConfigNode anchored = *scene;
-  for (const char* key : {"root", "file", "classes"}) {
-    const ConfigNode* value = scene->is_map() ? scene->find(key) : nullptr;
-    if (value == nullptr || !value->is_scalar() || value->text().empty()) continue;
-    if (!config.base_dir.empty() && value->location().line > 0) continue;  // of a run.yaml: absolute, or from base_dir
-    anchored = anchored.with(key, ConfigNode::make_scalar(resolve_path(*value), true, value->location()));
-  }
-  config.dataset = read_slot(PluginKind::dataset, anchored, "scene", registry, diagnostics, {"labels", "load"});
-  if (const ConfigNode* labels = scene->is_map() ? scene->find("labels") : nullptr;
-      labels != nullptr && labels->is_map()) {
-    read_label_steps(*labels, !config.base_dir.empty(), registry, config.labels, diagnostics);
-  }
-  if (config.base_dir.empty()) config.base_dir = std::filesystem::current_path().string();
-}
-
-ConfigNode with_path(const ConfigNode& tree, const std::string& path, const ConfigNode& value) {
-  const std::size_t dot = path.find('.');
-  if (dot == std::string::npos) return tree.with(path, value);
-  const std::string key = path.substr(0, dot);
-  const ConfigNode* child = tree.find(key);
-  return tree.with(key, with_path(child == nullptr ? ConfigNode() : *child, path.substr(dot + 1), value));
-}
-
-// Runs of earlier versions have a limit beside a number of steps: what it says of their last evaluation still holds.
-ConfigNode with_former_limit(const ConfigNode& tree, Diagnostics& diagnostics) {
-  const ConfigNode* train = tree.find("train");
-  const ConfigNode* limit = train != nullptr && train->is_map() ? train->find("time_limit_s") : nullptr;
-  if (limit == nullptr) return tree;
-  if (tree.find("base_dir") == nullptr || train->find("time_s") != nullptr) {
-    diagnostics.error("config.key.gone", limit->key_location().text(),
-                      "train: time_limit_s is gone: a run ends at its steps",
-                      "write train: {steps: 0, time_s: SECONDS} to have steps and schedule settled for a time");
-  }
-  ConfigNode now = train->without("time_limit_s");
-  if (now.find("time_s") == nullptr) now = now.with("time_s", *limit);
-  return tree.with("train", now);
+  // By convention these keys of a scene are paths.
+  config.dataset = read_slot(PluginKind::dataset, anchored(*scene, {"root", "file", "classes"}, of_a_run), "scene",
+                             registry, diagnostics, {"labels", "load"});
+  if (map_at(tree, "scene.labels") != nullptr) read_label_steps(tree, of_a_run, registry, config.labels, diagnostics);
+  if (!of_a_run) config.base_dir = std::filesystem::current_path().string();
 }
 
 // Runs of 1.0 say no unit: their density is per metre.
 ConfigNode with_former_unit(const ConfigNode& tree) {
-  const ConfigNode* rendering = tree.find("rendering");
-  if (tree.find("base_dir") == nullptr || rendering == nullptr || !rendering->is_map()) return tree;
-  if (rendering->find("unit_m") != nullptr) return tree;
+  const ConfigNode* rendering = map_at(tree, "rendering");
+  if (tree.find("base_dir") == nullptr || rendering == nullptr || rendering->find("unit_m") != nullptr) return tree;
   return with_path(tree, "rendering.unit_m", ConfigNode::make_scalar("1", false, tree.location()));
 }
 
-// Runs of earlier versions say who multiplies matrices. What they say of our own kernels still holds.
-ConfigNode without_former_keys(const ConfigNode& written, Diagnostics& diagnostics) {
-  const ConfigNode tree = with_former_limit(with_former_unit(written), diagnostics);
-  const ConfigNode* runtime = tree.find("runtime");
-  const ConfigNode* gemm = runtime != nullptr && runtime->is_map() ? runtime->find("gemm") : nullptr;
-  if (gemm == nullptr) return tree;
-  if (gemm->text() != "auto" && gemm->text() != "builtin") {
-    diagnostics.error("config.key.gone", gemm->key_location().text(),
-                      "runtime: gemm is gone, Semfield multiplies matrices by its own kernels alone",
-                      "remove the key; runtime.precision: bf16 is the faster arithmetic");
-  }
-  return tree.with("runtime", runtime->without("gemm"));
-}
-
-}  // namespace
-
-RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnostics& diagnostics) {
-  RunConfig config;
-  if (!written.is_map()) {
-    diagnostics.error("config.value.type", written.location().text(),
-                      "expected a map of sections at the top of the config", {});
-    return config;
-  }
-  const ConfigNode tree = without_former_keys(written, diagnostics);
-  const std::vector<std::string> known = top_keys();
-  for (const auto& [key, value] : tree.entries()) {
-    if (std::find(known.begin(), known.end(), key) != known.end()) continue;
-    const std::string near = did_you_mean(key, known);
-    diagnostics.error("config.key.unknown", value.key_location().text(), "unknown section '" + key + "'",
-                      near.empty() ? "known: " + join(known) : "did you mean '" + near + "'?");
-  }
-  config.name = read_text(tree, "", "name", "run", diagnostics);
-  config.base_dir = read_text(tree, "", "base_dir", "", diagnostics);
-  if (const ConfigNode* plugins = tree.find("plugins"); plugins != nullptr && !plugins->is_null()) {
-    if (!plugins->is_list())
-      diagnostics.error("config.value.type", plugins->location().text(), "plugins: expected a list of module files",
-                        {});
-    bool loaded = true;
+// False where a module could not be loaded.
+bool read_modules(const ConfigNode& tree, Registry& registry, RunConfig& config, Diagnostics& diagnostics) {
+  bool loaded = true;
+  if (const ConfigNode* plugins = list_at(tree, "plugins", "module files", {}, diagnostics)) {
     for (const ConfigNode& item : plugins->items()) {
       try {
         load_listed_module(registry, resolve_path(item));
@@ -317,131 +357,33 @@ RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnos
         loaded = false;
       }
     }
-    if (!loaded) return config;  // every name of theirs would be an error
   }
   config.plugins = registry.module_files();
-  const bool of_a_run = !config.base_dir.empty();
-  read_scene(tree, registry, config, diagnostics);
-  each_section(config, [&](const char* path, const char*, auto& params) {
-    const ConfigNode* node = find_path(tree, path);
-    if (node == nullptr || node->is_null()) return;
-    read_params(
-        *node, path, [&](ParamVisitor& visit) { describe(visit, params); }, diagnostics, nested_keys(path));
-  });
-  if (const ConfigNode* legs = find_path(tree, "train.schedule.legs"))
-    config.schedule.legs = read_legs(*legs, diagnostics);
-  if (const ConfigNode* labels = find_path(tree, "scene.labels"); labels != nullptr && labels->is_map())
-    anchor_click_file(*labels, of_a_run, config.labels);
-  validate_section(tree, "scene.labels", config.labels.selection, diagnostics);
-  validate_section(tree, "scene.load", config.load, diagnostics);
-  validate_section(tree, "rendering", config.rendering, diagnostics);
-  validate_section(tree, "train", config.train, diagnostics);
-  validate_section(tree, "train.self_training", config.self_training, diagnostics);
-  validate_section(tree, "runtime", config.runtime, diagnostics);
-  validate_section(tree, "fuse", config.fuse, diagnostics);
-  validate_section(tree, "propagate", config.propagate, diagnostics);
-  if (const ConfigNode* method = find_path(tree, "objects.method"); method != nullptr && !method->is_null())
-    config.grouping = read_slot(PluginKind::grouping, *method, "objects.method", registry, diagnostics);
-  config.heads = read_heads(tree, registry, diagnostics);
-  config.losses = read_losses(tree, registry, diagnostics);
-  check_heads_of_losses(config, diagnostics);
-  read_passes(tree, registry, config, diagnostics);
-  config.load.contracted = config.rendering.outside == Outside::contracted;
-  return config;
+  return loaded;
 }
 
-RunConfig run_config_of(const ConfigNode& tree, Registry& registry) {
-  Diagnostics diagnostics;
-  RunConfig config = read_run_config(tree, registry, diagnostics);
-  diagnostics.throw_if_errors(ErrorKind::config, "");
-  return config;
-}
-
-namespace {
-bool is_of_the_written(Code code) {
-  return code == "config.key.unknown" || code == "config.value.type" || code == "config.value.range" ||
-         code == "config.value.choice" || code == "plugin.name.unknown";
-}
-}  // namespace
-
-RunConfig load_run_config(const std::string& path, const std::vector<std::string>& overrides, Registry& registry) {
-  const std::string file = find_config(path);
-  Diagnostics problems, found;
-  const ConfigNode tree = compose_config(file, overrides, problems);
-  RunConfig config = read_run_config(tree, registry, found);
-  // Without what could not be included or set, only what is written can be wrong, and not what is missing.
-  for (const Diagnostic& finding : found.all())
-    if (finding.severity == Severity::error && (!problems.has_errors() || is_of_the_written(finding.code)))
-      problems.error(finding.code, finding.where, finding.message, finding.remedy);
-  problems.throw_if_errors(ErrorKind::config, "");
-  if (tree.find("name") == nullptr) config.name = std::filesystem::path(file).stem().string();
-  return config;
-}
-
-ConfigNode resolved_config(const RunConfig& config) {
-  ConfigNode tree = ConfigNode::make_map({}, {});
-  tree = tree.with("name", ConfigNode::make_scalar(config.name, true, {}));
-  tree = tree.with("base_dir", ConfigNode::make_scalar(config.base_dir, true, {}));
-  if (config.dataset.entry != nullptr) tree = tree.with("scene", slot_config(config.dataset));
-  RunConfig& editable = const_cast<RunConfig&>(config);  // describe() takes a mutable struct; the writer only looks
-  each_section(editable, [&](const char* path, const char*, auto& params) {
-    ConfigNode section = params_to_config([&](ParamVisitor& visit) { describe(visit, params); });
-    if (std::string_view(path) == "scene.labels") section = with_label_steps(section, config.labels);
-    tree = with_path(tree, path, section);
-  });
-  if (!config.schedule.legs.empty()) tree = with_path(tree, "train.schedule.legs", legs_config(config.schedule.legs));
-  if (config.grouping.entry != nullptr) tree = with_path(tree, "objects.method", slot_config(config.grouping));
-  if (!config.heads.empty()) tree = tree.with("heads", heads_config(config.heads));
-  if (!config.losses.empty()) tree = tree.with("losses", losses_config(config.losses));
-  std::vector<ConfigNode> passes;
-  for (const PassConfig& pass : config.passes) passes.push_back(pass_config(pass));
-  tree = tree.with("passes", ConfigNode::make_list(std::move(passes), {}));
-  if (!config.plugins.empty()) {
-    std::vector<ConfigNode> modules;
-    for (const std::string& module : config.plugins) modules.push_back(ConfigNode::make_scalar(module, true, {}));
-    tree = tree.with("plugins", ConfigNode::make_list(std::move(modules), {}));
+std::vector<ScheduleLeg> read_legs(const ConfigNode& tree, Diagnostics& diagnostics) {
+  const std::string path = "train.schedule.legs";
+  std::vector<ScheduleLeg> legs;
+  const ConfigNode* list = list_at(tree, path, "maps {start, rate, hold_until, end}",
+                                   "`semfield train --resume RUN --time T` writes it", diagnostics);
+  if (list == nullptr) return legs;
+  for (std::size_t i = 0; i < list->items().size(); ++i) {
+    const ConfigNode& item = list->items()[i];
+    const std::string place = path + "." + std::to_string(i);
+    ScheduleLeg leg;
+    const int errors = diagnostics.error_count();
+    read_params(item, place, described(leg), diagnostics);
+    const bool last = i + 1 == list->items().size();
+    if (diagnostics.error_count() == errors &&
+        ((!legs.empty() && leg.start <= legs.back().start) || (leg.end == 0 ? !last : leg.end < leg.start)))
+      diagnostics.error("config.schedule.legs", item.location().text(),
+                        place + ": the leg does not follow on the one before",
+                        "legs start one after the other, and only the last may have no end yet");
+    legs.push_back(leg);
   }
-  return tree;
+  return legs;
 }
-
-std::vector<SectionDoc> describe_sections() {
-  std::vector<SectionDoc> docs;
-  RunConfig defaults;
-  each_section(defaults, [&](const char* path, const char* sentence, auto& params) {
-    docs.push_back({path, sentence, describe_params([&](ParamVisitor& visit) { describe(visit, params); })});
-  });
-  ScheduleLeg leg;
-  docs.push_back({"train.schedule.legs[]",
-                  "written by runs that continue beyond their first length: a list of what they train then",
-                  describe_params([&](ParamVisitor& visit) { describe(visit, leg); })});
-  SemanticBranchConfig branch;
-  docs.push_back({"passes[].semantic",
-                  "a network of its own for semantics, besides its plugins `position` and `field`, or a list of them "
-                  "from which the training labels choose; without this section the head reads the pass's field",
-                  describe_params([&](ParamVisitor& visit) { describe(visit, branch); }), true});
-  HeadConfig head;
-  docs.push_back({"heads[]",
-                  "heads in addition to that of class logits: each makes a channel that losses and renderings read",
-                  describe_params([&](ParamVisitor& visit) { describe(visit, head); })});
-  docs.push_back({"heads[].branch", "the head's own network, besides its plugins `position` and `field`",
-                  describe_params([&](ParamVisitor& visit) { describe(visit, head.rules); })});
-  return docs;
-}
-
-void describe(ParamVisitor& visit, HeadConfig& p) {
-  SEMFIELD_PARAM(visit, p, channel,
-                 "name of the channel that the head makes, and of the dataset's channel that a loss compares with it");
-  SEMFIELD_PARAM(visit, p, width,
-                 "columns of the channel; fewer than the dataset's has: its principal axes; 0: at most 64 of the "
-                 "dataset's",
-                 {0, 1024});
-  SEMFIELD_PARAM(visit, p, source_width, "columns of the dataset's channel where `width` is smaller; written by a run",
-                 {0, 65536});
-}
-
-namespace {
-
-const std::vector<std::string> kKeys{"channel", "width", "source_width", "branch"};
 
 // Those that the framework makes or reads itself.
 constexpr std::array kTaken{channel::color,   channel::label,  channel::soft_label, channel::depth, channel::alpha,
@@ -463,17 +405,37 @@ void check_channel(const HeadConfig& head, const std::vector<HeadConfig>& earlie
     if (other.channel == name) refuse("'" + name + "' is made by " + other.key + " already", "keep one of them");
 }
 
+// The keys `position` and `field` of a branch; false where `node` is no map.
+bool read_branch_slots(const ConfigNode& node, const std::string& path, const Registry& registry, PluginSlot& position,
+                       PluginSlot& field, Diagnostics& diagnostics) {
+  if (!node.is_map()) {
+    diagnostics.error("config.value.type", node.location().text(), path + ": expected a map {position, field, ...}",
+                      {});
+    return false;
+  }
+  const auto slot = [&](const char* key, PluginKind kind, PluginSlot& out) {
+    const ConfigNode* plugin = node.find(key);
+    if (plugin == nullptr || plugin->is_null()) {
+      diagnostics.error("config.key.missing", node.location().text(), path + ": key '" + key + "' is missing", {});
+      return;
+    }
+    out = read_slot(kind, *plugin, path + "." + key, registry, diagnostics);
+  };
+  slot("position", PluginKind::encoder, position);
+  slot("field", PluginKind::field, field);
+  return true;
+}
+
 HeadConfig read_head(const ConfigNode& item, const std::string& path, const Registry& registry,
                      Diagnostics& diagnostics) {
   HeadConfig head;
   head.key = path;
-  head.head = read_slot(PluginKind::head, item, path, registry, diagnostics, kKeys);
+  head.head =
+      read_slot(PluginKind::head, item, path, registry, diagnostics, {"channel", "width", "source_width", "branch"});
   if (head.head.entry == nullptr) return head;
   std::vector<std::string> of_plugin{"type", "branch"};
-  for (const ParamDoc& doc : describe_params([&](ParamVisitor& visit) { head.head.params->describe(visit); }))
-    of_plugin.push_back(doc.name);
-  read_params(
-      item, path, [&](ParamVisitor& visit) { describe(visit, head); }, diagnostics, of_plugin);
+  for (const ParamDoc& doc : describe_params(described(*head.head.params))) of_plugin.push_back(doc.name);
+  read_params(item, path, described(head), diagnostics, of_plugin);
   const ConfigNode* branch = item.find("branch");
   if (branch == nullptr || branch->is_null()) {
     diagnostics.error("config.key.missing", item.location().text(), path + ": key 'branch' is missing",
@@ -482,23 +444,16 @@ HeadConfig read_head(const ConfigNode& item, const std::string& path, const Regi
   }
   const std::string below = path + ".branch";
   if (read_branch_slots(*branch, below, registry, head.position, head.field, diagnostics))
-    read_params(*branch, below, [&](ParamVisitor& visit) { describe(visit, head.rules); }, diagnostics,
-                {"position", "field"});
+    read_params(*branch, below, described(head.rules), diagnostics, {"position", "field"});
   return head;
 }
 
-}  // namespace
-
+// A channel twice is an error, and so is one that the framework makes itself.
 std::vector<HeadConfig> read_heads(const ConfigNode& tree, const Registry& registry, Diagnostics& diagnostics) {
   std::vector<HeadConfig> heads;
-  const ConfigNode* list = tree.find("heads");
-  if (list == nullptr || list->is_null()) return heads;
-  if (!list->is_list()) {
-    diagnostics.error("config.value.type", list->location().text(),
-                      "heads: expected a list of heads {type, channel, branch, ...}",
-                      "write heads: [{type: TYPE, channel: NAME, branch: {...}}]");
-    return heads;
-  }
+  const ConfigNode* list = list_at(tree, "heads", "heads {type, channel, branch, ...}",
+                                   "write heads: [{type: TYPE, channel: NAME, branch: {...}}]", diagnostics);
+  if (list == nullptr) return heads;
   for (std::size_t i = 0; i < list->items().size(); ++i) {
     const ConfigNode& item = list->items()[i];
     HeadConfig head = read_head(item, "heads." + std::to_string(i), registry, diagnostics);
@@ -513,75 +468,12 @@ std::vector<HeadConfig> read_heads(const ConfigNode& tree, const Registry& regis
   return heads;
 }
 
-ConfigNode heads_config(const std::vector<HeadConfig>& heads) {
-  std::vector<ConfigNode> items;
-  for (const HeadConfig& one : heads) {
-    auto& head = const_cast<HeadConfig&>(one);  // describe() takes a mutable struct; the writer only looks
-    ConfigNode node = slot_config(head.head);
-    const ConfigNode own = params_to_config([&](ParamVisitor& visit) { describe(visit, head); });
-    for (const auto& [key, value] : own.entries()) node = node.with(key, value);
-    const ConfigNode rules = params_to_config([&](ParamVisitor& visit) { describe(visit, head.rules); });
-    items.push_back(
-        node.with("branch", rules.with("position", slot_config(head.position)).with("field", slot_config(head.field))));
-  }
-  return ConfigNode::make_list(std::move(items), {});
-}
-
-void check_heads_of_losses(const RunConfig& config, Diagnostics& diagnostics) {
-  for (const LossEntry& entry : config.losses) {
-    for (const std::string_view name : entry.loss->traits().heads) {
-      const auto makes = [&](const HeadConfig& head) { return head.channel == name; };
-      if (name == channel::logits || std::any_of(config.heads.begin(), config.heads.end(), makes)) continue;
-      diagnostics.error("config.loss.channel", entry.where,
-                        fmt::format("losses: '{}' reads the channel '{}', which no head makes", entry.type, name),
-                        fmt::format("add a head with channel: {} to the list `heads`", name));
-    }
-  }
-}
-
-void settle_heads(RunConfig& config, const SceneInfo& scene) {
-  for (HeadConfig& head : config.heads) {
-    int columns = 0;
-    for (const FrameInfo& frame : scene.frames) {
-      for (const FrameChannelInfo& one : frame.channels) {
-        if (frame.split != Split::train || one.name != head.channel) continue;
-        if (columns == 0) columns = one.cols;
-        if (columns != one.cols)
-          throw Error(ErrorKind::data, "scene.channel.columns",
-                      fmt::format("frame '{}': its channel '{}' has {} columns, and that of earlier frames {}",
-                                  frame.name, head.channel, one.cols, columns),
-                      "write the maps of all frames with the same model");
-      }
-    }
-    if (head.source_width > 0 && columns > 0 && columns != head.source_width)
-      throw Error(ErrorKind::data, "scene.channel.changed",
-                  fmt::format("{}: the dataset's channel '{}' has {} columns, and the run was trained on {}", head.key,
-                              head.channel, columns, head.source_width),
-                  "give it the maps that it was trained on");
-    if (head.width == 0) head.width = std::min(columns, kUsualHeadWidth);
-    if (head.width == 0)
-      throw Error(ErrorKind::config, "config.head.width",
-                  fmt::format("{}.width: no training frame has a channel '{}', so its columns are not known", head.key,
-                              head.channel),
-                  "set width, or give the dataset the channel");
-    if (columns > 0 && head.width > columns)
-      throw Error(ErrorKind::config, "config.head.width",
-                  fmt::format("{}.width: {} columns are asked for, and the dataset's channel '{}' has {}", head.key,
-                              head.width, head.channel, columns),
-                  "set it to at most that, or to 0");
-    if (columns > head.width) head.source_width = columns;
-  }
-}
-
+// A type twice is an error.
 std::vector<LossEntry> read_losses(const ConfigNode& tree, const Registry& registry, Diagnostics& diagnostics) {
   std::vector<LossEntry> entries;
-  const ConfigNode* list = tree.find("losses");
-  if (list == nullptr || list->is_null()) return entries;
-  if (!list->is_list()) {
-    diagnostics.error("config.value.type", list->location().text(), "losses: expected a list of terms {type, ...}",
-                      "write losses: [{type: distortion, weight: 0.002}]");
-    return entries;
-  }
+  const ConfigNode* list =
+      list_at(tree, "losses", "terms {type, ...}", "write losses: [{type: distortion, weight: 0.002}]", diagnostics);
+  if (list == nullptr) return entries;
   for (std::size_t i = 0; i < list->items().size(); ++i) {
     const ConfigNode& item = list->items()[i];
     const std::string path = "losses." + std::to_string(i);
@@ -608,121 +500,302 @@ std::vector<LossEntry> read_losses(const ConfigNode& tree, const Registry& regis
   return entries;
 }
 
-ConfigNode losses_config(const std::vector<LossEntry>& entries) {
-  std::vector<ConfigNode> items;
-  for (const LossEntry& entry : entries)
-    items.push_back(typed_config(entry.type, [&](ParamVisitor& visit) { entry.params->describe(visit); }));
-  return ConfigNode::make_list(std::move(items), {});
-}
-
-std::vector<std::string> targets_of(const std::vector<LossEntry>& entries) {
-  std::vector<std::string> names;
-  for (const LossEntry& entry : entries) {
-    for (const std::string_view name : entry.loss->traits().targets)
-      if (std::find(names.begin(), names.end(), name) == names.end()) names.emplace_back(name);
+// An error for each loss that reads a channel which no head makes.
+void check_heads_of_losses(const RunConfig& config, Diagnostics& diagnostics) {
+  for (const LossEntry& entry : config.losses) {
+    for (const std::string_view name : entry.loss->traits().heads) {
+      const auto makes = [&](const HeadConfig& head) { return head.channel == name; };
+      if (name == channel::logits || std::any_of(config.heads.begin(), config.heads.end(), makes)) continue;
+      diagnostics.error("config.loss.channel", entry.where,
+                        fmt::format("losses: '{}' reads the channel '{}', which no head makes", entry.type, name),
+                        fmt::format("add a head with channel: {} to the list `heads`", name));
+    }
   }
-  return names;
 }
 
-bool losses_read(const std::vector<LossEntry>& entries, std::string_view target) {
-  return std::any_of(entries.begin(), entries.end(),
-                     [&](const LossEntry& entry) { return entry.loss->traits().reads_target(target); });
+// {position, field} and the branch's own parameters.
+SemanticBranchConfig read_branch(const ConfigNode& node, const std::string& path, const Registry& registry,
+                                 Diagnostics& diagnostics) {
+  SemanticBranchConfig branch;
+  if (read_branch_slots(node, path, registry, branch.position, branch.field, diagnostics))
+    read_params(node, path, described(branch), diagnostics, {"position", "field"});
+  return branch;
 }
 
-TrainingDepth training_depth(const LoadedScene& scene) {
-  TrainingDepth depth;
-  for (const int f : scene.frames_of(Split::train)) {
-    depth.frames += scene.info.frames[static_cast<std::size_t>(f)].has_depth ? 1 : 0;
-    depth.pixels += scene.depth_pixels[static_cast<std::size_t>(f)];
+// One branch, or several from which the labels choose: one of them must take labels of any kind.
+std::vector<SemanticBranchConfig> read_branches(const ConfigNode& node, const std::string& path,
+                                                const Registry& registry, Diagnostics& diagnostics) {
+  std::vector<SemanticBranchConfig> branches;
+  if (!node.is_list()) {
+    branches.push_back(read_branch(node, path, registry, diagnostics));
+    return branches;
   }
-  return depth;
+  std::array<bool, ChoiceNames<LabelKind>::names.size()> served{};
+  constexpr auto kMany = static_cast<std::size_t>(LabelKind::many);
+  for (const ConfigNode& item : node.items()) {
+    branches.push_back(read_branch(item, path + "." + item_key(node, branches.size()), registry, diagnostics));
+    branches.back().key = "semantic." + item_key(node, branches.size() - 1);
+    bool& known = served[static_cast<std::size_t>(branches.back().labels)];
+    if (known || served[0] || (branches.back().labels == LabelKind::dense && served[kMany]))
+      diagnostics.error("config.branch.unreached", item.location().text(),
+                        path + ": an earlier branch takes all labels that this one is for", {});
+    known = true;
+  }
+  for (std::size_t kind = 1; kind < served.size() && !served[0]; ++kind) {
+    const bool among_many = kind == static_cast<std::size_t>(LabelKind::dense) && served[kMany];
+    if (!served[kind] && !among_many)
+      diagnostics.error("config.branch.missing", node.location().text(),
+                        path + ": no branch is for labels: " + std::string(ChoiceNames<LabelKind>::names[kind]),
+                        "add one, or let the last one be for labels: any");
+  }
+  return branches;
 }
 
-std::string depth_use(const std::vector<LossEntry>& entries, const TrainingDepth& depth, Diagnostics& diagnostics) {
-  const bool read = losses_read(entries, channel::depth);
-  if (depth.frames == 0) return read ? "no training frame has a depth image; colour alone teaches geometry" : "";
-  if (!read)
-    return fmt::format("depth images of {} training frames give bounds and distances; no loss reads them",
-                       depth.frames);
-  if (depth.pixels > 0) return fmt::format("depth images of {} training frames will be used", depth.frames);
-  diagnostics.warning(
-      "scene.depth.empty", "losses",
-      fmt::format("the depth images of all {} training frames have no valid pixel, so no term can read them",
-                  depth.frames),
-      "export z-depth that is finite and above 0, or set losses: []");
-  return fmt::format("depth images of {} training frames have no valid pixel", depth.frames);
+void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics) {
+  const ConfigNode* list = tree.find("passes");
+  if (list == nullptr || !list->is_list() || list->items().empty()) {
+    const Location& where = list == nullptr ? tree.location() : list->location();
+    diagnostics.error("config.value.type", where.text(),
+                      "passes: expected a list of at least one pass {name, sampler, position, direction, field}", {});
+    return;
+  }
+  static const std::vector<std::string> kKeys{"name", "like", "sampler", "position", "direction", "field", "semantic"};
+  for (std::size_t index = 0; index < list->items().size(); ++index) {
+    const ConfigNode& item = list->items()[index];
+    const std::string path = "passes." + item_key(*list, index);
+    PassConfig pass;
+    pass.key = path;
+    if (!item.is_map()) {
+      diagnostics.error("config.value.type", item.location().text(),
+                        path + ": expected a map {name, sampler, position, direction, field}", {});
+      continue;
+    }
+    refuse_unknown_keys(item, path + ": unknown key", kKeys, diagnostics);
+    pass.name = read_text(item, path, "name", usual_pass_name(index), diagnostics);
+    const auto slot = [&](const char* key, PluginKind kind, PluginSlot& out, bool required) {
+      const ConfigNode* node = item.find(key);
+      if (node == nullptr || node->is_null()) {
+        if (required)
+          diagnostics.error("config.key.missing", item.location().text(), path + ": key '" + key + "' is missing", {});
+        return;
+      }
+      out = read_slot(kind, *node, path + "." + key, registry, diagnostics);
+    };
+    slot("sampler", PluginKind::sampler, pass.sampler, true);
+    slot("position", PluginKind::encoder, pass.position, true);
+    slot("direction", PluginKind::encoder, pass.direction, false);
+    slot("field", PluginKind::field, pass.field, true);
+    if (const ConfigNode* branch = item.find("semantic"); branch != nullptr && !branch->is_null())
+      pass.semantic = read_branches(*branch, path + ".semantic", registry, diagnostics);
+    for (const PassConfig& other : config.passes) {
+      if (other.name == pass.name)
+        diagnostics.error("config.pass.twice", item.location().text(),
+                          path + ": name '" + pass.name + "' is taken by an earlier pass", {});
+    }
+    config.passes.push_back(std::move(pass));
+  }
+}
+
+}  // namespace
+
+RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnostics& diagnostics) {
+  RunConfig config;
+  if (!written.is_map()) {
+    diagnostics.error("config.value.type", written.location().text(),
+                      "expected a map of sections at the top of the config", {});
+    return config;
+  }
+  ConfigNode tree = with_former_unit(written);
+  refuse_unknown_keys(tree, "unknown section", other_keys(""), diagnostics);
+  for (const GoneKey& gone : kGoneKeys) {
+    const ConfigNode* section = map_at(tree, gone.section);
+    const ConfigNode* value = section != nullptr ? section->find(gone.key) : nullptr;
+    if (value == nullptr) continue;
+    diagnostics.error("config.key.gone", value->key_location().text(),
+                      fmt::format("{}: {} is gone", gone.section, gone.key), gone.remedy);
+    tree = tree.with(gone.section, section->without(gone.key));
+  }
+  config.name = read_text(tree, "", "name", "run", diagnostics);
+  config.base_dir = read_text(tree, "", "base_dir", "", diagnostics);
+  if (!read_modules(tree, registry, config, diagnostics)) return config;  // every name of theirs would be an error
+  const bool of_a_run = !config.base_dir.empty();
+  read_scene(tree, registry, config, diagnostics);
+  each_section(config, [&](const char* path, const char*, auto& params) {
+    const ConfigNode* node = find_path(tree, path);
+    if (node != nullptr && !node->is_null()) read_params(*node, path, described(params), diagnostics, other_keys(path));
+  });
+  config.schedule.legs = read_legs(tree, diagnostics);
+  if (const ConfigNode* labels = map_at(tree, "scene.labels")) anchor_click_file(*labels, of_a_run, config.labels);
+  each_section(config, [&](const char* path, const char*, const auto& params) {
+    validate_section(tree, path, params, diagnostics);
+  });
+  if (const ConfigNode* method = find_path(tree, "objects.method"); method != nullptr && !method->is_null())
+    config.grouping = read_slot(PluginKind::grouping, *method, "objects.method", registry, diagnostics);
+  config.heads = read_heads(tree, registry, diagnostics);
+  config.losses = read_losses(tree, registry, diagnostics);
+  check_heads_of_losses(config, diagnostics);
+  read_passes(tree, registry, config, diagnostics);
+  config.load.contracted = config.rendering.outside == Outside::contracted;
+  return config;
+}
+
+RunConfig run_config_of(const ConfigNode& tree, Registry& registry) {
+  Diagnostics diagnostics;
+  RunConfig config = read_run_config(tree, registry, diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::config, "");
+  return config;
 }
 
 namespace {
 
-// Parameters of label readers that are paths.
-constexpr const char* kPathKeys[] = {"folder", "file", "classes"};
+bool is_of_the_written(Code code) {
+  return code == "config.key.unknown" || code == "config.value.type" || code == "config.value.range" ||
+         code == "config.value.choice" || code == "plugin.name.unknown";
+}
+
+}  // namespace
+
+RunConfig load_run_config(const std::string& path, const std::vector<std::string>& overrides, Registry& registry) {
+  const std::string file = find_config(path);
+  Diagnostics problems, found;
+  const ConfigNode tree = compose_config(file, overrides, &problems);
+  RunConfig config = read_run_config(tree, registry, found);
+  // Without what could not be included or set, only what is written can be wrong, and not what is missing.
+  for (const Diagnostic& finding : found.all())
+    if (finding.severity == Severity::error && (!problems.has_errors() || is_of_the_written(finding.code)))
+      problems.error(finding.code, finding.where, finding.message, finding.remedy);
+  problems.throw_if_errors(ErrorKind::config, "");
+  if (tree.find("name") == nullptr) config.name = std::filesystem::path(file).stem().string();
+  return config;
+}
+
+namespace {
+
+ConfigNode text_node(const std::string& text) { return ConfigNode::make_scalar(text, true, {}); }
+
+// What `items` are as nodes, in a list.
+template <class Items, class ToNode>
+ConfigNode list_of(const Items& items, const ToNode& to_node) {
+  std::vector<ConfigNode> nodes;
+  for (const auto& item : items) nodes.push_back(to_node(item));
+  return ConfigNode::make_list(std::move(nodes), {});
+}
+
+// Every parameter, written out.
+template <class Params>
+ConfigNode written(Params params) {
+  return params_to_config(described(params));
+}
+
+// {type, every parameter}.
+ConfigNode typed_config(const std::string& type, const Describe& describe) {
+  const ConfigNode params = params_to_config(describe);
+  std::vector<ConfigNode::Entry> entries{{"type", ConfigNode::make_scalar(type, false, {})}};
+  entries.insert(entries.end(), params.entries().begin(), params.entries().end());
+  return ConfigNode::make_map(std::move(entries), {});
+}
+
+ConfigNode slot_config(const PluginSlot& slot) { return typed_config(slot.entry->name, described(*slot.params)); }
+
+ConfigNode branch_config(const ConfigNode& own, const PluginSlot& position, const PluginSlot& field) {
+  return own.with("position", slot_config(position)).with("field", slot_config(field));
+}
 
 ConfigNode step_config(const std::string& type, LabelStep& step) {
   return typed_config(type, [&](ParamVisitor& visit) { step.describe(visit); });
 }
 
-// Whether a path has to be made absolute; --set is always written in the working folder.
-bool starts_elsewhere(const ConfigNode* value, bool paths_are_absolute) {
-  if (value == nullptr || !value->is_scalar() || value->text().empty()) return false;
-  return !paths_are_absolute || value->location().line <= 0;
+// Without steps the keys are absent.
+ConfigNode with_label_steps(ConfigNode labels, const LabelConfig& config) {
+  if (config.from.reader) labels = labels.with("from", step_config(config.from.type, *config.from.reader));
+  if (config.degrade.empty()) return labels;
+  return labels.with("degrade", list_of(config.degrade, [](const LabelConfig::Step& step) {
+                       return step_config(step.type, *step.degradation);
+                     }));
+}
+
+ConfigNode head_config(const HeadConfig& head) {
+  ConfigNode node = slot_config(head.head);
+  HeadConfig own;  // without its plugins, which describe() does not look at
+  own.channel = head.channel;
+  own.width = head.width;
+  own.source_width = head.source_width;
+  const ConfigNode params = params_to_config(described(own));
+  for (const auto& [key, value] : params.entries()) node = node.with(key, value);
+  return node.with("branch", branch_config(written(head.rules), head.position, head.field));
+}
+
+ConfigNode pass_config(const PassConfig& pass) {
+  ConfigNode node = ConfigNode::make_map({{"name", text_node(pass.name)}}, {});
+  node = node.with("sampler", slot_config(pass.sampler)).with("position", slot_config(pass.position));
+  if (pass.direction.entry != nullptr) node = node.with("direction", slot_config(pass.direction));
+  node = node.with("field", slot_config(pass.field));
+  if (pass.semantic.empty()) return node;
+  const ConfigNode branches = list_of(pass.semantic, [](const SemanticBranchConfig& branch) {
+    SemanticBranchConfig own;  // without its plugins
+    own.labels = branch.labels;
+    own.rules = branch.rules;
+    return branch_config(params_to_config(described(own)), branch.position, branch.field);
+  });
+  return node.with("semantic", branches.items().size() == 1 ? branches.items().front() : branches);
 }
 
 }  // namespace
 
-void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, const Registry& registry, LabelConfig& config,
-                      Diagnostics& diagnostics) {
-  if (const ConfigNode* from = labels.find("from"); from != nullptr && !from->is_null()) {
-    ConfigNode anchored = *from;
-    for (const char* key : kPathKeys) {
-      const ConfigNode* value = from->is_map() ? from->find(key) : nullptr;
-      if (!starts_elsewhere(value, paths_are_absolute)) continue;
-      anchored = anchored.with(key, ConfigNode::make_scalar(resolve_path(*value), true, value->location()));
-    }
-    const int errors = diagnostics.error_count();
-    const PluginSlot slot = read_slot(PluginKind::label_reader, anchored, "scene.labels.from", registry, diagnostics);
-    if (diagnostics.error_count() == errors) config.from = {slot.entry->name, slot.entry->label_reader(*slot.params)};
-  }
-  const ConfigNode* list = labels.find("degrade");
-  if (list == nullptr || list->is_null()) return;
-  if (!list->is_list()) {
-    diagnostics.error(
-        "config.value.type", list->location().text(), "scene.labels.degrade: expected a list of steps {type, ...}",
-        "write degrade: [{type: TYPE, ...}], TYPE one of " + join(registry.names(PluginKind::degradation)));
-    return;
-  }
-  for (const ConfigNode& item : list->items()) {
-    const std::string path = "scene.labels.degrade." + std::to_string(config.degrade.size());
-    const int errors = diagnostics.error_count();
-    const PluginSlot slot = read_slot(PluginKind::degradation, item, path, registry, diagnostics);
-    if (diagnostics.error_count() == errors)
-      config.degrade.push_back({slot.entry->name, slot.entry->degradation(*slot.params)});
-  }
+ConfigNode resolved_config(const RunConfig& config) {
+  ConfigNode tree = ConfigNode::make_map({}, {});
+  tree = tree.with("name", text_node(config.name)).with("base_dir", text_node(config.base_dir));
+  if (config.dataset.entry != nullptr) tree = tree.with("scene", slot_config(config.dataset));
+  each_section(config, [&](std::string_view path, const char*, const auto& params) {
+    const ConfigNode section = written(params);
+    tree =
+        with_path(tree, std::string(path), path == "scene.labels" ? with_label_steps(section, config.labels) : section);
+  });
+  const std::vector<ScheduleLeg>& legs = config.schedule.legs;
+  if (!legs.empty()) tree = with_path(tree, "train.schedule.legs", list_of(legs, written<ScheduleLeg>));
+  if (config.grouping.entry != nullptr) tree = with_path(tree, "objects.method", slot_config(config.grouping));
+  if (!config.heads.empty()) tree = tree.with("heads", list_of(config.heads, head_config));
+  if (!config.losses.empty())
+    tree = tree.with("losses", list_of(config.losses, [](const LossEntry& entry) {
+                       return typed_config(entry.type, described(*entry.params));
+                     }));
+  tree = tree.with("passes", list_of(config.passes, pass_config));
+  return config.plugins.empty() ? tree : tree.with("plugins", list_of(config.plugins, text_node));
 }
 
-void anchor_click_file(const ConfigNode& labels, bool of_a_run, LabelConfig& config) {
-  namespace fs = std::filesystem;
-  const ConfigNode* value = labels.find("clicks");
-  if (value == nullptr || !value->is_scalar() || value->text().empty()) return;
-  if (starts_elsewhere(value, of_a_run)) {
-    config.selection.clicks = resolve_path(*value);
-    return;
-  }
-  std::error_code unknown;
-  if (!fs::is_regular_file(value->location().file, unknown)) return;  // a text that is no file of a run yet
-  const fs::path folder = fs::absolute(value->location().file).parent_path().lexically_normal(), file = value->text();
-  config.run_dir = folder.string();
-  if (file.is_absolute() && file.filename() == kClickFile && fs::exists(folder / kClickFile, unknown))
-    config.selection.clicks = kClickFile;
+std::vector<SectionDoc> describe_sections() {
+  std::vector<SectionDoc> docs;
+  RunConfig defaults;
+  each_section(defaults, [&](const char* path, const char* sentence, auto& params) {
+    docs.push_back({path, sentence, describe_params(described(params))});
+  });
+  ScheduleLeg leg;
+  docs.push_back({"train.schedule.legs[]",
+                  "written by runs that continue beyond their first length: a list of what they train then",
+                  describe_params(described(leg))});
+  SemanticBranchConfig branch;
+  docs.push_back({"passes[].semantic",
+                  "a network of its own for semantics, besides its plugins `position` and `field`, or a list of them "
+                  "from which the training labels choose; without this section the head reads the pass's field",
+                  describe_params(described(branch)), true});
+  HeadConfig head;
+  docs.push_back({"heads[]",
+                  "heads in addition to that of class logits: each makes a channel that losses and renderings read",
+                  describe_params(described(head))});
+  docs.push_back({"heads[].branch", "the head's own network, besides its plugins `position` and `field`",
+                  describe_params(described(head.rules))});
+  return docs;
 }
 
-ConfigNode with_label_steps(const ConfigNode& labels, const LabelConfig& config) {
-  ConfigNode out = labels;
-  if (config.from.reader) out = out.with("from", step_config(config.from.type, *config.from.reader));
-  if (config.degrade.empty()) return out;
-  std::vector<ConfigNode> steps;
-  for (const LabelConfig::Step& step : config.degrade) steps.push_back(step_config(step.type, *step.degradation));
-  return out.with("degrade", ConfigNode::make_list(std::move(steps), {}));
+void describe(ParamVisitor& visit, HeadConfig& p) {
+  SEMFIELD_PARAM(visit, p, channel,
+                 "name of the channel that the head makes, and of the dataset's channel that a loss compares with it");
+  SEMFIELD_PARAM(visit, p, width,
+                 "columns of the channel; fewer than the dataset's has: its principal axes; 0: at most 64 of the "
+                 "dataset's",
+                 {0, 1024});
+  SEMFIELD_PARAM(visit, p, source_width, "columns of the dataset's channel where `width` is smaller; written by a run",
+                 {0, 65536});
 }
 
 void describe(ParamVisitor& visit, BranchRules& p) {
@@ -776,8 +849,7 @@ PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string&
   std::vector<std::string> allowed = other_keys;
   allowed.push_back("type");
   const int errors = diagnostics.error_count();
-  read_params(
-      node, path, [&](ParamVisitor& visit) { slot.params->describe(visit); }, diagnostics, allowed);
+  read_params(node, path, described(*slot.params), diagnostics, allowed);
   if (diagnostics.error_count() == errors) {
     Diagnostics relations;
     slot.params->validate(relations);
@@ -793,144 +865,76 @@ PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string&
   return slot;
 }
 
-bool read_branch_slots(const ConfigNode& node, const std::string& path, const Registry& registry, PluginSlot& position,
-                       PluginSlot& field, Diagnostics& diagnostics) {
-  if (!node.is_map()) {
-    diagnostics.error("config.value.type", node.location().text(), path + ": expected a map {position, field, ...}",
-                      {});
-    return false;
-  }
-  const auto slot = [&](const char* key, PluginKind kind, PluginSlot& out) {
-    const ConfigNode* plugin = node.find(key);
-    if (plugin == nullptr || plugin->is_null()) {
-      diagnostics.error("config.key.missing", node.location().text(), path + ": key '" + key + "' is missing", {});
-      return;
-    }
-    out = read_slot(kind, *plugin, path + "." + key, registry, diagnostics);
-  };
-  slot("position", PluginKind::encoder, position);
-  slot("field", PluginKind::field, field);
-  return true;
-}
-
-namespace {
-
-// {position, field} and the branch's own parameters.
-SemanticBranchConfig read_branch(const ConfigNode& node, const std::string& path, const Registry& registry,
-                                 Diagnostics& diagnostics) {
-  SemanticBranchConfig branch;
-  if (read_branch_slots(node, path, registry, branch.position, branch.field, diagnostics))
-    read_params(node, path, [&](ParamVisitor& visit) { describe(visit, branch); }, diagnostics, {"position", "field"});
-  return branch;
-}
-
-// One branch, or several from which the labels choose: one of them must take labels of any kind.
-std::vector<SemanticBranchConfig> read_branches(const ConfigNode& node, const std::string& path,
-                                                const Registry& registry, Diagnostics& diagnostics) {
-  std::vector<SemanticBranchConfig> branches;
-  if (!node.is_list()) {
-    branches.push_back(read_branch(node, path, registry, diagnostics));
-    return branches;
-  }
-  std::array<bool, ChoiceNames<LabelKind>::names.size()> served{};
-  constexpr auto kMany = static_cast<std::size_t>(LabelKind::many);
-  for (const ConfigNode& item : node.items()) {
-    branches.push_back(read_branch(item, path + "." + item_key(node, branches.size()), registry, diagnostics));
-    branches.back().key = "semantic." + item_key(node, branches.size() - 1);
-    bool& known = served[static_cast<std::size_t>(branches.back().labels)];
-    if (known || served[0] || (branches.back().labels == LabelKind::dense && served[kMany]))
-      diagnostics.error("config.branch.unreached", item.location().text(),
-                        path + ": an earlier branch takes all labels that this one is for", {});
-    known = true;
-  }
-  for (std::size_t kind = 1; kind < served.size() && !served[0]; ++kind) {
-    const bool among_many = kind == static_cast<std::size_t>(LabelKind::dense) && served[kMany];
-    if (!served[kind] && !among_many)
-      diagnostics.error("config.branch.missing", node.location().text(),
-                        path + ": no branch is for labels: " + std::string(ChoiceNames<LabelKind>::names[kind]),
-                        "add one, or let the last one be for labels: any");
-  }
-  return branches;
-}
-
-}  // namespace
-
-void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics) {
-  const ConfigNode* list = tree.find("passes");
-  if (list == nullptr || !list->is_list() || list->items().empty()) {
-    const Location& where = list == nullptr ? tree.location() : list->location();
-    diagnostics.error("config.value.type", where.text(),
-                      "passes: expected a list of at least one pass {name, sampler, position, direction, field}", {});
-    return;
-  }
-  static const std::vector<std::string> kKeys{"name", "like", "sampler", "position", "direction", "field", "semantic"};
-  for (std::size_t index = 0; index < list->items().size(); ++index) {
-    const ConfigNode& item = list->items()[index];
-    const std::string path = "passes." + item_key(*list, index);
-    PassConfig pass;
-    pass.key = path;
-    if (!item.is_map()) {
-      diagnostics.error("config.value.type", item.location().text(),
-                        path + ": expected a map {name, sampler, position, direction, field}", {});
-      continue;
-    }
-    for (const auto& [key, value] : item.entries()) {
-      if (std::find(kKeys.begin(), kKeys.end(), key) != kKeys.end()) continue;
-      const std::string near = did_you_mean(key, kKeys);
-      diagnostics.error("config.key.unknown", value.key_location().text(), path + ": unknown key '" + key + "'",
-                        near.empty() ? "known: " + join(kKeys) : "did you mean '" + near + "'?");
-    }
-    pass.name = read_text(item, path, "name", usual_pass_name(index), diagnostics);
-    const auto slot = [&](const char* key, PluginKind kind, PluginSlot& out, bool required) {
-      const ConfigNode* node = item.find(key);
-      if (node == nullptr || node->is_null()) {
-        if (required)
-          diagnostics.error("config.key.missing", item.location().text(), path + ": key '" + key + "' is missing", {});
-        return;
+void settle_heads(RunConfig& config, const SceneInfo& scene) {
+  for (HeadConfig& head : config.heads) {
+    int columns = 0;
+    for (const FrameInfo& frame : scene.frames) {
+      for (const FrameChannelInfo& one : frame.channels) {
+        if (frame.split != Split::train || one.name != head.channel) continue;
+        if (columns == 0) columns = one.cols;
+        if (columns != one.cols)
+          throw Error(ErrorKind::data, "scene.channel.columns",
+                      fmt::format("frame '{}': its channel '{}' has {} columns, and that of earlier frames {}",
+                                  frame.name, head.channel, one.cols, columns),
+                      "write the maps of all frames with the same model");
       }
-      out = read_slot(kind, *node, path + "." + key, registry, diagnostics);
-    };
-    slot("sampler", PluginKind::sampler, pass.sampler, true);
-    slot("position", PluginKind::encoder, pass.position, true);
-    slot("direction", PluginKind::encoder, pass.direction, false);
-    slot("field", PluginKind::field, pass.field, true);
-    if (const ConfigNode* branch = item.find("semantic"); branch != nullptr && !branch->is_null())
-      pass.semantic = read_branches(*branch, path + ".semantic", registry, diagnostics);
-    for (const PassConfig& other : config.passes) {
-      if (other.name == pass.name)
-        diagnostics.error("config.pass.twice", item.location().text(),
-                          path + ": name '" + pass.name + "' is taken by an earlier pass", {});
     }
-    config.passes.push_back(std::move(pass));
+    if (head.source_width > 0 && columns > 0 && columns != head.source_width)
+      throw Error(ErrorKind::data, "scene.channel.changed",
+                  fmt::format("{}: the dataset's channel '{}' has {} columns, and the run was trained on {}", head.key,
+                              head.channel, columns, head.source_width),
+                  "give it the maps that it was trained on");
+    if (head.width == 0) head.width = std::min(columns, kUsualHeadWidth);
+    if (head.width == 0)
+      throw Error(ErrorKind::config, "config.head.width",
+                  fmt::format("{}.width: no training frame has a channel '{}', so its columns are not known", head.key,
+                              head.channel),
+                  "set width, or give the dataset the channel");
+    if (columns > 0 && head.width > columns)
+      throw Error(ErrorKind::config, "config.head.width",
+                  fmt::format("{}.width: {} columns are asked for, and the dataset's channel '{}' has {}", head.key,
+                              head.width, head.channel, columns),
+                  "set it to at most that, or to 0");
+    if (columns > head.width) head.source_width = columns;
   }
 }
 
-ConfigNode typed_config(const std::string& type, const Describe& describe) {
-  const ConfigNode params = params_to_config(describe);
-  std::vector<ConfigNode::Entry> entries{{"type", ConfigNode::make_scalar(type, false, {})}};
-  entries.insert(entries.end(), params.entries().begin(), params.entries().end());
-  return ConfigNode::make_map(std::move(entries), {});
-}
-
-ConfigNode slot_config(const PluginSlot& slot) {
-  return typed_config(slot.entry->name, [&](ParamVisitor& visit) { slot.params->describe(visit); });
-}
-
-ConfigNode pass_config(const PassConfig& pass) {
-  ConfigNode node = ConfigNode::make_map({{"name", ConfigNode::make_scalar(pass.name, true, {})}}, {});
-  node = node.with("sampler", slot_config(pass.sampler)).with("position", slot_config(pass.position));
-  if (pass.direction.entry != nullptr) node = node.with("direction", slot_config(pass.direction));
-  node = node.with("field", slot_config(pass.field));
-  std::vector<ConfigNode> branches;
-  for (const SemanticBranchConfig& branch : pass.semantic) {
-    // describe() takes a mutable struct; the writer only looks.
-    auto& editable = const_cast<SemanticBranchConfig&>(branch);
-    const ConfigNode own = params_to_config([&](ParamVisitor& visit) { describe(visit, editable); });
-    branches.push_back(own.with("position", slot_config(branch.position)).with("field", slot_config(branch.field)));
+std::vector<std::string> targets_of(const std::vector<LossEntry>& entries) {
+  std::vector<std::string> names;
+  for (const LossEntry& entry : entries) {
+    for (const std::string_view name : entry.loss->traits().targets)
+      if (std::find(names.begin(), names.end(), name) == names.end()) names.emplace_back(name);
   }
-  if (branches.empty()) return node;
-  return node.with("semantic",
-                   branches.size() == 1 ? branches.front() : ConfigNode::make_list(std::move(branches), {}));
+  return names;
+}
+
+bool losses_read(const std::vector<LossEntry>& entries, std::string_view target) {
+  return std::any_of(entries.begin(), entries.end(),
+                     [&](const LossEntry& entry) { return entry.loss->traits().reads_target(target); });
+}
+
+TrainingDepth training_depth(const LoadedScene& scene) {
+  TrainingDepth depth;
+  for (const int f : scene.frames_of(Split::train)) {
+    depth.frames += scene.info.frames[static_cast<std::size_t>(f)].has_depth ? 1 : 0;
+    depth.pixels += scene.depth_pixels[static_cast<std::size_t>(f)];
+  }
+  return depth;
+}
+
+std::string depth_use(const std::vector<LossEntry>& entries, const TrainingDepth& depth, Diagnostics& diagnostics) {
+  const bool read = losses_read(entries, channel::depth);
+  if (depth.frames == 0) return read ? "no training frame has a depth image; colour alone teaches geometry" : "";
+  if (!read)
+    return fmt::format("depth images of {} training frames give bounds and distances; no loss reads them",
+                       depth.frames);
+  if (depth.pixels > 0) return fmt::format("depth images of {} training frames will be used", depth.frames);
+  diagnostics.warning(
+      "scene.depth.empty", "losses",
+      fmt::format("the depth images of all {} training frames have no valid pixel, so no term can read them",
+                  depth.frames),
+      "export z-depth that is finite and above 0, or set losses: []");
+  return fmt::format("depth images of {} training frames have no valid pixel", depth.frames);
 }
 
 void describe(ParamVisitor& visit, FusionParams& p) {

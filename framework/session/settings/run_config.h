@@ -295,28 +295,12 @@ struct SectionDoc {
 };
 std::vector<SectionDoc> describe_sections();
 
-// The list `heads` of a configuration: read, written, and held against losses and scene.
-
-/// The key `heads` of the tree. A channel twice is an error, and so is one that the framework makes itself.
-std::vector<HeadConfig> read_heads(const ConfigNode& tree, const Registry& registry, Diagnostics& diagnostics);
-/// What read_heads would read, every parameter written out.
-ConfigNode heads_config(const std::vector<HeadConfig>& heads);
-/// An error for each loss that reads a channel which no head makes.
-void check_heads_of_losses(const RunConfig& config, Diagnostics& diagnostics);
-
 /// Columns of a head whose dataset has more for its channel, unless its own `width` says otherwise.
 inline constexpr int kUsualHeadWidth = 64;
 /// Settles width and source_width of the heads by the channels of the scene's training frames. Throws Error(config) for
 /// a head whose width neither says, and for one that is to have more columns than its channel; Error(data) for a
 /// channel whose frames differ in columns.
 void settle_heads(RunConfig& config, const SceneInfo& scene);
-
-// The list `losses` of a configuration: chosen by type, read, written, and held against the scene.
-
-/// The key `losses` of the tree; a type twice is an error.
-std::vector<LossEntry> read_losses(const ConfigNode& tree, const Registry& registry, Diagnostics& diagnostics);
-/// What read_losses would read, every parameter written out.
-ConfigNode losses_config(const std::vector<LossEntry>& entries);
 
 /// The targets that losses cannot do without, each once.
 std::vector<std::string> targets_of(const std::vector<LossEntry>& entries);
@@ -331,37 +315,8 @@ TrainingDepth training_depth(const LoadedScene& scene);
 /// reads depth images without a valid pixel.
 std::string depth_use(const std::vector<LossEntry>& entries, const TrainingDepth& depth, Diagnostics& diagnostics);
 
-// `scene.labels.from` and `scene.labels.degrade`: steps chosen by type, read, written and documented.
-
-/// Reads both keys of the section `labels` (a map) into `config`. Paths of `from` start at the file that wrote them,
-/// unless `paths_are_absolute`.
-void read_label_steps(const ConfigNode& labels, bool paths_are_absolute, const Registry& registry, LabelConfig& config,
-                      Diagnostics& diagnostics);
-
-/// Makes the path of the key `clicks` absolute, as those of `from`. `of_a_run`: `labels` is that of a run.yaml, in
-/// whose folder a relative path starts; an absolute one, which earlier versions wrote for the run's own file, gives way
-/// to that file where it lies beside the run.yaml.
-void anchor_click_file(const ConfigNode& labels, bool of_a_run, LabelConfig& config);
-
-/// `labels` with the keys `from` and `degrade` of `config`; without steps the keys are absent.
-ConfigNode with_label_steps(const ConfigNode& labels, const LabelConfig& config);
-
-// Passes of a configuration: plugin slots read from the tree, and written back.
-
 /// The plugin that `node` names under 'type', with its parameters; `other_keys` of the map belong to others. Findings
 /// go to `diagnostics`, and the slot is then of no use.
 PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string& path, const Registry& registry,
                      Diagnostics& diagnostics, const std::vector<std::string>& other_keys = {});
-/// The keys `position` and `field` of a branch; false where `node` is no map.
-bool read_branch_slots(const ConfigNode& node, const std::string& path, const Registry& registry, PluginSlot& position,
-                       PluginSlot& field, Diagnostics& diagnostics);
-/// The section `passes`.
-void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics);
-
-/// {type, every parameter}.
-ConfigNode typed_config(const std::string& type, const Describe& describe);
-/// What read_slot and read_passes would read, every parameter written out.
-ConfigNode slot_config(const PluginSlot& slot);
-ConfigNode pass_config(const PassConfig& pass);
-
 }  // namespace semfield

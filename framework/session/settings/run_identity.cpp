@@ -69,24 +69,12 @@ std::vector<ConfigDifference> settings_of(const RunConfig& config) {
   return config_differences(resolved_config(config), ConfigNode::make_map({}, {}));
 }
 
-// Earlier versions wrote some numbers in another way.
-bool same_number(const std::string& left, const std::string& right) {
-  double a = 0, b = 0;
-  return parse_number(left, a) && parse_number(right, b) && a == b;
-}
-
 }  // namespace
 
 bool is_part_of_identity(std::string_view key_path) { return !listed(kFree, key_path); }
 
 bool may_change_on_resume(std::string_view key_path) {
   return !is_part_of_identity(key_path) || listed(kRescue, key_path);
-}
-
-std::vector<ConfigDifference> changed_settings(const ConfigNode& before, const ConfigNode& now) {
-  std::vector<ConfigDifference> changes = config_differences(before, now);
-  std::erase_if(changes, [](const ConfigDifference& change) { return same_number(change.left, change.right); });
-  return changes;
 }
 
 std::string identity_hash(const RunConfig& config) {

@@ -17,9 +17,6 @@ bool is_part_of_identity(std::string_view key_path);
 /// Everything else would make it another run.
 bool may_change_on_resume(std::string_view key_path);
 
-/// What differs between two resolved configurations.
-std::vector<ConfigDifference> changed_settings(const ConfigNode& before, const ConfigNode& now);
-
 /// Equal for runs whose settings are the same but for those that are no part of the identity.
 std::string identity_hash(const RunConfig& config);
 

@@ -1,0 +1,672 @@
+#include "run/run.h"
+
+#include <fmt/chrono.h>
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <ctime>
+#include <filesystem>
+#include <limits>
+#include <optional>
+#include <set>
+#include <utility>
+
+#include "compute/parallel.h"
+#include "config/compose.h"
+#include "config/explain.h"
+#include "core/error.h"
+#include "core/text.h"
+#include "eval/final_eval.h"
+#include "execution/ranks/ranks.h"
+#include "labels/clicks/click_file.h"
+#include "plugin/loader.h"
+#include "scene/classes/class_table.h"
+#include "session/settings/run_identity.h"
+#include "system/files.h"
+#include "system/process.h"
+
+namespace semfield {
+
+/// Where a run that goes on begins.
+struct ResumePoint {
+  std::optional<CheckpointFacts> facts;   ///< of the newest checkpoint that verifies; none: the run begins at step 0
+  std::string path;                       ///< of that checkpoint
+  std::vector<ConfigDifference> changed;  ///< settings that are others than before, and may be
+  std::int64_t step() const { return facts ? facts->step : 0; }
+};
+
+struct OpenedForTraining {
+  std::optional<RunFolder> folder;  ///< locked; none where the request names none
+  Session session;
+  SceneInputs inputs;
+  ResumePoint point;
+  std::optional<TrainOutcome> ended = {};
+};
+
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr double kProgressEvery_s = 0.2;
+// A process that is to end gets at least this before it is killed; drivers look at the signal after each step.
+constexpr double kStopDeadline_s = 10;
+constexpr std::size_t kMostWaiting = 100'000;  // rows of a run with a folder, while they cannot be written
+constexpr std::int64_t kAllSteps = std::numeric_limits<std::int64_t>::max();
+
+using Clock = std::chrono::steady_clock;
+
+double seconds_since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
+
+std::string place_of(const std::string& folder) { return fs::weakly_canonical(fs::absolute(folder)).string(); }
+
+// run.yaml, as the session's configuration is now; nothing is written where the file says so already.
+void write_run_config(const RunFolder& folder, const RunConfig& config, Registry& registry) {
+  const std::string text = run_config_text(config, registry);
+  std::error_code unknown;
+  if (std::filesystem::exists(folder.config_path(), unknown) && read_text_file(folder.config_path()) == text) return;
+  write_file_atomic(folder.config_path(), text);
+}
+
+void write_left_out(const RunFolder& folder, const Session& session) {
+  std::vector<LeftOutRow> rows;
+  for (const LeftOut& out : session.plan.left_out) {
+    rows.push_back({out.component, out.rule, out.evidence, std::string(1, static_cast<char>(out.proof)), out.saving,
+                    out.measured.empty() ? shipped_saving(out.component) : out.measured});
+  }
+  write_file_atomic(folder.left_out_path(), left_out_json(rows));
+}
+
+// What a resumed run goes on from.
+
+// " --set KEY=VALUE" for a shell; nothing for a value that is absent.
+std::string set_text(const std::string& key, const std::string& value) {
+  return value == kAbsent ? std::string() : " --set " + shell_word(key + "=" + value);
+}
+
+void require_same_run(const std::vector<ConfigDifference>& identity, const RunFolder& folder) {
+  if (identity.empty()) return;
+  std::string changes, keep, anew;
+  for (const ConfigDifference& change : identity) {
+    changes += (changes.empty() ? "" : ", ") + change.text();
+    keep += set_text(change.key, change.left);
+    anew += set_text(change.key, change.right);
+  }
+  throw Error(ErrorKind::config, "run.config.other",
+              fmt::format("{}: that would be another run than the one in '{}'", changes, folder.path()),
+              fmt::format("to resume that one: semfield train --resume {}{}; to train again: semfield train {}{} "
+                          "--out NEW_FOLDER",
+                          shell_word(folder.path()), keep, shell_word(folder.config_path()), anew));
+}
+
+// What the run settled after the checkpoint, and the legs that were requested, are no changes of a setting.
+bool is_of_the_length(const std::string& key, bool was_open) {
+  return key.starts_with("train.schedule.legs") ||
+         (was_open && (key == "train.steps" || key == "train.time_s" || key == "train.schedule.hold_steps" ||
+                       key == "train.schedule.decay_steps"));
+}
+
+}  // namespace
+
+std::optional<RunConfig> settings_of_checkpoint(const CheckpointFacts& facts, Registry& registry) {
+  try {
+    Diagnostics diagnostics;
+    // Modules are loaded already, by run.yaml or by the command line.
+    RunConfig config =
+        read_run_config(parse_config_text(facts.config, "checkpoint").without("plugins"), registry, diagnostics);
+    if (!diagnostics.has_errors()) return config;
+  } catch (const Error&) {
+  }
+  return std::nullopt;
+}
+
+void compare_with_training(const CheckpointFacts& facts, const SceneInputs& inputs, const Session& session,
+                           Diagnostics& diagnostics) {
+  warn_of_other_inputs(facts.inputs, inputs, diagnostics);
+  warn_of_other_modules(facts.modules, session.config.plugins, diagnostics);
+  // Clicks are meant to come, and other labels are reported already where both checksums are known.
+  const bool told = !facts.inputs.training_labels.value_or("").empty() && !inputs.training_labels.value_or("").empty();
+  Diagnostics ignored;
+  compare_training_labels(facts.scene, session.manifest, session.scene.info.classes, session.config.runtime.keep,
+                          told || session.config.labels.clicks ? ignored : diagnostics);
+}
+
+namespace {
+
+// Keys that --set gives.
+std::set<std::string> keys_set(const std::string& config_path, const std::vector<std::string>& overrides) {
+  std::set<std::string> keys;
+  for (const ConfigSetting& setting : config_settings(compose_config(config_path, overrides)))
+    if (setting.from.starts_with("--")) keys.insert(setting.key);
+  return keys;
+}
+
+}  // namespace
+
+bool compare_settings_with_training(const CheckpointFacts& facts, const RunConfig& config, const RunFolder& folder,
+                                    const std::vector<std::string>& overrides, Registry& registry,
+                                    Diagnostics& diagnostics) {
+  const std::optional<RunConfig> trained = settings_of_checkpoint(facts, registry);
+  if (!trained) return true;
+  const std::set<std::string> on_purpose = keys_set(folder.config_path(), overrides);
+  bool same_scene = true;
+  std::vector<std::string> edited, asked;
+  std::string back, keep;
+  for (const ConfigDifference& change : config_differences(resolved_config(*trained), resolved_config(config))) {
+    if (may_change_on_resume(change.key) || is_of_the_length(change.key, last_step(*trained) == 0)) continue;
+    same_scene = same_scene && !change.key.starts_with("scene.");
+    if (on_purpose.contains(change.key)) {
+      asked.push_back(change.text());
+      continue;
+    }
+    edited.push_back(change.text());
+    back += set_text(change.key, change.left);
+    keep += set_text(change.key, change.right);
+  }
+  if (!edited.empty()) {
+    throw Error(
+        ErrorKind::config, "run.config.edited",
+        fmt::format("'{}' is not as the run was trained: {}", folder.config_path(), join(edited)),
+        fmt::format("for the settings of training add{}, or restore the file; for the file's add{}", back, keep));
+  }
+  if (!asked.empty())
+    diagnostics.note("run.config.settings", "settings",
+                     "they differ from those that the run was trained with: " + join(asked));
+  return same_scene;
+}
+
+namespace {
+
+// Compares `config` with what the checkpoint was trained with, or with run.yaml where there is none. Throws
+// Error(config) naming every setting that would make it another run, Error(data) for a bad checkpoint.
+ResumePoint find_resume_point(const RunFolder& folder, const RunConfig& config, Registry& registry,
+                              Diagnostics& diagnostics) {
+  ResumePoint point;
+  std::optional<RunConfig> before;
+  if (const auto found = CheckpointStore::read(folder.checkpoints_path()).find_latest(diagnostics)) {
+    point.facts = read_checkpoint_facts(found->file, found->step);
+    point.path = found->path;
+    before = settings_of_checkpoint(*point.facts, registry);
+  }
+  if (!before) before = load_run_config(folder.config_path(), {}, registry);
+  if (point.facts && point.facts->seed != before->runtime.seed) {
+    throw Error(
+        ErrorKind::data, "checkpoint.seed.differs",
+        fmt::format("'{}': its seed is {}, its settings say {}", point.path, point.facts->seed, before->runtime.seed),
+        "resume from another checkpoint of the run: move this file out of the folder");
+  }
+  std::vector<ConfigDifference> refused;
+  for (ConfigDifference& change : config_differences(resolved_config(*before), resolved_config(config))) {
+    if (is_of_the_length(change.key, last_step(*before) == 0)) continue;
+    (may_change_on_resume(change.key) ? point.changed : refused).push_back(std::move(change));
+  }
+  require_same_run(refused, folder);
+  return point;
+}
+
+// As long again as it trained.
+std::string train_on_words(const std::string& run_dir, double train_s) {
+  return fmt::format("semfield train --resume {} --time {:.0f}s", shell_word(run_dir), std::ceil(train_s));
+}
+
+// The scores that ended training, as metrics.jsonl has them: figures, and the part of the split that they are of.
+void read_scores(const RunFolder& folder, TrainOutcome& outcome) {
+  for (const MetricsRow& row : read_metrics(folder.metrics_path())) {
+    if (row.kind != "eval" || row.step != outcome.step || !row.split.starts_with("test")) continue;
+    outcome.values.clear();
+    outcome.scored = {};
+    for (const auto& [name, value] : row.values) {
+      const auto number = static_cast<std::int64_t>(value.value_or(0));
+      if (name == "frames") {
+        outcome.scored.frames = number;
+      } else if (name == "split_frames") {
+        outcome.scored.of = number;
+      } else if (name == "pixel_stride") {
+        outcome.scored.stride = static_cast<std::int32_t>(number);
+      } else if (name != "pixels") {
+        outcome.values.emplace_back(name, value);
+      }
+    }
+    if (outcome.scored.of == 0) outcome.scored.of = outcome.scored.frames;
+  }
+}
+
+// What the run in `folder` came to, from its files, where the checkpoint that it goes on from is of its last step, that
+// step was scored, the page about it is there, and no setting changes. None: it has to be gone on with, if only to be
+// scored.
+std::optional<TrainOutcome> ended_run(const RunFolder& folder, const RunConfig& config, const ResumePoint& point) {
+  if (!point.facts || !point.changed.empty()) return std::nullopt;
+  if (last_step(config) == 0 || point.step() < last_step(config)) return std::nullopt;
+  if (!fs::exists(folder.report_path())) return std::nullopt;
+  // A scene without test frames has no last evaluation.
+  if (fs::exists(folder.final_eval_path()) &&
+      parse_final_eval(read_text_file(folder.final_eval_path()), folder.final_eval_path()).step != point.step())
+    return std::nullopt;
+  TrainOutcome outcome;
+  outcome.step = point.step();
+  outcome.train_s = point.facts->train_s;
+  outcome.run_dir = folder.path();
+  outcome.report_path = folder.report_path();
+  outcome.peak_bytes = peak_resident_bytes();
+  read_scores(folder, outcome);
+  return outcome;
+}
+
+OpenedForTraining open_for_training(RunConfig config, Registry& registry, const TrainRequest& request,
+                                    TrainingListener* listener) {
+  if (request.out_dir.empty() && !config.self_training.at.empty())
+    throw Error(ErrorKind::usage, "run.folder.unnamed",
+                "train.self_training: its rounds are written to the run's folder, and this run has none",
+                "name a folder when the run is opened");
+  // A program's run that has room for classes and a folder keeps its clicks there.
+  LabelParams& labels = config.labels.selection;
+  if (request.driver == Driver::program && labels.clicks.empty() && labels.class_room > 0 && !request.out_dir.empty())
+    labels.clicks = (fs::absolute(request.out_dir) / kClickFile).string();
+  Diagnostics diagnostics;
+  SessionOptions options;
+  options.keep = request.keep;
+  options.probe = true;
+  options.ranks = request.ranks;
+  if (config.report.training_frames > 0) options.depth = DepthKept::all;
+  if (!request.out_dir.empty()) settle_click_file(config.labels, request.out_dir);
+  // A new run's folder is made when nothing can refuse the run any more; a resumed one is locked first.
+  if (!request.resume && !request.out_dir.empty()) RunFolder::require_new(request.out_dir);
+  std::optional<RunFolder> folder;
+  ResumePoint point;
+  if (request.resume) {
+    folder.emplace(RunFolder::resume(request.out_dir));
+    keep_components(config, request.keep);
+    point = find_resume_point(*folder, config, registry, diagnostics);
+    if (request.more.any()) {
+      const std::string before = length_text(config);
+      ask_more(config, request.more, point.step(), point.facts ? point.facts->train_s : 0);
+      point.changed.push_back({"length", before, length_text(config)});
+    }
+    require_scene_places(config, folder->path());
+    require_clicks({point.facts.has_value(), point.facts ? point.facts->clicks : std::nullopt}, config.labels,
+                   folder->path(), diagnostics);
+    if (point.facts) options.trained_classes = point.facts->classes;
+  }
+  const std::size_t before = diagnostics.all().size();
+  Session session = open_session(std::move(config), registry, options, diagnostics);
+  std::string findings;
+  for (std::size_t i = before; i < diagnostics.all().size(); ++i) findings += diagnostics.all()[i].text() + "\n";
+  SceneInputs inputs = scene_inputs(session.scene, session.labels);
+  if (point.facts) compare_with_training(*point.facts, inputs, session, diagnostics);
+  if (listener != nullptr) tell_findings(*listener, diagnostics, session);
+  if (request.out_dir.empty()) return {std::nullopt, std::move(session), std::move(inputs), std::move(point)};
+  if (folder && request.driver == Driver::command) {
+    if (std::optional<TrainOutcome> ended = ended_run(*folder, session.config, point))
+      return {std::move(*folder), std::move(session), std::move(inputs), std::move(point), std::move(ended)};
+  }
+  if (!folder) {
+    (void)run_config_text(session.config, registry);  // what cannot be stored leaves no folder
+    folder.emplace(RunFolder::create(request.out_dir));
+  }
+  write_run_config(*folder, session.config, registry);
+  if (!findings.empty() || fs::exists(folder->findings_path())) write_file_atomic(folder->findings_path(), findings);
+  return {std::move(*folder), std::move(session), std::move(inputs), std::move(point)};
+}
+
+// What the first steps have shown. Throws Error(unavailable) where it is more than runtime.memory_gb.
+void tell_memory(const RunConfig& config, RunListener& listener) {
+  const std::size_t bytes = peak_resident_bytes();
+  const double most_gb = config.runtime.memory_gb;
+  if (most_gb > 0 && static_cast<double>(bytes) > most_gb * (1 << 30))
+    throw Error(ErrorKind::unavailable, "memory.training.size",
+                fmt::format("the first steps took {} of memory, and runtime.memory_gb allows {:g} GB",
+                            memory_text(bytes), most_gb),
+                "lower train.rays or runtime.lanes, make the encoder smaller, or raise scene.load.downscale");
+  listener.note(fmt::format("the first steps took {} of memory", memory_text(bytes)));
+}
+
+}  // namespace
+
+std::string ScoredPart::text() const {
+  const std::string count =
+      frames == of ? fmt::format("all {} frames", of) : fmt::format("{} of {} frames", frames, of);
+  return stride == 1 ? count : fmt::format("{} at 1 pixel in {}", count, stride * stride);
+}
+
+double RunListener::now_s() { return std::chrono::duration<double>(Clock::now().time_since_epoch()).count(); }
+
+Run::Run(RunConfig config, Registry& registry, const TrainRequest& request, RunListener* listener,
+         TrainingListener* opening)
+    : Run(open_for_training(std::move(config), registry, request, opening != nullptr ? opening : listener), registry,
+          request, listener) {}
+
+Run::Run(OpenedForTraining opened, Registry& registry, const TrainRequest& request, RunListener* listener)
+    : registry_(registry),
+      listener_(listener != nullptr ? *listener : nobody_),
+      driver_(request.driver),
+      folder_(std::move(opened.folder)),
+      ended_(std::move(opened.ended)),
+      training_(std::move(opened.session), &listener_, std::move(opened.inputs)),
+      work_(session().work()),
+      self_training_(session(), training_.rays(), folder_ ? folder_->self_labels_path() : ""),
+      annotations_(session().config.labels.clicks) {
+  const ResumePoint& point = opened.point;
+  if (ended_) {
+    listener_.note(
+        fmt::format("the run has come to its end, {} steps, and nothing of it was changed; to train on: `{}`",
+                    ended_->step, train_on_words(run_dir(), ended_->train_s)));
+    return;
+  }
+  const WorkScope scope(work_);
+  for (const ConfigDifference& change : point.changed)
+    changed_.push_back(fmt::format("step {}: {}", point.step(), change.text()));
+  if (folder_) {
+    checkpoints_.emplace(folder_->checkpoints_path(), session().config.report.keep_checkpoints);
+    if (driver_ != Driver::page) self_training_.resume(point.step(), point.facts ? point.facts->self_labels : "");
+    write_records(*folder_);
+    if (point.facts) training_.load(point.path);
+    saved_step_ = training_.step();
+    // Rows past the step taken up (all of them, for a run killed before its first checkpoint) are dropped.
+    log_.emplace(MetricsLog::resume(folder_->metrics_path(), training_.step()));
+  }
+  step_rows_.emplace(session(), training_.train_s());
+  if (driver_ != Driver::command) return;
+  events_.emplace(folder_->path(), unix_seconds());
+  scores_.emplace(session(), ScoreFiles{*folder_, *log_, *events_}, listener_, moment());
+  const double every_s = session().config.report.eval_every_s;
+  next_eval_s_ = every_s > 0 ? (std::floor(training_.train_s() / every_s) + 1) * every_s : INFINITY;
+  if (request.resume) tell_resumed(point);
+}
+
+void Run::tell_resumed(const ResumePoint& point) {
+  for (const ConfigDifference& change : point.changed)
+    listener_.note(fmt::format("from step {} on: {}", point.step(), change.text()));
+  if (!point.facts) return listener_.note("no checkpoint yet: starting from step 0");
+  listener_.note(fmt::format("resuming at step {} ({:.1f} s of training) from {}", training_.step(),
+                             training_.train_s(), point.path));
+  // Its last evaluation may have been cut off, and settings of the page may be others now.
+  if (training_.at_its_end())
+    listener_.note(
+        fmt::format("the run has come to its end, {} steps: it is scored again, not trained; to train on: `{}`",
+                    training_.step(), train_on_words(run_dir(), training_.train_s())));
+}
+
+void Run::write_records(const RunFolder& folder) {
+  classes_written_ = named_classes(session().scene.info.classes).to_yaml();
+  if (!session().scene.info.classes.empty()) write_file_atomic(folder.classes_path(), classes_written_);
+  write_left_out(folder, session());
+  write_environment(folder);
+  if (driver_ != Driver::page) write_label_counts(folder);
+}
+
+void Run::write_environment(const RunFolder& folder) {
+  Environment environment = this_environment();
+  environment.threads = thread_count();
+  environment.seed = session().config.runtime.seed;
+  environment.input_hash = training_.inputs().hash();
+  // Those of earlier resumes, which the file holds that is about to be written again, and this one's.
+  const std::string path = folder.environment_path();
+  if (fs::exists(path)) environment.settings_changed = parse_settings_changed(read_text_file(path), path);
+  for (const std::string& line : changed_) {
+    std::vector<std::string>& all = environment.settings_changed;
+    if (std::find(all.begin(), all.end(), line) == all.end()) all.push_back(line);
+  }
+  for (const PluginEntry* entry : registry_.entries()) environment.modules.push_back(entry->module);
+  const Executor<float>& executor = session().pipeline->executor();
+  environment.more = {
+      {"started", fmt::format("{:%Y-%m-%d %H:%M} UTC", fmt::gmtime(std::time(nullptr)))},
+      {"device", executor.description()},
+      {"matrix products", executor.matrix_products()},
+      {"precision", std::string(precision_name(session().config.runtime.precision))},
+  };
+  write_file_atomic(path, environment_json(environment));
+}
+
+void Run::write_label_counts(const RunFolder& folder) const {
+  LabelCounts counts = label_counts(session().manifest, session().scene.info.classes, session().labels.steps);
+  counts.rounds = self_training_.rounds();
+  write_file_atomic(folder.labels_path(), label_counts_json(counts));
+}
+
+std::span<const StepLosses> Run::advance(std::int64_t most) {
+  const WorkScope scope(work_);
+  try {
+    if (!make_round()) return {};
+    const std::span<const StepLosses> made = make_steps(most);
+    make_due();
+    return made;
+  } catch (const RankLost&) {
+    // On the CPU every step is made by all or not at all. A GPU may wait for ever for the rank that is gone.
+    if (driver_ == Driver::command && session().pipeline->executor().device().kind == Device::cpu && !saved()) save();
+    throw;
+  }
+}
+
+std::span<const StepLosses> Run::make_steps(std::int64_t most) {
+  const std::int64_t before = training_.step();
+  const double before_s = training_.train_s();
+  most = std::min(most, step_rows_->steps_until_row(before));
+  if (const std::int64_t end = training_.last_step(); end > before) most = std::min(most, end - before);
+  if (driver_ != Driver::page) most = self_training_.steps_until_due(before, most);
+  const std::span<const StepLosses> made = training_.advance(most);
+  if (training_.take_settled() && folder_) write_run_config(*folder_, session().config, registry_);
+  warn_of_slow_steps((training_.train_s() - before_s) / static_cast<double>(made.size()));
+  for (std::size_t i = 0; i < made.size(); ++i) record(made[i], before + 1 + static_cast<std::int64_t>(i));
+  if (folder_ && driver_ != Driver::page) write_rows();
+  return made;
+}
+
+// What it takes is training. False: a stop was requested, and the round waits for whoever goes on.
+bool Run::make_round() {
+  if (driver_ == Driver::page || !self_training_.due(training_.step())) return true;
+  const Clock::time_point start = Clock::now();
+  const SelfTraining::Hooks hooks{[this](const ScoreProgress& p) { listener_.scoring(p); },
+                                  [this] { return listener_.stop_signal() != 0; }};
+  if (!self_training_.make_round(training_.step(), hooks)) return false;
+  const double spent_s = seconds_since(start);
+  training_.add_train_s(spent_s);
+  step_rows_->leave_out(spent_s);
+  listener_.note(self_training_.rounds().back().text());
+  write_label_counts(*folder_);
+  return true;
+}
+
+void Run::warn_of_slow_steps(double step_s) {
+  if (step_s <= kStopDeadline_s || warned_of_slow_steps_) return;
+  warned_of_slow_steps_ = true;
+  listener_.note(
+      fmt::format("a step takes {:.0f} s: SIGINT and SIGTERM are answered after it, later than the {:.0f} s "
+                  "promised; fewer train.rays make steps shorter",
+                  step_s, kStopDeadline_s));
+}
+
+void Run::record(const StepLosses& losses, std::int64_t step) {
+  std::optional<MetricsRow> row = step_rows_->add(losses, step, training_.train_s());
+  if (!row) return;
+  listener_.row(*row);
+  if (events_)
+    for (const auto& [name, value] : row->values)
+      if (value) events_->scalar("train/" + name, step, *value, unix_seconds());
+  report_progress(losses, *row);
+  if (!folder_ || waiting_.size() < kMostWaiting) waiting_.push_back(*std::move(row));
+}
+
+void Run::report_progress(const StepLosses& losses, const MetricsRow& row) {
+  if (seconds_since(last_progress_) < kProgressEvery_s && !training_.at_its_end()) return;
+  last_progress_ = Clock::now();
+  const RunConfig& config = session().config;
+  TrainProgress p;
+  p.step = training_.step();
+  p.steps = training_.last_step();
+  p.loss = losses.total;
+  for (std::size_t i = 0; i < config.losses.size(); ++i)
+    if ((losses.active >> i & 1U) != 0) p.terms.emplace_back(config.losses[i].type, losses.terms[i]);
+  p.psnr = *row.get("psnr");
+  p.rays_per_s = *row.get("rays_per_s");
+  if (scores_) {
+    p.miou_present = scores_->last_miou_present();
+    p.scored = scores_->last_part();
+  }
+  p.train_s = training_.train_s();
+  const double per_step = p.train_s / static_cast<double>(std::max<std::int64_t>(p.step, 1));
+  p.remaining_s = p.steps > 0 ? per_step * static_cast<double>(p.steps - p.step) : end_s(config) - p.train_s;
+  listener_.progress(p);
+}
+
+void Run::make_due() {
+  if (scores_ && training_.train_s() >= next_eval_s_) {
+    next_eval_s_ += session().config.report.eval_every_s;
+    scores_->score_sample(moment());
+  }
+  if (driver_ != Driver::command) return;
+  if (save_is_due()) save();
+  if (listener_.save_request()) {
+    save();
+    listener_.note(fmt::format("checkpoint of step {} saved as asked", saved_step_));
+  }
+}
+
+void Run::train_more(const AskedLength& asked) {
+  training_.train_more(asked);
+  if (folder_) write_run_config(*folder_, session().config, registry_);
+}
+
+void Run::write_rows() {
+  for (; !waiting_.empty(); waiting_.pop_front()) log_->append(waiting_.front());
+}
+
+void Run::write_classes() {
+  const std::string classes = named_classes(session().scene.info.classes).to_yaml();
+  if (!folder_ || classes == classes_written_) return;
+  write_file_atomic(folder_->classes_path(), classes);
+  classes_written_ = classes;
+}
+
+bool Run::save_is_due() const {
+  const double every_s = session().config.report.checkpoint_every_s;
+  return every_s > 0 && !saved() && seconds_since(last_save_) >= every_s;
+}
+
+std::string Run::write_checkpoint(CheckpointStore& store, MetricsLog& log) {
+  const std::vector<TensorRef> tensors = training_.state();
+  log.sync();  // a checkpoint that outlives a power cut has its rows
+  CheckpointFacts facts = training_.facts();
+  facts.self_labels = self_training_.named();
+  std::string path = store.save(facts.step, tensors, checkpoint_metadata(facts, identity_hash(session().config)));
+  saved_step_ = training_.step();
+  last_save_ = Clock::now();
+  return path;
+}
+
+std::string Run::save(const std::string& run_dir) {
+  const WorkScope scope(work_);
+  const std::string own = folder_ ? place_of(folder_->path()) : saved_in_;
+  if (own.empty() && run_dir.empty())
+    throw Error(ErrorKind::usage, "run.folder.unnamed", "the run has no folder yet", "name the folder to save it in");
+  const std::string place = run_dir.empty() ? own : place_of(run_dir);
+  if (!folder_) return save_without_folder(place);
+  if (place != own)
+    throw Error(ErrorKind::usage, "run.folder.own",
+                "the run has the folder '" + own + "' and cannot be saved in '" + run_dir + "'",
+                "save it in its own folder; a copy of the folder is a run too");
+  write_rows();
+  return write_checkpoint(*checkpoints_, *log_);
+}
+
+std::string Run::save_without_folder(const std::string& place) {
+  const bool again = place == saved_in_;
+  (void)run_config_text(session().config, registry_);  // what cannot be stored leaves no folder
+  training_.state();
+  const RunFolder folder = again ? RunFolder::resume(place) : RunFolder::create(place);
+  if (again) {
+    const std::vector<CheckpointStore::Entry> there = CheckpointStore::read(folder.checkpoints_path()).list();
+    if (!there.empty() && there.front().path != last_saved_)
+      throw Error(ErrorKind::data, "run.folder.ahead",
+                  "somebody continued the run in '" + place + "': its newest checkpoint is " + there.front().path,
+                  "save this one in another folder");
+  }
+  write_run_config(folder, session().config, registry_);
+  if (!again) write_records(folder);
+  MetricsLog log = MetricsLog::resume(folder.metrics_path(), 0);
+  for (const MetricsRow& row : waiting_) log.append(row);
+  CheckpointStore store(folder.checkpoints_path(), session().config.report.keep_checkpoints);
+  last_saved_ = write_checkpoint(store, log);
+  saved_in_ = place;
+  return last_saved_;
+}
+
+bool Run::apply(const LabelEvent& event) {
+  const LabelConfig& labels = session().config.labels;
+  if (!annotations_ || labels.selection.clicks.empty())
+    throw Error(ErrorKind::usage, "labels.clicks.missing", "the run has no file of clicks",
+                "open it with a folder and scene.labels.class_room, or with scene.labels.clicks");
+  if (!clicks_) {  // not before somebody clicks: to learn from another run's clicks is no reason to hold their file
+    Diagnostics ignored;  // stated when the scene was opened by the file
+    clicks_.emplace(open_click_log(labels, run_dir(), ignored));
+  }
+  Annotations next = *annotations_;
+  if (!next.apply(event)) return false;
+  std::vector<int> frames = annotations_->frames_with_marks();
+  for (const int frame : next.frames_with_marks())
+    if (std::find(frames.begin(), frames.end(), frame) == frames.end()) frames.push_back(frame);
+  training_.set_clicks(next, frames);
+  try {
+    clicks_->append(event);
+  } catch (...) {
+    training_.set_clicks(*annotations_, frames);
+    throw;
+  }
+  annotations_ = std::move(next);
+  try {
+    write_classes();
+  } catch (const Error& error) {  // the event is stored already: a later one writes the file
+    listener_.warning("classes.yaml is behind the classes: " + shown(error));
+  }
+  return true;
+}
+
+TrainOutcome Run::finish() {
+  const WorkScope scope(work_);
+  const double start_s = training_.train_s();
+  TrainOutcome outcome;
+  try {
+    listener_.stop_waits(true);
+    for (bool first = true; !training_.at_its_end() && !advance(kAllSteps).empty(); first = false) {
+      if (first) tell_memory(session().config, listener_);
+      if (listener_.stop_signal() != 0) break;
+    }
+    if (!saved() || training_.step() == 0) save();
+    listener_.stop_waits(false);
+    outcome.signal = listener_.stop_signal();
+    if (outcome.signal == 0) {
+      outcome.values = scores_->score_end(moment());
+      outcome.scored = scores_->last_part();
+    }
+    outcome.step = training_.step();
+    outcome.train_s = training_.train_s();
+    outcome.trained_s = training_.train_s() - start_s;
+    outcome.run_dir = run_dir();
+    outcome.peak_bytes = peak_resident_bytes();
+    if (outcome.signal == 0)
+      outcome.report_path = listener_.write_report(*folder_, session(), scores_->report_frames());
+  } catch (Error& error) {
+    add_what_is_left(error);
+    throw;
+  }
+  return outcome;
+}
+
+// A write that fails ends the run; the message then states what is left of it.
+void Run::add_what_is_left(Error& error) const {
+  const bool lost = dynamic_cast<const RankLost*>(&error) != nullptr;
+  const bool writing = error.kind() == ErrorKind::io || error.kind() == ErrorKind::cannot_create;
+  if (!lost && !(writing && error.message().starts_with("cannot "))) return;
+  // A save has said it.
+  const std::string kept = lost || error.context().empty() ? checkpoints_->kept_text() + "; " : "";
+  error.while_doing(fmt::format("training ended at step {} ({}resume with `semfield train --resume {}`{})",
+                                training_.step(), kept, shell_word(run_dir()),
+                                lost ? ", with any number of processes" : ""));
+}
+
+TrainOutcome run_training(RunConfig config, Registry& registry, TrainRequest request, RunListener* listener) {
+  request.driver = Driver::command;
+  Run run(std::move(config), registry, request, listener);
+  return run.ended() ? *run.ended() : run.finish();
+}
+
+}  // namespace semfield
