@@ -8,7 +8,7 @@
 #include <numbers>
 
 #include "app/json_output.h"
-#include "app/objects/object_tables.h"
+#include "app/objects/object_files.h"
 #include "app/serve/page_pictures.h"
 #include "core/error.h"
 #include "eval/channel_query.h"

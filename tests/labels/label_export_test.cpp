@@ -320,13 +320,10 @@ TEST(ExportVerb, EveryFormHoldsTheRenderedLabels) {
     for (const MaskRegion& region : mask_regions(labels, 40, 30)) smallest = std::min(smallest, region.area_px);
     EXPECT_GE(smallest, 30) << name;
   }
-  EXPECT_EQ(semfield_run("export run --min-area -1 --out x.json", folder).err,
-            "semfield: --min-area -1: expected 0 to 1000000000 [usage.value.invalid]\n");
+  EXPECT_HAS(semfield_run("export run --min-area -1 --out x.json", folder).err, "[usage.value.invalid]");
   const Result wrong = semfield_run("export run --format coc --out x.json", folder);
   EXPECT_EQ(wrong.code, 2);
-  EXPECT_EQ(
-      wrong.err,
-      "semfield: --format coc: expected coco, coco_rle, labelme or png; did you mean coco? [usage.value.invalid]\n");
+  EXPECT_HAS(wrong.err, "did you mean coco? [usage.value.invalid]");
   EXPECT_EQ(semfield_run("export none --out x.json", folder).code, 66);
 }
 
@@ -343,8 +340,7 @@ TEST(ClassesVerb, ConvertsTables) {
   const Result wrong = semfield_run("classes nyu13 --ids nyu40", folder);
   EXPECT_EQ(wrong.code, 2);
   EXPECT_SAID(wrong.err, "usage.flag.conflict", "semfield: --ids nyu40", "'nyu13'", "scannetv2-labels.combined.tsv");
-  EXPECT_EQ(semfield_run("classes nyu13 --format yml", folder).err,
-            "semfield: --format yml: expected yaml, csv or cvat; did you mean yaml? [usage.value.invalid]\n");
+  EXPECT_HAS(semfield_run("classes nyu13 --format yml", folder).err, "did you mean yaml? [usage.value.invalid]");
   EXPECT_EQ(semfield_run("classes none.yaml", folder).code, 66);
 }
 
