@@ -1,6 +1,7 @@
 // What every verb gets from the program. Results go to stdout, sentences to stderr.
 #pragma once
 
+#include <filesystem>
 #include <memory>
 #include <string>
 
@@ -35,9 +36,7 @@ struct AppContext {
 /// A sentence on stderr, unless the program is to be quiet.
 void print_note(const AppContext& context, const std::string& text);
 
-// What this binary is.
-
-/// Version, compiler, plugin interface, CPU and instruction sets, one line each.
-std::string version_lines();
+/// The folder of --out, with those above it; nothing for "". Throws Error(cannot_create).
+void create_output_folder(const std::filesystem::path& folder);
 
 }  // namespace semfield::app

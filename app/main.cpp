@@ -8,9 +8,7 @@
 #include <string>
 
 #include "app/app_context.h"
-#include "app/command_line/command_line.h"
-#include "app/launch.h"
-#include "app/load_progress.h"
+#include "app/command_line.h"
 #include "app/signals.h"
 #include "app/terminal.h"
 #include "core/error.h"

@@ -10,10 +10,15 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <memory>
 #include <mutex>
 #include <string_view>
+#include <system_error>
 
+#include "app/json_output.h"
+#include "core/error.h"
 #include "core/text.h"
+#include "run/run_folder.h"
 
 namespace semfield::app {
 
@@ -131,6 +136,7 @@ void say(const std::string& text, bool terminal) {
 
 namespace {
 
+constexpr const char* kLeftOut = "SEMFIELD_NEXT_LEFT_OUT";
 constexpr double kOverwriteEvery_s = 0.1, kLineEvery_s = 2;
 
 double steady_seconds() {
@@ -186,6 +192,63 @@ void ProgressLine::restart(std::string done_what, std::string unit) {
 void ProgressLine::end() {
   if (open_) outside_.write("");
   open_ = false;
+}
+
+void show_load_progress(AppContext& context) {
+  std::shared_ptr<ProgressLine> line;
+  std::string shown;
+  context.load_progress = [&context, line, shown](std::string_view doing, std::size_t done, std::size_t total) mutable {
+    if (doing == "read") return line.reset();
+    const std::string what = "scene: " + std::string(doing);
+    if (!line) {
+      line = std::make_shared<ProgressLine>(context, what);
+    } else if (what != shown) {
+      line->restart(what);
+    }
+    shown = what;
+    line->show(static_cast<double>(done), static_cast<double>(total));
+  };
+  context.work.load_progress = &context.load_progress;
+}
+
+void print_next(const AppContext& context, const std::vector<NextStep>& steps) {
+  if (context.quiet || context.json || steps.empty() || std::getenv(kLeftOut) != nullptr) return;
+  std::size_t longest = 0;
+  for (const NextStep& step : steps) longest = std::max(longest, step.words.size());
+  std::string text;
+  for (const NextStep& step : steps) {
+    text += (text.empty() ? "next        semfield " : "\n            semfield ") + step.words;
+    text += std::string(longest - step.words.size() + 3, ' ') + "# " + step.what;
+  }
+  std::fflush(stdout);  // results come first
+  say(text, false);
+}
+
+void leave_next_out_of_children() { setenv(kLeftOut, "1", 1); }
+
+void print_note(const AppContext& context, const std::string& text) {
+  if (!context.quiet) say(text, context.terminal);
+}
+
+void create_output_folder(const std::filesystem::path& folder) {
+  std::error_code failed;
+  if (!folder.empty()) std::filesystem::create_directories(folder, failed);
+  if (failed)
+    throw Error(ErrorKind::cannot_create, "files.output.create",
+                folder.string() + ": cannot create the folder: " + failed.message(),
+                "choose a folder that you may write to with --out");
+}
+
+std::string json_object(const AppContext& context, const Json& results) {
+  Json out{{"semfield", this_environment().version}, {"verb", context.verb}};
+  out.update(results);
+  return json_text(out) + "\n";
+}
+
+void print_json(const AppContext& context, const Json& results) {
+  const std::string text = json_object(context, results);
+  std::fwrite(text.data(), 1, text.size(), stdout);
+  std::fflush(stdout);
 }
 
 }  // namespace semfield::app

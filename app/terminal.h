@@ -65,4 +65,21 @@ class ProgressLine {
   double begin_s_, next_s_;
 };
 
+/// Scenes that are opened under context.work show a ProgressLine. `context` outlives them.
+void show_load_progress(AppContext& context);
+
+// What a verb says that people do next: commands that work as they stand, in the order printed.
+
+struct NextStep {
+  std::string words;  ///< behind the program's name
+  std::string what;   ///< what it does, for people
+};
+
+/// On stderr, a line each, which no terminal's width breaks: they are copied. Nothing for --quiet, --json, and for
+/// verbs that `semfield demo` runs.
+void print_next(const AppContext& context, const std::vector<NextStep>& steps);
+
+/// For verbs that start others, which say what is next themselves.
+void leave_next_out_of_children();
+
 }  // namespace semfield::app

@@ -1,25 +1,42 @@
 // How a file verbs/verb_*.cpp makes a verb: it defines `Verb verb_NAME()`, which the build finds.
 #pragma once
 
+#include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "app/app_context.h"
-#include "app/launch.h"
 #include "config/params.h"
+#include "session/settings/choices.h"
+
+namespace CLI {
+class App;
+class Option;
+}  // namespace CLI
 
 namespace semfield::app {
-
-struct VerbGrammar;
-struct Word;
 
 /// A configuration, and what `--set a.b=c` and the flags that are short forms of it say.
 struct ConfigOptions {
   std::string config;
   std::vector<std::string> set;
 };
+
+/// `--time 90s` and `--steps N` of the verbs that train.
+struct LengthWords {
+  std::string time;  ///< "90s", "5m", "1h"
+  std::optional<long long> steps;
+};
+
+/// Throws Error(usage) for what is no positive time such as 90s, 5m or 1h.
+AskedLength asked_length(const LengthWords& words);
+
+/// Values that completion offers for an option or an operand.
+using OfferedValues = std::map<const CLI::Option*, std::vector<std::string>>;
 
 /// The words that a verb takes, declared one by one. Values are written when the command line is read, into variables
 /// that live as long as the verb.
@@ -29,7 +46,7 @@ struct ConfigOptions {
 /// range, which is checked here and stated in the help.
 class VerbWords {
  public:
-  explicit VerbWords(VerbGrammar& verb) : verb_(verb) {}
+  VerbWords(CLI::App& verb, OfferedValues& offered) : verb_(verb), offered_(offered) {}
 
   /// A word that must be there.
   void operand(const std::string& name, std::string& into, const std::string& help,
@@ -72,15 +89,25 @@ class VerbWords {
   /// `--set` and `--threads` of a verb that opens a run.
   void run_settings(std::vector<std::string>& set);
 
+  /// Of which a command line has one.
+  void length(LengthWords& words);
+
   /// Of options declared before.
   void needs(const std::string& name, const std::string& other);
   void excludes(const std::string& name, const std::string& other);
 
  private:
-  Word& add(Word word);
-  Word& option(const std::string& name, const char* usual_value, const std::string& help);
-  Word& known(const std::string& name);
-  VerbGrammar& verb_;
+  template <class T>
+  CLI::Option& option(const std::string& name, const char* usual_value, T& into, const std::string& help);
+  CLI::App& verb_;
+  OfferedValues& offered_;
+};
+
+/// What a verb does as one of several processes that mpirun or srun started.
+enum class Launch : std::uint8_t {
+  alone,   ///< it is refused
+  ranks,   ///< rank 0 runs it with AppContext::ranks, and the others follow (session/session.h)
+  beside,  ///< every process runs it, and it sees to the others itself
 };
 
 /// A verb of the program, or a group of verbs.

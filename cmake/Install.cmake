@@ -55,20 +55,17 @@ foreach(folder configs scenes studies/peers app/serve/page app/render/scene_page
   install(DIRECTORY ${PROJECT_SOURCE_DIR}/${folder}/ DESTINATION ${CMAKE_INSTALL_DATADIR}/semfield/${folder} COMPONENT app)
 endforeach()
 
-# Manual pages and completions, which the program itself makes from the grammar of its command line.
+# Completions, which the program itself prints, and a manual page of its help.
 set(semfield_words ${PROJECT_BINARY_DIR}/words)
 file(MAKE_DIRECTORY ${semfield_words})
 add_custom_command(OUTPUT ${semfield_words}/made
-  COMMAND ${CMAKE_COMMAND} -E rm -rf ${semfield_words}/man1
-  COMMAND semfield_app --quiet help --man --out ${semfield_words}/man1
-  COMMAND gzip -9nr ${semfield_words}/man1
+  COMMAND ${PROJECT_SOURCE_DIR}/packaging/manual_page $<TARGET_FILE:semfield_app> ${PROJECT_VERSION} > ${semfield_words}/semfield.1
+  COMMAND gzip -9nf ${semfield_words}/semfield.1
   COMMAND semfield_app completion bash > ${semfield_words}/semfield
   COMMAND semfield_app completion zsh > ${semfield_words}/_semfield
-  COMMAND semfield_app completion fish > ${semfield_words}/semfield.fish
   COMMAND ${CMAKE_COMMAND} -E touch ${semfield_words}/made
-  DEPENDS semfield_app COMMENT "Manual pages and completions")
+  DEPENDS semfield_app ${PROJECT_SOURCE_DIR}/packaging/manual_page COMMENT "Manual page and completions")
 add_custom_target(semfield_words ALL DEPENDS ${semfield_words}/made)
-install(DIRECTORY ${semfield_words}/man1 DESTINATION ${CMAKE_INSTALL_MANDIR} COMPONENT app)
+install(FILES ${semfield_words}/semfield.1.gz DESTINATION ${CMAKE_INSTALL_MANDIR}/man1 COMPONENT app)
 install(FILES ${semfield_words}/semfield DESTINATION ${CMAKE_INSTALL_DATADIR}/bash-completion/completions COMPONENT app)
 install(FILES ${semfield_words}/_semfield DESTINATION ${CMAKE_INSTALL_DATADIR}/zsh/vendor-completions COMPONENT app)
-install(FILES ${semfield_words}/semfield.fish DESTINATION ${CMAKE_INSTALL_DATADIR}/fish/vendor_completions.d COMPONENT app)

@@ -7,7 +7,6 @@
 #include <cstdio>
 #include <ctime>
 #include <functional>
-#include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -194,8 +193,6 @@ std::string text_of(const std::optional<double>& value, int digits) {
   return value ? fmt::format("{:.{}f}", *value, digits) : "n/a";
 }
 
-}  // namespace
-
 int bench_gpu(const BenchGpuOptions& options, AppContext& context) {
   const GpuResults bench = measure_gpu(options, context);
   const std::optional<double> step = bench.ms("paper bf16 C=29"), peer = bench.best_peer_ms();
@@ -238,8 +235,6 @@ int bench_gpu(const BenchGpuOptions& options, AppContext& context) {
 
 // bench step: whole training steps, the machine's limits and the peer, as a table or one JSON object.
 
-namespace {
-
 /// A measured training step of ours.
 struct StepRow {
   std::string net;        ///< paper, hash T=2^15, ...
@@ -259,7 +254,6 @@ struct StepRow {
 /// A measured training step of the peer's.
 struct PeerRow {
   std::string net, mode;
-  bool tuned = true;
   std::int64_t rays = 0;
   Spread seconds;
   double processor = 0;  ///< as above
@@ -271,12 +265,10 @@ struct BenchStepResults {
   int threads = 0;
   double peak_fp32_one = 0, peak_fp32 = 0;  ///< operations per second on 1 and on `threads` threads
   double peak_bf16_one = 0, peak_bf16 = 0;  ///< 0: the processor has no such instruction
-  std::map<std::string, std::pair<double, double>>
-      reads;                     ///< table size -> random 8-byte reads a second, 1 and all threads
-  std::vector<StepRow> steps;    ///< whole steps, alternating with the peers
-  std::vector<StepRow> classes;  ///< the same networks over C; C = 0: without semantics
-  std::vector<StepRow> scaling;  ///< 1 thread, 2, and `many_threads`
-  int many_threads = 0;          ///< 0: the machine has fewer than 8 cores
+  std::vector<StepRow> steps;               ///< whole steps, alternating with the peers
+  std::vector<StepRow> classes;             ///< the same networks over C; C = 0: without semantics
+  std::vector<StepRow> scaling;             ///< 1 thread, 2, and `many_threads`
+  int many_threads = 0;                     ///< 0: the machine has fewer than 8 cores
   std::vector<PeerRow> peers;
   std::string peer_about, peer_missing;  ///< what answered, or why nothing did
 };
@@ -417,12 +409,6 @@ class StepBench {
     results_.peak_bf16_one = best([&] { return peak_bf16_flops(1, s); });
     results_.peak_fp32 = best([&] { return peak_fp32_flops(n, s); });
     results_.peak_bf16 = best([&] { return peak_bf16_flops(n, s); });
-    for (const auto& [name, size] :
-         {std::pair<const char*, std::size_t>{"32 KB", 32u << 10}, {"4 MB", 4u << 20}, {"64 MB", 64u << 20}}) {
-      const std::size_t bytes = size;  // clang 14 cannot capture a structured binding
-      results_.reads[name] = {best([&] { return random_reads(1, bytes, s); }),
-                              best([&] { return random_reads(n, bytes, s); })};
-    }
   }
 
   void start_peer() {
@@ -503,35 +489,15 @@ class StepBench {
     auto spread = spreads.begin();
     for (Turn& turn : turns) {
       results_.steps.push_back(turn.ours->finished(*spread++, peak(turn.ours->row())));
-      if (peer_ && turn.peer) add_peer_row(*turn.peer, true, *spread++, spread_of(turn.processor).median);
+      if (peer_ && turn.peer) add_peer_row(*turn.peer, *spread++, spread_of(turn.processor).median);
     }
     peer_.reset();
-    if (!results_.peers.empty()) as_installed();
   }
 
-  void add_peer_row(const PeerRequest& r, bool tuned, const Spread& seconds, double processor) {
+  void add_peer_row(const PeerRequest& r, const Spread& seconds, double processor) {
     const double samples = static_cast<double>(r.rays) * (r.net == "paper" ? 256 : 30);
     const std::string net = r.net == "hash" ? fmt::format("hash T=2^{}", r.log2_entries) : r.net;
-    results_.peers.push_back({net, r.mode, tuned, r.rays, seconds, processor, samples});
-  }
-
-  /// The peer without any tuning, once: to show what the tuning is worth.
-  void as_installed() {
-    print_note(context_, "the peer as installed");
-    try {
-      const std::string script =
-          options_.peer_script.empty() ? shared_file("studies/peers/semfield_peer.py") : options_.peer_script;
-      Peer peer(script, options_.python, results_.threads, false);
-      std::vector<PeerRequest> requests;
-      for (const std::string& mode : precisions_) requests.push_back({"paper", mode, sizes_.rays, kPaperClasses, 0, 1});
-      requests.push_back({"hash", "fp32", sizes_.rays, kPaperClasses, 15, 1});
-      for (const PeerRequest& request : requests) {
-        const PeerTimes times = peer.measure(request);
-        add_peer_row(request, false, spread_of({times.seconds}), times.processor);
-      }
-    } catch (const Error& error) {
-      results_.peer_missing += fmt::format("as installed: {}; ", error.what());
-    }
+    results_.peers.push_back({net, r.mode, r.rays, seconds, processor, samples});
   }
 
   void class_counts() {
@@ -578,7 +544,7 @@ const StepRow* find_step(const std::vector<StepRow>& rows, const std::string& ne
 
 const PeerRow* find_peer(const BenchStepResults& r, const std::string& net, const std::string& mode) {
   const auto found = std::find_if(r.peers.begin(), r.peers.end(),
-                                  [&](const PeerRow& row) { return row.net == net && row.mode == mode && row.tuned; });
+                                  [&](const PeerRow& row) { return row.net == net && row.mode == mode; });
   return found == r.peers.end() ? nullptr : &*found;
 }
 
@@ -587,9 +553,8 @@ BenchStepResults measure_steps(const BenchStepOptions& options, AppContext& cont
   return StepBench(options, context).run();
 }
 
-/// `time` says which of a row's times counts.
-template <class Time>
-Goals goals_by(const BenchStepResults& r, const Time& time) {
+Goals goals_of(const BenchStepResults& r) {
+  const auto time = [](const auto& row) { return row.seconds.median; };
   const auto ratio = [&](const auto* over, const auto* under) -> std::optional<double> {
     if (over == nullptr || under == nullptr) return std::nullopt;
     return time(*over) / time(*under);
@@ -606,6 +571,7 @@ Goals goals_by(const BenchStepResults& r, const Time& time) {
     if (ours == nullptr || theirs == nullptr) return std::nullopt;
     return (ours->samples / time(*ours)) / (theirs->samples / time(*theirs));
   };
+  const StepRow* paper = step("paper", "fp32");
   // The worse of the two networks.
   const std::optional<double> p7 = std::max(ratio(of_classes("paper", 512), of_classes("paper", 13)),
                                             ratio(of_classes("hash T=2^15", 512), of_classes("hash T=2^15", 13)));
@@ -613,7 +579,7 @@ Goals goals_by(const BenchStepResults& r, const Time& time) {
           {"P2", faster("paper", "bf16")},
           {"P2c", ratio(step("hash T=2^15", "fp32"), step("hash T=2^15", "bf16"))},
           {"P3", faster("hash T=2^15", "fp32")},
-          {"P4", std::nullopt},
+          {"P4", paper != nullptr && paper->peak > 0 ? std::optional(paper->flops() / paper->peak) : std::nullopt},
           {"P7", p7},
           {"P8", ratio(of_classes("paper", 101), of_classes("paper", 0))},
           {"threads2", ratio(find_step(r.scaling, "paper", "fp32", kPaperClasses, 1),
@@ -623,36 +589,9 @@ Goals goals_by(const BenchStepResults& r, const Time& time) {
                                               find_step(r.scaling, "paper", "fp32", kPaperClasses, r.many_threads))}};
 }
 
-std::optional<double>& goal(Goals& goals, std::string_view name) {
-  return std::find_if(goals.begin(), goals.end(), [name](const auto& entry) { return entry.first == name; })->second;
-}
-
-Goals goals_of(const BenchStepResults& r) {
-  Goals goals = goals_by(r, [](const auto& row) { return row.seconds.median; });
-  const StepRow* paper = find_step(r.steps, "paper", "fp32", kPaperClasses, r.threads);
-  if (paper != nullptr && paper->peak > 0) goal(goals, "P4") = paper->flops() / paper->peak;
-  return goals;
-}
-
-/// The same ratios of processor time (P4: of one core's limit): what is left of the truth where other programs run
-/// beside this one. Threads that wait in a busy loop count as working.
-Goals processor_goals_of(const BenchStepResults& r) {
-  Goals goals = goals_by(r, [](const auto& row) { return row.processor; });
-  const StepRow* paper = find_step(r.steps, "paper", "fp32", kPaperClasses, r.threads);
-  if (paper != nullptr && r.peak_fp32_one > 0) goal(goals, "P4") = paper->flop / paper->processor / r.peak_fp32_one;
-  goals.resize(goals.size() - 2);  // threads2 and P15 are matters of time that passes
-  return goals;
-}
-
 std::string ratio_text(const std::optional<double>& value) {
   if (!value) return "n/a";
   return *value >= 9.995 ? fmt::format("{:.1f}", *value) : fmt::format("{:.2f}", *value);
-}
-
-std::string goal_line(const std::string& head, const Goals& goals) {
-  std::string line = head;
-  for (const auto& [name, value] : goals) line += " " + name + "=" + ratio_text(value);
-  return line;
 }
 
 void print_rows(const char* title, const std::vector<StepRow>& rows) {
@@ -674,15 +613,14 @@ void print_rows(const char* title, const std::vector<StepRow>& rows) {
 void print_peers(const BenchStepResults& results) {
   if (!results.peer_about.empty()) std::printf("\npeer: %s\n", results.peer_about.c_str());
   for (const PeerRow& row : results.peers) {
-    std::printf("%-12s %-5s %-13s %6lld rays  %10.4f  (%.4f .. %.4f) %9.4f core s %12.0f samples/s\n", row.net.c_str(),
-                row.mode.c_str(), row.tuned ? "tuned" : "as installed", static_cast<long long>(row.rays),
-                row.seconds.median, row.seconds.min, row.seconds.max, row.processor, row.rate());
+    std::printf("%-12s %-5s %6lld rays  %10.4f  (%.4f .. %.4f) %9.4f core s %12.0f samples/s\n", row.net.c_str(),
+                row.mode.c_str(), static_cast<long long>(row.rays), row.seconds.median, row.seconds.min,
+                row.seconds.max, row.processor, row.rate());
   }
   for (const StepRow& ours : results.steps) {
     for (const PeerRow& row : results.peers) {
       if (row.net == ours.net && row.mode == ours.precision) {
-        std::printf("ours / peer's rate, %s %s (%s): %.2f\n", row.net.c_str(), row.mode.c_str(),
-                    row.tuned ? "tuned" : "as installed", ours.rate() / row.rate());
+        std::printf("ours / peer's rate, %s %s: %.2f\n", row.net.c_str(), row.mode.c_str(), ours.rate() / row.rate());
       }
     }
   }
@@ -695,10 +633,6 @@ void print_table(const BenchStepOptions& options, const BenchStepResults& r) {
               e.compiler.c_str(), e.build_type.c_str());
   std::printf("multiply-adds from registers, GFLOP/s on 1 and %d threads: fp32 %.1f, %.1f; bf16 %.1f, %.1f\n",
               r.threads, r.peak_fp32_one * 1e-9, r.peak_fp32 * 1e-9, r.peak_bf16_one * 1e-9, r.peak_bf16 * 1e-9);
-  for (const auto& [size, rates] : r.reads) {
-    std::printf("random 8-byte reads from %-6s G/s on 1 and %d threads: %.2f, %.2f\n", size.c_str(), r.threads,
-                rates.first * 1e-9, rates.second * 1e-9);
-  }
   std::printf("matrix products: %s\n", std::string(isa_name(isa())).c_str());
   std::printf("medians of %d rounds, every measurement once per round; networks and rays: %s\n", options.repeats,
               options.size.c_str());
@@ -740,7 +674,6 @@ Json results_json(const BenchStepOptions& options, const BenchStepResults& r) {
   out["isa"] = std::string(isa_name(isa()));
   out["peak_fp32_flops"] = {r.peak_fp32_one, r.peak_fp32};
   out["peak_bf16_flops"] = {r.peak_bf16_one, r.peak_bf16};
-  for (const auto& [size, rates] : r.reads) out["random_reads_per_s"][size] = {rates.first, rates.second};
   out["steps"] = rows_json(r.steps);
   out["classes"] = rows_json(r.classes);
   out["scaling"] = rows_json(r.scaling);
@@ -748,7 +681,6 @@ Json results_json(const BenchStepOptions& options, const BenchStepResults& r) {
   for (const PeerRow& row : r.peers) {
     out["peers"].push_back({{"net", row.net},
                             {"mode", row.mode},
-                            {"tuned", row.tuned},
                             {"rays", row.rays},
                             {"seconds", spread_json(row.seconds)},
                             {"processor_s", row.processor},
@@ -757,12 +689,8 @@ Json results_json(const BenchStepOptions& options, const BenchStepResults& r) {
   out["peer"] = r.peer_about;
   out["not_measured"] = r.peer_missing;
   for (const auto& [name, value] : goals_of(r)) out["goals"][name] = value ? Json(*value) : Json(nullptr);
-  for (const auto& [name, value] : processor_goals_of(r))
-    out["goals_by_processor_time"][name] = value ? Json(*value) : Json(nullptr);
   return out;
 }
-
-}  // namespace
 
 int bench_step(const BenchStepOptions& options, AppContext& context) {
   const BenchStepResults results = measure_steps(options, context);
@@ -771,15 +699,21 @@ int bench_step(const BenchStepOptions& options, AppContext& context) {
     return 0;
   }
   print_table(options, results);
-  std::printf("\n%s\n%s isa=%s\n", goal_line("by CPU time:", processor_goals_of(results)).c_str(),
-              goal_line("bench:", goals_of(results)).c_str(), std::string(isa_name(isa())).c_str());
+  std::string line = "bench:";
+  for (const auto& [name, value] : goals_of(results)) line += " " + name + "=" + ratio_text(value);
+  std::printf("\n%s isa=%s\n", line.c_str(), std::string(isa_name(isa())).c_str());
   return 0;
 }
 
+}  // namespace
 }  // namespace semfield::app
 
-// The studies by name, as the program finds them in their library.
-extern "C" void semfield_bench_studies(semfield::app::BenchStudies& studies);
-void semfield_bench_studies(semfield::app::BenchStudies& studies) {
-  studies = {semfield::app::bench_gpu, semfield::app::bench_step};
+// By name, as the program finds them in the library: each measures, prints, and returns the exit code.
+extern "C" int semfield_bench_gpu(const semfield::app::BenchGpuOptions& options, semfield::app::AppContext& context);
+int semfield_bench_gpu(const semfield::app::BenchGpuOptions& options, semfield::app::AppContext& context) {
+  return semfield::app::bench_gpu(options, context);
+}
+extern "C" int semfield_bench_step(const semfield::app::BenchStepOptions& options, semfield::app::AppContext& context);
+int semfield_bench_step(const semfield::app::BenchStepOptions& options, semfield::app::AppContext& context) {
+  return semfield::app::bench_step(options, context);
 }

@@ -25,19 +25,4 @@ struct BenchStepOptions {
   std::vector<std::string> set;  ///< overrides of both networks' configurations
 };
 
-/// Each measures, prints, and returns the exit code.
-int bench_gpu(const BenchGpuOptions& options, AppContext& context);
-int bench_step(const BenchStepOptions& options, AppContext& context);
-
-/// What the library gives, by its one symbol.
-struct BenchStudies {
-  int (*gpu)(const BenchGpuOptions& options, AppContext& context) = nullptr;
-  int (*step)(const BenchStepOptions& options, AppContext& context) = nullptr;
-};
-inline constexpr const char* kBenchStudiesSymbol = "semfield_bench_studies";
-
-/// Loads their library, which most runs of the program do without. Throws Error(unavailable) where it is missing,
-/// naming what to build.
-const BenchStudies& bench_studies();
-
 }  // namespace semfield::app

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "app/app_context.h"
 #include "session/session.h"
 #include "surface/mesh/field_surface.h"
 #include "surface/mesh/surface.h"
@@ -56,5 +57,13 @@ RunSurface make_run_surface(const Session& session, const std::string& run_dir, 
 
 /// The axis of the world that is upright, as the cameras of the training frames stand; none: they do not tell.
 std::optional<Vec3d> upright_of(const Session& session);
+
+// The view in 3D at the top of a report.
+
+/// ReportInput::scene of a run that has come to `step`: the page of a coarse mesh. As evaluation does, it keeps to a
+/// tenth of the training: of its rays here. "" where those are too few to see a surface, and where there is none or it
+/// cannot be shown, which a note says.
+std::string report_scene(const Session& session, const std::string& run_dir, std::int64_t step,
+                         const AppContext& context);
 
 }  // namespace semfield::app

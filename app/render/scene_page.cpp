@@ -12,10 +12,10 @@
 #include <new>
 
 #include "app/json_output.h"
-#include "app/objects/object_tables.h"
+#include "app/objects/object_files.h"
 #include "core/error.h"
 #include "eval/image_output.h"
-#include "objects/object_edits.h"
+#include "objects/object_set.h"
 #include "report/html.h"
 #include "run/run_folder.h"
 #include "scene/scene.h"

@@ -19,6 +19,7 @@
 #include "eval/metrics.h"
 #include "formats/image_io.h"
 #include "labels/label_files.h"
+#include "loading/depth_images.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
 #include "scene/scene_checks.h"
@@ -201,7 +202,7 @@ class UnfinishedFolder {
  public:
   explicit UnfinishedFolder(const std::string& name)
       : name_(fs::path(name).lexically_normal()), path_(unfinished(name_)) {
-    create(path_);
+    app::create_output_folder(path_);
   }
   ~UnfinishedFolder() {
     std::error_code ignored;
@@ -210,7 +211,7 @@ class UnfinishedFolder {
   UnfinishedFolder(const UnfinishedFolder&) = delete;
   UnfinishedFolder& operator=(const UnfinishedFolder&) = delete;
 
-  void add(const std::string& folder) const { create(path_ / folder); }
+  void add(const std::string& folder) const { app::create_output_folder(path_ / folder); }
   std::string operator/(const std::string& file) const { return (path_ / file).string(); }
 
   void finish() {
@@ -226,15 +227,6 @@ class UnfinishedFolder {
   static fs::path unfinished(fs::path name) {
     if (!name.has_filename()) name = name.parent_path();  // "labels/"
     return name += ".unfinished-" + std::to_string(::getpid());
-  }
-  static void create(const fs::path& path) {
-    std::error_code code;
-    fs::create_directories(path, code);
-    if (code) {
-      throw Error(ErrorKind::cannot_create, "files.output.create",
-                  "cannot create '" + path.string() + "': " + code.message(),
-                  "choose a folder that you may write to with --out");
-    }
   }
   fs::path name_, path_;
   bool done_ = false;
@@ -275,14 +267,14 @@ void write_probabilities(const std::string& path, MapSize size, const SoftMap& s
   write_npy(path, std::array<std::int64_t, 3>{size.height_px, size.width_px, soft.classes()}, values);
 }
 
-struct FrameScore {
+struct WrittenScore {
   std::int64_t labelled_px = 0, changed_px = 0;
   bool has_truth = false;
   ConfusionMatrix confusion{0};
 };
 
-FrameScore write_frame(const LoadedScene& scene, const TrainingLabels::Frame& labels, const FrameFiles& files,
-                       const UnfinishedFolder& folder, const ClassTable& classes) {
+WrittenScore write_frame(const LoadedScene& scene, const TrainingLabels::Frame& labels, const FrameFiles& files,
+                         const UnfinishedFolder& folder, const ClassTable& classes) {
   const StoredFrame& frame = scene.frames[files.frame];
   const FrameInfo& info = scene.info.frames[files.frame];
   const Camera shown = as_shown(info).camera;
@@ -294,7 +286,7 @@ FrameScore write_frame(const LoadedScene& scene, const TrainingLabels::Frame& la
   write_label_colors(folder / files.preview, size, drawn, classes);
   if (!files.probability.empty()) write_probabilities(folder / files.probability, size, labels.soft, info);
 
-  FrameScore score;
+  WrittenScore score;
   score.confusion = ConfusionMatrix(classes.valid_count());
   score.labelled_px = std::count_if(given.begin(), given.end(), [](std::int16_t c) { return c != kVoid; });
   score.has_truth = !frame.label.empty();
@@ -308,7 +300,7 @@ FrameScore write_frame(const LoadedScene& scene, const TrainingLabels::Frame& la
 
 Json number(const std::optional<double>& value) { return value ? Json(*value) : Json(nullptr); }
 
-Json frame_json(const FrameInfo& info, const FrameFiles& files, const FrameScore& score) {
+Json frame_json(const FrameInfo& info, const FrameFiles& files, const WrittenScore& score) {
   Json out{{"name", info.name}, {"label", files.label}, {"preview", files.preview}};
   if (!files.probability.empty()) out["probability"] = files.probability;
   const Camera shown = as_shown(info).camera;
@@ -321,7 +313,7 @@ Json frame_json(const FrameInfo& info, const FrameFiles& files, const FrameScore
   return out;
 }
 
-Json total_json(const FrameScore& total, const ClassTable& classes, std::size_t frames) {
+Json total_json(const WrittenScore& total, const ClassTable& classes, std::size_t frames) {
   const ConfusionMatrix& c = total.confusion;
   Json out{{"frames", frames},
            {"labelled_px", total.labelled_px},
@@ -379,12 +371,12 @@ DegradeReport write_degraded(const LoadedScene& scene, const TrainingLabels& lab
   unfinished.add("preview");
   if (labels.soft) unfinished.add("probability");
 
-  std::vector<FrameScore> scores(files.size());
+  std::vector<WrittenScore> scores(files.size());
   parallel_for(std::ssize(files), [&](std::int64_t i) {
     const FrameFiles& f = files[static_cast<std::size_t>(i)];
     scores[static_cast<std::size_t>(i)] = write_frame(scene, labels.frames[f.frame], f, unfinished, classes);
   });
-  FrameScore total;
+  WrittenScore total;
   total.confusion = ConfusionMatrix(classes.valid_count());
   Json frames = Json::array();
   for (std::size_t i = 0; i < files.size(); ++i) {
@@ -446,4 +438,257 @@ PackSummary pack_scene(Dataset& dataset, const std::string& path, const SceneLoa
   return {static_cast<int>(info.frames.size()), static_cast<std::uint64_t>(std::filesystem::file_size(path))};
 }
 
+namespace {
+
+constexpr double kPi = 3.141592653589793;
+constexpr double kMostDepth_mm = 65534;  // readers take 65535 for "no depth"
+
+bool same_camera(const Camera& a, const Camera& b) {
+  return a.width_px == b.width_px && a.height_px == b.height_px && a.fx == b.fx && a.fy == b.fy && a.cx == b.cx &&
+         a.cy == b.cy;
+}
+
+void check_cameras(const SceneInfo& info) {
+  Diagnostics diagnostics;
+  for (const FrameInfo& frame : info.frames) {
+    const std::string where = "frame " + frame.name;
+    if (frame.camera.has_distortion())
+      diagnostics.error("capture.camera.distortion", where, "has lens distortion", "undistort the images first");
+    if (!same_camera(frame.camera, info.frames.front().camera)) {
+      diagnostics.error("capture.camera.differs", where, "has another camera than frame " + info.frames.front().name,
+                        "the layout has one camera for all");
+    }
+  }
+  diagnostics.throw_if_errors(ErrorKind::data, "the scene does not fit the Replica layout");
+}
+
+std::string numbered(const fs::path& folder, const std::string& stem, std::size_t index) {
+  return (folder / stem / (stem + "_" + std::to_string(index) + ".png")).string();
+}
+
+std::vector<std::uint16_t> instance_ids(const FrameInfo& info, const FrameBuffer& frame) {
+  std::vector<std::uint16_t> ids;
+  for (const std::int32_t id : frame.instance) {
+    if (id < 0 || id > 65535)
+      throw Error(ErrorKind::data, "capture.instance.range",
+                  "frame " + info.name + ": instance " + std::to_string(id) + " does not fit 16 bits");
+    ids.push_back(static_cast<std::uint16_t>(id));
+  }
+  return ids;
+}
+
+void write_ids(const std::string& path, std::int32_t width, std::int32_t height,
+               const std::vector<std::uint16_t>& values) {
+  const auto most = std::max_element(values.begin(), values.end());
+  if (most != values.end() && *most > 255) return write_png_gray16(path, width, height, values);
+  write_png_gray8(path, width, height, std::vector<std::uint8_t>(values.begin(), values.end()));
+}
+
+void write_frame(const FrameInfo& info, const FrameBuffer& frame, const ClassTable& classes, const fs::path& folder,
+                 std::size_t index, CaptureReport& report) {
+  const std::int32_t w = frame.width_px, h = frame.height_px;
+  write_png_rgb(numbered(folder, "rgb", index), w, h, frame.rgb);
+  std::vector<std::uint16_t> values(static_cast<std::size_t>(w) * static_cast<std::size_t>(h));
+  if (info.has_depth) {
+    for (std::size_t i = 0; i < values.size(); ++i) {
+      const double mm = std::round(static_cast<double>(frame.depth_m[i]) * 1000);
+      const bool fits = frame.depth_m[i] == 0 || (mm >= 1 && mm <= kMostDepth_mm);
+      if (!fits) ++report.depth_clipped;
+      values[i] = fits ? static_cast<std::uint16_t>(mm) : std::uint16_t{0};
+    }
+    write_png_gray16(numbered(folder, "depth", index), w, h, values);
+  }
+  if (info.has_labels) {
+    for (std::size_t i = 0; i < values.size(); ++i)
+      values[i] = static_cast<std::uint16_t>(classes.id_of(frame.label[i]));
+    write_ids(numbered(folder, "semantic_class", index), w, h, values);
+  }
+  if (info.has_instances) {
+    write_ids(numbered(folder, "semantic_instance", index), w, h, instance_ids(info, frame));
+  }
+}
+
+}  // namespace
+
+CaptureReport capture_replica(const Dataset& dataset, const SceneInfo& info, const std::string& out_dir,
+                              const std::function<void(int done, int total)>& progress,
+                              const PoseConvention& convention) {
+  if (info.frames.empty()) throw Error(ErrorKind::data, "scene.frames.none", "the scene has no frames");
+  check_cameras(info);
+  const fs::path folder(out_dir);
+  if (fs::exists(folder / "traj_w_c.txt")) {
+    throw Error(ErrorKind::cannot_create, "files.output.exists", "'" + out_dir + "' already holds a captured scene",
+                "choose another folder or remove it");
+  }
+  for (const char* name : {"rgb", "depth", "semantic_class", "semantic_instance"}) {
+    const FrameInfo& f = info.frames.front();
+    const std::string_view channel = name;
+    if ((channel == "depth" && !f.has_depth) || (channel == "semantic_class" && !f.has_labels) ||
+        (channel == "semantic_instance" && !f.has_instances)) {
+      continue;
+    }
+    app::create_output_folder(folder / name);
+  }
+  CaptureReport report;
+  FrameBuffer frame;
+  const ClassTable classes = info.classes.empty() ? info.classes : with_void(info.classes);
+  std::string trajectory;
+  for (std::size_t i = 0; i < info.frames.size(); ++i) {
+    dataset.read(static_cast<int>(i), frame);
+    convert_depth(frame, convention);
+    write_frame(info.frames[i], frame, classes, folder, i, report);
+    const Pose& p = info.frames[i].world_from_camera;
+    for (int row = 0; row < 3; ++row) {
+      const auto& r = p.r[static_cast<std::size_t>(row)];
+      trajectory += fmt::format("{:.17g} {:.17g} {:.17g} {:.17g} ", r[0], r[1], r[2], p.t[row]);
+    }
+    trajectory += "0 0 0 1\n";
+    ++report.frames;
+    if (progress) progress(report.frames, static_cast<int>(info.frames.size()));
+  }
+  const Camera& c = info.frames.front().camera;
+  const double hfov_deg = 2 * std::atan(0.5 * c.width_px / c.fx) * 180 / kPi;
+  write_file_atomic((folder / "intrinsics.txt").string(),
+                    fmt::format("{} {} {:.17g} {:.17g} {:.17g} {:.17g} {:.10g}\n", c.width_px, c.height_px, c.fx, c.fy,
+                                c.cx, c.cy, hfov_deg));
+  if (!classes.empty()) write_file_atomic((folder / "classes.yaml").string(), classes.to_yaml());
+  // Last, because its presence says that the scene is complete.
+  write_file_atomic((folder / "traj_w_c.txt").string(), trajectory);
+  for (const auto& entry : fs::recursive_directory_iterator(folder)) {
+    if (entry.is_regular_file()) report.bytes += static_cast<std::int64_t>(entry.file_size());
+  }
+  return report;
+}
+
 }  // namespace semfield
+
+namespace semfield::app {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::ordered_json;
+
+namespace {
+
+constexpr const char* kLensModels[] = {"OPENCV", "OPENCV_FISHEYE", "EQUIRECTANGULAR"};
+
+Json lens_json(const Camera& c) {
+  Json out{{"camera_model", kLensModels[static_cast<std::size_t>(c.lens)]},
+           {"w", c.width_px},
+           {"h", c.height_px},
+           {"fl_x", c.fx},
+           {"fl_y", c.fy},
+           {"cx", c.cx},
+           {"cy", c.cy}};
+  for (const auto& [key, value] :
+       {std::pair{"k1", c.k1}, {"k2", c.k2}, {"k3", c.k3}, {"k4", c.k4}, {"p1", c.p1}, {"p2", c.p2}})
+    if (value != 0) out[key] = value;
+  return out;
+}
+
+// OpenGL axes, as this format has them; `turned` false: as they are.
+Json matrix_json(const Pose& pose, bool turned) {
+  Json out = Json::array();
+  for (int r = 0; r < 3; ++r) {
+    const auto& row = pose.r[static_cast<std::size_t>(r)];
+    const double sign = turned ? -1 : 1;
+    out.push_back({row[0], sign * row[1], sign * row[2], pose.t[r]});
+  }
+  out.push_back({0, 0, 0, 1});
+  return out;
+}
+
+// A power of ten of the unit with which the farthest depth fits 16 bits.
+double step_for(double farthest) {
+  return farthest > 0 ? std::pow(10.0, std::ceil(std::log10(farthest / kMostDepthSteps))) : 1e-3;
+}
+
+}  // namespace
+
+void write_fixed_scene(const PosedScene& scene, const FixedCameras& cameras, const std::string& folder,
+                       const CaptureProgress& progress) {
+  const SceneInfo& info = scene.info;
+  const ClassTable classes = info.classes.empty() ? info.classes : with_void(info.classes);
+  const fs::path out(folder);
+  Json index = lens_json(cameras.cameras.front());
+  // The file names one depth camera. Where lenses differ, depth is drawn into the colour images here.
+  const std::vector<Camera>& of_depth = cameras.depth_cameras;
+  const bool one_depth_camera =
+      std::all_of(of_depth.begin(), of_depth.end(), [&](const Camera& c) { return c == of_depth.front(); });
+  Json frames = Json::array(), train = Json::array(), test = Json::array();
+  for (std::size_t i = 0; i < info.frames.size(); ++i) {
+    const FrameInfo& frame = info.frames[i];
+    progress({"writing", "frames"}, static_cast<double>(i), static_cast<double>(info.frames.size()));
+    FrameBuffer pixels;
+    scene.read(static_cast<int>(i), pixels);
+    const MapSize size{pixels.width_px, pixels.height_px};
+    const auto path = [&](const char* kind, const std::string& end) {
+      const std::string name = std::string(kind) + "/" + frame.name + end;
+      create_folders((out / name).parent_path().string());
+      return name;
+    };
+    Json one;
+    const std::string end = fs::path(frame.source).extension().string();
+    if (is_photograph_file(frame) && frame.orientation == 1) {
+      one["file_path"] = path("images", end);
+      write_file_atomic((out / one["file_path"].get<std::string>()).string(),
+                        read_text_file(frame.source, std::size_t{1} << 32));
+    } else {
+      one["file_path"] = path("images", ".png");
+      write_png_rgb((out / one["file_path"].get<std::string>()).string(), size.width_px, size.height_px, pixels.rgb);
+    }
+    (frame.split == Split::test ? test : train).push_back(one["file_path"]);
+    if (frame.split == Split::unused) train.erase(train.size() - 1);
+    if (frame.has_depth) {
+      if (cameras.depth_apart && !one_depth_camera)
+        pixels.depth_m = drawn_depth({pixels.width_px, pixels.height_px, 1, std::move(pixels.depth_m)},
+                                     {of_depth[i], cameras.depth_from_color}, cameras.cameras[i]);
+      double farthest = 0;
+      for (const float d : pixels.depth_m) farthest = std::max(farthest, std::isfinite(d) ? static_cast<double>(d) : 0);
+      const double step = step_for(farthest);
+      one["depth_path"] = path("depth", ".png");
+      one["depth_unit_m"] = step;
+      write_depth((out / one["depth_path"].get<std::string>()).string(), size, pixels.depth_m, step);
+    }
+    if (frame.has_labels) {
+      one["label_path"] = path("label", ".png");
+      write_label_ids((out / one["label_path"].get<std::string>()).string(), size, pixels.label, classes);
+    }
+    if (frame.has_instances) {
+      one["instance_path"] = path("instance", ".png");
+      write_png_gray16((out / one["instance_path"].get<std::string>()).string(), size.width_px, size.height_px,
+                       instance_ids(frame, pixels));
+    }
+    if (!pixels.used.empty()) {
+      one["mask_path"] = path("mask", ".png");
+      std::vector<std::uint8_t> used;
+      for (const std::uint8_t u : pixels.used) used.push_back(u != 0 ? 255 : 0);
+      write_png_gray8((out / one["mask_path"].get<std::string>()).string(), size.width_px, size.height_px, used);
+    }
+    one["transform_matrix"] = matrix_json(cameras.poses[i], true);
+    const Json lens = lens_json(cameras.cameras[i]);
+    for (const auto& [key, value] : lens.items())
+      if (!index.contains(key) || index[key] != value) one[key] = value;
+    for (const char* key : {"k1", "k2", "k3", "k4", "p1", "p2"})
+      if (index.contains(key) && !lens.contains(key)) one[key] = 0;
+    frames.push_back(std::move(one));
+  }
+  if (cameras.depth_apart && one_depth_camera) {
+    index["depth_camera"] = lens_json(of_depth.front());
+    index["depth_camera"]["depth_from_color"] = matrix_json(cameras.depth_from_color, false);
+  }
+  if (!classes.empty()) {
+    write_file_atomic((out / "classes.yaml").string(), classes.to_yaml());
+    index["classes"] = "classes.yaml";
+  }
+  if (!test.empty()) {
+    index["train_filenames"] = std::move(train);
+    index["test_filenames"] = std::move(test);
+  }
+  index["prepared_from"] = info.name;
+  index["camera_changes"] = cameras.changes;
+  index["frames"] = std::move(frames);
+  write_file_atomic((out / "transforms.json").string(),
+                    index.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+}
+
+}  // namespace semfield::app

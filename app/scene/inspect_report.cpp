@@ -420,6 +420,18 @@ OpenedDataset dataset_of(RunConfig config, AppContext& context) {
 
 }  // namespace
 
+void print_findings(const AppContext& context, const Diagnostics& diagnostics) {
+  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
+}
+
+OpenedRun run_of(const std::string& run, const std::vector<std::string>& set, OpenFor what, AppContext& context) {
+  Diagnostics diagnostics;
+  OpenedRun opened = open_run(run, set, context.registry, diagnostics, what, context.ranks.get());
+  context.adopt(opened.session.config);
+  print_findings(context, diagnostics);
+  return opened;
+}
+
 OpenedDataset dataset_of(const ConfigOptions& options, AppContext& context) {
   return dataset_of(load_run_config(options.config, options.set, context.registry), context);
 }

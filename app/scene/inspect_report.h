@@ -8,10 +8,11 @@
 #include <vector>
 
 #include "app/json_output.h"
-#include "app/next_steps.h"
+#include "app/terminal.h"
 #include "app/verb.h"
 #include "core/error.h"
 #include "loading/frame_source.h"
+#include "run/run_scores.h"
 
 namespace semfield {
 
@@ -68,14 +69,19 @@ std::vector<NextStep> next_of_run(const std::string& run, bool held_out);
 /// The run in the browser, where the build has pages that are served.
 std::vector<NextStep> next_of_look(const std::string& run);
 
-// The dataset that a configuration names, opened without training.
+// A run, and the dataset that a configuration names, opened for a verb: it works under their limits from here on.
+
+/// What was found, as notes.
+void print_findings(const AppContext& context, const Diagnostics& diagnostics);
+
+/// As open_run (run/run_scores.h), by all processes of the launcher; findings are printed.
+OpenedRun run_of(const std::string& run, const std::vector<std::string>& set, OpenFor what, AppContext& context);
 
 struct OpenedDataset {
   RunConfig config;
   std::unique_ptr<Dataset> dataset;
 };
 
-/// From here on the program works under the limits and with the threads of the configuration.
 OpenedDataset dataset_of(const ConfigOptions& options, AppContext& context);
 /// The same of a tree that no file holds.
 OpenedDataset dataset_of(const ConfigNode& tree, const std::vector<std::string>& set, AppContext& context);

@@ -1,27 +1,24 @@
-// bench: the group of the verbs in this folder, whose studies are a library of their own.
+// bench: whole training steps, timed by studies that are a library of their own.
 #include "app/bench/bench_studies.h"
 #include "app/verb.h"
 #include "system/process.h"
 
 namespace semfield::app {
 
-const BenchStudies& bench_studies() {
-  static const BenchStudies studies = [] {
-    BenchStudies loaded;
-    reinterpret_cast<void (*)(BenchStudies&)>(
-        part_symbol("semfield_bench", kBenchStudiesSymbol, "the studies of `bench` cannot be loaded"))(loaded);
-    return loaded;
-  }();
-  return studies;
-}
-
-Verb verb_bench() { return make_group("bench", 180, "measure the speed of training steps"); }
-
-// bench gpu: training steps and frames on a GPU, beside the same steps in PyTorch, as a table or JSON.
-
 namespace {
 
-int run(const BenchGpuOptions& options, AppContext& context) { return bench_studies().gpu(options, context); }
+// Most runs of the program do without the library. Throws Error(unavailable) where it is missing, naming what to build.
+template <class Options>
+int run_study(const char* symbol, const Options& options, AppContext& context) {
+  using Study = int (*)(const Options&, AppContext&);
+  const auto study =
+      reinterpret_cast<Study>(part_symbol("semfield_bench", symbol, "the studies of `bench` cannot be loaded"));
+  return study(options, context);
+}
+
+int run(const BenchGpuOptions& options, AppContext& context) {
+  return run_study("semfield_bench_gpu", options, context);
+}
 
 void words(VerbWords& verb, BenchGpuOptions& options) {
   verb.flag("--peers", options.peers, "alternate with the same steps in PyTorch and print ratios");
@@ -30,17 +27,9 @@ void words(VerbWords& verb, BenchGpuOptions& options) {
   verb.value("--python PROGRAM", options.python, "interpreter with torch (default: python3)");
 }
 
-}  // namespace
-
-Verb verb_bench_gpu() {
-  return with_json(make_verb<BenchGpuOptions>("bench gpu", 20, "time training steps and frames on a GPU", words, run));
+int run(const BenchStepOptions& options, AppContext& context) {
+  return run_study("semfield_bench_step", options, context);
 }
-
-// bench step: whole training steps, the machine's limits and the peer, as a table or one JSON object.
-
-namespace {
-
-int run(const BenchStepOptions& options, AppContext& context) { return bench_studies().step(options, context); }
 
 void words(VerbWords& verb, BenchStepOptions& options) {
   verb.flag("--peers", options.peers, "alternate with the same steps in PyTorch and print ratios");
@@ -53,6 +42,12 @@ void words(VerbWords& verb, BenchStepOptions& options) {
 }
 
 }  // namespace
+
+Verb verb_bench() { return make_group("bench", 180, "measure the speed of training steps"); }
+
+Verb verb_bench_gpu() {
+  return with_json(make_verb<BenchGpuOptions>("bench gpu", 20, "time training steps and frames on a GPU", words, run));
+}
 
 Verb verb_bench_step() {
   return with_json(make_verb<BenchStepOptions>("bench step", 30,

@@ -2,7 +2,7 @@
 #include <cstdio>
 
 #include "app/json_output.h"
-#include "app/scene/capture_replica.h"
+#include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
 #include "app/terminal.h"
 #include "app/verb.h"

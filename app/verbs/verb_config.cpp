@@ -1,4 +1,4 @@
-// config: the group of the verbs in this folder.
+// config: a configuration read as a run would, explained, compared, and the schema of all.
 #include <algorithm>
 #include <cstdio>
 
@@ -13,11 +13,9 @@
 
 namespace semfield::app {
 
-Verb verb_config() { return make_group("config", 150, "check, explain and compare configurations"); }
-
-// config check: a configuration read as a run would, every error reported.
-
 namespace {
+
+// config check: every error reported.
 
 int check(const ConfigOptions& options, AppContext& context) {
   load_run_config(options.config, options.set, context.registry);
@@ -29,18 +27,9 @@ int check(const ConfigOptions& options, AppContext& context) {
   return 0;
 }
 
-void check_words(VerbWords& verb, ConfigOptions& options) { verb.config(options); }
-
-}  // namespace
-
-Verb verb_config_check() {
-  return with_json(
-      make_verb<ConfigOptions>("config check", 10, "read a configuration and report every error", check_words, check));
-}
+void config_words(VerbWords& verb, ConfigOptions& options) { verb.config(options); }
 
 // config diff: what differs between two configurations.
-
-namespace {
 
 struct DiffOptions {
   std::string a, b;
@@ -68,16 +57,7 @@ void words(VerbWords& verb, DiffOptions& options) {
   verb.operand("config_b", options.b, "the other one");
 }
 
-}  // namespace
-
-Verb verb_config_diff() {
-  return with_json(
-      make_verb<DiffOptions>("config diff", 30, "print what differs between two configurations", words, run));
-}
-
 // config explain: the final tree, with where each value comes from.
-
-namespace {
 
 // What stands as `auto` is settled when a session opens; each such setting's sentence, as comments below the tree.
 std::string open_choices(const ConfigNode& tree) {
@@ -109,18 +89,7 @@ int explain(const ConfigOptions& options, AppContext& context) {
   return 0;
 }
 
-void explain_words(VerbWords& verb, ConfigOptions& options) { verb.config(options); }
-
-}  // namespace
-
-Verb verb_config_explain() {
-  return with_json(make_verb<ConfigOptions>(
-      "config explain", 20, "print the final tree, with the origin of every value", explain_words, explain));
-}
-
 // config schema: the JSON schema of configurations, or of sweep files.
-
-namespace {
 
 struct SchemaOptions {
   bool of_sweeps = false;
@@ -197,6 +166,23 @@ void words(VerbWords& verb, SchemaOptions& options) {
 }
 
 }  // namespace
+
+Verb verb_config() { return make_group("config", 150, "check, explain and compare configurations"); }
+
+Verb verb_config_check() {
+  return with_json(
+      make_verb<ConfigOptions>("config check", 10, "read a configuration and report every error", config_words, check));
+}
+
+Verb verb_config_diff() {
+  return with_json(
+      make_verb<DiffOptions>("config diff", 30, "print what differs between two configurations", words, run));
+}
+
+Verb verb_config_explain() {
+  return with_json(make_verb<ConfigOptions>(
+      "config explain", 20, "print the final tree, with the origin of every value", config_words, explain));
+}
 
 Verb verb_config_schema() {
   return make_verb<SchemaOptions>("config schema", 40, "print a JSON schema of configurations (and --plugin modules)",

@@ -25,7 +25,7 @@ int run(const DegradeOptions& options, AppContext& context) {
   const LoadedScene scene = load_for_labels(opened, diagnostics);
   diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
   const TrainingLabels labels = make_training_labels(scene, opened.config.labels, diagnostics);
-  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
+  print_findings(context, diagnostics);
   const DegradeSource source{write_config(resolved_config(opened.config)), opened.config.labels.from.type,
                              opened.config.labels.selection.seed};
   const DegradeReport report = write_degraded(scene, labels, source, options.out);

@@ -9,9 +9,8 @@
 
 #include "app/child_process.h"
 #include "app/json_output.h"
-#include "app/length_words.h"
-#include "app/next_steps.h"
 #include "app/signals.h"
+#include "app/terminal.h"
 #include "app/verb.h"
 #include "config/compose.h"
 #include "config/config_tree.h"
@@ -151,7 +150,7 @@ int run(const DemoOptions& options, AppContext& context) {
 void words(VerbWords& verb, DemoOptions& options) {
   verb.value("--out FOLDER", options.out, "run folder to create (default: runs/demo, whose earlier demo is replaced)");
   verb.repeated("--set KEY=VALUE", options.set, "override a value: --set train.rays=2048");
-  declare_length(verb, options.length);
+  verb.length(options.length);
   verb.threads(options.set);
 }
 

@@ -57,11 +57,7 @@ class Exporter {
       coco_.emplace(classes(), options.format == "coco" ? CocoMasks::polygons : CocoMasks::run_lengths);
       return;
     }
-    std::error_code failed;
-    std::filesystem::create_directories(options.out, failed);
-    if (failed)
-      throw Error(ErrorKind::cannot_create, "files.output.create",
-                  options.out + ": cannot create the folder: " + failed.message(), "choose another --out");
+    create_output_folder(options.out);
   }
 
   void add(int number, const std::function<void(double)>& progress) {
@@ -141,10 +137,7 @@ int export_page(const ExportVerbOptions& options, AppContext& context) {
   if (!options.to.ends_with(".html"))
     throw Error(ErrorKind::usage, "export.page.ending", "--to " + options.to + ": this is not the name of a page",
                 "end it with .html; meshes and points are written by `semfield mesh --out`");
-  Diagnostics diagnostics;
-  const OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
-  context.adopt(run.session.config);
-  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
+  const OpenedRun run = run_of(options.run, options.set, OpenFor::rendering, context);
   SurfaceWishes wishes;
   wishes.faces = kPageFaces;
   RunSurface found;
@@ -180,10 +173,7 @@ int run(const ExportVerbOptions& options, AppContext& context) {
   if (options.out.empty())
     throw Error(ErrorKind::usage, "usage.flag.missing", "neither --out nor --to",
                 "name a file or folder for labels with --out, or a page with --to scene.html");
-  Diagnostics diagnostics;
-  OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering);
-  context.adopt(run.session.config);
-  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
+  OpenedRun run = run_of(options.run, options.set, OpenFor::rendering, context);
   Session& s = run.session;
   if (s.plan.class_of_logit.empty())
     throw Error(ErrorKind::data, "run.semantics.none", options.run + ": the run has no semantics", "train with labels");

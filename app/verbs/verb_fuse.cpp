@@ -8,6 +8,7 @@
 
 #include "app/json_output.h"
 #include "app/scene/folder_scene.h"
+#include "app/scene/inspect_report.h"
 #include "app/terminal.h"
 #include "app/verb.h"
 #include "config/config_tree.h"
@@ -80,14 +81,14 @@ class MapWriter {
   MapWriter(std::string folder, const SceneInfo& info)
       : folder_(std::move(folder)), info_(info), classes_(with_void(info.classes)) {
     refuse_used_folder(folder_);
-    make_folder(folder_);
+    create_output_folder(folder_);
     write_file_atomic((fs::path(folder_) / "classes.yaml").string(), classes_.to_yaml());
   }
   void write(const std::string& method, int frame, const std::vector<std::int16_t>& label) const {
     const FrameInfo& info = info_.frames[static_cast<std::size_t>(frame)];
     const std::string stem = output_name(info.name);
     const fs::path folder = fs::path(folder_) / method;
-    make_folder(folder.string());
+    create_output_folder(folder);
     const Camera shown = as_shown(info).camera;
     const MapSize size{shown.width_px, shown.height_px};
     const std::vector<std::int16_t> drawn =
@@ -101,13 +102,6 @@ class MapWriter {
   }
 
  private:
-  static void make_folder(const std::string& path) {
-    std::error_code failed;
-    fs::create_directories(path, failed);
-    if (failed)
-      throw Error(ErrorKind::cannot_create, "files.output.create",
-                  path + ": cannot create the folder: " + failed.message(), "choose another --out");
-  }
   std::string folder_;
   const SceneInfo& info_;
   ClassTable classes_;  // with an id for void
@@ -161,7 +155,7 @@ int run(const FuseOptions& options, AppContext& context) {
   opening.build = false;
   opening.depth = DepthKept::all;
   const Session s = open_session(std::move(config), context.registry, opening, diagnostics);
-  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
+  print_findings(context, diagnostics);
   if (s.classes() == 0)
     throw Error(ErrorKind::data, "labels.classes.none", "the scene has no classes, so there is nothing to fuse",
                 "see `semfield inspect`");

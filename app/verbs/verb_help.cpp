@@ -1,8 +1,8 @@
-// help: the words of the program, of a group or of a verb, on the terminal or as pages.
+// help and completion: the words of the program, of a group or of a verb, on the terminal, as pages, and in shells.
 #include <cstdio>
 #include <filesystem>
 
-#include "app/command_line/help.h"
+#include "app/command_line.h"
 #include "app/verb.h"
 #include "core/error.h"
 #include "plugin/reference.h"
@@ -17,20 +17,8 @@ namespace fs = std::filesystem;
 
 struct HelpOptions {
   std::vector<std::string> verb;
-  bool man = false;
-  std::string out;    ///< folder of all manual pages; "": one page to stdout
   std::string pages;  ///< copy of the tree's pages, in which those about the program are written
 };
-
-void write_man_pages(const Grammar& grammar, const std::string& folder, const AppContext& context) {
-  create_folders(folder);
-  const auto write = [&](const VerbGrammar* verb) {
-    write_file_atomic((fs::path(folder) / man_file(verb)).string(), man_page(grammar, verb));
-  };
-  write(nullptr);
-  for (const VerbGrammar& verb : grammar.verbs) write(&verb);
-  print_note(context, std::to_string(grammar.verbs.size() + 1) + " manual pages written to " + folder);
-}
 
 // Tables of every section of a configuration, under headings of their own.
 std::string section_tables() {
@@ -42,14 +30,14 @@ std::string section_tables() {
 }
 
 // Pages of the program's own words: verbs and plugins whole, and tables where a page has their mark.
-void write_pages(const Grammar& grammar, const fs::path& root, const AppContext& context) {
+void write_pages(const fs::path& root, const AppContext& context) {
   if (!fs::is_directory(root / "plugins"))
     throw Error(ErrorKind::no_input, "files.folder.missing", "--pages " + root.string() + ": it has no folder plugins",
                 "name a copy of the pages of the source tree");
   const fs::path reference = root / "docs" / "reference";
   fs::create_directories(reference);
   write_file_atomic((reference / "plugins.md").string(), plugins_markdown(context.registry));
-  write_file_atomic((reference / "verbs.md").string(), verbs_page(grammar));
+  write_file_atomic((reference / "verbs.md").string(), verbs_page());
   int filled = 0;
   const auto fill = [&filled](const fs::path& path, const std::string& mark, const std::string& part) {
     std::string text = fs::exists(path) ? read_text_file(path.string()) : "";
@@ -69,20 +57,10 @@ void write_pages(const Grammar& grammar, const fs::path& root, const AppContext&
 }
 
 int run(const HelpOptions& options, AppContext& context) {
-  const Grammar& grammar = program_grammar();
-  const VerbGrammar* verb = verb_named(grammar, options.verb);
-  if (verb != nullptr && !(options.out + options.pages).empty())
-    throw Error(ErrorKind::usage, "usage.flag.conflict", "the pages of all verbs are written, and one is named",
-                "leave out one of them");
-  if (!options.pages.empty()) {
-    write_pages(grammar, options.pages, context);
-  } else if (!options.out.empty()) {
-    write_man_pages(grammar, options.out, context);
+  if (options.pages.empty()) {
+    std::fputs(help_of(options.verb).c_str(), stdout);
   } else {
-    const std::string text = options.man       ? man_page(grammar, verb)
-                             : verb == nullptr ? program_help(grammar)
-                                               : verb_help(grammar, *verb);
-    std::fputs(text.c_str(), stdout);
+    write_pages(options.pages, context);
   }
   return 0;
 }
@@ -90,16 +68,79 @@ int run(const HelpOptions& options, AppContext& context) {
 void words(VerbWords& verb, HelpOptions& options) {
   verb.optional_operands("verb", options.verb, "verb, such as: train, config check (default: the list of all verbs)",
                          words_of_verbs());
-  verb.flag("--man", options.man, "print a manual page, for man(1)");
-  verb.value("--out FOLDER", options.out, "write the manual pages of the program and all verbs to this folder");
   verb.value("--pages FOLDER", options.pages,
              "copy of the pages of the source tree, in which those about verbs, plugins and keys are written");
-  verb.needs("--out", "--man");
-  verb.excludes("--pages", "--man");
+  verb.excludes("--pages", "VERB");
+}
+
+// What shells read. It runs the program at each TAB: `semfield completion --of WORDS`.
+
+struct CompletionOptions {
+  std::string shell;
+};
+
+constexpr const char* kBash = R"(# bash completion of semfield, made by `semfield completion bash`
+_semfield() {
+  local kind word rest
+  COMPREPLY=()
+  {
+    read -r kind
+    while IFS=$'\t' read -r word rest; do COMPREPLY+=("$word"); done
+  } < <("${COMP_WORDS[0]}" completion --of "${COMP_WORDS[@]:1:COMP_CWORD}" 2>/dev/null)
+  local cur=${COMP_WORDS[COMP_CWORD]}
+  [[ $cur != = ]] || cur=
+  case $kind in
+    files) compopt -o filenames 2>/dev/null; mapfile -t -O ${#COMPREPLY[@]} COMPREPLY < <(compgen -f -- "$cur") ;;
+    folders) compopt -o filenames 2>/dev/null; mapfile -t -O ${#COMPREPLY[@]} COMPREPLY < <(compgen -d -- "$cur") ;;
+    list) compopt -o nospace 2>/dev/null ;;
+  esac
+}
+complete -F _semfield semfield
+)";
+
+constexpr const char* kZsh = R"(#compdef semfield
+# zsh completion of semfield, made by `semfield completion zsh`
+_semfield() {
+  local -a lines values shown end
+  local line kind
+  lines=("${(@f)$($words[1] completion --of "${(@)words[2,CURRENT]}" 2>/dev/null)}")
+  kind=$lines[1]
+  for line in ${lines[2,-1]}; do
+    values+=("${line%%$'\t'*}")
+    shown+=("${line%%$'\t'*}${${line#*$'\t'}:+  -- ${line#*$'\t'}}")
+  done
+  [[ $kind != list ]] || end=(-S '')
+  (( $#values )) && compadd $end -l -d shown -- $values
+  [[ $kind != (files|folders) ]] || compset -P '--*='
+  case $kind in
+    files) _files ;;
+    folders) _files -/ ;;
+  esac
+}
+# Loaded from a folder of functions it completes at once; read by `source` it makes itself known.
+if [[ $funcstack[1] == _semfield ]]; then
+  _semfield "$@"
+else
+  compdef _semfield semfield
+fi
+)";
+
+int run(const CompletionOptions& options, AppContext&) {
+  std::fputs(options.shell == "bash" ? kBash : kZsh, stdout);
+  return 0;
+}
+
+void words(VerbWords& verb, CompletionOptions& options) {
+  verb.operand("shell", options.shell, "bash or zsh", {"bash", "zsh"});
 }
 
 }  // namespace
 
 Verb verb_help() { return make_verb<HelpOptions>("help", 210, "print the usage of a verb", words, run); }
+
+Verb verb_completion() {
+  return make_verb<CompletionOptions>("completion", 220, "print a script that completes verbs and options in a shell",
+                                      words, run);
+}
 
 }  // namespace semfield::app

@@ -1,27 +1,496 @@
 // mesh: what a run's cameras saw, as a surface, as points, splats or maps, with colours, class ids and objects.
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <cstdint>
 #include <cstdio>
 #include <filesystem>
+#include <map>
 #include <nlohmann/json.hpp>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
 
+#include "app/app_context.h"
 #include "app/json_output.h"
-#include "app/mesh/hand_over.h"
-#include "app/mesh/mesh_targets.h"
+#include "app/objects/object_files.h"
+#include "app/render/run_surface.h"
 #include "app/render/scene_page.h"
 #include "app/scene/inspect_report.h"
+#include "app/terminal.h"
 #include "app/verb.h"
+#include "compute/parallel.h"
 #include "core/error.h"
+#include "core/small_math.h"
 #include "core/text.h"
+#include "eval/image_output.h"
+#include "handover/point_files.h"
+#include "handover/voxel_map.h"
+#include "objects/object_set.h"
 #include "run/run_scores.h"
 #include "surface/mesh/mesh_files.h"
+#include "surface/mesh/score/mesh_score.h"
 #include "surface/mesh/surface.h"
+#include "system/files.h"
 
 namespace semfield::app {
 
 namespace {
 
 namespace fs = std::filesystem;
+
+struct MeshOptions : SurfaceWishes {
+  std::string run;
+  std::string out;                   ///< default: mesh.ply in the run folder
+  std::vector<std::string> formats;  ///< of known_formats(); empty: what `out` ends with, or ply
+  bool points = false;               ///< also a point cloud from the training views
+  bool score = false;                ///< also figures against the depth images of the scene
+  std::vector<std::string> band;     ///< heights above the floor of a PGM, world units; empty: HeightBand's
+  std::string color;                 ///< photo, class or both; "": both where there are classes
+  std::string up;                    ///< axis of the world that is upright; "": taken from the cameras
+  std::vector<std::string> set;
+};
+
+struct MeshTargets {
+  std::filesystem::path stem;  ///< path without the form's ending
+  std::vector<std::string> formats;
+
+  bool writes(const std::string& format) const;
+  bool surfaces() const;  ///< whether any form needs triangles
+  bool points() const;    ///< whether any but splats is of points
+  bool splats() const;
+  bool maps() const;
+  std::string file(const std::string& format, const std::string& suffix = "") const;
+};
+
+/// One way of colouring, and what its files' names have behind the stem.
+struct Coloring {
+  bool classes;
+  std::string suffix;
+};
+
+// Forms of surfaces: ply, obj, glb, html; of points: las, pcd, splat, splats.ply; of maps: npz, bt, ot, pgm. Each is
+// the ending of its files.
+const std::vector<std::string>& known_formats() {
+  static const std::vector<std::string> names{"ply",   "obj",        "glb", "html", "las", "pcd",
+                                              "splat", "splats.ply", "npz", "bt",   "ot",  "pgm"};
+  return names;
+}
+
+bool is_among(const std::string& name, const std::vector<std::string>& names) {
+  return std::find(names.begin(), names.end(), name) != names.end();
+}
+
+void check_format(const std::string& name, const std::string& where) {
+  if (is_among(name, known_formats())) return;
+  const std::string near = did_you_mean(name, known_formats());
+  throw Error(ErrorKind::usage, "mesh.format.unknown", where + ": unknown mesh format '" + name + "'",
+              "one of " + join(known_formats()) + (near.empty() ? std::string() : "; did you mean " + near + "?"));
+}
+
+bool MeshTargets::writes(const std::string& format) const { return is_among(format, formats); }
+bool MeshTargets::surfaces() const { return writes("ply") || writes("obj") || writes("glb") || writes("html"); }
+bool MeshTargets::points() const { return writes("las") || writes("pcd"); }
+bool MeshTargets::splats() const { return writes("splat") || writes("splats.ply"); }
+bool MeshTargets::maps() const { return writes("npz") || writes("bt") || writes("ot") || writes("pgm"); }
+std::string MeshTargets::file(const std::string& format, const std::string& suffix) const {
+  return stem.string() + suffix + "." + format;
+}
+
+// Throws Error(usage) for an ending that is no form.
+MeshTargets mesh_targets(const MeshOptions& options) {
+  std::error_code unknown;
+  const bool folder = options.out.empty() || options.out.ends_with('/') || fs::is_directory(options.out, unknown);
+  const fs::path into = options.out.empty() ? options.run : options.out;
+  MeshTargets targets{folder ? into / "mesh" : into, options.formats};
+  std::string ending;  // the longest that is known: "room.splats.ply" is no surface
+  const std::string name = folder ? std::string() : targets.stem.filename().string();
+  for (const std::string& format : known_formats())
+    if (name.ends_with("." + format) && format.size() > ending.size()) ending = format;
+  if (targets.formats.empty()) {
+    const fs::path extension = folder ? fs::path() : targets.stem.extension();
+    if (ending.empty() && !extension.empty()) check_format(extension.string().substr(1), "--out " + options.out);
+    targets.formats = {ending.empty() ? "ply" : ending};
+  }
+  if (!ending.empty())  // "scan.v2" keeps its name
+    targets.stem.replace_filename(name.substr(0, name.size() - ending.size() - 1));
+  return targets;
+}
+
+// Of surfaces and of the points of --points. Throws Error(data) for class colours of a run without semantics.
+std::vector<Coloring> mesh_colorings(const MeshOptions& options, bool has_classes) {
+  if (!has_classes && (options.color == "class" || options.color == "both"))
+    throw Error(ErrorKind::data, "run.semantics.none",
+                "--color " + options.color + ": " + options.run + " has no semantics",
+                "train with labels, or leave --color out");
+  std::vector<Coloring> colorings;
+  if (options.color != "class") colorings.push_back({false, ""});
+  // A file that was named gets its name.
+  if (has_classes && options.color != "photo")
+    colorings.push_back({true, options.color == "class" && !options.out.empty() ? "" : "_classes"});
+  return colorings;
+}
+
+// What --voxel says, or the longest side over --resolution, or over `cells`.
+double spacing_of(const MeshOptions& options, const Box& bounds, long long cells) {
+  const Vec3d size = bounds.size();
+  return options.voxel.value_or(std::max({size.x, size.y, size.z}) /
+                                static_cast<double>(options.resolution.value_or(cells)));
+}
+
+// Points, splats and maps as files for other programs, and what goes with all files.
+
+class HandOver {
+ public:
+  /// Reads the objects of the run, where it has some, and notes those of another step. Borrows all but `up`, which is
+  /// the axis of the world that is upright, where it is known.
+  HandOver(const MeshOptions& options, const MeshTargets& targets, OpenedRun& run, std::optional<Vec3d> up,
+           const AppContext& context);
+
+  /// Ids of objects at the points; empty without objects.
+  std::vector<std::int32_t> instances(std::span<const Vec3d> points) const;
+  /// Names of the objects by their ids.
+  std::map<std::int32_t, std::string> objects() const;
+
+  /// Renders the training views, where a form needs them. Throws Error(usage) for cubes that are too many.
+  void look();
+  const PointSet& points() const { return points_; }  ///< empty unless --points or a form asks for them
+  /// Writes every form that is no surface, and adds its files.
+  void write();
+  /// A file that was written elsewhere.
+  void add(const std::string& path, const std::string& holds, Vec3d offset = {});
+  /// Writes the sidecar, STEM.json, which is none of files(), unless nothing but a page was written.
+  void finish();
+  std::vector<std::string> files() const;
+
+ private:
+  bool wants_points() const { return options_.points || targets_.points(); }
+  const ClassTable& classes() const { return run_.session.scene.info.classes; }
+  void write_points();
+  void write_splats();
+  void write_maps();
+
+  const MeshOptions& options_;
+  const MeshTargets& targets_;
+  OpenedRun& run_;
+  const AppContext& context_;
+  std::optional<ObjectSet> objects_;
+  Sidecar sidecar_;
+  double metre_ = 1;  // usual_metre() of the scene
+  PointSet points_;
+  Splats splats_;
+  std::optional<VoxelMap> map_;
+};
+
+constexpr long long kMeshResolution = 256;          // cells along the longest side, where none are asked for
+constexpr long long kSplatResolution = 384;         // finer than a mesh: a splat has one colour
+constexpr std::int64_t kFittedPixels = 64'000'000;  // of all views that colours of splats are fitted to
+constexpr long long kMapResolution = 128;           // of scenes that are no rooms in metres
+constexpr double kMapEdge = 0.05;                   // metres; what robots plan with
+
+// What a robot of half a metre meets.
+HeightBand band_of(const MeshOptions& options, double metre) {
+  HeightBand band{0.1 * metre, metre};
+  if (options.band.empty()) return band;
+  const bool sound = options.band.size() == 2 && parse_number(options.band[0], band.low) &&
+                     parse_number(options.band[1], band.high) && band.low < band.high;
+  if (!sound)
+    throw Error(ErrorKind::usage, "handover.band.format", "--band " + join(options.band, ",") + ": not two heights",
+                "give the lower and the upper one, as in --band 0.1,1");
+  return band;
+}
+
+HandOver::HandOver(const MeshOptions& options, const MeshTargets& targets, OpenedRun& run, std::optional<Vec3d> up,
+                   const AppContext& context)
+    : options_(options),
+      targets_(targets),
+      run_(run),
+      context_(context),
+      objects_(objects_of_run(run.run_dir, run.session.scene.info.classes.valid_count())) {
+  const std::int64_t step = objects_ ? nlohmann::json::parse(objects_->about).value("step", run.step) : run.step;
+  if (step != run.step)
+    print_note(context, fmt::format("the objects of {} are of step {}, the field is of step {}; `semfield objects {}` "
+                                    "finds them again",
+                                    run.run_dir, step, run.step, shell_word(run.run_dir)));
+  const Session& s = run.session;
+  sidecar_.run = run.run_dir;
+  sidecar_.scene = s.scene.info.name;
+  sidecar_.step = run.step;
+  sidecar_.metric = s.scene.info.metric;
+  sidecar_.up = up;
+  sidecar_.convention = s.config.load.convention;
+  if (s.pipeline->has_semantics()) sidecar_.classes = &classes();
+  sidecar_.objects = objects();
+  metre_ = usual_metre(sidecar_.metric, s.extent.bounds.size());
+  band_of(options, metre_);  // before any work
+}
+
+std::vector<std::int32_t> HandOver::instances(std::span<const Vec3d> points) const {
+  if (!objects_) return {};
+  std::vector<std::int32_t> ids(points.size());
+  parallel_for(std::ssize(points), [&](std::int64_t i) {
+    ids[static_cast<std::size_t>(i)] = objects_->at(points[static_cast<std::size_t>(i)]);
+  });
+  return ids;
+}
+
+std::map<std::int32_t, std::string> HandOver::objects() const {
+  std::map<std::int32_t, std::string> names;
+  if (!objects_) return names;
+  for (const ObjectRow& row : objects_->rows)
+    if (row.points > 0) names[row.id] = object_name(row, classes());
+  return names;
+}
+
+void HandOver::look() {
+  Session& s = run_.session;
+  if (!wants_points() && !targets_.splats() && !targets_.maps()) return;
+  const Box& bounds = s.extent.bounds;
+  const std::array<double, 3> background = s.pipeline->options().rules.background();
+  PointCloud cloud(spacing_of(options_, bounds, kMeshResolution), background);
+  std::optional<SplatVolume> splats;
+  const auto around = [&](double edge) {  // a wall on the bounds lies in the cube behind them
+    const Vec3d margin{edge, edge, edge};
+    return VoxelGridPlace::covering({bounds.lo - margin, bounds.hi + margin}, edge);
+  };
+  if (targets_.splats())
+    splats.emplace(*s.pipeline, around(spacing_of(options_, bounds, kSplatResolution)), bounds,
+                   s.limits.clip && s.config.rendering.far == FarMode::background);
+  if (targets_.maps()) {
+    const bool usual = !options_.voxel && !options_.resolution && is_in_metres(s.scene.info.metric, bounds.size());
+    const double edge = usual ? kMapEdge : spacing_of(options_, bounds, kMapResolution);
+    map_.emplace(around(edge));
+  }
+  const std::vector<int> frames = s.scene.frames_of(Split::train);
+  std::vector<SplatView> shown;  // every so many views, which bounds their memory
+  std::int64_t pixels_of_all = 0;
+  for (const int f : frames) {
+    const Camera& camera = s.scene.info.frames[static_cast<std::size_t>(f)].camera;
+    pixels_of_all += std::int64_t{camera.width_px} * camera.height_px;
+  }
+  const auto every = static_cast<std::size_t>(1 + pixels_of_all / kFittedPixels);
+  ProgressLine progress(context_, "points of", "views");
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(frames[i])];
+    const RayCamera camera{info.camera, info.world_from_camera, s.plan.undistortion};
+    const auto part_done = [&](double share) {
+      progress.show(static_cast<double>(i) + share, static_cast<double>(frames.size()));
+    };
+    const RenderedFrame frame =
+        render_named_frame(*s.pipeline, info.name, camera, s.limits, s.plan.class_of_logit, {}, {1, part_done});
+    if (splats) splats->add(camera, frame, s.limits);
+    if (splats && i % every == 0) shown.push_back({camera, to_bytes(frame.rgb)});
+    if (!wants_points() && !map_) continue;
+    const SeenPixels pixels = seen_pixels(camera, frame);
+    if (wants_points()) cloud.add(frame, pixels);
+    if (map_) map_->add(camera, frame, pixels);
+  }
+  points_ = cloud.points();
+  if (splats) {
+    splats_ = splats->splats();
+    fit_colors(splats_, shown, background);
+  }
+  for (PointSet* set : {&points_, &splats_.points}) set->attributes.instance = instances(set->positions);
+}
+
+void HandOver::write_points() {
+  const Vec3d offset = offset_of_floats(box_around(points_.positions));
+  if (targets_.writes("las")) {
+    const std::string path = targets_.file("las");
+    write_las(path, points_, classes());
+    add(path, "points");  // readers add the header's offset by themselves
+  }
+  if (targets_.writes("pcd")) {
+    const std::string path = targets_.file("pcd");
+    write_pcd(path, points_, classes(), offset);
+    add(path, "points", offset);
+  }
+}
+
+void HandOver::write_splats() {
+  const Vec3d offset = offset_of_floats(box_around(splats_.points.positions));
+  if (targets_.writes("splats.ply")) {
+    const std::string path = targets_.file("splats.ply");
+    write_splat_ply(path, splats_, classes(), offset);
+    add(path, "splats", offset);
+  }
+  if (targets_.writes("splat")) {
+    const std::string path = targets_.file("splat");
+    write_splat(path, splats_, offset);
+    add(path, "splats", offset);
+  }
+}
+
+void HandOver::write_maps() {
+  const auto add_map = [&](const std::string& path, const char* holds, Vec3d offset) {
+    add(path, holds, offset);
+    sidecar_.files.back().edge = map_->place().edge;
+  };
+  if (targets_.writes("npz")) {
+    write_voxels(targets_.file("npz"), *map_, classes());
+    add_map(targets_.file("npz"), "voxels", {});
+  }
+  for (const char* format : {"bt", "ot"}) {
+    if (!targets_.writes(format)) continue;
+    const std::string path = targets_.file(format);
+    add_map(path, "voxels", write_octomap(path, *map_, classes(), format == std::string("ot")));
+  }
+  if (!targets_.writes("pgm")) return;
+  const Costmap map = costmap_of(*map_, sidecar_.up.value_or(Vec3d{}), band_of(options_, metre_));
+  const std::string yaml = write_costmap(targets_.file("pgm"), map);
+  print_note(context_,
+             fmt::format("the floor is at {:.3g} along {}; {} has what lies {:.3g} to {:.3g} above it", map.floor,
+                         axis_text(*sidecar_.up), targets_.file("pgm"), map.band.low, map.band.high));
+  add_map(targets_.file("pgm"), "costmap", {});
+  add_map(yaml, "costmap", {});
+}
+
+void HandOver::write() {
+  if (options_.color == "class") {
+    for (PointSet* set : {&points_, &splats_.points}) set->attributes.color = class_colors(set->attributes, classes());
+  }
+  if (targets_.points()) write_points();
+  if (targets_.splats()) write_splats();
+  if (map_) write_maps();
+}
+
+void HandOver::add(const std::string& path, const std::string& holds, Vec3d offset) {
+  sidecar_.files.push_back({path, holds, offset});
+}
+
+void HandOver::finish() {
+  const bool page_alone = std::all_of(sidecar_.files.begin(), sidecar_.files.end(),
+                                      [](const HandedFile& file) { return file.holds == "page"; });
+  if (!page_alone) write_file_atomic(targets_.stem.string() + ".json", sidecar_json(sidecar_));
+}
+
+std::vector<std::string> HandOver::files() const {
+  std::vector<std::string> out;
+  for (const HandedFile& file : sidecar_.files) out.push_back(file.path);
+  return out;
+}
+
+// The score of a mesh against a scene's depth images, for `mesh --score`.
+
+/// Depth images of a scene as views.
+struct MeasuredDepth {
+  std::vector<DepthView> training, held_out;
+};
+
+/// Scores of a run's mesh, and of what the same fusion makes of the depth images of its training frames.
+struct MeshScores {
+  double metre = 1;  ///< of distances, in units of the scene (usual_metre)
+  std::size_t points = 0, held_out_points = 0;
+  MeshScore mesh;
+  std::optional<MeshScore> sensor;  ///< none without depth of training frames
+};
+
+Json one_json(const MeshScore& score) {
+  Json out{{"complete", score.complete}};
+  out["complete_of_held_out"] = score.complete_of_held_out ? Json(*score.complete_of_held_out) : Json();
+  out["accurate"] = score.accurate;
+  out["f"] = score.f;
+  out["judged"] = score.judged;
+  return out;
+}
+
+ScoreShares distances_of(const MeshScores& scores) {
+  ScoreShares out = kScoreDistances;
+  for (double& distance : out) distance *= scores.metre;
+  return out;
+}
+
+std::string cells(const std::optional<ScoreShares>& shares) {
+  std::string out;
+  for (std::size_t k = 0; k < kScoreDistances.size(); ++k)
+    out += shares ? fmt::format("{:>8.1f} %", 100 * (*shares)[k]) : fmt::format("{:>10}", "-");
+  return out;
+}
+
+std::vector<DepthView> views_of(const Session& s, Split split) {
+  std::vector<DepthView> views;
+  for (const int f : s.scene.frames_of(split)) {
+    const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(f)];
+    const DepthMap& depth = s.scene.frames[static_cast<std::size_t>(f)].depth_m;
+    if (!depth.empty())
+      views.push_back(measured_view({info.camera, info.world_from_camera, s.plan.undistortion}, depth));
+  }
+  return views;
+}
+
+// Of a session that keeps all depth. Throws Error(data) that names the run where no frame of the scene has a depth
+// image, or, with `training_needed`, no training frame.
+MeasuredDepth measured_depth(const Session& session, const std::string& run, bool training_needed) {
+  MeasuredDepth depth{views_of(session, Split::train), views_of(session, Split::test)};
+  if (depth.training.empty() && (training_needed || depth.held_out.empty()))
+    throw Error(
+        ErrorKind::data, "mesh.depth.none",
+        fmt::format("{}: no {} frame of the scene has a depth image", run, training_needed ? "training" : "single"),
+        "leave out what asks for measured depth: --score, --surface sensor");
+  return depth;
+}
+
+Json scores_json(const MeshScores& scores) {
+  Json out{{"distances", distances_of(scores)}, {"points", scores.points}, {"held_out_points", scores.held_out_points}};
+  out["mesh"] = one_json(scores.mesh);
+  out["sensor"] = scores.sensor ? one_json(*scores.sensor) : Json();
+  return out;
+}
+
+// A table with a line at each end. `metric`: the scene is in metres; distances are shown in centimetres, or else in its
+// own unit.
+std::string scores_table(const MeshScores& scores, bool metric) {
+  std::string head;
+  for (const double distance : distances_of(scores))
+    head += metric ? fmt::format("{:>7.4g} cm", 100 * distance) : fmt::format("{:>10.4g}", distance);
+  std::string text = fmt::format("{:<24}{}   {} points of depth images, {} of held-out frames\n", "within", head,
+                                 scores.points, scores.held_out_points);
+  const auto rows = [&](const std::string& name, const MeshScore& score) {
+    text += fmt::format("{:<24}{}\n", name + ": complete", cells(score.complete));
+    text += fmt::format("{:<24}{}\n", "  of held-out frames", cells(score.complete_of_held_out));
+    text += fmt::format("{:<24}{}   {:.1f} % of the mesh is judged\n", "  accurate", cells(score.accurate),
+                        100 * score.judged);
+    text += fmt::format("{:<24}{}\n", "  F", cells(score.f));
+  };
+  rows("mesh", scores.mesh);
+  if (scores.sensor) rows("sensor", *scores.sensor);
+  return text;
+}
+
+// The surface of a run as `semfield mesh` is asked for it, with figures.
+
+struct FoundSurface : RunSurface {
+  std::optional<MeshScores> scores;
+};
+
+// The mesh's, and that of the fused depth images, which is the mesh itself where it was made of them.
+MeshScores scores_of(const MeshOptions& options, const RunSurface& found, const Session& s,
+                     const MeasuredDepth& measured) {
+  const double metre = usual_metre(s.scene.info.metric, s.extent.bounds.size());
+  const DepthReference reference(measured.training, measured.held_out, metre);
+  MeshScores scores{metre, reference.points(), reference.held_out_points(), reference.score(found.surface), {}};
+  if (found.source == "sensor" || measured.training.empty()) return scores;
+  Surface of_sensor = fused_surface(measured.training, s.limits, found.grid);
+  drop_small_components(of_sensor, options.keep_components);
+  scores.sensor = reference.score(of_sensor);
+  return scores;
+}
+
+// Throws Error(data) where there is no surface, or nothing of it is seen.
+FoundSurface find_surface(const MeshOptions& options, OpenedRun& run, const AppContext& context) {
+  const Session& s = run.session;
+  const bool of_sensor = surface_source(options, s) == "sensor";
+  MeasuredDepth measured;
+  if (options.score || of_sensor) measured = measured_depth(run.session, options.run, of_sensor);
+  ProgressLine progress(context, "depth of", "views");
+  FoundSurface found{make_run_surface(s, options.run, options, measured.training,
+                                      {[&](const std::string& note) { print_note(context, note); },
+                                       [&](double done, double of) { progress.show(done, of); }}),
+                     {}};
+  if (options.score) found.scores = scores_of(options, found, s, measured);
+  return found;
+}
 
 constexpr double kMailMegabytes = 25;  // what a colleague still gets by mail
 
@@ -47,15 +516,6 @@ Upright wanted_upright(const MeshOptions& options, const Session& s) {
   const std::optional<Vec3d> up = upright_of(s);
   if (!up) return {up, "the cameras do not tell which way is up: files show +y upright; --up names another axis"};
   return {up, fmt::format("files show {} upright, as the cameras stand; --up names another axis", axis_text(*up))};
-}
-
-void make_folder_of(const fs::path& stem) {
-  std::error_code failed;
-  if (stem.has_parent_path()) fs::create_directories(stem.parent_path(), failed);
-  if (failed)
-    throw Error(ErrorKind::cannot_create, "files.output.create",
-                stem.parent_path().string() + ": cannot create the folder: " + failed.message(),
-                "choose another --out");
 }
 
 void write_page(const MeshTargets& targets, const Surface& surface, const OpenedRun& run, Vec3d up,
@@ -96,12 +556,9 @@ void write_colored(const MeshOptions& options, const MeshTargets& targets, Surfa
 int run(const MeshOptions& options, AppContext& context) {
   const MeshTargets targets = mesh_targets(options);
   const bool wants_surface = targets.surfaces() || options.score;
-  Diagnostics diagnostics;
-  OpenedRun run = open_run(
-      options.run, options.set, context.registry, diagnostics,
-      options.score || options.source == "sensor" ? OpenFor::evaluation_of_training_frames : OpenFor::rendering);
-  context.adopt(run.session.config);
-  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
+  const bool measured = options.score || options.source == "sensor";
+  OpenedRun run =
+      run_of(options.run, options.set, measured ? OpenFor::evaluation_of_training_frames : OpenFor::rendering, context);
   const Session& s = run.session;
   mesh_colorings(options, s.pipeline->has_semantics());
   surface_source(options, s);
@@ -109,7 +566,7 @@ int run(const MeshOptions& options, AppContext& context) {
   const Upright found_up = wanted_upright(options, s);
   const Vec3d up = found_up.known.value_or(Vec3d{0, 1, 0});
   HandOver out(options, targets, run, upright ? up : found_up.known, context);
-  make_folder_of(targets.stem);
+  create_output_folder(targets.stem.parent_path());
   FoundSurface found;
   if (wants_surface) {
     found = find_surface(options, run, context);

@@ -10,7 +10,6 @@
 
 #include "app/json_output.h"
 #include "app/objects/object_files.h"
-#include "app/objects/object_tables.h"
 #include "app/scene/inspect_report.h"
 #include "app/terminal.h"
 #include "app/verb.h"
@@ -162,10 +161,7 @@ void tell_unclaimed(const FoundObjects& found, const SegmentSet& segments, const
 }
 
 int run(const ObjectsOptions& options, AppContext& context) {
-  Diagnostics diagnostics;
-  OpenedRun opened = open_run(options.run, options.set, context.registry, diagnostics, OpenFor::objects);
-  context.adopt(opened.session.config);
-  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
+  OpenedRun opened = run_of(options.run, options.set, OpenFor::objects, context);
   Session& s = opened.session;
   check_truth(options, s);
   if (s.config.grouping.entry == nullptr) s.config.grouping = usual_method(context.registry);

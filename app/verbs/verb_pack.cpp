@@ -20,7 +20,7 @@ int run(const PackVerbOptions& options, AppContext& context) {
   OpenedDataset opened = dataset_of(options.config, context);
   Diagnostics diagnostics;
   const PackSummary summary = pack_scene(*opened.dataset, options.out, opened.config.load, PackOptions{}, diagnostics);
-  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
+  print_findings(context, diagnostics);
   if (context.json) {
     print_json(context, {{"frames", summary.frames}, {"bytes", summary.bytes}, {"file", options.out}});
     return 0;

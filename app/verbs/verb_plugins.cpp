@@ -1,4 +1,4 @@
-// Laws of plugins checked in a process of their own, which a plugin may end.
+// plugins: lists, parameters, and laws checked in a process of their own, which a plugin may end.
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <sys/prctl.h>
@@ -30,23 +30,6 @@
 #include "system/process.h"
 
 namespace semfield::app {
-
-/// Calls `laws` in a process forked from this one, so before any thread is there, and `on_row` here for each row that
-/// it tells of. A process that ends before `laws` has returned, whatever its exit code, breaks the law under way: the
-/// last row says so. Throws the Error that `laws` throws, and Error(unavailable) for a process that ends before the
-/// first law: `file` did not load.
-void ask_laws_apart(const std::string& file, const std::function<void(LawRequest&)>& laws,
-                    const std::function<void(const LawRow&)>& on_row);
-
-// What the verbs of this folder print of plugins.
-
-/// To stdout, byte for byte.
-void print_text(const std::string& text);
-/// As JSON: every plugin, or the one of this name.
-void print_plugins_json(const AppContext& context, const std::string& only = {});
-/// What this build has for CUDA, into the registry's tables; no device is needed for that. Generated pages do without
-/// it: they are the same for every build.
-void add_cuda_kernels(AppContext& context);
 
 namespace {
 
@@ -109,8 +92,10 @@ std::string how_it_ended(int status) {
   return fmt::format("it ended the process by signal {} ({})", WTERMSIG(status), strsignal(WTERMSIG(status)));
 }
 
-}  // namespace
-
+// Calls `laws` in a process forked from this one, so before any thread is there, and `on_row` here for each row that
+// it tells of. A process that ends before `laws` has returned, whatever its exit code, breaks the law under way: the
+// last row says so. Throws the Error that `laws` throws, and Error(unavailable) for a process that ends before the
+// first law: `file` did not load.
 void ask_laws_apart(const std::string& file, const std::function<void(LawRequest&)>& laws,
                     const std::function<void(const LawRow&)>& on_row) {
   std::fflush(nullptr);
@@ -167,8 +152,6 @@ void ask_laws_apart(const std::string& file, const std::function<void(LawRequest
   on_row(row);
 }
 
-namespace {
-
 Json entry_json(const PluginEntry& entry) {
   Json json{
       {"kind", kind_name(entry.kind)}, {"name", entry.name}, {"summary", entry.summary}, {"module", entry.module}};
@@ -186,11 +169,11 @@ Json entry_json(const PluginEntry& entry) {
   return json;
 }
 
-}  // namespace
-
+// Byte for byte.
 void print_text(const std::string& text) { std::fwrite(text.data(), 1, text.size(), stdout); }
 
-void print_plugins_json(const AppContext& context, const std::string& only) {
+// Every plugin, or the one of this name.
+void print_plugins_json(const AppContext& context, const std::string& only = {}) {
   Json all = Json::array();
   for (const PluginEntry* entry : context.registry.entries()) {
     if (only.empty() || entry->name == only) all.push_back(entry_json(*entry));
@@ -198,6 +181,8 @@ void print_plugins_json(const AppContext& context, const std::string& only) {
   print_json(context, {{"plugins", all}});
 }
 
+// What this build has for CUDA, into the registry's tables; no device is needed for that. Generated pages do without
+// it: they are the same for every build.
 void add_cuda_kernels(AppContext& context) {
   if (!has_cuda_library()) return;
   try {
@@ -207,13 +192,7 @@ void add_cuda_kernels(AppContext& context) {
   }
 }
 
-// plugins: the group of the verbs in this folder.
-
-Verb verb_plugins() { return make_group("plugins", 170, "list plugins and their parameters, and check them"); }
-
 // plugins check: the laws of its kind on every plugin of a file.
-
-namespace {
 
 struct CheckOptions {
   std::string file;
@@ -313,16 +292,7 @@ void words(VerbWords& verb, CheckOptions& options) {
   verb.repeated("--scene NAME=VALUE", options.scene, "parameter of the file's datasets, whose laws need a scene");
 }
 
-}  // namespace
-
-Verb verb_plugins_check() {
-  return with_json(make_verb<CheckOptions>("plugins check", 50,
-                                           "check the plugins of a file against the laws of their kinds", words, run));
-}
-
 // plugins list: every plugin with one sentence, or with the devices that it runs on.
-
-namespace {
 
 struct ListOptions {
   bool devices = false;
@@ -358,15 +328,7 @@ void words(VerbWords& verb, ListOptions& options) {
   verb.flag("--devices", options.devices, "print which plugin runs on which device");
 }
 
-}  // namespace
-
-Verb verb_plugins_list() {
-  return with_json(make_verb<ListOptions>("plugins list", 10, "list every plugin with one sentence", words, run));
-}
-
 // plugins show: the parameters of one plugin.
-
-namespace {
 
 struct ShowOptions {
   std::string name;
@@ -387,6 +349,17 @@ int run(const ShowOptions& options, AppContext& context) {
 void words(VerbWords& verb, ShowOptions& options) { verb.operand("name", options.name, "name of the plugin"); }
 
 }  // namespace
+
+Verb verb_plugins() { return make_group("plugins", 170, "list plugins and their parameters, and check them"); }
+
+Verb verb_plugins_check() {
+  return with_json(make_verb<CheckOptions>("plugins check", 50,
+                                           "check the plugins of a file against the laws of their kinds", words, run));
+}
+
+Verb verb_plugins_list() {
+  return with_json(make_verb<ListOptions>("plugins list", 10, "list every plugin with one sentence", words, run));
+}
 
 Verb verb_plugins_show() {
   return with_json(make_verb<ShowOptions>("plugins show", 20, "print the parameters of one plugin", words, run));

@@ -8,7 +8,6 @@
 #include "app/json_output.h"
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
-#include "app/scene/posed_scene.h"
 #include "app/signals.h"
 #include "app/terminal.h"
 #include "app/verb.h"

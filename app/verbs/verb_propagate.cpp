@@ -6,11 +6,12 @@
 
 #include "app/json_output.h"
 #include "app/scene/folder_scene.h"
+#include "app/scene/inspect_report.h"
 #include "app/terminal.h"
 #include "app/verb.h"
 #include "core/error.h"
 #include "run/run_scores.h"
-#include "surface/fuse/propagation.h"
+#include "surface/fuse/fusion.h"
 
 namespace semfield::app {
 
@@ -64,11 +65,7 @@ void print_worth(const AppContext& context, const PropagateOptions& options, con
 
 int run(const PropagateOptions& options, AppContext& context) {
   refuse_used_folder(options.out);
-  Diagnostics diagnostics;
-  OpenedRun run =
-      open_run(options.run, options.set, context.registry, diagnostics, OpenFor::evaluation_of_training_frames);
-  context.adopt(run.session.config);
-  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
+  OpenedRun run = run_of(options.run, options.set, OpenFor::evaluation_of_training_frames, context);
   const Session& s = run.session;
   if (s.classes() == 0) {
     throw Error(ErrorKind::data, "labels.classes.none",

@@ -1,25 +1,47 @@
 // render: images, or a video, of a run's field for a split or a trajectory.
+#include <fcntl.h>
 #include <fmt/format.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
+#include <algorithm>
 #include <array>
+#include <cctype>
+#include <cerrno>
 #include <chrono>
 #include <cmath>
+#include <csignal>
+#include <cstdint>
 #include <cstdio>
+#include <cstring>
 #include <filesystem>
 #include <functional>
 #include <future>
 #include <nlohmann/json.hpp>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
 
+#include "app/app_context.h"
+#include "app/child_process.h"
 #include "app/json_output.h"
-#include "app/render/render_views.h"
-#include "app/render/video.h"
+#include "app/render/run_surface.h"
 #include "app/scene/inspect_report.h"
 #include "app/terminal.h"
 #include "app/verb.h"
 #include "core/error.h"
+#include "eval/channel_query.h"
+#include "eval/evaluator.h"
 #include "eval/image_output.h"
 #include "formats/image_io.h"
 #include "run/run_scores.h"
+#include "scene/camera.h"
+#include "scene/camera_path.h"
+#include "scene/scene.h"
+#include "session/session.h"
 #include "system/files.h"
 
 namespace semfield::app {
@@ -27,6 +49,430 @@ namespace semfield::app {
 namespace {
 
 namespace fs = std::filesystem;
+
+struct ChannelWishes {
+  std::string channel;  ///< of --channel; "": none
+  std::string query;    ///< file of --query; "": none
+};
+
+class ChannelOutput {
+ public:
+  /// Throws Error(usage) for a run without such a head, and what read_queries throws.
+  ChannelOutput(const ChannelWishes& wishes, const Session& session);
+
+  /// Channels that frames must have.
+  const std::vector<std::string>& channels() const { return channels_; }
+  /// Files of the whole folder: the axes of the channel, where it has some.
+  void write_axes(const std::string& folder) const;
+  /// Files of a frame, whose names begin with `base`.
+  void write(const std::string& base, const RenderedFrame& frame) const;
+
+ private:
+  std::vector<std::string> channels_;
+  bool maps_ = false;  // the channel itself is written
+  View<const float> axes_;
+  std::vector<QueryVector> queries_;
+};
+
+struct RenderOptions {
+  std::string run;
+  std::string split = "test";
+  std::string trajectory;  ///< file of cameras or of camera-to-world matrices, or "smooth"; replaces the split
+  int frames = 240;        ///< of the smooth path
+  std::string out;         ///< default: render/<split> of the run, or render/<split>.mp4
+  bool npy = false;
+  bool probability = false;
+  ChannelWishes channels;
+  bool video = false;
+  std::vector<std::string> panels;  ///< of the video; none: all that the run has
+  double fps = 24;
+  int width = 0;  ///< pixels; 0: that of each camera
+  std::vector<std::string> set;
+};
+
+struct NamedView {
+  std::string name;
+  RayCamera camera;
+  RayLimits limits;
+  int frame = -1;  ///< of the scene, where it is the view of one
+
+  /// What the names of its files begin with: slashes are '_'.
+  std::string file_name() const;
+};
+
+// One rendered view as panels side by side: what a frame of a video shows.
+
+enum class Panel : std::uint8_t { rgb, label, depth, entropy };
+
+constexpr int kFramesPerKey = 36;  // of a smooth path: a training camera every one and a half seconds
+
+NamedView view_of(const Session& s, int frame) {
+  const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(frame)];
+  return {info.name, {info.camera, info.world_from_camera, s.plan.undistortion}, s.limits, frame};
+}
+
+std::vector<NamedView> views_of_poses(const Session& s, const std::vector<Pose>& poses) {
+  const Camera& camera = s.scene.info.frames.front().camera;
+  std::vector<NamedView> views;
+  for (const Pose& pose : poses)
+    views.push_back({fmt::format("{:05}", views.size()), {camera, pose, s.plan.undistortion}, s.limits});
+  return views;
+}
+
+// Each with its own lens and limits; bounds are the run's.
+std::vector<NamedView> views_of_cameras(const Session& s, const CameraSet& set) {
+  std::vector<NamedView> views;
+  for (const PlacedCamera& placed : set.cameras) {
+    NamedView view{placed.name, {placed.camera, placed.world_from_camera, placed.camera.has_distortion()}, s.limits};
+    if (placed.far_m > 0) {
+      view.limits.near_m = placed.near_m;
+      view.limits.far_m = placed.far_m;
+      view.limits.z_depth = set.z_depth;
+    }
+    views.push_back(std::move(view));
+  }
+  return views;
+}
+
+std::vector<Pose> smooth_path(const Session& s, int frames) {
+  std::vector<Pose> keys;
+  for (const int f : evenly_spaced(s.scene.frames_of(Split::train), 2 + frames / kFramesPerKey)) {
+    keys.push_back(s.scene.info.frames[static_cast<std::size_t>(f)].world_from_camera);
+  }
+  return keys.empty() ? keys : make_smooth_path(keys, frames);
+}
+
+std::string NamedView::file_name() const { return output_name(name); }
+
+// "test", "train", "smooth" or "trajectory": names the output.
+std::string render_name(const RenderOptions& options) {
+  if (options.trajectory.empty()) return options.split;
+  return options.trajectory == "smooth" ? "smooth" : "trajectory";
+}
+
+// Throws Error(data) for a bad trajectory file and for nothing to render. Warnings about cameras go to the diagnostics.
+std::vector<NamedView> render_views(const Session& s, const RenderOptions& options, Diagnostics& diagnostics) {
+  std::vector<NamedView> views;
+  if (options.trajectory == "smooth") {
+    views = views_of_poses(s, smooth_path(s, options.frames));
+  } else if (!options.trajectory.empty() && is_camera_set(options.trajectory)) {
+    views = views_of_cameras(s, read_cameras(options.trajectory, diagnostics));
+  } else if (!options.trajectory.empty()) {
+    views = views_of_poses(s, read_camera_file(options.trajectory, CameraAxes::right_down_forward));
+  } else {
+    for (const int f : s.scene.frames_of(options.split == "test" ? Split::test : Split::train)) {
+      views.push_back(view_of(s, f));
+    }
+  }
+  if (views.empty()) {
+    throw Error(ErrorKind::data, "scene.split.empty",
+                options.run + ": nothing to render in '" + render_name(options) + "'", "see `semfield inspect`");
+  }
+  for (NamedView& view : views) {
+    Camera& camera = view.camera.camera;
+    const double height = static_cast<double>(options.width) * camera.height_px / camera.width_px;
+    if (options.width > 0)
+      camera = camera.resized(options.width, static_cast<std::int32_t>(std::max(1L, std::lround(height))));
+  }
+  return views;
+}
+
+// As read_cameras reads them back.
+CameraSet cameras_of(const std::vector<NamedView>& views) {
+  CameraSet set;
+  set.z_depth = views.front().limits.z_depth;
+  for (const NamedView& view : views) {
+    set.cameras.push_back(
+        {view.name, view.camera.camera, view.camera.world_from_camera, view.limits.near_m, view.limits.far_m});
+  }
+  return set;
+}
+
+// Between the 2nd and the 98th percentile of the picture: cosines of words and pictures differ by little.
+std::vector<std::uint8_t> contrast_colors(const std::vector<float>& values) {
+  std::vector<float> sorted = values;
+  std::sort(sorted.begin(), sorted.end());
+  const std::size_t last = sorted.size() - 1;
+  const double low = static_cast<double>(sorted[last / 50]), high = static_cast<double>(sorted[last - last / 50]);
+  std::vector<std::uint8_t> rgb;
+  rgb.reserve(3 * values.size());
+  for (const float value : values) {
+    const double t = high > low ? (static_cast<double>(value) - low) / (high - low) : 0;
+    const auto color = perceptual_color(t);
+    rgb.insert(rgb.end(), color.begin(), color.end());
+  }
+  return rgb;
+}
+
+const HeadConfig& head_of(const ChannelWishes& wishes, const Session& session) {
+  const std::vector<HeadConfig>& heads = session.config.heads;
+  std::vector<std::string> known;
+  for (const HeadConfig& head : heads) {
+    known.push_back(head.channel);
+    if (head.channel == wishes.channel || (wishes.channel.empty() && heads.size() == 1)) return head;
+  }
+  if (known.empty())
+    throw Error(ErrorKind::usage, "render.channel.unknown", "the run has no head except that of class logits",
+                "train with the lists `heads` and `losses`; docs/guide/features.md shows how");
+  if (wishes.channel.empty())
+    throw Error(ErrorKind::usage, "render.channel.unknown", "the run has several channels: " + join(known),
+                "name one with --channel");
+  const std::string near = did_you_mean(wishes.channel, known);
+  throw Error(ErrorKind::usage, "render.channel.unknown",
+              "--channel: the run has no channel '" + wishes.channel + "'; it has " + join(known),
+              near.empty() ? "" : "did you mean '" + near + "'?");
+}
+
+ChannelOutput::ChannelOutput(const ChannelWishes& wishes, const Session& session) : maps_(!wishes.channel.empty()) {
+  if (wishes.channel.empty() && wishes.query.empty()) return;
+  const HeadConfig& head = head_of(wishes, session);
+  channels_.push_back(head.channel);
+  axes_ = session.pipeline->passes().back().axes(head.channel);
+  if (!wishes.query.empty())
+    queries_ = read_queries(wishes.query, head.source_width > 0 ? head.source_width : head.width);
+  maps_ = maps_ && wishes.query.empty();
+}
+
+void ChannelOutput::write_axes(const std::string& folder) const {
+  if (!maps_ || axes_.empty()) return;
+  const std::vector<std::int64_t> shape{axes_.rows, axes_.cols};
+  write_npy(folder + "/" + channels_.front() + "_axes.npy", shape,
+            {axes_.data, static_cast<std::size_t>(axes_.size())});
+}
+
+void ChannelOutput::write(const std::string& base, const RenderedFrame& frame) const {
+  for (const FrameChannel& map : frame.channels) {
+    if (maps_) {
+      const std::vector<std::int64_t> shape{map.height, map.width, map.cols};
+      write_npy(base + "_" + map.name + ".npy", shape, map.values);
+    }
+    for (const QueryVector& query : queries_) {
+      const std::vector<float> cosines = cosine_map(map, query.values, axes_);
+      const std::string file = base + "_query_" + query.name;
+      write_map_npy(file + ".npy", {map.width, map.height}, cosines);
+      write_png_rgb(file + ".png", map.width, map.height, contrast_colors(cosines));
+    }
+  }
+}
+
+std::vector<std::uint8_t> overlay(const RenderedFrame& frame, const ClassTable& classes) {
+  std::vector<std::uint8_t> out = to_bytes(frame.rgb);
+  const std::vector<std::uint8_t> colors = label_colors(frame.label, classes);
+  for (std::size_t i = 0; i < out.size(); ++i) {
+    if (frame.label[i / 3] != kVoid) out[i] = static_cast<std::uint8_t>((out[i] + colors[i] + 1) / 2);
+  }
+  return out;
+}
+
+std::vector<std::uint8_t> panel_of(const RenderedFrame& frame, Panel panel, const Session& s) {
+  switch (panel) {
+    case Panel::rgb:
+      return to_bytes(frame.rgb);
+    case Panel::label:
+      return overlay(frame, s.scene.info.classes);
+    case Panel::depth:
+      return depth_colors(frame.depth_m, s.limits.near_m, s.limits.far_m);
+    default:
+      return entropy_colors(frame.entropy, static_cast<int>(s.plan.class_of_logit.size()));
+  }
+}
+
+// By panel.
+const std::vector<std::string>& panel_names() {
+  static const std::vector<std::string> names{"rgb", "label", "depth", "entropy"};
+  return names;
+}
+
+// Of names that are in panel_names(); of none: all that the run has. Throws Error(usage) for label or entropy of a run
+// without semantics.
+std::vector<Panel> panels_of(const std::vector<std::string>& names, bool semantics) {
+  if (names.empty()) {
+    if (!semantics) return {Panel::rgb, Panel::depth};
+    return {Panel::rgb, Panel::label, Panel::depth, Panel::entropy};
+  }
+  std::vector<Panel> panels;
+  for (const std::string& name : names) {
+    const auto found = std::find(panel_names().begin(), panel_names().end(), name);
+    panels.push_back(static_cast<Panel>(found - panel_names().begin()));
+    if (!semantics && (panels.back() == Panel::label || panels.back() == Panel::entropy)) {
+      throw Error(ErrorKind::usage, "run.semantics.none",
+                  "--panels: this run has no semantics, so no panel '" + name + "'", "choose from rgb, depth");
+    }
+  }
+  return panels;
+}
+
+// Colour; classes half over colour; depth and entropy in the house's colours over a range that is the same for every
+// frame of the run (near to far, 0 to ln K). [H * panels W * 3]
+std::vector<std::uint8_t> frame_strip(const RenderedFrame& frame, const std::vector<Panel>& panels, const Session& s) {
+  const std::size_t row = 3 * static_cast<std::size_t>(frame.width_px);
+  const auto height = static_cast<std::size_t>(frame.height_px);
+  std::vector<std::uint8_t> strip(row * height * panels.size());
+  for (std::size_t p = 0; p < panels.size(); ++p) {
+    const std::vector<std::uint8_t> panel = panel_of(frame, panels[p], s);
+    for (std::size_t y = 0; y < height; ++y) {
+      std::copy_n(panel.begin() + static_cast<std::ptrdiff_t>(y * row), row,
+                  strip.begin() + static_cast<std::ptrdiff_t>((y * panels.size() + p) * row));
+    }
+  }
+  return strip;
+}
+
+// Frames into a video file through the program ffmpeg: no shell, raw RGB over a pipe.
+
+// Path of ffmpeg in PATH. Throws Error(unavailable) with how to get it.
+std::string find_ffmpeg() {
+  const std::string program = program_in_path("ffmpeg");
+  if (!program.empty()) return program;
+  throw Error(ErrorKind::unavailable, "render.video.ffmpeg", "--video: the program ffmpeg is not in PATH",
+              "install it (Debian: apt-get install ffmpeg), or render images and join them elsewhere");
+}
+
+// ffmpeg's name for what the ending of `path` stands for. Throws Error(usage) for none and for one that is not known.
+std::string video_format(const std::string& path) {
+  static constexpr std::array<std::pair<std::string_view, std::string_view>, 8> kFormats{{{".mp4", "mp4"},
+                                                                                          {".m4v", "mp4"},
+                                                                                          {".mov", "mov"},
+                                                                                          {".mkv", "matroska"},
+                                                                                          {".webm", "webm"},
+                                                                                          {".avi", "avi"},
+                                                                                          {".ogv", "ogg"},
+                                                                                          {".gif", "gif"}}};
+  std::string ending = fs::path(path).extension().string(), known;
+  for (char& c : ending) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  for (const auto& [name, format] : kFormats) {
+    if (ending == name) return std::string(format);
+    known += (known.empty() ? "" : ", ") + std::string(name);
+  }
+  throw Error(ErrorKind::usage, "render.video.format",
+              path + (ending.empty() ? ": no file ending" : ": '" + ending + "' is not the ending of a video file"),
+              "name a file such as room.mp4; known: " + known);
+}
+
+/// One video. Frames go to ffmpeg as they come, into a temporary file of ours beside `path` (AtomicFile): the file of
+/// that name is replaced when finish() has seen ffmpeg end well and the bytes on the disk. Without finish() ffmpeg is
+/// stopped and nothing stays.
+class VideoWriter {
+ public:
+  /// Throws Error(unavailable) when ffmpeg cannot be started, write_error where no file can be made.
+  VideoWriter(const std::string& ffmpeg, const std::string& path, std::int32_t width_px, std::int32_t height_px,
+              double fps);
+  ~VideoWriter();
+  VideoWriter(const VideoWriter&) = delete;
+  VideoWriter& operator=(const VideoWriter&) = delete;
+
+  /// rgb [height * width * 3]. Throws Error(io) when ffmpeg has ended, with the cause where the disk reports it.
+  void add(std::span<const std::uint8_t> rgb);
+  void finish();
+
+ private:
+  [[noreturn]] void fail(const std::string& what, int code);
+  int wait();
+  std::string path_;
+  AtomicFile file_;
+  int pid_ = -1, pipe_ = -1;
+  void (*old_handler_)(int) = nullptr;
+};
+
+VideoWriter::VideoWriter(const std::string& ffmpeg, const std::string& path, std::int32_t width_px,
+                         std::int32_t height_px, double fps)
+    : path_(path), file_(path) {
+  // -xerror: without it ffmpeg ends well even where the disk took less than it wrote. Planes of half the size need even
+  // sides.
+  const std::vector<std::string> words{ffmpeg,
+                                       "-hide_banner",
+                                       "-loglevel",
+                                       "error",
+                                       "-xerror",
+                                       "-y",
+                                       "-f",
+                                       "rawvideo",
+                                       "-pix_fmt",
+                                       "rgb24",
+                                       "-s",
+                                       fmt::format("{}x{}", width_px, height_px),
+                                       "-r",
+                                       fmt::format("{}", fps),
+                                       "-i",
+                                       "pipe:0",
+                                       "-an",
+                                       "-vf",
+                                       "pad=ceil(iw/2)*2:ceil(ih/2)*2",
+                                       "-pix_fmt",
+                                       "yuv420p",
+                                       "-f",
+                                       video_format(path),
+                                       fmt::format("file:/proc/self/fd/{}", file_.descriptor())};
+  std::vector<char*> argv;
+  for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
+  argv.push_back(nullptr);  // all before the fork: the child may not allocate
+  std::array<int, 2> ends{};
+  if (pipe2(ends.data(), O_CLOEXEC) != 0)
+    throw Error(ErrorKind::unavailable, "system.process.limit", "cannot open a pipe to ffmpeg");
+  old_handler_ = std::signal(SIGPIPE, SIG_IGN);  // a dead ffmpeg is an error of write(), not the end of this program
+  pid_ = fork();
+  if (pid_ == 0) {
+    dup2(ends[0], STDIN_FILENO);
+    dup2(STDERR_FILENO, STDOUT_FILENO);  // our stdout is for results
+    std::signal(SIGPIPE, SIG_DFL);
+    fcntl(file_.descriptor(), F_SETFD, 0);
+    execv(argv[0], argv.data());
+    _exit(127);
+  }
+  close(ends[0]);
+  pipe_ = ends[1];
+  if (pid_ < 0) {
+    close(pipe_);
+    std::signal(SIGPIPE, old_handler_);
+    throw Error(ErrorKind::unavailable, "render.video.ffmpeg", "cannot start '" + ffmpeg + "'");
+  }
+}
+
+VideoWriter::~VideoWriter() {
+  if (pid_ > 0) {
+    kill(pid_, SIGKILL);  // what it has written is thrown away
+    wait();
+  }
+  std::signal(SIGPIPE, old_handler_);
+}
+
+int VideoWriter::wait() {
+  if (pipe_ >= 0) close(pipe_);
+  pipe_ = -1;
+  int status = 0;
+  while (waitpid(pid_, &status, 0) < 0 && errno == EINTR) {
+  }
+  pid_ = -1;
+  return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+}
+
+void VideoWriter::fail(const std::string& what, int code) {
+  // Where the disk is the cause it refuses us too, and then its words are ours.
+  file_.count_written();
+  const std::vector<std::byte> more(std::size_t{1} << 20);
+  file_.append(more);
+  throw Error(ErrorKind::io, "render.video.failed", fmt::format("{}: {} (exit code {})", path_, what, code),
+              "its own message is above; try another file ending, or render images without --video");
+}
+
+void VideoWriter::add(std::span<const std::uint8_t> rgb) {
+  while (!rgb.empty()) {
+    const ssize_t n = write(pipe_, rgb.data(), rgb.size());
+    if (n < 0 && errno == EINTR) continue;
+    if (n <= 0) {
+      const std::string cause = std::strerror(errno);
+      fail("ffmpeg takes no more frames: " + cause, wait());
+    }
+    rgb = rgb.subspan(static_cast<std::size_t>(n));
+  }
+}
+
+void VideoWriter::finish() {
+  if (const int code = wait(); code != 0) fail("ffmpeg could not finish the video", code);
+  file_.count_written();
+  if (file_.size() == 0) fail("ffmpeg wrote nothing", 0);
+  file_.commit();
+}
 
 using FrameSink = std::function<void(const NamedView& view, const RenderedFrame& frame)>;
 
@@ -76,14 +522,6 @@ void check_probability(const RenderOptions& options, const Session& s, const std
                                   views.size() == 1 ? "" : "s", s.classes(), bytes / 1e9));
 }
 
-void create_folder(const fs::path& folder) {
-  std::error_code failed;
-  if (!folder.empty()) fs::create_directories(folder, failed);
-  if (failed)
-    throw Error(ErrorKind::cannot_create, "files.output.create",
-                folder.string() + ": cannot create the folder: " + failed.message(), "choose another --out");
-}
-
 struct Rendered {
   std::size_t frames = 0;
   double s_per_frame = 0;
@@ -125,7 +563,7 @@ Rendered render_images(const RenderOptions& options, const Session& s, const std
       options.out.empty() ? fs::path(options.run) / "render" / render_name(options) : fs::path(options.out);
   if (options.probability) check_probability(options, s, views, context);
   const ChannelOutput channels(options.channels, s);
-  create_folder(folder);
+  create_output_folder(folder);
   channels.write_axes(folder.string());
   CameraSet cameras = cameras_of(views);
   cameras.depth_step = depth_step_of(s);
@@ -173,7 +611,7 @@ Rendered render_video(const RenderOptions& options, const std::string& ffmpeg, c
                 "a video has one size: use --trajectory, whose views have the first frame's camera");
   }
   const fs::path file = video_file(options);
-  create_folder(file.parent_path());
+  create_output_folder(file.parent_path());
   const std::int32_t width_px = first.width_px * static_cast<std::int32_t>(panels.size());
   VideoWriter video(ffmpeg, file.string(), width_px, first.height_px, options.fps);
   const double seconds = render_all(
@@ -187,14 +625,10 @@ int run(const RenderOptions& options, AppContext& context) {
   // Before anything that takes time.
   if (options.video) (void)video_format(video_file(options).string());
   const std::string ffmpeg = options.video ? find_ffmpeg() : std::string();
-  Diagnostics diagnostics;
-  const OpenedRun run =
-      open_run(options.run, options.set, context.registry, diagnostics, OpenFor::rendering, context.ranks.get());
-  context.adopt(run.session.config);
-  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
+  const OpenedRun run = run_of(options.run, options.set, OpenFor::rendering, context);
   Diagnostics of_cameras;
   const std::vector<NamedView> views = render_views(run.session, options, of_cameras);
-  for (const Diagnostic& finding : folded(of_cameras)) print_note(context, finding.shown());
+  print_findings(context, of_cameras);
   const Rendered done = options.video ? render_video(options, ffmpeg, run.session, views, context)
                                       : render_images(options, run.session, views, context);
   if (context.json) {

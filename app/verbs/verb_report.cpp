@@ -2,7 +2,8 @@
 #include <cstdio>
 
 #include "app/json_output.h"
-#include "app/render/render_views.h"
+#include "app/render/run_surface.h"
+#include "app/scene/inspect_report.h"
 #include "app/verb.h"
 #include "core/error.h"
 #include "report/report.h"
@@ -22,9 +23,7 @@ struct ReportOptions {
 // A report needs no scene, a view of it does: where the run does not open, the note says why.
 std::string scene_of(const std::string& run_dir, AppContext& context) {
   try {
-    Diagnostics diagnostics;
-    const OpenedRun run = open_run(run_dir, {}, context.registry, diagnostics, OpenFor::rendering);
-    context.adopt(run.session.config);
+    const OpenedRun run = run_of(run_dir, {}, OpenFor::rendering, context);
     return report_scene(run.session, run_dir, run.step, context);
   } catch (const Error& e) {
     print_note(context, "no view in 3D in the report: " + e.message());

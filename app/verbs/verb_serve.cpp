@@ -12,10 +12,10 @@
 #include <thread>
 
 #include "app/child_process.h"
-#include "app/next_steps.h"
 #include "app/serve/page_pictures.h"
 #include "app/serve/page_server.h"
 #include "app/signals.h"
+#include "app/terminal.h"
 #include "core/error.h"
 #include "core/text.h"
 #include "run/run_folder.h"

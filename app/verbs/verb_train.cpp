@@ -8,8 +8,7 @@
 #include <filesystem>
 
 #include "app/json_output.h"
-#include "app/length_words.h"
-#include "app/render/render_views.h"
+#include "app/render/run_surface.h"
 #include "app/scene/inspect_report.h"
 #include "app/signals.h"
 #include "app/terminal.h"
@@ -167,7 +166,7 @@ int run(const TrainOptions& options, AppContext& context) {
     SessionOptions session_options;
     session_options.keep = options.keep;
     const Session session = open_session(std::move(config), context.registry, session_options, diagnostics);
-    for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
+    print_findings(context, diagnostics);
     if (context.json) {
       print_json(context, plan_json(session));
     } else {
@@ -211,7 +210,7 @@ void words(VerbWords& verb, TrainOptions& options) {
   verb.repeated("--set KEY=VALUE", set, "override a value: --set train.rays=2048");
   verb.value("--out FOLDER", options.out, "run folder to create (default: runs/<name>)");
   verb.value("--resume RUN", options.resume, "run folder to resume; with --time or --steps it trains that much more");
-  declare_length(verb, options.length);
+  verb.length(options.length);
   verb.threads(set);
   verb.setting(set, "--memory GB", "runtime.memory_gb",
                "GB that the run may use; it ends after its first steps if they take more (default: what is free)");

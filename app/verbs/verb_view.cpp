@@ -34,14 +34,6 @@ struct ViewVerbOptions {
 
 #ifdef SEMFIELD_WITH_SERVE
 
-std::unique_ptr<ViewedRun> opened(const std::string& folder, const ViewVerbOptions& options, AppContext& context) {
-  Diagnostics diagnostics;
-  OpenedRun run = open_run(folder, options.set, context.registry, diagnostics, OpenFor::rendering);
-  for (const Diagnostic& finding : folded(diagnostics)) print_note(context, finding.shown());
-  context.adopt(run.session.config);
-  return std::make_unique<ViewedRun>(std::move(run));
-}
-
 int run(const ViewVerbOptions& options, AppContext& context) {
   ViewOptions view;
   view.http.address = options.address;
@@ -50,8 +42,9 @@ int run(const ViewVerbOptions& options, AppContext& context) {
   (void)free_port(view.http.address, view.http.port, view.next_port);  // before anything that takes time
   install_stop_signals(!context.quiet);
   std::vector<std::unique_ptr<ViewedRun>> runs;
-  runs.push_back(opened(options.run, options, context));
-  if (!options.with.empty()) runs.push_back(opened(options.with, options, context));
+  for (const std::string& one : {options.run, options.with})
+    if (!one.empty())
+      runs.push_back(std::make_unique<ViewedRun>(run_of(one, options.set, OpenFor::rendering, context)));
   std::vector<ViewedRun*> shown;
   std::vector<std::string> names;
   for (const std::unique_ptr<ViewedRun>& one : runs) {

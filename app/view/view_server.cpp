@@ -9,7 +9,7 @@
 #include <sstream>
 
 #include "app/json_output.h"
-#include "app/objects/object_tables.h"
+#include "app/objects/object_files.h"
 #include "app/serve/page_pictures.h"
 #include "app/serve/page_requests.h"
 #include "core/error.h"

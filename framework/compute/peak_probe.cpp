@@ -2,7 +2,6 @@
 
 #include <array>
 #include <atomic>
-#include <bit>
 #include <chrono>
 #include <cstdint>
 #include <vector>
@@ -141,68 +140,8 @@ double rate(int threads, double seconds, double units, const Call& call) {
   return units * static_cast<double>(calls) / wall;
 }
 
-constexpr int kLanes = 16;  // independent generators, so that reads overlap
-
-using ReadLoop = double (*)(const std::uint64_t* table, std::uint32_t mask, std::uint32_t seed, std::int64_t reads);
-using LaneStates = std::array<std::uint32_t, kLanes>;
-
-LaneStates first_states(std::uint32_t seed) {
-  LaneStates state;
-  for (std::uint32_t l = 0; l < kLanes; ++l) state[l] = (seed * 977U + 1U) * 2654435761U + l * 2246822519U;
-  return state;
-}
-
-// A linear congruence a lane; its high bits are the random ones.
-constexpr std::uint32_t kFactor = 1664525U, kIncrement = 1013904223U, kLowBits = 5;
-
-double read_loop(const std::uint64_t* table, std::uint32_t mask, std::uint32_t seed, std::int64_t reads) {
-  LaneStates state = first_states(seed);
-  std::array<std::uint64_t, kLanes> sum{};
-  for (std::int64_t r = 0; r < reads; ++r) {
-    for (std::size_t l = 0; l < kLanes; ++l) {
-      state[l] = state[l] * kFactor + kIncrement;
-      sum[l] += table[(state[l] >> kLowBits) & mask];
-    }
-  }
-  std::uint64_t all = 0;
-  for (const std::uint64_t s : sum) all += s;
-  return static_cast<double>(all);
-}
-
-#if defined(__x86_64__)
-// The same reads by gathers.
-__attribute__((target("avx512f"))) double read_loop_avx512(const std::uint64_t* table, std::uint32_t mask,
-                                                           std::uint32_t seed, std::int64_t reads) {
-  const LaneStates first = first_states(seed);
-  __m512i state = _mm512_loadu_si512(first.data());
-  const __m512i factor = _mm512_set1_epi32(static_cast<int>(kFactor));
-  const __m512i increment = _mm512_set1_epi32(static_cast<int>(kIncrement));
-  const __m512i wanted = _mm512_set1_epi32(static_cast<int>(mask));
-  __m512i low = _mm512_setzero_si512(), high = low;
-  for (std::int64_t r = 0; r < reads; ++r) {
-    state = _mm512_add_epi32(_mm512_mullo_epi32(state, factor), increment);
-    const __m512i index = _mm512_and_si512(_mm512_srli_epi32(state, kLowBits), wanted);
-    low = _mm512_add_epi64(low, _mm512_i32gather_epi64(_mm512_castsi512_si256(index), table, 8));
-    high = _mm512_add_epi64(high, _mm512_i32gather_epi64(_mm512_extracti64x4_epi64(index, 1), table, 8));
-  }
-  alignas(64) std::uint64_t lanes[8];  // summed without a sign: sums wrap around
-  _mm512_store_si512(lanes, _mm512_add_epi64(low, high));
-  std::uint64_t sum = 0;
-  for (const std::uint64_t lane : lanes) sum += lane;
-  return static_cast<double>(sum);
-}
-#endif
-
-ReadLoop best_read_loop() {
-#if defined(__x86_64__)
-  if (__builtin_cpu_supports("avx512f")) return read_loop_avx512;
-#endif
-  return read_loop;
-}
-
 double fp32_flop(const Width& width) { return 2.0 * kChains * kRounds * width.floats; }
 constexpr double kBf16Flop = 2.0 * kChains * kRounds * 32;
-constexpr std::int64_t kReads = 1 << 14;  // of one call and lane
 
 }  // namespace
 
@@ -227,15 +166,6 @@ double peak_bf16_flops(int threads, double seconds) {
   return 0;
 }
 
-double random_reads(int threads, std::size_t bytes, double seconds) {
-  std::vector<std::uint64_t> table(std::bit_floor(bytes / sizeof(std::uint64_t)));
-  for (std::size_t i = 0; i < table.size(); ++i) table[i] = i * 0x9E3779B97F4A7C15ULL;
-  const auto mask = static_cast<std::uint32_t>(table.size() - 1);
-  const ReadLoop loop = best_read_loop();
-  return rate(threads, seconds, double{kLanes} * kReads,
-              [&](std::int64_t n) { return loop(table.data(), mask, static_cast<std::uint32_t>(n), kReads); });
-}
-
 std::vector<ProbeCall> probe_calls() {
   const Width width = widest();
   std::vector<ProbeCall> calls{{"fp32", fp32_flop(width), width.loop(1)}};
@@ -243,9 +173,6 @@ std::vector<ProbeCall> probe_calls() {
   if (__builtin_cpu_supports("avx512bf16")) calls.push_back({"bf16", kBf16Flop, bf16_loop(1)});
   if (processor_has_tiles()) calls.push_back({"tiles", kTileFlop, tile_loop(1)});
 #endif
-  std::vector<std::uint64_t> table(kProbeTableWords);
-  for (std::size_t i = 0; i < table.size(); ++i) table[i] = i;
-  calls.push_back({"reads", double{kLanes} * kReads, best_read_loop()(table.data(), kProbeTableWords - 1, 1, kReads)});
   return calls;
 }
 

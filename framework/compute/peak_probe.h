@@ -1,7 +1,6 @@
-// What this machine can do at most, measured: multiply-adds from registers, and random reads.
+// What this machine can do at most, measured: multiply-adds from registers.
 #pragma once
 
-#include <cstddef>
 #include <vector>
 
 namespace semfield {
@@ -15,25 +14,20 @@ double peak_fp32_flops(int threads, double seconds);
 /// (vdpbf16ps); 0 where the CPU has neither.
 double peak_bf16_flops(int threads, double seconds);
 
-/// Reads a second of 8-byte words at random places of a table of `bytes` (rounded down to a power of two, one table
-/// shared by the threads); addresses do not depend on what was read.
-double random_reads(int threads, std::size_t bytes, double seconds);
-
 /// One call of a loop that a probe repeats. Its result tells how many rounds every chain made, and with them whether
 /// `operations` are those that were executed.
 struct ProbeCall {
-  const char* name = "";  ///< "fp32", "bf16", "tiles", "reads"
-  double operations = 0;  ///< that the probe counts for it: floating-point operations, or reads
+  const char* name = "";  ///< "fp32", "bf16", "tiles"
+  double operations = 0;  ///< floating-point operations that the probe counts for it
   double result = 0;
 };
-inline constexpr int kProbeChains = 12;           ///< of a float loop, on vectors
-inline constexpr int kProbeRounds = 20000;        ///< of a float loop: 0.1 ms
-inline constexpr double kProbeScale = 0.99999;    ///< a chain of fp32: a = a * scale + (1 - scale), so that it nears 1
-inline constexpr int kProbeTableWords = 1 << 12;  ///< of the call that is shown; word i is i
+inline constexpr int kProbeChains = 12;         ///< of a float loop, on vectors
+inline constexpr int kProbeRounds = 20000;      ///< of a float loop: 0.1 ms
+inline constexpr double kProbeScale = 0.99999;  ///< a chain of fp32: a = a * scale + (1 - scale), so that it nears 1
 
 /// Of each loop that this CPU has: chain i of a float loop starts at 1 + i; a round of bf16 adds 0.004 to the
 /// first half of a vector and 0.000006 to the second; half of the
-/// products of tiles are 1 and the others 0; reads return the sum of the words read.
+/// products of tiles are 1 and the others 0.
 std::vector<ProbeCall> probe_calls();
 
 }  // namespace semfield

@@ -1,13 +1,14 @@
-// LAS 1.4 [ASPRS19]: a header, three variable length records, and points of format 7 with extra bytes.
 #include "handover/point_files.h"
 
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
+#include "compute/parallel.h"
 #include "core/error.h"
 #include "surface/mesh/mesh_files.h"
 
@@ -228,6 +229,360 @@ std::string sidecar_json(const Sidecar& sidecar) {
   }
   for (const auto& [id, name] : sidecar.objects) out["objects"].push_back({{"id", id}, {"name", name}});
   return out.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+namespace {
+
+constexpr std::int64_t kPointsAtOnce = 1 << 16;
+constexpr std::int32_t kRowsAtOnce = 64;
+constexpr double kStep = 0.7;         // of an edge, along a ray
+constexpr float kLeastShare = 1e-3F;  // of a pixel's light, that counts for a cube
+constexpr float kLeastLight = 0.3F;   // pixels of all views, that end in a cube that is written
+constexpr float kSolid = 5;           // optical depth of a cube that nothing passes
+
+// Li2(a) = sum of a^k / k^2; the series is short enough below kMostOpacity.
+double dilogarithm(double a) {
+  double sum = 0, power = 1;
+  for (int k = 1; k < 600; ++k) {
+    power *= a;
+    sum += power / (static_cast<double>(k) * k);
+  }
+  return sum;
+}
+
+}  // namespace
+
+double splat_opacity(double optical_depth, double width) {
+  static const std::vector<double> table = [] {
+    std::vector<double> values;
+    for (int i = 0; i <= 1000; ++i) values.push_back(dilogarithm(kMostOpacity * i / 1000.0));
+    return values;
+  }();
+  const double wanted = optical_depth / (2 * std::acos(-1.0) * width * width);
+  const auto above = std::lower_bound(table.begin(), table.end(), wanted);
+  if (above == table.end()) return kMostOpacity;
+  if (above == table.begin()) return 0;
+  const double share = (wanted - above[-1]) / (above[0] - above[-1]);
+  return kMostOpacity * (static_cast<double>(above - table.begin() - 1) + share) / 1000;
+}
+
+SplatVolume::SplatVolume(const Pipeline<float>& pipeline, const VoxelGridPlace& place, const Box& bounds, bool opaque)
+    : place_(place), density_(place.cells()), number_(place.cells(), -1) {
+  std::vector<double> position(static_cast<std::size_t>(3 * kPointsAtOnce));
+  const auto cells = static_cast<std::int64_t>(place.cells());
+  for (std::int64_t begin = 0; begin < cells; begin += kPointsAtOnce) {
+    const std::int64_t count = std::min(kPointsAtOnce, cells - begin);
+    for (std::int64_t i = 0; i < count; ++i) {
+      const std::int64_t cell = begin + i;
+      const std::array<std::int64_t, 3> at{cell % place.count[0], cell / place.count[0] % place.count[1],
+                                           cell / (place.count[0] * place.count[1])};
+      for (std::size_t axis = 0; axis < 3; ++axis)
+        position[static_cast<std::size_t>(3 * i) + axis] =
+            (static_cast<double>(place.first[axis] + at[axis]) + 0.5) * place.edge;
+    }
+    pipeline.density({position.data(), count, 3}, {&density_[static_cast<std::size_t>(begin)], count, 1});
+    for (std::int64_t i = 0; i < count && opaque; ++i) {
+      bool inside = true;
+      for (int axis = 0; axis < 3; ++axis) {
+        const double x = position[static_cast<std::size_t>(3 * i + axis)];
+        inside = inside && x > bounds.lo[axis] && x < bounds.hi[axis];
+      }
+      if (!inside) density_[static_cast<std::size_t>(begin + i)] = static_cast<float>(kSolid / place.edge);
+    }
+  }
+}
+
+// Shares of a row's pixels: what of each one's light ends in which cube.
+void SplatVolume::follow(const RayCamera& camera, const RayLimits& limits, std::int32_t width, std::int32_t row,
+                         std::vector<Share>& into) const {
+  const double step = kStep * place_.edge;
+  for (std::int32_t column = 0; column < width; ++column) {
+    double origin[3], direction[3], near_far[2];
+    cast_ray(camera, limits, column, row, origin, direction, near_far);
+    if (!(near_far[1] > near_far[0])) continue;
+    const Vec3d from{origin[0], origin[1], origin[2]}, way{direction[0], direction[1], direction[2]};
+    const auto pixel = static_cast<std::uint32_t>(row * width + column);
+    float left = 1;
+    // Two cubes farther than rays are rendered: the wall on the bounds lies behind them.
+    for (double t = near_far[0]; t < near_far[1] + 3 * place_.edge && left > 0.01F; t += step) {
+      const auto cell = place_.cell_of(from + t * way);
+      if (!cell) continue;
+      const float share = left * (1 - std::exp(-density_[*cell] * static_cast<float>(step)));
+      left -= share;
+      const auto distance = static_cast<float>(std::max(t, step));  // near pixels are smaller
+      if (share > kLeastShare)
+        into.push_back({static_cast<std::uint32_t>(*cell), pixel, share, share / (distance * distance)});
+    }
+  }
+}
+
+void SplatVolume::add(const RayCamera& camera, const RenderedFrame& frame, const RayLimits& limits) {
+  labels_ = labels_ || !frame.label.empty();
+  std::vector<std::vector<Share>> rows(kRowsAtOnce);
+  for (std::int32_t begin = 0; begin < frame.height_px; begin += kRowsAtOnce) {
+    const std::int32_t count = std::min(kRowsAtOnce, frame.height_px - begin);
+    parallel_for(count, [&](std::int64_t r) {
+      rows[static_cast<std::size_t>(r)].clear();
+      follow(camera, limits, frame.width_px, begin + static_cast<std::int32_t>(r), rows[static_cast<std::size_t>(r)]);
+    });
+    for (std::int32_t r = 0; r < count; ++r)
+      for (const Share& share : rows[static_cast<std::size_t>(r)]) add_share(share, frame);
+  }
+}
+
+void SplatVolume::add_share(const Share& share, const RenderedFrame& frame) {
+  std::int32_t& number = number_[share.cell];
+  if (number < 0) {
+    number = static_cast<std::int32_t>(seen_.size());
+    seen_.emplace_back().cell = share.cell;
+  }
+  Seen& seen = seen_[static_cast<std::size_t>(number)];
+  seen.light += share.light;
+  seen.weight += share.weight;
+  for (std::size_t k = 0; k < 3; ++k) seen.color[k] += share.weight * frame.rgb[3 * share.pixel + k];
+  if (frame.label.empty() || frame.label[share.pixel] == kVoid) return;
+  if (seen.lead <= 0) seen.label = frame.label[share.pixel];  // a majority of weights [Boyer91]
+  seen.lead = std::abs(seen.lead + (seen.label == frame.label[share.pixel] ? share.weight : -share.weight));
+}
+
+Splats SplatVolume::splats() const {
+  Splats out;
+  out.deviation = kSplatWidth * place_.edge;
+  for (const Seen& seen : seen_) {
+    const double opacity = splat_opacity(static_cast<double>(density_[seen.cell]) * place_.edge, kSplatWidth);
+    if (seen.light < kLeastLight || opacity <= 0) continue;
+    const auto cell = static_cast<std::int64_t>(seen.cell);
+    const std::array<std::int64_t, 3> at{cell % place_.count[0], cell / place_.count[0] % place_.count[1],
+                                         cell / (place_.count[0] * place_.count[1])};
+    Vec3d place;
+    for (int axis = 0; axis < 3; ++axis)
+      place[axis] =
+          (static_cast<double>(place_.first[static_cast<std::size_t>(axis)] + at[static_cast<std::size_t>(axis)]) +
+           0.5) *
+          place_.edge;
+    out.points.positions.push_back(place);
+    out.opacity.push_back(static_cast<float>(opacity));
+    auto& color = out.points.attributes.color.emplace_back();
+    for (std::size_t k = 0; k < 3; ++k)
+      color[k] = static_cast<std::uint8_t>(std::lround(255 * std::clamp(seen.color[k] / seen.weight, 0.0F, 1.0F)));
+    if (labels_) out.points.attributes.label.push_back(seen.label);
+  }
+  return out;
+}
+
+namespace {
+
+constexpr double kLowPass = 0.3;  // square pixels that viewers widen every footprint by [Kerbl23]
+constexpr double kNear = 8;   // deviations, before which a splat is no ellipse on the image; viewers draw it late too
+constexpr double kReach = 3;  // deviations that a footprint reaches
+constexpr float kLeastAlpha = 1.0F / 255, kMostPower = 11.1F;  // exp(-kMostPower / 2) is less
+constexpr float kLeastLeft = 1e-3F;  // of a pixel's light, that something behind still counts for
+constexpr std::int64_t kSplatsAtOnce = 1 << 14;
+constexpr std::int32_t kBandRows = 8;
+constexpr int kSteps = 3;
+constexpr double kRelaxed = 1.8;  // of a step; below 2 they converge
+
+// A Gaussian on the image: exp(-(a dx^2 + 2 b dx dy + c dy^2) / 2).
+struct Footprint {
+  float depth;
+  std::uint32_t splat;
+  float u, v, a, b, c;
+  std::int32_t left, right, top, bottom;  // pixels, the last ones included
+};
+
+// What a splat gives to a pixel.
+struct Share {
+  std::uint32_t splat, pixel;
+  float weight;
+};
+
+struct Drawing {
+  std::vector<std::vector<Share>> bands;  // of rows, each from front to back
+  std::vector<float> left;                // of each pixel's light
+};
+
+// The covariance on the image is J V J^T with the Jacobian J of a pinhole's projection [Zwicker01]; of the same
+// deviation along all axes, V is a multiple of 1.
+bool footprint(const RayCamera& camera, Vec3d place, double deviation, Footprint& out) {
+  const Camera& lens = camera.camera;
+  const Vec3d p = camera.world_from_camera.apply_inverse(place);
+  if (p.z < kNear * deviation || !lens.is_within_lens(p)) return false;
+  double u = lens.fx * p.x / p.z + lens.cx, v = lens.fy * p.y / p.z + lens.cy;
+  if (camera.undistort) lens.project(p, u, v);
+  const double x = p.x / p.z, y = p.y / p.z, sx = lens.fx * deviation / p.z, sy = lens.fy * deviation / p.z;
+  const double a = sx * sx * (1 + x * x) + kLowPass, b = sx * sy * x * y, c = sy * sy * (1 + y * y) + kLowPass;
+  const double det = a * c - b * b, half = 0.5 * (a - c);
+  const double radius = kReach * std::sqrt(0.5 * (a + c) + std::sqrt(half * half + b * b));
+  if (!(u + radius > 0 && u - radius < lens.width_px && v + radius > 0 && v - radius < lens.height_px)) return false;
+  const auto pixel = [](double at, std::int32_t count) {
+    return static_cast<std::int32_t>(std::clamp(std::floor(at), 0.0, count - 1.0));
+  };
+  out = {static_cast<float>(p.z),
+         out.splat,
+         static_cast<float>(u),
+         static_cast<float>(v),
+         static_cast<float>(c / det),
+         static_cast<float>(-b / det),
+         static_cast<float>(a / det),
+         pixel(u - radius, lens.width_px),
+         pixel(u + radius, lens.width_px),
+         pixel(v - radius, lens.height_px),
+         pixel(v + radius, lens.height_px)};
+  return true;
+}
+
+// In the order of the splats.
+std::vector<Footprint> footprints(const Splats& splats, const RayCamera& camera) {
+  const std::int64_t count = std::ssize(splats.points.positions);
+  std::vector<std::vector<Footprint>> parts(static_cast<std::size_t>((count + kSplatsAtOnce - 1) / kSplatsAtOnce));
+  parallel_for(std::ssize(parts), [&](std::int64_t part) {
+    const std::int64_t end = std::min(count, (part + 1) * kSplatsAtOnce);
+    for (std::int64_t i = part * kSplatsAtOnce; i < end; ++i) {
+      Footprint one{};
+      one.splat = static_cast<std::uint32_t>(i);
+      if (footprint(camera, splats.points.positions[static_cast<std::size_t>(i)], splats.deviation, one))
+        parts[static_cast<std::size_t>(part)].push_back(one);
+    }
+  });
+  std::vector<Footprint> all;
+  for (const std::vector<Footprint>& part : parts) all.insert(all.end(), part.begin(), part.end());
+  return all;
+}
+
+Drawing drawing(const Splats& splats, const RayCamera& camera) {
+  const std::int32_t width = camera.camera.width_px, height = camera.camera.height_px;
+  const std::vector<Footprint> seen = footprints(splats, camera);
+  Drawing out;
+  out.bands.resize(static_cast<std::size_t>((height + kBandRows - 1) / kBandRows));
+  std::vector<std::vector<std::uint64_t>> reach(out.bands.size());  // depth, and place in `seen`, in each band
+  for (std::size_t i = 0; i < seen.size(); ++i)
+    for (std::int32_t band = seen[i].top / kBandRows; band <= seen[i].bottom / kBandRows; ++band)
+      reach[static_cast<std::size_t>(band)].push_back(std::uint64_t{std::bit_cast<std::uint32_t>(seen[i].depth)} << 32 |
+                                                      i);
+  out.left.assign(static_cast<std::size_t>(width) * static_cast<std::size_t>(height), 1);
+  parallel_for(std::ssize(out.bands), [&](std::int64_t band) {
+    const auto first = static_cast<std::int32_t>(band) * kBandRows;
+    const std::int32_t last = std::min(first + kBandRows, height) - 1;
+    std::vector<std::uint64_t>& order = reach[static_cast<std::size_t>(band)];
+    std::sort(order.begin(), order.end());  // bits of numbers above 0 are in the order of the numbers
+    for (const std::uint64_t key : order) {
+      const Footprint& one = seen[static_cast<std::uint32_t>(key)];
+      for (std::int32_t row = std::max(first, one.top); row <= std::min(last, one.bottom); ++row) {
+        for (std::int32_t column = one.left; column <= one.right; ++column) {
+          const auto pixel = static_cast<std::uint32_t>(row * width + column);
+          float& left = out.left[pixel];
+          if (left < kLeastLeft) continue;
+          const float dx = static_cast<float>(column) + 0.5F - one.u, dy = static_cast<float>(row) + 0.5F - one.v;
+          const float power = one.a * dx * dx + 2 * one.b * dx * dy + one.c * dy * dy;
+          if (power > kMostPower) continue;
+          const float alpha = splats.opacity[one.splat] * std::exp(-0.5F * power);
+          if (alpha < kLeastAlpha) continue;
+          out.bands[static_cast<std::size_t>(band)].push_back({one.splat, pixel, left * alpha});
+          left *= 1 - alpha;
+        }
+      }
+    }
+  });
+  return out;
+}
+
+// `color` [N, 3].
+std::vector<float> composed(const Drawing& drawn, std::span<const float> color,
+                            const std::array<double, 3>& background) {
+  std::vector<float> rgb(3 * drawn.left.size());
+  for (std::size_t pixel = 0; pixel < drawn.left.size(); ++pixel)
+    for (std::size_t k = 0; k < 3; ++k) rgb[3 * pixel + k] = drawn.left[pixel] * static_cast<float>(background[k]);
+  for (const std::vector<Share>& band : drawn.bands)
+    for (const Share& share : band)
+      for (std::size_t k = 0; k < 3; ++k) rgb[3 * share.pixel + k] += share.weight * color[3 * share.splat + k];
+  return rgb;
+}
+
+std::vector<float> colors_of(const Splats& splats) {
+  std::vector<float> color;
+  color.reserve(3 * splats.points.positions.size());
+  for (const std::array<std::uint8_t, 3>& one : splats.points.attributes.color)
+    for (const std::uint8_t c : one) color.push_back(static_cast<float>(c) / 255);
+  return color;
+}
+
+}  // namespace
+
+std::vector<float> draw_splats(const Splats& splats, const RayCamera& camera, const std::array<double, 3>& background) {
+  if (camera.camera.is_wide()) return {};
+  return composed(drawing(splats, camera), colors_of(splats), background);
+}
+
+void fit_colors(Splats& splats, std::span<const SplatView> views, const std::array<double, 3>& background) {
+  std::vector<float> color = colors_of(splats), missed(color.size()), weight(color.size() / 3);
+  for (int step = 0; step < kSteps; ++step) {
+    std::fill(missed.begin(), missed.end(), 0.0F);
+    std::fill(weight.begin(), weight.end(), 0.0F);
+    for (const SplatView& view : views) {
+      if (view.camera.camera.is_wide()) continue;
+      const Drawing drawn = drawing(splats, view.camera);
+      const std::vector<float> rgb = composed(drawn, color, background);
+      for (const std::vector<Share>& band : drawn.bands) {
+        for (const Share& share : band) {
+          weight[share.splat] += share.weight;
+          for (std::size_t k = 0; k < 3; ++k) {
+            const std::size_t at = 3 * share.pixel + k;
+            missed[3 * share.splat + k] += share.weight * (static_cast<float>(view.rgb[at]) / 255 - rgb[at]);
+          }
+        }
+      }
+    }
+    for (std::size_t i = 0; i < color.size(); ++i)
+      if (weight[i / 3] > 0)
+        color[i] = std::clamp(color[i] + static_cast<float>(kRelaxed) * missed[i] / weight[i / 3], 0.0F, 1.0F);
+  }
+  for (std::size_t i = 0; i < weight.size(); ++i)
+    for (std::size_t k = 0; k < 3; ++k)
+      splats.points.attributes.color[i][k] = static_cast<std::uint8_t>(std::lround(255 * color[3 * i + k]));
+}
+
+// 3D Gaussians as PLY and as .splat.
+
+void write_splat_ply(const std::string& path, const Splats& splats, const ClassTable& classes, Vec3d offset) {
+  const double harmonic = 0.5 / std::sqrt(std::acos(-1.0));  // of degree 0
+  const auto scale = static_cast<float>(std::log(splats.deviation));
+  const PointSet& points = splats.points;
+  const PointAttributes& known = points.attributes;
+  BufferedFile file(path);
+  std::string header = fmt::format(
+      "ply\nformat binary_little_endian 1.0\ncomment Semfield: world frame of the input less {:.17g} {:.17g} {:.17g}\n"
+      "element vertex {}\n",
+      offset.x, offset.y, offset.z, points.positions.size());
+  for (const char* name : {"x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0",
+                           "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"})
+    header += fmt::format("property float {}\n", name);
+  if (known.has_labels()) header += "property int class_id\n";
+  if (known.has_instances()) header += "property int instance_id\n";
+  file.text(header + "end_header\n");
+  for (std::size_t i = 0; i < points.positions.size(); ++i) {
+    for (int axis = 0; axis < 3; ++axis) file.value(static_cast<float>(points.positions[i][axis] - offset[axis]));
+    for (int axis = 0; axis < 3; ++axis) file.value(0.0F);
+    for (const std::uint8_t c : known.color[i]) file.value(static_cast<float>((c / 255.0 - 0.5) / harmonic));
+    file.value(std::log(splats.opacity[i] / (1 - splats.opacity[i])));
+    for (int axis = 0; axis < 3; ++axis) file.value(scale);
+    for (const float q : {1.0F, 0.0F, 0.0F, 0.0F}) file.value(q);
+    if (known.has_labels()) file.value(std::int32_t{classes.id_of(known.label[i])});
+    if (known.has_instances()) file.value(known.instance[i]);
+  }
+  file.commit();
+}
+
+void write_splat(const std::string& path, const Splats& splats, Vec3d offset) {
+  BufferedFile file(path);
+  for (std::size_t i = 0; i < splats.points.positions.size(); ++i) {
+    const Vec3d place = splats.points.positions[i] - offset;
+    for (int axis = 0; axis < 3; ++axis) file.value(static_cast<float>(place[axis]));
+    for (int axis = 0; axis < 3; ++axis) file.value(static_cast<float>(splats.deviation));
+    for (const std::uint8_t c : splats.points.attributes.color[i]) file.value(c);
+    file.value(static_cast<std::uint8_t>(std::lround(255 * splats.opacity[i])));
+    for (const int q : {255, 128, 128, 128}) file.value(static_cast<std::uint8_t>(q));
+  }
+  file.commit();
 }
 
 }  // namespace semfield

@@ -246,15 +246,12 @@ TEST(PeakProbe, CountsTheOperationsThatItsLoopsExecute) {
       double sum = 0;
       for (int i = 0; i < kProbeChains; ++i) sum += pairs * (1 + i + 0.5 * rounds * (0.004 + 0.000006));
       EXPECT_NEAR(call.result, sum, 0.02 * sum) << pairs << " pairs in a vector";
-    } else if (name == "tiles") {
-      EXPECT_EQ(call.result, 0.25 * call.operations) << "an operation is a product or a sum, and half are with 0";
     } else {
-      // Words drawn evenly from 0 to 4095: their mean within 1 %, twenty times its deviation.
-      EXPECT_NEAR(call.result / call.operations, 0.5 * (kProbeTableWords - 1), 0.01 * kProbeTableWords) << name;
+      EXPECT_EQ(name, "tiles");
+      EXPECT_EQ(call.result, 0.25 * call.operations) << "an operation is a product or a sum, and half are with 0";
     }
   }
   EXPECT_EQ(names.front(), "fp32");
-  EXPECT_EQ(names.back(), "reads");
 }
 
 TEST(PeakProbe, EveryThreadMakesACallAndRatesAreOfTheTimeThatPassed) {
@@ -263,7 +260,6 @@ TEST(PeakProbe, EveryThreadMakesACallAndRatesAreOfTheTimeThatPassed) {
   const double wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
   const double a_call = probe_calls().front().operations;
   EXPECT_GE(rate * wall_s, 2 * a_call) << "operations of at least a call of each thread";
-  EXPECT_GT(random_reads(1, 1 << 15, 0.002), 0);
 }
 
 }  // namespace

@@ -4,10 +4,8 @@
 
 #include <cstring>
 
-#include "app/scene/capture_replica.h"
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
-#include "app/scene/posed_scene.h"
 #include "datasets/colmap/colmap.h"
 #include "datasets/llff/llff.h"
 #include "datasets/packed/packed.h"

@@ -28,7 +28,7 @@
 #include "labels/label_files.h"
 #include "loading/depth_images.h"
 #include "loading/packed_scene.h"
-#include "objects/object_edits.h"
+#include "objects/object_set.h"
 #include "plugin/loader.h"
 #include "plugin/registry.h"
 #include "report/sweep/sweep_file.h"

@@ -255,8 +255,7 @@ TEST(ExportVerb, EveryFormHoldsTheRenderedLabels) {
   const auto coco = make_reader("coco", "file: " + folder + "/calm.json");
   const std::vector<std::int16_t> labels = read_labels(*coco, frame_of("rgb_1"), table).hard;
   for (const MaskRegion& region : mask_regions(labels, 40, 30)) EXPECT_GE(region.area_px, 30);
-  EXPECT_SAID(semfield_run("export run --format coc --out x.json", folder).err, "usage.value.invalid", "--format coc",
-              "coco?");
+  EXPECT_SAID(semfield_run("export run --format coc --out x.json", folder).err, "usage.value.invalid", "coco?");
 }
 
 TEST(ClassesVerb, ConvertsTables) {

@@ -270,7 +270,7 @@ TEST_F(Verbs, MeshRefusesWhatMakesNoSense) {
   refused({"--surface", "depth", "--level", "3"}, 2, "--level belongs to the surface of the density");
   refused({"--surface", "depth", "--keep-unseen"}, 2, "--keep-unseen belongs to the surface of the density");
   refused({"--band", "1,0.1", "--out", *dir_ / "x.pgm"}, 2, "--band 1,0.1: not two heights");
-  refused({"--up", "w"}, 2, "--up w: expected x, -x, y, -y, z or -z");
+  refused({"--up", "w"}, 2, "[usage.value.invalid]");
   refused({"--resolution", "8", "--out", "/proc/none/x.ply"}, 73, "/proc/none: cannot create the folder");
 }
 

@@ -1,6 +1,6 @@
 // A small set of objects: blocks of cells in a row.
 
-#include "objects/object_edits.h"
+#include "objects/object_set.h"
 
 #include <gtest/gtest.h>
 #include <sys/resource.h>
@@ -15,10 +15,8 @@
 #include <vector>
 
 #include "app/objects/object_files.h"
-#include "app/objects/object_tables.h"
 #include "core/error.h"
 #include "formats/safetensors.h"
-#include "objects/object_set.h"
 #include "system/files.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"

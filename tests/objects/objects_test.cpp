@@ -14,7 +14,7 @@
 #include "formats/npz.h"
 #include "loading/packed_scene.h"
 #include "objects/find_objects.h"
-#include "objects/object_edits.h"
+#include "objects/object_set.h"
 #include "objects/object_network.h"
 #include "objects/object_score.h"
 #include "objects/segments.h"

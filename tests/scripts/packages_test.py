@@ -37,7 +37,7 @@ names = {name for owners in packaged.values() for name in owners}
 assert {"semfield", "libsemfield-dev"} <= names <= {"semfield", "libsemfield-dev", "python3-semfield"}, names
 assert packaged["usr/bin/semfield"] == ["semfield"]
 assert packaged["usr/share/semfield/scenes/room/room.obj"] == ["semfield"]
-assert packaged["usr/share/man/man1/semfield-train.1.gz"] == ["semfield"]
+assert packaged["usr/share/man/man1/semfield.1.gz"] == ["semfield"]
 assert packaged["usr/include/semfield/system/files.h"] == ["libsemfield-dev"]
 
 # A component that no package takes would be lost here, and one that two take could not be installed.

@@ -7,7 +7,7 @@
 #include <map>
 #include <set>
 
-#include "app/scene/capture_replica.h"
+#include "app/scene/folder_scene.h"
 #include "core/error.h"
 #include "datasets/obj_room/mesh_render.h"
 #include "datasets/obj_room/tests/obj_testing.h"

@@ -1,0 +1,638 @@
+#include "app/command_line.h"
+
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <filesystem>
+#include <optional>
+#include <set>
+#include <system_error>
+#include <tuple>
+#include <type_traits>
+#include <utility>
+
+#include "app/json_output.h"
+#include "app/signals.h"
+#include "app/terminal.h"
+#include "app/verb.h"
+#include "compute/isa.h"
+#include "core/error.h"
+#include "core/text.h"
+#include "execution/ranks/ranks.h"
+#include "plugin/loader.h"
+#include "plugin/module.h"
+#include "run/run_folder.h"
+#include "session/session.h"
+
+namespace semfield::app {
+
+// Words of verbs as they are declared.
+
+namespace {
+
+CLI::Validator number_that(const std::string& what, const std::function<bool(double)>& good) {
+  return {[what, good](std::string& text) {
+            double value = 0;
+            return parse_number(text, value) && good(value) ? std::string() : "'" + text + "' is not " + what;
+          },
+          what};
+}
+
+CLI::Validator one_of(const std::vector<std::string>& choices) {
+  return {[choices](std::string& text) {
+            if (std::find(choices.begin(), choices.end(), text) != choices.end()) return std::string();
+            const std::string near = did_you_mean(text, choices);
+            return "'" + text + "' is none of " + join(choices) + (near.empty() ? "" : "; did you mean " + near + "?");
+          },
+          "{" + join(choices, ",") + "}"};
+}
+
+std::string upper(std::string text) {
+  for (char& c : text) c = static_cast<char>(c >= 'a' && c <= 'z' ? c - 'a' + 'A' : c);
+  return text;
+}
+
+template <class T>
+struct Plain {
+  using type = T;
+};
+template <class T>
+struct Plain<std::optional<T>> {
+  using type = T;
+};
+
+// Given several times, a value each, and leaving the next word to the operands.
+void take_one_each(CLI::Option& word) { word.expected(1)->take_all()->allow_extra_args(false); }
+
+}  // namespace
+
+// Names alone: what verbs declare may name all verbs.
+std::vector<std::string> words_of_verbs() {
+  std::set<std::string> words;
+  for (const Verb& verb : all_verbs()) {
+    for (const std::string_view word : words_of(verb.name)) words.emplace(word);
+  }
+  return {words.begin(), words.end()};
+}
+
+template <class T>
+CLI::Option& VerbWords::option(const std::string& name, const char* usual_value, T& into, const std::string& help) {
+  const std::size_t blank = name.find(' ');
+  CLI::Option* made = verb_.add_option(name.substr(0, blank), into, help);
+  if constexpr (std::is_arithmetic_v<T> || std::is_same_v<T, std::string>) {
+    if (help.find("(default: ") == std::string::npos) made->capture_default_str();
+  }
+  return *made->type_name(blank == std::string::npos ? usual_value : name.substr(blank + 1));
+}
+
+void VerbWords::operand(const std::string& name, std::string& into, const std::string& help,
+                        std::vector<std::string> choices) {
+  CLI::Option& word = *verb_.add_option(upper(name), into, help)->required()->type_name("");
+  if (choices.empty()) return;
+  word.check(one_of(choices));
+  offered_[&word] = std::move(choices);
+}
+
+void VerbWords::optional_operand(const std::string& name, std::string& into, const std::string& help) {
+  verb_.add_option(upper(name), into, help)->type_name("");
+}
+
+void VerbWords::operands(const std::string& name, std::vector<std::string>& into, const std::string& help) {
+  verb_.add_option(upper(name), into, help)->required()->type_name("");
+}
+
+void VerbWords::optional_operands(const std::string& name, std::vector<std::string>& into, const std::string& help,
+                                  std::vector<std::string> offered) {
+  offered_[verb_.add_option(upper(name), into, help)->type_name("")] = std::move(offered);
+}
+
+void VerbWords::flag(const std::string& name, bool& into, const std::string& help) { verb_.add_flag(name, into, help); }
+
+void VerbWords::value(const std::string& name, std::string& into, const std::string& help,
+                      std::vector<std::string> offered) {
+  offered_[&option(name, "VALUE", into, help)] = std::move(offered);
+}
+
+template <class T>
+void VerbWords::value_in(const std::string& name, T& into, double low, double high, const std::string& help) {
+  using Number = typename Plain<T>::type;
+  constexpr bool kReal = std::is_floating_point_v<Number>;
+  const std::string range = kReal ? fmt::format("{} to {}", low, high)
+                                  : fmt::format("{} to {}", static_cast<long long>(low), static_cast<long long>(high));
+  // NaN is in no range.
+  option(name, kReal ? "X" : "N", into, help).check(number_that(range, [low, high](double value) {
+    return value >= low && value <= high;
+  }));
+}
+template void VerbWords::value_in(const std::string&, int&, double, double, const std::string&);
+template void VerbWords::value_in(const std::string&, long long&, double, double, const std::string&);
+template void VerbWords::value_in(const std::string&, double&, double, double, const std::string&);
+template void VerbWords::value_in(const std::string&, std::optional<int>&, double, double, const std::string&);
+template void VerbWords::value_in(const std::string&, std::optional<long long>&, double, double, const std::string&);
+template void VerbWords::value_in(const std::string&, std::optional<double>&, double, double, const std::string&);
+
+template <class T>
+void VerbWords::positive(const std::string& name, T& into, const std::string& help) {
+  option(name, "X", into, help).check(number_that("more than 0", [](double v) { return v > 0 && std::isfinite(v); }));
+}
+template void VerbWords::positive(const std::string&, double&, const std::string&);
+template void VerbWords::positive(const std::string&, std::optional<double>&, const std::string&);
+
+void VerbWords::choice(const std::string& name, std::string& into, const std::vector<std::string>& choices,
+                       const std::string& help) {
+  CLI::Option& word = option(name, "WORD", into, help);
+  word.check(one_of(choices));
+  offered_[&word] = choices;
+}
+
+void VerbWords::required(const std::string& name, std::string& into, const std::string& help) {
+  option(name, "VALUE", into, help).required();
+}
+
+void VerbWords::repeated(const std::string& name, std::vector<std::string>& into, const std::string& help) {
+  take_one_each(option(name, "VALUE", into, help));
+}
+
+void VerbWords::list(const std::string& name, std::vector<std::string>& into, const std::string& help,
+                     const std::vector<std::string>& choices) {
+  CLI::Option& word = option(name, "LIST", into, help);
+  word.delimiter(',');
+  take_one_each(word);
+  if (choices.empty()) return;
+  word.check(one_of(choices));
+  offered_[&word] = choices;
+}
+
+void VerbWords::setting(std::vector<std::string>& set, const std::string& name, const std::string& key,
+                        const std::string& help, std::vector<std::string> offered) {
+  const std::size_t blank = name.find(' ');
+  const std::string flag = name.substr(0, blank);
+  const std::function<void(const std::string&)> take = [&set, flag, key](const std::string& value) {
+    set.push_back(flag + " " + key + "=" + value);
+  };
+  offered_[verb_.add_option_function(flag, take, help)->type_name(name.substr(blank + 1))] = std::move(offered);
+}
+
+void VerbWords::threads(std::vector<std::string>& set) {
+  setting(set, "--threads N", "runtime.threads", "CPU threads; results do not depend on it (default: runtime.threads)");
+}
+
+void VerbWords::device(std::vector<std::string>& set) {
+  setting(set, "--device DEVICE", "runtime.device", "auto, cpu, cuda or cuda:N (default: runtime.device)",
+          {"auto", "cpu", "cuda"});
+}
+
+void VerbWords::config(ConfigOptions& options) {
+  operand("config", options.config, "configuration file (YAML)");
+  repeated("--set KEY=VALUE", options.set, "override a value: --set train.rays=2048");
+}
+
+void VerbWords::run_settings(std::vector<std::string>& set) {
+  repeated("--set KEY=VALUE", set, "override a value of run.yaml");
+  threads(set);
+}
+
+void VerbWords::length(LengthWords& words) {
+  constexpr double kMostSteps = 1e9;
+  value("--time TIME", words.time,
+        "train for this long, 90s, 5m or 1h: steps and schedule are settled by the rate of the first steps");
+  value_in("--steps N", words.steps, 1, kMostSteps,
+           "train this many steps, with the schedule of that length (default: train.steps)");
+  excludes("--steps", "--time");
+}
+
+void VerbWords::needs(const std::string& name, const std::string& other) {
+  verb_.get_option(name)->needs(verb_.get_option(other));
+}
+
+void VerbWords::excludes(const std::string& name, const std::string& other) {
+  verb_.get_option(name)->excludes(verb_.get_option(other));
+}
+
+AskedLength asked_length(const LengthWords& words) {
+  constexpr double kMost_s = 1e8;
+  if (words.time.empty()) return {words.steps.value_or(0), 0};
+  const char unit = words.time.back();
+  const double factor = unit == 's' ? 1 : unit == 'm' ? 60 : unit == 'h' ? 3600 : 0;
+  double value = 0;
+  const bool number = parse_number(words.time.substr(0, words.time.size() - (factor > 0 ? 1 : 0)), value);
+  value *= factor > 0 ? factor : 1;
+  if (!number || !(value > 0) || !(value <= kMost_s))
+    throw Error(ErrorKind::usage, "usage.value.time",
+                "--time " + words.time + ": expected a positive time such as 90s, 5m or 1h");
+  return {words.steps.value_or(0), value};
+}
+
+// The program: every verb, bound to what runs it.
+
+namespace {
+
+// Sentences in several lines.
+class Help final : public CLI::Formatter {
+ public:
+  Help() {
+    label("SUBCOMMAND", "VERB");
+    label("Positionals", "Operands");
+  }
+  std::string make_option_desc(const CLI::Option* option) const override {
+    constexpr std::size_t kWidth = 70;
+    std::string text, line;
+    for (const std::string_view word : words_of(option->get_description())) {
+      if (!line.empty() && line.size() + 1 + word.size() > kWidth) text += std::exchange(line, "") + "\n";
+      line += (line.empty() ? "" : " ") + std::string(word);
+    }
+    return text + line;
+  }
+};
+
+struct Program {
+  CLI::App app{"Semfield: neural fields of appearance, geometry and semantics for one scene", program_name()};
+  OfferedValues offered;
+  struct Bound {
+    Verb verb;
+    Verb::Run run;
+  };
+  std::map<const CLI::App*, Bound> verbs;
+  bool quiet = false, json = false;
+  std::vector<std::string> modules;
+
+  Program() {
+    app.formatter(std::make_shared<Help>());
+    app.fallthrough();             // words of every verb may come behind the verb
+    app.require_subcommand(0, 1);  // an operand that is called as a verb is none
+    app.set_help_flag("-h,--help", "print this help");
+    app.set_help_all_flag("--help-all", "print the help of every verb");
+    app.add_flag("-q,--quiet", quiet, "print no progress and no notes");
+    app.add_flag("--json", json, "print the results as one JSON object on stdout, if the verb has any");
+    take_one_each(*app.add_option("--plugin", modules, "load a plugin module first")->type_name("FILE"));
+    app.set_version_flag(
+        "--version", [] { return std::string(); }, "print version, compiler, plugin interface and instruction sets");
+    app.footer("Options above, but --version, may be given with every verb. `" + program_name() +
+               " help VERB` prints the words of a verb.\nThe code at the end of an error is one of "
+               "docs/reference/codes.md, exit codes are in docs/reference/command_line.md.");
+    std::vector<Verb> all = all_verbs();
+    std::sort(all.begin(), all.end(), [](const Verb& a, const Verb& b) {
+      const auto key = [](const Verb& verb) {
+        return std::make_tuple(verb.name.find(' ') != std::string::npos, verb.rank, std::cref(verb.name));
+      };
+      return key(a) < key(b);
+    });
+    for (Verb& verb : all) add(verb);
+  }
+
+  // A group comes before its verbs.
+  void add(Verb& verb) {
+    const std::size_t blank = verb.name.find(' ');
+    const bool below = blank != std::string::npos;
+    CLI::App& parent = below ? *app.get_subcommand(verb.name.substr(0, blank)) : app;
+    CLI::App* made = parent.add_subcommand(below ? verb.name.substr(blank + 1) : verb.name, verb.sentence);
+    made->group("Verbs");
+    if (!verb.declare) return;
+    made->footer(std::string("Also -q, --plugin") + (verb.json ? ", --json" : "") + ": see `" + program_name() +
+                 " help`.");
+    VerbWords words(*made, offered);
+    Verb::Run run = verb.declare(words);
+    verbs.emplace(made, Bound{std::move(verb), std::move(run)});
+  }
+
+  std::string help(const CLI::App& of) const {
+    std::string above;
+    for (const CLI::App* at = of.get_parent(); at != nullptr; at = at->get_parent())
+      above = at->get_name() + (above.empty() ? "" : " " + above);
+    return of.help(above);
+  }
+};
+
+std::vector<const CLI::App*> below(const CLI::App& app) { return app.get_subcommands({}); }
+
+const CLI::App* verb_below(const CLI::App& app, const std::string& name) {
+  for (const CLI::App* verb : below(app)) {
+    if (verb->get_name() == name) return verb;
+  }
+  return nullptr;
+}
+
+// "config check"; "" of the program.
+std::string full_name(const CLI::App& app) {
+  const CLI::App* parent = app.get_parent();
+  if (parent == nullptr) return "";
+  const std::string above = full_name(*parent);
+  return (above.empty() ? "" : above + " ") + app.get_name();
+}
+
+std::string command(const std::string& words) { return "`" + program_name() + " " + words + "`"; }
+
+Error unknown_verb(const CLI::App& at, const std::string& word) {
+  const std::string group = full_name(at);
+  const std::string text = "there is no verb '" + (group.empty() ? "" : group + " ") + word + "'";
+  // Verbs that were measurements for documents.
+  static const std::map<std::string, std::string> studies{
+      {"quadrature", "quadrature"}, {"pairs", "leave_out"}, {"scale", "scale"}, {"label", "labelling"}};
+  if (const auto study = studies.find(word); group == "bench" && study != studies.end())
+    return {ErrorKind::usage, "usage.verb.unknown", text, "run studies/" + study->second + ".py of the source tree"};
+  std::vector<const CLI::App*> places = group.empty() ? below(at) : std::vector<const CLI::App*>();
+  places.insert(places.begin(), &at);
+  for (const CLI::App* place : places) {
+    std::vector<std::string> names;
+    for (const CLI::App* verb : below(*place)) names.push_back(verb->get_name());
+    if (const std::string near = did_you_mean(word, names); !near.empty())
+      return {ErrorKind::usage, "usage.verb.unknown", text,
+              "did you mean " + command(full_name(*verb_below(*place, near))) + "?"};
+  }
+  return {ErrorKind::usage, "usage.verb.unknown", text,
+          command("help" + (group.empty() ? "" : " " + group)) + " lists the verbs"};
+}
+
+std::vector<const CLI::Option*> flags_of(const CLI::App& app) {
+  return app.get_options([](const CLI::Option* option) { return option->nonpositional(); });
+}
+
+Error unknown_flag(const Program& program, const CLI::App& at, const std::string& word) {
+  const std::string flag = word.substr(0, word.find('=')), verb = full_name(at);
+  const bool early = verb.empty() || at.get_option_no_throw(flag) != nullptr;
+  const std::string text = early ? "no verb before the flag " + flag : verb + " has no flag " + flag;
+  std::vector<std::string> owners, names;
+  for (const auto& [app, bound] : program.verbs) {
+    if (app->get_option_no_throw(flag) != nullptr) owners.push_back(command(bound.verb.name));
+  }
+  if (!owners.empty()) {
+    std::sort(owners.begin(), owners.end());
+    return {ErrorKind::usage, "usage.flag.unknown", text, "it belongs to " + join(owners)};
+  }
+  for (const CLI::App* app : {&at, &program.app}) {
+    for (const CLI::Option* option : flags_of(*app)) names.push_back(option->get_lnames().front());
+  }
+  const std::string near = did_you_mean(flag.substr(std::min(flag.find_first_not_of('-'), flag.size())), names);
+  return {ErrorKind::usage, "usage.flag.unknown", text,
+          near.empty() ? "see " + command("help" + (verb.empty() ? "" : " " + verb)) : "did you mean --" + near + "?"};
+}
+
+// A word that is unknown comes before what else is wrong, which often follows from it.
+Error refused(const Program& program, const CLI::ParseError& error) {
+  const CLI::App* at = &program.app;
+  while (!at->get_subcommands().empty()) at = at->get_subcommands().back();
+  const std::vector<std::string> unknown = program.app.remaining(true);
+  for (const std::string& word : unknown) {
+    if (word.size() > 1 && word.front() == '-') return unknown_flag(program, *at, word);
+  }
+  if (!unknown.empty() && !below(*at).empty()) return unknown_verb(*at, unknown.front());
+  const std::string verb = full_name(*at), see = "see " + command("help" + (verb.empty() ? "" : " " + verb));
+  if (!unknown.empty())
+    return {ErrorKind::usage, "usage.word.unexpected", verb + ": unexpected word '" + unknown.front() + "'", see};
+  const std::string text = (verb.empty() ? "" : verb + ": ") + error.what();
+  if (dynamic_cast<const CLI::ValidationError*>(&error) || dynamic_cast<const CLI::ConversionError*>(&error))
+    return {ErrorKind::usage, "usage.value.invalid", text};
+  return {ErrorKind::usage, "usage.word.missing", text, see};
+}
+
+int print_version(const Program& program, AppContext& context) {
+  const Environment e = this_environment();
+  if (program.app.get_option("--json")->count() > 0) {
+    context.verb = "version";
+    print_json(context, Json::parse(environment_json(e)));
+    return 0;
+  }
+  std::printf("semfield %s (%s)\n", e.version.c_str(), e.source.c_str());
+  std::printf("compiler   %s, %s\n", e.compiler.c_str(), e.build_type.c_str());
+  std::printf("plugin api %s\n", fmt::format("{}, abi {}", kPluginApi, e.abi).c_str());
+  std::printf("cpu        %s\n", fmt::format("{} ({} threads)", e.cpu, e.hardware_threads).c_str());
+  std::printf("kernels    %s\n", fmt::format("{} (this build has {})", isa_name(isa()), isas_of_build()).c_str());
+  return 0;
+}
+
+// A path where a verb is expected: a scene or a configuration alone asks what it is.
+void name_inspect(const Program& program, std::vector<std::string>& words) {
+  std::size_t first = 0;
+  while (first < words.size() && words[first].starts_with('-')) first += words[first] == "--plugin" ? 2 : 1;
+  std::error_code unknown;
+  if (first < words.size() && !words[first].empty() && verb_below(program.app, words[first]) == nullptr &&
+      std::filesystem::exists(words[first], unknown))
+    words.insert(words.begin() + static_cast<std::ptrdiff_t>(first), "inspect");
+}
+
+// What completion offers: candidates begin with `head`, which is there already; `rest` is what was typed behind it.
+class Offer {
+ public:
+  Offer(std::string head, std::string rest) : head_(std::move(head)), rest_(std::move(rest)) {}
+
+  void add(const std::string& word, const std::string& sentence = "") {
+    if (word.starts_with(rest_)) lines_ += head_ + word + "\t" + sentence + "\n";
+  }
+  // What completes a value or an operand.
+  void add_values(const CLI::Option& of, const std::vector<std::string>& values) {
+    const std::string value = of.get_positional() ? of.get_name(true) : of.get_type_name();
+    const auto is = [&](std::initializer_list<const char*> names) {  // "CONFIG_A" too
+      return std::any_of(names.begin(), names.end(), [&](const char* name) { return value.starts_with(name); });
+    };
+    if (of.get_delimiter() == ',') {
+      kind_ = "list";
+      const std::size_t items = rest_.rfind(',') + 1;
+      head_ += rest_.substr(0, items);
+      rest_.erase(0, items);
+    } else if (is({"FILE", "PATH", "CONFIG", "TABLE", "PAGE", "PROGRAM"})) {
+      kind_ = "files";
+    } else if (is({"FOLDER", "RUN"})) {
+      kind_ = "folders";
+    }
+    for (const std::string& one : values) add(one);
+  }
+  std::string text() const { return kind_ + "\n" + lines_; }
+
+ private:
+  std::string head_, rest_, kind_ = "words", lines_;
+};
+
+// What the last of `words`, which may be empty, may become. The first line is "words", "files", "folders" (of which the
+// shell offers its own next to the candidates) or "list" (more may follow without a blank); then a line for each
+// candidate: it, a tab and a sentence. A word "=" alone stands between an option and its value, as bash cuts them.
+std::string completions(const std::vector<std::string>& words) {
+  const Program program;
+  const CLI::App* at = &program.app;
+  const CLI::Option* open = nullptr;  // whose value comes next
+  std::size_t operands = 0;
+  const auto option_named = [&](const std::string& name) {
+    const CLI::Option* own = at->get_option_no_throw(name);
+    return own != nullptr ? own : program.app.get_option_no_throw(name);
+  };
+  for (std::size_t i = 0; i + 1 < words.size(); ++i) {
+    if (words[i] == "=") continue;
+    const CLI::App* next = below(*at).empty() ? nullptr : verb_below(*at, words[i]);
+    if (open != nullptr) {
+      open = nullptr;
+    } else if (words[i].starts_with('-')) {
+      open = option_named(words[i]);
+      if (open != nullptr && open->get_items_expected_max() == 0) open = nullptr;
+    } else if (next != nullptr) {
+      at = next;
+    } else {
+      ++operands;
+    }
+  }
+  std::string current = words.empty() || words.back() == "=" ? "" : words.back(), head;
+  if (const std::size_t equals = current.find('='); current.starts_with("--") && equals != std::string::npos) {
+    head = current.substr(0, equals + 1);
+    open = option_named(current.substr(0, equals));
+    current.erase(0, equals + 1);
+    if (open == nullptr) return "words\n";
+  }
+  const auto values_of = [&](const CLI::Option* option) {
+    const auto found = program.offered.find(option);
+    return found == program.offered.end() ? std::vector<std::string>() : found->second;
+  };
+  Offer offer(head, current);
+  const bool flag = current.starts_with('-');
+  const std::vector<const CLI::Option*> places =
+      at->get_options([](const CLI::Option* option) { return option->get_positional(); });
+  if (open != nullptr) {
+    offer.add_values(*open, values_of(open));
+  } else if (!flag && !below(*at).empty()) {
+    for (const CLI::App* verb : below(*at)) offer.add(verb->get_name(), verb->get_description());
+  } else if (!flag && !places.empty() && (operands < places.size() || places.back()->get_allow_extra_args())) {
+    const CLI::Option* next = places[std::min(operands, places.size() - 1)];
+    offer.add_values(*next, values_of(next));
+  } else {
+    const auto bound = program.verbs.find(at);
+    for (const CLI::App* app : {at, &program.app}) {
+      for (const CLI::Option* option : flags_of(*app)) {
+        const std::string& name = option->get_lnames().front();
+        if (app == &program.app && bound != program.verbs.end() && name == "json" && !bound->second.verb.json) continue;
+        offer.add("--" + name, option->get_description());
+      }
+      if (at == &program.app) break;
+    }
+  }
+  return offer.text();
+}
+
+// As one of several processes that a launcher started.
+
+void refuse_other_words(Ranks& ranks, const std::string& words) {
+  const std::vector<std::string> all = texts_of(ranks, words);
+  for (int r = 1; r < ranks.size(); ++r) {
+    const std::string& theirs = all[static_cast<std::size_t>(r)];
+    if (theirs == all.front()) continue;
+    throw Error(
+        ErrorKind::usage, "ranks.command.differs",
+        ranks.name_of(r) + " was started as `semfield " + theirs + "`, and rank 0 as `semfield " + all.front() + "`",
+        "start all processes of a run with the same words");
+  }
+}
+
+int run_launched(const Program::Bound& bound, const std::string& words, AppContext& context) {
+  const std::optional<Launched> by = launched();
+  if (!by || bound.verb.launch == Launch::beside) return bound.run(context);
+  if (bound.verb.launch == Launch::alone)
+    throw Error(
+        ErrorKind::usage, "ranks.verb.single",
+        fmt::format("{} started {} processes, but `semfield {}` works in one", by->by, by->size, bound.verb.name),
+        "start it without " + by->by + "; train, eval, render and sweep work in several");
+  context.ranks = join_ranks(*by);
+  Ranks& ranks = *context.ranks;
+  const std::string made = prepare_ranks(ranks, this_environment().version);
+  refuse_other_words(ranks, words);
+  if (ranks.rank() != 0) {
+    leave_stop_to_rank_0();
+    ranks.end_when([] { return stop_signal() != 0; }, {});
+    follow(ranks, context.registry);
+    return 0;
+  }
+  print_note(context, made);
+  ranks.end_when([] { return stop_signal() != 0; }, stop_with_the_others);
+  int code = 0;
+  try {
+    code = bound.run(context);
+  } catch (const RankLost&) {
+    throw;
+  } catch (...) {
+    dismiss(ranks);
+    throw;
+  }
+  dismiss(ranks);
+  return code;
+}
+
+}  // namespace
+
+bool is_first_process() {
+  try {
+    const std::optional<Launched> by = launched();
+    return !by || by->rank == 0;
+  } catch (const Error&) {  // what is wrong with the environment every process says
+    return true;
+  }
+}
+
+std::string help_of(const std::vector<std::string>& verb) {
+  const Program program;
+  const CLI::App* at = &program.app;
+  for (const std::string& word : verb) {
+    const CLI::App* next = verb_below(*at, word);
+    if (next == nullptr) throw unknown_verb(*at, word);
+    at = next;
+  }
+  return program.help(*at);
+}
+
+std::string verbs_page() {
+  const Program program;
+  std::string text =
+      "# Verbs\n\n[command_line.md](command_line.md) has what holds for every verb, [json.md](json.md) the keys of "
+      "`--json`.\n\n```text\n" +
+      program.app.help() + "```\n";
+  const std::function<void(const CLI::App&)> add = [&](const CLI::App& of) {
+    for (const CLI::App* verb : below(of)) {
+      text += "\n## " + full_name(*verb) + "\n\n```text\n" + program.help(*verb) + "```\n";
+      add(*verb);
+    }
+  };
+  add(program.app);
+  return text;
+}
+
+int run_command_line(int argc, char** argv, AppContext& context) {
+  std::vector<std::string> words(argv + 1, argv + argc), shown;
+  if (words.size() > 1 && words[0] == "completion" && words[1] == "--of") {  // unparsed: half a line
+    std::fputs(completions({words.begin() + 2, words.end()}).c_str(), stdout);
+    return 0;
+  }
+  for (const std::string& word : words) shown.push_back(shell_word(word));
+  Program program;
+  name_inspect(program, words);
+  std::reverse(words.begin(), words.end());
+  try {
+    program.app.parse(words);
+  } catch (const CLI::CallForHelp&) {
+    std::fputs(program.app.help().c_str(), stdout);
+    return 0;
+  } catch (const CLI::CallForAllHelp&) {
+    std::fputs(program.app.help("", CLI::AppFormatMode::All).c_str(), stdout);
+    return 0;
+  } catch (const CLI::CallForVersion&) {
+    return print_version(program, context);
+  } catch (const CLI::ParseError& error) {
+    throw refused(program, error);
+  }
+  context.quiet = program.quiet;
+  context.json = program.json;
+  const CLI::App* at = &program.app;
+  while (!at->get_subcommands().empty()) at = at->get_subcommands().back();
+  const auto found = program.verbs.find(at);
+  if (found == program.verbs.end()) {
+    // Nothing was done, and a script whose verb got lost should not continue as if something had been.
+    std::fputs(program.app.help().c_str(), stdout);
+    return static_cast<int>(ErrorKind::usage);
+  }
+  const Program::Bound& bound = found->second;
+  context.verb = bound.verb.name;
+  if (context.json && !bound.verb.json)
+    throw Error(ErrorKind::usage, "usage.json.none", bound.verb.name + " takes no --json", "leave it out");
+  Diagnostics of_checks;
+  for (const std::string& module : program.modules) load_module(context.registry, module, {true, &of_checks});
+  for (const Diagnostic& note : of_checks.all()) print_note(context, note.shown());
+  return run_launched(bound, join(shown, " "), context);
+}
+
+}  // namespace semfield::app
