@@ -21,7 +21,6 @@
 #include "labels/label_files.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
-#include "scene/scene_checks.h"
 #include "system/files.h"
 
 namespace semfield::app {

@@ -7,7 +7,7 @@
 
 #include "eval/image_output.h"
 #include "formats/image_io.h"
-#include "loading/depth_images.h"
+#include "loading/frame_files.h"
 #include "scene/classes/class_table.h"
 #include "system/files.h"
 

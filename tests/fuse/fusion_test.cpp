@@ -16,7 +16,6 @@
 #include "datasets/replica/replica.h"
 #include "eval/metrics.h"
 #include "formats/image_io.h"
-#include "formats/png_codec.h"
 #include "loading/frame_source.h"
 #include "loading/packed_scene.h"
 #include "scene/classes/class_table.h"

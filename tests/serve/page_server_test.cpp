@@ -14,7 +14,7 @@
 #include "app/serve/page_requests.h"
 #include "app/serve/page_state.h"
 #include "core/error.h"
-#include "formats/png_codec.h"
+#include "formats/image_io.h"
 #include "formats/zip_archive.h"
 #include "system/files.h"
 #include "tests/says.h"

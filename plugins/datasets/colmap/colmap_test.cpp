@@ -203,7 +203,7 @@ TEST(Colmap, LabelsForSomeFrames) {
   std::filesystem::create_directories(folder + "/labels");
   Diagnostics none;
   open(folder, none, "labels");
-  EXPECT_HAS(problems(none)[0], "no label image for any frame; name them like the images, with .png: 'a.png'");
+  EXPECT_HAS(problems(none)[0], "no label image for any frame; name them like the images, with .png");
   write_png_gray8(folder + "/labels/b.png", 8, 4, std::vector<std::uint8_t>(32, 5));
   plain_write(folder + "/classes.yaml", "- {id: 0, name: void, ignore: true}\n- {id: 5, name: cup}\n");
   ColmapParams p{.root = folder, .label_dir = "labels"};
@@ -240,7 +240,7 @@ TEST(Colmap, MissingImagesAreLeftOutWhereAsked) {
   Diagnostics d;
   const SceneInfo info = Colmap(p, {}).open(d);
   ASSERT_FALSE(d.has_errors()) << d.all()[0].text();
-  EXPECT_EQ(d.all()[0].text(), folder + "/images: 1 frame is left out, whose colour image is missing: a");
+  EXPECT_EQ(d.all()[0].text(), folder + ": 1 frame is left out, whose colour image is missing: a");
   ASSERT_EQ(info.frames.size(), 1u);
   EXPECT_EQ(info.frames[0].name, "b");
 }

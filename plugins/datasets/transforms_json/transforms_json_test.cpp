@@ -4,8 +4,8 @@
 
 #include <bit>
 
+#include "formats/image_io.h"
 #include "formats/npz.h"
-#include "formats/png_codec.h"
 #include "scene/scene.h"
 #include "tests/scene/tiny_scene.h"
 

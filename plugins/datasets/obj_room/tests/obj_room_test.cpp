@@ -276,10 +276,6 @@ TEST(ObjRoomOthers, SceneNetRoomWithItsTrajectory) {
 
 // A captured room is the room, every channel through the Replica layout and back; cast frames are kept and found again.
 
-namespace fs = std::filesystem;
-
-namespace fs = std::filesystem;
-
 template <class Params>
 std::unique_ptr<Dataset> linked(const std::string& name, const Params& params) {
   static const Registry registry = [] {
