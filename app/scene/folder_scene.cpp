@@ -19,10 +19,9 @@
 #include "eval/metrics.h"
 #include "formats/image_io.h"
 #include "labels/label_files.h"
-#include "loading/depth_images.h"
+#include "loading/frame_files.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
-#include "scene/scene_checks.h"
 #include "system/files.h"
 
 namespace semfield::app {

@@ -11,7 +11,7 @@
 
 #include "core/check.h"
 #include "core/error.h"
-#include "formats/png_codec.h"
+#include "formats/image_io.h"
 
 namespace semfield::app {
 

@@ -5,7 +5,7 @@
 
 #include "app/json_output.h"
 #include "app/verb.h"
-#include "scene/classes/class_import.h"
+#include "scene/classes/class_table.h"
 #include "system/files.h"
 
 namespace semfield::app {

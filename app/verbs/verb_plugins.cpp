@@ -23,7 +23,6 @@
 #include "config/params.h"
 #include "core/error.h"
 #include "execution/device_library.h"
-#include "plugin/law_suite.h"
 #include "plugin/loader.h"
 #include "plugin/reference.h"
 #include "session/assembly.h"

@@ -14,7 +14,7 @@
 #include "core/check.h"
 #include "core/text.h"
 #include "eval/metrics.h"
-#include "scene/classes/class_import.h"
+#include "scene/classes/class_table.h"
 #include "system/checksum.h"
 
 namespace semfield {

@@ -1,12 +1,10 @@
 // The library behind image_formats(): the only user of OpenImageIO.
-#include "formats/image_formats.h"
-
 #include <OpenImageIO/imageio.h>
 
 #include <memory>
 
 #include "core/error.h"
-#include "formats/png_codec.h"
+#include "formats/image_io.h"
 
 namespace semfield {
 

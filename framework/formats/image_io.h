@@ -1,5 +1,5 @@
 // Images in and out. PNG goes through our own codec, so that palette indices and damage are seen as they are; other
-// formats are read by OpenImageIO (image_formats.h). A build without OpenImageIO (SEMFIELD_WITH_IMAGES=OFF) still reads
+// formats are read by OpenImageIO (ImageFormats). A build without OpenImageIO (SEMFIELD_WITH_IMAGES=OFF) still reads
 // and writes PNG, and throws Error(unavailable) for every other format.
 #pragma once
 
@@ -8,6 +8,8 @@
 #include <span>
 #include <string>
 #include <vector>
+
+#include "formats/text_rows.h"
 
 namespace semfield {
 
@@ -125,5 +127,60 @@ std::vector<T> as_stored(std::vector<T> shown, std::int64_t width, std::int64_t 
   for (std::size_t p = 0; p < from.size(); ++p) out[p] = shown[from[p]];
   return out;
 }
+
+// PNG in and out through zlib alone: palette indices and 16-bit values stay as they are, and damage is named.
+
+/// Samples as stored: grey, grey + alpha, RGB, RGBA, or palette index.
+struct PngImage {
+  std::int32_t width_px = 0, height_px = 0, channels = 0;
+  int bits = 8;  ///< 1, 2, 4, 8 or 16: the largest sample is 2^bits - 1
+  bool palette = false;
+  std::vector<std::uint8_t> palette_rgb;    ///< 3 bytes per entry
+  std::vector<std::uint8_t> palette_alpha;  ///< may be shorter than the palette: the rest is opaque
+  std::vector<std::uint8_t> bytes;          ///< one byte a sample, for images of up to 8 bits
+  std::vector<std::uint16_t> words;         ///< the samples of 16-bit images
+
+  unsigned sample(std::size_t i) const { return bits == 16 ? words[i] : bytes[i]; }
+};
+
+bool looks_like_png(std::span<const std::byte> bytes);
+/// Dimensions from the first chunk. Throws Error(data) as decode_png does.
+ImageSize png_size(std::span<const std::byte> bytes);
+/// Whole image [PNG3]. Throws Error(data) with the cause (no path: the caller adds it) for a wrong checksum, a missing
+/// end, sizes over input_limits(), and data too short for the stated size - the last before the pixels are
+/// allocated.
+PngImage decode_png(std::span<const std::byte> bytes);
+
+/// Colours of palette indices, 3 bytes each, and how opaque the first of them are (PngImage::palette_alpha).
+struct PngPalette {
+  std::span<const std::uint8_t> rgb{};
+  std::span<const std::uint8_t> alpha{};
+};
+
+/// color_type 0 grey, 2 RGB, 3 palette; rows are packed big-endian bytes of width * channels * bits / 8. `level` is
+/// zlib's: 1 for pictures that are sent and forgotten.
+std::vector<std::uint8_t> encode_png(std::int32_t width, std::int32_t height, int color_type, int bits,
+                                     std::span<const std::uint8_t> rows, const PngPalette& palette = {}, int level = 4);
+
+// Images other than PNG, read by OpenImageIO in a library of its own that is loaded when the first such image is met:
+// OpenImageIO brings some 250 libraries with it, which cost a quarter of a second and over 100 MB before anything runs.
+
+/// What that library offers; every call throws Error(data) without the path for a file that cannot be read.
+struct ImageFormats {
+  ImageSize (*size)(const std::string& path);
+  CameraTag (*camera)(const std::string& path);
+  Image<std::uint8_t> (*read8)(const std::string& path);
+  Image<std::uint16_t> (*read16)(const std::string& path);
+  Image<float> (*read_float)(const std::string& path);
+};
+
+/// The table, loaded once. Throws Error(unavailable) in a build without OpenImageIO, and when the library is missing.
+const ImageFormats& image_formats();
+
+/// True once image_formats() has loaded the library.
+bool image_formats_loaded();
+
+/// The library's one exported symbol.
+inline constexpr const char* kImageFormatsSymbol = "semfield_image_formats";
 
 }  // namespace semfield

@@ -7,7 +7,7 @@
 #include <set>
 
 #include "labels/label_files.h"
-#include "loading/frame_masks.h"
+#include "loading/frame_files.h"
 #include "scene/scene.h"
 #include "system/files.h"
 

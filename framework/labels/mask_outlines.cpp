@@ -5,7 +5,7 @@
 #include <cmath>
 
 #include "core/check.h"
-#include "formats/png_codec.h"
+#include "formats/image_io.h"
 
 namespace semfield {
 

@@ -18,7 +18,6 @@
 #include "labels/label_files.h"
 #include "loading/frame_files.h"
 #include "scene/scene.h"
-#include "scene/scene_checks.h"
 #include "system/checksum.h"
 
 namespace semfield {

@@ -235,8 +235,6 @@ ColmapModel read_colmap_model(const std::string& folder, Diagnostics& diagnostic
 
 // COLMAP's binary files: little-endian records without padding, each file a count and that many records.
 
-namespace fs = std::filesystem;
-
 namespace {
 
 // A lens as the number in cameras.bin, and how many parameters follow.

@@ -2,28 +2,34 @@
 #include "loading/frame_files.h"
 
 #include <algorithm>
+#include <array>
 #include <cctype>
 #include <cmath>
 #include <filesystem>
 #include <iterator>
+#include <limits>
 
+#include "compute/parallel.h"
+#include "core/check.h"
+#include "core/error.h"
 #include "core/text.h"
 #include "formats/image_io.h"
+#include "formats/npz.h"
 #include "formats/text_rows.h"
-#include "loading/depth_images.h"
 #include "loading/frame_source.h"
 #include "loading/posed_photographs.h"
 #include "scene/scene.h"
-#include "scene/scene_checks.h"
 #include "system/files.h"
 
 namespace semfield {
+
+namespace fs = std::filesystem;
 
 namespace {
 
 bool is_there(const std::string& path) {
   std::error_code ignored;
-  return std::filesystem::exists(path, ignored);
+  return fs::exists(path, ignored);
 }
 
 // Channels that a frame can do without.
@@ -46,9 +52,9 @@ std::string first_names(const std::vector<std::string>& names) {
 }
 
 // A picture beside `path` that is called like it up to the extension; "" when there is none.
-std::string same_with_other_extension(const std::filesystem::path& path) {
+std::string same_with_other_extension(const fs::path& path) {
   for (const char* extension : {".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".webp", ".tif", ".tiff", ".exr"}) {
-    const std::string other = std::filesystem::path(path).replace_extension(extension).string();
+    const std::string other = fs::path(path).replace_extension(extension).string();
     if (other != path && is_there(other)) return other;
   }
   return "";
@@ -62,10 +68,10 @@ bool has_drive(const std::string& path) {
 }
 
 // The pattern of scene.labels.from that gives this file for this frame.
-std::string label_pattern(const FrameInfo& frame, const std::filesystem::path& label) {
+std::string label_pattern(const FrameInfo& frame, const fs::path& label) {
   const std::string stem = label.stem().string(), extension = label.extension().string();
   if (stem == frame.name) return "{name}" + extension;
-  if (stem == std::filesystem::path(frame.source).stem().string()) return "{stem}" + extension;
+  if (stem == fs::path(frame.source).stem().string()) return "{stem}" + extension;
   const std::size_t digits = stem.find_last_not_of("0123456789") + 1;
   const std::size_t own = frame.name.find_last_not_of("0123456789") + 1;
   if (digits < stem.size() && own < frame.name.size()) return stem.substr(0, digits) + "{number}" + extension;
@@ -114,7 +120,7 @@ void read_labels(const FrameInfo& frame, const std::string& path, bool unknown_v
 }
 
 // Settings that read this file as one of label files in place of the scene's own; `more` are further keys.
-std::string label_settings(const FrameInfo& frame, const std::filesystem::path& label, const std::string& labels_key,
+std::string label_settings(const FrameInfo& frame, const fs::path& label, const std::string& labels_key,
                            const std::string& more) {
   return (labels_key.empty() ? std::string() : "--set 'scene." + labels_key + "=\"\"' ") + "--set " +
          shell_word("scene.labels.from={type: images, folder: \"" + label.parent_path().string() + "\", pattern: \"" +
@@ -123,15 +129,19 @@ std::string label_settings(const FrameInfo& frame, const std::filesystem::path& 
 
 }  // namespace
 
+std::string ending_of(const std::string& path) {
+  std::string out = fs::path(path).extension().string();
+  for (char& c : out) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  return out;
+}
+
 std::vector<std::string> files_with(const std::string& folder, std::span<const std::string_view> extensions) {
   std::vector<std::string> found;
   std::error_code unknown;
-  if (!std::filesystem::is_directory(folder, unknown)) return found;
-  for (const std::filesystem::directory_entry& entry : sorted_folder(folder)) {
+  if (!fs::is_directory(folder, unknown)) return found;
+  for (const fs::directory_entry& entry : sorted_folder(folder)) {
     if (entry.path().filename().string().starts_with(kMovingMask)) continue;
-    std::string extension = entry.path().extension().string();
-    for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-    if (std::find(extensions.begin(), extensions.end(), extension) != extensions.end())
+    if (std::find(extensions.begin(), extensions.end(), ending_of(entry.path().string())) != extensions.end())
       found.push_back(entry.path().string());
   }
   return found;
@@ -157,14 +167,20 @@ void check_shape(const std::string& path, const FrameInfo& frame, const std::str
   }
 }
 
-void report_no_labels(const std::string& folder, Diagnostics& diagnostics) {
-  diagnostics.error("labels.frames.missing", folder, "no label image for any frame",
-                    "name them like the images, with .png");
+void report_unlabelled(const std::string& folder, std::size_t labelled, std::size_t frames, Diagnostics& diagnostics) {
+  if (labelled == 0 && frames > 0) {
+    diagnostics.error("labels.frames.missing", folder, "no label image for any frame",
+                      "name them like the images, with .png");
+  } else if (labelled < frames) {
+    diagnostics.note(
+        "labels.frames.missing", folder,
+        std::to_string(frames - labelled) + " of " + std::to_string(frames) + " frames have no label image");
+  }
 }
 
 Image<std::uint8_t> read_mask(const std::string& path) {
   const Image<std::uint8_t> image = read_rgb(path);
-  const std::string extension = std::filesystem::path(path).extension().string();
+  const std::string extension = fs::path(path).extension().string();
   const std::uint8_t least = extension == ".jpg" || extension == ".jpeg" ? 128 : 1;
   Image<std::uint8_t> out{image.width_px, image.height_px, 1, std::vector<std::uint8_t>(image.pixels.size() / 3)};
   for (std::size_t i = 0; i < out.pixels.size(); ++i) {
@@ -178,7 +194,7 @@ std::map<std::int64_t, std::string> numbered_photographs(const std::string& fold
   std::map<std::int64_t, std::string> out;
   for (const std::string& path : files_with(folder, kPhotographs)) {
     std::int64_t number = 0;
-    if (!parse_whole(std::filesystem::path(path).stem().string(), number) || number < 0 || number > 1'000'000'000) {
+    if (!parse_whole(fs::path(path).stem().string(), number) || number < 0 || number > 1'000'000'000) {
       diagnostics.error("scene.frame.name", "'" + path + "'", "the name is not a frame's number",
                         "name colour images <id>.jpg or <id>.png");
     } else if (const auto [other, fresh] = out.emplace(number, path); !fresh) {
@@ -346,8 +362,8 @@ std::string find_class_file(const std::vector<std::string>& folders) {
   std::error_code ignored;
   for (const std::string& folder : folders) {
     for (const char* name : {"classes.yaml", "classes.yml", "classes.csv", "info_semantic.json"}) {
-      const std::filesystem::path path = std::filesystem::path(folder) / name;
-      if (std::filesystem::is_regular_file(path, ignored)) return path.string();
+      const fs::path path = fs::path(folder) / name;
+      if (fs::is_regular_file(path, ignored)) return path.string();
     }
   }
   return {};
@@ -380,7 +396,7 @@ ClassTable load_class_file(const std::string& path, const std::vector<std::strin
 }
 
 std::string FrameNames::of(const std::string& image_path) {
-  const std::filesystem::path path(with_slashes(image_path));
+  const fs::path path(with_slashes(image_path));
   std::string name = path.stem().string();
   if (next_.count(name) > 0) {
     name = (path.parent_path().filename() / path.stem()).string();
@@ -391,17 +407,6 @@ std::string FrameNames::of(const std::string& image_path) {
   next_.emplace(name, 2);
   return name;
 }
-
-namespace fs = std::filesystem;
-
-namespace {
-
-bool exists(const std::string& path) {
-  std::error_code ignored;
-  return fs::exists(path, ignored);
-}
-
-}  // namespace
 
 std::string with_slashes(std::string path) {
   std::replace(path.begin(), path.end(), '\\', '/');
@@ -424,14 +429,14 @@ const std::string* FileNames::looks_like(const std::string& folder, const std::s
 }
 
 std::string FileNames::of(const std::string& path) {
-  if (exists(path)) return path;
+  if (is_there(path)) return path;
   const std::string slashed = with_slashes(path);
   const bool ascii = std::all_of(slashed.begin(), slashed.end(), [](char c) { return (c & 0x80) == 0; });
-  if (ascii || exists(slashed)) return slashed;
+  if (ascii || is_there(slashed)) return slashed;
   fs::path found;
   for (const fs::path& part : fs::path(slashed)) {
     const fs::path next = found / part;
-    if (exists(next.string())) {
+    if (is_there(next.string())) {
       found = next;
       continue;
     }
@@ -440,6 +445,304 @@ std::string FileNames::of(const std::string& path) {
     found /= *other;
   }
   return found.string();
+}
+
+namespace {
+
+// [height, width] of the array, whose other axes have one place.
+std::vector<std::int64_t> plane_of(std::span<const std::int64_t> shape) {
+  std::vector<std::int64_t> plane;
+  for (const std::int64_t axis : shape)
+    if (axis != 1 || shape.size() == 2) plane.push_back(axis);
+  if (plane.size() != 2)
+    throw Error(ErrorKind::data, "scene.depth.shape", "the shape is " + shape_text(shape),
+                "save depth as an array [height, width]");
+  check_image_limits(plane[1], plane[0], 1, sizeof(float));
+  return plane;
+}
+
+Image<float> read_depth_array(const std::string& path, double unit_m) {
+  const NumpyValues array = read_npy_values(path, [](std::span<const std::int64_t> shape) { (void)plane_of(shape); });
+  const std::vector<std::int64_t> plane = plane_of(array.shape);
+  Image<float> out{static_cast<std::int32_t>(plane[1]), static_cast<std::int32_t>(plane[0]), 1, {}};
+  out.pixels.reserve(array.values.size());
+  const double ceiling = array.is_whole && array.element_bytes == 2 ? 65535 : std::numeric_limits<float>::max();
+  for (const double value : array.values)
+    out.pixels.push_back(value > 0 && value < ceiling ? static_cast<float>(value * (array.is_whole ? unit_m : 1)) : 0);
+  return out;
+}
+
+}  // namespace
+
+// A TIFF holds integers or real numbers, which have 32 bits.
+bool has_real_depth(const std::string& path) {
+  const std::string ending = ending_of(path);
+  if (ending == ".npy") return !npy_is_whole(path);
+  if (ending == ".tif" || ending == ".tiff") return image_size(path).bits > 16;
+  return ending == ".exr" || ending == ".pfm";
+}
+
+ImageSize depth_size(const std::string& path) {
+  if (ending_of(path) != ".npy") return image_size(path);
+  try {
+    const std::vector<std::int64_t> plane = plane_of(npy_shape(path));
+    return {static_cast<std::int32_t>(plane[1]), static_cast<std::int32_t>(plane[0]), 1, 32};
+  } catch (const Error& e) {
+    if (e.message().find(path) != std::string::npos) throw;
+    throw Error(e.kind(), e.code(), "'" + path + "': " + e.message(), e.remedy());
+  }
+}
+
+Image<float> read_depth(const std::string& path, double unit_m) {
+  if (ending_of(path) == ".npy") return read_depth_array(path, unit_m);
+  if (has_real_depth(path)) {
+    Image<float> out = read_float(path);
+    for (float& d : out.pixels)
+      if (!std::isfinite(d) || d < 0) d = 0;
+    return out;
+  }
+  const Image<std::uint16_t> image = read_ids(path);
+  Image<float> out{image.width_px, image.height_px, 1, std::vector<float>(image.pixels.size())};
+  for (std::size_t i = 0; i < out.pixels.size(); ++i)
+    out.pixels[i] = image.pixels[i] == 65535 ? 0.0f : static_cast<float>(image.pixels[i] * unit_m);
+  return out;
+}
+
+std::vector<float> at_nearest_pixels(const Image<float>& image, std::int32_t width, std::int32_t height) {
+  const auto rows = nearest_pixels(image.height_px, height), cols = nearest_pixels(image.width_px, width);
+  std::vector<float> out;
+  out.reserve(rows.size() * cols.size());
+  for (const std::int64_t row : rows) {
+    const float* const line = image.pixels.data() + row * image.width_px;
+    for (const std::int64_t col : cols) out.push_back(line[col]);
+  }
+  return out;
+}
+
+namespace {
+
+constexpr double kEdge = 0.04;    // relative step of depth between neighbours
+constexpr double kWidest = 1000;  // pixels of the colour image that a facet covers at most: beyond, the lens folds
+
+struct Corner {
+  double u = 0, v = 0, depth = 0;  // in the colour image; depth 0: not seen there
+  double taken = 0;                // as the depth camera took it
+};
+
+class Canvas {
+ public:
+  Canvas(const Camera& camera) : width_(camera.width_px), height_(camera.height_px) {
+    depth_.resize(static_cast<std::size_t>(width_) * static_cast<std::size_t>(height_));
+  }
+  // Pixel centres within the triangle; inverse depth is linear in the image of a pinhole.
+  void triangle(const Corner& a, const Corner& b, const Corner& c) {
+    const double least = std::min({a.taken, b.taken, c.taken}), most = std::max({a.taken, b.taken, c.taken});
+    if (!(least > 0) || !(a.depth > 0) || !(b.depth > 0) || !(c.depth > 0) || most - least > kEdge * least) return;
+    const double area = (b.u - a.u) * (c.v - a.v) - (c.u - a.u) * (b.v - a.v);
+    const double u0 = std::min({a.u, b.u, c.u}), u1 = std::max({a.u, b.u, c.u});
+    const double v0 = std::min({a.v, b.v, c.v}), v1 = std::max({a.v, b.v, c.v});
+    if (area == 0 || !(u1 - u0 < kWidest) || !(v1 - v0 < kWidest)) return;
+    const auto first = [](double at) { return std::max(0.0, std::ceil(at - 0.5)); };
+    const auto last = [](double at, std::int32_t size) { return std::min(size - 1.0, std::floor(at - 0.5)); };
+    for (double y = first(v0); y <= last(v1, height_); ++y) {
+      for (double x = first(u0); x <= last(u1, width_); ++x) {
+        const double u = x + 0.5, v = y + 0.5;
+        const double wb = ((u - a.u) * (c.v - a.v) - (c.u - a.u) * (v - a.v)) / area;
+        const double wc = ((b.u - a.u) * (v - a.v) - (u - a.u) * (b.v - a.v)) / area;
+        if (wb < -1e-9 || wc < -1e-9 || wb + wc > 1 + 1e-9) continue;
+        const double at = 1 / ((1 - wb - wc) / a.depth + wb / b.depth + wc / c.depth);
+        float& here =
+            depth_[static_cast<std::size_t>(y) * static_cast<std::size_t>(width_) + static_cast<std::size_t>(x)];
+        if (here == 0 || at < static_cast<double>(here)) here = static_cast<float>(at);
+      }
+    }
+  }
+  std::vector<float> take() { return std::move(depth_); }
+
+ private:
+  std::int32_t width_, height_;
+  std::vector<float> depth_;
+};
+
+}  // namespace
+
+std::vector<float> drawn_depth(const Image<float>& depth, const DepthCamera& from, const Camera& color) {
+  SEMFIELD_CHECK(depth.width_px == from.camera.width_px && depth.height_px == from.camera.height_px,
+                 "the depth image has another size than its camera");
+  const auto corner = [&](std::int32_t x, std::int32_t y) {
+    Corner out;
+    const auto taken =
+        static_cast<double>(depth.pixels[static_cast<std::size_t>(y) * static_cast<std::size_t>(depth.width_px) +
+                                         static_cast<std::size_t>(x)]);
+    const Vec3d ray = from.camera.direction(x + 0.5, y + 0.5);
+    const double per_distance = from.camera.depth_of(ray);
+    if (!(taken > 0) || !(per_distance > 0)) return out;
+    const Vec3d p = from.depth_from_color.apply_inverse(ray * (taken / per_distance));
+    if (!color.sees(p) || !color.is_within_lens(p)) return out;
+    color.project(p, out.u, out.v);
+    out.depth = color.depth_of(p);
+    out.taken = taken;
+    return out;
+  };
+  Canvas canvas(color);
+  std::vector<Corner> above, row;
+  for (std::int32_t y = 0; y < depth.height_px; ++y) {
+    row.clear();
+    for (std::int32_t x = 0; x < depth.width_px; ++x) row.push_back(corner(x, y));
+    for (std::size_t x = 0; y > 0 && x + 1 < row.size(); ++x) {
+      const std::array<const Corner*, 4> quad{&above[x], &above[x + 1], &row[x + 1], &row[x]};
+      // Along the diagonal whose ends are nearer to each other in depth; with a corner missing, what is left.
+      const bool falling = std::abs(quad[0]->taken - quad[2]->taken) <= std::abs(quad[1]->taken - quad[3]->taken);
+      const std::size_t turn =
+          (quad[1]->taken > 0 && quad[3]->taken > 0 && (!falling || quad[0]->taken == 0 || quad[2]->taken == 0)) ? 1
+                                                                                                                 : 0;
+      const auto at = [&](std::size_t k) -> const Corner& { return *quad[(k + turn) % 4]; };
+      canvas.triangle(at(0), at(1), at(2));
+      canvas.triangle(at(0), at(2), at(3));
+    }
+    above.swap(row);
+  }
+  return canvas.take();
+}
+
+std::vector<fs::path> folders_like(const fs::path& folder, const fs::path& image) {
+  std::vector<fs::path> tails, singles;
+  fs::path tail;
+  for (fs::path at = image.parent_path(); tails.size() < 3 && at.has_filename(); at = at.parent_path()) {
+    tail = tail.empty() ? at.filename() : at.filename() / tail;
+    if (!tails.empty()) singles.push_back(folder / at.filename());
+    tails.insert(tails.begin(), folder / tail);
+  }
+  tails.insert(tails.end(), singles.begin(), singles.end());
+  tails.push_back(folder);
+  return tails;
+}
+
+FrameMasks::FrameMasks(const std::string& root, const std::string& folder)
+    : root_(root), folder_(folder.empty() ? "" : (fs::path(root) / folder).string()) {}
+
+void FrameMasks::add_to(FrameFiles& files) {
+  ++images_;
+  if (files.mask.empty() && !folder_.empty()) files.mask = in_folder(files.color);
+  const fs::path image(files.color);
+  const std::string beside = names_.of((image.parent_path() / (kMovingMask + image.stem().string() + ".png")).string());
+  std::error_code unknown;
+  if (!fs::is_regular_file(beside, unknown)) return;
+  files.moving = beside;
+  ++moving_;
+}
+
+std::string FrameMasks::in_folder(const std::string& image) {
+  ++asked_;
+  const fs::path path(image);
+  for (const fs::path& where : folders_like(folder_, path)) {
+    for (const std::string& name : {path.stem().string(), path.filename().string()}) {
+      for (const char* extension : {".png", ".jpg", ".jpeg"}) {
+        const std::string file = names_.of((where / (name + extension)).string());
+        std::error_code unknown;
+        if (!fs::is_regular_file(file, unknown) || fs::equivalent(file, path, unknown)) continue;
+        ++found_;
+        images_of_[file].push_back(image);
+        return file;
+      }
+    }
+  }
+  return "";
+}
+
+void FrameMasks::report(Diagnostics& diagnostics) const {
+  std::error_code unknown;
+  if (moving_ > 0)
+    diagnostics.note("scene.mask.moving", root_,
+                     std::to_string(moving_) + " of " + std::to_string(images_) + " images have a " + kMovingMask +
+                         "NAME.png next to them: what is not black in it is masked");
+  if (folder_.empty()) {
+    if (fs::is_directory(fs::path(root_) / "masks", unknown))
+      diagnostics.note(
+          "scene.mask.unread", root_,
+          "there is a folder 'masks', which is not read; scene.masks: masks leaves out what is black in it");
+    return;
+  }
+  for (const auto& [file, images] : images_of_) {
+    if (images.size() < 2) continue;
+    diagnostics.error("scene.mask.ambiguous", "'" + file + "'",
+                      "is the mask of '" + images[0] + "' and of '" + images[1] + "' by its name",
+                      "put masks into folders called as those of the images");
+    break;
+  }
+  if (found_ == 0) {
+    diagnostics.error("scene.mask.missing", folder_,
+                      fs::is_directory(folder_, unknown) ? "no mask for any image" : "the folder of masks is missing",
+                      "name the masks as the images, with .png, or correct scene.masks");
+  } else if (found_ < asked_) {
+    diagnostics.note("scene.mask.missing", folder_,
+                     std::to_string(asked_ - found_) + " of " + std::to_string(asked_) +
+                         " images have no mask: all of their pixels count");
+  }
+}
+
+// A lens whose border pixels all have rays has one for every pixel: what it bends lies between the axis and the border.
+
+namespace {
+
+bool has_ray(const Camera& camera, std::int64_t x, std::int64_t y) {
+  return !(camera.direction(static_cast<double>(x) + 0.5, static_cast<double>(y) + 0.5) == Vec3d{0, 0, 0});
+}
+
+bool has_rays_along_border(const Camera& camera) {
+  const std::int64_t right = camera.width_px - 1, bottom = camera.height_px - 1;
+  for (std::int64_t x = 0; x <= right; ++x)
+    if (!has_ray(camera, x, 0) || !has_ray(camera, x, bottom)) return false;
+  for (std::int64_t y = 0; y <= bottom; ++y)
+    if (!has_ray(camera, 0, y) || !has_ray(camera, right, y)) return false;
+  return true;
+}
+
+}  // namespace
+
+std::vector<std::uint8_t> reduced_mask(const std::vector<std::uint8_t>& used, PixelSize from, PixelSize to) {
+  if (used.empty()) return {};
+  std::vector<std::uint8_t> out(static_cast<std::size_t>(std::int64_t{to.width_px} * to.height_px), 1);
+  // Of the pixels `from`, those that pixel `at` of `to` covers a part of.
+  const auto covered = [](std::int64_t at, std::int64_t size, std::int64_t many) {
+    return std::pair{at * many / size, ((at + 1) * many + size - 1) / size};
+  };
+  parallel_for(to.height_px, [&](std::int64_t y) {
+    const auto [top, bottom] = covered(y, to.height_px, from.height_px);
+    for (std::int64_t x = 0; x < to.width_px; ++x) {
+      const auto [left, right] = covered(x, to.width_px, from.width_px);
+      for (std::int64_t row = top; row < bottom; ++row) {
+        const auto begin = used.begin() + row * from.width_px;
+        if (std::find(begin + left, begin + right, std::uint8_t{0}) != begin + right)
+          out[static_cast<std::size_t>(y * to.width_px + x)] = 0;
+      }
+    }
+  });
+  return out;
+}
+
+LensMasks::LensMasks(const std::vector<Camera>& cameras) {
+  std::vector<Camera> known;
+  for (const Camera& camera : cameras) {
+    if (camera.width_px == 0 || !camera.has_distortion() ||
+        std::find(known.begin(), known.end(), camera) != known.end())
+      continue;
+    known.push_back(camera);
+    if (has_rays_along_border(camera)) continue;
+    std::vector<std::uint8_t> used(static_cast<std::size_t>(std::int64_t{camera.width_px} * camera.height_px));
+    parallel_for(camera.height_px, [&](std::int64_t y) {
+      for (std::int64_t x = 0; x < camera.width_px; ++x)
+        used[static_cast<std::size_t>(y * camera.width_px + x)] = has_ray(camera, x, y) ? 1 : 0;
+    });
+    masks_.emplace_back(camera, std::move(used));
+  }
+}
+
+void LensMasks::add_to(const Camera& camera, FrameBuffer& frame) const {
+  const auto own = std::find_if(masks_.begin(), masks_.end(), [&](const auto& mask) { return mask.first == camera; });
+  if (own == masks_.end()) return;
+  if (frame.used.empty()) frame.used.assign(own->second.size(), 1);
+  for (std::size_t i = 0; i < frame.used.size(); ++i) frame.used[i] = frame.used[i] & own->second[i];
 }
 
 }  // namespace semfield

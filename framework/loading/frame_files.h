@@ -3,7 +3,9 @@
 #pragma once
 
 #include <array>
+#include <cstddef>
 #include <cstdint>
+#include <filesystem>
 #include <map>
 #include <set>
 #include <span>
@@ -17,10 +19,37 @@
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
-#include "loading/depth_images.h"
+#include "scene/camera.h"
 #include "scene/scene.h"
 
 namespace semfield {
+
+// Depth kept as an image or as a NumPy array.
+
+/// Whether values are taken as they are: files of real numbers (.exr, .pfm, .npy, .tif) are in the unit of the poses.
+bool has_real_depth(const std::string& path);
+
+/// The size of an image, or of the array of a .npy file, [height, width] with axes of length 1 besides. Throws as
+/// image_size and npy_shape do.
+ImageSize depth_size(const std::string& path);
+
+/// z-depth in metres at the file's own size; 0 where it is not finite, negative, or at the 16-bit ceiling 65535.
+/// `unit_m` are the metres of one step where the values are integers. Throws as the readers of images and arrays do.
+Image<float> read_depth(const std::string& path, double unit_m = 0.001);
+
+/// The values of an image at another size, each that of the nearest pixel [height * width].
+std::vector<float> at_nearest_pixels(const Image<float>& image, std::int32_t width, std::int32_t height);
+
+// Depth that another camera than the one of the colours took, drawn into the colour image.
+
+struct DepthCamera {
+  Camera camera;          ///< at the size of the depth images
+  Pose depth_from_color;  ///< OpenCV axes of both, unit of the poses
+};
+
+/// [H * W] depth (Camera::depth_of) of the colour camera; 0 where none is seen. The surface between neighbouring depth
+/// pixels is drawn, the nearest of several; across an edge, where depth jumps by over 4 %, there is none.
+std::vector<float> drawn_depth(const Image<float>& depth, const DepthCamera& from, const Camera& color);
 
 /// Paths; "" where the frame has no such channel.
 struct FrameFiles {
@@ -31,6 +60,8 @@ struct FrameFiles {
 
 /// What the name of a mask of moving things begins with, beside its image [instant-ngp].
 inline constexpr const char* kMovingMask = "dynamic_mask_";
+/// The extension in small letters: ".jpg".
+std::string ending_of(const std::string& path);
 /// Of photographs, as `files_with` takes them.
 inline constexpr std::array<std::string_view, 5> kPhotographs{".jpg", ".jpeg", ".png", ".tif", ".tiff"};
 /// Paths of the files of a folder whose extension, in small letters, is one of these; in the order of their names,
@@ -123,8 +154,8 @@ void report_color_labels(const FrameInfo& frame, const std::string& path, int ch
 /// "". An empty path is passed over.
 void check_shape(const std::string& path, const FrameInfo& frame, const std::string& labels_key,
                  Diagnostics& diagnostics);
-/// Reports a folder of label images without any for the scene's frames.
-void report_no_labels(const std::string& folder, Diagnostics& diagnostics);
+/// Reports a folder of label images without any for the scene's frames; notes that some have none.
+void report_unlabelled(const std::string& folder, std::size_t labelled, std::size_t frames, Diagnostics& diagnostics);
 
 /// The pixels that a mask lets count [H * W], 0 = masked: those that are not black, or, of a JPEG, whose blacks are not
 /// exact, not dark. Throws as the readers of images do.
@@ -204,5 +235,61 @@ Json read_pose_json(const std::string& path, const char* remedy) {
                 "keep one of the two");
   return root;
 }
+
+// Masks of photographs, found by the photographs' names: in a folder, or beside them.
+
+/// What datasets say of their parameter `masks`.
+inline constexpr const char* kMasksSentence =
+    "folder of masks, from root: NAME.png or NAME.jpg.png for the image NAME.jpg, black (0) where a pixel is masked; "
+    "masked pixels draw no rays and are in no score; empty = none";
+
+/// Where under `folder` a file that belongs to `image` may lie, the likeliest first: in folders called as the last
+/// three, two and one of the image's own, then in `folder` itself.
+std::vector<std::filesystem::path> folders_like(const std::filesystem::path& folder,
+                                                const std::filesystem::path& image);
+
+/// Files of the folder `folder` under `root`, none where `folder` is empty; and beside each image NAME.jpg the file
+/// dynamic_mask_NAME.png, in which everything but black is masked, as instant-ngp has it.
+class FrameMasks {
+ public:
+  FrameMasks(const std::string& root, const std::string& folder);
+  /// Sets the masks of `files.color`. That of the folder goes by the image's name with or without its extension, in the
+  /// first of folders_like(); a mask that the files name already stays.
+  void add_to(FrameFiles& files);
+  /// After the last image. A folder without a mask for any is an error, and so is a mask that was found for two
+  /// images; one without some is a note; that masks were found beside the images is a note, and so is a folder of masks
+  /// that nothing names.
+  void report(Diagnostics& diagnostics) const;
+
+ private:
+  std::string in_folder(const std::string& image);
+
+  std::string root_, folder_;
+  FileNames names_;
+  std::size_t images_ = 0, asked_ = 0, found_ = 0, moving_ = 0;
+  std::map<std::string, std::vector<std::string>> images_of_;  // by mask
+};
+
+// Pixels of loaded frames that do not count: masks at another size, and pixels through which a lens has no ray.
+
+struct PixelSize {
+  std::int32_t width_px = 0, height_px = 0;
+};
+
+/// `used` [from.height * from.width] at a size of at most its own: a pixel is masked where any masked one falls into
+/// it, so that none of what is masked shines through. An empty mask stays empty.
+std::vector<std::uint8_t> reduced_mask(const std::vector<std::uint8_t>& used, PixelSize from, PixelSize to);
+
+/// Pixels without a ray, of each lens that has any.
+class LensMasks {
+ public:
+  /// Cameras at the loaded size; one without a size is passed over.
+  explicit LensMasks(const std::vector<Camera>& cameras);
+  /// Masks them in a frame of that camera.
+  void add_to(const Camera& camera, FrameBuffer& frame) const;
+
+ private:
+  std::vector<std::pair<Camera, std::vector<std::uint8_t>>> masks_;
+};
 
 }  // namespace semfield

@@ -12,7 +12,6 @@
 #include "core/workspace.h"
 #include "scene/camera_rig.h"
 #include "scene/scene.h"
-#include "scene/survey/camera_check.h"
 #include "scene/survey/geometry_survey.h"
 #include "scene/survey/plain_background.h"
 
@@ -59,7 +58,7 @@ struct LoadedScene {
   std::string geometry;                    ///< what the check of poses against pixels found; empty = not asked
   CameraCheck cameras;                     ///< whether they fit the photographs, where that was asked for
   bool depth_beside = false;               ///< edges of depth lie beside those of the photographs
-  std::optional<double> exposure;          ///< factor between overlapping frames (PhotoTallies), where it was asked for
+  std::optional<double> exposure;          ///< as GeometryVerdict
   std::string bounds_from, near_far_from;  ///< one phrase each: "depth of 35 training frames", "the configuration", ...
   CameraRig rig;                           ///< of the training cameras
   /// Of scenes whose extent no depth and no dataset tells, where the frames show an object before one colour.
@@ -109,7 +108,7 @@ bool scaled_camera(const Camera& camera, const SceneLoadOptions& options, Camera
 /// [x0, y0, z0, x1, y1, z1] as a box.
 Box box_of(const std::vector<double>& corners);
 
-/// Fills bounds, near, far and footprint (scene_bounds.cpp) from what is trusted most: the configuration, the dataset,
+/// Fills bounds, near, far and footprint from what is trusted most: the configuration, the dataset,
 /// depth (`surveyed`, of the training frames), an object before a plain background, at last the view cones up to far.
 /// load_scene calls it; whoever learns the depth of a scene without any calls it again.
 void derive_extent(LoadedScene& scene, std::vector<SurveyPoints> surveyed, const SceneLoadOptions& options,

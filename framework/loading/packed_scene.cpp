@@ -16,7 +16,7 @@
 #include <span>
 #include <utility>
 
-#include "formats/png_codec.h"
+#include "formats/image_io.h"
 #include "scene/scene.h"
 #include "system/checksum.h"
 #include "system/files.h"

@@ -8,11 +8,8 @@
 #include "config/params.h"
 #include "core/error.h"
 #include "formats/image_io.h"
-#include "loading/depth_images.h"
 #include "loading/frame_files.h"
-#include "loading/frame_masks.h"
 #include "scene/scene.h"
-#include "scene/scene_checks.h"
 
 namespace semfield {
 
@@ -78,30 +75,32 @@ SceneInfo PosedPhotographs::open(const std::vector<PosedPhotograph>& all, bool o
   CameraFit sizes;
   FrameMasks masks(root_, params_.masks);
   std::vector<std::string> skipped;
-  bool has_labels = false;
+  std::size_t labelled = 0;
   std::vector<PosedPhotograph> photos;
   for (std::size_t i = 0; i < all.size(); i += static_cast<std::size_t>(params_.every)) photos.push_back(all[i]);
   check.expect(photos.size());
   for (std::size_t i = 0; i < photos.size(); ++i) {
     const PosedPhotograph& photo = photos[i];
     FrameInfo frame;
-    frame.name = names.of(photo.image);
+    const std::string& name = photo.name.empty() ? photo.image : photo.name;
+    frame.name = names.of(name);
     frame.source = photo.image;
     frame.split = HoldOut{params_.test_every}.split_of(i, photos.size());
     frame.world_from_camera = photo.world_from_camera;
     frame.camera = photo.camera;
     const std::string place = frame_place(frame);
-    const PoseState state = check_pose(frame.world_from_camera, place, diagnostics);
+    const PoseState state = check_pose(frame.world_from_camera, photo.place.empty() ? place : photo.place, diagnostics);
     if (state == PoseState::not_finite) skipped.push_back(frame.name);
     FrameFiles files;
     files.color = photo.image;
     files.depth = finder.of(photo.depth);
     masks.add_to(files);
     if (!params_.label_dir.empty()) {
-      const fs::path label =
-          finder.of((fs::path(root_) / params_.label_dir / (fs::path(photo.image).stem().string() + ".png")).string());
+      const fs::path as_image = photo.name.empty() ? fs::path(name).filename() : fs::path(name);
+      const std::string label =
+          finder.of((fs::path(root_) / params_.label_dir / as_image).replace_extension(".png").string());
       std::error_code unknown;
-      if (fs::exists(label, unknown)) files.label = label.string();
+      if (fs::exists(label, unknown)) files.label = label;
     }
     if (state != PoseState::good || !check.present(frame, files, diagnostics) ||
         !sizes.fit(photo.image, place, frame.camera, diagnostics) ||
@@ -109,7 +108,7 @@ SceneInfo PosedPhotographs::open(const std::vector<PosedPhotograph>& all, bool o
       continue;
     frame.has_depth = !files.depth.empty();
     frame.has_labels = !files.label.empty();
-    has_labels = has_labels || frame.has_labels;
+    labelled += frame.has_labels ? 1 : 0;
     check_shape(files.depth, frame, "", diagnostics);
     FrameFiles whole = files;  // depth has a size of its own
     whole.depth.clear();
@@ -123,9 +122,9 @@ SceneInfo PosedPhotographs::open(const std::vector<PosedPhotograph>& all, bool o
   masks.report(diagnostics);
   check.report(root_, info_.frames.size(), diagnostics);
   if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, info_.frames.size(), root_, diagnostics);
-  if (!params_.label_dir.empty() && !has_labels && !info_.frames.empty())
-    report_no_labels((fs::path(root_) / params_.label_dir).string(), diagnostics);
-  info_.classes = load_class_file(class_file_, {root_}, has_labels, diagnostics);
+  if (!params_.label_dir.empty())
+    report_unlabelled((fs::path(root_) / params_.label_dir).string(), labelled, info_.frames.size(), diagnostics);
+  info_.classes = load_class_file(class_file_, {root_}, labelled > 0, diagnostics);
   return info_;
 }
 

@@ -42,7 +42,10 @@ void validate(const PhotographParams& params, Diagnostics& diagnostics);
 /// A photograph, as a reader finds it.
 struct PosedPhotograph {
   std::string image, depth;  ///< depth: "" where there is none
-  std::string confidence;    ///< 8-bit, as large as the depth: 0 low, `high` high, anything between medium; "" for none
+  std::string name = {};     ///< below the folder of images, where label images lie as these do; "": the file's
+  std::string place = {};    ///< of the pose, for messages; "": the frame
+  std::string confidence =
+      {};  ///< 8-bit, as large as the depth: 0 low, `high` high, anything between medium; "" for none
   int high = 2;
   double depth_unit_m = 0.001;  ///< of one step of the depth image
   Camera camera;                ///< of images of the size that the files state

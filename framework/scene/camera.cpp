@@ -15,7 +15,6 @@
 #include "core/text.h"
 #include "formats/text_rows.h"
 #include "scene/scene.h"
-#include "scene/scene_checks.h"
 #include "system/files.h"
 
 namespace semfield {

@@ -6,7 +6,7 @@
 #include <cmath>
 
 #include "compute/parallel.h"
-#include "scene/scene_checks.h"
+#include "scene/scene.h"
 
 namespace semfield {
 

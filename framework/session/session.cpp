@@ -14,7 +14,6 @@
 #include "core/error.h"
 #include "core/text.h"
 #include "execution/ranks_executor.h"
-#include "formats/image_formats.h"
 #include "formats/image_io.h"
 #include "loading/frame_source.h"
 #include "session/assembly.h"

@@ -1,9 +1,8 @@
 // The laws of every kind on plugins that a registry has: what `semfield plugins check` runs.
-#include "plugin/law_suite.h"
-
 #include <algorithm>
 #include <map>
 
+#include "plugin/loader.h"
 #include "testkit/laws.h"
 
 namespace semfield::testkit {

@@ -15,7 +15,6 @@
 #include "formats/text_rows.h"
 #include "python/core/arrays.h"
 #include "scene/scene.h"
-#include "scene/scene_checks.h"
 
 namespace semfield::python {
 

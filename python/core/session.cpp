@@ -16,7 +16,7 @@
 #include "python/core/scene_values.h"
 #include "report/report.h"
 #include "run/run.h"
-#include "scene/scene_checks.h"
+#include "scene/scene.h"
 
 namespace semfield::python {
 

@@ -18,7 +18,7 @@
 #include <string>
 #include <vector>
 
-#include "datasets/obj_room/raycast.h"
+#include "datasets/obj_room/mesh_render.h"
 #include "formats/image_io.h"
 #include "system/checksum.h"
 #include "system/files.h"

@@ -12,7 +12,7 @@
 #include "datasets/record3d/record3d.h"
 #include "datasets/replica/replica.h"
 #include "datasets/transforms_json/transforms_json.h"
-#include "formats/png_codec.h"
+#include "formats/image_io.h"
 #include "loading/frame_source.h"
 #include "scene/scene.h"
 #include "system/files.h"

@@ -14,6 +14,7 @@
 #include "core/rng.h"
 #include "datasets/replica/replica.h"
 #include "eval/metrics.h"
+#include "formats/image_io.h"
 #include "loading/frame_source.h"
 #include "loading/packed_scene.h"
 #include "scene/classes/class_table.h"

@@ -14,7 +14,6 @@
 #include "labels/mask_outlines.h"
 #include "labels/training_labels.h"
 #include "loading/frame_files.h"
-#include "scene/classes/class_import.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
 #include "system/files.h"

@@ -15,6 +15,8 @@
 #include "core/error.h"
 #include "core/rng.h"
 #include "core/text.h"
+#include "datasets/obj_room/mesh_io.h"
+#include "datasets/obj_room/mesh_render.h"
 #include "scene/camera_path.h"
 #include "surface/mesh/marching_cubes.h"
 #include "surface/mesh/mesh_files.h"

@@ -14,7 +14,6 @@
 #include "core/rng.h"
 #include "eval/metrics.h"
 #include "formats/image_io.h"
-#include "formats/png_codec.h"
 #include "loading/frame_source.h"
 #include "named_case.h"
 #include "plugin/loader.h"

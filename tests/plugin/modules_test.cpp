@@ -5,7 +5,6 @@
 #include <atomic>
 #include <nlohmann/json.hpp>
 
-#include "plugin/law_suite.h"
 #include "plugin/loader.h"
 #include "system/files.h"
 #include "system/process.h"

@@ -19,7 +19,6 @@
 #include "core/workspace.h"
 #include "formats/image_io.h"
 #include "formats/npz.h"
-#include "formats/png_codec.h"
 #include "formats/text_rows.h"
 #include "loading/frame_files.h"
 #include "loading/frame_source.h"

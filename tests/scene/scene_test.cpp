@@ -8,10 +8,9 @@
 #include <set>
 #include <sstream>
 
-#include "loading/depth_images.h"
+#include "loading/frame_files.h"
 #include "scene/camera.h"
 #include "scene/camera_path.h"
-#include "scene/classes/class_import.h"
 #include "scene/classes/class_table.h"
 #include "scene/survey/bundle.h"
 #include "system/files.h"

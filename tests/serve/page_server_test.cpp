@@ -13,7 +13,7 @@
 #include "app/serve/page_pictures.h"
 #include "app/serve/page_requests.h"
 #include "core/error.h"
-#include "formats/png_codec.h"
+#include "formats/image_io.h"
 #include "formats/zip_archive.h"
 #include "system/files.h"
 #include "tests/says.h"

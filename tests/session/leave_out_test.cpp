@@ -4,7 +4,7 @@
 #include <regex>
 
 #include "compute/parallel.h"
-#include "datasets/obj_room/raycast.h"
+#include "datasets/obj_room/mesh_render.h"
 #include "execution/lane_executor.h"
 #include "run/run_folder.h"
 #include "run/run.h"

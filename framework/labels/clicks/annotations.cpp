@@ -6,7 +6,7 @@
 #include <set>
 
 #include "core/error.h"
-#include "formats/png_codec.h"
+#include "formats/image_io.h"
 #include "formats/text_rows.h"
 #include "labels/label_files.h"
 #include "scene/classes/class_table.h"

@@ -18,8 +18,8 @@
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "loading/capture/reconstruct.h"
-#include "loading/depth_images.h"
-#include "scene/survey/camera_check.h"
+#include "loading/frame_files.h"
+#include "scene/survey/geometry_survey.h"
 #include "system/checksum.h"
 #include "system/files.h"
 
@@ -227,10 +227,7 @@ class Fixing {
       for (const Sighting& s : track.seen)
         errors.push_back(error_px(cameras, track, s) / scale_of(static_cast<std::size_t>(s.frame)));
     }
-    if (errors.empty()) return 0;
-    const auto middle = errors.begin() + std::ssize(errors) / 2;
-    std::nth_element(errors.begin(), middle, errors.end());
-    return *middle;
+    return median_of(std::move(errors));
   }
 
   FixedCameras fix() {
@@ -369,8 +366,7 @@ class Fixing {
 }  // namespace
 
 bool is_photograph_file(const FrameInfo& frame) {
-  std::string end = fs::path(frame.source).extension().string();
-  for (char& c : end) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  const std::string end = ending_of(frame.source);
   std::error_code unknown;
   return (end == ".jpg" || end == ".jpeg" || end == ".png") && fs::is_regular_file(frame.source, unknown);
 }
@@ -380,8 +376,7 @@ std::vector<Pair> pairs_by_pose(const std::vector<Pose>& poses) {
   std::vector<double> distances;
   for (std::size_t i = 0; i < count; ++i)
     for (std::size_t j = i + 1; j < count; j += 1 + count / 64) distances.push_back(length(poses[i].t - poses[j].t));
-  std::nth_element(distances.begin(), distances.begin() + std::ssize(distances) / 2, distances.end());
-  const double usual = std::max(1e-300, distances.empty() ? 1 : distances[distances.size() / 2]);
+  const double usual = std::max(1e-300, distances.empty() ? 1 : median_of(distances));
   std::set<Pair> found;
   std::vector<std::pair<double, std::size_t>> near;
   for (std::size_t i = 0; i < count; ++i) {

@@ -6,8 +6,10 @@
 
 #include <algorithm>
 #include <array>
+#include <cerrno>
 #include <cmath>
 #include <cstdio>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <map>
@@ -21,11 +23,69 @@
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "loading/frame_files.h"
+#include "scene/survey/bundle.h"
 #include "system/files.h"
 
 namespace semfield {
 
 namespace fs = std::filesystem;
+
+std::string program_file(const Programs& programs, const std::string& name) {
+  std::string file = programs.find(name);
+  if (!file.empty()) return file;
+  const std::string package = name == "colmap" ? "colmap" : "ffmpeg";
+  throw Error(ErrorKind::unavailable, "capture.program.missing", "the program " + name + " is not in PATH",
+              "install it: sudo apt install " + package);
+}
+
+std::string log_text(const std::string& log) {
+  try {
+    return read_text_file(log);
+  } catch (const Error&) {
+    return "";
+  }
+}
+
+std::string last_lines(const std::string& log, std::size_t most) {
+  const std::string text = log_text(log);
+  std::vector<std::string> lines;
+  std::string_view rest = text;
+  for (std::string_view line; next_line(rest, line);) {
+    const std::size_t first = line.find_first_not_of(" \t=");
+    if (first != std::string_view::npos && is_line_of_text(line)) lines.emplace_back(line.substr(first));
+  }
+  if (lines.size() > most) lines.erase(lines.begin(), lines.end() - static_cast<std::ptrdiff_t>(most));
+  return join(lines, " | ");
+}
+
+namespace {
+
+// Where the disk is what a program failed for, it refuses us too, and then its words are ours.
+void require_disk(const fs::path& folder) {
+  AtomicFile file((folder / "room").string());
+  file.append(std::vector<std::byte>(std::size_t{1} << 20));
+}
+
+}  // namespace
+
+void run_program(const Programs& programs, const std::string& name, const ProgramRun& run) {
+  std::vector<std::string> words{program_file(programs, name)};
+  words.insert(words.end(), run.words.begin(), run.words.end());
+  const int code = programs.run(words, run.log, run.tick);
+  require_disk(fs::path(run.log).parent_path());
+  if (code == 0) return;
+  const std::string said = last_lines(run.log, 3);
+  const std::string what = name == "colmap" && !run.words.empty() ? name + " " + run.words[0] : name;
+  if (log_text(run.log).find(std::strerror(ENOSPC)) != std::string::npos)
+    throw Error(ErrorKind::io, "files.write.failed",
+                what + " found the disk full: " + said + "; its log is '" + run.log + "'",
+                "free some space; the same command continues");
+  throw Error(ErrorKind::failure, "capture.program.failed",
+              what + " failed (" +
+                  (code > 128 ? "signal " + std::to_string(code - 128) : "exit code " + std::to_string(code)) + ")" +
+                  (said.empty() ? "" : ": " + said) + "; its log is '" + run.log + "'",
+              run.remedy);
+}
 
 namespace {
 
@@ -99,9 +159,7 @@ CaptureSource look_at_source(const std::string& path) {
   if (!fs::exists(path, unknown))
     throw Error(ErrorKind::no_input, "files.folder.missing", "'" + path + "' is not there", "check the path");
   if (!fs::is_directory(path, unknown)) {
-    std::string extension = fs::path(path).extension().string();
-    for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-    if (std::find(kVideos.begin(), kVideos.end(), extension) == kVideos.end())
+    if (std::find(kVideos.begin(), kVideos.end(), ending_of(path)) == kVideos.end())
       throw Error(ErrorKind::no_input, "capture.source.kind", "'" + path + "' is not a video, by its name", remedy);
     out.video = true;
     return out;
@@ -220,13 +278,6 @@ double sharpness_of(const std::string& photograph) {
   return sharpness(grey, image.width_px);
 }
 
-double median_of(std::vector<double> values) {
-  if (values.empty()) return 0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
 FrameChoice choose_frames(std::span<const std::uint8_t> frames, std::size_t pixels, std::int32_t width,
                           std::size_t intervals) {
   constexpr double kStill = 2;
@@ -265,8 +316,6 @@ FrameChoice choose_frames(std::span<const std::uint8_t> frames, std::size_t pixe
   }
   return out;
 }
-
-namespace fs = std::filesystem;
 
 namespace {
 
@@ -342,8 +391,6 @@ std::vector<std::string> cut_panoramas(const PanoramaCut& cut, const Programs& p
   }
   return out;
 }
-
-namespace fs = std::filesystem;
 
 namespace {
 

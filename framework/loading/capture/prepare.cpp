@@ -11,6 +11,7 @@
 #include "formats/image_io.h"
 #include "loading/capture/photographs.h"
 #include "loading/capture/reconstruct.h"
+#include "scene/survey/bundle.h"
 #include "system/checksum.h"
 #include "system/files.h"
 

@@ -7,7 +7,6 @@
 #include <vector>
 
 #include "loading/capture/photographs.h"
-#include "loading/capture/programs.h"
 #include "loading/capture/reconstruct.h"
 
 namespace semfield {

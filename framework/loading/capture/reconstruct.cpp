@@ -17,6 +17,7 @@
 #include "core/error.h"
 #include "core/text.h"
 #include "loading/colmap_model.h"
+#include "scene/survey/bundle.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -102,8 +103,6 @@ PrepareFolder::PrepareFolder(const std::string& scene) : prepare_(scene + "/prep
   else if (cause != 0)
     throw write_error("lock", prepare_, cause);
 }
-
-namespace fs = std::filesystem;
 
 std::vector<Pair> all_pairs(std::size_t count) {
   std::vector<Pair> out;
@@ -291,8 +290,6 @@ void ColmapSteps::free_lenses(const std::string& from, const std::string& to) co
 void ColmapSteps::adjust(const std::string& from, const std::string& to) const {
   model_step("adjusted", from, to, {"bundle_adjuster"});
 }
-
-namespace fs = std::filesystem;
 
 namespace {
 
@@ -546,12 +543,6 @@ class Shares {
   std::vector<std::unordered_set<std::int64_t>> points_;
 };
 
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + std::ssize(values) / 2;
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
 }  // namespace
 
 std::vector<std::string> misplaced_images(const ColmapModel& model, const std::vector<std::string>& names) {
@@ -572,7 +563,7 @@ std::vector<std::string> misplaced_images(const ColmapModel& model, const std::v
     if (i > 0) steps.push_back(apart(i - 1, i));
     seen.push_back(static_cast<double>(shares.count(i)));
   }
-  const double usual_step = median(steps), usual_count = median(seen);
+  const double usual_step = median_of(steps), usual_count = median_of(seen);
   for (std::size_t first = 1; first + 1 < images.size(); ++first) {
     for (std::size_t run = 1; run <= kLongestRun && first + run < images.size(); ++run) {
       const std::size_t before = first - 1, last = first + run - 1, after = first + run;

@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "loading/capture/programs.h"
+#include "loading/capture/photographs.h"
 #include "loading/colmap_model.h"
 #include "system/files.h"
 

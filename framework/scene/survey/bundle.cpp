@@ -9,23 +9,7 @@
 
 #include "scene/camera.h"
 
-namespace semfield::bundle_parts {
-
-inline constexpr double kOffDepth = 0.15;  ///< relative distance beyond which a point is not of the surface shown
-inline constexpr std::size_t kFewestOnDepth = 50;
-
-/// The surface that a frame's depth shows where a point in the axes of its depth camera is seen.
-struct Facet {
-  Vec3d at, normal;
-};
-/// Nothing at edges, without depth, and far from the surface.
-std::optional<Facet> facet_at(const BundleDepth& view, Vec3d p);
-
-}  // namespace semfield::bundle_parts
-
 namespace semfield {
-
-using namespace bundle_parts;
 
 namespace {
 
@@ -37,6 +21,44 @@ constexpr double kLensSigma[kLensSize] = {0.3, 0.3, 0.03, 0.03, 0.3, 0.3, 0.01, 
 constexpr double kAspect = 0.003;  // of fy over fx, beyond what was stated
 constexpr double kFixed = 1e12;
 constexpr double kTogether = 0.2;  // share of a pose's sigma by which neighbours that stand still differ
+
+constexpr double kOffDepth = 0.15;  // relative distance beyond which a point is not of the surface shown
+constexpr std::size_t kFewestOnDepth = 50;
+constexpr double kDepthEdge = 0.04;  // relative step of depth between neighbours that is an edge
+
+// The surface that a frame's depth shows where a point in the axes of its depth camera is seen.
+struct Facet {
+  Vec3d at, normal;
+};
+
+// Nothing at edges, without depth, and far from the surface.
+std::optional<Facet> facet_at(const BundleDepth& view, Vec3d p) {
+  const Camera& c = view.camera;
+  if (view.depth_m.empty() || !c.sees(p) || !c.is_within_lens(p)) return {};
+  double u = 0, v = 0;
+  c.project(p, u, v);
+  if (!(u >= 1 && v >= 1 && u < c.width_px - 1 && v < c.height_px - 1)) return {};
+  const auto x = static_cast<std::int32_t>(u), y = static_cast<std::int32_t>(v);
+  const auto at = [&](std::int32_t dx, std::int32_t dy) -> std::optional<Vec3d> {
+    const double depth =
+        static_cast<double>(view.depth_m[static_cast<std::size_t>(y + dy) * static_cast<std::size_t>(c.width_px) +
+                                         static_cast<std::size_t>(x + dx)]);
+    const Vec3d ray = c.direction(x + dx + 0.5, y + dy + 0.5);
+    if (!(depth > 0) || !(c.depth_of(ray) > 0)) return {};
+    return ray * (depth / c.depth_of(ray));
+  };
+  const auto middle = at(0, 0), left = at(-1, 0), right = at(1, 0), up = at(0, -1), down = at(0, 1);
+  if (!middle || !left || !right || !up || !down) return {};
+  const double reach = length(*middle);
+  for (const auto& side : {left, right, up, down}) {
+    if (std::abs(length(*side) - reach) > kDepthEdge * reach) return {};
+  }
+  const Vec3d normal = cross(*right - *left, *down - *up);
+  if (!(length(normal) > 0)) return {};
+  Facet out{*middle, normalized(normal)};
+  const double off = std::abs(dot(out.normal, p - out.at));
+  return off < kOffDepth * reach ? std::optional<Facet>(out) : std::nullopt;
+}
 
 using Vec3e = Eigen::Vector3d;
 using Mat3 = Eigen::Matrix3d;
@@ -481,42 +503,6 @@ void align_depth(Bundle& bundle) {
 
 // Points of a bundle against the depth that frames show.
 
-using namespace bundle_parts;
-
-namespace {
-
-constexpr double kDepthEdge = 0.04;  // relative step of depth between neighbours that is an edge
-
-}  // namespace
-
-std::optional<Facet> bundle_parts::facet_at(const BundleDepth& view, Vec3d p) {
-  const Camera& c = view.camera;
-  if (view.depth_m.empty() || !c.sees(p) || !c.is_within_lens(p)) return {};
-  double u = 0, v = 0;
-  c.project(p, u, v);
-  if (!(u >= 1 && v >= 1 && u < c.width_px - 1 && v < c.height_px - 1)) return {};
-  const auto x = static_cast<std::int32_t>(u), y = static_cast<std::int32_t>(v);
-  const auto at = [&](std::int32_t dx, std::int32_t dy) -> std::optional<Vec3d> {
-    const double depth =
-        static_cast<double>(view.depth_m[static_cast<std::size_t>(y + dy) * static_cast<std::size_t>(c.width_px) +
-                                         static_cast<std::size_t>(x + dx)]);
-    const Vec3d ray = c.direction(x + dx + 0.5, y + dy + 0.5);
-    if (!(depth > 0) || !(c.depth_of(ray) > 0)) return {};
-    return ray * (depth / c.depth_of(ray));
-  };
-  const auto middle = at(0, 0), left = at(-1, 0), right = at(1, 0), up = at(0, -1), down = at(0, 1);
-  if (!middle || !left || !right || !up || !down) return {};
-  const double reach = length(*middle);
-  for (const auto& side : {left, right, up, down}) {
-    if (std::abs(length(*side) - reach) > kDepthEdge * reach) return {};
-  }
-  const Vec3d normal = cross(*right - *left, *down - *up);
-  if (!(length(normal) > 0)) return {};
-  Facet out{*middle, normalized(normal)};
-  const double off = std::abs(dot(out.normal, p - out.at));
-  return off < kOffDepth * reach ? std::optional<Facet>(out) : std::nullopt;
-}
-
 double share_on_depth(const Bundle& bundle) {
   std::size_t all = 0, on = 0;
   for (const Track& track : bundle.tracks) {
@@ -539,15 +525,6 @@ namespace {
 
 constexpr double kLeastAngle = 0.01;  // radians between two rays that say where a point is
 
-Eigen::Vector3d to_eigen(Vec3d v) { return {v.x, v.y, v.z}; }
-
-double middle_of(std::vector<double> values) {
-  if (values.empty()) return 0;
-  const auto middle = values.begin() + std::ssize(values) / 2;
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
 }  // namespace
 
 void Bundle::measure() {
@@ -555,7 +532,7 @@ void Bundle::measure() {
   for (const Track& track : tracks)
     for (const Sighting& s : track.seen)
       distances.push_back(length(track.point - poses[static_cast<std::size_t>(s.frame)].t));
-  if (!distances.empty()) middle = middle_of(std::move(distances));
+  if (!distances.empty()) middle = median_of(std::move(distances));
 }
 
 double error_px(const Bundle& bundle, const Track& track, const Sighting& sighting) {
@@ -572,7 +549,7 @@ double median_error_px(const Bundle& bundle) {
   std::vector<double> errors;
   for (const Track& track : bundle.tracks)
     for (const Sighting& s : track.seen) errors.push_back(error_px(bundle, track, s));
-  return middle_of(std::move(errors));
+  return median_of(std::move(errors));
 }
 
 bool settle_point(const Bundle& bundle, Track& track) {
@@ -585,13 +562,13 @@ bool settle_point(const Bundle& bundle, Track& track) {
     const auto f = static_cast<std::size_t>(s.frame);
     const Vec3d ray = bundle.camera(f).direction(s.u, s.v);
     if (dot(ray, ray) == 0) return false;
-    rays.push_back(to_eigen(bundle.poses[f].rotate(ray)));
-    centers.push_back(to_eigen(bundle.poses[f].t));
+    rays.push_back(eigen(bundle.poses[f].rotate(ray)));
+    centers.push_back(eigen(bundle.poses[f].t));
     for (const Eigen::Vector3d& other : rays) widest = std::max(widest, rays.back().cross(other).norm());
   }
   if (widest < kLeastAngle) return false;
   for (int pass = 0; pass < 8; ++pass) {
-    Eigen::Vector3d x = to_eigen(track.point);
+    Eigen::Vector3d x = eigen(track.point);
     a.setZero();
     g.setZero();
     for (std::size_t i = 0; i < rays.size(); ++i) {

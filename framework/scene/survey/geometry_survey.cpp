@@ -1,9 +1,11 @@
-// The verdict on the convention of poses, in words.
+// Whether poses, lens and depth fit the pixels, and the verdict in words.
 #include "scene/survey/geometry_survey.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdio>
+#include <functional>
 #include <set>
 
 #include "compute/parallel.h"
@@ -11,563 +13,35 @@
 
 namespace semfield {
 
-namespace {
-
-constexpr double kFits = 0.03;        // relative error of depth that sensors and small pictures account for
-constexpr double kContradicts = 0.1;  // where nothing fits: more than noise and things that move
-constexpr double kFitsRounded = 0.25;
-constexpr int kRounded = 32;        // different values of depth that is rounded to large steps
-constexpr double kClearly = 4;      // times better than the convention given
-constexpr int kFewestCorners = 60;  // matches of photographs that can speak
-constexpr double kFewFit = 0.25;    // of them; matches by chance fit 2 to 10 %
-constexpr double kByChance = 0.1;
-constexpr int kManyCorners = 300;  // so many cannot all be found wrongly
-constexpr double kPhotosClearly = 1.5;
-constexpr std::size_t kFewPairs = 3;
-
-constexpr double kInOrder = 0.25;        // of the way between any two, at most, between neighbours of a recording
-constexpr double kEdgesStronger = 1.02;  // times, where edges of depth lie elsewhere
-constexpr double kEdgesBeside = 2;       // pixels of the small picture
-constexpr const char* kFixRemedy = "`semfield prepare SCENE --out NEW` fixes them";
-
-std::string percent(double share) {
-  char text[32];
-  std::snprintf(text, sizeof text, share < 0.1 ? "%.2g %%" : "%.0f %%", 100 * share);
-  return text;
-}
-
-std::string plain_number(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.6g", value);
-  return text;
-}
-
-std::string pairs_text(int pairs) {
-  return std::to_string(pairs) + (pairs == 1 ? " pair of frames" : " pairs of frames");
-}
-
-// What the files are, where `fits` is their convention and `given` was taken, and the keys that say so.
-struct Finding {
-  std::vector<std::string> what, set;
+/// A corner and what it looks like: 8 x 8 means of grey around it, mean 0 and length 1.
+struct PhotoCorner {
+  Vec3d ray;            ///< in camera axes, z = 1
+  double u = 0, v = 0;  ///< in the photograph as loaded, pixels
+  float grey = 0;       ///< mean around it, 0 to 255
+  std::array<float, 64> patch;
 };
 
-Finding compare(const PoseConvention& fits, const PoseConvention& given, bool opengl_files) {
-  Finding out;
-  const auto set = [&](const char* key, const std::string& value) {
-    out.set.push_back(std::string("--set scene.load.") + key + "=" + value);
-  };
-  if (fits.invert_poses != given.invert_poses) {
-    out.what.push_back(fits.invert_poses
-                           ? "poses are inverse: world-to-camera matrices for camera-to-world, or the reverse"
-                           : "poses should not be inverted");
-    set("invert_poses", fits.invert_poses ? "true" : "false");
-  }
-  if (fits.flip_camera_axes != given.flip_camera_axes) {
-    out.what.push_back(!fits.flip_camera_axes ? "camera axes should not be flipped"
-                       : opengl_files ? "poses have OpenCV axes (y down, z forward) where OpenGL axes are expected"
-                                      : "poses have OpenGL axes (y up, z backward) where OpenCV axes are expected");
-    set("flip_camera_axes", fits.flip_camera_axes ? "true" : "false");
-  }
-  if (fits.pose_scale != given.pose_scale) {
-    const double large = given.pose_scale / fits.pose_scale;
-    out.what.push_back(fits.pose_scale == 1 ? "camera centres should not be scaled"
-                       : large == 1000      ? "camera centres are in millimetres where depth is in metres"
-                       : large < 1 ? "camera centres are " + plain_number(1 / large) + " times too small for the depth"
-                                   : "camera centres are " + plain_number(large) + " times too large for the depth");
-    set("pose_scale", plain_number(fits.pose_scale));
-  }
-  if (fits.depth_scale != given.depth_scale) {
-    const double large = given.depth_scale / fits.depth_scale;
-    out.what.push_back(fits.depth_scale == 1 ? "depth should not be scaled"
-                       : large == 0.001      ? "depth in metres was read as millimetres"
-                       : large == 1000       ? "depth in millimetres was read as metres"
-                       : large < 1 ? "depth is " + plain_number(1 / large) + " times too small for the camera centres"
-                                   : "depth is " + plain_number(large) + " times too large for the camera centres");
-    set("depth_scale", plain_number(fits.depth_scale));
-  }
-  return out;
-}
+/// What the check keeps of a photograph.
+struct PhotoFrame {
+  Camera camera;  ///< its focal lengths are those of the small picture
+  std::vector<PhotoCorner> corners;
+};
 
-Pose between(const Pose& a, const Pose& b, double share) {
-  const Quaternion p = quaternion_of(a), q = quaternion_of(b);
-  double cosine = 0;
-  for (std::size_t k = 0; k < 4; ++k) cosine += p[k] * q[k];
-  Quaternion mixed{};
-  for (std::size_t k = 0; k < 4; ++k) mixed[k] = (1 - share) * p[k] + share * (cosine < 0 ? -q[k] : q[k]);
-  Pose out;
-  set_rotation(out, mixed);
-  out.t = a.t * (1 - share) + b.t * share;
-  return out;
-}
-
-void report(const PoseConvention& fits, const PoseConvention& given, const SceneInfo& as_opened,
-            const std::string& evidence, Diagnostics& diagnostics) {
-  const Finding finding = compare(fits, given, as_opened.opengl_files);
-  diagnostics.error("scene.pose.convention", as_opened.name, join(finding.what, "; ") + ": " + evidence,
-                    "add " + join(finding.set, " ") + " (scene.load.check_geometry: false takes the scene as it is)");
-}
-
-// A ratio of depth to poses can be corrected on either side: that which makes depth the more usual distance of things.
-PoseConvention by_plausible_unit(PoseConvention fits, const PoseConvention& given, double median_depth) {
-  const double scale = fits.depth_scale / given.depth_scale;
-  const auto unusual = [](double metres) { return std::abs(std::log10(metres / 2)); };
-  if (scale == 1 || unusual(median_depth * scale) < unusual(median_depth)) return fits;
-  fits.depth_scale = given.depth_scale;
-  fits.pose_scale = given.pose_scale / scale;
-  return fits;
-}
-
-}  // namespace
-
-std::string judge_depth(const DepthTallies& tallies, const SceneInfo& as_opened, const DepthSpread& range, bool wide,
-                        Diagnostics& diagnostics) {
-  const Tally& given = tallies.read.front();
-  const Tally* best = &given;
-  bool tells = false;
-  // Depth in whole metres, read as millimetres, fits nothing well: that it fits at all with 1000 is enough.
-  const bool rounded = range.values <= kRounded && (given.pairs == 0 || given.error > 0.5);
-  for (const Tally& t : tallies.read) {
-    const double ratio = t.convention.depth_scale / given.convention.depth_scale;
-    const Tally& still = tallies.still[t.axes];
-    tells = tells || t.pairs < (given.pairs + 1) / 2 || t.error > 2 * given.error + 0.002;
-    const bool seen = ratio == 1 || still.pairs == 0 || t.error < 0.5 * still.error;
-    const bool clear = given.pairs < (t.pairs + 3) / 4 || t.error * kClearly < given.error;
-    const bool fits =
-        (t.error < kFits && seen && clear) || (rounded && ratio == 1000 && t.axes == 0 && t.error < kFitsRounded);
-    if (t.pairs >= 2 && t.pairs >= given.pairs / 2 && fits && (best == &given || t.error < 0.8 * best->error))
-      best = &t;
-  }
-  if (best != &given) {
-    const PoseConvention fits = by_plausible_unit(best->convention, given.convention, range.median);
-    const std::string as_given =
-        given.pairs == 0 ? "neighbouring frames do not meet as given"
-                         : "depth warped between neighbouring frames is off by " + percent(given.error) + " as given";
-    report(fits, given.convention, as_opened,
-           as_given + ", by " + percent(best->error) + " so read (median over " + pairs_text(best->pairs) + ")",
-           diagnostics);
-    return "poses contradict depth";
-  }
-  if (given.pairs == 0) return "could not be checked: no two frames with depth overlap";
-  const std::string numbers = "median error " + percent(given.error) + " over " + pairs_text(given.pairs);
-  if (given.error > kContradicts && wide) return "could not be checked: few frames, far apart (" + numbers + ")";
-  if (given.error > kContradicts && given.pairs >= 3) {
-    diagnostics.warning("scene.depth.disagrees", as_opened.name,
-                        "poses and depth do not agree: depth warped between neighbouring frames is off by " +
-                            percent(given.error) + " (median over " + pairs_text(given.pairs) +
-                            "), and neither other axes, nor inverse poses, nor another unit explain it",
-                        range.values <= kRounded ? "depth has " + std::to_string(range.values) +
-                                                       " different values: export it in millimetres"
-                                                 : "check poses, intrinsics and the unit of depth");
-    return "poses do not agree with depth: " + numbers;
-  }
-  if (!tells) return "could not be checked: the camera hardly moves (" + numbers + ")";
-  return "poses agree with depth: " + numbers;
-}
-
-std::string judge_photos(const PhotoTallies& found, const SceneInfo& as_opened, Diagnostics& diagnostics) {
-  const PhotoTally& given = found.tallies.front();
-  const auto fewer = [](const auto& a, const auto& b) { return a.fits < b.fits; };
-  const PhotoTally& best = *std::max_element(found.tallies.begin(), found.tallies.end(), fewer);
-  const FocalTally& focal = *std::max_element(found.focal.begin(), found.focal.end(), fewer);
-  const auto share = [&](const auto& t) { return static_cast<double>(t.fits) / std::max(1, found.matches); };
-  const auto clearly_better = [&](const auto& t) {
-    return share(t) > kPhotosClearly * share(given) && 2 * (t.better_pairs - t.worse_pairs) > found.pairs;
-  };
-  const std::string seen = std::to_string(found.matches) + " corners found again over " + pairs_text(found.pairs);
-  if (found.matches < kFewestCorners || found.pairs < 3) return "could not be checked: no depth, and only " + seen;
-  if (share(focal) >= kFewFit && clearly_better(focal) && focal.fits > best.fits) {
-    const bool large = focal.factor > 1;
-    const std::string factor = plain_number(large ? focal.factor : 1 / focal.factor);
-    diagnostics.error(
-        "scene.camera.size", as_opened.name,
-        "intrinsics are of images " + factor + (large ? " times as large: of " : " times as small: of ") + seen + ", " +
-            percent(share(given)) + " lie where the poses put them as given, " + percent(share(focal)) +
-            " with focal lengths " + (large ? "divided" : "multiplied") + " by " + factor,
-        (large ? "divide focal lengths and centre by " : "multiply focal lengths and centre by ") + factor +
-            ", or state the size of the images that they belong to (scene.load.check_geometry: false "
-            "takes the scene as it is)");
-    return "the intrinsics contradict the photographs";
-  }
-  if (share(best) < kFewFit) {
-    const std::string only = "of " + seen + " only " + percent(share(best)) + " lie where any convention puts them";
-    const std::string remedy =
-        "check that the poses are in the order of the images, were made from them, and that the intrinsics are theirs";
-    if (share(given) < kByChance && found.matches >= kManyCorners) {
-      diagnostics.error("scene.pose.photographs", as_opened.name, "the poses are not those of the photographs: " + only,
-                        remedy + " (scene.load.check_geometry: false takes the scene as it is)");
-      return "poses contradict the photographs";
-    }
-    diagnostics.warning("scene.pose.photographs", as_opened.name, "poses and photographs do not agree: " + only,
-                        remedy);
-    return "poses do not agree with the photographs: " + only;
-  }
-  if (clearly_better(best)) {
-    report(best.convention, given.convention, as_opened,
-           "of " + seen + ", " + percent(share(given)) + " lie where the poses put them as given, " +
-               percent(share(best)) + " so read",
-           diagnostics);
-    return "poses contradict the photographs";
-  }
-  const std::string numbers = percent(share(given)) + " of " + seen + " lie where the poses put them";
-  int second = 0;
-  for (std::size_t i = 1; i < found.tallies.size(); ++i) second = std::max(second, found.tallies[i].fits);
-  if (given.fits < kPhotosClearly * second)
-    return "could not be checked: the camera hardly moves (" + numbers + ", and as many under another convention)";
-  return "poses agree with the photographs: " + numbers;
-}
-
-GeometrySurvey::GeometrySurvey(const SceneInfo& as_opened, const std::vector<Camera>& cameras,
-                               const PoseConvention& given, bool exposure)
-    : as_opened_(as_opened),
-      cameras_(cameras),
-      given_(given),
-      exposure_(exposure),
-      pairs_(choose_pairs(as_opened, cameras)),
-      wanted_(as_opened.frames.size()),
-      frames_(as_opened.frames.size()),
-      edges_(as_opened.frames.size()),
-      photos_(as_opened.frames.size()) {
-  const bool has_depth =
-      std::any_of(as_opened.frames.begin(), as_opened.frames.end(), [](const FrameInfo& f) { return f.has_depth; });
-  if (has_depth && pairs_.size() < kFewPairs) wide_ = wide_pairs(as_opened, cameras);
-  for (const auto& [a, b] : wide_) wanted_[static_cast<std::size_t>(a)] = wanted_[static_cast<std::size_t>(b)] = true;
-  for (const auto& [a, b] : pairs_) wanted_[static_cast<std::size_t>(a)] = wanted_[static_cast<std::size_t>(b)] = true;
-}
-
-void GeometrySurvey::look_at(std::size_t frame, const Camera& camera, const FrameBuffer& pixels) {
-  if (!wanted_[frame]) return;
-  photos_[frame] = photo_frame(camera, pixels);
-  if (!pixels.depth_m.empty()) edges_[frame] = edge_scores(camera, pixels);
-  if (!pixels.depth_m.empty()) frames_[frame] = small_depth_frame(camera, pixels);
-}
-
-// The frames that tracks are of, as given.
-Bundle GeometrySurvey::bundle_of(const PhotoTallies& found) const {
-  Bundle out;
-  std::vector<std::int32_t> place(frames_.size(), -1);
-  for (const Track& track : found.tracks) {
-    out.tracks.push_back(track);
-    for (Sighting& s : out.tracks.back().seen) {
-      const auto frame = static_cast<std::size_t>(s.frame);
-      std::int32_t& at = place[frame];
-      if (at < 0) {
-        at = static_cast<std::int32_t>(out.stated.size());
-        out.stated.push_back(cameras_[frame]);
-        out.given.push_back(
-            converted_pose(as_opened_.frames[frame].world_from_camera, given_, as_opened_.opengl_files));
-        out.lens_of.push_back(0);
-      }
-      s.frame = at;
-    }
-  }
-  out.poses = out.given;
-  out.lenses.resize(1);
-  return out;
-}
-
-// Of the frames of bundle_of(), in its order. Empty where frames are in no order of time.
-std::vector<Pose> GeometrySurvey::delayed_poses(const PhotoTallies& found, double frames) const {
-  const std::vector<FrameInfo>& all = as_opened_.frames;
-  const auto pose = [&](std::size_t i) {
-    return converted_pose(all[i].world_from_camera, given_, as_opened_.opengl_files);
-  };
-  double step = 0, reach = 0;
-  for (std::size_t i = 1; i < all.size(); ++i) {
-    step += length(pose(i).t - pose(i - 1).t);
-    reach += length(pose(i).t - pose((i * 7919) % all.size()).t);
-  }
-  if (step > kInOrder * reach) return {};
-  std::vector<Pose> out;
-  std::vector<bool> taken(all.size());
-  for (const Track& track : found.tracks) {
-    for (const Sighting& s : track.seen) {
-      const auto i = static_cast<std::size_t>(s.frame);
-      if (taken[i]) continue;
-      taken[i] = true;
-      const double at = std::clamp(static_cast<double>(i) + frames, 0.0, static_cast<double>(all.size() - 1));
-      const auto before = static_cast<std::size_t>(at), after = std::min(before + 1, all.size() - 1);
-      out.push_back(between(pose(before), pose(after), at - static_cast<double>(before)));
-    }
-  }
-  return out;
-}
-
-void GeometrySurvey::judge_cameras(GeometryVerdict& verdict, bool with_depth, Diagnostics& diagnostics) const {
-  const CameraCheck& c = verdict.cameras;
-  const std::string corners = std::to_string(c.corners) + " corners";
-  if (c.off) {
-    std::string text =
-        "cameras do not fit the photographs: " + percent(c.given) + " of " + corners + " lie where they put them";
-    for (const auto& [what, share] : c.fits) text += ", " + percent(share) + " with " + what;
-    diagnostics.warning("scene.camera.off", as_opened_.name, text, kFixRemedy);
-    verdict.text = "cameras do not fit the photographs (" + percent(c.given) + " of " + corners + "); " + verdict.text;
-  } else if (c.corners > 0 && with_depth) {  // else the text is of corners already
-    verdict.text += "; " + percent(c.given) + " of " + corners + " found again lie where the cameras put them";
-  }
-  const std::optional<DepthShift> shift = depth_shift(edges_, cameras_);
-  verdict.depth_beside = shift && shift->gain > kEdgesStronger && shift->steps >= kEdgesBeside;
-  if (!verdict.depth_beside) return;
-  const auto side = [](double px, const char* more, const char* less) {
-    return px == 0 ? std::string() : plain_number(std::abs(px)) + " pixels " + (px > 0 ? more : less);
-  };
-  const std::string right = side(shift->right_px, "right", "left"), down = side(shift->down_px, "below", "above");
-  const std::string text = "depth does not lie on the photographs: their edges are " + right +
-                           (right.empty() || down.empty() ? "" : " and ") + down + " of those of depth";
-  diagnostics.warning("scene.depth.beside", as_opened_.name, text, kFixRemedy);
-  verdict.text += "; depth does not lie on the photographs";
-}
-
-GeometryVerdict GeometrySurvey::conclude(Diagnostics& diagnostics) const {
-  GeometryVerdict out;
-  if (pairs_.empty() && wide_.empty()) {
-    out.text = "could not be checked: no two frames look in a similar direction";
-    return out;
-  }
-  std::vector<float> depths;
-  for (const SmallFrame& frame : frames_)
-    depths.insert(depths.end(), frame.point_depths.begin(), frame.point_depths.end());
-  PhotoTallies found = vote_by_photos(as_opened_, photos_, pairs_, given_);
-  if (exposure_) out.exposure = found.exposure;
-  out.cameras =
-      check_cameras(bundle_of(found), kPhotoSide, [&](double frames) { return delayed_poses(found, frames); });
-  if (depths.empty()) {
-    const int before = diagnostics.error_count();
-    out.text = judge_photos(found, as_opened_, diagnostics);
-    if (diagnostics.error_count() == before) judge_cameras(out, false, diagnostics);
-    if (found.tallies.front().fits >= kFewFit * found.matches) out.corners = std::move(found.corners);
-    return out;
-  }
-  const int before = diagnostics.error_count();
-  std::sort(depths.begin(), depths.end());
-  DepthSpread range{depths[depths.size() / 2], 0};
-  range.values = static_cast<int>(std::unique(depths.begin(), depths.end()) - depths.begin());
-  const bool wide = wide_.size() > pairs_.size();
-  out.text = judge_depth(vote_by_depth(as_opened_, frames_, wide ? wide_ : pairs_, given_), as_opened_, range, wide,
-                         diagnostics);
-  if (diagnostics.error_count() == before) judge_cameras(out, true, diagnostics);
-  return out;
-}
-
-// Pairs of neighbouring frames, and depth warped between them.
-
-namespace {
-
-constexpr std::int32_t kDepthSide = 96;
-constexpr std::size_t kPoints = 600;  // of a frame, warped into each neighbour
-constexpr std::size_t kFewestLanded = 30;
-constexpr int kAnchors = 24;
-constexpr double kWidestAngle = 60;  // degrees; beyond it two frames show different sides of things
-constexpr double kWidestOfFew = 85;  // and from a right angle on hardly the same ones
-
-double angle_deg(const Pose& a, const Pose& b) {
-  double trace = 0;
-  for (int c = 0; c < 3; ++c) trace += dot(a.axis(c), b.axis(c));
-  return std::acos(std::clamp(0.5 * (trace - 1), -1.0, 1.0)) * 180 / M_PI;
-}
-
-float median(std::vector<float>& values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
-// Between four pixels of one surface; 0 at edges, where depth is invalid, and outside.
-double depth_at(const SmallFrame& frame, double u, double v) {
-  const double x = u - 0.5, y = v - 0.5;
-  const std::int32_t width = frame.camera.width_px;
-  if (!(x >= 0 && y >= 0 && x < width - 1 && y < frame.camera.height_px - 1)) return 0;
-  const auto column = static_cast<std::int32_t>(x), row = static_cast<std::int32_t>(y);
-  const float* p = frame.depth_m.data() + static_cast<std::ptrdiff_t>(row) * width + column;
-  const auto [least, most] = std::minmax({p[0], p[1], p[width], p[width + 1]});
-  if (!(least > 0) || most > 1.1f * least) return 0;
-  const double a = x - column, b = y - row;
-  return (1 - b) * ((1 - a) * p[0] + a * p[1]) + b * ((1 - a) * p[width] + a * p[width + 1]);
-}
-
-// Median of |depth - depth there| / max(depth, depth there) of the points of `a` that land on a surface of `b`; 2 where
-// too few do. `scale` multiplies the depth of both.
-float warp(const SmallFrame& a, const SmallFrame& b, const Pose& b_from_a, double scale, std::vector<float>& errors) {
-  errors.clear();
-  for (std::size_t i = 0; i < a.points.size(); ++i) {
-    const Vec3d q = b_from_a.apply(a.points[i] * (a.point_depths[i] * scale));
-    if (!b.camera.sees(q)) continue;
-    const double own = b.camera.depth_of(q);
-    double u = 0, v = 0;
-    b.camera.project(q, u, v);
-    const double there = depth_at(b, u, v) * scale;
-    if (there > 0) errors.push_back(static_cast<float>(std::abs(own - there) / std::max(own, there)));
-  }
-  return errors.size() < std::max(kFewestLanded, a.points.size() / 20) ? 2.0f : median(errors);
-}
-
-}  // namespace
-
-std::vector<PoseConvention> conventions(const PoseConvention& given) {
-  std::vector<PoseConvention> out;
-  for (const bool invert : {false, true}) {
-    for (const bool flip : {false, true}) {
-      PoseConvention convention = given;
-      convention.flip_camera_axes = given.flip_camera_axes != flip;
-      convention.invert_poses = given.invert_poses != invert;
-      out.push_back(convention);
-    }
-  }
-  return out;
-}
-
-Pose relative_pose(const SceneInfo& as_opened, const PoseConvention& convention, std::size_t to, std::size_t from) {
-  const Pose a = converted_pose(as_opened.frames[from].world_from_camera, convention, as_opened.opengl_files);
-  const Pose b = converted_pose(as_opened.frames[to].world_from_camera, convention, as_opened.opengl_files);
-  Pose out;
-  for (std::size_t col = 0; col < 3; ++col) {
-    const Vec3d axis = b.unrotate(a.axis(static_cast<int>(col)));
-    for (std::size_t row = 0; row < 3; ++row) out.r[row][col] = axis[static_cast<int>(row)];
-  }
-  out.t = b.apply_inverse(a.t);
-  return out;
-}
-
-SmallFrame small_depth_frame(const Camera& camera, const FrameBuffer& frame) {
-  SmallFrame out;
-  const double scale = std::min(1.0, static_cast<double>(kDepthSide) / std::max(camera.width_px, camera.height_px));
-  const auto width = static_cast<std::int32_t>(std::max(1L, std::lround(camera.width_px * scale)));
-  const auto height = static_cast<std::int32_t>(std::max(1L, std::lround(camera.height_px * scale)));
-  out.camera = camera.resized(width, height);
-  std::vector<std::size_t> valid;
-  for (std::int64_t y = 0; y < height; ++y) {
-    const std::int64_t row = (2 * y + 1) * camera.height_px / (2 * std::int64_t{height});
-    for (std::int64_t x = 0; x < width; ++x) {
-      const std::int64_t column = (2 * x + 1) * camera.width_px / (2 * std::int64_t{width});
-      const float depth = frame.depth_m[static_cast<std::size_t>(row * camera.width_px + column)];
-      if (depth > 0 && std::isfinite(depth)) valid.push_back(out.depth_m.size());
-      out.depth_m.push_back(depth > 0 && std::isfinite(depth) ? depth : 0);
-    }
-  }
-  const std::size_t taken = std::min(valid.size(), kPoints);
-  for (std::size_t k = 0; k < taken; ++k) {
-    const std::size_t i = valid[k * valid.size() / taken];
-    const auto at = static_cast<std::int64_t>(i);
-    const Vec3d d = out.camera.direction(static_cast<double>(at % width) + 0.5, static_cast<double>(at / width) + 0.5);
-    const double share = out.camera.depth_of(d);
-    if (!(share > 0)) continue;
-    out.points.push_back(d * (1 / share));
-    out.point_depths.push_back(out.depth_m[i]);
-  }
-  return out;
-}
-
-FramePairs choose_pairs(const SceneInfo& as_opened, const std::vector<Camera>& cameras) {
-  std::vector<int> usable;
-  for (std::size_t i = 0; i < cameras.size(); ++i) {
-    if (cameras[i].width_px > 0) usable.push_back(static_cast<int>(i));
-  }
-  const std::size_t count = usable.size(), anchors = std::min<std::size_t>(count, kAnchors);
-  std::vector<Pose> poses[2];  // as given, and inverted
-  double extent[2] = {};
-  for (const int inverted : {0, 1}) {
-    Box centres;
-    PoseConvention convention;
-    convention.invert_poses = inverted == 1;
-    for (const int i : usable) {
-      poses[inverted].push_back(converted_pose(as_opened.frames[static_cast<std::size_t>(i)].world_from_camera,
-                                               convention, as_opened.opengl_files));
-      centres.include(poses[inverted].back().t);
-    }
-    if (count > 0) extent[inverted] = std::max(1e-300, length(centres.size()));
-  }
-  std::set<std::pair<int, int>> pairs;
-  for (std::size_t k = 0; k < anchors; ++k) {
-    const std::size_t a = k * count / anchors;
-    const auto angle = [&](std::size_t b) { return angle_deg(poses[0][a], poses[0][b]); };
-    const auto add = [&](std::size_t b) {
-      if (b < count && b != a && angle(b) <= kWidestAngle) pairs.insert(std::minmax(usable[a], usable[b]));
-    };
-    add(a + 1);
-    // The next in order that has turned enough for the axes to show.
-    std::size_t turned = a + 1;
-    while (turned < std::min(count, a + 64) && angle(turned) < 5) ++turned;
-    add(turned);
-    // By pose: not the nearest, which shows nothing, but one some 6 degrees or a tenth of the walk away.
-    for (const int inverted : {0, 1}) {
-      std::size_t best = a;
-      double least = 1e300;
-      for (std::size_t b = 0; b < count; ++b) {
-        if (b == a) continue;
-        const double away = length(poses[inverted][a].t - poses[inverted][b].t) / extent[inverted];
-        const double off = std::abs(angle(b) / 20 + 3 * away - 0.3);
-        if (off < least) {
-          least = off;
-          best = b;
-        }
-      }
-      add(best);
-    }
-  }
-  return {pairs.begin(), pairs.end()};
-}
-
-FramePairs wide_pairs(const SceneInfo& as_opened, const std::vector<Camera>& cameras) {
-  FramePairs pairs;
-  if (cameras.size() > kAnchors) return pairs;
-  for (std::size_t b = 0; b < cameras.size(); ++b) {
-    for (std::size_t a = 0; a < b; ++a) {
-      if (cameras[a].width_px == 0 || cameras[b].width_px == 0) continue;
-      if (angle_deg(as_opened.frames[a].world_from_camera, as_opened.frames[b].world_from_camera) <= kWidestOfFew)
-        pairs.emplace_back(static_cast<int>(a), static_cast<int>(b));
-    }
-  }
-  return pairs;
-}
-
-DepthTallies vote_by_depth(const SceneInfo& as_opened, const std::vector<SmallFrame>& frames, const FramePairs& pairs,
-                           const PoseConvention& given) {
-  const std::vector<PoseConvention> turned = conventions(given);
-  std::vector<Tally> all;
-  const auto add = [&](std::size_t axes, double depth_scale) {
-    PoseConvention convention = turned[axes];
-    convention.depth_scale *= depth_scale;
-    all.push_back({convention, axes, 0, 1});
-  };
-  for (const double scale : {1.0, 1000.0, 0.001}) {
-    for (std::size_t c = 0; c < turned.size(); ++c) add(c, scale);
-  }
-  // 5000, 4000 and 6553.5 steps a metre, and tenths and hundredths.
-  for (const double scale : {0.2, 0.25, 1 / 6.5535, 0.1, 0.01, 10.0, 100.0}) add(0, scale);
-  const std::size_t read = all.size();
-  for (std::size_t c = 0; c < turned.size(); ++c) add(c, 1e6);
-
-  std::vector<std::vector<float>> votes(pairs.size());  // [pair][tally]
-  parallel_for(std::ssize(pairs), [&](std::int64_t p) {
-    const auto i = static_cast<std::size_t>(pairs[static_cast<std::size_t>(p)].first);
-    const auto j = static_cast<std::size_t>(pairs[static_cast<std::size_t>(p)].second);
-    std::vector<float> errors;
-    for (const Tally& tally : all) {
-      const double scale = tally.convention.depth_scale / given.depth_scale;
-      const float forth = warp(frames[i], frames[j], relative_pose(as_opened, tally.convention, j, i), scale, errors);
-      const float back = warp(frames[j], frames[i], relative_pose(as_opened, tally.convention, i, j), scale, errors);
-      // Where one direction alone lands, it speaks for the pair.
-      votes[static_cast<std::size_t>(p)].push_back(std::max(forth, back) <= 1 ? std::max(forth, back)
-                                                                              : std::min(forth, back));
-    }
-  });
-  for (std::size_t m = 0; m < all.size(); ++m) {
-    std::vector<float> landed;
-    for (const std::vector<float>& pair : votes) {
-      if (pair[m] <= 1) landed.push_back(pair[m]);
-    }
-    all[m].pairs = static_cast<int>(landed.size());
-    if (!landed.empty()) all[m].error = median(landed);
-  }
-  const auto end_of_read = all.begin() + static_cast<std::ptrdiff_t>(read);
-  return {{all.begin(), end_of_read}, {end_of_read, all.end()}};
-}
+/// A frame's depth as the check keeps it, at most 96 pixels wide or high; empty where it keeps none.
+struct SmallFrame {
+  Camera camera;                    ///< at the small size
+  std::vector<float> depth_m;       ///< [H * W], 0 = invalid
+  std::vector<Vec3d> points;        ///< some of its pixels as points in camera axes, divided by their z
+  std::vector<float> point_depths;  ///< their z
+};
 
 // Corners after Shi and Tomasi [Shi94], patches compared by zero-mean normalised cross-correlation, and how far from
 // its epipolar line each is found.
 
 namespace {
 
-constexpr std::int32_t kCell = 16;  // pixels; one corner each
+constexpr std::int32_t kPhotoSide = 320;  // longer side of the small pictures in which corners are found, pixels, about
+constexpr std::int32_t kCell = 16;        // pixels; one corner each
 constexpr std::size_t kCorners = 300;
 constexpr int kReach = 8;           // half the side of a patch, pixels
 constexpr float kWeakest = 500;     // strength of a corner, grey steps squared
@@ -578,7 +52,15 @@ constexpr int kFewestMatches = 12;
 constexpr double kLeastParallax = 0.02;  // radians between two rays that meet; a pixel of the small picture is 0.004
 constexpr int kFewestGreys = 8, kFewestPairs = 8;
 constexpr double kDark = 4;  // grey steps: darker ones say little of a factor
-constexpr double kFocalFactors[] = {0.125, 0.25, 1.0 / 3, 0.5, 2, 3, 4, 6, 8};
+
+/// A small picture in grey, 0 to 255.
+struct Grey {
+  std::int32_t width = 0, height = 0;
+  std::vector<float> value;
+  float at(std::int32_t x, std::int32_t y) const {
+    return value[static_cast<std::size_t>(y) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x)];
+  }
+};
 
 // Sums over 5 x 5 pixels of a picture, by running sums; the outermost two rows and columns stay 0.
 std::vector<float> box_sums(const std::vector<float>& in, std::int32_t width, std::int32_t height) {
@@ -734,12 +216,12 @@ double to_peak(const Grey& strengths, std::int32_t x, std::int32_t y, std::int32
   return bend < 0 ? std::clamp(0.5 * (before - after) / bend, -0.5, 0.5) : 0.0;
 }
 
-}  // namespace
-
+// Pixels of a photograph along a side of one of its small picture.
 std::int32_t photo_step(const Camera& camera) {
   return std::max(1, (std::max(camera.width_px, camera.height_px) + kPhotoSide / 2) / kPhotoSide);
 }
 
+// Means of blocks of `side` x `side` pixels.
 Grey grey_of(const FrameBuffer& frame, std::int32_t side) {
   Grey out{frame.width_px / side, frame.height_px / side, {}};
   out.value.resize(static_cast<std::size_t>(out.width) * static_cast<std::size_t>(out.height));
@@ -754,6 +236,7 @@ Grey grey_of(const FrameBuffer& frame, std::int32_t side) {
   return out;
 }
 
+// The strongest corners of a frame, spread over it.
 PhotoFrame photo_frame(const Camera& camera, const FrameBuffer& frame) {
   const std::int32_t side = photo_step(camera);
   const Grey g = grey_of(frame, side);
@@ -793,129 +276,845 @@ PhotoFrame photo_frame(const Camera& camera, const FrameBuffer& frame) {
   return out;
 }
 
+}  // namespace
+
+// Cameras against corners, in pixels.
+
 namespace {
 
-// What one pair of frames says.
-struct Votes {
-  int matches = 0;
-  std::vector<Track> tracks;
-  std::vector<int> fits, focal_fits;  // of each convention, of each factor
-  SurveyPoints corners;
-  std::optional<double> brighter;  // median logarithm of the second frame's brightness over the first's
+constexpr double kOffPx = 1.5;     // of the small pictures: what corners of right cameras are found within
+constexpr double kLikelyPx = 12;   // beyond: matched wrongly
+constexpr int kFewestTracks = 60;  // that can speak
+constexpr double kMoreShare = 0.03, kMoreTimes = 1.05;   // by which other cameras fit clearly more
+constexpr double kDelays[] = {-2, -1, -0.5, 0.5, 1, 2};  // frames
+
+double longer_side(const Camera& c) { return std::max(c.width_px, c.height_px); }
+
+// Sum of the errors of a track's two sightings, in pixels of the small pictures; large where they do not meet.
+double off_px(const Bundle& bundle, Track track) {
+  if (!settle_point(bundle, track)) return kLikelyPx;
+  double sum = 0;
+  for (const Sighting& s : track.seen)
+    sum += error_px(bundle, track, s) * kPhotoSide / longer_side(bundle.stated[static_cast<std::size_t>(s.frame)]);
+  return sum;
+}
+
+class Check {
+ public:
+  Check(const Bundle& bundle, std::vector<Track> tracks) : bundle_(bundle), tracks_(std::move(tracks)) {}
+
+  double share(const Bundle& cameras) const { return fitting(cameras, 0) + fitting(cameras, 1); }
+  // Each half of the corners judges cameras that the other was fitted by.
+  double share_fitted(bool lens, bool poses, Bundle& fitted) const {
+    double sum = 0;
+    for (const std::size_t half : {0, 1}) {
+      fitted = bundle_;
+      fitted.tracks.clear();
+      for (std::size_t i = 1 - half; i < tracks_.size(); i += 2)
+        if (off_px(bundle_, tracks_[i]) < kLikelyPx) fitted.tracks.push_back(tracks_[i]);
+      for (const bool rest : {false, true})
+        adjust(fitted, {.outlier_px = longer_side(bundle_.stated.front()) / kPhotoSide,
+                        .move_poses = poses,
+                        .move_focal = lens,
+                        .move_lens = lens && rest,
+                        .iterations = 8});
+      sum += fitting(fitted, half);
+    }
+    return sum;
+  }
+
+ private:
+  double fitting(const Bundle& cameras, std::size_t half) const {
+    int fits = 0;
+    for (std::size_t i = half; i < tracks_.size(); i += 2) fits += off_px(cameras, tracks_[i]) < kOffPx ? 1 : 0;
+    return static_cast<double>(fits) / static_cast<double>(tracks_.size());
+  }
+
+  const Bundle& bundle_;
+  std::vector<Track> tracks_;
 };
 
-using Matches = std::vector<std::pair<std::size_t, std::size_t>>;
-
-// `factor` divides the focal lengths of both frames.
-int count_fits(const Matches& matches, const PhotoFrame& a, const PhotoFrame& b, const Pose& b_from_a, double factor) {
-  Camera camera = b.camera;
-  if (camera.is_wide() && factor != 1) return 0;  // a wide lens is no pinhole whose rays a factor spreads
-  camera.fx /= factor;
-  camera.fy /= factor;
-  const auto seen = [factor](const PhotoCorner& corner) {
-    return Vec3d{corner.ray.x * factor, corner.ray.y * factor, 1};
-  };
-  return static_cast<int>(std::count_if(matches.begin(), matches.end(), [&](const auto& match) {
-    return off_epipolar_line(seen(a.corners[match.first]), b_from_a, seen(b.corners[match.second]), camera) < kOff;
-  }));
-}
-
-template <class T>
-T median_of(std::vector<T> values) {
-  const auto middle = values.begin() + std::ssize(values) / 2;
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
-std::optional<double> brighter_by(const Matches& matches, const PhotoFrame& a, const PhotoFrame& b,
-                                  const Pose& b_from_a) {
-  std::vector<double> logs;
-  for (const auto& [i, j] : matches) {
-    if (off_epipolar_line(a.corners[i].ray, b_from_a, b.corners[j].ray, b.camera) < kOff)
-      logs.push_back(std::log((b.corners[j].grey + kDark) / (a.corners[i].grey + kDark)));
+// What moved by more than a hundredth of the image; the focal length, where nothing did.
+std::string lens_text(const Bundle& given, const Bundle& fitted) {
+  const Camera &a = given.stated[0], b = fitted.camera(0);
+  const double least = 0.01 * longer_side(a);
+  const bool centre = std::abs(b.cx - a.cx) > least || std::abs(b.cy - a.cy) > least;
+  char text[160];
+  std::string out;
+  if (std::abs(b.fx - a.fx) > 0.01 * a.fx || !centre) {
+    std::snprintf(text, sizeof text, "focal length %.4g for %.4g pixels", b.fx, a.fx);
+    out = text;
   }
-  if (std::ssize(logs) < kFewestGreys) return {};
-  return median_of(std::move(logs));
+  if (centre) {
+    std::snprintf(text, sizeof text, "%scentre (%.4g, %.4g) for (%.4g, %.4g)", out.empty() ? "" : ", ", b.cx, b.cy,
+                  a.cx, a.cy);
+    out += text;
+  }
+  return "another lens (" + out + ")";
 }
 
-// Where two rays are nearest to each other, for each match that fits.
-SurveyPoints meeting_points(const Matches& matches, const PhotoFrame& a, const PhotoFrame& b, const Pose& b_from_a,
-                            const Pose& world_from_a) {
-  SurveyPoints out;
-  for (const auto& [i, j] : matches) {
-    const Vec3d ray = a.corners[i].ray, seen = b.corners[j].ray;
-    if (off_epipolar_line(ray, b_from_a, seen, b.camera) >= kOff) continue;
-    const Vec3d d = normalized(ray), e = normalized(b_from_a.unrotate(seen));  // in the axes of a
-    const Vec3d to_b = b_from_a.unrotate(b_from_a.t) * -1.0;
-    const double cosine = dot(d, e), apart = 1 - cosine * cosine;
-    if (apart < kLeastParallax * kLeastParallax) continue;
-    const double t = (dot(d, to_b) - cosine * dot(e, to_b)) / apart;
-    if (!(t > 0) || !(cosine * t > dot(e, to_b))) continue;  // behind one of the two
-    const Vec3d p = world_from_a.apply(d * t);
-    out.x.push_back(static_cast<float>(p.x));
-    out.y.push_back(static_cast<float>(p.y));
-    out.z.push_back(static_cast<float>(p.z));
-    out.distance.push_back(static_cast<float>(t));
-    ++out.looked_at;
+std::string delay_text(double frames) {
+  char text[64];
+  std::snprintf(text, sizeof text, "poses of %g frame%s %s", std::abs(frames), std::abs(frames) > 1 ? "s" : "",
+                frames > 0 ? "later" : "earlier");
+  return text;
+}
+
+// Poses of the bundle's frames as they were so many frames later; empty where frames are not in order.
+using DelayedPoses = std::function<std::vector<Pose>(double frames)>;
+
+// `bundle` holds the frames as given and tracks of two frames each, whose points do not matter, in pixels of `stated`.
+CameraCheck check_cameras(Bundle bundle, const DelayedPoses& delayed) {
+  CameraCheck out;
+  std::vector<Track> all;
+  for (Track& track : bundle.tracks) {
+    // Rays that hardly part meet anywhere; they say nothing.
+    if (settle_point(bundle, track)) all.push_back(track);
+  }
+  if (std::ssize(all) < kFewestTracks) return out;
+  out.corners = static_cast<int>(all.size());
+  bundle.tracks = all;
+  bundle.measure();
+  const Check check(bundle, all);
+  out.given = check.share(bundle);
+  double best = out.given;
+  const auto offer = [&](const std::string& what, double share) {
+    if (share < kMoreTimes * best || share < best + kMoreShare) return;
+    out.fits.emplace_back(what, share);
+    best = share;
+  };
+  Bundle lens, poses, both;
+  const double by_lens = check.share_fitted(true, false, lens);
+  double later = 0, by_delay = 0;
+  for (const double frames : kDelays) {
+    Bundle moved = bundle;
+    moved.poses = delayed(frames);
+    if (moved.poses.empty()) break;
+    const double share = check.share(moved);
+    if (share > by_delay) {
+      by_delay = share;
+      later = frames;
+    }
+  }
+  const double by_poses = check.share_fitted(false, true, poses), by_both = check.share_fitted(true, true, both);
+  if (by_delay > by_lens)
+    offer(delay_text(later), by_delay);
+  else
+    offer(lens_text(bundle, lens), by_lens);
+  if (by_both >= kMoreTimes * by_poses)
+    offer("corrected poses and " + lens_text(bundle, both), by_both);
+  else
+    offer("corrected poses", by_poses);
+  out.off = !out.fits.empty();
+  return out;
+}
+
+// Depth against colours: edges of depth are compared with edges of the photograph, shifted each way.
+
+constexpr float kJump = 1.1f;              // of depth, across an edge
+constexpr std::size_t kFewestEdges = 100;  // of a frame
+constexpr std::size_t kFewestFrames = 4;
+constexpr int kSide = 2 * kEdgeReach + 1;
+
+// Where depth lies best.
+struct DepthShift {
+  double right_px = 0, down_px = 0;  ///< by which edges of colour lie beside those of depth, pixels of the photograph
+  double steps = 0;                  ///< how far that is, pixels of the small picture
+  double gain = 1;                   ///< how much stronger edges are there than where they should be
+};
+
+}  // namespace
+
+EdgeScores edge_scores(const Camera& camera, const FrameBuffer& frame) {
+  const std::int32_t step = photo_step(camera);
+  const Grey grey = grey_of(frame, step);
+  const auto depth = [&](std::int32_t x, std::int32_t y) {
+    const auto row = static_cast<std::size_t>(y * step + step / 2) * static_cast<std::size_t>(camera.width_px);
+    return frame.depth_m[row + static_cast<std::size_t>(x * step + step / 2)];
+  };
+  const auto jumps = [](float a, float b) { return a > 0 && b > 0 && std::max(a, b) > kJump * std::min(a, b); };
+  // A strong edge counts little more than a plain one: patterns have the strongest.
+  const auto strength = [](float a, float b) { return std::sqrt(std::abs(a - b)); };
+  EdgeScores out(kSide * kSide);
+  std::size_t edges = 0;
+  for (std::int32_t y = kEdgeReach; y < grey.height - kEdgeReach - 1; ++y) {
+    for (std::int32_t x = kEdgeReach; x < grey.width - kEdgeReach - 1; ++x) {
+      const bool across = jumps(depth(x, y), depth(x + 1, y)), down = jumps(depth(x, y), depth(x, y + 1));
+      edges += (across ? 1 : 0) + (down ? 1 : 0);
+      for (std::int32_t dy = -kEdgeReach; (across || down) && dy <= kEdgeReach; ++dy) {
+        for (std::int32_t dx = -kEdgeReach; dx <= kEdgeReach; ++dx) {
+          const float here = grey.at(x + dx, y + dy);
+          float& score = out[static_cast<std::size_t>((dy + kEdgeReach) * kSide + dx + kEdgeReach)];
+          if (across) score += strength(here, grey.at(x + dx + 1, y + dy));
+          if (down) score += strength(here, grey.at(x + dx, y + dy + 1));
+        }
+      }
+    }
+  }
+  float sum = 0;
+  for (const float score : out) sum += score;
+  if (edges < kFewestEdges || !(sum > 0)) return {};
+  for (float& score : out) score *= static_cast<float>(out.size()) / sum;
+  return out;
+}
+
+namespace {
+
+// Nothing where too few frames say the same.
+std::optional<DepthShift> depth_shift(const std::vector<EdgeScores>& frames, const std::vector<Camera>& cameras) {
+  std::vector<float> all(kSide * kSide);
+  std::size_t found = 0, first = 0;
+  for (std::size_t f = 0; f < frames.size(); ++f) {
+    if (frames[f].empty()) continue;
+    if (found++ == 0) first = f;
+    for (std::size_t i = 0; i < all.size(); ++i) all[i] += frames[f][i];
+  }
+  if (found < kFewestFrames) return {};
+  const auto best = static_cast<int>(std::max_element(all.begin(), all.end()) - all.begin());
+  const int step = photo_step(cameras[first]);
+  const int right = best % kSide - kEdgeReach, down = best / kSide - kEdgeReach;
+  return DepthShift{static_cast<double>(right * step), static_cast<double>(down * step), std::hypot(right, down),
+                    static_cast<double>(all[static_cast<std::size_t>(best)] / all[kSide * kSide / 2])};
+}
+
+}  // namespace
+
+// Pairs of neighbouring frames, and depth warped between them.
+
+namespace {
+
+/// Frames that may see the same things, by index; the first is the lower.
+using FramePairs = std::vector<std::pair<int, int>>;
+
+/// One convention and how well it fits.
+struct Tally {
+  PoseConvention convention;
+  std::size_t axes = 0;  ///< its axes and direction, of conventions()
+  int pairs = 0;         ///< pairs of frames that overlap under it
+  double error = 1;      ///< median over them of the median relative difference of depths, 0..1
+};
+
+struct DepthTallies {
+  std::vector<Tally> read;  ///< the convention given first
+  /// Each of conventions() with camera centres that count for nothing: a unit that fits no better has not been seen.
+  std::vector<Tally> still;
+};
+
+constexpr std::int32_t kDepthSide = 96;
+constexpr std::size_t kPoints = 600;  // of a frame, warped into each neighbour
+constexpr std::size_t kFewestLanded = 30;
+constexpr int kAnchors = 24;
+constexpr double kWidestAngle = 60;  // degrees; beyond it two frames show different sides of things
+constexpr double kWidestOfFew = 85;  // and from a right angle on hardly the same ones
+
+double angle_deg(const Pose& a, const Pose& b) {
+  double trace = 0;
+  for (int c = 0; c < 3; ++c) trace += dot(a.axis(c), b.axis(c));
+  return std::acos(std::clamp(0.5 * (trace - 1), -1.0, 1.0)) * 180 / M_PI;
+}
+
+// Between four pixels of one surface; 0 at edges, where depth is invalid, and outside.
+double depth_at(const SmallFrame& frame, double u, double v) {
+  const double x = u - 0.5, y = v - 0.5;
+  const std::int32_t width = frame.camera.width_px;
+  if (!(x >= 0 && y >= 0 && x < width - 1 && y < frame.camera.height_px - 1)) return 0;
+  const auto column = static_cast<std::int32_t>(x), row = static_cast<std::int32_t>(y);
+  const float* p = frame.depth_m.data() + static_cast<std::ptrdiff_t>(row) * width + column;
+  const auto [least, most] = std::minmax({p[0], p[1], p[width], p[width + 1]});
+  if (!(least > 0) || most > 1.1f * least) return 0;
+  const double a = x - column, b = y - row;
+  return (1 - b) * ((1 - a) * p[0] + a * p[1]) + b * ((1 - a) * p[width] + a * p[width + 1]);
+}
+
+// Median of |depth - depth there| / max(depth, depth there) of the points of `a` that land on a surface of `b`; 2 where
+// too few do. `scale` multiplies the depth of both.
+float warp(const SmallFrame& a, const SmallFrame& b, const Pose& b_from_a, double scale, std::vector<float>& errors) {
+  errors.clear();
+  for (std::size_t i = 0; i < a.points.size(); ++i) {
+    const Vec3d q = b_from_a.apply(a.points[i] * (a.point_depths[i] * scale));
+    if (!b.camera.sees(q)) continue;
+    const double own = b.camera.depth_of(q);
+    double u = 0, v = 0;
+    b.camera.project(q, u, v);
+    const double there = depth_at(b, u, v) * scale;
+    if (there > 0) errors.push_back(static_cast<float>(std::abs(own - there) / std::max(own, there)));
+  }
+  return errors.size() < std::max(kFewestLanded, a.points.size() / 20) ? 2.0f : median_of(errors);
+}
+
+// The convention given (first), the other axes, the inverse, and both.
+std::vector<PoseConvention> conventions(const PoseConvention& given) {
+  std::vector<PoseConvention> out;
+  for (const bool invert : {false, true}) {
+    for (const bool flip : {false, true}) {
+      PoseConvention convention = given;
+      convention.flip_camera_axes = given.flip_camera_axes != flip;
+      convention.invert_poses = given.invert_poses != invert;
+      out.push_back(convention);
+    }
   }
   return out;
 }
 
-void append(std::vector<float>& to, const std::vector<float>& from) { to.insert(to.end(), from.begin(), from.end()); }
+// to_from, from the poses of two frames as opened.
+Pose relative_pose(const SceneInfo& as_opened, const PoseConvention& convention, std::size_t to, std::size_t from) {
+  const Pose a = converted_pose(as_opened.frames[from].world_from_camera, convention, as_opened.opengl_files);
+  const Pose b = converted_pose(as_opened.frames[to].world_from_camera, convention, as_opened.opengl_files);
+  Pose out;
+  for (std::size_t col = 0; col < 3; ++col) {
+    const Vec3d axis = b.unrotate(a.axis(static_cast<int>(col)));
+    for (std::size_t row = 0; row < 3; ++row) out.r[row][col] = axis[static_cast<int>(row)];
+  }
+  out.t = b.apply_inverse(a.t);
+  return out;
+}
+
+SmallFrame small_depth_frame(const Camera& camera, const FrameBuffer& frame) {
+  SmallFrame out;
+  const double scale = std::min(1.0, static_cast<double>(kDepthSide) / std::max(camera.width_px, camera.height_px));
+  const auto width = static_cast<std::int32_t>(std::max(1L, std::lround(camera.width_px * scale)));
+  const auto height = static_cast<std::int32_t>(std::max(1L, std::lround(camera.height_px * scale)));
+  out.camera = camera.resized(width, height);
+  std::vector<std::size_t> valid;
+  for (std::int64_t y = 0; y < height; ++y) {
+    const std::int64_t row = (2 * y + 1) * camera.height_px / (2 * std::int64_t{height});
+    for (std::int64_t x = 0; x < width; ++x) {
+      const std::int64_t column = (2 * x + 1) * camera.width_px / (2 * std::int64_t{width});
+      const float depth = frame.depth_m[static_cast<std::size_t>(row * camera.width_px + column)];
+      if (depth > 0 && std::isfinite(depth)) valid.push_back(out.depth_m.size());
+      out.depth_m.push_back(depth > 0 && std::isfinite(depth) ? depth : 0);
+    }
+  }
+  const std::size_t taken = std::min(valid.size(), kPoints);
+  for (std::size_t k = 0; k < taken; ++k) {
+    const std::size_t i = valid[k * valid.size() / taken];
+    const auto at = static_cast<std::int64_t>(i);
+    const Vec3d d = out.camera.direction(static_cast<double>(at % width) + 0.5, static_cast<double>(at / width) + 0.5);
+    const double share = out.camera.depth_of(d);
+    if (!(share > 0)) continue;
+    out.points.push_back(d * (1 / share));
+    out.point_depths.push_back(out.depth_m[i]);
+  }
+  return out;
+}
+
+// At most 24 frames, evenly spaced, each with its neighbours in order and by pose, however the poses are read: the
+// angle between two cameras is the same under every convention. Frames with width 0 in `cameras` are left out.
+FramePairs choose_pairs(const SceneInfo& as_opened, const std::vector<Camera>& cameras) {
+  std::vector<int> usable;
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    if (cameras[i].width_px > 0) usable.push_back(static_cast<int>(i));
+  }
+  const std::size_t count = usable.size(), anchors = std::min<std::size_t>(count, kAnchors);
+  std::vector<Pose> poses[2];  // as given, and inverted
+  double extent[2] = {};
+  for (const int inverted : {0, 1}) {
+    Box centres;
+    PoseConvention convention;
+    convention.invert_poses = inverted == 1;
+    for (const int i : usable) {
+      poses[inverted].push_back(converted_pose(as_opened.frames[static_cast<std::size_t>(i)].world_from_camera,
+                                               convention, as_opened.opengl_files));
+      centres.include(poses[inverted].back().t);
+    }
+    if (count > 0) extent[inverted] = std::max(1e-300, length(centres.size()));
+  }
+  std::set<std::pair<int, int>> pairs;
+  for (std::size_t k = 0; k < anchors; ++k) {
+    const std::size_t a = k * count / anchors;
+    const auto angle = [&](std::size_t b) { return angle_deg(poses[0][a], poses[0][b]); };
+    const auto add = [&](std::size_t b) {
+      if (b < count && b != a && angle(b) <= kWidestAngle) pairs.insert(std::minmax(usable[a], usable[b]));
+    };
+    add(a + 1);
+    // The next in order that has turned enough for the axes to show.
+    std::size_t turned = a + 1;
+    while (turned < std::min(count, a + 64) && angle(turned) < 5) ++turned;
+    add(turned);
+    // By pose: not the nearest, which shows nothing, but one some 6 degrees or a tenth of the walk away.
+    for (const int inverted : {0, 1}) {
+      std::size_t best = a;
+      double least = 1e300;
+      for (std::size_t b = 0; b < count; ++b) {
+        if (b == a) continue;
+        const double away = length(poses[inverted][a].t - poses[inverted][b].t) / extent[inverted];
+        const double off = std::abs(angle(b) / 20 + 3 * away - 0.3);
+        if (off < least) {
+          least = off;
+          best = b;
+        }
+      }
+      add(best);
+    }
+  }
+  return {pairs.begin(), pairs.end()};
+}
+
+// All pairs of a few frames whose directions differ by less than a right angle: those of a wide ring overlap too, but
+// hide much from each other. None of over 24 frames.
+FramePairs wide_pairs(const SceneInfo& as_opened, const std::vector<Camera>& cameras) {
+  FramePairs pairs;
+  if (cameras.size() > kAnchors) return pairs;
+  for (std::size_t b = 0; b < cameras.size(); ++b) {
+    for (std::size_t a = 0; a < b; ++a) {
+      if (cameras[a].width_px == 0 || cameras[b].width_px == 0) continue;
+      if (angle_deg(as_opened.frames[a].world_from_camera, as_opened.frames[b].world_from_camera) <= kWidestOfFew)
+        pairs.emplace_back(static_cast<int>(a), static_cast<int>(b));
+    }
+  }
+  return pairs;
+}
+
+// Depth of each frame warped into the other of its pair under each of conventions(), with depth as it is and times 1000
+// and 1/1000; and under the first with depth in the other units of common sensors and exports. `frames` as
+// `as_opened.frames`, empty where not looked at.
+DepthTallies vote_by_depth(const SceneInfo& as_opened, const std::vector<SmallFrame>& frames, const FramePairs& pairs,
+                           const PoseConvention& given) {
+  const std::vector<PoseConvention> turned = conventions(given);
+  std::vector<Tally> all;
+  const auto add = [&](std::size_t axes, double depth_scale) {
+    PoseConvention convention = turned[axes];
+    convention.depth_scale *= depth_scale;
+    all.push_back({convention, axes, 0, 1});
+  };
+  for (const double scale : {1.0, 1000.0, 0.001}) {
+    for (std::size_t c = 0; c < turned.size(); ++c) add(c, scale);
+  }
+  // 5000, 4000 and 6553.5 steps a metre, and tenths and hundredths.
+  for (const double scale : {0.2, 0.25, 1 / 6.5535, 0.1, 0.01, 10.0, 100.0}) add(0, scale);
+  const std::size_t read = all.size();
+  for (std::size_t c = 0; c < turned.size(); ++c) add(c, 1e6);
+
+  std::vector<std::vector<float>> votes(pairs.size());  // [pair][tally]
+  parallel_for(std::ssize(pairs), [&](std::int64_t p) {
+    const auto i = static_cast<std::size_t>(pairs[static_cast<std::size_t>(p)].first);
+    const auto j = static_cast<std::size_t>(pairs[static_cast<std::size_t>(p)].second);
+    std::vector<float> errors;
+    for (const Tally& tally : all) {
+      const double scale = tally.convention.depth_scale / given.depth_scale;
+      const float forth = warp(frames[i], frames[j], relative_pose(as_opened, tally.convention, j, i), scale, errors);
+      const float back = warp(frames[j], frames[i], relative_pose(as_opened, tally.convention, i, j), scale, errors);
+      // Where one direction alone lands, it speaks for the pair.
+      votes[static_cast<std::size_t>(p)].push_back(std::max(forth, back) <= 1 ? std::max(forth, back)
+                                                                              : std::min(forth, back));
+    }
+  });
+  for (std::size_t m = 0; m < all.size(); ++m) {
+    std::vector<float> landed;
+    for (const std::vector<float>& pair : votes) {
+      if (pair[m] <= 1) landed.push_back(pair[m]);
+    }
+    all[m].pairs = static_cast<int>(landed.size());
+    if (!landed.empty()) all[m].error = median_of(landed);
+  }
+  const auto end_of_read = all.begin() + static_cast<std::ptrdiff_t>(read);
+  return {{all.begin(), end_of_read}, {end_of_read, all.end()}};
+}
 
 }  // namespace
 
-PhotoTallies vote_by_photos(const SceneInfo& as_opened, const std::vector<PhotoFrame>& frames, const FramePairs& pairs,
-                            const PoseConvention& given) {
-  const std::vector<PoseConvention> all = conventions(given);
-  std::vector<Votes> votes(pairs.size());
+// What photographs say of cameras: corners found again in neighbouring ones.
+
+namespace {
+
+struct PhotoMatches {
+  std::vector<Track> tracks;   ///< of two frames each, all matches of such pairs; points are not set
+  int pairs = 0, matches = 0;  ///< of pairs with enough matches to show that they overlap
+  int fits = 0;                ///< matches that lie within 1.5 pixels of the half line where the poses put them
+  SurveyPoints corners;        ///< of these, between training frames, whose rays meet at an angle that shows how far
+  std::optional<double> exposure;  ///< as GeometryVerdict
+};
+
+// What one pair of frames says.
+struct PairMatches {
+  int matches = 0, fits = 0;
+  std::vector<Track> tracks;
+  SurveyPoints corners;
+  std::optional<double> brighter;  // median logarithm of the second frame's brightness over the first's
+};
+
+// Where two rays, in the axes of the first frame, are nearest to each other; nothing where they do not say how far.
+std::optional<double> meeting_distance(Vec3d ray, const Pose& b_from_a, Vec3d seen) {
+  const Vec3d d = normalized(ray), e = normalized(b_from_a.unrotate(seen));
+  const Vec3d to_b = b_from_a.unrotate(b_from_a.t) * -1.0;
+  const double cosine = dot(d, e), apart = 1 - cosine * cosine;
+  if (apart < kLeastParallax * kLeastParallax) return {};
+  const double t = (dot(d, to_b) - cosine * dot(e, to_b)) / apart;
+  if (!(t > 0) || !(cosine * t > dot(e, to_b))) return {};  // behind one of the two
+  return t;
+}
+
+// Matches between the frames of each pair, against the convention given. `frames` as `as_opened.frames`.
+PhotoMatches match_photos(const SceneInfo& as_opened, const std::vector<PhotoFrame>& frames, const FramePairs& pairs,
+                          const PoseConvention& given) {
+  std::vector<PairMatches> found(pairs.size());
   parallel_for(std::ssize(pairs), [&](std::int64_t p) {
-    Votes& out = votes[static_cast<std::size_t>(p)];
+    PairMatches& out = found[static_cast<std::size_t>(p)];
     const auto i = static_cast<std::size_t>(pairs[static_cast<std::size_t>(p)].first);
     const auto j = static_cast<std::size_t>(pairs[static_cast<std::size_t>(p)].second);
-    const Matches matches = matches_of(frames[i].corners, frames[j].corners);
+    const auto matches = matches_of(frames[i].corners, frames[j].corners);
     out.matches = static_cast<int>(matches.size());
     if (out.matches < kFewestMatches) return;
+    const Pose j_from_i = relative_pose(as_opened, given, j, i);
+    const FrameInfo& frame = as_opened.frames[i];
+    const Pose world_from_i = converted_pose(frame.world_from_camera, given, as_opened.opengl_files);
+    const bool train = frame.split == Split::train && as_opened.frames[j].split == Split::train;
+    std::vector<double> brighter;
     for (const auto& [a, b] : matches) {
       const PhotoCorner &x = frames[i].corners[a], &y = frames[j].corners[b];
       out.tracks.push_back({{}, {{static_cast<std::int32_t>(i), x.u, x.v}, {static_cast<std::int32_t>(j), y.u, y.v}}});
+      if (off_epipolar_line(x.ray, j_from_i, y.ray, frames[j].camera) >= kOff) continue;
+      ++out.fits;
+      brighter.push_back(std::log((y.grey + kDark) / (x.grey + kDark)));
+      const std::optional<double> t = train ? meeting_distance(x.ray, j_from_i, y.ray) : std::nullopt;
+      if (t) out.corners.add(world_from_i.apply(normalized(x.ray) * *t), *t);
     }
-    for (const PoseConvention& convention : all)
-      out.fits.push_back(count_fits(matches, frames[i], frames[j], relative_pose(as_opened, convention, j, i), 1));
-    const Pose j_from_i = relative_pose(as_opened, given, j, i);
-    for (const double factor : kFocalFactors)
-      out.focal_fits.push_back(count_fits(matches, frames[i], frames[j], j_from_i, factor));
-    out.brighter = brighter_by(matches, frames[i], frames[j], j_from_i);
-    const FrameInfo& frame = as_opened.frames[i];
-    if (frame.split == Split::train && as_opened.frames[j].split == Split::train) {
-      out.corners = meeting_points(matches, frames[i], frames[j], j_from_i,
-                                   converted_pose(frame.world_from_camera, given, as_opened.opengl_files));
-    }
+    out.corners.looked_at = std::ssize(out.corners.x);
+    if (std::ssize(brighter) >= kFewestGreys) out.brighter = median_of(std::move(brighter));
   });
-  PhotoTallies out;
-  for (const PoseConvention& convention : all) out.tallies.push_back({convention, 0, 0, 0});
-  for (const double factor : kFocalFactors) out.focal.push_back({factor, 0, 0, 0});
+  PhotoMatches out;
   std::vector<double> exposures;
-  for (const Votes& pair : votes) {
+  for (const PairMatches& pair : found) {
     if (pair.brighter) exposures.push_back(std::abs(*pair.brighter));
     if (pair.matches < kFewestMatches) continue;
     ++out.pairs;
     out.matches += pair.matches;
+    out.fits += pair.fits;
     out.tracks.insert(out.tracks.end(), pair.tracks.begin(), pair.tracks.end());
-    const auto add = [&pair](auto& tally, int fits) {
-      tally.fits += fits;
-      tally.better_pairs += fits > pair.fits[0] ? 1 : 0;
-      tally.worse_pairs += fits < pair.fits[0] ? 1 : 0;
-    };
-    for (std::size_t m = 0; m < all.size(); ++m) add(out.tallies[m], pair.fits[m]);
-    for (std::size_t m = 0; m < out.focal.size(); ++m) add(out.focal[m], pair.focal_fits[m]);
-    append(out.corners.x, pair.corners.x);
-    append(out.corners.y, pair.corners.y);
-    append(out.corners.z, pair.corners.z);
-    append(out.corners.distance, pair.corners.distance);
-    out.corners.looked_at += pair.corners.looked_at;
+    out.corners.append(pair.corners);
   }
   if (std::ssize(exposures) >= kFewestPairs) out.exposure = std::exp(median_of(std::move(exposures)));
+  return out;
+}
+
+}  // namespace
+
+// The verdict in words.
+
+namespace {
+
+constexpr double kFits = 0.03;        // relative error of depth that sensors and small pictures account for
+constexpr double kContradicts = 0.1;  // where nothing fits: more than noise and things that move
+constexpr double kFitsRounded = 0.25;
+constexpr int kRounded = 32;        // different values of depth that is rounded to large steps
+constexpr double kClearly = 4;      // times better than the convention given
+constexpr int kFewestCorners = 60;  // matches of photographs that can speak
+constexpr double kFewFit = 0.25;    // of them; matches by chance fit 2 to 10 %
+constexpr double kByChance = 0.1;
+constexpr int kManyCorners = 300;  // so many cannot all be found wrongly
+constexpr std::size_t kFewPairs = 3;
+
+constexpr double kInOrder = 0.25;        // of the way between any two, at most, between neighbours of a recording
+constexpr double kEdgesStronger = 1.02;  // times, where edges of depth lie elsewhere
+constexpr double kEdgesBeside = 2;       // pixels of the small picture
+constexpr const char* kFixRemedy = "`semfield prepare SCENE --out NEW` fixes them";
+
+std::string percent(double share) {
+  char text[32];
+  std::snprintf(text, sizeof text, share < 0.1 ? "%.2g %%" : "%.0f %%", 100 * share);
+  return text;
+}
+
+std::string plain_number(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.6g", value);
+  return text;
+}
+
+std::string pairs_text(int pairs) {
+  return std::to_string(pairs) + (pairs == 1 ? " pair of frames" : " pairs of frames");
+}
+
+// What the files are, where `fits` is their convention and `given` was taken, and the keys that say so.
+struct Finding {
+  std::vector<std::string> what, set;
+};
+
+Finding compare(const PoseConvention& fits, const PoseConvention& given, bool opengl_files) {
+  Finding out;
+  const auto set = [&](const char* key, const std::string& value) {
+    out.set.push_back(std::string("--set scene.load.") + key + "=" + value);
+  };
+  if (fits.invert_poses != given.invert_poses) {
+    out.what.push_back(fits.invert_poses
+                           ? "poses are inverse: world-to-camera matrices for camera-to-world, or the reverse"
+                           : "poses should not be inverted");
+    set("invert_poses", fits.invert_poses ? "true" : "false");
+  }
+  if (fits.flip_camera_axes != given.flip_camera_axes) {
+    out.what.push_back(!fits.flip_camera_axes ? "camera axes should not be flipped"
+                       : opengl_files ? "poses have OpenCV axes (y down, z forward) where OpenGL axes are expected"
+                                      : "poses have OpenGL axes (y up, z backward) where OpenCV axes are expected");
+    set("flip_camera_axes", fits.flip_camera_axes ? "true" : "false");
+  }
+  if (fits.pose_scale != given.pose_scale) {
+    const double large = given.pose_scale / fits.pose_scale;
+    out.what.push_back(fits.pose_scale == 1 ? "camera centres should not be scaled"
+                       : large == 1000      ? "camera centres are in millimetres where depth is in metres"
+                       : large < 1 ? "camera centres are " + plain_number(1 / large) + " times too small for the depth"
+                                   : "camera centres are " + plain_number(large) + " times too large for the depth");
+    set("pose_scale", plain_number(fits.pose_scale));
+  }
+  if (fits.depth_scale != given.depth_scale) {
+    const double large = given.depth_scale / fits.depth_scale;
+    out.what.push_back(fits.depth_scale == 1 ? "depth should not be scaled"
+                       : large == 0.001      ? "depth in metres was read as millimetres"
+                       : large == 1000       ? "depth in millimetres was read as metres"
+                       : large < 1 ? "depth is " + plain_number(1 / large) + " times too small for the camera centres"
+                                   : "depth is " + plain_number(large) + " times too large for the camera centres");
+    set("depth_scale", plain_number(fits.depth_scale));
+  }
+  return out;
+}
+
+Pose between(const Pose& a, const Pose& b, double share) {
+  const Quaternion p = quaternion_of(a), q = quaternion_of(b);
+  double cosine = 0;
+  for (std::size_t k = 0; k < 4; ++k) cosine += p[k] * q[k];
+  Quaternion mixed{};
+  for (std::size_t k = 0; k < 4; ++k) mixed[k] = (1 - share) * p[k] + share * (cosine < 0 ? -q[k] : q[k]);
+  Pose out;
+  set_rotation(out, mixed);
+  out.t = a.t * (1 - share) + b.t * share;
+  return out;
+}
+
+void report(const PoseConvention& fits, const PoseConvention& given, const SceneInfo& as_opened,
+            const std::string& evidence, Diagnostics& diagnostics) {
+  const Finding finding = compare(fits, given, as_opened.opengl_files);
+  diagnostics.error("scene.pose.convention", as_opened.name, join(finding.what, "; ") + ": " + evidence,
+                    "add " + join(finding.set, " ") + " (scene.load.check_geometry: false takes the scene as it is)");
+}
+
+// A ratio of depth to poses can be corrected on either side: that which makes depth the more usual distance of things.
+PoseConvention by_plausible_unit(PoseConvention fits, const PoseConvention& given, double median_depth) {
+  const double scale = fits.depth_scale / given.depth_scale;
+  const auto unusual = [](double metres) { return std::abs(std::log10(metres / 2)); };
+  if (scale == 1 || unusual(median_depth * scale) < unusual(median_depth)) return fits;
+  fits.depth_scale = given.depth_scale;
+  fits.pose_scale = given.pose_scale / scale;
+  return fits;
+}
+
+/// Depth over all frames looked at.
+struct DepthSpread {
+  double median = 0;
+  int values = 0;  ///< different ones; few when metres were rounded to whole steps
+};
+
+// What is to be said of tallies of vote_by_depth: one sentence, and the error or the warning. `wide`: of wide_pairs,
+// where depth that disagrees may be of other sides of things; a convention that fits speaks all the same.
+std::string judge_depth(const DepthTallies& tallies, const SceneInfo& as_opened, const DepthSpread& range, bool wide,
+                        Diagnostics& diagnostics) {
+  const Tally& given = tallies.read.front();
+  const Tally* best = &given;
+  bool tells = false;
+  // Depth in whole metres, read as millimetres, fits nothing well: that it fits at all with 1000 is enough.
+  const bool rounded = range.values <= kRounded && (given.pairs == 0 || given.error > 0.5);
+  for (const Tally& t : tallies.read) {
+    const double ratio = t.convention.depth_scale / given.convention.depth_scale;
+    const Tally& still = tallies.still[t.axes];
+    tells = tells || t.pairs < (given.pairs + 1) / 2 || t.error > 2 * given.error + 0.002;
+    const bool seen = ratio == 1 || still.pairs == 0 || t.error < 0.5 * still.error;
+    const bool clear = given.pairs < (t.pairs + 3) / 4 || t.error * kClearly < given.error;
+    const bool fits =
+        (t.error < kFits && seen && clear) || (rounded && ratio == 1000 && t.axes == 0 && t.error < kFitsRounded);
+    if (t.pairs >= 2 && t.pairs >= given.pairs / 2 && fits && (best == &given || t.error < 0.8 * best->error))
+      best = &t;
+  }
+  if (best != &given) {
+    const PoseConvention fits = by_plausible_unit(best->convention, given.convention, range.median);
+    const std::string as_given =
+        given.pairs == 0 ? "neighbouring frames do not meet as given"
+                         : "depth warped between neighbouring frames is off by " + percent(given.error) + " as given";
+    report(fits, given.convention, as_opened,
+           as_given + ", by " + percent(best->error) + " so read (median over " + pairs_text(best->pairs) + ")",
+           diagnostics);
+    return "poses contradict depth";
+  }
+  if (given.pairs == 0) return "could not be checked: no two frames with depth overlap";
+  const std::string numbers = "median error " + percent(given.error) + " over " + pairs_text(given.pairs);
+  if (given.error > kContradicts && wide) return "could not be checked: few frames, far apart (" + numbers + ")";
+  if (given.error > kContradicts && given.pairs >= 3) {
+    diagnostics.warning("scene.depth.disagrees", as_opened.name,
+                        "poses and depth do not agree: depth warped between neighbouring frames is off by " +
+                            percent(given.error) + " (median over " + pairs_text(given.pairs) +
+                            "), and neither other axes, nor inverse poses, nor another unit explain it",
+                        range.values <= kRounded ? "depth has " + std::to_string(range.values) +
+                                                       " different values: export it in millimetres"
+                                                 : "check poses, intrinsics and the unit of depth");
+    return "poses do not agree with depth: " + numbers;
+  }
+  if (!tells) return "could not be checked: the camera hardly moves (" + numbers + ")";
+  return "poses agree with depth: " + numbers;
+}
+
+// The same of photographs without depth. Unit and scale do not show in them, and which other axes would fit is not
+// tried: the settings are named.
+std::string judge_photos(const PhotoMatches& found, const CameraCheck& cameras, const SceneInfo& as_opened,
+                         Diagnostics& diagnostics) {
+  const double share = static_cast<double>(found.fits) / std::max(1, found.matches);
+  const std::string seen = std::to_string(found.matches) + " corners found again over " + pairs_text(found.pairs);
+  if (found.matches < kFewestCorners || found.pairs < 3) return "could not be checked: no depth, and only " + seen;
+  if (share < kFewFit) {
+    const std::string only = "of " + seen + " only " + percent(share) + " lie where the poses put them";
+    const std::string remedy =
+        "check that the poses are those of the images, in their order, and the intrinsics of images of this size; "
+        "poses "
+        "in another convention are read with --set scene.load.flip_camera_axes=true or scene.load.invert_poses=true";
+    if (share < kByChance && found.matches >= kManyCorners) {
+      diagnostics.error("scene.pose.photographs", as_opened.name, "the poses are not those of the photographs: " + only,
+                        remedy + " (scene.load.check_geometry: false takes the scene as it is)");
+      return "poses contradict the photographs";
+    }
+    diagnostics.warning("scene.pose.photographs", as_opened.name, "poses and photographs do not agree: " + only,
+                        remedy);
+    return "poses do not agree with the photographs: " + only;
+  }
+  const std::string numbers = percent(share) + " of " + seen + " lie where the poses put them";
+  if (cameras.corners == 0) return "could not be checked: the camera hardly moves (" + numbers + ")";
+  return "poses agree with the photographs: " + numbers;
+}
+
+}  // namespace
+
+struct GeometrySurvey::Impl {
+  const SceneInfo& as_opened;
+  std::vector<Camera> cameras;
+  PoseConvention given;
+  bool exposure;
+  FramePairs pairs, wide = {};  // wide: of frames with depth, where there are hardly any others
+  std::vector<bool> wanted = std::vector<bool>(as_opened.frames.size());
+  std::vector<SmallFrame> depths = std::vector<SmallFrame>(as_opened.frames.size());
+  std::vector<EdgeScores> edges = std::vector<EdgeScores>(as_opened.frames.size());
+  std::vector<PhotoFrame> photos = std::vector<PhotoFrame>(as_opened.frames.size());
+
+  Pose pose(std::size_t frame) const {
+    return converted_pose(as_opened.frames[frame].world_from_camera, given, as_opened.opengl_files);
+  }
+
+  // The frames that tracks are of, as given.
+  Bundle bundle_of(const PhotoMatches& found) const {
+    Bundle out;
+    std::vector<std::int32_t> place(depths.size(), -1);
+    for (const Track& track : found.tracks) {
+      out.tracks.push_back(track);
+      for (Sighting& s : out.tracks.back().seen) {
+        const auto frame = static_cast<std::size_t>(s.frame);
+        std::int32_t& at = place[frame];
+        if (at < 0) {
+          at = static_cast<std::int32_t>(out.stated.size());
+          out.stated.push_back(cameras[frame]);
+          out.given.push_back(pose(frame));
+          out.lens_of.push_back(0);
+        }
+        s.frame = at;
+      }
+    }
+    out.poses = out.given;
+    out.lenses.resize(1);
+    return out;
+  }
+
+  // Of the frames of bundle_of(), in its order. Empty where frames are in no order of time.
+  std::vector<Pose> delayed_poses(const PhotoMatches& found, double frames) const {
+    const std::vector<FrameInfo>& all = as_opened.frames;
+    double step = 0, reach = 0;
+    for (std::size_t i = 1; i < all.size(); ++i) {
+      step += length(pose(i).t - pose(i - 1).t);
+      reach += length(pose(i).t - pose((i * 7919) % all.size()).t);
+    }
+    if (step > kInOrder * reach) return {};
+    std::vector<Pose> out;
+    std::vector<bool> taken(all.size());
+    for (const Track& track : found.tracks) {
+      for (const Sighting& s : track.seen) {
+        const auto i = static_cast<std::size_t>(s.frame);
+        if (taken[i]) continue;
+        taken[i] = true;
+        const double at = std::clamp(static_cast<double>(i) + frames, 0.0, static_cast<double>(all.size() - 1));
+        const auto before = static_cast<std::size_t>(at), after = std::min(before + 1, all.size() - 1);
+        out.push_back(between(pose(before), pose(after), at - static_cast<double>(before)));
+      }
+    }
+    return out;
+  }
+
+  // Adds to the text, and warnings, what the photographs say of the cameras in pixels.
+  void judge_cameras(GeometryVerdict& verdict, bool with_depth, Diagnostics& diagnostics) const {
+    const CameraCheck& c = verdict.cameras;
+    const std::string corners = std::to_string(c.corners) + " corners";
+    if (c.off) {
+      std::string text =
+          "cameras do not fit the photographs: " + percent(c.given) + " of " + corners + " lie where they put them";
+      for (const auto& [what, share] : c.fits) text += ", " + percent(share) + " with " + what;
+      diagnostics.warning("scene.camera.off", as_opened.name, text, kFixRemedy);
+      verdict.text =
+          "cameras do not fit the photographs (" + percent(c.given) + " of " + corners + "); " + verdict.text;
+    } else if (c.corners > 0 && with_depth) {  // else the text is of corners already
+      verdict.text += "; " + percent(c.given) + " of " + corners + " found again lie where the cameras put them";
+    }
+    const std::optional<DepthShift> shift = depth_shift(edges, cameras);
+    verdict.depth_beside = shift && shift->gain > kEdgesStronger && shift->steps >= kEdgesBeside;
+    if (!verdict.depth_beside) return;
+    const auto side = [](double px, const char* more, const char* less) {
+      return px == 0 ? std::string() : plain_number(std::abs(px)) + " pixels " + (px > 0 ? more : less);
+    };
+    const std::string right = side(shift->right_px, "right", "left"), down = side(shift->down_px, "below", "above");
+    const std::string text = "depth does not lie on the photographs: their edges are " + right +
+                             (right.empty() || down.empty() ? "" : " and ") + down + " of those of depth";
+    diagnostics.warning("scene.depth.beside", as_opened.name, text, kFixRemedy);
+    verdict.text += "; depth does not lie on the photographs";
+  }
+};
+
+GeometrySurvey::GeometrySurvey(const SceneInfo& as_opened, const std::vector<Camera>& cameras,
+                               const PoseConvention& given, bool exposure)
+    : impl_(new Impl{as_opened, cameras, given, exposure, choose_pairs(as_opened, cameras)}) {
+  const bool has_depth =
+      std::any_of(as_opened.frames.begin(), as_opened.frames.end(), [](const FrameInfo& f) { return f.has_depth; });
+  if (has_depth && impl_->pairs.size() < kFewPairs) impl_->wide = wide_pairs(as_opened, cameras);
+  for (const FramePairs* pairs : {&impl_->wide, &impl_->pairs})
+    for (const auto& [a, b] : *pairs)
+      impl_->wanted[static_cast<std::size_t>(a)] = impl_->wanted[static_cast<std::size_t>(b)] = true;
+}
+
+GeometrySurvey::~GeometrySurvey() = default;
+
+void GeometrySurvey::look_at(std::size_t frame, const Camera& camera, const FrameBuffer& pixels) {
+  if (!impl_->wanted[frame]) return;
+  impl_->photos[frame] = photo_frame(camera, pixels);
+  if (pixels.depth_m.empty()) return;
+  impl_->edges[frame] = edge_scores(camera, pixels);
+  impl_->depths[frame] = small_depth_frame(camera, pixels);
+}
+
+GeometryVerdict GeometrySurvey::conclude(Diagnostics& diagnostics) const {
+  const Impl& all = *impl_;
+  GeometryVerdict out;
+  if (all.pairs.empty() && all.wide.empty()) {
+    out.text = "could not be checked: no two frames look in a similar direction";
+    return out;
+  }
+  std::vector<float> depths;
+  for (const SmallFrame& frame : all.depths)
+    depths.insert(depths.end(), frame.point_depths.begin(), frame.point_depths.end());
+  PhotoMatches found = match_photos(all.as_opened, all.photos, all.pairs, all.given);
+  if (all.exposure) out.exposure = found.exposure;
+  out.cameras = check_cameras(all.bundle_of(found), [&](double frames) { return all.delayed_poses(found, frames); });
+  const int before = diagnostics.error_count();
+  if (depths.empty()) {
+    out.text = judge_photos(found, out.cameras, all.as_opened, diagnostics);
+    if (found.fits >= kFewFit * found.matches) out.corners = std::move(found.corners);
+  } else {
+    std::sort(depths.begin(), depths.end());
+    DepthSpread range{depths[depths.size() / 2], 0};
+    range.values = static_cast<int>(std::unique(depths.begin(), depths.end()) - depths.begin());
+    const bool wide = all.wide.size() > all.pairs.size();
+    out.text = judge_depth(vote_by_depth(all.as_opened, all.depths, wide ? all.wide : all.pairs, all.given),
+                           all.as_opened, range, wide, diagnostics);
+  }
+  if (diagnostics.error_count() == before) all.judge_cameras(out, !depths.empty(), diagnostics);
   return out;
 }
 

@@ -11,7 +11,7 @@
 #include "core/error.h"
 #include "core/small_math.h"
 #include "scene/classes/class_table.h"
-#include "scene/scene_checks.h"
+#include "scene/scene.h"
 #include "surface/surface_graph.h"
 
 namespace semfield {

@@ -142,13 +142,9 @@ SceneInfo ArkitScenes::open(Diagnostics& diagnostics) {
   return info;
 }
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(arkit_scenes, "1.0", [](Registry& registry) {
   registry.add_dataset<ArkitScenes, ArkitScenesParams>(
       "arkit_scenes", "Scenes of Apple's ARKitScenes: photographs, poses and LiDAR depth of a tablet.");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(arkit_scenes, "1.0", register_into)
+})
 
 }  // namespace semfield

@@ -11,11 +11,9 @@
 
 #include "core/text.h"
 #include "loading/frame_files.h"
-#include "loading/frame_masks.h"
 #include "loading/posed_photographs.h"
 #include "plugin/module.h"
 #include "scene/scene.h"
-#include "scene/scene_checks.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -84,9 +82,15 @@ std::string recognise(const std::string& path, ColmapParams& p) {
 }
 
 Colmap::Colmap(const ColmapParams& params, const DatasetBuild& build)
-    : params_(params), root_((fs::path(build.config_dir) / params.root).string()) {
-  if (!params.classes.empty()) class_file_ = (fs::path(build.config_dir) / params.classes).string();
-}
+    : params_(params),
+      files_({.root = params.root,
+              .test_every = params.test_every,
+              .label_dir = params.label_dir,
+              .classes = params.classes,
+              .masks = params.masks,
+              .unknown_labels = params.unknown_labels,
+              .missing = params.missing},
+             build.config_dir) {}
 
 namespace {
 
@@ -96,105 +100,9 @@ double quantile(std::vector<double>& values, double share) {
   return values[static_cast<std::size_t>(at)];
 }
 
-}  // namespace
-
-std::string Colmap::model_folder(Diagnostics& diagnostics) const {
-  const fs::path root(root_);
-  if (!fs::is_directory(root))
-    throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + root_ + "' is missing", "check scene.root");
-  if (!params_.model.empty()) {
-    if (holds_model(root / params_.model)) return (root / params_.model).string();
-    throw Error(ErrorKind::no_input, "scene.poses.missing",
-                "no cameras.bin or cameras.txt in '" + (root / params_.model).string() + "'", "check scene.model");
-  }
-  for (const char* folder : kModelFolders) {
-    if (!holds_model(root / folder)) continue;
-    if (holds_model(root / folder / ".." / "1")) {
-      diagnostics.note("scene.colmap.several", root_,
-                       std::string("the reconstruction fell into several models; '") + folder +
-                           "' is read, scene.model chooses another");
-    }
-    return (root / folder).lexically_normal().string();
-  }
-  throw Error(ErrorKind::no_input, "scene.poses.missing",
-              "no cameras.bin or cameras.txt in '" + root_ + "', its sparse/0 or sparse",
-              "check scene.root, or name the model's folder with scene.model");
-}
-
-SceneInfo Colmap::open(Diagnostics& diagnostics) {
-  info_ = {};
-  files_.clear();
-  const std::string folder = model_folder(diagnostics);
-  const ColmapModel model = read_colmap_model(folder, diagnostics);
-  const fs::path root(root_);
-  info_.name = fs::weakly_canonical(root).filename().string();
-  info_.metric = false;
-  for (const auto& [what, name] : {std::pair{"images", params_.images}, std::pair{"label_dir", params_.label_dir}}) {
-    if (!name.empty() && !fs::is_directory(root / name)) {
-      throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + (root / name).string() + "' is missing",
-                  std::string("check scene.") + what);
-    }
-  }
-
-  std::vector<std::string> skipped;
-  FrameNames names;
-  FileNames finder;
-  std::size_t unlabelled = 0;
-  CameraFit sizes;
-  FrameMasks masks(root_, params_.masks);
-  FrameFileCheck check(params_.missing, "label_dir");
-  check.expect(model.images.size());
-  for (std::size_t rank = 0; rank < model.images.size(); ++rank) {
-    const ColmapImage& in = model.images[rank];
-    FrameInfo frame;
-    FrameFiles files;
-    frame.name = names.of(in.name);
-    frame.source = files.color = finder.of((root / params_.images / in.name).string());
-    masks.add_to(files);
-    frame.world_from_camera = in.world_from_camera;
-    frame.camera = model.cameras.at(in.camera);
-    const PoseState state = check_pose(frame.world_from_camera, in.place, diagnostics);
-    if (state == PoseState::not_finite) skipped.push_back(frame.name);
-    if (state != PoseState::good || frame.camera.width_px == 0) continue;  // a camera without a size was refused
-    if (!check.present(frame, files, diagnostics)) continue;
-    if (!sizes.fit(files.color, frame_place(frame), frame.camera, diagnostics) ||
-        !check_camera(frame.camera, frame_place(frame), diagnostics)) {
-      continue;
-    }
-    if (!params_.label_dir.empty()) {
-      const fs::path label = finder.of((root / params_.label_dir / in.name).replace_extension(".png").string());
-      std::error_code ignored;
-      if (fs::exists(label, ignored)) files.label = label.string();
-      unlabelled += files.label.empty() ? 1 : 0;
-    }
-    frame.has_labels = !files.label.empty();
-    frame.split = HoldOut{params_.test_every}.split_of(rank, model.images.size());
-    check.check_headers(frame, files, diagnostics);
-    info_.frames.push_back(frame);
-    files_.push_back(files);
-  }
-  check.report((root / params_.images).string(), info_.frames.size(), diagnostics);
-  if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, info_.frames.size(), folder, diagnostics);
-  sizes.report(root_, diagnostics);
-  masks.report(diagnostics);
-  const bool has_labels = unlabelled < info_.frames.size() && !params_.label_dir.empty();
-  if (!params_.label_dir.empty() && !has_labels && !info_.frames.empty()) {
-    diagnostics.error("labels.frames.missing", (root / params_.label_dir).string(), "no label image for any frame",
-                      "name them like the images, with .png: '" +
-                          fs::path(model.images.front().name).replace_extension(".png").string() + "'");
-  } else if (has_labels && unlabelled > 0) {
-    diagnostics.note(
-        "labels.frames.missing", (root / params_.label_dir).string(),
-        std::to_string(unlabelled) + " of " + std::to_string(info_.frames.size()) + " frames have no label image");
-  }
-  extent_from_points(model);
-  info_.classes = load_class_file(class_file_, {root_}, has_labels, diagnostics);
-  return info_;
-}
-
 // Bounds: the central 99 % of the points on every axis, a tenth wider each way, and the cameras. Distances: of the
 // points inside them, as the images see them.
-void Colmap::extent_from_points(const ColmapModel& model) {
+void set_extent(const ColmapModel& model, SceneInfo& info) {
   constexpr double kLost = 0.005, kMargin = 0.1;
   constexpr std::size_t kEnough = 100;
   if (model.points.size() < kEnough) return;
@@ -209,7 +117,7 @@ void Colmap::extent_from_points(const ColmapModel& model) {
   }
   box.include(lo - (hi - lo) * kMargin);
   box.include(hi + (hi - lo) * kMargin);
-  for (const FrameInfo& frame : info_.frames) box.include(frame.world_from_camera.t);
+  for (const FrameInfo& frame : info.frames) box.include(frame.world_from_camera.t);
   std::vector<double> distances;
   for (const ColmapImage& image : model.images) {
     for (const std::int64_t id : image.points) {
@@ -222,28 +130,70 @@ void Colmap::extent_from_points(const ColmapModel& model) {
       if (inside && std::isfinite(distance) && distance > 0) distances.push_back(distance);
     }
   }
-  info_.bounds = box;
+  info.bounds = box;
   if (distances.size() < kEnough) return;
-  info_.near_hint_m = 0.5 * quantile(distances, 0.001);
-  info_.far_hint_m = 1.2 * quantile(distances, 0.999);
+  info.near_hint_m = 0.5 * quantile(distances, 0.001);
+  info.far_hint_m = 1.2 * quantile(distances, 0.999);
 }
 
-void Colmap::read(int frame, FrameBuffer& out) const {
-  const auto i = static_cast<std::size_t>(frame);
-  read_frame_files(info_.frames.at(i), files_.at(i), {.unknown_labels = params_.unknown_labels}, info_.classes, out);
-}
-
-namespace {
-void register_into(Registry& registry) {
-  registry.add_dataset<Colmap, ColmapParams>("colmap", "COLMAP sparse models, binary or text, with their images.");
-}
 }  // namespace
 
-SEMFIELD_PLUGIN_MODULE(colmap, "1.0", register_into)
+std::string Colmap::model_folder(Diagnostics& diagnostics) const {
+  const fs::path root(files_.root());
+  if (!fs::is_directory(root))
+    throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + root.string() + "' is missing",
+                "check scene.root");
+  if (!params_.model.empty()) {
+    if (holds_model(root / params_.model)) return (root / params_.model).string();
+    throw Error(ErrorKind::no_input, "scene.poses.missing",
+                "no cameras.bin or cameras.txt in '" + (root / params_.model).string() + "'", "check scene.model");
+  }
+  for (const char* folder : kModelFolders) {
+    if (!holds_model(root / folder)) continue;
+    if (holds_model(root / folder / ".." / "1")) {
+      diagnostics.note("scene.colmap.several", root.string(),
+                       std::string("the reconstruction fell into several models; '") + folder +
+                           "' is read, scene.model chooses another");
+    }
+    return (root / folder).lexically_normal().string();
+  }
+  throw Error(ErrorKind::no_input, "scene.poses.missing",
+              "no cameras.bin or cameras.txt in '" + root.string() + "', its sparse/0 or sparse",
+              "check scene.root, or name the model's folder with scene.model");
+}
+
+SceneInfo Colmap::open(Diagnostics& diagnostics) {
+  const std::string folder = model_folder(diagnostics);
+  const ColmapModel model = read_colmap_model(folder, diagnostics);
+  const fs::path root(files_.root());
+  for (const auto& [what, name] : {std::pair{"images", params_.images}, std::pair{"label_dir", params_.label_dir}}) {
+    if (!name.empty() && !fs::is_directory(root / name)) {
+      throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + (root / name).string() + "' is missing",
+                  std::string("check scene.") + what);
+    }
+  }
+  FileNames finder;
+  std::vector<PosedPhotograph> photos;
+  for (const ColmapImage& in : model.images) {
+    PosedPhotograph photo;
+    photo.image = finder.of((root / params_.images / in.name).string());
+    photo.name = in.name;
+    photo.place = in.place;
+    photo.camera = model.cameras.at(in.camera);
+    photo.world_from_camera = in.world_from_camera;
+    if (photo.camera.width_px > 0) photos.push_back(std::move(photo));  // one without a size was refused
+  }
+  SceneInfo info = files_.open(photos, false, diagnostics);
+  info.metric = false;
+  set_extent(model, info);
+  return info;
+}
+
+SEMFIELD_PLUGIN_MODULE(colmap, "1.0", [](Registry& registry) {
+  registry.add_dataset<Colmap, ColmapParams>("colmap", "COLMAP sparse models, binary or text, with their images.");
+})
 
 // Photographs without camera poses: the command that finds poses for them.
-
-namespace fs = std::filesystem;
 
 namespace {
 

@@ -7,7 +7,7 @@
 
 #include "config/params.h"
 #include "loading/colmap_model.h"
-#include "loading/frame_files.h"
+#include "loading/posed_photographs.h"
 #include "plugin/dataset.h"
 
 namespace semfield {
@@ -32,16 +32,13 @@ class Colmap final : public Dataset {
  public:
   Colmap(const ColmapParams& params, const DatasetBuild& build);
   SceneInfo open(Diagnostics& diagnostics) override;
-  void read(int frame, FrameBuffer& out) const override;
+  void read(int frame, FrameBuffer& out) const override { files_.read(frame, out); }
 
  private:
   std::string model_folder(Diagnostics& diagnostics) const;
-  void extent_from_points(const ColmapModel& model);
 
   ColmapParams params_;
-  std::string root_, class_file_;
-  SceneInfo info_;
-  std::vector<FrameFiles> files_;
+  PosedPhotographs files_;
 };
 
 }  // namespace semfield

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "config/params.h"
-#include "loading/frame_files.h"
+#include "loading/posed_photographs.h"
 #include "plugin/dataset.h"
 
 namespace semfield {
@@ -28,14 +28,11 @@ class Llff final : public Dataset {
  public:
   Llff(const LlffParams& params, const DatasetBuild& build);
   SceneInfo open(Diagnostics& diagnostics) override;
-  void read(int frame, FrameBuffer& out) const override;
+  void read(int frame, FrameBuffer& out) const override { files_.read(frame, out); }
 
  private:
-  std::vector<std::string> image_files() const;
   LlffParams params_;
-  std::string root_, class_file_;
-  SceneInfo info_;
-  std::vector<FrameFiles> files_;
+  PosedPhotographs files_;
 };
 
 }  // namespace semfield

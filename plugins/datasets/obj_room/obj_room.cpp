@@ -317,14 +317,10 @@ void ObjRoom::read(int frame, FrameBuffer& out) const {
   cast_.write(number, f, info_.classes, out);
 }
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(obj_room, "1.0", [](Registry& registry) {
   registry.add_dataset<ObjRoom, ObjRoomParams>("obj_room",
                                                "An OBJ + MTL room, ray-cast along a generated or given camera path.");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(obj_room, "1.0", register_into)
+})
 
 // Path generation by rejection in free space.
 

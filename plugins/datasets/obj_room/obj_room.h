@@ -12,7 +12,6 @@
 #include "core/small_math.h"
 #include "datasets/obj_room/mesh_io.h"
 #include "datasets/obj_room/mesh_render.h"
-#include "datasets/obj_room/raycast.h"
 #include "plugin/dataset.h"
 #include "scene/camera_path.h"
 #include "scene/classes/class_table.h"

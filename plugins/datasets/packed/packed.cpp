@@ -5,7 +5,7 @@
 
 #include "core/check.h"
 #include "plugin/module.h"
-#include "scene/scene_checks.h"
+#include "scene/scene.h"
 
 namespace semfield {
 
@@ -68,13 +68,9 @@ void Packed::read(int frame, FrameBuffer& out) const {
   scene_->read(frame, out);
 }
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(packed, "1.0", [](Registry& registry) {
   registry.add_dataset<Packed, PackedParams>(
       "packed", "One-file scenes written by `semfield pack`; need no image library.", true);
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(packed, "1.0", register_into)
+})
 
 }  // namespace semfield

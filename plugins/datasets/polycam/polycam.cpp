@@ -6,7 +6,7 @@
 
 #include "loading/frame_files.h"
 #include "plugin/module.h"
-#include "scene/scene_checks.h"
+#include "scene/scene.h"
 
 namespace semfield {
 
@@ -88,13 +88,9 @@ SceneInfo Polycam::open(Diagnostics& diagnostics) {
   return info;
 }
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(polycam, "1.0", [](Registry& registry) {
   registry.add_dataset<Polycam, PolycamParams>(
       "polycam", "Raw exports of Polycam: photographs, poses and LiDAR depth of a phone.");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(polycam, "1.0", register_into)
+})
 
 }  // namespace semfield

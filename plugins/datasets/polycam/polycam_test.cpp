@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <nlohmann/json.hpp>
 
-#include "scene/scene_checks.h"
+#include "scene/scene.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield {

@@ -10,7 +10,7 @@
 #include "loading/frame_files.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
-#include "scene/scene_checks.h"
+#include "scene/scene.h"
 
 namespace semfield {
 
@@ -157,13 +157,9 @@ SceneInfo Record3d::open(Diagnostics& diagnostics) {
   return info;
 }
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(record3d, "1.0", [](Registry& registry) {
   registry.add_dataset<Record3d, Record3dParams>("record3d",
                                                  "Exports of Record3D: photographs, poses and LiDAR depth of a phone.");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(record3d, "1.0", register_into)
+})
 
 }  // namespace semfield

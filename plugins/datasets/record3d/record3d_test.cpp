@@ -5,7 +5,7 @@
 
 #include "loading/frame_source.h"
 #include "scene/camera.h"
-#include "scene/scene_checks.h"
+#include "scene/scene.h"
 #include "tests/scene/image_bytes.h"
 #include "tests/scene/tiny_scene.h"
 

@@ -19,22 +19,65 @@
 #include "plugin/module.h"
 #include "scene/camera.h"
 #include "scene/scene.h"
-#include "scene/scene_checks.h"
 #include "system/files.h"
 
 namespace semfield {
 
-/// Whether a folder holds traj.txt and results/.
-bool is_slam_sequence(const std::string& folder);
+namespace fs = std::filesystem;
+using nlohmann::json;
 
-/// What cam_params.json says, which lies beside the trajectory or in the folder above.
+namespace {
+
+/// Whether a folder holds traj.txt and results/.
+bool is_slam_sequence(const std::string& folder) {
+  std::error_code unknown;
+  return fs::is_regular_file(fs::path(folder) / "traj.txt", unknown) &&
+         fs::is_directory(fs::path(folder) / "results", unknown);
+}
+
+/// What cam_params.json says, which lies beside the trajectory or in the folder above: {"camera": {"w": 1200, "h": 680,
+/// "fx": 600, "fy": 600, "cx": 599.5, "cy": 339.5, "scale": 6553.5}}
 struct SlamCamera {
   Camera camera;                     ///< width 0 where there is no such file, or one that was reported
   double depth_unit_m = 1 / 6553.5;  ///< of one step of a depth image
 };
-SlamCamera read_slam_camera(const std::string& folder, Diagnostics& diagnostics);
+SlamCamera read_slam_camera(const std::string& folder, Diagnostics& diagnostics) {
+  constexpr const char* kFile = "cam_params.json";
+  const fs::path beside = fs::path(folder) / kFile, above = fs::weakly_canonical(folder).parent_path() / kFile;
+  std::error_code unknown;
+  const std::string path = (fs::exists(beside, unknown) ? beside : above).string();
+  if (!fs::exists(path, unknown)) return {};
+  const json root = read_pose_json<json>(path, "download the scene again");
+  bool sound = true;
+  const auto number = [&](const char* key) {
+    const bool there = root.is_object() && root.contains("camera") && root["camera"].is_object() &&
+                       root["camera"].contains(key) && root["camera"][key].is_number();
+    if (there) return root["camera"][key].get<double>();
+    if (sound)
+      diagnostics.error("scene.index.value", path, std::string("has no number '") + key + "' in 'camera'",
+                        "download the scene again");
+    sound = false;
+    return 0.0;
+  };
+  SlamCamera out;
+  Camera camera;
+  const double width = number("w"), height = number("h"), steps = number("scale");
+  camera.fx = number("fx");
+  camera.fy = number("fy");
+  camera.cx = number("cx") + 0.5;  // centres of pixels are whole numbers there
+  camera.cy = number("cy") + 0.5;
+  if (!sound || !set_image_size(camera, width, height, path, diagnostics)) return out;
+  if (!(steps >= 1e-6 && steps <= 1e9)) {
+    diagnostics.error("scene.index.value", path, "'scale' is not a number of steps per metre",
+                      "write the steps of a depth image per metre, such as 6553.5");
+    return out;
+  }
+  out.camera = camera;
+  out.depth_unit_m = 1 / steps;
+  return out;
+}
 
-namespace fs = std::filesystem;
+}  // namespace
 
 void describe(ParamVisitor& visit, ReplicaParams& p) {
   SEMFIELD_PARAM(visit, p, root,
@@ -388,60 +431,9 @@ void Replica::read(int frame, FrameBuffer& out) const {
                    {.depth_unit_m = depth_unit_m_, .unknown_labels = params_.unknown_labels}, info_.classes, out);
 }
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(replica, "1.0", [](Registry& registry) {
   registry.add_dataset<Replica, ReplicaParams>(
       "replica", "Pre-rendered Replica sequences: poses, colour, depth, class and instance images.");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(replica, "1.0", register_into)
-
-// cam_params.json: {"camera": {"w": 1200, "h": 680, "fx": 600, "fy": 600, "cx": 599.5, "cy": 339.5, "scale": 6553.5}}
-
-namespace fs = std::filesystem;
-using nlohmann::json;
-
-bool is_slam_sequence(const std::string& folder) {
-  std::error_code unknown;
-  return fs::is_regular_file(fs::path(folder) / "traj.txt", unknown) &&
-         fs::is_directory(fs::path(folder) / "results", unknown);
-}
-
-SlamCamera read_slam_camera(const std::string& folder, Diagnostics& diagnostics) {
-  constexpr const char* kFile = "cam_params.json";
-  const fs::path beside = fs::path(folder) / kFile, above = fs::weakly_canonical(folder).parent_path() / kFile;
-  std::error_code unknown;
-  const std::string path = (fs::exists(beside, unknown) ? beside : above).string();
-  if (!fs::exists(path, unknown)) return {};
-  const json root = read_pose_json<json>(path, "download the scene again");
-  bool sound = true;
-  const auto number = [&](const char* key) {
-    const bool there = root.is_object() && root.contains("camera") && root["camera"].is_object() &&
-                       root["camera"].contains(key) && root["camera"][key].is_number();
-    if (there) return root["camera"][key].get<double>();
-    if (sound)
-      diagnostics.error("scene.index.value", path, std::string("has no number '") + key + "' in 'camera'",
-                        "download the scene again");
-    sound = false;
-    return 0.0;
-  };
-  SlamCamera out;
-  Camera camera;
-  const double width = number("w"), height = number("h"), steps = number("scale");
-  camera.fx = number("fx");
-  camera.fy = number("fy");
-  camera.cx = number("cx") + 0.5;  // centres of pixels are whole numbers there
-  camera.cy = number("cy") + 0.5;
-  if (!sound || !set_image_size(camera, width, height, path, diagnostics)) return out;
-  if (!(steps >= 1e-6 && steps <= 1e9)) {
-    diagnostics.error("scene.index.value", path, "'scale' is not a number of steps per metre",
-                      "write the steps of a depth image per metre, such as 6553.5");
-    return out;
-  }
-  out.camera = camera;
-  out.depth_unit_m = 1 / steps;
-  return out;
-}
+})
 
 }  // namespace semfield

@@ -9,11 +9,10 @@
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "formats/text_rows.h"
-#include "loading/depth_images.h"
+#include "loading/frame_files.h"
 #include "plugin/module.h"
-#include "scene/classes/class_import.h"
+#include "scene/classes/class_table.h"
 #include "scene/scene.h"
-#include "scene/scene_checks.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -350,13 +349,9 @@ void Scannet::read(int frame, FrameBuffer& out) const {
   }
 }
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(scannet, "1.0", [](Registry& registry) {
   registry.add_dataset<Scannet, ScannetParams>(
       "scannet", "Exported ScanNet scenes: poses, colour, depth, raw labels by their table, instances.");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(scannet, "1.0", register_into)
+})
 
 }  // namespace semfield

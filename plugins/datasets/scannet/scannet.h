@@ -10,7 +10,7 @@
 #include "config/params.h"
 #include "loading/frame_files.h"
 #include "plugin/dataset.h"
-#include "scene/classes/class_import.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield {
 

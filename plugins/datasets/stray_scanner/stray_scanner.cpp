@@ -12,7 +12,7 @@
 #include "formats/text_rows.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
-#include "scene/scene_checks.h"
+#include "scene/scene.h"
 
 namespace semfield {
 
@@ -144,13 +144,9 @@ SceneInfo StrayScanner::open(Diagnostics& diagnostics) {
   return info;
 }
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(stray_scanner, "1.0", [](Registry& registry) {
   registry.add_dataset<StrayScanner, StrayScannerParams>(
       "stray_scanner", "Recordings of Stray Scanner: frames of a video, poses and LiDAR depth of a phone.");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(stray_scanner, "1.0", register_into)
+})
 
 }  // namespace semfield

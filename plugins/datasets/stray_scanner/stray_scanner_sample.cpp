@@ -4,7 +4,7 @@
 
 #include "formats/image_io.h"
 #include "scene/camera.h"
-#include "scene/scene_checks.h"
+#include "scene/scene.h"
 #include "system/files.h"
 #include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"

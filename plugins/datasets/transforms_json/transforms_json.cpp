@@ -19,39 +19,39 @@
 #include "formats/image_io.h"
 #include "formats/npz.h"
 #include "formats/text_rows.h"
-#include "loading/depth_images.h"
 #include "loading/frame_files.h"
-#include "loading/frame_masks.h"
 #include "loading/posed_photographs.h"
 #include "plugin/module.h"
 #include "scene/scene.h"
-#include "scene/scene_checks.h"
 
 namespace semfield {
 
-/// Reads values of a file or of one of its frames; what is wrong goes into the diagnostics under `place`. `Json` is a
-/// type of nlohmann-json, which no header names.
-template <class Json>
+namespace fs = std::filesystem;
+using nlohmann::json;
+
+namespace {
+
+/// Reads values of a file or of one of its frames; what is wrong goes into the diagnostics under `place`.
 class TransformsValues {
  public:
   explicit TransformsValues(Diagnostics& diagnostics) : diagnostics_(diagnostics) {}
 
-  std::optional<double> number(const Json& node, const char* key, const std::string& place) {
+  std::optional<double> number(const json& node, const char* key, const std::string& place) {
     if (!node.contains(key) || node[key].is_null()) return std::nullopt;
     if (!node[key].is_number()) {
       diagnostics_.error("scene.index.value", place, std::string("'") + key + "' is not a number", "write a number");
       return std::nullopt;
     }
-    return node[key].template get<double>();
+    return node[key].get<double>();
   }
 
   // nerfstudio writes a flag, instant-ngp 0 or 1, and hand-made files "true". Nothing when reported.
-  std::optional<bool> flag(const Json& node, const char* key, const std::string& place) {
+  std::optional<bool> flag(const json& node, const char* key, const std::string& place) {
     if (!node.contains(key) || node[key].is_null()) return false;
-    const Json& value = node[key];
-    if (value.is_boolean()) return value.template get<bool>();
+    const json& value = node[key];
+    if (value.is_boolean()) return value.get<bool>();
     for (const auto& [means, as_written] :
-         {std::pair{true, Json{1, "true", "True", "1"}}, std::pair{false, Json{0, "false", "False", "0", ""}}}) {
+         {std::pair{true, json{1, "true", "True", "1"}}, std::pair{false, json{0, "false", "False", "0", ""}}}) {
       if (std::find(as_written.begin(), as_written.end(), value) != as_written.end()) return means;
     }
     diagnostics_.error("scene.index.value", place,
@@ -61,7 +61,7 @@ class TransformsValues {
   }
 
   // The lens of a file or of one of its frames, which may leave it to the file; nothing when reported.
-  std::optional<LensKind> model(const Json& node, LensKind otherwise, const std::string& place) {
+  std::optional<LensKind> model(const json& node, LensKind otherwise, const std::string& place) {
     std::string model;
     if (node.contains("camera_model") && !node["camera_model"].is_null()) {
       if (!node["camera_model"].is_string()) {
@@ -70,7 +70,7 @@ class TransformsValues {
                            "write \"camera_model\": \"OPENCV\", or leave the key out");
         return std::nullopt;
       }
-      model = node["camera_model"].template get<std::string>();
+      model = node["camera_model"].get<std::string>();
     }
     const std::optional<bool> fisheye = flag(node, "is_fisheye", place);
     if (!fisheye) return std::nullopt;
@@ -91,7 +91,7 @@ class TransformsValues {
     return std::nullopt;
   }
 
-  TransformsLens lens(const Json& node, const TransformsLens& base, const std::string& place) {
+  TransformsLens lens(const json& node, const TransformsLens& base, const std::string& place) {
     TransformsLens out = base;
     const std::pair<const char*, double*> fields[] = {{"w", &out.w},
                                                       {"h", &out.h},
@@ -116,7 +116,7 @@ class TransformsValues {
   }
 
   /// Metres of one step of a depth image: `otherwise` where no key says; 0 = not told.
-  double depth_unit(const Json& node, double otherwise, const std::string& place) {
+  double depth_unit(const json& node, double otherwise, const std::string& place) {
     // Ours, instant-ngp's and nerfstudio's. What other names mean is not clear: steps per metre, or metres per step.
     constexpr std::array kKeys{"depth_unit_m", "integer_depth_scale", "depth_unit_scale_factor"};
     for (const char* key : {"depth_scale", "depth_scale_factor", "depth_factor", "depth_unit", "png_depth_scale"})
@@ -145,21 +145,21 @@ class TransformsValues {
 
  private:
   // nerfstudio's list of all coefficients, which takes the place of the single keys there.
-  void read_distortion(const Json& node, TransformsLens& lens, const std::string& place) {
+  void read_distortion(const json& node, TransformsLens& lens, const std::string& place) {
     if (!node.contains("distortion_params") || node["distortion_params"].is_null()) return;
-    const Json& list = node["distortion_params"];
+    const json& list = node["distortion_params"];
     const std::pair<const char*, double*> fields[] = {{"k1", &lens.k1}, {"k2", &lens.k2}, {"k3", &lens.k3},
                                                       {"k4", &lens.k4}, {"p1", &lens.p1}, {"p2", &lens.p2}};
     if (!list.is_array() || list.size() != std::size(fields) ||
-        !std::all_of(list.begin(), list.end(), [](const Json& v) { return v.is_number(); })) {
+        !std::all_of(list.begin(), list.end(), [](const json& v) { return v.is_number(); })) {
       diagnostics_.error("scene.index.value", place, "'distortion_params' is not a list of six numbers",
                          "write [k1, k2, k3, k4, p1, p2]");
       return;
     }
     for (std::size_t i = 0; i < std::size(fields); ++i) {
       const auto& [key, field] = fields[i];
-      const double value = list[i].template get<double>();
-      if (node.contains(key) && node[key].is_number() && node[key].template get<double>() != value) {
+      const double value = list[i].get<double>();
+      if (node.contains(key) && node[key].is_number() && node[key].get<double>() != value) {
         diagnostics_.error("scene.index.value", place,
                            std::string("'") + key + "' is not what 'distortion_params' has in its place",
                            "keep one of the two");
@@ -171,15 +171,15 @@ class TransformsValues {
 
   // The numbers of a 3 x 3, 3 x 4 or 4 x 4 matrix, of its rows or all in one list; the first three of its first three
   // rows.
-  static std::optional<std::array<double, 9>> matrix_of(const Json& value) {
+  static std::optional<std::array<double, 9>> matrix_of(const json& value) {
     std::vector<double> all;
     std::size_t rows = 0;
     if (!value.is_array()) return std::nullopt;
-    for (const Json& row : value) {
+    for (const json& row : value) {
       rows += row.is_array() ? 1 : 0;
-      for (const Json& one : row.is_array() ? row : Json::array({row})) {
+      for (const json& one : row.is_array() ? row : json::array({row})) {
         if (!one.is_number()) return std::nullopt;
-        all.push_back(one.template get<double>());
+        all.push_back(one.get<double>());
       }
     }
     const std::size_t columns = all.size() == 9 ? 3 : all.size() == 12 || all.size() == 16 ? 4 : 0;
@@ -190,7 +190,7 @@ class TransformsValues {
   }
 
   // A lens as the matrix of a pinhole camera, row by row or transposed.
-  void read_camera_matrix(const Json& node, TransformsLens& lens, const std::string& place) {
+  void read_camera_matrix(const json& node, TransformsLens& lens, const std::string& place) {
     for (const char* key : {"K", "intrinsics", "intrinsic_matrix", "camera_matrix", "cam_K"}) {
       if (!node.contains(key) || node[key].is_null()) continue;
       const std::optional<std::array<double, 9>> found = matrix_of(node[key]);
@@ -209,7 +209,7 @@ class TransformsValues {
       }
       const std::pair<const char*, double> same[] = {{"fl_x", k[0]}, {"fl_y", k[4]}, {"cx", k[2]}, {"cy", k[5]}};
       for (const auto& [name, value] : same) {
-        if (!node.contains(name) || !node[name].is_number() || node[name].template get<double>() == value) continue;
+        if (!node.contains(name) || !node[name].is_number() || node[name].get<double>() == value) continue;
         diagnostics_.error("scene.index.value", place,
                            std::string("'") + name + "' is not what '" + key + "' has in its place",
                            "keep one of the two");
@@ -227,123 +227,62 @@ class TransformsValues {
   std::string unclear_depth_key_;
 };
 
+}  // namespace
+
 // Keys of transforms.json: those that are read, and what others look like.
-
-class TransformsKeys {
- public:
-  /// As in read_transforms.
-  TransformsKeys(const std::string& label_key, const std::vector<std::string>& channels) : named_{label_key} {
-    for (const std::string& name : channels) named_.push_back(name + "_path");
-  }
-
-  /// The key that is read, of a file or with `of_frame` of one of its frames, that `key` is near; "" for one that is
-  /// read itself, is known from other programs, or is near none.
-  const std::string& meant_by(const std::string& key, bool of_frame);
-
-  /// A key NAME_path of a frame that names a .npy and that nothing reads is remembered by its name.
-  void look_for_map(const std::string& key, const std::string& file);
-  const std::set<std::string>& unread_maps() const { return unread_maps_; }
-
- private:
-  std::vector<std::string> named_;  // keys of frames that the configuration names
-  std::set<std::string> unread_maps_;
-  std::map<std::string, std::string> meant_[2];  // of a file, of a frame: keys met -> what they look like, or ""
-};
 
 namespace {
 
-const std::vector<std::string> kLensKeys{"w",
-                                         "h",
-                                         "fl_x",
-                                         "fl_y",
-                                         "cx",
-                                         "cy",
-                                         "camera_angle_x",
-                                         "camera_angle_y",
-                                         "k1",
-                                         "k2",
-                                         "k3",
-                                         "k4",
-                                         "p1",
-                                         "p2",
-                                         "camera_model",
-                                         "is_fisheye",
-                                         "distortion_params",
-                                         "K",
-                                         "intrinsics",
-                                         "intrinsic_matrix",
-                                         "camera_matrix",
-                                         "cam_K"};
-const std::vector<std::string> kFileKeys{
-    "frames",     "classes", "depth_unit_m", "train_filenames",     "test_filenames",          "val_filenames",
-    "aabb_scale", "scale",   "offset",       "integer_depth_scale", "depth_unit_scale_factor", "depth_camera"};
-const std::vector<std::string> kFrameKeys{
-    "file_path", "depth_path",       "label_path",   "instance_path",       "depth_file_path",
-    "mask_path", "transform_matrix", "depth_unit_m", "integer_depth_scale", "depth_unit_scale_factor"};
+std::vector<std::string> list_of(std::string_view text) {
+  const std::vector<std::string_view> words = words_of(text);
+  return {words.begin(), words.end()};
+}
 
-// What other programs, and people, call the keys.
-const std::map<std::string, std::string> kOtherNames{{"fx", "fl_x"},
-                                                     {"fy", "fl_y"},
-                                                     {"focal", "fl_x"},
-                                                     {"focal_length", "fl_x"},
-                                                     {"width", "w"},
-                                                     {"height", "h"},
-                                                     {"c_x", "cx"},
-                                                     {"c_y", "cy"},
-                                                     {"image", "file_path"},
-                                                     {"image_path", "file_path"},
-                                                     {"filename", "file_path"},
-                                                     {"file_name", "file_path"},
-                                                     {"pose", "transform_matrix"},
-                                                     {"matrix", "transform_matrix"},
-                                                     {"c2w", "transform_matrix"},
-                                                     {"transform", "transform_matrix"},
-                                                     {"camera_to_world", "transform_matrix"}};
+bool is_in(const std::vector<std::string>& list, const std::string& key) {
+  return std::find(list.begin(), list.end(), key) != list.end();
+}
 
+const std::vector<std::string> kLensKeys = list_of(
+    "w h fl_x fl_y cx cy camera_angle_x camera_angle_y k1 k2 k3 k4 p1 p2 camera_model is_fisheye distortion_params K "
+    "intrinsics intrinsic_matrix camera_matrix cam_K");
+const std::vector<std::string> kFileKeys = list_of(
+    "frames classes depth_unit_m train_filenames test_filenames val_filenames aabb_scale scale offset "
+    "integer_depth_scale depth_unit_scale_factor depth_camera");
+const std::vector<std::string> kFrameKeys = list_of(
+    "file_path depth_path label_path instance_path depth_file_path mask_path transform_matrix depth_unit_m "
+    "integer_depth_scale depth_unit_scale_factor");
 // Keys of nerfstudio, instant-ngp and Blender that are near one of ours.
-const std::vector<std::string> kStrangers{"frame_id", "filenames", "depth_unit"};
+const std::vector<std::string> kStrangers = list_of("frame_id filenames depth_unit");
 
+// Our keys, and what other programs and people call them.
+const std::map<std::string, std::vector<std::string>> kOtherNames{
+    {"fl_x", list_of("fx focal focal_length")},
+    {"fl_y", list_of("fy")},
+    {"w", list_of("width")},
+    {"h", list_of("height")},
+    {"cx", list_of("c_x")},
+    {"cy", list_of("c_y")},
+    {"file_path", list_of("image image_path filename file_name")},
+    {"transform_matrix", list_of("pose matrix c2w transform camera_to_world")}};
+
+// The key that is read, of a file or with `of_frame` of one of its frames, that `key` is near; "" for one that is read
+// itself, is known from other programs, or is near none. `named` are keys of frames that the configuration names.
 std::string meant_key(const std::string& key, bool of_frame, const std::vector<std::string>& named) {
   std::vector<std::string> known = kLensKeys;
   const std::vector<std::string>& own = of_frame ? kFrameKeys : kFileKeys;
   known.insert(known.end(), own.begin(), own.end());
   if (of_frame) known.insert(known.end(), named.begin(), named.end());
-  const auto is_in = [&key](const std::vector<std::string>& list) {
-    return std::find(list.begin(), list.end(), key) != list.end();
-  };
-  if (is_in(known) || is_in(kStrangers)) return "";
-  if (const auto other = kOtherNames.find(key); other != kOtherNames.end()) {
-    const bool here = std::find(known.begin(), known.end(), other->second) != known.end();
-    return here ? other->second : "";
-  }
-  for (const char* end : {"_path", "_file_path", "_matrix"}) {
-    if (std::find(own.begin(), own.end(), key + end) != own.end()) return key + end;
-  }
+  if (is_in(known, key) || is_in(kStrangers, key)) return "";
+  for (const auto& [ours, others] : kOtherNames)
+    if (is_in(others, key)) return is_in(known, ours) ? ours : "";
+  for (const char* end : {"_path", "_file_path", "_matrix"})
+    if (is_in(own, key + end)) return key + end;
   return key.size() < 4 ? "" : closest_spelling(key, known);
 }
 
 }  // namespace
 
-const std::string& TransformsKeys::meant_by(const std::string& key, bool of_frame) {
-  const auto [found, fresh] = meant_[of_frame ? 1 : 0].try_emplace(key);
-  if (fresh) found->second = meant_key(key, of_frame, named_);
-  return found->second;
-}
-
-void TransformsKeys::look_for_map(const std::string& key, const std::string& file) {
-  const std::string end = "_path";
-  const auto among = [&](const std::vector<std::string>& keys) {
-    return std::find(keys.begin(), keys.end(), key) != keys.end();
-  };
-  const bool known = among(kFrameKeys) || among(named_);
-  if (!known && key.ends_with(end) && file.ends_with(".npy"))
-    unread_maps_.insert(key.substr(0, key.size() - end.size()));
-}
-
 // Reading transforms.json.
-
-namespace fs = std::filesystem;
-using nlohmann::json;
 
 namespace {
 
@@ -356,10 +295,12 @@ class FileReader {
         split_(split),
         label_key_(label_key),
         channels_(channels),
-        keys_(label_key, channels),
+        named_{label_key},
         values_(diagnostics),
         out_(out),
-        diagnostics_(diagnostics) {}
+        diagnostics_(diagnostics) {
+    for (const std::string& name : channels) named_.push_back(name + "_path");
+  }
 
   void read() {
     const int before = diagnostics_.error_count();
@@ -391,7 +332,7 @@ class FileReader {
     }
     if (diagnostics_.error_count() == before) report_unmatched(lists);
     if (out_.unclear_depth_key.empty()) out_.unclear_depth_key = values_.unclear_depth_key();
-    for (const std::string& name : keys_.unread_maps())
+    for (const std::string& name : unread_maps_)
       diagnostics_.note("scene.channel.unread", path_,
                         "frames name maps of '" + name + "', which nothing reads; scene.channels: [" + name +
                             "] offers them to heads and losses");
@@ -604,8 +545,10 @@ class FileReader {
   bool check_keys(const json& node, bool of_frame, const std::string& place) {
     const int before = diagnostics_.error_count();
     for (const auto& [key, value] : node.items()) {
-      if (of_frame && value.is_string()) keys_.look_for_map(key, value.get<std::string>());
-      const std::string& meant = keys_.meant_by(key, of_frame);
+      if (of_frame && value.is_string()) look_for_map(key, value.get<std::string>());
+      const auto [found, fresh] = meant_.try_emplace({of_frame, key});
+      if (fresh) found->second = meant_key(key, of_frame, named_);
+      const std::string& meant = found->second;
       if (meant.empty() || node.contains(meant)) continue;
       std::string remedy = "write '" + meant + "'";
       if (meant == "label_path") remedy += ", or read it as it is with --set scene.label_key=" + key;
@@ -621,6 +564,13 @@ class FileReader {
                          "undistort the images to a pinhole camera, for example with colmap image_undistorter");
     }
     return diagnostics_.error_count() == before;
+  }
+
+  // A key NAME_path of a frame that names a .npy and that nothing reads is remembered by its name.
+  void look_for_map(const std::string& key, const std::string& file) {
+    constexpr std::string_view kEnd = "_path";
+    if (!is_in(kFrameKeys, key) && !is_in(named_, key) && key.ends_with(kEnd) && file.ends_with(".npy"))
+      unread_maps_.insert(key.substr(0, key.size() - kEnd.size()));
   }
 
   // Poses as exporters of trackers write them.
@@ -669,8 +619,10 @@ class FileReader {
   std::optional<Split> split_;
   std::string label_key_;
   std::vector<std::string> channels_;
-  TransformsKeys keys_;
-  TransformsValues<json> values_;
+  std::vector<std::string> named_;                             // keys of frames that the configuration names
+  std::map<std::pair<bool, std::string>, std::string> meant_;  // of frames or not, keys met -> what they look like
+  std::set<std::string> unread_maps_;
+  TransformsValues values_;
   FileNames names_;
   TransformsIndex& out_;
   Diagnostics& diagnostics_;
@@ -713,8 +665,6 @@ TransformsIndex read_transforms(const std::string& root, const std::string& labe
   }
   return out;
 }
-
-namespace fs = std::filesystem;
 
 namespace {
 constexpr std::int64_t kMostChannelCells = 1 << 20;  // of one axis
@@ -1077,13 +1027,9 @@ void TransformsJson::read(int frame, FrameBuffer& out) const {
   }
 }
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(transforms_json, "1.0", [](Registry& registry) {
   registry.add_dataset<TransformsJson, TransformsJsonParams>(
       "transforms_json", "Posed images with a transforms.json of nerfstudio, instant-ngp or Blender.");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(transforms_json, "1.0", register_into)
+})
 
 }  // namespace semfield

@@ -3,8 +3,10 @@
 
 #include "datasets/transforms_json/transforms_json.h"
 
+#include <bit>
+
+#include "formats/image_io.h"
 #include "formats/npz.h"
-#include "formats/png_codec.h"
 #include "scene/scene.h"
 #include "tests/scene/tiny_scene.h"
 

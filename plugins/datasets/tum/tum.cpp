@@ -208,13 +208,9 @@ SceneInfo Tum::open(Diagnostics& diagnostics) {
   return files_.open(photos, false, diagnostics);
 }
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(tum, "1.0", [](Registry& registry) {
   registry.add_dataset<Tum, TumParams>(
       "tum", "Recordings in the layout of the TUM RGB-D benchmark, as exporters of ROS bags write them.");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(tum, "1.0", register_into)
+})
 
 }  // namespace semfield

@@ -69,13 +69,9 @@ class PixelNoise final : public Degradation {
 
 }  // namespace
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(pixel_noise, "1.0", [](Registry& registry) {
   registry.add_degradation<PixelNoise>(
       "pixel_noise", "uniform random classes, void included, on an exact share of each frame's pixels");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(pixel_noise, "1.0", register_into)
+})
 
 }  // namespace semfield

@@ -121,13 +121,9 @@ class Propagation final : public Degradation {
 
 }  // namespace
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(propagation, "1.0", [](Registry& registry) {
   registry.add_degradation<Propagation>("propagation",
                                         "one click or one grown region per class and frame; the rest is void");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(propagation, "1.0", register_into)
+})
 
 }  // namespace semfield

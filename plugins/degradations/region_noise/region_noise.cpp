@@ -8,7 +8,7 @@
 #include "core/rng.h"
 #include "labels/training_labels.h"
 #include "plugin/module.h"
-#include "scene/scene_checks.h"
+#include "scene/scene.h"
 
 namespace semfield {
 
@@ -254,13 +254,9 @@ class RegionNoise final : public Degradation {
 
 }  // namespace
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(region_noise, "1.0", [](Registry& registry) {
   registry.add_degradation<RegionNoise>("region_noise",
                                         "a wrong class on whole instances in a share of the frames that see them");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(region_noise, "1.0", register_into)
+})
 
 }  // namespace semfield

@@ -11,7 +11,7 @@
 #include "core/rng.h"
 #include "labels/training_labels.h"
 #include "plugin/module.h"
-#include "scene/scene_checks.h"
+#include "scene/scene.h"
 
 namespace semfield {
 
@@ -336,13 +336,9 @@ class SimulatedPredictions final : public Degradation {
 
 }  // namespace
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(simulated_predictions, "1.0", [](Registry& registry) {
   registry.add_degradation<SimulatedPredictions>(
       "simulated_predictions", "soft or hard labels with the errors of a network, simulated from the clean labels");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(simulated_predictions, "1.0", register_into)
+})
 
 }  // namespace semfield

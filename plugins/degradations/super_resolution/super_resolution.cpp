@@ -67,13 +67,9 @@ class SuperResolution final : public Degradation {
 
 }  // namespace
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(super_resolution, "1.0", [](Registry& registry) {
   registry.add_degradation<SuperResolution>("super_resolution",
                                             "labels of a coarse grid: spread over its cells, or alone among void");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(super_resolution, "1.0", register_into)
+})
 
 }  // namespace semfield

@@ -223,14 +223,10 @@ class ClickReader : public LabelReader {
 
 }  // namespace
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(clicks, "1.0", [](Registry& registry) {
   registry.add_label_reader<ClickReader>(
       "clicks",
       "single pixels or discs from a CSV file, or clicks and strokes of the labelling page; all else is void");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(clicks, "1.0", register_into)
+})
 
 }  // namespace semfield

@@ -6,7 +6,7 @@
 #include <optional>
 
 #include "core/text.h"
-#include "formats/png_codec.h"
+#include "formats/image_io.h"
 #include "labels/frame_match.h"
 #include "labels/label_files.h"
 #include "labels/mask_outlines.h"
@@ -303,12 +303,8 @@ class CocoReader : public LabelReader {
 
 }  // namespace
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(coco, "1.0", [](Registry& registry) {
   registry.add_label_reader<CocoReader>("coco", "polygons and run lengths of COCO: one JSON file for all frames");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(coco, "1.0", register_into)
+})
 
 }  // namespace semfield

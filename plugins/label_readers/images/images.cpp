@@ -4,13 +4,12 @@
 #include <span>
 
 #include "formats/image_io.h"
-#include "formats/png_codec.h"
 #include "formats/text_rows.h"
 #include "labels/frame_match.h"
 #include "labels/label_files.h"
 #include "loading/frame_files.h"
 #include "plugin/module.h"
-#include "scene/classes/class_import.h"
+#include "scene/classes/class_table.h"
 #include "scene/scene.h"
 #include "system/files.h"
 
@@ -225,12 +224,8 @@ class ImageLabelReader : public LabelReader {
 
 }  // namespace
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(images, "1.0", [](Registry& registry) {
   registry.add_label_reader<ImageLabelReader>("images", "label images: class ids, palette indices, or exact colours");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(images, "1.0", register_into)
+})
 
 }  // namespace semfield

@@ -5,7 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "core/text.h"
-#include "formats/png_codec.h"
+#include "formats/image_io.h"
 #include "labels/frame_match.h"
 #include "labels/label_files.h"
 #include "labels/mask_outlines.h"
@@ -244,13 +244,9 @@ class LabelmeReader : public LabelReader {
 
 }  // namespace
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(labelme, "1.0", [](Registry& registry) {
   registry.add_label_reader<LabelmeReader>(
       "labelme", "polygons, rectangles, circles and points of labelme: one JSON file per frame");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(labelme, "1.0", register_into)
+})
 
 }  // namespace semfield

@@ -199,12 +199,8 @@ class NpzReader : public LabelReader {
 
 }  // namespace
 
-namespace {
-void register_into(Registry& registry) {
+SEMFIELD_PLUGIN_MODULE(npz, "1.0", [](Registry& registry) {
   registry.add_label_reader<NpzReader>("npz", "class probabilities of NumPy arrays: soft labels");
-}
-}  // namespace
-
-SEMFIELD_PLUGIN_MODULE(npz, "1.0", register_into)
+})
 
 }  // namespace semfield

@@ -8,7 +8,6 @@
 #include "datasets/obj_room/mesh_io.h"
 #include "datasets/obj_room/mesh_render.h"
 #include "datasets/obj_room/obj_room.h"
-#include "datasets/obj_room/raycast.h"
 #include "datasets/obj_room/tests/obj_testing.h"
 #include "formats/image_io.h"
 #include "scene/camera_path.h"

@@ -4,7 +4,7 @@
 #include <sstream>
 
 #include "datasets/obj_room/mesh_io.h"
-#include "datasets/obj_room/raycast.h"
+#include "datasets/obj_room/mesh_render.h"
 #include "scene/scene.h"
 #include "tests/scene/tiny_scene.h"
 
