@@ -238,13 +238,13 @@ std::string label_file(const std::string& name) {
   return "semantic_class/" + (numbered ? "semantic_class_" + name.substr(4) : name + "_label") + ".png";
 }
 
-struct FrameFiles {
+struct WrittenFiles {
   std::size_t frame = 0;
   std::string label, preview, probability;
 };
 
-std::vector<FrameFiles> files_of(const LoadedScene& scene, const TrainingLabels& labels) {
-  std::vector<FrameFiles> out;
+std::vector<WrittenFiles> files_of(const LoadedScene& scene, const TrainingLabels& labels) {
+  std::vector<WrittenFiles> out;
   for (std::size_t f = 0; f < labels.frames.size(); ++f) {
     if (labels.frames[f].empty()) continue;
     const std::string name = output_name(scene.info.frames[f].name);
@@ -272,7 +272,7 @@ struct WrittenScore {
   ConfusionMatrix confusion{0};
 };
 
-WrittenScore write_frame(const LoadedScene& scene, const TrainingLabels::Frame& labels, const FrameFiles& files,
+WrittenScore write_frame(const LoadedScene& scene, const TrainingLabels::Frame& labels, const WrittenFiles& files,
                          const UnfinishedFolder& folder, const ClassTable& classes) {
   const StoredFrame& frame = scene.frames[files.frame];
   const FrameInfo& info = scene.info.frames[files.frame];
@@ -299,7 +299,7 @@ WrittenScore write_frame(const LoadedScene& scene, const TrainingLabels::Frame& 
 
 Json number(const std::optional<double>& value) { return value ? Json(*value) : Json(nullptr); }
 
-Json frame_json(const FrameInfo& info, const FrameFiles& files, const WrittenScore& score) {
+Json frame_json(const FrameInfo& info, const WrittenFiles& files, const WrittenScore& score) {
   Json out{{"name", info.name}, {"label", files.label}, {"preview", files.preview}};
   if (!files.probability.empty()) out["probability"] = files.probability;
   const Camera shown = as_shown(info).camera;
@@ -363,7 +363,7 @@ void refuse_used_folder(const std::string& folder) {
 DegradeReport write_degraded(const LoadedScene& scene, const TrainingLabels& labels, const DegradeSource& source,
                              const std::string& folder) {
   refuse_used_folder(folder);
-  const std::vector<FrameFiles> files = files_of(scene, labels);
+  const std::vector<WrittenFiles> files = files_of(scene, labels);
   const ClassTable classes = with_void(scene.info.classes);
   UnfinishedFolder unfinished(folder);
   unfinished.add("semantic_class");
@@ -372,7 +372,7 @@ DegradeReport write_degraded(const LoadedScene& scene, const TrainingLabels& lab
 
   std::vector<WrittenScore> scores(files.size());
   parallel_for(std::ssize(files), [&](std::int64_t i) {
-    const FrameFiles& f = files[static_cast<std::size_t>(i)];
+    const WrittenFiles& f = files[static_cast<std::size_t>(i)];
     scores[static_cast<std::size_t>(i)] = write_frame(scene, labels.frames[f.frame], f, unfinished, classes);
   });
   WrittenScore total;
