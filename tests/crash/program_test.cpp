@@ -331,7 +331,9 @@ TEST(Program, ASecondSigintIsAnsweredAndAThirdEndsAtOnceWithTheOldCheckpoint) {
     EXPECT_HAS(r->err, signals == 2 ? "after its checkpoint; resume with `semfield train --resume "
                                     : "ended at once; what was saved before is whole\n");
     EXPECT_EQ(has(r->err, "stopped at step"), signals == 2) << r->err;
-    if (signals == 2) EXPECT_HAS(r->err, "still stopping: what was done is being saved; once more ends without that\n");
+    if (signals == 2) {
+      EXPECT_HAS(r->err, "still stopping: what was done is being saved; once more ends without that\n");
+    }
     EXPECT_EQ(read_text_file(run_dir + "/checkpoints/latest") == latest, signals == 3) << "was the step waited for";
     Diagnostics damaged;
     EXPECT_TRUE(CheckpointStore::read(run_dir + "/checkpoints").find_latest(damaged).has_value());
