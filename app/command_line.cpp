@@ -230,17 +230,30 @@ AskedLength asked_length(const LengthWords& words) {
 
 namespace {
 
-// Sentences in several lines.
+// An option with the name of its value, and behind its sentence what the value may be: the same with every version of
+// CLI11.
 class Help final : public CLI::Formatter {
  public:
   Help() {
     label("SUBCOMMAND", "VERB");
     label("Positionals", "Operands");
   }
+  std::string make_option_opts(const CLI::Option* option) const override {
+    const std::string type = option->get_type_name();  // "N:1 to 100"
+    return (type.empty() ? "" : " ") + type.substr(0, type.find(':'));
+  }
   std::string make_option_desc(const CLI::Option* option) const override {
     constexpr std::size_t kWidth = 70;
+    std::vector<std::string> facts;
+    const std::string type = option->get_type_name();
+    if (const std::size_t check = type.find(':'); check != std::string::npos) facts.push_back(type.substr(check + 1));
+    if (const std::string usual = option->get_default_str(); !usual.empty()) facts.push_back("default: " + usual);
+    if (option->get_required() && !option->get_positional()) facts.emplace_back("required");
+    for (const CLI::Option* other : option->get_excludes()) facts.push_back("not with " + other->get_name());
     std::string text, line;
-    for (const std::string_view word : words_of(option->get_description())) {
+    const std::string all =
+        option->get_description() + (facts.empty() ? std::string() : " (" + join(facts, "; ") + ")");
+    for (const std::string_view word : words_of(all)) {
       if (!line.empty() && line.size() + 1 + word.size() > kWidth) text += std::exchange(line, "") + "\n";
       line += (line.empty() ? "" : " ") + std::string(word);
     }

@@ -119,8 +119,12 @@ int run(const EvalOptions& options, AppContext& context) {
     throw Error(ErrorKind::usage, "eval.protocol.split", "--protocol " + options.protocol + ": scores held-out frames",
                 "leave --split out");
   const Split split = options.split == "test" ? Split::test : Split::train;
-  OpenedRun run = run_of(options.run, options.set,
-                         split == Split::test ? OpenFor::evaluation : OpenFor::evaluation_of_training_frames, context);
+  Diagnostics diagnostics;  // whether the settings are the run's own is said there, and decides what is kept
+  OpenedRun run = open_run(options.run, options.set, context.registry, diagnostics,
+                           split == Split::test ? OpenFor::evaluation : OpenFor::evaluation_of_training_frames,
+                           context.ranks.get());
+  context.adopt(run.session.config);
+  print_findings(context, diagnostics);
   Session& s = run.session;
   const std::vector<int> frames = s.scene.frames_of(split);
   if (frames.empty())
@@ -138,7 +142,6 @@ int run(const EvalOptions& options, AppContext& context) {
     refined = score_frames(s, options, frames, context, &infos);
     for (const auto& [name, value] : refined->values()) found["refined_poses"][name] = number_json<Json>(value);
   }
-  Diagnostics diagnostics;
   const std::string not_kept = keep_scores(run, options.split, score, refined ? &*refined : nullptr, diagnostics);
   if (!not_kept.empty()) print_note(context, "the run's folder does not keep these scores: " + not_kept);
   if (!options.out.empty()) write_file_atomic(options.out, json_object(context, found));
