@@ -683,6 +683,7 @@ void write_fixed_scene(const PosedScene& scene, const FixedCameras& cameras, con
     index["train_filenames"] = std::move(train);
     index["test_filenames"] = std::move(test);
   }
+  if (info.metric) index["metric"] = true;
   index["prepared_from"] = info.name;
   index["camera_changes"] = cameras.changes;
   index["frames"] = std::move(frames);

@@ -3,6 +3,7 @@
 
 #include <cstdio>
 #include <optional>
+#include <set>
 
 #include "app/child_process.h"
 #include "app/json_output.h"
@@ -136,6 +137,13 @@ int run_posed(const PrepareVerbOptions& options, const std::optional<FolderScene
     write_fixed_scene(scene, *fixed, options.out, progress);
   });
   if (!whole) return 128 + stop_signal();
+  std::set<std::string> left;
+  for (const FrameInfo& frame : scene.info.frames) {
+    for (const FrameChannelInfo& one : frame.channels) left.insert(one.name);
+  }
+  for (const std::string& name : left)
+    found.note("scene.channel.left", options.out, "maps of '" + name + "' are not in it: copy their files, and name them in each frame as " +
+                                                       name + "_path");
   const FolderScene written = find_scene(options.out, "", context);
   const std::string geometry = inspected(written, context, found);
   for (const Diagnostic& finding : folded(found)) print_note(context, finding.shown());

@@ -188,6 +188,20 @@ TEST(FixedScene, HasTheNewCamerasAndEverythingElseAsItWas) {
   }
 }
 
+// Depth would say it by itself.
+TEST(FixedScene, WithoutDepthItsUnitIsStated) {
+  for (const bool metric : {true, false}) {
+    Source source;
+    source.scene.info.metric = metric;
+    for (FrameInfo& frame : source.scene.info.frames) frame.has_depth = false;
+    const std::string folder = fresh_folder("metric");
+    source.write(folder);
+    TransformsJson again(TransformsJsonParams{.root = folder}, {});
+    Diagnostics d;
+    EXPECT_EQ(again.open(d).metric, metric);
+  }
+}
+
 // One camera that took all depth stands in the file; of several, depth is drawn into the colour images.
 TEST(FixedScene, DepthOfACameraOfItsOwn) {
   Source source;

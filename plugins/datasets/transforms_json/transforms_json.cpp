@@ -247,7 +247,7 @@ const std::vector<std::string> kLensKeys = list_of(
     "intrinsics intrinsic_matrix camera_matrix cam_K");
 const std::vector<std::string> kFileKeys = list_of(
     "frames classes depth_unit_m train_filenames test_filenames val_filenames aabb_scale scale offset "
-    "integer_depth_scale depth_unit_scale_factor depth_camera");
+    "integer_depth_scale depth_unit_scale_factor depth_camera metric");
 const std::vector<std::string> kFrameKeys = list_of(
     "file_path depth_path label_path instance_path depth_file_path mask_path transform_matrix depth_unit_m "
     "integer_depth_scale depth_unit_scale_factor");
@@ -315,6 +315,11 @@ class FileReader {
     lens.kind = *kind;
     const double depth_unit_m = values_.depth_unit(root, 0, path_);
     read_depth_camera(root);
+    if (const auto metric = root.find("metric"); metric != root.end()) {
+      if (!metric->is_boolean())
+        diagnostics_.error("scene.index.value", path_, "'metric' is not true or false", "write true for poses in metres");
+      out_.metric = out_.metric || *metric == true;
+    }
     read_classes(root);
     read_limit(root);
     // What is missing in every frame for a key that the file misspells would be said of every frame.
@@ -963,7 +968,7 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
                      std::to_string(real_depth) +
                          " depth files hold real numbers, which are taken as they are: the unit that the index states "
                          "is of integers");
-  info_.metric = params_.metric || has_depth;
+  info_.metric = params_.metric || index.metric || has_depth;
   info_.limit = index.limit;
   load_classes(index, has_labels, diagnostics);
   return info_;

@@ -36,6 +36,7 @@ struct TransformsFrame {
 
 struct TransformsIndex {
   std::vector<TransformsFrame> frames;
+  bool metric = false;            ///< its poses are in metres
   std::string unclear_depth_key;  ///< a key that tells a unit of depth in a way that is not known; "" = none
   Box limit;                      ///< instant-ngp's box of side aabb_scale in the poses' axes; empty = not told
   /// Of the camera that took the depth images, where it is another: its lens, and depth_from_color [4][4] by rows.
