@@ -237,27 +237,35 @@ class Help final : public CLI::Formatter {
   Help() {
     label("SUBCOMMAND", "VERB");
     label("Positionals", "Operands");
+    column_width(kLeft);
+  }
+  std::string make_subcommand(const CLI::App* verb) const override {
+    return fmt::format("  {:<{}}{}\n", verb->get_display_name(), kLeft - 2, wrapped(verb->get_description(), true));
   }
   std::string make_option_opts(const CLI::Option* option) const override {
     const std::string type = option->get_type_name();  // "N:1 to 100"
     return (type.empty() ? "" : " ") + type.substr(0, type.find(':'));
   }
   std::string make_option_desc(const CLI::Option* option) const override {
-    constexpr std::size_t kWidth = 70;
     std::vector<std::string> facts;
     const std::string type = option->get_type_name();
     if (const std::size_t check = type.find(':'); check != std::string::npos) facts.push_back(type.substr(check + 1));
     if (const std::string usual = option->get_default_str(); !usual.empty()) facts.push_back("default: " + usual);
     if (option->get_required() && !option->get_positional()) facts.emplace_back("required");
     for (const CLI::Option* other : option->get_excludes()) facts.push_back("not with " + other->get_name());
-    std::string text, line;
-    const std::string all =
-        option->get_description() + (facts.empty() ? std::string() : " (" + join(facts, "; ") + ")");
-    for (const std::string_view word : words_of(all)) {
-      if (!line.empty() && line.size() + 1 + word.size() > kWidth) text += std::exchange(line, "") + "\n";
+    return wrapped(option->get_description() + (facts.empty() ? "" : " (" + join(facts, "; ") + ")"), false);
+  }
+
+ private:
+  static constexpr std::size_t kLeft = 26, kRight = 53;  // columns of names and of sentences
+  static std::string wrapped(const std::string& text, bool indented) {
+    std::string out, line;
+    for (const std::string_view word : words_of(text)) {
+      if (!line.empty() && line.size() + 1 + word.size() > kRight)
+        out += std::exchange(line, "") + "\n" + std::string(indented ? kLeft : 0, ' ');
       line += (line.empty() ? "" : " ") + std::string(word);
     }
-    return text + line;
+    return out + line;
   }
 };
 
@@ -283,9 +291,9 @@ struct Program {
     take_one_each(*app.add_option("--plugin", modules, "load a plugin module first")->type_name("FILE"));
     app.set_version_flag(
         "--version", [] { return std::string(); }, "print version, compiler, plugin interface and instruction sets");
-    app.footer("Options above, but --version, may be given with every verb. `" + program_name() +
-               " help VERB` prints the words of a verb.\nThe code at the end of an error is one of "
-               "docs/reference/codes.md, exit codes are in docs/reference/command_line.md.");
+    app.footer("Options above, but --version, may be given with every verb.\n`" + program_name() +
+               " help VERB` prints the words of a verb.\nCodes of errors: docs/reference/codes.md; exit codes: "
+               "docs/reference/command_line.md.");
     std::vector<Verb> all = all_verbs();
     std::sort(all.begin(), all.end(), [](const Verb& a, const Verb& b) {
       const auto key = [](const Verb& verb) {
