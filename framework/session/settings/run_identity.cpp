@@ -88,7 +88,7 @@ std::string identity_hash(const RunConfig& config) {
 void require_scene_places(const RunConfig& config, const std::string& run_dir) {
   for (const ConfigDifference& setting : settings_of(config)) {
     if (!setting.key.starts_with("scene.") || is_part_of_identity(setting.key)) continue;
-    if (setting.key == "scene.labels.clicks") continue;  // see run/run_clicks.h
+    if (setting.key == "scene.labels.clicks") continue;  // which Run opens
     const std::string place = parse_config_value(setting.left, setting.key).text();
     std::error_code unknown;
     if (place.empty() || std::filesystem::exists(std::filesystem::path(config.base_dir) / place, unknown)) continue;
