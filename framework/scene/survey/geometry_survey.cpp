@@ -717,17 +717,29 @@ DepthTallies vote_by_depth(const SceneInfo& as_opened, const std::vector<SmallFr
 
 namespace {
 
+// Intrinsics of images of another size.
+constexpr double kFocalFactors[] = {0.125, 0.25, 1.0 / 3, 0.5, 2, 3, 4, 6, 8};
+
+// A way to read poses and lens, and what fits so.
+struct Reading {
+  PoseConvention convention;
+  double factor = 1;                      ///< that divides the focal lengths
+  int fits = 0;                           ///< matches that lie within 1.5 pixels of the half line where it puts them
+  int better_pairs = 0, worse_pairs = 0;  ///< pairs of frames where more or fewer fit than as given
+};
+
 struct PhotoMatches {
-  std::vector<Track> tracks;   ///< of two frames each, all matches of such pairs; points are not set
-  int pairs = 0, matches = 0;  ///< of pairs with enough matches to show that they overlap
-  int fits = 0;                ///< matches that lie within 1.5 pixels of the half line where the poses put them
-  SurveyPoints corners;        ///< of these, between training frames, whose rays meet at an angle that shows how far
+  std::vector<Track> tracks;      ///< of two frames each, all matches of such pairs; points are not set
+  int pairs = 0, matches = 0;     ///< of pairs with enough matches to show that they overlap
+  std::vector<Reading> readings;  ///< as given, each other of conventions(), each of kFocalFactors
+  SurveyPoints corners;  ///< of the first, between training frames, whose rays meet at an angle that shows how far
   std::optional<double> exposure;  ///< as GeometryVerdict
 };
 
 // What one pair of frames says.
 struct PairMatches {
-  int matches = 0, fits = 0;
+  int matches = 0;
+  std::vector<int> fits;  // of each reading
   std::vector<Track> tracks;
   SurveyPoints corners;
   std::optional<double> brighter;  // median logarithm of the second frame's brightness over the first's
@@ -744,17 +756,39 @@ std::optional<double> meeting_distance(Vec3d ray, const Pose& b_from_a, Vec3d se
   return t;
 }
 
-// Matches between the frames of each pair, against the convention given. `frames` as `as_opened.frames`.
+using Matches = std::vector<std::pair<std::size_t, std::size_t>>;
+
+// `factor` divides the focal lengths of both frames.
+int count_fits(const Matches& matches, const PhotoFrame& a, const PhotoFrame& b, const Pose& b_from_a, double factor) {
+  Camera camera = b.camera;
+  if (camera.is_wide() && factor != 1) return 0;  // a wide lens is no pinhole whose rays a factor spreads
+  camera.fx /= factor;
+  camera.fy /= factor;
+  const auto seen = [factor](const PhotoCorner& corner) {
+    return Vec3d{corner.ray.x * factor, corner.ray.y * factor, factor == 1 ? corner.ray.z : 1};
+  };
+  return static_cast<int>(std::count_if(matches.begin(), matches.end(), [&](const auto& match) {
+    return off_epipolar_line(seen(a.corners[match.first]), b_from_a, seen(b.corners[match.second]), camera) < kOff;
+  }));
+}
+
+// Matches between the frames of each pair, under each reading. `frames` as `as_opened.frames`.
 PhotoMatches match_photos(const SceneInfo& as_opened, const std::vector<PhotoFrame>& frames, const FramePairs& pairs,
                           const PoseConvention& given) {
+  PhotoMatches all;
+  for (const PoseConvention& convention : conventions(given)) all.readings.push_back({convention});
+  for (const double factor : kFocalFactors) all.readings.push_back({given, factor});
   std::vector<PairMatches> found(pairs.size());
-  parallel_for(std::ssize(pairs), [&](std::int64_t p) {
+  parallel_for(std::ssize(pairs), [&, &readings = std::as_const(all.readings)](std::int64_t p) {
     PairMatches& out = found[static_cast<std::size_t>(p)];
     const auto i = static_cast<std::size_t>(pairs[static_cast<std::size_t>(p)].first);
     const auto j = static_cast<std::size_t>(pairs[static_cast<std::size_t>(p)].second);
-    const auto matches = matches_of(frames[i].corners, frames[j].corners);
+    const Matches matches = matches_of(frames[i].corners, frames[j].corners);
     out.matches = static_cast<int>(matches.size());
     if (out.matches < kFewestMatches) return;
+    for (const Reading& reading : readings)
+      out.fits.push_back(count_fits(matches, frames[i], frames[j], relative_pose(as_opened, reading.convention, j, i),
+                                    reading.factor));
     const Pose j_from_i = relative_pose(as_opened, given, j, i);
     const FrameInfo& frame = as_opened.frames[i];
     const Pose world_from_i = converted_pose(frame.world_from_camera, given, as_opened.opengl_files);
@@ -764,7 +798,6 @@ PhotoMatches match_photos(const SceneInfo& as_opened, const std::vector<PhotoFra
       const PhotoCorner &x = frames[i].corners[a], &y = frames[j].corners[b];
       out.tracks.push_back({{}, {{static_cast<std::int32_t>(i), x.u, x.v}, {static_cast<std::int32_t>(j), y.u, y.v}}});
       if (off_epipolar_line(x.ray, j_from_i, y.ray, frames[j].camera) >= kOff) continue;
-      ++out.fits;
       brighter.push_back(std::log((y.grey + kDark) / (x.grey + kDark)));
       const std::optional<double> t = train ? meeting_distance(x.ray, j_from_i, y.ray) : std::nullopt;
       if (t) out.corners.add(world_from_i.apply(normalized(x.ray) * *t), *t);
@@ -772,19 +805,23 @@ PhotoMatches match_photos(const SceneInfo& as_opened, const std::vector<PhotoFra
     out.corners.looked_at = std::ssize(out.corners.x);
     if (std::ssize(brighter) >= kFewestGreys) out.brighter = median_of(std::move(brighter));
   });
-  PhotoMatches out;
   std::vector<double> exposures;
   for (const PairMatches& pair : found) {
     if (pair.brighter) exposures.push_back(std::abs(*pair.brighter));
     if (pair.matches < kFewestMatches) continue;
-    ++out.pairs;
-    out.matches += pair.matches;
-    out.fits += pair.fits;
-    out.tracks.insert(out.tracks.end(), pair.tracks.begin(), pair.tracks.end());
-    out.corners.append(pair.corners);
+    ++all.pairs;
+    all.matches += pair.matches;
+    for (std::size_t m = 0; m < pair.fits.size(); ++m) {
+      Reading& reading = all.readings[m];
+      reading.fits += pair.fits[m];
+      reading.better_pairs += pair.fits[m] > pair.fits[0] ? 1 : 0;
+      reading.worse_pairs += pair.fits[m] < pair.fits[0] ? 1 : 0;
+    }
+    all.tracks.insert(all.tracks.end(), pair.tracks.begin(), pair.tracks.end());
+    all.corners.append(pair.corners);
   }
-  if (std::ssize(exposures) >= kFewestPairs) out.exposure = std::exp(median_of(std::move(exposures)));
-  return out;
+  if (std::ssize(exposures) >= kFewestPairs) all.exposure = std::exp(median_of(std::move(exposures)));
+  return all;
 }
 
 }  // namespace
@@ -801,7 +838,8 @@ constexpr double kClearly = 4;      // times better than the convention given
 constexpr int kFewestCorners = 60;  // matches of photographs that can speak
 constexpr double kFewFit = 0.25;    // of them; matches by chance fit 2 to 10 %
 constexpr double kByChance = 0.1;
-constexpr int kManyCorners = 300;  // so many cannot all be found wrongly
+constexpr double kPhotosClearly = 1.5;  // times as many
+constexpr int kManyCorners = 300;       // so many cannot all be found wrongly
 constexpr std::size_t kFewPairs = 3;
 
 constexpr double kInOrder = 0.25;        // of the way between any two, at most, between neighbours of a recording
@@ -949,20 +987,19 @@ std::string judge_depth(const DepthTallies& tallies, const SceneInfo& as_opened,
   return "poses agree with depth: " + numbers;
 }
 
-// The same of photographs without depth. Unit and scale do not show in them, and which other axes would fit is not
-// tried: the settings are named.
-std::string judge_photos(const PhotoMatches& found, const CameraCheck& cameras, const SceneInfo& as_opened,
-                         Diagnostics& diagnostics) {
-  const double share = static_cast<double>(found.fits) / std::max(1, found.matches);
+// The same of photographs without depth. Unit and scale do not show in them.
+std::string judge_photos(const PhotoMatches& found, const SceneInfo& as_opened, Diagnostics& diagnostics) {
+  const Reading& given = found.readings.front();
+  const Reading& best = *std::max_element(found.readings.begin(), found.readings.end(),
+                                          [](const Reading& a, const Reading& b) { return a.fits < b.fits; });
+  const auto share = [&](const Reading& r) { return static_cast<double>(r.fits) / std::max(1, found.matches); };
   const std::string seen = std::to_string(found.matches) + " corners found again over " + pairs_text(found.pairs);
   if (found.matches < kFewestCorners || found.pairs < 3) return "could not be checked: no depth, and only " + seen;
-  if (share < kFewFit) {
-    const std::string only = "of " + seen + " only " + percent(share) + " lie where the poses put them";
+  if (share(best) < kFewFit) {
+    const std::string only = "of " + seen + " only " + percent(share(best)) + " lie where any convention puts them";
     const std::string remedy =
-        "check that the poses are those of the images, in their order, and the intrinsics of images of this size; "
-        "poses "
-        "in another convention are read with --set scene.load.flip_camera_axes=true or scene.load.invert_poses=true";
-    if (share < kByChance && found.matches >= kManyCorners) {
+        "check that the poses are in the order of the images, were made from them, and that the intrinsics are theirs";
+    if (share(given) < kByChance && found.matches >= kManyCorners) {
       diagnostics.error("scene.pose.photographs", as_opened.name, "the poses are not those of the photographs: " + only,
                         remedy + " (scene.load.check_geometry: false takes the scene as it is)");
       return "poses contradict the photographs";
@@ -971,8 +1008,29 @@ std::string judge_photos(const PhotoMatches& found, const CameraCheck& cameras, 
                         remedy);
     return "poses do not agree with the photographs: " + only;
   }
-  const std::string numbers = percent(share) + " of " + seen + " lie where the poses put them";
-  if (cameras.corners == 0) return "could not be checked: the camera hardly moves (" + numbers + ")";
+  if (share(best) > kPhotosClearly * share(given) && 2 * (best.better_pairs - best.worse_pairs) > found.pairs) {
+    const std::string evidence =
+        "of " + seen + ", " + percent(share(given)) + " lie where the poses put them as given, " + percent(share(best));
+    if (best.factor == 1) {
+      report(best.convention, given.convention, as_opened, evidence + " so read", diagnostics);
+      return "poses contradict the photographs";
+    }
+    const bool large = best.factor > 1;
+    const std::string factor = plain_number(large ? best.factor : 1 / best.factor);
+    diagnostics.error("scene.camera.size", as_opened.name,
+                      "intrinsics are of images " + factor + " times as " + (large ? "large: " : "small: ") + evidence +
+                          " with focal lengths " + (large ? "divided" : "multiplied") + " by " + factor,
+                      (large ? "divide focal lengths and centre by " : "multiply focal lengths and centre by ") +
+                          factor +
+                          ", or state the size of the images that they belong to "
+                          "(scene.load.check_geometry: false takes the scene as it is)");
+    return "the intrinsics contradict the photographs";
+  }
+  const std::string numbers = percent(share(given)) + " of " + seen + " lie where the poses put them";
+  for (std::size_t i = 1; i < found.readings.size() && found.readings[i].factor == 1; ++i) {
+    if (given.fits < kPhotosClearly * found.readings[i].fits)
+      return "could not be checked: the camera hardly moves (" + numbers + ", and as many under another convention)";
+  }
   return "poses agree with the photographs: " + numbers;
 }
 
@@ -1104,8 +1162,8 @@ GeometryVerdict GeometrySurvey::conclude(Diagnostics& diagnostics) const {
   out.cameras = check_cameras(all.bundle_of(found), [&](double frames) { return all.delayed_poses(found, frames); });
   const int before = diagnostics.error_count();
   if (depths.empty()) {
-    out.text = judge_photos(found, out.cameras, all.as_opened, diagnostics);
-    if (found.fits >= kFewFit * found.matches) out.corners = std::move(found.corners);
+    out.text = judge_photos(found, all.as_opened, diagnostics);
+    if (found.readings.front().fits >= kFewFit * found.matches) out.corners = std::move(found.corners);
   } else {
     std::sort(depths.begin(), depths.end());
     DepthSpread range{depths[depths.size() / 2], 0};
