@@ -17,7 +17,6 @@
 #include "testkit/field_bench.h"
 #include "tests/plugin/toy_encoder.h"
 #include "tests/says.h"
-#include "tests/temp_dir.h"
 
 namespace semfield {
 namespace {
@@ -227,38 +226,6 @@ std::string refusal_of(Registry& registry, const PluginModule& module) {
   return error_of(ErrorKind::unavailable, [&] { register_module(registry, module); });
 }
 
-TEST(Loader, RegistersASoundModuleUnderItsName) {
-  Registry registry;
-  register_module(registry, sound_module());
-  EXPECT_EQ(registry.get(PluginKind::encoder, "toy").module, "toys 1.0");
-}
-
-TEST(Loader, AnotherApiIsRefusedWithBothNumbers) {
-  Registry registry;
-  PluginModule module = sound_module();
-  module.api = 99;
-  EXPECT_EQ(refusal_of(registry, module), "the module speaks plugin API 99, this framework speaks " +
-                                              std::to_string(kPluginApi) +
-                                              "; rebuild the plugin against the installed headers");
-}
-
-TEST(Loader, AnotherAbiIsRefusedWithBothTags) {
-  Registry registry;
-  PluginModule module = sound_module();
-  module.abi_tag = "other-world";
-  const std::string refusal = refusal_of(registry, module);
-  EXPECT_HAS(refusal, "'other-world'", abi_tag_of_framework());
-  module.abi_tag = nullptr;
-  EXPECT_HAS(refusal_of(registry, module), "ABI ''");
-}
-
-TEST(Loader, ADescriptorWithoutItsPartsIsRefused) {
-  Registry registry;
-  PluginModule module = sound_module();
-  module.register_into = nullptr;
-  EXPECT_HAS(refusal_of(registry, module), "lacks its name, version or register function");
-}
-
 TEST(Loader, AThrowingModuleLeavesTheRegistryUnchanged) {
   Registry registry;
   register_module(registry, sound_module());
@@ -281,36 +248,6 @@ TEST(KernelTables, KnowForWhichDeviceAnOwnerHasKernels) {
   EXPECT_TRUE(tables.has(Device::cuda, "field 'b'"));
   EXPECT_FALSE(tables.has(Device::cpu, "field 'b'"));
   EXPECT_FALSE(tables.has(Device::cpu, "field 'c'"));
-}
-
-TEST(Loader, ADuplicateNameLeavesTheRegistryUnchanged) {
-  Registry registry;
-  register_module(registry, sound_module());
-  PluginModule module = sound_module();
-  module.name = "copies";
-  const std::string refusal = refusal_of(registry, module);
-  EXPECT_HAS(refusal,
-             "while registering module 'copies 1.0': the encoder name 'toy' of module 'copies 1.0' is "
-             "taken by module 'toys 1.0'");
-  EXPECT_EQ(registry.entries().size(), 1u);
-}
-
-TEST(Loader, AMissingFileIsNamed) {
-  Registry registry;
-  try {
-    load_module(registry, "/no/such/plugin.so");
-    FAIL() << "a missing file was loaded";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.message(), "cannot load plugin '/no/such/plugin.so': there is no such file");
-  }
-}
-
-TEST(Loader, AFileThatIsNoLibraryIsNamed) {
-  const TempDir dir;
-  const std::string path = dir.write("not_a_plugin.so", "plain text");
-  Registry registry;
-  const std::string error = error_of(ErrorKind::unavailable, [&] { load_module(registry, path); });
-  EXPECT_TRUE(error.starts_with("cannot load plugin '" + path + "': ")) << error;
 }
 
 // The public wrappers refuse wrong shapes with a sentence, and never call an implementation with nothing to do.
