@@ -5,6 +5,7 @@
 
 #include "testkit/compare.h"
 #include "testkit/laws.h"
+#include "tests/linked_registry.h"
 
 namespace semfield {
 namespace {
@@ -28,14 +29,7 @@ struct Bench {
     ctx.seed = 3;
     ctx.workspace = &workspace;
   }
-  static const KernelTables& tables() {
-    static const KernelTables tables = [] {
-      KernelTables made;
-      occupancy_grid_kernels(made);
-      return made;
-    }();
-    return tables;
-  }
+  static const KernelTables& tables() { return testkit::linked_registry().kernels(); }
   void learn(const DensityQuery<Real>& query, std::int64_t steps) {
     for (std::int64_t s = 0; s < steps; ++s) {
       ctx.step = s;
