@@ -83,6 +83,9 @@ TEST(KernelTables, AComposedOwnerHasTheKernelsOfItsBlock) {
   EXPECT_TRUE(tables.has(Device::cpu, "field 'exact'"));
   EXPECT_FALSE(tables.has(Device::cpu, "field 'exact'", Precision::bf16));
   EXPECT_FALSE(tables.has(Device::cuda, "field 'any'"));
+  EXPECT_FALSE(tables.has(Device::cpu, "field 'none'"));
+  tables.add(Device::cuda, "field 'half'", &table, Precision::bf16);
+  EXPECT_TRUE(tables.has(Device::cuda, "field 'half'"));
   EXPECT_EQ(&tables.get<BlockTable>(Device::cpu, "field 'any'", Precision::bf16), &table);
   EXPECT_EQ(&tables.get<BlockTable>(Device::cpu, "field 'exact'"), &table);
   EXPECT_THROW(tables.get<BlockTable>(Device::cpu, "field 'exact'", Precision::bf16), Error);
@@ -235,19 +238,6 @@ TEST(Loader, AThrowingModuleLeavesTheRegistryUnchanged) {
   EXPECT_EQ(refusal_of(registry, module), "while registering module 'half 1.0': the second half is missing");
   EXPECT_EQ(registry.names(PluginKind::encoder), std::vector<std::string>{"toy"});
   EXPECT_EQ(registry.kernels().devices_of("encoder 'half'"), "");
-}
-
-TEST(KernelTables, KnowForWhichDeviceAnOwnerHasKernels) {
-  KernelTables tables;
-  static const int fp32 = 0;
-  static const float bf16 = 0;
-  tables.add(Device::cpu, "field 'a'", &fp32);
-  tables.add(Device::cuda, "field 'b'", &bf16, Precision::bf16);
-  EXPECT_TRUE(tables.has(Device::cpu, "field 'a'"));
-  EXPECT_FALSE(tables.has(Device::cuda, "field 'a'"));
-  EXPECT_TRUE(tables.has(Device::cuda, "field 'b'"));
-  EXPECT_FALSE(tables.has(Device::cpu, "field 'b'"));
-  EXPECT_FALSE(tables.has(Device::cpu, "field 'c'"));
 }
 
 // The public wrappers refuse wrong shapes with a sentence, and never call an implementation with nothing to do.

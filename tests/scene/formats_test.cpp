@@ -270,17 +270,6 @@ TEST(PackedScene, DepthInAnotherUnitIsNotRounded) {
   }
 }
 
-TEST(PackedScene, ParallelReadsAgree) {
-  const PackedScene scene(packed_room(fresh_folder("p"), {}, 8));
-  std::vector<FrameBuffer> serial(8), parallel(8);
-  for (int i = 0; i < 8; ++i) scene.read(i, serial[i]);
-  parallel_for(8, [&](std::int64_t i) { scene.read(static_cast<int>(i), parallel[i]); });
-  for (std::size_t i = 0; i < 8; ++i) {
-    EXPECT_EQ(serial[i].rgb, parallel[i].rgb);
-    EXPECT_EQ(serial[i].depth_m, parallel[i].depth_m);
-  }
-}
-
 TEST(PackedScene, FailingSourceLeavesNoFile) {
   const std::string folder = fresh_folder("p");
   const SceneInfo info = room_info(2);
