@@ -1,14 +1,24 @@
-// Networks by plain loops, and two benches of one field side by side.
+// Networks by plain loops, and the kernels of those that are compared with them.
 #pragma once
 
 #include <gtest/gtest.h>
 
 #include <algorithm>
 
-#include "testkit/compare.h"
+#include "plugin/mlp/mlp.h"
 #include "testkit/field_bench.h"
 
 namespace semfield::testkit {
+
+/// The CPU's kernels of networks of layers.
+inline const KernelTables& mlp_tables() {
+  static const KernelTables tables = [] {
+    KernelTables all;
+    mlp_kernels(all);
+    return all;
+  }();
+  return tables;
+}
 
 /// x W + b; rectified when wanted.
 inline std::vector<double> plain_layer(const std::vector<double>& x, View<const double> w, View<const double> b,
@@ -32,25 +42,6 @@ inline std::vector<double> plain_layer(FieldBench<double>& bench, const std::str
   }
   if (weight.empty() || bias.empty()) ADD_FAILURE() << "no tensors of " << name;
   return plain_layer(x, weight, bias, relu);
-}
-
-/// Outputs and gradients of two ways to compute one network agree to 1e-12; the benches have gone both ways.
-inline void expect_same_network(FieldBench<double>& got, FieldBench<double>& want) {
-  const auto same = [](View<const double> a, View<const double> b) { return compare<double, double>(a, b, 1e-12); };
-  EXPECT_EQ(same(got.sigma.view(), want.sigma.view()), "");
-  EXPECT_EQ(same(got.rgb.view(), want.rgb.view()), "");
-  EXPECT_EQ(same(got.feature.view(), want.feature.view()), "");
-  EXPECT_EQ(same(got.d_position.view(), want.d_position.view()), "");
-  int compared = 0;
-  for (std::size_t i = 0; i < want.box.count(); ++i) {
-    if (!want.box.learned(i)) continue;
-    const std::string& name = want.box.specs()[i].name;
-    ASSERT_EQ(got.box.specs()[i].name, name);
-    ASSERT_EQ(same(got.box.value(i), want.box.value(i)), "") << name;
-    EXPECT_EQ(same(got.box.grad(i), want.box.grad(i)), "") << name;
-    ++compared;
-  }
-  EXPECT_GT(compared, 5);
 }
 
 }  // namespace semfield::testkit

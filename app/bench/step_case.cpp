@@ -170,7 +170,6 @@ double StepCase::seconds(int threads, int steps) {
 
 std::int64_t StepCase::samples_per_step() const { return impl_->samples_all; }
 std::vector<LayerWork> StepCase::work() const { return impl_->work; }
-std::int64_t StepCase::learned_count() const { return impl_->pipeline->store().learned_count(); }
 double StepCase::render_seconds(std::int64_t rays) {
   std::vector<double> origin, direction, near_far;
   BatchBuffers batch;

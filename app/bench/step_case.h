@@ -60,7 +60,6 @@ class StepCase {
   double render_seconds(std::int64_t rays);
   /// Samples that the networks of all passes evaluate in a step.
   std::int64_t samples_per_step() const;
-  std::int64_t learned_count() const;
   /// The matrix products of a step, pass by pass.
   std::vector<LayerWork> work() const;
   /// Total loss of the last step.

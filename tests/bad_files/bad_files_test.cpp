@@ -4,7 +4,6 @@
 #include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
-#include <zlib.h>
 
 #include <algorithm>
 #include <cstdlib>
@@ -20,8 +19,8 @@
 
 #include "datasets/obj_room/mesh_render.h"
 #include "formats/image_io.h"
-#include "system/checksum.h"
 #include "system/files.h"
+#include "tests/scene/image_bytes.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield::bad_files {
@@ -173,33 +172,10 @@ void poke(std::string& bytes, const std::string& words, const std::string& place
     bytes[offset + i / 2] = static_cast<char>(16 * digit(hex[i], place) + digit(hex[i + 1], place));
 }
 
-// Right checksums of the chunks of a PNG.
-void seal_png(std::string& bytes) {
-  for (std::size_t at = 8; at + 12 <= bytes.size();) {
-    std::size_t length = 0;
-    for (std::size_t i = 0; i < 4; ++i) length = length << 8 | static_cast<unsigned char>(bytes[at + i]);
-    if (length > bytes.size() - at - 12) return;
-    const uLong crc = ::crc32(0, reinterpret_cast<const Bytef*>(bytes.data()) + at + 4, static_cast<uInt>(length + 4));
-    for (std::size_t i = 0; i < 4; ++i) bytes[at + 8 + length + i] = static_cast<char>(crc >> (24 - 8 * i) & 0xFF);
-    at += length + 12;
-  }
-}
-
 // Right checksums for a PNG or a packed scene that was changed on purpose.
 void seal(std::string& bytes) {
-  if (bytes.size() > 8 && bytes.substr(1, 3) == "PNG") return seal_png(bytes);
-  const std::uint64_t size = bytes.size();
-  std::uint64_t offset = 0, length = 0;
-  std::memcpy(bytes.data() + 16, &size, 8);
-  std::memcpy(&offset, bytes.data() + 24, 8);
-  std::memcpy(&length, bytes.data() + 32, 8);
-  const auto view = std::as_bytes(std::span<const char>(bytes));
-  if (offset <= size && length <= size - offset) {
-    const std::uint32_t crc = crc32c(view.subspan(offset, length));
-    std::memcpy(bytes.data() + 40, &crc, 4);
-  }
-  const std::uint32_t crc = crc32c(view.first(60));
-  std::memcpy(bytes.data() + 60, &crc, 4);
+  const bool png = bytes.size() > 8 && bytes.substr(1, 3) == "PNG";
+  bytes = png ? testing_room::with_png_checksums(bytes) : testing_room::with_pack_checksums(bytes);
 }
 
 /// Throws std::runtime_error naming file and line for a line that is not understood.

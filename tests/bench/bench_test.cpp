@@ -185,26 +185,6 @@ TEST_F(StepCases, SmallNetworkIsWhatOneCountsByHand) {
   EXPECT_EQ(layer_flop(layers, "rgb"), 2 * 3 * samples * 64 * 3);
 }
 
-// The shapes that are counted are those that are built: the same number of weights, and biases beside them.
-TEST_F(StepCases, CountedShapesAreThoseOfTheNetworks) {
-  const int classes = 29;
-  const auto weights = [](const StepCase& step) {
-    double sum = 0;
-    for (const LayerWork& layer : step.work()) sum += layer.in * layer.out;
-    return static_cast<std::int64_t>(sum);
-  };
-  const StepCase deep = make("paper.yaml", classes, as_written());
-  EXPECT_EQ(deep.learned_count(), weights(deep) + 2 * (8 * 256 + 1 + 256 + 128 + 3 + 128 + classes));
-
-  const StepCase small = make("bench/hash_step.yaml", classes);
-  double table = 0;  // vertices of 16 grids between 16 and 512 cells, at most 2^15 each, of 2 numbers
-  for (int level = 0; level < 16; ++level) {
-    const double cells = std::floor(16 * std::pow(32.0, level / 15.0) + 1e-9);
-    table += 2 * std::min(std::pow(cells + 1, 3), 32768.0);
-  }
-  EXPECT_EQ(small.learned_count(), weights(small) + (64 + 16 + 64 + 64 + 3 + 64 + classes) + table);
-}
-
 TEST_F(StepCases, AStepTrainsOnEveryRaysSamples) {
   StepCase step = make("bench/hash_step.yaml", 5, {"passes.0.position.log2_entries=10"});
   EXPECT_EQ(step.samples_per_step(), 16 * 30);

@@ -486,7 +486,7 @@ TEST(ParamsRead, IntegersAreStrictAndInTheirRange) {
        {"big", "010", "8.0", "1e1", "0x10", "1_000", "true", "'8'", "~", "[8]", "{a: 8}", "+", "+-8", "", "99", "0"})
     EXPECT_HAS(errors_of("levels: " + word), "room.yaml:1:", "encoder.levels: expected int", ", got ") << word;
   for (const char* yaml : {"seed: 9223372036854775808", "seed: -1", "small: 256", "growth: 3", "rate: 1e39",
-                           "skips: [1, 9]", "dense: no", "dense: 1", "dense: 'true'"})
+                           "skips: [1, 9]", "dense: no", "dense: True", "dense: 1", "dense: 'true'"})
     EXPECT_HAS(errors_of(yaml), "room.yaml:1:", "encoder." + std::string(yaml).substr(0, 4)) << yaml;
 }
 

@@ -6,16 +6,12 @@
 #include <filesystem>
 #include <ostream>
 
-#include "plugin/loader.h"
-#include "plugin/registry.h"
 #include "testkit/laws.h"
+#include "tests/linked_registry.h"
 
 namespace semfield::testkit {
 
 // Which settings each registered plugin is tested with.
-
-/// Every plugin that this build links.
-inline const Registry& linked_registry();
 
 struct Row {
   PluginKind kind = PluginKind::encoder;
@@ -41,15 +37,6 @@ inline std::vector<Settings> settings_for(PluginKind kind, const std::string& na
   }
   if (rows.empty()) rows.emplace_back();
   return rows;
-}
-
-inline const Registry& linked_registry() {
-  static const Registry registry = [] {
-    Registry filled;
-    register_linked_plugins(filled);
-    return filled;
-  }();
-  return registry;
 }
 
 inline std::string Row::text() const {

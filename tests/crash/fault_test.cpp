@@ -254,7 +254,7 @@ void ReorderModel::each_state(const std::function<void(const DiskState&, std::si
 }
 
 // A save whose n-th file call fails, for all n: it succeeds where the failure means nothing, and else ends with the
-// right kind of error, the old data and no temporary file. (G18)
+// right kind of error, the old data and no temporary file.
 
 bool creates(const FileCall& call) { return call.name == "open" && (call.size & O_CREAT) != 0; }
 

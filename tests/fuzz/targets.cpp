@@ -2,8 +2,6 @@
 
 #include "tests/fuzz/targets.h"
 
-#include <zlib.h>
-
 #include <algorithm>
 #include <cstdio>
 #include <cstdlib>
@@ -37,9 +35,9 @@
 #include "scene/classes/class_table.h"
 #include "session/checkpoint_facts.h"
 #include "session/settings/run_config.h"
-#include "system/checksum.h"
 #include "system/files.h"
 #include "tests/labels/reader_case.h"
+#include "tests/scene/image_bytes.h"
 
 namespace semfield::fuzz {
 namespace {
@@ -476,46 +474,6 @@ void fuzz_http(std::string_view bytes) {
 
 // Scenes: poses, indexes of the dataset plugins, meshes, packed scenes, PNG.
 
-void store_u32(std::string& bytes, std::size_t at, std::uint32_t value, bool big_endian) {
-  for (std::size_t i = 0; i < 4; ++i) bytes[at + i] = static_cast<char>(value >> (8 * (big_endian ? 3 - i : i)) & 0xFF);
-}
-
-std::uint32_t load_be32(const std::string& bytes, std::size_t at) {
-  std::uint32_t value = 0;
-  for (std::size_t i = 0; i < 4; ++i) value = value << 8 | static_cast<unsigned char>(bytes[at + i]);
-  return value;
-}
-
-template <class T>
-T load(const std::string& bytes, std::size_t at) {
-  T value;
-  std::memcpy(&value, bytes.data() + at, sizeof value);
-  return value;
-}
-
-// Checksums stop chance bytes at the door; these two make them right, so that what lies behind is reached too.
-std::string with_png_checksums(std::string bytes) {
-  for (std::size_t at = 8; at + 12 <= bytes.size();) {
-    const std::size_t length = load_be32(bytes, at);
-    if (length > bytes.size() - at - 12) break;
-    const uLong crc = ::crc32(0, reinterpret_cast<const Bytef*>(bytes.data()) + at + 4, static_cast<uInt>(length + 4));
-    store_u32(bytes, at + 8 + length, static_cast<std::uint32_t>(crc), true);
-    at += length + 12;
-  }
-  return bytes;
-}
-
-std::string with_pack_checksums(std::string bytes) {
-  if (bytes.size() < 64) return bytes;
-  const std::uint64_t size = bytes.size();
-  std::memcpy(bytes.data() + 16, &size, sizeof size);
-  const auto offset = load<std::uint64_t>(bytes, 24), length = load<std::uint64_t>(bytes, 32);
-  const auto view = std::as_bytes(std::span<const char>(bytes));
-  if (offset <= size && length <= size - offset) store_u32(bytes, 40, crc32c(view.subspan(offset, length)), false);
-  store_u32(bytes, 60, crc32c(view.first(60)), false);
-  return bytes;
-}
-
 void fuzz_poses(std::string_view bytes) {
   const std::string path = put("poses.txt", bytes);
   for (const CameraAxes axes :
@@ -674,12 +632,12 @@ void fuzz_obj(std::string_view bytes) {
 void fuzz_packed(std::string_view bytes) {
   put("scene.pack", bytes);
   open_dataset("packed", "file: scene.pack");
-  put("scene.pack", with_pack_checksums(std::string(bytes)));
+  put("scene.pack", testing_room::with_pack_checksums(std::string(bytes)));
   open_dataset("packed", "file: scene.pack");
 }
 
 void fuzz_png(std::string_view bytes) {
-  for (const std::string& file : {std::string(bytes), with_png_checksums(std::string(bytes))}) {
+  for (const std::string& file : {std::string(bytes), testing_room::with_png_checksums(std::string(bytes))}) {
     const auto view = std::as_bytes(std::span<const char>(file));
     accepted([&] { (void)png_size(view); });
     accepted([&] {

@@ -5,22 +5,14 @@
 #include "config/config_tree.h"
 #include "config/params.h"
 #include "labels/label_files.h"
-#include "plugin/loader.h"
-#include "plugin/registry.h"
+#include "tests/linked_registry.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield::testing_labels {
 
 // Label readers and degradations of the registry, with the parameters of a YAML map.
 
-inline const Registry& linked_registry() {
-  static const Registry registry = [] {
-    Registry filled;
-    register_linked_plugins(filled);
-    return filled;
-  }();
-  return registry;
-}
+using testkit::linked_registry;
 
 /// Parameters of `entry` as the YAML map gives them; every error is thrown.
 inline std::unique_ptr<PluginParams> params_from(const PluginEntry& entry, const std::string& yaml) {

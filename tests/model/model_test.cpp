@@ -11,11 +11,11 @@
 #include "losses/loss_list.h"
 #include "model/compositor.h"
 #include "model/optim/adam.h"
-#include "plugin/loader.h"
 #include "rays_of_slabs.h"
 #include "testkit/compare.h"
 #include "testkit/laws.h"
 #include "testkit/loss_rays.h"
+#include "tests/linked_registry.h"
 #include "tests/says.h"
 
 namespace semfield {
@@ -121,14 +121,9 @@ using testkit::LossRays;
 const std::vector<int> kCounts{7, 0, 1, 12, 3, 5};
 
 LossList list_of(const std::vector<std::pair<std::string, testkit::Settings>>& losses) {
-  static const Registry registry = [] {
-    Registry filled;
-    register_linked_plugins(filled);
-    return filled;
-  }();
   std::vector<LossEntry> entries;
   for (const auto& [type, settings] : losses) {
-    const PluginEntry& entry = registry.get(PluginKind::loss, type);
+    const PluginEntry& entry = testkit::linked_registry().get(PluginKind::loss, type);
     entries.push_back({type, entry.loss(*testkit::make_params(entry, settings)), nullptr, "here"});
   }
   return LossList(std::move(entries));

@@ -18,11 +18,11 @@
 #include "objects/object_network.h"
 #include "objects/object_score.h"
 #include "objects/segments.h"
-#include "plugin/loader.h"
 #include "scene/scene.h"
 #include "system/files.h"
 #include "testkit/analytic_scene.h"
 #include "testkit/compare.h"
+#include "tests/linked_registry.h"
 #include "tests/program.h"
 #include "tests/says.h"
 #include "tests/session/train_testing.h"
@@ -362,17 +362,8 @@ TEST(SegmentDamage, BordersMoveByNoMoreThanIsAskedFor) {
 
 // The network of objects: gradients against central differences, the same bits on any threads, and that it learns.
 
-const Registry& registry() {
-  static const Registry registry = [] {
-    Registry filled;
-    register_linked_plugins(filled);
-    return filled;
-  }();
-  return registry;
-}
-
 std::unique_ptr<Grouping> grouping_of(const std::string& name) {
-  const PluginEntry& entry = registry().get(PluginKind::grouping, name);
+  const PluginEntry& entry = testkit::linked_registry().get(PluginKind::grouping, name);
   return entry.grouping(*entry.new_params());
 }
 
@@ -402,7 +393,7 @@ TEST(ObjectNetwork, GradientsOfAStepAreThoseOfItsLoss) {
   const TwoThings things;
   const ObjectLearning learning{.views = 2, .view_points = 24};
   const std::unique_ptr<Grouping> assignment = grouping_of("assignment");
-  ObjectNetwork<double> net(registry().kernels(), *assignment, kShape, kBox, 3, learning.views);
+  ObjectNetwork<double> net(testkit::linked_registry().kernels(), *assignment, kShape, kBox, 3, learning.views);
   (void)net.gradients(things.positions, things.sights, learning, 5);
   for (Tensor<double>& tensor : net.store().all()) {
     if (!tensor.learned()) continue;
@@ -419,8 +410,8 @@ TEST(ObjectNetwork, FloatFollowsTheOracle) {
   const TwoThings things;
   const ObjectLearning learning{.views = 2, .view_points = 24};
   const std::unique_ptr<Grouping> contrastive = grouping_of("contrastive");
-  ObjectNetwork<double> wide(registry().kernels(), *contrastive, kShape, kBox, 3, learning.views);
-  ObjectNetwork<float> narrow(registry().kernels(), *contrastive, kShape, kBox, 3, learning.views);
+  ObjectNetwork<double> wide(testkit::linked_registry().kernels(), *contrastive, kShape, kBox, 3, learning.views);
+  ObjectNetwork<float> narrow(testkit::linked_registry().kernels(), *contrastive, kShape, kBox, 3, learning.views);
   const double want = wide.gradients(things.positions, things.sights, learning, 0);
   EXPECT_NEAR(narrow.gradients(things.positions, things.sights, learning, 0), want, 1e-4 * std::abs(want));
 }
@@ -431,7 +422,7 @@ TEST(ObjectNetwork, HasTheSameBitsOnAnyNumberOfThreads) {
   std::vector<std::vector<float>> outputs;
   for (const int threads : {1, 2, 3}) {
     set_thread_count(threads);
-    ObjectNetwork<float> net(registry().kernels(), *contrastive, kShape, kBox, 3, 5);
+    ObjectNetwork<float> net(testkit::linked_registry().kernels(), *contrastive, kShape, kBox, 3, 5);
     net.learn(things.positions, things.sights, {.steps = 20, .views = 5, .view_points = 32}, {});
     outputs.push_back(net.outputs(things.positions));
   }
@@ -442,7 +433,7 @@ TEST(ObjectNetwork, HasTheSameBitsOnAnyNumberOfThreads) {
 
 TEST(ObjectNetwork, NoSegmentIsAnError) {
   const std::unique_ptr<Grouping> contrastive = grouping_of("contrastive");
-  ObjectNetwork<float> net(registry().kernels(), *contrastive, kShape, kBox, 3, 4);
+  ObjectNetwork<float> net(testkit::linked_registry().kernels(), *contrastive, kShape, kBox, 3, 4);
   const std::vector<Vec3d> one{{0, 0, 0}};
   EXPECT_THROW(net.learn(one, std::vector<SegmentSights>(2), {}, {}), Error);
 }

@@ -6,6 +6,7 @@
 
 #include "core/rng.h"
 #include "testkit/compare.h"
+#include "tests/plain_network.h"
 #include "tests/plugin/mlp_network.h"
 
 namespace semfield {
@@ -14,19 +15,10 @@ namespace {
 using testkit::TensorBox;
 using namespace testing_mlp;
 
-const KernelTables& tables() {
-  static const KernelTables tables = [] {
-    KernelTables all;
-    mlp_kernels(all);
-    return all;
-  }();
-  return tables;
-}
-
 template <class Real>
 struct Bench {
   explicit Bench(const MlpBuild& build, std::int64_t samples = 37)
-      : net(everything<Real>(build, tables())), box(net, 1), count(samples) {
+      : net(everything<Real>(build, testkit::mlp_tables())), box(net, 1), count(samples) {
     const RandomAddress address{7, 0, 0};
     std::uint64_t index = 0;
     const auto fill = [&](std::vector<Real>& to, std::int64_t size) {
@@ -104,33 +96,24 @@ Row joined(const Row& a, const Row& b) {
 TEST(Mlp, IsTheFormulas) {
   Bench<double> bench(build_of());
   bench.forward();
-  const auto layer = [&](const std::string& name, const Row& from) {
-    const View<double> w = bench.learned(name + "/weight"), b = bench.learned(name + "/bias");
-    Row y(static_cast<std::size_t>(w.cols));
+  const auto layer = [&](const std::string& name, const Row& from, bool relu = false) {
+    const View<const double> w = bench.learned(name + "/weight"), b = bench.learned(name + "/bias");
     EXPECT_EQ(w.rows, std::ssize(from)) << name;
-    for (std::int32_t j = 0; j < w.cols; ++j) {
-      double sum = b(0, j);
-      for (std::int64_t i = 0; i < w.rows; ++i) sum += from[i] * w(i, j);
-      y[j] = sum;
-    }
-    return y;
+    return testkit::plain_layer(from, w, b, relu);
   };
   const auto each = [](Row row, auto f) {
     for (double& value : row) value = f(value);
     return row;
   };
-  const auto positive = [](double z) { return std::max(z, 0.0); };
   for (std::int64_t m = 0; m < bench.count; ++m) {
     const double* at = bench.x.data() + m * kIn;
     const Row x(at, at + kIn);
     const double* ray = bench.rays.data() + bench.ray_of[m] * kRay;
-    Row h = each(layer("trunk_0", x), positive);
-    h = each(layer("trunk_1", h), positive);
-    h = each(layer("trunk_2", joined(x, h)), positive);
+    const Row h = layer("trunk_2", joined(x, layer("trunk_1", layer("trunk_0", x, true), true)), true);
     const Row waves = each(layer("waves", joined(h, x)), [](double z) { return std::sin(3 * z); });
     const Row geometry = layer("geometry", waves);
     const Row linear = layer("linear", {geometry[1], geometry[2], geometry[3]});
-    const Row view = each(layer("view", joined(joined(linear, Row(ray, ray + kRay)), h)), positive);
+    const Row view = layer("view", joined(joined(linear, Row(ray, ray + kRay)), h), true);
     const Row color = each(layer("color", view), [](double z) { return 1 / (1 + std::exp(-z)); });
     EXPECT_NEAR(bench.out[0][m], geometry[0], 1e-12);
     for (std::size_t c = 0; c < 3; ++c) EXPECT_NEAR(bench.out[1][static_cast<std::size_t>(m) * 3 + c], color[c], 1e-12);
@@ -260,7 +243,7 @@ TEST(Mlp, TakesWhatItSays) {
 }
 
 TEST(Mlp, DropsWhatNobodyNeedsAndNamesTheRest) {
-  const Mlp<float> net = everything<float>(build_of(), tables());
+  const Mlp<float> net = everything<float>(build_of(), testkit::mlp_tables());
   EXPECT_EQ(net.find("unneeded"), nullptr);
   std::map<std::string, TensorSpec> specs;
   const TensorBox<float> box(net, 1);
@@ -276,7 +259,7 @@ TEST(Mlp, DropsWhatNobodyNeedsAndNamesTheRest) {
 
 // A chain's first sine reads the samples, the others are started for their frequency.
 TEST(Mlp, SinesStartAsInTheirPaper) {
-  Mlp<float> net(build_of(), tables(), "test 'mlp'");
+  Mlp<float> net(build_of(), testkit::mlp_tables(), "test 'mlp'");
   net.output(net.chain({"sine", {net.samples()}, 24, LayerActivation::sine, 30}, 2));
   net.seal();
   const TensorBox<float> box(net, 1);

@@ -333,7 +333,7 @@ TEST_F(PluginsCheck, WordsThatFitNothingAreRefusedBeforeALawRuns) {
     EXPECT_FALSE(fs::exists(folder_ + "/cache/checks") && !verdicts().empty()) << "a verdict without laws";
   };
   const std::string rows = folder_ + "/rows.txt";
-  refused({folder_ + "/none.so"}, 69, "there is no such file");
+  for (const std::string& none : {folder_ + "/none.so", folder_}) refused({none}, 69, "there is no such file");
   refused({probe("other_api")}, 69, "plugin API 999");
   refused({probe("sound"), "--settings", folder_ + "/none.txt"}, 66, "none.txt");
   write_file_atomic(rows, "\nbands\n");

@@ -17,7 +17,6 @@
 #include "testkit/field_bench.h"
 #include "tests/plugin/toy_encoder.h"
 #include "tests/says.h"
-#include "tests/temp_dir.h"
 
 namespace semfield {
 namespace {
@@ -84,6 +83,9 @@ TEST(KernelTables, AComposedOwnerHasTheKernelsOfItsBlock) {
   EXPECT_TRUE(tables.has(Device::cpu, "field 'exact'"));
   EXPECT_FALSE(tables.has(Device::cpu, "field 'exact'", Precision::bf16));
   EXPECT_FALSE(tables.has(Device::cuda, "field 'any'"));
+  EXPECT_FALSE(tables.has(Device::cpu, "field 'none'"));
+  tables.add(Device::cuda, "field 'half'", &table, Precision::bf16);
+  EXPECT_TRUE(tables.has(Device::cuda, "field 'half'"));
   EXPECT_EQ(&tables.get<BlockTable>(Device::cpu, "field 'any'", Precision::bf16), &table);
   EXPECT_EQ(&tables.get<BlockTable>(Device::cpu, "field 'exact'"), &table);
   EXPECT_THROW(tables.get<BlockTable>(Device::cpu, "field 'exact'", Precision::bf16), Error);
@@ -227,38 +229,6 @@ std::string refusal_of(Registry& registry, const PluginModule& module) {
   return error_of(ErrorKind::unavailable, [&] { register_module(registry, module); });
 }
 
-TEST(Loader, RegistersASoundModuleUnderItsName) {
-  Registry registry;
-  register_module(registry, sound_module());
-  EXPECT_EQ(registry.get(PluginKind::encoder, "toy").module, "toys 1.0");
-}
-
-TEST(Loader, AnotherApiIsRefusedWithBothNumbers) {
-  Registry registry;
-  PluginModule module = sound_module();
-  module.api = 99;
-  EXPECT_EQ(refusal_of(registry, module), "the module speaks plugin API 99, this framework speaks " +
-                                              std::to_string(kPluginApi) +
-                                              "; rebuild the plugin against the installed headers");
-}
-
-TEST(Loader, AnotherAbiIsRefusedWithBothTags) {
-  Registry registry;
-  PluginModule module = sound_module();
-  module.abi_tag = "other-world";
-  const std::string refusal = refusal_of(registry, module);
-  EXPECT_HAS(refusal, "'other-world'", abi_tag_of_framework());
-  module.abi_tag = nullptr;
-  EXPECT_HAS(refusal_of(registry, module), "ABI ''");
-}
-
-TEST(Loader, ADescriptorWithoutItsPartsIsRefused) {
-  Registry registry;
-  PluginModule module = sound_module();
-  module.register_into = nullptr;
-  EXPECT_HAS(refusal_of(registry, module), "lacks its name, version or register function");
-}
-
 TEST(Loader, AThrowingModuleLeavesTheRegistryUnchanged) {
   Registry registry;
   register_module(registry, sound_module());
@@ -268,49 +238,6 @@ TEST(Loader, AThrowingModuleLeavesTheRegistryUnchanged) {
   EXPECT_EQ(refusal_of(registry, module), "while registering module 'half 1.0': the second half is missing");
   EXPECT_EQ(registry.names(PluginKind::encoder), std::vector<std::string>{"toy"});
   EXPECT_EQ(registry.kernels().devices_of("encoder 'half'"), "");
-}
-
-TEST(KernelTables, KnowForWhichDeviceAnOwnerHasKernels) {
-  KernelTables tables;
-  static const int fp32 = 0;
-  static const float bf16 = 0;
-  tables.add(Device::cpu, "field 'a'", &fp32);
-  tables.add(Device::cuda, "field 'b'", &bf16, Precision::bf16);
-  EXPECT_TRUE(tables.has(Device::cpu, "field 'a'"));
-  EXPECT_FALSE(tables.has(Device::cuda, "field 'a'"));
-  EXPECT_TRUE(tables.has(Device::cuda, "field 'b'"));
-  EXPECT_FALSE(tables.has(Device::cpu, "field 'b'"));
-  EXPECT_FALSE(tables.has(Device::cpu, "field 'c'"));
-}
-
-TEST(Loader, ADuplicateNameLeavesTheRegistryUnchanged) {
-  Registry registry;
-  register_module(registry, sound_module());
-  PluginModule module = sound_module();
-  module.name = "copies";
-  const std::string refusal = refusal_of(registry, module);
-  EXPECT_HAS(refusal,
-             "while registering module 'copies 1.0': the encoder name 'toy' of module 'copies 1.0' is "
-             "taken by module 'toys 1.0'");
-  EXPECT_EQ(registry.entries().size(), 1u);
-}
-
-TEST(Loader, AMissingFileIsNamed) {
-  Registry registry;
-  try {
-    load_module(registry, "/no/such/plugin.so");
-    FAIL() << "a missing file was loaded";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.message(), "cannot load plugin '/no/such/plugin.so': there is no such file");
-  }
-}
-
-TEST(Loader, AFileThatIsNoLibraryIsNamed) {
-  const TempDir dir;
-  const std::string path = dir.write("not_a_plugin.so", "plain text");
-  Registry registry;
-  const std::string error = error_of(ErrorKind::unavailable, [&] { load_module(registry, path); });
-  EXPECT_TRUE(error.starts_with("cannot load plugin '" + path + "': ")) << error;
 }
 
 // The public wrappers refuse wrong shapes with a sentence, and never call an implementation with nothing to do.

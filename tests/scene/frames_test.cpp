@@ -277,14 +277,6 @@ TEST(LoadScene, BrokenFramesAreListedAndTheRestIsRead) {
   EXPECT_FALSE(s.frames[4].rgb.empty());
 }
 
-TEST(LoadScene, FarOriginIsWarnedAbout) {
-  RoomDataset room{.offset = 1e6};
-  Diagnostics d;
-  (void)load_scene(room, {}, d);
-  ASSERT_EQ(d.all().size(), 1u);
-  EXPECT_EQ(d.all()[0].remedy, "move the origin of the poses near the scene");
-}
-
 TEST(LoadScene, AStrayCameraIsNamedWhateverTheUnit) {
   for (const double scale : {1e-4, 1.0, 1e6}) {
     SceneLoadOptions options{.check_geometry = false};
@@ -648,15 +640,6 @@ TEST(SceneBounds, APixelOfContractedSpaceIsThatOfTheBounds) {
   const double longest = std::max({size.x, size.y, size.z});
   EXPECT_GT(s.far_m, 20 * longest);
   EXPECT_NEAR(s.pixel_footprint_m, 0.5 * longest / s.info.frames[0].camera.fx, 1e-7);  // a median in float
-}
-
-TEST(SceneBounds, TheConfigurationIsTrustedMost) {
-  const ObjectDataset object;
-  SceneLoadOptions options{.bounds = {-1, -2, -3, 1, 2, 3}};
-  Diagnostics d;
-  const LoadedScene s = load_scene(object, options, d);
-  EXPECT_EQ(s.bounds.hi, (Vec3d{1, 2, 3}));
-  EXPECT_EQ(s.bounds_from, "the configuration");
 }
 
 CameraRig rig_of(const std::vector<FrameInfo>& frames) {

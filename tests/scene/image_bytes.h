@@ -1,12 +1,15 @@
-// Image files put together byte by byte: OpenEXR, and PNG headers and layouts that no writer makes.
+// Image files put together byte by byte: OpenEXR, PNG headers and layouts that no writer makes, right checksums.
 #pragma once
 
 #include <zlib.h>
 
 #include <cstdint>
 #include <cstring>
+#include <span>
 #include <string>
 #include <vector>
+
+#include "system/checksum.h"
 
 namespace semfield::testing_room {
 
@@ -90,6 +93,36 @@ inline std::vector<std::uint8_t> png_of(std::uint32_t w, std::uint32_t h, std::u
   put_chunk(out, "IDAT", packed);
   put_chunk(out, "IEND", {});
   return out;
+}
+
+// Checksums stop chance bytes at the door; these two make them right, so that what lies behind is reached too.
+
+/// The chunks of a PNG with their checksums.
+inline std::string with_png_checksums(std::string bytes) {
+  for (std::size_t at = 8; at + 12 <= bytes.size();) {
+    std::size_t length = 0;
+    for (std::size_t i = 0; i < 4; ++i) length = length << 8 | static_cast<unsigned char>(bytes[at + i]);
+    if (length > bytes.size() - at - 12) break;
+    const uLong crc = ::crc32(0, reinterpret_cast<const Bytef*>(bytes.data()) + at + 4, static_cast<uInt>(length + 4));
+    for (std::size_t i = 0; i < 4; ++i) bytes[at + 8 + length + i] = static_cast<char>(crc >> (24 - 8 * i) & 0xFF);
+    at += length + 12;
+  }
+  return bytes;
+}
+
+/// A packed scene with its size and the checksums of its manifest and header.
+inline std::string with_pack_checksums(std::string bytes) {
+  if (bytes.size() < 64) return bytes;
+  const std::uint64_t size = bytes.size();
+  std::uint64_t offset = 0, length = 0;
+  std::memcpy(bytes.data() + 16, &size, 8);
+  std::memcpy(&offset, bytes.data() + 24, 8);
+  std::memcpy(&length, bytes.data() + 32, 8);
+  const auto view = std::as_bytes(std::span<const char>(bytes));
+  const auto put = [&](std::size_t at, std::uint32_t crc) { std::memcpy(bytes.data() + at, &crc, 4); };
+  if (offset <= size && length <= size - offset) put(40, crc32c(view.subspan(offset, length)));
+  put(60, crc32c(view.first(60)));
+  return bytes;
 }
 
 }  // namespace semfield::testing_room

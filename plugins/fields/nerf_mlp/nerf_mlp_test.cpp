@@ -1,4 +1,4 @@
-// Tests of the NeRF network: exactness of the savings, parameter count, an independent forward.
+// Tests of the NeRF network: parameter count, an independent forward. Mlp of tests/plugin has the savings.
 #include "fields/nerf_mlp/nerf_mlp.h"
 
 #include <algorithm>
@@ -15,15 +15,6 @@ namespace semfield {
 namespace {
 
 using namespace testkit;
-
-const KernelTables& tables() {
-  static const KernelTables tables = [] {
-    KernelTables t;
-    mlp_kernels(t);
-    return t;
-  }();
-  return tables;
-}
 
 const NerfMlpParams kSmall{4, 12, 2, 9};
 
@@ -42,7 +33,7 @@ std::int64_t learned_count(const NerfMlpParams& params, const FieldBuild& build)
     std::int64_t learned = 0;
     int tensors = 0;
   } counter;
-  NerfMlp<float>(params, build, tables()).declare(counter);
+  NerfMlp<float>(params, build, mlp_tables()).declare(counter);
   return counter.learned;
 }
 
@@ -63,32 +54,14 @@ TEST(NerfMlp, StartsWithinTheFanIn) {
     double skip = 0, skip_bias = 0;
     int count = 0;
   } check;
-  NerfMlp<float>({}, build_of(63, 27), tables()).declare(check);
+  NerfMlp<float>({}, build_of(63, 27), mlp_tables()).declare(check);
   EXPECT_DOUBLE_EQ(check.skip, 1 / std::sqrt(319.0));
   EXPECT_DOUBLE_EQ(check.skip_bias, 1 / std::sqrt(319.0));
 }
 
-TEST(NerfMlp, SavingsChangeNeitherOutputsNorGradients) {
-  const LawOptions options;
-  const FieldBuild plain_build = build_of(7, 5, false, false);
-  const NerfMlp<double> plain_field(kSmall, plain_build, tables());
-  FieldBench<double> plain(plain_field, plain_build, 33, 0, options);
-  plain.forward();
-  plain.backward();
-  for (const auto& [fold, once] : {std::pair{true, false}, {false, true}, {true, true}}) {
-    SCOPED_TRACE("fold " + std::to_string(fold) + ", once per ray " + std::to_string(once));
-    const FieldBuild build = build_of(7, 5, fold, once);
-    const NerfMlp<double> field(kSmall, build, tables());
-    FieldBench<double> saving(field, build, 33, 0, options);
-    saving.forward();
-    saving.backward();
-    expect_same_network(saving, plain);
-  }
-}
-
 TEST(NerfMlp, ForwardIsThePapersNetwork) {
   const FieldBuild build = build_of(7, 5);
-  const NerfMlp<double> field(kSmall, build, tables());
+  const NerfMlp<double> field(kSmall, build, mlp_tables());
   FieldBench<double> bench(field, build, 33, 0, {});
   bench.forward();
   const FieldIn<double> in = bench.in();
@@ -112,7 +85,7 @@ TEST(NerfMlp, ForwardIsThePapersNetwork) {
 
 TEST(NerfMlp, BackwardWithoutPositionGradientGivesTheSameParameterGradients) {
   const FieldBuild build = build_of(7, 5);
-  const NerfMlp<float> field(kSmall, build, tables());
+  const NerfMlp<float> field(kSmall, build, mlp_tables());
   FieldBench<float> with(field, build, 33, 0, {}), without(field, build, 33, 0, {});
   with.forward();
   with.backward();
@@ -127,8 +100,8 @@ TEST(NerfMlp, RefusesASkipBeyondTheTrunk) {
   validate(NerfMlpParams{4, 8, 4, 8}, diagnostics);
   ASSERT_EQ(diagnostics.error_count(), 1);
   EXPECT_EQ(diagnostics.all()[0].where, "skip_at");
-  EXPECT_THROW(NerfMlp<float>({4, 8, 4, 8}, build_of(7, 5), tables()), Error);
-  EXPECT_THROW(NerfMlp<float>({}, build_of(0, 5), tables()), Error);
+  EXPECT_THROW(NerfMlp<float>({4, 8, 4, 8}, build_of(7, 5), mlp_tables()), Error);
+  EXPECT_THROW(NerfMlp<float>({}, build_of(0, 5), mlp_tables()), Error);
 }
 
 TEST(NerfMlp, SaysWhereAGpuComputesItLayerByLayer) {
@@ -151,7 +124,7 @@ TEST(NerfMlp, SaysWhereAGpuComputesItLayerByLayer) {
   EXPECT_EQ(said({}, true, false), said(kSmall));
   EXPECT_HAS(said({}, true, true, true), "semantic branch");
   EXPECT_HAS(said({}, false), "compute capability 9.0");
-  EXPECT_EQ((NerfMlp<float>(kSmall, build_of(63, 27), tables()).slow_path()), "") << "on a CPU";
+  EXPECT_EQ((NerfMlp<float>(kSmall, build_of(63, 27), mlp_tables()).slow_path()), "") << "on a CPU";
 }
 
 }  // namespace

@@ -1,16 +1,15 @@
 // Tests of the field of sines: an independent forward, and how it starts.
 #include <gtest/gtest.h>
 
-#include "plugin/loader.h"
 #include "testkit/field_bench.h"
 #include "testkit/laws.h"
+#include "tests/linked_registry.h"
 
 namespace semfield {
 namespace {
 
 TEST(Siren, FeatureAndDensityAreSinesOfSines) {
-  Registry registry;
-  register_linked_plugins(registry);
+  const Registry& registry = testkit::linked_registry();
   const PluginEntry& entry = registry.get(PluginKind::field, "siren");
   const testkit::Settings settings{{"layers", "2"}, {"width", "6"}, {"frequency", "4"}};
   const FieldBuild build{.position_dims = 3, .direction_dims = 2};

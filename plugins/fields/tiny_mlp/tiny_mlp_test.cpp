@@ -1,4 +1,4 @@
-// Tests of the small network: exactness of the saving, an independent forward, its feature alone.
+// Tests of the small network: an independent forward, its feature alone. Mlp of tests/plugin has the saving.
 #include "fields/tiny_mlp/tiny_mlp.h"
 
 #include <algorithm>
@@ -15,15 +15,6 @@ namespace {
 
 using namespace testkit;
 
-const KernelTables& tables() {
-  static const KernelTables tables = [] {
-    KernelTables t;
-    mlp_kernels(t);
-    return t;
-  }();
-  return tables;
-}
-
 // What a field says whose device has these kernels, as far as they say which networks they take.
 std::string slow_path_of(const TinyMlpParams& params, FieldBuild build, bool shared_memory = true) {
   const MlpKernels<float> layers;
@@ -39,26 +30,14 @@ std::string slow_path_of(const TinyMlpParams& params, FieldBuild build, bool sha
 
 TinyMlpParams small(TinyFeature feature = TinyFeature::hidden) { return {12, 2, 5, 10, 2, feature}; }
 
-FieldBuild build_of(std::int32_t position_dims, std::int32_t direction_dims, bool once = true) {
-  return FieldBuild{
-      .position_dims = position_dims, .direction_dims = direction_dims, .savings = {.direction_once_per_ray = once}};
-}
-
-TEST(TinyMlp, OnceARayChangesNeitherOutputsNorGradients) {
-  const FieldBuild plain_build = build_of(7, 4, false), saving_build = build_of(7, 4, true);
-  const TinyMlp<double> plain_field(small(), plain_build, tables()), saving_field(small(), saving_build, tables());
-  FieldBench<double> plain(plain_field, plain_build, 33, 0, {}), saving(saving_field, saving_build, 33, 0, {});
-  for (FieldBench<double>* bench : {&plain, &saving}) {
-    bench->forward();
-    bench->backward();
-  }
-  expect_same_network(saving, plain);
+FieldBuild build_of(std::int32_t position_dims, std::int32_t direction_dims) {
+  return FieldBuild{.position_dims = position_dims, .direction_dims = direction_dims};
 }
 
 TEST(TinyMlp, ForwardIsTheNetwork) {
   for (const TinyFeature feature : {TinyFeature::hidden, TinyFeature::geometry}) {
     const FieldBuild build = build_of(7, 4);
-    const TinyMlp<double> field(small(feature), build, tables());
+    const TinyMlp<double> field(small(feature), build, mlp_tables());
     FieldBench<double> bench(field, build, 33, 0, {});
     bench.forward();
     const FieldIn<double> in = bench.in();
@@ -85,9 +64,9 @@ TEST(TinyMlp, ForwardIsTheNetwork) {
 TEST(TinyMlp, FeatureAloneIsThatOfTheWholeNetwork) {
   for (const TinyFeature feature : {TinyFeature::hidden, TinyFeature::geometry}) {
     FieldBuild build = build_of(7, 0);
-    const TinyMlp<double> whole(small(feature), build, tables());
+    const TinyMlp<double> whole(small(feature), build, mlp_tables());
     build.feature_only = true;
-    const TinyMlp<double> alone(small(feature), build, tables());
+    const TinyMlp<double> alone(small(feature), build, mlp_tables());
     testkit::TensorBox<double> of_whole(whole, 1), of_alone(alone, 2);
     EXPECT_LT(of_alone.count(), of_whole.count());
     const auto twin_of = [&](std::size_t i) {
@@ -137,10 +116,10 @@ TEST(TinyMlp, FeatureAloneIsThatOfTheWholeNetwork) {
 }
 
 TEST(TinyMlp, SaysWhatItCannotBuild) {
-  EXPECT_THROW(TinyMlp<float>({}, build_of(0, 4), tables()), Error);
+  EXPECT_THROW(TinyMlp<float>({}, build_of(0, 4), mlp_tables()), Error);
   FieldBuild build = build_of(7, 4);
   build.device = Device::cuda;
-  EXPECT_HAS(error_of([&] { const TinyMlp<float> field({}, build, tables()); }),
+  EXPECT_HAS(error_of([&] { const TinyMlp<float> field({}, build, mlp_tables()); }),
              "field 'tiny_mlp' has no cuda kernels");
 }
 
@@ -159,7 +138,7 @@ TEST(TinyMlp, SaysWhereAGpuComputesItLayerByLayer) {
   EXPECT_HAS(slow_path_of({129, 2}, branch), "as a semantic branch");
   build.precision = Precision::fp32;
   EXPECT_EQ(slow_path_of({128}, build), "") << "then it is the precision that is slow";
-  EXPECT_EQ((TinyMlp<float>({128}, build_of(32, 16), tables()).slow_path()), "") << "on a CPU";
+  EXPECT_EQ((TinyMlp<float>({128}, build_of(32, 16), mlp_tables()).slow_path()), "") << "on a CPU";
 }
 
 }  // namespace

@@ -207,7 +207,7 @@ MeshRenderer room_renderer() {
 
 TEST(MeshRender, DepthClassAndInstanceOfEveryPixelAreExact) {
   const MeshRenderer renderer = room_renderer();
-  const Camera camera = camera_of(61, 47);
+  const Camera camera = room_camera(61, 47);
   const Pose pose = look_along({0.1, -1, 1.2}, {-0.1, 1, -0.25}, {0, 0, 1});
   FrameBuffer frame;
   renderer.render(camera, pose, 0, frame);
@@ -235,7 +235,7 @@ TEST(MeshRender, DepthClassAndInstanceOfEveryPixelAreExact) {
 
 TEST(MeshRender, SamePixelsForAnyNumberOfThreadsAndAnotherFrameAnotherNoise) {
   const MeshRenderer renderer = room_renderer();
-  const Camera camera = camera_of(48, 36);
+  const Camera camera = room_camera(48, 36);
   const Pose pose = look_along({0.1, -1, 1.2}, {0.2, 1, -0.3}, {0, 0, 1});
   FrameBuffer one, two, other;
   set_thread_count(1);
@@ -259,7 +259,7 @@ TEST(MeshRender, NothingHitIsVoidWithTheBackgroundsColour) {
   settings.background = {0, 0.5f, 0};
   const MeshRenderer renderer(std::move(mesh), {0}, settings, d);
   FrameBuffer frame;
-  renderer.render(camera_of(8, 8), look_along({0, 0, 0}, {0, -1, 0}, {0, 0, 1}), 0, frame);
+  renderer.render(room_camera(8, 8), look_along({0, 0, 0}, {0, -1, 0}, {0, 0, 1}), 0, frame);
   // 1 - exp(-0.5), sRGB-coded.
   const auto green = static_cast<int>(std::lround(255 * srgb_of_linear(1 - std::exp(-0.5f))));
   for (std::size_t i = 0; i < 64; ++i) {
@@ -288,7 +288,7 @@ struct Sheet {
     settings.supersample = 1;
     const MeshRenderer renderer(std::move(mesh), {0, 0, 1, 1}, settings, diagnostics);
     FrameBuffer frame;
-    renderer.render(camera_of(8, 8), look_along({0, 0, 0}, {0, 1, 0}, {0, 0, 1}), 0, frame);
+    renderer.render(room_camera(8, 8), look_along({0, 0, 0}, {0, 1, 0}, {0, 0, 1}), 0, frame);
     return frame;
   }
 };
@@ -362,7 +362,7 @@ TEST(MeshRender, LightFallsOnWhatFacesItAndShadowsStayDark) {
   const MeshRenderer renderer(std::move(mesh), {0, 0, 1, 1}, settings, d);
   FrameBuffer frame;
   // Between floor and shelf: the floor under the shelf (right) is in shadow, the rest (left) is lit.
-  renderer.render(camera_of(16, 16), look_along({0, 0, 0.9}, {0, 0.001, -1}, {0, 0, 1}), 0, frame);
+  renderer.render(room_camera(16, 16), look_along({0, 0, 0.9}, {0, 0.001, -1}, {0, 0, 1}), 0, frame);
   const std::size_t row = 8 * 16;
   EXPECT_EQ(frame.label[row + 2], 0);
   EXPECT_EQ(frame.label[row + 13], 0);

@@ -12,9 +12,9 @@
 #include "datasets/obj_room/mesh_render.h"
 #include "datasets/obj_room/tests/obj_testing.h"
 #include "datasets/replica/replica.h"
-#include "plugin/loader.h"
 #include "system/files.h"
 #include "tests/datasets/rewritten_poses.h"
+#include "tests/linked_registry.h"
 
 namespace semfield {
 namespace {
@@ -220,14 +220,9 @@ TEST(ObjRoomShipped, PoseConventionsAreTold) {
 
 template <class Params>
 std::unique_ptr<Dataset> linked(const std::string& name, const Params& params) {
-  static const Registry registry = [] {
-    Registry all;
-    register_linked_plugins(all);
-    return all;
-  }();
   ParamsOf<Params> erased;
   erased.value = params;
-  return registry.get(PluginKind::dataset, name).dataset(erased, {});
+  return testkit::linked_registry().get(PluginKind::dataset, name).dataset(erased, {});
 }
 
 ReplicaParams all_frames(const std::string& root) {
@@ -307,7 +302,7 @@ class Wall final : public Dataset {
     frame.instance.assign(8, 300);
     for (int i = 0; i < 2; ++i) {
       FrameInfo f{.name = std::to_string(i),
-                  .camera = camera_of(4, 2),
+                  .camera = room_camera(4, 2),
                   .world_from_camera = {.t = {0.1 * i, 0, 0}},
                   .has_depth = true,
                   .has_labels = true,

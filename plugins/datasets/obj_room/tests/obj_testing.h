@@ -12,6 +12,7 @@ namespace semfield::testing_obj {
 
 using testing_room::fresh_folder;
 using testing_room::plain_write;
+using testing_room::room_camera;
 
 /// Eight corners and six quads of a box, one object a face: x-, x+, y-, y+, z-, z+.
 inline void add_box(std::ostringstream& obj, const Box& box, const std::array<const char*, 6>& names, int& vertices) {
@@ -89,15 +90,6 @@ inline Truth room_truth(Vec3d origin, Vec3d direction) {
 /// Classes of kRoomClasses (0 wall, 1 floor, 2 ceiling, 3 crate) by object.
 inline std::int16_t class_of_object(int object) {
   return static_cast<std::int16_t>(object < 4 ? 0 : object == 4 ? 1 : object == 5 ? 2 : 3);
-}
-
-inline Camera camera_of(int width, int height) {
-  return Camera{.width_px = width,
-                .height_px = height,
-                .fx = 0.5 * width,
-                .fy = 0.5 * width,
-                .cx = 0.5 * width,
-                .cy = 0.5 * height};
 }
 
 }  // namespace semfield::testing_obj
