@@ -58,7 +58,6 @@ class MockPageCase(page_case.PageCase):
         return inside[len(inside) // 2]
 
 
-# The page in headless Chromium against the mock server: what a person does, what is seen, and what happens when things break.
 RING = [255, 213, 74]
 
 
@@ -149,12 +148,8 @@ class PageTest(MockPageCase):
         before = page.pixels(middle)
         page.run("window.dispatchEvent(new KeyboardEvent('keydown', {key: 'ArrowRight', bubbles: true}))")
         page.mouse(self.page_of(page, 60, 45), self.page_of(page, 20, 45))
-        for _ in range(60):
-            seen = page.pixels(middle)
-            if any(max(abs(a - b) for a, b in zip(p, q)) > 20 for p, q in zip(before, seen)):
-                break
-        else:
-            self.fail("looking around changes nothing")
+        page.wait_for(lambda: any(max(abs(a - b) for a, b in zip(p, q)) > 20 for p, q in zip(before, page.pixels(middle))), True,
+                      "looking around changes nothing")
         self.assertFalse(all(full for _, full in self.room.flights[3:]), "no quick picture while it moves")
         self.assertFalse(self.room.events, "a drag of the free camera labels")
         page.keys("escape")
@@ -503,7 +498,7 @@ class PageTest(MockPageCase):
         self.assertEqual(said, [])
 
 
-# The page's tools in headless Chromium against the mock server: polygons, deletion, classes that end, what is ignored, test frames, flight.
+# Its tools: polygons, deletion, classes that end, what is ignored, test frames, flight.
 class ToolsTest(MockPageCase):
     def test_a_polygon(self):
         page = self.served(classes=("sofa", "floor"))
@@ -735,8 +730,8 @@ class ToolsTest(MockPageCase):
         self.message(page, "Click into the picture")
 
 
-# The page in headless Chromium against the mock server: what a person does before the page has caught up, as on a loaded machine.
-# A label is of the class, view and proposal that the person saw, and what is not stored says so.
+# What a person does before the page has caught up, as on a loaded machine: a label is of the class, view and proposal that the person
+# saw, and what is not stored says so.
 # Events of one task: none that the browser itself queues comes between them.
 HASTE = """
 const byId = (id) => document.getElementById(id);
