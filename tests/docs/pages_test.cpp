@@ -15,7 +15,6 @@
 #include <regex>
 #include <set>
 
-#include "core/text.h"
 #include "plugin/loader.h"
 #include "session/settings/run_config.h"
 #include "system/files.h"

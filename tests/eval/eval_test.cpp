@@ -1,8 +1,6 @@
 // Metrics against values computed by hand, and the rules of merging. Cases H01 to H05 of tests/numerics have what is
 // absent or bad.
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -11,14 +9,12 @@
 #include <random>
 
 #include "compute/parallel.h"
-#include "core/error.h"
 #include "eval/channel_query.h"
 #include "eval/evaluator.h"
 #include "eval/final_eval.h"
 #include "eval/image_output.h"
 #include "eval/metrics.h"
 #include "formats/image_io.h"
-#include "system/files.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
 

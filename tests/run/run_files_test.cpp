@@ -11,13 +11,11 @@
 #include <limits>
 #include <nlohmann/json.hpp>
 
-#include "core/error.h"
 #include "formats/safetensors.h"
 #include "run/metrics_log.h"
 #include "run/run_folder.h"
 #include "session/checkpoint_facts.h"
 #include "system/checksum.h"
-#include "system/files.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
 
@@ -267,8 +265,6 @@ TEST_F(RunFolderTest, EnvironmentAndLeftOutRoundTrip) {
 }
 
 // metrics.jsonl, read back also by code that shares nothing with its writer, and the TensorBoard file.
-
-namespace fs = std::filesystem;
 
 class LogTest : public ::testing::Test {
  protected:

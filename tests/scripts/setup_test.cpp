@@ -8,7 +8,6 @@
 #include <filesystem>
 #include <fstream>
 
-#include "core/text.h"
 #include "system/files.h"
 #include "tests/says.h"
 

@@ -9,13 +9,10 @@
 #include <sstream>
 
 #include "app/sweep/cell_pool.h"
-#include "core/error.h"
 #include "plugin/loader.h"
 #include "report/sweep/sweep_file.h"
 #include "report/sweep/sweep_results.h"
 #include "session/settings/run_config.h"
-#include "system/files.h"
-#include "tests/says.h"
 #include "tests/scene/tiny_scene.h"
 #include "tests/temp_dir.h"
 

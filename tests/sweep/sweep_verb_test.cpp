@@ -5,8 +5,6 @@
 #include <random>
 #include <set>
 
-#include "core/text.h"
-#include "system/files.h"
 #include "tests/program.h"
 #include "tests/sweep/tiny_sweep.h"
 
@@ -201,8 +199,6 @@ TEST(SweepTorture, KillsOfTwoProcessesSideBySideLoseNoResult) {
 
 // Several processes of one sweep, started by hand on one folder: they share the cells, and what they leave is what one
 // process leaves.
-
-namespace fs = std::filesystem;
 
 std::size_t count_of(const std::string& text, const std::string& word) {
   std::size_t count = 0;
