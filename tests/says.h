@@ -56,6 +56,13 @@ inline std::string all_said(const Diagnostics& diagnostics) {
   return out;
 }
 
+/// Every finding's text, a line each.
+inline std::string texts(const Diagnostics& diagnostics) {
+  std::string out;
+  for (const Diagnostic& finding : diagnostics.all()) out += finding.text() + "\n";
+  return out;
+}
+
 /// "" when `work` throws an Error with the code, or one that lists such a finding, which holds every one of `parts`.
 template <class Work>
 std::string unrefused(const Work& work, Code code, std::initializer_list<std::string_view> parts) {

@@ -7,9 +7,7 @@
 #include <sstream>
 #include <vector>
 
-#include "core/error.h"
 #include "loading/packed_scene.h"
-#include "system/files.h"
 #include "testkit/analytic_scene.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"

@@ -2,8 +2,6 @@
 // `scripts/docs_check` looks at links and words.
 #include "tests/docs/pages.h"
 
-#include <unistd.h>
-
 #include <algorithm>
 #include <array>
 #include <cstdio>
@@ -15,11 +13,11 @@
 #include <regex>
 #include <set>
 
-#include "core/text.h"
 #include "plugin/loader.h"
 #include "session/settings/run_config.h"
 #include "system/files.h"
 #include "tests/says.h"
+#include "tests/temp_dir.h"
 
 namespace semfield::docs {
 namespace {
@@ -194,13 +192,11 @@ TEST(Pages, ShellBlocksUseRealOptions) {
 
 // A block marked `yaml` is a whole configuration, saved in configs/ as it or the text around it says.
 TEST(Pages, EveryYamlBlockIsRead) {
-  const fs::path folder = fs::path(testing::TempDir()) / ("semfield_docs_configs_" + std::to_string(::getpid()));
+  const TempDir folder;
   const fs::path configs = fs::path(SEMFIELD_SOURCE_DIR) / "configs";
   for (const auto& entry : fs::recursive_directory_iterator(configs)) {  // by content: the originals may be read-only
     if (!entry.is_regular_file()) continue;
-    const fs::path copy = folder / fs::relative(entry.path(), configs);
-    fs::create_directories(copy.parent_path());
-    write_file_atomic(copy.string(), read_text_file(entry.path().string()));
+    folder.write(fs::relative(entry.path(), configs).string(), read_text_file(entry.path().string()));
   }
   Registry registry;
   register_linked_plugins(registry);
@@ -208,8 +204,7 @@ TEST(Pages, EveryYamlBlockIsRead) {
   for (const std::string& path : all_pages()) {
     for (const Block& block : blocks_of(page(path))) {
       if (block.info != "yaml" && !block.info.starts_with("yaml file=configs/")) continue;
-      const std::string file = (folder / "block.yaml").string();
-      write_file_atomic(file, block.text);
+      const std::string file = folder.write("block.yaml", block.text);
       try {
         load_run_config(file, {}, registry);
         ++read;
@@ -219,7 +214,6 @@ TEST(Pages, EveryYamlBlockIsRead) {
     }
   }
   EXPECT_GE(read, 4);
-  fs::remove_all(folder);
 }
 
 }  // namespace

@@ -4,11 +4,9 @@
 #include "compute/parallel.h"
 #include "core/rng.h"
 #include "serve/point_learner.h"
-#include "session/trainer.h"
 #include "testkit/compare.h"
 #include "tests/label_loop/labelled_room.h"
 #include "tests/session/oracle.h"
-#include "tests/session/train_testing.h"
 
 namespace semfield {
 namespace {
@@ -123,8 +121,7 @@ TEST(LabelLoop, UndoGivesTheBitsOfNeverHavingClicked) {
     EXPECT_EQ(room.loop->labels_of(v).label, other.loop->labels_of(v).label);
     EXPECT_EQ(room.loop->labels_of(v).entropy, other.loop->labels_of(v).entropy);
   }
-  EXPECT_EQ(room.loop->propose(1, 3)->point,
-            other.loop->propose(1, 3)->point);
+  EXPECT_EQ(room.loop->propose(1, 3)->point, other.loop->propose(1, 3)->point);
   room.loop->learn({});
   other.loop->learn(room.clicks(2, 40));
   other.loop->learn({});
@@ -526,10 +523,8 @@ std::vector<Real> logits_of(const Pass<Real>& pass, std::vector<Real> rows, cons
 TEST(PointPass, LogitsAreThoseOfASampleOfWeightOne) {
   for (const std::string& form : kForms) {
     SCOPED_TRACE(form);
-    Registry registry = make_registry();
     Oracle oracle(point_pass_config_of(form.empty() ? "" : form + ", least_weight: 0",
-                                       "runtime: {deferred_class_layer: false, tile_rays: 24, lanes: 1}\n"),
-                  registry);
+                                       "runtime: {deferred_class_layer: false, tile_rays: 24, lanes: 1}\n"));
     const Pass<double>& pass = oracle.pipeline->passes().back();
     Workspace arena;
     StepContext ctx{.workspace = &arena};
@@ -562,8 +557,7 @@ TEST(PointPass, LogitsAreThoseOfASampleOfWeightOne) {
 TEST(PointPass, GradientsAreThoseOfFiniteDifferencesAndNoneReachesTheField) {
   for (const std::string& form : {kForms[0], kForms[1], kForms[2], kPointPassBranch + ", dropout: 0.3"}) {
     SCOPED_TRACE(form);
-    Registry registry = make_registry();
-    Oracle oracle(point_pass_config_of(form), registry);
+    Oracle oracle(point_pass_config_of(form));
     const Pass<double>& pass = oracle.pipeline->passes().back();
     ParamStore<double>& store = oracle.pipeline->store();
     oracle.pipeline->derive(0);
@@ -609,9 +603,8 @@ TEST(PointPass, GradientsAreThoseOfFiniteDifferencesAndNoneReachesTheField) {
 }
 
 TEST(PointPass, DropoutIsForTrainingAlone) {
-  Registry registry = make_registry();
-  const Oracle with(point_pass_config_of(kPointPassBranch + ", dropout: 0.4"), registry),
-      without(point_pass_config_of(kPointPassBranch), registry);
+  const Oracle with(point_pass_config_of(kPointPassBranch + ", dropout: 0.4")),
+      without(point_pass_config_of(kPointPassBranch));
   const Pass<double>&drops = with.pipeline->passes().back(), &plain = without.pipeline->passes().back();
   with.pipeline->derive(0);
   without.pipeline->derive(0);

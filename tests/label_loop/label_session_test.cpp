@@ -10,17 +10,13 @@
 #include <stdexcept>
 #include <thread>
 
-#include "core/error.h"
 #include "labels/clicks/click_log.h"
 #include "loading/packed_scene.h"
 #include "report/report.h"
 #include "run/metrics_log.h"
 #include "run/run_folder.h"
-#include "run/run.h"
 #include "run/run_scores.h"
 #include "serve/view_pictures.h"
-#include "system/files.h"
-#include "testkit/analytic_scene.h"
 #include "tests/label_loop/labelled_room.h"
 #include "tests/scene/tiny_scene.h"
 
@@ -30,8 +26,7 @@ namespace {
 inline constexpr int kSteps = 60;
 
 inline std::string session_config(const std::string& scene = "analytic_room, with_labels: false, with_classes: false") {
-  std::string yaml = room_config(scene);
-  yaml.replace(yaml.find("steps: 200"), 10, "steps: " + std::to_string(kSteps));
+  std::string yaml = testing_train::replaced(room_config(scene), "steps: 200", "steps: " + std::to_string(kSteps));
   return yaml;
 }
 
@@ -40,18 +35,14 @@ class RunningSession {
  public:
   RunningSession(const std::string& yaml, const std::string& run_dir, RunListener* listener = nullptr,
                  int class_room = 6)
-      : RunningSession(run_config_of(parse_config_text(yaml, "test.yaml"), registry()), run_dir, listener, class_room) {
-  }
+      : RunningSession(run_config_of(parse_config_text(yaml, "test.yaml"), testing_train::all_plugins()), run_dir,
+                       listener, class_room) {}
   RunningSession(RunConfig config, const std::string& run_dir, RunListener* listener = nullptr, int class_room = 6)
-      : session(std::move(config), registry(), {run_dir, class_room}, listener) {}
+      : session(std::move(config), testing_train::all_plugins(), {run_dir, class_room}, listener) {}
   ~RunningSession() { stop(); }
   RunningSession(const RunningSession&) = delete;
   RunningSession& operator=(const RunningSession&) = delete;
 
-  static Registry& registry() {
-    static Registry all = testing_train::make_registry();
-    return all;
-  }
   RunningSession& start() {
     thread_ = std::thread([this] {
       try {
@@ -110,6 +101,13 @@ class RunningSession {
 namespace semfield {
 namespace {
 
+// A session of the plain configuration in a folder of its own.
+class PlainSession : public ::testing::Test {
+ protected:
+  const TempDir dir;
+  testing_loop::RunningSession run{testing_loop::session_config(), dir / "run"};
+};
+
 // A labelling session: events from several threads, labels that follow, undo, what a run's folder holds and goes on
 // with, and what happens when training fails.
 
@@ -126,9 +124,7 @@ std::size_t lines_of(const std::string& path) {
   return static_cast<std::size_t>(std::count(text.begin(), text.end(), '\n'));
 }
 
-TEST(LabelSession, BeginsWithoutLabelsAndWithoutClasses) {
-  const TempDir dir;
-  RunningSession run(session_config(), dir / "run");
+TEST_F(PlainSession, BeginsWithoutLabelsAndWithoutClasses) {
   const auto first = run.session.state();
   ASSERT_EQ(first->views.size(), 12u);
   for (std::size_t v = 0; v < first->views.size(); ++v) EXPECT_EQ(first->views[v].held_out, v >= 9) << v;
@@ -154,18 +150,16 @@ TEST(LabelSession, BeginsWithoutLabelsAndWithoutClasses) {
 TEST(LabelSession, PosesOfAPhoneStayAsGivenUnlessAskedFor) {
   for (const bool asked : {false, true}) {
     const TempDir dir;
-    std::string yaml = session_config("analytic_room, with_labels: false, with_classes: false, tracked: true");
-    yaml.replace(yaml.find("train: {"), 8,
-                 asked ? "train: {cameras: {poses: learned}, " : "train: {cameras: {poses: auto}, ");
+    std::string yaml = testing_train::replaced(
+        session_config("analytic_room, with_labels: false, with_classes: false, tracked: true"), "train: {",
+        asked ? "train: {cameras: {poses: learned}, " : "train: {cameras: {poses: auto}, ");
     RunningSession run(yaml, dir / "run");
     EXPECT_EQ(run.session.opened().config.cameras.poses == CameraTrust::learned, asked);
   }
 }
 
 // They have labels as the others, and take no clicks.
-TEST(LabelSession, TestFramesAreLookedAt) {
-  const TempDir dir;
-  RunningSession run(session_config(), dir / "run");
+TEST_F(PlainSession, TestFramesAreLookedAt) {
   run.start();
   run.wait_until([](const LabelState& s) { return s.geometry_ready; });
   ASSERT_TRUE(run.session.apply(run.add("1", "wall")));
@@ -181,8 +175,7 @@ TEST(LabelSession, TestFramesAreLookedAt) {
 // Also when no surface is made anew after the last step, as here: 150, 290 and 514 steps are when they are due.
 TEST(LabelSession, TheEndOfTrainingIsTold) {
   const TempDir dir;
-  std::string yaml = session_config();
-  yaml.replace(yaml.find("steps: 60"), 9, "steps: 500");
+  std::string yaml = testing_train::replaced(session_config(), "steps: 60", "steps: 500");
   RunningSession run(yaml, dir / "run");
   run.start();
   const auto trained = run.wait_until([](const LabelState& s) { return s.phase.find("trained") == 0; });
@@ -191,9 +184,7 @@ TEST(LabelSession, TheEndOfTrainingIsTold) {
   EXPECT_TRUE(trained->failure.empty());
 }
 
-TEST(LabelSession, ClicksMakeLabelsAndUndoTakesThemBack) {
-  const TempDir dir;
-  RunningSession run(session_config(), dir / "run");
+TEST_F(PlainSession, ClicksMakeLabelsAndUndoTakesThemBack) {
   run.start();
   LabelSession& session = run.session;
   EXPECT_TRUE(session.apply(run.add("1", "wall")));
@@ -263,9 +254,7 @@ TEST(LabelSession, WrongEventsChangeNothing) {
   EXPECT_GT(session.picture(labels_of(8)).label.size(), 0u);
 }
 
-TEST(LabelSession, ThreadsThatClickAtOnceLoseNothing) {
-  const TempDir dir;
-  RunningSession run(session_config(), dir / "run");
+TEST_F(PlainSession, ThreadsThatClickAtOnceLoseNothing) {
   run.session.apply(run.add("a", "wall"));
   run.session.apply(run.add("b", "floor"));
   run.start();
@@ -306,7 +295,7 @@ TEST(LabelSession, ARunIsSavedOpenedByVerbsAndGoesOn) {
     run.session.save();
     EXPECT_TRUE(std::filesystem::exists(folder + "/checkpoints/latest"));
     Diagnostics findings;
-    const OpenedRun meanwhile = open_run(folder, {}, RunningSession::registry(), findings);
+    const OpenedRun meanwhile = open_run(folder, {}, testing_train::all_plugins(), findings);
     EXPECT_GT(meanwhile.step, 0);
     run.session.apply(run.add("3", "floor"));
     run.session.apply(run.click("4", 2, "floor", {24.5, 33.5}));
@@ -315,13 +304,13 @@ TEST(LabelSession, ARunIsSavedOpenedByVerbsAndGoesOn) {
     step = run.session.state()->step;
   }
   Diagnostics findings;
-  const OpenedRun opened = open_run(folder, {}, RunningSession::registry(), findings);
+  const OpenedRun opened = open_run(folder, {}, testing_train::all_plugins(), findings);
   EXPECT_GE(opened.step, step);
   EXPECT_EQ(opened.session.scene.info.classes.valid(0).name, "wall");
   EXPECT_EQ(opened.session.scene.info.classes.valid(1).name, "floor");
   ASSERT_TRUE(opened.session.pipeline->has_semantics());
 
-  RunConfig config = load_run_config(RunFolder::read(folder).config_path(), {}, RunningSession::registry());
+  RunConfig config = load_run_config(RunFolder::read(folder).config_path(), {}, testing_train::all_plugins());
   RunningSession again(std::move(config), folder);
   const auto state = again.session.state();
   EXPECT_EQ(state->step, opened.step);
@@ -454,7 +443,7 @@ TEST(LabelSession, FilesThatCannotBeWrittenForAWhileEndNothing) {
   const std::string folder = dir / "run";
   std::string yaml = session_config();
   yaml += "report: {eval_every_s: 0, checkpoint_every_s: 0.05, log_every_steps: 5}\n";
-  yaml.replace(yaml.find("steps: 60"), 9, "steps: 1000000");
+  yaml = testing_train::replaced(yaml, "steps: 60", "steps: 1000000");
   std::int64_t step = 0;
   {
     RunningSession run(yaml, folder);
@@ -476,7 +465,7 @@ TEST(LabelSession, FilesThatCannotBeWrittenForAWhileEndNothing) {
     step = run.session.state()->step;
   }
   Diagnostics findings;
-  EXPECT_GE(open_run(folder, {}, RunningSession::registry(), findings).step, step);
+  EXPECT_GE(open_run(folder, {}, testing_train::all_plugins(), findings).step, step);
   std::int64_t last = 0;  // no row is lost, none is torn
   for (const MetricsRow& row : read_metrics(folder + "/metrics.jsonl")) {
     EXPECT_EQ(row.step, last + 5);
@@ -485,9 +474,7 @@ TEST(LabelSession, FilesThatCannotBeWrittenForAWhileEndNothing) {
   EXPECT_GT(last, 0);
 }
 
-TEST(LabelSession, ARunWhoseLastCheckpointCannotBeWrittenEndsWithThatError) {
-  const TempDir dir;
-  RunningSession run(session_config(), dir / "run");
+TEST_F(PlainSession, ARunWhoseLastCheckpointCannotBeWrittenEndsWithThatError) {
   run.start();
   run.session.apply(run.add("1", "wall"));
   run.wait_until([](const LabelState& s) { return s.step > 10; });
@@ -528,7 +515,7 @@ TEST(LabelSession, TheTableOfClassesIsWrittenWhenItChangesAlone) {
 
 std::string resume_refusal(const std::string& folder) {
   return error_of([&] {
-    RunConfig config = load_run_config(folder + "/run.yaml", {}, RunningSession::registry());
+    RunConfig config = load_run_config(folder + "/run.yaml", {}, testing_train::all_plugins());
     const RunningSession run(std::move(config), folder);
   });
 }
@@ -544,7 +531,7 @@ TEST(LabelSession, AFolderThatWasMovedOrCopiedHasItsOwnClicks) {
   const TempDir dir;
   const std::string here = dir / "run", moved = dir / "moved", copied = dir / "copied", earlier = dir / "earlier";
   const auto resumed = [](const std::string& folder) {
-    return load_run_config(folder + "/run.yaml", {}, RunningSession::registry());
+    return load_run_config(folder + "/run.yaml", {}, testing_train::all_plugins());
   };
   {
     RunningSession run(session_config(), here);
@@ -566,8 +553,8 @@ TEST(LabelSession, AFolderThatWasMovedOrCopiedHasItsOwnClicks) {
   const std::string theirs = read_text_file(here + "/clicks.jsonl");
   // Earlier versions wrote the place that the file had.
   fs::copy(copied, earlier, fs::copy_options::recursive);
-  std::string yaml = read_text_file(earlier + "/run.yaml");
-  yaml.replace(yaml.find("clicks: clicks.jsonl"), 20, "clicks: " + here + "/clicks.jsonl");
+  std::string yaml = testing_train::replaced(read_text_file(earlier + "/run.yaml"), "clicks: clicks.jsonl",
+                                             "clicks: " + here + "/clicks.jsonl");
   write_file_atomic(earlier + "/run.yaml", yaml);
   for (const std::string& folder : {moved, copied, earlier}) {
     RunningSession run(resumed(folder), folder);
@@ -584,9 +571,9 @@ TEST(LabelSession, AFolderThatWasMovedOrCopiedHasItsOwnClicks) {
                              "scene.labels.clicks=FILE";
     EXPECT_EQ(resume_refusal(folder), said);
     Diagnostics findings;
-    EXPECT_EQ(error_of([&] { (void)open_run(folder, {}, RunningSession::registry(), findings); }), said);
+    EXPECT_EQ(error_of([&] { (void)open_run(folder, {}, testing_train::all_plugins(), findings); }), said);
     TrainRequest request{.out_dir = folder, .resume = true};
-    EXPECT_EQ(error_of([&] { (void)run_training(resumed(folder), RunningSession::registry(), request, nullptr); }),
+    EXPECT_EQ(error_of([&] { (void)run_training(resumed(folder), testing_train::all_plugins(), request, nullptr); }),
               said);
     EXPECT_FALSE(fs::exists(folder + "/clicks.jsonl")) << "nothing is made in its place";
   }
@@ -596,8 +583,8 @@ TEST(LabelSession, AFolderThatWasMovedOrCopiedHasItsOwnClicks) {
 TEST(LabelSession, WarningsReachThePage) {
   const TempDir dir;
   {
-    RunningSession run(load_run_config(testing_train::write_packed_config(dir, 20, 0), {}, RunningSession::registry()),
-                       dir / "run");
+    RunningSession run(
+        load_run_config(testing_train::write_packed_config(dir, 20, 0), {}, testing_train::all_plugins()), dir / "run");
     EXPECT_TRUE(run.session.state()->notes.empty());
     run.start();
     run.wait_until([](const LabelState& s) { return s.step >= 20; });
@@ -610,7 +597,7 @@ TEST(LabelSession, WarningsReachThePage) {
     scene->read(frame, buffer);
     for (std::uint8_t& value : buffer.rgb) value = static_cast<std::uint8_t>(value / 2);
   });
-  RunningSession again(load_run_config(dir / "run/run.yaml", {}, RunningSession::registry()), dir / "run");
+  RunningSession again(load_run_config(dir / "run/run.yaml", {}, testing_train::all_plugins()), dir / "run");
   const std::vector<std::string> notes = again.session.state()->notes;
   ASSERT_EQ(notes.size(), 1u);
   EXPECT_HAS(notes.front(), "other images");
@@ -622,9 +609,7 @@ PictureRequest of_camera(const FreeCamera& camera, const std::string& client) {
   return PictureRequest{.client = client, .camera = camera, .most_px = 48, .color = true};
 }
 
-TEST(LabelSessionPictures, ViewsAndFreeCamerasAreDrawnWhileItTrains) {
-  const TempDir dir;
-  RunningSession run(session_config(), dir / "run");
+TEST_F(PlainSession, ViewsAndFreeCamerasAreDrawnWhileItTrains) {
   run.session.apply(run.add("1", "wall"));
   run.session.apply(run.click("2", 0, "wall", {24.5, 5.5}));
   run.start();
@@ -650,13 +635,11 @@ TEST(LabelSessionPictures, ViewsAndFreeCamerasAreDrawnWhileItTrains) {
   EXPECT_EQ(run.session.picture(view).rgb.size(), 3u * 48 * 36);
 }
 
-TEST(LabelSessionPictures, ALaterRequestOfTheSameClientTakesThePlace) {
-  const TempDir dir;
-  RunningSession run(session_config(), dir / "run");
+TEST_F(PlainSession, ALaterRequestOfTheSameClientTakesThePlace) {
   const FreeCamera camera = run.session.camera_of(0);
   const auto ask = [&](const std::string& client) {
     return std::async(std::launch::async,
-                      [&run, camera, client] { return run.session.picture(of_camera(camera, client)); });
+                      [this, camera, client] { return run.session.picture(of_camera(camera, client)); });
   };
   // Nobody trains yet, so both wait: the earlier one gets its response when the later one comes.
   std::future<Picture> one = ask("a"), two = ask("a"), other = ask("b");
@@ -678,18 +661,14 @@ TEST(LabelSessionPictures, ALaterRequestOfTheSameClientTakesThePlace) {
 }
 
 // Nobody trains in these two, so whoever gets a response did not wait for a picture.
-TEST(LabelSessionPictures, OneThatNobodyWantsAnyMoreIsGivenUp) {
-  const TempDir dir;
-  RunningSession run(session_config(), dir / "run");
+TEST_F(PlainSession, OneThatNobodyWantsAnyMoreIsGivenUp) {
   std::atomic<int> looks{0};
   const Picture none = run.session.picture(of_camera(run.session.camera_of(0), "a"), [&] { return ++looks == 3; });
   EXPECT_TRUE(none.stale);
   EXPECT_EQ(looks, 3);
 }
 
-TEST(LabelSessionPictures, OfTooManyThatWaitTheOldestIsStale) {
-  const TempDir dir;
-  RunningSession run(session_config(), dir / "run");
+TEST_F(PlainSession, OfTooManyThatWaitTheOldestIsStale) {
   std::vector<std::future<Picture>> waiting;
   std::atomic<int> answered{0};
   for (int k = 0; k < 40; ++k)
@@ -705,9 +684,7 @@ TEST(LabelSessionPictures, OfTooManyThatWaitTheOldestIsStale) {
   for (std::future<Picture>& picture : waiting) EXPECT_TRUE(picture.get().stale);
 }
 
-TEST(LabelSessionPictures, WrongRequestsAreRefusedAndTheSessionGoesOn) {
-  const TempDir dir;
-  RunningSession run(session_config(), dir / "run");
+TEST_F(PlainSession, WrongRequestsAreRefusedAndTheSessionGoesOn) {
   run.start();
   const auto refusal = [&](const PictureRequest& request) { return error_of([&] { run.session.picture(request); }); };
   PictureRequest nothing{.client = "a"};
@@ -722,9 +699,7 @@ TEST(LabelSessionPictures, WrongRequestsAreRefusedAndTheSessionGoesOn) {
   EXPECT_TRUE(run.session.state()->failure.empty());
 }
 
-TEST(LabelSessionPictures, AfterTheEndTheyAreStale) {
-  const TempDir dir;
-  RunningSession run(session_config(), dir / "run");
+TEST_F(PlainSession, AfterTheEndTheyAreStale) {
   std::future<Picture> waits =
       std::async(std::launch::async, [&] { return run.session.picture(of_camera(run.session.camera_of(0), "a")); });
   run.session.stop();
@@ -738,7 +713,7 @@ TEST(LabelSessionPictures, AfterTheEndTheyAreStale) {
 // What the training thread of a labelling session makes of events that come together: clicks, skips, undos.
 
 // A run that has a surface, and whose events a test applies by itself.
-struct PreparedRun {
+struct PreparedRun : ::testing::Test {
   TempDir dir;
   RunListener nobody;
   LabelRun run;
@@ -751,12 +726,12 @@ struct PreparedRun {
     }
     run.take(annotations);
   }
-  std::unique_ptr<Run> opened() {
+  std::unique_ptr<semfield::Run> opened() {
     const std::string yaml =
         session_config("analytic_room, with_labels: false, with_classes: false, labels: {class_room: 4}");
-    Registry& registry = RunningSession::registry();
-    return std::make_unique<Run>(run_config_of(parse_config_text(yaml, "test.yaml"), registry), registry,
-                                 TrainRequest{.out_dir = dir / "run", .driver = Driver::page}, &nobody);
+    Registry& registry = testing_train::all_plugins();
+    return std::make_unique<semfield::Run>(run_config_of(parse_config_text(yaml, "test.yaml"), registry), registry,
+                                           TrainRequest{.out_dir = dir / "run", .driver = Driver::page}, &nobody);
   }
   LabelState state() const {
     LabelState out;
@@ -773,8 +748,16 @@ struct PreparedRun {
                       .height_px = 36,
                       .points = {at}};
   }
+  LabelEvent click(const std::string& id, const std::string& name, int view = 0, PixelPoint at = {}) const {
+    LabelEvent made = event(id, LabelEventKind::click, view, at);
+    made.class_name = name;
+    return made;
+  }
   LabelEvent undo(const std::string& id, const std::string& of) const {
     return LabelEvent{.id = id, .kind = LabelEventKind::undo, .of = of};
+  }
+  void add_class(const std::string& name) {
+    annotations.apply({.id = "add-" + name, .kind = LabelEventKind::add_class, .class_name = name});
   }
   Vec3d place_of(const ProposalState& proposal) const {
     const PixelPlace pixel{static_cast<std::int32_t>(proposal.at.x), static_cast<std::int32_t>(proposal.at.y)};
@@ -785,94 +768,74 @@ struct PreparedRun {
 };
 
 // Undoing a skip and skipping something else leaves as many as before; they are others all the same.
-TEST(LabelRun, ASkipInTheSteadOfAnotherCounts) {
-  PreparedRun room;
+TEST_F(PreparedRun, ASkipInTheSteadOfAnotherCounts) {
   for (int k = 0; k < 10; ++k) {
-    const LabelState asked = room.state();
+    const LabelState asked = state();
     ASSERT_TRUE(asked.proposal.has_value());
     const std::string own = "skip-" + std::to_string(k);
-    if (k > 0) room.annotations.apply(room.undo("undo-" + std::to_string(k), "skip-" + std::to_string(k - 1)));
-    room.annotations.apply(room.event(own, LabelEventKind::skip, asked.proposal->view, asked.proposal->at));
-    ASSERT_EQ(room.annotations.skips().size(), 1u);
-    room.run.take(room.annotations);
-    const LabelState next = room.state();
+    if (k > 0) annotations.apply(undo("undo-" + std::to_string(k), "skip-" + std::to_string(k - 1)));
+    annotations.apply(event(own, LabelEventKind::skip, asked.proposal->view, asked.proposal->at));
+    ASSERT_EQ(annotations.skips().size(), 1u);
+    run.take(annotations);
+    const LabelState next = state();
     ASSERT_TRUE(next.proposal.has_value());
     EXPECT_NE(next.proposal->id, asked.proposal->id);
-    EXPECT_GT(length(room.place_of(*next.proposal) - room.place_of(*asked.proposal)), room.run.loop().pool().cell_m())
+    EXPECT_GT(length(place_of(*next.proposal) - place_of(*asked.proposal)), run.loop().pool().cell_m())
         << "round " << k;
   }
 }
 
 // A region that nobody should label has no label and is not proposed; undone, it is as before.
-TEST(LabelRun, WhatIsIgnoredIsNotAskedAbout) {
-  PreparedRun room;
-  room.annotations.apply([&] {
-    LabelEvent add = room.undo("add", "");
-    add.kind = LabelEventKind::add_class;
-    add.class_name = "wall";
-    return add;
-  }());
-  LabelEvent wall = room.event("wall", LabelEventKind::click, 3, {24.5, 5.5});
-  wall.class_name = "wall";
-  room.annotations.apply(wall);
+TEST_F(PreparedRun, WhatIsIgnoredIsNotAskedAbout) {
+  add_class("wall");
+  annotations.apply(click("wall", "wall", 3, {24.5, 5.5}));
   const auto learn = [&] {
-    room.run.take(room.annotations);
-    for (int turn = 0; !room.run.knows_all() && turn < 10'000; ++turn) room.run.tend(false, false, false);
-    ASSERT_TRUE(room.run.knows_all());
+    run.take(annotations);
+    for (int turn = 0; !run.knows_all() && turn < 10'000; ++turn) run.tend(false, false, false);
+    ASSERT_TRUE(run.knows_all());
   };
-  for (int view = 0; view < std::ssize(room.run.loop().pooled()); ++view) {  // but for view 3
+  for (int view = 0; view < std::ssize(run.loop().pooled()); ++view) {  // but for view 3
     if (view == 3) continue;
-    LabelEvent ignore = room.event("i" + std::to_string(view), LabelEventKind::click, view, {0, 0});
+    LabelEvent ignore = click("i" + std::to_string(view), "void", view);
     ignore.points = {{0, 0}, {48, 0}, {48, 36}, {0, 36}};
     ignore.fill = true;
-    ignore.class_name = "void";
-    room.annotations.apply(ignore);
+    annotations.apply(ignore);
   }
   learn();
   for (int k = 0; k < 5; ++k) {
-    const LabelState asked = room.state();
+    const LabelState asked = state();
     ASSERT_TRUE(asked.proposal.has_value());
     EXPECT_EQ(asked.proposal->view, 3);
-    room.annotations.apply(room.event("s" + std::to_string(k), LabelEventKind::skip, 3, asked.proposal->at));
-    room.run.take(room.annotations);
+    annotations.apply(event("s" + std::to_string(k), LabelEventKind::skip, 3, asked.proposal->at));
+    run.take(annotations);
   }
   const auto labelled = [&](int view) {
-    room.run.pictures().begin([&] { return PictureRequest{.view = view}; }());
-    const Picture picture = *room.run.pictures().work(1e9);
+    run.pictures().begin([&] { return PictureRequest{.view = view}; }());
+    const Picture picture = *run.pictures().work(1e9);
     return picture.label.size() -
            static_cast<std::size_t>(std::count(picture.label.begin(), picture.label.end(), kVoid));
   };
   EXPECT_EQ(labelled(1), 0u);
   EXPECT_GT(labelled(3), 48u * 36 / 2);
-  room.annotations.apply(room.undo("back", "i1"));
+  annotations.apply(undo("back", "i1"));
   learn();
   EXPECT_GT(labelled(1), 48u * 36 / 2);
 }
 
-TEST(LabelRun, ClicksGiveTheStateItsNumbers) {
-  PreparedRun room;
-  LabelState state = room.state();
+TEST_F(PreparedRun, ClicksGiveTheStateItsNumbers) {
+  LabelState state = this->state();
   EXPECT_TRUE(state.geometry_ready);
   EXPECT_EQ(state.temperature, 1);
   for (const ViewState& view : state.views) {
     EXPECT_TRUE(view.ready);
     EXPECT_EQ(view.entropy, 1) << "nothing is known";
   }
-  for (const char* name : {"wall", "floor"}) {
-    LabelEvent add = room.undo(name, "");
-    add.kind = LabelEventKind::add_class;
-    add.class_name = name;
-    room.annotations.apply(add);
-  }
-  LabelEvent wall = room.event("a", LabelEventKind::click, 0, {24.5, 5.5}),
-             floor = room.event("b", LabelEventKind::click, 0, {24.5, 33.5});
-  wall.class_name = "wall";
-  floor.class_name = "floor";
-  room.annotations.apply(wall);
-  room.annotations.apply(floor);
-  room.run.take(room.annotations);
+  for (const char* name : {"wall", "floor"}) add_class(name);
+  annotations.apply(click("a", "wall", 0, {24.5, 5.5}));
+  annotations.apply(click("b", "floor", 0, {24.5, 33.5}));
+  run.take(annotations);
   state.classes = {{0, 1, "wall", {}, 1, 0, 0}, {1, 2, "floor", {}, 1, 0, 0}};
-  room.run.describe(state);
+  run.describe(state);
   double area = 0;
   for (const ClassState& cls : state.classes) {
     area += cls.area_share;
@@ -887,60 +850,48 @@ TEST(LabelRun, ClicksGiveTheStateItsNumbers) {
   EXPECT_GE(state.proposal->class_guess, 0);
   EXPECT_LE(state.proposal->class_guess, 1);
   // A click of a void class takes labels away and names nothing.
-  LabelEvent none = room.event("c", LabelEventKind::click, 0, {24.5, 5.5});
-  none.class_name = "void";
+  LabelEvent none = click("c", "void", 0, {24.5, 5.5});
   none.radius_px = 5;
-  room.annotations.apply(none);
-  room.run.take(room.annotations);
-  EXPECT_EQ(room.run.loop().live(), (std::vector<bool>{false, true, false, false})) << "wall's click is painted over";
+  annotations.apply(none);
+  run.take(annotations);
+  EXPECT_EQ(run.loop().live(), (std::vector<bool>{false, true, false, false})) << "wall's click is painted over";
 }
 
 // A further stroke costs its own places alone, however many there are, and the others are found in pieces between steps
 // of training.
-TEST(LabelRun, AFurtherStrokeDoesNotPayForThoseBeforeIt) {
-  PreparedRun room;
-  LabelEvent add = room.undo("wall", "");
-  add.kind = LabelEventKind::add_class;
-  add.class_name = "wall";
-  room.annotations.apply(add);
+TEST_F(PreparedRun, AFurtherStrokeDoesNotPayForThoseBeforeIt) {
+  add_class("wall");
   const auto stroke = [&](int k) {
-    LabelEvent made = room.event("s" + std::to_string(k), LabelEventKind::click, k % 9, {2.0 + k % 40, 3.0});
+    LabelEvent made = click("s" + std::to_string(k), "wall", k % 9, {2.0 + k % 40, 3.0});
     for (int p = 0; p < 60; ++p) made.points.push_back({2.0 + (k + p) % 44, 3.0 + (7 * k + p) % 30});
     made.radius_px = 1;
-    made.class_name = "wall";
-    room.annotations.apply(made);
+    annotations.apply(made);
   };
   for (int k = 0; k < 300; ++k) stroke(k);
-  room.run.take(room.annotations);
-  for (int turn = 0; !room.run.knows_all() && turn < 10'000; ++turn) {
-    room.run.train(0.001);
-    room.run.tend(false, false, false);
+  run.take(annotations);
+  for (int turn = 0; !run.knows_all() && turn < 10'000; ++turn) {
+    run.train(0.001);
+    run.tend(false, false, false);
   }
-  ASSERT_TRUE(room.run.knows_all());
-  EXPECT_TRUE(room.run.loop().learned());
-  const std::int64_t found = room.run.loop().places_found();
+  ASSERT_TRUE(run.knows_all());
+  EXPECT_TRUE(run.loop().learned());
+  const std::int64_t found = run.loop().places_found();
   stroke(300);
-  room.run.take(room.annotations);
-  EXPECT_TRUE(room.run.knows_all()) << "at once";
-  EXPECT_LE(room.run.loop().places_found() - found, 60) << "its own, and those of strokes that it has painted over";
-  EXPECT_LE(room.run.loop().learned_points(), room.run.loop().pool().points.size() + 301);
+  run.take(annotations);
+  EXPECT_TRUE(run.knows_all()) << "at once";
+  EXPECT_LE(run.loop().places_found() - found, 60) << "its own, and those of strokes that it has painted over";
+  EXPECT_LE(run.loop().learned_points(), run.loop().pool().points.size() + 301);
 }
 
-TEST(LabelRun, ATurnOfTrainingEndsWhenSomebodyWaits) {
-  PreparedRun room;
-  LabelEvent add = room.undo("wall", "");
-  add.kind = LabelEventKind::add_class;
-  add.class_name = "wall";
-  room.annotations.apply(add);
-  LabelEvent click = room.event("c", LabelEventKind::click, 0, {5, 5});
-  click.class_name = "wall";
-  room.annotations.apply(click);
-  room.run.take(room.annotations);  // a change, after which training goes on
-  const std::int64_t before = room.state().step;
+TEST_F(PreparedRun, ATurnOfTrainingEndsWhenSomebodyWaits) {
+  add_class("wall");
+  annotations.apply(click("c", "wall", 0, {5, 5}));
+  run.take(annotations);  // a change, after which training goes on
+  const std::int64_t before = state().step;
   int looks = 0;
-  EXPECT_TRUE(room.run.train(5, [&] { return ++looks == 2; }));
+  EXPECT_TRUE(run.train(5, [&] { return ++looks == 2; }));
   EXPECT_EQ(looks, 2);
-  EXPECT_EQ(room.state().step, before + 2) << "a step at a time on a CPU";
+  EXPECT_EQ(state().step, before + 2) << "a step at a time on a CPU";
 }
 
 // Pictures of views and of free cameras, made in pieces: their sizes, what they show, and requests that are refused.

@@ -1,7 +1,5 @@
 // Ways along the surface against Bellman and Ford's relaxation, seed by seed and within bounds; the pool of its points.
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
 #include <numeric>
 #include <tuple>
@@ -9,14 +7,9 @@
 #include "compute/parallel.h"
 #include "core/rng.h"
 #include "labels/mask_outlines.h"
-#include "serve/label_loop.h"
 #include "serve/point_learner.h"
 #include "serve/view_pictures.h"
-#include "session/trainer.h"
-#include "surface/surface_graph.h"
-#include "testkit/analytic_scene.h"
 #include "tests/label_loop/labelled_room.h"
-#include "tests/session/train_testing.h"
 
 namespace semfield {
 namespace {
@@ -384,16 +377,12 @@ const std::string kDepth = "losses: [{type: depth, kind: line_of_sight, weight: 
 class LearnedRoom : public testing::Test {
  protected:
   static void SetUpTestSuite() {
-    registry_ = new Registry(make_registry());
-    session_ = new Session(open_text(hash_config(kDepth), *registry_));
+    session_ = new Session(open_text(hash_config(kDepth)));
     const auto rays = session_->make_ray_source();
     Trainer trainer(*session_->pipeline, *rays, session_->config.adam, session_->config.schedule);
     while (trainer.step() < 200) trainer.advance();
   }
-  static void TearDownTestSuite() {
-    delete session_;
-    delete registry_;
-  }
+  static void TearDownTestSuite() { delete session_; }
   static RayCamera camera(std::size_t frame) {
     const FrameInfo& info = session_->scene.info.frames[frame];
     return {info.camera, info.world_from_camera, session_->plan.undistortion};
@@ -401,10 +390,8 @@ class LearnedRoom : public testing::Test {
   static SurfaceMap map_of(std::size_t frame, std::int32_t stride) {
     return make_surface_map(*session_->pipeline, camera(frame), session_->limits, stride, 200);
   }
-  static Registry* registry_;
   static Session* session_;
 };
-Registry* LearnedRoom::registry_ = nullptr;
 Session* LearnedRoom::session_ = nullptr;
 
 TEST_F(LearnedRoom, DistancesAreNearTheTruth) {
@@ -487,8 +474,6 @@ TEST_F(LearnedRoom, AMapIsTheSameForAnyThreadsAndOfAnyStride) {
 
 // Places of the surface as cameras see them: the inverse of a ray, what is hidden, clicks of other views, the best
 // photograph.
-
-using namespace testing_loop;
 
 constexpr double kTolerance_m = 0.05;
 
@@ -607,8 +592,6 @@ TEST(SurfaceSight, TheBestPhotographShowsThePlace) {
 }
 
 // Places of clicks and strokes in the pool, the pixels that they mark, and coarse labels brought to a photograph.
-
-using namespace testing_loop;
 
 // Every pixel of a view.
 LabelledPixels whole_view(int view, std::int16_t class_index = 0) {

@@ -388,6 +388,14 @@ void checkpoint_shapes(CaseRun& run) {
   for (const auto& bad : kHostile)
     run.expect_error(ErrorKind::data, {"hostile.safetensors", bad.words},
                      [&] { decode(with_header(bad.header, bad.data)); });
+  // Nothing of a header whose names lie on the heap is destroyed twice on the way out.
+  for (const char* offsets : {"[9223372036854775808,0]", "[0,null]", "[0,-1]", "[0.5,4]", "[[0],4]", "null"})
+    run.expect_error(ErrorKind::data, {"hostile.safetensors", "data_offsets"}, [&] {
+      decode(with_header(R"({"a name that lies on the heap, and not in the text itself":{"dtype":"F32","shape":[1],)"
+                         R"("data_offsets":)" +
+                             std::string(offsets) + "}}",
+                         4));
+    });
   const ResourceUse use;
   for (const std::uint64_t length :
        {std::uint64_t{100'000'001}, std::uint64_t{1} << 62, ~std::uint64_t{0}, std::uint64_t{99'000'000}}) {

@@ -156,6 +156,7 @@ void depth_zero(CaseRun& run) {
   run.expect(depth.valid_truth_px() == 4 && depth.scored_px() == 2 && depth.nonfinite() == 0, "2 of 4 are scored");
   run.measure(std::abs(depth.coverage().value_or(0) - 0.5), 0, "coverage");
   run.measure(std::abs(depth.abs_rel().value_or(0) - 0.25), 1e-15, "|p - t| / t");
+  run.measure(std::abs(depth.abs_diff().value_or(0) - 0.5), 1e-15, "|p - t|");
   run.measure(std::abs(depth.sq_rel().value_or(0) - 0.25), 1e-15, "(p - t)^2 / t");
   run.measure(std::abs(depth.rmse().value_or(0) - std::sqrt(0.5)), 1e-15, "rmse");
   run.measure(std::abs(depth.delta(1).value_or(0) - 0.5), 0, "delta 1: a ratio of 1.5 is outside 1.25");

@@ -1,6 +1,5 @@
 """A browser driven through chromedriver's own protocol (W3C WebDriver): tabs, keys, mouse, fingers, pixels of screenshots."""
 
-import base64
 import json
 import os
 import shutil
@@ -176,26 +175,12 @@ class Browser:
             *({"type": "pointerMove", "duration": 20, "x": round(x), "y": round(y)} for x, y in way[1:]), {"type": "pointerUp", "button": 0}]}
             for k, way in enumerate(ways)))
 
-    def click(self, selector, count=1):
+    def click(self, selector):
         box = self.box(selector)
-        for _ in range(count):
-            self.mouse((box["x"] + box["width"] / 2, box["y"] + box["height"] / 2))
-
-    def double_click(self, selector):
-        box = self.box(selector)
-        at = {"type": "pointerMove", "duration": 0, "x": round(box["x"] + box["width"] / 2), "y": round(box["y"] + box["height"] / 2)}
-        press = [{"type": "pointerDown", "button": 0}, {"type": "pointerUp", "button": 0}]
-        self.actions({"type": "pointer", "id": "mouse", "parameters": {"pointerType": "mouse"}, "actions": [at, *press, *press]})
+        self.mouse((box["x"] + box["width"] / 2, box["y"] + box["height"] / 2))
 
     def box(self, selector):
         return self.run("return document.querySelector(arguments[0]).getBoundingClientRect().toJSON()", selector)
-
-    def screenshot(self, file=None):
-        data = self.call("GET", "/screenshot")
-        if file:
-            with open(file, "wb") as out:
-                out.write(base64.b64decode(data))
-        return data
 
     def pixels(self, points):
         """[r, g, b] of points of the page, as the person sees them."""
@@ -206,7 +191,7 @@ class Browser:
               const context = canvas.getContext('2d');
               context.drawImage(bitmap, 0, 0);
               return arguments[1].map(([x, y]) => [...context.getImageData(Math.round(x), Math.round(y), 1, 1).data].slice(0, 3));
-            });""".replace("arguments[1]", "points").replace("const bytes", "const points = arguments[1]; const bytes"), self.screenshot(), points)
+            });""".replace("arguments[1]", "points").replace("const bytes", "const points = arguments[1]; const bytes"), self.call("GET", "/screenshot"), points)
 
     def complaints(self):
         """What the page said to the console as errors, failed connections aside."""

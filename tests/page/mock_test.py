@@ -21,8 +21,20 @@ class MockPageCase(page_case.PageCase):
         self.url = self.server.start()
         self.addCleanup(lambda: self.server.http.ended or self.server.stop())
 
+    def served(self, **options):
+        """The page of a room with these options."""
+        self.serve(**options)
+        return self.open()
+
     def clicks(self):
         return sum(e["type"] == "click" for e in self.room.events)
+
+    def message(self, page, text):
+        page.wait(f"document.getElementById('messages').textContent.includes({text!r})", f"no message {text!r}: {page.text('#messages')!r}")
+
+    def fly(self, page, *keys):
+        page.keys(*keys)
+        page.wait("/\\d+ x \\d+, \\d+ ms/.test(document.getElementById('readout').textContent)", "no picture of the free camera")
 
     def wait_pixel(self, page, x, y, want, why, tolerance=14):
         """Until the page shows about this colour at a pixel of the view."""
@@ -46,19 +58,17 @@ class MockPageCase(page_case.PageCase):
         return inside[len(inside) // 2]
 
 
-# The page in headless Chromium against the mock server: what a person does, what is seen, and what happens when things break.
 RING = [255, 213, 74]
 
 
 class PageTest(MockPageCase):
     def test_what_a_person_does(self):
-        self.serve()
-        page = self.open()
+        page = self.served()
         self.assertIn("Name the first class", page.text("#welcome"))
         self.room.faults.add("overlay")  # nothing is learned yet: what is seen is painted by the page
         sofa, floor = self.pixel_of(0, 4), self.pixel_of(0, 0)
         self.click(page, *sofa)  # without a class: the dialog opens, and the click is made with the new class
-        page.wait("document.getElementById('class-dialog').open")
+        self.opened(page)
         page.type("sofa")
         page.keys("enter")
         self.wait_saved(page, 1)
@@ -79,8 +89,7 @@ class PageTest(MockPageCase):
         page.keys("left")
 
         self.make_class(page, "floor")  # the floor was taken for the sofa: click again with the right class
-        self.click(page, *floor)
-        self.wait_saved(page, 2)
+        self.click(page, *floor, saved=2)
         other = (floor[0] + 9, floor[1])
         self.wait_pixel(page, *other, self.mixed(0, *other, BLUE), "a correction is not shown")
         page.keys("1")
@@ -131,22 +140,16 @@ class PageTest(MockPageCase):
         self.assertEqual(page.complaints(), [])
 
     def test_free_camera(self):
-        self.serve(classes=("sofa",))
-        page = self.open()
-        page.keys("f")
-        page.wait("/\\d+ x \\d+, \\d+ ms/.test(document.getElementById('readout').textContent)", "no picture of the free camera")
+        page = self.served(classes=("sofa",))
+        self.fly(page, "f")
         page.wait_for(lambda: [size for size, full in self.room.flights if full][-2:], [320, 640], "no full pictures when it stands still")
         self.assertFalse(self.room.flights[0][1], "the first picture is no quick one")
         middle = [self.page_of(page, SIZE[0] * k / 8, SIZE[1] / 2) for k in range(1, 8)]
         before = page.pixels(middle)
         page.run("window.dispatchEvent(new KeyboardEvent('keydown', {key: 'ArrowRight', bubbles: true}))")
         page.mouse(self.page_of(page, 60, 45), self.page_of(page, 20, 45))
-        for _ in range(60):
-            seen = page.pixels(middle)
-            if any(max(abs(a - b) for a, b in zip(p, q)) > 20 for p, q in zip(before, seen)):
-                break
-        else:
-            self.fail("looking around changes nothing")
+        page.wait_for(lambda: any(max(abs(a - b) for a, b in zip(p, q)) > 20 for p, q in zip(before, page.pixels(middle))), True,
+                      "looking around changes nothing")
         self.assertFalse(all(full for _, full in self.room.flights[3:]), "no quick picture while it moves")
         self.assertFalse(self.room.events, "a drag of the free camera labels")
         page.keys("escape")
@@ -155,10 +158,8 @@ class PageTest(MockPageCase):
         self.wait_pixel(page, *here, self.mixed(0, *here, self.room.view(0)[0][int(here[1])][3 * int(here[0]):][:3]), "the view does not come back")
 
     def test_keyboard_alone(self):
-        self.serve()
-        page = self.open()
-        page.keys("n")
-        page.wait("document.getElementById('class-dialog').open")
+        page = self.served()
+        self.dialog(page, "n")
         page.keys("enter")
         self.assertIn("needs a name", page.text("#class-problem"))
         page.type("lamp")
@@ -179,8 +180,7 @@ class PageTest(MockPageCase):
         page.wait("document.querySelectorAll('#classes [aria-checked=true] .clicks')[0].textContent == '1'")
         page.wait_for(lambda: [e["type"] for e in self.room.events], ["class", "click", "undo", "undo"], "undo and redo do not arrive")
         self.assertEqual([e["id"] for e in self.room.alive(self.room.events)], [e["id"] for e in self.room.events[:2]])
-        page.keys("f2")
-        page.wait("document.getElementById('class-dialog').open")
+        self.dialog(page, "f2")
         page.type("ball")
         page.keys("enter")
         page.wait("document.querySelector('#classes .name').textContent == 'ball' && document.getElementById('saving').textContent == 'every click is saved'")
@@ -211,8 +211,7 @@ class PageTest(MockPageCase):
         self.assertEqual([name for name, outline in reached.items() if outline == "none" and name != "BODY"], [])
 
     def test_other_keys(self):
-        self.serve(classes=("floor", "wall", "sofa"))
-        page = self.open()
+        page = self.served(classes=("floor", "wall", "sofa"))
         chosen = "document.querySelector('#classes [aria-checked=true] .name')?.textContent"
         for key, name in (("2", "wall"), (".", "sofa"), (".", "floor"), (",", "sofa")):
             page.keys(key)
@@ -224,8 +223,7 @@ class PageTest(MockPageCase):
         page.keys("]", "]")
         sofa = self.pixel_of(0, 4)
         page.keys("1")
-        self.click(page, *sofa)
-        self.wait_saved(page, 1)
+        self.click(page, *sofa, saved=1)
         self.assertEqual((self.room.events[0]["class"], self.room.events[0]["radius"]), ("sofa", 5))
         far = (sofa[0] + 7, sofa[1])
         self.wait_pixel(page, *far, self.mixed(0, *far, mock_server.COLORS[2]), "the sofa is not learned")
@@ -245,8 +243,7 @@ class PageTest(MockPageCase):
         self.assertEqual(page.complaints(), [])
 
     def test_an_unsent_click_outlives_a_reload(self):
-        self.serve(classes=("sofa",))
-        page = self.open()
+        page = self.served(classes=("sofa",))
         self.room.faults.add("event")
         self.click(page, 30.5, 40.5)
         page.wait("document.getElementById('saving').textContent == '1 not saved yet'")
@@ -266,8 +263,7 @@ class PageTest(MockPageCase):
         self.assertEqual(self.room.state(0)["marks"], [])
 
     def test_an_unsent_click_stays_with_its_run(self):
-        self.serve(classes=("sofa",))
-        page = self.open()
+        page = self.served(classes=("sofa",))
         self.room.faults.add("event")
         self.click(page, 32.5, 40.5)
         page.wait("document.getElementById('saving').textContent == '1 not saved yet'")
@@ -283,8 +279,7 @@ class PageTest(MockPageCase):
         self.wait_saved(page, 1)
 
     def test_a_photograph_that_was_exchanged(self):
-        self.serve(views=2)
-        page = self.open()
+        page = self.served(views=2)
         rows = self.room.view(0)[0]
         color = lambda row, x: list(row[3 * x:3 * x + 3])
         x, y = next((x, y) for y in range(8, 40) for x in range(8, SIZE[0] - 8)
@@ -296,33 +291,27 @@ class PageTest(MockPageCase):
         page.wait("document.querySelector('#strip [data-view=\"0\"] img').getAttribute('src').includes('photo=0-1')")
 
     def test_an_answer_that_is_lost(self):
-        self.serve(classes=("sofa",))
-        page = self.open()
+        page = self.served(classes=("sofa",))
         for clicks, fault in ((1, "drop"), (2, "lost")):  # stored, but the response never comes; or not even that
             self.room.faults.add(fault)
-            self.click(page, 30.5 * clicks, 40.5)
-            self.wait_saved(page, clicks)
+            self.click(page, 30.5 * clicks, 40.5, saved=clicks)
         ids = [event["id"] for event in self.room.events]
         self.assertEqual(self.room.received, [ids[0], ids[0], ids[1], ids[1]])
 
     def test_a_refused_click_is_taken_back(self):
-        self.serve(classes=("sofa",))
-        page = self.open()
+        page = self.served(classes=("sofa",))
         self.room.faults.add("refuse")
         self.click(page, 30.5, 40.5)
         page.wait("document.querySelector('#messages .error')?.textContent.includes('is held out for tests. Label another view.')")
         self.assertIn("): frame 'rgb_00'", page.text("#messages .error"))
         page.wait("document.getElementById('saving').textContent == '' && document.querySelector('#classes .clicks').textContent == ''")
         self.room.faults.clear()
-        self.click(page, 60.5, 40.5)
-        self.wait_saved(page, 1)
+        self.click(page, 60.5, 40.5, saved=1)
 
     def test_a_lost_connection(self):
-        self.serve(classes=("sofa", "floor"))
-        page = self.open()
+        page = self.served(classes=("sofa", "floor"))
         page.keys("1")
-        self.click(page, 30.5, 40.5)
-        self.wait_saved(page, 1)
+        self.click(page, 30.5, 40.5, saved=1)
         self.server.stop()
         page.wait("document.getElementById('connection').textContent == 'Connection lost, trying again; nothing is lost.'")
         page.keys("2")
@@ -336,10 +325,8 @@ class PageTest(MockPageCase):
         page.wait("document.querySelectorAll('#classes .clicks')[1].textContent == '1'")
 
     def test_an_acknowledged_event_of_an_ended_process(self):
-        self.serve(classes=("sofa",))
-        page = self.open()
-        self.click(page, 30.5, 40.5)
-        self.wait_saved(page, 1)
+        page = self.served(classes=("sofa",))
+        self.click(page, 30.5, 40.5, saved=1)
         self.room.faults.add("silent")  # the response comes, a new state does not
         self.room.revision += 1000
         page.keys("z")
@@ -371,8 +358,7 @@ class PageTest(MockPageCase):
         self.assertEqual([m["points"][0][0] > 50 for m in self.room.state(0)["marks"]], [True])
 
     def test_a_tab_that_nobody_sees_asks_nothing(self):
-        self.serve(classes=("sofa",))
-        page = self.open()
+        page = self.served(classes=("sofa",))
         page.run("Object.defineProperty(document, 'hidden', {get: () => window.isHidden ?? false}); window.isHidden = true;")
         self.room.touch()  # the response to the request that waits
         page.run("return new Promise((resolve) => setTimeout(resolve, 300))")
@@ -384,10 +370,8 @@ class PageTest(MockPageCase):
         page.wait("document.querySelector('#classes .clicks').textContent == '1'", "a tab that is seen again does not go on")
 
     def test_one_picture_at_a_time(self):
-        self.serve(classes=("sofa",))
-        page = self.open()
-        self.click(page, *self.pixel_of(0, 4))
-        self.wait_saved(page, 1)
+        page = self.served(classes=("sofa",))
+        self.click(page, *self.pixel_of(0, 4), saved=1)
         self.room.faults.add("picture")
         self.room.most_pictures = 0
         page.keys(*["right"] * 5)
@@ -425,8 +409,7 @@ class PageTest(MockPageCase):
         self.assertGreater(self.room.events[-1]["points"][0][0], 20, f"a pinch does not zoom: {before}")
 
     def test_wheel_and_drag(self):
-        self.serve(classes=("sofa",))
-        page = self.open()
+        page = self.served(classes=("sofa",))
         at = self.page_of(page, 90, 60)
         page.wheel(*at, -240)
         page.mouse(at)
@@ -481,8 +464,7 @@ class PageTest(MockPageCase):
             page.keys("f")
 
     def test_what_the_program_tells(self):
-        self.serve(views=1, classes=("sofa",))
-        page = self.open()
+        page = self.served(views=1, classes=("sofa",))
         page.wait("document.getElementById('welcome').textContent.startsWith('Click on something that is \"sofa\"')")
         self.room.trouble = "cannot write 'runs/mock_room/checkpoints': disk full"
         self.room.touch()
@@ -503,8 +485,7 @@ class PageTest(MockPageCase):
         page.wait("document.getElementById('connection').textContent.includes('open the address that the program prints')")
 
     def test_many_views_load_as_they_are_seen(self):
-        self.serve(views=230)
-        page = self.open()
+        page = self.served(views=230)
         page.wait("document.querySelectorAll('#strip img[src]').length > 3")
         self.assertEqual(page.run("return document.querySelectorAll('#strip li').length"), 230)
         self.assertLess(page.run("return document.querySelectorAll('#strip img[src]').length"), 20)
@@ -512,20 +493,15 @@ class PageTest(MockPageCase):
         page.wait("document.querySelector('#strip [data-view=\"229\"] img').getAttribute('src')")
 
     def test_modules(self):
-        self.serve()
-        page = self.open()
+        page = self.served()
         said = page.run((pathlib.Path(__file__).parent / "modules.js").read_text())
         self.assertEqual(said, [])
 
 
-# The page's tools in headless Chromium against the mock server: polygons, deletion, classes that end, what is ignored, test frames, flight.
+# Its tools: polygons, deletion, classes that end, what is ignored, test frames, flight.
 class ToolsTest(MockPageCase):
-    def message(self, page, text):
-        page.wait(f"document.getElementById('messages').textContent.includes({text!r})", f"no message {text!r}: {page.text('#messages')!r}")
-
     def test_a_polygon(self):
-        self.serve(classes=("sofa", "floor"))
-        page = self.open()
+        page = self.served(classes=("sofa", "floor"))
         self.room.faults.add("overlay")
         page.keys("1", "p")
         page.wait("document.getElementById('tool-polygon').getAttribute('aria-pressed') == 'true'")
@@ -548,8 +524,7 @@ class ToolsTest(MockPageCase):
         page.keys("2")
         for corner in ((90, 20), (110, 20), (110, 40)):  # closed by its first corner
             self.click(page, *corner)
-        self.click(page, 90, 20)
-        self.wait_saved(page, 2)
+        self.click(page, 90, 20, saved=2)
         page.mouse(*(self.page_of(page, x, y) for x, y in ((90, 60), (100, 60), (110, 65), (105, 80), (92, 75))))  # along the edge
         page.keys("enter")
         self.wait_saved(page, 3)
@@ -565,12 +540,10 @@ class ToolsTest(MockPageCase):
         self.assertEqual(page.complaints(), [])
 
     def test_one_click_is_deleted(self):
-        self.serve(classes=("sofa", "floor"))
-        page = self.open()
+        page = self.served(classes=("sofa", "floor"))
         page.keys("1")
         for k, at in enumerate(((30, 40), (60, 40), (90, 40))):
-            self.click(page, *at)
-            self.wait_saved(page, k + 1)
+            self.click(page, *at, saved=k + 1)
         self.click(page, 60, 40)  # its own class: it is selected, not clicked again
         page.wait("!document.getElementById('selection').hidden")
         self.assertEqual(page.text("#selection-text"), 'Selected: click "sofa"')
@@ -587,16 +560,14 @@ class ToolsTest(MockPageCase):
         page.keys("delete")
         page.wait_for(lambda: len(self.room.state(0)["marks"]), 1, "the click under the pointer is not deleted")
         page.keys("2")
-        self.click(page, 30, 40)  # another class: a correction
-        self.wait_saved(page, 4)
+        self.click(page, 30, 40, saved=4)  # another class: a correction
         self.assertTrue(page.run("return document.getElementById('selection').hidden"))
         page.hover(5, 715)
         page.keys("delete")
         self.message(page, "Point at a click")
 
     def test_the_eraser(self):
-        self.serve(classes=("sofa",))
-        page = self.open()
+        page = self.served(classes=("sofa",))
         self.click(page, 30, 40)
         page.mouse(self.page_of(page, 50, 30), self.page_of(page, 80, 30), self.page_of(page, 85, 50))
         self.wait_saved(page, 2)
@@ -611,15 +582,13 @@ class ToolsTest(MockPageCase):
         self.assertEqual(self.clicks(), 2, "the eraser labels")
 
     def test_classes_end(self):
-        self.serve(classes=("sofa",))
-        page = self.open()
+        page = self.served(classes=("sofa",))
         for name, at in (("stool", (30, 40)), ("chair", (60, 40))):
             self.make_class(page, name)
             self.click(page, *at)
         self.wait_saved(page, 2)
         names = "[...document.querySelectorAll('#classes .name')].map((e) => e.textContent).join()"
-        page.keys("2", "f2")
-        page.wait("document.getElementById('class-dialog').open")
+        self.dialog(page, "2", "f2")
         page.run("document.getElementById('merge-into').value = 'chair'")
         page.click("#class-merge")
         page.wait(f"{names} == 'sofa,chair'")
@@ -629,15 +598,13 @@ class ToolsTest(MockPageCase):
         page.keys("z")
         page.wait(f"{names} == 'sofa,stool,chair'", "a merge is not undone")
         page.wait("[...document.querySelectorAll('#classes .clicks')].at(-1).textContent == '1'", "the click does not come back")
-        page.keys("3", "f2")
-        page.wait("document.getElementById('class-dialog').open")
+        self.dialog(page, "3", "f2")
         page.click("#class-delete")
         page.wait("document.getElementById('question').open")
         self.assertIn("Its 1 click go with it", page.text("#question-text"))
         page.keys("enter")  # the careful answer has the focus
         self.message(page, "\"chair\" stays")
-        page.keys("f2")
-        page.wait("document.getElementById('class-dialog').open")
+        self.dialog(page, "f2")
         page.click("#class-delete")
         page.wait("document.getElementById('question').open")
         page.click("#question-yes")
@@ -647,16 +614,14 @@ class ToolsTest(MockPageCase):
         page.wait(f"{names} == 'sofa,stool,chair'")
         page.wait_for(lambda: len(self.room.state(0)["marks"]), 2, "the clicks do not come back")
         page.keys("1", "f2")  # the scene's own: its colour alone
-        page.wait("document.getElementById('class-dialog').open")
+        self.opened(page)
         self.assertEqual(page.run("return [document.getElementById('class-name').disabled, document.getElementById('class-end').hidden]"), [True, True])
         page.click("#class-cancel")
 
     def test_what_is_ignored(self):
-        self.serve(classes=("sofa",))
-        page = self.open()
+        page = self.served(classes=("sofa",))
         sofa = self.pixel_of(0, 4)
-        self.click(page, *sofa)
-        self.wait_saved(page, 1)
+        self.click(page, *sofa, saved=1)
         far = (sofa[0] + 9, sofa[1])
         self.wait_pixel(page, *far, self.mixed(0, *far, [200, 60, 60]), "nothing is learned")
         page.keys("i")
@@ -673,10 +638,8 @@ class ToolsTest(MockPageCase):
         self.assertEqual(page.run("return [...document.querySelectorAll('#classes .clicks')].map((e) => e.textContent)"), ["1"])
 
     def test_test_frames_are_looked_at(self):
-        self.serve(classes=("sofa",), held_out=2)
-        page = self.open()
-        self.click(page, *self.pixel_of(0, 4))
-        self.wait_saved(page, 1)
+        page = self.served(classes=("sofa",), held_out=2)
+        self.click(page, *self.pixel_of(0, 4), saved=1)
         page.keys("end")
         page.wait("document.querySelector('#strip [aria-current=true]').dataset.view == 5")
         self.assertEqual(page.text("#strip [aria-current=true] .badge"), "test")
@@ -692,10 +655,8 @@ class ToolsTest(MockPageCase):
         self.assertEqual((len(self.room.events), len(self.room.received)), (1, 1), "a label of a test frame was sent")
 
     def test_clicks_of_other_views_are_shown(self):
-        self.serve(classes=("sofa",))
-        page = self.open()
-        self.click(page, *self.pixel_of(0, 4))
-        self.wait_saved(page, 1)
+        page = self.served(classes=("sofa",))
+        self.click(page, *self.pixel_of(0, 4), saved=1)
         place = self.room.place(0, self.room.events[0]["points"][0])
         view = next(k for k in range(1, 6) if mock_server.is_seen(self.room.cameras[k], place) and mock_server.pixel_of(self.room.cameras[k], *SIZE, place))
         page.run(f"document.querySelector('#strip [data-view=\"{view}\"]').click()")
@@ -712,10 +673,8 @@ class ToolsTest(MockPageCase):
         page.wait("document.getElementById('readout').textContent.includes('(clicked as sofa in rgb_00)')")
 
     def test_a_click_in_flight_labels(self):
-        self.serve(classes=("sofa",), held_out=1)
-        page = self.open()
-        page.keys("f")
-        page.wait("/\\d+ x \\d+, \\d+ ms/.test(document.getElementById('readout').textContent)", "no picture of the free camera")
+        page = self.served(classes=("sofa",), held_out=1)
+        self.fly(page, "f")
         middle = self.page_of(page, SIZE[0] / 2, SIZE[1] / 2)
         page.mouse(middle)
         self.wait_saved(page, 1)
@@ -757,8 +716,7 @@ class ToolsTest(MockPageCase):
         self.assertNotEqual(round(x, 2), round(x, 1), "a click has no place within a tenth of a pixel that trains")
 
     def test_every_key_says_something(self):
-        self.serve(classes=("sofa",))
-        page = self.open()
+        page = self.served(classes=("sofa",))
         for keys, words in (("7", "No class has the key 7"), ("enter", "Move a cross"), ("delete", "Point at a click"), ("c", "no label under the pointer"),
                             ("v", "goes from a flight"), ("left", "This is the first view"), ("x", "Eraser:"), ("p", "Polygon:"), ("b", "Brush:"),
                             ("z", "nothing to undo"), ("shift+z", "nothing to redo"), ("g", "There is no guess")):
@@ -772,8 +730,8 @@ class ToolsTest(MockPageCase):
         self.message(page, "Click into the picture")
 
 
-# The page in headless Chromium against the mock server: what a person does before the page has caught up, as on a loaded machine.
-# A label is of the class, view and proposal that the person saw, and what is not stored says so.
+# What a person does before the page has caught up, as on a loaded machine: a label is of the class, view and proposal that the person
+# saw, and what is not stored says so.
 # Events of one task: none that the browser itself queues comes between them.
 HASTE = """
 const byId = (id) => document.getElementById(id);
@@ -786,77 +744,57 @@ const named = (name) => { byId('class-name').value = name; byId('class-dialog').
 
 
 class HasteTest(MockPageCase):
-    def haste(self, page, script, *points):
+    def haste(self, page, script, *points, saved=None):
         """`script` with the points of the view as p[0], p[1] ... in pixels of the page."""
         page.run(HASTE + "const p = arguments[0];" + script, [self.page_of(page, *point) for point in points])
-
-    def message(self, page, text):
-        page.wait(f"document.getElementById('messages').textContent.includes({text!r})", f"no message {text!r}: {page.text('#messages')!r}")
+        if saved is not None:
+            self.wait_saved(page, saved)
 
     def labels(self):
         return [(e["class"], round(e["points"][0][0])) for e in self.room.events if e["type"] == "click"]
 
-    def opened(self, page, dialog="class-dialog"):
-        page.wait(f"document.getElementById('{dialog}').open")
-
     def test_a_class_that_was_just_named(self):
-        self.serve()
-        page = self.open()
+        page = self.served()
         self.haste(page, "click(p[0]);", (30, 40))  # waits for the first class
         self.opened(page)
-        self.haste(page, "named('sofa'); click(p[0]);", (60, 40))
-        self.wait_saved(page, 2)
-        page.keys("n")
-        self.opened(page)
-        self.haste(page, "named('floor'); click(p[0]); click(p[1]);", (90, 40), (90, 70))
-        self.wait_saved(page, 4)
+        self.haste(page, "named('sofa'); click(p[0]);", (60, 40), saved=2)
+        self.dialog(page, "n")
+        self.haste(page, "named('floor'); click(p[0]); click(p[1]);", (90, 40), (90, 70), saved=4)
         self.assertEqual(self.labels(), [("sofa", 30), ("sofa", 60), ("floor", 90), ("floor", 90)])
         self.assertEqual([e["name"] for e in self.room.events if e["type"] == "class"], ["sofa", "floor"])
-        page.keys("1", "f2")
-        self.opened(page)
-        self.haste(page, "named('couch'); click(p[0]);", (50, 60))
-        self.wait_saved(page, 5)
+        self.dialog(page, "1", "f2")
+        self.haste(page, "named('couch'); click(p[0]);", (50, 60), saved=5)
         self.assertEqual(self.labels()[-1], ("couch", 50))
-        page.keys("f2")
-        self.opened(page)
-        self.haste(page, "byId('merge-into').value = 'floor'; byId('class-merge').click(); click(p[0]);", (10, 20))
-        self.wait_saved(page, 6)
+        self.dialog(page, "f2")
+        self.haste(page, "byId('merge-into').value = 'floor'; byId('class-merge').click(); click(p[0]);", (10, 20), saved=6)
         self.assertEqual(self.labels()[-1], ("floor", 10))
-        page.keys("f2")
-        self.opened(page)
+        self.dialog(page, "f2")
         self.haste(page, "byId('class-delete').click();")
         self.opened(page, "question")
         self.haste(page, "byId('question-yes').click(); click(p[0]);", (20, 20))  # no class is left: it waits for a new one
         self.opened(page)
-        self.haste(page, "named('wall');")
-        self.wait_saved(page, 7)
+        self.haste(page, "named('wall');", saved=7)
         self.assertEqual(self.labels()[-1], ("wall", 20))
         self.assertEqual(page.complaints(), [])
 
     def test_a_dialog_that_opens_again_at_once(self):
-        self.serve()
-        page = self.open()
-        page.keys("n")
-        self.opened(page)
+        page = self.served()
+        self.dialog(page, "n")
         self.haste(page, "byId('class-cancel').click(); click(p[0]); ", (30, 40))  # its close event comes when the next one is open
         self.opened(page)
-        self.haste(page, "named('sofa');")
-        self.wait_saved(page, 1)
+        self.haste(page, "named('sofa');", saved=1)
         self.assertEqual(self.labels(), [("sofa", 30)])
 
     def test_a_stroke_is_of_the_class_that_began_it(self):
-        self.serve(classes=("sofa", "floor"))
-        page = self.open()
+        page = self.served(classes=("sofa", "floor"))
         page.keys("1")
-        self.haste(page, "pointer('pointerdown', p[0]); pointer('pointermove', p[1]); key('2'); key(']'); pointer('pointerup', p[1]);", (30, 40), (60, 40))
-        self.wait_saved(page, 1)
+        self.haste(page, "pointer('pointerdown', p[0]); pointer('pointermove', p[1]); key('2'); key(']'); pointer('pointerup', p[1]);", (30, 40), (60, 40), saved=1)
         event = self.room.events[-1]
         self.assertEqual((event["class"], event["radius"]), ("sofa", 3))
         self.assertEqual(page.text("#classes [aria-checked=true] .name"), "floor")
 
     def test_what_is_not_stored_says_so(self):
-        self.serve(classes=("sofa", "floor"))
-        page = self.open()
+        page = self.served(classes=("sofa", "floor"))
         page.keys("1")
         self.haste(page, "key('ArrowRight'); click(p[0]);", (30, 40))  # the person still sees the view before
         self.message(page, "Not stored: another view is coming")
@@ -866,8 +804,7 @@ class HasteTest(MockPageCase):
         self.message(page, "The stroke is dropped")
         self.haste(page, "pointer('pointerdown', p[0]); pointer('pointermove', p[1]); pointer('pointerup', p[1]);", (-8, 40), (60, 40))
         self.message(page, "Click into the picture")
-        page.keys("n")
-        self.opened(page)
+        self.dialog(page, "n")
         page.mouse(self.page_of(page, 5, 5))
         self.message(page, "Not stored: a window is open over the picture")
         page.keys("escape", "p")
@@ -875,12 +812,10 @@ class HasteTest(MockPageCase):
         self.message(page, "The polygon is dropped")
         page.keys("b")
         self.assertEqual(self.labels(), [])
-        self.click(page, 30, 40)
-        self.wait_saved(page, 1)
+        self.click(page, 30, 40, saved=1)
 
     def test_a_click_without_a_class(self):
-        self.serve()
-        page = self.open()
+        page = self.served()
         self.haste(page, "click(p[0]);", (30, 40))
         self.opened(page)
         page.keys("escape")
@@ -888,8 +823,7 @@ class HasteTest(MockPageCase):
         self.assertEqual(self.room.events, [])
 
     def test_a_proposal_that_was_not_seen(self):
-        self.serve(classes=("sofa",))
-        page = self.open()
+        page = self.served(classes=("sofa",))
         page.wait("document.getElementById('proposal-text').textContent.startsWith('Click proposed here')")
         page.run("window.draws = window.requestAnimationFrame; window.requestAnimationFrame = () => 0;")  # no frame comes
         before = self.room.state(0)["proposal"]["id"]
@@ -904,17 +838,14 @@ class HasteTest(MockPageCase):
         self.assertEqual(len(self.room.events), 1)
 
     def test_clicks_of_a_flight(self):
-        self.serve(classes=("sofa", "floor"))
-        page = self.open()
-        page.keys("1", "f")
-        page.wait("/\\d+ x \\d+, \\d+ ms/.test(document.getElementById('readout').textContent)", "no picture of the free camera")
+        page = self.served(classes=("sofa", "floor"))
+        self.fly(page, "1", "f")
         self.room.faults.add("picture")  # every answer takes a while
         self.haste(page, "click(p[0]); key('2'); click(p[1]); click(p[2]); key('Escape');", (60, 45), (70, 45), (50, 45))
         page.wait("document.getElementById('fly').getAttribute('aria-pressed') == 'false'")
         self.wait_saved(page, 3)
         self.assertEqual([name for name, _ in self.labels()], ["sofa", "floor", "floor"])
-        page.keys("f")
-        page.wait("/\\d+ x \\d+, \\d+ ms/.test(document.getElementById('readout').textContent)", "no picture of the free camera")
+        self.fly(page, "f")
         self.haste(page, "click(p[0]); click(p[1]); key('z');", (60, 55), (70, 55))  # takes back what is still on its way
         self.message(page, "Undone: the click of the flight")
         self.wait_saved(page, 4)

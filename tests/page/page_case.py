@@ -39,13 +39,22 @@ class PageCase(unittest.TestCase):
         box, scale = page.box("#canvas"), self.scale(page)
         return (box["x"] + (box["width"] - scale * self.SIZE[0]) / 2 + x * scale, box["y"] + (box["height"] - scale * self.SIZE[1]) / 2 + y * scale)
 
-    def click(self, page, x, y):
+    def click(self, page, x, y, saved=None):
+        """`saved`: waits until the program has so many clicks."""
         page.mouse(self.page_of(page, x, y))
         page.hover(5, 715)
+        if saved is not None:
+            self.wait_saved(page, saved)
+
+    def opened(self, page, dialog="class-dialog"):
+        page.wait(f"document.getElementById('{dialog}').open")
+
+    def dialog(self, page, *keys):
+        page.keys(*keys)
+        self.opened(page)
 
     def make_class(self, page, name):
-        page.keys("n")
-        page.wait("document.getElementById('class-dialog').open")
+        self.dialog(page, "n")
         page.type(name)
         page.keys("enter")
         page.wait("!document.getElementById('class-dialog').open")

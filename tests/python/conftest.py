@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, Dict, List, Tuple
 
 import numpy as np
@@ -107,3 +108,18 @@ def tensors_of(checkpoint: str) -> Dict[str, bytes]:
 
 def trained(run: sf.Run, steps: int) -> List[sf.Step]:
     return list(run.train(steps, every=max(steps, 1)))
+
+
+def same(a: sf.Run, b: sf.Run) -> bool:
+    """Whether two runs have the same bits."""
+    mine, theirs = a.parameters(), b.parameters()
+    return mine.keys() == theirs.keys() and all(np.array_equal(mine[k], theirs[k]) for k in mine)
+
+
+def program_that(folder: Path, script: str, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Stands for the program; writes its words into `words`."""
+    file = folder / "semfield"
+    file.write_text(f"#!/bin/sh\nfor word; do echo \"$word\"; done > {folder}/words\n{script}\n")
+    file.chmod(0o755)
+    monkeypatch.setenv("SEMFIELD_PROGRAM", str(file))
+    return folder / "words"

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import semfield as sf
-from conftest import NETWORK, WALLS, box_arrays, config_of, tensors_of, trained
+from conftest import NETWORK, WALLS, box_arrays, config_of, same, tensors_of, trained
 
 
 def with_position(scene: sf.Scene, **position: Any) -> Dict[str, Any]:
@@ -151,8 +151,7 @@ def test_saved_and_opened_again(scene: sf.Scene, tmp_path: Path) -> None:
     again = sf.resume(tmp_path / "a")
     trained(run, 4)
     trained(again, 4)
-    mine, theirs = run.parameters(), again.parameters()
-    assert all(np.array_equal(mine[k], theirs[k]) for k in mine)
+    assert same(run, again)
 
 
 def raising(where: str) -> Type[sf.Encoder]:
@@ -459,8 +458,7 @@ def test_a_step_that_raised_is_made_again_with_the_same_bits(scene: sf.Scene) ->
     made = run.step
     assert 0 < made < 6
     trained(run, 6 - made)
-    mine, theirs = run.parameters(), calm.parameters()
-    assert all(np.array_equal(mine[k], theirs[k]) for k in theirs)
+    assert same(run, calm)
 
 
 def test_a_file_that_broke_a_law_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -548,13 +546,6 @@ def found_walls(made: np.ndarray) -> np.ndarray:
     """The word that each pixel's row [H, W, 96] is nearest to."""
     words = WORDS / np.linalg.norm(WORDS, axis=1, keepdims=True)
     return np.argmax(made @ words.T, -1)
-
-
-def test_a_head_in_a_file_is_checked(tmp_path: Path) -> None:
-    file = tmp_path / "idea_head.py"
-    file.write_text(HEAD)
-    said = sf.command("plugins", "check", file)
-    assert "failed=0" in said, said
 
 
 @pytest.fixture(scope="module")
@@ -756,9 +747,10 @@ class Opaque(sf.Loss):
 '''
 
 
-def test_a_loss_in_a_file_is_checked(tmp_path: Path) -> None:
-    file = tmp_path / "idea_loss.py"
-    file.write_text(LOSS)
+@pytest.mark.parametrize("text", [HEAD, LOSS], ids=["head", "loss"])
+def test_one_in_a_file_is_checked(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "idea.py"
+    file.write_text(text)
     said = sf.command("plugins", "check", file)
     assert "failed=0" in said, said
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import json
 import os
-import stat
 from pathlib import Path
 from typing import Any, Dict
 
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 
 import semfield as sf
-from conftest import NETWORK, WALLS, box_arrays, config_of, trained
+from conftest import NETWORK, WALLS, box_arrays, config_of, program_that, trained
 
 
 def changed(**more: Any) -> Dict[str, Any]:
@@ -247,15 +246,6 @@ def test_a_scene_that_cannot_be_written(tmp_path: Path) -> None:
 
 
 # prepare() runs the program; masks and wide lenses of scenes that are made of arrays.
-def program_that(folder: Path, script: str, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Stands for the program; writes its words into `words`."""
-    file = folder / "semfield"
-    file.write_text(f"#!/bin/sh\nfor word; do echo \"$word\"; done > {folder}/words\n{script}\n")
-    file.chmod(file.stat().st_mode | stat.S_IXUSR)
-    monkeypatch.setenv("SEMFIELD_PROGRAM", str(file))
-    return folder / "words"
-
-
 def test_prepare_hands_over_what_it_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     told = {"photographs": 12, "registered": 11, "error_px": 0.5, "points": 900, "attempts": 1,
             "missing": ["photograph 3 (c.jpg) is blurred: take it again"], "folder": "room"}

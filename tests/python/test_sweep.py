@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from pathlib import Path
 
@@ -78,8 +77,3 @@ def test_what_fails(swept: sf.Sweep, tmp_path: Path) -> None:
         sf.sweep(tmp_path / "nowhere.yaml", out=tmp_path / "out")
     with pytest.raises(sf.CommandError, match="jobs"):
         sf.sweep(folder / "rays.yaml", out=tmp_path / "out", jobs=0)
-
-
-def test_csv_is_what_pandas_reads(swept: sf.Sweep) -> None:
-    with open(Path(swept.folder) / "results.csv", newline="") as file:
-        assert len(list(csv.DictReader(file))) == len(swept.table())

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import semfield as sf
-from conftest import WALLS, box_arrays, cast, config_of, look, tensors_of, trained
+from conftest import WALLS, box_arrays, cast, config_of, look, program_that, same, tensors_of, trained
 
 
 def test_a_field_gets_better(run: sf.Run) -> None:
@@ -52,8 +52,7 @@ def test_saving_twice_and_going_on(run: sf.Run, scene: sf.Scene, tmp_path: Path)
     trained(run, 10)
     trained(again, 10)
     assert again.step == run.step == 20
-    mine, theirs = run.parameters(), again.parameters()
-    assert all(np.array_equal(mine[k], theirs[k]) for k in mine)
+    assert same(run, again)
     with pytest.raises(sf.WriteError, match="in use"):
         run.save(tmp_path / "a")
     again.close()
@@ -104,8 +103,7 @@ def test_the_program_goes_on_with_a_run_of_python(scene: sf.Scene, tmp_path: Pat
     trained(whole, 30)
     stopped = sf.resume(tmp_path / "a")
     assert stopped.step == 30
-    mine, theirs = whole.parameters(), stopped.parameters()
-    assert all(np.array_equal(mine[k], theirs[k]) for k in mine)
+    assert same(whole, stopped)
 
 
 def test_train_is_the_verb(scene: sf.Scene, tmp_path: Path) -> None:
@@ -200,11 +198,6 @@ def test_what_is_not_there(tmp_path: Path) -> None:
 
 
 # Labels from Python: whole label images, and clicks that are on the disk before the call returns.
-def same(a: sf.Run, b: sf.Run) -> bool:
-    mine, theirs = a.parameters(), b.parameters()
-    return mine.keys() == theirs.keys() and all(np.array_equal(mine[k], theirs[k]) for k in mine)
-
-
 def lines_of(run: sf.Run) -> List[Dict[str, Any]]:
     file = Path(run.run_dir) / "clicks.jsonl"  # made by the first click
     return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
@@ -623,11 +616,7 @@ def test_objects_are_a_table(box: sf.Run, tmp_path: Path, monkeypatch: pytest.Mo
            "centroid": [1, 2, 3], "box": {"center": [1, 2, 3], "axes": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "size": [0.5, 1, 0.5]}}
     (tmp_path / "objects.json").write_text(json.dumps({"objects": [row, {**row, "id": 2, "name": "2", "class": None}]}))
     told = {"folder": str(tmp_path), "seconds": {"all": 2.5}, "score": {"pq": 0.9}}
-    words = tmp_path / "words"
-    program = tmp_path / "semfield"
-    program.write_text(f"#!/bin/sh\nfor word; do echo \"$word\"; done > {words}\necho '{json.dumps(told)}'\n")
-    program.chmod(0o755)
-    monkeypatch.setenv("SEMFIELD_PROGRAM", str(program))
+    words = program_that(tmp_path, f"echo '{json.dumps(told)}'", monkeypatch)
     found = box.objects("masks", set={"objects.reach": 0.3, "objects.method": {"type": "assignment"}}, out="there", score=True)
     said = words.read_text().split("\n")
     assert said[:7] == ["objects", str(box.run_dir), "--quiet", "--segments", "masks", "--out", "there"] and "--score" in said and "--json" in said
@@ -697,12 +686,7 @@ def test_points_know_what_the_device_learned(cuda_run: sf.Run, scene: sf.Scene, 
         assert np.array_equal(mine.probability, theirs.probability)
 
 
-def test_bits_are_those_of_the_program(cuda_run: sf.Run, scene: sf.Scene, tmp_path: Path) -> None:
-    import glob
-    import json
-
-    from conftest import tensors_of
-
+def test_bits_of_a_device_are_those_of_the_program(cuda_run: sf.Run, scene: sf.Scene, tmp_path: Path) -> None:
     config = on_cuda(scene, steps=20)
     config["runtime"]["deterministic"] = True
     file = tmp_path / "box.yaml"

@@ -4,13 +4,11 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "core/error.h"
 #include "eval/final_eval.h"
 #include "formats/image_io.h"
 #include "labels/clicks/annotations.h"
 #include "report/html.h"
 #include "run/metrics_log.h"
-#include "system/files.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
 

@@ -17,7 +17,6 @@
 #include "report/report.h"
 #include "run/metrics_log.h"
 #include "run/run_folder.h"
-#include "system/files.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"
 

@@ -1,19 +1,15 @@
 // Stopping, saving, loading and going on gives the bits of the run that was never stopped; other checkpoints are
 // refused.
 
-#include <gtest/gtest.h>
-
 #include <cmath>
 
 #include "eval/evaluator.h"
 #include "eval/final_eval.h"
 #include "run/metrics_log.h"
-#include "run/run.h"
 #include "run/run_folder.h"
 #include "run/run_scores.h"
 #include "session/settings/choices.h"
 #include "session/training.h"
-#include "system/files.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {
@@ -22,32 +18,28 @@ namespace {
 using namespace testing_train;
 
 TEST(Resume, AnotherNetworksCheckpointIsRefusedAndNothingChanges) {
-  Registry registry = make_registry();
   const TempDir dir;
-  TestRun wide(hash_config(), registry);
+  TestRun wide(hash_config());
   write_safetensors(dir / "state.safetensors", wide.trainer.state(), {});
-  std::string narrow_yaml = hash_config();
-  narrow_yaml.replace(narrow_yaml.find("color_width: 32"), 15, "color_width: 16");
-  TestRun narrow(narrow_yaml, registry);
+  std::string narrow_yaml = replaced(hash_config(), "color_width: 32", "color_width: 16");
+  TestRun narrow(narrow_yaml);
   const std::uint32_t before = narrow.bits();
-  EXPECT_HAS(error_of(ErrorKind::data,
-                      [&] { narrow.trainer.load(TensorFile::read(dir / "state.safetensors"), 0); }),
+  EXPECT_HAS(error_of(ErrorKind::data, [&] { narrow.trainer.load(TensorFile::read(dir / "state.safetensors"), 0); }),
              "another network's checkpoint");
   EXPECT_EQ(before, narrow.bits());
 }
 
-RunConfig config_of(const std::string& yaml, Registry& registry) {
+RunConfig config_of(const std::string& yaml, Registry& registry = all_plugins()) {
   return run_config_of(parse_config_text(yaml, "test.yaml"), registry);
 }
 
 TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
-  Registry registry = make_registry();
   const TempDir dir;
   TrainRequest request{.out_dir = dir / "run"};
   HookListener hooks;
   hooks.reports = true;
-  const TrainOutcome outcome = run_training(config_of(hash_config("report: {eval_every_s: 0, strips: 2}\n"), registry),
-                                            registry, request, &hooks);
+  const TrainOutcome outcome =
+      run_training(config_of(hash_config("report: {eval_every_s: 0, strips: 2}\n")), all_plugins(), request, &hooks);
   EXPECT_EQ(outcome.step, 200);
   for (const char* file :
        {"run.yaml", "metrics.jsonl", "environment.json", "left_out.json", "classes.yaml", "report.html"}) {
@@ -59,7 +51,7 @@ TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
     if (name == "psnr") psnr = *value;
   }
   {
-    Session untrained = open_text(hash_config(), registry);
+    Session untrained = open_text(hash_config());
     const SplitScore start = evaluate(*untrained.pipeline, untrained.eval_job(untrained.scene.frames_of(Split::test)),
                                       untrained.limits, untrained.plan.class_of_logit);
     EXPECT_GT(psnr, *start.color.psnr_db() + 4) << "200 steps teach the field the room's colours";
@@ -67,7 +59,7 @@ TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
 
   // Evaluating the folder gives the run's own last figures.
   Diagnostics diagnostics;
-  OpenedRun opened = open_run(request.out_dir, {}, registry, diagnostics);
+  OpenedRun opened = open_run(request.out_dir, {}, all_plugins(), diagnostics);
   const SplitScore score =
       evaluate(*opened.session.pipeline, opened.session.eval_job(opened.session.scene.frames_of(Split::test)),
                opened.session.limits, opened.session.plan.class_of_logit);
@@ -92,7 +84,7 @@ TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
   ASSERT_EQ(frames.worst().size(), std::min<std::size_t>(2, score.frames.size()));
   for (const FrameScore& row : score.frames) EXPECT_FALSE(row.worse_than(frames.worst()[0].first)) << row.name;
   // Rendering reads no pixel: what training knew of the scene stands in the checkpoint.
-  OpenedRun blind = open_run(request.out_dir, {}, registry, diagnostics, OpenFor::rendering);
+  OpenedRun blind = open_run(request.out_dir, {}, all_plugins(), diagnostics, OpenFor::rendering);
   const int frame = opened.session.scene.frames_of(Split::test).front();
   EXPECT_TRUE(blind.session.scene.frames[frame].rgb.empty());
   const auto render = [frame](Session& s) {
@@ -110,26 +102,22 @@ TEST(TrainRun, WritesAWholeRunFolderAndEvaluatesFromIt) {
 // A class that had no label when the run began has some when it goes on: from the file of clicks, or from other labels
 // where every class has a logit.
 TEST(TrainRun, LabelsOfAnotherClassMayComeWhereEveryClassHasALogit) {
-  Registry registry = make_registry();
   const TempDir dir;
   const std::string log = dir / "clicks.jsonl";
   const auto train = [&](const std::string& yaml, std::int64_t steps, bool resume) {
     TrainRequest request{.out_dir = dir / "run", .resume = resume};
-    RunConfig config = config_of(yaml, registry);
-    if (resume) config = load_run_config(request.out_dir + "/run.yaml", {}, registry);
+    RunConfig config = config_of(yaml);
+    if (resume) config = load_run_config(request.out_dir + "/run.yaml", {}, all_plugins());
     config.train.steps = steps;
-    std::string warnings;
     HookListener hooks;
-    hooks.on_note = [&](const std::string& text) { warnings += text + "\n"; };
-    EXPECT_EQ(run_training(std::move(config), registry, request, &hooks).step, steps);
-    EXPECT_LACKS(warnings, "the labels are not as they were");
+    EXPECT_EQ(run_training(std::move(config), all_plugins(), request, &hooks).step, steps);
+    EXPECT_LACKS(hooks.notes, "the labels are not as they were");
   };
-  std::string yaml = hash_config("report: {eval_every_s: 0}\n");
-  yaml.replace(yaml.find("analytic_room}"), 14,
-               "analytic_room, labels: {frames: none, class_room: 8, clicks: " + log + "}}");
+  std::string yaml = replaced(hash_config("report: {eval_every_s: 0}\n"), "analytic_room}",
+                              "analytic_room, labels: {frames: none, class_room: 8, clicks: " + log + "}}");
   train(yaml, 4, false);
   EXPECT_LACKS(read_text_file(dir / "run/classes.yaml"), "sofa");
-  const Session session = open_text(hash_config(), registry);
+  const Session session = open_text(hash_config());
   const std::string frame = session.scene.info.frames[session.drawn_frames().front()].name;
   const std::string click = R"("type":"click","frame":")" + frame + R"(","size":[48,36],"points":[[9,9]],"radius":3,)";
   write_file_atomic(log, R"({"id":"1","type":"class","name":"sofa"})"
@@ -140,7 +128,7 @@ TEST(TrainRun, LabelsOfAnotherClassMayComeWhereEveryClassHasALogit) {
   EXPECT_HAS(read_text_file(dir / "run/classes.yaml"), "sofa");
   write_file_atomic(log, read_text_file(log) + R"({"id":"4","type":"rename","class":"sofa","name":"couch"})" + "\n");
   Diagnostics diagnostics;
-  const OpenedRun opened = open_run(dir / "run", {}, registry, diagnostics, OpenFor::evaluation);
+  const OpenedRun opened = open_run(dir / "run", {}, all_plugins(), diagnostics, OpenFor::evaluation);
   EXPECT_EQ(opened.step, 8);
   EXPECT_EQ(opened.session.plan.class_of_logit.size(), 8u);
   EXPECT_HAS(opened.session.scene.info.classes.to_yaml(), "couch");
@@ -517,12 +505,11 @@ TEST(RunScores, PicturesAreFinerThanTheScoresWhereTheTimeAllowsIt) {
     double clock_s_ = 0;
   };
   const TempDir dir;
-  Registry registry = make_registry();
-  RunConfig config = config_of(hash_config("report: {eval_every_s: 0, strips: 1, worst_frames: 0}\n"), registry);
+  RunConfig config = config_of(hash_config("report: {eval_every_s: 0, strips: 1, worst_frames: 0}\n"));
   config.train.steps = 60;
   config.train.time_s = 1080;
   Pictures pictures;
-  const TrainOutcome outcome = run_training(std::move(config), registry, {.out_dir = dir / "run"}, &pictures);
+  const TrainOutcome outcome = run_training(std::move(config), all_plugins(), {.out_dir = dir / "run"}, &pictures);
   EXPECT_EQ(outcome.scored.stride, 2);
   EXPECT_EQ(pictures.width_px, std::vector<std::int32_t>{48});
 }
@@ -647,8 +634,7 @@ std::vector<Pose> poses_of(const Session& session, Split split) {
 }
 
 TEST(RefinedPoses, ComeBackToThoseOfTheField) {
-  Registry registry = make_registry();
-  TestRun run(hash_config(), registry);
+  TestRun run(hash_config());
   run.to(600);
   Session& session = run.session;
   const std::vector<Pose> right = poses_of(session, Split::train);
@@ -658,34 +644,29 @@ TEST(RefinedPoses, ComeBackToThoseOfTheField) {
     pose = disturbed(pose, static_cast<int>(i), 0.03);
   }
   const std::vector<Pose> wrong = poses_of(session, Split::train);
-  const std::vector<Pose> refined = refine_poses(session, registry, frames, {.steps = 200, .rays = 512});
+  const std::vector<Pose> refined = refine_poses(session, all_plugins(), frames, {.steps = 200, .rays = 512});
   EXPECT_LT(distance(refined, right), 0.5 * distance(wrong, right));
-  EXPECT_EQ(distance(refine_poses(session, registry, frames, {.steps = 200, .rays = 512}), refined), 0);
+  EXPECT_EQ(distance(refine_poses(session, all_plugins(), frames, {.steps = 200, .rays = 512}), refined), 0);
 }
 
 TEST(LearnedPoses, AreThoseOfTrainingFramesWhenARunIsOpenedAgain) {
-  Registry registry = make_registry();
   const TempDir dir;
-  std::string yaml = hash_config();
-  yaml.replace(yaml.find("train: {"), 8, "train: {cameras: {poses: learned, pose_rate: 0.1}, ");
+  std::string yaml = replaced(hash_config(), "train: {", "train: {cameras: {poses: learned, pose_rate: 0.1}, ");
   TrainRequest request;
   request.out_dir = dir / "run";
   const ConfigNode tree = parse_config_text(yaml, "test.yaml");
-  (void)run_training(run_config_of(tree, registry), registry, request, {});
+  (void)run_training(run_config_of(tree, all_plugins()), all_plugins(), request, {});
   Diagnostics found;
-  const OpenedRun opened = open_run(request.out_dir, {}, registry, found, OpenFor::rendering);
-  std::string notes;
-  for (const Diagnostic& finding : found.all()) notes += finding.text() + "\n";
-  EXPECT_HAS(notes, "training frames have the poses that the run has learned");
-  const Session given = open_text(hash_config(), registry);
+  const OpenedRun opened = open_run(request.out_dir, {}, all_plugins(), found, OpenFor::rendering);
+  EXPECT_HAS(texts(found), "training frames have the poses that the run has learned");
+  const Session given = open_text(hash_config());
   EXPECT_GT(distance(poses_of(opened.session, Split::train), poses_of(given, Split::train)), 1e-4);
   EXPECT_EQ(distance(poses_of(opened.session, Split::test), poses_of(given, Split::test)), 0);
 }
 
 // A file of another scene, or a damaged one: the given poses stay, and nothing is read past what is there.
 TEST(LearnedPoses, OfAnotherShapeAreNotUsed) {
-  Registry registry = make_registry();
-  Session session = open_text(hash_config(), registry);
+  Session session = open_text(hash_config());
   const std::vector<Pose> given = poses_of(session, Split::train);
   const TempDir dir;
   for (const auto& [rows, cols] : {std::pair{2, 6}, {static_cast<int>(given.size()), 7}}) {

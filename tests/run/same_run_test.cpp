@@ -3,13 +3,10 @@
 
 #include "eval/final_eval.h"
 #include "loading/packed_scene.h"
-#include "run/run.h"
 #include "run/run_folder.h"
 #include "run/run_scores.h"
 #include "session/self_training.h"
 #include "session/settings/run_identity.h"
-#include "session/trainer.h"
-#include "system/files.h"
 #include "testkit/analytic_scene.h"
 #include "tests/scene/tiny_scene.h"
 #include "tests/session/train_testing.h"
@@ -19,44 +16,30 @@ namespace {
 
 using namespace testing_train;
 
-Registry& registry() {
-  static Registry all = make_registry();
-  return all;
-}
-
-std::string texts(const Diagnostics& diagnostics) {
-  std::string out;
-  for (const Diagnostic& d : diagnostics.all()) out += d.text() + "\n";
-  return out;
-}
-
 // A run of a few steps on a packed room, in DIR/run.
 struct Trained {
   TempDir dir;
   std::string run = dir / "run";
   explicit Trained(const std::string& labels = "", const std::string& rendering = "") {
     const std::string config = write_packed_config(dir, 4, 0);
-    std::string yaml = read_text_file(config);
-    yaml.replace(yaml.find("room.sfpack}"), 12, "room.sfpack" + labels + "}");
-    yaml.replace(yaml.find("far: background}"), 16, "far: background" + rendering + "}");
+    std::string yaml = replaced(replaced(read_text_file(config), "room.sfpack}", "room.sfpack" + labels + "}"),
+                                "far: background}", "far: background" + rendering + "}");
     write_file_atomic(config, yaml);
     train(config, run, 4, false);
   }
   static std::string train(const std::string& config, const std::string& folder, std::int64_t steps, bool resume) {
-    std::string notes;
     HookListener hooks;
-    hooks.on_note = [&](const std::string& text) { notes += text + "\n"; };
     TrainRequest request{.out_dir = folder, .resume = resume};
-    RunConfig read = load_run_config(config, {}, registry());
+    RunConfig read = load_run_config(config, {}, all_plugins());
     read.train.steps = steps;
-    run_training(std::move(read), registry(), request, &hooks);
-    return notes;
+    run_training(std::move(read), all_plugins(), request, &hooks);
+    return hooks.notes;
   }
   std::string resume(std::int64_t steps) const { return train(run + "/run.yaml", run, steps, true); }
   /// What looking at the run says.
   std::string open(const std::vector<std::string>& overrides = {}, OpenFor purpose = OpenFor::evaluation) const {
     Diagnostics diagnostics;
-    (void)open_run(run, overrides, registry(), diagnostics, purpose);
+    (void)open_run(run, overrides, all_plugins(), diagnostics, purpose);
     return texts(diagnostics);
   }
   void edit(const std::string& from, const std::string& to) const {
@@ -169,7 +152,7 @@ TEST(SameRun, AnEditedRunYamlIsRefusedWithBothWaysOut) {
   const Trained trained;
   const std::string file = trained.run + "/run.yaml";
   Diagnostics ignored;
-  const RunConfig before = load_run_config(file, {}, registry());
+  const RunConfig before = load_run_config(file, {}, all_plugins());
   trained.edit("density_activation: softplus", "density_activation: trunc_exp");
   for (const OpenFor purpose : {OpenFor::evaluation, OpenFor::rendering, OpenFor::evaluation_of_training_frames})
     EXPECT_HAS(error_of([&] { (void)trained.open({}, purpose); }), file, "-> trunc_exp");
@@ -188,10 +171,10 @@ TEST(SameRun, ComparingTellsOfAnEditedRunYaml) {
   const Trained trained;
   std::filesystem::copy(trained.run, trained.dir / "copy", std::filesystem::copy_options::recursive);
   Diagnostics none, told;
-  EXPECT_EQ(compare_runs(trained.run, trained.dir / "copy", registry(), none).difference, "");
+  EXPECT_EQ(compare_runs(trained.run, trained.dir / "copy", all_plugins(), none).difference, "");
   EXPECT_EQ(texts(none), "");
   trained.edit("density_activation: softplus", "density_activation: trunc_exp");
-  EXPECT_EQ(compare_runs(trained.run, trained.dir / "copy", registry(), told).difference, "");
+  EXPECT_EQ(compare_runs(trained.run, trained.dir / "copy", all_plugins(), told).difference, "");
   EXPECT_EQ(texts(told), trained.run +
                              "/run.yaml: it differs from what the run was trained with: rendering.density_activation: "
                              "softplus -> trunc_exp; restore it; the settings in the checkpoints are "
@@ -217,13 +200,11 @@ TEST(SameRun, AChangedFileOfAPluginIsTold) {
              "waves.so: the file of this plugin is not the one that the run was trained with: its CRC-32C "
              "is ");
   request.resume = true;
-  std::string notes;
   HookListener hooks;
-  hooks.on_note = [&](const std::string& text) { notes += text + "\n"; };
   RunConfig again = load_run_config(run + "/run.yaml", {}, with_module);
   again.train.steps = 5;
   run_training(std::move(again), with_module, request, &hooks);
-  EXPECT_HAS(notes, "waves.so: the file of this plugin is not the one");
+  EXPECT_HAS(hooks.notes, "waves.so: the file of this plugin is not the one");
   EXPECT_EQ(open(), "") << "it is the file of the newest checkpoint now";
 }
 
@@ -366,8 +347,6 @@ TEST_F(DrivenRun, ClicksAreInTheFolderBeforeTheyCount) {
 
 // Self-training: when rounds come, what they label, and that a run killed around one ends in the same bits.
 
-namespace fs = std::filesystem;
-
 // Clicks in the analytic room, saved after every step, labelled by the field at steps 30 and 45 of 60.
 constexpr const char* kSettings[] = {"scene.labels.degrade=[{type: propagation}]", "train.self_training.at=[0.5, 0.75]",
                                      "train.self_training.confidence=0.4", "train.ray_source=label_balanced",
@@ -376,22 +355,22 @@ constexpr int kSelfTrainingSteps = 60;
 constexpr const char* kFirstRound = "/self_labels/round_00000030.safetensors";
 constexpr const char* kSecondRound = "/self_labels/round_00000045.safetensors";
 
-RunConfig config_in(const TempDir& dir, Registry& registry, std::vector<std::string> more = {}) {
+RunConfig config_in(const TempDir& dir, std::vector<std::string> more = {}) {
   std::vector<std::string> set(std::begin(kSettings), std::end(kSettings));
   set.insert(set.end(), more.begin(), more.end());
-  return load_run_config(dir / "config.yaml", set, registry);
+  return load_run_config(dir / "config.yaml", set, all_plugins());
 }
 
-TrainOutcome train(const TempDir& dir, Registry& registry, const std::string& out, RunListener* listener = nullptr,
+TrainOutcome train(const TempDir& dir, const std::string& out, RunListener* listener = nullptr,
                    const std::vector<std::string>& more = {}) {
   TrainRequest request{.out_dir = dir / out};
-  return run_training(config_in(dir, registry, more), registry, request, listener);
+  return run_training(config_in(dir, more), all_plugins(), request, listener);
 }
 
-TrainOutcome resume(const std::string& folder, Registry& registry) {
+TrainOutcome resume(const std::string& folder) {
   TrainRequest request{.out_dir = folder, .resume = true};
-  return run_training(load_run_config(folder + "/run.yaml", {"report.checkpoint_every_s=0"}, registry), registry,
-                      request, {});
+  return run_training(load_run_config(folder + "/run.yaml", {"report.checkpoint_every_s=0"}, all_plugins()),
+                      all_plugins(), request, {});
 }
 
 void copy_run(const std::string& from, const std::string& to) {
@@ -416,19 +395,17 @@ TEST(SelfTraining, RoundsComeAtSharesOfTheSteps) {
   EXPECT_TRUE(rounds(0).empty()) << "the number of steps is not settled";
   config.schedule.hold_steps = 100;
   EXPECT_EQ(rounds(1000), (std::vector<std::int64_t>{100, 500, 750})) << "before step 100 nobody knew it";
-  Registry registry = make_registry();
   const TempDir dir;
   write_packed_config(dir, kSelfTrainingSteps, 0);
-  EXPECT_HAS(error_of([&] { (void)config_in(dir, registry, {"train.self_training.at=[0.5, 0.5]"}); }),
+  EXPECT_HAS(error_of([&] { (void)config_in(dir, {"train.self_training.at=[0.5, 0.5]"}); }),
              "train.self_training.at: the shares do not ascend");
 }
 
 TEST(SelfTraining, ARoundLabelsWhatTheFieldIsSureOfAndNothingElse) {
-  Registry registry = make_registry();
   const TempDir dir;
   write_packed_config(dir, kSelfTrainingSteps, 0);
   Diagnostics diagnostics;
-  const Session s = open_session(config_in(dir, registry), registry, {}, diagnostics);
+  const Session s = open_session(config_in(dir), all_plugins(), {}, diagnostics);
   const auto rays = s.make_ray_source();
   Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
   for (int i = 0; i < 30; ++i) trainer.advance();
@@ -488,7 +465,6 @@ TEST(SelfTraining, ARoundLabelsWhatTheFieldIsSureOfAndNothingElse) {
 }
 
 TEST(SelfTraining, KilledAroundARoundARunEndsInTheSameBits) {
-  Registry registry = make_registry();
   const TempDir dir;
   write_packed_config(dir, kSelfTrainingSteps, 1e-6);
   // Copies of the folder as a kill at these moments would leave it.
@@ -509,7 +485,7 @@ TEST(SelfTraining, KilledAroundARoundARunEndsInTheSameBits) {
     return false;
   };
   hooks.reports = true;
-  train(dir, registry, "whole", &hooks);
+  train(dir, "whole", &hooks);
   ASSERT_EQ(notes, 2);
   const std::uint32_t bits = checkpoint_fingerprint(dir / "whole", kSelfTrainingSteps);
   EXPECT_TRUE(fs::exists((dir / "after_first") + kFirstRound));
@@ -518,7 +494,7 @@ TEST(SelfTraining, KilledAroundARoundARunEndsInTheSameBits) {
       {"within", 30}, {"after_first", 30}, {"step_after", 31}, {"after_second", 45}};
   for (const auto& [killed, step] : kills) {
     EXPECT_EQ(read_text_file((dir / killed) + "/checkpoints/latest"), CheckpointStore::file_name(step) + "\n");
-    resume(dir / killed, registry);
+    resume(dir / killed);
     EXPECT_EQ(checkpoint_fingerprint(dir / killed, kSelfTrainingSteps), bits) << killed;
     EXPECT_EQ(rounds_of(dir / killed), rounds_of(dir / "whole")) << killed;
     for (const char* file : {kFirstRound, kSecondRound})
@@ -529,19 +505,18 @@ TEST(SelfTraining, KilledAroundARoundARunEndsInTheSameBits) {
   EXPECT_HAS(read_text_file(dir / "whole/report.html"), "self-training at step 45: ");
 
   // It is the rounds that make the difference, and threads do not.
-  train(dir, registry, "without", {}, {"train.self_training.at=[]"});
+  train(dir, "without", {}, {"train.self_training.at=[]"});
   EXPECT_NE(checkpoint_fingerprint(dir / "without", kSelfTrainingSteps), bits);
   EXPECT_FALSE(fs::exists(dir / "without/self_labels"));
-  train(dir, registry, "threads", {}, {"runtime.threads=3"});
+  train(dir, "threads", {}, {"runtime.threads=3"});
   EXPECT_EQ(checkpoint_fingerprint(dir / "threads", kSelfTrainingSteps), bits);
 }
 
 TEST(SelfTraining, ARoundThatIsLostOrDamagedIsRefusedAndTheRemedyWorks) {
-  Registry registry = make_registry();
   const TempDir dir;
   write_packed_config(dir, kSelfTrainingSteps, 1e-6);
-  train(dir, registry, "whole", {}, {"report.keep_checkpoints=21"});
-  const auto refusal = [&](const std::string& run) { return error_of([&] { resume(run, registry); }); };
+  train(dir, "whole", {}, {"report.keep_checkpoints=21"});
+  const auto refusal = [&](const std::string& run) { return error_of([&] { resume(run); }); };
   copy_run(dir / "whole", dir / "lost");
   fs::remove((dir / "lost") + kSecondRound);
   EXPECT_HAS(refusal(dir / "lost"), "the checkpoint was trained on the labels in it");
@@ -573,7 +548,7 @@ TEST(SelfTraining, ARoundThatIsLostOrDamagedIsRefusedAndTheRemedyWorks) {
     fs::remove(dir / "other/checkpoints/" + CheckpointStore::file_name(step));
   const std::string stale = dir / "other/self_labels/round_00000050.safetensors";  // of other train.steps
   write_file_atomic(stale, read_text_file((dir / "other") + kFirstRound));
-  resume(dir / "other", registry);
+  resume(dir / "other");
   EXPECT_FALSE(fs::exists(stale));
   EXPECT_EQ(checkpoint_fingerprint(dir / "other", kSelfTrainingSteps),
             checkpoint_fingerprint(dir / "whole", kSelfTrainingSteps));
@@ -581,15 +556,11 @@ TEST(SelfTraining, ARoundThatIsLostOrDamagedIsRefusedAndTheRemedyWorks) {
 }
 
 TEST(SelfTraining, WithoutLabelsNothingIsDueAndThatIsSaid) {
-  Registry registry = make_registry();
   const TempDir dir;
   write_packed_config(dir, 8, 0);
-  std::string notes;
   HookListener hooks;
-  hooks.on_note = [&](const std::string& text) { notes += text + "\n"; };
-  train(dir, registry, "run", &hooks,
-        {"scene.labels.frames=none", "scene.labels.degrade=[]", "train.ray_source=all_images"});
-  EXPECT_HAS(notes, "there are no labels to begin with");
+  train(dir, "run", &hooks, {"scene.labels.frames=none", "scene.labels.degrade=[]", "train.ray_source=all_images"});
+  EXPECT_HAS(hooks.notes, "there are no labels to begin with");
   EXPECT_FALSE(fs::exists(dir / "run/self_labels"));
 }
 

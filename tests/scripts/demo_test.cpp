@@ -3,6 +3,7 @@
 #include <regex>
 
 #include "tests/program.h"
+#include "tests/temp_dir.h"
 
 namespace semfield {
 namespace {
@@ -12,20 +13,15 @@ using namespace testing_program;
 
 class Demo : public testing::Test {
  protected:
-  Demo() { fs::create_directories(root_); }
-  ~Demo() override { fs::remove_all(root_); }
   Result run(const std::string& words) const { return semfield_run("demo " + words, root_.string()); }
   Result small(const std::string& words) const {
     return run(words +
                " --set scene.frames=6 --set scene.test_frames=2 --set scene.width_px=40 --set scene.height_px=30"
                " --set passes.0.position.finest_resolution=32");
   }
-  void write(const std::string& name) const {
-    fs::create_directories((root_ / name).parent_path());
-    write_file_atomic((root_ / name).string(), "mine");
-  }
 
-  const fs::path root_ = fs::temp_directory_path() / ("semfield_demo_" + std::to_string(getpid()));
+  const TempDir dir_;
+  const fs::path root_ = dir_.path();
 };
 
 TEST_F(Demo, LabelsTheShippedRoomInAnEmptyFolder) {
@@ -55,7 +51,7 @@ TEST_F(Demo, LabelsTheShippedRoomInAnEmptyFolder) {
 }
 
 TEST_F(Demo, LeavesFoldersOfOthersAlone) {
-  write("runs/demo/notes.txt");
+  dir_.write("runs/demo/notes.txt", "mine");
   const Result r = run("");
   EXPECT_EQ(r.code, 73);
   EXPECT_HAS(r.err, "'runs/demo' is there already and is not an earlier demo; name a new folder with --out");
@@ -64,7 +60,7 @@ TEST_F(Demo, LeavesFoldersOfOthersAlone) {
   write_file_atomic((root_ / "runs/demo/run.yaml").string(), "name: demo\nscene: {root: /elsewhere}\n");
   EXPECT_EQ(run("").code, 73);
   EXPECT_TRUE(fs::exists(root_ / "runs/demo/notes.txt"));
-  write("named/notes.txt");
+  dir_.write("named/notes.txt", "mine");
   const Result named = small("--out named --steps 5");
   EXPECT_EQ(named.code, 73) << named.err;
   EXPECT_TRUE(fs::exists(root_ / "named/notes.txt"));
@@ -97,7 +93,7 @@ TEST_F(Demo, ASignalStopsItInOrder) {
 }
 
 TEST_F(Demo, SaysWhereItCannotWrite) {
-  write("runs");  // a file
+  dir_.write("runs", "mine");  // a file
   const Result r = small("--steps 5");
   EXPECT_EQ(r.code, 73) << r.err;
   EXPECT_HAS(r.err, "--out");

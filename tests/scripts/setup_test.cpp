@@ -8,9 +8,9 @@
 #include <filesystem>
 #include <fstream>
 
-#include "core/text.h"
 #include "system/files.h"
 #include "tests/says.h"
+#include "tests/temp_dir.h"
 
 namespace semfield {
 namespace {
@@ -20,7 +20,6 @@ namespace fs = std::filesystem;
 class SetupScript : public testing::Test {
  protected:
   SetupScript() {
-    fs::remove_all(root_);
     fs::create_directories(root_ / "scripts");
     fs::create_directories(root_ / "bin");
     for (const char* name : {"setup", "help.sh"})
@@ -46,8 +45,6 @@ class SetupScript : public testing::Test {
       esac)");
   }
 
-  ~SetupScript() override { fs::remove_all(root_); }
-
   std::string command(const std::string& fails) const {
     return "cd " + shell_word(root_.string()) + " && FAILS=" + fails + " PATH=" + shell_word((root_ / "bin").string()) +
            ":\"$PATH\" scripts/setup";
@@ -60,7 +57,8 @@ class SetupScript : public testing::Test {
   }
   std::string log() const { return read_text_file((root_ / "build/setup.log").string()); }
 
-  const fs::path root_ = fs::path(testing::TempDir()) / ("setup_script_" + std::to_string(getpid()));
+  const TempDir dir_;
+  const fs::path root_ = dir_.path();
   int code_ = -1;
 
  private:

@@ -12,10 +12,8 @@
 
 #include "app/serve/page_pictures.h"
 #include "app/serve/page_requests.h"
-#include "core/error.h"
 #include "formats/image_io.h"
 #include "formats/zip_archive.h"
-#include "system/files.h"
 #include "tests/says.h"
 #include "tests/serve/served_page.h"
 
@@ -25,12 +23,15 @@ namespace {
 using Json = nlohmann::json;
 using namespace testing_http;
 
-std::string part_at(const std::string& body, std::size_t& at) {
-  std::uint32_t size = 0;
-  for (int i = 3; i >= 0; --i) size = size << 8 | static_cast<unsigned char>(body.at(at + static_cast<std::size_t>(i)));
-  const std::string part = body.substr(at + 4, size);
-  at += 4 + size;
-  return part;
+// The parts of a picture's answer: facts, photograph, labels, entropy.
+std::vector<std::string> parts_of(const Answer& answer) {
+  std::vector<std::string> parts;
+  for (std::size_t at = 0; at < answer.body.size(); at += 4 + parts.back().size()) {
+    std::uint32_t size = 0;
+    for (std::size_t i = 4; i-- > 0;) size = size << 8 | static_cast<unsigned char>(answer.body.at(at + i));
+    parts.push_back(answer.body.substr(at + 4, size));
+  }
+  return parts;
 }
 
 PngImage png(const std::string& bytes) { return decode_png(std::as_bytes(std::span(bytes))); }
@@ -147,30 +148,29 @@ TEST_F(ServedPage, APictureHasItsFactsAndEveryMapThatWasAskedFor) {
   const Answer answer = post("picture", R"({"client":"c","view":1,"color":true,"entropy":true})");
   ASSERT_EQ(answer.status, 200);
   EXPECT_EQ(answer.header("content-type"), "application/octet-stream");
-  std::size_t at = 0;
-  const Json facts = Json::parse(part_at(answer.body, at));
+  const std::vector<std::string> parts = parts_of(answer);
+  ASSERT_EQ(parts.size(), 4u);
+  const Json facts = Json::parse(parts[0]);
   EXPECT_EQ(facts["width"], 4);
   EXPECT_EQ(facts["overlay_revision"], 9);
   EXPECT_EQ(facts["stale"], false);
-  EXPECT_EQ(part_at(answer.body, at).substr(0, 2), "\xFF\xD8");
-  const PngImage labels = png(part_at(answer.body, at));
+  EXPECT_EQ(parts[1].substr(0, 2), "\xFF\xD8");
+  const PngImage labels = png(parts[2]);
   EXPECT_TRUE(labels.palette);
   EXPECT_EQ(labels.bytes, (std::vector<std::uint8_t>{0, 1, 2, 2, 0, 1, 2, 2, 0, 1, 2, 6}));
   EXPECT_EQ(labels.palette_alpha, std::vector<std::uint8_t>{0});
   ASSERT_GE(labels.palette_rgb.size(), 21u);  // none, six classes; the last is not named yet
   EXPECT_EQ(std::vector<std::uint8_t>(labels.palette_rgb.begin() + 6, labels.palette_rgb.begin() + 9),
             (std::vector<std::uint8_t>{200, 30, 30}));
-  EXPECT_EQ(png(part_at(answer.body, at)).bytes[11], 255);
-  EXPECT_EQ(at, answer.body.size());
+  EXPECT_EQ(png(parts[3]).bytes[11], 255);
 }
 
 TEST_F(ServedPage, MapsThatWereNotAskedForHaveNoBytes) {
-  const Answer answer = post("picture", R"({"client":"c","view":0})");
-  std::size_t at = 0;
-  part_at(answer.body, at);
-  EXPECT_EQ(part_at(answer.body, at), "");
-  EXPECT_NE(part_at(answer.body, at), "");
-  EXPECT_EQ(part_at(answer.body, at), "");
+  const std::vector<std::string> parts = parts_of(post("picture", R"({"client":"c","view":0})"));
+  ASSERT_EQ(parts.size(), 4u);
+  EXPECT_EQ(parts[1], "");
+  EXPECT_NE(parts[2], "");
+  EXPECT_EQ(parts[3], "");
 }
 
 TEST_F(ServedPage, AFreeCameraComesToTheSourceAsItWasSent) {
@@ -201,14 +201,10 @@ TEST_F(ServedPage, ALaterPictureOfTheSameClientMakesTheOneThatWaitsStale) {
   std::future<Answer> other = ask_as("two");
   source_.wait_for_requests(2);
   std::future<Answer> second = ask_as("one");
-  std::size_t at = 0;
-  const Answer stale = first.get();  // at once, while the others wait
-  EXPECT_EQ(Json::parse(part_at(stale.body, at))["stale"], true);
+  EXPECT_EQ(Json::parse(parts_of(first.get()).at(0))["stale"], true) << "at once, while the others wait";
   source_.hold(false);
-  for (std::future<Answer>* fresh : {&other, &second}) {
-    at = 0;
-    EXPECT_EQ(Json::parse(part_at(fresh->get().body, at))["stale"], false);
-  }
+  for (std::future<Answer>* fresh : {&other, &second})
+    EXPECT_EQ(Json::parse(parts_of(fresh->get()).at(0))["stale"], false);
 }
 
 TEST_F(ServedPage, PhotographsMayBeKeptAndShrink) {
@@ -241,8 +237,7 @@ TEST_F(ServedPage, APointOfAFreeCameraIsAnsweredByAPhotographThatShowsIt) {
     const Answer answer = post("picture", std::string(R"({"client":"c","at":)") + at +
                                               R"(,"camera":{"position":[0,0,0],"rotation":[1,0,0,0,1,0,0,0,1]}})");
     EXPECT_EQ(answer.status, 200);
-    std::size_t begin = 0;
-    return Json::parse(part_at(answer.body, begin));
+    return Json::parse(parts_of(answer).at(0));
   };
   const Json found = ask_at("[0.25,0.5]");
   EXPECT_EQ(source_.requests.at(0).at, (PixelPoint{0.25, 0.5}));
@@ -255,9 +250,7 @@ TEST_F(ServedPage, APointOfAFreeCameraIsAnsweredByAPhotographThatShowsIt) {
 }
 
 TEST_F(ServedPage, APictureTellsTheClicksOfOtherViews) {
-  const Answer answer = post("picture", R"({"client":"c","view":0})");
-  std::size_t at = 0;
-  const Json head = Json::parse(part_at(answer.body, at));
+  const Json head = Json::parse(parts_of(post("picture", R"({"client":"c","view":0})")).at(0));
   EXPECT_EQ(head["marks"], (Json::array({{{"id", "m1"}, {"points", {{0.5, 1.5}, {2.5, 1.5}}}}})));
   EXPECT_FALSE(head.contains("spot"));
 }
@@ -917,23 +910,6 @@ TEST_F(ServedPage, ClosingGivesUpPicturesThatTakeLong) {
   source_.wait_for_requests(1);
   server_.reset();
   EXPECT_EQ(source_.abandoned_pictures, 1);
-}
-
-TEST_F(ServedPage, APortThatIsTakenIsNamedOrTheNextIsUsed) {
-  PageOptions o = options();
-  o.http.port = port();
-  FakeSource other;
-  try {
-    const PageServer second(other, o);
-    FAIL() << "two servers on one port";
-  } catch (const Error& e) {
-    EXPECT_EQ(e.kind(), ErrorKind::unavailable);
-    EXPECT_EQ(e.message(), "port " + std::to_string(port()) + " of 127.0.0.1 is taken by another program");
-    EXPECT_NE(e.remedy(), "");
-  }
-  o.next_port = true;
-  const PageServer second(other, o);
-  EXPECT_GT(second.port(), port());
 }
 
 TEST_F(ServedPage, AddressesThatAreNoneAreNamed) {

@@ -5,13 +5,10 @@
 #include <nlohmann/json.hpp>
 #include <random>
 
-#include "core/error.h"
-#include "core/text.h"
 #include "formats/zip_archive.h"
 #include "labels/clicks/click_log.h"
 #include "run/metrics_log.h"
 #include "run/run_folder.h"
-#include "system/files.h"
 #include "tests/program.h"
 #include "tests/serve/served_page.h"
 #include "tests/session/train_testing.h"
@@ -28,26 +25,29 @@ Result run(const std::vector<std::string>& words, const TempDir& dir) {
   return testing_program::Process(program(), words, dir.path()).wait();
 }
 
-// A `semfield serve` that has printed its address.
+// A `semfield serve` that has printed its address; the test ends otherwise.
 class Served {
  public:
   Served(const std::string& what, const TempDir& dir, const std::vector<std::string>& more = {})
       : process_(program(), words(what, more), dir.path()) {
     const std::string said = "serve: open http://127.0.0.1:", out = dir / "stdout";
     for (int i = 0; i < 3000 && line_.find('\n') == std::string::npos; ++i) {
-      if (process_.wait_for(0.01)) return;
+      if (process_.wait_for(0.01)) break;
       line_ = read_text_file(out);
     }
-    if (line_.rfind(said, 0) != 0) return;
+    if (!line_.starts_with(said)) throw std::runtime_error("it does not serve: " + process_.err_so_far());
     port_ = std::atoi(line_.c_str() + said.size());
     const std::size_t slash = line_.find('/', said.size());
     folder_ = line_.substr(slash, line_.find(' ', slash) - slash);
   }
 
-  bool up() const { return port_ != 0; }
   int port() const { return port_; }
   const std::string& folder() const { return folder_; }
   testing_program::Process& process() { return process_; }
+  Result ended_by(int signal) {
+    process_.send(signal);
+    return process_.wait();
+  }
 
   std::string text(const std::string& method, const std::string& name, const std::string& body = "") const {
     return method + " " + folder_ + name + " HTTP/1.1\r\nHost: 127.0.0.1:" + std::to_string(port_) +
@@ -86,16 +86,13 @@ TEST(ServeVerb, ClicksOutliveKillsAndTheRunGoesOn) {
   std::string address;
   {
     Served served(config, dir, {"--out", room});
-    ASSERT_TRUE(served.up()) << served.process().err_so_far();
     EXPECT_EQ(served.ask("POST", "event", kChair).status, 200);
     EXPECT_EQ(Json::parse(served.ask("POST", "event", served.click("k")).body)["applied"], true);
     address = served.folder();
-    served.process().send(SIGKILL);
-    served.process().wait();
+    (void)served.ended_by(SIGKILL);
   }
   {
     Served served(config, dir, {"--out", room});
-    ASSERT_TRUE(served.up()) << served.process().err_so_far();
     EXPECT_HAS(served.process().err_so_far(),
                "continuing with " + room + ", which is there already, by the settings in its run.yaml");
     EXPECT_EQ(served.folder(), address);  // a page that is open goes on
@@ -103,16 +100,13 @@ TEST(ServeVerb, ClicksOutliveKillsAndTheRunGoesOn) {
     EXPECT_EQ(s["events"], 2);
     EXPECT_EQ(s["marks"].size(), 1u);
     EXPECT_EQ(Json::parse(served.ask("POST", "event", served.click("k")).body)["applied"], false);
-    served.process().send(SIGINT);
-    const Result ended = served.process().wait();
+    const Result ended = served.ended_by(SIGINT);
     EXPECT_EQ(ended.code, 130);
     EXPECT_HAS(ended.err, " labels, all saved\nnext        semfield serve " + room);
   }
   Served served(room, dir);
-  ASSERT_TRUE(served.up()) << served.process().err_so_far();
   EXPECT_EQ(served.state()["events"], 2);
-  served.process().send(SIGTERM);
-  EXPECT_EQ(served.process().wait().code, 143);
+  EXPECT_EQ(served.ended_by(SIGTERM).code, 143);
 }
 
 // Kills at any moment between a click and its acknowledgement; SEMFIELD_TORTURE_KILLS sets how many.
@@ -125,7 +119,6 @@ TEST(ServeVerb, RandomKillsLoseNoAnsweredClick) {
   std::set<std::string> answered;
   for (int kill = 0; kill < kills; ++kill) {
     Served served(config, dir, {"--out", room});
-    ASSERT_TRUE(served.up()) << "start " << kill << ": " << served.process().err_so_far();
     if (kill == 0) {
       ASSERT_EQ(served.ask("POST", "event", kChair).status, 200);
     }
@@ -157,7 +150,6 @@ TEST(ServeVerb, RandomKillsLoseNoAnsweredClick) {
 TEST(ServeVerb, ExportsAreThoseOfTheVerbs) {
   const TempDir dir;
   Served served(write_packed_config(dir, 50, 1), dir, {"--out", dir / "room"});
-  ASSERT_TRUE(served.up()) << served.process().err_so_far();
   ASSERT_EQ(served.ask("POST", "event", kChair).status, 200);
   ASSERT_EQ(served.ask("POST", "event", served.click("k")).status, 200);
   const Json before = served.state();
@@ -187,7 +179,6 @@ TEST(ServeVerb, TheNextPortIsTakenUnlessOneIsNamed) {
   const TempDir dir, other;
   const std::string config = write_packed_config(dir, 50, 1);
   Served first(config, dir, {"--out", dir / "room"});
-  ASSERT_TRUE(first.up()) << first.process().err_so_far();
   const Result named = run({"serve", config, "--out", other / "room", "--port", std::to_string(first.port())}, other);
   EXPECT_EQ(named.code, 69);
   EXPECT_EQ(named.err, "semfield: port " + std::to_string(first.port()) +
@@ -195,7 +186,6 @@ TEST(ServeVerb, TheNextPortIsTakenUnlessOneIsNamed) {
                            "--port out [serve.port.taken]\n");
   EXPECT_FALSE(std::filesystem::exists(other / "room"));
   Served second(config, other, {"--out", other / "room"});
-  ASSERT_TRUE(second.up()) << second.process().err_so_far();
   EXPECT_NE(second.port(), first.port());
 }
 
@@ -204,7 +194,6 @@ TEST(ServeVerb, WhatCannotBeWrittenIsToldAndEndsWithItsOwnExitCode) {
   const TempDir dir;
   const std::string config = write_packed_config(dir, 100000, 0.05), room = dir / "room";
   Served served(config, dir, {"--out", room});
-  ASSERT_TRUE(served.up()) << served.process().err_so_far();
   EXPECT_EQ(served.ask("POST", "event", kChair).status, 200);
   for (int turn = 0; turn < 600 && !std::filesystem::exists(room + "/checkpoints/latest"); ++turn)
     std::this_thread::sleep_for(std::chrono::milliseconds(100));
@@ -218,8 +207,7 @@ TEST(ServeVerb, WhatCannotBeWrittenIsToldAndEndsWithItsOwnExitCode) {
   EXPECT_HAS(s["trouble"].get<std::string>(), "checkpoints");
   EXPECT_EQ(s["failure"], "");
   EXPECT_EQ(Json::parse(served.ask("POST", "event", served.click("k")).body)["applied"], true);
-  served.process().send(SIGTERM);
-  const Result ended = served.process().wait();
+  const Result ended = served.ended_by(SIGTERM);
   EXPECT_EQ(ended.code, static_cast<int>(ErrorKind::io)) << ended.err;
   EXPECT_HAS(ended.err, "every label is stored");
 }
@@ -271,10 +259,8 @@ TEST(ServeVerb, AnotherRunsClicksAreNotAddedTo) {
   const std::string config = write_packed_config(dir, 50, 1), room = dir / "room";
   {
     Served served(config, dir, {"--out", room});
-    ASSERT_TRUE(served.up()) << served.process().err_so_far();
     EXPECT_EQ(served.ask("POST", "event", kChair).status, 200);
-    served.process().send(SIGTERM);
-    EXPECT_EQ(served.process().wait().code, 143);
+    EXPECT_EQ(served.ended_by(SIGTERM).code, 143);
   }
   const std::string before = read_text_file(room + "/clicks.jsonl");
   const Result refused = run({"serve", room + "/run.yaml", "--out", other / "room"}, other);
@@ -299,7 +285,6 @@ TEST(ServeVerb, ARunOfTrainIsNotTakenForOneOfItsOwn) {
 TEST(ServeVerb, ARunThatIsServedAlreadyIsLeftAlone) {
   const TempDir dir, other;
   Served first(write_packed_config(dir, 50, 1), dir, {"--out", dir / "room"});
-  ASSERT_TRUE(first.up()) << first.process().err_so_far();
   const Result second = run({"serve", dir / "room"}, other);
   EXPECT_NE(second.code, 0);
   EXPECT_HAS(second.err, dir / "room");

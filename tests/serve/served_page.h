@@ -16,7 +16,6 @@
 #include <string>
 
 #include "app/serve/page_server.h"
-#include "core/error.h"
 #include "tests/temp_dir.h"
 
 namespace semfield::testing_http {

@@ -1,18 +1,13 @@
 // The same bits for any number of threads and any grouping of rays, on real training runs.
 
-#include <gtest/gtest.h>
-
 #include <cmath>
 #include <cstdlib>
 #include <numeric>
 
 #include "compute/parallel.h"
 #include "config/compose.h"
-#include "core/error.h"
-#include "core/text.h"
 #include "eval/evaluator.h"
 #include "execution/lane_executor.h"
-#include "session/trainer.h"
 #include "session/training.h"
 #include "system/checksum.h"
 #include "tests/session/oracle.h"
@@ -81,12 +76,11 @@ struct FrameRays {
 };
 
 TEST(Probability, OfAFrameSumsToOneAndItsLargestIsTheLabelsConfidence) {
-  Registry registry = make_registry();
   for (const std::string& yaml : {hash_config(), two_pass_config(),
                                   with_scene(hash_config(),
                                              "{type: analytic_room, frames: 4, absent_class: 1, labels: "
                                              "{frames: 1}}")}) {
-    Training training(run_config_of(parse_config_text(yaml, "test.yaml"), registry), registry);
+    Training training(run_config_of(parse_config_text(yaml, "test.yaml"), all_plugins()), all_plugins());
     training.train(40);
     const Session& s = training.session();
     const FrameInfo& info = s.scene.info.frames.front();
@@ -138,11 +132,10 @@ TEST(Determinism, RenderingIsTheSameForAnyGroupingOfRays) {
 
 // The float pipeline against the same parameters in double, and those against the sum of exponentials of its logits.
 TEST(Probability, AgreesWithTheOracleInDouble) {
-  Registry registry = make_registry();
-  TestRun run(two_pass_config(), registry);
+  TestRun run(two_pass_config());
   run.to(600);
   const Session& s = run.session;
-  const auto oracle = assemble<double>(s.config, registry, s.plan, s.extent, {}, true);
+  const auto oracle = assemble<double>(s.config, all_plugins(), s.plan, s.extent, {}, true);
   for (Tensor<double>& t : oracle->store().all()) {
     const Tensor<float>* const from = s.pipeline->store().find(t.name);
     ASSERT_NE(from, nullptr) << t.name;
@@ -189,7 +182,7 @@ struct Outcome {
   double depth_m = 0;          // its mean
 };
 
-Session open_in_unit(const Case& c, double scale, Registry& registry) {
+Session open_in_unit(const Case& c, double scale) {
   const std::string factor = shortest_number(scale);
   std::string lengths = "pose_scale: " + factor + ", depth_scale: " + factor;
   if (c.with_bounds) {  // wider than the dataset's, which are the walls: whether depth lies behind them, rounding says
@@ -201,14 +194,13 @@ Session open_in_unit(const Case& c, double scale, Registry& registry) {
       parse_config_text("scene: {type: analytic_room, " + c.scene + "load: {" + lengths + "}}", "scene");
   ConfigNode tree = c.config.ends_with(".yaml") ? compose_config(c.config, c.set) : parse_config_text(c.config, c.name);
   Diagnostics diagnostics;
-  RunConfig config = read_run_config(tree.with("scene", *scene.find("scene")), registry, diagnostics);
+  RunConfig config = read_run_config(tree.with("scene", *scene.find("scene")), all_plugins(), diagnostics);
   diagnostics.throw_if_errors(ErrorKind::config, c.name);
-  return open_session(std::move(config), registry, {}, diagnostics);
+  return open_session(std::move(config), all_plugins(), {}, diagnostics);
 }
 
 Outcome train_in_unit(const Case& c, double scale) {
-  static Registry registry = make_registry();
-  Session s = open_in_unit(c, scale, registry);
+  Session s = open_in_unit(c, scale);
   const auto rays = s.make_ray_source();
   constexpr std::int64_t kSteps = 24;
   Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule, kSteps);

@@ -5,21 +5,20 @@
 
 namespace semfield::testing_train {
 
-inline TestRun hook_run(const std::string& yaml, const std::string& runtime, Registry& registry) {
-  return TestRun(yaml + "runtime: {" + runtime + "}\n", registry);
+inline TestRun hook_run(const std::string& yaml, const std::string& runtime) {
+  return TestRun(yaml + "runtime: {" + runtime + "}\n");
 }
 inline void call(TestRun& run, GradientHook<float> hook) {
   run.session.pipeline->executor().set_gradient_hook(std::move(hook));
 }
 
-/// Every learned tensor of every step, in the order of the store, with `look` at each view; and the bits stay. Graphs of
-/// a device are captured in the third step, one without a hook and two with it.
+/// Every learned tensor of every step, in the order of the store, with `look` at each view; and the bits stay. Graphs
+/// of a device are captured in the third step, one without a hook and two with it.
 inline void expect_hook_sees_every_tensor(
     const std::string& runtime,
     const std::function<void(const StepGradients<float>&, const Tensor<float>&, const View<float>&)>& look) {
-  Registry registry = make_registry();
   for (const std::string& yaml : {hash_config(), two_pass_config()}) {
-    TestRun plain = hook_run(yaml, runtime, registry), hooked = hook_run(yaml, runtime, registry);
+    TestRun plain = hook_run(yaml, runtime), hooked = hook_run(yaml, runtime);
     std::vector<std::int64_t> steps;
     call(hooked, [&](const StepGradients<float>& gradients) {
       steps.push_back(gradients.step);
@@ -47,13 +46,12 @@ inline void expect_hook_sees_every_tensor(
   }
 }
 
-/// The first moment after the first step is (1 - beta1) times the gradient: unlike the update it keeps its scale. Of the
-/// fixed losses the semantic one has a weight, and the head learns from it alone.
+/// The first moment after the first step is (1 - beta1) times the gradient: unlike the update it keeps its scale. Of
+/// the fixed losses the semantic one has a weight, and the head learns from it alone.
 inline void expect_half_of_the_gradients_is_half_of_the_weight(const std::string& runtime, GradientHook<float> halve) {
-  Registry registry = make_registry();
   const auto weighted = [&](const std::string& weight) {
     std::string yaml = two_pass_config();
-    return hook_run(yaml.replace(yaml.find("weight: 0.3"), 11, "weight: " + weight), runtime, registry);
+    return hook_run(yaml.replace(yaml.find("weight: 0.3"), 11, "weight: " + weight), runtime);
   };
   TestRun full = weighted("0.25"), halved = weighted("0.25"), light = weighted("0.125");
   call(halved, std::move(halve));
@@ -77,8 +75,7 @@ inline void expect_half_of_the_gradients_is_half_of_the_weight(const std::string
 }
 
 inline void expect_an_error_of_the_hook_ends_the_step(const std::string& runtime) {
-  Registry registry = make_registry();
-  TestRun plain = hook_run(hash_config(), runtime, registry), hooked = hook_run(hash_config(), runtime, registry);
+  TestRun plain = hook_run(hash_config(), runtime), hooked = hook_run(hash_config(), runtime);
   hooked.to(5);
   call(hooked, [](const StepGradients<float>& gradients) {
     if (gradients.step == 7) throw Error(ErrorKind::failure, "test.error.made", "rank 3 is gone", "start it again");

@@ -7,12 +7,9 @@
 #include "datasets/obj_room/mesh_render.h"
 #include "execution/lane_executor.h"
 #include "run/run_folder.h"
-#include "run/run.h"
 #include "run/run_scores.h"
 #include "session/assembly.h"
 #include "session/settings/run_identity.h"
-#include "session/trainer.h"
-#include "system/files.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"
 
@@ -28,8 +25,8 @@ struct Trained {
   double loss_color = 0;
 };
 
-Trained train(const std::string& yaml, Registry& registry, const std::vector<std::string>& keep, int steps) {
-  Trained run{open_text(yaml, registry, keep), nullptr, nullptr, 0};
+Trained train(const std::string& yaml, const std::vector<std::string>& keep, int steps) {
+  Trained run{open_text(yaml, keep), nullptr, nullptr, 0};
   run.rays = run.session.make_ray_source();
   run.trainer =
       std::make_unique<Trainer>(*run.session.pipeline, *run.rays, run.session.config.adam, run.session.config.schedule);
@@ -61,15 +58,21 @@ void expect_shared_tensors_equal(Session& a, Session& b) {
   EXPECT_GT(shared, 8);
 }
 
-TEST(LeaveOut, UnlabelledRaysAreSkippedBitwise) {
-  Registry registry = make_registry();
-  const std::string yaml =
-      "scene: {type: analytic_room, labels: {frames: 2}}\n" + hash_config().substr(hash_config().find('\n') + 1);
-  Trained out = train(yaml, registry, {}, 40);
-  Trained kept = train(yaml, registry, {"unlabelled_rays"}, 40);
-  ASSERT_TRUE(left_out(out.session, "unlabelled_rays"));
-  ASSERT_FALSE(left_out(kept.session, "unlabelled_rays"));
-  expect_shared_tensors_equal(out.session, kept.session);
+TEST(LeaveOut, WhatNoTensorNeedsIsLeftOutBitwise) {
+  const std::tuple<const char*, std::string, int> cases[] = {
+      {"unlabelled_rays", with_scene(hash_config(), "{type: analytic_room, labels: {frames: 2}}"), 40},
+      {"undistortion", hash_config(), 20},
+      {"semantics", with_scene(hash_config(), "{type: analytic_room, labels: {frames: none}}"), 40}};
+  for (const auto& [component, yaml, steps] : cases) {
+    SCOPED_TRACE(component);
+    Trained out = train(yaml, {}, steps), kept = train(yaml, {component}, steps);
+    ASSERT_TRUE(left_out(out.session, component));
+    ASSERT_FALSE(left_out(kept.session, component));
+    expect_shared_tensors_equal(out.session, kept.session);
+    if (component != std::string("semantics")) continue;
+    EXPECT_TRUE(kept.session.pipeline->has_semantics());
+    EXPECT_EQ(out.loss_color, kept.loss_color);
+  }
 }
 
 // The reason is that of this run: what was requested, or what the build, the machine or a part lacks.
@@ -87,16 +90,7 @@ TEST(LeaveOut, ADeviceIsLeftOutForTheReasonThatItIs) {
   EXPECT_EQ(reason_of("runtime: {device: auto}\n"), why_not);
 }
 
-TEST(LeaveOut, UndistortionOfAPinholeIsBitwise) {
-  Registry registry = make_registry();
-  Trained out = train(hash_config(), registry, {}, 20);
-  Trained kept = train(hash_config(), registry, {"undistortion"}, 20);
-  ASSERT_TRUE(left_out(out.session, "undistortion"));
-  expect_shared_tensors_equal(out.session, kept.session);
-}
-
 TEST(LeaveOut, CoarsePassBeforeASinglePassSamplerIsBitwise) {
-  Registry registry = make_registry();
   std::string yaml = hash_config();
   yaml.insert(yaml.find("  - name: main\n"),
               "  - name: coarse\n"
@@ -104,10 +98,10 @@ TEST(LeaveOut, CoarsePassBeforeASinglePassSamplerIsBitwise) {
               "    position: {type: frequency, frequencies: 2}\n"
               "    direction: {type: spherical_harmonics, degree: 2}\n"
               "    field: {type: tiny_mlp, hidden_width: 16, color_width: 16}\n");
-  Trained out = train(yaml, registry, {}, 20);
+  Trained out = train(yaml, {}, 20);
   ASSERT_TRUE(left_out(out.session, "coarse_passes"));
   EXPECT_EQ(out.session.pipeline->store().find("coarse/field/density_0/weight"), nullptr);
-  Trained kept = train(yaml, registry, {"coarse_passes"}, 20);
+  Trained kept = train(yaml, {"coarse_passes"}, 20);
   EXPECT_EQ(kept.session.pipeline->passes().size(), 2U);
   // The tile of rays must be the same for the pair, or the sums have another order.
   ASSERT_EQ(out.session.pipeline->tile_rays(), kept.session.pipeline->tile_rays());
@@ -120,17 +114,6 @@ TEST(LeaveOut, ASceneWithoutLabelsBuildsNoHead) {
   EXPECT_TRUE(left_out(s, "semantics"));
   EXPECT_FALSE(s.pipeline->has_semantics());
   for (const Tensor<float>& t : s.pipeline->store().all()) EXPECT_LACKS(t.name, "semantic");
-}
-
-TEST(LeaveOut, SemanticsWithNoSelectedLabelIsBitwiseTheRunWithAHead) {
-  Registry registry = make_registry();
-  std::string yaml = with_scene(hash_config(), "{type: analytic_room, labels: {frames: none}}");
-  Trained out = train(yaml, registry, {}, 40);
-  Trained kept = train(yaml, registry, {"semantics"}, 40);
-  ASSERT_TRUE(left_out(out.session, "semantics"));
-  ASSERT_TRUE(kept.session.pipeline->has_semantics());
-  EXPECT_EQ(out.loss_color, kept.loss_color);
-  expect_shared_tensors_equal(out.session, kept.session);
 }
 
 TEST(LeaveOut, AbsentClassesGetNoLogit) {
@@ -146,10 +129,9 @@ TEST(LeaveOut, AbsentClassesGetNoLogit) {
 
 // The other model of the same claim: all classes, those without a pixel masked by a bias that no exponential survives.
 TEST(LeaveOut, AbsentClassesAreBitwiseTheModelThatMasksThem) {
-  Registry registry = make_registry();
   std::string yaml =
       with_scene(hash_config(), "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}");
-  Trained out = train(yaml, registry, {}, 0), kept = train(yaml, registry, {"absent_classes"}, 0);
+  Trained out = train(yaml, {}, 0), kept = train(yaml, {"absent_classes"}, 0);
   const std::vector<int>& present = out.session.plan.class_of_logit;
   const std::size_t all = kept.session.plan.class_of_logit.size();
   ASSERT_LT(present.size(), all);
@@ -253,11 +235,10 @@ TEST(LeaveOut, KeepTakesWhatIsNeededAnywayAndRefusesSettings) {
 
 // One place decides: whatever a run's list names, --keep knows, and takes or says what brings it in.
 TEST(LeaveOut, KeepKnowsEveryRowOfARunsList) {
-  Registry registry = make_registry();
-  const Session s = open_text(hash_config(), registry);
+  const Session s = open_text(hash_config());
   BuildRequest request;
-  const SamplerTraits sampler = make_last_sampler(s.config, registry, s.extent)->traits();
-  request.losses = build_request(s.config, registry, sampler).losses;
+  const SamplerTraits sampler = make_last_sampler(s.config, all_plugins(), s.extent)->traits();
+  request.losses = build_request(s.config, all_plugins(), sampler).losses;
   std::set<std::string> listed;
   for (const LeftOut& row : s.plan.left_out) {
     listed.insert(row.component);
@@ -300,12 +281,11 @@ TEST(LeaveOut, WhatPartsLeaveOutHasTheReasonThatItIs) {
 }
 
 TEST(LeaveOut, DepthOfTrainingFramesIsNotHeldUnlessKept) {
-  Registry registry = make_registry();
   const auto open_for_training = [&](const std::vector<std::string>& keep) {
     Diagnostics diagnostics;
     SessionOptions options{.keep = keep, .depth = DepthKept::test};
-    return open_session(read_run_config(parse_config_text(hash_config(), "test.yaml"), registry, diagnostics), registry,
-                        options, diagnostics);
+    return open_session(read_run_config(parse_config_text(hash_config(), "test.yaml"), all_plugins(), diagnostics),
+                        all_plugins(), options, diagnostics);
   };
   const Session out = open_for_training({}), kept = open_for_training({"training_depth"});
   ASSERT_TRUE(left_out(out, "training_depth"));
@@ -317,22 +297,22 @@ TEST(LeaveOut, DepthOfTrainingFramesIsNotHeldUnlessKept) {
 
 // What is kept belongs to the run: it is in run.yaml, and whoever opens the run builds the same network.
 TEST(LeaveOut, ARunIsOpenedWithWhatItKept) {
-  Registry registry = make_registry();
   const TempDir dir;
-  std::string yaml = with_scene(hash_config("report: {eval_every_s: 0, strips: 0}\n"),
-                                "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}");
-  yaml.replace(yaml.find("steps: 200"), 10, "steps: 4");
+  std::string yaml = replaced(with_scene(hash_config("report: {eval_every_s: 0, strips: 0}\n"),
+                                         "{type: analytic_room, frames: 4, absent_class: 1, labels: {frames: 1}}"),
+                              "steps: 200", "steps: 4");
   Diagnostics diagnostics;
   TrainRequest request{.out_dir = dir / "run", .keep = {"absent_classes", "late_samples"}};
-  run_training(read_run_config(parse_config_text(yaml, "test.yaml"), registry, diagnostics), registry, request, {});
-  const OpenedRun opened = open_run(request.out_dir, {}, registry, diagnostics);
+  run_training(read_run_config(parse_config_text(yaml, "test.yaml"), all_plugins(), diagnostics), all_plugins(),
+               request, {});
+  const OpenedRun opened = open_run(request.out_dir, {}, all_plugins(), diagnostics);
   EXPECT_EQ(opened.step, 4);
   EXPECT_EQ(opened.session.plan.kept, (std::vector<std::string>{"absent_classes", "late_samples"}));
 
   request.resume = true;
   request.keep = {};
-  RunConfig again = load_run_config(RunFolder::read(request.out_dir).config_path(), {"train.steps=6"}, registry);
-  EXPECT_EQ(run_training(std::move(again), registry, request, {}).step, 6);
+  RunConfig again = load_run_config(RunFolder::read(request.out_dir).config_path(), {"train.steps=6"}, all_plugins());
+  EXPECT_EQ(run_training(std::move(again), all_plugins(), request, {}).step, 6);
 
   // Its own list: a rule and evidence per row, and a measured saving or none, never an empty text.
   const std::string text = read_text_file(RunFolder::read(request.out_dir).left_out_path());
@@ -414,7 +394,7 @@ class Threads {
 
 // Of a shipped configuration with labels on every frame, without its scene.
 int lanes_of_preset(const std::string& name, const std::vector<std::string>& set = {}) {
-  Registry registry = make_registry();
+  Registry& registry = all_plugins();
   RunConfig config = load_run_config(SEMFIELD_SOURCE_DIR "/configs/" + name, set, registry);
   config.runtime.precision = Precision::fp32;
   SceneExtent extent{.bounds = {{-3, -3, -1}, {3, 3, 2}}, .near_m = 0.1, .far_m = 10, .pixel_footprint_m = 0.01};

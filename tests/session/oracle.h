@@ -12,7 +12,7 @@ struct Oracle {
   std::unique_ptr<Pipeline<double>> pipeline;
   BatchBuffers batch;
 
-  Oracle(const std::string& yaml, Registry& registry) : session(open_text(yaml, registry)) {
+  explicit Oracle(const std::string& yaml, Registry& registry = all_plugins()) : session(open_text(yaml, registry)) {
     rays = session.make_ray_source();
     pipeline = assemble<double>(session.config, registry, session.plan, session.extent, {}, true);
     rays->fill(3, batch);
@@ -36,9 +36,7 @@ inline std::string one_pass_config(const std::string& more = "") {
 
 /// Losses and gradients of the same tensors, each of which must have one.
 inline void expect_same_gradients(const std::string& yaml, const std::string& other_yaml) {
-  Registry registry = make_registry();
-  Oracle with(yaml, registry);
-  Oracle without(other_yaml, registry);
+  Oracle with(yaml), without(other_yaml);
   const StepLosses a = with.gradients();
   const StepLosses b = without.gradients();
   EXPECT_GT(a.labelled, 0);
@@ -94,8 +92,7 @@ inline void expect_finite_differences(Oracle& oracle, double tolerance, const st
 }
 inline void expect_finite_differences(const std::string& yaml, double tolerance, const std::string& part = "",
                                       int fewest = 16) {
-  Registry registry = make_registry();
-  Oracle oracle(yaml, registry);
+  Oracle oracle(yaml);
   expect_finite_differences(oracle, tolerance, part, fewest);
 }
 

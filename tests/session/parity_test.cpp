@@ -1,7 +1,5 @@
 // The exact savings change no function and no gradient, by finite differences too; the field's points make its rays.
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
 #include <cmath>
 
@@ -23,8 +21,7 @@ using namespace testing_train;
 
 // Rows of one are hard labels; spread over classes, the loss is the cross-entropy with that spread.
 TEST(Parity, SoftRowsOfOneTrainAsHardLabels) {
-  Registry registry = make_registry();
-  Oracle hard(two_pass_config(), registry), soft(two_pass_config(), registry);
+  Oracle hard(two_pass_config()), soft(two_pass_config());
   const std::int32_t logits = static_cast<std::int32_t>(soft.session.plan.class_of_logit.size());
   BatchBuffers& batch = soft.batch;
   batch.more = {{std::string(channel::soft_label), logits, {}}};
@@ -78,11 +75,9 @@ TEST(PipelineGradient, OfBothNetworksWithSemantics) {
 }
 
 TEST(Parity, StoppedSemanticGradientLeavesTheDensityLayerAlone) {
-  Registry registry = make_registry();
-  std::string stop = one_pass_config(), unlabelled = one_pass_config();
-  stop.replace(stop.find("weight: 0.5"), 11, "weight: 0.5, stop_gradient_to_density: true");
-  Oracle stopped(stop, registry), flowing(one_pass_config(), registry);
-  Oracle none(with_scene(unlabelled, "{type: analytic_room, with_labels: false}"), registry);
+  const std::string stop = replaced(one_pass_config(), "weight: 0.5", "weight: 0.5, stop_gradient_to_density: true");
+  Oracle stopped(stop), flowing(one_pass_config());
+  Oracle none(with_scene(one_pass_config(), "{type: analytic_room, with_labels: false}"));
   ASSERT_FALSE(none.pipeline->has_semantics());
   stopped.gradients();
   none.gradients();
@@ -107,10 +102,9 @@ TEST(Parity, GradientsInBf16AreTheOraclesWithinItsPrecision) {
         "softplus}\ntrain: {rays: 48}\npasses:\n  - sampler: {type: stratified, samples: 24}\n    position: {type: "
         "frequency, frequencies: 3}\n    direction: {type: frequency, frequencies: 2}\n    field: " +
         field + "\nruntime: {device: cpu, precision: ";
-    Registry registry = make_registry();
-    Oracle oracle(yaml + "fp32}\n", registry);
+    Oracle oracle(yaml + "fp32}\n");
     oracle.gradients();
-    Session rounded = open_text(yaml + "bf16}\n", registry);
+    Session rounded = open_text(yaml + "bf16}\n");
     ParamStore<float>& store = rounded.pipeline->store();
     rounded.pipeline->derive(3);
     const StepLosses losses = rounded.pipeline->gradients(3, oracle.batch.view(true));
@@ -199,10 +193,9 @@ FieldPoints ask(const Session& s, const std::vector<Vec3d>& places, const std::v
 
 // A ray is the sum over its samples, so points show what it renders.
 TEST(FieldPoints, AreWhatRaysAreMadeOf) {
-  Registry registry = make_registry();
   const std::string yaml =
       stratified_config("type: analytic_room", "", "rays: 128, steps: 60, adam: {learning_rate: 0.02}");
-  Training training(run_config_of(parse_config_text(yaml, "test.yaml"), registry), registry);
+  Training training(run_config_of(parse_config_text(yaml, "test.yaml"), all_plugins()), all_plugins());
   training.train(60);
   const Session& s = training.session();
   const Pass<float>& pass = s.pipeline->passes().back();
@@ -252,9 +245,8 @@ TEST(FieldPoints, AreWhatRaysAreMadeOf) {
 }
 
 TEST(FieldPoints, SameBitsInAnyGroupingAndProbabilitiesAreOnes) {
-  Registry registry = make_registry();
   for (const std::string& yaml : {hash_config(), two_pass_config()}) {
-    Training training(run_config_of(parse_config_text(yaml, "test.yaml"), registry), registry);
+    Training training(run_config_of(parse_config_text(yaml, "test.yaml"), all_plugins()), all_plugins());
     training.train(30);
     const Session& s = training.session();
     const std::vector<Vec3d> places = points_in(s.scene.bounds, 1500), seen = directions(1500);
@@ -315,7 +307,7 @@ const std::string kLearned =
     "cameras: {poses: learned, colors: learned, pose_rate: 0.5, color_rate: 0.5, from_step: 0}, ";
 
 std::string learned(std::string yaml, const std::string& cameras = kLearned) {
-  return yaml.replace(yaml.find("train: {"), 8, "train: {" + cameras);
+  return replaced(yaml, "train: {", "train: {" + cameras);
 }
 
 void expect_near(Vec3d a, Vec3d b, double tolerance) {
@@ -362,7 +354,6 @@ TEST(CameraMath, GradientsOfTheDomainMapAreThoseOfFiniteDifferences) {
 // A table's encoder, and one that learns nothing. Positions alone: what the view direction says of colours teaches no
 // pose, so that neither field sees one here.
 TEST(CameraCorrections, GradientsAreThoseOfFiniteDifferences) {
-  Registry registry = make_registry();
   std::string tables = stratified_config("type: analytic_room", "", kLearned + "rays: 24"), frequencies = tables;
   const std::size_t direction = tables.find("    direction:");
   if (direction != std::string::npos) tables.erase(direction, tables.find('\n', direction) + 1 - direction);
@@ -373,7 +364,7 @@ TEST(CameraCorrections, GradientsAreThoseOfFiniteDifferences) {
                       "    position: {type: frequency, frequencies: 3}");
   for (const std::string& yaml : {tables, frequencies}) {
     SCOPED_TRACE(yaml);
-    Oracle oracle(yaml, registry);
+    Oracle oracle(yaml);
     ASSERT_NE(oracle.pipeline->cameras(), nullptr);
     for (const char* name : {"cameras/pose/learned", "cameras/color/learned"}) {
       Tensor<double>* table = oracle.pipeline->store().find(name);
@@ -391,8 +382,7 @@ TEST(CameraCorrections, TilesAndLanesChangeNoGradient) {
 }
 
 TEST(CameraCorrections, KeepTheMeanAndAreAbsentWhereNobodyAsks) {
-  Registry registry = make_registry();
-  TestRun run(learned(hash_config()), registry);
+  TestRun run(learned(hash_config()));
   run.to(20);
   for (const char* name : {"cameras/pose/used", "cameras/color/used"}) {
     const Tensor<float>* used = run.store().find(name);
@@ -409,15 +399,14 @@ TEST(CameraCorrections, KeepTheMeanAndAreAbsentWhereNobodyAsks) {
     }
     EXPECT_GT(largest, 1e-4) << name;
   }
-  Session plain = open_text(hash_config(), registry);
+  Session plain = open_text(hash_config());
   EXPECT_EQ(plain.pipeline->cameras(), nullptr);
   EXPECT_EQ(plain.pipeline->store().find("cameras/pose/learned"), nullptr);
 }
 
 // Until then the field is fog, whose gradients would move right poses.
 TEST(CameraCorrections, MoveAfterTheirShareOfTheRun) {
-  Registry registry = make_registry();
-  TestRun run(learned(hash_config(), "cameras: {poses: learned, from_step: 0.1}, "), registry);
+  TestRun run(learned(hash_config(), "cameras: {poses: learned, from_step: 0.1}, "));
   const Tensor<float>* pose = run.store().find("cameras/pose/learned");
   ASSERT_NE(pose, nullptr);
   const auto moved = [&] {
@@ -453,9 +442,7 @@ TEST(CameraChoices, FollowTheEvidence) {
 
 // What the scene decides is written out, with its reason; --keep brings in what it leaves out.
 TEST(CameraChoices, AreSettledWhenASceneIsOpened) {
-  Registry registry = make_registry();
-  const Session phone =
-      open_text(with_scene(learned(hash_config(), kAuto), "{type: analytic_room, tracked: true}"), registry);
+  const Session phone = open_text(with_scene(learned(hash_config(), kAuto), "{type: analytic_room, tracked: true}"));
   EXPECT_EQ(phone.config.cameras.poses, CameraTrust::learned);
   EXPECT_EQ(phone.config.cameras.colors, CameraTrust::given);
   EXPECT_FALSE(phone.eval_job({}).fit_colors);
@@ -465,12 +452,12 @@ TEST(CameraChoices, AreSettledWhenASceneIsOpened) {
   EXPECT_EQ(std::count(said.begin(), said.end(),
                        "train.cameras.poses: learned, because poses are a phone's, whose tracker drifts"),
             1);
-  const Session exposed = open_text(learned(hash_config(), "cameras: {colors: learned}, "), registry);
+  const Session exposed = open_text(learned(hash_config(), "cameras: {colors: learned}, "));
   EXPECT_TRUE(exposed.eval_job({}).fit_colors) << "scores have a second PSNR";
-  const Session other = open_text(learned(hash_config(), kAuto), registry);
+  const Session other = open_text(learned(hash_config(), kAuto));
   EXPECT_EQ(other.pipeline->cameras(), nullptr);
   EXPECT_EQ(left_out_row(other, "camera_poses").evidence, "poses are not those of a phone's tracker");
-  const Session kept = open_text(learned(hash_config(), kAuto), registry, {"camera_poses"});
+  const Session kept = open_text(learned(hash_config(), kAuto), {"camera_poses"});
   EXPECT_NE(kept.pipeline->store().find("cameras/pose/learned"), nullptr);
   EXPECT_EQ(kept.plan.kept, std::vector<std::string>{"camera_poses"});
 }

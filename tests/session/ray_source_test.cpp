@@ -2,22 +2,17 @@
 
 #include "session/ray_source.h"
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
 #include <numeric>
 #include <ostream>
 #include <set>
 
-#include "core/error.h"
 #include "core/rng.h"
 #include "scene/scene.h"
 #include "session/settings/choices.h"
 #include "session/training.h"
-#include "tests/says.h"
 #include "tests/session/gradient_hook.h"
 #include "tests/session/oracle.h"
-#include "tests/session/train_testing.h"
 
 namespace semfield {
 namespace {
@@ -381,7 +376,7 @@ using namespace testing_train;
 std::string masked_room(int masked, int behind, const std::string& ray_source = "auto") {
   std::string yaml = with_scene(hash_config(), "{type: analytic_room, masked: " + std::to_string(masked) +
                                                    ", behind: " + std::to_string(behind) + "}");
-  return yaml.replace(yaml.find("rays: 192"), 9, "rays: 128, ray_source: " + ray_source);
+  return replaced(yaml, "rays: 192", "rays: 128, ray_source: " + ray_source);
 }
 
 using Values = std::vector<std::pair<std::string, std::optional<double>>>;
@@ -426,15 +421,13 @@ TEST(Masks, ASceneOfWhichEveryPixelIsMaskedIsRefused) {
 const std::string kAlbedo = "losses: [{type: albedo}]\n";
 
 std::string albedo_config(bool offered, const std::string& more) {
-  std::string yaml = hash_config(more);
-  const std::string scene = "{type: analytic_room";
-  return offered ? yaml.replace(yaml.find(scene), scene.size(), scene + ", with_albedo: true") : yaml;
+  const std::string yaml = hash_config(more);
+  return offered ? with_scene(yaml, "{type: analytic_room, with_albedo: true}") : yaml;
 }
 
 // Cell (y / 2, x) of the channel is that of pixel (y, x), and belongs to the ray of that pixel.
 TEST(Channels, ADatasetsChannelReachesTheLossThatReadsIt) {
-  Registry registry = make_channel_registry();
-  const Session session = open_text(albedo_config(true, kAlbedo), registry);
+  const Session session = open_text(albedo_config(true, kAlbedo), channel_plugins());
   BatchBuffers batch;
   const std::unique_ptr<RaySource> rays = session.make_ray_source();
   rays->fill(3, batch);
@@ -455,9 +448,8 @@ TEST(Channels, ADatasetsChannelReachesTheLossThatReadsIt) {
 }
 
 TEST(Channels, WhatNoLossReadsIsNotRead) {
-  Registry registry = make_channel_registry();
-  const Session with = open_text(albedo_config(true, kAlbedo), registry);
-  const Session without = open_text(albedo_config(true, ""), registry);
+  const Session with = open_text(albedo_config(true, kAlbedo), channel_plugins());
+  const Session without = open_text(albedo_config(true, ""), channel_plugins());
   for (std::size_t f = 0; f < with.scene.frames.size(); ++f) {
     const bool train = with.scene.info.frames[f].split == Split::train;
     EXPECT_EQ(with.scene.frames[f].channels.size(), train ? 1U : 0U);
@@ -526,8 +518,7 @@ TEST(GradientHook, HalfOfTheGradientsIsHalfOfTheWeight) {
 TEST(GradientHook, AnErrorEndsTheStepAndChangesNothing) { expect_an_error_of_the_hook_ends_the_step(""); }
 
 TEST(GradientHook, WhatItWritesIsChecked) {
-  Registry registry = make_registry();
-  TestRun run(hash_config(), registry);
+  TestRun run(hash_config());
   run.to(2);
   call(run, [](const StepGradients<float>& gradients) { gradients.tensors.back().data[0] = NAN; });
   const std::uint32_t before = run.bits();

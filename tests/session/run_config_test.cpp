@@ -9,14 +9,12 @@
 #include "config/compose.h"
 #include "config/config_tree.h"
 #include "config/explain.h"
-#include "core/view.h"
 #include "core/rng.h"
+#include "core/view.h"
 #include "eval/evaluator.h"
 #include "loading/frame_source.h"
 #include "model/render_rules.h"
-#include "run/run.h"
 #include "session/assembly.h"
-#include "session/session.h"
 #include "session/settings/choices.h"
 #include "session/settings/run_identity.h"
 #include "testkit/analytic_scene.h"
@@ -29,17 +27,13 @@ namespace {
 using namespace testing_train;
 
 std::string errors_of(const std::string& yaml) {
-  Registry registry = make_registry();
   Diagnostics diagnostics;
-  read_run_config(parse_config_text(yaml, "room.yaml"), registry, diagnostics);
-  std::string text;
-  for (const Diagnostic& finding : diagnostics.all()) text += finding.text() + "\n";
-  return text;
+  read_run_config(parse_config_text(yaml, "room.yaml"), all_plugins(), diagnostics);
+  return texts(diagnostics);
 }
 
 // What a preset leaves to the device; numbers that are written stay.
 TEST(RunConfig, TheDeviceChoosesSizesThatAreLeftOpen) {
-  Registry registry = make_registry();
   const auto chosen = [&](const std::string& levels, Device device) {
     const ConfigNode tree = parse_config_text(
         "scene: {type: analytic_room}\n"
@@ -51,7 +45,7 @@ TEST(RunConfig, TheDeviceChoosesSizesThatAreLeftOpen) {
             "    field: {type: tiny_mlp}\n"
             "train: {rays: 0}\n",
         "room.yaml");
-    RunConfig config = run_config_of(tree, registry);
+    RunConfig config = run_config_of(tree, all_plugins());
     const std::size_t lines = choose_for_device(config, device).size();
     const std::string resolved = write_config(resolved_config(config));
     return std::to_string(config.train.rays) + " " + std::to_string(lines) + "\n" + resolved;
@@ -68,11 +62,10 @@ TEST(RunConfig, KeysOfBefore1_0AreRefusedWithTheWayOut) {
 }
 
 TEST(RunConfig, DensityOfRunsOf1_0IsPerMetre) {
-  Registry registry = make_registry();
   const ConfigNode now = resolved_config(open_text(hash_config()).config);
-  EXPECT_NEAR(run_config_of(now, registry).rendering.unit_m, 1, 0.3) << "half of what the cameras see afar";
+  EXPECT_NEAR(run_config_of(now, all_plugins()).rendering.unit_m, 1, 0.3) << "half of what the cameras see afar";
   const ConfigNode* rendering = now.find("rendering");
-  const auto unit_of = [&](const ConfigNode& tree) { return run_config_of(tree, registry).rendering.unit_m; };
+  const auto unit_of = [&](const ConfigNode& tree) { return run_config_of(tree, all_plugins()).rendering.unit_m; };
   EXPECT_EQ(unit_of(now.with("rendering", rendering->with("unit_m", ConfigNode::make_scalar("2.5", false, {})))), 2.5);
   const ConfigNode then = now.with("rendering", rendering->without("unit_m"));
   EXPECT_EQ(unit_of(then), 1) << "the resolved configuration of a run";
@@ -80,13 +73,12 @@ TEST(RunConfig, DensityOfRunsOf1_0IsPerMetre) {
 }
 
 TEST(RunConfig, PrecisionAutoIsSettledWhenASessionOpens) {
-  Registry registry = make_registry();
-  Session s = open_text(hash_config("runtime: {device: cpu, precision: auto}\n"), registry);
+  Session s = open_text(hash_config("runtime: {device: cpu, precision: auto}\n"));
   EXPECT_EQ(s.config.runtime.precision, bf16_is_faster() ? Precision::bf16 : Precision::fp32);
   const std::string said = bf16_is_faster() ? "precision: bf16" : "precision: fp32";
   EXPECT_HAS(write_config(resolved_config(s.config)), said);
   s.config.runtime.precision = Precision::bf16;
-  EXPECT_EQ(precision_of(s.config, registry, {Device::cpu, 0}), Precision::bf16) << "a named one stays";
+  EXPECT_EQ(precision_of(s.config, all_plugins(), {Device::cpu, 0}), Precision::bf16) << "a named one stays";
 }
 
 TEST(RunConfig, ADeviceIsNamedByKindAndOrdinal) {
@@ -108,13 +100,12 @@ TEST(RunConfig, ADeviceIsNamedByKindAndOrdinal) {
 TEST(RunConfig, ResolvedFormReadsBackTheSame) {
   for (const StepCase& step : kStepCases) {
     SCOPED_TRACE(step.name);
-    Registry registry = make_registry();
     Diagnostics diagnostics;
     const RunConfig first =
-        read_run_config(parse_config_text(step.config(step.more), "/tmp/a.yaml"), registry, diagnostics);
+        read_run_config(parse_config_text(step.config(step.more), "/tmp/a.yaml"), all_plugins(), diagnostics);
     const ConfigNode resolved = resolved_config(first);
     const RunConfig second =
-        read_run_config(parse_config_text(write_config(resolved), "/elsewhere/run.yaml"), registry, diagnostics);
+        read_run_config(parse_config_text(write_config(resolved), "/elsewhere/run.yaml"), all_plugins(), diagnostics);
     EXPECT_FALSE(diagnostics.has_errors()) << diagnostics.all().front().text();
     EXPECT_EQ(diff_config(resolved, resolved_config(second)), "");
     EXPECT_EQ(second.base_dir, first.base_dir);
@@ -122,11 +113,8 @@ TEST(RunConfig, ResolvedFormReadsBackTheSame) {
 }
 
 TEST(RunConfig, WhatIsChosenFromTheSceneStandsInTheResolvedForm) {
-  std::string yaml = hash_config();
-  const std::string written = "log2_entries: 11, finest_resolution: 64";
-  ASSERT_NE(yaml.find(written), std::string::npos);
-  yaml.replace(yaml.find(written), written.size(), "log2_entries: 0, finest_resolution: 0");
-  const Session first = open_text(yaml);
+  const Session first = open_text(
+      replaced(hash_config(), "log2_entries: 11, finest_resolution: 64", "log2_entries: 0, finest_resolution: 0"));
   ASSERT_EQ(first.chosen.size(), 2u);
   EXPECT_EQ(first.chosen[0].rfind("passes.main.position: finest_resolution ", 0), 0u) << first.chosen[0];
   EXPECT_EQ(first.chosen[1].rfind("passes.main.position: log2_entries ", 0), 0u) << first.chosen[1];
@@ -146,8 +134,7 @@ TEST(RunConfig, EveryShippedConfigReadsWithoutError) {
         path.find("small_room") != std::string::npos || path.find("/experiments/") != std::string::npos ||
         path.find(".classes.") != std::string::npos)
       continue;  // sweep files are read by the tests of sweeps
-    Registry registry = make_registry();
-    EXPECT_NO_THROW(load_run_config(path, {}, registry)) << path;
+    EXPECT_NO_THROW(load_run_config(path, {}, all_plugins())) << path;
     ++read;
   }
   EXPECT_GT(read, 0);
@@ -173,9 +160,7 @@ struct PartsRun {
     config.runtime.precision = precision;
     Diagnostics found;
     say_slow_paths(config, registry, device, bf16_instructions, found);
-    std::string text;
-    for (const Diagnostic& finding : found.all()) text += finding.text() + "\n";
-    return text;
+    return texts(found);
   }
   ChosenDevice choose() { return device_for_parts(config, registry, said); }
   Registry registry;
@@ -249,9 +234,8 @@ const char* const kEveryTerm =
     "losses: [{type: depth, weight: 0.3}, {type: distortion, weight: 0.2, from_step: 0}, {type: near_density, weight: "
     "0.1, from_step: 0, distance_m: 0.8}, {type: generalised_cross_entropy, weight: 0.3}]\n";
 
-std::string without_depth_images(std::string yaml) {
-  const std::string scene = "{type: analytic_room";
-  return yaml.replace(yaml.find(scene), scene.size(), scene + ", with_depth: false");
+std::string without_depth_images(const std::string& yaml) {
+  return replaced(yaml, "{type: analytic_room", "{type: analytic_room, with_depth: false");
 }
 
 // A preset names the term for every scene; where no frame has a depth it is left out, bit for bit.
@@ -277,10 +261,10 @@ TEST(LossConfig, WhatBecomesOfDepthImagesIsSaid) {
     scene.info.frames.push_back(info);
   }
   scene.depth_pixels = {0, 7, 9};
-  Registry registry = make_registry();
   Diagnostics diagnostics;
   const auto use = [&](const std::string& losses, const TrainingDepth& depth) {
-    const RunConfig config = read_run_config(parse_config_text(hash_config(losses), "a.yaml"), registry, diagnostics);
+    const RunConfig config =
+        read_run_config(parse_config_text(hash_config(losses), "a.yaml"), all_plugins(), diagnostics);
     return depth_use(config.losses, depth, diagnostics);
   };
   const std::string term = "losses: [{type: depth}]\n";
@@ -297,13 +281,7 @@ TEST(LossConfig, WhatBecomesOfDepthImagesIsSaid) {
 }
 
 TEST(LossConfig, DepthThatATermReadsIsHeldAndCounted) {
-  Registry registry = make_registry();
-  const auto opened = [&](const std::string& losses) {
-    Diagnostics diagnostics;
-    return open_session(read_run_config(parse_config_text(hash_config(losses), "a.yaml"), registry, diagnostics),
-                        registry, {}, diagnostics);
-  };
-  const Session with = opened("losses: [{type: depth}]\n"), without = opened("");
+  const Session with = open_text(hash_config("losses: [{type: depth}]\n")), without = open_text(hash_config());
   for (const int f : with.scene.frames_of(Split::train)) {
     const auto i = static_cast<std::size_t>(f);
     EXPECT_EQ(with.scene.frames[i].depth_m.size(), with.scene.frames[i].rgb.size() / 3);
@@ -347,8 +325,8 @@ TEST(RaySourceDepth, IsTheDistanceAlongTheRayToTheFirstSurface) {
 }
 
 TEST(RaySourceDepth, RaysThatAreThereForTheirLabelsTellNone) {
-  std::string yaml = hash_config(kEveryTerm);
-  yaml.replace(yaml.find("train: {"), 8,
+  std::string yaml =
+      replaced(hash_config(kEveryTerm), "train: {",
                "train: {ray_source: label_balanced, labelled_share: 0.5, label_rays_teach_color: false, ");
   const Session session = open_text(yaml);
   BatchBuffers batch;
@@ -373,12 +351,10 @@ TEST(LossTerms, OneThatHasNotBegunChangesNoBit) {
 
 // The head's own place is taken: no gradient of the cross-entropy is left, and its value is still reported.
 TEST(LossTerms, ALossOnLogitsStandsBesideTheCrossEntropyOrInItsPlace) {
-  Registry registry = make_registry();
   const std::string term = "losses: [{type: generalised_cross_entropy, weight: 0.5}]\n";
   const auto semantic_gradient = [&](const std::string& weight, const std::string& more) {
-    std::string yaml = two_pass_config(more);
-    yaml.replace(yaml.find("weight: 0.3"), 11, "weight: " + weight);
-    Oracle oracle(yaml, registry);
+    std::string yaml = replaced(two_pass_config(more), "weight: 0.3", "weight: " + weight);
+    Oracle oracle(yaml);
     const StepLosses losses = oracle.gradients();
     EXPECT_GT(losses.semantic, 0) << more;
     std::vector<double> values;
@@ -402,8 +378,8 @@ TEST(LossTerms, ALossOnLogitsStandsBesideTheCrossEntropyOrInItsPlace) {
 }
 
 TEST(LossTerms, ALossOnLogitsIsLeftOutWithoutLabels) {
-  std::string yaml = hash_config("losses: [{type: generalised_cross_entropy}]\n");
-  yaml.replace(yaml.find("{type: analytic_room"), 20, "{type: analytic_room, labels: {frames: none}");
+  std::string yaml = replaced(hash_config("losses: [{type: generalised_cross_entropy}]\n"), "{type: analytic_room",
+                              "{type: analytic_room, labels: {frames: none}");
   const Session s = open_text(yaml);
   EXPECT_TRUE(s.config.losses.empty());
   EXPECT_EQ(left_out_row(s, "loss_generalised_cross_entropy").rule, "there are no semantics");
@@ -411,19 +387,18 @@ TEST(LossTerms, ALossOnLogitsIsLeftOutWithoutLabels) {
 
 TEST(LossTerms, MetricsNameEachAndSayNothingBeforeItBegins) {
   const TempDir dir;
-  Registry registry = make_registry();
   Diagnostics diagnostics;
   const std::string yaml = hash_config(
       "losses: [{type: depth}, {type: distortion, from_step: 0.5}]\nreport: "
       "{log_every_steps: 10, eval_every_s: 0}\n");
-  RunConfig config = read_run_config(parse_config_text(yaml, "a.yaml"), registry, diagnostics);
+  RunConfig config = read_run_config(parse_config_text(yaml, "a.yaml"), all_plugins(), diagnostics);
   ASSERT_FALSE(diagnostics.has_errors()) << diagnostics.all().front().text();
   config.train.steps = 40;
   TrainRequest request{.out_dir = dir / "run"};
   TrainProgress last;
   HookListener hooks;
   hooks.on_progress = [&last](const TrainProgress& progress) { last = progress; };
-  run_training(std::move(config), registry, request, &hooks);
+  run_training(std::move(config), all_plugins(), request, &hooks);
   ASSERT_EQ(last.terms.size(), 2u);
   EXPECT_EQ(last.terms[0].first, "depth");
   EXPECT_EQ(last.terms[1].first, "distortion");
@@ -575,7 +550,7 @@ std::string without_depth(const std::string& more) {
   std::string yaml =
       with_scene(hash_config(more),
                  "{type: analytic_room, with_depth: false, with_labels: false, frames: 24, load: {probe_steps: 128}}");
-  yaml.replace(yaml.find("steps: 200"), 10, "steps: 512");
+  yaml = replaced(yaml, "steps: 200", "steps: 512");
   return yaml;
 }
 
@@ -590,15 +565,14 @@ double volume(const Box& box) { return box.size().x * box.size().y * box.size().
 
 // The probe borrows the frames: their channels must come back as they were, for the run to find its axes in them.
 TEST(BoundsProbe, LeavesHeadsAndTheirChannelsToTheRun) {
-  Registry registry = make_channel_registry();
   Diagnostics d;
-  std::string yaml = without_depth(
+  const std::string heads =
       "heads:\n  - {type: feature_map, channel: albedo, width: 2, branch: {position: {type: frequency, frequencies: "
       "2}, "
       "field: {type: tiny_mlp, hidden_width: 8, hidden_layers: 1}}}\n"
-      "losses: [{type: cosine_distance, channel: albedo}]\n");
-  yaml.replace(yaml.find("with_depth: false"), 17, "with_depth: false, with_albedo: true");
-  const Session s = open_probing(yaml, registry, d);
+      "losses: [{type: cosine_distance, channel: albedo}]\n";
+  const std::string yaml = replaced(without_depth(heads), "with_depth: false", "with_depth: false, with_albedo: true");
+  const Session s = open_probing(yaml, channel_plugins(), d);
   ASSERT_EQ(s.scene.bounds_from, "a probe of 128 steps");
   const View<const float> axes = s.pipeline->passes().back().axes("albedo");
   ASSERT_EQ(axes.rows, 3);
@@ -615,9 +589,8 @@ TEST(BoundsProbe, LeavesHeadsAndTheirChannelsToTheRun) {
 
 // The room is 4 m x 3 m x 2 m.
 TEST(BoundsProbe, ShrinksWhatTheCamerasGuessToTheRoom) {
-  Registry registry = make_registry();
   Diagnostics d;
-  const Session guessed = open_text(without_depth(""), registry);
+  const Session guessed = open_text(without_depth(""));
   EXPECT_TRUE(guessed.scene.extent_is_guessed);
   EXPECT_GT(volume(guessed.extent.bounds), 15 * 24);
   std::vector<std::size_t> told;
@@ -628,7 +601,7 @@ TEST(BoundsProbe, ShrinksWhatTheCamerasGuessToTheRoom) {
   };
   WorkSettings work{.load_progress = &progress};
   const WorkScope scope(work);
-  const Session s = open_probing(without_depth(""), registry, d);
+  const Session s = open_probing(without_depth(""), all_plugins(), d);
   EXPECT_EQ(s.scene.bounds_from, "a probe of 128 steps");
   EXPECT_GT(told.size(), 3u) << "a probe says how far it is";
   EXPECT_TRUE(std::is_sorted(told.begin(), told.end()));
@@ -648,35 +621,28 @@ TEST(BoundsProbe, ShrinksWhatTheCamerasGuessToTheRoom) {
 }
 
 TEST(BoundsProbe, GivesTheSameBitsForAnyThreadsAndOnResuming) {
-  Registry registry = make_registry();
   Diagnostics d;
   const std::string more = "runtime: {threads: 1}\n";
-  const Session one = open_probing(without_depth(more), registry, d);
-  const Session two = open_probing(without_depth("runtime: {threads: 2}\n"), registry, d);
+  const Session one = open_probing(without_depth(more), all_plugins(), d);
+  const Session two = open_probing(without_depth("runtime: {threads: 2}\n"), all_plugins(), d);
   EXPECT_EQ(one.config.load.bounds, two.config.load.bounds);
   EXPECT_EQ(one.config.load.far_m, two.config.load.far_m);
-  const Session again = open_probing(write_config(resolved_config(one.config)), registry, d);
+  const Session again = open_probing(write_config(resolved_config(one.config)), all_plugins(), d);
   EXPECT_EQ(again.config.load.bounds, one.config.load.bounds);
   EXPECT_EQ(again.extent.pixel_footprint_m, one.extent.pixel_footprint_m);
   EXPECT_EQ(fingerprint(again.pipeline->store()), fingerprint(one.pipeline->store()));
 }
 
 TEST(BoundsProbe, IsMadeOnlyWhereItHelps) {
-  Registry registry = make_registry();
   Diagnostics d;
-  EXPECT_FALSE(open_probing(hash_config(), registry, d).scene.extent_is_guessed);  // depth shows it
-  std::string off = without_depth("");
-  off.replace(off.find("probe_steps: 128"), 16, "probe_steps: 0");
-  EXPECT_TRUE(open_probing(off, registry, d).scene.extent_is_guessed);
-  std::string brief = without_depth("");
-  brief.replace(brief.find("steps: 512"), 10, "steps: 511");
-  EXPECT_TRUE(open_probing(brief, registry, d).scene.extent_is_guessed);
+  EXPECT_FALSE(open_probing(hash_config(), all_plugins(), d).scene.extent_is_guessed);  // depth shows it
+  for (const auto& [from, to] : {std::pair{"probe_steps: 128", "probe_steps: 0"}, {"steps: 512", "steps: 511"}})
+    EXPECT_TRUE(open_probing(replaced(without_depth(""), from, to), all_plugins(), d).scene.extent_is_guessed) << to;
 }
 
 TEST(Contraction, RaysGoOnBeyondTheBounds) {
-  std::string yaml = without_depth("");
-  yaml.replace(yaml.find("far: background"), 15, "far: background, outside: contracted");
-  yaml.replace(yaml.find("resolution: 32"), 14, "resolution: 32, cascades: 7, growth: 0.02");
+  std::string yaml = replaced(replaced(without_depth(""), "far: background", "far: background, outside: contracted"),
+                              "resolution: 32", "resolution: 32, cascades: 7, growth: 0.02");
   const Session s = open_text(yaml);
   EXPECT_FALSE(s.scene.extent_is_guessed);
   EXPECT_FALSE(s.limits.clip);

@@ -1,20 +1,16 @@
 // A network of its own for semantics: gradients, what it leaves alone, what leaving samples out may change, its
 // settings.
 
-#include <gtest/gtest.h>
-
 #include <algorithm>
 #include <cmath>
 #include <numeric>
 
-#include "core/error.h"
 #include "eval/evaluator.h"
 #include "session/assembly.h"
 #include "session/ray_source.h"
 #include "session/settings/choices.h"
 #include "session/training.h"
 #include "tests/session/oracle.h"
-#include "tests/session/train_testing.h"
 
 namespace semfield {
 namespace {
@@ -49,11 +45,10 @@ TEST(HeadBranch, TilesLanesAndTheDeferredClassLayerChangeNoGradient) {
 
 // Colour and geometry learn as they do in a scene without labels, to the last bit.
 TEST(HeadBranch, LabelsDoNotShapeTheField) {
-  Registry registry = make_registry();
-  Oracle labelled(config_of(kPlugins), registry);
+  Oracle labelled(config_of(kPlugins));
   std::string none = config_of(kPlugins);
   none = with_scene(none, "{type: analytic_room, with_labels: false}");
-  Oracle unlabelled(none, registry);
+  Oracle unlabelled(none);
   ASSERT_FALSE(unlabelled.pipeline->has_semantics());
   EXPECT_GT(labelled.gradients().semantic, 0);
   unlabelled.gradients();
@@ -71,9 +66,8 @@ TEST(HeadBranch, LabelsDoNotShapeTheField) {
 
 // |change of a logit| <= sum of the weights left out times the largest logit of a sample.
 TEST(HeadBranch, LeavingSamplesOutChangesLogitsWithinTheBound) {
-  Registry registry = make_registry();
   const std::string off = "runtime: {deferred_class_layer: false, tile_rays: 24, lanes: 1}\n";
-  Oracle all(config_of(kPlugins + ", least_weight: 0", off), registry);
+  Oracle all(config_of(kPlugins + ", least_weight: 0", off));
   const auto trace_of = [](Oracle& o, Workspace& arena) {
     StepContext ctx{.workspace = &arena};
     const RayBatch batch = o.batch.view(true);
@@ -88,7 +82,7 @@ TEST(HeadBranch, LeavingSamplesOutChangesLogitsWithinTheBound) {
   for (const std::size_t part : {8, 4, 2}) {
     const double least = weights[weights.size() / part];
     ASSERT_LT(least, 0.1);
-    Oracle some(config_of(kPlugins + ", least_weight: " + std::to_string(least), off), registry);
+    Oracle some(config_of(kPlugins + ", least_weight: " + std::to_string(least), off));
     Workspace arena_some;
     const PassTrace<double> b = trace_of(some, arena_some);
     double largest = 0;
@@ -182,8 +176,7 @@ const std::string kSemanticBranch =
 TEST(Heads, GradientsAreThoseOfFiniteDifferences) {
   for (const char* of_branch : {"", ", reads_feature: true", ", dropout: 0.3", ", least_weight: 0.02"}) {
     SCOPED_TRACE(of_branch);
-    Registry registry = make_channel_registry();
-    Oracle oracle(head_config_of(head_yaml("", of_branch)), registry);
+    Oracle oracle(head_config_of(head_yaml("", of_branch)), channel_plugins());
     expect_finite_differences(oracle, 2e-4, "/heads/albedo", 8 * 3);  // two layers of branch and of head
   }
 }
@@ -195,9 +188,8 @@ TEST(Heads, ChangeNoOtherGradient) {
                                                         {"", ", reads_feature: true"},
                                                         {kSemanticBranch, ""},
                                                         {kSemanticBranch, ", reads_feature: true"}}) {
-    Registry registry = make_channel_registry();
-    Oracle with(head_config_of(head_yaml("", of_branch), of_pass), registry),
-        without(head_config_of("", of_pass), registry);
+    Oracle with(head_config_of(head_yaml("", of_branch), of_pass), channel_plugins()),
+        without(head_config_of("", of_pass), channel_plugins());
     const StepLosses a = with.gradients(), b = without.gradients();
     EXPECT_EQ(a.color, b.color);
     EXPECT_EQ(a.semantic, b.semantic);
@@ -235,11 +227,10 @@ double mean_cosine(const FrameChannel& map, const std::vector<float>& rgb) {
 
 // The channel is the colour of every second row: what the head renders points where the colours do.
 TEST(Heads, LearnTheChannelAndRenderIt) {
-  Registry registry = make_channel_registry();
-  std::string yaml = hash_config(head_yaml("", ", learning_rate: 0.3"));
-  yaml.replace(yaml.find("type: analytic_room"), 19, "type: analytic_room, with_albedo: true");
-  yaml.replace(yaml.find("hidden_width: 12"), 16, "hidden_width: 32");
-  TestRun run(yaml, registry);
+  std::string yaml = replaced(replaced(hash_config(head_yaml("", ", learning_rate: 0.3")), "type: analytic_room",
+                                       "type: analytic_room, with_albedo: true"),
+                              "hidden_width: 12", "hidden_width: 32");
+  TestRun run(yaml, channel_plugins());
   const Session& session = run.session;
   const double first = run.to(1).terms[0];
   EXPECT_LT(run.to(200).terms[0], 0.5 * first);
@@ -260,8 +251,7 @@ TEST(Heads, LearnTheChannelAndRenderIt) {
 }
 
 TEST(Heads, AChannelThatIsNotFiniteIsNamed) {
-  Registry registry = make_channel_registry();
-  Session session = open_text(head_config_of(head_yaml()), registry);
+  Session session = open_text(head_config_of(head_yaml()), channel_plugins());
   Tensor<float>* bias = session.pipeline->store().find("main/heads/albedo/output/bias");
   ASSERT_NE(bias, nullptr);
   bias->value.data()[1] = std::numeric_limits<float>::quiet_NaN();
@@ -306,10 +296,9 @@ TEST(ChannelAxes, AChannelOfZerosIsNamed) {
 
 // The axes are state: a session that goes on takes those of the checkpoint, and its frames with them.
 TEST(ChannelAxes, GoWithTheCheckpoint) {
-  Registry registry = make_channel_registry();
   SessionOptions options;
   const std::string yaml = head_config_of(head_yaml(", width: 2"));
-  const auto opened = [&] { return open_text(yaml, registry); };
+  const auto opened = [&] { return open_text(yaml, channel_plugins()); };
   Session first = opened();
   ASSERT_EQ(first.config.heads[0].source_width, 3);
   const std::vector<std::vector<float>> axes = axes_of(first);
@@ -336,9 +325,8 @@ TEST(ChannelAxes, GoWithTheCheckpoint) {
 }
 
 TEST(Heads, WrongSettingsAreNamed) {
-  Registry registry = make_channel_registry();
   const auto expect = [&](const std::string& more, const std::string& said) {
-    EXPECT_HAS(error_of([&] { (void)open_text(head_config_of(more), registry); }), said);
+    EXPECT_HAS(error_of([&] { (void)open_text(head_config_of(more), channel_plugins()); }), said);
   };
   const std::string head = "{type: feature_map, channel: albedo, " + kBranch + "}}";
   expect("heads: {type: feature_map}\n", "heads: expected a list of heads");
@@ -358,11 +346,10 @@ TEST(Heads, WrongSettingsAreNamed) {
 
 TEST(Heads, OneThatNoLossReadsIsLeftOutAndKeptByName) {
   const std::string head = "heads: [{type: feature_map, channel: albedo, width: 2, " + kBranch + "}}]\n";
-  Registry registry = make_channel_registry();
-  const Session left = open_text(head_config_of(head), registry);
+  const Session left = open_text(head_config_of(head), channel_plugins());
   EXPECT_TRUE(left.config.heads.empty());
   EXPECT_NO_THROW(left_out_row(left, "head_albedo"));
-  const Session kept = open_text(head_config_of(head), registry, {"head_albedo"});
+  const Session kept = open_text(head_config_of(head), channel_plugins(), {"head_albedo"});
   EXPECT_EQ(kept.pipeline->passes().back().parts().heads.size(), 1U);
 }
 
@@ -453,8 +440,7 @@ TEST(BranchChoice, ASessionBuildsTheBranchForItsLabelsAndSaysSo) {
         Case{"frames: all", "identity", "dense"},
         Case{"degrade: [{type: super_resolution, factor: 4, mode: dense}]", "identity", "dense"}}) {
     SCOPED_TRACE(c.labels);
-    Registry registry = make_registry();
-    const Session s = open_text(branches_config_of(kThree, c.labels), registry);
+    const Session s = open_text(branches_config_of(kThree, c.labels));
     ASSERT_EQ(s.config.passes[0].semantic.size(), 1U);
     EXPECT_EQ(s.config.passes[0].branch()->position.entry->name, c.position);
     ASSERT_EQ(s.chosen_by_labels.size(), 1U);
@@ -465,7 +451,7 @@ TEST(BranchChoice, ASessionBuildsTheBranchForItsLabelsAndSaysSo) {
     EXPECT_HAS(describe_session(s), s.chosen_by_labels[0]);
     // What a run keeps names one branch, and opens as it is whatever the labels are then.
     Diagnostics diagnostics;
-    RunConfig again = read_run_config(resolved_config(s.config), registry, diagnostics);
+    RunConfig again = read_run_config(resolved_config(s.config), all_plugins(), diagnostics);
     EXPECT_EQ(diagnostics.error_count(), 0);
     EXPECT_TRUE(choose_branches(again, {1000, 1, 0, 0}).empty());
     EXPECT_EQ(again.passes[0].branch()->position.entry->name, c.position);
@@ -503,11 +489,10 @@ TEST(BranchChoice, AListThatLeavesLabelsOutOrNamesThemTwiceIsRefused) {
 }
 
 TEST(BranchChoice, WhatLabelsCannotShowIsSaid) {
-  Registry registry = make_registry();
   const auto said = [&](const LabelStatistics& statistics) {
     Diagnostics diagnostics;
-    RunConfig config =
-        read_run_config(parse_config_text(branches_config_of(kThree, "frames: all"), "a.yaml"), registry, diagnostics);
+    RunConfig config = read_run_config(parse_config_text(branches_config_of(kThree, "frames: all"), "a.yaml"),
+                                       all_plugins(), diagnostics);
     return choose_branches(config, statistics).at(0);
   };
   EXPECT_HAS(said({1000, 1000, 1900, 1805}), "95 % of neighbouring labels agree");
@@ -569,12 +554,11 @@ TEST(RaySourceChoice, EvenlyDrawnRaysWarnWhereTheyHardlyMeetALabel) {
 
 TEST(RaySourceChoice, RaysThatTeachNoColourAreRefused) {
   const auto errors = [](const std::string& train) {
-    Registry registry = make_registry();
     Diagnostics diagnostics;
     const std::string branch_of_all = "{position: {type: one_blob}, field: {type: tiny_mlp, hidden_width: 8}}";
     read_run_config(
         parse_config_text(branches_config_of(branch_of_all, "frames: all") + "train: {" + train + "}\n", "a.yaml"),
-        registry, diagnostics);
+        all_plugins(), diagnostics);
     return diagnostics.all().empty() ? "" : diagnostics.all()[0].text();
   };
   const std::string apart = "labelled_share: 1, label_rays_teach_color: false, ray_source: ";
@@ -602,12 +586,10 @@ TEST(LabelRays, StandFirstInEveryTileAndAreCountedAlikeForAnyTiles) {
   EXPECT_EQ(label_only_rays(0.3, 0, 26), 7);
   EXPECT_EQ(label_only_rays(0.3, 0, 10) + label_only_rays(0.3, 10, 20) + label_only_rays(0.3, 20, 26), 7);
 
-  Registry registry = make_registry();
   for (const int tile_rays : {26, 8, 5, 1}) {
     SCOPED_TRACE(tile_rays);
     const std::string tiles = "runtime: {tile_rays: " + std::to_string(tile_rays) + "}\n";
-    const Oracle apart(label_config(kApart, tiles), registry),
-        together(label_config("labelled_share: 0.3", tiles), registry);
+    const Oracle apart(label_config(kApart, tiles)), together(label_config("labelled_share: 0.3", tiles));
     const std::vector<std::int64_t>& apart_of_tile = apart.batch.label_only;
     EXPECT_EQ(std::accumulate(apart_of_tile.begin(), apart_of_tile.end(), std::int64_t{0}), 7);
     EXPECT_TRUE(together.batch.label_only.empty());
@@ -637,8 +619,7 @@ TEST(LabelRays, StandFirstInEveryTileAndAreCountedAlikeForAnyTiles) {
 }
 
 TEST(LabelRays, TheirColoursCountForNothing) {
-  Registry registry = make_registry();
-  Oracle oracle(label_config(kApart, "runtime: {tile_rays: 13}\n"), registry);
+  Oracle oracle(label_config(kApart, "runtime: {tile_rays: 13}\n"));
   const StepLosses before = oracle.gradients();
   EXPECT_GT(before.color, 0);
   EXPECT_GT(before.semantic, 0);
@@ -663,9 +644,8 @@ TEST(LabelRays, TheirColoursCountForNothing) {
 // The second difference of a squared error by its target is 2 over what the sum is divided by, whatever was rendered.
 TEST(LabelRays, TheColourLossIsTheMeanOverTheOthers) {
   constexpr float kStep = 0.25F;
-  Registry registry = make_registry();
   for (const auto& [train, counted] : {std::pair{kApart, 19}, std::pair{std::string("labelled_share: 0.3"), 26}}) {
-    Oracle oracle(label_config(train), registry);
+    Oracle oracle(label_config(train));
     float& target = oracle.batch.target.back();  // of an evenly drawn ray
     const float kept = target;
     const double at = oracle.gradients().color;

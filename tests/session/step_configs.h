@@ -6,9 +6,7 @@
 namespace semfield::testing_train {
 
 inline std::string few_labels_config(const std::string& more) {
-  std::string yaml = two_pass_config(more);
-  const std::string scene = "{type: analytic_room}";
-  return yaml.replace(yaml.find(scene), scene.size(), "{type: analytic_room, labels: {frames: 50%}}");
+  return with_scene(two_pass_config(more), "{type: analytic_room, labels: {frames: 50%}}");
 }
 inline std::string branch_config(const std::string& more) {
   std::string yaml = hash_config();
@@ -19,8 +17,7 @@ inline std::string branch_config(const std::string& more) {
   return yaml.insert(yaml.find("train: "), branch);
 }
 inline std::string label_rays_config(const std::string& more) {
-  std::string yaml = few_labels_config("");
-  return yaml.replace(yaml.find("train: {"), 8, "train: {" + more);
+  return replaced(few_labels_config(""), "train: {", "train: {" + more);
 }
 inline const char* const kTerms =
     "losses: [{type: depth, weight: 0.3}, {type: distortion, weight: 0.2, from_step: 0}, {type: near_density, weight: "
@@ -29,13 +26,13 @@ inline std::string branch_and_terms_config(const std::string& more) { return bra
 
 /// Poses and colours of the training cameras are learned.
 inline std::string learned_cameras(std::string yaml) {
-  return yaml.replace(yaml.find("train: {"), 8,
-                      "train: {cameras: {poses: learned, colors: learned, pose_rate: 0.5, color_rate: 0.5, from_step: 0}, ");
+  return yaml.replace(
+      yaml.find("train: {"), 8,
+      "train: {cameras: {poses: learned, colors: learned, pose_rate: 0.5, color_rate: 0.5, from_step: 0}, ");
 }
 inline std::string cameras_config(const std::string& more) { return learned_cameras(hash_config(more)); }
 inline std::string contracted_cameras_config(const std::string& more) {
-  std::string yaml = cameras_config(more);
-  return yaml.replace(yaml.find("rendering: {"), 12, "rendering: {outside: contracted, ");
+  return replaced(cameras_config(more), "rendering: {", "rendering: {outside: contracted, ");
 }
 inline std::string two_pass_cameras_config(const std::string& more) { return learned_cameras(two_pass_config(more)); }
 

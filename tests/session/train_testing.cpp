@@ -6,7 +6,6 @@
 #include "report/report.h"
 #include "run/run_folder.h"
 #include "system/checksum.h"
-#include "system/files.h"
 #include "testkit/analytic_scene.h"
 
 namespace semfield {
@@ -41,14 +40,7 @@ void validate(const AnalyticRoomParams&, Diagnostics&) {}
 
 class AnalyticRoom final : public Dataset {
  public:
-  AnalyticRoom(const AnalyticRoomParams& p, const DatasetBuild&)
-      : with_classes_(p.with_classes),
-        with_depth_(p.with_depth),
-        with_albedo_(p.with_albedo),
-        tracked_(p.tracked),
-        absent_class_(p.absent_class),
-        masked_(p.masked),
-        behind_(p.behind) {
+  AnalyticRoom(const AnalyticRoomParams& p, const DatasetBuild&) : room_(p) {
     testkit::AnalyticSceneOptions options{.frames = p.frames,
                                           .width_px = p.width_px,
                                           .height_px = p.height_px,
@@ -58,21 +50,21 @@ class AnalyticRoom final : public Dataset {
   }
   SceneInfo open(Diagnostics& diagnostics) override {
     SceneInfo info = inner_->open(diagnostics);
-    info.tracked = tracked_;
-    if (!with_classes_) info.classes = ClassTable();
-    if (!with_depth_) {  // as photographs: nothing states the extent
+    info.tracked = room_.tracked;
+    if (!room_.with_classes) info.classes = ClassTable();
+    if (!room_.with_depth) {  // as photographs: nothing states the extent
       info.bounds = Box();
       info.near_hint_m = info.far_hint_m = 0;
     }
     for (FrameInfo& frame : info.frames)
-      if (with_albedo_) frame.channels = {{"albedo", frame.camera.height_px / 2, frame.camera.width_px, 3}};
+      if (room_.with_albedo) frame.channels = {{"albedo", frame.camera.height_px / 2, frame.camera.width_px, 3}};
     return info;
   }
   void read(int frame, FrameBuffer& out) const override {
     const std::vector<std::string> wanted = out.wanted;
     inner_->read(frame, out);
     for (std::int16_t& label : out.label) {
-      if (label == absent_class_) label = kVoid;
+      if (label == room_.absent_class) label = kVoid;
     }
     mask(frame, out);
     for (const std::string& name : wanted) {
@@ -87,19 +79,18 @@ class AnalyticRoom final : public Dataset {
 
  private:
   void mask(int frame, FrameBuffer& out) const {
-    for (int i = 0; i < out.width_px * out.height_px && masked_ > 0; ++i) {
-      const bool used = (frame + i % out.width_px / 5 + i / out.width_px / 4) % 4 >= masked_;
+    for (int i = 0; i < out.width_px * out.height_px && room_.masked > 0; ++i) {
+      const bool used = (frame + i % out.width_px / 5 + i / out.width_px / 4) % 4 >= room_.masked;
       out.used.push_back(used ? 1 : 0);
-      if (used || behind_ < 0) continue;
+      if (used || room_.behind < 0) continue;
       const auto at = static_cast<std::size_t>(i);
-      for (std::size_t c = 0; c < 3; ++c) out.rgb[3 * at + c] = static_cast<std::uint8_t>(behind_);
-      if (!out.label.empty()) out.label[at] = static_cast<std::int16_t>(behind_ % 3);
-      if (!out.depth_m.empty()) out.depth_m[at] = 0.01F * static_cast<float>(behind_);
+      for (std::size_t c = 0; c < 3; ++c) out.rgb[3 * at + c] = static_cast<std::uint8_t>(room_.behind);
+      if (!out.label.empty()) out.label[at] = static_cast<std::int16_t>(room_.behind % 3);
+      if (!out.depth_m.empty()) out.depth_m[at] = 0.01F * static_cast<float>(room_.behind);
     }
   }
 
-  bool with_classes_, with_depth_, with_albedo_, tracked_;
-  int absent_class_, masked_, behind_;
+  AnalyticRoomParams room_;
   std::unique_ptr<Dataset> inner_;
 };
 
@@ -149,6 +140,16 @@ Registry make_registry() {
   return registry;
 }
 
+Registry& channel_plugins() {
+  static Registry all = make_channel_registry();
+  return all;
+}
+
+Registry& all_plugins() {
+  static Registry all = make_registry();
+  return all;
+}
+
 std::string hash_config(const std::string& more) {
   return "scene: {type: analytic_room}\n"
          "rendering: {density_activation: softplus, far: background}\n"
@@ -189,8 +190,7 @@ Session open_text(const std::string& yaml, Registry& registry, const std::vector
   return open_session(std::move(config), registry, options, diagnostics);
 }
 Session open_text(const std::string& yaml, const std::vector<std::string>& keep) {
-  static Registry registry = make_registry();
-  return open_text(yaml, registry, keep);
+  return open_text(yaml, all_plugins(), keep);
 }
 
 const LeftOut& left_out_row(const Session& session, const std::string& component) {
@@ -199,9 +199,12 @@ const LeftOut& left_out_row(const Session& session, const std::string& component
   throw Error(ErrorKind::failure, "test.error.made", component + " is not left out");
 }
 
+std::string replaced(std::string yaml, std::string_view from, const std::string& to) {
+  return yaml.replace(yaml.find(from), from.size(), to);  // throws where `from` is not there
+}
+
 std::string with_scene(std::string yaml, const std::string& scene) {
-  const std::string own = "{type: analytic_room}";
-  return yaml.replace(yaml.find(own), own.size(), scene);
+  return replaced(std::move(yaml), "{type: analytic_room}", scene);
 }
 
 void HookListener::progress(const TrainProgress& p) {
@@ -210,9 +213,7 @@ void HookListener::progress(const TrainProgress& p) {
 void HookListener::scoring(const ScoreProgress& p) {
   if (on_scoring) on_scoring(p);
 }
-void HookListener::note(const std::string& text) {
-  if (on_note) on_note(text);
-}
+void HookListener::note(const std::string& text) { on_note ? on_note(text) : void(notes += text + "\n"); }
 int HookListener::stop_signal() { return on_stop_signal ? on_stop_signal() : 0; }
 bool HookListener::save_request() { return on_save_request && on_save_request(); }
 double HookListener::now_s() { return on_now_s ? on_now_s() : RunListener::now_s(); }
@@ -235,8 +236,7 @@ std::string stratified_config(const std::string& scene, const std::string& pass_
 }
 
 std::uint32_t train_fingerprint(const std::string& yaml, int threads, std::int64_t steps) {
-  Registry registry = make_channel_registry();
-  TestRun run(yaml, registry);
+  TestRun run(yaml, channel_plugins());
   set_thread_count(threads);
   run.to(steps);
   set_thread_count(0);
@@ -271,8 +271,8 @@ std::string write_packed_config(const TempDir& dir, int steps, double checkpoint
   write_packed_scene(dir / "room.sfpack", info, [&](int frame, FrameBuffer& buffer) { scene->read(frame, buffer); });
   std::string yaml = hash_config("report: {eval_every_s: 0, strips: 0, log_every_steps: 5, checkpoint_every_s: " +
                                  std::to_string(checkpoint_every_s) + "}\n");
-  yaml = with_scene(yaml, "{type: packed, file: room.sfpack}");
-  yaml.replace(yaml.find("steps: 200"), 10, "steps: " + std::to_string(steps));
+  yaml =
+      replaced(with_scene(yaml, "{type: packed, file: room.sfpack}"), "steps: 200", "steps: " + std::to_string(steps));
   write_file_atomic(dir / "config.yaml", yaml);
   return dir / "config.yaml";
 }

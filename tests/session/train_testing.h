@@ -12,8 +12,12 @@ namespace semfield::testing_train {
 
 /// Linked plugins and the dataset 'analytic_room'.
 Registry make_registry();
+/// One of make_registry() for all tests that add nothing to it.
+Registry& all_plugins();
 /// The same, and the loss `albedo` against a channel that the dataset offers with `with_albedo: true`.
 Registry make_channel_registry();
+/// One of those for all tests that add nothing to it.
+Registry& channel_plugins();
 
 /// Hash grid behind an occupancy grid on the analytic room; `more` is YAML appended at the top level.
 std::string hash_config(const std::string& more = "");
@@ -23,7 +27,7 @@ std::string two_pass_config(const std::string& more = "");
 /// Reads and opens; fails the test through exceptions.
 Session open_text(const std::string& yaml, Registry& registry, const std::vector<std::string>& keep = {},
                   Ranks* ranks = nullptr);
-/// The same with one registry of make_registry() for all.
+/// The same with all_plugins().
 Session open_text(const std::string& yaml, const std::vector<std::string>& keep = {});
 /// A session with its rays and its trainer.
 struct TestRun {
@@ -43,6 +47,9 @@ struct TestRun {
 
 /// What the session's list says of the component that it leaves out; throws where it is not left out.
 const LeftOut& left_out_row(const Session& session, const std::string& component);
+
+/// `yaml` with `to` in the place of its first `from`, which must be there.
+std::string replaced(std::string yaml, std::string_view from, const std::string& to);
 
 /// `yaml`, whose scene is {type: analytic_room}, with another.
 std::string with_scene(std::string yaml, const std::string& scene);
@@ -68,6 +75,7 @@ class HookListener final : public RunListener {
   std::function<double()> on_now_s;
   std::function<double()> on_step_clock_s;
   bool reports = false;  ///< write_run_report
+  std::string notes;     ///< a line each, where on_note is null
 
   void progress(const TrainProgress& p) override;
   void scoring(const ScoreProgress& p) override;

@@ -4,10 +4,8 @@
 
 #include <thread>
 
-#include "core/error.h"
 #include "labels/clicks/click_log.h"
 #include "session/assembly.h"
-#include "system/files.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {
@@ -15,7 +13,7 @@ namespace {
 
 using namespace testing_train;
 
-RunConfig config_of(const std::string& yaml, Registry& registry) {
+RunConfig config_of(const std::string& yaml, Registry& registry = all_plugins()) {
   return run_config_of(parse_config_text(yaml, "test.yaml"), registry);
 }
 
@@ -60,10 +58,10 @@ void train_telling(const std::string& yaml, std::int64_t steps, Told& told) {
 TEST(Training, TwoInTwoThreadsGetTheBitsThatEachGetsAlone) {
   // Networks, scenes, threads, precision, limits and listeners differ: state of the process would show. The second
   // run's limits would refuse the first run's scene.
-  std::string small = two_pass_config("runtime: {threads: 3, precision: bf16}\nlimits: {frames: 5}\n");
-  small.replace(small.find("analytic_room"), 13, "analytic_room, frames: 5");
-  std::string hash = hash_config("runtime: {threads: 2}\n");
-  hash.replace(hash.find("log2_entries: 11"), 16, "log2_entries: 0");  // chosen from the scene, which is a note
+  std::string small = replaced(two_pass_config("runtime: {threads: 3, precision: bf16}\nlimits: {frames: 5}\n"),
+                               "analytic_room", "analytic_room, frames: 5");
+  std::string hash = replaced(hash_config("runtime: {threads: 2}\n"), "log2_entries: 11",
+                              "log2_entries: 0");  // chosen from the scene, which is a note
   const std::string yamls[] = {hash, small};
   const std::int64_t steps[] = {40, 12};
   Told alone[2], together[2];
@@ -98,8 +96,7 @@ TEST(Training, TellsItsListenerAndObeysACancelAfterTheStep) {
       then(step);
     }
   } listener;
-  Registry registry = make_registry();
-  Training training(config_of(hash_config(), registry), registry, {}, &listener);
+  Training training(config_of(hash_config()), all_plugins(), {}, &listener);
   listener.then = [&](std::int64_t step) {
     if (step == 4) training.cancel();
   };
@@ -113,8 +110,7 @@ TEST(Training, TellsItsListenerAndObeysACancelAfterTheStep) {
 }
 
 TEST(Training, RendersAndEvaluatesBetweenStepsWithoutAChange) {
-  Registry registry = make_registry();
-  Training training(config_of(hash_config(), registry), registry);
+  Training training(config_of(hash_config()), all_plugins());
   training.train(3);
   const FrameInfo& info = training.session().scene.info.frames.front();
   const RenderedFrame wide = training.render(info.camera.resized(20, 10), info.world_from_camera);
@@ -138,8 +134,7 @@ std::vector<std::int16_t> turned(const Training& training, int frame) {
 }
 
 std::string balanced(std::string yaml) {
-  yaml.replace(yaml.find("rays: 64}"), 9, "rays: 64, ray_source: label_balanced}");
-  return yaml;
+  return replaced(std::move(yaml), "rays: 64}", "rays: 64, ray_source: label_balanced}");
 }
 
 class SetLabels : public testing::TestWithParam<std::string> {
@@ -168,8 +163,8 @@ class SetLabels : public testing::TestWithParam<std::string> {
 std::string name_of_way(const testing::TestParamInfo<std::string>& info) {
   return std::array{"as_configured", "label_balanced"}[info.index];
 }
-INSTANTIATE_TEST_SUITE_P(RaySources, SetLabels,
-                         testing::Values(two_pass_config(), balanced(two_pass_config())), name_of_way);
+INSTANTIATE_TEST_SUITE_P(RaySources, SetLabels, testing::Values(two_pass_config(), balanced(two_pass_config())),
+                         name_of_way);
 
 TEST_P(SetLabels, TrainsOnThemAndResumesToTheSameBits) {
   const auto whole = open();
@@ -198,10 +193,8 @@ TEST_P(SetLabels, TrainsOnThemAndResumesToTheSameBits) {
 }
 
 TEST(Training, LabelsThatCannotTrainAreRefusedAndNothingChanges) {
-  Registry registry = make_registry();
-  std::string yaml = two_pass_config();
-  yaml.replace(yaml.find("analytic_room}"), 14, "analytic_room, absent_class: 3}");
-  Training training(config_of(yaml, registry), registry);
+  std::string yaml = replaced(two_pass_config(), "analytic_room}", "analytic_room, absent_class: 3}");
+  Training training(config_of(yaml), all_plugins());
   const int frame = training.session().drawn_frames().front();
   const int test_frame = training.session().scene.frames_of(Split::test).front();
   std::vector<std::int16_t> labels(48 * 36, 0);
@@ -219,16 +212,14 @@ TEST(Training, LabelsThatCannotTrainAreRefusedAndNothingChanges) {
   EXPECT_EQ(bits_of(training), bits_after(yaml, 4));
 
   // As the remedy says.
-  Training kept(config_of(yaml + "runtime: {keep: [semantics, absent_classes]}\n", registry), registry);
+  Training kept(config_of(yaml + "runtime: {keep: [semantics, absent_classes]}\n"), all_plugins());
   kept.set_labels(frame, labels);
   EXPECT_EQ(kept.train(2), 2);
 }
 
 TEST(Training, TheLastLabelCannotBeTakenFromABalancedSource) {
-  Registry registry = make_registry();
-  std::string yaml = balanced(two_pass_config());
-  yaml.replace(yaml.find("analytic_room}"), 14, "analytic_room, labels: {frames: 1}}");
-  Training training(config_of(yaml, registry), registry);
+  std::string yaml = replaced(balanced(two_pass_config()), "analytic_room}", "analytic_room, labels: {frames: 1}}");
+  Training training(config_of(yaml), all_plugins());
   int labelled = -1;
   for (const int frame : training.session().drawn_frames()) {
     if (!training.session().labels.frames[frame].empty()) labelled = frame;
@@ -245,14 +236,14 @@ TEST(Training, TheLastLabelCannotBeTakenFromABalancedSource) {
 
 // A network that loses all density within its first hundred steps is refused by the trainer.
 TEST(ShippedConfigurations, TheFrequencyTwinOfTheQuickstartTrainsPastItsFirstSteps) {
-  Registry registry = make_registry();
-  if (registry.find(PluginKind::dataset, "obj_room") == nullptr) GTEST_SKIP() << "this build casts no rays into meshes";
+  if (all_plugins().find(PluginKind::dataset, "obj_room") == nullptr)
+    GTEST_SKIP() << "this build casts no rays into meshes";
   for (const char* seed : {"runtime.seed=1", "runtime.seed=2"}) {
     RunConfig config = load_run_config(
         SEMFIELD_SOURCE_DIR "/configs/quickstart_frequency.yaml",
         {seed, "train.rays=128", "scene.frames=12", "scene.test_frames=2", "scene.width_px=48", "scene.height_px=36"},
-        registry);
-    Training training(std::move(config), registry);
+        all_plugins());
+    Training training(std::move(config), all_plugins());
     training.train(1);
     const double first = training.losses().total;
     EXPECT_EQ(training.train(129), 129) << seed;
@@ -287,11 +278,11 @@ void write_log(const std::string& path, const std::vector<LabelEvent>& events) {
 
 // The room without labels of its own, or with them and `labels` of the configuration.
 std::string yaml_of(const std::string& labels, bool own = false, const std::string& more = "") {
-  std::string yaml = two_pass_config(more);
-  yaml.replace(yaml.find("analytic_room}"), 14,
-               std::string("analytic_room") + (own ? "" : ", with_labels: false, with_classes: false") + ", labels: {" +
-                   labels + "}}");
-  yaml.replace(yaml.find("rays: 64}"), 9, "rays: 64, ray_source: label_balanced}");
+  std::string yaml =
+      replaced(replaced(two_pass_config(more), "analytic_room}",
+                        std::string("analytic_room") + (own ? "" : ", with_labels: false, with_classes: false") +
+                            ", labels: {" + labels + "}}"),
+               "rays: 64}", "rays: 64, ray_source: label_balanced}");
   return yaml;
 }
 

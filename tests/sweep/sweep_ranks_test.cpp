@@ -2,7 +2,6 @@
 #include <csignal>
 #include <iterator>
 
-#include "system/files.h"
 #include "tests/program.h"
 #include "tests/sweep/tiny_sweep.h"
 

@@ -9,13 +9,10 @@
 #include <sstream>
 
 #include "app/sweep/cell_pool.h"
-#include "core/error.h"
 #include "plugin/loader.h"
 #include "report/sweep/sweep_file.h"
 #include "report/sweep/sweep_results.h"
 #include "session/settings/run_config.h"
-#include "system/files.h"
-#include "tests/says.h"
 #include "tests/scene/tiny_scene.h"
 #include "tests/temp_dir.h"
 
@@ -383,7 +380,6 @@ TEST(SweepResults, AreWrittenReadAndTakenFromRunsAndFusions) {
       values_of_objects(R"({"objects": 7, "score": {"pq": 0.9, "mcov": 0.8}, "seconds": {"all": 3, "surface": 2}})"),
       (CellValues{{"pq", 0.9}, {"mcov", 0.8}, {"objects_s", 3}, {"surface_s", 2}}));
   EXPECT_THROW((void)values_of_objects(R"({"objects": 7, "seconds": {"all": 3}})"), Error);
-  std::filesystem::remove_all(folder);
 }
 
 }  // namespace

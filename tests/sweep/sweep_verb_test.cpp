@@ -5,8 +5,6 @@
 #include <random>
 #include <set>
 
-#include "core/text.h"
-#include "system/files.h"
 #include "tests/program.h"
 #include "tests/sweep/tiny_sweep.h"
 
@@ -18,6 +16,17 @@ using namespace testing_program;
 using testing_room::fresh_folder;
 using namespace testing_sweep;
 
+// A tiny sweep in a folder of its own, and where its cells go.
+struct TinySweep {
+  std::string folder, file, out;
+
+  TinySweep(const std::string& name, int steps, const std::string& more = "")
+      : folder(fresh_folder(name)), file(write_sweep(folder, steps, more)), out(folder + "/out") {}
+  Result run(const std::string& more = "") const {
+    return semfield_run("sweep " + shell_word(file) + more + " --out " + shell_word(out), folder);
+  }
+};
+
 std::vector<fs::path> packs_of(const std::string& out) {
   std::vector<fs::path> found;
   for (const auto& entry : fs::directory_iterator(out + "/scenes")) {
@@ -27,49 +36,34 @@ std::vector<fs::path> packs_of(const std::string& out) {
 }
 
 TEST(SweepVerb, RunsEveryCellOnceAndWritesItsTables) {
-  const std::string folder = fresh_folder("sweep");
-  const std::string file = write_sweep(folder, 6);
-  const std::string out = folder + "/out";
-  Result r = succeeded(semfield_run("sweep " + shell_word(file) + " --jobs 2 --out " + shell_word(out), folder));
-  EXPECT_EQ(r.out, "sweep: cells=3 done=3 failed=0 folder=" + out + "\n");
-  const std::string csv = read_text_file(out + "/results.csv");
+  const TinySweep at("sweep", 6);
+  Result r = succeeded(at.run(" --jobs 2"));
+  EXPECT_EQ(r.out, "sweep: cells=3 done=3 failed=0 folder=" + at.out + "\n");
+  const std::string csv = read_text_file(at.out + "/results.csv");
   EXPECT_HAS(csv, "tiny,room,clean,1,given_miou_present,1", "tiny,room,noisy,1,miou_present,",
              "tiny,room,fused,1,miou_present,");
-  EXPECT_HAS(read_text_file(out + "/tables.md"), "| fused |");
-  EXPECT_HAS(read_text_file(out + "/tables.html"), "\"experiments\"", "\"fused\"");
-  EXPECT_EQ(packs_of(out).size(), 1U);
+  EXPECT_HAS(read_text_file(at.out + "/tables.md"), "| fused |");
+  EXPECT_HAS(read_text_file(at.out + "/tables.html"), "\"experiments\"", "\"fused\"");
+  EXPECT_EQ(packs_of(at.out).size(), 1U);
 
   // Again, from another working folder: nothing runs, the same bytes.
-  r = semfield_run("sweep " + shell_word(file) + " --out " + shell_word(out), fresh_folder("elsewhere"));
+  r = semfield_run("sweep " + shell_word(at.file) + " --out " + shell_word(at.out), fresh_folder("elsewhere"));
   EXPECT_EQ(r.code, 0);
   EXPECT_HAS(r.err, "3 of them done");
-  EXPECT_EQ(read_text_file(out + "/results.csv"), csv);
-}
-
-TEST(SweepVerb, AFailingCellIsNamedAndTheOthersGoOn) {
-  const std::string folder = fresh_folder("sweep_failing");
-  // One labelled pixel source too few: label-balanced rays without any label.
-  const std::string file =
-      write_sweep(folder, 3, "  broken: {set: {scene.labels.frames: none, train.ray_source: label_balanced}}\n");
-  const Result r = semfield_run("sweep " + shell_word(file) + " --out " + shell_word(folder + "/out"), folder);
-  EXPECT_EQ(r.code, 1);
-  EXPECT_HAS(r.err, "broken, room, seed 1: exit code 65", "no training pixel carries a label");
-  EXPECT_HAS(r.out, "done=3 failed=1");
+  EXPECT_EQ(read_text_file(at.out + "/results.csv"), csv);
 }
 
 // Stopped by SIGTERM while cells train: they save, nothing is left running, and the next start resumes them.
 TEST(SweepVerb, GoesOnWhereItWasStopped) {
-  const std::string folder = fresh_folder("sweep_stopped");
-  const std::string file = write_sweep(folder, 200);
-  const std::string out = folder + "/out";
-  Process sweep(program(), {"sweep", file, "--out", out, "--jobs", "2", "-q"}, folder);
-  ASSERT_TRUE(wait_until([&] { return !begun_cells(out).empty(); })) << "no cell began to train";
+  const TinySweep at("sweep_stopped", 200);
+  Process sweep(program(), {"sweep", at.file, "--out", at.out, "--jobs", "2", "-q"}, at.folder);
+  ASSERT_TRUE(wait_until([&] { return !begun_cells(at.out).empty(); })) << "no cell began to train";
   sweep.send(SIGTERM);
   EXPECT_EQ(sweep.wait().code, 143);
-  EXPECT_FALSE(files_of_cells(out, "run/checkpoints/latest").empty());
-  const Result r = succeeded(semfield_run("sweep " + shell_word(file) + " --out " + shell_word(out), folder));
+  EXPECT_FALSE(files_of_cells(at.out, "run/checkpoints/latest").empty());
+  const Result r = succeeded(at.run());
   bool resumed = false;
-  for (const auto& [id, rows] : files_of_cells(out, "run/metrics.jsonl"))
+  for (const auto& [id, rows] : files_of_cells(at.out, "run/metrics.jsonl"))
     resumed = resumed || rows.find("\"step\":200") != std::string::npos;
   EXPECT_TRUE(resumed);
 }
@@ -77,58 +71,53 @@ TEST(SweepVerb, GoesOnWhereItWasStopped) {
 // A terminal sends Ctrl-C to every process of the group: a cell must not take it as its first signal and the sweep's as
 // the second, which ends at once.
 TEST(SweepVerb, CtrlCOfATerminalLetsCellsSave) {
-  const std::string folder = fresh_folder("sweep_ctrl_c");
-  const std::string file = write_sweep(folder, 100'000);
-  const std::string out = folder + "/out";
-  Process sweep("/usr/bin/setsid", {program(), "sweep", file, "--out", out, "--jobs", "2"}, folder);
-  ASSERT_TRUE(wait_until([&] { return begun_cells(out).size() == 2; })) << sweep.err_so_far();
-  const auto runs = files_of_cells(out, "run/.lock");
+  const TinySweep at("sweep_ctrl_c", 100'000);
+  Process sweep("/usr/bin/setsid", {program(), "sweep", at.file, "--out", at.out, "--jobs", "2"}, at.folder);
+  ASSERT_TRUE(wait_until([&] { return begun_cells(at.out).size() == 2; })) << sweep.err_so_far();
+  const auto runs = files_of_cells(at.out, "run/.lock");
   EXPECT_EQ(runs.size(), 2U);
   for (const auto& [id, lock] : runs) EXPECT_NE(getpgid(std::stoi(lock)), sweep.pid());
   ASSERT_EQ(kill(-sweep.pid(), SIGINT), 0);
   EXPECT_EQ(sweep.wait().code, 130);
-  for (const auto& [id, lock] : runs) EXPECT_TRUE(fs::exists(out + "/cells/" + id + "/run/checkpoints/latest")) << id;
+  for (const auto& [id, lock] : runs)
+    EXPECT_TRUE(fs::exists(at.out + "/cells/" + id + "/run/checkpoints/latest")) << id;
 }
 
 // A cell that outlives its sweep holds the cell's lock until it has saved; here the test does.
 TEST(SweepVerb, KilledAndStartedAgainItWaitsForItsOldCells) {
-  const std::string folder = fresh_folder("sweep_killed");
-  const std::string file = write_sweep(folder, 200);
-  const std::string out = folder + "/out";
+  const TinySweep at("sweep_killed", 200);
   int held = 0;
   std::string cell;
   {
-    Process first(program(), {"sweep", file, "--out", out, "--jobs", "1"}, folder);
-    ASSERT_TRUE(wait_until([&] { return !begun_cells(out).empty(); })) << first.err_so_far();
-    cell = begun_cells(out).front();
-    held = std::stoi(read_text_file(out + "/cells/" + cell + "/run/.lock"));
+    Process first(program(), {"sweep", at.file, "--out", at.out, "--jobs", "1"}, at.folder);
+    ASSERT_TRUE(wait_until([&] { return !begun_cells(at.out).empty(); })) << first.err_so_far();
+    cell = begun_cells(at.out).front();
+    held = std::stoi(read_text_file(at.out + "/cells/" + cell + "/run/.lock"));
     ASSERT_EQ(kill(held, SIGSTOP), 0);
   }  // killed
   kill(held, SIGCONT);
   FolderLock old;
-  ASSERT_TRUE(wait_until([&] { return old.take(out + "/cells/" + cell) == 0; })) << "its cell does not end";
-  EXPECT_TRUE(fs::exists(out + "/cells/" + cell + "/run/checkpoints/latest"));
+  ASSERT_TRUE(wait_until([&] { return old.take(at.out + "/cells/" + cell) == 0; })) << "its cell does not end";
+  EXPECT_TRUE(fs::exists(at.out + "/cells/" + cell + "/run/checkpoints/latest"));
   const std::string other = fresh_folder("other");
-  Process second(program(), {"sweep", file, "--out", out, "--jobs", "1"}, other);
+  Process second(program(), {"sweep", at.file, "--out", at.out, "--jobs", "1"}, other);
   const std::string waits = "/cells/" + cell + ": process " + std::to_string(getpid()) + " on ";
   EXPECT_TRUE(wait_until([&] { return second.err_so_far().find(waits) != std::string::npos; })) << second.err_so_far();
-  EXPECT_TRUE(fs::exists(out + "/cells/" + cell + "/run/metrics.jsonl"));
+  EXPECT_TRUE(fs::exists(at.out + "/cells/" + cell + "/run/metrics.jsonl"));
   old = {};
   const Result r = succeeded(second.wait());
   EXPECT_HAS(r.out, "cells=3 done=3 failed=0") << r.out << r.err;
   // What it had learned is not lost: the run was gone on with.
-  const std::string words = read_text_file(out + "/cells/" + cell + "/result.json");
+  const std::string words = read_text_file(at.out + "/cells/" + cell + "/result.json");
   EXPECT_LACKS(words, "processor_s");
 }
 
 TEST(SweepVerb, ADamagedPackIsMadeAgain) {
-  const std::string folder = fresh_folder("sweep_pack");
-  const std::string file = write_sweep(folder, 3);
-  const std::string out = folder + "/out";
-  ASSERT_EQ(semfield_run("sweep " + shell_word(file) + " --out " + shell_word(out), folder).code, 0);
-  for (const fs::path& pack : packs_of(out)) fs::resize_file(pack, fs::file_size(pack) / 2);
-  fs::remove_all(out + "/cells");
-  const Result r = succeeded(semfield_run("sweep " + shell_word(file) + " --out " + shell_word(out), folder));
+  const TinySweep at("sweep_pack", 3);
+  ASSERT_EQ(at.run().code, 0);
+  for (const fs::path& pack : packs_of(at.out)) fs::resize_file(pack, fs::file_size(pack) / 2);
+  fs::remove_all(at.out + "/cells");
+  const Result r = succeeded(at.run());
   EXPECT_HAS(r.err, "packing the scene 'room'");
 }
 
@@ -136,10 +125,6 @@ TEST(SweepVerb, ADamagedPackIsMadeAgain) {
 // or changed.
 
 constexpr std::size_t kCells = 6;
-
-std::string write_six_cells(const std::string& folder) {
-  return testing_sweep::write_sweep(folder, 60, "seeds: [1, 2]\n");
-}
 
 // What is measured of a process differs from run to run; everything else has the same bits.
 std::string without_times(const std::string& result) {
@@ -160,12 +145,10 @@ TEST(SweepTorture, KillsOfTwoProcessesSideBySideLoseNoResult) {
   const char* const asked = std::getenv("SEMFIELD_SWEEP_KILLS");
   const int kills = asked != nullptr ? std::atoi(asked) : 6;
   const std::string folder = fresh_folder("torture");
-  const std::string file = write_six_cells(folder);
+  const std::string file = write_sweep(folder, 60, "seeds: [1, 2]\n");
   const std::string whole = folder + "/whole";
   const auto begin = std::chrono::steady_clock::now();
-  ASSERT_EQ(
-      testing_program::semfield_run("sweep " + shell_word(file) + " --jobs 2 --out " + shell_word(whole), folder).code,
-      0);
+  ASSERT_EQ(semfield_run("sweep " + shell_word(file) + " --jobs 2 --out " + shell_word(whole), folder).code, 0);
   const double whole_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
   const std::map<std::string, std::string> expected = files_of_cells(whole, "result.json");
   ASSERT_EQ(expected.size(), kCells);
@@ -181,9 +164,9 @@ TEST(SweepTorture, KillsOfTwoProcessesSideBySideLoseNoResult) {
     while (killed < kills && done.size() < kCells) {
       const std::string of_a = fresh_folder("a"), of_b = fresh_folder("b");
       const std::vector<std::string> words{"sweep", file, "--out", out, "--jobs", "2"};
-      Process a(testing_program::program(), words, of_a);
+      Process a(program(), words, of_a);
       std::this_thread::sleep_for(moment() / 10);
-      Process b(testing_program::program(), words, of_b);
+      Process b(program(), words, of_b);
       for (Process* process : random() % 2 == 0 ? std::array{&a, &b} : std::array{&b, &a}) {
         std::this_thread::sleep_for(moment());
         const int signal = random() % 3 == 0 ? SIGTERM : SIGKILL;
@@ -199,8 +182,8 @@ TEST(SweepTorture, KillsOfTwoProcessesSideBySideLoseNoResult) {
       }
       done = now;
     }
-    const Result last = succeeded(
-        testing_program::semfield_run("sweep " + shell_word(file) + " --jobs 2 --out " + shell_word(out), folder));
+    const Result last =
+        succeeded(semfield_run("sweep " + shell_word(file) + " --jobs 2 --out " + shell_word(out), folder));
     const std::map<std::string, std::string> ended = files_of_cells(out, "result.json");
     for (const auto& [id, result] : done) EXPECT_EQ(ended.at(id), result);
     ASSERT_EQ(ended.size(), kCells);
@@ -216,8 +199,6 @@ TEST(SweepTorture, KillsOfTwoProcessesSideBySideLoseNoResult) {
 
 // Several processes of one sweep, started by hand on one folder: they share the cells, and what they leave is what one
 // process leaves.
-
-namespace fs = std::filesystem;
 
 std::size_t count_of(const std::string& text, const std::string& word) {
   std::size_t count = 0;
@@ -258,42 +239,40 @@ TEST(SweepShared, TwoProcessesRunEveryCellOnceAndLeaveTheFilesOfOne) {
 }
 
 TEST(SweepShared, AFailedCellIsTriedByOneAndByTheNextSweepAgain) {
-  const std::string folder = fresh_folder("shared_failing");
-  const std::string file =
-      write_sweep(folder, 60, "  broken: {set: {scene.labels.frames: none, train.ray_source: label_balanced}}\n");
-  const std::string out = folder + "/out";
-  const std::vector<std::string> words{"sweep", file, "--jobs", "1", "--out", out};
+  const TinySweep at("shared_failing", 60,
+                     "  broken: {set: {scene.labels.frames: none, train.ray_source: label_balanced}}\n");
+  const std::vector<std::string> words{"sweep", at.file, "--jobs", "1", "--out", at.out};
   Process a(program(), words, fresh_folder("a")), b(program(), words, fresh_folder("b"));
   const Result of_a = a.wait(), of_b = b.wait();
   EXPECT_EQ(of_a.code, 1) << of_a.err;
   EXPECT_EQ(of_b.code, 1) << of_b.err;
-  EXPECT_EQ(of_a.out, "sweep: cells=4 done=3 failed=1 folder=" + out + "\n");
+  EXPECT_EQ(of_a.out, "sweep: cells=4 done=3 failed=1 folder=" + at.out + "\n");
   EXPECT_EQ(of_b.out, of_a.out);
   const std::string broken = "broken, room, seed 1: exit code 65";
   EXPECT_EQ(count_of(of_a.err, broken) + count_of(of_b.err, broken), 1U) << of_a.err << of_b.err;
-  const auto failures = files_of_cells(out, "failure.txt");
+  const auto failures = files_of_cells(at.out, "failure.txt");
   ASSERT_EQ(failures.size(), 1U);
   EXPECT_HAS(failures.begin()->second, "no training pixel carries a label");
 
-  const Result next = semfield_run("sweep " + shell_word(file) + " --out " + shell_word(out), folder);
+  const Result next = at.run();
   EXPECT_EQ(next.code, 1);
   EXPECT_EQ(count_of(next.err, broken), 1U) << next.err;
+  EXPECT_HAS(next.err, "no training pixel carries a label");
   EXPECT_EQ(next.out, of_a.out);
 }
 
 // The cell is held in the middle of its work while its sweep dies, so that the other process finds it unfinished.
 TEST(SweepShared, TheCellOfAKilledProcessIsTakenUp) {
-  const std::string folder = fresh_folder("shared_killed");
-  const std::string file = write_sweep(folder, 200);
-  const std::string out = folder + "/out", one = folder + "/one";
-  const std::vector<std::string> words{"sweep", file, "--jobs", "1", "--out", out};
+  const TinySweep at("shared_killed", 200);
+  const std::string one = at.folder + "/one";
+  const std::vector<std::string> words{"sweep", at.file, "--jobs", "1", "--out", at.out};
   std::string cell;
   int held = 0;
   std::optional<Process> first, second;
   first.emplace(program(), words, fresh_folder("a"));
-  ASSERT_TRUE(wait_until([&] { return !begun_cells(out).empty(); })) << first->err_so_far();
-  cell = begun_cells(out).front();
-  held = std::stoi(read_text_file(out + "/cells/" + cell + "/run/.lock"));
+  ASSERT_TRUE(wait_until([&] { return !begun_cells(at.out).empty(); })) << first->err_so_far();
+  cell = begun_cells(at.out).front();
+  held = std::stoi(read_text_file(at.out + "/cells/" + cell + "/run/.lock"));
   ASSERT_EQ(kill(held, SIGSTOP), 0);
   second.emplace(program(), words, fresh_folder("b"));
   const std::string shares = "process " + std::to_string(first->pid()) + " on ";
@@ -302,35 +281,33 @@ TEST(SweepShared, TheCellOfAKilledProcessIsTakenUp) {
   first.reset();  // killed
   kill(held, SIGCONT);
   const Result r = succeeded(second->wait());
-  EXPECT_EQ(r.out, "sweep: cells=3 done=3 failed=0 folder=" + out + "\n");
+  EXPECT_EQ(r.out, "sweep: cells=3 done=3 failed=0 folder=" + at.out + "\n");
   // It was gone on with, so nobody knows what it took in all.
-  const std::string result = read_text_file(out + "/cells/" + cell + "/result.json");
+  const std::string result = read_text_file(at.out + "/cells/" + cell + "/result.json");
   EXPECT_LACKS(result, "processor_s");
-  ASSERT_EQ(semfield_run("sweep " + shell_word(file) + " --out " + shell_word(one), folder).code, 0);
-  EXPECT_EQ(results_without_times(out), results_without_times(one));
+  ASSERT_EQ(semfield_run("sweep " + shell_word(at.file) + " --out " + shell_word(one), at.folder).code, 0);
+  EXPECT_EQ(results_without_times(at.out), results_without_times(one));
 }
 
 TEST(SweepShared, AnotherSweepOnTheFolderIsRefusedByName) {
-  const std::string folder = fresh_folder("shared_other");
-  const std::string file = write_sweep(folder, 100'000);
-  const std::string out = folder + "/out";
-  Process first(program(), {"sweep", file, "--out", out, "--jobs", "2"}, folder);
-  ASSERT_TRUE(wait_until([&] { return !begun_cells(out).empty(); })) << first.err_so_far();
-  const auto before = files_of_cells(out, "run/.lock");
+  const TinySweep at("shared_other", 100'000);
+  Process first(program(), {"sweep", at.file, "--out", at.out, "--jobs", "2"}, at.folder);
+  ASSERT_TRUE(wait_until([&] { return !begun_cells(at.out).empty(); })) << first.err_so_far();
+  const auto before = files_of_cells(at.out, "run/.lock");
   const std::string other = fresh_folder("other");
   const std::string other_file = write_sweep(other, 99'999);
-  Process again(program(), {"sweep", other_file, "--out", out}, other);
+  Process again(program(), {"sweep", other_file, "--out", at.out}, other);
   const std::optional<Result> second = again.wait_for(120);
   ASSERT_TRUE(second.has_value()) << "it works beside the first";
   EXPECT_EQ(second->code, 73) << second->err;
   char host[256] = {};
   gethostname(host, sizeof host - 1);
-  const std::string refused = "the sweep folder '" + out + "' is in use by process " + std::to_string(first.pid()) +
+  const std::string refused = "the sweep folder '" + at.out + "' is in use by process " + std::to_string(first.pid()) +
                               " on " + host + ", another sweep with other cells; wait for it to end, stop it";
   EXPECT_HAS(second->err, refused);
   // Looking is allowed.
   const Result looked =
-      succeeded(semfield_run("sweep " + shell_word(file) + " --dry-run --out " + shell_word(out), other));
+      succeeded(semfield_run("sweep " + shell_word(at.file) + " --dry-run --out " + shell_word(at.out), other));
   for (const auto& [id, lock] : before) EXPECT_EQ(kill(std::stoi(lock), 0), 0) << "cell " << id << " was ended";
   EXPECT_FALSE(first.wait_for(0).has_value());
   first.send(SIGTERM);
@@ -338,11 +315,9 @@ TEST(SweepShared, AnotherSweepOnTheFolderIsRefusedByName) {
 }
 
 TEST(SweepShared, DevicesThatAreNotThereAreRefused) {
-  const std::string folder = fresh_folder("shared_devices");
-  const std::string file = write_sweep(folder, 3);
+  const TinySweep at("shared_devices", 3);
   const auto refusal = [&](const std::string& words, int code) {
-    const Result r =
-        semfield_run("sweep " + shell_word(file) + " --out " + shell_word(folder + "/out") + " " + words, folder);
+    const Result r = at.run(" " + words);
     EXPECT_EQ(r.code, code) << r.err;
     return r.err;
   };
@@ -351,7 +326,7 @@ TEST(SweepShared, DevicesThatAreNotThereAreRefused) {
   EXPECT_HAS(refusal("--devices 1,0", 69), "--devices: no cuda:1: ");
   EXPECT_HAS(refusal("--devices 0,all", 2), "--devices: 'all' is not a CUDA device");
   EXPECT_HAS(refusal("--devices 0 --jobs 2", 2), "--jobs");
-  EXPECT_FALSE(fs::exists(folder + "/out"));
+  EXPECT_FALSE(fs::exists(at.out));
 }
 
 }  // namespace

@@ -6,7 +6,6 @@
 #include <sstream>
 #include <thread>
 
-#include "system/files.h"
 #include "tests/scene/tiny_scene.h"
 
 namespace semfield::testing_sweep {
