@@ -16,7 +16,10 @@
 #include "compute/parallel.h"
 #include "core/rng.h"
 #include "core/text.h"
+#include "datasets/obj_room/mesh_io.h"
+#include "datasets/obj_room/mesh_render.h"
 #include "encoder_box.h"
+#include "eval/metrics.h"
 #include "execution/device_library.h"
 #include "isa_list.h"
 #include "model/compositor.h"
@@ -28,6 +31,7 @@
 #include "scene/scene.h"
 #include "session/ray_source.h"
 #include "session/trainer.h"
+#include "surface/mesh/marching_cubes.h"
 #include "system/checksum.h"
 #include "system/files.h"
 #include "testkit/field_bench.h"
@@ -805,7 +809,41 @@ void finite_checks(CaseRun& run) {
     run.expect(banned_flag(commands).empty(), "a flag of the fast-math family: " + banned_flag(commands));
     run.expect(!banned_flag("c++ -O3 -ffast-math -c a.cpp").empty(), "the search finds such a flag");
   }
-  // Guards of poses, cameras, metrics, checkpoints and meshes: F08, F09, F12, G11 and H02.
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  const auto bad = static_cast<float>(nan);
+  Diagnostics quiet;
+  Pose pose;
+  pose.r[1][2] = nan;
+  run.expect(check_pose(pose, "x", quiet) == PoseState::not_finite, "poses");
+  Camera camera{4, 4, 4, 4, 2, 2};
+  run.expect(check_camera(camera, "x", quiet), "a sound camera passes");
+  camera.k2 = nan;
+  run.expect(!check_camera(camera, "x", quiet), "cameras");
+  ColorError color;
+  color.add(std::vector<float>{1}, std::vector<float>{bad});
+  DepthError depth;
+  depth.add(std::vector<float>{1}, std::vector<float>{bad});
+  Calibration calibration;
+  calibration.add(std::vector<float>{bad, 0.5F}, 2, std::vector<std::int16_t>{0});
+  run.expect(color.nonfinite() == 1 && depth.nonfinite() == 1 && calibration.nonfinite() == 1, "metrics");
+  SoftMap soft(2, 2);
+  run.expect_error(ErrorKind::data, {}, [&] { soft.set_row(1, std::vector<float>{0.5F, bad}); });
+  const std::vector<float> weights{1, bad};
+  run.expect_error(ErrorKind::data, {"holds NaN"},
+                   [&] { (void)TensorFile::decode(encode_safetensors({tensor_ref("w", {2}, weights)}, {}), "f", {}); });
+  run.expect_error(ErrorKind::data, {"not a number"}, [&] {
+    (void)marching_cubes({{0, 0, 0}, 1, 2, 2, 2}, 0.5,
+                         [&](std::int64_t, std::span<double> values) { std::fill(values.begin(), values.end(), nan); });
+  });
+  if (raycast_available()) {
+    const std::string path = run.folder() + "/nan.obj";
+    testing_room::plain_write(path, "v 0 0 0\nv 1 nan 0\nv 0 1 0\nf 1 2 3\n");
+    run.expect_error(ErrorKind::data, {"not a finite number"}, [&] { (void)load_obj(path, quiet); });
+  }
+  Registry registry = with_room(run.registry());
+  run.expect_error(ErrorKind::config, {".nan"}, [&] {
+    (void)open_room(std::string("scene: {type: box_room}\n") + kHashPass + "report: {eval_every_s: .nan}\n", registry);
+  });
   trainer_guards(run);
 }
 

@@ -304,8 +304,11 @@ void quaternion_scales(CaseRun& run) {
     if (i > 0) fs::copy_file(root + "/images/a.png", root + "/images/" + name);
   }
   testing_room::plain_write(root + "/sparse/images.txt", images);
+  const auto open = [&](Diagnostics& diagnostics) {
+    return dataset_of(run, "colmap", {{"root", root}, {"test_every", "0"}})->open(diagnostics);
+  };
   Diagnostics diagnostics;
-  const SceneInfo info = dataset_of(run, "colmap", {{"root", root}, {"test_every", "0"}})->open(diagnostics);
+  const SceneInfo info = open(diagnostics);
   const Matrix truth = of_quaternion(kBase[0], kBase[1], kBase[2], kBase[3]);
   run.expect(info.frames.size() == factors.size() - 1, "every quaternion but 0 gives a frame");
   for (const FrameInfo& frame : info.frames) {
@@ -320,6 +323,10 @@ void quaternion_scales(CaseRun& run) {
   run.expect(!diagnostics.has_errors(), "no error for the others");
   run.expect(told(diagnostics, Severity::warning, "1 of 8 frames skipped: their poses are not finite (h)"),
              "the zero quaternion's frame is skipped and named");
+  testing_room::plain_write(root + "/sparse/images.txt", "1 0 0 0 0 0 0 0 1 a.png\n\n");
+  Diagnostics alone;
+  open(alone);
+  run.expect(told(alone, Severity::error, "all 1 poses are not finite"), "a model of nothing else is an error");
 }
 
 void rotation_check(CaseRun& run) {
@@ -360,10 +367,10 @@ void rotation_check(CaseRun& run) {
   check(changed(0.9e-5, 1, 1), PoseState::good, 0, 0, "below the warning");
   Pose zeros{.r = {}};
   check(zeros, PoseState::refused, 1, 0, "1 off orthonormal");
-  // A file of poses to render along holds to the same bound; tests/bad_files has those that are far off.
+  // A file of poses to render along holds to the same bound.
   const std::string path = run.folder() + "/path.txt";
   const auto written = [&](const Pose& pose) { testing_room::plain_write(path, testing_room::pose_line(pose)); };
-  for (const Pose& bad : {changed(2e-3, 1, 1), zeros}) {
+  for (const Pose& bad : {changed(0, 2, 1), changed(0, 1, -1), changed(2e-3, 1, 1), zeros}) {
     written(bad);
     run.expect_error(ErrorKind::data, {"path.txt:1", "not a rotation"},
                      [&] { (void)read_camera_file(path, CameraAxes::right_down_forward); });
@@ -403,17 +410,21 @@ void bad_pose(CaseRun& run) {
   run.row("float64");
   const std::string root = run.folder();
   testing_room::write_replica(root, 4, 8, 6);
+  const auto load = [&](Diagnostics& diagnostics) {
+    const auto data = dataset_of(run, "replica", {{"root", root}, {"train_step", "1"}, {"test_step", "0"}});
+    return load_scene(*data, {}, diagnostics);
+  };
+  std::string lines;
   const auto bad = [](const char* word) {
     std::string line;
     for (int i = 0; i < 16; ++i) line += std::string(i < 12 ? word : i == 15 ? "1" : "0") + (i == 15 ? "\n" : " ");
     return line;
   };
-  testing_room::plain_write(root + "/traj_w_c.txt", testing_room::pose_line(testing_room::room_pose(0)) + bad("-inf") +
-                                                        testing_room::pose_line(testing_room::room_pose(2)) +
-                                                        bad("nan"));
+  lines = testing_room::pose_line(testing_room::room_pose(0)) + bad("-inf") +
+          testing_room::pose_line(testing_room::room_pose(2)) + bad("nan");
+  testing_room::plain_write(root + "/traj_w_c.txt", lines);
   Diagnostics diagnostics;
-  const auto data = dataset_of(run, "replica", {{"root", root}, {"train_step", "1"}, {"test_step", "0"}});
-  const LoadedScene scene = load_scene(*data, {}, diagnostics);
+  const LoadedScene scene = load(diagnostics);
   run.expect(!diagnostics.has_errors(), "the scene is loaded without them");
   run.expect(told(diagnostics, Severity::warning, "2 of 4 frames skipped: their poses are not finite (1, 3)"),
              "both are named");
@@ -425,6 +436,10 @@ void bad_pose(CaseRun& run) {
   }
   run.expect(std::isfinite(scene.far_m) && std::isfinite(scene.bounds.lo.x) && std::isfinite(scene.bounds.hi.z),
              "bounds and distances are finite");
+  testing_room::plain_write(root + "/traj_w_c.txt", bad("-inf") + bad("nan") + bad("inf") + bad("nan"));
+  Diagnostics none;
+  (void)load(none);
+  run.expect(told(none, Severity::error, "all 4 poses are not finite"), "a scene of bad poses alone is an error");
   for (const double value : {std::nan(""), std::numeric_limits<double>::infinity()}) {
     Pose pose;
     pose.t.y = value;
@@ -580,18 +595,26 @@ void bad_meshes(CaseRun& run) {
   run.row("-");
   if (!raycast_available()) return run.absent("this build reads no meshes");
   run.note("OBJ is what is read; a PLY is written, never read");
-  // The rest: tests/bad_files/meshes.cases.
   const std::string path = run.folder() + "/bad.obj";
   const std::string three = kThree;
   const struct {
     std::string text;
     std::vector<std::string> words;
   } kBad[] = {
+      {three + "o chair\nf 1 2 4\n", {":5: ", "object 'chair'", "vertex 4 of 3"}},
+      {three + "f 1 2 -4\n", {":4: ", "vertex -4 of 3"}},
+      {three + "f 0 1 2\n", {":4: ", "indices start at 1"}},
       {three + "f 1 2 2147483647\n", {":4: ", "vertex 2147483647 of 3"}},
       {three + "f 1 2 -2147483648\n", {":4: ", "vertex -2147483648 of 3"}},
       {three + "f 1 2 4294967297\n", {":4: ", "is not an index"}},
+      {three + "vt 0 0\nf 1/1 2/2 3/1\n", {":5: ", "texture coordinate 2 of 1"}},
       {three + "vn 0 0 1\nf 1//1 2//1 3//-2\n", {":5: ", "normal -2 of 1"}},
+      {"v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", {":2: ", "'nan' is not a finite number"}},
+      {"v 0 -inf 0\n", {":1: ", "'-inf' is not a finite number"}},
       {"v 1e39 0 0\n", {":1: ", "'1e39' is not a finite number"}},
+      {three + "f 1 2\n", {":4: ", "face has 2 corners"}},
+      {three, {"holds no triangle"}},
+      {"", {"holds no triangle"}},
       {"ply\nformat ascii 1.0\nelement vertex 4294967295\nproperty list int int x\nend_header\n",
        {"holds no triangle"}},
   };

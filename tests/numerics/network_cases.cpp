@@ -1140,7 +1140,7 @@ void counters(CaseRun& run) {
   run.measure(relative_error(state.value[0], -5e-4L * m / (std::sqrt(v) + 1e-8L)), 1e-6, "step after 2^31 steps");
 }
 
-// Cases E05 and E08: what a training step does with gradients that are no numbers, huge, or zero.
+// Cases E05, E06 and E08: what a training step does with gradients that are no numbers, huge, or zero.
 
 namespace {
 
@@ -1193,11 +1193,18 @@ void bad_gradient(CaseRun& run) {
                      std::nanf(""));
 }
 
+void loss_scale(CaseRun& run) {
+  run.row("fp16");
+  run.absent("no fp16 training, so no loss scale; bf16 products keep fp32's range");
+}
+
 void extreme_norms(CaseRun& run) {
   run.row("fp32");
   // Finite gradients whose square is not: Adam's second moment would become infinite and stay so, the parameter would
   // never move again, and a checkpoint of it could not be read back.
   refused_everywhere(run, small_config("semantics: {hidden_width: 16, weight: 0.3}\n"), 3e30f);
+  run.row("-");
+  run.absent("gradients are not clipped by norm; zero gradients are E04, infinite ones E05");
 }
 
 }  // namespace semfield::numerics

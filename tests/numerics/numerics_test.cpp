@@ -2,17 +2,26 @@
 #include <cctype>
 
 #include "named_case.h"
-#include "tests/linked_registry.h"
+#include "plugin/loader.h"
 #include "tests/says.h"
 
 namespace semfield::numerics {
 namespace {
 
+const Registry& linked() {
+  static const Registry* registry = [] {
+    auto* made = new Registry;
+    register_linked_plugins(*made);
+    return made;
+  }();
+  return *registry;
+}
+
 class Numerics : public testing::TestWithParam<Case> {};
 
 TEST_P(Numerics, Case) {
   bool any_failed = false;
-  for (const app::NumericsRow& row : run_case(GetParam(), testkit::linked_registry())) {
+  for (const app::NumericsRow& row : run_case(GetParam(), linked())) {
     const bool failed = row.status == app::NumericsStatus::failed;
     any_failed = any_failed || failed;
     if (failed && row.known_failure.empty()) {
@@ -42,15 +51,15 @@ TEST(NumericsSuite, IdsAreUniqueAndInOrder) {
 
 TEST(NumericsSuite, ARowWithoutChecksFails) {
   const Case empty{"Z01", "empty", "nothing", "none", [](CaseRun& run) { run.row("fp32"); }};
-  EXPECT_EQ(run_case(empty, testkit::linked_registry()).at(0).status, app::NumericsStatus::failed);
+  EXPECT_EQ(run_case(empty, linked()).at(0).status, app::NumericsStatus::failed);
 }
 
 TEST(NumericsSuite, NanErrorsAndThrownErrorsFail) {
   const Case nan{"Z02", "nan", "", "", [](CaseRun& run) { run.measure(std::nan(""), 1.0); }};
-  EXPECT_EQ(run_case(nan, testkit::linked_registry()).at(0).status, app::NumericsStatus::failed);
+  EXPECT_EQ(run_case(nan, linked()).at(0).status, app::NumericsStatus::failed);
   const Case thrown{"Z03", "thrown", "", "",
                     [](CaseRun&) { throw Error(ErrorKind::data, "test.error.made", "broken"); }};
-  const auto rows = run_case(thrown, testkit::linked_registry());
+  const auto rows = run_case(thrown, linked());
   EXPECT_EQ(rows.at(0).status, app::NumericsStatus::failed);
   EXPECT_HAS(rows.at(0).note, "broken");
 }
