@@ -207,7 +207,8 @@ TEST_P(ObjRoomOthers, OpensWithItsClassesAndPoses) {
   expect_conventions_told(room, "poses agree with depth");
 }
 INSTANTIATE_TEST_SUITE_P(Rooms, ObjRoomOthers,
-                         testing::Values(std::pair("obj_living_room", 16), std::pair("obj_classroom", 19)));
+                         testing::Values(std::pair("obj_living_room", 16), std::pair("obj_classroom", 19)),
+                         [](const auto& room) { return std::string(room.param.first); });
 
 TEST(ObjRoomShipped, PoseConventionsAreTold) {
   ObjRoomParams p = small(kShipped, 64, 48);
