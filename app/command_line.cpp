@@ -4,6 +4,7 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <charconv>
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
@@ -39,6 +40,21 @@ CLI::Validator number_that(const std::string& what, const std::function<bool(dou
             return parse_number(text, value) && good(value) ? std::string() : "'" + text + "' is not " + what;
           },
           what};
+}
+
+// A transform, not a check: CLI11 would read 010 as an octal number.
+CLI::Validator whole_number_in(const std::string& range, double low, double high) {
+  return {[range, low, high](std::string& text) {
+            long long value = 0;
+            const char* end = text.data() + text.size();
+            const std::from_chars_result read = std::from_chars(text.data(), end, value);
+            const auto real = static_cast<double>(value);
+            if (read.ec != std::errc{} || read.ptr != end || real < low || real > high)
+              return "'" + text + "' is not " + range;
+            text = std::to_string(value);
+            return std::string();
+          },
+          range};
 }
 
 CLI::Validator one_of(const std::vector<std::string>& choices) {
@@ -122,10 +138,12 @@ void VerbWords::value_in(const std::string& name, T& into, double low, double hi
   constexpr bool kReal = std::is_floating_point_v<Number>;
   const std::string range = kReal ? fmt::format("{} to {}", low, high)
                                   : fmt::format("{} to {}", static_cast<long long>(low), static_cast<long long>(high));
-  // NaN is in no range.
-  option(name, kReal ? "X" : "N", into, help).check(number_that(range, [low, high](double value) {
-    return value >= low && value <= high;
-  }));
+  CLI::Option& word = option(name, kReal ? "X" : "N", into, help);
+  if constexpr (kReal) {  // NaN is in no range
+    word.check(number_that(range, [low, high](double value) { return value >= low && value <= high; }));
+  } else {
+    word.transform(whole_number_in(range, low, high));
+  }
 }
 template void VerbWords::value_in(const std::string&, int&, double, double, const std::string&);
 template void VerbWords::value_in(const std::string&, long long&, double, double, const std::string&);
@@ -158,12 +176,27 @@ void VerbWords::repeated(const std::string& name, std::vector<std::string>& into
 
 void VerbWords::list(const std::string& name, std::vector<std::string>& into, const std::string& help,
                      const std::vector<std::string>& choices) {
-  CLI::Option& word = option(name, "LIST", into, help);
-  word.delimiter(',');
+  const std::size_t blank = name.find(' ');
+  const std::string flag = name.substr(0, blank);
+  // CLI11's own delimiter drops what is empty between two commas.
+  const std::function<void(const std::vector<std::string>&)> take = [&into, flag, choices](const auto& given) {
+    for (const std::string& value : given) {
+      for (std::size_t at = 0; at <= value.size();) {
+        const std::size_t comma = std::min(value.find(',', at), value.size());
+        std::string item = value.substr(at, comma - at);
+        std::string wrong = item.empty() ? "an item between the commas is empty" : "";
+        if (wrong.empty() && !choices.empty()) wrong = one_of(choices)(item);
+        if (!wrong.empty()) throw CLI::ValidationError(flag, wrong);
+        into.push_back(std::move(item));
+        at = comma + 1;
+      }
+    }
+  };
+  CLI::Option& word = *verb_.add_option_function<std::vector<std::string>>(flag, take, help);
   take_one_each(word);
-  if (choices.empty()) return;
-  word.check(one_of(choices));
-  offered_[&word] = choices;
+  word.type_name((blank == std::string::npos ? "LIST" : name.substr(blank + 1)) +
+                 (choices.empty() ? "" : ":{" + join(choices, ",") + "}"));
+  if (!choices.empty()) offered_[&word] = choices;
 }
 
 void VerbWords::setting(std::vector<std::string>& set, const std::string& name, const std::string& key,
@@ -311,7 +344,10 @@ struct Program {
     CLI::App& parent = below ? *app.get_subcommand(verb.name.substr(0, blank)) : app;
     CLI::App* made = parent.add_subcommand(below ? verb.name.substr(blank + 1) : verb.name, verb.sentence);
     made->group("Verbs");
-    if (!verb.declare) return;
+    if (!verb.declare) {
+      made->footer("");
+      return;
+    }
     made->footer(std::string("Also -q, --plugin") + (verb.json ? ", --json" : "") + ": see `" + program_name() +
                  " help`.");
     VerbWords words(*made, offered);
@@ -354,7 +390,9 @@ Error unknown_verb(const CLI::App& at, const std::string& word) {
       {"quadrature", "quadrature"}, {"pairs", "leave_out"}, {"scale", "scale"}, {"label", "labelling"}};
   if (const auto study = studies.find(word); group == "bench" && study != studies.end())
     return {ErrorKind::usage, "usage.verb.unknown", text, "run studies/" + study->second + ".py of the source tree"};
-  std::vector<const CLI::App*> places = group.empty() ? below(at) : std::vector<const CLI::App*>();
+  const CLI::App* program = &at;
+  while (program->get_parent() != nullptr) program = program->get_parent();
+  std::vector<const CLI::App*> places = below(*program);
   places.insert(places.begin(), &at);
   for (const CLI::App* place : places) {
     std::vector<std::string> names;
@@ -381,12 +419,20 @@ Error unknown_flag(const Program& program, const CLI::App& at, const std::string
   }
   if (!owners.empty()) {
     std::sort(owners.begin(), owners.end());
-    return {ErrorKind::usage, "usage.flag.unknown", text, "it belongs to " + join(owners)};
+    if (owners.size() > 4) {
+      owners.resize(4);
+      owners.back() += " and others";
+    }
+    return {ErrorKind::usage, "usage.flag.unknown", text,
+            "it belongs to " + join(owners) + (early ? ", and comes after the verb" : "")};
   }
   for (const CLI::App* app : {&at, &program.app}) {
     for (const CLI::Option* option : flags_of(*app)) names.push_back(option->get_lnames().front());
   }
-  const std::string near = did_you_mean(flag.substr(std::min(flag.find_first_not_of('-'), flag.size())), names);
+  const std::string bare = flag.substr(std::min(flag.find_first_not_of('-'), flag.size()));
+  const auto longer = std::find_if(names.begin(), names.end(),
+                                   [&](const std::string& name) { return bare.size() >= 3 && name.starts_with(bare); });
+  const std::string near = longer != names.end() ? *longer : did_you_mean(bare, names);
   return {ErrorKind::usage, "usage.flag.unknown", text,
           near.empty() ? "see " + command("help" + (verb.empty() ? "" : " " + verb)) : "did you mean --" + near + "?"};
 }
@@ -424,14 +470,20 @@ int print_version(const Program& program, AppContext& context) {
   return 0;
 }
 
-// A path where a verb is expected: a scene or a configuration alone asks what it is.
-void name_inspect(const Program& program, std::vector<std::string>& words) {
+// A path where a verb is expected: a scene or a configuration alone asks what it is. Another word there is refused
+// before CLI11 takes a later one for the verb.
+void settle_verb(const Program& program, std::vector<std::string>& words) {
   std::size_t first = 0;
-  while (first < words.size() && words[first].starts_with('-')) first += words[first] == "--plugin" ? 2 : 1;
+  bool known = true;
+  for (; first < words.size() && words[first].starts_with('-'); first += words[first] == "--plugin" ? 2 : 1)
+    known = known && program.app.get_option_no_throw(words[first].substr(0, words[first].find('='))) != nullptr;
+  if (first >= words.size() || words[first].empty() || verb_below(program.app, words[first]) != nullptr) return;
   std::error_code unknown;
-  if (first < words.size() && !words[first].empty() && verb_below(program.app, words[first]) == nullptr &&
-      std::filesystem::exists(words[first], unknown))
+  if (std::filesystem::exists(words[first], unknown)) {
     words.insert(words.begin() + static_cast<std::ptrdiff_t>(first), "inspect");
+  } else if (known) {
+    throw unknown_verb(program.app, words[first]);
+  }
 }
 
 // What completion offers: candidates begin with `head`, which is there already; `rest` is what was typed behind it.
@@ -448,7 +500,7 @@ class Offer {
     const auto is = [&](std::initializer_list<const char*> names) {  // "CONFIG_A" too
       return std::any_of(names.begin(), names.end(), [&](const char* name) { return value.starts_with(name); });
     };
-    if (of.get_delimiter() == ',') {
+    if (is({"LIST"}) && !values.empty()) {
       kind_ = "list";
       const std::size_t items = rest_.rfind(',') + 1;
       head_ += rest_.substr(0, items);
@@ -519,7 +571,8 @@ std::string completions(const std::vector<std::string>& words) {
     for (const CLI::App* app : {at, &program.app}) {
       for (const CLI::Option* option : flags_of(*app)) {
         const std::string& name = option->get_lnames().front();
-        if (app == &program.app && bound != program.verbs.end() && name == "json" && !bound->second.verb.json) continue;
+        if (app != at && name == "version") continue;
+        if (app != at && bound != program.verbs.end() && name == "json" && !bound->second.verb.json) continue;
         offer.add("--" + name, option->get_description());
       }
       if (at == &program.app) break;
@@ -597,20 +650,25 @@ std::string help_of(const std::vector<std::string>& verb) {
   return program.help(*at);
 }
 
-std::string verbs_page() {
+std::string help_of_all(const std::function<std::string(const std::string& verb, const std::string& help)>& shown) {
   const Program program;
-  std::string text =
-      "# Verbs\n\n[command_line.md](command_line.md) has what holds for every verb, [json.md](json.md) the keys of "
-      "`--json`.\n\n```text\n" +
-      program.app.help() + "```\n";
+  std::string text = shown("", program.app.help());
   const std::function<void(const CLI::App&)> add = [&](const CLI::App& of) {
     for (const CLI::App* verb : below(of)) {
-      text += "\n## " + full_name(*verb) + "\n\n```text\n" + program.help(*verb) + "```\n";
+      text += shown(full_name(*verb), program.help(*verb));
       add(*verb);
     }
   };
   add(program.app);
   return text;
+}
+
+std::string verbs_page() {
+  return "# Verbs\n\n[command_line.md](command_line.md) has what holds for every verb, [json.md](json.md) the keys of "
+         "`--json`.\n" +
+         help_of_all([](const std::string& verb, const std::string& help) {
+           return (verb.empty() ? "" : "\n## " + verb + "\n") + "\n```text\n" + help + "```\n";
+         });
 }
 
 int run_command_line(int argc, char** argv, AppContext& context) {
@@ -621,7 +679,7 @@ int run_command_line(int argc, char** argv, AppContext& context) {
   }
   for (const std::string& word : words) shown.push_back(shell_word(word));
   Program program;
-  name_inspect(program, words);
+  settle_verb(program, words);
   std::reverse(words.begin(), words.end());
   try {
     program.app.parse(words);
@@ -629,7 +687,9 @@ int run_command_line(int argc, char** argv, AppContext& context) {
     std::fputs(program.app.help().c_str(), stdout);
     return 0;
   } catch (const CLI::CallForAllHelp&) {
-    std::fputs(program.app.help("", CLI::AppFormatMode::All).c_str(), stdout);
+    const std::string all =
+        help_of_all([](const std::string& verb, const std::string& help) { return (verb.empty() ? "" : "\n") + help; });
+    std::fputs(all.c_str(), stdout);
     return 0;
   } catch (const CLI::CallForVersion&) {
     return print_version(program, context);

@@ -159,7 +159,7 @@ def table_of(root, files, columns):
     shown = [column for asked in columns for column in found if column == asked or column.startswith(asked + ", ")]
     lost = [asked for asked in columns if not any(column.split(", ")[0] == asked for column in shown)]
     if lost:
-        raise SystemExit(f"docs_tables: {' '.join(files)} has no {', '.join(lost)}")
+        raise SystemExit(f"docs_parts: {' '.join(files)} has no {', '.join(lost)}")
     named = isinstance(next(iter(cells)), str)
     out = f"|{' |' * named} {' | '.join(shown)} |\n|{'---|' * (named + len(shown))}\n"
     for name, row in cells.items():
@@ -206,7 +206,7 @@ SENTENCES = {
     "internal.check.failed": "….cpp:…: … (violated: …)",
     "plugin.module.unloadable": "cannot load plugin '…': undefined symbol: …",
     "scene.image.turned": "colour image '…' is … pixels, the camera …: one is turned by a quarter against the other",
-    "usage.value.invalid": "--threads many: expected a whole number",
+    "usage.value.invalid": "train: --steps: 'many' is not 1 to 1000000000",
 }
 HEAD = """# Codes
 

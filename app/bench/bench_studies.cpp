@@ -124,7 +124,7 @@ class GpuBench {
     if (!options_.peers) return;
     try {
       peer_ = std::make_shared<Peer>(shared_file("studies/peers/semfield_peer.py"), options_.python, hardware_threads(),
-                                     false, "cuda");
+                                     "cuda");
       results_.peer_about = peer_->description();
     } catch (const Error& error) {
       print_note(context_, std::string("no peer: ") + error.what());
@@ -415,7 +415,7 @@ class StepBench {
     try {
       const std::string script =
           options_.peer_script.empty() ? shared_file("studies/peers/semfield_peer.py") : options_.peer_script;
-      peer_ = std::make_unique<Peer>(script, options_.python, results_.threads, true);
+      peer_ = std::make_unique<Peer>(script, options_.python, results_.threads);
       results_.peer_about = peer_->description();
     } catch (const Error& error) {
       results_.peer_missing = error.what();

@@ -235,8 +235,7 @@ std::vector<LayerWork> field_work(const Field<float>& field, std::int64_t rays, 
 
 std::vector<LayerWork> pass_work(const PassParts<float>& parts, std::int64_t rays, std::int64_t samples,
                                  bool deferred_class_layer) {
-  std::vector<LayerWork> work =
-      field_work(*parts.field, rays, samples, learns<float>(*parts.position));
+  std::vector<LayerWork> work = field_work(*parts.field, rays, samples, learns<float>(*parts.position));
   if (parts.head == nullptr) return work;
   double feature = parts.field->traits().feature_dims;
   if (parts.branch != nullptr) {
@@ -348,13 +347,9 @@ int run_silently(const std::vector<std::string>& words) {
   return WIFEXITED(status) ? WEXITSTATUS(status) : 127;
 }
 
-Peer::Peer(const std::string& script, const std::string& python, int threads, bool tuned, const std::string& device) {
+Peer::Peer(const std::string& script, const std::string& python, int threads, const std::string& device) {
   std::vector<std::string> words{python_with_torch(python), script, "--serve", "--device", device};
-  if (tuned) {
-    words.insert(words.end(), {"--tuned", "--threads", std::to_string(threads)});
-  } else if (device == "cpu") {
-    words.push_back("--plain");
-  }
+  if (device == "cpu") words.insert(words.end(), {"--tuned", "--threads", std::to_string(threads)});
   process_ = std::make_unique<PeerProcess>(words);
   const json about = parsed(process_->read_line());
   description_ = fmt::format("PyTorch {}, {} threads, BLAS {}, allocator {}, ATen {}", about.value("torch", "?"),

@@ -121,10 +121,9 @@ struct PeerTimes {
 
 class Peer {
  public:
-  /// Finds a Python with torch (`python`, or python3 on PATH, or the system's) and starts `script` as a server, tuned
-  /// or as installed, on the device (cpu or cuda). Throws Error(unavailable) with the reason where that cannot be had.
-  Peer(const std::string& script, const std::string& python, int threads, bool tuned,
-       const std::string& device = "cpu");
+  /// Finds a Python with torch (`python`, or python3 on PATH, or the system's) and starts `script` as a server on
+  /// the device (cpu, where it is tuned, or cuda). Throws Error(unavailable) with the reason where that cannot be had.
+  Peer(const std::string& script, const std::string& python, int threads, const std::string& device = "cpu");
 
   /// Throws Error(unavailable) with the peer's own words.
   PeerTimes measure(const PeerRequest& request);

@@ -10,6 +10,7 @@
 #include <thread>
 #include <utility>
 
+#include "app/json_output.h"
 #include "app/signals.h"
 #include "formats/text_rows.h"
 #include "report/report.h"
@@ -165,8 +166,7 @@ void SweepFolder::write_tables(EndedCells& ended) const {
     write_if_changed(fs::path(path_) / (name + ".csv"), table.csv());
   }
   write_if_changed(fs::path(path_) / "tables.md", page);
-  write_if_changed(fs::path(path_) / "tables.html",
-                   report_page(data.dump(-1, ' ', false, Json::error_handler_t::replace)));
+  write_if_changed(fs::path(path_) / "tables.html", report_page(json_text(data)));
   write_if_changed(fs::path(path_) / "results.csv", results_csv(sweep_, cells_, ended.results));
 }
 

@@ -142,8 +142,9 @@ int run_posed(const PrepareVerbOptions& options, const std::optional<FolderScene
     for (const FrameChannelInfo& one : frame.channels) left.insert(one.name);
   }
   for (const std::string& name : left)
-    found.note("scene.channel.left", options.out, "maps of '" + name + "' are not in it: copy their files, and name them in each frame as " +
-                                                       name + "_path");
+    found.note(
+        "scene.channel.left", options.out,
+        "maps of '" + name + "' are not in it: copy their files, and name them in each frame as " + name + "_path");
   const FolderScene written = find_scene(options.out, "", context);
   const std::string geometry = inspected(written, context, found);
   for (const Diagnostic& finding : folded(found)) print_note(context, finding.shown());

@@ -63,7 +63,7 @@ DRAW = """
 def view_figures(program, run):
     """How soon the page shows the run, how well it measures the table, and how long a picture takes."""
     if not browser.programs():
-        raise other_programs.Absent("no chromium and chromium-driver here: apt-get install chromium chromium-driver")
+        raise common.Failed("no chromium and chromium-driver here: apt-get install chromium chromium-driver")
     with common.work_folder() as folder:
         common.run(program, "export", run, "--to", folder / "room.html", "-q")
         megabytes = (folder / "room.html").stat().st_size * 1e-6
@@ -96,15 +96,15 @@ person does, by points read in headless Chromium: the last ones of the table's t
 The last line has view_ready_s (from start to the first picture), measured_error (share of the edge), html_mb (of
 `semfield export --to`), draw_calls (of one picture), frame_ms (one picture of the fine mesh at 1280 x 720, drawn by
 the CPU where there is no GPU) and turn_ms (of the lighter mesh that is drawn while the camera moves, where the fine
-one is slow)."""
+one is slow). It fails beyond 3 s and 2 %."""
     parser = common.parser_of(view)
     parser.add_argument("run", metavar="RUN", help="run folder")
     common.add_build(parser)
     options = parser.parse_args(words)
-    common.print_line("view", view_figures(options.build / "bin" / "semfield", options.run),
-                      {"view_ready_s": ".1f", "measured_error": ".3f", "html_mb": ".1f", "draw_calls": "d",
-                       "frame_ms": ".0f", "turn_ms": ".0f"})
-    return 0
+    found = view_figures(options.build / "bin" / "semfield", options.run)
+    common.print_line("view", found, {"view_ready_s": ".1f", "measured_error": ".3f", "html_mb": ".1f",
+                                      "draw_calls": "d", "frame_ms": ".0f", "turn_ms": ".0f"})
+    return int(found["view_ready_s"] > 3 or found["measured_error"] > 0.02)
 
 
 def opened(run):
@@ -232,7 +232,7 @@ def splats(words):
     """Draws the splats of a PLY [Kerbl23] at held-out views of the run that they came from, and scores them and the
 field.
 
-The last line is `splats: field=... splats=... frames=... splats_count=...`, the first two as PSNR in dB."""
+The last line is `splats: field=... splats=... frames=... splats_count=...`, the first two as PSNR in dB. It fails where splats lose more than 2 dB."""
     parser = common.parser_of(splats)
     parser.add_argument("run", metavar="RUN")
     parser.add_argument("splats", metavar="SPLATS.ply", help="of `semfield mesh RUN --format splats.ply`")
@@ -241,7 +241,7 @@ The last line is `splats: field=... splats=... frames=... splats_count=...`, the
     options = parser.parse_args(words)
     found = compare(options.build, options.run, options.splats, options.every)
     common.print_line("splats", found, {"field": ".2f", "splats": ".2f", "frames": "d", "splats_count": "d"})
-    return 0
+    return int(found["field"] - found["splats"] > 2)
 
 
 def install_npm(folder):

@@ -96,6 +96,8 @@ TEST_F(Words, AMisspelledVerbGetsASuggestion) {
   refused("config chek", unknown, "`semfield config check`");
   refused("explain", unknown, "`semfield config explain`");
   refused("help config chek", unknown, "`semfield config check`");
+  refused("bench chek", unknown, "`semfield config check`");
+  refused("hlep train", unknown, "`semfield help`");
   refused("xyzzy", unknown, "`semfield help`");
   refused("bench xyzzy", unknown, "`semfield help bench`");
   refused("bench pairs", unknown, "studies/leave_out.py");
@@ -109,6 +111,8 @@ TEST_F(Words, AnUnknownFlagGetsASuggestionOrTheVerbThatItBelongsTo) {
   refused("--dry-run train room.yaml", unknown, "`semfield train`");
   refused("train --xyzzy", unknown, "`semfield help train`");
   refused("eval --versoin run", unknown, "--version?");
+  refused("train --thr 4 room.yaml", unknown, "--threads?");
+  refused("--out x train room.yaml", unknown, "and others, and comes after the verb");
 }
 
 TEST_F(Words, WordsThatAreMissingOrTooMany) {
@@ -120,6 +124,8 @@ TEST_F(Words, WordsThatAreMissingOrTooMany) {
   refused("render run --npy --video", "usage.word.missing", "--npy");
   refused("--plugin", "usage.word.missing", "--plugin");
   refused("mesh run --format ply,gbl", "usage.value.invalid", "did you mean glb?");
+  refused("mesh run --format ply,,glb", "usage.value.invalid", "an item between the commas is empty");
+  refused("train room.yaml --steps 2.5", "usage.value.invalid", "1 to 1000000000");
   refused("render run --split tset", "usage.value.invalid", "did you mean test?");
   refused("completion zhs", "usage.value.invalid", "did you mean zsh?");
 }
@@ -137,6 +143,13 @@ TEST_F(Words, AnOperandIsNoVerb) {
   const Result plugin = run("--plugin none.so eval run");
   EXPECT_EQ(plugin.code, 69) << plugin.err;
   EXPECT_HAS(plugin.err, "none.so");
+}
+
+TEST_F(Words, ANumberWithALeadingZeroIsNotOctal) { EXPECT_EQ(run("train none.yaml --steps 08").code, 66); }
+
+TEST_F(Words, HelpOfAllHasTheVerbsOfGroups) {
+  const std::string all = run("--help-all").out;
+  for (const char* verb : {"train", "config check", "bench step"}) EXPECT_HAS(all, std::string("semfield ") + verb);
 }
 
 // Every option with a range, as its own help states it.

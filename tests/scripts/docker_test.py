@@ -1,5 +1,5 @@
-"""The container files, without a container tool: known instructions, stages that exist, the same steps in both, which
-`release_check package` carries out in a bare system. docker_test.py SOURCE_FOLDER"""
+"""The container files, without a container tool: known instructions, stages that exist, the same steps in both.
+docker_test.py SOURCE_FOLDER"""
 import pathlib
 import re
 import sys
