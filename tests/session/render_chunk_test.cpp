@@ -12,8 +12,9 @@ std::atomic<int> g_refused{0};
 
 }  // namespace
 
-// Of this program and the libraries it loads; the standard library's array forms call it.
-void* operator new(std::size_t bytes) {
+// Of this program and the libraries it loads; the standard library's array forms call it. Not inlined: a compiler that
+// sees malloc in one half of a pair warns of the other.
+[[gnu::noinline]] void* operator new(std::size_t bytes) {
   if (bytes > g_most) {
     ++g_refused;
     throw std::bad_alloc();
@@ -24,8 +25,8 @@ void* operator new(std::size_t bytes) {
 }
 // A sanitizer's own would not call the one above.
 void* operator new(std::size_t bytes, const std::nothrow_t&) noexcept { return std::malloc(bytes > 0 ? bytes : 1); }
-void operator delete(void* memory) noexcept { std::free(memory); }
-void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
+[[gnu::noinline]] void operator delete(void* memory) noexcept { std::free(memory); }
+[[gnu::noinline]] void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
 
 namespace semfield {
 namespace {
