@@ -1,4 +1,4 @@
-// The registry of the plugins that a test links.
+// The registry of the plugins that a test links; the fuzzer includes it too, without GoogleTest.
 #pragma once
 
 #include "plugin/loader.h"

@@ -131,6 +131,7 @@ TEST(Diagnostics, TheSameTroubleOfManyPlacesIsOneLine) {
   d.error("test.finding.made", "frame 'x' (x.png)", "colour image 'a/x.png' is missing", "take another");
   const std::vector<std::string> said = lines(d);
   ASSERT_EQ(said.size(), 4u);
+  EXPECT_EQ(said[0], "classes.yaml: no classes in it; write one");
   EXPECT_HAS(said[1], "frame 'rgb_0' (/my data/it's/rgb_0.png)", "; restore it (and 34 more", "frame 'rgb_4', ...)");
   EXPECT_HAS(said[2], "frame 0 (rgb (0).png): pose is 0.00 off (and 34 more", "transforms.json: frame 4, ...)");
   EXPECT_EQ(said[3], "frame 'x' (x.png): colour image 'a/x.png' is missing; take another");
@@ -144,7 +145,9 @@ TEST(Diagnostics, WhatOnePlaceSaysTwiceIsKeptUnlessItIsTheSame) {
   d.error("test.finding.made", "classes.yaml", "id 5 is there twice", "keep one");
   d.error("test.finding.made", "room.yaml:3:5", "unknown key 'a'", {});
   d.error("test.finding.made", "room.yaml:4:5", "unknown key 'b'", {});
-  EXPECT_EQ(lines(d).size(), 4u);
+  EXPECT_EQ(lines(d), (std::vector<std::string>{"classes.yaml: id 3 is there twice; keep one",
+                                                "classes.yaml: id 5 is there twice; keep one",
+                                                "room.yaml:3:5: unknown key 'a'", "room.yaml:4:5: unknown key 'b'"}));
 }
 
 TEST(Diagnostics, AnExceptionListsThemFolded) {

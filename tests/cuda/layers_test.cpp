@@ -328,9 +328,10 @@ TEST(CudaHead, ClassLayerAndItsGradients) {
     std::int32_t hidden, classes;
     Precision precision = Precision::fp32;
   };
-  for (const HeadShape& s : {HeadShape{1, 1, 1}, HeadShape{1000, 128, 29}, HeadShape{3000, 64, 128}, HeadShape{700, 64, 129},
-                         HeadShape{1000, 128, 512}, HeadShape{1000, 128, 29, Precision::bf16},
-                         HeadShape{700, 64, 129, Precision::bf16}, HeadShape{1000, 128, 512, Precision::bf16}}) {
+  for (const HeadShape& s :
+       {HeadShape{1, 1, 1}, HeadShape{1000, 128, 29}, HeadShape{3000, 64, 128}, HeadShape{700, 64, 129},
+        HeadShape{1000, 128, 512}, HeadShape{1000, 128, 29, Precision::bf16}, HeadShape{700, 64, 129, Precision::bf16},
+        HeadShape{1000, 128, 512, Precision::bf16}}) {
     const bool cut = s.precision == Precision::bf16 && s.classes > 128;
     const double tolerance = cut ? 2e-3 : 1e-6;
     SCOPED_TRACE(std::to_string(s.rays) + " rays, hidden " + std::to_string(s.hidden) + ", classes " +

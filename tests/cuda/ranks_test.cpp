@@ -392,13 +392,6 @@ TEST(CudaShards, RowsInUseAreJoinedInOrder) {
   }
 }
 
-TEST(CudaGradientSums, SeveralRanksCannotBeDeterministic) {
-  SEMFIELD_NEEDS_DEVICE();
-  as_ranks(2, [&](Ranks& ranks) {
-    EXPECT_HAS(error_of([&] { Place(&ranks, true, 64, {64}); }), "the bits of one GPU");
-  });
-}
-
 TEST(CudaGradientSums, WithoutShardsRanksAreAddedInTheirOrderPassByPass) {
   SEMFIELD_NEEDS_DEVICE();
   constexpr std::size_t kCount = (std::size_t{1} << 20) + 64 * 20;  // more than the host exchanges at once
@@ -464,21 +457,12 @@ TEST(CudaGradientSums, ARankWithADeviceOfItsOwnUsesNccl) {
   });
 }
 
-// Equal bits are of one GPU.
 TEST(CudaGradientSums, SeveralRanksThatAskForTheBitsOfOneAreRefusedOnAll) {
   SEMFIELD_NEEDS_DEVICE();
-  int refused = 0;
-  std::mutex mutex;
-  as_ranks(2, [&](Ranks& ranks) {
-    try {
-      const Place place(&ranks, true, 64, {64});
-    } catch (const Error& error) {
-      const std::lock_guard lock(mutex);
-      EXPECT_HAS(error.remedy(), "runtime.deterministic: false") << error.what();
-      ++refused;
-    }
+  as_ranks(2, [](Ranks& ranks) {
+    EXPECT_ERROR(Place(&ranks, true, 64, {64}), "ranks.deterministic.several", "the bits of one GPU",
+                 "runtime.deterministic: false");
   });
-  EXPECT_EQ(refused, 2);
 }
 
 // A rank that fails behind the others' backs does so before all of them the next time they agree.

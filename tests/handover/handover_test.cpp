@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
+#include "compute/parallel.h"
 #include "core/small_math.h"
 #include "core/text.h"
 #include "eval/image_output.h"
@@ -422,6 +423,29 @@ TEST(SplatColors, AFootprintIsTheDeviationOnTheImageAndPartOfAPixel) {
     EXPECT_NEAR(rgb[static_cast<std::size_t>(3 * (4 * 9 + 4 + away))], 0.5 * std::exp(-away * away / (2 * (1 + 0.3))),
                 1e-5)
         << away;
+}
+
+TEST(SplatColors, AFitMakesPicturesOfTheViews) {
+  const SplatView view{camera(), to_bytes(draw_splats(wall(), camera(), kBlack))};
+  Splats grey = wall();
+  for (auto& color : grey.points.attributes.color) color = {128, 128, 128};
+  const auto error = [&](const Splats& splats) {
+    const std::vector<float> drawn = draw_splats(splats, view.camera, kBlack);
+    double sum = 0;
+    for (std::size_t i = 0; i < drawn.size(); ++i)
+      sum += std::pow(static_cast<double>(drawn[i]) - view.rgb[i] / 255.0, 2);
+    return sum;
+  };
+  const auto fitted = [&](int threads) {
+    set_thread_count(threads);
+    Splats out = grey;
+    fit_colors(out, {&view, 1}, kBlack);
+    set_thread_count(0);
+    return out;
+  };
+  const Splats alone = fitted(1);
+  EXPECT_LT(error(alone), 0.1 * error(grey));
+  EXPECT_EQ(fitted(3).points.attributes.color, alone.points.attributes.color);
 }
 
 TEST(SplatColors, WhatNoViewShowsKeepsItsColor) {

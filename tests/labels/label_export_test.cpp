@@ -546,6 +546,31 @@ TEST(TurnedPictures, ExportsAreAsShownAndReadBack) {
               read_ids(folder + "/labels/" + number + ".png").pixels);
 }
 
+// Frame 0 is shown upside down; the room's own label images are drawn over it so.
+TEST(TurnedPictures, ProbabilitiesAndFusedMapsAreAsShown) {
+  const std::string folder = fresh_folder("t"), own = "/semantic_class/semantic_class_0.png";
+  testing_room::write_replica(folder + "/room", 5);
+  set_orientation(folder + "/room/rgb/rgb_0.png", 3);
+  const auto with_labels = [&](const std::string& verb, const std::string& labels) {
+    write_file_atomic(folder + "/room.yaml", "include: " + std::string(SEMFIELD_SOURCE_DIR) +
+                                                 "/configs/presets/room.yaml\nscene: {type: replica, root: room, "
+                                                 "train_step: 2, test_step: 2, test_offset: 1" +
+                                                 labels + "}\n");
+    succeeded(semfield_run(verb, folder));
+  };
+  with_labels("fuse room.yaml --method monocular --out maps", "");
+  EXPECT_EQ(read_ids(folder + "/maps/monocular/rgb_0_label.png").pixels, read_ids(folder + "/room" + own).pixels);
+  with_labels("degrade room.yaml --out given", ", labels: {degrade: [{type: simulated_predictions}]}");
+  const std::vector<float> soft =
+      read_npy(folder + "/given/probability/rgb_0.npy", [](std::span<const std::int64_t>) {}).values;
+  const std::vector<std::uint16_t> ids = read_ids(folder + "/given" + own).pixels;
+  ASSERT_EQ(soft.size(), 6 * ids.size());
+  for (std::size_t p = 0; p < ids.size(); ++p) {
+    const auto row = soft.begin() + static_cast<std::ptrdiff_t>(6 * p);
+    ASSERT_EQ(ids[p], std::max_element(row, row + 6) - row + 1) << p;
+  }
+}
+
 // Speckles are given to what surrounds them, and nothing else changes; label files of real scenes.
 
 std::vector<std::int16_t> map_of(const std::vector<std::string>& rows) {

@@ -319,6 +319,31 @@ TEST(Simplify, ARingStaysARing) {
   EXPECT_GE(ring.triangles.size(), 14U) << "no ring has fewer faces";
 }
 
+TEST(Simplify, LabelsAndColoursStayWithTheirPlaces) {
+  Surface square = flat(40, [](int, int) { return true; });  // of side 10
+  PointAttributes& known = square.attributes;
+  for (const Vec3d& p : square.positions) {
+    const bool left = p.x < 4.1;
+    known.label.push_back(left ? 3 : 7);
+    known.color.push_back({static_cast<std::uint8_t>(left ? 10 : 200), 20, 30});
+    known.entropy.push_back(left ? 0.25F : 0.5F);
+  }
+  simplify(square, 200);
+  EXPECT_LE(square.triangles.size(), 200U);
+  ASSERT_EQ(known.label.size(), square.positions.size());
+  ASSERT_EQ(known.color.size(), square.positions.size());
+  ASSERT_EQ(known.entropy.size(), square.positions.size());
+  for (std::size_t v = 0; v < known.label.size(); ++v) {
+    const bool left = known.label[v] == 3;
+    EXPECT_EQ(known.color[v][0], left ? 10 : 200);
+    EXPECT_EQ(known.entropy[v], left ? 0.25F : 0.5F);
+    EXPECT_TRUE(left ? square.positions[v].x < 4.2 : square.positions[v].x > 4.05) << square.positions[v].x;
+  }
+  double lefts = 0;
+  for (const Triangle& t : square.triangles) lefts += triangle_label(known, t) == 3 ? area_of(square, t) : 0;
+  EXPECT_NEAR(lefts, 41.25, 1.5) << "half of the column of quads between the classes";
+}
+
 TEST(CloseHoles, AHoleIsClosedFromTheLengthOfItsBorderOn) {
   Surface surface = with_hole();
   ASSERT_EQ(border_sides(surface), 48U);

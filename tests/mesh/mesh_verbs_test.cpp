@@ -476,7 +476,7 @@ TEST_F(Verbs, SmoothPathRendersImagesToo) {
   EXPECT_TRUE(fs::exists(run_dir() + "/render/smooth/00001_rgb.png"));
 }
 
-// The program itself: `mesh` in the forms of other programs.
+// The program itself: `mesh` in the forms of other programs, and `eval` by a published protocol.
 
 TEST_F(Verbs, MeshWritesFilesForOtherPrograms) {
   const std::string stem = *dir_ / "other/room";
@@ -495,6 +495,20 @@ TEST_F(Verbs, MeshWritesFilesForOtherPrograms) {
   EXPECT_EQ(one.out, "mesh: file=" + *dir_ / "one.splats.ply" + "\n");
   const Result page = succeeded(run(*dir_, {"mesh", run_dir(), "--resolution", "24", "--out", *dir_ / "alone.html"}));
   EXPECT_FALSE(fs::exists(*dir_ / "alone.json"));
+}
+
+TEST_F(Verbs, EvalScoresByAProtocol) {
+  const Result r = succeeded(run(*dir_, {"eval", run_dir(), "--protocol", "semantic_nerf", "--json"}));
+  const nlohmann::json said = nlohmann::json::parse(r.out), of = said["protocol"];
+  EXPECT_EQ(of["miou"], said["miou_present"]);
+  EXPECT_EQ(of["total_accuracy"], said["total_accuracy"]);
+  EXPECT_EQ(of["frames"].size(), said["frames"]);
+  EXPECT_EQ(of["truth"].get<std::string>().size(), 8U);
+  const Result shown = run(*dir_, {"eval", run_dir(), "--protocol", "panoptic_lifting"});
+  EXPECT_HAS(shown.out, "protocol: name=panoptic_lifting miou=", " truth=" + of["truth"].get<std::string>());
+  const Result train = run(*dir_, {"eval", run_dir(), "--protocol", "semantic_nerf", "--split", "train"});
+  EXPECT_EQ(train.code, 2);
+  EXPECT_SAID(train.err, "eval.protocol.split", "--split");
 }
 
 }  // namespace

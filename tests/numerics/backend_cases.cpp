@@ -18,7 +18,6 @@
 #include "core/text.h"
 #include "datasets/obj_room/mesh_io.h"
 #include "datasets/obj_room/mesh_render.h"
-#include "encoder_box.h"
 #include "eval/metrics.h"
 #include "execution/device_library.h"
 #include "isa_list.h"
@@ -37,6 +36,7 @@
 #include "testkit/field_bench.h"
 #include "testkit/host_twin.h"
 #include "testkit/laws.h"
+#include "tests/encoder_box.h"
 #include "tests/model/rays_of_slabs.h"
 #include "tests/scene/room_files.h"
 
@@ -858,7 +858,7 @@ EncoderBuild on_device() { return EncoderBuild{.device = Device::cuda}; }
 // An encoder on the device as one on the host, with its tensors.
 struct DeviceEncoder {
   DeviceEncoder(const DeviceUnderTest& device, const std::string& name, const testkit::Settings& settings)
-      : there(make_encoder<float>(device.registry, name, settings, on_device())),
+      : there(testkit::make_encoder<float>(device.registry, name, settings, on_device())),
         here(*there, {device.calls, false}),
         box(here, 1, 1.0),
         workspace(device.calls.memory) {}
@@ -947,7 +947,7 @@ void fused_on_device(CaseRun& run) {
   const double u = std::numeric_limits<float>::epsilon() / 2;
   for (const Kind& kind : kinds()) {
     DeviceEncoder there(*device, kind.name, kind.settings);
-    EncoderBox<float> here(run.registry(), kind.name, kind.settings);
+    testkit::EncoderBox<float> here(run.registry(), kind.name, kind.settings);
     const std::vector<double> x = positions(2000);
     const std::vector<float> a = there.forward(x), b = here.forward(x);
     double worst = 0, largest = 0;

@@ -5,17 +5,21 @@
 #include <algorithm>
 
 #include "core/view.h"
-#include "encoder_box.h"
+#include "named_case.h"
 #include "plugins/encoders/hash_grid/hash_grid_kernels.h"
 #include "ray_bench.h"
 #include "rooms.h"
 #include "testkit/field_bench.h"
+#include "tests/encoder_box.h"
 
 #if defined(SEMFIELD_HAS_QUADMATH)
 #include <quadmath.h>
 #endif
 
 namespace semfield::numerics {
+
+using testkit::EncoderBox;
+using testkit::make_encoder;
 
 __extension__ using Wide128 = unsigned __int128;
 

@@ -7,6 +7,7 @@
 
 #include "app/numerics_suite.h"
 #include "core/error.h"
+#include "core/rng.h"
 #include "plugin/registry.h"
 #include "testkit/laws.h"
 
@@ -96,6 +97,20 @@ inline double relative_error(long double a, long double b) {
   const long double scale = b < 0 ? -b : b;
   return static_cast<double>(scale == 0 ? difference : difference / scale);
 }
+
+/// Uniform numbers for inputs, by address; float64 with all 53 bits.
+class Numbers {
+ public:
+  explicit Numbers(std::uint64_t seed) : seed_(seed) {}
+  double in(double low, double high) { return low + (high - low) * uniform(); }
+  double uniform() {
+    const PhiloxBlock b = random_block({seed_, 0, stream_id("stiff cases")}, next_++);
+    return static_cast<double>((std::uint64_t{b.v[0]} << 21) ^ (b.v[1] >> 11)) * 0x1p-53;
+  }
+
+ private:
+  std::uint64_t seed_, next_ = 0;
+};
 
 // What the files of group G share.
 

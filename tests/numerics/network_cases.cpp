@@ -8,7 +8,6 @@
 
 #include "compute/math_functions.h"
 #include "core/view.h"
-#include "encoder_box.h"
 #include "formats/image_io.h"
 #include "formats/safetensors.h"
 #include "loading/frame_files.h"
@@ -19,6 +18,7 @@
 #include "plugin/head.h"
 #include "rooms.h"
 #include "scene/scene.h"
+#include "testkit/compare.h"
 #include "tests/model/rays_of_slabs.h"
 
 namespace semfield::numerics {
@@ -80,9 +80,9 @@ struct Softmax {
 
 template <class Real>
 SemanticLoss loss_of(const std::vector<Real>& logits, std::int16_t label, std::vector<Real>* gradient,
-                     double normaliser = 1) {
+                     View<const float> weights = {}) {
   SemanticTargets targets{.hard = {&label, 1, 1}};
-  return semantic_cross_entropy<Real>(row_of(logits), targets, {}, normaliser, 1.0,
+  return semantic_cross_entropy<Real>(row_of(logits), targets, weights, 1.0, 1.0,
                                       gradient != nullptr ? row_of(*gradient) : View<Real>());
 }
 
@@ -299,6 +299,16 @@ void class_weights(CaseRun& run) {
       run.measure(relative_error(weights[c], 1 / std::log(1.02L + frequency)), 1e-6, "weight");
       run.expect(weights[c] > 0 && weights[c] <= 50.5f, "at most 1 / ln 1.02");
     }
+  }
+  const std::vector<double> logits{0.3, -0.2};
+  const std::vector<float> weights{0.5f, 2.f};
+  for (const std::int16_t label : {0, 1}) {
+    const double weight = static_cast<double>(weights[static_cast<std::size_t>(label)]);
+    std::vector<double> plain(2), weighted(2);
+    const double sum = loss_of<double>(logits, label, &plain).sum;
+    run.measure(std::abs(loss_of<double>(logits, label, &weighted, row_of(weights)).sum - weight * sum), 1e-15, "loss");
+    for (std::size_t c = 0; c < 2; ++c) run.measure(std::abs(weighted[c] - weight * plain[c]), 1e-15, "gradient");
+    run.measure(std::abs(labelled_weight({.hard = {&label, 1, 1}}, row_of(weights)) - weight), 0, "labelled weight");
   }
   run.note(fmt::format("an absent class weighs {:.4f}", inverse_log_frequency_weights({0, 1})[0]));
 }

@@ -49,8 +49,8 @@ std::optional<Launched> launched_in(const Variables& variables) {
 std::string place_in(const Variables& variables) {
   const std::optional<Launched> found = launched_in(variables);
   if (!found) return "no rank";
-  return std::to_string(found->rank) + " of " + std::to_string(found->size) + ", " +
-         std::to_string(found->local_rank) + " of " + std::to_string(found->local_size) + " by " + found->by;
+  return std::to_string(found->rank) + " of " + std::to_string(found->size) + ", " + std::to_string(found->local_rank) +
+         " of " + std::to_string(found->local_size) + " by " + found->by;
 }
 
 // The message of the error; "" where there is none.
@@ -201,10 +201,12 @@ struct Shape {
 
 // Also past the warm-up of the occupancy grid, with tables of two passes, in bf16, and with fewer lanes than ranks.
 TEST(RanksSession, TrainingHasTheBitsAndLossesOfOneProcess) {
-  std::vector<Shape> shapes{{"hash grid", hash_config(), 60},
-                            {"two tables", two_tables_config(), 6},
-                            {"bf16", hash_config("runtime: {precision: bf16}\n"), 20},
-                            {"two lanes", hash_config("runtime: {lanes: 2}\n"), 20}};
+  std::vector<Shape> shapes{
+      {"hash grid", hash_config(), 60},
+      {"two tables", two_tables_config(), 6},
+      {"bf16", hash_config("runtime: {precision: bf16}\n"), 20},
+      {"two lanes", hash_config("runtime: {lanes: 2}\n"), 20},
+      {"a term from step 8 on", hash_config("losses: [{type: distortion, from_step: 0.04}]\n"), 12}};
   for (const StepCase& step : kStepCases) shapes.push_back({step.name, step.config(step.more), 8});
   for (const Shape& shape : shapes) {
     SCOPED_TRACE(shape.name);
@@ -231,6 +233,7 @@ TEST(RanksSession, DensitiesAreThoseOfOneProcess) {
     return sigma;
   };
   const std::vector<float> expected = densities_of(open_text(hash_config()));
+  ASSERT_EQ(expected.size(), 1000U);
   as_leader(3, hash_config(), [&](Session& session) { EXPECT_EQ(densities_of(session), expected); });
 }
 

@@ -54,7 +54,7 @@ def hashed(one, value):
 CASES = [
     ("a run that has not begun", data(run("a", []), split=""), "body", ["No frame was scored", "0 s"], ["NaN", "undefined", "null"], {"#curves": 0, "#labels": 0}),
     ("the head", data(run("a", [row(20, 30)], labels=LABELS)), ".top", ["obj_room, room", "200 training (4 labelled), 30 test", "Semfield 1.0", "30.0", "all 30 frames"],
-     ["not ranked"], {"nav a": 4}),
+     ["not ranked", "fitted"], {"nav a": 4}),
     ("an infinite value", data(run("a", [row(20, "inf")])), "#figures", ["∞"], ["inf"], {}),
     ("a course", data(run("a", RISE)), "#curves", ["30.0 s", "35.0 s", "from 20.00"], ["logarithmic time"], {"#curves .mk": 4, "#curves .ln": 2}),
     ("a course of a decade", data(run("a", [row(1, 10), *RISE])), "#curves", ["logarithmic time"], [], {"#curves .plots": 2}),
@@ -64,6 +64,8 @@ CASES = [
      ["Loss: depth"], ["Loss: color"], {"#curves figure": 2}),
     ("the best of a row", data(run("a", [row(9, 30, absrel=0.05)]), run("b", [row(9, 20, absrel=0.01)])), "#figures", ["30.00", "0.0100"], [],
      {"#figures .best": 2, "#figures .best:nth-child(2)": 1}),
+    ("second figures of PSNR", data(run("a", [row(9, 30, psnr_fitted_colors=29.5, psnr_refined_poses=28.25)])), ".cards",
+     ["PSNR, colours fitted", "29.5", "PSNR, poses fitted", "28.3"], [], {}),
     ("no two values", data(run("a", [row(9, 30)]), run("b", [row(9, 30)])), "#figures", [], [], {"#figures .best": 0}),
     ("the longest training", data(run("slow", [row(242, 30)]), run("quick", [row(100, 30, step=2500)])), ".cards", ["4 min 02 s", "slow: 2,420 steps"], ["2,500"], {}),
     ("figures of a sample", data(run("a", [row(5, 18, "test_sample", 4), row(6, 21.5, "test_sample", 2)])), "body", ["2 of 30 frames", "21.50", "of a sample"], ["18.00"], {}),
@@ -94,7 +96,8 @@ CASES = [
      ["no ECE: 1,200 px"], ["AUROC 0."], {}),
     ("entropy by given labels", data(run("<a>", [row(9, 1, "train_sample", 4, given_right_entropy=0.125, given_wrong_auroc=0.875)]), run("b", RISE)), "#calibration",
      ["<a>", "0.125", "0.875"], [], {"#calibration tbody tr": 1}),
-    ("worst frames", data(run("a", RISE, eval=EVAL), worst=[STRIP]), "#worst", ["Scores of all 3 frames", "9 clicks"], [], {"#worst img": 2, "#worst tbody tr": 3}),
+    ("worst frames", data(run("a", RISE, eval=EVAL), worst=[STRIP]), "#worst",
+     ["Scores of all 3 frames", "bad & worse0.100031.00–good0.900030.00–unlabelled–", "9 clicks"], [], {"#worst img": 2, "#worst tbody tr": 3}),
     ("pictures", data(run("a", RISE), strips=[STRIP, STRIP, STRIP]), "#frames", ["2 more frames", "0 to ln C"], [], {"#frames img": 6}),
     ("clicks", data(run("a", [], clicked={"step": 900, "clicks": 17, "clicked_frames": 3, "frames": 20, "classes": [
         {"id": 1, "name": "wa<ll", "color": [10, 20, 30], "clicks": 12, "area_share": 0.4, "confidence": 0.93},

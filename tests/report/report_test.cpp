@@ -18,7 +18,7 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
-// A run folder with three training rows and an evaluation.
+// A run folder with three training rows and an evaluation of each split.
 RunFolder make_run(const std::string& path) {
   RunFolder folder = RunFolder::create(path);
   write_file_atomic(folder.config_path(), "scene: {type: packed, file: scenes/room.sfpack}\n# </script><b>\n");
@@ -32,6 +32,7 @@ RunFolder make_run(const std::string& path) {
   MetricsRow eval{.kind = "eval", .step = 3, .train_s = 1.5, .split = "test_sample"};
   eval.set("psnr", std::numeric_limits<double>::infinity());
   log.append(eval);
+  log.append({.kind = "eval", .step = 3, .train_s = 1.5, .split = "train"});
   return folder;
 }
 
@@ -66,7 +67,7 @@ TEST(ReportInput, IsReadFromRunFolders) {
   const std::string text = read_report(folders, 2);
   const Json data = Json::parse(text);
   EXPECT_EQ(names_of(data["runs"]), (std::vector<std::string>{"run", "b/run"}));
-  EXPECT_EQ(data["split"], "test");
+  EXPECT_EQ(data["split"], "test") << "the page is about held-out frames";
   EXPECT_EQ(data["classes"], Json::parse(R"([{"name": "wall", "color": [1, 2, 3]}])"));
   EXPECT_EQ(names_of(data["strips"]), (std::vector<std::string>{"1", "3"})) << "the worst frames are not shown twice";
   EXPECT_EQ(names_of(data["worst"]), (std::vector<std::string>{"4", "0"}));
@@ -78,7 +79,7 @@ TEST(ReportInput, IsReadFromRunFolders) {
   EXPECT_EQ(run["left_out"][0]["component"], "coarse network");
   EXPECT_EQ(run["labels"]["labelled_frames"], 4);
   EXPECT_EQ(run["rounds"].size(), 1u);
-  ASSERT_EQ(run["rows"].size(), 4u);
+  ASSERT_EQ(run["rows"].size(), 5u);
   EXPECT_FALSE(run["rows"][0].contains("rays_per_s"));
   EXPECT_EQ(run["rows"][2]["rays_per_s"], 1000) << "of the last training row";
   EXPECT_EQ(run["rows"][3]["psnr"], "inf");

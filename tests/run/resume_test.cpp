@@ -325,6 +325,17 @@ TEST_F(RunLengthTest, MoreIsCountedFromTheStepThatIsResumed) {
   EXPECT_EQ(schedule_factor(schedule, 10), std::pow(0.1, 10.0 / 40)) << "the rate goes on, for it is above a half";
 }
 
+TEST_F(RunLengthTest, ACheckpointOfAnotherSeedIsNotResumed) {
+  CountedSteps clock;
+  train(asked({2, 0}), "run", clock);
+  const std::string path = dir_ / "run/checkpoints/" + CheckpointStore::file_name(2);
+  const TensorFile file = TensorFile::read(path);
+  TensorMetadata metadata = file.metadata();
+  metadata["seed"] = "9";
+  write_safetensors(path, file.tensors(), metadata);
+  EXPECT_ERROR(resume("run", {2, 0}, clock), "checkpoint.seed.differs", "its seed is 9, its settings say 1");
+}
+
 // Without the lock, which says who held the folder last.
 std::map<std::string, std::pair<std::string, fs::file_time_type>> contents(const std::string& folder) {
   std::map<std::string, std::pair<std::string, fs::file_time_type>> files;

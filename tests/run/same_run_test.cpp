@@ -265,6 +265,12 @@ TEST_F(DrivenRun, HasTheBitsAndTheRowsOfTheWholeRun) {
   EXPECT_HAS(error_of([&] { run.save(""); }), "somebody continued the run");
 }
 
+// Whoever drives it.
+TEST_F(DrivenRun, EndsWhereItsFirstStepsTakeMoreMemoryThanIsAllowed) {
+  semfield::Run run(config({"runtime.memory_gb=0.001"}), registry_, {}, &nobody_);
+  EXPECT_ERROR(run.advance(1), "memory.training.size", "runtime.memory_gb");
+}
+
 TEST_F(DrivenRun, RoundsOfSelfTrainingNeedAFolderAndHaveTheBitsOfTheWholeRun) {
   const std::vector<std::string> set{"scene.labels.degrade=[{type: propagation}]", "train.self_training.at=[0.5]",
                                      "train.self_training.confidence=0.3", "train.ray_source=label_balanced"};
@@ -336,6 +342,8 @@ TEST_F(DrivenRun, ClicksAreInTheFolderBeforeTheyCount) {
     EXPECT_EQ(std::ranges::count(read_text_file(dir_ / "a/clicks.jsonl"), '\n'), 2);
     drive(run, 8);
     run.save("");
+    EXPECT_ERROR(run.save(dir_ / "b"), "run.folder.own", "cannot be saved in");
+    EXPECT_FALSE(fs::exists(dir_ / "b"));
     drive(run, 12);
     bits = fingerprint(run.session().pipeline->store());
   }

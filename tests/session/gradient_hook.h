@@ -36,8 +36,7 @@ inline void expect_hook_sees_every_tensor(
     plain.to(12);
     hooked.to(12);
     EXPECT_EQ(plain.bits(), hooked.bits());
-    EXPECT_EQ(steps.size(), 12u);
-    EXPECT_TRUE(std::is_sorted(steps.begin(), steps.end()));
+    for (std::size_t i = 0; i < steps.size(); ++i) EXPECT_EQ(steps[i], i);
     call(hooked, nullptr);
     plain.to(18);
     hooked.to(18);

@@ -364,7 +364,9 @@ TEST_F(MemoryOfRuns, TheFirstStepsTellWhatTheyTookAndEndARunThatMayNotTakeIt) {
   EXPECT_EQ(made.code, 0) << made.err;
   std::smatch took;
   const std::string said = made.out + made.err;
-  ASSERT_TRUE(std::regex_search(said, took, std::regex("the first steps took ([0-9]+) MB of memory"))) << said;
+  ASSERT_TRUE(
+      std::regex_search(said, took, std::regex("after the first steps the process holds ([0-9]+) MB of memory")))
+      << said;
   const std::string less = std::to_string(0.97 * std::stod(took[1]) / 1024);
   const auto refused = semfield_run("train" + kSmallRun + " --steps 2 --memory " + less + " --out over", folder.path());
   EXPECT_EQ(refused.code, 69);

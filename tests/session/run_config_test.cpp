@@ -58,6 +58,7 @@ TEST(RunConfig, TheDeviceChoosesSizesThatAreLeftOpen) {
 TEST(RunConfig, KeysOfBefore1_0AreRefusedWithTheWayOut) {
   const std::string text = errors_of(hash_config("runtime: {gemm: onednn}\n"));
   EXPECT_HAS(text, "room.yaml:11:", "gemm is gone", "remove the key");
+  EXPECT_EQ(errors_of(hash_config("runtime: {gemm: auto}\n")), "") << "1.0 promised to take it until 2.0";
   EXPECT_LACKS(text, "unknown key");
 }
 
@@ -278,6 +279,15 @@ TEST(LossConfig, WhatBecomesOfDepthImagesIsSaid) {
   EXPECT_EQ(use(term, training_depth(scene)), "depth images of 2 training frames have no valid pixel");
   ASSERT_EQ(diagnostics.all().size(), 1u);
   EXPECT_HAS(diagnostics.all()[0].text(), "read them");
+  LossTraits reads_depth;
+  reads_depth.targets = {channel::depth};
+  BuildRequest request;
+  request.losses = {{"depth", "memory", true, reads_depth}, {"distortion", "walks", true, {}}};
+  request.depth_frames = 2;
+  request.depth_px = 0;
+  EXPECT_EQ(plan_build({}, request, {}).no_losses, std::vector<std::string>{"depth"});
+  request.depth_px = 7;
+  EXPECT_TRUE(plan_build({}, request, {}).no_losses.empty());
 }
 
 TEST(LossConfig, DepthThatATermReadsIsHeldAndCounted) {

@@ -186,6 +186,9 @@ TEST(Colmap, LensesWithOneFocalLengthAndRefusedOnes) {
 TEST(Colmap, LabelsForSomeFrames) {
   const std::string folder = scene_folder("l", 8, 4, [](const std::string& f) { Binary().write(f); });
   std::filesystem::create_directories(folder + "/labels");
+  Diagnostics none;
+  open(folder, none, "labels");
+  EXPECT_FINDING(none, "labels.frames.missing", "no label image for any frame", "like the images", ".png");
   write_png_gray8(folder + "/labels/b.png", 8, 4, std::vector<std::uint8_t>(32, 5));
   plain_write(folder + "/classes.yaml", "- {id: 0, name: void, ignore: true}\n- {id: 5, name: cup}\n");
   ColmapParams p{.root = folder, .label_dir = "labels"};

@@ -307,6 +307,19 @@ TEST(TransformsJson, AabbScaleIsALimitOfTheBounds) {
   }
 }
 
+TEST(TransformsJson, PosesWithoutDepthAreMetricWhereTheIndexSaysSo) {
+  const Scene s;
+  for (const auto& [keys, metric] :
+       {std::pair{"", false}, {"\"metric\": false, ", false}, {"\"metric\": true, ", true}}) {
+    s.index(kLens + keys, {"\"file_path\": \"a.png\""});
+    EXPECT_EQ(s.open().metric, metric) << keys;
+  }
+  for (const char* bad : {"\"yes\"", "2", "[true]"}) {
+    s.index(kLens + "\"metric\": " + bad + ", ", {"\"file_path\": \"a.png\""});
+    EXPECT_FINDING(s.findings(), "scene.index.value", "/transforms.json: ", "'metric'");
+  }
+}
+
 TEST(TransformsDialects, UnitsOfDepth) {
   Scene s;
   s.depth();

@@ -215,6 +215,30 @@ TEST(OccupancyGrid, GrowingStepsLowerTheThresholdOfOuterCascades) {
   EXPECT_EQ(occupied(0), (std::array<bool, 2>{false, false}));
 }
 
+TEST(OccupancyGrid, EverySampleNearTheBallIsKept) {
+  OccupancyGridParams params = small_grid();
+  params.update_every = 1;  // cells that the ball only grazes need many draws
+  Bench<float> bench(params);
+  bench.learn(ball<float>(50, 0), 80);
+  bench.shoot(200);
+  for (std::int64_t r = 0; r < 200; ++r) {
+    // Length inside the ball, from the geometry, against the length that the samples inside it cover.
+    const double* o = &bench.origin[3 * r];
+    const double* d = &bench.direction[3 * r];
+    const Vec3d to{0.5 - o[0], -o[1], 0.5 - o[2]};
+    const double along = to.x * d[0] + to.y * d[1] + to.z * d[2];
+    const double gap2 = 0.64 - (dot(to, to) - along * along);
+    const double half = gap2 > 0 ? std::sqrt(gap2) : 0;
+    const double want = std::max(0.0, along + half - std::max(0.05, along - half));
+    double covered = 0;
+    for (std::int32_t k = bench.first[r]; k < bench.first[static_cast<std::size_t>(r) + 1]; ++k) {
+      const double t = static_cast<double>(bench.t[k]);
+      if (std::abs(t - along) < half) covered += static_cast<double>(bench.delta[k]);
+    }
+    EXPECT_NEAR(covered, gap2 > 0 ? want : 0, 2 * bench.sampler.geometry().step_m) << "ray " << r;
+  }
+}
+
 // Optical depth of the haze that samples leave out, the most over all rays.
 double largest_loss(SkipRule rule, double haze) {
   OccupancyGridParams params = small_grid();
@@ -259,6 +283,33 @@ TEST(OccupancyGrid, NothingIsLeftOutDuringWarmUpOrWithoutAnyDensity) {
   even.learn(ball<float>(0.01, 0.01), 200);
   even.shoot(20);
   EXPECT_EQ(even.out.count, all);
+}
+
+TEST(OccupancyGrid, FollowsAFieldThatMoves) {
+  OccupancyGridParams params = small_grid();
+  params.update_share = 0.25;
+  Bench<float> bench(params);
+  bench.learn(ball<float>(50, 0), 80);
+  const float before = bench.box.value(3).data[2];
+  EXPECT_NEAR(before, 2.14 / (5.1 * 4.1 * 3.1), 0.01);  // the ball's share of the padded room
+  for (std::int64_t s = 80; s < 80 + 16 * 110; s += 16) {
+    bench.ctx.step = s;
+    bench.sampler.observe(bench.ctx, bench.box.values_only(), ball<float>(0, 20));  // inside out
+  }
+  EXPECT_NEAR(bench.box.value(3).data[2], 1 - before, 0.02);
+}
+
+TEST(OccupancyGrid, StateIsFiniteWhateverTheDensity) {  // a checkpoint refuses anything else
+  Bench<float> bench(small_grid());
+  bench.learn(
+      [](View<const double> p, View<float> sigma) {
+        for (std::int64_t i = 0; i < p.rows; ++i)
+          *sigma.row(i) = static_cast<float>(std::exp(8 * std::sin(5 * p(i, 0) + p(i, 1) * p(i, 2))));
+      },
+      129);
+  for (std::size_t i = 0; i < 4; ++i)
+    for (const float v : std::span(bench.box.value(i).data, bench.box.value(i).rows))
+      ASSERT_TRUE(std::isfinite(v)) << i;
 }
 
 // Case B11 of tests/numerics has steps that are scarce.
