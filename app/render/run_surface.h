@@ -60,9 +60,9 @@ std::optional<Vec3d> upright_of(const Session& session);
 
 // The view in 3D at the top of a report.
 
-/// ReportInput::scene of a run that has come to `step`: the page of a coarse mesh. As evaluation does, it keeps to a
-/// tenth of the training: of its rays here. "" where those are too few to see a surface, and where there is none or it
-/// cannot be shown, which a note says.
+/// `scene` of report_page, for a run that has come to `step`: the page of a coarse mesh. As evaluation does, it keeps
+/// to a tenth of the training: of its rays here. "" where those are too few to see a surface, and where there is none
+/// or it cannot be shown, which a note says.
 std::string report_scene(const Session& session, const std::string& run_dir, std::int64_t step,
                          const AppContext& context);
 

@@ -147,11 +147,11 @@ std::string viewer(const std::string& title, const Json& facts, const std::strin
   for (const char* name : {"matrices", "drawing", "camera", "objects"}) script += part(std::string(name) + ".js");
   if (live) script += part("live.js");
   return filled_page(part("viewer.html"), {{"<!--connect-->", live ? "'self'" : "'none'"},
-                                      {"<!--title-->", html_escape(title)},
-                                      {"/*style*/", part("viewer.css")},
-                                      {"/*script*/", script + part("viewer.js")},
-                                      {"/*facts*/", script_json(json_text(facts))},
-                                      {"/*mesh*/", mesh}});
+                                           {"<!--title-->", html_escape(title)},
+                                           {"/*style*/", part("viewer.css")},
+                                           {"/*script*/", script + part("viewer.js")},
+                                           {"/*facts*/", script_json(json_text(facts))},
+                                           {"/*mesh*/", mesh}});
 }
 
 std::string today() {

@@ -17,8 +17,8 @@
 #include "core/error.h"
 #include "core/text.h"
 #include "report/report.h"
-#include "run/run_folder.h"
 #include "run/run.h"
+#include "run/run_folder.h"
 
 namespace semfield::app {
 
@@ -213,12 +213,12 @@ void words(VerbWords& verb, TrainOptions& options) {
   verb.length(options.length);
   verb.threads(set);
   verb.setting(set, "--memory GB", "runtime.memory_gb",
-               "GB that the run may use; it ends after its first steps if they take more (default: what is free)");
+               "GB that the run may use; it ends after its first steps if they take more (default: no limit)");
   verb.device(set);
   verb.repeated("--keep COMPONENT", options.keep, "keep a component that would be left out");
   verb.flag("--weak", options.weak, "under mpirun or srun: train.rays in each process, not in all together");
   verb.flag("--no-3d", options.flat, "write a report without the view in 3D");
-  verb.flag("--dry-run", options.dry_run, "print what would be built, left out and needed, then stop");
+  verb.flag("--dry-run", options.dry_run, "print what would be built and left out, then stop");
 }
 
 }  // namespace

@@ -26,8 +26,7 @@ inline constexpr int kProbeRounds = 20000;      ///< of a float loop: 0.1 ms
 inline constexpr double kProbeScale = 0.99999;  ///< a chain of fp32: a = a * scale + (1 - scale), so that it nears 1
 
 /// Of each loop that this CPU has: chain i of a float loop starts at 1 + i; a round of bf16 adds 0.004 to the
-/// first half of a vector and 0.000006 to the second; half of the
-/// products of tiles are 1 and the others 0.
+/// first half of a vector and 0.000006 to the second; half of the products of tiles are 1 and the others 0.
 std::vector<ProbeCall> probe_calls();
 
 }  // namespace semfield

@@ -49,10 +49,12 @@ class Source {
   /// Columns count characters, not bytes. Places are asked for in rising order, so counting resumes at the last one.
   Location at_offset(std::size_t offset) const {
     if (is_value_) return {name_, 0, 0};
-    if (offset < offset_) offset_ = 0, line_ = column_ = 1;
+    if (offset < line_begin_) line_begin_ = 0, line_ = 1;
+    if (offset < offset_) offset_ = line_begin_, column_ = 1;
     for (; offset_ < std::min(offset, text_.size()); ++offset_) {
       if (text_[offset_] == '\n') {
         ++line_;
+        line_begin_ = offset_ + 1;
         column_ = 1;
       } else {
         column_ += (static_cast<unsigned char>(text_[offset_]) & 0xC0u) != 0x80u ? 1 : 0;
@@ -137,7 +139,7 @@ class Source {
   std::string name_;
   bool is_value_;
   std::string text_;
-  mutable std::size_t offset_ = 0;
+  mutable std::size_t offset_ = 0, line_begin_ = 0;
   mutable int line_ = 1, column_ = 1;
 };
 

@@ -1,3 +1,4 @@
+// Learning a grouping on the device.
 #include <algorithm>
 
 #include "compute/parallel.h"

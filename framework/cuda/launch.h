@@ -106,7 +106,7 @@ int multiprocessors();
 
 // Device memory: arenas, buffers, and what to say when there is none left.
 
-/// Device memory, 256-byte aligned. Throws Error(exhausted): requested, free and total bytes, the buffer's name and
+/// Device memory, 256-byte aligned. Throws Error(unavailable): requested, free and total bytes, the buffer's name and
 /// three settings that make a run smaller. During a graph capture it is an error too: a step must not allocate.
 std::byte* allocate(std::size_t bytes, const char* what);
 /// The same, filled with zeros; null for none.

@@ -1,4 +1,4 @@
-
+// The stages of a pass on the device, and the list of losses.
 #include "core/check.h"
 #include "core/error.h"
 #include "cuda/kernels/kernels.h"

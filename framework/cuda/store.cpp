@@ -179,9 +179,8 @@ void Store::zero_derived_gradients() const {
         "clearing gradients");
 }
 
-void Store::clear_lanes(int first, int count) const {
-  const std::size_t bytes = static_cast<std::size_t>(count) * lane_numbers_ * sizeof(float);
-  check(cudaMemsetAsync(lane(first), 0, bytes, launch().stream), "clearing gradients");
+void Store::clear_lanes() const {
+  check(cudaMemsetAsync(lanes_.data(), 0, lanes_.size() * sizeof(float), launch().stream), "clearing gradients");
 }
 
 void Store::add_lanes() const {

@@ -29,10 +29,9 @@ class Store final : public TensorStore<float> {
   std::span<float> gradients() const { return {grads_.data(), grads_.size()}; }
   std::size_t gradients_added() const { return gradients_added_; }
 
-  /// [lanes, lane_numbers()]
+  /// The gradients of lane `number`.
   float* lane(int number) const { return lanes_.data() + static_cast<std::size_t>(number) * lane_numbers_; }
-  std::size_t lane_numbers() const { return lane_numbers_; }
-  void clear_lanes(int first, int count) const;
+  void clear_lanes() const;
   /// Main gradients += those of the lanes of all shards, as a tree.
   void add_lanes() const;
 

@@ -556,7 +556,7 @@ class StreamExecutor::ShardExecutor final : public StepExecutor<float> {
  private:
   bool in_place(std::size_t pass) const { return !owner_.tracks_.empty() && owner_.rows_[pass].all->size().in_place; }
   EncoderRows place(std::size_t pass, std::int64_t rows) const {
-    const std::int64_t first = (ctx_.first_ray - owner_.first_ray()) * owner_.host_.per_ray()[pass];
+    const std::int64_t first = ctx_.first_ray * owner_.host_.per_ray()[pass];
     return owner_.rows_[pass].all->place(first, rows);
   }
   LossSums* sums(std::size_t pass) const { return &owner_.staging_->device_sums()->shard[shard_][pass]; }
@@ -606,12 +606,10 @@ void StreamExecutor::backward(const Shape& shape, std::int64_t step, bool overla
   walk_shards(shape, step, tile_rays(rays_));
 }
 
-std::int64_t StreamExecutor::first_ray() const { return shard_of(rays_, sums_->own().first, sums_->shards()).begin; }
-
 // The first `most` rays of each of this rank's shards.
 void StreamExecutor::walk_shards(const Shape& shape, std::int64_t step, std::int64_t most) {
   const auto [first, last] = sums_->own();
-  const std::int64_t begin = first_ray();
+  const std::int64_t begin = shard_of(rays_, first, sums_->shards()).begin;
   const RayBatch batch = staging_->batch();
   const auto shard_at = [&](int s) {
     const RayRange rays = shard_of(rays_, s, sums_->shards());
@@ -627,7 +625,7 @@ void StreamExecutor::walk_shards(const Shape& shape, std::int64_t step, std::int
     pass.shard.clear();
     if (pass.all) pass.all->begin();
   }
-  store_->clear_lanes(first, last - first);
+  store_->clear_lanes();
   check(cudaEventRecord(forked_, stream_), "marking a step");
   std::deque<Workspace::Scope> taken;  // until the rows of encoders are collected
   for (int s = first; s < last; ++s) {
@@ -635,7 +633,7 @@ void StreamExecutor::walk_shards(const Shape& shape, std::int64_t step, std::int
     check(cudaStreamWaitEvent(track.stream, forked_, 0), "waiting for a step");
     Launch next = launch();
     next.stream = track.stream;
-    next.beside = kShards;  // whoever walks the others: grids of sums are part of the bits
+    next.beside = kShards;  // grids of sums are part of the bits
     const LaunchScope scope(next);
     taken.emplace_back(track.arena);
     Shard shard = shard_at(s);

@@ -120,8 +120,6 @@ class StreamExecutor final : public Executor<float> {
   void walk(const Shape& shape, const Shard& shard, std::int64_t step, Workspace& arena);
   void complete_gradients(std::int64_t step);
   void reserve_gradients();
-  /// Of this rank's.
-  std::int64_t first_ray() const;
   class ShardExecutor;
   class Points;
   std::int64_t growths() const;

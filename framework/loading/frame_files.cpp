@@ -170,7 +170,7 @@ void check_shape(const std::string& path, const FrameInfo& frame, const std::str
 void report_unlabelled(const std::string& folder, std::size_t labelled, std::size_t frames, Diagnostics& diagnostics) {
   if (labelled == 0 && frames > 0) {
     diagnostics.error("labels.frames.missing", folder, "no label image for any frame",
-                      "name them like the images, with .png");
+                      "name them like the images, in the same folders, with .png");
   } else if (labelled < frames) {
     diagnostics.note(
         "labels.frames.missing", folder,

@@ -378,12 +378,9 @@ LoadedScene load_scene(const SceneReader& reader, const SceneLoadOptions& option
   }
   if (options.before_pixels) {
     std::size_t bytes = 0;
-    std::int32_t width_px = 0;
-    for (std::size_t i = 0; i < frames.size(); ++i) {
+    for (std::size_t i = 0; i < frames.size(); ++i)
       bytes += stored_bytes(frames[i], cameras[i], options, scene.info.classes.valid_count());
-      width_px = std::max(width_px, cameras[i].width_px);
-    }
-    options.before_pixels(bytes, frames.size(), width_px);
+    options.before_pixels(bytes, frames.size());
   }
   const std::int32_t step = survey_step(train_pixels);
   std::vector<SurveyPoints> surveyed(frames.size());

@@ -35,7 +35,7 @@ struct SceneLoadOptions {
   bool with_instances = false;        ///< not a key
   std::vector<std::string> channels;  ///< not a key: further channels of training frames that are wanted, by name
   /// Not a key: told what all frames will take in memory before the first is read; may throw.
-  std::function<void(std::size_t bytes, std::size_t frames, std::int32_t width_px)> before_pixels = {};
+  std::function<void(std::size_t bytes, std::size_t frames)> before_pixels = {};
   /// Not a key: space outside the bounds is contracted (rendering.outside), so that they are those of the subject and
   /// far lies beyond all that could be told from infinity.
   bool contracted = false;

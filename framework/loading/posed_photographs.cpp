@@ -63,7 +63,8 @@ void PosedPhotographs::require(std::initializer_list<const char*> parts, const s
   }
 }
 
-SceneInfo PosedPhotographs::open(const std::vector<PosedPhotograph>& all, bool opengl_files, Diagnostics& diagnostics) {
+SceneInfo PosedPhotographs::open(const std::vector<PosedPhotograph>& all, bool opengl_files, Diagnostics& diagnostics,
+                                 const std::string& poses) {
   info_ = {};
   info_.opengl_files = opengl_files;
   info_.name = fs::weakly_canonical(root_).filename().string();
@@ -104,7 +105,8 @@ SceneInfo PosedPhotographs::open(const std::vector<PosedPhotograph>& all, bool o
     }
     if (state != PoseState::good || !check.present(frame, files, diagnostics) ||
         !sizes.fit(photo.image, place, frame.camera, diagnostics) ||
-        !check_principal_point(frame.camera, place, diagnostics) || !check_camera(frame.camera, place, diagnostics))
+        (!photo.fitted && !check_principal_point(frame.camera, place, diagnostics)) ||
+        !check_camera(frame.camera, place, diagnostics))
       continue;
     frame.has_depth = !files.depth.empty();
     frame.has_labels = !files.label.empty();
@@ -121,7 +123,8 @@ SceneInfo PosedPhotographs::open(const std::vector<PosedPhotograph>& all, bool o
   sizes.report(root_, diagnostics);
   masks.report(diagnostics);
   check.report(root_, info_.frames.size(), diagnostics);
-  if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, info_.frames.size(), root_, diagnostics);
+  if (!diagnostics.has_errors() || !skipped.empty())
+    report_skipped(skipped, info_.frames.size(), poses.empty() ? root_ : poses, diagnostics);
   if (!params_.label_dir.empty())
     report_unlabelled((fs::path(root_) / params_.label_dir).string(), labelled, info_.frames.size(), diagnostics);
   info_.classes = load_class_file(class_file_, {root_}, labelled > 0, diagnostics);

@@ -44,11 +44,12 @@ struct PosedPhotograph {
   std::string image, depth;  ///< depth: "" where there is none
   std::string name = {};     ///< below the folder of images, where label images lie as these do; "": the file's
   std::string place = {};    ///< of the pose, for messages; "": the frame
-  std::string confidence =
-      {};  ///< 8-bit, as large as the depth: 0 low, `high` high, anything between medium; "" for none
+  /// 8-bit, as large as the depth: 0 low, `high` high, anything between medium; "" for none.
+  std::string confidence = {};
   int high = 2;
   double depth_unit_m = 0.001;  ///< of one step of the depth image
   Camera camera;                ///< of images of the size that the files state
+  bool fitted = false;          ///< to these images: its centre may lie anywhere
   Pose world_from_camera;       ///< OpenCV axes, metres
 };
 
@@ -67,8 +68,10 @@ class PosedPhotographs {
   void require(std::initializer_list<const char*> parts, const std::string& app) const;
 
   /// Checks every N-th of the photographs, in their order, and makes frames of them; `opengl_files`: of SceneInfo. What
-  /// is wrong with one goes into `diagnostics` under its place.
-  SceneInfo open(const std::vector<PosedPhotograph>& photos, bool opengl_files, Diagnostics& diagnostics);
+  /// is wrong with one goes into `diagnostics` under its place; what is wrong with the poses of all under `poses`,
+  /// where they are from; "": the folder.
+  SceneInfo open(const std::vector<PosedPhotograph>& photos, bool opengl_files, Diagnostics& diagnostics,
+                 const std::string& poses = "");
   /// As Dataset::read.
   void read(int frame, FrameBuffer& out) const;
 

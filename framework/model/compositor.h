@@ -155,9 +155,8 @@ SEMFIELD_HD inline OpacityResolution resolution_of(const OpacitySums& sums, doub
 /// b its two largest weights, and delta_a, t_a the interval and distance of a:
 ///   clear            O < 1/2: the ray met little;
 ///   under_resolved   a + b >= 0.9 O and delta_a > footprint_per_m t_a: at most two steps, longer than a pixel is wide
-///   at
-///                    that distance, gave the opacity. The surface lies anywhere within them, and matter as thin as the
-///                    pixel grid could show is seen with the chance of width / delta alone;
+///                    at that distance, gave the opacity. The surface lies anywhere within them, and matter as thin as
+///                    the pixel grid could show is seen with the chance of width / delta alone;
 ///   resolved         else.
 /// `weight` [M, 1] of `samples`.
 template <class Real>

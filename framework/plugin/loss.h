@@ -139,7 +139,7 @@ inline void describe_rule(ParamVisitor& visit, LossRule& p) {
 /// For losses without relations between parameters.
 inline void validate(const LossRule&, Diagnostics&) {}
 
-/// The channels of a loss, by name (plugin/loss.h).
+/// The channels of a loss, by name.
 struct LossTraits {
   std::vector<std::string_view> targets;  ///< those that it cannot do without
   std::vector<std::string_view> heads;    ///< of RayValues::heads that it reads

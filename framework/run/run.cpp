@@ -15,6 +15,7 @@
 #include "compute/parallel.h"
 #include "config/compose.h"
 #include "config/explain.h"
+#include "core/check.h"
 #include "core/error.h"
 #include "core/text.h"
 #include "eval/final_eval.h"
@@ -308,16 +309,19 @@ OpenedForTraining open_for_training(RunConfig config, Registry& registry, const 
   return {std::move(*folder), std::move(session), std::move(inputs), std::move(point)};
 }
 
-// What the first steps have shown. Throws Error(unavailable) where it is more than runtime.memory_gb.
-void tell_memory(const RunConfig& config, RunListener& listener) {
-  const std::size_t bytes = peak_resident_bytes();
+// What the process holds when the first steps are made. Throws Error(unavailable) where it is more than
+// runtime.memory_gb.
+std::size_t memory_of_first_steps(const RunConfig& config) {
+  const std::size_t bytes = resident_bytes();
   const double most_gb = config.runtime.memory_gb;
   if (most_gb > 0 && static_cast<double>(bytes) > most_gb * (1 << 30))
-    throw Error(ErrorKind::unavailable, "memory.training.size",
-                fmt::format("the first steps took {} of memory, and runtime.memory_gb allows {:g} GB",
-                            memory_text(bytes), most_gb),
-                "lower train.rays or runtime.lanes, make the encoder smaller, or raise scene.load.downscale");
-  listener.note(fmt::format("the first steps took {} of memory", memory_text(bytes)));
+    throw Error(
+        ErrorKind::unavailable, "memory.training.size",
+        fmt::format("after its first steps the process holds {} of memory, and runtime.memory_gb allows {:g} GB",
+                    memory_text(bytes), most_gb),
+        "lower train.rays or runtime.lanes, make the encoder smaller, or raise scene.load.downscale, and train "
+        "into another folder");
+  return bytes;
 }
 
 }  // namespace
@@ -428,6 +432,12 @@ std::span<const StepLosses> Run::advance(std::int64_t most) {
   try {
     if (!make_round()) return {};
     const std::span<const StepLosses> made = make_steps(most);
+    if (!memory_known_) {
+      const std::size_t bytes = memory_of_first_steps(session().config);
+      memory_known_ = true;
+      if (driver_ == Driver::command)
+        listener_.note(fmt::format("after the first steps the process holds {} of memory", memory_text(bytes)));
+    }
     make_due();
     return made;
   } catch (const RankLost&) {
@@ -621,13 +631,13 @@ bool Run::apply(const LabelEvent& event) {
 }
 
 TrainOutcome Run::finish() {
+  SEMFIELD_CHECK(scores_.has_value(), "a run that is driven by Driver::command ends so");
   const WorkScope scope(work_);
   const double start_s = training_.train_s();
   TrainOutcome outcome;
   try {
     listener_.stop_waits(true);
-    for (bool first = true; !training_.at_its_end() && !advance(kAllSteps).empty(); first = false) {
-      if (first) tell_memory(session().config, listener_);
+    while (!training_.at_its_end() && !advance(kAllSteps).empty()) {
       if (listener_.stop_signal() != 0) break;
     }
     if (!saved() || training_.step() == 0) save();

@@ -96,9 +96,10 @@ class Run {
  public:
   /// Opens the scene and, for a run that goes on, takes up its newest checkpoint; makes the folder of a new one when
   /// nothing can refuse it any more, and writes what the run is into it. Findings are reported to `listener`, or to
-  /// `opening` where it is given; both, which may be null, and `registry` must outlive the object. Throws Error, and
-  /// then a new run has left nothing: as open_session and RunFolder do, Error(usage) for rounds of self-training
-  /// without a folder, Error(config) naming every setting that would make it another run.
+  /// `opening` where it is given, which is heard here alone; `listener`, which may be null as it may, and `registry`
+  /// must outlive the object. Throws Error, and then a new run has left nothing: as open_session and RunFolder do,
+  /// Error(usage) for rounds of self-training without a folder, Error(config) naming every setting that would make it
+  /// another run.
   Run(RunConfig config, Registry& registry, const TrainRequest& request, RunListener* listener,
       TrainingListener* opening = nullptr);
   Run(const Run&) = delete;
@@ -119,7 +120,8 @@ class Run {
   /// Errors are those of Training::advance and of writing; where another rank is lost, steps that all have made are
   /// saved first.
   std::span<const StepLosses> advance(std::int64_t most);
-  /// Steps to the end or to a stop signal, then the last scores and the report: run_training of a run that is open.
+  /// Of Driver::command: steps to the end or to a stop signal, then the last scores and the report: run_training of a
+  /// run that is open.
   TrainOutcome finish();
   /// Training::train_more; run.yaml says so.
   void train_more(const AskedLength& asked);
@@ -187,7 +189,7 @@ class Run {
   std::int64_t saved_step_ = 0;        // of the newest checkpoint; 0 before the first step too
   double next_eval_s_ = 0;
   Clock::time_point last_save_ = Clock::now(), last_progress_ = Clock::now();
-  bool warned_of_slow_steps_ = false;
+  bool warned_of_slow_steps_ = false, memory_known_ = false;
 };
 
 // What a run that is opened again is compared with.

@@ -184,11 +184,10 @@ SurfaceMap LabelLoop::map_of(int view, std::int32_t stride) {
 
 bool LabelLoop::update_surfaces(double budget_s) {
   const Clock::time_point start = Clock::now();
-  const auto spent = [&] { return std::chrono::duration<double>(Clock::now() - start).count(); };
   for (std::size_t v = 0; v < pooled_; ++v) {
     if (!due(views_[v])) continue;
     views_[v].map = map_of(static_cast<int>(v), stride_);
-    if (spent() >= budget_s) return false;
+    if (spent_since(start) >= budget_s) return false;
   }
   const auto oldest = std::min_element(pooled().begin(), pooled().end(),
                                        [](const PoolView& a, const PoolView& b) { return a.map.step < b.map.step; });

@@ -12,8 +12,8 @@
 
 #include "labels/clicks/annotations.h"
 #include "plugin/registry.h"
-#include "run/run_folder.h"
 #include "run/run.h"
+#include "run/run_folder.h"
 #include "serve/label_loop.h"
 #include "serve/view_pictures.h"
 #include "session/session.h"

@@ -101,6 +101,10 @@ CheckpointFacts read_checkpoint_facts(const TensorFile& file) {
            fmt::format("its format is '{}', this program reads '{}'", format, kCheckpointFormat),
            "use the version of the program that wrote it, or train again");
   }
+  for (const char* key : {"scene", "inputs"})  // which programs before 1.0 did not write
+    if (!file.metadata().contains(key))
+      refuse("checkpoint.file.version", file, fmt::format("it has no '{}': a version older than 1.0 wrote it", key),
+             "use the version of the program that wrote it, or train again");
   CheckpointFacts facts;
   facts.step = number_of<std::int64_t>(file, "step");
   facts.train_s = number_of<double>(file, "train_s");

@@ -170,7 +170,7 @@ Session load_session(RunConfig config, Registry& registry, const SessionOptions&
   const bool needs_depth =
       of_losses || options.depth == DepthKept::all || (make_labels && s.config.labels.wants_depth());
   load.depth = needs_depth || keeps(s.config, kTrainingDepth) ? DepthKept::all : options.depth;
-  load.before_pixels = [&](std::size_t bytes, std::size_t frames, std::int32_t /*width_px*/) {
+  load.before_pixels = [&](std::size_t bytes, std::size_t frames) {
     require_frame_memory(s.config.runtime.memory_gb, bytes, frames);
   };
   s.scene = load_scene(*dataset, load, diagnostics);
@@ -223,6 +223,7 @@ void fix_extent(Session& s, DeviceId device) {
 // The network is built once, `last` in it; what else depends on its parts is asked of them.
 void build_session(Session& s, Registry& registry, const SessionOptions& options, RunOn how,
                    std::unique_ptr<Sampler<float>> last) {
+  if (options.trainable) release_freed_memory();  // of reading, before the network is allocated
   NetworkParts<float> parts = make_parts<float>(s.config, registry, s.plan, s.extent, std::move(last));
   s.limits.clip = !s.extent.contracted && parts.needs_bounds();
   s.config.runtime.lanes = parts.options.lanes;  // derived, as the extent is

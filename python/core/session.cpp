@@ -108,7 +108,7 @@ std::unique_ptr<PySession> PySession::open(const py::object& config, const py::d
   if (!how.scene.is_none()) tree = with_scene(tree, how.scene.cast<py::dict>());
   made->run_ = opened([&] {
     return std::make_unique<Run>(session_config_of(tree, made->registry_), made->registry_,
-                                        TrainRequest{how.run_dir, false, how.keep}, &made->notes_);
+                                 TrainRequest{how.run_dir, false, how.keep}, &made->notes_);
   });
   return made;
 }
@@ -119,7 +119,7 @@ std::unique_ptr<PySession> PySession::resume(const std::string& run_dir, const p
   made->run_ = opened([&] {
     const ConfigNode tree = compose_config_with(RunFolder::read(run_dir).config_path(), overrides);
     return std::make_unique<Run>(session_config_of(tree, made->registry_), made->registry_,
-                                        TrainRequest{run_dir, true, how.keep}, &made->notes_);
+                                 TrainRequest{run_dir, true, how.keep}, &made->notes_);
   });
   return made;
 }

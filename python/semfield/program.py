@@ -11,14 +11,14 @@ import re
 import shutil
 import signal
 import subprocess
-from typing import Any, Dict, List, Mapping, Optional, Tuple, Union
+from typing import Any, Dict, List, Mapping, Optional, Tuple
 
 import numpy as np
 
 from . import _core
 from .errors import Error, InputError, UnavailableError
+from .scenes import PathLike
 
-PathLike = Union[str, "os.PathLike[str]"]
 Array = np.ndarray[Any, Any]
 
 

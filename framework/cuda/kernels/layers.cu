@@ -1,4 +1,5 @@
-// Passes over matrices that are not products. All are bound by memory: a thread moves 4 numbers where rows allow it.
+// Passes over matrices, and products that cuBLASLt has no kernel for or is slow at. Passes are bound by memory: a
+// thread moves 4 numbers where rows allow it.
 #include <cuda_bf16.h>
 
 #include <algorithm>
@@ -625,8 +626,6 @@ template void convert<float, __nv_bfloat16>(View<const float>, View<__nv_bfloat1
 template void convert<__nv_bfloat16, __nv_bfloat16>(View<const __nv_bfloat16>, View<__nv_bfloat16>);
 template void convert<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<float>);
 template void add_rows<float, float>(View<const float>, View<float>);
-template void add_rows<float, __nv_bfloat16>(View<const float>, View<__nv_bfloat16>);
-template void add_rows<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<float>);
 
 void small_products(std::span<const SmallProduct> list, Workspace* arena) {
   constexpr std::int64_t kTermsOfPart = 256, kMostParts = 32;
@@ -663,9 +662,8 @@ void simple_product(const Product& p) {
                     std::to_string(kMostColumns) + " are computed",
                 "");
   }
-  const std::int64_t terms = p.a.transposed ? p.a.rows : p.a.cols;
   const dim3 grid(blocks_of(p.d.rows, kSimpleTile), blocks_of(p.d.cols, kSimpleTile));
-  queue("a plain product", grid, dim3(kSimpleTile, kSimpleTile), product_kernel, p.a, p.b, p.d, terms, p.add);
+  queue("a plain product", grid, dim3(kSimpleTile, kSimpleTile), product_kernel, p.a, p.b, p.d, terms_of(p.a), p.add);
 }
 
 void shared_bias_forward(View<const float> share, View<const float> bias, View<float> y) {

@@ -94,12 +94,12 @@ namespace {
 constexpr std::size_t kPiece = std::size_t{1} << 20;  // numbers of a rank that the others get at once
 
 // Page-locked memory of the host.
-class PinnedBytes {
+class PinnedNumbers {
  public:
-  PinnedBytes() = default;
-  PinnedBytes(const PinnedBytes&) = delete;
-  PinnedBytes& operator=(const PinnedBytes&) = delete;
-  ~PinnedBytes() { (void)cudaFreeHost(data_); }
+  PinnedNumbers() = default;
+  PinnedNumbers(const PinnedNumbers&) = delete;
+  PinnedNumbers& operator=(const PinnedNumbers&) = delete;
+  ~PinnedNumbers() { (void)cudaFreeHost(data_); }
   /// Nothing may be on its way to or from it.
   void reserve(std::size_t count) {
     if (count <= size_) return;
@@ -186,7 +186,7 @@ class HostExchange final : public RankExchange {
   }
 
   Ranks& ranks_;
-  PinnedBytes own_, all_;
+  PinnedNumbers own_, all_;
   FaultKey least_ = kNoFault;
 };
 

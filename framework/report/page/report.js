@@ -446,7 +446,7 @@ function confusions_of({classes: all, confusion: {pixels}}) {
   const wrong = sum(found.map(({n}) => n));
   // Twice: those that cost most pixels are of large classes, those that hide a class of small ones.
   const list = (title, key) => html`<div><h4>${title}</h4><ul>${
-    found.toSorted((a, b) => b[key] - a[key])
+    [...found].sort((a, b) => b[key] - a[key] || b.n - a.n)
       .slice(0, kMostConfusions)
       .map(({t, p, n, share}) => html`<li>${swatch(all[t].color)}${all[t].name} read as ${swatch(all[p].color)}${
              all[p].name}: ${percent(share)} of ${all[t].name}${
@@ -579,7 +579,8 @@ function worst() {
   // Worst first; frames without a mIoU after those with one, by PSNR.
   const rank = (frame) => [get(frame, "miou_present") ?? 2, get(frame, "psnr") ?? Infinity];
   const compared = (a, b) => (a < b ? -1 : a > b ? 1 : 0);
-  const sorted = (all) => all.toSorted((a, b) => compared(rank(a)[0], rank(b)[0]) || compared(rank(a)[1], rank(b)[1]));
+  const sorted = (all) =>
+    [...all].sort((a, b) => compared(rank(a)[0], rank(b)[0]) || compared(rank(a)[1], rank(b)[1]));
   const tables =
     runs.filter((run) => run.eval?.per_frame.length > 0)
       .map(
@@ -766,4 +767,4 @@ function page() {
     cards()]}</header><main>${shown.map(([, , part]) => part)}</main><footer>Made by Semfield from the
 ${data.experiments ? "cells’" : "run folder’s"} files; the same files give the same bytes.</footer>`;
 }
-document.body.insertAdjacentHTML("beforeend", page().text);
+document.getElementById("page").innerHTML = page().text;  // in place of what a saved page brings along

@@ -47,7 +47,7 @@ constexpr int kReach = 8;           // half the side of a patch, pixels
 constexpr float kWeakest = 500;     // strength of a corner, grey steps squared
 constexpr float kAlike = 0.75f;     // correlation of a match
 constexpr float kAmbiguous = 0.9f;  // of (1 - best) / (1 - second)
-constexpr double kOff = 1.5;        // pixels of the small picture
+constexpr double kOff = 1.5;        // pixels of the small picture: what corners of right cameras are found within
 constexpr int kFewestMatches = 12;
 constexpr double kLeastParallax = 0.02;  // radians between two rays that meet; a pixel of the small picture is 0.004
 constexpr int kFewestGreys = 8, kFewestPairs = 8;
@@ -282,9 +282,8 @@ PhotoFrame photo_frame(const Camera& camera, const FrameBuffer& frame) {
 
 namespace {
 
-constexpr double kOffPx = 1.5;     // of the small pictures: what corners of right cameras are found within
-constexpr double kLikelyPx = 12;   // beyond: matched wrongly
-constexpr int kFewestTracks = 60;  // that can speak
+constexpr double kLikelyPx = 12;                         // beyond: matched wrongly
+constexpr int kFewestTracks = 60;                        // that can speak
 constexpr double kMoreShare = 0.03, kMoreTimes = 1.05;   // by which other cameras fit clearly more
 constexpr double kDelays[] = {-2, -1, -0.5, 0.5, 1, 2};  // frames
 
@@ -326,7 +325,7 @@ class Check {
  private:
   double fitting(const Bundle& cameras, std::size_t half) const {
     int fits = 0;
-    for (std::size_t i = half; i < tracks_.size(); i += 2) fits += off_px(cameras, tracks_[i]) < kOffPx ? 1 : 0;
+    for (std::size_t i = half; i < tracks_.size(); i += 2) fits += off_px(cameras, tracks_[i]) < kOff ? 1 : 0;
     return static_cast<double>(fits) / static_cast<double>(tracks_.size());
   }
 
@@ -765,7 +764,7 @@ int count_fits(const Matches& matches, const PhotoFrame& a, const PhotoFrame& b,
   camera.fx /= factor;
   camera.fy /= factor;
   const auto seen = [factor](const PhotoCorner& corner) {
-    return Vec3d{corner.ray.x * factor, corner.ray.y * factor, factor == 1 ? corner.ray.z : 1};
+    return Vec3d{corner.ray.x * factor, corner.ray.y * factor, 1};
   };
   return static_cast<int>(std::count_if(matches.begin(), matches.end(), [&](const auto& match) {
     return off_epipolar_line(seen(a.corners[match.first]), b_from_a, seen(b.corners[match.second]), camera) < kOff;
@@ -990,9 +989,16 @@ std::string judge_depth(const DepthTallies& tallies, const SceneInfo& as_opened,
 // The same of photographs without depth. Unit and scale do not show in them.
 std::string judge_photos(const PhotoMatches& found, const SceneInfo& as_opened, Diagnostics& diagnostics) {
   const Reading& given = found.readings.front();
-  const Reading& best = *std::max_element(found.readings.begin(), found.readings.end(),
-                                          [](const Reading& a, const Reading& b) { return a.fits < b.fits; });
   const auto share = [&](const Reading& r) { return static_cast<double>(r.fits) / std::max(1, found.matches); };
+  const auto clearly_better = [&](const Reading& r) {
+    return share(r) > kPhotosClearly * share(given) && 2 * (r.better_pairs - r.worse_pairs) > found.pairs;
+  };
+  // Another image size counts only where it explains clearly more: by chance one of nine fits a little better.
+  const auto counted = [&](const Reading& r) {
+    return r.factor == 1 || (share(r) >= kFewFit && clearly_better(r)) ? r.fits : -1;
+  };
+  const Reading& best = *std::max_element(found.readings.begin(), found.readings.end(),
+                                          [&](const Reading& a, const Reading& b) { return counted(a) < counted(b); });
   const std::string seen = std::to_string(found.matches) + " corners found again over " + pairs_text(found.pairs);
   if (found.matches < kFewestCorners || found.pairs < 3) return "could not be checked: no depth, and only " + seen;
   if (share(best) < kFewFit) {
@@ -1008,7 +1014,7 @@ std::string judge_photos(const PhotoMatches& found, const SceneInfo& as_opened, 
                         remedy);
     return "poses do not agree with the photographs: " + only;
   }
-  if (share(best) > kPhotosClearly * share(given) && 2 * (best.better_pairs - best.worse_pairs) > found.pairs) {
+  if (clearly_better(best)) {
     const std::string evidence =
         "of " + seen + ", " + percent(share(given)) + " lie where the poses put them as given, " + percent(share(best));
     if (best.factor == 1) {

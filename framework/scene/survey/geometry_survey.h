@@ -93,8 +93,8 @@ class GeometrySurvey {
   /// For different frames from any thread.
   void look_at(std::size_t frame, const Camera& camera, const FrameBuffer& pixels);
 
-  /// The same for any number of threads. Adds an error where depth fits another convention and not the one given, or
-  /// where many corners contradict the poses, a warning where nothing fits.
+  /// The same for any number of threads. Adds an error where another convention or image size fits and the given one
+  /// does not, or where many corners contradict the poses, a warning where nothing fits.
   GeometryVerdict conclude(Diagnostics& diagnostics) const;
 
  private:

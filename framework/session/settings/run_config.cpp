@@ -11,12 +11,11 @@
 
 #include "config/compose.h"
 #include "config/explain.h"
-#include "core/view.h"
 #include "core/text.h"
+#include "core/view.h"
 #include "labels/clicks/click_log.h"
 #include "model/pass.h"
 #include "plugin/loader.h"
-#include "session/settings/choices.h"
 
 namespace semfield {
 
@@ -109,8 +108,8 @@ void describe(ParamVisitor& visit, RuntimeParams& p) {
       "components to build although the scene does not need them, like --keep; `train --dry-run` names them");
   SEMFIELD_PARAM(
       visit, p, memory_gb,
-      "most memory that training may take, GB; 0: what is free; larger images are refused before they are read, and a "
-      "run that takes more ends after its first steps",
+      "most memory that training may take, GB; 0: no limit; images larger than this, or than what is free, are refused "
+      "before they are read, and a run that takes more ends after its first steps",
       {0, 1e6});
   SEMFIELD_PARAM(visit, p, fold_feature_layer, "multiply a field's feature and view layer once per step (exact)");
   SEMFIELD_PARAM(visit, p, direction_once_per_ray, "compute the view layer's direction term once per ray (exact)");
@@ -611,8 +610,11 @@ RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnos
     const ConfigNode* section = map_at(tree, gone.section);
     const ConfigNode* value = section != nullptr ? section->find(gone.key) : nullptr;
     if (value == nullptr) continue;
-    diagnostics.error("config.key.gone", value->key_location().text(),
-                      fmt::format("{}: {} is gone", gone.section, gone.key), gone.remedy);
+    const bool deprecated =
+        gone.key == std::string_view("gemm") && (value->text() == "auto" || value->text() == "builtin");
+    if (!deprecated)
+      diagnostics.error("config.key.gone", value->key_location().text(),
+                        fmt::format("{}: {} is gone", gone.section, gone.key), gone.remedy);
     tree = tree.with(gone.section, section->without(gone.key));
   }
   config.name = read_text(tree, "", "name", "run", diagnostics);

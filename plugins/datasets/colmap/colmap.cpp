@@ -180,10 +180,11 @@ SceneInfo Colmap::open(Diagnostics& diagnostics) {
     photo.name = in.name;
     photo.place = in.place;
     photo.camera = model.cameras.at(in.camera);
+    photo.fitted = true;
     photo.world_from_camera = in.world_from_camera;
     if (photo.camera.width_px > 0) photos.push_back(std::move(photo));  // one without a size was refused
   }
-  SceneInfo info = files_.open(photos, false, diagnostics);
+  SceneInfo info = files_.open(photos, false, diagnostics, folder);
   info.metric = false;
   set_extent(model, info);
   return info;

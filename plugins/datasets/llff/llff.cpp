@@ -96,8 +96,16 @@ SceneInfo Llff::open(Diagnostics& diagnostics) {
     for (std::size_t r = 0; r < 3; ++r) photo.world_from_camera.r[r] = {at(r, 1), at(r, 0), -at(r, 2)};
     photo.world_from_camera.t = {at(0, 3), at(1, 3), at(2, 3)};
     const double height = at(0, 4), width = at(1, 4), focal = at(2, 4);
+    double sum = 0;
+    for (std::size_t r = 0; r < 3; ++r)
+      for (std::size_t c = 0; c < 4; ++c) sum += at(r, c);
+    if (!std::isfinite(sum)) {  // a frame without a pose is left out and named, whatever else its row says
+      photos.push_back(std::move(photo));
+      continue;
+    }
     if (!is_size(width) || !is_size(height)) {
-      diagnostics.error("scene.camera.format", "'" + images[i] + "'",
+      diagnostics.error("scene.camera.format",
+                        "frame '" + fs::path(images[i]).stem().string() + "' (" + images[i] + ")",
                         "'" + path + "' states no image size in its row " + std::to_string(i),
                         "write height and width in whole pixels, and the focal length, in the fifth column");
       continue;
@@ -110,7 +118,7 @@ SceneInfo Llff::open(Diagnostics& diagnostics) {
     c.cy = 0.5 * c.height_px;
     photos.push_back(std::move(photo));
   }
-  SceneInfo info = files_.open(photos, false, diagnostics);
+  SceneInfo info = files_.open(photos, false, diagnostics, path);
   info.metric = false;  // nothing in the file tells the unit
   return info;
 }

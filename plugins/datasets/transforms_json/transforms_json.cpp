@@ -315,11 +315,7 @@ class FileReader {
     lens.kind = *kind;
     const double depth_unit_m = values_.depth_unit(root, 0, path_);
     read_depth_camera(root);
-    if (const auto metric = root.find("metric"); metric != root.end()) {
-      if (!metric->is_boolean())
-        diagnostics_.error("scene.index.value", path_, "'metric' is not true or false", "write true for poses in metres");
-      out_.metric = out_.metric || *metric == true;
-    }
+    out_.metric = values_.flag(root, "metric", path_).value_or(false) || out_.metric;
     read_classes(root);
     read_limit(root);
     // What is missing in every frame for a key that the file misspells would be said of every frame.

@@ -18,8 +18,8 @@ void validate(const SphericalHarmonicsParams& params, Diagnostics& diagnostics);
 
 /// y [M, degree^2]: Y_lm at column l^2 + l + m, l = 0 .. degree-1, m = -l .. l; orthonormal over the sphere, without
 /// the Condon-Shortley sign. x [M, 3] unit vectors: a squared length off 1 by more than 1e-3 (a zero vector, NaN) is
-/// Error(data) naming the row. dx is the gradient of the polynomials of spherical_harmonics_kernels.h in x, y, z, not its
-/// tangential part.
+/// Error(data) naming the row. dx is the gradient of the polynomials of spherical_harmonics_kernels.h in x, y, z, not
+/// its tangential part.
 template <class Real>
 class SphericalHarmonics final : public Encoder<Real> {
  public:

@@ -50,9 +50,9 @@ void validate(const OccupancyGridParams& params, Diagnostics& diagnostics);
 
 /// State: `density` [cells, 1], the decayed maximum of the density seen in each cell (-1: never seen), an estimate of
 /// the cell's bound, as good as the points that were drawn in it; and what sample() reads, made from it by observe():
-/// `empty_bits`, `block_bound` and `summary` (layouts in occupancy_grid_kernels.h). Cells are numbered ((cascade * n + z)
-/// * n + y) * n + x. Until the warm-up is over every cell counts as occupied, so that no random start decides what is
-/// never looked at.
+/// `empty_bits`, `block_bound` and `summary` (layouts in occupancy_grid_kernels.h). Cells are numbered
+/// ((cascade * n + z) * n + y) * n + x. Until the warm-up is over every cell counts as occupied, so that no random
+/// start decides what is never looked at.
 template <class Real>
 class OccupancyGrid final : public Sampler<Real> {
  public:
