@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -17,10 +18,16 @@ enum class Access : std::uint8_t { read, write };
 constexpr std::size_t kGuardBytes = 256;
 constexpr std::byte kGuard{0xFF};  // NaN in float
 
-/// The device's copies of one call's views.
+/// The device's copies of one call's views, its tensors first.
 class Copies {
  public:
-  Copies(const char* call, const DeviceCalls& calls) : call_(call), calls_(calls) {}
+  Copies(const char* call, const TwinOptions& options, const Tensors<float>& tensors, Access grads = Access::read,
+         Access values = Access::read)
+      : call_(call),
+        options_(options),
+        calls_(options.calls),
+        value_(all(tensors.value, values)),
+        grad_(all(tensors.grad, grads)) {}
   Copies(const Copies&) = delete;
   Copies& operator=(const Copies&) = delete;
   ~Copies() {
@@ -60,14 +67,11 @@ class Copies {
     const View<std::byte> view = out(View<std::byte>(host.data(), static_cast<std::int64_t>(host.size()), 1));
     return Saved(view.data, host.size());
   }
-  std::vector<View<float>> all(std::span<const View<float>> views, Access access) {
-    std::vector<View<float>> device;
-    for (const View<float>& view : views) device.push_back(take(view, access));
-    return device;
-  }
+  Tensors<float> tensors() const { return {value_, grad_}; }
 
-  /// What was written, to the host.
-  void bring_back() {
+  /// Runs the call, then brings what it wrote to the host.
+  void run(const std::function<void()>& body) {
+    calls_.run(options_.deterministic, body);
     for (const Copy& copy : copies_) {
       std::vector<std::byte> now(copy.whole.size());
       calls_.to_host(copy.device, now.data(), now.size());
@@ -97,36 +101,17 @@ class Copies {
     const std::int64_t elements = view.rows == 0 ? 0 : (view.rows - 1) * view.row_stride + view.cols;
     return static_cast<std::size_t>(elements) * sizeof(T);
   }
+  std::vector<View<float>> all(std::span<const View<float>> views, Access access) {
+    std::vector<View<float>> device;
+    for (const View<float>& view : views) device.push_back(take(view, access));
+    return device;
+  }
   const char* call_;
+  const TwinOptions& options_;
   const DeviceCalls& calls_;
   std::vector<Copy> copies_;
+  std::vector<View<float>> value_, grad_;
 };
-
-/// The device's copies of tensors.
-struct DeviceTensors {
-  DeviceTensors(Copies& copies, const Tensors<float>& host, Access values, Access grads)
-      : value(copies.all(host.value, values)), grad(copies.all(host.grad, grads)) {}
-  Tensors<float> view() const { return {value, grad}; }
-  std::vector<View<float>> value, grad;
-};
-
-template <class Component>
-void derive_on(const Component& component, const TwinOptions& options, const StepContext& ctx,
-               const Tensors<float>& tensors) {
-  Copies copies("derive", options.calls);
-  const DeviceTensors t(copies, tensors, Access::write, Access::read);
-  options.calls.run(options.deterministic, [&] { component.derive(ctx, t.view()); });
-  copies.bring_back();
-}
-
-template <class Component>
-void derive_backward_on(const Component& component, const TwinOptions& options, const StepContext& ctx,
-                        const Tensors<float>& tensors) {
-  Copies copies("derive_backward", options.calls);
-  const DeviceTensors t(copies, tensors, Access::read, Access::write);
-  options.calls.run(options.deterministic, [&] { component.derive_backward(ctx, t.view()); });
-  copies.bring_back();
-}
 
 FieldIn<float> inputs_on(Copies& copies, const FieldIn<float>& in) {
   return {copies.in(in.position), copies.in(in.direction), copies.in(in.ray_of_sample)};
@@ -134,124 +119,81 @@ FieldIn<float> inputs_on(Copies& copies, const FieldIn<float>& in) {
 
 }  // namespace
 
-void HostEncoder::derive(const StepContext& ctx, const Tensors<float>& tensors) const {
-  derive_on(device_, options_, ctx, tensors);
+void derive_there(const Parametric<float>& component, const TwinOptions& options, const StepContext& ctx,
+                  const Tensors<float>& tensors) {
+  Copies there("derive", options, tensors, Access::read, Access::write);
+  there.run([&] { component.derive(ctx, there.tensors()); });
 }
-void HostEncoder::derive_backward(const StepContext& ctx, const Tensors<float>& tensors) const {
-  derive_backward_on(device_, options_, ctx, tensors);
+
+void derive_backward_there(const Parametric<float>& component, const TwinOptions& options, const StepContext& ctx,
+                           const Tensors<float>& tensors) {
+  Copies there("derive_backward", options, tensors, Access::write);
+  there.run([&] { component.derive_backward(ctx, there.tensors()); });
 }
 
 void HostEncoder::do_forward(const StepContext& ctx, const Tensors<float>& tensors, View<const double> x,
                              View<float> y) const {
-  Copies copies("encoder.forward", options_.calls);
-  const DeviceTensors t(copies, tensors, Access::read, Access::read);
-  const View<const double> x_there = copies.in(x);
-  const View<float> y_there = copies.out(y);
-  options_.calls.run(options_.deterministic, [&] { device_.forward(ctx, t.view(), x_there, y_there); });
-  copies.bring_back();
+  Copies there("encoder.forward", options_, tensors);
+  x = there.in(x), y = there.out(y);
+  there.run([&] { device_.forward(ctx, there.tensors(), x, y); });
 }
 
 void HostEncoder::do_backward(const StepContext& ctx, const Tensors<float>& tensors, View<const double> x,
                               View<const float> dy, View<float> dx) const {
-  Copies copies("encoder.backward", options_.calls);
-  const DeviceTensors t(copies, tensors, Access::read, Access::write);
-  const View<const double> x_there = copies.in(x);
-  const View<const float> dy_there = copies.in(dy);
-  const View<float> dx_there = copies.out(dx);
-  options_.calls.run(options_.deterministic, [&] { device_.backward(ctx, t.view(), x_there, dy_there, dx_there); });
-  copies.bring_back();
-}
-
-void HostField::derive(const StepContext& ctx, const Tensors<float>& tensors) const {
-  derive_on(device_, options_, ctx, tensors);
-}
-void HostField::derive_backward(const StepContext& ctx, const Tensors<float>& tensors) const {
-  derive_backward_on(device_, options_, ctx, tensors);
+  Copies there("encoder.backward", options_, tensors, Access::write);
+  x = there.in(x), dy = there.in(dy), dx = there.out(dx);
+  there.run([&] { device_.backward(ctx, there.tensors(), x, dy, dx); });
 }
 
 void HostField::do_forward(const StepContext& ctx, const Tensors<float>& tensors, const FieldIn<float>& in,
                            const FieldOut<float>& out, Saved saved) const {
-  Copies copies("field.forward", options_.calls);
-  const DeviceTensors t(copies, tensors, Access::read, Access::read);
-  const FieldIn<float> in_there = inputs_on(copies, in);
-  const FieldOut<float> out_there{copies.out(out.sigma), copies.out(out.rgb), copies.out(out.feature)};
-  const Saved saved_there = copies.out(saved);
-  options_.calls.run(options_.deterministic, [&] { device_.forward(ctx, t.view(), in_there, out_there, saved_there); });
-  copies.bring_back();
+  Copies there("field.forward", options_, tensors);
+  const FieldIn<float> inputs = inputs_on(there, in);
+  const FieldOut<float> outputs{there.out(out.sigma), there.out(out.rgb), there.out(out.feature)};
+  saved = there.out(saved);
+  there.run([&] { device_.forward(ctx, there.tensors(), inputs, outputs, saved); });
 }
 
 void HostField::do_backward(const StepContext& ctx, const Tensors<float>& tensors, const FieldIn<float>& in,
                             const FieldOut<float>& out, const FieldGrad<float>& grad, Saved saved,
                             View<float> d_position) const {
-  Copies copies("field.backward", options_.calls);
-  const DeviceTensors t(copies, tensors, Access::read, Access::write);
-  const FieldIn<float> in_there = inputs_on(copies, in);
-  const FieldOut<float> out_there{copies.in(out.sigma), copies.in(out.rgb), copies.in(out.feature)};
-  const FieldGrad<float> grad_there{copies.in(grad.sigma), copies.in(grad.rgb), copies.in(grad.feature)};
-  const Saved saved_there = copies.out(saved);
-  const View<float> d_position_there = copies.out(d_position);
-  options_.calls.run(options_.deterministic, [&] {
-    device_.backward(ctx, t.view(), in_there, out_there, grad_there, saved_there, d_position_there);
-  });
-  copies.bring_back();
-}
-
-void HostHead::derive(const StepContext& ctx, const Tensors<float>& tensors) const {
-  derive_on(device_, options_, ctx, tensors);
-}
-void HostHead::derive_backward(const StepContext& ctx, const Tensors<float>& tensors) const {
-  derive_backward_on(device_, options_, ctx, tensors);
+  Copies there("field.backward", options_, tensors, Access::write);
+  const FieldIn<float> inputs = inputs_on(there, in);
+  const FieldOut<float> outputs{there.in(out.sigma), there.in(out.rgb), there.in(out.feature)};
+  const FieldGrad<float> gradients{there.in(grad.sigma), there.in(grad.rgb), there.in(grad.feature)};
+  saved = there.out(saved), d_position = there.out(d_position);
+  there.run([&] { device_.backward(ctx, there.tensors(), inputs, outputs, gradients, saved, d_position); });
 }
 
 void HostHead::hidden_forward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> feature,
                               View<float> hidden) const {
-  Copies copies("head.hidden_forward", options_.calls);
-  const DeviceTensors t(copies, tensors, Access::read, Access::read);
-  const View<const float> feature_there = copies.in(feature);
-  const View<float> hidden_there = copies.out(hidden);
-  options_.calls.run(options_.deterministic,
-                     [&] { device_.hidden_forward(ctx, t.view(), feature_there, hidden_there); });
-  copies.bring_back();
+  Copies there("head.hidden_forward", options_, tensors);
+  feature = there.in(feature), hidden = there.out(hidden);
+  there.run([&] { device_.hidden_forward(ctx, there.tensors(), feature, hidden); });
 }
 
 void HostHead::hidden_backward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> feature,
                                View<const float> hidden, View<float> d_hidden, View<float> d_feature) const {
-  Copies copies("head.hidden_backward", options_.calls);
-  const DeviceTensors t(copies, tensors, Access::read, Access::write);
-  const View<const float> feature_there = copies.in(feature), hidden_there = copies.in(hidden);
-  const View<float> d_hidden_there = copies.out(d_hidden), d_feature_there = copies.out(d_feature);
-  options_.calls.run(options_.deterministic, [&] {
-    device_.hidden_backward(ctx, t.view(), feature_there, hidden_there, d_hidden_there, d_feature_there);
-  });
-  copies.bring_back();
+  Copies there("head.hidden_backward", options_, tensors, Access::write);
+  feature = there.in(feature), hidden = there.in(hidden);
+  d_hidden = there.out(d_hidden), d_feature = there.out(d_feature);
+  there.run([&] { device_.hidden_backward(ctx, there.tensors(), feature, hidden, d_hidden, d_feature); });
 }
 
 void HostHead::output_forward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> h,
                               View<const float> opacity, View<float> rows) const {
-  Copies copies("head.output_forward", options_.calls);
-  const DeviceTensors t(copies, tensors, Access::read, Access::read);
-  const View<const float> h_there = copies.in(h), opacity_there = copies.in(opacity);
-  const View<float> rows_there = copies.out(rows);
-  options_.calls.run(options_.deterministic,
-                     [&] { device_.output_forward(ctx, t.view(), h_there, opacity_there, rows_there); });
-  copies.bring_back();
+  Copies there("head.output_forward", options_, tensors);
+  h = there.in(h), opacity = there.in(opacity), rows = there.out(rows);
+  there.run([&] { device_.output_forward(ctx, there.tensors(), h, opacity, rows); });
 }
 
 void HostHead::output_backward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> h,
                                View<const float> opacity, View<const float> d_rows, View<float> d_h,
                                View<float> d_opacity) const {
-  Copies copies("head.output_backward", options_.calls);
-  const DeviceTensors t(copies, tensors, Access::read, Access::write);
-  const View<const float> h_there = copies.in(h), opacity_there = copies.in(opacity), d_there = copies.in(d_rows);
-  const View<float> d_h_there = copies.out(d_h), d_opacity_there = copies.out(d_opacity);
-  options_.calls.run(options_.deterministic, [&] {
-    device_.output_backward(ctx, t.view(), h_there, opacity_there, d_there, d_h_there, d_opacity_there);
-  });
-  copies.bring_back();
-}
-
-void HostSampler::derive(const StepContext& ctx, const Tensors<float>& tensors) const {
-  derive_on(device_, options_, ctx, tensors);
+  Copies there("head.output_backward", options_, tensors, Access::write);
+  h = there.in(h), opacity = there.in(opacity), d_rows = there.in(d_rows);
+  d_h = there.out(d_h), d_opacity = there.out(d_opacity);
+  there.run([&] { device_.output_backward(ctx, there.tensors(), h, opacity, d_rows, d_h, d_opacity); });
 }
 
 void HostSampler::observe(const StepContext&, const Tensors<float>&, const DensityQuery<float>&) const {
@@ -260,23 +202,18 @@ void HostSampler::observe(const StepContext&, const Tensors<float>&, const Densi
 
 void HostSampler::do_sample(const StepContext& ctx, const Tensors<float>& tensors, const Rays<float>& rays,
                             const Proposal<float>* previous, Samples<float>& out) const {
-  Copies copies("sampler.sample", options_.calls);
-  const DeviceTensors t(copies, tensors, Access::read, Access::read);
-  const Rays<float> rays_there{copies.in(rays.origin), copies.in(rays.direction), copies.in(rays.near_far)};
-  Samples<float> out_there{copies.out(out.t), copies.out(out.delta), copies.out(out.ray_of_sample),
-                           copies.out(out.first), 0};
+  Copies there("sampler.sample", options_, tensors);
+  const Rays<float> seen{there.in(rays.origin), there.in(rays.direction), there.in(rays.near_far)};
+  Samples<float> drawn{there.out(out.t), there.out(out.delta), there.out(out.ray_of_sample), there.out(out.first), 0};
   Samples<float> before;
   Proposal<float> proposal;
   if (previous != nullptr) {
     const Samples<float>& given = *previous->samples;
-    before = {copies.in(given.t), copies.in(given.delta), copies.in(given.ray_of_sample), copies.in(given.first),
+    before = {there.in(given.t), there.in(given.delta), there.in(given.ray_of_sample), there.in(given.first),
               given.t.rows};
-    proposal = {&before, copies.in(previous->weight, given.t.rows)};
+    proposal = {&before, there.in(previous->weight, given.t.rows)};
   }
-  options_.calls.run(options_.deterministic, [&] {
-    device_.sample(ctx, t.view(), rays_there, previous != nullptr ? &proposal : nullptr, out_there);
-  });
-  copies.bring_back();
+  there.run([&] { device_.sample(ctx, there.tensors(), seen, previous != nullptr ? &proposal : nullptr, drawn); });
   out.count = out.first(rays.origin.rows, 0);
 }
 
