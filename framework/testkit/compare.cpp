@@ -257,6 +257,14 @@ void TensorBox<Real>::fill_grads(Real value) {
   for (std::vector<Real>& grad : grads_) std::fill(grad.begin(), grad.end(), value);
 }
 
+template <class Real>
+void TensorBox<Real>::add_to_grads(Real value) {
+  for (std::size_t i = 0; i < grads_.size(); ++i) {
+    if (!learned(i)) continue;
+    for (Real& element : grads_[i]) element += value;
+  }
+}
+
 template class TensorBox<float>;
 template class TensorBox<double>;
 

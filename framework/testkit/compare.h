@@ -72,11 +72,11 @@ class TensorBox {
   std::size_t count() const { return specs_.size(); }
   View<Real> value(std::size_t index) const { return value_views_[index]; }
   View<Real> grad(std::size_t index) const { return grad_views_[index]; }
-  /// Learned: trained by the optimiser (dense or sparse).
-  bool learned(std::size_t index) const {
-    return specs_[index].role == TensorRole::dense || specs_[index].role == TensorRole::sparse;
-  }
+  /// Trained by the optimiser.
+  bool learned(std::size_t index) const { return is_learned(specs_[index].role); }
   void fill_grads(Real value);
+  /// grad += value of every learned tensor.
+  void add_to_grads(Real value);
 
  private:
   std::vector<TensorSpec> specs_;

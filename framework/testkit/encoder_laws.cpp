@@ -56,15 +56,12 @@ struct EncoderBench {
     encoder.backward(ctx, box.tensors(), x.view(), dy.view(), with_dx ? dx.view() : View<Real>());
     encoder.derive_backward(ctx, box.tensors());
   }
-  // sum(dy * y) after derive and forward: the scalar whose gradients backward gives.
+  void step() { forward(), backward(); }
+  // sum(dy * y) after derive and forward.
   double loss() {
     encoder.derive(ctx, box.tensors());
     forward();
-    double sum = 0;
-    for (std::int64_t r = 0; r < y.rows(); ++r) {
-      for (std::int32_t c = 0; c < y.cols(); ++c) sum += static_cast<double>(dy(r, c)) * static_cast<double>(y(r, c));
-    }
-    return sum;
+    return weighted_sum(dy, y);
   }
 
   const Encoder<Real>& encoder;
@@ -93,16 +90,14 @@ void check_rows(const Encoder<Real>& encoder, std::int64_t rows, std::int32_t pa
 template <class Real>
 void check_rows_independent(const Encoder<Real>& encoder, const LawOptions& options, Failures& failures) {
   EncoderBench<Real> whole(encoder, kFewRows, 0, options);
-  whole.forward();
-  whole.backward();
+  whole.step();
   EncoderBench<Real> permuted(encoder, kFewRows, 0, options);
   for (std::int64_t r = 0; r < kFewRows; ++r) {
     const std::int64_t from = (r * 7 + 5) % kFewRows;
     for (std::int32_t c = 0; c < permuted.x.cols(); ++c) permuted.x(r, c) = whole.x(from, c);
     for (std::int32_t c = 0; c < permuted.dy.cols(); ++c) permuted.dy(r, c) = whole.dy(from, c);
   }
-  permuted.forward();
-  permuted.backward();
+  permuted.step();
   for (std::int64_t r = 0; r < kFewRows; ++r) {
     const std::int64_t from = (r * 7 + 5) % kFewRows;
     note_failure(failures, "permuted rows, y",
@@ -121,33 +116,12 @@ void check_rows_independent(const Encoder<Real>& encoder, const LawOptions& opti
   note_failure(failures, "split batch, dx", compare_bits<Real>(split.dx.view(), whole.dx.view()));
 }
 
-void check_gradients(const Encoder<double>& encoder, const LawOptions& options, Failures& failures) {
-  EncoderBench<double> bench(encoder, kFewRows, 0, options);
-  bench.forward();
-  bench.backward();
-  const auto loss = [&bench] { return bench.loss(); };
-  GradientCheck check;
-  check.tolerance = options.gradient_tolerance;
-  check.seed = options.seed;
-  check.max_elements = options.gradient_elements;
-  note_failure(failures, "gradient of x", check_gradient(loss, bench.x.view(), bench.dx.view(), check));
-  for (std::size_t i = 0; i < bench.box.count(); ++i) {
-    if (!bench.box.learned(i)) continue;
-    note_failure(failures, "gradient of " + bench.box.specs()[i].name,
-                 check_gradient(loss, bench.box.value(i), bench.box.grad(i), check));
-  }
-}
-
 // Parameters accumulate, activations assign; and dx is optional without changing the rest.
 void check_accumulation(const Encoder<double>& encoder, const LawOptions& options, Failures& failures) {
   EncoderBench<double> clean(encoder, kFewRows, 0, options);
   clean.backward();
   EncoderBench<double> prefilled(encoder, kFewRows, 0, options);
-  for (std::size_t i = 0; i < prefilled.box.count(); ++i) {
-    View<double> grad = prefilled.box.grad(i);
-    if (!prefilled.box.learned(i)) continue;
-    for (std::int64_t e = 0; e < grad.size(); ++e) grad.data[e] = 3.0;
-  }
+  prefilled.box.add_to_grads(3);
   prefilled.dx.fill(7.0);
   prefilled.backward();
   note_failure(failures, "dx is overwritten", compare_bits<double>(prefilled.dx.view(), clean.dx.view()));
@@ -159,16 +133,10 @@ void check_accumulation(const Encoder<double>& encoder, const LawOptions& option
   }
   EncoderBench<double> without_dx(encoder, kFewRows, 0, options);
   without_dx.backward(false);
-  for (std::size_t i = 0; i < clean.box.count(); ++i) {
-    if (!clean.box.learned(i)) continue;
-    const std::string& name = clean.box.specs()[i].name;
-    View<double> grad = prefilled.box.grad(i);
-    for (std::int64_t e = 0; e < grad.size(); ++e) grad.data[e] -= 3.0;
-    note_failure(failures, "gradients accumulate, " + name,
-                 compare<double, double>(grad, clean.box.grad(i), 1e-12, 3.0));
-    note_failure(failures, "gradients without dx, " + name,
-                 compare_bits<double>(without_dx.box.grad(i), clean.box.grad(i)));
-  }
+  prefilled.box.add_to_grads(-3);
+  compare_learned(failures, "gradients accumulate, ", prefilled.box, clean.box,
+                  [](auto got, auto want) { return compare(got, want, 1e-12, 3.0); });
+  compare_learned(failures, "gradients without dx, ", without_dx.box, clean.box, compare_bits<double>);
 }
 
 template <class Real>
@@ -182,54 +150,28 @@ void check_threads(const Encoder<Real>& encoder, const LawOptions& options, Fail
   threaded.backward();
   set_thread_count(kept);
   note_failure(failures, "1 and 3 threads, dx", compare_bits<Real>(threaded.dx.view(), serial.dx.view()));
-  for (std::size_t i = 0; i < serial.box.count(); ++i) {
-    if (!serial.box.learned(i)) continue;
-    note_failure(failures, "1 and 3 threads, gradient of " + serial.box.specs()[i].name,
-                 options.same_bits_of_sums
-                     ? compare_bits<Real>(threaded.box.grad(i), serial.box.grad(i))
-                     : compare<Real, Real>(threaded.box.grad(i), serial.box.grad(i), options.float_tolerance));
-  }
+  compare_learned(failures, "1 and 3 threads, gradient of ", threaded.box, serial.box, same_sums<Real>(options));
 }
 
 void check_precision(const Encoder<float>& encoder32, const Encoder<double>& encoder64, const LawOptions& options,
                      Failures& failures) {
   EncoderBench<float> single(encoder32, kFewRows, 0, options);
   EncoderBench<double> twin(encoder64, kFewRows, 0, options);
-  single.forward();
-  twin.forward();
-  single.backward();
-  twin.backward();
-  const double tolerance = options.float_tolerance;
-  note_failure(failures, "float against double, y", compare<float, double>(single.y.view(), twin.y.view(), tolerance));
-  note_failure(failures, "float against double, dx",
-               compare<float, double>(single.dx.view(), twin.dx.view(), tolerance));
-  for (std::size_t i = 0; i < twin.box.count(); ++i) {
-    if (!twin.box.learned(i)) continue;
-    note_failure(failures, "float against double, gradient of " + twin.box.specs()[i].name,
-                 compare<float, double>(single.box.grad(i), twin.box.grad(i), tolerance));
-  }
-}
-
-void check_steady_state(const Encoder<float>& encoder, const LawOptions& options, Failures& failures) {
-  EncoderBench<float> bench(encoder, options.many_rows, 0, options);
-  for (int warm_up = 0; warm_up < 2; ++warm_up) {
-    bench.forward();
-    bench.backward();
-  }
-  const std::int64_t growths = bench.workspace.growth_count();
-  bench.forward();
-  bench.backward();
-  if (bench.workspace.growth_count() != growths) {
-    failures.push_back("steady state: the workspace still grows in the third step; is a Workspace::Scope missing?");
-  }
+  single.step();
+  twin.step();
+  const auto close = [&](View<const float> got, View<const double> want) {
+    return compare(got, want, options.float_tolerance);
+  };
+  note_failure(failures, "float against double, y", close(single.y.view(), twin.y.view()));
+  note_failure(failures, "float against double, dx", close(single.dx.view(), twin.dx.view()));
+  compare_learned(failures, "float against double, gradient of ", single.box, twin.box, close);
 }
 
 void check_scratch(const Encoder<float>& encoder, const LawOptions& options, Failures& failures) {
   if (options.scratch.allocate != nullptr) return;  // a device's memory is not planned ahead
   for (const std::int64_t rows : {std::int64_t{1}, kFewRows, options.many_rows}) {
     EncoderBench<float> bench(encoder, rows, 0, options);
-    bench.forward();
-    bench.backward();
+    bench.step();
     note_failure(
         failures, "scratch_bytes, " + std::to_string(rows) + " rows",
         scratch_failure(encoder.scratch_bytes(rows), bench.workspace.high_water_bytes(), rows == options.many_rows));
@@ -252,22 +194,15 @@ Failures encoder_laws(const Encoder<float>& encoder32, const Encoder<double>& en
   check_rows(encoder64, kFewRows, 5, options, failures);
   check_rows_independent(encoder32, options, failures);
   check_rows_independent(encoder64, options, failures);
-  check_gradients(encoder64, options, failures);
+  EncoderBench<double> few(encoder64, kFewRows, 0, options);
+  check_gradients(few, options, {{"x", few.x.view(), few.dx.view()}}, failures);
   check_accumulation(encoder64, options, failures);
   check_threads(encoder32, options, failures);
   check_precision(encoder32, encoder64, options, failures);
-  check_steady_state(encoder32, options, failures);
+  EncoderBench<float> many(encoder32, options.many_rows, 0, options);
+  check_steady_state(many, failures);
   check_scratch(encoder32, options, failures);
   return failures;
-}
-
-Failures encoder_laws(const Registry& registry, const std::string& name, const Settings& settings,
-                      const EncoderBuild& build, const LawOptions& options) {
-  const PluginEntry& entry = registry.get(PluginKind::encoder, name);
-  const std::unique_ptr<PluginParams> params = make_params(entry, settings);
-  const auto encoder32 = entry.encoder32(*params, build, registry.kernels());
-  const auto encoder64 = entry.encoder64(*params, build, registry.kernels());
-  return encoder_laws(*encoder32, *encoder64, options);
 }
 
 }  // namespace semfield::testkit

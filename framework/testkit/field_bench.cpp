@@ -10,16 +10,6 @@ namespace {
 constexpr std::size_t kSavedAlignment = 64;
 constexpr std::int64_t kSamplesPerRay = 5;
 
-template <class Real>
-double weighted_sum(View<const Real> weight, View<const Real> value) {
-  double sum = 0;
-  for (std::int64_t r = 0; r < value.rows; ++r) {
-    for (std::int32_t c = 0; c < value.cols; ++c)
-      sum += static_cast<double>(weight(r, c)) * static_cast<double>(value(r, c));
-  }
-  return sum;
-}
-
 }  // namespace
 
 template <class Real>
@@ -101,8 +91,8 @@ template <class Real>
 double FieldBench<Real>::loss() {
   derive();
   forward();
-  double sum = weighted_sum<Real>(w_sigma.view(), sigma.view()) + weighted_sum<Real>(w_rgb.view(), rgb.view());
-  if (shape.feature_dims > 0) sum += weighted_sum<Real>(w_feature.view(), feature.view());
+  double sum = weighted_sum(w_sigma, sigma) + weighted_sum(w_rgb, rgb);
+  if (shape.feature_dims > 0) sum += weighted_sum(w_feature, feature);
   return sum;
 }
 

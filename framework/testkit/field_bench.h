@@ -74,6 +74,7 @@ class FieldBench {
   void derive() { field.derive(ctx, box.tensors()); }
   void forward(Wanted wanted = {}) { field.forward(ctx, box.tensors(), in(), out(wanted), saved()); }
   void backward(Wanted wanted = {}, bool with_d_position = true);
+  void step() { forward(), backward(); }
   /// L after derive and forward.
   double loss();
 
@@ -94,5 +95,70 @@ class FieldBench {
 
 extern template class FieldBench<float>;
 extern template class FieldBench<double>;
+
+// What the laws of encoders, fields and heads share. A bench has tensors in `box`, a `workspace`, forward(),
+// backward(), step(), which is both, and loss(), the scalar whose gradients backward gives.
+
+/// sum(weight * value), in double.
+template <class Real>
+double weighted_sum(const Guarded<Real>& weight, const Guarded<Real>& value) {
+  double sum = 0;
+  for (std::int64_t r = 0; r < value.rows(); ++r) {
+    for (std::int32_t c = 0; c < value.cols(); ++c)
+      sum += static_cast<double>(weight(r, c)) * static_cast<double>(value(r, c));
+  }
+  return sum;
+}
+
+/// same(got, want) of the gradients of every learned tensor; a sentence is noted as "<law><name>: ...".
+template <class A, class B, class Same>
+void compare_learned(Failures& failures, const std::string& law, const TensorBox<A>& got, const TensorBox<B>& want,
+                     const Same& same) {
+  for (std::size_t i = 0; i < want.count(); ++i) {
+    if (want.learned(i))
+      note_failure(failures, law + want.specs()[i].name, same(View<const A>(got.grad(i)), View<const B>(want.grad(i))));
+  }
+}
+
+/// Comparison of gradients that are sums over rows (LawOptions::same_bits_of_sums).
+template <class Real>
+auto same_sums(const LawOptions& options) {
+  return [&options](View<const Real> got, View<const Real> want) {
+    return options.same_bits_of_sums ? compare_bits(got, want) : compare(got, want, options.float_tolerance);
+  };
+}
+
+/// An input of a bench, and its gradient.
+struct BenchInput {
+  const char* name;
+  View<double> value;
+  View<const double> gradient;
+};
+
+/// Gradients of inputs and of every learned tensor against central differences.
+template <class Bench>
+void check_gradients(Bench& bench, const LawOptions& options, std::initializer_list<BenchInput> inputs,
+                     Failures& failures) {
+  bench.step();
+  const GradientCheck check{options.gradient_tolerance, 1e-6, options.gradient_elements, options.seed};
+  const auto loss = [&bench] { return bench.loss(); };
+  for (const BenchInput& input : inputs)
+    note_failure(failures, std::string("gradient of ") + input.name,
+                 check_gradient(loss, input.value, input.gradient, check));
+  for (std::size_t i = 0; i < bench.box.count(); ++i) {
+    if (!bench.box.learned(i)) continue;
+    note_failure(failures, "gradient of " + bench.box.specs()[i].name,
+                 check_gradient(loss, bench.box.value(i), bench.box.grad(i), check));
+  }
+}
+
+template <class Bench>
+void check_steady_state(Bench& bench, Failures& failures) {
+  for (int warm_up = 0; warm_up < 2; ++warm_up) bench.step();
+  const std::int64_t growths = bench.workspace.growth_count();
+  bench.step();
+  if (bench.workspace.growth_count() != growths)
+    failures.push_back("steady state: the workspace still grows in the third step; is a Workspace::Scope missing?");
+}
 
 }  // namespace semfield::testkit

@@ -124,8 +124,7 @@ void check_wanted(const Field<Real>& field, const Setup& setup, Failures& failur
 template <class Real>
 void check_split(const Field<Real>& field, const Setup& setup, Failures& failures) {
   FieldBench<Real> whole(field, setup.build, kFew, 0, setup.options);
-  whole.forward();
-  whole.backward();
+  whole.step();
   FieldBench<Real> split(field, setup.build, kFew, 0, setup.options);
   for (const auto& [begin, count] : {std::pair<std::int64_t, std::int64_t>{0, 15}, {15, kFew - 15}}) {
     const auto part = [begin = begin, count = count](auto view) {
@@ -148,46 +147,18 @@ void check_split(const Field<Real>& field, const Setup& setup, Failures& failure
                same_gradients<Real>(setup, split.d_position.view(), whole.d_position.view()));
 }
 
-void check_gradients(const Field<double>& field, const Setup& setup, Failures& failures) {
-  FieldBench<double> bench(field, setup.build, kFew, 0, setup.options);
-  bench.forward();
-  bench.backward();
-  const auto loss = [&bench] { return bench.loss(); };
-  GradientCheck check;
-  check.tolerance = setup.options.gradient_tolerance;
-  check.seed = setup.options.seed;
-  check.max_elements = setup.options.gradient_elements;
-  note_failure(failures, "gradient of position",
-               check_gradient(loss, bench.position.view(), bench.d_position.view(), check));
-  for (std::size_t i = 0; i < bench.box.count(); ++i) {
-    if (!bench.box.learned(i)) continue;
-    note_failure(failures, "gradient of " + bench.box.specs()[i].name,
-                 check_gradient(loss, bench.box.value(i), bench.box.grad(i), check));
-  }
-}
-
 void check_accumulation(const Field<double>& field, const Setup& setup, Failures& failures) {
   FieldBench<double> clean(field, setup.build, kFew, 0, setup.options);
-  clean.forward();
-  clean.backward();
+  clean.step();
   FieldBench<double> prefilled(field, setup.build, kFew, 0, setup.options);
-  for (std::size_t i = 0; i < prefilled.box.count(); ++i) {
-    View<double> grad = prefilled.box.grad(i);
-    if (!prefilled.box.learned(i)) continue;
-    for (std::int64_t e = 0; e < grad.size(); ++e) grad.data[e] = 3.0;
-  }
+  prefilled.box.add_to_grads(3);
   prefilled.d_position.fill(7.0);
-  prefilled.forward();
-  prefilled.backward();
+  prefilled.step();
   note_failure(failures, "d_position is overwritten",
                compare_bits<double>(prefilled.d_position.view(), clean.d_position.view()));
-  for (std::size_t i = 0; i < clean.box.count(); ++i) {
-    if (!clean.box.learned(i)) continue;
-    View<double> grad = prefilled.box.grad(i);
-    for (std::int64_t e = 0; e < grad.size(); ++e) grad.data[e] -= 3.0;
-    note_failure(failures, "gradients accumulate, " + clean.box.specs()[i].name,
-                 compare<double, double>(grad, clean.box.grad(i), 1e-12, 3.0));
-  }
+  prefilled.box.add_to_grads(-3);
+  compare_learned(failures, "gradients accumulate, ", prefilled.box, clean.box,
+                  [](auto got, auto want) { return compare(got, want, 1e-12, 3.0); });
 }
 
 // An absent output gradient counts as zero.
@@ -205,11 +176,8 @@ void check_absent_gradients(const Field<double>& field, const Setup& setup, Fail
     zeros.backward();
     note_failure(failures, "absent gradients, d_position",
                  compare<double, double>(absent.d_position.view(), zeros.d_position.view(), 1e-12));
-    for (std::size_t i = 0; i < zeros.box.count(); ++i) {
-      if (!zeros.box.learned(i)) continue;
-      note_failure(failures, "absent gradients, " + zeros.box.specs()[i].name,
-                   compare<double, double>(absent.box.grad(i), zeros.box.grad(i), 1e-12, 1e-3));
-    }
+    compare_learned(failures, "absent gradients, ", absent.box, zeros.box,
+                    [](auto got, auto want) { return compare(got, want, 1e-12, 1e-3); });
   }
 }
 
@@ -217,59 +185,31 @@ void check_precision(const Field<float>& field32, const Field<double>& field64, 
                      Failures& failures) {
   FieldBench<float> single(field32, setup.build, kFew, 0, setup.options);
   FieldBench<double> twin(field64, setup.build, kFew, 0, setup.options);
-  single.forward();
-  twin.forward();
-  single.backward();
-  twin.backward();
+  single.step();
+  twin.step();
   const auto output = [&](const char* name, View<const float> got, View<const double> want) {
     note_failure(failures, std::string("float against double, ") + name,
                  close_outputs<float, double>(setup, got, want));
   };
-  const auto gradient = [&](const std::string& name, View<const float> got, View<const double> want) {
-    note_failure(failures, "float against double, " + name, close_gradients<float, double>(setup, got, want));
-  };
+  const auto close = [&](View<const float> got, View<const double> want) { return close_gradients(setup, got, want); };
   output("sigma", single.sigma.view(), twin.sigma.view());
   output("colour", single.rgb.view(), twin.rgb.view());
   output("feature", single.feature.view(), twin.feature.view());
-  gradient("d_position", single.d_position.view(), twin.d_position.view());
-  for (std::size_t i = 0; i < twin.box.count(); ++i) {
-    if (twin.box.learned(i)) gradient("gradient of " + twin.box.specs()[i].name, single.box.grad(i), twin.box.grad(i));
-  }
+  note_failure(failures, "float against double, d_position", close(single.d_position.view(), twin.d_position.view()));
+  compare_learned(failures, "float against double, gradient of ", single.box, twin.box, close);
 }
 
 // The same call again gives the same bits, sums over rows included.
 void check_repeat(const Field<float>& field, const Setup& setup, Failures& failures) {
   FieldBench<float> once(field, setup.build, setup.options.many_rows, 0, setup.options);
   FieldBench<float> again(field, setup.build, setup.options.many_rows, 0, setup.options);
-  for (FieldBench<float>* bench : {&once, &again}) {
-    bench->forward();
-    bench->backward();
-  }
+  once.step();
+  again.step();
   note_failure(failures, "again, sigma", compare_bits<float>(again.sigma.view(), once.sigma.view()));
   note_failure(failures, "again, colour", compare_bits<float>(again.rgb.view(), once.rgb.view()));
   note_failure(failures, "again, feature", compare_bits<float>(again.feature.view(), once.feature.view()));
   note_failure(failures, "again, d_position", compare_bits<float>(again.d_position.view(), once.d_position.view()));
-  for (std::size_t i = 0; i < once.box.count(); ++i) {
-    if (!once.box.learned(i)) continue;
-    note_failure(failures, "again, gradient of " + once.box.specs()[i].name,
-                 setup.options.same_bits_of_sums
-                     ? compare_bits<float>(again.box.grad(i), once.box.grad(i))
-                     : compare<float, float>(again.box.grad(i), once.box.grad(i), setup.options.float_tolerance));
-  }
-}
-
-void check_steady_state(const Field<float>& field, const Setup& setup, Failures& failures) {
-  FieldBench<float> bench(field, setup.build, 257, 0, setup.options);
-  for (int warm_up = 0; warm_up < 2; ++warm_up) {
-    bench.forward();
-    bench.backward();
-  }
-  const std::int64_t growths = bench.workspace.growth_count();
-  bench.forward();
-  bench.backward();
-  if (bench.workspace.growth_count() != growths) {
-    failures.push_back("steady state: the workspace still grows in the third step; is a Workspace::Scope missing?");
-  }
+  compare_learned(failures, "again, gradient of ", again.box, once.box, same_sums<float>(setup.options));
 }
 
 }  // namespace
@@ -294,25 +234,16 @@ Failures field_laws(const Field<float>& field32, const Field<double>& field64, c
   check_wanted(field32, setup, failures);
   check_split(field32, setup, failures);
   check_split(field64, setup, failures);
-  check_gradients(field64, setup, failures);
+  FieldBench<double> few(field64, build, kFew, 0, options);
+  check_gradients(few, options, {{"position", few.position.view(), few.d_position.view()}}, failures);
   check_accumulation(field64, setup, failures);
   check_absent_gradients(field64, setup, failures);
   check_precision(field32, field64, setup, failures);
   check_repeat(field32, setup, failures);
-  check_steady_state(field32, setup, failures);
+  FieldBench<float> steady(field32, build, 257, 0, options);
+  check_steady_state(steady, failures);
   check_costs(field32, build, options, failures);
   return failures;
-}
-
-Failures field_laws(const Registry& registry, const std::string& name, const Settings& settings,
-                    const FieldBuild& build, const LawOptions& options) {
-  const PluginEntry& entry = registry.get(PluginKind::field, name);
-  const std::unique_ptr<PluginParams> params = make_params(entry, settings);
-  const auto field32 = entry.field32(*params, build, registry.kernels());
-  FieldBuild oracle = build;
-  oracle.precision = Precision::fp32;
-  const auto field64 = entry.field64(*params, oracle, registry.kernels());
-  return field_laws(*field32, *field64, build, options);
 }
 
 }  // namespace semfield::testkit

@@ -48,14 +48,11 @@ struct HeadBench {
     head.hidden_backward(ctx, box.tensors(), feature.view(), hidden.view(), d_hidden.view(), d_feature.view());
     head.derive_backward(ctx, box.tensors());
   }
+  void step() { forward(), backward(); }
   double loss() {
     head.derive(ctx, box.tensors());
     forward();
-    double sum = 0;
-    for (std::int64_t r = 0; r < out.rows(); ++r)
-      for (std::int32_t c = 0; c < out.cols(); ++c)
-        sum += static_cast<double>(out(r, c)) * static_cast<double>(d_out(r, c));
-    return sum;
+    return weighted_sum(d_out, out);
   }
 
   const Head<Real>& head;
@@ -69,8 +66,7 @@ template <class Real>
 void check_written(const Head<Real>& head, const HeadBuild& build, const LawOptions& options, Failures& failures) {
   for (const std::int64_t rows : {std::int64_t{0}, std::int64_t{1}, std::int64_t{31}, kFewFeatures}) {
     HeadBench<Real> bench(head, build, rows, 3, options);
-    bench.forward();
-    bench.backward();
+    bench.step();
     const std::string law = std::to_string(rows) + " rows, padded";
     for (const Guarded<Real>* each : {&bench.hidden, &bench.out, &bench.d_hidden, &bench.d_feature, &bench.d_opacity}) {
       note_failure(failures, law + ", every element written", each->unwritten());
@@ -109,40 +105,18 @@ void check_linear(const Head<double>& head, const HeadBuild& build, const LawOpt
                compare<double, double>(none.out.view(), ones.out.view(), 1e-12));
 }
 
-void check_gradients(const Head<double>& head, const HeadBuild& build, const LawOptions& options, Failures& failures) {
-  HeadBench<double> bench(head, build, kFewFeatures, 0, options);
-  bench.forward();
-  bench.backward();
-  const GradientCheck check{options.gradient_tolerance, 1e-6, options.gradient_elements, options.seed};
-  const auto loss = [&] { return bench.loss(); };
-  note_failure(failures, "gradient of the feature",
-               check_gradient(loss, bench.feature.view(), bench.d_feature.view(), check));
-  note_failure(failures, "gradient of the opacity",
-               check_gradient(loss, bench.opacity.view(), bench.d_opacity.view(), check));
-  for (std::size_t i = 0; i < bench.box.count(); ++i) {
-    if (!bench.box.learned(i)) continue;
-    note_failure(failures, "gradient of '" + bench.box.specs()[i].name + "'",
-                 check_gradient(loss, bench.box.value(i), bench.box.grad(i), check));
-  }
-}
-
 void check_accumulates(const Head<double>& head, const HeadBuild& build, const LawOptions& options,
                        Failures& failures) {
   HeadBench<double> once(head, build, kFewFeatures, 0, options), twice(head, build, kFewFeatures, 0, options);
-  once.forward();
-  once.backward();
-  twice.forward();
-  twice.backward();
-  twice.forward();
-  twice.backward();
+  once.step();
+  twice.step();
+  twice.step();
   for (std::size_t i = 0; i < once.box.count(); ++i) {
-    if (!once.box.learned(i)) continue;
     const View<double> grad = once.box.grad(i);
-    for (std::int64_t r = 0; r < grad.rows; ++r)
-      for (std::int32_t c = 0; c < grad.cols; ++c) grad(r, c) *= 2;
-    note_failure(failures, "gradients accumulate, '" + once.box.specs()[i].name + "'",
-                 compare<double, double>(twice.box.grad(i), grad, 1e-9));
+    for (std::int64_t e = 0; e < grad.size(); ++e) grad.data[e] *= 2;
   }
+  compare_learned(failures, "gradients accumulate, ", twice.box, once.box,
+                  [](auto got, auto want) { return compare(got, want, 1e-9); });
 }
 
 // Each row of a batch has the bits that it has alone.
@@ -165,19 +139,15 @@ void check_precision(const Head<float>& single, const Head<double>& oracle, cons
                      const LawOptions& options, Failures& failures) {
   HeadBench<float> narrow(single, build, kFewFeatures, 0, options);
   HeadBench<double> wide(oracle, build, kFewFeatures, 0, options);
-  narrow.forward();
-  narrow.backward();
-  wide.forward();
-  wide.backward();
-  note_failure(failures, "float against double, channel",
-               compare<float, double>(narrow.out.view(), wide.out.view(), options.float_tolerance));
+  narrow.step();
+  wide.step();
+  const auto close = [&](View<const float> got, View<const double> want) {
+    return compare(got, want, options.float_tolerance);
+  };
+  note_failure(failures, "float against double, channel", close(narrow.out.view(), wide.out.view()));
   note_failure(failures, "float against double, gradient of the feature",
-               compare<float, double>(narrow.d_feature.view(), wide.d_feature.view(), options.float_tolerance));
-  for (std::size_t i = 0; i < wide.box.count(); ++i) {
-    if (!wide.box.learned(i)) continue;
-    note_failure(failures, "float against double, gradient of '" + wide.box.specs()[i].name + "'",
-                 compare<float, double>(narrow.box.grad(i), wide.box.grad(i), options.float_tolerance));
-  }
+               close(narrow.d_feature.view(), wide.d_feature.view()));
+  compare_learned(failures, "float against double, gradient of ", narrow.box, wide.box, close);
 }
 
 }  // namespace
@@ -190,7 +160,11 @@ Failures head_laws(const Head<float>& single, const Head<double>& oracle, const 
   check_written(single, build, options, failures);
   check_written(oracle, build, options, failures);
   check_linear(oracle, build, options, failures);
-  check_gradients(oracle, build, options, failures);
+  HeadBench<double> bench(oracle, build, kFewFeatures, 0, options);
+  check_gradients(bench, options,
+                  {{"the feature", bench.feature.view(), bench.d_feature.view()},
+                   {"the opacity", bench.opacity.view(), bench.d_opacity.view()}},
+                  failures);
   check_accumulates(oracle, build, options, failures);
   check_split(single, build, options, failures);
   check_precision(single, oracle, build, options, failures);

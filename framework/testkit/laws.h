@@ -87,8 +87,6 @@ Failures declaration_laws(const PluginEntry& entry);
 /// take.
 Failures encoder_laws(const Encoder<float>& encoder32, const Encoder<double>& encoder64,
                       const LawOptions& options = {});
-Failures encoder_laws(const Registry& registry, const std::string& name, const Settings& settings,
-                      const EncoderBuild& build, const LawOptions& options = {});
 
 /// The encoder laws as they apply, and: sigma and feature have the same bits whatever the direction; an output that is
 /// not wanted changes no other; an absent gradient counts as zero; colour lies in (0, 1); the same call again gives the
@@ -96,16 +94,12 @@ Failures encoder_laws(const Registry& registry, const std::string& name, const S
 /// inputs, and the precision of field32; field64 is the oracle of either.
 Failures field_laws(const Field<float>& field32, const Field<double>& field64, const FieldBuild& build,
                     const LawOptions& options = {});
-Failures field_laws(const Registry& registry, const std::string& name, const Settings& settings,
-                    const FieldBuild& build, const LawOptions& options = {});
 
 /// Sorted; inside [near, far]; delta > 0; counts add up; an empty ray has no samples; zero rays; independent of split
 /// and order through first_ray; same (seed, step) same samples; without training no randomness; float agrees with
 /// double.
 Failures sampler_laws(const Sampler<float>& sampler32, const Sampler<double>& sampler64, const SamplerBuild& build,
                       const LawOptions& options = {});
-Failures sampler_laws(const Registry& registry, const std::string& name, const Settings& settings,
-                      const SamplerBuild& build, const LawOptions& options = {});
 
 /// Every element written; the output linear in (activations, opacity), and without an opacity that of 1; gradients
 /// against central differences; gradients accumulate; rows independent (same bits); float agrees with double.
@@ -173,6 +167,23 @@ Twins<Sampler<float>, Sampler<double>> make_twins(const Registry& registry, cons
                                                   const Settings& settings, const SamplerBuild& build);
 Twins<Head<float>, Head<double>> make_twins(const Registry& registry, const std::string& name, const Settings& settings,
                                             const HeadBuild& build);
+
+/// The laws of a plugin of the registry.
+inline Failures encoder_laws(const Registry& registry, const std::string& name, const Settings& settings,
+                             const EncoderBuild& build, const LawOptions& options = {}) {
+  const auto twins = make_twins(registry, name, settings, build);
+  return encoder_laws(*twins.single, *twins.oracle, options);
+}
+inline Failures field_laws(const Registry& registry, const std::string& name, const Settings& settings,
+                           const FieldBuild& build, const LawOptions& options = {}) {
+  const auto twins = make_twins(registry, name, settings, build);
+  return field_laws(*twins.single, *twins.oracle, build, options);
+}
+inline Failures sampler_laws(const Registry& registry, const std::string& name, const Settings& settings,
+                             const SamplerBuild& build, const LawOptions& options = {}) {
+  const auto twins = make_twins(registry, name, settings, build);
+  return sampler_laws(*twins.single, *twins.oracle, build, options);
+}
 
 // Laws of what a component says that it costs: scratch memory and matrix products.
 

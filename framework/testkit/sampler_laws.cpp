@@ -223,13 +223,4 @@ Failures sampler_laws(const Sampler<float>& sampler32, const Sampler<double>& sa
   return failures;
 }
 
-Failures sampler_laws(const Registry& registry, const std::string& name, const Settings& settings,
-                      const SamplerBuild& build, const LawOptions& options) {
-  const PluginEntry& entry = registry.get(PluginKind::sampler, name);
-  const std::unique_ptr<PluginParams> params = make_params(entry, settings);
-  const auto sampler32 = entry.sampler32(*params, build, registry.kernels());
-  const auto sampler64 = entry.sampler64(*params, build, registry.kernels());
-  return sampler_laws(*sampler32, *sampler64, build, options);
-}
-
 }  // namespace semfield::testkit
