@@ -43,7 +43,9 @@ std::string text_of(const Settings& settings) {
 
 std::vector<std::string> parameters_of(const PluginEntry& entry) {
   std::vector<std::string> names;
-  for (const auto& [name, value] : settings_of(*entry.new_params())) names.push_back(name);
+  const std::unique_ptr<PluginParams> params = entry.new_params();
+  for (const ParamDoc& doc : describe_params([&](ParamVisitor& visit) { params->describe(visit); }))
+    names.push_back(doc.name);
   return names;
 }
 
@@ -66,14 +68,20 @@ class Suite {
     for (const PluginEntry* entry : request_.entries) {
       tell({entry->kind, entry->name, "", "", LawStatus::passed, {}}, [&] { return declaration_laws(*entry); });
       for (const Settings& settings : rows_of(*entry)) {
+        const auto alone = [&](const auto& laws) {
+          tell({entry->kind, entry->name, text_of(settings), "", LawStatus::passed, {}}, laws);
+        };
         if (entry->kind == PluginKind::encoder) check(*entry, settings, encoder_builds(Device::cpu));
         if (entry->kind == PluginKind::field)
           check(*entry, settings, field_builds(registry_, entry->name, Device::cpu));
         if (entry->kind == PluginKind::sampler) check(*entry, settings, std::vector{sampler_build(Device::cpu)});
         if (entry->kind == PluginKind::head) check(*entry, settings, head_builds(Device::cpu));
-        if (entry->kind == PluginKind::dataset) check_dataset(*entry, settings);
-        if (entry->kind == PluginKind::loss) check_loss(*entry, settings);
-        if (entry->kind == PluginKind::grouping) check_grouping(*entry, settings);
+        if (entry->kind == PluginKind::dataset)
+          alone([&] { return dataset_laws(registry_, entry->name, settings, DatasetBuild{request_.folder}); });
+        if (entry->kind == PluginKind::loss)
+          alone([&] { return loss_laws(registry_, entry->name, settings, options_of(*entry, 24)); });
+        if (entry->kind == PluginKind::grouping)
+          alone([&] { return grouping_laws(registry_, entry->name, settings, options_of(*entry, 24)); });
       }
     }
   }
@@ -167,7 +175,7 @@ class Suite {
   void check(const PluginEntry& entry, const Settings& settings, const std::vector<Build>& builds) const {
     std::size_t accepted = 0;
     for (const Build& build : builds) {
-      LawRow row{entry.kind, entry.name, text_of(settings), text_of_build(build), LawStatus::passed, {}};
+      LawRow row{entry.kind, entry.name, text_of(settings), testkit::text_of(build), LawStatus::passed, {}};
       begin(row);
       decltype(make_twins(registry_, entry.name, settings, build)) twins;
       try {
@@ -184,26 +192,6 @@ class Suite {
       tell(std::move(row), [&] { return laws_of(entry, *twins.single, *twins.oracle, build); });
     }
   }
-  template <class Build>
-  static std::string text_of_build(const Build& build) {
-    return testkit::text_of(build);
-  }
-
-  void check_dataset(const PluginEntry& entry, const Settings& settings) const {
-    tell({entry.kind, entry.name, text_of(settings), "", LawStatus::passed, {}},
-         [&] { return dataset_laws(registry_, entry.name, settings, DatasetBuild{request_.folder}); });
-  }
-
-  void check_loss(const PluginEntry& entry, const Settings& settings) const {
-    tell({entry.kind, entry.name, text_of(settings), "", LawStatus::passed, {}},
-         [&] { return loss_laws(registry_, entry.name, settings, options_of(entry, 24)); });
-  }
-
-  void check_grouping(const PluginEntry& entry, const Settings& settings) const {
-    tell({entry.kind, entry.name, text_of(settings), "", LawStatus::passed, {}},
-         [&] { return grouping_laws(registry_, entry.name, settings, options_of(entry, 24)); });
-  }
-
   const Registry& registry_;
   const LawRequest& request_;
   std::vector<SettingsLine> lines_;

@@ -44,8 +44,6 @@ std::vector<SettingsLine> read_settings_lines(const std::string& path);
 
 /// Reads `settings` into the parameters and returns every problem: unknown names, wrong types, values out of range.
 Failures apply_settings(PluginParams& params, const Settings& settings);
-/// Every parameter with its value as text; apply_settings() of it gives the same parameters.
-Settings settings_of(PluginParams& params);
 
 /// The entry's defaults with `settings` applied and validated. Throws Error(config) listing every problem.
 std::unique_ptr<PluginParams> make_params(const PluginEntry& entry, const Settings& settings = {});
@@ -78,7 +76,7 @@ BlockSource scratch_of(const LawOptions& options) {
 }
 
 /// Names, sentences, defaults in range and a lossless round trip of the parameters of one entry; a value outside its
-/// range and an unknown name are refused, by the config reader too, with the parameter named.
+/// range and an unknown name are refused, with the parameter named.
 Failures declaration_laws(const PluginEntry& entry);
 
 /// Every element written; guards and padding intact; 0, 1, 31, 33 and many rows; stride above cols; rows independent
