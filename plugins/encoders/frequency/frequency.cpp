@@ -64,10 +64,16 @@ void choose(FrequencyParams& p, const EncoderBuild& build, std::vector<std::stri
   chosen.emplace_back(text);
 }
 
+namespace {
+EncoderTraits traits_of(const FrequencyParams& p, std::int32_t dims) {
+  return {dims, dims * (2 * p.frequencies + (p.include_input ? 1 : 0)), Domain::metric};
+}
+}  // namespace
+
 template <class Real>
-Frequency<Real>::Frequency(const FrequencyParams& params, const EncoderBuild& build, const KernelTables& kernels)
-    : kernels_(&kernels.get<FrequencyKernels<Real>>(build.device, "encoder 'frequency'")),
-      shape_{build.in_dims, params.frequencies, params.include_input, params.angular, params.arithmetic} {
+Frequency<Real>::Frequency(const FrequencyParams& p, const EncoderBuild& build, const KernelTables& kernels)
+    : RowEncoder<Real, FrequencyShape>(build, kernels, "encoder 'frequency'", traits_of(p, build.in_dims),
+                                       {build.in_dims, p.frequencies, p.include_input, p.angular, p.arithmetic}) {
   if (build.in_dims < 1 || build.in_dims > kFrequencyMaxDims) {
     throw Error(ErrorKind::config, "config.encoder.inputs",
                 "encoder 'frequency' takes 1 to " + std::to_string(kFrequencyMaxDims) + " coordinates, got " +
@@ -76,26 +82,11 @@ Frequency<Real>::Frequency(const FrequencyParams& params, const EncoderBuild& bu
 }
 
 template <class Real>
-EncoderTraits Frequency<Real>::traits() const noexcept {
-  const std::int32_t groups = 2 * shape_.frequencies + (shape_.include_input ? 1 : 0);
-  return {shape_.dims, shape_.dims * groups, Domain::metric};
-}
-
-template <class Real>
-void Frequency<Real>::do_forward(const StepContext&, const Tensors<Real>&, View<const double> x, View<Real> y) const {
-  const std::int64_t bad = kernels_->forward(shape_, x, y);
-  if (bad >= 0) {
-    throw Error(ErrorKind::data, "scene.coordinates.not_finite",
-                "encoder 'frequency': coordinates of row " + std::to_string(bad) +
-                    " are not finite or farther than 2^30 from the origin",
-                "check the camera poses, the scene scale and the ray limits");
-  }
-}
-
-template <class Real>
-void Frequency<Real>::do_backward(const StepContext&, const Tensors<Real>&, View<const double> x, View<const Real> dy,
-                                  View<Real> dx) const {
-  if (!dx.empty()) kernels_->backward(shape_, x, dy, dx);
+Error Frequency<Real>::refused(View<const double>, std::int64_t row) const {
+  return {ErrorKind::data, "scene.coordinates.not_finite",
+          "encoder 'frequency': coordinates of row " + std::to_string(row) +
+              " are not finite or farther than 2^30 from the origin",
+          "check the camera poses, the scene scale and the ray limits"};
 }
 
 template class Frequency<float>;

@@ -9,8 +9,6 @@
 #include "config/params.h"
 #include "core/error.h"
 #include "encoders/frequency/frequency_kernels.h"
-#include "plugin/encoder.h"
-#include "plugin/kernels.h"
 
 namespace semfield {
 
@@ -54,20 +52,12 @@ void choose(FrequencyParams& params, const EncoderBuild& build, std::vector<std:
 /// 2^k |x| up to 2^30, growing to 1e-14 at 2^59 (the reciprocal of 2 pi is kept to 107 bits). [Mildenhall20 Eq. 4]
 /// These bounds hold for Arithmetic::float64; the other two exist to measure what rounding costs.
 template <class Real>
-class Frequency final : public Encoder<Real> {
+class Frequency final : public RowEncoder<Real, FrequencyShape> {
  public:
   Frequency(const FrequencyParams& params, const EncoderBuild& build, const KernelTables& kernels);
-  EncoderTraits traits() const noexcept override;
 
  protected:
-  void do_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x,
-                  View<Real> y) const override;
-  void do_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x, View<const Real> dy,
-                   View<Real> dx) const override;
-
- private:
-  const FrequencyKernels<Real>* kernels_;
-  FrequencyShape shape_;
+  Error refused(View<const double> x, std::int64_t row) const override;
 };
 
 extern template class Frequency<float>;

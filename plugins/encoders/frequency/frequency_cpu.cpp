@@ -155,21 +155,11 @@ void backward_block(const FrequencyShape& shape, View<const double> x, View<cons
 template <class Real>
 void backward(const FrequencyShape& shape, View<const double> x, View<const Real> dy, View<Real> dx) {
   const std::int64_t step = rows_per_block(shape);
-  struct Call {
-    const FrequencyShape& shape;
-    View<const double> x;
-    View<const Real> dy;
-    View<Real> dx;
-    std::int64_t step;
-  };
-  const Call call{shape, x, dy, dx, step};
-  // One reference captured: small enough for std::function's own storage, so nothing is allocated.
-  parallel_for((x.rows + step - 1) / step,
-               [&call](std::int64_t i) { backward_block<Real>(call.shape, call.x, call.dy, call.dx, i * call.step); });
+  parallel_for((x.rows + step - 1) / step, [&](std::int64_t i) { backward_block<Real>(shape, x, dy, dx, i * step); });
 }
 
 template <class Real>
-const FrequencyKernels<Real> kTable{forward<Real>, backward<Real>};
+const RowKernels<Real, FrequencyShape> kTable{forward<Real>, backward<Real>};
 
 }  // namespace
 

@@ -160,7 +160,7 @@ void backward(const FrequencyShape& shape, View<const double> x, View<const floa
   check_launch("frequency backward");
 }
 
-const FrequencyKernels<float> kTable{forward, backward};
+const RowKernels<float, FrequencyShape> kTable{forward, backward};
 
 }  // namespace
 

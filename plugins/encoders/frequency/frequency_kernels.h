@@ -1,4 +1,4 @@
-// Arguments and kernel table of the frequency encoder.
+// What the kernels of the frequency encoder know, and their formulas.
 #pragma once
 
 #include <cmath>
@@ -6,7 +6,7 @@
 
 #include "compute/math_functions.h"
 #include "core/host_device.h"
-#include "core/view.h"
+#include "plugin/row_encoder.h"
 
 namespace semfield {
 
@@ -50,8 +50,6 @@ SEMFIELD_HD inline void sincos_of_turns(Turns phase, double scale, Real& sine, R
   sincos_of_quarters(4.0 * (a + b), sine, cosine);
 }
 
-class KernelTables;
-
 struct FrequencyShape {
   std::int32_t dims = 3;
   std::int32_t frequencies = 10;
@@ -62,14 +60,6 @@ struct FrequencyShape {
 
 /// Most coordinates of an input row.
 inline constexpr std::int32_t kFrequencyMaxDims = 16;
-
-template <class Real>
-struct FrequencyKernels {
-  /// Returns the first row that cannot be encoded (NaN or |x| > kFrequencyLimit), or -1. Runs in the calling thread.
-  std::int64_t (*forward)(const FrequencyShape& shape, View<const double> x, View<Real> y) = nullptr;
-  /// dx = dL/dx; parallel over blocks of rows.
-  void (*backward)(const FrequencyShape& shape, View<const double> x, View<const Real> dy, View<Real> dx) = nullptr;
-};
 
 void frequency_kernels(KernelTables& tables);
 

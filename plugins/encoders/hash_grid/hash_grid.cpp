@@ -9,6 +9,7 @@
 #include "core/check.h"
 #include "plugin/module.h"
 #include "plugin/registry.h"
+#include "plugin/row_encoder.h"
 
 namespace semfield {
 
@@ -132,10 +133,7 @@ HashGrid<Real>::HashGrid(const HashGridParams& written, const EncoderBuild& buil
   std::vector<std::string> chosen;  // said by whoever asked for the choice before
   choose_for(params, build.device, chosen);
   choose(params, build, chosen);
-  if (build.in_dims != 3) {
-    throw Error(ErrorKind::config, "config.encoder.inputs",
-                "encoder 'hash_grid' takes 3 coordinates, got " + std::to_string(build.in_dims));
-  }
+  require_in_dims("encoder 'hash_grid'", build, 3);
   Diagnostics diagnostics;
   validate(params, diagnostics);
   diagnostics.throw_if_errors(ErrorKind::config, "encoder 'hash_grid'");
@@ -176,11 +174,7 @@ void HashGrid<Real>::do_forward(const StepContext& ctx, const Tensors<Real>& ten
                                 View<Real> y) const {
   check_tables(shape_, tensors.value);
   const std::int64_t bad = kernels_->forward(shape_, tensors.value.data(), x, y, *ctx.workspace);
-  if (bad >= 0) {
-    throw Error(ErrorKind::data, "scene.coordinates.not_finite",
-                "encoder 'hash_grid': coordinates of row " + std::to_string(bad) + " are not finite",
-                "check the camera poses and the ray limits");
-  }
+  if (bad >= 0) throw coordinates_not_finite("encoder 'hash_grid'", bad);
 }
 
 template <class Real>

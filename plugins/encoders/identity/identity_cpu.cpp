@@ -12,7 +12,7 @@ void identity_cpu_kernels(KernelTables& tables);
 namespace {
 
 template <class Real>
-std::int64_t forward(View<const double> x, View<Real> y) {
+std::int64_t forward(const IdentityShape&, View<const double> x, View<Real> y) {
   for (std::int64_t r = 0; r < x.rows; ++r) {
     bool finite = true;
     for (std::int32_t c = 0; c < x.cols; ++c) {
@@ -25,14 +25,14 @@ std::int64_t forward(View<const double> x, View<Real> y) {
 }
 
 template <class Real>
-void backward(View<const Real> dy, View<Real> dx) {
+void backward(const IdentityShape&, View<const double>, View<const Real> dy, View<Real> dx) {
   for (std::int64_t r = 0; r < dy.rows; ++r) {
     for (std::int32_t c = 0; c < dy.cols; ++c) dx(r, c) = dy(r, c);
   }
 }
 
 template <class Real>
-const IdentityKernels<Real> kTable{forward<Real>, backward<Real>};
+const RowKernels<Real, IdentityShape> kTable{forward<Real>, backward<Real>};
 
 }  // namespace
 

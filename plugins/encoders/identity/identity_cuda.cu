@@ -27,20 +27,20 @@ __global__ void backward_kernel(View<const float> dy, View<float> dx) {
   dx(i / dx.cols, static_cast<std::int32_t>(i % dx.cols)) = dy(i / dx.cols, static_cast<std::int32_t>(i % dx.cols));
 }
 
-std::int64_t forward(View<const double> x, View<float> y) {
+std::int64_t forward(const IdentityShape&, View<const double> x, View<float> y) {
   if (x.size() == 0) return -1;
   forward_kernel<<<blocks_of(x.size(), kThreads), kThreads, 0, launch().stream>>>(x, y, launch().fault);
   check_launch("identity forward");
   return first_fault_row(Stage::encoded_position);
 }
 
-void backward(View<const float> dy, View<float> dx) {
+void backward(const IdentityShape&, View<const double>, View<const float> dy, View<float> dx) {
   if (dx.size() == 0) return;
   backward_kernel<<<blocks_of(dx.size(), kThreads), kThreads, 0, launch().stream>>>(dy, dx);
   check_launch("identity backward");
 }
 
-const IdentityKernels<float> kTable{forward, backward};
+const RowKernels<float, IdentityShape> kTable{forward, backward};
 
 }  // namespace
 

@@ -1,18 +1,11 @@
-// Kernel table of the identity encoder.
+// Kernels of the identity encoder.
 #pragma once
 
-#include "core/view.h"
+#include "plugin/row_encoder.h"
 
 namespace semfield {
 
-class KernelTables;
-
-template <class Real>
-struct IdentityKernels {
-  /// Returns the first row with a coordinate that is not finite, or -1.
-  std::int64_t (*forward)(View<const double> x, View<Real> y) = nullptr;
-  void (*backward)(View<const Real> dy, View<Real> dx) = nullptr;
-};
+struct IdentityShape {};
 
 void identity_kernels(KernelTables& tables);
 

@@ -1,8 +1,6 @@
 // Parameters, traits and registration of the one-blob encoder.
 #include "encoders/one_blob/one_blob.h"
 
-#include <string>
-
 #include "core/check.h"
 #include "plugin/module.h"
 #include "plugin/registry.h"
@@ -14,37 +12,11 @@ void describe(ParamVisitor& visit, OneBlobParams& p) {
                  {2, kOneBlobMaxBins});
 }
 
-void validate(const OneBlobParams&, Diagnostics&) {}
-
 template <class Real>
-OneBlob<Real>::OneBlob(const OneBlobParams& params, const EncoderBuild& build, const KernelTables& kernels)
-    : kernels_(&kernels.get<OneBlobKernels<Real>>(build.device, "encoder 'one_blob'")), bins_(params.bins) {
-  if (build.in_dims != kOneBlobDims) {
-    throw Error(ErrorKind::config, "config.encoder.inputs",
-                "encoder 'one_blob' takes 3 coordinates, got " + std::to_string(build.in_dims));
-  }
-  SEMFIELD_CHECK(bins_ >= 2 && bins_ <= kOneBlobMaxBins, "the range is checked while reading");
-}
-
-template <class Real>
-EncoderTraits OneBlob<Real>::traits() const noexcept {
-  return {kOneBlobDims, kOneBlobDims * bins_, Domain::unit_cube};
-}
-
-template <class Real>
-void OneBlob<Real>::do_forward(const StepContext&, const Tensors<Real>&, View<const double> x, View<Real> y) const {
-  const std::int64_t bad = kernels_->forward(bins_, x, y);
-  if (bad >= 0) {
-    throw Error(ErrorKind::data, "scene.coordinates.not_finite",
-                "encoder 'one_blob': coordinates of row " + std::to_string(bad) + " are not finite",
-                "check the camera poses and the ray limits");
-  }
-}
-
-template <class Real>
-void OneBlob<Real>::do_backward(const StepContext&, const Tensors<Real>&, View<const double> x, View<const Real> dy,
-                                View<Real> dx) const {
-  if (!dx.empty()) kernels_->backward(bins_, x, dy, dx);
+OneBlob<Real>::OneBlob(const OneBlobParams& p, const EncoderBuild& build, const KernelTables& kernels)
+    : RowEncoder<Real, OneBlobShape>(build, kernels, "encoder 'one_blob'",
+                                     {kOneBlobDims, kOneBlobDims * p.bins, Domain::unit_cube}, {p.bins}) {
+  SEMFIELD_CHECK(p.bins >= 2 && p.bins <= kOneBlobMaxBins, "the range is checked while reading");
 }
 
 template class OneBlob<float>;

@@ -2,10 +2,7 @@
 #pragma once
 
 #include "config/params.h"
-#include "core/error.h"
 #include "encoders/one_blob/one_blob_kernels.h"
-#include "plugin/encoder.h"
-#include "plugin/kernels.h"
 
 namespace semfield {
 
@@ -14,27 +11,15 @@ struct OneBlobParams {
 };
 
 void describe(ParamVisitor& visit, OneBlobParams& params);
-void validate(const OneBlobParams& params, Diagnostics& diagnostics);
 
 /// y [M, 3 k], k bins: column c k + b = exp(-z^2 / 2), z = (b + 1/2) - k x_c, the middle of bin b seen from coordinate
 /// c in standard deviations of 1 / k. x [M, 3] float64 in the unit cube; outside it is clamped (and dx is 0 along that
 /// axis; on a face dx is the slope towards the inside); not finite is Error(data) naming the row. Error of a value:
 /// 1.2e-7 in float, 2.4e-15 in double; values below 1.7e-38 (float) and 3.4e-308 (double) are 0. [Mueller19 Sec. 4.3]
 template <class Real>
-class OneBlob final : public Encoder<Real> {
+class OneBlob final : public RowEncoder<Real, OneBlobShape> {
  public:
   OneBlob(const OneBlobParams& params, const EncoderBuild& build, const KernelTables& kernels);
-  EncoderTraits traits() const noexcept override;
-
- protected:
-  void do_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x,
-                  View<Real> y) const override;
-  void do_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x, View<const Real> dy,
-                   View<Real> dx) const override;
-
- private:
-  const OneBlobKernels<Real>* kernels_;
-  std::int32_t bins_;
 };
 
 extern template class OneBlob<float>;

@@ -34,7 +34,8 @@ void fill_slopes(double x, std::int32_t bins, Real* __restrict slope) {
 }
 
 template <class Real>
-std::int64_t forward(std::int32_t bins, View<const double> x, View<Real> y) {
+std::int64_t forward(const OneBlobShape& shape, View<const double> x, View<Real> y) {
+  const std::int32_t bins = shape.bins;
   alignas(64) Real value[kOneBlobMaxBins];
   for (std::int64_t r = 0; r < x.rows; ++r) {
     Real* to = y.row(r);
@@ -60,25 +61,17 @@ void backward_row(std::int32_t bins, const double* x, const Real* dy, Real* dx) 
 }
 
 template <class Real>
-void backward(std::int32_t bins, View<const double> x, View<const Real> dy, View<Real> dx) {
-  struct Call {
-    std::int32_t bins;
-    View<const double> x;
-    View<const Real> dy;
-    View<Real> dx;
-  };
-  const Call call{bins, x, dy, dx};
-  // One reference captured: small enough for std::function's own storage, so nothing is allocated.
-  parallel_for((x.rows + kRowsPerTask - 1) / kRowsPerTask, [&call](std::int64_t task) {
-    const std::int64_t end = std::min(call.x.rows, (task + 1) * kRowsPerTask);
+void backward(const OneBlobShape& shape, View<const double> x, View<const Real> dy, View<Real> dx) {
+  parallel_for((x.rows + kRowsPerTask - 1) / kRowsPerTask, [&](std::int64_t task) {
+    const std::int64_t end = std::min(x.rows, (task + 1) * kRowsPerTask);
     for (std::int64_t r = task * kRowsPerTask; r < end; ++r) {
-      backward_row(call.bins, call.x.row(r), call.dy.row(r), call.dx.row(r));
+      backward_row(shape.bins, x.row(r), dy.row(r), dx.row(r));
     }
   });
 }
 
 template <class Real>
-const OneBlobKernels<Real> kTable{forward<Real>, backward<Real>};
+const RowKernels<Real, OneBlobShape> kTable{forward<Real>, backward<Real>};
 
 }  // namespace
 

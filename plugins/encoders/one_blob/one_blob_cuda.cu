@@ -69,26 +69,26 @@ bool in_fours(std::int32_t bins, View<float> y) {
   return bins % 4 == 0 && y.row_stride % 4 == 0 && reinterpret_cast<std::uintptr_t>(y.data) % 16 == 0;
 }
 
-std::int64_t forward(std::int32_t bins, View<const double> x, View<float> y) {
+std::int64_t forward(const OneBlobShape& shape, View<const double> x, View<float> y) {
   if (x.rows == 0) return -1;
   const unsigned blocks = blocks_of(x.rows, kBlockRows);
-  if (in_fours(bins, y)) {
-    forward_kernel<4><<<blocks, kThreads, 0, launch().stream>>>(bins, x, y, launch().fault);
+  if (in_fours(shape.bins, y)) {
+    forward_kernel<4><<<blocks, kThreads, 0, launch().stream>>>(shape.bins, x, y, launch().fault);
   } else {
-    forward_kernel<1><<<blocks, kThreads, 0, launch().stream>>>(bins, x, y, launch().fault);
+    forward_kernel<1><<<blocks, kThreads, 0, launch().stream>>>(shape.bins, x, y, launch().fault);
   }
   check_launch("one-blob forward");
   return first_fault_row(Stage::encoded_position);
 }
 
-void backward(std::int32_t bins, View<const double> x, View<const float> dy, View<float> dx) {
+void backward(const OneBlobShape& shape, View<const double> x, View<const float> dy, View<float> dx) {
   if (x.rows == 0) return;
-  backward_kernel<<<blocks_of(x.rows * kOneBlobDims * kLanes, kThreads), kThreads, 0, launch().stream>>>(bins, x, dy,
-                                                                                                         dx);
+  backward_kernel<<<blocks_of(x.rows * kOneBlobDims * kLanes, kThreads), kThreads, 0, launch().stream>>>(shape.bins, x,
+                                                                                                         dy, dx);
   check_launch("one-blob backward");
 }
 
-const OneBlobKernels<float> kTable{forward, backward};
+const RowKernels<float, OneBlobShape> kTable{forward, backward};
 
 }  // namespace
 

@@ -1,4 +1,4 @@
-// Arguments and kernel table of the one-blob encoder.
+// What the kernels of the one-blob encoder know, and their formulas.
 #pragma once
 
 #include <bit>
@@ -6,7 +6,7 @@
 #include <cstdint>
 
 #include "core/host_device.h"
-#include "core/view.h"
+#include "plugin/row_encoder.h"
 
 namespace semfield {
 
@@ -110,18 +110,12 @@ SEMFIELD_HD inline Real blob_slope(Real z) {
   return z * blob_value(z);
 }
 
-class KernelTables;
-
 /// Coordinates of an input row, and most bins of one.
 inline constexpr std::int32_t kOneBlobDims = 3;
 inline constexpr std::int32_t kOneBlobMaxBins = 64;
 
-template <class Real>
-struct OneBlobKernels {
-  /// Returns the first row that is not finite, or -1. Runs in the calling thread.
-  std::int64_t (*forward)(std::int32_t bins, View<const double> x, View<Real> y) = nullptr;
-  /// dx = dL/dx; parallel over blocks of rows.
-  void (*backward)(std::int32_t bins, View<const double> x, View<const Real> dy, View<Real> dx) = nullptr;
+struct OneBlobShape {
+  std::int32_t bins = 16;
 };
 
 void one_blob_kernels(KernelTables& tables);

@@ -14,45 +14,23 @@ void describe(ParamVisitor& visit, SphericalHarmonicsParams& p) {
                  {1, kHarmonicMaxDegree});
 }
 
-void validate(const SphericalHarmonicsParams&, Diagnostics&) {}
-
 template <class Real>
-SphericalHarmonics<Real>::SphericalHarmonics(const SphericalHarmonicsParams& params, const EncoderBuild& build,
+SphericalHarmonics<Real>::SphericalHarmonics(const SphericalHarmonicsParams& p, const EncoderBuild& build,
                                              const KernelTables& kernels)
-    : kernels_(&kernels.get<SphericalHarmonicsKernels<Real>>(build.device, "encoder 'spherical_harmonics'")),
-      degree_(params.degree),
-      norms_(harmonic_norms<Real>()) {
-  if (build.in_dims != 3) {
-    throw Error(ErrorKind::config, "config.encoder.inputs",
-                "encoder 'spherical_harmonics' takes 3 coordinates, got " + std::to_string(build.in_dims));
-  }
-  SEMFIELD_CHECK(degree_ >= 1 && degree_ <= kHarmonicMaxDegree, "the range is checked while reading");
+    : RowEncoder<Real, HarmonicShape<Real>>(build, kernels, "encoder 'spherical_harmonics'",
+                                            {3, p.degree * p.degree, Domain::direction}, {p.degree}) {
+  SEMFIELD_CHECK(p.degree >= 1 && p.degree <= kHarmonicMaxDegree, "the range is checked while reading");
 }
 
 template <class Real>
-EncoderTraits SphericalHarmonics<Real>::traits() const noexcept {
-  return {3, degree_ * degree_, Domain::direction};
-}
-
-template <class Real>
-void SphericalHarmonics<Real>::do_forward(const StepContext&, const Tensors<Real>&, View<const double> x,
-                                          View<Real> y) const {
-  const std::int64_t bad = kernels_->forward(norms_, degree_, x, y);
-  if (bad >= 0) {
-    const std::string vector = x.device == Device::cpu
-                                   ? " (" + std::to_string(x(bad, 0)) + ", " + std::to_string(x(bad, 1)) + ", " +
-                                         std::to_string(x(bad, 2)) + ")"
-                                   : "";
-    throw Error(ErrorKind::data, "scene.direction.length",
-                "encoder 'spherical_harmonics': row " + std::to_string(bad) + " is not a unit vector" + vector,
-                "this encoder is for view directions; use frequency or hash_grid for positions");
-  }
-}
-
-template <class Real>
-void SphericalHarmonics<Real>::do_backward(const StepContext&, const Tensors<Real>&, View<const double> x,
-                                           View<const Real> dy, View<Real> dx) const {
-  if (!dx.empty()) kernels_->backward(norms_, degree_, x, dy, dx);
+Error SphericalHarmonics<Real>::refused(View<const double> x, std::int64_t row) const {
+  const std::string vector =
+      x.device == Device::cpu
+          ? " (" + std::to_string(x(row, 0)) + ", " + std::to_string(x(row, 1)) + ", " + std::to_string(x(row, 2)) + ")"
+          : "";
+  return {ErrorKind::data, "scene.direction.length",
+          "encoder 'spherical_harmonics': row " + std::to_string(row) + " is not a unit vector" + vector,
+          "this encoder is for view directions; use frequency or hash_grid for positions"};
 }
 
 template class SphericalHarmonics<float>;

@@ -4,8 +4,6 @@
 #include "config/params.h"
 #include "core/error.h"
 #include "encoders/spherical_harmonics/spherical_harmonics_kernels.h"
-#include "plugin/encoder.h"
-#include "plugin/kernels.h"
 
 namespace semfield {
 
@@ -14,28 +12,18 @@ struct SphericalHarmonicsParams {
 };
 
 void describe(ParamVisitor& visit, SphericalHarmonicsParams& params);
-void validate(const SphericalHarmonicsParams& params, Diagnostics& diagnostics);
 
 /// y [M, degree^2]: Y_lm at column l^2 + l + m, l = 0 .. degree-1, m = -l .. l; orthonormal over the sphere, without
 /// the Condon-Shortley sign. x [M, 3] unit vectors: a squared length off 1 by more than 1e-3 (a zero vector, NaN) is
 /// Error(data) naming the row. dx is the gradient of the polynomials of spherical_harmonics_kernels.h in x, y, z, not
 /// its tangential part.
 template <class Real>
-class SphericalHarmonics final : public Encoder<Real> {
+class SphericalHarmonics final : public RowEncoder<Real, HarmonicShape<Real>> {
  public:
   SphericalHarmonics(const SphericalHarmonicsParams& params, const EncoderBuild& build, const KernelTables& kernels);
-  EncoderTraits traits() const noexcept override;
 
  protected:
-  void do_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x,
-                  View<Real> y) const override;
-  void do_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const double> x, View<const Real> dy,
-                   View<Real> dx) const override;
-
- private:
-  const SphericalHarmonicsKernels<Real>* kernels_;
-  std::int32_t degree_;
-  HarmonicNorms<Real> norms_;
+  Error refused(View<const double> x, std::int64_t row) const override;
 };
 
 extern template class SphericalHarmonics<float>;

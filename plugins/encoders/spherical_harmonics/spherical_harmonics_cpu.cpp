@@ -30,46 +30,37 @@ std::int64_t forward_rows(const HarmonicNorms<Real>& norms, View<const double> x
 }
 
 template <class Real>
-std::int64_t forward(const HarmonicNorms<Real>& norms, std::int32_t degree, View<const double> x, View<Real> y) {
-  switch (degree) {
+std::int64_t forward(const HarmonicShape<Real>& shape, View<const double> x, View<Real> y) {
+  switch (shape.degree) {
     case 1:
-      return forward_rows<Real, 1>(norms, x, y);
+      return forward_rows<Real, 1>(shape.norms, x, y);
     case 2:
-      return forward_rows<Real, 2>(norms, x, y);
+      return forward_rows<Real, 2>(shape.norms, x, y);
     case 3:
-      return forward_rows<Real, 3>(norms, x, y);
+      return forward_rows<Real, 3>(shape.norms, x, y);
     case 4:
-      return forward_rows<Real, 4>(norms, x, y);
+      return forward_rows<Real, 4>(shape.norms, x, y);
     default:
-      return forward_rows<Real, 5>(norms, x, y);
+      return forward_rows<Real, 5>(shape.norms, x, y);
   }
 }
 
 template <class Real>
-void backward(const HarmonicNorms<Real>& norms, std::int32_t degree, View<const double> x, View<const Real> dy,
-              View<Real> dx) {
-  struct Call {
-    const HarmonicNorms<Real>& norms;
-    std::int32_t degree;
-    View<const double> x;
-    View<const Real> dy;
-    View<Real> dx;
-  };
-  const Call call{norms, degree, x, dy, dx};
-  // One reference captured: small enough for std::function's own storage, so nothing is allocated.
-  parallel_for((x.rows + kRowsPerTask - 1) / kRowsPerTask, [&call](std::int64_t task) {
-    const std::int64_t end = std::min(call.x.rows, (task + 1) * kRowsPerTask);
+void backward(const HarmonicShape<Real>& shape, View<const double> x, View<const Real> dy, View<Real> dx) {
+  parallel_for((x.rows + kRowsPerTask - 1) / kRowsPerTask, [&](std::int64_t task) {
+    const std::int64_t end = std::min(x.rows, (task + 1) * kRowsPerTask);
     for (std::int64_t r = task * kRowsPerTask; r < end; ++r) {
-      const double* d = call.x.row(r);
+      const double* d = x.row(r);
       HarmonicFactors<Real> f{};
-      harmonic_factors<Real>(call.degree, static_cast<Real>(d[0]), static_cast<Real>(d[1]), static_cast<Real>(d[2]), f);
-      harmonics_gradient(call.norms, call.degree, f, call.dy.row(r), call.dx.row(r));
+      harmonic_factors<Real>(shape.degree, static_cast<Real>(d[0]), static_cast<Real>(d[1]), static_cast<Real>(d[2]),
+                             f);
+      harmonics_gradient(shape.norms, shape.degree, f, dy.row(r), dx.row(r));
     }
   });
 }
 
 template <class Real>
-const SphericalHarmonicsKernels<Real> kTable{forward<Real>, backward<Real>};
+const RowKernels<Real, HarmonicShape<Real>> kTable{forward<Real>, backward<Real>};
 
 }  // namespace
 

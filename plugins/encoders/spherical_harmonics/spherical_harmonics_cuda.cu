@@ -62,25 +62,25 @@ void with_degree(std::int32_t degree, const F& f) {
   }
 }
 
-std::int64_t forward(const HarmonicNorms<float>& norms, std::int32_t degree, View<const double> x, View<float> y) {
+std::int64_t forward(const HarmonicShape<float>& shape, View<const double> x, View<float> y) {
   if (x.rows == 0) return -1;
-  with_degree(degree, [&]<std::int32_t kDegree>() {
-    forward_kernel<kDegree><<<blocks_of(x.rows, kThreads), kThreads, 0, launch().stream>>>(norms, x, y, launch().fault);
+  with_degree(shape.degree, [&]<std::int32_t kDegree>() {
+    forward_kernel<kDegree>
+        <<<blocks_of(x.rows, kThreads), kThreads, 0, launch().stream>>>(shape.norms, x, y, launch().fault);
   });
   check_launch("spherical harmonics forward");
   return first_fault_row(Stage::encoded_position);
 }
 
-void backward(const HarmonicNorms<float>& norms, std::int32_t degree, View<const double> x, View<const float> dy,
-              View<float> dx) {
+void backward(const HarmonicShape<float>& shape, View<const double> x, View<const float> dy, View<float> dx) {
   if (x.rows == 0) return;
-  with_degree(degree, [&]<std::int32_t kDegree>() {
-    backward_kernel<kDegree><<<blocks_of(x.rows, kThreads), kThreads, 0, launch().stream>>>(norms, x, dy, dx);
+  with_degree(shape.degree, [&]<std::int32_t kDegree>() {
+    backward_kernel<kDegree><<<blocks_of(x.rows, kThreads), kThreads, 0, launch().stream>>>(shape.norms, x, dy, dx);
   });
   check_launch("spherical harmonics backward");
 }
 
-const SphericalHarmonicsKernels<float> kTable{forward, backward};
+const RowKernels<float, HarmonicShape<float>> kTable{forward, backward};
 
 }  // namespace
 

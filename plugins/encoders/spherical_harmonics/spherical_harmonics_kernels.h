@@ -1,11 +1,11 @@
-// Arguments and kernel table of the spherical harmonics encoder.
+// What the kernels of the spherical harmonics encoder know, and their formulas.
 #pragma once
 
 #include <cmath>
 #include <cstdint>
 
 #include "core/host_device.h"
-#include "core/view.h"
+#include "plugin/row_encoder.h"
 
 namespace semfield {
 
@@ -104,18 +104,13 @@ SEMFIELD_HD inline void harmonics_gradient(const HarmonicNorms<Real>& norms, std
   }
 }
 
-class KernelTables;
-
 /// Largest deviation of a direction's squared length from 1.
 inline constexpr double kUnitTolerance = 1e-3;
 
 template <class Real>
-struct SphericalHarmonicsKernels {
-  /// Returns the first row that is not a unit vector, or -1. Runs in the calling thread.
-  std::int64_t (*forward)(const HarmonicNorms<Real>& norms, std::int32_t degree, View<const double> x,
-                          View<Real> y) = nullptr;
-  void (*backward)(const HarmonicNorms<Real>& norms, std::int32_t degree, View<const double> x, View<const Real> dy,
-                   View<Real> dx) = nullptr;
+struct HarmonicShape {
+  std::int32_t degree = 4;
+  HarmonicNorms<Real> norms = harmonic_norms<Real>();
 };
 
 void spherical_harmonics_kernels(KernelTables& tables);
