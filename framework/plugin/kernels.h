@@ -73,3 +73,11 @@ class KernelTables {
 };
 
 }  // namespace semfield
+
+/// Last line of a plugin's NAME_cpu.cpp, in namespace SEMFIELD_ISA: adds `table<float>` and `table<double>`.
+#define SEMFIELD_CPU_KERNELS(name, owner, table)                \
+  void name##_cpu_kernels(::semfield::KernelTables& tables);    \
+  void name##_cpu_kernels(::semfield::KernelTables& tables) {   \
+    tables.add(::semfield::Device::cpu, owner, &table<float>);  \
+    tables.add(::semfield::Device::cpu, owner, &table<double>); \
+  }

@@ -9,8 +9,6 @@
 
 namespace semfield::SEMFIELD_ISA {
 
-void frequency_cpu_kernels(KernelTables& tables);
-
 namespace {
 
 constexpr std::int32_t kBlockValues = 192;  // 64 rows of 3 coordinates: phases, sines and cosines stay in the L1 cache
@@ -163,9 +161,6 @@ const RowKernels<Real, FrequencyShape> kTable{forward<Real>, backward<Real>};
 
 }  // namespace
 
-void frequency_cpu_kernels(KernelTables& tables) {
-  tables.add(Device::cpu, "encoder 'frequency'", &kTable<float>);
-  tables.add(Device::cpu, "encoder 'frequency'", &kTable<double>);
-}
+SEMFIELD_CPU_KERNELS(frequency, "encoder 'frequency'", kTable)
 
 }  // namespace semfield::SEMFIELD_ISA

@@ -8,8 +8,6 @@
 
 namespace semfield::cuda {
 
-void frequency_cuda_kernels(KernelTables& tables);
-
 namespace {
 
 constexpr int kThreads = 192;  // 64 rows of 3 coordinates, one each

@@ -291,8 +291,6 @@ inline void scatter(const Edges<Real>& edges, Real* grad, std::int64_t n, const 
 
 namespace semfield::SEMFIELD_ISA {
 
-void hash_grid_cpu_kernels(KernelTables& tables);
-
 namespace {
 
 constexpr std::int64_t kBlockRows = 49152;  // a level is finished for so many rows before its table is left
@@ -572,9 +570,6 @@ const HashGridKernels<Real> kTable{forward<Real>, backward_tables<Real>, backwar
 
 }  // namespace
 
-void hash_grid_cpu_kernels(KernelTables& tables) {
-  tables.add(Device::cpu, "encoder 'hash_grid'", &kTable<float>);
-  tables.add(Device::cpu, "encoder 'hash_grid'", &kTable<double>);
-}
+SEMFIELD_CPU_KERNELS(hash_grid, "encoder 'hash_grid'", kTable)
 
 }  // namespace semfield::SEMFIELD_ISA

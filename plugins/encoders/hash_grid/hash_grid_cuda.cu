@@ -126,8 +126,6 @@ void with_kind(const HashGridShape& shape, const F& f) {
 void hash_grid_scatter(const HashGridShape& shape, const View<float>* grads, View<const double> x, View<const float> dy,
                        Workspace& workspace);
 
-void hash_grid_cuda_kernels(KernelTables& tables);
-
 namespace {
 
 constexpr int kThreads = 256;

@@ -7,8 +7,6 @@
 
 namespace semfield::SEMFIELD_ISA {
 
-void identity_cpu_kernels(KernelTables& tables);
-
 namespace {
 
 template <class Real>
@@ -36,9 +34,6 @@ const RowKernels<Real, IdentityShape> kTable{forward<Real>, backward<Real>};
 
 }  // namespace
 
-void identity_cpu_kernels(KernelTables& tables) {
-  tables.add(Device::cpu, "encoder 'identity'", &kTable<float>);
-  tables.add(Device::cpu, "encoder 'identity'", &kTable<double>);
-}
+SEMFIELD_CPU_KERNELS(identity, "encoder 'identity'", kTable)
 
 }  // namespace semfield::SEMFIELD_ISA

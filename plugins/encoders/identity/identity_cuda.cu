@@ -5,8 +5,6 @@
 
 namespace semfield::cuda {
 
-void identity_cuda_kernels(KernelTables& tables);
-
 namespace {
 
 constexpr int kThreads = 256;

@@ -9,8 +9,6 @@
 
 namespace semfield::SEMFIELD_ISA {
 
-void one_blob_cpu_kernels(KernelTables& tables);
-
 namespace {
 
 constexpr std::int64_t kRowsPerTask = 256;
@@ -75,9 +73,6 @@ const RowKernels<Real, OneBlobShape> kTable{forward<Real>, backward<Real>};
 
 }  // namespace
 
-void one_blob_cpu_kernels(KernelTables& tables) {
-  tables.add(Device::cpu, "encoder 'one_blob'", &kTable<float>);
-  tables.add(Device::cpu, "encoder 'one_blob'", &kTable<double>);
-}
+SEMFIELD_CPU_KERNELS(one_blob, "encoder 'one_blob'", kTable)
 
 }  // namespace semfield::SEMFIELD_ISA

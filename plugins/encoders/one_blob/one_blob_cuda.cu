@@ -8,8 +8,6 @@
 
 namespace semfield::cuda {
 
-void one_blob_cuda_kernels(KernelTables& tables);
-
 namespace {
 
 constexpr int kThreads = 256;

@@ -9,8 +9,6 @@
 
 namespace semfield::SEMFIELD_ISA {
 
-void spherical_harmonics_cpu_kernels(KernelTables& tables);
-
 namespace {
 
 constexpr std::int64_t kRowsPerTask = 256;
@@ -64,9 +62,6 @@ const RowKernels<Real, HarmonicShape<Real>> kTable{forward<Real>, backward<Real>
 
 }  // namespace
 
-void spherical_harmonics_cpu_kernels(KernelTables& tables) {
-  tables.add(Device::cpu, "encoder 'spherical_harmonics'", &kTable<float>);
-  tables.add(Device::cpu, "encoder 'spherical_harmonics'", &kTable<double>);
-}
+SEMFIELD_CPU_KERNELS(spherical_harmonics, "encoder 'spherical_harmonics'", kTable)
 
 }  // namespace semfield::SEMFIELD_ISA

@@ -6,8 +6,6 @@
 
 namespace semfield::cuda {
 
-void spherical_harmonics_cuda_kernels(KernelTables& tables);
-
 namespace {
 
 constexpr int kThreads = 64;  // 1,024 rays still occupy 16 multiprocessors

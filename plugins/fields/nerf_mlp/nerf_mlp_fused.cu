@@ -294,8 +294,6 @@ void FusedNerfMlp::backward(const NerfMlpShape& s, const StepContext& ctx, const
 
 // As the field finds them.
 
-void nerf_mlp_cuda_kernels(KernelTables& tables);
-
 namespace {
 
 FeatureForm feature_form(const NerfMlpShape&, std::int32_t hidden_width) {

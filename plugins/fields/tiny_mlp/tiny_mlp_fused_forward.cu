@@ -193,8 +193,6 @@ void fused_forward(const TinyMlpShape& s, const Tensors<float>& t, const FieldIn
 
 namespace semfield::cuda {
 
-void tiny_mlp_cuda_kernels(KernelTables& tables);
-
 namespace {
 
 bool serve(const TinyMlpShape& s) { return tiny::fused_applies(s) || tiny::feature_applies(s); }

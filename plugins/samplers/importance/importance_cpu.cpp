@@ -10,8 +10,6 @@
 
 namespace semfield::SEMFIELD_ISA {
 
-void importance_cpu_kernels(KernelTables& tables);
-
 namespace {
 
 template <class Real>
@@ -99,9 +97,6 @@ const ImportanceKernels<Real> kTable{sample<Real>};
 
 }  // namespace
 
-void importance_cpu_kernels(KernelTables& tables) {
-  tables.add(Device::cpu, "sampler 'importance'", &kTable<float>);
-  tables.add(Device::cpu, "sampler 'importance'", &kTable<double>);
-}
+SEMFIELD_CPU_KERNELS(importance, "sampler 'importance'", kTable)
 
 }  // namespace semfield::SEMFIELD_ISA

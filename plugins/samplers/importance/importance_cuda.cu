@@ -8,8 +8,6 @@
 
 namespace semfield::cuda {
 
-void importance_cuda_kernels(KernelTables& tables);
-
 namespace {
 
 constexpr int kThreads = 128;

@@ -16,8 +16,6 @@
 
 namespace semfield::SEMFIELD_ISA {
 
-void occupancy_grid_cpu_kernels(KernelTables& tables);
-
 namespace {
 
 static_assert(std::endian::native == std::endian::little, "empty_bits keeps its bits in the low bytes");
@@ -342,9 +340,6 @@ const OccupancyGridKernels<Real> kTable{sample<Real>, update<Real>, publish<Real
 
 }  // namespace
 
-void occupancy_grid_cpu_kernels(KernelTables& tables) {
-  tables.add(Device::cpu, "sampler 'occupancy_grid'", &kTable<float>);
-  tables.add(Device::cpu, "sampler 'occupancy_grid'", &kTable<double>);
-}
+SEMFIELD_CPU_KERNELS(occupancy_grid, "sampler 'occupancy_grid'", kTable)
 
 }  // namespace semfield::SEMFIELD_ISA

@@ -17,8 +17,6 @@ void occupancy_update(const OccupancyUpdateArgs& args, const OccupancyState<floa
                       const DensityQuery<float>& query);
 void occupancy_publish(const OccupancyUpdateArgs& args, const OccupancyState<float>& state);
 
-void occupancy_grid_cuda_kernels(KernelTables& tables);
-
 namespace {
 
 constexpr int kThreads = 128;

@@ -6,8 +6,6 @@
 
 namespace semfield::SEMFIELD_ISA {
 
-void stratified_cpu_kernels(KernelTables& tables);
-
 namespace {
 
 template <class Real>
@@ -41,9 +39,6 @@ const StratifiedKernels<Real> kTable{sample<Real>};
 
 }  // namespace
 
-void stratified_cpu_kernels(KernelTables& tables) {
-  tables.add(Device::cpu, "sampler 'stratified'", &kTable<float>);
-  tables.add(Device::cpu, "sampler 'stratified'", &kTable<double>);
-}
+SEMFIELD_CPU_KERNELS(stratified, "sampler 'stratified'", kTable)
 
 }  // namespace semfield::SEMFIELD_ISA

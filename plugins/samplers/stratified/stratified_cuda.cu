@@ -5,8 +5,6 @@
 
 namespace semfield::cuda {
 
-void stratified_cuda_kernels(KernelTables& tables);
-
 namespace {
 
 constexpr int kThreads = 128;
