@@ -63,7 +63,7 @@ void words(VerbWords& verb, DiffOptions& options) {
 std::string open_choices(const ConfigNode& tree) {
   std::string out;
   const std::vector<ConfigSetting> settings = config_settings(tree);
-  for (const SectionDoc& section : describe_sections()) {
+  for (const SchemaSection& section : describe_sections()) {
     for (const ParamDoc& param : section.params) {
       const std::string key = section.path + "." + param.name;
       const bool open = std::any_of(settings.begin(), settings.end(),
@@ -95,8 +95,8 @@ struct SchemaOptions {
   bool of_sweeps = false;
 };
 
-std::vector<SchemaAlternative> alternatives(const Registry& registry, PluginKind kind) {
-  std::vector<SchemaAlternative> out;
+std::vector<SchemaSection> alternatives(const Registry& registry, PluginKind kind) {
+  std::vector<SchemaSection> out;
   for (const PluginEntry* entry : registry.entries()) {
     if (entry->kind != kind) continue;
     const std::unique_ptr<PluginParams> params = entry->new_params();
@@ -111,9 +111,7 @@ int run(const SchemaOptions& options, AppContext& context) {
     std::fputs(sweep_schema().c_str(), stdout);
     return 0;
   }
-  std::vector<SchemaSection> sections;
-  for (const SectionDoc& section : describe_sections())
-    sections.push_back({section.path + (section.or_list ? "[?]" : ""), section.sentence, section.params});
+  std::vector<SchemaSection> sections = describe_sections();
   const ParamDoc name{"name", "text", "", "", "name of the run and its default folder", {}};
   const ParamDoc base{"base_dir",
                       "text",
@@ -132,32 +130,24 @@ int run(const SchemaOptions& options, AppContext& context) {
   const ParamDoc pass{"name", "text", "main", "", "name of the pass, the prefix of its tensors", {}};
   const ParamDoc like{"like", "text", "", "", "an earlier pass that this one starts from", {}};
   sections.push_back({"passes[]", "one pass over the rays", {pass, like}});
-  const std::vector<SchemaChoice> choices{
-      {"losses[]", "terms of the loss in addition to colour and semantics; each type once",
-       alternatives(context.registry, PluginKind::loss)},
-      {"heads[]", "heads in addition to that of class logits", alternatives(context.registry, PluginKind::head)},
-      {"heads[].branch.position", "position encoder of the head's branch",
-       alternatives(context.registry, PluginKind::encoder)},
-      {"heads[].branch.field", "network of the head's branch", alternatives(context.registry, PluginKind::field)},
-      {"scene.labels.from", "label files to train on instead of the dataset's own labels",
-       alternatives(context.registry, PluginKind::label_reader)},
-      {"scene.labels.degrade[]", "changes of the training labels, in order",
-       alternatives(context.registry, PluginKind::degradation)},
-      {"objects.method", "what `semfield objects` learns from segments",
-       alternatives(context.registry, PluginKind::grouping)},
-      {"scene", "where frames come from", alternatives(context.registry, PluginKind::dataset)},
-      {"passes[].sampler", "where along a ray the field is evaluated",
-       alternatives(context.registry, PluginKind::sampler)},
-      {"passes[].position", "position encoder", alternatives(context.registry, PluginKind::encoder)},
-      {"passes[].direction", "direction encoder; leave it out for a view-independent field",
-       alternatives(context.registry, PluginKind::encoder)},
-      {"passes[].field", "the network", alternatives(context.registry, PluginKind::field)},
-      {"passes[].semantic[?].position", "position encoder of the semantic branch",
-       alternatives(context.registry, PluginKind::encoder)},
-      {"passes[].semantic[?].field", "network of the semantic branch",
-       alternatives(context.registry, PluginKind::field)},
+  const auto slot = [&](const char* path, const char* sentence, PluginKind kind) {
+    sections.push_back({path, sentence, {}, false, alternatives(context.registry, kind)});
   };
-  std::fputs(json_schema_of("Semfield configuration", sections, choices).c_str(), stdout);
+  slot("losses[]", "terms of the loss in addition to colour and semantics; each type once", PluginKind::loss);
+  slot("heads[]", "heads in addition to that of class logits", PluginKind::head);
+  slot("heads[].branch.position", "position encoder of the head's branch", PluginKind::encoder);
+  slot("heads[].branch.field", "network of the head's branch", PluginKind::field);
+  slot("scene.labels.from", "label files to train on instead of the dataset's own labels", PluginKind::label_reader);
+  slot("scene.labels.degrade[]", "changes of the training labels, in order", PluginKind::degradation);
+  slot("objects.method", "what `semfield objects` learns from segments", PluginKind::grouping);
+  slot("scene", "where frames come from", PluginKind::dataset);
+  slot("passes[].sampler", "where along a ray the field is evaluated", PluginKind::sampler);
+  slot("passes[].position", "position encoder", PluginKind::encoder);
+  slot("passes[].direction", "direction encoder; leave it out for a view-independent field", PluginKind::encoder);
+  slot("passes[].field", "the network", PluginKind::field);
+  slot("passes[].semantic.position", "position encoder of the semantic branch", PluginKind::encoder);
+  slot("passes[].semantic.field", "network of the semantic branch", PluginKind::field);
+  std::fputs(json_schema_of("Semfield configuration", sections).c_str(), stdout);
   return 0;
 }
 

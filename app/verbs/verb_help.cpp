@@ -23,7 +23,7 @@ struct HelpOptions {
 // Tables of every section of a configuration, under headings of their own.
 std::string section_tables() {
   std::string text;
-  for (const SectionDoc& section : describe_sections())
+  for (const SchemaSection& section : describe_sections())
     text +=
         "### `" + section.path + "`: " + section.sentence + "\n\n" + parameter_table_markdown(section.params) + "\n";
   return text;

@@ -5,10 +5,8 @@
 #include <algorithm>
 #include <atomic>
 #include <chrono>
-#include <cstdint>
 #include <exception>
 #include <latch>
-#include <memory>
 #include <mutex>
 #include <system_error>
 #include <thread>

@@ -4,7 +4,6 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
-#include <vector>
 
 #include "compute/bf16/tiles.h"
 #include "compute/isa.h"

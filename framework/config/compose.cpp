@@ -11,7 +11,6 @@
 #include <utility>
 
 #include "config/explain.h"
-#include "core/error.h"
 #include "system/files.h"
 
 namespace semfield {

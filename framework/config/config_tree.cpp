@@ -9,12 +9,10 @@
 
 #include <algorithm>
 #include <array>
-#include <cstdint>
 #include <cstdio>
 #include <filesystem>
 #include <sstream>
 #include <unordered_set>
-#include <utility>
 
 #include "core/error.h"
 #include "core/text.h"

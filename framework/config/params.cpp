@@ -5,8 +5,6 @@
 #include <array>
 #include <charconv>
 #include <cmath>
-#include <cstdint>
-#include <limits>
 #include <optional>
 #include <system_error>
 #include <utility>
@@ -85,149 +83,128 @@ std::optional<double> parse_number(std::string_view text, std::string& remedy) {
   return value;
 }
 
-class Reader final : public ParamVisitor {
- public:
-  Reader(const ConfigNode& node, const std::string& path, Diagnostics& diagnostics)
-      : node_(node), path_(path), diagnostics_(diagnostics) {}
+// A choice as a value: the index, and what it indexes.
+struct Choice {
+  int& index;
+  std::span<const std::string_view> names;
+};
 
-  const std::vector<std::string>& seen() const { return seen_; }
-
-  void boolean(const ParamInfo& info, bool& value) override {
-    const ConfigNode* node = get(info);
-    if (node == nullptr) return;
-    if (node->is_scalar() && !node->quoted() && (node->text() == "true" || node->text() == "false")) {
-      value = node->text() == "true";
-    } else {
-      report("config.value.type", *node, key_path(info.name), "bool", kind_text(*node), "write true or false");
-    }
-  }
-  void integer(const ParamInfo& info, std::int64_t& value) override {
-    if (const ConfigNode* node = get(info)) read_integer(*node, key_path(info.name), info.range, value);
-  }
-  void real(const ParamInfo& info, double& value) override {
-    if (const ConfigNode* node = get(info)) read_real(*node, key_path(info.name), info.range, value);
-  }
-  void text(const ParamInfo& info, std::string& value) override {
-    if (const ConfigNode* node = get(info)) read_word(*node, key_path(info.name), value);
-  }
+// One function for parameters of every type.
+template <class See>
+struct AnyParam final : ParamVisitor {
+  explicit AnyParam(const See& function) : see(function) {}
+  void boolean(const ParamInfo& info, bool& value) override { see(info, value); }
+  void integer(const ParamInfo& info, std::int64_t& value) override { see(info, value); }
+  void real(const ParamInfo& info, double& value) override { see(info, value); }
+  void text(const ParamInfo& info, std::string& value) override { see(info, value); }
   void choice(const ParamInfo& info, int& value, std::span<const std::string_view> names) override {
-    const ConfigNode* node = get(info);
-    if (node == nullptr) return;
-    for (std::size_t i = 0; i < names.size(); ++i) {
-      if (node->is_scalar() && node->text() == names[i]) {
-        value = static_cast<int>(i);
-        return;
-      }
-    }
-    const std::vector<std::string> known(names.begin(), names.end());
-    const std::string near = node->is_scalar() ? did_you_mean(node->text(), known) : std::string();
-    report("config.value.choice", *node, key_path(info.name), "one of " + join(known), kind_text(*node),
-           near.empty() ? "" : "did you mean '" + near + "'?");
+    const Choice choice{value, names};
+    see(info, choice);
   }
-  void integers(const ParamInfo& info, std::vector<std::int64_t>& value) override {
-    read_list(info, "list of int", value, [&](const ConfigNode& item, const std::string& path, std::int64_t& out) {
-      return read_integer(item, path, info.range, out);
-    });
-  }
-  void reals(const ParamInfo& info, std::vector<double>& value) override {
-    read_list(info, "list of number", value, [&](const ConfigNode& item, const std::string& path, double& out) {
-      return read_real(item, path, info.range, out);
-    });
-  }
-  void texts(const ParamInfo& info, std::vector<std::string>& value) override {
-    read_list(info, "list of text", value, [&](const ConfigNode& item, const std::string& path, std::string& out) {
-      return read_word(item, path, out);
-    });
-  }
+  void integers(const ParamInfo& info, std::vector<std::int64_t>& value) override { see(info, value); }
+  void reals(const ParamInfo& info, std::vector<double>& value) override { see(info, value); }
+  void texts(const ParamInfo& info, std::vector<std::string>& value) override { see(info, value); }
+  const See& see;
+};
 
- private:
-  const ConfigNode* get(const ParamInfo& info) {
-    seen_.emplace_back(info.name);
-    return node_.find(info.name);
-  }
+// see(info, value) for every parameter.
+template <class See>
+void each_param(const Describe& describe, const See& see) {
+  AnyParam<See> visitor(see);
+  describe(visitor);
+}
 
-  std::string key_path(std::string_view key) const {
-    return path_.empty() ? std::string(key) : path_ + "." + std::string(key);
-  }
+std::string type_of(bool) { return "bool"; }
+std::string type_of(std::int64_t) { return "int"; }
+std::string type_of(double) { return "number"; }
+std::string type_of(const std::string&) { return "text"; }
+std::string type_of(const Choice&) { return "choice"; }
+template <class T>
+std::string type_of(const std::vector<T>&) {
+  return "list of " + type_of(T{});
+}
 
-  void report(Code code, const ConfigNode& node, const std::string& path, const std::string& expected,
+// read(node, key path, allowed range, value) for every type: false where the node holds no such value, which is then
+// reported, and `value` stays.
+struct Reader {
+  Diagnostics& diagnostics;
+
+  bool report(Code code, const ConfigNode& node, const std::string& path, const std::string& expected,
               const std::string& got, const std::string& remedy = {}) {
-    diagnostics_.error(code, node.location().text(), path + ": expected " + expected + ", got " + got, remedy);
+    diagnostics.error(code, node.location().text(), path + ": expected " + expected + ", got " + got, remedy);
+    return false;
+  }
+
+  bool read(const ConfigNode& node, const std::string& path, const Range&, bool& value) {
+    if (!node.is_scalar() || node.quoted() || (node.text() != "true" && node.text() != "false"))
+      return report("config.value.type", node, path, "bool", kind_text(node), "write true or false");
+    value = node.text() == "true";
+    return true;
+  }
+  bool read(const ConfigNode& node, const std::string& path, const Range& range, std::int64_t& value) {
+    return read_number(node, path, range, parse_integer, value);
+  }
+  bool read(const ConfigNode& node, const std::string& path, const Range& range, double& value) {
+    return read_number(node, path, range, parse_number, value);
+  }
+  bool read(const ConfigNode& node, const std::string& path, const Range&, std::string& value) {
+    if (!node.is_scalar()) return report("config.value.type", node, path, "text", kind_text(node));
+    value = node.text();
+    return true;
+  }
+  bool read(const ConfigNode& node, const std::string& path, const Range&, const Choice& choice) {
+    const auto named = std::find(choice.names.begin(), choice.names.end(), node.text());
+    if (node.is_scalar() && named != choice.names.end()) {
+      choice.index = static_cast<int>(named - choice.names.begin());
+      return true;
+    }
+    const std::vector<std::string> known(choice.names.begin(), choice.names.end());
+    const std::string near = node.is_scalar() ? did_you_mean(node.text(), known) : std::string();
+    return report("config.value.choice", node, path, "one of " + join(known), kind_text(node),
+                  near.empty() ? "" : "did you mean '" + near + "'?");
+  }
+  // The list is taken whole or, when an item is wrong, not at all.
+  template <class T>
+  bool read(const ConfigNode& node, const std::string& path, const Range& range, std::vector<T>& value) {
+    if (!node.is_list())
+      return report("config.value.type", node, path, type_of(value), kind_text(node),
+                    node.is_scalar() ? "write [" + node.text() + "]" : "");
+    std::vector<T> items;
+    bool whole = true;
+    for (std::size_t i = 0; i < node.items().size(); ++i) {
+      T item{};
+      whole = read(node.items()[i], path + "." + std::to_string(i), range, item) && whole;
+      items.push_back(std::move(item));
+    }
+    if (whole) value = std::move(items);
+    return whole;
+  }
+
+  template <class T>
+  bool read_number(const ConfigNode& node, const std::string& path, const Range& range,
+                   std::optional<T> (*parse)(std::string_view, std::string&), T& value) {
+    std::string remedy;
+    std::optional<T> read;
+    if (node.is_scalar() && !node.quoted()) read = parse(node.text(), remedy);
+    if (!read) {
+      if (node.is_scalar() && node.quoted()) remedy = "numbers stand without quotes";
+      return report("config.value.type", node, path, type_of(T{}), kind_text(node), remedy);
+    }
+    if (!in_range(node, path, range, static_cast<double>(*read), type_of(T{}))) return false;
+    value = *read;
+    return true;
   }
 
   // "int in [1, 32]", "int >= 1": a limit of the field's type is named only when it is what the value breaks.
-  bool in_range(const ConfigNode& node, const std::string& path, const Range& range, double value, const char* type) {
+  bool in_range(const ConfigNode& node, const std::string& path, const Range& range, double value,
+                const std::string& type) {
     if (value >= range.min && value <= range.max) return true;
     Range broken;
     (value < range.min ? broken.min : broken.max) = value < range.min ? range.min : range.max;
     const bool breaks_type_limit = range_text(broken, true).empty();
     const std::string bounds = range_text(range, !breaks_type_limit);
-    report("config.value.range", node, path, std::string(type) + (bounds[0] == '[' ? " in " : " ") + bounds,
-           node.text());
-    return false;
+    return report("config.value.range", node, path, type + (bounds[0] == '[' ? " in " : " ") + bounds, node.text());
   }
-
-  bool read_integer(const ConfigNode& node, const std::string& path, const Range& range, std::int64_t& value) {
-    std::string remedy;
-    std::optional<std::int64_t> read;
-    if (node.is_scalar() && !node.quoted()) read = parse_integer(node.text(), remedy);
-    if (!read) {
-      if (node.is_scalar() && node.quoted()) remedy = "numbers stand without quotes";
-      report("config.value.type", node, path, "int", kind_text(node), remedy);
-      return false;
-    }
-    if (!in_range(node, path, range, static_cast<double>(*read), "int")) return false;
-    value = *read;
-    return true;
-  }
-
-  bool read_real(const ConfigNode& node, const std::string& path, const Range& range, double& value) {
-    std::string remedy;
-    std::optional<double> read;
-    if (node.is_scalar() && !node.quoted()) read = parse_number(node.text(), remedy);
-    if (!read) {
-      if (node.is_scalar() && node.quoted()) remedy = "numbers stand without quotes";
-      report("config.value.type", node, path, "number", kind_text(node), remedy);
-      return false;
-    }
-    if (!in_range(node, path, range, *read, "number")) return false;
-    value = *read;
-    return true;
-  }
-
-  bool read_word(const ConfigNode& node, const std::string& path, std::string& value) {
-    if (!node.is_scalar()) {
-      report("config.value.type", node, path, "text", kind_text(node));
-      return false;
-    }
-    value = node.text();
-    return true;
-  }
-
-  // The list is taken whole or, when an item is wrong, not at all.
-  template <class T, class ReadItem>
-  void read_list(const ParamInfo& info, const std::string& type, std::vector<T>& value, const ReadItem& read_item) {
-    const ConfigNode* node = get(info);
-    if (node == nullptr) return;
-    if (!node->is_list()) {
-      report("config.value.type", *node, key_path(info.name), type, kind_text(*node),
-             node->is_scalar() ? "write [" + node->text() + "]" : "");
-      return;
-    }
-    std::vector<T> items;
-    bool whole = true;
-    for (std::size_t i = 0; i < node->items().size(); ++i) {
-      T item{};
-      whole = read_item(node->items()[i], key_path(info.name) + "." + std::to_string(i), item) && whole;
-      items.push_back(std::move(item));
-    }
-    if (whole) value = std::move(items);
-  }
-
-  const ConfigNode& node_;
-  const std::string& path_;
-  Diagnostics& diagnostics_;
-  std::vector<std::string> seen_;
 };
 
 }  // namespace
@@ -240,9 +217,14 @@ void read_params(const ConfigNode& node, const std::string& path, const Describe
                       {});
     return;
   }
-  Reader reader(node, path, diagnostics);
-  describe(reader);
-  std::vector<std::string> known = reader.seen();
+  Reader reader{diagnostics};
+  std::vector<std::string> known;
+  each_param(describe, [&](const ParamInfo& info, auto& value) {
+    known.emplace_back(info.name);
+    const ConfigNode* child = node.find(info.name);
+    if (child != nullptr)
+      reader.read(*child, path.empty() ? known.back() : path + "." + known.back(), info.range, value);
+  });
   known.insert(known.end(), other_keys.begin(), other_keys.end());
   refuse_unknown_keys(node, prefix + "unknown key", known, diagnostics);
 }
@@ -272,43 +254,21 @@ std::string read_text(const ConfigNode& parent, const std::string& path, const s
 
 namespace {
 
-ConfigNode number_node(double value) { return ConfigNode::make_scalar(shortest_number(value), false, {}); }
-ConfigNode integer_node(std::int64_t value) { return ConfigNode::make_scalar(std::to_string(value), false, {}); }
-ConfigNode text_node(const std::string& value) { return ConfigNode::make_scalar(value, !is_plain_text(value), {}); }
-
-class Writer final : public ParamVisitor {
- public:
-  ConfigNode take() { return ConfigNode::make_map(std::move(entries_), {}); }
-
-  void boolean(const ParamInfo& info, bool& value) override {
-    add(info, ConfigNode::make_scalar(value ? "true" : "false", false, {}));
-  }
-  void integer(const ParamInfo& info, std::int64_t& value) override { add(info, integer_node(value)); }
-  void real(const ParamInfo& info, double& value) override { add(info, number_node(value)); }
-  void text(const ParamInfo& info, std::string& value) override { add(info, text_node(value)); }
-  void choice(const ParamInfo& info, int& value, std::span<const std::string_view> names) override {
-    SEMFIELD_CHECK(value >= 0 && static_cast<std::size_t>(value) < names.size(), "choice outside its names");
-    add(info, text_node(std::string(names[static_cast<std::size_t>(value)])));
-  }
-  void integers(const ParamInfo& info, std::vector<std::int64_t>& value) override {
-    add_list(info, value, integer_node);
-  }
-  void reals(const ParamInfo& info, std::vector<double>& value) override { add_list(info, value, number_node); }
-  void texts(const ParamInfo& info, std::vector<std::string>& value) override { add_list(info, value, text_node); }
-
- private:
-  void add(const ParamInfo& info, ConfigNode node) { entries_.emplace_back(std::string(info.name), std::move(node)); }
-
-  template <class T, class ToNode>
-  void add_list(const ParamInfo& info, const std::vector<T>& values, const ToNode& to_node) {
-    std::vector<ConfigNode> items;
-    items.reserve(values.size());
-    for (const T& value : values) items.push_back(to_node(value));
-    add(info, ConfigNode::make_list(std::move(items), {}));
-  }
-
-  std::vector<ConfigNode::Entry> entries_;
-};
+ConfigNode node_of(bool value) { return ConfigNode::make_scalar(value ? "true" : "false", false, {}); }
+ConfigNode node_of(std::int64_t value) { return ConfigNode::make_scalar(std::to_string(value), false, {}); }
+ConfigNode node_of(double value) { return ConfigNode::make_scalar(shortest_number(value), false, {}); }
+ConfigNode node_of(const std::string& value) { return ConfigNode::make_scalar(value, !is_plain_text(value), {}); }
+ConfigNode node_of(const Choice& choice) {
+  SEMFIELD_CHECK(choice.index >= 0 && static_cast<std::size_t>(choice.index) < choice.names.size(),
+                 "choice outside its names");
+  return node_of(std::string(choice.names[static_cast<std::size_t>(choice.index)]));
+}
+template <class T>
+ConfigNode node_of(const std::vector<T>& values) {
+  std::vector<ConfigNode> items;
+  for (const T& value : values) items.push_back(node_of(value));
+  return ConfigNode::make_list(std::move(items), {});
+}
 
 }  // namespace
 
@@ -323,9 +283,11 @@ std::string shortest_number(double value) {
 }
 
 ConfigNode params_to_config(const Describe& describe) {
-  Writer writer;
-  describe(writer);
-  return writer.take();
+  std::vector<ConfigNode::Entry> entries;
+  each_param(describe, [&](const ParamInfo& info, const auto& value) {
+    entries.emplace_back(std::string(info.name), node_of(value));
+  });
+  return ConfigNode::make_map(std::move(entries), {});
 }
 
 // Parameters as rows of text: help, reference page, schema.
@@ -349,38 +311,6 @@ std::string bound_text(double value) {
   return shortest_number(value);
 }
 
-class Describer final : public ParamVisitor {
- public:
-  std::vector<ParamDoc> take() { return std::move(docs_); }
-
-  void boolean(const ParamInfo& info, bool&) override { add(info, "bool"); }
-  void integer(const ParamInfo& info, std::int64_t&) override { add(info, "int"); }
-  void real(const ParamInfo& info, double&) override { add(info, "number"); }
-  void text(const ParamInfo& info, std::string&) override { add(info, "text"); }
-  void choice(const ParamInfo& info, int&, std::span<const std::string_view> names) override {
-    add(info, "choice").choices.assign(names.begin(), names.end());
-  }
-  void integers(const ParamInfo& info, std::vector<std::int64_t>&) override { add(info, "list of int"); }
-  void reals(const ParamInfo& info, std::vector<double>&) override { add(info, "list of number"); }
-  void texts(const ParamInfo& info, std::vector<std::string>&) override { add(info, "list of text"); }
-
- private:
-  ParamDoc& add(const ParamInfo& info, const char* type) {
-    ParamDoc doc;
-    doc.name = info.name;
-    doc.type = type;
-    doc.help = info.help;
-    doc.limits = info.range;
-    if (is_type_limit(doc.limits.min, false)) doc.limits.min = -std::numeric_limits<double>::infinity();
-    if (is_type_limit(doc.limits.max, true)) doc.limits.max = std::numeric_limits<double>::infinity();
-    doc.range = range_text(doc.limits, true);
-    docs_.push_back(std::move(doc));
-    return docs_.back();
-  }
-
-  std::vector<ParamDoc> docs_;
-};
-
 }  // namespace
 
 std::string range_text(const Range& range, bool hide_type_limits) {
@@ -395,13 +325,19 @@ std::string range_text(const Range& range, bool hide_type_limits) {
 }
 
 std::vector<ParamDoc> describe_params(const Describe& describe) {
-  Describer describer;
-  describe(describer);
-  std::vector<ParamDoc> docs = describer.take();
-  const ConfigNode values = params_to_config(describe);
-  for (ParamDoc& doc : docs) {
-    if (const ConfigNode* value = values.find(doc.name)) doc.default_value = write_config_inline(*value);
-  }
+  std::vector<ParamDoc> docs;
+  each_param(describe, [&]<class T>(const ParamInfo& info, const T& value) {
+    ParamDoc& doc = docs.emplace_back();
+    doc.name = info.name;
+    doc.type = type_of(value);
+    doc.help = info.help;
+    doc.limits = info.range;
+    if (is_type_limit(doc.limits.min, false)) doc.limits.min = -std::numeric_limits<double>::infinity();
+    if (is_type_limit(doc.limits.max, true)) doc.limits.max = std::numeric_limits<double>::infinity();
+    doc.range = range_text(doc.limits, true);
+    doc.default_value = write_config_inline(node_of(value));
+    if constexpr (std::is_same_v<T, Choice>) doc.choices.assign(value.names.begin(), value.names.end());
+  });
   return docs;
 }
 

@@ -21,7 +21,7 @@ struct SchemaNode {
   bool may_be_list = false;  // or the map stands alone
   std::string sentence;
   const std::vector<ParamDoc>* docs = nullptr;
-  const SchemaChoice* choice = nullptr;
+  const std::vector<SchemaSection>* alternatives = nullptr;
   std::vector<SchemaNode> children;
 };
 
@@ -30,8 +30,8 @@ SchemaNode& node_at(SchemaNode& root, const std::string& path) {
   for (std::size_t begin = 0; begin < path.size();) {
     const std::size_t end = std::min(path.find('.', begin), path.size());
     std::string key = path.substr(begin, end - begin);
-    const bool is_list = key.ends_with("[]"), may_be_list = key.ends_with("[?]");
-    if (is_list || may_be_list) key.resize(key.find('['));
+    const bool is_list = key.ends_with("[]");
+    if (is_list) key.resize(key.size() - 2);
     SEMFIELD_CHECK(!key.empty(), "empty key in schema path '" + path + "'");
     SchemaNode* child = nullptr;
     for (SchemaNode& known : node->children) {
@@ -42,7 +42,6 @@ SchemaNode& node_at(SchemaNode& root, const std::string& path) {
       child = &node->children.back();
       child->key = key;
       child->is_list = is_list;
-      child->may_be_list = may_be_list;
     }
     SEMFIELD_CHECK(child->is_list == is_list, "schema path '" + path + "' is a list here and a map elsewhere");
     node = child;
@@ -103,21 +102,19 @@ Json closed_map(Json properties) {
   return {{"type", "object"}, {"properties", std::move(properties)}, {"additionalProperties", false}};
 }
 
-Json node_schema(const SchemaNode& node);
-
 Json choice_schema(const SchemaNode& node, const Json& shared) {
   Json alternatives = Json::array();
   Json any_key = shared;
-  for (const SchemaAlternative& alternative : node.choice->alternatives) {
-    Json properties{{"type", {{"const", alternative.name}}}};
-    add_params(properties, alternative.docs);
+  for (const SchemaSection& alternative : *node.alternatives) {
+    Json properties{{"type", {{"const", alternative.path}}}};
+    add_params(properties, alternative.params);
     properties.update(shared);
     Json map = closed_map(std::move(properties));
-    map["title"] = alternative.name;
+    map["title"] = alternative.path;
     if (!alternative.sentence.empty()) map["description"] = alternative.sentence;
     map["required"] = Json::array({"type"});
     alternatives.push_back(std::move(map));
-    for (const ParamDoc& doc : alternative.docs) {
+    for (const ParamDoc& doc : alternative.params) {
       if (!any_key.contains(doc.name)) any_key[doc.name] = Json::object();
     }
   }
@@ -132,7 +129,7 @@ Json node_schema(const SchemaNode& node) {
   if (node.docs != nullptr) add_params(properties, *node.docs);
   for (const SchemaNode& child : node.children) properties[child.key] = node_schema(child);
   Json map;
-  if (node.choice != nullptr) {
+  if (node.alternatives != nullptr) {
     map = choice_schema(node, properties);
   } else {
     map = closed_map(std::move(properties));
@@ -146,20 +143,19 @@ Json node_schema(const SchemaNode& node) {
 
 }  // namespace
 
-std::string json_schema_of(const std::string& title, const std::vector<SchemaSection>& sections,
-                           const std::vector<SchemaChoice>& choices) {
+std::string json_schema_of(const std::string& title, const std::vector<SchemaSection>& sections) {
   SchemaNode root;
   for (const SchemaSection& section : sections) {
     SchemaNode& node = node_at(root, section.path);
-    SEMFIELD_CHECK(node.docs == nullptr, "schema path '" + section.path + "' is described twice");
-    node.docs = &section.docs;
+    const bool known = section.alternatives.empty() ? node.docs != nullptr : node.alternatives != nullptr;
+    SEMFIELD_CHECK(!known, "schema path '" + section.path + "' is described twice");
+    if (section.alternatives.empty()) {
+      node.docs = &section.params;
+    } else {
+      node.alternatives = &section.alternatives;
+    }
+    node.may_be_list = node.may_be_list || section.or_list;
     if (!section.sentence.empty()) node.sentence = section.sentence;
-  }
-  for (const SchemaChoice& choice : choices) {
-    SchemaNode& node = node_at(root, choice.path);
-    SEMFIELD_CHECK(node.choice == nullptr, "schema path '" + choice.path + "' is described twice");
-    node.choice = &choice;
-    if (!choice.sentence.empty()) node.sentence = choice.sentence;
   }
   Json schema{{"$schema", "http://json-schema.org/draft-07/schema#"}, {"title", title}};
   schema.update(node_schema(root));

@@ -3,7 +3,6 @@
 #include <algorithm>
 
 #include "core/check.h"
-#include "cuda/launch.h"
 
 namespace semfield::cuda {
 

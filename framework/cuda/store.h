@@ -1,7 +1,6 @@
 // The tensors of a pipeline on the device: the same names and shapes as the host's, in four blocks of memory.
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>

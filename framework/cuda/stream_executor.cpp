@@ -4,13 +4,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <optional>
 #include <utility>
 
 #include "core/check.h"
 #include "core/error.h"
-#include "cuda/kernels/kernels.h"
-#include "cuda/launch.h"
 #include "cuda/matmul.h"
 #include "execution/lane_executor.h"
 #include "execution/train_rays.h"

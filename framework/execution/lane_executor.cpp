@@ -6,10 +6,8 @@
 #include <atomic>
 #include <cmath>
 #include <cstdlib>
-#include <functional>
 #include <numeric>
 #include <string>
-#include <type_traits>
 #include <utility>
 
 #include "compute/isa.h"

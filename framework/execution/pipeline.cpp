@@ -1,7 +1,6 @@
 #include "execution/pipeline.h"
 
 #include <algorithm>
-#include <cmath>
 
 #include "compute/isa.h"
 #include "compute/parallel.h"

@@ -5,7 +5,6 @@
 #include <cstring>
 #include <set>
 #include <type_traits>
-#include <vector>
 
 #include "core/check.h"
 #include "core/view.h"

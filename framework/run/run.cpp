@@ -8,9 +8,7 @@
 #include <ctime>
 #include <filesystem>
 #include <limits>
-#include <optional>
 #include <set>
-#include <utility>
 
 #include "compute/parallel.h"
 #include "config/compose.h"

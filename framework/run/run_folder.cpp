@@ -14,11 +14,9 @@
 
 #include "compute/parallel.h"
 #include "core/check.h"
-#include "core/error.h"
 #include "core/text.h"
 #include "plugin/module.h"
 #include "scene/scene.h"
-#include "system/files.h"
 
 #ifndef SEMFIELD_VERSION_TEXT
 #define SEMFIELD_VERSION_TEXT "unknown"

@@ -2,16 +2,13 @@
 
 #include <fmt/format.h>
 
-#include <algorithm>
 #include <chrono>
 #include <filesystem>
 #include <functional>
 #include <limits>
-#include <optional>
 #include <set>
 
 #include "core/text.h"
-#include "eval/evaluator.h"
 #include "eval/final_eval.h"
 #include "labels/clicks/click_file.h"
 #include "plugin/loader.h"

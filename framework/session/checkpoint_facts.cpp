@@ -9,7 +9,6 @@
 #include <exception>
 #include <nlohmann/json.hpp>
 
-#include "core/error.h"
 #include "formats/text_rows.h"
 
 namespace semfield {

@@ -9,7 +9,6 @@
 #include "core/check.h"
 #include "core/error.h"
 #include "core/rng.h"
-#include "scene/scene.h"
 
 namespace semfield {
 

@@ -16,10 +16,7 @@
 #include "execution/ranks_executor.h"
 #include "formats/image_io.h"
 #include "loading/frame_source.h"
-#include "session/assembly.h"
-#include "session/checkpoint_facts.h"
 #include "session/settings/choices.h"
-#include "session/settings/run_config.h"
 #include "session/trainer.h"
 #include "system/process.h"
 

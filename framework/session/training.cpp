@@ -5,13 +5,11 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <utility>
 
 #include "core/error.h"
 #include "plugin/loader.h"
 #include "session/assembly.h"
 #include "session/settings/run_identity.h"
-#include "session/trainer.h"
 #include "system/checksum.h"
 
 namespace semfield {

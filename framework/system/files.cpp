@@ -14,18 +14,12 @@
 #include <atomic>
 #include <cctype>
 #include <cerrno>
-#include <cstdio>
 #include <cstdlib>
 #include <cstring>
-#include <filesystem>
 #include <fstream>
-#include <span>
 #include <sstream>
-#include <string_view>
 #include <utility>
-#include <vector>
 
-#include "core/error.h"
 #include "core/text.h"
 #include "system/checksum.h"
 

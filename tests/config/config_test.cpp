@@ -655,16 +655,18 @@ std::vector<ParamDoc> docs_of() {
 }
 
 json schema() {
-  return json::parse(
-      json_schema_of("test",
-                     {{"train", "how long", docs_of<RootParams>()},
-                      {"train.grid", "", docs_of<GridParams>()},
-                      {"scene.labels", "", docs_of<RootParams>()}},
-                     {{"scene",
-                       "the dataset",
-                       {{"replica", "Rendered rooms", docs_of<RootParams>()}, {"grid", "", docs_of<GridParams>()}}},
-                      {"passes[].encoder", "", {{"hash_grid", "", docs_of<GridParams>()}}},
-                      {"passes[].branch[?].encoder", "", {{"hash_grid", "", docs_of<GridParams>()}}}}));
+  return json::parse(json_schema_of(
+      "test", {{"train", "how long", docs_of<RootParams>()},
+               {"train.grid", "", docs_of<GridParams>()},
+               {"scene.labels", "", docs_of<RootParams>()},
+               {"scene",
+                "the dataset",
+                {},
+                false,
+                {{"replica", "Rendered rooms", docs_of<RootParams>()}, {"grid", "", docs_of<GridParams>()}}},
+               {"passes[].encoder", "", {}, false, {{"hash_grid", "", docs_of<GridParams>()}}},
+               {"passes[].branch", "", {}, true},
+               {"passes[].branch.encoder", "", {}, false, {{"hash_grid", "", docs_of<GridParams>()}}}}));
 }
 
 bool has_type(const json& value, const std::string& type) {

@@ -22,7 +22,7 @@ namespace {
 class Keys {
  public:
   Keys() {
-    for (const SectionDoc& section : describe_sections()) add(section.path, section.params);
+    for (const SchemaSection& section : describe_sections()) add(section.path, section.params);
     // By convention every dataset of files has these, or those that can say so.
     for (const char* key : {"train.schedule.legs", "scene.root", "scene.file", "scene.classes", "scene.type",
                             "scene.unknown_labels", "scene.masks", "scene.least_confidence", "passes.N"})

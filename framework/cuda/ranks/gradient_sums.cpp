@@ -4,8 +4,6 @@
 
 #include <algorithm>
 
-#include "cuda/launch.h"
-
 namespace semfield::cuda {
 
 GradientSums::GradientSums(const DeviceOptions& options, std::span<float> gradients, std::vector<std::size_t> ends)

@@ -6,10 +6,7 @@
 #include <array>
 #include <charconv>
 #include <cstdlib>
-#include <optional>
-#include <vector>
 
-#include "core/error.h"
 #include "system/process.h"
 
 namespace semfield {

@@ -5,9 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <optional>
 #include <utility>
-#include <vector>
 
 #include "compute/isa.h"
 #include "compute/parallel.h"

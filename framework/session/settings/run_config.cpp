@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <filesystem>
 #include <functional>
@@ -765,8 +764,8 @@ ConfigNode resolved_config(const RunConfig& config) {
   return config.plugins.empty() ? tree : tree.with("plugins", list_of(config.plugins, text_node));
 }
 
-std::vector<SectionDoc> describe_sections() {
-  std::vector<SectionDoc> docs;
+std::vector<SchemaSection> describe_sections() {
+  std::vector<SchemaSection> docs;
   RunConfig defaults;
   each_section(defaults, [&](const char* path, const char* sentence, auto& params) {
     docs.push_back({path, sentence, describe_params(described(params))});

@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "config/config_tree.h"
-#include "config/params.h"
+#include "config/schema.h"
 #include "core/error.h"
 #include "core/half.h"
 #include "formats/text_rows.h"
@@ -285,14 +285,8 @@ RunConfig run_config_of(const ConfigNode& tree, Registry& registry);
 /// The resolved configuration: every parameter written out, absolute base_dir; reading it gives the same run.
 ConfigNode resolved_config(const RunConfig& config);
 
-/// Fixed sections and plugin slots by key path, for the schema and the reference.
-struct SectionDoc {
-  std::string path;
-  std::string sentence;
-  std::vector<ParamDoc> params;
-  bool or_list = false;  ///< a list of such maps may stand there too
-};
-std::vector<SectionDoc> describe_sections();
+/// Fixed sections by key path, for the schema and the reference.
+std::vector<SchemaSection> describe_sections();
 
 /// Columns of a head whose dataset has more for its channel, unless its own `width` says otherwise.
 inline constexpr int kUsualHeadWidth = 64;

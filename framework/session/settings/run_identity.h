@@ -3,7 +3,6 @@
 
 #include <string>
 #include <string_view>
-#include <vector>
 
 #include "config/explain.h"
 #include "session/settings/run_config.h"
