@@ -277,6 +277,30 @@ const ConfigNode* telling(const ConfigNode& item) {
   return nullptr;
 }
 
+constexpr const char* kEnding = ".yaml";
+
+bool is_file(const fs::path& path) {
+  std::error_code unknown;
+  return fs::exists(path, unknown) && !fs::is_directory(path, unknown);
+}
+
+// `path`, or with the ending that may be left out; "" when neither is there.
+std::string with_ending(const fs::path& path) {
+  if (is_file(path)) return path.string();
+  fs::path longer = path;
+  longer += kEnding;
+  return is_file(longer) ? longer.string() : "";
+}
+
+// Names without the ending of configurations in the folder that `place`, a path that is not there, would lie in.
+void add_neighbours(const fs::path& place, std::vector<std::string>& names) {
+  std::error_code unknown;
+  const fs::path folder = place.has_parent_path() ? place.parent_path() : fs::path(".");
+  for (fs::directory_iterator it(folder, unknown), end; !unknown && it != end; it.increment(unknown)) {
+    if (it->path().extension() == kEnding) names.push_back(it->path().stem().string());
+  }
+}
+
 }  // namespace
 
 std::string item_key(const ConfigNode& list, std::size_t index) {
@@ -337,36 +361,6 @@ std::string resolve_path(const ConfigNode& scalar) {
 }
 
 // Looks for configurations in the user's folders, then in the shipped one.
-
-namespace fs = std::filesystem;
-
-namespace {
-
-constexpr const char* kEnding = ".yaml";
-
-bool is_file(const fs::path& path) {
-  std::error_code unknown;
-  return fs::exists(path, unknown) && !fs::is_directory(path, unknown);
-}
-
-// `path`, or with the ending that may be left out; "" when neither is there.
-std::string with_ending(const fs::path& path) {
-  if (is_file(path)) return path.string();
-  fs::path longer = path;
-  longer += kEnding;
-  return is_file(longer) ? longer.string() : "";
-}
-
-// Names without the ending of configurations in the folder that `place`, a path that is not there, would lie in.
-void add_neighbours(const fs::path& place, std::vector<std::string>& names) {
-  std::error_code unknown;
-  const fs::path folder = place.has_parent_path() ? place.parent_path() : fs::path(".");
-  for (fs::directory_iterator it(folder, unknown), end; !unknown && it != end; it.increment(unknown)) {
-    if (it->path().extension() == kEnding) names.push_back(it->path().stem().string());
-  }
-}
-
-}  // namespace
 
 std::string shipped_place(const std::string& name) {
   const fs::path written = fs::path(name).lexically_normal();

@@ -207,6 +207,39 @@ struct Reader {
   }
 };
 
+ConfigNode node_of(bool value) { return ConfigNode::make_scalar(value ? "true" : "false", false, {}); }
+ConfigNode node_of(std::int64_t value) { return ConfigNode::make_scalar(std::to_string(value), false, {}); }
+ConfigNode node_of(double value) { return ConfigNode::make_scalar(shortest_number(value), false, {}); }
+ConfigNode node_of(const std::string& value) { return ConfigNode::make_scalar(value, !is_plain_text(value), {}); }
+ConfigNode node_of(const Choice& choice) {
+  SEMFIELD_CHECK(choice.index >= 0 && static_cast<std::size_t>(choice.index) < choice.names.size(),
+                 "choice outside its names");
+  return node_of(std::string(choice.names[static_cast<std::size_t>(choice.index)]));
+}
+template <class T>
+ConfigNode node_of(const std::vector<T>& values) {
+  std::vector<ConfigNode> items;
+  for (const T& value : values) items.push_back(node_of(value));
+  return ConfigNode::make_list(std::move(items), {});
+}
+
+template <class Int>
+bool is_limit_of(double value, bool upper) {
+  return value == static_cast<double>(upper ? std::numeric_limits<Int>::max() : std::numeric_limits<Int>::lowest());
+}
+
+// visit_param narrows a range to what the field's type holds; such a bound says nothing to a reader.
+bool is_type_limit(double value, bool upper) {
+  return std::isinf(value) || is_limit_of<std::int32_t>(value, upper) || is_limit_of<std::int64_t>(value, upper) ||
+         (upper && (is_limit_of<std::uint32_t>(value, upper) || is_limit_of<std::uint64_t>(value, upper))) ||
+         is_limit_of<float>(value, upper) || is_limit_of<double>(value, upper);
+}
+
+std::string bound_text(double value) {
+  if (value == std::floor(value) && std::fabs(value) < 1e15) return std::to_string(static_cast<std::int64_t>(value));
+  return shortest_number(value);
+}
+
 }  // namespace
 
 void read_params(const ConfigNode& node, const std::string& path, const Describe& describe, Diagnostics& diagnostics,
@@ -252,26 +285,6 @@ std::string read_text(const ConfigNode& parent, const std::string& path, const s
 
 // The values of a parameter struct as a tree, for the resolved config.
 
-namespace {
-
-ConfigNode node_of(bool value) { return ConfigNode::make_scalar(value ? "true" : "false", false, {}); }
-ConfigNode node_of(std::int64_t value) { return ConfigNode::make_scalar(std::to_string(value), false, {}); }
-ConfigNode node_of(double value) { return ConfigNode::make_scalar(shortest_number(value), false, {}); }
-ConfigNode node_of(const std::string& value) { return ConfigNode::make_scalar(value, !is_plain_text(value), {}); }
-ConfigNode node_of(const Choice& choice) {
-  SEMFIELD_CHECK(choice.index >= 0 && static_cast<std::size_t>(choice.index) < choice.names.size(),
-                 "choice outside its names");
-  return node_of(std::string(choice.names[static_cast<std::size_t>(choice.index)]));
-}
-template <class T>
-ConfigNode node_of(const std::vector<T>& values) {
-  std::vector<ConfigNode> items;
-  for (const T& value : values) items.push_back(node_of(value));
-  return ConfigNode::make_list(std::move(items), {});
-}
-
-}  // namespace
-
 std::string shortest_number(double value) {
   SEMFIELD_CHECK(std::isfinite(value), "a parameter must be finite to be written");
   std::array<char, 32> buffer{};
@@ -291,27 +304,6 @@ ConfigNode params_to_config(const Describe& describe) {
 }
 
 // Parameters as rows of text: help, reference page, schema.
-
-namespace {
-
-template <class Int>
-bool is_limit_of(double value, bool upper) {
-  return value == static_cast<double>(upper ? std::numeric_limits<Int>::max() : std::numeric_limits<Int>::lowest());
-}
-
-// visit_param narrows a range to what the field's type holds; such a bound says nothing to a reader.
-bool is_type_limit(double value, bool upper) {
-  return std::isinf(value) || is_limit_of<std::int32_t>(value, upper) || is_limit_of<std::int64_t>(value, upper) ||
-         (upper && (is_limit_of<std::uint32_t>(value, upper) || is_limit_of<std::uint64_t>(value, upper))) ||
-         is_limit_of<float>(value, upper) || is_limit_of<double>(value, upper);
-}
-
-std::string bound_text(double value) {
-  if (value == std::floor(value) && std::fabs(value) < 1e15) return std::to_string(static_cast<std::int64_t>(value));
-  return shortest_number(value);
-}
-
-}  // namespace
 
 std::string range_text(const Range& range, bool hide_type_limits) {
   const auto is_open = [&](double value, bool upper) {

@@ -28,6 +28,103 @@ bool any_density(const PassTrace<Real>& trace) {
   return std::any_of(sigma, sigma + trace.samples.count, [](Real density) { return density > 0; });
 }
 
+// A message carries this many pieces of gradients, so that a rank adds its lanes to one while the next rank has those
+// before it.
+constexpr std::int64_t kPiecesTogether = 64;
+
+template <class T>
+std::span<std::byte> bytes_of(std::vector<T>& values, std::size_t count) {
+  return std::as_writable_bytes(std::span(values.data(), count));
+}
+
+template <class Real>
+std::string element_text(const Tensor<Real>& t, std::int64_t element) {
+  return fmt::format("row {}, column {}", element / t.spec.cols, element % t.spec.cols);
+}
+
+// Of a table the whole gradient, and values and moments of the touched rows of one window: the moments of every touched
+// row would cost as much memory traffic as the update. From sound numbers comes nothing else, so what this finds was
+// written from outside; a value that is not finite is seen in the encoder's output in any case.
+//
+// Of rows [row, row + rows).
+template <class Real>
+Unsound<Real> unsound_of_table(const Tensor<Real>& t, std::int64_t step, std::int64_t row, std::int64_t rows) {
+  Unsound<Real> bad = first_unsound<Real>({}, t.view(t.grad).row_range(row, rows), {}, {}, false);
+  if (bad.element >= 0) {
+    bad.element += row * t.spec.cols;
+    return bad;
+  }
+  const std::int64_t window_rows = (t.spec.rows + kTableWindows - 1) / kTableWindows;
+  const std::int64_t begin = std::max(row, step % kTableWindows * window_rows);
+  const std::int64_t count = std::min(row + rows, (step % kTableWindows + 1) * window_rows) - begin;
+  if (count <= 0) return {};
+  const auto window = [&](const AlignedBuffer<Real>& buffer) { return t.view(buffer).row_range(begin, count); };
+  bad = first_unsound<Real>(window(t.value), window(t.grad), window(t.moment1), window(t.moment2), true);
+  if (bad.element >= 0) bad.element += begin * t.spec.cols;
+  return bad;
+}
+
+template <class Real>
+Unsound<Real> unsound_of_learned(const Tensor<Real>& t, std::int64_t step, std::int64_t row, std::int64_t rows) {
+  if (t.spec.role == TensorRole::sparse) return unsound_of_table(t, step, row, rows);
+  const auto part = [&](const AlignedBuffer<Real>& buffer) { return t.view(buffer).row_range(row, rows); };
+  Unsound<Real> bad = first_unsound<Real>(part(t.value), part(t.grad), part(t.moment1), part(t.moment2), false);
+  if (bad.element >= 0) bad.element += row * t.spec.cols;
+  return bad;
+}
+
+// The elements of a derived or state tensor that a step looks at, as a column; none of a rearranged one, which comes
+// anew from learned ones. Of a large one (the cells of a fine occupancy grid) they are a window, so that the check
+// costs the same for any grid; the sampler itself refuses what it would write.
+struct StateWindow {
+  std::int64_t begin, count;
+};
+template <class Real>
+StateWindow state_window(const Tensor<Real>& t, std::int64_t step) {
+  constexpr std::int64_t kWindow = std::int64_t{1} << 18;
+  if (t.spec.role == TensorRole::rearranged) return {0, 0};
+  const std::int64_t begin = step % ((t.size() + kWindow - 1) / kWindow) * kWindow;
+  return {begin, std::min(kWindow, t.size() - begin)};
+}
+
+// Of all tensors at once; which one it is, check_learned and check_state say.
+template <class Real>
+bool all_sound(const std::vector<Tensor<Real>>& tensors, std::int64_t step) {
+  std::atomic<bool> sound{true};
+  const auto tensor = [&](int i) -> const Tensor<Real>& { return tensors[static_cast<std::size_t>(i)]; };
+  for_ranges(
+      static_cast<int>(tensors.size()),
+      [&](int i) { return tensor(i).learned() ? tensor(i).spec.rows : state_window(tensor(i), step).count; },
+      [&](int i) { return tensor(i).learned() ? tensor(i).spec.cols : 1; },
+      [&](int i, std::int64_t row, std::int64_t rows) {
+        const Tensor<Real>& t = tensor(i);
+        const bool good = t.learned() ? unsound_of_learned(t, step, row, rows).element < 0
+                                      : all_finite(t.value.data() + state_window(t, step).begin + row, rows);
+        if (!good) sound = false;
+      });
+  return sound;
+}
+
+template <class Real>
+void check_learned(const Tensor<Real>& t, std::int64_t step, const StepLosses& losses) {
+  const Unsound<Real> bad = unsound_of_learned(t, step, 0, t.spec.rows);
+  if (bad.element < 0) return;
+  throw Error(ErrorKind::failure, "train.gradient.not_finite",
+              fmt::format("the {} of '{}' at {} is {:.6g} (loss {:.6g})", bad.array, t.name,
+                          element_text(t, bad.element), bad.found, losses.total),
+              std::string(fault_remedy()));
+}
+
+template <class Real>
+void check_state(const Tensor<Real>& t, std::int64_t step) {
+  const auto [begin, count] = state_window(t, step);
+  const std::int64_t at = first_non_finite<Real>(View<const Real>(t.value.data() + begin, count, 1));
+  if (at < 0) return;
+  throw Error(ErrorKind::failure, "train.tensor.not_finite",
+              fmt::format("'{}' holds {} at {}", t.name, t.value.data()[begin + at], element_text(t, begin + at)),
+              std::string(fault_remedy()));
+}
+
 }  // namespace
 
 template <class Real>
@@ -338,19 +435,6 @@ std::int64_t LaneExecutor<Real>::workspace_growths() const {
 template class LaneExecutor<float>;
 template class LaneExecutor<double>;
 
-namespace {
-
-// A message carries this many pieces of gradients, so that a rank adds its lanes to one while the next rank has those
-// before it.
-constexpr std::int64_t kPiecesTogether = 64;
-
-template <class T>
-std::span<std::byte> bytes_of(std::vector<T>& values, std::size_t count) {
-  return std::as_writable_bytes(std::span(values.data(), count));
-}
-
-}  // namespace
-
 template <class Real>
 LaneRanks<Real>::LaneRanks(Ranks& ranks, int lanes) : ranks_(&ranks), lanes_(lanes) {}
 
@@ -463,98 +547,6 @@ template class LaneRanks<float>;
 template class LaneRanks<double>;
 
 // Which ray or tensor is behind a step that failed.
-
-namespace {
-
-template <class Real>
-std::string element_text(const Tensor<Real>& t, std::int64_t element) {
-  return fmt::format("row {}, column {}", element / t.spec.cols, element % t.spec.cols);
-}
-
-// Of a table the whole gradient, and values and moments of the touched rows of one window: the moments of every touched
-// row would cost as much memory traffic as the update. From sound numbers comes nothing else, so what this finds was
-// written from outside; a value that is not finite is seen in the encoder's output in any case.
-//
-// Of rows [row, row + rows).
-template <class Real>
-Unsound<Real> unsound_of_table(const Tensor<Real>& t, std::int64_t step, std::int64_t row, std::int64_t rows) {
-  Unsound<Real> bad = first_unsound<Real>({}, t.view(t.grad).row_range(row, rows), {}, {}, false);
-  if (bad.element >= 0) {
-    bad.element += row * t.spec.cols;
-    return bad;
-  }
-  const std::int64_t window_rows = (t.spec.rows + kTableWindows - 1) / kTableWindows;
-  const std::int64_t begin = std::max(row, step % kTableWindows * window_rows);
-  const std::int64_t count = std::min(row + rows, (step % kTableWindows + 1) * window_rows) - begin;
-  if (count <= 0) return {};
-  const auto window = [&](const AlignedBuffer<Real>& buffer) { return t.view(buffer).row_range(begin, count); };
-  bad = first_unsound<Real>(window(t.value), window(t.grad), window(t.moment1), window(t.moment2), true);
-  if (bad.element >= 0) bad.element += begin * t.spec.cols;
-  return bad;
-}
-
-template <class Real>
-Unsound<Real> unsound_of_learned(const Tensor<Real>& t, std::int64_t step, std::int64_t row, std::int64_t rows) {
-  if (t.spec.role == TensorRole::sparse) return unsound_of_table(t, step, row, rows);
-  const auto part = [&](const AlignedBuffer<Real>& buffer) { return t.view(buffer).row_range(row, rows); };
-  Unsound<Real> bad = first_unsound<Real>(part(t.value), part(t.grad), part(t.moment1), part(t.moment2), false);
-  if (bad.element >= 0) bad.element += row * t.spec.cols;
-  return bad;
-}
-
-// The elements of a derived or state tensor that a step looks at, as a column; none of a rearranged one, which comes
-// anew from learned ones. Of a large one (the cells of a fine occupancy grid) they are a window, so that the check
-// costs the same for any grid; the sampler itself refuses what it would write.
-struct StateWindow {
-  std::int64_t begin, count;
-};
-template <class Real>
-StateWindow state_window(const Tensor<Real>& t, std::int64_t step) {
-  constexpr std::int64_t kWindow = std::int64_t{1} << 18;
-  if (t.spec.role == TensorRole::rearranged) return {0, 0};
-  const std::int64_t begin = step % ((t.size() + kWindow - 1) / kWindow) * kWindow;
-  return {begin, std::min(kWindow, t.size() - begin)};
-}
-
-// Of all tensors at once; which one it is, check_learned and check_state say.
-template <class Real>
-bool all_sound(const std::vector<Tensor<Real>>& tensors, std::int64_t step) {
-  std::atomic<bool> sound{true};
-  const auto tensor = [&](int i) -> const Tensor<Real>& { return tensors[static_cast<std::size_t>(i)]; };
-  for_ranges(
-      static_cast<int>(tensors.size()),
-      [&](int i) { return tensor(i).learned() ? tensor(i).spec.rows : state_window(tensor(i), step).count; },
-      [&](int i) { return tensor(i).learned() ? tensor(i).spec.cols : 1; },
-      [&](int i, std::int64_t row, std::int64_t rows) {
-        const Tensor<Real>& t = tensor(i);
-        const bool good = t.learned() ? unsound_of_learned(t, step, row, rows).element < 0
-                                      : all_finite(t.value.data() + state_window(t, step).begin + row, rows);
-        if (!good) sound = false;
-      });
-  return sound;
-}
-
-template <class Real>
-void check_learned(const Tensor<Real>& t, std::int64_t step, const StepLosses& losses) {
-  const Unsound<Real> bad = unsound_of_learned(t, step, 0, t.spec.rows);
-  if (bad.element < 0) return;
-  throw Error(ErrorKind::failure, "train.gradient.not_finite",
-              fmt::format("the {} of '{}' at {} is {:.6g} (loss {:.6g})", bad.array, t.name,
-                          element_text(t, bad.element), bad.found, losses.total),
-              std::string(fault_remedy()));
-}
-
-template <class Real>
-void check_state(const Tensor<Real>& t, std::int64_t step) {
-  const auto [begin, count] = state_window(t, step);
-  const std::int64_t at = first_non_finite<Real>(View<const Real>(t.value.data() + begin, count, 1));
-  if (at < 0) return;
-  throw Error(ErrorKind::failure, "train.tensor.not_finite",
-              fmt::format("'{}' holds {} at {}", t.name, t.value.data()[begin + at], element_text(t, begin + at)),
-              std::string(fault_remedy()));
-}
-
-}  // namespace
 
 template <class Real>
 StepLosses LaneExecutor<Real>::checked_gradients(std::int64_t step, const RayBatch& batch) {

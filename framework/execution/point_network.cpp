@@ -22,6 +22,29 @@ void for_points(ThreadArenas& arenas, std::int64_t points, const Body& body) {
     body(arena, unit * kUnit, std::min(kUnit, points - unit * kUnit));
   });
 }
+
+constexpr std::int64_t kRowsAhead = 1024;  // encoded in one call; by row, so it changes no bits
+
+template <class Real>
+Rays<Real> rays_of_tile(const RayBatch& batch, std::int64_t tile, std::int64_t tile_rays) {
+  const std::int64_t begin = tile * tile_rays, count = std::min(tile_rays, batch.origin.rows - begin);
+  Rays<Real> rays;
+  rays.origin = batch.origin.row_range(begin, count);
+  rays.direction = batch.direction.row_range(begin, count);
+  rays.near_far = batch.near_far.row_range(begin, count);
+  return rays;
+}
+
+template <class T>
+void grow(std::vector<T>& buffer, std::int64_t size) {
+  if (buffer.size() < static_cast<std::size_t>(size)) buffer.resize(static_cast<std::size_t>(size));
+}
+
+template <class T>
+std::size_t bytes_of(const std::vector<T>& buffer) {
+  return buffer.capacity() * sizeof(T);
+}
+
 }  // namespace
 
 template <class Real>
@@ -178,31 +201,6 @@ SEMFIELD_INSTANTIATE(double)
 #undef SEMFIELD_INSTANTIATE
 
 // A step's rows for a position encoder with tables: collected tile by tile, or drawn ahead of all tiles.
-
-namespace {
-constexpr std::int64_t kRowsAhead = 1024;  // encoded in one call; by row, so it changes no bits
-
-template <class Real>
-Rays<Real> rays_of_tile(const RayBatch& batch, std::int64_t tile, std::int64_t tile_rays) {
-  const std::int64_t begin = tile * tile_rays, count = std::min(tile_rays, batch.origin.rows - begin);
-  Rays<Real> rays;
-  rays.origin = batch.origin.row_range(begin, count);
-  rays.direction = batch.direction.row_range(begin, count);
-  rays.near_far = batch.near_far.row_range(begin, count);
-  return rays;
-}
-
-template <class T>
-void grow(std::vector<T>& buffer, std::int64_t size) {
-  if (buffer.size() < static_cast<std::size_t>(size)) buffer.resize(static_cast<std::size_t>(size));
-}
-
-template <class T>
-std::size_t bytes_of(const std::vector<T>& buffer) {
-  return buffer.capacity() * sizeof(T);
-}
-
-}  // namespace
 
 template <class Real>
 View<Real> EncoderInbox<Real>::append(View<const double> tile_x, std::int32_t dims) {

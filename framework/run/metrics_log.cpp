@@ -77,6 +77,39 @@ std::size_t each_line(std::string_view text, Body&& body) {
   }
 }
 
+void put_varint(std::string& out, std::uint64_t value) {
+  while (value >= 0x80) {
+    out.push_back(static_cast<char>(value | 0x80));
+    value >>= 7;
+  }
+  out.push_back(static_cast<char>(value));
+}
+
+template <class T>
+void put_fixed(std::string& out, T value) {
+  char bytes[sizeof(T)];
+  std::memcpy(bytes, &value, sizeof(T));
+  out.append(bytes, sizeof(T));
+}
+
+enum Wire : std::uint64_t { varint = 0, fixed64 = 1, sized = 2, fixed32 = 5 };
+
+void put_key(std::string& out, std::uint64_t field, Wire wire) { put_varint(out, field << 3 | wire); }
+
+void put_text(std::string& out, std::uint64_t field, std::string_view text) {
+  put_key(out, field, Wire::sized);
+  put_varint(out, text.size());
+  out += text;
+}
+
+// Event { double wall_time = 1; int64 step = 2; string file_version = 3; Summary summary = 5; }
+std::string event_head(double now_s) {
+  std::string event;
+  put_key(event, 1, Wire::fixed64);
+  put_fixed(event, now_s);
+  return event;
+}
+
 }  // namespace
 
 void MetricsRow::set(const std::string& name, std::optional<double> value) {
@@ -215,43 +248,6 @@ std::optional<MetricsRow> StepRows::add(const StepLosses& losses, std::int64_t s
 }
 
 // Event records: protocol buffer messages Event and Summary with the few fields that a scalar needs.
-
-namespace {
-
-void put_varint(std::string& out, std::uint64_t value) {
-  while (value >= 0x80) {
-    out.push_back(static_cast<char>(value | 0x80));
-    value >>= 7;
-  }
-  out.push_back(static_cast<char>(value));
-}
-
-template <class T>
-void put_fixed(std::string& out, T value) {
-  char bytes[sizeof(T)];
-  std::memcpy(bytes, &value, sizeof(T));
-  out.append(bytes, sizeof(T));
-}
-
-enum Wire : std::uint64_t { varint = 0, fixed64 = 1, sized = 2, fixed32 = 5 };
-
-void put_key(std::string& out, std::uint64_t field, Wire wire) { put_varint(out, field << 3 | wire); }
-
-void put_text(std::string& out, std::uint64_t field, std::string_view text) {
-  put_key(out, field, Wire::sized);
-  put_varint(out, text.size());
-  out += text;
-}
-
-// Event { double wall_time = 1; int64 step = 2; string file_version = 3; Summary summary = 5; }
-std::string event_head(double now_s) {
-  std::string event;
-  put_key(event, 1, Wire::fixed64);
-  put_fixed(event, now_s);
-  return event;
-}
-
-}  // namespace
 
 std::uint32_t masked_crc32c(std::string_view bytes) {
   const std::uint32_t crc = crc32c(std::as_bytes(std::span(bytes.data(), bytes.size())));

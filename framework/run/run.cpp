@@ -105,33 +105,6 @@ bool is_of_the_length(const std::string& key, bool was_open) {
                        key == "train.schedule.decay_steps"));
 }
 
-}  // namespace
-
-std::optional<RunConfig> settings_of_checkpoint(const CheckpointFacts& facts, Registry& registry) {
-  try {
-    Diagnostics diagnostics;
-    // Modules are loaded already, by run.yaml or by the command line.
-    RunConfig config =
-        read_run_config(parse_config_text(facts.config, "checkpoint").without("plugins"), registry, diagnostics);
-    if (!diagnostics.has_errors()) return config;
-  } catch (const Error&) {
-  }
-  return std::nullopt;
-}
-
-void compare_with_training(const CheckpointFacts& facts, const SceneInputs& inputs, const Session& session,
-                           Diagnostics& diagnostics) {
-  warn_of_other_inputs(facts.inputs, inputs, diagnostics);
-  warn_of_other_modules(facts.modules, session.config.plugins, diagnostics);
-  // Clicks are meant to come, and other labels are reported already where both checksums are known.
-  const bool told = !facts.inputs.training_labels.value_or("").empty() && !inputs.training_labels.value_or("").empty();
-  Diagnostics ignored;
-  compare_training_labels(facts.scene, session.manifest, session.scene.info.classes, session.config.runtime.keep,
-                          told || session.config.labels.clicks ? ignored : diagnostics);
-}
-
-namespace {
-
 // Keys that --set gives.
 std::set<std::string> keys_set(const std::string& config_path, const std::vector<std::string>& overrides) {
   std::set<std::string> keys;
@@ -139,42 +112,6 @@ std::set<std::string> keys_set(const std::string& config_path, const std::vector
     if (setting.from.starts_with("--")) keys.insert(setting.key);
   return keys;
 }
-
-}  // namespace
-
-bool compare_settings_with_training(const CheckpointFacts& facts, const RunConfig& config, const RunFolder& folder,
-                                    const std::vector<std::string>& overrides, Registry& registry,
-                                    Diagnostics& diagnostics) {
-  const std::optional<RunConfig> trained = settings_of_checkpoint(facts, registry);
-  if (!trained) return true;
-  const std::set<std::string> on_purpose = keys_set(folder.config_path(), overrides);
-  bool same_scene = true;
-  std::vector<std::string> edited, asked;
-  std::string back, keep;
-  for (const ConfigDifference& change : config_differences(resolved_config(*trained), resolved_config(config))) {
-    if (may_change_on_resume(change.key) || is_of_the_length(change.key, last_step(*trained) == 0)) continue;
-    same_scene = same_scene && !change.key.starts_with("scene.");
-    if (on_purpose.contains(change.key)) {
-      asked.push_back(change.text());
-      continue;
-    }
-    edited.push_back(change.text());
-    back += set_text(change.key, change.left);
-    keep += set_text(change.key, change.right);
-  }
-  if (!edited.empty()) {
-    throw Error(
-        ErrorKind::config, "run.config.edited",
-        fmt::format("'{}' is not as the run was trained: {}", folder.config_path(), join(edited)),
-        fmt::format("for the settings of training add{}, or restore the file; for the file's add{}", back, keep));
-  }
-  if (!asked.empty())
-    diagnostics.note("run.config.settings", "settings",
-                     "they differ from those that the run was trained with: " + join(asked));
-  return same_scene;
-}
-
-namespace {
 
 // Compares `config` with what the checkpoint was trained with, or with run.yaml where there is none. Throws
 // Error(config) naming every setting that would make it another run, Error(data) for a bad checkpoint.
@@ -323,6 +260,61 @@ std::size_t memory_of_first_steps(const RunConfig& config) {
 }
 
 }  // namespace
+
+std::optional<RunConfig> settings_of_checkpoint(const CheckpointFacts& facts, Registry& registry) {
+  try {
+    Diagnostics diagnostics;
+    // Modules are loaded already, by run.yaml or by the command line.
+    RunConfig config =
+        read_run_config(parse_config_text(facts.config, "checkpoint").without("plugins"), registry, diagnostics);
+    if (!diagnostics.has_errors()) return config;
+  } catch (const Error&) {
+  }
+  return std::nullopt;
+}
+
+void compare_with_training(const CheckpointFacts& facts, const SceneInputs& inputs, const Session& session,
+                           Diagnostics& diagnostics) {
+  warn_of_other_inputs(facts.inputs, inputs, diagnostics);
+  warn_of_other_modules(facts.modules, session.config.plugins, diagnostics);
+  // Clicks are meant to come, and other labels are reported already where both checksums are known.
+  const bool told = !facts.inputs.training_labels.value_or("").empty() && !inputs.training_labels.value_or("").empty();
+  Diagnostics ignored;
+  compare_training_labels(facts.scene, session.manifest, session.scene.info.classes, session.config.runtime.keep,
+                          told || session.config.labels.clicks ? ignored : diagnostics);
+}
+
+bool compare_settings_with_training(const CheckpointFacts& facts, const RunConfig& config, const RunFolder& folder,
+                                    const std::vector<std::string>& overrides, Registry& registry,
+                                    Diagnostics& diagnostics) {
+  const std::optional<RunConfig> trained = settings_of_checkpoint(facts, registry);
+  if (!trained) return true;
+  const std::set<std::string> on_purpose = keys_set(folder.config_path(), overrides);
+  bool same_scene = true;
+  std::vector<std::string> edited, asked;
+  std::string back, keep;
+  for (const ConfigDifference& change : config_differences(resolved_config(*trained), resolved_config(config))) {
+    if (may_change_on_resume(change.key) || is_of_the_length(change.key, last_step(*trained) == 0)) continue;
+    same_scene = same_scene && !change.key.starts_with("scene.");
+    if (on_purpose.contains(change.key)) {
+      asked.push_back(change.text());
+      continue;
+    }
+    edited.push_back(change.text());
+    back += set_text(change.key, change.left);
+    keep += set_text(change.key, change.right);
+  }
+  if (!edited.empty()) {
+    throw Error(
+        ErrorKind::config, "run.config.edited",
+        fmt::format("'{}' is not as the run was trained: {}", folder.config_path(), join(edited)),
+        fmt::format("for the settings of training add{}, or restore the file; for the file's add{}", back, keep));
+  }
+  if (!asked.empty())
+    diagnostics.note("run.config.settings", "settings",
+                     "they differ from those that the run was trained with: " + join(asked));
+  return same_scene;
+}
 
 std::string ScoredPart::text() const {
   const std::string count =

@@ -63,6 +63,77 @@ void remove_stale(const std::string& path) {
   }
 }
 
+constexpr std::string_view kPrefix = "step_";
+constexpr std::string_view kSuffix = ".safetensors";
+
+std::optional<std::int64_t> step_of(const std::string& name) {
+  if (!name.starts_with(kPrefix) || !name.ends_with(kSuffix) || name.size() <= kPrefix.size() + kSuffix.size())
+    return std::nullopt;
+  const char* begin = name.data() + kPrefix.size();
+  const char* end = name.data() + name.size() - kSuffix.size();
+  std::int64_t step = 0;
+  const auto [rest, status] = std::from_chars(begin, end, step);
+  if (status != std::errc{} || rest != end || step < 0) return std::nullopt;
+  return step;
+}
+
+using Json = nlohmann::ordered_json;
+
+// "key : value" of the first core in /proc/cpuinfo; "" where the system has no such file.
+std::string cpu_info(const std::string& key) {
+  std::ifstream file("/proc/cpuinfo");
+  for (std::string line; std::getline(file, line);) {
+    if (!line.starts_with(key)) continue;
+    const std::size_t colon = line.find(": ");
+    if (colon != std::string::npos) return line.substr(colon + 2);
+  }
+  return {};
+}
+
+// Of some hundred flags, those that change which instructions our loops become.
+std::string cpu_features() {
+  const std::string flags = " " + cpu_info("flags") + " ";
+  constexpr std::array kTelling{"sse4_2",  "avx",      "avx2",     "fma",         "f16c",
+                                "avx512f", "avx512bw", "avx512vl", "avx512_bf16", "amx_bf16"};
+  std::vector<std::string> found;
+  for (const char* flag : kTelling) {
+    if (flags.find(fmt::format(" {} ", flag)) != std::string::npos) found.emplace_back(flag);
+  }
+  return join(found, " ");
+}
+
+std::string compiler() {
+#if defined(__clang__)
+  return "clang " __clang_version__;
+#elif defined(__GNUC__)
+  return "g++ " __VERSION__;
+#else
+  return "unknown";
+#endif
+}
+
+Json parse(std::string_view text, const std::string& name) {
+  Json json = Json::parse(text.begin(), text.end(), nullptr, false);
+  if (json.is_discarded())
+    throw Error(ErrorKind::data, "run.record.damaged", fmt::format("'{}' is not JSON", name),
+                "restore the file, or delete it");
+  return json;
+}
+
+constexpr std::array<std::pair<const char*, std::string LeftOutRow::*>, 6> kLeftOutFields{{
+    {"component", &LeftOutRow::component},
+    {"rule", &LeftOutRow::rule},
+    {"evidence", &LeftOutRow::evidence},
+    {"proof", &LeftOutRow::proof},
+    {"saving_estimate", &LeftOutRow::saving_estimate},
+    {"saving_measured", &LeftOutRow::saving_measured},
+}};
+
+// The file itself, taken in when the library is built.
+constexpr const char* kTable =
+#include "leave_out_table.inc"
+    ;
+
 }  // namespace
 
 std::string RunFolder::in(std::string_view name) const { return (fs::path(path_) / name).string(); }
@@ -141,26 +212,6 @@ std::string RunFolder::render_path(std::string_view split, std::string_view fram
 }
 
 // The checkpoints of one run.
-
-namespace fs = std::filesystem;
-
-namespace {
-
-constexpr std::string_view kPrefix = "step_";
-constexpr std::string_view kSuffix = ".safetensors";
-
-std::optional<std::int64_t> step_of(const std::string& name) {
-  if (!name.starts_with(kPrefix) || !name.ends_with(kSuffix) || name.size() <= kPrefix.size() + kSuffix.size())
-    return std::nullopt;
-  const char* begin = name.data() + kPrefix.size();
-  const char* end = name.data() + name.size() - kSuffix.size();
-  std::int64_t step = 0;
-  const auto [rest, status] = std::from_chars(begin, end, step);
-  if (status != std::errc{} || rest != end || step < 0) return std::nullopt;
-  return step;
-}
-
-}  // namespace
 
 std::string CheckpointStore::file_name(std::int64_t step) { return fmt::format("{}{:08d}{}", kPrefix, step, kSuffix); }
 
@@ -246,53 +297,6 @@ std::optional<CheckpointStore::Found> CheckpointStore::find_latest(Diagnostics& 
 
 // environment.json and left_out.json.
 
-namespace {
-
-using Json = nlohmann::ordered_json;
-
-// "key : value" of the first core in /proc/cpuinfo; "" where the system has no such file.
-std::string cpu_info(const std::string& key) {
-  std::ifstream file("/proc/cpuinfo");
-  for (std::string line; std::getline(file, line);) {
-    if (!line.starts_with(key)) continue;
-    const std::size_t colon = line.find(": ");
-    if (colon != std::string::npos) return line.substr(colon + 2);
-  }
-  return {};
-}
-
-// Of some hundred flags, those that change which instructions our loops become.
-std::string cpu_features() {
-  const std::string flags = " " + cpu_info("flags") + " ";
-  constexpr std::array kTelling{"sse4_2",  "avx",      "avx2",     "fma",         "f16c",
-                                "avx512f", "avx512bw", "avx512vl", "avx512_bf16", "amx_bf16"};
-  std::vector<std::string> found;
-  for (const char* flag : kTelling) {
-    if (flags.find(fmt::format(" {} ", flag)) != std::string::npos) found.emplace_back(flag);
-  }
-  return join(found, " ");
-}
-
-std::string compiler() {
-#if defined(__clang__)
-  return "clang " __clang_version__;
-#elif defined(__GNUC__)
-  return "g++ " __VERSION__;
-#else
-  return "unknown";
-#endif
-}
-
-Json parse(std::string_view text, const std::string& name) {
-  Json json = Json::parse(text.begin(), text.end(), nullptr, false);
-  if (json.is_discarded())
-    throw Error(ErrorKind::data, "run.record.damaged", fmt::format("'{}' is not JSON", name),
-                "restore the file, or delete it");
-  return json;
-}
-
-}  // namespace
-
 Environment this_environment() {
   Environment e;
   e.version = SEMFIELD_VERSION_TEXT;
@@ -354,19 +358,6 @@ std::vector<std::string> parse_settings_changed(std::string_view text, const std
   return changes;
 }
 
-namespace {
-
-constexpr std::array<std::pair<const char*, std::string LeftOutRow::*>, 6> kLeftOutFields{{
-    {"component", &LeftOutRow::component},
-    {"rule", &LeftOutRow::rule},
-    {"evidence", &LeftOutRow::evidence},
-    {"proof", &LeftOutRow::proof},
-    {"saving_estimate", &LeftOutRow::saving_estimate},
-    {"saving_measured", &LeftOutRow::saving_measured},
-}};
-
-}  // namespace
-
 std::string left_out_json(const std::vector<LeftOutRow>& rows) {
   Json json = Json::array();
   for (const LeftOutRow& row : rows) {
@@ -399,13 +390,6 @@ std::vector<LeftOutRow> parse_left_out(std::string_view text, const std::string&
   }
   return rows;
 }
-
-namespace {
-// The file itself, taken in when the library is built.
-constexpr const char* kTable =
-#include "leave_out_table.inc"
-    ;
-}  // namespace
 
 std::string shipped_saving(const std::string& component) {
   static const nlohmann::json table = nlohmann::json::parse(kTable);

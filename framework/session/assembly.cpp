@@ -254,6 +254,58 @@ PipelineOptions pipeline_options(const RunConfig& config, const BuildPlan& plan,
   return options;
 }
 
+void say_slow_fields(const RunConfig& config, const std::vector<PassParts<float>>& passes, Diagnostics& diagnostics) {
+  const auto say = [&](const std::string& where, const Field<float>& field) {
+    const auto* part = dynamic_cast<const SlowPath*>(&field);
+    const std::string found = part == nullptr ? "" : part->slow_path();
+    if (!found.empty()) diagnostics.warning("device.field.slow", where, found, {});
+  };
+  for (const PassParts<float>& pass : passes) {
+    const PassConfig& written = config.passes[pass.number];
+    say(written.key + ".field", *pass.field);
+    if (pass.branch) say(written.key + "." + written.branch()->key + ".field", *pass.branch->field);
+  }
+}
+
+using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+using Floats = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+constexpr std::int64_t kMostCells = 65536, kRowsAtOnce = 4096;
+
+std::int64_t cells_of(const FrameChannel& map) { return std::int64_t{map.height} * map.width; }
+
+std::vector<FrameChannel*> maps_of(Session& s, const std::string& channel) {
+  std::vector<FrameChannel*> maps;
+  for (const int f : s.scene.frames_of(Split::train)) {
+    for (FrameChannel& one : s.scene.frames[static_cast<std::size_t>(f)].channels)
+      if (one.name == channel && !one.values.empty()) maps.push_back(&one);
+  }
+  return maps;
+}
+
+constexpr const char* kIgnored = ", ignored";
+
+// "'chair'" or "'void', ignored" by id.
+std::map<std::int64_t, std::string> classes_by_id(const std::string& yaml) {
+  std::map<std::int64_t, std::string> out;
+  if (yaml.empty()) return out;
+  ConfigNode list;
+  try {
+    list = parse_config_text(yaml, "checkpoint metadata 'classes'");
+  } catch (const Error& error) {
+    throw Error(ErrorKind::data, error.code(), error.message(),
+                "resume from another checkpoint of the run: move this file out of the folder");
+  }
+  for (const ConfigNode& item : list.items()) {
+    const ConfigNode *id = item.find("id"), *name = item.find("name"), *ignore = item.find("ignore");
+    std::int64_t number = -1;
+    if (id != nullptr) std::from_chars(id->text().data(), id->text().data() + id->text().size(), number);
+    out[number] = fmt::format("'{}'{}", name == nullptr ? "" : name->text(),
+                              ignore != nullptr && ignore->text() == "true" ? kIgnored : "");
+  }
+  return out;
+}
+
 }  // namespace
 
 std::unique_ptr<Sampler<float>> make_last_sampler(const RunConfig& config, const Registry& registry,
@@ -355,23 +407,6 @@ std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry
   return assemble(make_parts<Real>(config, registry, plan, extent), std::move(class_weight), trainable);
 }
 
-namespace {
-
-void say_slow_fields(const RunConfig& config, const std::vector<PassParts<float>>& passes, Diagnostics& diagnostics) {
-  const auto say = [&](const std::string& where, const Field<float>& field) {
-    const auto* part = dynamic_cast<const SlowPath*>(&field);
-    const std::string found = part == nullptr ? "" : part->slow_path();
-    if (!found.empty()) diagnostics.warning("device.field.slow", where, found, {});
-  };
-  for (const PassParts<float>& pass : passes) {
-    const PassConfig& written = config.passes[pass.number];
-    say(written.key + ".field", *pass.field);
-    if (pass.branch) say(written.key + "." + written.branch()->key + ".field", *pass.branch->field);
-  }
-}
-
-}  // namespace
-
 void run_on(const RunOn& how, const RunConfig& config, const Registry& registry, const BuildPlan& plan,
             const SceneExtent& extent, Pipeline<float>& pipeline) {
   std::unique_ptr<Executor<float>> executor;  // a pipeline begins on the CPU
@@ -396,26 +431,6 @@ template std::unique_ptr<Pipeline<float>> assemble<float>(const RunConfig&, cons
                                                           const SceneExtent&, std::vector<float>, bool);
 template std::unique_ptr<Pipeline<double>> assemble<double>(const RunConfig&, const Registry&, const BuildPlan&,
                                                             const SceneExtent&, std::vector<float>, bool);
-
-namespace {
-
-using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-using Floats = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-
-constexpr std::int64_t kMostCells = 65536, kRowsAtOnce = 4096;
-
-std::int64_t cells_of(const FrameChannel& map) { return std::int64_t{map.height} * map.width; }
-
-std::vector<FrameChannel*> maps_of(Session& s, const std::string& channel) {
-  std::vector<FrameChannel*> maps;
-  for (const int f : s.scene.frames_of(Split::train)) {
-    for (FrameChannel& one : s.scene.frames[static_cast<std::size_t>(f)].channels)
-      if (one.name == channel && !one.values.empty()) maps.push_back(&one);
-  }
-  return maps;
-}
-
-}  // namespace
 
 std::vector<float> principal_axes(const std::vector<const FrameChannel*>& maps, std::int32_t width) {
   std::int64_t cells = 0;
@@ -510,33 +525,6 @@ void follow_axes(Session& session, const std::vector<std::vector<float>>& before
       multiply_rows(*map, View<const float>(turn.data(), now.cols, now.cols));
   }
 }
-
-namespace {
-
-constexpr const char* kIgnored = ", ignored";
-
-// "'chair'" or "'void', ignored" by id.
-std::map<std::int64_t, std::string> classes_by_id(const std::string& yaml) {
-  std::map<std::int64_t, std::string> out;
-  if (yaml.empty()) return out;
-  ConfigNode list;
-  try {
-    list = parse_config_text(yaml, "checkpoint metadata 'classes'");
-  } catch (const Error& error) {
-    throw Error(ErrorKind::data, error.code(), error.message(),
-                "resume from another checkpoint of the run: move this file out of the folder");
-  }
-  for (const ConfigNode& item : list.items()) {
-    const ConfigNode *id = item.find("id"), *name = item.find("name"), *ignore = item.find("ignore");
-    std::int64_t number = -1;
-    if (id != nullptr) std::from_chars(id->text().data(), id->text().data() + id->text().size(), number);
-    out[number] = fmt::format("'{}'{}", name == nullptr ? "" : name->text(),
-                              ignore != nullptr && ignore->text() == "true" ? kIgnored : "");
-  }
-  return out;
-}
-
-}  // namespace
 
 void require_class_table(const std::string& trained, const ClassTable& now, const std::optional<Annotations>& clicks) {
   const std::map<std::int64_t, std::string> before = classes_by_id(trained),

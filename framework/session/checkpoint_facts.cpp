@@ -75,6 +75,21 @@ std::map<std::string, std::string> modules_of(const TensorFile& file) {
   }
 }
 
+// One walk for both directions, so writer and reader cannot disagree.
+template <class Field>
+void walk(KnownScene& scene, Field&& field) {
+  SceneManifest& m = scene.manifest;
+  field("classes", m.classes);
+  field("train_class_pixels", m.train_class_pixels);
+  field("train_pixels", m.train_pixels);
+  field("train_frames", m.train_frames);
+  field("labelled_frames", m.labelled_frames);
+  field("any_depth", m.any_depth);
+  field("any_distortion", m.any_distortion);
+  field("direction_spread_deg", m.direction_spread_deg);
+  field("pixel_footprint_m", scene.pixel_footprint_m);
+}
+
 }  // namespace
 
 TensorMetadata checkpoint_metadata(const CheckpointFacts& facts, const std::string& config_hash) {
@@ -150,25 +165,6 @@ void compare_training_labels(const KnownScene& trained, const SceneManifest& now
     return;
   }
 }
-
-namespace {
-
-// One walk for both directions, so writer and reader cannot disagree.
-template <class Field>
-void walk(KnownScene& scene, Field&& field) {
-  SceneManifest& m = scene.manifest;
-  field("classes", m.classes);
-  field("train_class_pixels", m.train_class_pixels);
-  field("train_pixels", m.train_pixels);
-  field("train_frames", m.train_frames);
-  field("labelled_frames", m.labelled_frames);
-  field("any_depth", m.any_depth);
-  field("any_distortion", m.any_distortion);
-  field("direction_spread_deg", m.direction_spread_deg);
-  field("pixel_footprint_m", scene.pixel_footprint_m);
-}
-
-}  // namespace
 
 std::string manifest_text(const KnownScene& scene) {
   nlohmann::ordered_json json;

@@ -110,16 +110,6 @@ void require_frame_memory(double memory_gb, std::size_t bytes, std::size_t frame
               "raise scene.load.downscale, take fewer frames, or raise runtime.memory_gb where it sets the limit");
 }
 
-}  // namespace
-
-void keep_components(RunConfig& config, const std::vector<std::string>& components) {
-  for (const std::string& component : components) {
-    if (!keeps(config, component)) config.runtime.keep.push_back(component);
-  }
-}
-
-namespace {
-
 // What the plan leaves out stands in the configuration no more, so that a resume trains the same heads by the same
 // terms.
 void drop_idle(Session& s) {
@@ -336,7 +326,95 @@ void probe_bounds(Session& s, Registry& registry, const SessionOptions& options,
   if (seen) use_probed_extent(*seen, s.scene, s.config.load, diagnostics);
 }
 
+// What rank 0 tells before the texts and numbers that a network is made of; no config: there will be no session.
+struct Building {
+  std::uint64_t config = 0, manifest = 0, weights = 0;  // bytes, bytes, numbers
+  std::int32_t trainable = 0, cuda = 0, ordinal = 0;
+};
+
+template <class T>
+std::span<std::byte> bytes_of(T& values) {
+  return std::as_writable_bytes(std::span(values));
+}
+
+void broadcast(Ranks& ranks, Building& building) { ranks.broadcast(std::as_writable_bytes(std::span(&building, 1))); }
+
+int cuda_devices() {
+  int count = 0;
+  while (cuda_available(nullptr, count)) ++count;
+  return count;
+}
+
+// Ranks of a host take its devices in turn, from the one that was asked for on.
+DeviceId device_of(const Ranks& ranks, DeviceId asked) {
+  if (asked.kind == Device::cpu) return asked;
+  const int count = cuda_devices();
+  if (count == 0) {
+    std::string why_not;
+    (void)cuda_available(&why_not, asked.ordinal);
+    throw Error(ErrorKind::unavailable, "device.gpu.unavailable",
+                ranks.name_of(ranks.rank()) + ": runtime.device: cuda: " + why_not, "set runtime.device: cpu");
+  }
+  return {asked.kind, (asked.ordinal + ranks.local_rank()) % count};
+}
+
+// The network of rank 0's session, without its scene.
+struct Follower {
+  RunConfig config;
+  BuildPlan plan;
+  SceneExtent extent;
+  std::unique_ptr<Pipeline<float>> pipeline;
+  DeviceId device;
+};
+
+Follower assemble_follower(Ranks& ranks, Registry& registry, const Building& building, const std::string& config,
+                           const std::string& manifest, std::vector<float> class_weight) {
+  Follower made;
+  made.config = run_config_of(parse_config_text(config, "the configuration of rank 0"), registry);
+  const KnownScene known = read_manifest_text(manifest);
+  made.device = device_of(ranks, {building.cuda != 0 ? Device::cuda : Device::cpu, building.ordinal});
+  if (made.device.kind != Device::cpu) add_cuda_kernels(registry);
+  made.extent = extent_of(made.config, known.pixel_footprint_m);
+  std::unique_ptr<Sampler<float>> last = make_last_sampler(made.config, registry, made.extent);
+  BuildRequest request = build_request(made.config, registry, last->traits());
+  request.no_cuda.clear();
+  made.plan = plan_build(known.manifest, request, made.config.runtime.keep);
+  made.pipeline = assemble(make_parts<float>(made.config, registry, made.plan, made.extent, std::move(last)),
+                           std::move(class_weight), building.trainable != 0);
+  return made;
+}
+
+void serve_session(Ranks& ranks, Registry& registry, const Building& building) {
+  std::string config(building.config, '\0'), manifest(building.manifest, '\0');
+  std::vector<float> class_weight(building.weights);
+  ranks.broadcast(bytes_of(config));
+  ranks.broadcast(bytes_of(manifest));
+  ranks.broadcast(bytes_of(class_weight));
+  Follower made;
+  try {
+    agree(ranks, [&] { made = assemble_follower(ranks, registry, building, config, manifest, class_weight); });
+    agree(ranks, [&] {
+      run_on({made.device, building.trainable != 0, &ranks}, made.config, registry, made.plan, made.extent,
+             *made.pipeline);
+    });
+  } catch (const RankLost&) {
+    throw;
+  } catch (const Error&) {  // rank 0 throws it too
+    return;
+  }
+  WorkSettings work = made.pipeline->options().work;
+  work.limits = &made.config.limits;
+  const WorkScope scope(work);
+  static_cast<RanksExecutor&>(made.pipeline->executor()).serve();
+}
+
 }  // namespace
+
+void keep_components(RunConfig& config, const std::vector<std::string>& components) {
+  for (const std::string& component : components) {
+    if (!keeps(config, component)) config.runtime.keep.push_back(component);
+  }
+}
 
 Session open_session(RunConfig config, Registry& registry, const SessionOptions& options, Diagnostics& diagnostics) {
   keep_components(config, options.keep);
@@ -511,92 +589,6 @@ std::string describe_session(const Session& s) {
   for (const std::string& name : s.plan.kept) add("kept      " + name + " (--keep)");
   return out;
 }
-
-namespace {
-
-// What rank 0 tells before the texts and numbers that a network is made of; no config: there will be no session.
-struct Building {
-  std::uint64_t config = 0, manifest = 0, weights = 0;  // bytes, bytes, numbers
-  std::int32_t trainable = 0, cuda = 0, ordinal = 0;
-};
-
-template <class T>
-std::span<std::byte> bytes_of(T& values) {
-  return std::as_writable_bytes(std::span(values));
-}
-
-void broadcast(Ranks& ranks, Building& building) { ranks.broadcast(std::as_writable_bytes(std::span(&building, 1))); }
-
-int cuda_devices() {
-  int count = 0;
-  while (cuda_available(nullptr, count)) ++count;
-  return count;
-}
-
-// Ranks of a host take its devices in turn, from the one that was asked for on.
-DeviceId device_of(const Ranks& ranks, DeviceId asked) {
-  if (asked.kind == Device::cpu) return asked;
-  const int count = cuda_devices();
-  if (count == 0) {
-    std::string why_not;
-    (void)cuda_available(&why_not, asked.ordinal);
-    throw Error(ErrorKind::unavailable, "device.gpu.unavailable",
-                ranks.name_of(ranks.rank()) + ": runtime.device: cuda: " + why_not, "set runtime.device: cpu");
-  }
-  return {asked.kind, (asked.ordinal + ranks.local_rank()) % count};
-}
-
-// The network of rank 0's session, without its scene.
-struct Follower {
-  RunConfig config;
-  BuildPlan plan;
-  SceneExtent extent;
-  std::unique_ptr<Pipeline<float>> pipeline;
-  DeviceId device;
-};
-
-Follower assemble_follower(Ranks& ranks, Registry& registry, const Building& building, const std::string& config,
-                           const std::string& manifest, std::vector<float> class_weight) {
-  Follower made;
-  made.config = run_config_of(parse_config_text(config, "the configuration of rank 0"), registry);
-  const KnownScene known = read_manifest_text(manifest);
-  made.device = device_of(ranks, {building.cuda != 0 ? Device::cuda : Device::cpu, building.ordinal});
-  if (made.device.kind != Device::cpu) add_cuda_kernels(registry);
-  made.extent = extent_of(made.config, known.pixel_footprint_m);
-  std::unique_ptr<Sampler<float>> last = make_last_sampler(made.config, registry, made.extent);
-  BuildRequest request = build_request(made.config, registry, last->traits());
-  request.no_cuda.clear();
-  made.plan = plan_build(known.manifest, request, made.config.runtime.keep);
-  made.pipeline = assemble(make_parts<float>(made.config, registry, made.plan, made.extent, std::move(last)),
-                           std::move(class_weight), building.trainable != 0);
-  return made;
-}
-
-void serve_session(Ranks& ranks, Registry& registry, const Building& building) {
-  std::string config(building.config, '\0'), manifest(building.manifest, '\0');
-  std::vector<float> class_weight(building.weights);
-  ranks.broadcast(bytes_of(config));
-  ranks.broadcast(bytes_of(manifest));
-  ranks.broadcast(bytes_of(class_weight));
-  Follower made;
-  try {
-    agree(ranks, [&] { made = assemble_follower(ranks, registry, building, config, manifest, class_weight); });
-    agree(ranks, [&] {
-      run_on({made.device, building.trainable != 0, &ranks}, made.config, registry, made.plan, made.extent,
-             *made.pipeline);
-    });
-  } catch (const RankLost&) {
-    throw;
-  } catch (const Error&) {  // rank 0 throws it too
-    return;
-  }
-  WorkSettings work = made.pipeline->options().work;
-  work.limits = &made.config.limits;
-  const WorkScope scope(work);
-  static_cast<RanksExecutor&>(made.pipeline->executor()).serve();
-}
-
-}  // namespace
 
 void lead(Ranks& ranks, Session& session, Registry& registry, RunOn how) {
   std::string config = write_config(resolved_config(session.config));

@@ -34,6 +34,20 @@ Error no_logit(const std::string& place, const std::string& name) {
 
 double steady_s() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
 
+void copy_tensors(const ParamStore<float>& from, ParamStore<float>& to) {
+  for (const Tensor<float>& t : from.all()) {
+    const Tensor<float>* there = to.find(t.name);
+    if (there != nullptr && is_stored(t.spec.role)) std::copy_n(t.value.data(), t.value.size(), there->value.data());
+  }
+}
+
+// Degrees between the axes of two poses.
+double angle_deg(const Pose& a, const Pose& b) {
+  double trace = 0;
+  for (int axis = 0; axis < 3; ++axis) trace += dot(a.axis(axis), b.axis(axis));
+  return std::acos(std::clamp(0.5 * (trace - 1), -1.0, 1.0)) * 180 / M_PI;
+}
+
 }  // namespace
 
 double TrainingListener::step_clock_s() { return steady_s(); }
@@ -316,24 +330,6 @@ void Training::load(const std::string& path) {
   train_s_ = facts.train_s;
   start_pace();
 }
-
-namespace {
-
-void copy_tensors(const ParamStore<float>& from, ParamStore<float>& to) {
-  for (const Tensor<float>& t : from.all()) {
-    const Tensor<float>* there = to.find(t.name);
-    if (there != nullptr && is_stored(t.spec.role)) std::copy_n(t.value.data(), t.value.size(), there->value.data());
-  }
-}
-
-// Degrees between the axes of two poses.
-double angle_deg(const Pose& a, const Pose& b) {
-  double trace = 0;
-  for (int axis = 0; axis < 3; ++axis) trace += dot(a.axis(axis), b.axis(axis));
-  return std::acos(std::clamp(0.5 * (trace - 1), -1.0, 1.0)) * 180 / M_PI;
-}
-
-}  // namespace
 
 void use_learned_poses(Session& s, const TensorFile& checkpoint, Diagnostics& diagnostics) {
   const std::string name = std::string(CameraCorrections<float>::kPoseName) + "/learned";

@@ -58,38 +58,6 @@ std::string hindrance(Ranks& ranks, const std::vector<Seat>& seats) {
   return {};
 }
 
-}  // namespace
-
-std::unique_ptr<RankExchange> meet_ranks(Ranks& ranks, std::string& why_not) {
-  const NcclLibrary* const library = nccl_library(why_not);
-  Seat seat;
-  agree(ranks, [&] { seat = own_seat(library); });
-  const std::string hindered = hindrance(ranks, all_of(ranks, seat));
-  if (!hindered.empty()) {
-    if (why_not.empty()) why_not = hindered;
-    return host_exchange(ranks);
-  }
-  std::unique_ptr<RankExchange> exchange;
-  try {
-    std::vector<std::byte> id(library->id_bytes);
-    agree(ranks, [&] {
-      if (ranks.rank() == 0) library->make_id(id.data());
-    });
-    ranks.broadcast(id);
-    agree(ranks, [&] { exchange = library->join(id.data(), ranks); });
-  } catch (const RankLost&) {
-    throw;
-  } catch (const Error& error) {  // all ranks have it
-    why_not = error.message();
-    return host_exchange(ranks);
-  }
-  return exchange;
-}
-
-// Gradients that meet in the host's memory: where NCCL is missing, or where ranks share a device.
-
-namespace {
-
 constexpr std::size_t kPiece = std::size_t{1} << 20;  // numbers of a rank that the others get at once
 
 // Page-locked memory of the host.
@@ -190,6 +158,34 @@ class HostExchange final : public RankExchange {
 };
 
 }  // namespace
+
+std::unique_ptr<RankExchange> meet_ranks(Ranks& ranks, std::string& why_not) {
+  const NcclLibrary* const library = nccl_library(why_not);
+  Seat seat;
+  agree(ranks, [&] { seat = own_seat(library); });
+  const std::string hindered = hindrance(ranks, all_of(ranks, seat));
+  if (!hindered.empty()) {
+    if (why_not.empty()) why_not = hindered;
+    return host_exchange(ranks);
+  }
+  std::unique_ptr<RankExchange> exchange;
+  try {
+    std::vector<std::byte> id(library->id_bytes);
+    agree(ranks, [&] {
+      if (ranks.rank() == 0) library->make_id(id.data());
+    });
+    ranks.broadcast(id);
+    agree(ranks, [&] { exchange = library->join(id.data(), ranks); });
+  } catch (const RankLost&) {
+    throw;
+  } catch (const Error& error) {  // all ranks have it
+    why_not = error.message();
+    return host_exchange(ranks);
+  }
+  return exchange;
+}
+
+// Gradients that meet in the host's memory: where NCCL is missing, or where ranks share a device.
 
 std::unique_ptr<RankExchange> host_exchange(Ranks& ranks) { return std::make_unique<HostExchange>(ranks); }
 

@@ -97,6 +97,60 @@ DeviceId asked_device(const RunConfig& config) {
   return *asked;
 }
 
+// Of one pixel and the labelled one before it in its row or column, `distance` away.
+void add_pair(std::int16_t label, std::int16_t other, std::int64_t distance, LabelStatistics& sums) {
+  const bool beside = distance == 1;
+  if (other == kVoid || distance > kReach) return;
+  (beside ? sums.neighbours : sums.apart) += 1;
+  if (label == other) (beside ? sums.equal : sums.apart_equal) += 1;
+}
+
+struct Seen {
+  std::int64_t at = 0;  // column or row
+  std::int16_t label = kVoid;
+};
+
+void add_frame(const TrainingLabels::Frame& labels, std::int32_t width_px, LabelStatistics& sums) {
+  std::vector<Seen> above(static_cast<std::size_t>(width_px));
+  Seen left;
+  for (std::size_t pixel = 0; pixel < labels.size(); ++pixel) {
+    const std::int16_t label = labels[pixel];
+    const auto x = static_cast<std::int64_t>(pixel) % width_px, y = static_cast<std::int64_t>(pixel) / width_px;
+    if (x == 0) left = {};
+    if (label == kVoid) continue;
+    Seen& over = above[static_cast<std::size_t>(x)];
+    ++sums.labelled;
+    add_pair(label, left.label, x - left.at, sums);
+    add_pair(label, over.label, y - over.at, sums);
+    left = {x, label};
+    over = {y, label};
+  }
+}
+
+// What is seen of their agreement, or that nothing is.
+std::string agreement_text(const LabelStatistics& s) {
+  if (s.side_by_side()) return fmt::format("{:.3g} % of neighbouring labels agree", 100 * s.agreement());
+  if (s.share() >= kFewShare && s.near_one_another())
+    return fmt::format("{:.3g} % of labels next to each other within {} pixels agree", 100 * s.agreement_apart(),
+                       kReach);
+  return "too few lie side by side to see whether many are wrong; if so, name the branch for noisy labels alone";
+}
+
+std::string reason_text(LabelKind kind, const LabelStatistics& s) {
+  if (s.labelled == 0) return "labels are to come, and will be few";
+  return fmt::format("labels are {} ({:.3g} % of the training pixels have one; {})",
+                     ChoiceNames<LabelKind>::names[static_cast<std::size_t>(kind)], 100 * s.share(), agreement_text(s));
+}
+
+constexpr double kShare = 1.0 / 40;                // of the time between two marks
+constexpr std::size_t kMarks = 5;                  // a tenth of the time lies between the first and the last
+constexpr double kEarliest = 0.1, kLatest = 0.25;  // of the time, when the number of steps is settled
+constexpr double kStill = 0.05;                    // change of the rate between two shares that counts as none
+constexpr double kMissed = 1.0 / 12;               // of the time, by which the end may miss it
+constexpr double kLast = 0.1;                      // of the time at the end, in which nothing is settled anew
+
+constexpr double kFurtherRate = 0.5;  // of a leg, where the rate has fallen below it: it learns, and forgets little
+
 }  // namespace
 
 void add_cuda_kernels(Registry& registry) {
@@ -188,40 +242,6 @@ void say_slow_paths(const RunConfig& config, const Registry& registry, DeviceId 
   }
 }
 
-namespace {
-
-// Of one pixel and the labelled one before it in its row or column, `distance` away.
-void add_pair(std::int16_t label, std::int16_t other, std::int64_t distance, LabelStatistics& sums) {
-  const bool beside = distance == 1;
-  if (other == kVoid || distance > kReach) return;
-  (beside ? sums.neighbours : sums.apart) += 1;
-  if (label == other) (beside ? sums.equal : sums.apart_equal) += 1;
-}
-
-struct Seen {
-  std::int64_t at = 0;  // column or row
-  std::int16_t label = kVoid;
-};
-
-void add_frame(const TrainingLabels::Frame& labels, std::int32_t width_px, LabelStatistics& sums) {
-  std::vector<Seen> above(static_cast<std::size_t>(width_px));
-  Seen left;
-  for (std::size_t pixel = 0; pixel < labels.size(); ++pixel) {
-    const std::int16_t label = labels[pixel];
-    const auto x = static_cast<std::int64_t>(pixel) % width_px, y = static_cast<std::int64_t>(pixel) / width_px;
-    if (x == 0) left = {};
-    if (label == kVoid) continue;
-    Seen& over = above[static_cast<std::size_t>(x)];
-    ++sums.labelled;
-    add_pair(label, left.label, x - left.at, sums);
-    add_pair(label, over.label, y - over.at, sums);
-    left = {x, label};
-    over = {y, label};
-  }
-}
-
-}  // namespace
-
 LabelStatistics label_statistics(const LoadedScene& scene, const TrainingLabels& labels) {
   std::vector<LabelStatistics> of_frame(scene.frames.size());
   parallel_for(std::ssize(scene.frames), [&](std::int64_t i) {
@@ -251,25 +271,6 @@ LabelKind kind_of(const LabelStatistics& s) {
   }
   return few ? LabelKind::few : s.share() < kDenseShare ? LabelKind::many : LabelKind::dense;
 }
-
-namespace {
-
-// What is seen of their agreement, or that nothing is.
-std::string agreement_text(const LabelStatistics& s) {
-  if (s.side_by_side()) return fmt::format("{:.3g} % of neighbouring labels agree", 100 * s.agreement());
-  if (s.share() >= kFewShare && s.near_one_another())
-    return fmt::format("{:.3g} % of labels next to each other within {} pixels agree", 100 * s.agreement_apart(),
-                       kReach);
-  return "too few lie side by side to see whether many are wrong; if so, name the branch for noisy labels alone";
-}
-
-std::string reason_text(LabelKind kind, const LabelStatistics& s) {
-  if (s.labelled == 0) return "labels are to come, and will be few";
-  return fmt::format("labels are {} ({:.3g} % of the training pixels have one; {})",
-                     ChoiceNames<LabelKind>::names[static_cast<std::size_t>(kind)], 100 * s.share(), agreement_text(s));
-}
-
-}  // namespace
 
 std::vector<std::string> choose_branches(RunConfig& config, const LabelStatistics& statistics) {
   std::vector<std::string> lines;
@@ -320,17 +321,6 @@ void warn_of_rare_labels(const TrainParams& train, const LabelCount& labels, Dia
           share * static_cast<double>(train.rays), train.rays),
       "set train.ray_source: auto");
 }
-
-namespace {
-
-constexpr double kShare = 1.0 / 40;                // of the time between two marks
-constexpr std::size_t kMarks = 5;                  // a tenth of the time lies between the first and the last
-constexpr double kEarliest = 0.1, kLatest = 0.25;  // of the time, when the number of steps is settled
-constexpr double kStill = 0.05;                    // change of the rate between two shares that counts as none
-constexpr double kMissed = 1.0 / 12;               // of the time, by which the end may miss it
-constexpr double kLast = 0.1;                      // of the time at the end, in which nothing is settled anew
-
-}  // namespace
 
 Pace::Pace(double begin_s, double until_s)
     : begin_s_(begin_s), until_s_(until_s), share_s_((until_s - begin_s) * kShare), settled_{begin_s, 0} {}
@@ -383,12 +373,6 @@ std::optional<std::int64_t> Pace::made(std::int64_t step, double train_s, std::i
   settled_ = marks_.back();
   return end_at_this_rate();
 }
-
-namespace {
-
-constexpr double kFurtherRate = 0.5;  // of a leg, where the rate has fallen below it: it learns, and forgets little
-
-}  // namespace
 
 std::int64_t last_step(const RunConfig& config) {
   const std::vector<ScheduleLeg>& legs = config.schedule.legs;

@@ -594,83 +594,10 @@ void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& co
   }
 }
 
-}  // namespace
-
-RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnostics& diagnostics) {
-  RunConfig config;
-  if (!written.is_map()) {
-    diagnostics.error("config.value.type", written.location().text(),
-                      "expected a map of sections at the top of the config", {});
-    return config;
-  }
-  ConfigNode tree = with_former_unit(written);
-  refuse_unknown_keys(tree, "unknown section", other_keys(""), diagnostics);
-  for (const GoneKey& gone : kGoneKeys) {
-    const ConfigNode* section = map_at(tree, gone.section);
-    const ConfigNode* value = section != nullptr ? section->find(gone.key) : nullptr;
-    if (value == nullptr) continue;
-    const bool deprecated =
-        gone.key == std::string_view("gemm") && (value->text() == "auto" || value->text() == "builtin");
-    if (!deprecated)
-      diagnostics.error("config.key.gone", value->key_location().text(),
-                        fmt::format("{}: {} is gone", gone.section, gone.key), gone.remedy);
-    tree = tree.with(gone.section, section->without(gone.key));
-  }
-  config.name = read_text(tree, "", "name", "run", diagnostics);
-  config.base_dir = read_text(tree, "", "base_dir", "", diagnostics);
-  if (!read_modules(tree, registry, config, diagnostics)) return config;  // every name of theirs would be an error
-  const bool of_a_run = !config.base_dir.empty();
-  read_scene(tree, registry, config, diagnostics);
-  each_section(config, [&](const char* path, const char*, auto& params) {
-    const ConfigNode* node = find_path(tree, path);
-    if (node != nullptr && !node->is_null()) read_params(*node, path, described(params), diagnostics, other_keys(path));
-  });
-  config.schedule.legs = read_legs(tree, diagnostics);
-  if (const ConfigNode* labels = map_at(tree, "scene.labels")) anchor_click_file(*labels, of_a_run, config.labels);
-  each_section(config, [&](const char* path, const char*, const auto& params) {
-    validate_section(tree, path, params, diagnostics);
-  });
-  if (const ConfigNode* method = find_path(tree, "objects.method"); method != nullptr && !method->is_null())
-    config.grouping = read_slot(PluginKind::grouping, *method, "objects.method", registry, diagnostics);
-  config.heads = read_heads(tree, registry, diagnostics);
-  config.losses = read_losses(tree, registry, diagnostics);
-  check_heads_of_losses(config, diagnostics);
-  read_passes(tree, registry, config, diagnostics);
-  config.load.contracted = config.rendering.outside == Outside::contracted;
-  return config;
-}
-
-RunConfig run_config_of(const ConfigNode& tree, Registry& registry) {
-  Diagnostics diagnostics;
-  RunConfig config = read_run_config(tree, registry, diagnostics);
-  diagnostics.throw_if_errors(ErrorKind::config, "");
-  return config;
-}
-
-namespace {
-
 bool is_of_the_written(Code code) {
   return code == "config.key.unknown" || code == "config.value.type" || code == "config.value.range" ||
          code == "config.value.choice" || code == "plugin.name.unknown";
 }
-
-}  // namespace
-
-RunConfig load_run_config(const std::string& path, const std::vector<std::string>& overrides, Registry& registry) {
-  const std::string file = find_config(path);
-  Diagnostics problems, found;
-  const ConfigNode tree = compose_config(file, overrides, &problems);
-  RunConfig config = read_run_config(tree, registry, found);
-  // Without what could not be included or set, only what is written can be wrong, and not what is missing.
-  for (const Diagnostic& finding : found.all())
-    if (finding.severity == Severity::error && (!problems.has_errors() || is_of_the_written(finding.code)))
-      problems.error(finding.code, finding.where, finding.message, finding.remedy);
-  problems.throw_if_errors(ErrorKind::config, "");
-  if (tree.find("name") == nullptr) config.name = std::filesystem::path(file).stem().string();
-  return config;
-}
-
-namespace {
 
 ConfigNode text_node(const std::string& text) { return ConfigNode::make_scalar(text, true, {}); }
 
@@ -742,6 +669,71 @@ ConfigNode pass_config(const PassConfig& pass) {
 }
 
 }  // namespace
+
+RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnostics& diagnostics) {
+  RunConfig config;
+  if (!written.is_map()) {
+    diagnostics.error("config.value.type", written.location().text(),
+                      "expected a map of sections at the top of the config", {});
+    return config;
+  }
+  ConfigNode tree = with_former_unit(written);
+  refuse_unknown_keys(tree, "unknown section", other_keys(""), diagnostics);
+  for (const GoneKey& gone : kGoneKeys) {
+    const ConfigNode* section = map_at(tree, gone.section);
+    const ConfigNode* value = section != nullptr ? section->find(gone.key) : nullptr;
+    if (value == nullptr) continue;
+    const bool deprecated =
+        gone.key == std::string_view("gemm") && (value->text() == "auto" || value->text() == "builtin");
+    if (!deprecated)
+      diagnostics.error("config.key.gone", value->key_location().text(),
+                        fmt::format("{}: {} is gone", gone.section, gone.key), gone.remedy);
+    tree = tree.with(gone.section, section->without(gone.key));
+  }
+  config.name = read_text(tree, "", "name", "run", diagnostics);
+  config.base_dir = read_text(tree, "", "base_dir", "", diagnostics);
+  if (!read_modules(tree, registry, config, diagnostics)) return config;  // every name of theirs would be an error
+  const bool of_a_run = !config.base_dir.empty();
+  read_scene(tree, registry, config, diagnostics);
+  each_section(config, [&](const char* path, const char*, auto& params) {
+    const ConfigNode* node = find_path(tree, path);
+    if (node != nullptr && !node->is_null()) read_params(*node, path, described(params), diagnostics, other_keys(path));
+  });
+  config.schedule.legs = read_legs(tree, diagnostics);
+  if (const ConfigNode* labels = map_at(tree, "scene.labels")) anchor_click_file(*labels, of_a_run, config.labels);
+  each_section(config, [&](const char* path, const char*, const auto& params) {
+    validate_section(tree, path, params, diagnostics);
+  });
+  if (const ConfigNode* method = find_path(tree, "objects.method"); method != nullptr && !method->is_null())
+    config.grouping = read_slot(PluginKind::grouping, *method, "objects.method", registry, diagnostics);
+  config.heads = read_heads(tree, registry, diagnostics);
+  config.losses = read_losses(tree, registry, diagnostics);
+  check_heads_of_losses(config, diagnostics);
+  read_passes(tree, registry, config, diagnostics);
+  config.load.contracted = config.rendering.outside == Outside::contracted;
+  return config;
+}
+
+RunConfig run_config_of(const ConfigNode& tree, Registry& registry) {
+  Diagnostics diagnostics;
+  RunConfig config = read_run_config(tree, registry, diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::config, "");
+  return config;
+}
+
+RunConfig load_run_config(const std::string& path, const std::vector<std::string>& overrides, Registry& registry) {
+  const std::string file = find_config(path);
+  Diagnostics problems, found;
+  const ConfigNode tree = compose_config(file, overrides, &problems);
+  RunConfig config = read_run_config(tree, registry, found);
+  // Without what could not be included or set, only what is written can be wrong, and not what is missing.
+  for (const Diagnostic& finding : found.all())
+    if (finding.severity == Severity::error && (!problems.has_errors() || is_of_the_written(finding.code)))
+      problems.error(finding.code, finding.where, finding.message, finding.remedy);
+  problems.throw_if_errors(ErrorKind::config, "");
+  if (tree.find("name") == nullptr) config.name = std::filesystem::path(file).stem().string();
+  return config;
+}
 
 ConfigNode resolved_config(const RunConfig& config) {
   ConfigNode tree = ConfigNode::make_map({}, {});
