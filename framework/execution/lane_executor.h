@@ -61,9 +61,6 @@ class LaneRanks {
   std::vector<Real> d_encoded_, sums_;
 };
 
-extern template class LaneRanks<float>;
-extern template class LaneRanks<double>;
-
 template <class Real>
 class LaneExecutor final : public Executor<Real> {
  public:
@@ -103,7 +100,7 @@ class LaneExecutor final : public Executor<Real> {
   StepContext context(std::int64_t step, bool training) { return context(step, training, 0, arenas_.own()); }
   /// Scratch memory: high-water marks of all threads, and how often it grew.
   std::size_t workspace_bytes() const;
-  std::int64_t workspace_growths() const;
+  std::int64_t workspace_growths() const { return arenas_.growths(); }
 
  private:
   // A step's samples drawn before the first is evaluated, all rows of a lane's tiles side by side: tables of an encoder
@@ -147,11 +144,8 @@ class LaneExecutor final : public Executor<Real> {
   void gather(std::size_t pass);
   void observe(std::int64_t step);
   void ask(const Pass<Real>& pass, const StepContext& ctx, View<const double> positions, View<Real> sigma);
-  /// Lanes with tiles of the step, the one with most samples first as far as they are known.
-  void order_lanes(std::int64_t tiles);
   StepLosses train_tile(const StepContext& ctx, int lane, const RayBatch& batch, const TileRange& tile,
                         const BatchScales& scales);
-  TileRange tile_of(std::int64_t number, std::int64_t rays) const;
 
   Pipeline<Real>& pipeline_;
   ThreadArenas arenas_;
@@ -167,9 +161,6 @@ class LaneExecutor final : public Executor<Real> {
   std::vector<StepLosses> queued_, done_;  // made since the last finish(), and before it
   std::optional<Error> afterwards_;
 };
-
-extern template class LaneExecutor<float>;
-extern template class LaneExecutor<double>;
 
 // Host memory at both ends of a call on a device.
 

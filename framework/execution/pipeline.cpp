@@ -9,6 +9,59 @@
 
 namespace semfield {
 
+namespace {
+
+constexpr std::int64_t kTileRows = 512;  // samples that a tile aims at: as fast as more, and many threads share evenly
+constexpr std::int64_t kExpectedOccupied = 32;  // samples per ray that a single-pass sampler is expected to keep
+
+// Lanes are what threads share, so this many keep 2, 3, 4, 6, 8, 12, 16, 24 or 48 of them busy alike.
+constexpr std::int64_t kMostLanes = 48;
+constexpr std::int64_t kEvenLanes = 16;  // a number of lanes that memory bounds is a multiple of it
+constexpr std::int64_t kLaneNumbers = std::int64_t{64} << 20;  // of all lanes of a run
+// Samples of a lane at least: to add a parameter's lane and to clear it takes as long as some ten samples do.
+constexpr std::int64_t kLaneRows = 512;
+
+/// Samples a ray that tiles are made for.
+template <class Real>
+std::int64_t expected_samples(const std::vector<const PassParts<Real>*>& passes,
+                              const std::vector<std::int64_t>& per_ray) {
+  const std::int64_t most = passes.back()->sampler->traits().single_pass
+                                ? std::min(per_ray.back(), kExpectedOccupied)
+                                : *std::max_element(per_ray.begin(), per_ray.end());
+  return std::max<std::int64_t>(most, 1);
+}
+
+/// Numbers of a gradient lane.
+template <class Real>
+std::int64_t lane_numbers(const PassParts<Real>& parts) {
+  std::int64_t sum = lane_size<Real>(*parts.position) + lane_size<Real>(*parts.sampler) + lane_size<Real>(*parts.field);
+  if (parts.direction) sum += lane_size<Real>(*parts.direction);
+  if (parts.head) sum += lane_size<Real>(*parts.head);
+  const auto add_branch = [&](const BranchParts<Real>& branch) {
+    sum += lane_size<Real>(*branch.position) + lane_size<Real>(*branch.field);
+  };
+  if (parts.branch) add_branch(*parts.branch);
+  for (const HeadParts<Real>& one : parts.heads) {
+    sum += lane_size<Real>(*one.head);
+    add_branch(*one.branch);
+  }
+  return sum;
+}
+
+/// Rays per tile: `options.tile_rays`, or what the samplers' capacities ask for. `per_ray` gets the most samples per
+/// ray after each pass.
+template <class Real>
+std::int64_t tile_rays_of(const std::vector<const PassParts<Real>*>& passes, const PipelineOptions& options,
+                          std::vector<std::int64_t>& per_ray) {
+  per_ray.clear();
+  for (const PassParts<Real>* parts : passes)
+    per_ray.push_back(parts->sampler->capacity(1, per_ray.empty() ? 0 : per_ray.back()));
+  if (options.tile_rays > 0) return options.tile_rays;
+  return std::clamp<std::int64_t>(kTileRows / expected_samples(passes, per_ray), 4, 64);
+}
+
+}  // namespace
+
 template <class Real>
 Pipeline<Real>::Pipeline(std::vector<PassParts<Real>> passes, PipelineOptions options, bool trainable)
     : options_(std::move(options)), store_(options_.seed, options_.lanes, trainable) {
@@ -103,57 +156,6 @@ std::optional<RayFault> Pipeline<Real>::find_fault(std::int64_t step, const RayB
 template class Pipeline<float>;
 template class Pipeline<double>;
 
-namespace {
-
-constexpr std::int64_t kTileRows = 512;  // samples that a tile aims at: as fast as more, and many threads share evenly
-constexpr std::int64_t kExpectedOccupied = 32;  // samples per ray that a single-pass sampler is expected to keep
-
-// Lanes are what threads share, so this many keep 2, 3, 4, 6, 8, 12, 16, 24 or 48 of them busy alike.
-constexpr std::int64_t kMostLanes = 48;
-constexpr std::int64_t kEvenLanes = 16;                     // a number of lanes that memory bounds is a multiple of it
-constexpr std::int64_t kLaneNumbers = std::int64_t{64} << 20;  // of all lanes of a run
-// Samples of a lane at least: to add a parameter's lane and to clear it takes as long as some ten samples do.
-constexpr std::int64_t kLaneRows = 512;
-
-/// Samples a ray that tiles are made for.
-template <class Real>
-std::int64_t expected_samples(const std::vector<const PassParts<Real>*>& passes,
-                              const std::vector<std::int64_t>& per_ray) {
-  const std::int64_t most = passes.back()->sampler->traits().single_pass
-                                ? std::min(per_ray.back(), kExpectedOccupied)
-                                : *std::max_element(per_ray.begin(), per_ray.end());
-  return std::max<std::int64_t>(most, 1);
-}
-
-/// Numbers of a gradient lane.
-template <class Real>
-std::int64_t lane_numbers(const PassParts<Real>& parts) {
-  std::int64_t sum = lane_size<Real>(*parts.position) + lane_size<Real>(*parts.sampler) + lane_size<Real>(*parts.field);
-  if (parts.direction) sum += lane_size<Real>(*parts.direction);
-  if (parts.head) sum += lane_size<Real>(*parts.head);
-  const auto add_branch = [&](const BranchParts<Real>& branch) {
-    sum += lane_size<Real>(*branch.position) + lane_size<Real>(*branch.field);
-  };
-  if (parts.branch) add_branch(*parts.branch);
-  for (const HeadParts<Real>& one : parts.heads) {
-    sum += lane_size<Real>(*one.head);
-    add_branch(*one.branch);
-  }
-  return sum;
-}
-
-}  // namespace
-
-template <class Real>
-std::int64_t tile_rays_of(const std::vector<const PassParts<Real>*>& passes, const PipelineOptions& options,
-                          std::vector<std::int64_t>& per_ray) {
-  per_ray.clear();
-  for (const PassParts<Real>* parts : passes)
-    per_ray.push_back(parts->sampler->capacity(1, per_ray.empty() ? 0 : per_ray.back()));
-  if (options.tile_rays > 0) return options.tile_rays;
-  return std::clamp<std::int64_t>(kTileRows / expected_samples(passes, per_ray), 4, 64);
-}
-
 template <class Real>
 int lanes_of(const std::vector<const PassParts<Real>*>& passes, const PipelineOptions& options, std::int64_t rays) {
   if (options.lanes > 0) return options.lanes;
@@ -168,12 +170,7 @@ int lanes_of(const std::vector<const PassParts<Real>*>& passes, const PipelineOp
   return static_cast<int>(std::clamp<std::int64_t>(lanes, 1, tiles));
 }
 
-#define SEMFIELD_INSTANTIATE(Real)                                                                               \
-  template std::int64_t tile_rays_of<Real>(const std::vector<const PassParts<Real>*>&, const PipelineOptions&,   \
-                                           std::vector<std::int64_t>&);                                          \
-  template int lanes_of<Real>(const std::vector<const PassParts<Real>*>&, const PipelineOptions&, std::int64_t);
-SEMFIELD_INSTANTIATE(float)
-SEMFIELD_INSTANTIATE(double)
-#undef SEMFIELD_INSTANTIATE
+template int lanes_of<float>(const std::vector<const PassParts<float>*>&, const PipelineOptions&, std::int64_t);
+template int lanes_of<double>(const std::vector<const PassParts<double>*>&, const PipelineOptions&, std::int64_t);
 
 }  // namespace semfield

@@ -92,15 +92,6 @@ class Pipeline {
   Executor<Real>* executor_ = nullptr;
 };
 
-extern template class Pipeline<float>;
-extern template class Pipeline<double>;
-
-/// Rays per tile: `options.tile_rays`, or what the samplers' capacities ask for. `per_ray` gets the most samples per
-/// ray after each pass.
-template <class Real>
-std::int64_t tile_rays_of(const std::vector<const PassParts<Real>*>& passes, const PipelineOptions& options,
-                          std::vector<std::int64_t>& per_ray);
-
 /// Gradient slots for steps of `rays` rays: `options.lanes`, or what such a step has work for. Never from the thread
 /// count, because they are the order of its sums.
 template <class Real>

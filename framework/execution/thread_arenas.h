@@ -10,6 +10,7 @@
 
 #include "compute/parallel.h"
 #include "core/workspace.h"
+#include "system/process.h"
 
 namespace semfield {
 
@@ -33,15 +34,30 @@ class ThreadArenas {
   /// For work in the caller's thread.
   Workspace& own() { return own_; }
   /// What all have room for, whichever threads met the work, and how often one grew.
-  std::size_t bytes() const;
-  std::int64_t growths() const;
+  std::size_t bytes() const { return own_.high_water_bytes() + arenas_.size() * dearest_unit(); }
+  std::int64_t growths() const {
+    std::int64_t sum = own_.growth_count();
+    for (const auto& arena : arenas_) sum += arena->growth_count();
+    return sum;
+  }
 
  private:
   /// Which thread met the unit that takes most is chance. All get room for it, so that a steady state allocates
   /// nothing.
-  void even_out(std::int64_t workers);
+  void even_out(std::int64_t workers) {
+    const std::size_t most = dearest_unit();
+    for (std::int64_t i = 0; i < workers; ++i) arenas_[static_cast<std::size_t>(i)]->reserve(most);
+    if (const std::int64_t now = growths(); now != growths_) {  // blocks on the way to the last ones
+      release_freed_memory();
+      growths_ = now;
+    }
+  }
   /// Bytes of the unit of work that took most.
-  std::size_t dearest_unit() const;
+  std::size_t dearest_unit() const {
+    std::size_t most = 0;
+    for (const auto& arena : arenas_) most = std::max(most, arena->high_water_bytes());
+    return most;
+  }
 
   struct alignas(128) Arena : Workspace {};  // no two in a cache line: every take writes its marks
 
