@@ -81,35 +81,55 @@ std::span<std::byte> bytes_of(T& value) {
   return std::as_writable_bytes(std::span(&value, 1));
 }
 
+// A question for densities, as a job.
+struct Positions {
+  View<const double> origin;
+  View<float> sigma;
+  Positions rows(std::int64_t begin, std::int64_t count) const {
+    return {origin.row_range(begin, count), sigma.row_range(begin, count)};
+  }
+};
+
+void run(Executor<float>& executor, const RenderJob<float>& job) { executor.render(job); }
+void run(Executor<float>& executor, const Positions& job) { executor.density(job.origin, job.sigma); }
+
 // The arrays of a job, those with the largest elements first; `visit` gets each and its columns.
 template <class Job, class Visit>
 void each_input(Job& job, const Visit& visit) {
   visit(job.origin, 3);
-  visit(job.direction, 3);
-  visit(job.near_far, 2);
-  visit(job.truth, 1);
+  if constexpr (requires { job.direction; }) {
+    visit(job.direction, 3);
+    visit(job.near_far, 2);
+    visit(job.truth, 1);
+  }
 }
 template <class Job, class Visit>
 void each_output(Job& job, std::int32_t logits, const Visit& visit) {
-  visit(job.color, 3);
-  visit(job.depth, 1);
-  visit(job.opacity, 1);
-  visit(job.entropy, 1);
-  visit(job.confidence, 1);
-  visit(job.truth_probability, 1);
-  visit(job.probability, logits);
-  visit(job.label, 1);
-  visit(job.resolution, 1);
+  if constexpr (requires { job.sigma; }) {
+    visit(job.sigma, 1);
+  } else {
+    visit(job.color, 3);
+    visit(job.depth, 1);
+    visit(job.opacity, 1);
+    visit(job.entropy, 1);
+    visit(job.confidence, 1);
+    visit(job.truth_probability, 1);
+    visit(job.probability, logits);
+    visit(job.label, 1);
+    visit(job.resolution, 1);
+  }
 }
 
 // Bit i: the i-th array is there.
-template <class Each>
-std::uint32_t arrays_there(const Each& each) {
+template <class Job>
+std::uint32_t arrays_there(const Job& job) {
   std::uint32_t wanted = 0, bit = 1;
-  each([&](const auto& view, std::int32_t) {
+  const auto look = [&](const auto& view, std::int32_t) {
     if (!view.empty()) wanted |= bit;
     bit <<= 1;
-  });
+  };
+  each_input(job, look);
+  each_output(job, 0, look);
   return wanted;
 }
 
@@ -166,10 +186,10 @@ void RanksExecutor::serve() {
           (void)inner_.finish();
           break;
         case Task::render:
-          render_shared(order, {});
+          share(order, RenderJob<float>{});
           break;
         case Task::density:
-          density_shared(order, {}, {});
+          share(order, Positions{});
           break;
       }
     } catch (const RankLost&) {
@@ -181,10 +201,7 @@ void RanksExecutor::serve() {
 }
 
 void RanksExecutor::upload(std::int64_t step) {
-  Order order;
-  order.task = Task::upload;
-  order.step = step;
-  tell(order);
+  tell({.task = Task::upload, .step = step});
   share_tensors();
   inner_.upload(step);
 }
@@ -199,10 +216,7 @@ void RanksExecutor::share_tensors() {
 
 void RanksExecutor::download(std::int64_t step) {
   if (ranks_.lost()) return inner_.download(step);
-  Order order;
-  order.task = Task::compare;
-  order.step = step;
-  tell(order);
+  tell({.task = Task::compare, .step = step});
   inner_.download(step);
   compare_tensors();
 }
@@ -226,12 +240,7 @@ void RanksExecutor::compare_tensors() {
 }
 
 void RanksExecutor::queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) {
-  Order order;
-  order.task = Task::queue;
-  order.step = step;
-  order.shape = shape_of(batch);
-  order.terms = batch.terms;
-  tell(order);
+  tell({.task = Task::queue, .terms = batch.terms, .step = step, .shape = shape_of(batch)});
   ArrayMessage message(message_);
   message.add(update);
   message.add(batch.label_only);
@@ -260,10 +269,8 @@ void RanksExecutor::serve_step(const Order& order) {
 }
 
 StepResults RanksExecutor::finish() {
-  Order order;
-  order.task = Task::finish;
   try {
-    tell(order);
+    tell({.task = Task::finish});
   } catch (const RankLost&) {
     if (device_) throw;  // the lanes have made all that was queued, so that the last step counts
   }
@@ -277,26 +284,30 @@ void RanksExecutor::set_gradient_hook(GradientHook<float> hook) {
 }
 
 void RanksExecutor::render(const RenderJob<float>& job) {
-  Order order;
-  order.task = Task::render;
-  order.rows = job.origin.rows;
-  order.cols = job.probability.cols;
-  order.footprint_per_m = job.footprint_per_m;
-  order.wanted = arrays_there([&](const auto& visit) {
-    each_input(job, visit);
-    each_output(job, order.cols, visit);
-  });
+  const Order order{.task = Task::render,
+                    .cols = job.probability.cols,
+                    .wanted = arrays_there(job),
+                    .rows = job.origin.rows,
+                    .footprint_per_m = job.footprint_per_m};
   tell(order);
-  render_shared(order, job);
+  share(order, job);
 }
 
-// Rank 0 sends the others their rays and gets their results; `whole` is rank 0's alone.
-void RanksExecutor::render_shared(const Order& order, const RenderJob<float>& whole) {
+void RanksExecutor::density(View<const double> positions, View<float> sigma) {
+  const Positions job{positions, sigma};
+  const Order order{.task = Task::density, .wanted = arrays_there(job), .rows = positions.rows};
+  tell(order);
+  share(order, job);
+}
+
+// Rank 0 sends the others their rows and gets their results; `whole` is rank 0's alone.
+template <class Job>
+void RanksExecutor::share(const Order& order, const Job& whole) {
   const auto part = [&](int rank) { return part_of(order.rows, rank, ranks_.size()); };
   const auto [begin, end] = part(ranks_.rank());
   std::vector<std::byte> results;
-  RenderJob<float> own;
-  own.footprint_per_m = order.footprint_per_m;
+  Job own;
+  if constexpr (requires { own.footprint_per_m; }) own.footprint_per_m = order.footprint_per_m;
   std::uint32_t bit = 1;
   const auto wanted = [&](const auto& visit) {
     return [&](auto& view, std::int32_t cols) {
@@ -307,7 +318,7 @@ void RanksExecutor::render_shared(const Order& order, const RenderJob<float>& wh
   if (leads()) {
     own = whole.rows(begin, end - begin);
     for (int r = 1; r < ranks_.size(); ++r) {
-      const RenderJob<float> theirs = whole.rows(part(r).first, part(r).second - part(r).first);
+      const Job theirs = whole.rows(part(r).first, part(r).second - part(r).first);
       ArrayMessage message(message_);
       each_input(theirs, [&](const auto& view, std::int32_t) { message.add(view); });
       ranks_.send(r, message_);
@@ -327,12 +338,12 @@ void RanksExecutor::render_shared(const Order& order, const RenderJob<float>& wh
                 wanted([&](auto& view, std::int32_t cols) { view = room.take(view, end - begin, cols); }));
   }
   agree(ranks_, [&, any = end > begin] {
-    if (any) inner_.render(own);
+    if (any) run(inner_, own);
   });
   if (!leads()) return ranks_.send(0, results);
   for (int r = 1; r < ranks_.size(); ++r) {
     const std::int64_t first = part(r).first, count = part(r).second - first;
-    RenderJob<float> theirs = whole.rows(first, count);
+    Job theirs = whole.rows(first, count);
     ArrayMessage message(message_);
     const auto each = [&](const auto& visit) {
       each_output(theirs, order.cols, [&](auto& view, std::int32_t cols) {
@@ -343,41 +354,6 @@ void RanksExecutor::render_shared(const Order& order, const RenderJob<float>& wh
     ranks_.receive(r, message_);
     each([&](auto& view, std::int32_t cols) { message.copy_into(view, count, cols); });
   }
-}
-
-void RanksExecutor::density(View<const double> positions, View<float> sigma) {
-  Order order;
-  order.task = Task::density;
-  order.rows = positions.rows;
-  tell(order);
-  density_shared(order, positions, sigma);
-}
-
-void RanksExecutor::density_shared(const Order& order, View<const double> positions, View<float> sigma) {
-  std::vector<double> places;
-  std::vector<float> found;
-  const auto count = static_cast<std::size_t>(order.rows);
-  if (!leads()) {
-    places.resize(3 * count);
-    found.resize(count);
-    positions = {places.data(), order.rows, 3};
-    sigma = {found.data(), order.rows, 1};
-  } else {
-    for (std::int64_t r = 0; r < order.rows; ++r) places.insert(places.end(), positions.row(r), positions.row(r) + 3);
-  }
-  ranks_.broadcast(std::as_writable_bytes(std::span(places)));
-  const auto part = [&](int rank) { return part_of(order.rows, rank, ranks_.size()); };
-  const auto [begin, end] = part(ranks_.rank());
-  agree(ranks_, [&, first = begin, rows = end - begin] {
-    if (rows > 0) inner_.density(positions.row_range(first, rows), sigma.row_range(first, rows));
-  });
-  std::vector<float> own, all(leads() ? count : 0);
-  for (std::int64_t r = begin; r < end; ++r) own.push_back(*sigma.row(r));
-  std::vector<std::size_t> bytes;
-  for (int r = 0; r < ranks_.size(); ++r)
-    bytes.push_back(static_cast<std::size_t>(part(r).second - part(r).first) * sizeof(float));
-  ranks_.gather(std::as_bytes(std::span(own)), std::as_writable_bytes(std::span(all)), bytes);
-  for (std::int64_t r = 0; r < std::ssize(all); ++r) *sigma.row(r) = all[static_cast<std::size_t>(r)];
 }
 
 }  // namespace semfield

@@ -52,7 +52,7 @@ class RanksExecutor final : public Executor<float> {
     std::uint32_t terms = 0;   // RayBatch::terms
     std::int64_t step = 0, rows = 0;
     double footprint_per_m = 0;
-    BatchShape shape;
+    BatchShape shape{};
   };
 
   bool leads() const { return ranks_.rank() == 0; }
@@ -60,8 +60,8 @@ class RanksExecutor final : public Executor<float> {
   void share_tensors();
   void compare_tensors();
   void serve_step(const Order& order);
-  void render_shared(const Order& order, const RenderJob<float>& whole);
-  void density_shared(const Order& order, View<const double> positions, View<float> sigma);
+  template <class Job>
+  void share(const Order& order, const Job& whole);
 
   Ranks& ranks_;
   Pipeline<float>& pipeline_;
