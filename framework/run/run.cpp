@@ -364,13 +364,13 @@ Run::Run(OpenedForTraining opened, Registry& registry, const TrainRequest& reque
   scores_.emplace(session(), ScoreFiles{*folder_, *log_, *events_}, listener_, moment());
   const double every_s = session().config.report.eval_every_s;
   next_eval_s_ = every_s > 0 ? (std::floor(training_.train_s() / every_s) + 1) * every_s : INFINITY;
-  if (request.resume) tell_resumed(point);
-}
-
-void Run::tell_resumed(const ResumePoint& point) {
+  if (!request.resume) return;
   for (const ConfigDifference& change : point.changed)
     listener_.note(fmt::format("from step {} on: {}", point.step(), change.text()));
-  if (!point.facts) return listener_.note("no checkpoint yet: starting from step 0");
+  if (!point.facts) {
+    listener_.note("no checkpoint yet: starting from step 0");
+    return;
+  }
   listener_.note(fmt::format("resuming at step {} ({:.1f} s of training) from {}", training_.step(),
                              training_.train_s(), point.path));
   // Its last evaluation may have been cut off, and settings of the page may be others now.
@@ -384,11 +384,6 @@ void Run::write_records(const RunFolder& folder) {
   classes_written_ = named_classes(session().scene.info.classes).to_yaml();
   if (!session().scene.info.classes.empty()) write_file_atomic(folder.classes_path(), classes_written_);
   write_left_out(folder, session());
-  write_environment(folder);
-  if (driver_ != Driver::page) write_label_counts(folder);
-}
-
-void Run::write_environment(const RunFolder& folder) {
   Environment environment = this_environment();
   environment.threads = thread_count();
   environment.seed = session().config.runtime.seed;
@@ -409,6 +404,7 @@ void Run::write_environment(const RunFolder& folder) {
       {"precision", std::string(precision_name(session().config.runtime.precision))},
   };
   write_file_atomic(path, environment_json(environment));
+  if (driver_ != Driver::page) write_label_counts(folder);
 }
 
 void Run::write_label_counts(const RunFolder& folder) const {
@@ -420,15 +416,40 @@ void Run::write_label_counts(const RunFolder& folder) const {
 std::span<const StepLosses> Run::advance(std::int64_t most) {
   const WorkScope scope(work_);
   try {
-    if (!make_round()) return {};
-    const std::span<const StepLosses> made = make_steps(most);
+    const std::int64_t before = training_.step();
+    if (driver_ != Driver::page && self_training_.due(before)) {
+      if (!make_round()) return {};
+    }
+    const double before_s = training_.train_s();
+    most = std::min(most, step_rows_->steps_until_row(before));
+    if (const std::int64_t end = training_.last_step(); end > before) most = std::min(most, end - before);
+    if (driver_ != Driver::page) most = self_training_.steps_until_due(before, most);
+    const std::span<const StepLosses> made = training_.advance(most);
+    if (training_.take_settled() && folder_) write_run_config(*folder_, session().config, registry_);
+    const double step_s = (training_.train_s() - before_s) / static_cast<double>(made.size());
+    if (step_s > kStopDeadline_s && !std::exchange(warned_of_slow_steps_, true))
+      listener_.note(
+          fmt::format("a step takes {:.0f} s: SIGINT and SIGTERM are answered after it, later than the {:.0f} s "
+                      "promised; fewer train.rays make steps shorter",
+                      step_s, kStopDeadline_s));
+    for (std::size_t i = 0; i < made.size(); ++i) record(made[i], before + 1 + static_cast<std::int64_t>(i));
+    if (folder_ && driver_ != Driver::page) write_rows();
     if (!memory_known_) {
       const std::size_t bytes = memory_of_first_steps(session().config);
       memory_known_ = true;
       if (driver_ == Driver::command)
         listener_.note(fmt::format("after the first steps the process holds {} of memory", memory_text(bytes)));
     }
-    make_due();
+    if (scores_ && training_.train_s() >= next_eval_s_) {
+      next_eval_s_ += session().config.report.eval_every_s;
+      scores_->score_sample(moment());
+    }
+    if (driver_ != Driver::command) return made;
+    if (save_is_due()) save();
+    if (listener_.save_request()) {
+      save();
+      listener_.note(fmt::format("checkpoint of step {} saved as asked", saved_step_));
+    }
     return made;
   } catch (const RankLost&) {
     // On the CPU every step is made by all or not at all. A GPU may wait for ever for the rank that is gone.
@@ -437,23 +458,8 @@ std::span<const StepLosses> Run::advance(std::int64_t most) {
   }
 }
 
-std::span<const StepLosses> Run::make_steps(std::int64_t most) {
-  const std::int64_t before = training_.step();
-  const double before_s = training_.train_s();
-  most = std::min(most, step_rows_->steps_until_row(before));
-  if (const std::int64_t end = training_.last_step(); end > before) most = std::min(most, end - before);
-  if (driver_ != Driver::page) most = self_training_.steps_until_due(before, most);
-  const std::span<const StepLosses> made = training_.advance(most);
-  if (training_.take_settled() && folder_) write_run_config(*folder_, session().config, registry_);
-  warn_of_slow_steps((training_.train_s() - before_s) / static_cast<double>(made.size()));
-  for (std::size_t i = 0; i < made.size(); ++i) record(made[i], before + 1 + static_cast<std::int64_t>(i));
-  if (folder_ && driver_ != Driver::page) write_rows();
-  return made;
-}
-
 // What it takes is training. False: a stop was requested, and the round waits for whoever goes on.
 bool Run::make_round() {
-  if (driver_ == Driver::page || !self_training_.due(training_.step())) return true;
   const Clock::time_point start = Clock::now();
   const SelfTraining::Hooks hooks{[this](const ScoreProgress& p) { listener_.scoring(p); },
                                   [this] { return listener_.stop_signal() != 0; }};
@@ -464,15 +470,6 @@ bool Run::make_round() {
   listener_.note(self_training_.rounds().back().text());
   write_label_counts(*folder_);
   return true;
-}
-
-void Run::warn_of_slow_steps(double step_s) {
-  if (step_s <= kStopDeadline_s || warned_of_slow_steps_) return;
-  warned_of_slow_steps_ = true;
-  listener_.note(
-      fmt::format("a step takes {:.0f} s: SIGINT and SIGTERM are answered after it, later than the {:.0f} s "
-                  "promised; fewer train.rays make steps shorter",
-                  step_s, kStopDeadline_s));
 }
 
 void Run::record(const StepLosses& losses, std::int64_t step) {
@@ -506,19 +503,6 @@ void Run::report_progress(const StepLosses& losses, const MetricsRow& row) {
   const double per_step = p.train_s / static_cast<double>(std::max<std::int64_t>(p.step, 1));
   p.remaining_s = p.steps > 0 ? per_step * static_cast<double>(p.steps - p.step) : end_s(config) - p.train_s;
   listener_.progress(p);
-}
-
-void Run::make_due() {
-  if (scores_ && training_.train_s() >= next_eval_s_) {
-    next_eval_s_ += session().config.report.eval_every_s;
-    scores_->score_sample(moment());
-  }
-  if (driver_ != Driver::command) return;
-  if (save_is_due()) save();
-  if (listener_.save_request()) {
-    save();
-    listener_.note(fmt::format("checkpoint of step {} saved as asked", saved_step_));
-  }
 }
 
 void Run::train_more(const AskedLength& asked) {

@@ -89,7 +89,6 @@ struct TrainOutcome {
 TrainOutcome run_training(RunConfig config, Registry& registry, TrainRequest request, RunListener* listener = nullptr);
 
 struct OpenedForTraining;
-struct ResumePoint;
 
 /// Steps have the same bits whoever drives, and every verb works on the folder. One thread at a time.
 class Run {
@@ -151,16 +150,11 @@ class Run {
   using Clock = std::chrono::steady_clock;
 
   Run(OpenedForTraining opened, Registry& registry, const TrainRequest& request, RunListener* listener);
-  void tell_resumed(const ResumePoint& point);
-  std::span<const StepLosses> make_steps(std::int64_t most);
   bool make_round();
-  void warn_of_slow_steps(double step_s);
   void record(const StepLosses& losses, std::int64_t step);
   void report_progress(const StepLosses& losses, const MetricsRow& row);
-  void make_due();
   void add_what_is_left(Error& error) const;
   void write_records(const RunFolder& folder);
-  void write_environment(const RunFolder& folder);
   void write_label_counts(const RunFolder& folder) const;
   std::string write_checkpoint(CheckpointStore& store, MetricsLog& log);
   std::string save_without_folder(const std::string& place);
