@@ -126,9 +126,7 @@ StreamExecutor::StreamExecutor(Pipeline<float>& host, std::vector<PassParts<floa
 }
 
 StreamExecutor::~StreamExecutor() {
-  Launch own;
-  own.ordinal = options_.ordinal;
-  const LaunchScope scope(own);
+  const LaunchScope scope({.ordinal = options_.ordinal});
   forget_graphs();
   sums_.reset();  // before the wait: it may be for a rank that has ended
   (void)cudaStreamSynchronize(stream_);
@@ -155,10 +153,7 @@ std::int64_t StreamExecutor::growths() const {
 std::string StreamExecutor::description() const { return describe_device(options_.ordinal); }
 
 Launch StreamExecutor::step_launch() const {
-  Launch next;
-  next.ordinal = options_.ordinal;
-  next.stream = stream_;
-  next.deterministic = options_.deterministic;
+  Launch next{.ordinal = options_.ordinal, .stream = stream_, .deterministic = options_.deterministic};
   if (staging_) {
     next.cell = staging_->cell();
     next.fault = &staging_->device_sums()->fault;
@@ -167,12 +162,7 @@ Launch StreamExecutor::step_launch() const {
 }
 
 StepContext StreamExecutor::context(std::int64_t step, bool training, Workspace& arena) const {
-  StepContext ctx;
-  ctx.seed = host_.options().seed;
-  ctx.step = step;
-  ctx.training = training;
-  ctx.workspace = &arena;
-  return ctx;
+  return {.seed = host_.options().seed, .step = step, .training = training, .workspace = &arena};
 }
 
 void StreamExecutor::upload(std::int64_t step) {
@@ -215,22 +205,6 @@ std::int64_t StreamExecutor::tile_rays(std::int64_t rays) const {
   return std::max<std::int64_t>(1, shard_of(rays, 0, sums_->shards()).count);
 }
 
-std::int64_t StreamExecutor::labelled_rays(const RayBatch& batch) const {
-  std::int64_t most = 0;
-  for (int s = 0; s < sums_->shards() && !batch.targets.label.empty(); ++s) {
-    const RayRange rays = shard_of(batch.origin.rows, s, sums_->shards());
-    most = std::max(most, last_labelled(batch.targets.label.row_range(rays.begin, rays.count)));
-  }
-  return most;
-}
-
-StreamExecutor::Shape& StreamExecutor::shape_of(const RayBatch& batch, std::int64_t labelled, std::uint32_t terms) {
-  const std::int64_t rays = tile_rays(batch.origin.rows), group = std::max<std::int64_t>(1, rays / kGroups);
-  std::int64_t semantic_rays = host_.has_semantics() ? labelled : 0;
-  if (host_.options().head_on_all_rays && host_.has_semantics()) semantic_rays = rays;
-  return known_shape(std::min(rays, (semantic_rays + group - 1) / group * group), terms);
-}
-
 StreamExecutor::Shape& StreamExecutor::known_shape(std::int64_t semantic_rays, std::uint32_t terms) {
   const auto known = std::find_if(shapes_.begin(), shapes_.end(),
                                   [&](const Shape& s) { return s.semantic_rays == semantic_rays && s.terms == terms; });
@@ -246,7 +220,7 @@ void StreamExecutor::queue_batch(std::int64_t step, const RayBatch& batch, const
                                  const std::byte* drawn) {
   SEMFIELD_CHECK(std::ssize(queued_) < kSlots, "too many steps wait on the device");
   const BatchScales scales = host_.scales_of(batch);
-  const LaunchScope on_stream(render_launch());
+  const LaunchScope on_stream({.ordinal = options_.ordinal, .stream = stream_, .fault = render_fault_.data()});
   sums_->join();
   StepCell cell;
   cell.step = static_cast<std::uint64_t>(step);
@@ -278,7 +252,16 @@ StreamExecutor::Shape& StreamExecutor::run_step(std::int64_t step, int slot, con
   sums_->afterwards([&] {
     const LaunchScope scope(step_launch());
     end_step(*shape, step);
-    observe(step);
+    {  // these launches are no part of a graph: the step's number comes by value
+      Launch by_value = launch();
+      by_value.cell = nullptr;
+      const LaunchScope observing(by_value);
+      StepContext ctx = context(step + 1, true, train_arena_);
+      for (const Pass<float>& pass : passes_) {
+        ctx.pass = pass.parts().number;
+        pass.observe(ctx);
+      }
+    }
     staging_->fetch(slot);
   });
   return *shape;
@@ -322,8 +305,21 @@ StreamExecutor::Shape& StreamExecutor::stage(const StepCell& of_step, const RayB
         passes_.size() == 1 && tracks_.empty() && passes_.front().parts().sampler->traits().keeps_to_room;
     room_.begin(leaves_room ? own.origin.rows * host_.per_ray().front() : 0);
   }
-  reserve_gradients();
-  const std::int64_t labelled = labelled_rays(batch);
+  // Memory that a step of this batch needs beside the arenas.
+  if (!tracks_.empty()) rows_.resize(passes_.size());
+  for (std::size_t p = 0; p < rows_.size(); ++p) {
+    if (!passes_[p].scatters()) continue;
+    const ShardRows::Size size{passes_[p].encoded_dims(), rays_ * host_.per_ray()[p],
+                               !passes_[p].parts().sampler->traits().keeps_to_room};
+    std::unique_ptr<ShardRows>& rows = rows_[p].all;
+    if (!rows || rows->size() != size) rows = std::make_unique<ShardRows>(size);
+  }
+  sums_->reserve();
+  std::int64_t labelled = 0;  // rays of a shard at most, those behind others included
+  for (int s = 0; s < sums_->shards() && !batch.targets.label.empty(); ++s) {
+    const RayRange shard = shard_of(batch.origin.rows, s, sums_->shards());
+    labelled = std::max(labelled, last_labelled(batch.targets.label.row_range(shard.begin, shard.count)));
+  }
   StepCell cell = of_step;
   cell.adam.labelled = labelled > 0;
   const int slot = static_cast<int>(queued_.size());
@@ -332,19 +328,10 @@ StreamExecutor::Shape& StreamExecutor::stage(const StepCell& of_step, const RayB
   } else {
     staging_->send(slot, cell, drawn);
   }
-  return shape_of(batch, labelled, scales.terms.active);
-}
-
-// These launches are no part of a graph: the step's number comes by value.
-void StreamExecutor::observe(std::int64_t step) {
-  Launch by_value = launch();
-  by_value.cell = nullptr;
-  const LaunchScope scope(by_value);
-  StepContext ctx = context(step + 1, true, train_arena_);
-  for (const Pass<float>& pass : passes_) {
-    ctx.pass = pass.parts().number;
-    pass.observe(ctx);
-  }
+  const std::int64_t rays = tile_rays(rays_), group = std::max<std::int64_t>(1, rays / kGroups);
+  std::int64_t semantic_rays = host_.has_semantics() ? labelled : 0;
+  if (host_.options().head_on_all_rays && host_.has_semantics()) semantic_rays = rays;
+  return known_shape(std::min(rays, (semantic_rays + group - 1) / group * group), scales.terms.active);
 }
 
 void StreamExecutor::begin_step(Shape& shape, std::int64_t step) {
@@ -378,7 +365,7 @@ void StreamExecutor::begin_step(Shape& shape, std::int64_t step) {
 
 void StreamExecutor::end_step(Shape& shape, std::int64_t step) {
   const bool captured = shape.captured();
-  if (captured) start(shape.graphs[0]);
+  if (captured) check(cudaGraphLaunch(shape.graphs[0], stream_), "starting a step");
   if (!captured || sums_->waits()) sums_->meet(launch().fault);
   if (!captured) complete_gradients(step);
   if (hook_) {
@@ -392,7 +379,7 @@ void StreamExecutor::end_step(Shape& shape, std::int64_t step) {
   if (!captured) {
     update(step);
   } else if (splits()) {
-    start(shape.graphs[1]);
+    check(cudaGraphLaunch(shape.graphs[1], stream_), "starting a step");
   }
   shape.runs = std::min(shape.runs + 1, kRunsBeforeCapture);
 }
@@ -412,8 +399,6 @@ void StreamExecutor::capture(cudaGraphExec_t& graph, const std::function<void()>
   check(cudaGraphDestroy(captured), "making a graph of a step");
 }
 
-void StreamExecutor::start(cudaGraphExec_t graph) { check(cudaGraphLaunch(graph, stream_), "starting a step"); }
-
 void StreamExecutor::update(std::int64_t step) {
   const Workspace::Scope scope(train_arena_);
   check_gradients(store_->learned());
@@ -432,25 +417,24 @@ void StreamExecutor::forget_step() {
   beside_arena_.forget();
 }
 
-// Forward and backward of the first `rays` rays of each shard; the arenas' high-water marks say what they took.
-bool StreamExecutor::fits(std::int64_t rays, const Shape& shape, std::int64_t step) {
-  forget_step();
-  try {
-    sums_->begin(false);
-    walk_shards(shape, step, rays);
-  } catch (const Error& error) {
-    if (error.kind() != ErrorKind::unavailable) throw;
-    return false;
-  }
-  return true;
-}
-
 // Halves a shard until it fits; what that took says what a ray takes. Parameters stay as they are.
 Error StreamExecutor::with_settings_that_fit(const Error& error, const Shape& shape, std::int64_t step) {
   room_.give_all();
   const std::int64_t rays = tile_rays(rays_), shards = sums_->shards();
+  // Forward and backward of the first rays of each shard; the arenas' high-water marks say what they took.
+  const auto fits = [&](std::int64_t first) {
+    forget_step();
+    try {
+      sums_->begin(false);
+      walk_shards(shape, step, first);
+    } catch (const Error& refused) {
+      if (refused.kind() != ErrorKind::unavailable) throw;
+      return false;
+    }
+    return true;
+  };
   std::int64_t fit = rays / 2;
-  while (fit > 0 && !fits(fit, shape, step)) fit /= 2;
+  while (fit > 0 && !fits(fit)) fit /= 2;
   if (fit == 0) return error;
   std::size_t taken = train_arena_.high_water_bytes() + beside_arena_.high_water_bytes();
   for (const Track& track : tracks_) taken += track.arena.high_water_bytes();
@@ -459,7 +443,7 @@ Error StreamExecutor::with_settings_that_fit(const Error& error, const Shape& sh
   // An arena asks for an eighth more than its high-water mark (core/workspace.h).
   const double most = kMargin * static_cast<double>(free_bytes()) / (1.125 * each);
   std::int64_t more = std::min(static_cast<std::int64_t>(most), rays) / kRound * kRound;
-  while (more > fit && !fits(more, shape, step)) more = more * 3 / 4 / kRound * kRound;
+  while (more > fit && !fits(more)) more = more * 3 / 4 / kRound * kRound;
   fit = std::max(fit, more);
   forget_step();
   drop_gradients();
@@ -565,28 +549,24 @@ class StreamExecutor::ShardExecutor final : public StepExecutor<float> {
   std::optional<LaunchScope> branch_;
 };
 
-RayBatch StreamExecutor::moved(const RayBatch& batch, Workspace& arena) const {
-  if (!cameras_ || !cameras_->rules().poses) return batch;
-  const auto copy = [&](View<const double> from) {
-    const View<double> to = arena.take<double>(from.rows, from.cols);
-    stages().copy(bytes_of(from), bytes_of(to));
-    return to;
-  };
-  const View<double> origin = copy(batch.origin), direction = copy(batch.direction);
-  cameras_->move(batch.targets.more[channel::camera], origin, direction);
-  RayBatch seen = batch;
-  seen.origin = origin;
-  seen.direction = direction;
-  return seen;
-}
-
 void StreamExecutor::walk(const Shape& shape, const Shard& shard, std::int64_t step, Workspace& arena) {
   StepContext ctx = context(step, true, arena);
   ctx.first_ray = shard.first_ray;
   const std::int64_t count = shard.batch.origin.rows;
   TrainedRays<float> rays;
-  rays.batch = moved(shard.batch, arena);
+  rays.batch = shard.batch;
   rays.cameras = cameras_ ? &*cameras_ : nullptr;
+  if (cameras_ && cameras_->rules().poses) {  // rays as their cameras are corrected
+    const auto copy = [&](View<const double> from) {
+      const View<double> to = arena.take<double>(from.rows, from.cols);
+      stages().copy(bytes_of(from), bytes_of(to));
+      return to;
+    };
+    const View<double> origin = copy(shard.batch.origin), direction = copy(shard.batch.direction);
+    cameras_->move(shard.batch.targets.more[channel::camera], origin, direction);
+    rays.batch.origin = origin;
+    rays.batch.direction = direction;
+  }
   rays.lane = shard.lane;
   rays.room = room_.rows();
   rays.semantic_rays = std::min(shape.semantic_rays, count);
@@ -665,21 +645,6 @@ void StreamExecutor::complete_gradients(std::int64_t step) {
     pass.derive_backward(ctx);
   }
   if (cameras_) cameras_->derive_backward(ctx);
-}
-
-// Memory that a step of this batch needs beside the arenas.
-void StreamExecutor::reserve_gradients() {
-  if (!tracks_.empty()) {
-    rows_.resize(passes_.size());
-    for (std::size_t p = 0; p < passes_.size(); ++p) {
-      if (!passes_[p].scatters()) continue;
-      const ShardRows::Size size{passes_[p].encoded_dims(), rays_ * host_.per_ray()[p],
-                                 !passes_[p].parts().sampler->traits().keeps_to_room};
-      std::unique_ptr<ShardRows>& rows = rows_[p].all;
-      if (!rows || rows->size() != size) rows = std::make_unique<ShardRows>(size);
-    }
-  }
-  sums_->reserve();
 }
 
 // Several ranks have rank 0's pixels, and steps come from it.
@@ -813,7 +778,7 @@ class StreamExecutor::Points final : public PointNetwork<float> {
   }
 
   void learn(const PointLessons<float>& lessons) override {
-    const LaunchScope scope(begin());
+    const LaunchScope scope(owner_.begin_call());
     const Workspace::Scope taken(owner_.render_arena_);
     owner_.store_->upload(true);
     const Lesson lesson{ends().sent(lessons.rows), ends().sent(column(lessons.logit)),
@@ -840,12 +805,12 @@ class StreamExecutor::Points final : public PointNetwork<float> {
   }
 
   void read() override {
-    const LaunchScope scope(begin());
+    const LaunchScope scope(owner_.begin_call());
     owner_.store_->download(true);
   }
 
   void write() override {
-    const LaunchScope scope(begin());
+    const LaunchScope scope(owner_.begin_call());
     owner_.store_->upload(true);
     pass_.derive(context(false));
     synchronize();
@@ -868,17 +833,10 @@ class StreamExecutor::Points final : public PointNetwork<float> {
     ctx.pass = pass_.parts().number;
     return ctx;
   }
-  Launch begin() const {
-    const Launch next = owner_.render_launch();
-    const LaunchScope scope(next);
-    check(cudaMemsetAsync(next.fault, 0xFF, sizeof(FaultKey), next.stream), "resetting a fault");
-    return next;
-  }
-
   // A chunk at a time, waited for at its end.
   template <class Call>
   void over_points(std::int64_t points, const Call& call, const std::function<void()>& explain) const {
-    const LaunchScope scope(begin());
+    const LaunchScope scope(owner_.begin_call());
     for (std::int64_t first = 0; first < points; first += kChunkPoints) {
       const Workspace::Scope chunk(owner_.render_arena_);
       call(context(false), first, std::min(kChunkPoints, points - first));
@@ -916,24 +874,22 @@ class StreamExecutor::Points final : public PointNetwork<float> {
 
 PointNetwork<float>& StreamExecutor::points() {
   if (!points_) {
-    const LaunchScope scope(render_launch());
+    const LaunchScope scope(begin_call());
     points_ = std::make_unique<Points>(*this);
   }
   return *points_;
 }
 
-Launch StreamExecutor::render_launch() const {
-  Launch next;
-  next.ordinal = options_.ordinal;
-  next.stream = stream_;
-  next.fault = render_fault_.data();
+Launch StreamExecutor::begin_call() const {
+  const Launch next{.ordinal = options_.ordinal, .stream = stream_, .fault = render_fault_.data()};
+  const LaunchScope scope(next);
+  check(cudaMemsetAsync(next.fault, 0xFF, sizeof(FaultKey), stream_), "resetting a fault");
   return next;
 }
 
 void StreamExecutor::render(const RenderJob<float>& job) {
   guard_rays<float>({job.origin, job.direction, job.near_far}, {}, 0);
-  const LaunchScope scope(render_launch());
-  check(cudaMemsetAsync(render_fault_.data(), 0xFF, sizeof(FaultKey), stream_), "resetting a fault");
+  const LaunchScope scope(begin_call());
   for (std::int64_t begin = 0; begin < job.origin.rows;) {
     const std::int64_t count = std::min(chunk_rays_, job.origin.rows - begin);
     try {
@@ -955,8 +911,7 @@ void StreamExecutor::render(const RenderJob<float>& job) {
 }
 
 void StreamExecutor::density(View<const double> positions, View<float> sigma) {
-  const LaunchScope scope(render_launch());
-  check(cudaMemsetAsync(render_fault_.data(), 0xFF, sizeof(FaultKey), stream_), "resetting a fault");
+  const LaunchScope scope(begin_call());
   for (std::int64_t begin = 0; begin < positions.rows; begin += kChunkPositions) {
     const Workspace::Scope chunk(render_arena_);
     const std::int64_t count = std::min(kChunkPositions, positions.rows - begin);

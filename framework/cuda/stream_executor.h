@@ -92,9 +92,6 @@ class StreamExecutor final : public Executor<float> {
   };
   Launch step_launch() const;
   StepContext context(std::int64_t step, bool training, Workspace& arena) const;
-  /// Most labelled rays of a shard, those behind others included.
-  std::int64_t labelled_rays(const RayBatch& batch) const;
-  Shape& shape_of(const RayBatch& batch, std::int64_t labelled, std::uint32_t terms);
   Shape& known_shape(std::int64_t semantic_rays, std::uint32_t terms);
   /// A step of the batch in `slot`, which `prepare` sends to the device; it gives the step's shape.
   Shape& run_step(std::int64_t step, int slot, const std::function<Shape&()>& prepare);
@@ -106,25 +103,18 @@ class StreamExecutor final : public Executor<float> {
   /// The part of a step on which no other rank relies: backward, or the graphs that hold it.
   void begin_step(Shape& shape, std::int64_t step);
   void end_step(Shape& shape, std::int64_t step);
-  void observe(std::int64_t step);
   void drop_gradients();
   bool splits() const { return hook_ || sums_->waits(); }
   void capture(cudaGraphExec_t& graph, const std::function<void()>& body);
-  void start(cudaGraphExec_t graph);
   void backward(const Shape& shape, std::int64_t step, bool overlapped);
   void update(std::int64_t step);
   void derive(const StepContext& ctx) const;
-  /// The batch with rays as their cameras are corrected.
-  RayBatch moved(const RayBatch& batch, Workspace& arena) const;
   void walk_shards(const Shape& shape, std::int64_t step, std::int64_t most);
   void walk(const Shape& shape, const Shard& shard, std::int64_t step, Workspace& arena);
   void complete_gradients(std::int64_t step);
-  void reserve_gradients();
   class ShardExecutor;
   class Points;
   std::int64_t growths() const;
-  /// Whether forward and backward of the first `rays` rays of a shard do.
-  bool fits(std::int64_t rays, const Shape& shape, std::int64_t step);
   /// The error of a step that did not fit, with settings that do.
   Error with_settings_that_fit(const Error& error, const Shape& shape, std::int64_t step);
   void forget_graphs();
@@ -132,7 +122,8 @@ class StreamExecutor final : public Executor<float> {
   void forget_step();
   /// Of the batch; `sums`: of each rank.
   StepLosses losses_of(std::span<const StepSums* const> sums, const BatchScales& scales) const;
-  Launch render_launch() const;
+  /// Of a call that is no step, with its fault reset.
+  Launch begin_call() const;
   void explain_fault(const std::function<void()>& on_the_host);
 
   Pipeline<float>& host_;
