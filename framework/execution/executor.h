@@ -24,9 +24,20 @@ namespace semfield {
 /// How a pixel of a step is chosen, from (seed, step, ray) alone.
 enum class PixelChoice : std::uint8_t { all_images, one_image, label_balanced };
 
+/// What of a PixelPool is no array.
+struct DrawRule {
+  std::uint64_t seed = 1;
+  std::int64_t rays = 0, tile_rays = 0;  ///< of a step; tiles within which rays with a label come first
+  PixelChoice choice = PixelChoice::all_images;
+  double labelled_share = 0;  ///< of the rays of label_balanced, drawn for their labels
+  bool labels_apart = false;  ///< those rays come first of all and have no part in the colour loss
+  std::int64_t block = 1;     ///< pixels of a block of label_balanced
+  RayLimits limits;
+};
+
 /// Everything of a step's batch but the step: whoever draws from it gives the bits of RaySource::fill. Borrowed; valid
 /// while the source and its frames are.
-struct PixelPool {
+struct PixelPool : DrawRule {
   struct Frame {
     Camera camera;
     Pose world_from_camera;
@@ -36,16 +47,9 @@ struct PixelPool {
   };
   std::vector<Frame> frames;
   std::span<const std::int64_t> offsets;  ///< first pixel of each frame among all, and the total
-  RayLimits limits;
-  std::uint64_t seed = 1;
-  std::int64_t rays = 0, tile_rays = 0;  ///< of a step; tiles within which rays with a label come first
-  PixelChoice choice = PixelChoice::all_images;
-  double labelled_share = 0;  ///< of the rays of label_balanced, drawn for their labels
-  bool labels_apart = false;  ///< those rays come first of all and have no part in the colour loss
   bool with_labels = false, with_depth = false, with_alpha = false, with_camera = false;
   /// Labelled pixels by rank, for label_balanced: blocks of `block` pixels of the labelled frames, the first one of
   /// each frame, and how many labelled pixels lie before each; the last entry counts all.
-  std::int64_t block = 1;
   std::span<const std::size_t> block_offsets;
   std::span<const std::uint32_t> ranks_before;
   /// Pixels that are not masked by rank, in the same way, blocks of PixelMask::kWordPixels of every frame; empty where

@@ -108,10 +108,6 @@ BatchDrawer::BatchDrawer(const PixelPool& pool, int ahead)
 }
 
 void BatchDrawer::send_pixels(const PixelPool& pool) {
-  rule_.seed = pool.seed;
-  rule_.rays = pool.rays;
-  rule_.tile_rays = pool.tile_rays;
-  rule_.limits = pool.limits;
   const auto pixels = static_cast<std::size_t>(pool.offsets.back());
   rgb_ = Buffer<std::uint8_t>(3 * pixels, "colours of pixels");
   if (pool.with_depth) depth_ = Buffer<float>(pixels, "depth of pixels");
@@ -200,10 +196,7 @@ void BatchDrawer::send_lenses(const PixelPool& pool, std::vector<HeldFrame>& fra
 
 void BatchDrawer::send_labels(const PixelPool& pool) {
   any_ = false;
-  rule_.choice = pool.choice;
-  rule_.labelled_share = pool.labelled_share;
-  rule_.labels_apart = pool.labels_apart;
-  rule_.block = pool.block;
+  rule_ = pool;
   layout_ = layout_of(pool);
   const bool fresh = labelled_.empty();
   labelled_.resize(pool.frames.size());

@@ -46,17 +46,6 @@ struct HeldPixels {
   std::int64_t used_blocks = 0;
 };
 
-/// What of a PixelPool is no array.
-struct DrawRule {
-  std::uint64_t seed = 1;
-  std::int64_t rays = 0, tile_rays = 0;
-  PixelChoice choice = PixelChoice::all_images;
-  double labelled_share = 0;
-  bool labels_apart = false;
-  std::int64_t block = 1;
-  RayLimits limits;
-};
-
 /// A ray's pixel, and its row in the batch.
 struct DrawnRay {
   std::int64_t pixel = 0;
