@@ -2,6 +2,7 @@
 #include "tests/conformance/sample_files.h"
 
 #include <filesystem>
+#include <sstream>
 
 #include "formats/image_io.h"
 #include "system/files.h"
@@ -9,9 +10,10 @@
 
 namespace semfield::testkit {
 
-SceneInfo write_sample_images(const std::string& folder, const SampleNames& names) {
+SceneInfo write_sample_images(const std::string& folder, const SampleNames& names,
+                              const std::function<std::string(std::size_t)>& name) {
   const auto path_of = [&](const std::string& prefix, std::size_t i) {
-    const std::filesystem::path path = std::filesystem::path(folder) / (prefix + std::to_string(i) + ".png");
+    const std::filesystem::path path = std::filesystem::path(folder) / (prefix + name(i) + ".png");
     std::filesystem::create_directories(path.parent_path());
     return path.string();
   };
@@ -31,6 +33,22 @@ SceneInfo write_sample_images(const std::string& folder, const SampleNames& name
   }
   write_file_atomic((std::filesystem::path(folder) / "classes.yaml").string(), scene.classes.to_yaml());
   return scene;
+}
+
+DatasetSample image_sample(Settings settings, bool depth) {
+  DatasetSample sample{.settings = std::move(settings), .expected = {.frames = 12, .depth = depth, .labels = true}};
+  if (!images_available()) sample.absent = "this build reads no images (SEMFIELD_WITH_IMAGES=OFF)";
+  return sample;
+}
+
+std::string pose_rows(const Pose& pose, const char* end) {
+  std::ostringstream out;
+  out.precision(17);
+  for (std::size_t row = 0; row < 3; ++row) {
+    for (const double element : pose.r[row]) out << element << ' ';
+    out << pose.t[static_cast<int>(row)] << end;
+  }
+  return out.str() + "0 0 0 1" + end;
 }
 
 }  // namespace semfield::testkit

@@ -2,17 +2,13 @@
 #include <filesystem>
 #include <sstream>
 
-#include "formats/image_io.h"
 #include "scene/camera.h"
 #include "system/files.h"
-#include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
 
 namespace semfield::testkit {
 
-DatasetSample semfield_sample_colmap(const std::string& folder);
-
-DatasetSample semfield_sample_colmap(const std::string& folder) {
+SEMFIELD_DATASET_SAMPLE(colmap) {
   const SceneInfo scene = write_sample_images(folder, {"images/view_", "depth/view_", "labels/view_"});
   const Camera& small = scene.frames.front().camera;
   const Camera camera = small.resized(2 * small.width_px, 2 * small.height_px);
@@ -33,10 +29,7 @@ DatasetSample semfield_sample_colmap(const std::string& folder) {
   std::filesystem::create_directories(model);
   write_file_atomic((model / "cameras.txt").string(), cameras.str());
   write_file_atomic((model / "images.txt").string(), images.str());
-  DatasetSample sample{.settings = {{"root", "."}, {"test_every", "4"}, {"label_dir", "labels"}},
-                       .expected = {.frames = 12, .labels = true}};
-  if (!images_available()) sample.absent = "this build reads no images (SEMFIELD_WITH_IMAGES=OFF)";
-  return sample;
+  return image_sample({{"root", "."}, {"test_every", "4"}, {"label_dir", "labels"}}, false);
 }
 
 }  // namespace semfield::testkit

@@ -3,14 +3,11 @@
 #include <filesystem>
 
 #include "formats/image_io.h"
-#include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
 
 namespace semfield::testkit {
 
-DatasetSample semfield_sample_llff(const std::string& folder);
-
-DatasetSample semfield_sample_llff(const std::string& folder) {
+SEMFIELD_DATASET_SAMPLE(llff) {
   const SceneInfo scene = write_sample_images(folder, {"images/view_", "depth/view_", "labels/view_"});
   std::vector<float> rows;
   std::vector<const FrameInfo*> by_name;  // "view_10" comes before "view_2"
@@ -30,10 +27,7 @@ DatasetSample semfield_sample_llff(const std::string& folder) {
   }
   const std::int64_t shape[] = {static_cast<std::int64_t>(by_name.size()), 17};
   write_npy((std::filesystem::path(folder) / "poses_bounds.npy").string(), shape, rows);
-  DatasetSample sample{.settings = {{"root", "."}, {"test_every", "4"}, {"label_dir", "labels"}},
-                       .expected = {.frames = 12, .labels = true}};
-  if (!images_available()) sample.absent = "this build reads no images (SEMFIELD_WITH_IMAGES=OFF)";
-  return sample;
+  return image_sample({{"root", "."}, {"test_every", "4"}, {"label_dir", "labels"}}, false);
 }
 
 }  // namespace semfield::testkit

@@ -28,9 +28,7 @@ void write_box(std::ostringstream& obj, const Box& box, const std::array<const c
 
 }  // namespace
 
-DatasetSample semfield_sample_obj_room(const std::string& folder);
-
-DatasetSample semfield_sample_obj_room(const std::string& folder) {
+SEMFIELD_DATASET_SAMPLE(obj_room) {
   const std::filesystem::path root(folder);
   std::ostringstream obj;
   int vertices = 0;

@@ -7,9 +7,7 @@
 
 namespace semfield::testkit {
 
-DatasetSample semfield_sample_packed(const std::string& folder);
-
-DatasetSample semfield_sample_packed(const std::string& folder) {
+SEMFIELD_DATASET_SAMPLE(packed) {
   const std::unique_ptr<Dataset> room = make_analytic_scene();
   Diagnostics diagnostics;
   const SceneInfo scene = room->open(diagnostics);

@@ -2,11 +2,9 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "formats/image_io.h"
 #include "scene/camera.h"
 #include "scene/scene.h"
 #include "system/files.h"
-#include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
 #include "tests/scene/image_bytes.h"
 
@@ -14,25 +12,21 @@ namespace semfield::testkit {
 
 namespace fs = std::filesystem;
 
-DatasetSample semfield_sample_record3d(const std::string& folder);
-
-DatasetSample semfield_sample_record3d(const std::string& folder) {
+SEMFIELD_DATASET_SAMPLE(record3d) {
   constexpr std::size_t kEvery = 3;
   const fs::path root(folder);
-  const SceneInfo scene = write_sample_images(folder, {"color/", "mm/", "ids/"});
-  for (const char* name : {"rgb", "depth", "labels"}) fs::create_directories(root / name);
+  const auto name_of = [](std::size_t i) { return std::to_string(kEvery * i); };
+  const SceneInfo scene = write_sample_images(folder, {"rgb/", "mm/", "labels/"}, name_of);
+  fs::create_directories(root / "depth");
   nlohmann::json poses = nlohmann::json::array();
   for (std::size_t i = 0; i < scene.frames.size(); ++i) {
-    const std::string from = std::to_string(i) + ".png", name = std::to_string(kEvery * i);
-    fs::rename(root / "color" / from, root / "rgb" / (name + ".png"));
-    fs::rename(root / "ids" / from, root / "labels" / (name + ".png"));
-    const Image<std::uint16_t> mm = read_ids((root / "mm" / from).string());
+    const Image<std::uint16_t> mm = read_ids((root / "mm" / (name_of(i) + ".png")).string());
     std::vector<float> half;
     for (std::int32_t y = 0; y < mm.height_px / 2; ++y) {
       for (std::int32_t x = 0; x < mm.width_px / 2; ++x)
         half.push_back(0.001f * mm.pixels[static_cast<std::size_t>((2 * y + 1) * mm.width_px + 2 * x + 1)]);
     }
-    write_file_atomic((root / "depth" / (name + ".exr")).string(),
+    write_file_atomic((root / "depth" / (name_of(i) + ".exr")).string(),
                       testing_room::exr_of(mm.width_px / 2, mm.height_px / 2, half));
     const Pose pose = opencv_from_opengl(scene.frames[i].world_from_camera);
     const Quaternion q = quaternion_of(pose);
@@ -43,11 +37,8 @@ DatasetSample semfield_sample_record3d(const std::string& folder) {
   const nlohmann::json meta{
       {"w", c.width_px}, {"h", c.height_px}, {"K", {c.fx, 0, 0, 0, c.fy, 0, c.cx, c.cy, 1}}, {"poses", poses}};
   write_file_atomic((root / "metadata.json").string(), meta.dump());
-  for (const char* name : {"color", "mm", "ids"}) fs::remove_all(root / name);
-  DatasetSample sample{.settings = {{"root", "."}, {"label_dir", "labels"}},
-                       .expected = {.frames = 12, .depth = true, .labels = true}};
-  if (!images_available()) sample.absent = "this build reads no images (SEMFIELD_WITH_IMAGES=OFF)";
-  return sample;
+  fs::remove_all(root / "mm");
+  return image_sample({{"root", "."}, {"label_dir", "labels"}});
 }
 
 }  // namespace semfield::testkit

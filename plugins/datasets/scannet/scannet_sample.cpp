@@ -1,32 +1,26 @@
 // A tiny exported ScanNet scene: colour twice as large as depth and labels, raw ids in 16 bits.
-#include <filesystem>
-#include <sstream>
+#include <fmt/format.h>
 
-#include "formats/image_io.h"
+#include <filesystem>
+
 #include "system/files.h"
-#include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
 
 namespace semfield::testkit {
 
 namespace fs = std::filesystem;
 
-DatasetSample semfield_sample_scannet(const std::string& folder);
-
 namespace {
 
 // Whole-number pixel centres, as ScanNet writes them.
 std::string matrix_text(const Camera& camera) {
-  std::ostringstream out;
-  out.precision(17);
-  out << camera.fx << " 0 " << camera.cx - 0.5 << " 0\n0 " << camera.fy << ' ' << camera.cy - 0.5
-      << " 0\n0 0 1 0\n0 0 0 1\n";
-  return out.str();
+  return fmt::format("{:.17g} 0 {:.17g} 0\n0 {:.17g} {:.17g} 0\n0 0 1 0\n0 0 0 1\n", camera.fx, camera.cx - 0.5,
+                     camera.fy, camera.cy - 0.5);
 }
 
 }  // namespace
 
-DatasetSample semfield_sample_scannet(const std::string& folder) {
+SEMFIELD_DATASET_SAMPLE(scannet) {
   const fs::path root(folder);
   const SceneInfo scene = write_sample_images(folder, {"small/", "depth/", "ids/"});
   for (const char* name : {"color", "pose", "intrinsic", "label-filt"}) fs::create_directories(root / name);
@@ -44,12 +38,8 @@ DatasetSample semfield_sample_scannet(const std::string& folder) {
     Image<std::uint16_t> ids = read_ids((root / "ids" / name).string());
     for (std::uint16_t& id : ids.pixels) id = static_cast<std::uint16_t>(id == 0 ? 0 : 1000 + id);
     write_png_gray16((root / "label-filt" / name).string(), ids.width_px, ids.height_px, ids.pixels);
-    std::ostringstream pose;
-    pose.precision(17);
-    const Pose& p = scene.frames[i].world_from_camera;
-    for (std::size_t row = 0; row < 3; ++row)
-      pose << p.r[row][0] << ' ' << p.r[row][1] << ' ' << p.r[row][2] << ' ' << p.t[static_cast<int>(row)] << '\n';
-    write_file_atomic((root / "pose" / (std::to_string(i) + ".txt")).string(), pose.str() + "0 0 0 1\n");
+    write_file_atomic((root / "pose" / (std::to_string(i) + ".txt")).string(),
+                      pose_rows(scene.frames[i].world_from_camera, "\n"));
   }
   const Camera& depth = scene.frames.front().camera;
   write_file_atomic((root / "intrinsic/intrinsic_depth.txt").string(), matrix_text(depth));
@@ -64,9 +54,7 @@ DatasetSample semfield_sample_scannet(const std::string& folder) {
   write_file_atomic((root / "scannetv2-labels.combined.tsv").string(), table);
   fs::remove_all(root / "small");
   fs::remove_all(root / "ids");
-  DatasetSample sample{.settings = {{"root", "."}}, .expected = {.frames = 12, .depth = true, .labels = true}};
-  if (!images_available()) sample.absent = "this build reads no images (SEMFIELD_WITH_IMAGES=OFF)";
-  return sample;
+  return image_sample({{"root", "."}});
 }
 
 }  // namespace semfield::testkit

@@ -2,16 +2,12 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "formats/image_io.h"
 #include "system/files.h"
-#include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
 
 namespace semfield::testkit {
 
-DatasetSample semfield_sample_transforms_json(const std::string& folder);
-
-DatasetSample semfield_sample_transforms_json(const std::string& folder) {
+SEMFIELD_DATASET_SAMPLE(transforms_json) {
   const SceneInfo scene = write_sample_images(folder, {"images/view_", "depth/view_", "labels/view_"});
   const Camera& camera = scene.frames[0].camera;
   nlohmann::json index{{"w", camera.width_px}, {"h", camera.height_px}, {"fl_x", camera.fx},
@@ -30,10 +26,7 @@ DatasetSample semfield_sample_transforms_json(const std::string& folder) {
                                {"transform_matrix", matrix}});
   }
   write_file_atomic((std::filesystem::path(folder) / "transforms.json").string(), index.dump(1));
-  DatasetSample sample{.settings = {{"root", "."}, {"test_every", "4"}},
-                       .expected = {.frames = 12, .depth = true, .labels = true}};
-  if (!images_available()) sample.absent = "this build reads no images (SEMFIELD_WITH_IMAGES=OFF)";
-  return sample;
+  return image_sample({{"root", "."}, {"test_every", "4"}});
 }
 
 }  // namespace semfield::testkit
