@@ -31,9 +31,7 @@ void describe(ParamVisitor& visit, PhotographParams& p) {
 }
 
 void validate(const PhotographParams& p, Diagnostics& diagnostics) {
-  if (p.root.empty())
-    diagnostics.error("scene.root.unnamed", "root", "the scene's folder is not given", "set scene.root");
-  check_test_every(p.test_every, diagnostics);
+  check_root_and_test_every(p.root, p.test_every, diagnostics);
 }
 
 bool set_image_size(Camera& camera, double width, double height, const std::string& place, Diagnostics& diagnostics) {
@@ -48,9 +46,9 @@ bool set_image_size(Camera& camera, double width, double height, const std::stri
 }
 
 PosedPhotographs::PosedPhotographs(const PhotographParams& params, const std::string& config_dir)
-    : params_(params), root_((fs::path(config_dir) / params.root).string()) {
-  if (!params.classes.empty()) class_file_ = (fs::path(config_dir) / params.classes).string();
-}
+    : params_(params),
+      root_((fs::path(config_dir) / params.root).string()),
+      class_file_(DatasetBuild{config_dir}.path_of(params.classes)) {}
 
 void PosedPhotographs::require(std::initializer_list<const char*> parts, const std::string& app) const {
   for (const char* part : parts) {

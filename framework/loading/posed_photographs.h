@@ -83,6 +83,19 @@ class PosedPhotographs {
   std::vector<PosedPhotograph> photos_;  ///< of each frame
 };
 
+/// A dataset whose frames are such photographs; `Params` begin with PhotographParams.
+template <class Params>
+class PhotographDataset : public Dataset {
+ public:
+  PhotographDataset(const Params& params, const DatasetBuild& build)
+      : params_(params), files_(params, build.config_dir) {}
+  void read(int frame, FrameBuffer& out) const override { files_.read(frame, out); }
+
+ protected:
+  Params params_;
+  PosedPhotographs files_;
+};
+
 // Whether the camera of a frame is that of its image: the size that it states against the size of the file.
 
 /// What "colour image" is called in messages; other channels of a frame are others.

@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <cstdio>
+#include <filesystem>
 #include <map>
 #include <set>
 #include <vector>
@@ -19,8 +20,14 @@ Split HoldOut::split_of(std::size_t rank, std::size_t frames) const {
   return rank % static_cast<std::size_t>(every) == static_cast<std::size_t>(first) ? Split::test : Split::train;
 }
 
-void check_test_every(std::int32_t every, Diagnostics& diagnostics) {
-  if (every == 1)
+std::string DatasetBuild::path_of(const std::string& path) const {
+  return path.empty() ? "" : (std::filesystem::path(config_dir) / path).string();
+}
+
+void check_root_and_test_every(const std::string& root, std::int32_t test_every, Diagnostics& diagnostics) {
+  if (root.empty())
+    diagnostics.error("scene.root.unnamed", "root", "the scene's folder is not given", "set scene.root");
+  if (test_every == 1)
     diagnostics.error("scene.split.empty", "test_every", "1 leaves no frame to train on",
                       "take 2 or more, or 0 for no test frames");
 }

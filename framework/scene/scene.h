@@ -75,6 +75,23 @@ struct FrameBuffer {
   std::vector<FrameChannel> channels;  ///< those of FrameInfo::channels that are wanted
 };
 
+/// A scene's frames in house conventions, whatever the files look like: open() once, then read() from any thread.
+class Dataset {
+ public:
+  virtual ~Dataset() = default;
+  /// Reads everything but pixels. Every problem found goes into `diagnostics` (frame, file, cause, remedy); throws
+  /// Error only when nothing can be listed (folder missing, unreadable index).
+  virtual SceneInfo open(Diagnostics& diagnostics) = 0;
+  /// Pixels of one frame, at the size that SceneInfo states. Thread-safe. Throws Error(data) naming the file.
+  virtual void read(int frame, FrameBuffer& out) const = 0;
+};
+
+struct DatasetBuild {
+  std::string config_dir;  ///< relative paths in parameters start here; "" = working directory
+  /// A path of a parameter, from there; "" stays "", which means none.
+  std::string path_of(const std::string& path) const;
+};
+
 // Which frames are held out for tests where nothing but their order tells.
 
 /// The parameter `test_every` of datasets that list frames. A frame's rank is its place in the order of names; frames
@@ -87,8 +104,8 @@ struct HoldOut {
   Split split_of(std::size_t rank, std::size_t frames) const;
 };
 
-/// Reports test_every: 1.
-void check_test_every(std::int32_t every, Diagnostics& diagnostics);
+/// What datasets that list frames ask of their parameters: reports a root that is not given, and test_every: 1.
+void check_root_and_test_every(const std::string& root, std::int32_t test_every, Diagnostics& diagnostics);
 
 // What the files of a frame are called: one rule for all that write them.
 

@@ -823,11 +823,11 @@ TEST(HoldOut, EveryNthFromTheFirst) {
 
 TEST(HoldOut, OneInOneIsRefused) {
   Diagnostics d;
-  check_test_every(1, d);
+  check_root_and_test_every("r", 1, d);
   ASSERT_EQ(d.error_count(), 1);
   EXPECT_EQ(d.all()[0].text(), "test_every: 1 leaves no frame to train on; take 2 or more, or 0 for no test frames");
-  check_test_every(0, d);
-  check_test_every(2, d);
+  check_root_and_test_every("r", 0, d);
+  check_root_and_test_every("r", 2, d);
   EXPECT_EQ(d.error_count(), 1);
 }
 

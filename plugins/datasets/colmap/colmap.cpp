@@ -35,12 +35,6 @@ void describe(ParamVisitor& visit, ColmapParams& p) {
   SEMFIELD_PARAM(visit, p, masks, kMasksSentence);
 }
 
-void validate(const ColmapParams& p, Diagnostics& diagnostics) {
-  if (p.root.empty())
-    diagnostics.error("scene.root.unnamed", "root", "the scene's folder is not given", "set scene.root");
-  check_test_every(p.test_every, diagnostics);
-}
-
 namespace {
 
 constexpr const char* kModelFolders[] = {"sparse/0", "sparse", "colmap/sparse/0", "."};
@@ -80,17 +74,6 @@ std::string recognise(const std::string& path, ColmapParams& p) {
   }
   return std::string("a COLMAP model") + (std::string(*model) == "." ? "" : std::string(" in ") + *model);
 }
-
-Colmap::Colmap(const ColmapParams& params, const DatasetBuild& build)
-    : params_(params),
-      files_({.root = params.root,
-              .test_every = params.test_every,
-              .label_dir = params.label_dir,
-              .classes = params.classes,
-              .masks = params.masks,
-              .unknown_labels = params.unknown_labels,
-              .missing = params.missing},
-             build.config_dir) {}
 
 namespace {
 

@@ -91,7 +91,7 @@ std::string scene_folder(const std::string& name, int width, int height,
 }
 
 SceneInfo open(const std::string& folder, Diagnostics& diagnostics, const std::string& label_dir = "") {
-  ColmapParams p{.root = folder, .label_dir = label_dir};
+  ColmapParams p{{.root = folder, .label_dir = label_dir}};
   return Colmap(p, {}).open(diagnostics);
 }
 
@@ -191,7 +191,7 @@ TEST(Colmap, LabelsForSomeFrames) {
   EXPECT_FINDING(none, "labels.frames.missing", "no label image for any frame", "like the images", ".png");
   write_png_gray8(folder + "/labels/b.png", 8, 4, std::vector<std::uint8_t>(32, 5));
   plain_write(folder + "/classes.yaml", "- {id: 0, name: void, ignore: true}\n- {id: 5, name: cup}\n");
-  ColmapParams p{.root = folder, .label_dir = "labels"};
+  ColmapParams p{{.root = folder, .label_dir = "labels"}};
   Colmap scene(p, {});
   Diagnostics d;
   const SceneInfo info = scene.open(d);
@@ -208,7 +208,7 @@ TEST(Colmap, LabelsForSomeFrames) {
 TEST(Colmap, MissingImagesAreLeftOutWhereAsked) {
   const std::string folder = scene_folder("m", 8, 4, [](const std::string& f) { Binary().write(f); });
   std::filesystem::remove(folder + "/images/a.png");
-  ColmapParams p{.root = folder, .missing = MissingFiles::skip};
+  ColmapParams p{{.root = folder, .missing = MissingFiles::skip}};
   Diagnostics d;
   const SceneInfo info = Colmap(p, {}).open(d);
   EXPECT_FALSE(d.has_errors()) << all_said(d);

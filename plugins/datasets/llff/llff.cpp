@@ -40,28 +40,12 @@ void describe(ParamVisitor& visit, LlffParams& p) {
   SEMFIELD_PARAM(visit, p, masks, kMasksSentence);
 }
 
-void validate(const LlffParams& p, Diagnostics& diagnostics) {
-  if (p.root.empty())
-    diagnostics.error("scene.root.unnamed", "root", "the scene's folder is not given", "set scene.root");
-  check_test_every(p.test_every, diagnostics);
-}
-
 std::string recognise(const std::string& path, LlffParams& p) {
   std::error_code ignored;
   if (!fs::is_regular_file(fs::path(path) / kPosesFile, ignored)) return "";
   p.root = path;
   return std::string("LLFF's ") + kPosesFile;
 }
-
-Llff::Llff(const LlffParams& params, const DatasetBuild& build)
-    : params_(params),
-      files_({.root = params.root,
-              .test_every = params.test_every,
-              .label_dir = params.label_dir,
-              .classes = params.classes,
-              .masks = params.masks,
-              .unknown_labels = params.unknown_labels},
-             build.config_dir) {}
 
 SceneInfo Llff::open(Diagnostics& diagnostics) {
   const fs::path root(files_.root()), folder = root / params_.images;

@@ -26,7 +26,7 @@ std::string scene(const std::vector<std::vector<float>>& rows, int images = 2) {
 }
 
 SceneInfo open(const std::string& folder, Diagnostics& d) {
-  LlffParams p{.root = folder, .test_every = 0};
+  LlffParams p{{.root = folder, .test_every = 0}};
   return Llff(p, {}).open(d);
 }
 

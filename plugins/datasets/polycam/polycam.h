@@ -2,24 +2,18 @@
 #pragma once
 
 #include <string>
-#include <vector>
 
 #include "loading/posed_photographs.h"
-#include "plugin/dataset.h"
 
 namespace semfield {
 
 struct PolycamParams : PhotographParams {};
 std::string recognise(const std::string& path, PolycamParams& params);
 
-class Polycam final : public Dataset {
+class Polycam final : public PhotographDataset<PolycamParams> {
  public:
-  Polycam(const PolycamParams& params, const DatasetBuild& build) : files_(params, build.config_dir) {}
+  using PhotographDataset::PhotographDataset;
   SceneInfo open(Diagnostics& diagnostics) override;
-  void read(int frame, FrameBuffer& out) const override { files_.read(frame, out); }
-
- private:
-  PosedPhotographs files_;
 };
 
 }  // namespace semfield

@@ -7,18 +7,16 @@
 #include <vector>
 
 #include "loading/posed_photographs.h"
-#include "plugin/dataset.h"
 
 namespace semfield {
 
 struct Record3dParams : PhotographParams {};
 std::string recognise(const std::string& path, Record3dParams& params);
 
-class Record3d final : public Dataset {
+class Record3d final : public PhotographDataset<Record3dParams> {
  public:
-  Record3d(const Record3dParams& params, const DatasetBuild& build) : files_(params, build.config_dir) {}
+  using PhotographDataset::PhotographDataset;
   SceneInfo open(Diagnostics& diagnostics) override;
-  void read(int frame, FrameBuffer& out) const override { files_.read(frame, out); }
 
  private:
   /// What metadata.json tells.
@@ -28,8 +26,6 @@ class Record3d final : public Dataset {
     std::vector<std::array<double, 7>> poses;  ///< of each frame: quaternion x, y, z, w, and centre
   };
   static Recording read_recording(const std::string& path, Diagnostics& diagnostics);
-
-  PosedPhotographs files_;
 };
 
 }  // namespace semfield

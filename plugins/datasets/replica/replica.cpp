@@ -107,9 +107,7 @@ void describe(ParamVisitor& visit, ReplicaParams& p) {
 }
 
 void validate(const ReplicaParams& p, Diagnostics& diagnostics) {
-  if (p.root.empty())
-    diagnostics.error("scene.root.unnamed", "root", "the scene's folder is not given", "set scene.root");
-  check_test_every(p.test_every, diagnostics);
+  check_root_and_test_every(p.root, p.test_every, diagnostics);
   if (p.split == ReplicaSplit::paper && (p.train_step > 0 || p.test_step > 0))
     diagnostics.error("config.value.conflict", "split", "paper has steps of its own",
                       "drop scene.train_step and scene.test_step, or set scene.split: auto");
@@ -137,8 +135,9 @@ std::string recognise(const std::string& path, ReplicaParams& p) {
 }
 
 Replica::Replica(const ReplicaParams& params, const DatasetBuild& build)
-    : params_(params), root_((fs::path(build.config_dir) / params.root).string()) {
-  if (!params.classes.empty()) class_file_ = (fs::path(build.config_dir) / params.classes).string();
+    : params_(params),
+      root_((fs::path(build.config_dir) / params.root).string()),
+      class_file_(build.path_of(params.classes)) {
   if (params_.split == ReplicaSplit::paper) {
     params_.train_step = params_.test_step = 5;
     params_.train_offset = 0;

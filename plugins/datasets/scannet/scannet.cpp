@@ -34,9 +34,7 @@ void describe(ParamVisitor& visit, ScannetParams& p) {
 }
 
 void validate(const ScannetParams& p, Diagnostics& diagnostics) {
-  if (p.root.empty())
-    diagnostics.error("scene.root.unnamed", "root", "the scene's folder is not given", "set scene.root");
-  check_test_every(p.test_every, diagnostics);
+  check_root_and_test_every(p.root, p.test_every, diagnostics);
 }
 
 std::string recognise(const std::string& path, ScannetParams& p) {
@@ -49,9 +47,9 @@ std::string recognise(const std::string& path, ScannetParams& p) {
 }
 
 Scannet::Scannet(const ScannetParams& params, const DatasetBuild& build)
-    : params_(params), root_((fs::path(build.config_dir) / params.root).string()) {
-  if (!params.classes.empty()) table_file_ = (fs::path(build.config_dir) / params.classes).string();
-}
+    : params_(params),
+      root_((fs::path(build.config_dir) / params.root).string()),
+      table_file_(build.path_of(params.classes)) {}
 
 namespace {
 

@@ -711,9 +711,7 @@ FrameChannelInfo channel_info(const std::string& name, const std::string& file) 
 }
 
 void validate(const TransformsJsonParams& p, Diagnostics& diagnostics) {
-  if (p.root.empty())
-    diagnostics.error("scene.root.unnamed", "root", "the scene's folder is not given", "set scene.root");
-  check_test_every(p.test_every, diagnostics);
+  check_root_and_test_every(p.root, p.test_every, diagnostics);
 }
 
 std::string recognise(const std::string& path, TransformsJsonParams& p) {
@@ -734,9 +732,9 @@ std::string recognise(const std::string& path, TransformsJsonParams& p) {
 }
 
 TransformsJson::TransformsJson(const TransformsJsonParams& params, const DatasetBuild& build)
-    : params_(params), root_((fs::path(build.config_dir) / params.root).string()) {
-  if (!params.classes.empty()) class_file_ = (fs::path(build.config_dir) / params.classes).string();
-}
+    : params_(params),
+      root_((fs::path(build.config_dir) / params.root).string()),
+      class_file_(build.path_of(params.classes)) {}
 
 namespace {
 

@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "loading/posed_photographs.h"
-#include "plugin/dataset.h"
 
 namespace semfield {
 
@@ -19,15 +18,10 @@ void describe(ParamVisitor& visit, TumParams& params);
 void validate(const TumParams& params, Diagnostics& diagnostics);
 std::string recognise(const std::string& path, TumParams& params);
 
-class Tum final : public Dataset {
+class Tum final : public PhotographDataset<TumParams> {
  public:
-  Tum(const TumParams& params, const DatasetBuild& build) : params_(params), files_(params, build.config_dir) {}
+  using PhotographDataset::PhotographDataset;
   SceneInfo open(Diagnostics& diagnostics) override;
-  void read(int frame, FrameBuffer& out) const override { files_.read(frame, out); }
-
- private:
-  TumParams params_;
-  PosedPhotographs files_;
 };
 
 }  // namespace semfield
