@@ -364,7 +364,7 @@ DegradeReport write_degraded(const LoadedScene& scene, const TrainingLabels& lab
                              const std::string& folder) {
   refuse_used_folder(folder);
   const std::vector<WrittenFiles> files = files_of(scene, labels);
-  const ClassTable classes = with_void(scene.info.classes);
+  const ClassTable classes = with_void(scene.info.classes.entries());
   UnfinishedFolder unfinished(folder);
   unfinished.add("semantic_class");
   unfinished.add("preview");
@@ -530,7 +530,7 @@ CaptureReport capture_replica(const Dataset& dataset, const SceneInfo& info, con
   }
   CaptureReport report;
   FrameBuffer frame;
-  const ClassTable classes = info.classes.empty() ? info.classes : with_void(info.classes);
+  const ClassTable classes = info.classes.empty() ? info.classes : with_void(info.classes.entries());
   std::string trajectory;
   for (std::size_t i = 0; i < info.frames.size(); ++i) {
     dataset.read(static_cast<int>(i), frame);
@@ -606,7 +606,7 @@ double step_for(double farthest) {
 void write_fixed_scene(const PosedScene& scene, const FixedCameras& cameras, const std::string& folder,
                        const CaptureProgress& progress) {
   const SceneInfo& info = scene.info;
-  const ClassTable classes = info.classes.empty() ? info.classes : with_void(info.classes);
+  const ClassTable classes = info.classes.empty() ? info.classes : with_void(info.classes.entries());
   const fs::path out(folder);
   Json index = lens_json(cameras.cameras.front());
   // The file names one depth camera. Where lenses differ, depth is drawn into the colour images here.

@@ -79,7 +79,7 @@ Json scores_json(const SceneFusion& fusion, const FusionParams& params) {
 class MapWriter {
  public:
   MapWriter(std::string folder, const SceneInfo& info)
-      : folder_(std::move(folder)), info_(info), classes_(with_void(info.classes)) {
+      : folder_(std::move(folder)), info_(info), classes_(with_void(info.classes.entries())) {
     refuse_used_folder(folder_);
     create_output_folder(folder_);
     write_file_atomic((fs::path(folder_) / "classes.yaml").string(), classes_.to_yaml());

@@ -490,19 +490,6 @@ TEST(PublishedClasses, TablesAndTheMapBetweenThem) {
   EXPECT_EQ(scannet.index_of(39), 19);
   EXPECT_EQ(scannet.valid(19).name, "otherfurniture");
   EXPECT_EQ(scannet.index_of(13), -2);
-  // Names that both have must be mapped to each other.
-  const ClassNames names(nyu13);
-  for (int c = 0; c < nyu40.valid_count(); ++c) {
-    const int same = names.find(nyu40.valid(c).name);
-    const std::int32_t mapped = nyu13_of_nyu40(nyu40.valid(c).id);
-    EXPECT_GE(nyu13.index_of(mapped), 0);
-    if (same >= 0) {
-      EXPECT_EQ(nyu13.index_of(mapped), same) << nyu40.valid(c).name;
-    }
-  }
-  EXPECT_EQ(nyu13_of_nyu40(25), 11);
-  EXPECT_EQ(nyu13_of_nyu40(0), 0);
-  EXPECT_EQ(error_of([] { (void)nyu13_of_nyu40(41); }), "NYU40 id 41; NYU40 ids run from 0 to 40");
   EXPECT_HAS(error_of([] { (void)published_classes("nyu"); }), "nyu", "class table");
 }
 
@@ -615,14 +602,12 @@ TEST(ScannetLabels, ColumnsAreFoundByName) {
                               "1163\tobject\t9\t\t\t\t\n");
   const std::vector<ScannetLabel> labels = read_scannet_tsv(path);
   ASSERT_EQ(labels.size(), 3u);
-  EXPECT_EQ(labels[0].eigen13class, "Wall");
   EXPECT_EQ(labels[1].raw_category, "office \"chair\"");
-  EXPECT_EQ(labels[1].nyu40class, "chair");
-  EXPECT_EQ(nyu40_of_scannet(labels).at(2), 5);
-  EXPECT_EQ(eigen13_of_scannet(labels).at(1), 12);
-  EXPECT_EQ(nyu40_of_scannet(labels).at(1163), 0);
+  EXPECT_EQ(labels[1].id_in(ScannetIds::nyu40), 5);
+  EXPECT_EQ(labels[0].id_in(ScannetIds::nyu13), 12);
+  EXPECT_EQ(labels[2].nyu40id, 0);
   write_file_atomic(path, std::string_view("nyu40id\traw_category\tid\n3\tcabinet\t7\n"));
-  EXPECT_EQ(nyu40_of_scannet(read_scannet_tsv(path)).at(7), 3);
+  EXPECT_EQ(read_scannet_tsv(path).at(0).nyu40id, 3);
 }
 
 // Bundle adjustment against cameras that are known: what was made wrong comes back.

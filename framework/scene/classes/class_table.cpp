@@ -2,7 +2,6 @@
 #include "scene/classes/class_table.h"
 
 #include <algorithm>
-#include <bit>
 #include <cctype>
 #include <charconv>
 #include <cmath>
@@ -10,7 +9,6 @@
 #include <functional>
 #include <map>
 #include <nlohmann/json.hpp>
-#include <optional>
 #include <set>
 #include <span>
 #include <string>
@@ -40,6 +38,7 @@ bool parse_int(std::string_view text, std::int32_t& out) {
 }
 
 constexpr const char* kCsvRemedy = "write one line 'id,name' for each class";
+constexpr const char* kCvatRemedy = "write lines 'label:r,g,b::'";
 constexpr const char* kYamlRemedy = "write lines such as - {id: 3, name: lamp}";
 
 enum CsvColumn : std::size_t { kId, kName, kRed, kGreen, kBlue, kIgnore, kColor };
@@ -165,7 +164,6 @@ ClassEntry yaml_entry(const ConfigNode& item) {
   const std::string place = item.location().text();
   if (!item.is_map()) refuse("classes.table.format", place, "a class is a map {id, name, color, ignore}", kYamlRemedy);
   ClassEntry entry;
-  bool has_color = false;
   static const std::vector<std::string> keys{"id", "name", "color", "ignore"};
   for (const auto& [key, value] : item.entries()) {
     if (std::find(keys.begin(), keys.end(), key) == keys.end()) {
@@ -181,14 +179,13 @@ ClassEntry yaml_entry(const ConfigNode& item) {
   if (name == nullptr || !name->is_scalar() || name->text().empty())
     refuse("classes.table.format", place, "class " + std::to_string(entry.id) + " needs a 'name'", kYamlRemedy);
   entry.name = name->text();
+  entry.color = ClassTable::default_color(entry.id);
   if (const ConfigNode* color = item.find("color"); color != nullptr && !color->is_null()) {
     if (!color->is_list() || color->items().size() != 3)
       refuse("classes.table.value", color->location().text(), "color: expected [r, g, b]");
     for (std::size_t i = 0; i < 3; ++i)
       entry.color[i] = static_cast<std::uint8_t>(scalar_int(color->items()[i], "color", 0, 255));
-    has_color = true;
   }
-  if (!has_color) entry.color = ClassTable::default_color(entry.id);
   if (const ConfigNode* ignore = item.find("ignore"); ignore != nullptr) {
     if (ignore->text() != "true" && ignore->text() != "false")
       refuse("classes.table.value", ignore->location().text(),
@@ -214,13 +211,7 @@ std::string quoted(const std::string& text) {
   std::string out = "\"";
   for (const char c : text) {
     if (c == '"' || c == '\\') out += '\\';
-    if (c == '\n') {
-      out += "\\n";
-    } else if (c == '\t') {
-      out += "\\t";
-    } else {
-      out += c;
-    }
+    out += c == '\n' ? "\\n" : c == '\t' ? "\\t" : std::string(1, c);
   }
   return out + "\"";
 }
@@ -418,17 +409,6 @@ ClassTable with_void(std::vector<ClassEntry> entries) {
   return ClassTable(std::move(entries));
 }
 
-ClassTable with_void(const ClassTable& classes) {
-  std::vector<ClassEntry> entries = classes.entries();
-  std::int32_t free_id = 0;
-  for (const ClassEntry& e : entries) {  // ordered by id
-    if (e.ignore) return classes;
-    if (e.id == free_id) ++free_id;
-  }
-  entries.push_back({free_id, "void", {0, 0, 0}, true});
-  return ClassTable(std::move(entries));
-}
-
 SoftMap::SoftMap(std::size_t pixels, int classes)
     : classes_(classes), values_(pixels * static_cast<std::size_t>(classes)) {}
 
@@ -473,22 +453,16 @@ constexpr std::array<std::string_view, 13> kNyu13{"bed",       "books",   "ceili
                                                   "furniture", "objects", "picture", "sofa",  "table",
                                                   "tv",        "wall",    "window"};
 
-struct Nyu40Class {
-  std::string_view name;
-  std::uint8_t nyu13;
-};
-constexpr std::array<Nyu40Class, 40> kNyu40{{
-    {"wall", 12},       {"floor", 5},          {"cabinet", 6},        {"bed", 1},
-    {"chair", 4},       {"sofa", 9},           {"table", 10},         {"door", 12},
-    {"window", 13},     {"bookshelf", 6},      {"picture", 8},        {"counter", 6},
-    {"blinds", 13},     {"desk", 10},          {"shelves", 6},        {"curtain", 13},
-    {"dresser", 6},     {"pillow", 7},         {"mirror", 7},         {"floor mat", 5},
-    {"clothes", 7},     {"ceiling", 3},        {"books", 2},          {"refrigerator", 6},
-    {"television", 11}, {"paper", 7},          {"towel", 7},          {"shower curtain", 7},
-    {"box", 7},         {"whiteboard", 7},     {"person", 7},         {"night stand", 6},
-    {"toilet", 7},      {"sink", 7},           {"lamp", 7},           {"bathtub", 7},
-    {"bag", 7},         {"otherstructure", 7}, {"otherfurniture", 6}, {"otherprop", 7},
-}};
+constexpr std::array<std::string_view, 40> kNyu40{"wall",       "floor",          "cabinet",        "bed",
+                                                  "chair",      "sofa",           "table",          "door",
+                                                  "window",     "bookshelf",      "picture",        "counter",
+                                                  "blinds",     "desk",           "shelves",        "curtain",
+                                                  "dresser",    "pillow",         "mirror",         "floor mat",
+                                                  "clothes",    "ceiling",        "books",          "refrigerator",
+                                                  "television", "paper",          "towel",          "shower curtain",
+                                                  "box",        "whiteboard",     "person",         "night stand",
+                                                  "toilet",     "sink",           "lamp",           "bathtub",
+                                                  "bag",        "otherstructure", "otherfurniture", "otherprop"};
 
 // ScanNet's twenty with the colours of its pictures.
 struct ScannetClass {
@@ -502,26 +476,23 @@ constexpr std::array<ScannetClass, 20> kScannet20{{
     {28, {158, 218, 229}}, {33, {44, 160, 44}},  {34, {112, 128, 144}}, {36, {227, 119, 194}}, {39, {82, 84, 163}},
 }};
 
-std::string_view nyu40_name(std::int32_t id) { return kNyu40[static_cast<std::size_t>(id - 1)].name; }
-
-ClassEntry pascal_entry(std::int32_t id, std::string_view name) {
-  return {id, std::string(name), pascal_color(id), false};
+std::string name_in(std::span<const std::string_view> names, std::int32_t id) {
+  return std::string(names[static_cast<std::size_t>(id - 1)]);
 }
+
+ClassEntry pascal_entry(std::int32_t id, std::string name) { return {id, std::move(name), pascal_color(id), false}; }
 
 std::uint8_t color_value(const std::string& text, const std::string& place) {
   std::int64_t value = 0;
-  if (!parse_whole(text, value) || value < 0 || value > 255) {
-    throw Error(ErrorKind::data, "classes.label_map.color",
-                place + ": expected a colour value from 0 to 255, got '" + text + "'", "write lines 'label:r,g,b::'");
-  }
+  if (!parse_whole(text, value) || value < 0 || value > 255)
+    refuse("classes.label_map.color", place, "expected a colour value from 0 to 255, got '" + text + "'", kCvatRemedy);
   return static_cast<std::uint8_t>(value);
 }
 
 std::array<std::uint8_t, 3> color_of(const std::string& text, const std::string& place) {
   const std::size_t first = text.find(','), second = text.find(',', first + 1);
   if (first == std::string::npos || second == std::string::npos)
-    throw Error(ErrorKind::data, "classes.label_map.color", place + ": expected a colour 'r,g,b', got '" + text + "'",
-                "write lines 'label:r,g,b::'");
+    refuse("classes.label_map.color", place, "expected a colour 'r,g,b', got '" + text + "'", kCvatRemedy);
   return {color_value(text.substr(0, first), place), color_value(text.substr(first + 1, second - first - 1), place),
           color_value(text.substr(second + 1), place)};
 }
@@ -532,27 +503,17 @@ std::vector<std::string> published_class_names() { return {"nyu13", "nyu40", "sc
 
 ClassTable published_classes(const std::string& name) {
   std::vector<ClassEntry> entries;
-  if (name == "nyu13") {
-    for (std::size_t i = 0; i < kNyu13.size(); ++i)
-      entries.push_back(pascal_entry(static_cast<std::int32_t>(i) + 1, kNyu13[i]));
-  } else if (name == "nyu40") {
-    for (std::size_t i = 0; i < kNyu40.size(); ++i)
-      entries.push_back(pascal_entry(static_cast<std::int32_t>(i) + 1, kNyu40[i].name));
+  if (name == "nyu13" || name == "nyu40") {
+    const std::span<const std::string_view> names =
+        name == "nyu13" ? std::span<const std::string_view>(kNyu13) : kNyu40;
+    for (std::int32_t id = 1; id <= std::ssize(names); ++id) entries.push_back(pascal_entry(id, name_in(names, id)));
   } else if (name == "scannet20") {
-    for (const ScannetClass& c : kScannet20)
-      entries.push_back({c.nyu40, std::string(nyu40_name(c.nyu40)), c.color, false});
+    for (const ScannetClass& c : kScannet20) entries.push_back({c.nyu40, name_in(kNyu40, c.nyu40), c.color, false});
   } else {
     throw Error(ErrorKind::usage, "classes.published.unknown", "no published class table '" + name + "'",
                 "there are " + join(published_class_names()));
   }
   return with_void(std::move(entries));
-}
-
-std::int32_t nyu13_of_nyu40(std::int32_t nyu40id) {
-  if (nyu40id < 0 || nyu40id > std::ssize(kNyu40))
-    throw Error(ErrorKind::data, "classes.table.id", "NYU40 id " + std::to_string(nyu40id),
-                "NYU40 ids run from 0 to 40");
-  return nyu40id == 0 ? 0 : kNyu40[static_cast<std::size_t>(nyu40id - 1)].nyu13;
 }
 
 std::array<std::uint8_t, 3> pascal_color(std::int32_t id) {
@@ -573,12 +534,12 @@ ClassTable load_cvat_labelmap(const std::string& path) {
     if (row.fields[0] == "label" && row.fields.size() > 1 && row.fields[1].starts_with("color"))
       continue;  // the header
     if (row.fields.size() < 2 || row.fields.size() > 4 || row.fields[0].empty())
-      throw Error(ErrorKind::data, "classes.label_map.format", row.place + ": expected 'label:color_rgb:parts:actions'",
-                  "export the label map from CVAT again");
+      refuse("classes.label_map.format", row.place, "expected 'label:color_rgb:parts:actions'",
+             "export the label map from CVAT again");
     const std::string& name = row.fields[0];
     if (const auto [other, fresh] = place_of_name.emplace(name, row.place); !fresh)
-      throw Error(ErrorKind::data, "classes.name.twice",
-                  row.place + ": label '" + name + "' is in " + other->second + " too", "keep one of them");
+      refuse("classes.name.twice", row.place, "label '" + name + "' is in " + other->second + " too",
+             "keep one of them");
     const bool ignore = name == "background" || is_void_name(name);
     const std::int32_t id = ignore && !has_zero ? 0 : next++;
     has_zero = has_zero || id == 0;
@@ -587,8 +548,7 @@ ClassTable load_cvat_labelmap(const std::string& path) {
         {id, name, row.fields[1].empty() ? ClassTable::default_color(id) : color_of(row.fields[1], row.place), ignore});
   }
   if (entries.empty())
-    throw Error(ErrorKind::data, "classes.label_map.format", path + ": no labels in it",
-                "export the label map from CVAT again");
+    refuse("classes.label_map.format", path, "no labels in it", "export the label map from CVAT again");
   return with_void(std::move(entries));
 }
 
@@ -617,13 +577,11 @@ std::string to_class_csv(const ClassTable& classes) {
 ClassTable load_scannet_classes(const std::string& path, ScannetIds ids) {
   std::map<std::int32_t, std::string> names;
   for (const ScannetLabel& label : read_scannet_tsv(path)) {
-    const std::int32_t id = ids == ScannetIds::raw     ? label.id
-                            : ids == ScannetIds::nyu40 ? label.nyu40id
-                                                       : label.eigen13id;
+    const std::int32_t id = label.id_in(ids);
     if (id == 0) continue;
     names.emplace(id, ids == ScannetIds::raw     ? label.raw_category
-                      : ids == ScannetIds::nyu40 ? std::string(nyu40_name(id))
-                                                 : std::string(kNyu13[static_cast<std::size_t>(id - 1)]));
+                      : ids == ScannetIds::nyu40 ? name_in(kNyu40, id)
+                                                 : name_in(kNyu13, id));
   }
   std::vector<ClassEntry> entries;
   for (const auto& [id, name] : names) entries.push_back(pascal_entry(id, name));
@@ -637,98 +595,58 @@ ClassTable import_classes(const std::string& path) {
   return ClassTable::load(path);
 }
 
-namespace {
-
-struct Column {
-  std::string_view name;
-  std::optional<std::size_t> at;
-};
-
-Column column_of(const TextRow& header, std::string_view name) {
-  const auto found = std::find(header.fields.begin(), header.fields.end(), name);
-  if (found == header.fields.end()) return {name, std::nullopt};
-  return {name, static_cast<std::size_t>(found - header.fields.begin())};
-}
-
-const std::string& text_at(const TextRow& row, const Column& column) {
-  static const std::string none;
-  return column.at ? row.fields[*column.at] : none;
-}
-
-std::int32_t number_at(const TextRow& row, const Column& column, std::int64_t highest) {
-  const std::string& text = text_at(row, column);
-  if (text.empty()) return 0;
-  std::int64_t value = 0;
-  if (!parse_whole(text, value) || value < 0 || value > highest) {
-    throw Error(ErrorKind::data, "classes.tsv.damaged",
-                row.place + ": " + std::string(column.name) + ": expected a number from 0 to " +
-                    std::to_string(highest) + ", got '" + text + "'",
-                "restore the table as ScanNet distributes it");
-  }
-  return static_cast<std::int32_t>(value);
-}
-
-template <class Member>
-std::unordered_map<std::int32_t, std::int32_t> map_of(const std::vector<ScannetLabel>& labels, Member member) {
-  std::unordered_map<std::int32_t, std::int32_t> out;
-  for (const ScannetLabel& label : labels) out.emplace(label.id, label.*member);
-  return out;
-}
-
-}  // namespace
-
 std::vector<ScannetLabel> read_scannet_tsv(const std::string& path) {
   const std::vector<TextRow> rows = read_text_rows(path, '\t');
   const std::string remedy = "give scannetv2-labels.combined.tsv: tab-separated, with a line of column names";
-  if (rows.empty()) throw Error(ErrorKind::data, "classes.tsv.damaged", path + ": no rows in it", remedy);
+  const auto damaged = [&](const std::string& place, const std::string& what) {
+    refuse("classes.tsv.damaged", place, what, remedy);
+  };
+  if (rows.empty()) damaged(path, "no rows in it");
   const TextRow& header = rows.front();
-  const Column id = column_of(header, "id"), raw = column_of(header, "raw_category"),
-               nyu40 = column_of(header, "nyu40id"), eigen13 = column_of(header, "eigen13id"),
-               nyu40_name = column_of(header, "nyu40class"), eigen13_name = column_of(header, "eigen13class");
-  for (const Column& needed : {id, raw}) {
-    if (!needed.at)
-      throw Error(ErrorKind::data, "classes.tsv.damaged",
-                  header.place + ": no column '" + std::string(needed.name) + "'", remedy);
-  }
-  if (!nyu40.at && !eigen13.at)
-    throw Error(ErrorKind::data, "classes.tsv.damaged",
-                header.place + ": neither a column 'nyu40id' nor a column 'eigen13id'", remedy);
+  const std::size_t columns = header.fields.size();
+  // `columns` where there is none.
+  const auto column = [&](std::string_view name) {
+    return static_cast<std::size_t>(std::find(header.fields.begin(), header.fields.end(), name) -
+                                    header.fields.begin());
+  };
+  for (const char* needed : {"id", "raw_category"})
+    if (column(needed) == columns) damaged(header.place, std::string("no column '") + needed + "'");
+  if (column("nyu40id") == columns && column("eigen13id") == columns)
+    damaged(header.place, "neither a column 'nyu40id' nor a column 'eigen13id'");
 
+  // 0 of an empty field, and without the column.
+  const auto number_at = [&](const TextRow& row, const char* name, std::int64_t highest) {
+    const std::size_t at = column(name);
+    const std::string text = at < columns ? row.fields[at] : "";
+    std::int64_t value = 0;
+    if (!text.empty() && (!parse_whole(text, value) || value < 0 || value > highest))
+      refuse("classes.tsv.damaged", row.place,
+             std::string(name) + ": expected a number from 0 to " + std::to_string(highest) + ", got '" + text + "'",
+             "restore the table as ScanNet distributes it");
+    return static_cast<std::int32_t>(value);
+  };
   std::vector<ScannetLabel> labels;
   std::unordered_map<std::int32_t, std::size_t> seen;
   for (std::size_t r = 1; r < rows.size(); ++r) {
     const TextRow& row = rows[r];
-    if (row.fields.size() != header.fields.size()) {
-      throw Error(ErrorKind::data, "classes.tsv.damaged",
-                  row.place + ": " + std::to_string(row.fields.size()) + " columns, the first line names " +
-                      std::to_string(header.fields.size()),
-                  remedy);
-    }
-    if (text_at(row, id).empty())
-      throw Error(ErrorKind::data, "classes.tsv.damaged", row.place + ": the row has no id", remedy);
-    ScannetLabel label{number_at(row, id, 65535),   text_at(row, raw),        number_at(row, nyu40, 40),
-                       number_at(row, eigen13, 13), text_at(row, nyu40_name), text_at(row, eigen13_name)};
+    if (row.fields.size() != columns)
+      damaged(row.place,
+              std::to_string(row.fields.size()) + " columns, the first line names " + std::to_string(columns));
+    if (row.fields[column("id")].empty()) damaged(row.place, "the row has no id");
+    ScannetLabel label{number_at(row, "id", 65535), row.fields[column("raw_category")], number_at(row, "nyu40id", 40),
+                       number_at(row, "eigen13id", 13)};
     const auto [first, fresh] = seen.emplace(label.id, labels.size());
     if (!fresh) {
       const ScannetLabel& other = labels[first->second];
-      if (other.nyu40id != label.nyu40id || other.eigen13id != label.eigen13id) {
-        throw Error(ErrorKind::data, "classes.id.twice",
-                    row.place + ": id " + std::to_string(label.id) + " ('" + label.raw_category +
-                        "') is given before ('" + other.raw_category + "') with another class",
-                    remedy);
-      }
+      if (other.nyu40id != label.nyu40id || other.eigen13id != label.eigen13id)
+        refuse("classes.id.twice", row.place,
+               "id " + std::to_string(label.id) + " ('" + label.raw_category + "') is given before ('" +
+                   other.raw_category + "') with another class",
+               remedy);
     }
     labels.push_back(std::move(label));
   }
   return labels;
-}
-
-std::unordered_map<std::int32_t, std::int32_t> nyu40_of_scannet(const std::vector<ScannetLabel>& labels) {
-  return map_of(labels, &ScannetLabel::nyu40id);
-}
-
-std::unordered_map<std::int32_t, std::int32_t> eigen13_of_scannet(const std::vector<ScannetLabel>& labels) {
-  return map_of(labels, &ScannetLabel::eigen13id);
 }
 
 }  // namespace semfield

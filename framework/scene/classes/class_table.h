@@ -97,14 +97,9 @@ class ClassNames {
 /// class, id 0. Colours by default_color.
 ClassTable table_of_names(const std::vector<std::string>& names);
 
-/// `entries` with an ignored class added where there is none: id 0, or the smallest id that is free.
+/// `entries` with an ignored class "void" added where there is none: id 0, or the smallest id that is free. So label
+/// images can be written of any class table; internal indices do not change.
 ClassTable with_void(std::vector<ClassEntry> entries);
-
-// An id for void, so that label images can be written of any class table.
-
-/// The table with an id for void: itself where it has one, else with an entry "void" of the lowest free id; without it
-/// void pixels would be written with the id of a class or with one that nobody knows. Internal indices do not change.
-ClassTable with_void(const ClassTable& classes);
 
 // Class probabilities of one frame's pixels, two bytes each.
 
@@ -143,8 +138,6 @@ class SoftMap {
 /// is void. Throws Error(usage) for any other name.
 ClassTable published_classes(const std::string& name);
 std::vector<std::string> published_class_names();
-/// NYU40 id -> id of the 13 classes; 0 for 0. Throws Error(data) outside 0..40.
-std::int32_t nyu13_of_nyu40(std::int32_t nyu40id);
 
 /// Colour of a class id as PASCAL VOC's label images have it [Everingham10]: bit k of the id's lower, middle and upper
 /// thirds goes to red, green and blue from the top bit down.
@@ -175,7 +168,10 @@ struct ScannetLabel {
   std::string raw_category;
   std::int32_t nyu40id = 0;    ///< 0..40
   std::int32_t eigen13id = 0;  ///< 0..13
-  std::string nyu40class, eigen13class;
+
+  std::int32_t id_in(ScannetIds ids) const {
+    return ids == ScannetIds::raw ? id : ids == ScannetIds::nyu40 ? nyu40id : eigen13id;
+  }
 };
 
 /// Rows in the order of the file. Columns are found by the names in its first line; `id` and `raw_category` must be
@@ -183,9 +179,5 @@ struct ScannetLabel {
 /// column, a row of another length, a number that is none or is out of range, and an id given twice with different
 /// classes; Error(no_input) when the file cannot be read.
 std::vector<ScannetLabel> read_scannet_tsv(const std::string& path);
-
-/// Raw id -> class id; raw ids without a class map to 0.
-std::unordered_map<std::int32_t, std::int32_t> nyu40_of_scannet(const std::vector<ScannetLabel>& labels);
-std::unordered_map<std::int32_t, std::int32_t> eigen13_of_scannet(const std::vector<ScannetLabel>& labels);
 
 }  // namespace semfield

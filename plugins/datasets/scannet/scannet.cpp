@@ -227,10 +227,8 @@ void Scannet::load_classes(Diagnostics& diagnostics) {
     index_of_raw_.assign(kRawIds, kUnknown);
     index_of_raw_[0] = kVoid;
     for (const ScannetLabel& label : read_scannet_tsv(path)) {
-      const std::int32_t id = params_.class_ids == ScannetIds::raw     ? label.id
-                              : params_.class_ids == ScannetIds::nyu40 ? label.nyu40id
-                                                                       : label.eigen13id;
-      index_of_raw_[static_cast<std::size_t>(label.id)] = static_cast<std::int16_t>(info_.classes.index_of(id));
+      index_of_raw_[static_cast<std::size_t>(label.id)] =
+          static_cast<std::int16_t>(info_.classes.index_of(label.id_in(params_.class_ids)));
     }
   } catch (const Error& e) {
     diagnostics.error(e.code(), "", e.message(), e.remedy());
