@@ -12,11 +12,6 @@ namespace {
 
 constexpr std::string_view kPixelNoise = "pixel_noise";
 
-struct PixelNoiseParams {
-  double ratio = 0.5;
-  bool flip_void = false;
-};
-
 // Pixels of a frame in a random order of which only the first `count` places are made: Fisher-Yates, so they are
 // distinct and a larger ratio of the same seed takes the same pixels and more.
 std::vector<std::uint32_t> drawn_pixels(const RandomAddress& address, std::size_t pixels, std::size_t count) {
@@ -30,8 +25,8 @@ std::vector<std::uint32_t> drawn_pixels(const RandomAddress& address, std::size_
 class PixelNoise final : public Degradation {
  public:
   void describe(ParamVisitor& visit) override {
-    SEMFIELD_PARAM(visit, params_, ratio, "share of each frame's pixels that get a random class, rounded down", {0, 1});
-    SEMFIELD_PARAM(visit, params_, flip_void, "true: void pixels that are drawn get a class too");
+    SEMFIELD_PARAM(visit, *this, ratio, "share of each frame's pixels that get a random class, rounded down", {0, 1});
+    SEMFIELD_PARAM(visit, *this, flip_void, "true: void pixels that are drawn get a class too");
   }
 
   StepFacts apply(const LoadedScene& scene, std::uint64_t seed, LabelSet& labels) const override {
@@ -42,11 +37,10 @@ class PixelNoise final : public Degradation {
           const RandomAddress place{seed, f, stream_id("labels/pixel_noise/place")};
           const RandomAddress value{seed, f, stream_id("labels/pixel_noise/class")};
           // 0.29 * 100 is 29, though the product of doubles is just below it.
-          const auto count =
-              static_cast<std::size_t>(std::floor(params_.ratio * static_cast<double>(hard.size()) + 1e-6));
+          const auto count = static_cast<std::size_t>(std::floor(ratio * static_cast<double>(hard.size()) + 1e-6));
           for (const std::uint32_t pixel : drawn_pixels(place, hard.size(), count)) {
             ++drawn[f];
-            if (hard[pixel] == kVoid && !params_.flip_void) {
+            if (hard[pixel] == kVoid && !flip_void) {
               ++left_void[f];
               continue;
             }
@@ -63,8 +57,8 @@ class PixelNoise final : public Degradation {
     return facts;
   }
 
- private:
-  PixelNoiseParams params_;
+  double ratio = 0.5;
+  bool flip_void = false;
 };
 
 }  // namespace

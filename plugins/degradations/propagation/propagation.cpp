@@ -12,10 +12,6 @@ namespace {
 
 constexpr std::string_view kPropagation = "propagation";
 
-struct PropagationParams {
-  double share = 0;
-};
-
 // Grows regions of one label over a frame, breadth first over the four neighbours, so that a region stays compact and
 // any part of it that was reached first is connected.
 class Grower {
@@ -61,7 +57,7 @@ struct Kept {
 class Propagation final : public Degradation {
  public:
   void describe(ParamVisitor& visit) override {
-    SEMFIELD_PARAM(visit, params_, share,
+    SEMFIELD_PARAM(visit, *this, share,
                    "share of a class's pixels in the frame that a region grown from a random pixel keeps; 0 = that one "
                    "pixel",
                    {0, 1});
@@ -84,6 +80,8 @@ class Propagation final : public Degradation {
     return facts;
   }
 
+  double share = 0;
+
  private:
   Kept keep_regions(const RandomAddress& address, std::size_t classes, std::int32_t width,
                     std::vector<std::int16_t>& hard) const {
@@ -97,8 +95,7 @@ class Propagation final : public Degradation {
       const std::vector<std::size_t>& pixels = pixels_of[c];
       if (pixels.empty()) continue;
       ++kept.classes;
-      std::int64_t wanted =
-          std::max<std::int64_t>(1, rounded_share(params_.share, static_cast<std::int64_t>(pixels.size())));
+      std::int64_t wanted = std::max<std::int64_t>(1, rounded_share(share, static_cast<std::int64_t>(pixels.size())));
       // When a component is used up, the next one is that of the next pixel in reading order, around the frame's end.
       const std::size_t click = uniform_below(address, c, pixels.size());
       for (std::size_t k = 0; k < pixels.size() && wanted > 0; ++k) {
@@ -115,8 +112,6 @@ class Propagation final : public Degradation {
     hard = std::move(result);
     return kept;
   }
-
-  PropagationParams params_;
 };
 
 }  // namespace

@@ -18,14 +18,6 @@ constexpr std::string_view kRegionNoise = "region_noise";
 
 enum class RegionMode { sort, even };
 
-struct RegionNoiseParams {
-  double ratio = 0.3;
-  RegionMode mode = RegionMode::sort;
-  std::vector<std::int64_t> instances;
-  std::vector<std::string> classes;
-  int min_frames = 2;
-};
-
 }  // namespace
 
 template <>
@@ -96,21 +88,21 @@ using ViewsOfInstance = std::map<std::int32_t, std::vector<View>>;
 class RegionNoise final : public Degradation {
  public:
   void describe(ParamVisitor& visit) override {
-    SEMFIELD_PARAM(visit, params_, ratio,
+    SEMFIELD_PARAM(visit, *this, ratio,
                    "share of the frames that see a chosen instance in which its class is wrong, to the nearest whole "
                    "number",
                    {0, 1});
-    SEMFIELD_PARAM(visit, params_, mode,
+    SEMFIELD_PARAM(visit, *this, mode,
                    "which of these frames, ordered by the share that the instance covers: the smallest, or evenly "
                    "spaced ranks");
-    SEMFIELD_PARAM(visit, params_, instances, "ids of the chosen instances; empty = all that the next two keys allow",
+    SEMFIELD_PARAM(visit, *this, instances, "ids of the chosen instances; empty = all that the next two keys allow",
                    {1, 2147483647});
-    SEMFIELD_PARAM(visit, params_, classes, "names of the classes whose instances are chosen; empty = every class");
-    SEMFIELD_PARAM(visit, params_, min_frames, "instances seen in fewer labelled frames are not chosen", {1, 1e6});
+    SEMFIELD_PARAM(visit, *this, classes, "names of the classes whose instances are chosen; empty = every class");
+    SEMFIELD_PARAM(visit, *this, min_frames, "instances seen in fewer labelled frames are not chosen", {1, 1e6});
   }
 
   void validate(Diagnostics& diagnostics) const override {
-    if (!params_.instances.empty() && !params_.classes.empty())
+    if (!instances.empty() && !classes.empty())
       diagnostics.error("config.value.conflict", "region_noise.classes", "instances and classes exclude each other",
                         "keep one of them");
   }
@@ -118,8 +110,8 @@ class RegionNoise final : public Degradation {
   bool needs_instances() const override { return true; }
 
   StepFacts apply(const LoadedScene& scene, std::uint64_t seed, LabelSet& labels) const override {
-    const std::vector<std::int16_t> classes = scene_classes(scene, kRegionNoise);
-    if (classes.size() < 2) {
+    const std::vector<std::int16_t> others = scene_classes(scene, kRegionNoise);
+    if (others.size() < 2) {
       throw Error(ErrorKind::data, "labels.classes.too_few",
                   std::string(kRegionNoise) + ": the scene has one class, so no label can be a wrong one",
                   "remove this degradation");
@@ -132,7 +124,7 @@ class RegionNoise final : public Degradation {
       ids.push_back(id);
       seen += of_instance.size();
       for (const View& view : picked(scene, of_instance)) {
-        flips[view.frame].push_back({id, other_class(classes, view, seed)});
+        flips[view.frame].push_back({id, other_class(others, view, seed)});
         ++flipped;
       }
     }
@@ -156,6 +148,12 @@ class RegionNoise final : public Degradation {
     facts.emplace_back("views flipped", std::to_string(flipped));
     return facts;
   }
+
+  double ratio = 0.3;
+  RegionMode mode = RegionMode::sort;
+  std::vector<std::int64_t> instances;
+  std::vector<std::string> classes;
+  int min_frames = 2;
 
  private:
   ViewsOfInstance all_views(const LoadedScene& scene, const LabelSet& labels) const {
@@ -184,24 +182,22 @@ class RegionNoise final : public Degradation {
     check_names(scene, views);
     std::erase_if(views, [&](const auto& entry) {
       const auto& [id, of_instance] = entry;
-      if (!params_.instances.empty())
-        return std::find(params_.instances.begin(), params_.instances.end(), id) == params_.instances.end();
-      if (of_instance.size() < static_cast<std::size_t>(params_.min_frames)) return true;
+      if (!instances.empty()) return std::find(instances.begin(), instances.end(), id) == instances.end();
+      if (of_instance.size() < static_cast<std::size_t>(min_frames)) return true;
       const std::string& name = scene.info.classes.valid(class_of(of_instance)).name;
-      return !params_.classes.empty() &&
-             std::find(params_.classes.begin(), params_.classes.end(), name) == params_.classes.end();
+      return !classes.empty() && std::find(classes.begin(), classes.end(), name) == classes.end();
     });
     if (views.empty()) {
       throw Error(ErrorKind::data, "labels.instances.none",
                   std::string(kRegionNoise) + ": no instance of the classes asked for is seen in " +
-                      std::to_string(params_.min_frames) + " labelled training frames",
+                      std::to_string(min_frames) + " labelled training frames",
                   "lower its min_frames, name other classes, or label more frames");
     }
     return views;
   }
 
   void check_names(const LoadedScene& scene, const ViewsOfInstance& views) const {
-    for (const std::int64_t id : params_.instances) {
+    for (const std::int64_t id : instances) {
       if (views.count(static_cast<std::int32_t>(id)) > 0) continue;
       std::vector<std::int32_t> known;
       for (const auto& entry : views) known.push_back(entry.first);
@@ -212,7 +208,7 @@ class RegionNoise final : public Degradation {
     }
     std::vector<std::string> known;
     for (int c = 0; c < scene.info.classes.valid_count(); ++c) known.push_back(scene.info.classes.valid(c).name);
-    for (const std::string& name : params_.classes) {
+    for (const std::string& name : classes) {
       if (std::find(known.begin(), known.end(), name) != known.end()) continue;
       const std::string near = did_you_mean(name, known);
       throw Error(ErrorKind::data, "labels.class.unknown",
@@ -230,26 +226,24 @@ class RegionNoise final : public Degradation {
       return a.pixels * frame_pixels(b) < b.pixels * frame_pixels(a);
     });
     const auto all = static_cast<std::int64_t>(views.size());
-    const std::int64_t count = rounded_share(params_.ratio, all);
+    const std::int64_t count = rounded_share(ratio, all);
     std::vector<View> out;
     for (std::int64_t k = 0; k < count; ++k) {
       // Middle of the k-th of `count` equal parts of the ranks: neither end is favoured.
-      const std::int64_t rank = params_.mode == RegionMode::sort ? k : (2 * k + 1) * all / (2 * count);
+      const std::int64_t rank = mode == RegionMode::sort ? k : (2 * k + 1) * all / (2 * count);
       out.push_back(views[static_cast<std::size_t>(rank)]);
     }
     return out;
   }
 
-  static std::int16_t other_class(const std::vector<std::int16_t>& classes, const View& view, std::uint64_t seed) {
+  static std::int16_t other_class(const std::vector<std::int16_t>& all, const View& view, std::uint64_t seed) {
     const RandomAddress address{seed, view.frame, stream_id("labels/region_noise")};
-    const auto own = static_cast<std::size_t>(std::find(classes.begin(), classes.end(), view.label) - classes.begin());
-    const bool known = own < classes.size();  // a label read from files may be of a class that the truth lacks
+    const auto own = static_cast<std::size_t>(std::find(all.begin(), all.end(), view.label) - all.begin());
+    const bool known = own < all.size();  // a label read from files may be of a class that the truth lacks
     const std::size_t draw =
-        uniform_below(address, static_cast<std::uint64_t>(view.instance), classes.size() - (known ? 1 : 0));
-    return classes[known && draw >= own ? draw + 1 : draw];
+        uniform_below(address, static_cast<std::uint64_t>(view.instance), all.size() - (known ? 1 : 0));
+    return all[known && draw >= own ? draw + 1 : draw];
   }
-
-  RegionNoiseParams params_;
 };
 
 }  // namespace

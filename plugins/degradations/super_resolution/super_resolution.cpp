@@ -11,11 +11,6 @@ namespace {
 
 enum class GridMode { dense, sparse };
 
-struct SuperResolutionParams {
-  int factor = 8;
-  GridMode mode = GridMode::dense;
-};
-
 }  // namespace
 
 template <>
@@ -28,8 +23,8 @@ namespace {
 class SuperResolution final : public Degradation {
  public:
   void describe(ParamVisitor& visit) override {
-    SEMFIELD_PARAM(visit, params_, factor, "side of a cell of the coarse grid, pixels", {2, 64});
-    SEMFIELD_PARAM(visit, params_, mode,
+    SEMFIELD_PARAM(visit, *this, factor, "side of a cell of the coarse grid, pixels", {2, 64});
+    SEMFIELD_PARAM(visit, *this, mode,
                    "dense: a cell takes the label of its middle pixel; sparse: rows and columns divisible by factor "
                    "keep theirs, all else is void");
   }
@@ -42,8 +37,8 @@ class SuperResolution final : public Degradation {
         for (std::int32_t x = 0; x < width; ++x) {
           std::int16_t& label = hard[index(x, y, width)];
           if (label == kVoid) continue;
-          if (params_.mode == GridMode::sparse) {
-            if (x % params_.factor != 0 || y % params_.factor != 0) label = kVoid;
+          if (mode == GridMode::sparse) {
+            if (x % factor != 0 || y % factor != 0) label = kVoid;
           } else {
             label = clean[index(middle(x, width), middle(y, height), width)];
           }
@@ -52,17 +47,18 @@ class SuperResolution final : public Degradation {
     });
   }
 
+  int factor = 8;
+  GridMode mode = GridMode::dense;
+
  private:
   static std::size_t index(std::int32_t x, std::int32_t y, std::int32_t width) {
     return static_cast<std::size_t>(y) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x);
   }
   // Pixel that holds the centre of the cell of `x`; a cell at the edge may be narrower.
   std::int32_t middle(std::int32_t x, std::int32_t size) const {
-    const std::int32_t first = x / params_.factor * params_.factor;
-    return first + std::min(params_.factor, size - first) / 2;
+    const std::int32_t first = x / factor * factor;
+    return first + std::min(factor, size - first) / 2;
   }
-
-  SuperResolutionParams params_;
 };
 
 }  // namespace

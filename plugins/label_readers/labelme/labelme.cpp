@@ -1,5 +1,6 @@
 // labelme: one JSON file per frame.
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
@@ -21,7 +22,19 @@ namespace fs = std::filesystem;
 
 constexpr int kMostFolders = 3;  // one in the other
 
-enum class ShapeKind { polygon, rectangle, circle, point };
+enum class ShapeKind : std::size_t { polygon, rectangle, circle, point };
+
+// By ShapeKind: as files name it, how many points it has, and what to do about another number.
+struct ShapeRule {
+  const char* name;
+  std::size_t least, most;
+  std::string remedy;
+};
+const std::array<ShapeRule, 4> kShapes{
+    {{"polygon", 3, kMaxOutlinePoints, "a polygon has from 3 to " + std::to_string(kMaxOutlinePoints) + " points"},
+     {"rectangle", 2, 2, "give two corners"},
+     {"circle", 2, 2, "give its centre and a point on it"},
+     {"point", 1, 1, "give one point"}}};
 
 struct Shape {
   ShapeKind kind = ShapeKind::polygon;
@@ -39,38 +52,10 @@ struct LabelmeFile {
 };
 
 ShapeKind kind_of(const std::string& name, const std::string& place) {
-  if (name == "polygon") return ShapeKind::polygon;
-  if (name == "rectangle") return ShapeKind::rectangle;
-  if (name == "circle") return ShapeKind::circle;
-  if (name == "point") return ShapeKind::point;
+  for (std::size_t i = 0; i < kShapes.size(); ++i)
+    if (name == kShapes[i].name) return static_cast<ShapeKind>(i);
   refuse_labels("labels.shape.kind", place, "shape type '" + name + "' is not read",
                 "draw it as polygon, rectangle, circle or point");
-}
-
-void check_points(const Shape& shape) {
-  const std::size_t count = shape.points.size();
-  switch (shape.kind) {
-    case ShapeKind::polygon:
-      if (count < 3 || count > kMaxOutlinePoints)
-        refuse_labels("labels.shape.points", shape.place, "a polygon of " + std::to_string(count) + " points",
-                      "a polygon has from 3 to " + std::to_string(kMaxOutlinePoints) + " points");
-      return;
-    case ShapeKind::rectangle:
-      if (count != 2)
-        refuse_labels("labels.shape.points", shape.place, "a rectangle of " + std::to_string(count) + " points",
-                      "give two corners");
-      return;
-    case ShapeKind::circle:
-      if (count != 2)
-        refuse_labels("labels.shape.points", shape.place, "a circle of " + std::to_string(count) + " points",
-                      "give its centre and a point on it");
-      return;
-    case ShapeKind::point:
-      if (count != 1)
-        refuse_labels("labels.shape.points", shape.place, "a point of " + std::to_string(count) + " points",
-                      "give one point");
-      return;
-  }
 }
 
 Shape shape_of(const Json& item, std::string place) {
@@ -97,7 +82,10 @@ Shape shape_of(const Json& item, std::string place) {
       refuse_labels("labels.shape.outside", shape.place, which + " lies more than a million pixels outside");
     shape.points.push_back(p);
   }
-  check_points(shape);
+  const ShapeRule& rule = kShapes[static_cast<std::size_t>(shape.kind)];
+  if (const std::size_t count = shape.points.size(); count < rule.least || count > rule.most)
+    refuse_labels("labels.shape.points", shape.place,
+                  std::string("a ") + rule.name + " of " + std::to_string(count) + " points", rule.remedy);
   return shape;
 }
 
