@@ -19,33 +19,31 @@ namespace fs = std::filesystem;
 
 namespace {
 
-// Which parameter goes where, in the order in which COLMAP writes them.
+// A lens by its number in cameras.bin: how many parameters it has, and which goes where in the order in which COLMAP
+// writes them; nowhere for a lens that is not read.
 struct Lens {
   std::string_view name;
-  std::vector<double Camera::*> params;
+  std::size_t count;
+  std::vector<double Camera::*> params = {};
   LensKind kind = LensKind::perspective;
 };
 
 const std::vector<Lens>& lenses() {
   using C = Camera;
   static const std::vector<Lens> known{
-      {"SIMPLE_PINHOLE", {&C::fx, &C::cx, &C::cy}},
-      {"PINHOLE", {&C::fx, &C::fy, &C::cx, &C::cy}},
-      {"SIMPLE_RADIAL", {&C::fx, &C::cx, &C::cy, &C::k1}},
-      {"RADIAL", {&C::fx, &C::cx, &C::cy, &C::k1, &C::k2}},
-      {"OPENCV", {&C::fx, &C::fy, &C::cx, &C::cy, &C::k1, &C::k2, &C::p1, &C::p2}},
-      {"OPENCV_FISHEYE", {&C::fx, &C::fy, &C::cx, &C::cy, &C::k1, &C::k2, &C::k3, &C::k4}, LensKind::fisheye},
-      {"SIMPLE_RADIAL_FISHEYE", {&C::fx, &C::cx, &C::cy, &C::k1}, LensKind::fisheye},
-      {"RADIAL_FISHEYE", {&C::fx, &C::cx, &C::cy, &C::k1, &C::k2}, LensKind::fisheye},
-  };
+      {"SIMPLE_PINHOLE", 3, {&C::fx, &C::cx, &C::cy}},
+      {"PINHOLE", 4, {&C::fx, &C::fy, &C::cx, &C::cy}},
+      {"SIMPLE_RADIAL", 4, {&C::fx, &C::cx, &C::cy, &C::k1}},
+      {"RADIAL", 5, {&C::fx, &C::cx, &C::cy, &C::k1, &C::k2}},
+      {"OPENCV", 8, {&C::fx, &C::fy, &C::cx, &C::cy, &C::k1, &C::k2, &C::p1, &C::p2}},
+      {"OPENCV_FISHEYE", 8, {&C::fx, &C::fy, &C::cx, &C::cy, &C::k1, &C::k2, &C::k3, &C::k4}, LensKind::fisheye},
+      {"FULL_OPENCV", 12},
+      {"FOV", 5},
+      {"SIMPLE_RADIAL_FISHEYE", 4, {&C::fx, &C::cx, &C::cy, &C::k1}, LensKind::fisheye},
+      {"RADIAL_FISHEYE", 5, {&C::fx, &C::cx, &C::cy, &C::k1, &C::k2}, LensKind::fisheye},
+      {"THIN_PRISM_FISHEYE", 12},
+      {"RAD_TAN_THIN_PRISM_FISHEYE", 16}};
   return known;
-}
-
-const Lens* find_lens(std::string_view name) {
-  for (const Lens& lens : lenses()) {
-    if (lens.name == name) return &lens;
-  }
-  return nullptr;
 }
 
 // World from camera, of the quaternion (w, x, y, z) and the translation of camera from world: R^T, -R^T t. A quaternion
@@ -56,6 +54,83 @@ Pose inverse_pose(const double p[7]) {
   out.t = out.rotate({p[4], p[5], p[6]}) * -1.0;
   return out;
 }
+
+// What the readers of both kinds of file build from.
+class ColmapBuilder {
+ public:
+  ColmapBuilder(ColmapModel& model, Diagnostics& diagnostics) : model_(model), diagnostics_(diagnostics) {}
+
+  // `model_name` is COLMAP's name of the lens, `place` names file and entry.
+  void add_camera(std::int64_t id, std::string_view model_name, double width, double height,
+                  const std::vector<double>& params, const std::string& place) {
+    if (model_.cameras.count(id) > 0)
+      return diagnostics_.error("scene.camera.twice", place, "camera id is given twice", "keep one of the two");
+    Camera& camera = model_.cameras[id];  // kept without a size when refused: images then need no error of their own
+    const auto lens = std::find_if(lenses().begin(), lenses().end(), [&](const Lens& known) {
+      return known.name == model_name && !known.params.empty();
+    });
+    if (lens == lenses().end()) {
+      std::string names;
+      for (const Lens& known : lenses())
+        if (!known.params.empty()) names += (names.empty() ? "" : ", ") + std::string(known.name);
+      return diagnostics_.error(
+          "scene.camera.model", place,
+          "camera model '" + std::string(model_name) + "' is not supported (only " + names + ")",
+          "undistort the images with colmap image_undistorter, or reconstruct with another camera model");
+    }
+    if (params.size() != lens->params.size()) {
+      return diagnostics_.error("scene.camera.format", place,
+                                "camera model " + std::string(model_name) + " has " +
+                                    std::to_string(lens->params.size()) + " parameters, got " +
+                                    std::to_string(params.size()),
+                                "export the model again");
+    }
+    const auto whole = [](double v) { return v >= 1 && v <= 65536 && v == std::floor(v); };
+    if (!whole(width) || !whole(height))
+      return diagnostics_.error("scene.image.size", place, "image size is not a pair of whole numbers from 1 to 65536",
+                                "export the model again");
+    for (std::size_t i = 0; i < params.size(); ++i) camera.*(lens->params[i]) = params[i];
+    if (lens->params[1] != &Camera::fy) camera.fy = camera.fx;
+    camera.lens = lens->kind;
+    camera.width_px = static_cast<std::int32_t>(width);
+    camera.height_px = static_cast<std::int32_t>(height);
+  }
+
+  // `pose` holds the quaternion (w, x, y, z) and the translation of the world-to-camera transform.
+  void add_image(ColmapImage image, const double pose[7]) {
+    if (image.name.empty() || !is_line_of_text(image.name)) {
+      const std::string entry = image.place.substr(0, image.place.find(" ('"));
+      return diagnostics_.error("scene.frame.name", entry,
+                                "the name of its image is empty, no UTF-8 or has control characters",
+                                "copy the model again, or give the image a plain name");
+    }
+    if (model_.cameras.count(image.camera) == 0) {
+      return diagnostics_.error("scene.camera.missing", image.place,
+                                "its camera " + std::to_string(image.camera) + " is not in the model",
+                                "take cameras and images of the same model");
+    }
+    if (const auto [other, fresh] = image_places_.emplace(image.id, image.place); !fresh)
+      return diagnostics_.error("scene.index.twice", image.place, "has the id of " + other->second,
+                                "keep one of the two");
+    image.world_from_camera = inverse_pose(pose);
+    model_.images.push_back(std::move(image));
+  }
+
+  // `error_px` as the file states it. What is wrong with the point, as in "has ..."; "" for nothing.
+  std::string add_point(std::int64_t id, Vec3d position, double error_px) {
+    if (!std::isfinite(position.x) || !std::isfinite(position.y) || !std::isfinite(position.z))
+      return "a position that is not finite";
+    if (!model_.points.emplace(id, position).second) return "the id of an earlier point, " + std::to_string(id);
+    if (std::isfinite(error_px)) model_.error_px += (error_px - model_.error_px) / static_cast<double>(++errors_);
+    return "";
+  }
+
+ private:
+  ColmapModel& model_;
+  Diagnostics& diagnostics_;
+  std::unordered_map<std::int64_t, std::string> image_places_;  // by id
+  std::int64_t errors_ = 0;                                     // points with an error
+};
 
 class TextFile {
  public:
@@ -152,108 +227,7 @@ void read_points_text(const std::string& path, ColmapBuilder& out) {
   }
 }
 
-}  // namespace
-
-void ColmapBuilder::add_camera(std::int64_t id, std::string_view model_name, double width, double height,
-                               const std::vector<double>& params, const std::string& place) {
-  if (model_.cameras.count(id) > 0)
-    return diagnostics_.error("scene.camera.twice", place, "camera id is given twice", "keep one of the two");
-  Camera& camera = model_.cameras[id];  // kept without a size when refused: images then need no error of their own
-  const Lens* lens = find_lens(model_name);
-  if (lens == nullptr) {
-    std::string names;
-    for (const Lens& known : lenses()) names += (names.empty() ? "" : ", ") + std::string(known.name);
-    return diagnostics_.error(
-        "scene.camera.model", place,
-        "camera model '" + std::string(model_name) + "' is not supported (only " + names + ")",
-        "undistort the images with colmap image_undistorter, or reconstruct with another camera model");
-  }
-  if (params.size() != lens->params.size()) {
-    return diagnostics_.error("scene.camera.format", place,
-                              "camera model " + std::string(model_name) + " has " +
-                                  std::to_string(lens->params.size()) + " parameters, got " +
-                                  std::to_string(params.size()),
-                              "export the model again");
-  }
-  const auto whole = [](double v) { return v >= 1 && v <= 65536 && v == std::floor(v); };
-  if (!whole(width) || !whole(height))
-    return diagnostics_.error("scene.image.size", place, "image size is not a pair of whole numbers from 1 to 65536",
-                              "export the model again");
-  for (std::size_t i = 0; i < params.size(); ++i) camera.*(lens->params[i]) = params[i];
-  if (lens->params[1] != &Camera::fy) camera.fy = camera.fx;
-  camera.lens = lens->kind;
-  camera.width_px = static_cast<std::int32_t>(width);
-  camera.height_px = static_cast<std::int32_t>(height);
-}
-
-void ColmapBuilder::add_image(ColmapImage image, const double pose[7]) {
-  if (image.name.empty() || !is_line_of_text(image.name)) {
-    const std::string entry = image.place.substr(0, image.place.find(" ('"));
-    return diagnostics_.error("scene.frame.name", entry,
-                              "the name of its image is empty, no UTF-8 or has control characters",
-                              "copy the model again, or give the image a plain name");
-  }
-  if (model_.cameras.count(image.camera) == 0) {
-    return diagnostics_.error("scene.camera.missing", image.place,
-                              "its camera " + std::to_string(image.camera) + " is not in the model",
-                              "take cameras and images of the same model");
-  }
-  if (const auto [other, fresh] = image_places_.emplace(image.id, image.place); !fresh)
-    return diagnostics_.error("scene.index.twice", image.place, "has the id of " + other->second,
-                              "keep one of the two");
-  image.world_from_camera = inverse_pose(pose);
-  model_.images.push_back(std::move(image));
-}
-
-std::string ColmapBuilder::add_point(std::int64_t id, Vec3d position, double error_px) {
-  if (!std::isfinite(position.x) || !std::isfinite(position.y) || !std::isfinite(position.z))
-    return "a position that is not finite";
-  if (!model_.points.emplace(id, position).second) return "the id of an earlier point, " + std::to_string(id);
-  if (std::isfinite(error_px)) model_.error_px += (error_px - model_.error_px) / static_cast<double>(++errors_);
-  return "";
-}
-
-ColmapModel read_colmap_model(const std::string& folder, Diagnostics& diagnostics) {
-  ColmapModel model;
-  ColmapBuilder builder(model, diagnostics);
-  const auto path_of = [&](const char* name) { return (fs::path(folder) / name).string(); };
-  if (fs::exists(path_of("cameras.bin"))) {
-    read_colmap_binary(folder, builder);
-  } else {
-    read_cameras_text(path_of("cameras.txt"), builder);
-    read_images_text(path_of("images.txt"), builder);
-    if (fs::exists(path_of("points3D.txt"))) read_points_text(path_of("points3D.txt"), builder);
-  }
-  std::sort(model.images.begin(), model.images.end(),
-            [](const ColmapImage& a, const ColmapImage& b) { return a.name < b.name; });
-  for (std::size_t i = 1; i < model.images.size(); ++i) {
-    if (model.images[i].name == model.images[i - 1].name)
-      diagnostics.error("scene.frame.twice", model.images[i].place, "image is listed twice", "keep one of the two");
-  }
-  return model;
-}
-
 // COLMAP's binary files: little-endian records without padding, each file a count and that many records.
-
-namespace {
-
-// A lens as the number in cameras.bin, and how many parameters follow.
-struct LensNumber {
-  std::string_view name;
-  int params;
-};
-constexpr std::array<LensNumber, 12> kLenses{{{"SIMPLE_PINHOLE", 3},
-                                              {"PINHOLE", 4},
-                                              {"SIMPLE_RADIAL", 4},
-                                              {"RADIAL", 5},
-                                              {"OPENCV", 8},
-                                              {"OPENCV_FISHEYE", 8},
-                                              {"FULL_OPENCV", 12},
-                                              {"FOV", 5},
-                                              {"SIMPLE_RADIAL_FISHEYE", 4},
-                                              {"RADIAL_FISHEYE", 5},
-                                              {"THIN_PRISM_FISHEYE", 12},
-                                              {"RAD_TAN_THIN_PRISM_FISHEYE", 16}}};
 
 class BinaryFile {
  public:
@@ -321,10 +295,10 @@ void read_cameras(BinaryFile file, ColmapBuilder& out) {
     const std::size_t lens_offset = file.offset();
     const auto lens = file.take<std::int32_t>(record);
     const auto width = file.take<std::uint64_t>(record), height = file.take<std::uint64_t>(record);
-    if (lens < 0 || static_cast<std::size_t>(lens) >= kLenses.size())
+    if (lens < 0 || lens >= std::ssize(lenses()))
       file.fail("holds the unknown lens number " + std::to_string(lens) + " in " + record, lens_offset);
-    const LensNumber& known = kLenses[static_cast<std::size_t>(lens)];
-    std::vector<double> params(static_cast<std::size_t>(known.params));
+    const Lens& known = lenses()[static_cast<std::size_t>(lens)];
+    std::vector<double> params(known.count);
     for (double& p : params) p = file.take<double>(record);
     out.add_camera(id, known.name, static_cast<double>(width), static_cast<double>(height), params,
                    file.path() + ": camera " + std::to_string(id));
@@ -392,11 +366,26 @@ std::string colmap_cameras_file(const std::unordered_map<std::int64_t, Camera>& 
   return out;
 }
 
-void read_colmap_binary(const std::string& folder, ColmapBuilder& out) {
+ColmapModel read_colmap_model(const std::string& folder, Diagnostics& diagnostics) {
+  ColmapModel model;
+  ColmapBuilder builder(model, diagnostics);
   const auto path_of = [&](const char* name) { return (fs::path(folder) / name).string(); };
-  read_cameras(BinaryFile(path_of("cameras.bin")), out);
-  read_images(BinaryFile(path_of("images.bin")), out);
-  if (fs::exists(path_of("points3D.bin"))) read_points(BinaryFile(path_of("points3D.bin")), out);
+  if (fs::exists(path_of("cameras.bin"))) {
+    read_cameras(BinaryFile(path_of("cameras.bin")), builder);
+    read_images(BinaryFile(path_of("images.bin")), builder);
+    if (fs::exists(path_of("points3D.bin"))) read_points(BinaryFile(path_of("points3D.bin")), builder);
+  } else {
+    read_cameras_text(path_of("cameras.txt"), builder);
+    read_images_text(path_of("images.txt"), builder);
+    if (fs::exists(path_of("points3D.txt"))) read_points_text(path_of("points3D.txt"), builder);
+  }
+  std::sort(model.images.begin(), model.images.end(),
+            [](const ColmapImage& a, const ColmapImage& b) { return a.name < b.name; });
+  for (std::size_t i = 1; i < model.images.size(); ++i) {
+    if (model.images[i].name == model.images[i - 1].name)
+      diagnostics.error("scene.frame.twice", model.images[i].place, "image is listed twice", "keep one of the two");
+  }
+  return model;
 }
 
 }  // namespace semfield

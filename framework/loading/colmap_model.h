@@ -37,26 +37,4 @@ ColmapModel read_colmap_model(const std::string& folder, Diagnostics& diagnostic
 /// be 0.
 std::string colmap_cameras_file(const std::unordered_map<std::int64_t, Camera>& cameras);
 
-/// What the readers of both kinds of file build from.
-class ColmapBuilder {
- public:
-  ColmapBuilder(ColmapModel& model, Diagnostics& diagnostics) : model_(model), diagnostics_(diagnostics) {}
-  /// `model_name` is COLMAP's name of the lens, `place` names file and entry.
-  void add_camera(std::int64_t id, std::string_view model_name, double width, double height,
-                  const std::vector<double>& params, const std::string& place);
-  /// `pose` holds the quaternion (w, x, y, z) and the translation of the world-to-camera transform.
-  void add_image(ColmapImage image, const double pose[7]);
-  /// `error_px` as the file states it. What is wrong with the point, as in "has ..."; "" for nothing.
-  std::string add_point(std::int64_t id, Vec3d position, double error_px);
-
- private:
-  ColmapModel& model_;
-  Diagnostics& diagnostics_;
-  std::unordered_map<std::int64_t, std::string> image_places_;  // by id
-  std::int64_t errors_ = 0;                                     // points with an error
-};
-
-/// The three .bin files.
-void read_colmap_binary(const std::string& folder, ColmapBuilder& out);
-
 }  // namespace semfield
