@@ -276,11 +276,7 @@ PhotoFrame photo_frame(const Camera& camera, const FrameBuffer& frame) {
   return out;
 }
 
-}  // namespace
-
 // Cameras against corners, in pixels.
-
-namespace {
 
 constexpr double kLikelyPx = 12;                         // beyond: matched wrongly
 constexpr int kFewestTracks = 60;                        // that can speak
@@ -476,11 +472,7 @@ std::optional<DepthShift> depth_shift(const std::vector<EdgeScores>& frames, con
                     static_cast<double>(all[static_cast<std::size_t>(best)] / all[kSide * kSide / 2])};
 }
 
-}  // namespace
-
 // Pairs of neighbouring frames, and depth warped between them.
-
-namespace {
 
 /// Frames that may see the same things, by index; the first is the lower.
 using FramePairs = std::vector<std::pair<int, int>>;
@@ -710,11 +702,7 @@ DepthTallies vote_by_depth(const SceneInfo& as_opened, const std::vector<SmallFr
   return {{all.begin(), end_of_read}, {end_of_read, all.end()}};
 }
 
-}  // namespace
-
 // What photographs say of cameras: corners found again in neighbouring ones.
-
-namespace {
 
 // Intrinsics of images of another size.
 constexpr double kFocalFactors[] = {0.125, 0.25, 1.0 / 3, 0.5, 2, 3, 4, 6, 8};
@@ -823,11 +811,7 @@ PhotoMatches match_photos(const SceneInfo& as_opened, const std::vector<PhotoFra
   return all;
 }
 
-}  // namespace
-
 // The verdict in words.
-
-namespace {
 
 constexpr double kFits = 0.03;        // relative error of depth that sensors and small pictures account for
 constexpr double kContradicts = 0.1;  // where nothing fits: more than noise and things that move

@@ -227,11 +227,7 @@ class TransformsValues {
   std::string unclear_depth_key_;
 };
 
-}  // namespace
-
 // Keys of transforms.json: those that are read, and what others look like.
-
-namespace {
 
 std::vector<std::string> list_of(std::string_view text) {
   const std::vector<std::string_view> words = words_of(text);
@@ -280,11 +276,7 @@ std::string meant_key(const std::string& key, bool of_frame, const std::vector<s
   return key.size() < 4 ? "" : closest_spelling(key, known);
 }
 
-}  // namespace
-
 // Reading transforms.json.
-
-namespace {
 
 class FileReader {
  public:
