@@ -11,9 +11,11 @@
 #include <cstring>
 #include <fstream>
 #include <new>
+#include <numeric>
 
 #include "core/check.h"
 #include "core/error.h"
+#include "formats/npz.h"
 #include "system/files.h"
 #include "system/process.h"
 
@@ -368,17 +370,6 @@ std::span<const std::byte> bytes_of(const std::string& text) {
   return std::as_bytes(std::span<const char>(text.data(), text.size()));
 }
 
-// Runs `body`; an error on the way names the file.
-template <class Body>
-auto naming(const std::string& path, Body&& body) {
-  try {
-    return body();
-  } catch (Error& e) {
-    if (e.message().find(path) != std::string::npos) throw;
-    throw Error(e.kind(), e.code(), "'" + path + "': " + e.message(), e.remedy());
-  }
-}
-
 std::uint8_t blend(unsigned value, unsigned alpha, int background) {
   const unsigned mixed = value * alpha + static_cast<unsigned>(background) * (255 - alpha);
   return static_cast<std::uint8_t>((mixed + 127) / 255);
@@ -578,10 +569,6 @@ Image<float> read_float(const std::string& path) {
   });
 }
 
-std::vector<std::uint8_t> encode_png_rgb(std::int32_t width, std::int32_t height, std::span<const std::uint8_t> rgb) {
-  return encode_png(width, height, 2, 8, rgb);
-}
-
 void write_png_rgb(const std::string& path, std::int32_t width, std::int32_t height,
                    std::span<const std::uint8_t> rgb) {
   write_bytes(path, encode_png(width, height, 2, 8, rgb));
@@ -607,25 +594,10 @@ void write_png_palette(const std::string& path, std::int32_t width, std::int32_t
 }
 
 void write_npy(const std::string& path, std::span<const std::int64_t> shape, std::span<const float> values) {
-  std::string dims;
-  std::int64_t count = 1;
-  for (const std::int64_t n : shape) {
-    dims += std::to_string(n) + ", ";
-    count *= n;
-  }
-  if (shape.size() > 1) dims.resize(dims.size() - 2);
-  if (shape.size() == 1) dims.resize(dims.size() - 1);  // "(3,)"
-  SEMFIELD_CHECK(count == static_cast<std::int64_t>(values.size()), "npy shape does not match the values");
-  // Format 1.0: magic, version, header length, a Python dict, padded so that the data starts at a multiple of 64 bytes.
-  std::string header = "{'descr': '<f4', 'fortran_order': False, 'shape': (" + dims + "), }";
-  header.append(63 - (10 + header.size()) % 64, ' ');
-  header += '\n';
-  std::string out("\x93NUMPY\x01\x00", 8);
-  out += static_cast<char>(header.size() & 0xFF);
-  out += static_cast<char>(header.size() >> 8);
-  out += header;
+  const auto count = std::accumulate(shape.begin(), shape.end(), std::int64_t{1}, std::multiplies<>());
+  SEMFIELD_CHECK(count == std::ssize(values), "npy shape does not match the values");
   AtomicFile file(path);
-  file.append(bytes_of(out));
+  file.append(bytes_of(npy_header("<f4", shape_text(shape))));
   file.append(std::as_bytes(values));
   file.commit();
 }

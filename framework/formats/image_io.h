@@ -24,8 +24,6 @@ struct ImageSize {
   std::int32_t width_px = 0, height_px = 0, channels = 0;
   int bits = 8;
   int orientation = 1;  ///< EXIF: 1 = as stored; pixels are always read as they are stored
-  /// Viewers turn the picture by a quarter.
-  bool turned_by_exif() const { return orientation >= 5 && orientation <= 8; }
 };
 
 /// "640 x 480".
@@ -62,8 +60,6 @@ void write_png_gray8(const std::string& path, std::int32_t width, std::int32_t h
                      std::span<const std::uint8_t> values);
 void write_png_palette(const std::string& path, std::int32_t width, std::int32_t height,
                        std::span<const std::uint8_t> index, std::span<const std::uint8_t> palette_rgb);
-/// PNG bytes in memory (for the report).
-std::vector<std::uint8_t> encode_png_rgb(std::int32_t width, std::int32_t height, std::span<const std::uint8_t> rgb);
 /// NumPy .npy, float32, C order.
 void write_npy(const std::string& path, std::span<const std::int64_t> shape, std::span<const float> values);
 

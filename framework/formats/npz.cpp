@@ -265,13 +265,10 @@ namespace {
 // `use` gets the checked header; errors name the file.
 template <class Use>
 auto with_header(const std::string& path, const ArrayTypes& types, const AcceptShape& accept, const Use& use) {
-  try {
+  return naming(path, [&] {
     const std::string start = read_file_start(path, kHeadBytes);
     return use(checked_header(start, std::filesystem::file_size(path), types, accept));
-  } catch (const Error& e) {
-    if (e.message().find(path) != std::string::npos) throw;
-    throw Error(e.kind(), e.code(), "'" + path + "': " + e.message(), e.remedy());
-  }
+  });
 }
 }  // namespace
 
@@ -352,16 +349,14 @@ NumpyNumbers<std::int64_t> NpzFile::whole(const std::string& key, const AcceptSh
   });
 }
 
-NumpyArray read_npz(const std::string& path, const std::string& key, const AcceptShape& accept) {
-  return NpzFile(path).read(key, accept);
-}
-
-std::vector<std::string> npz_keys(const std::string& path) { return NpzFile(path).keys(); }
-
 std::string npy_header(const std::string& type, std::span<const std::int64_t> shape) {
   std::string axes;
   for (const std::int64_t axis : shape) axes += std::to_string(axis) + ", ";
-  std::string header = "{'descr': '" + type + "', 'fortran_order': False, 'shape': (" + axes + "), }";
+  return npy_header(type, "(" + axes + ")");
+}
+
+std::string npy_header(const std::string& type, const std::string& axes) {
+  std::string header = "{'descr': '" + type + "', 'fortran_order': False, 'shape': " + axes + ", }";
   header += std::string(63 - (header.size() + 10) % 64, ' ') + "\n";  // the data begins at a multiple of 64
   std::string out("\x93NUMPY\x01\x00", 8);
   out += static_cast<char>(header.size() & 0xFF);

@@ -46,14 +46,9 @@ NumpyValues read_npy_values(const std::string& path, const AcceptShape& accept);
 /// Whether it holds integers; nothing but the header is read.
 bool npy_is_whole(const std::string& path);
 
-/// One array of an archive; `key` is its name without ".npy". Entries may be stored or deflated, with ZIP64 sizes.
-/// Throws Error naming file and entry: no archive, a directory or an entry that runs past the end, another compression,
-/// a wrong checksum, no such key (with the keys that there are), and as read_npy.
-NumpyArray read_npz(const std::string& path, const std::string& key, const AcceptShape& accept);
-/// Keys in the order of the archive.
-std::vector<std::string> npz_keys(const std::string& path);
-
-/// An archive in memory, for those who read several arrays of it. All throw as read_npz.
+/// An archive in memory. Entries may be stored or deflated, with ZIP64 sizes; a key is the name of an array without
+/// ".npy". All throw Error naming file and entry: no archive, a directory or an entry that runs past the end, another
+/// compression, a wrong checksum, no such key (with the keys that there are), and as read_npy.
 class NpzFile {
  public:
   explicit NpzFile(std::string path);
@@ -74,6 +69,8 @@ class NpzFile {
 
 /// The beginning of a .npy file, behind which the values follow in C order. `type` as NumPy writes it: "<f4", "|i1".
 std::string npy_header(const std::string& type, std::span<const std::int64_t> shape);
+/// The same with the shape as shape_text() writes it.
+std::string npy_header(const std::string& type, const std::string& axes);
 
 /// An array to write; the values are rounded to float16.
 struct NpzEntry {

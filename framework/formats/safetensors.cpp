@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <cmath>
 #include <cstring>
@@ -45,11 +46,6 @@ std::optional<std::uint64_t> byte_count(const std::vector<std::int64_t>& shape, 
 }
 
 template <class T>
-TensorRef make_ref(std::string name, TensorType type, std::vector<std::int64_t> shape, std::span<const T> values) {
-  return {std::move(name), type, std::move(shape), std::as_bytes(values)};
-}
-
-template <class T>
 bool all_finite(std::span<const std::byte> bytes) {
   for (std::size_t i = 0; i + sizeof(T) <= bytes.size(); i += sizeof(T)) {
     T value;
@@ -62,33 +58,11 @@ bool all_finite(std::span<const std::byte> bytes) {
 }  // namespace
 
 std::string_view tensor_type_name(TensorType type) {
-  switch (type) {
-    case TensorType::f32:
-      return "F32";
-    case TensorType::f64:
-      return "F64";
-    case TensorType::i64:
-      return "I64";
-    case TensorType::u8:
-      return "U8";
-  }
-  return "?";
+  constexpr std::array<std::string_view, 4> kNames{"F32", "F64", "I64", "U8"};
+  return kNames[static_cast<std::size_t>(type)];
 }
 
 std::size_t tensor_type_bytes(TensorType type) { return type == TensorType::u8 ? 1 : type == TensorType::f32 ? 4 : 8; }
-
-TensorRef tensor_ref(std::string name, std::vector<std::int64_t> shape, std::span<const float> values) {
-  return make_ref(std::move(name), TensorType::f32, std::move(shape), values);
-}
-TensorRef tensor_ref(std::string name, std::vector<std::int64_t> shape, std::span<const double> values) {
-  return make_ref(std::move(name), TensorType::f64, std::move(shape), values);
-}
-TensorRef tensor_ref(std::string name, std::vector<std::int64_t> shape, std::span<const std::int64_t> values) {
-  return make_ref(std::move(name), TensorType::i64, std::move(shape), values);
-}
-TensorRef tensor_ref(std::string name, std::vector<std::int64_t> shape, std::span<const std::uint8_t> values) {
-  return make_ref(std::move(name), TensorType::u8, std::move(shape), values);
-}
 
 std::string encode_safetensors(const std::vector<TensorRef>& tensors, const TensorMetadata& metadata) {
   // Wide elements first, so that without holes every tensor is aligned to its element.
@@ -363,18 +337,18 @@ const TensorRef& TensorFile::require(std::string_view name, TensorType type, std
   return *tensor;
 }
 
-std::vector<float> TensorFile::floats(std::string_view name, std::int64_t count) const {
-  const TensorRef& tensor = require(name, TensorType::f32, count);
-  std::vector<float> values(static_cast<std::size_t>(count));
+template <class T>
+std::vector<T> TensorFile::values_of(std::string_view name, std::int64_t count) const {
+  const TensorRef& tensor = require(name, tensor_type_of<T>(), count);
+  std::vector<T> values(static_cast<std::size_t>(count));
   if (count > 0) std::memcpy(values.data(), tensor.bytes.data(), tensor.bytes.size());
   return values;
 }
-
+std::vector<float> TensorFile::floats(std::string_view name, std::int64_t count) const {
+  return values_of<float>(name, count);
+}
 std::vector<std::int64_t> TensorFile::integers(std::string_view name, std::int64_t count) const {
-  const TensorRef& tensor = require(name, TensorType::i64, count);
-  std::vector<std::int64_t> values(static_cast<std::size_t>(count));
-  if (count > 0) std::memcpy(values.data(), tensor.bytes.data(), tensor.bytes.size());
-  return values;
+  return values_of<std::int64_t>(name, count);
 }
 
 }  // namespace semfield

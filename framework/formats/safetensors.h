@@ -8,6 +8,8 @@
 #include <span>
 #include <string>
 #include <string_view>
+#include <type_traits>
+#include <utility>
 #include <vector>
 
 namespace semfield {
@@ -26,10 +28,21 @@ struct TensorRef {
   std::span<const std::byte> bytes;
 };
 
-TensorRef tensor_ref(std::string name, std::vector<std::int64_t> shape, std::span<const float> values);
-TensorRef tensor_ref(std::string name, std::vector<std::int64_t> shape, std::span<const double> values);
-TensorRef tensor_ref(std::string name, std::vector<std::int64_t> shape, std::span<const std::int64_t> values);
-TensorRef tensor_ref(std::string name, std::vector<std::int64_t> shape, std::span<const std::uint8_t> values);
+template <class T>
+constexpr TensorType tensor_type_of() {
+  return std::is_same_v<T, float>    ? TensorType::f32
+         : std::is_same_v<T, double> ? TensorType::f64
+         : sizeof(T) == 8            ? TensorType::i64
+                                     : TensorType::u8;
+}
+/// Of float, double, std::int64_t or std::uint8_t, in a vector, a span or an array.
+template <class Values>
+TensorRef tensor_ref(std::string name, std::vector<std::int64_t> shape, const Values& values) {
+  const std::span all(values);
+  using T = std::remove_cv_t<typename decltype(all)::element_type>;
+  static_assert(std::is_floating_point_v<T> || std::is_same_v<T, std::int64_t> || std::is_same_v<T, std::uint8_t>);
+  return {std::move(name), tensor_type_of<T>(), std::move(shape), std::as_bytes(all)};
+}
 
 using TensorMetadata = std::map<std::string, std::string>;
 
@@ -77,6 +90,8 @@ class TensorFile {
  private:
   friend class TensorFileReader;
   const TensorRef& require(std::string_view name, TensorType type, std::int64_t count) const;
+  template <class T>
+  std::vector<T> values_of(std::string_view name, std::int64_t count) const;
   std::unique_ptr<std::string> bytes_;  // held by pointer: tensors point into it, and the file may be moved
   std::string name_;
   TensorMetadata metadata_;

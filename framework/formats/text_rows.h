@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "config/params.h"
+#include "core/error.h"
 
 namespace semfield {
 
@@ -78,6 +79,17 @@ void check_image_limits(std::int64_t width, std::int64_t height, std::int64_t ch
 /// A file of poses or an index of frames as text; Error(data) above limits.pose_file_bytes, Error(no_input) as
 /// read_text_file.
 std::string read_pose_file(const std::string& path);
+
+/// Runs `body`; an Error on the way names the file: "'PATH': " stands before a message without it.
+template <class Body>
+auto naming(const std::string& path, const Body& body) {
+  try {
+    return body();
+  } catch (const Error& e) {
+    if (e.message().find(path) != std::string::npos) throw;
+    throw Error(e.kind(), e.code(), "'" + path + "': " + e.message(), e.remedy());
+  }
+}
 
 // Numbers of JSON taken as they are: what a type would cut, or turn round, is refused.
 

@@ -484,13 +484,10 @@ bool has_real_depth(const std::string& path) {
 
 ImageSize depth_size(const std::string& path) {
   if (ending_of(path) != ".npy") return image_size(path);
-  try {
+  return naming(path, [&]() -> ImageSize {
     const std::vector<std::int64_t> plane = plane_of(npy_shape(path));
     return {static_cast<std::int32_t>(plane[1]), static_cast<std::int32_t>(plane[0]), 1, 32};
-  } catch (const Error& e) {
-    if (e.message().find(path) != std::string::npos) throw;
-    throw Error(e.kind(), e.code(), "'" + path + "': " + e.message(), e.remedy());
-  }
+  });
 }
 
 Image<float> read_depth(const std::string& path, double unit_m) {

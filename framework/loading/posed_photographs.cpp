@@ -188,7 +188,7 @@ OtherSize other_size(std::string_view what, const std::string& path, const Image
   if (what != kColorImage) return out;
   if (size.width_px != size.height_px && size.width_px == camera.height_px && size.height_px == camera.width_px) {
     out.code = "scene.image.turned";
-    if (size.turned_by_exif()) {
+    if (turned_by_quarter(size.orientation)) {
       out.message += ", which is that of the picture turned as the file's EXIF orientation says (" +
                      std::to_string(size.orientation) + ")";
       out.remedy = "pixels are read as they are stored: turn them, for example with `mogrify -auto-orient FILES`";

@@ -125,7 +125,7 @@ void odd_images(CaseRun& run) {
     put_bytes(path, png_of(1, 1, bits, 0, 0, {0, 0, 0, 0, 0}));
     run.expect_error(ErrorKind::data, {path}, [&] { (void)read_ids(path); });
   }
-  const std::vector<std::uint8_t> whole = encode_png_rgb(8, 8, std::vector<std::uint8_t>(192, 60));
+  const std::vector<std::uint8_t> whole = encode_png(8, 8, 2, 8, std::vector<std::uint8_t>(192, 60));
   int cuts = 0;
   for (std::size_t size = 0; size < whole.size(); ++size, ++cuts) {
     const std::span<const std::uint8_t> part(whole.data(), size);

@@ -37,7 +37,7 @@ RunFolder make_run(const std::string& path) {
 }
 
 void write_pictures(const RunFolder& folder, const char* split, std::initializer_list<const char*> frames) {
-  const std::vector<std::uint8_t> png = encode_png_rgb(1, 1, std::vector<std::uint8_t>{1, 2, 3});
+  const std::vector<std::uint8_t> png = encode_png(1, 1, 2, 8, std::vector<std::uint8_t>{1, 2, 3});
   for (const char* frame : frames)
     for (const char* kind : {"rgb", "label_vis"})
       write_file_atomic(folder.render_path(split, frame, kind), std::as_bytes(std::span(png)));

@@ -336,11 +336,11 @@ TEST(Npz, WrittenArraysAreReadBack) {
   for (int i = 0; i < 1000; ++i) values.push_back(static_cast<float>(i) / 1024.0F);
   const std::vector<NpzEntry> entries{{"probability", {10, 20, 5}, values}, {"one", {1}, std::span(values).first(1)}};
   write_npz(path, entries);
-  EXPECT_EQ(npz_keys(path), (std::vector<std::string>{"probability", "one"}));
-  const NumpyArray back = read_npz(path, "probability", {});
+  EXPECT_EQ(NpzFile(path).keys(), (std::vector<std::string>{"probability", "one"}));
+  const NumpyArray back = NpzFile(path).read("probability", {});
   EXPECT_EQ(back.shape, (std::vector<std::int64_t>{10, 20, 5}));
   EXPECT_EQ(back.values, values);
-  EXPECT_HAS(error_of([&] { (void)read_npz(path, "two", {}); }), path, "two");
+  EXPECT_HAS(error_of([&] { (void)NpzFile(path).read("two", {}); }), path, "two");
 }
 
 TEST(Npz, BytesAndIntegersAreReadAsTheyAreStored) {
@@ -409,10 +409,10 @@ TEST(Npz, Zip64SizesAndArchivesThatLie) {
   const std::string path = fresh_folder("t") + "/a.npz";
   const std::string data = npy(header("<f4", "(2,)"), npz_bytes_of(std::vector<float>{3, 4}));
   plain_write(path, stored64(data, data.size(), data.size()));
-  EXPECT_EQ(read_npz(path, "a", {}).values, (std::vector<float>{3, 4}));
+  EXPECT_EQ(NpzFile(path).read("a", {}).values, (std::vector<float>{3, 4}));
   const auto error = [&](const std::string& bytes) {
     plain_write(path, bytes);
-    return error_of([&] { (void)read_npz(path, "a", {}); });
+    return error_of([&] { (void)NpzFile(path).read("a", {}); });
   };
   const std::string file = "'" + path + "', entry 'a': ", again = "; save the file again, or copy it again in full";
   EXPECT_EQ(error(stored64(data, 99, data.size())), file + "its two sizes differ though it is not packed" + again);
@@ -443,7 +443,7 @@ TEST(Npz, AShapeThatIsNotWantedIsRefusedBeforeAnythingIsUnpacked) {
   plain_write(path, file);
   const auto read = [&](std::int64_t width) {
     return error_of([&] {
-      (void)read_npz(path, "a", [&](std::span<const std::int64_t> shape) {
+      (void)NpzFile(path).read("a", [&](std::span<const std::int64_t> shape) {
         if (shape[1] != width) throw Error(ErrorKind::data, "test.error.made", "another shape: " + shape_text(shape));
       });
     });

@@ -137,10 +137,10 @@ class NpzReader : public LabelReader {
       check_image_limits(shape[1], shape[0]);
       check_label_shape(shape[1], shape[0], found.frame.camera);
     };
-    const NumpyArray probability = is_npy() ? read_npy(path, accept) : read_npz(path, key, accept);
+    const NumpyArray probability = is_npy() ? read_npy(path, accept) : NpzFile(path).read(key, accept);
     NumpyArray confidence;
     if (!confidence_key.empty()) {
-      confidence = read_npz(path, confidence_key, [&](std::span<const std::int64_t> shape) {
+      confidence = NpzFile(path).read(confidence_key, [&](std::span<const std::int64_t> shape) {
         if (shape.size() == 2 && shape[0] == probability.shape[0] && shape[1] == probability.shape[1]) return;
         throw Error(ErrorKind::data, "labels.array.shape",
                     "the shape is " + shape_text(shape) + ", that of '" + key + "' " + shape_text(probability.shape),
