@@ -5,7 +5,6 @@
 #include <netinet/in.h>
 #include <netinet/tcp.h>
 #include <poll.h>
-#include <sys/eventfd.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -16,9 +15,10 @@
 #include <charconv>
 #include <chrono>
 #include <condition_variable>
+#include <cstdint>
 #include <cstdio>
 #include <cstring>
-#include <deque>
+#include <list>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -26,6 +26,7 @@
 #include <string_view>
 #include <system_error>
 #include <thread>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -33,53 +34,30 @@
 
 namespace semfield::app {
 
-class HttpReply {
- public:
-  /// `keep`: the connection serves another request; `body`: it is sent, not its length alone. A file that cannot be
-  /// read makes the answer 404.
-  HttpReply(HttpResponse response, bool keep, bool body);
-
-  /// What is to be sent next; empty at the end.
-  std::string_view piece();
-  void sent(std::size_t bytes) { at_ += bytes; }
-  bool keeps() const { return keep_; }
-  /// All that the head promised could be read.
-  bool whole() const { return left_ == 0; }
-  /// The client has taken less than 20 kB per second.
-  bool too_slow() const { return std::chrono::steady_clock::now() > end_; }
-
- private:
-  std::string bytes_;
-  std::size_t at_ = 0;
-  std::unique_ptr<std::FILE, int (*)(std::FILE*)> file_{nullptr, std::fclose};
-  std::size_t left_ = 0;  // of the file
-  bool keep_;
-  std::chrono::steady_clock::time_point end_;
-};
-
 // Which port the server may take, checked with the system before the server starts, so that a refusal has its cause.
 
 namespace {
 
-// 0, or errno of what refused. `port` 0 becomes the one that the system gave.
-int try_port(const in_addr& address, int& port) {
-  const int probe = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-  if (probe < 0) return errno;
+// A socket that listens at `port`, 0: any, which it becomes; -1 with errno where the system refuses.
+int listen_at(const in_addr& address, int& port) {
+  const int listener = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  if (listener < 0) return listener;
   sockaddr_in place{};
   place.sin_family = AF_INET;
   place.sin_addr = address;
   place.sin_port = htons(static_cast<std::uint16_t>(port));
   const int yes = 1;
-  setsockopt(probe, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes);
+  setsockopt(listener, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes);
   socklen_t size = sizeof place;
-  int cause = 0;
-  if (bind(probe, reinterpret_cast<const sockaddr*>(&place), sizeof place) != 0 || listen(probe, 1) != 0 ||
-      getsockname(probe, reinterpret_cast<sockaddr*>(&place), &size) != 0)
-    cause = errno;
-  else
+  if (bind(listener, reinterpret_cast<const sockaddr*>(&place), sizeof place) == 0 &&
+      listen(listener, SOMAXCONN) == 0 && getsockname(listener, reinterpret_cast<sockaddr*>(&place), &size) == 0) {
     port = ntohs(place.sin_port);
-  close(probe);
-  return cause;
+    return listener;
+  }
+  const int cause = errno;
+  close(listener);
+  errno = cause;
+  return -1;
 }
 
 }  // namespace
@@ -94,8 +72,11 @@ int free_port(const std::string& address, int port, bool next) {
   int cause = 0;
   for (int at = port; at <= last && at <= 65535; ++at) {
     int got = at;
-    cause = try_port(number, got);
-    if (cause == 0) return got;
+    if (const int listener = listen_at(number, got); listener >= 0) {
+      close(listener);
+      return got;
+    }
+    cause = errno;
     if (cause != EADDRINUSE) break;
   }
   const std::string place = address + ":" + std::to_string(port);
@@ -312,6 +293,8 @@ using Clock = std::chrono::steady_clock;
 constexpr std::size_t kReadAtOnce = std::size_t{64} << 10;
 constexpr double kLeastBytesPerSecond = 20e3;
 constexpr auto kGrace = std::chrono::seconds(20);
+constexpr std::chrono::milliseconds kFarewell{1000};
+constexpr int kLinger_ms = 2000;  // for what a client still sends behind the request that ends its connection
 
 const char* reason(int status) {
   static const std::map<int, const char*> reasons{{200, "OK"},
@@ -343,371 +326,246 @@ std::string head_text(const HttpResponse& response, std::size_t bytes, bool keep
   return head + "\r\n";
 }
 
-}  // namespace
+// Whether one of `events` comes by then.
+bool wait_for(int socket, short events, Clock::time_point until) {
+  for (;;) {
+    const auto left = std::chrono::ceil<std::chrono::milliseconds>(until - Clock::now());
+    pollfd look{socket, events, 0};
+    const int ready = poll(&look, 1, static_cast<int>(std::max<std::int64_t>(0, left.count())));
+    if (ready >= 0 || errno != EINTR) return ready > 0;
+  }
+}
 
-HttpReply::HttpReply(HttpResponse response, bool keep, bool body) : keep_(keep) {
-  std::size_t bytes = response.body.size();
-  if (!response.file.empty()) {
-    file_.reset(std::fopen(response.file.c_str(), "rbe"));
-    if (file_ == nullptr || std::fseek(file_.get(), 0, SEEK_END) != 0) {
-      response = {404, "text/plain", "the file is gone\n"};
-      file_.reset();
-      bytes = response.body.size();
-    } else {
-      bytes = left_ = static_cast<std::size_t>(std::ftell(file_.get()));
-      std::rewind(file_.get());
+// False: the client is gone, has read nothing for `still_ms`, or has taken less than 20 kB per second.
+bool send_all(int socket, std::string_view bytes, int still_ms, Clock::time_point end) {
+  while (!bytes.empty()) {
+    const ssize_t sent = ::send(socket, bytes.data(), bytes.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+    if (sent < 0 && (errno == EAGAIN || errno == EINTR)) {
+      if (!wait_for(socket, POLLOUT, Clock::now() + std::chrono::milliseconds(still_ms))) return false;
+      continue;
     }
+    if (sent < 0 || Clock::now() > end) return false;
+    bytes.remove_prefix(static_cast<std::size_t>(sent));
   }
-  end_ = Clock::now() + kGrace +
-         std::chrono::duration_cast<Clock::duration>(
-             std::chrono::duration<double>(static_cast<double>(bytes) / kLeastBytesPerSecond));
-  bytes_ = head_text(response, bytes, keep);
-  if (!body) {
-    left_ = 0;
-  } else if (file_ == nullptr) {
-    bytes_ += response.body;
-  }
+  return true;
 }
-
-std::string_view HttpReply::piece() {
-  if (at_ == bytes_.size() && left_ > 0) {
-    at_ = 0;
-    bytes_.resize(std::min(left_, kReadAtOnce));
-    bytes_.resize(std::fread(bytes_.data(), 1, bytes_.size(), file_.get()));
-    left_ -= bytes_.size();
-  }
-  return std::string_view(bytes_).substr(at_);
-}
-
-namespace {
-
-using std::chrono::milliseconds;
-
-constexpr milliseconds kFarewell{1000};
-constexpr milliseconds kLinger{2000};  // for what a client still sends behind the request that ends its connection
-constexpr milliseconds kTurn{500};     // at most between looks at the times
 
 }  // namespace
 
 struct HttpServer::Impl {
-  class Descriptor {
-   public:
-    explicit Descriptor(int number) : number_(number) {}
-    Descriptor(Descriptor&& other) noexcept : number_(std::exchange(other.number_, -1)) {}
-    Descriptor& operator=(Descriptor&& other) noexcept {
-      std::swap(number_, other.number_);
-      return *this;
-    }
-    ~Descriptor() { close(); }
-    void close() {
-      if (number_ >= 0) ::close(number_);
-      number_ = -1;
-    }
-    int get() const { return number_; }
+  enum class At { idle, reading, answering, closing };
 
-   private:
-    int number_;
-  };
-
-  // A connection, and what it is at: a request is read and its response made and sent, then the next one; or the
-  // connection closes.
+  // A connection and its thread: a request is read, its response made and sent, then the next one.
   struct Peer {
-    enum class At { reading, answering, sending, closing };
+    Peer(int s, std::size_t most_body_bytes) : socket(s), reader(most_body_bytes) {}
 
-    Peer(Descriptor d, std::size_t most_body_bytes, Clock::time_point until)
-        : socket(std::move(d)), reader(most_body_bytes), deadline(until) {}
-
-    Descriptor socket;
+    const int socket;
     HttpReader reader;
-    At at = At::reading;
-    bool begun = false, admitted = false;  // the head's first byte is here; all of it, and it was not refused
-    Clock::time_point deadline;
-    std::shared_ptr<std::atomic<bool>> gone;  // reported to whoever makes the response
-    std::optional<HttpReply> reply;
-
-    bool idle() const { return at == At::reading && !begun; }
+    At at = At::idle;  // with these two under the server's lock; the thread alone changes them
+    Clock::time_point deadline = Clock::time_point::max();
+    bool ended = false;  // the socket is closed
+    std::thread thread{};
   };
 
-  Impl(const HttpOptions& o, HttpHandler& h)
-      : options(o), handler(h), listener(listening_on(o)), waker(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
+  Impl(const HttpOptions& o, HttpHandler& h) : options(o), handler(h) {
+    in_addr address{};
+    inet_pton(AF_INET, options.address.c_str(), &address);
+    listener = listen_at(address, options.port);
+    if (listener < 0) throw cannot_start(std::strerror(errno));
     try {
-      for (int i = 0; i < options.threads; ++i) workers.emplace_back([this] { make_answers(); });
-      loop = std::thread([this] { watch(); });
+      acceptor = std::thread([this] { accept_all(); });
     } catch (const std::system_error& e) {
-      end_workers();
-      throw cannot_start(options, e.what());
+      close(listener);
+      throw cannot_start(e.what());
     }
   }
-  ~Impl() {
-    stopping = true;
-    wake();
-    loop.join();
-    end_workers();
-  }
+  ~Impl();
   Impl(const Impl&) = delete;
   Impl& operator=(const Impl&) = delete;
 
-  struct Job {
-    std::uint64_t peer;
-    HttpRequest request;
-  };
-  struct Made {
-    std::uint64_t peer;
-    HttpResponse response;
-  };
-
-  static Descriptor listening_on(const HttpOptions& options);
-  static Error cannot_start(const HttpOptions& options, const std::string& cause);
-  void end_workers();
-  void wake() const {
-    const std::uint64_t one = 1;
-    (void)!write(waker.get(), &one, sizeof one);
+  Error cannot_start(const std::string& cause) const {
+    return {ErrorKind::unavailable, "serve.port.failed",
+            fmt::format("the HTTP server cannot start on {}:{}: {}", options.address, options.port, cause),
+            "name another --port, or see what limits this process: ulimit -n -u"};
   }
-  void make_answers();
-  void watch();
-  void take_made();
   void accept_all();
-  void serve(std::uint64_t number, Peer& peer, short events);
-  void receive(Peer& peer);
-  void advance(std::uint64_t number, Peer& peer);
-  void reply(Peer& peer, HttpResponse response, bool keep);
-  void send(Peer& peer);
-  void time_out(Peer& peer);
-  Clock::time_point in(int ms) const { return Clock::now() + milliseconds(ms); }
+  bool give_up_one(std::unique_lock<std::mutex>& lock);
+  void forget_ended();
+  void enter(Peer& peer, At at, int ms);
+  void serve(Peer& peer);
+  bool serve_one(Peer& peer);
+  bool respond(Peer& peer, HttpResponse response, bool keep);
 
   HttpOptions options;
   HttpHandler& handler;
-  Descriptor listener, waker;
-  std::map<std::uint64_t, Peer> peers;  // of the loop
-  std::uint64_t next_peer = 0;
+  int listener = -1;
   std::atomic<bool> stopping{false};
-
-  std::mutex mutex;  // of these four
-  std::condition_variable wanted;
-  std::deque<Job> waiting;
-  std::vector<Made> made;
-  bool ended = false;
-
-  std::vector<std::thread> workers;
-  std::thread loop;
+  std::mutex mutex;                 // of these
+  std::condition_variable changed;  // a peer has ended, or a response is made
+  std::list<Peer> peers;
+  int answering = 0;
+  std::thread acceptor;
 };
 
-Error HttpServer::Impl::cannot_start(const HttpOptions& options, const std::string& cause) {
-  return {ErrorKind::unavailable, "serve.port.failed",
-          fmt::format("the HTTP server cannot start on {}:{}: {}", options.address, options.port, cause),
-          "name another --port, or see what limits this process: ulimit -n -u"};
-}
-
-HttpServer::Impl::Descriptor HttpServer::Impl::listening_on(const HttpOptions& options) {
-  Descriptor listener(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
-  sockaddr_in place{};
-  place.sin_family = AF_INET;
-  place.sin_port = htons(static_cast<std::uint16_t>(options.port));
-  inet_pton(AF_INET, options.address.c_str(), &place.sin_addr);
-  const int yes = 1;
-  setsockopt(listener.get(), SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes);
-  if (listener.get() < 0 || bind(listener.get(), reinterpret_cast<const sockaddr*>(&place), sizeof place) != 0 ||
-      listen(listener.get(), SOMAXCONN) != 0)
-    throw cannot_start(options, std::strerror(errno));
-  return listener;
-}
-
-void HttpServer::Impl::end_workers() {
-  {
-    const std::scoped_lock lock(mutex);
-    waiting.clear();
-    ended = true;
-  }
-  wanted.notify_all();
-  for (std::thread& worker : workers) worker.join();
-}
-
-void HttpServer::Impl::make_answers() {
+HttpServer::Impl::~Impl() {
+  stopping = true;
+  shutdown(listener, SHUT_RDWR);
+  acceptor.join();
+  close(listener);
   std::unique_lock lock(mutex);
-  for (;;) {
-    wanted.wait(lock, [&] { return ended || !waiting.empty(); });
-    if (waiting.empty()) return;
-    const Job job = std::move(waiting.front());
-    waiting.pop_front();
-    lock.unlock();
-    HttpResponse response = job.request.abandoned() ? HttpResponse{} : handler.answer(job.request);
-    lock.lock();
-    made.push_back({job.peer, std::move(response)});
-    wake();
-  }
-}
-
-void HttpServer::Impl::watch() {
-  std::vector<pollfd> polled;
-  std::vector<std::uint64_t> numbers;
-  for (Clock::time_point farewell = Clock::time_point::max();;) {
-    if (stopping) {
-      farewell = std::min(farewell, Clock::now() + kFarewell);
-      listener.close();
-      std::erase_if(peers,
-                    [](const auto& p) { return p.second.at == Peer::At::reading || p.second.at == Peer::At::closing; });
-      if (peers.empty() || Clock::now() > farewell) {
-        for (auto& [number, peer] : peers)
-          if (peer.gone != nullptr) *peer.gone = true;
-        return peers.clear();
-      }
-    }
-    polled = {{waker.get(), POLLIN, 0}, {listener.get(), POLLIN, 0}};
-    numbers.clear();
-    Clock::time_point soonest = std::min(Clock::now() + kTurn, farewell);
-    for (auto& [number, peer] : peers) {
-      short events = POLLIN;
-      if (peer.at == Peer::At::answering) events = POLLRDHUP;
-      if (peer.at == Peer::At::sending) events = POLLOUT;
-      const bool deaf = peer.at == Peer::At::answering && *peer.gone;  // it would be reported again and again
-      polled.push_back({deaf ? -1 : peer.socket.get(), events, 0});
-      numbers.push_back(number);
-      if (peer.at != Peer::At::answering) soonest = std::min(soonest, peer.deadline);
-      if (peer.at == Peer::At::reading && peer.reader.state() != HttpReader::State::head && !peer.admitted)
-        soonest = Clock::now();  // it was sent together with the one before
-    }
-    const auto left = std::chrono::ceil<milliseconds>(soonest - Clock::now());
-    if (poll(polled.data(), polled.size(), static_cast<int>(std::max<std::int64_t>(0, left.count()))) < 0) continue;
-    std::uint64_t count = 0;
-    if (polled[0].revents != 0) (void)!read(waker.get(), &count, sizeof count);
-    take_made();
-    for (std::size_t i = 0; i < numbers.size(); ++i) {
-      const auto found = peers.find(numbers[i]);
-      serve(found->first, found->second, polled[i + 2].revents);
-      if (found->second.socket.get() < 0) peers.erase(found);
-    }
-    if (polled[1].revents != 0) accept_all();
-  }
-}
-
-void HttpServer::Impl::take_made() {
-  std::vector<Made> now;
-  {
-    const std::scoped_lock lock(mutex);
-    now.swap(made);
-  }
-  for (Made& one : now) {
-    const auto peer = peers.find(one.peer);
-    if (peer == peers.end()) continue;
-    reply(peer->second, std::move(one.response), peer->second.reader.keeps() && !stopping);
-  }
+  const auto hang_up = [&](bool all) {
+    for (const Peer& peer : peers)
+      if (!peer.ended && (all || peer.at != At::answering)) shutdown(peer.socket, SHUT_RDWR);
+  };
+  hang_up(false);
+  changed.wait_for(lock, kFarewell, [&] {
+    return std::all_of(peers.begin(), peers.end(), [](const Peer& peer) { return peer.ended; });
+  });
+  hang_up(true);
+  lock.unlock();
+  for (Peer& peer : peers) peer.thread.join();
 }
 
 void HttpServer::Impl::accept_all() {
-  for (;;) {
-    Descriptor fresh(accept4(listener.get(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK));
-    const bool none_left = fresh.get() < 0 && (errno == EMFILE || errno == ENFILE);
-    if (fresh.get() < 0 && !none_left) return;
-    if (none_left || peers.size() >= options.connections) {
-      // The one that says nothing for the longest, or else that has not said all.
-      auto given_up = peers.end();
-      for (auto peer = peers.begin(); peer != peers.end(); ++peer) {
-        if (peer->second.at != Peer::At::reading) continue;
-        if (given_up == peers.end() || (peer->second.idle() && !given_up->second.idle()) ||
-            (peer->second.idle() == given_up->second.idle() && peer->second.deadline < given_up->second.deadline))
-          given_up = peer;
-      }
-      if (given_up == peers.end()) {
-        if (none_left) return;
-        continue;  // refused
-      }
-      peers.erase(given_up);
-      if (none_left) continue;
+  while (!stopping) {
+    const int fresh = accept4(listener, nullptr, nullptr, SOCK_CLOEXEC);
+    const bool none_left = fresh < 0 && (errno == EMFILE || errno == ENFILE);
+    if (fresh < 0 && !none_left) continue;
+    std::unique_lock lock(mutex);
+    forget_ended();
+    if ((none_left || peers.size() >= options.connections) && !give_up_one(lock)) {
+      if (none_left) changed.wait_for(lock, kFarewell);
+      if (!none_left) close(fresh);  // refused
+      continue;
     }
+    if (none_left) continue;
     const int yes = 1;
-    setsockopt(fresh.get(), IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
-    peers.try_emplace(++next_peer, std::move(fresh), options.most_body_bytes, in(options.head_ms));
+    setsockopt(fresh, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
+    Peer& peer = peers.emplace_back(fresh, options.most_body_bytes);
+    try {
+      peer.thread = std::thread([this, &peer] { serve(peer); });
+    } catch (const std::system_error&) {
+      close(fresh);
+      peers.pop_back();
+    }
   }
 }
 
-void HttpServer::Impl::serve(std::uint64_t number, Peer& peer, short events) {
-  switch (peer.at) {
-    case Peer::At::reading:
-      if (events != 0) receive(peer);
-      if (peer.socket.get() >= 0) advance(number, peer);
-      break;
-    case Peer::At::answering:
-      if (events != 0) *peer.gone = true;
-      return;
-    case Peer::At::sending:
-      if (events != 0) send(peer);
-      break;
-    case Peer::At::closing:
-      if (events != 0) receive(peer);
+void HttpServer::Impl::forget_ended() {
+  for (auto peer = peers.begin(); peer != peers.end();) {
+    if (peer->ended) peer->thread.join();
+    peer = peer->ended ? peers.erase(peer) : std::next(peer);
   }
-  if (peer.socket.get() >= 0 && peer.at != Peer::At::answering && Clock::now() > peer.deadline) time_out(peer);
 }
 
-void HttpServer::Impl::receive(Peer& peer) {
-  std::array<char, kReadAtOnce> piece;
-  const ssize_t got = recv(peer.socket.get(), piece.data(), piece.size(), 0);
-  if (got == 0 || (got < 0 && errno != EAGAIN && errno != EINTR)) return peer.socket.close();
-  if (got > 0 && peer.at == Peer::At::reading) peer.reader.take({piece.data(), static_cast<std::size_t>(got)});
+// Closes the connection that says nothing for the longest, or else that has not said all; false: there is none.
+bool HttpServer::Impl::give_up_one(std::unique_lock<std::mutex>& lock) {
+  Peer* given_up = nullptr;
+  for (Peer& peer : peers) {
+    if (peer.ended || (peer.at != At::idle && peer.at != At::reading)) continue;
+    if (given_up == nullptr || std::tie(peer.at, peer.deadline) < std::tie(given_up->at, given_up->deadline))
+      given_up = &peer;
+  }
+  if (given_up == nullptr) return false;
+  shutdown(given_up->socket, SHUT_RDWR);
+  changed.wait(lock, [&] { return given_up->ended; });
+  forget_ended();
+  return true;
 }
 
-void HttpServer::Impl::advance(std::uint64_t number, Peer& peer) {
+// What the peer is at from now on, for so long.
+void HttpServer::Impl::enter(Peer& peer, At at, int ms) {
+  const std::scoped_lock lock(mutex);
+  peer.at = at;
+  peer.deadline = Clock::now() + std::chrono::milliseconds(ms);
+  if (stopping && at != At::answering) shutdown(peer.socket, SHUT_RDWR);
+}
+
+void HttpServer::Impl::serve(Peer& peer) {
+  while (serve_one(peer)) peer.reader.next();
+  const std::scoped_lock lock(mutex);
+  close(peer.socket);
+  peer.ended = true;
+  changed.notify_all();
+}
+
+// Whether the connection serves another request.
+bool HttpServer::Impl::serve_one(Peer& peer) {
   HttpReader& reader = peer.reader;
-  if (reader.begun() && !peer.begun) {
-    peer.begun = true;
-    peer.deadline = in(options.head_ms);
+  HttpRequest& request = reader.request();
+  enter(peer, At::idle, options.head_ms);
+  for (bool admitted = false; !admitted || reader.state() != HttpReader::State::whole;) {
+    if (reader.begun() && peer.at == At::idle) enter(peer, At::reading, options.head_ms);
+    if (reader.state() == HttpReader::State::refused)
+      return respond(peer, {reader.status(), "text/plain", reader.complaint() + "\n"}, false);
+    if (!admitted && reader.state() != HttpReader::State::head) {
+      if (std::optional<HttpResponse> refusal = handler.refuse(request))
+        return respond(peer, std::move(*refusal), reader.keeps());
+      admitted = true;
+      enter(peer, At::reading, options.body_ms);
+      constexpr std::string_view kContinue = "HTTP/1.1 100 Continue\r\n\r\n";
+      if (reader.expects_continue()) (void)!::send(peer.socket, kContinue.data(), kContinue.size(), MSG_NOSIGNAL);
+      continue;
+    }
+    if (!wait_for(peer.socket, POLLIN, peer.deadline))
+      return peer.at == At::reading && respond(peer, {408, "text/plain", "the request took too long\n"}, false);
+    std::array<char, kReadAtOnce> piece;
+    const ssize_t got = recv(peer.socket, piece.data(), piece.size(), MSG_DONTWAIT);
+    if (got == 0 || (got < 0 && errno != EAGAIN && errno != EINTR)) return false;
+    if (got > 0) reader.take({piece.data(), static_cast<std::size_t>(got)});
   }
-  if (reader.state() == HttpReader::State::head) return;
-  if (!peer.admitted && reader.state() != HttpReader::State::refused) {
-    if (std::optional<HttpResponse> refusal = handler.refuse(reader.request()))
-      return reply(peer, std::move(*refusal), reader.keeps());
-    peer.admitted = true;
-    peer.deadline = in(options.body_ms);
-    constexpr std::string_view kContinue = "HTTP/1.1 100 Continue\r\n\r\n";
-    if (reader.expects_continue()) (void)!::send(peer.socket.get(), kContinue.data(), kContinue.size(), MSG_NOSIGNAL);
+  enter(peer, At::answering, 0);
+  request.gone = [socket = peer.socket] { return wait_for(socket, POLLRDHUP, {}); };
+  if (request.abandoned()) return false;
+  {
+    std::unique_lock lock(mutex);
+    changed.wait(lock, [&] { return answering < options.threads; });
+    ++answering;
   }
-  if (reader.state() == HttpReader::State::refused)
-    return reply(peer, {reader.status(), "text/plain", reader.complaint() + "\n"}, false);
-  if (reader.state() != HttpReader::State::whole) return;
-  peer.at = Peer::At::answering;
-  peer.gone = std::make_shared<std::atomic<bool>>(false);
-  reader.request().gone = peer.gone;
+  std::optional<HttpResponse> response;
+  if (!request.abandoned()) response = handler.answer(request);
   {
     const std::scoped_lock lock(mutex);
-    waiting.push_back({number, reader.request()});
+    --answering;
+    changed.notify_all();
   }
-  wanted.notify_one();
+  return response && respond(peer, std::move(*response), reader.keeps() && !stopping);
 }
 
-void HttpServer::Impl::reply(Peer& peer, HttpResponse response, bool keep) {
-  peer.reply.emplace(std::move(response), keep, peer.reader.request().method != "HEAD");
-  peer.at = Peer::At::sending;
-  peer.deadline = in(options.head_ms);
-  send(peer);
-}
-
-void HttpServer::Impl::send(Peer& peer) {
-  for (;;) {
-    const std::string_view piece = peer.reply->piece();
-    if (piece.empty()) break;
-    const ssize_t sent = ::send(peer.socket.get(), piece.data(), piece.size(), MSG_NOSIGNAL);
-    if (sent < 0 && (errno == EAGAIN || errno == EINTR)) return;
-    if (sent < 0 || peer.reply->too_slow()) return peer.socket.close();
-    peer.reply->sent(static_cast<std::size_t>(sent));
-    peer.deadline = in(options.head_ms);
+// Sends it; whether the connection serves another request. A file that cannot be read makes the response 404.
+bool HttpServer::Impl::respond(Peer& peer, HttpResponse response, bool keep) {
+  enter(peer, At::answering, 0);
+  std::unique_ptr<std::FILE, int (*)(std::FILE*)> file(nullptr, std::fclose);
+  if (!response.file.empty()) {
+    file.reset(std::fopen(response.file.c_str(), "rbe"));
+    if (file == nullptr || std::fseek(file.get(), 0, SEEK_END) != 0) {
+      response = {404, "text/plain", "the file is gone\n"};
+      file.reset();
+    }
   }
-  if (!peer.reply->whole()) return peer.socket.close();
-  const bool keep = peer.reply->keeps();
-  peer.reply.reset();
-  if (keep) {
-    peer.at = Peer::At::reading;
-    peer.begun = peer.admitted = false;
-    peer.deadline = in(options.head_ms);
-    return peer.reader.next();
+  const std::size_t bytes = file ? static_cast<std::size_t>(std::ftell(file.get())) : response.body.size();
+  const Clock::time_point end = Clock::now() + kGrace +
+                                std::chrono::duration_cast<Clock::duration>(
+                                    std::chrono::duration<double>(static_cast<double>(bytes) / kLeastBytesPerSecond));
+  const bool body = peer.reader.request().method != "HEAD";
+  if (!send_all(peer.socket, head_text(response, bytes, keep) + (body && !file ? response.body : ""), options.head_ms,
+                end))
+    return false;
+  if (file) std::rewind(file.get());
+  std::string piece(file && body ? std::min(bytes, kReadAtOnce) : 0, '\0');
+  for (std::size_t left = file && body ? bytes : 0; left > 0; left -= piece.size()) {
+    piece.resize(std::min(left, piece.size()));
+    if (std::fread(piece.data(), 1, piece.size(), file.get()) != piece.size()) return false;
+    if (!send_all(peer.socket, piece, options.head_ms, end)) return false;
   }
+  if (keep) return true;
   // Closed at once, what the client still sends would make the system drop the response.
-  shutdown(peer.socket.get(), SHUT_WR);
-  peer.at = Peer::At::closing;
-  peer.deadline = Clock::now() + kLinger;
-}
-
-void HttpServer::Impl::time_out(Peer& peer) {
-  if (peer.at != Peer::At::reading || peer.idle()) return peer.socket.close();
-  reply(peer, {408, "text/plain", "the request took too long\n"}, false);
+  shutdown(peer.socket, SHUT_WR);
+  enter(peer, At::closing, kLinger_ms);
+  std::array<char, 4096> dropped;
+  while (wait_for(peer.socket, POLLIN, peer.deadline) && recv(peer.socket, dropped.data(), dropped.size(), 0) > 0) {
+  }
+  return false;
 }
 
 HttpServer::HttpServer(const HttpOptions& options, HttpHandler& handler)

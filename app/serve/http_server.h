@@ -1,8 +1,8 @@
 // HTTP on one address: bounded connections, threads, heads, bodies and times. Knows nothing of the page.
 #pragma once
 
-#include <atomic>
 #include <cstddef>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -17,10 +17,10 @@ struct HttpRequest {
   std::string query;                                         ///< without '?'
   std::vector<std::pair<std::string, std::string>> headers;  ///< names in small letters
   std::string body;
-  std::shared_ptr<const std::atomic<bool>> gone{};  ///< set once the client has closed its connection
+  std::function<bool()> gone{};  ///< whether the client has closed its connection; valid until there is a response
 
   /// Nobody waits for the response any more.
-  bool abandoned() const { return gone != nullptr && *gone; }
+  bool abandoned() const { return gone && gone(); }
   /// Value of a header by its name in small letters; none where it is missing.
   std::optional<std::string> header(const std::string& name) const;
   int header_count(const std::string& name) const;
@@ -98,7 +98,7 @@ inline constexpr int kUsualPort = 8787;
 struct HttpOptions {
   std::string address = "127.0.0.1";  ///< IPv4, numbers
   int port = kUsualPort;              ///< a free_port()
-  int threads = 64;                   ///< requests handled at a time; the others wait
+  int threads = 64;                   ///< responses made at a time; other requests wait
   std::size_t connections = 512;      ///< with more, the one that has been idle the longest is closed
   std::size_t most_body_bytes = std::size_t{256} << 10;
   int head_ms =
@@ -106,8 +106,7 @@ struct HttpOptions {
   int body_ms = 10000;  ///< for a body
 };
 
-/// One thread watches all connections, so that one that is idle, slow or gone costs no more than its place; the others
-/// make responses.
+/// Each connection has a thread, so that one that is idle, slow or gone holds up nobody.
 class HttpServer {
  public:
   /// Listens when it returns. The handler must outlive the server. Throws Error(unavailable).
