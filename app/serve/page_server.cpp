@@ -78,7 +78,7 @@ Json view_json(const ViewState& v) {
           {"entropy", v.entropy}, {"ready", v.ready},    {"photo", v.photo},      {"held_out", v.held_out}};
 }
 
-Json mark_json(const Annotations::Mark& mark, const PageSource& source) {
+Json mark_json(const Annotations::Mark& mark, const LabelSource& source) {
   Json points = Json::array();
   for (const PixelPoint& p : mark.points) points.push_back({p.x, p.y});
   return {{"id", mark.id},
@@ -105,7 +105,7 @@ Json list(const Items& items, ToJson&& to_json) {
 
 // `known`: the session's revision that the client has seen, 0 for none: marks and history that are no newer are null.
 // `first`: PageOptions::first_revision; `now`: what the client gives back as `after`.
-Json state_json(const LabelState& s, const PageSource& source, const std::vector<ExportState>& exports,
+Json state_json(const LabelState& s, const LabelSource& source, const std::vector<ExportState>& exports,
                 const std::string& run_id, std::uint64_t known, std::uint64_t first, std::uint64_t now) {
   Json out;
   out["revision"] = now;
@@ -135,7 +135,7 @@ Json state_json(const LabelState& s, const PageSource& source, const std::vector
 
 }  // namespace
 
-PageServer::PageServer(PageSource& source, PageOptions options)
+PageServer::PageServer(LabelSource& source, PageOptions options)
     : PageHost([&source] { source.save(); }, options.exports, "export/", "docs/reference/labelling_http.md"),
       source_(source),
       options_(std::move(options)) {

@@ -11,8 +11,7 @@
 
 #include "app/serve/http_server.h"
 #include "app/serve/page_exports.h"
-#include "formats/image_io.h"
-#include "serve/label_loop.h"
+#include "serve/label_session.h"
 
 namespace semfield::app {
 
@@ -101,25 +100,6 @@ class PageHost : private HttpHandler {
 
 // The labelling page.
 
-/// Called from several threads at once; see LabelSession for what each call does and throws. `view` is always the
-/// number of a view that is there.
-class PageSource {
- public:
-  virtual ~PageSource() = default;
-  virtual bool apply(const LabelEvent& event) = 0;
-  virtual std::shared_ptr<const LabelState> state() const = 0;
-  virtual std::shared_ptr<const LabelState> wait_state(std::uint64_t after, std::chrono::milliseconds most) const = 0;
-  virtual Picture picture(const PictureRequest& request, const std::function<bool()>& abandoned) = 0;
-  /// Photograph of a view as its file has it. Where its longest side would be brought down to `most_px` (0: never)
-  /// anyhow, a smaller one may be given that still is as large.
-  virtual Image<std::uint8_t> photo(int view, std::int32_t most_px) = 0;
-  virtual FreeCamera camera_of(int view) const = 0;
-  /// Number of the view that shows a frame of the scene; -1: none.
-  virtual int view_of(int frame) const = 0;
-  /// Writes a checkpoint, and returns when it is there.
-  virtual void save() = 0;
-};
-
 struct PageOptions {
   HttpOptions http;
   bool next_port = false;  ///< when http.port is taken, one of the 99 behind it
@@ -134,7 +114,7 @@ struct PageOptions {
 class PageServer final : public PageHost {
  public:
   /// Serves when it returns; the source must outlive it. Throws as free_port does.
-  PageServer(PageSource& source, PageOptions options);
+  PageServer(LabelSource& source, PageOptions options);
   /// Requests that wait for news get a response, pictures are waited for.
   ~PageServer() override;
 
@@ -151,7 +131,7 @@ class PageServer final : public PageHost {
   int view_of(const HttpRequest& request) const;
   void check_view(std::uint64_t view) const;
 
-  PageSource& source_;
+  LabelSource& source_;
   PageOptions options_;
   std::atomic<bool> stopping_{false};
   mutable std::atomic<int> waiting_for_news_{0};

@@ -39,30 +39,6 @@ struct ServeOptions {
 
 namespace fs = std::filesystem;
 
-// The session as the page's server calls it.
-class SessionSource final : public PageSource {
- public:
-  explicit SessionSource(LabelSession& session) : session_(session), photos_(session.opened()) {}
-  bool apply(const LabelEvent& event) override { return session_.apply(event); }
-  std::shared_ptr<const LabelState> state() const override { return session_.state(); }
-  std::shared_ptr<const LabelState> wait_state(std::uint64_t after, std::chrono::milliseconds most) const override {
-    return session_.wait_state(after, most);
-  }
-  Picture picture(const PictureRequest& request, const std::function<bool()>& abandoned) override {
-    return session_.picture(request, abandoned);
-  }
-  Image<std::uint8_t> photo(int view, std::int32_t most_px) override {
-    return photos_.read(session_.frame_of(view), most_px);
-  }
-  FreeCamera camera_of(int view) const override { return session_.camera_of(view); }
-  int view_of(int frame) const override { return session_.view_of(frame); }
-  void save() override { session_.save(); }
-
- private:
-  LabelSession& session_;
-  PagePhotos photos_;
-};
-
 class Told final : public RunListener {
  public:
   explicit Told(const AppContext& context) : context_(context) {}
@@ -166,11 +142,10 @@ int run(const ServeOptions& options, AppContext& context) {
     throw Error(ErrorKind::data, "serve.classes.limit",
                 fmt::format("the scene has room for {} classes, and the page shows at most {}", room, kMostPageClasses),
                 "give it a table of fewer classes: scene.classes");
-  SessionSource source(session);
   page.exports.run_dir = session.run_dir();
   page.run_id = kept_run_id(session.run_dir());  // before the token, which a copy of a run does not keep
   page.token = kept_token(session.run_dir());
-  PageServer server(source, std::move(page));
+  PageServer server(session, std::move(page));
   if (context.json) {
     print_json(context, {{"run", session.run_dir()}, {"url", server.url()}});
   } else {

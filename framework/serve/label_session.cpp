@@ -355,11 +355,6 @@ void LabelRun::summarise() {
   }
 }
 
-void LabelRun::write_record(LabelState state) {
-  describe(state);
-  write_session_record(folder(), session(), loop_, state);
-}
-
 bool LabelRun::keep_is_due() const { return !failed_to_keep_ || seconds_since(*failed_to_keep_) >= kKeepAgain_s; }
 
 void LabelRun::keep(bool checkpoint) {
@@ -383,96 +378,12 @@ std::optional<Error> error_of(const Work& work) {
   return std::nullopt;
 }
 
-struct LabelSession::Parts {
-  Parts(std::unique_ptr<Run> opened, std::vector<std::string> warnings)
-      : notes(std::move(warnings)),
-        annotations(*opened->annotations()),
-        log([&] {
-          Diagnostics ignored;  // stated when the scene was opened by the file
-          return open_click_log(opened->session().config.labels, opened->run_dir(), ignored);
-        }()),
-        run(std::move(opened)) {}
-
-  using Clock = std::chrono::steady_clock;
-  static constexpr auto kPauseAfter = std::chrono::milliseconds(700);
-  static constexpr auto kQuietAfter = std::chrono::seconds(3);
-  static constexpr auto kLookedFor = std::chrono::seconds(10);
-
-  // A picture that somebody waits for.
-  struct Order {
-    PictureRequest request;
-    std::optional<Picture> made;
-    std::optional<Error> error;
-    bool done() const { return made || error; }
-  };
-
-  std::vector<std::string> notes;
-  // Of events. Held while one is stored, so it is never taken by the thread that trains for longer than a copy takes.
-  std::mutex events_mutex;
-  Annotations annotations;
-  ClickLog log;
-
-  // Of everything below, but for `run`, which belongs to the thread that trains.
-  mutable std::mutex mutex;
-  mutable std::condition_variable changed;  // the state, or an order
-  std::condition_variable wanted;           // something of the thread that trains
-  std::shared_ptr<const LabelState> state;
-  std::optional<std::uint64_t> taken_events;  // that `run` knows
-  std::vector<std::shared_ptr<Order>> orders;
-  std::uint64_t saves_wanted = 0, saves_made = 0;
-  std::optional<Error> save_error;
-  bool stopping = false, ended = false, poked = false;  // poked: look again before going to sleep
-  std::string trouble_told;
-  std::optional<Error> failure;  // of the thread that trains: it trains no longer, and responds all the same
-  Clock::time_point last_event = Clock::now() - kQuietAfter, last_look = Clock::now() - kLookedFor;
-
-  LabelRun run;
-
-  void poke() {
-    poked = true;
-    wanted.notify_all();
-  }
-  template <class Change>
-  void publish(const Change& change) {
-    const std::lock_guard lock(mutex);
-    auto next = std::make_shared<LabelState>(*state);
-    change(*next);
-    ++next->revision;
-    state = std::move(next);
-    changed.notify_all();
-  }
-  /// Whether somebody looks, and whether nobody has clicked for a moment, or for long.
-  struct Watched {
-    bool looked_at, pause, quiet;
-  };
-  Watched watched() const {
-    const std::lock_guard lock(mutex);
-    const Clock::time_point now = Clock::now();
-    const Clock::duration quiet = now - last_event;
-    return {now - last_look<kLookedFor, quiet> kPauseAfter, quiet > kQuietAfter};
-  }
-  /// An event that `run` does not know yet, or a picture.
-  bool is_waited_for() const {
-    const std::lock_guard lock(mutex);
-    return (taken_events && *taken_events < state->events) ||
-           std::any_of(orders.begin(), orders.end(), [](const auto& order) { return !order->done(); });
-  }
-  void name_classes(LabelState& next) const;
-  void take_events();
-  void serve_orders();
-  void save_if_wanted();
-  void write_record();
-  template <class Work>
-  void attempt(const Work& work) {
-    if (const std::optional<Error> error = error_of(work)) fail(*error);
-  }
-  void fail(const Error& error);
-  void end();
-};
-
 namespace {
 
 constexpr int kClassRoom = 32;
+constexpr auto kPauseAfter = std::chrono::milliseconds(700);
+constexpr auto kQuietAfter = std::chrono::seconds(3);
+constexpr auto kLookedFor = std::chrono::seconds(10);
 constexpr auto kAbandonedLook = std::chrono::milliseconds(100);
 constexpr std::size_t kMostOrders = 16;  // each holds a thread of its caller
 
@@ -493,8 +404,10 @@ class Noting final : public RunListener {
   RunListener* told_;
 };
 
-std::unique_ptr<Run> open_labelling(RunConfig config, Registry& registry, const LabelSessionOptions& options,
-                                    RunListener* listener, RunListener& opening) {
+// A run, and what was warned of while it was opened.
+std::pair<std::unique_ptr<Run>, std::vector<std::string>> open_labelling(RunConfig config, Registry& registry,
+                                                                         const LabelSessionOptions& options,
+                                                                         RunListener* listener) {
   TrainRequest request;
   request.driver = Driver::page;
   request.out_dir = options.run_dir;
@@ -506,18 +419,70 @@ std::unique_ptr<Run> open_labelling(RunConfig config, Registry& registry, const 
   config.train.ray_source = RaySourceKind::label_balanced;
   // Views of the page are where the files put them, and labels with them.
   if (config.cameras.poses == CameraTrust::automatic) config.cameras.poses = CameraTrust::given;
-  return std::make_unique<Run>(std::move(config), registry, request, listener, &opening);
+  Noting noting(listener);
+  auto run = std::make_unique<Run>(std::move(config), registry, request, listener, &noting);
+  return {std::move(run), std::move(noting.warnings)};
 }
 
 }  // namespace
 
-// Classes, marks and counts, from `annotations`.
-void LabelSession::Parts::name_classes(LabelState& next) const {
+LabelSession::LabelSession(std::pair<std::unique_ptr<Run>, std::vector<std::string>> opened)
+    : annotations_(*opened.first->annotations()),
+      log_([&] {
+        Diagnostics ignored;  // stated when the scene was opened by the file
+        return open_click_log(opened.first->session().config.labels, opened.first->run_dir(), ignored);
+      }()),
+      last_event_(Clock::now() - kQuietAfter),
+      last_look_(Clock::now() - kLookedFor),
+      run_(std::move(opened.first)) {
+  auto first = std::make_shared<LabelState>();
+  for (const PoolView& view : run_.loop().views()) {
+    const FrameInfo& info = run_.session().scene.info.frames[static_cast<std::size_t>(view.frame)];
+    const std::uint32_t checksum = crc32c(std::as_bytes(std::span(view.photo->rgb)));
+    first->views.push_back({info.name, info.camera.width_px, info.camera.height_px, 0, 1, false,
+                            fmt::format("{:08x}", checksum), info.split == Split::test});
+  }
+  first->events = log_.events().size();
+  first->notes = std::move(opened.second);
+  name_classes(*first);
+  run_.describe(*first);
+  first->revision = 1;
+  state_ = std::move(first);
+}
+
+LabelSession::LabelSession(RunConfig config, Registry& registry, const LabelSessionOptions& options,
+                           RunListener* listener)
+    : LabelSession(open_labelling(std::move(config), registry, options, listener)) {}
+
+void LabelSession::poke() {
+  poked_ = true;
+  wanted_.notify_all();
+}
+
+template <class Change>
+void LabelSession::publish(const Change& change) {
+  const std::lock_guard lock(mutex_);
+  auto next = std::make_shared<LabelState>(*state_);
+  change(*next);
+  ++next->revision;
+  state_ = std::move(next);
+  changed_.notify_all();
+}
+
+// An event that `run_` does not know yet, or a picture.
+bool LabelSession::is_waited_for() const {
+  const std::lock_guard lock(mutex_);
+  return (taken_events_ && *taken_events_ < state_->events) ||
+         std::any_of(orders_.begin(), orders_.end(), [](const auto& order) { return !order->done(); });
+}
+
+// Classes, marks and counts, from `annotations_`.
+void LabelSession::name_classes(LabelState& next) const {
   const std::vector<ClassState> before = std::move(next.classes);
   next.classes.clear();
-  const ClassTable& table = annotations.classes();
-  for (int c = 0; c < annotations.named_classes(); ++c) {
-    if (!annotations.is_named(c)) continue;
+  const ClassTable& table = annotations_.classes();
+  for (int c = 0; c < annotations_.named_classes(); ++c) {
+    if (!annotations_.is_named(c)) continue;
     const ClassEntry& entry = table.valid(c);
     ClassState cls;
     const auto known =
@@ -527,84 +492,59 @@ void LabelSession::Parts::name_classes(LabelState& next) const {
     cls.id = entry.id;
     cls.name = entry.name;
     cls.color = entry.color;
-    cls.own = c < annotations.own_classes();
+    cls.own = c < annotations_.own_classes();
     cls.clicks = 0;
     next.classes.push_back(cls);
   }
   for (ViewState& view : next.views) view.clicks = 0;
-  next.marks = annotations.marks();
+  next.marks = annotations_.marks();
   for (const Annotations::Mark& mark : next.marks) {
     const auto cls = std::find_if(next.classes.begin(), next.classes.end(),
                                   [&](const ClassState& c) { return c.index == mark.class_index; });
     if (cls != next.classes.end()) ++cls->clicks;
     for (std::size_t v = 0; v < next.views.size(); ++v)
-      if (run.loop().views()[v].frame == mark.frame) ++next.views[v].clicks;
+      if (run_.loop().views()[v].frame == mark.frame) ++next.views[v].clicks;
   }
   next.named = static_cast<int>(next.classes.size());
   next.room = table.valid_count();
   next.marks_revision = next.revision + 1;
 }
 
-LabelSession::LabelSession(RunConfig config, Registry& registry, const LabelSessionOptions& options,
-                           RunListener* told) {
-  Noting noting(told);
-  std::unique_ptr<Run> opened = open_labelling(std::move(config), registry, options, told, noting);
-  parts_ = std::make_unique<Parts>(std::move(opened), std::move(noting.warnings));
-  auto first = std::make_shared<LabelState>();
-  const Session& session = parts_->run.session();
-  for (const PoolView& view : parts_->run.loop().views()) {
-    const FrameInfo& info = session.scene.info.frames[static_cast<std::size_t>(view.frame)];
-    const std::uint32_t checksum = crc32c(std::as_bytes(std::span(view.photo->rgb)));
-    first->views.push_back({info.name, info.camera.width_px, info.camera.height_px, 0, 1, false,
-                            fmt::format("{:08x}", checksum), info.split == Split::test});
-  }
-  first->events = parts_->log.events().size();
-  first->notes = parts_->notes;
-  parts_->name_classes(*first);
-  parts_->run.describe(*first);
-  first->revision = 1;
-  parts_->state = std::move(first);
-}
-
-LabelSession::~LabelSession() = default;
-
 bool LabelSession::apply(const LabelEvent& event) {
-  Parts& p = *parts_;
-  const std::lock_guard events(p.events_mutex);
-  if (!p.annotations.check(event)) return false;
-  p.log.append(event);
-  p.annotations.apply(event);
-  p.publish([&](LabelState& next) {
-    next.events = p.log.events().size();
-    p.name_classes(next);
+  const std::lock_guard events(events_mutex_);
+  if (!annotations_.check(event)) return false;
+  log_.append(event);
+  annotations_.apply(event);
+  publish([&](LabelState& next) {
+    next.events = log_.events().size();
+    name_classes(next);
     if (event.kind == LabelEventKind::click || event.kind == LabelEventKind::skip) next.proposal.reset();
   });
-  const std::lock_guard lock(p.mutex);
-  p.last_event = Parts::Clock::now();
-  p.poke();
+  const std::lock_guard lock(mutex_);
+  last_event_ = Clock::now();
+  poke();
   return true;
 }
 
 std::shared_ptr<const LabelState> LabelSession::state() const {
-  const std::lock_guard lock(parts_->mutex);
-  return parts_->state;
+  const std::lock_guard lock(mutex_);
+  return state_;
 }
 
 std::shared_ptr<const LabelState> LabelSession::wait_state(std::uint64_t after, std::chrono::milliseconds most) const {
-  std::unique_lock lock(parts_->mutex);
-  parts_->changed.wait_for(lock, most, [&] { return parts_->state->revision > after || parts_->stopping; });
-  return parts_->state;
+  std::unique_lock lock(mutex_);
+  changed_.wait_for(lock, most, [&] { return state_->revision > after || stopping_; });
+  return state_;
 }
 
 Picture LabelSession::picture(const PictureRequest& request, const std::function<bool()>& abandoned) {
-  Parts& p = *parts_;
-  const auto order = std::make_shared<Parts::Order>();
+  const auto order = std::make_shared<Order>();
   order->request = request;
-  std::unique_lock lock(p.mutex);
+  std::unique_lock lock(mutex_);
   Picture none;
   none.stale = true;
-  std::vector<std::shared_ptr<Parts::Order>> others;
-  for (const std::shared_ptr<Parts::Order>& other : p.orders) {
+  std::vector<std::shared_ptr<Order>> others;
+  for (const std::shared_ptr<Order>& other : orders_) {
     if (other->done()) continue;
     if (other->request.client == request.client) {
       other->made = none;
@@ -613,59 +553,77 @@ Picture LabelSession::picture(const PictureRequest& request, const std::function
     }
   }
   if (others.size() >= kMostOrders) others.front()->made = none;
-  if (p.stopping || p.ended) return none;
-  p.orders.push_back(order);
-  p.last_look = Parts::Clock::now();
-  p.changed.notify_all();
-  p.poke();
-  while (!p.changed.wait_for(lock, kAbandonedLook, [&] { return order->done() || p.ended; }))
+  if (stopping_ || ended_) return none;
+  orders_.push_back(order);
+  last_look_ = Clock::now();
+  changed_.notify_all();
+  poke();
+  while (!changed_.wait_for(lock, kAbandonedLook, [&] { return order->done() || ended_; }))
     if (abandoned && abandoned()) order->made = none;
-  std::erase(p.orders, order);
+  std::erase(orders_, order);
   if (order->error) throw *order->error;
   return order->made ? std::move(*order->made) : none;
 }
 
-int LabelSession::frame_of(int view) const {
-  return parts_->run.loop().views().at(static_cast<std::size_t>(view)).frame;
-}
-
 FreeCamera LabelSession::camera_of(int view) const {
-  const RayCamera& camera = parts_->run.loop().views().at(static_cast<std::size_t>(view)).camera;
+  const RayCamera& camera = run_.loop().views().at(static_cast<std::size_t>(view)).camera;
   constexpr double kDegrees = 57.29577951308232;
   return {camera.world_from_camera, 2 * kDegrees * std::atan(camera.camera.width_px / (2 * camera.camera.fx))};
 }
 
 int LabelSession::view_of(int frame) const {
-  const std::vector<PoolView>& views = parts_->run.loop().views();
+  const std::vector<PoolView>& views = run_.loop().views();
   const auto found = std::find_if(views.begin(), views.end(), [&](const PoolView& v) { return v.frame == frame; });
   return found == views.end() ? -1 : static_cast<int>(found - views.begin());
 }
 
-std::optional<Error> LabelSession::failure() const { return parts_->failure; }
+Image<std::uint8_t> LabelSession::photo(int view, std::int32_t most_px) {
+  const int frame = frame_of(view);
+  const StoredFrame& trained = opened().scene.frames.at(static_cast<std::size_t>(frame));
+  if (most_px > 0 && most_px <= std::max(trained.width_px, trained.height_px))
+    return {trained.width_px, trained.height_px, 3, trained.rgb};
+  const std::lock_guard lock(photo_mutex_);
+  if (!dataset_) dataset_ = open_dataset();
+  if (kept_frame_ == frame) return kept_photo_;
+  FrameBuffer buffer;
+  dataset_->read(frame, buffer);
+  kept_photo_ = {buffer.width_px, buffer.height_px, 3, std::move(buffer.rgb)};
+  kept_frame_ = frame;
+  return kept_photo_;
+}
 
-const std::string& LabelSession::run_dir() const { return parts_->run.folder().path(); }
-
-const Session& LabelSession::opened() const { return parts_->run.session(); }
+std::unique_ptr<Dataset> LabelSession::open_dataset() const {
+  const RunConfig& config = opened().config;
+  DatasetBuild build;
+  build.config_dir = config.base_dir;
+  std::unique_ptr<Dataset> dataset = config.dataset.entry->dataset(*config.dataset.params, build);
+  Diagnostics found;
+  const SceneInfo info = dataset->open(found);
+  found.throw_if_errors(ErrorKind::data, "the photographs cannot be read any more:");
+  const std::vector<FrameInfo>& loaded = opened().scene.info.frames;
+  if (!std::equal(info.frames.begin(), info.frames.end(), loaded.begin(), loaded.end(),
+                  [](const FrameInfo& a, const FrameInfo& b) { return a.name == b.name; }))
+    throw Error(ErrorKind::data, "scene.frames.changed", "the scene's files list other frames than were loaded",
+                "start semfield serve again");
+  return dataset;
+}
 
 void LabelSession::save() {
-  Parts& p = *parts_;
-  std::unique_lock lock(p.mutex);
-  const std::uint64_t mine = ++p.saves_wanted;
-  p.poke();
-  p.changed.wait(lock, [&] { return p.saves_made >= mine || p.ended; });
-  if (p.saves_made < mine && !p.state->failure.empty())
-    throw Error(ErrorKind::failure, "serve.training.failed", "training has ended with an error: " + p.state->failure);
-  if (p.save_error) throw *p.save_error;
+  std::unique_lock lock(mutex_);
+  const std::uint64_t mine = ++saves_wanted_;
+  poke();
+  changed_.wait(lock, [&] { return saves_made_ >= mine || ended_; });
+  if (saves_made_ < mine && !state_->failure.empty())
+    throw Error(ErrorKind::failure, "serve.training.failed", "training has ended with an error: " + state_->failure);
+  if (save_error_) throw *save_error_;
 }
 
 void LabelSession::stop() {
-  const std::lock_guard lock(parts_->mutex);
-  parts_->stopping = true;
-  parts_->poke();
-  parts_->changed.notify_all();
+  const std::lock_guard lock(mutex_);
+  stopping_ = true;
+  poke();
+  changed_.notify_all();
 }
-
-// The thread of a labelling session that trains: it takes clicks, serves pictures, saves, and publishes the state.
 
 namespace {
 
@@ -681,150 +639,147 @@ bool is_write_error(const Error& error) {
 }  // namespace
 
 // Copies what has come, and learns from it.
-void LabelSession::Parts::take_events() {
+void LabelSession::take_events() {
   std::optional<Annotations> now;
   std::uint64_t events = 0;
   {
-    const std::lock_guard lock(events_mutex);
-    events = log.events().size();
-    if (events == taken_events) return;
-    now = annotations;
+    const std::lock_guard lock(events_mutex_);
+    events = log_.events().size();
+    if (events == taken_events_) return;
+    now = annotations_;
   }
-  taken_events = events;
-  run.take(*now);
+  taken_events_ = events;
+  run_.take(*now);
   publish([&](LabelState& next) {
-    run.describe(next);
-    if (run.knows_all()) next.overlay_events = events;
+    run_.describe(next);
+    if (run_.knows_all()) next.overlay_events = events;
     next.overlay_revision = next.revision + 1;
   });
 }
 
-void LabelSession::Parts::serve_orders() {
+void LabelSession::serve_orders() {
   std::shared_ptr<Order> order;
   std::uint64_t overlay = 0;
   {
-    const std::lock_guard lock(mutex);
+    const std::lock_guard lock(mutex_);
     for (const bool full : {false, true}) {  // what comes quickly does not wait for what takes long
-      const auto first = std::find_if(orders.begin(), orders.end(),
+      const auto first = std::find_if(orders_.begin(), orders_.end(),
                                       [&](const auto& o) { return !o->done() && o->request.full == full; });
-      if (order == nullptr && first != orders.end()) order = *first;
+      if (order == nullptr && first != orders_.end()) order = *first;
     }
     if (order == nullptr) return;
-    overlay = state->overlay_revision;
+    overlay = state_->overlay_revision;
   }
   std::optional<Picture> made;
   std::optional<Error> error = error_of([&] {
-    run.pictures().begin(order->request);
-    made = run.pictures().work(kTurn_s);
+    run_.pictures().begin(order->request);
+    made = run_.pictures().work(kTurn_s);
   });
   while (!made && !error) {
     {
-      const std::lock_guard lock(mutex);
-      if (order->done() || stopping) return;
+      const std::lock_guard lock(mutex_);
+      if (order->done() || stopping_) return;
     }
     attempt([&] { take_events(); });  // a click does not wait for a large picture
-    if (!failure) attempt([&] { (void)run.train(kTurn_s); });
-    error = error_of([&] { made = run.pictures().work(kTurn_s); });
+    if (!failure_) attempt([&] { (void)run_.train(kTurn_s); });
+    error = error_of([&] { made = run_.pictures().work(kTurn_s); });
   }
   if (made) made->overlay_revision = overlay;
-  const std::lock_guard lock(mutex);
+  const std::lock_guard lock(mutex_);
   if (order->done()) return;
   order->made = std::move(made);
   order->error = std::move(error);
-  changed.notify_all();
+  changed_.notify_all();
 }
 
-void LabelSession::Parts::save_if_wanted() {
+void LabelSession::save_if_wanted() {
   std::uint64_t wanted_now = 0;
   {
-    const std::lock_guard lock(mutex);
-    wanted_now = saves_wanted;
-    if (wanted_now == saves_made && (failure || !run.keep_is_due())) return;
-    if (wanted_now != saves_made && !failure && !stopping && !run.knows_all()) return;  // soon it does
+    const std::lock_guard lock(mutex_);
+    wanted_now = saves_wanted_;
+    if (wanted_now == saves_made_ && (failure_ || !run_.keep_is_due())) return;
+    if (wanted_now != saves_made_ && !failure_ && !stopping_ && !run_.knows_all()) return;  // soon it does
   }
   std::optional<Error> error = error_of([&] {
-    run.keep(wanted_now != saves_made);
-    if (wanted_now != saves_made) write_record();
+    run_.keep(wanted_now != saves_made_);
+    if (wanted_now != saves_made_) run_.write_record(*state());
   });
   const bool passes = error && is_write_error(*error);
-  if (error && !passes && wanted_now == saves_made) return fail(*error);
+  if (error && !passes && wanted_now == saves_made_) return fail(*error);
   const std::string trouble = passes ? shown(*error) : "";
-  if (trouble != trouble_told) publish([&](LabelState& next) { next.trouble = trouble; });
-  trouble_told = trouble;
-  const std::lock_guard lock(mutex);
-  save_error = std::move(error);
-  saves_made = wanted_now;
-  changed.notify_all();
+  if (trouble != trouble_told_) publish([&](LabelState& next) { next.trouble = trouble; });
+  trouble_told_ = trouble;
+  const std::lock_guard lock(mutex_);
+  save_error_ = std::move(error);
+  saves_made_ = wanted_now;
+  changed_.notify_all();
 }
 
-void LabelSession::Parts::write_record() {
-  std::shared_ptr<const LabelState> now;
-  {
-    const std::lock_guard lock(mutex);
-    now = state;
-  }
-  run.write_record(*now);
+template <class Work>
+void LabelSession::attempt(const Work& work) {
+  if (const std::optional<Error> error = error_of(work)) fail(*error);
 }
 
-void LabelSession::Parts::fail(const Error& error) {
-  failure = error;
+void LabelSession::fail(const Error& error) {
+  failure_ = error;
   publish([&](LabelState& next) {
     next.failure = shown(error);
     next.phase = "training has ended with an error; labels are stored";
   });
 }
 
-void LabelSession::Parts::end() {
-  const std::lock_guard lock(mutex);
-  ended = true;
-  changed.notify_all();
-}
-
 void LabelSession::run() {
-  Parts& p = *parts_;
   // However it ends, whoever waits gets a response.
-  const std::unique_ptr<Parts, void (*)(Parts*)> ending(&p, [](Parts* parts) { parts->end(); });
-  Parts::Clock::time_point published = Parts::Clock::now();
+  const std::unique_ptr<LabelSession, void (*)(LabelSession*)> ending(this, [](LabelSession* session) {
+    const std::lock_guard lock(session->mutex_);
+    session->ended_ = true;
+    session->changed_.notify_all();
+  });
+  Clock::time_point published = Clock::now();
   const auto asked_to_stop = [&] {
-    const std::lock_guard lock(p.mutex);
-    return p.stopping;
+    const std::lock_guard lock(mutex_);
+    return stopping_;
   };
   bool untold = false;  // something has changed since the state was published
   int hurries = 0;
   while (!asked_to_stop()) {
     bool busy = false, overlay = false;
-    p.attempt([&] { p.take_events(); });
-    p.serve_orders();
-    p.save_if_wanted();
-    if (!p.failure) {
-      p.attempt([&] {
-        busy = p.run.train(kTurn_s, [&] { return p.is_waited_for(); });
-        if (p.is_waited_for() && ++hurries <= kMostHurries) return;
+    attempt([&] { take_events(); });
+    serve_orders();
+    save_if_wanted();
+    if (!failure_) {
+      attempt([&] {
+        busy = run_.train(kTurn_s, [&] { return is_waited_for(); });
+        if (is_waited_for() && ++hurries <= kMostHurries) return;
         hurries = 0;
-        const Parts::Watched watched = p.watched();
-        overlay = p.run.tend(watched.looked_at, watched.pause, watched.quiet);
+        std::unique_lock lock(mutex_);
+        const Clock::time_point now = Clock::now();
+        const bool looked_at = now - last_look_ < kLookedFor;
+        const Clock::duration quiet = now - last_event_;
+        lock.unlock();
+        overlay = run_.tend(looked_at, quiet > kPauseAfter, quiet > kQuietAfter);
       });
     }
     untold = untold || busy || overlay;
-    if (untold && (overlay || !busy || Parts::Clock::now() - published >= kPublishEvery)) {
-      p.publish([&](LabelState& next) {
-        p.run.describe(next);
+    if (untold && (overlay || !busy || Clock::now() - published >= kPublishEvery)) {
+      publish([&](LabelState& next) {
+        run_.describe(next);
         next.history_revision = next.revision + 1;
-        if (p.run.knows_all() && p.taken_events) next.overlay_events = *p.taken_events;
+        if (run_.knows_all() && taken_events_) next.overlay_events = *taken_events_;
         if (overlay) next.overlay_revision = next.revision + 1;
       });
-      published = Parts::Clock::now();
+      published = Clock::now();
       untold = false;
     }
     if (busy || overlay) continue;
-    std::unique_lock lock(p.mutex);
-    p.wanted.wait_for(lock, kIdle, [&] { return p.poked; });
-    p.poked = false;
+    std::unique_lock lock(mutex_);
+    wanted_.wait_for(lock, kIdle, [&] { return poked_; });
+    poked_ = false;
   }
-  p.attempt([&] { p.take_events(); });
-  if (p.failure) return;
-  p.run.keep(true);
-  p.write_record();
+  attempt([&] { take_events(); });
+  if (failure_) return;
+  run_.keep(true);
+  run_.write_record(*state());
 }
 
 namespace {
@@ -877,31 +832,32 @@ void write_pictures(const RunFolder& folder, const Session& session, LabelLoop& 
 
 }  // namespace
 
-void write_session_record(const RunFolder& folder, const Session& session, LabelLoop& loop, const LabelState& state) {
+void LabelRun::write_record(LabelState state) {
+  describe(state);
   LabellingRecord record;
   record.step = state.step;
   record.clicks = std::ssize(state.marks);
-  record.frames = std::ssize(loop.pooled());
+  record.frames = std::ssize(loop_.pooled());
   for (const ClassState& c : state.classes)
     record.classes.push_back({c.id, c.name, c.color, c.clicks, c.area_share, c.confidence});
   std::map<int, std::vector<const Mark*>> marks;
   for (const Mark& mark : state.marks) marks[mark.frame].push_back(&mark);
   record.clicked_frames = std::ssize(marks);
-  std::vector<int> views(loop.pooled().size());
+  std::vector<int> views(loop_.pooled().size());
   std::iota(views.begin(), views.end(), 0);
   const auto clicks_of = [&](int view) {
-    const auto found = marks.find(loop.views()[static_cast<std::size_t>(view)].frame);
+    const auto found = marks.find(loop_.views()[static_cast<std::size_t>(view)].frame);
     return found == marks.end() ? std::vector<const Mark*>() : found->second;
   };
   std::stable_sort(views.begin(), views.end(), [&](int a, int b) { return clicks_of(a).size() > clicks_of(b).size(); });
   for (const int view : views) {
     const std::vector<const Mark*> of_view = clicks_of(view);
     if (of_view.empty() || record.shown.size() == kShown) break;
-    write_pictures(folder, session, loop, view, of_view);
-    const int frame = loop.views()[static_cast<std::size_t>(view)].frame;
-    record.shown.push_back({session.scene.info.frames[static_cast<std::size_t>(frame)].name, std::ssize(of_view)});
+    write_pictures(folder(), session(), loop_, view, of_view);
+    const int frame = loop_.views()[static_cast<std::size_t>(view)].frame;
+    record.shown.push_back({session().scene.info.frames[static_cast<std::size_t>(frame)].name, std::ssize(of_view)});
   }
-  write_file_atomic(folder.labelling_path(), labelling_record_json(record));
+  write_file_atomic(folder().labelling_path(), labelling_record_json(record));
 }
 
 }  // namespace semfield

@@ -2,15 +2,21 @@
 #pragma once
 
 #include <chrono>
+#include <condition_variable>
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
+#include "formats/image_io.h"
 #include "labels/clicks/annotations.h"
+#include "labels/clicks/click_log.h"
+#include "plugin/dataset.h"
 #include "plugin/registry.h"
 #include "run/run.h"
 #include "run/run_folder.h"
@@ -51,7 +57,8 @@ class LabelRun {
   /// requires for it. Throws write_error; what could not be written stays due, and keep_is_due() is false for a while.
   void keep(bool checkpoint);
   bool keep_is_due() const;
-  /// What the run's report says of the labelling; `state` has the classes and marks.
+  /// For the run's report: labelling.json and the pictures of the frames with the most clicks, photograph with clicks,
+  /// labels, entropy. `state` has the classes and marks. Throws write_error.
   void write_record(LabelState state);
 
  private:
@@ -96,6 +103,32 @@ class LabelRun {
   std::optional<Clock::time_point> failed_to_keep_;
 };
 
+/// What a page asks of a labelling session, from several threads at once.
+class LabelSource {
+ public:
+  virtual ~LabelSource() = default;
+
+  /// Stored and synced before it returns; false: an event of this id was there already. Throws Error: data for an event
+  /// that is wrong, io where it could not be stored; nothing has changed then.
+  virtual bool apply(const LabelEvent& event) = 0;
+  virtual std::shared_ptr<const LabelState> state() const = 0;
+  /// The state once its revision is above `after`, or after `most` as it is then.
+  virtual std::shared_ptr<const LabelState> wait_state(std::uint64_t after, std::chrono::milliseconds most) const = 0;
+  /// Waits for the thread that trains, until `abandoned` (checked several times per second) says that nobody wants the
+  /// picture any more. Quick pictures come before those of PictureRequest::full; of more than 16 that wait the oldest
+  /// is stale. Throws Error for a request that is wrong or a training that has failed.
+  virtual Picture picture(const PictureRequest& request, const std::function<bool()>& abandoned = {}) = 0;
+  /// Photograph of a view as its file has it, or the one that trains where that is at least `most_px` long (0: as long
+  /// as there is). Throws what the dataset throws, and Error(data) where the files are no longer those that were
+  /// loaded.
+  virtual Image<std::uint8_t> photo(int view, std::int32_t most_px) = 0;
+  virtual FreeCamera camera_of(int view) const = 0;
+  /// Number of the view that shows a frame of the scene; -1: none.
+  virtual int view_of(int frame) const = 0;
+  /// Writes a checkpoint, and returns when it is there.
+  virtual void save() = 0;
+};
+
 struct LabelSessionOptions {
   std::string run_dir;  ///< made, or gone on with where it is a run of such a session
   int class_room = 0;   ///< most classes; 0: 32. Never fewer than the scene has
@@ -103,55 +136,87 @@ struct LabelSessionOptions {
 
 /// The run's folder holds run.yaml, clicks.jsonl, metrics.jsonl and checkpoints, so every verb works on it while the
 /// session goes on and afterwards.
-class LabelSession {
+class LabelSession final : public LabelSource {
  public:
   /// Opens scene and run; `listener` may be null. Throws as open_session and Training do.
   LabelSession(RunConfig config, Registry& registry, const LabelSessionOptions& options, RunListener* listener);
-  ~LabelSession();
-  LabelSession(const LabelSession&) = delete;
-  LabelSession& operator=(const LabelSession&) = delete;
 
-  // From any thread:
+  bool apply(const LabelEvent& event) override;
+  std::shared_ptr<const LabelState> state() const override;
+  std::shared_ptr<const LabelState> wait_state(std::uint64_t after, std::chrono::milliseconds most) const override;
+  Picture picture(const PictureRequest& request, const std::function<bool()>& abandoned = {}) override;
+  Image<std::uint8_t> photo(int view, std::int32_t most_px) override;
+  FreeCamera camera_of(int view) const override;
+  int view_of(int frame) const override;
+  void save() override;
 
-  /// Stored and synced before it returns; false: an event of this id was there already. Throws Error: data for an event
-  /// that is wrong, io where it could not be stored; nothing has changed then.
-  bool apply(const LabelEvent& event);
-  std::shared_ptr<const LabelState> state() const;
-  /// The state once its revision is above `after`, or after `most` as it is then.
-  std::shared_ptr<const LabelState> wait_state(std::uint64_t after, std::chrono::milliseconds most) const;
-  /// Waits for the thread that trains, until `abandoned` (checked several times per second) says that nobody wants the
-  /// picture any more. Quick pictures come before those of PictureRequest::full; of more than 16 that wait the oldest
-  /// is stale. Throws Error for a request that is wrong or a training that has failed.
-  Picture picture(const PictureRequest& request, const std::function<bool()>& abandoned = {});
+  // From any thread too:
+
   /// The view's frame, in SceneInfo::frames.
-  int frame_of(int view) const;
-  FreeCamera camera_of(int view) const;
-  /// Number of the view that shows a frame of the scene; -1: none.
-  int view_of(int frame) const;
-  /// Writes a checkpoint, and returns when it is there.
-  void save();
+  int frame_of(int view) const { return run_.loop().views().at(static_cast<std::size_t>(view)).frame; }
   /// run() returns after its checkpoint.
   void stop();
-  const std::string& run_dir() const;
+  const std::string& run_dir() const { return run_.folder().path(); }
   /// What was opened; its frames and cameras do not change, all else belongs to the thread that trains.
-  const Session& opened() const;
+  const Session& opened() const { return run_.session(); }
 
   /// Trains until stop(), or until an error, which is in the state then; pictures and events go on until stop(). Files
   /// that cannot be written end nothing: the state says so, and they are tried again. Throws write_error where the last
   /// checkpoint cannot be written either.
   void run();
   /// What training has ended with, once run() has returned.
-  std::optional<Error> failure() const;
+  std::optional<Error> failure() const { return failure_; }
 
  private:
-  struct Parts;
-  std::unique_ptr<Parts> parts_;
+  using Clock = std::chrono::steady_clock;
+  // A picture that somebody waits for.
+  struct Order {
+    PictureRequest request;
+    std::optional<Picture> made;
+    std::optional<Error> error;
+    bool done() const { return made || error; }
+  };
+
+  explicit LabelSession(std::pair<std::unique_ptr<Run>, std::vector<std::string>> opened);  // with its warnings
+  void poke();
+  template <class Change>
+  void publish(const Change& change);
+  bool is_waited_for() const;
+  void name_classes(LabelState& next) const;
+  std::unique_ptr<Dataset> open_dataset() const;
+  // Of the thread that trains: it takes clicks, serves pictures, saves, and publishes the state.
+  void take_events();
+  void serve_orders();
+  void save_if_wanted();
+  template <class Work>
+  void attempt(const Work& work);
+  void fail(const Error& error);
+
+  // Of events. Held while one is stored, so it is never taken by the thread that trains for longer than a copy takes.
+  std::mutex events_mutex_;
+  Annotations annotations_;
+  ClickLog log_;
+
+  // Of everything below, but for `run_` and `trouble_told_`, which belong to the thread that trains.
+  mutable std::mutex mutex_;
+  mutable std::condition_variable changed_;  // the state, or an order
+  std::condition_variable wanted_;           // something of the thread that trains
+  std::shared_ptr<const LabelState> state_;
+  std::optional<std::uint64_t> taken_events_;  // that `run_` knows
+  std::vector<std::shared_ptr<Order>> orders_;
+  std::uint64_t saves_wanted_ = 0, saves_made_ = 0;
+  std::optional<Error> save_error_;
+  bool stopping_ = false, ended_ = false, poked_ = false;  // poked: look again before going to sleep
+  std::string trouble_told_;
+  std::optional<Error> failure_;  // of the thread that trains: it trains no longer, and responds all the same
+  Clock::time_point last_event_, last_look_;
+  LabelRun run_;
+
+  // Photographs as their files have them, larger than those that train; opened when somebody looks at one closely.
+  std::mutex photo_mutex_;
+  std::unique_ptr<Dataset> dataset_;
+  int kept_frame_ = -1;
+  Image<std::uint8_t> kept_photo_;
 };
-
-// What a labelling session writes for the report of its run.
-
-/// labelling.json and the pictures of the frames with the most clicks: photograph with clicks, labels, entropy. `state`
-/// has classes, marks and the step. Throws write_error.
-void write_session_record(const RunFolder& folder, const Session& session, LabelLoop& loop, const LabelState& state);
 
 }  // namespace semfield

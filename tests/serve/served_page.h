@@ -126,7 +126,7 @@ namespace semfield::app {
 
 // A page server over a source that is no training: two views of 4 x 3 and 6 x 4 pixels, and whatever a test gives it.
 
-class FakeSource final : public PageSource {
+class FakeSource final : public LabelSource {
  public:
   FakeSource() {
     LabelState s{.revision = 5,

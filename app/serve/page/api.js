@@ -119,15 +119,7 @@ export class Backoff {
   }
 }
 
-const shown = () => new Promise((resolve) => {
-  const look = () => {
-    if (document.hidden) return;
-    document.removeEventListener('visibilitychange', look);
-    resolve();
-  };
-  document.addEventListener('visibilitychange', look);
-  look();
-});
+const seenOrHidden = () => new Promise((resolve) => document.addEventListener('visibilitychange', resolve, {once: true}));
 
 /// Follows the program's state for ever, except in a tab that nobody sees (a browser has few connections to one server).
 /// state(value, anew): anew after the first response, a rest and each lost connection;
@@ -137,7 +129,7 @@ export async function followState({state, lost}) {
   addEventListener('online', () => backoff.poke());
   for (let after = 0;;) {
     if (document.hidden && after !== 0) {
-      await shown();
+      while (document.hidden) await seenOrHidden();
       after = 0;
     }
     try {

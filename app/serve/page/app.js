@@ -1,6 +1,6 @@
 // The page put together: state comes in, the parts show it, keys and buttons act.
-import {PictureChannel, followState, postJson, safeStorage} from './api.js';
-import {Settings, actionsOf, ask, askClass, followClicksBeside, followKeys, showHelp} from './dialogs.js';
+import {PictureChannel, followState, safeStorage} from './api.js';
+import {Settings, actionsOf, ask, askClass, followClicksBeside, followKeys} from './dialogs.js';
 import {byId} from './dom.js';
 import {Flights} from './flights.js';
 import {Labeller} from './labeller.js';
@@ -20,41 +20,17 @@ class Page {
     this.settings = new Settings();
     this.session = safeStorage('sessionStorage');
     this.messages = new Messages();
-    const refuse = (...told) => this.messages.refuse(...told);
-    this.labeller = new Labeller({changed: this.changed, tell: (text) => this.messages.tell(text), refuse});
+    this.labeller = new Labeller(this);
     this.channel = new PictureChannel(this.labeller.ids.tab);
-    this.pictures = new Pictures(this.channel, this.changed, (error) => { if (error.status === 400) refuse(error.message, error.remedy); });
+    this.pictures = new Pictures(this);
     this.overlayEvents = new OverlayEvents();
     this.index = 0;
     this.isRendered = false;
     this.bars = new Bars(this, this.messages);
     this.flights = new Flights(this, this.messages, this.labeller.ids.tab);
-    this.strip = new Strip((view) => this.show(view));
-    this.panel = new Panel({
-      choose: (name) => this.choose(name),
-      ignore: () => this.choose(this.labeller.ignore.name),
-      rename: (row) => this.change(row),
-      point: (name) => { this.stage.pointed = name; this.redraw(); },
-      export: (what) => {
-        this.messages.tell('The export is begun; it is listed here when it is done.');
-        postJson('./export', {what}).catch((error) => refuse(error.message, error.remedy));
-      },
-      cancelExport: (id) => postJson('./export', {cancel: id}).catch((error) => refuse(error.message, error.remedy)),
-    });
-    this.stage = new Stage(this.labeller, this.settings, {
-      changed: this.redraw,
-      click: (stroke) => this.click(stroke),
-      polygon: (points, step) => this.polygon(points, step),
-      erase: (marks) => this.labeller.erase(marks),
-      select: (mark) => this.select(mark),
-      mayLabel: () => this.mayLabel(),
-      isShown: () => this.isShown(),
-      tell: (text) => this.messages.tell(text),
-      clickFlight: (at, label, picture) => this.flights.click(at, label, picture),
-      isFlying: () => this.flights.isFlying,
-      drag: (dx, dy) => this.flight.look(dx * 0.004, -dy * 0.004),
-      wheel: (factor) => this.flight.ahead(Math.log(factor) * 1.5),
-    });
+    this.strip = new Strip(this);
+    this.panel = new Panel(this);
+    this.stage = new Stage(this);
     this.connect();
     followState({state: (value, anew) => this.take(value, anew), lost: (error) => this.lose(error)});
   }
@@ -361,27 +337,14 @@ class Page {
   }
 
   connect() {
-    const {stage, labeller} = this;
+    const actions = actionsOf(this);
+    for (const button of document.querySelectorAll('[data-act]')) button.addEventListener('click', () => actions[button.dataset.act]());
     const on = (id, act) => byId(id).addEventListener('click', act);
     on('show-photo', () => this.setRendered(false));
     on('show-rendered', () => this.setRendered(true));
     on('show-labels', () => this.setKind('labels'));
     on('show-entropy', () => this.setKind('entropy'));
-    on('undo', () => this.undo());
-    on('redo', () => labeller.redo());
-    on('fit', () => stage.fit());
-    on('fly', () => this.fly());
-    on('land', () => this.land());
-    on('to-photograph', () => this.flights.toPhotograph());
-    for (const kind of ['brush', 'polygon', 'erase']) on(`tool-${kind}`, () => stage.tools.use(kind));
-    on('selection-delete', () => this.remove());
     on('selection-close', () => this.select(null));
-    on('help', showHelp);
-    on('new-class', () => this.make());
-    on('another', () => labeller.another());
-    on('proposal-take', () => this.space());
-    on('proposal-guess', () => this.takeGuess());
-    on('proposal-skip', () => this.skip());
     byId('opacity').addEventListener('input', () => this.setOpacity(Number(byId('opacity').value)));
     byId('radius').addEventListener('input', () => this.setRadius(Number(byId('radius').value)));
     for (const button of document.querySelectorAll('#pad [data-key]')) {
@@ -392,7 +355,7 @@ class Page {
     document.addEventListener('visibilitychange', this.changed);
 
     followClicksBeside(() => this.messages.tell('Not stored: a window is open over the picture. Answer it first.'));
-    followKeys(actionsOf(this), (event, isDown) => Boolean(this.flight?.key(event.key, isDown, event.shiftKey)));
+    followKeys(actions, (event, isDown) => Boolean(this.flight?.key(event.key, isDown, event.shiftKey)));
   }
 }
 

@@ -63,9 +63,9 @@ const kSizes = {least: 96, first: 192, most: 480};
 
 /// A flight: keys held, the camera, and pictures small while it moves and full when it stands.
 export class Flight {
-  /// changed(picture) shows one; trouble(error).
-  constructor({channel, camera, pace, fullSize_px, withColor, changed, trouble}) {
-    Object.assign(this, {channel, camera, pace, fullSize_px, withColor, changed, trouble});
+  /// changed(picture) shows one.
+  constructor({channel, camera, pace, fullSize_px, changed, messages}) {
+    Object.assign(this, {channel, camera, pace, fullSize_px, changed, messages});
     this.held = new Set();
     this.size_px = kSizes.first;
     this.moved_ms = performance.now() - kStill_ms;
@@ -149,7 +149,7 @@ export class Flight {
       else this.changed({...picture, camera: request.camera});
     }, (error) => {
       setTimeout(() => this.renew(), 1000);
-      this.trouble(error);
+      this.messages.wrong(error);
     });
   }
 }
@@ -187,7 +187,7 @@ export class Flights {
         pace: paceOf(cameras),
         fullSize_px: Math.min(kMostFlight_px, Math.max(canvas.clientWidth, canvas.clientHeight)),
         changed: (picture) => this.took(picture),
-        trouble: (error) => { if (error.status === 400) this.messages.refuse(error.message, error.remedy); },
+        messages: this.messages,
       });
     } catch (error) {
       this.messages.refuse(error.message, error.remedy);

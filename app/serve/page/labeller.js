@@ -7,9 +7,8 @@ const kMostHistory = 300;
 export const shapeOf = ({points, fill}) => (fill ? 'polygon' : points.length > 1 ? 'stroke' : 'click');
 
 export class Labeller {
-  /// changed(): something shown is another; tell(text): a word of what was done; refuse(sentence, remedy, passes): an error to show, passes: until all is saved.
-  constructor({changed, tell, refuse}) {
-    Object.assign(this, {changed, tell, refuse});
+  constructor({changed, messages}) {
+    Object.assign(this, {changed, messages});
     this.ids = new Ids();
     this.storage = safeStorage('sessionStorage');
     this.state = null;
@@ -34,10 +33,10 @@ export class Labeller {
       },
       refused: (event, error) => {
         this.forget(event);
-        this.refuse(`Not taken (${this.inWords(event)}): ${error.message}`, error.remedy);
+        this.messages.refuse(`Not taken (${this.inWords(event)}): ${error.message}`, error.remedy);
       },
       failed: (error) => {
-        if (error.status >= 500) this.refuse(error.message, error.remedy || 'It stays in this browser and is sent again.', true);
+        if (error.status >= 500) this.messages.refuse(error.message, error.remedy || 'It stays in this browser and is sent again.', true);
       },
     });
   }
@@ -108,9 +107,9 @@ export class Labeller {
 
   /// The clicks that follow are on another thing of the chosen class.
   another() {
-    if (!this.classes.some(({name}) => name === this.chosen)) return this.tell('First choose the class of the thing.');
+    if (!this.classes.some(({name}) => name === this.chosen)) return this.messages.tell('First choose the class of the thing.');
     this.object = 1 + Math.max(this.object, ...this.marks.map(({object}) => object ?? 0));
-    this.tell(`The next clicks are on another "${this.chosen}".`);
+    this.messages.tell(`The next clicks are on another "${this.chosen}".`);
     this.changed();
   }
 
@@ -147,7 +146,7 @@ export class Labeller {
   polygon(view, points, step) {
     const {frame, width, height} = this.state.views[view];
     const corners = outlineCorners(this.within(view, points), step);
-    if (corners.length < 3) return this.tell('A polygon needs three corners.');
+    if (corners.length < 3) return this.messages.tell('A polygon needs three corners.');
     this.add({type: 'click', frame, size: [width, height], points: corners, radius: 0, fill: true, ...this.label});
   }
 
@@ -157,7 +156,7 @@ export class Labeller {
       if (!this.everyEvent.has(mark.id)) this.everyEvent.set(mark.id, this.eventOf(mark));
       this.add({type: 'undo', of: mark.id});
     }
-    if (marks.length) this.tell(marks.length === 1 ? `Deleted: ${this.inWords(this.eventOf(marks[0]))}` : `Deleted: ${marks.length} clicks`);
+    if (marks.length) this.messages.tell(marks.length === 1 ? `Deleted: ${this.inWords(this.eventOf(marks[0]))}` : `Deleted: ${marks.length} clicks`);
   }
 
   eventOf(mark) {
@@ -168,13 +167,13 @@ export class Labeller {
     const {clicks} = this.classOf(name);
     this.add({type: 'merge', class: name, into});
     if (this.chosen === name || this.chosen === null) this.choose(into);
-    this.tell(`"${name}" is merged into "${into}", which got its ${clicks} click${clicks === 1 ? '' : 's'}.`);
+    this.messages.tell(`"${name}" is merged into "${into}", which got its ${clicks} click${clicks === 1 ? '' : 's'}.`);
   }
 
   deleteClass(name) {
     const {clicks} = this.classOf(name);
     this.add({type: 'delete', class: name});
-    this.tell(`"${name}" is deleted${clicks ? ` with ${clicks} click${clicks === 1 ? '' : 's'}` : ''}; z brings it back.`);
+    this.messages.tell(`"${name}" is deleted${clicks ? ` with ${clicks} click${clicks === 1 ? '' : 's'}` : ''}; z brings it back.`);
   }
 
   addClass(name, color) {
@@ -206,21 +205,21 @@ export class Labeller {
       const mark = this.marks.findLast(({id}) => this.ids.isOurs(id));
       if (mark) event = this.eventOf(mark);
     }
-    if (!event) return this.tell('There is nothing to undo.');
+    if (!event) return this.messages.tell('There is nothing to undo.');
     if (!this.everyEvent.has(event.id)) this.everyEvent.set(event.id, event);
     this.redoable.push(this.add({type: 'undo', of: event.id}, false));
     this.keep();
-    this.tell(`Undone: ${this.inWords(event)}`);
+    this.messages.tell(`Undone: ${this.inWords(event)}`);
   }
 
   redo() {
     const undo = this.redoable.pop();
-    if (!undo) return this.tell('There is nothing to redo.');
+    if (!undo) return this.messages.tell('There is nothing to redo.');
     const event = this.everyEvent.get(undo.of);
     this.undoable.push(event);
     this.add({type: 'undo', of: undo.id}, false);
     if (event.type === 'class') this.choose(event.name);
-    this.tell(`Done again: ${this.inWords(event)}`);
+    this.messages.tell(`Done again: ${this.inWords(event)}`);
   }
 
   forget(event) {

@@ -1,5 +1,5 @@
 // The right side: classes, exports and notes; and the line at the foot.
-import {photoAddress} from './api.js';
+import {photoAddress, postJson} from './api.js';
 import {byId, cssColor, make, setAttribute, setStyle, setText} from './dom.js';
 import {shapeOf} from './labeller.js';
 import {duration, orderedViews, reason, short} from './model.js';
@@ -163,15 +163,16 @@ const kWords = {labels: 'Label images', coco: 'COCO', mesh: 'Mesh'};
 const percent = (share) => (share >= 0.0995 ? `${Math.round(100 * share)}` : (100 * share).toFixed(1));
 
 export class Panel {
-  /// calls: choose(name), ignore(), rename(row), point(name or null), export(what).
-  constructor(calls) {
-    this.calls = calls;
+  constructor(page) {
+    this.page = page;
     this.plots = new Plots(byId('plots'));
     this.rows = [];
     for (const button of document.querySelectorAll('#exports button')) {
-      button.addEventListener('click', () => calls.export(button.dataset.what));
+      button.addEventListener('click', () => {
+        page.messages.tell('The export is begun; it is listed here when it is done.');
+        this.send({what: button.dataset.what});
+      });
     }
-    byId('ignore').addEventListener('click', () => calls.ignore());
     byId('classes').addEventListener('keydown', (event) => {
       const step = {ArrowDown: 1, ArrowUp: -1}[event.key];
       if (!step) return;
@@ -180,7 +181,7 @@ export class Panel {
       const at = this.rows.findIndex(({item}) => item === document.activeElement);
       const row = this.rows[Math.min(Math.max(at + step, 0), this.rows.length - 1)];
       row.item.focus();
-      calls.choose(row.shown.name);
+      page.choose(row.shown.name);
     });
   }
 
@@ -190,10 +191,10 @@ export class Panel {
     [row.key, row.swatch, row.name, row.clicks, row.area, row.sure] = parts;
     row.item = make('button', {
       role: 'radio',
-      onclick: () => this.calls.choose(row.shown.name),
-      ondblclick: () => this.calls.rename(row.shown),
-      onpointerenter: () => this.calls.point(row.shown.name),
-      onpointerleave: () => this.calls.point(null),
+      onclick: () => this.page.choose(row.shown.name),
+      ondblclick: () => this.page.change(row.shown),
+      onpointerenter: () => this.page.stage.point(row.shown.name),
+      onpointerleave: () => this.page.stage.point(null),
     }, ...parts);
     this.rows.push(row);
     byId('classes').append(row.item);
@@ -245,6 +246,9 @@ export class Panel {
     setAttribute(byId('run-line'), 'title', run.folder);
   }
 
+  /// Begins or cancels an export.
+  send(request) { postJson('./export', request).catch((error) => this.page.messages.refuse(error.message, error.remedy)); }
+
   updateExports(exports) {
     const told = JSON.stringify(exports);
     if (this.exports === told) return;
@@ -256,7 +260,7 @@ export class Panel {
       const body = many ? make('details', {}, make('summary', {}, `${links.length} files`), list) : list;
       const open = state === 'waiting' || state === 'running';
       const cancel = open ? make('button', {title: `Cancel the export ${id}`}, 'Cancel') : null;
-      cancel?.addEventListener('click', () => { cancel.disabled = true; this.calls.cancelExport(id); });
+      cancel?.addEventListener('click', () => { cancel.disabled = true; this.send({cancel: id}); });
       return make('div', {class: `export ${state}`}, make('p', {}, make('b', {}, `${kWords[what] ?? what}: ${state}`), text ? ` ${text}` : ''),
                   ...(state === 'running' ? [progressOf(text, `${kWords[what] ?? what} is being written`)] : []), ...(open ? [cancel] : []), ...(links.length ? [body] : []));
     }));
@@ -296,6 +300,11 @@ export class Messages {
     if (what) this.list.append(make('div', {class: 'error', role: 'alert', 'data-name': name, 'data-text': what}, make('p', {}, make('b', {}, sentence(what)), ` ${sentence(remedy)}`)));
   }
 
+  /// A request that was wrong; others are made again.
+  wrong(error) {
+    if (error.status === 400) this.refuse(error.message, error.remedy);
+  }
+
   refuse(what, remedy, passes = false) {
     const text = `${sentence(what)} ${sentence(remedy)}`;
     for (const other of this.list.querySelectorAll('.error')) if (other.dataset.text === text) return;
@@ -310,8 +319,7 @@ export class Messages {
 // The strip of views: thumbnails that load when they come into sight, clicks and entropy.
 
 export class Strip {
-  constructor(open) {
-    this.open = open;
+  constructor(page) {
     this.list = byId('strip');
     this.order = byId('order');
     this.items = [];
@@ -328,7 +336,7 @@ export class Strip {
     this.order.addEventListener('change', () => this.arrange());
     this.list.addEventListener('click', (event) => {
       const button = event.target.closest('button');
-      if (button) this.open(Number(button.dataset.view));
+      if (button) page.show(Number(button.dataset.view));
     });
   }
 

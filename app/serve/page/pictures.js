@@ -49,9 +49,8 @@ export function entropyCanvas(bitmap) {
 }
 
 export class Pictures {
-  /// changed(): something that may be shown has come; trouble(error).
-  constructor(channel, changed, trouble) {
-    Object.assign(this, {channel, changed, trouble});
+  constructor({channel, changed, messages}) {
+    Object.assign(this, {channel, changed, messages});
     this.photos = new Recent(kKept);
     this.large = new Recent(kKeptLarge);
     this.overlays = new Recent(kKept);
@@ -85,7 +84,7 @@ export class Pictures {
       entry.coming = undefined;
       entry.rests = true;
       if (error.status !== 400) setTimeout(() => { entry.rests = false; this.changed(); }, 3000);
-      this.trouble(error);
+      this.messages.wrong(error);
     });
     return entry;
   }
@@ -112,7 +111,7 @@ export class Pictures {
     const request = {view, labels: true, entropy, color: needsColor, full: false};
     this.channel.wish(request, (picture) => this.took(view, picture), (error) => {
       setTimeout(() => { if (this.wished === key) { this.wished = null; this.changed(); } }, 1000);
-      this.trouble(error);
+      this.messages.wrong(error);
     });
   }
 

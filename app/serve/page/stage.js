@@ -211,7 +211,7 @@ export class ViewCanvas {
     for (const mark of what.marks) this.drawMark(mark, what.showNames || mark === what.hovered, mark === what.selected, what.doomed?.has(mark.id));
     if (what.outline) this.drawOutline(what.outline);
     if (what.ring) this.drawRing(what.ring);
-    if (what.cross) this.drawCross(what.cross);
+    if (what.cross) this.drawTicks(...toScreen(port, ...what.cross), 4, 14, 1, '#111');
     if (what.brush) this.drawBrush(what.brush);
   }
 
@@ -325,27 +325,21 @@ export class ViewCanvas {
     context.fillText(name, left + 5, top + 8.5);
   }
 
-  drawRing([x, y]) {
+  /// Four lines about a point of the screen.
+  drawTicks(x, y, from, to, width, color) {
     const {context} = this;
-    const [cx, cy] = toScreen(this.port, x, y);
-    outlined(context, 2.5, '#ffd54a', () => context.arc(cx, cy, 16, 0, 2 * Math.PI));
-    outlined(context, 2, '#ffd54a', () => {
+    outlined(context, width, color, () => {
       for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
-        context.moveTo(cx + dx * 21, cy + dy * 21);
-        context.lineTo(cx + dx * 27, cy + dy * 27);
+        context.moveTo(x + dx * from, y + dy * from);
+        context.lineTo(x + dx * to, y + dy * to);
       }
     });
   }
 
-  drawCross([x, y]) {
-    const {context} = this;
-    const [cx, cy] = toScreen(this.port, x, y);
-    outlined(context, 1, '#111', () => {
-      for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
-        context.moveTo(cx + dx * 4, cy + dy * 4);
-        context.lineTo(cx + dx * 14, cy + dy * 14);
-      }
-    });
+  drawRing(at) {
+    const [x, y] = toScreen(this.port, ...at);
+    outlined(this.context, 2.5, '#ffd54a', () => this.context.arc(x, y, 16, 0, 2 * Math.PI));
+    this.drawTicks(x, y, 21, 27, 2, '#ffd54a');
   }
 
   drawBrush({x, y, radius, color}) {
@@ -450,10 +444,8 @@ const kSnap_px = 9;  // of the screen: what lies nearer is meant
 const kCorner_px = 4;
 
 export class Tools {
-  /// stage: its view's port and image, settings and chosen class; calls: click(stroke) as it was begun: {points, radius, view, label};
-  /// polygon(points, step), erase(marks), select(mark or null), isShown(), tell(text), changed().
-  constructor(stage, calls) {
-    Object.assign(this, {stage, calls});
+  constructor(stage) {
+    Object.assign(this, {stage, page: stage.page});
     this.kind = 'brush';
     this.forget();
   }
@@ -470,12 +462,12 @@ export class Tools {
   use(kind) {
     const dropped = this.forget();
     this.kind = kind;
-    this.calls.tell(dropped + {
+    this.page.messages.tell(dropped + {
       brush: 'Brush: a click or a drag labels.',
       polygon: 'Polygon: click its corners, or drag along its edge; the first corner, a double click or enter closes it.',
       erase: 'Eraser: click or drag over clicks, strokes and polygons to delete them.',
     }[kind]);
-    this.calls.changed();
+    this.page.redraw();
   }
 
   get slack() { return kSnap_px / this.stage.view.port.scale; }
@@ -483,9 +475,9 @@ export class Tools {
   down(x, y) {
     const {stage} = this;
     const at = stage.view.imageAt(x, y);
-    const isShown = this.calls.isShown();
+    const isShown = this.page.isShown();
     this.isIn = isShown && isInside(stage.view.image, ...at);
-    if (isShown && !this.isIn) this.calls.tell('Click into the picture.');
+    if (isShown && !this.isIn) this.page.messages.tell('Click into the picture.');
     if (!this.isIn) return;
     const {color, isIgnore} = stage.chosenRow;
     if (this.kind === 'brush') this.stroke = {points: [at], radius: stage.settings.radius, color, isIgnore, view: stage.shown, label: stage.labeller.label};
@@ -493,7 +485,7 @@ export class Tools {
       this.erasedAt = null;
       this.doom(at);
     }
-    this.calls.changed();
+    this.page.redraw();
   }
 
   draw(x, y) {
@@ -504,7 +496,7 @@ export class Tools {
     if (this.kind === 'brush') this.stroke?.points.push(at);
     if (this.kind === 'erase') this.doom(at);
     if (this.kind === 'polygon') this.corner(at, kCorner_px);
-    this.calls.changed();
+    this.page.redraw();
   }
 
   up(x, y, isClick) {
@@ -514,20 +506,20 @@ export class Tools {
     this.stroke = null;
     if (this.kind === 'brush' && stroke) {
       const mark = isClick && this.stage.markUnder(x, y);
-      if (mark && (mark.name === stroke.label.class || stroke.label.class === null)) this.calls.select(mark);
-      else this.calls.click({...stroke, points: isClick ? stroke.points.slice(0, 1) : stroke.points});
+      if (mark && (mark.name === stroke.label.class || stroke.label.class === null)) this.page.select(mark);
+      else this.page.click({...stroke, points: isClick ? stroke.points.slice(0, 1) : stroke.points});
     }
     if (this.kind === 'erase') this.finishErasing();
     if (this.kind === 'polygon' && isClick) this.clickCorner(at);
-    this.calls.changed();
+    this.page.redraw();
   }
 
   /// The browser took the pointer away, or a second finger came, which says that the first did not label.
   cancel(isPinch) {
-    if (this.stroke && !isPinch) this.calls.tell('Not stored: the stroke was broken off. Draw it again.');
+    if (this.stroke && !isPinch) this.page.messages.tell('Not stored: the stroke was broken off. Draw it again.');
     this.stroke = null;
     this.doomed = new Map();
-    this.calls.changed();
+    this.page.redraw();
   }
 
   /// Whatever lies on the way of the eraser, which a quick pointer reports in few points.
@@ -546,8 +538,8 @@ export class Tools {
   finishErasing() {
     const marks = [...this.doomed.values()];
     this.doomed = new Map();
-    if (marks.length) this.calls.erase(marks);
-    else this.calls.tell('No click of this view is there. The eraser takes clicks, strokes and polygons away.');
+    if (marks.length) this.page.labeller.erase(marks);
+    else this.page.messages.tell('No click of this view is there. The eraser takes clicks, strokes and polygons away.');
   }
 
   near(a, b) { return Math.hypot(a[0] - b[0], a[1] - b[1]) < this.slack; }
@@ -561,7 +553,7 @@ export class Tools {
   }
 
   corner(at, step_px) {
-    if (!this.calls.mayLabel()) return;
+    if (!this.page.mayLabel()) return;
     const last = this.outline?.at(-1);
     if (last && Math.hypot(at[0] - last[0], at[1] - last[1]) * this.stage.view.port.scale < step_px) return;
     this.outline = [...(this.outline ?? []), at];
@@ -571,19 +563,19 @@ export class Tools {
   close() {
     const {outline} = this;
     if (!outline) return false;
-    if (!this.closes) this.calls.tell('A polygon needs three corners.');
-    else if (this.calls.mayLabel()) {
+    if (!this.closes) this.page.messages.tell('A polygon needs three corners.');
+    else if (this.page.mayLabel()) {
       this.outline = null;
-      this.calls.polygon(outline, 1 / this.stage.view.port.scale);
+      this.page.polygon(outline, 1 / this.stage.view.port.scale);
     }
-    this.calls.changed();
+    this.page.redraw();
     return true;
   }
 
   takeBack() {
     if (!this.outline) return false;
     this.outline = this.outline.length > 1 ? this.outline.slice(0, -1) : null;
-    this.calls.changed();
+    this.page.redraw();
     return true;
   }
 }
@@ -592,9 +584,8 @@ const kDimmed = 50;  // alpha of other classes while one is pointed at
 const kHead_px = 9;  // of the screen: a pointer this near to the first point of a mark means the mark
 
 export class Stage {
-  /// calls: those of Tools, changed(), drag(dx, dy), wheel(factor) and clickFlight(fractions of width and height, label, picture) of a flight.
-  constructor(labeller, settings, calls) {
-    Object.assign(this, {labeller, settings, calls});
+  constructor(page) {
+    Object.assign(this, {page, labeller: page.labeller, settings: page.settings});
     this.view = new ViewCanvas(byId('canvas'));
     this.kind = 'labels';
     this.isHidden = false;     // the overlay is off
@@ -605,45 +596,54 @@ export class Stage {
     this.others = [];          // clicks of other views that are seen
     this.selected = null;      // id of a mark
     this.shown = null;         // what the person sees: the number of a view, or a picture of a flight
-    this.tools = new Tools(this, calls);
-    new ResizeObserver(() => { if (this.view.resize()) calls.changed(); }).observe(byId('canvas'));
+    this.tools = new Tools(this);
+    new ResizeObserver(() => { if (this.view.resize()) page.redraw(); }).observe(byId('canvas'));
     this.view.resize();
     followPointer(byId('canvas'), {
-      hover: (x, y) => { this.pointer = x === null ? null : [x, y]; if (x !== null) this.cross = null; calls.changed(); },
+      hover: (x, y) => { this.pointer = x === null ? null : [x, y]; if (x !== null) this.cross = null; page.redraw(); },
       down: (x, y) => {
-        this.flew = calls.isFlying() ? {picture: this.shown, label: labeller.label} : null;
+        this.flew = page.flights.isFlying ? {picture: this.shown, label: this.labeller.label} : null;
         if (this.flew) this.last = [x, y];
         else this.tools.down(x, y);
       },
       draw: (x, y) => {
         if (!this.flew) return this.tools.draw(x, y);
-        if (calls.isFlying()) calls.drag(x - this.last[0], y - this.last[1]);
+        if (page.flights.isFlying) this.turn(x - this.last[0], y - this.last[1]);
         this.last = [x, y];
       },
       up: (isClick, x, y) => {
-        if (Boolean(this.flew) !== calls.isFlying()) {
+        if (Boolean(this.flew) !== page.flights.isFlying) {
           this.tools.cancel(true);
-          return calls.tell('Not stored: the picture changed under it. Do it again.');
+          return page.messages.tell('Not stored: the picture changed under it. Do it again.');
         }
         if (!this.flew) return this.tools.up(x, y, isClick);
         const at = this.view.imageAt(x, y);
-        if (isClick && !isInside(this.view.image, ...at)) calls.tell('Click into the picture.');
-        else if (isClick) calls.clickFlight([at[0] / this.view.image.width, at[1] / this.view.image.height], this.flew.label, this.flew.picture);
+        if (isClick && !isInside(this.view.image, ...at)) page.messages.tell('Click into the picture.');
+        else if (isClick) page.flights.click([at[0] / this.view.image.width, at[1] / this.view.image.height], this.flew.label, this.flew.picture);
       },
       cancel: (isPinch) => this.tools.cancel(isPinch),
       pan: (dx, dy) => {
-        if (calls.isFlying()) calls.drag(dx, dy);
+        if (page.flights.isFlying) this.turn(dx, dy);
         else this.look(moved(this.view.port, dx, dy, this.view.image, this.view.screen));
       },
-      zoom: (factor, x, y) => { if (calls.isFlying()) calls.wheel(factor); else this.zoom(factor, x, y); },
+      zoom: (factor, x, y) => { if (page.flights.isFlying) page.flight.ahead(Math.log(factor) * 1.5); else this.zoom(factor, x, y); },
     });
   }
+
+  /// Of the free camera, by a drag in CSS pixels.
+  turn(dx, dy) { this.page.flight.look(dx * 0.004, -dy * 0.004); }
 
   get chosenRow() { return this.labeller.classOf(this.labeller.chosen) ?? {color: [255, 255, 255]}; }
 
   look(port) {
     this.view.look(port);
-    this.calls.changed();
+    this.page.redraw();
+  }
+
+  /// At the row of a class, whose labels stand out then; null: at none.
+  point(name) {
+    this.pointed = name;
+    this.page.redraw();
   }
 
   zoom(factor, x = this.view.screen.width / 2, y = this.view.screen.height / 2) {
@@ -652,7 +652,7 @@ export class Stage {
 
   fit() {
     this.view.fit();
-    this.calls.changed();
+    this.page.redraw();
   }
 
   isInSight([x, y]) {
@@ -674,7 +674,7 @@ export class Stage {
     const within = (v, most) => Math.min(Math.max(Math.floor(v) + 0.5, 0.5), most - 0.5);
     this.cross = [within(x + dx * step, width), within(y + dy * step, height)];
     if (!this.isInSight(this.cross)) this.view.fit();
-    this.calls.changed();
+    this.page.redraw();
   }
 
   /// The name of the class that the overlay shows at a point, or null.
