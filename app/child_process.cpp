@@ -40,8 +40,12 @@ class OutputFile {
   int descriptor_;
 };
 
-// `out` and `log` become stdout and stderr of the child.
-pid_t spawn(const std::vector<std::string>& words, int out, int log, const std::function<void()>& in_child) {
+}  // namespace
+
+std::string own_program() { return std::filesystem::read_symlink("/proc/self/exe").string(); }
+
+pid_t start_child(const std::vector<std::string>& words, const ChildStreams& streams,
+                  const std::function<void()>& in_child) {
   std::vector<char*> argv;
   for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
   argv.push_back(nullptr);
@@ -52,13 +56,14 @@ pid_t spawn(const std::vector<std::string>& words, int out, int log, const std::
     // At once: our own handlers would swallow a signal that comes before the program starts.
     signal(SIGINT, SIG_DFL);
     signal(SIGTERM, SIG_DFL);
+    signal(SIGPIPE, SIG_DFL);
     setpgid(0, 0);                     // Ctrl-C reaches the parent alone, which asks every child once
     prctl(PR_SET_PDEATHSIG, SIGTERM);  // a parent that is killed leaves no child behind
     if (getppid() != parent) _exit(128 + SIGTERM);
     if (in_child) in_child();
-    dup2(open("/dev/null", O_RDONLY | O_CLOEXEC), STDIN_FILENO);
-    dup2(out, STDOUT_FILENO);
-    dup2(log, STDERR_FILENO);
+    dup2(streams.in < 0 ? open("/dev/null", O_RDONLY | O_CLOEXEC) : streams.in, STDIN_FILENO);
+    dup2(streams.out, STDOUT_FILENO);
+    dup2(streams.log, STDERR_FILENO);
     execve(argv[0], argv.data(), environment.data());
     _exit(127);
   }
@@ -68,22 +73,17 @@ pid_t spawn(const std::vector<std::string>& words, int out, int log, const std::
   return pid;
 }
 
-// Waits for it: its exit code, or 128 and the signal that ended it.
-int code_of_ended(pid_t pid) {
+int code_of_child(pid_t pid) {
   int status = 0;
   while (waitpid(pid, &status, 0) < 0 && errno == EINTR) {
   }
   return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
 }
 
-}  // namespace
-
-std::string own_program() { return std::filesystem::read_symlink("/proc/self/exe").string(); }
-
 pid_t start_child(const std::vector<std::string>& words, const ChildFiles& files,
                   const std::function<void()>& in_child) {
   const OutputFile out(files.out), log(files.log);
-  return spawn(words, out.descriptor(), log.descriptor(), in_child);
+  return start_child(words, ChildStreams{-1, out.descriptor(), log.descriptor()}, in_child);
 }
 
 ChildEnd run_child(const std::vector<std::string>& words) {
@@ -93,7 +93,7 @@ ChildEnd run_child(const std::vector<std::string>& words) {
                 "raise the number of open files with `ulimit -n`");
   pid_t pid = 0;
   try {
-    pid = spawn(words, ends[1], STDERR_FILENO, {});
+    pid = start_child(words, ChildStreams{-1, ends[1], STDERR_FILENO});
   } catch (...) {
     close(ends[0]);
     close(ends[1]);
@@ -113,7 +113,7 @@ ChildEnd run_child(const std::vector<std::string>& words) {
     open = got > 0 || (got < 0 && errno == EINTR);
   }
   close(ends[0]);
-  end.code = code_of_ended(pid);
+  end.code = code_of_child(pid);
   return end;
 }
 
@@ -124,7 +124,7 @@ int run_logged_child(const std::vector<std::string>& words, const std::string& l
   for (int look = 1;; ++look) {
     siginfo_t ended{};
     if (waitid(P_PID, static_cast<id_t>(pid), &ended, WEXITED | WNOHANG | WNOWAIT) == 0 && ended.si_pid == pid)
-      return code_of_ended(pid);
+      return code_of_child(pid);
     if (stop_signal() != 0 && !told) told = kill(pid, stop_signal()) == 0;
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
     if (look % kLooksPerTick != 0) continue;
@@ -132,7 +132,7 @@ int run_logged_child(const std::vector<std::string>& words, const std::string& l
       tick();
     } catch (...) {
       kill(pid, SIGTERM);
-      code_of_ended(pid);
+      code_of_child(pid);
       throw;
     }
   }

@@ -16,12 +16,21 @@ struct ChildFiles {
   std::string out, log;  ///< for stdout and stderr, which may be one; replaced
 };
 
+/// Standard streams of a child, by the descriptors that become them; `in` -1: it reads nothing.
+struct ChildStreams {
+  int in, out, log;
+};
+
 /// Starts `words`, the first of which is the program's file, in a process group of its own, so that Ctrl-C does not
 /// reach it, and without what a launcher said to this one (execution/ranks/ranks.h). `in_child` runs between fork
 /// and exec, so it calls what is async-signal-safe alone. The thread that starts it is the one that it ends with.
 /// Throws write_error for the files, Error(unavailable) where no process can be had.
 pid_t start_child(const std::vector<std::string>& words, const ChildFiles& files,
                   const std::function<void()>& in_child = {});
+pid_t start_child(const std::vector<std::string>& words, const ChildStreams& streams,
+                  const std::function<void()>& in_child = {});
+/// Waits for it: its exit code, or 128 and the number of the signal that ended it.
+int code_of_child(pid_t pid);
 
 struct ChildEnd {
   int code = 0;  ///< its exit code, or 128 and the number of the signal that ended it

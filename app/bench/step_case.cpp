@@ -2,7 +2,6 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -12,6 +11,7 @@
 #include <csignal>
 #include <nlohmann/json.hpp>
 
+#include "app/child_process.h"
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
@@ -250,20 +250,15 @@ std::vector<LayerWork> pass_work(const PassParts<float>& parts, std::int64_t ray
 
 namespace {
 
-std::vector<char*> argv_of(const std::vector<std::string>& words) {
-  std::vector<char*> argv;
-  for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
-  argv.push_back(nullptr);
-  return argv;
-}
-
 using nlohmann::json;
 
 std::string python_with_torch(const std::string& chosen) {
   const std::vector<std::string> candidates =
       chosen.empty() ? std::vector<std::string>{"python3", "/usr/bin/python3"} : std::vector<std::string>{chosen};
-  for (const std::string& python : candidates) {
-    if (run_silently({python, "-c", "import torch"}) == 0) return python;
+  for (const std::string& name : candidates) {
+    const std::string python = name.find('/') == std::string::npos ? app::program_in_path(name) : name;
+    if (!python.empty() && app::run_logged_child({python, "-c", "import torch"}, "/dev/null", [] {}) == 0)
+      return python;
   }
   throw Error(ErrorKind::unavailable, "study.peer.missing", "no Python with torch (asked: " + join(candidates) + ")",
               "install python3-torch, or name an interpreter with --python");
@@ -280,33 +275,22 @@ json parsed(const std::string& line) {
 }  // namespace
 
 PeerProcess::PeerProcess(const std::vector<std::string>& words) : name_(words.at(0)) {
-  const std::vector<char*> argv = argv_of(words);  // before the fork: the child may not allocate
   std::array<int, 2> in{}, out{};
   if (pipe2(in.data(), O_CLOEXEC) != 0 || pipe2(out.data(), O_CLOEXEC) != 0) {
     throw Error(ErrorKind::unavailable, "system.process.limit", "no pipe to '" + name_ + "'");
   }
-  pid_ = fork();
-  if (pid_ == 0) {
-    dup2(in[0], STDIN_FILENO);
-    dup2(out[1], STDOUT_FILENO);
-    std::signal(SIGPIPE, SIG_DFL);
-    execvp(argv[0], argv.data());
-    _exit(127);
-  }
-  close(in[0]);
-  close(out[1]);
   to_ = in[1];
   from_ = out[0];
-  if (pid_ < 0) throw Error(ErrorKind::unavailable, "system.process.limit", "cannot start '" + name_ + "'");
+  pid_ = app::start_child(words, app::ChildStreams{in[0], out[1], STDERR_FILENO});
+  close(in[0]);
+  close(out[1]);
 }
 
 PeerProcess::~PeerProcess() {
   close(to_);  // the end of its input ends it
   close(from_);
-  if (pid_ > 0) {
-    kill(pid_, SIGTERM);
-    waitpid(pid_, nullptr, 0);
-  }
+  kill(pid_, SIGTERM);
+  app::code_of_child(pid_);
 }
 
 std::string PeerProcess::read_line() {
@@ -330,21 +314,6 @@ std::string PeerProcess::ask(const std::string& line) {
     sent += static_cast<std::size_t>(n);
   }
   return read_line();
-}
-
-int run_silently(const std::vector<std::string>& words) {
-  const std::vector<char*> argv = argv_of(words);
-  const pid_t pid = fork();
-  if (pid < 0) return 127;
-  if (pid == 0) {
-    const int null = open("/dev/null", O_RDWR);
-    for (const int fd : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}) dup2(null, fd);
-    execvp(argv[0], argv.data());
-    _exit(127);
-  }
-  int status = 0;
-  waitpid(pid, &status, 0);
-  return WIFEXITED(status) ? WEXITSTATUS(status) : 127;
 }
 
 Peer::Peer(const std::string& script, const std::string& python, int threads, const std::string& device) {

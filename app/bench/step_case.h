@@ -85,7 +85,8 @@ std::vector<Spread> alternate(const std::vector<std::function<double()>>& measur
 
 class PeerProcess {
  public:
-  /// Starts `words` (found on PATH) with pipes to its stdin and stdout; stderr is shared. Throws Error(unavailable).
+  /// Starts `words`, the first of which is the program's file, with pipes to its stdin and stdout; stderr is shared.
+  /// Throws Error(unavailable).
   explicit PeerProcess(const std::vector<std::string>& words);
   ~PeerProcess();
   PeerProcess(const PeerProcess&) = delete;
@@ -100,9 +101,6 @@ class PeerProcess {
   std::string name_, pending_;
   int pid_ = -1, to_ = -1, from_ = -1;
 };
-
-/// Exit code of `words`, with its output thrown away; 127 when it cannot be started.
-int run_silently(const std::vector<std::string>& words);
 
 /// One step of the peer to be measured.
 struct PeerRequest {

@@ -1,7 +1,6 @@
 // render: images, or a video, of a run's field for a split or a trajectory.
 #include <fcntl.h>
 #include <fmt/format.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -33,6 +32,7 @@
 #include "app/terminal.h"
 #include "app/verb.h"
 #include "core/error.h"
+#include "core/text.h"
 #include "eval/channel_query.h"
 #include "eval/evaluator.h"
 #include "eval/image_output.h"
@@ -53,25 +53,6 @@ namespace fs = std::filesystem;
 struct ChannelWishes {
   std::string channel;  ///< of --channel; "": none
   std::string query;    ///< file of --query; "": none
-};
-
-class ChannelOutput {
- public:
-  /// Throws Error(usage) for a run without such a head, and what read_queries throws.
-  ChannelOutput(const ChannelWishes& wishes, const Session& session);
-
-  /// Channels that frames must have.
-  const std::vector<std::string>& channels() const { return channels_; }
-  /// Files of the whole folder: the axes of the channel, where it has some.
-  void write_axes(const std::string& folder) const;
-  /// Files of a frame, whose names begin with `base`.
-  void write(const std::string& base, const RenderedFrame& frame) const;
-
- private:
-  std::vector<std::string> channels_;
-  bool maps_ = false;  // the channel itself is written
-  View<const float> axes_;
-  std::vector<QueryVector> queries_;
 };
 
 struct RenderOptions {
@@ -95,21 +76,9 @@ struct NamedView {
   RayCamera camera;
   RayLimits limits;
   int frame = -1;  ///< of the scene, where it is the view of one
-
-  /// What the names of its files begin with: slashes are '_'.
-  std::string file_name() const;
 };
 
-// One rendered view as panels side by side: what a frame of a video shows.
-
-enum class Panel : std::uint8_t { rgb, label, depth, entropy };
-
 constexpr int kFramesPerKey = 36;  // of a smooth path: a training camera every one and a half seconds
-
-NamedView view_of(const Session& s, int frame) {
-  const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(frame)];
-  return {info.name, {info.camera, info.world_from_camera, s.plan.undistortion}, s.limits, frame};
-}
 
 std::vector<NamedView> views_of_poses(const Session& s, const std::vector<Pose>& poses) {
   const Camera& camera = s.scene.info.frames.front().camera;
@@ -142,8 +111,6 @@ std::vector<Pose> smooth_path(const Session& s, int frames) {
   return keys.empty() ? keys : make_smooth_path(keys, frames);
 }
 
-std::string NamedView::file_name() const { return output_name(name); }
-
 // "test", "train", "smooth" or "trajectory": names the output.
 std::string render_name(const RenderOptions& options) {
   if (options.trajectory.empty()) return options.split;
@@ -161,7 +128,8 @@ std::vector<NamedView> render_views(const Session& s, const RenderOptions& optio
     views = views_of_poses(s, read_camera_file(options.trajectory, CameraAxes::right_down_forward));
   } else {
     for (const int f : s.scene.frames_of(options.split == "test" ? Split::test : Split::train)) {
-      views.push_back(view_of(s, f));
+      const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(f)];
+      views.push_back({info.name, {info.camera, info.world_from_camera, s.plan.undistortion}, s.limits, f});
     }
   }
   if (views.empty()) {
@@ -223,37 +191,50 @@ const HeadConfig& head_of(const ChannelWishes& wishes, const Session& session) {
               near.empty() ? "" : "did you mean '" + near + "'?");
 }
 
-ChannelOutput::ChannelOutput(const ChannelWishes& wishes, const Session& session) : maps_(!wishes.channel.empty()) {
-  if (wishes.channel.empty() && wishes.query.empty()) return;
-  const HeadConfig& head = head_of(wishes, session);
-  channels_.push_back(head.channel);
-  axes_ = session.pipeline->passes().back().axes(head.channel);
-  if (!wishes.query.empty())
-    queries_ = read_queries(wishes.query, head.source_width > 0 ? head.source_width : head.width);
-  maps_ = maps_ && wishes.query.empty();
-}
+class ChannelOutput {
+ public:
+  /// Throws Error(usage) for a run without such a head, and what read_queries throws.
+  ChannelOutput(const ChannelWishes& wishes, const Session& session) {
+    if (wishes.channel.empty() && wishes.query.empty()) return;
+    const HeadConfig& head = head_of(wishes, session);
+    channels_.push_back(head.channel);
+    axes_ = session.pipeline->passes().back().axes(head.channel);
+    if (!wishes.query.empty())
+      queries_ = read_queries(wishes.query, head.source_width > 0 ? head.source_width : head.width);
+    maps_ = wishes.query.empty();
+  }
 
-void ChannelOutput::write_axes(const std::string& folder) const {
-  if (!maps_ || axes_.empty()) return;
-  const std::vector<std::int64_t> shape{axes_.rows, axes_.cols};
-  write_npy(folder + "/" + channels_.front() + "_axes.npy", shape,
-            {axes_.data, static_cast<std::size_t>(axes_.size())});
-}
-
-void ChannelOutput::write(const std::string& base, const RenderedFrame& frame) const {
-  for (const FrameChannel& map : frame.channels) {
-    if (maps_) {
-      const std::vector<std::int64_t> shape{map.height, map.width, map.cols};
-      write_npy(base + "_" + map.name + ".npy", shape, map.values);
-    }
-    for (const QueryVector& query : queries_) {
-      const std::vector<float> cosines = cosine_map(map, query.values, axes_);
-      const std::string file = base + "_query_" + query.name;
-      write_map_npy(file + ".npy", {map.width, map.height}, cosines);
-      write_png_rgb(file + ".png", map.width, map.height, contrast_colors(cosines));
+  /// Channels that frames must have.
+  const std::vector<std::string>& channels() const { return channels_; }
+  /// Files of the whole folder: the axes of the channel, where it has some.
+  void write_axes(const std::string& folder) const {
+    if (!maps_ || axes_.empty()) return;
+    const std::vector<std::int64_t> shape{axes_.rows, axes_.cols};
+    write_npy(folder + "/" + channels_.front() + "_axes.npy", shape,
+              {axes_.data, static_cast<std::size_t>(axes_.size())});
+  }
+  /// Files of a frame, whose names begin with `base`.
+  void write(const std::string& base, const RenderedFrame& frame) const {
+    for (const FrameChannel& map : frame.channels) {
+      if (maps_) {
+        const std::vector<std::int64_t> shape{map.height, map.width, map.cols};
+        write_npy(base + "_" + map.name + ".npy", shape, map.values);
+      }
+      for (const QueryVector& query : queries_) {
+        const std::vector<float> cosines = cosine_map(map, query.values, axes_);
+        const std::string file = base + "_query_" + query.name;
+        write_map_npy(file + ".npy", {map.width, map.height}, cosines);
+        write_png_rgb(file + ".png", map.width, map.height, contrast_colors(cosines));
+      }
     }
   }
-}
+
+ private:
+  std::vector<std::string> channels_;
+  bool maps_ = false;  // the channel itself is written
+  View<const float> axes_;
+  std::vector<QueryVector> queries_;
+};
 
 std::vector<std::uint8_t> overlay(const RenderedFrame& frame, const ClassTable& classes) {
   std::vector<std::uint8_t> out = to_bytes(frame.rgb);
@@ -264,47 +245,36 @@ std::vector<std::uint8_t> overlay(const RenderedFrame& frame, const ClassTable& 
   return out;
 }
 
-std::vector<std::uint8_t> panel_of(const RenderedFrame& frame, Panel panel, const Session& s) {
-  switch (panel) {
-    case Panel::rgb:
-      return to_bytes(frame.rgb);
-    case Panel::label:
-      return overlay(frame, s.scene.info.classes);
-    case Panel::depth:
-      return depth_colors(frame.depth_m, s.limits.near_m, s.limits.far_m);
-    default:
-      return entropy_colors(frame.entropy, static_cast<int>(s.plan.class_of_logit.size()));
-  }
-}
+// One rendered view as panels side by side: what a frame of a video shows.
 
-// By panel.
 const std::vector<std::string>& panel_names() {
   static const std::vector<std::string> names{"rgb", "label", "depth", "entropy"};
   return names;
 }
 
+std::vector<std::uint8_t> panel_of(const RenderedFrame& frame, const std::string& panel, const Session& s) {
+  if (panel == "rgb") return to_bytes(frame.rgb);
+  if (panel == "label") return overlay(frame, s.scene.info.classes);
+  if (panel == "depth") return depth_colors(frame.depth_m, s.limits.near_m, s.limits.far_m);
+  return entropy_colors(frame.entropy, static_cast<int>(s.plan.class_of_logit.size()));
+}
+
 // Of names that are in panel_names(); of none: all that the run has. Throws Error(usage) for label or entropy of a run
 // without semantics.
-std::vector<Panel> panels_of(const std::vector<std::string>& names, bool semantics) {
-  if (names.empty()) {
-    if (!semantics) return {Panel::rgb, Panel::depth};
-    return {Panel::rgb, Panel::label, Panel::depth, Panel::entropy};
-  }
-  std::vector<Panel> panels;
+std::vector<std::string> panels_of(const std::vector<std::string>& names, bool semantics) {
+  if (names.empty()) return semantics ? panel_names() : std::vector<std::string>{"rgb", "depth"};
   for (const std::string& name : names) {
-    const auto found = std::find(panel_names().begin(), panel_names().end(), name);
-    panels.push_back(static_cast<Panel>(found - panel_names().begin()));
-    if (!semantics && (panels.back() == Panel::label || panels.back() == Panel::entropy)) {
-      throw Error(ErrorKind::usage, "run.semantics.none",
-                  "--panels: this run has no semantics, so no panel '" + name + "'", "choose from rgb, depth");
-    }
+    if (semantics || (name != "label" && name != "entropy")) continue;
+    throw Error(ErrorKind::usage, "run.semantics.none",
+                "--panels: this run has no semantics, so no panel '" + name + "'", "choose from rgb, depth");
   }
-  return panels;
+  return names;
 }
 
 // Colour; classes half over colour; depth and entropy in the house's colours over a range that is the same for every
 // frame of the run (near to far, 0 to ln K). [H * panels W * 3]
-std::vector<std::uint8_t> frame_strip(const RenderedFrame& frame, const std::vector<Panel>& panels, const Session& s) {
+std::vector<std::uint8_t> frame_strip(const RenderedFrame& frame, const std::vector<std::string>& panels,
+                                      const Session& s) {
   const std::size_t row = 3 * static_cast<std::size_t>(frame.width_px);
   const auto height = static_cast<std::size_t>(frame.height_px);
   std::vector<std::uint8_t> strip(row * height * panels.size());
@@ -330,18 +300,13 @@ std::string find_ffmpeg() {
 
 // ffmpeg's name for what the ending of `path` stands for. Throws Error(usage) for none and for one that is not known.
 std::string video_format(const std::string& path) {
-  static constexpr std::array<std::pair<std::string_view, std::string_view>, 8> kFormats{{{".mp4", "mp4"},
-                                                                                          {".m4v", "mp4"},
-                                                                                          {".mov", "mov"},
-                                                                                          {".mkv", "matroska"},
-                                                                                          {".webm", "webm"},
-                                                                                          {".avi", "avi"},
-                                                                                          {".ogv", "ogg"},
-                                                                                          {".gif", "gif"}}};
+  constexpr std::pair<const char*, const char*> kFormats[] = {{".mp4", "mp4"},      {".m4v", "mp4"},   {".mov", "mov"},
+                                                              {".mkv", "matroska"}, {".webm", "webm"}, {".avi", "avi"},
+                                                              {".ogv", "ogg"},      {".gif", "gif"}};
   std::string ending = fs::path(path).extension().string(), known;
   for (char& c : ending) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
   for (const auto& [name, format] : kFormats) {
-    if (ending == name) return std::string(format);
+    if (ending == name) return format;
     known += (known.empty() ? "" : ", ") + std::string(name);
   }
   throw Error(ErrorKind::usage, "render.video.format",
@@ -356,123 +321,76 @@ class VideoWriter {
  public:
   /// Throws Error(unavailable) when ffmpeg cannot be started, write_error where no file can be made.
   VideoWriter(const std::string& ffmpeg, const std::string& path, std::int32_t width_px, std::int32_t height_px,
-              double fps);
-  ~VideoWriter();
-  VideoWriter(const VideoWriter&) = delete;
-  VideoWriter& operator=(const VideoWriter&) = delete;
-
-  /// rgb [height * width * 3]. Throws Error(io) when ffmpeg has ended, with the cause where the disk reports it.
-  void add(std::span<const std::uint8_t> rgb);
-  void finish();
-
- private:
-  [[noreturn]] void fail(const std::string& what, int code);
-  int wait();
-  std::string path_;
-  AtomicFile file_;
-  int pid_ = -1, pipe_ = -1;
-  void (*old_handler_)(int) = nullptr;
-};
-
-VideoWriter::VideoWriter(const std::string& ffmpeg, const std::string& path, std::int32_t width_px,
-                         std::int32_t height_px, double fps)
-    : path_(path), file_(path) {
-  // -xerror: without it ffmpeg ends well even where the disk took less than it wrote. Planes of half the size need even
-  // sides.
-  const std::vector<std::string> words{ffmpeg,
-                                       "-hide_banner",
-                                       "-loglevel",
-                                       "error",
-                                       "-xerror",
-                                       "-y",
-                                       "-f",
-                                       "rawvideo",
-                                       "-pix_fmt",
-                                       "rgb24",
-                                       "-s",
-                                       fmt::format("{}x{}", width_px, height_px),
-                                       "-r",
-                                       fmt::format("{}", fps),
-                                       "-i",
-                                       "pipe:0",
-                                       "-an",
-                                       "-vf",
-                                       "pad=ceil(iw/2)*2:ceil(ih/2)*2",
-                                       "-pix_fmt",
-                                       "yuv420p",
-                                       "-f",
-                                       video_format(path),
-                                       fmt::format("file:/proc/self/fd/{}", file_.descriptor())};
-  std::vector<char*> argv;
-  for (const std::string& word : words) argv.push_back(const_cast<char*>(word.c_str()));
-  argv.push_back(nullptr);  // all before the fork: the child may not allocate
-  std::array<int, 2> ends{};
-  if (pipe2(ends.data(), O_CLOEXEC) != 0)
-    throw Error(ErrorKind::unavailable, "system.process.limit", "cannot open a pipe to ffmpeg");
-  old_handler_ = std::signal(SIGPIPE, SIG_IGN);  // a dead ffmpeg is an error of write(), not the end of this program
-  pid_ = fork();
-  if (pid_ == 0) {
-    dup2(ends[0], STDIN_FILENO);
-    dup2(STDERR_FILENO, STDOUT_FILENO);  // our stdout is for results
-    std::signal(SIGPIPE, SIG_DFL);
-    fcntl(file_.descriptor(), F_SETFD, 0);
-    execv(argv[0], argv.data());
-    _exit(127);
+              double fps)
+      : path_(path), file_(path) {
+    // -xerror: without it ffmpeg ends well even where the disk took less than it wrote. Planes of half the size need
+    // even sides.
+    const std::string options = fmt::format(
+        "-hide_banner -loglevel error -xerror -y -f rawvideo -pix_fmt rgb24 -s {}x{} -r {} -i pipe:0 -an "
+        "-vf pad=ceil(iw/2)*2:ceil(ih/2)*2 -pix_fmt yuv420p -f {} file:/proc/self/fd/{}",
+        width_px, height_px, fps, video_format(path), file_.descriptor());
+    std::vector<std::string> words{ffmpeg};
+    for (const std::string_view word : words_of(options)) words.emplace_back(word);
+    std::array<int, 2> ends{};
+    if (pipe2(ends.data(), O_CLOEXEC) != 0)
+      throw Error(ErrorKind::unavailable, "system.process.limit", "cannot open a pipe to ffmpeg");
+    pipe_ = ends[1];
+    try {  // our stdout is for results
+      pid_ = start_child(words, ChildStreams{ends[0], STDERR_FILENO, STDERR_FILENO},
+                         [file = file_.descriptor()] { fcntl(file, F_SETFD, 0); });
+    } catch (...) {
+      close(ends[0]);
+      close(pipe_);
+      throw;
+    }
+    close(ends[0]);
   }
-  close(ends[0]);
-  pipe_ = ends[1];
-  if (pid_ < 0) {
-    close(pipe_);
-    std::signal(SIGPIPE, old_handler_);
-    throw Error(ErrorKind::unavailable, "render.video.ffmpeg", "cannot start '" + ffmpeg + "'");
-  }
-}
-
-VideoWriter::~VideoWriter() {
-  if (pid_ > 0) {
+  ~VideoWriter() {
+    if (pid_ <= 0) return;
     kill(pid_, SIGKILL);  // what it has written is thrown away
     wait();
   }
-  std::signal(SIGPIPE, old_handler_);
-}
+  VideoWriter(const VideoWriter&) = delete;
+  VideoWriter& operator=(const VideoWriter&) = delete;
 
-int VideoWriter::wait() {
-  if (pipe_ >= 0) close(pipe_);
-  pipe_ = -1;
-  int status = 0;
-  while (waitpid(pid_, &status, 0) < 0 && errno == EINTR) {
-  }
-  pid_ = -1;
-  return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
-}
-
-void VideoWriter::fail(const std::string& what, int code) {
-  // Where the disk is the cause it refuses us too, and then its words are ours.
-  file_.count_written();
-  const std::vector<std::byte> more(std::size_t{1} << 20);
-  file_.append(more);
-  throw Error(ErrorKind::io, "render.video.failed", fmt::format("{}: {} (exit code {})", path_, what, code),
-              "its own message is above; try another file ending, or render images without --video");
-}
-
-void VideoWriter::add(std::span<const std::uint8_t> rgb) {
-  while (!rgb.empty()) {
-    const ssize_t n = write(pipe_, rgb.data(), rgb.size());
-    if (n < 0 && errno == EINTR) continue;
-    if (n <= 0) {
-      const std::string cause = std::strerror(errno);
-      fail("ffmpeg takes no more frames: " + cause, wait());
+  /// rgb [height * width * 3]. Throws Error(io) when ffmpeg has ended, with the cause where the disk reports it. The
+  /// program ignores SIGPIPE: a dead ffmpeg is an error of write().
+  void add(std::span<const std::uint8_t> rgb) {
+    while (!rgb.empty()) {
+      const ssize_t n = write(pipe_, rgb.data(), rgb.size());
+      if (n < 0 && errno == EINTR) continue;
+      if (n <= 0) {
+        const std::string cause = std::strerror(errno);
+        fail("ffmpeg takes no more frames: " + cause, wait());
+      }
+      rgb = rgb.subspan(static_cast<std::size_t>(n));
     }
-    rgb = rgb.subspan(static_cast<std::size_t>(n));
   }
-}
+  void finish() {
+    if (const int code = wait(); code != 0) fail("ffmpeg could not finish the video", code);
+    file_.count_written();
+    if (file_.size() == 0) fail("ffmpeg wrote nothing", 0);
+    file_.commit();
+  }
 
-void VideoWriter::finish() {
-  if (const int code = wait(); code != 0) fail("ffmpeg could not finish the video", code);
-  file_.count_written();
-  if (file_.size() == 0) fail("ffmpeg wrote nothing", 0);
-  file_.commit();
-}
+ private:
+  [[noreturn]] void fail(const std::string& what, int code) {
+    // Where the disk is the cause it refuses us too, and then its words are ours.
+    file_.count_written();
+    const std::vector<std::byte> more(std::size_t{1} << 20);
+    file_.append(more);
+    throw Error(ErrorKind::io, "render.video.failed", fmt::format("{}: {} (exit code {})", path_, what, code),
+                "its own message is above; try another file ending, or render images without --video");
+  }
+  int wait() {
+    if (pipe_ >= 0) close(pipe_);
+    pipe_ = -1;
+    return code_of_child(std::exchange(pid_, -1));
+  }
+  std::string path_;
+  AtomicFile file_;
+  int pid_ = -1, pipe_ = -1;
+};
 
 using FrameSink = std::function<void(const NamedView& view, const RenderedFrame& frame)>;
 
@@ -579,7 +497,7 @@ Rendered render_images(const RenderOptions& options, const Session& s, const std
   const double seconds = render_all(
       s, views, wanted,
       [&](const NamedView& view, const RenderedFrame& frame) {
-        const std::string base = (folder / view.file_name()).string();
+        const std::string base = (folder / output_name(view.name)).string();
         beyond += write_frame(base, frame, s, options.npy);
         channels.write(base, frame);
       },
@@ -600,7 +518,7 @@ fs::path video_file(const RenderOptions& options) {
 
 Rendered render_video(const RenderOptions& options, const std::string& ffmpeg, const Session& s,
                       const std::vector<NamedView>& views, const AppContext& context) {
-  const std::vector<Panel> panels = panels_of(options.panels, s.pipeline->has_semantics());
+  const std::vector<std::string> panels = panels_of(options.panels, s.pipeline->has_semantics());
   const Camera& first = views.front().camera.camera;
   for (const NamedView& view : views) {
     const Camera& c = view.camera.camera;
