@@ -4,10 +4,8 @@
 #include <sys/ioctl.h>
 #include <unistd.h>
 
-#include <algorithm>
 #include <chrono>
 #include <climits>
-#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <memory>
@@ -248,6 +246,12 @@ std::string json_object(const AppContext& context, const Json& results) {
 void print_json(const AppContext& context, const Json& results) {
   const std::string text = json_object(context, results);
   std::fwrite(text.data(), 1, text.size(), stdout);
+  std::fflush(stdout);
+}
+
+void print_results(const AppContext& context, const Json& results, const std::string& text) {
+  if (context.json) return print_json(context, results);
+  std::printf("%s\n", text.c_str());
   std::fflush(stdout);
 }
 

@@ -8,11 +8,9 @@
 #include <map>
 #include <span>
 #include <utility>
-
 #include "config/compose.h"
 #include "core/error.h"
 #include "core/text.h"
-#include "system/files.h"
 
 namespace semfield {
 

@@ -1,5 +1,5 @@
 // capture: any dataset written out in Replica layout.
-#include <cstdio>
+#include <fmt/format.h>
 
 #include "app/json_output.h"
 #include "app/scene/folder_scene.h"
@@ -33,12 +33,8 @@ int run(const CaptureOptions& options, AppContext& context) {
         *opened.dataset, info, options.out, [&](int done, int total) { progress.show(done, total); },
         opened.config.load.convention);
   }
-  if (context.json) {
-    print_json(context, {{"frames", report.frames}, {"bytes", report.bytes}, {"folder", options.out}});
-    return 0;
-  }
-  std::printf("capture: frames=%d bytes=%lld folder=%s\n", report.frames, static_cast<long long>(report.bytes),
-              options.out.c_str());
+  print_results(context, {{"frames", report.frames}, {"bytes", report.bytes}, {"folder", options.out}},
+                fmt::format("capture: frames={} bytes={} folder={}", report.frames, report.bytes, options.out));
   return 0;
 }
 

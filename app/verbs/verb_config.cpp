@@ -1,5 +1,4 @@
 // config: a configuration read as a run would, explained, compared, and the schema of all.
-#include <algorithm>
 #include <cstdio>
 
 #include "app/json_output.h"
@@ -19,11 +18,7 @@ namespace {
 
 int check(const ConfigOptions& options, AppContext& context) {
   load_run_config(options.config, options.set, context.registry);
-  if (context.json) {
-    print_json(context, {{"config", options.config}, {"errors", 0}});
-    return 0;
-  }
-  std::printf("%s: no errors\n", options.config.c_str());
+  print_results(context, {{"config", options.config}, {"errors", 0}}, options.config + ": no errors");
   return 0;
 }
 

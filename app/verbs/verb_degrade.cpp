@@ -1,9 +1,8 @@
 // degrade: the labels that would train, written out as images with a manifest.
 #include <fmt/format.h>
 
-#include <cstdio>
-
 #include "app/json_output.h"
+#include <cstdio>
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
 #include "app/verb.h"
@@ -29,18 +28,15 @@ int run(const DegradeOptions& options, AppContext& context) {
   const DegradeSource source{write_config(resolved_config(opened.config)), opened.config.labels.from.type,
                              opened.config.labels.selection.seed};
   const DegradeReport report = write_degraded(scene, labels, source, options.out);
-  if (context.json) {
-    print_json(context, {{"frames", report.frames},
-                         {"labelled_px", report.labelled_px},
-                         {"accuracy", number_json<Json>(report.accuracy)},
-                         {"miou_present", number_json<Json>(report.miou_present)},
-                         {"folder", options.out}});
-    return 0;
-  }
   const auto number = [](const std::optional<double>& value) { return value ? fmt::format("{:.4f}", *value) : "-"; };
-  std::printf("degrade: frames=%d labelled_px=%lld accuracy=%s miou_present=%s folder=%s\n", report.frames,
-              static_cast<long long>(report.labelled_px), number(report.accuracy).c_str(),
-              number(report.miou_present).c_str(), options.out.c_str());
+  print_results(context,
+                {{"frames", report.frames},
+                 {"labelled_px", report.labelled_px},
+                 {"accuracy", number_json<Json>(report.accuracy)},
+                 {"miou_present", number_json<Json>(report.miou_present)},
+                 {"folder", options.out}},
+                fmt::format("degrade: frames={} labelled_px={} accuracy={} miou_present={} folder={}", report.frames,
+                            report.labelled_px, number(report.accuracy), number(report.miou_present), options.out));
   return 0;
 }
 

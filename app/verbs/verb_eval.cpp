@@ -16,7 +16,6 @@
 #include "eval/metrics.h"
 #include "run/run_scores.h"
 #include "session/training.h"
-#include "system/files.h"
 
 namespace semfield::app {
 

@@ -1,17 +1,17 @@
 // export: label maps of a run's field for labelling tools, or the run as one page to send.
 #include <fmt/format.h>
 
+#include "app/json_output.h"
+#include "app/render/run_surface.h"
+#include "app/render/scene_page.h"
+#include "app/scene/inspect_report.h"
+#include "app/terminal.h"
+#include "app/verb.h"
+#include "core/error.h"
 #include <cstdio>
 #include <filesystem>
 #include <functional>
 #include <optional>
-
-#include "app/json_output.h"
-#include "app/render/run_surface.h"
-#include "app/render/scene_page.h"
-#include "app/terminal.h"
-#include "app/verb.h"
-#include "core/error.h"
 #include "eval/image_output.h"
 #include "formats/image_io.h"
 #include "labels/frame_match.h"
@@ -154,17 +154,16 @@ int export_page(const ExportVerbOptions& options, AppContext& context) {
   write_scene_page(options.to, found.surface, run.session.scene.info.classes, page);
   const std::size_t objects = page.objects ? page.objects->rows.size() : 0;
   const double megabytes = static_cast<double>(std::filesystem::file_size(file)) * 1e-6;
-  if (context.json) {
-    print_json(context, {{"run", options.run},
-                         {"step", run.step},
-                         {"faces", found.surface.triangles.size()},
-                         {"objects", objects},
-                         {"megabytes", megabytes},
-                         {"out", options.to}});
-    return 0;
-  }
-  std::printf("export: faces=%zu objects=%zu megabytes=%.1f out=%s\n", found.surface.triangles.size(), objects,
-              megabytes, options.to.c_str());
+  const std::size_t faces = found.surface.triangles.size();
+  print_results(
+      context,
+      {{"run", options.run},
+       {"step", run.step},
+       {"faces", faces},
+       {"objects", objects},
+       {"megabytes", megabytes},
+       {"out", options.to}},
+      fmt::format("export: faces={} objects={} megabytes={:.1f} out={}", faces, objects, megabytes, options.to));
   return 0;
 }
 
@@ -193,18 +192,16 @@ int run(const ExportVerbOptions& options, AppContext& context) {
   }
   exporter.finish();
   if (const std::string told = exporter.told(); !told.empty()) print_note(context, told);
-  if (context.json) {
-    print_json(context, {{"run", options.run},
-                         {"step", run.step},
-                         {"split", options.split},
-                         {"frames", exporter.frames()},
-                         {"shapes", exporter.shapes()},
-                         {"format", options.format},
-                         {"out", options.out}});
-    return 0;
-  }
-  std::printf("export: frames=%d shapes=%lld format=%s out=%s\n", exporter.frames(),
-              static_cast<long long>(exporter.shapes()), options.format.c_str(), options.out.c_str());
+  print_results(context,
+                {{"run", options.run},
+                 {"step", run.step},
+                 {"split", options.split},
+                 {"frames", exporter.frames()},
+                 {"shapes", exporter.shapes()},
+                 {"format", options.format},
+                 {"out", options.out}},
+                fmt::format("export: frames={} shapes={} format={} out={}", exporter.frames(), exporter.shapes(),
+                            options.format, options.out));
   return 0;
 }
 

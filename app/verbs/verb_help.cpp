@@ -6,8 +6,6 @@
 #include "app/verb.h"
 #include "core/error.h"
 #include "plugin/reference.h"
-#include "session/settings/run_config.h"
-#include "system/files.h"
 
 namespace semfield::app {
 

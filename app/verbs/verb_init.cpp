@@ -10,7 +10,6 @@
 #include "app/verb.h"
 #include "core/error.h"
 #include "core/text.h"
-#include "system/files.h"
 
 namespace semfield::app {
 

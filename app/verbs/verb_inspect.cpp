@@ -1,5 +1,4 @@
 // inspect: what a scene holds, and what training would find wrong with it.
-#include <algorithm>
 #include <cstdio>
 #include <numeric>
 

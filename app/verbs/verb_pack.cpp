@@ -1,5 +1,5 @@
 // pack: any dataset into one file.
-#include <cstdio>
+#include <fmt/format.h>
 
 #include "app/json_output.h"
 #include "app/scene/folder_scene.h"
@@ -21,12 +21,8 @@ int run(const PackVerbOptions& options, AppContext& context) {
   Diagnostics diagnostics;
   const PackSummary summary = pack_scene(*opened.dataset, options.out, opened.config.load, PackOptions{}, diagnostics);
   print_findings(context, diagnostics);
-  if (context.json) {
-    print_json(context, {{"frames", summary.frames}, {"bytes", summary.bytes}, {"file", options.out}});
-    return 0;
-  }
-  std::printf("pack: frames=%d bytes=%llu file=%s\n", summary.frames, static_cast<unsigned long long>(summary.bytes),
-              options.out.c_str());
+  print_results(context, {{"frames", summary.frames}, {"bytes", summary.bytes}, {"file", options.out}},
+                fmt::format("pack: frames={} bytes={} file={}", summary.frames, summary.bytes, options.out));
   return 0;
 }
 

@@ -1,10 +1,9 @@
 // propagate: training labels of a run spread over the surface that it has learned, written as soft labels and scored.
 #include <fmt/format.h>
 
+#include "app/json_output.h"
 #include <cstdio>
 #include <nlohmann/json.hpp>
-
-#include "app/json_output.h"
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
 #include "app/terminal.h"
@@ -47,20 +46,18 @@ std::string worth_text(const std::optional<double>& value) { return value ? fmt:
 
 void print_worth(const AppContext& context, const PropagateOptions& options, const PropagationParams& params,
                  const Worth& before, const Worth& after) {
-  if (context.json) {
-    const auto pair = [](Json a, Json b) { return Json{{"before", std::move(a)}, {"after", std::move(b)}}; };
-    print_json(context,
-               {{"method", method_name(params)},
-                {"labelled_share", pair(before.share, after.share)},
-                {"accuracy", pair(number_json<Json>(before.accuracy), number_json<Json>(after.accuracy))},
-                {"miou_present", pair(number_json<Json>(before.miou_present), number_json<Json>(after.miou_present))},
-                {"folder", options.out}});
-    return;
-  }
-  std::printf("propagate: method=%s labelled_share=%.4f->%.4f accuracy=%s->%s miou_present=%s->%s folder=%s\n",
-              method_name(params).c_str(), before.share, after.share, worth_text(before.accuracy).c_str(),
-              worth_text(after.accuracy).c_str(), worth_text(before.miou_present).c_str(),
-              worth_text(after.miou_present).c_str(), options.out.c_str());
+  const auto pair = [](Json a, Json b) { return Json{{"before", std::move(a)}, {"after", std::move(b)}}; };
+  print_results(
+      context,
+      {{"method", method_name(params)},
+       {"labelled_share", pair(before.share, after.share)},
+       {"accuracy", pair(number_json<Json>(before.accuracy), number_json<Json>(after.accuracy))},
+       {"miou_present", pair(number_json<Json>(before.miou_present), number_json<Json>(after.miou_present))},
+       {"folder", options.out}},
+      fmt::format("propagate: method={} labelled_share={:.4f}->{:.4f} accuracy={}->{} miou_present={}->{} folder={}",
+                  method_name(params), before.share, after.share, worth_text(before.accuracy),
+                  worth_text(after.accuracy), worth_text(before.miou_present), worth_text(after.miou_present),
+                  options.out));
 }
 
 int run(const PropagateOptions& options, AppContext& context) {

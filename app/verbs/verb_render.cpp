@@ -549,18 +549,16 @@ int run(const RenderOptions& options, AppContext& context) {
   print_findings(context, of_cameras);
   const Rendered done = options.video ? render_video(options, ffmpeg, run.session, views, context)
                                       : render_images(options, run.session, views, context);
-  if (context.json) {
-    print_json(context, {{"run", options.run},
-                         {"step", run.step},
-                         {"frames", done.frames},
-                         {"s_per_frame", done.s_per_frame},
-                         {"width_px", done.width_px},
-                         {"height_px", done.height_px},
-                         {done.what, done.where}});
-    return 0;
-  }
-  std::printf("render: frames=%zu size=%dx%d s_per_frame=%.3f %s=%s\n", done.frames, done.width_px, done.height_px,
-              done.s_per_frame, done.what, done.where.c_str());
+  print_results(context,
+                {{"run", options.run},
+                 {"step", run.step},
+                 {"frames", done.frames},
+                 {"s_per_frame", done.s_per_frame},
+                 {"width_px", done.width_px},
+                 {"height_px", done.height_px},
+                 {done.what, done.where}},
+                fmt::format("render: frames={} size={}x{} s_per_frame={:.3f} {}={}", done.frames, done.width_px,
+                            done.height_px, done.s_per_frame, done.what, done.where));
   print_next(context, next_of_run(options.run, false));
   return 0;
 }

@@ -1,5 +1,5 @@
 // report: error against run time of one or several runs, one self-contained page.
-#include <cstdio>
+#include <fmt/format.h>
 
 #include "app/json_output.h"
 #include "app/render/run_surface.h"
@@ -35,11 +35,8 @@ int run(const ReportOptions& options, AppContext& context) {
   const std::string path = options.out.empty() ? options.runs.front() + "/report.html" : options.out;
   const std::string data = read_report(options.runs);
   write_file_atomic(path, report_page(data, options.flat ? "" : scene_of(options.runs.front(), context)));
-  if (context.json) {
-    print_json(context, {{"runs", options.runs}, {"file", path}});
-    return 0;
-  }
-  std::printf("report: runs=%zu file=%s\n", options.runs.size(), path.c_str());
+  print_results(context, {{"runs", options.runs}, {"file", path}},
+                fmt::format("report: runs={} file={}", options.runs.size(), path));
   return 0;
 }
 

@@ -7,7 +7,6 @@
 #include <fmt/format.h>
 
 #include <chrono>
-#include <cstdio>
 #include <filesystem>
 #include <thread>
 
@@ -146,12 +145,8 @@ int run(const ServeOptions& options, AppContext& context) {
   page.run_id = kept_run_id(session.run_dir());  // before the token, which a copy of a run does not keep
   page.token = kept_token(session.run_dir());
   PageServer server(session, std::move(page));
-  if (context.json) {
-    print_json(context, {{"run", session.run_dir()}, {"url", server.url()}});
-  } else {
-    std::printf("serve: open %s in a browser\n", server.url().c_str());
-    std::fflush(stdout);
-  }
+  print_results(context, {{"run", session.run_dir()}, {"url", server.url()}},
+                "serve: open " + server.url() + " in a browser");
   try {
     const SignalWatch watch(session, server, context);
     session.run();

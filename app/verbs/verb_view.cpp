@@ -7,7 +7,6 @@
 #include <fmt/format.h>
 
 #include <chrono>
-#include <cstdio>
 #include <exception>
 #include <memory>
 #include <thread>
@@ -64,12 +63,7 @@ int run(const ViewVerbOptions& options, AppContext& context) {
       }
     }
   });
-  if (context.json) {
-    print_json(context, {{"run", options.run}, {"url", server.url()}});
-  } else {
-    std::printf("view: open %s in a browser\n", server.url().c_str());
-    std::fflush(stdout);
-  }
+  print_results(context, {{"run", options.run}, {"url", server.url()}}, "view: open " + server.url() + " in a browser");
   while (stop_signal() == 0) std::this_thread::sleep_for(std::chrono::milliseconds(50));
   print_next(context, next_of_run(options.run, false));
   return 128 + stop_signal();

@@ -2,19 +2,17 @@
 
 #include <fmt/format.h>
 
+#include "compute/isa.h"
+#include "compute/parallel.h"
+#include "core/check.h"
+#include "core/error.h"
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <limits>
 #include <nlohmann/json.hpp>
-
-#include "compute/isa.h"
-#include "compute/parallel.h"
-#include "core/check.h"
-#include "core/error.h"
 #include "execution/point_network.h"
 #include "formats/npz.h"
-#include "system/files.h"
 
 namespace semfield {
 

@@ -6,9 +6,6 @@
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 
-#include "core/error.h"
-#include "eval/metrics.h"
-
 namespace semfield {
 
 namespace {

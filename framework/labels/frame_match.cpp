@@ -1,6 +1,5 @@
 #include "labels/frame_match.h"
 
-#include <algorithm>
 #include <cctype>
 #include <cstddef>
 #include <filesystem>

@@ -1,12 +1,11 @@
 #include "labels/label_export.h"
 
-#include <algorithm>
-#include <filesystem>
-#include <nlohmann/json.hpp>
-
 #include "labels/mask_outlines.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
+#include <algorithm>
+#include <filesystem>
+#include <nlohmann/json.hpp>
 #include "system/files.h"
 
 namespace semfield {

@@ -1,6 +1,5 @@
 #include "labels/label_files.h"
 
-#include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <filesystem>
@@ -9,7 +8,6 @@
 #include "core/rng.h"
 #include "core/text.h"
 #include "formats/image_io.h"
-#include "scene/scene.h"
 #include "system/files.h"
 
 namespace semfield {

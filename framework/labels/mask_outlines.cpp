@@ -1,9 +1,5 @@
 #include "labels/mask_outlines.h"
 
-#include <algorithm>
-#include <array>
-#include <cmath>
-
 #include "core/check.h"
 #include "formats/image_io.h"
 

@@ -1,6 +1,5 @@
 #include "objects/find_objects.h"
 
-#include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <map>
@@ -8,10 +7,7 @@
 #include <set>
 #include <utility>
 
-#include "compute/parallel.h"
 #include "execution/point_network.h"
-#include "labels/clicks/click_log.h"
-#include "labels/label_files.h"
 #include "objects/object_set.h"
 #include "scene/classes/class_table.h"
 #include "surface/surface_graph.h"

@@ -11,7 +11,6 @@
 #include "core/rng.h"
 #include "execution/device_library.h"
 #include "model/optim/adam.h"
-
 namespace semfield {
 
 std::vector<PoolView> object_views(Session& session, std::int64_t rays, const ObjectProgress& progress) {

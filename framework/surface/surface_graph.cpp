@@ -7,11 +7,6 @@
 #include <limits>
 #include <queue>
 #include <tuple>
-#include <utility>
-
-#include "compute/isa.h"
-#include "compute/parallel.h"
-#include "core/check.h"
 
 namespace semfield {
 
@@ -411,10 +406,8 @@ SurfacePool make_surface_pool(std::span<const PoolView> views, const RayLimits& 
 
 #include <Eigen/IterativeLinearSolvers>
 #include <Eigen/SparseCore>
-#include <mutex>
 #include <numeric>
 
-#include "core/error.h"
 
 namespace semfield {
 

@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <memory>
 #include <vector>
-
 #include "execution/device_library.h"
 
 namespace semfield::python {

@@ -1,11 +1,5 @@
 #include "surface/mesh/field_surface.h"
 
-#include <algorithm>
-#include <cmath>
-#include <optional>
-
-#include "compute/parallel.h"
-
 namespace semfield {
 
 namespace {

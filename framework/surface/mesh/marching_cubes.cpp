@@ -5,7 +5,6 @@
 #include <cmath>
 #include <optional>
 #include <utility>
-
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"

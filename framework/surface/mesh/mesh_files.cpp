@@ -3,6 +3,8 @@
 
 #include <fmt/format.h>
 
+#include "core/error.h"
+#include "surface/mesh/surface.h"
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -11,9 +13,6 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <set>
-
-#include "core/error.h"
-#include "surface/mesh/surface.h"
 
 namespace semfield {
 

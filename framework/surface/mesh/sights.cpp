@@ -1,12 +1,5 @@
 #include "surface/mesh/sights.h"
 
-#include <algorithm>
-#include <cmath>
-#include <limits>
-
-#include "compute/parallel.h"
-#include "core/check.h"
-
 namespace semfield {
 
 namespace {

@@ -5,11 +5,6 @@
 #include <cmath>
 #include <numeric>
 #include <unordered_set>
-#include <utility>
-
-#include "compute/parallel.h"
-#include "core/check.h"
-#include "core/rng.h"
 
 namespace semfield {
 
