@@ -6,12 +6,7 @@
 #include <algorithm>
 #include <array>
 #include <cctype>
-#include <cmath>
-#include <filesystem>
-#include <memory>
-#include <nlohmann/json.hpp>
-#include <tuple>
-
+#include "app/scene/inspect_report.h"
 #include "compute/parallel.h"
 #include "config/params.h"
 #include "core/text.h"
@@ -19,6 +14,11 @@
 #include "eval/metrics.h"
 #include "formats/image_io.h"
 #include "labels/label_files.h"
+#include <cmath>
+#include <filesystem>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <tuple>
 #include "loading/frame_files.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
@@ -181,27 +181,16 @@ ConfigNode config_of(const FolderScene& scene, const std::string& preset) {
   return tree;
 }
 
-}  // namespace semfield::app
+// Training labels as images.
 
-namespace semfield {
 namespace {
-
-namespace fs = std::filesystem;
-using Json = nlohmann::ordered_json;
-
-// Names of the classes in the order of internal indices: what the last axis of the probabilities means.
-std::string class_order_json(const ClassTable& classes) {
-  Json names = Json::array();
-  for (int c = 0; c < classes.valid_count(); ++c) names.push_back(classes.valid(c).name);
-  return names.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
-}
 
 // A new folder that takes its name when it is complete.
 class UnfinishedFolder {
  public:
   explicit UnfinishedFolder(const std::string& name)
       : name_(fs::path(name).lexically_normal()), path_(unfinished(name_)) {
-    app::create_output_folder(path_);
+    create_output_folder(path_);
   }
   ~UnfinishedFolder() {
     std::error_code ignored;
@@ -210,7 +199,7 @@ class UnfinishedFolder {
   UnfinishedFolder(const UnfinishedFolder&) = delete;
   UnfinishedFolder& operator=(const UnfinishedFolder&) = delete;
 
-  void add(const std::string& folder) const { app::create_output_folder(path_ / folder); }
+  void add(const std::string& folder) const { create_output_folder(path_ / folder); }
   std::string operator/(const std::string& file) const { return (path_ / file).string(); }
 
   void finish() {
@@ -396,7 +385,7 @@ DegradeReport write_degraded(const LoadedScene& scene, const TrainingLabels& lab
                 {"config", source.config}};
   write_file_atomic(unfinished / "classes.yaml", classes.to_yaml());
   if (labels.soft) write_file_atomic(unfinished / "probability/classes.json", class_order_json(classes));
-  write_file_atomic(unfinished / "manifest.json", manifest.dump(2, ' ', false, Json::error_handler_t::replace) + "\n");
+  write_file_atomic(unfinished / "manifest.json", json_text(manifest, 2) + "\n");
   unfinished.finish();
   return {static_cast<int>(files.size()), total.labelled_px, total.confusion.total_accuracy(),
           total.confusion.miou_present()};
@@ -526,7 +515,7 @@ CaptureReport capture_replica(const Dataset& dataset, const SceneInfo& info, con
         (channel == "semantic_instance" && !f.has_instances)) {
       continue;
     }
-    app::create_output_folder(folder / name);
+    create_output_folder(folder / name);
   }
   CaptureReport report;
   FrameBuffer frame;
@@ -558,13 +547,6 @@ CaptureReport capture_replica(const Dataset& dataset, const SceneInfo& info, con
   }
   return report;
 }
-
-}  // namespace semfield
-
-namespace semfield::app {
-
-namespace fs = std::filesystem;
-using Json = nlohmann::ordered_json;
 
 namespace {
 
@@ -687,8 +669,7 @@ void write_fixed_scene(const PosedScene& scene, const FixedCameras& cameras, con
   index["prepared_from"] = info.name;
   index["camera_changes"] = cameras.changes;
   index["frames"] = std::move(frames);
-  write_file_atomic((out / "transforms.json").string(),
-                    index.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+  write_file_atomic((out / "transforms.json").string(), json_text(index, 1) + "\n");
 }
 
 }  // namespace semfield::app

@@ -55,10 +55,7 @@ int downscale_of(const FolderScene& scene);
 void write_fixed_scene(const PosedScene& scene, const FixedCameras& cameras, const std::string& folder,
                        const CaptureProgress& progress);
 
-}  // namespace semfield::app
-
 // Training labels written out as images with a manifest.
-namespace semfield {
 
 /// Throws Error(cannot_create) when `folder` exists and is no empty folder.
 void refuse_used_folder(const std::string& folder);
@@ -123,4 +120,4 @@ CaptureReport capture_replica(const Dataset& dataset, const SceneInfo& info, con
                               const std::function<void(int done, int total)>& progress = {},
                               const PoseConvention& convention = {});
 
-}  // namespace semfield
+}  // namespace semfield::app

@@ -12,7 +12,9 @@
 #include "core/error.h"
 #include "core/text.h"
 
-namespace semfield {
+namespace semfield::app {
+
+namespace fs = std::filesystem;
 
 namespace {
 
@@ -173,9 +175,13 @@ std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnost
   return out + class_table(scene) + problems(diagnostics);
 }
 
-nlohmann::ordered_json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics,
-                                    const std::string& depth_use) {
-  using Json = nlohmann::ordered_json;
+std::string class_order_json(const ClassTable& classes) {
+  Json names = Json::array();
+  for (int c = 0; c < classes.valid_count(); ++c) names.push_back(classes.valid(c).name);
+  return json_text(names, 1) + "\n";
+}
+
+Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use) {
   const auto vector = [](Vec3d v) { return Json{v.x, v.y, v.z}; };
   const auto box = [&](const Box& b) {
     return b.empty() ? Json(nullptr) : Json{{"low", vector(b.lo)}, {"high", vector(b.hi)}};
@@ -329,13 +335,7 @@ std::optional<PresetAdvice> advised_preset(const LoadedScene& scene) {
   return out;
 }
 
-}  // namespace semfield
-
-namespace semfield::app {
-
 namespace {
-
-namespace fs = std::filesystem;
 
 // `run`, or with the first number behind it that nothing has yet.
 std::string unused(const std::string& run) {

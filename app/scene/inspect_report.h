@@ -14,14 +14,18 @@
 #include "loading/frame_source.h"
 #include "run/run_scores.h"
 
-namespace semfield {
+namespace semfield::app {
 
 /// Frames, splits, sizes, extent, bounds, near and far, class table with pixel fractions of train and test and how many
 /// labelled training frames see each class, then every problem with its remedy. `depth_use`: what training makes of
 /// depth images (session/settings/run_config.h). Ends with a line feed.
 std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use = "");
 /// The same for programs.
-app::Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use = "");
+Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use = "");
+
+/// Names of the classes in the order of internal indices, which is that of the last axis of probabilities; labels of
+/// type npz read them.
+std::string class_order_json(const ClassTable& classes);
 
 /// Camera frusta as binary PLY: a pyramid per frame of `depth_m` height (0 = 2 % of the bounds' diagonal), train blue,
 /// test orange.
@@ -42,10 +46,7 @@ struct PresetAdvice {
 /// Nothing of a scene that was not loaded. tests/datasets/datasets_test.cpp holds it against training.
 std::optional<PresetAdvice> advised_preset(const LoadedScene& scene);
 
-}  // namespace semfield
-
 // What people do next with the configuration of a scene, and with a run.
-namespace semfield::app {
 
 struct KnownConfig {
   std::string file;  ///< or a shipped name

@@ -96,8 +96,7 @@ class MapWriter {
     write_label_colors((folder / (stem + "_label_vis.png")).string(), size, drawn, classes_);
   }
   void write_manifest(const Json& manifest) const {
-    write_file_atomic((fs::path(folder_) / "fuse.json").string(),
-                      manifest.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+    write_file_atomic((fs::path(folder_) / "fuse.json").string(), json_text(manifest, 1) + "\n");
   }
 
  private:

@@ -60,7 +60,7 @@ Error error_in(const Json& said) {
 }
 
 void say(int pipe, const char* what, const Json& value) {
-  const std::string line = Json{{what, value}}.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n";
+  const std::string line = json_text(Json{{what, value}}) + "\n";
   for (std::size_t at = 0; at < line.size();) {
     const ssize_t written = write(pipe, line.data() + at, line.size() - at);
     if (written < 0 && errno != EINTR) _exit(1);  // nobody listens any more

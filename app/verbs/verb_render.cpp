@@ -420,13 +420,6 @@ std::int64_t write_frame(const std::string& base, const RenderedFrame& frame, co
   return beyond;
 }
 
-// Names of the classes in the order of the last axis of probabilities, as labels of type npz read them.
-void write_class_order(const std::string& path, const ClassTable& classes) {
-  nlohmann::json names = nlohmann::json::array();
-  for (int c = 0; c < classes.valid_count(); ++c) names.push_back(classes.valid(c).name);
-  write_file_atomic(path, names.dump(1, ' ', false, nlohmann::json::error_handler_t::replace) + "\n");
-}
-
 void check_probability(const RenderOptions& options, const Session& s, const std::vector<NamedView>& views,
                        const AppContext& context) {
   if (!s.pipeline->has_semantics())
@@ -489,7 +482,8 @@ Rendered render_images(const RenderOptions& options, const Session& s, const std
   if (cameras.depth_step != 1e-3)
     print_note(context, fmt::format("a step of the depth pictures is {:g} {}, as cameras.json says", cameras.depth_step,
                                     s.scene.info.metric ? "m" : "units"));
-  if (options.probability) write_class_order((folder / "classes.json").string(), s.scene.info.classes);
+  if (options.probability)
+    write_file_atomic((folder / "classes.json").string(), class_order_json(s.scene.info.classes));
   FrameOptions wanted;
   wanted.probability = options.probability;
   wanted.channels = channels.channels();

@@ -22,6 +22,7 @@
 namespace semfield {
 namespace {
 
+using namespace app;
 using namespace testing_room;
 
 // Alpha of transparent images: offered, read where it is wanted, scaled with the colours, packed, and refused where it
