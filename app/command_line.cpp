@@ -104,26 +104,17 @@ CLI::Option& VerbWords::option(const std::string& name, const char* usual_value,
   return *made->type_name(blank == std::string::npos ? usual_value : name.substr(blank + 1));
 }
 
-void VerbWords::operand(const std::string& name, std::string& into, const std::string& help,
-                        std::vector<std::string> choices) {
-  CLI::Option& word = *verb_.add_option(upper(name), into, help)->required()->type_name("");
-  if (choices.empty()) return;
-  word.check(one_of(choices));
-  offered_[&word] = std::move(choices);
+template <class T>
+void VerbWords::operand(const std::string& name, T& into, const std::string& help, std::vector<std::string> offered) {
+  const bool required = name.front() != '[';
+  const std::string plain = upper(required ? name : name.substr(1, name.size() - 2));
+  CLI::Option& word = *verb_.add_option(plain, into, help)->required(required)->type_name("");
+  if (required && !offered.empty()) word.check(one_of(offered));
+  offered_[&word] = std::move(offered);
 }
-
-void VerbWords::optional_operand(const std::string& name, std::string& into, const std::string& help) {
-  verb_.add_option(upper(name), into, help)->type_name("");
-}
-
-void VerbWords::operands(const std::string& name, std::vector<std::string>& into, const std::string& help) {
-  verb_.add_option(upper(name), into, help)->required()->type_name("");
-}
-
-void VerbWords::optional_operands(const std::string& name, std::vector<std::string>& into, const std::string& help,
-                                  std::vector<std::string> offered) {
-  offered_[verb_.add_option(upper(name), into, help)->type_name("")] = std::move(offered);
-}
+template void VerbWords::operand(const std::string&, std::string&, const std::string&, std::vector<std::string>);
+template void VerbWords::operand(const std::string&, std::vector<std::string>&, const std::string&,
+                                 std::vector<std::string>);
 
 void VerbWords::flag(const std::string& name, bool& into, const std::string& help) { verb_.add_flag(name, into, help); }
 

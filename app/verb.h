@@ -48,15 +48,10 @@ class VerbWords {
  public:
   VerbWords(CLI::App& verb, OfferedValues& offered) : verb_(verb), offered_(offered) {}
 
-  /// A word that must be there.
-  void operand(const std::string& name, std::string& into, const std::string& help,
-               std::vector<std::string> choices = {});
-  void optional_operand(const std::string& name, std::string& into, const std::string& help);
-  /// One word or several.
-  void operands(const std::string& name, std::vector<std::string>& into, const std::string& help);
-  /// Any number of words.
-  void optional_operands(const std::string& name, std::vector<std::string>& into, const std::string& help,
-                         std::vector<std::string> offered = {});
+  /// A word that must be there, or one or several into a list; "[name]" may be left out. One that must be there is one
+  /// of `offered`, if any are; completion alone offers those of others.
+  template <class T>
+  void operand(const std::string& name, T& into, const std::string& help, std::vector<std::string> offered = {});
 
   void flag(const std::string& name, bool& into, const std::string& help);
   /// `offered` are values that completion offers; others are taken too.
@@ -118,35 +113,25 @@ struct Verb {
   int rank = 0;      ///< the help lists verbs in this order, those of a group among themselves
   std::string sentence;
   std::function<Run(VerbWords&)> declare;  ///< what runs when the words are read; empty: a group
-  bool json = false;                       ///< takes --json, and then prints its results by print_json()
   Launch launch = Launch::alone;
+  bool json = true;  ///< takes --json, and then prints its results by print_json() (app/json_output.h)
 };
 
 /// `words` declares what `run` gets; `run` returns the exit code.
 template <class Options>
 Verb make_verb(std::string name, int rank, std::string sentence, void (*words)(VerbWords&, Options&),
-               int (*run)(const Options&, AppContext&)) {
-  return {std::move(name), rank, std::move(sentence), [words, run](VerbWords& to) -> Verb::Run {
+               int (*run)(const Options&, AppContext&), Launch launch = Launch::alone) {
+  return {std::move(name), rank, std::move(sentence),
+          [words, run](VerbWords& to) -> Verb::Run {
             auto options = std::make_shared<Options>();
             words(to, *options);
             return [options, run](AppContext& context) { return run(*options, context); };
-          }};
+          },
+          launch};
 }
 
-/// A verb without words of its own.
-inline Verb make_verb(std::string name, int rank, std::string sentence, int (*run)(AppContext&)) {
-  return {std::move(name), rank, std::move(sentence), [run](VerbWords&) -> Verb::Run { return run; }};
-}
-
-/// A verb that takes --json: see print_json() in app/json_output.h.
-inline Verb with_json(Verb verb) {
-  verb.json = true;
-  return verb;
-}
-
-/// A verb that works in several processes.
-inline Verb with_launch(Launch launch, Verb verb) {
-  verb.launch = launch;
+inline Verb without_json(Verb verb) {
+  verb.json = false;
   return verb;
 }
 

@@ -46,12 +46,12 @@ void words(VerbWords& verb, BenchStepOptions& options) {
 Verb verb_bench() { return make_group("bench", 180, "measure the speed of training steps"); }
 
 Verb verb_bench_gpu() {
-  return with_json(make_verb<BenchGpuOptions>("bench gpu", 20, "time training steps and frames on a GPU", words, run));
+  return make_verb<BenchGpuOptions>("bench gpu", 20, "time training steps and frames on a GPU", words, run);
 }
 
 Verb verb_bench_step() {
-  return with_json(make_verb<BenchStepOptions>("bench step", 30,
-                                               "time whole training steps, next to the machine's limits", words, run));
+  return make_verb<BenchStepOptions>("bench step", 30, "time whole training steps, next to the machine's limits", words,
+                                     run);
 }
 
 }  // namespace semfield::app

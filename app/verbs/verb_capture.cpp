@@ -47,7 +47,7 @@ void words(VerbWords& verb, CaptureOptions& options) {
 }  // namespace
 
 Verb verb_capture() {
-  return with_json(make_verb<CaptureOptions>("capture", 80, "write a scene's frames in Replica layout", words, run));
+  return make_verb<CaptureOptions>("capture", 80, "write a scene's frames in Replica layout", words, run);
 }
 
 }  // namespace semfield::app

@@ -128,8 +128,8 @@ void words(VerbWords& verb, CheckNumericsOptions& options) {
 }  // namespace
 
 Verb verb_check_numerics() {
-  return with_json(make_verb<CheckNumericsOptions>(
-      "check-numerics", 190, "check stiff and extreme cases against their references", words, run));
+  return make_verb<CheckNumericsOptions>("check-numerics", 190,
+                                         "check stiff and extreme cases against their references", words, run);
 }
 
 }  // namespace semfield::app

@@ -87,8 +87,8 @@ void words(VerbWords& verb, ClassesOptions& options) {
 }  // namespace
 
 Verb verb_classes() {
-  return with_json(make_verb<ClassesOptions>(
-      "classes", 140, "convert class tables from and to the formats of other tools", words, run));
+  return make_verb<ClassesOptions>("classes", 140, "convert class tables from and to the formats of other tools", words,
+                                   run);
 }
 
 }  // namespace semfield::app

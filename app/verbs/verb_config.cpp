@@ -155,23 +155,22 @@ void words(VerbWords& verb, SchemaOptions& options) {
 Verb verb_config() { return make_group("config", 150, "check, explain and compare configurations"); }
 
 Verb verb_config_check() {
-  return with_json(
-      make_verb<ConfigOptions>("config check", 10, "read a configuration and report every error", config_words, check));
+  return make_verb<ConfigOptions>("config check", 10, "read a configuration and report every error", config_words,
+                                  check);
 }
 
 Verb verb_config_diff() {
-  return with_json(
-      make_verb<DiffOptions>("config diff", 30, "print what differs between two configurations", words, run));
+  return make_verb<DiffOptions>("config diff", 30, "print what differs between two configurations", words, run);
 }
 
 Verb verb_config_explain() {
-  return with_json(make_verb<ConfigOptions>(
-      "config explain", 20, "print the final tree, with the origin of every value", config_words, explain));
+  return make_verb<ConfigOptions>("config explain", 20, "print the final tree, with the origin of every value",
+                                  config_words, explain);
 }
 
 Verb verb_config_schema() {
-  return make_verb<SchemaOptions>("config schema", 40, "print a JSON schema of configurations (and --plugin modules)",
-                                  words, run);
+  return without_json(make_verb<SchemaOptions>(
+      "config schema", 40, "print a JSON schema of configurations (and --plugin modules)", words, run));
 }
 
 }  // namespace semfield::app

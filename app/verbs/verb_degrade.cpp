@@ -49,8 +49,8 @@ void words(VerbWords& verb, DegradeOptions& options) {
 }  // namespace
 
 Verb verb_degrade() {
-  return with_json(make_verb<DegradeOptions>(
-      "degrade", 100, "write the training labels, degraded as the configuration says", words, run));
+  return make_verb<DegradeOptions>("degrade", 100, "write the training labels, degraded as the configuration says",
+                                   words, run);
 }
 
 }  // namespace semfield::app

@@ -156,8 +156,8 @@ void words(VerbWords& verb, DemoOptions& options) {
 }  // namespace
 
 Verb verb_demo() {
-  return with_json(make_verb<DemoOptions>(
-      "demo", 5, "train on the shipped room, render its held-out views and write its mesh", words, run));
+  return make_verb<DemoOptions>("demo", 5, "train on the shipped room, render its held-out views and write its mesh",
+                                words, run);
 }
 
 }  // namespace semfield::app

@@ -199,10 +199,8 @@ void words(VerbWords& verb, EvalOptions& options) {
 }  // namespace
 
 Verb verb_eval() {
-  return with_launch(
-      Launch::ranks,
-      with_json(make_verb<EvalOptions>(
-          "eval", 20, "evaluate a run's field on a split, and keep the scores for its report", words, run)));
+  return make_verb<EvalOptions>("eval", 20, "evaluate a run's field on a split, and keep the scores for its report",
+                                words, run, Launch::ranks);
 }
 
 }  // namespace semfield::app

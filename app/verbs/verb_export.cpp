@@ -229,8 +229,8 @@ void words(VerbWords& verb, ExportVerbOptions& options) {
 }  // namespace
 
 Verb verb_export() {
-  return with_json(make_verb<ExportVerbOptions>(
-      "export", 130, "write the labels of a run's field for labelling tools, or the run as one page", words, run));
+  return make_verb<ExportVerbOptions>(
+      "export", 130, "write the labels of a run's field for labelling tools, or the run as one page", words, run);
 }
 
 }  // namespace semfield::app

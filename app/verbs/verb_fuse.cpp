@@ -206,8 +206,8 @@ void words(VerbWords& verb, FuseOptions& options) {
 }  // namespace
 
 Verb verb_fuse() {
-  return with_json(
-      make_verb<FuseOptions>("fuse", 110, "combine predictions of several views by depth, and score them", words, run));
+  return make_verb<FuseOptions>("fuse", 110, "combine predictions of several views by depth, and score them", words,
+                                run);
 }
 
 }  // namespace semfield::app

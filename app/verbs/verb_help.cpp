@@ -64,8 +64,8 @@ int run(const HelpOptions& options, AppContext& context) {
 }
 
 void words(VerbWords& verb, HelpOptions& options) {
-  verb.optional_operands("verb", options.verb, "verb, such as: train, config check (default: the list of all verbs)",
-                         words_of_verbs());
+  verb.operand("[verb]", options.verb, "verb, such as: train, config check (default: the list of all verbs)",
+               words_of_verbs());
   verb.value("--pages FOLDER", options.pages,
              "copy of the pages of the source tree, in which those about verbs, plugins and keys are written");
   verb.excludes("--pages", "VERB");
@@ -134,11 +134,11 @@ void words(VerbWords& verb, CompletionOptions& options) {
 
 }  // namespace
 
-Verb verb_help() { return make_verb<HelpOptions>("help", 210, "print the usage of a verb", words, run); }
+Verb verb_help() { return without_json(make_verb<HelpOptions>("help", 210, "print the usage of a verb", words, run)); }
 
 Verb verb_completion() {
-  return make_verb<CompletionOptions>("completion", 220, "print a script that completes verbs and options in a shell",
-                                      words, run);
+  return without_json(make_verb<CompletionOptions>(
+      "completion", 220, "print a script that completes verbs and options in a shell", words, run));
 }
 
 }  // namespace semfield::app

@@ -120,8 +120,8 @@ void words(VerbWords& verb, InitOptions& options) {
 }  // namespace
 
 Verb verb_init() {
-  return with_json(
-      make_verb<InitOptions>("init", 8, "look at the folder of a scene and write a configuration for it", words, run));
+  return make_verb<InitOptions>("init", 8, "look at the folder of a scene and write a configuration for it", words,
+                                run);
 }
 
 }  // namespace semfield::app

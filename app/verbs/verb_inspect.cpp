@@ -99,8 +99,8 @@ void words(VerbWords& verb, InspectOptions& options) {
 }  // namespace
 
 Verb verb_inspect() {
-  return with_json(make_verb<InspectOptions>(
-      "inspect", 70, "print what a scene contains, and every problem with its remedy", words, run));
+  return make_verb<InspectOptions>("inspect", 70, "print what a scene contains, and every problem with its remedy",
+                                   words, run);
 }
 
 }  // namespace semfield::app

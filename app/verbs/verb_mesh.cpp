@@ -635,9 +635,9 @@ void words(VerbWords& verb, MeshOptions& options) {
 }  // namespace
 
 Verb verb_mesh() {
-  return with_json(make_verb<MeshOptions>(
+  return make_verb<MeshOptions>(
       "mesh", 60, "write what the cameras saw with colour, class and object: a surface, points, splats, maps, a page",
-      words, run));
+      words, run);
 }
 
 }  // namespace semfield::app

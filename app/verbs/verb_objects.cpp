@@ -252,8 +252,8 @@ void words(VerbWords& verb, ObjectsOptions& options) {
 }  // namespace
 
 Verb verb_objects() {
-  return with_json(make_verb<ObjectsOptions>(
-      "objects", 65, "separate and count the things of a scene, by segments of its images", words, run));
+  return make_verb<ObjectsOptions>("objects", 65, "separate and count the things of a scene, by segments of its images",
+                                   words, run);
 }
 
 }  // namespace semfield::app

@@ -35,8 +35,8 @@ void words(VerbWords& verb, PackVerbOptions& options) {
 }  // namespace
 
 Verb verb_pack() {
-  return with_json(make_verb<PackVerbOptions>(
-      "pack", 90, "write a scene as one file, for machines without image libraries", words, run));
+  return make_verb<PackVerbOptions>("pack", 90, "write a scene as one file, for machines without image libraries",
+                                    words, run);
 }
 
 }  // namespace semfield::app

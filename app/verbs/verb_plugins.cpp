@@ -350,16 +350,16 @@ void words(VerbWords& verb, ShowOptions& options) { verb.operand("name", options
 Verb verb_plugins() { return make_group("plugins", 170, "list plugins and their parameters, and check them"); }
 
 Verb verb_plugins_check() {
-  return with_json(make_verb<CheckOptions>("plugins check", 50,
-                                           "check the plugins of a file against the laws of their kinds", words, run));
+  return make_verb<CheckOptions>("plugins check", 50, "check the plugins of a file against the laws of their kinds",
+                                 words, run);
 }
 
 Verb verb_plugins_list() {
-  return with_json(make_verb<ListOptions>("plugins list", 10, "list every plugin with one sentence", words, run));
+  return make_verb<ListOptions>("plugins list", 10, "list every plugin with one sentence", words, run);
 }
 
 Verb verb_plugins_show() {
-  return with_json(make_verb<ShowOptions>("plugins show", 20, "print the parameters of one plugin", words, run));
+  return make_verb<ShowOptions>("plugins show", 20, "print the parameters of one plugin", words, run);
 }
 
 }  // namespace semfield::app

@@ -231,8 +231,8 @@ void words(VerbWords& verb, PrepareVerbOptions& options) {
 }  // namespace
 
 Verb verb_prepare() {
-  return with_json(make_verb<PrepareVerbOptions>(
-      "prepare", 7, "make a scene from a video or photographs, or fix the cameras of a scene", words, run));
+  return make_verb<PrepareVerbOptions>(
+      "prepare", 7, "make a scene from a video or photographs, or fix the cameras of a scene", words, run);
 }
 
 }  // namespace semfield::app

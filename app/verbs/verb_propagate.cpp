@@ -111,8 +111,8 @@ void words(VerbWords& verb, PropagateOptions& options) {
 }  // namespace
 
 Verb verb_propagate() {
-  return with_json(make_verb<PropagateOptions>(
-      "propagate", 120, "spread training labels over the surface that a run has learned", words, run));
+  return make_verb<PropagateOptions>("propagate", 120, "spread training labels over the surface that a run has learned",
+                                     words, run);
 }
 
 }  // namespace semfield::app

@@ -593,10 +593,8 @@ void words(VerbWords& verb, RenderOptions& options) {
 }  // namespace
 
 Verb verb_render() {
-  return with_launch(
-      Launch::ranks,
-      with_json(make_verb<RenderOptions>(
-          "render", 30, "render colour, label, depth and entropy images from a run's field", words, run)));
+  return make_verb<RenderOptions>("render", 30, "render colour, label, depth and entropy images from a run's field",
+                                  words, run, Launch::ranks);
 }
 
 }  // namespace semfield::app

@@ -41,7 +41,7 @@ int run(const ReportOptions& options, AppContext& context) {
 }
 
 void words(VerbWords& verb, ReportOptions& options) {
-  verb.operands("run", options.runs, "run folders");
+  verb.operand("run", options.runs, "run folders");
   verb.flag("--no-3d", options.flat, "leave out the view of the first run in 3D");
   verb.value("--out FILE", options.out, "file to write (default: report.html of the first run)");
 }
@@ -49,7 +49,7 @@ void words(VerbWords& verb, ReportOptions& options) {
 }  // namespace
 
 Verb verb_report() {
-  return with_json(make_verb<ReportOptions>("report", 40, "write one HTML page about one or several runs", words, run));
+  return make_verb<ReportOptions>("report", 40, "write one HTML page about one or several runs", words, run);
 }
 
 }  // namespace semfield::app

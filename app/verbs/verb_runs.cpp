@@ -47,9 +47,9 @@ void words(VerbWords& verb, EqualOptions& options) {
 }  // namespace
 
 Verb verb_runs_equal() {
-  return with_json(make_verb<EqualOptions>(
+  return make_verb<EqualOptions>(
       "runs equal", 10,
-      "check whether two runs are the same training, bit by bit; times, threads and places do not count", words, run));
+      "check whether two runs are the same training, bit by bit; times, threads and places do not count", words, run);
 }
 
 }  // namespace semfield::app

@@ -191,8 +191,7 @@ void words(VerbWords& verb, ServeOptions& options) {
 }  // namespace
 
 Verb verb_serve() {
-  return with_json(
-      make_verb<ServeOptions>("serve", 15, "label a scene in the browser while its field trains", words, run));
+  return make_verb<ServeOptions>("serve", 15, "label a scene in the browser while its field trains", words, run);
 }
 
 }  // namespace semfield::app

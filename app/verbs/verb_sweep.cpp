@@ -271,9 +271,8 @@ void words(VerbWords& verb, SweepOptions& options) {
 }  // namespace
 
 Verb verb_sweep() {
-  return with_launch(Launch::beside,
-                     with_json(make_verb<SweepOptions>(
-                         "sweep", 50, "run experiments: a grid of differences, scenes and seeds", words, run)));
+  return make_verb<SweepOptions>("sweep", 50, "run experiments: a grid of differences, scenes and seeds", words, run,
+                                 Launch::beside);
 }
 
 }  // namespace semfield::app

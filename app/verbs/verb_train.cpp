@@ -205,7 +205,7 @@ int run(const TrainOptions& options, AppContext& context) {
 }
 
 void words(VerbWords& verb, TrainOptions& options) {
-  verb.optional_operand("config", options.config.config, "configuration file (YAML)");
+  verb.operand("[config]", options.config.config, "configuration file (YAML)");
   std::vector<std::string>& set = options.config.set;
   verb.repeated("--set KEY=VALUE", set, "override a value: --set train.rays=2048");
   verb.value("--out FOLDER", options.out, "run folder to create (default: runs/<name>)");
@@ -224,8 +224,8 @@ void words(VerbWords& verb, TrainOptions& options) {
 }  // namespace
 
 Verb verb_train() {
-  return with_launch(Launch::ranks, with_json(make_verb<TrainOptions>(
-                                        "train", 10, "train a field on a scene; writes a run folder", words, run)));
+  return make_verb<TrainOptions>("train", 10, "train a field on a scene; writes a run folder", words, run,
+                                 Launch::ranks);
 }
 
 }  // namespace semfield::app

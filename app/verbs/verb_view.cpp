@@ -91,8 +91,8 @@ void words(VerbWords& verb, ViewVerbOptions& options) {
 }  // namespace
 
 Verb verb_view() {
-  return with_json(make_verb<ViewVerbOptions>("view", 20, "look at a run in the browser, while it trains or afterwards",
-                                              words, run));
+  return make_verb<ViewVerbOptions>("view", 20, "look at a run in the browser, while it trains or afterwards", words,
+                                    run);
 }
 
 }  // namespace semfield::app
