@@ -226,35 +226,6 @@ std::optional<double> DepthError::coverage() const {
   return static_cast<double>(scored_) / static_cast<double>(valid_truth_);
 }
 
-void Calibration::add(std::span<const float> probabilities, int classes, std::span<const std::int16_t> truth) {
-  SEMFIELD_CHECK(classes >= 1 && probabilities.size() == truth.size() * static_cast<std::size_t>(classes),
-                 "one row of probabilities a pixel");
-  Calibration sums;
-  for (std::size_t i = 0; i < truth.size(); ++i) {
-    if (truth[i] == kVoid) continue;
-    if (truth[i] < 0 || truth[i] >= classes) {
-      throw Error(ErrorKind::data, "labels.class.range",
-                  fmt::format("pixel {}: true label {} lies outside [0, {})", i, static_cast<int>(truth[i]), classes),
-                  "check that the labels and the model use one class table");
-    }
-    const std::span<const float> row =
-        probabilities.subspan(i * static_cast<std::size_t>(classes), static_cast<std::size_t>(classes));
-    std::size_t best = 0;
-    bool finite = true;
-    for (std::size_t c = 0; c < row.size(); ++c) {
-      finite = finite && std::isfinite(row[c]);
-      if (row[c] > row[best]) best = c;
-    }
-    if (!finite) {
-      ++sums.scored_;
-      ++sums.nonfinite_;
-      continue;
-    }
-    sums.add_pixel(row[best], best == static_cast<std::size_t>(truth[i]), row[static_cast<std::size_t>(truth[i])]);
-  }
-  merge(sums);
-}
-
 void Calibration::add(std::span<const float> confidence, std::span<const float> truth_probability,
                       std::span<const std::int16_t> predicted, std::span<const std::int16_t> truth) {
   SEMFIELD_CHECK(

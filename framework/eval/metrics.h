@@ -115,10 +115,8 @@ class Calibration {
     std::int64_t pixels = 0, correct = 0;
     double confidence = 0;  ///< sum over its pixels
   };
-  /// `probabilities` [pixels, classes] row-major; void truth is dropped. A true class with p < 1.2e-38 counts as that.
-  void add(std::span<const float> probabilities, int classes, std::span<const std::int16_t> truth);
-  /// The same from what a renderer kept of each pixel: the largest probability, its class, and the probability of the
-  /// true class.
+  /// What a renderer kept of each pixel: the largest probability, its class, and the probability of the true class, of
+  /// which p < 1.2e-38 counts as that. Void truth is dropped.
   void add(std::span<const float> confidence, std::span<const float> truth_probability,
            std::span<const std::int16_t> predicted, std::span<const std::int16_t> truth);
   void merge(const Calibration& other);

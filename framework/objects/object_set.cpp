@@ -673,10 +673,6 @@ std::string object_edits_text(const ObjectEdits& edits) {
                      OrderedJson(edits.digest).dump(-1, ' ', false, OrderedJson::error_handler_t::replace), lines);
 }
 
-void write_object_edits(const std::string& path, const ObjectEdits& edits) {
-  write_file_atomic(path, object_edits_text(edits));
-}
-
 void apply_edit(ObjectSet& set, const ObjectEdit& edit) {
   Editing editing(set);
   editing.apply(edit);

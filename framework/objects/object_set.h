@@ -91,8 +91,7 @@ ObjectEdit parse_object_edit(std::string_view json, const std::string& where);
 
 /// No file: no edits. Throws Error(data) naming the file and the edit.
 ObjectEdits read_object_edits(const std::string& path);
-void write_object_edits(const std::string& path, const ObjectEdits& edits);
-/// What is written. The same objects with the same edits have the same text, others another.
+/// What edits.json holds. The same objects with the same edits have the same text, others another.
 std::string object_edits_text(const ObjectEdits& edits);
 
 /// Changes ids and rows. Ids stay, those of merged objects are not used again, and a part that was split off gets a new

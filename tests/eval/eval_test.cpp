@@ -126,7 +126,7 @@ TEST(Ssim, AgreesWithThePlainDefinitionOnAnyThreadCount) {
 TEST(Calibration, ByHand) {
   Calibration c;
   // Confidences 0.9 (right), 0.9 (wrong), 0.6 (right); one void pixel.
-  c.add(Floats{0.9f, 0.1f, 0.9f, 0.1f, 0.4f, 0.6f, 1, 0}, 2, Labels{0, 1, 1, -1});
+  c.add(Floats{0.9f, 0.9f, 0.6f, 1}, Floats{0.9f, 0.1f, 0.6f, 0}, Labels{0, 0, 1, 0}, Labels{0, 1, 1, -1});
   EXPECT_EQ(c.scored_px(), 3);
   EXPECT_NEAR(*c.ece(), (std::abs(1 - 1.8) + std::abs(1 - 0.6)) / 3, 1e-7);
   EXPECT_NEAR(*c.nll(), -(std::log(0.9) + std::log(0.1) + std::log(0.6)) / 3, 1e-7);
@@ -135,7 +135,7 @@ TEST(Calibration, ByHand) {
 
 TEST(Calibration, ZeroProbabilityStaysFinite) {
   Calibration c;
-  c.add(Floats{1, 0}, 2, Labels{1});
+  c.add(Floats{1}, Floats{0}, Labels{0}, Labels{1});
   EXPECT_NEAR(*c.nll(), -std::log(1.17549435e-38), 1e-6);
   EXPECT_DOUBLE_EQ(*c.ece(), 1.0);
 }

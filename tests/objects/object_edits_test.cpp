@@ -189,7 +189,7 @@ TEST(ObjectEdits, FilesKeepObjectsAndEditsAndKnowThoseOfOthers) {
                      edit(R"({"do": "split", "object": 1, "at": [[1.35, 0.15, 0.05], [0.05, 0.05, 0.05]]})"),
                      edit(R"({"do": "rename", "object": 4, "name": "small"})"),
                      edit(R"({"do": "split", "object": 2, "plane": [[2.5, 0, 0], [2.5, 1, 0], [2.5, 0, 1]]})")}};
-  write_object_edits(dir / "edits.json", edits);
+  write_file_atomic(dir / "edits.json", object_edits_text(edits));
   for (const ObjectEdit& one : edits.edits) apply_edit(set, one);
   const EditedObjects read = read_edited_objects(dir.path(), 2);
   EXPECT_EQ(read.set.id, set.id);
@@ -202,7 +202,7 @@ TEST(ObjectEdits, FilesKeepObjectsAndEditsAndKnowThoseOfOthers) {
   EXPECT_EQ(read.edits.edits.size(), 4u);
   EXPECT_EQ(read.edits.edits[3].plane, edits.edits[3].plane);
   edits.digest = "0123456789abcdef";
-  write_object_edits(dir / "edits.json", edits);
+  write_file_atomic(dir / "edits.json", object_edits_text(edits));
   EXPECT_ERROR(read_edited_objects(dir.path(), 2), "objects.edits.foreign", "edits.json", "4 edits");
   write_file_atomic(dir / "edits.json", std::string_view(R"({"objects": "x", "edits": [{"do": "split"}]})"));
   EXPECT_ERROR(read_edited_objects(dir.path(), 2), "objects.edit.invalid", "edits.json", "edit 1", "object");
@@ -395,7 +395,7 @@ TEST_F(ObjectFolders, TablesThatAreNotOfTheEditsAreWrittenAnewOnOpening) {
   EXPECT_EQ(table(), "saved;not saved;chair 3;");
   ObjectFolder(dir_.path(), info_).mend();
   EXPECT_EQ(table(), "saved;table 2;chair 3;");
-  write_object_edits(dir_ / "edits.json", next.edits);
+  write_file_atomic(dir_ / "edits.json", object_edits_text(next.edits));
   ObjectFolder(dir_.path(), info_).mend();
   EXPECT_EQ(table(), "saved;not saved;chair 3;");
   std::filesystem::remove(dir_ / "objects.ply");

@@ -14,9 +14,9 @@
 #include "formats/npz.h"
 #include "loading/packed_scene.h"
 #include "objects/find_objects.h"
-#include "objects/object_set.h"
 #include "objects/object_network.h"
 #include "objects/object_score.h"
+#include "objects/object_set.h"
 #include "objects/segments.h"
 #include "scene/scene.h"
 #include "system/files.h"
@@ -758,13 +758,13 @@ TEST(ObjectsVerb, FilesFiguresAndTheSameAgain) {
   ObjectEdits edits{read_edited_objects(dir / "run/objects", 1024).edits.digest, {}};
   edits.edits.push_back(parse_object_edit(R"({"do": "rename", "object": 1, "name": "mine"})", "test"));
   fs::create_directories(dir / "again");
-  write_object_edits(dir / "again/edits.json", edits);
+  write_file_atomic(dir / "again/edits.json", object_edits_text(edits));
   const Result edited = succeeded(semfield(std::string("objects run --out again --json") + kQuick, dir));
   EXPECT_EQ(nlohmann::json::parse(edited.out).at("edits"), 1);
   EXPECT_HAS(read_text_file(dir / "again/objects.csv"), "1,mine,");
   EXPECT_HAS(read_text_file(dir / "again/objects.json"), "\"mine\"");
   // Files of the surface have the names of the edits.
-  write_object_edits(dir / "run/objects/edits.json", edits);
+  write_file_atomic(dir / "run/objects/edits.json", object_edits_text(edits));
   const Result mesh = succeeded(semfield("mesh run --out room.glb --color photo --resolution 32", dir));
   EXPECT_HAS(read_text_file(dir / "room.glb"), "\"mine\"");
   EXPECT_HAS(read_text_file(dir / "room.json"), "\"mine\"");
