@@ -36,6 +36,7 @@ struct Edit {
 /// A folder that is as it should be.
 struct Base {
   std::string name;
+  std::string words;  ///< of its cases that have none
   std::vector<Edit> edits;
 };
 
@@ -185,6 +186,8 @@ CaseFile read_cases(const std::string& path) {
   const std::string name = fs::path(path).filename().string();
   CaseFile out;
   std::vector<Edit>* edits = nullptr;
+  Case* of_case = nullptr;  // that lines belong to; none in a base
+  std::size_t first = 0;    // of the cases that `or` joins
   int line = 0;
   for (std::string text; std::getline(file, text);) {
     const std::string place = name + ":" + std::to_string(++line);
@@ -192,27 +195,41 @@ CaseFile read_cases(const std::string& path) {
     std::string verb;
     if (!(words >> verb) || verb[0] == '#') continue;
     if (verb == "base") {
-      out.bases.push_back({rest_of(words), {}});
+      out.bases.push_back({rest_of(words), "", {}});
       edits = &out.bases.back().edits;
-    } else if (verb == "case") {
+      of_case = nullptr;
+    } else if (verb == "case" || verb == "or") {
       Case next;
+      if (verb == "or" && of_case == nullptr) fail(place, "'or' before any case");
       next.place = place;
-      words >> next.name >> next.base;
+      words >> next.name;
+      if (verb == "case") {
+        words >> next.base;
+        first = out.cases.size();
+      } else {
+        next.base = of_case->base;
+      }
       out.cases.push_back(next);
-      edits = &out.cases.back().edits;
+      of_case = &out.cases.back();
+      edits = &of_case->edits;
     } else if (edits == nullptr) {
       fail(place, "'" + verb + "' before any base or case");
-    } else if (verb == "run") {
-      out.cases.back().words = rest_of(words);
-    } else if (verb == "within") {
-      if (!(words >> out.cases.back().most_mib)) fail(place, "within MEBIBYTES");
-    } else if (verb == "says") {
-      words >> out.cases.back().code;
-      out.cases.back().says.push_back(rest_of(words));
-    } else if (verb == "never") {
-      out.cases.back().never.push_back(rest_of(words));
-    } else if (verb == "and") {
-      out.cases.back().says.push_back(rest_of(words));
+    } else if (verb == "run" && of_case == nullptr) {
+      out.bases.back().words = rest_of(words);
+    } else if (verb == "run" || verb == "within" || verb == "says" || verb == "never" || verb == "and") {
+      if (of_case == nullptr) fail(place, "'" + verb + "' before any case");
+      Case said;
+      if (verb == "within" && !(words >> said.most_mib)) fail(place, "within MEBIBYTES");
+      if (verb == "says") words >> said.code;
+      const std::string rest = rest_of(words);
+      for (std::size_t i = first; i < out.cases.size(); ++i) {
+        Case& one = out.cases[i];
+        if (verb == "run") one.words = rest;
+        if (verb == "within") one.most_mib = said.most_mib;
+        if (verb == "says") one.code = said.code;
+        if (verb == "says" || verb == "and") one.says.push_back(rest);
+        if (verb == "never") one.never.push_back(rest);
+      }
     } else {
       edits->push_back(read_edit(verb, words, file, line, place));
     }
@@ -353,10 +370,11 @@ class Bases {
   explicit Bases(const std::vector<Base>& bases, std::string folder) : folder_(std::move(folder)) {
     for (const Base& base : bases) by_name_[base.name] = &base;
   }
-  // A fresh copy of the base for a case.
-  std::string copy_for(const Case& one) {
+  // A fresh copy of the base for a case, which takes its words where it has none.
+  std::string copy_for(Case& one) {
     const auto base = by_name_.find(one.base);
     if (base == by_name_.end()) throw std::runtime_error(one.place + ": no base '" + one.base + "'");
+    if (one.words.empty()) one.words = base->second->words;
     const std::string made = folder_ + "/base_" + one.base, copy = folder_ + "/" + one.name;
     if (!fs::exists(made)) {
       fs::create_directories(made);
@@ -406,14 +424,14 @@ CaseFile read_named(const std::string& name) {
 class BadFiles : public ::testing::TestWithParam<std::string> {};
 
 TEST_P(BadFiles, AreRefusedWithPlaceCauseAndRemedy) {
-  const CaseFile file = read_named(GetParam());
+  CaseFile file = read_named(GetParam());
   const std::string folder = testing_room::fresh_folder(GetParam());
   Bases bases(file.bases, folder);
   const bool whole_build = raycast_available() && images_available();
   std::size_t absent = 0;
   double slowest_s = 0;
   long largest_kib = 0;
-  for (const Case& one : file.cases) {
+  for (Case& one : file.cases) {
     SCOPED_TRACE(one.place + ": " + one.name);
     const std::string root = bases.copy_for(one);
     for (const Edit& edit : one.edits) apply(edit, root, run_setup);
