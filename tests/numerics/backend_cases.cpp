@@ -148,7 +148,7 @@ double ulps(Real value, long double truth) {
   int exponent = 0;
   std::frexp(truth, &exponent);
   const int last = std::max(exponent, std::numeric_limits<Real>::min_exponent) - std::numeric_limits<Real>::digits;
-  return static_cast<double>(std::abs(static_cast<long double>(value) - truth) / std::ldexp(1.0L, last));
+  return static_cast<double>(std::abs(long_double(value) - truth) / std::ldexp(1.0L, last));
 }
 
 std::string two_digits(double value) {
@@ -179,7 +179,7 @@ double worst_sine(const Encoder<Real>& encoder) {
     std::vector<long double> truth;
     for (int k = 0; k < kBands; ++k) {
       for (int a = 0; a < 3; ++a) {
-        const long double turn = std::remainder(std::ldexp(static_cast<long double>(x[3 * row + a]), k), 2.0L);
+        const long double turn = std::remainder(std::ldexp(long_double(x[3 * row + a]), k), 2.0L);
         truth.push_back(std::sin(3.14159265358979323846264338327950288L * turn));
         truth.push_back(std::cos(3.14159265358979323846264338327950288L * turn));
       }
@@ -188,124 +188,118 @@ double worst_sine(const Encoder<Real>& encoder) {
     std::sort(truth.begin(), truth.end());
     std::sort(got.begin(), got.end());
     for (std::size_t i = 0; i < got.size(); ++i)
-      worst = std::max(worst, static_cast<double>(std::abs(static_cast<long double>(got[i]) - truth[i])) /
-                                  std::numeric_limits<Real>::epsilon());
+      worst = std::max(
+          worst, static_cast<double>(std::abs(long_double(got[i]) - truth[i])) / std::numeric_limits<Real>::epsilon());
   }
   return worst;
 }
 template double worst_sine(const Encoder<float>&);
 template double worst_sine(const Encoder<double>&);
 
-void min_max_nan(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    const Real nan = std::numeric_limits<Real>::quiet_NaN(), inf = std::numeric_limits<Real>::infinity();
-    for (const IsaTable<Real>& table : isa_tables<Real>()) {
-      const CpuKernels<Real>& k = table.kernels;
-      const std::string on = " on " + name_of(table.isa);
-      for (std::int64_t n = 1; n <= 70; ++n) {
-        std::vector<Real> x(static_cast<std::size_t>(n));
-        for (std::size_t i = 0; i < x.size(); ++i) x[i] = static_cast<Real>(number(i) - 2);
-        run.expect(k.all_finite(x.data(), n), "sound numbers are finite" + on);
-        const Real most = *std::max_element(x.begin(), x.end());
-        run.expect(k.largest_of(x.data(), n) == most, "the largest is found" + on);
-        for (std::size_t at = 0; at < x.size(); ++at) {
-          const Real keep = x[at];
-          for (const Real bad : {nan, -nan, inf, -inf}) {
-            x[at] = bad;
-            run.expect(!k.all_finite(x.data(), n), "a bad number is seen at every place" + on);
-          }
-          x[at] = nan;
-          if (n > 1) {
-            Real others = -inf;
-            for (std::size_t i = 0; i < x.size(); ++i) others = i == at ? others : std::max(others, x[i]);
-            run.expect(k.largest_of(x.data(), n) == others, "the largest passes over NaN" + on);
-          }
-          run.expect(std::isnan(k.sum_of(x.data(), n)), "a sum does not" + on);
-          x[at] = keep;
+IN_BOTH_PRECISIONS(min_max_nan) {
+  const Real nan = std::numeric_limits<Real>::quiet_NaN(), inf = std::numeric_limits<Real>::infinity();
+  for (const IsaTable<Real>& table : isa_tables<Real>()) {
+    const CpuKernels<Real>& k = table.kernels;
+    const std::string on = " on " + name_of(table.isa);
+    for (std::int64_t n = 1; n <= 70; ++n) {
+      std::vector<Real> x(static_cast<std::size_t>(n));
+      for (std::size_t i = 0; i < x.size(); ++i) x[i] = static_cast<Real>(number(i) - 2);
+      run.expect(k.all_finite(x.data(), n), "sound numbers are finite" + on);
+      const Real most = *std::max_element(x.begin(), x.end());
+      run.expect(k.largest_of(x.data(), n) == most, "the largest is found" + on);
+      for (std::size_t at = 0; at < x.size(); ++at) {
+        const Real keep = x[at];
+        for (const Real bad : {nan, -nan, inf, -inf}) {
+          x[at] = bad;
+          run.expect(!k.all_finite(x.data(), n), "a bad number is seen at every place" + on);
         }
-        std::fill(x.begin(), x.end(), nan);
-        run.expect(std::isnan(k.largest_of(x.data(), n)), "NaN when nothing else is there" + on);
+        x[at] = nan;
+        if (n > 1) {
+          Real others = -inf;
+          for (std::size_t i = 0; i < x.size(); ++i) others = i == at ? others : std::max(others, x[i]);
+          run.expect(k.largest_of(x.data(), n) == others, "the largest passes over NaN" + on);
+        }
+        run.expect(std::isnan(k.sum_of(x.data(), n)), "a sum does not" + on);
+        x[at] = keep;
       }
-      for (const Function<Real>& f : functions<Real>()) {
-        std::vector<Real> x(37, Real(0.5));
-        x[17] = nan;
-        (k.*f.loop)(x.data(), 37);
-        for (std::size_t i = 0; i < x.size(); ++i)
-          run.expect(std::isnan(x[i]) == (i == 17), std::string(f.name) + " keeps NaN, and to itself" + on);
-      }
-      // ReLU after a product: NaN stays NaN, in its row alone; its gradient is 0 where the result was NaN.
-      const std::int32_t rows = 9, cols = 21, depth = 13;
-      std::vector<Real> a(rows * depth, Real(1)), b(depth * cols, Real(-1)), c(rows * cols);
-      a[4 * depth + 3] = nan;
-      Gemm<Real> g;
-      g.m = rows, g.n = cols, g.k = depth;
-      g.a = a.data(), g.a_row = depth;
-      g.b = b.data(), g.b_row = cols;
-      g.c = c.data(), g.c_row = cols;
-      g.relu = true;
-      k.gemm(g);
-      for (std::int32_t i = 0; i < rows * cols; ++i) {
-        const Real value = c[i];
-        run.expect(i / cols == 4 ? std::isnan(value) : value == 0, "a ReLU keeps NaN in its row" + on);
-      }
-      std::vector<Real> dy(c.size(), Real(1));
-      k.relu_backward(View<const Real>(c.data(), rows, cols), View<Real>(dy.data(), rows, cols));
-      run.expect(std::all_of(dy.begin(), dy.end(), [](Real d) { return d == 0; }), "no gradient passes it" + on);
+      std::fill(x.begin(), x.end(), nan);
+      run.expect(std::isnan(k.largest_of(x.data(), n)), "NaN when nothing else is there" + on);
     }
-  });
+    for (const Function<Real>& f : functions<Real>()) {
+      std::vector<Real> x(37, Real(0.5));
+      x[17] = nan;
+      (k.*f.loop)(x.data(), 37);
+      for (std::size_t i = 0; i < x.size(); ++i)
+        run.expect(std::isnan(x[i]) == (i == 17), std::string(f.name) + " keeps NaN, and to itself" + on);
+    }
+    // ReLU after a product: NaN stays NaN, in its row alone; its gradient is 0 where the result was NaN.
+    const std::int32_t rows = 9, cols = 21, depth = 13;
+    std::vector<Real> a(rows * depth, Real(1)), b(depth * cols, Real(-1)), c(rows * cols);
+    a[4 * depth + 3] = nan;
+    Gemm<Real> g;
+    g.m = rows, g.n = cols, g.k = depth;
+    g.a = a.data(), g.a_row = depth;
+    g.b = b.data(), g.b_row = cols;
+    g.c = c.data(), g.c_row = cols;
+    g.relu = true;
+    k.gemm(g);
+    for (std::int32_t i = 0; i < rows * cols; ++i) {
+      const Real value = c[i];
+      run.expect(i / cols == 4 ? std::isnan(value) : value == 0, "a ReLU keeps NaN in its row" + on);
+    }
+    std::vector<Real> dy(c.size(), Real(1));
+    k.relu_backward(View<const Real>(c.data(), rows, cols), View<Real>(dy.data(), rows, cols));
+    run.expect(std::all_of(dy.begin(), dy.end(), [](Real d) { return d == 0; }), "no gradient passes it" + on);
+  }
 }
 
-void fused_or_not(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    const auto tables = isa_tables<Real>();
-    if (tables.size() < 2) return run.absent("one set of kernels runs here: there is nothing to compare");
-    const double u = std::numeric_limits<Real>::epsilon() / 2;
-    std::string figures;
-    for (const Function<Real>& f : functions<Real>()) {
-      const std::vector<Real> x = arguments<Real>(f.low, f.high, 12'000);
-      std::vector<Real> plain = x;
-      (tables[0].kernels.*f.loop)(plain.data(), static_cast<std::int64_t>(x.size()));
-      double worst = 0;
-      for (std::size_t t = 1; t < tables.size(); ++t) {
-        std::vector<Real> fused = x;
-        (tables[t].kernels.*f.loop)(fused.data(), static_cast<std::int64_t>(x.size()));
-        for (std::size_t i = 0; i < x.size(); ++i) worst = std::max(worst, relative_error(fused[i], plain[i]) / u);
-      }
-      run.measure(worst, 4, std::string(f.name) + ", in u");
-      figures += std::string(figures.empty() ? "" : ", ") + f.name + " " + two_digits(worst) + " u";
+IN_BOTH_PRECISIONS(fused_or_not) {
+  const auto tables = isa_tables<Real>();
+  if (tables.size() < 2) return run.absent("one set of kernels runs here: there is nothing to compare");
+  const double u = std::numeric_limits<Real>::epsilon() / 2;
+  std::string figures;
+  for (const Function<Real>& f : functions<Real>()) {
+    const std::vector<Real> x = arguments<Real>(f.low, f.high, 12'000);
+    std::vector<Real> plain = x;
+    (tables[0].kernels.*f.loop)(plain.data(), static_cast<std::int64_t>(x.size()));
+    double worst = 0;
+    for (std::size_t t = 1; t < tables.size(); ++t) {
+      std::vector<Real> fused = x;
+      (tables[t].kernels.*f.loop)(fused.data(), static_cast<std::int64_t>(x.size()));
+      for (std::size_t i = 0; i < x.size(); ++i) worst = std::max(worst, relative_error(fused[i], plain[i]) / u);
     }
-    // Products of 256 terms: the difference against the sum of the terms' sizes.
-    const std::int64_t m = 24, n = 40, k = 256;
-    std::vector<Real> a(static_cast<std::size_t>(m * k)), b(static_cast<std::size_t>(k * n));
-    for (std::size_t i = 0; i < a.size(); ++i) a[i] = static_cast<Real>(2 * number(i) - 1);
-    for (std::size_t i = 0; i < b.size(); ++i) b[i] = static_cast<Real>(2 * number(100'000 + i) - 1);
-    std::vector<std::vector<Real>> c;
-    for (const IsaTable<Real>& table : tables) {
-      c.emplace_back(static_cast<std::size_t>(m * n));
-      Gemm<Real> g;
-      g.m = m, g.n = n, g.k = k;
-      g.a = a.data(), g.a_row = k;
-      g.b = b.data(), g.b_row = n;
-      g.c = c.back().data(), g.c_row = n;
-      table.kernels.gemm(g);
+    run.measure(worst, 4, std::string(f.name) + ", in u");
+    figures += std::string(figures.empty() ? "" : ", ") + f.name + " " + two_digits(worst) + " u";
+  }
+  // Products of 256 terms: the difference against the sum of the terms' sizes.
+  const std::int64_t m = 24, n = 40, k = 256;
+  std::vector<Real> a(static_cast<std::size_t>(m * k)), b(static_cast<std::size_t>(k * n));
+  for (std::size_t i = 0; i < a.size(); ++i) a[i] = static_cast<Real>(2 * number(i) - 1);
+  for (std::size_t i = 0; i < b.size(); ++i) b[i] = static_cast<Real>(2 * number(100'000 + i) - 1);
+  std::vector<std::vector<Real>> c;
+  for (const IsaTable<Real>& table : tables) {
+    c.emplace_back(static_cast<std::size_t>(m * n));
+    Gemm<Real> g;
+    g.m = m, g.n = n, g.k = k;
+    g.a = a.data(), g.a_row = k;
+    g.b = b.data(), g.b_row = n;
+    g.c = c.back().data(), g.c_row = n;
+    table.kernels.gemm(g);
+  }
+  double worst = 0, sums = 0;
+  for (std::int64_t i = 0; i < m * n; ++i) {
+    long double scale = 0;
+    for (std::int64_t j = 0; j < k; ++j) scale += std::abs(long_double(a[i / n * k + j]) * b[j * n + i % n]);
+    for (std::size_t t = 1; t < c.size(); ++t) {
+      const auto e = static_cast<std::size_t>(i);
+      worst = std::max(worst, static_cast<double>(std::abs(long_double(c[t][e]) - c[0][e]) / scale) / u);
     }
-    double worst = 0, sums = 0;
-    for (std::int64_t i = 0; i < m * n; ++i) {
-      long double scale = 0;
-      for (std::int64_t j = 0; j < k; ++j)
-        scale += std::abs(static_cast<long double>(a[i / n * k + j]) * b[j * n + i % n]);
-      for (std::size_t t = 1; t < c.size(); ++t) {
-        const auto e = static_cast<std::size_t>(i);
-        worst = std::max(worst, static_cast<double>(std::abs(static_cast<long double>(c[t][e]) - c[0][e]) / scale) / u);
-      }
-    }
-    run.measure(worst, 4, "product of 256 terms, in u of the sum of sizes");
-    for (const IsaTable<Real>& table : tables)
-      sums =
-          std::max(sums, std::abs(table.kernels.sum_of(a.data(), m * k) - tables[0].kernels.sum_of(a.data(), m * k)));
-    run.measure(sums, 0, "sum_of");
-    run.note(figures + ", product " + two_digits(worst) + " u");
-  });
+  }
+  run.measure(worst, 4, "product of 256 terms, in u of the sum of sizes");
+  for (const IsaTable<Real>& table : tables)
+    sums = std::max(sums, std::abs(table.kernels.sum_of(a.data(), m * k) - tables[0].kernels.sum_of(a.data(), m * k)));
+  run.measure(sums, 0, "sum_of");
+  run.note(figures + ", product " + two_digits(worst) + " u");
 }
 
 void flush_to_zero(CaseRun& run) {
@@ -337,7 +331,7 @@ void flush_to_zero(CaseRun& run) {
     table.kernels.exp_inplace(z.data(), static_cast<std::int64_t>(z.size()));
     _mm_setcsr(before);
     for (std::size_t i = 0; i < x.size(); ++i) {
-      kept = std::max(kept, ulps(y[i], std::exp(static_cast<long double>(x[i]))));
+      kept = std::max(kept, ulps(y[i], std::exp(long_double(x[i]))));
       flushed = std::max(flushed, std::abs(static_cast<double>(y[i]) - static_cast<double>(z[i])));
       run.expect(z[i] >= 0, "flushed results are no NaN");
     }
@@ -364,53 +358,50 @@ void flush_to_zero(CaseRun& run) {
 #endif
 }
 
-void ulp_table(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    std::string figures;
-    for (const Function<Real>& f : functions<Real>()) {
-      const std::vector<Real> x = arguments<Real>(f.low, f.high, 15'000);
-      figures += std::string(figures.empty() ? "" : "; ") + f.name;
-      for (const IsaTable<Real>& table : isa_tables<Real>()) {
-        std::vector<Real> y = x;
-        (table.kernels.*f.loop)(y.data(), static_cast<std::int64_t>(y.size()));
-        double worst = 0;
-        for (std::size_t i = 0; i < x.size(); ++i) worst = std::max(worst, ulps(y[i], f.truth(x[i])));
-        // exp keeps 2. The others end in a division or a sum of two parts that are rounded already, and promise 4e-7 of
-        // their value, which is between 3.4 and 6.7 units.
-        run.measure(worst, std::string_view(f.name) == "exp" ? 2 : 4,
-                    std::string(f.name) + " on " + name_of(table.isa));
-        figures += " " + two_digits(worst);
-        // The ends of the range, and what does not depend on the place in the array.
-        const Real ends[] = {
-            Real(1e30), Real(-1e30), std::numeric_limits<Real>::infinity(), -std::numeric_limits<Real>::infinity(),
-            Real(0),    Real(-0.0)};
-        for (const Real end : ends) {
-          std::vector<Real> z(33, end);
-          (table.kernels.*f.loop)(z.data(), 33);
-          const auto truth = static_cast<Real>(f.truth(end));
-          for (const Real value : z) run.expect(value == truth, std::string(f.name) + " at the ends");
-        }
+IN_BOTH_PRECISIONS(ulp_table) {
+  std::string figures;
+  for (const Function<Real>& f : functions<Real>()) {
+    const std::vector<Real> x = arguments<Real>(f.low, f.high, 15'000);
+    figures += std::string(figures.empty() ? "" : "; ") + f.name;
+    for (const IsaTable<Real>& table : isa_tables<Real>()) {
+      std::vector<Real> y = x;
+      (table.kernels.*f.loop)(y.data(), static_cast<std::int64_t>(y.size()));
+      double worst = 0;
+      for (std::size_t i = 0; i < x.size(); ++i) worst = std::max(worst, ulps(y[i], f.truth(x[i])));
+      // exp keeps 2. The others end in a division or a sum of two parts that are rounded already, and promise 4e-7 of
+      // their value, which is between 3.4 and 6.7 units.
+      run.measure(worst, std::string_view(f.name) == "exp" ? 2 : 4, std::string(f.name) + " on " + name_of(table.isa));
+      figures += " " + two_digits(worst);
+      // The ends of the range, and what does not depend on the place in the array.
+      const Real ends[] = {
+          Real(1e30), Real(-1e30), std::numeric_limits<Real>::infinity(), -std::numeric_limits<Real>::infinity(),
+          Real(0),    Real(-0.0)};
+      for (const Real end : ends) {
+        std::vector<Real> z(33, end);
+        (table.kernels.*f.loop)(z.data(), 33);
+        const auto truth = static_cast<Real>(f.truth(end));
+        for (const Real value : z) run.expect(value == truth, std::string(f.name) + " at the ends");
       }
     }
-    // sin and cos are those of the frequency encoder: sin(2^k pi x), cos(2^k pi x), from float64 positions.
-    const PluginEntry* entry = run.registry().find(PluginKind::encoder, "frequency");
-    if (entry != nullptr) {
-      const auto params = testkit::make_params(*entry, sine_settings());
-      const auto encoder = [&] {
-        if constexpr (std::is_same_v<Real, float>) {
-          return entry->encoder32(*params, {}, run.registry().kernels());
-        } else {
-          return entry->encoder64(*params, {}, run.registry().kernels());
-        }
-      }();
-      const double worst = worst_sine<Real>(*encoder);
-      run.measure(worst, 2, "sin and cos, in units of the last place of 1");
-      figures += "; sin and cos of the encoder " + two_digits(worst);
-    }
-    std::string sets;
-    for (const IsaTable<Real>& table : isa_tables<Real>()) sets += (sets.empty() ? "" : ", ") + name_of(table.isa);
-    run.note("units in the last place on " + sets + ": " + figures + "; log is that of the C library");
-  });
+  }
+  // sin and cos are those of the frequency encoder: sin(2^k pi x), cos(2^k pi x), from float64 positions.
+  const PluginEntry* entry = run.registry().find(PluginKind::encoder, "frequency");
+  if (entry != nullptr) {
+    const auto params = testkit::make_params(*entry, sine_settings());
+    const auto encoder = [&] {
+      if constexpr (std::is_same_v<Real, float>) {
+        return entry->encoder32(*params, {}, run.registry().kernels());
+      } else {
+        return entry->encoder64(*params, {}, run.registry().kernels());
+      }
+    }();
+    const double worst = worst_sine<Real>(*encoder);
+    run.measure(worst, 2, "sin and cos, in units of the last place of 1");
+    figures += "; sin and cos of the encoder " + two_digits(worst);
+  }
+  std::string sets;
+  for (const IsaTable<Real>& table : isa_tables<Real>()) sets += (sets.empty() ? "" : ", ") + name_of(table.isa);
+  run.note("units in the last place on " + sets + ": " + figures + "; log is that of the C library");
 }
 
 // I05: arithmetic of indices beyond 2^31 elements. Addresses are reserved, memory is not: rows stand hundreds of
@@ -1055,7 +1046,7 @@ struct Training {
     long double squares = 0;
     for (const Tensor<float>& t : session.pipeline->store().all()) {
       for (std::int64_t i = 0; t.learned() && i < t.size(); ++i)
-        squares += static_cast<long double>(t.moment1.data()[i]) * t.moment1.data()[i];
+        squares += long_double(t.moment1.data()[i]) * t.moment1.data()[i];
     }
     return std::sqrt(squares) / (1 - session.config.adam.beta1);
   }

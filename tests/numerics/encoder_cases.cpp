@@ -45,9 +45,9 @@ long double reference_feature(std::uint64_t resolution, View<const Real> table, 
   std::uint64_t cell[3];
   long double w[3];
   for (int d = 0; d < 3; ++d) {
-    const long double p = std::clamp(static_cast<long double>(x[d]), 0.0L, 1.0L) * static_cast<long double>(resolution);
+    const long double p = std::clamp(long_double(x[d]), 0.0L, 1.0L) * long_double(resolution);
     cell[d] = std::min(static_cast<std::uint64_t>(p), resolution - 1);
-    w[d] = p - static_cast<long double>(cell[d]);
+    w[d] = p - long_double(cell[d]);
   }
   long double sum = 0;
   for (unsigned c = 0; c < 8; ++c) {
@@ -58,7 +58,7 @@ long double reference_feature(std::uint64_t resolution, View<const Real> table, 
       v[d] = cell[d] + far;
       weight *= far != 0 ? w[d] : 1 - w[d];
     }
-    sum += weight * static_cast<long double>(table(reference_entry(resolution, table.rows, v), f));
+    sum += weight * long_double(table(reference_entry(resolution, table.rows, v), f));
   }
   return sum;
 }
@@ -363,49 +363,47 @@ void pe_bad_input(CaseRun& run) {
   });
 }
 
-void directions(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    EncoderBox<Real> box(run.registry(), "spherical_harmonics", {{"degree", "5"}});
-    // On the axis z only m = 0 remains: Y_l0 = sqrt((2l + 1) / 4 pi) (+-1)^l.
-    const long double pi = 3.14159265358979323846264338327950288L;
-    for (const int sign : {1, -1}) {
-      const std::vector<Real> y = box.forward({0, 0, static_cast<double>(sign)});
-      for (int l = 0; l < 5; ++l) {
-        for (int m = -l; m <= l; ++m) {
-          const Real value = y[l * l + l + m];
-          const long double want = m == 0 ? std::sqrt((2 * l + 1) / (4 * pi)) * (l % 2 == 0 ? 1 : sign) : 0.0L;
-          run.measure(relative_error(value, want), m == 0 ? tolerance_of<Real>(2.4e-7) : 0.0, "on the axis");
-        }
+IN_BOTH_PRECISIONS(directions) {
+  EncoderBox<Real> box(run.registry(), "spherical_harmonics", {{"degree", "5"}});
+  // On the axis z only m = 0 remains: Y_l0 = sqrt((2l + 1) / 4 pi) (+-1)^l.
+  const long double pi = 3.14159265358979323846264338327950288L;
+  for (const int sign : {1, -1}) {
+    const std::vector<Real> y = box.forward({0, 0, static_cast<double>(sign)});
+    for (int l = 0; l < 5; ++l) {
+      for (int m = -l; m <= l; ++m) {
+        const Real value = y[l * l + l + m];
+        const long double want = m == 0 ? std::sqrt((2 * l + 1) / (4 * pi)) * (l % 2 == 0 ? 1 : sign) : 0.0L;
+        run.measure(relative_error(value, want), m == 0 ? tolerance_of<Real>(2.4e-7) : 0.0, "on the axis");
       }
     }
-    // Addition theorem: for every direction the squares of one l sum to (2l + 1) / 4 pi. It holds on all six axes too.
-    Numbers numbers(8);
-    std::vector<double> unit{1, 0, 0, -1, 0, 0, 0, 1, 0, 0, -1, 0, 0, 0, 1, 0, 0, -1};
-    for (int i = 0; i < 200; ++i) {
-      const double z = numbers.in(-1, 1), phi = numbers.in(0, 6.283185307179586), s = std::sqrt(1 - z * z);
-      for (const double v : {s * std::cos(phi), s * std::sin(phi), z}) unit.push_back(v);
+  }
+  // Addition theorem: for every direction the squares of one l sum to (2l + 1) / 4 pi. It holds on all six axes too.
+  Numbers numbers(8);
+  std::vector<double> unit{1, 0, 0, -1, 0, 0, 0, 1, 0, 0, -1, 0, 0, 0, 1, 0, 0, -1};
+  for (int i = 0; i < 200; ++i) {
+    const double z = numbers.in(-1, 1), phi = numbers.in(0, 6.283185307179586), s = std::sqrt(1 - z * z);
+    for (const double v : {s * std::cos(phi), s * std::sin(phi), z}) unit.push_back(v);
+  }
+  const std::vector<Real> y = box.forward(unit);
+  for (std::size_t r = 0; r < unit.size() / 3; ++r) {
+    for (std::size_t l = 0; l < 5; ++l) {
+      long double squares = 0;
+      for (std::size_t i = l * l; i < (l + 1) * (l + 1); ++i)
+        squares += long_double(y[25 * r + i]) * long_double(y[25 * r + i]);
+      run.measure(relative_error(squares, long_double(2 * l + 1) / (4 * pi)), tolerance_of<Real>(4e-6),
+                  "addition theorem");
     }
-    const std::vector<Real> y = box.forward(unit);
-    for (std::size_t r = 0; r < unit.size() / 3; ++r) {
-      for (std::size_t l = 0; l < 5; ++l) {
-        long double squares = 0;
-        for (std::size_t i = l * l; i < (l + 1) * (l + 1); ++i)
-          squares += static_cast<long double>(y[25 * r + i]) * static_cast<long double>(y[25 * r + i]);
-        run.measure(relative_error(squares, static_cast<long double>(2 * l + 1) / (4 * pi)), tolerance_of<Real>(4e-6),
-                    "addition theorem");
-      }
-    }
-    const double nan = std::nan("");
-    const std::vector<std::vector<double>> bad{
-        {0, 0, 0},     {2, 0, 0}, {0.5, 0.5, 0.5}, {nan, 0, 1}, {0, std::numeric_limits<double>::infinity(), 0},
-        {1e-200, 0, 0}};
-    for (const std::vector<double>& one : bad) {
-      std::vector<double> x(3 * 21, 0.0);
-      for (std::size_t r = 0; r < 21; ++r) x[3 * r + 1] = 1;
-      std::copy(one.begin(), one.end(), x.begin() + 3 * 20);
-      run.expect_error(ErrorKind::data, {"row 20 ", "unit vector"}, [&] { box.forward(x); });
-    }
-  });
+  }
+  const double nan = std::nan("");
+  const std::vector<std::vector<double>> bad{
+      {0, 0, 0},     {2, 0, 0}, {0.5, 0.5, 0.5}, {nan, 0, 1}, {0, std::numeric_limits<double>::infinity(), 0},
+      {1e-200, 0, 0}};
+  for (const std::vector<double>& one : bad) {
+    std::vector<double> x(3 * 21, 0.0);
+    for (std::size_t r = 0; r < 21; ++r) x[3 * r + 1] = 1;
+    std::copy(one.begin(), one.end(), x.begin() + 3 * 20);
+    run.expect_error(ErrorKind::data, {"row 20 ", "unit vector"}, [&] { box.forward(x); });
+  }
 }
 
 // Cases C08 to C11: faces, continuity, resolutions and addresses of the hash grid.
@@ -435,7 +433,7 @@ double interpolation_error(EncoderBox<Real>& box, std::uint64_t resolution, cons
     const std::size_t row = i / static_cast<std::size_t>(features);
     const auto f = static_cast<std::int32_t>(i % static_cast<std::size_t>(features));
     const long double want = reference_feature<Real>(resolution, box.tensors().value(0), f, x.data() + 3 * row);
-    const long double error = std::abs(static_cast<long double>(y[i]) - want);
+    const long double error = std::abs(long_double(y[i]) - want);
     if (!(error <= worst)) worst = error;
   }
   return static_cast<double>(worst);
@@ -476,83 +474,79 @@ void hash_faces(CaseRun& run) {
                                {dx.data(), rows, 3});
         run.expect(grads.broken_guard().empty(), "gradients stay inside the table");
         long double spread = 0;
-        for (std::int64_t r = 0; r < spec.rows; ++r) spread += static_cast<long double>(grad(r, 0));
+        for (std::int64_t r = 0; r < spec.rows; ++r) spread += long_double(grad(r, 0));
         run.measure(relative_error(spread, rows), tolerance_of<Real>(2e-6), "gradient handed to the table");
       }
     }
   });
 }
 
-void hash_continuity(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    double steepest = 0;
-    for (const std::int64_t resolution : {std::int64_t{3}, std::int64_t{16}, std::int64_t{97}, std::int64_t{1000},
-                                          std::int64_t{65537}, std::int64_t{1} << 20}) {
-      EncoderBox<Real> box(run.registry(), "hash_grid", one_level(resolution, 14));
-      Numbers numbers(static_cast<std::uint64_t>(resolution));
-      std::vector<double> below, above;
-      for (int i = 0; i < 600; ++i) {
-        double low[3], high[3];
-        for (double& v : low) v = numbers.uniform();
-        std::copy(low, low + 3, high);
-        const int axis = i % 3;
-        const double border =
-            std::floor(1 + numbers.uniform() * static_cast<double>(resolution - 1)) / static_cast<double>(resolution);
-        const bool wide = i % 2 != 0;  // one ulp of float64, or one of fp32
-        low[axis] =
-            wide ? static_cast<double>(std::nextafterf(static_cast<float>(border), 0.f)) : std::nextafter(border, 0.0);
-        high[axis] =
-            wide ? static_cast<double>(std::nextafterf(static_cast<float>(border), 1.f)) : std::nextafter(border, 1.0);
-        below.insert(below.end(), low, low + 3);
-        above.insert(above.end(), high, high + 3);
-      }
-      const std::vector<Real> a = box.forward(below), b = box.forward(above);
-      for (std::size_t i = 0; i < a.size(); ++i) {
-        double step = 0;
-        for (std::size_t d = 0; d < 3; ++d) step += above[3 * (i / 2) + d] - below[3 * (i / 2) + d];
-        // Entries lie in +-1, so a step across an axis changes at most 2 per cell.
-        const double allowed = 2 * static_cast<double>(resolution) * step;
-        const double jump = std::abs(static_cast<double>(a[i]) - static_cast<double>(b[i]));
-        run.measure(std::max(0.0, jump - allowed), tolerance_of<Real>(2e-6), "jump above the Lipschitz bound");
-        steepest = std::max(steepest, jump);
-      }
+IN_BOTH_PRECISIONS(hash_continuity) {
+  double steepest = 0;
+  for (const std::int64_t resolution : {std::int64_t{3}, std::int64_t{16}, std::int64_t{97}, std::int64_t{1000},
+                                        std::int64_t{65537}, std::int64_t{1} << 20}) {
+    EncoderBox<Real> box(run.registry(), "hash_grid", one_level(resolution, 14));
+    Numbers numbers(static_cast<std::uint64_t>(resolution));
+    std::vector<double> below, above;
+    for (int i = 0; i < 600; ++i) {
+      double low[3], high[3];
+      for (double& v : low) v = numbers.uniform();
+      std::copy(low, low + 3, high);
+      const int axis = i % 3;
+      const double border =
+          std::floor(1 + numbers.uniform() * static_cast<double>(resolution - 1)) / static_cast<double>(resolution);
+      const bool wide = i % 2 != 0;  // one ulp of float64, or one of fp32
+      low[axis] =
+          wide ? static_cast<double>(std::nextafterf(static_cast<float>(border), 0.f)) : std::nextafter(border, 0.0);
+      high[axis] =
+          wide ? static_cast<double>(std::nextafterf(static_cast<float>(border), 1.f)) : std::nextafter(border, 1.0);
+      below.insert(below.end(), low, low + 3);
+      above.insert(above.end(), high, high + 3);
     }
-    run.note(fmt::format("largest jump {:.1e}, of one fp32 ulp at N = 2^20", steepest));
-  });
+    const std::vector<Real> a = box.forward(below), b = box.forward(above);
+    for (std::size_t i = 0; i < a.size(); ++i) {
+      double step = 0;
+      for (std::size_t d = 0; d < 3; ++d) step += above[3 * (i / 2) + d] - below[3 * (i / 2) + d];
+      // Entries lie in +-1, so a step across an axis changes at most 2 per cell.
+      const double allowed = 2 * static_cast<double>(resolution) * step;
+      const double jump = std::abs(static_cast<double>(a[i]) - static_cast<double>(b[i]));
+      run.measure(std::max(0.0, jump - allowed), tolerance_of<Real>(2e-6), "jump above the Lipschitz bound");
+      steepest = std::max(steepest, jump);
+    }
+  }
+  run.note(fmt::format("largest jump {:.1e}, of one fp32 ulp at N = 2^20", steepest));
 }
 
-void hash_resolution(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    Numbers numbers(11);
-    std::vector<double> x, stored;
-    for (int i = 0; i < 3 * 700; ++i) {
-      x.push_back(numbers.uniform());
-      stored.push_back(static_cast<double>(static_cast<float>(x.back())));
-    }
-    double quantum = 0;
-    for (int bits = 10; bits <= 20; ++bits) {
-      const std::int64_t resolution = std::int64_t{1} << bits;
-      EncoderBox<Real> box(run.registry(), "hash_grid", one_level(resolution, 14));
-      // Cells are found in float64: the error does not grow with N, where fp32 coordinates would leave log2 N - 24
-      // bits.
-      run.measure(interpolation_error(box, static_cast<std::uint64_t>(resolution), x), tolerance_of<Real>(5e-7, 1e-12),
-                  fmt::format("N = 2^{}", bits));
-      const std::vector<Real> fine = box.forward(x), coarse = box.forward(stored);
-      double off = 0;
-      for (std::size_t i = 0; i < fine.size(); ++i)
-        off = std::max(off, std::abs(static_cast<double>(fine[i]) - static_cast<double>(coarse[i])));
-      // Half a quantum 2^(log2 N - 24) along each axis, 2 per cell.
-      run.expect(off <= 3 * std::ldexp(1.0, bits - 24) + tolerance_of<Real>(1e-6), "fp32 coordinates: half a quantum");
-      quantum = off;
-    }
-    // No power of two: x N is rounded once, to 2^-53 N of a cell, 2 per cell along each axis.
-    EncoderBox<Real> odd(run.registry(), "hash_grid", one_level(1048573, 14));
-    run.measure(interpolation_error(odd, 1048573, x), tolerance_of<Real>(5e-7, 6 * 1048573 * 0x1p-53), "N = 1,048,573");
-    run.note(fmt::format("fp32 coordinates would be off by {:.2f} at N = 2^20", quantum));
-    for (const std::int64_t resolution : {(std::int64_t{1} << 20) + 1, std::int64_t{1} << 21, std::int64_t{1} << 22})
-      run.expect_error(ErrorKind::config, {"finest_resolution", "1048576"},
-                       [&] { EncoderBox<Real>(run.registry(), "hash_grid", one_level(resolution, 14)); });
-  });
+IN_BOTH_PRECISIONS(hash_resolution) {
+  Numbers numbers(11);
+  std::vector<double> x, stored;
+  for (int i = 0; i < 3 * 700; ++i) {
+    x.push_back(numbers.uniform());
+    stored.push_back(static_cast<double>(static_cast<float>(x.back())));
+  }
+  double quantum = 0;
+  for (int bits = 10; bits <= 20; ++bits) {
+    const std::int64_t resolution = std::int64_t{1} << bits;
+    EncoderBox<Real> box(run.registry(), "hash_grid", one_level(resolution, 14));
+    // Cells are found in float64: the error does not grow with N, where fp32 coordinates would leave log2 N - 24
+    // bits.
+    run.measure(interpolation_error(box, static_cast<std::uint64_t>(resolution), x), tolerance_of<Real>(5e-7, 1e-12),
+                fmt::format("N = 2^{}", bits));
+    const std::vector<Real> fine = box.forward(x), coarse = box.forward(stored);
+    double off = 0;
+    for (std::size_t i = 0; i < fine.size(); ++i)
+      off = std::max(off, std::abs(static_cast<double>(fine[i]) - static_cast<double>(coarse[i])));
+    // Half a quantum 2^(log2 N - 24) along each axis, 2 per cell.
+    run.expect(off <= 3 * std::ldexp(1.0, bits - 24) + tolerance_of<Real>(1e-6), "fp32 coordinates: half a quantum");
+    quantum = off;
+  }
+  // No power of two: x N is rounded once, to 2^-53 N of a cell, 2 per cell along each axis.
+  EncoderBox<Real> odd(run.registry(), "hash_grid", one_level(1048573, 14));
+  run.measure(interpolation_error(odd, 1048573, x), tolerance_of<Real>(5e-7, 6 * 1048573 * 0x1p-53), "N = 1,048,573");
+  run.note(fmt::format("fp32 coordinates would be off by {:.2f} at N = 2^20", quantum));
+  for (const std::int64_t resolution : {(std::int64_t{1} << 20) + 1, std::int64_t{1} << 21, std::int64_t{1} << 22})
+    run.expect_error(ErrorKind::config, {"finest_resolution", "1048576"},
+                     [&] { EncoderBox<Real>(run.registry(), "hash_grid", one_level(resolution, 14)); });
 }
 
 void hash_index(CaseRun& run) {
@@ -619,9 +613,9 @@ void hash_small_gradients(CaseRun& run) {
       box.backward(x, dy);
       long double want = 0, got = 0;
       std::int64_t lost = 0;
-      for (const Real g : dy) want += static_cast<long double>(g);
+      for (const Real g : dy) want += long_double(g);
       for (std::int64_t r = 0; r < box.tensors().grad(0).rows; ++r) {
-        for (int f = 0; f < 2; ++f) got += static_cast<long double>(box.tensors().grad(0)(r, f));
+        for (int f = 0; f < 2; ++f) got += long_double(box.tensors().grad(0)(r, f));
       }
       const std::uint64_t vertex[3] = {8, 8, 8};
       const std::int64_t entry = reference_entry(16, box.tensors().grad(0).rows, vertex);
@@ -651,8 +645,8 @@ void hash_one_entry(CaseRun& run) {
     std::vector<long double> want(2, 0), mass(2, 0);
     for (int i = 0; i < 2 * kRows; ++i) {
       dy.push_back(static_cast<Real>(numbers.in(-1, 1)));
-      want[i % 2] += static_cast<long double>(dy.back());
-      mass[i % 2] += std::abs(static_cast<long double>(dy.back()));
+      want[i % 2] += long_double(dy.back());
+      mass[i % 2] += std::abs(long_double(dy.back()));
     }
     EncoderBox<Real> box(run.registry(), "hash_grid", one_level(1024, 10));  // hashed: entry 0
     Real first[2] = {};
@@ -673,76 +667,72 @@ void hash_one_entry(CaseRun& run) {
     // Added one after another, in fp32: roundings walk at random, by about sqrt(n) of them; of the sum of magnitudes
     // that is below 2e-7. The same bits for any thread count is what atomics cannot give.
     for (std::size_t f = 0; f < 2; ++f)
-      run.measure(static_cast<double>(std::abs(static_cast<long double>(first[f]) - want[f]) / mass[f]),
-                  tolerance_of<Real>(2e-7), "sum");
+      run.measure(static_cast<double>(std::abs(long_double(first[f]) - want[f]) / mass[f]), tolerance_of<Real>(2e-7),
+                  "sum");
     run.note("100 repeats on 1 and 2 threads: the same bits");
   });
 }
 
-void hash_gradient(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    for (const char* interpolation : {"linear", "smoothstep"}) {
-      for (const std::int64_t resolution : {7, 61}) {  // dense, hashed
-        EncoderBox<double> oracle(run.registry(), "hash_grid", one_level(resolution, 10, 4, interpolation));
-        EncoderBox<Real> box(run.registry(), "hash_grid", one_level(resolution, 10, 4, interpolation));
-        Numbers numbers(23);
-        std::vector<double> x;
-        std::vector<Real> dy;
-        constexpr int kRows = 40;
-        for (int i = 0; i < kRows; ++i) {
-          for (int d = 0; d < 3; ++d) {  // inside a cell, so that differences of the input stay in it
-            const double cell = std::floor(numbers.in(0, static_cast<double>(resolution)));
-            x.push_back((cell + numbers.in(0.05, 0.95)) / static_cast<double>(resolution));
-          }
-          for (int f = 0; f < 4; ++f) dy.push_back(static_cast<Real>(numbers.in(-1, 1)));
+IN_BOTH_PRECISIONS(hash_gradient) {
+  for (const char* interpolation : {"linear", "smoothstep"}) {
+    for (const std::int64_t resolution : {7, 61}) {  // dense, hashed
+      EncoderBox<double> oracle(run.registry(), "hash_grid", one_level(resolution, 10, 4, interpolation));
+      EncoderBox<Real> box(run.registry(), "hash_grid", one_level(resolution, 10, 4, interpolation));
+      Numbers numbers(23);
+      std::vector<double> x;
+      std::vector<Real> dy;
+      constexpr int kRows = 40;
+      for (int i = 0; i < kRows; ++i) {
+        for (int d = 0; d < 3; ++d) {  // inside a cell, so that differences of the input stay in it
+          const double cell = std::floor(numbers.in(0, static_cast<double>(resolution)));
+          x.push_back((cell + numbers.in(0.05, 0.95)) / static_cast<double>(resolution));
         }
-        const auto loss = [&] {
-          const std::vector<double> y = oracle.forward(x);
-          long double sum = 0;
-          for (std::size_t i = 0; i < y.size(); ++i)
-            sum += static_cast<long double>(y[i]) * static_cast<long double>(dy[i]);
-          return sum;
-        };
-        const std::vector<Real> dx = box.backward(x, dy);
-        const double h = 1e-3 / static_cast<double>(resolution);
-        double largest = 0;
-        for (const Real g : dx) largest = std::max<double>(largest, std::abs(g));
-        for (std::size_t i = 0; i < x.size(); ++i) {
-          const double keep = x[i];
-          // Along an axis features are linear, or cubic: a fourth-order difference is exact for both.
-          long double at[4];
-          const double steps[4] = {-2 * h, -h, h, 2 * h};
-          double moved[4];
-          for (int s = 0; s < 4; ++s) {
-            x[i] = keep + steps[s];
-            moved[s] = x[i];
-            at[s] = loss();
-          }
-          x[i] = keep;
-          const long double near = (at[2] - at[1]) / static_cast<long double>(moved[2] - moved[1]);
-          const long double wide = (at[3] - at[0]) / static_cast<long double>(moved[3] - moved[0]);
-          run.measure(static_cast<double>(std::abs(static_cast<long double>(dx[i]) - (4 * near - wide) / 3)) / largest,
-                      std::is_same_v<Real, float> ? 2e-6 : 1e-7, "by coordinates");
+        for (int f = 0; f < 4; ++f) dy.push_back(static_cast<Real>(numbers.in(-1, 1)));
+      }
+      const auto loss = [&] {
+        const std::vector<double> y = oracle.forward(x);
+        long double sum = 0;
+        for (std::size_t i = 0; i < y.size(); ++i) sum += long_double(y[i]) * long_double(dy[i]);
+        return sum;
+      };
+      const std::vector<Real> dx = box.backward(x, dy);
+      const double h = 1e-3 / static_cast<double>(resolution);
+      double largest = 0;
+      for (const Real g : dx) largest = std::max<double>(largest, std::abs(g));
+      for (std::size_t i = 0; i < x.size(); ++i) {
+        const double keep = x[i];
+        // Along an axis features are linear, or cubic: a fourth-order difference is exact for both.
+        long double at[4];
+        const double steps[4] = {-2 * h, -h, h, 2 * h};
+        double moved[4];
+        for (int s = 0; s < 4; ++s) {
+          x[i] = keep + steps[s];
+          moved[s] = x[i];
+          at[s] = loss();
         }
-        const View<Real> grad = box.tensors().grad(0);
-        const View<double> value = oracle.tensors().value(0);
-        double scale = 0;
-        for (std::int64_t i = 0; i < grad.size(); ++i) scale = std::max<double>(scale, std::abs(grad.data[i]));
-        for (std::int64_t i = 0; i < grad.size(); ++i) {
-          if (i % 7 != 0 && grad.data[i] == Real(0))
-            continue;  // every entry with a gradient, and a seventh of the rest
-          const double keep = value.data[i];
-          value.data[i] = keep + 1;  // linear in the table: any step will do
-          const long double up = loss();
-          value.data[i] = keep - 1;
-          const long double down = loss();
-          value.data[i] = keep;
-          run.measure(static_cast<double>(std::abs(static_cast<long double>(grad.data[i]) - (up - down) / 2)) / scale,
-                      std::is_same_v<Real, float> ? 2e-6 : 1e-7, "by entries");
-        }
+        x[i] = keep;
+        const long double near = (at[2] - at[1]) / long_double(moved[2] - moved[1]);
+        const long double wide = (at[3] - at[0]) / long_double(moved[3] - moved[0]);
+        run.measure(static_cast<double>(std::abs(long_double(dx[i]) - (4 * near - wide) / 3)) / largest,
+                    std::is_same_v<Real, float> ? 2e-6 : 1e-7, "by coordinates");
+      }
+      const View<Real> grad = box.tensors().grad(0);
+      const View<double> value = oracle.tensors().value(0);
+      double scale = 0;
+      for (std::int64_t i = 0; i < grad.size(); ++i) scale = std::max<double>(scale, std::abs(grad.data[i]));
+      for (std::int64_t i = 0; i < grad.size(); ++i) {
+        if (i % 7 != 0 && grad.data[i] == Real(0)) continue;  // every entry with a gradient, and a seventh of the rest
+        const double keep = value.data[i];
+        value.data[i] = keep + 1;  // linear in the table: any step will do
+        const long double up = loss();
+        value.data[i] = keep - 1;
+        const long double down = loss();
+        value.data[i] = keep;
+        run.measure(static_cast<double>(std::abs(long_double(grad.data[i]) - (up - down) / 2)) / scale,
+                    std::is_same_v<Real, float> ? 2e-6 : 1e-7, "by entries");
       }
     }
-  });
+  }
 }
 
 }  // namespace semfield::numerics

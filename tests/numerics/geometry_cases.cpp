@@ -33,7 +33,7 @@ long double exit_of(const Box& box, Vec3d o, Vec3d d) {
   for (int i = 0; i < 3; ++i) {
     if (d[i] == 0) continue;
     const long double face = d[i] > 0 ? box.hi[i] : box.lo[i];
-    nearest = std::min(nearest, (face - o[i]) / static_cast<long double>(d[i]));
+    nearest = std::min(nearest, (face - o[i]) / long_double(d[i]));
   }
   return nearest;
 }

@@ -48,13 +48,13 @@ void psnr_identical(CaseRun& run) {
   const std::vector<float> other = noise(image.size(), 2);
   long double sum = 0;
   for (std::size_t i = 0; i < image.size(); ++i) {
-    const long double d = static_cast<long double>(image[i]) - other[i];
+    const long double d = long_double(image[i]) - other[i];
     sum += d * d;
   }
   ColorError far;
   far.add(image, other);
-  run.measure(relative_error(far.psnr_db().value_or(0), -10 * std::log10(sum / static_cast<long double>(image.size()))),
-              1e-12, "PSNR of noise");
+  run.measure(relative_error(far.psnr_db().value_or(0), -10 * std::log10(sum / long_double(image.size()))), 1e-12,
+              "PSNR of noise");
 }
 
 void nan_pixel(CaseRun& run) {

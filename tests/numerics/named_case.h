@@ -91,6 +91,19 @@ void in_both_precisions(CaseRun& run, const Body& body) {
   run.row(precision_name<double>());
   body(double{});
 }
+/// Begins the function of a case whose body is the same for both values of Real, each in a row of its own.
+#define IN_BOTH_PRECISIONS(name)                                              \
+  template <class Real>                                                       \
+  void name##_in(CaseRun& run);                                               \
+  void name(CaseRun& run) {                                                   \
+    in_both_precisions(run, [&]<class Real>(Real) { name##_in<Real>(run); }); \
+  }                                                                           \
+  template <class Real>                                                       \
+  void name##_in(CaseRun& run)
+template <class T>
+constexpr long double long_double(T x) {
+  return static_cast<long double>(x);
+}
 /// |a - b| / |b|; |a| where b is 0.
 inline double relative_error(long double a, long double b) {
   const long double difference = a > b ? a - b : b - a;

@@ -27,8 +27,8 @@ namespace semfield::numerics {
 /// digits, or none.
 template <class Real>
 double error_above_quantum(long double got, long double want, double quanta = 0.51) {
-  const auto quantum = static_cast<long double>(std::numeric_limits<Real>::denorm_min());
-  const long double off = std::abs(got - want) - quantum * static_cast<long double>(quanta);
+  const auto quantum = long_double(std::numeric_limits<Real>::denorm_min());
+  const long double off = std::abs(got - want) - quantum * long_double(quanta);
   if (std::isnan(off)) return std::numeric_limits<double>::infinity();
   return off <= 0 ? 0.0 : relative_error(off + std::abs(want), std::abs(want));
 }
@@ -56,20 +56,20 @@ struct Softmax {
   template <class Real>
   explicit Softmax(const std::vector<Real>& s) {
     argmax = static_cast<std::size_t>(std::max_element(s.begin(), s.end()) - s.begin());
-    largest = static_cast<long double>(s[argmax]);
+    largest = long_double(s[argmax]);
     for (std::size_t c = 0; c < s.size(); ++c) {
-      p.push_back(c == argmax ? 1.0L : std::exp(static_cast<long double>(s[c]) - largest));
+      p.push_back(c == argmax ? 1.0L : std::exp(long_double(s[c]) - largest));
       rest += c == argmax ? 0.0L : p.back();
     }
     entropy = std::log1p(rest);
     for (std::size_t c = 0; c < s.size(); ++c) {
       p[c] /= 1 + rest;
-      if (p[c] > 0) entropy += p[c] * (largest - static_cast<long double>(s[c]));
+      if (p[c] > 0) entropy += p[c] * (largest - long_double(s[c]));
     }
   }
   template <class Real>
   long double surprise(const std::vector<Real>& s, std::size_t label) const {
-    return (largest - static_cast<long double>(s[label])) + std::log1p(rest);
+    return (largest - long_double(s[label])) + std::log1p(rest);
   }
   /// p - [label], without the cancellation of a row that is almost certain.
   long double slope(std::size_t c, std::size_t label) const {
@@ -143,65 +143,57 @@ void check_row(CaseRun& run, const std::vector<Real>& s) {
 
 }  // namespace
 
-void logit_sweep(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    for (const std::size_t classes : {2u, 3u, 13u, 28u, 88u, 256u, 1024u}) {
-      for (const double v : {0.0, 11.0, 88.0, 89.0, 1e4, 1e30}) {
-        for (const std::vector<Real>& s : patterns<Real>(classes, v)) check_row(run, s);
-      }
+IN_BOTH_PRECISIONS(logit_sweep) {
+  for (const std::size_t classes : {2u, 3u, 13u, 28u, 88u, 256u, 1024u}) {
+    for (const double v : {0.0, 11.0, 88.0, 89.0, 1e4, 1e30}) {
+      for (const std::vector<Real>& s : patterns<Real>(classes, v)) check_row(run, s);
     }
-  });
+  }
 }
 
-void infinite_logit(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    const Real infinity = std::numeric_limits<Real>::infinity();
-    for (const Real bad : {infinity, -infinity, std::numeric_limits<Real>::quiet_NaN()}) {
-      for (const std::size_t place : {0u, 5u, 27u}) {
-        for (const bool two : {false, true}) {
-          std::vector<Real> s(28, Real(1)), out(28);
-          s[place] = bad;
-          if (two) s[27] = bad;
-          const std::vector<std::string> words{"ray 0", fmt::format("class {} ", place), "finite"};
-          run.expect_error(ErrorKind::failure, words, [&] { loss_of<Real>(s, 3, nullptr); });
-          run.expect_error(ErrorKind::failure, words, [&] { loss_of<Real>(s, 3, &out); });
-          run.expect_error(ErrorKind::failure, words, [&] { softmax_of(s); });
-          run.expect_error(ErrorKind::failure, words, [&] { entropy_of(s); });
-        }
+IN_BOTH_PRECISIONS(infinite_logit) {
+  const Real infinity = std::numeric_limits<Real>::infinity();
+  for (const Real bad : {infinity, -infinity, std::numeric_limits<Real>::quiet_NaN()}) {
+    for (const std::size_t place : {0u, 5u, 27u}) {
+      for (const bool two : {false, true}) {
+        std::vector<Real> s(28, Real(1)), out(28);
+        s[place] = bad;
+        if (two) s[27] = bad;
+        const std::vector<std::string> words{"ray 0", fmt::format("class {} ", place), "finite"};
+        run.expect_error(ErrorKind::failure, words, [&] { loss_of<Real>(s, 3, nullptr); });
+        run.expect_error(ErrorKind::failure, words, [&] { loss_of<Real>(s, 3, &out); });
+        run.expect_error(ErrorKind::failure, words, [&] { softmax_of(s); });
+        run.expect_error(ErrorKind::failure, words, [&] { entropy_of(s); });
       }
     }
-  });
+  }
 }
 
-void one_hot_entropy(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    for (const std::size_t classes : {2u, 28u, 1024u}) {
-      for (const Real v : {Real(1e4), Real(1e30)}) {
-        std::vector<Real> s(classes, Real(0)), gradient(classes, Real(-9));
-        s[1] = v;
-        run.measure(static_cast<double>(entropy_of(s)), 0, "entropy");
-        const std::vector<Real> p = softmax_of(s);
-        for (std::size_t c = 0; c < classes; ++c)
-          run.measure(std::abs(static_cast<double>(p[c]) - (c == 1 ? 1 : 0)), 0, "probability");
-        run.measure(loss_of<Real>(s, 1, &gradient).sum, 0, "loss");
-        for (const Real g : gradient) run.measure(std::abs(g), 0, "gradient");
-      }
-    }
-  });
-}
-
-void one_class(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    for (const Real v : {Real(0), Real(-7), Real(89), Real(1e30)}) {
-      const std::vector<Real> s{v};
-      std::vector<Real> gradient{Real(-9)};
-      run.measure(loss_of<Real>(s, 0, &gradient).sum, 0, "loss");
-      run.measure(std::abs(gradient[0]), 0, "gradient");
+IN_BOTH_PRECISIONS(one_hot_entropy) {
+  for (const std::size_t classes : {2u, 28u, 1024u}) {
+    for (const Real v : {Real(1e4), Real(1e30)}) {
+      std::vector<Real> s(classes, Real(0)), gradient(classes, Real(-9));
+      s[1] = v;
       run.measure(static_cast<double>(entropy_of(s)), 0, "entropy");
-      run.measure(std::abs(static_cast<double>(softmax_of(s)[0]) - 1), 0, "probability");
-      run.expect(loss_of<Real>(s, 0, nullptr).correct == 1, "the only class is right");
+      const std::vector<Real> p = softmax_of(s);
+      for (std::size_t c = 0; c < classes; ++c)
+        run.measure(std::abs(static_cast<double>(p[c]) - (c == 1 ? 1 : 0)), 0, "probability");
+      run.measure(loss_of<Real>(s, 1, &gradient).sum, 0, "loss");
+      for (const Real g : gradient) run.measure(std::abs(g), 0, "gradient");
     }
-  });
+  }
+}
+
+IN_BOTH_PRECISIONS(one_class) {
+  for (const Real v : {Real(0), Real(-7), Real(89), Real(1e30)}) {
+    const std::vector<Real> s{v};
+    std::vector<Real> gradient{Real(-9)};
+    run.measure(loss_of<Real>(s, 0, &gradient).sum, 0, "loss");
+    run.measure(std::abs(gradient[0]), 0, "gradient");
+    run.measure(static_cast<double>(entropy_of(s)), 0, "entropy");
+    run.measure(std::abs(static_cast<double>(softmax_of(s)[0]) - 1), 0, "probability");
+    run.expect(loss_of<Real>(s, 0, nullptr).correct == 1, "the only class is right");
+  }
 }
 
 void one_labelled(CaseRun& run) {
@@ -240,50 +232,48 @@ void one_labelled(CaseRun& run) {
   });
 }
 
-void soft_labels(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    Numbers numbers(32);
-    for (const double total : {0.9, 1.0, 1.1, 1e-20, 1e20}) {
-      std::vector<Real> s;
-      std::vector<float> target;
-      long double sum = 0;
-      for (int c = 0; c < 28; ++c) {
-        s.push_back(static_cast<Real>(numbers.in(-5, 5)));
-        target.push_back(c % 3 == 0 ? 0.f : static_cast<float>(numbers.uniform() * total / 9));
-        sum += static_cast<long double>(target.back());
-      }
-      const Softmax row(s);
-      long double want = 0;
-      for (std::size_t c = 0; c < s.size(); ++c) want += static_cast<long double>(target[c]) / sum * row.surprise(s, c);
-      SemanticTargets targets{.soft = row_of(std::as_const(target))};
-      std::vector<Real> gradient(s.size());
-      const double loss =
-          semantic_cross_entropy<Real>(row_of(std::as_const(s)), targets, {}, 1.0, 1.0, row_of(gradient)).sum;
-      run.measure(relative_error(loss, want), tolerance_of<Real>(1e-6), "loss");
-      for (std::size_t c = 0; c < s.size(); ++c) {
-        const long double slope = row.p[c] - static_cast<long double>(target[c]) / sum;
-        run.measure(static_cast<double>(std::abs(static_cast<long double>(gradient[c]) - slope)),
-                    tolerance_of<Real>(1e-7), "gradient");
-      }
-      run.measure(std::abs(labelled_weight(targets, {}) - 1), 0, "a soft row counts once");
+IN_BOTH_PRECISIONS(soft_labels) {
+  Numbers numbers(32);
+  for (const double total : {0.9, 1.0, 1.1, 1e-20, 1e20}) {
+    std::vector<Real> s;
+    std::vector<float> target;
+    long double sum = 0;
+    for (int c = 0; c < 28; ++c) {
+      s.push_back(static_cast<Real>(numbers.in(-5, 5)));
+      target.push_back(c % 3 == 0 ? 0.f : static_cast<float>(numbers.uniform() * total / 9));
+      sum += long_double(target.back());
     }
-    const std::vector<Real> s(4, Real(1));
-    const std::vector<float> zeros(4, 0.f);
-    SemanticTargets none{.soft = row_of(zeros)};
-    std::vector<Real> gradient(4, Real(-9));
-    const SemanticLoss unlabelled = semantic_cross_entropy<Real>(row_of(s), none, {}, 1.0, 1.0, row_of(gradient));
-    run.measure(unlabelled.sum, 0, "a row of zeros is unlabelled");
-    for (const Real g : gradient) run.measure(std::abs(g), 0, "its gradient");
-    for (const float bad : {-0.1f, std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity()}) {
-      std::vector<float> p(4, 0.25f);
-      p[2] = bad;
-      SemanticTargets refused{.soft = row_of(std::as_const(p))};
-      run.expect_error(ErrorKind::data, {"ray 0", "class 2"},
-                       [&] { semantic_cross_entropy<Real>(row_of(s), refused, {}, 1.0, 1.0, row_of(gradient)); });
-      run.expect_error(ErrorKind::data, {"ray 0", "class 2"}, [&] { labelled_weight(refused, {}); });
+    const Softmax row(s);
+    long double want = 0;
+    for (std::size_t c = 0; c < s.size(); ++c) want += long_double(target[c]) / sum * row.surprise(s, c);
+    SemanticTargets targets{.soft = row_of(std::as_const(target))};
+    std::vector<Real> gradient(s.size());
+    const double loss =
+        semantic_cross_entropy<Real>(row_of(std::as_const(s)), targets, {}, 1.0, 1.0, row_of(gradient)).sum;
+    run.measure(relative_error(loss, want), tolerance_of<Real>(1e-6), "loss");
+    for (std::size_t c = 0; c < s.size(); ++c) {
+      const long double slope = row.p[c] - long_double(target[c]) / sum;
+      run.measure(static_cast<double>(std::abs(long_double(gradient[c]) - slope)), tolerance_of<Real>(1e-7),
+                  "gradient");
     }
-    run.note("rows are divided by their sum; negative and non-finite values are refused");
-  });
+    run.measure(std::abs(labelled_weight(targets, {}) - 1), 0, "a soft row counts once");
+  }
+  const std::vector<Real> s(4, Real(1));
+  const std::vector<float> zeros(4, 0.f);
+  SemanticTargets none{.soft = row_of(zeros)};
+  std::vector<Real> gradient(4, Real(-9));
+  const SemanticLoss unlabelled = semantic_cross_entropy<Real>(row_of(s), none, {}, 1.0, 1.0, row_of(gradient));
+  run.measure(unlabelled.sum, 0, "a row of zeros is unlabelled");
+  for (const Real g : gradient) run.measure(std::abs(g), 0, "its gradient");
+  for (const float bad : {-0.1f, std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity()}) {
+    std::vector<float> p(4, 0.25f);
+    p[2] = bad;
+    SemanticTargets refused{.soft = row_of(std::as_const(p))};
+    run.expect_error(ErrorKind::data, {"ray 0", "class 2"},
+                     [&] { semantic_cross_entropy<Real>(row_of(s), refused, {}, 1.0, 1.0, row_of(gradient)); });
+    run.expect_error(ErrorKind::data, {"ray 0", "class 2"}, [&] { labelled_weight(refused, {}); });
+  }
+  run.note("rows are divided by their sum; negative and non-finite values are refused");
 }
 
 void class_weights(CaseRun& run) {
@@ -292,10 +282,10 @@ void class_weights(CaseRun& run) {
       {0, 0, 5, 1000000}, {0}, {0, 0}, {1, 1}, {0, std::int64_t{1} << 62}};
   for (const std::vector<std::int64_t>& pixels : tables) {
     long double total = 0;
-    for (const std::int64_t n : pixels) total += static_cast<long double>(n);
+    for (const std::int64_t n : pixels) total += long_double(n);
     const std::vector<float> weights = inverse_log_frequency_weights(pixels);
     for (std::size_t c = 0; c < pixels.size(); ++c) {
-      const long double frequency = total > 0 ? static_cast<long double>(pixels[c]) / total : 0.0L;
+      const long double frequency = total > 0 ? long_double(pixels[c]) / total : 0.0L;
       run.measure(relative_error(weights[c], 1 / std::log(1.02L + frequency)), 1e-6, "weight");
       run.expect(weights[c] > 0 && weights[c] <= 50.5f, "at most 1 / ln 1.02");
     }
@@ -313,25 +303,23 @@ void class_weights(CaseRun& run) {
   run.note(fmt::format("an absent class weighs {:.4f}", inverse_log_frequency_weights({0, 1})[0]));
 }
 
-void double_softmax(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    // What reaches the loss are logits: a margin of 40 costs e^-40. Were they probabilities by the time (softmax of
-    // softmax), no margin could bring 28 classes below ln(1 + 27 / e) = 2.39.
-    std::vector<Real> s(28, Real(0)), gradient(28);
-    s[4] = 40;
-    const long double want = std::log1p(27 * std::exp(-40.0L));
-    run.measure(relative_error(loss_of<Real>(s, 4, &gradient).sum, want), tolerance_of<Real>(1e-6),
-                "cross-entropy of a margin of 40");
-    const std::vector<Real> twice = softmax_of(s);
-    const double floor = std::log1p(27 * std::exp(-1.0));
-    run.measure(relative_error(loss_of<Real>(twice, 4, nullptr).sum, floor), tolerance_of<Real>(1e-6),
-                "what a second softmax would give");
-    run.expect(!std::is_invocable_v<decltype(&semantic_cross_entropy<Real>), View<Real>, View<const float>,
-                                    View<const float>, double, double, View<Real>, std::int64_t>,
-               "bare probabilities are no targets to the compiler");
-    run.note(fmt::format(
-        "2nd softmax would cost {:.3f}; logits and probabilities share a view type, so this is shown by value", floor));
-  });
+IN_BOTH_PRECISIONS(double_softmax) {
+  // What reaches the loss are logits: a margin of 40 costs e^-40. Were they probabilities by the time (softmax of
+  // softmax), no margin could bring 28 classes below ln(1 + 27 / e) = 2.39.
+  std::vector<Real> s(28, Real(0)), gradient(28);
+  s[4] = 40;
+  const long double want = std::log1p(27 * std::exp(-40.0L));
+  run.measure(relative_error(loss_of<Real>(s, 4, &gradient).sum, want), tolerance_of<Real>(1e-6),
+              "cross-entropy of a margin of 40");
+  const std::vector<Real> twice = softmax_of(s);
+  const double floor = std::log1p(27 * std::exp(-1.0));
+  run.measure(relative_error(loss_of<Real>(twice, 4, nullptr).sum, floor), tolerance_of<Real>(1e-6),
+              "what a second softmax would give");
+  run.expect(!std::is_invocable_v<decltype(&semantic_cross_entropy<Real>), View<Real>, View<const float>,
+                                  View<const float>, double, double, View<Real>, std::int64_t>,
+             "bare probabilities are no targets to the compiler");
+  run.note(fmt::format(
+      "2nd softmax would cost {:.3f}; logits and probabilities share a view type, so this is shown by value", floor));
 }
 
 // Cases D14 to D17: activations of colour and density, and colour targets out of range.
@@ -431,7 +419,7 @@ void check_saturated_field(CaseRun& run, const std::string& name, Precision prec
   FieldGrad<Real> grad{.rgb = {ones.data(), kSamples, 3}};
   field->backward(ctx, box.tensors(), in, out, grad, memory, {});
   field->derive_backward(ctx, box.tensors());
-  const long double y = sigmoid_of(static_cast<long double>(raw));
+  const long double y = sigmoid_of(long_double(raw));
   for (const Real c : rgb) {
     run.expect(c >= 0 && c <= 1, "a colour lies in 0..1");
     run.measure(error_above_quantum<Real>(c, y), tolerance_of<Real>(1e-6), "colour");
@@ -440,8 +428,8 @@ void check_saturated_field(CaseRun& run, const std::string& name, Precision prec
     const Real g = box.grad(static_cast<std::size_t>(bias))(0, c);
     run.expect(std::isfinite(g) && g >= 0, "a saturated gradient is finite and not negative");
     // 1 - y is taken from the rounded y: absolute, not relative.
-    run.measure(static_cast<double>(std::abs(static_cast<long double>(g) - kSamples * y * (1 - y))),
-                tolerance_of<Real>(1e-6), "colour gradient");
+    run.measure(static_cast<double>(std::abs(long_double(g) - kSamples * y * (1 - y))), tolerance_of<Real>(1e-6),
+                "colour gradient");
   }
 }
 
@@ -460,8 +448,7 @@ void saturated_sigmoid(CaseRun& run) {
     y = x;
     sigmoid_inplace<Real>(y.data(), static_cast<std::int64_t>(y.size()));
     for (std::size_t i = 0; i < x.size(); ++i) {
-      run.measure(error_above_quantum<Real>(y[i], sigmoid_of(static_cast<long double>(x[i]))), tolerance_of<Real>(1e-6),
-                  "sigmoid");
+      run.measure(error_above_quantum<Real>(y[i], sigmoid_of(long_double(x[i]))), tolerance_of<Real>(1e-6), "sigmoid");
       run.expect(y[i] >= 0 && y[i] <= 1, "a sigmoid lies in 0..1");
     }
     sweep(Real{}, Precision::fp32);
@@ -481,12 +468,12 @@ void hdr_target(CaseRun& run) {
     };
     long double want = 0;
     for (std::size_t i = 0; i < 6; ++i) {
-      const long double error = static_cast<long double>(color[i]) - static_cast<long double>(target[i]);
+      const long double error = long_double(color[i]) - long_double(target[i]);
       want += error * error;
     }
     run.measure(relative_error(loss(), want), tolerance_of<Real>(1e-6), "loss, not clamped");
     for (std::size_t i = 0; i < 6; ++i) {
-      const long double error = static_cast<long double>(color[i]) - static_cast<long double>(target[i]);
+      const long double error = long_double(color[i]) - long_double(target[i]);
       run.measure(relative_error(slope[i], error / 3), tolerance_of<Real>(1e-6), "gradient");
     }
     target[4] = nan;
@@ -510,73 +497,69 @@ void hdr_target(CaseRun& run) {
   }
 }
 
-void density_activations(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    std::vector<Real> raw;
-    for (const double edge : {0.0, 15.0, 88.0, 89.0, 104.0, 710.0, 1e4, 1e-3, 1e-8, 1e-30}) {
-      for (const double sign : {1.0, -1.0}) raw.push_back(static_cast<Real>(sign * edge));
+IN_BOTH_PRECISIONS(density_activations) {
+  std::vector<Real> raw;
+  for (const double edge : {0.0, 15.0, 88.0, 89.0, 104.0, 710.0, 1e4, 1e-3, 1e-8, 1e-30}) {
+    for (const double sign : {1.0, -1.0}) raw.push_back(static_cast<Real>(sign * edge));
+  }
+  for (int i = -4000; i <= 4000; ++i) {
+    raw.push_back(static_cast<Real>(i) / Real(128));
+    raw.push_back(static_cast<Real>(i) * Real(2.5));
+  }
+  // Below the normal range softplus rounds three times: exponential, quotient and sum, half a quantum each.
+  constexpr double kQuanta = 1.51;
+  for (const DensityActivation kind : kActivations) {
+    const std::vector<Real> sigma = density_of(kind, raw), slope = density_slope(kind, raw);
+    for (std::size_t i = 0; i < raw.size(); ++i) {
+      const auto x = long_double(raw[i]);
+      run.measure(error_above_quantum<Real>(sigma[i], density_reference(kind, x), kQuanta), tolerance_of<Real>(1e-6),
+                  name_of(kind));
+      run.measure(error_above_quantum<Real>(slope[i], slope_reference(kind, x), kQuanta), tolerance_of<Real>(1e-6),
+                  name_of(kind) + " slope");
     }
-    for (int i = -4000; i <= 4000; ++i) {
-      raw.push_back(static_cast<Real>(i) / Real(128));
-      raw.push_back(static_cast<Real>(i) * Real(2.5));
-    }
-    // Below the normal range softplus rounds three times: exponential, quotient and sum, half a quantum each.
-    constexpr double kQuanta = 1.51;
-    for (const DensityActivation kind : kActivations) {
-      const std::vector<Real> sigma = density_of(kind, raw), slope = density_slope(kind, raw);
-      for (std::size_t i = 0; i < raw.size(); ++i) {
-        const auto x = static_cast<long double>(raw[i]);
-        run.measure(error_above_quantum<Real>(sigma[i], density_reference(kind, x), kQuanta), tolerance_of<Real>(1e-6),
-                    name_of(kind));
-        run.measure(error_above_quantum<Real>(slope[i], slope_reference(kind, x), kQuanta), tolerance_of<Real>(1e-6),
-                    name_of(kind) + " slope");
-      }
-    }
-    run.expect(density_of<Real>(DensityActivation::trunc_exp, {Real(1e4)})[0] ==
-                   density_of<Real>(DensityActivation::trunc_exp, {Real(15)})[0],
-               "trunc_exp stays at e^15 above 15");
-    for (const DensityActivation kind : kActivations)
-      run.expect(std::isnan(density_of<Real>(kind, {std::numeric_limits<Real>::quiet_NaN()})[0]),
-                 name_of(kind) + " keeps NaN, so that it is found");
-  });
+  }
+  run.expect(density_of<Real>(DensityActivation::trunc_exp, {Real(1e4)})[0] ==
+                 density_of<Real>(DensityActivation::trunc_exp, {Real(15)})[0],
+             "trunc_exp stays at e^15 above 15");
+  for (const DensityActivation kind : kActivations)
+    run.expect(std::isnan(density_of<Real>(kind, {std::numeric_limits<Real>::quiet_NaN()})[0]),
+               name_of(kind) + " keeps NaN, so that it is found");
 }
 
-void large_exponents(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    for (const DensityActivation kind : kActivations) {
-      for (const double value : {88.0, 89.0, 710.0, 1e4, 1e30}) {
-        const auto raw = static_cast<Real>(value);
-        // Forward and backward through activation and compositing: a thin sample, the opaque one, one behind it.
-        testing::RayBuffers<Real> rays({3}, 1);
-        rays.space_evenly(3);
-        const std::vector<Real> raws{Real(-1), raw, Real(2)};
-        rays.sigma = density_of(kind, raws);
-        for (std::size_t i = 0; i < 9; ++i) rays.rgb[i] = static_cast<Real>(i) / Real(8);
-        rays.hidden = {Real(1), Real(-2), Real(3)};
-        rays.g_color = {Real(1), Real(-1), Real(0.5)};
-        rays.g_hidden = {Real(1)};
-        rays.g_depth = {Real(1)};
-        rays.g_opacity = {Real(-1)};
-        rays.forward();
-        rays.backward();
-        std::vector<Real> d_raw(3);
-        density_backward<Real>({kind}, column(std::as_const(raws)), column(std::as_const(rays.d_sigma)), column(d_raw));
-        for (std::size_t i = 0; i < 3; ++i) {
-          run.expect(std::isfinite(rays.sigma[i]) && std::isfinite(rays.weight[i]), "forward is finite");
-          run.expect(std::isfinite(rays.d_sigma[i]) && std::isfinite(d_raw[i]), "backward is finite");
-        }
-        run.measure(std::abs(static_cast<double>(rays.opacity[0]) - 1), tolerance_of<Real>(1.2e-7), "opacity");
-        // What is seen behind: the exponent's rounding, u tau, is the weight's relative error.
-        const auto before = static_cast<long double>(rays.sigma[0]) * static_cast<long double>(rays.delta[0]) +
-                            static_cast<long double>(rays.sigma[1]) * static_cast<long double>(rays.delta[1]);
-        const long double behind = std::exp(-before) * -std::expm1(-static_cast<long double>(rays.sigma[2]) *
-                                                                   static_cast<long double>(rays.delta[2]));
-        run.measure(error_above_quantum<Real>(rays.weight[2], behind), tolerance_of<Real>(2e-5), "weight behind");
-        const long double want = density_reference(kind, static_cast<long double>(raw));
-        run.measure(relative_error(rays.sigma[1], want), tolerance_of<Real>(1e-6), "density");
+IN_BOTH_PRECISIONS(large_exponents) {
+  for (const DensityActivation kind : kActivations) {
+    for (const double value : {88.0, 89.0, 710.0, 1e4, 1e30}) {
+      const auto raw = static_cast<Real>(value);
+      // Forward and backward through activation and compositing: a thin sample, the opaque one, one behind it.
+      testing::RayBuffers<Real> rays({3}, 1);
+      rays.space_evenly(3);
+      const std::vector<Real> raws{Real(-1), raw, Real(2)};
+      rays.sigma = density_of(kind, raws);
+      for (std::size_t i = 0; i < 9; ++i) rays.rgb[i] = static_cast<Real>(i) / Real(8);
+      rays.hidden = {Real(1), Real(-2), Real(3)};
+      rays.g_color = {Real(1), Real(-1), Real(0.5)};
+      rays.g_hidden = {Real(1)};
+      rays.g_depth = {Real(1)};
+      rays.g_opacity = {Real(-1)};
+      rays.forward();
+      rays.backward();
+      std::vector<Real> d_raw(3);
+      density_backward<Real>({kind}, column(std::as_const(raws)), column(std::as_const(rays.d_sigma)), column(d_raw));
+      for (std::size_t i = 0; i < 3; ++i) {
+        run.expect(std::isfinite(rays.sigma[i]) && std::isfinite(rays.weight[i]), "forward is finite");
+        run.expect(std::isfinite(rays.d_sigma[i]) && std::isfinite(d_raw[i]), "backward is finite");
       }
+      run.measure(std::abs(static_cast<double>(rays.opacity[0]) - 1), tolerance_of<Real>(1.2e-7), "opacity");
+      // What is seen behind: the exponent's rounding, u tau, is the weight's relative error.
+      const auto before = long_double(rays.sigma[0]) * long_double(rays.delta[0]) +
+                          long_double(rays.sigma[1]) * long_double(rays.delta[1]);
+      const long double behind =
+          std::exp(-before) * -std::expm1(-long_double(rays.sigma[2]) * long_double(rays.delta[2]));
+      run.measure(error_above_quantum<Real>(rays.weight[2], behind), tolerance_of<Real>(2e-5), "weight behind");
+      const long double want = density_reference(kind, long_double(raw));
+      run.measure(relative_error(rays.sigma[1], want), tolerance_of<Real>(1e-6), "density");
     }
-  });
+  }
 }
 
 // Cases D05 and D07: batches without a label, and labels outside the class table.
@@ -751,66 +734,61 @@ struct SemanticRay {
 
 }  // namespace
 
-void empty_ray(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    SemanticRay<Real> ray(6);  // density 0
-    const double loss = ray.loss();
-    for (const Real s : ray.logits) run.measure(std::abs(s), 0, "logit");
-    std::vector<Real> p(kClasses);
-    softmax<Real>(row_of(std::as_const(ray.logits)), row_of(p));
-    for (const Real one : p) run.measure(std::abs(one - Real(1) / Real(kClasses)), 0, "probability 1/C");
-    run.measure(relative_error(loss, std::log(static_cast<long double>(kClasses))), 4e-16, "loss ln C");
-    // At density 0 only the sample's own weight moves: dL/dsigma_k = delta_k (h_k W + b) . (1/C - [label]).
-    ray.backward();
-    SemanticRay<double> oracle(6);
-    for (std::size_t k = 0; k < 6; ++k) {
-      long double want = 0;
-      for (std::int32_t c = 0; c < kClasses; ++c) {
-        auto s = static_cast<long double>(ray.bias()(0, c));
-        for (std::int32_t h = 0; h < kHidden; ++h)
-          s += static_cast<long double>(ray.rays.hidden[k * kHidden + static_cast<std::size_t>(h)]) *
-               static_cast<long double>(ray.weight()(h, c));
-        want += s * (1.0L / kClasses - (c == kLabel ? 1 : 0));
-      }
-      want *= static_cast<long double>(ray.rays.delta[k]);
-      run.measure(relative_error(ray.rays.d_sigma[k], want), tolerance_of<Real>(1e-5), "density gradient");
-      // The same by differences of the whole way, one-sided and extrapolated twice: densities are not negative.
-      double at[4];
-      for (int i = 0; i < 4; ++i) {
-        oracle.rays.sigma[k] = i == 0 ? 0.0 : 1e-3 * static_cast<double>(1 << (i - 1));
-        at[i] = oracle.loss();
-      }
-      oracle.rays.sigma[k] = 0;
-      const double d1 = (at[1] - at[0]) / 1e-3, d2 = (at[2] - at[0]) / 2e-3, d4 = (at[3] - at[0]) / 4e-3;
-      const double e1 = 2 * d1 - d2, e2 = 2 * d2 - d4;
-      run.measure(std::abs((4 * e1 - e2) / 3 - static_cast<double>(ray.rays.d_sigma[k])), 2e-6, "by differences");
+IN_BOTH_PRECISIONS(empty_ray) {
+  SemanticRay<Real> ray(6);  // density 0
+  const double loss = ray.loss();
+  for (const Real s : ray.logits) run.measure(std::abs(s), 0, "logit");
+  std::vector<Real> p(kClasses);
+  softmax<Real>(row_of(std::as_const(ray.logits)), row_of(p));
+  for (const Real one : p) run.measure(std::abs(one - Real(1) / Real(kClasses)), 0, "probability 1/C");
+  run.measure(relative_error(loss, std::log(long_double(kClasses))), 4e-16, "loss ln C");
+  // At density 0 only the sample's own weight moves: dL/dsigma_k = delta_k (h_k W + b) . (1/C - [label]).
+  ray.backward();
+  SemanticRay<double> oracle(6);
+  for (std::size_t k = 0; k < 6; ++k) {
+    long double want = 0;
+    for (std::int32_t c = 0; c < kClasses; ++c) {
+      auto s = long_double(ray.bias()(0, c));
+      for (std::int32_t h = 0; h < kHidden; ++h)
+        s += long_double(ray.rays.hidden[k * kHidden + static_cast<std::size_t>(h)]) * long_double(ray.weight()(h, c));
+      want += s * (1.0L / kClasses - (c == kLabel ? 1 : 0));
     }
-  });
+    want *= long_double(ray.rays.delta[k]);
+    run.measure(relative_error(ray.rays.d_sigma[k], want), tolerance_of<Real>(1e-5), "density gradient");
+    // The same by differences of the whole way, one-sided and extrapolated twice: densities are not negative.
+    double at[4];
+    for (int i = 0; i < 4; ++i) {
+      oracle.rays.sigma[k] = i == 0 ? 0.0 : 1e-3 * static_cast<double>(1 << (i - 1));
+      at[i] = oracle.loss();
+    }
+    oracle.rays.sigma[k] = 0;
+    const double d1 = (at[1] - at[0]) / 1e-3, d2 = (at[2] - at[0]) / 2e-3, d4 = (at[3] - at[0]) / 4e-3;
+    const double e1 = 2 * d1 - d2, e2 = 2 * d2 - d4;
+    run.measure(std::abs((4 * e1 - e2) / 3 - static_cast<double>(ray.rays.d_sigma[k])), 2e-6, "by differences");
+  }
 }
 
-void half_opacity(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    const long double want = std::exp(5.0L) / (std::exp(5.0L) + 27);
-    for (const bool by_bias : {false, true}) {
-      for (const int samples : {1, 7}) {
-        SemanticRay<Real> ray(samples);
-        for (auto* values : {&ray.rays.hidden}) std::fill(values->begin(), values->end(), Real(0));
-        for (std::int64_t i = 0; i < ray.weight().size(); ++i) ray.weight().data[i] = 0;
-        for (std::int64_t i = 0; i < ray.bias().size(); ++i) ray.bias().data[i] = 0;
-        for (std::size_t k = 0; k < static_cast<std::size_t>(samples); ++k) {
-          ray.rays.hidden[k * kHidden] = Real(1);
-          ray.rays.sigma[k] = static_cast<Real>(std::log(2.0L) / (samples * 0.75L));  // opacity 1/2 in all
-        }
-        (by_bias ? ray.bias() : ray.weight())(0, kLabel) = Real(10);
-        const double loss = ray.loss();
-        run.measure(std::abs(static_cast<double>(ray.rays.opacity[0]) - 0.5), tolerance_of<Real>(2e-7), "opacity");
-        run.measure(std::abs(std::exp(-loss) - static_cast<double>(want)), tolerance_of<Real>(1e-6),
-                    by_bias ? "probability, by the bias" : "probability, by the weights");
-        run.expect(std::abs(std::exp(-loss) - 0.84608) < 1e-5, "0.8461");
+IN_BOTH_PRECISIONS(half_opacity) {
+  const long double want = std::exp(5.0L) / (std::exp(5.0L) + 27);
+  for (const bool by_bias : {false, true}) {
+    for (const int samples : {1, 7}) {
+      SemanticRay<Real> ray(samples);
+      for (auto* values : {&ray.rays.hidden}) std::fill(values->begin(), values->end(), Real(0));
+      for (std::int64_t i = 0; i < ray.weight().size(); ++i) ray.weight().data[i] = 0;
+      for (std::int64_t i = 0; i < ray.bias().size(); ++i) ray.bias().data[i] = 0;
+      for (std::size_t k = 0; k < static_cast<std::size_t>(samples); ++k) {
+        ray.rays.hidden[k * kHidden] = Real(1);
+        ray.rays.sigma[k] = static_cast<Real>(std::log(2.0L) / (samples * 0.75L));  // opacity 1/2 in all
       }
+      (by_bias ? ray.bias() : ray.weight())(0, kLabel) = Real(10);
+      const double loss = ray.loss();
+      run.measure(std::abs(static_cast<double>(ray.rays.opacity[0]) - 0.5), tolerance_of<Real>(2e-7), "opacity");
+      run.measure(std::abs(std::exp(-loss) - static_cast<double>(want)), tolerance_of<Real>(1e-6),
+                  by_bias ? "probability, by the bias" : "probability, by the weights");
+      run.expect(std::abs(std::exp(-loss) - 0.84608) < 1e-5, "0.8461");
     }
-    run.note(fmt::format("p = {:.6f}: a margin of 10 counts 5 at half opacity", static_cast<double>(want)));
-  });
+  }
+  run.note(fmt::format("p = {:.6f}: a margin of 10 counts 5 at half opacity", static_cast<double>(want)));
 }
 
 void detached(CaseRun& run) {
@@ -830,8 +808,7 @@ void detached(CaseRun& run) {
     for (const Real g : rays.d_sigma) run.measure(std::abs(g), 0, "dL/dsigma when detached");
     for (std::size_t i = 0; i < rays.d_hidden.size(); ++i) {
       const std::size_t sample = i / 5, ray = static_cast<std::size_t>(rays.ray[sample]);
-      const long double want =
-          static_cast<long double>(rays.weight[sample]) * static_cast<long double>(rays.g_hidden[5 * ray + i % 5]);
+      const long double want = long_double(rays.weight[sample]) * long_double(rays.g_hidden[5 * ray + i % 5]);
       run.measure(relative_error(rays.d_hidden[i], want), tolerance_of<Real>(1e-6), "dL/dh");
     }
     rays.backward();
@@ -917,8 +894,8 @@ namespace {
 /// Bias corrections of one step.
 struct Corrections {
   Corrections(const AdamParams& p, std::int64_t step)
-      : mean(1 - std::pow(static_cast<long double>(p.beta1), static_cast<long double>(step) + 1)),
-        square(1 - std::pow(static_cast<long double>(p.beta2), static_cast<long double>(step) + 1)) {}
+      : mean(1 - std::pow(long_double(p.beta1), long_double(step) + 1)),
+        square(1 - std::pow(long_double(p.beta2), long_double(step) + 1)) {}
   long double mean, square;
 };
 
@@ -926,11 +903,11 @@ struct Corrections {
 struct Reference {
   long double x = 0, m = 0, v = 0, path = 0;
   void update(const AdamParams& p, long double g, const Corrections& correction) {
-    const auto b1 = static_cast<long double>(p.beta1), b2 = static_cast<long double>(p.beta2);
+    const auto b1 = long_double(p.beta1), b2 = long_double(p.beta2);
     m = b1 * m + (1 - b1) * g;
     v = b2 * v + (1 - b2) * g * g;
-    const long double step = static_cast<long double>(p.learning_rate) * m / correction.mean /
-                             (std::sqrt(v / correction.square) + static_cast<long double>(p.epsilon));
+    const long double step = long_double(p.learning_rate) * m / correction.mean /
+                             (std::sqrt(v / correction.square) + long_double(p.epsilon));
     x -= step;
     path += std::abs(step);
   }
@@ -955,140 +932,130 @@ struct Parameters {
 template <class Real>
 void check(CaseRun& run, const Parameters<Real>& got, std::size_t i, const Reference& want, double tolerance,
            const std::string& what) {
-  run.measure(static_cast<double>(std::abs(static_cast<long double>(got.value[i]) - want.x) / want.path), tolerance,
-              what);
+  run.measure(static_cast<double>(std::abs(long_double(got.value[i]) - want.x) / want.path), tolerance, what);
 }
 
 }  // namespace
 
-void adam_sizes(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    const AdamParams params;
-    constexpr int kSizes = 39;  // 1e-20 .. 1e18: from 1e19 on a step is refused (E08)
-    for (const bool sparse : {false, true}) {
-      Parameters<Real> state(kSizes);
-      std::vector<Reference> want(kSizes);
-      Numbers numbers(61);
-      for (std::int64_t step = 0; step < 1000; ++step) {
-        const Corrections correction(params, step);
-        for (std::size_t i = 0; i < kSizes; ++i) {
-          const double size = std::pow(10.0, static_cast<int>(i) - 20) * numbers.in(-0.5, 1.5);
-          state.grad[i] = static_cast<Real>(size);
-          want[i].update(params, static_cast<long double>(state.grad[i]), correction);
-        }
-        const AdamStep rule = adam_step(params, params.learning_rate, step);
-        sparse ? static_cast<void>(state.touched(rule)) : state.dense(rule);
-      }
+IN_BOTH_PRECISIONS(adam_sizes) {
+  const AdamParams params;
+  constexpr int kSizes = 39;  // 1e-20 .. 1e18: from 1e19 on a step is refused (E08)
+  for (const bool sparse : {false, true}) {
+    Parameters<Real> state(kSizes);
+    std::vector<Reference> want(kSizes);
+    Numbers numbers(61);
+    for (std::int64_t step = 0; step < 1000; ++step) {
+      const Corrections correction(params, step);
       for (std::size_t i = 0; i < kSizes; ++i) {
-        const std::string at = fmt::format("gradients near 1e{}", static_cast<int>(i) - 20);
-        check(run, state, i, want[i], tolerance_of<Real>(1e-5), at);
-        run.measure(relative_error(state.m[i], want[i].m), tolerance_of<Real>(1e-5), at);
-        // Squares of gradients below 1e-15 leave the normal range of fp32; the root of them stands beside epsilon. In
-        // fp32 beta2 = 0.999 is off by 1.3e-8, so 1,000 steps leave v off by up to 1.3e-5, and its root by half of it.
-        if (std::is_same_v<Real, double> || want[i].v > 1e-33L)
-          run.measure(relative_error(state.v[i], want[i].v), tolerance_of<Real>(2e-5), at);
+        const double size = std::pow(10.0, static_cast<int>(i) - 20) * numbers.in(-0.5, 1.5);
+        state.grad[i] = static_cast<Real>(size);
+        want[i].update(params, long_double(state.grad[i]), correction);
       }
+      const AdamStep rule = adam_step(params, params.learning_rate, step);
+      sparse ? static_cast<void>(state.touched(rule)) : state.dense(rule);
     }
-  });
+    for (std::size_t i = 0; i < kSizes; ++i) {
+      const std::string at = fmt::format("gradients near 1e{}", static_cast<int>(i) - 20);
+      check(run, state, i, want[i], tolerance_of<Real>(1e-5), at);
+      run.measure(relative_error(state.m[i], want[i].m), tolerance_of<Real>(1e-5), at);
+      // Squares of gradients below 1e-15 leave the normal range of fp32; the root of them stands beside epsilon. In
+      // fp32 beta2 = 0.999 is off by 1.3e-8, so 1,000 steps leave v off by up to 1.3e-5, and its root by half of it.
+      if (std::is_same_v<Real, double> || want[i].v > 1e-33L)
+        run.measure(relative_error(state.v[i], want[i].v), tolerance_of<Real>(2e-5), at);
+    }
+  }
 }
 
-void adam_sparse(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    const AdamParams params;
-    for (const std::int32_t cols : {1, 2, 8, 3}) {  // widths with kernels of their own, and one without
-      constexpr std::size_t kRows = 10;
-      const auto width = static_cast<std::size_t>(cols);
-      Parameters<Real> lazy(kRows, cols), dense(kRows, cols);
-      std::vector<Reference> want_lazy(lazy.value.size()), want_dense(lazy.value.size());
-      Numbers numbers(62);
-      for (std::int64_t step = 0; step < 6000; ++step) {
-        const Corrections correction(params, step);
-        const std::size_t hit = static_cast<std::size_t>(step % 1000);  // row r at r, 1000 + r, ...
-        std::fill(dense.grad.begin(), dense.grad.end(), Real(0));
-        if (hit < kRows) {
-          for (std::size_t c = 0; c < width; ++c) {
-            const auto g = static_cast<Real>(numbers.in(0.5, 1.5));
-            lazy.grad[hit * width + c] = dense.grad[hit * width + c] = g;
-          }
+IN_BOTH_PRECISIONS(adam_sparse) {
+  const AdamParams params;
+  for (const std::int32_t cols : {1, 2, 8, 3}) {  // widths with kernels of their own, and one without
+    constexpr std::size_t kRows = 10;
+    const auto width = static_cast<std::size_t>(cols);
+    Parameters<Real> lazy(kRows, cols), dense(kRows, cols);
+    std::vector<Reference> want_lazy(lazy.value.size()), want_dense(lazy.value.size());
+    Numbers numbers(62);
+    for (std::int64_t step = 0; step < 6000; ++step) {
+      const Corrections correction(params, step);
+      const std::size_t hit = static_cast<std::size_t>(step % 1000);  // row r at r, 1000 + r, ...
+      std::fill(dense.grad.begin(), dense.grad.end(), Real(0));
+      if (hit < kRows) {
+        for (std::size_t c = 0; c < width; ++c) {
+          const auto g = static_cast<Real>(numbers.in(0.5, 1.5));
+          lazy.grad[hit * width + c] = dense.grad[hit * width + c] = g;
         }
-        for (std::size_t i = 0; i < want_dense.size(); ++i) {
-          const auto g = static_cast<long double>(dense.grad[i]);
-          if (g != 0) want_lazy[i].update(params, g, correction);
-          if (step < 2500) want_dense[i].update(params, g, correction);
-        }
-        const AdamStep rule = adam_step(params, params.learning_rate, step);
-        run.expect(lazy.touched(rule) == (hit < kRows ? 1 : 0), "rows touched");
-        if (step < 2500) dense.dense(rule);
       }
-      for (std::size_t i = 0; i < lazy.value.size(); ++i) {
-        check(run, lazy, i, want_lazy[i], tolerance_of<Real>(1e-5), "lazy rule");
-        check(run, dense, i, want_dense[i], tolerance_of<Real>(1e-5), "dense rule");
-        run.expect(lazy.grad[i] == Real(0), "a touched row's gradient is cleared");
+      for (std::size_t i = 0; i < want_dense.size(); ++i) {
+        const auto g = long_double(dense.grad[i]);
+        if (g != 0) want_lazy[i].update(params, g, correction);
+        if (step < 2500) want_dense[i].update(params, g, correction);
       }
-      run.expect(std::abs(want_lazy[0].x - want_dense[0].x) > 1e-4L, "the two rules are told apart");
+      const AdamStep rule = adam_step(params, params.learning_rate, step);
+      run.expect(lazy.touched(rule) == (hit < kRows ? 1 : 0), "rows touched");
+      if (step < 2500) dense.dense(rule);
     }
-    run.note("lazy: moments of an untouched row stay, bias correction counts all steps");
-  });
+    for (std::size_t i = 0; i < lazy.value.size(); ++i) {
+      check(run, lazy, i, want_lazy[i], tolerance_of<Real>(1e-5), "lazy rule");
+      check(run, dense, i, want_dense[i], tolerance_of<Real>(1e-5), "dense rule");
+      run.expect(lazy.grad[i] == Real(0), "a touched row's gradient is cleared");
+    }
+    run.expect(std::abs(want_lazy[0].x - want_dense[0].x) > 1e-4L, "the two rules are told apart");
+  }
+  run.note("lazy: moments of an untouched row stay, bias correction counts all steps");
 }
 
-void adam_epsilon(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    std::string first_zero = "none";
-    for (const double epsilon : {1e-15, 1e-8}) {
-      AdamParams params{.epsilon = epsilon};
-      constexpr int kSizes = 14;
-      Parameters<Real> state(kSizes);
-      std::vector<Reference> want(kSizes);
-      for (std::int64_t step = 0; step < 300; ++step) {
-        const Corrections correction(params, step);
-        for (std::size_t i = 0; i < kSizes; ++i) {
-          state.grad[i] = static_cast<Real>(std::pow(10.0, -9 - static_cast<int>(i)));
-          want[i].update(params, static_cast<long double>(state.grad[i]), correction);
-        }
-        state.dense(adam_step(params, params.learning_rate, step));
-      }
+IN_BOTH_PRECISIONS(adam_epsilon) {
+  std::string first_zero = "none";
+  for (const double epsilon : {1e-15, 1e-8}) {
+    AdamParams params{.epsilon = epsilon};
+    constexpr int kSizes = 14;
+    Parameters<Real> state(kSizes);
+    std::vector<Reference> want(kSizes);
+    for (std::int64_t step = 0; step < 300; ++step) {
+      const Corrections correction(params, step);
       for (std::size_t i = 0; i < kSizes; ++i) {
-        check(run, state, i, want[i], tolerance_of<Real>(1e-5), fmt::format("gradient 1e-{}", 9 + i));
-        if (state.v[i] == Real(0) && first_zero == "none") first_zero = fmt::format("1e-{}", 9 + i);
+        state.grad[i] = static_cast<Real>(std::pow(10.0, -9 - static_cast<int>(i)));
+        want[i].update(params, long_double(state.grad[i]), correction);
       }
+      state.dense(adam_step(params, params.learning_rate, step));
     }
-    run.expect((first_zero == "none") == std::is_same_v<Real, double>, "squares underflow in fp32 alone");
-    run.note("v is 0 from gradient " + first_zero + " on: epsilon alone then scales the step");
-  });
+    for (std::size_t i = 0; i < kSizes; ++i) {
+      check(run, state, i, want[i], tolerance_of<Real>(1e-5), fmt::format("gradient 1e-{}", 9 + i));
+      if (state.v[i] == Real(0) && first_zero == "none") first_zero = fmt::format("1e-{}", 9 + i);
+    }
+  }
+  run.expect((first_zero == "none") == std::is_same_v<Real, double>, "squares underflow in fp32 alone");
+  run.note("v is 0 from gradient " + first_zero + " on: epsilon alone then scales the step");
 }
 
-void adam_zero(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    const std::vector<Real> starts{Real(0),
-                                   Real(-0.0),
-                                   Real(1),
-                                   Real(-1e-30),
-                                   std::numeric_limits<Real>::denorm_min(),
-                                   std::numeric_limits<Real>::max(),
-                                   Real(1) / Real(3),
-                                   Real(-7e8)};
-    for (const std::int32_t cols : {1, 2, 4, 8}) {
-      Parameters<Real> dense(8 / static_cast<std::size_t>(cols), cols),
-          sparse(8 / static_cast<std::size_t>(cols), cols);
-      dense.value = sparse.value = starts;
-      for (std::size_t i = 0; i < 8; ++i) sparse.m[i] = sparse.v[i] = Real(0.25);  // rows hit before, not now
-      std::int64_t touched = 0;
-      for (std::int64_t step = 0; step < 1000; ++step) {
-        const AdamStep rule = adam_step({}, 5e-4, step);
-        dense.dense(rule);
-        touched += sparse.touched(rule);
-      }
-      const std::size_t bytes = 8 * sizeof(Real);
-      run.expect(std::memcmp(dense.value.data(), starts.data(), bytes) == 0, "dense: the same bits");
-      run.expect(std::memcmp(sparse.value.data(), starts.data(), bytes) == 0, "sparse: the same bits");
-      run.expect(touched == 0, "no row was touched");
-      for (std::size_t i = 0; i < 8; ++i) {
-        run.measure(static_cast<double>(std::abs(dense.m[i]) + std::abs(dense.v[i])), 0, "moments stay 0");
-        run.expect(sparse.m[i] == Real(0.25) && sparse.v[i] == Real(0.25), "moments of untouched rows stay");
-      }
+IN_BOTH_PRECISIONS(adam_zero) {
+  const std::vector<Real> starts{Real(0),
+                                 Real(-0.0),
+                                 Real(1),
+                                 Real(-1e-30),
+                                 std::numeric_limits<Real>::denorm_min(),
+                                 std::numeric_limits<Real>::max(),
+                                 Real(1) / Real(3),
+                                 Real(-7e8)};
+  for (const std::int32_t cols : {1, 2, 4, 8}) {
+    Parameters<Real> dense(8 / static_cast<std::size_t>(cols), cols), sparse(8 / static_cast<std::size_t>(cols), cols);
+    dense.value = sparse.value = starts;
+    for (std::size_t i = 0; i < 8; ++i) sparse.m[i] = sparse.v[i] = Real(0.25);  // rows hit before, not now
+    std::int64_t touched = 0;
+    for (std::int64_t step = 0; step < 1000; ++step) {
+      const AdamStep rule = adam_step({}, 5e-4, step);
+      dense.dense(rule);
+      touched += sparse.touched(rule);
     }
-    run.note("no weight decay");
-  });
+    const std::size_t bytes = 8 * sizeof(Real);
+    run.expect(std::memcmp(dense.value.data(), starts.data(), bytes) == 0, "dense: the same bits");
+    run.expect(std::memcmp(sparse.value.data(), starts.data(), bytes) == 0, "sparse: the same bits");
+    run.expect(touched == 0, "no row was touched");
+    for (std::size_t i = 0; i < 8; ++i) {
+      run.measure(static_cast<double>(std::abs(dense.m[i]) + std::abs(dense.v[i])), 0, "moments stay 0");
+      run.expect(sparse.m[i] == Real(0.25) && sparse.v[i] == Real(0.25), "moments of untouched rows stay");
+    }
+  }
+  run.note("no weight decay");
 }
 
 void counters(CaseRun& run) {
@@ -1099,12 +1066,10 @@ void counters(CaseRun& run) {
     AdamParams params{.beta1 = beta1, .beta2 = beta2};
     for (const std::int64_t step : steps) {
       const AdamStep rule = adam_step(params, 5e-4, step);
-      const long double t = static_cast<long double>(step) + 1;
-      const auto power = [&](double beta) {
-        return beta == 0 ? 0.0L : std::exp(t * std::log(static_cast<long double>(beta)));
-      };
+      const long double t = long_double(step) + 1;
+      const auto power = [&](double beta) { return beta == 0 ? 0.0L : std::exp(t * std::log(long_double(beta))); };
       const auto correction = [&](double beta) {
-        return beta == 0 ? 1.0L : -std::expm1(t * std::log(static_cast<long double>(beta)));
+        return beta == 0 ? 1.0L : -std::expm1(t * std::log(long_double(beta)));
       };
       run.measure(relative_error(rule.step_size, 5e-4 / correction(beta1)), 1e-12, "step size");
       run.measure(relative_error(rule.root_scale, 1 / std::sqrt(correction(beta2))), 1e-12, "root scale");
@@ -1117,23 +1082,20 @@ void counters(CaseRun& run) {
       for (const std::int64_t step : {std::int64_t{0}, std::int64_t{1}, warmup - 1, warmup, end - 1, end, end + 1,
                                       2 * end, std::int64_t{1} << 33}) {
         if (step < 0) continue;
-        const long double progress = static_cast<long double>(step) / static_cast<long double>(end);
-        const long double rise =
-            step < warmup ? static_cast<long double>(step + 1) / static_cast<long double>(warmup) : 1.0L;
+        const long double progress = long_double(step) / long_double(end);
+        const long double rise = step < warmup ? long_double(step + 1) / long_double(warmup) : 1.0L;
         ScheduleParams schedule{.decay_steps = end, .warmup_steps = warmup};
         const auto check_factor = [&](ScheduleKind kind, long double want, const char* what) {
           schedule.kind = kind;
-          run.measure(std::max(0.0, static_cast<double>(
-                                        std::abs(static_cast<long double>(schedule_factor(schedule, step)) - want)) -
+          run.measure(std::max(0.0, static_cast<double>(std::abs(long_double(schedule_factor(schedule, step)) - want)) -
                                         5e-324) /
                           std::max(1e-300, static_cast<double>(want)),
                       1e-12, what);
         };
         check_factor(ScheduleKind::constant, rise, "constant");
-        check_factor(ScheduleKind::exponential,
-                     rise * std::pow(static_cast<long double>(schedule.factor), std::min(progress, 1.0L)),
+        check_factor(ScheduleKind::exponential, rise * std::pow(long_double(schedule.factor), std::min(progress, 1.0L)),
                      "exponential, held at the end");
-        const auto floor = static_cast<long double>(schedule.factor);
+        const auto floor = long_double(schedule.factor);
         check_factor(ScheduleKind::cosine,
                      rise * (floor + (1 - floor) * (1 + std::cos(pi * std::min(progress, 1.0L))) / 2), "cosine");
       }

@@ -64,17 +64,16 @@ template <class Real>
 struct InverseCdf {
   InverseCdf(const Earlier<Real>& earlier, double near_m, double far_m, double floor) {
     const std::size_t n = earlier.t.size();
-    long double total = static_cast<long double>(floor);
-    for (const Real w : earlier.weight) total += static_cast<long double>(w);
-    const long double length = static_cast<long double>(far_m) - static_cast<long double>(near_m);
-    border.push_back(static_cast<long double>(near_m));
+    long double total = long_double(floor);
+    for (const Real w : earlier.weight) total += long_double(w);
+    const long double length = long_double(far_m) - long_double(near_m);
+    border.push_back(long_double(near_m));
     cdf.push_back(0);
     for (std::size_t k = 0; k < n; ++k) {
-      border.push_back(k + 1 == n
-                           ? static_cast<long double>(far_m)
-                           : (static_cast<long double>(earlier.t[k]) + static_cast<long double>(earlier.t[k + 1])) / 2);
-      const long double mass = static_cast<long double>(earlier.weight[k]) +
-                               static_cast<long double>(floor) * (border[k + 1] - border[k]) / length;
+      border.push_back(k + 1 == n ? long_double(far_m)
+                                  : (long_double(earlier.t[k]) + long_double(earlier.t[k + 1])) / 2);
+      const long double mass =
+          long_double(earlier.weight[k]) + long_double(floor) * (border[k + 1] - border[k]) / length;
       cdf.push_back(cdf.back() + mass / total);
     }
   }
@@ -108,8 +107,8 @@ void measure_inverse(CaseRun& run, const RayBench<Real>& bench, const InverseCdf
   for (std::int64_t j = 0; j < n; ++j) {
     const double u = u_of(bench.ctx, j, n), got = static_cast<double>(bench.t[j]);
     // The CDF is a sum of doubles: in a cell of little mass its rounding is many metres.
-    const double rounding = 64 * 0x1p-53 * truth.slope(static_cast<long double>(u));
-    run.measure(std::abs(got - static_cast<double>(truth.at(static_cast<long double>(u)))),
+    const double rounding = 64 * 0x1p-53 * truth.slope(long_double(u));
+    run.measure(std::abs(got - static_cast<double>(truth.at(long_double(u)))),
                 tolerance_of<Real>(1e-6) * (far_m - near_m) + rounding, "place");
     run.expect(got >= near_m && got <= far_m, "a sample lies between near and far");
   }
@@ -117,87 +116,78 @@ void measure_inverse(CaseRun& run, const RayBench<Real>& bench, const InverseCdf
 
 }  // namespace
 
-void zero_weights(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    const Earlier<Real> zeros(bin_middles<Real>(1, 5, 13), std::vector<Real>(13, 0)), nothing({}, {});
-    for (const Earlier<Real>* earlier : {&zeros, &nothing}) {
-      const auto even = importance<Real>(run, fresh_only(64), 1, 5, *earlier);
-      run.expect(even->t.size() == 64, "64 samples");
-      for (std::size_t j = 0; j < even->t.size(); ++j)
-        run.measure(std::abs(static_cast<double>(even->t[j]) - (1 + 4 * (static_cast<double>(j) + 0.5) / 64)),
-                    tolerance_of<Real>(1e-6), "place");
-      const auto random = importance<Real>(run, fresh_only(1000), 1, 5, *earlier, 3);
-      double distance = 0;  // Kolmogorov-Smirnov
-      for (std::size_t j = 0; j < random->t.size(); ++j) {
-        const double below = (static_cast<double>(random->t[j]) - 1) / 4;
-        distance = std::max({distance, std::abs(below - static_cast<double>(j) / 1000),
-                             std::abs(below - static_cast<double>(j + 1) / 1000)});
-      }
-      run.measure(distance, 1.628 / std::sqrt(1000.0), "Kolmogorov-Smirnov distance, p = 0.01");
-      run.measure(distance, 1.0 / 1000 + tolerance_of<Real>(1e-6), "strata are closer than chance");
+IN_BOTH_PRECISIONS(zero_weights) {
+  const Earlier<Real> zeros(bin_middles<Real>(1, 5, 13), std::vector<Real>(13, 0)), nothing({}, {});
+  for (const Earlier<Real>* earlier : {&zeros, &nothing}) {
+    const auto even = importance<Real>(run, fresh_only(64), 1, 5, *earlier);
+    run.expect(even->t.size() == 64, "64 samples");
+    for (std::size_t j = 0; j < even->t.size(); ++j)
+      run.measure(std::abs(static_cast<double>(even->t[j]) - (1 + 4 * (static_cast<double>(j) + 0.5) / 64)),
+                  tolerance_of<Real>(1e-6), "place");
+    const auto random = importance<Real>(run, fresh_only(1000), 1, 5, *earlier, 3);
+    double distance = 0;  // Kolmogorov-Smirnov
+    for (std::size_t j = 0; j < random->t.size(); ++j) {
+      const double below = (static_cast<double>(random->t[j]) - 1) / 4;
+      distance = std::max({distance, std::abs(below - static_cast<double>(j) / 1000),
+                           std::abs(below - static_cast<double>(j + 1) / 1000)});
     }
-  });
+    run.measure(distance, 1.628 / std::sqrt(1000.0), "Kolmogorov-Smirnov distance, p = 0.01");
+    run.measure(distance, 1.0 / 1000 + tolerance_of<Real>(1e-6), "strata are closer than chance");
+  }
 }
 
-void spike(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    std::vector<Real> weights(62, 0);
-    weights[30] = 1;
-    const Earlier<Real> earlier(bin_middles<Real>(0, 62, 62), weights);
-    const int n = 20000;
-    for (const std::string floor : {"0.01", "0.000000001"}) {
-      const double share = std::stod(floor) / (1 + std::stod(floor));
-      for (const std::int64_t step : {-1, 0, 1}) {
-        const auto bench = importance<Real>(run, fresh_only(n, floor), 0, 62, earlier, step);
-        measure_inverse(run, *bench, InverseCdf<Real>(earlier, 0, 62, std::stod(floor)), 0, 62);
-        int outside = 0, at_edge = 0;
-        for (const Real t : bench->t) {
-          outside += t < 30 || t > 31 ? 1 : 0;
-          at_edge +=
-              std::abs(static_cast<double>(t) - 30) < 1e-3 || std::abs(static_cast<double>(t) - 31) < 1e-3 ? 1 : 0;
-        }
-        run.measure(outside / double{n}, share + 2.0 / n, "share of samples outside the spike");
-        run.measure(at_edge / double{n}, 0.002 + 3.0 / n, "share within 0.2 % of the spike from its edges");
+IN_BOTH_PRECISIONS(spike) {
+  std::vector<Real> weights(62, 0);
+  weights[30] = 1;
+  const Earlier<Real> earlier(bin_middles<Real>(0, 62, 62), weights);
+  const int n = 20000;
+  for (const std::string floor : {"0.01", "0.000000001"}) {
+    const double share = std::stod(floor) / (1 + std::stod(floor));
+    for (const std::int64_t step : {-1, 0, 1}) {
+      const auto bench = importance<Real>(run, fresh_only(n, floor), 0, 62, earlier, step);
+      measure_inverse(run, *bench, InverseCdf<Real>(earlier, 0, 62, std::stod(floor)), 0, 62);
+      int outside = 0, at_edge = 0;
+      for (const Real t : bench->t) {
+        outside += t < 30 || t > 31 ? 1 : 0;
+        at_edge += std::abs(static_cast<double>(t) - 30) < 1e-3 || std::abs(static_cast<double>(t) - 31) < 1e-3 ? 1 : 0;
       }
+      run.measure(outside / double{n}, share + 2.0 / n, "share of samples outside the spike");
+      run.measure(at_edge / double{n}, 0.002 + 3.0 / n, "share within 0.2 % of the spike from its edges");
     }
-  });
+  }
 }
 
-void end_spikes(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    std::vector<Real> weights(16, 0);
-    weights.front() = weights.back() = Real(0.5);
-    const Earlier<Real> earlier(bin_middles<Real>(0.1, 0.3, 16), weights);
-    const InverseCdf<Real> truth(earlier, 0.1, 0.3, 1e-3);
-    for (std::int64_t step = -1; step < 100; ++step) {
-      const auto bench = importance<Real>(run, fresh_only(128), 0.1, 0.3, earlier, step);
-      measure_inverse(run, *bench, truth, 0.1, 0.3);
-      int front = 0;
-      for (const Real t : bench->t) front += static_cast<double>(t) < 0.2 ? 1 : 0;
-      run.measure(std::abs(front - 64), 1, "samples in the first half");
-    }
-  });
+IN_BOTH_PRECISIONS(end_spikes) {
+  std::vector<Real> weights(16, 0);
+  weights.front() = weights.back() = Real(0.5);
+  const Earlier<Real> earlier(bin_middles<Real>(0.1, 0.3, 16), weights);
+  const InverseCdf<Real> truth(earlier, 0.1, 0.3, 1e-3);
+  for (std::int64_t step = -1; step < 100; ++step) {
+    const auto bench = importance<Real>(run, fresh_only(128), 0.1, 0.3, earlier, step);
+    measure_inverse(run, *bench, truth, 0.1, 0.3);
+    int front = 0;
+    for (const Real t : bench->t) front += static_cast<double>(t) < 0.2 ? 1 : 0;
+    run.measure(std::abs(front - 64), 1, "samples in the first half");
+  }
 }
 
-void nan_weight(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    const double infinity = std::numeric_limits<double>::infinity();
-    for (const double bad : {std::numeric_limits<double>::quiet_NaN(), -1.0, infinity, -infinity}) {
-      const Earlier<Real> earlier(bin_middles<Real>(0, 1, 4), {Real(0.1), Real(0.2), static_cast<Real>(bad), 0});
-      const std::vector<Real> places = earlier.t, weights = earlier.weight;
-      for (const bool training : {false, true}) {
-        run.expect_error(ErrorKind::failure, {"importance", "ray 41", "sample 2", "weight"}, [&] {
-          RayBench<Real> bench(run.registry(), "importance", fresh_only(8));
-          bench.ctx.training = training;
-          bench.ctx.first_ray = 41;
-          bench.set_rays(1, 0, 1);
-          bench.draw(&earlier.proposal, earlier.count());
-        });
-      }
-      run.expect(places == earlier.t && std::memcmp(weights.data(), earlier.weight.data(), 4 * sizeof(Real)) == 0,
-                 "what the earlier pass left is as before");
+IN_BOTH_PRECISIONS(nan_weight) {
+  const double infinity = std::numeric_limits<double>::infinity();
+  for (const double bad : {std::numeric_limits<double>::quiet_NaN(), -1.0, infinity, -infinity}) {
+    const Earlier<Real> earlier(bin_middles<Real>(0, 1, 4), {Real(0.1), Real(0.2), static_cast<Real>(bad), 0});
+    const std::vector<Real> places = earlier.t, weights = earlier.weight;
+    for (const bool training : {false, true}) {
+      run.expect_error(ErrorKind::failure, {"importance", "ray 41", "sample 2", "weight"}, [&] {
+        RayBench<Real> bench(run.registry(), "importance", fresh_only(8));
+        bench.ctx.training = training;
+        bench.ctx.first_ray = 41;
+        bench.set_rays(1, 0, 1);
+        bench.draw(&earlier.proposal, earlier.count());
+      });
     }
-  });
+    run.expect(places == earlier.t && std::memcmp(weights.data(), earlier.weight.data(), 4 * sizeof(Real)) == 0,
+               "what the earlier pass left is as before");
+  }
 }
 
 void u_edges(CaseRun& run) {
@@ -227,88 +217,82 @@ void u_edges(CaseRun& run) {
   }
 }
 
-void cdf_end(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    constexpr std::size_t kBins = 4096;
-    TestNumbers random{6};
-    for (const int kind : {0, 1, 2}) {
-      std::vector<Real> weights(kBins);
-      // Weights whose sums round: 0.1, random, and some that add up to next to nothing.
-      for (auto& w : weights) w = static_cast<Real>(kind == 0 ? 0.1 : kind == 1 ? random.uniform() : 1e-30);
-      const Earlier<Real> earlier(bin_middles<Real>(0, 1, kBins), weights);
-      const InverseCdf<Real> truth(earlier, 0, 1, 1e-3);
-      run.measure(std::abs(truth.cdf.back() - 1), 1e-15, "the reference ends at 1");
-      for (const std::int64_t step : {-1, 0, 1, 2}) {
-        const auto bench = importance<Real>(run, fresh_only(2 * kBins), 0, 1, earlier, step);
-        measure_inverse(run, *bench, truth, 0, 1);
-        run.expect(bench->t.back() > Real(1 - 2.0 / kBins), "the last sample is in the last cells");
-        run.expect(std::is_sorted(bench->t.begin(), bench->t.end()), "places ascend");
-        if (kind != 0) continue;
-        std::vector<int> in_bin(kBins);
-        for (const Real t : bench->t)
-          ++in_bin[std::min(kBins - 1, static_cast<std::size_t>(static_cast<double>(t) * kBins))];
-        const auto [least, most] = std::minmax_element(in_bin.begin(), in_bin.end());
-        run.expect(*least >= 1 && *most <= 3, "two samples per bin, one more or less at its borders");
-      }
+IN_BOTH_PRECISIONS(cdf_end) {
+  constexpr std::size_t kBins = 4096;
+  TestNumbers random{6};
+  for (const int kind : {0, 1, 2}) {
+    std::vector<Real> weights(kBins);
+    // Weights whose sums round: 0.1, random, and some that add up to next to nothing.
+    for (auto& w : weights) w = static_cast<Real>(kind == 0 ? 0.1 : kind == 1 ? random.uniform() : 1e-30);
+    const Earlier<Real> earlier(bin_middles<Real>(0, 1, kBins), weights);
+    const InverseCdf<Real> truth(earlier, 0, 1, 1e-3);
+    run.measure(std::abs(truth.cdf.back() - 1), 1e-15, "the reference ends at 1");
+    for (const std::int64_t step : {-1, 0, 1, 2}) {
+      const auto bench = importance<Real>(run, fresh_only(2 * kBins), 0, 1, earlier, step);
+      measure_inverse(run, *bench, truth, 0, 1);
+      run.expect(bench->t.back() > Real(1 - 2.0 / kBins), "the last sample is in the last cells");
+      run.expect(std::is_sorted(bench->t.begin(), bench->t.end()), "places ascend");
+      if (kind != 0) continue;
+      std::vector<int> in_bin(kBins);
+      for (const Real t : bench->t)
+        ++in_bin[std::min(kBins - 1, static_cast<std::size_t>(static_cast<double>(t) * kBins))];
+      const auto [least, most] = std::minmax_element(in_bin.begin(), in_bin.end());
+      run.expect(*least >= 1 && *most <= 3, "two samples per bin, one more or less at its borders");
     }
-  });
+  }
 }
 
-void ties(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    // Three samples at 2 m: the cell of the middle one has no width, and most of the weight.
-    const Earlier<Real> earlier({1, 2, 2, 2, 3, Real(3.5)}, {Real(0.01), Real(0.2), Real(0.5), Real(0.2), 0, 0});
-    for (const std::string rule : {"paper", "midpoint", "stratified_bin"}) {
-      for (const std::int64_t step : {-1, 0, 1}) {
-        testkit::Settings settings{{"samples", "40"}, {"quadrature", rule}};
-        const auto both = importance<Real>(run, settings, 0.5, 4, earlier, step);
-        settings["keep_previous"] = "false";
-        const auto fresh = importance<Real>(run, settings, 0.5, 4, earlier, step);
-        std::vector<Real> merged(earlier.t.size() + fresh->t.size());
-        std::merge(earlier.t.begin(), earlier.t.end(), fresh->t.begin(), fresh->t.end(), merged.begin());
-        run.expect(both->t == merged, "the union is the stable merge, bit by bit");
-        const auto at_two = std::count(merged.begin(), merged.end(), Real(2));
-        run.expect(at_two > 10, "many samples lie at 2 m");
-        double covered = 0;
-        for (const Real d : both->delta) {
-          run.expect(d >= 0 && std::isfinite(d), "intervals are not negative");
-          covered += static_cast<double>(d);
-        }
-        const double from = rule == "paper" ? static_cast<double>(both->t[0]) : 0.5;
-        run.measure(std::abs(covered - (4 - from)), tolerance_of<Real>(1e-6), "intervals cover the ray");
-        RayBuffers<Real> rays = both->buffers();
-        render(rays, [](double) { return std::pair(3.0, 1.0); });
-        rays.g_color = {1, 1, 1};
-        rays.g_depth = rays.g_opacity = {1};
-        rays.backward();
-        std::int64_t none = 0;
-        for (std::size_t k = 0; k < rays.t.size(); ++k) {
-          run.expect(std::isfinite(rays.d_sigma[k]), "gradients are finite");
-          if (rays.delta[k] != 0) continue;
-          ++none;
-          run.measure(std::abs(rays.weight[k]), 0, "weight of an interval without length");
-          run.measure(std::abs(rays.d_sigma[k]), 0, "its gradient");
-        }
-        run.expect(none >= at_two - 2, "ties have intervals without length");
-        run.measure(relative_error(rays.opacity[0], -std::expm1(-3 * static_cast<long double>(covered))),
-                    tolerance_of<Real>(2e-6), "opacity of the union");
+IN_BOTH_PRECISIONS(ties) {
+  // Three samples at 2 m: the cell of the middle one has no width, and most of the weight.
+  const Earlier<Real> earlier({1, 2, 2, 2, 3, Real(3.5)}, {Real(0.01), Real(0.2), Real(0.5), Real(0.2), 0, 0});
+  for (const std::string rule : {"paper", "midpoint", "stratified_bin"}) {
+    for (const std::int64_t step : {-1, 0, 1}) {
+      testkit::Settings settings{{"samples", "40"}, {"quadrature", rule}};
+      const auto both = importance<Real>(run, settings, 0.5, 4, earlier, step);
+      settings["keep_previous"] = "false";
+      const auto fresh = importance<Real>(run, settings, 0.5, 4, earlier, step);
+      std::vector<Real> merged(earlier.t.size() + fresh->t.size());
+      std::merge(earlier.t.begin(), earlier.t.end(), fresh->t.begin(), fresh->t.end(), merged.begin());
+      run.expect(both->t == merged, "the union is the stable merge, bit by bit");
+      const auto at_two = std::count(merged.begin(), merged.end(), Real(2));
+      run.expect(at_two > 10, "many samples lie at 2 m");
+      double covered = 0;
+      for (const Real d : both->delta) {
+        run.expect(d >= 0 && std::isfinite(d), "intervals are not negative");
+        covered += static_cast<double>(d);
       }
+      const double from = rule == "paper" ? static_cast<double>(both->t[0]) : 0.5;
+      run.measure(std::abs(covered - (4 - from)), tolerance_of<Real>(1e-6), "intervals cover the ray");
+      RayBuffers<Real> rays = both->buffers();
+      render(rays, [](double) { return std::pair(3.0, 1.0); });
+      rays.g_color = {1, 1, 1};
+      rays.g_depth = rays.g_opacity = {1};
+      rays.backward();
+      std::int64_t none = 0;
+      for (std::size_t k = 0; k < rays.t.size(); ++k) {
+        run.expect(std::isfinite(rays.d_sigma[k]), "gradients are finite");
+        if (rays.delta[k] != 0) continue;
+        ++none;
+        run.measure(std::abs(rays.weight[k]), 0, "weight of an interval without length");
+        run.measure(std::abs(rays.d_sigma[k]), 0, "its gradient");
+      }
+      run.expect(none >= at_two - 2, "ties have intervals without length");
+      run.measure(relative_error(rays.opacity[0], -std::expm1(-3 * long_double(covered))), tolerance_of<Real>(2e-6),
+                  "opacity of the union");
     }
-    run.note("instruction set " + std::string(isa_name(isa())) + "; the tests run each in turn");
-  });
+  }
+  run.note("instruction set " + std::string(isa_name(isa())) + "; the tests run each in turn");
 }
 
-void dynamic_range(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    std::vector<Real> weights;
-    for (int k = 0; k < 40; ++k) weights.push_back(static_cast<Real>(std::pow(10.0, -8 + 8.0 * ((k * 17) % 40) / 39)));
-    const Earlier<Real> earlier(bin_middles<Real>(2, 10, 40), weights);
-    for (const std::string floor : {"0.001", "0.000000001"}) {
-      const InverseCdf<Real> truth(earlier, 2, 10, std::stod(floor));
-      for (std::int64_t step = -1; step < 20; ++step)
-        measure_inverse(run, *importance<Real>(run, fresh_only(500, floor), 2, 10, earlier, step), truth, 2, 10);
-    }
-  });
+IN_BOTH_PRECISIONS(dynamic_range) {
+  std::vector<Real> weights;
+  for (int k = 0; k < 40; ++k) weights.push_back(static_cast<Real>(std::pow(10.0, -8 + 8.0 * ((k * 17) % 40) / 39)));
+  const Earlier<Real> earlier(bin_middles<Real>(2, 10, 40), weights);
+  for (const std::string floor : {"0.001", "0.000000001"}) {
+    const InverseCdf<Real> truth(earlier, 2, 10, std::stod(floor));
+    for (std::int64_t step = -1; step < 20; ++step)
+      measure_inverse(run, *importance<Real>(run, fresh_only(500, floor), 2, 10, earlier, step), truth, 2, 10);
+  }
 }
 
 namespace {
@@ -337,37 +321,35 @@ void measure_philox(CaseRun& run) {
 
 }  // namespace
 
-void strata(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    measure_philox(run);
-    constexpr std::int64_t kBins = 64;
-    for (const std::string rule : {"paper", "stratified_bin"}) {
-      RayBench<Real> bench(run.registry(), "stratified", {{"samples", "64"}, {"quadrature", rule}});
-      bench.ctx.training = true;
-      bench.set_rays({0.1, 6, 2, 3, 1e-3, 1e3});
-      for (std::int64_t step = 0; step < 50; ++step) {
-        bench.ctx.step = step;
-        bench.ctx.first_ray = 1000 * step;
-        bench.draw();
-        run.expect(bench.out.count == 3 * kBins, "one sample per bin");
-        for (std::int64_t i = 0; i < 3 * kBins; ++i) {
-          const std::int64_t r = i / kBins, k = i % kBins;
-          const double near_m = bench.near_far[2 * r];
-          const double length = bench.near_far[2 * r + 1] - near_m;
-          const auto address = static_cast<std::uint64_t>((bench.ctx.first_ray + r) * kBins + k);
-          const auto u = static_cast<double>(uniform01(bench.ctx.random("sampler/stratified"), address));
-          // This file is compiled for the weakest instruction set: whatever the kernel runs on, the bits are these.
-          const double place = near_m + length * ((static_cast<double>(k) + u) / kBins);
-          const Real got = bench.t[i];
-          run.expect(got == static_cast<Real>(place), "the place has the bits of near + (far - near) (k + u) / N");
-          const auto low = static_cast<Real>(near_m + length * (static_cast<double>(k) / kBins));
-          const auto high = static_cast<Real>(near_m + length * (static_cast<double>(k + 1) / kBins));
-          run.expect(got >= low && got <= high, "it lies in its bin");
-        }
+IN_BOTH_PRECISIONS(strata) {
+  measure_philox(run);
+  constexpr std::int64_t kBins = 64;
+  for (const std::string rule : {"paper", "stratified_bin"}) {
+    RayBench<Real> bench(run.registry(), "stratified", {{"samples", "64"}, {"quadrature", rule}});
+    bench.ctx.training = true;
+    bench.set_rays({0.1, 6, 2, 3, 1e-3, 1e3});
+    for (std::int64_t step = 0; step < 50; ++step) {
+      bench.ctx.step = step;
+      bench.ctx.first_ray = 1000 * step;
+      bench.draw();
+      run.expect(bench.out.count == 3 * kBins, "one sample per bin");
+      for (std::int64_t i = 0; i < 3 * kBins; ++i) {
+        const std::int64_t r = i / kBins, k = i % kBins;
+        const double near_m = bench.near_far[2 * r];
+        const double length = bench.near_far[2 * r + 1] - near_m;
+        const auto address = static_cast<std::uint64_t>((bench.ctx.first_ray + r) * kBins + k);
+        const auto u = static_cast<double>(uniform01(bench.ctx.random("sampler/stratified"), address));
+        // This file is compiled for the weakest instruction set: whatever the kernel runs on, the bits are these.
+        const double place = near_m + length * ((static_cast<double>(k) + u) / kBins);
+        const Real got = bench.t[i];
+        run.expect(got == static_cast<Real>(place), "the place has the bits of near + (far - near) (k + u) / N");
+        const auto low = static_cast<Real>(near_m + length * (static_cast<double>(k) / kBins));
+        const auto high = static_cast<Real>(near_m + length * (static_cast<double>(k + 1) / kBins));
+        run.expect(got >= low && got <= high, "it lies in its bin");
       }
     }
-    run.note("instruction set " + std::string(isa_name(isa())) + "; the tests run each in turn");
-  });
+  }
+  run.note("instruction set " + std::string(isa_name(isa())) + "; the tests run each in turn");
 }
 
 // Group B: limits of rays, very long ways, and nothing at all.
@@ -445,64 +427,60 @@ void bounds(CaseRun& run) {
   run.note("no sampler divides by a distance: near = 0 is an ordinary limit");
 }
 
-void stall(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    constexpr double kUlp = std::is_same_v<Real, float> ? 0x1p-23 : 0x1p-52;
-    struct Way {
-      double from, to, step_m;  // the grid's box along x
-    };
-    // Steps below the spacing of fp32 at 1e5 m; 2e10 steps; a box of 1e7 m that starts at the origin.
-    for (const Way& way :
-         {Way{1e5 - 1, 1e5 + 1, 1e-3}, Way{-1e7, 1e7, 1e-3}, Way{0, 1e7, 1e-3}, Way{1e7 - 1, 1e7, 1e-6}}) {
-      constexpr std::int64_t kMost = 4096;
-      SamplerBuild build = unit_build();
-      build.bounds = {{way.from, -1, -1}, {way.to, 1, 1}};
-      RayBench<Real> bench(
-          run.registry(), "occupancy_grid",
-          {{"resolution", "32"}, {"max_samples", std::to_string(kMost)}, {"step_m", figure(way.step_m)}}, build);
-      for (const bool training : {false, true}) {
-        bench.ctx.training = training;
-        bench.set_rays(1, 0, 1e7);
-        bench.draw();
-        const std::int64_t n = bench.out.count;
-        run.expect(n > 0 && n <= kMost, "the march ends with at most max_samples samples");
-        // What the ray has of the box, whose sides are padded by 1 % of the longest.
-        const double pad = 0.01 * std::max(2.0, way.to - way.from), begin = std::max(0.0, way.from - pad),
-                     end = std::min(1e7, way.to + pad);
-        const double wanted = std::ceil((end - begin) / way.step_m);
-        run.expect(static_cast<double>(n) >= std::min(wanted, kMost / 2.0) - 1,
-                   "no fewer than it needs, or half the most");
-        double covered = 0;
-        for (const Real d : bench.delta) covered += static_cast<double>(d);
-        run.measure(std::abs(covered / (end - begin) - 1), 1e-9 + 4 * kUlp * end / (end - begin),
-                    "intervals cover the ray");
-        const long double step =
-            (static_cast<long double>(end) - static_cast<long double>(begin)) / static_cast<long double>(n);
-        const double jitter =
-            training ? static_cast<double>(uniform01(bench.ctx.random("sampler/occupancy_grid"), 0)) : 0.5;
-        for (std::int64_t i = 0; i < n; ++i) {
-          const long double place =
-              static_cast<long double>(begin) + (static_cast<long double>(i) + static_cast<long double>(jitter)) * step;
-          const auto t = static_cast<long double>(bench.t[i]);
-          run.measure(static_cast<double>(std::abs(t - place)), 4 * kUlp * end, "place");
-          run.expect(i == 0 || bench.t[i] >= bench.t[i - 1], "places ascend");
-        }
-        if (static_cast<double>(n) < wanted)
-          run.expect(static_cast<double>(bench.delta[0]) > 1.5 * way.step_m, "longer steps stand in their intervals");
+IN_BOTH_PRECISIONS(stall) {
+  constexpr double kUlp = std::is_same_v<Real, float> ? 0x1p-23 : 0x1p-52;
+  struct Way {
+    double from, to, step_m;  // the grid's box along x
+  };
+  // Steps below the spacing of fp32 at 1e5 m; 2e10 steps; a box of 1e7 m that starts at the origin.
+  for (const Way& way :
+       {Way{1e5 - 1, 1e5 + 1, 1e-3}, Way{-1e7, 1e7, 1e-3}, Way{0, 1e7, 1e-3}, Way{1e7 - 1, 1e7, 1e-6}}) {
+    constexpr std::int64_t kMost = 4096;
+    SamplerBuild build = unit_build();
+    build.bounds = {{way.from, -1, -1}, {way.to, 1, 1}};
+    RayBench<Real> bench(run.registry(), "occupancy_grid",
+                         {{"resolution", "32"}, {"max_samples", std::to_string(kMost)}, {"step_m", figure(way.step_m)}},
+                         build);
+    for (const bool training : {false, true}) {
+      bench.ctx.training = training;
+      bench.set_rays(1, 0, 1e7);
+      bench.draw();
+      const std::int64_t n = bench.out.count;
+      run.expect(n > 0 && n <= kMost, "the march ends with at most max_samples samples");
+      // What the ray has of the box, whose sides are padded by 1 % of the longest.
+      const double pad = 0.01 * std::max(2.0, way.to - way.from), begin = std::max(0.0, way.from - pad),
+                   end = std::min(1e7, way.to + pad);
+      const double wanted = std::ceil((end - begin) / way.step_m);
+      run.expect(static_cast<double>(n) >= std::min(wanted, kMost / 2.0) - 1,
+                 "no fewer than it needs, or half the most");
+      double covered = 0;
+      for (const Real d : bench.delta) covered += static_cast<double>(d);
+      run.measure(std::abs(covered / (end - begin) - 1), 1e-9 + 4 * kUlp * end / (end - begin),
+                  "intervals cover the ray");
+      const long double step = (long_double(end) - long_double(begin)) / long_double(n);
+      const double jitter =
+          training ? static_cast<double>(uniform01(bench.ctx.random("sampler/occupancy_grid"), 0)) : 0.5;
+      for (std::int64_t i = 0; i < n; ++i) {
+        const long double place = long_double(begin) + (long_double(i) + long_double(jitter)) * step;
+        const auto t = long_double(bench.t[i]);
+        run.measure(static_cast<double>(std::abs(t - place)), 4 * kUlp * end, "place");
+        run.expect(i == 0 || bench.t[i] >= bench.t[i - 1], "places ascend");
       }
+      if (static_cast<double>(n) < wanted)
+        run.expect(static_cast<double>(bench.delta[0]) > 1.5 * way.step_m, "longer steps stand in their intervals");
     }
-    RayBench<Real> even(run.registry(), "stratified", {{"samples", "1024"}});
-    even.set_rays({1e5, 1e5 + 1e-3, 0, 1e7, 1e7 - 1, 1e7});
-    even.draw();
-    for (std::size_t i = 0; i < even.t.size(); ++i) {
-      const std::size_t r = i / 1024;
-      const double near_m = even.near_far[2 * r], length = even.near_far[2 * r + 1] - near_m;
-      const double place = near_m + length * (static_cast<double>(i % 1024) + 0.5) / 1024;
-      run.measure(std::abs(static_cast<double>(even.t[i]) - place), kUlp * (near_m + length), "place on a long ray");
-      run.expect(even.delta[i] > 0 || std::is_same_v<Real, float>, "intervals have length");
-    }
-    run.note("a ray that needs more than max_samples takes longer steps over its whole length: its intervals say so");
-  });
+  }
+  RayBench<Real> even(run.registry(), "stratified", {{"samples", "1024"}});
+  even.set_rays({1e5, 1e5 + 1e-3, 0, 1e7, 1e7 - 1, 1e7});
+  even.draw();
+  for (std::size_t i = 0; i < even.t.size(); ++i) {
+    const std::size_t r = i / 1024;
+    const double near_m = even.near_far[2 * r], length = even.near_far[2 * r + 1] - near_m;
+    const double place = near_m + length * (static_cast<double>(i % 1024) + 0.5) / 1024;
+    run.measure(std::abs(static_cast<double>(even.t[i]) - place), kUlp * (near_m + length), "place on a long ray");
+    run.expect(even.delta[i] > 0 || std::is_same_v<Real, float>, "intervals have length");
+  }
+  run.note("a ray that needs more than max_samples takes longer steps over its whole length: its intervals say so");
 }
 
 namespace {
@@ -547,65 +525,61 @@ struct Batch {
 
 }  // namespace
 
-void empty_batch(CaseRun& run) {
-  in_both_precisions(run, [&]<class Real>(Real) {
-    for (const std::string sampler : kSamplers) {
-      const auto none = drawn<Real>(run, sampler, {});
-      run.expect(none->out.count == 0 && none->first[0] == 0, "no rays, no samples: " + sampler);
-    }
-    RayBuffers<Real> no_rays({}, 2), no_samples({0, 0}, 2);
-    no_samples.background = {0.25, 0.5, 1};
-    for (auto* rays : {&no_rays, &no_samples}) {
-      rays->forward();
-      rays->backward();
-    }
-    run.measure(std::abs(static_cast<double>(no_samples.color[2]) - 1), 0,
-                "a ray without samples shows the background");
-    run.measure(std::abs(no_samples.opacity[1]), 0, "its opacity");
-    Real nothing = 0;
-    const float no_target = 0;
-    const std::int16_t no_label = kVoid;
-    run.measure(photometric_loss<Real>(View<const Real>(&nothing, 0, 3), View<const float>(&no_target, 0, 3), 1, 1, {}),
-                0, "colour loss");
-    SemanticTargets targets{.hard = {&no_label, 0, 1}};
-    run.measure(semantic_cross_entropy<Real>(View<const Real>(&nothing, 0, 5), targets, {}, 0, 1, {}).sum, 0,
-                "semantic loss");
-    for (const bool learned_encoding : {false, true}) {
-      const auto model = pipeline<Real>(run.registry(), learned_encoding);
-      const auto largest_gradient = [&] {
-        double largest = 0;
-        for (const Tensor<Real>& tensor : model->store().all()) {
-          for (std::size_t i = 0; i < tensor.grad.size(); ++i)
-            largest = std::max<double>(largest, std::abs(tensor.grad.data()[i]));
-        }
-        return largest;
-      };
-      const StepLosses none = model->gradients(0, Batch(0, 0, 0).view());
-      for (const double loss : {none.total, none.color, none.semantic, none.mse})
-        run.measure(loss, 0, "loss of no rays");
-      run.measure(largest_gradient(), 0, "its gradient");
-      const StepLosses dark = model->gradients(1, Batch(20, 1, 1).view());
-      run.measure(std::abs(dark.color - 0.0625), 1e-15, "loss of rays that see the background alone");
-      run.measure(std::abs(dark.semantic), 0, "semantic loss without labels");
-      run.measure(largest_gradient(), 0, "gradient of rays without samples");
-      run.expect(dark.samples == 0, "rays without samples have none");
-      RenderJob<Real> job;
-      const Batch empty(0, 0, 0), rays(3, 2, 2);
-      job.origin = empty.view().origin;
-      job.direction = empty.view().direction;
-      job.near_far = empty.view().near_far;
-      model->render(job);
-      std::vector<Real> color(9, -1), opacity(3, -1);
-      job.origin = rays.view().origin;
-      job.direction = rays.view().direction;
-      job.near_far = rays.view().near_far;
-      job.color = {color.data(), 3, 3};
-      job.opacity = {opacity.data(), 3, 1};
-      model->render(job);
-      for (const Real c : color) run.measure(std::abs(static_cast<double>(c) - 0.5), 0, "rendered background");
-      for (const Real o : opacity) run.measure(std::abs(o), 0, "rendered opacity");
-    }
-  });
+IN_BOTH_PRECISIONS(empty_batch) {
+  for (const std::string sampler : kSamplers) {
+    const auto none = drawn<Real>(run, sampler, {});
+    run.expect(none->out.count == 0 && none->first[0] == 0, "no rays, no samples: " + sampler);
+  }
+  RayBuffers<Real> no_rays({}, 2), no_samples({0, 0}, 2);
+  no_samples.background = {0.25, 0.5, 1};
+  for (auto* rays : {&no_rays, &no_samples}) {
+    rays->forward();
+    rays->backward();
+  }
+  run.measure(std::abs(static_cast<double>(no_samples.color[2]) - 1), 0, "a ray without samples shows the background");
+  run.measure(std::abs(no_samples.opacity[1]), 0, "its opacity");
+  Real nothing = 0;
+  const float no_target = 0;
+  const std::int16_t no_label = kVoid;
+  run.measure(photometric_loss<Real>(View<const Real>(&nothing, 0, 3), View<const float>(&no_target, 0, 3), 1, 1, {}),
+              0, "colour loss");
+  SemanticTargets targets{.hard = {&no_label, 0, 1}};
+  run.measure(semantic_cross_entropy<Real>(View<const Real>(&nothing, 0, 5), targets, {}, 0, 1, {}).sum, 0,
+              "semantic loss");
+  for (const bool learned_encoding : {false, true}) {
+    const auto model = pipeline<Real>(run.registry(), learned_encoding);
+    const auto largest_gradient = [&] {
+      double largest = 0;
+      for (const Tensor<Real>& tensor : model->store().all()) {
+        for (std::size_t i = 0; i < tensor.grad.size(); ++i)
+          largest = std::max<double>(largest, std::abs(tensor.grad.data()[i]));
+      }
+      return largest;
+    };
+    const StepLosses none = model->gradients(0, Batch(0, 0, 0).view());
+    for (const double loss : {none.total, none.color, none.semantic, none.mse}) run.measure(loss, 0, "loss of no rays");
+    run.measure(largest_gradient(), 0, "its gradient");
+    const StepLosses dark = model->gradients(1, Batch(20, 1, 1).view());
+    run.measure(std::abs(dark.color - 0.0625), 1e-15, "loss of rays that see the background alone");
+    run.measure(std::abs(dark.semantic), 0, "semantic loss without labels");
+    run.measure(largest_gradient(), 0, "gradient of rays without samples");
+    run.expect(dark.samples == 0, "rays without samples have none");
+    RenderJob<Real> job;
+    const Batch empty(0, 0, 0), rays(3, 2, 2);
+    job.origin = empty.view().origin;
+    job.direction = empty.view().direction;
+    job.near_far = empty.view().near_far;
+    model->render(job);
+    std::vector<Real> color(9, -1), opacity(3, -1);
+    job.origin = rays.view().origin;
+    job.direction = rays.view().direction;
+    job.near_far = rays.view().near_far;
+    job.color = {color.data(), 3, 3};
+    job.opacity = {opacity.data(), 3, 1};
+    model->render(job);
+    for (const Real c : color) run.measure(std::abs(static_cast<double>(c) - 0.5), 0, "rendered background");
+    for (const Real o : opacity) run.measure(std::abs(o), 0, "rendered opacity");
+  }
 }
 
 }  // namespace semfield::numerics
