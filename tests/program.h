@@ -48,6 +48,14 @@ inline Result succeeded(Result result) {
   return result;
 }
 
+/// "" when it ended with that exit code, and its standard error is as unsaid() of `said` has it.
+template <class... Said>
+std::string unended(const Result& result, int exit_code, const Said&... said) {
+  if (result.code != exit_code) return "exit code " + std::to_string(result.code) + ": " + result.err + result.out;
+  return unsaid(result.err, said...);
+}
+using Parts = std::initializer_list<std::string_view>;
+
 struct Limit {
   __rlimit_resource_t kind = RLIMIT_NOFILE;
   rlim_t most = 0;
@@ -122,3 +130,14 @@ class Process {
 };
 
 }  // namespace semfield::testing_program
+
+/// EXPECT_ENDED(run(words), 73, "'runs/demo' is there already"): a program's exit code, and what its standard error
+/// holds.
+#define EXPECT_ENDED(result, exit_code, ...)                                                                          \
+  EXPECT_EQ(::semfield::testing_program::unended(result, exit_code, ::semfield::testing_program::Parts{__VA_ARGS__}), \
+            "")
+/// EXPECT_REFUSED(prepare(), 65, "capture.poses.none", "4 attempts"): the same, and the code of the line.
+#define EXPECT_REFUSED(result, exit_code, code, ...)                                               \
+  EXPECT_EQ(::semfield::testing_program::unended(result, exit_code, ::semfield::Code(code),        \
+                                                 ::semfield::testing_program::Parts{__VA_ARGS__}), \
+            "")

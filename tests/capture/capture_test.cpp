@@ -483,9 +483,7 @@ TEST_F(Prepare, AFolderOfPhotographsBecomesAScene) {
   EXPECT_HAS(r.err, "next        semfield init scene ");
   EXPECT_EQ(steps(), "feature_extractor matches_importer mapper " + kSettled);
   const std::string calls = read_text_file(home_ + "/bin/calls");
-  EXPECT_HAS(calls, "--SiftExtraction.use_gpu 0");
-  EXPECT_HAS(calls, "--SiftMatching.use_gpu 0");
-  EXPECT_HAS(calls, "--ImageReader.single_camera 1");
+  EXPECT_HAS(calls, "--SiftExtraction.use_gpu 0", "--SiftMatching.use_gpu 0", "--ImageReader.single_camera 1");
   EXPECT_EQ(read_text_file(home_ + "/scene/images/3.png"), read_text_file(home_ + "/photographs/3.png"));
   EXPECT_EQ(semfield_run("inspect scene", home_).code, 0);
   EXPECT_FALSE(fs::exists(home_ + "/scene/prepare/work/quick.db")) << "nobody needs it any more";
@@ -524,9 +522,8 @@ TEST_F(Prepare, TheLadderIsClimbedUntilEnoughHaveAPose) {
             "feature_extractor matches_importer mapper " +
                 kSettled);
   const std::string calls = read_text_file(home_ + "/bin/calls");
-  EXPECT_HAS(calls, "--ImageReader.camera_model SIMPLE_RADIAL");
-  EXPECT_HAS(calls, "--ImageReader.camera_model OPENCV ");
-  EXPECT_HAS(calls, "--ImageReader.camera_model OPENCV_FISHEYE --ImageReader.default_focal_length_factor 0.4");
+  EXPECT_HAS(calls, "--ImageReader.camera_model SIMPLE_RADIAL", "--ImageReader.camera_model OPENCV ",
+             "--ImageReader.camera_model OPENCV_FISHEYE --ImageReader.default_focal_length_factor 0.4");
 }
 
 TEST_F(Prepare, AFisheyeIsTriedWhereNoOtherLensFits) {
@@ -590,8 +587,8 @@ TEST_F(Prepare, PanoramasBecomeEightViewsEach) {
   const Result r = succeeded(prepare("panoramas --out scene --lens equirectangular --attempts 1"));
   EXPECT_HAS(r.out, "photographs 24 of 40 x 30 pixels", "registered  8 of 24 (33 %)");
   const std::string calls = read_text_file(home_ + "/bin/calls");
-  EXPECT_HAS(calls, "v360=e:flat:yaw=0:h_fov=90:v_fov=90:w=20:h=20", "yaw=180:", "yaw=-45:");
-  EXPECT_HAS(calls, "--ImageReader.camera_model SIMPLE_PINHOLE --ImageReader.default_focal_length_factor 0.5");
+  EXPECT_HAS(calls, "v360=e:flat:yaw=0:h_fov=90:v_fov=90:w=20:h=20", "yaw=180:", "yaw=-45:",
+             "--ImageReader.camera_model SIMPLE_PINHOLE --ImageReader.default_focal_length_factor 0.5");
   EXPECT_TRUE(fs::exists(home_ + "/scene/images/2_315.jpg"));
   EXPECT_FALSE(fs::exists(home_ + "/scene/prepare/work/panoramas"));
   const std::string before = steps();
@@ -601,9 +598,8 @@ TEST_F(Prepare, PanoramasBecomeEightViewsEach) {
 
 TEST_F(Prepare, AnImageThatIsNoPanoramaIsRefused) {
   tool("ffmpeg", kFfmpeg);
-  const Result r = prepare("photographs --out scene --lens equirectangular");
-  EXPECT_EQ(r.code, 65);
-  EXPECT_SAID(r.err, "capture.panoramas.shape", "0.png", "40 x 30", "twice as wide as high");
+  EXPECT_REFUSED(prepare("photographs --out scene --lens equirectangular"), 65, "capture.panoramas.shape", "0.png",
+                 "40 x 30", "twice as wide as high");
 }
 
 TEST_F(Prepare, FewerAttemptsTakeWhatIsThere) {
@@ -618,19 +614,15 @@ TEST_F(Prepare, FewerAttemptsTakeWhatIsThere) {
 }
 
 TEST_F(Prepare, NoOverlapIsSaidWithARemedy) {
-  const Result r = prepare();
-  EXPECT_EQ(r.code, 65);
-  EXPECT_SAID(r.err, "capture.poses.none", "no two of the 6 photographs", "4 attempts");
+  EXPECT_REFUSED(prepare(), 65, "capture.poses.none", "no two of the 6 photographs", "4 attempts");
   EXPECT_FALSE(fs::exists(home_ + "/scene/sparse"));
 }
 
 TEST_F(Prepare, AFailedProgramIsQuotedAndTheNextCallGoesOn) {
   model(1, 0, {0, 1, 2, 3, 4, 5});
   plain_write(home_ + "/bin/fail_matches_importer", "");
-  const Result r = prepare();
-  EXPECT_EQ(r.code, 1);
-  EXPECT_SAID(r.err, "capture.program.failed", "colmap matches_importer", "exit code 3",
-              "before | E: the matches_importer has no memory", home_ + "/scene/prepare/log/matches_quick.txt");
+  EXPECT_REFUSED(prepare(), 1, "capture.program.failed", "colmap matches_importer", "exit code 3",
+                 "before | E: the matches_importer has no memory", home_ + "/scene/prepare/log/matches_quick.txt");
   EXPECT_FALSE(fs::exists(home_ + "/scene/sparse"));
   fs::remove(home_ + "/bin/fail_matches_importer");
   EXPECT_EQ(prepare().code, 0);
@@ -668,29 +660,22 @@ TEST_F(Prepare, AFolderOfOthersIsLeftAlone) {
   model(1, 0, {0, 1, 2, 3, 4, 5});
   fs::create_directories(home_ + "/scene");
   plain_write(home_ + "/scene/mine.txt", "");
-  const Result taken = prepare();
-  EXPECT_EQ(taken.code, 73);
-  EXPECT_SAID(taken.err, "files.output.exists", "scene");
+  EXPECT_REFUSED(prepare(), 73, "files.output.exists", "scene");
   fs::remove_all(home_ + "/scene");
   EXPECT_EQ(prepare().code, 0);
   image(home_ + "/photographs/6.png", 6);
-  const Result other = prepare();
-  EXPECT_EQ(other.code, 73);
-  EXPECT_SAID(other.err, "capture.scene.other", "scene");
+  EXPECT_REFUSED(prepare(), 73, "capture.scene.other", "scene");
 }
 
 TEST_F(Prepare, TheSourceIsNeverWrittenTo) {
-  const Result r = prepare("photographs --out photographs/scene");
-  EXPECT_EQ(r.code, 73);
-  EXPECT_SAID(r.err, "capture.scene.inside", "photographs/scene");
+  EXPECT_REFUSED(prepare("photographs --out photographs/scene"), 73, "capture.scene.inside", "photographs/scene");
   EXPECT_FALSE(fs::exists(home_ + "/photographs/scene"));
 }
 
 TEST_F(Prepare, AMissingProgramNamesTheCommandThatInstallsIt) {
   fs::remove(home_ + "/bin/colmap");
-  const Result r = semfield_run("prepare photographs --out scene", home_, "PATH=" + shell_word(home_ + "/bin") + " ");
-  EXPECT_EQ(r.code, 69);
-  EXPECT_SAID(r.err, "capture.program.missing", "colmap", "sudo apt install colmap");
+  EXPECT_REFUSED(semfield_run("prepare photographs --out scene", home_, "PATH=" + shell_word(home_ + "/bin") + " "), 69,
+                 "capture.program.missing", "colmap", "sudo apt install colmap");
   EXPECT_FALSE(fs::exists(home_ + "/scene"));
 }
 
@@ -782,22 +767,17 @@ class PrepareFilm : public Prepare {
 
 TEST_F(PrepareFilm, ManyFramesAreLookedAtWithoutHoldingThem) {
   fs::resize_file(home_ + "/bin/film.grey", std::size_t{600} * 8 * 256 * 256);  // 300 MiB, nearly all of it a hole
-  const Result r = prepare("walk.mp4 --out scene --frames 600");
-  EXPECT_EQ(r.code, 65) << r.err;
-  EXPECT_SAID(r.err, "capture.poses.none", "the 3 photographs");
+  EXPECT_REFUSED(prepare("walk.mp4 --out scene --frames 600"), 65, "capture.poses.none", "the 3 photographs");
   EXPECT_HAS(read_text_file(home_ + "/scene/prepare/steps.json"), "the sharpest of each of 600 intervals");
 }
 
 TEST_F(PrepareFilm, AFullDiskIsNoBadFilm) {
   tool("ffmpeg", "#!/bin/sh\necho 'av_interleaved_write_frame(): No space left on device' >&2\nexit 1\n");
-  const Result said = prepare("walk.mp4 --out scene");
-  EXPECT_EQ(said.code, 74);
-  EXPECT_SAID(said.err, "files.write.failed", "ffmpeg", "No space left on device");
+  EXPECT_REFUSED(prepare("walk.mp4 --out scene"), 74, "files.write.failed", "ffmpeg", "No space left on device");
   tool("ffmpeg", "#!/bin/sh\nexit 0\n");  // as it ends where the last of a file did not find room
-  const Result unsaid = semfield_run("prepare walk.mp4 --out scene", home_,
-                                     "ulimit -f 1000; PATH=" + shell_word(home_ + "/bin") + ":/usr/bin:/bin ");
-  EXPECT_EQ(unsaid.code, 74);
-  EXPECT_SAID(unsaid.err, "files.write.failed", "the limit of a file's size is reached");
+  EXPECT_REFUSED(semfield_run("prepare walk.mp4 --out scene", home_,
+                              "ulimit -f 1000; PATH=" + shell_word(home_ + "/bin") + ":/usr/bin:/bin "),
+                 74, "files.write.failed", "the limit of a file's size is reached");
 }
 
 // With the true ffmpeg, where it is installed.
@@ -851,9 +831,8 @@ TEST_F(PrepareWithFfmpeg, APercentSignIsAPartOfAPanoramasName) {
     write_png_rgb(folder + "/p%02d_" + std::to_string(i) + ".png", 80, 40, grey);
     write_png_rgb(folder + "/p0" + std::to_string(i) + "_0.png", 80, 40, std::vector<std::uint8_t>(grey.size(), 5));
   }
-  const Result r = prepare(shell_word("50%off %02d") + " --out " + shell_word("s%03d") + " --lens equirectangular");
-  EXPECT_EQ(r.code, 65) << r.err;
-  EXPECT_SAID(r.err, "capture.poses.none");
+  EXPECT_REFUSED(prepare(shell_word("50%off %02d") + " --out " + shell_word("s%03d") + " --lens equirectangular"), 65,
+                 "capture.poses.none");
   EXPECT_EQ(files_below(home_ + "/s%03d/images").size(), 48u);
   for (int i = 0; i < 3; ++i) {
     const auto view = read_rgb(home_ + "/s%03d/images/p%02d_" + std::to_string(i) + "_090.jpg");
@@ -870,9 +849,7 @@ TEST_F(PrepareWithFfmpeg, APlaylistIsNoFilm) {
   for (const auto& [name, text] : lists) {
     SCOPED_TRACE(name);
     plain_write(home_ + "/" + name, text);
-    const Result r = prepare(name + " --out scene_of_" + name + " --frames 6");
-    EXPECT_EQ(r.code, 65) << r.out;
-    EXPECT_SAID(r.err, "capture.video.format", name);
+    EXPECT_REFUSED(prepare(name + " --out scene_of_" + name + " --frames 6"), 65, "capture.video.format", name);
     EXPECT_FALSE(fs::exists(home_ + "/scene_of_" + name + "/images"));
   }
 }

@@ -133,16 +133,12 @@ TEST_F(Words, WordsThatAreMissingOrTooMany) {
 // A run folder may be called as a verb is.
 TEST_F(Words, AnOperandIsNoVerb) {
   for (const char* words : {"eval config", "--json eval mesh", "eval --split test render", "eval -- help"}) {
-    const Result r = run(words);
-    EXPECT_EQ(r.code, 66) << words;
-    EXPECT_HAS(r.err, "there is no run folder '");
+    EXPECT_ENDED(run(words), 66, "there is no run folder '") << words;
   }
   // A list takes one word, and leaves the next to the operand; so does a flag that may be given several times.
   EXPECT_EQ(run("mesh --format ply,glb run").code, 66);
   EXPECT_EQ(run("eval --set runtime.threads=2 --set train.rays=64 run").code, 66);
-  const Result plugin = run("--plugin none.so eval run");
-  EXPECT_EQ(plugin.code, 69) << plugin.err;
-  EXPECT_HAS(plugin.err, "none.so");
+  EXPECT_ENDED(run("--plugin none.so eval run"), 69, "none.so");
 }
 
 TEST_F(Words, ANumberWithALeadingZeroIsNotOctal) { EXPECT_EQ(run("train none.yaml --steps 08").code, 66); }
@@ -174,11 +170,7 @@ TEST_F(Words, NumbersOutsideTheirRangesAreRefused) {
   EXPECT_GE(options, 14);
 }
 
-TEST_F(Words, JsonIsRefusedWhereThereIsNone) {
-  const Result r = run("help --json train");
-  EXPECT_EQ(r.code, 2);
-  EXPECT_HAS(r.err, "[usage.json.none]");
-}
+TEST_F(Words, JsonIsRefusedWhereThereIsNone) { EXPECT_ENDED(run("help --json train"), 2, "[usage.json.none]"); }
 
 // --json of every verb: one object with the keys that all have, or a refusal.
 
@@ -524,10 +516,8 @@ TEST_F(Names, KeysOfNotesCanBeSet) {
 }
 
 TEST_F(Names, AWrongNameIsToldWithThoseThatThereAre) {
-  const Result r = run("config check " + preset("paper.yaml") + " --set passes.corse.field.depth=4");
-  EXPECT_EQ(r.code, 78);
-  EXPECT_HAS(r.err,
-             "expected an item's name (coarse, fine) or its index (0 to 1), got 'corse'; did you mean 'coarse'?");
+  EXPECT_ENDED(run("config check " + preset("paper.yaml") + " --set passes.corse.field.depth=4"), 78,
+               "expected an item's name (coarse, fine) or its index (0 to 1), got 'corse'; did you mean 'coarse'?");
 }
 
 }  // namespace

@@ -76,10 +76,9 @@ TEST(Program, ASecondProcessOnARunIsRefusedAndReadersAreNot) {
   ASSERT_TRUE(wait_until([&] { return fs::exists(run_dir + "/checkpoints/latest"); }));
   const TempDir other;
   for (const Words& words : {Words{"train", "--resume", run_dir}, Words{"train", config, "--out", run_dir}}) {
-    const Result r = run(words, other);
-    EXPECT_EQ(r.code, 73) << r.err;
-    EXPECT_HAS(r.err, fmt::format("the run folder '{}' is in use by process {}", run_dir, first.pid()),
-               "wait for it to end, stop it, or choose another folder with --out");
+    EXPECT_ENDED(run(words, other), 73,
+                 fmt::format("the run folder '{}' is in use by process {}", run_dir, first.pid()),
+                 "wait for it to end, stop it, or choose another folder with --out");
   }
   // Evaluation reads the newest checkpoint between two saves and takes none of the files that are being written.
   for (int i = 0; i < 3; ++i) (void)succeeded(run({"eval", run_dir}, other));
@@ -92,10 +91,9 @@ TEST(Program, ASecondProcessOnARunIsRefusedAndReadersAreNot) {
 TEST(Program, AFileSizeLimitIsAFailedWriteAndNoSignal) {
   const TempDir dir;
   const std::string config = write_packed_config(dir, kSteps, 0);
-  const Result r = semfield_run("train " + shell_word(config) + " --out run", dir.path(), "ulimit -f 64; ");
-  EXPECT_EQ(r.code, 74) << r.err;
-  EXPECT_HAS(r.err, "the limit of a file's size is reached: need ", "raise it with `ulimit -f`",
-             "there is no checkpoint yet");
+  EXPECT_ENDED(semfield_run("train " + shell_word(config) + " --out run", dir.path(), "ulimit -f 64; "), 74,
+               "the limit of a file's size is reached: need ", "raise it with `ulimit -f`",
+               "there is no checkpoint yet");
   expect_goes_on_to_the_same_bits(config, dir / "run", dir);
 }
 
@@ -141,8 +139,7 @@ TEST(Program, TooLittleMemoryIsASentence) {
     done += r.code == 0 ? 1 : 0;
     if (r.code == 0 || r.code == 127) continue;
     ++refused;
-    EXPECT_EQ(r.code, 1) << r.err;
-    EXPECT_HAS(r.err, "ut of memory");  // libgomp itself writes "Out of memory"
+    EXPECT_ENDED(r, 1, "ut of memory");  // libgomp itself writes "Out of memory"
   }
   EXPECT_EQ(done, 1);
   EXPECT_GE(refused, 1);
@@ -188,13 +185,10 @@ TEST(Program, ADiskThatFillsUnderTheLogNamesTheCheckpointKept) {
   ASSERT_GE(rows.size(), 10u);
   fs::remove_all(run_dir);
   const Fault full{rows[5], std::to_string(ENOSPC), true};
-  const Result r =
-      run({"train", config, "--out", run_dir}, dir, fault_environment(run_dir, dir / "l", full));
-  EXPECT_EQ(r.code, 74) << r.err;
-  EXPECT_HAS(r.err,
-             "training ended at step 30 (there is no checkpoint yet: a resume begins at step 0; resume with "
-             "`semfield train --resume " +
-                 shell_word(run_dir) + "`): cannot append to '" + run_dir + "/metrics.jsonl': disk full: need ");
+  EXPECT_ENDED(run({"train", config, "--out", run_dir}, dir, fault_environment(run_dir, dir / "l", full)), 74,
+               "training ended at step 30 (there is no checkpoint yet: a resume begins at step 0; resume with "
+               "`semfield train --resume " +
+                   shell_word(run_dir) + "`): cannot append to '" + run_dir + "/metrics.jsonl': disk full: need ");
   expect_goes_on_to_the_same_bits(config, run_dir, dir);
 }
 
@@ -211,8 +205,8 @@ TEST(Program, KilledAtItsFileCallsItGoesOn) {
     fs::remove_all(run_dir);
     const Fault fault{1 + static_cast<int>(static_cast<std::int64_t>(calls) * i / places),
                       i % 2 == 0 ? "kill_before" : "kill_after", false};
-    kills += run({"train", config, "--out", run_dir}, dir, fault_environment(run_dir, dir / "l", fault)).signal ==
-             SIGKILL;
+    kills +=
+        run({"train", config, "--out", run_dir}, dir, fault_environment(run_dir, dir / "l", fault)).signal == SIGKILL;
     expect_goes_on_to_the_same_bits(config, run_dir, dir);
     for (const auto& entry : fs::recursive_directory_iterator(run_dir))
       EXPECT_NE(entry.path().extension(), ".tmp") << "left by a kill at call " << fault.call << ": " << entry.path();

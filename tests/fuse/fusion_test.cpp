@@ -848,12 +848,10 @@ TEST(FuseVerb, DepthOfARunAndItsOwnRow) {
   Diagnostics diagnostics;
   const SceneInfo info = scene->open(diagnostics);
   write_packed_scene(dir / "other.sfpack", info, [&](int frame, FrameBuffer& b) { scene->read(frame, b); });
-  const Result other =
-      semfield("fuse " + shell_word(config) + " --set " + shell_word("scene.file=" + (dir / "other.sfpack")) +
-                   " --depth-from " + shell_word(dir / "run"),
-               dir);
-  EXPECT_EQ(other.code, 65);
-  EXPECT_HAS(other.err, "the camera stands elsewhere in the scene of");
+  EXPECT_ENDED(semfield("fuse " + shell_word(config) + " --set " + shell_word("scene.file=" + (dir / "other.sfpack")) +
+                            " --depth-from " + shell_word(dir / "run"),
+                        dir),
+               65, "the camera stands elsewhere in the scene of");
 
   // In a room a ten-thousandth as large, cameras a fifth farther out are elsewhere too.
   const auto scaled = [](const std::string& by) {
@@ -865,9 +863,8 @@ TEST(FuseVerb, DepthOfARunAndItsOwnRow) {
       0);
   const std::string fuse = " --depth-from " + shell_word(dir / "small");
   EXPECT_EQ(semfield("fuse " + shell_word(config) + scaled("1e-4") + fuse, dir).code, 0);
-  const Result elsewhere = semfield("fuse " + shell_word(config) + scaled("1.2e-4") + fuse, dir);
-  EXPECT_EQ(elsewhere.code, 65);
-  EXPECT_HAS(elsewhere.err, "the camera stands elsewhere in the scene of");
+  EXPECT_ENDED(semfield("fuse " + shell_word(config) + scaled("1.2e-4") + fuse, dir), 65,
+               "the camera stands elsewhere in the scene of");
 }
 
 TEST(FuseVerb, Refusals) {

@@ -771,14 +771,11 @@ TEST(ObjectsVerb, FilesFiguresAndTheSameAgain) {
   {
     FolderLock alone;
     ASSERT_EQ(alone.take(dir / "run/objects"), 0);
-    const Result busy = semfield(std::string("objects run") + kQuick, dir);
-    EXPECT_EQ(busy.code, 73);
-    EXPECT_HAS(busy.err, "run/objects", "objects.folder.busy");
+    EXPECT_ENDED(semfield(std::string("objects run") + kQuick, dir), 73, "run/objects", "objects.folder.busy");
   }
   fs::remove(dir / "run/objects/edits.json");
-  const Result others = semfield(std::string("objects run --out again") + kQuick + "--set objects.points=2000", dir);
-  EXPECT_EQ(others.code, 65);
-  EXPECT_HAS(others.err, "again/edits.json", "objects.edits.foreign");
+  EXPECT_ENDED(semfield(std::string("objects run --out again") + kQuick + "--set objects.points=2000", dir), 65,
+               "again/edits.json", "objects.edits.foreign");
   fs::remove_all(dir / "again");
   ASSERT_EQ(semfield(std::string("objects run --out again --threads 1") + kQuick, dir).code, 0);
   EXPECT_EQ(read_text_file(dir / "again/objects.csv"), first) << "threads changed a number";
@@ -792,11 +789,9 @@ TEST(ObjectsVerb, SegmentsOfAFolderAndBothMethods) {
     EXPECT_HAS(r.out, "objects: objects=", "segments=");
   }
   const Result none = semfield(std::string("objects run") + kQuick, dir);
-  EXPECT_EQ(none.code, 65);
-  EXPECT_HAS(none.err, "--segments", "objects.segments.none");
-  const Result unscored = semfield(std::string("objects run --segments segments --score --out scored") + kQuick, dir);
-  EXPECT_EQ(unscored.code, 65);
-  EXPECT_HAS(unscored.err, "objects.truth.none");
+  EXPECT_ENDED(none, 65, "--segments", "objects.segments.none");
+  EXPECT_ENDED(semfield(std::string("objects run --segments segments --score --out scored") + kQuick, dir), 65,
+               "objects.truth.none");
   EXPECT_FALSE(fs::exists(dir / "scored")) << "refused before anything is written";
 }
 

@@ -44,9 +44,7 @@ class ModuleTrust : public testing::Test {
     return r;
   }
   void expect_refused(const std::string& module, const std::string& why) {
-    const Result r = run({"plugins", "list", "--plugin", module});
-    EXPECT_EQ(r.code, 69) << r.err;
-    EXPECT_HAS(r.err, "cannot load plugin '" + module + "': ", why);
+    EXPECT_ENDED(run({"plugins", "list", "--plugin", module}), 69, "cannot load plugin '" + module + "': ", why);
     EXPECT_FALSE(ran_) << module << ": its static initialiser ran";
   }
 
@@ -133,9 +131,8 @@ TEST_F(ModuleTrust, AConfigurationAloneRunsNoCode) {
     EXPECT_EQ(run({"config", "check", config}, not_trusted).code, 78);
     EXPECT_FALSE(ran_);
   }
-  const Result relative = run({"config", "check", config}, "shared");
-  EXPECT_EQ(relative.code, 78);
-  EXPECT_HAS(relative.err, "SEMFIELD_PLUGIN_PATH: 'shared' is not an absolute path");
+  EXPECT_ENDED(run({"config", "check", config}, "shared"), 78,
+               "SEMFIELD_PLUGIN_PATH: 'shared' is not an absolute path");
 }
 
 TEST_F(ModuleTrust, ARunTrainedWithAModuleRecordsItAndAsksForItAgain) {
@@ -145,9 +142,7 @@ TEST_F(ModuleTrust, ARunTrainedWithAModuleRecordsItAndAsksForItAgain) {
   const std::vector<Words> verbs{
       {"eval", out}, {"render", out}, {"export", out, "--out", folder_ + "/labels.json"}, {"train", "--resume", out}};
   for (Words verb : verbs) {
-    const Result alone = run(verb);
-    EXPECT_EQ(alone.code, 78) << verb[0] << ": " << alone.err;
-    EXPECT_HAS(alone.err, "add --plugin " + module);
+    EXPECT_ENDED(run(verb), 78, "add --plugin " + module) << verb[0];
     EXPECT_FALSE(ran_) << verb[0] << " ran code that a run folder names";
     verb.insert(verb.end(), {"--plugin", folder_ + "/shared/probe_sound.so"});
     const Result named = succeeded(run(verb));
@@ -290,14 +285,11 @@ TEST_F(PluginsCheck, APluginThatEndsTheProcessBreaksTheLawUnderWay) {
   const std::string fault = "it ended the process with exit code 0 before the law was asked to its end";
   EXPECT_HAS(r.out, "quitting         defaults, positions                      FAILED\n    " + fault + "\n",
              "plugins check: passed=1 failed=1 refused=0 ");
-  const Result refused = train_with(probe("quitting"));
-  EXPECT_EQ(refused.code, 69) << refused.err;
-  EXPECT_HAS(refused.err, "broke a law: encoder 'quitting', defaults, positions: " + fault);
-  const Result early = Process(testing_program::program(), {"plugins", "check", probe("quitting")}, folder_,
-                               {"SEMFIELD_CACHE=" + folder_ + "/other", "SEMFIELD_PROBE_QUITS=1"})
-                           .wait();
-  EXPECT_EQ(early.code, 69) << early.out << early.err;
-  EXPECT_HAS(early.err, "cannot load plugin '" + probe("quitting") + "': it ended the process with exit code 0");
+  EXPECT_ENDED(train_with(probe("quitting")), 69, "broke a law: encoder 'quitting', defaults, positions: " + fault);
+  EXPECT_ENDED(Process(testing_program::program(), {"plugins", "check", probe("quitting")}, folder_,
+                       {"SEMFIELD_CACHE=" + folder_ + "/other", "SEMFIELD_PROBE_QUITS=1"})
+                   .wait(),
+               69, "cannot load plugin '" + probe("quitting") + "': it ended the process with exit code 0");
 }
 
 TEST_F(PluginsCheck, ACacheThatIsDamagedOrCannotBeWrittenStopsNothing) {
@@ -314,12 +306,8 @@ TEST_F(PluginsCheck, ACacheThatIsDamagedOrCannotBeWrittenStopsNothing) {
   fs::create_directories(entry);  // no file can take its name
   const Result loaded = succeeded(train_with(probe("bent")));
   EXPECT_HAS(loaded.err, "whether it was checked cannot be read: ");
-  const Result checked = run({"plugins", "check", probe("bent")});
-  EXPECT_EQ(checked.code, 1) << checked.err;
-  EXPECT_HAS(checked.err, "what the check found is not kept: ");
-  const Result off = run({"plugins", "check", probe("bent")}, "off");
-  EXPECT_EQ(off.code, 1);
-  EXPECT_HAS(off.err, "there is no folder for caches");
+  EXPECT_ENDED(run({"plugins", "check", probe("bent")}), 1, "what the check found is not kept: ");
+  EXPECT_ENDED(run({"plugins", "check", probe("bent")}, "off"), 1, "there is no folder for caches");
 }
 
 TEST_F(PluginsCheck, WordsThatFitNothingAreRefusedBeforeALawRuns) {

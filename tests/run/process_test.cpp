@@ -155,9 +155,7 @@ TEST(Process, ARefusedRunLeavesNoFolder) {
   const std::string config = write_packed_config(dir, 5, 0);
   std::string why_not;  // this build or this machine has none
   if (!cuda_available(&why_not)) {
-    const Result r = run({"train", config, "--set", "runtime.device=cuda", "--out", dir / "x"}, dir);
-    EXPECT_EQ(r.code, 69);
-    EXPECT_HAS(r.err, why_not);
+    EXPECT_ENDED(run({"train", config, "--set", "runtime.device=cuda", "--out", dir / "x"}, dir), 69, why_not);
   }
   EXPECT_EQ(run({"train", config, "--out", "/proc/semfield"}, dir).code, 73);
   EXPECT_EQ(run({"train", config, "--set", "passes.0.field.type=tiny_mpl", "--out", dir / "x"}, dir).code, 78);
@@ -315,9 +313,8 @@ TEST(RunTruth, AFolderThatIsNoUtf8IsRefusedBeforeTraining) {
   fs::create_directory(folder);
   write_packed_config(dir, 5, 0);
   fs::copy(dir.path(), folder, fs::copy_options::none);  // files alone
-  const Result r = semfield_run("train config.yaml --out run", folder);
-  EXPECT_EQ(r.code, 78) << r.err;
-  EXPECT_HAS(r.err, "it is not UTF-8; nothing was written; give the folder or file another name", "caf\\xe9");
+  EXPECT_ENDED(semfield_run("train config.yaml --out run", folder), 78,
+               "it is not UTF-8; nothing was written; give the folder or file another name", "caf\\xe9");
   EXPECT_FALSE(fs::exists(folder + "/run"));
   // Where only the run folder's name is none, the run's files hold no part of it.
   const Result named = succeeded(semfield_run("train config.yaml --threads 1 --out caf\xe9/run", dir.path()));

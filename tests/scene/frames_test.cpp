@@ -1094,9 +1094,8 @@ TEST(GeometrySurvey, CamerasThatDoNotFitThePhotographsAreNamedWithWhatFits) {
     Room lens = room;
     lens.focal = 1.12;
     const Answer wrong_lens = ask(lens);
-    EXPECT_HAS(wrong_lens.warning, "cameras do not fit the photographs");
-    EXPECT_HAS(wrong_lens.warning, "with another lens (focal length ");
-    EXPECT_HAS(wrong_lens.warning, "semfield prepare SCENE --out NEW");
+    EXPECT_HAS(wrong_lens.warning, "cameras do not fit the photographs", "with another lens (focal length ",
+               "semfield prepare SCENE --out NEW");
     EXPECT_HAS(wrong_lens.geometry, "cameras do not fit the photographs");
 
     Room shaken = room;

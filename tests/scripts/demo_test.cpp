@@ -52,9 +52,7 @@ TEST_F(Demo, LabelsTheShippedRoomInAnEmptyFolder) {
 
 TEST_F(Demo, LeavesFoldersOfOthersAlone) {
   dir_.write("runs/demo/notes.txt", "mine");
-  const Result r = run("");
-  EXPECT_EQ(r.code, 73);
-  EXPECT_HAS(r.err, "'runs/demo' is there already and is not an earlier demo; name a new folder with --out");
+  EXPECT_ENDED(run(""), 73, "'runs/demo' is there already and is not an earlier demo; name a new folder with --out");
   EXPECT_TRUE(fs::exists(root_ / "runs/demo/notes.txt"));
   // A run of somebody's, even of that name.
   write_file_atomic((root_ / "runs/demo/run.yaml").string(), "name: demo\nscene: {root: /elsewhere}\n");
@@ -86,8 +84,7 @@ TEST_F(Demo, ASignalStopsItInOrder) {
   EXPECT_EQ(early.code, 130) << early.err;
   EXPECT_FALSE(fs::exists(root_ / "runs/demo/run.yaml"));
   const Result late = stopped("6", "step ", SIGTERM);
-  EXPECT_EQ(late.code, 143) << late.err;
-  EXPECT_HAS(late.err, "resume with `semfield train --resume runs/demo`");
+  EXPECT_ENDED(late, 143, "resume with `semfield train --resume runs/demo`");
   EXPECT_TRUE(fs::exists(root_ / "runs/demo/checkpoints/latest"));
   EXPECT_EQ(late.out, "");
 }
@@ -95,8 +92,7 @@ TEST_F(Demo, ASignalStopsItInOrder) {
 TEST_F(Demo, SaysWhereItCannotWrite) {
   dir_.write("runs", "mine");  // a file
   const Result r = small("--steps 5");
-  EXPECT_EQ(r.code, 73) << r.err;
-  EXPECT_HAS(r.err, "--out");
+  EXPECT_ENDED(r, 73, "--out");
   EXPECT_LACKS(r.err, "$ ") << "told before anything is read: " << r.err;
 }
 

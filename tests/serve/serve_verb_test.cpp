@@ -100,9 +100,7 @@ TEST(ServeVerb, ClicksOutliveKillsAndTheRunGoesOn) {
     EXPECT_EQ(s["events"], 2);
     EXPECT_EQ(s["marks"].size(), 1u);
     EXPECT_EQ(Json::parse(served.ask("POST", "event", served.click("k")).body)["applied"], false);
-    const Result ended = served.ended_by(SIGINT);
-    EXPECT_EQ(ended.code, 130);
-    EXPECT_HAS(ended.err, " labels, all saved\nnext        semfield serve " + room);
+    EXPECT_ENDED(served.ended_by(SIGINT), 130, " labels, all saved\nnext        semfield serve " + room);
   }
   Served served(room, dir);
   EXPECT_EQ(served.state()["events"], 2);
@@ -263,9 +261,8 @@ TEST(ServeVerb, AnotherRunsClicksAreNotAddedTo) {
     EXPECT_EQ(served.ended_by(SIGTERM).code, 143);
   }
   const std::string before = read_text_file(room + "/clicks.jsonl");
-  const Result refused = run({"serve", room + "/run.yaml", "--out", other / "room"}, other);
-  EXPECT_EQ(refused.code, 73) << refused.err;
-  EXPECT_HAS(refused.err, "the clicks in '" + room + "/clicks.jsonl' are those of another run");
+  EXPECT_ENDED(run({"serve", room + "/run.yaml", "--out", other / "room"}, other), 73,
+               "the clicks in '" + room + "/clicks.jsonl' are those of another run");
   EXPECT_EQ(read_text_file(room + "/clicks.jsonl"), before);
 }
 
@@ -275,9 +272,7 @@ TEST(ServeVerb, ARunOfTrainIsNotTakenForOneOfItsOwn) {
   ASSERT_EQ(run({"train", config, "--out", room, "-q"}, dir).code, 0);
   for (const std::vector<std::string>& words :
        {std::vector<std::string>{"serve", config, "--out", room}, {"serve", room}}) {
-    const Result refused = run(words, dir);
-    EXPECT_EQ(refused.code, 73) << refused.err;
-    EXPECT_HAS(refused.err, room + ": it holds a run that was not begun by `semfield serve`");
+    EXPECT_ENDED(run(words, dir), 73, room + ": it holds a run that was not begun by `semfield serve`");
   }
   EXPECT_FALSE(std::filesystem::exists(room + "/clicks.jsonl"));
 }

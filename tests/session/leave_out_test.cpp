@@ -369,8 +369,7 @@ TEST_F(MemoryOfRuns, TheFirstStepsTellWhatTheyTookAndEndARunThatMayNotTakeIt) {
       << said;
   const std::string less = std::to_string(0.97 * std::stod(took[1]) / 1024);
   const auto refused = semfield_run("train" + kSmallRun + " --steps 2 --memory " + less + " --out over", folder.path());
-  EXPECT_EQ(refused.code, 69);
-  EXPECT_HAS(refused.err, "runtime.memory_gb allows", "lower train.rays");
+  EXPECT_ENDED(refused, 69, "runtime.memory_gb allows", "lower train.rays");
 }
 
 TEST_F(MemoryOfRuns, PixelsThatDoNotFitAreRefusedBeforeTheyAreRead) {
@@ -380,8 +379,7 @@ TEST_F(MemoryOfRuns, PixelsThatDoNotFitAreRefusedBeforeTheyAreRead) {
                                         " --dry-run --memory 0.2 --set scene.frames=900 --set "
                                         "scene.width_px=1600 --set scene.height_px=1200",
                                     folder.path());
-  EXPECT_EQ(refused.code, 69);
-  EXPECT_HAS(refused.err, "frames would take", "scene.load.downscale");
+  EXPECT_ENDED(refused, 69, "frames would take", "scene.load.downscale");
 }
 
 // How many gradient lanes a run gets, the units of work that threads share, and the memory that they take.

@@ -48,8 +48,7 @@ TEST(SweepVerb, RunsEveryCellOnceAndWritesItsTables) {
 
   // Again, from another working folder: nothing runs, the same bytes.
   r = semfield_run("sweep " + shell_word(at.file) + " --out " + shell_word(at.out), fresh_folder("elsewhere"));
-  EXPECT_EQ(r.code, 0);
-  EXPECT_HAS(r.err, "3 of them done");
+  EXPECT_ENDED(r, 0, "3 of them done");
   EXPECT_EQ(read_text_file(at.out + "/results.csv"), csv);
 }
 
