@@ -8,7 +8,6 @@
 #include <nlohmann/json.hpp>
 #include <random>
 
-#include "compute/parallel.h"
 #include "eval/channel_query.h"
 #include "eval/evaluator.h"
 #include "eval/final_eval.h"
@@ -17,6 +16,7 @@
 #include "formats/image_io.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
+#include "tests/threads.h"
 
 namespace semfield {
 namespace {
@@ -113,12 +113,8 @@ TEST(Ssim, AgreesWithThePlainDefinitionOnAnyThreadCount) {
     x[i] = static_cast<float>((i * 7919) % 101) / 100.0f;
     y[i] = 0.7f * x[i] + static_cast<float>((i * 104729) % 31) / 100.0f;
   }
-  const int before = thread_count();
-  set_thread_count(1);
-  const double one = *ssim(x, y, kWidth, kHeight, 3);
-  set_thread_count(3);
-  const double three = *ssim(x, y, kWidth, kHeight, 3);
-  set_thread_count(before);
+  const auto made = [&] { return *ssim(x, y, kWidth, kHeight, 3); };
+  const double one = on_threads(1, made), three = on_threads(3, made);
   EXPECT_NEAR(one, plain_ssim(x, y, kWidth, kHeight, 3), 1e-12);
   EXPECT_EQ(one, three);
 }

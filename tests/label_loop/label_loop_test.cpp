@@ -1,12 +1,12 @@
 // Clicks in the analytic room: what they name, what undoing them leaves, what a surface made anew keeps of them, and
 // how sure the labels are.
 
-#include "compute/parallel.h"
 #include "core/rng.h"
 #include "serve/point_learner.h"
 #include "testkit/compare.h"
 #include "tests/label_loop/labelled_room.h"
 #include "tests/session/oracle.h"
+#include "tests/threads.h"
 
 namespace semfield {
 namespace {
@@ -182,14 +182,13 @@ TEST(LabelLoop, LearnsTheSameBitsForAnyThreads) {
   std::vector<std::vector<float>> probability;
   std::vector<ViewLabels> labels;
   for (const int threads : {1, 3}) {
-    set_thread_count(threads);
+    const ThreadScope scope(threads);
     LoopedRoom room(60);
     room.loop->learn(room.clicks(7));
     bits.push_back(room.bits());
     probability.push_back(room.loop->pool_probability());
     labels.push_back(room.loop->labels_of(3));
   }
-  set_thread_count(0);
   EXPECT_EQ(bits[0], bits[1]);
   EXPECT_EQ(probability[0], probability[1]);
   EXPECT_EQ(labels[0].label, labels[1].label);
@@ -340,7 +339,7 @@ TEST(PointLearner, LearnsTheSameBitsForAnyThreads) {
     std::vector<std::uint32_t> bits;
     std::vector<std::vector<float>> logits;
     for (const int threads : {1, 2, 3}) {
-      set_thread_count(threads);
+      const ThreadScope scope(threads);
       const Session session = open_text(config_of(branch));
       PointLearner learner(*session.pipeline);
       const PointRows rows = learner.rows_at(toy.places);
@@ -348,7 +347,6 @@ TEST(PointLearner, LearnsTheSameBitsForAnyThreads) {
       bits.push_back(fingerprint(session.pipeline->store()));
       logits.push_back(learner.logits(rows));
     }
-    set_thread_count(0);
     EXPECT_EQ(bits[1], bits[0]);
     EXPECT_EQ(bits[2], bits[0]);
     EXPECT_EQ(logits[1], logits[0]);

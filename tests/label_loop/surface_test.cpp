@@ -4,12 +4,12 @@
 #include <numeric>
 #include <tuple>
 
-#include "compute/parallel.h"
 #include "core/rng.h"
 #include "labels/mask_outlines.h"
 #include "serve/point_learner.h"
 #include "serve/view_pictures.h"
 #include "tests/label_loop/labelled_room.h"
+#include "tests/threads.h"
 
 namespace semfield {
 namespace {
@@ -340,11 +340,8 @@ TEST(SurfacePool, BordersOfDepthAreNotInterior) {
 
 TEST(SurfacePool, IsTheSameForAnyThreads) {
   const SeenRoom room;
-  set_thread_count(1);
-  const SurfacePool one = make_surface_pool(room.views, room_limits(), 500);
-  set_thread_count(3);
-  const SurfacePool three = make_surface_pool(room.views, room_limits(), 500);
-  set_thread_count(0);
+  const auto made = [&] { return make_surface_pool(room.views, room_limits(), 500); };
+  const SurfacePool one = on_threads(1, made), three = on_threads(3, made);
   EXPECT_EQ(one.cell_m(), three.cell_m());
   EXPECT_EQ(one.point_of_pixel, three.point_of_pixel);
   ASSERT_EQ(one.points.size(), three.points.size());
@@ -454,11 +451,8 @@ TEST_F(LearnedRoom, TheyAreThoseOfRendering) {
 }
 
 TEST_F(LearnedRoom, AMapIsTheSameForAnyThreadsAndOfAnyStride) {
-  set_thread_count(1);
-  const SurfaceMap one = map_of(2, 3);
-  set_thread_count(3);
-  const SurfaceMap three = map_of(2, 3);
-  set_thread_count(0);
+  const auto made = [&] { return map_of(2, 3); };
+  const SurfaceMap one = on_threads(1, made), three = on_threads(3, made);
   EXPECT_EQ(one.distance_m, three.distance_m);
   const SurfaceMap every = map_of(2, 1);
   ASSERT_EQ(every.distance_m.size(), 48u * 36u);
@@ -858,12 +852,11 @@ TEST(LabelUpsampling, LabelsAndEntropyAreThoseOfTheNeighbours) {
     }
   }
   for (const int threads : {1, 3}) {
-    set_thread_count(threads);
+    const ThreadScope scope(threads);
     const ViewLabels again = upsampled(coarse, photo);
     EXPECT_EQ(again.label, out.label);
     EXPECT_EQ(again.entropy, out.entropy);
   }
-  set_thread_count(0);
 }
 
 // Which click is proposed next, and why, and how clicks calibrate confidence.
@@ -933,11 +926,8 @@ TEST(Proposals, TheSameSeedAndRoundAskTheSameForAnyThreads) {
   known.click(0, 3);
   known.doubt_only(20);
   for (std::uint64_t round = 0; round < 6; ++round) {
-    set_thread_count(1);
-    const Asked one = *choose_click(known.input(9, round));
-    set_thread_count(3);
-    const Asked three = *choose_click(known.input(9, round));
-    set_thread_count(0);
+    const auto made = [&] { return *choose_click(known.input(9, round)); };
+    const Asked one = on_threads(1, made), three = on_threads(3, made);
     EXPECT_EQ(one.point, three.point);
     EXPECT_EQ(one.gain, three.gain);
   }

@@ -11,7 +11,6 @@
 #include <set>
 
 #include "app/render/scene_page.h"
-#include "compute/parallel.h"
 #include "core/error.h"
 #include "core/rng.h"
 #include "core/text.h"
@@ -26,6 +25,7 @@
 #include "system/files.h"
 #include "tests/says.h"
 #include "tests/session/train_testing.h"
+#include "tests/threads.h"
 
 namespace semfield {
 namespace {
@@ -141,12 +141,11 @@ TEST(MarchingCubes, EveryPatternIsClosedAmongItsNeighbours) {
 TEST(MarchingCubes, ThreadsChangeNeitherVerticesNorTriangles) {
   const VoxelGrid grid{{-3, 5, 0.5}, 0.25, 130, 111, 5};  // layers of several strips
   const auto surface_on = [&](int threads) {
-    set_thread_count(threads);
+    const ThreadScope scope(threads);
     std::uint64_t n = 0;
     const RandomAddress address{7, 0, stream_id("mesh_test/field")};
     const Surface surface = surface_of(
         grid, [&](Vec3d) { return static_cast<double>(uniform01(address, n++)); }, 0.5);
-    set_thread_count(0);
     return surface;
   };
   const Surface one = surface_on(1);

@@ -5,7 +5,6 @@
 
 #include <algorithm>
 
-#include "compute/parallel.h"
 #include "core/error.h"
 #include "core/rng.h"
 #include "losses/loss_list.h"
@@ -17,6 +16,7 @@
 #include "testkit/loss_rays.h"
 #include "tests/linked_registry.h"
 #include "tests/says.h"
+#include "tests/threads.h"
 
 namespace semfield {
 namespace {
@@ -294,10 +294,9 @@ TEST(Adam, TheFirstNonFiniteIsTheSameForAnyThreads) {
   std::vector<float> g(700000, 1.f);  // many parallel ranges
   g[699999] = g[300001] = g[200003] = std::nanf("");
   for (int threads : {1, 2, 3}) {
-    set_thread_count(threads);
+    const ThreadScope scope(threads);
     EXPECT_EQ(first_non_finite<float>(View<const float>(g.data(), 350000, 2)), 200003);
   }
-  set_thread_count(0);
 }
 
 TEST(Adam, SameBitsForAnyRangesAndThreads) {

@@ -1,25 +1,12 @@
-// A thread count for one scope.
+// The analytic room as a dataset of the suite, and small networks on it: whole steps and whole pictures.
 #pragma once
 
-#include "compute/parallel.h"
 #include "plugin/registry.h"
 #include "session/session.h"
 #include "session/trainer.h"
+#include "tests/threads.h"
 
 namespace semfield::numerics {
-
-class ThreadScope {
- public:
-  explicit ThreadScope(int count) : before_(thread_count()) { set_thread_count(count); }
-  ~ThreadScope() { set_thread_count(before_); }
-  ThreadScope(const ThreadScope&) = delete;
-  ThreadScope& operator=(const ThreadScope&) = delete;
-
- private:
-  int before_;
-};
-
-// The analytic room as a dataset of the suite, and small networks on it: whole steps and whole pictures.
 
 /// Passes and rendering of two kinds of network; to be put behind "scene: {type: box_room}\n". The hash grid
 /// learns its encoding behind an occupancy grid; the frequency kind has the shape of [Zhi21], two passes.

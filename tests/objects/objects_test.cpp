@@ -9,7 +9,6 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
-#include "compute/parallel.h"
 #include "formats/image_io.h"
 #include "formats/npz.h"
 #include "loading/packed_scene.h"
@@ -27,6 +26,7 @@
 #include "tests/says.h"
 #include "tests/session/train_testing.h"
 #include "tests/temp_dir.h"
+#include "tests/threads.h"
 
 namespace semfield {
 namespace {
@@ -421,12 +421,11 @@ TEST(ObjectNetwork, HasTheSameBitsOnAnyNumberOfThreads) {
   const std::unique_ptr<Grouping> contrastive = grouping_of("contrastive");
   std::vector<std::vector<float>> outputs;
   for (const int threads : {1, 2, 3}) {
-    set_thread_count(threads);
+    const ThreadScope scope(threads);
     ObjectNetwork<float> net(testkit::linked_registry().kernels(), *contrastive, kShape, kBox, 3, 5);
     net.learn(things.positions, things.sights, {.steps = 20, .views = 5, .view_points = 32}, {});
     outputs.push_back(net.outputs(things.positions));
   }
-  set_thread_count(0);
   EXPECT_EQ(outputs[0], outputs[1]);
   EXPECT_EQ(outputs[0], outputs[2]);
 }

@@ -13,7 +13,6 @@
 #include <string>
 #include <vector>
 
-#include "compute/parallel.h"
 #include "core/rng.h"
 #include "core/text.h"
 #include "core/workspace.h"
@@ -27,6 +26,7 @@
 #include "system/files.h"
 #include "tests/scene/image_bytes.h"
 #include "tests/scene/tiny_scene.h"
+#include "tests/threads.h"
 
 namespace semfield {
 namespace {
@@ -768,9 +768,8 @@ struct FileDataset {
 LoadedScene load_on(const FileDataset& files, int threads, DepthKept depth) {
   SceneLoadOptions options{.depth = depth};
   Diagnostics d;
-  set_thread_count(threads);
+  const ThreadScope scope(threads);
   LoadedScene scene = load_scene(files, options, d);
-  set_thread_count(0);
   EXPECT_TRUE(d.all().empty());
   return scene;
 }

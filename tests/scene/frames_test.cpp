@@ -4,12 +4,12 @@
 #include <sstream>
 #include <tuple>
 
-#include "compute/parallel.h"
 #include "loading/frame_source.h"
 #include "scene/scene.h"
 #include "scene/survey/bundle.h"
 #include "scene/survey/geometry_survey.h"
 #include "tests/scene/tiny_scene.h"
+#include "tests/threads.h"
 
 namespace semfield {
 namespace {
@@ -302,11 +302,8 @@ TEST(LoadScene, AStrayCameraIsNamedWhateverTheUnit) {
 TEST(LoadScene, SameForAnyNumberOfThreads) {
   RoomDataset room;
   Diagnostics d;
-  set_thread_count(1);
-  const LoadedScene a = load_scene(room, {}, d);
-  set_thread_count(3);
-  const LoadedScene b = load_scene(room, {}, d);
-  set_thread_count(0);
+  const auto made = [&] { return load_scene(room, {}, d); };
+  const LoadedScene a = on_threads(1, made), b = on_threads(3, made);
   EXPECT_EQ(a.bounds.lo, b.bounds.lo);
   EXPECT_EQ(a.bounds.hi, b.bounds.hi);
   EXPECT_EQ(a.far_m, b.far_m);
@@ -1074,11 +1071,8 @@ TEST(GeometrySurvey, TheVerdictIsTheSameForAnyNumberOfThreads) {
     Room room{.poses = walk(24)};
     room.depth = depth;
     room.written = [](const Pose& p) { return inverse(p); };
-    set_thread_count(1);
-    const Answer one = ask(room);
-    set_thread_count(4);
-    const Answer four = ask(room);
-    set_thread_count(0);
+    const auto made = [&] { return ask(room); };
+    const Answer one = on_threads(1, made), four = on_threads(4, made);
     EXPECT_EQ(one.geometry, four.geometry);
     EXPECT_EQ(one.error, four.error);
     EXPECT_NE(one.error, "");

@@ -12,6 +12,7 @@
 #include "session/settings/run_identity.h"
 #include "tests/program.h"
 #include "tests/session/train_testing.h"
+#include "tests/threads.h"
 
 namespace semfield {
 namespace {
@@ -384,14 +385,6 @@ TEST_F(MemoryOfRuns, PixelsThatDoNotFitAreRefusedBeforeTheyAreRead) {
 
 // How many gradient lanes a run gets, the units of work that threads share, and the memory that they take.
 
-class Threads {
- public:
-  explicit Threads(int count) { set_thread_count(count); }
-  ~Threads() { set_thread_count(0); }
-  Threads(const Threads&) = delete;
-  Threads& operator=(const Threads&) = delete;
-};
-
 // Of a shipped configuration with labels on every frame, without its scene.
 int lanes_of_preset(const std::string& name, const std::vector<std::string>& set = {}) {
   Registry& registry = all_plugins();
@@ -411,7 +404,7 @@ TEST(Lanes, AStepOf1024RaysHasWorkFor32AndMoreWhateverTheThreads) {
     EXPECT_GE(lanes, 32) << preset;
     EXPECT_LE(lanes, 48) << preset;
     for (const int count : {1, 3, 16}) {
-      const Threads threads(count);
+      const ThreadScope threads(count);
       EXPECT_EQ(lanes_of_preset(preset), lanes) << preset << ", " << count << " threads";
     }
   }
@@ -467,7 +460,7 @@ TEST(Lanes, ScratchGrowsWithThreadsAndNotWithLanes) {
 }
 
 TEST(ThreadArenas, EveryThreadGetsRoomForTheUnitThatTakesMost) {
-  const Threads threads(4);
+  const ThreadScope threads(4);
   constexpr std::size_t kLarge = std::size_t{8} << 20;
   ThreadArenas arenas;
   const auto round = [&](std::int64_t dearest) {
@@ -485,7 +478,7 @@ TEST(ThreadArenas, EveryThreadGetsRoomForTheUnitThatTakesMost) {
 
 TEST(ThreadArenas, EveryUnitIsDoneOnceInAnArenaThatNoOtherThreadHas) {
   for (const int count : {1, 2, 7}) {
-    const Threads threads(count);
+    const ThreadScope threads(count);
     ThreadArenas arenas;
     std::vector<std::atomic<int>> done(1000);
     arenas.for_units(1000, [&](Workspace& arena, std::int64_t i) {

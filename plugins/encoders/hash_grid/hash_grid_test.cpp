@@ -6,11 +6,11 @@
 
 #include <algorithm>
 
-#include "compute/parallel.h"
 #include "core/rng.h"
 #include "tests/conformance/rows.h"
 #include "tests/encoder_box.h"
 #include "tests/says.h"
+#include "tests/threads.h"
 
 namespace semfield {
 namespace {
@@ -71,7 +71,7 @@ TEST(HashGrid, RowsAndThreadsDoNotChangeBits) {
   const std::vector<float> dy(whole.rbegin(), whole.rend());
   std::vector<float> dx, grad;
   for (const int threads : {1, 2, 3, 7, 16}) {
-    set_thread_count(threads);
+    const ThreadScope scope(threads);
     grid.tensors().fill_grads(0);
     EXPECT_EQ(grid.forward(x), whole) << threads << " threads";
     const auto slopes = grid.backward(x, dy);
@@ -82,7 +82,6 @@ TEST(HashGrid, RowsAndThreadsDoNotChangeBits) {
     EXPECT_EQ(slopes, dx) << threads << " threads";
     EXPECT_EQ(sums, grad) << threads << " threads";
   }
-  set_thread_count(0);
 }
 
 TEST(HashGrid, TheFirstRowThatIsNotFiniteIsNamedForAnyThreads) {
@@ -90,10 +89,9 @@ TEST(HashGrid, TheFirstRowThatIsNotFiniteIsNamedForAnyThreads) {
   auto x = random_points(60000);
   for (const std::size_t row : {59000, 20001, 9003, 9004}) x[3 * row + 1] = NAN;
   for (const int threads : {1, 2, 7}) {
-    set_thread_count(threads);
+    const ThreadScope scope(threads);
     EXPECT_HAS(error_of([&] { grid.forward(x); }), "row 9003 ");
   }
-  set_thread_count(0);
 }
 
 TEST(HashGridLevels, LevelsFollowThePaper) {

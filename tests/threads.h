@@ -1,0 +1,26 @@
+// A number of compute threads for one scope.
+#pragma once
+
+#include "compute/parallel.h"
+
+namespace semfield {
+
+class ThreadScope {
+ public:
+  explicit ThreadScope(int count) : before_(thread_count()) { set_thread_count(count); }
+  ~ThreadScope() { set_thread_count(before_); }
+  ThreadScope(const ThreadScope&) = delete;
+  ThreadScope& operator=(const ThreadScope&) = delete;
+
+ private:
+  int before_;
+};
+
+/// work() on so many threads.
+template <class Work>
+auto on_threads(int count, const Work& work) {
+  const ThreadScope scope(count);
+  return work();
+}
+
+}  // namespace semfield
