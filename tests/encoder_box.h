@@ -1,25 +1,37 @@
-// An encoder with its own tensors.
+// Plugins by name, and an encoder with its own tensors.
 #pragma once
 
 #include <memory>
+#include <tuple>
 
 #include "core/workspace.h"
 #include "plugin/encoder.h"
+#include "plugin/field.h"
 #include "plugin/registry.h"
+#include "plugin/sampler.h"
 #include "testkit/compare.h"
 #include "testkit/laws.h"
 
 namespace semfield::testkit {
 
-template <class Real>
-std::unique_ptr<Encoder<Real>> make_encoder(const Registry& registry, const std::string& name, const Settings& settings,
-                                            const EncoderBuild& build) {
-  const PluginEntry& entry = registry.get(PluginKind::encoder, name);
-  const std::unique_ptr<PluginParams> params = make_params(entry, settings);
-  if constexpr (std::is_same_v<Real, float>) {
-    return entry.encoder32(*params, build, registry.kernels());
+/// The encoder, field or sampler of that name: which, `Build` says.
+template <class Real, class Build>
+auto make_part(const Registry& registry, const std::string& name, const Settings& settings, const Build& build) {
+  constexpr bool kEncoder = std::is_same_v<Build, EncoderBuild>, kField = std::is_same_v<Build, FieldBuild>;
+  const PluginEntry& entry = registry.get(kEncoder ? PluginKind::encoder
+                                          : kField ? PluginKind::field
+                                                   : PluginKind::sampler,
+                                          name);
+  const auto made = [&](const auto& make32, const auto& make64) {
+    const auto& make = std::get < std::is_same_v<Real, float> ? 0 : 1 > (std::tie(make32, make64));
+    return make(*make_params(entry, settings), build, registry.kernels());
+  };
+  if constexpr (kEncoder) {
+    return made(entry.encoder32, entry.encoder64);
+  } else if constexpr (kField) {
+    return made(entry.field32, entry.field64);
   } else {
-    return entry.encoder64(*params, build, registry.kernels());
+    return made(entry.sampler32, entry.sampler64);
   }
 }
 
@@ -28,7 +40,7 @@ class EncoderBox {
  public:
   explicit EncoderBox(std::unique_ptr<Encoder<Real>> encoder) : encoder_(std::move(encoder)), box_(*encoder_, 1, 1.0) {}
   EncoderBox(const Registry& registry, const std::string& name, const Settings& settings, std::int32_t in_dims = 3)
-      : EncoderBox(make_encoder<Real>(registry, name, settings, EncoderBuild{.in_dims = in_dims})) {}
+      : EncoderBox(make_part<Real>(registry, name, settings, EncoderBuild{.in_dims = in_dims})) {}
 
   const Encoder<Real>& encoder() const { return *encoder_; }
   TensorBox<Real>& tensors() { return box_; }

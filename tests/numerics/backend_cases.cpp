@@ -128,6 +128,12 @@ std::vector<Function<Real>> functions() {
            [](long double x) { return std::max(x, 0.0L) + std::log1p(std::exp(-std::abs(x))); }, -87, 100}};
 }
 
+// c [m, n] = a [m, k] b [k, n], rows without gaps.
+template <class Real>
+Gemm<Real> product(std::int64_t m, std::int64_t n, std::int64_t k, const Real* a, const Real* b, Real* c) {
+  return {.m = m, .n = n, .k = k, .a = a, .a_row = k, .b = b, .b_row = n, .c = c, .c_row = n};
+}
+
 // Arguments over the whole range, and more of them around 0, small and large.
 template <class Real>
 std::vector<Real> arguments(double low, double high, std::size_t count) {
@@ -236,11 +242,7 @@ IN_BOTH_PRECISIONS(min_max_nan) {
     const std::int32_t rows = 9, cols = 21, depth = 13;
     std::vector<Real> a(rows * depth, Real(1)), b(depth * cols, Real(-1)), c(rows * cols);
     a[4 * depth + 3] = nan;
-    Gemm<Real> g;
-    g.m = rows, g.n = cols, g.k = depth;
-    g.a = a.data(), g.a_row = depth;
-    g.b = b.data(), g.b_row = cols;
-    g.c = c.data(), g.c_row = cols;
+    Gemm<Real> g = product(rows, cols, depth, a.data(), b.data(), c.data());
     g.relu = true;
     k.gemm(g);
     for (std::int32_t i = 0; i < rows * cols; ++i) {
@@ -279,12 +281,7 @@ IN_BOTH_PRECISIONS(fused_or_not) {
   std::vector<std::vector<Real>> c;
   for (const IsaTable<Real>& table : tables) {
     c.emplace_back(static_cast<std::size_t>(m * n));
-    Gemm<Real> g;
-    g.m = m, g.n = n, g.k = k;
-    g.a = a.data(), g.a_row = k;
-    g.b = b.data(), g.b_row = n;
-    g.c = c.back().data(), g.c_row = n;
-    table.kernels.gemm(g);
+    table.kernels.gemm(product(m, n, k, a.data(), b.data(), c.back().data()));
   }
   double worst = 0, sums = 0;
   for (std::int64_t i = 0; i < m * n; ++i) {
@@ -338,11 +335,7 @@ void flush_to_zero(CaseRun& run) {
     run.expect(y.back() == 0 && y[200] > 0 && y[200] < std::numeric_limits<float>::min(), "subnormal results are kept");
     // A product whose terms are subnormal: 16 x 1e-40 is kept, or is 0 where it is flushed.
     std::vector<float> a(16, 1e-20F), b(16 * 8, 1e-20F), c(8), d(8);
-    Gemm<float> g;
-    g.m = 1, g.n = 8, g.k = 16;
-    g.a = a.data(), g.a_row = 16;
-    g.b = b.data(), g.b_row = 8;
-    g.c = c.data(), g.c_row = 8;
+    Gemm<float> g = product(1, 8, 16, a.data(), b.data(), c.data());
     table.kernels.gemm(g);
     g.c = d.data();
     _mm_setcsr(before | kBoth);
@@ -385,16 +378,8 @@ IN_BOTH_PRECISIONS(ulp_table) {
     }
   }
   // sin and cos are those of the frequency encoder: sin(2^k pi x), cos(2^k pi x), from float64 positions.
-  const PluginEntry* entry = run.registry().find(PluginKind::encoder, "frequency");
-  if (entry != nullptr) {
-    const auto params = testkit::make_params(*entry, sine_settings());
-    const auto encoder = [&] {
-      if constexpr (std::is_same_v<Real, float>) {
-        return entry->encoder32(*params, {}, run.registry().kernels());
-      } else {
-        return entry->encoder64(*params, {}, run.registry().kernels());
-      }
-    }();
+  if (run.registry().find(PluginKind::encoder, "frequency") != nullptr) {
+    const auto encoder = testkit::make_part<Real>(run.registry(), "frequency", sine_settings(), EncoderBuild{});
     const double worst = worst_sine<Real>(*encoder);
     run.measure(worst, 2, "sin and cos, in units of the last place of 1");
     figures += "; sin and cos of the encoder " + two_digits(worst);
@@ -494,11 +479,7 @@ void strided_products(CaseRun& run) {
   run.expect(dw == dw_far && db == db_far, "weight gradients");
   for (const IsaTable<Real>& table : isa_tables<Real>()) {
     std::vector<Real> c(y.size());
-    Gemm<Real> g;
-    g.m = rows, g.n = out, g.k = in;
-    g.b = weight.data(), g.b_row = out;
-    g.a = x.data(), g.a_row = in;
-    g.c = c.data(), g.c_row = out;
+    Gemm<Real> g = product(rows, out, in, x.data(), weight.data(), c.data());
     table.kernels.gemm(g);
     g.a = x_far.data, g.a_row = stride;
     g.c = y_far.data, g.c_row = stride;
@@ -849,7 +830,7 @@ EncoderBuild on_device() { return EncoderBuild{.device = Device::cuda}; }
 // An encoder on the device as one on the host, with its tensors.
 struct DeviceEncoder {
   DeviceEncoder(const DeviceUnderTest& device, const std::string& name, const testkit::Settings& settings)
-      : there(testkit::make_encoder<float>(device.registry, name, settings, on_device())),
+      : there(testkit::make_part<float>(device.registry, name, settings, on_device())),
         here(*there, {device.calls, false}),
         box(here, 1, 1.0),
         workspace(device.calls.memory) {}
@@ -889,9 +870,8 @@ std::vector<double> positions(std::int64_t rows) {
 
 // A field whose first trunk layers meet NaN in one row: it stays in that row, and no ReLU hides it.
 void nan_through_a_field(CaseRun& run, const DeviceUnderTest& device, const std::string& name, Precision precision) {
-  const PluginEntry& entry = device.registry.get(PluginKind::field, name);
   FieldBuild build{.device = Device::cuda, .position_dims = 16, .direction_dims = 9, .precision = precision};
-  const auto there = entry.field32(*testkit::make_params(entry, {}), build, device.registry.kernels());
+  const auto there = testkit::make_part<float>(device.registry, name, {}, build);
   const testkit::HostField here(*there, {device.calls, false});
   testkit::LawOptions options{.scratch = device.calls.memory};
   testkit::FieldBench<float> sound(here, build, kRows, 0, options), bad(here, build, kRows, 0, options);

@@ -19,7 +19,7 @@
 namespace semfield::numerics {
 
 using testkit::EncoderBox;
-using testkit::make_encoder;
+using testkit::make_part;
 
 __extension__ using Wide128 = unsigned __int128;
 
@@ -572,7 +572,7 @@ void hash_index(CaseRun& run) {
     if (low > std::uint32_t{1} << 24) continue;
     Collector collector;
     EncoderBuild build;
-    make_encoder<float>(run.registry(), "hash_grid", one_level(n, 24), build)->declare(collector);
+    make_part<float>(run.registry(), "hash_grid", one_level(n, 24), build)->declare(collector);
     run.expect(collector.specs.at(0).rows == std::int64_t{1} << 24, "a grid beyond 2^32 vertices is hashed");
     ++declared;
   }

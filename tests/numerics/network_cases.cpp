@@ -19,6 +19,7 @@
 #include "rooms.h"
 #include "scene/scene.h"
 #include "testkit/compare.h"
+#include "tests/encoder_box.h"
 #include "tests/model/rays_of_slabs.h"
 
 namespace semfield::numerics {
@@ -376,13 +377,7 @@ auto make_field(const Registry& registry, const std::string& name, const FieldBu
   const testkit::Settings settings =
       name == "nerf_mlp" ? testkit::Settings{{"depth", "4"}, {"skip_at", "2"}, {"width", "16"}, {"view_width", "16"}}
                          : testkit::Settings{{"hidden_width", "16"}, {"color_width", "16"}};
-  const PluginEntry& entry = registry.get(PluginKind::field, name);
-  const auto params = testkit::make_params(entry, settings);
-  if constexpr (std::is_same_v<Real, float>) {
-    return entry.field32(*params, build, registry.kernels());
-  } else {
-    return entry.field64(*params, build, registry.kernels());
-  }
+  return testkit::make_part<Real>(registry, name, settings, build);
 }
 
 /// Colour and its bias gradient of a field whose colour layer has bias `raw` and no weights, for dL/drgb = 1.

@@ -9,6 +9,7 @@
 #include "named_case.h"
 #include "testkit/compare.h"
 #include "testkit/laws.h"
+#include "tests/encoder_box.h"
 #include "tests/model/rays_of_slabs.h"
 
 namespace semfield::numerics {
@@ -20,25 +21,12 @@ inline SamplerBuild unit_build() {
   return SamplerBuild{.bounds = {{-1, -1, -1}, {1, 1, 1}}, .near_m = 0.1, .far_m = 10};
 }
 
-template <class Real>
-std::unique_ptr<Sampler<Real>> make_sampler(const Registry& registry, const std::string& name,
-                                            const testkit::Settings& settings,
-                                            const SamplerBuild& build = unit_build()) {
-  const PluginEntry& entry = registry.get(PluginKind::sampler, name);
-  const std::unique_ptr<PluginParams> params = testkit::make_params(entry, settings);
-  if constexpr (std::is_same_v<Real, float>) {
-    return entry.sampler32(*params, build, registry.kernels());
-  } else {
-    return entry.sampler64(*params, build, registry.kernels());
-  }
-}
-
 /// One sampler and buffers for what it writes. Rays start at the origin along x unless `origin` is changed.
 template <class Real>
 struct RayBench {
   RayBench(const Registry& registry, const std::string& name, const testkit::Settings& settings,
            const SamplerBuild& build = unit_build())
-      : sampler(make_sampler<Real>(registry, name, settings, build)), box(*sampler, 1, 0.0) {
+      : sampler(testkit::make_part<Real>(registry, name, settings, build)), box(*sampler, 1, 0.0) {
     ctx.seed = 1;
     ctx.workspace = &workspace;
   }
@@ -138,31 +126,18 @@ std::string figure(double value);
 
 // A small model of real parts: one pass of stratified samples, frequency encoding, a small network and a class head.
 
-template <class Real, class Float, class Double, class Build>
-auto make_part(const Float& make32, const Double& make64, const PluginEntry& entry, const testkit::Settings& settings,
-               const Build& build, const Registry& registry) {
-  const std::unique_ptr<PluginParams> params = testkit::make_params(entry, settings);
-  if constexpr (std::is_same_v<Real, float>) {
-    return make32(*params, build, registry.kernels());
-  } else {
-    return make64(*params, build, registry.kernels());
-  }
-}
-
 /// 16 units, 5 classes; the encoder's own coordinates come from `domain`.
 template <class Real>
 PassParts<Real> small_pass(const Registry& registry, const std::string& samples = "128",
                            const std::string& encoding = "frequency",
                            const testkit::Settings& encoder_settings = {{"frequencies", "4"}},
                            const DomainMap& domain = {{0, 0, 0}, 0.2, 0}) {
-  PassParts<Real> parts{.name = "main", .sampler = make_sampler<Real>(registry, "stratified", {{"samples", samples}})};
-  const PluginEntry& encoder = registry.get(PluginKind::encoder, encoding);
-  parts.position =
-      make_part<Real>(encoder.encoder32, encoder.encoder64, encoder, encoder_settings, EncoderBuild{}, registry);
-  FieldBuild build{.position_dims = parts.position->traits().out_dims};
-  const PluginEntry& field = registry.get(PluginKind::field, "tiny_mlp");
-  parts.field = make_part<Real>(field.field32, field.field64, field, {{"hidden_width", "16"}, {"color_width", "16"}},
-                                build, registry);
+  using testkit::make_part;
+  PassParts<Real> parts{.name = "main",
+                        .sampler = make_part<Real>(registry, "stratified", {{"samples", samples}}, unit_build())};
+  parts.position = make_part<Real>(registry, encoding, encoder_settings, EncoderBuild{});
+  parts.field = make_part<Real>(registry, "tiny_mlp", {{"hidden_width", "16"}, {"color_width", "16"}},
+                                FieldBuild{.position_dims = parts.position->traits().out_dims});
   parts.head = std::make_unique<OneLayerHead<Real>>(HeadShape{parts.field->traits().feature_dims, 16, 5});
   parts.domain = domain;
   return parts;

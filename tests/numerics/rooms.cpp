@@ -1,6 +1,7 @@
 // The room, moved; configurations of small networks in it.
 
 #include "rooms.h"
+
 #include "testkit/analytic_scene.h"
 
 namespace semfield {
@@ -90,7 +91,6 @@ std::vector<float> render_room_frame(const Registry& known, const std::string& y
                       session.plan.class_of_logit)
       .rgb;
 }
-
 
 std::string small_config(const std::string& more) {
   const std::string network =
