@@ -3,6 +3,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cstdio>
 #include <ctime>
 #include <functional>
@@ -15,6 +16,8 @@
 #include "app/allocation_count.h"
 #include "app/bench/step_case.h"
 #include "app/json_output.h"
+#include "compute/isa.h"
+#include "compute/parallel.h"
 #include "compute/peak_probe.h"
 #include "core/error.h"
 #include "execution/device_library.h"

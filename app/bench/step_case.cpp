@@ -12,6 +12,11 @@
 #include <nlohmann/json.hpp>
 
 #include "app/child_process.h"
+#include "compute/parallel.h"
+#include "core/check.h"
+#include "core/error.h"
+#include "core/rng.h"
+#include "model/param_store.h"
 #include "session/assembly.h"
 #include "session/ray_source.h"
 #include "session/trainer.h"

@@ -8,9 +8,11 @@
 #include <map>
 #include <span>
 #include <utility>
+
 #include "config/compose.h"
 #include "core/error.h"
 #include "core/text.h"
+#include "system/files.h"
 
 namespace semfield::app {
 

@@ -8,6 +8,7 @@
 
 #include "formats/image_io.h"
 #include "serve/label_loop.h"
+#include "session/session.h"
 
 namespace semfield::app {
 

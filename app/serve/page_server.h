@@ -11,6 +11,7 @@
 
 #include "app/serve/http_server.h"
 #include "app/serve/page_exports.h"
+#include "serve/label_loop.h"
 #include "serve/label_session.h"
 
 namespace semfield::app {

@@ -1,9 +1,12 @@
 // classes: class tables from and to the forms of other tools.
+#include <algorithm>
 #include <cstdio>
 #include <filesystem>
 
 #include "app/json_output.h"
 #include "app/verb.h"
+#include "scene/classes/class_table.h"
+#include "system/files.h"
 
 namespace semfield::app {
 

@@ -1,4 +1,5 @@
 // config: a configuration read as a run would, explained, compared, and the schema of all.
+#include <algorithm>
 #include <cstdio>
 
 #include "app/json_output.h"

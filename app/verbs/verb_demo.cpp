@@ -1,6 +1,7 @@
 // demo: the verbs that make a labelled scene, one after the other, on the shipped room.
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>

@@ -16,6 +16,7 @@
 #include "eval/metrics.h"
 #include "run/run_scores.h"
 #include "session/training.h"
+#include "system/files.h"
 
 namespace semfield::app {
 

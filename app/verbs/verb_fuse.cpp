@@ -21,6 +21,7 @@
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
 #include "surface/fuse/fusion.h"
+#include "system/files.h"
 
 namespace semfield::app {
 

@@ -6,6 +6,8 @@
 #include "app/verb.h"
 #include "core/error.h"
 #include "plugin/reference.h"
+#include "session/settings/run_config.h"
+#include "system/files.h"
 
 namespace semfield::app {
 

@@ -10,6 +10,7 @@
 #include "app/verb.h"
 #include "core/error.h"
 #include "core/text.h"
+#include "system/files.h"
 
 namespace semfield::app {
 

@@ -1,4 +1,5 @@
 // inspect: what a scene holds, and what training would find wrong with it.
+#include <algorithm>
 #include <cstdio>
 #include <numeric>
 

@@ -2,17 +2,19 @@
 
 #include <fmt/format.h>
 
-#include "compute/isa.h"
-#include "compute/parallel.h"
-#include "core/check.h"
-#include "core/error.h"
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <limits>
 #include <nlohmann/json.hpp>
+
+#include "compute/isa.h"
+#include "compute/parallel.h"
+#include "core/check.h"
+#include "core/error.h"
 #include "execution/point_network.h"
 #include "formats/npz.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -62,7 +64,8 @@ std::vector<QueryVector> read_json(const std::string& path) {
     for (const auto& number : numbers) {
       if (!number.is_number()) refuse("'" + word + "' holds something that is not a number");
       const double value = number.get<double>();  // a float has no place for some, which are then refused as infinite
-      query.values.push_back(std::abs(value) <= std::numeric_limits<float>::max() ? static_cast<float>(value) : INFINITY);
+      query.values.push_back(std::abs(value) <= std::numeric_limits<float>::max() ? static_cast<float>(value)
+                                                                                  : INFINITY);
     }
     queries.push_back(std::move(query));
   }

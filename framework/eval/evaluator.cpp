@@ -2,12 +2,16 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cctype>
 #include <cmath>
 #include <limits>
 #include <new>
 #include <set>
 
+#include "compute/isa.h"
+#include "compute/parallel.h"
+#include "core/check.h"
 #include "core/text.h"
 #include "eval/metrics.h"
 #include "scene/classes/class_table.h"

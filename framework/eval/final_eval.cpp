@@ -6,6 +6,9 @@
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 
+#include "core/error.h"
+#include "eval/metrics.h"
+
 namespace semfield {
 
 namespace {

@@ -1,5 +1,6 @@
 #include "labels/frame_match.h"
 
+#include <algorithm>
 #include <cctype>
 #include <cstddef>
 #include <filesystem>

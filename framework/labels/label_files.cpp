@@ -1,5 +1,6 @@
 #include "labels/label_files.h"
 
+#include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <filesystem>
@@ -8,6 +9,7 @@
 #include "core/rng.h"
 #include "core/text.h"
 #include "formats/image_io.h"
+#include "scene/scene.h"
 #include "system/files.h"
 
 namespace semfield {

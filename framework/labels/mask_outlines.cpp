@@ -1,5 +1,9 @@
 #include "labels/mask_outlines.h"
 
+#include <algorithm>
+#include <array>
+#include <cmath>
+
 #include "core/check.h"
 #include "formats/image_io.h"
 

@@ -1,5 +1,6 @@
 #include "objects/find_objects.h"
 
+#include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <map>
@@ -7,7 +8,10 @@
 #include <set>
 #include <utility>
 
+#include "compute/parallel.h"
 #include "execution/point_network.h"
+#include "labels/clicks/click_log.h"
+#include "labels/label_files.h"
 #include "objects/object_set.h"
 #include "scene/classes/class_table.h"
 #include "surface/surface_graph.h"

@@ -10,14 +10,17 @@
 #include <filesystem>
 #include <map>
 #include <nlohmann/json.hpp>
-#include "compute/parallel.h"
-#include "core/error.h"
 #include <set>
 #include <span>
 #include <type_traits>
+
+#include "compute/parallel.h"
+#include "core/error.h"
 #include "core/text.h"
 #include "execution/point_network.h"
+#include "formats/safetensors.h"
 #include "system/checksum.h"
+#include "system/files.h"
 
 namespace semfield {
 

@@ -1,6 +1,9 @@
 #include "surface/seen_surface.h"
 
+#include <algorithm>
+#include <cmath>
 #include <limits>
+#include <utility>
 
 #include "compute/parallel.h"
 

@@ -406,8 +406,14 @@ SurfacePool make_surface_pool(std::span<const PoolView> views, const RayLimits& 
 
 #include <Eigen/IterativeLinearSolvers>
 #include <Eigen/SparseCore>
+#include <mutex>
 #include <numeric>
+#include <utility>
 
+#include "compute/isa.h"
+#include "compute/parallel.h"
+#include "core/check.h"
+#include "core/error.h"
 
 namespace semfield {
 

@@ -1,6 +1,8 @@
 // The program's own steps of the rendering integral: samples along rays, and what is composited from them.
 #include <pybind11/stl.h>
 
+#include "core/check.h"
+#include "model/compositor.h"
 #include "python/core/arrays.h"
 #include "python/core/plugins.h"
 #include "python/core/scene_values.h"

@@ -1,12 +1,14 @@
 // semfield._core: what the package in python/semfield is made of. Users see the package alone.
 #include <pybind11/stl.h>
 
+#include "labels/clicks/click_log.h"
 #include "loading/packed_scene.h"
 #include "python/core/arrays.h"
 #include "python/core/errors.h"
 #include "python/core/plugins.h"
 #include "python/core/scene_values.h"
 #include "python/core/session.h"
+#include "run/run_folder.h"
 
 namespace py = pybind11;
 

@@ -3,11 +3,13 @@
 #include <pybind11/stl.h>
 #include <unistd.h>
 
-#include "core/error.h"
-#include "core/workspace.h"
 #include <csignal>
 #include <optional>
+
+#include "core/error.h"
+#include "core/workspace.h"
 #include "eval/channel_query.h"
+#include "eval/final_eval.h"
 #include "python/core/arrays.h"
 #include "python/core/errors.h"
 #include "python/core/plugins.h"

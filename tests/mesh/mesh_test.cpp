@@ -11,6 +11,7 @@
 #include <set>
 
 #include "app/render/scene_page.h"
+#include "compute/parallel.h"
 #include "core/error.h"
 #include "core/rng.h"
 #include "core/text.h"

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 
+#include "compute/parallel.h"
 #include "core/error.h"
 #include "core/rng.h"
 #include "losses/loss_list.h"

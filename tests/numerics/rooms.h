@@ -1,6 +1,7 @@
 // The analytic room as a dataset of the suite, and small networks on it: whole steps and whole pictures.
 #pragma once
 
+#include "compute/parallel.h"
 #include "plugin/registry.h"
 #include "session/session.h"
 #include "session/trainer.h"

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "config/config_tree.h"
+#include "config/params.h"
 #include "config/schema.h"
 #include "core/error.h"
 #include "core/half.h"

@@ -1,5 +1,11 @@
 #include "surface/mesh/field_surface.h"
 
+#include <algorithm>
+#include <cmath>
+#include <optional>
+
+#include "compute/parallel.h"
+
 namespace semfield {
 
 namespace {
@@ -274,8 +280,8 @@ namespace {
 
 // Between normal and ray: who looks along a face does not vouch for it, and who looks slantingly may be off by more.
 constexpr double kLeastFusedCosine = 0.2, kSlantCosine = 0.5;
-// Four pixels whose distances differ by more cells, and more than those of a face at kLeastFusedCosine would, lie on both
-// sides of an edge.
+// Four pixels whose distances differ by more cells, and more than those of a face at kLeastFusedCosine would, lie on
+// both sides of an edge.
 constexpr double kEdgeCells = 1.5, kMostSlope = 4.9;  // the tangent of that angle
 constexpr int kLeastAgree = 2;                        // views; of a point that a single one can see, that one
 

@@ -1,5 +1,12 @@
 #include "surface/mesh/sights.h"
 
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "compute/parallel.h"
+#include "core/check.h"
+
 namespace semfield {
 
 namespace {

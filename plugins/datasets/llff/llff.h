@@ -3,6 +3,7 @@
 
 #include <string>
 
+#include "config/params.h"
 #include "loading/posed_photographs.h"
 
 namespace semfield {

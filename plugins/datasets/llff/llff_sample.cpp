@@ -3,6 +3,7 @@
 #include <filesystem>
 
 #include "formats/image_io.h"
+#include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
 
 namespace semfield::testkit {

@@ -2,8 +2,10 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
+#include "formats/image_io.h"
 #include "scene/scene.h"
 #include "system/files.h"
+#include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
 
 namespace semfield::testkit {

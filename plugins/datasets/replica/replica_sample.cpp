@@ -4,6 +4,7 @@
 #include <filesystem>
 
 #include "system/files.h"
+#include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
 
 namespace semfield::testkit {

@@ -3,7 +3,9 @@
 
 #include <filesystem>
 
+#include "formats/image_io.h"
 #include "system/files.h"
+#include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
 
 namespace semfield::testkit {

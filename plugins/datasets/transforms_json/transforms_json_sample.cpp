@@ -3,6 +3,7 @@
 #include <nlohmann/json.hpp>
 
 #include "system/files.h"
+#include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
 
 namespace semfield::testkit {

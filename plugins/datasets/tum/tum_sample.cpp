@@ -6,6 +6,7 @@
 #include "scene/camera.h"
 #include "scene/scene.h"
 #include "system/files.h"
+#include "tests/conformance/dataset_samples.h"
 #include "tests/conformance/sample_files.h"
 
 namespace semfield::testkit {

@@ -9,6 +9,8 @@
 #include "config/params.h"
 #include "core/error.h"
 #include "encoders/frequency/frequency_kernels.h"
+#include "plugin/encoder.h"
+#include "plugin/kernels.h"
 
 namespace semfield {
 

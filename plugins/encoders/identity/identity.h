@@ -2,7 +2,10 @@
 #pragma once
 
 #include "config/params.h"
+#include "core/error.h"
 #include "encoders/identity/identity_kernels.h"
+#include "plugin/encoder.h"
+#include "plugin/kernels.h"
 
 namespace semfield {
 

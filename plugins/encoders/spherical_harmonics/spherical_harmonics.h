@@ -4,6 +4,8 @@
 #include "config/params.h"
 #include "core/error.h"
 #include "encoders/spherical_harmonics/spherical_harmonics_kernels.h"
+#include "plugin/encoder.h"
+#include "plugin/kernels.h"
 
 namespace semfield {
 

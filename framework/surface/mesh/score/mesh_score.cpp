@@ -5,6 +5,11 @@
 #include <cmath>
 #include <numeric>
 #include <unordered_set>
+#include <utility>
+
+#include "compute/parallel.h"
+#include "core/check.h"
+#include "core/rng.h"
 
 namespace semfield {
 
