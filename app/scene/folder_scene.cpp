@@ -6,6 +6,12 @@
 #include <algorithm>
 #include <array>
 #include <cctype>
+#include <cmath>
+#include <filesystem>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <tuple>
+
 #include "app/scene/inspect_report.h"
 #include "compute/parallel.h"
 #include "config/params.h"
@@ -14,11 +20,6 @@
 #include "eval/metrics.h"
 #include "formats/image_io.h"
 #include "labels/label_files.h"
-#include <cmath>
-#include <filesystem>
-#include <memory>
-#include <nlohmann/json.hpp>
-#include <tuple>
 #include "loading/frame_files.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
@@ -497,6 +498,12 @@ void write_frame(const FrameInfo& info, const FrameBuffer& frame, const ClassTab
 }
 
 }  // namespace
+
+std::string class_order_json(const ClassTable& classes) {
+  Json names = Json::array();
+  for (int c = 0; c < classes.valid_count(); ++c) names.push_back(classes.valid(c).name);
+  return json_text(names, 1) + "\n";
+}
 
 CaptureReport capture_replica(const Dataset& dataset, const SceneInfo& info, const std::string& out_dir,
                               const std::function<void(int done, int total)>& progress,

@@ -102,6 +102,10 @@ PackSummary pack_scene(Dataset& dataset, const std::string& path, const SceneLoa
 
 // The frames of a dataset in Replica layout.
 
+/// Names of the classes in the order of internal indices, which is that of the last axis of probabilities; labels of
+/// type npz read them.
+std::string class_order_json(const ClassTable& classes);
+
 /// What capture_replica wrote, for the message at its end.
 struct CaptureReport {
   int frames = 0;

@@ -177,12 +177,6 @@ std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnost
   return out + class_table(scene) + problems(diagnostics);
 }
 
-std::string class_order_json(const ClassTable& classes) {
-  Json names = Json::array();
-  for (int c = 0; c < classes.valid_count(); ++c) names.push_back(classes.valid(c).name);
-  return json_text(names, 1) + "\n";
-}
-
 Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use) {
   const auto vector = [](Vec3d v) { return Json{v.x, v.y, v.z}; };
   const auto box = [&](const Box& b) {

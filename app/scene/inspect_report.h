@@ -23,10 +23,6 @@ std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnost
 /// The same for programs.
 Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use = "");
 
-/// Names of the classes in the order of internal indices, which is that of the last axis of probabilities; labels of
-/// type npz read them.
-std::string class_order_json(const ClassTable& classes);
-
 /// Camera frusta as binary PLY: a pyramid per frame of `depth_m` height (0 = 2 % of the bounds' diagonal), train blue,
 /// test orange.
 void write_frusta_ply(const std::string& path, const LoadedScene& scene, double depth_m = 0);

@@ -1,8 +1,9 @@
 // degrade: the labels that would train, written out as images with a manifest.
 #include <fmt/format.h>
 
-#include "app/json_output.h"
 #include <cstdio>
+
+#include "app/json_output.h"
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
 #include "app/verb.h"

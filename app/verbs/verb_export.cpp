@@ -1,6 +1,11 @@
 // export: label maps of a run's field for labelling tools, or the run as one page to send.
 #include <fmt/format.h>
 
+#include <cstdio>
+#include <filesystem>
+#include <functional>
+#include <optional>
+
 #include "app/json_output.h"
 #include "app/render/run_surface.h"
 #include "app/render/scene_page.h"
@@ -8,10 +13,6 @@
 #include "app/terminal.h"
 #include "app/verb.h"
 #include "core/error.h"
-#include <cstdio>
-#include <filesystem>
-#include <functional>
-#include <optional>
 #include "eval/image_output.h"
 #include "formats/image_io.h"
 #include "labels/frame_match.h"

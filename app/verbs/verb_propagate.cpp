@@ -1,9 +1,10 @@
 // propagate: training labels of a run spread over the surface that it has learned, written as soft labels and scored.
 #include <fmt/format.h>
 
-#include "app/json_output.h"
 #include <cstdio>
 #include <nlohmann/json.hpp>
+
+#include "app/json_output.h"
 #include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
 #include "app/terminal.h"

@@ -28,6 +28,7 @@
 #include "app/child_process.h"
 #include "app/json_output.h"
 #include "app/render/run_surface.h"
+#include "app/scene/folder_scene.h"
 #include "app/scene/inspect_report.h"
 #include "app/terminal.h"
 #include "app/verb.h"

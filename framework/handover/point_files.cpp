@@ -2,14 +2,15 @@
 
 #include <fmt/format.h>
 
-#include "compute/parallel.h"
-#include "core/error.h"
-#include "surface/mesh/mesh_files.h"
 #include <algorithm>
 #include <bit>
 #include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
+
+#include "compute/parallel.h"
+#include "core/error.h"
+#include "surface/mesh/mesh_files.h"
 namespace semfield {
 
 namespace {

@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include "core/error.h"
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -10,6 +9,8 @@
 #include <filesystem>
 #include <limits>
 #include <memory>
+
+#include "core/error.h"
 #include "formats/npz.h"
 #include "formats/zip_archive.h"
 #include "surface/mesh/mesh_files.h"

@@ -1,11 +1,12 @@
 #include "labels/label_export.h"
 
-#include "labels/mask_outlines.h"
-#include "scene/classes/class_table.h"
-#include "scene/scene.h"
 #include <algorithm>
 #include <filesystem>
 #include <nlohmann/json.hpp>
+
+#include "labels/mask_outlines.h"
+#include "scene/classes/class_table.h"
+#include "scene/scene.h"
 #include "system/files.h"
 
 namespace semfield {

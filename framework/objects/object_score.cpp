@@ -1,13 +1,14 @@
 #include "objects/object_score.h"
 
-#include "compute/parallel.h"
-#include "core/rng.h"
-#include "labels/training_labels.h"
 #include <algorithm>
 #include <cmath>
 #include <numbers>
 #include <numeric>
 #include <set>
+
+#include "compute/parallel.h"
+#include "core/rng.h"
+#include "labels/training_labels.h"
 
 namespace semfield {
 

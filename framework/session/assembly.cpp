@@ -72,8 +72,7 @@ std::vector<std::string> smooth_encoders(const Registry& registry) {
   for (const PluginEntry* entry : registry.entries()) {
     if (entry->kind != PluginKind::encoder) continue;
     const auto encoder = entry->encoder32(*entry->new_params(), {}, registry.kernels());
-    if (encoder->traits().domain != Domain::direction && !learns<float>(*encoder))
-      names.push_back(entry->name);
+    if (encoder->traits().domain != Domain::direction && !learns<float>(*encoder)) names.push_back(entry->name);
   }
   return names;
 }
@@ -156,8 +155,7 @@ PassParts<Real> make_pass(std::size_t number, const PassBuild& build, std::uniqu
   parts.stages = &stages_of<Real>(build.device);
   parts.sampler = sampler ? std::move(sampler) : make_sampler<Real>(pass.sampler, registry, extent, build.device);
   parts.position = make_encoder<Real>(pass.position, registry, extent, false, build.device, pass.key + ".position");
-  if (build.plan.learned_poses > 0 && !parts.position->traits().gives_dx_alone &&
-      learns<Real>(*parts.position)) {
+  if (build.plan.learned_poses > 0 && !parts.position->traits().gives_dx_alone && learns<Real>(*parts.position)) {
     throw Error(ErrorKind::config, "config.encoder.poses",
                 pass.key + ".position: encoder '" + pass.position.entry->name +
                     "' has learned tensors and gives no gradient of positions by itself, so poses cannot be learned",

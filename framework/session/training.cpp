@@ -348,8 +348,7 @@ void use_learned_poses(Session& s, const TensorFile& checkpoint, Diagnostics& di
   }
   const std::vector<float> numbers = checkpoint.floats(name, rows * kPoseNumbers);
   std::vector<float> used(numbers.size());
-  cpu_camera_kernels<float>().centre({numbers.data(), rows, kPoseNumbers}, 1, {used.data(), rows, kPoseNumbers},
-                                     false);
+  cpu_camera_kernels<float>().centre({numbers.data(), rows, kPoseNumbers}, 1, {used.data(), rows, kPoseNumbers}, false);
   const double distance_m = s.pipeline->options().cameras.distance_m;
   double turned_deg = 0, moved_m = 0;
   for (std::size_t i = 0; i < frames.size(); ++i) {

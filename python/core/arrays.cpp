@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <memory>
 #include <vector>
+
 #include "execution/device_library.h"
 
 namespace semfield::python {

@@ -4,12 +4,6 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
-#include "config/params.h"
-#include "core/error.h"
-#include "plugin/head.h"
-#include "plugin/loader.h"
-#include "plugin/loss.h"
-#include "plugin/parametric.h"
 #include <algorithm>
 #include <filesystem>
 #include <memory>
@@ -17,6 +11,13 @@
 #include <string>
 #include <string_view>
 #include <vector>
+
+#include "config/params.h"
+#include "core/error.h"
+#include "plugin/head.h"
+#include "plugin/loader.h"
+#include "plugin/loss.h"
+#include "plugin/parametric.h"
 #include "python/core/arrays.h"
 #include "python/core/errors.h"
 #include "python/core/scene_values.h"

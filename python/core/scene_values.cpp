@@ -3,14 +3,15 @@
 #include <fmt/format.h>
 #include <pybind11/stl.h>
 
-#include "config/params.h"
-#include "core/error.h"
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdlib>
 #include <string_view>
 #include <utility>
+
+#include "config/params.h"
+#include "core/error.h"
 #include "formats/text_rows.h"
 #include "python/core/arrays.h"
 #include "scene/scene.h"

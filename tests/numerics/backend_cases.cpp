@@ -796,7 +796,8 @@ void finite_checks(CaseRun& run) {
   DepthError depth;
   depth.add(std::vector<float>{1}, std::vector<float>{bad});
   Calibration calibration;
-  calibration.add(std::vector<float>{bad, 0.5F}, 2, std::vector<std::int16_t>{0});
+  calibration.add(std::vector<float>{bad}, std::vector<float>{bad}, std::vector<std::int16_t>{0},
+                  std::vector<std::int16_t>{0});
   run.expect(color.nonfinite() == 1 && depth.nonfinite() == 1 && calibration.nonfinite() == 1, "metrics");
   SoftMap soft(2, 2);
   run.expect_error(ErrorKind::data, {}, [&] { soft.set_row(1, std::vector<float>{0.5F, bad}); });

@@ -77,7 +77,8 @@ void nan_pixel(CaseRun& run) {
       depth.add(std::vector<float>{1, 2, 3}, std::vector<float>{1, value, 3});
       run.expect(!depth.rmse() && !depth.abs_rel() && !depth.delta(1) && depth.nonfinite() == 1, "depth is invalid");
       Calibration calibration;
-      calibration.add(std::vector<float>{0.5F, 0.5F, value, 0.5F}, 2, std::vector<std::int16_t>{0, 1});
+      const std::vector<std::int16_t> classes{0, 1};
+      calibration.add(std::vector<float>{0.5F, value}, std::vector<float>(2, 0.5F), classes, classes);
       run.expect(!calibration.ece() && !calibration.nll() && calibration.nonfinite() == 1, "calibration is invalid");
       MetricsRow row;
       row.set("psnr", color.psnr_db());
@@ -105,7 +106,7 @@ void void_frames(CaseRun& run) {
   const ConfusionMatrix none(0);
   run.expect(!none.miou() && none.per_class().empty(), "a scene without classes has no score");
   Calibration calibration;
-  calibration.add(std::vector<float>(200, 0.5F), 2, nothing);
+  calibration.add(std::vector<float>(100, 0.5F), std::vector<float>(100, 0.5F), some, nothing);
   run.expect(!calibration.ece() && !calibration.nll() && calibration.scored_px() == 0, "no calibration either");
   run.expect(!ColorError().psnr_db() && !DepthError().rmse() && !DepthError().coverage(), "nor of no pixels at all");
   MetricsRow row;

@@ -2,15 +2,16 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
 #include "core/small_math.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
-#include <algorithm>
-#include <cmath>
-#include <utility>
 #include "surface/surface_graph.h"
 
 namespace semfield {

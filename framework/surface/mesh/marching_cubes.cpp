@@ -5,6 +5,7 @@
 #include <cmath>
 #include <optional>
 #include <utility>
+
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"

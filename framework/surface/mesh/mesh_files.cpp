@@ -3,8 +3,6 @@
 
 #include <fmt/format.h>
 
-#include "core/error.h"
-#include "surface/mesh/surface.h"
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -13,6 +11,9 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <set>
+
+#include "core/error.h"
+#include "surface/mesh/surface.h"
 
 namespace semfield {
 
