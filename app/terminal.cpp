@@ -202,7 +202,7 @@ void show_load_progress(AppContext& context) {
     const std::string what = "scene: " + std::string(doing);
     if (!line) {
       line = std::make_shared<ProgressLine>(context, what);
-    } else if (what != shown) {
+    } else if (what != shown || done == 1) {  // another scene may be checked long after the first
       line->restart(what);
     }
     shown = what;
