@@ -380,24 +380,9 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
       if (chunks_[i][kAlpha].raw_bytes > 0) f.channels.push_back(alpha_info(f.camera));
     }
   } catch (Error& e) {
-    ::close(file_);
     if (e.message().find(path_) != std::string::npos) throw;
     throw Error(e.kind(), e.code(), "'" + path_ + "': " + e.message(), e.remedy());
-  } catch (...) {
-    ::close(file_);
-    throw;
   }
-}
-
-PackedScene::PackedScene(PackedScene&& other) noexcept
-    : path_(std::move(other.path_)),
-      file_(std::exchange(other.file_, -1)),
-      file_bytes_(other.file_bytes_),
-      info_(std::move(other.info_)),
-      chunks_(std::move(other.chunks_)) {}
-
-PackedScene::~PackedScene() {
-  if (file_ >= 0) ::close(file_);
 }
 
 std::vector<std::byte> PackedScene::chunk_bytes(int frame, Channel channel) const {

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "scene/scene.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -43,9 +44,6 @@ class PackedScene {
   /// Checks header and manifest, all sizes against the file before any allocation. Throws Error(no_input) or
   /// Error(data) naming the file.
   explicit PackedScene(std::string path);
-  ~PackedScene();
-  PackedScene(PackedScene&& other) noexcept;
-  PackedScene& operator=(PackedScene&&) = delete;
 
   const SceneInfo& info() const { return info_; }
   /// Thread-safe. Throws Error(data) naming file, frame and channel when a checksum or size is wrong.
@@ -62,7 +60,7 @@ class PackedScene {
  private:
   std::vector<std::byte> chunk_bytes(int frame, Channel channel) const;
   std::string path_;
-  int file_ = -1;
+  FileDescriptor file_;
   std::uint64_t file_bytes_ = 0;
   SceneInfo info_;
   std::vector<std::array<Chunk, kChannels>> chunks_;

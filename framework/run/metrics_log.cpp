@@ -1,7 +1,6 @@
 // metrics.jsonl: writer, reader, resume.
 #include "run/metrics_log.h"
 
-#include <fcntl.h>
 #include <fmt/format.h>
 #include <unistd.h>
 
@@ -18,7 +17,6 @@
 #include "eval/metrics.h"
 #include "session/settings/choices.h"
 #include "system/checksum.h"
-#include "system/files.h"
 
 namespace semfield {
 
@@ -92,6 +90,15 @@ void put_fixed(std::string& out, T value) {
   out.append(bytes, sizeof(T));
 }
 
+FileDescriptor open_log(const std::string& path) {
+  FileDescriptor file = open_for_appending(path);
+  if (file < 0)
+    throw Error(ErrorKind::cannot_create, "files.write.failed",
+                fmt::format("cannot open '{}' for writing: {}", path, std::strerror(errno)),
+                "make the run folder writable, or choose another with --out");
+  return file;
+}
+
 enum Wire : std::uint64_t { varint = 0, fixed64 = 1, sized = 2, fixed32 = 5 };
 
 void put_key(std::string& out, std::uint64_t field, Wire wire) { put_varint(out, field << 3 | wire); }
@@ -152,15 +159,7 @@ std::vector<MetricsRow> parse_metrics(std::string_view text, const std::string& 
 
 std::vector<MetricsRow> read_metrics(const std::string& path) { return parse_metrics(read_text_file(path), path); }
 
-MetricsLog MetricsLog::open(const std::string& path) {
-  const int descriptor = open_for_appending(path);
-  if (descriptor < 0) {
-    throw Error(ErrorKind::cannot_create, "files.write.failed",
-                fmt::format("cannot open '{}' for writing: {}", path, std::strerror(errno)),
-                "make the run folder writable, or choose another with --out");
-  }
-  return MetricsLog(path, descriptor);
-}
+MetricsLog::MetricsLog(std::string path) : path_(std::move(path)), file_(open_log(path_)) {}
 
 MetricsLog MetricsLog::create(const std::string& path) {
   std::error_code ignored;
@@ -168,7 +167,7 @@ MetricsLog MetricsLog::create(const std::string& path) {
     throw Error(ErrorKind::cannot_create, "run.folder.used", fmt::format("'{}' holds rows already", path),
                 "resume the run, or choose another folder with --out");
   }
-  return open(path);
+  return MetricsLog(path);
 }
 
 MetricsLog MetricsLog::resume(const std::string& path, std::int64_t step) {
@@ -190,32 +189,23 @@ MetricsLog MetricsLog::resume(const std::string& path, std::int64_t step) {
     });
     if (kept.size() != text.size()) write_file_atomic(path, kept);
   }
-  return open(path);
-}
-
-MetricsLog::MetricsLog(MetricsLog&& other) noexcept
-    : path_(std::move(other.path_)), descriptor_(other.descriptor_), torn_from_(other.torn_from_) {
-  other.descriptor_ = -1;
-}
-
-MetricsLog::~MetricsLog() {
-  if (descriptor_ >= 0) ::close(descriptor_);
+  return MetricsLog(path);
 }
 
 void MetricsLog::append(const MetricsRow& row) {
-  if (torn_from_ >= 0 && ::ftruncate(descriptor_, torn_from_) != 0) throw write_error("shorten", path_, errno);
+  if (torn_from_ >= 0 && ::ftruncate(file_, torn_from_) != 0) throw write_error("shorten", path_, errno);
   torn_from_ = -1;
-  const off_t before = ::lseek(descriptor_, 0, SEEK_END);
+  const off_t before = ::lseek(file_, 0, SEEK_END);
   try {
-    append_all(descriptor_, path_, metrics_line(row) + "\n");
+    append_all(file_, path_, metrics_line(row) + "\n");
   } catch (const Error&) {
     // A part of a row would spoil the next one.
-    if (before >= 0 && ::ftruncate(descriptor_, before) != 0) torn_from_ = before;
+    if (before >= 0 && ::ftruncate(file_, before) != 0) torn_from_ = before;
     throw;
   }
 }
 
-void MetricsLog::sync() { sync_file(descriptor_, path_); }
+void MetricsLog::sync() { sync_file(file_, path_); }
 
 std::int64_t StepRows::steps_until_row(std::int64_t step) const {
   const std::int64_t every = session_.config.report.log_every_steps;
@@ -268,19 +258,10 @@ EventWriter::EventWriter(const std::string& folder, double now_s) {
   if (::gethostname(host, sizeof(host) - 1) != 0) std::strcpy(host, "host");
   path_ =
       fmt::format("{}/events.out.tfevents.{:010d}.{}.{}", folder, static_cast<std::int64_t>(now_s), host, ::getpid());
-  descriptor_ = ::open(path_.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0644);
-  if (descriptor_ < 0) {
-    throw Error(ErrorKind::cannot_create, "files.write.failed",
-                fmt::format("cannot open '{}' for writing: {}", path_, std::strerror(errno)),
-                "make the run folder writable, or choose another with --out");
-  }
+  file_ = open_log(path_);
   std::string event = event_head(now_s);
   put_text(event, 3, "brain.Event:2");
   write(event);
-}
-
-EventWriter::~EventWriter() {
-  if (descriptor_ >= 0) ::close(descriptor_);
 }
 
 void EventWriter::scalar(std::string_view tag, std::int64_t step, double value, double now_s) {
@@ -297,6 +278,6 @@ void EventWriter::scalar(std::string_view tag, std::int64_t step, double value, 
   write(event);
 }
 
-void EventWriter::write(const std::string& event) { append_all(descriptor_, path_, record_frame(event)); }
+void EventWriter::write(const std::string& event) { append_all(file_, path_, record_frame(event)); }
 
 }  // namespace semfield

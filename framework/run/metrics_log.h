@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "session/session.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -47,19 +48,15 @@ class MetricsLog {
   /// appending. Throws Error(data) for an unreadable line ahead of a row that is kept.
   static MetricsLog resume(const std::string& path, std::int64_t step);
 
-  MetricsLog(MetricsLog&& other) noexcept;
-  MetricsLog& operator=(MetricsLog&&) = delete;
-  ~MetricsLog();
   /// Throws write_error; nothing of the row stays then, and a later call may succeed.
   void append(const MetricsRow& row);
   /// Makes the rows so far outlive a power cut; a checkpoint is written only after its rows.
   void sync();
 
  private:
-  MetricsLog(std::string path, int descriptor) : path_(std::move(path)), descriptor_(descriptor) {}
-  static MetricsLog open(const std::string& path);
+  explicit MetricsLog(std::string path);
   std::string path_;
-  int descriptor_ = -1;
+  FileDescriptor file_;
   std::int64_t torn_from_ = -1;  // where the part of a row begins that could not be taken back
 };
 
@@ -98,7 +95,6 @@ class EventWriter {
   EventWriter(const std::string& folder, double now_s);
   EventWriter(const EventWriter&) = delete;
   EventWriter& operator=(const EventWriter&) = delete;
-  ~EventWriter();
 
   void scalar(std::string_view tag, std::int64_t step, double value, double now_s);
   const std::string& path() const { return path_; }
@@ -106,7 +102,7 @@ class EventWriter {
  private:
   void write(const std::string& event);
   std::string path_;
-  int descriptor_ = -1;
+  FileDescriptor file_;
 };
 
 }  // namespace semfield

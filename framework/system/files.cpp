@@ -85,13 +85,11 @@ bool is_temporary_name(std::string_view name) {
 
 // Nobody holds its lock, so nobody writes it any more. Never a link, never another kind of file.
 bool remove_if_stale(const std::string& path) {
-  const int file = ::open(path.c_str(), O_RDWR | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC);
+  const FileDescriptor file = ::open(path.c_str(), O_RDWR | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC);
   if (file < 0) return false;
   struct stat about {};
   const bool stale = ::fstat(file, &about) == 0 && S_ISREG(about.st_mode) && ::flock(file, LOCK_EX | LOCK_NB) == 0;
-  const bool removed = stale && ::unlink(path.c_str()) == 0;
-  ::close(file);
-  return removed;
+  return stale && ::unlink(path.c_str()) == 0;
 }
 
 // Makes the entries of a folder durable. A folder that may not be read, and a file system that cannot sync one, have
@@ -101,16 +99,14 @@ int sync_folder(int folder) {
   return errno == EINVAL || errno == ENOTSUP ? 0 : errno;
 }
 
-int open_folder(const std::string& folder) {
+FileDescriptor open_folder(const std::string& folder) {
   return uninterrupted([&] { return ::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC); });
 }
 
 // Makes the entry that names `path` durable; the cause of a failure, or 0.
 int sync_entry_of(const std::string& path) {
-  const int folder = open_folder(folder_of(path));
-  const int cause = folder < 0 && errno != EACCES ? errno : sync_folder(folder);
-  if (folder >= 0) ::close(folder);
-  return cause;
+  const FileDescriptor folder = open_folder(folder_of(path));
+  return folder < 0 && errno != EACCES ? errno : sync_folder(folder);
 }
 
 [[noreturn]] void refuse_special(const std::string& path, mode_t mode) {
@@ -234,9 +230,13 @@ std::string read_text_file(const std::string& path, std::size_t limit_bytes) {
   return out;
 }
 
-int open_for_reading(const std::string& path) {
+FileDescriptor::~FileDescriptor() {
+  if (number_ >= 0) ::close(number_);
+}
+
+FileDescriptor open_for_reading(const std::string& path) {
   // Without O_NONBLOCK opening a pipe waits for its writer, which may never come.
-  const int file = uninterrupted([&] { return ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK); });
+  FileDescriptor file = uninterrupted([&] { return ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK); });
   if (file < 0) {
     const int cause = errno;
     if (cause == ENXIO) refuse_special(path, S_IFSOCK);
@@ -245,7 +245,6 @@ int open_for_reading(const std::string& path) {
   }
   struct stat about {};
   if (::fstat(file, &about) == 0 && S_ISREG(about.st_mode)) return file;
-  ::close(file);
   refuse_special(path, about.st_mode);
 }
 
@@ -257,9 +256,8 @@ std::string read_system_file(const std::string& path) {
 }
 
 std::string read_file_start(const std::string& path, std::size_t bytes) {
-  const int file = open_for_reading(path);
+  const FileDescriptor file = open_for_reading(path);
   std::string out;
-  int cause = 0;
   struct stat about {};
   if (::fstat(file, &about) == 0 && about.st_size > 0)
     out.reserve(std::min(bytes, static_cast<std::size_t>(about.st_size)));
@@ -268,16 +266,11 @@ std::string read_file_start(const std::string& path, std::size_t bytes) {
     const ssize_t got =
         uninterrupted([&] { return ::read(file, block.data(), std::min(block.size(), bytes - out.size())); });
     if (got == 0) break;
-    if (got < 0) {
-      cause = errno;
-      break;
-    }
+    if (got < 0)
+      throw Error(ErrorKind::no_input, "files.read.failed", "cannot read '" + path + "': " + cause_text(errno),
+                  "check the path");
     out.append(block.data(), static_cast<std::size_t>(got));
   }
-  ::close(file);
-  if (cause != 0)
-    throw Error(ErrorKind::no_input, "files.read.failed", "cannot read '" + path + "': " + cause_text(cause),
-                "check the path");
   return out;
 }
 
@@ -318,7 +311,7 @@ void create_folders(const std::string& path) {
   }
 }
 
-int open_for_appending(const std::string& path) {
+FileDescriptor open_for_appending(const std::string& path) {
   return uninterrupted([&] { return ::open(path.c_str(), O_RDWR | O_CREAT | O_APPEND | O_CLOEXEC, 0666); });
 }
 
@@ -382,8 +375,7 @@ void AtomicFile::discard() noexcept {
   if (!temporary_.empty()) ::unlink(temporary_.c_str());
   forget(temporary_);
   temporary_.clear();
-  if (file_ >= 0) ::close(file_);
-  file_ = -1;
+  file_ = {};
 }
 
 void AtomicFile::fail(const char* doing, int cause, std::uint64_t needed_bytes) {
@@ -419,21 +411,14 @@ void AtomicFile::commit(const std::function<void(const std::string&)>& verify) {
   if (uninterrupted([&] { return ::fsync(file_); }) != 0) fail("write", errno, size_);
   if (verify) verify(temporary_);
   // Opened before the rename: where it fails, the old file is still there.
-  const int folder = open_folder(folder_);
+  const FileDescriptor folder = open_folder(folder_);
   if (folder < 0 && errno != EACCES) fail("write", errno, size_);
-  if (::rename(temporary_.c_str(), path_.c_str()) != 0) {
-    const int cause = errno;
-    if (folder >= 0) ::close(folder);
-    fail("replace", cause, size_);
-  }
+  if (::rename(temporary_.c_str(), path_.c_str()) != 0) fail("replace", errno, size_);
   forget(temporary_);
   temporary_.clear();
   // Everything is on the disk, so closing has nothing left to report. The rename itself must survive a power cut.
-  ::close(file_);
-  file_ = -1;
-  const int cause = sync_folder(folder);
-  if (folder >= 0) ::close(folder);
-  if (cause != 0) fail("write", cause, size_);
+  file_ = {};
+  if (const int cause = sync_folder(folder); cause != 0) fail("write", cause, size_);
 }
 
 void write_file_atomic(const std::string& path, std::span<const std::byte> bytes) {
@@ -444,24 +429,6 @@ void write_file_atomic(const std::string& path, std::span<const std::byte> bytes
 
 void write_file_atomic(const std::string& path, std::string_view text) {
   write_file_atomic(path, std::as_bytes(std::span<const char>(text.data(), text.size())));
-}
-
-FolderLock::FolderLock(FolderLock&& other) noexcept
-    : descriptor_(std::exchange(other.descriptor_, -1)), holder_(std::move(other.holder_)) {}
-
-FolderLock& FolderLock::operator=(FolderLock&& other) noexcept {
-  if (this == &other) return *this;
-  release();
-  descriptor_ = std::exchange(other.descriptor_, -1);
-  holder_ = std::move(other.holder_);
-  return *this;
-}
-
-FolderLock::~FolderLock() { release(); }
-
-void FolderLock::release() {
-  if (descriptor_ >= 0) ::close(descriptor_);
-  descriptor_ = -1;
 }
 
 int FolderLock::take(const std::string& folder, bool may_create) {
@@ -478,15 +445,14 @@ int FolderLock::take_file(const std::string& file) {
 int FolderLock::share(const std::string& folder) { return lock(lock_of(folder), LOCK_SH, O_CREAT); }
 
 int FolderLock::lock(const std::string& lock_file, int how, int more_flags) {
-  release();
-  const int descriptor =
+  descriptor_ = {};
+  descriptor_ =
       uninterrupted([&] { return ::open(lock_file.c_str(), O_RDWR | O_CLOEXEC | O_NOFOLLOW | more_flags, 0644); });
-  if (descriptor < 0) return errno;
-  int cause = ::flock(descriptor, how | LOCK_NB) == 0 ? 0 : errno;
-  if (cause == EWOULDBLOCK) holder_ = holder_of(descriptor);
-  descriptor_ = descriptor;
+  if (descriptor_ < 0) return errno;
+  int cause = ::flock(descriptor_, how | LOCK_NB) == 0 ? 0 : errno;
+  if (cause == EWOULDBLOCK) holder_ = holder_of(descriptor_);
   if (cause == 0) cause = sign(::getpid());
-  if (cause != 0) release();
+  if (cause != 0) descriptor_ = {};
   return cause;
 }
 

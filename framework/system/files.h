@@ -11,15 +11,32 @@
 #include <span>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "core/error.h"
 
 namespace semfield {
 
-/// A descriptor of a regular file, the caller's to close: the one way in which files are opened to be read. Throws
-/// Error(no_input) for what cannot be opened, and for folders, pipes, sockets and devices, which it never waits for.
-int open_for_reading(const std::string& path);
+/// An open file, closed at its end; below 0: none.
+class FileDescriptor {
+ public:
+  FileDescriptor(int number = -1) : number_(number) {}  // NOLINT(google-explicit-constructor): as system calls give it
+  FileDescriptor(FileDescriptor&& other) noexcept : number_(std::exchange(other.number_, -1)) {}
+  FileDescriptor& operator=(FileDescriptor&& other) noexcept {
+    std::swap(number_, other.number_);
+    return *this;
+  }
+  ~FileDescriptor();
+  operator int() const { return number_; }  // NOLINT(google-explicit-constructor): as system calls take it
+
+ private:
+  int number_;
+};
+
+/// The one way in which files are opened to be read. Throws Error(no_input) for what cannot be opened, and for folders,
+/// pipes, sockets and devices, which it never waits for.
+FileDescriptor open_for_reading(const std::string& path);
 
 /// Whole file. Throws Error(no_input) when it cannot be opened, Error(data) when larger than `limit_bytes`.
 std::string read_text_file(const std::string& path, std::size_t limit_bytes = std::size_t{256} << 20);
@@ -37,8 +54,8 @@ Error write_error(std::string_view doing, const std::string& path, int cause, st
 /// Creates a folder and those above it that are missing, and syncs every entry made. Throws write_error.
 void create_folders(const std::string& path);
 
-/// A descriptor of a file that grows, made where it is missing, the caller's to close; -1 with errno. Past EINTR.
-int open_for_appending(const std::string& path);
+/// A file that grows, made where it is missing; none with errno. Past EINTR.
+FileDescriptor open_for_appending(const std::string& path);
 /// Appends to an open file, past EINTR and short writes. Throws write_error.
 void append_all(int file, const std::string& path, std::string_view bytes);
 /// fsync. EINTR is tried again; any other failure is final, because a second fsync of the same descriptor may report
@@ -88,7 +105,7 @@ class AtomicFile {
   void discard() noexcept;
   std::string path_, folder_, temporary_;
   std::uint64_t size_ = 0;
-  int file_ = -1;
+  FileDescriptor file_;
 };
 
 // A hold on a folder or a file, alone or shared, that ends with the processes that have it, however they end.
@@ -97,11 +114,6 @@ class AtomicFile {
 /// two files of one name.
 class FolderLock {
  public:
-  FolderLock() = default;
-  FolderLock(FolderLock&& other) noexcept;
-  FolderLock& operator=(FolderLock&& other) noexcept;
-  ~FolderLock();
-
   /// 0: held from now on. EWOULDBLOCK: another has it, whom holder() names. ENOENT: no lock file is there, and none may
   /// be created. Any other errno: the folder cannot be written.
   int take(const std::string& folder, bool may_create = true);
@@ -120,8 +132,7 @@ class FolderLock {
 
  private:
   int lock(const std::string& lock_file, int how, int more_flags);
-  void release();
-  int descriptor_ = -1;
+  FileDescriptor descriptor_;
   std::string holder_;
 };
 

@@ -98,32 +98,18 @@ ClickLog ClickLog::open(const std::string& path, Diagnostics& diagnostics) {
   FolderLock lock = lock_of(path);
   if (std::filesystem::exists(path, ignored)) text = read_text_file(path, kMostLogBytes);
   std::vector<LabelEvent> events = parse_click_log(text, path, diagnostics);
-  const int file = open_for_appending(path);
+  FileDescriptor file = open_for_appending(path);
   if (file < 0) throw write_error("open", path, errno);
-  ClickLog log(path, std::move(lock), file);
+  ClickLog log(path, std::move(lock), std::move(file));
   log.events_ = std::move(events);
   log.size_ = whole_lines(text, path);
   if (log.size_ < text.size()) {
     log.require_own(std::string_view(text).substr(log.size_));
-    cut(file, path, log.size_);
-    sync_file(file, path);
+    cut(log.file_, path, log.size_);
+    sync_file(log.file_, path);
   }
   sync_folder_of(path);
   return log;
-}
-
-ClickLog::ClickLog(ClickLog&& other) noexcept
-    : path_(std::move(other.path_)),
-      lock_(std::move(other.lock_)),
-      file_(other.file_),
-      size_(other.size_),
-      torn_(std::move(other.torn_)),
-      events_(std::move(other.events_)) {
-  other.file_ = -1;
-}
-
-ClickLog::~ClickLog() {
-  if (file_ >= 0) ::close(file_);
 }
 
 // Behind the events the file has the beginning of `mine`, or all of it, and nothing else.

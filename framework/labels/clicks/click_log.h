@@ -82,10 +82,6 @@ class ClickLog {
   /// that appends to the file.
   static ClickLog open(const std::string& path, Diagnostics& diagnostics);
 
-  ClickLog(ClickLog&& other) noexcept;
-  ClickLog& operator=(ClickLog&&) = delete;
-  ~ClickLog();
-
   const std::string& path() const { return path_; }
   /// Those of the file, then those appended.
   const std::vector<LabelEvent>& events() const { return events_; }
@@ -95,12 +91,13 @@ class ClickLog {
   void append(const LabelEvent& event);
 
  private:
-  ClickLog(std::string path, FolderLock lock, int file) : path_(std::move(path)), lock_(std::move(lock)), file_(file) {}
+  ClickLog(std::string path, FolderLock lock, FileDescriptor file)
+      : path_(std::move(path)), lock_(std::move(lock)), file_(std::move(file)) {}
   void require_own(std::string_view mine) const;
   void take_back(std::string_view line) noexcept;
   std::string path_;
   FolderLock lock_;
-  int file_ = -1;
+  FileDescriptor file_;
   std::uint64_t size_ = 0;
   std::string torn_;  // the line whose append failed, where taking it back failed too
   std::vector<LabelEvent> events_;

@@ -404,9 +404,7 @@ class MappedFile {
  public:
   explicit MappedFile(const std::string& path) : size_(fs::file_size(path)) {
     if (size_ == 0) return;
-    const int file = open_for_reading(path);
-    data_ = mmap(nullptr, size_, PROT_READ, MAP_PRIVATE, file, 0);
-    close(file);
+    data_ = mmap(nullptr, size_, PROT_READ, MAP_PRIVATE, open_for_reading(path), 0);
     if (data_ == MAP_FAILED) throw std::bad_alloc();
   }
   MappedFile(const MappedFile&) = delete;
