@@ -98,17 +98,13 @@ std::string Diagnostic::text() const {
 
 std::string Diagnostic::shown() const { return with_code(text(), code); }
 
-void Diagnostics::error(Code code, std::string where, std::string message, std::string remedy) {
-  all_.push_back({Severity::error, code, printable(where), printable(message), std::move(remedy)});
-  ++errors_;
-}
-
-void Diagnostics::warning(Code code, std::string where, std::string message, std::string remedy) {
-  all_.push_back({Severity::warning, code, printable(where), printable(message), std::move(remedy)});
-}
-
-void Diagnostics::note(Code code, std::string where, std::string message) {
-  all_.push_back({Severity::note, code, std::move(where), std::move(message), {}});
+void Diagnostics::add(Diagnostic finding) {
+  if (finding.severity != Severity::note) {
+    finding.where = printable(finding.where);
+    finding.message = printable(finding.message);
+  }
+  if (finding.severity == Severity::error) ++errors_;
+  all_.push_back(std::move(finding));
 }
 
 void Diagnostics::throw_if_errors(ErrorKind kind, std::string_view summary) const {

@@ -100,9 +100,16 @@ struct Diagnostic {
 /// Collects every finding of one pass over an input, so that a user sees all of them at once.
 class Diagnostics {
  public:
-  void error(Code code, std::string where, std::string message, std::string remedy);
-  void warning(Code code, std::string where, std::string message, std::string remedy);
-  void note(Code code, std::string where, std::string message);
+  void add(Diagnostic finding);
+  void error(Code code, std::string where, std::string message, std::string remedy) {
+    add({Severity::error, code, std::move(where), std::move(message), std::move(remedy)});
+  }
+  void warning(Code code, std::string where, std::string message, std::string remedy) {
+    add({Severity::warning, code, std::move(where), std::move(message), std::move(remedy)});
+  }
+  void note(Code code, std::string where, std::string message) {
+    add({Severity::note, code, std::move(where), std::move(message), {}});
+  }
   bool has_errors() const noexcept { return errors_ > 0; }
   int error_count() const noexcept { return errors_; }
   const std::vector<Diagnostic>& all() const noexcept { return all_; }

@@ -173,13 +173,7 @@ void open_reader(LoadedScene& scene, const LabelConfig& config, Diagnostics& dia
   if (!found.has_errors()) config.from.reader->match(scene.info.frames, found);
   for (const Diagnostic& d : found.all()) {
     const std::string where = "scene.labels.from" + (d.where.empty() ? "" : ": " + d.where);
-    if (d.severity == Severity::error) {
-      diagnostics.error(d.code, where, d.message, d.remedy);
-    } else if (d.severity == Severity::warning) {
-      diagnostics.warning(d.code, where, d.message, d.remedy);
-    } else {
-      diagnostics.note(d.code, where, d.message);
-    }
+    diagnostics.add({d.severity, d.code, where, d.message, d.remedy});
   }
   const auto trains = [&](const FrameInfo& frame) {
     return frame.split == Split::train && config.from.reader->has(frame);

@@ -120,12 +120,7 @@ void add_untold(const Diagnostics& found, const std::string& told_path, Diagnost
   std::string_view rest = text, line;
   while (next_line(rest, line)) told.emplace(line);
   for (const Diagnostic& finding : found.all()) {
-    if (told.contains(finding.text())) continue;
-    if (finding.severity == Severity::warning) {
-      diagnostics.warning(finding.code, finding.where, finding.message, finding.remedy);
-    } else {
-      diagnostics.note(finding.code, finding.where, finding.message);
-    }
+    if (!told.contains(finding.text())) diagnostics.add(finding);
   }
 }
 

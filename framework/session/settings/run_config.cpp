@@ -729,7 +729,7 @@ RunConfig load_run_config(const std::string& path, const std::vector<std::string
   // Without what could not be included or set, only what is written can be wrong, and not what is missing.
   for (const Diagnostic& finding : found.all())
     if (finding.severity == Severity::error && (!problems.has_errors() || is_of_the_written(finding.code)))
-      problems.error(finding.code, finding.where, finding.message, finding.remedy);
+      problems.add(finding);
   problems.throw_if_errors(ErrorKind::config, "");
   if (tree.find("name") == nullptr) config.name = std::filesystem::path(file).stem().string();
   return config;
@@ -848,11 +848,8 @@ PluginSlot read_slot(PluginKind kind, const ConfigNode& node, const std::string&
     slot.params->validate(relations);
     for (const Diagnostic& finding : relations.all()) {
       const std::string message = path + (finding.where.empty() ? "" : "." + finding.where) + ": " + finding.message;
-      if (finding.severity == Severity::error) {
-        diagnostics.error(finding.code, node.location().text(), message, finding.remedy);
-      } else {
-        diagnostics.warning(finding.code, node.location().text(), message, finding.remedy);
-      }
+      const Severity severity = finding.severity == Severity::error ? Severity::error : Severity::warning;
+      diagnostics.add({severity, finding.code, node.location().text(), message, finding.remedy});
     }
   }
   return slot;
