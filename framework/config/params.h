@@ -3,6 +3,7 @@
 // of ours crosses a module border: ParamVisitor is virtual.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <functional>
 #include <limits>
@@ -44,9 +45,14 @@ class ParamVisitor {
   virtual void texts(const ParamInfo& info, std::vector<std::string>& value) = 0;
 };
 
-/// An enum becomes a choice by specialising this: `static constexpr std::array<std::string_view, N> names{...}`.
+/// An enum becomes a choice by its names, in the order of its values from 0 on: SEMFIELD_CHOICES(Enum, "first", ...);
 template <class Enum>
 struct ChoiceNames;
+#define SEMFIELD_CHOICES(Enum, ...)                                               \
+  template <>                                                                     \
+  struct ChoiceNames<Enum> {                                                      \
+    static constexpr auto names = std::to_array<std::string_view>({__VA_ARGS__}); \
+  }
 
 template <class T>
 void visit_param(ParamVisitor& visit, std::string_view name, T& value, std::string_view help, Range range = {}) {

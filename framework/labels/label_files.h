@@ -1,7 +1,6 @@
 // What readers of label files share: frames by the names of files, places in patterns, and a bounded list of problems.
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <functional>
 #include <map>
@@ -153,10 +152,7 @@ ClassTable table_for(const std::map<std::string, std::string>& place_of_name, co
 // Which training frames keep their labels; colour of all frames is always used.
 
 enum class LabelMode { even, random, named, coverage };
-template <>
-struct ChoiceNames<LabelMode> {
-  static constexpr std::array<std::string_view, 4> names{"even", "random", "named", "coverage"};
-};
+SEMFIELD_CHOICES(LabelMode, "even", "random", "named", "coverage");
 
 struct LabelParams {
   std::string frames = "all";

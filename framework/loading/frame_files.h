@@ -74,10 +74,7 @@ std::map<std::int64_t, std::string> numbered_photographs(const std::string& fold
 
 /// What a label id outside the class table is; the parameter `unknown_labels` of datasets made of image files.
 enum class UnknownLabels { error, as_void };
-template <>
-struct ChoiceNames<UnknownLabels> {
-  static constexpr std::array<std::string_view, 2> names{"error", "void"};
-};
+SEMFIELD_CHOICES(UnknownLabels, "error", "void");
 
 /// What every dataset with that parameter says to ids outside the table.
 inline constexpr const char* kUnknownLabelRemedy =
@@ -100,10 +97,7 @@ struct FrameReadRules {
 /// What becomes of a frame whose index names files that are not there; the parameter `missing` of datasets made of
 /// image files.
 enum class MissingFiles { error, skip };
-template <>
-struct ChoiceNames<MissingFiles> {
-  static constexpr std::array<std::string_view, 2> names{"error", "skip"};
-};
+SEMFIELD_CHOICES(MissingFiles, "error", "skip");
 /// What those datasets say of the parameter.
 inline constexpr const char* kMissingSentence =
     "what happens when files are missing: error, or skip: a frame without image or pose is left out, and other "

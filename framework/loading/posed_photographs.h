@@ -2,7 +2,6 @@
 // of another size with its confidence. Exports of scanning apps are such datasets.
 #pragma once
 
-#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <map>
@@ -20,10 +19,7 @@ namespace semfield {
 
 /// As ARKit rates a depth.
 enum class Confidence : std::uint8_t { low, medium, high };
-template <>
-struct ChoiceNames<Confidence> {
-  static constexpr std::array<std::string_view, 3> names{"low", "medium", "high"};
-};
+SEMFIELD_CHOICES(Confidence, "low", "medium", "high");
 
 struct PhotographParams {
   std::string root;

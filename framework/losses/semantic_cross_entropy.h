@@ -1,9 +1,7 @@
 // Semantic loss: cross-entropy of class logits against hard or soft labels; softmax and entropy for rendering.
 #pragma once
 
-#include <array>
 #include <cstdint>
-#include <string_view>
 #include <vector>
 
 #include "config/params.h"
@@ -17,10 +15,7 @@ namespace semfield {
 ///   mean_rays      all rays of the batch, labelled or not.
 enum class SemanticNormalisation : std::uint8_t { mean_labelled, sum, mean_rays };
 
-template <>
-struct ChoiceNames<SemanticNormalisation> {
-  static constexpr std::array<std::string_view, 3> names{"mean_labelled", "sum", "mean_rays"};
-};
+SEMFIELD_CHOICES(SemanticNormalisation, "mean_labelled", "sum", "mean_rays");
 
 /// Labels of R rays: exactly one view is set.
 struct SemanticTargets {

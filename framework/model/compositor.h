@@ -4,7 +4,6 @@
 
 #include <array>
 #include <cstdint>
-#include <string_view>
 
 #include "config/params.h"
 #include "core/host_device.h"
@@ -27,10 +26,7 @@ SEMFIELD_HD inline double optical_depth(Real sigma, Real delta) {
 ///               its density gets no gradient; a ray without samples shows the background colour.
 enum class FarMode : std::uint8_t { open, closed, background };
 
-template <>
-struct ChoiceNames<FarMode> {
-  static constexpr std::array<std::string_view, 3> names{"open", "closed", "background"};
-};
+SEMFIELD_CHOICES(FarMode, "open", "closed", "background");
 
 /// M = samples->count samples of R = samples->first.rows - 1 rays. An empty view is not composited. hidden may cover
 /// the first n rays alone: it then has their first[n] samples as rows, and CompositeOut::hidden has n rows.
@@ -100,10 +96,7 @@ void check_density(const Samples<Real>& samples, View<const Real> sigma, std::in
 /// Non-finite raw values pass through as non-finite (relu keeps NaN): check_density names them, nothing hides them.
 enum class DensityActivation : std::uint8_t { relu, softplus, trunc_exp };
 
-template <>
-struct ChoiceNames<DensityActivation> {
-  static constexpr std::array<std::string_view, 3> names{"relu", "softplus", "trunc_exp"};
-};
+SEMFIELD_CHOICES(DensityActivation, "relu", "softplus", "trunc_exp");
 
 /// Largest exponent of trunc_exp.
 inline constexpr double kTruncExpMax = 15;

@@ -3,7 +3,6 @@
 
 #include <array>
 #include <cstdint>
-#include <string_view>
 #include <vector>
 
 #include "config/params.h"
@@ -29,10 +28,7 @@ void describe(ParamVisitor& visit, SemanticsParams& params);
 ///   nothing     rays end there;
 ///   contracted  all of space, drawn in [Barron22]: rays go on to far.
 enum class Outside : std::uint8_t { nothing, contracted };
-template <>
-struct ChoiceNames<Outside> {
-  static constexpr std::array<std::string_view, 2> names{"nothing", "contracted"};
-};
+SEMFIELD_CHOICES(Outside, "nothing", "contracted");
 
 struct RenderingParams {
   DensityActivation density_activation = DensityActivation::relu;

@@ -1,11 +1,9 @@
 // What samplers share: the quadrature rules of the rendering integral, and which part of a ray is sampled.
 #pragma once
 
-#include <array>
 #include <cmath>
 #include <cstdint>
 #include <string>
-#include <string_view>
 
 #include "config/params.h"
 #include "core/error.h"
@@ -24,10 +22,7 @@ namespace semfield {
 ///                   without training the same as midpoint.
 enum class Quadrature : std::uint8_t { paper, midpoint, stratified_bin };
 
-template <>
-struct ChoiceNames<Quadrature> {
-  static constexpr std::array<std::string_view, 3> names{"paper", "midpoint", "stratified_bin"};
-};
+SEMFIELD_CHOICES(Quadrature, "paper", "midpoint", "stratified_bin");
 
 /// Throws Error(data): "ray 7 runs from 0.1 to inf m; samples need finite limits".
 [[noreturn]] void bad_ray_limits(std::int64_t ray, double near_m, double far_m);

@@ -1,8 +1,6 @@
 // Loss `depth`: what depth images say of where a ray's light comes from.
 #pragma once
 
-#include <array>
-
 #include "core/host_device.h"
 #include "plugin/loss.h"
 
@@ -11,10 +9,7 @@ namespace semfield {
 /// expected       the rendered depth lies where the image says, in units of RayValues::unit_m;
 /// line_of_sight  all light comes from within a band about it [Rematas22].
 enum class DepthLossKind : std::uint8_t { expected, line_of_sight };
-template <>
-struct ChoiceNames<DepthLossKind> {
-  static constexpr std::array<std::string_view, 2> names{"expected", "line_of_sight"};
-};
+SEMFIELD_CHOICES(DepthLossKind, "expected", "line_of_sight");
 
 struct DepthLossParams : LossRule {
   DepthLossParams() { weight = 0.1; }

@@ -1,8 +1,6 @@
 // Loss `distortion`: light of a ray comes from one place [Barron22, Eq. 15].
 #pragma once
 
-#include <array>
-
 #include "core/host_device.h"
 #include "plugin/loss.h"
 
@@ -12,10 +10,7 @@ namespace semfield {
 ///   linear     (t - near) / (far - near);
 ///   disparity  the same of 1 / t, which spreads what is close [Barron22].
 enum class DistortionSpace : std::uint8_t { linear, disparity };
-template <>
-struct ChoiceNames<DistortionSpace> {
-  static constexpr std::array<std::string_view, 2> names{"linear", "disparity"};
-};
+SEMFIELD_CHOICES(DistortionSpace, "linear", "disparity");
 
 struct DistortionParams : LossRule {
   DistortionParams() {

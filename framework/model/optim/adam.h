@@ -2,9 +2,7 @@
 #pragma once
 
 #include <algorithm>
-#include <array>
 #include <cstdint>
-#include <string_view>
 #include <vector>
 
 #include "compute/parallel.h"
@@ -160,10 +158,7 @@ void for_ranges(int tensors, const Rows& rows, const Cols& cols, const Body& bod
 
 enum class ScheduleKind : std::uint8_t { constant, exponential, cosine };
 
-template <>
-struct ChoiceNames<ScheduleKind> {
-  static constexpr std::array<std::string_view, 3> names{"constant", "exponential", "cosine"};
-};
+SEMFIELD_CHOICES(ScheduleKind, "constant", "exponential", "cosine");
 
 /// What a run trains beyond the length that it began with, or after its length was settled anew.
 struct ScheduleLeg {

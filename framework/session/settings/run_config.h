@@ -1,7 +1,6 @@
 // A run's configuration as typed sections and plugin slots, read from the composed tree with every error at once.
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <memory>
 #include <string>
@@ -24,22 +23,13 @@
 namespace semfield {
 
 enum class FusionMethod : std::uint8_t { monocular, bayesian, average };
-template <>
-struct ChoiceNames<FusionMethod> {
-  static constexpr std::array<std::string_view, 3> names{"monocular", "bayesian", "average"};
-};
+SEMFIELD_CHOICES(FusionMethod, "monocular", "bayesian", "average");
 
 enum class FusionDepth : std::uint8_t { truth, learned };
-template <>
-struct ChoiceNames<FusionDepth> {
-  static constexpr std::array<std::string_view, 2> names{"true", "learned"};
-};
+SEMFIELD_CHOICES(FusionDepth, "true", "learned");
 
 enum class ViewChoice : std::uint8_t { nearest, even };
-template <>
-struct ChoiceNames<ViewChoice> {
-  static constexpr std::array<std::string_view, 2> names{"nearest", "even"};
-};
+SEMFIELD_CHOICES(ViewChoice, "nearest", "even");
 
 struct FusionParams {
   std::vector<std::string> methods{"monocular", "bayesian", "average"};
@@ -102,10 +92,7 @@ void describe(ParamVisitor& visit, SegmentDamage& damage);
 // surface/fuse/.
 
 enum class PropagationMethod : std::uint8_t { surface, vote };
-template <>
-struct ChoiceNames<PropagationMethod> {
-  static constexpr std::array<std::string_view, 2> names{"surface", "vote"};
-};
+SEMFIELD_CHOICES(PropagationMethod, "surface", "vote");
 
 struct PropagationParams {
   PropagationMethod method = PropagationMethod::surface;
@@ -123,10 +110,7 @@ void validate(const PropagationParams& params, Diagnostics& diagnostics);
 
 /// automatic: the labels decide when a session opens (session/settings/choices.h).
 enum class RaySourceKind : std::uint8_t { all_images, one_image, label_balanced, automatic };
-template <>
-struct ChoiceNames<RaySourceKind> {
-  static constexpr std::array<std::string_view, 4> names{"all_images", "one_image", "label_balanced", "auto"};
-};
+SEMFIELD_CHOICES(RaySourceKind, "all_images", "one_image", "label_balanced", "auto");
 
 struct TrainParams {
   std::int64_t steps = 20000;
@@ -142,10 +126,7 @@ void validate(const TrainParams& params, Diagnostics& diagnostics);
 /// What is believed of training cameras: as given, or learned with the field (model/camera_corrections.h). `automatic`
 /// is decided by the scene (choices.h).
 enum class CameraTrust : std::uint8_t { given, learned, automatic };
-template <>
-struct ChoiceNames<CameraTrust> {
-  static constexpr std::array<std::string_view, 3> names{"given", "learned", "auto"};
-};
+SEMFIELD_CHOICES(CameraTrust, "given", "learned", "auto");
 struct CameraParams {
   CameraTrust poses = CameraTrust::given, colors = CameraTrust::given;
   double pose_rate = 0.02;
@@ -163,10 +144,7 @@ struct SelfTrainingParams {
 void describe(ParamVisitor& visit, SelfTrainingParams& params);
 void validate(const SelfTrainingParams& params, Diagnostics& diagnostics);
 
-template <>
-struct ChoiceNames<Precision> {
-  static constexpr std::array<std::string_view, 3> names{"fp32", "bf16", "auto"};
-};
+SEMFIELD_CHOICES(Precision, "fp32", "bf16", "auto");
 
 struct RuntimeParams {
   std::string device = "auto";  ///< or what device_of reads (core/view.h)
@@ -206,10 +184,7 @@ struct PluginSlot {
 
 /// Labels that a semantic branch is meant for; choices.h says which a scene has.
 enum class LabelKind : std::uint8_t { any, few, noisy, many, dense };
-template <>
-struct ChoiceNames<LabelKind> {
-  static constexpr std::array<std::string_view, 5> names{"any", "few", "noisy", "many", "dense"};
-};
+SEMFIELD_CHOICES(LabelKind, "any", "few", "noisy", "many", "dense");
 
 /// What a pass's semantic branch is beside its plugins (model/render_rules.h).
 struct SemanticBranchConfig {

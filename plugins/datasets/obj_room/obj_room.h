@@ -1,11 +1,9 @@
 // Dataset 'obj_room': an OBJ + MTL room, rendered on demand along a camera path.
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <memory>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include "config/params.h"
@@ -36,21 +34,12 @@ std::vector<Pose> make_camera_path(const Raycaster& rays, const PathSettings& se
 
 enum class UpAxis : std::uint8_t { y, z };
 
-template <>
-struct ChoiceNames<UpAxis> {
-  static constexpr std::array<std::string_view, 2> names{"y", "z"};
-};
-template <>
-struct ChoiceNames<CameraAxes> {
-  static constexpr std::array<std::string_view, 3> names{"right_down_forward", "right_up_backward", "left_up_forward"};
-};
+SEMFIELD_CHOICES(UpAxis, "y", "z");
+SEMFIELD_CHOICES(CameraAxes, "right_down_forward", "right_up_backward", "left_up_forward");
 
 /// What an instance of a room is: an object of the file, or what is of one class and touches.
 enum class RoomInstances : std::uint8_t { objects, pieces };
-template <>
-struct ChoiceNames<RoomInstances> {
-  static constexpr std::array<std::string_view, 2> names{"objects", "pieces"};
-};
+SEMFIELD_CHOICES(RoomInstances, "objects", "pieces");
 
 struct ObjRoomParams {
   std::string root = "room";

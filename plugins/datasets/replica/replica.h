@@ -2,11 +2,9 @@
 // renders them: traj.txt, results/frame*.jpg and depth*.png.
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <map>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include "config/params.h"
@@ -16,10 +14,7 @@
 namespace semfield {
 
 enum class ReplicaSplit { by_steps, paper };
-template <>
-struct ChoiceNames<ReplicaSplit> {
-  static constexpr std::array<std::string_view, 2> names{"auto", "paper"};
-};
+SEMFIELD_CHOICES(ReplicaSplit, "auto", "paper");
 
 struct ReplicaParams {
   std::string root;

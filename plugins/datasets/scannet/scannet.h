@@ -4,7 +4,6 @@
 #include <array>
 #include <cstdint>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include "config/params.h"
@@ -14,10 +13,7 @@
 
 namespace semfield {
 
-template <>
-struct ChoiceNames<ScannetIds> {
-  static constexpr std::array<std::string_view, 3> names{"raw", "nyu40", "eigen13"};
-};
+SEMFIELD_CHOICES(ScannetIds, "raw", "nyu40", "eigen13");
 
 struct ScannetParams {
   std::string root;

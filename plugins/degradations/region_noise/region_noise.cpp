@@ -1,6 +1,5 @@
 // Region noise: whole instances get a wrong class in a share of the frames that see them.
 #include <algorithm>
-#include <array>
 #include <map>
 #include <numeric>
 
@@ -20,10 +19,7 @@ enum class RegionMode { sort, even };
 
 }  // namespace
 
-template <>
-struct ChoiceNames<RegionMode> {
-  static constexpr std::array<std::string_view, 2> names{"sort", "even"};
-};
+SEMFIELD_CHOICES(RegionMode, "sort", "even");
 
 namespace {
 

@@ -38,10 +38,7 @@ struct SimulatedParams {
 
 }  // namespace
 
-template <>
-struct ChoiceNames<Output> {
-  static constexpr std::array<std::string_view, 2> names{"soft", "hard"};
-};
+SEMFIELD_CHOICES(Output, "soft", "hard");
 
 namespace {
 

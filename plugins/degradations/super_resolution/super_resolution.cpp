@@ -1,6 +1,5 @@
 // Super-resolution: labels known on a grid of every S-th row and column only.
 #include <algorithm>
-#include <array>
 
 #include "labels/training_labels.h"
 #include "plugin/module.h"
@@ -13,10 +12,7 @@ enum class GridMode { dense, sparse };
 
 }  // namespace
 
-template <>
-struct ChoiceNames<GridMode> {
-  static constexpr std::array<std::string_view, 2> names{"dense", "sparse"};
-};
+SEMFIELD_CHOICES(GridMode, "dense", "sparse");
 
 namespace {
 

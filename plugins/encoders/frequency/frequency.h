@@ -1,9 +1,7 @@
 // Positional encoding with exact range reduction: [x, sin 2^k x, cos 2^k x], k = 0 .. L-1.
 #pragma once
 
-#include <array>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include "config/params.h"
@@ -21,15 +19,9 @@ struct FrequencyParams {
   Arithmetic arithmetic = Arithmetic::float64;
 };
 
-template <>
-struct ChoiceNames<Angular> {
-  static constexpr std::array<std::string_view, 2> names{"radian", "pi"};
-};
+SEMFIELD_CHOICES(Angular, "radian", "pi");
 
-template <>
-struct ChoiceNames<Arithmetic> {
-  static constexpr std::array<std::string_view, 3> names{"float64", "float32", "naive"};
-};
+SEMFIELD_CHOICES(Arithmetic, "float64", "float32", "naive");
 
 void describe(ParamVisitor& visit, FrequencyParams& params);
 void validate(const FrequencyParams& params, Diagnostics& diagnostics);

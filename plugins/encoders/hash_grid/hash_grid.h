@@ -1,9 +1,7 @@
 // Multiresolution hash grid: learned feature vectors on the vertices of nested grids.
 #pragma once
 
-#include <array>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include "config/params.h"
@@ -24,10 +22,7 @@ struct HashGridParams {
   double init = 1e-4;
 };
 
-template <>
-struct ChoiceNames<Interpolation> {
-  static constexpr std::array<std::string_view, 2> names{"linear", "smoothstep"};
-};
+SEMFIELD_CHOICES(Interpolation, "linear", "smoothstep");
 
 void describe(ParamVisitor& visit, HashGridParams& params);
 void validate(const HashGridParams& params, Diagnostics& diagnostics);

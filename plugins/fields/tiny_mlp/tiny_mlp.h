@@ -1,9 +1,6 @@
 // The small network behind a learned encoding: one hidden layer to density and geometry features, two to colour.
 #pragma once
 
-#include <array>
-#include <string_view>
-
 #include "config/params.h"
 #include "core/error.h"
 #include "core/host_device.h"
@@ -20,10 +17,7 @@ struct TinyMlpParams {
   TinyFeature feature = TinyFeature::hidden;
 };
 
-template <>
-struct ChoiceNames<TinyFeature> {
-  static constexpr std::array<std::string_view, 2> names{"hidden", "geometry"};
-};
+SEMFIELD_CHOICES(TinyFeature, "hidden", "geometry");
 
 void describe(ParamVisitor& visit, TinyMlpParams& params);
 void validate(const TinyMlpParams& params, Diagnostics& diagnostics);

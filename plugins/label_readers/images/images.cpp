@@ -16,10 +16,7 @@
 namespace semfield {
 
 enum class LabelImageKind { ids, palette, color };
-template <>
-struct ChoiceNames<LabelImageKind> {
-  static constexpr std::array<std::string_view, 3> names{"ids", "palette", "color"};
-};
+SEMFIELD_CHOICES(LabelImageKind, "ids", "palette", "color");
 
 namespace {
 

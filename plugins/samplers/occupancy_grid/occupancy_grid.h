@@ -1,9 +1,7 @@
 // The occupancy-grid sampler: fixed steps along the ray, empty cells left out [Mueller22].
 #pragma once
 
-#include <array>
 #include <string>
-#include <string_view>
 
 #include "config/params.h"
 #include "core/error.h"
@@ -22,10 +20,7 @@ namespace semfield {
 ///   never      every step is evaluated: what the other two are compared with.
 enum class SkipRule : std::uint8_t { certified, threshold, never };
 
-template <>
-struct ChoiceNames<SkipRule> {
-  static constexpr std::array<std::string_view, 3> names{"certified", "threshold", "never"};
-};
+SEMFIELD_CHOICES(SkipRule, "certified", "threshold", "never");
 
 struct OccupancyGridParams {
   std::int64_t resolution = 128;

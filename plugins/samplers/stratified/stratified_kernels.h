@@ -1,7 +1,6 @@
 // Kernel table of the stratified sampler.
 #pragma once
 
-#include <array>
 #include <cstdint>
 
 #include "core/host_device.h"
@@ -17,10 +16,7 @@ class KernelTables;
 ///   linear     their length in metres;
 ///   disparity  their length in 1 / t: fine near the camera, coarse far away.
 enum class SampleSpacing : std::uint8_t { linear, disparity };
-template <>
-struct ChoiceNames<SampleSpacing> {
-  static constexpr std::array<std::string_view, 2> names{"linear", "disparity"};
-};
+SEMFIELD_CHOICES(SampleSpacing, "linear", "disparity");
 
 struct StratifiedArgs {
   std::int64_t samples = 0;  ///< N, bins a ray
