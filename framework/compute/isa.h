@@ -94,12 +94,10 @@ bool bf16_is_faster();
 /// are rounded to nearest, and nothing traps. Subnormal numbers carry no information that training or rendering needs,
 /// and some CPUs take 25 times as long over them. The mode is that of SSE and AVX (MXCSR) or AArch64 (FPCR);
 /// elsewhere this does nothing. Scopes nest.
-class ComputeFloatMode {
+class ComputeFloatMode : NonCopyable {
  public:
   ComputeFloatMode();
   ~ComputeFloatMode();
-  ComputeFloatMode(const ComputeFloatMode&) = delete;
-  ComputeFloatMode& operator=(const ComputeFloatMode&) = delete;
 
   /// This thread is in the mode; always where there is no such mode.
   static bool in_effect();

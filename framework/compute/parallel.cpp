@@ -48,8 +48,6 @@ class ThreadTeam {
   explicit ThreadTeam(int workers)
       : workers_(workers), manager_([this, workers] { start_workers(workers, [this] { serve(); }); }) {}
   ~ThreadTeam();
-  ThreadTeam(const ThreadTeam&) = delete;
-  ThreadTeam& operator=(const ThreadTeam&) = delete;
 
   int workers() const { return workers_; }
   /// body(i) for every i in [0, count), each once; one job at a time. The first exception is rethrown at the end.

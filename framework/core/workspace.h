@@ -67,12 +67,10 @@ class Workspace {
   std::int64_t growth_count() const noexcept { return growths_; }
 
   /// Everything taken while a Scope lives is given back when it ends.
-  class Scope {
+  class Scope : NonCopyable {
    public:
     explicit Scope(Workspace& arena) : arena_(arena), block_(arena.block_), used_(arena.used_), total_(arena.total_) {}
     ~Scope() { arena_.release(block_, used_, total_); }
-    Scope(const Scope&) = delete;
-    Scope& operator=(const Scope&) = delete;
 
    private:
     Workspace& arena_;
@@ -121,13 +119,11 @@ const WorkSettings& work_settings();
 
 /// While it lives, work of this thread is done with `settings`, which are borrowed: a change of them is seen at once.
 /// Threads that parallel_for lends work under the same. Scopes nest.
-class WorkScope {
+class WorkScope : NonCopyable {
  public:
   explicit WorkScope(const WorkSettings& settings);
   explicit WorkScope(WorkSettings&&) = delete;
   ~WorkScope();
-  WorkScope(const WorkScope&) = delete;
-  WorkScope& operator=(const WorkScope&) = delete;
 
  private:
   const WorkSettings* before_;
@@ -143,8 +139,6 @@ class WorkspacePool {
    public:
     explicit Loan(WorkspacePool& pool) : pool_(pool), arena_(pool.take()) {}
     ~Loan() { pool_.give_back(std::move(arena_)); }
-    Loan(const Loan&) = delete;
-    Loan& operator=(const Loan&) = delete;
     Workspace* get() const { return arena_.get(); }
 
    private:

@@ -75,12 +75,10 @@ const Launch& launch();
 /// Sets launch().live_rows.
 void set_launch_rows(const std::int32_t* live_rows);
 /// Sets the launch, and the thread's current device, while it lives.
-class LaunchScope {
+class LaunchScope : NonCopyable {
  public:
   explicit LaunchScope(const Launch& next);
   ~LaunchScope();
-  LaunchScope(const LaunchScope&) = delete;
-  LaunchScope& operator=(const LaunchScope&) = delete;
 
  private:
   Launch before_;
@@ -134,6 +132,19 @@ class Buffer {
   std::unique_ptr<T, Release> data_;
   std::size_t size_ = 0;
 };
+
+/// Page-locked memory of the host.
+struct FreePinned {
+  void operator()(void* memory) const { (void)cudaFreeHost(memory); }
+};
+template <class T>
+using Pinned = std::unique_ptr<T[], FreePinned>;
+template <class T>
+Pinned<T> pinned(std::size_t count, const char* what) {
+  void* memory = nullptr;
+  check(cudaMallocHost(&memory, count * sizeof(T)), what);
+  return Pinned<T>(static_cast<T*>(memory));
+}
 
 /// Copies in launch().stream. `upload` and `download` wait for the copy when the host memory is pageable.
 template <class T>

@@ -46,8 +46,6 @@ class Pipeline {
  public:
   Pipeline(std::vector<PassParts<Real>> passes, PipelineOptions options, bool trainable);
   ~Pipeline();
-  Pipeline(const Pipeline&) = delete;
-  Pipeline& operator=(const Pipeline&) = delete;
 
   ParamStore<Real>& store() { return store_; }
   const ParamStore<Real>& store() const { return store_; }

@@ -93,8 +93,6 @@ class EventWriter {
  public:
   /// `now_s`: seconds since 1970, part of the name and of the first event. Throws Error(cannot_create).
   EventWriter(const std::string& folder, double now_s);
-  EventWriter(const EventWriter&) = delete;
-  EventWriter& operator=(const EventWriter&) = delete;
 
   void scalar(std::string_view tag, std::int64_t step, double value, double now_s);
   const std::string& path() const { return path_; }

@@ -101,8 +101,6 @@ class Run {
   /// another run.
   Run(RunConfig config, Registry& registry, const TrainRequest& request, RunListener* listener,
       TrainingListener* opening = nullptr);
-  Run(const Run&) = delete;
-  Run& operator=(const Run&) = delete;
 
   Training& training() { return training_; }
   const Training& training() const { return training_; }

@@ -20,11 +20,8 @@
 namespace semfield {
 
 /// What a training reports while it runs; every call comes from the thread that asked for the work.
-class TrainingListener {
+class TrainingListener : NonCopyable {
  public:
-  TrainingListener() = default;
-  TrainingListener(const TrainingListener&) = delete;
-  TrainingListener& operator=(const TrainingListener&) = delete;
   virtual ~TrainingListener() = default;
   /// A finding or a choice, as a sentence.
   virtual void note(const std::string&) {}
@@ -50,8 +47,6 @@ class Training {
   /// The same with a session that was opened as trainable.
   /// `inputs`: scene_inputs of its scene, where they are known.
   explicit Training(Session session, TrainingListener* listener = nullptr, std::optional<SceneInputs> inputs = {});
-  Training(const Training&) = delete;
-  Training& operator=(const Training&) = delete;
 
   const Session& session() const { return session_; }
   const SceneInputs& inputs();

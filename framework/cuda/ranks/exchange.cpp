@@ -60,31 +60,6 @@ std::string hindrance(Ranks& ranks, const std::vector<Seat>& seats) {
 
 constexpr std::size_t kPiece = std::size_t{1} << 20;  // numbers of a rank that the others get at once
 
-// Page-locked memory of the host.
-class PinnedNumbers {
- public:
-  PinnedNumbers() = default;
-  PinnedNumbers(const PinnedNumbers&) = delete;
-  PinnedNumbers& operator=(const PinnedNumbers&) = delete;
-  ~PinnedNumbers() { (void)cudaFreeHost(data_); }
-  /// Nothing may be on its way to or from it.
-  void reserve(std::size_t count) {
-    if (count <= size_) return;
-    (void)cudaFreeHost(data_);
-    data_ = nullptr;
-    size_ = 0;
-    void* memory = nullptr;
-    check(cudaMallocHost(&memory, count * sizeof(float)), "pinned memory of gradients");
-    data_ = static_cast<float*>(memory);
-    size_ = count;
-  }
-  float* data() const { return data_; }
-
- private:
-  float* data_ = nullptr;
-  std::size_t size_ = 0;
-};
-
 class HostExchange final : public RankExchange {
  public:
   explicit HostExchange(Ranks& ranks) : ranks_(ranks) {}
@@ -92,8 +67,11 @@ class HostExchange final : public RankExchange {
   bool queues() const override { return false; }
   void reserve(std::size_t most) override {
     most = std::max<std::size_t>(most, 1);
-    own_.reserve(most);
-    all_.reserve(std::min(most, kPiece) * size());
+    if (most <= room_) return;
+    room_ = 0;
+    own_ = pinned<float>(most, "pinned memory of gradients");
+    all_ = pinned<float>(std::min(most, kPiece) * size(), "pinned memory of gradients");
+    room_ = most;
   }
 
   // What is left of a call when the ranks need each other no more may fail on one rank alone.
@@ -103,13 +81,13 @@ class HostExchange final : public RankExchange {
       const std::size_t count = std::min(kPiece, block.size() - begin);
       gather_piece(begin, count);
       for (std::size_t i = 0; i < count; ++i) {  // in the order of ranks, so that all get the same
-        float total = all_.data()[i];
-        for (std::size_t r = 1; r < size(); ++r) total += all_.data()[r * count + i];
-        own_.data()[begin + i] = total;
+        float total = all_.get()[i];
+        for (std::size_t r = 1; r < size(); ++r) total += all_.get()[r * count + i];
+        own_.get()[begin + i] = total;
       }
     }
     find_least(own, fault);
-    put(own_.data(), block.data(), block.size(), stream);
+    put(own_.get(), block.data(), block.size(), stream);
     put_fault(fault, stream);
   }
 
@@ -123,7 +101,7 @@ class HostExchange final : public RankExchange {
     FaultKey key = kNoFault;
     agree(ranks_, [&] {
       if (count > 0) {
-        check(cudaMemcpyAsync(own_.data(), from, count * sizeof(float), cudaMemcpyDeviceToHost, stream),
+        check(cudaMemcpyAsync(own_.get(), from, count * sizeof(float), cudaMemcpyDeviceToHost, stream),
               "fetching gradients");
       }
       if (fault != nullptr)
@@ -135,8 +113,8 @@ class HostExchange final : public RankExchange {
   // all_ [size, count] = the piece of every rank's numbers.
   void gather_piece(std::size_t begin, std::size_t count) {
     const std::vector<std::size_t> bytes(size(), count * sizeof(float));
-    ranks_.all_gather(std::as_bytes(std::span(own_.data() + begin, count)),
-                      std::as_writable_bytes(std::span(all_.data(), size() * count)), bytes);
+    ranks_.all_gather(std::as_bytes(std::span(own_.get() + begin, count)),
+                      std::as_writable_bytes(std::span(all_.get(), size() * count)), bytes);
   }
   static void put(const float* from, float* to, std::size_t count, cudaStream_t stream) {
     if (count == 0) return;
@@ -153,7 +131,8 @@ class HostExchange final : public RankExchange {
   }
 
   Ranks& ranks_;
-  PinnedNumbers own_, all_;
+  Pinned<float> own_, all_;
+  std::size_t room_ = 0;  // numbers
   FaultKey least_ = kNoFault;
 };
 

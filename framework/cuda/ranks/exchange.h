@@ -16,11 +16,8 @@ namespace semfield::cuda {
 
 /// All ranks make the same calls in the same order. What they give is the same on every rank, to the bit. An Error that
 /// one rank alone meets leaves no other rank waiting.
-class RankExchange {
+class RankExchange : NonCopyable {
  public:
-  RankExchange() = default;
-  RankExchange(const RankExchange&) = delete;
-  RankExchange& operator=(const RankExchange&) = delete;
   virtual ~RankExchange() = default;
 
   /// Whether `sum` only queues work on its stream, so that a graph may hold it. Else it waits for the stream and for

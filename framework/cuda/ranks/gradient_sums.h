@@ -28,8 +28,6 @@ class GradientSums {
   /// ends[p].
   GradientSums(const DeviceOptions& options, std::span<float> gradients, std::vector<std::size_t> ends);
   ~GradientSums();
-  GradientSums(const GradientSums&) = delete;
-  GradientSums& operator=(const GradientSums&) = delete;
 
   /// Of a batch.
   int shards() const { return shards_; }

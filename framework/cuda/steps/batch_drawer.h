@@ -77,19 +77,6 @@ struct StepSums {
   LossSums shard[kShards][kMostPasses];
 };
 
-/// Page-locked memory of the host.
-struct FreePinned {
-  void operator()(void* memory) const { (void)cudaFreeHost(memory); }
-};
-template <class T>
-using Pinned = std::unique_ptr<T[], FreePinned>;
-template <class T>
-Pinned<T> pinned(std::size_t count, const char* what) {
-  void* memory = nullptr;
-  check(cudaMallocHost(&memory, count * sizeof(T)), what);
-  return Pinned<T>(static_cast<T*>(memory));
-}
-
 /// The arrays of a batch in one block, in the order of each_array.
 class BatchLayout {
  public:

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "core/error.h"
+#include "core/view.h"
 
 namespace semfield {
 
@@ -25,11 +26,8 @@ class RankLost : public Error {
 
 /// All processes call the same functions in the same order; rank 0 leads. Each call is made by one thread at a time,
 /// and throws RankLost when another process has ended or does not answer. No call may follow that but abandon.
-class Ranks {
+class Ranks : NonCopyable {
  public:
-  Ranks() = default;
-  Ranks(const Ranks&) = delete;
-  Ranks& operator=(const Ranks&) = delete;
   virtual ~Ranks() = default;
 
   virtual int rank() const = 0;
