@@ -213,13 +213,6 @@ void train_rays(const std::vector<Pass<Real>>& passes, const std::vector<std::in
   }
 }
 
-#define SEMFIELD_INSTANTIATE(Real)                                                                 \
-  template void train_rays<Real>(const std::vector<Pass<Real>>&, const std::vector<std::int64_t>&, \
-                                 const TrainedRays<Real>&, const StepContext&, StepExecutor<Real>&);
-SEMFIELD_INSTANTIATE(float)
-SEMFIELD_INSTANTIATE(double)
-#undef SEMFIELD_INSTANTIATE
-
 template <class Real>
 RenderJob<Real> RenderJob<Real>::rows(std::int64_t begin, std::int64_t count) const {
   RenderJob part = *this;
@@ -295,10 +288,12 @@ void query_density(const Pass<Real>& pass, View<const double> positions, View<Re
   ends.fetch(found, sigma);
 }
 
-#define SEMFIELD_INSTANTIATE(Real)                                                                  \
-  template struct RenderJob<Real>;                                                                  \
-  template void render_rays<Real>(const std::vector<Pass<Real>>&, const std::vector<std::int64_t>&, \
-                                  const RenderJob<Real>&, const StepContext&);                      \
+#define SEMFIELD_INSTANTIATE(Real)                                                                   \
+  template void train_rays<Real>(const std::vector<Pass<Real>>&, const std::vector<std::int64_t>&,   \
+                                 const TrainedRays<Real>&, const StepContext&, StepExecutor<Real>&); \
+  template struct RenderJob<Real>;                                                                   \
+  template void render_rays<Real>(const std::vector<Pass<Real>>&, const std::vector<std::int64_t>&,  \
+                                  const RenderJob<Real>&, const StepContext&);                       \
   template void query_density<Real>(const Pass<Real>&, View<const double>, View<Real>, const StepContext&);
 SEMFIELD_INSTANTIATE(float)
 SEMFIELD_INSTANTIATE(double)

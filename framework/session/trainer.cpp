@@ -18,39 +18,53 @@ namespace {
 const char* const kMoment1 = "adam/m/";
 const char* const kMoment2 = "adam/v/";
 
-bool stored(const Tensor<float>& t) { return is_stored(t.spec.role); }
-
 std::vector<std::int64_t> shape_of(const Tensor<float>& t) { return {t.spec.rows, t.spec.cols}; }
 
-std::span<const float> values_of(const AlignedBuffer<float>& buffer) { return {buffer.data(), buffer.size()}; }
+Error another_network(Code code, const TensorFile& file, const std::string& what) {
+  return Error(ErrorKind::data, code, file.name() + ": tensor " + what + ": this is another network's checkpoint",
+               "train and load with the same configuration (run.yaml of the checkpoint's run)");
+}
 
 // Checks shape and presence of one tensor in the file.
 const TensorRef& matching(const TensorFile& file, const std::string& name, const Tensor<float>& t) {
   const TensorRef* found = file.find(name);
   const std::string want = fmt::format("[{}, {}]", t.spec.rows, t.spec.cols);
-  if (found == nullptr) {
-    throw Error(
-        ErrorKind::data, "checkpoint.tensor.missing",
-        fmt::format("{}: tensor '{}' {} is missing: this is another network's checkpoint", file.name(), name, want),
-        "train and load with the same configuration (run.yaml of the checkpoint's run)");
-  }
+  if (found == nullptr)
+    throw another_network("checkpoint.tensor.missing", file, fmt::format("'{}' {} is missing", name, want));
   if (found->shape != shape_of(t) || found->type != TensorType::f32) {
     std::string have;
     for (const std::int64_t n : found->shape) have += (have.empty() ? "" : ", ") + std::to_string(n);
-    throw Error(ErrorKind::data, "checkpoint.tensor.shape",
-                fmt::format("{}: tensor '{}' is [{}], the network needs {}: this is another network's checkpoint",
-                            file.name(), name, have, want),
-                "train and load with the same configuration (run.yaml of the checkpoint's run)");
+    throw another_network("checkpoint.tensor.shape", file,
+                          fmt::format("'{}' is [{}], the network needs {}", name, have, want));
   }
   return *found;
 }
 
-std::string element_text(const Tensor<float>& t, std::int64_t element) {
-  return fmt::format("row {}, column {}", element / t.spec.cols, element % t.spec.cols);
+// visit(name, tensor, buffer) for what a checkpoint holds: values, and with `moments` those of learned tensors.
+template <class Visit>
+void each_stored(const ParamStore<float>& store, bool moments, const Visit& visit) {
+  for (const Tensor<float>& t : store.all()) {
+    if (!is_stored(t.spec.role)) continue;
+    visit(t.name, t, t.value);
+    if (!moments || !t.learned()) continue;
+    visit(kMoment1 + t.name, t, t.moment1);
+    visit(kMoment2 + t.name, t, t.moment2);
+  }
 }
 
-void copy_into(const TensorRef& from, const AlignedBuffer<float>& to) {
-  std::memcpy(to.data(), from.bytes.data(), from.bytes.size());
+// Everything is checked before anything is changed.
+void load_stored(const TensorFile& file, bool moments, const ParamStore<float>& store) {
+  each_stored(store, moments, [&](const std::string& name, const Tensor<float>& t, const AlignedBuffer<float>&) {
+    (void)matching(file, name, t);
+  });
+  each_stored(store, moments, [&](const std::string& name, const Tensor<float>& t, const AlignedBuffer<float>& to) {
+    const TensorRef& from = matching(file, name, t);
+    std::memcpy(to.data(), from.bytes.data(), from.bytes.size());
+  });
+}
+
+std::string element_text(const Tensor<float>& t, std::int64_t element) {
+  return fmt::format("row {}, column {}", element / t.spec.cols, element % t.spec.cols);
 }
 
 }  // namespace
@@ -209,71 +223,41 @@ void Trainer::check_alive() const {
 }
 
 void Trainer::check_storable() const {
-  for (const Tensor<float>& t : pipeline_.store().all()) {
-    if (!stored(t)) continue;
-    for (const AlignedBuffer<float>* buffer : {&t.value, &t.moment1, &t.moment2}) {
-      const std::int64_t bad = first_non_finite<float>(t.view(*buffer));
-      if (bad < 0) continue;
-      throw Error(
-          ErrorKind::failure, "checkpoint.save.not_finite",
-          fmt::format("no checkpoint of step {}: {}'{}' holds {} at {}", step_,
-                      buffer == &t.value ? "" : "a moment of ", t.name, buffer->data()[bad], element_text(t, bad)),
-          "resume from the last checkpoint");
-    }
-  }
+  each_stored(
+      pipeline_.store(), true, [&](const std::string&, const Tensor<float>& t, const AlignedBuffer<float>& buffer) {
+        const std::int64_t bad = first_non_finite<float>(t.view(buffer));
+        if (bad < 0) return;
+        throw Error(
+            ErrorKind::failure, "checkpoint.save.not_finite",
+            fmt::format("no checkpoint of step {}: {}'{}' holds {} at {}", step_,
+                        &buffer == &t.value ? "" : "a moment of ", t.name, buffer.data()[bad], element_text(t, bad)),
+            "resume from the last checkpoint");
+      });
 }
 
 std::vector<TensorRef> Trainer::state() const {
   std::vector<TensorRef> out;
-  for (const Tensor<float>& t : pipeline_.store().all()) {
-    if (!stored(t)) continue;
-    out.push_back(tensor_ref(t.name, shape_of(t), values_of(t.value)));
-    if (!t.learned()) continue;
-    out.push_back(tensor_ref(kMoment1 + t.name, shape_of(t), values_of(t.moment1)));
-    out.push_back(tensor_ref(kMoment2 + t.name, shape_of(t), values_of(t.moment2)));
-  }
+  each_stored(pipeline_.store(), true,
+              [&](const std::string& name, const Tensor<float>& t, const AlignedBuffer<float>& buffer) {
+                out.push_back(tensor_ref(name, shape_of(t), std::span<const float>(buffer.data(), buffer.size())));
+              });
   return out;
 }
 
 void Trainer::load(const TensorFile& file, std::int64_t step) {
   std::set<std::string> known;
   for (const TensorRef& wanted : state()) known.insert(wanted.name);
-  for (const TensorRef& have : file.tensors()) {
-    if (known.count(have.name) == 0) {
-      throw Error(ErrorKind::data, "checkpoint.tensor.unknown",
-                  file.name() + ": tensor '" + have.name +
-                      "' belongs to no part of this network: this is another network's checkpoint",
-                  "train and load with the same configuration (run.yaml of the checkpoint's run)");
-    }
-  }
-  ParamStore<float>& store = pipeline_.store();
-  for (const Tensor<float>& t : store.all()) {  // everything is checked before anything is changed
-    if (!stored(t)) continue;
-    matching(file, t.name, t);
-    if (t.learned()) {
-      matching(file, kMoment1 + t.name, t);
-      matching(file, kMoment2 + t.name, t);
-    }
-  }
-  for (const Tensor<float>& t : store.all()) {
-    if (!stored(t)) continue;
-    copy_into(matching(file, t.name, t), t.value);
-    if (t.learned()) {
-      copy_into(matching(file, kMoment1 + t.name, t), t.moment1);
-      copy_into(matching(file, kMoment2 + t.name, t), t.moment2);
-    }
-  }
+  for (const TensorRef& have : file.tensors())
+    if (!known.contains(have.name))
+      throw another_network("checkpoint.tensor.unknown", file,
+                            "'" + have.name + "' belongs to no part of this network");
+  load_stored(file, true, pipeline_.store());
   step_ = step;
   pipeline_.executor().upload(step_);
 }
 
 void load_pipeline(Pipeline<float>& pipeline, const TensorFile& file) {
-  for (const Tensor<float>& t : pipeline.store().all()) {
-    if (stored(t)) matching(file, t.name, t);
-  }
-  for (const Tensor<float>& t : pipeline.store().all()) {
-    if (stored(t)) copy_into(matching(file, t.name, t), t.value);
-  }
+  load_stored(file, false, pipeline.store());
   pipeline.executor().upload(0);
 }
 

@@ -614,19 +614,6 @@ void per_ray_backward(View<const Act> dz, View<const std::int32_t> ray_of_sample
         launch().live_rows, d_ray_term);
 }
 
-#define SEMFIELD_INSTANTIATE(Act)                                               \
-  template void relu_backward<Act>(View<const Act>, View<Act>);                 \
-  template void add_column_sums<Act>(View<const Act>, View<float>, Workspace&); \
-  template void per_ray_backward<Act>(View<const Act>, View<const std::int32_t>, View<float>);
-SEMFIELD_INSTANTIATE(float)
-SEMFIELD_INSTANTIATE(__nv_bfloat16)
-#undef SEMFIELD_INSTANTIATE
-template void convert<float, float>(View<const float>, View<float>);
-template void convert<float, __nv_bfloat16>(View<const float>, View<__nv_bfloat16>);
-template void convert<__nv_bfloat16, __nv_bfloat16>(View<const __nv_bfloat16>, View<__nv_bfloat16>);
-template void convert<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<float>);
-template void add_rows<float, float>(View<const float>, View<float>);
-
 void small_products(std::span<const SmallProduct> list, Workspace* arena) {
   constexpr std::int64_t kTermsOfPart = 256, kMostParts = 32;
   if (list.size() > kMostSmallProducts)
@@ -695,12 +682,20 @@ void times_slope(View<const Act> slope, View<const float> sums, View<Act> dz) {
   for_each(dz.rows, dz.cols, "the gradient of a layer of sines", SlopeOfRow<Act>{slope, sums, dz});
 }
 
-#define SEMFIELD_INSTANTIATE(Act)                                               \
-  template void sine_rows<Act>(View<const float>, float, View<Act>, View<Act>); \
+#define SEMFIELD_INSTANTIATE(Act)                                                              \
+  template void relu_backward<Act>(View<const Act>, View<Act>);                                \
+  template void add_column_sums<Act>(View<const Act>, View<float>, Workspace&);                \
+  template void per_ray_backward<Act>(View<const Act>, View<const std::int32_t>, View<float>); \
+  template void sine_rows<Act>(View<const float>, float, View<Act>, View<Act>);                \
   template void times_slope<Act>(View<const Act>, View<const float>, View<Act>);
 SEMFIELD_INSTANTIATE(float)
 SEMFIELD_INSTANTIATE(__nv_bfloat16)
 #undef SEMFIELD_INSTANTIATE
+template void convert<float, float>(View<const float>, View<float>);
+template void convert<float, __nv_bfloat16>(View<const float>, View<__nv_bfloat16>);
+template void convert<__nv_bfloat16, __nv_bfloat16>(View<const __nv_bfloat16>, View<__nv_bfloat16>);
+template void convert<__nv_bfloat16, float>(View<const __nv_bfloat16>, View<float>);
+template void add_rows<float, float>(View<const float>, View<float>);
 template void finish_rows<float, float>(const LayerEnd<float, float>&);
 template void finish_rows<float, __nv_bfloat16>(const LayerEnd<float, __nv_bfloat16>&);
 template void finish_rows<__nv_bfloat16, __nv_bfloat16>(const LayerEnd<__nv_bfloat16, __nv_bfloat16>&);

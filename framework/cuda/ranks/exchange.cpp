@@ -76,59 +76,43 @@ class HostExchange final : public RankExchange {
 
   // What is left of a call when the ranks need each other no more may fail on one rank alone.
   void sum(std::span<float> block, FaultKey* fault, cudaStream_t stream) override {
-    const FaultKey own = fetch(block.data(), block.size(), fault, stream);
+    FaultKey own = kNoFault;
+    agree(ranks_, [&] {  // an error of one rank ends the wait of all
+      if (!block.empty()) {
+        check(cudaMemcpyAsync(own_.get(), block.data(), block.size_bytes(), cudaMemcpyDeviceToHost, stream),
+              "fetching gradients");
+      }
+      if (fault != nullptr)
+        check(cudaMemcpyAsync(&own, fault, sizeof own, cudaMemcpyDeviceToHost, stream), "fetching a fault");
+      check(cudaStreamSynchronize(stream), "waiting for gradients");
+    });
     for (std::size_t begin = 0; begin < block.size(); begin += kPiece) {
       const std::size_t count = std::min(kPiece, block.size() - begin);
-      gather_piece(begin, count);
+      const std::vector<std::size_t> bytes(size(), count * sizeof(float));
+      ranks_.all_gather(std::as_bytes(std::span(own_.get() + begin, count)),
+                        std::as_writable_bytes(std::span(all_.get(), size() * count)), bytes);
       for (std::size_t i = 0; i < count; ++i) {  // in the order of ranks, so that all get the same
         float total = all_.get()[i];
         for (std::size_t r = 1; r < size(); ++r) total += all_.get()[r * count + i];
         own_.get()[begin + i] = total;
       }
     }
-    find_least(own, fault);
-    put(own_.get(), block.data(), block.size(), stream);
-    put_fault(fault, stream);
+    if (fault != nullptr) {
+      const std::vector<FaultKey> all = all_of(ranks_, own);
+      least_ = *std::min_element(all.begin(), all.end());
+    }
+    if (!block.empty()) {
+      check(cudaMemcpyAsync(block.data(), own_.get(), block.size_bytes(), cudaMemcpyHostToDevice, stream),
+            "sending gradients");
+    }
+    if (fault != nullptr)
+      check(cudaMemcpyAsync(fault, &least_, sizeof least_, cudaMemcpyHostToDevice, stream), "sending a fault");
   }
 
   void wait(cudaStream_t stream) override { check(cudaStreamSynchronize(stream), "waiting for the device"); }
 
  private:
   std::size_t size() const { return static_cast<std::size_t>(ranks_.size()); }
-
-  // This rank's numbers into own_, and its fault. An error of one rank ends the wait of all.
-  FaultKey fetch(const float* from, std::size_t count, const FaultKey* fault, cudaStream_t stream) {
-    FaultKey key = kNoFault;
-    agree(ranks_, [&] {
-      if (count > 0) {
-        check(cudaMemcpyAsync(own_.get(), from, count * sizeof(float), cudaMemcpyDeviceToHost, stream),
-              "fetching gradients");
-      }
-      if (fault != nullptr)
-        check(cudaMemcpyAsync(&key, fault, sizeof key, cudaMemcpyDeviceToHost, stream), "fetching a fault");
-      check(cudaStreamSynchronize(stream), "waiting for gradients");
-    });
-    return key;
-  }
-  // all_ [size, count] = the piece of every rank's numbers.
-  void gather_piece(std::size_t begin, std::size_t count) {
-    const std::vector<std::size_t> bytes(size(), count * sizeof(float));
-    ranks_.all_gather(std::as_bytes(std::span(own_.get() + begin, count)),
-                      std::as_writable_bytes(std::span(all_.get(), size() * count)), bytes);
-  }
-  static void put(const float* from, float* to, std::size_t count, cudaStream_t stream) {
-    if (count == 0) return;
-    check(cudaMemcpyAsync(to, from, count * sizeof(float), cudaMemcpyHostToDevice, stream), "sending gradients");
-  }
-  void find_least(FaultKey own, const FaultKey* fault) {
-    if (fault == nullptr) return;
-    const std::vector<FaultKey> all = all_of(ranks_, own);
-    least_ = *std::min_element(all.begin(), all.end());
-  }
-  void put_fault(FaultKey* fault, cudaStream_t stream) const {
-    if (fault == nullptr) return;
-    check(cudaMemcpyAsync(fault, &least_, sizeof least_, cudaMemcpyHostToDevice, stream), "sending a fault");
-  }
 
   Ranks& ranks_;
   Pinned<float> own_, all_;
