@@ -1,10 +1,11 @@
 // Loading a scene: open, read in parallel, scale, count.
 #include "loading/frame_source.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <atomic>
 #include <cmath>
-#include <cstdio>
 #include <mutex>
 #include <optional>
 #include <set>
@@ -535,11 +536,7 @@ void grow(Box& box, double share, double away) {
   }
 }
 
-std::string short_number(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.3g", value);
-  return text;
-}
+std::string short_number(double value) { return fmt::format("{:.3g}", value); }
 
 }  // namespace
 

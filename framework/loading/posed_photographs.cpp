@@ -1,8 +1,9 @@
 #include "loading/posed_photographs.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
 
 #include "config/params.h"
@@ -159,11 +160,7 @@ void PosedPhotographs::read(int frame, FrameBuffer& out) const {
 
 namespace {
 
-std::string factor_number(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.4g", value);
-  return text;
-}
+std::string number(double value) { return fmt::format("{:.4g}", value); }
 
 // Of one shape, but for a side that was rounded to whole pixels.
 bool is_scaled(const ImageSize& size, const Camera& camera) {
@@ -175,7 +172,7 @@ bool is_scaled(const ImageSize& size, const Camera& camera) {
 // "2 times as large as": the camera's image against the file.
 std::string factor_text(const ImageSize& size, const Camera& camera) {
   const double factor = static_cast<double>(camera.width_px) / size.width_px;
-  return factor > 1 ? factor_number(factor) + " times as large" : factor_number(1 / factor) + " times as small";
+  return factor > 1 ? number(factor) + " times as large" : number(1 / factor) + " times as small";
 }
 
 }  // namespace
@@ -200,7 +197,7 @@ OtherSize other_size(std::string_view what, const std::string& path, const Image
     out.code = "scene.camera.size";
     out.message += ": its intrinsics are of images " + factor_text(size, camera);
     out.remedy = "give images of the camera's size, or divide its size, focal lengths and centre by " +
-                 factor_number(static_cast<double>(camera.width_px) / size.width_px);
+                 number(static_cast<double>(camera.width_px) / size.width_px);
   }
   return out;
 }
@@ -245,12 +242,6 @@ namespace {
 constexpr std::size_t kFrames = 64;
 constexpr int kColumns = 12, kRows = 9;
 constexpr double kFew = 0.05;
-
-std::string number(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.4g", value);
-  return text;
-}
 
 std::string box_text(const Box& box) {
   std::string out;

@@ -1,9 +1,10 @@
 #include "scene/scene.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
 #include <map>
 #include <set>
@@ -253,11 +254,7 @@ void report_unknown_labels(const std::vector<FrameInfo>& frames,
 
 namespace {
 
-std::string number(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.3g", value);
-  return text;
-}
+std::string number(double value) { return fmt::format("{:.3g}", value); }
 
 bool finite(const Pose& pose) {
   for (const auto& row : pose.r) {

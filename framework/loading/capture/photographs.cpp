@@ -8,7 +8,6 @@
 #include <array>
 #include <cerrno>
 #include <cmath>
-#include <cstdio>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -116,13 +115,9 @@ std::string kinds_text(const std::map<std::string, std::vector<std::string>>& ki
 }
 
 std::string lens_text(const CameraTag& tag) {
-  std::string out = tag.model.empty() ? "an unnamed camera" : tag.model;
-  if (tag.focal_mm > 0) {
-    const long hundredths = std::lround(100 * tag.focal_mm);
-    const std::string cents = std::to_string(hundredths % 100);
-    out += " at " + std::to_string(hundredths / 100) + "." + (cents.size() < 2 ? "0" : "") + cents + " mm";
-  }
-  return out;
+  const std::string model = tag.model.empty() ? "an unnamed camera" : tag.model;
+  const long hundredths = std::lround(100 * tag.focal_mm);
+  return tag.focal_mm > 0 ? fmt::format("{} at {}.{:02} mm", model, hundredths / 100, hundredths % 100) : model;
 }
 
 }  // namespace
@@ -457,12 +452,6 @@ std::string pattern_of(const std::string& folder) {
   return out;
 }
 
-std::string rate_text(double frames, double seconds) {
-  char text[64];
-  std::snprintf(text, sizeof text, "%.6f", frames / seconds);
-  return text;
-}
-
 }  // namespace
 
 std::vector<std::string> film_words(const std::string& video) {
@@ -476,12 +465,12 @@ VideoFrames cut_video(const VideoCut& cut, const Programs& programs, const Captu
   out.intervals =
       cut.wanted > 0 ? cut.wanted : std::clamp<std::size_t>(static_cast<std::size_t>(3 * out.seconds), 30, 300);
   // The same filter gives the same frames to look at and to keep, so that a frame is known by its number.
-  const std::string rate = "fps=" + rate_text(static_cast<double>(kLooks * out.intervals), out.seconds);
+  const auto total = static_cast<double>(kLooks * out.intervals);
+  const std::string rate = fmt::format("fps={:.6f}", total / out.seconds);
   fs::remove_all(cut.folder);
   create_folders(cut.folder);
   const std::string small = (fs::path(cut.folder) / "small.grey").string();
   const std::string remedy = "check that the file plays to its end";
-  const auto total = static_cast<double>(kLooks * out.intervals);
   const auto size_of = [](const std::string& file) {
     std::error_code unknown;
     const auto bytes = fs::file_size(file, unknown);
@@ -521,11 +510,7 @@ VideoFrames cut_video(const VideoCut& cut, const Programs& programs, const Captu
                 "walk around the scene slowly while filming");
   }
   const auto kept = static_cast<double>(choice.kept.size());
-  const auto file_of = [&](std::size_t number) {
-    char name[32];
-    std::snprintf(name, sizeof name, "%06zu.jpg", number);
-    return (fs::path(cut.folder) / name).string();
-  };
+  const auto file_of = [&](std::size_t number) { return fmt::format("{}/{:06}.jpg", cut.folder, number); };
   std::size_t written = 0;
   for (std::size_t first = 0; first < choice.kept.size(); first += kMostSelected) {
     const std::size_t last = std::min(first + kMostSelected, choice.kept.size());
@@ -545,16 +530,14 @@ VideoFrames cut_video(const VideoCut& cut, const Programs& programs, const Captu
                  .remedy = remedy});
   }
   for (std::size_t i = 0; i < choice.kept.size(); ++i) {
-    char name[32];
-    std::snprintf(name, sizeof name, "frame_%06zu.jpg", choice.kept[i]);
+    out.names.push_back(fmt::format("frame_{:06}.jpg", choice.kept[i]));
     std::error_code failed;
-    fs::rename(file_of(i + 1), fs::path(cut.folder) / name, failed);
+    fs::rename(file_of(i + 1), fs::path(cut.folder) / out.names.back(), failed);
     if (failed)
       throw Error(ErrorKind::data, "capture.video.short",
                   "ffmpeg wrote " + std::to_string(i) + " of " + std::to_string(choice.kept.size()) + " frames of '" +
                       cut.video + "'",
                   remedy);
-    out.names.emplace_back(name);
   }
   return out;
 }

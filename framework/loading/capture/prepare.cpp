@@ -1,7 +1,8 @@
 #include "loading/capture/prepare.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
-#include <cstdio>
 #include <filesystem>
 #include <map>
 #include <set>
@@ -85,12 +86,10 @@ void copy_whole(const std::string& from, const std::string& to) {
 }
 
 std::string cut_text(const VideoFrames& cut) {
-  char seconds[32];
-  std::snprintf(seconds, sizeof seconds, "%.1f", cut.seconds);
-  return std::to_string(cut.names.size()) + " frames of " + seconds + " s, the sharpest of each of " +
-         std::to_string(cut.intervals) + " intervals; " + std::to_string(cut.still) +
-         " intervals were left out because nothing had moved, " + std::to_string(cut.blurred) +
-         " because they were blurred";
+  return fmt::format(
+      "{} frames of {:.1f} s, the sharpest of each of {} intervals; {} intervals were left out because nothing had "
+      "moved, {} because they were blurred",
+      cut.names.size(), cut.seconds, cut.intervals, cut.still, cut.blurred);
 }
 
 // Names of the images that are brought into `folders.images`, in the order in which they were taken.

@@ -1,10 +1,11 @@
 // Whether poses, lens and depth fit the pixels, and the verdict in words.
 #include "scene/survey/geometry_survey.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdio>
 #include <functional>
 #include <set>
 
@@ -334,25 +335,16 @@ std::string lens_text(const Bundle& given, const Bundle& fitted) {
   const Camera &a = given.stated[0], b = fitted.camera(0);
   const double least = 0.01 * longer_side(a);
   const bool centre = std::abs(b.cx - a.cx) > least || std::abs(b.cy - a.cy) > least;
-  char text[160];
-  std::string out;
-  if (std::abs(b.fx - a.fx) > 0.01 * a.fx || !centre) {
-    std::snprintf(text, sizeof text, "focal length %.4g for %.4g pixels", b.fx, a.fx);
-    out = text;
-  }
-  if (centre) {
-    std::snprintf(text, sizeof text, "%scentre (%.4g, %.4g) for (%.4g, %.4g)", out.empty() ? "" : ", ", b.cx, b.cy,
-                  a.cx, a.cy);
-    out += text;
-  }
-  return "another lens (" + out + ")";
+  std::vector<std::string> out;
+  if (std::abs(b.fx - a.fx) > 0.01 * a.fx || !centre)
+    out.push_back(fmt::format("focal length {:.4g} for {:.4g} pixels", b.fx, a.fx));
+  if (centre) out.push_back(fmt::format("centre ({:.4g}, {:.4g}) for ({:.4g}, {:.4g})", b.cx, b.cy, a.cx, a.cy));
+  return "another lens (" + join(out) + ")";
 }
 
 std::string delay_text(double frames) {
-  char text[64];
-  std::snprintf(text, sizeof text, "poses of %g frame%s %s", std::abs(frames), std::abs(frames) > 1 ? "s" : "",
-                frames > 0 ? "later" : "earlier");
-  return text;
+  return fmt::format("poses of {:g} frame{} {}", std::abs(frames), std::abs(frames) > 1 ? "s" : "",
+                     frames > 0 ? "later" : "earlier");
 }
 
 // Poses of the bundle's frames as they were so many frames later; empty where frames are not in order.
@@ -831,16 +823,10 @@ constexpr double kEdgesBeside = 2;       // pixels of the small picture
 constexpr const char* kFixRemedy = "`semfield prepare SCENE --out NEW` fixes them";
 
 std::string percent(double share) {
-  char text[32];
-  std::snprintf(text, sizeof text, share < 0.1 ? "%.2g %%" : "%.0f %%", 100 * share);
-  return text;
+  return share < 0.1 ? fmt::format("{:.2g} %", 100 * share) : fmt::format("{:.0f} %", 100 * share);
 }
 
-std::string plain_number(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.6g", value);
-  return text;
-}
+std::string plain_number(double value) { return fmt::format("{:.6g}", value); }
 
 std::string pairs_text(int pairs) {
   return std::to_string(pairs) + (pairs == 1 ? " pair of frames" : " pairs of frames");

@@ -1,9 +1,10 @@
 // Dataset 'obj_room': parameters, camera split, lights and bounds; the pictures come from scene/mesh_render.
 #include "datasets/obj_room/obj_room.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
 #include <map>
 #include <numbers>
@@ -287,10 +288,8 @@ SceneInfo ObjRoom::open(Diagnostics& diagnostics) {
   info.name = fs::path(path).stem().string();
   info.classes = rules.table;
   for (int i = 0; i < total; ++i) {
-    char name[24];
-    std::snprintf(name, sizeof name, "%04d", i);
     FrameInfo frame;
-    frame.name = name;
+    frame.name = fmt::format("{:04}", i);
     frame.source = path + " (pose " + std::to_string(i) + ")";
     frame.camera = camera;
     frame.world_from_camera = poses[static_cast<std::size_t>(i)];
