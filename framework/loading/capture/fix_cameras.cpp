@@ -182,18 +182,8 @@ class Fixing {
                              2048,
                              1,
                              0.0067};
-    if (!fs::exists(colmap_.database(settings))) {
-      state_.forget("features");
-      state_.forget("matches");
-    }
-    if (state_.done("features") == nullptr) {
-      colmap_.extract(settings, true, names_.size());
-      state_.mark("features");
-    }
-    if (state_.done("matches") == nullptr) {
-      colmap_.match(settings, names_, pairs_by_pose(bundle_.given));
-      state_.mark("matches");
-    }
+    colmap_.need_matches(
+        settings, names_, true, [&] { return pairs_by_pose(bundle_.given); }, state_, "");
     for (Track& track : feature_tracks(colmap_.database(settings), names_)) {
       std::erase_if(track.seen, [&](const Sighting& s) { return is_hidden(s); });
       ((track_number_++ % kHeldOut == 0) ? judges_ : all_).push_back(std::move(track));

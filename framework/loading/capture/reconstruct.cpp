@@ -22,19 +22,6 @@
 
 namespace semfield {
 
-struct SettleTask {
-  std::string model;                      ///< folder of the model
-  FeatureSettings features;               ///< that it was found with
-  const std::vector<std::string>& names;  ///< of all images, in the order in which they were taken
-  std::string work;                       ///< folder of the models on the way, in which "refined" is the last
-};
-
-/// A mapper ends with observations that are wrong among those that are right, and least squares [Schonberger16] weighs
-/// the wrong ones most. So torn_images() are placed anew among the points of the others, misplaced_images() are left
-/// out, lenses become OPENCV ones or fisheyes, and three times what misses its point by more than 3, 2 and 2 times the
-/// mean error is left out and all else adjusted. Returns the names of the misplaced images.
-std::vector<std::string> settle_model(const SettleTask& task, const ColmapSteps& colmap);
-
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
@@ -209,6 +196,24 @@ void ColmapSteps::match(const FeatureSettings& s, const std::vector<std::string>
   }
 }
 
+void ColmapSteps::need_matches(const FeatureSettings& s, const std::vector<std::string>& names, bool camera_per_folder,
+                               const std::function<std::vector<Pair>()>& pairs, PrepareState& state,
+                               const std::string& suffix) const {
+  const std::string features = "features" + suffix, matches = "matches" + suffix;
+  if (!fs::exists(database(s))) {
+    state.forget(features);
+    state.forget(matches);
+  }
+  if (state.done(features) == nullptr) {
+    extract(s, camera_per_folder, names.size());
+    state.mark(features);
+  }
+  if (state.done(matches) == nullptr) {
+    match(s, names, pairs());
+    state.mark(matches);
+  }
+}
+
 std::vector<std::string> ColmapSteps::map(const FeatureSettings& s, bool relaxed, std::size_t images) const {
   const std::string name = s.name + (relaxed ? "_relaxed" : ""), file = log("models_" + name);
   const fs::path folder = fs::path(work_) / ("models_" + name);
@@ -371,24 +376,10 @@ std::vector<Pair> pairs_of(const ReconstructTask& task, bool patient) {
   return few && (patient || !task.in_order) ? all_pairs(count) : pairs_in_order(count);
 }
 
-// Runs `step` unless an earlier call of the program did.
-template <class Step>
-void once(PrepareState& state, const std::string& name, const Step& step) {
-  if (state.done(name) != nullptr) return;
-  step();
-  state.mark(name);
-}
-
-// Features and matches, found anew where prepare_scene() has removed them at the end of an earlier call.
 void need_matches(const Attempt& attempt, const ReconstructTask& task, const ColmapSteps& colmap, PrepareState& state) {
-  const FeatureSettings& s = attempt.features;
-  const std::string features = "features " + s.name, matches = "matches " + s.name;
-  if (!fs::exists(colmap.database(s))) {
-    state.forget(features);
-    state.forget(matches);
-  }
-  once(state, features, [&] { colmap.extract(s, task.camera_per_folder, task.names.size()); });
-  once(state, matches, [&] { colmap.match(s, task.names, pairs_of(task, attempt.patient)); });
+  colmap.need_matches(
+      attempt.features, task.names, task.camera_per_folder, [&] { return pairs_of(task, attempt.patient); }, state,
+      " " + attempt.features.name);
 }
 
 // Models of one attempt, the best first.
@@ -407,6 +398,45 @@ std::vector<FoundModel> models_of(const Attempt& attempt, const ReconstructTask&
   std::stable_sort(out.begin(), out.end(),
                    [&](const FoundModel& a, const FoundModel& b) { return is_better(a, b, task.names.size()); });
   return out;
+}
+
+constexpr double kRounds[] = {3, 2, 2};  // times the mean error
+constexpr std::size_t kMostTorn = 3;     // of which one of the images may be torn; more are no outliers
+
+ColmapModel read_known(const std::string& folder) {
+  Diagnostics known;  // said when the model was found
+  return read_colmap_model(folder, known);
+}
+
+// A mapper ends with observations that are wrong among those that are right, and least squares [Schonberger16] weighs
+// the wrong ones most. So torn_images() are placed anew among the points of the others, misplaced_images() are left
+// out, lenses become OPENCV ones or fisheyes, and three times what misses its point by more than 3, 2 and 2 times the
+// mean error is left out and all else adjusted. Models on the way lie in the task's folder, in which "refined" is the
+// last. Returns the names of the misplaced images.
+std::vector<std::string> settle_model(const std::string& model, const FeatureSettings& features,
+                                      const ReconstructTask& task, const ColmapSteps& colmap) {
+  const auto at = [&](const char* name) { return (fs::path(task.work) / name).string(); };
+  std::string current = model;
+  const ColmapModel found = read_known(current);
+  colmap.filter(current, kRounds[0] * found.error_px, at("filtered"));
+  const std::vector<std::string> torn = torn_images(found, read_known(at("filtered")));
+  if (!torn.empty() && kMostTorn * torn.size() <= found.images.size()) {
+    colmap.remove(at("filtered"), torn, at("sound"));
+    colmap.place(features, at("sound"), current = at("placed"));
+  }
+  const std::vector<std::string> misplaced = misplaced_images(read_known(current), task.names);
+  if (!misplaced.empty()) {
+    colmap.remove(current, misplaced, at("kept"));
+    current = at("kept");
+  }
+  colmap.free_lenses(current, at("refined"));
+  for (const double times : kRounds) {
+    const double most_px = times * read_known(at("refined")).error_px;
+    colmap.filter(at("refined"), most_px, at("filtered"));
+    colmap.adjust(at("filtered"), at("adjusted"));
+    colmap.filter(at("adjusted"), most_px, at("refined"));
+  }
+  return misplaced;
 }
 
 // "photographs 12 to 19 (a.jpg to h.jpg)".
@@ -463,7 +493,7 @@ Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colma
   if (is_new) {
     state.forget("refined");
     need_matches(*best, task, colmap, state);
-    state.mark("misplaced", join(settle_model({out.best.folder, best->features, task.names, task.work}, colmap), "\n"));
+    state.mark("misplaced", join(settle_model(out.best.folder, best->features, task, colmap), "\n"));
   }
   if (out.attempts > earlier) state.mark("refined", std::to_string(out.attempts));
   out.misplaced = state.lines("misplaced");
@@ -597,43 +627,6 @@ std::vector<std::string> torn_images(const ColmapModel& model, const ColmapModel
       out.push_back(image.name);
   std::sort(out.begin(), out.end());
   return out;
-}
-
-namespace {
-
-constexpr double kRounds[] = {3, 2, 2};  // times the mean error
-constexpr std::size_t kMostTorn = 3;     // of which one of the images may be torn; more are no outliers
-
-ColmapModel settled_model(const std::string& folder) {
-  Diagnostics known;  // said when the model was found
-  return read_colmap_model(folder, known);
-}
-
-}  // namespace
-
-std::vector<std::string> settle_model(const SettleTask& task, const ColmapSteps& colmap) {
-  const auto at = [&](const char* name) { return (std::filesystem::path(task.work) / name).string(); };
-  std::string current = task.model;
-  const ColmapModel found = settled_model(current);
-  colmap.filter(current, kRounds[0] * found.error_px, at("filtered"));
-  const std::vector<std::string> torn = torn_images(found, settled_model(at("filtered")));
-  if (!torn.empty() && kMostTorn * torn.size() <= found.images.size()) {
-    colmap.remove(at("filtered"), torn, at("sound"));
-    colmap.place(task.features, at("sound"), current = at("placed"));
-  }
-  const std::vector<std::string> misplaced = misplaced_images(settled_model(current), task.names);
-  if (!misplaced.empty()) {
-    colmap.remove(current, misplaced, at("kept"));
-    current = at("kept");
-  }
-  colmap.free_lenses(current, at("refined"));
-  for (const double times : kRounds) {
-    const double most_px = times * settled_model(at("refined")).error_px;
-    colmap.filter(at("refined"), most_px, at("filtered"));
-    colmap.adjust(at("filtered"), at("adjusted"));
-    colmap.filter(at("adjusted"), most_px, at("refined"));
-  }
-  return misplaced;
 }
 
 }  // namespace semfield

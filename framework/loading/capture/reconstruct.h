@@ -88,6 +88,11 @@ class ColmapSteps {
   /// Pairs that are in the database already are passed over.
   void match(const FeatureSettings& settings, const std::vector<std::string>& names,
              const std::vector<Pair>& pairs) const;
+  /// extract() and match(), unless an earlier call of the program did and the database is still there: the steps
+  /// "features" and "matches", each with `suffix`.
+  void need_matches(const FeatureSettings& settings, const std::vector<std::string>& names, bool camera_per_folder,
+                    const std::function<std::vector<Pair>()>& pairs, PrepareState& state,
+                    const std::string& suffix) const;
   /// Folders of the models that were found, in the order of their names; none where no two images begin one. `relaxed`
   /// asks less of each image that joins.
   std::vector<std::string> map(const FeatureSettings& settings, bool relaxed, std::size_t images) const;
@@ -156,7 +161,7 @@ struct Reconstruction {
 /// From the cheapest attempt to the most patient, until 95 % of the images have a pose under a lens that fits, which
 /// misses their points by at most 1.1 pixels and bends their borders by at most 15 %: features at 1,024 pixels; asking
 /// less of an image that joins; more and fainter features at 1,600 pixels, every pair, and a richer lens; the same with
-/// a fisheye's. Asked for a fisheye, all attempts have one. The largest model of all goes through settle_model(). Pairs
+/// a fisheye's. Asked for a fisheye, all attempts have one. The largest model of all is settled. Pairs
 /// are all pairs up to 150 photographs, beyond and in films those of pairs_in_order(). Throws Error(data) where nothing
 /// was found.
 Reconstruction reconstruct(const ReconstructTask& task, const ColmapSteps& colmap, PrepareState& state);
