@@ -396,12 +396,8 @@ std::vector<std::int32_t> pieces_of(const TriangleMesh& mesh, const std::vector<
   using Cell = std::tuple<std::int16_t, int, int, int>;
   std::map<Cell, std::uint32_t> first;  // triangle of a class in a cell
   Sets sets(mesh.size());
-  const auto corner = [&](std::size_t t, std::size_t k) {
-    const Vec3f p = mesh.positions[mesh.triangles[t][k]];
-    return Vec3d{static_cast<double>(p.x), static_cast<double>(p.y), static_cast<double>(p.z)};
-  };
   for (std::size_t t = 0; t < mesh.size(); ++t) {
-    const Vec3d a = corner(t, 0), ab = corner(t, 1) - a, ac = corner(t, 2) - a;
+    const Vec3d a = mesh.corner(t, 0), ab = mesh.corner(t, 1) - a, ac = mesh.corner(t, 2) - a;
     const auto n = static_cast<int>(
         std::clamp(std::ceil(std::max({length(ab), length(ac), length(ac - ab)}) / gap_m), 1.0, 1000.0));
     for (int i = 0; i <= n; ++i) {

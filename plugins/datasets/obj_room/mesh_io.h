@@ -40,6 +40,16 @@ struct TriangleMesh {
   std::int64_t zero_area_skipped = 0;
 
   std::size_t size() const { return triangles.size(); }
+  /// Corner k of a triangle in float64.
+  Vec3d corner(std::size_t triangle, std::size_t k) const {
+    const Vec3f p = positions[triangles[triangle][k]];
+    return {p.x, p.y, p.z};
+  }
+  /// Along its normal, as long as twice its area.
+  Vec3d cross_of_sides(std::size_t triangle) const {
+    const Vec3d a = corner(triangle, 0);
+    return cross(corner(triangle, 1) - a, corner(triangle, 2) - a);
+  }
 };
 
 /// Reads an OBJ file with its MTL files. Polygons are cut into triangles, negative indices count back from the last

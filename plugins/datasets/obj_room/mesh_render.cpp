@@ -116,6 +116,19 @@ Raycaster::Raycaster(const TriangleMesh& mesh, std::vector<bool> cut_out, Opaque
 
 namespace {
 
+RTCRay ray_of(Vec3d origin, Vec3d direction, double max_m) {
+  RTCRay ray{};
+  ray.org_x = static_cast<float>(origin.x);
+  ray.org_y = static_cast<float>(origin.y);
+  ray.org_z = static_cast<float>(origin.z);
+  ray.dir_x = static_cast<float>(direction.x);
+  ray.dir_y = static_cast<float>(direction.y);
+  ray.dir_z = static_cast<float>(direction.z);
+  ray.tfar = static_cast<float>(max_m);
+  ray.mask = ~0u;
+  return ray;
+}
+
 // Embree 4 has no contexts any more.
 #if SEMFIELD_EMBREE == 3
 void intersect(RTCScene scene, RTCRayHit& ray) {
@@ -137,14 +150,7 @@ void occlude(RTCScene scene, RTCRay& ray) { rtcOccluded1(scene, &ray); }
 
 RayHit Raycaster::trace(Vec3d origin, Vec3d direction, double max_m) const {
   RTCRayHit ray{};
-  ray.ray.org_x = static_cast<float>(origin.x);
-  ray.ray.org_y = static_cast<float>(origin.y);
-  ray.ray.org_z = static_cast<float>(origin.z);
-  ray.ray.dir_x = static_cast<float>(direction.x);
-  ray.ray.dir_y = static_cast<float>(direction.y);
-  ray.ray.dir_z = static_cast<float>(direction.z);
-  ray.ray.tfar = static_cast<float>(max_m);
-  ray.ray.mask = ~0u;
+  ray.ray = ray_of(origin, direction, max_m);
   ray.hit.geomID = RTC_INVALID_GEOMETRY_ID;
   intersect(impl_->scene, ray);
   RayHit hit;
@@ -153,30 +159,17 @@ RayHit Raycaster::trace(Vec3d origin, Vec3d direction, double max_m) const {
   hit.b1 = ray.hit.u;
   hit.b2 = ray.hit.v;
   // Float32 tells which triangle; its plane in float64 tells how far.
-  const auto& corners = impl_->mesh.triangles[static_cast<std::size_t>(hit.triangle)];
-  const auto corner = [&](std::size_t k) {
-    const Vec3f p = impl_->mesh.positions[corners[k]];
-    return Vec3d{p.x, p.y, p.z};
-  };
-  const Vec3d a = corner(0);
-  const Vec3d normal = cross(corner(1) - a, corner(2) - a);
+  const auto triangle = static_cast<std::size_t>(hit.triangle);
+  const Vec3d normal = impl_->mesh.cross_of_sides(triangle);
   const double along = dot(normal, direction);
-  const double exact = along != 0 ? dot(normal, a - origin) / along : ray.ray.tfar;
+  const double exact = along != 0 ? dot(normal, impl_->mesh.corner(triangle, 0) - origin) / along : ray.ray.tfar;
   // Grazing rays have no stable plane distance.
   hit.distance_m = std::abs(exact - ray.ray.tfar) < 1e-3 * (1 + std::abs(exact)) ? exact : ray.ray.tfar;
   return hit;
 }
 
 bool Raycaster::blocked(Vec3d origin, Vec3d direction, double max_m) const {
-  RTCRay ray{};
-  ray.org_x = static_cast<float>(origin.x);
-  ray.org_y = static_cast<float>(origin.y);
-  ray.org_z = static_cast<float>(origin.z);
-  ray.dir_x = static_cast<float>(direction.x);
-  ray.dir_y = static_cast<float>(direction.y);
-  ray.dir_z = static_cast<float>(direction.z);
-  ray.tfar = static_cast<float>(max_m);
-  ray.mask = ~0u;
+  RTCRay ray = ray_of(origin, direction, max_m);
   occlude(impl_->scene, ray);
   return ray.tfar < 0;
 }
@@ -213,13 +206,9 @@ struct Nearest {
 
 bool nearest_callback(RTCPointQueryFunctionArguments* args) {
   auto& nearest = *static_cast<Nearest*>(args->userPtr);
-  const std::int64_t triangle = nearest.triangle_of[args->geomID][args->primID];
-  const auto& index = nearest.mesh->triangles[static_cast<std::size_t>(triangle)];
-  const auto corner = [&](std::size_t k) {
-    const Vec3f p = nearest.mesh->positions[index[k]];
-    return Vec3d{p.x, p.y, p.z};
-  };
-  const Vec3d on = nearest_on_triangle(nearest.point, corner(0), corner(1), corner(2));
+  const TriangleMesh& mesh = *nearest.mesh;
+  const auto t = static_cast<std::size_t>(nearest.triangle_of[args->geomID][args->primID]);
+  const Vec3d on = nearest_on_triangle(nearest.point, mesh.corner(t, 0), mesh.corner(t, 1), mesh.corner(t, 2));
   const double distance = length(on - nearest.point);
   if (distance >= nearest.distance) return false;
   nearest.distance = distance;
@@ -353,8 +342,7 @@ void MeshRenderer::prepare_materials(Diagnostics& diagnostics) {
     const auto& uv = mesh_.uv[i];
     const double area_uv =
         std::abs((uv[1][0] - uv[0][0]) * (uv[2][1] - uv[0][1]) - (uv[1][1] - uv[0][1]) * (uv[2][0] - uv[0][0]));
-    const auto corner = [&](std::size_t k) { return to_double(mesh_.positions[mesh_.triangles[i][k]]); };
-    const double area_m = length(cross(corner(1) - corner(0), corner(2) - corner(0)));
+    const double area_m = length(mesh_.cross_of_sides(i));
     texels_per_m_[i] = static_cast<float>(std::sqrt(area_uv * texture.width() * texture.height() / area_m));
   }
   const RandomAddress colors{settings_.seed, 0, stream_id("mesh/object_color")};
@@ -386,8 +374,7 @@ MeshRenderer::Surface MeshRenderer::surface(Vec3d origin, Vec3d direction) const
   s.object = mesh_.object_of[i];
   s.distance_m = hit.distance_m;
   s.point = origin + direction * hit.distance_m;
-  const auto corner = [&](std::size_t k) { return to_double(mesh_.positions[mesh_.triangles[i][k]]); };
-  Vec3d facet = normalized(cross(corner(1) - corner(0), corner(2) - corner(0)));
+  Vec3d facet = normalized(mesh_.cross_of_sides(i));
   const float b0 = 1 - hit.b1 - hit.b2;
   const auto& n = mesh_.normals[i];
   Vec3f smooth = n[0] * b0 + n[1] * hit.b1 + n[2] * hit.b2;
@@ -686,29 +673,18 @@ namespace fs = std::filesystem;
 
 class Sum {
  public:
+  /// Of numbers, or of Vec3d and arrays, which have no gaps between theirs.
   template <class T>
   void add(const T& value) {
-    static_assert(std::is_trivially_copyable_v<T> && std::has_unique_object_representations_v<T>);
+    static_assert(std::is_trivially_copyable_v<T>);
     sha_.add(std::as_bytes(std::span<const T>(&value, 1)));
   }
-  void add(double value) { sha_.add(std::as_bytes(std::span<const double>(&value, 1))); }
-  void add(float value) { sha_.add(std::as_bytes(std::span<const float>(&value, 1))); }
-  void add(Vec3d v) {
-    for (int k = 0; k < 3; ++k) add(v[k]);
-  }
-  void add(const std::string& text) {
-    add(static_cast<std::uint64_t>(text.size()));
-    sha_.add(std::as_bytes(std::span<const char>(text)));
-  }
-  template <class T, std::size_t kSize>
-  void add(const std::array<T, kSize>& values) {
-    for (const T& value : values) add(value);
-  }
+  void add(const std::string& text) { add_all(text); }
   /// Elements without gaps between or in them.
-  template <class T>
-  void add_all(const std::vector<T>& values) {
+  template <class Values>
+  void add_all(const Values& values) {
     add(static_cast<std::uint64_t>(values.size()));
-    sha_.add(std::as_bytes(std::span<const T>(values)));
+    sha_.add(std::as_bytes(std::span(values)));
   }
   std::string hex() { return sha_.hex(); }
 
@@ -736,48 +712,25 @@ void add_file(Sum& sum, const std::string& path) {
   }
 }
 
-SceneInfo alone(const FrameInfo& frame, const ClassTable& classes) {
-  SceneInfo info;
-  info.name = "cast";
-  info.classes = classes;
-  info.frames = {frame};
-  return info;
-}
-
 }  // namespace
 
 std::string cast_key(const TriangleMesh& mesh, const std::vector<std::int16_t>& class_of,
                      const RenderSettings& settings) {
   Sum sum;
   add_program(sum);
-  sum.add_all(mesh.positions);
-  sum.add_all(mesh.triangles);
-  sum.add_all(mesh.uv);
-  sum.add_all(mesh.normals);
-  sum.add_all(mesh.material_of);
-  sum.add_all(mesh.object_of);
+  const auto add_all = [&](const auto&... values) { (sum.add_all(values), ...); };
+  add_all(mesh.positions, mesh.triangles, mesh.uv, mesh.normals, mesh.material_of, mesh.object_of);
   if (!mesh.piece_of.empty()) sum.add_all(mesh.piece_of);
   sum.add_all(class_of);
+  const auto add = [&](const auto&... values) { (sum.add(values), ...); };
   for (const Material& m : mesh.materials) {
-    sum.add(m.diffuse);
-    sum.add(m.emission);
-    sum.add(m.opacity);
+    add(m.diffuse, m.emission, m.opacity);
     add_file(sum, m.diffuse_map);
     add_file(sum, m.opacity_map);
   }
-  for (const Light& light : settings.lights) {
-    sum.add(light.position);
-    sum.add(light.radius_m);
-    sum.add(light.intensity);
-  }
-  sum.add(settings.ambient_above);
-  sum.add(settings.ambient_below);
-  sum.add(settings.up);
-  sum.add(settings.occlusion_m);
-  for (const int count : {settings.occlusion_rays, settings.shadow_rays, settings.supersample}) sum.add(count);
-  sum.add(settings.exposure);
-  sum.add(settings.background);
-  sum.add(settings.seed);
+  for (const Light& light : settings.lights) add(light.position, light.radius_m, light.intensity);
+  add(settings.ambient_above, settings.ambient_below, settings.up, settings.occlusion_m, settings.occlusion_rays,
+      settings.shadow_rays, settings.supersample, settings.exposure, settings.background, settings.seed);
   return sum.hex();
 }
 
@@ -796,14 +749,9 @@ CastCache::CastCache(const std::string& key) {
 std::string CastCache::file_of(std::uint64_t number, const FrameInfo& frame) const {
   Sum sum;
   const Camera& c = frame.camera;
-  for (const double value : {c.fx, c.fy, c.cx, c.cy}) sum.add(value);
-  sum.add(c.width_px);
-  sum.add(c.height_px);
-  for (int axis = 0; axis < 3; ++axis) {
-    Vec3d unit{0, 0, 0};
-    unit[axis] = 1;
-    sum.add(frame.world_from_camera.rotate(unit));
-  }
+  sum.add(std::array{c.fx, c.fy, c.cx, c.cy});
+  sum.add(std::array{c.width_px, c.height_px});
+  for (int axis = 0; axis < 3; ++axis) sum.add(frame.world_from_camera.axis(axis));
   sum.add(frame.world_from_camera.t);
   return folder_ + "/" + std::to_string(number) + "_" + sum.hex().substr(0, 16) + ".sfpack";
 }
@@ -824,8 +772,9 @@ void CastCache::write(std::uint64_t number, const FrameInfo& frame, const ClassT
                       const FrameBuffer& cast) const {
   if (folder_.empty()) return;
   try {
-    write_packed_scene(file_of(number, frame), alone(frame, classes), [&cast](int, FrameBuffer& out) { out = cast; },
-                       {.depth_as_mm = false});
+    write_packed_scene(file_of(number, frame),
+                       {.name = "cast", .frames = {frame}, .classes = classes, .bounds = {}, .limit = {}},
+                       [&cast](int, FrameBuffer& out) { out = cast; }, {.depth_as_mm = false});
   } catch (const Error&) {  // a full disk, or the folder was removed meanwhile
   }
 }

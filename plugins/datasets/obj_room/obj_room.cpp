@@ -139,10 +139,7 @@ Box ObjRoom::room_box(const ClassTable& classes, const std::vector<std::int16_t>
     const std::string& name = classes.valid(class_of[i]).name;
     if (std::find(params_.room_classes.begin(), params_.room_classes.end(), name) == params_.room_classes.end())
       continue;
-    for (const std::uint32_t corner : mesh.triangles[i]) {
-      const Vec3f p = mesh.positions[corner];
-      box.include({p.x, p.y, p.z});
-    }
+    for (const std::size_t k : {0, 1, 2}) box.include(mesh.corner(i, k));
   }
   return box.empty() ? mesh.bounds : box;
 }
@@ -151,8 +148,7 @@ std::vector<Light> ObjRoom::lights(const Box& room, const ClassTable& classes,
                                    const std::vector<std::int16_t>& class_of) const {
   const Vec3d up = up_of(params_.up), size = room.size(), center = room.center();
   const double height = std::abs(dot(size, up));
-  const Vec3d level[2] = {params_.up == UpAxis::y ? Vec3d{1, 0, 0} : Vec3d{1, 0, 0},
-                          params_.up == UpAxis::y ? Vec3d{0, 0, 1} : Vec3d{0, 1, 0}};
+  const Vec3d level[2] = {{1, 0, 0}, params_.up == UpAxis::y ? Vec3d{0, 0, 1} : Vec3d{0, 1, 0}};
   const int along = dot(size, level[0]) >= dot(size, level[1]) ? 0 : 1;
   const double longer = dot(size, level[along]), shorter = dot(size, level[1 - along]);
   // Two warm balls under the ceiling; their strength grows with the area that they light.
@@ -170,23 +166,15 @@ std::vector<Light> ObjRoom::lights(const Box& room, const ClassTable& classes,
   std::vector<Box> boxes(mesh.objects.size());
   for (std::size_t i = 0; i < mesh.size(); ++i) {
     if (class_of[i] < 0 || classes.valid(class_of[i]).name != "window") continue;
-    for (const std::uint32_t corner : mesh.triangles[i]) {
-      const Vec3f p = mesh.positions[corner];
-      boxes[static_cast<std::size_t>(mesh.object_of[i])].include({p.x, p.y, p.z});
-    }
+    for (const std::size_t k : {0, 1, 2}) boxes[static_cast<std::size_t>(mesh.object_of[i])].include(mesh.corner(i, k));
   }
-  const Box* largest = nullptr;
-  double best = 0;
-  for (const Box& b : boxes) {
-    if (b.empty()) continue;
-    const Vec3d s = b.size();
-    const double area = s.x * s.y + s.y * s.z + s.z * s.x;
-    if (area > best) {
-      best = area;
-      largest = &b;
-    }
-  }
-  if (largest != nullptr && params_.daylight > 0) {
+  const auto area = [](const Box& b) {
+    const Vec3d s = b.empty() ? Vec3d{} : b.size();
+    return s.x * s.y + s.y * s.z + s.z * s.x;
+  };
+  const auto largest =
+      std::max_element(boxes.begin(), boxes.end(), [&](const Box& a, const Box& b) { return area(a) < area(b); });
+  if (largest != boxes.end() && area(*largest) > 0 && params_.daylight > 0) {
     Vec3d inward = center - largest->center();
     inward = inward - up * dot(inward, up);
     if (length(inward) > 1e-6) {
@@ -254,15 +242,8 @@ SceneInfo ObjRoom::open(Diagnostics& diagnostics) {
   const int total = params_.frames + params_.test_frames;
   std::vector<Pose> poses;
   if (params_.cameras.empty()) {
-    PathSettings where;
-    where.poses = total;
-    where.seed = settings.seed;
-    where.up = settings.up;
-    where.region = room;
-    where.clearance_m = params_.clearance_m;
-    where.lowest_m = params_.lowest_m;
-    where.highest_m = params_.highest_m;
-    poses = make_camera_path(renderer_->rays(), where);
+    poses = make_camera_path(renderer_->rays(), {total, settings.seed, settings.up, room, params_.clearance_m,
+                                                 params_.lowest_m, params_.highest_m});
   } else {
     const std::string file = resolved(root_, params_.cameras);
     const std::vector<Pose> all = read_camera_file(file, params_.camera_axes);
@@ -277,12 +258,9 @@ SceneInfo ObjRoom::open(Diagnostics& diagnostics) {
           all[static_cast<std::size_t>(static_cast<std::int64_t>(i) * static_cast<std::int64_t>(all.size()) / total)]);
     }
   }
-  Camera camera;
-  camera.width_px = params_.width_px;
-  camera.height_px = params_.height_px;
-  camera.fx = camera.fy = 0.5 * params_.width_px / std::tan(0.5 * params_.hfov_deg * pi / 180);
-  camera.cx = 0.5 * params_.width_px;
-  camera.cy = 0.5 * params_.height_px;
+  const double focal = 0.5 * params_.width_px / std::tan(0.5 * params_.hfov_deg * pi / 180);
+  const Camera camera{params_.width_px,       params_.height_px,      focal, focal,
+                      0.5 * params_.width_px, 0.5 * params_.height_px};
 
   SceneInfo info;
   info.name = fs::path(path).stem().string();
@@ -325,7 +303,6 @@ SEMFIELD_PLUGIN_MODULE(obj_room, "1.0", [](Registry& registry) {
 
 namespace {
 
-using std::numbers::pi;
 constexpr double kGoldenAngle = 2.399963229728653;
 constexpr int kPosesPerKey = 4;
 constexpr int kCandidates = 160;
@@ -522,17 +499,10 @@ std::vector<Pose> make_camera_path(const Raycaster& rays, const PathSettings& s)
 
 namespace {
 
-std::vector<std::string> class_names(const ClassTable& table) {
-  std::vector<std::string> names;
-  for (const ClassEntry& e : table.entries()) names.push_back(e.name);
-  return names;
-}
-
 const ClassEntry* find_class(const ClassTable& table, const std::string& name) {
-  for (const ClassEntry& e : table.entries()) {
-    if (e.name == name) return &e;
-  }
-  return nullptr;
+  const std::vector<ClassEntry>& all = table.entries();
+  const auto found = std::find_if(all.begin(), all.end(), [&](const ClassEntry& e) { return e.name == name; });
+  return found == all.end() ? nullptr : &*found;
 }
 
 void read_rule(const ConfigNode& node, ClassRules& out, Diagnostics& diagnostics) {
@@ -554,7 +524,9 @@ void read_rule(const ConfigNode& node, ClassRules& out, Diagnostics& diagnostics
       has_class = true;
       const ClassEntry* entry = find_class(out.table, value.text());
       if (entry == nullptr) {
-        const std::string near = did_you_mean(value.text(), class_names(out.table));
+        std::vector<std::string> names;
+        for (const ClassEntry& e : out.table.entries()) names.push_back(e.name);
+        const std::string near = did_you_mean(value.text(), names);
         diagnostics.error("labels.class.unknown", value.location().text(), "no class named '" + value.text() + "'",
                           near.empty() ? "" : "did you mean '" + near + "'?");
       } else {
@@ -607,12 +579,7 @@ bool matches_glob(const std::string& text, const std::string& pattern) {
 
 ClassRules load_class_rules(const std::string& path) {
   ClassRules out;
-  const std::string extension = std::filesystem::path(path).extension().string();
-  if (extension == ".csv") {
-    out.table = ClassTable::load(path);
-    return out;
-  }
-  const ConfigNode root = parse_config_file(path);
+  const ConfigNode root = fs::path(path).extension() == ".csv" ? ConfigNode() : parse_config_file(path);
   if (!root.is_map()) {
     out.table = ClassTable::load(path);
     return out;
