@@ -237,15 +237,18 @@ constexpr const char* kFormat = "semfield-cameras-1";
 constexpr const char* kAlongRay = "distance along the ray";
 constexpr const char* kZDepth = "z-depth";
 
-// Numbers of a camera that its file may leave out.
-constexpr std::array<std::pair<const char*, double Camera::*>, 6> kLens{{{"k1", &Camera::k1},
-                                                                         {"k2", &Camera::k2},
-                                                                         {"k3", &Camera::k3},
-                                                                         {"k4", &Camera::k4},
-                                                                         {"p1", &Camera::p1},
-                                                                         {"p2", &Camera::p2}}};
-constexpr std::array<std::pair<const char*, double Camera::*>, 4> kPinhole{
-    {{"fx", &Camera::fx}, {"fy", &Camera::fy}, {"cx", &Camera::cx}, {"cy", &Camera::cy}}};
+// Numbers of a camera; its file may leave out those behind the first four.
+constexpr std::size_t kNeeded = 4;
+constexpr std::array<std::pair<const char*, double Camera::*>, 10> kNumbers{{{"fx", &Camera::fx},
+                                                                             {"fy", &Camera::fy},
+                                                                             {"cx", &Camera::cx},
+                                                                             {"cy", &Camera::cy},
+                                                                             {"k1", &Camera::k1},
+                                                                             {"k2", &Camera::k2},
+                                                                             {"k3", &Camera::k3},
+                                                                             {"k4", &Camera::k4},
+                                                                             {"p1", &Camera::p1},
+                                                                             {"p2", &Camera::p2}}};
 
 // As the key "lens" names them; a perspective camera needs none.
 constexpr std::array<std::pair<const char*, LensKind>, 3> kKinds{{{"perspective", LensKind::perspective},
@@ -256,8 +259,7 @@ Json json_of(const PlacedCamera& placed) {
   const Camera& c = placed.camera;
   Json out{{"name", placed.name}, {"width", c.width_px}, {"height", c.height_px}};
   if (c.is_wide()) out["lens"] = kKinds[static_cast<std::size_t>(c.lens)].first;
-  for (const auto& [key, member] : kPinhole) out[key] = c.*member;
-  for (const auto& [key, member] : kLens) out[key] = c.*member;
+  for (const auto& [key, member] : kNumbers) out[key] = c.*member;
   if (placed.far_m > 0) {
     out["near"] = placed.near_m;
     out["far"] = placed.far_m;
@@ -277,121 +279,81 @@ Json json_of(const PlacedCamera& placed) {
       "give a cameras.json as `semfield render` writes it, or a text file with a camera-to-world matrix a line");
 }
 
-// One camera of a file; what is wrong with it goes to the diagnostics.
-class CameraReader {
- public:
-  CameraReader(const Json& node, std::string place, Diagnostics& diagnostics)
-      : node_(node), place_(std::move(place)), diagnostics_(diagnostics) {}
-
-  std::optional<PlacedCamera> read() {
-    const int before = diagnostics_.error_count();
-    if (!node_.is_object()) {
-      error("is not an object of keys and values", "write {\"name\": ..., \"width\": ..., ...}");
-      return std::nullopt;
-    }
-    check_keys();
-    PlacedCamera out;
-    out.name = name();
-    Camera& c = out.camera;
-    const double width = number("width"), height = number("height");
-    for (const auto& [key, member] : kPinhole) c.*member = number(key);
-    for (const auto& [key, member] : kLens) c.*member = number(key, 0);
-    c.lens = lens();
-    const std::vector<double> rows = matrix();
-    if (diagnostics_.error_count() > before) return std::nullopt;
-    if (!set_size(c, width, height) || !check_camera(c, place_, diagnostics_)) return std::nullopt;
-    if (!check_last_row(rows, place_, diagnostics_)) return std::nullopt;
-    out.world_from_camera = pose_from_rows(rows);
-    if (check_pose(out.world_from_camera, place_, diagnostics_) == PoseState::not_finite)
-      error("'world_from_camera' is not finite", "leave the camera out");
-    read_limits(out);
-    if (diagnostics_.error_count() > before) return std::nullopt;
-    return out;
+// One camera of a file; nothing where something of it is wrong, which goes to the diagnostics.
+std::optional<PlacedCamera> read_camera(const Json& node, const std::string& place, Diagnostics& diagnostics) {
+  const int before = diagnostics.error_count();
+  const auto error = [&](const std::string& what, const std::string& remedy) {
+    diagnostics.error("render.cameras.entry", place, what, remedy);
+  };
+  const auto number = [&](const char* key, std::optional<double> otherwise = std::nullopt) {
+    if (!node.contains(key) && otherwise) return *otherwise;
+    if (node.contains(key) && node[key].is_number()) return node[key].get<double>();
+    error(std::string("'") + key + (node.contains(key) ? "' is not a number" : "' is missing"), "write a number");
+    return 0.0;
+  };
+  if (!node.is_object()) {
+    error("is not an object of keys and values", "write {\"name\": ..., \"width\": ..., ...}");
+    return std::nullopt;
   }
-
- private:
-  void error(const std::string& what, const std::string& remedy) {
-    diagnostics_.error("render.cameras.entry", place_, what, remedy);
+  std::vector<std::string> known{"name", "width", "height"};
+  for (const auto& [key, member] : kNumbers) known.emplace_back(key);
+  known.insert(known.end(), {"lens", "near", "far", "world_from_camera"});
+  for (const auto& [key, value] : node.items()) {
+    if (std::find(known.begin(), known.end(), key) != known.end()) continue;
+    const std::string near = did_you_mean(key, known);
+    error("unknown key '" + key + "'", near.empty() ? "known: " + join(known) : "did you mean '" + near + "'?");
   }
-
-  void check_keys() {
-    std::vector<std::string> known{"name", "width", "height"};
-    for (const auto& [key, member] : kPinhole) known.emplace_back(key);
-    for (const auto& [key, member] : kLens) known.emplace_back(key);
-    known.insert(known.end(), {"lens", "near", "far", "world_from_camera"});
-    for (const auto& [key, value] : node_.items()) {
-      if (std::find(known.begin(), known.end(), key) != known.end()) continue;
-      const std::string near = did_you_mean(key, known);
-      error("unknown key '" + key + "'", near.empty() ? "known: " + join(known) : "did you mean '" + near + "'?");
-    }
+  PlacedCamera out;
+  Camera& c = out.camera;
+  if (node.contains("name") && node["name"].is_string())
+    out.name = node["name"].get<std::string>();
+  else
+    error("'name' is not text", "name its images, such as \"name\": \"00001\"");
+  const double width = number("width"), height = number("height");
+  for (std::size_t i = 0; i < kNumbers.size(); ++i)
+    c.*kNumbers[i].second = number(kNumbers[i].first, i < kNeeded ? std::nullopt : std::optional(0.0));
+  if (node.contains("lens")) {
+    const auto kind =
+        std::find_if(kKinds.begin(), kKinds.end(), [&](const auto& one) { return node["lens"] == one.first; });
+    if (kind == kKinds.end())
+      error("'lens' is none of perspective, fisheye and equirectangular", "write one of these, or leave it out");
+    else
+      c.lens = kind->second;
   }
-
-  std::string name() {
-    if (!node_.contains("name") || !node_["name"].is_string()) {
-      error("'name' is not text", "name its images, such as \"name\": \"00001\"");
-      return {};
-    }
-    return node_["name"].get<std::string>();
+  std::vector<double> rows;
+  const Json matrix = node.value("world_from_camera", Json());
+  for (std::size_t i = 0; i < 16 && matrix.is_array() && matrix.size() == 4; ++i) {
+    const Json& row = matrix[i / 4];
+    if (row.is_array() && row.size() == 4 && row[i % 4].is_number()) rows.push_back(row[i % 4].get<double>());
   }
-
-  LensKind lens() {
-    if (!node_.contains("lens")) return LensKind::perspective;
-    for (const auto& [name, kind] : kKinds)
-      if (node_["lens"] == name) return kind;
-    error("'lens' is none of perspective, fisheye and equirectangular", "write one of these, or leave it out");
-    return LensKind::perspective;
+  if (rows.size() != 16)
+    error("'world_from_camera' is not a list of 4 rows of 4 numbers", "write [[1, 0, 0, 0], [0, 1, 0, 0], ...]");
+  if (diagnostics.error_count() > before) return std::nullopt;
+  const auto whole = [](double v) { return v >= 1 && v <= 2147483647.0 && v == std::floor(v); };
+  if (!whole(width) || !whole(height)) {
+    error("'width' x 'height' is not a pair of whole numbers of pixels", "write the size of the image");
+    return std::nullopt;
   }
-
-  double number(const char* key, std::optional<double> otherwise = std::nullopt) {
-    if (!node_.contains(key) && otherwise) return *otherwise;
-    if (node_.contains(key) && node_[key].is_number()) return node_[key].get<double>();
-    error(std::string("'") + key + (node_.contains(key) ? "' is not a number" : "' is missing"), "write a number");
-    return 0;
+  try {
+    check_image_limits(static_cast<std::int64_t>(width), static_cast<std::int64_t>(height), 3);
+  } catch (const Error& e) {
+    error(e.message(), e.remedy());
+    return std::nullopt;
   }
-
-  std::vector<double> matrix() {
-    std::vector<double> rows;
-    const Json* const matrix = node_.contains("world_from_camera") ? &node_["world_from_camera"] : nullptr;
-    for (std::size_t r = 0; matrix != nullptr && matrix->is_array() && matrix->size() == 4 && r < 4; ++r) {
-      const Json& row = (*matrix)[r];
-      for (std::size_t c = 0; row.is_array() && row.size() == 4 && c < 4; ++c) {
-        if (row[c].is_number()) rows.push_back(row[c].get<double>());
-      }
-    }
-    if (rows.size() != 16)
-      error("'world_from_camera' is not a list of 4 rows of 4 numbers", "write [[1, 0, 0, 0], [0, 1, 0, 0], ...]");
-    return rows;
-  }
-
-  bool set_size(Camera& c, double width, double height) {
-    const auto whole = [](double v) { return v >= 1 && v <= 2147483647.0 && v == std::floor(v); };
-    if (!whole(width) || !whole(height)) {
-      error("'width' x 'height' is not a pair of whole numbers of pixels", "write the size of the image");
-      return false;
-    }
-    try {
-      check_image_limits(static_cast<std::int64_t>(width), static_cast<std::int64_t>(height), 3);
-    } catch (const Error& e) {
-      error(e.message(), e.remedy());
-      return false;
-    }
-    c.width_px = static_cast<std::int32_t>(width);
-    c.height_px = static_cast<std::int32_t>(height);
-    return true;
-  }
-
-  void read_limits(PlacedCamera& out) {
-    if (!node_.contains("near") && !node_.contains("far")) return;
+  c.width_px = static_cast<std::int32_t>(width);
+  c.height_px = static_cast<std::int32_t>(height);
+  if (!check_camera(c, place, diagnostics) || !check_last_row(rows, place, diagnostics)) return std::nullopt;
+  out.world_from_camera = pose_from_rows(rows);
+  if (check_pose(out.world_from_camera, place, diagnostics) == PoseState::not_finite)
+    error("'world_from_camera' is not finite", "leave the camera out");
+  if (node.contains("near") || node.contains("far")) {
     out.near_m = number("near");
     out.far_m = number("far");
     if (!(out.near_m >= 0) || !(out.near_m < out.far_m) || !std::isfinite(out.far_m))
       error("'near' and 'far' are not distances with 0 <= near < far", "correct them, or leave both out");
   }
-
-  const Json& node_;
-  std::string place_;
-  Diagnostics& diagnostics_;
-};
+  return diagnostics.error_count() > before ? std::nullopt : std::optional(out);
+}
 
 }  // namespace
 
@@ -436,7 +398,7 @@ CameraSet read_cameras(const std::string& path, Diagnostics& diagnostics) {
   OutputNames names;
   for (std::size_t i = 0; i < root["cameras"].size(); ++i) {
     const std::string place = fmt::format("{}: camera {}", path, i);
-    std::optional<PlacedCamera> camera = CameraReader(root["cameras"][i], place, diagnostics).read();
+    std::optional<PlacedCamera> camera = read_camera(root["cameras"][i], place, diagnostics);
     if (!camera) continue;
     if (const auto wrong = names.add(camera->name))
       diagnostics.error("scene.frame.name", place, *wrong, kFrameNameRemedy);
