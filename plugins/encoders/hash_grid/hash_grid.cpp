@@ -144,11 +144,6 @@ HashGrid<Real>::HashGrid(const HashGridParams& written, const EncoderBuild& buil
 }
 
 template <class Real>
-EncoderTraits HashGrid<Real>::traits() const noexcept {
-  return {3, shape_.levels * shape_.features, Domain::unit_cube, true, true};
-}
-
-template <class Real>
 void HashGrid<Real>::declare(ParamDeclarer& declarer) const {
   for (int l = 0; l < shape_.levels; ++l) {
     const std::string number = std::to_string(l);

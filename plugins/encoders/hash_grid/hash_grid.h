@@ -46,7 +46,9 @@ template <class Real>
 class HashGrid final : public Encoder<Real> {
  public:
   HashGrid(const HashGridParams& params, const EncoderBuild& build, const KernelTables& kernels);
-  EncoderTraits traits() const noexcept override;
+  EncoderTraits traits() const noexcept override {
+    return {3, shape_.levels * shape_.features, Domain::unit_cube, true, true};
+  }
   std::size_t scratch_bytes(std::int64_t samples) const noexcept override {
     return kernels_->scratch_bytes == nullptr ? 0 : kernels_->scratch_bytes(shape_, samples);
   }

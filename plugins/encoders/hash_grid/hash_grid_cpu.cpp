@@ -102,14 +102,9 @@ inline void find_cells_avx512(const HashGridLevel& level, const double* x, AxisC
 template <class Real, Interpolation kInterpolation>
 inline void find_cells(const HashGridLevel& level, const double* x, AxisCells<Real>& out) {
 #if defined(__AVX512F__)
-  if constexpr (std::is_same_v<Real, float>) {
-    find_cells_avx512<kInterpolation>(level, x, out);
-  } else {
-    find_cells_by_axis<Real, kInterpolation>(level, x, out);
-  }
-#else
-  find_cells_by_axis<Real, kInterpolation>(level, x, out);
+  if constexpr (std::is_same_v<Real, float>) return find_cells_avx512<kInterpolation>(level, x, out);
 #endif
+  find_cells_by_axis<Real, kInterpolation>(level, x, out);
 }
 
 /// Edges of kLanes samples, x [kLanes, 3] contiguous.
@@ -298,23 +293,6 @@ constexpr std::int64_t kPieceRows = 4096;   // of a level's forward that a threa
 constexpr std::int64_t kCopyRows = 1024;
 constexpr std::int64_t kInputTaskRows = 256;
 
-/// Calls f with the level's compile-time choices: (features, dense, interpolation).
-template <std::int32_t kFeatures, class F>
-void with_level_kind(const HashGridLevel& level, Interpolation interpolation, const F& f) {
-  if (interpolation == Interpolation::smoothstep) {
-    if (level.dense) {
-      f.template operator()<kFeatures, true, Interpolation::smoothstep>();
-    } else {
-      f.template operator()<kFeatures, false, Interpolation::smoothstep>();
-    }
-  } else {
-    if (level.dense) {
-      f.template operator()<kFeatures, true, Interpolation::linear>();
-    } else {
-      f.template operator()<kFeatures, false, Interpolation::linear>();
-    }
-  }
-}
 template <class F>
 void with_features(std::int32_t features, const F& f) {
   switch (features) {
@@ -328,9 +306,17 @@ void with_features(std::int32_t features, const F& f) {
       return f.template operator()<8>();
   }
 }
+/// Calls f with the level's compile-time choices: (features, dense, interpolation).
 template <class F>
 void with_kind(const HashGridLevel& level, std::int32_t features, Interpolation interpolation, const F& f) {
-  with_features(features, [&]<std::int32_t kFeatures>() { with_level_kind<kFeatures>(level, interpolation, f); });
+  with_features(features, [&]<std::int32_t kFeatures>() {
+    const auto with_density = [&]<Interpolation kI>() {
+      level.dense ? f.template operator()<kFeatures, true, kI>() : f.template operator()<kFeatures, false, kI>();
+    };
+    if (interpolation == Interpolation::smoothstep)
+      return with_density.template operator()<Interpolation::smoothstep>();
+    with_density.template operator()<Interpolation::linear>();
+  });
 }
 
 void keep_least(std::atomic<std::int64_t>& least, std::int64_t value) {
@@ -417,22 +403,16 @@ std::size_t scratch_bytes(const HashGridShape& shape, std::int64_t rows) {
 /// Between columns and rows of y, over every thread.
 template <class Real, bool kToRows, class Row>
 void transpose(const HashGridShape& shape, const Columns<Real>& columns, View<Row> y) {
-  struct Call {
-    const HashGridShape& shape;
-    const Columns<Real>& columns;
-    View<Row> y;
-  };
-  const Call call{shape, columns, y};
-  parallel_for((y.rows + kCopyRows - 1) / kCopyRows, [&call](std::int64_t task) {
-    with_features(call.shape.features, [&]<std::int32_t kF>() {
-      const std::int64_t end = std::min(call.y.rows, (task + 1) * kCopyRows);
+  parallel_for((y.rows + kCopyRows - 1) / kCopyRows, [&](std::int64_t task) {
+    with_features(shape.features, [&]<std::int32_t kF>() {
+      const std::int64_t end = std::min(y.rows, (task + 1) * kCopyRows);
       for (std::int64_t r = task * kCopyRows; r < end; ++r) {
-        for (std::int32_t l = 0; l < call.shape.levels; ++l) {
-          Real* const column = call.columns.value(l) + r * kF;
+        for (std::int32_t l = 0; l < shape.levels; ++l) {
+          Real* const column = columns.value(l) + r * kF;
           if constexpr (kToRows) {
-            std::memcpy(call.y.row(r) + l * kF, column, sizeof(Real) * kF);
+            std::memcpy(y.row(r) + l * kF, column, sizeof(Real) * kF);
           } else {
-            std::memcpy(column, call.y.row(r) + l * kF, sizeof(Real) * kF);
+            std::memcpy(column, y.row(r) + l * kF, sizeof(Real) * kF);
           }
         }
       }
@@ -459,12 +439,6 @@ void for_level_pieces(std::int32_t levels, std::int64_t pieces, const F& f) {
       for (std::int64_t p = piece++; p < pieces; p = piece++, begins = false) f(level, p, begins);
     }
   });
-}
-
-/// One task a level. Finest first: the dear ones start early and the cheap coarse ones fill the gaps.
-template <class F>
-void for_levels(std::int32_t levels, const F& f) {
-  parallel_for(levels, [&f, levels](std::int64_t i) { f(static_cast<std::int32_t>(levels - 1 - i)); });
 }
 
 template <class Real>
@@ -508,7 +482,9 @@ void backward_tables(const HashGridShape& shape, const View<Real>* grads, View<c
     const std::int64_t rows = std::min(kBlockRows, x.rows - begin);
     const View<const double> block = x.row_range(begin, rows);
     transpose<Real, false>(shape, columns, dy.row_range(begin, rows));
-    for_levels(shape.levels, [&](std::int32_t l) {
+    // Finest first: the dear levels start early and the cheap coarse ones fill the gaps.
+    parallel_for(shape.levels, [&](std::int64_t i) {
+      const auto l = static_cast<std::int32_t>(shape.levels - 1 - i);
       const HashGridLevel& level = shape.level[l];
       Real* const grad = grads[l].data;
       warm(grad, level.entries * shape.features, rows);
@@ -550,18 +526,9 @@ void input_gradient(const HashGridShape& shape, const View<Real>* tables, View<c
 template <class Real>
 void backward_input(const HashGridShape& shape, const View<Real>* tables, View<const double> x, View<const Real> dy,
                     View<Real> dx) {
-  struct Call {
-    const HashGridShape& shape;
-    const View<Real>* tables;
-    View<const double> x;
-    View<const Real> dy;
-    View<Real> dx;
-  };
-  const Call call{shape, tables, x, dy, dx};
-  parallel_for((x.rows + kInputTaskRows - 1) / kInputTaskRows, [&call](std::int64_t task) {
-    const std::int64_t begin = task * kInputTaskRows, rows = std::min(kInputTaskRows, call.x.rows - begin);
-    input_gradient<Real>(call.shape, call.tables, call.x.row_range(begin, rows), call.dy.row_range(begin, rows),
-                         call.dx.row_range(begin, rows));
+  parallel_for((x.rows + kInputTaskRows - 1) / kInputTaskRows, [&](std::int64_t task) {
+    const std::int64_t begin = task * kInputTaskRows, rows = std::min(kInputTaskRows, x.rows - begin);
+    input_gradient<Real>(shape, tables, x.row_range(begin, rows), dy.row_range(begin, rows), dx.row_range(begin, rows));
   });
 }
 

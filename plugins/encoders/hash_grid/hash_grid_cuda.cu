@@ -122,10 +122,6 @@ void with_kind(const HashGridShape& shape, const F& f) {
   }
 }
 
-/// HashGridKernels::backward_tables.
-void hash_grid_scatter(const HashGridShape& shape, const View<float>* grads, View<const double> x, View<const float> dy,
-                       Workspace& workspace);
-
 namespace {
 
 constexpr int kThreads = 256;
@@ -340,16 +336,8 @@ void backward_input(const HashGridShape& shape, const View<float>* tables, View<
   check_launch("hash grid gradient of positions");
 }
 
-const HashGridKernels<float> kTable{forward, hash_grid_scatter, backward_input};
-
-}  // namespace
-
-void hash_grid_cuda_kernels(KernelTables& tables) { tables.add(Device::cuda, "encoder 'hash_grid'", &kTable); }
-
 // CUDA kernels of the hash grid: gradient of the tables, added by vector reductions, or in fixed point where sums must
 // not depend on their order.
-
-namespace {
 
 constexpr int kWarps = kThreads / kWarp;
 constexpr int kVertices = 8;
@@ -663,10 +651,8 @@ void scatter_fixed(const HashGridShape& shape, const Grid& grid, View<const doub
   }
 }
 
-}  // namespace
-
-void hash_grid_scatter(const HashGridShape& shape, const View<float>* grads, View<const double> x, View<const float> dy,
-                       Workspace& workspace) {
+void backward_tables(const HashGridShape& shape, const View<float>* grads, View<const double> x, View<const float> dy,
+                     Workspace& workspace) {
   if (x.rows == 0) return;
   const Grid grid = make_grid(shape, grads);
   if (launch().deterministic) {
@@ -680,5 +666,11 @@ void hash_grid_scatter(const HashGridShape& shape, const View<float>* grads, Vie
     check_launch("hash grid scatter");
   }
 }
+
+const HashGridKernels<float> kTable{forward, backward_tables, backward_input};
+
+}  // namespace
+
+void hash_grid_cuda_kernels(KernelTables& tables) { tables.add(Device::cuda, "encoder 'hash_grid'", &kTable); }
 
 }  // namespace semfield::cuda

@@ -16,48 +16,12 @@ void describe(ParamVisitor& visit, ImportanceParams& params) {
       "rule of the rendering integral: paper (order 1), midpoint (cells, no jitter), stratified_bin (cells)");
 }
 
-void validate(const ImportanceParams&, Diagnostics&) {}
-
 void bad_proposal_weight(std::int64_t ray, std::int64_t sample, double weight) {
   throw Error(ErrorKind::failure, "train.weight.invalid",
               "sampler 'importance': weight of ray " + std::to_string(ray) + ", sample " + std::to_string(sample) +
                   " of the previous pass is " + std::to_string(weight) + "; it must be finite and not negative",
               "lower the learning rate, or go back to the last checkpoint");
 }
-
-template <class Real>
-Importance<Real>::Importance(const ImportanceParams& params, const SamplerBuild& build, const KernelTables& kernels)
-    : kernels_(&kernels.get<ImportanceKernels<Real>>(build.device, "sampler 'importance'")), params_(params) {}
-
-template <class Real>
-SamplerTraits Importance<Real>::traits() const noexcept {
-  SamplerTraits traits;
-  traits.needs_previous = true;
-  return traits;
-}
-
-template <class Real>
-std::int64_t Importance<Real>::capacity(std::int64_t rays, std::int64_t previous_per_ray) const noexcept {
-  return rays * (params_.samples + (params_.keep_previous ? previous_per_ray : 0));
-}
-
-template <class Real>
-void Importance<Real>::do_sample(const StepContext& ctx, const Tensors<Real>&, const Rays<Real>& rays,
-                                 const Proposal<Real>* previous, Samples<Real>& out) const {
-  ImportanceArgs args;
-  args.samples = params_.samples;
-  args.keep_previous = params_.keep_previous;
-  args.floor = params_.floor;
-  args.quadrature = params_.quadrature;
-  args.jitter = ctx.training && params_.quadrature != Quadrature::midpoint;
-  args.random = ctx.random("sampler/importance");
-  args.first_ray = ctx.first_ray;
-  args.workspace = ctx.workspace;
-  kernels_->sample(args, rays.near_far, *previous, out);
-}
-
-template class Importance<float>;
-template class Importance<double>;
 
 SEMFIELD_PLUGIN_MODULE(importance, "1.0", [](Registry& registry) {
   importance_kernels(registry.kernels());

@@ -2,22 +2,13 @@
 #pragma once
 
 #include "config/params.h"
-#include "core/error.h"
 #include "plugin/kernels.h"
 #include "plugin/sampler.h"
 #include "samplers/importance/importance_kernels.h"
 
 namespace semfield {
 
-struct ImportanceParams {
-  std::int64_t samples = 128;
-  bool keep_previous = true;
-  double floor = 1e-3;
-  Quadrature quadrature = Quadrature::paper;
-};
-
 void describe(ParamVisitor& visit, ImportanceParams& params);
-void validate(const ImportanceParams& params, Diagnostics& diagnostics);
 
 /// Inverse CDF of the density p(t) that is constant on each cell of the previous samples (borders midway between
 /// neighbours, ends at near and far), with mass (w_k + floor * share of the ray) / (sum w + floor). The floor keeps
@@ -26,20 +17,24 @@ void validate(const ImportanceParams& params, Diagnostics& diagnostics);
 template <class Real>
 class Importance final : public Sampler<Real> {
  public:
-  Importance(const ImportanceParams& params, const SamplerBuild& build, const KernelTables& kernels);
-  SamplerTraits traits() const noexcept override;
-  std::int64_t capacity(std::int64_t rays, std::int64_t previous_per_ray) const noexcept override;
+  Importance(const ImportanceParams& params, const SamplerBuild& build, const KernelTables& kernels)
+      : kernels_(&kernels.get<ImportanceKernels<Real>>(build.device, "sampler 'importance'")), params_(params) {}
+  SamplerTraits traits() const noexcept override { return {.needs_previous = true}; }
+  std::int64_t capacity(std::int64_t rays, std::int64_t previous_per_ray) const noexcept override {
+    return rays * (params_.samples + (params_.keep_previous ? previous_per_ray : 0));
+  }
 
  protected:
-  void do_sample(const StepContext& ctx, const Tensors<Real>& tensors, const Rays<Real>& rays,
-                 const Proposal<Real>* previous, Samples<Real>& out) const override;
+  void do_sample(const StepContext& ctx, const Tensors<Real>&, const Rays<Real>& rays, const Proposal<Real>* previous,
+                 Samples<Real>& out) const override {
+    const bool jitter = ctx.training && params_.quadrature != Quadrature::midpoint;
+    kernels_->sample({params_, jitter, ctx.random("sampler/importance"), ctx.first_ray, ctx.workspace}, rays.near_far,
+                     *previous, out);
+  }
 
  private:
   const ImportanceKernels<Real>* kernels_;
   ImportanceParams params_;
 };
-
-extern template class Importance<float>;
-extern template class Importance<double>;
 
 }  // namespace semfield

@@ -68,11 +68,14 @@ struct RayProposal {
 
 class KernelTables;
 
-struct ImportanceArgs {
-  std::int64_t samples = 0;
+struct ImportanceParams {
+  std::int64_t samples = 128;
   bool keep_previous = true;
   double floor = 1e-3;
   Quadrature quadrature = Quadrature::paper;
+};
+
+struct ImportanceArgs : ImportanceParams {
   bool jitter = false;
   RandomAddress random;
   std::int64_t first_ray = 0;

@@ -128,11 +128,6 @@ SamplerTraits OccupancyGrid<Real>::traits() const noexcept {
 }
 
 template <class Real>
-std::int64_t OccupancyGrid<Real>::capacity(std::int64_t rays, std::int64_t) const noexcept {
-  return rays * params_.max_samples;
-}
-
-template <class Real>
 void OccupancyGrid<Real>::declare(ParamDeclarer& declarer) const {
   declarer.tensor({"density", geometry_.cells(), 1, Init::constant(-1), TensorRole::state});
   declarer.tensor({"empty_bits", geometry_.cells() / kBitsPerElement, 1, Init::constant(1), TensorRole::state});

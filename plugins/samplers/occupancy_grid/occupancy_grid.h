@@ -53,7 +53,7 @@ class OccupancyGrid final : public Sampler<Real> {
  public:
   OccupancyGrid(const OccupancyGridParams& params, const SamplerBuild& build, const KernelTables& kernels);
   SamplerTraits traits() const noexcept override;
-  std::int64_t capacity(std::int64_t rays, std::int64_t previous_per_ray) const noexcept override;
+  std::int64_t capacity(std::int64_t rays, std::int64_t) const noexcept override { return rays * params_.max_samples; }
   void declare(ParamDeclarer& declarer) const override;
   void observe(const StepContext& ctx, const Tensors<Real>& tensors, const DensityQuery<Real>& query) const override;
   std::string status(const Tensors<Real>& tensors) const override;

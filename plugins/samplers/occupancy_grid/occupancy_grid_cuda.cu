@@ -11,12 +11,6 @@
 
 namespace semfield::cuda {
 
-/// As in OccupancyGridKernels, queued on launch().stream: nothing waits. A bad density is a fault of
-/// Stage::occupancy_density with its cell's index; from then on nothing is written.
-void occupancy_update(const OccupancyUpdateArgs& args, const OccupancyState<float>& state,
-                      const DensityQuery<float>& query);
-void occupancy_publish(const OccupancyUpdateArgs& args, const OccupancyState<float>& state);
-
 namespace {
 
 constexpr int kThreads = 128;
@@ -229,17 +223,7 @@ void sample(const OccupancySampleArgs& args, const OccupancyState<float>& state,
   throw_bad_limits(rays.near_far, args.first_ray);
 }
 
-const OccupancyGridKernels<float> kTable{sample, occupancy_update, occupancy_publish};
-
-}  // namespace
-
-void occupancy_grid_cuda_kernels(KernelTables& tables) {
-  tables.add(Device::cuda, "sampler 'occupancy_grid'", &kTable);
-}
-
 // CUDA kernels of the occupancy grid's update and of what sampling reads.
-
-namespace {
 
 constexpr int kUpdateThreads = 256;
 constexpr int kWarps = kUpdateThreads / kWarp;
@@ -276,7 +260,8 @@ __global__ void __launch_bounds__(kUpdateThreads)
 }
 
 // One thread per cell, 4 bytes read.
-__global__ void __launch_bounds__(kUpdateThreads) check_kernel(DrawnCells drawn, View<const float> sigma, FaultKey* fault) {
+__global__ void __launch_bounds__(kUpdateThreads)
+    check_kernel(DrawnCells drawn, View<const float> sigma, FaultKey* fault) {
   const std::int64_t row = thread_number();
   if (row >= drawn.rows || drawn.covered(row)) return;
   const float value = *sigma.row(row);
@@ -355,8 +340,9 @@ struct Marking {
 };
 
 // One block. A grid without any density tells nothing yet: leaving out everything would end all learning.
-__global__ void __launch_bounds__(kUpdateThreads) decide_kernel(const Totals* partials, int count, double optical_threshold,
-                                                          const FaultKey* fault, Marking* marking) {
+__global__ void __launch_bounds__(kUpdateThreads)
+    decide_kernel(const Totals* partials, int count, double optical_threshold, const FaultKey* fault,
+                  Marking* marking) {
   Totals sum{};
   for (int i = static_cast<int>(threadIdx.x); i < count; i += kUpdateThreads) {
     sum.density += partials[i].density;
@@ -448,10 +434,9 @@ __global__ void summary_kernel(const Marking* marking, float* summary) {
   summary[2] = static_cast<float>(static_cast<double>(marking->occupied) / static_cast<double>(marking->counted));
 }
 
-}  // namespace
-
-void occupancy_update(const OccupancyUpdateArgs& args, const OccupancyState<float>& state,
-                      const DensityQuery<float>& query) {
+// As in OccupancyGridKernels, queued on launch().stream: nothing waits. A bad density is a fault of
+// Stage::occupancy_density with its cell's index; from then on nothing is written.
+void update(const OccupancyUpdateArgs& args, const OccupancyState<float>& state, const DensityQuery<float>& query) {
   SEMFIELD_CHECK(args.workspace != nullptr, "the occupancy grid needs scratch memory");
   const std::int64_t cells = args.geometry.cells();
   const std::int64_t chosen = args.part < cells ? (cells - args.part + args.parts - 1) / args.parts : 0;
@@ -471,13 +456,13 @@ void occupancy_update(const OccupancyUpdateArgs& args, const OccupancyState<floa
     check_kernel<<<blocks, kUpdateThreads, 0, launch().stream>>>(drawn, y, launch().fault);
     check_launch("occupancy check");
     throw_bad_density(drawn, x, y);
-    absorb_kernel<<<blocks, kUpdateThreads, 0, launch().stream>>>(drawn, static_cast<float>(args.decay), y, state.density,
-                                                            launch().fault);
+    absorb_kernel<<<blocks, kUpdateThreads, 0, launch().stream>>>(drawn, static_cast<float>(args.decay), y,
+                                                                  state.density, launch().fault);
     check_launch("occupancy update");
   }
 }
 
-void occupancy_publish(const OccupancyUpdateArgs& args, const OccupancyState<float>& state) {
+void publish(const OccupancyUpdateArgs& args, const OccupancyState<float>& state) {
   SEMFIELD_CHECK(args.workspace != nullptr, "the occupancy grid needs scratch memory");
   const OccupancyGeometry& geometry = args.geometry;
   const std::int64_t cells = geometry.cells(), pairs = geometry.blocks() / 2;
@@ -490,15 +475,23 @@ void occupancy_publish(const OccupancyUpdateArgs& args, const OccupancyState<flo
   Marking* marking = args.workspace->take<Marking>(1, 1).data;
   const cudaStream_t stream = launch().stream;
   add_up_kernel<<<static_cast<unsigned>(partial_count), kUpdateThreads, 0, stream>>>(state.density, cells, per_block,
-                                                                               partials);
+                                                                                     partials);
   check_launch("occupancy sum");
-  decide_kernel<<<1, kUpdateThreads, 0, stream>>>(partials, partial_count, args.threshold / geometry.step_m, launch().fault,
-                                            marking);
+  decide_kernel<<<1, kUpdateThreads, 0, stream>>>(partials, partial_count, args.threshold / geometry.step_m,
+                                                  launch().fault, marking);
   check_launch("occupancy threshold");
   mark_kernel<<<blocks_of(pairs, kWarps), kUpdateThreads, 0, stream>>>(geometry, state, pairs, marking);
   check_launch("occupancy marks");
   summary_kernel<<<1, 1, 0, stream>>>(marking, state.summary);
   check_launch("occupancy summary");
+}
+
+const OccupancyGridKernels<float> kTable{sample, update, publish};
+
+}  // namespace
+
+void occupancy_grid_cuda_kernels(KernelTables& tables) {
+  tables.add(Device::cuda, "sampler 'occupancy_grid'", &kTable);
 }
 
 }  // namespace semfield::cuda

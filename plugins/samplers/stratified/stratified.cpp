@@ -17,29 +17,6 @@ void describe(ParamVisitor& visit, StratifiedParams& params) {
       "thousandth of far counts as that");
 }
 
-void validate(const StratifiedParams&, Diagnostics&) {}
-
-template <class Real>
-Stratified<Real>::Stratified(const StratifiedParams& params, const SamplerBuild& build, const KernelTables& kernels)
-    : kernels_(&kernels.get<StratifiedKernels<Real>>(build.device, "sampler 'stratified'")), params_(params) {}
-
-template <class Real>
-std::int64_t Stratified<Real>::capacity(std::int64_t rays, std::int64_t) const noexcept {
-  return rays * params_.samples;
-}
-
-template <class Real>
-void Stratified<Real>::do_sample(const StepContext& ctx, const Tensors<Real>&, const Rays<Real>& rays,
-                                 const Proposal<Real>*, Samples<Real>& out) const {
-  const bool jitter = ctx.training && params_.quadrature != Quadrature::midpoint;
-  kernels_->sample(
-      {params_.samples, params_.quadrature, params_.spacing, jitter, ctx.random("sampler/stratified"), ctx.first_ray},
-      rays.near_far, out);
-}
-
-template class Stratified<float>;
-template class Stratified<double>;
-
 SEMFIELD_PLUGIN_MODULE(stratified, "1.0", [](Registry& registry) {
   stratified_kernels(registry.kernels());
   registry.add_sampler<Stratified, StratifiedParams>(

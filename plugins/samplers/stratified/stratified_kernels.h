@@ -18,10 +18,13 @@ class KernelTables;
 enum class SampleSpacing : std::uint8_t { linear, disparity };
 SEMFIELD_CHOICES(SampleSpacing, "linear", "disparity");
 
-struct StratifiedArgs {
-  std::int64_t samples = 0;  ///< N, bins a ray
+struct StratifiedParams {
+  std::int64_t samples = 64;  ///< N, bins a ray
   Quadrature quadrature = Quadrature::paper;
   SampleSpacing spacing = SampleSpacing::linear;
+};
+
+struct StratifiedArgs : StratifiedParams {
   bool jitter = false;  ///< false: the middle of each bin
   RandomAddress random;
   std::int64_t first_ray = 0;
