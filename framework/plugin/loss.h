@@ -141,11 +141,11 @@ inline void validate(const LossRule&, Diagnostics&) {}
 
 /// The channels of a loss, by name.
 struct LossTraits {
-  std::vector<std::string_view> targets;  ///< those that it cannot do without
-  std::vector<std::string_view> heads;    ///< of RayValues::heads that it reads
+  std::vector<std::string_view> targets{};  ///< those that it cannot do without
+  std::vector<std::string_view> heads{};    ///< of RayValues::heads that it reads
   /// Gradients that it adds to: color, depth, weight and sigma, or channels of heads. One that moves a head's channel
   /// moves heads' channels alone, because a semantic branch takes its gradients before the rest of the pass.
-  std::vector<std::string_view> moves;
+  std::vector<std::string_view> moves{};
 
   bool reads_target(std::string_view name) const { return holds(targets, name); }
   bool reads_head(std::string_view name) const { return holds(heads, name); }

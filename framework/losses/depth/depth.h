@@ -20,16 +20,6 @@ struct DepthLossParams : LossRule {
 
 void describe(ParamVisitor& visit, DepthLossParams& params);
 
-class DepthLoss final : public LossOf<DepthLoss, DepthLossParams> {
- public:
-  using LossOf::LossOf;
-  LossTraits traits() const override;
-  std::int64_t counted_rays(const RayTargets& batch, std::int64_t rays) const override;
-  template <class Real>
-  double sum(const RayTargets& targets, const RayValues<Real>& values, double scale,
-             const RayGradients<Real>& gradients) const;
-};
-
 // The formulas of the depth loss, for CPU and GPU.
 
 /// |D - d| / unit_m, D the rendered and d the true depth along the ray; with truncate_m > 0 an error beyond it costs as
@@ -54,5 +44,47 @@ SEMFIELD_HD inline LossValue line_of_sight_share(double t, double weight, double
   if (off > band_m || off < -band_m) return {};
   return {-weight, -1};
 }
+
+class DepthLoss final : public LossOf<DepthLoss, DepthLossParams> {
+ public:
+  using LossOf::LossOf;
+  LossTraits traits() const override {
+    return {.targets = {channel::depth},
+            .moves = {params.kind == DepthLossKind::expected ? channel::depth : channel::weight}};
+  }
+  std::int64_t counted_rays(const RayTargets& batch, std::int64_t) const override {
+    std::int64_t known = 0;
+    const View<const float> depth = batch.more[channel::depth];
+    for (std::int64_t r = 0; r < depth.rows; ++r) known += depth(r, 0) > 0 ? 1 : 0;
+    return known;
+  }
+  template <class Real>
+  double sum(const RayTargets& targets, const RayValues<Real>& values, double scale,
+             const RayGradients<Real>& gradients) const {
+    double sum = 0;
+    const double band_m = band_of(params.band_m, values.unit_m);
+    const View<const float> depth = targets.more[channel::depth];
+    for (std::int64_t r = 0; r < depth.rows; ++r) {
+      const auto truth = static_cast<double>(depth(r, 0));
+      if (!(truth > 0)) continue;
+      if (params.kind == DepthLossKind::expected) {
+        const LossValue loss =
+            expected_depth_loss(static_cast<double>(values.depth(r, 0)), truth, params.truncate_m, values.unit_m);
+        sum += loss.value;
+        gradients.depth(r, 0) += static_cast<Real>(scale * loss.slope);
+        continue;
+      }
+      double of_ray = 1;
+      for (std::int32_t m = values.first(r, 0); m < values.first(r + 1, 0); ++m) {
+        const LossValue share = line_of_sight_share(static_cast<double>(values.t(m, 0)),
+                                                    static_cast<double>(values.weight(m, 0)), truth, band_m);
+        of_ray += share.value;
+        gradients.weight(m, 0) += static_cast<Real>(scale * share.slope);
+      }
+      sum += of_ray;
+    }
+    return sum;
+  }
+};
 
 }  // namespace semfield

@@ -22,15 +22,6 @@ struct DistortionParams : LossRule {
 
 void describe(ParamVisitor& visit, DistortionParams& params);
 
-class DistortionLoss final : public LossOf<DistortionLoss, DistortionParams> {
- public:
-  using LossOf::LossOf;
-  LossTraits traits() const override;
-  template <class Real>
-  double sum(const RayTargets& targets, const RayValues<Real>& values, double scale,
-             const RayGradients<Real>& gradients) const;
-};
-
 // The formulas of the distortion loss, for CPU and GPU.
 //
 // L = sum_ij w_i w_j |s_i - s_j| + 1/3 sum_i w_i^2 d_i [Barron22, Eq. 15] of a ray, s the samples' places in [0, 1] and
@@ -70,6 +61,36 @@ struct DistortionWalk {
     weight += next_weight;
     place = next_place;
     return moment;
+  }
+};
+
+class DistortionLoss final : public LossOf<DistortionLoss, DistortionParams> {
+ public:
+  using LossOf::LossOf;
+  LossTraits traits() const override { return {.moves = {channel::weight}}; }
+  template <class Real>
+  double sum(const RayTargets&, const RayValues<Real>& values, double scale,
+             const RayGradients<Real>& gradients) const {
+    double sum = 0;
+    for (std::int64_t r = 0; r + 1 < values.first.rows; ++r) {
+      const std::int32_t begin = values.first(r, 0), end = values.first(r + 1, 0);
+      const DistortionMap map(params.space, values.near_far(r, 0), values.near_far(r, 1));
+      DistortionWalk front, back;
+      double of_ray = 0;
+      for (std::int32_t m = begin; m < end; ++m) {
+        const auto w = static_cast<double>(values.weight(m, 0)), t = static_cast<double>(values.t(m, 0));
+        const double length = map.length(t, static_cast<double>(values.delta(m, 0)));
+        const double before = front.step(map.place(t), w);
+        of_ray += w * (2 * before + w * length / 3);
+        gradients.weight(m, 0) += static_cast<Real>(scale * 2 * (before + w * length / 3));
+      }
+      for (std::int32_t m = end; m-- > begin;) {
+        const auto w = static_cast<double>(values.weight(m, 0)), t = static_cast<double>(values.t(m, 0));
+        gradients.weight(m, 0) += static_cast<Real>(scale * 2 * back.step(map.place(t), w));
+      }
+      sum += of_ray;
+    }
+    return sum;
   }
 };
 

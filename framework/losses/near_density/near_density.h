@@ -17,15 +17,6 @@ struct NearDensityParams : LossRule {
 
 void describe(ParamVisitor& visit, NearDensityParams& params);
 
-class NearDensityLoss final : public LossOf<NearDensityLoss, NearDensityParams> {
- public:
-  using LossOf::LossOf;
-  LossTraits traits() const override;
-  template <class Real>
-  double sum(const RayTargets& targets, const RayValues<Real>& values, double scale,
-             const RayGradients<Real>& gradients) const;
-};
-
 // The formula of the near-density loss, for CPU and GPU.
 
 /// How far from the camera the term reaches.
@@ -42,5 +33,29 @@ SEMFIELD_HD inline LossValue near_density_share(double t, double delta, double s
   const double length = delta < distance_m ? delta : distance_m;
   return {sigma * length, length};
 }
+
+class NearDensityLoss final : public LossOf<NearDensityLoss, NearDensityParams> {
+ public:
+  using LossOf::LossOf;
+  LossTraits traits() const override { return {.moves = {channel::sigma}}; }
+  template <class Real>
+  double sum(const RayTargets&, const RayValues<Real>& values, double scale,
+             const RayGradients<Real>& gradients) const {
+    double sum = 0;
+    const double reach_m = near_density_reach(params.distance_m, values.unit_m);
+    for (std::int64_t r = 0; r + 1 < values.first.rows; ++r) {
+      double of_ray = 0;
+      for (std::int32_t m = values.first(r, 0); m < values.first(r + 1, 0); ++m) {
+        const LossValue share =
+            near_density_share(static_cast<double>(values.t(m, 0)), static_cast<double>(values.delta(m, 0)),
+                               static_cast<double>(values.sigma(m, 0)), reach_m);
+        of_ray += share.value;
+        gradients.sigma(m, 0) += static_cast<Real>(scale * share.slope);
+      }
+      sum += of_ray;
+    }
+    return sum;
+  }
+};
 
 }  // namespace semfield

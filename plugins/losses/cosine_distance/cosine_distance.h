@@ -15,17 +15,6 @@ struct CosineDistanceParams : LossRule {
 };
 void describe(ParamVisitor& visit, CosineDistanceParams& p);
 
-/// 1 - cos(angle between the two rows of a ray); rays whose target is a row of zeros do not count.
-class CosineDistance final : public LossOf<CosineDistance, CosineDistanceParams> {
- public:
-  using LossOf::LossOf;
-  LossTraits traits() const override;
-  std::int64_t counted_rays(const RayTargets& batch, std::int64_t rays) const override;
-  template <class Real>
-  double sum(const RayTargets& targets, const RayValues<Real>& values, double scale,
-             const RayGradients<Real>& gradients) const;
-};
-
 // The formulas of the cosine distance, for CPU and GPU.
 
 /// Lengths of the rows that a ray compares, and the cosine of their angle.
@@ -46,5 +35,47 @@ SEMFIELD_HD inline RowAngle row_angle(double target_square, double made_square, 
   const double of_target = std::sqrt(target_square), of_made = std::sqrt(made_square + kLeastSquare);
   return {of_target, of_made, product / (of_made * of_target)};
 }
+
+/// 1 - cos(angle between the two rows of a ray); rays whose target is a row of zeros do not count.
+class CosineDistance final : public LossOf<CosineDistance, CosineDistanceParams> {
+ public:
+  using LossOf::LossOf;
+  LossTraits traits() const override {
+    return {.targets = {params.channel}, .heads = {params.channel}, .moves = {params.channel}};
+  }
+  std::int64_t counted_rays(const RayTargets& batch, std::int64_t) const override {
+    const View<const float> target = batch.more[params.channel];
+    std::int64_t counted = 0;
+    for (std::int64_t r = 0; r < target.rows; ++r) counted += product(target, target, r) > 0 ? 1 : 0;
+    return counted;
+  }
+  template <class Real>
+  double sum(const RayTargets& targets, const RayValues<Real>& values, double scale,
+             const RayGradients<Real>& gradients) const {
+    const View<const float> target = targets.more[params.channel];
+    const View<const Real> made = values.heads[params.channel];
+    const View<Real> d_made = gradients.heads[params.channel];
+    if (target.empty()) return 0;
+    double sum = 0;
+    for (std::int64_t r = 0; r < made.rows; ++r) {
+      const double target_square = product(target, target, r);
+      if (!(target_square > 0)) continue;
+      const RowAngle angle = row_angle(target_square, product(made, made, r), product(made, target, r));
+      sum += 1 - angle.cosine;
+      for (std::int32_t c = 0; c < made.cols; ++c)
+        d_made(r, c) -=
+            static_cast<Real>(angle.slope(scale, static_cast<double>(target(r, c)), static_cast<double>(made(r, c))));
+    }
+    return sum;
+  }
+
+ private:
+  template <class Real, class Other>
+  static double product(View<const Real> a, View<const Other> b, std::int64_t row) {
+    double sum = 0;
+    for (std::int32_t c = 0; c < a.cols; ++c) sum += static_cast<double>(a(row, c)) * static_cast<double>(b(row, c));
+    return sum;
+  }
+};
 
 }  // namespace semfield
