@@ -5,29 +5,8 @@
 
 #include "compute/gemm.h"
 #include "compute/layers.h"
-#include "core/check.h"
 
 namespace semfield {
-
-template <class Real>
-HiddenLayer<Real> Head<Real>::hidden_layer(const Tensors<Real>&) const {
-  SEMFIELD_CHECK(takes_rounded(), "a head without bf16 activations was asked for its hidden layer");
-  return {};
-}
-
-template <class Real>
-void Head<Real>::rounded_hidden_forward(const StepContext&, const Tensors<Real>&, View<const Bf16>, View<Bf16>) const {
-  SEMFIELD_CHECK(takes_rounded(), "a head without bf16 activations was given some");
-}
-
-template <class Real>
-void Head<Real>::rounded_hidden_backward(const StepContext&, const Tensors<Real>&, View<const Bf16>, View<const Bf16>,
-                                         View<Bf16>) const {
-  SEMFIELD_CHECK(takes_rounded(), "a head without bf16 activations was given gradients of some");
-}
-
-template class Head<float>;
-template class Head<double>;
 
 // A head of one hidden layer on the CPU.
 
@@ -159,67 +138,6 @@ OneLayerHead<Real>::OneLayerHead(const HeadShape& shape, const HeadKernels<Real>
   if (kernels.derive == nullptr) return;
   shape_.hidden_weight = rearranged_weight(specs_, kHiddenWeight, 0, shape.feature, shape.precision);
   shape_.output_weight = rearranged_weight(specs_, kOutputWeight, 0, shape.hidden, Precision::fp32);
-}
-
-template <class Real>
-void OneLayerHead<Real>::declare(ParamDeclarer& declarer) const {
-  for (const TensorSpec& spec : specs_) declarer.tensor(spec);
-}
-
-template <class Real>
-void OneLayerHead<Real>::derive(const StepContext&, const Tensors<Real>& tensors) const {
-  if (kernels_->derive != nullptr) kernels_->derive(shape_, tensors);
-}
-
-template <class Real>
-HiddenLayer<Real> OneLayerHead<Real>::hidden_layer(const Tensors<Real>& tensors) const {
-  HiddenLayer<Real> layer;
-  layer.weight = tensors.value[kHiddenWeight];
-  layer.bias = tensors.value[kHiddenBias];
-  if (tensors.grad.empty()) return layer;
-  layer.d_weight = tensors.grad[kHiddenWeight];
-  layer.d_bias = tensors.grad[kHiddenBias];
-  return layer;
-}
-
-template <class Real>
-void OneLayerHead<Real>::hidden_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> feature,
-                                        View<Real> hidden) const {
-  if (feature.rows > 0) kernels_->hidden_forward(shape_, *ctx.workspace, tensors, feature, hidden);
-}
-
-template <class Real>
-void OneLayerHead<Real>::hidden_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> feature,
-                                         View<const Real> hidden, View<Real> d_hidden, View<Real> d_feature) const {
-  if (feature.rows > 0)
-    kernels_->hidden_backward(shape_, *ctx.workspace, tensors, feature, hidden, d_hidden, d_feature);
-}
-
-template <class Real>
-void OneLayerHead<Real>::rounded_hidden_forward(const StepContext& ctx, const Tensors<Real>& tensors,
-                                                View<const Bf16> feature, View<Bf16> hidden) const {
-  if (feature.rows > 0) kernels_->rounded_hidden_forward(shape_, *ctx.workspace, tensors, feature, hidden);
-}
-
-template <class Real>
-void OneLayerHead<Real>::rounded_hidden_backward(const StepContext& ctx, const Tensors<Real>& tensors,
-                                                 View<const Bf16> feature, View<const Bf16> d_hidden,
-                                                 View<Bf16> d_feature) const {
-  if (feature.rows > 0)
-    kernels_->rounded_hidden_backward(shape_, *ctx.workspace, tensors, feature, d_hidden, d_feature);
-}
-
-template <class Real>
-void OneLayerHead<Real>::output_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> h,
-                                        View<const Real> opacity, View<Real> rows) const {
-  if (h.rows > 0) kernels_->output_forward(shape_, *ctx.workspace, tensors, h, opacity, rows);
-}
-
-template <class Real>
-void OneLayerHead<Real>::output_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> h,
-                                         View<const Real> opacity, View<const Real> d_rows, View<Real> d_h,
-                                         View<Real> d_opacity) const {
-  if (h.rows > 0) kernels_->output_backward(shape_, *ctx.workspace, tensors, h, opacity, d_rows, d_h, d_opacity);
 }
 
 template class OneLayerHead<float>;

@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "core/check.h"
 #include "core/half.h"
 #include "plugin/field.h"
 #include "plugin/layer_weights.h"
@@ -40,11 +41,17 @@ class Head : public Parametric<Real> {
   virtual bool takes_rounded() const { return false; }
   /// Only where takes_rounded(): the hidden layer relu(feature W + b) for a field that computes it, with gradients
   /// where the tensors have them; and the calls above in bf16 from end to end, d_hidden already before the ReLU.
-  virtual HiddenLayer<Real> hidden_layer(const Tensors<Real>& tensors) const;
-  virtual void rounded_hidden_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Bf16> feature,
-                                      View<Bf16> hidden) const;
-  virtual void rounded_hidden_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Bf16> feature,
-                                       View<const Bf16> d_hidden, View<Bf16> d_feature) const;
+  virtual HiddenLayer<Real> hidden_layer(const Tensors<Real>&) const {
+    SEMFIELD_CHECK(takes_rounded(), "a head without bf16 activations was asked for its hidden layer");
+    return {};
+  }
+  virtual void rounded_hidden_forward(const StepContext&, const Tensors<Real>&, View<const Bf16>, View<Bf16>) const {
+    SEMFIELD_CHECK(takes_rounded(), "a head without bf16 activations was given some");
+  }
+  virtual void rounded_hidden_backward(const StepContext&, const Tensors<Real>&, View<const Bf16>, View<const Bf16>,
+                                       View<Bf16>) const {
+    SEMFIELD_CHECK(takes_rounded(), "a head without bf16 activations was given gradients of some");
+  }
 };
 
 /// What a head that is built knows. The head that makes class logits is the framework's own.
@@ -53,9 +60,6 @@ struct HeadBuild {
   std::int32_t feature_dims = 0;  ///< F
   std::int32_t width = 0;         ///< C
 };
-
-extern template class Head<float>;
-extern template class Head<double>;
 
 // What a device computes for a head of one hidden layer.
 
@@ -111,22 +115,46 @@ class OneLayerHead : public Head<Real> {
     return shape_.precision == Precision::bf16 && kernels_->rounded_hidden_forward != nullptr;
   }
 
-  void declare(ParamDeclarer& declarer) const override;
-  void derive(const StepContext& ctx, const Tensors<Real>& tensors) const override;
-  HiddenLayer<Real> hidden_layer(const Tensors<Real>& tensors) const override;
+  void declare(ParamDeclarer& declarer) const override {
+    for (const TensorSpec& spec : specs_) declarer.tensor(spec);
+  }
+  void derive(const StepContext&, const Tensors<Real>& tensors) const override {
+    if (kernels_->derive != nullptr) kernels_->derive(shape_, tensors);
+  }
+  HiddenLayer<Real> hidden_layer(const Tensors<Real>& tensors) const override {
+    HiddenLayer<Real> layer{tensors.value[kHiddenWeight], tensors.value[kHiddenBias], {}, {}};
+    if (tensors.grad.empty()) return layer;
+    layer.d_weight = tensors.grad[kHiddenWeight];
+    layer.d_bias = tensors.grad[kHiddenBias];
+    return layer;
+  }
   void hidden_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> feature,
-                      View<Real> hidden) const override;
+                      View<Real> hidden) const override {
+    if (feature.rows > 0) kernels_->hidden_forward(shape_, *ctx.workspace, tensors, feature, hidden);
+  }
   void hidden_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> feature,
-                       View<const Real> hidden, View<Real> d_hidden, View<Real> d_feature) const override;
+                       View<const Real> hidden, View<Real> d_hidden, View<Real> d_feature) const override {
+    if (feature.rows > 0)
+      kernels_->hidden_backward(shape_, *ctx.workspace, tensors, feature, hidden, d_hidden, d_feature);
+  }
   void rounded_hidden_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Bf16> feature,
-                              View<Bf16> hidden) const override;
+                              View<Bf16> hidden) const override {
+    if (feature.rows > 0) kernels_->rounded_hidden_forward(shape_, *ctx.workspace, tensors, feature, hidden);
+  }
   void rounded_hidden_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Bf16> feature,
-                               View<const Bf16> d_hidden, View<Bf16> d_feature) const override;
+                               View<const Bf16> d_hidden, View<Bf16> d_feature) const override {
+    if (feature.rows > 0)
+      kernels_->rounded_hidden_backward(shape_, *ctx.workspace, tensors, feature, d_hidden, d_feature);
+  }
   void output_forward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> h,
-                      View<const Real> opacity, View<Real> rows) const override;
+                      View<const Real> opacity, View<Real> rows) const override {
+    if (h.rows > 0) kernels_->output_forward(shape_, *ctx.workspace, tensors, h, opacity, rows);
+  }
   void output_backward(const StepContext& ctx, const Tensors<Real>& tensors, View<const Real> h,
                        View<const Real> opacity, View<const Real> d_rows, View<Real> d_h,
-                       View<Real> d_opacity) const override;
+                       View<Real> d_opacity) const override {
+    if (h.rows > 0) kernels_->output_backward(shape_, *ctx.workspace, tensors, h, opacity, d_rows, d_h, d_opacity);
+  }
 
  private:
   HeadShape shape_;

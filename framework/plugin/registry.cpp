@@ -5,53 +5,17 @@
 
 namespace semfield {
 
-std::string_view kind_name(PluginKind kind) {
-  switch (kind) {
-    case PluginKind::encoder:
-      return "encoder";
-    case PluginKind::field:
-      return "field";
-    case PluginKind::sampler:
-      return "sampler";
-    case PluginKind::dataset:
-      return "dataset";
-    case PluginKind::head:
-      return "head";
-    case PluginKind::loss:
-      return "loss";
-    case PluginKind::label_reader:
-      return "label reader";
-    case PluginKind::degradation:
-      return "degradation";
-    case PluginKind::grouping:
-      return "grouping";
-  }
-  return "plugin";
-}
+namespace {
+// By PluginKind: in sentences, and the folder of its plugins.
+constexpr std::pair<std::string_view, std::string_view> kKindNames[] = {
+    {"encoder", "encoders"},  {"field", "fields"}, {"sampler", "samplers"},           {"dataset", "datasets"},
+    {"head", "heads"},        {"loss", "losses"},  {"label reader", "label_readers"}, {"degradation", "degradations"},
+    {"grouping", "groupings"}};
+static_assert(std::size(kKindNames) == kPluginKinds.size());
+}  // namespace
 
-std::string_view kind_folder(PluginKind kind) {
-  switch (kind) {
-    case PluginKind::encoder:
-      return "encoders";
-    case PluginKind::field:
-      return "fields";
-    case PluginKind::sampler:
-      return "samplers";
-    case PluginKind::dataset:
-      return "datasets";
-    case PluginKind::head:
-      return "heads";
-    case PluginKind::loss:
-      return "losses";
-    case PluginKind::label_reader:
-      return "label_readers";
-    case PluginKind::degradation:
-      return "degradations";
-    case PluginKind::grouping:
-      return "groupings";
-  }
-  return "plugins";
-}
+std::string_view kind_name(PluginKind kind) { return kKindNames[static_cast<std::size_t>(kind)].first; }
+std::string_view kind_folder(PluginKind kind) { return kKindNames[static_cast<std::size_t>(kind)].second; }
 
 Registry::Registry() {
   mlp_kernels(kernels_);

@@ -145,18 +145,16 @@ struct PluginEntry {
   std::string module;   ///< module that registered it, with version: "waves 1.0"
   std::function<std::unique_ptr<PluginParams>()> new_params;
   // Exactly the maker of the entry's kind is set. Real = float is what runs, double is the oracle.
-  std::function<std::unique_ptr<Encoder<float>>(const PluginParams&, const EncoderBuild&, const KernelTables&)>
-      encoder32;
-  std::function<std::unique_ptr<Encoder<double>>(const PluginParams&, const EncoderBuild&, const KernelTables&)>
-      encoder64;
-  std::function<std::unique_ptr<Field<float>>(const PluginParams&, const FieldBuild&, const KernelTables&)> field32;
-  std::function<std::unique_ptr<Field<double>>(const PluginParams&, const FieldBuild&, const KernelTables&)> field64;
-  std::function<std::unique_ptr<Sampler<float>>(const PluginParams&, const SamplerBuild&, const KernelTables&)>
-      sampler32;
-  std::function<std::unique_ptr<Sampler<double>>(const PluginParams&, const SamplerBuild&, const KernelTables&)>
-      sampler64;
-  std::function<std::unique_ptr<Head<float>>(const PluginParams&, const HeadBuild&, const KernelTables&)> head32;
-  std::function<std::unique_ptr<Head<double>>(const PluginParams&, const HeadBuild&, const KernelTables&)> head64;
+  template <class Made, class Build>
+  using Maker = std::function<std::unique_ptr<Made>(const PluginParams&, const Build&, const KernelTables&)>;
+  Maker<Encoder<float>, EncoderBuild> encoder32;
+  Maker<Encoder<double>, EncoderBuild> encoder64;
+  Maker<Field<float>, FieldBuild> field32;
+  Maker<Field<double>, FieldBuild> field64;
+  Maker<Sampler<float>, SamplerBuild> sampler32;
+  Maker<Sampler<double>, SamplerBuild> sampler64;
+  Maker<Head<float>, HeadBuild> head32;
+  Maker<Head<double>, HeadBuild> head64;
   std::function<std::unique_ptr<Dataset>(const PluginParams&, const DatasetBuild&)> dataset;
   std::function<std::unique_ptr<Loss>(const PluginParams&)> loss;
   std::function<std::unique_ptr<LabelReader>(const PluginParams&)> label_reader;
@@ -179,18 +177,18 @@ class Registry {
   /// KernelTables&).
   template <template <class> class Impl, class Params>
   void add_encoder(std::string name, std::string summary) {
-    PluginEntry e = entry<Params>(PluginKind::encoder, std::move(name), std::move(summary));
-    e.encoder32 = maker<Encoder<float>, Impl<float>, Params, EncoderBuild>();
-    e.encoder64 = maker<Encoder<double>, Impl<double>, Params, EncoderBuild>();
+    PluginEntry e = entry_of<ParamsOf<Params>>(PluginKind::encoder, std::move(name), std::move(summary));
+    e.encoder32 = make<Encoder<float>, Impl<float>, Params, EncoderBuild>;
+    e.encoder64 = make<Encoder<double>, Impl<double>, Params, EncoderBuild>;
     add(std::move(e));
   }
   /// The same for fields. A field of plugin/mlp/field.h whose function bf16 would spoil says
   /// `static constexpr bool kInBf16 = false`.
   template <template <class> class Impl, class Params>
   void add_field(std::string name, std::string summary) {
-    PluginEntry e = entry<Params>(PluginKind::field, std::move(name), std::move(summary));
-    e.field32 = maker<Field<float>, Impl<float>, Params, FieldBuild>();
-    e.field64 = maker<Field<double>, Impl<double>, Params, FieldBuild>();
+    PluginEntry e = entry_of<ParamsOf<Params>>(PluginKind::field, std::move(name), std::move(summary));
+    e.field32 = make<Field<float>, Impl<float>, Params, FieldBuild>;
+    e.field64 = make<Field<double>, Impl<double>, Params, FieldBuild>;
     if constexpr (std::is_base_of_v<MlpField<float>, Impl<float>>) {
       bool in_bf16 = true;
       if constexpr (requires { Impl<float>::kInBf16; }) in_bf16 = Impl<float>::kInBf16;
@@ -200,17 +198,17 @@ class Registry {
   }
   template <template <class> class Impl, class Params>
   void add_sampler(std::string name, std::string summary) {
-    PluginEntry e = entry<Params>(PluginKind::sampler, std::move(name), std::move(summary));
-    e.sampler32 = maker<Sampler<float>, Impl<float>, Params, SamplerBuild>();
-    e.sampler64 = maker<Sampler<double>, Impl<double>, Params, SamplerBuild>();
+    PluginEntry e = entry_of<ParamsOf<Params>>(PluginKind::sampler, std::move(name), std::move(summary));
+    e.sampler32 = make<Sampler<float>, Impl<float>, Params, SamplerBuild>;
+    e.sampler64 = make<Sampler<double>, Impl<double>, Params, SamplerBuild>;
     add(std::move(e));
   }
   /// The same for heads. One that is a OneLayerHead has kernels where that has some.
   template <template <class> class Impl, class Params>
   void add_head(std::string name, std::string summary) {
-    PluginEntry e = entry<Params>(PluginKind::head, std::move(name), std::move(summary));
-    e.head32 = maker<Head<float>, Impl<float>, Params, HeadBuild>();
-    e.head64 = maker<Head<double>, Impl<double>, Params, HeadBuild>();
+    PluginEntry e = entry_of<ParamsOf<Params>>(PluginKind::head, std::move(name), std::move(summary));
+    e.head32 = make<Head<float>, Impl<float>, Params, HeadBuild>;
+    e.head64 = make<Head<double>, Impl<double>, Params, HeadBuild>;
     if constexpr (std::is_base_of_v<OneLayerHead<float>, Impl<float>>)
       kernels_.compose("head '" + e.name + "'", kHeadOwner, false);
     add(std::move(e));
@@ -218,7 +216,7 @@ class Registry {
   /// Impl(const Params&, const DatasetBuild&).
   template <class Impl, class Params>
   void add_dataset(std::string name, std::string summary, bool reads_packs = false) {
-    PluginEntry e = entry<Params>(PluginKind::dataset, std::move(name), std::move(summary));
+    PluginEntry e = entry_of<ParamsOf<Params>>(PluginKind::dataset, std::move(name), std::move(summary));
     e.reads_packs = reads_packs;
     e.dataset = [](const PluginParams& p, const DatasetBuild& build) -> std::unique_ptr<Dataset> {
       return std::make_unique<Impl>(static_cast<const ParamsOf<Params>&>(p).value, build);
@@ -230,7 +228,7 @@ class Registry {
   template <class Impl>
   void add_loss(std::string name, std::string summary, std::string saves) {
     using Params = typename Impl::Params;
-    PluginEntry e = entry<Params>(PluginKind::loss, std::move(name), std::move(summary));
+    PluginEntry e = entry_of<ParamsOf<Params>>(PluginKind::loss, std::move(name), std::move(summary));
     e.saves = std::move(saves);
     e.loss = [](const PluginParams& p) -> std::unique_ptr<Loss> {
       return std::make_unique<Impl>(static_cast<const ParamsOf<Params>&>(p).value);
@@ -241,24 +239,24 @@ class Registry {
   /// Impl is derived from LabelReader (labels/label_files.h).
   template <class Impl>
   void add_label_reader(std::string name, std::string summary) {
-    PluginEntry e = entry_inside<Impl>(PluginKind::label_reader, std::move(name), std::move(summary));
-    e.label_reader = copier<LabelReader, Impl>();
+    PluginEntry e = entry_of<ParamsInside<Impl>>(PluginKind::label_reader, std::move(name), std::move(summary));
+    e.label_reader = copy<LabelReader, Impl>;
     add(std::move(e));
   }
   /// Impl is derived from Degradation (labels/label_files.h).
   template <class Impl>
   void add_degradation(std::string name, std::string summary) {
-    PluginEntry e = entry_inside<Impl>(PluginKind::degradation, std::move(name), std::move(summary));
-    e.degradation = copier<Degradation, Impl>();
+    PluginEntry e = entry_of<ParamsInside<Impl>>(PluginKind::degradation, std::move(name), std::move(summary));
+    e.degradation = copy<Degradation, Impl>;
     add(std::move(e));
   }
 
   /// Impl is derived from GroupingOf<Impl> (plugin/grouping.h). `usual`: taken where none is named.
   template <class Impl>
   void add_grouping(std::string name, std::string summary, bool usual = false) {
-    PluginEntry e = entry_inside<Impl>(PluginKind::grouping, std::move(name), std::move(summary));
+    PluginEntry e = entry_of<ParamsInside<Impl>>(PluginKind::grouping, std::move(name), std::move(summary));
     e.usual = usual;
-    e.grouping = copier<Grouping, Impl>();
+    e.grouping = copy<Grouping, Impl>;
     add(std::move(e));
   }
 
@@ -285,35 +283,23 @@ class Registry {
   void set_current_module(std::string module) { current_module_ = std::move(module); }
 
  private:
-  template <class Params>
-  static PluginEntry entry(PluginKind kind, std::string name, std::string summary) {
+  /// Holder: of the parameters.
+  template <class Holder>
+  static PluginEntry entry_of(PluginKind kind, std::string name, std::string summary) {
     PluginEntry e;
     e.kind = kind;
     e.name = std::move(name);
     e.summary = std::move(summary);
-    e.new_params = [] { return std::unique_ptr<PluginParams>(std::make_unique<ParamsOf<Params>>()); };
-    return e;
-  }
-  template <class Impl>
-  static PluginEntry entry_inside(PluginKind kind, std::string name, std::string summary) {
-    PluginEntry e;
-    e.kind = kind;
-    e.name = std::move(name);
-    e.summary = std::move(summary);
-    e.new_params = [] { return std::unique_ptr<PluginParams>(std::make_unique<ParamsInside<Impl>>()); };
+    e.new_params = [] { return std::unique_ptr<PluginParams>(std::make_unique<Holder>()); };
     return e;
   }
   template <class Base, class Impl>
-  static std::function<std::unique_ptr<Base>(const PluginParams&)> copier() {
-    return [](const PluginParams& p) -> std::unique_ptr<Base> {
-      return std::make_unique<Impl>(static_cast<const ParamsInside<Impl>&>(p).value);
-    };
+  static std::unique_ptr<Base> copy(const PluginParams& p) {
+    return std::make_unique<Impl>(static_cast<const ParamsInside<Impl>&>(p).value);
   }
   template <class Base, class Impl, class Params, class Build>
-  static std::function<std::unique_ptr<Base>(const PluginParams&, const Build&, const KernelTables&)> maker() {
-    return [](const PluginParams& p, const Build& build, const KernelTables& kernels) -> std::unique_ptr<Base> {
-      return std::make_unique<Impl>(static_cast<const ParamsOf<Params>&>(p).value, build, kernels);
-    };
+  static std::unique_ptr<Base> make(const PluginParams& p, const Build& build, const KernelTables& kernels) {
+    return std::make_unique<Impl>(static_cast<const ParamsOf<Params>&>(p).value, build, kernels);
   }
   std::map<std::pair<PluginKind, std::string>, PluginEntry> entries_;
   KernelTables kernels_;
