@@ -68,12 +68,6 @@ typename LayerTypes<Activation>::Weight backward_weight(const LayerWeight& w, co
   }
 }
 
-/// The gradient of the weight [rows, cols].
-template <class Real>
-View<Real> weight_grad(const LayerWeight& w, const Tensors<Real>& t) {
-  return t.grad[static_cast<std::size_t>(w.weight)].row_range(w.first, w.rows);
-}
-
 }  // namespace
 }  // namespace SEMFIELD_ISA
 }  // namespace semfield

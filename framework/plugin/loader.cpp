@@ -30,39 +30,26 @@ namespace {
 constexpr const char* kSymbol = "semfield_plugin_module";
 constexpr const char* kCudaSymbol = "semfield_plugin_cuda_kernels";
 
-// Throws Error(unavailable) naming both sides when `module` was not built for this framework.
-void check_compatible(const PluginModule& module) {
-  // The API number stands first in the descriptor and is read first: with another one the rest may have another layout.
-  check_interface(module.api, module.api != kPluginApi || module.abi_tag == nullptr ? "" : module.abi_tag);
-  if (module.name == nullptr || module.version == nullptr || module.register_into == nullptr) {
-    throw Error(ErrorKind::unavailable, "plugin.module.descriptor",
-                "the module's descriptor lacks its name, version or register function",
-                "end the plugin with SEMFIELD_PLUGIN_MODULE(name, version, function)");
-  }
-}
-
-// The module's entries, or the registry as it was.
-void register_whole(Registry& registry, const PluginModule& module) {
-  const std::string title = std::string(module.name) + " " + module.version;
-  Registry trial = registry;
-  trial.set_current_module(title);
-  try {
-    module.register_into(trial);
-  } catch (Error& error) {
-    error.while_doing("while registering module '" + title + "'");
-    throw;
-  } catch (const std::exception& error) {
-    throw Error(ErrorKind::unavailable, "plugin.module.registration",
-                "while registering module '" + title + "': " + error.what());
-  } catch (...) {
-    throw Error(ErrorKind::unavailable, "plugin.module.registration",
-                "while registering module '" + title + "': an unknown exception");
-  }
-  trial.set_current_module({});
-  registry = std::move(trial);
-}
-
 thread_local std::string t_being_loaded;  // NOLINT: for a handler of std::terminate, which gets no argument
+
+// A library whose stamp is ours. Never dlclose: entries hold functions and type tables of it until the program ends.
+void* open_library(const std::string& file, const std::string& asked_for, const std::string& doing,
+                   const std::string& remedy) {
+  check_module_file(file, doing);
+  t_being_loaded = asked_for;
+  void* library = dlopen(file.c_str(), RTLD_NOW | RTLD_LOCAL);
+  t_being_loaded.clear();
+  if (library != nullptr) return library;
+  const char* cause = dlerror();
+  throw Error(ErrorKind::unavailable, "plugin.module.unloadable",
+              doing + ": " + (cause == nullptr ? "dlopen failed" : cause), remedy);
+}
+
+void* symbol_of(void* library, const char* name, const std::string& doing, const std::string& remedy) {
+  if (void* const found = dlsym(library, name)) return found;
+  throw Error(ErrorKind::unavailable, "plugin.module.descriptor", doing + ": it does not export '" + name + "'",
+              remedy);
+}
 
 std::string file_name(const std::string& path) { return fs::path(path).filename().string(); }
 
@@ -128,8 +115,30 @@ void check_interface(int api, const std::string& abi_tag) {
 }
 
 void register_module(Registry& registry, const PluginModule& module) {
-  check_compatible(module);
-  register_whole(registry, module);
+  // The API number stands first in the descriptor and is read first: with another one the rest may have another layout.
+  check_interface(module.api, module.api != kPluginApi || module.abi_tag == nullptr ? "" : module.abi_tag);
+  if (module.name == nullptr || module.version == nullptr || module.register_into == nullptr) {
+    throw Error(ErrorKind::unavailable, "plugin.module.descriptor",
+                "the module's descriptor lacks its name, version or register function",
+                "end the plugin with SEMFIELD_PLUGIN_MODULE(name, version, function)");
+  }
+  // The module's entries, or the registry as it was.
+  const std::string title = std::string(module.name) + " " + module.version;
+  const std::string doing = "while registering module '" + title + "'";
+  Registry trial = registry;
+  trial.set_current_module(title);
+  try {
+    module.register_into(trial);
+  } catch (Error& error) {
+    error.while_doing(doing);
+    throw;
+  } catch (const std::exception& error) {
+    throw Error(ErrorKind::unavailable, "plugin.module.registration", doing + ": " + error.what());
+  } catch (...) {
+    throw Error(ErrorKind::unavailable, "plugin.module.registration", doing + ": an unknown exception");
+  }
+  trial.set_current_module({});
+  registry = std::move(trial);
 }
 
 void keep_check(const std::string& path, const std::string& broken_law, Diagnostics& notes) {
@@ -153,22 +162,10 @@ void load_module(Registry& registry, const std::string& path, const LoadOptions&
     (options.python != nullptr ? options.python : embedded_python(doing))(registry, file);
     return;
   }
-  check_module_file(file, doing);
-  t_being_loaded = path;
-  void* library = dlopen(file.c_str(), RTLD_NOW | RTLD_LOCAL);
-  t_being_loaded.clear();
-  if (library == nullptr) {
-    const char* cause = dlerror();
-    throw Error(ErrorKind::unavailable, "plugin.module.unloadable",
-                doing + ": " + (cause == nullptr ? "dlopen failed" : cause),
-                "build it as a shared module against the installed framework");
-  }
-  // Never dlclose: entries hold functions and type tables of the module until the program ends.
-  const auto* module = static_cast<const PluginModule*>(dlsym(library, kSymbol));
-  if (module == nullptr) {
-    throw Error(ErrorKind::unavailable, "plugin.module.descriptor", doing + ": it does not export '" + kSymbol + "'",
-                "build it with SEMFIELD_LOADABLE_MODULE defined and end it with SEMFIELD_PLUGIN_MODULE(...)");
-  }
+  void* const library = open_library(file, path, doing, "build it as a shared module against the installed framework");
+  const auto* const module = static_cast<const PluginModule*>(
+      symbol_of(library, kSymbol, doing,
+                "build it with SEMFIELD_LOADABLE_MODULE defined and end it with SEMFIELD_PLUGIN_MODULE(...)"));
   try {
     register_module(registry, *module);
   } catch (Error& error) {
@@ -209,18 +206,8 @@ void add_cuda_kernels_of_modules(Registry& registry) {
     if (!fs::is_regular_file(file, ignored)) continue;
     const std::string doing = "cannot load the CUDA kernels '" + file + "' of plugin '" + module + "'";
     const std::string remedy = "build them again against the installed framework, or set runtime.device: cpu";
-    check_module_file(file, doing);
-    t_being_loaded = file;
-    void* library = dlopen(file.c_str(), RTLD_NOW | RTLD_LOCAL);
-    t_being_loaded.clear();
-    const char* cause = library == nullptr ? dlerror() : nullptr;
-    if (library == nullptr)
-      throw Error(ErrorKind::unavailable, "plugin.module.unloadable",
-                  doing + ": " + (cause == nullptr ? "dlopen failed" : cause), remedy);
-    auto* const add = reinterpret_cast<void (*)(KernelTables&)>(dlsym(library, kCudaSymbol));
-    if (add == nullptr)
-      throw Error(ErrorKind::unavailable, "plugin.module.descriptor",
-                  doing + ": it does not export '" + kCudaSymbol + "'", remedy);
+    void* const library = open_library(file, file, doing, remedy);
+    auto* const add = reinterpret_cast<void (*)(KernelTables&)>(symbol_of(library, kCudaSymbol, doing, remedy));
     add(registry.kernels());
   }
 }

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "core/rng.h"
+#include "model/param_store.h"
 #include "testkit/laws.h"
 
 namespace semfield::testkit {
@@ -210,18 +211,6 @@ std::string check_gradient(const std::function<double()>& loss, View<double> x, 
 
 namespace {
 
-class Collector final : public ParamDeclarer {
- public:
-  explicit Collector(std::vector<TensorSpec>& specs) : specs_(specs) {}
-  int tensor(TensorSpec spec) override {
-    specs_.push_back(std::move(spec));
-    return static_cast<int>(specs_.size()) - 1;
-  }
-
- private:
-  std::vector<TensorSpec>& specs_;
-};
-
 float initial_value(const TensorSpec& spec, std::uint64_t seed, double noise, std::uint64_t element) {
   const RandomAddress address{seed, 0, stream_id(spec.name)};
   const double declared = spec.init.low + (spec.init.high - spec.init.low) * uniform01(address, 2 * element);
@@ -231,9 +220,8 @@ float initial_value(const TensorSpec& spec, std::uint64_t seed, double noise, st
 }  // namespace
 
 template <class Real>
-TensorBox<Real>::TensorBox(const Parametric<Real>& component, std::uint64_t seed, double noise) {
-  Collector collector(specs_);
-  component.declare(collector);
+TensorBox<Real>::TensorBox(const Parametric<Real>& component, std::uint64_t seed, double noise)
+    : specs_(specs_of(component)) {
   for (std::size_t i = 0; i < specs_.size(); ++i) {
     const TensorSpec& spec = specs_[i];
     const auto size = static_cast<std::size_t>(spec.rows * spec.cols);
