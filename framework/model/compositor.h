@@ -33,9 +33,9 @@ SEMFIELD_CHOICES(FarMode, "open", "closed", "background");
 template <class Real>
 struct CompositeIn {
   const Samples<Real>* samples = nullptr;
-  View<const Real> sigma;   ///< [M, 1] after activation, 1/m, >= 0
-  View<const Real> rgb;     ///< [M, 3]
-  View<const Real> hidden;  ///< [M, H]
+  View<const Real> sigma{};   ///< [M, 1] after activation, 1/m, >= 0
+  View<const Real> rgb{};     ///< [M, 3]
+  View<const Real> hidden{};  ///< [M, H]
   FarMode far = FarMode::open;
   std::array<double, 3> background{};  ///< colour of what lies behind; added to colour alone
 };
@@ -43,21 +43,21 @@ struct CompositeIn {
 /// Overwritten; an empty view is not wanted, except weight, which backward reads.
 template <class Real>
 struct CompositeOut {
-  View<Real> color;    ///< [R, 3] sum of w c (+ T_end * background)
-  View<Real> depth;    ///< [R, 1] sum of w t, metres along the ray (not divided by opacity; 0 where nothing is met)
-  View<Real> opacity;  ///< [R, 1] sum of w
-  View<Real> hidden;   ///< [R, H] sum of w h
-  View<Real> weight;   ///< [M, 1] w_k, required
+  View<Real> color{};    ///< [R, 3] sum of w c (+ T_end * background)
+  View<Real> depth{};    ///< [R, 1] sum of w t, metres along the ray (not divided by opacity; 0 where nothing is met)
+  View<Real> opacity{};  ///< [R, 1] sum of w
+  View<Real> hidden{};   ///< [R, H] sum of w h
+  View<Real> weight{};   ///< [M, 1] w_k, required
 };
 
 /// dL/d(outputs); empty view = zero, and a view with fewer than R rows is zero for the other rays.
 template <class Real>
 struct CompositeGrad {
-  View<const Real> color;    ///< [R, 3]
-  View<const Real> depth;    ///< [R, 1]
-  View<const Real> opacity;  ///< [R, 1]
-  View<const Real> hidden;   ///< [R, H]
-  View<const Real> weight;   ///< [M, 1], beside what the other ones give a weight
+  View<const Real> color{};    ///< [R, 3]
+  View<const Real> depth{};    ///< [R, 1]
+  View<const Real> opacity{};  ///< [R, 1]
+  View<const Real> hidden{};   ///< [R, H]
+  View<const Real> weight{};   ///< [M, 1], beside what the other ones give a weight
   /// Without CompositeIn::hidden: dL/d(hidden) . h of the samples of the first so many rays (dots, [M, 1]), as
   /// Stages::rounded_sum_backward gives it; on a device it lies in d_sigma.
   std::int64_t dotted_rays = 0;
@@ -105,10 +105,10 @@ inline constexpr double kTruncExpMax = 15;
 /// every unit that a scene may be measured in.
 struct DensityRule {
   DensityActivation activation = DensityActivation::relu;
-  double per_m = 1;      ///< 1 / RenderRules::unit_m
-  double bias = 0;       ///< added to raw density
-  double deviation = 0;  ///< of the noise; 0: none
-  RandomAddress random;  ///< of the noise
+  double per_m = 1;        ///< 1 / RenderRules::unit_m
+  double bias = 0;         ///< added to raw density
+  double deviation = 0;    ///< of the noise; 0: none
+  RandomAddress random{};  ///< of the noise
   std::int64_t first_ray = 0;
 };
 /// [M, 1] each; raw is overwritten with what f saw. samples may be null without noise.

@@ -43,10 +43,7 @@ void BranchedHead<Real>::derive_backward(const StepContext& ctx) const {
 
 template <class Real>
 static FieldIn<Real> field_in(const BranchTrace<Real>& trace) {
-  FieldIn<Real> in;
-  in.position = trace.input;
-  in.ray_of_sample = trace.samples.ray_of_sample;
-  return in;
+  return {.position = trace.input, .ray_of_sample = trace.samples.ray_of_sample};
 }
 
 template <class Real>
@@ -131,9 +128,8 @@ void BranchedHead<Real>::branch_backward(const StepContext& ctx, int lane, const
   if (trace.samples.count == 0) return;
   const LiveRows<Real> live(*stages_, trace.samples);
   if (drops_out(trace)) stages_->drop_out(dropout(ctx), trace.samples, d_feature, d_feature);
-  FieldGrad<Real> grad;
-  grad.feature = d_feature;
-  branch_->field->backward(ctx, store_->tensors(field_, lane), field_in(trace), trace.out, grad, trace.saved, {});
+  branch_->field->backward(ctx, store_->tensors(field_, lane), field_in(trace), trace.out, {.feature = d_feature},
+                           trace.saved, {});
 }
 
 template <class Real>
@@ -262,11 +258,10 @@ void Pass<Real>::encode(const StepContext& ctx, int lane, View<const double> x, 
 
 template <class Real>
 DensityRule Pass<Real>::density_rule(const StepContext& ctx) const {
-  DensityRule rule;
-  rule.activation = rules_.rendering.density_activation;
-  rule.per_m = 1 / rules_.unit_m;
-  rule.bias = rules_.rendering.density_bias;
-  rule.first_ray = ctx.first_ray;
+  DensityRule rule{.activation = rules_.rendering.density_activation,
+                   .per_m = 1 / rules_.unit_m,
+                   .bias = rules_.rendering.density_bias,
+                   .first_ray = ctx.first_ray};
   if (!ctx.training || rules_.rendering.density_noise <= 0) return rule;
   rule.deviation = rules_.rendering.density_noise;
   rule.random = ctx.random("density_noise");
@@ -398,13 +393,11 @@ void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& tra
 
 template <class Real>
 CompositeIn<Real> Pass<Real>::composite_in(const PassTrace<Real>& trace) const {
-  CompositeIn<Real> in;
-  in.samples = &trace.samples;
-  in.sigma = trace.sigma;
-  in.rgb = trace.out.rgb;
-  in.far = rules_.rendering.far;
-  in.background = rules_.background();
-  return in;
+  return {.samples = &trace.samples,
+          .sigma = trace.sigma,
+          .rgb = trace.out.rgb,
+          .far = rules_.rendering.far,
+          .background = rules_.background()};
 }
 
 template <class Real>
@@ -412,11 +405,7 @@ void Pass<Real>::composite(const StepContext& ctx, int lane, PassTrace<Real>& tr
   const GuardPlace<Real> here = place(ctx, trace.samples);
   if (stages_->guard_density != nullptr) stages_->guard_density(here, trace.sigma);
   CompositeIn<Real> in = composite_in(trace);
-  CompositeOut<Real> out;
-  out.color = trace.color;
-  out.depth = trace.depth;
-  out.opacity = trace.opacity;
-  out.weight = trace.weight;
+  CompositeOut<Real> out{.color = trace.color, .depth = trace.depth, .opacity = trace.opacity, .weight = trace.weight};
   const bool semantic = trace.semantic_rays > 0 && !branched_;  // a branch follows the weights
   const bool deferred = rules_.deferred_class_layer, rounded = !trace.rounded_hidden.empty();
   if (semantic && !rounded) {
@@ -452,12 +441,8 @@ void Pass<Real>::backward(const StepContext& ctx, int lane, const PassTrace<Real
   const bool moves_density = !rules_.semantics.stop_gradient_to_density;
   const View<Real> d_sigma = arena.take<Real>(count, 1), d_rgb = arena.take<Real>(count, 3);
   CompositeIn<Real> in = composite_in(trace);
-  CompositeOut<Real> out;
-  out.weight = trace.weight;
-  CompositeGrad<Real> grad;
-  grad.color = d.color;
-  grad.depth = d.depth;
-  grad.weight = d.weight;
+  const CompositeOut<Real> out{.weight = trace.weight};
+  CompositeGrad<Real> grad{.color = d.color, .depth = d.depth, .weight = d.weight};
   FieldGrad<Real> of_field;
   View<Real> d_per_sample;
   if (semantic) {
@@ -519,13 +504,13 @@ void Pass<Real>::rounded_backward(const StepContext& ctx, int lane, const PassTr
   Workspace& arena = *ctx.workspace;
   const bool by_field = !trace.out.fused.hidden.empty();  // the hidden layer
   const std::int64_t rows = trace.semantic_samples;
-  RoundedSumBackward<Real> sum;
-  sum.weight = trace.weight;
-  sum.hidden = trace.rounded_hidden;
-  sum.d_out = d_ray_hidden;
-  sum.dots = dots;
-  sum.d_hidden = arena.take<Bf16>(by_field ? blocked_rows(rows) : rows, parts_.head->hidden_width());
-  sum.blocked = by_field;
+  const RoundedSumBackward<Real> sum{
+      .weight = trace.weight,
+      .hidden = trace.rounded_hidden,
+      .d_out = d_ray_hidden,
+      .dots = dots,
+      .d_hidden = arena.take<Bf16>(by_field ? blocked_rows(rows) : rows, parts_.head->hidden_width()),
+      .blocked = by_field};
   stages_->rounded_sum_backward(trace.samples, sum);
   if (by_field) {
     grad.fused.hidden = sum.d_hidden.data;
@@ -624,6 +609,15 @@ View<Real> Pass<Real>::axes(std::string_view channel) const {
 // where a point is a sample of weight 1.
 
 template <class Real>
+View<Real> Pass<Real>::encoded_at(const StepContext& ctx, View<const double> positions) const {
+  const View<double> x = ctx.workspace->take<double>(positions.rows, 3);
+  stages_->map_positions(positions, parts_.domain, x);
+  const View<Real> encoded = ctx.workspace->take<Real>(positions.rows, encoded_dims());
+  parts_.position->forward(ctx, store_->tensors(position_), x, encoded);
+  return encoded;
+}
+
+template <class Real>
 void Pass<Real>::density(const StepContext& ctx, View<const double> positions, View<Real> sigma) const {
   Workspace& arena = *ctx.workspace;
   const LiveRows<Real> all(*stages_, nullptr);
@@ -633,16 +627,8 @@ void Pass<Real>::density(const StepContext& ctx, View<const double> positions, V
     const std::int64_t count = std::min(stages_->density_batch, positions.rows - begin);
     const Workspace::Scope scope(arena);
     const View<const double> places = positions.row_range(begin, count);
-    const View<double> x = arena.take<double>(count, 3);
-    stages_->map_positions(places, parts_.domain, x);
-    const View<Real> encoded = arena.take<Real>(count, encoded_dims());
-    parts_.position->forward(ctx, store_->tensors(position_), x, encoded);
-    const View<Real> raw = arena.take<Real>(count, 1);
-    FieldIn<Real> in;
-    in.position = encoded;
-    FieldOut<Real> out;
-    out.sigma = raw;
-    parts_.field->forward(ctx, store_->tensors(field_), in, out, {});
+    const View<Real> encoded = encoded_at(ctx, places), raw = arena.take<Real>(count, 1);
+    parts_.field->forward(ctx, store_->tensors(field_), {.position = encoded}, {.sigma = raw}, {});
     const View<Real> found = sigma.row_range(begin, count);
     stages_->density_forward(rule, nullptr, raw, found);
     if (stages_->guard_density_at != nullptr) stages_->guard_density_at(places, raw, found);
@@ -666,12 +652,7 @@ void Pass<Real>::point_colors(const StepContext& ctx, View<const double> positio
   if (positions.rows == 0) return;
   Workspace& arena = *ctx.workspace;
   const Workspace::Scope scope(arena);
-  const View<double> x = arena.take<double>(positions.rows, 3);
-  stages_->map_positions(positions, parts_.domain, x);
-  const View<Real> encoded = arena.take<Real>(positions.rows, encoded_dims());
-  parts_.position->forward(ctx, store_->tensors(position_), x, encoded);
-  FieldIn<Real> in;
-  in.position = encoded;
+  FieldIn<Real> in{.position = encoded_at(ctx, positions)};
   if (parts_.direction) {
     const View<Real> seen = arena.take<Real>(positions.rows, parts_.direction->traits().out_dims);
     parts_.direction->forward(ctx, store_->tensors(direction_), directions, seen);
@@ -680,10 +661,8 @@ void Pass<Real>::point_colors(const StepContext& ctx, View<const double> positio
     std::iota(own.data, own.data + own.rows, 0);
     in.ray_of_sample = own;
   }
-  FieldOut<Real> out;
-  out.sigma = arena.take<Real>(positions.rows, 1);
-  out.rgb = color;
-  parts_.field->forward(ctx, store_->tensors(field_), in, out, {});
+  parts_.field->forward(ctx, store_->tensors(field_), in, {.sigma = arena.take<Real>(positions.rows, 1), .rgb = color},
+                        {});
 }
 
 template <class Real>
@@ -705,15 +684,8 @@ void Pass<Real>::point_rows(const StepContext& ctx, View<const double> positions
     branched_->encode_points(ctx, positions, rows);
     if (!branched_->rules().reads_feature) return;
   }
-  const View<double> x = arena.take<double>(positions.rows, 3);
-  stages_->map_positions(positions, parts_.domain, x);
-  const View<Real> encoded = arena.take<Real>(positions.rows, encoded_dims());
-  parts_.position->forward(ctx, store_->tensors(position_), x, encoded);
-  FieldIn<Real> in;
-  in.position = encoded;
-  FieldOut<Real> out;
-  out.feature = rows.col_range(of_position, parts_.field->traits().feature_dims);
-  parts_.field->forward(ctx, store_->tensors(field_), in, out, {});
+  parts_.field->forward(ctx, store_->tensors(field_), {.position = encoded_at(ctx, positions)},
+                        {.feature = rows.col_range(of_position, parts_.field->traits().feature_dims)}, {});
 }
 
 template <class Real>

@@ -312,6 +312,8 @@ class Pass {
   bool wants_feature(const PassTrace<Real>& trace) const {
     return (trace.semantic_rays > 0 && wants_feature()) || (trace.with_heads && heads_want_feature());
   }
+  /// [N, Dp] in ctx.workspace at world positions [N, 3].
+  View<Real> encoded_at(const StepContext& ctx, View<const double> positions) const;
   BranchCall<Real> branch_call(const Rays<Real>& rays, const PassTrace<Real>& trace, std::int64_t count) const;
   /// How field and head exchange it in training and rendering, without a branch.
   FeatureForm feature_form(const PassTrace<Real>& trace) const;

@@ -86,12 +86,12 @@ SEMFIELD_HD inline DropoutFactors dropout_factors(const RandomAddress& address, 
 /// Backward of the sum of hidden activations in bf16 along rays, and of the ReLU that made them.
 template <class Real>
 struct RoundedSumBackward {
-  View<const Real> weight;  ///< [M, 1]
-  View<const Bf16> hidden;  ///< [N, H], activations
-  View<const Real> d_out;   ///< [rays, H]
-  View<Real> dots;          ///< [M, 1] dL/d(out) . h of the samples of those rays; empty: not wanted
-  View<Bf16> d_hidden;   ///< N rows or more: dL/d(hidden) before the ReLU, 0 in rows behind the samples of those rays
-  bool blocked = false;  ///< d_hidden lies in 8 x 8 blocks (FieldGrad::hidden)
+  View<const Real> weight{};  ///< [M, 1]
+  View<const Bf16> hidden{};  ///< [N, H], activations
+  View<const Real> d_out{};   ///< [rays, H]
+  View<Real> dots{};          ///< [M, 1] dL/d(out) . h of the samples of those rays; empty: not wanted
+  View<Bf16> d_hidden{};  ///< N rows or more: dL/d(hidden) before the ReLU, 0 in rows behind the samples of those rays
+  bool blocked = false;   ///< d_hidden lies in 8 x 8 blocks (FieldGrad::hidden)
 };
 
 /// What rendering asks of logits [R, C]; R rows each, one column but for `probability`, empty: not wanted.

@@ -76,24 +76,24 @@ struct FieldTraits {
 /// M samples of R rays. direction is encoded once per ray.
 template <class Real>
 struct FieldIn {
-  View<const Real> position;               ///< [M, Dp]
-  View<const Real> direction;              ///< [R, Dd]; empty when the view branch is left out
-  View<const std::int32_t> ray_of_sample;  ///< [M, 1], 0..R-1, ascending
+  View<const Real> position{};               ///< [M, Dp]
+  View<const Real> direction{};              ///< [R, Dd]; empty when the view branch is left out
+  View<const std::int32_t> ray_of_sample{};  ///< [M, 1], 0..R-1, ascending
 };
 
 /// Empty view = not wanted (not computed). Overwritten.
 template <class Real>
 struct FieldOut {
-  View<Real> sigma;        ///< [M, 1] before activation, 1/m
-  View<Real> rgb;          ///< [M, 3] in (0, 1)
-  View<Real> feature;      ///< [M, F], a function of position only
+  View<Real> sigma{};      ///< [M, 1] before activation, 1/m
+  View<Real> rgb{};        ///< [M, 3] in (0, 1)
+  View<Real> feature{};    ///< [M, F], a function of position only
   FusedOut<Real> fused{};  ///< only where feature_form() offers it
 };
 
 /// dL/d(outputs); empty view = zero.
 template <class Real>
 struct FieldGrad {
-  View<const Real> sigma, rgb, feature;
+  View<const Real> sigma{}, rgb{}, feature{};
   FusedGrad fused{};
 };
 
