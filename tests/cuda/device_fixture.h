@@ -29,7 +29,7 @@ inline bool has_device() {
   return found;
 }
 
-/// First line of every test that launches a kernel.
+/// First line of a test that launches a kernel, where its suite is no DeviceTest.
 #define SEMFIELD_NEEDS_DEVICE()                                     \
   if (!::semfield::testing::has_device())                           \
   GTEST_SKIP() << "this machine has no NVIDIA GPU that its driver " \
@@ -38,6 +38,12 @@ inline bool has_device() {
 #define SEMFIELD_ON_DEVICE(launch) \
   SEMFIELD_NEEDS_DEVICE();         \
   ::semfield::testing::DeviceLaunch launch
+
+/// Of suites whose every test launches a kernel.
+class DeviceTest : public ::testing::Test {
+ protected:
+  void SetUp() override { SEMFIELD_NEEDS_DEVICE(); }
+};
 
 /// What these functions add: `x_kernels` of plugins, cuda::add_plugin_kernels.
 inline KernelTables tables_of(std::initializer_list<void (*)(KernelTables&)> adders) {

@@ -154,8 +154,9 @@ void expect_equal_steps(const Steps& ranks, const Steps& alone, const std::strin
   }
 }
 
-TEST(CudaRanks, EachTakesItsPartOfTheRaysAndTheSumIsTheWholeBatchs) {
-  SEMFIELD_NEEDS_DEVICE();
+using CudaRanks = testing::DeviceTest;
+
+TEST_F(CudaRanks, EachTakesItsPartOfTheRaysAndTheSumIsTheWholeBatchs) {
   const std::string on_device = "runtime: {device: cuda}\n";
   const std::vector<BitsRow> rows{
       {"hash", hash_config(), {2, 3}},
@@ -177,8 +178,7 @@ TEST(CudaRanks, EachTakesItsPartOfTheRaysAndTheSumIsTheWholeBatchs) {
 }
 
 // A label that is no class, of the last rank's last ray alone: only that rank's kernels meet it.
-TEST(CudaRanks, AFaultOfOneRankKeepsAllFromUpdating) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaRanks, AFaultOfOneRankKeepsAllFromUpdating) {
   constexpr std::int64_t kBad = 4, kSteps = 8;
   std::uint32_t with_fault = 0, without = 0;
   const auto train = [&](bool fault, std::uint32_t& bits) {
@@ -218,8 +218,7 @@ TEST(CudaRanks, AFaultOfOneRankKeepsAllFromUpdating) {
 }
 
 // NCCL with a communicator of one: its calls are in the graphs of steps.
-TEST(CudaRanks, OneRankThroughNcclHasTheBitsOfNone) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaRanks, OneRankThroughNcclHasTheBitsOfNone) {
 #ifndef SEMFIELD_NCCL
   GTEST_SKIP() << "this build has no NCCL";
 #endif
@@ -233,8 +232,7 @@ TEST(CudaRanks, OneRankThroughNcclHasTheBitsOfNone) {
 
 // A sum of two numbers has no order: NCCL's is the host's. Without an occupancy grid: where its update needs more
 // memory, the driver may wait for the other device, which in this test belongs to the same process.
-TEST(CudaRanks, TwoDevicesHaveTheBitsOfTwoRanksOnOne) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaRanks, TwoDevicesHaveTheBitsOfTwoRanksOnOne) {
   if (devices() < 2) GTEST_SKIP() << "this machine has one device";
   const std::string hash = stratified_config("type: analytic_room", "", "steps: 20, rays: 64");
   for (const std::string& yaml : {two_pass_config("runtime: {device: cuda}\n"), hash + "runtime: {device: cuda}\n",
@@ -392,8 +390,9 @@ TEST(CudaShards, RowsInUseAreJoinedInOrder) {
   }
 }
 
-TEST(CudaGradientSums, WithoutShardsRanksAreAddedInTheirOrderPassByPass) {
-  SEMFIELD_NEEDS_DEVICE();
+using CudaGradientSums = testing::DeviceTest;
+
+TEST_F(CudaGradientSums, WithoutShardsRanksAreAddedInTheirOrderPassByPass) {
   constexpr std::size_t kCount = (std::size_t{1} << 20) + 64 * 20;  // more than the host exchanges at once
   for (const int size : {1, 2, 3}) {
     std::vector<float> want = numbers(kCount, 0);
@@ -410,8 +409,7 @@ TEST(CudaGradientSums, WithoutShardsRanksAreAddedInTheirOrderPassByPass) {
   }
 }
 
-TEST(CudaGradientSums, TheFirstFaultOfAnyRankIsThatOfAll) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaGradientSums, TheFirstFaultOfAnyRankIsThatOfAll) {
   as_ranks(3, [&](Ranks& ranks) {
     Place place(&ranks, false, 64, {64});
     const auto meet = [&] {
@@ -428,8 +426,7 @@ TEST(CudaGradientSums, TheFirstFaultOfAnyRankIsThatOfAll) {
   });
 }
 
-TEST(CudaGradientSums, RanksThatShareADeviceMeetOnTheHostAndSaySoOnce) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaGradientSums, RanksThatShareADeviceMeetOnTheHostAndSaySoOnce) {
   as_ranks(2, [](Ranks& ranks) {
     Place place(&ranks, false, 64, {64});
     place.sums.join();
@@ -445,8 +442,7 @@ TEST(CudaGradientSums, RanksThatShareADeviceMeetOnTheHostAndSaySoOnce) {
   });
 }
 
-TEST(CudaGradientSums, ARankWithADeviceOfItsOwnUsesNccl) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaGradientSums, ARankWithADeviceOfItsOwnUsesNccl) {
 #ifndef SEMFIELD_NCCL
   GTEST_SKIP() << "this build has no NCCL";
 #endif
@@ -457,8 +453,8 @@ TEST(CudaGradientSums, ARankWithADeviceOfItsOwnUsesNccl) {
   });
 }
 
-TEST(CudaGradientSums, SeveralRanksThatAskForTheBitsOfOneAreRefusedOnAll) {
-  SEMFIELD_NEEDS_DEVICE();
+// Equal bits are of one GPU.
+TEST_F(CudaGradientSums, SeveralRanksThatAskForTheBitsOfOneAreRefusedOnAll) {
   as_ranks(2, [](Ranks& ranks) {
     EXPECT_ERROR(Place(&ranks, true, 64, {64}), "ranks.deterministic.several", "the bits of one GPU",
                  "runtime.deterministic: false");
@@ -466,8 +462,7 @@ TEST(CudaGradientSums, SeveralRanksThatAskForTheBitsOfOneAreRefusedOnAll) {
 }
 
 // A rank that fails behind the others' backs does so before all of them the next time they agree.
-TEST(CudaGradientSums, AnErrorOfOneRankIsMetByAll) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaGradientSums, AnErrorOfOneRankIsMetByAll) {
   int thrown = 0;
   std::mutex mutex;
   as_ranks(3, [&](Ranks& ranks) {

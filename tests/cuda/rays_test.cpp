@@ -666,9 +666,11 @@ void restart_semantics(ParamStore<float>& store) {
     if (tensor->learned()) store.restart(*tensor);
 }
 
-TEST(CudaPoints, ReadAndLearnWhatTheCpuDoes) {
-  SEMFIELD_NEEDS_DEVICE();
-  Registry registry = make_registry();
+struct CudaPoints : testing::DeviceTest {
+  Registry& registry = all_plugins();
+};
+
+TEST_F(CudaPoints, ReadAndLearnWhatTheCpuDoes) {
   for (const std::string& config : configs()) {
     SCOPED_TRACE(config);
     const Session cuda = open_text(config + "runtime: {device: cuda}\n", registry);
@@ -697,9 +699,7 @@ TEST(CudaPoints, ReadAndLearnWhatTheCpuDoes) {
   }
 }
 
-TEST(CudaPoints, TellRegionsApartAndLeaveTheRestAlone) {
-  SEMFIELD_NEEDS_DEVICE();
-  Registry registry = make_registry();
+TEST_F(CudaPoints, TellRegionsApartAndLeaveTheRestAlone) {
   for (const char* precision : {"fp32", "bf16"}) {
     for (const std::string& config : branched_configs()) {  // without one the field, which has not learned, is read
       SCOPED_TRACE(precision + ("\n" + config));
@@ -738,9 +738,7 @@ TEST(CudaPoints, TellRegionsApartAndLeaveTheRestAlone) {
   }
 }
 
-TEST(CudaPoints, DeterministicLessonsHaveTheSameBits) {
-  SEMFIELD_NEEDS_DEVICE();
-  Registry registry = make_registry();
+TEST_F(CudaPoints, DeterministicLessonsHaveTheSameBits) {
   for (const std::string& config : configs()) {
     std::vector<std::uint32_t> bits;
     for (int i = 0; i < 2; ++i) {
@@ -757,9 +755,7 @@ TEST(CudaPoints, DeterministicLessonsHaveTheSameBits) {
 }
 
 // What was kept is put back, for what comes next on the device as well.
-TEST(CudaPoints, AreReadAndWritten) {
-  SEMFIELD_NEEDS_DEVICE();
-  Registry registry = make_registry();
+TEST_F(CudaPoints, AreReadAndWritten) {
   const Session session = open_text(branch_config("") + "runtime: {device: cuda}\n", registry);
   PointNetwork<float>& network = session.pipeline->executor().points();
   const std::int32_t dims = session.pipeline->passes().back().point_dims();
@@ -779,9 +775,7 @@ TEST(CudaPoints, AreReadAndWritten) {
   EXPECT_EQ(lessons.logits(network, dims), first);
 }
 
-TEST(CudaPoints, AFaultIsExplainedByTheCpu) {
-  SEMFIELD_NEEDS_DEVICE();
-  Registry registry = make_registry();
+TEST_F(CudaPoints, AFaultIsExplainedByTheCpu) {
   const Session session = open_text(branch_config("") + "runtime: {device: cuda}\n", registry);
   PointNetwork<float>& network = session.pipeline->executor().points();
   const std::int32_t dims = session.pipeline->passes().back().point_dims();

@@ -99,12 +99,15 @@ std::string paper_config(const std::string& scene, std::int32_t hidden_width) {
          "  - name: fine\n    sampler: {type: importance, samples: 13}\n" + encodings + "train: {steps: 9, rays: 64}\n";
 }
 
+struct CudaRun : testing::DeviceTest {
+  Registry& registry = all_plugins();
+};
+
 // The network of the paper in bf16: fused with the head's hidden layer, against the layers one by one in fp32.
 // Gradients are compared by norm: a unit within rounding of zero may fall on either side of its ReLU (testkit/laws.h).
-TEST(CudaRun, TheFusedNetworkTakesTheSemanticLayerWithIt) {
+TEST_F(CudaRun, TheFusedNetworkTakesTheSemanticLayerWithIt) {
   SEMFIELD_NEEDS_FUSED();
   constexpr double kGradient = 0.25;
-  Registry registry = make_registry();
   for (const char* scene : {"{type: analytic_room}", "{type: analytic_room, labels: {frames: 50%}}"}) {
     for (const std::int32_t hidden_width : {128, 64}) {  // 64: the kernels have no such layer
       SCOPED_TRACE(std::string(scene) + ", hidden " + std::to_string(hidden_width));
@@ -144,9 +147,7 @@ Quality quality(Session& session) {
 }
 
 // Different roundings part ways after some hundred steps; what is learned must not.
-TEST(CudaRun, FiveHundredStepsReachTheProcessorsQuality) {
-  SEMFIELD_NEEDS_DEVICE();
-  Registry registry = make_registry();
+TEST_F(CudaRun, FiveHundredStepsReachTheProcessorsQuality) {
   Training cpu(registry, hash_config(), "device: cpu");
   cpu.train(500);
   const Quality expected = quality(cpu.session);
@@ -162,9 +163,7 @@ TEST(CudaRun, FiveHundredStepsReachTheProcessorsQuality) {
 }
 
 // A step's graph is captured for the terms that work in it.
-TEST(CudaRun, ATermThatBeginsLaterBeginsInItsStep) {
-  SEMFIELD_NEEDS_DEVICE();
-  Registry registry = make_registry();
+TEST_F(CudaRun, ATermThatBeginsLaterBeginsInItsStep) {
   const auto steps = static_cast<double>(open_text(hash_config(), registry).config.train.steps);
   const std::string yaml =
       hash_config("losses: [{type: distortion, weight: 0.2, from_step: " + std::to_string(5.9 / steps) +
@@ -179,9 +178,7 @@ TEST(CudaRun, ATermThatBeginsLaterBeginsInItsStep) {
   }
 }
 
-TEST(CudaRun, DeterministicRunsHaveTheSameBits) {
-  SEMFIELD_NEEDS_DEVICE();
-  Registry registry = make_registry();
+TEST_F(CudaRun, DeterministicRunsHaveTheSameBits) {
   for (const auto& config : {hash_config(), two_pass_config(), branch_config(", dropout: 0.2"),
                              branch_and_head_config(", dropout: 0.2"), cameras_config(kTerms)}) {
     for (const char* precision : {"fp32", "bf16"}) {
@@ -195,9 +192,7 @@ TEST(CudaRun, DeterministicRunsHaveTheSameBits) {
   }
 }
 
-TEST(CudaRun, CheckpointsGoBothWays) {
-  SEMFIELD_NEEDS_DEVICE();
-  Registry registry = make_registry();
+TEST_F(CudaRun, CheckpointsGoBothWays) {
   const auto exchange = [&](const std::string& first, const std::string& second) {
     const TempDir dir;
     Training a(registry, hash_config(), first);
@@ -216,11 +211,9 @@ TEST(CudaRun, CheckpointsGoBothWays) {
   exchange("device: cpu, tile_rays: 192", "device: cuda, tile_rays: 192");
 }
 
-TEST(CudaRun, RendersWhatTheProcessorRenders) {
-  SEMFIELD_NEEDS_DEVICE();
-  Registry registry = make_registry();
-  for (const auto& config : {hash_config(), two_pass_config(), branch_config(", dropout: 0.2"),
-                             head_config(", learning_rate: 0.3")}) {
+TEST_F(CudaRun, RendersWhatTheProcessorRenders) {
+  for (const auto& config :
+       {hash_config(), two_pass_config(), branch_config(", dropout: 0.2"), head_config(", learning_rate: 0.3")}) {
     Training cuda(registry, config, "device: cuda");
     cuda.train(100);
     const int frame = cuda.session.scene.frames_of(Split::train).front();
@@ -269,9 +262,7 @@ TEST(CudaRun, RendersWhatTheProcessorRenders) {
   }
 }
 
-TEST(CudaRun, AFaultNamesTensorAndPixelAndChangesNothing) {
-  SEMFIELD_NEEDS_DEVICE();
-  Registry registry = make_registry();
+TEST_F(CudaRun, AFaultNamesTensorAndPixelAndChangesNothing) {
   for (const auto& config : {hash_config(), two_pass_config()}) {
     Training cuda(registry, config, "device: cuda");
     cuda.train(40);
@@ -290,8 +281,7 @@ TEST(CudaRun, AFaultNamesTensorAndPixelAndChangesNothing) {
   }
 }
 
-TEST(CudaRun, MemoryThatIsNotThereIsAnErrorWithFiguresAndRemedies) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaRun, MemoryThatIsNotThereIsAnErrorWithFiguresAndRemedies) {
   try {
     cuda::release(cuda::allocate(std::size_t{1} << 50, "a test"));
     FAIL() << "a petabyte was given";
@@ -312,9 +302,7 @@ struct Crowd {
   std::byte* memory = nullptr;
 };
 
-TEST(CudaRun, AStepThatDoesNotFitNamesRaysThatDo) {
-  SEMFIELD_NEEDS_DEVICE();
-  Registry registry = make_registry();
+TEST_F(CudaRun, AStepThatDoesNotFitNamesRaysThatDo) {
   const auto config = [](std::int64_t rays) {
     std::string yaml = paper_config("{type: analytic_room}", 128);
     const std::string few = "rays: 64";
@@ -387,8 +375,9 @@ void halve(const StepGradients<float>& gradients) {
 
 constexpr const char* kDeterministic = "device: cuda, deterministic: true";
 
-TEST(CudaGradientHook, SeesEveryLearnedTensorOfEveryStepAndKeepsTheBits) {
-  SEMFIELD_NEEDS_DEVICE();
+using CudaGradientHook = testing::DeviceTest;
+
+TEST_F(CudaGradientHook, SeesEveryLearnedTensorOfEveryStepAndKeepsTheBits) {
   expect_hook_sees_every_tensor(
       kDeterministic, [](const StepGradients<float>& gradients, const Tensor<float>& t, const View<float>& view) {
         EXPECT_NE(gradients.stream, nullptr);
@@ -399,18 +388,17 @@ TEST(CudaGradientHook, SeesEveryLearnedTensorOfEveryStepAndKeepsTheBits) {
       });
 }
 
-TEST(CudaGradientHook, HalfOfTheGradientsIsHalfOfTheWeight) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaGradientHook, HalfOfTheGradientsIsHalfOfTheWeight) {
   expect_half_of_the_gradients_is_half_of_the_weight(kDeterministic, halve);
 }
 
-TEST(CudaGradientHook, AnErrorEndsTheStepAndChangesNothing) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaGradientHook, AnErrorEndsTheStepAndChangesNothing) {
   expect_an_error_of_the_hook_ends_the_step(kDeterministic);
 }
 
-TEST(CudaDevices, AnOrdinalThatIsNotThereIsRefusedWithThoseThatAre) {
-  SEMFIELD_NEEDS_DEVICE();
+using CudaDevices = testing::DeviceTest;
+
+TEST_F(CudaDevices, AnOrdinalThatIsNotThereIsRefusedWithThoseThatAre) {
   Registry registry = make_registry();
   const std::string missing = "cuda:" + std::to_string(devices());
   EXPECT_HAS(error_of(ErrorKind::unavailable, [&] { const Subject run(hash_config(), missing, registry); }),
@@ -418,8 +406,7 @@ TEST(CudaDevices, AnOrdinalThatIsNotThereIsRefusedWithThoseThatAre) {
       << missing;
 }
 
-TEST(CudaDevices, TheCallersDeviceIsLeftAsItWas) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaDevices, TheCallersDeviceIsLeftAsItWas) {
   Registry registry = make_registry();
   for (int ordinal = 0; ordinal < std::min(devices(), 2); ++ordinal) {
     Subject run(hash_config(), "cuda:" + std::to_string(ordinal), registry);
@@ -432,8 +419,7 @@ TEST(CudaDevices, TheCallersDeviceIsLeftAsItWas) {
 }
 
 // Of equal devices; a run goes on on another one.
-TEST(CudaDevices, TwoDevicesOfAKindGiveTheSameBitsAndTakeOverFromEachOther) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaDevices, TwoDevicesOfAKindGiveTheSameBitsAndTakeOverFromEachOther) {
   if (devices() < 2) GTEST_SKIP() << "this machine has one device";
   Registry registry = make_registry();
   for (const char* precision : {"", ", precision: bf16"}) {
@@ -498,8 +484,7 @@ TEST(CudaMemory, ABufferIsClearedBeforeOtherStreamsUseIt) {
 using cuda::BatchDrawer;
 
 constexpr int kAhead = 5;
-constexpr RaySourceKind kKinds[] = {RaySourceKind::all_images, RaySourceKind::one_image,
-                                    RaySourceKind::label_balanced};
+constexpr RaySourceKind kKinds[] = {RaySourceKind::all_images, RaySourceKind::one_image, RaySourceKind::label_balanced};
 
 // Frames of several sizes, lenses and channels, with an empty one among them.
 struct Frames {
@@ -619,8 +604,10 @@ void expect_same_batches(const RaySource& source, const PixelPool& pool, BatchDr
   }
 }
 
-TEST(CudaBatchDrawer, GivesTheBitsOfMaskedFramesAndWideLenses) {
-  SEMFIELD_ON_DEVICE(launch);
+using CudaBatchDrawer = testing::DeviceTest;
+
+TEST_F(CudaBatchDrawer, GivesTheBitsOfMaskedFramesAndWideLenses) {
+  DeviceLaunch launch;
   for (const RaySourceKind kind : kKinds) {
     SCOPED_TRACE(static_cast<int>(kind));
     Frames frames(false, true);
@@ -636,8 +623,8 @@ TEST(CudaBatchDrawer, GivesTheBitsOfMaskedFramesAndWideLenses) {
   }
 }
 
-TEST(CudaBatchDrawer, GivesTheBitsThatTheHostFills) {
-  SEMFIELD_ON_DEVICE(launch);
+TEST_F(CudaBatchDrawer, GivesTheBitsThatTheHostFills) {
+  DeviceLaunch launch;
   for (const RaySourceKind kind : kKinds) {
     for (const bool teach : {true, false}) {
       for (const std::int64_t tile : {32, 333, 3000}) {
@@ -663,8 +650,8 @@ TEST(CudaBatchDrawer, GivesTheBitsThatTheHostFills) {
   }
 }
 
-TEST(CudaBatchDrawer, TakesNewLabelsOfTheSamePixels) {
-  SEMFIELD_ON_DEVICE(launch);
+TEST_F(CudaBatchDrawer, TakesNewLabelsOfTheSamePixels) {
+  DeviceLaunch launch;
   Frames frames;
   RaySourceOptions options{.train = {.rays = 640, .ray_source = RaySourceKind::label_balanced}};
   RaySource source = frames.make(options);
@@ -682,8 +669,7 @@ TEST(CudaBatchDrawer, TakesNewLabelsOfTheSamePixels) {
   EXPECT_FALSE(drawer.relabel(*other.pool()));
 }
 
-TEST(CudaBatchDrawer, WhatAHostMustSayIsLeftToIt) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaBatchDrawer, WhatAHostMustSayIsLeftToIt) {
   Registry registry = make_registry();
   const Session session = open_text(hash_config() + "runtime: {device: cuda}\n", registry);
   const std::unique_ptr<RaySource> rays = session.make_ray_source();
@@ -701,8 +687,7 @@ TEST(CudaBatchDrawer, WhatAHostMustSayIsLeftToIt) {
   EXPECT_FALSE(executor.hold(bad_label));
 }
 
-TEST(CudaBatchDrawer, PixelsThatDoNotFitStayOnTheHostWhichIsSaidOnce) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaBatchDrawer, PixelsThatDoNotFitStayOnTheHostWhichIsSaidOnce) {
   Registry registry = make_registry();
   const Session session = open_text(hash_config() + "runtime: {device: cuda}\n", registry);
   const std::unique_ptr<RaySource> rays = session.make_ray_source();

@@ -31,8 +31,9 @@ std::vector<FrequencyCase> frequency_cases() {
   return cases;
 }
 
-TEST(CudaFrequency, FollowsItsTwinOnTheCpu) {
-  SEMFIELD_NEEDS_DEVICE();
+using CudaFrequency = testing::DeviceTest;
+
+TEST_F(CudaFrequency, FollowsItsTwinOnTheCpu) {
   for (const FrequencyCase& c : frequency_cases()) {
     const auto device = make<Frequency<float>>(c.params, c.dims, Device::cuda);
     const auto host = make<Frequency<double>>(c.params, c.dims, Device::cpu);
@@ -49,15 +50,13 @@ TEST(CudaFrequency, FollowsItsTwinOnTheCpu) {
   }
 }
 
-TEST(CudaFrequency, TheHighestBandIsAsAccurateAsTheLowestFarFromTheOrigin) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaFrequency, TheHighestBandIsAsAccurateAsTheLowestFarFromTheOrigin) {
   const FrequencyParams params{40, false, Angular::radian, Arithmetic::float64};
   expect_twins(make<Frequency<float>>(params, 3, Device::cuda), make<Frequency<double>>(params, 3, Device::cpu),
                random_doubles(3 * 1000, 5, -1048576, 1048576), {}, 1.3e-7, 1e-6);
 }
 
-TEST(CudaFrequency, CoordinatesThatCannotBeEncodedAreFaults) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaFrequency, CoordinatesThatCannotBeEncodedAreFaults) {
   const auto encoder = make<Frequency<float>>(FrequencyParams{}, 3, Device::cuda);
   for (const double bad : {std::nan(""), HUGE_VAL, -HUGE_VAL, 2147483648.0}) expect_fault_of(encoder, bad);
 }

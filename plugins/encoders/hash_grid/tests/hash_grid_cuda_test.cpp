@@ -162,8 +162,9 @@ void expect_twins(const HashGridParams& params, std::int64_t rows, std::int32_t 
   EXPECT_EQ(launch.take_fault(), std::nullopt);
 }
 
-TEST(CudaHashGrid, FollowsItsTwinOnTheCpu) {
-  SEMFIELD_NEEDS_DEVICE();
+using CudaHashGrid = testing::DeviceTest;
+
+TEST_F(CudaHashGrid, FollowsItsTwinOnTheCpu) {
   for (const HashGridParams& params : grids()) {
     for (const std::int64_t rows : {1, 31, 33, 700}) {
       SCOPED_TRACE(name_of(params) + ", " + std::to_string(rows) + " rows");
@@ -174,8 +175,7 @@ TEST(CudaHashGrid, FollowsItsTwinOnTheCpu) {
   expect_twins(params_of(16, 2, 14, 16, 2048), 4097, 1);
 }
 
-TEST(CudaHashGrid, FixedPointGivesTheSameBitsEveryTimeAndAddsToWhatIsThere) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaHashGrid, FixedPointGivesTheSameBitsEveryTimeAndAddsToWhatIsThere) {
   constexpr std::int64_t kRows = 100'000;  // many blocks meet in the coarse levels' few entries
   const HashGridParams params = params_of(8, 2, 12, 8, 256);
   const HashGrid<float> encoder = make<float>(params, Device::cuda);
@@ -198,8 +198,7 @@ TEST(CudaHashGrid, FixedPointGivesTheSameBitsEveryTimeAndAddsToWhatIsThere) {
 }
 
 // Gradients differ by ten orders of magnitude: where only small ones meet, fixed point must not round them away.
-TEST(CudaHashGrid, FixedPointKeepsTheAccuracyOfSmallGradients) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaHashGrid, FixedPointKeepsTheAccuracyOfSmallGradients) {
   constexpr std::int64_t kRows = 4097;
   const HashGrid<float> encoder = make<float>(params_of(16, 2, 14, 16, 2048), Device::cuda);
   DeviceTables tables(testkit::TensorBox<float>(encoder, 1, 1));
@@ -228,8 +227,7 @@ TEST(CudaHashGrid, FixedPointKeepsTheAccuracyOfSmallGradients) {
   EXPECT_LT(smallest, 1e-9);
 }
 
-TEST(CudaHashGrid, RowsOutOfUseAreLeftOut) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaHashGrid, RowsOutOfUseAreLeftOut) {
   constexpr std::int64_t kRows = 1000, kLive = 333;
   const HashGrid<float> encoder = make<float>(params_of(5, 2, 10, 4, 64), Device::cuda);
   const testkit::TensorBox<float> box(encoder, 1, 1);
@@ -260,8 +258,7 @@ TEST(CudaHashGrid, RowsOutOfUseAreLeftOut) {
   }
 }
 
-TEST(CudaHashGrid, PositionsThatAreNotFiniteAreFaultsAndStayInsideTheTables) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaHashGrid, PositionsThatAreNotFiniteAreFaultsAndStayInsideTheTables) {
   const HashGrid<float> encoder = make<float>(params_of(16, 2, 12, 8, 1048576), Device::cuda);
   DeviceTables tables(testkit::TensorBox<float>(encoder, 1, 1));
   for (const double bad : {std::nan(""), HUGE_VAL, -HUGE_VAL}) {
@@ -285,8 +282,7 @@ TEST(CudaHashGrid, PositionsThatAreNotFiniteAreFaultsAndStayInsideTheTables) {
   }
 }
 
-TEST(CudaHashGrid, GradientsThatAreNotFiniteReachEveryLevel) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaHashGrid, GradientsThatAreNotFiniteReachEveryLevel) {
   const HashGrid<float> encoder = make<float>(params_of(5, 2, 10, 4, 64), Device::cuda);
   DeviceTables tables(testkit::TensorBox<float>(encoder, 1, 1));
   const DeviceMatrix<double> x(points(100, 2), 3);

@@ -12,8 +12,9 @@ Encoder make(const Params& params, std::int32_t dims, Device device) {
   return make_encoder<Encoder>(one_blob_kernels, params, dims, device);
 }
 
-TEST(CudaOneBlob, FollowsItsTwinOnTheCpu) {
-  SEMFIELD_NEEDS_DEVICE();
+using CudaOneBlob = testing::DeviceTest;
+
+TEST_F(CudaOneBlob, FollowsItsTwinOnTheCpu) {
   for (const int bins : {2, 7, 16, 17, 64}) {
     const auto device = make<OneBlob<float>>(OneBlobParams{bins}, 3, Device::cuda);
     const auto host = make<OneBlob<double>>(OneBlobParams{bins}, 3, Device::cpu);
@@ -28,8 +29,7 @@ TEST(CudaOneBlob, FollowsItsTwinOnTheCpu) {
   }
 }
 
-TEST(CudaOneBlob, CoordinatesThatAreNotFiniteAreFaults) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaOneBlob, CoordinatesThatAreNotFiniteAreFaults) {
   const auto encoder = make<OneBlob<float>>(OneBlobParams{}, 3, Device::cuda);
   for (const double bad : {std::nan(""), HUGE_VAL, -HUGE_VAL}) expect_fault_of(encoder, bad);
 }

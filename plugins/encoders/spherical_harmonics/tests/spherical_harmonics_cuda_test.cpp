@@ -21,8 +21,9 @@ std::vector<double> random_directions(std::int64_t rows, std::uint64_t seed) {
   return x;
 }
 
-TEST(CudaSphericalHarmonics, FollowTheirTwinOnTheCpu) {
-  SEMFIELD_NEEDS_DEVICE();
+using CudaSphericalHarmonics = testing::DeviceTest;
+
+TEST_F(CudaSphericalHarmonics, FollowTheirTwinOnTheCpu) {
   for (int degree = 1; degree <= kHarmonicMaxDegree; ++degree) {
     const auto device = make<SphericalHarmonics<float>>(SphericalHarmonicsParams{degree}, 3, Device::cuda);
     const auto host = make<SphericalHarmonics<double>>(SphericalHarmonicsParams{degree}, 3, Device::cpu);
@@ -37,8 +38,7 @@ TEST(CudaSphericalHarmonics, FollowTheirTwinOnTheCpu) {
   }
 }
 
-TEST(CudaSphericalHarmonics, RowsThatAreNoUnitVectorsAreFaults) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaSphericalHarmonics, RowsThatAreNoUnitVectorsAreFaults) {
   const auto encoder = make<SphericalHarmonics<float>>(SphericalHarmonicsParams{}, 3, Device::cuda);
   for (const double bad : {std::nan(""), HUGE_VAL, 0.0, 1.1}) {
     std::vector<double> x = random_directions(300, 1);

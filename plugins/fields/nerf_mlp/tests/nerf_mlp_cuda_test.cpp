@@ -105,8 +105,9 @@ void expect_twin(const Network& network, std::int64_t samples, std::int32_t padd
 
 constexpr Precision kPrecisions[] = {Precision::fp32, Precision::bf16};
 
-TEST(CudaNerfMlp, IsTheCpusNetworkForEverySwitchAndSize) {
-  SEMFIELD_NEEDS_DEVICE();
+using CudaNerfMlp = testing::DeviceTest;
+
+TEST_F(CudaNerfMlp, IsTheCpusNetworkForEverySwitchAndSize) {
   for (const Precision precision : kPrecisions) {
     for (const bool fold : {true, false}) {
       for (const bool once : {true, false}) expect_twin({kSmall, 7, 5, fold, once, precision}, 33, 3);
@@ -119,8 +120,7 @@ TEST(CudaNerfMlp, IsTheCpusNetworkForEverySwitchAndSize) {
   }
 }
 
-TEST(CudaNerfMlp, IsTheCpusNetworkInThePapersShape) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaNerfMlp, IsTheCpusNetworkInThePapersShape) {
   for (const Precision precision : kPrecisions) {
     for (const std::int64_t samples : {1, 33, 257, 1025})
       expect_twin({{}, 63, 27, true, true, precision}, samples, 0, false);
@@ -130,8 +130,7 @@ TEST(CudaNerfMlp, IsTheCpusNetworkInThePapersShape) {
   }
 }
 
-TEST(CudaNerfMlp, OutputsAndGradientsThatAreAbsentChangeNoOther) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaNerfMlp, OutputsAndGradientsThatAreAbsentChangeNoOther) {
   for (const Precision precision : kPrecisions) {
     for (const NerfMlpParams& params : {kSmall, NerfMlpParams{}}) {
       for (const Wanted wanted : {Wanted{true, false, false}, Wanted{false, true, false}, Wanted{false, false, true},

@@ -183,8 +183,9 @@ TEST_P(CudaTinyMlp, AbsentGradientsCountAsZero) {
   }
 }
 
-TEST(CudaTinyMlpFused, RowsDoNotDependOnTheirBatch) {
-  SEMFIELD_NEEDS_DEVICE();
+using CudaTinyMlpFused = testing::DeviceTest;
+
+TEST_F(CudaTinyMlpFused, RowsDoNotDependOnTheirBatch) {
   const Network network{{}, 32, 16, true, Precision::bf16};
   Oracle oracle(network, 333);
   const OnDevice whole(network, device_tables(), oracle.bench, 0), split(network, device_tables(), oracle.bench, 0);
@@ -225,8 +226,7 @@ TEST(CudaTinyMlpBits, GradientsAreAddedAndHaveTheSameBitsInEveryRun) {
 }
 
 // Fused kernels skip them. Layer by layer they are computed; nobody reads them, and they have no gradient.
-TEST(CudaTinyMlpFused, RowsBehindTheLiveOnesAreZero) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaTinyMlpFused, RowsBehindTheLiveOnesAreZero) {
   for (const Network& network :
        {Network{{}, 32, 16, true, Precision::bf16}, Network{{12, 1, 5, 10, 2, kHidden}, 7, 4, true, Precision::bf16},
         branch(112, 64, 2)}) {
@@ -264,8 +264,7 @@ TEST(CudaTinyMlpFused, RowsBehindTheLiveOnesAreZero) {
 
 // The same operands rounded alike and summed in another order: far closer than to float64, so that a wrong element
 // shows which the tolerance of bf16 would hide.
-TEST(CudaTinyMlpFused, AgreesWithTheCpuInBf16) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaTinyMlpFused, AgreesWithTheCpuInBf16) {
   constexpr double kOutput = 5e-3;
   std::vector<Network> networks{branch(112, 64, 2), branch(115, 128, 3), branch(48, 64, 1), branch(39, 40, 4)};
   for (const TinyFeature feature : {kHidden, kGeometry}) {
@@ -305,8 +304,7 @@ TEST(CudaTinyMlpFused, AgreesWithTheCpuInBf16) {
 
 // The semantic head may take the hidden layer in bf16 and give its gradient in bf16, of the first rows alone: the same
 // numbers as in fp32 give the same bits.
-TEST(CudaTinyMlpFused, ExchangesItsFeatureInBf16) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaTinyMlpFused, ExchangesItsFeatureInBf16) {
   constexpr std::int64_t kRows = 333, kSemanticRows = 250;
   const Network network{{}, 32, 16, true, Precision::bf16};
   Oracle oracle(network, kRows);
@@ -341,8 +339,9 @@ TEST(CudaTinyMlpFused, ExchangesItsFeatureInBf16) {
   for (std::size_t i = 0; i < plain.grads.size(); ++i) EXPECT_EQ(sharing.grads[i]->read(), plain.grads[i]->read());
 }
 
-TEST(CudaTinyMlpFeature, IsTheCpuNetworkForEveryWidthDepthAndSize) {
-  SEMFIELD_NEEDS_DEVICE();
+using CudaTinyMlpFeature = testing::DeviceTest;
+
+TEST_F(CudaTinyMlpFeature, IsTheCpuNetworkForEveryWidthDepthAndSize) {
   struct Case {
     Network network;
     std::int64_t samples;
@@ -357,8 +356,7 @@ TEST(CudaTinyMlpFeature, IsTheCpuNetworkForEveryWidthDepthAndSize) {
   }
 }
 
-TEST(CudaTinyMlpFeature, GivesTheSameWithoutASavedBatchAndWithoutAGradientNothing) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaTinyMlpFeature, GivesTheSameWithoutASavedBatchAndWithoutAGradientNothing) {
   const Network network = branch(112, 64, 2);
   Oracle oracle(network, 333);
   const OnDevice saved(network, device_tables(), oracle.bench, 0), unsaved(network, device_tables(), oracle.bench, 0);

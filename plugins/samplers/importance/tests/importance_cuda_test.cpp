@@ -12,8 +12,9 @@ using namespace testing;
 
 constexpr Quadrature kRules[] = {Quadrature::paper, Quadrature::midpoint, Quadrature::stratified_bin};
 
-TEST(CudaImportance, SamplesAreThoseOfTheCpu) {
-  SEMFIELD_NEEDS_DEVICE();
+using CudaImportance = testing::DeviceTest;
+
+TEST_F(CudaImportance, SamplesAreThoseOfTheCpu) {
   for (const std::int64_t rays : {1, 33, 259}) {
     for (const std::int64_t per_ray : {0, 1, 31, 33, 64}) {
       for (const std::int64_t samples : {1, 32, 128, 129}) {
@@ -35,8 +36,7 @@ TEST(CudaImportance, SamplesAreThoseOfTheCpu) {
   }
 }
 
-TEST(CudaImportance, RaysThatDoNotFitSharedMemory) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaImportance, RaysThatDoNotFitSharedMemory) {
   for (const bool keep : {false, true}) {
     for (const std::int64_t samples : {40, 3000}) {
       const HostRays rays = random_rays(37, 8, 6);
@@ -48,8 +48,7 @@ TEST(CudaImportance, RaysThatDoNotFitSharedMemory) {
   }
 }
 
-TEST(CudaImportance, EqualDistancesAndLimitsInsideThePreviousSamples) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaImportance, EqualDistancesAndLimitsInsideThePreviousSamples) {
   HostRays rays = random_rays(40, 9, 0);
   HostProposal previous = previous_of(rays, 20, false);
   for (std::size_t i = 0; i < previous.samples.t.size(); ++i) {
@@ -87,8 +86,7 @@ TEST(CudaSamplers, ACapturedGraphFollowsTheStepInTheCell) {
   (void)cudaGraphDestroy(graph);
 }
 
-TEST(CudaImportance, ABadWeightIsAFault) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaImportance, ABadWeightIsAFault) {
   const Twins<Importance> twins(ImportanceParams{});
   for (const float bad : {std::nanf(""), -1.F, std::numeric_limits<float>::infinity()}) {
     const HostRays rays = random_rays(30, 1, 0);
@@ -107,8 +105,7 @@ TEST(CudaImportance, ABadWeightIsAFault) {
   }
 }
 
-TEST(CudaImportance, MoreSamplesThanTheBatchMayHaveAreAFault) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaImportance, MoreSamplesThanTheBatchMayHaveAreAFault) {
   const Twins<Importance> twins(ImportanceParams{});
   const HostRays rays = random_rays(4, 1, 0);
   HostProposal previous = previous_of(rays, 8, false);

@@ -96,8 +96,9 @@ struct Subject {
   testkit::TensorBox<float> box;
 };
 
-TEST(CudaOccupancyGrid, SamplesAreThoseOfTheCpu) {
-  SEMFIELD_NEEDS_DEVICE();
+using CudaOccupancyGrid = testing::DeviceTest;
+
+TEST_F(CudaOccupancyGrid, SamplesAreThoseOfTheCpu) {
   for (const std::int64_t cascades : {1, 3, 5}) {
     for (const SkipRule rule : {SkipRule::certified, SkipRule::threshold, SkipRule::never}) {
       for (const Field field : {ball, hazy_ball}) {
@@ -120,8 +121,7 @@ TEST(CudaOccupancyGrid, SamplesAreThoseOfTheCpu) {
 }
 
 // Hazes for which the budget pays none, some and all of the jumps.
-TEST(CudaOccupancyGrid, BudgetsAreSpentAsOnTheCpu) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaOccupancyGrid, BudgetsAreSpentAsOnTheCpu) {
   for (const double budget : {0.0, 1e-5, 1e-3, 0.05, 1.0}) {
     for (const Field field : {hazy_ball, waves}) {
       OccupancyGridParams params = small_grid();
@@ -135,8 +135,7 @@ TEST(CudaOccupancyGrid, BudgetsAreSpentAsOnTheCpu) {
   }
 }
 
-TEST(CudaOccupancyGrid, RaysThatNeedMoreSamplesTakeLongerSteps) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaOccupancyGrid, RaysThatNeedMoreSamplesTakeLongerSteps) {
   for (const std::int64_t most : {1, 31, 48, 256}) {
     for (const std::int64_t until : {0, 80}) {  // never updated: the whole ray is occupied
       OccupancyGridParams params = small_grid();
@@ -150,8 +149,7 @@ TEST(CudaOccupancyGrid, RaysThatNeedMoreSamplesTakeLongerSteps) {
   }
 }
 
-TEST(CudaOccupancyGrid, RaysThatMissTheGridAndRaysAlongItsAxes) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaOccupancyGrid, RaysThatMissTheGridAndRaysAlongItsAxes) {
   Subject subject(small_grid());
   subject.learn(ball, 80);
   HostRays rays{.origin = {1e5, 1e5, 1e5, 0, 0, 0.5, 0.5, 0.25, 0.5, 0.5, 0, -0.9, -5, 0, 0.5},
@@ -192,8 +190,7 @@ void expect_same_state(const OccupancyGridParams& params, Field field, const std
   ASSERT_EQ(cpu(2), state.read(2));
 }
 
-TEST(CudaOccupancyGrid, UpdatesAreThoseOfTheCpu) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaOccupancyGrid, UpdatesAreThoseOfTheCpu) {
   const std::vector<std::int64_t> warm_up{0, 16, 32, 48};
   std::vector<std::int64_t> steps = warm_up;
   for (std::int64_t step = 64; step < 64 + 12 * 16; step += 16) steps.push_back(step);
@@ -207,8 +204,7 @@ TEST(CudaOccupancyGrid, UpdatesAreThoseOfTheCpu) {
   }
 }
 
-TEST(CudaOccupancyGrid, AnUpdateOfSeveralQueries) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaOccupancyGrid, AnUpdateOfSeveralQueries) {
   OccupancyGridParams params = small_grid();
   params.resolution = 96;  // 884,736 cells
   params.update_share = 0.7;
@@ -218,8 +214,7 @@ TEST(CudaOccupancyGrid, AnUpdateOfSeveralQueries) {
 double spoilt(Vec3d p) { return p.x > 2.5 ? std::nan("") : ball(p); }
 double negative(Vec3d p) { return p.z > 1.5 ? -1 : ball(p); }
 
-TEST(CudaOccupancyGrid, ABadDensityIsAFaultAndChangesNothing) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaOccupancyGrid, ABadDensityIsAFaultAndChangesNothing) {
   for (const Field field : {spoilt, negative}) {
     Subject subject(small_grid());
     subject.learn(ball, 80);
@@ -246,8 +241,7 @@ TEST(CudaOccupancyGrid, ABadDensityIsAFaultAndChangesNothing) {
   }
 }
 
-TEST(CudaOccupancyGrid, LimitsThatAreNotFiniteAreAFault) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaOccupancyGrid, LimitsThatAreNotFiniteAreAFault) {
   Subject subject(small_grid());
   HostRays rays = random_rays(9, 1, 0);
   rays.near_far[11] = INFINITY;

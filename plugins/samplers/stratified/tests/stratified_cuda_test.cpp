@@ -17,8 +17,9 @@ constexpr std::pair<Quadrature, SampleSpacing> kRulesAndSpacings[] = {
     {Quadrature::paper, SampleSpacing::disparity},
     {Quadrature::stratified_bin, SampleSpacing::disparity}};
 
-TEST(CudaStratified, SamplesAreThoseOfTheCpu) {
-  SEMFIELD_NEEDS_DEVICE();
+using CudaStratified = testing::DeviceTest;
+
+TEST_F(CudaStratified, SamplesAreThoseOfTheCpu) {
   for (const std::int64_t rays : {1, 31, 33, 1025}) {
     for (const std::int64_t samples : {1, 31, 32, 64, 100}) {
       for (const auto& [rule, spacing] : kRulesAndSpacings) {
@@ -35,16 +36,14 @@ TEST(CudaStratified, SamplesAreThoseOfTheCpu) {
   }
 }
 
-TEST(CudaStratified, ManyRaysAreCountedOverManyBlocks) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaStratified, ManyRaysAreCountedOverManyBlocks) {
   for (const std::int64_t rays : {1023, 1024, 4097, 65537}) {
     const Twins<Stratified> twins(StratifiedParams{3, Quadrature::paper});
     EXPECT_EQ(compare(twins.cpu, twins.device, context_at(9, true), random_rays(rays, 2, 7), nullptr, 0), "") << rays;
   }
 }
 
-TEST(CudaStratified, NoRaysNoLaunch) {
-  SEMFIELD_NEEDS_DEVICE();
+TEST_F(CudaStratified, NoRaysNoLaunch) {
   const Twins<Stratified> twins(StratifiedParams{});
   const HostRays none;
   DeviceLaunch launch(true);
