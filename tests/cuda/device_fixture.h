@@ -321,4 +321,32 @@ inline std::string near_norm(const DeviceMatrix<float>& got, View<const double> 
   return testkit::compare_norms<float, double>(host_view(values, want.cols), want, tolerance);
 }
 
+inline std::string near_norm(const DeviceMatrix<float>& got, const DeviceMatrix<float>& want, double tolerance) {
+  const std::vector<double> values = widen(want.read());
+  return near_norm(got, host_view(values, want.view().cols), tolerance);
+}
+
+/// The outputs that are wanted against those of a bench.
+inline void expect_outputs_near(const DeviceField& device, FieldBench<double>& bench, double tolerance,
+                                double floor = 1e-30, Wanted wanted = {}) {
+  const auto expect = [&](bool is_wanted, const DeviceMatrix<float>& got, View<const double> want, const char* what) {
+    EXPECT_EQ(is_wanted ? near(got, want, tolerance, floor) : "", "") << what;
+    EXPECT_EQ(got.surroundings(), "") << what;
+  };
+  expect(wanted.sigma, *device.sigma, bench.sigma.view(), "sigma");
+  expect(wanted.rgb, *device.rgb, bench.rgb.view(), "rgb");
+  expect(wanted.feature, *device.feature, bench.feature.view(), "feature");
+}
+/// Gradients of a bench's learned tensors by norm; `want` gives the tensor's of that number.
+template <class Real, class Want>
+void expect_gradients_near(const DeviceField& device, FieldBench<Real>& bench, double tolerance, const Want& want) {
+  for (std::size_t i = 0; i < bench.box.count(); ++i) {
+    if (!bench.box.learned(i)) continue;
+    EXPECT_EQ(near_norm(*device.grads[i], want(i), tolerance), "") << bench.box.specs()[i].name;
+  }
+}
+inline void expect_gradients_near(const DeviceField& device, FieldBench<double>& bench, double tolerance) {
+  expect_gradients_near(device, bench, tolerance, [&](std::size_t i) { return bench.box.grad(i); });
+}
+
 }  // namespace semfield::testing

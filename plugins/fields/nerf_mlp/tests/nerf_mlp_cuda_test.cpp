@@ -15,7 +15,6 @@ namespace semfield {
 namespace {
 
 using testing::DeviceField;
-using testing::near;
 using testing::near_norm;
 using namespace testkit;
 
@@ -67,21 +66,13 @@ struct Pair {
   double output() const { return bf16 ? 0.02 : 2e-5; }
   double gradient() const { return bf16 ? 0.25 : 2e-4; }
 
-  void expect_outputs() const {
-    EXPECT_EQ(near(*device.sigma, bench.sigma.view(), output()), "") << "sigma";
-    EXPECT_EQ(near(*device.rgb, bench.rgb.view(), output()), "") << "rgb";
-    EXPECT_EQ(near(*device.feature, bench.feature.view(), output()), "") << "feature";
-    for (const auto* m : {&device.sigma, &device.rgb, &device.feature}) EXPECT_EQ((*m)->surroundings(), "");
-  }
-  void expect_gradients(bool with_d_position) const {
+  void expect_outputs(Wanted wanted = {}) { testing::expect_outputs_near(device, bench, output(), 1e-30, wanted); }
+  void expect_gradients(bool with_d_position) {
     if (with_d_position) {
       EXPECT_EQ(near_norm(*device.d_position, bench.d_position.view(), gradient()), "") << "d_position";
       EXPECT_EQ(device.d_position->surroundings(), "");
     }
-    for (std::size_t i = 0; i < bench.box.count(); ++i) {
-      if (!bench.box.learned(i)) continue;
-      EXPECT_EQ(near_norm(*device.grads[i], bench.box.grad(i), gradient()), "") << bench.box.specs()[i].name;
-    }
+    testing::expect_gradients_near(device, bench, gradient());
   }
 
   NerfMlp<double> cpu;
@@ -141,15 +132,7 @@ TEST_F(CudaNerfMlp, OutputsAndGradientsThatAreAbsentChangeNoOther) {
         Pair pair(network, 130);
         pair.bench.forward();
         pair.device.forward(wanted, false);
-        if (wanted.sigma) {
-          EXPECT_EQ(near(*pair.device.sigma, pair.bench.sigma.view(), pair.output()), "");
-        }
-        if (wanted.rgb) {
-          EXPECT_EQ(near(*pair.device.rgb, pair.bench.rgb.view(), pair.output()), "");
-        }
-        if (wanted.feature) {
-          EXPECT_EQ(near(*pair.device.feature, pair.bench.feature.view(), pair.output()), "");
-        }
+        pair.expect_outputs(wanted);
         pair.device.forward();
         pair.bench.backward(wanted);
         pair.device.backward(wanted);
@@ -174,11 +157,6 @@ FieldBuild build_of(Device device, std::int32_t position_dims, std::int32_t dire
                     .position_dims = position_dims,
                     .direction_dims = direction_dims,
                     .precision = device == Device::cpu ? Precision::fp32 : Precision::bf16};
-}
-
-std::string near_norm(const DeviceMatrix<float>& got, const DeviceMatrix<float>& want, double tolerance) {
-  const std::vector<double> values = testing::widen(want.read());
-  return testing::near_norm(got, host_view(values, want.view().cols), tolerance);
 }
 
 /// The fused kernels and the layers one by one, from the same inputs.
@@ -206,10 +184,8 @@ void expect_same_network(const NerfMlpParams& params, std::int32_t position_dims
   EXPECT_EQ(near_norm(*fused.rgb, *layers.rgb, kOutput), "") << "rgb";
   EXPECT_EQ(near_norm(*fused.feature, *layers.feature, kOutput), "") << "feature";
   EXPECT_EQ(near_norm(*fused.d_position, *layers.d_position, kGradient), "") << "d_position";
-  for (std::size_t i = 0; i < fused.grads.size(); ++i) {
-    if (!bench.box.learned(i)) continue;
-    EXPECT_EQ(near_norm(*fused.grads[i], *layers.grads[i], kGradient), "") << bench.box.specs()[i].name;
-  }
+  testing::expect_gradients_near(fused, bench, kGradient,
+                                 [&](std::size_t i) -> const DeviceMatrix<float>& { return *layers.grads[i]; });
   for (const auto* m : {&fused.sigma, &fused.rgb, &fused.feature, &fused.d_position})
     EXPECT_EQ((*m)->surroundings(), "");
 }
@@ -243,13 +219,8 @@ TEST(CudaNerfMlpFused, IsTheCpusNetworkAndRepeatsBitForBit) {
     if (run == 0) first = device.all_grads(), sigma = device.sigma->read(), rgb = device.rgb->read();
     EXPECT_EQ(device.all_grads(), first) << "run " << run;
   }
-  EXPECT_EQ(near(*device.sigma, bench.sigma.view(), 0.02), "") << "sigma";
-  EXPECT_EQ(near(*device.rgb, bench.rgb.view(), 0.02), "") << "rgb";
-  EXPECT_EQ(near(*device.feature, bench.feature.view(), 0.02), "") << "feature";
-  for (std::size_t i = 0; i < bench.box.count(); ++i) {
-    if (!bench.box.learned(i)) continue;
-    EXPECT_EQ(testing::near_norm(*device.grads[i], bench.box.grad(i), 0.25), "") << bench.box.specs()[i].name;
-  }
+  testing::expect_outputs_near(device, bench, 0.02);
+  testing::expect_gradients_near(device, bench, 0.25);
   // Rows are the same alone as in the batch, and with nothing saved.
   device.forward({}, false);
   EXPECT_EQ(device.sigma->read(), sigma);

@@ -21,11 +21,6 @@ inline const KernelTables& device_tables() {
 }
 }  // namespace tiny
 
-inline std::string near_norm(const DeviceMatrix<float>& got, const DeviceMatrix<float>& want, double tolerance) {
-  const std::vector<double> values = widen(want.read());
-  return near_norm(got, host_view(values, want.view().cols), tolerance);
-}
-
 inline std::string near_norm(const DeviceMatrix<float>& got, View<const float> want, double tolerance) {
   std::vector<double> values;
   for (std::int64_t r = 0; r < want.rows; ++r) values.insert(values.end(), want.row(r), want.row(r) + want.cols);
@@ -107,20 +102,12 @@ Tolerances tolerances(Precision precision) {
 void expect_oracle(const OnDevice& device, FieldBench<double>& bench, const Tolerances& t, const Wanted& outputs,
                    bool with_d_position) {
   constexpr double kSumOfTerms = 0.05;  // a single output may cancel; its terms do not
-  if (outputs.sigma) {
-    EXPECT_EQ(near(*device.sigma, bench.sigma.view(), t.output, kSumOfTerms), "") << "sigma";
-    EXPECT_EQ(near(*device.rgb, bench.rgb.view(), t.output, kSumOfTerms), "") << "rgb";
-  }
-  EXPECT_EQ(near(*device.feature, bench.feature.view(), t.output, kSumOfTerms), "") << "feature";
+  testing::expect_outputs_near(device, bench, t.output, kSumOfTerms, outputs);
   if (with_d_position) {
     EXPECT_EQ(near_norm(*device.d_position, bench.d_position.view(), t.gradient), "") << "d_position";
   }
-  for (std::size_t i = 0; i < bench.box.count(); ++i) {
-    if (!bench.box.learned(i)) continue;
-    EXPECT_EQ(near_norm(*device.grads[i], bench.box.grad(i), t.gradient), "") << bench.box.specs()[i].name;
-  }
-  for (const auto* matrix : {&device.sigma, &device.rgb, &device.feature, &device.d_position})
-    EXPECT_EQ((*matrix)->surroundings(), "");
+  testing::expect_gradients_near(device, bench, t.gradient);
+  EXPECT_EQ(device.d_position->surroundings(), "");
 }
 
 void expect_like_the_oracle(const Network& network, std::int64_t samples, std::int32_t padding, Wanted gradients = {},
