@@ -28,7 +28,7 @@ template <class Real>
 class Bent final : public ToyEncoder<Real> {
  public:
   Bent(const ToyParams& params, const EncoderBuild& build, const KernelTables& kernels)
-      : ToyEncoder<Real>(params, build, kernels, Break::wrong_dx) {}
+      : ToyEncoder<Real>(params, build, kernels, "wrong_dx") {}
 };
 void register_bent(Registry& registry);
 void register_bent(Registry& registry) {
