@@ -16,7 +16,7 @@
 #include "core/error.h"
 #include "eval/image_output.h"
 #include "objects/object_set.h"
-#include "report/html.h"
+#include "report/report.h"
 #include "run/run_folder.h"
 #include "scene/scene.h"
 #include "surface/mesh/surface.h"

@@ -7,7 +7,7 @@
 #include "config/compose.h"
 #include "config/explain.h"
 #include "config/schema.h"
-#include "report/sweep/sweep_file.h"
+#include "report/sweep.h"
 #include "session/settings/run_config.h"
 #include "session/settings/run_identity.h"
 

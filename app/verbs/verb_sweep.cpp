@@ -4,24 +4,27 @@
 
 #include <algorithm>
 #include <cstdio>
+#include <filesystem>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "app/child_process.h"
 #include "app/json_output.h"
+#include "app/scene/folder_scene.h"
 #include "app/signals.h"
-#include "app/sweep/cell_pool.h"
-#include "app/sweep/pack_cells.h"
-#include "app/sweep/sweep_folder.h"
+#include "app/sweep/sweep_work.h"
 #include "app/terminal.h"
 #include "app/verb.h"
 #include "compute/parallel.h"
 #include "core/error.h"
 #include "core/view.h"
+#include "core/workspace.h"
 #include "execution/device_library.h"
 #include "execution/ranks/ranks.h"
-#include "report/sweep/sweep_results.h"
+#include "loading/packed_scene.h"
+#include "report/sweep.h"
+#include "session/settings/run_config.h"
 #include "system/process.h"
 
 namespace semfield::app {
@@ -204,6 +207,45 @@ class SweepProgress {
   std::size_t ran_ = 0;
   double seconds_ = 0;
 };
+
+// A packed copy whose header and list of frames are whole. Cells check what they read of it.
+bool is_packed(const std::string& file, const SweepNote& note) {
+  if (!std::filesystem::exists(file)) return false;
+  try {
+    const PackedScene scene(file);
+    return true;
+  } catch (const Error& error) {
+    if (error.kind() != ErrorKind::data) throw;
+    note(error.message());
+    return false;
+  }
+}
+
+void pack_scene_of(const Cell& cell, const std::string& file, Registry& registry) {
+  Diagnostics diagnostics;
+  const RunConfig config = read_run_config(parse_config_text(cell.config, "cell"), registry, diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::config, "");
+  WorkSettings work = work_settings();
+  work.limits = &config.limits;
+  const WorkScope scope(work);
+  const std::unique_ptr<Dataset> dataset = config.dataset.entry->dataset(*config.dataset.params, {config.base_dir});
+  PackOptions whole;
+  whole.depth_as_mm = false;  // the same bits as from the dataset
+  pack_scene(*dataset, file, SceneLoadOptions{}, whole, diagnostics);
+}
+
+// Packs the scenes that cells share (Cell::pack) into FOLDER/scenes/, those that are not there yet or are damaged. One
+// process at a time does so; the others wait for it, and `note` says so.
+void pack_scenes(const std::vector<Cell>& cells, const std::string& folder, Registry& registry, const SweepNote& note) {
+  if (std::all_of(cells.begin(), cells.end(), [](const Cell& cell) { return cell.pack.empty(); })) return;
+  const FolderLock alone = lock_when_free((std::filesystem::path(folder) / "scenes").string(), note);
+  for (const Cell& cell : cells) {
+    const std::string file = cell.pack.empty() ? "" : pack_file(folder, cell);
+    if (file.empty() || is_packed(file, note)) continue;
+    note("packing the scene '" + cell.scene + "'");
+    pack_scene_of(cell, file, registry);
+  }
+}
 
 // This process's part of the work. Throws what went wrong here, which need not go wrong in the other processes.
 int work(const SweepOptions& options, const Sweep& sweep, const std::vector<Cell>& cells, const Place& place,

@@ -6,17 +6,38 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <array>
+#include <atomic>
 #include <chrono>
+#include <cmath>
+#include <condition_variable>
+#include <cstdio>
 #include <exception>
+#include <filesystem>
+#include <functional>
 #include <memory>
+#include <mutex>
+#include <sstream>
 #include <thread>
 
 #include "app/child_process.h"
+#include "app/objects/object_files.h"
+#include "app/render/run_surface.h"
+#include "app/render/scene_page.h"
 #include "app/scene/inspect_report.h"
+#include "app/serve/page_pictures.h"
+#include "app/serve/page_requests.h"
+#include "app/serve/page_server.h"
 #include "app/signals.h"
-#include "app/view/view_server.h"
 #include "core/error.h"
+#include "eval/channel_query.h"
+#include "eval/image_output.h"
+#include "report/report.h"
+#include "run/run_folder.h"
 #include "run/run_scores.h"
+#include "scene/camera.h"
+#include "serve/label_loop.h"
 
 #endif
 
@@ -33,12 +54,438 @@ struct ViewVerbOptions {
 
 #ifdef SEMFIELD_WITH_SERVE
 
+namespace fs = std::filesystem;
+
+constexpr long long kCoarseCells = 64, kFineCells = 256;
+constexpr std::int64_t kCoarseRays = 120'000, kFineRays = 3'000'000;
+constexpr std::int64_t kBandRays = 16'384;  // between two looks at whether anybody still waits
+constexpr int kQuality = 90;
+
+// What a picture shows: one of the page's modes.
+struct ViewPicture {
+  FreeCamera camera;
+  std::int32_t width_px = 0, height_px = 0;
+  std::string map;               // photo, class, object, entropy, depth or probability
+  int class_index = 0;           // of probability
+  double near_m = 0, far_m = 1;  // of depth's colours
+};
+
+// A run that somebody looks at. Every call may come from any thread. The field works for one at a time: pictures and
+// points come between the views of a mesh that is being made.
+class ViewedRun {
+ public:
+  // Tables of its objects that lack a saved edit are written anew; where they cannot be, a line of the page says so.
+  explicit ViewedRun(OpenedRun run)
+      : run_(std::move(run)),
+        work_(run_.session.work()),
+        objects_((fs::path(run_.run_dir) / "objects").string(), run_.session.scene.info) {
+    page_ = scene_page_of(run_.session, run_.run_dir, run_.step, upright_of(run_.session).value_or(Vec3d{0, 1, 0}));
+    try {
+      objects_.mend();
+    } catch (const Error& e) {
+      if (e.kind() == ErrorKind::data) throw;
+      page_.about.push_back("The tables of the objects lack edits that are saved: " + e.message() + ".");
+    }
+    show_objects(objects_.look());
+  }
+
+  const std::string& folder() const { return run_.run_dir; }
+  std::string name() const { return page_.run; }
+  std::int64_t step() const { return run_.step; }
+  // Step of the newest checkpoint in the folder.
+  std::int64_t newest_step() const {
+    const std::vector<CheckpointStore::Entry> all =
+        CheckpointStore::read(RunFolder::read(run_.run_dir).checkpoints_path()).list();
+    return all.empty() ? run_.step : all.front().step;
+  }
+
+  // scene_bytes of a coarse mesh, which is there soon, or of one as `semfield mesh` makes it. A field without a surface
+  // gives an empty mesh, and says so among the lines of the page.
+  std::string scene(bool fine) {
+    const std::shared_ptr<const RunSurface> made = surface(fine);
+    const std::scoped_lock lock(page_lock_);
+    const EditedObjects* const now = objects_.look();  // another program may have changed them
+    show_objects(now);
+    const std::size_t edits = now == nullptr ? 0 : now->edits.edits.size();
+    ScenePage page = page_;
+    if (made->surface.triangles.empty()) page.about.push_back(trouble_ + ": the field is seen when the camera rests.");
+    return scene_bytes(made->surface, run_.session.scene.info.classes, page,
+                       json_text({{"fine", fine}, {"edits", edits}, {"state", shown_}}));
+  }
+
+  // JPEG. Empty once `abandoned`. Throws Error(data) for a class that is not there, and for maps that the run lacks.
+  std::vector<std::uint8_t> picture(const ViewPicture& wanted, const std::function<bool()>& abandoned) {
+    const bool of_class = wanted.map == "class" || wanted.map == "entropy" || wanted.map == "probability";
+    if (of_class) check_class(wanted.class_index);
+    FrameOptions options;
+    options.probability = wanted.map == "probability";
+    options.classes = run_.session.classes();
+    options.color = !(wanted.map == "entropy" || wanted.map == "depth" || wanted.map == "probability");
+    const RayCamera camera = wanted.camera.rays(wanted.width_px, wanted.height_px);
+    std::vector<std::uint8_t> rgb;
+    const std::int64_t rows_at_once = std::max<std::int64_t>(1, kBandRays / wanted.width_px);
+    for (std::int32_t row = 0; row < wanted.height_px; row += static_cast<std::int32_t>(rows_at_once)) {
+      if (abandoned()) return {};
+      RayCamera band = camera;
+      band.camera.height_px = std::min<std::int32_t>(static_cast<std::int32_t>(rows_at_once), wanted.height_px - row);
+      band.camera.cy -= row;
+      RenderedFrame frame;
+      {
+        const Turn turn(*this, true);
+        frame = render_frame(*run_.session.pipeline, band, run_.session.limits, run_.session.plan.class_of_logit, {},
+                             options);
+      }
+      paint(wanted, band, frame, rgb);
+    }
+    return encode_jpeg(wanted.width_px, wanted.height_px, rgb, kQuality);
+  }
+
+  // {"classes": [{"name", "probability"}, ...] the most probable first, "object": name or null} as JSON.
+  std::string point(Vec3d place) {
+    const Session& s = run_.session;
+    FieldPoints at;
+    {
+      const Turn turn(*this, true);
+      at = field_at(*s.pipeline, {&place, 1}, {}, s.limits, s.plan.class_of_logit, s.classes());
+    }
+    std::vector<std::pair<float, int>> order;
+    for (int c = 0; c < std::ssize(at.probability); ++c)
+      order.emplace_back(-at.probability[static_cast<std::size_t>(c)], c);
+    std::sort(order.begin(), order.end());
+    Json classes = Json::array();
+    for (const auto& [negative, c] : order)
+      if (negative < -0.005F || classes.empty())
+        classes.push_back({{"name", s.scene.info.classes.valid(c).name}, {"probability", -negative}});
+    Json out{{"classes", classes}, {"object", nullptr}};
+    if (!at.entropy.empty()) out["entropy"] = at.entropy[0];
+    const std::scoped_lock lock(page_lock_);
+    if (!page_.objects) return json_text(out);
+    const std::int32_t id = page_.objects->at(place);
+    if (id > 0)
+      out["object"] = object_name(page_.objects->rows[static_cast<std::size_t>(id) - 1], s.scene.info.classes);
+    return json_text(out);
+  }
+
+  // The probability of a class at every vertex of a mesh, 0 to 255. Throws Error(data) for a class that is not there.
+  std::string probability(int class_index, bool fine) {
+    check_class(class_index);
+    const std::shared_ptr<const RunSurface> made = surface(fine);
+    const Session& s = run_.session;
+    const Turn turn(*this, true);
+    const FieldPoints at =
+        field_at(*s.pipeline, made->surface.positions, {}, s.limits, s.plan.class_of_logit, s.classes());
+    std::string out;
+    for (std::size_t i = static_cast<std::size_t>(class_index); i < at.probability.size();
+         i += static_cast<std::size_t>(s.classes()))
+      out += static_cast<char>(std::lround(255 * std::clamp(at.probability[i], 0.0F, 1.0F)));
+    return out;
+  }
+
+  // Applies and keeps an edit of the objects that have the state `made_on`; none: takes the last one back. {"objects",
+  // "ids", "edits", "state", "said"} as JSON, ids as base64 of 16 bits for every vertex. Throws as ObjectFolder::edit;
+  // nothing has changed then.
+  std::string edit(const std::optional<ObjectEdit>& edit, const std::string& made_on, bool fine) {
+    const std::shared_ptr<const RunSurface> made = surface(fine);
+    const std::scoped_lock lock(page_lock_);
+    const EditedObjects& now = objects_.edit(edit, made_on);
+    show_objects(&now);
+    const std::vector<std::uint16_t> ids = vertex_objects(made->surface, now.set);
+    const std::span<const std::uint8_t> bytes(reinterpret_cast<const std::uint8_t*>(ids.data()), 2 * ids.size());
+    return json_text({{"objects", Json::parse(page_objects_json(now.set, run_.session.scene.info.classes))},
+                      {"ids", base64(bytes)},
+                      {"edits", now.edits.edits.size()},
+                      {"state", shown_},
+                      {"said", edit ? "Saved." : "The last edit is taken back."}});
+  }
+
+ private:
+  // The field for one call; calls take turns in the order in which they come. What a person waits for comes before a
+  // mesh, which gives the field back between its views.
+  class Turn {
+   public:
+    Turn(ViewedRun& run, bool hurried) : run_(run), hurried_(hurried), scope_(run.work_) {
+      if (hurried_) ++run_.hurried_;
+      take();
+    }
+    ~Turn() {
+      if (hurried_) --run_.hurried_;
+      give();
+    }
+    Turn(const Turn&) = delete;
+    Turn& operator=(const Turn&) = delete;
+    void let_others() {
+      while (run_.hurried_ > 0) {
+        give();
+        take();
+      }
+    }
+
+   private:
+    void take() {
+      std::unique_lock lock(run_.field_lock_);
+      const std::uint64_t own = run_.last_turn_++;
+      run_.field_free_.wait(lock, [&] { return run_.turn_ == own; });
+    }
+    void give() {
+      {
+        const std::scoped_lock lock(run_.field_lock_);
+        ++run_.turn_;
+      }
+      run_.field_free_.notify_all();
+    }
+
+    ViewedRun& run_;
+    bool hurried_;
+    WorkScope scope_;
+  };
+
+  void show_objects(const EditedObjects* now) {
+    if (now == nullptr) page_.objects.reset();
+    if (now != nullptr && (!page_.objects || shown_ != objects_.state())) page_.objects = now->set;
+    shown_ = objects_.state();
+  }
+
+  std::shared_ptr<const RunSurface> surface(bool fine) {
+    const auto which = static_cast<std::size_t>(fine);
+    const std::scoped_lock made_once(surface_lock_[which]);
+    if (surface_[which]) return surface_[which];
+    SurfaceWishes wishes;
+    wishes.resolution = fine ? kFineCells : kCoarseCells;
+    wishes.depth_rays = fine ? kFineRays : kCoarseRays;
+    Turn turn(*this, false);
+    SurfaceNews news;
+    news.views = [&](double, double) { turn.let_others(); };
+    RunSurface made;
+    try {
+      made = make_run_surface(run_.session, run_.run_dir, wishes, {}, news);
+    } catch (const Error& e) {
+      if (e.kind() != ErrorKind::data) throw;
+      const std::scoped_lock lock(page_lock_);
+      trouble_ = e.message();
+    }
+    surface_[which] = std::make_shared<const RunSurface>(std::move(made));
+    return surface_[which];
+  }
+
+  void check_class(int class_index) const {
+    if (!run_.session.pipeline->has_semantics())
+      throw Error(ErrorKind::data, "run.semantics.none", run_.run_dir + ": the run has no semantics",
+                  "train with labels");
+    if (class_index < 0 || class_index >= run_.session.classes())
+      throw Error(ErrorKind::data, "view.class.unknown", fmt::format("class {} is not there", class_index),
+                  fmt::format("number them from 0 to {}", run_.session.classes() - 1));
+  }
+
+  void paint(const ViewPicture& wanted, const RayCamera& band, const RenderedFrame& frame,
+             std::vector<std::uint8_t>& rgb) const {
+    const auto add = [&](const std::vector<std::uint8_t>& part) { rgb.insert(rgb.end(), part.begin(), part.end()); };
+    const std::size_t pixels = frame.opacity.size();
+    if (wanted.map == "photo") return add(to_bytes(frame.rgb));
+    if (wanted.map == "depth") return add(depth_colors(frame.depth_m, wanted.near_m, wanted.far_m));
+    if (wanted.map == "entropy")
+      return add(entropy_colors(frame.entropy, static_cast<int>(run_.session.plan.class_of_logit.size())));
+    if (wanted.map == "probability") {
+      const auto classes = static_cast<std::size_t>(run_.session.classes());
+      for (std::size_t i = 0; i < pixels; ++i) {
+        const auto color = perceptual_color(
+            static_cast<double>(frame.probability[i * classes + static_cast<std::size_t>(wanted.class_index)]));
+        rgb.insert(rgb.end(), color.begin(), color.end());
+      }
+      return;
+    }
+    // Classes and objects keep the light of the picture, so that a form is seen.
+    const std::vector<std::uint8_t> of_class = wanted.map == "class"
+                                                   ? label_colors(frame.label, run_.session.scene.info.classes)
+                                                   : std::vector<std::uint8_t>();
+    const std::scoped_lock lock(page_lock_);
+    const auto width = static_cast<std::size_t>(frame.width_px);
+    for (std::size_t i = 0; i < pixels; ++i) {
+      const double light = 0.3 * static_cast<double>(frame.rgb[3 * i]) +
+                           0.6 * static_cast<double>(frame.rgb[3 * i + 1]) +
+                           0.1 * static_cast<double>(frame.rgb[3 * i + 2]);
+      std::array<double, 3> color{0.35 * 255 * light + 30, 0.35 * 255 * light + 30, 0.35 * 255 * light + 30};
+      if (!of_class.empty())
+        for (std::size_t k = 0; k < 3; ++k) color[k] = of_class[3 * i + k] * (0.55 + 0.45 * light);
+      if (of_class.empty() && page_.objects && frame.opacity[i] >= kSurfaceOpacity) {
+        const double z = static_cast<double>(frame.depth_m[i] / frame.opacity[i]);
+        const Vec3d ray{(static_cast<double>(i % width) + 0.5 - band.camera.cx) / band.camera.fx,
+                        (static_cast<double>(i / width) + 0.5 - band.camera.cy) / band.camera.fy, 1};
+        if (const std::int32_t id = page_.objects->at(band.world_from_camera.apply(ray * z)); id > 0)
+          for (std::size_t k = 0; k < 3; ++k) color[k] = ClassTable::default_color(id)[k] * (0.55 + 0.45 * light);
+      }
+      for (const double value : color) rgb.push_back(static_cast<std::uint8_t>(std::lround(std::min(value, 255.0))));
+    }
+  }
+
+  OpenedRun run_;
+  WorkSettings work_;
+  ScenePage page_;
+  ObjectFolder objects_;
+  std::string shown_;             // the state of page_.objects
+  std::string trouble_;           // of the surface
+  mutable std::mutex page_lock_;  // of page_, objects_ and shown_
+  std::mutex field_lock_;         // of these two; the field belongs to the call whose turn it is
+  std::uint64_t turn_ = 0, last_turn_ = 0;
+  std::condition_variable field_free_;
+  std::atomic<int> hurried_{0};  // pictures and points that wait or are made
+  std::array<std::mutex, 2> surface_lock_;
+  std::array<std::shared_ptr<const RunSurface>, 2> surface_;  // coarse, fine
+};
+
+constexpr std::size_t kMostFilmFrames = 20'000;
+constexpr std::int32_t kMostFilmSide = 4096;
+
+HttpResponse json_text_answer(std::string text) { return {200, "application/json", std::move(text)}; }
+HttpResponse bytes(std::string data) { return {200, "application/octet-stream", std::move(data)}; }
+
+std::int32_t number_in(const Json& root, const char* key, std::int32_t low, std::int32_t high) {
+  if (!root.contains(key)) refuse_request(std::string("key '") + key + "' is missing");
+  std::int32_t value = 0;
+  read_request_number(root, key, low, high, value);
+  return value;
+}
+
+double real_in(const Json& root, const char* key, double low, double high) {
+  const auto found = root.find(key);
+  if (found == root.end() || !found->is_number() || !(found->get<double>() >= low && found->get<double>() <= high))
+    refuse_request(fmt::format("'{}': expected a number from {:g} to {:g}", key, low, high));
+  return found->get<double>();
+}
+
+std::string word_in(const Json& root, const char* key) {
+  const auto found = root.find(key);
+  if (found == root.end() || !found->is_string()) refuse_request(std::string("'") + key + "': expected a word");
+  return found->get<std::string>();
+}
+
+// Lines of 12 numbers, rows of world_from_camera.
+CameraSet film_cameras(const std::string& lines, std::int32_t width, std::int32_t height, double fov_deg) {
+  CameraSet set;
+  std::istringstream in(lines);
+  for (std::string line; std::getline(in, line);) {
+    std::istringstream words(line);
+    PlacedCamera placed{
+        fmt::format("{:05}", set.cameras.size()), FreeCamera{{}, fov_deg}.rays(width, height).camera, {}};
+    for (int k = 0; k < 12; ++k) {
+      double value = 0;
+      if (!(words >> value) || !std::isfinite(value))
+        refuse_request(fmt::format("'path': line {} has not 12 numbers", set.cameras.size() + 1));
+      const int row = k / 4, column = k % 4;
+      if (column == 3) {
+        placed.world_from_camera.t[row] = value;
+      } else {
+        placed.world_from_camera.r[static_cast<std::size_t>(row)][static_cast<std::size_t>(column)] = value;
+      }
+    }
+    if (set.cameras.size() >= kMostFilmFrames)
+      refuse_request(fmt::format("'path': more than {} lines", kMostFilmFrames));
+    set.cameras.push_back(std::move(placed));
+  }
+  if (set.cameras.size() < 2) refuse_request("'path': fewer than two lines");
+  return set;
+}
+
+// The page of one or two runs, which must outlive it, and its places over HTTP.
+class ViewServer final : public PageHost {
+ public:
+  // `films`: exports of the first run. Serves when it returns. Throws as free_port does.
+  ViewServer(std::vector<ViewedRun*> runs, HttpOptions http, bool next_port, ExportOptions films, std::string text)
+      : PageHost(nullptr, std::move(films), "film/", "docs/guide/viewing.md"), runs_(std::move(runs)) {
+    http.most_body_bytes = std::size_t{8} << 20;  // a path of the camera
+    HttpResponse page{200, "text/html; charset=utf-8", std::move(text)};
+    page.own_code = true;
+    const auto surface = [this](const HttpRequest& r) {
+      return bytes(run(query_number(r.query, "run", 0, 1)).scene(query_number(r.query, "fine", 0, 1) == 1));
+    };
+    const auto probability = [this](const HttpRequest& r) {
+      return bytes(run(query_number(r.query, "run", 0, 1))
+                       .probability(static_cast<int>(query_number(r.query, "class", 0, 65535)),
+                                    query_number(r.query, "fine", 0, 1) == 1));
+    };
+    const auto point = [this](const HttpRequest& r) {
+      const Json root = parse_request(r.body, {"run", "at"});
+      const std::array<double, 3> at = request_numbers<3>(root, "at", 1e9);
+      return json_text_answer(
+          run(static_cast<std::uint64_t>(number_in(root, "run", 0, 1))).point({at[0], at[1], at[2]}));
+    };
+    open(new_token(), std::move(http), next_port,
+         {{"", {"GET", [page](const HttpRequest&) { return page; }}},
+          {"surface", {"GET", surface}},
+          {"probability", {"GET", probability}},
+          {"state", {"GET", [this](const HttpRequest&) { return get_state(); }}},
+          {"picture", {"POST", [this](const HttpRequest& r) { return post_picture(r); }}},
+          {"point", {"POST", point}},
+          {"edit", {"POST", [this](const HttpRequest& r) { return post_edit(r); }}},
+          {"film", {"POST", [this](const HttpRequest& r) { return post_film(r); }}}});
+  }
+  ~ViewServer() override { close(); }
+
+ private:
+  ViewedRun& run(std::uint64_t number) const {
+    if (number >= runs_.size()) refuse_request(fmt::format("run {} is not there", number), "count from 0");
+    return *runs_[number];
+  }
+
+  HttpResponse get_state() const {
+    Json runs = Json::array(), films = Json::array();
+    for (const ViewedRun* one : runs_)
+      runs.push_back({{"name", one->name()}, {"step", one->step()}, {"newest", one->newest_step()}});
+    for (const ExportState& film : exports_.list())
+      films.push_back({{"id", film.id}, {"state", film.state}, {"text", film.text}, {"files", film.files}});
+    return json_answer({{"runs", runs}, {"films", films}});
+  }
+
+  HttpResponse post_picture(const HttpRequest& request) const {
+    const Json root = parse_request(request.body, {"run", "camera", "width", "height", "map", "class", "near", "far"});
+    ViewPicture wanted;
+    if (!root.contains("camera")) refuse_request("key 'camera' is missing");
+    wanted.camera = read_request_camera(root["camera"]);
+    wanted.width_px = number_in(root, "width", 1, kMostPictureSide);
+    wanted.height_px = number_in(root, "height", 1, kMostPictureSide);
+    wanted.map = word_in(root, "map");
+    const std::vector<std::string> maps{"photo", "class", "object", "entropy", "depth", "probability"};
+    if (std::find(maps.begin(), maps.end(), wanted.map) == maps.end())
+      refuse_request_value("map", "photo, class, object, entropy, depth or probability", root["map"]);
+    read_request_number(root, "class", 0, 65535, wanted.class_index);
+    if (wanted.map == "depth") {
+      wanted.near_m = real_in(root, "near", 0, 1e9);
+      wanted.far_m = real_in(root, "far", 0, 1e9);
+    }
+    const std::vector<std::uint8_t> jpeg =
+        run(static_cast<std::uint64_t>(number_in(root, "run", 0, 1))).picture(wanted, [&] {
+          return request.abandoned();
+        });
+    return {200, "image/jpeg", std::string(jpeg.begin(), jpeg.end())};
+  }
+
+  HttpResponse post_edit(const HttpRequest& request) const {
+    Json root = parse_request(request.body, {"do", "object", "objects", "name", "at", "plane", "fine", "made_on"});
+    bool fine = false;
+    read_request_flag(root, "fine", fine);
+    const std::string made_on = word_in(root, "made_on");
+    root.erase("fine");
+    root.erase("made_on");
+    if (word_in(root, "do") == "undo") return json_text_answer(run(0).edit(std::nullopt, made_on, fine));
+    return json_text_answer(run(0).edit(parse_object_edit(root.dump(), "request"), made_on, fine));
+  }
+
+  HttpResponse post_film(const HttpRequest& request) {
+    const Json root = parse_request(request.body, {"path", "width", "height", "fov_deg"});
+    const CameraSet cameras =
+        film_cameras(word_in(root, "path"), number_in(root, "width", 16, kMostFilmSide),
+                     number_in(root, "height", 16, kMostFilmSide), real_in(root, "fov_deg", 1, 170));
+    const auto write = [&](const std::string& folder) { write_cameras(folder + "/path.json", cameras); };
+    return json_answer({{"id", exports_.start(ExportKind::film, write)}});
+  }
+
+  std::vector<ViewedRun*> runs_;
+};
+
 int run(const ViewVerbOptions& options, AppContext& context) {
-  ViewOptions view;
-  view.http.address = options.address;
-  view.http.port = options.port.value_or(kUsualPort);
-  view.next_port = !options.port;
-  (void)free_port(view.http.address, view.http.port, view.next_port);  // before anything that takes time
+  HttpOptions http;
+  http.address = options.address;
+  http.port = options.port.value_or(kUsualPort);
+  (void)free_port(http.address, http.port, !options.port);  // before anything that takes time
   install_stop_signals(!context.quiet);
   std::vector<std::unique_ptr<ViewedRun>> runs;
   for (const std::string& one : {options.run, options.with})
@@ -50,9 +497,9 @@ int run(const ViewVerbOptions& options, AppContext& context) {
     shown.push_back(one.get());
     names.push_back(one->name());
   }
-  view.page = live_page_text(runs.front()->name(), names);
-  view.films = {own_program(), runs.front()->folder(), context.registry.module_files()};
-  const ViewServer server(shown, std::move(view));
+  const ViewServer server(shown, http, !options.port,
+                          {own_program(), runs.front()->folder(), context.registry.module_files()},
+                          live_page_text(runs.front()->name(), names));
   // While the browser loads the page. What fails here fails for the page too, which says why.
   const std::jthread meshes([&shown] {
     for (ViewedRun* one : shown) {

@@ -2,6 +2,9 @@
 // JSON in it, which page/report.js draws when the page is opened.
 #pragma once
 
+#include <cstdint>
+#include <map>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -28,5 +31,20 @@ std::string report_page(std::string_view json, const std::string& scene = {});
 /// returns its path.
 std::string write_run_report(const RunFolder& folder, const Session& session, const ReportFrames& frames,
                              const std::string& scene = {});
+
+// Pieces of HTML pages that stand alone.
+
+/// Text made safe for element content and quoted attributes: & < > " ' are escaped, control characters become U+FFFD.
+std::string html_escape(std::string_view text);
+
+/// Standard base64 with padding [RFC4648, Sec. 4].
+std::string base64(std::span<const std::uint8_t> bytes);
+
+/// JSON for a script element: nothing in it may end the element.
+std::string script_json(std::string json);
+
+/// `page` with every place of `parts` filled; what fills one is not looked at again, whatever it holds. Throws
+/// Error(no_input) where a place is missing.
+std::string filled_page(const std::string& page, std::map<std::string, std::string> parts);
 
 }  // namespace semfield

@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cmath>
 #include <iterator>
+#include <numbers>
 #include <numeric>
 #include <set>
 #include <unordered_map>
@@ -11,6 +12,7 @@
 #include <utility>
 
 #include "compute/parallel.h"
+#include "eval/metrics.h"
 #include "serve/view_pictures.h"
 
 namespace semfield {
@@ -19,11 +21,19 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
+// body(i) for every i below `count`, a thousand in a row by one thread.
+template <class Body>
+void for_each_index(std::size_t count, const Body& body) {
+  constexpr std::size_t kBlock = 1024;
+  parallel_for(static_cast<std::int64_t>((count + kBlock - 1) / kBlock), [&](std::int64_t block) {
+    const std::size_t begin = static_cast<std::size_t>(block) * kBlock;
+    for (std::size_t i = begin; i < std::min(count, begin + kBlock); ++i) body(i);
+  });
+}
+
 constexpr double kAlikeColor = 24;        // of 255, a channel
 constexpr double kAlikeDistance = 0.03;   // of the distance
 constexpr std::size_t kMostPixels = 256;  // of a stroke
-
-double spent_since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
 
 std::uint64_t key_of(const LabelledPixels& click) {
   std::uint64_t hash = 0xcbf29ce484222325ull;
@@ -111,7 +121,7 @@ bool NamedPlaces::find(std::span<const LabelledPixels> clicks, const Surface& su
     Known& known = known_[keys_.back()];
     known.turn = turn_;
     if (known.age > 0) continue;
-    if (!first && spent_since(start) >= budget_s) {
+    if (!first && seconds_since(start) >= budget_s) {
       all = false;
       continue;
     }
@@ -124,7 +134,7 @@ bool NamedPlaces::find(std::span<const LabelledPixels> clicks, const Surface& su
 
 void NamedPlaces::refresh(std::span<const LabelledPixels> clicks, const Surface& surface, double budget_s) {
   const Clock::time_point start = Clock::now();
-  for (std::size_t i = 0; i < keys_.size() && spent_since(start) < budget_s; ++i) {
+  for (std::size_t i = 0; i < keys_.size() && seconds_since(start) < budget_s; ++i) {
     Known& known = known_.at(keys_[i]);
     if (known.age == 0 || known.age == age_) continue;
     look_for(known, clicks[i], surface);
@@ -132,6 +142,19 @@ void NamedPlaces::refresh(std::span<const LabelledPixels> clicks, const Surface&
 }
 
 std::span<const Vec3d> NamedPlaces::of(std::size_t i) const { return known_.at(keys_.at(i)).places; }
+
+RayCamera FreeCamera::rays(std::int32_t width_px, std::int32_t height_px) const {
+  RayCamera rays;
+  rays.undistort = false;
+  rays.world_from_camera = world_from_camera;
+  Camera& camera = rays.camera;
+  camera.width_px = width_px;
+  camera.height_px = height_px;
+  camera.fx = camera.fy = width_px / (2 * std::tan(fov_deg / 360 * std::numbers::pi));
+  camera.cx = width_px / 2.0;
+  camera.cy = height_px / 2.0;
+  return rays;
+}
 
 namespace {
 
@@ -187,7 +210,7 @@ bool LabelLoop::update_surfaces(double budget_s) {
   for (std::size_t v = 0; v < pooled_; ++v) {
     if (!due(views_[v])) continue;
     views_[v].map = map_of(static_cast<int>(v), stride_);
-    if (spent_since(start) >= budget_s) return false;
+    if (seconds_since(start) >= budget_s) return false;
   }
   const auto oldest = std::min_element(pooled().begin(), pooled().end(),
                                        [](const PoolView& a, const PoolView& b) { return a.map.step < b.map.step; });
@@ -225,21 +248,18 @@ void LabelLoop::weigh_by_way(std::span<const std::int32_t> points, double temper
   const auto width = static_cast<std::size_t>(classes());
   const auto fold = static_cast<float>(options_.graph_cost > 0 ? 1 / options_.graph_cost : 0);
   const auto power = static_cast<float>(1 / temperature);
-  parallel_for((std::ssize(points) + 1023) / 1024, [&](std::int64_t block) {
-    for (auto i = static_cast<std::size_t>(block * 1024);
-         i < std::min(points.size(), static_cast<std::size_t>((block + 1) * 1024)); ++i) {
-      const std::span<float> row = probability.subspan(i * width, width);
-      if (points[i] >= 0) {
-        const Settled& s = graph_.settled()[static_cast<std::size_t>(points[i])];
-        const float factor = std::exp(-std::min(s.cost[1] - s.cost[0], kMostLead) * fold);
-        for (std::size_t c = 0; c < width && s.class_index[0] != kVoid; ++c)
-          if (static_cast<std::int16_t>(c) != s.class_index[0]) row[c] *= factor;
-      }
-      float sum = 0;
-      for (float& p : row) sum += p = power == 1 || p == 0 ? p : std::pow(p, power);
-      if (sum > 0)
-        for (float& p : row) p /= sum;
+  for_each_index(points.size(), [&](std::size_t i) {
+    const std::span<float> row = probability.subspan(i * width, width);
+    if (points[i] >= 0) {
+      const Settled& s = graph_.settled()[static_cast<std::size_t>(points[i])];
+      const float factor = std::exp(-std::min(s.cost[1] - s.cost[0], kMostLead) * fold);
+      for (std::size_t c = 0; c < width && s.class_index[0] != kVoid; ++c)
+        if (static_cast<std::int16_t>(c) != s.class_index[0]) row[c] *= factor;
     }
+    float sum = 0;
+    for (float& p : row) sum += p = power == 1 || p == 0 ? p : std::pow(p, power);
+    if (sum > 0)
+      for (float& p : row) p /= sum;
   });
 }
 
@@ -247,11 +267,7 @@ std::vector<float> LabelLoop::probabilities(const PointRows& rows, std::span<con
   std::vector<float> out = learner_.probabilities(rows, live_);
   std::vector<std::int32_t> points(places.size());
   const WorkScope scope(pipeline_.options().work);
-  parallel_for((std::ssize(places) + 1023) / 1024, [&](std::int64_t block) {
-    for (auto i = static_cast<std::size_t>(block * 1024);
-         i < std::min(places.size(), static_cast<std::size_t>((block + 1) * 1024)); ++i)
-      points[i] = pool_.cells.near(places[i]);
-  });
+  for_each_index(places.size(), [&](std::size_t i) { points[i] = pool_.cells.near(places[i]); });
   weigh_by_way(points, temperature, out);
   return out;
 }
@@ -347,6 +363,10 @@ void LabelLoop::learn(std::span<const LabelledPixels> clicks, bool quickly) {
   predict_pool();
 }
 
+double LabelLoop::most_entropy() const {
+  return std::log(static_cast<double>(std::max<std::ptrdiff_t>(2, std::count(live_.begin(), live_.end(), true))));
+}
+
 void LabelLoop::set_temperature(double temperature) {
   temperature_ = temperature;
   predict_pool();
@@ -428,30 +448,20 @@ ViewLabels LabelLoop::labels_of(int v, const SurfaceMap* fine) {
       if (map.distance_m[i] > 0) where.push_back(i);
     }
     positions.resize(where.size());
-    parallel_for((std::ssize(where) + 1023) / 1024, [&](std::int64_t block) {
-      for (auto k = static_cast<std::size_t>(block * 1024);
-           k < std::min(where.size(), static_cast<std::size_t>((block + 1) * 1024)); ++k) {
-        const PixelPlace pixel = strided_place(static_cast<std::int64_t>(where[k]), map.width_px, map.stride);
-        positions[k] =
-            point_at(view.camera, training_.session().limits, pixel, static_cast<double>(map.distance_m[where[k]]));
-      }
+    for_each_index(where.size(), [&](std::size_t k) {
+      const PixelPlace pixel = strided_place(static_cast<std::int64_t>(where[k]), map.width_px, map.stride);
+      positions[k] =
+          point_at(view.camera, training_.session().limits, pixel, static_cast<double>(map.distance_m[where[k]]));
     });
     const std::vector<float> probability = probabilities(learner_.rows_at(positions), positions, temperature_);
     const std::vector<int>& class_of_logit = training_.session().plan.class_of_logit;
     const auto width = static_cast<std::size_t>(classes());
-    const double most =
-        std::log(static_cast<double>(std::max<std::ptrdiff_t>(2, std::count(live_.begin(), live_.end(), true))));
-    parallel_for((std::ssize(where) + 1023) / 1024, [&](std::int64_t block) {
-      for (auto k = static_cast<std::size_t>(block * 1024);
-           k < std::min(where.size(), static_cast<std::size_t>((block + 1) * 1024)); ++k) {
-        const float* const row = &probability[k * width];
-        double entropy = 0;
-        for (std::size_t c = 0; c < width; ++c)
-          if (row[c] > 0) entropy -= static_cast<double>(row[c]) * std::log(static_cast<double>(row[c]));
-        const std::ptrdiff_t best = std::max_element(row, row + width) - row;
-        coarse.label[where[k]] = static_cast<std::int16_t>(class_of_logit[static_cast<std::size_t>(best)]);
-        coarse.entropy[where[k]] = static_cast<std::uint8_t>(std::lround(255 * std::min(1.0, entropy / most)));
-      }
+    const double most = most_entropy();
+    for_each_index(where.size(), [&](std::size_t k) {
+      const std::span<const float> row(&probability[k * width], width);
+      const std::ptrdiff_t best = std::max_element(row.begin(), row.end()) - row.begin();
+      coarse.label[where[k]] = static_cast<std::int16_t>(class_of_logit[static_cast<std::size_t>(best)]);
+      coarse.entropy[where[k]] = static_cast<std::uint8_t>(std::lround(255 * std::min(1.0, entropy_nats(row) / most)));
     });
   }
   ViewLabels labels = upsampled(coarse, *view.photo);

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <chrono>
 #include <cstdint>
 #include <functional>
 #include <optional>
@@ -18,6 +19,10 @@
 #include "surface/surface_graph.h"
 
 namespace semfield {
+
+inline double seconds_since(std::chrono::steady_clock::time_point start) {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+}
 
 /// Pixels of a view that somebody has named: a click or a stroke.
 struct LabelledPixels {
@@ -148,6 +153,9 @@ struct LabelState {
 struct FreeCamera {
   Pose world_from_camera;
   double fov_deg = 60;  ///< horizontal
+
+  /// The rays of a picture of this size, in pixels.
+  RayCamera rays(std::int32_t width_px, std::int32_t height_px) const;
 };
 
 struct PictureRequest {
@@ -238,6 +246,8 @@ class LabelLoop {
   std::int64_t places_found() const { return places_.found(); }
   /// Class indices that have labels, as logits.
   const std::vector<bool>& live() const { return live_; }
+  /// The largest entropy that there can be, nats; of two classes where fewer have labels.
+  double most_entropy() const;
 
   /// [N, classes()] of the pool's points; empty while nothing is learned.
   const std::vector<float>& pool_probability() const { return pool_probability_; }

@@ -48,10 +48,6 @@ constexpr std::size_t kGivenPixels = 48;  // of a class in a frame whose labels 
 constexpr std::size_t kMostGiven = 6000;
 constexpr double kGivenWeight = 0.1;  // where a click is 1: who clicks beside given labels corrects them
 
-double seconds_since(std::chrono::steady_clock::time_point start) {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-}
-
 std::uint64_t mix(std::uint64_t hash, std::uint64_t value) { return (hash ^ value) * 0x100000001B3ull; }
 
 // Tells marks of a frame apart that paint something else.
@@ -329,8 +325,7 @@ void LabelRun::summarise() {
   const auto width = static_cast<std::size_t>(loop_.classes());
   const std::size_t points = loop_.pool().points.size();
   std::vector<double> count(static_cast<std::size_t>(session().classes()), 0), sure(count), entropy(points, 1);
-  const double most = std::log(
-      static_cast<double>(std::max<std::ptrdiff_t>(2, std::count(loop_.live().begin(), loop_.live().end(), true))));
+  const double most = loop_.most_entropy();
   for (std::size_t i = 0; i < points && !probability.empty(); ++i) {
     const std::span<const float> row = std::span(probability).subspan(i * width, width);
     const auto best = static_cast<std::size_t>(std::max_element(row.begin(), row.end()) - row.begin());

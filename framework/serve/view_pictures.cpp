@@ -7,7 +7,6 @@
 #include <chrono>
 #include <cmath>
 #include <filesystem>
-#include <numbers>
 #include <unordered_map>
 #include <utility>
 
@@ -25,8 +24,6 @@ constexpr std::size_t kFineViews = 12;
 constexpr double kFinePixels = 100'000;  // of a view's own surface: more would make its labels slow
 constexpr double kMovingFrame_s = 0.15;  // of a camera that moves
 constexpr std::int32_t kLeastSide = 48, kMostSide = 4096;
-
-double since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
 
 bool is_finite(const Pose& pose) {
   double sum = pose.t.x + pose.t.y + pose.t.z;
@@ -53,18 +50,9 @@ RayCamera ViewPictures::camera_for(const PictureRequest& request) const {
   const Camera& like = loop_.views().front().camera.camera;
   const double most = request.most_px > 0 ? request.most_px : std::max(like.width_px, like.height_px);
   const double aspect = static_cast<double>(like.width_px) / like.height_px;
-  RayCamera camera;
-  camera.undistort = false;
-  camera.world_from_camera = request.camera->world_from_camera;
-  camera.camera.width_px = static_cast<std::int32_t>(aspect >= 1 ? most : most * aspect);
-  camera.camera.height_px = static_cast<std::int32_t>(aspect >= 1 ? most / aspect : most);
-  camera.camera.width_px = std::max(camera.camera.width_px, 1);
-  camera.camera.height_px = std::max(camera.camera.height_px, 1);
-  const double half = std::tan(request.camera->fov_deg / 360 * std::numbers::pi);
-  camera.camera.fx = camera.camera.fy = camera.camera.width_px / (2 * half);
-  camera.camera.cx = camera.camera.width_px / 2.0;
-  camera.camera.cy = camera.camera.height_px / 2.0;
-  return camera;
+  const auto width_px = static_cast<std::int32_t>(aspect >= 1 ? most : most * aspect),
+             height_px = static_cast<std::int32_t>(aspect >= 1 ? most / aspect : most);
+  return request.camera->rays(std::max(width_px, 1), std::max(height_px, 1));
 }
 
 void ViewPictures::begin(const PictureRequest& request) {
@@ -112,7 +100,7 @@ std::optional<Picture> ViewPictures::work(double budget_s) {
   if (request_->at || (request_->view >= 0 && !request_->color && !request_->full)) {
     const Clock::time_point start = Clock::now();
     Picture made = request_->at ? spot_of(*request_) : labels_of_view(*request_);
-    made.render_ms = 1e3 * since(start);
+    made.render_ms = 1e3 * seconds_since(start);
     request_.reset();
     return made;
   }
@@ -204,7 +192,7 @@ bool ViewPictures::refine(double budget_s) {
   const Clock::time_point start = Clock::now();
   const RayCamera& camera = loop_.views()[static_cast<std::size_t>(fine.view)].camera;
   const auto total = static_cast<std::int64_t>(fine.map.distance_m.size());
-  while (fine.done < total && since(start) < budget_s) {
+  while (fine.done < total && seconds_since(start) < budget_s) {
     std::vector<PixelPlace> pixels;
     const std::int64_t end = std::min(total, fine.done + 4096);
     for (std::int64_t i = fine.done; i < end; ++i)
@@ -223,21 +211,20 @@ void ViewPictures::render_rows(double budget_s) {
   const Clock::time_point start = Clock::now();
   const Session& session = training_.session();
   const std::int32_t width = picture_.width_px, height = picture_.height_px;
-  const double most = std::log(
-      static_cast<double>(std::max<std::ptrdiff_t>(2, std::count(loop_.live().begin(), loop_.live().end(), true))));
+  const double most = loop_.most_entropy();
   std::vector<bool> live(static_cast<std::size_t>(std::max(session.classes(), 1)), false);
   for (std::size_t l = 0; l < loop_.live().size(); ++l)
     if (loop_.live()[l]) live[static_cast<std::size_t>(session.plan.class_of_logit[l])] = true;
   const auto rows_at_once =
       static_cast<std::int32_t>(std::clamp(rays_per_s_ * 0.04 / std::max(width, 1), 1.0, static_cast<double>(height)));
-  while (rows_done_ < height && (rows_done_ == 0 || since(start) < budget_s)) {
+  while (rows_done_ < height && (rows_done_ == 0 || seconds_since(start) < budget_s)) {
     RayCamera band = camera_;
     band.camera.height_px = std::min(rows_at_once, height - rows_done_);
     band.camera.cy -= rows_done_;
     const Clock::time_point begun = Clock::now();
     const RenderedFrame frame = render_frame(*session.pipeline, band, session.limits, session.plan.class_of_logit);
     const double rays = static_cast<double>(width) * band.camera.height_px;
-    rays_per_s_ = 0.7 * rays_per_s_ + 0.3 * rays / std::max(since(begun), 1e-6);
+    rays_per_s_ = 0.7 * rays_per_s_ + 0.3 * rays / std::max(seconds_since(begun), 1e-6);
     for (std::size_t i = 0; request_->camera && i < frame.depth_m.size(); ++i) {
       const double x = (static_cast<double>(i % static_cast<std::size_t>(width)) + 0.5 - band.camera.cx) /
                        band.camera.fx,
@@ -258,7 +245,7 @@ void ViewPictures::render_rows(double budget_s) {
     }
     rows_done_ += band.camera.height_px;
   }
-  spent_s_ += since(start);
+  spent_s_ += seconds_since(start);
 }
 
 namespace {

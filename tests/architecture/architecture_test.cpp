@@ -82,7 +82,6 @@ const std::map<std::string, Folders>& floors() {
       {"objects", with(settings, {"eval", "session", "surface", "objects"})},
       {"surface/mesh", with(settings, {"eval", "surface", "surface/mesh"})},
       {"handover", with(settings, {"eval", "surface", "surface/mesh", "handover"})},
-      {"report/sweep", with(run, {"report", "report/sweep"})},
       {"serve", with(run, {"surface", "serve"})},
       {"testkit", {}},  // includes all of them
   };

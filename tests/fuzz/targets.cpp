@@ -28,7 +28,7 @@
 #include "objects/object_set.h"
 #include "plugin/loader.h"
 #include "plugin/registry.h"
-#include "report/sweep/sweep_file.h"
+#include "report/sweep.h"
 #include "run/metrics_log.h"
 #include "scene/camera.h"
 #include "scene/camera_path.h"

@@ -7,7 +7,6 @@
 #include "eval/final_eval.h"
 #include "formats/image_io.h"
 #include "labels/clicks/annotations.h"
-#include "report/html.h"
 #include "run/metrics_log.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"

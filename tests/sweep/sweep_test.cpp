@@ -8,10 +8,9 @@
 #include <set>
 #include <sstream>
 
-#include "app/sweep/cell_pool.h"
+#include "app/sweep/sweep_work.h"
 #include "plugin/loader.h"
-#include "report/sweep/sweep_file.h"
-#include "report/sweep/sweep_results.h"
+#include "report/sweep.h"
 #include "session/settings/run_config.h"
 #include "tests/scene/tiny_scene.h"
 #include "tests/temp_dir.h"
