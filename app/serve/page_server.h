@@ -1,20 +1,94 @@
-// Pages over HTTP: every address below the secret folder, and what it returns.
+// Pages over HTTP: every address below the secret folder, what it returns, and exports, which are this program's own
+// verbs as processes beside it.
 #pragma once
 
 #include <atomic>
 #include <chrono>
+#include <condition_variable>
+#include <cstdint>
 #include <functional>
+#include <list>
 #include <map>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <string>
+#include <thread>
+#include <vector>
 
 #include "app/serve/http_server.h"
 #include "app/serve/page_exports.h"
+#include "app/serve/page_requests.h"
 #include "serve/label_loop.h"
 #include "serve/label_session.h"
 
 namespace semfield::app {
+
+/// One export, as the page shows it.
+struct ExportState {
+  std::string id;
+  std::string what;                ///< export_name()
+  std::string state = "waiting";   ///< then "running", then "done", "failed" or "canceled"
+  std::string text;                ///< a short sentence
+  std::vector<std::string> files;  ///< names, when it is done
+};
+
+struct ExportOptions {
+  std::string program;  ///< file of this program
+  std::string run_dir;
+  std::vector<std::string> modules;  ///< files of plugins that the run needs
+};
+
+/// Exports lie in RUN/export/ID/ and stay there. Two are made side by side, the others wait for their turn.
+class PageExports {
+ public:
+  /// `save` writes a checkpoint, and returns when it is there; null where nothing trains.
+  PageExports(std::function<void()> save, ExportOptions options)
+      : save_(std::move(save)), options_(std::move(options)) {}
+  /// Ends the processes of exports that are being made.
+  ~PageExports();
+  PageExports(const PageExports&) = delete;
+  PageExports& operator=(const PageExports&) = delete;
+
+  /// The id of the export that was begun or waits. Throws Error: unavailable where too many wait, write_error for its
+  /// folder. `prepare` gets the folder before its program
+  /// begins: a film's cameras are FOLDER/path.json.
+  std::string start(ExportKind kind, const std::function<void(const std::string& folder)>& prepare = {});
+  /// Ends an export; what is done stays. False: there is none of this id.
+  bool cancel(const std::string& id);
+  std::vector<ExportState> list() const;
+  /// Grows with every change of the list.
+  std::uint64_t changes() const { return changes_; }
+  /// Path of file `number` of an export that is done; "" where there is none.
+  std::string file(const std::string& id, std::uint64_t number) const;
+  /// The answer to a request for "ID/NUMBER": that file, or 404.
+  HttpResponse download(const std::string& place) const;
+
+ private:
+  // One export and the thread that waits for its turn and its program.
+  struct Export {
+    ExportKind kind;
+    ExportState state;
+    bool canceled = false;
+    std::thread thread{};
+  };
+  void make(Export& one);
+  void run_verb(Export& one);
+  bool ends(const Export& one) const;
+  std::vector<std::string> words(ExportKind kind, const std::string& folder) const;
+  void pack_labels(const std::string& folder) const;
+  void tell(Export& one, const std::string& state, const std::string& text, const std::vector<std::string>& files = {});
+  std::string folder_of(const std::string& id) const { return options_.run_dir + "/export/" + id; }
+
+  std::function<void()> save_;
+  ExportOptions options_;
+  mutable std::mutex mutex_;  // of these four, but for the threads
+  std::condition_variable turn_;
+  std::list<Export> exports_;  // the earliest first
+  int making_ = 0;
+  bool stopping_ = false;
+  std::atomic<std::uint64_t> changes_{0};
+};
 
 /// 32 hexadecimal digits of 128 random bits from the kernel. Throws Error(unavailable) where it has none.
 std::string new_token();

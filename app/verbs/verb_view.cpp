@@ -26,7 +26,6 @@
 #include "app/render/run_surface.h"
 #include "app/render/scene_page.h"
 #include "app/scene/inspect_report.h"
-#include "app/serve/page_pictures.h"
 #include "app/serve/page_requests.h"
 #include "app/serve/page_server.h"
 #include "app/signals.h"
