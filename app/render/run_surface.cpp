@@ -1,16 +1,243 @@
 #include "app/render/run_surface.h"
 
 #include <fmt/format.h>
+#include <zlib.h>
 
 #include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <ctime>
+#include <filesystem>
+#include <map>
+#include <new>
 
-#include "app/render/scene_page.h"
+#include "app/json_output.h"
+#include "app/objects/object_files.h"
 #include "core/error.h"
+#include "eval/image_output.h"
+#include "objects/object_set.h"
+#include "report/report.h"
+#include "run/run_folder.h"
+#include "scene/scene.h"
 #include "surface/mesh/field_surface.h"
 #include "surface/mesh/shape/simplify.h"
 #include "surface/mesh/surface.h"
+#include "system/files.h"
 
 namespace semfield::app {
+
+namespace {
+
+constexpr double kSteps = 65535;
+constexpr std::uint16_t kNoClass = 65535;
+
+Box box_of(const Surface& surface, const ScenePage& page) {
+  if (surface.positions.empty()) return page.bounds;
+  Box box;
+  for (const Vec3d& p : surface.positions) box.include(p);
+  return box;
+}
+
+// Numbers behind each other as differences to the one before: neighbours in the file are neighbours in space, and small
+// differences deflate well.
+class Stream {
+ public:
+  template <class T, class Value>
+  void differences(std::size_t count, const Value& value) {
+    T before = 0;
+    for (std::size_t i = 0; i < count; ++i) {
+      const T now = value(i);
+      put(static_cast<T>(now - before));
+      before = now;
+    }
+  }
+  template <class T>
+  void put(T number) {
+    const std::size_t at = bytes.size();
+    bytes.resize(at + sizeof(T));
+    std::memcpy(bytes.data() + at, &number, sizeof(T));
+  }
+  std::vector<std::uint8_t> bytes;
+};
+
+// The class of a triangle is that of its last corner, which a flat shader reads.
+Triangle class_last(const Surface& surface, Triangle t) {
+  if (!surface.attributes.has_labels()) return t;
+  const std::int16_t label = triangle_label(surface.attributes, t);
+  for (int turn = 0; turn < 2 && surface.attributes.label[t[2]] != label; ++turn)
+    std::rotate(t.begin(), t.begin() + 1, t.end());
+  return t;
+}
+
+std::vector<std::uint8_t> packed(const Surface& surface, const ScenePage& page, const Box& box) {
+  Stream stream;
+  std::vector<std::uint32_t> corners;
+  for (const Triangle& triangle : surface.triangles) {
+    const Triangle t = class_last(surface, triangle);
+    corners.insert(corners.end(), t.begin(), t.end());
+  }
+  const std::size_t count = surface.positions.size();
+  stream.differences<std::uint32_t>(corners.size(), [&](std::size_t i) { return corners[i]; });
+  for (int axis = 0; axis < 3; ++axis) {
+    const double length = box.size()[axis];
+    stream.differences<std::uint16_t>(count, [&](std::size_t i) {
+      const double share = length > 0 ? (surface.positions[i][axis] - box.lo[axis]) / length : 0;
+      return static_cast<std::uint16_t>(std::lround(share * kSteps));
+    });
+  }
+  const std::vector<std::int16_t>& label = surface.attributes.label;
+  for (std::size_t i = 0; i < count; ++i)
+    stream.put(label.empty() || label[i] == kVoid ? kNoClass : static_cast<std::uint16_t>(label[i]));
+  for (std::size_t c = 0; c < 3; ++c)
+    for (std::size_t i = 0; i < count; ++i) stream.put(surface.attributes.color[i][c]);
+  const double most = std::log(std::max(2, page.logits));
+  if (!label.empty())
+    for (const float entropy : surface.attributes.entropy)
+      stream.put(
+          static_cast<std::uint8_t>(std::lround(255 * std::clamp(static_cast<double>(entropy) / most, 0.0, 1.0))));
+  if (page.objects)
+    for (const std::uint16_t id : vertex_objects(surface, *page.objects)) stream.put(id);
+  return std::move(stream.bytes);
+}
+
+std::vector<std::uint8_t> deflated(const std::vector<std::uint8_t>& bytes) {
+  uLongf size = ::compressBound(static_cast<uLong>(bytes.size()));
+  std::vector<std::uint8_t> out(size);
+  if (::compress2(out.data(), &size, bytes.data(), static_cast<uLong>(bytes.size()), Z_BEST_COMPRESSION) != Z_OK)
+    throw std::bad_alloc();
+  out.resize(size);
+  return out;
+}
+
+Json list_of(Vec3d v) { return {v.x, v.y, v.z}; }
+
+std::string ramp_text() {
+  std::vector<std::uint8_t> colors;
+  for (int i = 0; i < 256; ++i)
+    for (const std::uint8_t c : perceptual_color(i / 255.0)) colors.push_back(c);
+  return base64(colors);
+}
+
+Json facts_of(const Surface& surface, const ClassTable& classes, const ScenePage& page, const Box& box) {
+  Json out{{"title", page.title},
+           {"about", page.about},
+           {"run", page.run},
+           {"step", page.step},
+           {"unit", page.metric ? "m" : "units"},
+           {"vertices", surface.positions.size()},
+           {"triangles", surface.triangles.size()},
+           {"low", list_of(box.lo)},
+           {"high", list_of(box.hi)},
+           {"turn", turn_to_y(page.up)},
+           {"labels", surface.attributes.has_labels()},
+           {"classes", Json::array()},
+           {"objects", Json::array()}};
+  if (page.eye) out["eye"] = list_of(*page.eye);
+  if (page.objects) out["objects"] = Json::parse(page_objects_json(*page.objects, classes));
+  if (!surface.attributes.has_labels()) return out;
+  for (const ClassEntry& entry : classes.entries())
+    if (!entry.ignore) out["classes"].push_back({{"id", entry.id}, {"name", entry.name}, {"color", entry.color}});
+  return out;
+}
+
+// The viewer around `facts`; "connect": whom the page may ask.
+std::string viewer(const std::string& title, const Json& facts, const std::string& mesh, bool live) {
+  const auto part = [](const std::string& name) {
+    return read_text_file(shared_file("app/render/scene_page/" + name));
+  };
+  std::string script;
+  for (const char* name : {"matrices", "drawing", "camera", "objects"}) script += part(std::string(name) + ".js");
+  if (live) script += part("live.js");
+  return filled_page(part("viewer.html"), {{"<!--connect-->", live ? "'self'" : "'none'"},
+                                           {"<!--title-->", html_escape(title)},
+                                           {"/*style*/", part("viewer.css")},
+                                           {"/*script*/", script + part("viewer.js")},
+                                           {"/*facts*/", script_json(json_text(facts))},
+                                           {"/*mesh*/", mesh}});
+}
+
+std::string today() {
+  const std::time_t now = std::time(nullptr);
+  std::tm utc{};
+  ::gmtime_r(&now, &utc);
+  return fmt::format("{:04}-{:02}-{:02}", utc.tm_year + 1900, utc.tm_mon + 1, utc.tm_mday);
+}
+
+}  // namespace
+
+ScenePage scene_page_of(const Session& session, const std::string& run_dir, std::int64_t step, Vec3d up) {
+  const SceneInfo& info = session.scene.info;
+  const std::vector<int> frames = session.scene.frames_of(Split::train);
+  std::filesystem::path folder = std::filesystem::path(run_dir).lexically_normal();
+  if (!folder.has_filename()) folder = folder.parent_path();
+  ScenePage page;
+  page.run = folder.filename().string();
+  page.title = info.name.empty() ? page.run : info.name;
+  page.step = step;
+  page.metric = info.metric;
+  page.bounds = session.extent.bounds;
+  page.up = up;
+  page.logits = static_cast<int>(session.plan.class_of_logit.size());
+  page.about = {
+      fmt::format("Run '{}': {} steps of training on {} photographs.", page.run, step, frames.size()),
+      fmt::format("Source: {}.", session.config.dataset.entry->name),
+      fmt::format("Made by Semfield {}. Positions are in the input's world.", this_environment().version),
+      "The rights of the photographs hold for this file. Its viewer is part of Semfield (Apache License 2.0)."};
+  page.objects = objects_of_run(folder.string(), info.classes.valid_count());
+  if (session.config.rendering.far != FarMode::background || frames.empty()) return page;
+  Vec3d sum;
+  for (const int f : frames) sum = sum + info.frames[static_cast<std::size_t>(f)].world_from_camera.t;
+  page.eye = sum * (1.0 / static_cast<double>(frames.size()));
+  return page;
+}
+
+std::string page_objects_json(const ObjectSet& objects, const ClassTable& classes) {
+  Json out = Json::array();
+  for (const ObjectRow& row : objects.rows) {
+    if (row.points == 0) continue;
+    Json one = Json::parse(object_row_json(row, classes));
+    one["color"] = ClassTable::default_color(row.id);
+    for (const char* key : {"agreement", "area", "centroid"}) one.erase(key);
+    out.push_back(std::move(one));
+  }
+  return json_text(out);
+}
+
+std::vector<std::uint16_t> vertex_objects(const Surface& surface, const ObjectSet& objects) {
+  std::vector<std::uint16_t> ids;
+  for (const Vec3d& place : surface.positions) ids.push_back(static_cast<std::uint16_t>(objects.at(place)));
+  return ids;
+}
+
+std::string scene_page_text(const Surface& surface, const ClassTable& classes, const ScenePage& page) {
+  const Box box = box_of(surface, page);
+  Json facts = facts_of(surface, classes, page, box);
+  facts["ramp"] = ramp_text();
+  return viewer(page.title, facts, base64(deflated(packed(surface, page, box))), false);
+}
+
+void write_scene_page(const std::string& path, const Surface& surface, const ClassTable& classes,
+                      const ScenePage& page) {
+  ScenePage dated = page;
+  dated.about.push_back("Written on " + today() + ".");
+  write_file_atomic(path, scene_page_text(surface, classes, dated));
+}
+
+std::string live_page_text(const std::string& title, const std::vector<std::string>& runs) {
+  return viewer(title, {{"live", true}, {"runs", runs}, {"ramp", ramp_text()}}, "", true);
+}
+
+std::string scene_bytes(const Surface& surface, const ClassTable& classes, const ScenePage& page,
+                        const std::string& more) {
+  const Box box = box_of(surface, page);
+  Json facts = facts_of(surface, classes, page, box);
+  facts.update(Json::parse(more));
+  const std::string head = json_text(facts);
+  const std::vector<std::uint8_t> mesh = deflated(packed(surface, page, box));
+  std::string out;
+  for (int shift = 0; shift < 32; shift += 8) out += static_cast<char>(head.size() >> shift & 0xFF);
+  return out + head + std::string(mesh.begin(), mesh.end());
+}
 
 namespace {
 

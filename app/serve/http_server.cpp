@@ -367,7 +367,7 @@ struct HttpServer::Impl {
     std::thread thread{};
   };
 
-  Impl(const HttpOptions& o, HttpHandler& h) : options(o), handler(h) {
+  Impl(const HttpOptions& o, HttpHandler h) : options(o), handler(std::move(h)) {
     in_addr address{};
     inet_pton(AF_INET, options.address.c_str(), &address);
     listener = listen_at(address, options.port);
@@ -397,7 +397,7 @@ struct HttpServer::Impl {
   bool respond(Peer& peer, HttpResponse response, bool keep);
 
   HttpOptions options;
-  HttpHandler& handler;
+  HttpHandler handler;
   int listener = -1;
   std::atomic<bool> stopping{false};
   std::mutex mutex;                 // of these
@@ -568,8 +568,8 @@ bool HttpServer::Impl::respond(Peer& peer, HttpResponse response, bool keep) {
   return false;
 }
 
-HttpServer::HttpServer(const HttpOptions& options, HttpHandler& handler)
-    : impl_(std::make_unique<Impl>(options, handler)) {}
+HttpServer::HttpServer(const HttpOptions& options, HttpHandler handler)
+    : impl_(std::make_unique<Impl>(options, std::move(handler))) {}
 
 HttpServer::~HttpServer() = default;
 

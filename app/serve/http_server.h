@@ -84,13 +84,11 @@ struct HttpResponse {
 };
 
 /// What a server calls for every request. Neither function throws.
-class HttpHandler {
- public:
-  virtual ~HttpHandler() = default;
+struct HttpHandler {
   /// Called with an empty body, before one is read: a response refuses the request. Quick, for every connection waits.
-  virtual std::optional<HttpResponse> refuse(const HttpRequest& head) noexcept = 0;
+  std::function<std::optional<HttpResponse>(const HttpRequest& head)> refuse;
   /// Called from several threads at once.
-  virtual HttpResponse answer(const HttpRequest& request) noexcept = 0;
+  std::function<HttpResponse(const HttpRequest& request)> answer;
 };
 
 inline constexpr int kUsualPort = 8787;
@@ -109,8 +107,8 @@ struct HttpOptions {
 /// Each connection has a thread, so that one that is idle, slow or gone holds up nobody.
 class HttpServer {
  public:
-  /// Listens when it returns. The handler must outlive the server. Throws Error(unavailable).
-  HttpServer(const HttpOptions& options, HttpHandler& handler);
+  /// Listens when it returns. Throws Error(unavailable).
+  HttpServer(const HttpOptions& options, HttpHandler handler);
   /// Responses that are being made get a second to be sent; those that take longer are marked as awaited by nobody
   /// (HttpRequest::abandoned), waited for and not sent.
   ~HttpServer();

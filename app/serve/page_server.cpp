@@ -333,12 +333,17 @@ PageServer::PageServer(LabelSource& source, PageOptions options)
     : PageHost([&source] { source.save(); }, options.exports, "export/", "docs/reference/labelling_http.md"),
       source_(source),
       options_(std::move(options)) {
-  std::map<std::string, Place> places{{"state", {"GET", [this](const HttpRequest& r) { return get_state(r); }}},
-                                      {"photo", {"GET", [this](const HttpRequest& r) { return get_photo(r); }}},
-                                      {"camera", {"GET", [this](const HttpRequest& r) { return get_camera(r); }}},
-                                      {"event", {"POST", [this](const HttpRequest& r) { return post_event(r); }}},
-                                      {"picture", {"POST", [this](const HttpRequest& r) { return post_picture(r); }}},
-                                      {"export", {"POST", [this](const HttpRequest& r) { return post_export(r); }}}};
+  std::map<std::string, Place> places{
+      {"state", {"GET", [this](const HttpRequest& r) { return get_state(r); }}},
+      {"photo", {"GET", [this](const HttpRequest& r) { return get_photo(r); }}},
+      {"camera",
+       {"GET",
+        [this](const HttpRequest& r) {
+          return HttpResponse{200, "application/json", camera_json(source_.camera_of(view_of(r)))};
+        }}},
+      {"event", {"POST", [this](const HttpRequest& r) { return post_event(r); }}},
+      {"picture", {"POST", [this](const HttpRequest& r) { return post_picture(r); }}},
+      {"export", {"POST", [this](const HttpRequest& r) { return post_export(r); }}}};
   for (const auto& [name, file] : options_.files)
     places[name] = {"GET", [file](const HttpRequest&) { return HttpResponse{200, file.type, file.bytes}; }};
   open(options_.token, options_.http, options_.next_port, std::move(places));
@@ -397,10 +402,6 @@ HttpResponse PageServer::get_photo(const HttpRequest& request) const {
   if (query_value(request.query, "photo") == source_.state()->views[static_cast<std::size_t>(view)].photo)
     response.cache = kForEver;
   return response;
-}
-
-HttpResponse PageServer::get_camera(const HttpRequest& request) const {
-  return {200, "application/json", camera_json(source_.camera_of(view_of(request)))};
 }
 
 HttpResponse PageServer::post_event(const HttpRequest& request) {
@@ -596,21 +597,19 @@ void PageHost::open(std::string token, HttpOptions http, bool next_port, std::ma
   places_ = std::move(places);
   http.port = free_port(http.address, http.port, next_port);
   access_ = std::make_unique<PageAccess>(std::move(token), http.address, http.port);
-  HttpHandler& self = *this;
-  http_ = std::make_unique<HttpServer>(http, self);
-}
-
-std::optional<HttpResponse> PageHost::refuse(const HttpRequest& head) noexcept {
-  std::optional<HttpResponse> refused;
-  const HttpResponse failed = safe_answer([&] {
-    refused = access_->refuse(head);
-    return HttpResponse{};
-  });
-  return failed.status == 200 ? refused : failed;
-}
-
-HttpResponse PageHost::answer(const HttpRequest& request) noexcept {
-  return safe_answer([&] { return route(access_->name_of(request.path), request); });
+  HttpHandler handler;
+  handler.refuse = [this](const HttpRequest& head) {
+    std::optional<HttpResponse> refused;
+    const HttpResponse failed = safe_answer([&] {
+      refused = access_->refuse(head);
+      return HttpResponse{};
+    });
+    return failed.status == 200 ? refused : failed;
+  };
+  handler.answer = [this](const HttpRequest& request) {
+    return safe_answer([&] { return route(access_->name_of(request.path), request); });
+  };
+  http_ = std::make_unique<HttpServer>(http, std::move(handler));
 }
 
 HttpResponse PageHost::route(const std::string& name, const HttpRequest& request) {

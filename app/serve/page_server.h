@@ -138,8 +138,9 @@ std::map<std::string, PageFile> read_page_files(const std::string& folder);
 std::string kept_run_id(const std::string& run_dir);
 
 /// What the labelling page and the viewer have in common: an address with a secret, the places below it, and exports.
-class PageHost : private HttpHandler {
+class PageHost {
  public:
+  virtual ~PageHost() = default;
   PageHost(const PageHost&) = delete;
   PageHost& operator=(const PageHost&) = delete;
 
@@ -163,8 +164,6 @@ class PageHost : private HttpHandler {
   PageExports exports_;
 
  private:
-  std::optional<HttpResponse> refuse(const HttpRequest& head) noexcept override;
-  HttpResponse answer(const HttpRequest& request) noexcept override;
   HttpResponse route(const std::string& name, const HttpRequest& request);
 
   std::string files_, guide_;
@@ -199,7 +198,6 @@ class PageServer final : public PageHost {
  private:
   HttpResponse get_state(const HttpRequest& request) const;
   HttpResponse get_photo(const HttpRequest& request) const;
-  HttpResponse get_camera(const HttpRequest& request) const;
   HttpResponse post_event(const HttpRequest& request);
   HttpResponse post_picture(const HttpRequest& request);
   HttpResponse post_export(const HttpRequest& request);

@@ -16,7 +16,6 @@
 #include "app/json_output.h"
 #include "app/objects/object_files.h"
 #include "app/render/run_surface.h"
-#include "app/render/scene_page.h"
 #include "app/scene/inspect_report.h"
 #include "app/terminal.h"
 #include "app/verb.h"

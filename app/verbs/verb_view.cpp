@@ -24,7 +24,6 @@
 #include "app/child_process.h"
 #include "app/objects/object_files.h"
 #include "app/render/run_surface.h"
-#include "app/render/scene_page.h"
 #include "app/scene/inspect_report.h"
 #include "app/serve/page_requests.h"
 #include "app/serve/page_server.h"

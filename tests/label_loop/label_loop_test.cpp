@@ -2,7 +2,7 @@
 // how sure the labels are.
 
 #include "core/rng.h"
-#include "serve/point_learner.h"
+#include "serve/label_loop.h"
 #include "testkit/compare.h"
 #include "tests/label_loop/labelled_room.h"
 #include "tests/session/oracle.h"

@@ -6,7 +6,7 @@
 
 #include "core/rng.h"
 #include "labels/mask_outlines.h"
-#include "serve/point_learner.h"
+#include "serve/label_loop.h"
 #include "serve/view_pictures.h"
 #include "tests/label_loop/labelled_room.h"
 #include "tests/threads.h"

@@ -10,7 +10,7 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
-#include "app/render/scene_page.h"
+#include "app/render/run_surface.h"
 #include "compute/parallel.h"
 #include "core/error.h"
 #include "core/rng.h"
