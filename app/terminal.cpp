@@ -156,6 +156,10 @@ std::string clock_text(double seconds) {
                    : fmt::format("{}:{:02}", s / 60, s % 60);
 }
 
+std::string figure_text(const std::optional<double>& value, const char* none) {
+  return value ? fmt::format("{:.4f}", *value) : none;
+}
+
 ProgressLine::ProgressLine(const AppContext& context, std::string done_what, std::string unit)
     : ProgressLine(context, std::move(done_what), std::move(unit), stderr_of(context.terminal)) {}
 

@@ -34,6 +34,8 @@ void say(const std::string& text, bool terminal);
 
 /// "4:05", "1:02:05".
 std::string clock_text(double seconds);
+/// "0.1234"; `none` without a value.
+std::string figure_text(const std::optional<double>& value, const char* none = "-");
 
 class ProgressLine {
  public:

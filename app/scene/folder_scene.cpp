@@ -350,7 +350,7 @@ void refuse_used_folder(const std::string& folder) {
   }
 }
 
-DegradeReport write_degraded(const LoadedScene& scene, const TrainingLabels& labels, const DegradeSource& source,
+DegradeReport write_degraded(const LoadedScene& scene, const TrainingLabels& labels, const RunConfig& config,
                              const std::string& folder) {
   refuse_used_folder(folder);
   const std::vector<WrittenFiles> files = files_of(scene, labels);
@@ -377,13 +377,13 @@ DegradeReport write_degraded(const LoadedScene& scene, const TrainingLabels& lab
   }
   Json manifest{{"format", "semfield-labels-1"},
                 {"scene", scene.info.name},
-                {"labels_from", source.labels_from.empty() ? "the scene" : source.labels_from},
-                {"seed", source.seed},
+                {"labels_from", config.labels.from.type.empty() ? "the scene" : config.labels.from.type},
+                {"seed", config.labels.selection.seed},
                 {"steps", steps_json(labels)},
                 {"classes", "classes.yaml"},
                 {"total", total_json(total, classes, files.size())},
                 {"frames", std::move(frames)},
-                {"config", source.config}};
+                {"config", write_config(resolved_config(config))}};
   write_file_atomic(unfinished / "classes.yaml", classes.to_yaml());
   if (labels.soft) write_file_atomic(unfinished / "probability/classes.json", class_order_json(classes));
   write_file_atomic(unfinished / "manifest.json", json_text(manifest, 2) + "\n");

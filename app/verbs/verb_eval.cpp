@@ -172,8 +172,7 @@ int run(const EvalOptions& options, AppContext& context) {
     const ClassScore& k = classes[c];
     if (k.truth_px == 0 && k.predicted_px == 0) continue;
     std::printf("  %-20s %8s %8s %10lld\n", s.scene.info.classes.valid(static_cast<int>(c)).name.c_str(),
-                k.iou ? fmt::format("{:.4f}", *k.iou).c_str() : "-",
-                k.recall ? fmt::format("{:.4f}", *k.recall).c_str() : "-", static_cast<long long>(k.truth_px));
+                figure_text(k.iou).c_str(), figure_text(k.recall).c_str(), static_cast<long long>(k.truth_px));
   }
   if (found.contains("protocol")) print_protocol(found["protocol"]);
   if (not_kept.empty())

@@ -52,8 +52,6 @@ void apply(const FuseOptions& options, FusionParams& params) {
                 "name its folder: --depth-from RUN");
 }
 
-std::string score_text(const std::optional<double>& value) { return value ? fmt::format("{:.4f}", *value) : "none"; }
-
 std::string depth_name(const FusionParams& params) {
   return std::string(ChoiceNames<FusionDepth>::names[static_cast<std::size_t>(params.depth)]);
 }
@@ -136,9 +134,10 @@ void print_scores(const SceneFusion& fusion, const FusionParams& params) {
     std::printf(
         "fuse: method=%s depth=%s miou_present=%s miou=%s total_accuracy=%s average_accuracy=%s filled=%lld "
         "views=%s\n",
-        score.method.c_str(), depth_name(params).c_str(), score_text(m.miou_present()).c_str(),
-        score_text(m.miou()).c_str(), score_text(m.total_accuracy()).c_str(), score_text(m.average_accuracy()).c_str(),
-        static_cast<long long>(fused ? counts.filled : 0), score_text(score.views_mean).c_str());
+        score.method.c_str(), depth_name(params).c_str(), figure_text(m.miou_present(), "none").c_str(),
+        figure_text(m.miou(), "none").c_str(), figure_text(m.total_accuracy(), "none").c_str(),
+        figure_text(m.average_accuracy(), "none").c_str(), static_cast<long long>(fused ? counts.filled : 0),
+        figure_text(score.views_mean, "none").c_str());
   }
 }
 

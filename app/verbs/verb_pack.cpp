@@ -1,4 +1,4 @@
-// pack: any dataset into one file.
+// pack, capture, degrade: a scene as one file or in Replica layout, and its training labels as images.
 #include <fmt/format.h>
 
 #include "app/json_output.h"
@@ -11,12 +11,12 @@ namespace semfield::app {
 
 namespace {
 
-struct PackVerbOptions {
+struct WriteOptions {
   ConfigOptions config;
   std::string out;
 };
 
-int run(const PackVerbOptions& options, AppContext& context) {
+int pack(const WriteOptions& options, AppContext& context) {
   OpenedDataset opened = dataset_of(options.config, context);
   Diagnostics diagnostics;
   const PackSummary summary = pack_scene(*opened.dataset, options.out, opened.config.load, PackOptions{}, diagnostics);
@@ -26,17 +26,74 @@ int run(const PackVerbOptions& options, AppContext& context) {
   return 0;
 }
 
-void words(VerbWords& verb, PackVerbOptions& options) {
+int capture(const WriteOptions& options, AppContext& context) {
+  OpenedDataset opened = dataset_of(options.config, context);
+  Diagnostics diagnostics;
+  SceneInfo info = opened.dataset->open(diagnostics);
+  convert_info(info, opened.config.load.convention);
+  for (const Diagnostic& finding : folded(diagnostics)) {
+    if (finding.severity != Severity::error) print_note(context, finding.shown());
+  }
+  diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
+  CaptureReport report;
+  {
+    ProgressLine progress(context, "captured");
+    report = capture_replica(
+        *opened.dataset, info, options.out, [&](int done, int total) { progress.show(done, total); },
+        opened.config.load.convention);
+  }
+  print_results(context, {{"frames", report.frames}, {"bytes", report.bytes}, {"folder", options.out}},
+                fmt::format("capture: frames={} bytes={} folder={}", report.frames, report.bytes, options.out));
+  return 0;
+}
+
+int degrade(const WriteOptions& options, AppContext& context) {
+  refuse_used_folder(options.out);
+  OpenedDataset opened = dataset_of(options.config, context);
+  Diagnostics diagnostics;
+  const LoadedScene scene = load_for_labels(opened, diagnostics);
+  diagnostics.throw_if_errors(ErrorKind::data, "the scene has problems:");
+  const TrainingLabels labels = make_training_labels(scene, opened.config.labels, diagnostics);
+  print_findings(context, diagnostics);
+  const DegradeReport report = write_degraded(scene, labels, opened.config, options.out);
+  print_results(
+      context,
+      {{"frames", report.frames},
+       {"labelled_px", report.labelled_px},
+       {"accuracy", number_json<Json>(report.accuracy)},
+       {"miou_present", number_json<Json>(report.miou_present)},
+       {"folder", options.out}},
+      fmt::format("degrade: frames={} labelled_px={} accuracy={} miou_present={} folder={}", report.frames,
+                  report.labelled_px, figure_text(report.accuracy), figure_text(report.miou_present), options.out));
+  return 0;
+}
+
+void file_words(VerbWords& verb, WriteOptions& options) {
   verb.config(options.config);
   verb.threads(options.config.set);
   verb.required("--out FILE", options.out, "file to write (.sfpack)");
 }
 
+void folder_words(VerbWords& verb, WriteOptions& options) {
+  verb.config(options.config);
+  verb.threads(options.config.set);
+  verb.required("--out FOLDER", options.out, "folder to create");
+}
+
 }  // namespace
 
 Verb verb_pack() {
-  return make_verb<PackVerbOptions>("pack", 90, "write a scene as one file, for machines without image libraries",
-                                    words, run);
+  return make_verb<WriteOptions>("pack", 90, "write a scene as one file, for machines without image libraries",
+                                 file_words, pack);
+}
+
+Verb verb_capture() {
+  return make_verb<WriteOptions>("capture", 80, "write a scene's frames in Replica layout", folder_words, capture);
+}
+
+Verb verb_degrade() {
+  return make_verb<WriteOptions>("degrade", 100, "write the training labels, degraded as the configuration says",
+                                 folder_words, degrade);
 }
 
 }  // namespace semfield::app

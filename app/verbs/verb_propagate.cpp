@@ -43,8 +43,6 @@ Worth worth_of_given(const Session& s) {
           score.miou_present()};
 }
 
-std::string worth_text(const std::optional<double>& value) { return value ? fmt::format("{:.4f}", *value) : "-"; }
-
 void print_worth(const AppContext& context, const PropagateOptions& options, const PropagationParams& params,
                  const Worth& before, const Worth& after) {
   const auto pair = [](Json a, Json b) { return Json{{"before", std::move(a)}, {"after", std::move(b)}}; };
@@ -56,8 +54,8 @@ void print_worth(const AppContext& context, const PropagateOptions& options, con
        {"miou_present", pair(number_json<Json>(before.miou_present), number_json<Json>(after.miou_present))},
        {"folder", options.out}},
       fmt::format("propagate: method={} labelled_share={:.4f}->{:.4f} accuracy={}->{} miou_present={}->{} folder={}",
-                  method_name(params), before.share, after.share, worth_text(before.accuracy),
-                  worth_text(after.accuracy), worth_text(before.miou_present), worth_text(after.miou_present),
+                  method_name(params), before.share, after.share, figure_text(before.accuracy),
+                  figure_text(after.accuracy), figure_text(before.miou_present), figure_text(after.miou_present),
                   options.out));
 }
 
@@ -92,9 +90,7 @@ int run(const PropagateOptions& options, AppContext& context) {
     ProgressLine progress(context, surface ? "spread" : "pooled", surface ? "classes" : "sizes of cells");
     spread = propagate_labels(s.scene, s.labels, maps, params, [&](int done, int of) { progress.show(done, of); });
   }
-  const DegradeSource source{write_config(resolved_config(s.config)), s.config.labels.from.type,
-                             s.config.labels.selection.seed};
-  const DegradeReport report = write_degraded(s.scene, spread, source, options.out);
+  const DegradeReport report = write_degraded(s.scene, spread, s.config, options.out);
   print_worth(context, options, params, worth_of_given(s),
               {static_cast<double>(report.labelled_px) / static_cast<double>(s.manifest.train_pixels), report.accuracy,
                report.miou_present});
