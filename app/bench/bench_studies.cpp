@@ -37,16 +37,32 @@ struct GpuResults {
   std::string about, peer_about;  ///< the device; who answered as peer
   std::vector<GpuRow> rows;
 
-  std::optional<double> ms(const std::string& name) const;
+  std::optional<double> ms(const std::string& name) const {
+    for (const GpuRow& row : rows) {
+      if (row.name == name) return 1e3 * row.seconds.median;
+    }
+    return std::nullopt;
+  }
   /// Of the peer's fastest mode.
-  std::optional<double> best_peer_ms() const;
-  std::optional<double> ratio(const std::string& over, const std::string& under) const;
+  std::optional<double> best_peer_ms() const {
+    std::optional<double> best;
+    for (const GpuRow& row : rows) {
+      if (row.name.starts_with("torch paper") && (!best || 1e3 * row.seconds.median < *best))
+        best = 1e3 * row.seconds.median;
+    }
+    return best;
+  }
+  std::optional<double> ratio(const std::string& over, const std::string& under) const {
+    const std::optional<double> a = ms(over), b = ms(under);
+    return a && b ? std::optional<double>(*a / *b) : std::nullopt;
+  }
 };
 
 constexpr std::int64_t kFrameRays = 320 * 240;
 constexpr std::int64_t kHashRays = 8192;  // of 32 samples: 2^18
 constexpr int kPaperSteps = 64, kHashSteps = 128;
 
+/// What cannot be measured is a note. Throws Error(unavailable) without a device.
 class GpuBench {
  public:
   GpuBench(const BenchGpuOptions& options, AppContext& context) : options_(options), context_(context) {}
@@ -162,30 +178,6 @@ class GpuBench {
   GpuResults results_;
 };
 
-std::optional<double> GpuResults::ms(const std::string& name) const {
-  for (const GpuRow& row : rows) {
-    if (row.name == name) return 1e3 * row.seconds.median;
-  }
-  return std::nullopt;
-}
-
-std::optional<double> GpuResults::best_peer_ms() const {
-  std::optional<double> best;
-  for (const GpuRow& row : rows) {
-    if (row.name.starts_with("torch paper") && (!best || 1e3 * row.seconds.median < *best))
-      best = 1e3 * row.seconds.median;
-  }
-  return best;
-}
-
-std::optional<double> GpuResults::ratio(const std::string& over, const std::string& under) const {
-  const std::optional<double> a = ms(over), b = ms(under);
-  return a && b ? std::optional<double>(*a / *b) : std::nullopt;
-}
-
-/// What cannot be measured is a note. Throws Error(unavailable) without a device.
-GpuResults measure_gpu(const BenchGpuOptions& options, AppContext& context) { return GpuBench(options, context).run(); }
-
 constexpr double kLimit_ms =
     1.09;  // of the paper step's multiply-adds in bf16 at 790 TFLOP/s, a good product on an H200
 
@@ -194,7 +186,7 @@ std::string text_of(const std::optional<double>& value, int digits) {
 }
 
 int bench_gpu(const BenchGpuOptions& options, AppContext& context) {
-  const GpuResults bench = measure_gpu(options, context);
+  const GpuResults bench = GpuBench(options, context).run();
   const std::optional<double> step = bench.ms("paper bf16 C=29"), peer = bench.best_peer_ms();
   const std::optional<double> frame = bench.ms("frame 320x240 bf16");
   const std::vector<std::pair<std::string, std::string>> goals{
@@ -548,11 +540,6 @@ const PeerRow* find_peer(const BenchStepResults& r, const std::string& net, cons
   return found == r.peers.end() ? nullptr : &*found;
 }
 
-BenchStepResults measure_steps(const BenchStepOptions& options, AppContext& context) {
-  if (options.repeats < 1) throw Error(ErrorKind::usage, "usage.value.range", "--repeats: expected at least 1");
-  return StepBench(options, context).run();
-}
-
 Goals goals_of(const BenchStepResults& r) {
   const auto time = [](const auto& row) { return row.seconds.median; };
   const auto ratio = [&](const auto* over, const auto* under) -> std::optional<double> {
@@ -693,7 +680,8 @@ Json results_json(const BenchStepOptions& options, const BenchStepResults& r) {
 }
 
 int bench_step(const BenchStepOptions& options, AppContext& context) {
-  const BenchStepResults results = measure_steps(options, context);
+  if (options.repeats < 1) throw Error(ErrorKind::usage, "usage.value.range", "--repeats: expected at least 1");
+  const BenchStepResults results = StepBench(options, context).run();
   if (context.json) {
     print_json(context, results_json(options, results));
     return 0;

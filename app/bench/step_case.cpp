@@ -274,52 +274,63 @@ json parsed(const std::string& line) {
 
 }  // namespace
 
-PeerProcess::PeerProcess(const std::vector<std::string>& words) : name_(words.at(0)) {
-  std::array<int, 2> in{}, out{};
-  if (pipe2(in.data(), O_CLOEXEC) != 0 || pipe2(out.data(), O_CLOEXEC) != 0) {
-    throw Error(ErrorKind::unavailable, "system.process.limit", "no pipe to '" + name_ + "'");
+struct Peer::Process {
+  /// Starts `words`, the first of which is the program's file, with pipes to its stdin and stdout; stderr is shared.
+  explicit Process(const std::vector<std::string>& words) : name_(words.at(0)) {
+    std::array<int, 2> in{}, out{};
+    if (pipe2(in.data(), O_CLOEXEC) != 0 || pipe2(out.data(), O_CLOEXEC) != 0) {
+      throw Error(ErrorKind::unavailable, "system.process.limit", "no pipe to '" + name_ + "'");
+    }
+    to_ = in[1];
+    from_ = out[0];
+    pid_ = app::start_child(words, app::ChildStreams{in[0], out[1], STDERR_FILENO});
+    close(in[0]);
+    close(out[1]);
   }
-  to_ = in[1];
-  from_ = out[0];
-  pid_ = app::start_child(words, app::ChildStreams{in[0], out[1], STDERR_FILENO});
-  close(in[0]);
-  close(out[1]);
-}
-
-PeerProcess::~PeerProcess() {
-  close(to_);  // the end of its input ends it
-  close(from_);
-  kill(pid_, SIGTERM);
-  app::code_of_child(pid_);
-}
-
-std::string PeerProcess::read_line() {
-  std::size_t end = 0;
-  while ((end = pending_.find('\n')) == std::string::npos) {
-    std::array<char, 4096> buffer;
-    const ssize_t got = read(from_, buffer.data(), buffer.size());
-    if (got <= 0) throw Error(ErrorKind::unavailable, "study.peer.failed", "'" + name_ + "' ended without an answer");
-    pending_.append(buffer.data(), static_cast<std::size_t>(got));
+  ~Process() {
+    close(to_);  // the end of its input ends it
+    close(from_);
+    kill(pid_, SIGTERM);
+    app::code_of_child(pid_);
   }
-  std::string line = pending_.substr(0, end);
-  pending_.erase(0, end + 1);
-  return line;
-}
+  Process(const Process&) = delete;
+  Process& operator=(const Process&) = delete;
 
-std::string PeerProcess::ask(const std::string& line) {
-  const std::string text = line + "\n";
-  for (std::size_t sent = 0; sent < text.size();) {
-    const ssize_t n = write(to_, text.data() + sent, text.size() - sent);
-    if (n <= 0) throw Error(ErrorKind::unavailable, "study.peer.failed", "'" + name_ + "' takes no more requests");
-    sent += static_cast<std::size_t>(n);
+  /// One line of its output, without the end. Throws Error(unavailable) when it has ended.
+  std::string read_line() {
+    std::size_t end = 0;
+    while ((end = pending_.find('\n')) == std::string::npos) {
+      std::array<char, 4096> buffer;
+      const ssize_t got = read(from_, buffer.data(), buffer.size());
+      if (got <= 0) throw Error(ErrorKind::unavailable, "study.peer.failed", "'" + name_ + "' ended without an answer");
+      pending_.append(buffer.data(), static_cast<std::size_t>(got));
+    }
+    std::string line = pending_.substr(0, end);
+    pending_.erase(0, end + 1);
+    return line;
   }
-  return read_line();
-}
+  /// Sends a line, waits for the answer.
+  std::string ask(const std::string& line) {
+    const std::string text = line + "\n";
+    for (std::size_t sent = 0; sent < text.size();) {
+      const ssize_t n = write(to_, text.data() + sent, text.size() - sent);
+      if (n <= 0) throw Error(ErrorKind::unavailable, "study.peer.failed", "'" + name_ + "' takes no more requests");
+      sent += static_cast<std::size_t>(n);
+    }
+    return read_line();
+  }
+
+ private:
+  std::string name_, pending_;
+  int pid_ = -1, to_ = -1, from_ = -1;
+};
+
+Peer::~Peer() = default;
 
 Peer::Peer(const std::string& script, const std::string& python, int threads, const std::string& device) {
   std::vector<std::string> words{python_with_torch(python), script, "--serve", "--device", device};
   if (device == "cpu") words.insert(words.end(), {"--tuned", "--threads", std::to_string(threads)});
-  process_ = std::make_unique<PeerProcess>(words);
+  process_ = std::make_unique<Process>(words);
   const json about = parsed(process_->read_line());
   description_ = fmt::format("PyTorch {}, {} threads, BLAS {}, allocator {}, ATen {}", about.value("torch", "?"),
                              about.value("threads", 0), about.value("blas", "?"),

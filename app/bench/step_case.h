@@ -83,25 +83,6 @@ std::vector<Spread> alternate(const std::vector<std::function<double()>>& measur
 // The PyTorch steps of studies/peers as a program that measures on request: it answers one line for each line, so that
 // its work can alternate with ours.
 
-class PeerProcess {
- public:
-  /// Starts `words`, the first of which is the program's file, with pipes to its stdin and stdout; stderr is shared.
-  /// Throws Error(unavailable).
-  explicit PeerProcess(const std::vector<std::string>& words);
-  ~PeerProcess();
-  PeerProcess(const PeerProcess&) = delete;
-  PeerProcess& operator=(const PeerProcess&) = delete;
-
-  /// One line of its output, without the end. Throws Error(unavailable) when it has ended.
-  std::string read_line();
-  /// Sends a line, waits for the answer.
-  std::string ask(const std::string& line);
-
- private:
-  std::string name_, pending_;
-  int pid_ = -1, to_ = -1, from_ = -1;
-};
-
 /// One step of the peer to be measured.
 struct PeerRequest {
   std::string net;  ///< paper or hash
@@ -127,9 +108,11 @@ class Peer {
   PeerTimes measure(const PeerRequest& request);
   /// Version, threads and what was tuned, in words.
   const std::string& description() const { return description_; }
+  ~Peer();
 
  private:
-  std::unique_ptr<PeerProcess> process_;
+  struct Process;
+  std::unique_ptr<Process> process_;
   std::string description_;
 };
 
