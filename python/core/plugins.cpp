@@ -37,12 +37,16 @@ inline Held hold(py::object object) {
           }};
 }
 
-// Calls code of a plugin with the GIL; what it raises becomes an Error.
+// Calls code of a plugin with the GIL, which may take `doing`; what it raises becomes an Error.
 template <class Call>
 auto called(const std::string& doing, const Call& call) {
   const py::gil_scoped_acquire gil;
   try {
-    return call();
+    if constexpr (std::is_invocable_v<Call, const std::string&>) {
+      return call(doing);
+    } else {
+      return call();
+    }
   } catch (py::error_already_set& raised) {
     if (raised.matches(PyExc_KeyboardInterrupt)) {
       note_interrupt();
@@ -176,23 +180,19 @@ void require_in_range(const PythonParam& param, const std::string& owner) {
 
 void PythonParams::describe(ParamVisitor& visit) {
   for (PythonParam& p : params_) {
-    const ParamInfo info{p.name, p.help, p.range};
-    struct Visit {
-      ParamVisitor& visit;
-      const ParamInfo& info;
-      void operator()(bool& value) const { visit.boolean(info, value); }
-      void operator()(std::int64_t& value) const { visit.integer(info, value); }
-      void operator()(double& value) const { visit.real(info, value); }
-      void operator()(std::string& value) const { visit.text(info, value); }
-      void operator()(ChoiceValue& value) const {
-        const std::vector<std::string_view> names(value.names.begin(), value.names.end());
-        visit.choice(info, value.index, names);
-      }
-      void operator()(std::vector<std::int64_t>& value) const { visit.integers(info, value); }
-      void operator()(std::vector<double>& value) const { visit.reals(info, value); }
-      void operator()(std::vector<std::string>& value) const { visit.texts(info, value); }
-    };
-    std::visit(Visit{visit, info}, p.value);
+    std::visit(
+        [&](auto& value) {
+          using T = std::decay_t<decltype(value)>;
+          if constexpr (std::is_same_v<T, ChoiceValue>) {
+            const std::vector<std::string_view> names(value.names.begin(), value.names.end());
+            visit.choice({p.name, p.help, p.range}, value.index, names);
+          } else if constexpr (std::is_same_v<T, std::int64_t>) {
+            visit.integer({p.name, p.help, p.range}, value);
+          } else {
+            visit_param(visit, p.name, value, p.help, p.range);
+          }
+        },
+        p.value);
   }
 }
 
@@ -289,14 +289,13 @@ class PythonHead final : public Head<Real> {
 
   void hidden_forward(const StepContext&, const Tensors<Real>& tensors, View<const Real> feature,
                       View<Real> hidden) const override {
-    called(owner_ + ".hidden", [&] {
-      take(owner_ + ".hidden", instance_->attr("hidden")(borrowed(feature), tensors_.values(tensors)), hidden);
+    called(owner_ + ".hidden", [&](const std::string& doing) {
+      take(doing, instance_->attr("hidden")(borrowed(feature), tensors_.values(tensors)), hidden);
     });
   }
   void hidden_backward(const StepContext&, const Tensors<Real>& tensors, View<const Real> feature,
                        View<const Real> hidden, View<Real> d_hidden, View<Real> d_feature) const override {
-    called(owner_ + ".hidden_backward", [&] {
-      const std::string doing = owner_ + ".hidden_backward";
+    called(owner_ + ".hidden_backward", [&](const std::string& doing) {
       take(doing,
            tensors_.with_gradients(doing, tensors,
                                    [&](const py::dict& grads) {
@@ -309,14 +308,13 @@ class PythonHead final : public Head<Real> {
   }
   void output_forward(const StepContext&, const Tensors<Real>& tensors, View<const Real> h, View<const Real> opacity,
                       View<Real> rows) const override {
-    called(owner_ + ".output", [&] {
-      take(owner_ + ".output", instance_->attr("output")(borrowed(h), seen(opacity), tensors_.values(tensors)), rows);
+    called(owner_ + ".output", [&](const std::string& doing) {
+      take(doing, instance_->attr("output")(borrowed(h), seen(opacity), tensors_.values(tensors)), rows);
     });
   }
   void output_backward(const StepContext&, const Tensors<Real>& tensors, View<const Real> h, View<const Real> opacity,
                        View<const Real> d_rows, View<Real> d_h, View<Real> d_opacity) const override {
-    called(owner_ + ".output_backward", [&] {
-      const std::string doing = owner_ + ".output_backward";
+    called(owner_ + ".output_backward", [&](const std::string& doing) {
       const py::object answer = tensors_.with_gradients(doing, tensors, [&](const py::dict& grads) {
         return instance_->attr("output_backward")(borrowed(h), seen(opacity), borrowed(d_rows),
                                                   tensors_.values(tensors), grads);
@@ -522,16 +520,17 @@ class PythonEncoder final : public Encoder<Real> {
 
  protected:
   void do_forward(const StepContext&, const Tensors<Real>& tensors, View<const double> x, View<Real> y) const override {
-    called(owner_ + ".forward",
-           [&] { take(owner_ + ".forward", instance_->attr("forward")(borrowed(x), tensors_.values(tensors)), y); });
+    called(owner_ + ".forward", [&](const std::string& doing) {
+      take(doing, instance_->attr("forward")(borrowed(x), tensors_.values(tensors)), y);
+    });
   }
   void do_backward(const StepContext&, const Tensors<Real>& tensors, View<const double> x, View<const Real> dy,
                    View<Real> dx) const override {
-    called(owner_ + ".backward", [&] {
-      const py::object answer = tensors_.with_gradients(owner_ + ".backward", tensors, [&](const py::dict& grads) {
+    called(owner_ + ".backward", [&](const std::string& doing) {
+      const py::object answer = tensors_.with_gradients(doing, tensors, [&](const py::dict& grads) {
         return instance_->attr("backward")(borrowed(x), borrowed(dy), tensors_.values(tensors), grads);
       });
-      if (!dx.empty()) take(owner_ + ".backward", answer, dx);
+      if (!dx.empty()) take(doing, answer, dx);
     });
   }
 

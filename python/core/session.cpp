@@ -102,24 +102,26 @@ auto PySession::computed(const Call& call) const {
   return call();
 }
 
-std::unique_ptr<PySession> PySession::open(const py::object& config, const py::dict& set, const Opening& how) {
+std::unique_ptr<PySession> PySession::open(const py::object& config, const py::dict& set, const std::string& run_dir,
+                                           const std::vector<std::string>& keep, const py::object& scene) {
   std::unique_ptr<PySession> made(new PySession);
   ConfigNode tree = composed(config, set);
-  if (!how.scene.is_none()) tree = with_scene(tree, how.scene.cast<py::dict>());
+  if (!scene.is_none()) tree = with_scene(tree, scene.cast<py::dict>());
   made->run_ = opened([&] {
     return std::make_unique<Run>(session_config_of(tree, made->registry_), made->registry_,
-                                 TrainRequest{how.run_dir, false, how.keep}, &made->notes_);
+                                 TrainRequest{run_dir, false, keep}, &made->notes_);
   });
   return made;
 }
 
-std::unique_ptr<PySession> PySession::resume(const std::string& run_dir, const py::dict& set, const Opening& how) {
+std::unique_ptr<PySession> PySession::resume(const std::string& run_dir, const py::dict& set,
+                                             const std::vector<std::string>& keep) {
   std::unique_ptr<PySession> made(new PySession);
   const std::vector<ConfigOverride> overrides = overrides_of(set);
   made->run_ = opened([&] {
     const ConfigNode tree = compose_config_with(RunFolder::read(run_dir).config_path(), overrides);
     return std::make_unique<Run>(session_config_of(tree, made->registry_), made->registry_,
-                                 TrainRequest{run_dir, true, how.keep}, &made->notes_);
+                                 TrainRequest{run_dir, true, keep}, &made->notes_);
   });
   return made;
 }
@@ -469,16 +471,8 @@ py::dict facts_of(const PySession& self) {
 }  // namespace
 
 void define_session(py::module_& module) {
-  using Opening = PySession::Opening;
-  const auto open = [](const py::object& config, const py::dict& set, const std::string& out,
-                       const std::vector<std::string>& keep, const py::object& scene) {
-    return PySession::open(config, set, Opening{out, keep, scene});
-  };
-  const auto resume = [](const std::string& run_dir, const py::dict& set, const std::vector<std::string>& keep) {
-    return PySession::resume(run_dir, set, Opening{run_dir, keep, py::none()});
-  };
-  module.def("open", open);
-  module.def("resume", resume);
+  module.def("open", &PySession::open);
+  module.def("resume", &PySession::resume);
   module.def("load", &PySession::load);
   module.def("train_run", train_run);
   py::class_<PySession>(module, "Session")
@@ -566,15 +560,12 @@ py::dict train_run(const py::object& config, const py::dict& set, const std::str
     outcome = run_training(session_config_of(tree, registry), registry, {out, resume, {}}, &told);
   }
   told.raise();
-  py::dict scores;
-  for (const auto& [name, value] : outcome.values)
-    scores[py::str(name)] = value ? py::object(py::float_(*value)) : py::none();
   py::dict result;
   result["run_dir"] = outcome.run_dir;
   result["report"] = outcome.report_path;
   result["step"] = outcome.step;
   result["train_s"] = outcome.train_s;
-  result["scores"] = scores;
+  result["scores"] = values_dict(outcome.values);
   result["scored"] = outcome.scored.frames == 0 ? std::string() : outcome.scored.text();
   result["notes"] = told.notes;
   return result;

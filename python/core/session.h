@@ -35,18 +35,15 @@ class Notes final : public RunListener {
 /// may hold it while waiting here.
 class PySession {
  public:
-  struct Opening {
-    std::string run_dir;
-    std::vector<std::string> keep;
-    py::object scene = py::none();  ///< in place of the configuration's section: a dict
-  };
   ~PySession();
   PySession(const PySession&) = delete;
   PySession& operator=(const PySession&) = delete;
-  /// A configuration that trains.
-  static std::unique_ptr<PySession> open(const py::object& config, const py::dict& set, const Opening& how);
+  /// A configuration that trains. `scene`: in place of its section, a dict or None.
+  static std::unique_ptr<PySession> open(const py::object& config, const py::dict& set, const std::string& run_dir,
+                                         const std::vector<std::string>& keep, const py::object& scene);
   /// A run's folder, to go on with.
-  static std::unique_ptr<PySession> resume(const std::string& run_dir, const py::dict& set, const Opening& how);
+  static std::unique_ptr<PySession> resume(const std::string& run_dir, const py::dict& set,
+                                           const std::vector<std::string>& keep);
   /// A run's folder, to look at.
   static std::unique_ptr<PySession> load(const std::string& run_dir, const py::dict& set);
 
