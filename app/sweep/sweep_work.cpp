@@ -18,6 +18,7 @@
 #include <utility>
 
 #include "app/child_process.h"
+#include "app/json_output.h"
 #include "app/signals.h"
 #include "config/config_tree.h"
 #include "core/error.h"
@@ -176,8 +177,7 @@ void SweepFolder::write_tables(EndedCells& ended) const {
     write_if_changed(fs::path(path_) / (name + ".csv"), table.csv());
   }
   write_if_changed(fs::path(path_) / "tables.md", page);
-  write_if_changed(fs::path(path_) / "tables.html",
-                   report_page(data.dump(-1, ' ', false, Json::error_handler_t::replace)));
+  write_if_changed(fs::path(path_) / "tables.html", report_page(json_text(data)));
   write_if_changed(fs::path(path_) / "results.csv", results_csv(sweep_, cells_, ended.results));
 }
 

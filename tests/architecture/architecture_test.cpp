@@ -244,9 +244,7 @@ void check_folder(const std::string& folder, std::size_t at_least) {
 TEST(IncludeArrows, FrameworkKeepsItsFloors) { check_folder("framework", 100); }
 TEST(IncludeArrows, PluginsSeeTheSdkAlone) { check_folder("plugins", 50); }
 TEST(IncludeArrows, TheApplicationStandsOnTop) { check_folder("app", 1); }
-TEST(IncludeArrows, TestsKeepTheLibrariesApart) {
-  check_folder("tests", 20);
-}
+TEST(IncludeArrows, TestsKeepTheLibrariesApart) { check_folder("tests", 20); }
 
 struct Arrow {
   const char* path;

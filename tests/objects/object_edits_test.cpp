@@ -1,7 +1,5 @@
 // A small set of objects: blocks of cells in a row.
 
-#include "objects/object_set.h"
-
 #include <gtest/gtest.h>
 #include <sys/resource.h>
 
@@ -17,6 +15,7 @@
 #include "app/objects/object_files.h"
 #include "core/error.h"
 #include "formats/safetensors.h"
+#include "objects/object_set.h"
 #include "system/files.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"

@@ -1,5 +1,7 @@
 // Sweep files: what becomes of grids, variants, scenes and lists of files, each error with its place; result tables.
 
+#include "report/sweep.h"
+
 #include <unistd.h>
 
 #include <algorithm>
@@ -10,7 +12,6 @@
 
 #include "app/sweep/sweep_work.h"
 #include "plugin/loader.h"
-#include "report/sweep.h"
 #include "session/settings/run_config.h"
 #include "tests/scene/tiny_scene.h"
 #include "tests/temp_dir.h"
