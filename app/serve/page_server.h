@@ -17,7 +17,6 @@
 #include <vector>
 
 #include "app/serve/http_server.h"
-#include "app/serve/page_exports.h"
 #include "app/serve/page_requests.h"
 #include "serve/label_loop.h"
 #include "serve/label_session.h"
@@ -209,5 +208,24 @@ class PageServer final : public PageHost {
   std::atomic<bool> stopping_{false};
   mutable std::atomic<int> waiting_for_news_{0};
 };
+
+// Pictures of responses.
+
+inline constexpr int kMostPageClasses = 255;  ///< a palette has an entry for each and one for none
+
+/// Class indices as a palette PNG: entry index + 1 has the class's colour, entry 0 is transparent and means none.
+std::vector<std::uint8_t> label_png(std::int32_t width_px, std::int32_t height_px, std::span<const std::int16_t> label,
+                                    const std::vector<ClassState>& classes);
+
+/// The response to a request for a picture: JSON of its facts, then JPEG, PNG of labels and PNG of entropy, each behind
+/// its length in four bytes, little-endian; 0 for one that there is not. `is_spot`: the request was about a point.
+std::string picture_bytes(const Picture& picture, const std::vector<ClassState>& classes, bool is_spot);
+
+/// A photograph as JPEG, made smaller where its longest side is above `most_px`; 0: never.
+std::vector<std::uint8_t> photo_jpeg(const Image<std::uint8_t>& photo, std::int32_t most_px);
+
+/// JPEG by TurboJPEG. `rgb`: [height * width * 3]. Throws Error(internal) where TurboJPEG refuses.
+std::vector<std::uint8_t> encode_jpeg(std::int32_t width_px, std::int32_t height_px, std::span<const std::uint8_t> rgb,
+                                      int quality = 85);
 
 }  // namespace semfield::app

@@ -8,7 +8,6 @@
 
 #include "app/json_output.h"
 #include "app/render/run_surface.h"
-#include "app/render/scene_page.h"
 #include "app/scene/inspect_report.h"
 #include "app/terminal.h"
 #include "app/verb.h"

@@ -1,6 +1,5 @@
 // Whether a run that is looked at, resumed or compared is still what was trained: its labels, its run.yaml, its
 // plugins.
-#include <fmt/format.h>
 
 #include "eval/final_eval.h"
 #include "loading/packed_scene.h"
@@ -270,7 +269,7 @@ TEST_F(DrivenRun, HasTheBitsAndTheRowsOfTheWholeRun) {
 // Whoever drives it.
 TEST_F(DrivenRun, EndsWhereItsFirstStepsTakeMoreMemoryThanIsAllowed) {
   const double held_gb = static_cast<double>(resident_bytes() + 4'000'000) * 1e-9;  // the frames fit
-  semfield::Run run(config({fmt::format("runtime.memory_gb={}", held_gb)}), registry_, {}, &nobody_);
+  semfield::Run run(config({"runtime.memory_gb=" + std::to_string(held_gb)}), registry_, {}, &nobody_);
   EXPECT_ERROR(run.advance(1), "memory.training.size", "runtime.memory_gb");
 }
 
