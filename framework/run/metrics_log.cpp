@@ -161,15 +161,6 @@ std::vector<MetricsRow> read_metrics(const std::string& path) { return parse_met
 
 MetricsLog::MetricsLog(std::string path) : path_(std::move(path)), file_(open_log(path_)) {}
 
-MetricsLog MetricsLog::create(const std::string& path) {
-  std::error_code ignored;
-  if (std::filesystem::exists(path, ignored) && std::filesystem::file_size(path, ignored) > 0) {
-    throw Error(ErrorKind::cannot_create, "run.folder.used", fmt::format("'{}' holds rows already", path),
-                "resume the run, or choose another folder with --out");
-  }
-  return MetricsLog(path);
-}
-
 MetricsLog MetricsLog::resume(const std::string& path, std::int64_t step) {
   if (std::filesystem::exists(path)) {
     const std::string text = read_text_file(path);

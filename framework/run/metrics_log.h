@@ -42,10 +42,8 @@ std::vector<MetricsRow> parse_metrics(std::string_view text, const std::string& 
 /// Appends rows; each is with the system when append returns, so a killed process loses none.
 class MetricsLog {
  public:
-  /// Opens an empty or absent file. Throws Error(cannot_create).
-  static MetricsLog create(const std::string& path);
   /// Drops every row after `step` and what a power cut left of lines behind the last row kept, then opens for
-  /// appending. Throws Error(data) for an unreadable line ahead of a row that is kept.
+  /// appending a file that may be absent. Throws Error(data) for an unreadable line ahead of a row that is kept.
   static MetricsLog resume(const std::string& path, std::int64_t step);
 
   /// Throws write_error; nothing of the row stays then, and a later call may succeed.

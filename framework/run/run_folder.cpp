@@ -112,13 +112,18 @@ std::string compiler() {
 #endif
 }
 
+Error damaged(const std::string& what) {
+  return Error(ErrorKind::data, "run.record.damaged", what, "restore the file, or delete it");
+}
+
 Json parse(std::string_view text, const std::string& name) {
   Json json = Json::parse(text.begin(), text.end(), nullptr, false);
-  if (json.is_discarded())
-    throw Error(ErrorKind::data, "run.record.damaged", fmt::format("'{}' is not JSON", name),
-                "restore the file, or delete it");
+  if (json.is_discarded()) throw damaged(fmt::format("'{}' is not JSON", name));
   return json;
 }
+
+// A text as it is, anything else as JSON.
+std::string text_of(const Json& value) { return value.is_string() ? value.get<std::string>() : value.dump(); }
 
 constexpr std::array<std::pair<const char*, std::string LeftOutRow::*>, 6> kLeftOutFields{{
     {"component", &LeftOutRow::component},
@@ -332,18 +337,12 @@ std::string environment_json(const Environment& e) {
 
 std::vector<std::pair<std::string, std::string>> parse_environment(std::string_view text, const std::string& name) {
   const Json json = parse(text, name);
-  if (!json.is_object())
-    throw Error(ErrorKind::data, "run.record.damaged", fmt::format("'{}' is not a JSON object", name),
-                "restore the file, or delete it");
+  if (!json.is_object()) throw damaged(fmt::format("'{}' is not a JSON object", name));
   std::vector<std::pair<std::string, std::string>> entries;
   for (const auto& [key, value] : json.items()) {
-    std::string shown = value.is_string() ? value.get<std::string>() : value.dump();
-    if (value.is_array()) {
-      std::vector<std::string> items;
-      for (const Json& item : value) items.push_back(item.is_string() ? item.get<std::string>() : item.dump());
-      shown = join(items);
-    }
-    entries.emplace_back(key, std::move(shown));
+    std::vector<std::string> items;
+    for (const Json& item : value.is_array() ? value : Json::array({value})) items.push_back(text_of(item));
+    entries.emplace_back(key, join(items));
   }
   return entries;
 }
@@ -352,9 +351,7 @@ std::vector<std::string> parse_settings_changed(std::string_view text, const std
   const Json json = parse(text, name);
   std::vector<std::string> changes;
   if (!json.is_object() || !json.contains("settings_changed")) return changes;
-  for (const Json& change : json["settings_changed"]) {
-    changes.push_back(change.is_string() ? change.get<std::string>() : change.dump());
-  }
+  for (const Json& change : json["settings_changed"]) changes.push_back(text_of(change));
   return changes;
 }
 
@@ -370,22 +367,15 @@ std::string left_out_json(const std::vector<LeftOutRow>& rows) {
 
 std::vector<LeftOutRow> parse_left_out(std::string_view text, const std::string& name) {
   const Json json = parse(text, name);
-  if (!json.is_array())
-    throw Error(ErrorKind::data, "run.record.damaged", fmt::format("'{}' is not a list", name),
-                "restore the file, or delete it");
+  if (!json.is_array()) throw damaged(fmt::format("'{}' is not a list", name));
   std::vector<LeftOutRow> rows;
   for (const Json& object : json) {
     LeftOutRow row;
     for (const auto& [key, field] : kLeftOutFields) {
       if (!object.is_object() || !object.contains(key)) continue;
-      const Json& value = object[key];
-      row.*field = value.is_string() ? value.get<std::string>() : value.is_null() ? "" : value.dump();
+      row.*field = object[key].is_null() ? "" : text_of(object[key]);
     }
-    if (row.component.empty()) {
-      throw Error(ErrorKind::data, "run.record.damaged",
-                  fmt::format("'{}': row {} names no component", name, rows.size() + 1),
-                  "restore the file, or delete it");
-    }
+    if (row.component.empty()) throw damaged(fmt::format("'{}': row {} names no component", name, rows.size() + 1));
     rows.push_back(std::move(row));
   }
   return rows;

@@ -36,7 +36,6 @@ class RunFolder {
   const std::string& path() const { return path_; }
   std::string config_path() const { return in("run.yaml"); }
   std::string classes_path() const { return in("classes.yaml"); }
-  std::string clicks_path() const { return in("clicks.jsonl"); }
   std::string metrics_path() const { return in("metrics.jsonl"); }
   std::string environment_path() const { return in("environment.json"); }
   std::string left_out_path() const { return in("left_out.json"); }

@@ -30,6 +30,14 @@ constexpr std::int64_t kLeastLast_px = 256;  // of one of many frames
 
 const char* name_of(Split split) { return split == Split::test ? "test" : "train"; }
 
+CheckpointStore::Found newest_checkpoint(const RunFolder& folder, Diagnostics& diagnostics) {
+  std::optional<CheckpointStore::Found> found =
+      CheckpointStore::read(folder.checkpoints_path()).find_latest(diagnostics);
+  if (found) return *std::move(found);
+  throw Error(ErrorKind::no_input, "checkpoint.none.yet", folder.path() + ": the run has no checkpoint yet",
+              "train it from step 0 with `semfield train --resume " + shell_word(folder.path()) + "`");
+}
+
 struct Side {
   TensorFile file;
   CheckpointFacts facts;
@@ -67,15 +75,10 @@ std::optional<ConfigNode> settings_of(const RunFolder& folder, const Side& side,
 
 Side read_side(const std::string& run_dir, Registry& registry, Diagnostics& diagnostics) {
   const RunFolder folder = RunFolder::read(run_dir);
-  std::optional<CheckpointStore::Found> found =
-      CheckpointStore::read(folder.checkpoints_path()).find_latest(diagnostics);
-  if (!found) {
-    throw Error(ErrorKind::no_input, "checkpoint.none.yet", run_dir + ": the run has no checkpoint yet",
-                "train it from step 0 with `semfield train --resume " + shell_word(run_dir) + "`");
-  }
+  CheckpointStore::Found found = newest_checkpoint(folder, diagnostics);
   Side side;
-  side.facts = read_checkpoint_facts(found->file, found->step);
-  side.file = std::move(found->file);
+  side.facts = read_checkpoint_facts(found.file, found.step);
+  side.file = std::move(found.file);
   side.settings = settings_of(folder, side, registry, diagnostics);
   return side;
 }
@@ -124,6 +127,34 @@ void add_untold(const Diagnostics& found, const std::string& told_path, Diagnost
   }
 }
 
+std::int64_t pixels_of(const EvalJob& job) {
+  std::int64_t pixels = 0;
+  for (const int f : job.frames) {
+    const Camera& camera = (*job.infos)[static_cast<std::size_t>(f)].camera;
+    pixels += std::int64_t{strided_px(camera.width_px, job.stride)} * strided_px(camera.height_px, job.stride);
+  }
+  return pixels;
+}
+
+// The largest stride that leaves every frame a map of `least_px` at least.
+std::int32_t most_stride(const EvalJob& job, std::int64_t least_px) {
+  std::int32_t most = INT32_MAX;
+  for (const int f : job.frames) {
+    const Camera& camera = (*job.infos)[static_cast<std::size_t>(f)].camera;
+    std::int32_t stride = 1;
+    while (std::int64_t{strided_px(camera.width_px, stride + 1)} * strided_px(camera.height_px, stride + 1) >= least_px)
+      ++stride;
+    most = std::min(most, stride);
+  }
+  return most;
+}
+
+void write_final_eval(const RunFolder& folder, FinalEval detail, std::int64_t step, double train_s) {
+  detail.step = step;
+  detail.train_s = train_s;
+  write_file_atomic(folder.final_eval_path(), final_eval_json(detail));
+}
+
 }  // namespace
 
 double unix_seconds() {
@@ -138,31 +169,6 @@ RunScores::RunScores(const Session& session, const ScoreFiles& files, RunListene
       budget_(session.config.report.eval_share, end_s(session.config)),
       test_(session.scene.frames_of(Split::test)) {}
 
-EvalJob RunScores::test_sample() const {
-  return session_.eval_job(evenly_spaced(test_, session_.config.report.eval_frames));
-}
-
-std::int64_t RunScores::pixels_of(const EvalJob& job) const {
-  std::int64_t pixels = 0;
-  for (const int f : job.frames) {
-    const Camera& camera = (*job.infos)[static_cast<std::size_t>(f)].camera;
-    pixels += std::int64_t{strided_px(camera.width_px, job.stride)} * strided_px(camera.height_px, job.stride);
-  }
-  return pixels;
-}
-
-std::int32_t RunScores::most_stride(const EvalJob& job, std::int64_t least_px) const {
-  std::int32_t most = INT32_MAX;
-  for (const int f : job.frames) {
-    const Camera& camera = (*job.infos)[static_cast<std::size_t>(f)].camera;
-    std::int32_t stride = 1;
-    while (std::int64_t{strided_px(camera.width_px, stride + 1)} * strided_px(camera.height_px, stride + 1) >= least_px)
-      ++stride;
-    most = std::min(most, stride);
-  }
-  return most;
-}
-
 void RunScores::measure_cost(EvalJob job) {
   if (budget_.knows_cost()) return;
   job.frames = evenly_spaced(job.frames, 1);
@@ -171,14 +177,6 @@ void RunScores::measure_cost(EvalJob job) {
   const double begin_s = listener_.now_s();
   evaluate(*session_.pipeline, job, session_.limits, session_.plan.class_of_logit);
   budget_.spend(listener_.now_s() - begin_s, static_cast<double>(pixels_of(job)));
-}
-
-void RunScores::plan_sample() {
-  if (sample_stride_) return;
-  const EvalJob job = test_sample();
-  if (budget_.bounds_samples()) measure_cost(job);
-  sample_stride_ = budget_.sample_stride(static_cast<double>(pixels_of(job)), session_.config.report.eval_every_s,
-                                         most_stride(job, kLeastMap_px));
 }
 
 SplitScore RunScores::score(EvalJob job, Split split) {
@@ -205,8 +203,12 @@ void RunScores::log_test(const Moment& at, const ScoredPart& part, const SplitSc
 
 void RunScores::score_sample(const Moment& at) {
   if (test_.empty() || !budget_.has_time_for_sample(at.train_s - start_.train_s)) return;
-  plan_sample();
-  EvalJob job = test_sample();
+  EvalJob job = session_.eval_job(evenly_spaced(test_, session_.config.report.eval_frames));
+  if (!sample_stride_) {
+    if (budget_.bounds_samples()) measure_cost(job);
+    sample_stride_ = budget_.sample_stride(static_cast<double>(pixels_of(job)), session_.config.report.eval_every_s,
+                                           most_stride(job, kLeastMap_px));
+  }
   job.stride = *sample_stride_;
   job.stop = [this] { return listener_.stop_signal() != 0; };
   const SplitScore found = score(job, Split::test);
@@ -233,7 +235,16 @@ ScoreValues RunScores::score_end(const Moment& at) {
   }
   ScoreValues values;
   if (!test_.empty()) values = score_test_frames(at, test_job, left_s / 2);
-  if (!train_job.frames.empty()) score_training_frames(at, train_job);
+  if (train_job.frames.empty()) return values;
+  // The field at the training poses against the scene's own labels, then the labels given.
+  train_job.given = &session_.labels;
+  const ScoredPart part{std::ssize(train_job.frames), std::ssize(session_.scene.frames_of(Split::train)),
+                        train_job.stride};
+  MetricsRow row =
+      score_row(at.step, at.train_s, "train", part, score(train_job, Split::train), session_.scene.info.classes);
+  add_given_scores(row, session_, train_job.frames);
+  files_.log.append(row);
+  files_.log.sync();
   return values;
 }
 
@@ -251,10 +262,8 @@ ScoreValues RunScores::score_test_frames(const Moment& at, EvalJob job, double p
   if (part.stride > 1) draw_report_frames(pictures_s, part.stride);
   log_test(at, part, found);
   if (const std::string warning = found.resolution.warning(); !warning.empty()) listener_.note("warning: " + warning);
-  FinalEval detail = final_eval(found, session_.scene.info.classes, part.whole() ? "test" : "test" + kSampleSuffix);
-  detail.step = at.step;
-  detail.train_s = at.train_s;
-  write_file_atomic(files_.folder.final_eval_path(), final_eval_json(detail));
+  const std::string split = part.whole() ? "test" : "test" + kSampleSuffix;
+  write_final_eval(files_.folder, final_eval(found, session_.scene.info.classes, split), at.step, at.train_s);
   return found.values();
 }
 
@@ -269,15 +278,6 @@ void RunScores::draw_report_frames(double budget_s, std::int32_t scored_stride) 
     return render_named_frame(*session_.pipeline, info.name, {info.camera, info.world_from_camera, job.undistort},
                               session_.limits, session_.plan.class_of_logit, {}, options);
   });
-}
-
-void RunScores::score_training_frames(const Moment& at, EvalJob job) {
-  job.given = &session_.labels;
-  const ScoredPart part{std::ssize(job.frames), std::ssize(session_.scene.frames_of(Split::train)), job.stride};
-  MetricsRow row = score_row(at.step, at.train_s, "train", part, score(job, Split::train), session_.scene.info.classes);
-  add_given_scores(row, session_, job.frames);
-  files_.log.append(row);
-  files_.log.sync();
 }
 
 MetricsRow score_row(std::int64_t step, double train_s, const std::string& split, const ScoredPart& part,
@@ -340,10 +340,7 @@ std::string keep_scores(const OpenedRun& run, const std::string& split, const Sp
       log.sync();
     }
     if (split != "test") return {};
-    FinalEval detail = final_eval(score, classes, split);
-    detail.step = run.step;
-    detail.train_s = run.train_s;
-    write_file_atomic(folder.final_eval_path(), final_eval_json(detail));
+    write_final_eval(folder, final_eval(score, classes, split), run.step, run.train_s);
   } catch (const Error& error) {
     return error.message();
   }
@@ -363,13 +360,8 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
   OpenedRun run;
   const RunFolder folder = RunFolder::read(run_dir);
   run.run_dir = folder.path();
-  const CheckpointStore store = CheckpointStore::read(folder.checkpoints_path());
-  std::optional<CheckpointStore::Found> found = store.find_latest(diagnostics);
-  if (!found) {
-    throw Error(ErrorKind::no_input, "checkpoint.none.yet", run_dir + ": the run has no checkpoint yet",
-                "train it from step 0 with `semfield train --resume " + shell_word(run_dir) + "`");
-  }
-  const CheckpointFacts facts = read_checkpoint_facts(found->file, found->step);
+  const CheckpointStore::Found found = newest_checkpoint(folder, diagnostics);
+  const CheckpointFacts facts = read_checkpoint_facts(found.file, found.step);
   RunConfig config = load_run_config(folder.config_path(), overrides, registry);
   require_scene_places(config, run_dir);
   require_clicks({true, facts.clicks}, config.labels, run_dir, diagnostics);
@@ -390,8 +382,8 @@ OpenedRun open_run(const std::string& run_dir, const std::vector<std::string>& o
   add_untold(of_scene, folder.findings_path(), diagnostics);
   if (same_scene) warn_of_other_inputs(facts.inputs, scene_inputs(run.session.scene, run.session.labels), diagnostics);
   warn_of_other_modules(facts.modules, run.session.config.plugins, diagnostics);
-  load_pipeline(*run.session.pipeline, found->file);
-  use_learned_poses(run.session, found->file, diagnostics);
+  load_pipeline(*run.session.pipeline, found.file);
+  use_learned_poses(run.session, found.file, diagnostics);
   run.step = facts.step;
   run.train_s = facts.train_s;
   return run;

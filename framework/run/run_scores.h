@@ -125,21 +125,14 @@ class RunScores {
   const ReportFrames& report_frames() const { return report_frames_; }
 
  private:
-  EvalJob test_sample() const;
-  std::int64_t pixels_of(const EvalJob& job) const;
-  // The largest stride that leaves every frame a map of `least_px` at least.
-  std::int32_t most_stride(const EvalJob& job, std::int64_t least_px) const;
   // What a pixel costs, from a few of the job's, unless an evaluation showed it already.
   void measure_cost(EvalJob job);
-  void plan_sample();
   SplitScore score(EvalJob job, Split split);
   void log_test(const Moment& at, const ScoredPart& part, const SplitScore& score);
   // `pictures_s`: what the report's pictures may take where the scores do not make them.
   ScoreValues score_test_frames(const Moment& at, EvalJob job, double pictures_s);
   // Finer than the scores, where the time allows it.
   void draw_report_frames(double budget_s, std::int32_t scored_stride);
-  // The field at the training poses against the scene's own labels, then the labels given.
-  void score_training_frames(const Moment& at, EvalJob job);
 
   const Session& session_;
   ScoreFiles files_;

@@ -56,22 +56,16 @@ std::optional<EventsKnown> clicks_of(const TensorFile& file) {
   return known;
 }
 
-SceneInputs inputs_of(const TensorFile& file) {
-  const std::string text = text_of(file, "inputs");
+// What `read` makes of the text, which it may not be able to read.
+template <class Read>
+auto read_of(const TensorFile& file, const std::string& key, const Read& read) {
+  const std::string& text = text_of(file, key);
   try {
-    return read_inputs_text(text);
+    return read(text);
   } catch (const Error& error) {
-    refuse("checkpoint.metadata.damaged", file, fmt::format("metadata 'inputs' cannot be read: {}", error.message()));
-  }
-}
-
-std::map<std::string, std::string> modules_of(const TensorFile& file) {
-  const auto text = file.metadata().find("modules");
-  if (text == file.metadata().end()) return {};
-  try {
-    return nlohmann::json::parse(text->second).get<std::map<std::string, std::string>>();
+    refuse("checkpoint.metadata.damaged", file, fmt::format("metadata '{}' cannot be read: {}", key, error.message()));
   } catch (const nlohmann::json::exception& error) {
-    refuse("checkpoint.metadata.damaged", file, fmt::format("metadata 'modules' cannot be read: {}", error.what()));
+    refuse("checkpoint.metadata.damaged", file, fmt::format("metadata '{}' cannot be read: {}", key, error.what()));
   }
 }
 
@@ -126,11 +120,13 @@ CheckpointFacts read_checkpoint_facts(const TensorFile& file) {
   facts.config = text_of(file, "config");
   facts.classes = text_of(file, "classes");
   facts.scene = read_manifest_text(text_of(file, "scene"));
-  facts.inputs = inputs_of(file);
+  facts.inputs = read_of(file, "inputs", [](const std::string& text) { return read_inputs_text(text); });
   facts.clicks = clicks_of(file);
-  facts.modules = modules_of(file);
-  if (const auto round = file.metadata().find("self_labels"); round != file.metadata().end())
-    facts.self_labels = round->second;
+  if (file.metadata().contains("modules"))
+    facts.modules = read_of(file, "modules", [](const std::string& text) {
+      return nlohmann::json::parse(text).get<std::map<std::string, std::string>>();
+    });
+  if (file.metadata().contains("self_labels")) facts.self_labels = text_of(file, "self_labels");
   return facts;
 }
 

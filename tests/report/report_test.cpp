@@ -21,7 +21,7 @@ using Json = nlohmann::ordered_json;
 RunFolder make_run(const std::string& path) {
   RunFolder folder = RunFolder::create(path);
   write_file_atomic(folder.config_path(), "scene: {type: packed, file: scenes/room.sfpack}\n# </script><b>\n");
-  MetricsLog log = MetricsLog::create(folder.metrics_path());
+  MetricsLog log = MetricsLog::resume(folder.metrics_path(), 0);
   for (std::int64_t step = 1; step <= 3; ++step) {
     MetricsRow row{.step = step, .train_s = 0.5 * static_cast<double>(step)};
     row.set("loss", 0.1);
