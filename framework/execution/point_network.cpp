@@ -55,14 +55,6 @@ std::vector<Tensor<Real>*> semantic_tensors(ParamStore<Real>& store) {
 }
 
 template <class Real>
-struct LanePoints<Real>::Batch {
-  std::int64_t step = 0;
-  std::vector<Real> rows;           // [B, dims]
-  std::vector<std::int16_t> logit;  // [B]
-  std::vector<Tensor<Real>*> tensors;
-};
-
-template <class Real>
 StepContext LanePoints<Real>::context(std::int64_t step, bool training, Workspace& arena) const {
   return {.seed = pipeline_.options().seed,
           .step = step,
@@ -91,29 +83,28 @@ void LanePoints<Real>::logits(View<const Real> rows, View<Real> logits) {
 }
 
 template <class Real>
-void LanePoints<Real>::gradients(const Batch& batch) {
-  const auto rows = static_cast<std::int64_t>(batch.logit.size());
-  const auto dims = static_cast<std::int32_t>(static_cast<std::int64_t>(batch.rows.size()) / rows);
+void LanePoints<Real>::gradients(std::int64_t step, View<const Real> input, View<const std::int16_t> logit,
+                                 const std::vector<Tensor<Real>*>& tensors) {
+  const std::int64_t rows = input.rows;
   const std::int64_t tiles = (rows + kTile - 1) / kTile;
   const std::int32_t classes = pass().parts().head->width();
   const int lanes = static_cast<int>(std::min<std::int64_t>(pipeline_.store().lanes(), tiles));
-  const View<const Real> input(batch.rows.data(), rows, dims);
   arenas_.for_units(lanes, [&](Workspace& arena, std::int64_t lane) {
     for (std::int64_t tile = lane; tile < tiles; tile += lanes) {
       const std::int64_t begin = tile * kTile, count = std::min(kTile, rows - begin);
       const Workspace::Scope taken(arena);
-      StepContext ctx = context(batch.step, true, arena);
+      StepContext ctx = context(step, true, arena);
       ctx.first_ray = begin;
       const View<Real> logits = arena.take<Real>(count, classes), d_logits = arena.take<Real>(count, classes);
       const PointTrace<Real> trace =
           pass().point_forward(ctx, static_cast<int>(lane), input.row_range(begin, count), logits);
       SemanticTargets targets;
-      targets.hard = {batch.logit.data() + begin, count, 1};
+      targets.hard = logit.row_range(begin, count);
       semantic_cross_entropy<Real>(logits, targets, {}, static_cast<double>(rows), 1, d_logits, begin);
       pass().point_backward(ctx, static_cast<int>(lane), trace, d_logits);
     }
   });
-  for (Tensor<Real>* tensor : batch.tensors) {  // in lane order
+  for (Tensor<Real>* tensor : tensors) {  // in lane order
     const auto size = static_cast<std::size_t>(tensor->size());
     for (int lane = 0; lane < lanes; ++lane) {
       Real* const from = tensor->lanes.data() + static_cast<std::size_t>(lane) * size;
@@ -127,23 +118,23 @@ template <class Real>
 void LanePoints<Real>::learn(const PointLessons<Real>& lessons) {
   const WorkScope scope(pipeline_.options().work);
   const ComputeFloatMode mode;
-  Batch batch;
-  batch.tensors = semantic_tensors(pipeline_.store());
+  const std::vector<Tensor<Real>*> tensors = semantic_tensors(pipeline_.store());
   const auto clear = [](const AlignedBuffer<Real>& buffer) { std::fill_n(buffer.data(), buffer.size(), Real(0)); };
-  for (const Tensor<Real>* tensor : batch.tensors) clear(tensor->grad);  // of the last step of training
-  batch.rows.resize(static_cast<std::size_t>(lessons.batch * lessons.rows.cols));
-  batch.logit.resize(static_cast<std::size_t>(lessons.batch));
+  for (const Tensor<Real>* tensor : tensors) clear(tensor->grad);  // of the last step of training
+  std::int64_t step = 0;
+  std::vector<Real> rows(static_cast<std::size_t>(lessons.batch * lessons.rows.cols));
+  std::vector<std::int16_t> logit(static_cast<std::size_t>(lessons.batch));
   for (AdamStep update : lessons.updates) {
-    const StepContext ctx = context(batch.step, true, arenas_.own());
+    const StepContext ctx = context(step, true, arenas_.own());
     pass().derive(ctx);
     for (std::int64_t b = 0; b < lessons.batch; ++b) {
-      const std::int32_t point = lessons.choice[static_cast<std::size_t>(batch.step * lessons.batch + b)];
-      std::copy_n(lessons.rows.row(point), lessons.rows.cols, batch.rows.data() + b * lessons.rows.cols);
-      batch.logit[static_cast<std::size_t>(b)] = lessons.logit[static_cast<std::size_t>(point)];
+      const std::int32_t point = lessons.choice[static_cast<std::size_t>(step * lessons.batch + b)];
+      std::copy_n(lessons.rows.row(point), lessons.rows.cols, rows.data() + b * lessons.rows.cols);
+      logit[static_cast<std::size_t>(b)] = lessons.logit[static_cast<std::size_t>(point)];
     }
-    gradients(batch);
+    gradients(step, {rows.data(), lessons.batch, lessons.rows.cols}, {logit.data(), lessons.batch, 1}, tensors);
     pass().derive_backward(ctx);
-    for (const Tensor<Real>* tensor : batch.tensors) {
+    for (const Tensor<Real>* tensor : tensors) {
       if (tensor->learned()) {
         update.decay = tensor->spec.rows > 1 ? update.learning_rate * lessons.weight_decay : 0;
         adam_dense<Real>(update, tensor->view(tensor->value), tensor->view(tensor->grad), tensor->view(tensor->moment1),
@@ -151,13 +142,13 @@ void LanePoints<Real>::learn(const PointLessons<Real>& lessons) {
       }
       clear(tensor->grad);
     }
-    ++batch.step;
+    ++step;
   }
-  for (const Tensor<Real>* tensor : batch.tensors) {
+  for (const Tensor<Real>* tensor : tensors) {
     clear(tensor->moment1);
     clear(tensor->moment2);
   }
-  pass().derive(context(batch.step, true, arenas_.own()));
+  pass().derive(context(step, true, arenas_.own()));
 }
 
 template <class Real>

@@ -68,8 +68,8 @@ class LanePoints final : public PointNetwork<Real> {
   void write() override;
 
  private:
-  struct Batch;
-  void gradients(const Batch& batch);
+  void gradients(std::int64_t step, View<const Real> input, View<const std::int16_t> logit,
+                 const std::vector<Tensor<Real>*>& tensors);
   StepContext context(std::int64_t step, bool training, Workspace& arena) const;
   const Pass<Real>& pass() const { return pipeline_.passes().back(); }
 

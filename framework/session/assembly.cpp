@@ -399,12 +399,6 @@ std::unique_ptr<Pipeline<Real>> assemble(NetworkParts<Real> parts, std::vector<f
   return std::make_unique<Pipeline<Real>>(std::move(parts.passes), std::move(parts.options), trainable);
 }
 
-template <class Real>
-std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
-                                         const SceneExtent& extent, std::vector<float> class_weight, bool trainable) {
-  return assemble(make_parts<Real>(config, registry, plan, extent), std::move(class_weight), trainable);
-}
-
 void run_on(const RunOn& how, const RunConfig& config, const Registry& registry, const BuildPlan& plan,
             const SceneExtent& extent, Pipeline<float>& pipeline) {
   std::unique_ptr<Executor<float>> executor;  // a pipeline begins on the CPU
@@ -420,15 +414,14 @@ void run_on(const RunOn& how, const RunConfig& config, const Registry& registry,
   if (executor) pipeline.run_on(std::move(executor));
 }
 
-template struct NetworkParts<float>;
-template struct NetworkParts<double>;
-template NetworkParts<float> make_parts<float>(const RunConfig&, const Registry&, const BuildPlan&, const SceneExtent&,
-                                               std::unique_ptr<Sampler<float>>);
-template std::unique_ptr<Pipeline<float>> assemble<float>(NetworkParts<float>, std::vector<float>, bool);
-template std::unique_ptr<Pipeline<float>> assemble<float>(const RunConfig&, const Registry&, const BuildPlan&,
-                                                          const SceneExtent&, std::vector<float>, bool);
-template std::unique_ptr<Pipeline<double>> assemble<double>(const RunConfig&, const Registry&, const BuildPlan&,
-                                                            const SceneExtent&, std::vector<float>, bool);
+#define SEMFIELD_INSTANTIATE(Real)                                                                  \
+  template struct NetworkParts<Real>;                                                               \
+  template NetworkParts<Real> make_parts<Real>(const RunConfig&, const Registry&, const BuildPlan&, \
+                                               const SceneExtent&, std::unique_ptr<Sampler<Real>>); \
+  template std::unique_ptr<Pipeline<Real>> assemble<Real>(NetworkParts<Real>, std::vector<float>, bool);
+SEMFIELD_INSTANTIATE(float)
+SEMFIELD_INSTANTIATE(double)
+#undef SEMFIELD_INSTANTIATE
 
 std::vector<float> principal_axes(const std::vector<const FrameChannel*>& maps, std::int32_t width) {
   std::int64_t cells = 0;

@@ -52,7 +52,7 @@ struct NetworkParts {
 };
 
 /// `last`, where given, becomes the sampler of the last pass; it was made for the same `extent`. Throws Error(config)
-/// naming parts that do not go together.
+/// naming parts that do not go together. Real = float trains and renders; double is the oracle of the tests.
 template <class Real>
 NetworkParts<Real> make_parts(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
                               const SceneExtent& extent, std::unique_ptr<Sampler<Real>> last = {});
@@ -60,11 +60,6 @@ NetworkParts<Real> make_parts(const RunConfig& config, const Registry& registry,
 /// The pipeline of the parts. `class_weight` [C logits] or empty.
 template <class Real>
 std::unique_ptr<Pipeline<Real>> assemble(NetworkParts<Real> parts, std::vector<float> class_weight, bool trainable);
-
-/// Both in one. Real = float trains and renders; double is the oracle of the tests.
-template <class Real>
-std::unique_ptr<Pipeline<Real>> assemble(const RunConfig& config, const Registry& registry, const BuildPlan& plan,
-                                         const SceneExtent& extent, std::vector<float> class_weight, bool trainable);
 
 /// How a pipeline runs on a device.
 struct RunOn {
@@ -79,14 +74,6 @@ struct RunOn {
 /// device gets parts of its own.
 void run_on(const RunOn& how, const RunConfig& config, const Registry& registry, const BuildPlan& plan,
             const SceneExtent& extent, Pipeline<float>& pipeline);
-
-extern template NetworkParts<float> make_parts<float>(const RunConfig&, const Registry&, const BuildPlan&,
-                                                      const SceneExtent&, std::unique_ptr<Sampler<float>>);
-extern template std::unique_ptr<Pipeline<float>> assemble<float>(NetworkParts<float>, std::vector<float>, bool);
-extern template std::unique_ptr<Pipeline<float>> assemble<float>(const RunConfig&, const Registry&, const BuildPlan&,
-                                                                 const SceneExtent&, std::vector<float>, bool);
-extern template std::unique_ptr<Pipeline<double>> assemble<double>(const RunConfig&, const Registry&, const BuildPlan&,
-                                                                   const SceneExtent&, std::vector<float>, bool);
 
 // Wide channels of a dataset, learned by their principal axes: found once, kept with the network, and applied to the
 // training frames.

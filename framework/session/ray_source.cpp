@@ -65,7 +65,14 @@ RaySource::RaySource(std::vector<TrainFrame> frames, std::vector<std::int16_t> l
     throw Error(ErrorKind::data, "scene.pixels.limit", "the training split has more than 2^32 pixels",
                 "reduce it with scene.load.downscale");
   }
-  index_used();
+  const auto is_masked = [](const TrainFrame& frame) { return !frame.pixels->mask.empty(); };
+  if (std::any_of(frames_.begin(), frames_.end(), is_masked)) {
+    std::vector<std::int64_t> pixels;
+    for (std::size_t f = 0; f < frames_.size(); ++f) pixels.push_back(offsets_[f + 1] - offsets_[f]);
+    used_.index(pixels, [this](const Pixel& pixel) { return uses(pixel); });
+    for (std::size_t f = 0; f < frames_.size(); ++f)
+      SEMFIELD_CHECK(used_.first_of(f) < used_.first_of(f + 1), "a training frame has a pixel that is not masked");
+  }
   relabel();
 }
 
@@ -77,15 +84,8 @@ void RaySource::relabel() {
   for (const std::int16_t logit : logit_of_class_) {
     if (soft) soft_logits_ = std::max(soft_logits_, static_cast<std::int32_t>(logit) + 1);
   }
-  list_targets();
-  if (options_.train.ray_source != RaySourceKind::label_balanced) return;
-  index_labels();
-  if (!balanced() && !options_.labels_may_come) throw no_labelled_pixel();
-}
-
-// Soft labels come without being asked for: the cross-entropy reads them. Channels that the source makes itself come
-// first, in the order in which executors draw them too.
-void RaySource::list_targets() {
+  // Soft labels come without being asked for: the cross-entropy reads them. Channels that the source makes itself come
+  // first, in the order in which executors draw them too.
   using From = Target::From;
   constexpr std::array kMade{std::pair{channel::depth, From::depth}, std::pair{channel::alpha, From::alpha},
                              std::pair{channel::camera, From::camera}};
@@ -103,22 +103,9 @@ void RaySource::list_targets() {
     if (!made && with != frames_.end())
       targets_.push_back({name, with->pixels->channel(name)->cols, Target::From::frame});
   }
-}
-
-void RaySource::resize(BatchBuffers& batch) const {
-  const auto n = static_cast<std::size_t>(options_.train.rays);
-  batch.origin.resize(3 * n);
-  batch.direction.resize(3 * n);
-  batch.near_far.resize(2 * n);
-  batch.target.resize(3 * n);
-  batch.label.resize(n);
-  batch.choices.resize(n);
-  batch.more.resize(targets_.size());
-  for (std::size_t i = 0; i < targets_.size(); ++i) {
-    batch.more[i].name = targets_[i].name;
-    batch.more[i].cols = targets_[i].cols;
-    batch.more[i].values.resize(n * static_cast<std::size_t>(targets_[i].cols));
-  }
+  if (options_.train.ray_source != RaySourceKind::label_balanced) return;
+  index_labels();
+  if (!balanced() && !options_.labels_may_come) throw no_labelled_pixel();
 }
 
 void RaySource::index_labels() {
@@ -128,28 +115,12 @@ void RaySource::index_labels() {
   labelled_.index(pixels, [this](const Pixel& pixel) { return label_of(pixel) != kVoid; });
 }
 
-void RaySource::index_used() {
-  const auto is_masked = [](const TrainFrame& frame) { return !frame.pixels->mask.empty(); };
-  if (std::none_of(frames_.begin(), frames_.end(), is_masked)) return;
-  std::vector<std::int64_t> pixels;
-  for (std::size_t f = 0; f < frames_.size(); ++f) pixels.push_back(offsets_[f + 1] - offsets_[f]);
-  used_.index(pixels, [this](const Pixel& pixel) { return uses(pixel); });
-  for (std::size_t f = 0; f < frames_.size(); ++f)
-    SEMFIELD_CHECK(used_.first_of(f) < used_.first_of(f + 1), "a training frame has a pixel that is not masked");
-}
-
 bool RaySource::uses(const Pixel& pixel) const {
   return frames_[static_cast<std::size_t>(pixel.frame)].pixels->mask.uses(static_cast<std::size_t>(pixel.index));
 }
 
 RaySource::Pixel RaySource::used_pixel(std::uint32_t rank) const {
   return used_.at(rank, [this](const Pixel& pixel) { return uses(pixel); });
-}
-
-RaySource::Pixel RaySource::locate(std::int64_t global) const {
-  const auto after = std::upper_bound(offsets_.begin(), offsets_.end(), global);
-  const auto frame = static_cast<std::int32_t>(after - offsets_.begin() - 1);
-  return {frame, static_cast<std::int32_t>(global - offsets_[static_cast<std::size_t>(frame)])};
 }
 
 // Every ray whose running share crosses an integer: spread evenly over the tiles.
@@ -190,7 +161,11 @@ RaySource::Pixel RaySource::choose(std::int64_t step, std::int64_t ray) const {
       break;
   }
   if (used_.count() > 0) return used_pixel(static_cast<std::uint32_t>(uniform_below(address, index, used_.count())));
-  return locate(static_cast<std::int64_t>(uniform_below(address, index, static_cast<std::uint64_t>(offsets_.back()))));
+  const auto global =
+      static_cast<std::int64_t>(uniform_below(address, index, static_cast<std::uint64_t>(offsets_.back())));
+  const auto after = std::upper_bound(offsets_.begin(), offsets_.end(), global);
+  const auto frame = static_cast<std::int32_t>(after - offsets_.begin() - 1);
+  return {frame, static_cast<std::int32_t>(global - offsets_[static_cast<std::size_t>(frame)])};
 }
 
 void RaySource::add_labels(const std::vector<LabelMap>& labels) {
@@ -243,16 +218,12 @@ std::optional<PixelPool> RaySource::pool() const {
   return pool;
 }
 
-std::int16_t RaySource::class_of(const Pixel& pixel) const {
+std::int16_t RaySource::label_of(const Pixel& pixel) const {
   if (!uses(pixel)) return kVoid;
   const TrainFrame& frame = frames_[static_cast<std::size_t>(pixel.frame)];
   const auto index = static_cast<std::size_t>(pixel.index);
-  const std::int16_t own = frame.labels == nullptr || frame.labels->empty() ? kVoid : (*frame.labels)[index];
-  return own == kVoid && frame.added != nullptr ? (*frame.added)[index] : own;
-}
-
-std::int16_t RaySource::label_of(const Pixel& pixel) const {
-  const std::int16_t cls = class_of(pixel);
+  std::int16_t cls = frame.labels == nullptr || frame.labels->empty() ? kVoid : (*frame.labels)[index];
+  if (cls == kVoid && frame.added != nullptr) cls = (*frame.added)[index];
   if (cls == kVoid || logit_of_class_.empty()) return kVoid;
   if (cls < 0 || static_cast<std::size_t>(cls) >= logit_of_class_.size()) {
     throw Error(ErrorKind::data, "labels.class.range",
@@ -307,13 +278,6 @@ float RaySource::depth_of(const BatchBuffers::Choice& choice, double cosine, con
   return t > near_far[0] && t < near_far[1] ? static_cast<float>(t) : 0.0F;
 }
 
-// Unknown where the frame has none, and of rays that are there for their labels alone.
-float RaySource::alpha_of(const BatchBuffers::Choice& choice) const {
-  const std::vector<std::uint8_t>& alpha = frames_[static_cast<std::size_t>(choice.pixel.frame)].pixels->alpha;
-  if (alpha.empty() || choice.group == RayGroup::label_only) return -1;
-  return static_cast<float>(alpha[static_cast<std::size_t>(choice.pixel.index)]) / 255.0F;
-}
-
 void RaySource::write_row(const BatchBuffers::Choice& choice, std::int64_t row, BatchBuffers& batch) const {
   const TrainFrame& frame = frames_[static_cast<std::size_t>(choice.pixel.frame)];
   const std::int32_t width = frame.pixels->width_px, index = choice.pixel.index;
@@ -335,7 +299,10 @@ void RaySource::write_row(const BatchBuffers::Choice& choice, std::int64_t row, 
         out[0] = depth_of(choice, cosine, &batch.near_far[2 * s]);
         break;
       case Target::From::alpha:
-        out[0] = alpha_of(choice);
+        // Unknown where the frame has none, and of rays that are there for their labels alone.
+        out[0] = frame.pixels->alpha.empty() || choice.group == RayGroup::label_only
+                     ? -1
+                     : static_cast<float>(frame.pixels->alpha[static_cast<std::size_t>(index)]) / 255.0F;
         break;
       case Target::From::camera:
         out[0] = static_cast<float>(choice.pixel.frame);
@@ -350,7 +317,19 @@ void RaySource::write_row(const BatchBuffers::Choice& choice, std::int64_t row, 
 // Pieces of tiles, so that a tile that is the whole batch occupies every thread too: choose and count, then write.
 void RaySource::fill(std::int64_t step, BatchBuffers& batch) const {
   constexpr std::int64_t kPiece = 256;
-  resize(batch);
+  const auto n = static_cast<std::size_t>(options_.train.rays);
+  batch.origin.resize(3 * n);
+  batch.direction.resize(3 * n);
+  batch.near_far.resize(2 * n);
+  batch.target.resize(3 * n);
+  batch.label.resize(n);
+  batch.choices.resize(n);
+  batch.more.resize(targets_.size());
+  for (std::size_t i = 0; i < targets_.size(); ++i) {
+    batch.more[i].name = targets_[i].name;
+    batch.more[i].cols = targets_[i].cols;
+    batch.more[i].values.resize(n * static_cast<std::size_t>(targets_[i].cols));
+  }
   const std::int64_t tile_rays = std::min(options_.tile_rays, options_.train.rays);
   const std::int64_t tiles = (options_.train.rays + tile_rays - 1) / tile_rays;
   const std::int64_t pieces_each = (tile_rays + kPiece - 1) / kPiece;

@@ -106,19 +106,15 @@ class RaySource {
   std::string place_of_row(std::int64_t step, std::int64_t row) const;
 
  private:
-  Pixel locate(std::int64_t global) const;
   /// Whether label_balanced draws the ray for its label.
   bool for_its_label(std::int64_t ray) const;
   RayGroup group_of(std::int64_t ray, std::int16_t label) const;
-  /// A pixel's class, its own or an added one; kVoid without both.
-  std::int16_t class_of(const Pixel& pixel) const;
-  /// The label's logit. Throws Error(data) naming frame, pixel and value for a label that is no class.
+  /// The logit of the label, a pixel's own or an added one; kVoid without both. Throws Error(data) naming frame, pixel
+  /// and value for a label that is no class.
   std::int16_t label_of(const Pixel& pixel) const;
   std::string place_of(const Pixel& pixel) const;
   void soft_label_of(const Pixel& pixel, std::span<float> out) const;
   float depth_of(const BatchBuffers::Choice& choice, double cosine, const double* near_far) const;
-  float alpha_of(const BatchBuffers::Choice& choice) const;
-  void resize(BatchBuffers& batch) const;
   void write_row(const BatchBuffers::Choice& choice, std::int64_t row, BatchBuffers& batch) const;
 
   std::vector<TrainFrame> frames_;
@@ -130,13 +126,11 @@ class RaySource {
     enum class From : std::uint8_t { soft_label, depth, alpha, camera, frame } from = From::frame;
   };
   std::vector<Target> targets_;  // that batches carry beside colour and labels
-  void list_targets();
   RayLimits limits_;
   RaySourceOptions options_;
   PixelRanks labelled_;  // for label_balanced alone
   PixelRanks used_;      // those that are not masked; empty where no frame has a mask
   void index_labels();
-  void index_used();
   bool balanced() const { return labelled_.count() > 0; }
   bool uses(const Pixel& pixel) const;
   Pixel used_pixel(std::uint32_t rank) const;

@@ -32,7 +32,7 @@ std::vector<double> random_points(const Box& box, std::int64_t count) {
 // The session's field, as it is now, in float64.
 std::unique_ptr<Pipeline<double>> twin_of(const Session& session, const Registry& registry) {
   std::unique_ptr<Pipeline<double>> twin =
-      assemble<double>(session.config, registry, session.plan, session.extent, {}, false);
+      assemble(make_parts<double>(session.config, registry, session.plan, session.extent), {}, false);
   for (Tensor<double>& t : twin->store().all()) {
     const Tensor<float>* from = session.pipeline->store().find(t.name);
     EXPECT_NE(from, nullptr) << t.name;

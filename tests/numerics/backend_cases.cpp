@@ -745,7 +745,7 @@ void trainer_guards(CaseRun& run) {
   int poisoned = 0;
   for (std::size_t i = 0; i < session.pipeline->store().all().size(); ++i) {
     // A network of its own for each: a run ends with such a step.
-    session.pipeline = assemble<float>(session.config, registry, session.plan, session.extent, {}, true);
+    session.pipeline = assemble(make_parts<float>(session.config, registry, session.plan, session.extent), {}, true);
     Tensor<float>& t = session.pipeline->store().all()[i];
     if (!t.learned() || t.spec.role == TensorRole::sparse) continue;
     Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule);

@@ -38,11 +38,11 @@ int run(const std::string& path, int steps) {
   print_step(*session.pipeline, *rays);
   const Precision precision = session.config.runtime.precision;
   session.config.runtime.precision = Precision::fp32;  // float64 has no other
-  const auto oracle = assemble<double>(session.config, registry, session.plan, session.extent, {}, true);
+  const auto oracle = assemble(make_parts<double>(session.config, registry, session.plan, session.extent), {}, true);
   print_step(*oracle, *rays);
   session.config.runtime.precision = precision;
   // A pipeline that has not stepped yet, so that nothing of the above is in what follows.
-  session.pipeline = assemble<float>(session.config, registry, session.plan, session.extent, {}, true);
+  session.pipeline = assemble(make_parts<float>(session.config, registry, session.plan, session.extent), {}, true);
   Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule);
   for (int step = 0; step < steps; ++step) trainer.advance();
   std::uint32_t state = 0;

@@ -137,7 +137,7 @@ TEST(Probability, AgreesWithTheOracleInDouble) {
   TestRun run(two_pass_config());
   run.to(600);
   const Session& s = run.session;
-  const auto oracle = assemble<double>(s.config, all_plugins(), s.plan, s.extent, {}, true);
+  const auto oracle = assemble(make_parts<double>(s.config, all_plugins(), s.plan, s.extent), {}, true);
   for (Tensor<double>& t : oracle->store().all()) {
     const Tensor<float>* const from = s.pipeline->store().find(t.name);
     ASSERT_NE(from, nullptr) << t.name;

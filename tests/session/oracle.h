@@ -14,7 +14,7 @@ struct Oracle {
 
   explicit Oracle(const std::string& yaml, Registry& registry = all_plugins()) : session(open_text(yaml, registry)) {
     rays = session.make_ray_source();
-    pipeline = assemble<double>(session.config, registry, session.plan, session.extent, {}, true);
+    pipeline = assemble(make_parts<double>(session.config, registry, session.plan, session.extent), {}, true);
     rays->fill(3, batch);
   }
   StepLosses gradients() {

@@ -49,43 +49,47 @@ std::string owner_of(const PluginSlot& slot) {
   return std::string(kind_name(slot.entry->kind)) + " '" + slot.entry->name + "'";
 }
 
-// "field 'ball'", "loss 'glow'": the first part of the run without kernels for `device`; empty: all have them.
-std::string part_without_kernels(const RunConfig& config, const Registry& registry, Device device) {
-  for (const PassConfig& pass : config.passes) {
-    std::vector<const PluginSlot*> slots{&pass.sampler, &pass.position, &pass.direction, &pass.field};
-    for (const SemanticBranchConfig& branch : pass.semantic) {
-      slots.push_back(&branch.position);
-      slots.push_back(&branch.field);
-    }
-    for (const PluginSlot* slot : slots) {
-      if (slot->entry == nullptr) continue;
-      std::string owner = owner_of(*slot);
-      if (!registry.kernels().has(device, owner)) return owner;
-    }
-  }
-  for (const HeadConfig& head : config.heads) {
-    for (const PluginSlot* slot : {&head.head, &head.position, &head.field})
-      if (std::string owner = owner_of(*slot); device != Device::cpu && !registry.kernels().has(device, owner))
-        return owner;
-  }
-  for (const LossEntry& entry : config.losses) {
-    std::string owner = "loss '" + entry.type + "'";
-    if (device != Device::cpu && !registry.kernels().has(device, owner)) return owner;
-  }
-  return {};
-}
-// "field 'ball'": the first field of the run without kernels of bf16 for `device`; empty: all have them.
-std::string field_without_bf16(const RunConfig& config, const Registry& registry, Device device) {
-  const auto lacks = [&](const PluginSlot& slot) {
-    return slot.entry != nullptr && !registry.kernels().has(device, owner_of(slot), Precision::bf16);
+// see(key, slot) for every plugin of the passes: "passes.main.semantic.field".
+template <class See>
+void each_slot(const RunConfig& config, const See& see) {
+  const auto look = [&](const std::string& key, const PluginSlot& slot) {
+    if (slot.entry != nullptr) see(key, slot);
   };
   for (const PassConfig& pass : config.passes) {
-    if (lacks(pass.field)) return owner_of(pass.field);
+    look(pass.key + ".sampler", pass.sampler);
+    look(pass.key + ".position", pass.position);
+    look(pass.key + ".direction", pass.direction);
+    look(pass.key + ".field", pass.field);
     for (const SemanticBranchConfig& branch : pass.semantic) {
-      if (lacks(branch.field)) return owner_of(branch.field);
+      look(pass.key + "." + branch.key + ".position", branch.position);
+      look(pass.key + "." + branch.key + ".field", branch.field);
     }
   }
-  return {};
+}
+
+// "field 'ball'", "loss 'glow'": the first part of the run without kernels for `device`; empty: all have them.
+std::string part_without_kernels(const RunConfig& config, const Registry& registry, Device device) {
+  std::string lacking;
+  const auto look = [&](const std::string& owner) {
+    if (lacking.empty() && !registry.kernels().has(device, owner)) lacking = owner;
+  };
+  each_slot(config, [&](const std::string&, const PluginSlot& slot) { look(owner_of(slot)); });
+  if (device == Device::cpu) return lacking;
+  for (const HeadConfig& head : config.heads)
+    for (const PluginSlot* slot : {&head.head, &head.position, &head.field}) look(owner_of(*slot));
+  for (const LossEntry& entry : config.losses) look("loss '" + entry.type + "'");
+  return lacking;
+}
+
+// "field 'ball'": the first field of the run without kernels of bf16 for `device`; empty: all have them.
+std::string field_without_bf16(const RunConfig& config, const Registry& registry, Device device) {
+  std::string lacking;
+  each_slot(config, [&](const std::string&, const PluginSlot& slot) {
+    if (lacking.empty() && slot.entry->kind == PluginKind::field &&
+        !registry.kernels().has(device, owner_of(slot), Precision::bf16))
+      lacking = owner_of(slot);
+  });
+  return lacking;
 }
 
 bool is_automatic(const RunConfig& config) { return config.runtime.device == "auto"; }
@@ -199,22 +203,11 @@ std::vector<std::string> choose_for_device(RunConfig& config, Device device) {
     lines.push_back("train.rays: rays was set to " + std::to_string(config.train.rays) + ", which suits a " +
                     (device == Device::cpu ? "CPU" : "GPU"));
   }
-  const auto choose = [&](const std::string& key, const PluginSlot& slot) {
-    if (slot.entry == nullptr) return;
+  each_slot(config, [&](const std::string& key, const PluginSlot& slot) {
     std::vector<std::string> chosen;
     slot.params->choose_for(device, chosen);
     for (const std::string& sentence : chosen) lines.push_back(key + ": " + sentence);
-  };
-  for (const PassConfig& pass : config.passes) {
-    choose(pass.key + ".sampler", pass.sampler);
-    choose(pass.key + ".position", pass.position);
-    choose(pass.key + ".direction", pass.direction);
-    choose(pass.key + ".field", pass.field);
-    for (const SemanticBranchConfig& branch : pass.semantic) {
-      choose(pass.key + "." + branch.key + ".position", branch.position);
-      choose(pass.key + "." + branch.key + ".field", branch.field);
-    }
-  }
+  });
   return lines;
 }
 
