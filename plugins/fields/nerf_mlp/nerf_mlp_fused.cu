@@ -4,9 +4,9 @@
 #include "cuda/kernels/kernels.h"
 #include "cuda/launch.h"
 #include "cuda/matmul.h"
+#include "fields/nerf_mlp/nerf_mlp.h"
 #include "fields/nerf_mlp/nerf_mlp_fused.cuh"
 #include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"
-#include "fields/nerf_mlp/nerf_mlp_kernels.h"
 #include "plugin/kernels.h"
 
 namespace semfield::cuda {
@@ -147,29 +147,12 @@ void position_backward(const NerfMlpShape& s, const Tensors<float>& t, std::int6
   }
 }
 
-}  // namespace
-
-bool FusedNerfMlp::serves(const NerfMlpShape& s) {
-  static const bool hopper = [] {
-    int device = 0, major = 0, minor = 0;
-    return cudaGetDevice(&device) == cudaSuccess &&
-           cudaDeviceGetAttribute(&major, cudaDevAttrComputeCapabilityMajor, device) == cudaSuccess &&
-           cudaDeviceGetAttribute(&minor, cudaDevAttrComputeCapabilityMinor, device) == cudaSuccess && major == 9 &&
-           minor == 0;
-  }();
-  static_assert(kNerfFusedWidth == fused::kWidth && kNerfFusedViewWidth == fused::kView);
-  static_assert(kNerfFusedPosition == fused::kPosition && kNerfFusedDepth == fused::kMaxDepth);
-  return hopper && fused_takes(s);
-}
-
-bool FusedNerfMlp::computes_layer(std::int32_t hidden_width) { return hidden_width == fused::kView; }
-
-std::size_t FusedNerfMlp::saved_bytes(const NerfMlpShape& s, std::int64_t samples) {
+std::size_t saved_bytes(const NerfMlpShape& s, std::int64_t samples) {
   return Kept(s, blocks_for(samples), nullptr).bytes;
 }
 
-void FusedNerfMlp::forward(const NerfMlpShape& s, const StepContext& ctx, const Tensors<float>& t,
-                           const FieldIn<float>& in, const FieldOut<float>& out, Saved saved) {
+void forward(const NerfMlpShape& s, const StepContext& ctx, const Tensors<float>& t, const FieldIn<float>& in,
+             const FieldOut<float>& out, Saved saved) {
   Workspace& arena = *ctx.workspace;
   const Workspace::Scope scope(arena);
   const bool with_color = !out.rgb.empty();
@@ -220,9 +203,8 @@ void FusedNerfMlp::forward(const NerfMlpShape& s, const StepContext& ctx, const 
   if (call.feature.data != out.feature.data) convert<float, float>(call.feature, out.feature);
 }
 
-void FusedNerfMlp::backward(const NerfMlpShape& s, const StepContext& ctx, const Tensors<float>& t,
-                            const FieldIn<float>& in, const FieldOut<float>& out, const FieldGrad<float>& grad,
-                            Saved saved, View<float> d_position) {
+void backward(const NerfMlpShape& s, const StepContext& ctx, const Tensors<float>& t, const FieldIn<float>& in,
+              const FieldOut<float>& out, const FieldGrad<float>& grad, Saved saved, View<float> d_position) {
   const View<const Bf16> d_rounded_feature = as_bf16(grad.fused.feature);
   const HiddenLayer<float>& semantic = out.fused.layer;
   const bool with_semantic = grad.fused.hidden != nullptr;
@@ -292,18 +274,26 @@ void FusedNerfMlp::backward(const NerfMlpShape& s, const StepContext& ctx, const
   if (!d_position.empty()) position_backward(s, t, call.blocks, call.d_trunk, d_position, arena);
 }
 
-// As the field finds them.
-
-namespace {
-
 FeatureForm feature_form(const NerfMlpShape&, std::int32_t hidden_width) {
-  return FusedNerfMlp::computes_layer(hidden_width) ? FeatureForm::hidden_layer : FeatureForm::rounded;
+  return hidden_width == fused::kView ? FeatureForm::hidden_layer : FeatureForm::rounded;
 }
 
-constexpr NerfMlpFused<float> kFused{FusedNerfMlp::serves, FusedNerfMlp::forward, FusedNerfMlp::backward,
-                                     FusedNerfMlp::saved_bytes, feature_form};
+constexpr NerfMlpFused<float> kFused{nerf_mlp_is_fused, forward, backward, saved_bytes, feature_form};
 
 }  // namespace
+
+bool nerf_mlp_is_fused(const NerfMlpShape& s) {
+  static const bool hopper = [] {
+    int device = 0, major = 0, minor = 0;
+    return cudaGetDevice(&device) == cudaSuccess &&
+           cudaDeviceGetAttribute(&major, cudaDevAttrComputeCapabilityMajor, device) == cudaSuccess &&
+           cudaDeviceGetAttribute(&minor, cudaDevAttrComputeCapabilityMinor, device) == cudaSuccess && major == 9 &&
+           minor == 0;
+  }();
+  static_assert(kNerfFusedWidth == fused::kWidth && kNerfFusedViewWidth == fused::kView);
+  static_assert(kNerfFusedPosition == fused::kPosition && kNerfFusedDepth == fused::kMaxDepth);
+  return hopper && fused_takes(s);
+}
 
 void nerf_mlp_cuda_kernels(KernelTables& tables) {
   tables.add(Device::cuda, "field 'nerf_mlp'", &kFused, Precision::bf16);

@@ -191,6 +191,34 @@ struct Tiles {
   }
 };
 
+/// to[k] = from(k) for k < count, by the whole block.
+template <class From>
+__device__ inline void fill_shared(float* to, int count, const From& from) {
+  for (int k = static_cast<int>(threadIdx.x); k < count; k += kThreads) to[k] = from(k);
+}
+
+/// The rest of a block's life once its memory is filled: init() by one thread, then one thread feeds the ring and
+/// kGroups warpgroups compute, each with the block's tiles of `blocks`.
+template <class Init, class Feed, class Compute>
+__device__ inline void run_warpgroups(std::int64_t blocks, const Init& init, const Feed& feed, const Compute& compute) {
+  if (threadIdx.x == 0) {
+    init();
+    hopper::fence_barrier_init();
+  }
+  __syncthreads();
+  if constexpr (kCluster > 1) hopper::cluster_barrier();
+  const Tiles tiles(blocks);
+  const int group = static_cast<int>(threadIdx.x) / hopper::kWarpgroup;
+  if (group == kGroups) {
+    hopper::fewer_registers<24>();
+    if (threadIdx.x % hopper::kWarpgroup == 0) feed(tiles);
+  } else {
+    hopper::more_registers<240>();
+    compute(tiles, group);
+  }
+  if constexpr (kCluster > 1) hopper::cluster_barrier();  // a block's memory must last while others copy into it
+}
+
 /// Sum over the four lanes that hold a row.
 __device__ inline float row_sum(float value) {
   value += __shfl_xor_sync(0xFFFFFFFFu, value, 1);

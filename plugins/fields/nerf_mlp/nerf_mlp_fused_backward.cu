@@ -173,27 +173,15 @@ __device__ void compute(const InputGradient& p, const Shared& sh, const Tiles& t
 [[maybe_unused]] __device__ void run(const InputGradient& p) {
   extern __shared__ __align__(128) std::byte memory[];
   const Shared sh(memory);
-  for (int k = static_cast<int>(threadIdx.x); k < kWidth; k += kThreads) sh.density[k] = p.density_weight[k];
-  for (int k = static_cast<int>(threadIdx.x); k < kChannels * kView; k += kThreads) {
-    sh.color[k] = p.color_weight[k % kView * kChannels + k / kView];
-  }
-  if (threadIdx.x == 0) {
+  fill_shared(sh.density, kWidth, [&](int k) { return p.density_weight[k]; });
+  fill_shared(sh.color, kChannels * kView, [&](int k) { return p.color_weight[k % kView * kChannels + k / kView]; });
+  const auto init = [&] {
     sh.ring().init();
     for (int group = 0; group < kGroups; ++group) hopper::barrier_init(sh.semantic_full(group), 1);
-    hopper::fence_barrier_init();
-  }
-  __syncthreads();
-  if constexpr (kCluster > 1) hopper::cluster_barrier();
-  const Tiles tiles(p.blocks);
-  const int group = static_cast<int>(threadIdx.x) / hopper::kWarpgroup;
-  if (group == kGroups) {
-    hopper::fewer_registers<24>();
-    if (threadIdx.x % hopper::kWarpgroup == 0) feed(p, sh, tiles);
-  } else {
-    hopper::more_registers<240>();
-    compute(p, sh, tiles, group);
-  }
-  if constexpr (kCluster > 1) hopper::cluster_barrier();  // a block's memory must last while others copy into it
+  };
+  run_warpgroups(
+      p.blocks, init, [&](const Tiles& tiles) { feed(p, sh, tiles); },
+      [&](const Tiles& tiles, int group) { compute(p, sh, tiles, group); });
 }
 
 __global__ void __launch_bounds__(kThreads, 1) input_gradient_kernel(const __grid_constant__ InputGradient p) {

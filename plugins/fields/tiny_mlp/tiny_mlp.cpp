@@ -19,9 +19,6 @@ void describe(ParamVisitor& visit, TinyMlpParams& p) {
                  "what the semantic head reads: the last hidden activations or the geometry features");
 }
 
-// Every combination within the ranges is a network.
-void validate(const TinyMlpParams&, Diagnostics&) {}
-
 std::string layer_by_layer(const TinyMlpShape& s) {
   const bool fits = fused_takes(s) || fused_takes_feature(s);
   std::string what = "field 'tiny_mlp' runs layer by layer here, which is slower than its fused kernels: ";

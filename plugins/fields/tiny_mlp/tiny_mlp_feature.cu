@@ -411,23 +411,8 @@ __global__ void __launch_bounds__(kWeightThreads) partial_kernel(const WeightCal
       next_dz.load(dz, call.x.width, place.out0, row0 + kTile, end);
     }
 #pragma unroll
-    for (int row = 0; row < kTile; row += kGroup) {
-      const Fragment d[2] = {outputs<kTilePitch>(lane, dz_tile, row, out),
-                             outputs<kTilePitch>(lane, dz_tile, row, out + kGroup)};
-#pragma unroll
-      for (int m = 0; m < 2; ++m) {
-        const Fragment from = inputs<kTilePitch>(lane, x_tile, row, in + m * kGroup);
-#pragma unroll
-        for (int n = 0; n < 2; ++n) {
-          multiply_add(sums[m][2 * n], from, d[n].reg[0], d[n].reg[1]);
-          multiply_add(sums[m][2 * n + 1], from, d[n].reg[2], d[n].reg[3]);
-        }
-      }
-      // Warps 0 and 1 hold the same outputs, and so do 2 and 3: each sums 16 of them.
-      const Fragment mine = warp % 2 == 0 ? d[0] : d[1];
-      bias[0] += column_sum(mine.reg[0], mine.reg[1]);
-      bias[1] += column_sum(mine.reg[2], mine.reg[3]);
-    }
+    for (int row = 0; row < kTile; row += kGroup)
+      add_square<kTilePitch>(lane, warp, x_tile, in, dz_tile, out, row, sums, bias);
   }
 
   const View<float> weight = call.d.weight[place.layer];

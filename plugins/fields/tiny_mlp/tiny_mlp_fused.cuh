@@ -14,7 +14,7 @@
 #include <cstdint>
 
 #include "cuda/kernels/device_code.cuh"
-#include "fields/tiny_mlp/tiny_mlp_kernels.h"
+#include "fields/tiny_mlp/tiny_mlp.h"
 
 namespace semfield::cuda::tiny {
 
@@ -190,6 +190,27 @@ __device__ inline float column_sum(std::uint32_t a, std::uint32_t b) {
   const float2 x = __bfloat1622float2(*reinterpret_cast<const __nv_bfloat162*>(&a));
   const float2 y = __bfloat1622float2(*reinterpret_cast<const __nv_bfloat162*>(&b));
   return (x.x + x.y) + (y.x + y.y);
+}
+
+/// Onto a warp's sums of a weight gradient: 32 inputs from column `in` of x and 32 outputs from column `out` of dz,
+/// over 16 rows from `row` on, and onto its bias sums 16 of the outputs. Warps 0 and 1 hold the same outputs, and so do
+/// 2 and 3: each sums 16 of them.
+template <int kRowPitch>
+__device__ inline void add_square(const Lane& lane, int warp, const __nv_bfloat16* x, int in, const __nv_bfloat16* dz,
+                                  int out, int row, Sums (&sums)[2][4], float (&bias)[2]) {
+  const Fragment d[2] = {outputs<kRowPitch>(lane, dz, row, out), outputs<kRowPitch>(lane, dz, row, out + kGroup)};
+#pragma unroll
+  for (int m = 0; m < 2; ++m) {
+    const Fragment from = inputs<kRowPitch>(lane, x, row, in + m * kGroup);
+#pragma unroll
+    for (int n = 0; n < 2; ++n) {
+      multiply_add(sums[m][2 * n], from, d[n].reg[0], d[n].reg[1]);
+      multiply_add(sums[m][2 * n + 1], from, d[n].reg[2], d[n].reg[3]);
+    }
+  }
+  const Fragment mine = warp % 2 == 0 ? d[0] : d[1];
+  bias[0] += column_sum(mine.reg[0], mine.reg[1]);
+  bias[1] += column_sum(mine.reg[2], mine.reg[3]);
 }
 
 /// Numbers 4q .. 4q + 3 of group `group` of a row; 0 outside the columns. `vector`: 16-byte accesses are possible.
@@ -434,22 +455,7 @@ struct WarpSums {
     const int in_1 = warp % 2 * 32, out_1 = warp / 2 * 32;
 #pragma unroll 1
     for (int row = 0; row < kBlockRows; row += kGroup) {
-      const Fragment dz[2] = {outputs<kPitch>(lane, o.d_color_1, row, out_1),
-                              outputs<kPitch>(lane, o.d_color_1, row, out_1 + kGroup)};
-#pragma unroll
-      for (int m = 0; m < 2; ++m) {
-        const Fragment x = inputs<kPitch>(lane, o.color_0, row, in_1 + m * kGroup);
-#pragma unroll
-        for (int n = 0; n < 2; ++n) {
-          multiply_add(color_1[m][2 * n], x, dz[n].reg[0], dz[n].reg[1]);
-          multiply_add(color_1[m][2 * n + 1], x, dz[n].reg[2], dz[n].reg[3]);
-        }
-      }
-      // Warps 0 and 1 hold the same outputs, and so do 2 and 3: each sums 16 of them.
-      const Fragment mine = warp % 2 == 0 ? dz[0] : dz[1];
-      color_1_bias[0] += column_sum(mine.reg[0], mine.reg[1]);
-      color_1_bias[1] += column_sum(mine.reg[2], mine.reg[3]);
-
+      add_square<kPitch>(lane, warp, o.color_0, in_1, o.d_color_1, out_1, row, color_1, color_1_bias);
       const Fragment dz_0 = outputs<kPitch>(lane, o.d_color_0, row, warp * kGroup);
 #pragma unroll
       for (int m = 0; m < kColorTiles; ++m)

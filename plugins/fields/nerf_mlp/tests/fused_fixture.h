@@ -1,7 +1,7 @@
 // When tests of the fused kernels of the big network run.
 #pragma once
 
-#include "fields/nerf_mlp/nerf_mlp_kernels.h"
+#include "fields/nerf_mlp/nerf_mlp.h"
 #include "tests/cuda/device_fixture.h"
 
 namespace semfield::testing {
@@ -11,9 +11,9 @@ inline NerfMlpShape usual_shape() {
 }
 
 /// First line of every test that launches them.
-#define SEMFIELD_NEEDS_FUSED()                                                     \
-  SEMFIELD_NEEDS_DEVICE();                                                         \
-  if (!::semfield::cuda::FusedNerfMlp::serves(::semfield::testing::usual_shape())) \
+#define SEMFIELD_NEEDS_FUSED()                                                  \
+  SEMFIELD_NEEDS_DEVICE();                                                      \
+  if (!::semfield::cuda::nerf_mlp_is_fused(::semfield::testing::usual_shape())) \
   GTEST_SKIP() << "the GPU is not of compute capability 9.0"
 
 }  // namespace semfield::testing

@@ -6,7 +6,6 @@
 #include "cuda/kernels/kernels.h"
 #include "fields/nerf_mlp/nerf_mlp.h"
 #include "fields/nerf_mlp/nerf_mlp_fused_kernels.cuh"
-#include "fields/nerf_mlp/nerf_mlp_kernels.h"
 #include "plugins/fields/nerf_mlp/tests/fused_fixture.h"
 #include "testkit/compare.h"
 #include "tests/cuda/device_fixture.h"
