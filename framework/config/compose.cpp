@@ -279,17 +279,14 @@ const ConfigNode* telling(const ConfigNode& item) {
 
 constexpr const char* kEnding = ".yaml";
 
-bool is_file(const fs::path& path) {
-  std::error_code unknown;
-  return fs::exists(path, unknown) && !fs::is_directory(path, unknown);
-}
+bool is_no_folder(const fs::path& path) { return is_there(path) && !is_folder(path); }
 
 // `path`, or with the ending that may be left out; "" when neither is there.
 std::string with_ending(const fs::path& path) {
-  if (is_file(path)) return path.string();
+  if (is_no_folder(path)) return path.string();
   fs::path longer = path;
   longer += kEnding;
-  return is_file(longer) ? longer.string() : "";
+  return is_no_folder(longer) ? longer.string() : "";
 }
 
 // Names without the ending of configurations in the folder that `place`, a path that is not there, would lie in.

@@ -27,11 +27,6 @@ namespace fs = std::filesystem;
 
 namespace {
 
-bool is_there(const std::string& path) {
-  std::error_code ignored;
-  return fs::exists(path, ignored);
-}
-
 // Channels that a frame can do without.
 constexpr std::pair<const char*, std::string FrameFiles::*> kOptional[] = {
     {"depth image", &FrameFiles::depth},
@@ -137,8 +132,7 @@ std::string ending_of(const std::string& path) {
 
 std::vector<std::string> files_with(const std::string& folder, std::span<const std::string_view> extensions) {
   std::vector<std::string> found;
-  std::error_code unknown;
-  if (!fs::is_directory(folder, unknown)) return found;
+  if (!is_folder(folder)) return found;
   for (const fs::directory_entry& entry : sorted_folder(folder)) {
     if (entry.path().filename().string().starts_with(kMovingMask)) continue;
     if (std::find(extensions.begin(), extensions.end(), ending_of(entry.path().string())) != extensions.end())
@@ -359,11 +353,10 @@ void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const Fra
 }
 
 std::string find_class_file(const std::vector<std::string>& folders) {
-  std::error_code ignored;
   for (const std::string& folder : folders) {
     for (const char* name : {"classes.yaml", "classes.yml", "classes.csv", "info_semantic.json"}) {
       const fs::path path = fs::path(folder) / name;
-      if (fs::is_regular_file(path, ignored)) return path.string();
+      if (is_file(path)) return path.string();
     }
   }
   return {};
@@ -623,8 +616,7 @@ void FrameMasks::add_to(FrameFiles& files) {
   if (files.mask.empty() && !folder_.empty()) files.mask = in_folder(files.color);
   const fs::path image(files.color);
   const std::string beside = names_.of((image.parent_path() / (kMovingMask + image.stem().string() + ".png")).string());
-  std::error_code unknown;
-  if (!fs::is_regular_file(beside, unknown)) return;
+  if (!is_file(beside)) return;
   files.moving = beside;
   ++moving_;
 }
@@ -637,7 +629,7 @@ std::string FrameMasks::in_folder(const std::string& image) {
       for (const char* extension : {".png", ".jpg", ".jpeg"}) {
         const std::string file = names_.of((where / (name + extension)).string());
         std::error_code unknown;
-        if (!fs::is_regular_file(file, unknown) || fs::equivalent(file, path, unknown)) continue;
+        if (!is_file(file) || fs::equivalent(file, path, unknown)) continue;
         ++found_;
         images_of_[file].push_back(image);
         return file;
@@ -648,13 +640,12 @@ std::string FrameMasks::in_folder(const std::string& image) {
 }
 
 void FrameMasks::report(Diagnostics& diagnostics) const {
-  std::error_code unknown;
   if (moving_ > 0)
     diagnostics.note("scene.mask.moving", root_,
                      std::to_string(moving_) + " of " + std::to_string(images_) + " images have a " + kMovingMask +
                          "NAME.png next to them: what is not black in it is masked");
   if (folder_.empty()) {
-    if (fs::is_directory(fs::path(root_) / "masks", unknown))
+    if (is_folder(fs::path(root_) / "masks"))
       diagnostics.note(
           "scene.mask.unread", root_,
           "there is a folder 'masks', which is not read; scene.masks: masks leaves out what is black in it");
@@ -669,7 +660,7 @@ void FrameMasks::report(Diagnostics& diagnostics) const {
   }
   if (found_ == 0) {
     diagnostics.error("scene.mask.missing", folder_,
-                      fs::is_directory(folder_, unknown) ? "no mask for any image" : "the folder of masks is missing",
+                      is_folder(folder_) ? "no mask for any image" : "the folder of masks is missing",
                       "name the masks as the images, with .png, or correct scene.masks");
   } else if (found_ < asked_) {
     diagnostics.note("scene.mask.missing", folder_,

@@ -11,6 +11,7 @@
 #include "formats/image_io.h"
 #include "loading/frame_files.h"
 #include "scene/scene.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -54,8 +55,7 @@ PosedPhotographs::PosedPhotographs(const PhotographParams& params, const std::st
 void PosedPhotographs::require(std::initializer_list<const char*> parts, const std::string& app) const {
   for (const char* part : parts) {
     const fs::path path = *part == '\0' ? fs::path(root_) : fs::path(root_) / part;
-    std::error_code unknown;
-    if (fs::exists(path, unknown)) continue;
+    if (is_there(path)) continue;
     throw Error(ErrorKind::no_input, "files.folder.missing",
                 "'" + path.string() + "' is missing, which " + app + " writes",
                 "check scene.root; it names the folder of one export");
@@ -99,8 +99,7 @@ SceneInfo PosedPhotographs::open(const std::vector<PosedPhotograph>& all, bool o
       const fs::path as_image = photo.name.empty() ? fs::path(name).filename() : fs::path(name);
       const std::string label =
           finder.of((fs::path(root_) / params_.label_dir / as_image).replace_extension(".png").string());
-      std::error_code unknown;
-      if (fs::exists(label, unknown)) files.label = label;
+      if (is_there(label)) files.label = label;
     }
     if (state != PoseState::good || !check.present(frame, files, diagnostics) ||
         !sizes.fit(photo.image, place, frame.camera, diagnostics) ||
@@ -138,9 +137,8 @@ void PosedPhotographs::read(int frame, FrameBuffer& out) const {
   if (files_[i].depth.empty()) return;
   try {
     Image<float> depth = read_depth(files_[i].depth, photos_[i].depth_unit_m);
-    std::error_code unknown;
     const std::string& rating = photos_[i].confidence;
-    if (params_.least_confidence != Confidence::low && !rating.empty() && fs::exists(rating, unknown)) {
+    if (params_.least_confidence != Confidence::low && !rating.empty() && is_there(rating)) {
       const Image<std::uint16_t> confidence = read_ids(rating);
       if (confidence.pixels.size() != depth.pixels.size())
         throw Error(ErrorKind::data, "scene.image.size",

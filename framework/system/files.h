@@ -18,6 +18,20 @@
 
 namespace semfield {
 
+/// What a path leads to, past links; false also where that cannot be looked at.
+inline bool is_there(const std::filesystem::path& path) {
+  std::error_code ignored;
+  return std::filesystem::exists(path, ignored);
+}
+inline bool is_file(const std::filesystem::path& path) {
+  std::error_code ignored;
+  return std::filesystem::is_regular_file(path, ignored);
+}
+inline bool is_folder(const std::filesystem::path& path) {
+  std::error_code ignored;
+  return std::filesystem::is_directory(path, ignored);
+}
+
 /// An open file, closed at its end; below 0: none.
 class FileDescriptor {
  public:

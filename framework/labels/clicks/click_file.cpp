@@ -18,11 +18,6 @@ fs::path place_of(const fs::path& path) {
   return unknown ? fs::absolute(path).lexically_normal() : place;
 }
 
-bool is_there(const std::string& file) {
-  std::error_code unknown;
-  return !file.empty() && fs::exists(file, unknown);
-}
-
 std::string events_text(std::int64_t events) { return fmt::format("{} event{}", events, events == 1 ? "" : "s"); }
 
 }  // namespace

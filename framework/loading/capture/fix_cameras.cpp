@@ -357,8 +357,7 @@ class Fixing {
 
 bool is_photograph_file(const FrameInfo& frame) {
   const std::string end = ending_of(frame.source);
-  std::error_code unknown;
-  return (end == ".jpg" || end == ".jpeg" || end == ".png") && fs::is_regular_file(frame.source, unknown);
+  return (end == ".jpg" || end == ".jpeg" || end == ".png") && is_file(frame.source);
 }
 
 std::vector<Pair> pairs_by_pose(const std::vector<Pose>& poses) {

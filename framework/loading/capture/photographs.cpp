@@ -151,9 +151,9 @@ CaptureSource look_at_source(const std::string& path) {
   out.path = fs::absolute(path).lexically_normal().string();
   if (out.path.size() > 1 && out.path.ends_with('/')) out.path.pop_back();
   const std::string remedy = "name a video, or a folder of photographs (.jpg, .png, .tif)";
-  if (!fs::exists(path, unknown))
+  if (!is_there(path))
     throw Error(ErrorKind::no_input, "files.folder.missing", "'" + path + "' is not there", "check the path");
-  if (!fs::is_directory(path, unknown)) {
+  if (!is_folder(path)) {
     if (std::find(kVideos.begin(), kVideos.end(), ending_of(path)) == kVideos.end())
       throw Error(ErrorKind::no_input, "capture.source.kind", "'" + path + "' is not a video, by its name", remedy);
     out.video = true;

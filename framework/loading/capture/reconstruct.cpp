@@ -78,7 +78,7 @@ void PrepareState::write() const {
 
 PrepareFolder::PrepareFolder(const std::string& scene) : prepare_(scene + "/prepare") {
   std::error_code unknown;
-  if (fs::exists(scene, unknown) && !fs::exists(prepare_, unknown) && !fs::is_empty(scene, unknown)) {
+  if (is_there(scene) && !is_there(prepare_) && !fs::is_empty(scene, unknown)) {
     throw Error(ErrorKind::cannot_create, "files.output.exists", "'" + scene + "' is there already",
                 "name another folder with --out");
   }

@@ -12,6 +12,7 @@
 #include "formats/text_rows.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -65,10 +66,9 @@ const Pose* pose_at(const std::map<double, Pose>& poses, double time) {
 
 // Times in names of photographs and of their intrinsics may differ by a millisecond.
 std::string intrinsics_of(const fs::path& folder, const std::string& before, double time) {
-  std::error_code unknown;
   for (const double off : {0.0, -0.001, 0.001}) {
     const fs::path path = folder / fmt::format("{}{:.3f}.pincam", before, time + off);
-    if (fs::exists(path, unknown)) return path.string();
+    if (is_there(path)) return path.string();
   }
   return "";
 }
@@ -77,10 +77,8 @@ std::string intrinsics_of(const fs::path& folder, const std::string& before, dou
 
 std::string recognise(const std::string& path, ArkitScenesParams& p) {
   const fs::path root(path);
-  std::error_code unknown;
   for (const fs::path& folder : {root, root / (root.filename().string() + "_frames")}) {
-    if (!fs::is_regular_file(folder / kTrajectory, unknown) || !fs::is_directory(folder / "lowres_wide", unknown))
-      continue;
+    if (!is_file(folder / kTrajectory) || !is_folder(folder / "lowres_wide")) continue;
     p.root = folder.string();
     return "a scene of ARKitScenes";
   }

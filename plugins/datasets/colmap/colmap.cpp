@@ -40,8 +40,7 @@ namespace {
 constexpr const char* kModelFolders[] = {"sparse/0", "sparse", "colmap/sparse/0", "."};
 
 bool holds_model(const fs::path& folder) {
-  std::error_code ignored;
-  return fs::exists(folder / "cameras.bin", ignored) || fs::exists(folder / "cameras.txt", ignored);
+  return is_there(folder / "cameras.bin") || is_there(folder / "cameras.txt");
 }
 
 bool holds_files(const fs::path& folder, std::initializer_list<std::string_view> extensions) {
@@ -60,8 +59,7 @@ std::string recognise(const std::string& path, ColmapParams& p) {
                                   [&](const char* folder) { return holds_model(root / folder); });
   if (model == std::end(kModelFolders)) return "";
   p.root = path;
-  std::error_code ignored;
-  if (!fs::is_directory(root / p.images, ignored)) {
+  if (!is_folder(root / p.images)) {
     for (const char* folder : {".", "rgb", "color", "photos", "input"}) {
       if (!holds_files(root / folder, {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp"})) continue;
       p.images = folder;
@@ -200,7 +198,7 @@ std::string preparation(const std::string& folder, const ColmapParams&) {
   fs::path where;
   std::vector<fs::path> places{folder};
   std::error_code unknown;
-  if (fs::is_directory(folder, unknown)) {
+  if (is_folder(folder)) {
     for (const fs::directory_entry& entry : sorted_folder(folder)) {
       if (entry.is_directory(unknown)) places.push_back(entry.path());
     }
@@ -214,7 +212,7 @@ std::string preparation(const std::string& folder, const ColmapParams&) {
   if (photographs.size() < kFewest) return "";
   std::string poses;
   for (const fs::path& place : places) {
-    if (!poses.empty() || !fs::is_directory(place, unknown)) break;
+    if (!poses.empty() || !is_folder(place)) break;
     for (const fs::directory_entry& entry : sorted_folder(place.string()))
       if (poses.empty() && entry.is_regular_file(unknown) && may_hold_poses(entry.path()))
         poses = entry.path().string();

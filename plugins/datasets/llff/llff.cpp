@@ -11,6 +11,7 @@
 #include "loading/posed_photographs.h"
 #include "plugin/module.h"
 #include "scene/scene.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -41,8 +42,7 @@ void describe(ParamVisitor& visit, LlffParams& p) {
 }
 
 std::string recognise(const std::string& path, LlffParams& p) {
-  std::error_code ignored;
-  if (!fs::is_regular_file(fs::path(path) / kPosesFile, ignored)) return "";
+  if (!is_file(fs::path(path) / kPosesFile)) return "";
   p.root = path;
   return std::string("LLFF's ") + kPosesFile;
 }

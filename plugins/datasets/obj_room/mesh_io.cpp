@@ -36,12 +36,6 @@ struct Outline {
   bool has_objects = false;
 };
 
-// Names come from the file: one that is too long for this system is no file either.
-bool is_file(const fs::path& path) {
-  std::error_code ignored;
-  return fs::is_regular_file(path, ignored);
-}
-
 // Cutting a polygon may take the third power of its corners; those of rooms have tens.
 constexpr int kMostCorners = 1024;
 

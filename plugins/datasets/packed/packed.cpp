@@ -6,6 +6,7 @@
 #include "core/check.h"
 #include "plugin/module.h"
 #include "scene/scene.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -34,7 +35,7 @@ bool begins_as_pack(const std::string& path) {
 std::string recognise(const std::string& path, PackedParams& p) {
   std::error_code unknown;
   std::vector<std::string> found;
-  if (std::filesystem::is_regular_file(path, unknown)) {
+  if (is_file(path)) {
     if (begins_as_pack(path)) found.push_back(path);
   } else {
     for (std::filesystem::directory_iterator it(path, unknown), end; !unknown && it != end; it.increment(unknown)) {

@@ -7,6 +7,7 @@
 #include "loading/frame_files.h"
 #include "plugin/module.h"
 #include "scene/scene.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -17,9 +18,7 @@ namespace {
 
 // Those that the app undistorted and optimised, where it did.
 bool is_corrected(const fs::path& keyframes) {
-  std::error_code unknown;
-  return fs::is_directory(keyframes / "corrected_cameras", unknown) &&
-         fs::is_directory(keyframes / "corrected_images", unknown);
+  return is_folder(keyframes / "corrected_cameras") && is_folder(keyframes / "corrected_images");
 }
 
 // False when reported.
@@ -56,11 +55,8 @@ bool read_camera(const std::string& path, PosedPhotograph& photo, Diagnostics& d
 }  // namespace
 
 std::string recognise(const std::string& path, PolycamParams& p) {
-  std::error_code unknown;
   for (const fs::path& root : {fs::path(path), fs::path(path).parent_path()}) {
-    if (!fs::is_directory(root / "keyframes" / "images", unknown) ||
-        !fs::is_directory(root / "keyframes" / "cameras", unknown))
-      continue;
+    if (!is_folder(root / "keyframes" / "images") || !is_folder(root / "keyframes" / "cameras")) continue;
     p.root = root.string();
     return "a raw export of Polycam";
   }

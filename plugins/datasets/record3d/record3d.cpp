@@ -11,6 +11,7 @@
 #include "plugin/module.h"
 #include "scene/camera.h"
 #include "scene/scene.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -71,10 +72,9 @@ bool set_lens(const std::array<double, 9>& k, Camera& camera) {
 }  // namespace
 
 std::string recognise(const std::string& path, Record3dParams& p) {
-  std::error_code ignored;
   for (const char* inner : {"", "EXR_RGBD"}) {
     const fs::path folder = *inner == '\0' ? fs::path(path) : fs::path(path) / inner;
-    if (!fs::is_directory(folder / "rgb", ignored) || !fs::is_regular_file(folder / kMetadata, ignored)) continue;
+    if (!is_folder(folder / "rgb") || !is_file(folder / kMetadata)) continue;
     try {  // other recordings have a file of that name too
       if (read_pose_file((folder / kMetadata).string()).find("\"poses\"") == std::string::npos) continue;
     } catch (const Error&) {

@@ -30,9 +30,7 @@ namespace {
 
 /// Whether a folder holds traj.txt and results/.
 bool is_slam_sequence(const std::string& folder) {
-  std::error_code unknown;
-  return fs::is_regular_file(fs::path(folder) / "traj.txt", unknown) &&
-         fs::is_directory(fs::path(folder) / "results", unknown);
+  return is_file(fs::path(folder) / "traj.txt") && is_folder(fs::path(folder) / "results");
 }
 
 /// What cam_params.json says, which lies beside the trajectory or in the folder above: {"camera": {"w": 1200, "h": 680,
@@ -44,9 +42,8 @@ struct SlamCamera {
 SlamCamera read_slam_camera(const std::string& folder, Diagnostics& diagnostics) {
   constexpr const char* kFile = "cam_params.json";
   const fs::path beside = fs::path(folder) / kFile, above = fs::weakly_canonical(folder).parent_path() / kFile;
-  std::error_code unknown;
-  const std::string path = (fs::exists(beside, unknown) ? beside : above).string();
-  if (!fs::exists(path, unknown)) return {};
+  const std::string path = (is_there(beside) ? beside : above).string();
+  if (!is_there(path)) return {};
   const json root = read_pose_json<json>(path, "download the scene again");
   bool sound = true;
   const auto number = [&](const char* key) {
@@ -126,10 +123,9 @@ void validate(const ReplicaParams& p, Diagnostics& diagnostics) {
 }
 
 std::string recognise(const std::string& path, ReplicaParams& p) {
-  std::error_code ignored;
   p.root = path;
   for (const char* folder : {".", "Sequence_1"}) {
-    if (fs::is_regular_file(fs::path(path) / folder / "traj_w_c.txt", ignored)) return "Replica's traj_w_c.txt";
+    if (is_file(fs::path(path) / folder / "traj_w_c.txt")) return "Replica's traj_w_c.txt";
   }
   return is_slam_sequence(path) ? "Replica's traj.txt and results/, as NICE-SLAM has them" : "";
 }

@@ -38,10 +38,9 @@ void validate(const ScannetParams& p, Diagnostics& diagnostics) {
 }
 
 std::string recognise(const std::string& path, ScannetParams& p) {
-  std::error_code ignored;
   p.root = path;
   for (const char* folder : {"color", "pose", "intrinsic"}) {
-    if (!fs::is_directory(fs::path(path) / folder, ignored)) return "";
+    if (!is_folder(fs::path(path) / folder)) return "";
   }
   return "an exported ScanNet scene";
 }

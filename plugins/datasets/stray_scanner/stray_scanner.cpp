@@ -13,6 +13,7 @@
 #include "plugin/module.h"
 #include "scene/camera.h"
 #include "scene/scene.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -92,9 +93,8 @@ Camera read_matrix(const std::string& path) {
 }  // namespace
 
 std::string recognise(const std::string& path, StrayScannerParams& p) {
-  std::error_code unknown;
   for (const char* name : {"odometry.csv", "camera_matrix.csv"})
-    if (!fs::is_regular_file(fs::path(path) / name, unknown)) return "";
+    if (!is_file(fs::path(path) / name)) return "";
   p.root = path;
   return "a recording of Stray Scanner";
 }

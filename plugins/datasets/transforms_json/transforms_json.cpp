@@ -23,6 +23,7 @@
 #include "loading/posed_photographs.h"
 #include "plugin/module.h"
 #include "scene/scene.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -484,12 +485,11 @@ class FileReader {
 
   // Blender leaves the extension out.
   std::string file_of(const fs::path& path) {
-    std::error_code ignored;
     std::string as_written = names_.of(path.string());
-    if (fs::exists(as_written, ignored)) return as_written;
+    if (is_there(as_written)) return as_written;
     for (const char* extension : {".png", ".jpg", ".jpeg", ".JPG", ".PNG", ".exr", ".webp", ".tif"}) {
       const std::string longer = names_.of(path.string() + extension);
-      if (fs::exists(longer, ignored)) return longer;
+      if (is_there(longer)) return longer;
     }
     return as_written;
   }
@@ -626,28 +626,27 @@ class FileReader {
 TransformsIndex read_transforms(const std::string& root, const std::string& label_key,
                                 const std::vector<std::string>& channels, Diagnostics& diagnostics) {
   TransformsIndex out;
-  std::error_code ignored;
   const auto read = [&](const std::string& path, std::optional<Split> split) {
     FileReader(path, split, label_key, channels, out, diagnostics).read();
   };
   const fs::path folder(root);
-  if (fs::exists(root, ignored) && !fs::is_directory(root, ignored)) {
+  if (is_there(root) && !is_folder(root)) {
     read(root, std::nullopt);
     return out;
   }
-  if (!fs::is_directory(root, ignored))
+  if (!is_folder(root))
     throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + root + "' is missing", "check scene.root");
-  if (fs::exists(folder / "transforms.json", ignored)) {
+  if (is_there(folder / "transforms.json")) {
     read((folder / "transforms.json").string(), std::nullopt);
     return out;
   }
-  const bool has_test = fs::exists(folder / "transforms_test.json", ignored);
+  const bool has_test = is_there(folder / "transforms_test.json");
   const std::pair<const char*, Split> parts[] = {{"transforms_train.json", Split::train},
                                                  {"transforms_test.json", Split::test},
                                                  {"transforms_val.json", has_test ? Split::unused : Split::test}};
   bool any = false;
   for (const auto& [name, split] : parts) {
-    if (!fs::exists(folder / name, ignored)) continue;
+    if (!is_there(folder / name)) continue;
     any = true;
     read((folder / name).string(), split);
   }
@@ -707,18 +706,16 @@ void validate(const TransformsJsonParams& p, Diagnostics& diagnostics) {
 }
 
 std::string recognise(const std::string& path, TransformsJsonParams& p) {
-  std::error_code ignored;
   const fs::path file(path);
   p.root = path;
-  if (fs::is_regular_file(file, ignored) && file.extension() == ".json" &&
-      file.filename().string().starts_with("transforms")) {
+  if (is_file(file) && file.extension() == ".json" && file.filename().string().starts_with("transforms")) {
     // The usual names stand for the whole folder, whose other file may hold the tests.
     const std::string name = file.filename().string();
     if (name == "transforms.json" || name == "transforms_train.json") p.root = file.parent_path().string();
     return name;
   }
   for (const char* name : {"transforms.json", "transforms_train.json"}) {
-    if (fs::is_regular_file(file / name, ignored)) return name;
+    if (is_file(file / name)) return name;
   }
   return "";
 }

@@ -14,6 +14,7 @@
 #include "loading/frame_files.h"
 #include "plugin/module.h"
 #include "scene/camera.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -130,9 +131,8 @@ void validate(const TumParams& p, Diagnostics& diagnostics) {
 }
 
 std::string recognise(const std::string& path, TumParams& p) {
-  std::error_code unknown;
   for (const char* name : {"rgb.txt", "groundtruth.txt"})
-    if (!fs::is_regular_file(fs::path(path) / name, unknown)) return "";
+    if (!is_file(fs::path(path) / name)) return "";
   p.root = path;
   return "a recording in the layout of the TUM RGB-D benchmark";
 }
@@ -169,8 +169,7 @@ SceneInfo Tum::open(Diagnostics& diagnostics) {
     Camera& c = photo.camera;
     c.width_px = 640;  // what the benchmark's lenses are of
     c.height_px = 480;
-    std::error_code missing;
-    if (!params_.lens.empty() && fs::exists(photo.image, missing)) {
+    if (!params_.lens.empty() && is_there(photo.image)) {
       const ImageSize size = image_size(photo.image);
       c.width_px = size.width_px;
       c.height_px = size.height_px;

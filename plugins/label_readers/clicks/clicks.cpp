@@ -44,8 +44,7 @@ Click click_of(const TextRow& row) {
 
 // Size of the image that was clicked on, as viewers show it: that of its file, or the frame's where there is none.
 ImageSize clicked_size(const FrameInfo& frame) {
-  std::error_code ignored;
-  if (std::filesystem::is_regular_file(frame.source, ignored)) {
+  if (is_file(frame.source)) {
     try {
       ImageSize size = image_size(frame.source);
       if (turned_by_quarter(frame.orientation)) std::swap(size.width_px, size.height_px);
