@@ -237,13 +237,11 @@ Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics, cons
   return out;
 }
 
-void write_frusta_ply(const std::string& path, const LoadedScene& scene, double depth_m) {
+void write_frusta_ply(const std::string& path, const LoadedScene& scene) {
   const std::size_t frames = scene.info.frames.size();
-  if (depth_m <= 0) {
-    const Box cameras = count_frames(scene).cameras;  // they tell a size where nothing else does
-    depth_m = 0.02 * length(scene.bounds.empty() ? cameras.size() : scene.bounds.size());
-    if (!(depth_m > 0)) depth_m = 0.1;
-  }
+  const Box cameras = count_frames(scene).cameras;  // they tell a size where nothing else does
+  double depth_m = 0.02 * length(scene.bounds.empty() ? cameras.size() : scene.bounds.size());
+  if (!(depth_m > 0)) depth_m = 0.1;
   std::string out = fmt::format(
       "ply\nformat binary_little_endian 1.0\ncomment camera frusta in world coordinates\nelement vertex {}\nproperty "
       "double x\nproperty double y\n"

@@ -23,9 +23,8 @@ std::string inspect_report(const LoadedScene& scene, const Diagnostics& diagnost
 /// The same for programs.
 Json inspect_json(const LoadedScene& scene, const Diagnostics& diagnostics, const std::string& depth_use = "");
 
-/// Camera frusta as binary PLY: a pyramid per frame of `depth_m` height (0 = 2 % of the bounds' diagonal), train blue,
-/// test orange.
-void write_frusta_ply(const std::string& path, const LoadedScene& scene, double depth_m = 0);
+/// Camera frusta as binary PLY: a pyramid per frame, 2 % of the bounds' diagonal high, train blue, test orange.
+void write_frusta_ply(const std::string& path, const LoadedScene& scene);
 
 // Which of the shipped presets suits a scene, from what was found in it.
 

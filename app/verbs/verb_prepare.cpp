@@ -147,7 +147,7 @@ int run_posed(const PrepareVerbOptions& options, const std::optional<FolderScene
         "maps of '" + name + "' are not in it: copy their files, and name them in each frame as " + name + "_path");
   const FolderScene written = find_scene(options.out, "", context);
   const std::string geometry = inspected(written, context, found);
-  for (const Diagnostic& finding : folded(found)) print_note(context, finding.shown());
+  print_findings(context, found);
   if (context.json) {
     print_json(context, {{"frames", scene.info.frames.size()},
                          {"points", fixed->points},
@@ -192,9 +192,8 @@ int run(const PrepareVerbOptions& options, AppContext& context) {
   Diagnostics found;
   const FolderScene scene = find_scene(options.out, "", context);
   const std::string geometry = inspected(scene, context, found);
-  for (const Diagnostics* part : {&report.findings, &found}) {
-    for (const Diagnostic& finding : folded(*part)) print_note(context, finding.shown());
-  }
+  print_findings(context, report.findings);
+  print_findings(context, found);
   if (context.json) {
     std::vector<std::string> missing;
     for (const Missing& one : report.missing) missing.push_back(one.text);

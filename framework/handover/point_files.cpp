@@ -272,12 +272,8 @@ SplatVolume::SplatVolume(const Pipeline<float>& pipeline, const VoxelGridPlace& 
   for (std::int64_t begin = 0; begin < cells; begin += kPointsAtOnce) {
     const std::int64_t count = std::min(kPointsAtOnce, cells - begin);
     for (std::int64_t i = 0; i < count; ++i) {
-      const std::int64_t cell = begin + i;
-      const std::array<std::int64_t, 3> at{cell % place.count[0], cell / place.count[0] % place.count[1],
-                                           cell / (place.count[0] * place.count[1])};
-      for (std::size_t axis = 0; axis < 3; ++axis)
-        position[static_cast<std::size_t>(3 * i) + axis] =
-            (static_cast<double>(place.first[axis] + at[axis]) + 0.5) * place.edge;
+      const Vec3d center = place.center(begin + i);
+      for (int axis = 0; axis < 3; ++axis) position[static_cast<std::size_t>(3 * i + axis)] = center[axis];
     }
     pipeline.density({position.data(), count, 3}, {&density_[static_cast<std::size_t>(begin)], count, 1});
     for (std::int64_t i = 0; i < count && opaque; ++i) {
@@ -350,16 +346,7 @@ Splats SplatVolume::splats() const {
   for (const Seen& seen : seen_) {
     const double opacity = splat_opacity(static_cast<double>(density_[seen.cell]) * place_.edge, kSplatWidth);
     if (seen.light < kLeastLight || opacity <= 0) continue;
-    const auto cell = static_cast<std::int64_t>(seen.cell);
-    const std::array<std::int64_t, 3> at{cell % place_.count[0], cell / place_.count[0] % place_.count[1],
-                                         cell / (place_.count[0] * place_.count[1])};
-    Vec3d place;
-    for (int axis = 0; axis < 3; ++axis)
-      place[axis] =
-          (static_cast<double>(place_.first[static_cast<std::size_t>(axis)] + at[static_cast<std::size_t>(axis)]) +
-           0.5) *
-          place_.edge;
-    out.points.positions.push_back(place);
+    out.points.positions.push_back(place_.center(static_cast<std::int64_t>(seen.cell)));
     out.opacity.push_back(static_cast<float>(opacity));
     auto& color = out.points.attributes.color.emplace_back();
     for (std::size_t k = 0; k < 3; ++k)

@@ -2,13 +2,13 @@
 
 #include <algorithm>
 #include <chrono>
+#include "compute/parallel.h"
+#include "core/joined_sets.h"
 #include <cmath>
 #include <map>
 #include <numeric>
 #include <set>
 #include <utility>
-
-#include "compute/parallel.h"
 #include "execution/point_network.h"
 #include "labels/clicks/click_log.h"
 #include "labels/label_files.h"
@@ -207,27 +207,6 @@ std::vector<std::int32_t> object_ids(Session& session, FoundObjects& objects, co
 
 namespace {
 
-// Numbers that are joined into one, the least of them.
-class Joined {
- public:
-  explicit Joined(std::size_t count) : up_(count) { std::iota(up_.begin(), up_.end(), 0); }
-  std::int32_t of(std::int32_t i) {
-    while (up_[static_cast<std::size_t>(i)] != i) {
-      std::int32_t& up = up_[static_cast<std::size_t>(i)];
-      i = up = up_[static_cast<std::size_t>(up)];
-    }
-    return i;
-  }
-  void join(std::int32_t a, std::int32_t b) {
-    a = of(a);
-    b = of(b);
-    up_[static_cast<std::size_t>(std::max(a, b))] = std::min(a, b);
-  }
-
- private:
-  std::vector<std::int32_t> up_;
-};
-
 // What views say of two groups.
 struct Evidence {
   double weight = 0, same = 0, views = 0;
@@ -304,7 +283,7 @@ class Clustering {
     const auto inside = [&](std::int64_t i) {
       return std::ssize(near[static_cast<std::size_t>(i)]) >= rules_.neighbours;
     };
-    Joined joined(static_cast<std::size_t>(count));
+    JoinedSets joined(static_cast<std::size_t>(count));
     std::vector<std::int32_t> cluster(static_cast<std::size_t>(count), -1);
     for (std::int64_t i = 0; i < count; ++i)
       for (const std::int32_t j : near[static_cast<std::size_t>(i)])
@@ -352,7 +331,7 @@ class Clustering {
   void grow() {
     take_means();
     const std::vector<std::int32_t> of_point = votes_of(cluster_segments());
-    Joined joined(group_.size());
+    JoinedSets joined(group_.size());
     for (const auto& [a, b] : near_)
       if (of_point[static_cast<std::size_t>(a)] >= 0 &&
           of_point[static_cast<std::size_t>(a)] == of_point[static_cast<std::size_t>(b)])
@@ -497,7 +476,7 @@ class Clustering {
     std::map<Pair, Evidence> evidence;
     for (const Counts& view : views) add_evidence(view, evidence, -1);
     touch_by_mean(evidence);
-    Joined joined(static_cast<std::size_t>(groups_));
+    JoinedSets joined(static_cast<std::size_t>(groups_));
     for (;;) {
       const auto best = std::max_element(evidence.begin(), evidence.end(), [&](const auto& a, const auto& b) {
         return score(a.second) < score(b.second);

@@ -1,12 +1,20 @@
 #include "surface/surface_graph.h"
 
+#define EIGEN_DONT_PARALLELIZE
+
 #include <algorithm>
 #include <bit>
 #include <cmath>
 #include <functional>
 #include <limits>
+#include <mutex>
+#include <numeric>
+#include <Eigen/IterativeLinearSolvers>
+#include <Eigen/SparseCore>
 #include <queue>
 #include <tuple>
+
+#include "core/joined_sets.h"
 
 namespace semfield {
 
@@ -400,23 +408,6 @@ SurfacePool make_surface_pool(std::span<const PoolView> views, const RayLimits& 
   return pool;
 }
 
-}  // namespace semfield
-
-#define EIGEN_DONT_PARALLELIZE
-
-#include <Eigen/IterativeLinearSolvers>
-#include <Eigen/SparseCore>
-#include <mutex>
-#include <numeric>
-#include <utility>
-
-#include "compute/isa.h"
-#include "compute/parallel.h"
-#include "core/check.h"
-#include "core/error.h"
-
-namespace semfield {
-
 namespace {
 
 using Matrix = Eigen::SparseMatrix<double>;
@@ -424,29 +415,6 @@ using Solver = Eigen::ConjugateGradient<Matrix, Eigen::Lower | Eigen::Upper, Eig
 
 constexpr double kResidual = 1e-6;  // of the right side that votes of weight 1 give
 constexpr int kMostIterations = 20000;
-
-// Connected parts: the root of a node is the least node of its part.
-class Parts {
- public:
-  Parts(std::size_t nodes, std::span<const GraphEdge> edges) : parent_(nodes) {
-    std::iota(parent_.begin(), parent_.end(), 0);
-    for (const GraphEdge& edge : edges) {
-      const std::int32_t a = root(edge.a), b = root(edge.b);
-      parent_[static_cast<std::size_t>(std::max(a, b))] = std::min(a, b);
-    }
-  }
-  std::int32_t root(std::int32_t node) {
-    while (parent_[static_cast<std::size_t>(node)] != node) {
-      std::int32_t& up = parent_[static_cast<std::size_t>(node)];
-      up = parent_[static_cast<std::size_t>(up)];
-      node = up;
-    }
-    return node;
-  }
-
- private:
-  std::vector<std::int32_t> parent_;
-};
 
 // The nodes of parts with votes, and the matrix L + D of them.
 struct System {
@@ -498,19 +466,20 @@ Diffusion diffuse_votes(std::span<const GraphEdge> edges, std::span<const double
   const std::size_t nodes = votes.size() / width;
   std::vector<double> held(nodes);
   std::vector<char> voted_class(width), reached(nodes), voted_part(nodes);
-  Parts parts(nodes, edges);
+  JoinedSets parts(nodes);
+  for (const GraphEdge& edge : edges) parts.join(edge.a, edge.b);
   for (std::size_t n = 0; n < nodes; ++n) {
     for (std::size_t c = 0; c < width; ++c) {
       const double vote = votes[n * width + c];
       held[n] += vote_weight * vote;
       voted_class[c] |= vote > 0 ? 1 : 0;
     }
-    if (held[n] > 0) voted_part[static_cast<std::size_t>(parts.root(static_cast<std::int32_t>(n)))] = 1;
+    if (held[n] > 0) voted_part[parts.of(n)] = 1;
   }
   Diffusion out;
   out.probability.resize(votes.size());
   for (std::size_t n = 0; n < nodes; ++n) {
-    const auto root = static_cast<std::size_t>(parts.root(static_cast<std::int32_t>(n)));
+    const std::size_t root = parts.of(n);
     reached[n] = voted_part[root];
     if (root != n) continue;
     ++out.parts;

@@ -5,8 +5,8 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
-
 #include "core/check.h"
+#include "core/joined_sets.h"
 #include "scene/classes/class_table.h"
 
 namespace semfield {
@@ -30,23 +30,13 @@ void set_vertex_normals(Surface& surface) {
 }
 
 Components components_of(const Surface& surface) {
-  // Union by the smaller number, paths halved: numbers come out the same whatever the order of triangles.
-  std::vector<std::uint32_t> parent(surface.positions.size());
-  std::iota(parent.begin(), parent.end(), 0U);
-  const auto root = [&](std::uint32_t v) {
-    while (parent[v] != v) v = parent[v] = parent[parent[v]];
-    return v;
-  };
-  for (const Triangle& t : surface.triangles) {
-    for (int corner = 1; corner < 3; ++corner) {
-      const std::uint32_t a = root(t[0]), b = root(t[static_cast<std::size_t>(corner)]);
-      parent[std::max(a, b)] = std::min(a, b);
-    }
-  }
+  JoinedSets sets(surface.positions.size());
+  for (const Triangle& t : surface.triangles)
+    for (std::size_t corner = 1; corner < 3; ++corner) sets.join(t[0], t[corner]);
   Components out;
-  out.of_vertex.resize(parent.size());
-  for (std::uint32_t v = 0; v < parent.size(); ++v) {
-    const std::uint32_t r = root(v);
+  out.of_vertex.resize(surface.positions.size());
+  for (std::uint32_t v = 0; v < out.of_vertex.size(); ++v) {
+    const std::uint32_t r = sets.of(v);
     if (r == v) {
       out.of_vertex[v] = static_cast<std::uint32_t>(out.faces.size());
       out.faces.push_back(0);

@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
-#include <numeric>
 #include <tuple>
 
 #ifdef SEMFIELD_WITH_RAYCAST
@@ -17,6 +16,7 @@
 #include <sstream>
 #include <string_view>
 
+#include "core/joined_sets.h"
 #include "formats/text_rows.h"
 #include "loading/frame_files.h"
 #include "system/files.h"
@@ -365,31 +365,10 @@ TriangleMesh load_obj(const std::string& path, Diagnostics&) {
 }
 #endif
 
-namespace {
-
-// Sets of triangles that are joined; the least number stands for a set.
-class Sets {
- public:
-  explicit Sets(std::size_t count) : up_(count) { std::iota(up_.begin(), up_.end(), 0U); }
-  std::uint32_t of(std::uint32_t i) {
-    while (up_[i] != i) i = up_[i] = up_[up_[i]];
-    return i;
-  }
-  void join(std::uint32_t a, std::uint32_t b) {
-    const std::uint32_t x = of(a), y = of(b);
-    up_[std::max(x, y)] = std::min(x, y);
-  }
-
- private:
-  std::vector<std::uint32_t> up_;
-};
-
-}  // namespace
-
 std::vector<std::int32_t> pieces_of(const TriangleMesh& mesh, const std::vector<std::int16_t>& class_of, double gap_m) {
   using Cell = std::tuple<std::int16_t, int, int, int>;
   std::map<Cell, std::uint32_t> first;  // triangle of a class in a cell
-  Sets sets(mesh.size());
+  JoinedSets sets(mesh.size());  // of triangles
   for (std::size_t t = 0; t < mesh.size(); ++t) {
     const Vec3d a = mesh.corner(t, 0), ab = mesh.corner(t, 1) - a, ac = mesh.corner(t, 2) - a;
     const auto n = static_cast<int>(
