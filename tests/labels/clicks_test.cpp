@@ -65,6 +65,11 @@ std::string ids(const std::vector<Annotations::Mark>& marks) {
   return out;
 }
 
+// All of them are taken.
+void apply_all(Annotations& annotations, const std::vector<LabelEvent>& events) {
+  for (const LabelEvent& event : events) EXPECT_TRUE(annotations.apply(event)) << event.id;
+}
+
 // Refused, and nothing has changed.
 std::string refusal(Annotations& annotations, const LabelEvent& event) {
   const std::string classes = annotations.classes().to_yaml(), marks = ids(annotations.marks());
@@ -132,14 +137,12 @@ TEST(Annotations, AnEventCountsOnce) {
 
 TEST(Annotations, PaintsInOrderOverWhatWasThere) {
   Annotations annotations(scene_of(room_table()), 0);
-  annotations.apply(click("1", "chair", {3.5, 2.5}, 1.5));
-  annotations.apply(click("2", "table", {3.5, 2.5}));
-  annotations.apply(click("3", "wall", {8, 6}));
+  apply_all(annotations,
+            {click("1", "chair", {3.5, 2.5}, 1.5), click("2", "table", {3.5, 2.5}), click("3", "wall", {8, 6})});
   EXPECT_EQ(painted(annotations), (Rows{"........", "..111...", "..121...", "..111...", "........", ".......0"}));
   EXPECT_EQ(painted(annotations, 1), (Rows(6, "........")));
   EXPECT_EQ(annotations.frames_with_marks(), std::vector<int>{0});
-  annotations.apply(click("4", "void", {3.5, 1.5}));
-  annotations.apply(click("5", "wall", {0, 0}, 0, "b"));
+  apply_all(annotations, {click("4", "void", {3.5, 1.5}), click("5", "wall", {0, 0}, 0, "b")});
   EXPECT_EQ(annotations.marks()[3].class_index, kVoid);
   EXPECT_EQ(painted(annotations, 0, std::vector<std::int16_t>(48, 2)),
             (Rows{"22222222", "221.1222", "22121222", "22111222", "22222222", "22222220"}));
@@ -163,8 +166,7 @@ TEST(Annotations, PointsAreScaledToTheLoadedFrame) {
 
 TEST(Annotations, UndoAndItsUndoGiveTheSamePaintingInTheOldOrder) {
   Annotations annotations(scene_of(room_table()), 0);
-  annotations.apply(click("1", "chair", {3.5, 2.5}, 1.5));
-  annotations.apply(click("2", "table", {3.5, 2.5}, 1.5));
+  apply_all(annotations, {click("1", "chair", {3.5, 2.5}, 1.5), click("2", "table", {3.5, 2.5}, 1.5)});
   const Rows both = painted(annotations);
   annotations.apply(undo("3", "1"));
   EXPECT_EQ(ids(annotations.marks()), "2 ");
@@ -183,12 +185,9 @@ TEST(Annotations, UndoAndItsUndoGiveTheSamePaintingInTheOldOrder) {
 
 TEST(Annotations, AClassThatClicksUseStaysUntilTheyAreUndone) {
   Annotations annotations(scene_of(), 3);
-  annotations.apply(add("1", "chair"));
-  annotations.apply(add("2", "lamp"));
-  annotations.apply(click("3", "chair", {1, 1}));
+  apply_all(annotations, {add("1", "chair"), add("2", "lamp"), click("3", "chair", {1, 1})});
   EXPECT_EQ(refusal(annotations, undo("4", "1")), "event '4': the class 'chair' has 1 clicks; undo its clicks first");
-  annotations.apply(undo("5", "3"));
-  annotations.apply(undo("6", "1"));
+  apply_all(annotations, {undo("5", "3"), undo("6", "1")});
   EXPECT_EQ(names_of_table(annotations.classes()), "0-void 1=unnamed 1 2=lamp 3=unnamed 3 ");
   EXPECT_EQ(annotations.named_classes(), 2);
   EXPECT_FALSE(annotations.is_named(0));
@@ -201,8 +200,7 @@ TEST(Annotations, AClassThatClicksUseStaysUntilTheyAreUndone) {
   EXPECT_HAS(refusal(annotations, click("7", "unnamed 1", {1, 1})), "event '7':", "unnamed 1", "no class");
   annotations.apply(add("8", "table"));  // a place of its own
   EXPECT_EQ(names_of_table(annotations.classes()), "0-void 1=unnamed 1 2=lamp 3=table ");
-  annotations.apply(undo("9", "6"));
-  annotations.apply(undo("10", "5"));
+  apply_all(annotations, {undo("9", "6"), undo("10", "5")});
   EXPECT_EQ(names_of_table(annotations.classes()), "0-void 1=chair 2=lamp 3=table ");
   EXPECT_EQ(ids(annotations.marks()), "3 ");
   EXPECT_HAS(refusal(annotations, add("11", "door")), "event '11':", "have names");
@@ -214,7 +212,7 @@ TEST(Annotations, AnUndoneClassGivesItsPlaceUpOnceEveryPlaceHasHadAName) {
       add("1", "chair"), click("2", "chair", {1, 1}), undo("3", "2"), undo("4", "1"), rename("5", "lamp", "light"),
       add("6", "table"), click("7", "table", {2, 2})};
   events.insert(events.begin() + 4, add("4b", "lamp"));
-  for (const LabelEvent& event : events) EXPECT_TRUE(annotations.apply(event)) << event.id;
+  apply_all(annotations, events);
   EXPECT_EQ(names_of_table(annotations.classes()), "0-void 1=table 2=light ");
   EXPECT_EQ(annotations.marks().at(0).class_index, 0);
   EXPECT_FALSE(annotations.has_room());
@@ -225,7 +223,7 @@ TEST(Annotations, AnUndoneClassGivesItsPlaceUpOnceEveryPlaceHasHadAName) {
   // The file gives every class the same place again, and room of its own where there is more.
   EXPECT_EQ(names_of_table(replay(scene_of(), 2, events, "log").classes()), "0-void 1=table 2=light ");
   EXPECT_EQ(names_of_table(replay(scene_of(), 0, events, "log").named_table()), "0-void 2=light 3=table ");
-  for (const LabelEvent& event : {undo("8", "7"), undo("9", "6"), undo("10", "4")}) annotations.apply(event);
+  apply_all(annotations, {undo("8", "7"), undo("9", "6"), undo("10", "4")});
   EXPECT_EQ(names_of_table(annotations.classes()), "0-void 1=chair 2=light ");
   annotations.apply(undo("11", "3"));
   EXPECT_EQ(ids(annotations.marks()), "2 ");
@@ -233,9 +231,8 @@ TEST(Annotations, AnUndoneClassGivesItsPlaceUpOnceEveryPlaceHasHadAName) {
 
 TEST(Annotations, ARenamingStaysWithItsClassWhenThePlaceIsGivenAway) {
   Annotations annotations(scene_of(), 1);
-  for (const LabelEvent& event : {add("1", "chair"), undo("2", "1"), add("3", "table"), rename("4", "table", "desk"),
-                                  undo("5", "3"), undo("6", "2")})
-    EXPECT_TRUE(annotations.apply(event)) << event.id;
+  apply_all(annotations, {add("1", "chair"), undo("2", "1"), add("3", "table"), rename("4", "table", "desk"),
+                          undo("5", "3"), undo("6", "2")});
   EXPECT_EQ(names_of_table(annotations.classes()), "0-void 1=chair ");
 }
 
@@ -247,8 +244,7 @@ TEST(Annotations, AFileWithOneNameTwiceIsNamedWithItsLine) {
 
 TEST(Annotations, ARenamedClassKeepsItsPlaceAndItsClicks) {
   Annotations annotations(scene_of(room_table()), 6);
-  annotations.apply(add("1", "armchair"));
-  annotations.apply(click("2", "armchair", {1, 1}));
+  apply_all(annotations, {add("1", "armchair"), click("2", "armchair", {1, 1})});
   LabelEvent stool = rename("3", "armchair", "stool");
   stool.color = {{9, 8, 7}};
   annotations.apply(stool);
@@ -259,8 +255,7 @@ TEST(Annotations, ARenamedClassKeepsItsPlaceAndItsClicks) {
   EXPECT_EQ(refusal(annotations, click("5", "armchair", {2, 2})).find("event '5': no class 'armchair'"), 0u);
   annotations.apply(add("6", "armchair"));  // the name is free again
   EXPECT_HAS(refusal(annotations, undo("7", "3")), "event '7':", "armchair", "already");
-  annotations.apply(undo("8", "6"));
-  annotations.apply(undo("9", "3"));
+  apply_all(annotations, {undo("8", "6"), undo("9", "3")});
   EXPECT_EQ(annotations.classes().valid(3).name, "armchair");
   EXPECT_EQ(annotations.classes().valid(3).color, ClassTable::default_color(8));
   EXPECT_EQ(annotations.marks()[1].class_index, 3);
@@ -511,9 +506,7 @@ std::string classes_of(const Annotations& annotations) {
 Annotations three_classes() {
   Annotations annotations(scene_of(), 5);
   for (const char* name : {"chair", "stool", "lamp"}) annotations.apply(add(std::string("add_") + name, name));
-  annotations.apply(click("c", "chair", {1, 1}));
-  annotations.apply(click("s", "stool", {3, 3}));
-  annotations.apply(click("l", "lamp", {5, 5}));
+  apply_all(annotations, {click("c", "chair", {1, 1}), click("s", "stool", {3, 3}), click("l", "lamp", {5, 5})});
   return annotations;
 }
 
@@ -544,20 +537,17 @@ TEST(ClassEvents, ADeletedClassTakesItsClicksAndGivesThemBack) {
   EXPECT_FALSE(annotations.is_named(1));
   EXPECT_EQ(refusal(annotations, click("x", "stool", {1, 1})), "event 'x': no class 'stool' any more; it was deleted");
   annotations.apply(undo("u", "s"));  // takes nothing from the list, and counts when the class is back
-  annotations.apply(click("s2", "lamp", {2, 2}));
-  annotations.apply(undo("v", "d"));
+  apply_all(annotations, {click("s2", "lamp", {2, 2}), undo("v", "d")});
   EXPECT_EQ(classes_of(annotations), "c=chair l=lamp s2=lamp ");
   annotations.apply(undo("w", "v"));
   EXPECT_HAS(refusal(annotations, undo("x", "u")), "event 'x':", "stool", "is deleted");
-  annotations.apply(undo("y", "w"));
-  annotations.apply(undo("z", "u"));
+  apply_all(annotations, {undo("y", "w"), undo("z", "u")});
   EXPECT_EQ(classes_of(annotations), "c=chair s=stool l=lamp s2=lamp ");
 }
 
 TEST(ClassEvents, MergesFollowEachOther) {
   Annotations annotations = three_classes();
-  annotations.apply(merge("m1", "stool", "chair"));
-  annotations.apply(merge("m2", "chair", "lamp"));
+  apply_all(annotations, {merge("m1", "stool", "chair"), merge("m2", "chair", "lamp")});
   EXPECT_EQ(classes_of(annotations), "c=lamp s=lamp l=lamp ");
   annotations.apply(remove_class("d", "lamp"));
   EXPECT_EQ(classes_of(annotations), "");
@@ -571,29 +561,22 @@ TEST(ClassEvents, MergesFollowEachOther) {
 
 TEST(ClassEvents, ANameThatWasGivenAnewStaysWhereItIs) {
   Annotations annotations = three_classes();
-  annotations.apply(remove_class("d", "stool"));
-  annotations.apply(add("again", "stool"));
-  annotations.apply(click("t", "stool", {7, 5}));
+  apply_all(annotations, {remove_class("d", "stool"), add("again", "stool"), click("t", "stool", {7, 5})});
   EXPECT_EQ(classes_of(annotations), "c=chair l=lamp t=stool ");
   EXPECT_HAS(refusal(annotations, undo("x", "d")), "event 'x':", "stool", "already");
-  annotations.apply(rename("r", "stool", "bench"));
-  annotations.apply(undo("u", "d"));
+  apply_all(annotations, {rename("r", "stool", "bench"), undo("u", "d")});
   EXPECT_EQ(classes_of(annotations), "c=chair s=stool l=lamp t=bench ");
 }
 
 TEST(ClassEvents, APlaceThatWasGivenAwayDoesNotComeBack) {
   Annotations annotations(scene_of(), 2);
-  annotations.apply(add("1", "chair"));
-  annotations.apply(add("2", "stool"));
-  annotations.apply(click("3", "stool", {1, 1}));
-  annotations.apply(merge("4", "stool", "chair"));
+  apply_all(annotations,
+            {add("1", "chair"), add("2", "stool"), click("3", "stool", {1, 1}), merge("4", "stool", "chair")});
   annotations.apply(add("5", "lamp"));  // where the stool was
   annotations.apply(click("6", "lamp", {2, 2}));
   EXPECT_EQ(classes_of(annotations), "3=chair 6=lamp ");
   EXPECT_HAS(refusal(annotations, undo("x", "4")), "event 'x':", "stool", "lamp");
-  annotations.apply(undo("7", "6"));
-  annotations.apply(undo("8", "5"));
-  annotations.apply(undo("9", "4"));
+  apply_all(annotations, {undo("7", "6"), undo("8", "5"), undo("9", "4")});
   EXPECT_EQ(classes_of(annotations), "3=stool ");
 }
 
@@ -607,8 +590,7 @@ TEST(ClassEvents, WhatCannotBeMergedOrDeletedIsRefused) {
   EXPECT_EQ(refusal(annotations, remove_class("x", "void")), "event 'x': 'void' stands for pixels without a class");
   EXPECT_EQ(refusal(annotations, merge("x", "stol", "wall")), "event 'x': no class 'stol'; did you mean 'stool'?");
   EXPECT_EQ(refusal(annotations, merge("x", "stool", "wal")), "event 'x': no class 'wal'; did you mean 'wall'?");
-  annotations.apply(click("2", "stool", {1, 1}));
-  annotations.apply(merge("3", "stool", "wall"));
+  apply_all(annotations, {click("2", "stool", {1, 1}), merge("3", "stool", "wall")});
   EXPECT_EQ(classes_of(annotations), "2=wall ");
 }
 
@@ -629,8 +611,7 @@ TEST(ClassEvents, AFilledOutlineIsItsInside) {
 
 TEST(ClassEvents, WhatIsIgnoredHasNoLabelUntilItIsNamed) {
   Annotations annotations(scene_of(room_table()), 0);
-  annotations.apply(click("1", "void", {3.5, 2.5}, 1.5));
-  annotations.apply(click("2", "chair", {3.5, 2.5}));
+  apply_all(annotations, {click("1", "void", {3.5, 2.5}, 1.5), click("2", "chair", {3.5, 2.5})});
   std::vector<std::int16_t> labels(48, 2);
   annotations.clear_ignored(0, 8, 6, labels);
   EXPECT_EQ(rows_of({8, 6, labels, {}}),
