@@ -18,6 +18,7 @@
 
 #include "app/serve/http_server.h"
 #include "app/serve/page_requests.h"
+#include "formats/image_io.h"
 #include "serve/label_loop.h"
 #include "serve/label_session.h"
 

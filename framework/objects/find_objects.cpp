@@ -2,13 +2,14 @@
 
 #include <algorithm>
 #include <chrono>
-#include "compute/parallel.h"
-#include "core/joined_sets.h"
 #include <cmath>
 #include <map>
 #include <numeric>
 #include <set>
 #include <utility>
+
+#include "compute/parallel.h"
+#include "core/joined_sets.h"
 #include "execution/point_network.h"
 #include "labels/clicks/click_log.h"
 #include "labels/label_files.h"

@@ -2,6 +2,8 @@
 
 #define EIGEN_DONT_PARALLELIZE
 
+#include <Eigen/IterativeLinearSolvers>
+#include <Eigen/SparseCore>
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -9,11 +11,14 @@
 #include <limits>
 #include <mutex>
 #include <numeric>
-#include <Eigen/IterativeLinearSolvers>
-#include <Eigen/SparseCore>
 #include <queue>
 #include <tuple>
+#include <utility>
 
+#include "compute/isa.h"
+#include "compute/parallel.h"
+#include "core/check.h"
+#include "core/error.h"
 #include "core/joined_sets.h"
 
 namespace semfield {

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+
 #include "core/check.h"
 #include "core/joined_sets.h"
 #include "scene/classes/class_table.h"

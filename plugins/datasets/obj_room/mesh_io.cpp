@@ -368,7 +368,7 @@ TriangleMesh load_obj(const std::string& path, Diagnostics&) {
 std::vector<std::int32_t> pieces_of(const TriangleMesh& mesh, const std::vector<std::int16_t>& class_of, double gap_m) {
   using Cell = std::tuple<std::int16_t, int, int, int>;
   std::map<Cell, std::uint32_t> first;  // triangle of a class in a cell
-  JoinedSets sets(mesh.size());  // of triangles
+  JoinedSets sets(mesh.size());         // of triangles
   for (std::size_t t = 0; t < mesh.size(); ++t) {
     const Vec3d a = mesh.corner(t, 0), ab = mesh.corner(t, 1) - a, ac = mesh.corner(t, 2) - a;
     const auto n = static_cast<int>(

@@ -6,6 +6,7 @@
 #include <string>
 #include <string_view>
 #include <vector>
+
 #include "config/params.h"
 #include "core/error.h"
 #include "core/host_device.h"
