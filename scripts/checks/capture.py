@@ -18,8 +18,7 @@ MOST_PHOTOGRAPHS, KILLED_PHOTOGRAPHS = 80, 12
 LEAST_REGISTERED, MOST_DEG, MOST_SHARE = 0.95, 0.5, 0.005
 WRONG_DEG, WRONG_SHARE = 5, 0.05
 CAPTURE = {**dict.fromkeys([f"{name}_registered" for name in SCENES], ".3f"), "pose_error_deg": ".3f",
-           "pose_error_share": ".5f", "noise_psnr_loss": ".2f", "noise_miou_loss": ".3f",
-           "right_psnr_loss": ".2f", "record3d_gain": ".2f", "killed_lost": "d"}
+           "pose_error_share": ".5f", "killed_lost": "d"}
 
 NOISE_DEG, NOISE_M, FOCAL, CENTRE_PX = 1, 0.02, 1.1, 30
 DEPTH_SHIFT_M, DEPTH_TURN_DEG = 0.024, 0.9
@@ -37,14 +36,13 @@ def turn(axis, degrees):
     return rotations(np.array([[math.cos(half), *(math.sin(half) * np.asarray(axis) / np.linalg.norm(axis))]]))[0]
 
 
-def shaken(poses, every):
-    """Every n-th pose turned and shifted by the noise, about and along random axes."""
+def shaken(poses):
+    """Every pose turned and shifted by the noise, about and along random axes."""
     draw, out = random.Random(1), poses.copy()
-    for i, pose in enumerate(out):
+    for pose in out:
         axis, shift = (np.array([draw.gauss(0, 1) for _ in range(3)]) for _ in range(2))
-        if i % every == every - 1:
-            pose[:3, :3] = pose[:3, :3] @ turn(axis, NOISE_DEG)
-            pose[:3, 3] += NOISE_M * shift / np.linalg.norm(shift)
+        pose[:3, :3] = pose[:3, :3] @ turn(axis, NOISE_DEG)
+        pose[:3, 3] += NOISE_M * shift / np.linalg.norm(shift)
     return out
 
 
@@ -95,8 +93,8 @@ def pose_errors(found, given):
     return degrees, off / np.linalg.norm(np.ptp([pose[:3, 3] for pose in given.values()], axis=0))
 
 
-class Trainings:
-    """Trainings and scores in a folder; `figures` are those of the last line."""
+class Check:
+    """Scenes and runs in a folder; `figures` are those of the last line."""
 
     def __init__(self, options, folder):
         self.options, self.folder, self.figures = options, folder, {}
@@ -106,22 +104,6 @@ class Trainings:
         shutil.rmtree(self.folder / name, ignore_errors=True)
         return self.folder / name
 
-    def capture(self, name, **scene):
-        """The shipped room with true poses, and those poses."""
-        room = self.fresh(name)
-        common.run(self.program, "capture", common.QUICKSTART, "--out", room, "--quiet",
-                   *(f"--set=scene.{key}={value}" for key, value in scene.items()))
-        return room, np.loadtxt(room / "traj_w_c.txt").reshape(-1, 4, 4)
-
-    def score(self, name, config, training, scoring):
-        run = self.fresh(f"{name}_run")
-        common.run(self.program, "train", config, "--out", run, "--quiet", *training)
-        found = common.ask(self.program, "eval", run, scoring)
-        numbers = {**found, **{f"refined {key}": value for key, value in (found.get("refined_poses") or {}).items()}}
-        shown = [f"{key} {value:.4g}" for key, value in numbers.items() if isinstance(value, float)]
-        common.say(f"{name}: " + ", ".join(shown))
-        return found
-
     def attempt(self, *parts):
         for part in parts:
             try:
@@ -130,7 +112,7 @@ class Trainings:
                 common.say(str(failed))
 
 
-class Capture(Trainings):
+class Capture(Check):
     def photographs(self, name, scene, names):
         out = self.fresh(name)
         out.mkdir()
@@ -157,45 +139,6 @@ class Capture(Trainings):
         for key, values in (("pose_error_deg", degrees), ("pose_error_share", shares)):
             self.figures[key] = max(self.figures.get(key, 0), values.mean())
 
-    def config(self, name, scene):
-        path = self.folder / f"{name}.yaml"
-        path.write_text(f"include: presets/room.yaml\nscene: {json.dumps(scene)}\nruntime: {{device: cpu}}\n")
-        return path
-
-    def corrects(self, name, scene):
-        """Whether the preset corrects poses of the scene unasked."""
-        words = common.run(self.program, "train", self.config(name, scene), "--dry-run")
-        return "train.cameras.poses: learned" in words
-
-    def trained(self, name, scene, poses):
-        training = ("--steps", self.options.steps, "--set", f"train.cameras.poses={poses}")
-        return self.score(name, self.config(name, scene), training, "--refine-poses")
-
-    def noise(self):
-        """True and noisy poses of the shipped room; of its frames every second one, from the first, is held out."""
-        room, poses = self.capture("room", frames=58, test_frames=8, width_px=160, height_px=120)
-        noisy = self.fresh("noisy_room")
-        shutil.copytree(room, noisy)
-        np.savetxt(noisy / "traj_w_c.txt", shaken(poses, 2).reshape(-1, 16), fmt="%.12g")
-        true, false = ({"type": "replica", "test_every": 2, "root": str(root)} for root in (room, noisy))
-        right = corrected = self.trained("right", true, "given")
-        if self.corrects("right_unasked", true):
-            corrected = self.trained("right_unasked", true, "learned")
-        self.figures["right_psnr_loss"] = right["psnr"] - corrected["psnr"]
-        found = self.trained("noise_corrected", false, "learned")
-        for key in ("psnr", "miou"):
-            self.figures[f"noise_{key}_loss"] = right["refined_poses"][key] - found["refined_poses"][key]
-
-    def record3d(self):
-        root = self.options.folder / "record3d_door"
-        if not root.is_dir():
-            raise common.Failed("record3d_gain: there is no record3d_door in the folder")
-        scene = {"type": "record3d", "root": str(root), "load": {"downscale": 4}}
-        self.figures["record3d_gain"] = 0
-        if self.corrects("door_unasked", scene):
-            given, learned = (self.trained(f"door_{way}", scene, way)["refined_poses"] for way in ("given", "learned"))
-            self.figures["record3d_gain"] = learned["psnr"] - given["psnr"]
-
     def killed(self):
         source = self.options.folder / SCENES["llff"]
         if not source.is_dir():
@@ -219,7 +162,6 @@ class Capture(Trainings):
 
 def add_common(parser):
     parser.add_argument("folder", type=pathlib.Path, metavar="FOLDER", help="folder of the scenes")
-    parser.add_argument("--steps", type=int, default=2000, help="of trainings of the shipped room (%(default)s)")
     parser.add_argument("--keep", metavar="FOLDER", help="leave scenes and runs there")
     common.add_build(parser)
 
@@ -227,29 +169,25 @@ def add_common(parser):
 def capture(words):
     """Measures what `semfield prepare` finds from photographs alone. FOLDER holds studio_room, llff_room and
 bonsai360, each with a transforms.json of poses and their photographs, of which at most 80 are copied without their
-poses and prepared; the poses found are laid over the given ones by a similarity of least squares and compared. Perhaps
-it holds record3d_door.
+poses and prepared; the poses found are laid over the given ones by a similarity of least squares and compared.
 
 The last line is `capture: studio_registered=... ... killed_lost=...`. *_registered is the share of photographs that
 got a pose. pose_error_* are means over a scene's photographs, of the worst scene: the angle of a camera, and the
-distance of its centre as a share of the diagonal of the box of all given centres. noise_*_loss is by how much a run of
-the shipped room whose training cameras are off by 1 degree and 2 cm stays below one with true poses, both refined;
-right_psnr_loss, what true poses lose by the corrections that the preset gives them unasked; record3d_gain, what those
-gain on record3d_door. killed_lost counts photographs of llff_room that lose their pose when `prepare` is killed while
-it matches and called again. What was not measured is n/a, and a line says why. Exit code 1 where less than 95 % are
-registered, an error is over 0.5 degrees or 0.5 %, or a photograph is lost."""
+distance of its centre as a share of the diagonal of the box of all given centres. killed_lost counts photographs of
+llff_room that lose their pose when `prepare` is killed while it matches and called again. What was not measured is n/a,
+and a line says why. Exit code 1 where less than 95 % are registered, an error is over 0.5 degrees or 0.5 %, or a
+photograph is lost."""
     parser = common.parser_of(capture)
-    parser.add_argument("--scenes", help="names, with commas (default: all three; none with --quick)")
-    parser.add_argument("--quick", action="store_true", help="without trainings")
+    parser.add_argument("--scenes", default=",".join(SCENES.values()), help="some of %(default)s")
     add_common(parser)
     options = parser.parse_args(words)
-    wanted = options.scenes.split(",") if options.scenes else [] if options.quick else list(SCENES.values())
+    wanted = options.scenes.split(",")
     if not set(wanted) <= set(SCENES.values()):
         parser.error(f"--scenes: they are {', '.join(SCENES.values())}")
     with common.work_folder(options.keep) as folder:
         check = Capture(options, folder)
         check.attempt(*(lambda short=short: check.scene(short) for short, name in SCENES.items() if name in wanted))
-        check.attempt(check.killed, *([] if options.quick else [check.noise, check.record3d]))
+        check.attempt(check.killed)
     figures = check.figures
     common.print_line("capture", figures, CAPTURE)
     good = all(figures.get(f"{short}_registered", 1) >= LEAST_REGISTERED for short in SCENES)
@@ -257,12 +195,22 @@ registered, an error is over 0.5 degrees or 0.5 %, or a photograph is lost."""
     return 0 if good and all(figures.get(key, 0) <= value for key, value in most.items()) else 1
 
 
-class Cameras(Trainings):
+class Cameras(Check):
+    def score(self, name, config, training, scoring):
+        run = self.fresh(f"{name}_run")
+        common.run(self.program, "train", config, "--out", run, "--quiet", *training)
+        found = common.ask(self.program, "eval", run, scoring)
+        shown = [f"{key} {value:.4g}" for key, value in found.items() if isinstance(value, float)]
+        common.say(f"{name}: " + ", ".join(shown))
+        return found
+
     def room(self):
         """A room whose cameras are known, which its index states."""
         room = self.folder / "room"
         if not room.is_dir():
-            self.capture("room", frames=104, test_frames=8, width_px=640, height_px=480)
+            size = ("frames=104", "test_frames=8", "width_px=640", "height_px=480")
+            common.run(self.program, "capture", common.QUICKSTART, "--out", room, "--quiet",
+                       *(f"--set=scene.{setting}" for setting in size))
         self.poses = np.loadtxt(room / "traj_w_c.txt").reshape(-1, 4, 4)
         self.lens = np.loadtxt(room / "intrinsics.txt")[:6]
         self.write(room, self.poses, self.lens)
@@ -283,7 +231,7 @@ class Cameras(Trainings):
         out, poses, lens = self.fresh(name), self.poses.copy(), self.lens.copy()
         shutil.copytree(self.folder / "room", out, ignore=shutil.ignore_patterns("traj_w_c.txt", "intrinsics.txt"))
         if name == "noise":
-            poses = shaken(poses, 1)
+            poses = shaken(poses)
         elif name == "focal":
             lens[2:4] *= FOCAL
         elif name == "centre":
@@ -392,6 +340,7 @@ n/a."""
     parts = ("inspect", "modelled", "kitchen", "hololens", "door")
     parser = common.parser_of(cameras)
     parser.add_argument("--parts", default=",".join(parts), help="some of %(default)s")
+    parser.add_argument("--steps", type=int, default=2000, help="of trainings of the shipped room (%(default)s)")
     parser.add_argument("--seconds", type=float, default=60, help="of trainings of real rooms (default: %(default)s)")
     parser.add_argument("--gpu", action="store_true", help="train on the first GPU")
     add_common(parser)
