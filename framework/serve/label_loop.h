@@ -373,7 +373,7 @@ class LabelLoop {
   /// Clicks that were passed over count as done, for the next proposal.
   void set_skipped(std::vector<LabelledPixels> skipped);
 
-  /// The clicks of a fold (point_learner.h) by what is learned from the others, for a temperature. What was learned
+  /// The clicks of a fold by what is learned from the others, for a temperature. What was learned
   /// stays as it was.
   std::vector<HeldBack> hold_back(std::span<const LabelledPixels> clicks, int fold);
   /// Class probabilities [N, classes()] of places on the surface, with what the network reads there: the network's, and
