@@ -104,18 +104,6 @@ CameraCorrections<Real>::CameraCorrections(const CameraRules& rules, const Stage
   if (rules_.colors) color_ = store.add(kColorName, color_table_, {rules_.color_rate, 0, false, !rules_.alone});
 }
 
-template <class Real>
-void CameraCorrections<Real>::derive(const StepContext& ctx) const {
-  if (rules_.poses) pose_table_.derive(ctx, store_->tensors(pose_));
-  if (rules_.colors) color_table_.derive(ctx, store_->tensors(color_));
-}
-
-template <class Real>
-void CameraCorrections<Real>::derive_backward(const StepContext& ctx) const {
-  if (rules_.poses) pose_table_.derive_backward(ctx, store_->tensors(pose_));
-  if (rules_.colors) color_table_.derive_backward(ctx, store_->tensors(color_));
-}
-
 template const CameraKernels<float>& cpu_camera_kernels<float>();
 template const CameraKernels<double>& cpu_camera_kernels<double>();
 template class CameraCorrections<float>;

@@ -129,8 +129,14 @@ class CameraCorrections {
   CameraCorrections(const CameraRules& rules, const Stages<Real>& stages, TensorStore<Real>& store);
 
   const CameraRules& rules() const { return rules_; }
-  void derive(const StepContext& ctx) const;
-  void derive_backward(const StepContext& ctx) const;
+  void derive(const StepContext& ctx) const {
+    if (rules_.poses) pose_table_.derive(ctx, store_->tensors(pose_));
+    if (rules_.colors) color_table_.derive(ctx, store_->tensors(color_));
+  }
+  void derive_backward(const StepContext& ctx) const {
+    if (rules_.poses) pose_table_.derive_backward(ctx, store_->tensors(pose_));
+    if (rules_.colors) color_table_.derive_backward(ctx, store_->tensors(color_));
+  }
   /// Moves rays where poses are corrected.
   void move(View<const float> camera, View<double> origin, View<double> direction) const {
     kernels_->move(camera, used(pose_), rules_.distance_m, origin, direction);

@@ -104,45 +104,6 @@ void ParamStore<Real>::reduce_lanes(std::int64_t first_piece, std::int64_t count
   });
 }
 
-template <class Real>
-void ParamStore<Real>::zero_gradients() {
-  for (Tensor<Real>& t : tensors_) {
-    if (t.spec.role != TensorRole::sparse) std::fill_n(t.grad.data(), t.grad.size(), Real(0));
-  }
-}
-
-template <class Real>
-void ParamStore<Real>::clear_gradients() {
-  for (Tensor<Real>& t : tensors_) {
-    std::fill_n(t.grad.data(), t.grad.size(), Real(0));
-    std::fill_n(t.lanes.data(), t.lanes.size(), Real(0));
-  }
-}
-
-template <class Real>
-Tensor<Real>* ParamStore<Real>::find(const std::string& name) {
-  for (Tensor<Real>& t : tensors_) {
-    if (t.name == name) return &t;
-  }
-  return nullptr;
-}
-
-template <class Real>
-std::int64_t ParamStore<Real>::learned_count() const {
-  std::int64_t sum = 0;
-  for (const Tensor<Real>& t : tensors_) sum += t.learned() ? t.size() : 0;
-  return sum;
-}
-
-template <class Real>
-std::size_t ParamStore<Real>::bytes() const {
-  std::size_t sum = 0;
-  for (const Tensor<Real>& t : tensors_) {
-    sum += (t.value.size() + t.grad.size() + t.moment1.size() + t.moment2.size() + t.lanes.size()) * sizeof(Real);
-  }
-  return sum;
-}
-
 template std::vector<TensorSpec> specs_of<float>(const Parametric<float>&);
 template std::vector<TensorSpec> specs_of<double>(const Parametric<double>&);
 template class ParamStore<float>;

@@ -159,17 +159,41 @@ class ParamStore final : public TensorStore<Real> {
     return {sum.grad + sum.begin, 1, static_cast<std::int32_t>(sum.end - sum.begin)};
   }
   /// Zeroes gradients of every tensor but sparse ones, which the optimiser clears row by row as it visits them.
-  void zero_gradients();
+  void zero_gradients() {
+    for (Tensor<Real>& t : tensors_) {
+      if (t.spec.role != TensorRole::sparse) std::fill_n(t.grad.data(), t.grad.size(), Real(0));
+    }
+  }
   /// Zeroes every gradient and lane, sparse ones too: after a step that failed halfway.
-  void clear_gradients();
+  void clear_gradients() {
+    for (Tensor<Real>& t : tensors_) {
+      std::fill_n(t.grad.data(), t.grad.size(), Real(0));
+      std::fill_n(t.lanes.data(), t.lanes.size(), Real(0));
+    }
+  }
 
   std::vector<Tensor<Real>>& all() { return tensors_; }
   const std::vector<Tensor<Real>>& all() const { return tensors_; }
-  Tensor<Real>* find(const std::string& name);
+  Tensor<Real>* find(const std::string& name) {
+    for (Tensor<Real>& t : tensors_) {
+      if (t.name == name) return &t;
+    }
+    return nullptr;
+  }
   int lanes() const { return lanes_; }
   /// Learned scalars, and bytes of everything.
-  std::int64_t learned_count() const;
-  std::size_t bytes() const;
+  std::int64_t learned_count() const {
+    std::int64_t sum = 0;
+    for (const Tensor<Real>& t : tensors_) sum += t.learned() ? t.size() : 0;
+    return sum;
+  }
+  std::size_t bytes() const {
+    std::size_t sum = 0;
+    for (const Tensor<Real>& t : tensors_) {
+      sum += (t.value.size() + t.grad.size() + t.moment1.size() + t.moment2.size() + t.lanes.size()) * sizeof(Real);
+    }
+    return sum;
+  }
   std::uint64_t seed() const { return seed_; }
 
  private:

@@ -28,28 +28,8 @@ BranchedHead<Real>::BranchedHead(const Head<Real>& head, const BranchParts<Real>
 }
 
 template <class Real>
-void BranchedHead<Real>::derive(const StepContext& ctx) const {
-  head_->derive(ctx, store_->tensors(head_tensors_));
-  branch_->position->derive(ctx, store_->tensors(position_));
-  branch_->field->derive(ctx, store_->tensors(field_));
-}
-
-template <class Real>
-void BranchedHead<Real>::derive_backward(const StepContext& ctx) const {
-  head_->derive_backward(ctx, store_->tensors(head_tensors_));
-  branch_->position->derive_backward(ctx, store_->tensors(position_));
-  branch_->field->derive_backward(ctx, store_->tensors(field_));
-}
-
-template <class Real>
 static FieldIn<Real> field_in(const BranchTrace<Real>& trace) {
   return {.position = trace.input, .ray_of_sample = trace.samples.ray_of_sample};
-}
-
-template <class Real>
-Dropout BranchedHead<Real>::dropout(const StepContext& ctx) const {
-  const std::string name = place_.semantic ? kBranchDropout : place_.prefix + "/" + kBranchDropout;
-  return {ctx.random(name), ctx.first_ray, branch_->rules.dropout};
 }
 
 template <class Real>
@@ -88,22 +68,6 @@ void BranchedHead<Real>::take_outputs(const StepContext& ctx, std::int64_t rows,
   const std::size_t bytes = branch_->field->saved_bytes(rows, rays);
   trace.saved = Saved(arena.take_bytes(bytes), bytes);
   if (branch_->rules.dropout > 0) trace.feature = arena.take<Real>(rows, branch_->field->traits().feature_dims);
-}
-
-template <class Real>
-void BranchedHead<Real>::run_network(const StepContext& ctx, int lane, BranchTrace<Real>& trace) const {
-  branch_->field->forward(ctx, store_->tensors(field_, lane), field_in(trace), trace.out, trace.saved);
-  if (drops_out(trace)) stages_->drop_out(dropout(ctx), trace.samples, trace.out.feature, trace.feature);
-}
-
-template <class Real>
-void BranchedHead<Real>::encode_points(const StepContext& ctx, View<const double> positions, View<Real> input) const {
-  Workspace& arena = *ctx.workspace;
-  const Workspace::Scope scope(arena);
-  const View<double> x = arena.take<double>(positions.rows, 3);
-  stages_->map_positions(positions, branch_->domain, x);
-  branch_->position->forward(ctx, store_->tensors(position_), x,
-                             input.col_range(0, branch_->position->traits().out_dims));
 }
 
 template <class Real>
@@ -240,35 +204,6 @@ void Pass<Real>::derive_backward(const StepContext& ctx) const {
 }
 
 template <class Real>
-void Pass<Real>::sample(const StepContext& ctx, const Rays<Real>& rays, const Proposal<Real>* previous,
-                        Samples<Real>& out) const {
-  parts_.sampler->sample(ctx, store_->tensors(sampler_), rays, previous, out);
-}
-
-template <class Real>
-void Pass<Real>::locate(const StepContext& ctx, const Rays<Real>& rays, const Samples<Real>& samples,
-                        View<double> x) const {
-  stages_->locate(place(ctx, samples), rays, parts_.domain, x);
-}
-
-template <class Real>
-void Pass<Real>::encode(const StepContext& ctx, int lane, View<const double> x, View<Real> encoded) const {
-  parts_.position->forward(ctx, store_->tensors(position_, lane), x, encoded);
-}
-
-template <class Real>
-DensityRule Pass<Real>::density_rule(const StepContext& ctx) const {
-  DensityRule rule{.activation = rules_.rendering.density_activation,
-                   .per_m = 1 / rules_.unit_m,
-                   .bias = rules_.rendering.density_bias,
-                   .first_ray = ctx.first_ray};
-  if (!ctx.training || rules_.rendering.density_noise <= 0) return rule;
-  rule.deviation = rules_.rendering.density_noise;
-  rule.random = ctx.random("density_noise");
-  return rule;
-}
-
-template <class Real>
 FeatureForm Pass<Real>::feature_form(const PassTrace<Real>& trace) const {
   if (trace.semantic_rays == 0 || (trace.with_heads && heads_want_feature())) return FeatureForm::full;
   const bool rounded = parts_.head && !branched_ && parts_.head->takes_rounded() && rules_.deferred_class_layer;
@@ -389,15 +324,6 @@ void Pass<Real>::evaluate(const StepContext& ctx, int lane, PassTrace<Real>& tra
     parts_.head->hidden_forward(ctx, head_tensors(lane), trace.out.feature.row_range(0, trace.semantic_samples),
                                 trace.semantic.hidden);
   }
-}
-
-template <class Real>
-CompositeIn<Real> Pass<Real>::composite_in(const PassTrace<Real>& trace) const {
-  return {.samples = &trace.samples,
-          .sigma = trace.sigma,
-          .rgb = trace.out.rgb,
-          .far = rules_.rendering.far,
-          .background = rules_.background()};
 }
 
 template <class Real>
@@ -534,50 +460,7 @@ void Pass<Real>::ray_gradient(const StepContext& ctx, const Rays<Real>& rays, co
   stages_->locate_backward(rays, trace.samples, parts_.domain, dx, d_ray);
 }
 
-template <class Real>
-void Pass<Real>::scatter(const StepContext& ctx, View<const double> x, View<const Real> dy) const {
-  if (x.rows == 0) return;
-  parts_.position->backward(ctx, store_->tensors(position_), x, dy, {});
-}
-
 // What stands behind branches of its own: class logits where they do, and the channels of the other heads.
-
-template <class Real>
-bool Pass<Real>::heads_want_feature() const {
-  return std::any_of(heads_.begin(), heads_.end(), [](const auto& head) { return head.rules().reads_feature; });
-}
-
-template <class Real>
-BranchCall<Real> Pass<Real>::branch_call(const Rays<Real>& rays, const PassTrace<Real>& trace,
-                                         std::int64_t count) const {
-  const std::int64_t most = count == trace.semantic_rays ? trace.semantic_samples : trace.samples.count;
-  return {&rays, &trace.samples, trace.weight, trace.out.feature, count, most};
-}
-
-template <class Real>
-void Pass<Real>::branch_forward(const StepContext& ctx, int lane, const Rays<Real>& rays,
-                                PassTrace<Real>& trace) const {
-  trace.semantic = branched_->forward(ctx, lane, branch_call(rays, trace, trace.semantic_rays));
-}
-
-template <class Real>
-void Pass<Real>::branch_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace,
-                                 View<const Real> d_logits) const {
-  branched_->backward(ctx, lane, trace.semantic, d_logits);
-}
-
-template <class Real>
-void Pass<Real>::heads_forward(const StepContext& ctx, int lane, const Rays<Real>& rays, PassTrace<Real>& trace) const {
-  for (std::size_t i = 0; i < heads_.size(); ++i)
-    trace.heads[i] = heads_[i].forward(ctx, lane, branch_call(rays, trace, rays.origin.rows));
-}
-
-template <class Real>
-void Pass<Real>::heads_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace,
-                                const ChannelTable<const Real>& d_heads) const {
-  for (std::size_t i = 0; i < heads_.size(); ++i)
-    heads_[i].backward(ctx, lane, trace.heads[i], d_heads[parts_.heads[i].channel]);
-}
 
 template <class Real>
 RayValues<Real> Pass<Real>::values_of(View<const double> near_far, const PassTrace<Real>& trace) const {
@@ -596,13 +479,6 @@ RayValues<Real> Pass<Real>::values_of(View<const double> near_far, const PassTra
   for (std::size_t i = 0; i < heads_.size(); ++i)
     if (!trace.heads[i].rows.empty()) values.heads.set(parts_.heads[i].channel, trace.heads[i].rows);
   return values;
-}
-
-template <class Real>
-View<Real> Pass<Real>::axes(std::string_view channel) const {
-  for (std::size_t i = 0; i < heads_.size(); ++i)
-    if (parts_.heads[i].channel == channel && axes_[i] >= 0) return store_->tensors(axes_[i]).value[0];
-  return {};
 }
 
 // What is asked for by position and not along rays: density, of which samplers and meshes are made, and semantics,
@@ -663,12 +539,6 @@ void Pass<Real>::point_colors(const StepContext& ctx, View<const double> positio
   }
   parts_.field->forward(ctx, store_->tensors(field_), in, {.sigma = arena.take<Real>(positions.rows, 1), .rgb = color},
                         {});
-}
-
-template <class Real>
-std::int32_t Pass<Real>::point_dims() const {
-  const std::int32_t feature = parts_.field->traits().feature_dims;
-  return branched_ ? branched_->input_dims(feature) : feature;
 }
 
 template <class Real>

@@ -2,6 +2,7 @@
 // Written on the stages of a device (model/stages.h).
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <memory>
 #include <optional>
@@ -85,21 +86,42 @@ class BranchedHead {
     return branch_->position->traits().out_dims + (branch_->rules.reads_feature ? feature_dims : 0);
   }
   /// The first columns of input [N, input_dims] at world positions [N, 3].
-  void encode_points(const StepContext& ctx, View<const double> positions, View<Real> input) const;
+  void encode_points(const StepContext& ctx, View<const double> positions, View<Real> input) const {
+    Workspace& arena = *ctx.workspace;
+    const Workspace::Scope scope(arena);
+    const View<double> x = arena.take<double>(positions.rows, 3);
+    stages_->map_positions(positions, branch_->domain, x);
+    branch_->position->forward(ctx, store_->tensors(position_), x,
+                               input.col_range(0, branch_->position->traits().out_dims));
+  }
   /// The branch at single samples, whose inputs are known: input [K, input_dims], each sample a ray of its own.
   BranchTrace<Real> forward_points(const StepContext& ctx, int lane, View<const Real> input) const;
   /// d_feature [K, B] of trace.feature; it is changed (dropout). Gradients go into the lane's.
   void branch_backward(const StepContext& ctx, int lane, const BranchTrace<Real>& trace, View<Real> d_feature) const;
 
-  void derive(const StepContext& ctx) const;
-  void derive_backward(const StepContext& ctx) const;
+  void derive(const StepContext& ctx) const {
+    head_->derive(ctx, store_->tensors(head_tensors_));
+    branch_->position->derive(ctx, store_->tensors(position_));
+    branch_->field->derive(ctx, store_->tensors(field_));
+  }
+  void derive_backward(const StepContext& ctx) const {
+    head_->derive_backward(ctx, store_->tensors(head_tensors_));
+    branch_->position->derive_backward(ctx, store_->tensors(position_));
+    branch_->field->derive_backward(ctx, store_->tensors(field_));
+  }
 
  private:
   BranchTrace<Real> branch_forward(const StepContext& ctx, int lane, const BranchCall<Real>& call) const;
-  void run_network(const StepContext& ctx, int lane, BranchTrace<Real>& trace) const;
+  void run_network(const StepContext& ctx, int lane, BranchTrace<Real>& trace) const {
+    branch_->field->forward(ctx, store_->tensors(field_, lane), field_in(trace), trace.out, trace.saved);
+    if (drops_out(trace)) stages_->drop_out(dropout(ctx), trace.samples, trace.out.feature, trace.feature);
+  }
   void take_outputs(const StepContext& ctx, std::int64_t rows, std::int64_t rays, BranchTrace<Real>& trace) const;
   bool drops_out(const BranchTrace<Real>& trace) const { return trace.feature.data != trace.out.feature.data; }
-  Dropout dropout(const StepContext& ctx) const;
+  Dropout dropout(const StepContext& ctx) const {
+    const std::string name = place_.semantic ? kBranchDropout : place_.prefix + "/" + kBranchDropout;
+    return {ctx.random(name), ctx.first_ray, branch_->rules.dropout};
+  }
 
   const Head<Real>* head_;
   const BranchParts<Real>* branch_;
@@ -236,10 +258,17 @@ class Pass {
 
   /// The two steps that forward begins with, for callers that take them ahead: samples of `rays` into `out`, and
   /// encoder coordinates x [samples.count, 3].
-  void sample(const StepContext& ctx, const Rays<Real>& rays, const Proposal<Real>* previous, Samples<Real>& out) const;
-  void locate(const StepContext& ctx, const Rays<Real>& rays, const Samples<Real>& samples, View<double> x) const;
+  void sample(const StepContext& ctx, const Rays<Real>& rays, const Proposal<Real>* previous,
+              Samples<Real>& out) const {
+    parts_.sampler->sample(ctx, store_->tensors(sampler_), rays, previous, out);
+  }
+  void locate(const StepContext& ctx, const Rays<Real>& rays, const Samples<Real>& samples, View<double> x) const {
+    stages_->locate(place(ctx, samples), rays, parts_.domain, x);
+  }
   /// encoded [N, Dp] from x [N, 3].
-  void encode(const StepContext& ctx, int lane, View<const double> x, View<Real> encoded) const;
+  void encode(const StepContext& ctx, int lane, View<const double> x, View<Real> encoded) const {
+    parts_.position->forward(ctx, store_->tensors(position_, lane), x, encoded);
+  }
   std::int32_t encoded_dims() const { return parts_.position->traits().out_dims; }
   /// The rest of forward.
   PassTrace<Real> forward(const StepContext& ctx, int lane, const Rays<Real>& rays, const SampledTile<Real>& tile,
@@ -253,15 +282,30 @@ class Pass {
 
   /// Logits of the semantic rays by way of the branch, and its gradients from them. Neither touches what backward does,
   /// so both may run beside it, with a workspace of their own.
-  void branch_forward(const StepContext& ctx, int lane, const Rays<Real>& rays, PassTrace<Real>& trace) const;
-  void branch_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace, View<const Real> d_logits) const;
+  void branch_forward(const StepContext& ctx, int lane, const Rays<Real>& rays, PassTrace<Real>& trace) const {
+    trace.semantic = branched_->forward(ctx, lane, branch_call(rays, trace, trace.semantic_rays));
+  }
+  void branch_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace,
+                       View<const Real> d_logits) const {
+    branched_->backward(ctx, lane, trace.semantic, d_logits);
+  }
   /// The same of the other heads, of every ray: d_heads has a view [R, C] per head, by its channel.
-  void heads_forward(const StepContext& ctx, int lane, const Rays<Real>& rays, PassTrace<Real>& trace) const;
+  void heads_forward(const StepContext& ctx, int lane, const Rays<Real>& rays, PassTrace<Real>& trace) const {
+    for (std::size_t i = 0; i < heads_.size(); ++i)
+      trace.heads[i] = heads_[i].forward(ctx, lane, branch_call(rays, trace, rays.origin.rows));
+  }
   void heads_backward(const StepContext& ctx, int lane, const PassTrace<Real>& trace,
-                      const ChannelTable<const Real>& d_heads) const;
+                      const ChannelTable<const Real>& d_heads) const {
+    for (std::size_t i = 0; i < heads_.size(); ++i)
+      heads_[i].backward(ctx, lane, trace.heads[i], d_heads[parts_.heads[i].channel]);
+  }
 
   /// [source_width, C] of a head that makes principal axes of a channel: state, which the framework fills; else empty.
-  View<Real> axes(std::string_view channel) const;
+  View<Real> axes(std::string_view channel) const {
+    for (std::size_t i = 0; i < heads_.size(); ++i)
+      if (parts_.heads[i].channel == channel && axes_[i] >= 0) return store_->tensors(axes_[i]).value[0];
+    return {};
+  }
 
   /// d_ray [R, 6] += gradients of the rays' origins and directions by way of the samples' positions, from the d_encoded
   /// that backward left. What colour owes to the direction alone is not in it.
@@ -269,7 +313,10 @@ class Pass {
                     View<const Real> d_encoded, View<Real> d_ray) const;
 
   /// Encoder scatter of gradients dy [N, Dp] at coordinates x [N, 3]; outside parallel regions.
-  void scatter(const StepContext& ctx, View<const double> x, View<const Real> dy) const;
+  void scatter(const StepContext& ctx, View<const double> x, View<const Real> dy) const {
+    if (x.rows == 0) return;
+    parts_.position->backward(ctx, store_->tensors(position_), x, dy, {});
+  }
 
   void derive(const StepContext& ctx) const;
   void derive_backward(const StepContext& ctx) const;
@@ -290,7 +337,10 @@ class Pass {
   /// Semantics of points of the last pass, apart from rays; only where parts().head stands.
   /// Numbers of a point that labels do not shape where the pass has a branch: its encoded position and what it reads of
   /// the field. Without a branch the field's feature.
-  std::int32_t point_dims() const;
+  std::int32_t point_dims() const {
+    const std::int32_t feature = parts_.field->traits().feature_dims;
+    return branched_ ? branched_->input_dims(feature) : feature;
+  }
   /// rows [N, point_dims()] at world positions [N, 3].
   void point_rows(const StepContext& ctx, View<const double> positions, View<Real> rows) const;
   /// logits [N, C] of a sample of weight 1 with these rows; the trace lies in ctx.workspace and borrows `rows`.
@@ -308,17 +358,37 @@ class Pass {
                         View<Real> dots, FieldGrad<Real>& grad) const;
   /// True when the field's feature is wanted of every sample of the rays with semantics, or of all rays.
   bool wants_feature() const { return parts_.head && (!branched_ || branched_->rules().reads_feature); }
-  bool heads_want_feature() const;
+  bool heads_want_feature() const {
+    return std::any_of(heads_.begin(), heads_.end(), [](const auto& head) { return head.rules().reads_feature; });
+  }
   bool wants_feature(const PassTrace<Real>& trace) const {
     return (trace.semantic_rays > 0 && wants_feature()) || (trace.with_heads && heads_want_feature());
   }
   /// [N, Dp] in ctx.workspace at world positions [N, 3].
   View<Real> encoded_at(const StepContext& ctx, View<const double> positions) const;
-  BranchCall<Real> branch_call(const Rays<Real>& rays, const PassTrace<Real>& trace, std::int64_t count) const;
+  BranchCall<Real> branch_call(const Rays<Real>& rays, const PassTrace<Real>& trace, std::int64_t count) const {
+    const std::int64_t most = count == trace.semantic_rays ? trace.semantic_samples : trace.samples.count;
+    return {&rays, &trace.samples, trace.weight, trace.out.feature, count, most};
+  }
   /// How field and head exchange it in training and rendering, without a branch.
   FeatureForm feature_form(const PassTrace<Real>& trace) const;
-  CompositeIn<Real> composite_in(const PassTrace<Real>& trace) const;
-  DensityRule density_rule(const StepContext& ctx) const;
+  CompositeIn<Real> composite_in(const PassTrace<Real>& trace) const {
+    return {.samples = &trace.samples,
+            .sigma = trace.sigma,
+            .rgb = trace.out.rgb,
+            .far = rules_.rendering.far,
+            .background = rules_.background()};
+  }
+  DensityRule density_rule(const StepContext& ctx) const {
+    DensityRule rule{.activation = rules_.rendering.density_activation,
+                     .per_m = 1 / rules_.unit_m,
+                     .bias = rules_.rendering.density_bias,
+                     .first_ray = ctx.first_ray};
+    if (!ctx.training || rules_.rendering.density_noise <= 0) return rule;
+    rule.deviation = rules_.rendering.density_noise;
+    rule.random = ctx.random("density_noise");
+    return rule;
+  }
   GuardPlace<Real> place(const StepContext& ctx, const Samples<Real>& samples) const {
     return {parts_.name, ctx.first_ray, &samples};
   }

@@ -7,7 +7,6 @@ namespace semfield::testkit {
 
 namespace {
 
-constexpr std::size_t kSavedAlignment = 64;
 constexpr std::int64_t kSamplesPerRay = 5;
 
 }  // namespace
@@ -44,56 +43,6 @@ FieldBench<Real>::FieldBench(const Field<Real>& field_in, const FieldBuild& buil
   }
   saved_memory_.resize(field.saved_bytes(samples, in().direction.rows) + kSavedAlignment, std::byte{0x5A});
   derive();
-}
-
-template <class Real>
-FieldIn<Real> FieldBench<Real>::in() const {
-  FieldIn<Real> inputs;
-  inputs.position = position.view();
-  if (direction.cols() > 0) inputs.direction = direction.view();
-  inputs.ray_of_sample = ray_of_sample.view();
-  return inputs;
-}
-
-template <class Real>
-FieldOut<Real> FieldBench<Real>::out(Wanted wanted) {
-  FieldOut<Real> outputs;
-  if (wanted.sigma) outputs.sigma = sigma.view();
-  if (wanted.rgb) outputs.rgb = rgb.view();
-  if (wanted.feature && shape.feature_dims > 0) outputs.feature = feature.view();
-  return outputs;
-}
-
-template <class Real>
-FieldGrad<Real> FieldBench<Real>::output_weights(Wanted wanted) const {
-  FieldGrad<Real> weights;
-  if (wanted.sigma) weights.sigma = w_sigma.view();
-  if (wanted.rgb) weights.rgb = w_rgb.view();
-  if (wanted.feature && shape.feature_dims > 0) weights.feature = w_feature.view();
-  return weights;
-}
-
-template <class Real>
-Saved FieldBench<Real>::saved() {
-  const auto address = reinterpret_cast<std::uintptr_t>(saved_memory_.data());
-  const std::size_t skip = (kSavedAlignment - address % kSavedAlignment) % kSavedAlignment;
-  return Saved(saved_memory_).subspan(skip, saved_memory_.size() - kSavedAlignment);
-}
-
-template <class Real>
-void FieldBench<Real>::backward(Wanted wanted, bool with_d_position) {
-  field.backward(ctx, box.tensors(), in(), out(), output_weights(wanted), saved(),
-                 with_d_position ? d_position.view() : View<Real>());
-  field.derive_backward(ctx, box.tensors());
-}
-
-template <class Real>
-double FieldBench<Real>::loss() {
-  derive();
-  forward();
-  double sum = weighted_sum(w_sigma, sigma) + weighted_sum(w_rgb, rgb);
-  if (shape.feature_dims > 0) sum += weighted_sum(w_feature, feature);
-  return sum;
 }
 
 template class FieldBench<float>;
@@ -133,20 +82,6 @@ Guarded<T>::Guarded(std::int64_t rows, std::int32_t cols, std::int32_t padding)
       cols_(cols),
       padding_(padding),
       data_(static_cast<std::size_t>(2 * kGuard + rows * (cols + padding)), poison<T>()) {}
-
-template <class T>
-void Guarded<T>::fill(T value) {
-  for (std::int64_t r = 0; r < rows_; ++r) {
-    for (std::int32_t c = 0; c < cols_; ++c) (*this)(r, c) = value;
-  }
-}
-
-template <class T>
-bool Guarded<T>::is_padding(std::size_t index) const {
-  const std::int64_t i = static_cast<std::int64_t>(index) - kGuard;
-  const std::int64_t stride = cols_ + padding_;
-  return i < 0 || i >= rows_ * stride || i % stride >= cols_;
-}
 
 template <class T>
 std::string Guarded<T>::broken_guard() const {

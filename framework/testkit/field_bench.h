@@ -28,7 +28,11 @@ class Guarded {
   View<const T> view() const { return View<const T>(data_.data() + kGuard, rows_, cols_, cols_ + padding_); }
   T& operator()(std::int64_t r, std::int32_t c) { return view()(r, c); }
   const T& operator()(std::int64_t r, std::int32_t c) const { return view()(r, c); }
-  void fill(T value);
+  void fill(T value) {
+    for (std::int64_t r = 0; r < rows_; ++r) {
+      for (std::int32_t c = 0; c < cols_; ++c) (*this)(r, c) = value;
+    }
+  }
   std::int64_t rows() const { return rows_; }
   std::int32_t cols() const { return cols_; }
 
@@ -40,7 +44,11 @@ class Guarded {
 
  private:
   static constexpr std::int64_t kGuard = 64;
-  bool is_padding(std::size_t index) const;
+  bool is_padding(std::size_t index) const {
+    const std::int64_t i = static_cast<std::int64_t>(index) - kGuard;
+    const std::int64_t stride = cols_ + padding_;
+    return i < 0 || i >= rows_ * stride || i % stride >= cols_;
+  }
   std::int64_t rows_;
   std::int32_t cols_;
   std::int32_t padding_;
@@ -66,17 +74,49 @@ class FieldBench {
   FieldBench(const Field<Real>& field, const FieldBuild& build, std::int64_t samples, std::int32_t padding,
              const LawOptions& options);
 
-  FieldIn<Real> in() const;
-  FieldOut<Real> out(Wanted wanted = {});
+  FieldIn<Real> in() const {
+    FieldIn<Real> inputs;
+    inputs.position = position.view();
+    if (direction.cols() > 0) inputs.direction = direction.view();
+    inputs.ray_of_sample = ray_of_sample.view();
+    return inputs;
+  }
+  FieldOut<Real> out(Wanted wanted = {}) {
+    FieldOut<Real> outputs;
+    if (wanted.sigma) outputs.sigma = sigma.view();
+    if (wanted.rgb) outputs.rgb = rgb.view();
+    if (wanted.feature && shape.feature_dims > 0) outputs.feature = feature.view();
+    return outputs;
+  }
   /// Fixed random weights of the outputs: dL/d(outputs) of L = sum(weight * output).
-  FieldGrad<Real> output_weights(Wanted wanted = {}) const;
-  Saved saved();
+  FieldGrad<Real> output_weights(Wanted wanted = {}) const {
+    FieldGrad<Real> weights;
+    if (wanted.sigma) weights.sigma = w_sigma.view();
+    if (wanted.rgb) weights.rgb = w_rgb.view();
+    if (wanted.feature && shape.feature_dims > 0) weights.feature = w_feature.view();
+    return weights;
+  }
+  Saved saved() {
+    const auto address = reinterpret_cast<std::uintptr_t>(saved_memory_.data());
+    const std::size_t skip = (kSavedAlignment - address % kSavedAlignment) % kSavedAlignment;
+    return Saved(saved_memory_).subspan(skip, saved_memory_.size() - kSavedAlignment);
+  }
   void derive() { field.derive(ctx, box.tensors()); }
   void forward(Wanted wanted = {}) { field.forward(ctx, box.tensors(), in(), out(wanted), saved()); }
-  void backward(Wanted wanted = {}, bool with_d_position = true);
+  void backward(Wanted wanted = {}, bool with_d_position = true) {
+    field.backward(ctx, box.tensors(), in(), out(), output_weights(wanted), saved(),
+                   with_d_position ? d_position.view() : View<Real>());
+    field.derive_backward(ctx, box.tensors());
+  }
   void step() { forward(), backward(); }
   /// L after derive and forward.
-  double loss();
+  double loss() {
+    derive();
+    forward();
+    double sum = weighted_sum(w_sigma, sigma) + weighted_sum(w_rgb, rgb);
+    if (shape.feature_dims > 0) sum += weighted_sum(w_feature, feature);
+    return sum;
+  }
 
   const Field<Real>& field;
   FieldTraits shape;
@@ -90,6 +130,7 @@ class FieldBench {
   Guarded<Real> d_position;
 
  private:
+  static constexpr std::size_t kSavedAlignment = 64;
   std::vector<std::byte> saved_memory_;
 };
 

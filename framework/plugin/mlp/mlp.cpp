@@ -50,11 +50,6 @@ Rows Mlp<Real>::chain(const LayerSpec& spec, int count, int skip_at) {
 }
 
 template <class Real>
-void Mlp<Real>::output(Rows rows) {
-  graph_.outputs.push_back(rows);
-}
-
-template <class Real>
 void Mlp<Real>::seal() {
   drop_unneeded();
   for (const Rows& out : graph_.outputs) {
@@ -193,18 +188,6 @@ void Mlp<Real>::rearrange_weights() {
 }
 
 template <class Real>
-const MlpLayer* Mlp<Real>::find(std::string_view name) const {
-  const auto at = std::find_if(graph_.layers.begin(), graph_.layers.end(),
-                               [&](const MlpLayer& layer) { return layer.name == name; });
-  return at == graph_.layers.end() ? nullptr : &*at;
-}
-
-template <class Real>
-void Mlp<Real>::declare(ParamDeclarer& declarer) const {
-  for (const TensorSpec& spec : specs_) declarer.tensor(spec);
-}
-
-template <class Real>
 std::vector<LayerShape> Mlp<Real>::layers() const {
   std::vector<LayerShape> list;
   for (const MlpLayer& layer : graph_.layers) {
@@ -241,7 +224,7 @@ struct CpuLayers {
   using Real = SumOf<Act>;
   static constexpr bool kRounds = std::is_same_v<Act, Bf16>;
   static constexpr bool kColumnsAlone = !kRounds;  // columns of a product have the same bits without the others
-  static constexpr std::int32_t kChunk = 256;  // numbers of a row that wait on the stack
+  static constexpr std::int32_t kChunk = 256;      // numbers of a row that wait on the stack
 
   /// The tensors themselves, and what derive made of them.
   struct Weights {

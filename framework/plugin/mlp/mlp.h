@@ -244,18 +244,24 @@ class Mlp final : public Parametric<Real> {
   Rows chain(const LayerSpec& spec, int count, int skip_at = 0);
   /// Numbered 0, 1, ... in order; an output without columns is never wanted. An output is a whole layer, or columns of
   /// one without activation. A layer may be read and be an output.
-  void output(Rows rows);
+  void output(Rows rows) { graph_.outputs.push_back(rows); }
   void seal();
 
   const MlpGraph& graph() const { return graph_; }
   /// Whether an output can be given in bf16.
   bool rounds() const { return kernels_->rounds; }
   /// A layer, for kernels that read its tensors themselves. Null: there is none of this name.
-  const MlpLayer* find(std::string_view name) const;
+  const MlpLayer* find(std::string_view name) const {
+    const auto at = std::find_if(graph_.layers.begin(), graph_.layers.end(),
+                                 [&](const MlpLayer& layer) { return layer.name == name; });
+    return at == graph_.layers.end() ? nullptr : &*at;
+  }
   /// Indices of a linear layer that was multiplied with the next.
   const MlpFold* fold() const { return graph_.folds.empty() ? nullptr : graph_.folds.data(); }
 
-  void declare(ParamDeclarer& declarer) const override;
+  void declare(ParamDeclarer& declarer) const override {
+    for (const TensorSpec& spec : specs_) declarer.tensor(spec);
+  }
   void derive(const StepContext&, const Tensors<Real>& tensors) const override { kernels_->derive(graph_, tensors); }
   void derive_backward(const StepContext&, const Tensors<Real>& tensors) const override {
     kernels_->derive_backward(graph_, tensors);
