@@ -67,9 +67,9 @@ struct LeftOut {
   std::string rule;       ///< when it is left out
   std::string evidence;   ///< what was found here, with numbers
   ProofClass proof = ProofClass::bitwise;
-  std::string saving;    ///< estimate, in words
-  std::string instead;   ///< what brings it in where --keep cannot ("set runtime.precision: bf16"); empty: --keep does
-  std::string measured;  ///< by the run itself; empty: not
+  std::string saving{};   ///< estimate, in words
+  std::string instead{};  ///< what brings it in where --keep cannot ("set runtime.precision: bf16"); empty: --keep does
+  std::string measured{};  ///< by the run itself; empty: not
 };
 
 struct BuildPlan {

@@ -1,6 +1,8 @@
 // Lists, tables and the reference page.
 #include "plugin/reference.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 
 #include "config/params.h"
@@ -139,20 +141,9 @@ std::string plugins_markdown(const Registry& registry) {
 // The sentences of failed shape checks.
 namespace semfield::view_checks {
 
-namespace {
-std::string shape(std::int64_t rows, std::int32_t cols) {
-  std::string text = "[";
-  text += std::to_string(rows);
-  text += ", ";
-  text += std::to_string(cols);
-  text += "]";
-  return text;
-}
-}  // namespace
-
 void fail_shape(const char* call, const char* view, std::int64_t rows, std::int32_t cols, std::int64_t want_rows,
                 std::int32_t want_cols) {
-  fail(call, std::string(view) + " is " + shape(rows, cols) + ", expected " + shape(want_rows, want_cols));
+  fail(call, fmt::format("{} is [{}, {}], expected [{}, {}]", view, rows, cols, want_rows, want_cols));
 }
 
 void fail(const char* call, const std::string& what) {

@@ -1,8 +1,12 @@
 // Two matrices side by side: where they differ most, and by how much.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
 #include <cstdint>
+#include <cstring>
 #include <functional>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -10,6 +14,10 @@
 #include "plugin/parametric.h"
 
 namespace semfield::testkit {
+
+/// "1.25", and "element (3, 0)".
+std::string shown_number(double value);
+std::string shown_place(std::int64_t row, std::int32_t col);
 
 struct Difference {
   double max_abs = 0;    ///< largest |got - want|; infinity when exactly one of the two is not finite
@@ -21,20 +29,69 @@ struct Difference {
 
 /// Element by element; the views have the same shape.
 template <class A, class B>
-Difference difference(View<const A> got, View<const B> want);
+Difference difference(View<const A> got, View<const B> want) {
+  Difference worst;
+  for (std::int64_t r = 0; r < want.rows; ++r) {
+    for (std::int32_t c = 0; c < want.cols; ++c) {
+      const double a = static_cast<double>(got(r, c));
+      const double b = static_cast<double>(want(r, c));
+      double gap = std::abs(a - b);
+      if (!std::isfinite(a) || !std::isfinite(b)) gap = std::numeric_limits<double>::infinity();
+      if (std::isfinite(b)) worst.max_want = std::max(worst.max_want, std::abs(b));
+      if (gap > worst.max_abs) {
+        worst.max_abs = gap;
+        worst.row = r;
+        worst.col = c;
+        worst.got = a;
+        worst.want = b;
+      }
+    }
+  }
+  return worst;
+}
 
 /// "" when max |got - want| <= tolerance * max(|want|, floor), else a sentence with the worst element.
 template <class A, class B>
-std::string compare(View<const A> got, View<const B> want, double tolerance, double floor = 1e-30);
+std::string compare(View<const A> got, View<const B> want, double tolerance, double floor = 1e-30) {
+  const Difference worst = difference(got, want);
+  const double allowed = tolerance * std::max(worst.max_want, floor);
+  if (worst.max_abs <= allowed) return {};
+  return shown_place(worst.row, worst.col) + " is " + shown_number(worst.got) + ", expected " +
+         shown_number(worst.want) + " (off by " + shown_number(worst.max_abs) + ", allowed " + shown_number(allowed) +
+         ")";
+}
 
 /// "" when the norm of got - want is at most tolerance times the norm of want (roots of sums of squares): for
 /// quantities with jumps, where single elements may differ by all they have.
 template <class A, class B>
-std::string compare_norms(View<const A> got, View<const B> want, double tolerance);
+std::string compare_norms(View<const A> got, View<const B> want, double tolerance) {
+  double off = 0, all = 0;
+  for (std::int64_t r = 0; r < want.rows; ++r) {
+    for (std::int32_t c = 0; c < want.cols; ++c) {
+      const double b = static_cast<double>(want(r, c)), d = static_cast<double>(got(r, c)) - b;
+      off += d * d;
+      all += b * b;
+    }
+  }
+  if (std::sqrt(off) <= tolerance * std::sqrt(all)) return {};
+  return "differs by " + shown_number(std::sqrt(off)) + " in norm, allowed " + shown_number(tolerance * std::sqrt(all));
+}
 
 /// "" when every element has the same bits, else a sentence with the first element that has not.
 template <class A>
-std::string compare_bits(View<const A> got, View<const A> want);
+std::string compare_bits(View<const A> got, View<const A> want) {
+  for (std::int64_t r = 0; r < want.rows; ++r) {
+    for (std::int32_t c = 0; c < want.cols; ++c) {
+      const A a = got(r, c);
+      const A b = want(r, c);
+      if (std::memcmp(&a, &b, sizeof(A)) != 0) {
+        return shown_place(r, c) + " is " + shown_number(static_cast<double>(a)) + ", expected the same bits as " +
+               shown_number(static_cast<double>(b));
+      }
+    }
+  }
+  return {};
+}
 
 // Analytic gradients against central differences, in double.
 

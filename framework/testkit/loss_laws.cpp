@@ -1,4 +1,4 @@
-// The laws of groupings.
+// The laws of groupings and losses.
 #include <algorithm>
 #include <cmath>
 #include <string>
@@ -13,7 +13,7 @@ namespace semfield::testkit {
 
 namespace {
 
-constexpr double kGroupingScale = 0.37;
+constexpr double kScale = 0.37;
 constexpr std::int32_t kSegments = 5;
 
 // Rows, slow rows and segments of an image's points, the same in both precisions.
@@ -42,24 +42,44 @@ struct Points {
 };
 
 template <class Real>
-View<const Real> flat(const std::vector<Real>& v) {
+View<const Real> column(const std::vector<Real>& v) {
   return {v.data(), std::ssize(v), 1};
 }
 
-class GroupingLaws {
+class Notes {
+ protected:
+  explicit Notes(const LawOptions& options) : options_(options) {}
+  void note(const std::string& law, const std::string& sentence) { note_failure(failures_, law, sentence); }
+  void require(bool holds, const std::string& law, const std::string& sentence) {
+    if (!holds) note(law, sentence);
+  }
+  void require_same_loss(double got, double want) {
+    require(std::abs(got - want) <= options_.float_tolerance * std::abs(want), "float against double, loss",
+            std::to_string(got) + ", not " + std::to_string(want));
+  }
+  void require_finite(const std::vector<float>& values, const std::string& law, const std::string& sentence) {
+    require(std::all_of(values.begin(), values.end(), [](float v) { return std::isfinite(v); }), law, sentence);
+  }
+
+  LawOptions options_;
+  Failures failures_;
+};
+
+class GroupingLaws : Notes {
  public:
-  GroupingLaws(const Grouping& grouping, const LawOptions& options) : grouping_(grouping), options_(options) {}
+  GroupingLaws(const Grouping& grouping, const LawOptions& options) : Notes(options), grouping_(grouping) {}
 
   Failures run() {
     require(grouping_.width() > 0, "width", "no outputs");
     require(grouping_.slow_share() >= 0 && grouping_.slow_share() < 1, "slow share", "not in [0, 1)");
     Points<double> at = points<double>(24), moved = at;
-    require(std::isfinite(moved.add(grouping_, kGroupingScale)), "loss", "not finite");
+    require(std::isfinite(moved.add(grouping_, kScale)), "loss", "not finite");
     const auto value = [&] {
       Points<double> copy = at;
-      return kGroupingScale * copy.add(grouping_, 0);
+      return kScale * copy.add(grouping_, 0);
     };
-    note("gradients", check_gradient(value, at.view(at.rows), column_as(moved), {1e-6, 1e-6, 200, options_.seed}));
+    note("gradients",
+         check_gradient(value, at.view(at.rows), moved.view(moved.gradient), {1e-6, 1e-6, 200, options_.seed}));
     float_against_double();
     accumulate();
     numbers_of_segments();
@@ -74,20 +94,13 @@ class GroupingLaws {
   Points<Real> points(std::int64_t count) const {
     return Points<Real>(count, grouping_.width(), options_.seed);
   }
-  static View<const double> column_as(Points<double>& of) { return of.view(of.gradient); }
-  void note(const std::string& law, const std::string& sentence) { note_failure(failures_, law, sentence); }
-  void require(bool holds, const std::string& law, const std::string& sentence) {
-    if (!holds) note(law, sentence);
-  }
 
   void float_against_double() {
     Points<float> narrow = points<float>(97);
     Points<double> wide = points<double>(97);
-    const double got = narrow.add(grouping_, kGroupingScale), want = wide.add(grouping_, kGroupingScale);
-    require(std::abs(got - want) <= options_.float_tolerance * std::abs(want), "float against double, loss",
-            std::to_string(got) + ", not " + std::to_string(want));
+    require_same_loss(narrow.add(grouping_, kScale), wide.add(grouping_, kScale));
     note("float against double, gradients",
-         compare(flat(narrow.gradient), flat(wide.gradient), options_.float_tolerance));
+         compare(column(narrow.gradient), column(wide.gradient), options_.float_tolerance));
   }
 
   void accumulate() {
@@ -96,7 +109,7 @@ class GroupingLaws {
     require(thrice.add(grouping_, 1) == sum && thrice.add(grouping_, 2) == sum, "the loss is before its scale",
             "it is another for another scale, or another time");
     for (double& d : once.gradient) d *= 3;
-    note("gradients accumulate", compare(flat(thrice.gradient), flat(once.gradient), 1e-12));
+    note("gradients accumulate", compare(column(thrice.gradient), column(once.gradient), 1e-12));
   }
 
   // What a segment is called means nothing.
@@ -105,7 +118,7 @@ class GroupingLaws {
     for (std::int32_t& s : renamed.segment) s = (s + 2) % kSegments;
     const double a = as_they_are.add(grouping_, 1), b = renamed.add(grouping_, 1);
     require(std::abs(a - b) <= 1e-9 * std::abs(a), "numbers of segments", "the loss depends on them");
-    note("numbers of segments", compare(flat(renamed.gradient), flat(as_they_are.gradient), 1e-9));
+    note("numbers of segments", compare(column(renamed.gradient), column(as_they_are.gradient), 1e-9));
   }
 
   void nothing() {
@@ -118,23 +131,19 @@ class GroupingLaws {
     Points<float> far = points<float>(16);
     for (float& v : far.rows) v *= 1e4F;
     require(std::isfinite(far.add(grouping_, 1)), "extremes", "the loss is not finite");
-    require(std::all_of(far.gradient.begin(), far.gradient.end(), [](float v) { return std::isfinite(v); }), "extremes",
-            "a gradient is not finite");
+    require_finite(far.gradient, "extremes", "a gradient is not finite");
   }
 
   void placed() {
     Points<float> at = points<float>(9);
     std::copy_n(at.rows.begin(), grouping_.width(), at.rows.begin() + grouping_.width());
     grouping_.place(at.view(at.rows));
-    require(std::all_of(at.rows.begin(), at.rows.end(), [](float v) { return std::isfinite(v); }), "place",
-            "a number is not finite");
+    require_finite(at.rows, "place", "a number is not finite");
     require(std::equal(at.rows.begin(), at.rows.begin() + grouping_.width(), at.rows.begin() + grouping_.width()),
             "place", "equal outputs have different places");
   }
 
   const Grouping& grouping_;
-  LawOptions options_;
-  Failures failures_;
 };
 
 }  // namespace
@@ -152,8 +161,6 @@ Failures grouping_laws(const Registry& registry, const std::string& name, const 
 // The laws of losses.
 
 namespace {
-
-constexpr double kScale = 0.37;
 
 template <class Real>
 struct Gradient {
@@ -174,17 +181,12 @@ std::vector<Gradient<Real>> every_gradient(const std::string& head) {
   return all;
 }
 
-template <class Real>
-View<const Real> column(const std::vector<Real>& v) {
-  return View<const Real>(v.data(), static_cast<std::int64_t>(v.size()), 1);
-}
-
 std::string about(std::string_view channel) { return "gradient of " + std::string(channel); }
 
-class LossLaws {
+class LossLaws : Notes {
  public:
   LossLaws(const Loss& loss, const LawOptions& options, bool soft_labels)
-      : loss_(loss), options_(options), traits_(loss.traits()), further_(traits_), soft_(soft_labels) {
+      : Notes(options), loss_(loss), traits_(loss.traits()), further_(traits_), soft_(soft_labels) {
     lengths_ = awkward_ray_lengths();
     if (options.many_rows < 4097)
       for (int& length : lengths_) length = std::min(length, 9);  // one that is slow
@@ -212,10 +214,6 @@ class LossLaws {
   template <class Real>
   std::vector<Gradient<Real>> gradients() const {
     return every_gradient<Real>(further_.head);
-  }
-  void note(const std::string& law, const std::string& sentence) { note_failure(failures_, law, sentence); }
-  void require(bool holds, const std::string& law, const std::string& sentence) {
-    if (!holds) note(law, sentence);
   }
 
   void declared() {
@@ -258,9 +256,7 @@ class LossLaws {
   void float_against_double() {
     LossRays<float> narrow = rays<float>(lengths_);
     LossRays<double> wide = rays<double>(lengths_);
-    const double sum = wide.add(loss_, kScale), got = narrow.add(loss_, kScale);
-    require(std::abs(got - sum) <= options_.float_tolerance * std::abs(sum), "float against double, loss",
-            std::to_string(got) + ", not " + std::to_string(sum));
+    require_same_loss(narrow.add(loss_, kScale), wide.add(loss_, kScale));
     for (std::size_t i = 0; i < gradients<float>().size(); ++i) {
       const Gradient<float> one = gradients<float>()[i];
       note("float against double, " + about(one.channel),
@@ -348,20 +344,15 @@ class LossLaws {
     for (std::size_t i = 0; i < three.logits.size(); ++i) three.logits[i] = i % 2 == 0 ? 1e4F : -1e4F;
     for (std::size_t i = 0; i < three.made.size(); ++i) three.made[i] = i < three.made.size() / 2 ? 0 : 1e18F;
     require(std::isfinite(three.add(loss_, kScale)), "extremes", "the loss is not finite");
-    for (const Gradient<float>& one : gradients<float>()) {
-      const std::vector<float>& gradient = three.*one.gradient;
-      require(std::all_of(gradient.begin(), gradient.end(), [](float d) { return std::isfinite(d); }), "extremes",
-              about(one.channel) + " is not finite");
-    }
+    for (const Gradient<float>& one : gradients<float>())
+      require_finite(three.*one.gradient, "extremes", about(one.channel) + " is not finite");
   }
 
   const Loss& loss_;
-  LawOptions options_;
   LossTraits traits_;
   FurtherChannels further_;
   bool soft_;
   std::vector<int> lengths_;
-  Failures failures_;
 };
 
 }  // namespace
