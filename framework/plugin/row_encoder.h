@@ -5,10 +5,17 @@
 #include <utility>
 
 #include "core/error.h"
+#include "core/host_device.h"
 #include "plugin/encoder.h"
 #include "plugin/kernels.h"
 
 namespace semfield {
+
+/// Nearest point of [0, 1]; NaN becomes 0.
+SEMFIELD_HD inline double clamp_unit(double x) {
+  const double above = x > 0 ? x : 0;
+  return above < 1 ? above : 1;
+}
 
 /// Kernels of an encoder without tensors, private to its folder. Shape: what they know of its parameters.
 template <class Real, class Shape>

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "core/check.h"
+#include "core/host_device.h"
 #include "plugin/field.h"
 #include "plugin/mlp/mlp.h"
 
@@ -62,6 +63,12 @@ extern template class MlpField<float>;
 extern template class MlpField<double>;
 
 // A field that is a network of layers and has kernels that compute all of it at once, for the shapes that they take.
+
+/// d sigmoid(x) / dx from y = sigmoid(x).
+template <class Real>
+SEMFIELD_HD inline Real sigmoid_slope(Real y) {
+  return y * (Real(1) - y);
+}
 
 /// A layer's tensors by index; -1: the network has no such layer.
 struct LayerTensors {

@@ -32,8 +32,7 @@ int effective_bands(double delta_x, Angular angular) {
                 "effective bands need a positive, finite coordinate error, got " + std::to_string(delta_x),
                 "give the rounding or measurement error of the coordinates");
   }
-  const double a = angular == Angular::pi ? 3.141592653589793 : 1.0;
-  return std::max(0, static_cast<int>(std::floor(std::log2(0.1 / (a * delta_x)))));
+  return std::max(0, static_cast<int>(std::floor(std::log2(0.1 / (angular_factor(angular) * delta_x)))));
 }
 
 double coordinate_error(Arithmetic arithmetic, Angular angular, double largest) {
@@ -63,34 +62,6 @@ void choose(FrequencyParams& p, const EncoderBuild& build, std::vector<std::stri
                                           : "set arithmetic: float64, or lower frequencies");
   chosen.emplace_back(text);
 }
-
-namespace {
-EncoderTraits traits_of(const FrequencyParams& p, std::int32_t dims) {
-  return {dims, dims * (2 * p.frequencies + (p.include_input ? 1 : 0)), Domain::metric};
-}
-}  // namespace
-
-template <class Real>
-Frequency<Real>::Frequency(const FrequencyParams& p, const EncoderBuild& build, const KernelTables& kernels)
-    : RowEncoder<Real, FrequencyShape>(build, kernels, "encoder 'frequency'", traits_of(p, build.in_dims),
-                                       {build.in_dims, p.frequencies, p.include_input, p.angular, p.arithmetic}) {
-  if (build.in_dims < 1 || build.in_dims > kFrequencyMaxDims) {
-    throw Error(ErrorKind::config, "config.encoder.inputs",
-                "encoder 'frequency' takes 1 to " + std::to_string(kFrequencyMaxDims) + " coordinates, got " +
-                    std::to_string(build.in_dims));
-  }
-}
-
-template <class Real>
-Error Frequency<Real>::refused(View<const double>, std::int64_t row) const {
-  return {ErrorKind::data, "scene.coordinates.not_finite",
-          "encoder 'frequency': coordinates of row " + std::to_string(row) +
-              " are not finite or farther than 2^30 from the origin",
-          "check the camera poses, the scene scale and the ray limits"};
-}
-
-template class Frequency<float>;
-template class Frequency<double>;
 
 SEMFIELD_PLUGIN_MODULE(frequency, "1.0", [](Registry& registry) {
   frequency_kernels(registry.kernels());

@@ -48,13 +48,25 @@ void choose(FrequencyParams& params, const EncoderBuild& build, std::vector<std:
 template <class Real>
 class Frequency final : public RowEncoder<Real, FrequencyShape> {
  public:
-  Frequency(const FrequencyParams& params, const EncoderBuild& build, const KernelTables& kernels);
+  Frequency(const FrequencyParams& p, const EncoderBuild& build, const KernelTables& kernels)
+      : RowEncoder<Real, FrequencyShape>(
+            build, kernels, "encoder 'frequency'",
+            {build.in_dims, build.in_dims * (2 * p.frequencies + (p.include_input ? 1 : 0)), Domain::metric},
+            {build.in_dims, p.frequencies, p.include_input, p.angular, p.arithmetic}) {
+    if (build.in_dims < 1 || build.in_dims > kFrequencyMaxDims) {
+      throw Error(ErrorKind::config, "config.encoder.inputs",
+                  "encoder 'frequency' takes 1 to " + std::to_string(kFrequencyMaxDims) + " coordinates, got " +
+                      std::to_string(build.in_dims));
+    }
+  }
 
  protected:
-  Error refused(View<const double> x, std::int64_t row) const override;
+  Error refused(View<const double>, std::int64_t row) const override {
+    return {ErrorKind::data, "scene.coordinates.not_finite",
+            "encoder 'frequency': coordinates of row " + std::to_string(row) +
+                " are not finite or farther than 2^30 from the origin",
+            "check the camera poses, the scene scale and the ray limits"};
+  }
 };
-
-extern template class Frequency<float>;
-extern template class Frequency<double>;
 
 }  // namespace semfield

@@ -59,13 +59,11 @@ std::int64_t first_bad_row(View<const double> x) {
   return -1;
 }
 
-double angular_factor(const FrequencyShape& shape) { return shape.angular == Angular::pi ? 3.141592653589793 : 1.0; }
-
 template <class Real>
 void band(const FrequencyShape& shape, const Block& block, double scale, Real* __restrict sine,
           Real* __restrict cosine) {
   if (shape.arithmetic == Arithmetic::naive) {
-    const double factor = angular_factor(shape) * scale;
+    const double factor = angular_factor(shape.angular) * scale;
     for (std::int32_t i = 0; i < block.padded; ++i)
       sincos_of_turns<Real>(naive_turns_of(block.x[i], factor), 1.0, sine[i], cosine[i]);
     return;
@@ -133,7 +131,7 @@ void backward_block(const FrequencyShape& shape, View<const double> x, View<cons
     }
   }
   double scale = 1;
-  const double a = angular_factor(shape);
+  const double a = angular_factor(shape.angular);
   for (std::int32_t k = 0; k < shape.frequencies; ++k, scale *= 2) {
     band<Real>(shape, block, scale, sine, cosine);
     for (std::int64_t r = 0; r < rows; ++r) {

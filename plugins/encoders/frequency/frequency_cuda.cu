@@ -52,10 +52,6 @@ __device__ void for_tile(const Tile& tile, View<T> y, std::int64_t begin, int ro
   }
 }
 
-__device__ inline double angular_factor(const FrequencyShape& shape) {
-  return shape.angular == Angular::pi ? 3.141592653589793 : 1.0;
-}
-
 /// A coordinate with its phase; one that cannot be encoded counts as 0.
 struct Coordinate {
   double x;
@@ -73,7 +69,7 @@ __device__ inline Coordinate coordinate_of(const FrequencyShape& shape, double x
 __device__ inline void band(const FrequencyShape& shape, const Coordinate& at, double scale, float& sine,
                             float& cosine) {
   if (shape.arithmetic == Arithmetic::naive) {
-    sincos_of_turns<float>(naive_turns_of(at.x, angular_factor(shape) * scale), 1.0, sine, cosine);
+    sincos_of_turns<float>(naive_turns_of(at.x, angular_factor(shape.angular) * scale), 1.0, sine, cosine);
   } else {
     sincos_of_turns<float>(at.phase, scale, sine, cosine);
   }
@@ -134,7 +130,7 @@ __global__ void __launch_bounds__(kThreads)
     for (int k = 0; k < shape.frequencies; ++k, scale *= 2, from += 2 * shape.dims) {
       float sine, cosine;
       band(shape, at, scale, sine, cosine);
-      sum += angular_factor(shape) * scale *
+      sum += angular_factor(shape.angular) * scale *
              (static_cast<double>(from[0]) * cosine - static_cast<double>(from[shape.dims]) * sine);
     }
     dx(begin + r, c) = static_cast<float>(sum);

@@ -14,6 +14,9 @@ namespace semfield {
 /// Meaning of the angle: sin(2^k x) (radian) or sin(2^k pi x) (pi).
 enum class Angular : std::uint8_t { radian, pi };
 
+/// Factor of x in the angle of band 0.
+SEMFIELD_HD inline double angular_factor(Angular angular) { return angular == Angular::pi ? 3.141592653589793 : 1.0; }
+
 /// What is rounded to fp32 before a phase is reduced. float64: nothing. float32: the coordinate, the reduction stays
 /// exact. naive: the coordinate, the factor a 2^k and their product, as sin(float) of a plain fp32 program has them.
 enum class Arithmetic : std::uint8_t { float64, float32, naive };

@@ -293,19 +293,6 @@ constexpr std::int64_t kPieceRows = 4096;   // of a level's forward that a threa
 constexpr std::int64_t kCopyRows = 1024;
 constexpr std::int64_t kInputTaskRows = 256;
 
-template <class F>
-void with_features(std::int32_t features, const F& f) {
-  switch (features) {
-    case 1:
-      return f.template operator()<1>();
-    case 2:
-      return f.template operator()<2>();
-    case 4:
-      return f.template operator()<4>();
-    default:
-      return f.template operator()<8>();
-  }
-}
 /// Calls f with the level's compile-time choices: (features, dense, interpolation).
 template <class F>
 void with_kind(const HashGridLevel& level, std::int32_t features, Interpolation interpolation, const F& f) {

@@ -103,23 +103,10 @@ inline bool rows_aligned(View<T> view) {
 /// Calls f with the compile-time choices (features, interpolation).
 template <class F>
 void with_kind(const HashGridShape& shape, const F& f) {
-  const auto with_features = [&]<Interpolation kI>() {
-    switch (shape.features) {
-      case 1:
-        return f.template operator()<1, kI>();
-      case 2:
-        return f.template operator()<2, kI>();
-      case 4:
-        return f.template operator()<4, kI>();
-      default:
-        return f.template operator()<8, kI>();
-    }
-  };
-  if (shape.interpolation == Interpolation::smoothstep) {
-    with_features.template operator()<Interpolation::smoothstep>();
-  } else {
-    with_features.template operator()<Interpolation::linear>();
-  }
+  with_features(shape.features, [&]<int kF>() {
+    if (shape.interpolation == Interpolation::smoothstep) return f.template operator()<kF, Interpolation::smoothstep>();
+    f.template operator()<kF, Interpolation::linear>();
+  });
 }
 
 namespace {

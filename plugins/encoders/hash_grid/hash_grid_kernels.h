@@ -5,7 +5,7 @@
 #include <cstdint>
 
 #include "core/host_device.h"
-#include "core/view.h"
+#include "plugin/row_encoder.h"
 
 namespace semfield {
 
@@ -39,12 +39,6 @@ SEMFIELD_HD inline std::uint32_t hash_index(std::uint32_t x, std::uint32_t y, st
   return (x ^ (y * 2654435761u) ^ (z * 805459861u)) & mask;
 }
 
-/// Nearest point of [0, 1]; NaN becomes 0, so that no address can leave the table.
-SEMFIELD_HD inline double clamp_unit(double x) {
-  const double above = x > 0 ? x : 0;
-  return above < 1 ? above : 1;
-}
-
 /// Cell and place within it along one axis.
 template <class Real>
 struct AxisCell {
@@ -73,11 +67,23 @@ SEMFIELD_HD inline Real far_weight_slope(Real w, Interpolation interpolation) {
   return interpolation == Interpolation::smoothstep ? Real(6) * w * (Real(1) - w) : Real(1);
 }
 
-class KernelTables;
-class Workspace;
-
 inline constexpr std::int32_t kHashGridMaxLevels = 32;
 inline constexpr std::int32_t kHashGridMaxFeatures = 8;
+
+/// Calls f with the number of features known to the compiler.
+template <class F>
+void with_features(std::int32_t features, const F& f) {
+  switch (features) {
+    case 1:
+      return f.template operator()<1>();
+    case 2:
+      return f.template operator()<2>();
+    case 4:
+      return f.template operator()<4>();
+    default:
+      return f.template operator()<8>();
+  }
+}
 
 struct HashGridLevel {
   std::int64_t resolution = 0;  ///< cells along an axis, N

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "config/params.h"
+#include "core/check.h"
 #include "core/error.h"
 #include "encoders/one_blob/one_blob_kernels.h"
 #include "plugin/encoder.h"
@@ -22,10 +23,11 @@ void describe(ParamVisitor& visit, OneBlobParams& params);
 template <class Real>
 class OneBlob final : public RowEncoder<Real, OneBlobShape> {
  public:
-  OneBlob(const OneBlobParams& params, const EncoderBuild& build, const KernelTables& kernels);
+  OneBlob(const OneBlobParams& p, const EncoderBuild& build, const KernelTables& kernels)
+      : RowEncoder<Real, OneBlobShape>(build, kernels, "encoder 'one_blob'",
+                                       {kOneBlobDims, kOneBlobDims * p.bins, Domain::unit_cube}, {p.bins}) {
+    SEMFIELD_CHECK(p.bins >= 2 && p.bins <= kOneBlobMaxBins, "the range is checked while reading");
+  }
 };
-
-extern template class OneBlob<float>;
-extern template class OneBlob<double>;
 
 }  // namespace semfield

@@ -11,12 +11,6 @@
 
 namespace semfield {
 
-/// Nearest point of [0, 1]; NaN becomes 0.
-SEMFIELD_HD inline double one_blob_clamped(double x) {
-  const double above = x > 0 ? x : 0;
-  return above < 1 ? above : 1;
-}
-
 /// Whether the coordinate is where the encoding has a slope: on a clamped axis it has none.
 SEMFIELD_HD inline bool one_blob_inside(double x) { return x >= 0 && x <= 1; }
 
@@ -30,7 +24,7 @@ struct BlobPlace {
 /// Split in float64, so that only the place within a bin is rounded and 64 bins are as accurate as 2.
 template <class Real>
 SEMFIELD_HD inline BlobPlace<Real> blob_place(double x, std::int32_t bins) {
-  const double place = bins * one_blob_clamped(x);
+  const double place = bins * clamp_unit(x);
   const double whole = std::floor(place);
   return {static_cast<std::int32_t>(whole), static_cast<Real>(place - whole)};
 }

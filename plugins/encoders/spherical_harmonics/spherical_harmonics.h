@@ -1,7 +1,10 @@
 // Real spherical harmonics of unit directions.
 #pragma once
 
+#include <string>
+
 #include "config/params.h"
+#include "core/check.h"
 #include "core/error.h"
 #include "encoders/spherical_harmonics/spherical_harmonics_kernels.h"
 #include "plugin/encoder.h"
@@ -22,13 +25,22 @@ void describe(ParamVisitor& visit, SphericalHarmonicsParams& params);
 template <class Real>
 class SphericalHarmonics final : public RowEncoder<Real, HarmonicShape<Real>> {
  public:
-  SphericalHarmonics(const SphericalHarmonicsParams& params, const EncoderBuild& build, const KernelTables& kernels);
+  SphericalHarmonics(const SphericalHarmonicsParams& p, const EncoderBuild& build, const KernelTables& kernels)
+      : RowEncoder<Real, HarmonicShape<Real>>(build, kernels, "encoder 'spherical_harmonics'",
+                                              {3, p.degree * p.degree, Domain::direction}, {p.degree}) {
+    SEMFIELD_CHECK(p.degree >= 1 && p.degree <= kHarmonicMaxDegree, "the range is checked while reading");
+  }
 
  protected:
-  Error refused(View<const double> x, std::int64_t row) const override;
+  Error refused(View<const double> x, std::int64_t row) const override {
+    const std::string vector = x.device == Device::cpu
+                                   ? " (" + std::to_string(x(row, 0)) + ", " + std::to_string(x(row, 1)) + ", " +
+                                         std::to_string(x(row, 2)) + ")"
+                                   : "";
+    return {ErrorKind::data, "scene.direction.length",
+            "encoder 'spherical_harmonics': row " + std::to_string(row) + " is not a unit vector" + vector,
+            "this encoder is for view directions; use frequency or hash_grid for positions"};
+  }
 };
-
-extern template class SphericalHarmonics<float>;
-extern template class SphericalHarmonics<double>;
 
 }  // namespace semfield

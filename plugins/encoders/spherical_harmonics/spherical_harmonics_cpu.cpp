@@ -13,34 +13,19 @@ namespace {
 
 constexpr std::int64_t kRowsPerTask = 256;
 
-/// Number of bands known to the compiler: the recurrences unroll to straight code.
-template <class Real, std::int32_t kDegree>
-std::int64_t forward_rows(const HarmonicNorms<Real>& norms, View<const double> x, View<Real> y) {
-  for (std::int64_t r = 0; r < x.rows; ++r) {
-    const double* d = x.row(r);
-    const double off = d[0] * d[0] + d[1] * d[1] + d[2] * d[2] - 1;
-    if (!(std::fabs(off) <= kUnitTolerance)) return r;  // written so that NaN is refused
-    HarmonicFactors<Real> f{};
-    harmonic_factors<Real>(kDegree, static_cast<Real>(d[0]), static_cast<Real>(d[1]), static_cast<Real>(d[2]), f);
-    harmonics(norms, kDegree, f, y.row(r));
-  }
-  return -1;
-}
-
 template <class Real>
 std::int64_t forward(const HarmonicShape<Real>& shape, View<const double> x, View<Real> y) {
-  switch (shape.degree) {
-    case 1:
-      return forward_rows<Real, 1>(shape.norms, x, y);
-    case 2:
-      return forward_rows<Real, 2>(shape.norms, x, y);
-    case 3:
-      return forward_rows<Real, 3>(shape.norms, x, y);
-    case 4:
-      return forward_rows<Real, 4>(shape.norms, x, y);
-    default:
-      return forward_rows<Real, 5>(shape.norms, x, y);
-  }
+  return with_degree(shape.degree, [&]<std::int32_t kDegree>() {
+    for (std::int64_t r = 0; r < x.rows; ++r) {
+      const double* d = x.row(r);
+      const double off = d[0] * d[0] + d[1] * d[1] + d[2] * d[2] - 1;
+      if (!(std::fabs(off) <= kUnitTolerance)) return r;  // written so that NaN is refused
+      HarmonicFactors<Real> f{};
+      harmonic_factors<Real>(kDegree, static_cast<Real>(d[0]), static_cast<Real>(d[1]), static_cast<Real>(d[2]), f);
+      harmonics(shape.norms, kDegree, f, y.row(r));
+    }
+    return std::int64_t{-1};
+  });
 }
 
 template <class Real>

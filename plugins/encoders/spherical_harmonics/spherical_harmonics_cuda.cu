@@ -43,23 +43,6 @@ __global__ void __launch_bounds__(kThreads)
   harmonics_gradient(norms, kDegree, f, dy.row(row), dx.row(row));
 }
 
-/// Number of bands known to the compiler: the recurrences become straight code in registers.
-template <class F>
-void with_degree(std::int32_t degree, const F& f) {
-  switch (degree) {
-    case 1:
-      return f.template operator()<1>();
-    case 2:
-      return f.template operator()<2>();
-    case 3:
-      return f.template operator()<3>();
-    case 4:
-      return f.template operator()<4>();
-    default:
-      return f.template operator()<5>();
-  }
-}
-
 std::int64_t forward(const HarmonicShape<float>& shape, View<const double> x, View<float> y) {
   if (x.rows == 0) return -1;
   with_degree(shape.degree, [&]<std::int32_t kDegree>() {

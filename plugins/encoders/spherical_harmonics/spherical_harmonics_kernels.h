@@ -107,6 +107,23 @@ SEMFIELD_HD inline void harmonics_gradient(const HarmonicNorms<Real>& norms, std
 /// Largest deviation of a direction's squared length from 1.
 inline constexpr double kUnitTolerance = 1e-3;
 
+/// f with the number of bands known to the compiler: the recurrences become straight code.
+template <class F>
+auto with_degree(std::int32_t degree, const F& f) {
+  switch (degree) {
+    case 1:
+      return f.template operator()<1>();
+    case 2:
+      return f.template operator()<2>();
+    case 3:
+      return f.template operator()<3>();
+    case 4:
+      return f.template operator()<4>();
+    default:
+      return f.template operator()<5>();
+  }
+}
+
 template <class Real>
 struct HarmonicShape {
   std::int32_t degree = 4;

@@ -8,7 +8,6 @@
 
 #include "config/params.h"
 #include "core/error.h"
-#include "core/host_device.h"
 #include "plugin/mlp/field.h"
 
 namespace semfield {
@@ -75,14 +74,6 @@ class NerfMlp final : public FusedMlpField<Real, NerfMlpShape> {
 
 extern template class NerfMlp<float>;
 extern template class NerfMlp<double>;
-
-// Formulas of the NeRF network that are not matrix products.
-
-/// d sigmoid(x) / dx from y = sigmoid(x): y (1 - y).
-template <class Real>
-SEMFIELD_HD inline Real nerf_mlp_sigmoid_slope(Real y) {
-  return y * (Real(1) - y);
-}
 
 namespace cuda {
 /// Whether shape and GPU have fused kernels: fused_takes() and compute capability 9.0.

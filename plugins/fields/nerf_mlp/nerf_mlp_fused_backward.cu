@@ -65,7 +65,7 @@ __device__ inline void from_color(const InputGradient& p, float (&acc)[kView / 2
 #pragma unroll
     for (int c = 0; c < kChannels; ++c) {
       const std::int64_t at = row + 8 * half;
-      d_logit[half][c] = at < p.rows ? p.d_rgb(at, c) * nerf_mlp_sigmoid_slope(p.rgb(at, c)) : 0;
+      d_logit[half][c] = at < p.rows ? p.d_rgb(at, c) * sigmoid_slope(p.rgb(at, c)) : 0;
     }
   }
 #pragma unroll

@@ -148,7 +148,7 @@ __global__ void __launch_bounds__(kPackThreads, 2)
 #pragma unroll
     for (int c = 0; c < kChannelsOf; ++c) {
       g[c] = d(row, c);
-      if (!y.empty()) g[c] *= nerf_mlp_sigmoid_slope(y(row, c));
+      if (!y.empty()) g[c] *= sigmoid_slope(y(row, c));
       bias[c] += g[c];
     }
 #pragma unroll

@@ -9,7 +9,6 @@
 
 #include "config/params.h"
 #include "core/error.h"
-#include "core/host_device.h"
 #include "plugin/mlp/field.h"
 
 namespace semfield {
@@ -84,13 +83,5 @@ class TinyMlp final : public FusedMlpField<Real, TinyMlpShape> {
 
 extern template class TinyMlp<float>;
 extern template class TinyMlp<double>;
-
-// Formulas of the small network that are not matrix products.
-
-/// d sigmoid(x) / dx from y = sigmoid(x): y (1 - y).
-template <class Real>
-SEMFIELD_HD inline Real tiny_mlp_sigmoid_slope(Real y) {
-  return y * (Real(1) - y);
-}
 
 }  // namespace semfield

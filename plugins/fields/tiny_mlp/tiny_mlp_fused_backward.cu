@@ -50,7 +50,7 @@ __device__ inline void logit_gradient(const Gradients& grad, const Lane& lane, s
 #pragma unroll
       for (int i = 0; i < 2; ++i) {
         const int channel = 2 * lane.q + i;
-        if (channel < 3) z[i] = grad.of.rgb(row, channel) * tiny_mlp_sigmoid_slope(grad.rgb(row, channel));
+        if (channel < 3) z[i] = grad.of.rgb(row, channel) * sigmoid_slope(grad.rgb(row, channel));
       }
     }
     dz[half] = pack(z[0], z[1]);
