@@ -70,6 +70,10 @@ class RunningSession {
     return wait_until([](const LabelState& s) { return s.geometry_ready && s.overlay_events == s.events; });
   }
 
+  /// All of them are taken.
+  void apply(const std::vector<LabelEvent>& events) {
+    for (const LabelEvent& event : events) EXPECT_TRUE(session.apply(event)) << event.id;
+  }
   LabelEvent add(const std::string& id, const std::string& name) const {
     return LabelEvent{.id = id, .kind = LabelEventKind::add_class, .class_name = name};
   }
@@ -161,8 +165,7 @@ TEST(LabelSession, PosesOfAPhoneStayAsGivenUnlessAskedFor) {
 TEST_F(PlainSession, TestFramesAreLookedAt) {
   run.start();
   run.wait_until([](const LabelState& s) { return s.geometry_ready; });
-  ASSERT_TRUE(run.session.apply(run.add("1", "wall")));
-  ASSERT_TRUE(run.session.apply(run.click("2", 0, "wall", {20, 10})));
+  run.apply({run.add("1", "wall"), run.click("2", 0, "wall", {20, 10})});
   const auto state = run.settled();
   EXPECT_TRUE(state->views[9].ready);
   const std::vector<std::int16_t> label = run.session.picture(labels_of(9)).label;
@@ -253,8 +256,7 @@ TEST(LabelSession, WrongEventsChangeNothing) {
 }
 
 TEST_F(PlainSession, ThreadsThatClickAtOnceLoseNothing) {
-  run.session.apply(run.add("a", "wall"));
-  run.session.apply(run.add("b", "floor"));
+  run.apply({run.add("a", "wall"), run.add("b", "floor")});
   run.start();
   std::vector<std::thread> people;
   std::atomic<int> applied{0}, known{0};
@@ -286,8 +288,7 @@ TEST(LabelSession, ARunIsSavedOpenedByVerbsAndGoesOn) {
   std::int64_t step = 0;
   {
     RunningSession run(session_config(), folder);
-    run.session.apply(run.add("1", "wall"));
-    run.session.apply(run.click("2", 2, "wall", {24.5, 5.5}));
+    run.apply({run.add("1", "wall"), run.click("2", 2, "wall", {24.5, 5.5})});
     run.start();
     run.settled();
     run.session.save();
@@ -295,8 +296,7 @@ TEST(LabelSession, ARunIsSavedOpenedByVerbsAndGoesOn) {
     Diagnostics findings;
     const OpenedRun meanwhile = open_run(folder, {}, testing_train::all_plugins(), findings);
     EXPECT_GT(meanwhile.step, 0);
-    run.session.apply(run.add("3", "floor"));
-    run.session.apply(run.click("4", 2, "floor", {24.5, 33.5}));
+    run.apply({run.add("3", "floor"), run.click("4", 2, "floor", {24.5, 33.5})});
     run.stop();
     EXPECT_EQ(run.ended_with, "");
     step = run.session.state()->step;
@@ -331,8 +331,7 @@ TEST(LabelSession, WhatWasClickedIsInTheRunsReport) {
   const std::string folder = dir / "run";
   {
     RunningSession run(session_config(), folder);
-    run.session.apply(run.add("1", "wall"));
-    run.session.apply(run.add("2", "floor"));
+    run.apply({run.add("1", "wall"), run.add("2", "floor")});
     for (int k = 0; k < 3; ++k) run.session.apply(run.click("w" + std::to_string(k), 2, "wall", {10.5 + 8 * k, 5.5}));
     run.session.apply(run.click("f", 4, "floor", {24.5, 33.5}));
     run.start();
@@ -377,8 +376,7 @@ TEST(LabelSession, LabelsOfTheConfigurationCountAsGiven) {
   for (std::int32_t i = 0; i < photo.width_px * photo.height_px; ++i)
     right += hit_at(camera, {i % 48, i / 48}).label == label[i];
   EXPECT_GT(right, 48 * 36 * 8 / 10);
-  run.session.apply(run.add("1", "poster"));
-  run.session.apply(run.click("2", 0, "poster", {24.5, 8.5}, 3));
+  run.apply({run.add("1", "poster"), run.click("2", 0, "poster", {24.5, 8.5}, 3)});
   EXPECT_EQ(run.settled()->named, 6);
   const std::vector<std::int16_t> after = run.session.picture(labels_of(0)).label;
   EXPECT_EQ(after[8 * 48 + 24], 5);
@@ -533,8 +531,7 @@ TEST(LabelSession, AFolderThatWasMovedOrCopiedHasItsOwnClicks) {
   };
   {
     RunningSession run(session_config(), here);
-    run.session.apply(run.add("1", "wall"));
-    run.session.apply(run.click("2", 2, "wall", {24.5, 5.5}));
+    run.apply({run.add("1", "wall"), run.click("2", 2, "wall", {24.5, 5.5})});
     run.start();
     run.settled();
     run.stop();
@@ -608,8 +605,7 @@ PictureRequest of_camera(const FreeCamera& camera, const std::string& client) {
 }
 
 TEST_F(PlainSession, ViewsAndFreeCamerasAreDrawnWhileItTrains) {
-  run.session.apply(run.add("1", "wall"));
-  run.session.apply(run.click("2", 0, "wall", {24.5, 5.5}));
+  run.apply({run.add("1", "wall"), run.click("2", 0, "wall", {24.5, 5.5})});
   run.start();
   const std::uint64_t overlay = run.settled()->overlay_revision;
   PictureRequest view{.client = "a", .view = 3, .entropy = true};

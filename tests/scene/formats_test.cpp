@@ -360,49 +360,27 @@ TEST(Npz, BytesAndIntegersAreReadAsTheyAreStored) {
   EXPECT_HAS(error_of([&] { (void)file.bytes("short", {}); }), path, "short", ">i2");
 }
 
-void put(std::string& out, std::uint64_t value, int bytes) {
-  for (int i = 0; i < bytes; ++i) out += static_cast<char>((value >> (8 * i)) & 0xFF);
+// Numbers, lowest byte first, each in so many bytes.
+std::string numbers(const std::vector<std::pair<std::uint64_t, int>>& values) {
+  std::string out;
+  for (const auto& [value, bytes] : values) {
+    for (int i = 0; i < bytes; ++i) out += static_cast<char>((value >> (8 * i)) & 0xFF);
+  }
+  return out;
 }
 
 // An archive of one stored entry, with ZIP64 sizes in both headers.
 std::string stored64(const std::string& data, std::uint64_t bytes, std::uint64_t packed, unsigned method = 0,
                      unsigned flags = 0) {
-  const auto crc =
-      static_cast<std::uint32_t>(crc32(0, reinterpret_cast<const Bytef*>(data.data()), static_cast<uInt>(data.size())));
-  std::string common, out;
-  put(common, 45, 2);
-  put(common, flags, 2);
-  put(common, method, 2);
-  put(common, 0, 4);
-  put(common, crc, 4);
-  put(common, 0xFFFFFFFF, 4);
-  put(common, 0xFFFFFFFF, 4);
-  put(common, 5, 2);
-  put(common, 20, 2);
-  std::string extra;
-  put(extra, 1, 2);
-  put(extra, 16, 2);
-  put(extra, bytes, 8);
-  put(extra, packed, 8);
-  put(out, 0x04034b50, 4);
-  out += common + "a.npy" + extra + data;
-  const std::size_t directory = out.size();
-  put(out, 0x02014b50, 4);
-  put(out, 45, 2);
-  out += common;
-  put(out, 0, 8);
-  put(out, 0, 2);
-  put(out, 0, 4);
-  out += "a.npy" + extra;
-  const std::size_t size = out.size() - directory;
-  put(out, 0x06054b50, 4);
-  put(out, 0, 4);
-  put(out, 1, 2);
-  put(out, 1, 2);
-  put(out, size, 4);
-  put(out, directory, 4);
-  put(out, 0, 2);
-  return out;
+  const auto crc = crc32(0, reinterpret_cast<const Bytef*>(data.data()), static_cast<uInt>(data.size()));
+  const std::string common = numbers({{45, 2}, {flags, 2}, {method, 2}, {0, 4}, {crc, 4}}) +
+                             numbers({{0xFFFFFFFF, 4}, {0xFFFFFFFF, 4}, {5, 2}, {20, 2}});
+  const std::string extra = numbers({{1, 2}, {16, 2}, {bytes, 8}, {packed, 8}});
+  const std::string entry = numbers({{0x04034b50, 4}}) + common + "a.npy" + extra + data;
+  const std::string directory =
+      numbers({{0x02014b50, 4}, {45, 2}}) + common + numbers({{0, 8}, {0, 2}, {0, 4}}) + "a.npy" + extra;
+  return entry + directory +
+         numbers({{0x06054b50, 4}, {0, 4}, {1, 2}, {1, 2}, {directory.size(), 4}, {entry.size(), 4}, {0, 2}});
 }
 
 TEST(Npz, Zip64SizesAndArchivesThatLie) {
