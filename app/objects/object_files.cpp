@@ -201,8 +201,6 @@ ObjectFiles::ObjectFiles(std::string folder, const FoundObjects& found, const Sc
   create_folders(path("panoptic"));
 }
 
-std::string ObjectFiles::path(const std::string& name) const { return (fs::path(folder_) / name).string(); }
-
 std::string ObjectFiles::picture_path(const FrameInfo& frame) const {
   create_folders(path("pictures"));
   return path("pictures/" + output_name(frame.name) + ".png");
@@ -269,8 +267,6 @@ std::string ObjectFiles::panoptic_json() const {
   return json_text(out, 1) + "\n";
 }
 
-void ObjectFiles::finish() { write_file_atomic(path("panoptic.json"), panoptic_json()); }
-
 namespace {
 
 constexpr double kEditWait_s = 10;  // another edit takes a fraction of a second
@@ -299,8 +295,6 @@ FolderLock hold_objects(const std::string& folder, double wait_s) {
   }
 }
 
-std::string ObjectFolder::file(const char* name) const { return (std::filesystem::path(folder_) / name).string(); }
-
 const EditedObjects* ObjectFolder::look() {
   const std::string stamp = stamp_of_file(file("found.safetensors")) + " " + stamp_of_file(file("edits.json"));
   if (stamp != stamp_) {
@@ -314,8 +308,6 @@ const EditedObjects* ObjectFolder::look() {
   }
   return read_ ? &*read_ : nullptr;
 }
-
-std::string ObjectFolder::state() const { return read_ ? objects_state(read_->edits) : std::string(); }
 
 const EditedObjects& ObjectFolder::edit(const std::optional<ObjectEdit>& edit, const std::string& state) {
   if (look() == nullptr)

@@ -75,10 +75,10 @@ class ObjectFiles {
   void add(const ObjectView& view);
   /// pictures/FRAME.png in `folder`, whose folder it makes.
   std::string picture_path(const FrameInfo& frame) const;
-  void finish();
+  void finish() { write_file_atomic(path("panoptic.json"), panoptic_json()); }
 
  private:
-  std::string path(const std::string& name) const;
+  std::string path(const std::string& name) const { return (std::filesystem::path(folder_) / name).string(); }
   std::int32_t panoptic_id(std::int32_t object, std::int16_t label) const;
   std::string panoptic_json() const;
 
@@ -104,7 +104,7 @@ class ObjectFolder {
   /// The objects as they are on the disk now; null where none were found. Throws as read_edited_objects.
   const EditedObjects* look();
   /// objects_state of the last look; "": none were found.
-  std::string state() const;
+  std::string state() const { return read_ ? objects_state(read_->edits) : std::string(); }
   /// Edits the objects that have this state, or takes the last edit back, and writes tables and edits.json. Throws
   /// Error(data) for an edit that cannot be, and where the objects have another state by now; as hold_objects; as
   /// write_object_tables. Then edits.json is as it was.
@@ -114,7 +114,7 @@ class ObjectFolder {
   void mend();
 
  private:
-  std::string file(const char* name) const;
+  std::string file(const char* name) const { return (std::filesystem::path(folder_) / name).string(); }
   void write(EditedObjects next);
 
   std::string folder_;

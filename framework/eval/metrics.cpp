@@ -207,10 +207,6 @@ std::optional<double> DepthError::mean(double sum) const {
   return sum / static_cast<double>(scored_);
 }
 
-std::optional<double> DepthError::abs_rel() const { return mean(abs_rel_); }
-std::optional<double> DepthError::abs_diff() const { return mean(abs_diff_); }
-std::optional<double> DepthError::sq_rel() const { return mean(sq_rel_); }
-
 std::optional<double> DepthError::rmse() const {
   const std::optional<double> squared = mean(squared_);
   return squared ? std::optional(std::sqrt(*squared)) : std::nullopt;

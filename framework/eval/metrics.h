@@ -90,10 +90,10 @@ class DepthError {
   std::int64_t valid_truth_px() const { return valid_truth_; }
   std::int64_t nonfinite() const { return nonfinite_; }  ///< predictions that are NaN or infinite under valid truth
   // None without scored pixels, or when a prediction was not finite.
-  std::optional<double> abs_rel() const;         ///< mean |p - t| / t
-  std::optional<double> abs_diff() const;        ///< mean |p - t|, m
-  std::optional<double> sq_rel() const;          ///< mean (p - t)^2 / t, m
-  std::optional<double> rmse() const;            ///< m
+  std::optional<double> abs_rel() const { return mean(abs_rel_); }    ///< mean |p - t| / t
+  std::optional<double> abs_diff() const { return mean(abs_diff_); }  ///< mean |p - t|, m
+  std::optional<double> sq_rel() const { return mean(sq_rel_); }      ///< mean (p - t)^2 / t, m
+  std::optional<double> rmse() const;                                 ///< m
   std::optional<double> delta(int power) const;  ///< share with max(p / t, t / p) < 1.25^power, power 1..3
   std::optional<double> coverage() const;        ///< scored / valid truth; none without valid truth
 

@@ -39,8 +39,6 @@ std::size_t CellIndex::place_of(std::uint64_t key) const {
   return place;
 }
 
-std::int32_t CellIndex::find(std::uint64_t key) const { return entries_.empty() ? -1 : entries_[place_of(key)].number; }
-
 std::int32_t CellIndex::add(std::uint64_t key, std::int32_t fresh) {
   if (2 * used_ >= entries_.size()) grow();
   Entry& entry = entries_[place_of(key)];
@@ -166,8 +164,6 @@ void SurfaceGraph::settle(std::span<const GraphSeed> seeds) {
   settled_.assign(first_.empty() ? 0 : first_.size() - 1, {{kUnreached, kUnreached}, {kVoid, kVoid}});
   spread(seeds);
 }
-
-void SurfaceGraph::add(const GraphSeed& seed) { spread({&seed, 1}); }
 
 void SurfaceGraph::spread(std::span<const GraphSeed> seeds) {
   // An entry that is dearer than what the point has is passed over.

@@ -28,7 +28,7 @@ struct CellPair {
 class CellIndex {
  public:
   /// The number of `key`, or -1.
-  std::int32_t find(std::uint64_t key) const;
+  std::int32_t find(std::uint64_t key) const { return entries_.empty() ? -1 : entries_[place_of(key)].number; }
   /// The number of `key`, which is `fresh` where it had none.
   std::int32_t add(std::uint64_t key, std::int32_t fresh);
 
@@ -187,7 +187,7 @@ class SurfaceGraph {
   const std::vector<Settled>& settled() const { return settled_; }
   void settle(std::span<const GraphSeed> seeds);
   /// One more seed, at the cost of what changes.
-  void add(const GraphSeed& seed);
+  void add(const GraphSeed& seed) { spread({&seed, 1}); }
 
   /// The points that can be reached from `point` for at most `reach`, and at most `most` of them, the cheapest first.
   struct Near {

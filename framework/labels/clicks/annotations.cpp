@@ -260,14 +260,6 @@ int Annotations::free_place() const {
   return undone == named_.end() ? -1 : static_cast<int>(undone - named_.begin());
 }
 
-int Annotations::record_of_class(int class_index) const {
-  return class_index < 0 ? -1 : named_[static_cast<std::size_t>(class_index)]->record;
-}
-
-bool Annotations::has_its_class(const Record& record) const {
-  return record.class_record < 0 || records_[static_cast<std::size_t>(record.class_record)].in_force;
-}
-
 bool Annotations::check(const LabelEvent& event) const {
   if (seen(event.id)) return false;
   (void)resolve(event);
@@ -362,10 +354,6 @@ void Annotations::list_classes() {
                        named && named_[c]->color ? *named_[c]->color : ClassTable::default_color(ids_[c]), false});
   }
   classes_ = ClassTable(std::move(entries));
-}
-
-bool Annotations::is_named(int class_index) const {
-  return class_index >= 0 && class_index < named_classes() && named_[static_cast<std::size_t>(class_index)].has_value();
 }
 
 ClassTable Annotations::named_table() const {

@@ -51,7 +51,9 @@ class Annotations {
   /// Places that were ever given a name: the classes [0, named_classes()); is_named() is false for those that are
   /// undone, merged or deleted.
   int named_classes() const { return static_cast<int>(named_.size()); }
-  bool is_named(int class_index) const;
+  bool is_named(int class_index) const {
+    return class_index >= 0 && class_index < named_classes() && named_[static_cast<std::size_t>(class_index)];
+  }
   /// Whether one more class can be added.
   bool has_room() const { return free_place() >= 0; }
   /// The first of these are the scene's own, whose names no event changes.
@@ -96,9 +98,13 @@ class Annotations {
   // A class that an event may rename, merge or delete: an added one.
   int resolve_added_class(const LabelEvent& event, const char* remedy) const;
   // The record that added a class which is there now; -1: none, it is the scene's own, or void.
-  int record_of_class(int class_index) const;
+  int record_of_class(int class_index) const {
+    return class_index < 0 ? -1 : named_[static_cast<std::size_t>(class_index)]->record;
+  }
   int free_place() const;
-  bool has_its_class(const Record& record) const;
+  bool has_its_class(const Record& record) const {
+    return record.class_record < 0 || records_[static_cast<std::size_t>(record.class_record)].in_force;
+  }
   void require_free_name(const LabelEvent& event, const std::string& name, const char* remedy) const;
   // An undo turns its target round, and an undo that is turned round turns its own target, until an event that is none.
   struct Turned {

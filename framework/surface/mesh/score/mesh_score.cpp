@@ -207,10 +207,6 @@ NearestSurface::NearestSurface(std::vector<Vec3d> points) : positions_(std::move
   if (!triangles_.empty()) build(0, static_cast<std::uint32_t>(triangles_.size()));
 }
 
-Vec3d NearestSurface::middle(const Triangle& t) const {
-  return (positions_[t[0]] + positions_[t[1]] + positions_[t[2]]) * (1.0 / 3);
-}
-
 std::uint32_t NearestSurface::build(std::uint32_t first, std::uint32_t end) {
   const auto number = static_cast<std::uint32_t>(nodes_.size());
   Node node;
