@@ -5,6 +5,7 @@
 #include <cstdint>
 
 #include "core/host_device.h"
+#include "core/view.h"
 #include "plugin/row_encoder.h"
 
 namespace semfield {

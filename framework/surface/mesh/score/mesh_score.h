@@ -29,9 +29,7 @@ class NearestSurface {
     std::uint32_t second = 0;          // number of the second child, the first follows the node; 0: a leaf
   };
   std::uint32_t build(std::uint32_t first, std::uint32_t end);
-  Vec3d middle(const Triangle& t) const {
-    return (positions_[t[0]] + positions_[t[1]] + positions_[t[2]]) * (1.0 / 3);
-  }
+  Vec3d middle(const Triangle& t) const { return (positions_[t[0]] + positions_[t[1]] + positions_[t[2]]) * (1.0 / 3); }
 
   std::vector<Vec3d> positions_;
   std::vector<Triangle> triangles_;  // those of a node lie side by side
