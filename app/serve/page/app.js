@@ -96,10 +96,7 @@ class Page {
     this.draw();
   }
 
-  select(mark) {
-    this.stage.selected = mark?.id ?? null;
-    this.changed();
-  }
+  select(mark) { this.set(this.stage, {selected: mark?.id ?? null}); }
 
   /// The mark that is selected or pointed at goes.
   remove() {
@@ -149,8 +146,7 @@ class Page {
     this.land();
     this.index = view;
     Object.assign(this.stage, {cross: null, selected: null, marks: [], others: []});
-    const dropped = this.stage.tools.forget();
-    if (dropped) this.messages.tell(dropped);
+    this.stage.tools.drop();
     this.session.setItem('semfield.view', view);
     this.stage.fit();
     this.changed();
@@ -167,8 +163,7 @@ class Page {
   }
 
   chooseSeen() {
-    const {stage} = this;
-    const name = stage.aim && stage.classAt(stage.aim);
+    const name = this.stage.aim && this.stage.classAt(this.stage.aim);
     if (name) this.choose(name);
     else this.messages.tell('There is no label under the pointer.');
   }
@@ -228,17 +223,19 @@ class Page {
   /// Whether a label can be begun now; else says why, or asks for a class.
   mayLabel() {
     if (!this.isOpenToLabels()) return false;
-    if (this.labeller.chosen !== null) return true;
-    if (this.classes.length === 0) this.make();
-    else this.messages.tell('Choose a class first: keys 1 to 9, or n for a new one.');
-    return false;
+    if (this.labeller.chosen === null) this.nameFirst();
+    return this.labeller.chosen !== null;
   }
 
   /// act(label) at once where a class was chosen, or after the dialog of the first class; else says that nothing is stored.
   whenNamed(act, seen = this.labeller.label) {
     const label = seen.class === null ? this.labeller.label : seen;
     if (label.class !== null) act(label);
-    else if (this.classes.length === 0) this.make(() => act(this.labeller.label));
+    else this.nameFirst(() => act(this.labeller.label));
+  }
+
+  nameFirst(then) {
+    if (this.classes.length === 0) this.make(then);
     else this.messages.tell('Choose a class first: keys 1 to 9, or n for a new one.');
   }
 
@@ -258,10 +255,8 @@ class Page {
 
   /// Out of what is under way: a polygon, a selection, a flight.
   leave() {
-    const {stage} = this;
     if (this.flight) return this.land();
-    const dropped = stage.tools.forget();
-    if (dropped) this.messages.tell(dropped);
+    this.stage.tools.drop();
     this.select(null);
   }
 
@@ -296,20 +291,9 @@ class Page {
 
   undo() { if (!this.flights.undo()) this.labeller.undo(); }
 
-  setKind(kind) {
-    this.stage.kind = kind;
-    this.stage.isHidden = false;
-    this.changed();
-  }
-
-  setRendered(on) {
-    this.isRendered = on;
-    this.changed();
-  }
-
-  setOpacity(opacity) {
-    this.stage.isHidden = false;
-    this.settings.set({opacity});
+  /// What is shown is another: values of the page or its stage.
+  set(part, values) {
+    Object.assign(part, values);
     this.changed();
   }
 
@@ -337,15 +321,18 @@ class Page {
   }
 
   connect() {
+    const {stage} = this;
     const actions = actionsOf(this);
     for (const button of document.querySelectorAll('[data-act]')) button.addEventListener('click', () => actions[button.dataset.act]());
     const on = (id, act) => byId(id).addEventListener('click', act);
-    on('show-photo', () => this.setRendered(false));
-    on('show-rendered', () => this.setRendered(true));
-    on('show-labels', () => this.setKind('labels'));
-    on('show-entropy', () => this.setKind('entropy'));
+    on('show-photo', () => this.set(this, {isRendered: false}));
+    on('show-rendered', () => this.set(this, {isRendered: true}));
+    for (const kind of ['labels', 'entropy']) on(`show-${kind}`, () => this.set(stage, {kind, isHidden: false}));
     on('selection-close', () => this.select(null));
-    byId('opacity').addEventListener('input', () => this.setOpacity(Number(byId('opacity').value)));
+    byId('opacity').addEventListener('input', () => {
+      this.settings.set({opacity: Number(byId('opacity').value)});
+      this.set(stage, {isHidden: false});
+    });
     byId('radius').addEventListener('input', () => this.setRadius(Number(byId('radius').value)));
     for (const button of document.querySelectorAll('#pad [data-key]')) {
       button.addEventListener('pointerdown', () => this.flight?.key(button.dataset.key, true, false));

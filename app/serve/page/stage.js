@@ -65,9 +65,10 @@ function hatchOf(context, scale) {
 export function paintClick(context, {points, radius, color, fill}, style = cssColor(color)) {
   context.fillStyle = context.strokeStyle = style;
   context.lineCap = context.lineJoin = 'round';
+  const trace = () => points.forEach(([x, y], i) => (i ? context.lineTo(x, y) : context.moveTo(x, y)));
   if (fill) {
     context.beginPath();
-    points.forEach(([x, y], i) => (i ? context.lineTo(x, y) : context.moveTo(x, y)));
+    trace();
     context.fill('evenodd');
     return;
   }
@@ -82,7 +83,7 @@ export function paintClick(context, {points, radius, color, fill}, style = cssCo
     context.fill();
     return;
   }
-  points.forEach(([x, y], i) => (i ? context.lineTo(x, y) : context.moveTo(x, y)));
+  trace();
   context.stroke();
 }
 
@@ -327,11 +328,10 @@ export class ViewCanvas {
 
   /// Four lines about a point of the screen.
   drawTicks(x, y, from, to, width, color) {
-    const {context} = this;
-    outlined(context, width, color, () => {
+    outlined(this.context, width, color, () => {
       for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
-        context.moveTo(x + dx * from, y + dy * from);
-        context.lineTo(x + dx * to, y + dy * to);
+        this.context.moveTo(x + dx * from, y + dy * from);
+        this.context.lineTo(x + dx * to, y + dy * to);
       }
     });
   }
@@ -457,6 +457,11 @@ export class Tools {
     this.outline = null;
     this.doomed = new Map();
     return dropped;
+  }
+
+  drop() {
+    const dropped = this.forget();
+    if (dropped) this.page.messages.tell(dropped);
   }
 
   use(kind) {
