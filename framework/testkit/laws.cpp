@@ -5,7 +5,6 @@
 #include <cctype>
 #include <cmath>
 #include <set>
-#include <sstream>
 
 #include "compute/gemm.h"
 #include "config/config_tree.h"
@@ -28,8 +27,11 @@ ConfigNode node_of(const std::string& value, bool is_list) {
   const auto scalar = [](std::string text) { return ConfigNode::make_scalar(std::move(text), false, {}); };
   if (!is_list) return scalar(value);
   std::vector<ConfigNode> items;
-  std::istringstream words(value);
-  for (std::string word; std::getline(words, word, ',');) items.push_back(scalar(word));
+  for (std::size_t begin = 0; !value.empty() && begin <= value.size();) {
+    const std::size_t end = std::min(value.find(',', begin), value.size());
+    items.push_back(scalar(value.substr(begin, end - begin)));
+    begin = end + 1;
+  }
   return ConfigNode::make_list(std::move(items), {});
 }
 

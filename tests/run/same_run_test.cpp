@@ -268,7 +268,7 @@ TEST_F(DrivenRun, HasTheBitsAndTheRowsOfTheWholeRun) {
 
 // Whoever drives it.
 TEST_F(DrivenRun, EndsWhereItsFirstStepsTakeMoreMemoryThanIsAllowed) {
-  const double held_gb = static_cast<double>(resident_bytes() + 4'000'000) * 1e-9;  // the frames fit
+  const double held_gb = static_cast<double>(resident_bytes() + 4'000'000) / (1 << 30);  // the frames fit
   semfield::Run run(config({"runtime.memory_gb=" + std::to_string(held_gb)}), registry_, {}, &nobody_);
   EXPECT_ERROR(run.advance(1), "memory.training.size", "runtime.memory_gb");
 }

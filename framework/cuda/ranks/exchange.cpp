@@ -69,6 +69,8 @@ class HostExchange final : public RankExchange {
     most = std::max<std::size_t>(most, 1);
     if (most <= room_) return;
     room_ = 0;
+    own_.reset();
+    all_.reset();
     own_ = pinned<float>(most, "pinned memory of gradients");
     all_ = pinned<float>(std::min(most, kPiece) * size(), "pinned memory of gradients");
     room_ = most;
