@@ -1,6 +1,5 @@
 // The mesh as it comes in the file, and its drawing: one call per scene and picture.
 const canvas = document.getElementById("view");
-const kNoClass = 65535;
 const kMode = {photo: 0, class: 1, object: 2, entropy: 3, depth: 4, probability: 5};
 const kReading = 10;         // the mode of read(), which draws numbers beside the screen
 const kSlow_ms = 50;   // a picture that takes longer is drawn lighter while the camera moves

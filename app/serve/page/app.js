@@ -38,7 +38,7 @@ class Page {
   get state() { return this.labeller.state; }
   get classes() { return this.labeller.classes; }
   get view() { return this.state.views[this.index]; }
-  get flight() { return this.flights.flight; }
+  get flight() { return this.flights.isFlying ? this.flights : null; }
 
   take(value, anew) {
     const isFirst = this.state === null;

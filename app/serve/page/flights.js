@@ -61,25 +61,48 @@ export class FreeCamera {
 const kStill_ms = 250;
 const kSizes = {least: 96, first: 192, most: 480};
 
-/// A flight: keys held, the camera, and pictures small while it moves and full when it stands.
-export class Flight {
-  /// changed(picture) shows one.
-  constructor({channel, camera, pace, fullSize_px, changed, messages}) {
-    Object.assign(this, {channel, camera, pace, fullSize_px, changed, messages});
-    this.held = new Set();
-    this.size_px = kSizes.first;
-    this.moved_ms = performance.now() - kStill_ms;
-    this.dirty = true;      // the newest place was not requested
-    this.fulls = 0;         // how many of the full pictures were requested from there: half the size first, for it comes sooner
-    this.last_ms = performance.now();
+const kMostFlight_px = 640;
+const kCamerasAsked = 16;
+
+export class Flights {
+  /// Keys held, the camera, and pictures that are small while it moves and full when it stands. page: its state, index, channel, show(view),
+  /// whenNamed() and changed(); messages of the page.
+  constructor(page, messages, tab) {
+    Object.assign(this, {page, messages});
+    this.questions = new PictureChannel(`${tab}-at`);  // beside the flight's own pictures
+    this.camera = null;      // of a flight
+    this.flown = null;       // the picture that is shown
+    this.fresh = [];         // clicks that no picture shows yet: {at: fractions, name}
+    this.asked = Promise.resolve();  // the questions so far: one after the other, for a newer wish would take the place of a click
+    this.waiting = [];       // clicks whose photograph is being looked for
+    this.held = new Set();   // keys
     this.tick = this.tick.bind(this);
-    this.frame = requestAnimationFrame(this.tick);
   }
 
-  end() {
-    cancelAnimationFrame(this.frame);
-    this.ended = true;
-    this.channel.forget();
+  get isFlying() { return this.camera !== null; }
+
+  async begin() {
+    const {page} = this;
+    this.isTakingOff = true;
+    try {
+      const {views} = page.state;
+      const every = Math.max(1, Math.ceil(views.length / kCamerasAsked));
+      const others = views.map((_, i) => i).filter((i) => i % every === 0 && i !== page.index);
+      const cameras = await Promise.all([page.index, ...others].map((view) => getJson(`./camera?view=${view}`)));
+      const canvas = byId('canvas');
+      Object.assign(this, {flown: null, fresh: [], revision: page.state.overlay.revision, pace: paceOf(cameras),
+                           fullSize_px: Math.min(kMostFlight_px, Math.max(canvas.clientWidth, canvas.clientHeight)),
+                           size_px: kSizes.first, last_ms: performance.now(), fast: false, camera: new FreeCamera(cameras[0], upOf(cameras))});
+      this.held.clear();
+      this.touched();
+      this.moved_ms -= kStill_ms;
+      this.frame = requestAnimationFrame(this.tick);
+    } catch (error) {
+      this.messages.refuse(error.message, error.remedy);
+    }
+    this.isTakingOff = false;
+    byId('canvas').focus();
+    page.changed();
   }
 
   /// 'w', 'a', ... or an arrow's key; false: none of the flight's.
@@ -104,18 +127,16 @@ export class Flight {
 
   touched() {
     this.moved_ms = performance.now();
-    this.dirty = true;
-    this.fulls = 0;
+    this.renew();
   }
 
-  /// Everything is requested again (labels are newer).
+  /// Everything is requested again.
   renew() {
-    this.dirty = true;
-    this.fulls = 0;
+    this.dirty = true;  // the newest place was not requested
+    this.fulls = 0;     // how many of the full pictures were requested from there: half the size first, for it comes sooner
   }
 
   tick(now_ms) {
-    if (this.ended) return;
     this.frame = requestAnimationFrame(this.tick);
     const dt = Math.min(0.1, Math.max(0, (now_ms - this.last_ms) / 1000));
     this.last_ms = now_ms;
@@ -129,72 +150,28 @@ export class Flight {
       this.touched();
     }
     const still = performance.now() - this.moved_ms >= kStill_ms;
-    if (still && this.fulls < 2 && this.channel.idle && !this.dirty) this.ask(true);
-    else if (this.dirty && (this.channel.idle || !still)) this.ask(false);
+    if (still && this.fulls < 2 && this.page.channel.idle && !this.dirty) this.wish(true);
+    else if (this.dirty && (this.page.channel.idle || !still)) this.wish(false);
   }
 
-  ask(full) {
+  wish(full) {
     this.dirty = false;
     if (full) this.fulls += 1;
     const asked_ms = performance.now();
     const most_px = full ? Math.round(this.fullSize_px / (3 - this.fulls)) : this.size_px;
     const request = {camera: this.camera.value, most_px, color: true, labels: true, entropy: false, full};
-    this.channel.wish(request, (picture) => {
+    this.page.channel.wish(request, (picture) => {
       if (!full && !picture.stale) {
         const took_ms = performance.now() - asked_ms;
         if (took_ms > 450) this.size_px = Math.max(kSizes.least, Math.round(this.size_px * 0.85));
         if (took_ms < 80) this.size_px = Math.min(kSizes.most, Math.round(this.size_px * 1.15));
       }
       if (picture.stale) this.renew();
-      else this.changed({...picture, camera: request.camera});
+      else this.took({...picture, camera: request.camera});
     }, (error) => {
       setTimeout(() => this.renew(), 1000);
       this.messages.wrong(error);
     });
-  }
-}
-
-const kMostFlight_px = 640;
-const kCamerasAsked = 16;
-
-export class Flights {
-  /// page: its state, index, show(view), whenNamed() and changed(); messages of the page.
-  constructor(page, messages, tab) {
-    Object.assign(this, {page, messages});
-    this.questions = new PictureChannel(`${tab}-at`);  // beside the flight's own pictures
-    this.flight = null;
-    this.flown = null;       // the picture that is shown
-    this.fresh = [];         // clicks that no picture shows yet: {at: fractions, name}
-    this.asked = Promise.resolve();  // the questions so far: one after the other, for a newer wish would take the place of a click
-    this.waiting = [];       // clicks whose photograph is being looked for
-  }
-
-  get isFlying() { return this.flight !== null; }
-
-  async begin() {
-    const {page} = this;
-    this.isTakingOff = true;
-    try {
-      const {views} = page.state;
-      const every = Math.max(1, Math.ceil(views.length / kCamerasAsked));
-      const others = views.map((_, i) => i).filter((i) => i % every === 0 && i !== page.index);
-      const cameras = await Promise.all([page.index, ...others].map((view) => getJson(`./camera?view=${view}`)));
-      const canvas = byId('canvas');
-      Object.assign(this, {flown: null, fresh: [], revision: page.state.overlay.revision});
-      this.flight = new Flight({
-        channel: page.channel,
-        camera: new FreeCamera(cameras[0], upOf(cameras)),
-        pace: paceOf(cameras),
-        fullSize_px: Math.min(kMostFlight_px, Math.max(canvas.clientWidth, canvas.clientHeight)),
-        changed: (picture) => this.took(picture),
-        messages: this.messages,
-      });
-    } catch (error) {
-      this.messages.refuse(error.message, error.remedy);
-    }
-    this.isTakingOff = false;
-    byId('canvas').focus();
-    page.changed();
   }
 
   took(picture) {
@@ -205,15 +182,16 @@ export class Flights {
   }
 
   end() {
-    this.flight.end();
-    this.flight = null;
+    cancelAnimationFrame(this.frame);
+    this.camera = null;
+    this.page.channel.forget();
   }
 
   /// Labels are newer: the picture is requested again.
   follow(revision) {
-    if (!this.flight || revision === this.revision) return;
+    if (!this.isFlying || revision === this.revision) return;
     this.revision = revision;
-    this.flight.renew();
+    this.renew();
   }
 
   /// Marks that the picture shows, with those that came since.
@@ -250,7 +228,7 @@ export class Flights {
       if (click.isUndone) return;
       if (!spot) return this.refuse(meetsSurface);
       const {id, frame} = labeller.click(spot.view, [spot.at], click.radius, click.label);
-      if (this.flight) this.fresh.push({id, at: click.at, camera: click.camera});
+      if (this.isFlying) this.fresh.push({id, at: click.at, camera: click.camera});
       this.messages.tell(`Clicked as "${labeller.classOf(click.label.class)?.label ?? click.label.class}" in ${frame}, which shows this place best.`);
     } catch (error) {
       if (!click.isUndone) this.messages.refuse(`The click is not stored: ${error.message}`, error.remedy);
@@ -275,7 +253,7 @@ export class Flights {
 
   /// To the photograph that shows the middle of the picture, or to the one that was taken from about here.
   async toPhotograph() {
-    const {flight, flown} = this;
+    const {camera, flown} = this;
     if (!flown) return this.messages.tell('Wait for the first picture.');
     let answer;
     try {
@@ -283,7 +261,7 @@ export class Flights {
     } catch (error) {
       return this.messages.refuse(error.message, error.remedy);
     }
-    if (this.flight !== flight) return;  // the person has landed
+    if (this.camera !== camera) return;  // the person has landed
     const view = answer.spot?.view ?? answer.nearest_view;
     if (!(view >= 0)) return this.messages.tell('No photograph is known yet.');
     this.page.show(view);
