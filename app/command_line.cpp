@@ -46,8 +46,9 @@ CLI::Validator number_that(const std::string& what, const std::function<bool(dou
 CLI::Validator whole_number_in(const std::string& range, double low, double high) {
   return {[range, low, high](std::string& text) {
             long long value = 0;
+            const bool plus = text.size() > 1 && text[0] == '+' && text[1] != '-';
             const char* end = text.data() + text.size();
-            const std::from_chars_result read = std::from_chars(text.data(), end, value);
+            const std::from_chars_result read = std::from_chars(text.data() + (plus ? 1 : 0), end, value);
             const auto real = static_cast<double>(value);
             if (read.ec != std::errc{} || read.ptr != end || real < low || real > high)
               return "'" + text + "' is not " + range;

@@ -32,10 +32,11 @@ def panel(title, x_label, lines, x0, y0, linear):
         px, py = at(low_x, y)
         out.append(f'<line x1="{px}" x2="{x0 + WIDTH - RIGHT}" y1="{py}" y2="{py}" stroke="#ddd"/>'
                    f'<text x="{x0 + LEFT - 4}" y="{py}" text-anchor="end" dominant-baseline="middle">{y:g}</text>')
-    for i, (_, line) in enumerate(lines):
+    for i, (name, line) in enumerate(lines):
         path = " ".join(",".join(at(*p)) for p in line)
         color = COLORS[i % len(COLORS)]
-        out.append(f'<polyline points="{path}" fill="none" stroke="{color}" stroke-width="1.6"/>')
+        dashes = ' stroke-dasharray="5 4"' if ":" in name else ""  # figures of others
+        out.append(f'<polyline points="{path}" fill="none" stroke="{color}" stroke-width="1.6"{dashes}/>')
         out += ['<circle cx="{}" cy="{}" r="2" fill="{}"/>'.format(*at(*p), color) for p in line]
     return out
 

@@ -20,6 +20,7 @@
 #include "session/assembly.h"
 #include "session/ray_source.h"
 #include "session/trainer.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -278,18 +279,17 @@ struct Peer::Process {
   /// Starts `words`, the first of which is the program's file, with pipes to its stdin and stdout; stderr is shared.
   explicit Process(const std::vector<std::string>& words) : name_(words.at(0)) {
     std::array<int, 2> in{}, out{};
-    if (pipe2(in.data(), O_CLOEXEC) != 0 || pipe2(out.data(), O_CLOEXEC) != 0) {
+    const bool piped = pipe2(in.data(), O_CLOEXEC) == 0;
+    if (piped) to_ = in[1];
+    const FileDescriptor its_in(piped ? in[0] : -1);
+    if (!piped || pipe2(out.data(), O_CLOEXEC) != 0)
       throw Error(ErrorKind::unavailable, "system.process.limit", "no pipe to '" + name_ + "'");
-    }
-    to_ = in[1];
     from_ = out[0];
-    pid_ = app::start_child(words, app::ChildStreams{in[0], out[1], STDERR_FILENO});
-    close(in[0]);
-    close(out[1]);
+    const FileDescriptor its_out(out[1]);
+    pid_ = app::start_child(words, app::ChildStreams{its_in, its_out, STDERR_FILENO});
   }
   ~Process() {
-    close(to_);  // the end of its input ends it
-    close(from_);
+    to_ = -1;  // the end of its input ends it
     kill(pid_, SIGTERM);
     app::code_of_child(pid_);
   }
@@ -322,7 +322,8 @@ struct Peer::Process {
 
  private:
   std::string name_, pending_;
-  int pid_ = -1, to_ = -1, from_ = -1;
+  int pid_ = -1;
+  FileDescriptor to_, from_;
 };
 
 Peer::~Peer() = default;

@@ -428,6 +428,8 @@ HttpServer::Impl::~Impl() {
 
 void HttpServer::Impl::accept_all() {
   while (!stopping) {
+    // With no descriptor left accept4 fails at once, also where nobody waits.
+    if (!wait_for(listener, POLLIN, Clock::now() + kFarewell)) continue;
     const int fresh = accept4(listener, nullptr, nullptr, SOCK_CLOEXEC);
     const bool none_left = fresh < 0 && (errno == EMFILE || errno == ENFILE);
     if (fresh < 0 && !none_left) continue;
@@ -504,10 +506,11 @@ bool HttpServer::Impl::serve_one(Peer& peer) {
       admitted = true;
       enter(peer, At::reading, options.body_ms);
       constexpr std::string_view kContinue = "HTTP/1.1 100 Continue\r\n\r\n";
-      if (reader.expects_continue()) (void)!::send(peer.socket, kContinue.data(), kContinue.size(), MSG_NOSIGNAL);
+      if (reader.expects_continue())
+        (void)!::send(peer.socket, kContinue.data(), kContinue.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
       continue;
     }
-    if (!wait_for(peer.socket, POLLIN, peer.deadline))
+    if (Clock::now() > peer.deadline || !wait_for(peer.socket, POLLIN, peer.deadline))
       return peer.at == At::reading && respond(peer, {408, "text/plain", "the request took too long\n"}, false);
     std::array<char, kReadAtOnce> piece;
     const ssize_t got = recv(peer.socket, piece.data(), piece.size(), MSG_DONTWAIT);
@@ -563,7 +566,8 @@ bool HttpServer::Impl::respond(Peer& peer, HttpResponse response, bool keep) {
   shutdown(peer.socket, SHUT_WR);
   enter(peer, At::closing, kLinger_ms);
   std::array<char, 4096> dropped;
-  while (wait_for(peer.socket, POLLIN, peer.deadline) && recv(peer.socket, dropped.data(), dropped.size(), 0) > 0) {
+  while (Clock::now() < peer.deadline && wait_for(peer.socket, POLLIN, peer.deadline) &&
+         recv(peer.socket, dropped.data(), dropped.size(), 0) > 0) {
   }
   return false;
 }

@@ -85,7 +85,8 @@ struct HttpResponse {
 
 /// What a server calls for every request. Neither function throws.
 struct HttpHandler {
-  /// Called with an empty body, before one is read: a response refuses the request. Quick, for every connection waits.
+  /// Called with an empty body, before one is read: a response refuses the request. From several threads at once, as
+  /// answer.
   std::function<std::optional<HttpResponse>(const HttpRequest& head)> refuse;
   /// Called from several threads at once.
   std::function<HttpResponse(const HttpRequest& request)> answer;

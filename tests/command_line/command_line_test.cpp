@@ -141,7 +141,9 @@ TEST_F(Words, AnOperandIsNoVerb) {
   EXPECT_ENDED(run("--plugin none.so eval run"), 69, "none.so");
 }
 
-TEST_F(Words, ANumberWithALeadingZeroIsNotOctal) { EXPECT_EQ(run("train none.yaml --steps 08").code, 66); }
+TEST_F(Words, WholeNumbersAreDecimal) {
+  for (const char* steps : {"08", "+8"}) EXPECT_EQ(run(std::string("train none.yaml --steps ") + steps).code, 66);
+}
 
 TEST_F(Words, HelpOfAllHasTheVerbsOfGroups) {
   const std::string all = run("--help-all").out;

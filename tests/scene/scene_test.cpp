@@ -477,7 +477,7 @@ TEST(ClassTable, DefaultColorsDiffer) {
 
 using Color = std::array<std::uint8_t, 3>;
 
-TEST(PublishedClasses, TablesAndTheMapBetweenThem) {
+TEST(PublishedClasses, TablesOfOtherTools) {
   const ClassTable nyu40 = published_classes("nyu40"), nyu13 = published_classes("nyu13"),
                    scannet = published_classes("scannet20");
   EXPECT_EQ(nyu40.valid_count(), 40);
