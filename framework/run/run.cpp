@@ -14,10 +14,8 @@
 #include "config/compose.h"
 #include "config/explain.h"
 #include "core/check.h"
-#include "core/error.h"
 #include "core/text.h"
 #include "eval/final_eval.h"
-#include "execution/ranks/ranks.h"
 #include "labels/clicks/click_file.h"
 #include "plugin/loader.h"
 #include "scene/classes/class_table.h"
@@ -259,7 +257,280 @@ std::size_t memory_of_first_steps(const RunConfig& config) {
   return bytes;
 }
 
+constexpr std::int64_t kProbe_px = 2048;     // scored once to learn what a pixel costs
+constexpr std::int64_t kLeastMap_px = 1024;  // of a frame at a stride; fewer pixels say little
+constexpr std::int64_t kLeastLast_px = 256;  // of one of many frames
+
+const char* name_of(Split split) { return split == Split::test ? "test" : "train"; }
+
+std::int64_t pixels_of(const EvalJob& job) {
+  std::int64_t pixels = 0;
+  for (const int f : job.frames) {
+    const Camera& camera = (*job.infos)[static_cast<std::size_t>(f)].camera;
+    pixels += std::int64_t{strided_px(camera.width_px, job.stride)} * strided_px(camera.height_px, job.stride);
+  }
+  return pixels;
+}
+
+// The largest stride that leaves every frame a map of `least_px` at least.
+std::int32_t most_stride(const EvalJob& job, std::int64_t least_px) {
+  std::int32_t most = INT32_MAX;
+  for (const int f : job.frames) {
+    const Camera& camera = (*job.infos)[static_cast<std::size_t>(f)].camera;
+    std::int32_t stride = 1;
+    while (std::int64_t{strided_px(camera.width_px, stride + 1)} * strided_px(camera.height_px, stride + 1) >= least_px)
+      ++stride;
+    most = std::min(most, stride);
+  }
+  return most;
+}
+
+void write_final_eval(const RunFolder& folder, FinalEval detail, std::int64_t step, double train_s) {
+  detail.step = step;
+  detail.train_s = train_s;
+  write_file_atomic(folder.final_eval_path(), final_eval_json(detail));
+}
+
+// Seconds since 1970, for events.
+double unix_seconds() {
+  return std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
+}
+
+// A row of metrics.jsonl for a scored part of `split`, "test" or "train".
+MetricsRow score_row(std::int64_t step, double train_s, const std::string& split, const ScoredPart& part,
+                     const SplitScore& score, const ClassTable& classes) {
+  MetricsRow row;
+  row.kind = "eval";
+  row.step = step;
+  row.train_s = train_s;
+  row.split = split;
+  row.values = score.values();
+  row.set("frames", static_cast<double>(part.frames));
+  row.set("pixels", static_cast<double>(score.pixels));
+  if (!part.whole()) {
+    row.split += kSampleSuffix;
+    row.set("split_frames", static_cast<double>(part.of));
+    row.set("pixel_stride", part.stride);
+  }
+  if (split != "test") return row;
+  const std::vector<ClassScore> per_class = score.confusion.per_class();
+  for (std::size_t c = 0; c < per_class.size(); ++c)
+    row.per_class_iou.emplace_back(classes.valid(static_cast<int>(c)).name, per_class[c].iou);
+  return row;
+}
+
+// Adds what the labels that trained are worth against the scene's own, on these frames.
+void add_given_scores(MetricsRow& row, const Session& session, const std::vector<int>& frames) {
+  const ConfusionMatrix given = score_training_labels(session, frames);
+  row.set("given_miou", given.miou());
+  row.set("given_miou_present", given.miou_present());
+  row.set("given_total_accuracy", given.total_accuracy());
+  row.set("given_px", static_cast<double>(given.scored_px()));
+}
+
 }  // namespace
+
+// Rows of metrics.jsonl from the losses of steps: one every report.log_every_steps, with means since the row before.
+class StepRows {
+ public:
+  // Borrows; `train_s`: seconds of training so far.
+  StepRows(const Session& session, double train_s) : session_(session), window_start_s_(train_s) {}
+
+  // Steps from `step` to the next row.
+  std::int64_t steps_until_row(std::int64_t step) const {
+    const std::int64_t every = session_.config.report.log_every_steps;
+    return every - step % every;
+  }
+
+  // The row that step `step` completes, if it does. To be called for every step; `train_s` is of now.
+  std::optional<MetricsRow> add(const StepLosses& losses, std::int64_t step, double train_s) {
+    const RunConfig& config = session_.config;
+    mse_sum_ += losses.mse;
+    ++steps_;
+    if (step % config.report.log_every_steps != 0 && step != last_step(config)) return std::nullopt;
+    const double span = std::max(train_s - window_start_s_, 1e-9);
+    MetricsRow row;
+    row.step = step;
+    row.train_s = train_s;
+    row.set("loss", losses.total);
+    row.set("loss_color", losses.color);
+    if (session_.pipeline->has_semantics()) row.set("loss_semantic", losses.semantic);
+    const std::vector<LossEntry>& terms = config.losses;
+    for (std::size_t i = 0; i < terms.size(); ++i) {  // without a value while the term has not begun
+      row.set("loss_" + terms[i].type, (losses.active >> i & 1U) != 0 ? std::optional(losses.terms[i]) : std::nullopt);
+    }
+    row.set("psnr", -10 * std::log10(mse_sum_ / static_cast<double>(steps_)));
+    row.set("rays_per_s", static_cast<double>(steps_ * config.train.rays) / span);
+    row.set("samples_per_ray", static_cast<double>(losses.samples) / static_cast<double>(config.train.rays));
+    mse_sum_ = 0;
+    steps_ = 0;
+    window_start_s_ = train_s;
+    return row;
+  }
+
+  // Seconds that were training and no steps: they do not count for rays_per_s.
+  void leave_out(double seconds) { window_start_s_ += seconds; }
+
+ private:
+  const Session& session_;
+  double mse_sum_ = 0, window_start_s_ = 0;
+  std::int64_t steps_ = 0;
+};
+
+// What a run scores: a sample of test frames now and then, test and training frames at its end. A stop signal ends a
+// sample between its frames.
+class RunScores {
+ public:
+  RunScores(const Training& training, const RunFolder& folder, MetricsLog& log, EventWriter& events,
+            RunListener& listener)
+      : training_(training),
+        folder_(folder),
+        log_(log),
+        events_(events),
+        listener_(listener),
+        start_s_(training.train_s()),
+        budget_(session().config.report.eval_share, end_s(session().config)),
+        test_(session().scene.frames_of(Split::test)) {}
+
+  // A row of metrics.jsonl for `report.eval_frames` test frames; none when a stop came between them, or when
+  // evaluations took their part of the time already.
+  void score_sample() {
+    if (test_.empty() || !budget_.has_time_for_sample(training_.train_s() - start_s_)) return;
+    EvalJob job = session().eval_job(evenly_spaced(test_, session().config.report.eval_frames));
+    if (!sample_stride_) {
+      if (budget_.bounds_samples()) measure_cost(job);
+      sample_stride_ = budget_.sample_stride(static_cast<double>(pixels_of(job)), session().config.report.eval_every_s,
+                                             most_stride(job, kLeastMap_px));
+    }
+    job.stride = *sample_stride_;
+    job.stop = [this] { return listener_.stop_signal() != 0; };
+    const SplitScore found = score(job, Split::test);
+    if (found.frames.size() < job.frames.size()) return;  // stopped between frames: no partial figures
+    const ScoredPart part{std::ssize(job.frames), std::ssize(test_), job.stride};
+    log_test(part, found);
+  }
+
+  // The end of training: a sample where there are others, then test frames with final_eval.json and the report's
+  // frames, then training frames. Where time is short, every frame at fewer pixels. Values of the test frames; none
+  // without any.
+  ScoreValues score_end() {
+    const ReportParams& report = session().config.report;
+    if (report.eval_every_s > 0 && training_.train_s() >= report.eval_every_s)
+      score_sample();  // the curve's last point
+    EvalJob test_job = session().eval_job(test_),
+            train_job = session().eval_job(
+                evenly_spaced(session().scene.frames_of(Split::train), session().config.report.training_frames));
+    double left_s = budget_.left_s(training_.train_s());
+    if (budget_.bounds_last() && !(test_.empty() && train_job.frames.empty())) {
+      measure_cost(test_.empty() ? train_job : test_job);
+      left_s = budget_.left_s(training_.train_s());
+      const auto pixels = static_cast<double>(pixels_of(test_job) + pixels_of(train_job));
+      // Frames are left out by no budget: figures of other frames say something else. Pictures get half of it.
+      const std::int32_t most = std::min(most_stride(test_job, kLeastLast_px), most_stride(train_job, kLeastLast_px));
+      if (budget_.stride_within(left_s, pixels, most) > 1)
+        test_job.stride = train_job.stride = budget_.stride_within(left_s / 2, pixels, most);
+    }
+    ScoreValues values;
+    if (!test_.empty()) values = score_test_frames(test_job, left_s / 2);
+    if (train_job.frames.empty()) return values;
+    // The field at the training poses against the scene's own labels, then the labels given.
+    train_job.given = &session().labels;
+    const ScoredPart part{std::ssize(train_job.frames), std::ssize(session().scene.frames_of(Split::train)),
+                          train_job.stride};
+    MetricsRow row = score_row(training_.step(), training_.train_s(), "train", part, score(train_job, Split::train),
+                               session().scene.info.classes);
+    add_given_scores(row, session(), train_job.frames);
+    log_.append(row);
+    log_.sync();
+    return values;
+  }
+
+  std::optional<double> last_miou_present;
+  ScoredPart last_part;  // of the test frames scored last
+  ReportFrames report_frames;
+
+ private:
+  const Session& session() const { return training_.session(); }
+
+  // What a pixel costs, from a few of the job's, unless an evaluation showed it already.
+  void measure_cost(EvalJob job) {
+    if (budget_.knows_cost()) return;
+    job.frames = evenly_spaced(job.frames, 1);
+    const std::int32_t most = most_stride(job, kLeastMap_px);
+    while (job.stride < most && pixels_of(job) > kProbe_px) ++job.stride;
+    const double begin_s = listener_.now_s();
+    evaluate(*session().pipeline, job, session().limits, session().plan.class_of_logit);
+    budget_.spend(listener_.now_s() - begin_s, static_cast<double>(pixels_of(job)));
+  }
+
+  SplitScore score(EvalJob job, Split split) {
+    job.progress = [&](double done) { listener_.scoring({name_of(split), done, std::ssize(job.frames)}); };
+    const double begin_s = listener_.now_s();
+    SplitScore found = evaluate(*session().pipeline, job, session().limits, session().plan.class_of_logit);
+    job.frames.resize(found.frames.size());
+    if (!job.frames.empty()) budget_.spend(listener_.now_s() - begin_s, static_cast<double>(pixels_of(job)));
+    return found;
+  }
+
+  void log_test(const ScoredPart& part, const SplitScore& score) {
+    const MetricsRow row =
+        score_row(training_.step(), training_.train_s(), "test", part, score, session().scene.info.classes);
+    log_.append(row);
+    log_.sync();
+    // One tag a meaning: a sample's figures are not those of the split.
+    const std::string tag = part.whole() ? "eval/" : "eval_sample/";
+    for (const auto& [name, value] : row.values) {
+      if (value) events_.scalar(tag + name, row.step, *value, unix_seconds());
+    }
+    last_miou_present = score.confusion.miou_present();
+    last_part = part;
+  }
+
+  // `pictures_s`: what the report's pictures may take where the scores do not make them.
+  ScoreValues score_test_frames(EvalJob job, double pictures_s) {
+    const ScoredPart part{std::ssize(job.frames), std::ssize(test_), job.stride};
+    if (!part.whole())
+      listener_.note(
+          fmt::format("the last evaluation scores {} to end near the time asked for (report.eval_share {}); "
+                      "`semfield eval {}` scores every pixel",
+                      part.text(), session().config.report.eval_share, shell_word(folder_.path())));
+    report_frames =
+        ReportFrames(evenly_spaced(job.frames, session().config.report.strips), session().config.report.worst_frames);
+    job.on_frame = [this](const FrameScore& frame, const RenderedFrame& maps) { report_frames.add(frame, maps); };
+    const SplitScore found = score(job, Split::test);
+    if (part.stride > 1) draw_report_frames(pictures_s, part.stride);
+    log_test(part, found);
+    if (const std::string warning = found.resolution.warning(); !warning.empty()) listener_.note("warning: " + warning);
+    const std::string split = part.whole() ? "test" : "test" + kSampleSuffix;
+    write_final_eval(folder_, final_eval(found, session().scene.info.classes, split), training_.step(),
+                     training_.train_s());
+    return found.values();
+  }
+
+  // Finer than the scores, where the time allows it.
+  void draw_report_frames(double budget_s, std::int32_t scored_stride) {
+    EvalJob job = session().eval_job(report_frames.frames());
+    job.stride = budget_.stride_within(budget_s, static_cast<double>(pixels_of(job)), scored_stride);
+    if (job.stride == scored_stride) return;
+    report_frames.draw([&](int frame) {
+      const FrameInfo& info = session().scene.info.frames[static_cast<std::size_t>(frame)];
+      FrameOptions options;
+      options.stride = job.stride;
+      return render_named_frame(*session().pipeline, info.name, {info.camera, info.world_from_camera, job.undistort},
+                                session().limits, session().plan.class_of_logit, {}, options);
+    });
+  }
+
+  const Training& training_;
+  const RunFolder& folder_;
+  MetricsLog& log_;
+  EventWriter& events_;
+  RunListener& listener_;
+  double start_s_;
+  EvalBudget budget_;
+  std::vector<int> test_;
+  std::optional<std::int32_t> sample_stride_;
+};
 
 std::optional<RunConfig> settings_of_checkpoint(const CheckpointFacts& facts, Registry& registry) {
   try {
@@ -358,10 +629,10 @@ Run::Run(OpenedForTraining opened, Registry& registry, const TrainRequest& reque
     // Rows past the step taken up (all of them, for a run killed before its first checkpoint) are dropped.
     log_.emplace(MetricsLog::resume(folder_->metrics_path(), training_.step()));
   }
-  step_rows_.emplace(session(), training_.train_s());
+  step_rows_ = std::make_unique<StepRows>(session(), training_.train_s());
   if (driver_ != Driver::command) return;
   events_.emplace(folder_->path(), unix_seconds());
-  scores_.emplace(session(), ScoreFiles{*folder_, *log_, *events_}, listener_, moment());
+  scores_ = std::make_unique<RunScores>(training_, *folder_, *log_, *events_, listener_);
   const double every_s = session().config.report.eval_every_s;
   next_eval_s_ = every_s > 0 ? (std::floor(training_.train_s() / every_s) + 1) * every_s : INFINITY;
   if (!request.resume) return;
@@ -379,6 +650,8 @@ Run::Run(OpenedForTraining opened, Registry& registry, const TrainRequest& reque
         fmt::format("the run has come to its end, {} steps: it is scored again, not trained; to train on: `{}`",
                     training_.step(), train_on_words(run_dir(), training_.train_s())));
 }
+
+Run::~Run() = default;
 
 void Run::write_records(const RunFolder& folder) {
   classes_written_ = named_classes(session().scene.info.classes).to_yaml();
@@ -442,7 +715,7 @@ std::span<const StepLosses> Run::advance(std::int64_t most) {
     }
     if (scores_ && training_.train_s() >= next_eval_s_) {
       next_eval_s_ += session().config.report.eval_every_s;
-      scores_->score_sample(moment());
+      scores_->score_sample();
     }
     if (driver_ != Driver::command) return made;
     if (save_is_due()) save();
@@ -496,8 +769,8 @@ void Run::report_progress(const StepLosses& losses, const MetricsRow& row) {
   p.psnr = *row.get("psnr");
   p.rays_per_s = *row.get("rays_per_s");
   if (scores_) {
-    p.miou_present = scores_->last_miou_present();
-    p.scored = scores_->last_part();
+    p.miou_present = scores_->last_miou_present;
+    p.scored = scores_->last_part;
   }
   p.train_s = training_.train_s();
   const double per_step = p.train_s / static_cast<double>(std::max<std::int64_t>(p.step, 1));
@@ -605,7 +878,7 @@ bool Run::apply(const LabelEvent& event) {
 }
 
 TrainOutcome Run::finish() {
-  SEMFIELD_CHECK(scores_.has_value(), "a run that is driven by Driver::command ends so");
+  SEMFIELD_CHECK(scores_ != nullptr, "a run that is driven by Driver::command ends so");
   const WorkScope scope(work_);
   const double start_s = training_.train_s();
   TrainOutcome outcome;
@@ -618,16 +891,15 @@ TrainOutcome Run::finish() {
     listener_.stop_waits(false);
     outcome.signal = listener_.stop_signal();
     if (outcome.signal == 0) {
-      outcome.values = scores_->score_end(moment());
-      outcome.scored = scores_->last_part();
+      outcome.values = scores_->score_end();
+      outcome.scored = scores_->last_part;
     }
     outcome.step = training_.step();
     outcome.train_s = training_.train_s();
     outcome.trained_s = training_.train_s() - start_s;
     outcome.run_dir = run_dir();
     outcome.peak_bytes = peak_resident_bytes();
-    if (outcome.signal == 0)
-      outcome.report_path = listener_.write_report(*folder_, session(), scores_->report_frames());
+    if (outcome.signal == 0) outcome.report_path = listener_.write_report(*folder_, session(), scores_->report_frames);
   } catch (Error& error) {
     add_what_is_left(error);
     throw;
@@ -651,6 +923,43 @@ TrainOutcome run_training(RunConfig config, Registry& registry, TrainRequest req
   request.driver = Driver::command;
   Run run(std::move(config), registry, request, listener);
   return run.ended() ? *run.ended() : run.finish();
+}
+
+std::string keep_scores(const OpenedRun& run, const std::string& split, const SplitScore& score,
+                        const SplitScore* refined, const Diagnostics& found) {
+  // Figures of other data or settings are not the run's.
+  for (const Diagnostic& finding : found.all())
+    if (finding.code == "run.scene.changed" || finding.code == "run.config.settings") return finding.message;
+  const ClassTable& classes = run.session.scene.info.classes;
+  const std::int64_t frames = std::ssize(score.frames);
+  MetricsRow row = score_row(run.step, run.train_s, split, {frames, frames, 1}, score, classes);
+  if (refined != nullptr) row.set("psnr_refined_poses", refined->color.psnr_db());
+  if (split == "train") {
+    std::vector<int> all;
+    for (const FrameScore& frame : score.frames) all.push_back(frame.frame);
+    add_given_scores(row, run.session, all);
+  }
+  try {
+    const RunFolder folder = RunFolder::resume(run.run_dir);  // nobody trains it meanwhile
+    const std::vector<CheckpointStore::Entry> saved = CheckpointStore::read(folder.checkpoints_path()).list();
+    if (saved.empty() || saved.front().step != run.step) return "the run has gone on since it was opened";
+    const bool logged = std::filesystem::exists(folder.metrics_path());
+    const std::vector<MetricsRow> rows = logged ? read_metrics(folder.metrics_path()) : std::vector<MetricsRow>();
+    const std::string line = metrics_line(row);
+    const auto last = std::find_if(rows.rbegin(), rows.rend(), [&](const MetricsRow& old) {
+      return old.kind == "eval" && old.split.starts_with(split);
+    });
+    if (last == rows.rend() || metrics_line(*last) != line) {
+      MetricsLog log = MetricsLog::resume(folder.metrics_path(), std::numeric_limits<std::int64_t>::max());
+      log.append(row);
+      log.sync();
+    }
+    if (split != "test") return {};
+    write_final_eval(folder, final_eval(score, classes, split), run.step, run.train_s);
+  } catch (const Error& error) {
+    return error.message();
+  }
+  return {};
 }
 
 }  // namespace semfield

@@ -5,6 +5,7 @@
 #include <chrono>
 #include <cstdint>
 #include <deque>
+#include <memory>
 #include <optional>
 #include <span>
 #include <string>
@@ -89,6 +90,8 @@ struct TrainOutcome {
 TrainOutcome run_training(RunConfig config, Registry& registry, TrainRequest request, RunListener* listener = nullptr);
 
 struct OpenedForTraining;
+class RunScores;
+class StepRows;
 
 /// Steps have the same bits whoever drives, and every verb works on the folder. One thread at a time.
 class Run {
@@ -101,6 +104,8 @@ class Run {
   /// another run.
   Run(RunConfig config, Registry& registry, const TrainRequest& request, RunListener* listener,
       TrainingListener* opening = nullptr);
+
+  ~Run();
 
   Training& training() { return training_; }
   const Training& training() const { return training_; }
@@ -156,7 +161,6 @@ class Run {
   void write_label_counts(const RunFolder& folder) const;
   std::string write_checkpoint(CheckpointStore& store, MetricsLog& log);
   std::string save_without_folder(const std::string& place);
-  RunScores::Moment moment() const { return {training_.step(), training_.train_s()}; }
 
   Registry& registry_;
   RunListener nobody_;
@@ -169,11 +173,11 @@ class Run {
   WorkSettings work_;
   SelfTraining self_training_;
   std::optional<CheckpointStore> checkpoints_;
-  std::optional<StepRows> step_rows_;
+  std::unique_ptr<StepRows> step_rows_;
   std::deque<MetricsRow> waiting_;  // rows to write; without a folder all rows
   std::optional<MetricsLog> log_;
   std::optional<EventWriter> events_;
-  std::optional<RunScores> scores_;
+  std::unique_ptr<RunScores> scores_;
   std::optional<Annotations> annotations_;
   std::optional<ClickLog> clicks_;
   std::string classes_written_;        // what classes.yaml holds

@@ -90,77 +90,13 @@ class ReportFrames {
   Kept strips_, worst_;
 };
 
-/// The run's files that scores go into.
-struct ScoreFiles {
-  const RunFolder& folder;
-  MetricsLog& log;
-  EventWriter& events;
-};
-
 using ScoreValues = std::vector<std::pair<std::string, std::optional<double>>>;
-
-class RunScores {
- public:
-  /// The state of training that is scored.
-  struct Moment {
-    std::int64_t step = 0;
-    double train_s = 0;
-  };
-
-  /// `session`, `listener` and what `files` names must outlive the object. The listener is called as in a
-  /// training; a stop signal ends a sample between its frames.
-  RunScores(const Session& session, const ScoreFiles& files, RunListener& listener, const Moment& start);
-
-  /// A row of metrics.jsonl for `report.eval_frames` test frames; none when a stop came between them, or when
-  /// evaluations took their part of the time already.
-  void score_sample(const Moment& at);
-  /// The end of training: a sample where there are others, then test frames with final_eval.json and the report's
-  /// frames, then training frames. Where time is short, every frame at fewer pixels. Values of the test frames; none
-  /// without any.
-  ScoreValues score_end(const Moment& at);
-
-  std::optional<double> last_miou_present() const { return last_miou_present_; }
-  /// Of the test frames scored last.
-  const ScoredPart& last_part() const { return last_part_; }
-  const ReportFrames& report_frames() const { return report_frames_; }
-
- private:
-  // What a pixel costs, from a few of the job's, unless an evaluation showed it already.
-  void measure_cost(EvalJob job);
-  SplitScore score(EvalJob job, Split split);
-  void log_test(const Moment& at, const ScoredPart& part, const SplitScore& score);
-  // `pictures_s`: what the report's pictures may take where the scores do not make them.
-  ScoreValues score_test_frames(const Moment& at, EvalJob job, double pictures_s);
-  // Finer than the scores, where the time allows it.
-  void draw_report_frames(double budget_s, std::int32_t scored_stride);
-
-  const Session& session_;
-  ScoreFiles files_;
-  RunListener& listener_;
-  Moment start_;
-  EvalBudget budget_;
-  std::vector<int> test_;
-  std::optional<std::int32_t> sample_stride_;
-  std::optional<double> last_miou_present_;
-  ScoredPart last_part_;
-  ReportFrames report_frames_;
-};
-
-/// A row of metrics.jsonl for a scored part of `split`, "test" or "train".
-MetricsRow score_row(std::int64_t step, double train_s, const std::string& split, const ScoredPart& part,
-                     const SplitScore& score, const ClassTable& classes);
-
-/// Adds what the labels that trained are worth against the scene's own, on these frames.
-void add_given_scores(MetricsRow& row, const Session& session, const std::vector<int>& frames);
 
 /// Keeps the scores of every pixel of a split where reports look for them: a row of metrics.jsonl, and for test frames
 /// final_eval.json. Scores that are there already stay. `refined`: the same frames once more with poses fitted to the
 /// field, or null. `found`: what opening the run had to say. Returns why nothing was kept; "" otherwise.
 std::string keep_scores(const OpenedRun& run, const std::string& split, const SplitScore& score,
                         const SplitScore* refined, const Diagnostics& found);
-
-/// Seconds since 1970, for events.
-double unix_seconds();
 
 // Whether two runs are the same training: settings, scene and every bit of their newest checkpoints.
 

@@ -32,14 +32,12 @@ auto make(const Kind32& maker32, const Kind64& maker64, const PluginSlot& slot, 
 }
 
 EncoderBuild encoder_build(const SceneExtent& extent, bool is_direction, Device device) {
-  EncoderBuild build;
-  build.device = device;
-  build.is_direction = is_direction;
   const Vec3d size = extent.bounds.empty() ? Vec3d{} : extent.bounds.size();
   // Contracted, the bounds take half of an encoder's cube.
-  build.extent_m = (extent.contracted ? 2 : 1) * std::max({size.x, size.y, size.z});
-  build.pixel_footprint_m = extent.pixel_footprint_m;
-  return build;
+  return {.device = device,
+          .is_direction = is_direction,
+          .extent_m = (extent.contracted ? 2 : 1) * std::max({size.x, size.y, size.z}),
+          .pixel_footprint_m = extent.pixel_footprint_m};
 }
 
 template <class Real>
@@ -109,11 +107,11 @@ std::unique_ptr<BranchParts<Real>> make_branch(const BranchSlots& branch, const 
   }
   parts->domain = DomainMap::make(parts->position->traits().domain, build.extent.bounds,
                                   build.config.rendering.scene_scale, build.extent.contracted);
-  FieldBuild field;
-  field.device = build.device;
-  field.position_dims = parts->position->traits().out_dims + (branch.rules.reads_feature ? feature_dims : 0);
-  field.feature_only = true;
-  field.precision = build.config.runtime.precision;
+  const FieldBuild field{
+      .device = build.device,
+      .position_dims = parts->position->traits().out_dims + (branch.rules.reads_feature ? feature_dims : 0),
+      .feature_only = true,
+      .precision = build.config.runtime.precision};
   parts->field =
       make<Real>(branch.field.entry->field32, branch.field.entry->field64, branch.field, field, build.registry);
   return parts;
@@ -133,11 +131,7 @@ HeadParts<Real> make_head(const HeadConfig& head, const PassBuild& build, std::i
 template <class Real>
 std::unique_ptr<Sampler<Real>> make_sampler(const PluginSlot& slot, const Registry& registry, const SceneExtent& extent,
                                             Device device) {
-  SamplerBuild build;
-  build.device = device;
-  build.bounds = extent.bounds;
-  build.near_m = extent.near_m;
-  build.far_m = extent.far_m;
+  const SamplerBuild build{.device = device, .bounds = extent.bounds, .near_m = extent.near_m, .far_m = extent.far_m};
   return make<Real>(slot.entry->sampler32, slot.entry->sampler64, slot, build, registry);
 }
 
@@ -338,13 +332,11 @@ BuildRequest build_request(const RunConfig& config, const Registry& registry, co
 
 SceneExtent extent_of(const RunConfig& config, double pixel_footprint_m) {
   const std::vector<double>& b = config.load.bounds;
-  SceneExtent extent;
-  extent.bounds = {{b[0], b[1], b[2]}, {b[3], b[4], b[5]}};
-  extent.near_m = config.load.near_m;
-  extent.far_m = config.load.far_m;
-  extent.pixel_footprint_m = pixel_footprint_m;
-  extent.contracted = config.rendering.outside == Outside::contracted;
-  return extent;
+  return {{{b[0], b[1], b[2]}, {b[3], b[4], b[5]}},
+          config.load.near_m,
+          config.load.far_m,
+          pixel_footprint_m,
+          config.rendering.outside == Outside::contracted};
 }
 
 std::vector<std::string> choose_from_scene(RunConfig& config, const SceneExtent& extent, Device device) {

@@ -185,7 +185,7 @@ __global__ void __launch_bounds__(kThreads)
   if (batches.label != nullptr) of_step(batches.label, batches.stride, blockIdx.y)[row] = drawn.label;
   if (batches.camera != nullptr)
     of_step(batches.camera, batches.stride, blockIdx.y)[row] = static_cast<float>(drawn.frame);
-  if (batches.alpha != nullptr) {  // as RaySource::alpha_of
+  if (batches.alpha != nullptr) {  // as RaySource::write_row
     const bool known = frame.has_alpha && drawn.group != 0;
     of_step(batches.alpha, batches.stride, blockIdx.y)[row] =
         known ? static_cast<float>(held.alpha[drawn.pixel]) / 255.0F : -1.0F;
