@@ -166,34 +166,22 @@ void for_blocks(View<const Real> raw, const F& f) {
   }
 }
 
-// The activation's value or slope, in place. Written so that NaN stays NaN.
+// The activation's value or, where `slope`, its slope, in place. Written so that NaN stays NaN.
 template <class Real>
-void truncated_exp(Real* x, std::int64_t n) {
-  for (std::int64_t i = 0; i < n; ++i) x[i] = x[i] > Real(kTruncExpMax) ? Real(kTruncExpMax) : x[i];
-  exp_inplace(x, n);
-}
-template <class Real>
-void value_inplace(DensityActivation activation, Real* x, std::int64_t n) {
+void activate_inplace(DensityActivation activation, bool slope, Real* x, std::int64_t n) {
   switch (activation) {
     case DensityActivation::relu:
-      for (std::int64_t i = 0; i < n; ++i) x[i] = x[i] < 0 ? Real(0) : x[i];
+      if (slope) {
+        for (std::int64_t i = 0; i < n; ++i) x[i] = x[i] > 0 ? Real(1) : Real(0);
+      } else {
+        for (std::int64_t i = 0; i < n; ++i) x[i] = x[i] < 0 ? Real(0) : x[i];
+      }
       return;
     case DensityActivation::softplus:
-      return softplus_inplace(x, n);
-    case DensityActivation::trunc_exp:
-      return truncated_exp(x, n);
-  }
-}
-template <class Real>
-void slope_inplace(DensityActivation activation, Real* x, std::int64_t n) {
-  switch (activation) {
-    case DensityActivation::relu:
-      for (std::int64_t i = 0; i < n; ++i) x[i] = x[i] > 0 ? Real(1) : Real(0);
-      return;
-    case DensityActivation::softplus:
-      return sigmoid_inplace(x, n);
-    case DensityActivation::trunc_exp:
-      return truncated_exp(x, n);
+      return slope ? sigmoid_inplace(x, n) : softplus_inplace(x, n);
+    case DensityActivation::trunc_exp:  // its own slope
+      for (std::int64_t i = 0; i < n; ++i) x[i] = x[i] > Real(kTruncExpMax) ? Real(kTruncExpMax) : x[i];
+      return exp_inplace(x, n);
   }
 }
 
@@ -312,7 +300,7 @@ void density_forward(const DensityRule& rule, const Samples<Real>* samples, View
   if (rule.deviation > 0) add_density_noise<Real>(rule.random, rule.first_ray, samples->first, rule.deviation, raw);
   const auto per_m = static_cast<Real>(rule.per_m);
   for_blocks<Real>(raw, [&](Real* values, std::int64_t count, std::int64_t begin) {
-    value_inplace(rule.activation, values, count);
+    activate_inplace(rule.activation, false, values, count);
     for (std::int64_t i = 0; i < count; ++i) *sigma.row(begin + i) = values[i] * per_m;
   });
 }
@@ -322,7 +310,7 @@ void density_backward(const DensityRule& rule, View<const Real> raw, View<const 
   SEMFIELD_CHECK(raw.rows == d_sigma.rows && raw.rows == d_raw.rows, "density gradients differ in rows");
   const auto per_m = static_cast<Real>(rule.per_m);
   for_blocks<Real>(raw, [&](Real* values, std::int64_t count, std::int64_t begin) {
-    slope_inplace(rule.activation, values, count);
+    activate_inplace(rule.activation, true, values, count);
     for (std::int64_t i = 0; i < count; ++i) *d_raw.row(begin + i) = *d_sigma.row(begin + i) * values[i] * per_m;
   });
 }
