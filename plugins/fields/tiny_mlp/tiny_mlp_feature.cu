@@ -336,7 +336,7 @@ struct WeightCall {
   const __nv_bfloat16* dz = nullptr;
   const std::int32_t* live = nullptr;
   std::int64_t rows_a_range = 0;
-  std::int64_t start[kMostFeatureLayers + 1] = {};  // of a layer within the partial sums of a range: [in + 1, out]
+  std::int64_t start[kTinyFusedFeatureLayers + 1] = {};  // of a layer within the partial sums of a range: [in + 1, out]
   float* partial = nullptr;
 };
 

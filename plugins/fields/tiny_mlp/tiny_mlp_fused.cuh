@@ -633,9 +633,6 @@ unsigned resident_blocks(const void* kernel, int threads, std::size_t bytes);
 // bytes per number; weight gradients of all layers are another kernel over these, since a wide network's sums would not
 // stay in a block's registers.
 
-inline constexpr int kMostFeatureLayers = kTinyFusedFeatureLayers;
-inline constexpr int kMostFeatureWidth = kTinyFusedFeatureWidth;  // and numbers of a position
-
 /// Whether these kernels compute this network on the current device.
 bool feature_applies(const TinyMlpShape& shape);
 std::size_t feature_saved_bytes(const TinyMlpShape& shape, std::int64_t samples);
@@ -648,7 +645,7 @@ void feature_backward(const TinyMlpShape& shape, Workspace& arena, const Tensors
 /// The hidden layers' tensors [in, out], [1, out], or their gradients.
 template <class T>
 struct LayersOf {
-  View<T> weight[kMostFeatureLayers], bias[kMostFeatureLayers];
+  View<T> weight[kTinyFusedFeatureLayers], bias[kTinyFusedFeatureLayers];
   int count = 0;
 };
 
