@@ -18,33 +18,33 @@ struct Setup {
   const LawOptions& options;
 };
 
+enum class Of : std::uint8_t { outputs, gradients };
+
 // Within what the precision of the build allows.
 template <class A, class B>
-std::string close_outputs(const Setup& setup, View<const A> got, View<const B> want) {
-  const bool bf16 = setup.build.precision == Precision::bf16;
-  return compare<A, B>(got, want, bf16 ? setup.options.bf16_tolerance : setup.options.float_tolerance);
-}
-template <class A, class B>
-std::string close_gradients(const Setup& setup, View<const A> got, View<const B> want) {
-  return setup.build.precision == Precision::bf16
-             ? compare_norms<A, B>(got, want, setup.options.bf16_gradient_tolerance)
-             : compare<A, B>(got, want, setup.options.float_tolerance);
+std::string close(const Setup& setup, Of of, View<const A> got, View<const B> want) {
+  if (setup.build.precision != Precision::bf16) return compare(got, want, setup.options.float_tolerance);
+  return of == Of::gradients ? compare_norms(got, want, setup.options.bf16_gradient_tolerance)
+                             : compare(got, want, setup.options.bf16_tolerance);
 }
 
 // The same numbers from a part of a call (LawOptions::same_bits_in_parts).
 template <class Real>
-std::string same_outputs(const Setup& setup, View<const Real> got, View<const Real> want) {
+std::string same(const Setup& setup, Of of, View<const Real> got, View<const Real> want) {
   if constexpr (std::is_same_v<Real, float>) {
-    if (!setup.options.same_bits_in_parts) return close_outputs<Real, Real>(setup, got, want);
+    if (!setup.options.same_bits_in_parts) return close(setup, of, got, want);
   }
-  return compare_bits<Real>(got, want);
+  return compare_bits(got, want);
 }
-template <class Real>
-std::string same_gradients(const Setup& setup, View<const Real> got, View<const Real> want) {
-  if constexpr (std::is_same_v<Real, float>) {
-    if (!setup.options.same_bits_in_parts) return close_gradients<Real, Real>(setup, got, want);
-  }
-  return compare_bits<Real>(got, want);
+
+// match(got, want) of the outputs that are wanted; a sentence is noted as "<before><output><after>: ...".
+template <class A, class B, class Match>
+void compare_outputs(Failures& failures, const std::string& before, const std::string& after, const FieldBench<A>& got,
+                     const FieldBench<B>& want, const Match& match, Wanted wanted = {}) {
+  if (wanted.sigma) note_failure(failures, before + "sigma" + after, match(got.sigma.view(), want.sigma.view()));
+  if (wanted.rgb) note_failure(failures, before + "colour" + after, match(got.rgb.view(), want.rgb.view()));
+  if (wanted.feature)
+    note_failure(failures, before + "feature" + after, match(got.feature.view(), want.feature.view()));
 }
 
 template <class Real>
@@ -107,16 +107,9 @@ void check_wanted(const Field<Real>& field, const Setup& setup, Failures& failur
        {Wanted{true, false, false}, Wanted{false, true, false}, Wanted{true, false, true}, Wanted{true, true, false}}) {
     FieldBench<Real> part(field, setup.build, kFew, 0, setup.options);
     field.forward(part.ctx, part.box.values_only(), part.in(), part.out(wanted), {});
-    if (wanted.sigma)
-      note_failure(failures, "sigma with others unwanted",
-                   same_outputs<Real>(setup, part.sigma.view(), whole.sigma.view()));
-    if (wanted.rgb)
-      note_failure(failures, "colour with others unwanted",
-                   same_outputs<Real>(setup, part.rgb.view(), whole.rgb.view()));
-    if (wanted.feature) {
-      note_failure(failures, "feature with others unwanted",
-                   same_outputs<Real>(setup, part.feature.view(), whole.feature.view()));
-    }
+    compare_outputs(
+        failures, "", " with others unwanted", part, whole,
+        [&](auto got, auto want) { return same(setup, Of::outputs, got, want); }, wanted);
   }
 }
 
@@ -140,11 +133,10 @@ void check_split(const Field<Real>& field, const Setup& setup, Failures& failure
     field.backward(split.ctx, split.box.tensors(), part_in, part_out, part_weights, split.saved(),
                    part(split.d_position.view()));
   }
-  note_failure(failures, "split batch, sigma", same_outputs<Real>(setup, split.sigma.view(), whole.sigma.view()));
-  note_failure(failures, "split batch, colour", same_outputs<Real>(setup, split.rgb.view(), whole.rgb.view()));
-  note_failure(failures, "split batch, feature", same_outputs<Real>(setup, split.feature.view(), whole.feature.view()));
+  compare_outputs(failures, "split batch, ", "", split, whole,
+                  [&](auto got, auto want) { return same(setup, Of::outputs, got, want); });
   note_failure(failures, "split batch, d_position",
-               same_gradients<Real>(setup, split.d_position.view(), whole.d_position.view()));
+               same<Real>(setup, Of::gradients, split.d_position.view(), whole.d_position.view()));
 }
 
 void check_accumulation(const Field<double>& field, const Setup& setup, Failures& failures) {
@@ -187,16 +179,14 @@ void check_precision(const Field<float>& field32, const Field<double>& field64, 
   FieldBench<double> twin(field64, setup.build, kFew, 0, setup.options);
   single.step();
   twin.step();
-  const auto output = [&](const char* name, View<const float> got, View<const double> want) {
-    note_failure(failures, std::string("float against double, ") + name,
-                 close_outputs<float, double>(setup, got, want));
+  const auto close_gradients = [&](View<const float> got, View<const double> want) {
+    return close(setup, Of::gradients, got, want);
   };
-  const auto close = [&](View<const float> got, View<const double> want) { return close_gradients(setup, got, want); };
-  output("sigma", single.sigma.view(), twin.sigma.view());
-  output("colour", single.rgb.view(), twin.rgb.view());
-  output("feature", single.feature.view(), twin.feature.view());
-  note_failure(failures, "float against double, d_position", close(single.d_position.view(), twin.d_position.view()));
-  compare_learned(failures, "float against double, gradient of ", single.box, twin.box, close);
+  compare_outputs(failures, "float against double, ", "", single, twin,
+                  [&](auto got, auto want) { return close(setup, Of::outputs, got, want); });
+  note_failure(failures, "float against double, d_position",
+               close_gradients(single.d_position.view(), twin.d_position.view()));
+  compare_learned(failures, "float against double, gradient of ", single.box, twin.box, close_gradients);
 }
 
 // The same call again gives the same bits, sums over rows included.
@@ -205,9 +195,7 @@ void check_repeat(const Field<float>& field, const Setup& setup, Failures& failu
   FieldBench<float> again(field, setup.build, setup.options.many_rows, 0, setup.options);
   once.step();
   again.step();
-  note_failure(failures, "again, sigma", compare_bits<float>(again.sigma.view(), once.sigma.view()));
-  note_failure(failures, "again, colour", compare_bits<float>(again.rgb.view(), once.rgb.view()));
-  note_failure(failures, "again, feature", compare_bits<float>(again.feature.view(), once.feature.view()));
+  compare_outputs(failures, "again, ", "", again, once, compare_bits<float>);
   note_failure(failures, "again, d_position", compare_bits<float>(again.d_position.view(), once.d_position.view()));
   compare_learned(failures, "again, gradient of ", again.box, once.box, same_sums<float>(setup.options));
 }

@@ -84,7 +84,7 @@ std::unique_ptr<PluginParams> make_params(const PluginEntry& entry, const Settin
   return params;
 }
 
-// Ways of building, and twins.
+// Ways of building.
 
 std::vector<EncoderBuild> encoder_builds(Device device) {
   std::vector<EncoderBuild> builds(2);
@@ -145,43 +145,6 @@ std::string text_of(const FieldBuild& build) {
 std::string text_of(const SamplerBuild&) { return {}; }
 
 std::string text_of(const HeadBuild& build) { return build.width == 1 ? "one column" : "several columns"; }
-
-Twins<Encoder<float>, Encoder<double>> make_twins(const Registry& registry, const std::string& name,
-                                                  const Settings& settings, const EncoderBuild& build) {
-  const PluginEntry& entry = registry.get(PluginKind::encoder, name);
-  const std::unique_ptr<PluginParams> params = make_params(entry, settings);
-  EncoderBuild on_cpu = build;
-  on_cpu.device = Device::cpu;
-  return {entry.encoder32(*params, build, registry.kernels()), entry.encoder64(*params, on_cpu, registry.kernels())};
-}
-
-Twins<Field<float>, Field<double>> make_twins(const Registry& registry, const std::string& name,
-                                              const Settings& settings, const FieldBuild& build) {
-  const PluginEntry& entry = registry.get(PluginKind::field, name);
-  const std::unique_ptr<PluginParams> params = make_params(entry, settings);
-  FieldBuild on_cpu = build;
-  on_cpu.device = Device::cpu;
-  on_cpu.precision = Precision::fp32;
-  return {entry.field32(*params, build, registry.kernels()), entry.field64(*params, on_cpu, registry.kernels())};
-}
-
-Twins<Sampler<float>, Sampler<double>> make_twins(const Registry& registry, const std::string& name,
-                                                  const Settings& settings, const SamplerBuild& build) {
-  const PluginEntry& entry = registry.get(PluginKind::sampler, name);
-  const std::unique_ptr<PluginParams> params = make_params(entry, settings);
-  SamplerBuild on_cpu = build;
-  on_cpu.device = Device::cpu;
-  return {entry.sampler32(*params, build, registry.kernels()), entry.sampler64(*params, on_cpu, registry.kernels())};
-}
-
-Twins<Head<float>, Head<double>> make_twins(const Registry& registry, const std::string& name, const Settings& settings,
-                                            const HeadBuild& build) {
-  const PluginEntry& entry = registry.get(PluginKind::head, name);
-  const std::unique_ptr<PluginParams> params = make_params(entry, settings);
-  HeadBuild on_cpu = build;
-  on_cpu.device = Device::cpu;
-  return {entry.head32(*params, build, registry.kernels()), entry.head64(*params, on_cpu, registry.kernels())};
-}
 
 // What a component says that it costs, against what its calls took.
 
@@ -314,10 +277,8 @@ class Inspector final : public ParamVisitor {
 };
 
 bool names_parameter(const Failures& refusals, const std::string& name) {
-  for (const std::string& refusal : refusals) {
-    if (refusal.find(name) != std::string::npos) return true;
-  }
-  return false;
+  return std::any_of(refusals.begin(), refusals.end(),
+                     [&](const std::string& refusal) { return refusal.find(name) != std::string::npos; });
 }
 
 void check_refusal(const PluginEntry& entry, const std::string& name, const std::string& value, Failures& failures) {

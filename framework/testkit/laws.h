@@ -8,6 +8,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <tuple>
 #include <type_traits>
 #include <vector>
 
@@ -140,6 +141,8 @@ struct Twins {
   std::unique_ptr<Float> single;
   std::unique_ptr<Double> oracle;
 };
+template <class Float, class Double>
+Twins(std::unique_ptr<Float>, std::unique_ptr<Double>) -> Twins<Float, Double>;
 
 /// For positions and for directions.
 std::vector<EncoderBuild> encoder_builds(Device device);
@@ -156,15 +159,30 @@ std::string text_of(const FieldBuild& build);
 std::string text_of(const SamplerBuild& build);
 std::string text_of(const HeadBuild& build);
 
+inline auto makers_for(const EncoderBuild&) {
+  return std::tuple(PluginKind::encoder, &PluginEntry::encoder32, &PluginEntry::encoder64);
+}
+inline auto makers_for(const FieldBuild&) {
+  return std::tuple(PluginKind::field, &PluginEntry::field32, &PluginEntry::field64);
+}
+inline auto makers_for(const SamplerBuild&) {
+  return std::tuple(PluginKind::sampler, &PluginEntry::sampler32, &PluginEntry::sampler64);
+}
+inline auto makers_for(const HeadBuild&) {
+  return std::tuple(PluginKind::head, &PluginEntry::head32, &PluginEntry::head64);
+}
+
 /// Throws what factories throw; a refusal is an Error.
-Twins<Encoder<float>, Encoder<double>> make_twins(const Registry& registry, const std::string& name,
-                                                  const Settings& settings, const EncoderBuild& build);
-Twins<Field<float>, Field<double>> make_twins(const Registry& registry, const std::string& name,
-                                              const Settings& settings, const FieldBuild& build);
-Twins<Sampler<float>, Sampler<double>> make_twins(const Registry& registry, const std::string& name,
-                                                  const Settings& settings, const SamplerBuild& build);
-Twins<Head<float>, Head<double>> make_twins(const Registry& registry, const std::string& name, const Settings& settings,
-                                            const HeadBuild& build);
+template <class Build>
+auto make_twins(const Registry& registry, const std::string& name, const Settings& settings, const Build& build) {
+  const auto [kind, single, oracle] = makers_for(build);
+  const PluginEntry& entry = registry.get(kind, name);
+  const std::unique_ptr<PluginParams> params = make_params(entry, settings);
+  Build on_cpu = build;
+  on_cpu.device = Device::cpu;
+  return Twins{(entry.*single)(*params, build, registry.kernels()),
+               (entry.*oracle)(*params, on_cpu, registry.kernels())};
+}
 
 /// The laws of a plugin of the registry.
 inline Failures encoder_laws(const Registry& registry, const std::string& name, const Settings& settings,
