@@ -28,11 +28,6 @@ BranchedHead<Real>::BranchedHead(const Head<Real>& head, const BranchParts<Real>
 }
 
 template <class Real>
-static FieldIn<Real> field_in(const BranchTrace<Real>& trace) {
-  return {.position = trace.input, .ray_of_sample = trace.samples.ray_of_sample};
-}
-
-template <class Real>
 BranchTrace<Real> BranchedHead<Real>::branch_forward(const StepContext& ctx, int lane,
                                                      const BranchCall<Real>& call) const {
   Workspace& arena = *ctx.workspace;
@@ -509,16 +504,6 @@ void Pass<Real>::density(const StepContext& ctx, View<const double> positions, V
     stages_->density_forward(rule, nullptr, raw, found);
     if (stages_->guard_density_at != nullptr) stages_->guard_density_at(places, raw, found);
   }
-}
-
-template <class Real>
-void Pass<Real>::observe(const StepContext& ctx, const DensityQuery<Real>& query) const {
-  if (parts_.sampler->traits().observes) parts_.sampler->observe(ctx, store_->tensors(sampler_), query);
-}
-
-template <class Real>
-void Pass<Real>::observe(const StepContext& ctx) const {
-  observe(ctx, [&](View<const double> positions, View<Real> sigma) { density(ctx, positions, sigma); });
 }
 
 template <class Real>

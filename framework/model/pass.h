@@ -111,6 +111,9 @@ class BranchedHead {
   }
 
  private:
+  static FieldIn<Real> field_in(const BranchTrace<Real>& trace) {
+    return {.position = trace.input, .ray_of_sample = trace.samples.ray_of_sample};
+  }
   BranchTrace<Real> branch_forward(const StepContext& ctx, int lane, const BranchCall<Real>& call) const;
   void run_network(const StepContext& ctx, int lane, BranchTrace<Real>& trace) const {
     branch_->field->forward(ctx, store_->tensors(field_, lane), field_in(trace), trace.out, trace.saved);
@@ -322,9 +325,13 @@ class Pass {
   void derive_backward(const StepContext& ctx) const;
   /// Density is asked for with ctx.workspace, or, where the sampler asks from several threads, with arenas of
   /// `queries`.
-  void observe(const StepContext& ctx, const DensityQuery<Real>& query) const;
+  void observe(const StepContext& ctx, const DensityQuery<Real>& query) const {
+    if (parts_.sampler->traits().observes) parts_.sampler->observe(ctx, store_->tensors(sampler_), query);
+  }
   /// The same with densities of this pass, one query after the other.
-  void observe(const StepContext& ctx) const;
+  void observe(const StepContext& ctx) const {
+    observe(ctx, [&](View<const double> positions, View<Real> sigma) { density(ctx, positions, sigma); });
+  }
   std::string status() const { return parts_.sampler->status(store_->tensors(sampler_)); }
 
   /// sigma [N, 1] after activation at world positions [N, 3].

@@ -89,17 +89,13 @@ void call_choose_for(Params& params, Device device, std::vector<std::string>& ch
 }
 template <class Params>
 std::string call_recognise(const std::string& path, Params& params) {
-  if constexpr (requires { recognise(path, params); })
-    return recognise(path, params);
-  else
-    return {};
+  if constexpr (requires { recognise(path, params); }) return recognise(path, params);
+  return {};
 }
 template <class Params>
 std::string call_preparation(const std::string& folder, const Params& params) {
-  if constexpr (requires { preparation(folder, params); })
-    return preparation(folder, params);
-  else
-    return {};
+  if constexpr (requires { preparation(folder, params); }) return preparation(folder, params);
+  return {};
 }
 }  // namespace plugin_detail
 

@@ -40,21 +40,6 @@ MlpField<Real>::MlpField(const FieldBuild& build, const KernelTables& kernels, s
     : net_(network_build(build, owner), kernels, owner), feature_only_(build.feature_only) {}
 
 template <class Real>
-FeatureForm MlpField<Real>::feature_form(std::int32_t hidden_width) const noexcept {
-  const bool whole_vectors = feature_.cols % 32 == 0 && hidden_width % 32 == 0;  // rows without padding
-  return net_.rounds() && whole_vectors ? FeatureForm::rounded : FeatureForm::full;
-}
-
-template <class Real>
-void MlpField<Real>::give(Rows sigma, Rows rgb, Rows feature) {
-  feature_ = feature;
-  net_.output(feature_only_ ? Rows() : sigma);
-  net_.output(feature_only_ ? Rows() : rgb);
-  net_.output(feature);
-  net_.seal();
-}
-
-template <class Real>
 void MlpField<Real>::do_forward(const StepContext& ctx, const Tensors<Real>& tensors, const FieldIn<Real>& in,
                                 const FieldOut<Real>& out, Saved saved) const {
   SEMFIELD_CHECK(ctx.workspace != nullptr, "a field needs a workspace");

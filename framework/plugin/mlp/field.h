@@ -19,7 +19,10 @@ template <class Real>
 class MlpField : public Field<Real> {
  public:
   FieldTraits traits() const noexcept override { return {feature_.cols, net_.graph().ray_dims > 0}; }
-  FeatureForm feature_form(std::int32_t hidden_width) const noexcept override;
+  FeatureForm feature_form(std::int32_t hidden_width) const noexcept override {
+    const bool whole_vectors = feature_.cols % 32 == 0 && hidden_width % 32 == 0;  // rows without padding
+    return net_.rounds() && whole_vectors ? FeatureForm::rounded : FeatureForm::full;
+  }
   std::size_t saved_bytes(std::int64_t samples, std::int64_t) const noexcept override {
     return net_.saved_bytes(samples);
   }
@@ -45,7 +48,13 @@ class MlpField : public Field<Real> {
   Rows layer(const LayerSpec& spec) { return net_.layer(spec); }
   /// The network's outputs: density before its activation [M, 1], colour in (0, 1) [M, 3], and what the semantic head
   /// reads, a function of the position alone.
-  void give(Rows sigma, Rows rgb, Rows feature);
+  void give(Rows sigma, Rows rgb, Rows feature) {
+    feature_ = feature;
+    net_.output(feature_only_ ? Rows() : sigma);
+    net_.output(feature_only_ ? Rows() : rgb);
+    net_.output(feature);
+    net_.seal();
+  }
 
   void do_forward(const StepContext& ctx, const Tensors<Real>& tensors, const FieldIn<Real>& in,
                   const FieldOut<Real>& out, Saved saved) const override;

@@ -116,26 +116,6 @@ OccupancyGrid<Real>::OccupancyGrid(const OccupancyGridParams& params, const Samp
 }
 
 template <class Real>
-SamplerTraits OccupancyGrid<Real>::traits() const noexcept {
-  SamplerTraits traits;
-  traits.single_pass = true;
-  traits.observes = true;
-  traits.keeps_to_room = true;
-  traits.empty_space = params_.skip == SkipRule::certified   ? EmptySpace::certified
-                       : params_.skip == SkipRule::threshold ? EmptySpace::threshold
-                                                             : EmptySpace::sampled;
-  return traits;
-}
-
-template <class Real>
-void OccupancyGrid<Real>::declare(ParamDeclarer& declarer) const {
-  declarer.tensor({"density", geometry_.cells(), 1, Init::constant(-1), TensorRole::state});
-  declarer.tensor({"empty_bits", geometry_.cells() / kBitsPerElement, 1, Init::constant(1), TensorRole::state});
-  declarer.tensor({"block_bound", geometry_.blocks(), 1, Init::constant(kUnbounded), TensorRole::state});
-  declarer.tensor({"summary", 3, 1, Init::constant(0), TensorRole::state});
-}
-
-template <class Real>
 void OccupancyGrid<Real>::do_sample(const StepContext& ctx, const Tensors<Real>& tensors, const Rays<Real>& rays,
                                     const Proposal<Real>*, Samples<Real>& out) const {
   OccupancySampleArgs args;

@@ -52,9 +52,23 @@ template <class Real>
 class OccupancyGrid final : public Sampler<Real> {
  public:
   OccupancyGrid(const OccupancyGridParams& params, const SamplerBuild& build, const KernelTables& kernels);
-  SamplerTraits traits() const noexcept override;
+  SamplerTraits traits() const noexcept override {
+    SamplerTraits traits;
+    traits.single_pass = true;
+    traits.observes = true;
+    traits.keeps_to_room = true;
+    traits.empty_space = params_.skip == SkipRule::certified   ? EmptySpace::certified
+                         : params_.skip == SkipRule::threshold ? EmptySpace::threshold
+                                                               : EmptySpace::sampled;
+    return traits;
+  }
   std::int64_t capacity(std::int64_t rays, std::int64_t) const noexcept override { return rays * params_.max_samples; }
-  void declare(ParamDeclarer& declarer) const override;
+  void declare(ParamDeclarer& declarer) const override {
+    declarer.tensor({"density", geometry_.cells(), 1, Init::constant(-1), TensorRole::state});
+    declarer.tensor({"empty_bits", geometry_.cells() / kBitsPerElement, 1, Init::constant(1), TensorRole::state});
+    declarer.tensor({"block_bound", geometry_.blocks(), 1, Init::constant(kUnbounded), TensorRole::state});
+    declarer.tensor({"summary", 3, 1, Init::constant(0), TensorRole::state});
+  }
   void observe(const StepContext& ctx, const Tensors<Real>& tensors, const DensityQuery<Real>& query) const override;
   std::string status(const Tensors<Real>& tensors) const override;
   const OccupancyGeometry& geometry() const { return geometry_; }
