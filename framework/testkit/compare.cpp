@@ -164,19 +164,6 @@ TensorBox<Real>::TensorBox(const Parametric<Real>& component, std::uint64_t seed
   tensors_ = {value_views_, grad_views_};
 }
 
-template <class Real>
-void TensorBox<Real>::fill_grads(Real value) {
-  for (std::vector<Real>& grad : grads_) std::fill(grad.begin(), grad.end(), value);
-}
-
-template <class Real>
-void TensorBox<Real>::add_to_grads(Real value) {
-  for (std::size_t i = 0; i < grads_.size(); ++i) {
-    if (!learned(i)) continue;
-    for (Real& element : grads_[i]) element += value;
-  }
-}
-
 template class TensorBox<float>;
 template class TensorBox<double>;
 

@@ -131,9 +131,16 @@ class TensorBox {
   View<Real> grad(std::size_t index) const { return grad_views_[index]; }
   /// Trained by the optimiser.
   bool learned(std::size_t index) const { return is_learned(specs_[index].role); }
-  void fill_grads(Real value);
+  void fill_grads(Real value) {
+    for (std::vector<Real>& grad : grads_) std::fill(grad.begin(), grad.end(), value);
+  }
   /// grad += value of every learned tensor.
-  void add_to_grads(Real value);
+  void add_to_grads(Real value) {
+    for (std::size_t i = 0; i < grads_.size(); ++i) {
+      if (!learned(i)) continue;
+      for (Real& element : grads_[i]) element += value;
+    }
+  }
 
  private:
   std::vector<TensorSpec> specs_;

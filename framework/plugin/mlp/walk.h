@@ -79,7 +79,8 @@ class MlpWalk {
   State& at(const Rows& rows) { return states_[index(rows)]; }
   View<const Real> tensor(int i) const { return t_.value[static_cast<std::size_t>(i)]; }
   View<Real> grad_of(int i) const { return t_.grad[static_cast<std::size_t>(i)]; }
-  static View<Real> part_of(const MlpPart& part, View<Real> whole) {
+  template <class T>
+  static View<T> part_of(const MlpPart& part, View<T> whole) {
     return whole.row_range(part.weight.first, part.weight.rows);
   }
 
@@ -208,7 +209,7 @@ class MlpWalk {
       if (part.from.node != kRayInput) continue;
       const View<const Real> rows = g_.rays_once ? in_.rays : gathered_rays();
       const View<Real> term = arena_.template take<Real>(rows.rows, layer.width);
-      B::ray_product(rows, ray_weight(part), start, term, arena_);
+      B::ray_product(rows, part_of(part, tensor(part.weight.weight)), start, term, arena_);
       start = term;
       from_bias = false;
       if (g_.rays_once) row_of = in_.ray_of_sample;
@@ -233,9 +234,6 @@ class MlpWalk {
     }
   }
 
-  View<const Real> ray_weight(const MlpPart& part) const {
-    return tensor(part.weight.weight).row_range(part.weight.first, part.weight.rows);
-  }
   View<const Real> gathered_rays() {
     const View<Real> rows = arena_.template take<Real>(samples_, g_.ray_dims);
     B::gather(in_.rays, in_.ray_of_sample, rows);
