@@ -12,6 +12,8 @@
 
 namespace semfield::app {
 
+namespace fs = std::filesystem;
+
 struct AppContext {
   AppContext() { work.limits = &limits; }
   AppContext(const AppContext&) = delete;

@@ -192,8 +192,6 @@ void write_object_strip(const std::string& path, const StoredFrame& frame, const
   write_png_rgb(path, all, height, rgb);
 }
 
-namespace fs = std::filesystem;
-
 ObjectFiles::ObjectFiles(std::string folder, const FoundObjects& found, const SceneInfo& info)
     : folder_(std::move(folder)), found_(found), info_(info) {
   check_object_count(found.rows);

@@ -27,8 +27,6 @@
 
 namespace semfield::app {
 
-namespace fs = std::filesystem;
-
 namespace {
 
 constexpr int kLongestSide = 800;  // of images that train well on a few cores

@@ -16,8 +16,6 @@
 
 namespace semfield::app {
 
-namespace fs = std::filesystem;
-
 namespace {
 
 // To a thousandth of a room, whatever its unit.

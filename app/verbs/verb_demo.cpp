@@ -20,8 +20,6 @@
 
 namespace semfield::app {
 
-namespace fs = std::filesystem;
-
 namespace {
 
 constexpr const char* kOwnFolder = "runs/demo";

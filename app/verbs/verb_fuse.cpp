@@ -36,8 +36,6 @@ struct FuseOptions {
   std::string out;
 };
 
-namespace fs = std::filesystem;
-
 // The words of the command line over the section `fuse`.
 void apply(const FuseOptions& options, FusionParams& params) {
   if (!options.methods.empty()) params.methods = options.methods;

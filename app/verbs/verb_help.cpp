@@ -13,8 +13,6 @@ namespace semfield::app {
 
 namespace {
 
-namespace fs = std::filesystem;
-
 struct HelpOptions {
   std::vector<std::string> verb;
   std::string pages;  ///< copy of the tree's pages, in which those about the program are written

@@ -18,8 +18,6 @@ namespace semfield::app {
 
 namespace {
 
-namespace fs = std::filesystem;
-
 struct InitOptions {
   std::string folder, out, type;
   bool replace = false;

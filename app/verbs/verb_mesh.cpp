@@ -37,8 +37,6 @@ namespace semfield::app {
 
 namespace {
 
-namespace fs = std::filesystem;
-
 struct MeshOptions : SurfaceWishes {
   std::string run;
   std::string out;                   ///< default: mesh.ply in the run folder

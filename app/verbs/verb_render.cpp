@@ -49,8 +49,6 @@ namespace semfield::app {
 
 namespace {
 
-namespace fs = std::filesystem;
-
 struct ChannelWishes {
   std::string channel;  ///< of --channel; "": none
   std::string query;    ///< file of --query; "": none

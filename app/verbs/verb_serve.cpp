@@ -36,8 +36,6 @@ struct ServeOptions {
 
 #ifdef SEMFIELD_WITH_SERVE
 
-namespace fs = std::filesystem;
-
 class Told final : public RunListener {
  public:
   explicit Told(const AppContext& context) : context_(context) {}

@@ -10,8 +10,6 @@
 
 namespace semfield::python {
 
-namespace py = pybind11;
-
 namespace {
 
 // The tensor exchange that array libraries share (DLPack, version 0; its C structures are the interface).

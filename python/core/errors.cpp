@@ -10,8 +10,6 @@
 
 namespace semfield::python {
 
-namespace py = pybind11;
-
 namespace {
 
 const char* class_of(ErrorKind kind) {

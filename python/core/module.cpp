@@ -10,8 +10,6 @@
 #include "python/core/session.h"
 #include "run/run_folder.h"
 
-namespace py = pybind11;
-
 namespace semfield::python {
 
 namespace {

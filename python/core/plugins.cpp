@@ -24,8 +24,6 @@
 
 namespace semfield::python {
 
-namespace py = pybind11;
-
 // An object of Python that threads without the GIL may hold and drop.
 using Held = std::shared_ptr<py::object>;
 
