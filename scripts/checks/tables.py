@@ -2,23 +2,17 @@
 import datetime
 import hashlib
 import json
-import math
 import pathlib
 import statistics
 
+from docs_parts import half_width
+
 from . import common
 
-# 0.975 quantiles of Student's t for two to ten seeds.
-STUDENT = dict(enumerate((12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262), 2))
 ROOMS = ("living", "class", "room")
 EXACT = ("objects.damage.shuffle=true",)
 WORSE = (*EXACT, *(f"objects.damage.{what}" for what in ("split=0.2", "merge=0.2", "missing=0.2", "border_px=2")))
 CASES = {"exact": EXACT, "degraded": WORSE, "assignment": (*EXACT, "objects.method={type: assignment, slots: 160}")}
-
-
-def half_width(values):
-    """Half of the 95 % interval of a mean."""
-    return STUDENT[len(values)] * statistics.stdev(values) / math.sqrt(len(values))
 
 
 def measure_objects(options, room, case, seed):
