@@ -3,7 +3,6 @@
 
 #include <string>
 #include <vector>
-
 #include "app/app_context.h"
 
 namespace semfield::app {

@@ -5,7 +5,6 @@
 #include <cstdint>
 #include <string>
 #include <vector>
-
 #include "plugin/registry.h"
 
 namespace semfield::app {

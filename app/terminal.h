@@ -4,7 +4,6 @@
 #include <functional>
 #include <string>
 #include <vector>
-
 #include "app/app_context.h"
 
 namespace semfield::app {

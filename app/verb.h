@@ -8,9 +8,7 @@
 #include <optional>
 #include <string>
 #include <vector>
-
 #include "app/app_context.h"
-#include "config/params.h"
 #include "session/settings/choices.h"
 
 namespace CLI {

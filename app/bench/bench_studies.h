@@ -4,7 +4,6 @@
 #include <optional>
 #include <string>
 #include <vector>
-
 #include "app/app_context.h"
 
 namespace semfield::app {

@@ -7,7 +7,6 @@
 #include <memory>
 #include <string>
 #include <vector>
-
 #include "model/pass.h"
 #include "plugin/registry.h"
 

@@ -10,9 +10,6 @@
 
 #include "objects/find_objects.h"
 #include "objects/object_set.h"
-#include "objects/segments.h"
-#include "scene/scene.h"
-#include "system/files.h"
 
 namespace semfield::app {
 

@@ -1,6 +1,9 @@
 // Panoptic quality of a scene: objects and stuff of all scored images together, as one.
 #pragma once
 
+#include "objects/find_objects.h"
+#include "objects/segments.h"
+#include "session/settings/run_config.h"
 #include <cstdint>
 #include <map>
 #include <optional>
@@ -8,10 +11,6 @@
 #include <string>
 #include <utility>
 #include <vector>
-
-#include "objects/find_objects.h"
-#include "objects/segments.h"
-#include "session/settings/run_config.h"
 
 namespace semfield {
 

@@ -9,7 +9,6 @@
 #include <string>
 #include <string_view>
 #include <vector>
-
 #include "objects/find_objects.h"
 
 namespace semfield {

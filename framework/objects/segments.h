@@ -8,7 +8,6 @@
 #include <vector>
 
 #include "labels/clicks/annotations.h"
-#include "loading/frame_source.h"
 
 namespace semfield {
 

@@ -5,7 +5,6 @@
 #include <optional>
 #include <span>
 #include <vector>
-
 #include "scene/camera.h"
 
 namespace semfield {
