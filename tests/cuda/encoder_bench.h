@@ -10,13 +10,18 @@
 
 namespace semfield::testing {
 
-/// The encoder with the kernels of both devices.
-template <class Encoder, class Params>
-Encoder make_encoder(void (*kernels)(KernelTables&), const Params& params, std::int32_t dims, Device device) {
-  static const KernelTables tables = tables_of({kernels, cuda::add_plugin_kernels});
-  EncoderBuild build{.device = device, .in_dims = dims};
-  return Encoder(params, build, tables);
-}
+/// An encoder on the device and its float64 twin on the CPU.
+template <template <class> class Plugin>
+struct EncoderTwins {
+  template <class Params>
+  EncoderTwins(void (*kernels)(KernelTables&), const Params& params, std::int32_t dims = 3)
+      : tables(tables_of({kernels, cuda::add_plugin_kernels})),
+        device(params, {.device = Device::cuda, .in_dims = dims}, tables),
+        host(params, {.device = Device::cpu, .in_dims = dims}, tables) {}
+  KernelTables tables;
+  Plugin<float> device;
+  Plugin<double> host;
+};
 
 /// Coordinates with all bits of a double in use.
 inline std::vector<double> random_doubles(std::int64_t count, std::uint64_t seed, double low, double high) {
@@ -32,9 +37,10 @@ struct Strides {
 inline constexpr Strides kStrides[] = {{0, 0}, {1, 1}, {2, 5}};
 
 /// y and dx of both twins; errors relative to the largest value, of dx to the largest slope of any output.
-template <class Real32, class Real64>
-void expect_twins(const Real32& device, const Real64& host, const std::vector<double>& x, Strides strides,
-                  double tolerance, double dx_tolerance) {
+template <template <class> class Plugin>
+void expect_twins(const EncoderTwins<Plugin>& twins, const std::vector<double>& x, Strides strides, double tolerance,
+                  double dx_tolerance) {
+  const auto& [tables, device, host] = twins;
   const EncoderTraits traits = host.traits();
   const auto rows = static_cast<std::int64_t>(x.size()) / traits.in_dims;
   const std::vector<float> dy = random_floats(rows * traits.out_dims, 7, -1, 1);
@@ -63,23 +69,39 @@ void expect_twins(const Real32& device, const Real64& host, const std::vector<do
   EXPECT_EQ(launch.take_fault(), std::nullopt);
 }
 
-// A coordinate that cannot be encoded is noted with its first row, or thrown where faults are reported at once; every
-// value is finite all the same.
-inline void expect_fault_of(const Encoder<float>& encoder, double bad) {
-  std::vector<double> x = random_doubles(3 * 200, 1, -1, 1);
-  x[3 * 150 + 1] = bad;
-  x[3 * 77 + 2] = bad;
+/// The same for batches of many sizes, the largest of `most` rows, and of every stride; `x_of` gives their coordinates.
+template <template <class> class Plugin, class Coordinates>
+void expect_twins_of_any_size(const EncoderTwins<Plugin>& twins, const std::string& which, Coordinates&& x_of,
+                              double tolerance, double dx_tolerance, std::int64_t most = 4097) {
+  for (const std::int64_t rows :
+       {std::int64_t{0}, std::int64_t{1}, std::int64_t{31}, std::int64_t{33}, std::int64_t{64}, most}) {
+    for (const Strides strides : kStrides) {
+      SCOPED_TRACE(which + ", " + std::to_string(rows) + " rows, stride +" + std::to_string(strides.y));
+      expect_twins(twins, x_of(rows), strides, tolerance, dx_tolerance);
+    }
+  }
+}
+
+/// Coordinates that cannot be encoded are noted with their first row, or thrown where faults are reported at once;
+/// every value is finite all the same.
+inline void expect_fault_of(const Encoder<float>& encoder, const std::vector<double>& x, std::int64_t row) {
   const DeviceMatrix<double> x_device(x, 3);
-  const DeviceMatrix<float> y(200, encoder.traits().out_dims);
+  const DeviceMatrix<float> y(static_cast<std::int64_t>(x.size()) / 3, encoder.traits().out_dims);
   {
     DeviceLaunch launch;
     encoder.forward({}, {}, x_device.read_only(), y.view());
-    EXPECT_EQ(launch.take_fault(), (NotedFault{cuda::Stage::encoded_position, 77}));
+    EXPECT_EQ(launch.take_fault(), (NotedFault{cuda::Stage::encoded_position, row}));
     for (const float v : y.read()) ASSERT_TRUE(std::isfinite(v));
   }
   DeviceLaunch at_once(true);
   EXPECT_THROW(encoder.forward({}, {}, x_device.read_only(), y.view()), Error);
   EXPECT_EQ(at_once.take_fault(), std::nullopt);
+}
+inline void expect_fault_of(const Encoder<float>& encoder, double bad) {
+  std::vector<double> x = random_doubles(3 * 200, 1, -1, 1);
+  x[3 * 150 + 1] = bad;
+  x[3 * 77 + 2] = bad;
+  expect_fault_of(encoder, x, 77);
 }
 
 }  // namespace semfield::testing

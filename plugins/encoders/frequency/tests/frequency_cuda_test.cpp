@@ -7,11 +7,6 @@ namespace {
 
 using namespace testing;
 
-template <class Encoder, class Params>
-Encoder make(const Params& params, std::int32_t dims, Device device) {
-  return make_encoder<Encoder>(frequency_kernels, params, dims, device);
-}
-
 struct FrequencyCase {
   std::int32_t dims = 3;
   FrequencyParams params;
@@ -35,30 +30,26 @@ using CudaFrequency = testing::DeviceTest;
 
 TEST_F(CudaFrequency, FollowsItsTwinOnTheCpu) {
   for (const FrequencyCase& c : frequency_cases()) {
-    const auto device = make<Frequency<float>>(c.params, c.dims, Device::cuda);
-    const auto host = make<Frequency<double>>(c.params, c.dims, Device::cpu);
-    for (const std::int64_t rows : {0, 1, 31, 33, 64, c.dims == 3 ? 4097 : 137}) {
-      for (const Strides strides : kStrides) {
-        SCOPED_TRACE(std::to_string(c.dims) + " coordinates, " + std::to_string(c.params.frequencies) + " bands, " +
-                     std::to_string(rows) + " rows, stride +" + std::to_string(strides.y) + ", arithmetic " +
-                     std::to_string(static_cast<int>(c.params.arithmetic)));
-        // Values: half a unit in the last place of 4 (the input) and of the polynomials. dx: its bands add up to 2^L
-        // with errors of 1.2e-7 each.
-        expect_twins(device, host, random_doubles(rows * c.dims, 3, -4, 4), strides, 2.4e-7, 1e-6);
-      }
-    }
+    const EncoderTwins<Frequency> twins(frequency_kernels, c.params, c.dims);
+    const std::string which = std::to_string(c.dims) + " coordinates, " + std::to_string(c.params.frequencies) +
+                              " bands, arithmetic " + std::to_string(static_cast<int>(c.params.arithmetic));
+    // Values: half a unit in the last place of 4 (the input) and of the polynomials. dx: its bands add up to 2^L with
+    // errors of 1.2e-7 each.
+    expect_twins_of_any_size(
+        twins, which, [&](std::int64_t rows) { return random_doubles(rows * c.dims, 3, -4, 4); }, 2.4e-7, 1e-6,
+        c.dims == 3 ? 4097 : 137);
   }
 }
 
 TEST_F(CudaFrequency, TheHighestBandIsAsAccurateAsTheLowestFarFromTheOrigin) {
   const FrequencyParams params{40, false, Angular::radian, Arithmetic::float64};
-  expect_twins(make<Frequency<float>>(params, 3, Device::cuda), make<Frequency<double>>(params, 3, Device::cpu),
-               random_doubles(3 * 1000, 5, -1048576, 1048576), {}, 1.3e-7, 1e-6);
+  expect_twins(EncoderTwins<Frequency>(frequency_kernels, params), random_doubles(3 * 1000, 5, -1048576, 1048576), {},
+               1.3e-7, 1e-6);
 }
 
 TEST_F(CudaFrequency, CoordinatesThatCannotBeEncodedAreFaults) {
-  const auto encoder = make<Frequency<float>>(FrequencyParams{}, 3, Device::cuda);
-  for (const double bad : {std::nan(""), HUGE_VAL, -HUGE_VAL, 2147483648.0}) expect_fault_of(encoder, bad);
+  const EncoderTwins<Frequency> twins(frequency_kernels, FrequencyParams{});
+  for (const double bad : {std::nan(""), HUGE_VAL, -HUGE_VAL, 2147483648.0}) expect_fault_of(twins.device, bad);
 }
 
 }  // namespace
