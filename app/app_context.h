@@ -1,10 +1,11 @@
 // What every verb gets from the program. Results go to stdout, sentences to stderr.
 #pragma once
 
-#include "core/workspace.h"
 #include <filesystem>
 #include <memory>
 #include <string>
+
+#include "core/workspace.h"
 #include "execution/ranks/ranks.h"
 #include "plugin/registry.h"
 #include "session/settings/run_config.h"

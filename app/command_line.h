@@ -3,6 +3,7 @@
 
 #include <string>
 #include <vector>
+
 #include "app/app_context.h"
 
 namespace semfield::app {

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <string>
 #include <vector>
+
 #include "plugin/registry.h"
 
 namespace semfield::app {

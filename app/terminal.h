@@ -4,6 +4,7 @@
 #include <functional>
 #include <string>
 #include <vector>
+
 #include "app/app_context.h"
 
 namespace semfield::app {

@@ -8,7 +8,9 @@
 #include <optional>
 #include <string>
 #include <vector>
+
 #include "app/app_context.h"
+#include "config/params.h"
 #include "session/settings/choices.h"
 
 namespace CLI {

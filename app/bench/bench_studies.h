@@ -4,6 +4,7 @@
 #include <optional>
 #include <string>
 #include <vector>
+
 #include "app/app_context.h"
 
 namespace semfield::app {

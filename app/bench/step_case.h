@@ -7,6 +7,7 @@
 #include <memory>
 #include <string>
 #include <vector>
+
 #include "model/pass.h"
 #include "plugin/registry.h"
 

@@ -10,6 +10,9 @@
 
 #include "objects/find_objects.h"
 #include "objects/object_set.h"
+#include "objects/segments.h"
+#include "scene/scene.h"
+#include "system/files.h"
 
 namespace semfield::app {
 

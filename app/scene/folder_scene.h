@@ -8,6 +8,8 @@
 #include <vector>
 
 #include "app/app_context.h"
+#include "config/config_tree.h"
+#include "labels/training_labels.h"
 #include "loading/capture/fix_cameras.h"
 #include "loading/frame_source.h"
 #include "loading/packed_scene.h"

@@ -1,16 +1,17 @@
 // What a scene holds, as text and as JSON, and its cameras as a mesh.
 #pragma once
 
-#include "app/json_output.h"
-#include "app/terminal.h"
-#include "app/verb.h"
-#include "core/error.h"
-#include "loading/frame_source.h"
 #include <array>
 #include <memory>
 #include <optional>
 #include <string>
 #include <vector>
+
+#include "app/json_output.h"
+#include "app/terminal.h"
+#include "app/verb.h"
+#include "core/error.h"
+#include "loading/frame_source.h"
 #include "run/run_scores.h"
 
 namespace semfield::app {

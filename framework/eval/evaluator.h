@@ -1,6 +1,13 @@
 // Renders whole frames and scores them against what the scene knows.
 #pragma once
 
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
 #include "core/small_math.h"
 #include "core/view.h"
 #include "eval/metrics.h"
@@ -9,12 +16,6 @@
 #include "scene/camera.h"
 #include "scene/pixel_rays.h"
 #include "scene/scene.h"
-#include <cstdint>
-#include <functional>
-#include <optional>
-#include <span>
-#include <string>
-#include <vector>
 
 namespace semfield {
 

@@ -12,6 +12,7 @@
 #include "eval/evaluator.h"
 #include "labels/training_labels.h"
 #include "model/leave_out.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield {
 

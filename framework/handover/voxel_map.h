@@ -1,12 +1,13 @@
 // A grid of cubes about which rendered views say whether they are free or hold a surface, and of which class.
 #pragma once
 
-#include "scene/classes/class_table.h"
 #include <array>
 #include <cstdint>
 #include <optional>
 #include <string>
 #include <vector>
+
+#include "scene/classes/class_table.h"
 #include "surface/mesh/mesh_files.h"
 
 namespace semfield {

@@ -1,8 +1,6 @@
 // What readers of label files share: frames by the names of files, places in patterns, and a bounded list of problems.
 #pragma once
 
-#include "config/params.h"
-#include "core/error.h"
 #include <cstdint>
 #include <functional>
 #include <map>
@@ -11,7 +9,11 @@
 #include <string_view>
 #include <utility>
 #include <vector>
+
+#include "config/params.h"
+#include "core/error.h"
 #include "loading/frame_source.h"
+#include "scene/classes/class_table.h"
 
 namespace semfield {
 

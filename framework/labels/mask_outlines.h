@@ -6,6 +6,7 @@
 #include <string>
 #include <string_view>
 #include <vector>
+
 #include "labels/label_files.h"
 
 namespace semfield {

@@ -1,10 +1,6 @@
 // The labels that train: selected, read from files, degraded - beside the scene's own, which stay the truth.
 #pragma once
 
-#include "core/error.h"
-#include "labels/clicks/annotations.h"
-#include "labels/label_files.h"
-#include "loading/frame_source.h"
 #include <cstddef>
 #include <cstdint>
 #include <functional>
@@ -13,6 +9,11 @@
 #include <string>
 #include <string_view>
 #include <vector>
+
+#include "core/error.h"
+#include "labels/clicks/annotations.h"
+#include "labels/label_files.h"
+#include "loading/frame_source.h"
 
 namespace semfield {
 

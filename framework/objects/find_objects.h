@@ -2,7 +2,6 @@
 // groups, and a row of a table for each.
 #pragma once
 
-#include "config/params.h"
 #include <array>
 #include <cstdint>
 #include <memory>
@@ -10,7 +9,10 @@
 #include <string>
 #include <utility>
 #include <vector>
+
+#include "config/params.h"
 #include "objects/object_network.h"
+#include "session/settings/run_config.h"
 
 namespace semfield {
 

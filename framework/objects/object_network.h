@@ -10,7 +10,10 @@
 
 #include "core/small_math.h"
 #include "execution/thread_arenas.h"
+#include "model/param_store.h"
 #include "objects/segments.h"
+#include "plugin/grouping.h"
+#include "plugin/mlp/mlp.h"
 #include "session/session.h"
 #include "surface/surface_graph.h"
 

@@ -1,9 +1,6 @@
 // Panoptic quality of a scene: objects and stuff of all scored images together, as one.
 #pragma once
 
-#include "objects/find_objects.h"
-#include "objects/segments.h"
-#include "session/settings/run_config.h"
 #include <cstdint>
 #include <map>
 #include <optional>
@@ -11,6 +8,10 @@
 #include <string>
 #include <utility>
 #include <vector>
+
+#include "objects/find_objects.h"
+#include "objects/segments.h"
+#include "session/settings/run_config.h"
 
 namespace semfield {
 

@@ -9,6 +9,7 @@
 #include <string>
 #include <string_view>
 #include <vector>
+
 #include "objects/find_objects.h"
 
 namespace semfield {

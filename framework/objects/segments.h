@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "labels/clicks/annotations.h"
+#include "loading/frame_source.h"
 
 namespace semfield {
 

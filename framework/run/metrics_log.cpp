@@ -15,6 +15,7 @@
 
 #include "core/error.h"
 #include "eval/metrics.h"
+#include "session/settings/choices.h"
 #include "system/checksum.h"
 
 namespace semfield {

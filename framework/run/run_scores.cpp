@@ -3,14 +3,18 @@
 #include <fmt/format.h>
 
 #include <filesystem>
+#include <functional>
 #include <set>
 
 #include "core/text.h"
+#include "eval/final_eval.h"
 #include "labels/clicks/click_file.h"
 #include "plugin/loader.h"
 #include "run/run.h"
+#include "session/checkpoint_facts.h"
 #include "session/settings/run_identity.h"
 #include "session/trainer.h"
+#include "session/training.h"
 #include "system/files.h"
 
 namespace semfield {

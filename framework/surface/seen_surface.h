@@ -5,6 +5,7 @@
 #include <optional>
 #include <span>
 #include <vector>
+
 #include "scene/camera.h"
 
 namespace semfield {

@@ -1,12 +1,13 @@
 // What Python holds of a run: one that trains, or one that was trained.
 #pragma once
 
+#include <pybind11/pybind11.h>
+#include <sys/types.h>
+
 #include <csignal>
 #include <memory>
 #include <mutex>
-#include <pybind11/pybind11.h>
 #include <string>
-#include <sys/types.h>
 #include <vector>
 
 #include "python/core/errors.h"

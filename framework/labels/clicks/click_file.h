@@ -2,9 +2,10 @@
 // it.
 #pragma once
 
-#include "labels/clicks/click_log.h"
 #include <optional>
 #include <string>
+
+#include "labels/clicks/click_log.h"
 #include "labels/training_labels.h"
 
 namespace semfield {

@@ -1,7 +1,6 @@
 // clicks.jsonl: the label events of a run, a line each, on the disk before anybody is told that they are taken.
 #pragma once
 
-#include "core/error.h"
 #include <array>
 #include <cstddef>
 #include <cstdint>
@@ -9,6 +8,8 @@
 #include <string>
 #include <string_view>
 #include <vector>
+
+#include "core/error.h"
 #include "labels/mask_outlines.h"
 #include "system/files.h"
 

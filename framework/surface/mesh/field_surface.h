@@ -1,11 +1,12 @@
 // From a trained field to a surface: density on a grid, its level set, and what rendering shows of every vertex.
 #pragma once
 
-#include "eval/evaluator.h"
 #include <functional>
 #include <limits>
 #include <span>
 #include <vector>
+
+#include "eval/evaluator.h"
 #include "surface/mesh/marching_cubes.h"
 #include "surface/mesh/sights.h"
 #include "surface/surface_graph.h"

@@ -14,7 +14,9 @@
 #include <vector>
 
 #include "eval/evaluator.h"
+#include "scene/classes/class_table.h"
 #include "surface/mesh/surface.h"
+#include "system/files.h"
 
 namespace semfield {
 

@@ -1,13 +1,15 @@
 // How much of what depth images show a mesh has, and how near it lies to what they show.
 #pragma once
 
-#include "scene/scene.h"
 #include <array>
 #include <cstdint>
 #include <optional>
 #include <span>
 #include <vector>
+
+#include "scene/scene.h"
 #include "surface/mesh/field_surface.h"
+#include "surface/mesh/surface.h"
 
 namespace semfield {
 
