@@ -32,12 +32,19 @@ constexpr const char* kCudaSymbol = "semfield_plugin_cuda_kernels";
 
 thread_local std::string t_being_loaded;  // NOLINT: for a handler of std::terminate, which gets no argument
 
+// An exception of a static initialiser ends here, in the handler of std::terminate: glibc is half done. Through a
+// pointer, since its declaration says that dlopen throws nothing, and the compiler would let the exception pass.
+void* open_or_terminate(const char* file) noexcept {
+  void* (*volatile const open)(const char*, int) = dlopen;
+  return open(file, RTLD_NOW | RTLD_LOCAL);
+}
+
 // A library whose stamp is ours. Never dlclose: entries hold functions and type tables of it until the program ends.
 void* open_library(const std::string& file, const std::string& asked_for, const std::string& doing,
                    const std::string& remedy) {
   check_module_file(file, doing);
   t_being_loaded = asked_for;
-  void* library = dlopen(file.c_str(), RTLD_NOW | RTLD_LOCAL);
+  void* library = open_or_terminate(file.c_str());
   t_being_loaded.clear();
   if (library != nullptr) return library;
   const char* cause = dlerror();

@@ -7,7 +7,6 @@
 #include "run/run_scores.h"
 #include "session/self_training.h"
 #include "session/settings/run_identity.h"
-#include "system/process.h"
 #include "testkit/analytic_scene.h"
 #include "tests/scene/tiny_scene.h"
 #include "tests/session/train_testing.h"
@@ -264,13 +263,6 @@ TEST_F(DrivenRun, HasTheBitsAndTheRowsOfTheWholeRun) {
       run_training(load_run_config(dir_ / "driven/run.yaml", {"train.steps=25"}, registry_), registry_, request).step,
       25);
   EXPECT_HAS(error_of([&] { run.save(""); }), "somebody continued the run");
-}
-
-// Whoever drives it.
-TEST_F(DrivenRun, EndsWhereItsFirstStepsTakeMoreMemoryThanIsAllowed) {
-  const double held_gb = static_cast<double>(resident_bytes() + 4'000'000) / (1 << 30);  // the frames fit
-  semfield::Run run(config({"runtime.memory_gb=" + std::to_string(held_gb)}), registry_, {}, &nobody_);
-  EXPECT_ERROR(run.advance(1), "memory.training.size", "runtime.memory_gb");
 }
 
 TEST_F(DrivenRun, RoundsOfSelfTrainingNeedAFolderAndHaveTheBitsOfTheWholeRun) {
