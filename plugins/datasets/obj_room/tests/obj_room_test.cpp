@@ -235,7 +235,7 @@ void round_trip(Dataset& source, int frames, const std::string& folder) {
   Diagnostics d;
   const SceneInfo info = source.open(d);
   std::vector<int> progress;
-  const CaptureReport report = capture_replica(source, info, folder, [&](int done, int total) {
+  const app::CaptureReport report = app::capture_replica(source, info, folder, [&](int done, int total) {
     EXPECT_EQ(total, frames);
     progress.push_back(done);
   });
@@ -341,7 +341,7 @@ TEST(Capture, InstancesBeyondAByteAndDepthBeyondTheRange) {
   wall.frame.depth_m[1] = 65.535f;  // 65535 reads as invalid
   wall.frame.depth_m[2] = 65.534f;
   wall.frame.depth_m[3] = 0;
-  const CaptureReport report = capture_replica(wall, wall.info, folder);
+  const app::CaptureReport report = app::capture_replica(wall, wall.info, folder);
   EXPECT_EQ(report.depth_clipped, 4);  // two frames
   Diagnostics d;
   const std::unique_ptr<Dataset> replica = linked("replica", all_frames(folder));
