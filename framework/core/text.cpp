@@ -185,6 +185,11 @@ std::vector<std::string_view> words_of(std::string_view text) {
   return out;
 }
 
+std::vector<std::string> word_list(std::string_view text) {
+  const std::vector<std::string_view> words = words_of(text);
+  return {words.begin(), words.end()};
+}
+
 bool next_line(std::string_view& text, std::string_view& line) {
   if (text.empty()) return false;
   const std::size_t end = text.find('\n');
@@ -201,6 +206,16 @@ bool parse_number(std::string_view word, double& out) {
   if (status != std::errc{} || end != word.data() + word.size()) return false;
   out = value;
   return true;
+}
+
+std::string_view parse_numbers(std::string_view text, std::vector<double>& out) {
+  for (const std::string_view word : words_of(text)) {
+    if (double value = 0; parse_number(word, value))
+      out.push_back(value);
+    else
+      return text.substr(static_cast<std::size_t>(word.data() - text.data()));
+  }
+  return {};
 }
 
 std::size_t utf8_length(std::string_view text, std::size_t i) {

@@ -13,6 +13,8 @@ constexpr bool is_digit(char c) { return c >= '0' && c <= '9'; }
 
 /// Words between blanks, tabs, line ends; views into `text`.
 std::vector<std::string_view> words_of(std::string_view text);
+/// The same as texts of their own.
+std::vector<std::string> word_list(std::string_view text);
 
 /// The next line without its end, and `text` shortened by it; a carriage return before the end is dropped too. False
 /// when `text` is empty.
@@ -20,6 +22,10 @@ bool next_line(std::string_view& text, std::string_view& line);
 
 /// The whole word as a number; "nan" and "-inf" are numbers too. False (out unchanged) for anything else.
 bool parse_number(std::string_view word, double& out);
+
+/// The words of a text as numbers, behind those in `out`. What is left from the first word that is none; "" where all
+/// are.
+std::string_view parse_numbers(std::string_view text, std::vector<double>& out);
 
 /// Bytes of the character that begins at `i`, by well-formed UTF-8 [Unicode, table 3-7]; 0 where none does.
 std::size_t utf8_length(std::string_view text, std::size_t i);

@@ -27,6 +27,9 @@ namespace fs = std::filesystem;
 
 namespace {
 
+// What the name of a mask of moving things begins with, beside its image [instant-ngp].
+constexpr const char* kMovingMask = "dynamic_mask_";
+
 // Channels that a frame can do without.
 constexpr std::pair<const char*, std::string FrameFiles::*> kOptional[] = {
     {"depth image", &FrameFiles::depth},
@@ -122,7 +125,37 @@ std::string label_settings(const FrameInfo& frame, const fs::path& label, const 
                     label_pattern(frame, label) + "\"" + more + "}");
 }
 
+// Label images whose pixels are colours (`channels` above 1), with the setting that reads them.
+void report_color_labels(const FrameInfo& frame, const std::string& path, int channels, const std::string& labels_key,
+                         Diagnostics& diagnostics) {
+  if (channels == 1) return;
+  diagnostics.error("labels.image.channels", frame_place(frame),
+                    "label image '" + path + "' has " + std::to_string(channels) +
+                        " channels: it is a picture in colours, not one of class ids",
+                    "read the classes from the colours of the class table with " +
+                        label_settings(frame, path, labels_key, ", kind: color"));
+}
+
+// The pixels that a mask lets count [H * W], 0 = masked: those that are not black, or, of a JPEG, whose blacks are not
+// exact, not dark.
+Image<std::uint8_t> read_mask(const std::string& path) {
+  const Image<std::uint8_t> image = read_rgb(path);
+  const std::string extension = fs::path(path).extension().string();
+  const std::uint8_t least = extension == ".jpg" || extension == ".jpeg" ? 128 : 1;
+  Image<std::uint8_t> out{image.width_px, image.height_px, 1, std::vector<std::uint8_t>(image.pixels.size() / 3)};
+  for (std::size_t i = 0; i < out.pixels.size(); ++i) {
+    const std::uint8_t* const p = &image.pixels[3 * i];
+    out.pixels[i] = std::max({p[0], p[1], p[2]}) >= least ? 1 : 0;
+  }
+  return out;
+}
+
 }  // namespace
+
+void require_folder(const fs::path& folder, const std::string& remedy) {
+  if (!is_folder(folder))
+    throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + folder.string() + "' is missing", remedy);
+}
 
 std::string ending_of(const std::string& path) {
   std::string out = fs::path(path).extension().string();
@@ -170,18 +203,6 @@ void report_unlabelled(const std::string& folder, std::size_t labelled, std::siz
         "labels.frames.missing", folder,
         std::to_string(frames - labelled) + " of " + std::to_string(frames) + " frames have no label image");
   }
-}
-
-Image<std::uint8_t> read_mask(const std::string& path) {
-  const Image<std::uint8_t> image = read_rgb(path);
-  const std::string extension = fs::path(path).extension().string();
-  const std::uint8_t least = extension == ".jpg" || extension == ".jpeg" ? 128 : 1;
-  Image<std::uint8_t> out{image.width_px, image.height_px, 1, std::vector<std::uint8_t>(image.pixels.size() / 3)};
-  for (std::size_t i = 0; i < out.pixels.size(); ++i) {
-    const std::uint8_t* const p = &image.pixels[3 * i];
-    out.pixels[i] = std::max({p[0], p[1], p[2]}) >= least ? 1 : 0;
-  }
-  return out;
 }
 
 std::map<std::int64_t, std::string> numbered_photographs(const std::string& folder, Diagnostics& diagnostics) {
@@ -296,16 +317,6 @@ void FrameFileCheck::report(const std::string& source, std::size_t frames_left, 
   if (lost > 0 && frames_left == 0)
     diagnostics.error("scene.file.missing", source, "the files of all " + std::to_string(lost) + " frames are missing",
                       "check the path");
-}
-
-void report_color_labels(const FrameInfo& frame, const std::string& path, int channels, const std::string& labels_key,
-                         Diagnostics& diagnostics) {
-  if (channels == 1) return;
-  diagnostics.error("labels.image.channels", frame_place(frame),
-                    "label image '" + path + "' has " + std::to_string(channels) +
-                        " channels: it is a picture in colours, not one of class ids",
-                    "read the classes from the colours of the class table with " +
-                        label_settings(frame, path, labels_key, ", kind: color"));
 }
 
 void read_frame_files(const FrameInfo& frame, const FrameFiles& files, const FrameReadRules& rules,

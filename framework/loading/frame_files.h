@@ -56,10 +56,17 @@ struct FrameFiles {
   std::string color, depth, label, instance;
   std::string mask = {};    ///< black is masked
   std::string moving = {};  ///< a mask of moving things, as instant-ngp has it: what is not black is masked
+
+  /// Sets has_depth, has_labels and has_instances.
+  void tell_channels(FrameInfo& frame) const {
+    frame.has_depth = !depth.empty();
+    frame.has_labels = !label.empty();
+    frame.has_instances = !instance.empty();
+  }
 };
 
-/// What the name of a mask of moving things begins with, beside its image [instant-ngp].
-inline constexpr const char* kMovingMask = "dynamic_mask_";
+/// Throws Error(no_input) for a folder that is not there.
+void require_folder(const std::filesystem::path& folder, const std::string& remedy);
 /// The extension in small letters: ".jpg".
 std::string ending_of(const std::string& path);
 /// Of photographs, as `files_with` takes them.
@@ -138,11 +145,6 @@ class FrameFileCheck {
   std::vector<std::string> turned_;                           // names of frames
 };
 
-/// Reports label images whose pixels are colours (`channels` above 1), with the setting that reads them. `labels_key`
-/// as in FrameFileCheck.
-void report_color_labels(const FrameInfo& frame, const std::string& path, int channels, const std::string& labels_key,
-                         Diagnostics& diagnostics);
-
 /// Of a picture of what the colour camera sees, at any size: reports one of another aspect ratio by over 2 %, and one
 /// that cannot be read. `labels_key` as in FrameFileCheck where it is a label image, which then has one channel; else
 /// "". An empty path is passed over.
@@ -150,10 +152,6 @@ void check_shape(const std::string& path, const FrameInfo& frame, const std::str
                  Diagnostics& diagnostics);
 /// Reports a folder of label images without any for the scene's frames; notes that some have none.
 void report_unlabelled(const std::string& folder, std::size_t labelled, std::size_t frames, Diagnostics& diagnostics);
-
-/// The pixels that a mask lets count [H * W], 0 = masked: those that are not black, or, of a JPEG, whose blacks are not
-/// exact, not dark. Throws as the readers of images do.
-Image<std::uint8_t> read_mask(const std::string& path);
 
 /// Pixels; labels and instances are files of the picture as it is shown. Depth 0, not finite, negative, or at the
 /// 16-bit ceiling 65535 reads as 0 (invalid). Throws Error naming frame and file; UnknownLabelError for ids outside

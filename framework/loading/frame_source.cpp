@@ -157,8 +157,7 @@ StrayCamera stray_camera(const LoadedScene& scene) {
   std::vector<double> values(cameras.size());
   const auto median = [&](const auto& of) {
     std::transform(cameras.begin(), cameras.end(), values.begin(), of);
-    std::nth_element(values.begin(), values.begin() + std::ssize(values) / 2, values.end());
-    return values[values.size() / 2];
+    return median_of(values);
   };
   Vec3d middle;
   for (int a = 0; a < 3; ++a) middle[a] = median([&](const FrameInfo* f) { return f->world_from_camera.t[a]; });
@@ -479,12 +478,6 @@ struct DepthSurvey {
   std::vector<float> distances;  ///< along the ray
   std::int64_t looked_at = 0, valid = 0;
 };
-
-float quantile(std::vector<float>& values, double q) {
-  const auto at = static_cast<std::ptrdiff_t>(q * static_cast<double>(values.size() - 1));
-  std::nth_element(values.begin(), values.begin() + at, values.end());
-  return values[static_cast<std::size_t>(at)];
-}
 
 // The outermost `lost` of a coordinate over all frames are dropped. `parts` is emptied.
 DepthSurvey survey_depth(std::vector<SurveyPoints>& parts, double lost = 0.001) {

@@ -331,7 +331,7 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
   }
   file_ = open_for_reading(path_);
   struct stat about {};
-  try {
+  naming(path_, [&] {
     if (::fstat(file_, &about) != 0)
       throw refuse("files.read.failed", std::string("cannot read: ") + std::strerror(errno), "check the disk");
     file_bytes_ = static_cast<std::uint64_t>(about.st_size);
@@ -379,10 +379,7 @@ PackedScene::PackedScene(std::string path) : path_(std::move(path)) {
       f.has_instances = chunks_[i][kInstance].raw_bytes > 0;
       if (chunks_[i][kAlpha].raw_bytes > 0) f.channels.push_back(alpha_info(f.camera));
     }
-  } catch (Error& e) {
-    if (e.message().find(path_) != std::string::npos) throw;
-    throw Error(e.kind(), e.code(), "'" + path_ + "': " + e.message(), e.remedy());
-  }
+  });
 }
 
 std::vector<std::byte> PackedScene::chunk_bytes(int frame, Channel channel) const {

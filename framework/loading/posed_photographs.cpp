@@ -106,8 +106,7 @@ SceneInfo PosedPhotographs::open(const std::vector<PosedPhotograph>& all, bool o
         (!photo.fitted && !check_principal_point(frame.camera, place, diagnostics)) ||
         !check_camera(frame.camera, place, diagnostics))
       continue;
-    frame.has_depth = !files.depth.empty();
-    frame.has_labels = !files.label.empty();
+    files.tell_channels(frame);
     labelled += frame.has_labels ? 1 : 0;
     check_shape(files.depth, frame, "", diagnostics);
     FrameFiles whole = files;  // depth has a size of its own
@@ -121,8 +120,7 @@ SceneInfo PosedPhotographs::open(const std::vector<PosedPhotograph>& all, bool o
   sizes.report(root_, diagnostics);
   masks.report(diagnostics);
   check.report(root_, info_.frames.size(), diagnostics);
-  if (!diagnostics.has_errors() || !skipped.empty())
-    report_skipped(skipped, info_.frames.size(), poses.empty() ? root_ : poses, diagnostics);
+  report_skipped(skipped, info_.frames.size(), poses.empty() ? root_ : poses, diagnostics);
   if (!params_.label_dir.empty())
     report_unlabelled((fs::path(root_) / params_.label_dir).string(), labelled, info_.frames.size(), diagnostics);
   info_.classes = load_class_file(class_file_, {root_}, labelled > 0, diagnostics);

@@ -13,7 +13,7 @@
 #include "formats/image_io.h"
 #include "loading/frame_files.h"
 #include "loading/frame_source.h"
-#include "scene/scene.h"
+#include "scene/dataset.h"
 
 namespace semfield {
 

@@ -1,4 +1,4 @@
 // Dataset, by the name under which writers of plugins know it.
 #pragma once
 
-#include "scene/scene.h"
+#include "scene/dataset.h"

@@ -10,6 +10,7 @@
 #include "core/check.h"
 #include "formats/text_rows.h"
 #include "scene/camera.h"
+#include "scene/scene.h"
 #include "system/files.h"
 
 namespace semfield {
@@ -66,15 +67,11 @@ Pose look_along(Vec3d position, Vec3d forward, Vec3d up) {
 namespace {
 
 Pose pose_of(const std::vector<double>& m, const std::string& where, CameraAxes axes) {
-  Vec3d column[3];
-  for (int c = 0; c < 3; ++c) {
-    column[c] = {m[static_cast<std::size_t>(c)], m[static_cast<std::size_t>(4 + c)],
-                 m[static_cast<std::size_t>(8 + c)]};
-  }
-  const double off = std::max({std::abs(dot(column[0], column[1])), std::abs(dot(column[1], column[2])),
-                               std::abs(dot(column[0], column[2])), std::abs(length(column[0]) - 1),
-                               std::abs(length(column[1]) - 1), std::abs(length(column[2]) - 1)});
-  if (!(off < 1e-3) || dot(cross(column[0], column[1]), column[2]) < 0) {
+  Pose pose = pose_from_rows(m);
+  const Vec3d x = pose.axis(0), y = pose.axis(1), z = pose.axis(2);
+  const double off = std::max({std::abs(dot(x, y)), std::abs(dot(y, z)), std::abs(dot(x, z)), std::abs(length(x) - 1),
+                               std::abs(length(y) - 1), std::abs(length(z) - 1)});
+  if (!(off < 1e-3) || dot(cross(x, y), z) < 0) {
     throw Error(ErrorKind::data, "render.path.pose", where + ": the 3x3 part is not a rotation",
                 "give camera-to-world matrices");
   }
@@ -82,16 +79,10 @@ Pose pose_of(const std::vector<double>& m, const std::string& where, CameraAxes 
     throw Error(ErrorKind::data, "render.path.pose", where + ": the last row is not 0 0 0 1",
                 "give camera-to-world matrices, row by row");
   }
-  if (axes != CameraAxes::right_down_forward) column[1] = column[1] * -1.0;
-  if (axes == CameraAxes::right_up_backward) column[2] = column[2] * -1.0;
-  if (axes == CameraAxes::left_up_forward) column[0] = column[0] * -1.0;
-  Pose pose;
-  for (int row = 0; row < 3; ++row) {
-    auto& r = pose.r[static_cast<std::size_t>(row)];
-    r = {column[0][row], column[1][row], column[2][row]};
-  }
+  if (axes == CameraAxes::right_up_backward) pose = opencv_from_opengl(pose);
+  if (axes == CameraAxes::left_up_forward)
+    for (auto& row : pose.r) row = {-row[0], -row[1], row[2]};
   make_rotation(pose);
-  pose.t = {m[3], m[7], m[11]};
   return pose;
 }
 

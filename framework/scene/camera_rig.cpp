@@ -45,13 +45,20 @@ bool find_focus(const Cameras& cameras, Vec3d& focus) {
   return true;
 }
 
-}  // namespace
-
+// At most `most` of them, evenly taken.
 Cameras some_of(const Cameras& cameras, std::size_t most) {
   if (cameras.size() <= most) return cameras;
   Cameras out;
   for (std::size_t i = 0; i < most; ++i) out.push_back(cameras[i * cameras.size() / most]);
   return out;
+}
+
+}  // namespace
+
+double angle_deg(const Pose& a, const Pose& b) {
+  double trace = 0;
+  for (int c = 0; c < 3; ++c) trace += dot(a.axis(c), b.axis(c));
+  return std::acos(std::clamp(0.5 * (trace - 1), -1.0, 1.0)) * 180 / M_PI;
 }
 
 bool project_into(const FrameInfo& frame, Vec3d point, double& u, double& v) {
@@ -103,8 +110,7 @@ CameraRig find_rig(const Cameras& all) {
     double u = 0, v = 0;
     see_it += project_into(*camera, rig.focus, u, v) ? 1 : 0;
   }
-  std::nth_element(distances.begin(), distances.begin() + std::ssize(distances) / 2, distances.end());
-  rig.distance_m = distances[distances.size() / 2];
+  rig.distance_m = median_of(std::move(distances));
   if (static_cast<double>(see_it) < kSeenBy * count || length(mean) > kMostOneSided) return rig;
   const Vec3d half{rig.distance_m, rig.distance_m, rig.distance_m};
   rig.seen = box_of_voxels({rig.focus - half, rig.focus + half}, [&](Vec3d center) {

@@ -1,13 +1,35 @@
 // How the cameras of a scene stand to what they photograph: around one place, or any other way.
 #pragma once
 
+#include <algorithm>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <iterator>
 #include <vector>
 
 #include "scene/scene.h"
 
 namespace semfield {
+
+/// The middle value, of an even number the upper one; 0 of none.
+template <class T>
+T median_of(std::vector<T> values) {
+  if (values.empty()) return T(0);
+  const auto middle = values.begin() + std::ssize(values) / 2;
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+/// The value below which the share of them lies, as far as they are whole; they change their order. Not of none.
+template <class T>
+T quantile(std::vector<T>& values, double share) {
+  const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), at, values.end());
+  return *at;
+}
+
+/// Of the turn from one camera to the other, 0 to 180 degrees.
+double angle_deg(const Pose& a, const Pose& b);
 
 using Cameras = std::vector<const FrameInfo*>;
 
@@ -22,9 +44,6 @@ struct CameraRig {
 
 /// From poses and lenses alone.
 CameraRig find_rig(const Cameras& cameras);
-
-/// At most `most` of them, evenly taken.
-Cameras some_of(const Cameras& cameras, std::size_t most);
 
 /// Where a world point falls in the frame's image, pixels; false when it is behind the camera or beside the image.
 bool project_into(const FrameInfo& frame, Vec3d point, double& u, double& v);

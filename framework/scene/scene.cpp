@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <filesystem>
 #include <map>
 #include <set>
 #include <vector>
@@ -19,10 +18,6 @@ namespace semfield {
 Split HoldOut::split_of(std::size_t rank, std::size_t frames) const {
   if (every <= 0 || frames < 2) return Split::train;
   return rank % static_cast<std::size_t>(every) == static_cast<std::size_t>(first) ? Split::test : Split::train;
-}
-
-std::string DatasetBuild::path_of(const std::string& path) const {
-  return path.empty() ? "" : (std::filesystem::path(config_dir) / path).string();
 }
 
 void check_root_and_test_every(const std::string& root, std::int32_t test_every, Diagnostics& diagnostics) {
@@ -48,8 +43,7 @@ std::string output_name(std::string_view frame) {
 std::optional<std::string> OutputNames::add(const std::string& frame) {
   if (frame.empty()) return "its name is empty";
   if (frame.size() > kMostBytes)
-    return "its name has " + std::to_string(frame.size()) + " bytes; at most " + std::to_string(kMostBytes) +
-           " are allowed";
+    return fmt::format("its name has {} bytes; at most {} are allowed", frame.size(), kMostBytes);
   if (!is_line_of_text(frame)) return "its name has a control character, or is not UTF-8";
   const auto [other, fresh] = frames_.emplace(output_name(frame), frame);
   if (fresh) return std::nullopt;
@@ -67,52 +61,37 @@ void check_output_names(const SceneInfo& info, Diagnostics& diagnostics) {
 
 // Packing of loaded frames; every packing is undone exactly.
 
-LabelMap::LabelMap(std::vector<std::int16_t> labels) {
-  const bool fits = std::all_of(labels.begin(), labels.end(),
-                                [](std::int16_t c) { return c == kVoid || (c >= 0 && c < kNarrowVoid); });
-  if (!fits) {
-    wide_ = std::move(labels);
-    return;
-  }
-  narrow_.resize(labels.size());
-  std::transform(labels.begin(), labels.end(), narrow_.begin(),
-                 [](std::int16_t c) { return c == kVoid ? kNarrowVoid : static_cast<std::uint8_t>(c); });
+std::uint16_t DepthPacking::narrowed(float depth_m) {
+  const double mm = std::rint(static_cast<double>(depth_m) * 1000.0);
+  // NaN and what does not fit come back as another value.
+  return static_cast<std::uint16_t>(static_cast<std::int32_t>(mm >= 0 && mm <= 65535 ? mm : 0));
 }
 
-std::vector<std::int16_t> LabelMap::expand() const {
-  if (narrow_.empty()) return wide_;
-  std::vector<std::int16_t> out(narrow_.size());
+template <class Packing>
+PackedMap<Packing>::PackedMap(std::vector<Wide> values) : narrow_(values.size()) {
+  constexpr std::size_t kBlock = 4096;  // most maps that do not fit are told after the first of them
+  for (std::size_t begin = 0; begin < values.size(); begin += kBlock) {
+    int misses = 0;
+    for (std::size_t i = begin; i < std::min(begin + kBlock, values.size()); ++i) {
+      narrow_[i] = Packing::narrowed(values[i]);
+      misses += Packing::widened(narrow_[i]) == values[i] ? 0 : 1;
+    }
+    if (misses == 0) continue;
+    narrow_ = std::vector<typename Packing::Narrow>();
+    wide_ = std::move(values);
+    return;
+  }
+}
+
+template <class Packing>
+std::vector<typename PackedMap<Packing>::Wide> PackedMap<Packing>::expand() const {
+  std::vector<Wide> out(size());
   for (std::size_t i = 0; i < out.size(); ++i) out[i] = (*this)[i];
   return out;
 }
 
-DepthMap::DepthMap(std::vector<float> depth_m) {
-  millimetres_.resize(depth_m.size());
-  constexpr std::size_t kBlock = 4096;  // most maps in other units are told after the first of them
-  for (std::size_t begin = 0; begin < depth_m.size(); begin += kBlock) {
-    const std::size_t end = std::min(begin + kBlock, depth_m.size());
-    int misses = 0;
-    for (std::size_t i = begin; i < end; ++i) {
-      const double mm = std::rint(static_cast<double>(depth_m[i]) * 1000.0);
-      const double held = mm >= 0 && mm <= 65535 ? mm : 0;  // NaN and what does not fit differ below
-      const auto whole = static_cast<std::uint16_t>(static_cast<std::int32_t>(held));
-      millimetres_[i] = whole;
-      misses += metres_of(whole) == depth_m[i] ? 0 : 1;
-    }
-    if (misses > 0) {
-      millimetres_ = {};
-      metres_ = std::move(depth_m);
-      return;
-    }
-  }
-}
-
-std::vector<float> DepthMap::expand() const {
-  if (millimetres_.empty()) return metres_;
-  std::vector<float> out(millimetres_.size());
-  for (std::size_t i = 0; i < out.size(); ++i) out[i] = metres_of(millimetres_[i]);
-  return out;
-}
+template class PackedMap<LabelPacking>;
+template class PackedMap<DepthPacking>;
 
 StoredFrame::StoredFrame(FrameBuffer frame)
     : width_px(frame.width_px),
@@ -449,6 +428,7 @@ PoseState check_pose(Pose& pose, const std::string& place, Diagnostics& diagnost
 
 void report_skipped(const std::vector<std::string>& skipped, std::size_t kept, const std::string& source,
                     Diagnostics& diagnostics) {
+  if (skipped.empty() && diagnostics.has_errors()) return;  // why none is left is said already
   if (kept == 0) {
     diagnostics.error(
         "scene.frames.none", source,
@@ -507,9 +487,8 @@ bool check_camera(const Camera& camera, const std::string& place, Diagnostics& d
   const auto outside = [](double c, int size) { return c < -size || c > 2.0 * size; };
   if (outside(camera.cx, camera.width_px) || outside(camera.cy, camera.height_px)) {
     diagnostics.error("scene.camera.center", place,
-                      "principal point (" + number(camera.cx) + ", " + number(camera.cy) +
-                          ") lies far outside the image of " + std::to_string(camera.width_px) + " x " +
-                          std::to_string(camera.height_px) + " pixels",
+                      fmt::format("principal point ({}, {}) lies far outside the image of {} x {} pixels",
+                                  number(camera.cx), number(camera.cy), camera.width_px, camera.height_px),
                       "check that the intrinsics belong to images of this size");
   }
   check_wide_lens(camera, place, diagnostics);

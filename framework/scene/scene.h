@@ -75,23 +75,6 @@ struct FrameBuffer {
   std::vector<FrameChannel> channels;  ///< those of FrameInfo::channels that are wanted
 };
 
-/// A scene's frames in house conventions, whatever the files look like: open() once, then read() from any thread.
-class Dataset {
- public:
-  virtual ~Dataset() = default;
-  /// Reads everything but pixels. Every problem found goes into `diagnostics` (frame, file, cause, remedy); throws
-  /// Error only when nothing can be listed (folder missing, unreadable index).
-  virtual SceneInfo open(Diagnostics& diagnostics) = 0;
-  /// Pixels of one frame, at the size that SceneInfo states. Thread-safe. Throws Error(data) naming the file.
-  virtual void read(int frame, FrameBuffer& out) const = 0;
-};
-
-struct DatasetBuild {
-  std::string config_dir;  ///< relative paths in parameters start here; "" = working directory
-  /// A path of a parameter, from there; "" stays "", which means none.
-  std::string path_of(const std::string& path) const;
-};
-
 // Which frames are held out for tests where nothing but their order tells.
 
 /// The parameter `test_every` of datasets that list frames. A frame's rank is its place in the order of names; frames
@@ -166,50 +149,43 @@ void hide_masked(FrameBuffer& frame);
 
 // Pixels of one frame as a loaded scene keeps them: the narrowest type that holds every value exactly.
 
-/// Class indices, kVoid = void: a byte a pixel up to index 254, else two.
-class LabelMap {
+/// Values of pixels, all in the narrow type of `Packing` where it holds each of them exactly, else in the wide one.
+template <class Packing>
+class PackedMap {
  public:
-  LabelMap() = default;
-  explicit LabelMap(std::vector<std::int16_t> labels);
+  using Wide = typename Packing::Wide;
+  PackedMap() = default;
+  explicit PackedMap(std::vector<Wide> values);
 
   std::size_t size() const { return narrow_.size() + wide_.size(); }
   bool empty() const { return size() == 0; }
-  std::int16_t operator[](std::size_t i) const {
-    if (narrow_.empty()) return wide_[i];
-    return narrow_[i] == kNarrowVoid ? kVoid : static_cast<std::int16_t>(narrow_[i]);
-  }
-  /// [H * W], as read.
-  std::vector<std::int16_t> expand() const;
-  std::size_t bytes() const { return narrow_.capacity() + wide_.capacity() * sizeof(std::int16_t); }
-  bool operator==(const LabelMap&) const = default;
-
- private:
-  static constexpr std::uint8_t kNarrowVoid = 255;
-  std::vector<std::uint8_t> narrow_;  // one of the two is empty
-  std::vector<std::int16_t> wide_;
-};
-
-/// z-depth in metres, 0 = invalid: two bytes per pixel where every value is a whole number of millimetres, else float.
-class DepthMap {
- public:
-  DepthMap() = default;
-  explicit DepthMap(std::vector<float> depth_m);
-
-  std::size_t size() const { return millimetres_.size() + metres_.size(); }
-  bool empty() const { return size() == 0; }
-  float operator[](std::size_t i) const { return millimetres_.empty() ? metres_[i] : metres_of(millimetres_[i]); }
+  Wide operator[](std::size_t i) const { return narrow_.empty() ? wide_[i] : Packing::widened(narrow_[i]); }
   /// [H * W], the same bits as read.
-  std::vector<float> expand() const;
-  std::size_t bytes() const {
-    return millimetres_.capacity() * sizeof(std::uint16_t) + metres_.capacity() * sizeof(float);
-  }
-  bool operator==(const DepthMap&) const = default;
+  std::vector<Wide> expand() const;
+  std::size_t bytes() const { return narrow_.capacity() * sizeof(narrow_[0]) + wide_.capacity() * sizeof(Wide); }
+  bool operator==(const PackedMap&) const = default;
 
  private:
-  static float metres_of(std::uint16_t mm) { return static_cast<float>(mm * 0.001); }
-  std::vector<std::uint16_t> millimetres_;  // one of the two is empty
-  std::vector<float> metres_;
+  std::vector<typename Packing::Narrow> narrow_;  // one of the two is empty
+  std::vector<Wide> wide_;
 };
+
+struct LabelPacking {
+  using Wide = std::int16_t;
+  using Narrow = std::uint8_t;
+  static Narrow narrowed(Wide c) { return static_cast<Narrow>(c == kVoid ? 255 : c); }
+  static Wide widened(Narrow c) { return c == 255 ? kVoid : static_cast<Wide>(c); }
+};
+struct DepthPacking {
+  using Wide = float;
+  using Narrow = std::uint16_t;  // millimetres
+  static Narrow narrowed(Wide depth_m);
+  static Wide widened(Narrow mm) { return static_cast<float>(mm * 0.001); }
+};
+/// Class indices, kVoid = void: a byte a pixel up to index 254, else two.
+using LabelMap = PackedMap<LabelPacking>;
+/// z-depth in metres, 0 = invalid: two bytes per pixel where every value is a whole number of millimetres, else float.
+using DepthMap = PackedMap<DepthPacking>;
 
 /// A frame of a loaded scene; channels as in FrameBuffer, empty where the frame has none.
 struct StoredFrame {
@@ -296,7 +272,7 @@ enum class PoseState { good, not_finite, refused };
 PoseState check_pose(Pose& pose, const std::string& place, Diagnostics& diagnostics);
 
 /// Counts what check_pose called not_finite; one warning that names up to eight of them, and an error when no frame is
-/// left.
+/// left, unless another error says why.
 void report_skipped(const std::vector<std::string>& skipped, std::size_t kept, const std::string& source,
                     Diagnostics& diagnostics);
 

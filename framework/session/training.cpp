@@ -8,6 +8,7 @@
 
 #include "core/error.h"
 #include "plugin/loader.h"
+#include "scene/camera_rig.h"
 #include "session/assembly.h"
 #include "session/settings/run_identity.h"
 #include "system/checksum.h"
@@ -39,13 +40,6 @@ void copy_tensors(const ParamStore<float>& from, ParamStore<float>& to) {
     const Tensor<float>* there = to.find(t.name);
     if (there != nullptr && is_stored(t.spec.role)) std::copy_n(t.value.data(), t.value.size(), there->value.data());
   }
-}
-
-// Degrees between the axes of two poses.
-double angle_deg(const Pose& a, const Pose& b) {
-  double trace = 0;
-  for (int axis = 0; axis < 3; ++axis) trace += dot(a.axis(axis), b.axis(axis));
-  return std::acos(std::clamp(0.5 * (trace - 1), -1.0, 1.0)) * 180 / M_PI;
 }
 
 }  // namespace

@@ -305,16 +305,10 @@ class Fixing {
     out.changes.push_back(
         fmt::format("depth is of a camera of its own, {:.3g} {} from the colours' and turned by {:.2f} degrees, with "
                     "the lens that was stated",
-                    length(bundle_.depth_from_color.t), unit(), turn_deg(Pose{}, bundle_.depth_from_color)));
+                    length(bundle_.depth_from_color.t), unit(), angle_deg(Pose{}, bundle_.depth_from_color)));
   }
 
   const char* unit() const { return info_.metric ? "m" : "units"; }
-
-  static double turn_deg(const Pose& a, const Pose& b) {
-    double trace = 0;
-    for (std::size_t k = 0; k < 9; ++k) trace += a.r[k / 3][k % 3] * b.r[k / 3][k % 3];
-    return std::acos(std::clamp((trace - 1) / 2, -1.0, 1.0)) / kDegree;
-  }
 
   void tell_changes(FixedCameras& out) const {
     for (std::size_t g = 0; g < bundle_.lenses.size(); ++g) {
@@ -331,7 +325,7 @@ class Fixing {
     double turn = 0, shift = 0;
     for (std::size_t i = 0; i < bundle_.poses.size(); ++i) {
       const Pose &a = bundle_.given[i], &b = bundle_.poses[i];
-      turn += std::pow(turn_deg(a, b), 2);
+      turn += std::pow(angle_deg(a, b), 2);
       shift += dot(a.t - b.t, a.t - b.t);
     }
     const auto count = static_cast<double>(bundle_.poses.size());

@@ -45,6 +45,9 @@ std::string log_text(const std::string& log) {
   }
 }
 
+namespace {
+
+// The last lines of a log that say something, at most `most` of them, joined by " | ".
 std::string last_lines(const std::string& log, std::size_t most) {
   const std::string text = log_text(log);
   std::vector<std::string> lines;
@@ -56,8 +59,6 @@ std::string last_lines(const std::string& log, std::size_t most) {
   if (lines.size() > most) lines.erase(lines.begin(), lines.end() - static_cast<std::ptrdiff_t>(most));
   return join(lines, " | ");
 }
-
-namespace {
 
 // Where the disk is what a program failed for, it refuses us too, and then its words are ours.
 void require_disk(const fs::path& folder) {
@@ -358,26 +359,13 @@ std::vector<std::string> cut_panoramas(const PanoramaCut& cut, const Programs& p
       bend += fmt::format(";[in{0}]v360=e:flat:yaw={1}:h_fov={2}:v_fov={2}:w={3}:h={3}:interp=cubic[out{0}]", view,
                           turn_deg > 180 ? turn_deg - 360 : turn_deg, kFieldDeg, side);
       out.push_back(fmt::format("{}_{:03}.jpg", stem.string(), turn_deg));
-      for (std::string word : {std::string("-map"), fmt::format("[out{}]", view), std::string("-frames:v"),
-                               std::string("1"), std::string("-q:v"), std::string("2"), std::string("-update"),
-                               std::string("1"), (fs::path(cut.to) / out.back()).string()})
-        outputs.push_back(std::move(word));
+      outputs.insert(outputs.end(), {"-map", fmt::format("[out{}]", view), "-frames:v", "1", "-q:v", "2", "-update",
+                                     "1", (fs::path(cut.to) / out.back()).string()});
     }
     // One image of this name, whatever the name looks like: with '%' it might be a pattern of many.
-    std::vector<std::string> words{"-v",
-                                   "error",
-                                   "-nostdin",
-                                   "-y",
-                                   "-f",
-                                   "image2",
-                                   "-pattern_type",
-                                   "none",
-                                   "-c:v",
-                                   decoder_of(panorama.string()),
-                                   "-i",
-                                   panorama.string(),
-                                   "-filter_complex",
-                                   split + bend};
+    std::vector<std::string> words = word_list("-v error -nostdin -y -f image2 -pattern_type none -c:v");
+    words.insert(words.end(),
+                 {decoder_of(panorama.string()), "-i", panorama.string(), "-filter_complex", split + bend});
     words.insert(words.end(), outputs.begin(), outputs.end());
     run_program(programs, "ffmpeg",
                 {.words = std::move(words),
@@ -414,10 +402,17 @@ class MappedFile {
   void* data_ = nullptr;
 };
 
+// Words of ffmpeg and ffprobe that take a film of one file and nothing else: a playlist would have them read what it
+// names.
+std::vector<std::string> film_words(const std::string& video) {
+  return {
+      "-protocol_whitelist", "file", "-format_whitelist", "mov,matroska,avi,mpegts,mpeg,mpegvideo,asf", "-i", video};
+}
+
 double seconds_of(const std::string& video, const std::string& log, const Programs& programs) {
   const std::string remedy = "check that the file plays, or convert it: ffmpeg -i " + shell_word(video) + " video.mp4";
-  std::vector<std::string> words{
-      "-v", "error", "-select_streams", "v:0", "-show_entries", "stream=codec_type:format=duration", "-of", "json"};
+  std::vector<std::string> words =
+      word_list("-v error -select_streams v:0 -show_entries stream=codec_type:format=duration -of json");
   const std::vector<std::string> film = film_words(video);
   words.insert(words.end(), film.begin(), film.end());
   try {
@@ -453,11 +448,6 @@ std::string pattern_of(const std::string& folder) {
 }
 
 }  // namespace
-
-std::vector<std::string> film_words(const std::string& video) {
-  return {
-      "-protocol_whitelist", "file", "-format_whitelist", "mov,matroska,avi,mpegts,mpeg,mpegvideo,asf", "-i", video};
-}
 
 VideoFrames cut_video(const VideoCut& cut, const Programs& programs, const CaptureProgress& progress) {
   VideoFrames out;
@@ -504,9 +494,8 @@ VideoFrames cut_video(const VideoCut& cut, const Programs& programs, const Captu
   out.blurred = choice.blurred;
   if (choice.kept.size() < 3) {
     throw Error(ErrorKind::data, "capture.video.still",
-                "'" + cut.video + "' has " + std::to_string(choice.kept.size()) + " different frames of " +
-                    std::to_string(out.looked_at) + " looked at: " + std::to_string(choice.still) +
-                    " intervals are still, " + std::to_string(choice.blurred) + " blurred",
+                fmt::format("'{}' has {} different frames of {} looked at: {} intervals are still, {} blurred",
+                            cut.video, choice.kept.size(), out.looked_at, choice.still, choice.blurred),
                 "walk around the scene slowly while filming");
   }
   const auto kept = static_cast<double>(choice.kept.size());
@@ -535,9 +524,7 @@ VideoFrames cut_video(const VideoCut& cut, const Programs& programs, const Captu
     fs::rename(file_of(i + 1), fs::path(cut.folder) / out.names.back(), failed);
     if (failed)
       throw Error(ErrorKind::data, "capture.video.short",
-                  "ffmpeg wrote " + std::to_string(i) + " of " + std::to_string(choice.kept.size()) + " frames of '" +
-                      cut.video + "'",
-                  remedy);
+                  fmt::format("ffmpeg wrote {} of {} frames of '{}'", i, choice.kept.size(), cut.video), remedy);
   }
   return out;
 }

@@ -45,8 +45,6 @@ struct ProgramRun {
 /// and Error(io) where the disk is full, which some programs do not say by their end.
 void run_program(const Programs& programs, const std::string& name, const ProgramRun& run);
 
-/// The last lines of a log that say something, at most `most` of them, joined by " | ".
-std::string last_lines(const std::string& log, std::size_t most);
 /// All of a log; "" while there is none.
 std::string log_text(const std::string& log);
 
@@ -125,10 +123,6 @@ struct VideoCut {
   std::string logs;        ///< folder of the logs
   std::size_t wanted = 0;  ///< frames to keep at most; 0: three a second, 30 to 300
 };
-
-/// The file as words of ffmpeg and ffprobe that take a film of one file and nothing else: a playlist would have them
-/// read what it names.
-std::vector<std::string> film_words(const std::string& video);
 
 /// Writes the sharpest frame of each of `wanted` intervals (choose_frames), upright and at full size. Throws Error for
 /// a file that ffmpeg finds no video in, and for a film of fewer than three different frames.

@@ -23,13 +23,7 @@ namespace fs = std::filesystem;
 namespace {
 
 struct Folders {
-  explicit Folders(const fs::path& scene)
-      : images(scene / "images"),
-        prepare(scene / "prepare"),
-        logs(prepare / "log"),
-        work(prepare / "work"),
-        model(scene / "sparse" / "0") {}
-  fs::path images, prepare, logs, work, model;
+  fs::path images, logs, work, model;
 };
 
 // A sum of all that the steps depend on.
@@ -203,8 +197,8 @@ PrepareReport prepare_scene(const PrepareOptions& options, const Programs& progr
     throw Error(ErrorKind::cannot_create, "capture.scene.inside",
                 "the scene '" + scene + "' would lie in the folder of the photographs, which is never written to",
                 "name a folder next to it with --out");
-  const Folders folders{fs::path(scene)};
   const PrepareFolder folder(scene);
+  const Folders folders{fs::path(scene) / "images", folder.logs(), folder.work(), fs::path(scene) / "sparse" / "0"};
   PrepareState state = folder.steps(identity_of(source, options));
   if (const std::string* refined = state.done("refined");
       refined != nullptr && state.done("published") == nullptr && fs::exists(folders.model))

@@ -127,9 +127,11 @@ double last_number_after(const std::string& text, const std::string& before) {
 
 // What is asked of an image that joins: one at a wrong place does more harm than one without, and things that repeat
 // look alike.
-const std::vector<std::string> kStrict{"--Mapper.min_num_matches",           "30",
-                                       "--Mapper.abs_pose_min_num_inliers",  "60",
-                                       "--Mapper.abs_pose_min_inlier_ratio", "0.4"};
+const std::vector<std::string> kStrict = word_list(
+    "--Mapper.min_num_matches 30 --Mapper.abs_pose_min_num_inliers 60 --Mapper.abs_pose_min_inlier_ratio 0.4");
+const std::vector<std::string> kRelaxed = word_list(
+    "--Mapper.init_min_num_inliers 50 --Mapper.init_min_tri_angle 8 --Mapper.abs_pose_min_num_inliers 15 "
+    "--Mapper.abs_pose_min_inlier_ratio 0.15 --Mapper.min_num_matches 10");
 
 std::string ColmapSteps::database(const FeatureSettings& settings) const {
   return (fs::path(work_) / (settings.name + ".db")).string();
@@ -140,37 +142,20 @@ std::string ColmapSteps::log(const std::string& name) const { return (fs::path(l
 void ColmapSteps::extract(const FeatureSettings& s, bool camera_per_folder, std::size_t images) const {
   const std::string file = log("features_" + s.name);
   for (const char* end : {"", "-wal", "-shm", "-journal"}) fs::remove(database(s) + end);
-  const std::string camera =
-      camera_per_folder ? "--ImageReader.single_camera_per_folder" : "--ImageReader.single_camera";
-  run_program(programs_, "colmap",
-              {.words = {"feature_extractor",
-                         "--database_path",
-                         database(s),
-                         "--image_path",
-                         images_,
-                         "--ImageReader.camera_model",
-                         s.lens,
-                         "--ImageReader.default_focal_length_factor",
-                         fmt::format("{:g}", s.focal),
-                         camera,
-                         "1",
-                         "--SiftExtraction.use_gpu",
-                         "0",
-                         "--SiftExtraction.num_threads",
-                         std::to_string(threads_),
-                         "--SiftExtraction.max_image_size",
-                         std::to_string(s.size_px),
-                         "--SiftExtraction.max_num_features",
-                         std::to_string(s.features),
-                         "--SiftExtraction.max_num_orientations",
-                         std::to_string(s.orientations),
-                         "--SiftExtraction.peak_threshold",
-                         std::to_string(s.contrast)},
-               .log = file,
-               .tick = [&] {
-                 progress_({"finding features of", "photographs"},
-                           last_number_after(log_text(file), "Processed file ["), static_cast<double>(images));
-               }});
+  std::vector<std::string> words{"feature_extractor", "--database_path", database(s), "--image_path", images_};
+  const std::vector<std::string> settings = word_list(fmt::format(
+      "--ImageReader.camera_model {} --ImageReader.default_focal_length_factor {:g} --ImageReader.single_camera{} 1 "
+      "--SiftExtraction.use_gpu 0 --SiftExtraction.num_threads {} --SiftExtraction.max_image_size {} "
+      "--SiftExtraction.max_num_features {} --SiftExtraction.max_num_orientations {} --SiftExtraction.peak_threshold "
+      "{:f}",
+      s.lens, s.focal, camera_per_folder ? "_per_folder" : "", threads_, s.size_px, s.features, s.orientations,
+      s.contrast));
+  words.insert(words.end(), settings.begin(), settings.end());
+  run_program(programs_, "colmap", {.words = std::move(words), .log = file, .tick = [&] {
+                                      progress_({"finding features of", "photographs"},
+                                                last_number_after(log_text(file), "Processed file ["),
+                                                static_cast<double>(images));
+                                    }});
 }
 
 // In parts: each is in the database when its call has ended, and its end is known.
@@ -219,20 +204,16 @@ std::vector<std::string> ColmapSteps::map(const FeatureSettings& s, bool relaxed
   const fs::path folder = fs::path(work_) / ("models_" + name);
   fs::remove_all(folder);
   create_folders(folder.string());
-  std::vector<std::string> words{"mapper", "--database_path", database(s), "--image_path", images_, "--output_path",
-                                 folder.string(), "--Mapper.num_threads", std::to_string(threads_),
-                                 "--Mapper.max_num_models", "10", "--Mapper.min_model_size",
-                                 std::to_string(std::clamp<std::size_t>(images / 3, 3, 10)),
-                                 // All is adjusted at the end once more, so less often on the way.
-                                 "--Mapper.ba_global_max_num_iterations", "20", "--Mapper.ba_global_images_ratio",
-                                 "1.4", "--Mapper.ba_global_points_ratio", "1.4"};
-  if (!relaxed) {
-    words.insert(words.end(), kStrict.begin(), kStrict.end());
-  } else {
-    words.insert(words.end(), {"--Mapper.init_min_num_inliers", "50", "--Mapper.init_min_tri_angle", "8",
-                               "--Mapper.abs_pose_min_num_inliers", "15", "--Mapper.abs_pose_min_inlier_ratio", "0.15",
-                               "--Mapper.min_num_matches", "10"});
-  }
+  std::vector<std::string> words{"mapper", "--database_path", database(s),    "--image_path",
+                                 images_,  "--output_path",   folder.string()};
+  // All is adjusted at the end once more, so less often on the way.
+  const std::vector<std::string> usual =
+      word_list(fmt::format("--Mapper.num_threads {} --Mapper.max_num_models 10 --Mapper.min_model_size {} "
+                            "--Mapper.ba_global_max_num_iterations 20 --Mapper.ba_global_images_ratio 1.4 "
+                            "--Mapper.ba_global_points_ratio 1.4",
+                            threads_, std::clamp<std::size_t>(images / 3, 3, 10)));
+  for (const std::vector<std::string>& part : {usual, relaxed ? kRelaxed : kStrict})
+    words.insert(words.end(), part.begin(), part.end());
   try {
     run_program(programs_, "colmap", {.words = words, .log = file, .tick = [&] {
                                         const std::string text = log_text(file);
@@ -263,37 +244,6 @@ void ColmapSteps::model_step(const std::string& name, const std::string& from, c
   run_program(programs_, "colmap", {.words = std::move(words), .log = log(name), .tick = [&] {
                                       progress_({"adjusting all poses,", "passes"}, 0, 1);
                                     }});
-}
-
-void ColmapSteps::remove(const std::string& from, const std::vector<std::string>& names, const std::string& to) const {
-  std::string text;
-  for (const std::string& name : names) text += name + "\n";
-  const std::string list = (fs::path(work_) / "removed.txt").string();
-  write_file_atomic(list, text);
-  model_step("removed", from, to, {"image_deleter", "--image_names_path", list});
-}
-
-void ColmapSteps::filter(const std::string& from, double most_px, const std::string& to) const {
-  model_step("filtered", from, to, {"point_filtering", "--max_reproj_error", fmt::format("{:g}", most_px)});
-}
-
-void ColmapSteps::place(const FeatureSettings& settings, const std::string& from, const std::string& to) const {
-  std::vector<std::string> words{"image_registrator", "--database_path", database(settings)};
-  words.insert(words.end(), kStrict.begin(), kStrict.end());
-  model_step("placed", from, to, std::move(words));
-}
-
-void ColmapSteps::free_lenses(const std::string& from, const std::string& to) const {
-  fs::remove_all(to);
-  create_folders(to);
-  Diagnostics unread;
-  write_file_atomic((fs::path(to) / "cameras.bin").string(),
-                    colmap_cameras_file(read_colmap_model(from, unread).cameras));
-  for (const char* name : {"images.bin", "points3D.bin"}) fs::copy_file(fs::path(from) / name, fs::path(to) / name);
-}
-
-void ColmapSteps::adjust(const std::string& from, const std::string& to) const {
-  model_step("adjusted", from, to, {"bundle_adjuster"});
 }
 
 namespace {
@@ -408,6 +358,14 @@ ColmapModel read_known(const std::string& folder) {
   return read_colmap_model(folder, known);
 }
 
+// The model `from` with OPENCV lenses or fisheyes, into `to`.
+void free_lenses(const std::string& from, const std::string& to) {
+  fs::remove_all(to);
+  create_folders(to);
+  write_file_atomic((fs::path(to) / "cameras.bin").string(), colmap_cameras_file(read_known(from).cameras));
+  for (const char* name : {"images.bin", "points3D.bin"}) fs::copy_file(fs::path(from) / name, fs::path(to) / name);
+}
+
 // A mapper ends with observations that are wrong among those that are right, and least squares [Schonberger16] weighs
 // the wrong ones most. So torn_images() are placed anew among the points of the others, misplaced_images() are left
 // out, lenses become OPENCV ones or fisheyes, and three times what misses its point by more than 3, 2 and 2 times the
@@ -416,25 +374,38 @@ ColmapModel read_known(const std::string& folder) {
 std::vector<std::string> settle_model(const std::string& model, const FeatureSettings& features,
                                       const ReconstructTask& task, const ColmapSteps& colmap) {
   const auto at = [&](const char* name) { return (fs::path(task.work) / name).string(); };
+  // The model `from` without what misses its point by over `most_px` pixels; its errors are those that are left.
+  const auto filter = [&](const std::string& from, double most_px, const char* to) {
+    colmap.model_step("filtered", from, at(to),
+                      {"point_filtering", "--max_reproj_error", fmt::format("{:g}", most_px)});
+  };
+  const auto remove = [&](const std::string& from, const std::vector<std::string>& names, const char* to) {
+    const std::string list = at("removed.txt");
+    write_file_atomic(list, join(names, "\n") + "\n");
+    colmap.model_step("removed", from, at(to), {"image_deleter", "--image_names_path", list});
+  };
   std::string current = model;
   const ColmapModel found = read_known(current);
-  colmap.filter(current, kRounds[0] * found.error_px, at("filtered"));
+  filter(current, kRounds[0] * found.error_px, "filtered");
   const std::vector<std::string> torn = torn_images(found, read_known(at("filtered")));
   if (!torn.empty() && kMostTorn * torn.size() <= found.images.size()) {
-    colmap.remove(at("filtered"), torn, at("sound"));
-    colmap.place(features, at("sound"), current = at("placed"));
+    remove(at("filtered"), torn, "sound");
+    // Images of the database without a pose get one among the points of the others, where enough of these say so.
+    std::vector<std::string> words{"image_registrator", "--database_path", colmap.database(features)};
+    words.insert(words.end(), kStrict.begin(), kStrict.end());
+    colmap.model_step("placed", at("sound"), current = at("placed"), std::move(words));
   }
   const std::vector<std::string> misplaced = misplaced_images(read_known(current), task.names);
   if (!misplaced.empty()) {
-    colmap.remove(current, misplaced, at("kept"));
+    remove(current, misplaced, "kept");
     current = at("kept");
   }
-  colmap.free_lenses(current, at("refined"));
+  free_lenses(current, at("refined"));
   for (const double times : kRounds) {
     const double most_px = times * read_known(at("refined")).error_px;
-    colmap.filter(at("refined"), most_px, at("filtered"));
-    colmap.adjust(at("filtered"), at("adjusted"));
-    colmap.filter(at("adjusted"), most_px, at("refined"));
+    filter(at("refined"), most_px, "filtered");
+    colmap.model_step("adjusted", at("filtered"), at("adjusted"), {"bundle_adjuster"});
+    filter(at("adjusted"), most_px, "refined");
   }
   return misplaced;
 }

@@ -96,26 +96,14 @@ class ColmapSteps {
   /// Folders of the models that were found, in the order of their names; none where no two images begin one. `relaxed`
   /// asks less of each image that joins.
   std::vector<std::string> map(const FeatureSettings& settings, bool relaxed, std::size_t images) const;
-  /// The model `from` without these images, into `to`.
-  void remove(const std::string& from, const std::vector<std::string>& names, const std::string& to) const;
-  /// The model `from` without what misses its point by over `most_px` pixels, into `to`; its errors are those that are
-  /// left.
-  void filter(const std::string& from, double most_px, const std::string& to) const;
-  /// Images of the database that have no pose get one among the points of `from` where enough of these say so, into
-  /// `to`.
-  void place(const FeatureSettings& settings, const std::string& from, const std::string& to) const;
-  /// The model `from` with OPENCV lenses or fisheyes, into `to`.
-  void free_lenses(const std::string& from, const std::string& to) const;
-  /// All poses, points and lenses of the model `from` at once, into `to`. The errors in its files stay those of `from`.
-  void adjust(const std::string& from, const std::string& to) const;
-
+  /// A program of COLMAP with these words, that makes the model `to` of the model `from`; the log is called `name`.
+  void model_step(const std::string& name, const std::string& from, const std::string& to,
+                  std::vector<std::string> words) const;
   /// File of what extract() and match() found.
   std::string database(const FeatureSettings& settings) const;
 
  private:
   std::string log(const std::string& name) const;
-  void model_step(const std::string& name, const std::string& from, const std::string& to,
-                  std::vector<std::string> words) const;
   const Programs& programs_;
   const CaptureProgress& progress_;
   std::string images_, work_, logs_;

@@ -1,6 +1,8 @@
 // Class tables: reading, numbering, writing.
 #include "scene/classes/class_table.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cctype>
 #include <charconv>
@@ -154,8 +156,7 @@ std::int32_t scalar_int(const ConfigNode& node, const std::string& what, std::in
   std::int32_t value = 0;
   if (!node.is_scalar() || node.quoted() || !parse_int(node.text(), value) || value < low || value > high) {
     refuse("classes.table.value", node.location().text(),
-           what + ": expected an integer from " + std::to_string(low) + " to " + std::to_string(high) + ", got '" +
-               node.text() + "'");
+           fmt::format("{}: expected an integer from {} to {}, got '{}'", what, low, high, node.text()));
   }
   return value;
 }
@@ -279,9 +280,8 @@ ClassTable ClassTable::load(const std::string& path) {
 std::string ClassTable::to_yaml() const {
   std::string out;
   for (const ClassEntry& e : entries_) {
-    out += "- {id: " + std::to_string(e.id) + ", name: " + quoted(e.name) + ", color: [" + std::to_string(e.color[0]) +
-           ", " + std::to_string(e.color[1]) + ", " + std::to_string(e.color[2]) +
-           "], ignore: " + (e.ignore ? "true" : "false") + "}\n";
+    out += fmt::format("- {{id: {}, name: {}, color: [{}, {}, {}], ignore: {}}}\n", e.id, quoted(e.name), e.color[0],
+                       e.color[1], e.color[2], e.ignore ? "true" : "false");
   }
   return out.empty() ? "[]\n" : out;
 }
@@ -424,8 +424,7 @@ void SoftMap::set_row(std::size_t pixel, std::span<const float> probability) {
   for (std::size_t c = 0; c < width; ++c) {
     if (!(probability[c] >= 0) || !std::isfinite(probability[c])) {
       throw Error(ErrorKind::data, "labels.probability.invalid",
-                  "probability of class " + std::to_string(c) + " at pixel " + std::to_string(pixel) + " is " +
-                      std::to_string(probability[c]),
+                  fmt::format("probability of class {} at pixel {} is {:f}", c, pixel, probability[c]),
                   "probabilities are finite and not negative");
     }
     values_[pixel * width + c] = half_of(probability[c]);
@@ -558,8 +557,7 @@ std::string to_cvat_labelmap(const ClassTable& classes) {
     if (e.name.find_first_of(":\n") != std::string::npos)
       throw Error(ErrorKind::data, "classes.name.invalid",
                   "class '" + e.name + "': a label map cannot hold a name with ':'", "rename the class");
-    out += e.name + ":" + std::to_string(e.color[0]) + "," + std::to_string(e.color[1]) + "," +
-           std::to_string(e.color[2]) + "::\n";
+    out += fmt::format("{}:{},{},{}::\n", e.name, e.color[0], e.color[1], e.color[2]);
   }
   return out;
 }

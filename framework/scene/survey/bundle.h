@@ -2,24 +2,13 @@
 // poses are held to those given as far as photographs do not say more.
 #pragma once
 
-#include <algorithm>
 #include <array>
 #include <cstdint>
-#include <iterator>
 #include <vector>
 
-#include "scene/camera.h"
+#include "scene/camera_rig.h"
 
 namespace semfield {
-
-/// The middle value, of an even number the upper one; 0 of none.
-template <class T>
-T median_of(std::vector<T> values) {
-  if (values.empty()) return T(0);
-  const auto middle = values.begin() + std::ssize(values) / 2;
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 /// Where a photograph shows a point, pixels.
 struct Sighting {

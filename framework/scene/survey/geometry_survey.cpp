@@ -490,12 +490,6 @@ constexpr int kAnchors = 24;
 constexpr double kWidestAngle = 60;  // degrees; beyond it two frames show different sides of things
 constexpr double kWidestOfFew = 85;  // and from a right angle on hardly the same ones
 
-double angle_deg(const Pose& a, const Pose& b) {
-  double trace = 0;
-  for (int c = 0; c < 3; ++c) trace += dot(a.axis(c), b.axis(c));
-  return std::acos(std::clamp(0.5 * (trace - 1), -1.0, 1.0)) * 180 / M_PI;
-}
-
 // Between four pixels of one surface; 0 at edges, where depth is invalid, and outside.
 double depth_at(const SmallFrame& frame, double u, double v) {
   const double x = u - 0.5, y = v - 0.5;
@@ -1027,8 +1021,8 @@ struct GeometrySurvey::Impl {
     return converted_pose(as_opened.frames[frame].world_from_camera, given, as_opened.opengl_files);
   }
 
-  // The frames that tracks are of, as given.
-  Bundle bundle_of(const PhotoMatches& found) const {
+  // The frames that tracks are of, as given, and in `frames` which they are.
+  Bundle bundle_of(const PhotoMatches& found, std::vector<std::size_t>& frames) const {
     Bundle out;
     std::vector<std::int32_t> place(depths.size(), -1);
     for (const Track& track : found.tracks) {
@@ -1037,7 +1031,8 @@ struct GeometrySurvey::Impl {
         const auto frame = static_cast<std::size_t>(s.frame);
         std::int32_t& at = place[frame];
         if (at < 0) {
-          at = static_cast<std::int32_t>(out.stated.size());
+          at = static_cast<std::int32_t>(frames.size());
+          frames.push_back(frame);
           out.stated.push_back(cameras[frame]);
           out.given.push_back(pose(frame));
           out.lens_of.push_back(0);
@@ -1050,8 +1045,9 @@ struct GeometrySurvey::Impl {
     return out;
   }
 
-  // Of the frames of bundle_of(), in its order. Empty where frames are in no order of time.
-  std::vector<Pose> delayed_poses(const PhotoMatches& found, double frames) const {
+  // Of the frames of bundle_of(), in its order, as they were so many frames later. Empty where frames are in no order
+  // of time.
+  std::vector<Pose> delayed_poses(const std::vector<std::size_t>& frames, double later) const {
     const std::vector<FrameInfo>& all = as_opened.frames;
     double step = 0, reach = 0;
     for (std::size_t i = 1; i < all.size(); ++i) {
@@ -1060,16 +1056,10 @@ struct GeometrySurvey::Impl {
     }
     if (step > kInOrder * reach) return {};
     std::vector<Pose> out;
-    std::vector<bool> taken(all.size());
-    for (const Track& track : found.tracks) {
-      for (const Sighting& s : track.seen) {
-        const auto i = static_cast<std::size_t>(s.frame);
-        if (taken[i]) continue;
-        taken[i] = true;
-        const double at = std::clamp(static_cast<double>(i) + frames, 0.0, static_cast<double>(all.size() - 1));
-        const auto before = static_cast<std::size_t>(at), after = std::min(before + 1, all.size() - 1);
-        out.push_back(between(pose(before), pose(after), at - static_cast<double>(before)));
-      }
+    for (const std::size_t i : frames) {
+      const double at = std::clamp(static_cast<double>(i) + later, 0.0, static_cast<double>(all.size() - 1));
+      const auto before = static_cast<std::size_t>(at), after = std::min(before + 1, all.size() - 1);
+      out.push_back(between(pose(before), pose(after), at - static_cast<double>(before)));
     }
     return out;
   }
@@ -1135,7 +1125,9 @@ GeometryVerdict GeometrySurvey::conclude(Diagnostics& diagnostics) const {
     depths.insert(depths.end(), frame.point_depths.begin(), frame.point_depths.end());
   PhotoMatches found = match_photos(all.as_opened, all.photos, all.pairs, all.given);
   if (all.exposure) out.exposure = found.exposure;
-  out.cameras = check_cameras(all.bundle_of(found), [&](double frames) { return all.delayed_poses(found, frames); });
+  std::vector<std::size_t> frames;
+  Bundle bundle = all.bundle_of(found, frames);
+  out.cameras = check_cameras(std::move(bundle), [&](double later) { return all.delayed_poses(frames, later); });
   const int before = diagnostics.error_count();
   if (depths.empty()) {
     out.text = judge_photos(found, all.as_opened, diagnostics);

@@ -26,13 +26,7 @@ constexpr const char* kTrajectory = "lowres_wide.traj";
 // The numbers of a line, which has to hold `count` of them. Throws Error(data).
 std::vector<double> numbers_of(const TextRow& row, std::size_t count) {
   std::vector<double> out;
-  const std::string line = row.fields.front();
-  for (const std::string_view word : words_of(line)) {
-    double value = 0;
-    if (!parse_number(word, value)) break;
-    out.push_back(value);
-  }
-  if (out.size() == count && words_of(line).size() == count) return out;
+  if (parse_numbers(row.fields.front(), out).empty() && out.size() == count) return out;
   throw Error(ErrorKind::data, "scene.index.value", row.place + ": expected " + std::to_string(count) + " numbers",
               "download the scene again");
 }

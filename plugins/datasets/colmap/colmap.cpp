@@ -75,12 +75,6 @@ std::string recognise(const std::string& path, ColmapParams& p) {
 
 namespace {
 
-double quantile(std::vector<double>& values, double share) {
-  const auto at = static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
-  std::nth_element(values.begin(), values.begin() + at, values.end());
-  return values[static_cast<std::size_t>(at)];
-}
-
 // Bounds: the central 99 % of the points on every axis, a tenth wider each way, and the cameras. Distances: of the
 // points inside them, as the images see them.
 void set_extent(const ColmapModel& model, SceneInfo& info) {
@@ -121,9 +115,7 @@ void set_extent(const ColmapModel& model, SceneInfo& info) {
 
 std::string Colmap::model_folder(Diagnostics& diagnostics) const {
   const fs::path root(files_.root());
-  if (!fs::is_directory(root))
-    throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + root.string() + "' is missing",
-                "check scene.root");
+  require_folder(root, "check scene.root");
   if (!params_.model.empty()) {
     if (holds_model(root / params_.model)) return (root / params_.model).string();
     throw Error(ErrorKind::no_input, "scene.poses.missing",
@@ -148,10 +140,7 @@ SceneInfo Colmap::open(Diagnostics& diagnostics) {
   const ColmapModel model = read_colmap_model(folder, diagnostics);
   const fs::path root(files_.root());
   for (const auto& [what, name] : {std::pair{"images", params_.images}, std::pair{"label_dir", params_.label_dir}}) {
-    if (!name.empty() && !fs::is_directory(root / name)) {
-      throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + (root / name).string() + "' is missing",
-                  std::string("check scene.") + what);
-    }
+    if (!name.empty()) require_folder(root / name, std::string("check scene.") + what);
   }
   FileNames finder;
   std::vector<PosedPhotograph> photos;

@@ -50,18 +50,14 @@ std::string recognise(const std::string& path, LlffParams& p) {
 SceneInfo Llff::open(Diagnostics& diagnostics) {
   const fs::path root(files_.root()), folder = root / params_.images;
   const std::string path = (root / kPosesFile).string();
-  if (!fs::is_directory(root))
-    throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + root.string() + "' is missing",
-                "check scene.root");
+  require_folder(root, "check scene.root");
   const NumpyArray poses = read_npy(path, [&](std::span<const std::int64_t> shape) {
     if (shape.size() == 2 && shape[0] > 0 && shape[1] == static_cast<std::int64_t>(kRow)) return;
     throw Error(ErrorKind::data, "scene.pose.format",
                 "shape " + shape_text(shape) + " is not that of poses: 17 numbers per frame",
                 "write 3 x 5 numbers of pose and size, near and far for each frame");
   });
-  if (!fs::is_directory(folder))
-    throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + folder.string() + "' is missing",
-                "check scene.images");
+  require_folder(folder, "check scene.images");
   const std::vector<std::string> images = files_with(folder.string(), kPhotographs);
   const std::size_t count = poses.values.size() / kRow;
   if (images.size() != count) {

@@ -560,16 +560,16 @@ void MeshRenderer::render(const Camera& camera, const Pose& pose, std::uint64_t 
 // Texture lookup: pyramid by box filter, bilinear in each level, linear between levels.
 
 // IEC 61966-2-1.
-float linear_of_srgb(float value) {
-  return value <= 0.04045f ? value / 12.92f : std::pow((value + 0.055f) / 1.055f, 2.4f);
-}
 float srgb_of_linear(float value) {
   return value <= 0.0031308f ? value * 12.92f : 1.055f * std::pow(value, 1 / 2.4f) - 0.055f;
 }
 
 Texture::Texture(std::int32_t width, std::int32_t height, const std::vector<std::uint8_t>& rgb) {
   std::array<float, 256> table{};
-  for (std::size_t i = 0; i < 256; ++i) table[i] = linear_of_srgb(static_cast<float>(i) / 255.0f);
+  for (std::size_t i = 0; i < 256; ++i) {
+    const float value = static_cast<float>(i) / 255.0f;
+    table[i] = value <= 0.04045f ? value / 12.92f : std::pow((value + 0.055f) / 1.055f, 2.4f);
+  }
   Level base{width, height, std::vector<float>(rgb.size())};
   for (std::size_t i = 0; i < rgb.size(); ++i) base.rgb[i] = table[rgb[i]];
   levels_.push_back(std::move(base));

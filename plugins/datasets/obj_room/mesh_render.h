@@ -91,7 +91,6 @@ class Mask {
   std::vector<std::uint8_t> values_;
 };
 
-float linear_of_srgb(float value);
 float srgb_of_linear(float value);
 
 /// A ball of light.

@@ -143,13 +143,10 @@ Replica::Replica(const ReplicaParams& params, const DatasetBuild& build)
 
 std::string Replica::sequence_folder() {
   slam_ = false;
-  if (!fs::is_directory(root_))
-    throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + root_ + "' is missing", "check scene.root");
+  require_folder(root_, "check scene.root");
   if (!params_.sequence.empty()) {
     const fs::path folder = fs::path(root_) / params_.sequence;
-    if (!fs::is_directory(folder))
-      throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + folder.string() + "' is missing",
-                  "check scene.sequence");
+    require_folder(folder, "check scene.sequence");
     slam_ = !fs::exists(folder / "traj_w_c.txt") && is_slam_sequence(folder.string());
     return folder.string();
   }
@@ -174,15 +171,7 @@ std::vector<Replica::Row> Replica::read_trajectory(const std::string& path, Diag
     const std::string row = text.substr(at, end - at);
     at = end + 1;
     std::vector<double> numbers;
-    std::string_view bad;  // from the first word that is not a number to the line's end
-    for (const std::string_view word : words_of(row)) {
-      double value = 0;
-      if (!parse_number(word, value)) {
-        bad = std::string_view(row).substr(static_cast<std::size_t>(word.data() - row.data()));
-        break;
-      }
-      numbers.push_back(value);
-    }
+    const std::string_view bad = parse_numbers(row, numbers);
     if (numbers.empty() && bad.empty()) continue;
     const std::string place = path + ":" + std::to_string(line);
     Row found{static_cast<int>(rows++), {}};
@@ -205,7 +194,7 @@ std::vector<Replica::Row> Replica::read_trajectory(const std::string& path, Diag
     if (state == PoseState::not_finite) skipped.push_back(std::to_string(found.number));
     if (state == PoseState::good) out.push_back(found);
   }
-  if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, out.size(), path, diagnostics);
+  report_skipped(skipped, out.size(), path, diagnostics);
   return out;
 }
 
@@ -397,9 +386,7 @@ SceneInfo Replica::open(Diagnostics& diagnostics) {
     frame.camera = camera;
     frame.world_from_camera = row.pose;
     if (!check.present(frame, files, diagnostics)) continue;
-    frame.has_depth = !files.depth.empty();
-    frame.has_labels = !files.label.empty();
-    frame.has_instances = !files.instance.empty();
+    files.tell_channels(frame);
     has_labels = has_labels || frame.has_labels;
     check.check_headers(frame, files, diagnostics);
     info_.frames.push_back(frame);

@@ -62,14 +62,10 @@ std::optional<std::vector<double>> read_matrix(const std::string& path, const st
   std::vector<double> numbers;
   try {
     const std::string text = read_text_file(path, 1 << 16);
-    for (const std::string_view word : words_of(text)) {
-      double value = 0;
-      if (!parse_number(word, value)) {
-        diagnostics.error("scene.pose.format", place, "'" + path + "': '" + std::string(word) + "' is not a number",
-                          "export the scene again");
-        return std::nullopt;
-      }
-      numbers.push_back(value);
+    if (const std::string_view bad = parse_numbers(text, numbers); !bad.empty()) {
+      diagnostics.error("scene.pose.format", place, "'" + path + "': '" + word_list(bad)[0] + "' is not a number",
+                        "export the scene again");
+      return std::nullopt;
     }
   } catch (const Error& e) {
     diagnostics.error(e.code(), place, e.message(), e.remedy());
@@ -114,13 +110,8 @@ std::vector<T> resample(const Image<Pixel>& image, const std::vector<std::int64_
 
 std::vector<Scannet::View> Scannet::list_views(FrameFileCheck& check, Diagnostics& diagnostics) const {
   const fs::path root(root_);
-  for (const char* name : {"", "color", "pose", "intrinsic"}) {
-    if (!fs::is_directory(root / name)) {
-      throw Error(ErrorKind::no_input, "files.folder.missing",
-                  "folder '" + (*name == '\0' ? root : root / name).string() + "' is missing",
-                  "check scene.root; it names the folder of one exported scene");
-    }
-  }
+  for (const fs::path& folder : {root, root / "color", root / "pose", root / "intrinsic"})
+    require_folder(folder, "check scene.root; it names the folder of one exported scene");
   std::vector<View> out;
   std::vector<std::string> skipped;
   for (const auto& [number, path] : numbered_photographs((root / "color").string(), diagnostics)) {
@@ -138,8 +129,7 @@ std::vector<Scannet::View> Scannet::list_views(FrameFileCheck& check, Diagnostic
       skipped.push_back(stem);
     }
   }
-  if (!diagnostics.has_errors() || !skipped.empty())
-    report_skipped(skipped, out.size(), (root / "pose").string(), diagnostics);
+  report_skipped(skipped, out.size(), (root / "pose").string(), diagnostics);
   if (params_.max_frames > 0 && out.size() > static_cast<std::size_t>(params_.max_frames)) {
     const auto taken = static_cast<std::size_t>(params_.max_frames);
     diagnostics.note("scene.frames.taken", root_,
@@ -248,9 +238,7 @@ void Scannet::add_frame(const View& view, std::size_t rank, std::size_t views, F
                    has_[2] ? file_in("instance-filt") : ""};
   if (has_[1] && !fs::exists(files.label)) files.label.clear();  // not every frame is labelled
   if (!check.present(frame, files, diagnostics)) return;
-  frame.has_depth = !files.depth.empty();
-  frame.has_labels = !files.label.empty();
-  frame.has_instances = !files.instance.empty();
+  files.tell_channels(frame);
   // Which is held out: 1, 3, 5, ... of the default 2.
   frame.split = HoldOut{params_.test_every, params_.test_every - 1}.split_of(rank, views);
   check.check_headers(frame, {files.color, "", "", ""}, diagnostics);

@@ -230,37 +230,32 @@ class TransformsValues {
 
 // Keys of transforms.json: those that are read, and what others look like.
 
-std::vector<std::string> list_of(std::string_view text) {
-  const std::vector<std::string_view> words = words_of(text);
-  return {words.begin(), words.end()};
-}
-
 bool is_in(const std::vector<std::string>& list, const std::string& key) {
   return std::find(list.begin(), list.end(), key) != list.end();
 }
 
-const std::vector<std::string> kLensKeys = list_of(
+const std::vector<std::string> kLensKeys = word_list(
     "w h fl_x fl_y cx cy camera_angle_x camera_angle_y k1 k2 k3 k4 p1 p2 camera_model is_fisheye distortion_params K "
     "intrinsics intrinsic_matrix camera_matrix cam_K");
-const std::vector<std::string> kFileKeys = list_of(
+const std::vector<std::string> kFileKeys = word_list(
     "frames classes depth_unit_m train_filenames test_filenames val_filenames aabb_scale scale offset "
     "integer_depth_scale depth_unit_scale_factor depth_camera metric");
-const std::vector<std::string> kFrameKeys = list_of(
+const std::vector<std::string> kFrameKeys = word_list(
     "file_path depth_path label_path instance_path depth_file_path mask_path transform_matrix depth_unit_m "
     "integer_depth_scale depth_unit_scale_factor");
 // Keys of nerfstudio, instant-ngp and Blender that are near one of ours.
-const std::vector<std::string> kStrangers = list_of("frame_id filenames depth_unit");
+const std::vector<std::string> kStrangers = word_list("frame_id filenames depth_unit");
 
 // Our keys, and what other programs and people call them.
 const std::map<std::string, std::vector<std::string>> kOtherNames{
-    {"fl_x", list_of("fx focal focal_length")},
-    {"fl_y", list_of("fy")},
-    {"w", list_of("width")},
-    {"h", list_of("height")},
-    {"cx", list_of("c_x")},
-    {"cy", list_of("c_y")},
-    {"file_path", list_of("image image_path filename file_name")},
-    {"transform_matrix", list_of("pose matrix c2w transform camera_to_world")}};
+    {"fl_x", word_list("fx focal focal_length")},
+    {"fl_y", word_list("fy")},
+    {"w", word_list("width")},
+    {"h", word_list("height")},
+    {"cx", word_list("c_x")},
+    {"cy", word_list("c_y")},
+    {"file_path", word_list("image image_path filename file_name")},
+    {"transform_matrix", word_list("pose matrix c2w transform camera_to_world")}};
 
 // The key that is read, of a file or with `of_frame` of one of its frames, that `key` is near; "" for one that is read
 // itself, is known from other programs, or is near none. `named` are keys of frames that the configuration names.
@@ -518,14 +513,13 @@ class FileReader {
     frame.lens = values_.lens(item, lens, frame.place);
     frame.lens.kind = *kind;
     frame.files.color = file_of(folder_ / frame.file_path);
-    std::string depth = path_of("depth_path");
-    if (depth.empty()) depth = path_of("depth_file_path");  // nerfstudio's name for it
-    if (!depth.empty()) frame.files.depth = file_of(folder_ / depth);
-    if (const std::string label = label_key_.empty() ? "" : path_of(label_key_.c_str()); !label.empty())
-      frame.files.label = file_of(folder_ / label);
-    if (const std::string instance = path_of("instance_path"); !instance.empty())
-      frame.files.instance = file_of(folder_ / instance);
-    if (const std::string mask = path_of("mask_path"); !mask.empty()) frame.files.mask = file_of(folder_ / mask);
+    const char* const depth_key = path_of("depth_path").empty() ? "depth_file_path" : "depth_path";  // nerfstudio's
+    for (const auto& [key, file] : {std::pair{depth_key, &FrameFiles::depth},
+                                    {label_key_.c_str(), &FrameFiles::label},
+                                    {"instance_path", &FrameFiles::instance},
+                                    {"mask_path", &FrameFiles::mask}})
+      if (const std::string path = *key == '\0' ? "" : path_of(key); !path.empty())
+        frame.files.*file = file_of(folder_ / path);
     for (const std::string& name : channels_)
       if (const std::string file = path_of((name + "_path").c_str()); !file.empty())
         frame.channels[name] = names_.of((folder_ / file).string());
@@ -634,8 +628,7 @@ TransformsIndex read_transforms(const std::string& root, const std::string& labe
     read(root, std::nullopt);
     return out;
   }
-  if (!is_folder(root))
-    throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + root + "' is missing", "check scene.root");
+  require_folder(root, "check scene.root");
   if (is_there(folder / "transforms.json")) {
     read((folder / "transforms.json").string(), std::nullopt);
     return out;
@@ -912,9 +905,7 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
         !frame_camera(in, place, sizes, frame.camera, diagnostics)) {
       continue;
     }
-    frame.has_depth = !files.depth.empty();
-    frame.has_labels = !files.label.empty();
-    frame.has_instances = !files.instance.empty();
+    files.tell_channels(frame);
     has_labels = has_labels || frame.has_labels;
     has_depth = has_depth || frame.has_depth;
     const std::int32_t colors = check.check_headers(frame, files, diagnostics, depth_camera()).channels;
@@ -940,7 +931,7 @@ SceneInfo TransformsJson::open(Diagnostics& diagnostics) {
   check.report(root_, info_.frames.size(), diagnostics);
   sizes.report(root_, diagnostics);
   masks.report(diagnostics);
-  if (!diagnostics.has_errors() || !skipped.empty()) report_skipped(skipped, info_.frames.size(), root_, diagnostics);
+  report_skipped(skipped, info_.frames.size(), root_, diagnostics);
   if (params_.depth_unit_m == 0 && !unit_told && !index.unclear_depth_key.empty())
     diagnostics.error("scene.depth.unit", root_,
                       "'" + index.unclear_depth_key +

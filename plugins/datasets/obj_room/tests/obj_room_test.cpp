@@ -325,7 +325,7 @@ TEST(Capture, VoidStaysVoidWhereTheTableHasNoVoid) {
 TEST(Capture, DepthIsMended) {
   Wall wall;
   const std::string folder = fresh_folder("out");
-  capture_replica(wall, wall.info, folder, {}, {.depth_scale = 2});
+  app::capture_replica(wall, wall.info, folder, {}, {.depth_scale = 2});
   Diagnostics d;
   const std::unique_ptr<Dataset> replica = linked("replica", all_frames(folder));
   replica->open(d);
@@ -354,7 +354,7 @@ TEST(Capture, InstancesBeyondAByteAndDepthBeyondTheRange) {
   EXPECT_NEAR(f.depth_m[2], 65.534, 1e-4);
   EXPECT_EQ(f.depth_m[3], 0);
   wall.frame.instance[0] = 65536;
-  EXPECT_HAS(error_of([&] { capture_replica(wall, wall.info, fresh_folder("more")); }), "65536", "16");
+  EXPECT_HAS(error_of([&] { app::capture_replica(wall, wall.info, fresh_folder("more")); }), "65536", "16");
 }
 
 TEST(Capture, ChannelsThatTheSceneLacksAreLeftOut) {
@@ -365,7 +365,7 @@ TEST(Capture, ChannelsThatTheSceneLacksAreLeftOut) {
   wall.frame.label.clear();
   wall.frame.instance.clear();
   const std::string folder = fresh_folder("out");
-  capture_replica(wall, wall.info, folder);
+  app::capture_replica(wall, wall.info, folder);
   for (const char* name : {"depth", "semantic_class", "semantic_instance", "classes.yaml"})
     EXPECT_FALSE(fs::exists(folder + "/" + name)) << name;
   Diagnostics d;
@@ -380,14 +380,14 @@ TEST(Capture, RefusesWhatTheLayoutCannotHold) {
   Wall wall;
   wall.info.frames[1].camera.fx += 1;
   wall.info.frames[1].camera.k1 = 0.1;
-  EXPECT_HAS(error_of([&] { capture_replica(wall, wall.info, folder); }), "frame 1: has lens distortion",
+  EXPECT_HAS(error_of([&] { app::capture_replica(wall, wall.info, folder); }), "frame 1: has lens distortion",
              "frame 1: has another camera");
   EXPECT_TRUE(fs::is_empty(folder));
   wall.info.frames[1] = wall.info.frames[0];
-  capture_replica(wall, wall.info, folder);
-  EXPECT_HAS(error_of([&] { capture_replica(wall, wall.info, folder); }), folder, "captured scene");
+  app::capture_replica(wall, wall.info, folder);
+  EXPECT_HAS(error_of([&] { app::capture_replica(wall, wall.info, folder); }), folder, "captured scene");
   wall.info.frames.clear();
-  EXPECT_EQ(error_of([&] { capture_replica(wall, wall.info, fresh_folder("none")); }), "the scene has no frames");
+  EXPECT_EQ(error_of([&] { app::capture_replica(wall, wall.info, fresh_folder("none")); }), "the scene has no frames");
 }
 
 // Cast frames are kept and found again, and never in place of others.
