@@ -136,8 +136,6 @@ inline void describe_rule(ParamVisitor& visit, LossRule& p) {
                  "share of train.steps after which the term begins, and never before train.schedule.hold_steps",
                  {0, 1});
 }
-/// For losses without relations between parameters.
-inline void validate(const LossRule&, Diagnostics&) {}
 
 /// The channels of a loss, by name.
 struct LossTraits {

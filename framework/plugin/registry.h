@@ -100,10 +100,9 @@ std::string call_preparation(const std::string& folder, const Params& params) {
 }  // namespace plugin_detail
 
 /// Params needs `void describe(ParamVisitor&, Params&)` in its namespace, and may have `void validate(const Params&,
-/// Diagnostics&)` (a loss's may be that of LossRule) and `void choose_for(Params&, Device, std::vector<std::string>&)`;
-/// an encoder's may have `void choose(Params&, const EncoderBuild&, std::vector<std::string>&)`, a dataset's
-/// `std::string recognise(const std::string& path, Params&)` and `std::string preparation(const std::string& folder,
-/// const Params&)`.
+/// Diagnostics&)` and `void choose_for(Params&, Device, std::vector<std::string>&)`; an encoder's may have `void
+/// choose(Params&, const EncoderBuild&, std::vector<std::string>&)`, a dataset's `std::string recognise(const
+/// std::string& path, Params&)` and `std::string preparation(const std::string& folder, const Params&)`.
 template <class Params>
 class ParamsOf final : public PluginParams {
  public:
