@@ -26,7 +26,8 @@ template <class Real>
 struct RayBench {
   RayBench(const Registry& registry, const std::string& name, const testkit::Settings& settings,
            const SamplerBuild& build = unit_build())
-      : sampler(testkit::make_part<Real>(registry, name, settings, build)), box(*sampler, 1, 0.0) {
+      : RayBench(testkit::make_part<Real>(registry, name, settings, build)) {}
+  explicit RayBench(std::unique_ptr<Sampler<Real>> of) : sampler(std::move(of)), box(*sampler, 1, 0.0) {
     ctx.seed = 1;
     ctx.workspace = &workspace;
   }

@@ -3,9 +3,8 @@
 
 #include <gtest/gtest.h>
 
-#include "testkit/compare.h"
-#include "testkit/laws.h"
 #include "tests/linked_registry.h"
+#include "tests/numerics/ray_bench.h"
 
 namespace semfield {
 namespace {
@@ -24,59 +23,37 @@ DensityQuery<Real> ball(double inside, double haze) {
 }
 
 template <class Real>
-struct Bench {
-  explicit Bench(const OccupancyGridParams& p) : sampler(p, room(), tables()), box(sampler, 1, 0.0) {
-    ctx.seed = 3;
-    ctx.workspace = &workspace;
+struct Bench : numerics::RayBench<Real> {
+  explicit Bench(const OccupancyGridParams& p)
+      : numerics::RayBench<Real>(std::make_unique<OccupancyGrid<Real>>(p, room(), tables())),
+        grid(static_cast<OccupancyGrid<Real>&>(*this->sampler)) {
+    this->ctx.seed = 3;
   }
   static const KernelTables& tables() { return testkit::linked_registry().kernels(); }
   void learn(const DensityQuery<Real>& query, std::int64_t steps) {
     for (std::int64_t s = 0; s < steps; ++s) {
-      ctx.step = s;
-      ctx.training = true;
-      sampler.observe(ctx, box.values_only(), query);
+      this->ctx.step = s;
+      this->ctx.training = true;
+      grid.observe(this->ctx, this->box.values_only(), query);
     }
-    ctx.training = false;
+    this->ctx.training = false;
   }
   // Rays from a corner of the room in many directions.
   void shoot(std::int64_t rays) {
-    origin.assign(static_cast<std::size_t>(3 * rays), 0.0);
-    direction = origin;
-    near_far.clear();
+    this->set_rays(rays, 0.05, 12.0);
     for (std::int64_t r = 0; r < rays; ++r) {
       const auto random = [&](int i) {
         return static_cast<double>(uniform01({8, 0, 1}, static_cast<std::uint64_t>(8 * r + i)));
       };
       const Vec3d d = normalized(Vec3d{random(0) - 0.5, random(1) - 0.5, random(2) - 0.5});
       for (int i = 0; i < 3; ++i) {
-        origin[3 * r + i] = room().bounds.lo[i] + (0.05 + 0.9 * random(3 + i)) * room().bounds.size()[i];
-        direction[3 * r + i] = d[i];
+        this->origin[3 * r + i] = room().bounds.lo[i] + (0.05 + 0.9 * random(3 + i)) * room().bounds.size()[i];
+        this->direction[3 * r + i] = d[i];
       }
-      near_far.insert(near_far.end(), {0.05, 12.0});
     }
-    sample(rays);
+    this->draw();
   }
-  void sample(std::int64_t rays) {
-    const std::int64_t capacity = sampler.capacity(rays, 0);
-    t.resize(static_cast<std::size_t>(capacity));
-    delta.resize(t.size());
-    ray.resize(t.size());
-    first.resize(static_cast<std::size_t>(rays + 1));
-    out = {View<Real>(t.data(), capacity, 1), View<Real>(delta.data(), capacity, 1),
-           View<std::int32_t>(ray.data(), capacity, 1), View<std::int32_t>(first.data(), rays + 1, 1), 0};
-    sampler.sample(ctx, box.values_only(),
-                   {View<const double>(origin.data(), rays, 3), View<const double>(direction.data(), rays, 3),
-                    View<const double>(near_far.data(), rays, 2)},
-                   nullptr, out);
-  }
-  OccupancyGrid<Real> sampler;
-  testkit::TensorBox<Real> box;
-  Workspace workspace;
-  StepContext ctx;
-  std::vector<double> origin, direction, near_far;
-  std::vector<Real> t, delta;
-  std::vector<std::int32_t> ray, first;
-  Samples<Real> out;
+  OccupancyGrid<Real>& grid;
 };
 
 OccupancyGridParams small_grid() {
@@ -86,7 +63,7 @@ OccupancyGridParams small_grid() {
 // Lattice indices whose cell is marked occupied, looked at one by one.
 template <class Real>
 std::vector<Real> brute_force(Bench<Real>& bench, std::int64_t r) {
-  const OccupancyGeometry& g = bench.sampler.geometry();
+  const OccupancyGeometry& g = bench.grid.geometry();
   const double* o = &bench.origin[3 * r];
   const double* d = &bench.direction[3 * r];
   double enter = 0, leave = 0;
@@ -156,7 +133,7 @@ OccupancyGridParams growing_grid() {
 TEST(OccupancyGrid, GrowingStepsTileTheRayAndStayBelowTheirShare) {
   Bench<double> bench(growing_grid());
   bench.shoot(100);  // nothing is left out yet
-  const OccupancyGeometry& g = bench.sampler.geometry();
+  const OccupancyGeometry& g = bench.grid.geometry();
   for (std::size_t r = 0; r < 100; ++r) {
     double border = 0.05, longest = 0;
     const auto begin = static_cast<std::size_t>(bench.first[r]), end = static_cast<std::size_t>(bench.first[r + 1]);
@@ -178,7 +155,7 @@ TEST(OccupancyGrid, GrowingStepsJumpAsStepByStepMarchingGoes) {
   all.shoot(300);
   bench.learn(ball<double>(50, 0), 80);
   bench.shoot(300);
-  const OccupancyGeometry& g = bench.sampler.geometry();
+  const OccupancyGeometry& g = bench.grid.geometry();
   const auto* bits = reinterpret_cast<const unsigned char*>(bench.box.value(1).data);
   std::size_t kept = 0;
   for (std::size_t r = 0; r < 300; ++r) {
@@ -205,10 +182,10 @@ TEST(OccupancyGrid, GrowingStepsLowerTheThresholdOfOuterCascades) {
     params.growth = growth;
     Bench<double> bench(params);
     // 0.7 of the threshold of the finest cells everywhere, a dense ball that keeps the mean high.
-    const double haze = 0.7 * params.threshold / bench.sampler.geometry().step_m;
+    const double haze = 0.7 * params.threshold / bench.grid.geometry().step_m;
     bench.learn(ball<double>(1e7, haze), 80);
     const auto* bits = reinterpret_cast<const unsigned char*>(bench.box.value(1).data);
-    const std::int64_t of_cascade = bench.sampler.geometry().cells_per_cascade();
+    const std::int64_t of_cascade = bench.grid.geometry().cells_per_cascade();
     return std::array<bool, 2>{!is_empty_cell<double>(bits, 0), !is_empty_cell<double>(bits, of_cascade)};
   };
   EXPECT_EQ(occupied(0.05), (std::array<bool, 2>{false, true}));
@@ -235,7 +212,7 @@ TEST(OccupancyGrid, EverySampleNearTheBallIsKept) {
       const double t = static_cast<double>(bench.t[k]);
       if (std::abs(t - along) < half) covered += static_cast<double>(bench.delta[k]);
     }
-    EXPECT_NEAR(covered, gap2 > 0 ? want : 0, 2 * bench.sampler.geometry().step_m) << "ray " << r;
+    EXPECT_NEAR(covered, gap2 > 0 ? want : 0, 2 * bench.grid.geometry().step_m) << "ray " << r;
   }
 }
 
@@ -251,7 +228,7 @@ double largest_loss(SkipRule rule, double haze) {
     double enter = 0, leave = 0, covered = 0;
     const double* o = &bench.origin[3 * r];
     const double* d = &bench.direction[3 * r];
-    intersect(bench.sampler.geometry().outer(), {o[0], o[1], o[2]}, {d[0], d[1], d[2]}, enter, leave);
+    intersect(bench.grid.geometry().outer(), {o[0], o[1], o[2]}, {d[0], d[1], d[2]}, enter, leave);
     for (std::int32_t k = bench.first[r]; k < bench.first[static_cast<std::size_t>(r) + 1]; ++k) {
       covered += bench.delta[k];
     }
@@ -274,7 +251,7 @@ TEST(OccupancyGrid, NothingIsLeftOutDuringWarmUpOrWithoutAnyDensity) {
   bench.learn(ball<float>(50, 0), 40);
   bench.shoot(20);
   EXPECT_EQ(bench.out.count, all);
-  EXPECT_EQ(bench.sampler.status(bench.box.values_only()), "occupied 100 % (warm-up)");
+  EXPECT_EQ(bench.grid.status(bench.box.values_only()), "occupied 100 % (warm-up)");
   Bench<float> dead(small_grid());
   dead.learn(ball<float>(0, 0), 200);
   dead.shoot(20);
@@ -294,7 +271,7 @@ TEST(OccupancyGrid, FollowsAFieldThatMoves) {
   EXPECT_NEAR(before, 2.14 / (5.1 * 4.1 * 3.1), 0.01);  // the ball's share of the padded room
   for (std::int64_t s = 80; s < 80 + 16 * 110; s += 16) {
     bench.ctx.step = s;
-    bench.sampler.observe(bench.ctx, bench.box.values_only(), ball<float>(0, 20));  // inside out
+    bench.grid.observe(bench.ctx, bench.box.values_only(), ball<float>(0, 20));  // inside out
   }
   EXPECT_NEAR(bench.box.value(3).data[2], 1 - before, 0.02);
 }
@@ -315,10 +292,9 @@ TEST(OccupancyGrid, StateIsFiniteWhateverTheDensity) {  // a checkpoint refuses 
 // Case B11 of tests/numerics has steps that are scarce.
 TEST(OccupancyGrid, ARayThatMissesTheGridHasNoSamples) {
   Bench<float> bench(small_grid());
+  bench.set_rays(1, 0, 1e7);
   bench.origin = {1e5, 1e5, 1e5};
-  bench.direction = {1, 0, 0};
-  bench.near_far = {0, 1e7};
-  bench.sample(1);
+  bench.draw();
   EXPECT_EQ(bench.out.count, 0);
 }
 
