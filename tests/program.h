@@ -2,6 +2,7 @@
 #pragma once
 
 #include <fcntl.h>
+#include <gtest/gtest.h>
 #include <signal.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
@@ -16,6 +17,7 @@
 #include "core/text.h"
 #include "system/files.h"
 #include "tests/says.h"
+#include "tests/temp_dir.h"
 
 namespace semfield::testing_program {
 
@@ -47,6 +49,14 @@ inline Result succeeded(Result result) {
   if (result.code != 0) throw std::runtime_error("it ended in " + std::to_string(result.code) + ": " + result.err);
   return result;
 }
+
+/// Tests of the program in a folder of their own.
+struct ProgramInAFolder : ::testing::Test {
+  const TempDir dir;
+  Result semfield(const std::string& words, const std::string& before = "") const {
+    return semfield_run(words, dir.path(), before);
+  }
+};
 
 /// "" when it ended with that exit code, and its standard error is as unsaid() of `said` has it.
 template <class... Said>

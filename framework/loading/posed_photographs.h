@@ -14,6 +14,7 @@
 #include "loading/frame_files.h"
 #include "loading/frame_source.h"
 #include "scene/dataset.h"
+#include "scene/scene.h"
 
 namespace semfield {
 

@@ -784,10 +784,6 @@ using namespace testing_train;
 
 using namespace testing_program;
 
-Result semfield(const std::string& words, const TempDir& dir) {
-  return testing_program::semfield_run(words, dir.path());
-}
-
 // A packed analytic room and a configuration that trains on it for a moment.
 std::string write_scene(const TempDir& dir, bool with_depth = true) {
   testkit::AnalyticSceneOptions options{.with_depth = with_depth};
@@ -801,18 +797,19 @@ std::string write_scene(const TempDir& dir, bool with_depth = true) {
   return dir / "config.yaml";
 }
 
-TEST(FuseVerb, LinesJsonAndMaps) {
-  const TempDir dir;
+using FuseVerb = ProgramInAFolder;
+
+TEST_F(FuseVerb, LinesJsonAndMaps) {
   const std::string fuse = "fuse " + shell_word(write_scene(dir));
-  const Result lines = succeeded(semfield(fuse + " --method monocular,bayesian", dir));
+  const Result lines = succeeded(semfield(fuse + " --method monocular,bayesian"));
   EXPECT_HAS(lines.out, "fuse: method=monocular depth=true miou_present=1.0000 ",
              "\nfuse: method=bayesian depth=true ");
   EXPECT_HAS(lines.err, "predictions are the scene's own labels");
   const Result r =
-      succeeded(semfield(fuse + " --json --set fuse.relative_tolerance=0.03 --out " + shell_word(dir / "maps"), dir));
+      succeeded(semfield(fuse + " --json --set fuse.relative_tolerance=0.03 --out " + shell_word(dir / "maps")));
   const auto rows = nlohmann::json::parse(r.out).at("scores");
   EXPECT_EQ(nlohmann::json::parse(read_text_file(dir / "maps/fuse.json"))["scores"], rows);
-  const Result one = semfield(fuse + " --json --set fuse.relative_tolerance=0.03 --threads 1", dir);
+  const Result one = semfield(fuse + " --json --set fuse.relative_tolerance=0.03 --threads 1");
   EXPECT_EQ(nlohmann::json::parse(one.out).at("scores"), rows) << "threads change a number";
   ASSERT_EQ(rows.size(), 3u);
   for (const auto& row : rows) {
@@ -824,13 +821,11 @@ TEST(FuseVerb, LinesJsonAndMaps) {
   EXPECT_GT(rows[1]["visible_views_mean"].get<double>(), 2);
 }
 
-TEST(FuseVerb, DepthOfARunAndItsOwnRow) {
-  const TempDir dir;
+TEST_F(FuseVerb, DepthOfARunAndItsOwnRow) {
   const std::string config = write_scene(dir);
-  ASSERT_EQ(semfield("train " + shell_word(config) + " --steps 200 --out " + shell_word(dir / "run"), dir).code, 0);
+  ASSERT_EQ(semfield("train " + shell_word(config) + " --steps 200 --out " + shell_word(dir / "run")).code, 0);
   const Result r = succeeded(semfield("fuse " + shell_word(config) + " --json --depth-from " + shell_word(dir / "run") +
-                                          " --set fuse.tolerance=0.2 " + "--out " + shell_word(dir / "maps"),
-                                      dir));
+                                      " --set fuse.tolerance=0.2 " + "--out " + shell_word(dir / "maps")));
   const auto rows = nlohmann::json::parse(r.out).at("scores");
   ASSERT_EQ(rows.size(), 4u);
   EXPECT_EQ(rows[3]["method"], "field");
@@ -849,8 +844,7 @@ TEST(FuseVerb, DepthOfARunAndItsOwnRow) {
   const SceneInfo info = scene->open(diagnostics);
   write_packed_scene(dir / "other.sfpack", info, [&](int frame, FrameBuffer& b) { scene->read(frame, b); });
   EXPECT_ENDED(semfield("fuse " + shell_word(config) + " --set " + shell_word("scene.file=" + (dir / "other.sfpack")) +
-                            " --depth-from " + shell_word(dir / "run"),
-                        dir),
+                        " --depth-from " + shell_word(dir / "run")),
                65, "the camera stands elsewhere in the scene of");
 
   // In a room a ten-thousandth as large, cameras a fifth farther out are elsewhere too.
@@ -858,20 +852,18 @@ TEST(FuseVerb, DepthOfARunAndItsOwnRow) {
     return " --set scene.load.pose_scale=" + by + " --set scene.load.depth_scale=" + by;
   };
   ASSERT_EQ(
-      semfield("train " + shell_word(config) + scaled("1e-4") + " --steps 2 --out " + shell_word(dir / "small"), dir)
-          .code,
+      semfield("train " + shell_word(config) + scaled("1e-4") + " --steps 2 --out " + shell_word(dir / "small")).code,
       0);
   const std::string fuse = " --depth-from " + shell_word(dir / "small");
-  EXPECT_EQ(semfield("fuse " + shell_word(config) + scaled("1e-4") + fuse, dir).code, 0);
-  EXPECT_ENDED(semfield("fuse " + shell_word(config) + scaled("1.2e-4") + fuse, dir), 65,
+  EXPECT_EQ(semfield("fuse " + shell_word(config) + scaled("1e-4") + fuse).code, 0);
+  EXPECT_ENDED(semfield("fuse " + shell_word(config) + scaled("1.2e-4") + fuse), 65,
                "the camera stands elsewhere in the scene of");
 }
 
-TEST(FuseVerb, Refusals) {
-  const TempDir dir;
+TEST_F(FuseVerb, Refusals) {
   const std::string config = write_scene(dir, false);
   const auto refused = [&](const std::string& words, int code, const std::string& message) {
-    const Result r = semfield("fuse " + shell_word(config) + " " + words, dir);
+    const Result r = semfield("fuse " + shell_word(config) + " " + words);
     EXPECT_EQ(r.code, code) << words;
     EXPECT_HAS(r.err, message);
     EXPECT_TRUE(r.out.empty()) << r.out;
@@ -895,11 +887,12 @@ constexpr const char* kClicks = " --set 'scene.labels.degrade=[{type: propagatio
 constexpr const char* kNpz =
     " --set 'scene.labels.from={type: npz, folder: soft/probability, pattern: \"{name}.npy\"}'";
 
-TEST(PropagateVerb, ClicksBecomeLabelsThatTrainAgain) {
-  const TempDir dir;
+using PropagateVerb = ProgramInAFolder;
+
+TEST_F(PropagateVerb, ClicksBecomeLabelsThatTrainAgain) {
   write_packed_config(dir, 200, 0);
-  ASSERT_EQ(semfield(std::string("train config.yaml --out run") + kClicks, dir).code, 0);
-  const Result line = succeeded(semfield("propagate run --out soft", dir));
+  ASSERT_EQ(semfield(std::string("train config.yaml --out run") + kClicks).code, 0);
+  const Result line = succeeded(semfield("propagate run --out soft"));
   EXPECT_EQ(line.out.rfind("propagate: method=surface labelled_share=0.00", 0), 0u) << line.out;
   EXPECT_HAS(line.out, "accuracy=1.0000->0.", " folder=soft\n");
   EXPECT_HAS(line.err, "propagate.cell_m is 0.");
@@ -908,24 +901,23 @@ TEST(PropagateVerb, ClicksBecomeLabelsThatTrainAgain) {
   EXPECT_EQ(m["steps"][1]["type"], "propagate surface");
   EXPECT_EQ(m["total"]["labelled_px"], 9 * 48 * 36);
   EXPECT_GT(m["total"]["accuracy"].get<double>(), 0.6);  // the field has seen 200 steps
-  const Result one = succeeded(semfield("propagate run --json --threads 1 --out one", dir));
+  const Result one = succeeded(semfield("propagate run --json --threads 1 --out one"));
   const json row = json::parse(one.out);
   EXPECT_EQ(row["accuracy"]["before"], 1.0);
   EXPECT_EQ(row["accuracy"]["after"], m["total"]["accuracy"]);
   EXPECT_LT(row["labelled_share"]["before"].get<double>(), 0.01);
   EXPECT_EQ(row["labelled_share"]["after"], 1.0);
   // What was written is what trains: the same labels come back through the reader, and a run goes on with them.
-  const Result again = succeeded(semfield(std::string("degrade config.yaml --out again") + kNpz, dir));
+  const Result again = succeeded(semfield(std::string("degrade config.yaml --out again") + kNpz));
   EXPECT_EQ(manifest_of(dir / "again")["total"], m["total"]);
-  const Result trained = succeeded(semfield(std::string("train config.yaml --steps 20 --out second") + kNpz, dir));
+  const Result trained = succeeded(semfield(std::string("train config.yaml --steps 20 --out second") + kNpz));
 }
 
-TEST(PropagateVerb, Refusals) {
-  const TempDir dir;
+TEST_F(PropagateVerb, Refusals) {
   write_packed_config(dir, 5, 0);
-  ASSERT_EQ(semfield("train config.yaml --out run", dir).code, 0);
+  ASSERT_EQ(semfield("train config.yaml --out run").code, 0);
   const auto refused = [&](const std::string& words, int code, const std::string& message) {
-    const Result r = semfield("propagate " + words, dir);
+    const Result r = semfield("propagate " + words);
     EXPECT_EQ(r.code, code) << words;
     EXPECT_HAS(r.err, message) << words << ": " << r.err;
     EXPECT_TRUE(r.out.empty()) << r.out;
@@ -943,7 +935,7 @@ TEST(PropagateVerb, Refusals) {
   SceneInfo info = scene->open(diagnostics);
   info.classes = {};
   write_packed_scene(dir / "room.sfpack", info, [&](int frame, FrameBuffer& b) { scene->read(frame, b); });
-  ASSERT_EQ(semfield("train config.yaml --out plain", dir).code, 0);
+  ASSERT_EQ(semfield("train config.yaml --out plain").code, 0);
   refused("plain --out soft", 65, "the run's scene has no classes");
 }
 

@@ -702,10 +702,6 @@ using testing_program::Result;
 
 constexpr const char* kQuick = " --set objects.steps=150 --set objects.points=3000 --set objects.rays=20000 ";
 
-Result semfield(const std::string& words, const TempDir& dir) {
-  return testing_program::semfield_run(words, dir.path());
-}
-
 // A trained run of the packed analytic room, whose instances are its classes, and the same as a folder of images.
 void make_run(const TempDir& dir, bool with_instances) {
   testkit::AnalyticSceneOptions options;
@@ -727,13 +723,15 @@ void make_run(const TempDir& dir, bool with_instances) {
       testing_train::hash_config("losses: [{type: depth, weight: 0.3}]\nreport: {eval_every_s: 0, strips: 0}\n"),
       "{type: packed, file: room.sfpack}");
   write_file_atomic(dir / "config.yaml", yaml);
-  const Result trained = succeeded(semfield("train config.yaml --out run --steps 150 --quiet", dir));
+  const Result trained =
+      succeeded(testing_program::semfield_run("train config.yaml --out run --steps 150 --quiet", dir.path()));
 }
 
-TEST(ObjectsVerb, FilesFiguresAndTheSameAgain) {
-  const TempDir dir;
+using ObjectsVerb = testing_program::ProgramInAFolder;
+
+TEST_F(ObjectsVerb, FilesFiguresAndTheSameAgain) {
   make_run(dir, true);
-  const Result r = succeeded(semfield(std::string("objects run --score --pictures --json") + kQuick, dir));
+  const Result r = succeeded(semfield(std::string("objects run --score --pictures --json") + kQuick));
   const auto json = nlohmann::json::parse(r.out);
   EXPECT_GT(json.at("score").at("mcov").get<double>(), 0.3);
   EXPECT_GT(json.at("objects").get<int>(), 0);
@@ -758,38 +756,37 @@ TEST(ObjectsVerb, FilesFiguresAndTheSameAgain) {
   edits.edits.push_back(parse_object_edit(R"({"do": "rename", "object": 1, "name": "mine"})", "test"));
   fs::create_directories(dir / "again");
   write_file_atomic(dir / "again/edits.json", object_edits_text(edits));
-  const Result edited = succeeded(semfield(std::string("objects run --out again --json") + kQuick, dir));
+  const Result edited = succeeded(semfield(std::string("objects run --out again --json") + kQuick));
   EXPECT_EQ(nlohmann::json::parse(edited.out).at("edits"), 1);
   EXPECT_HAS(read_text_file(dir / "again/objects.csv"), "1,mine,");
   EXPECT_HAS(read_text_file(dir / "again/objects.json"), "\"mine\"");
   // Files of the surface have the names of the edits.
   write_file_atomic(dir / "run/objects/edits.json", object_edits_text(edits));
-  const Result mesh = succeeded(semfield("mesh run --out room.glb --color photo --resolution 32", dir));
+  const Result mesh = succeeded(semfield("mesh run --out room.glb --color photo --resolution 32"));
   EXPECT_HAS(read_text_file(dir / "room.glb"), "\"mine\"");
   EXPECT_HAS(read_text_file(dir / "room.json"), "\"mine\"");
   {
     FolderLock alone;
     ASSERT_EQ(alone.take(dir / "run/objects"), 0);
-    EXPECT_ENDED(semfield(std::string("objects run") + kQuick, dir), 73, "run/objects", "objects.folder.busy");
+    EXPECT_ENDED(semfield(std::string("objects run") + kQuick), 73, "run/objects", "objects.folder.busy");
   }
   fs::remove(dir / "run/objects/edits.json");
-  EXPECT_ENDED(semfield(std::string("objects run --out again") + kQuick + "--set objects.points=2000", dir), 65,
+  EXPECT_ENDED(semfield(std::string("objects run --out again") + kQuick + "--set objects.points=2000"), 65,
                "again/edits.json", "objects.edits.foreign");
   fs::remove_all(dir / "again");
-  ASSERT_EQ(semfield(std::string("objects run --out again --threads 1") + kQuick, dir).code, 0);
+  ASSERT_EQ(semfield(std::string("objects run --out again --threads 1") + kQuick).code, 0);
   EXPECT_EQ(read_text_file(dir / "again/objects.csv"), first) << "threads changed a number";
 }
 
-TEST(ObjectsVerb, SegmentsOfAFolderAndBothMethods) {
-  const TempDir dir;
+TEST_F(ObjectsVerb, SegmentsOfAFolderAndBothMethods) {
   make_run(dir, false);
   for (const char* method : {"", "--set 'objects.method={type: assignment, slots: 12}'"}) {
-    const Result r = succeeded(semfield(std::string("objects run --segments segments ") + method + kQuick, dir));
+    const Result r = succeeded(semfield(std::string("objects run --segments segments ") + method + kQuick));
     EXPECT_HAS(r.out, "objects: objects=", "segments=");
   }
-  const Result none = semfield(std::string("objects run") + kQuick, dir);
+  const Result none = semfield(std::string("objects run") + kQuick);
   EXPECT_ENDED(none, 65, "--segments", "objects.segments.none");
-  EXPECT_ENDED(semfield(std::string("objects run --segments segments --score --out scored") + kQuick, dir), 65,
+  EXPECT_ENDED(semfield(std::string("objects run --segments segments --score --out scored") + kQuick), 65,
                "objects.truth.none");
   EXPECT_FALSE(fs::exists(dir / "scored")) << "refused before anything is written";
 }
@@ -822,8 +819,7 @@ std::string click_on(Dataset& scene, const SceneInfo& info, int class_index, con
   return line;
 }
 
-TEST(ObjectsVerb, ThingsThatAPersonClicks) {
-  const TempDir dir;
+TEST_F(ObjectsVerb, ThingsThatAPersonClicks) {
   make_run(dir, false);
   testkit::AnalyticSceneOptions options;
   options.with_depth = true;
@@ -833,7 +829,7 @@ TEST(ObjectsVerb, ThingsThatAPersonClicks) {
   const std::string wall = click_on(*scene, info, 0, ""), ball = click_on(*scene, info, 3, ""),
                     crate = click_on(*scene, info, 4, R"(,"object":2)");
   dir.write("clicks.jsonl", wall + crate + ball);
-  const Result r = succeeded(semfield(std::string("objects run --segments clicks.jsonl --json") + kQuick, dir));
+  const Result r = succeeded(semfield(std::string("objects run --segments clicks.jsonl --json") + kQuick));
   EXPECT_EQ(nlohmann::json::parse(r.out).at("objects"), 2) << "a wall is no object";
   const auto table = nlohmann::json::parse(read_text_file(dir / "run/objects/objects.json")).at("objects");
   ASSERT_EQ(table.size(), 2u);

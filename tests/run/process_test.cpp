@@ -164,40 +164,40 @@ TEST(Process, ARefusedRunLeavesNoFolder) {
 
 // The program's words about scores: those of a sample cannot be taken for those of the split.
 
-TEST(ScoreLines, ASampleHasNamesOfItsOwn) {
-  const TempDir dir;
+using ScoreLines = ProgramInAFolder;
+
+TEST_F(ScoreLines, ASampleHasNamesOfItsOwn) {
   write_packed_config(dir, 200, 60);
   // A time that the first step exceeds leaves time for the least evaluation.
-  const Result cut = succeeded(semfield_run("train config.yaml --time 0.001s --threads 1 --out cut", dir.path()));
+  const Result cut = succeeded(semfield("train config.yaml --time 0.001s --threads 1 --out cut"));
   EXPECT_EQ(cut.out.find("train: sample=3/3 sample_pixels=1/"), 0u) << cut.out;
   EXPECT_HAS(cut.out, " sample_miou_present=0.");
   EXPECT_LACKS(cut.out, " miou_present=", " total_accuracy=", " psnr=", " absrel=");
   EXPECT_HAS(cut.err, "the last evaluation scores all 3 frames at 1 pixel in ",
              " to end near the time asked for (report.eval_share 0.1); `semfield eval cut` scores every pixel");
   EXPECT_HAS(read_text_file(dir / "cut/report.html"), "\"split\":\"test_sample\"");
-  const Result eval = semfield_run("eval cut", dir.path());
+  const Result eval = semfield("eval cut");
   EXPECT_EQ(eval.out.find("cut: 3 test frames, step "), 0u) << eval.out;
 
-  const Result whole = succeeded(
-      semfield_run("train config.yaml --time 0.001s --set report.eval_share=0 --threads 1 --out whole -q", dir.path()));
+  const Result whole =
+      succeeded(semfield("train config.yaml --time 0.001s --set report.eval_share=0 --threads 1 --out whole -q"));
   EXPECT_EQ(whole.out.find("train: miou_present=0."), 0u) << whole.out;
   EXPECT_EQ(whole.err, "") << "-q";
 }
 
 // What `eval` found is what the report shows from then on, once however often it ran.
-TEST(ScoreLines, EvalKeepsItsScoresForTheReport) {
-  const TempDir dir;
+TEST_F(ScoreLines, EvalKeepsItsScoresForTheReport) {
   write_packed_config(dir, 200, 60);
-  ASSERT_EQ(semfield_run("train config.yaml --time 0.001s --threads 1 --out run -q", dir.path()).code, 0);
+  ASSERT_EQ(semfield("train config.yaml --time 0.001s --threads 1 --out run -q").code, 0);
   const auto evals = [&] {
     std::vector<MetricsRow> rows = read_metrics(dir / "run/metrics.jsonl");
     std::erase_if(rows, [](const MetricsRow& row) { return row.kind != "eval"; });
     return rows;
   };
   ASSERT_EQ(evals().size(), 1u);
-  const Result eval = succeeded(semfield_run("eval run --json", dir.path()));
+  const Result eval = succeeded(semfield("eval run --json"));
   const nlohmann::json found = nlohmann::json::parse(eval.out);
-  ASSERT_EQ(semfield_run("eval run -q", dir.path()).code, 0);
+  ASSERT_EQ(semfield("eval run -q").code, 0);
   ASSERT_EQ(evals().size(), 2u) << "the same scores are kept once";
   const MetricsRow kept = evals().back();
   EXPECT_EQ(kept.split, "test");
@@ -206,28 +206,25 @@ TEST(ScoreLines, EvalKeepsItsScoresForTheReport) {
   EXPECT_EQ(kept.get("frames"), 3);
   EXPECT_EQ(kept.get("pixels"), found["pixels"].get<double>());
   EXPECT_HAS(read_text_file(dir / "run/final_eval.json"), "\"split\":\"test\"");
-  ASSERT_EQ(semfield_run("report run", dir.path()).code, 0);
+  ASSERT_EQ(semfield("report run").code, 0);
   const nlohmann::json shown = nlohmann::json::parse(read_report({dir / "run"}));
   EXPECT_EQ(shown["runs"][0]["rows"].back()["split"], "test") << "all frames, no sample";
   // A run that has ended prints what its folder holds.
-  const Result again = semfield_run("train --resume run --threads 1", dir.path());
+  const Result again = semfield("train --resume run --threads 1");
   EXPECT_EQ(again.out.find("train: miou_present="), 0u) << again.out;
   // Figures of other settings are not the run's.
-  const Result other =
-      succeeded(semfield_run("eval run --set scene.load.width_px=24 --set scene.load.height_px=18", dir.path()));
+  const Result other = succeeded(semfield("eval run --set scene.load.width_px=24 --set scene.load.height_px=18"));
   EXPECT_HAS(other.err, "the run's folder does not keep these scores");
   EXPECT_EQ(evals().size(), 2u);
   // Colours from poses that fit the field stand beside the plain figure.
-  const Result fitted = succeeded(semfield_run("eval run --refine-poses --json", dir.path()));
+  const Result fitted = succeeded(semfield("eval run --refine-poses --json"));
   const nlohmann::json refined = nlohmann::json::parse(fitted.out)["refined_poses"];
   EXPECT_EQ(evals().back().get("psnr_refined_poses"), refined["psnr"].get<double>());
 }
 
-TEST(ScoreLines, FiguresThatTheSceneCannotHaveAreNotPrinted) {
-  const TempDir dir;
+TEST_F(ScoreLines, FiguresThatTheSceneCannotHaveAreNotPrinted) {
   write_packed_config(dir, 2, 60);
-  const Result r =
-      succeeded(semfield_run("train config.yaml --set scene.labels.frames=none --threads 1 --out run", dir.path()));
+  const Result r = succeeded(semfield("train config.yaml --set scene.labels.frames=none --threads 1 --out run"));
   EXPECT_EQ(r.out.find("train: psnr="), 0u) << r.out;
   EXPECT_HAS(r.out, " absrel=");
   EXPECT_LACKS(r.out, "=-");
@@ -307,8 +304,9 @@ TEST(ProgressLine, QuietIsSilent) {
 
 namespace fs = std::filesystem;
 
-TEST(RunTruth, AFolderThatIsNoUtf8IsRefusedBeforeTraining) {
-  const TempDir dir;
+using RunTruth = ProgramInAFolder;
+
+TEST_F(RunTruth, AFolderThatIsNoUtf8IsRefusedBeforeTraining) {
   const std::string folder = dir / "caf\xe9";
   fs::create_directory(folder);
   write_packed_config(dir, 5, 0);
@@ -317,21 +315,19 @@ TEST(RunTruth, AFolderThatIsNoUtf8IsRefusedBeforeTraining) {
                "it is not UTF-8; nothing was written; give the folder or file another name", "caf\\xe9");
   EXPECT_FALSE(fs::exists(folder + "/run"));
   // Where only the run folder's name is none, the run's files hold no part of it.
-  const Result named = succeeded(semfield_run("train config.yaml --threads 1 --out caf\xe9/run", dir.path()));
-  const Result json = succeeded(semfield_run("--json eval caf\xe9/run", dir.path()));
+  const Result named = succeeded(semfield("train config.yaml --threads 1 --out caf\xe9/run"));
+  const Result json = succeeded(semfield("--json eval caf\xe9/run"));
 }
 
-TEST(RunTruth, SettingsOfAResumeAreStoredAndTold) {
-  const TempDir dir;
+TEST_F(RunTruth, SettingsOfAResumeAreStoredAndTold) {
   write_packed_config(dir, 5, 0);
-  ASSERT_EQ(semfield_run("train config.yaml --threads 1 --out run", dir.path()).code, 0);
-  const Result more =
-      succeeded(semfield_run("train --resume run --set train.steps=9 --set report.strips=1", dir.path()));
+  ASSERT_EQ(semfield("train config.yaml --threads 1 --out run").code, 0);
+  const Result more = succeeded(semfield("train --resume run --set train.steps=9 --set report.strips=1"));
   EXPECT_HAS(more.err, "from step 5 on: train.steps: 5 -> 9");
   const std::string yaml = read_text_file((dir / "run") + "/run.yaml");
   EXPECT_HAS(yaml, "\n  steps: 9\n", "\n  strips: 1\n");
   // The next resume reads what the last one was given, and the report shows both.
-  const Result again = succeeded(semfield_run("train --resume run --set train.steps=12", dir.path()));
+  const Result again = succeeded(semfield("train --resume run --set train.steps=12"));
   EXPECT_HAS(again.err, "from step 9 on: train.steps: 9 -> 12");
   EXPECT_LACKS(again.err, "strips");
   const std::vector<std::string> changes =
@@ -343,38 +339,36 @@ TEST(RunTruth, SettingsOfAResumeAreStoredAndTold) {
   std::string other = yaml;
   other.replace(other.find("\n  rays: "), 9, "\n  rays: 1");
   write_file_atomic((dir / "run") + "/run.yaml", other);
-  const Result refused = semfield_run("train --resume run", dir.path());
+  const Result refused = semfield("train --resume run");
   EXPECT_EQ(refused.code, 78) << refused.err;
   const std::size_t at = refused.err.find("semfield train --resume run --set train.rays=");
   ASSERT_NE(at, std::string::npos) << refused.err;
   const std::string words = refused.err.substr(at + 9, refused.err.find(';', at) - at - 9);
-  EXPECT_EQ(semfield_run(words, dir.path()).code, 0) << "the remedy does what it says: " << words;
+  EXPECT_EQ(semfield(words).code, 0) << "the remedy does what it says: " << words;
 }
 
 // From another working folder too, and they stay found. What is said of them: tests/bad_files/runs.cases.
-TEST(RunTruth, MovedDataAreNamedOnTheCommandLine) {
-  const TempDir dir;
+TEST_F(RunTruth, MovedDataAreNamedOnTheCommandLine) {
   write_packed_config(dir, 5, 0);
-  ASSERT_EQ(semfield_run("train config.yaml --threads 1 --out run", dir.path()).code, 0);
+  ASSERT_EQ(semfield("train config.yaml --threads 1 --out run").code, 0);
   fs::create_directory(dir / "elsewhere");
   fs::rename(dir / "room.sfpack", dir / "elsewhere/moved.sfpack");
   for (const char* words : {"eval ../run", "train --resume ../run"})
     (void)succeeded(semfield_run(words + std::string(" --set scene.file=moved.sfpack"), dir / "elsewhere"));
-  (void)succeeded(semfield_run("eval run", dir.path()));
+  (void)succeeded(semfield("eval run"));
 }
 
-TEST(RunTruth, RunsEqualComparesWhatWasTrained) {
-  const TempDir dir;
+TEST_F(RunTruth, RunsEqualComparesWhatWasTrained) {
   write_packed_config(dir, 8, 0);
   const auto train = [&](const std::string& name, const std::string& more) {
-    const Result r = succeeded(semfield_run("train config.yaml --out " + name + " " + more, dir.path()));
+    const Result r = succeeded(semfield("train config.yaml --out " + name + " " + more));
   };
   train("a", "--threads 1");
   train("b", "--threads 2 --set report.log_every_steps=3 --memory 100");
   train("seed", "--threads 1 --set runtime.seed=7");
   train("longer", "--threads 1 --steps 9");
   const auto compare = [&](const std::string& other, int code, const std::string& said) {
-    const Result r = semfield_run("runs equal a " + other, dir.path());
+    const Result r = semfield("runs equal a " + other);
     EXPECT_EQ(r.code, code) << r.err;
     EXPECT_EQ(r.out.substr(0, said.size()), said);
   };
@@ -395,18 +389,17 @@ TEST(RunTruth, RunsEqualComparesWhatWasTrained) {
   tensors[1].bytes = bytes;
   write_safetensors(path, tensors, file.metadata());
   compare("b", 1, "runs: different: tensor '" + tensors[1].name + "' differs from element 2 on\n");
-  EXPECT_EQ(semfield_run("runs equal a nowhere", dir.path()).code, 66);
+  EXPECT_EQ(semfield("runs equal a nowhere").code, 66);
 }
 
 // What helps a run over a step that fails may change; the remedy of such a step says so.
-TEST(RunTruth, AResumeMayTakeAnotherSeedOrLearningRate) {
-  const TempDir dir;
+TEST_F(RunTruth, AResumeMayTakeAnotherSeedOrLearningRate) {
   write_packed_config(dir, 3, 0);
-  ASSERT_EQ(semfield_run("train config.yaml --threads 1 --out run", dir.path()).code, 0);
-  const Result r = succeeded(semfield_run(
-      "train --resume run --steps 5 --set runtime.seed=4 --set train.adam.learning_rate=0.001", dir.path()));
+  ASSERT_EQ(semfield("train config.yaml --threads 1 --out run").code, 0);
+  const Result r =
+      succeeded(semfield("train --resume run --steps 5 --set runtime.seed=4 --set train.adam.learning_rate=0.001"));
   EXPECT_HAS(r.err, "from step 3 on: runtime.seed: 1 -> 4");
-  EXPECT_EQ(semfield_run("train --resume run --steps 6", dir.path()).code, 0) << "and it stays so";
+  EXPECT_EQ(semfield("train --resume run --steps 6").code, 0) << "and it stays so";
 }
 
 // What people see on a terminal: a live line within its width, which leaves nothing behind, and notes of whole words.

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "scene/camera.h"
 #include "scene/camera_rig.h"
 
 namespace semfield {

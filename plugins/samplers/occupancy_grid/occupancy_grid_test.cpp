@@ -3,6 +3,8 @@
 
 #include <gtest/gtest.h>
 
+#include "testkit/compare.h"
+#include "testkit/laws.h"
 #include "tests/linked_registry.h"
 #include "tests/numerics/ray_bench.h"
 
