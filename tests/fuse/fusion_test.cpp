@@ -18,7 +18,6 @@
 #include "loading/frame_source.h"
 #include "loading/packed_scene.h"
 #include "scene/classes/class_table.h"
-#include "surface/seen_surface.h"
 #include "surface/surface_graph.h"
 #include "system/files.h"
 #include "testkit/analytic_scene.h"

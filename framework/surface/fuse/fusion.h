@@ -14,6 +14,7 @@
 #include "session/session.h"
 #include "session/settings/run_config.h"
 #include "surface/seen_surface.h"
+#include "surface/surface_graph.h"
 
 namespace semfield {
 
