@@ -12,7 +12,6 @@
 #include "eval/evaluator.h"
 #include "execution/pipeline.h"
 #include "scene/scene.h"
-#include "surface/seen_surface.h"
 
 namespace semfield {
 

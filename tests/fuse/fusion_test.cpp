@@ -19,6 +19,7 @@
 #include "loading/packed_scene.h"
 #include "scene/classes/class_table.h"
 #include "surface/surface_graph.h"
+#include "surface/surface_graph.h"
 #include "system/files.h"
 #include "testkit/analytic_scene.h"
 #include "tests/program.h"

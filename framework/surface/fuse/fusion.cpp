@@ -2,6 +2,10 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
@@ -9,9 +13,6 @@
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
 #include "surface/surface_graph.h"
-#include <algorithm>
-#include <cmath>
-#include <utility>
 namespace semfield {
 
 namespace {

@@ -13,7 +13,6 @@
 #include "labels/training_labels.h"
 #include "session/session.h"
 #include "session/settings/run_config.h"
-#include "surface/seen_surface.h"
 #include "surface/surface_graph.h"
 
 namespace semfield {
