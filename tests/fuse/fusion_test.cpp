@@ -19,7 +19,6 @@
 #include "loading/packed_scene.h"
 #include "scene/classes/class_table.h"
 #include "surface/surface_graph.h"
-#include "surface/surface_graph.h"
 #include "system/files.h"
 #include "testkit/analytic_scene.h"
 #include "tests/program.h"
