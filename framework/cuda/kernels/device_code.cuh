@@ -22,16 +22,6 @@ void queue(const char* what, dim3 blocks, dim3 threads, void (*kernel)(Parameter
   check_launch(what);
 }
 
-/// Queues body(), device code, for every thread of `blocks` blocks of kThreads.
-template <int kThreads, class Body>
-__global__ void __launch_bounds__(kThreads) body_kernel(const __grid_constant__ Body body) {
-  body();
-}
-template <int kThreads, class Body>
-void queue_body(const char* what, dim3 blocks, const Body& body) {
-  queue(what, blocks, kThreads, body_kernel<kThreads, Body>, body);
-}
-
 /// Of a grid of one dimension.
 __device__ inline std::int64_t thread_index() {
   return static_cast<std::int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;

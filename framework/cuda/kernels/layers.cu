@@ -425,6 +425,70 @@ constexpr int kBlockRows = kWarps * kWarpRows;
 constexpr int kLaneColumns = 8;  // at once
 constexpr int kColumns = kWarp * kLaneColumns;
 
+// A warp per row; 4 C B written per row.
+__global__ void __launch_bounds__(kThreads)
+    forward_kernel(View<const float> share, View<const float> bias, View<float> y) {
+  const std::int64_t row = static_cast<std::int64_t>(blockIdx.x) * kWarps + threadIdx.x / kWarp;
+  if (row >= y.rows) return;
+  const float factor = share(row, 0);
+  float* const to = y.row(row);
+  for (auto c = static_cast<std::int32_t>(threadIdx.x % kWarp); c < y.cols; c += kWarp) to[c] = factor * bias(0, c);
+}
+
+// A warp 4 rows, a block 32; a lane every 32nd column, 8 of them at once. dy is read once, 4 C B per row. partial
+// [blocks, C]: the block's share of d_bias, rows in order within a warp, then the warps. d_share: a lane's columns in
+// order, then the lanes in a fixed tree. Behind the last row and column the last is read, so that no load waits for a
+// branch, and counts 0.
+__global__ void __launch_bounds__(kThreads)
+    backward_kernel(View<const float> share, View<const float> bias, View<const float> dy, View<float> d_share,
+                    View<float> partial) {
+  __shared__ float of_warp[kWarps][kColumns];
+  const int lane = static_cast<int>(threadIdx.x % kWarp), warp = static_cast<int>(threadIdx.x / kWarp);
+  const std::int64_t first = static_cast<std::int64_t>(blockIdx.x) * kBlockRows + warp * kWarpRows;
+  const float* row[kWarpRows];
+  float factor[kWarpRows], dot[kWarpRows] = {};
+#pragma unroll
+  for (int i = 0; i < kWarpRows; ++i) {
+    const std::int64_t r = min(first + i, dy.rows - 1);
+    row[i] = dy.row(r);
+    factor[i] = r == first + i ? share(r, 0) : 0.0F;
+  }
+  for (std::int32_t base = 0; base < dy.cols; base += kColumns) {
+    float d[kWarpRows][kLaneColumns], of_column[kLaneColumns];
+#pragma unroll
+    for (int j = 0; j < kLaneColumns; ++j) {
+      const std::int32_t wanted = base + lane + j * kWarp, c = min(wanted, dy.cols - 1);
+      of_column[j] = c == wanted ? bias(0, c) : 0.0F;
+#pragma unroll
+      for (int i = 0; i < kWarpRows; ++i) d[i][j] = row[i][c];
+    }
+#pragma unroll
+    for (int j = 0; j < kLaneColumns; ++j) {
+      float sum = 0;
+#pragma unroll
+      for (int i = 0; i < kWarpRows; ++i) {
+        dot[i] += d[i][j] * of_column[j];
+        sum += d[i][j] * factor[i];
+      }
+      of_warp[warp][lane + j * kWarp] = sum;
+    }
+    __syncthreads();
+    const auto c = static_cast<std::int32_t>(threadIdx.x);
+    if (base + c < dy.cols) {
+      float total = 0;
+      for (int w = 0; w < kWarps; ++w) total += of_warp[w][c];
+      partial(blockIdx.x, base + c) = total;
+    }
+    __syncthreads();  // the sums are read before the next columns' come
+  }
+  static_assert(kColumns == kThreads);
+#pragma unroll
+  for (int i = 0; i < kWarpRows; ++i) {
+    const float total = warp_sum(dot[i]);
+    if (lane == 0 && first + i < dy.rows) d_share(first + i, 0) = total;
+  }
+}
+
 // One thread per number, bound by memory; rows are short and strided, so a thread finds its row by a division.
 
 /// body(row, column) for every number of `rows` x `cols`.
@@ -437,6 +501,72 @@ template <class Body>
 void for_each(std::int64_t rows, std::int32_t cols, const char* what, Body body) {
   queue(what, blocks_of(rows * cols, kThreads), kThreads, each_kernel<Body>, rows, cols, body);
 }
+
+template <class Sums, class Act>
+struct EndOfRow {
+  LayerEnd<Sums, Act> end;
+  __device__ void operator()(std::int64_t row, std::int32_t col) const {
+    float value = to_float(end.sums(row, col));
+    if (!end.start.empty() && col < end.start.cols)
+      value += end.start(!end.row_of.empty() ? end.row_of(row, 0) : end.start.rows == 1 ? 0 : row, col);
+    if (end.relu && value < 0) value = 0;  // NaN stays NaN
+    if (!end.mask.empty() && !(to_float(end.mask(row, col)) > 0)) value = 0;
+    end.out(row, col) = from_float<Act>(value);
+  }
+};
+
+template <class Act>
+struct SineOfRow {
+  View<const float> sums;
+  float frequency;
+  View<Act> value, slope;
+  __device__ void operator()(std::int64_t row, std::int32_t col) const {
+    double turns = static_cast<double>(sums(row, col)) * (static_cast<double>(frequency) * 0.15915494309189535);
+    turns -= rint(turns);
+    float sine = 0, cosine = 0;
+    sincos_of_quarters(4.0 * turns, sine, cosine);
+    value(row, col) = from_float<Act>(sine);
+    if (!slope.empty()) slope(row, col) = from_float<Act>(frequency * cosine);
+  }
+};
+
+template <class Act>
+struct SlopeOfRow {
+  View<const Act> slope;
+  View<const float> sums;
+  View<Act> dz;
+  __device__ void operator()(std::int64_t row, std::int32_t col) const {
+    dz(row, col) = from_float<Act>(sums(row, col) * to_float(slope(row, col)));
+  }
+};
+
+struct FillOfRow {
+  View<float> out;
+  float value;
+  __device__ void operator()(std::int64_t row, std::int32_t col) const { out(row, col) = value; }
+};
+
+struct GatherOfRow {
+  View<const float> in;
+  View<const std::int32_t> ray_of_sample;
+  View<float> out;
+  __device__ void operator()(std::int64_t row, std::int32_t col) const {
+    out(row, col) = in(ray_of_sample(row, 0), col);
+  }
+};
+
+struct SigmoidOfRow {
+  View<float> rows;
+  __device__ void operator()(std::int64_t row, std::int32_t col) const { rows(row, col) = sigmoid(rows(row, col)); }
+};
+
+struct LogitOfRow {
+  View<const float> value, d_value;
+  View<float> d_logit;
+  __device__ void operator()(std::int64_t row, std::int32_t col) const {
+    d_logit(row, col) = d_value(row, col) * (value(row, col) * (1.0F - value(row, col)));
+  }
+};
 
 }  // namespace
 
@@ -524,14 +654,7 @@ void simple_product(const Product& p) {
 }
 
 void shared_bias_forward(View<const float> share, View<const float> bias, View<float> y) {
-  // A warp per row; 4 C B written per row.
-  queue_body<kThreads>("shared bias", blocks_of(y.rows, kWarps), [=] __device__() {
-    const std::int64_t row = static_cast<std::int64_t>(blockIdx.x) * kWarps + threadIdx.x / kWarp;
-    if (row >= y.rows) return;
-    const float factor = share(row, 0);
-    float* const to = y.row(row);
-    for (auto c = static_cast<std::int32_t>(threadIdx.x % kWarp); c < y.cols; c += kWarp) to[c] = factor * bias(0, c);
-  });
+  queue("shared bias", blocks_of(y.rows, kWarps), kThreads, forward_kernel, share, bias, y);
 }
 
 void shared_bias_backward(const SharedBiasBackward& call, Workspace& arena) {
@@ -539,93 +662,24 @@ void shared_bias_backward(const SharedBiasBackward& call, Workspace& arena) {
   const Workspace::Scope scope(arena);
   const unsigned blocks = blocks_of(call.dy.rows, kBlockRows);
   const View<float> partial = arena.take<float>(blocks, call.dy.cols);
-  const View<const float> share = call.share;
-  const View<const float> bias = call.bias;
-  const View<const float> dy = call.dy;
-  const View<float> d_share = call.d_share;
-  // A warp 4 rows, a block 32; a lane every 32nd column, 8 of them at once. dy is read once, 4 C B per row. partial
-  // [blocks, C]: the block's share of d_bias, rows in order within a warp, then the warps. d_share: a lane's columns in
-  // order, then the lanes in a fixed tree. Behind the last row and column the last is read, so that no load waits for a
-  // branch, and counts 0.
-  queue_body<kThreads>("gradient of a shared bias", blocks, [=] __device__() {
-    __shared__ float of_warp[kWarps][kColumns];
-    const int lane = static_cast<int>(threadIdx.x % kWarp), warp = static_cast<int>(threadIdx.x / kWarp);
-    const std::int64_t first = static_cast<std::int64_t>(blockIdx.x) * kBlockRows + warp * kWarpRows;
-    const float* row[kWarpRows];
-    float factor[kWarpRows], dot[kWarpRows] = {};
-#pragma unroll
-    for (int i = 0; i < kWarpRows; ++i) {
-      const std::int64_t r = min(first + i, dy.rows - 1);
-      row[i] = dy.row(r);
-      factor[i] = r == first + i ? share(r, 0) : 0.0F;
-    }
-    for (std::int32_t base = 0; base < dy.cols; base += kColumns) {
-      float d[kWarpRows][kLaneColumns], of_column[kLaneColumns];
-#pragma unroll
-      for (int j = 0; j < kLaneColumns; ++j) {
-        const std::int32_t wanted = base + lane + j * kWarp, c = min(wanted, dy.cols - 1);
-        of_column[j] = c == wanted ? bias(0, c) : 0.0F;
-#pragma unroll
-        for (int i = 0; i < kWarpRows; ++i) d[i][j] = row[i][c];
-      }
-#pragma unroll
-      for (int j = 0; j < kLaneColumns; ++j) {
-        float sum = 0;
-#pragma unroll
-        for (int i = 0; i < kWarpRows; ++i) {
-          dot[i] += d[i][j] * of_column[j];
-          sum += d[i][j] * factor[i];
-        }
-        of_warp[warp][lane + j * kWarp] = sum;
-      }
-      __syncthreads();
-      const auto c = static_cast<std::int32_t>(threadIdx.x);
-      if (base + c < dy.cols) {
-        float total = 0;
-        for (int w = 0; w < kWarps; ++w) total += of_warp[w][c];
-        partial(blockIdx.x, base + c) = total;
-      }
-      __syncthreads();  // the sums are read before the next columns' come
-    }
-    static_assert(kColumns == kThreads);
-#pragma unroll
-    for (int i = 0; i < kWarpRows; ++i) {
-      const float total = warp_sum(dot[i]);
-      if (lane == 0 && first + i < dy.rows) d_share(first + i, 0) = total;
-    }
-  });
+  queue("gradient of a shared bias", blocks, kThreads, backward_kernel, call.share, call.bias, call.dy, call.d_share,
+        partial);
   add_partials(partial, call.d_bias);
 }
 
 template <class Sums, class Act>
 void finish_rows(const LayerEnd<Sums, Act>& end) {
-  for_each(end.out.rows, end.out.cols, "the end of a layer", [=] __device__(std::int64_t row, std::int32_t col) {
-    float value = to_float(end.sums(row, col));
-    if (!end.start.empty() && col < end.start.cols)
-      value += end.start(!end.row_of.empty() ? end.row_of(row, 0) : end.start.rows == 1 ? 0 : row, col);
-    if (end.relu && value < 0) value = 0;  // NaN stays NaN
-    if (!end.mask.empty() && !(to_float(end.mask(row, col)) > 0)) value = 0;
-    end.out(row, col) = from_float<Act>(value);
-  });
+  for_each(end.out.rows, end.out.cols, "the end of a layer", EndOfRow<Sums, Act>{end});
 }
 
 template <class Act>
 void sine_rows(View<const float> sums, float frequency, View<Act> value, View<Act> slope) {
-  for_each(value.rows, value.cols, "a layer of sines", [=] __device__(std::int64_t row, std::int32_t col) {
-    double turns = static_cast<double>(sums(row, col)) * (static_cast<double>(frequency) * 0.15915494309189535);
-    turns -= rint(turns);
-    float sine = 0, cosine = 0;
-    sincos_of_quarters(4.0 * turns, sine, cosine);
-    value(row, col) = from_float<Act>(sine);
-    if (!slope.empty()) slope(row, col) = from_float<Act>(frequency * cosine);
-  });
+  for_each(value.rows, value.cols, "a layer of sines", SineOfRow<Act>{sums, frequency, value, slope});
 }
 
 template <class Act>
 void times_slope(View<const Act> slope, View<const float> sums, View<Act> dz) {
-  for_each(dz.rows, dz.cols, "the gradient of a layer of sines", [=] __device__(std::int64_t row, std::int32_t col) {
-    dz(row, col) = from_float<Act>(sums(row, col) * to_float(slope(row, col)));
-  });
+  for_each(dz.rows, dz.cols, "the gradient of a layer of sines", SlopeOfRow<Act>{slope, sums, dz});
 }
 
 #define SEMFIELD_INSTANTIATE(Act)                                                              \
@@ -646,24 +700,16 @@ template void finish_rows<float, float>(const LayerEnd<float, float>&);
 template void finish_rows<float, __nv_bfloat16>(const LayerEnd<float, __nv_bfloat16>&);
 template void finish_rows<__nv_bfloat16, __nv_bfloat16>(const LayerEnd<__nv_bfloat16, __nv_bfloat16>&);
 
-void fill(View<float> out, float value) {
-  for_each(out.rows, out.cols, "fill", [=] __device__(std::int64_t row, std::int32_t col) { out(row, col) = value; });
-}
+void fill(View<float> out, float value) { for_each(out.rows, out.cols, "fill", FillOfRow{out, value}); }
 
 void gather_rows(View<const float> in, View<const std::int32_t> ray_of_sample, View<float> out) {
-  for_each(out.rows, out.cols, "rows of rays for samples",
-           [=] __device__(std::int64_t row, std::int32_t col) { out(row, col) = in(ray_of_sample(row, 0), col); });
+  for_each(out.rows, out.cols, "rows of rays for samples", GatherOfRow{in, ray_of_sample, out});
 }
 
-void sigmoid_rows(View<float> rows) {
-  for_each(rows.rows, rows.cols, "a sigmoid",
-           [=] __device__(std::int64_t row, std::int32_t col) { rows(row, col) = sigmoid(rows(row, col)); });
-}
+void sigmoid_rows(View<float> rows) { for_each(rows.rows, rows.cols, "a sigmoid", SigmoidOfRow{rows}); }
 
 void logit_gradient(View<const float> value, View<const float> d_value, View<float> d_logit) {
-  for_each(d_logit.rows, d_logit.cols, "the gradient of a sigmoid", [=] __device__(std::int64_t row, std::int32_t col) {
-    d_logit(row, col) = d_value(row, col) * (value(row, col) * (1.0F - value(row, col)));
-  });
+  for_each(d_logit.rows, d_logit.cols, "the gradient of a sigmoid", LogitOfRow{value, d_value, d_logit});
 }
 
 }  // namespace semfield::cuda

@@ -14,6 +14,51 @@ namespace {
 constexpr int kThreads = 256;
 constexpr int kEach = 16;  // values of a thread
 
+// One thread kEach values, a block apart from each other; 12 B a value. A block's sum in a fixed tree.
+__global__ void __launch_bounds__(kThreads) error_kernel(View<const float> color, View<const float> target,
+                                                         double slope, View<float> d_color, double* of_block) {
+  const std::int64_t size = 3 * color.rows;
+  const std::int64_t begin = static_cast<std::int64_t>(blockIdx.x) * kThreads * kEach + threadIdx.x;
+  double sum = 0;
+#pragma unroll 4
+  for (int j = 0; j < kEach; ++j) {
+    const std::int64_t i = begin + static_cast<std::int64_t>(j) * kThreads;
+    if (i >= size) break;
+    const std::int64_t r = i / 3;
+    const auto c = static_cast<std::int32_t>(i - 3 * r);
+    const double error = static_cast<double>(color(r, c)) - static_cast<double>(target(r, c));
+    sum += error * error;
+    if (!d_color.empty()) d_color(r, c) = static_cast<float>(slope * error);
+  }
+  sum = block_sum<kThreads>(sum);
+  if (threadIdx.x == 0) of_block[blockIdx.x] = sum;
+}
+
+// One block; the order of the sum depends on `count` alone.
+__global__ void __launch_bounds__(kThreads) total_kernel(const double* of_block, std::int64_t count, double* total) {
+  double sum = 0;
+  for (std::int64_t i = threadIdx.x; i < count; i += kThreads) sum += of_block[i];
+  sum = block_sum<kThreads>(sum);
+  if (threadIdx.x == 0) *total = sum;
+}
+
+// One block; it stops at the first 4 kThreads samples among which one has density. At most 4 B per sample.
+__global__ void __launch_bounds__(kThreads)
+    count_kernel(View<const std::int32_t> first, View<const float> sigma, LossSums* sums) {
+  const std::int32_t count = first(first.rows - 1, 0);
+  int dense = 0;
+  for (std::int32_t begin = 0; begin < count && dense == 0; begin += 4 * kThreads) {
+    for (int j = 0; j < 4; ++j) {
+      const std::int32_t m = begin + j * kThreads + static_cast<std::int32_t>(threadIdx.x);
+      if (m < count && sigma(m, 0) > 0) dense = 1;
+    }
+    dense = __syncthreads_or(dense);
+  }
+  if (threadIdx.x != 0) return;
+  sums->samples = count;
+  sums->dense = dense;
+}
+
 // Cross-entropy on the device, a warp per ray, by log-sum-exp from the row maximum; sums of a row are in float64.
 
 constexpr int kRays = 8;  // a block
@@ -126,6 +171,47 @@ __device__ Term ray_term(const Rule& rule, View<const float> logits, View<float>
   return term;
 }
 
+// A warp per ray; 4 C B read (again from cache for each of three sweeps) and 4 C B written per ray, soft labels 4 C B
+// more. Rays of a block are added in order.
+__global__ void __launch_bounds__(kSoftmaxThreads)
+    cross_entropy_kernel(Rule rule, const StepCell* cell, double scale, View<const float> logits, View<float> d_logits,
+                         Term* of_block) {
+  __shared__ Term of_ray[kRays];
+  const int lane = static_cast<int>(threadIdx.x % kWarp), warp = static_cast<int>(threadIdx.x / kWarp);
+  const std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * kRays + warp;
+  const double normaliser = cell->semantic_normaliser;
+  rule.slope = normaliser > 0 ? scale / normaliser : 0.0;
+  Term term{};
+  if (r < logits.rows) term = ray_term(rule, logits, d_logits, r, lane);
+  if (lane == 0) of_ray[warp] = term;
+  __syncthreads();
+  if (threadIdx.x != 0) return;
+  for (int w = 1; w < kRays; ++w) {
+    term.loss += of_ray[w].loss;
+    term.labelled += of_ray[w].labelled;
+    term.correct += of_ray[w].correct;
+  }
+  of_block[blockIdx.x] = term;
+}
+
+// One block; the order of the sum depends on `count` alone.
+__global__ void __launch_bounds__(kSoftmaxThreads)
+    term_total_kernel(const Term* of_block, std::int64_t count, LossSums* sums) {
+  Term term{};
+  for (std::int64_t i = threadIdx.x; i < count; i += kSoftmaxThreads) {
+    term.loss += of_block[i].loss;
+    term.labelled += of_block[i].labelled;
+    term.correct += of_block[i].correct;
+  }
+  term.loss = block_sum<kSoftmaxThreads>(term.loss);
+  term.labelled = block_sum<kSoftmaxThreads>(term.labelled);
+  term.correct = block_sum<kSoftmaxThreads>(term.correct);
+  if (threadIdx.x != 0) return;
+  sums->semantic = term.loss;
+  sums->labelled = term.labelled;
+  sums->correct = term.correct;
+}
+
 // Looks for the largest size of a number: 4 B per number read.
 
 constexpr int kRowsOfBlock = 32;
@@ -163,55 +249,17 @@ void photometric_loss(Workspace& arena, View<const float> color, View<const floa
     return;
   }
   double* const of_block = blocks == 1 ? &sums->squares : arena.take<double>(blocks, 1).data;
-  const double slope = 2.0 / normaliser;
-  // One thread kEach values, a block apart from each other; 12 B a value. A block's sum in a fixed tree.
-  queue_body<kThreads>("colour loss", blocks, [=] __device__() {
-    const std::int64_t size = 3 * color.rows;
-    const std::int64_t begin = static_cast<std::int64_t>(blockIdx.x) * kThreads * kEach + threadIdx.x;
-    double sum = 0;
-#pragma unroll 4
-    for (int j = 0; j < kEach; ++j) {
-      const std::int64_t i = begin + static_cast<std::int64_t>(j) * kThreads;
-      if (i >= size) break;
-      const std::int64_t r = i / 3;
-      const auto c = static_cast<std::int32_t>(i - 3 * r);
-      const double error = static_cast<double>(color(r, c)) - static_cast<double>(target(r, c));
-      sum += error * error;
-      if (!d_color.empty()) d_color(r, c) = static_cast<float>(slope * error);
-    }
-    sum = block_sum<kThreads>(sum);
-    if (threadIdx.x == 0) of_block[blockIdx.x] = sum;
-  });
+  queue("colour loss", blocks, kThreads, error_kernel, color, target, 2.0 / normaliser, d_color, of_block);
   if (blocks == 1) return;
   sum_in_order(of_block, blocks, &sums->squares);
 }
 
 void sum_in_order(const double* numbers, std::int64_t count, double* total) {
-  // One block; the order of the sum depends on `count` alone.
-  queue_body<kThreads>("sum of a loss", 1, [=] __device__() {
-    double sum = 0;
-    for (std::int64_t i = threadIdx.x; i < count; i += kThreads) sum += numbers[i];
-    sum = block_sum<kThreads>(sum);
-    if (threadIdx.x == 0) *total = sum;
-  });
+  queue("sum of a loss", 1, kThreads, total_kernel, numbers, count, total);
 }
 
 void count_samples(View<const std::int32_t> first, View<const float> sigma, LossSums* sums) {
-  // One block; it stops at the first 4 kThreads samples among which one has density. At most 4 B per sample.
-  queue_body<kThreads>("counting samples", 1, [=] __device__() {
-    const std::int32_t count = first(first.rows - 1, 0);
-    int dense = 0;
-    for (std::int32_t begin = 0; begin < count && dense == 0; begin += 4 * kThreads) {
-      for (int j = 0; j < 4; ++j) {
-        const std::int32_t m = begin + j * kThreads + static_cast<std::int32_t>(threadIdx.x);
-        if (m < count && sigma(m, 0) > 0) dense = 1;
-      }
-      dense = __syncthreads_or(dense);
-    }
-    if (threadIdx.x != 0) return;
-    sums->samples = count;
-    sums->dense = dense;
-  });
+  queue("counting samples", 1, kThreads, count_kernel, first, sigma, sums);
 }
 
 void semantic_cross_entropy(Workspace& arena, View<const float> logits, const SemanticTargets& targets,
@@ -220,46 +268,10 @@ void semantic_cross_entropy(Workspace& arena, View<const float> logits, const Se
   const Workspace::Scope scope(arena);
   const unsigned blocks = blocks_of(logits.rows, kRays);
   Term* const of_block = blocks == 0 ? nullptr : reinterpret_cast<Term*>(arena.take_bytes(blocks * sizeof(Term)));
-  const Rule of_batch{targets.hard, targets.soft, class_weight, 0, launch().fault};
-  const StepCell* const cell = launch().cell;
-  // A warp per ray; 4 C B read (again from cache for each of three sweeps) and 4 C B written per ray, soft labels 4 C B
-  // more. Rays of a block are added in order.
-  queue_body<kSoftmaxThreads>("semantic loss", blocks, [=] __device__() {
-    __shared__ Term of_ray[kRays];
-    const int lane = static_cast<int>(threadIdx.x % kWarp), warp = static_cast<int>(threadIdx.x / kWarp);
-    const std::int64_t r = static_cast<std::int64_t>(blockIdx.x) * kRays + warp;
-    const double normaliser = cell->semantic_normaliser;
-    Rule rule = of_batch;
-    rule.slope = normaliser > 0 ? scale / normaliser : 0.0;
-    Term term{};
-    if (r < logits.rows) term = ray_term(rule, logits, d_logits, r, lane);
-    if (lane == 0) of_ray[warp] = term;
-    __syncthreads();
-    if (threadIdx.x != 0) return;
-    for (int w = 1; w < kRays; ++w) {
-      term.loss += of_ray[w].loss;
-      term.labelled += of_ray[w].labelled;
-      term.correct += of_ray[w].correct;
-    }
-    of_block[blockIdx.x] = term;
-  });
-  const std::int64_t count = blocks;
-  // One block; the order of the sum depends on `count` alone.
-  queue_body<kSoftmaxThreads>("sum of the semantic loss", 1, [=] __device__() {
-    Term term{};
-    for (std::int64_t i = threadIdx.x; i < count; i += kSoftmaxThreads) {
-      term.loss += of_block[i].loss;
-      term.labelled += of_block[i].labelled;
-      term.correct += of_block[i].correct;
-    }
-    term.loss = block_sum<kSoftmaxThreads>(term.loss);
-    term.labelled = block_sum<kSoftmaxThreads>(term.labelled);
-    term.correct = block_sum<kSoftmaxThreads>(term.correct);
-    if (threadIdx.x != 0) return;
-    sums->semantic = term.loss;
-    sums->labelled = term.labelled;
-    sums->correct = term.correct;
-  });
+  const Rule rule{targets.hard, targets.soft, class_weight, 0, launch().fault};
+  queue("semantic loss", blocks, kSoftmaxThreads, cross_entropy_kernel, rule, launch().cell, scale, logits, d_logits,
+        of_block);
+  queue("sum of the semantic loss", 1, kSoftmaxThreads, term_total_kernel, of_block, blocks, sums);
 }
 
 void find_largest(View<const float> values, std::uint32_t* largest) {
