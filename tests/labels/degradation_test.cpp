@@ -247,12 +247,17 @@ TEST(RegionNoise, RefusalsAreExact) {
   EXPECT_TRUE(step("region_noise")->needs_instances());
 }
 
-TEST(SuperResolution, DenseSpreadsTheMiddlePixelOfEachCell) {
+Case five_by_three() {
   Case c = scene_of(8);
   c.add(5, 3,
         {0, 1, 2, 3, 4,  //
          5, 6, 7, 0, 1,  //
          2, 3, V, 5, 6});
+  return c;
+}
+
+TEST(SuperResolution, DenseSpreadsTheMiddlePixelOfEachCell) {
+  Case c = five_by_three();
   c.apply(*step("super_resolution", "{factor: 2}"));
   // Cells of columns 0-1, 2-3, 4 and rows 0-1, 2; their middle pixels are columns 1, 3, 4 and rows 1, 2.
   EXPECT_EQ(c.labels[0].hard, (Labels{6, 6, 0, 0, 1,  //
@@ -261,11 +266,7 @@ TEST(SuperResolution, DenseSpreadsTheMiddlePixelOfEachCell) {
 }
 
 TEST(SuperResolution, SparseKeepsRowsAndColumnsDivisibleByTheFactor) {
-  Case c = scene_of(8);
-  c.add(5, 3,
-        {0, 1, 2, 3, 4,  //
-         5, 6, 7, 0, 1,  //
-         2, 3, V, 5, 6});
+  Case c = five_by_three();
   const StepFacts facts = c.apply(*step("super_resolution", "{factor: 2, mode: sparse}"));
   EXPECT_EQ(c.labels[0].hard, (Labels{0, V, 2, V, 4,  //
                                       V, V, V, V, V,  //

@@ -1,6 +1,8 @@
 // Whether a run that is looked at, resumed or compared is still what was trained: its labels, its run.yaml, its
 // plugins.
 
+#include <functional>
+
 #include "eval/final_eval.h"
 #include "loading/packed_scene.h"
 #include "run/run_folder.h"
@@ -61,20 +63,22 @@ struct Trained {
       buffer.label = other.label;
     });
   }
-  /// A checkpoint as an earlier version wrote it.
-  void drop_metadata(const std::string& key, const std::string& within = "") const {
+  /// The newest checkpoint with other metadata, without checksums.
+  void rewrite_checkpoint(const std::function<void(TensorMetadata&)>& change) const {
     Diagnostics ignored;
     auto found = CheckpointStore::read(run + "/checkpoints").find_latest(ignored);
     TensorMetadata metadata = found->file.metadata();
     std::erase_if(metadata, [](const auto& entry) { return entry.first.starts_with("semfield.crc32c"); });
-    if (within.empty()) {
-      metadata.erase(key);
-    } else {
+    change(metadata);
+    write_safetensors(found->path, found->file.tensors(), metadata);
+  }
+  /// A checkpoint as an earlier version wrote it.
+  void drop_metadata(const std::string& key, const std::string& within) const {
+    rewrite_checkpoint([&](TensorMetadata& metadata) {
       std::string& text = metadata.at(key);
       const std::size_t at = text.find(",\"" + within);
       text.erase(at, text.find_first_of(",}", at + 1) - at);
-    }
-    write_safetensors(found->path, found->file.tensors(), metadata);
+    });
   }
   /// As 1.0 wrote it, whose density was per metre.
   void drop_unit() const {
@@ -84,12 +88,7 @@ struct Trained {
       return write_config(tree.with("rendering", tree.find("rendering")->without("unit_m")));
     };
     write_file_atomic(run + "/run.yaml", without_unit(read_text_file(run + "/run.yaml")));
-    Diagnostics ignored;
-    auto found = CheckpointStore::read(run + "/checkpoints").find_latest(ignored);
-    TensorMetadata metadata = found->file.metadata();
-    std::erase_if(metadata, [](const auto& entry) { return entry.first.starts_with("semfield.crc32c"); });
-    metadata.at("config") = without_unit(metadata.at("config"));
-    write_safetensors(found->path, found->file.tensors(), metadata);
+    rewrite_checkpoint([&](TensorMetadata& metadata) { metadata.at("config") = without_unit(metadata.at("config")); });
   }
 };
 
