@@ -1,4 +1,5 @@
-// What a training run scores: a sample of test frames now and then, test and training frames at its end.
+// Runs that are opened again: evaluated, their scores kept, compared; and the frames of an evaluation that reports
+// show.
 #pragma once
 
 #include <algorithm>
@@ -16,8 +17,6 @@
 #include "session/session.h"
 
 namespace semfield {
-
-class RunListener;
 
 /// Which part of a split an evaluation scored.
 struct ScoredPart {

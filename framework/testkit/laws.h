@@ -180,6 +180,7 @@ auto make_twins(const Registry& registry, const std::string& name, const Setting
   const std::unique_ptr<PluginParams> params = make_params(entry, settings);
   Build on_cpu = build;
   on_cpu.device = Device::cpu;
+  if constexpr (std::is_same_v<Build, FieldBuild>) on_cpu.precision = Precision::fp32;
   return Twins{(entry.*single)(*params, build, registry.kernels()),
                (entry.*oracle)(*params, on_cpu, registry.kernels())};
 }

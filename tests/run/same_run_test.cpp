@@ -9,6 +9,7 @@
 #include "run/run_scores.h"
 #include "session/self_training.h"
 #include "session/settings/run_identity.h"
+#include "system/process.h"
 #include "testkit/analytic_scene.h"
 #include "tests/scene/tiny_scene.h"
 #include "tests/session/train_testing.h"
@@ -262,6 +263,15 @@ TEST_F(DrivenRun, HasTheBitsAndTheRowsOfTheWholeRun) {
       run_training(load_run_config(dir_ / "driven/run.yaml", {"train.steps=25"}, registry_), registry_, request).step,
       25);
   EXPECT_HAS(error_of([&] { run.save(""); }), "somebody continued the run");
+}
+
+// Whoever drives it.
+TEST_F(DrivenRun, EndsWhereItsFirstStepsTakeMoreMemoryThanIsAllowed) {
+  const double most_gb = static_cast<double>(resident_bytes() + 64'000'000) / (1 << 30);  // enough to open it
+  semfield::Run run(config({"runtime.memory_gb=" + std::to_string(most_gb)}), registry_, {}, &nobody_);
+  const std::vector<char> held(192'000'000, 1);  // whatever the steps themselves take
+  EXPECT_ERROR(run.advance(1), "memory.training.size", "runtime.memory_gb");
+  EXPECT_EQ(held[static_cast<std::size_t>(run.training().step())], 1);
 }
 
 TEST_F(DrivenRun, RoundsOfSelfTrainingNeedAFolderAndHaveTheBitsOfTheWholeRun) {
