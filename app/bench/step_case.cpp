@@ -290,6 +290,7 @@ struct Peer::Process {
   }
   ~Process() {
     to_ = -1;  // the end of its input ends it
+    from_ = -1;
     kill(pid_, SIGTERM);
     app::code_of_child(pid_);
   }

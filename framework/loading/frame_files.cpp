@@ -153,7 +153,7 @@ Image<std::uint8_t> read_mask(const std::string& path) {
 }  // namespace
 
 void require_folder(const fs::path& folder, const std::string& remedy) {
-  if (!is_folder(folder))
+  if (!fs::is_directory(folder))  // which throws for what cannot be looked at, and so is not missing
     throw Error(ErrorKind::no_input, "files.folder.missing", "folder '" + folder.string() + "' is missing", remedy);
 }
 

@@ -8,7 +8,7 @@ namespace semfield::testkit {
 struct DatasetSample {
   Settings settings;  ///< parameters that make the dataset read the scene
   DatasetExpectation expected;
-  std::string absent;  ///< what this build lacks to read the scene; empty: nothing
+  std::string absent{};  ///< what this build lacks to read the scene; empty: nothing
 };
 
 /// Writes a tiny scene in the dataset's format into an existing empty folder.

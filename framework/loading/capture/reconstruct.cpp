@@ -404,6 +404,7 @@ std::vector<std::string> settle_model(const std::string& model, const FeatureSet
   for (const double times : kRounds) {
     const double most_px = times * read_known(at("refined")).error_px;
     filter(at("refined"), most_px, "filtered");
+    // The errors in its files stay those of the model before.
     colmap.model_step("adjusted", at("filtered"), at("adjusted"), {"bundle_adjuster"});
     filter(at("adjusted"), most_px, "refined");
   }
