@@ -357,12 +357,13 @@ struct HttpServer::Impl {
 
   // A connection and its thread: a request is read, its response made and sent, then the next one.
   struct Peer {
-    Peer(int s, std::size_t most_body_bytes) : socket(s), reader(most_body_bytes) {}
+    Peer(int s, std::size_t most_body_bytes, Clock::time_point until)
+        : socket(s), reader(most_body_bytes), deadline(until) {}
 
     const int socket;
     HttpReader reader;
     At at = At::idle;  // with these two under the server's lock; the thread alone changes them
-    Clock::time_point deadline = Clock::time_point::max();
+    Clock::time_point deadline;
     bool ended = false;  // the socket is closed
     std::thread thread{};
   };
@@ -443,7 +444,8 @@ void HttpServer::Impl::accept_all() {
     if (none_left) continue;
     const int yes = 1;
     setsockopt(fresh, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
-    Peer& peer = peers.emplace_back(fresh, options.most_body_bytes);
+    Peer& peer =
+        peers.emplace_back(fresh, options.most_body_bytes, Clock::now() + std::chrono::milliseconds(options.head_ms));
     try {
       peer.thread = std::thread([this, &peer] { serve(peer); });
     } catch (const std::system_error&) {
@@ -484,7 +486,7 @@ void HttpServer::Impl::enter(Peer& peer, At at, int ms) {
 }
 
 void HttpServer::Impl::serve(Peer& peer) {
-  while (serve_one(peer)) peer.reader.next();
+  for (; serve_one(peer); enter(peer, At::idle, options.head_ms)) peer.reader.next();
   const std::scoped_lock lock(mutex);
   close(peer.socket);
   peer.ended = true;
@@ -495,7 +497,6 @@ void HttpServer::Impl::serve(Peer& peer) {
 bool HttpServer::Impl::serve_one(Peer& peer) {
   HttpReader& reader = peer.reader;
   HttpRequest& request = reader.request();
-  enter(peer, At::idle, options.head_ms);
   for (bool admitted = false; !admitted || reader.state() != HttpReader::State::whole;) {
     if (reader.begun() && peer.at == At::idle) enter(peer, At::reading, options.head_ms);
     if (reader.state() == HttpReader::State::refused)

@@ -20,7 +20,7 @@ const char* const kMoment2 = "adam/v/";
 
 std::vector<std::int64_t> shape_of(const Tensor<float>& t) { return {t.spec.rows, t.spec.cols}; }
 
-Error another_network(Code code, const TensorFile& file, const std::string& what) {
+Error refused_network(Code code, const TensorFile& file, const std::string& what) {
   return Error(ErrorKind::data, code, file.name() + ": tensor " + what + ": this is another network's checkpoint",
                "train and load with the same configuration (run.yaml of the checkpoint's run)");
 }
@@ -30,11 +30,11 @@ const TensorRef& matching(const TensorFile& file, const std::string& name, const
   const TensorRef* found = file.find(name);
   const std::string want = fmt::format("[{}, {}]", t.spec.rows, t.spec.cols);
   if (found == nullptr)
-    throw another_network("checkpoint.tensor.missing", file, fmt::format("'{}' {} is missing", name, want));
+    throw refused_network("checkpoint.tensor.missing", file, fmt::format("'{}' {} is missing", name, want));
   if (found->shape != shape_of(t) || found->type != TensorType::f32) {
     std::string have;
     for (const std::int64_t n : found->shape) have += (have.empty() ? "" : ", ") + std::to_string(n);
-    throw another_network("checkpoint.tensor.shape", file,
+    throw refused_network("checkpoint.tensor.shape", file,
                           fmt::format("'{}' is [{}], the network needs {}", name, have, want));
   }
   return *found;
@@ -249,7 +249,7 @@ void Trainer::load(const TensorFile& file, std::int64_t step) {
   for (const TensorRef& wanted : state()) known.insert(wanted.name);
   for (const TensorRef& have : file.tensors())
     if (!known.contains(have.name))
-      throw another_network("checkpoint.tensor.unknown", file,
+      throw refused_network("checkpoint.tensor.unknown", file,
                             "'" + have.name + "' belongs to no part of this network");
   load_stored(file, true, pipeline_.store());
   step_ = step;
