@@ -213,7 +213,7 @@ void words(VerbWords& verb, TrainOptions& options) {
   verb.length(options.length);
   verb.threads(set);
   verb.setting(set, "--memory GB", "runtime.memory_gb",
-               "GB that the run may use; it ends after its first steps if they take more (default: no limit)");
+               "GB that the run may use; it ends after its first steps if it holds more (default: no limit)");
   verb.device(set);
   verb.repeated("--keep COMPONENT", options.keep, "keep a component that would be left out");
   verb.flag("--weak", options.weak, "under mpirun or srun: train.rays in each process, not in all together");

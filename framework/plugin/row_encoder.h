@@ -11,13 +11,14 @@
 
 namespace semfield {
 
-/// Nearest point of [0, 1]; NaN becomes 0.
+/// Nearest point of [0, 1]; NaN becomes 0, so that no address made from it leaves a table.
 SEMFIELD_HD inline double clamp_unit(double x) {
   const double above = x > 0 ? x : 0;
   return above < 1 ? above : 1;
 }
 
-/// Kernels of an encoder without tensors, private to its folder. Shape: what they know of its parameters.
+/// Kernels of an encoder without tensors. Shape: what they know of its parameters, private to the plugin. x and dx [M,
+/// in_dims], y and dy [M, out_dims].
 template <class Real, class Shape>
 struct RowKernels {
   /// Returns the first row that cannot be encoded, or -1. Runs in the calling thread.

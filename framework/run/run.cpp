@@ -880,7 +880,7 @@ bool Run::apply(const LabelEvent& event) {
 }
 
 TrainOutcome Run::finish() {
-  SEMFIELD_CHECK(scores_ != nullptr, "a run that is driven by Driver::command ends so");
+  SEMFIELD_CHECK(scores_ != nullptr, "Run::finish is for Driver::command alone");
   const WorkScope scope(work_);
   const double start_s = training_.train_s();
   TrainOutcome outcome;

@@ -97,9 +97,9 @@ class StepRows;
 class Run {
  public:
   /// Opens the scene and, for a run that goes on, takes up its newest checkpoint; makes the folder of a new one when
-  /// nothing can refuse it any more, and writes what the run is into it. Findings are reported to `listener`, or to
-  /// `opening` where it is given, which is heard here alone; `listener`, which may be null as it may, and `registry`
-  /// must outlive the object. Throws Error, and then a new run has left nothing: as open_session and RunFolder do,
+  /// nothing can refuse it any more, and writes what the run is into it. Findings go to `opening` where it is given,
+  /// else to `listener`. Either may be null. `listener` and `registry` must outlive the object; `opening` is used by
+  /// the constructor alone. Throws Error, and then a new run has left nothing: as open_session and RunFolder do,
   /// Error(usage) for rounds of self-training without a folder, Error(config) naming every setting that would make it
   /// another run.
   Run(RunConfig config, Registry& registry, const TrainRequest& request, RunListener* listener,

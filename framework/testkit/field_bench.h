@@ -1,4 +1,4 @@
-// One field with tensors, inputs and guarded outputs, as the field laws use it.
+// Guarded matrices, a field under test, and what the laws of encoders, fields and heads share.
 #pragma once
 
 #include <cstdint>

@@ -60,6 +60,7 @@ std::string hindrance(Ranks& ranks, const std::vector<Seat>& seats) {
 
 constexpr std::size_t kPiece = std::size_t{1} << 20;  // numbers of a rank that the others get at once
 
+// Gradients that meet in the host's memory: where NCCL is missing, or where ranks share a device.
 class HostExchange final : public RankExchange {
  public:
   explicit HostExchange(Ranks& ranks) : ranks_(ranks) {}
@@ -149,8 +150,6 @@ std::unique_ptr<RankExchange> meet_ranks(Ranks& ranks, std::string& why_not) {
   }
   return exchange;
 }
-
-// Gradients that meet in the host's memory: where NCCL is missing, or where ranks share a device.
 
 std::unique_ptr<RankExchange> host_exchange(Ranks& ranks) { return std::make_unique<HostExchange>(ranks); }
 

@@ -1,4 +1,4 @@
-// Kernel table of the importance sampler.
+// Parameters and kernel table of the importance sampler.
 #pragma once
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// Kernel table of the stratified sampler.
+// Parameters and kernel table of the stratified sampler.
 #pragma once
 
 #include <cstdint>
