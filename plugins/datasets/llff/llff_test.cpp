@@ -60,11 +60,15 @@ TEST(Llff, FilesThatDoNotFitAreRefused) {
     open(scene({bad, row(2)}), found);
     EXPECT_HAS(all_said(found), said);
   }
-  Diagnostics pose;
-  std::vector<float> lost = row(1);
-  lost.assign(lost.size(), std::numeric_limits<float>::quiet_NaN());  // as writers of a lost frame leave the row
-  EXPECT_EQ(open(scene({lost, row(2)}), pose).frames.size(), 1u);
-  EXPECT_FALSE(pose.has_errors());
+  std::vector<float> no_centre = row(1);
+  no_centre[3] = std::numeric_limits<float>::quiet_NaN();
+  const std::vector<float> nothing(no_centre.size(), no_centre[3]);  // as writers of a lost frame leave the row
+  for (const std::vector<float>& lost : {no_centre, nothing}) {
+    Diagnostics pose;
+    EXPECT_EQ(open(scene({lost, row(2)}), pose).frames.size(), 1u);
+    EXPECT_FALSE(pose.has_errors());
+    EXPECT_FINDING(pose, "scene.pose.skipped", "poses_bounds.npy", "1 of 2");
+  }
 }
 
 }  // namespace
