@@ -2,7 +2,7 @@
 #pragma once
 
 #include <memory>
-#include <tuple>
+#include <type_traits>
 
 #include "core/workspace.h"
 #include "plugin/encoder.h"
@@ -14,24 +14,16 @@
 
 namespace semfield::testkit {
 
-/// The encoder, field or sampler of that name: which, `Build` says.
+/// The plugin of that name, of the kind that `Build` builds; Real = double: its oracle.
 template <class Real, class Build>
 auto make_part(const Registry& registry, const std::string& name, const Settings& settings, const Build& build) {
-  constexpr bool kEncoder = std::is_same_v<Build, EncoderBuild>, kField = std::is_same_v<Build, FieldBuild>;
-  const PluginEntry& entry = registry.get(kEncoder ? PluginKind::encoder
-                                          : kField ? PluginKind::field
-                                                   : PluginKind::sampler,
-                                          name);
-  const auto made = [&](const auto& make32, const auto& make64) {
-    const auto& make = std::get < std::is_same_v<Real, float> ? 0 : 1 > (std::tie(make32, make64));
-    return make(*make_params(entry, settings), build, registry.kernels());
-  };
-  if constexpr (kEncoder) {
-    return made(entry.encoder32, entry.encoder64);
-  } else if constexpr (kField) {
-    return made(entry.field32, entry.field64);
+  const auto [kind, single, oracle] = makers_for(build);
+  const PluginEntry& entry = registry.get(kind, name);
+  const std::unique_ptr<PluginParams> params = make_params(entry, settings);
+  if constexpr (std::is_same_v<Real, float>) {
+    return (entry.*single)(*params, build, registry.kernels());
   } else {
-    return made(entry.sampler32, entry.sampler64);
+    return (entry.*oracle)(*params, build, registry.kernels());
   }
 }
 

@@ -2,15 +2,14 @@
 #pragma once
 
 #include "compute/parallel.h"
+#include "core/view.h"
 
 namespace semfield {
 
-class ThreadScope {
+class ThreadScope : NonCopyable {
  public:
   explicit ThreadScope(int count) : before_(thread_count()) { set_thread_count(count); }
   ~ThreadScope() { set_thread_count(before_); }
-  ThreadScope(const ThreadScope&) = delete;
-  ThreadScope& operator=(const ThreadScope&) = delete;
 
  private:
   int before_;

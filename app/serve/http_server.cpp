@@ -523,7 +523,7 @@ bool HttpServer::Impl::serve_one(Peer& peer) {
   if (request.abandoned()) return false;
   {
     std::unique_lock lock(mutex);
-    changed.wait(lock, [&] { return answering < options.threads; });
+    changed.wait(lock, [&] { return answering < options.responses; });
     ++answering;
   }
   std::optional<HttpResponse> response;

@@ -97,7 +97,7 @@ inline constexpr int kUsualPort = 8787;
 struct HttpOptions {
   std::string address = "127.0.0.1";  ///< IPv4, numbers
   int port = kUsualPort;              ///< a free_port()
-  int threads = 64;                   ///< responses made at a time; other requests wait
+  int responses = 64;                 ///< made at a time; other requests wait
   std::size_t connections = 512;      ///< with more, the one that has been idle the longest is closed
   std::size_t most_body_bytes = std::size_t{256} << 10;
   int head_ms =

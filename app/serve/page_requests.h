@@ -1,5 +1,5 @@
-// What pages request, as it comes over the wire: JSON read strictly, numbers of queries; and what they get: errors,
-// rendered maps, photographs. Every refusal is Error(data) with a sentence that names the key.
+// What pages request, as it comes over the wire: JSON read strictly, numbers of queries; and the JSON and errors
+// that they get. Every refusal is Error(data) with a sentence that names the key.
 #pragma once
 
 #include <array>

@@ -371,8 +371,8 @@ HttpResponse PageServer::get_state(const HttpRequest& request) const {
     const std::uint64_t exported = exports_.changes();
     const std::uint64_t known = after > exported ? after - exported : 0;
     const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(end - Clock::now());
-    // Those that wait leave half of the threads to the others.
-    const bool at_once = stopping_ || 2 * waiting_for_news_ > options_.http.threads;
+    // Those that wait leave half of the responses to the others.
+    const bool at_once = stopping_ || 2 * waiting_for_news_ > options_.http.responses;
     if (at_once) std::this_thread::sleep_for(kStateLook);  // a page that asks again and again stays calm
     const bool last = left.count() <= 0 || at_once || after == 0 || request.abandoned();
     const auto state = last ? source_.state() : source_.wait_state(known, std::min(kStateLook, left));

@@ -144,7 +144,7 @@ void grow(std::vector<T>& buffer, std::int64_t size) {
 }
 
 template <class T>
-std::size_t bytes_of(const std::vector<T>& buffer) {
+std::size_t allocated_bytes(const std::vector<T>& buffer) {
   return buffer.capacity() * sizeof(T);
 }
 
@@ -630,8 +630,8 @@ View<Real> EncoderInbox<Real>::append(View<const double> tile_x, std::int32_t di
 
 template <class Real>
 std::size_t LaneExecutor<Real>::Ahead::bytes() const {
-  return bytes_of(t) + bytes_of(delta) + bytes_of(ray_of_sample) + bytes_of(first) + bytes_of(x) + bytes_of(encoded) +
-         bytes_of(d_encoded);
+  return allocated_bytes(t) + allocated_bytes(delta) + allocated_bytes(ray_of_sample) + allocated_bytes(first) +
+         allocated_bytes(x) + allocated_bytes(encoded) + allocated_bytes(d_encoded);
 }
 
 template <class Real>

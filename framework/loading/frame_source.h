@@ -74,7 +74,7 @@ struct LoadedScene {
   std::vector<int> frames_of(Split split) const;
 };
 
-/// A dataset as this floor may see it: the two calls of scene/dataset.h.
+/// The two calls of a dataset that loading needs, for tests' own classes too.
 struct SceneReader {
   std::function<SceneInfo(Diagnostics&)> open;
   std::function<void(int, FrameBuffer&)> read;  ///< thread-safe

@@ -1,5 +1,5 @@
 // report.html: one self-contained page about one or several runs; the same input gives the same bytes. What it shows is
-// JSON in it, which page/report.js draws when the page is opened.
+// JSON in it, which page/report.js draws when the page is opened. Also pieces of pages that stand alone.
 #pragma once
 
 #include <cstdint>

@@ -20,7 +20,7 @@ T median_of(std::vector<T> values) {
   std::nth_element(values.begin(), middle, values.end());
   return *middle;
 }
-/// The value below which the share of them lies, as far as they are whole; they change their order. Not of none.
+/// The value of rank floor(share * (n - 1)), share 0 to 1. Reorders `values`, which are not empty.
 template <class T>
 T quantile(std::vector<T>& values, double share) {
   const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));

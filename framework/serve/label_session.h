@@ -197,7 +197,8 @@ class LabelSession final : public LabelSource {
   Annotations annotations_;
   ClickLog log_;
 
-  // Of everything below, but for `run_` and `trouble_told_`, which belong to the thread that trains.
+  // Of what follows up to the photographs, but for `run_`, `taken_events_`, `trouble_told_` and `failure_`, which
+  // belong to the thread that trains.
   mutable std::mutex mutex_;
   mutable std::condition_variable changed_;  // the state, or an order
   std::condition_variable wanted_;           // something of the thread that trains

@@ -56,9 +56,9 @@ std::optional<EventsKnown> clicks_of(const TensorFile& file) {
   return known;
 }
 
-// What `read` makes of the text, which it may not be able to read.
+// read(text of `key`). Throws Error(data) naming file and key where it cannot be read.
 template <class Read>
-auto read_of(const TensorFile& file, const std::string& key, const Read& read) {
+auto parsed(const TensorFile& file, const std::string& key, const Read& read) {
   const std::string& text = text_of(file, key);
   try {
     return read(text);
@@ -120,10 +120,10 @@ CheckpointFacts read_checkpoint_facts(const TensorFile& file) {
   facts.config = text_of(file, "config");
   facts.classes = text_of(file, "classes");
   facts.scene = read_manifest_text(text_of(file, "scene"));
-  facts.inputs = read_of(file, "inputs", [](const std::string& text) { return read_inputs_text(text); });
+  facts.inputs = parsed(file, "inputs", [](const std::string& text) { return read_inputs_text(text); });
   facts.clicks = clicks_of(file);
   if (file.metadata().contains("modules"))
-    facts.modules = read_of(file, "modules", [](const std::string& text) {
+    facts.modules = parsed(file, "modules", [](const std::string& text) {
       return nlohmann::json::parse(text).get<std::map<std::string, std::string>>();
     });
   if (file.metadata().contains("self_labels")) facts.self_labels = text_of(file, "self_labels");

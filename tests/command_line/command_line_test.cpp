@@ -172,7 +172,7 @@ TEST_F(Words, NumbersOutsideTheirRangesAreRefused) {
   EXPECT_GE(options, 14);
 }
 
-TEST_F(Words, JsonIsRefusedWhereThereIsNone) { EXPECT_ENDED(run("help --json train"), 2, "[usage.json.none]"); }
+TEST_F(Words, JsonIsRefusedWhereThereIsNone) { EXPECT_REFUSED(run("help --json train"), 2, "usage.json.none"); }
 
 // --json of every verb: one object with the keys that all have, or a refusal.
 

@@ -27,6 +27,7 @@
 #include "system/process.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
+#include "tests/threads.h"
 
 namespace semfield {
 namespace {
@@ -380,14 +381,9 @@ TEST_F(MemoryLimit, Words) {
 
 // parallel_for: every index once, exceptions, nesting, concurrent callers, changing thread counts; limits of groups.
 
-struct Threads {
-  explicit Threads(int count) { set_thread_count(count); }
-  ~Threads() { set_thread_count(0); }
-};
-
 TEST(ParallelFor, CallsEveryIndexOnceForAnyThreadCount) {
   for (const int threads : {1, 2, 3, 8, 2}) {
-    const Threads scope(threads);
+    const ThreadScope scope(threads);
     for (const std::int64_t count : {0, 1, 2, 7, 1000}) {
       std::vector<std::atomic<int>> calls(static_cast<std::size_t>(count));
       parallel_for(count, [&](std::int64_t i) { ++calls[i]; });
@@ -397,7 +393,7 @@ TEST(ParallelFor, CallsEveryIndexOnceForAnyThreadCount) {
 }
 
 TEST(ParallelFor, SeveralThreadsTakePart) {
-  const Threads scope(2);
+  const ThreadScope scope(2);
   std::atomic<int> met{0};
   const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(20);
   parallel_for(2, [&](std::int64_t) {  // each waits for the other: a serial run would not get through
@@ -409,7 +405,7 @@ TEST(ParallelFor, SeveralThreadsTakePart) {
 }
 
 TEST(ParallelFor, RethrowsAfterAllBodiesHaveEnded) {
-  const Threads scope(3);
+  const ThreadScope scope(3);
   std::atomic<int> calls{0};
   for (int round = 0; round < 3; ++round) {
     calls = 0;
@@ -424,7 +420,7 @@ TEST(ParallelFor, RethrowsAfterAllBodiesHaveEnded) {
 }
 
 TEST(ParallelFor, NestedCallsRunSerially) {
-  const Threads scope(4);
+  const ThreadScope scope(4);
   std::atomic<int> calls{0}, strangers{0};
   parallel_for(8, [&](std::int64_t) {
     const std::thread::id outer = std::this_thread::get_id();
@@ -438,7 +434,7 @@ TEST(ParallelFor, NestedCallsRunSerially) {
 }
 
 TEST(ParallelFor, ConcurrentCallersDoNotMix) {
-  const Threads scope(3);
+  const ThreadScope scope(3);
   std::vector<std::int64_t> sums(4);
   std::vector<std::thread> callers;
   for (std::size_t c = 0; c < sums.size(); ++c) {

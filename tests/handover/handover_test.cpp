@@ -9,7 +9,6 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
-#include "compute/parallel.h"
 #include "core/small_math.h"
 #include "core/text.h"
 #include "eval/image_output.h"
@@ -27,6 +26,7 @@
 #include "testkit/analytic_scene.h"
 #include "tests/says.h"
 #include "tests/temp_dir.h"
+#include "tests/threads.h"
 
 namespace semfield {
 namespace {
@@ -436,16 +436,14 @@ TEST(SplatColors, AFitMakesPicturesOfTheViews) {
       sum += std::pow(static_cast<double>(drawn[i]) - view.rgb[i] / 255.0, 2);
     return sum;
   };
-  const auto fitted = [&](int threads) {
-    set_thread_count(threads);
+  const auto fitted = [&] {
     Splats out = grey;
     fit_colors(out, {&view, 1}, kBlack);
-    set_thread_count(0);
     return out;
   };
-  const Splats alone = fitted(1);
+  const Splats alone = on_threads(1, fitted);
   EXPECT_LT(error(alone), 0.1 * error(grey));
-  EXPECT_EQ(fitted(3).points.attributes.color, alone.points.attributes.color);
+  EXPECT_EQ(on_threads(3, fitted).points.attributes.color, alone.points.attributes.color);
 }
 
 TEST(SplatColors, WhatNoViewShowsKeepsItsColor) {

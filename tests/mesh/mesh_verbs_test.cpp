@@ -506,9 +506,8 @@ TEST_F(Verbs, EvalScoresByAProtocol) {
   EXPECT_EQ(of["truth"].get<std::string>().size(), 8U);
   const Result shown = run(*dir_, {"eval", run_dir(), "--protocol", "panoptic_lifting"});
   EXPECT_HAS(shown.out, "protocol: name=panoptic_lifting miou=", " truth=" + of["truth"].get<std::string>());
-  const Result train = run(*dir_, {"eval", run_dir(), "--protocol", "semantic_nerf", "--split", "train"});
-  EXPECT_EQ(train.code, 2);
-  EXPECT_SAID(train.err, "eval.protocol.split", "--split");
+  EXPECT_REFUSED(run(*dir_, {"eval", run_dir(), "--protocol", "semantic_nerf", "--split", "train"}), 2,
+                 "eval.protocol.split", "--split");
 }
 
 }  // namespace

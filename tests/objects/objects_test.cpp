@@ -768,11 +768,11 @@ TEST_F(ObjectsVerb, FilesFiguresAndTheSameAgain) {
   {
     FolderLock alone;
     ASSERT_EQ(alone.take(dir / "run/objects"), 0);
-    EXPECT_ENDED(semfield(std::string("objects run") + kQuick), 73, "run/objects", "objects.folder.busy");
+    EXPECT_REFUSED(semfield(std::string("objects run") + kQuick), 73, "objects.folder.busy", "run/objects");
   }
   fs::remove(dir / "run/objects/edits.json");
-  EXPECT_ENDED(semfield(std::string("objects run --out again") + kQuick + "--set objects.points=2000"), 65,
-               "again/edits.json", "objects.edits.foreign");
+  EXPECT_REFUSED(semfield(std::string("objects run --out again") + kQuick + "--set objects.points=2000"), 65,
+                 "objects.edits.foreign", "again/edits.json");
   fs::remove_all(dir / "again");
   ASSERT_EQ(semfield(std::string("objects run --out again --threads 1") + kQuick).code, 0);
   EXPECT_EQ(read_text_file(dir / "again/objects.csv"), first) << "threads changed a number";
@@ -784,10 +784,9 @@ TEST_F(ObjectsVerb, SegmentsOfAFolderAndBothMethods) {
     const Result r = succeeded(semfield(std::string("objects run --segments segments ") + method + kQuick));
     EXPECT_HAS(r.out, "objects: objects=", "segments=");
   }
-  const Result none = semfield(std::string("objects run") + kQuick);
-  EXPECT_ENDED(none, 65, "--segments", "objects.segments.none");
-  EXPECT_ENDED(semfield(std::string("objects run --segments segments --score --out scored") + kQuick), 65,
-               "objects.truth.none");
+  EXPECT_REFUSED(semfield(std::string("objects run") + kQuick), 65, "objects.segments.none", "--segments");
+  EXPECT_REFUSED(semfield(std::string("objects run --segments segments --score --out scored") + kQuick), 65,
+                 "objects.truth.none");
   EXPECT_FALSE(fs::exists(dir / "scored")) << "refused before anything is written";
 }
 

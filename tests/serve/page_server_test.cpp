@@ -746,7 +746,7 @@ TEST_F(ServedPage, ClientsThatReadNothingAreCutOffWhileOthersAreServed) {
 // Far more than there are threads, and they are let be for a minute: a response that comes did not wait for them.
 TEST_F(ServedPage, IdleAndHalfSentConnectionsHoldNobodyUp) {
   PageOptions o = options();
-  o.http.threads = 4;
+  o.http.responses = 4;
   o.http.head_ms = o.http.body_ms = 60'000;
   start(o);
   std::list<Connection> idle;
@@ -797,7 +797,7 @@ TEST_F(ServedPage, PicturesThatNobodyWaitsForAnyMoreAreGivenUp) {
 
 TEST_F(ServedPage, WhoWaitsForNewsLeavesThreadsToTheOthers) {
   PageOptions o = options();
-  o.http.threads = 4;
+  o.http.responses = 4;
   o.longest_poll_ms = 60'000;
   start(o);
   std::list<Connection> waiting;

@@ -249,7 +249,7 @@ class ServedPage : public ::testing::Test {
   PageOptions options() const {
     PageOptions o;
     o.http.port = 0;
-    o.http.threads = 16;
+    o.http.responses = 16;
     o.http.head_ms = 2000;
     o.http.body_ms = 1000;
     o.token = std::string(32, 'a');

@@ -185,10 +185,11 @@ constexpr const char* kOtherKeys[] = {"heads",
 // Keys of versions before 1.0, and what to do instead.
 struct GoneKey {
   const char *section, *key, *remedy;
+  std::string_view harmless = {};  // values that say what holds anyway, which versions before 2.0 take
 };
 constexpr GoneKey kGoneKeys[] = {
     {"train", "time_limit_s", "write train: {steps: 0, time_s: SECONDS} to have steps and schedule settled for a time"},
-    {"runtime", "gemm", "remove the key; runtime.precision: bf16 is the faster arithmetic"},
+    {"runtime", "gemm", "remove the key; runtime.precision: bf16 is the faster arithmetic", "auto builtin"},
 };
 
 // Keys that the map at `path` may have and that are no parameters of it; "": the top.
@@ -684,9 +685,8 @@ RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnos
     const ConfigNode* section = map_at(tree, gone.section);
     const ConfigNode* value = section != nullptr ? section->find(gone.key) : nullptr;
     if (value == nullptr) continue;
-    const bool deprecated =
-        gone.key == std::string_view("gemm") && (value->text() == "auto" || value->text() == "builtin");
-    if (!deprecated)
+    const std::vector<std::string_view> harmless = words_of(gone.harmless);
+    if (std::find(harmless.begin(), harmless.end(), value->text()) == harmless.end())
       diagnostics.error("config.key.gone", value->key_location().text(),
                         fmt::format("{}: {} is gone", gone.section, gone.key), gone.remedy);
     tree = tree.with(gone.section, section->without(gone.key));

@@ -9,7 +9,7 @@
 
 namespace semfield {
 
-/// Of PhotographParams without `every` and `least_confidence`.
+/// Its keys are those of PhotographParams but `every` and `least_confidence`.
 struct ColmapParams : PhotographParams {
   std::string model, images = "images";
 };

@@ -171,6 +171,9 @@ TEST(Colmap, LensesWithOneFocalLengthAndRefusedOnes) {
   EXPECT_EQ(info.frames[0].camera.cx, 4.0);
   EXPECT_EQ(info.frames[0].camera.k1, 0.1);
   EXPECT_EQ(info.frames[0].camera.k2, 0.2);
+  Diagnostics fitted;  // a centre that was fitted may lie anywhere
+  open(scene_folder("centre", 8, 4, with_camera("7 PINHOLE 8 4 10 10 8 4")), fitted);
+  EXPECT_EQ(problems(fitted), std::vector<std::string>{});
   for (const char* fisheye : {"7 OPENCV_FISHEYE 8 4 6 6 4 2 0.1 0.2 0.3 0.4", "7 RADIAL_FISHEYE 8 4 6 4 2 0.1 0.2",
                               "7 SIMPLE_RADIAL_FISHEYE 8 4 6 4 2 0.1"}) {
     Diagnostics wide;
@@ -188,7 +191,8 @@ TEST(Colmap, LabelsForSomeFrames) {
   std::filesystem::create_directories(folder + "/labels");
   Diagnostics none;
   open(folder, none, "labels");
-  EXPECT_FINDING(none, "labels.frames.missing", "no label image for any frame", "like the images", ".png");
+  EXPECT_FINDING(none, "labels.frames.missing", "no label image for any frame", "like the images, in the same folders",
+                 ".png");
   write_png_gray8(folder + "/labels/b.png", 8, 4, std::vector<std::uint8_t>(32, 5));
   plain_write(folder + "/classes.yaml", "- {id: 0, name: void, ignore: true}\n- {id: 5, name: cup}\n");
   ColmapParams p{{.root = folder, .label_dir = "labels"}};

@@ -8,7 +8,7 @@
 
 namespace semfield {
 
-/// Of PhotographParams without `every`, `least_confidence` and `missing`.
+/// Its keys are those of PhotographParams but `every`, `least_confidence` and `missing`.
 struct LlffParams : PhotographParams {
   std::string images = "images";
 };
