@@ -13,11 +13,18 @@
 
 namespace semfield {
 
+/// Place of a pixel in row-major values of a picture `width` pixels wide.
+constexpr std::size_t pixel_at(std::int64_t x, std::int64_t y, std::int64_t width) {
+  return static_cast<std::size_t>(y * width + x);
+}
+
 /// Row-major, channels interleaved.
 template <class T>
 struct Image {
   std::int32_t width_px = 0, height_px = 0, channels = 0;
   std::vector<T> pixels;
+  /// The only channel of a pixel.
+  T at(std::int32_t x, std::int32_t y) const { return pixels[pixel_at(x, y, width_px)]; }
 };
 
 struct ImageSize {
@@ -66,6 +73,17 @@ void write_npy(const std::string& path, std::span<const std::int64_t> shape, std
 /// For each of `to` pixels the nearest of `from`: the one that holds its centre. For ids and depth, whose averages mean
 /// nothing.
 std::vector<std::int64_t> nearest_pixels(std::int32_t from, std::int32_t to);
+/// Those values of a picture of `from` pixels at the size `to`, one a pixel; of no values none.
+template <class T>
+std::vector<T> at_nearest_pixels(const std::vector<T>& values, const ImageSize& from, const ImageSize& to) {
+  std::vector<T> out;
+  if (values.empty()) return out;
+  const auto rows = nearest_pixels(from.height_px, to.height_px), cols = nearest_pixels(from.width_px, to.width_px);
+  out.reserve(rows.size() * cols.size());
+  for (const std::int64_t row : rows)
+    for (const std::int64_t col : cols) out.push_back(values[pixel_at(col, row, from.width_px)]);
+  return out;
+}
 /// Area-averaged colour, for downscaling only.
 Image<std::uint8_t> resize_area(const Image<std::uint8_t>& image, std::int32_t width, std::int32_t height);
 

@@ -509,17 +509,6 @@ Image<float> read_depth(const std::string& path, double unit_m) {
   return out;
 }
 
-std::vector<float> at_nearest_pixels(const Image<float>& image, std::int32_t width, std::int32_t height) {
-  const auto rows = nearest_pixels(image.height_px, height), cols = nearest_pixels(image.width_px, width);
-  std::vector<float> out;
-  out.reserve(rows.size() * cols.size());
-  for (const std::int64_t row : rows) {
-    const float* const line = image.pixels.data() + row * image.width_px;
-    for (const std::int64_t col : cols) out.push_back(line[col]);
-  }
-  return out;
-}
-
 namespace {
 
 constexpr double kEdge = 0.04;    // relative step of depth between neighbours
@@ -532,9 +521,8 @@ struct Corner {
 
 class Canvas {
  public:
-  Canvas(const Camera& camera) : width_(camera.width_px), height_(camera.height_px) {
-    depth_.resize(static_cast<std::size_t>(width_) * static_cast<std::size_t>(height_));
-  }
+  Canvas(const Camera& camera)
+      : width_(camera.width_px), height_(camera.height_px), depth_(pixel_at(0, height_, width_)) {}
   // Pixel centres within the triangle; inverse depth is linear in the image of a pinhole.
   void triangle(const Corner& a, const Corner& b, const Corner& c) {
     const double least = std::min({a.taken, b.taken, c.taken}), most = std::max({a.taken, b.taken, c.taken});
@@ -552,8 +540,7 @@ class Canvas {
         const double wc = ((b.u - a.u) * (v - a.v) - (u - a.u) * (b.v - a.v)) / area;
         if (wb < -1e-9 || wc < -1e-9 || wb + wc > 1 + 1e-9) continue;
         const double at = 1 / ((1 - wb - wc) / a.depth + wb / b.depth + wc / c.depth);
-        float& here =
-            depth_[static_cast<std::size_t>(y) * static_cast<std::size_t>(width_) + static_cast<std::size_t>(x)];
+        float& here = depth_[pixel_at(static_cast<std::int64_t>(x), static_cast<std::int64_t>(y), width_)];
         if (here == 0 || at < static_cast<double>(here)) here = static_cast<float>(at);
       }
     }
@@ -572,9 +559,7 @@ std::vector<float> drawn_depth(const Image<float>& depth, const DepthCamera& fro
                  "the depth image has another size than its camera");
   const auto corner = [&](std::int32_t x, std::int32_t y) {
     Corner out;
-    const auto taken =
-        static_cast<double>(depth.pixels[static_cast<std::size_t>(y) * static_cast<std::size_t>(depth.width_px) +
-                                         static_cast<std::size_t>(x)]);
+    const auto taken = static_cast<double>(depth.at(x, y));
     const Vec3d ray = from.camera.direction(x + 0.5, y + 0.5);
     const double per_distance = from.camera.depth_of(ray);
     if (!(taken > 0) || !(per_distance > 0)) return out;
@@ -699,9 +684,10 @@ bool has_rays_along_border(const Camera& camera) {
 
 }  // namespace
 
-std::vector<std::uint8_t> reduced_mask(const std::vector<std::uint8_t>& used, PixelSize from, PixelSize to) {
+std::vector<std::uint8_t> reduced_mask(const std::vector<std::uint8_t>& used, const ImageSize& from,
+                                       const ImageSize& to) {
   if (used.empty()) return {};
-  std::vector<std::uint8_t> out(static_cast<std::size_t>(std::int64_t{to.width_px} * to.height_px), 1);
+  std::vector<std::uint8_t> out(pixel_at(0, to.height_px, to.width_px), 1);
   // Of the pixels `from`, those that pixel `at` of `to` covers a part of.
   const auto covered = [](std::int64_t at, std::int64_t size, std::int64_t many) {
     return std::pair{at * many / size, ((at + 1) * many + size - 1) / size};
@@ -713,7 +699,7 @@ std::vector<std::uint8_t> reduced_mask(const std::vector<std::uint8_t>& used, Pi
       for (std::int64_t row = top; row < bottom; ++row) {
         const auto begin = used.begin() + row * from.width_px;
         if (std::find(begin + left, begin + right, std::uint8_t{0}) != begin + right)
-          out[static_cast<std::size_t>(y * to.width_px + x)] = 0;
+          out[pixel_at(x, y, to.width_px)] = 0;
       }
     }
   });
@@ -728,10 +714,10 @@ LensMasks::LensMasks(const std::vector<Camera>& cameras) {
       continue;
     known.push_back(camera);
     if (has_rays_along_border(camera)) continue;
-    std::vector<std::uint8_t> used(static_cast<std::size_t>(std::int64_t{camera.width_px} * camera.height_px));
+    std::vector<std::uint8_t> used(pixel_at(0, camera.height_px, camera.width_px));
     parallel_for(camera.height_px, [&](std::int64_t y) {
       for (std::int64_t x = 0; x < camera.width_px; ++x)
-        used[static_cast<std::size_t>(y * camera.width_px + x)] = has_ray(camera, x, y) ? 1 : 0;
+        used[pixel_at(x, y, camera.width_px)] = has_ray(camera, x, y) ? 1 : 0;
     });
     masks_.emplace_back(camera, std::move(used));
   }

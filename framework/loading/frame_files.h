@@ -37,9 +37,6 @@ ImageSize depth_size(const std::string& path);
 /// `unit_m` are the metres of one step where the values are integers. Throws as the readers of images and arrays do.
 Image<float> read_depth(const std::string& path, double unit_m = 0.001);
 
-/// The values of an image at another size, each that of the nearest pixel [height * width].
-std::vector<float> at_nearest_pixels(const Image<float>& image, std::int32_t width, std::int32_t height);
-
 // Depth that another camera than the one of the colours took, drawn into the colour image.
 
 struct DepthCamera {
@@ -264,13 +261,10 @@ class FrameMasks {
 
 // Pixels of loaded frames that do not count: masks at another size, and pixels through which a lens has no ray.
 
-struct PixelSize {
-  std::int32_t width_px = 0, height_px = 0;
-};
-
 /// `used` [from.height * from.width] at a size of at most its own: a pixel is masked where any masked one falls into
 /// it, so that none of what is masked shines through. An empty mask stays empty.
-std::vector<std::uint8_t> reduced_mask(const std::vector<std::uint8_t>& used, PixelSize from, PixelSize to);
+std::vector<std::uint8_t> reduced_mask(const std::vector<std::uint8_t>& used, const ImageSize& from,
+                                       const ImageSize& to);
 
 /// Pixels without a ray, of each lens that has any.
 class LensMasks {

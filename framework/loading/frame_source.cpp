@@ -24,19 +24,6 @@ namespace semfield {
 
 namespace {
 
-template <class T>
-std::vector<T> pick(const std::vector<T>& in, std::int32_t width, const std::vector<std::int64_t>& cols,
-                    const std::vector<std::int64_t>& rows) {
-  if (in.empty()) return {};
-  std::vector<T> out;
-  out.reserve(cols.size() * rows.size());
-  for (const std::int64_t y : rows) {
-    const T* row = in.data() + y * width;
-    for (const std::int64_t x : cols) out.push_back(row[x]);
-  }
-  return out;
-}
-
 // Pixels of each class, the last entry void; empty without labels.
 std::vector<std::int64_t> class_pixels_of(const std::vector<std::int16_t>& label, int classes) {
   if (label.empty()) return {};
@@ -284,11 +271,11 @@ FrameBuffer resize_frame(const FrameBuffer& frame, std::int32_t width, std::int3
   out.width_px = width;
   out.height_px = height;
   out.rgb = resize_area({frame.width_px, frame.height_px, 3, frame.rgb}, width, height).pixels;
-  const auto cols = nearest_pixels(frame.width_px, width), rows = nearest_pixels(frame.height_px, height);
-  out.depth_m = pick(frame.depth_m, frame.width_px, cols, rows);
-  out.label = pick(frame.label, frame.width_px, cols, rows);
-  out.instance = pick(frame.instance, frame.width_px, cols, rows);
-  out.used = reduced_mask(frame.used, {frame.width_px, frame.height_px}, {width, height});
+  const ImageSize from{frame.width_px, frame.height_px}, to{width, height};
+  out.depth_m = at_nearest_pixels(frame.depth_m, from, to);
+  out.label = at_nearest_pixels(frame.label, from, to);
+  out.instance = at_nearest_pixels(frame.instance, from, to);
+  out.used = reduced_mask(frame.used, from, to);
   out.channels = frame.channels;  // their grids are their own, but that of alpha
   for (FrameChannel& one : out.channels) {
     if (one.name != kAlphaChannel) continue;

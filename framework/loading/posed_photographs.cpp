@@ -147,7 +147,7 @@ void PosedPhotographs::read(int frame, FrameBuffer& out) const {
       for (std::size_t p = 0; p < depth.pixels.size(); ++p)
         if (confidence.pixels[p] < least) depth.pixels[p] = 0;
     }
-    out.depth_m = at_nearest_pixels(depth, out.width_px, out.height_px);
+    out.depth_m = at_nearest_pixels(depth.pixels, {depth.width_px, depth.height_px}, {out.width_px, out.height_px});
   } catch (Error& e) {
     e.while_doing("frame '" + info_.frames[i].name + "'");
     throw;

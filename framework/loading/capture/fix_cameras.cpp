@@ -68,7 +68,7 @@ BundleDepth depth_view(const FrameBuffer& frame, const Camera& camera) {
   const auto step = static_cast<std::int32_t>(std::max(1.0, std::ceil(longer_side(camera) / kDepthSide)));
   const std::int32_t width = std::max(1, frame.width_px / step), height = std::max(1, frame.height_px / step);
   out.camera = camera.resized(width, height);
-  out.depth_m = at_nearest_pixels({frame.width_px, frame.height_px, 1, frame.depth_m}, width, height);
+  out.depth_m = at_nearest_pixels(frame.depth_m, {frame.width_px, frame.height_px}, {width, height});
   return out;
 }
 
@@ -169,8 +169,7 @@ class Fixing {
     const auto f = static_cast<std::size_t>(s.frame);
     const Camera& c = bundle_.stated[f];
     if (used_[f].empty() || !(s.u >= 0 && s.v >= 0 && s.u < c.width_px && s.v < c.height_px)) return false;
-    return used_[f][static_cast<std::size_t>(s.v) * static_cast<std::size_t>(c.width_px) +
-                    static_cast<std::size_t>(s.u)] == 0;
+    return used_[f][pixel_at(static_cast<std::int64_t>(s.u), static_cast<std::int64_t>(s.v), c.width_px)] == 0;
   }
 
   void find_tracks() {

@@ -10,6 +10,7 @@
 #include <set>
 
 #include "compute/parallel.h"
+#include "formats/image_io.h"
 #include "scene/camera.h"
 
 namespace semfield {
@@ -54,56 +55,39 @@ constexpr double kLeastParallax = 0.02;  // radians between two rays that meet; 
 constexpr int kFewestGreys = 8, kFewestPairs = 8;
 constexpr double kDark = 4;  // grey steps: darker ones say little of a factor
 
-/// A small picture in grey, 0 to 255.
-struct Grey {
-  std::int32_t width = 0, height = 0;
-  std::vector<float> value;
-  float at(std::int32_t x, std::int32_t y) const {
-    return value[static_cast<std::size_t>(y) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x)];
-  }
-};
-
-// Sums over 5 x 5 pixels of a picture, by running sums; the outermost two rows and columns stay 0.
-std::vector<float> box_sums(const std::vector<float>& in, std::int32_t width, std::int32_t height) {
-  const auto at = [width](std::int32_t x, std::int32_t y) {
-    return static_cast<std::size_t>(y) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x);
-  };
-  std::vector<float> rows(in.size()), out(in.size());
-  for (std::int32_t y = 0; y < height; ++y) {
-    for (std::int32_t x = 2; x < width - 2; ++x) {
-      const float* p = in.data() + at(x, y);
-      rows[at(x, y)] = p[-2] + p[-1] + p[0] + p[1] + p[2];
-    }
-  }
-  for (std::int32_t y = 2; y < height - 2; ++y) {
-    for (std::int32_t x = 2; x < width - 2; ++x) {
-      out[at(x, y)] =
-          rows[at(x, y - 2)] + rows[at(x, y - 1)] + rows[at(x, y)] + rows[at(x, y + 1)] + rows[at(x, y + 2)];
-    }
-  }
-  return out;
-}
+// A small picture in grey, 0 to 255, or what is worked out of its pixels.
+using Grey = Image<float>;
 
 // The smaller eigenvalue of the sum of gradient products over 5 x 5 pixels [Shi94].
 Grey corner_strength(const Grey& g) {
-  std::vector<float> xx(g.value.size()), yy(g.value.size()), xy(g.value.size());
-  for (std::int32_t y = 1; y < g.height - 1; ++y) {
-    for (std::int32_t x = 1; x < g.width - 1; ++x) {
-      const std::size_t i =
-          static_cast<std::size_t>(y) * static_cast<std::size_t>(g.width) + static_cast<std::size_t>(x);
-      const float dx = g.at(x + 1, y) - g.at(x - 1, y), dy = g.at(x, y + 1) - g.at(x, y - 1);
-      xx[i] = dx * dx;
-      yy[i] = dy * dy;
-      xy[i] = dx * dy;
+  const std::int32_t width = g.width_px, height = g.height_px;
+  // Of a product of gradients, by running sums; the outermost two rows and columns stay 0.
+  const auto sums_of = [&](const auto& product) {
+    Grey in{width, height, 1, std::vector<float>(g.pixels.size())}, rows = in;
+    std::vector<float> out(g.pixels.size());
+    for (std::int32_t y = 1; y < height - 1; ++y) {
+      for (std::int32_t x = 1; x < width - 1; ++x)
+        in.pixels[pixel_at(x, y, width)] = product(g.at(x + 1, y) - g.at(x - 1, y), g.at(x, y + 1) - g.at(x, y - 1));
     }
-  }
-  xx = box_sums(xx, g.width, g.height);
-  yy = box_sums(yy, g.width, g.height);
-  xy = box_sums(xy, g.width, g.height);
-  Grey out{g.width, g.height, std::move(xx)};
+    for (std::int32_t y = 0; y < height; ++y) {
+      for (std::int32_t x = 2; x < width - 2; ++x) {
+        const float* p = in.pixels.data() + pixel_at(x, y, width);
+        rows.pixels[pixel_at(x, y, width)] = p[-2] + p[-1] + p[0] + p[1] + p[2];
+      }
+    }
+    for (std::int32_t y = 2; y < height - 2; ++y) {
+      for (std::int32_t x = 2; x < width - 2; ++x)
+        out[pixel_at(x, y, width)] =
+            rows.at(x, y - 2) + rows.at(x, y - 1) + rows.at(x, y) + rows.at(x, y + 1) + rows.at(x, y + 2);
+    }
+    return out;
+  };
+  const std::vector<float> yy = sums_of([](float, float dy) { return dy * dy; }),
+                           xy = sums_of([](float dx, float dy) { return dx * dy; });
+  Grey out{width, height, 1, sums_of([](float dx, float) { return dx * dx; })};
   for (std::size_t i = 0; i < xy.size(); ++i) {
-    const float sum = out.value[i] + yy[i], off = out.value[i] - yy[i];
-    out.value[i] = 0.5f * (sum - std::sqrt(off * off + 4 * xy[i] * xy[i]));
+    const float sum = out.pixels[i] + yy[i], off = out.pixels[i] - yy[i];
+    out.pixels[i] = 0.5f * (sum - std::sqrt(off * off + 4 * xy[i] * xy[i]));
   }
   return out;
 }
@@ -224,16 +208,15 @@ std::int32_t photo_step(const Camera& camera) {
 
 // Means of blocks of `side` x `side` pixels.
 Grey grey_of(const FrameBuffer& frame, std::int32_t side) {
-  Grey out{frame.width_px / side, frame.height_px / side, {}};
-  out.value.resize(static_cast<std::size_t>(out.width) * static_cast<std::size_t>(out.height));
-  for (std::int32_t y = 0; y < out.height * side; ++y) {
-    const std::uint8_t* p = frame.rgb.data() + static_cast<std::ptrdiff_t>(y) * frame.width_px * 3;
-    float* row = out.value.data() + static_cast<std::ptrdiff_t>(y / side) * out.width;
-    for (std::int32_t x = 0; x < out.width * side; ++x, p += 3) {
+  Grey out{frame.width_px / side, frame.height_px / side, 1, {}};
+  out.pixels.resize(pixel_at(0, out.height_px, out.width_px));
+  for (std::int32_t y = 0; y < out.height_px * side; ++y) {
+    const std::uint8_t* p = &frame.rgb[3 * pixel_at(0, y, frame.width_px)];
+    float* row = &out.pixels[pixel_at(0, y / side, out.width_px)];
+    for (std::int32_t x = 0; x < out.width_px * side; ++x, p += 3)
       row[x / side] += static_cast<float>(77 * p[0] + 150 * p[1] + 29 * p[2]);  // of 256
-    }
   }
-  for (float& v : out.value) v /= static_cast<float>(256 * side * side);
+  for (float& v : out.pixels) v /= static_cast<float>(256 * side * side);
   return out;
 }
 
@@ -247,14 +230,12 @@ PhotoFrame photo_frame(const Camera& camera, const FrameBuffer& frame) {
     std::int32_t x, y;
   };
   std::vector<Found> found;
-  for (std::int32_t cy = kReach; cy + kReach < g.height; cy += kCell) {
-    for (std::int32_t cx = kReach; cx + kReach < g.width; cx += kCell) {
+  for (std::int32_t cy = kReach; cy + kReach < g.height_px; cy += kCell) {
+    for (std::int32_t cx = kReach; cx + kReach < g.width_px; cx += kCell) {
       Found best{kWeakest, 0, 0};
-      for (std::int32_t y = cy; y < std::min(cy + kCell, g.height - kReach); ++y) {
-        for (std::int32_t x = cx; x < std::min(cx + kCell, g.width - kReach); ++x) {
+      for (std::int32_t y = cy; y < std::min(cy + kCell, g.height_px - kReach); ++y)
+        for (std::int32_t x = cx; x < std::min(cx + kCell, g.width_px - kReach); ++x)
           if (strengths.at(x, y) > best.strength) best = {strengths.at(x, y), x, y};
-        }
-      }
       if (best.strength > kWeakest) found.push_back(best);
     }
   }
@@ -295,41 +276,6 @@ double off_px(const Bundle& bundle, Track track) {
   return sum;
 }
 
-class Check {
- public:
-  Check(const Bundle& bundle, std::vector<Track> tracks) : bundle_(bundle), tracks_(std::move(tracks)) {}
-
-  double share(const Bundle& cameras) const { return fitting(cameras, 0) + fitting(cameras, 1); }
-  // Each half of the corners judges cameras that the other was fitted by.
-  double share_fitted(bool lens, bool poses, Bundle& fitted) const {
-    double sum = 0;
-    for (const std::size_t half : {0, 1}) {
-      fitted = bundle_;
-      fitted.tracks.clear();
-      for (std::size_t i = 1 - half; i < tracks_.size(); i += 2)
-        if (off_px(bundle_, tracks_[i]) < kLikelyPx) fitted.tracks.push_back(tracks_[i]);
-      for (const bool rest : {false, true})
-        adjust(fitted, {.outlier_px = longer_side(bundle_.stated.front()) / kPhotoSide,
-                        .move_poses = poses,
-                        .move_focal = lens,
-                        .move_lens = lens && rest,
-                        .iterations = 8});
-      sum += fitting(fitted, half);
-    }
-    return sum;
-  }
-
- private:
-  double fitting(const Bundle& cameras, std::size_t half) const {
-    int fits = 0;
-    for (std::size_t i = half; i < tracks_.size(); i += 2) fits += off_px(cameras, tracks_[i]) < kOff ? 1 : 0;
-    return static_cast<double>(fits) / static_cast<double>(tracks_.size());
-  }
-
-  const Bundle& bundle_;
-  std::vector<Track> tracks_;
-};
-
 // What moved by more than a hundredth of the image; the focal length, where nothing did.
 std::string lens_text(const Bundle& given, const Bundle& fitted) {
   const Camera &a = given.stated[0], b = fitted.camera(0);
@@ -362,8 +308,31 @@ CameraCheck check_cameras(Bundle bundle, const DelayedPoses& delayed) {
   out.corners = static_cast<int>(all.size());
   bundle.tracks = all;
   bundle.measure();
-  const Check check(bundle, all);
-  out.given = check.share(bundle);
+  const auto fitting = [&](const Bundle& cameras, std::size_t half) {
+    int fits = 0;
+    for (std::size_t i = half; i < all.size(); i += 2) fits += off_px(cameras, all[i]) < kOff ? 1 : 0;
+    return static_cast<double>(fits) / static_cast<double>(all.size());
+  };
+  const auto share_of = [&](const Bundle& cameras) { return fitting(cameras, 0) + fitting(cameras, 1); };
+  // Each half of the corners judges cameras that the other was fitted by.
+  const auto share_fitted = [&](bool move_lens, bool move_poses, Bundle& fitted) {
+    double sum = 0;
+    for (const std::size_t half : {0, 1}) {
+      fitted = bundle;
+      fitted.tracks.clear();
+      for (std::size_t i = 1 - half; i < all.size(); i += 2)
+        if (off_px(bundle, all[i]) < kLikelyPx) fitted.tracks.push_back(all[i]);
+      for (const bool rest : {false, true})
+        adjust(fitted, {.outlier_px = longer_side(bundle.stated.front()) / kPhotoSide,
+                        .move_poses = move_poses,
+                        .move_focal = move_lens,
+                        .move_lens = move_lens && rest,
+                        .iterations = 8});
+      sum += fitting(fitted, half);
+    }
+    return sum;
+  };
+  out.given = share_of(bundle);
   double best = out.given;
   const auto offer = [&](const std::string& what, double share) {
     if (share < kMoreTimes * best || share < best + kMoreShare) return;
@@ -371,19 +340,19 @@ CameraCheck check_cameras(Bundle bundle, const DelayedPoses& delayed) {
     best = share;
   };
   Bundle lens, poses, both;
-  const double by_lens = check.share_fitted(true, false, lens);
+  const double by_lens = share_fitted(true, false, lens);
   double later = 0, by_delay = 0;
   for (const double frames : kDelays) {
     Bundle moved = bundle;
     moved.poses = delayed(frames);
     if (moved.poses.empty()) break;
-    const double share = check.share(moved);
+    const double share = share_of(moved);
     if (share > by_delay) {
       by_delay = share;
       later = frames;
     }
   }
-  const double by_poses = check.share_fitted(false, true, poses), by_both = check.share_fitted(true, true, both);
+  const double by_poses = share_fitted(false, true, poses), by_both = share_fitted(true, true, both);
   if (by_delay > by_lens)
     offer(delay_text(later), by_delay);
   else
@@ -416,16 +385,15 @@ EdgeScores edge_scores(const Camera& camera, const FrameBuffer& frame) {
   const std::int32_t step = photo_step(camera);
   const Grey grey = grey_of(frame, step);
   const auto depth = [&](std::int32_t x, std::int32_t y) {
-    const auto row = static_cast<std::size_t>(y * step + step / 2) * static_cast<std::size_t>(camera.width_px);
-    return frame.depth_m[row + static_cast<std::size_t>(x * step + step / 2)];
+    return frame.depth_m[pixel_at(x * step + step / 2, y * step + step / 2, camera.width_px)];
   };
   const auto jumps = [](float a, float b) { return a > 0 && b > 0 && std::max(a, b) > kJump * std::min(a, b); };
   // A strong edge counts little more than a plain one: patterns have the strongest.
   const auto strength = [](float a, float b) { return std::sqrt(std::abs(a - b)); };
   EdgeScores out(kSide * kSide);
   std::size_t edges = 0;
-  for (std::int32_t y = kEdgeReach; y < grey.height - kEdgeReach - 1; ++y) {
-    for (std::int32_t x = kEdgeReach; x < grey.width - kEdgeReach - 1; ++x) {
+  for (std::int32_t y = kEdgeReach; y < grey.height_px - kEdgeReach - 1; ++y) {
+    for (std::int32_t x = kEdgeReach; x < grey.width_px - kEdgeReach - 1; ++x) {
       const bool across = jumps(depth(x, y), depth(x + 1, y)), down = jumps(depth(x, y), depth(x, y + 1));
       edges += (across ? 1 : 0) + (down ? 1 : 0);
       for (std::int32_t dy = -kEdgeReach; (across || down) && dy <= kEdgeReach; ++dy) {
@@ -552,15 +520,14 @@ SmallFrame small_depth_frame(const Camera& camera, const FrameBuffer& frame) {
   const auto width = static_cast<std::int32_t>(std::max(1L, std::lround(camera.width_px * scale)));
   const auto height = static_cast<std::int32_t>(std::max(1L, std::lround(camera.height_px * scale)));
   out.camera = camera.resized(width, height);
+  out.depth_m = at_nearest_pixels(frame.depth_m, {camera.width_px, camera.height_px}, {width, height});
   std::vector<std::size_t> valid;
-  for (std::int64_t y = 0; y < height; ++y) {
-    const std::int64_t row = (2 * y + 1) * camera.height_px / (2 * std::int64_t{height});
-    for (std::int64_t x = 0; x < width; ++x) {
-      const std::int64_t column = (2 * x + 1) * camera.width_px / (2 * std::int64_t{width});
-      const float depth = frame.depth_m[static_cast<std::size_t>(row * camera.width_px + column)];
-      if (depth > 0 && std::isfinite(depth)) valid.push_back(out.depth_m.size());
-      out.depth_m.push_back(depth > 0 && std::isfinite(depth) ? depth : 0);
-    }
+  for (std::size_t i = 0; i < out.depth_m.size(); ++i) {
+    float& depth = out.depth_m[i];
+    if (depth > 0 && std::isfinite(depth))
+      valid.push_back(i);
+    else
+      depth = 0;
   }
   const std::size_t taken = std::min(valid.size(), kPoints);
   for (std::size_t k = 0; k < taken; ++k) {
@@ -822,9 +789,7 @@ std::string percent(double share) {
 
 std::string plain_number(double value) { return fmt::format("{:.6g}", value); }
 
-std::string pairs_text(int pairs) {
-  return std::to_string(pairs) + (pairs == 1 ? " pair of frames" : " pairs of frames");
-}
+std::string pairs_text(int pairs) { return fmt::format("{} pair{} of frames", pairs, pairs == 1 ? "" : "s"); }
 
 // What the files are, where `fits` is their convention and `given` was taken, and the keys that say so.
 struct Finding {
