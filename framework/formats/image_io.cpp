@@ -375,35 +375,16 @@ std::uint8_t blend(unsigned value, unsigned alpha, int background) {
   return static_cast<std::uint8_t>((mixed + 127) / 255);
 }
 
-// Colour over the background, and alpha beside it where it is wanted.
-class RgbWriter {
- public:
-  RgbWriter(std::int32_t width_px, std::int32_t height_px, int background, std::vector<std::uint8_t>* alpha)
-      : image{width_px, height_px, 3, {}}, background_(background), alpha_(alpha) {
-    const std::size_t pixels = static_cast<std::size_t>(width_px) * static_cast<std::size_t>(height_px);
-    image.pixels.resize(pixels * 3);
-    if (alpha_ != nullptr) alpha_->assign(pixels, 255);
-  }
-  void put(std::size_t pixel, const unsigned (&rgb)[3], unsigned alpha) {
-    for (std::size_t c = 0; c < 3; ++c)
-      image.pixels[pixel * 3 + c] =
-          background_ < 0 ? static_cast<std::uint8_t>(rgb[c]) : blend(rgb[c], alpha, background_);
-    if (alpha_ != nullptr) (*alpha_)[pixel] = static_cast<std::uint8_t>(alpha);
-  }
-  Image<std::uint8_t> image;
-
- private:
-  int background_;
-  std::vector<std::uint8_t>* alpha_;
-};
-
-Image<std::uint8_t> rgb_of_png(PngImage png, int alpha_background, std::vector<std::uint8_t>* alpha_out) {
-  RgbWriter out(png.width_px, png.height_px, alpha_background, alpha_out);
+// Colour over the background, and alpha where it is wanted.
+Image<std::uint8_t> rgb_of(PngImage png, int alpha_background, std::vector<std::uint8_t>* alpha_out) {
+  const std::size_t pixels = pixel_at(0, png.height_px, png.width_px);
+  if (alpha_out != nullptr) alpha_out->assign(pixels, 255);
+  Image<std::uint8_t> out{png.width_px, png.height_px, 3, {}};
   if (png.channels == 3 && png.bits == 8) {
-    out.image.pixels = std::move(png.bytes);
-    return std::move(out.image);
+    out.pixels = std::move(png.bytes);
+    return out;
   }
-  const std::size_t pixels = out.image.pixels.size() / 3;
+  out.pixels.resize(pixels * 3);
   const unsigned top = (1u << png.bits) - 1;
   const auto channels = static_cast<std::size_t>(png.channels);
   const auto to8 = [top](unsigned v) { return top == 255 ? v : (v * 255 + top / 2) / top; };
@@ -423,9 +404,12 @@ Image<std::uint8_t> rgb_of_png(PngImage png, int alpha_background, std::vector<s
       for (std::size_t c = 0; c < 3; ++c) rgb[c] = to8(png.sample(first + (channels >= 3 ? c : 0)));
       if (channels == 2 || channels == 4) alpha = to8(png.sample(first + channels - 1));
     }
-    out.put(i, rgb, alpha);
+    for (std::size_t c = 0; c < 3; ++c)
+      out.pixels[i * 3 + c] =
+          alpha_background < 0 ? static_cast<std::uint8_t>(rgb[c]) : blend(rgb[c], alpha, alpha_background);
+    if (alpha_out != nullptr) (*alpha_out)[i] = static_cast<std::uint8_t>(alpha);
   }
-  return std::move(out.image);
+  return out;
 }
 
 // A JPEG cut short decodes to grey without an error, so the end-of-image marker is looked for first.
@@ -516,18 +500,11 @@ CameraTag camera_tag(const std::string& path) {
 Image<std::uint8_t> read_rgb(const std::string& path, int alpha_background, std::vector<std::uint8_t>* alpha_out) {
   return naming(path, [&]() -> Image<std::uint8_t> {
     const std::string file = read_text_file(path, kMaxImageFileBytes);
-    if (looks_like_png(bytes_of(file))) return rgb_of_png(decode_png(bytes_of(file)), alpha_background, alpha_out);
+    if (looks_like_png(bytes_of(file))) return rgb_of(decode_png(bytes_of(file)), alpha_background, alpha_out);
     check_jpeg_end(file);
     Image<std::uint8_t> in = image_formats().read8(path);
-    RgbWriter out(in.width_px, in.height_px, alpha_background, alpha_out);
-    if (in.channels == 3) return in;
-    const auto channels = static_cast<std::size_t>(in.channels);
-    for (std::size_t i = 0; i < in.pixels.size() / channels; ++i) {
-      const std::uint8_t* s = in.pixels.data() + i * channels;
-      const unsigned rgb[3] = {s[0], s[channels >= 3 ? 1 : 0], s[channels >= 3 ? 2 : 0]};
-      out.put(i, rgb, channels == 2 || channels == 4 ? s[channels - 1] : 255u);
-    }
-    return std::move(out.image);
+    return rgb_of({in.width_px, in.height_px, in.channels, 8, false, {}, {}, std::move(in.pixels), {}},
+                  alpha_background, alpha_out);
   });
 }
 

@@ -8,6 +8,7 @@
 #include "core/check.h"
 #include "core/error.h"
 #include "core/half.h"
+#include "core/text.h"
 #include "formats/text_rows.h"
 #include "formats/zip_archive.h"
 #include "system/files.h"
@@ -24,14 +25,6 @@ constexpr std::size_t kHeadBytes = std::size_t{1} << 17;  // more than a header 
   throw Error(ErrorKind::data, code, message, remedy);
 }
 
-// `size` bytes as one number.
-std::uint64_t element(const char* at, std::size_t size, bool big_endian) {
-  std::uint64_t bits = 0;
-  for (std::size_t i = 0; i < size; ++i)
-    bits |= std::uint64_t{static_cast<unsigned char>(at[big_endian ? size - 1 - i : i])} << (8 * i);
-  return bits;
-}
-
 struct ArrayHeader {
   std::string type;
   bool fortran = false;
@@ -42,24 +35,45 @@ struct ArrayHeader {
   std::size_t element_bytes() const { return static_cast<std::size_t>(type[2] - '0'); }
 };
 
-// Types that a reader takes, without the byte order, and the bytes of one of its values.
-struct ArrayTypes {
-  std::vector<std::string> kinds;
-  const char* remedy;
-  std::size_t value_bytes;
-};
-
-const ArrayTypes& real_types() {
-  static const ArrayTypes types{
-      {"f2", "f4", "f8", "u1"}, "save it as float16, float32, float64 or uint8", sizeof(float)};
-  return types;
+// `size` bytes as one number.
+std::uint64_t bits_at(const char* at, std::size_t size, bool big_endian = false) {
+  std::uint64_t bits = 0;
+  for (std::size_t i = 0; i < size; ++i)
+    bits |= std::uint64_t{static_cast<unsigned char>(at[big_endian ? size - 1 - i : i])} << (8 * i);
+  return bits;
 }
 
-const ArrayTypes& number_types() {
-  static const ArrayTypes types{{"f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4"},
-                                "save it as float32, float64 or integers",
-                                sizeof(double)};
-  return types;
+// Types that a reader of numbers T takes, without the byte order, and what to do about others.
+template <class T>
+constexpr std::string_view kKinds = "f2 f4 f8 i1 i2 i4 i8 u1 u2 u4";
+template <>
+constexpr std::string_view kKinds<float> = "f2 f4 f8 u1";
+template <>
+constexpr std::string_view kKinds<std::uint8_t> = "b1 u1";
+template <>
+constexpr std::string_view kKinds<std::int64_t> = "i1 i2 i4 i8 u1 u2 u4";
+template <class T>
+constexpr const char* kSaveAs = "save it as float32, float64 or integers";
+template <>
+constexpr const char* kSaveAs<float> = "save it as float16, float32, float64 or uint8";
+template <>
+constexpr const char* kSaveAs<std::uint8_t> = "save it as bool or uint8";
+template <>
+constexpr const char* kSaveAs<std::int64_t> = "save it as int64";
+
+// A value of the file as a T: 255 bytes of a reader of float are 1.
+template <class T>
+T value_at(const ArrayHeader& header, const char* at, std::size_t size, bool big_endian) {
+  const std::uint64_t bits = bits_at(at, size, big_endian);
+  if (header.kind() == 'f') {
+    if (size == 2) return static_cast<T>(float_of_half(static_cast<std::uint16_t>(bits)));
+    if (size == 4) return static_cast<T>(std::bit_cast<float>(static_cast<std::uint32_t>(bits)));
+    return static_cast<T>(std::bit_cast<double>(bits));
+  }
+  const auto above = static_cast<int>(64 - 8 * size);
+  const auto whole =
+      header.kind() == 'i' ? static_cast<std::int64_t>(bits << above) >> above : static_cast<std::int64_t>(bits);
+  return std::is_same_v<T, float> ? static_cast<T>(whole) / T(255) : static_cast<T>(whole);
 }
 
 // Text behind 'KEY': in the header, a Python dictionary; up to `end`, which is left out.
@@ -83,7 +97,7 @@ ArrayHeader header_of(std::string_view bytes) {
     refuse_array("files.array.format", "NumPy format version " + std::to_string(version) + " is not read");
   const std::size_t start = version == 1 ? 10 : 12;
   if (bytes.size() < start) refuse_array("files.array.format", "the header runs past the end of the file", kSaveAgain);
-  const std::size_t length = static_cast<std::size_t>(element(bytes.data() + 8, start - 8, false));
+  const std::size_t length = static_cast<std::size_t>(bits_at(bytes.data() + 8, start - 8));
   if (length > kHeadBytes - start)
     refuse_array("files.array.format", "a header of " + std::to_string(length) + " bytes is not read", kSaveAgain);
   if (length > bytes.size() - start)
@@ -142,25 +156,6 @@ std::uint64_t element_count(const ArrayHeader& header, std::uint64_t bytes, std:
   return count;
 }
 
-double real_at(const char* at, std::size_t size, bool big_endian) {
-  const std::uint64_t bits = element(at, size, big_endian);
-  if (size == 2) return float_of_half(static_cast<std::uint16_t>(bits));
-  if (size == 4) return std::bit_cast<float>(static_cast<std::uint32_t>(bits));
-  return std::bit_cast<double>(bits);
-}
-
-float value_at(const char* at, char kind, std::size_t size, bool big_endian) {
-  if (kind == 'u') return static_cast<float>(static_cast<unsigned char>(*at)) / 255.0F;
-  return static_cast<float>(real_at(at, size, big_endian));
-}
-
-// Of `size` bytes with a sign, or without.
-std::int64_t whole_at(const char* at, bool is_signed, std::size_t size, bool big_endian) {
-  const std::uint64_t bits = element(at, size, big_endian);
-  const auto above = static_cast<int>(64 - 8 * size);
-  return is_signed ? static_cast<std::int64_t>(bits << above) >> above : static_cast<std::int64_t>(bits);
-}
-
 // take(place in Fortran order, place in C order) of every element of two axes or more. The axis that is fastest in one
 // order is slowest in the other: both go in blocks, so that memory is read and written by the cache line.
 template <class Take>
@@ -192,31 +187,31 @@ void for_each_of_fortran(const std::vector<std::int64_t>& shape, const Take& tak
 }
 
 // The header of an array of `bytes` bytes in all, which begins as `start` does: checked, and taken by `accept`.
-ArrayHeader checked_header(std::string_view start, std::uint64_t bytes, const ArrayTypes& types,
-                           const AcceptShape& accept) {
+template <class T>
+ArrayHeader checked_header(std::string_view start, std::uint64_t bytes, const AcceptShape& accept) {
   const ArrayHeader header = header_of(start);
-  if (std::find(types.kinds.begin(), types.kinds.end(), header.type.substr(1)) == types.kinds.end() ||
+  const std::vector<std::string_view> kinds = words_of(kKinds<T>);
+  if (std::find(kinds.begin(), kinds.end(), std::string_view(header.type).substr(1)) == kinds.end() ||
       std::string_view("<>=|").find(header.type[0]) == std::string_view::npos) {
-    refuse_array("files.array.type", "arrays of type '" + header.type + "' are not read", types.remedy);
+    refuse_array("files.array.type", "arrays of type '" + header.type + "' are not read", kSaveAs<T>);
   }
   const std::uint64_t count = element_count(header, bytes - header.data_at, header.element_bytes());
   if (accept) accept(header.shape);
-  check_input_limit(static_cast<std::int64_t>(count * std::max(header.element_bytes(), types.value_bytes)),
+  check_input_limit(static_cast<std::int64_t>(count * std::max(header.element_bytes(), sizeof(T))),
                     input_limits().image_bytes, "array of the shape " + shape_text(header.shape) + ": ",
                     "bytes once decoded", "image_bytes");
   return header;
 }
 
-// `value` makes a number of an element: its place, its bytes and whether the first is the highest.
-template <class T, class Value>
-NumpyNumbers<T> numbers_of(const ArrayHeader& header, std::string_view bytes, const Value& value) {
+template <class T>
+NumpyNumbers<T> numbers_of(const ArrayHeader& header, std::string_view bytes) {
   const std::string_view data = bytes.substr(header.data_at);
   const std::size_t size = header.element_bytes();
   const std::uint64_t count = element_count(header, data.size(), size);  // a file may shrink after its header is read
   NumpyNumbers<T> out{header.shape, std::vector<T>(count)};
   const bool big_endian = header.type[0] == '>';
   const auto put = [&](std::size_t from, std::size_t to) {
-    out.values[to] = value(data.data() + from * size, size, big_endian);
+    out.values[to] = value_at<T>(header, data.data() + from * size, size, big_endian);
   };
   if (header.fortran && count > 0 && header.shape.size() > 1) {
     for_each_of_fortran(header.shape, put);
@@ -227,9 +222,7 @@ NumpyNumbers<T> numbers_of(const ArrayHeader& header, std::string_view bytes, co
 }
 
 NumpyArray array_of(const ArrayHeader& header, std::string_view bytes) {
-  const char kind = header.kind();
-  const auto value = [&](const char* at, std::size_t size, bool big) { return value_at(at, kind, size, big); };
-  return {numbers_of<float>(header, bytes, value), kind == 'u'};
+  return {numbers_of<float>(header, bytes), header.kind() == 'u'};
 }
 
 std::string npy_bytes(const NpzEntry& entry) {
@@ -263,47 +256,43 @@ std::string shape_text(std::span<const std::int64_t> shape) {
 
 namespace {
 // `use` gets the checked header; errors name the file.
-template <class Use>
-auto with_header(const std::string& path, const ArrayTypes& types, const AcceptShape& accept, const Use& use) {
+template <class T, class Use>
+auto with_header(const std::string& path, const AcceptShape& accept, const Use& use) {
   return naming(path, [&] {
     const std::string start = read_file_start(path, kHeadBytes);
-    return use(checked_header(start, std::filesystem::file_size(path), types, accept));
+    return use(checked_header<T>(start, std::filesystem::file_size(path), accept));
   });
 }
 }  // namespace
 
 NumpyArray read_npy(const std::string& path, const AcceptShape& accept) {
-  return with_header(path, real_types(), accept, [&](const ArrayHeader& header) {
+  return with_header<float>(path, accept, [&](const ArrayHeader& header) {
     return array_of(header, read_text_file(path, kMaxArrayFileBytes));
   });
 }
 
 NumpyValues read_npy_values(const std::string& path, const AcceptShape& accept) {
-  return with_header(path, number_types(), accept, [&](const ArrayHeader& header) {
-    const char kind = header.kind();
-    const auto value = [kind](const char* at, std::size_t size, bool big) {
-      return kind == 'f' ? real_at(at, size, big) : static_cast<double>(whole_at(at, kind == 'i', size, big));
-    };
-    const std::string bytes = read_text_file(path, kMaxArrayFileBytes);
-    return NumpyValues{numbers_of<double>(header, bytes, value), kind != 'f', header.element_bytes()};
+  return with_header<double>(path, accept, [&](const ArrayHeader& header) {
+    return NumpyValues{numbers_of<double>(header, read_text_file(path, kMaxArrayFileBytes)), header.kind() != 'f',
+                       header.element_bytes()};
   });
 }
 
 std::vector<std::int64_t> npy_shape(const std::string& path) {
-  return with_header(path, number_types(), {}, [](const ArrayHeader& header) { return header.shape; });
+  return with_header<double>(path, {}, [](const ArrayHeader& header) { return header.shape; });
 }
 
 bool npy_is_whole(const std::string& path) {
-  return with_header(path, number_types(), {}, [](const ArrayHeader& header) { return header.kind() != 'f'; });
+  return with_header<double>(path, {}, [](const ArrayHeader& header) { return header.kind() != 'f'; });
 }
 
 namespace {
 // `use` gets the checked header of an entry and its bytes; errors name the file and the entry.
-template <class Use>
-auto with_entry(const std::string& path, std::string_view file, const ZipEntry& entry, const ArrayTypes& types,
-                const AcceptShape& accept, const Use& use) {
+template <class T, class Use>
+auto with_entry(const std::string& path, std::string_view file, const ZipEntry& entry, const AcceptShape& accept,
+                const Use& use) {
   try {
-    const ArrayHeader header = checked_header(zip_start(file, entry, kHeadBytes), entry.bytes, types, accept);
+    const ArrayHeader header = checked_header<T>(zip_start(file, entry, kHeadBytes), entry.bytes, accept);
     return use(header, zip_contents(file, entry));
   } catch (const Error& e) {
     throw Error(e.kind(), e.code(), "'" + path + "', entry '" + key_of(entry.name) + "': " + e.message(), e.remedy());
@@ -328,25 +317,15 @@ const ZipEntry& NpzFile::entry(const std::string& key) const {
 }
 
 NumpyArray NpzFile::read(const std::string& key, const AcceptShape& accept) const {
-  return with_entry(path_, file_, entry(key), real_types(), accept, array_of);
+  return with_entry<float>(path_, file_, entry(key), accept, array_of);
 }
 
 NumpyNumbers<std::uint8_t> NpzFile::bytes(const std::string& key, const AcceptShape& accept) const {
-  static const ArrayTypes types{{"b1", "u1"}, "save it as bool or uint8", 1};
-  const auto value = [](const char* at, std::size_t, bool) { return static_cast<std::uint8_t>(*at); };
-  return with_entry(path_, file_, entry(key), types, accept, [&](const ArrayHeader& header, std::string_view data) {
-    return numbers_of<std::uint8_t>(header, data, value);
-  });
+  return with_entry<std::uint8_t>(path_, file_, entry(key), accept, numbers_of<std::uint8_t>);
 }
 
 NumpyNumbers<std::int64_t> NpzFile::whole(const std::string& key, const AcceptShape& accept) const {
-  static const ArrayTypes types{{"i1", "i2", "i4", "i8", "u1", "u2", "u4"}, "save it as int64", sizeof(std::int64_t)};
-  return with_entry(path_, file_, entry(key), types, accept, [&](const ArrayHeader& header, std::string_view data) {
-    const bool is_signed = header.kind() == 'i';
-    return numbers_of<std::int64_t>(header, data, [&](const char* at, std::size_t size, bool big_endian) {
-      return whole_at(at, is_signed, size, big_endian);
-    });
-  });
+  return with_entry<std::int64_t>(path_, file_, entry(key), accept, numbers_of<std::int64_t>);
 }
 
 std::string npy_header(const std::string& type, std::span<const std::int64_t> shape) {

@@ -10,10 +10,10 @@
 #include <cstring>
 #include <nlohmann/json.hpp>
 #include <optional>
-#include <set>
 
 #include "core/check.h"
 #include "core/error.h"
+#include "formats/text_rows.h"
 #include "system/checksum.h"
 #include "system/files.h"
 
@@ -159,19 +159,11 @@ class TensorFileReader {
   }
 
   void parse_header() {
-    std::vector<std::set<std::string>> keys;  // one set an open object
     std::string duplicate;
-    const auto watch = [&](int depth, nlohmann::json::parse_event_t event, nlohmann::json& value) {
-      using Event = nlohmann::json::parse_event_t;
-      if (depth > 4) throw Error(ErrorKind::data, "checkpoint.file.damaged", "nested too deeply");
-      if (event == Event::object_start) keys.emplace_back();
-      if (event == Event::object_end) keys.pop_back();
-      if (event == Event::key && !keys.back().insert(value.get<std::string>()).second)
-        duplicate = value.get<std::string>();
-      return true;
-    };
     try {
-      json_ = nlohmann::json::parse(header_.begin(), header_.end(), watch);
+      json_ = parse_json<nlohmann::json>(header_, duplicate, [](int depth) {
+        if (depth > 4) throw Error(ErrorKind::data, "checkpoint.file.damaged", "nested too deeply");
+      });
     } catch (const nlohmann::json::exception& error) {
       fail(fmt::format("the header is not JSON ({})", error.what()));
     } catch (const Error& error) {

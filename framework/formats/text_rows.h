@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <set>
 #include <stdexcept>
 #include <string>
 #include <string_view>
@@ -91,7 +92,26 @@ auto naming(const std::string& path, const Body& body) {
   }
 }
 
-// Numbers of JSON taken as they are: what a type would cut, or turn round, is refused.
+// JSON taken as it is: of a key that a map has twice, a parser would keep the last without a word; and what a type
+// would cut, or turn round, is refused.
+
+/// Gets the parsed text; `twice` gets a key that stands twice in one map, the first of several. Throws what Json does,
+/// and what `at_depth(depth)` does.
+template <class Json, class AtDepth>
+Json parse_json(std::string_view text, std::string& twice, const AtDepth& at_depth) {
+  using Event = typename Json::parse_event_t;
+  std::vector<std::set<std::string>> keys;  // of the maps that are open
+  const typename Json::parser_callback_t watch = [&](int depth, Event event, Json& parsed) {
+    at_depth(depth);
+    if (event == Event::object_start) keys.emplace_back();
+    if (event == Event::object_end && !keys.empty()) keys.pop_back();
+    if (event != Event::key || keys.empty()) return true;
+    const auto key = parsed.template get<std::string>();
+    if (!keys.back().insert(key).second && twice.empty()) twice = key;
+    return true;
+  };
+  return Json::parse(text, watch);
+}
 
 /// Numbers are counts and sizes, which are not negative. `Json` is one of nlohmann's. Throws std::out_of_range naming
 /// `key` and the value, and what Json throws for another kind of value.

@@ -7,7 +7,6 @@
 #include <cstdint>
 #include <filesystem>
 #include <map>
-#include <set>
 #include <span>
 #include <string>
 #include <string_view>
@@ -201,20 +200,10 @@ std::string with_slashes(std::string path);
 /// of which a parser would keep the last without a word. `Json` is a type of nlohmann-json, which no header names.
 template <class Json>
 Json read_pose_json(const std::string& path, const char* remedy) {
-  using Event = typename Json::parse_event_t;
-  std::vector<std::set<std::string>> keys;  // of the maps that are open
   std::string twice;
-  const typename Json::parser_callback_t watch = [&](int, Event event, Json& parsed) {
-    if (event == Event::object_start) keys.emplace_back();
-    if (event == Event::object_end && !keys.empty()) keys.pop_back();
-    if (event == Event::key && !keys.empty() && !keys.back().insert(parsed.template get<std::string>()).second &&
-        twice.empty())
-      twice = parsed.template get<std::string>();
-    return true;
-  };
   Json root;
   try {
-    root = Json::parse(read_pose_file(path), watch);
+    root = parse_json<Json>(read_pose_file(path), twice, [](int) {});
   } catch (const typename Json::exception& e) {
     throw Error(ErrorKind::data, "scene.index.format", "'" + path + "' is not valid JSON: " + json_cause(e.what()),
                 remedy);
