@@ -4,7 +4,6 @@
 #include <cstdint>
 #include <filesystem>
 #include <map>
-#include <nlohmann/json.hpp>
 #include <set>
 #include <string>
 #include <vector>
@@ -15,7 +14,6 @@
 #include "loading/capture/reconstruct.h"
 #include "loading/colmap_model.h"
 #include "scene/camera.h"
-#include "tests/capture/model_files.h"
 #include "tests/program.h"
 #include "tests/scene/tiny_scene.h"
 
@@ -110,36 +108,6 @@ TEST(CaptureSource, PhotographsOfAFolderOrOfItsFolders) {
   EXPECT_TRUE(look_at_source(folder + "/a.MOV").video);
 }
 
-TEST(CaptureSource, WhatIsNeitherIsRefused) {
-  const std::string folder = fresh_folder("s");
-  EXPECT_ERROR(look_at_source(folder), "capture.source.empty");
-  EXPECT_ERROR(look_at_source(folder + "/none"), "files.folder.missing");
-  plain_write(folder + "/a.txt", "");
-  EXPECT_ERROR(look_at_source(folder + "/a.txt"), "capture.source.kind", "a.txt");
-  plain_write(folder + "/walk.mp4", "");
-  EXPECT_ERROR(look_at_source(folder), "capture.source.empty", folder + "/walk.mp4");
-  plain_write(folder + "/IMG_1.HEIC", "");
-  EXPECT_ERROR(look_at_source(folder), "capture.photographs.heic", "heif-convert");
-}
-
-TEST(CapturePhotographs, TwoSizesAreRefusedByName) {
-  const std::string folder = fresh_folder("s");
-  for (const char* name : {"a", "b", "c", "d"}) photograph(folder + "/" + std::string(name) + ".png");
-  photograph(folder + "/turned.png", 6, 8);
-  Diagnostics d;
-  check_photographs(look_at_source(folder), d);
-  ASSERT_EQ(d.error_count(), 1);
-  EXPECT_FINDING(d, "capture.photographs.sizes", "1 of 6 x 8 (turned.png)", "4 of 8 x 6 (a.png, b.png, c.png, ...)");
-  std::filesystem::create_directories(folder + "/apart/one");
-  std::filesystem::create_directories(folder + "/apart/two");
-  for (const char* name : {"a", "b", "c", "d"})
-    std::filesystem::rename(folder + "/" + name + ".png", folder + "/apart/one/" + name + ".png");
-  std::filesystem::rename(folder + "/turned.png", folder + "/apart/two/turned.png");
-  Diagnostics apart;
-  check_photographs(look_at_source(folder + "/apart"), apart);
-  EXPECT_EQ(apart.error_count(), 0) << "each folder is a camera";
-}
-
 TEST(CapturePhotographs, TwoLensesOfOnePhoneAreTwoCameras) {
   if (!images_available()) GTEST_SKIP() << "this build reads no TIFF (SEMFIELD_WITH_IMAGES=OFF)";
   const std::string folder = fresh_folder("s");
@@ -153,17 +121,6 @@ TEST(CapturePhotographs, TwoLensesOfOnePhoneAreTwoCameras) {
   check_photographs(look_at_source(folder), d);
   EXPECT_FINDING(d, "capture.photographs.cameras", "1 of Apple iPhone 12 at 1.50 mm (wide.tif)",
                  "3 of Apple iPhone 12 at 4.20 mm (a.tif, b.tif, c.tif)");
-}
-
-TEST(CapturePhotographs, FewAndDamagedOnesAreNamed) {
-  const std::string folder = fresh_folder("s");
-  photograph(folder + "/a.png");
-  plain_write(folder + "/b.png", "\x89PNG\r\n\x1a\n cut");
-  Diagnostics d;
-  check_photographs(look_at_source(folder), d);
-  ASSERT_EQ(d.error_count(), 2);
-  EXPECT_FINDING(d, "capture.photographs.few", "2 photographs");
-  EXPECT_HAS(d.all()[1].text(), "b.png");
 }
 
 TEST(CapturePairs, OfAFilmCoverNeighboursAndLoops) {
@@ -343,7 +300,31 @@ TEST(CaptureMisplaced, ImagesThatLoseTheirPointsAreTorn) {
 
 TEST(ColmapCameras, WrittenOnesReadBack) {
   const std::string folder = fresh_folder("m");
-  write_room_model(folder, {0, 3}, 0.5);
+  std::string images, points;
+  const auto put = [](std::string& out, auto value) {
+    out.append(reinterpret_cast<const char*>(&value), sizeof value);
+  };
+  put(images, std::uint64_t{2});
+  for (const std::uint32_t i : {0u, 3u}) {
+    const Pose pose = room_pose(static_cast<int>(i));
+    const Quaternion q = quaternion_of(pose);
+    const Vec3d t = pose.unrotate(pose.t) * -1.0;
+    put(images, i);
+    for (const double v : {q[0], -q[1], -q[2], -q[3], t.x, t.y, t.z}) put(images, v);
+    put(images, std::uint32_t{1});
+    images += std::to_string(i) + ".png" + '\0';
+    put(images, std::uint64_t{0});
+  }
+  put(points, std::uint64_t{2});
+  for (const double error_px : {0.25, 0.75}) {
+    put(points, static_cast<std::uint64_t>(4 * error_px));
+    for (const double v : {1.0, 0.5, error_px}) put(points, v);
+    points += "rgb";
+    put(points, error_px);
+    put(points, std::uint64_t{0});
+  }
+  plain_write(folder + "/images.bin", images);
+  plain_write(folder + "/points3D.bin", points);
   Camera lens = room_camera();
   lens.fy = 21;
   lens.k1 = 0.1;
@@ -369,418 +350,34 @@ TEST(ColmapCameras, WrittenOnesReadBack) {
   EXPECT_EQ(read_colmap_model(folder, d).cameras.at(1), lens);
 }
 
-}  // namespace
-}  // namespace semfield
+// `semfield prepare` with the true ffmpeg, where it is installed, and a program that stands for COLMAP and finds
+// nothing. With one that stands for ffmpeg too: tests/bad_files/capture.cases.
 
-namespace semfield::testing_capture {
-
-// A folder with photographs and with programs that stand for COLMAP and ffmpeg.
-
-using namespace testing_room;
 using namespace testing_program;
 namespace fs = std::filesystem;
-
-// Hands out models/ATTEMPT, counts its calls in `calls`, and does what files beside it say: fail_STEP, hang_STEP.
-inline constexpr const char* kColmap = R"sh(#!/bin/sh
-here=$(dirname "$0")
-step=$1
-echo "$*" >> "$here/calls"
-if [ -e "$here/fail_$step" ]; then echo "before"; echo "E: the $step has no memory" >&2; exit 3; fi
-if [ -e "$here/hang_$step" ]; then : > "$here/hangs"; exec sleep 100; fi
-while [ $# -gt 0 ]; do
-  case "$1" in
-    --output_path) out=$2;;
-    --input_path) in=$2;;
-    --database_path) : > "$2";;
-  esac
-  shift
-done
-case "$step" in
-  feature_extractor) echo "Processed file [6/6]";;
-  mapper)
-    n=$(grep -c '^mapper' "$here/calls")
-    if [ -d "$here/models/$n" ]; then cp -r "$here/models/$n/." "$out"
-    else echo "ERROR: failed to create sparse model"; exit 1; fi;;
-  point_filtering) if [ -d "$here/filtered" ]; then in="$here/filtered"; fi; cp -r "$in/." "$out";;
-  bundle_adjuster|image_deleter|image_registrator) cp -r "$in/." "$out";;
-esac
-)sh";
-// The steps that follow a model.
-inline const std::string kSettled =
-    "point_filtering point_filtering bundle_adjuster point_filtering point_filtering bundle_adjuster point_filtering "
-    "point_filtering bundle_adjuster point_filtering ";
-
-// Eight seconds of film: small pictures of noise that changes, then the frames that are asked for. Of a panorama, one
-// picture as each of its views.
-inline constexpr const char* kFfmpeg = R"sh(#!/bin/sh
-here=$(dirname "$0")
-echo "ffmpeg $*" >> "$here/calls"
-if [ -e "$here/fail_ffmpeg" ]; then echo "moov atom not found" >&2; exit 1; fi
-for last; do
-  case "$last" in */views/*_[0-9][0-9][0-9].jpg) cp "$here/frames/view.png" "$last";; esac
-done
-case "$last" in
-  */views/*) ;;
-  *.grey) cp "$here/film.grey" "$last";;
-  *) i=0
-     for image in "$here"/frames/*; do
-       i=$((i+1))
-       cp "$image" "$(dirname "$last")/00000$i.jpg"
-     done;;
-esac
-)sh";
-inline constexpr const char* kFfprobe = R"sh(#!/bin/sh
-echo '{"streams": [{"codec_type": "video"}], "format": {"duration": "8.0"}}'
-)sh";
 
 class Prepare : public testing::Test {
  protected:
   void SetUp() override {
-    home_ = fresh_folder("home");
-    for (const char* folder : {"bin", "photographs"}) fs::create_directories(home_ + "/" + folder);
-    tool("colmap", kColmap);
-    for (int i = 0; i < 6; ++i) image(home_ + "/photographs/" + std::to_string(i) + ".png", i);
+    fs::create_directories(home_ + "/bin");
+    const std::string colmap = home_ + "/bin/colmap";
+    plain_write(colmap, "#!/bin/sh\necho 'ERROR: failed to create sparse model'\n[ \"$1\" != mapper ]\n");
+    fs::permissions(colmap, fs::perms::owner_all);
   }
-  static void image(const std::string& path, int i) {
-    write_png_rgb(path, 40, 30, render_room(room_camera(), room_pose(i)).rgb);
+  Result prepare(const std::string& words, const std::string& path = ":/usr/bin:/bin") const {
+    return semfield_run("prepare " + words, home_, "PATH=" + shell_word(home_ + "/bin") + path + " ");
   }
-  void tool(const std::string& name, const std::string& text) const {
-    const std::string file = home_ + "/bin/" + name;
-    plain_write(file, text);
-    fs::permissions(file, fs::perms::owner_all);
-  }
-  std::string path_setting() const { return "PATH=" + home_ + "/bin:/usr/bin:/bin"; }
-  Result prepare(const std::string& words = "photographs --out scene") const {
-    return semfield_run("prepare " + words, home_, "PATH=" + shell_word(home_ + "/bin") + ":/usr/bin:/bin ");
-  }
-  void model(int attempt, int number, const std::vector<int>& images, double error_px = 0.5) const {
-    write_room_model(home_ + "/bin/models/" + std::to_string(attempt) + "/" + std::to_string(number), images, error_px);
-  }
-  // First words of the calls so far, without the database.
-  std::string steps() const {
-    std::string out;
-    const std::string calls = read_text_file(home_ + "/bin/calls");
-    std::string_view rest = calls;
-    for (std::string_view line; next_line(rest, line);) out += std::string(words_of(line)[0]) + " ";
-    return out;
-  }
-  std::string home_;
+  std::string home_ = fresh_folder("home");
 };
-
-}  // namespace semfield::testing_capture
-
-namespace semfield {
-namespace {
-
-// `semfield prepare` with programs that stand for COLMAP and ffmpeg: order of steps, retries, failures, being ended.
-
-using namespace testing_capture;
-
-TEST_F(Prepare, AFolderOfPhotographsBecomesAScene) {
-  model(1, 0, {0, 1, 2, 3, 4, 5});
-  const Result r = succeeded(prepare());
-  EXPECT_HAS(r.out, "registered  6 of 6 (100 %), reprojection error 0.50 pixels, 2 points, 1 attempt");
-  EXPECT_HAS(r.err, "next        semfield init scene ");
-  EXPECT_EQ(steps(), "feature_extractor matches_importer mapper " + kSettled);
-  const std::string calls = read_text_file(home_ + "/bin/calls");
-  EXPECT_HAS(calls, "--SiftExtraction.use_gpu 0", "--SiftMatching.use_gpu 0", "--ImageReader.single_camera 1");
-  EXPECT_EQ(read_text_file(home_ + "/scene/images/3.png"), read_text_file(home_ + "/photographs/3.png"));
-  EXPECT_EQ(semfield_run("inspect scene", home_).code, 0);
-  EXPECT_FALSE(fs::exists(home_ + "/scene/prepare/work/quick.db")) << "nobody needs it any more";
-  // A second call finds all done.
-  EXPECT_EQ(prepare().code, 0);
-  EXPECT_EQ(steps(), "feature_extractor matches_importer mapper " + kSettled);
-}
-
-TEST_F(Prepare, AnImageThatFitsFewOfItsPointsIsPlacedAnew) {
-  const std::vector<int> all{0, 1, 2, 3, 4, 5};
-  std::map<int, int> seen;
-  for (const int i : all) seen[i] = 10;
-  write_room_model(home_ + "/bin/models/1/0", all, 0.5, {}, seen);
-  seen[4] = 5;
-  write_room_model(home_ + "/bin/filtered", all, 0.5, {}, seen);
-  EXPECT_EQ(prepare().code, 0);
-  EXPECT_HAS(steps(), "mapper point_filtering image_deleter image_registrator point_filtering bundle_adjuster");
-  EXPECT_EQ(read_text_file(home_ + "/scene/prepare/work/removed.txt"), "4.png\n");
-  EXPECT_HAS(read_text_file(home_ + "/bin/calls"), "image_registrator --database_path", "quick.db",
-             "point_filtering --max_reproj_error 1.5 ");
-}
-
-TEST_F(Prepare, TheLadderIsClimbedUntilEnoughHaveAPose) {
-  model(1, 0, {0, 1, 2});
-  model(2, 0, {0, 1});
-  model(3, 0, {4, 5});
-  model(3, 1, {0, 1, 2, 3}, 0.7);
-  const Result r = succeeded(prepare("photographs --out scene --json"));
-  const nlohmann::json told = nlohmann::json::parse(r.out);
-  EXPECT_EQ(told["registered"], 4);
-  EXPECT_EQ(told["attempts"], 4);
-  ASSERT_EQ(told["missing"].size(), 1u);
-  EXPECT_HAS(told["missing"][0].get<std::string>(), "photographs 5 to 6 (4.png to 5.png) fit others that are missing");
-  EXPECT_EQ(steps(),
-            "feature_extractor matches_importer mapper mapper feature_extractor matches_importer mapper "
-            "feature_extractor matches_importer mapper " +
-                kSettled);
-  const std::string calls = read_text_file(home_ + "/bin/calls");
-  EXPECT_HAS(calls, "--ImageReader.camera_model SIMPLE_RADIAL", "--ImageReader.camera_model OPENCV ",
-             "--ImageReader.camera_model OPENCV_FISHEYE --ImageReader.default_focal_length_factor 0.4");
-}
-
-TEST_F(Prepare, AFisheyeIsTriedWhereNoOtherLensFits) {
-  model(1, 0, {0, 1, 2, 3, 4, 5}, 1.3);
-  model(2, 0, {0, 1, 2, 3, 4, 5}, 1.2);
-  model(3, 0, {0, 1, 2, 3, 4, 5}, 0.5);
-  const Result r = succeeded(prepare());
-  EXPECT_HAS(r.err, "6 of 6 photographs have a pose, but the lens misses their points by 1.30 pixels; attempt 2");
-  EXPECT_HAS(r.out, "registered  6 of 6 (100 %), reprojection error 0.50 pixels, 2 points, 3 attempts");
-  EXPECT_EQ(steps(),
-            "feature_extractor matches_importer mapper feature_extractor matches_importer mapper "
-            "feature_extractor matches_importer mapper " +
-                kSettled)
-      << "asking less of images is no help where none are missing";
-}
-
-TEST_F(Prepare, AFisheyeIsTriedWhereALensBendsAsOneDoes) {
-  Camera barrel = room_camera();
-  barrel.k1 = -0.25 * std::pow(barrel.fx / barrel.cx, 2);
-  for (int attempt = 1; attempt <= 3; ++attempt) {
-    model(attempt, 0, {0, 1, 2, 3, 4, 5}, 0.3 + 0.1 * attempt);
-    if (attempt < 3)
-      plain_write(home_ + "/bin/models/" + std::to_string(attempt) + "/0/cameras.bin",
-                  colmap_cameras_file({{1, barrel}}));
-  }
-  const Result r = succeeded(prepare());
-  EXPECT_HAS(r.err, "6 of 6 photographs have a pose, but the lens bends borders as a fisheye does; attempt 2");
-  EXPECT_HAS(r.out, "reprojection error 0.60 pixels, 2 points, 3 attempts") << "a lens that fits counts more";
-}
-
-TEST_F(Prepare, ALensThatFitsCountsMoreThanAnImage) {
-  model(1, 0, {0, 1, 2, 3, 4, 5}, 1.3);
-  model(2, 0, {0, 1, 2, 3, 4}, 0.5);
-  model(3, 0, {0, 1, 2, 3}, 0.4);
-  const Result r = succeeded(prepare());
-  EXPECT_HAS(r.out, "registered  6 of 6 (100 %), reprojection error 1.30 pixels") << "five of six are not 95 %";
-}
-
-TEST_F(Prepare, AFisheyeThatIsAskedForIsTheFirstAttempt) {
-  model(1, 0, {0, 1, 2, 3, 4, 5});
-  const Result r = succeeded(prepare("photographs --out scene --lens fisheye"));
-  EXPECT_HAS(r.out, "1 attempt");
-  EXPECT_HAS(read_text_file(home_ + "/bin/calls"), "--ImageReader.camera_model OPENCV_FISHEYE");
-  EXPECT_FALSE(fs::exists(home_ + "/scene/prepare/work/fisheye_quick.db"));
-  EXPECT_SAID(prepare().err, "capture.scene.other", "other options");
-}
-
-TEST_F(Prepare, PanoramasBecomeEightViewsEach) {
-  tool("ffmpeg", kFfmpeg);
-  fs::create_directories(home_ + "/panoramas");
-  for (int i = 0; i < 3; ++i) {
-    const std::string name = std::to_string(i) + ".png";
-    write_png_rgb(home_ + "/panoramas/" + name, 80, 40, std::vector<std::uint8_t>(std::size_t{80 * 40 * 3}, 90));
-  }
-  fs::create_directories(home_ + "/bin/frames");
-  image(home_ + "/bin/frames/view.png", 0);
-  std::vector<std::string> names;
-  for (const char* turn : {"000", "045", "090", "135", "180", "225", "270", "315"})
-    names.push_back("0_" + std::string(turn) + ".jpg");
-  write_room_model(home_ + "/bin/models/1/0", {0, 1, 2, 3, 4, 5, 6, 7}, 0.5, names);
-  const Result r = succeeded(prepare("panoramas --out scene --lens equirectangular --attempts 1"));
-  EXPECT_HAS(r.out, "photographs 24 of 40 x 30 pixels", "registered  8 of 24 (33 %)");
-  const std::string calls = read_text_file(home_ + "/bin/calls");
-  EXPECT_HAS(calls, "v360=e:flat:yaw=0:h_fov=90:v_fov=90:w=20:h=20", "yaw=180:", "yaw=-45:",
-             "--ImageReader.camera_model SIMPLE_PINHOLE --ImageReader.default_focal_length_factor 0.5");
-  EXPECT_TRUE(fs::exists(home_ + "/scene/images/2_315.jpg"));
-  EXPECT_FALSE(fs::exists(home_ + "/scene/prepare/work/panoramas"));
-  const std::string before = steps();
-  EXPECT_EQ(prepare("panoramas --out scene --lens equirectangular --attempts 1").code, 0);
-  EXPECT_EQ(steps(), before) << "what is done is not done again";
-}
-
-TEST_F(Prepare, AnImageThatIsNoPanoramaIsRefused) {
-  tool("ffmpeg", kFfmpeg);
-  EXPECT_REFUSED(prepare("photographs --out scene --lens equirectangular"), 65, "capture.panoramas.shape", "0.png",
-                 "40 x 30", "twice as wide as high");
-}
-
-TEST_F(Prepare, FewerAttemptsTakeWhatIsThere) {
-  model(1, 0, {0, 1, 2});
-  model(2, 0, {0, 1, 2, 3});
-  const Result first = succeeded(prepare("photographs --out scene --attempts 2"));
-  EXPECT_HAS(first.err, "3 of 6 photographs have a pose; attempt 2 takes longer", "--attempts 1");
-  EXPECT_HAS(first.out, "registered  4 of 6 (67 %)", "2 attempts");
-  const std::string done = steps();
-  EXPECT_HAS(prepare().out, "registered  4 of 6 (67 %)", "2 attempts");
-  EXPECT_EQ(steps(), done) << "what is published is not climbed on from";
-}
-
-TEST_F(Prepare, NoOverlapIsSaidWithARemedy) {
-  EXPECT_REFUSED(prepare(), 65, "capture.poses.none", "no two of the 6 photographs", "4 attempts");
-  EXPECT_FALSE(fs::exists(home_ + "/scene/sparse"));
-}
-
-TEST_F(Prepare, AFailedProgramIsQuotedAndTheNextCallGoesOn) {
-  model(1, 0, {0, 1, 2, 3, 4, 5});
-  plain_write(home_ + "/bin/fail_matches_importer", "");
-  EXPECT_REFUSED(prepare(), 1, "capture.program.failed", "colmap matches_importer", "exit code 3",
-                 "before | E: the matches_importer has no memory", home_ + "/scene/prepare/log/matches_quick.txt");
-  EXPECT_FALSE(fs::exists(home_ + "/scene/sparse"));
-  fs::remove(home_ + "/bin/fail_matches_importer");
-  EXPECT_EQ(prepare().code, 0);
-  EXPECT_EQ(steps(), "feature_extractor matches_importer matches_importer mapper " + kSettled);
-}
-
-TEST_F(Prepare, EndedInTheMiddleOfMatchingItGoesOn) {
-  model(1, 0, {0, 1, 2, 3, 4, 5});
-  for (const int signal : {SIGKILL, SIGTERM}) {
-    SCOPED_TRACE(signal);
-    fs::remove_all(home_ + "/scene");
-    fs::remove(home_ + "/bin/calls");
-    fs::remove(home_ + "/bin/hangs");
-    plain_write(home_ + "/bin/hang_matches_importer", "");
-    const std::string source = home_ + "/photographs", out = home_ + "/scene";
-    Process process(program(), {"prepare", source, "--out", out}, home_, {path_setting()});
-    for (int wait = 0; wait < 6000 && !fs::exists(home_ + "/bin/hangs"); ++wait)
-      std::this_thread::sleep_for(std::chrono::milliseconds(10));
-    ASSERT_TRUE(fs::exists(home_ + "/bin/hangs"));
-    process.send(signal);
-    const std::optional<Result> ended = process.wait_for(60);
-    ASSERT_TRUE(ended.has_value());
-    if (signal == SIGTERM) {
-      EXPECT_EQ(ended->code, 143);
-      EXPECT_HAS(ended->err, "stopped; the same command continues");
-    }
-    EXPECT_FALSE(fs::exists(out + "/sparse"));
-    fs::remove(home_ + "/bin/hang_matches_importer");
-    EXPECT_EQ(prepare().code, 0);
-    EXPECT_EQ(steps(), "feature_extractor matches_importer matches_importer mapper " + kSettled);
-  }
-}
-
-TEST_F(Prepare, AFolderOfOthersIsLeftAlone) {
-  model(1, 0, {0, 1, 2, 3, 4, 5});
-  fs::create_directories(home_ + "/scene");
-  plain_write(home_ + "/scene/mine.txt", "");
-  EXPECT_REFUSED(prepare(), 73, "files.output.exists", "scene");
-  fs::remove_all(home_ + "/scene");
-  EXPECT_EQ(prepare().code, 0);
-  image(home_ + "/photographs/6.png", 6);
-  EXPECT_REFUSED(prepare(), 73, "capture.scene.other", "scene");
-}
-
-TEST_F(Prepare, TheSourceIsNeverWrittenTo) {
-  EXPECT_REFUSED(prepare("photographs --out photographs/scene"), 73, "capture.scene.inside", "photographs/scene");
-  EXPECT_FALSE(fs::exists(home_ + "/photographs/scene"));
-}
 
 TEST_F(Prepare, AMissingProgramNamesTheCommandThatInstallsIt) {
   fs::remove(home_ + "/bin/colmap");
-  EXPECT_REFUSED(semfield_run("prepare photographs --out scene", home_, "PATH=" + shell_word(home_ + "/bin") + " "), 69,
-                 "capture.program.missing", "colmap", "sudo apt install colmap");
+  for (const char* name : {"0", "1", "2"}) photograph(home_ + "/photographs/" + std::string(name) + ".png");
+  EXPECT_REFUSED(prepare("photographs --out scene", ""), 69, "capture.program.missing", "colmap",
+                 "sudo apt install colmap");
   EXPECT_FALSE(fs::exists(home_ + "/scene"));
 }
 
-TEST_F(Prepare, NamesThatColmapsListsCannotHold) {
-  fs::rename(home_ + "/photographs/0.png", home_ + "/photographs/#my first.png");
-  const Result r = prepare();
-  EXPECT_EQ(r.code, 65) << "no model was laid out";
-  EXPECT_TRUE(fs::exists(home_ + "/scene/images/_my_first.png"));
-  EXPECT_TRUE(fs::exists(home_ + "/photographs/#my first.png"));
-}
-
-TEST_F(Prepare, MoreAttemptsGoOnFromFewer) {
-  model(1, 0, {0, 1, 2});
-  model(2, 0, {0, 1, 2, 3, 4});
-  model(3, 0, {0, 1, 2, 3, 4, 5});
-  EXPECT_HAS(prepare("photographs --out scene --attempts 1").out, "registered  3 of 6 (50 %)", "1 attempt");
-  const Result more = succeeded(prepare("photographs --out scene --attempts 4"));
-  EXPECT_HAS(more.out, "registered  6 of 6 (100 %)", "3 attempts");
-  EXPECT_EQ(steps(), "feature_extractor matches_importer mapper " + kSettled +
-                         "feature_extractor matches_importer mapper feature_extractor matches_importer mapper " +
-                         kSettled)
-      << "the first attempt's model is there; what it found in images is not";
-  EXPECT_EQ(read_text_file(home_ + "/scene/sparse/0/images.bin"),
-            read_text_file(home_ + "/scene/prepare/work/refined/images.bin"));
-  EXPECT_HAS(semfield_run("inspect scene", home_).out, "6");
-  const std::string done = steps();
-  for (const char* attempts : {"", " --attempts 1", " --attempts 4"})
-    EXPECT_HAS(prepare("photographs --out scene" + std::string(attempts)).out, "registered  6 of 6 (100 %)",
-               "3 attempts");
-  EXPECT_EQ(steps(), done) << "all have a pose";
-}
-
-TEST_F(Prepare, FoldersThatDifferInABlankAreTwoCameras) {
-  fs::remove_all(home_ + "/photographs");
-  for (const char* folder : {"cam 1", "cam_1", "cam_1_2"}) {
-    fs::create_directories(home_ + "/photographs/" + folder);
-    for (int i = 0; i < 2; ++i) image(home_ + "/photographs/" + folder + "/" + std::to_string(i) + ".png", i);
-  }
-  EXPECT_EQ(prepare().code, 65) << "no model was laid out";
-  std::set<std::string> folders;
-  for (const fs::directory_entry& entry : fs::recursive_directory_iterator(home_ + "/scene/images"))
-    if (entry.is_regular_file()) folders.insert(entry.path().parent_path().filename().string());
-  EXPECT_EQ(folders.size(), 3u);
-  EXPECT_HAS(read_text_file(home_ + "/bin/calls"), "--ImageReader.single_camera_per_folder 1");
-}
-
-// `semfield prepare` of films and panoramas: what ffmpeg is given, with one that stands for it and with the true one.
-
-TEST_F(Prepare, AVideoIsCutIntoItsSharpFrames) {
-  tool("ffmpeg", kFfmpeg);
-  tool("ffprobe", kFfprobe);
-  // Twelve looks at six intervals of which the second half stands still.
-  std::string film;
-  for (int frame = 0; frame < 12; ++frame) {
-    for (int p = 0; p < 256 * 256; ++p) film += static_cast<char>((p * 7919 + std::min(frame / 2, 3) * 31) % 251);
-  }
-  plain_write(home_ + "/bin/film.grey", film);
-  plain_write(home_ + "/walk.mp4", "film");
-  fs::create_directories(home_ + "/bin/frames");
-  for (int i = 0; i < 4; ++i) image(home_ + "/bin/frames/" + std::to_string(i) + ".png", i);
-  write_room_model(home_ + "/bin/models/1/0", {0, 1, 2, 3}, 0.5,
-                   {"frame_000000.jpg", "frame_000002.jpg", "frame_000004.jpg", "frame_000006.jpg"});
-  const Result r = succeeded(prepare("walk.mp4 --out scene --frames 6"));
-  EXPECT_HAS(r.out, "video       4 frames of 8.0 s", "registered  4 of 4 (100 %)");
-  const std::string calls = read_text_file(home_ + "/bin/calls");
-  EXPECT_HAS(calls, "select=eq(n\\,0)+eq(n\\,2)+eq(n\\,4)+eq(n\\,6) ");
-  const std::string steps = read_text_file(home_ + "/scene/prepare/steps.json");
-  EXPECT_HAS(steps, "2 intervals were left out because nothing had moved, 0 because they were blurred");
-  plain_write(home_ + "/bin/fail_ffmpeg", "");
-  EXPECT_SAID(prepare("walk.mp4 --out other").err, "capture.program.failed", "ffmpeg", "moov atom not found");
-}
-
-// A film for the programs that stand for ffmpeg: two intervals of noise, and black ones.
-class PrepareFilm : public Prepare {
- protected:
-  void SetUp() override {
-    Prepare::SetUp();
-    tool("ffmpeg", kFfmpeg);
-    tool("ffprobe", kFfprobe);
-    plain_write(home_ + "/walk.mp4", "film");
-    std::string film;
-    for (std::size_t p = 0; p < std::size_t{12 * 256 * 256}; ++p)
-      film += static_cast<char>((p * 7919 + p / 500000 * 31) % 251);
-    plain_write(home_ + "/bin/film.grey", film);
-    fs::create_directories(home_ + "/bin/frames");
-    for (int i = 0; i < 3; ++i) image(home_ + "/bin/frames/" + std::to_string(i) + ".png", i);
-  }
-};
-
-TEST_F(PrepareFilm, ManyFramesAreLookedAtWithoutHoldingThem) {
-  fs::resize_file(home_ + "/bin/film.grey", std::size_t{600} * 8 * 256 * 256);  // 300 MiB, nearly all of it a hole
-  EXPECT_REFUSED(prepare("walk.mp4 --out scene --frames 600"), 65, "capture.poses.none", "the 3 photographs");
-  EXPECT_HAS(read_text_file(home_ + "/scene/prepare/steps.json"), "the sharpest of each of 600 intervals");
-}
-
-TEST_F(PrepareFilm, AFullDiskIsNoBadFilm) {
-  tool("ffmpeg", "#!/bin/sh\necho 'av_interleaved_write_frame(): No space left on device' >&2\nexit 1\n");
-  EXPECT_REFUSED(prepare("walk.mp4 --out scene"), 74, "files.write.failed", "ffmpeg", "No space left on device");
-  tool("ffmpeg", "#!/bin/sh\nexit 0\n");  // as it ends where the last of a file did not find room
-  EXPECT_REFUSED(semfield_run("prepare walk.mp4 --out scene", home_,
-                              "ulimit -f 1000; PATH=" + shell_word(home_ + "/bin") + ":/usr/bin:/bin "),
-                 74, "files.write.failed", "the limit of a file's size is reached");
-}
-
-// With the true ffmpeg, where it is installed.
 class PrepareWithFfmpeg : public Prepare {
  protected:
   void SetUp() override {
@@ -815,7 +412,7 @@ TEST_F(PrepareWithFfmpeg, APercentSignIsAPartOfAName) {
     EXPECT_SAID(r.err, "capture.poses.none");
     std::size_t images = 0;
     for (const std::string& file : files_below(home_)) {
-      if (before.contains(file) || file == "bin/calls" || file == "stdout" || file == "stderr") continue;
+      if (before.contains(file) || file == "stdout" || file == "stderr") continue;
       EXPECT_TRUE(file.starts_with(name + "/scene/")) << file << " lies outside the scene";
       images += file.starts_with(name + "/scene/images/frame_") ? 1 : 0;
     }
