@@ -184,7 +184,7 @@ TEST(Camera, ResizedSeesTheSameDirections) {
   EXPECT_NEAR(half.cy, 59.0625, 1e-12);
 }
 
-// Cameras as a file: what was written is read to the bit, and what cannot be a camera is refused by its number.
+// Cameras as a file: what was written is read to the bit. What cannot be a camera: tests/bad_files/runs.cases.
 
 CameraSet two_cameras() {
   CameraSet set;
@@ -237,50 +237,6 @@ TEST(CameraSet, RowsOfNumbersAreNone) {
   EXPECT_FALSE(is_camera_set(path));
   plain_write(path, "\r\n\t {}");
   EXPECT_TRUE(is_camera_set(path));
-}
-
-// More of them, from files: tests/bad_files/runs.cases.
-TEST(CameraSet, WhatIsNoCameraIsNamedByFileAndNumber) {
-  const std::string path = fresh_folder("bad") + "/cameras.json";
-  write_cameras(path, two_cameras());
-  const std::string good = read_text_file(path);
-  const auto error_with = [&](const std::string& old, const std::string& text) {
-    std::string changed = good;
-    const std::size_t at = changed.rfind(old);
-    EXPECT_NE(at, std::string::npos) << old;
-    plain_write(path, changed.replace(at, old.size(), text));
-    return error_of([&] {
-      Diagnostics diagnostics;
-      (void)read_cameras(path, diagnostics);
-    });
-  };
-  const std::string whole =
-      "; give a cameras.json as `semfield render` writes it, or a text file with a camera-to-world matrix a line";
-  EXPECT_HAS(error_with("distance along the ray", "metres"), path, "near_far", "distance along the ray", "z-depth");
-  EXPECT_EQ(error_with("\"cameras\"", "\"frames\""), path + ": it has no list 'cameras' with a camera in it" + whole);
-  EXPECT_EQ(error_with("\"k1\":0.0", "\"k1\":1e999").find(path + ": not valid JSON: "), 0U);
-  const std::string second = "the cameras have problems:\n" + path + ": camera 1: ";
-  const std::array<std::string, 3> cases[] = {
-      {"\"fx\":8.0", "\"fx\":-8", "focal length"},
-      {"\"fx\":8.0", "\"fx\":\"8\"", "'fx' is not a number; write a number"},
-      {"\"fx\":8.0,", "", "'fx' is missing; write a number"},
-      {"\"width\":8", "\"width\":8.5", "'width' x 'height' is not a pair of whole numbers of pixels"},
-      {"\"fx\":8.0", "\"lens\":\"fish\",\"fx\":8.0", "'lens' is none of perspective, fisheye and equirectangular"},
-      {"[0,0,0,1]", "[0,0,1]", "'world_from_camera' is not a list of 4 rows of 4 numbers"},
-      {"[0,0,0,1]", "[0,0,1,1]", "the last row of the pose is not 0 0 0 1"},
-      {"[1.0,0.0,0.0,0.0]", "[2.0,0.0,0.0,0.0]", "pose is not a rotation"},
-      {"[1.0,0.0,0.0,0.0]", "[-1.0,0.0,0.0,0.0]", "pose mirrors the scene"},
-      {"\"p2\":0.0", "\"p2\":0.0,\"near\":2,\"far\":2", "'near' and 'far' are not distances with 0 <= near < far"},
-      {"\"p2\":0.0", "\"p2\":0.0,\"near\":2", "'far' is missing"},
-      {"a \\\"b\\\" \xC3\xA4", "", "its name is empty"},
-      {"a \\\"b\\\" \xC3\xA4", "a\\nb", "its name has a control character"},
-      {"a \\\"b\\\" \xC3\xA4", "rgb_0001", "its files would be called 'rgb_0001', as those of 'rgb/0001'"},
-  };
-  for (const auto& [from, to, said] : cases) {
-    const std::string error = error_with(from, to);
-    EXPECT_EQ(error.find(second), 0U) << error;
-    EXPECT_HAS(error, said);
-  }
 }
 
 // Smooth camera paths, and pose files good and bad.
@@ -367,7 +323,7 @@ TEST(SmoothPath, MeetsItsKeysAndTurnsLittleFromFrameToFrame) {
   EXPECT_EQ(make_smooth_path({keys[0]}, 3).size(), 3U);
 }
 
-// Class tables: three file formats, numbering, refusals; tables and labels of other tools.
+// Class tables: numbering and names. Their files: tests/bad_files/classes.cases.
 
 using testing_room::fresh_folder;
 
@@ -383,181 +339,13 @@ TEST(ClassTable, NumbersValidClassesInOrderOfId) {
   std::vector<ClassEntry> many;
   for (int i = 0; i < 1025; ++i) many.push_back({i, "c", {}, false});
   EXPECT_HAS(error_of([&] { (void)ClassTable(many); }), "1025", "1024");
-}
-
-TEST(ClassTable, YamlRoundTripKeepsEverything) {
-  const std::string path = fresh_folder("t") + "/classes.yaml";
-  const ClassTable t(
-      {{0, "void", {0, 0, 0}, true}, {3, "wall \"a\" \\ b", {10, 20, 255}, false}, {4, "yes", {1, 1, 1}, false}});
-  write_file_atomic(path, t.to_yaml());
-  const ClassTable back = ClassTable::load(path);
-  ASSERT_EQ(back.entries().size(), 3u);
-  for (std::size_t i = 0; i < 3; ++i) {
-    EXPECT_EQ(back.entries()[i].id, t.entries()[i].id);
-    EXPECT_EQ(back.entries()[i].name, t.entries()[i].name);
-    EXPECT_EQ(back.entries()[i].color, t.entries()[i].color);
-    EXPECT_EQ(back.entries()[i].ignore, t.entries()[i].ignore);
-  }
-}
-
-TEST(ClassTable, CsvSkipsTheHeaderAndIgnoresVoid) {
-  const std::string path = fresh_folder("t") + "/classes.csv";
-  write_file_atomic(path, std::string_view("class_id,class\r\n0,Undefined\r\n2,\"base, cabinet\"\r\n\r\n1,wall\r\n"));
-  const ClassTable t = ClassTable::load(path);
-  EXPECT_EQ(t.valid_count(), 2);
-  EXPECT_TRUE(t.entries()[0].ignore);
-  EXPECT_EQ(t.valid(0).name, "wall");
-  EXPECT_EQ(t.valid(1).name, "base, cabinet");
-}
-
-// What people export: names of columns, colours, other separators, void without a column that says so.
-TEST(ClassTable, CsvColumnsAreReadByTheirNames) {
-  const std::string path = fresh_folder("t") + "/classes.csv";
-  const auto load = [&](const std::string& text) {
-    write_file_atomic(path, text);
-    std::string out;
-    const ClassTable table = ClassTable::load(path);
-    for (const ClassEntry& e : table.entries()) {
-      out += std::to_string(e.id) + "=" + e.name + (e.ignore ? "!" : "");
-      if (e.color != ClassTable::default_color(e.id))
-        out += "(" + std::to_string(e.color[0]) + "," + std::to_string(e.color[1]) + "," + std::to_string(e.color[2]) +
-               ")";
-      out += " ";
-    }
-    return out;
-  };
-  const std::string wanted = "0=void!(9,9,9) 1=wall(174,199,232) 2=chair, old(152,223,138) ";
-  EXPECT_EQ(load("id,name,red,green,blue\n0,void,9,9,9\n1,wall,174,199,232\n2,\"chair, old\",152,223,138\n"), wanted);
-  EXPECT_EQ(load("\xEF\xBB\xBFName;R;G;B;Class ID;note\r\nvoid;9;9;9;0;\r\nwall;174;199;232;1;x\r\nchair, "
-                 "old;152;223;138;2\r\n"),
-            wanted);
-  EXPECT_EQ(load("label\tname\tcolor\n0\tvoid\t#090909\n1\twall\t#AEC7e8\n2\tchair, old\t(152, 223, 138)\n"), wanted);
-  EXPECT_EQ(load("0,void,9,9,9\n1,wall,174,199,232\n2,\"chair, old\",152,223,138\n"), wanted) << "in this order";
-  EXPECT_EQ(load("id,name\n1,wall\n255,Ignore\n7,other\n"), "1=wall 7=other 255=Ignore! ");
-  EXPECT_EQ(load("id,name,ignore\n0,void,false\n1,wall,TRUE\n"), "0=void 1=wall! ") << "the column counts";
-}
-
-TEST(ClassTable, VoidWordsAreVoidWithoutIgnore) {
-  const std::string folder = fresh_folder("t");
-  write_file_atomic(folder + "/c.yaml",
-                    std::string_view("- {id: 0, name: void}\n- {id: 1, name: __ignore__}\n- {id: 2, "
-                                     "name: unknown}\n- {id: 3, name: void, ignore: false}\n"));
-  const ClassTable yaml = ClassTable::load(folder + "/c.yaml");
-  EXPECT_EQ(yaml.index_of(0), kVoid);
-  EXPECT_EQ(yaml.index_of(1), kVoid);
-  EXPECT_EQ(yaml.index_of(2), 0) << "data sets have such a class";
-  EXPECT_EQ(yaml.index_of(3), 1) << "as it says";
-  write_file_atomic(folder + "/c.json",
-                    std::string_view(R"([{"id": 0, "name": "wall"}, {"id": 9, "name": "Unlabeled"}])"));
-  const ClassTable json = ClassTable::load(folder + "/c.json");
-  EXPECT_EQ(json.index_of(0), 0);
-  EXPECT_EQ(json.index_of(9), kVoid);
-}
-
-TEST(ClassTable, ReplicaJsonGetsAVoidClass) {
-  const std::string path = fresh_folder("t") + "/info_semantic.json";
-  write_file_atomic(
-      path,
-      std::string_view(R"({"classes": [{"id": 2, "name": "b"}, {"id": 1, "name": "a"}, {"id": -1, "name": "x"}]})"));
-  const ClassTable t = ClassTable::load(path);
-  EXPECT_EQ(t.valid_count(), 2);
-  EXPECT_EQ(t.index_of(0), kVoid);
-  EXPECT_EQ(t.index_of(2), 1);
+  EXPECT_HAS(error_of([] { (void)published_classes("nyu"); }), "nyu", "class table");
 }
 
 TEST(ClassTable, DefaultColorsDiffer) {
   std::set<std::array<std::uint8_t, 3>> seen;
   for (int id = 0; id < 200; ++id) seen.insert(ClassTable::default_color(id));
   EXPECT_EQ(seen.size(), 200u);
-}
-
-// Class tables of other tools.
-
-using Color = std::array<std::uint8_t, 3>;
-
-TEST(PublishedClasses, TablesOfOtherTools) {
-  const ClassTable nyu40 = published_classes("nyu40"), nyu13 = published_classes("nyu13"),
-                   scannet = published_classes("scannet20");
-  EXPECT_EQ(nyu40.valid_count(), 40);
-  EXPECT_EQ(nyu13.valid_count(), 13);
-  EXPECT_EQ(scannet.valid_count(), 20);
-  for (const ClassTable* table : {&nyu40, &nyu13, &scannet}) EXPECT_EQ(table->index_of(0), kVoid);
-  EXPECT_EQ(nyu40.valid(4).name, "chair");
-  EXPECT_EQ(nyu40.valid(39).name, "otherprop");
-  EXPECT_EQ(nyu13.valid(3).name, "chair");
-  EXPECT_EQ(scannet.index_of(39), 19);
-  EXPECT_EQ(scannet.valid(19).name, "otherfurniture");
-  EXPECT_EQ(scannet.index_of(13), -2);
-  EXPECT_HAS(error_of([] { (void)published_classes("nyu"); }), "nyu", "class table");
-}
-
-TEST(PublishedClasses, PascalColours) {
-  const std::pair<int, Color> colors[] = {{0, {0, 0, 0}},        {1, {128, 0, 0}}, {2, {0, 128, 0}},
-                                          {7, {128, 128, 128}},  {8, {64, 0, 0}},  {20, {0, 64, 128}},
-                                          {255, {224, 224, 192}}};
-  for (const auto& [id, color] : colors) EXPECT_EQ(pascal_color(id), color) << id;
-}
-
-TEST(CvatLabelmap, RoundTripAndRefusals) {
-  const std::string path = fresh_folder("t") + "/labelmap.txt";
-  const auto load = [&](const std::string& text) {
-    write_file_atomic(path, text);
-    return load_cvat_labelmap(path);
-  };
-  const ClassTable table = load(
-      "# label:color_rgb:parts:actions\nwall:128,0,64::\nbackground:0,0,0::\nchair, "
-      "old:1,2,3:seat,back:sit\nlamp:::\n");
-  ASSERT_EQ(table.entries().size(), 4u);
-  EXPECT_EQ(table.valid(0).name, "wall");
-  EXPECT_EQ(table.valid(0).color, (Color{128, 0, 64}));
-  EXPECT_EQ(table.valid(1).name, "chair, old");
-  EXPECT_EQ(table.valid(1).id, 2);
-  EXPECT_EQ(table.valid(2).color, ClassTable::default_color(3));
-  EXPECT_EQ(table.entries()[0].name, "background");
-  EXPECT_TRUE(table.entries()[0].ignore);
-  const ClassTable back = load(to_cvat_labelmap(table));
-  EXPECT_EQ(back.to_yaml(), table.to_yaml());
-  EXPECT_EQ(load("label:color_rgb:parts:actions\nwall:1,2,3::\n__ignore__:::\n").valid_count(), 1) << "a plain header";
-  EXPECT_HAS(error_of([] { (void)to_cvat_labelmap(ClassTable({{1, "a:b", {}, false}})); }), "'a:b'");
-}
-
-TEST(ClassImport, ByExtension) {
-  const std::string folder = fresh_folder("t");
-  write_file_atomic(folder + "/l.tsv", std::string_view("id\traw_category\tnyu40id\teigen13id\n1\twall\t1\t12\n"
-                                                        "2\toffice chair\t5\t4\n9\tstool\t5\t4\n50\tthing\t\t\n"));
-  EXPECT_EQ(import_classes(folder + "/l.tsv").valid_count(), 4);
-  EXPECT_EQ(load_scannet_classes(folder + "/l.tsv", ScannetIds::nyu40).valid_count(), 2);
-  const ClassTable nyu13 = load_scannet_classes(folder + "/l.tsv", ScannetIds::nyu13);
-  EXPECT_EQ(nyu13.valid(0).name, "chair");
-  EXPECT_EQ(nyu13.valid(1).id, 12);
-  const ClassTable table = published_classes("nyu13");
-  write_file_atomic(folder + "/c.csv", to_class_csv(table));
-  EXPECT_EQ(import_classes(folder + "/c.csv").valid_count(), 13);
-  EXPECT_EQ(to_class_csv(ClassTable({{0, "void", {}, true}, {3, "hand", {}, true}})),
-            "class_id,class,ignore\n0,void,true\n3,hand,true\n");
-  write_file_atomic(folder + "/c.txt", to_cvat_labelmap(table));
-  EXPECT_EQ(import_classes(folder + "/c.txt").to_yaml(), table.to_yaml());
-}
-
-// Commas, quotes and blanks of a name come back from the CSV that is written; what is quoted wrongly is named.
-TEST(ClassImport, CsvQuotesNames) {
-  const std::string file = fresh_folder("t") + "/c.csv";
-  const std::vector<std::string> names{
-      "chair, office", "the \"big\" table", " lamp ", "\"", "plain, \"both\"", "=1+1", "+cup", "-", "@here, there",
-      "'=1",           "'quoted'",          "a=b"};
-  std::vector<ClassEntry> entries;
-  for (const std::string& name : names)
-    entries.push_back({static_cast<std::int32_t>(entries.size()) + 1, name, {}, false});
-  const std::string csv = to_class_csv(ClassTable(entries));
-  EXPECT_HAS(csv, "1,\"chair, office\"\n2,\"the \"\"big\"\" table\"\n3,\" lamp \"\n");
-  // A spreadsheet takes what begins with one of = + - @ for a formula, in quotes too.
-  EXPECT_HAS(csv, "6,'=1+1\n7,'+cup\n8,'-\n9,\"'@here, there\"\n10,''=1\n11,'quoted'\n12,a=b\n");
-  write_file_atomic(file, csv);
-  const ClassTable back = import_classes(file);
-  ASSERT_EQ(back.entries().size(), names.size());
-  for (std::size_t i = 0; i < names.size(); ++i) EXPECT_EQ(back.entries()[i].name, names[i]);
-  write_file_atomic(file, "1,\"chair\"s\n");
-  EXPECT_HAS(error_of([&] { (void)import_classes(file); }), file + ":1: 's' follows a quoted field");
 }
 
 TEST(ClassNames, VoidIsFoundAndAdded) {
@@ -588,24 +376,6 @@ TEST(ClassNames, ANameOfTwoClassesIsRefusedWhereItIsUsed) {
   const ClassNames names(ClassTable({{1, "chair", {}, false}, {2, "wall", {}, false}, {5, "chair", {}, false}}));
   EXPECT_EQ(names.index_of("wall", "here"), 1);
   EXPECT_HAS(error_of([&] { (void)names.index_of("chair", "here"); }), "here: the class table has 'chair' twice");
-}
-
-// ScanNet's label table: columns by name, maps, refusals.
-
-const std::string kHeader = "id\traw_category\tcount\tnyu40id\teigen13id\tnyu40class\teigen13class\n";
-
-TEST(ScannetLabels, ColumnsAreFoundByName) {
-  const std::string path = fresh_folder("t") + "/labels.tsv";
-  write_file_atomic(path, kHeader + "1\twall\t8277\t1\t12\twall\tWall\r\n2\toffice \"chair\"\t4\t5\t4\tchair\tChair\n" +
-                              "1163\tobject\t9\t\t\t\t\n");
-  const std::vector<ScannetLabel> labels = read_scannet_tsv(path);
-  ASSERT_EQ(labels.size(), 3u);
-  EXPECT_EQ(labels[1].raw_category, "office \"chair\"");
-  EXPECT_EQ(labels[1].id_in(ScannetIds::nyu40), 5);
-  EXPECT_EQ(labels[0].id_in(ScannetIds::nyu13), 12);
-  EXPECT_EQ(labels[2].nyu40id, 0);
-  write_file_atomic(path, std::string_view("nyu40id\traw_category\tid\n3\tcabinet\t7\n"));
-  EXPECT_EQ(read_scannet_tsv(path).at(0).nyu40id, 3);
 }
 
 // Bundle adjustment against cameras that are known: what was made wrong comes back.
