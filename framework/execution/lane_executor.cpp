@@ -463,50 +463,29 @@ void LaneRanks<Real>::gather_losses(std::vector<StepLosses>& tiles) {
       for (std::int64_t tile = lane; tile < count; tile += lanes_) body(tiles[static_cast<std::size_t>(tile)]);
     }
   };
-  std::vector<StepLosses> own, all(tiles.size());
-  std::vector<std::size_t> bytes(static_cast<std::size_t>(ranks_->size()));
+  std::vector<StepLosses> own, all;
   each_of(ranks_->rank(), [&](const StepLosses& losses) { own.push_back(losses); });
-  for (int r = 0; r < ranks_->size(); ++r) {
-    std::size_t tiles_of_rank = 0;
-    each_of(r, [&](const StepLosses&) { ++tiles_of_rank; });
-    bytes[static_cast<std::size_t>(r)] = tiles_of_rank * sizeof(StepLosses);
-  }
-  ranks_->all_gather(std::as_bytes(std::span(own)), bytes_of(all, all.size()), bytes);
+  join_values<StepLosses>(*ranks_, own, all);
   std::size_t next = 0;
   for (int r = 0; r < ranks_->size(); ++r) each_of(r, [&](StepLosses& losses) { losses = all[next++]; });
 }
 
 template <class Real>
 EncodedRows<Real> LaneRanks<Real>::gather_rows(const EncodedRows<Real>& own) {
-  const std::vector<std::int64_t> rows = all_of(*ranks_, own.x.rows);
-  const std::int64_t total = std::accumulate(rows.begin(), rows.end(), std::int64_t{0});
-  const std::int32_t dims = own.d_encoded.cols;
-  const auto gather = [&](const auto* from, auto& to, std::int64_t cols) {
-    const std::size_t row_bytes = static_cast<std::size_t>(cols) * sizeof *from;
-    std::vector<std::size_t> bytes;
-    for (const std::int64_t count : rows) bytes.push_back(static_cast<std::size_t>(count) * row_bytes);
-    const auto size = static_cast<std::size_t>(total * cols);
-    if (to.size() < size) to.resize(size);
-    const std::span<const std::byte> mine(reinterpret_cast<const std::byte*>(from),
-                                          static_cast<std::size_t>(own.x.rows) * row_bytes);
-    ranks_->all_gather(mine, bytes_of(to, size), bytes);
-  };
-  gather(own.x.data, x_, 3);
-  gather(own.d_encoded.data, d_encoded_, dims);
-  return {{x_.data(), total, 3}, {d_encoded_.data(), total, dims}};
+  const auto values = [](const auto& view) { return std::span(view.data, static_cast<std::size_t>(view.size())); };
+  join_values<double>(*ranks_, values(own.x), x_);
+  join_values<Real>(*ranks_, values(own.d_encoded), d_encoded_);
+  const std::int64_t total = std::ssize(x_) / 3;
+  return {{x_.data(), total, 3}, {d_encoded_.data(), total, own.d_encoded.cols}};
 }
 
 template <class Real>
 void LaneRanks<Real>::share_rows(View<Real> column, const std::function<void(std::int64_t, std::int64_t)>& compute) {
-  const auto part = [&](int rank) { return part_of(column.rows, rank, ranks_->size()); };
-  const auto [begin, end] = part(ranks_->rank());
+  const auto [begin, end] = part_of(column.rows, ranks_->rank(), ranks_->size());
   agree(*ranks_, [&, first = begin, last = end] { compute(first, last); });
-  std::vector<Real> own, all(static_cast<std::size_t>(column.rows));
+  std::vector<Real> own, all;
   for (std::int64_t r = begin; r < end; ++r) own.push_back(*column.row(r));
-  std::vector<std::size_t> bytes;
-  for (int r = 0; r < ranks_->size(); ++r)
-    bytes.push_back(static_cast<std::size_t>(part(r).second - part(r).first) * sizeof(Real));
-  ranks_->all_gather(std::as_bytes(std::span(own)), bytes_of(all, all.size()), bytes);
+  join_values<Real>(*ranks_, own, all);
   for (std::int64_t r = 0; r < column.rows; ++r) *column.row(r) = all[static_cast<std::size_t>(r)];
 }
 

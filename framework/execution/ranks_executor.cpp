@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cstddef>
-#include <cstring>
 #include <set>
 #include <type_traits>
 
@@ -13,72 +12,14 @@
 
 namespace semfield {
 
-/// A message in `bytes`, which it begins anew. Whoever sends adds everything; whoever receives expects everything,
-/// fills the bytes, and takes everything in the same order. Arrays with larger elements come before those with smaller
-/// ones, so that each is aligned.
-class ArrayMessage {
- public:
-  explicit ArrayMessage(std::vector<std::byte>& bytes) : bytes_(bytes) { bytes_.clear(); }
-
-  template <class T, class = std::enable_if_t<std::is_trivially_copyable_v<T>>>
-  void add(const T& value) {
-    append(&value, sizeof value);
-  }
-  template <class T>
-  void add(const View<T>& view) {
-    if (view.empty()) return;
-    for (std::int64_t r = 0; r < view.rows; ++r) append(view.row(r), static_cast<std::size_t>(view.cols) * sizeof(T));
-  }
-
-  template <class T>
-  void expect(const T&) {
-    bytes_.resize(bytes_.size() + sizeof(T));
-  }
-  template <class T>
-  void expect(const View<T>&, std::int64_t rows, std::int32_t cols) {
-    bytes_.resize(bytes_.size() + size_of<T>(rows, cols));
-  }
-
-  template <class T>
-  void take(T& value) {
-    std::memcpy(&value, bytes_.data() + at_, sizeof value);
-    at_ += sizeof value;
-  }
-  /// Into the message's bytes, which must outlive the view.
-  template <class T>
-  View<T> take(const View<T>&, std::int64_t rows, std::int32_t cols) {
-    const View<T> view(reinterpret_cast<T*>(bytes_.data() + at_), rows, cols);
-    at_ += size_of<T>(rows, cols);
-    return view;
-  }
-  template <class T>
-  void copy_into(const View<T>& to, std::int64_t rows, std::int32_t cols) {
-    const View<T> from = take(to, rows, cols);
-    for (std::int64_t r = 0; r < rows; ++r)
-      std::memcpy(to.row(r), from.row(r), static_cast<std::size_t>(cols) * sizeof(T));
-  }
-
- private:
-  template <class T>
-  static std::size_t size_of(std::int64_t rows, std::int32_t cols) {
-    return static_cast<std::size_t>(rows) * static_cast<std::size_t>(cols) * sizeof(T);
-  }
-  void append(const void* data, std::size_t size) {
-    const std::size_t begin = bytes_.size();
-    bytes_.resize(begin + size);
-    std::memcpy(bytes_.data() + begin, data, size);
-  }
-
-  std::vector<std::byte>& bytes_;
-  std::size_t at_ = 0;
-};
-
 namespace {
 
+// Rows that lie behind each other; a root's are only read.
 template <class T>
-std::span<std::byte> bytes_of(T& value) {
-  static_assert(std::is_trivially_copyable_v<T>);
-  return std::as_writable_bytes(std::span(&value, 1));
+std::span<std::byte> memory_of(const View<T>& view) {
+  SEMFIELD_CHECK(view.contiguous(), "rows that ranks share lie behind each other");
+  auto* const data = const_cast<std::remove_const_t<T>*>(view.data);
+  return std::as_writable_bytes(std::span(data, static_cast<std::size_t>(view.size())));
 }
 
 // A question for densities, as a job.
@@ -93,44 +34,23 @@ struct Positions {
 void run(Executor<float>& executor, const RenderJob<float>& job) { executor.render(job); }
 void run(Executor<float>& executor, const Positions& job) { executor.density(job.origin, job.sigma); }
 
-// The arrays of a job, those with the largest elements first; `visit` gets each and its columns.
-template <class Job, class Visit>
-void each_input(Job& job, const Visit& visit) {
-  visit(job.origin, 3);
-  if constexpr (requires { job.direction; }) {
-    visit(job.direction, 3);
-    visit(job.near_far, 2);
-    visit(job.truth, 1);
-  }
+// visit(array) for those that a job is given, and for those that it fills.
+template <class Visit>
+void each_input(RenderJob<float>& job, const Visit& visit) {
+  visit(job.origin), visit(job.direction), visit(job.near_far), visit(job.truth);
 }
-template <class Job, class Visit>
-void each_output(Job& job, std::int32_t logits, const Visit& visit) {
-  if constexpr (requires { job.sigma; }) {
-    visit(job.sigma, 1);
-  } else {
-    visit(job.color, 3);
-    visit(job.depth, 1);
-    visit(job.opacity, 1);
-    visit(job.entropy, 1);
-    visit(job.confidence, 1);
-    visit(job.truth_probability, 1);
-    visit(job.probability, logits);
-    visit(job.label, 1);
-    visit(job.resolution, 1);
-  }
+template <class Visit>
+void each_output(RenderJob<float>& job, const Visit& visit) {
+  visit(job.color), visit(job.depth), visit(job.opacity), visit(job.entropy), visit(job.confidence);
+  visit(job.truth_probability), visit(job.probability), visit(job.label), visit(job.resolution);
 }
-
-// Bit i: the i-th array is there.
-template <class Job>
-std::uint32_t arrays_there(const Job& job) {
-  std::uint32_t wanted = 0, bit = 1;
-  const auto look = [&](const auto& view, std::int32_t) {
-    if (!view.empty()) wanted |= bit;
-    bit <<= 1;
-  };
-  each_input(job, look);
-  each_output(job, 0, look);
-  return wanted;
+template <class Visit>
+void each_input(Positions& job, const Visit& visit) {
+  visit(job.origin);
+}
+template <class Visit>
+void each_output(Positions& job, const Visit& visit) {
+  visit(job.sigma);
 }
 
 }  // namespace
@@ -160,13 +80,13 @@ std::string RanksExecutor::description() const {
 
 void RanksExecutor::tell(const Order& order) {
   Order told = order;
-  ranks_.broadcast(bytes_of(told));
+  ranks_.broadcast(std::as_writable_bytes(std::span(&told, 1)));
 }
 
 void RanksExecutor::serve() {
   for (;;) {
     Order order;
-    ranks_.broadcast(bytes_of(order));
+    ranks_.broadcast(std::as_writable_bytes(std::span(&order, 1)));
     try {
       switch (order.task) {
         case Task::end:
@@ -240,32 +160,26 @@ void RanksExecutor::compare_tensors() {
 }
 
 void RanksExecutor::queue(std::int64_t step, const RayBatch& batch, const AdamStep& update) {
-  tell({.task = Task::queue, .terms = batch.terms, .step = step, .shape = shape_of(batch)});
-  ArrayMessage message(message_);
-  message.add(update);
-  message.add(batch.label_only);
-  each_array(batch, [&](const auto& view) { message.add(view); });
+  tell({.task = Task::queue, .terms = batch.terms, .step = step, .update = update, .shape = shape_of(batch)});
+  const BatchLayout layout(batch);
+  message_.resize(layout.bytes());
+  layout.write(batch, message_.data());
   ranks_.broadcast(message_);
+  label_only_.assign(batch.label_only.data, batch.label_only.data + batch.label_only.rows);
+  ranks_.broadcast(std::as_writable_bytes(std::span(label_only_)));
   inner_.queue(step, batch, update);
 }
 
 void RanksExecutor::serve_step(const Order& order) {
-  AdamStep update;
-  RayBatch batch = order.shape.batch();
-  batch.terms = order.terms;
-  ArrayMessage message(message_);
-  const auto each = [&](const auto& visit) {
-    if (order.shape.tiles > 0) visit(batch.label_only, order.shape.tiles, 1);
-    each_array(batch, [&](auto& view) {
-      if (view.cols > 0) visit(view, order.shape.rays, view.cols);
-    });
-  };
-  message.expect(update);
-  each([&](auto& view, std::int64_t rows, std::int32_t cols) { message.expect(view, rows, cols); });
+  const BatchLayout layout(order.shape.batch());
+  message_.resize(layout.bytes());
   ranks_.broadcast(message_);
-  message.take(update);
-  each([&](auto& view, std::int64_t rows, std::int32_t cols) { view = message.take(view, rows, cols); });
-  inner_.queue(order.step, batch, update);
+  label_only_.resize(static_cast<std::size_t>(order.shape.tiles));
+  ranks_.broadcast(std::as_writable_bytes(std::span(label_only_)));
+  RayBatch batch = layout.in(message_.data(), Device::cpu);
+  if (!label_only_.empty()) batch.label_only = {label_only_.data(), order.shape.tiles, 1};
+  batch.terms = order.terms;
+  inner_.queue(order.step, batch, order.update);
 }
 
 StepResults RanksExecutor::finish() {
@@ -284,76 +198,57 @@ void RanksExecutor::set_gradient_hook(GradientHook<float> hook) {
 }
 
 void RanksExecutor::render(const RenderJob<float>& job) {
-  const Order order{.task = Task::render,
-                    .cols = job.probability.cols,
-                    .wanted = arrays_there(job),
-                    .rows = job.origin.rows,
-                    .footprint_per_m = job.footprint_per_m};
-  tell(order);
-  share(order, job);
+  lead_job({.task = Task::render, .footprint_per_m = job.footprint_per_m}, job);
 }
 
 void RanksExecutor::density(View<const double> positions, View<float> sigma) {
-  const Positions job{positions, sigma};
-  const Order order{.task = Task::density, .wanted = arrays_there(job), .rows = positions.rows};
+  lead_job({.task = Task::density}, Positions{positions, sigma});
+}
+
+template <class Job>
+void RanksExecutor::lead_job(Order order, Job job) {
+  order.rows = job.origin.rows;
+  if (order.rows == 0) return;
+  std::size_t next = 0;
+  const auto note = [&](const auto& view) { order.cols.at(next++) = view.empty() ? 0 : view.cols; };
+  each_input(job, note);
+  each_output(job, note);
   tell(order);
   share(order, job);
 }
 
-// Rank 0 sends the others their rows and gets their results; `whole` is rank 0's alone.
+// Rank 0's rays reach all, each answers for its part of them, and rank 0 gets the answers. `job` is rank 0's; that of
+// the others gets memory here.
 template <class Job>
-void RanksExecutor::share(const Order& order, const Job& whole) {
-  const auto part = [&](int rank) { return part_of(order.rows, rank, ranks_.size()); };
-  const auto [begin, end] = part(ranks_.rank());
-  std::vector<std::byte> results;
-  Job own;
-  if constexpr (requires { own.footprint_per_m; }) own.footprint_per_m = order.footprint_per_m;
-  std::uint32_t bit = 1;
-  const auto wanted = [&](const auto& visit) {
-    return [&](auto& view, std::int32_t cols) {
-      if ((order.wanted & bit) != 0) visit(view, cols);
-      bit <<= 1;
-    };
+void RanksExecutor::share(const Order& order, Job job) {
+  if constexpr (requires { job.footprint_per_m; }) job.footprint_per_m = order.footprint_per_m;
+  std::vector<std::vector<std::byte>> memory;
+  std::size_t next = 0;
+  const auto make_room = [&]<class T>(View<T>& view) {
+    const std::int32_t cols = order.cols.at(next++);
+    if (leads() || cols == 0) return;
+    memory.emplace_back(static_cast<std::size_t>(order.rows * cols) * sizeof(T));
+    view = View<T>(reinterpret_cast<T*>(memory.back().data()), order.rows, cols);
   };
-  if (leads()) {
-    own = whole.rows(begin, end - begin);
-    for (int r = 1; r < ranks_.size(); ++r) {
-      const Job theirs = whole.rows(part(r).first, part(r).second - part(r).first);
-      ArrayMessage message(message_);
-      each_input(theirs, [&](const auto& view, std::int32_t) { message.add(view); });
-      ranks_.send(r, message_);
-    }
-  } else {
-    ArrayMessage message(message_);
-    each_input(own, wanted([&](auto& view, std::int32_t cols) { message.expect(view, end - begin, cols); }));
-    const std::uint32_t outputs = bit;
-    ranks_.receive(0, message_);
-    bit = 1;
-    each_input(own, wanted([&](auto& view, std::int32_t cols) { view = message.take(view, end - begin, cols); }));
-    ArrayMessage room(results);
-    bit = outputs;
-    each_output(own, order.cols, wanted([&](auto& view, std::int32_t cols) { room.expect(view, end - begin, cols); }));
-    bit = outputs;
-    each_output(own, order.cols,
-                wanted([&](auto& view, std::int32_t cols) { view = room.take(view, end - begin, cols); }));
-  }
-  agree(ranks_, [&, any = end > begin] {
-    if (any) run(inner_, own);
+  each_input(job, make_room);
+  each_output(job, make_room);
+  each_input(job, [&](const auto& view) {
+    if (!view.empty()) ranks_.broadcast(memory_of(view));
   });
-  if (!leads()) return ranks_.send(0, results);
-  for (int r = 1; r < ranks_.size(); ++r) {
-    const std::int64_t first = part(r).first, count = part(r).second - first;
-    Job theirs = whole.rows(first, count);
-    ArrayMessage message(message_);
-    const auto each = [&](const auto& visit) {
-      each_output(theirs, order.cols, [&](auto& view, std::int32_t cols) {
-        if (!view.empty()) visit(view, cols);
-      });
+  const auto [first, last] = part_of(order.rows, ranks_.rank(), ranks_.size());
+  const Job own = job.rows(first, last - first);
+  agree(ranks_, [&] {
+    if (own.origin.rows > 0) run(inner_, own);
+  });
+  each_output(job, [&](const auto& view) {
+    if (view.empty()) return;
+    const auto bytes = [&](int rank) {
+      const auto [begin, end] = part_of(order.rows, rank, ranks_.size());
+      return memory_of(view.row_range(begin, end - begin));
     };
-    each([&](auto& view, std::int32_t cols) { message.expect(view, count, cols); });
-    ranks_.receive(r, message_);
-    each([&](auto& view, std::int32_t cols) { message.copy_into(view, count, cols); });
-  }
+    if (!leads()) return ranks_.send(0, bytes(ranks_.rank()));
+    for (int r = 1; r < ranks_.size(); ++r) ranks_.receive(r, bytes(r));
+  });
 }
 
 }  // namespace semfield

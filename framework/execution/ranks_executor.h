@@ -1,6 +1,9 @@
 // Steps and rendering by all processes of a run: rank 0 says what is done, and everyone does it.
 #pragma once
 
+#include <array>
+#include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <string>
 #include <vector>
@@ -44,15 +47,16 @@ class RanksExecutor final : public Executor<float> {
 
  private:
   enum class Task : std::int32_t { end, upload, compare, queue, finish, render, density };
+  static constexpr std::size_t kMostArrays = 16;
   // What is broadcast before the data of a task.
   struct Order {
     Task task = Task::end;
-    std::int32_t cols = 0;     // of probabilities
-    std::uint32_t wanted = 0;  // bit i: the i-th array of a job is there
-    std::uint32_t terms = 0;   // RayBatch::terms
+    std::uint32_t terms = 0;  // RayBatch::terms
     std::int64_t step = 0, rows = 0;
     double footprint_per_m = 0;
+    AdamStep update{};
     BatchShape shape{};
+    std::array<std::int32_t, kMostArrays> cols{};  // of each array of a job; 0: it is not there
   };
 
   bool leads() const { return ranks_.rank() == 0; }
@@ -61,13 +65,16 @@ class RanksExecutor final : public Executor<float> {
   void compare_tensors();
   void serve_step(const Order& order);
   template <class Job>
-  void share(const Order& order, const Job& whole);
+  void lead_job(Order order, Job job);
+  template <class Job>
+  void share(const Order& order, Job job);
 
   Ranks& ranks_;
   Pipeline<float>& pipeline_;
   std::unique_ptr<Executor<float>> device_;
   Executor<float>& inner_;
   std::vector<std::byte> message_;
+  std::vector<std::int64_t> label_only_;
 };
 
 }  // namespace semfield

@@ -62,6 +62,41 @@ BatchShape shape_of(const RayBatch& batch) {
   return shape;
 }
 
+BatchLayout::BatchLayout(const RayBatch& like)
+    : shape_(shape_of(like)), label_only_(like.label_only.data, like.label_only.data + shape_.tiles) {
+  constexpr std::size_t kAlignBytes = 256;
+  each_array(like, [this]<class T>(const View<const T>& view) {
+    if (view.cols == 0) return;
+    at_.push_back(bytes_);
+    bytes_ += (static_cast<std::size_t>(view.size()) * sizeof(T) + kAlignBytes - 1) / kAlignBytes * kAlignBytes;
+  });
+}
+
+bool BatchLayout::fits(const RayBatch& batch) const {
+  const View<const std::int64_t>& counts = batch.label_only;
+  return shape_of(batch) == shape_ && std::equal(label_only_.begin(), label_only_.end(), counts.data);
+}
+
+void BatchLayout::write(const RayBatch& batch, std::byte* block) const {
+  std::size_t next = 0;
+  each_array(batch, [&]<class T>(const View<const T>& view) {
+    if (view.cols == 0) return;
+    SEMFIELD_CHECK(!view.empty() && view.contiguous(), "rows of a batch lie behind each other");
+    std::memcpy(block + at_[next++], view.data, static_cast<std::size_t>(view.size()) * sizeof(T));
+  });
+}
+
+RayBatch BatchLayout::in(const std::byte* block, Device device) const {
+  RayBatch out = shape_.batch();
+  std::size_t next = 0;
+  each_array(out, [&]<class T>(View<const T>& view) {
+    if (view.cols == 0) return;
+    view = {reinterpret_cast<const T*>(block + at_[next++]), view.rows, view.cols, view.cols, device};
+  });
+  if (!label_only_.empty()) out.label_only = {label_only_.data(), std::ssize(label_only_), 1};
+  return out;
+}
+
 double color_normaliser(const RayBatch& batch) {
   std::int64_t rays = batch.origin.rows;
   for (std::int64_t t = 0; t < batch.label_only.rows; ++t) rays -= batch.label_only(t, 0);

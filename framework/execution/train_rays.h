@@ -2,6 +2,9 @@
 // backward. Pass after pass is written here once; what differs between a CPU and a GPU is the executor's.
 #pragma once
 
+#include <array>
+#include <cstddef>
+#include <cstdint>
 #include <vector>
 
 #include "losses/loss_list.h"
@@ -63,6 +66,26 @@ struct BatchShape {
   RayBatch batch() const;
 };
 BatchShape shape_of(const RayBatch& batch);
+
+/// The arrays of a batch in one block, in the order of each_array, each on 256 bytes.
+class BatchLayout {
+ public:
+  BatchLayout() = default;
+  /// Of batches of the shape of `like`, whose views need no data.
+  explicit BatchLayout(const RayBatch& like);
+  bool fits(const RayBatch& batch) const;
+  std::size_t bytes() const { return bytes_; }
+  /// Copies the arrays of a batch in host memory into a block.
+  void write(const RayBatch& batch, std::byte* block) const;
+  /// The batch in a block; its counts of tiles are host memory, those of `like`.
+  RayBatch in(const std::byte* block, Device device) const;
+
+ private:
+  BatchShape shape_;
+  std::vector<std::int64_t> label_only_;
+  std::vector<std::size_t> at_;  // where the arrays that are there begin
+  std::size_t bytes_ = 0;
+};
 
 /// What the summed squares of a batch's colours are divided by: their number, or 1 without any.
 double color_normaliser(const RayBatch& batch);

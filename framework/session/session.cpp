@@ -207,6 +207,15 @@ void fix_extent(Session& s, DeviceId device) {
   s.chosen = choose_from_scene(s.config, s.extent, device.kind);
 }
 
+// [C logits]; none: classes count alike.
+std::vector<float> class_weights(const Session& s) {
+  if (!s.plan.semantics || !s.config.semantics.balance_classes) return {};
+  std::vector<std::int64_t> pixels;
+  for (const int c : s.plan.class_of_logit)
+    pixels.push_back(s.manifest.train_class_pixels[static_cast<std::size_t>(c)]);
+  return inverse_log_frequency_weights(pixels);
+}
+
 // The network is built once, `last` in it; what else depends on its parts is asked of them.
 void build_session(Session& s, Registry& registry, const SessionOptions& options, RunOn how,
                    std::unique_ptr<Sampler<float>> last) {
@@ -215,14 +224,7 @@ void build_session(Session& s, Registry& registry, const SessionOptions& options
   s.limits.clip = !s.extent.contracted && parts.needs_bounds();
   s.config.runtime.lanes = parts.options.lanes;  // derived, as the extent is
 
-  std::vector<float> class_weight;
-  if (s.plan.semantics && s.config.semantics.balance_classes) {
-    std::vector<std::int64_t> pixels;
-    for (const int c : s.plan.class_of_logit)
-      pixels.push_back(s.manifest.train_class_pixels[static_cast<std::size_t>(c)]);
-    class_weight = inverse_log_frequency_weights(pixels);
-  }
-  s.pipeline = assemble(std::move(parts), std::move(class_weight), options.trainable);
+  s.pipeline = assemble(std::move(parts), class_weights(s), options.trainable);
   const bool has_axes = options.trainable && settle_axes(s);
   add_built_rows(built_parts(s, options.ranks), s.plan);
   if (options.ranks != nullptr) {
@@ -326,18 +328,20 @@ void probe_bounds(Session& s, Registry& registry, const SessionOptions& options,
   if (seen) use_probed_extent(*seen, s.scene, s.config.load, diagnostics);
 }
 
-// What rank 0 tells before the texts and numbers that a network is made of; no config: there will be no session.
-struct Building {
-  std::uint64_t config = 0, manifest = 0, weights = 0;  // bytes, bytes, numbers
-  std::int32_t trainable = 0, cuda = 0, ordinal = 0;
+// What rank 0 tells of where a session's network runs, behind its configuration and its manifest.
+struct Place {
+  DeviceId device;
+  bool trainable = true;
 };
 
-template <class T>
-std::span<std::byte> bytes_of(T& values) {
-  return std::as_writable_bytes(std::span(values));
-}
+void broadcast(Ranks& ranks, Place& place) { ranks.broadcast(std::as_writable_bytes(std::span(&place, 1))); }
 
-void broadcast(Ranks& ranks, Building& building) { ranks.broadcast(std::as_writable_bytes(std::span(&building, 1))); }
+void broadcast(Ranks& ranks, std::string& text) {
+  std::size_t size = text.size();
+  ranks.broadcast(std::as_writable_bytes(std::span(&size, 1)));
+  text.resize(size);
+  ranks.broadcast(std::as_writable_bytes(std::span(text)));
+}
 
 int cuda_devices() {
   int count = 0;
@@ -359,53 +363,38 @@ DeviceId device_of(const Ranks& ranks, DeviceId asked) {
 }
 
 // The network of rank 0's session, without its scene.
-struct Follower {
-  RunConfig config;
-  BuildPlan plan;
-  SceneExtent extent;
-  std::unique_ptr<Pipeline<float>> pipeline;
-  DeviceId device;
-};
-
-Follower assemble_follower(Ranks& ranks, Registry& registry, const Building& building, const std::string& config,
-                           const std::string& manifest, std::vector<float> class_weight) {
-  Follower made;
-  made.config = run_config_of(parse_config_text(config, "the configuration of rank 0"), registry);
-  const KnownScene known = read_manifest_text(manifest);
-  made.device = device_of(ranks, {building.cuda != 0 ? Device::cuda : Device::cpu, building.ordinal});
-  if (made.device.kind != Device::cpu) add_cuda_kernels(registry);
-  made.extent = extent_of(made.config, known.pixel_footprint_m);
-  std::unique_ptr<Sampler<float>> last = make_last_sampler(made.config, registry, made.extent);
-  BuildRequest request = build_request(made.config, registry, last->traits());
-  request.no_cuda.clear();
-  made.plan = plan_build(known.manifest, request, made.config.runtime.keep);
-  made.pipeline = assemble(make_parts<float>(made.config, registry, made.plan, made.extent, std::move(last)),
-                           std::move(class_weight), building.trainable != 0);
-  return made;
-}
-
-void serve_session(Ranks& ranks, Registry& registry, const Building& building) {
-  std::string config(building.config, '\0'), manifest(building.manifest, '\0');
-  std::vector<float> class_weight(building.weights);
-  ranks.broadcast(bytes_of(config));
-  ranks.broadcast(bytes_of(manifest));
-  ranks.broadcast(bytes_of(class_weight));
-  Follower made;
+void serve_session(Ranks& ranks, Registry& registry, const std::string& config) {
+  std::string manifest;
+  Place place;
+  broadcast(ranks, manifest);
+  broadcast(ranks, place);
+  Session s;
   try {
-    agree(ranks, [&] { made = assemble_follower(ranks, registry, building, config, manifest, class_weight); });
     agree(ranks, [&] {
-      run_on({made.device, building.trainable != 0, &ranks}, made.config, registry, made.plan, made.extent,
-             *made.pipeline);
+      s.config = run_config_of(parse_config_text(config, "the configuration of rank 0"), registry);
+      const KnownScene known = read_manifest_text(manifest);
+      s.manifest = known.manifest;
+      place.device = device_of(ranks, place.device);
+      if (place.device.kind != Device::cpu) add_cuda_kernels(registry);
+      s.extent = extent_of(s.config, known.pixel_footprint_m);
+      std::unique_ptr<Sampler<float>> last = make_last_sampler(s.config, registry, s.extent);
+      BuildRequest request = build_request(s.config, registry, last->traits());
+      request.no_cuda.clear();
+      s.plan = plan_build(s.manifest, request, s.config.runtime.keep);
+      s.pipeline = assemble(make_parts<float>(s.config, registry, s.plan, s.extent, std::move(last)), class_weights(s),
+                            place.trainable);
+    });
+    agree(ranks, [&] {
+      run_on({place.device, place.trainable, &ranks}, s.config, registry, s.plan, s.extent, *s.pipeline);
     });
   } catch (const RankLost&) {
     throw;
   } catch (const Error&) {  // rank 0 throws it too
     return;
   }
-  WorkSettings work = made.pipeline->options().work;
-  work.limits = &made.config.limits;
+  const WorkSettings work = s.work();
   const WorkScope scope(work);
-  static_cast<RanksExecutor&>(made.pipeline->executor()).serve();
+  static_cast<RanksExecutor&>(s.pipeline->executor()).serve();
 }
 
 }  // namespace
@@ -593,33 +582,25 @@ std::string describe_session(const Session& s) {
 void lead(Ranks& ranks, Session& session, Registry& registry, RunOn how) {
   std::string config = write_config(resolved_config(session.config));
   std::string manifest = manifest_text({session.manifest, session.scene.pixel_footprint_m});
-  std::vector<float> class_weight = session.pipeline->options().class_weight;
-  Building building{config.size(),
-                    manifest.size(),
-                    class_weight.size(),
-                    how.trainable ? 1 : 0,
-                    how.device.kind != Device::cpu ? 1 : 0,
-                    how.device.ordinal};
-  broadcast(ranks, building);
-  ranks.broadcast(bytes_of(config));
-  ranks.broadcast(bytes_of(manifest));
-  ranks.broadcast(bytes_of(class_weight));
+  Place place{how.device, how.trainable};
+  broadcast(ranks, config);
+  broadcast(ranks, manifest);
+  broadcast(ranks, place);
   agree(ranks, [&] { how.device = device_of(ranks, how.device); });
   how.ranks = &ranks;
   agree(ranks, [&] { run_on(how, session.config, registry, session.plan, session.extent, *session.pipeline); });
 }
 
 void follow(Ranks& ranks, Registry& registry) {
-  for (;;) {
-    Building building;
-    broadcast(ranks, building);
-    if (building.config == 0) return;
-    serve_session(ranks, registry, building);
+  for (std::string config;;) {
+    broadcast(ranks, config);
+    if (config.empty()) return;
+    serve_session(ranks, registry, config);
   }
 }
 
 void dismiss(Ranks& ranks) {
-  Building none;
+  std::string none;
   broadcast(ranks, none);
 }
 

@@ -572,7 +572,7 @@ void expect_same_batches(const RaySource& source, const PixelPool& pool, BatchDr
     source.fill(step, want);
     drawer.draw(step);
     const RayBatch host = want.view(pool.with_labels), seen = drawer.seen(step);
-    const RayBatch got = cuda::BatchLayout(host).in(drawer.batch(step));
+    const RayBatch got = BatchLayout(host).in(drawer.batch(step), Device::cuda);
     expect_bits(there(got.origin), want.origin, "origin");
     expect_bits(there(got.direction), want.direction, "direction");
     expect_bits(there(got.near_far), want.near_far, "near and far");

@@ -314,9 +314,6 @@ class Tampered final : public Ranks {
                   std::span<const std::size_t> bytes) override {
     inner_.all_gather(mine, all, bytes);
   }
-  void gather(std::span<const std::byte> mine, std::span<std::byte> all, std::span<const std::size_t> bytes) override {
-    inner_.gather(mine, all, bytes);
-  }
   void send(int to, std::span<const std::byte> data) override { inner_.send(to, data); }
   void receive(int from, std::span<std::byte> data) override { inner_.receive(from, data); }
   void end_when(std::function<bool()> asked, std::function<void()> hear) override {

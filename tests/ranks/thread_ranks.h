@@ -118,13 +118,6 @@ class ThreadRanks final : public Ranks {
                   std::span<const std::size_t> bytes) override {
     call([&] { meeting_.meet(rank_, mine, [&](const auto& shown) { put_together(shown, all, bytes); }); });
   }
-  void gather(std::span<const std::byte> mine, std::span<std::byte> all, std::span<const std::size_t> bytes) override {
-    call([&] {
-      meeting_.meet(rank_, mine, [&](const auto& shown) {
-        if (rank_ == 0) put_together(shown, all, bytes);
-      });
-    });
-  }
   void send(int to, std::span<const std::byte> data) override { meeting_.put(rank_, to, data); }
   void receive(int from, std::span<std::byte> data) override {
     call([&] {

@@ -55,15 +55,6 @@ Buffer<T> held(std::span<const T> values, const char* what) {
   return memory;
 }
 
-constexpr std::size_t kAlignBytes = 256;
-
-// Rows of a contiguous view behind each other.
-template <class T>
-void put(std::byte* to, View<const T> from) {
-  SEMFIELD_CHECK(!from.empty() && from.contiguous(), "rows of a batch lie behind each other");
-  std::memcpy(to, from.data, static_cast<std::size_t>(from.size()) * sizeof(T));
-}
-
 constexpr std::int64_t kLeast = 8192;  // fewer rows make no step faster
 constexpr double kSpare = 1.25, kTight = 1.06;
 constexpr double kWorth = 0.75;  // of the room before: each change costs two steps without a graph
@@ -233,7 +224,7 @@ bool BatchDrawer::relabel(const PixelPool& pool) {
 
 void BatchDrawer::draw(std::int64_t step) {
   if (any_ && step >= first_ && step < first_ + ahead_) return;
-  const RayBatch first = layout_.in(batches_.data());
+  const RayBatch first = layout_.in(batches_.data(), Device::cuda);
   const ChannelTable<const float>& more = first.targets.more;
   DrawnBatches batches;
   batches.origin = const_cast<double*>(first.origin.data);
@@ -268,45 +259,13 @@ const std::byte* BatchDrawer::batch(std::int64_t step) const {
 RayBatch BatchDrawer::seen(std::int64_t step) const {
   SEMFIELD_CHECK(any_ && step >= first_ && step < first_ + ahead_, "a step that was drawn");
   const std::size_t at = static_cast<std::size_t>(step - first_) * static_cast<std::size_t>(rule_.rays);
-  RayBatch batch = layout_.in(nullptr);
+  RayBatch batch = layout_.in(nullptr, Device::cuda);
   each_array(batch, [](auto& view) { view.data = nullptr, view.device = Device::cpu; });
   if (with_labels_) batch.targets.label.data = seen_label_.get() + at;
   if (with_depth_) batch.targets.more.set(channel::depth, {seen_depth_.get() + at, rule_.rays, 1});
   if (with_alpha_) batch.targets.more.set(channel::alpha, {seen_alpha_.get() + at, rule_.rays, 1});
   if (with_camera_) batch.targets.more.set(channel::camera, {nullptr, rule_.rays, 1});
   return batch;
-}
-
-BatchLayout::BatchLayout(const RayBatch& like)
-    : shape_(shape_of(like)), label_only_(like.label_only.data, like.label_only.data + shape_.tiles) {
-  each_array(like, [this]<class T>(const View<const T>& view) {
-    if (view.cols == 0) return;
-    at_.push_back(bytes_);
-    bytes_ += (static_cast<std::size_t>(view.size()) * sizeof(T) + kAlignBytes - 1) / kAlignBytes * kAlignBytes;
-  });
-}
-
-bool BatchLayout::fits(const RayBatch& batch) const {
-  const View<const std::int64_t>& counts = batch.label_only;
-  return shape_of(batch) == shape_ && std::equal(label_only_.begin(), label_only_.end(), counts.data);
-}
-
-void BatchLayout::write(const RayBatch& batch, std::byte* block) const {
-  std::size_t next = 0;
-  each_array(batch, [&](const auto& view) {
-    if (view.cols > 0) put(block + at_[next++], view);
-  });
-}
-
-RayBatch BatchLayout::in(const std::byte* block) const {
-  RayBatch out = shape_.batch();
-  std::size_t next = 0;
-  each_array(out, [&]<class T>(View<const T>& view) {
-    if (view.cols == 0) return;
-    view = {reinterpret_cast<const T*>(block + at_[next++]), view.rows, view.cols, view.cols, Device::cuda};
-  });
-  if (!label_only_.empty()) out.label_only = {label_only_.data(), std::ssize(label_only_), 1};
-  return out;
 }
 
 Staging::Staging(int slots, const RayBatch& like) : layout_(like) {

@@ -77,26 +77,6 @@ struct StepSums {
   LossSums shard[kShards][kMostPasses];
 };
 
-/// The arrays of a batch in one block, in the order of each_array.
-class BatchLayout {
- public:
-  BatchLayout() = default;
-  /// Of batches of the shape of `like`, whose views need no data.
-  explicit BatchLayout(const RayBatch& like);
-  bool fits(const RayBatch& batch) const;
-  std::size_t bytes() const { return bytes_; }
-  /// Copies the arrays of a batch in host memory into a block.
-  void write(const RayBatch& batch, std::byte* block) const;
-  /// The batch in a block of device memory; its counts of tiles are host memory.
-  RayBatch in(const std::byte* block) const;
-
- private:
-  BatchShape shape_;
-  std::vector<std::int64_t> label_only_;
-  std::vector<std::size_t> at_;  // where the arrays that are there begin
-  std::size_t bytes_ = 0;
-};
-
 /// Batches of steps on their way to the device: of each its StepCell and its rays, which may lie there already.
 class Staging {
  public:
@@ -119,7 +99,7 @@ class Staging {
   const StepCell* cell() const { return reinterpret_cast<const StepCell*>(device_.data()); }
   StepSums* device_sums() const { return device_sums_.data(); }
   /// The batch on the device.
-  RayBatch batch() const { return layout_.in(device_.data() + kCellBytes); }
+  RayBatch batch() const { return layout_.in(device_.data() + kCellBytes, Device::cuda); }
 
  private:
   static constexpr std::size_t kCellBytes = 256;

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <numeric>
 #include <optional>
 #include <span>
 #include <string>
@@ -43,9 +44,6 @@ class Ranks : NonCopyable {
   /// bytes[r] bytes of each rank r, one after the other, in `all` of every rank.
   virtual void all_gather(std::span<const std::byte> mine, std::span<std::byte> all,
                           std::span<const std::size_t> bytes) = 0;
-  /// The same in `all` of rank 0; the others' is not touched.
-  virtual void gather(std::span<const std::byte> mine, std::span<std::byte> all,
-                      std::span<const std::size_t> bytes) = 0;
   /// Returns when `data` may be used again.
   virtual void send(int to, std::span<const std::byte> data) = 0;
   virtual void receive(int from, std::span<std::byte> data) = 0;
@@ -70,6 +68,14 @@ std::vector<T> all_of(Ranks& ranks, const T& mine) {
   const std::vector<std::size_t> bytes(all.size(), sizeof(T));
   ranks.all_gather(std::as_bytes(std::span(&mine, 1)), std::as_writable_bytes(std::span(all)), bytes);
   return all;
+}
+
+/// `all` becomes the values of every rank, in order; each may have another number of them.
+template <class T>
+void join_values(Ranks& ranks, std::span<const T> mine, std::vector<T>& all) {
+  const std::vector<std::size_t> bytes = all_of(ranks, mine.size_bytes());
+  all.resize(std::accumulate(bytes.begin(), bytes.end(), std::size_t{0}) / sizeof(T));
+  ranks.all_gather(std::as_bytes(mine), std::as_writable_bytes(std::span(all)), bytes);
 }
 
 /// Text of every rank, in order.

@@ -117,16 +117,6 @@ class MpiRanks final : public Ranks {
     wait(request, "a gathering");
   }
 
-  void gather(std::span<const std::byte> mine, std::span<std::byte> all, std::span<const std::size_t> bytes) override {
-    if (rank_ != 0) return send(0, mine);
-    std::copy(mine.begin(), mine.end(), all.begin());
-    std::size_t at = bytes[0];
-    for (int r = 1; r < size_; ++r) {
-      receive(r, all.subspan(at, bytes[static_cast<std::size_t>(r)]));
-      at += bytes[static_cast<std::size_t>(r)];
-    }
-  }
-
   void send(int to, std::span<const std::byte> data) override {
     for (std::size_t at = 0; at < data.size(); at += kMostBytes) {
       const std::size_t count = std::min(kMostBytes, data.size() - at);
