@@ -75,8 +75,7 @@ SceneManifest manifest_of(int classes) {
 struct StepCase::Impl {
   std::vector<StoredFrame> pixels;
   std::vector<TrainingLabels::Frame> labels;
-  std::unique_ptr<Pipeline<float>> pipeline;
-  std::unique_ptr<RaySource> rays;
+  Session session;  // of random pictures: network and settings alone
   std::unique_ptr<Trainer> trainer;
   std::int64_t samples_last = 0, samples_all = 0;
   std::vector<LayerWork> work;
@@ -84,7 +83,7 @@ struct StepCase::Impl {
 };
 
 StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(std::make_unique<Impl>()) {
-  RunConfig config = load_run_config(options.config, options.set, registry);
+  RunConfig& config = impl_->session.config = load_run_config(options.config, options.set, registry);
   config.train.rays = options.rays;
   config.train.ray_source = RaySourceKind::all_images;
   config.adam.learning_rate =
@@ -100,15 +99,15 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
   config.runtime.precision = precision_of(config, registry, device);
   std::unique_ptr<Sampler<float>> last = make_last_sampler(config, registry, extent);
   const BuildPlan plan = plan_build(manifest_of(options.classes), build_request(config, registry, last->traits()), {});
-  impl_->pipeline = assemble(make_parts<float>(config, registry, plan, extent, std::move(last)), {}, true);
-  run_on({device}, config, registry, plan, extent, *impl_->pipeline);
+  impl_->session.pipeline = assemble(make_parts<float>(config, registry, plan, extent, std::move(last)), {}, true);
+  run_on({device}, config, registry, plan, extent, *impl_->session.pipeline);
 
   std::int64_t per_ray = 0, all = 0;
-  for (const Pass<float>& pass : impl_->pipeline->passes()) {
+  for (const Pass<float>& pass : impl_->session.pipeline->passes()) {
     per_ray = pass.capacity_per_ray(per_ray);
     all += per_ray;
     for (LayerWork& layer : pass_work(pass.parts(), options.rays, per_ray * options.rays,
-                                      impl_->pipeline->options().rules.deferred_class_layer))
+                                      impl_->session.pipeline->options().rules.deferred_class_layer))
       impl_->work.push_back(std::move(layer));
   }
   impl_->samples_last = per_ray * options.rays;
@@ -138,10 +137,10 @@ StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(s
   RaySourceOptions source;
   source.seed = config.runtime.seed;
   source.train.rays = options.rays;
-  source.tile_rays = impl_->pipeline->executor().tile_rays(options.rays);
-  impl_->rays = std::make_unique<RaySource>(std::move(frames), std::move(logit_of_class), limits, source);
-  impl_->trainer =
-      std::make_unique<Trainer>(*impl_->pipeline, *impl_->rays, config.adam, config.schedule, config.train.steps);
+  source.tile_rays = impl_->session.pipeline->executor().tile_rays(options.rays);
+  impl_->trainer = std::make_unique<Trainer>(
+      impl_->session, nullptr,
+      std::make_unique<RaySource>(std::move(frames), std::move(logit_of_class), limits, source));
 }
 
 StepCase::~StepCase() = default;
@@ -159,7 +158,7 @@ double StepCase::seconds(int threads, int steps) {
   set_thread_count(threads);
   const auto begin = std::chrono::steady_clock::now();
   for (std::int64_t done = 0; done < steps;) {
-    const std::span<const StepLosses> made = impl_->trainer->advance_many(steps - done);
+    const std::span<const StepLosses> made = impl_->trainer->advance(steps - done);
     impl_->losses = made.back();
     done += std::ssize(made);
   }
@@ -175,7 +174,7 @@ double StepCase::render_seconds(std::int64_t rays) {
   std::vector<double> origin, direction, near_far;
   BatchBuffers batch;
   for (std::int64_t step = 0; std::ssize(near_far) < 2 * rays; ++step) {
-    impl_->rays->fill(step, batch);
+    impl_->trainer->rays().fill(step, batch);
     origin.insert(origin.end(), batch.origin.begin(), batch.origin.end());
     direction.insert(direction.end(), batch.direction.begin(), batch.direction.end());
     near_far.insert(near_far.end(), batch.near_far.begin(), batch.near_far.end());
@@ -189,12 +188,12 @@ double StepCase::render_seconds(std::int64_t rays) {
   job.near_far = {near_far.data(), rays, 2};
   job.color = {color.data(), rays, 3};
   job.depth = {depth.data(), rays, 1};
-  if (impl_->pipeline->has_semantics()) {
+  if (impl_->session.pipeline->has_semantics()) {
     job.label = {label.data(), rays, 1};
     job.entropy = {entropy.data(), rays, 1};
   }
   const auto begin = std::chrono::steady_clock::now();
-  impl_->pipeline->render(job);
+  impl_->session.pipeline->render(job);
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
 }
 double StepCase::loss() const { return impl_->losses.total; }

@@ -15,7 +15,7 @@
 #include "eval/final_eval.h"
 #include "eval/metrics.h"
 #include "run/run_scores.h"
-#include "session/training.h"
+#include "session/trainer.h"
 #include "system/files.h"
 
 namespace semfield::app {

@@ -383,7 +383,7 @@ class StepRows {
 // sample between its frames.
 class RunScores {
  public:
-  RunScores(const Training& training, const RunFolder& folder, MetricsLog& log, EventWriter& events,
+  RunScores(const Trainer& training, const RunFolder& folder, MetricsLog& log, EventWriter& events,
             RunListener& listener)
       : training_(training),
         folder_(folder),
@@ -523,7 +523,7 @@ class RunScores {
     });
   }
 
-  const Training& training_;
+  const Trainer& training_;
   const RunFolder& folder_;
   MetricsLog& log_;
   EventWriter& events_;
@@ -608,7 +608,8 @@ Run::Run(OpenedForTraining opened, Registry& registry, const TrainRequest& reque
       driver_(request.driver),
       folder_(std::move(opened.folder)),
       ended_(std::move(opened.ended)),
-      training_(std::move(opened.session), &listener_, std::move(opened.inputs)),
+      session_(std::move(opened.session)),
+      training_(session_, &listener_, {}, std::move(opened.inputs)),
       work_(session().work()),
       self_training_(session(), training_.rays(), folder_ ? folder_->self_labels_path() : ""),
       annotations_(session().config.labels.clicks) {

@@ -21,7 +21,7 @@
 #include "session/session.h"
 #include "session/settings/choices.h"
 #include "session/settings/run_config.h"
-#include "session/training.h"
+#include "session/trainer.h"
 
 namespace semfield {
 
@@ -107,9 +107,9 @@ class Run {
 
   ~Run();
 
-  Training& training() { return training_; }
-  const Training& training() const { return training_; }
-  const Session& session() const { return training_.session(); }
+  Trainer& training() { return training_; }
+  const Trainer& training() const { return training_; }
+  const Session& session() const { return session_; }
   const std::optional<RunFolder>& folder() const { return folder_; }
   /// The folder, or where a run without one was last saved; "" for neither.
   std::string run_dir() const { return folder_ ? folder_->path() : saved_in_; }
@@ -119,13 +119,13 @@ class Run {
   /// Makes a round of self-training that is due, then at least one step and at most `most`: as many as run without
   /// waiting in between, up to the next row, round or the end. Then scores and saves what is due. Returns the losses of
   /// the steps, valid until the next call; none where the listener's stop signal ended the round, which stays due.
-  /// Errors are those of Training::advance and of writing; where another rank is lost, steps that all have made are
+  /// Errors are those of Trainer::advance and of writing; where another rank is lost, steps that all have made are
   /// saved first.
   std::span<const StepLosses> advance(std::int64_t most);
   /// Of Driver::command: steps to the end or to a stop signal, then the last scores and the report: run_training of a
   /// run that is open.
   TrainOutcome finish();
-  /// Training::train_more; run.yaml says so.
+  /// Trainer::train_more; run.yaml says so.
   void train_more(const AskedLength& asked);
 
   /// Writes rows that wait. Throws write_error; those not yet written still wait then.
@@ -169,7 +169,8 @@ class Run {
   std::vector<std::string> changed_;  // "step 20: train.steps: 20 -> 40", settings that are others than before
   std::optional<RunFolder> folder_;   // locked
   std::optional<TrainOutcome> ended_;
-  Training training_;
+  Session session_;
+  Trainer training_;
   WorkSettings work_;
   SelfTraining self_training_;
   std::optional<CheckpointStore> checkpoints_;

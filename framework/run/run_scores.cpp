@@ -14,7 +14,6 @@
 #include "session/checkpoint_facts.h"
 #include "session/settings/run_identity.h"
 #include "session/trainer.h"
-#include "session/training.h"
 #include "system/files.h"
 
 namespace semfield {

@@ -469,7 +469,7 @@ constexpr std::int64_t kCellPixels = 8;  // of maps, for a cell of the pool: wit
 
 }  // namespace
 
-LabelLoop::LabelLoop(Training& training, std::span<const int> frames, const LabelLoopOptions& options,
+LabelLoop::LabelLoop(Trainer& training, std::span<const int> frames, const LabelLoopOptions& options,
                      std::span<const int> held_out)
     : training_(training),
       pipeline_(*training.session().pipeline),

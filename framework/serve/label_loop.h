@@ -16,7 +16,7 @@
 #include "core/small_math.h"
 #include "execution/pipeline.h"
 #include "labels/clicks/annotations.h"
-#include "session/training.h"
+#include "session/trainer.h"
 #include "surface/surface_graph.h"
 
 namespace semfield {
@@ -324,7 +324,7 @@ class LabelLoop {
  public:
   /// `frames`: the views, numbers in SceneInfo::frames; `held_out`: views behind them that are only looked at, so
   /// neither surface nor questions come from them. Borrows the training, which must have semantics.
-  LabelLoop(Training& training, std::span<const int> frames, const LabelLoopOptions& options,
+  LabelLoop(Trainer& training, std::span<const int> frames, const LabelLoopOptions& options,
             std::span<const int> held_out = {});
 
   const std::vector<PoolView>& views() const { return views_; }
@@ -410,7 +410,7 @@ class LabelLoop {
   void make_pool();
   bool due(const PoolView& view) const;
 
-  Training& training_;
+  Trainer& training_;
   Pipeline<float>& pipeline_;
   LabelLoopOptions options_;
   std::vector<PoolView> views_;

@@ -81,7 +81,7 @@ class LabelRun {
   void ignore_pixels(const Annotations& annotations, std::span<const int> frames);
 
   std::unique_ptr<Run> run_;
-  Training& training_;
+  Trainer& training_;
   LabelLoop loop_;
   ViewPictures pictures_;
   std::vector<int> view_of_frame_;
@@ -138,7 +138,7 @@ struct LabelSessionOptions {
 /// session goes on and afterwards.
 class LabelSession final : public LabelSource {
  public:
-  /// Opens scene and run; `listener` may be null. Throws as open_session and Training do.
+  /// Opens scene and run; `listener` may be null. Throws as open_session and Trainer do.
   LabelSession(RunConfig config, Registry& registry, const LabelSessionOptions& options, RunListener* listener);
 
   bool apply(const LabelEvent& event) override;

@@ -38,7 +38,7 @@ std::int32_t fine_stride(const Camera& camera) {
 
 }  // namespace
 
-ViewPictures::ViewPictures(Training& training, LabelLoop& loop) : training_(training), loop_(loop) {}
+ViewPictures::ViewPictures(Trainer& training, LabelLoop& loop) : training_(training), loop_(loop) {}
 
 ViewPictures::Fine* ViewPictures::find_fine(int view) {
   const auto found = std::find_if(fine_.begin(), fine_.end(), [&](const Fine& f) { return f.view == view; });

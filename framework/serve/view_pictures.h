@@ -62,7 +62,7 @@ int nearest_view(std::span<const PoolView> views, const Pose& world_from_camera,
 /// Made by the thread that trains.
 class ViewPictures {
  public:
-  ViewPictures(Training& training, LabelLoop& loop);
+  ViewPictures(Trainer& training, LabelLoop& loop);
 
   /// Begins a picture; what was under way is forgotten. Throws Error(usage) for a view or camera that cannot be.
   void begin(const PictureRequest& request);
@@ -95,7 +95,7 @@ class ViewPictures {
   RayCamera camera_for(const PictureRequest& request) const;
   void render_rows(double budget_s);
 
-  Training& training_;
+  Trainer& training_;
   LabelLoop& loop_;
   std::list<Fine> fine_;  // the one looked at last comes first
   double rays_per_s_ = 60'000;

@@ -263,17 +263,16 @@ bool probe_is_due(const Session& s) {
 // Trains `s` for scene.load.probe_steps steps and surveys the depth that it then renders from the training cameras;
 // nothing where it shows no surface.
 std::optional<SurveyedExtent> probe_extent(Session& s) {
-  const std::unique_ptr<RaySource> rays = s.make_ray_source();
-  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule, s.config.train.steps);
+  Trainer trainer(s);
   const std::int64_t steps = s.config.load.probe_steps;
   while (trainer.step() < steps) {
-    trainer.advance_many(steps - trainer.step());
+    trainer.advance(steps - trainer.step());
     tell_load_progress("looking for the bounds", static_cast<std::size_t>(trainer.step()),
                        static_cast<std::size_t>(steps));
   }
   tell_load_progress("read", 1, 1);
   trainer.collect();
-  const double downscale = std::sqrt(std::max(1.0, static_cast<double>(rays->pixel_count()) / kMostPoints));
+  const double downscale = std::sqrt(std::max(1.0, static_cast<double>(trainer.rays().pixel_count()) / kMostPoints));
   std::vector<SurveyPoints> parts;
   for (const int f : s.scene.frames_of(Split::train))
     parts.push_back(look(s, s.scene.info.frames[static_cast<std::size_t>(f)], downscale));
@@ -318,6 +317,7 @@ void probe_bounds(Session& s, Registry& registry, const SessionOptions& options,
   probe.labels = std::move(s.labels);
   probe.manifest = s.manifest;
   probe.plan = s.plan;
+  probe.config.train.time_s = 0;  // its steps are counted
   fix_extent(probe, device);
   SessionOptions alone = options;
   alone.ranks = nullptr;

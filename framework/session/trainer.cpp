@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <cstring>
 #include <set>
@@ -10,10 +11,41 @@
 #include "compute/isa.h"
 #include "core/error.h"
 #include "execution/lane_executor.h"
+#include "plugin/loader.h"
+#include "scene/camera_rig.h"
+#include "session/assembly.h"
+#include "session/settings/run_identity.h"
+#include "system/checksum.h"
 
 namespace semfield {
 
 namespace {
+
+constexpr const char* kSetLabels = "set_labels";
+
+std::unique_ptr<Session> opened(RunConfig config, Registry& registry, const SessionOptions& options,
+                                TrainingListener* listener) {
+  Diagnostics diagnostics;
+  auto session = std::make_unique<Session>(open_session(std::move(config), registry, options, diagnostics));
+  if (listener != nullptr) tell_findings(*listener, diagnostics, *session);
+  return session;
+}
+
+Error no_logit(const std::string& place, const std::string& name) {
+  return Error(ErrorKind::data, "labels.class.no_logit",
+               fmt::format("{}: no label had class '{}' when the session opened, so the network has no logit for it",
+                           place, name),
+               "open it with runtime.keep: [semantics, absent_classes]");
+}
+
+double steady_s() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
+
+void copy_tensors(const ParamStore<float>& from, ParamStore<float>& to) {
+  for (const Tensor<float>& t : from.all()) {
+    const Tensor<float>* there = to.find(t.name);
+    if (there != nullptr && is_stored(t.spec.role)) std::copy_n(t.value.data(), t.value.size(), there->value.data());
+  }
+}
 
 const char* const kMoment1 = "adam/m/";
 const char* const kMoment2 = "adam/v/";
@@ -69,58 +101,124 @@ std::string element_text(const Tensor<float>& t, std::int64_t element) {
 
 }  // namespace
 
-Trainer::Trainer(Pipeline<float>& pipeline, const RaySource& rays, const AdamParams& adam,
-                 const ScheduleParams& schedule, std::int64_t steps)
-    : pipeline_(pipeline), rays_(rays), adam_(adam), schedule_(schedule), steps_(steps) {}
+double TrainingListener::step_clock_s() { return steady_s(); }
 
-void Trainer::set_length(const ScheduleParams& schedule, std::int64_t steps) {
-  schedule_ = schedule;
-  steps_ = steps;
+void tell_findings(TrainingListener& listener, const Diagnostics& diagnostics, const Session& session) {
+  for (const Diagnostic& finding : folded(diagnostics)) {
+    if (finding.severity == Severity::note) {
+      listener.note(finding.shown());
+    } else {
+      listener.warning(finding.shown());
+    }
+  }
+  for (const std::string& line : session.choices()) listener.note(line);
 }
 
-std::uint32_t Trainer::terms_of(std::int64_t step) const {
-  std::uint32_t terms = 0;
-  const std::vector<LossEntry>& entries = pipeline_.options().losses.entries();
-  for (std::size_t i = 0; i < entries.size(); ++i)
-    if (step >= step_of_share(entries[i].loss->rule().from_step, steps_, schedule_)) terms |= 1U << i;
-  return terms;
+Trainer::Trainer(RunConfig config, Registry& registry, const SessionOptions& options, TrainingListener* listener)
+    : Trainer(opened(std::move(config), registry, options, listener), listener) {}
+
+Trainer::Trainer(std::unique_ptr<Session> session, TrainingListener* listener) : Trainer(*session, listener) {
+  own_ = std::move(session);
 }
 
-StepLosses Trainer::advance() { return advance_many(1).back(); }
+Trainer::Trainer(Session& session, TrainingListener* listener, std::unique_ptr<RaySource> rays,
+                 std::optional<SceneInputs> inputs)
+    : session_(session),
+      work_(session.work()),
+      listener_(listener),
+      rays_(std::move(rays)),
+      was_set_(session.scene.frames.size(), false),
+      modules_(module_checksums(session.config.plugins)),
+      inputs_(std::move(inputs)) {
+  const WorkScope scope(work_);
+  if (!rays_) rays_ = session.make_ray_source();
+  if (session.config.labels.clicks) clicks_ = session.config.labels.clicks->known();
+  start_pace();
+}
 
-std::span<const StepLosses> Trainer::advance_many(std::int64_t most) {
-  const WorkScope scope(pipeline_.options().work);
+double Trainer::clock_s() const { return listener_ != nullptr ? listener_->step_clock_s() : steady_s(); }
+
+void Trainer::start_pace() {
+  pace_.reset();
+  if (last_step() == 0 && end_s(session_.config) > 0) pace_.emplace(train_s_, end_s(session_.config));
+}
+
+void Trainer::train_more(const AskedLength& asked) {
+  ask_more(session_.config, asked, step(), train_s_);
+  start_pace();
+}
+
+void Trainer::settle_length() {
+  if (!pace_) return;
+  const std::optional<std::int64_t> end = pace_->made(step(), train_s_, last_step());
+  if (!end) return;
+  const bool anew = last_step() > 0;
+  RunConfig& config = session_.config;
+  settle(config, step(), *end);
+  settled_ = true;
+  if (listener_ == nullptr) return;
+  const double rate = pace_->steps_per_s();
+  if (!anew)  // what a later correction says nobody can act on
+    listener_->note(
+        fmt::format("the length is settled: {} steps for {:.4g} s of training{}; the learning rate falls from step {} "
+                    "on, to {:.4g} "
+                    "of the first; run.yaml has the numbers, also where the rate of steps changes them",
+                    *end, end_s(config), rate > 0 ? fmt::format(" ({:.3g} steps per second)", rate) : "", step(),
+                    config.schedule.factor));
+  Diagnostics never;
+  check_length(config, never);
+  for (const Diagnostic& finding : never.all()) listener_->warning(finding.message);
+}
+
+const SceneInputs& Trainer::inputs() {
+  const WorkScope scope(work_);
+  if (!inputs_) inputs_ = scene_inputs(session_.scene, session_.labels);
+  return *inputs_;
+}
+
+// Steps.
+
+std::span<const StepLosses> Trainer::advance(std::int64_t most) {
+  const WorkScope scope(work_);
   const ComputeFloatMode mode;
+  const double start_s = clock_s();
   check_alive();
   hold_pixels();
-  Executor<float>& executor = pipeline_.executor();
-  const std::int64_t count = std::min<std::int64_t>(most, executor.most_queued());
+  make_steps(most);
+  train_s_ += clock_s() - start_s;
+  losses_ = made_.back();
+  settle_length();
+  if (listener_ == nullptr) return made_;
+  for (const std::string& note : executor().take_notes()) listener_->note(note);
+  listener_->stepped(step_, losses_);
+  return made_;
+}
+
+// Steps are queued one behind the other: drawn by the executor from the pixels that it holds, or given as batches.
+void Trainer::make_steps(std::int64_t most) {
+  const std::int64_t count = std::min<std::int64_t>(most, executor().most_queued());
   std::optional<Error> refused;  // what stopped the step behind those that are made
   bool has_batch = true;         // of that step
-  for (std::int64_t i = 0; i < count && !refused; ++i) {
-    const std::int64_t step = step_ + i;
-    const double factor = schedule_factor(schedule_, step);
-    AdamStep update = adam_step(adam_, adam_.learning_rate * factor, step);
-    const double from = pipeline_.options().cameras.from_step;  // corrections fall with the cube of the factor
-    update.fade = from > 0 && step < step_of_share(from, steps_, schedule_) ? 0 : factor * factor;
+  for (std::int64_t step = step_; step < step_ + count && !refused; ++step) {
     try {
       has_batch = drawn_;
       if (drawn_) {
-        executor.queue_drawn(step, terms_of(step), update);
+        executor().queue_drawn(step, terms_of(step), update_of(step));
         continue;
       }
       fill(step);
       has_batch = true;
-      executor.queue(step, batch_.view(pipeline_.has_semantics()), update);
+      executor().queue(step, batch(), update_of(step));
     } catch (const RankLost&) {
       throw;
     } catch (const Error& error) {
       refused = error;
     }
   }
-  const StepResults results = executor.finish();
-  step_ += std::ssize(results.losses);
-  for (const StepLosses& losses : results.losses) note_density(losses);
+  const StepResults results = executor().finish();
+  made_ = results.losses;
+  step_ += std::ssize(made_);
+  for (const StepLosses& losses : made_) note_density(losses);
   if (results.failed) explain_failed_step();
   if (refused && !has_batch) throw Error(*refused);
   if (refused) {
@@ -133,19 +231,36 @@ std::span<const StepLosses> Trainer::advance_many(std::int64_t most) {
         .while_doing(fmt::format(
             "while refreshing the sampler's state after step {}, which was made; that state is as it was", step_));
   }
-  return results.losses;
+}
+
+AdamStep Trainer::update_of(std::int64_t step) const {
+  const RunConfig& config = session_.config;
+  const double factor = schedule_factor(config.schedule, step);
+  AdamStep update = adam_step(config.adam, config.adam.learning_rate * factor, step);
+  const double from = pipeline().options().cameras.from_step;  // corrections fall with the cube of the factor
+  update.fade = from > 0 && step < step_of_share(from, config.train.steps, config.schedule) ? 0 : factor * factor;
+  return update;
+}
+
+std::uint32_t Trainer::terms_of(std::int64_t step) const {
+  const RunConfig& config = session_.config;
+  std::uint32_t terms = 0;
+  const std::vector<LossEntry>& entries = pipeline().options().losses.entries();
+  for (std::size_t i = 0; i < entries.size(); ++i)
+    if (step >= step_of_share(entries[i].loss->rule().from_step, config.train.steps, config.schedule)) terms |= 1U << i;
+  return terms;
 }
 
 // Executors that cannot hold the pixels are given batches.
 void Trainer::hold_pixels() {
-  if (held_ == rays_.version()) return;
-  const std::optional<PixelPool> pool = rays_.pool();
-  drawn_ = pool && pool->with_labels == pipeline_.has_semantics() && pipeline_.executor().hold(*pool);
-  held_ = rays_.version();
+  if (held_ == rays_->version()) return;
+  const std::optional<PixelPool> pool = rays_->pool();
+  drawn_ = pool && pool->with_labels == pipeline().has_semantics() && executor().hold(*pool);
+  held_ = rays_->version();
 }
 
 void Trainer::fill(std::int64_t step) {
-  rays_.fill(step, batch_);
+  rays_->fill(step, batch_);
   batch_.terms = terms_of(step);
 }
 
@@ -154,11 +269,11 @@ void Trainer::explain_failed_step() {
   collect();
   fill(step_);
   try {
-    (void)pipeline_.lanes().checked_gradients(step_, batch_.view(pipeline_.has_semantics()));
+    (void)pipeline().lanes().checked_gradients(step_, batch());
   } catch (const Error& error) {
     fail(error);
   }
-  pipeline_.store().clear_gradients();
+  pipeline().store().clear_gradients();
   throw Error(ErrorKind::failure, "device.value.not_finite",
               fmt::format("step {}: the device met a value that is not finite where the CPU meets none; nothing was "
                           "changed in this step",
@@ -172,7 +287,7 @@ std::string Trainer::bad_tensor() const {
   constexpr float kProportion = 1e10F;
   float largest = kProportion;
   std::string text;
-  for (const Tensor<float>& t : pipeline_.store().all()) {
+  for (const Tensor<float>& t : pipeline().store().all()) {
     if (t.spec.role == TensorRole::rearranged) continue;
     const std::int64_t bad = first_non_finite<float>(t.view(t.value));
     if (bad >= 0) return fmt::format("'{}' holds {} at {}", t.name, t.value.data()[bad], element_text(t, bad));
@@ -188,14 +303,14 @@ std::string Trainer::bad_tensor() const {
 
 // Throws what stopped the step, with the ray's frame and pixel and the tensor behind it.
 void Trainer::fail(const Error& error) {
-  const std::optional<RayFault> fault = pipeline_.find_fault(step_, batch_.view(pipeline_.has_semantics()));
+  const std::optional<RayFault> fault = pipeline().find_fault(step_, batch());
   const Error& cause = fault ? *fault : error;
   std::string text = fmt::format("step {}: ", step_);
   const bool is_ray = dynamic_cast<const RayFault*>(&error) != nullptr;
   if (!fault || !is_ray) text += error.message();
   if (fault && !is_ray && fault->message() != error.message()) text += "; ";
   if (fault && (is_ray || fault->message() != error.message())) text += fault->message();
-  if (fault) text += "; " + rays_.place_of_row(step_, fault->ray());
+  if (fault) text += "; " + rays_->place_of_row(step_, fault->ray());
   const std::string tensor = bad_tensor();
   if (!tensor.empty() && text.find(tensor) == std::string::npos) text += "; " + tensor;
   throw Error(cause.kind(), cause.code(), text + "; nothing was changed in this step", cause.remedy());
@@ -203,7 +318,7 @@ void Trainer::fail(const Error& error) {
 
 void Trainer::note_density(const StepLosses& losses) {
   constexpr double kExplained = 1.0 / (255.0 * 255.0);  // an empty scene in front of its background has no density
-  const std::size_t passes = pipeline_.passes().size();
+  const std::size_t passes = pipeline().passes().size();
   dead_pass_ = 0;
   while (dead_pass_ < passes && (losses.dense_passes >> dead_pass_ & 1U) != 0) ++dead_pass_;
   dead_steps_ = dead_pass_ < passes && losses.color > kExplained ? dead_steps_ + 1 : 0;
@@ -211,20 +326,179 @@ void Trainer::note_density(const StepLosses& losses) {
 
 void Trainer::check_alive() const {
   if (dead_steps_ < kDeadSteps) return;
-  const bool relu = pipeline_.options().rules.rendering.density_activation == DensityActivation::relu;
+  const bool relu = pipeline().options().rules.rendering.density_activation == DensityActivation::relu;
   throw Error(
       ErrorKind::failure, "train.density.dead",
       fmt::format("step {}: pass '{}' had no density at any sample of the last {} steps: every weight is 0, no "
                   "gradient reaches the density, and it cannot learn any more; nothing was changed in this step",
-                  step_, pipeline_.passes()[dead_pass_].parts().name, dead_steps_),
+                  step_, pipeline().passes()[dead_pass_].parts().name, dead_steps_),
       relu ? "set rendering.density_activation to softplus, raise rendering.density_bias or "
              "rendering.density_noise, or take another runtime.seed"
            : "raise rendering.density_bias, lower train.adam.learning_rate, or take another runtime.seed");
 }
 
+std::int64_t Trainer::train(std::int64_t steps) {
+  std::int64_t made = 0;
+  while (made < steps && !cancelled_) made += std::ssize(advance(steps - made));
+  cancelled_ = false;
+  return made;
+}
+
+// What the session shows, and what it learns from.
+
+RenderedFrame Trainer::render(const Camera& camera, const Pose& world_from_camera, const FrameOptions& options) const {
+  const WorkScope scope(work_);
+  FrameOptions counted = options;
+  counted.classes = session_.classes();
+  return render_frame(*session_.pipeline, {camera, world_from_camera, camera.has_distortion()}, session_.limits,
+                      session_.plan.class_of_logit, {}, counted);
+}
+
+SplitScore Trainer::evaluate(std::vector<int> frames) const {
+  const WorkScope scope(work_);
+  return semfield::evaluate(*session_.pipeline, session_.eval_job(std::move(frames)), session_.limits,
+                            session_.plan.class_of_logit);
+}
+
+void Trainer::require_drawn(int frame) const {
+  const std::vector<int> drawn = session_.drawn_frames();
+  if (std::find(drawn.begin(), drawn.end(), frame) != drawn.end()) return;
+  throw Error(ErrorKind::data, "labels.frame.untrained",
+              fmt::format("frame {}: it is not a training frame, so none of its labels train", frame),
+              "name one of Session::drawn_frames");
+}
+
+void Trainer::set_labels(int frame, std::vector<std::int16_t> labels) {
+  require_drawn(frame);
+  const auto f = static_cast<std::size_t>(frame);
+  const FrameInfo& info = session_.scene.info.frames[f];
+  const auto refuse = [&](Code code, const std::string& what, const std::string& remedy) {
+    throw Error(ErrorKind::data, code, fmt::format("labels of frame '{}': {}", info.name, what), remedy);
+  };
+  const std::int32_t width = info.camera.width_px, height = info.camera.height_px;
+  if (std::ssize(labels) != std::int64_t{width} * height) {
+    refuse("labels.given.size", fmt::format("{} values for {} x {} pixels", labels.size(), width, height),
+           "give a class index, or -1 for none, for every pixel, row by row");
+  }
+  const std::vector<std::int16_t> logit_of_class = session_.logit_of_class();
+  std::vector<std::int64_t> counts(static_cast<std::size_t>(session_.classes()) + 1);
+  for (std::size_t p = 0; p < labels.size(); ++p) {
+    const std::int16_t label = labels[p];
+    if (label == kVoid) {
+      ++counts.back();
+      continue;
+    }
+    const auto place = [&] {
+      return fmt::format("pixel x {}, y {}", p % static_cast<std::size_t>(width), p / static_cast<std::size_t>(width));
+    };
+    if (label < 0 || label >= session_.classes()) {
+      refuse("labels.class.range",
+             fmt::format("{}: {} is not a class; there are {}", place(), label, session_.classes()),
+             "give class indices, which begin at 0, or -1 for none");
+    }
+    if (!session_.plan.semantics || logit_of_class[static_cast<std::size_t>(label)] == kVoid) {
+      throw no_logit(fmt::format("labels of frame '{}': {}", info.name, place()),
+                     session_.scene.info.classes.valid(label).name);
+    }
+    ++counts[static_cast<std::size_t>(label)];
+  }
+  const WorkScope scope(work_);
+  (void)inputs();  // of the labels that there were
+  TrainingLabels::Frame& own = session_.labels.frames[f];
+  TrainingLabels::Frame fresh;
+  fresh.hard = LabelMap(std::move(labels));
+  std::swap(own, fresh);
+  try {
+    rays_->relabel();
+  } catch (const Error&) {
+    std::swap(own, fresh);
+    rays_->relabel();
+    throw;
+  }
+  session_.labels.class_pixels[f] = std::move(counts);
+  was_set_[f] = true;
+}
+
+void Trainer::set_clicks(const Annotations& clicks, std::span<const int> frames) {
+  const ClassTable& classes = session_.scene.info.classes;
+  if (session_.labels.unclicked.empty() || clicks.classes().valid_count() != classes.valid_count()) {
+    throw Error(ErrorKind::data, "labels.clicks.foreign",
+                "clicks: they are not those of this session, which was opened for other ones",
+                "open it with scene.labels.clicks or .class_room, and apply events to a copy of config.labels.clicks");
+  }
+  for (const int frame : frames) require_drawn(frame);
+  const WorkScope scope(work_);
+  TrainingLabels& labels = session_.labels;
+  struct Before {
+    TrainingLabels::Frame frame;
+    std::vector<std::int64_t> counts;
+  };
+  std::vector<Before> before;
+  const auto swap_back = [&] {
+    for (std::size_t i = 0; i < before.size(); ++i) {
+      const auto f = static_cast<std::size_t>(frames[i]);
+      std::swap(labels.frames[f], before[i].frame);
+      std::swap(labels.class_pixels[f], before[i].counts);
+    }
+  };
+  try {
+    const std::vector<std::int16_t> logit_of_class = session_.logit_of_class();
+    for (const int frame : frames) {
+      const auto f = static_cast<std::size_t>(frame);
+      before.push_back({std::move(labels.frames[f]), std::move(labels.class_pixels[f])});
+      paint_clicks(clicks, frame, labels);
+      const std::vector<std::int64_t>& counts = labels.class_pixels[f];
+      for (std::size_t c = 0; c + 1 < counts.size(); ++c) {
+        if (counts[c] > 0 && logit_of_class[c] == kVoid)
+          throw no_logit(fmt::format("clicks in frame '{}'", session_.scene.info.frames[f].name),
+                         classes.valid(static_cast<int>(c)).name);
+      }
+    }
+    rays_->relabel();
+  } catch (...) {
+    swap_back();
+    rays_->relabel();
+    throw;
+  }
+  for (const int frame : frames)
+    was_set_[static_cast<std::size_t>(frame)] = session_.config.labels.selection.clicks.empty();
+  session_.scene.info.classes = clicks.classes();
+  clicks_ = clicks.known();
+}
+
+// "" where none were set.
+std::string Trainer::set_labels_name() const {
+  std::uint32_t crc = 0;
+  int frames = 0;
+  for (std::size_t f = 0; f < was_set_.size(); ++f) {
+    if (!was_set_[f]) continue;
+    ++frames;
+    const std::vector<std::int16_t> labels = session_.labels.frames[f].hard.expand();
+    crc = crc32c(std::as_bytes(std::span(session_.scene.info.frames[f].name)), crc);
+    crc = crc32c(std::as_bytes(std::span(labels)), crc);
+  }
+  return frames == 0 ? "" : fmt::format("{} frames, {:08x}", frames, crc);
+}
+
+CheckpointFacts Trainer::facts() {
+  CheckpointFacts facts;
+  facts.step = step();
+  facts.train_s = train_s_;
+  facts.seed = session_.config.runtime.seed;
+  facts.config = write_config(resolved_config(session_.config));
+  facts.classes = session_.scene.info.classes.empty() ? "" : session_.scene.info.classes.to_yaml();
+  facts.scene = {session_.manifest, session_.scene.pixel_footprint_m};
+  facts.inputs = inputs();
+  facts.clicks = clicks_;
+  facts.modules = modules_;
+  return facts;
+}
+
+// Checkpoints.
+
 void Trainer::check_storable() const {
   each_stored(
-      pipeline_.store(), true, [&](const std::string&, const Tensor<float>& t, const AlignedBuffer<float>& buffer) {
+      pipeline().store(), true, [&](const std::string&, const Tensor<float>& t, const AlignedBuffer<float>& buffer) {
         const std::int64_t bad = first_non_finite<float>(t.view(buffer));
         if (bad < 0) return;
         throw Error(
@@ -235,30 +509,150 @@ void Trainer::check_storable() const {
       });
 }
 
-std::vector<TensorRef> Trainer::state() const {
+std::vector<TensorRef> Trainer::tensors() const {
   std::vector<TensorRef> out;
-  each_stored(pipeline_.store(), true,
+  each_stored(pipeline().store(), true,
               [&](const std::string& name, const Tensor<float>& t, const AlignedBuffer<float>& buffer) {
                 out.push_back(tensor_ref(name, shape_of(t), std::span<const float>(buffer.data(), buffer.size())));
               });
   return out;
 }
 
+std::vector<TensorRef> Trainer::state() {
+  const WorkScope scope(work_);
+  collect();
+  check_storable();
+  return tensors();
+}
+
+void Trainer::save(const std::string& path) {
+  TensorMetadata metadata = checkpoint_metadata(facts(), identity_hash(session_.config));
+  if (const std::string name = set_labels_name(); !name.empty()) metadata[kSetLabels] = name;
+  write_safetensors(path, state(), metadata);
+}
+
+void Trainer::load(const std::string& path) {
+  const WorkScope scope(work_);
+  const TensorFile file = TensorFile::read(path);
+  const CheckpointFacts facts = read_checkpoint_facts(file);
+  require_class_table(facts.classes, session_.scene.info.classes, session_.config.labels.clicks);
+  const auto named = file.metadata().find(kSetLabels);
+  if (named != file.metadata().end() && named->second != set_labels_name()) {
+    throw Error(ErrorKind::data, "checkpoint.labels.unset",
+                fmt::format("'{}': it was trained on labels that were set while it trained, and these "
+                            "are not set here",
+                            path),
+                "call set_labels with the same labels before load");
+  }
+  load(file, facts.step);
+  train_s_ = facts.train_s;
+  start_pace();
+}
+
 void Trainer::load(const TensorFile& file, std::int64_t step) {
   std::set<std::string> known;
-  for (const TensorRef& wanted : state()) known.insert(wanted.name);
+  for (const TensorRef& wanted : tensors()) known.insert(wanted.name);
   for (const TensorRef& have : file.tensors())
     if (!known.contains(have.name))
       throw refused_network("checkpoint.tensor.unknown", file,
                             "'" + have.name + "' belongs to no part of this network");
-  load_stored(file, true, pipeline_.store());
+  const std::vector<std::vector<float>> axes = axes_of(session_);
+  load_stored(file, true, pipeline().store());
   step_ = step;
-  pipeline_.executor().upload(step_);
+  executor().upload(step_);
+  follow_axes(session_, axes);
 }
 
 void load_pipeline(Pipeline<float>& pipeline, const TensorFile& file) {
   load_stored(file, false, pipeline.store());
   pipeline.executor().upload(0);
+}
+
+void use_learned_poses(Session& s, const TensorFile& checkpoint, Diagnostics& diagnostics) {
+  const std::string name = std::string(CameraCorrections<float>::kPoseName) + "/learned";
+  const TensorRef* learned = checkpoint.find(name);
+  const std::vector<int> frames = s.scene.frames_of(Split::train);
+  const std::int64_t rows = std::ssize(frames);
+  if (learned == nullptr) return;
+  if (learned->shape != std::vector<std::int64_t>{rows, kPoseNumbers}) {
+    diagnostics.warning(
+        "run.poses.other", "train.cameras",
+        fmt::format("the poses that the run has learned are not those of the {} training frames of this scene: those "
+                    "given are used",
+                    frames.size()),
+        "open the run with the scene that it was trained on");
+    return;
+  }
+  const std::vector<float> numbers = checkpoint.floats(name, rows * kPoseNumbers);
+  std::vector<float> used(numbers.size());
+  cpu_camera_kernels<float>().centre({numbers.data(), rows, kPoseNumbers}, 1, {used.data(), rows, kPoseNumbers}, false);
+  const double distance_m = s.pipeline->options().cameras.distance_m;
+  double turned_deg = 0, moved_m = 0;
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    Pose& pose = s.scene.info.frames[static_cast<std::size_t>(frames[i])].world_from_camera;
+    const Pose given = pose;
+    pose = corrected(given, &used[kPoseNumbers * i], distance_m);
+    turned_deg += angle_deg(given, pose);
+    moved_m += length(pose.t - given.t);
+  }
+  const double each = 1.0 / static_cast<double>(std::max<std::int64_t>(rows, 1));
+  diagnostics.note(
+      "run.poses.learned", "train.cameras",
+      fmt::format("training frames have the poses that the run has learned, {:.2f} degrees and {:.3g} m from "
+                  "those given in the mean",
+                  turned_deg * each, moved_m * each));
+}
+
+std::vector<Pose> refine_poses(Session& s, Registry& registry, const std::vector<int>& frames,
+                               const PoseRefinement& how) {
+  NetworkParts<float> parts = make_parts<float>(s.config, registry, s.plan, s.extent);
+  CameraRules& cameras = parts.options.cameras;
+  cameras.count = std::ssize(frames);
+  cameras.poses = cameras.alone = true;
+  cameras.colors = false;
+  cameras.pose_rate = 1;
+  parts.options.losses = LossList();
+  Session fitted;  // the field as it is, and cameras that learn
+  fitted.pipeline = assemble(std::move(parts), {}, true);
+  const std::unique_ptr<Pipeline<float>>& pipeline = fitted.pipeline;
+  s.pipeline->executor().download(0);
+  copy_tensors(s.pipeline->store(), pipeline->store());
+  run_on({s.pipeline->executor().device(), true, nullptr, nullptr}, s.config, registry, s.plan, s.extent, *pipeline);
+  pipeline->executor().upload(0);
+
+  std::vector<TrainFrame> drawn;
+  for (const int frame : frames) {
+    const auto f = static_cast<std::size_t>(frame);
+    if (s.scene.frames[f].is_unusable()) continue;
+    const FrameInfo& info = s.scene.info.frames[f];
+    drawn.push_back(
+        {{info.camera, info.world_from_camera, s.plan.undistortion}, &s.scene.frames[f], nullptr, info.name});
+  }
+  RaySourceOptions options;
+  options.train = s.config.train;
+  options.train.rays = how.rays;
+  options.train.ray_source = RaySourceKind::all_images;
+  options.targets = {std::string(channel::camera)};
+  options.seed = s.config.runtime.seed;
+  options.tile_rays = pipeline->executor().tile_rays(how.rays);
+  fitted.config.adam = {.learning_rate = how.learning_rate, .beta2 = 0.99, .epsilon = 1e-15};
+  fitted.config.schedule = {.kind = ScheduleKind::exponential, .factor = 0.1, .decay_steps = how.steps, .legs = {}};
+  fitted.config.train.steps = how.steps;
+  fitted.config.runtime.threads = s.config.runtime.threads;
+  fitted.config.limits = s.config.limits;
+  Trainer trainer(
+      fitted, nullptr,
+      std::make_unique<RaySource>(std::move(drawn), s.plan.semantics ? s.logit_of_class() : std::vector<std::int16_t>{},
+                                  s.limits, options));
+  trainer.train(how.steps);
+  trainer.collect();
+
+  const Tensor<float>* learned = pipeline->store().find(std::string(CameraCorrections<float>::kPoseName) + "/learned");
+  std::vector<Pose> poses;
+  for (std::size_t i = 0; i < frames.size(); ++i)
+    poses.push_back(corrected(s.scene.info.frames[static_cast<std::size_t>(frames[i])].world_from_camera,
+                              learned->value.data() + kPoseNumbers * i, pipeline->options().cameras.distance_m));
+  return poses;
 }
 
 }  // namespace semfield

@@ -648,9 +648,9 @@ TEST(CudaSampleRoom, AStepWithTooLittleIsMadeAgainToTheSameBits) {
   Subject plain(", deterministic: true", registry), limited(", deterministic: true", registry);
   for (const std::int64_t given : {64, 300}) {
     limited.room().give(given);
-    const std::span<const StepLosses> a = plain.trainer.advance_many(2);
+    const std::span<const StepLosses> a = plain.trainer.advance(2);
     const std::vector<StepLosses> want(a.begin(), a.end());
-    const std::span<const StepLosses> got = limited.trainer.advance_many(2);
+    const std::span<const StepLosses> got = limited.trainer.advance(2);
     ASSERT_EQ(got.size(), want.size());
     for (std::size_t i = 0; i < got.size(); ++i) {
       EXPECT_GT(want[i].samples, 8 * given);
@@ -671,8 +671,8 @@ TEST(CudaSampleRoom, ShrinksWhereMostIsUnusedAndTrainingGoesOn) {
   Subject run(", precision: bf16", registry), exact(", precision: bf16, deterministic: true", registry);
   double color = 0, same = 0;
   while (run.trainer.step() < 160) {
-    for (const StepLosses& losses : run.trainer.advance_many(160 - run.trainer.step())) color = losses.color;
-    for (const StepLosses& losses : exact.trainer.advance_many(run.trainer.step() - exact.trainer.step()))
+    for (const StepLosses& losses : run.trainer.advance(160 - run.trainer.step())) color = losses.color;
+    for (const StepLosses& losses : exact.trainer.advance(run.trainer.step() - exact.trainer.step()))
       same = losses.color;
   }
   EXPECT_GT(run.room().rows(), 0);

@@ -54,10 +54,9 @@ struct Trained {
 // Twelve steps, queued a few at a time: graphs are captured in the third.
 Lead train_into(Trained& result) {
   return [&result](Session& session) {
-    const std::unique_ptr<RaySource> rays = session.make_ray_source();
-    Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, session.config.train.steps);
+    Trainer trainer(session);
     while (trainer.step() < 12) {
-      for (const StepLosses& losses : trainer.advance_many(std::min<std::int64_t>(5, 12 - trainer.step())))
+      for (const StepLosses& losses : trainer.advance(std::min<std::int64_t>(5, 12 - trainer.step())))
         result.losses.push_back(losses);
     }
     trainer.collect();

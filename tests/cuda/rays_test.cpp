@@ -704,10 +704,8 @@ TEST_F(CudaPoints, TellRegionsApartAndLeaveTheRestAlone) {
     for (const std::string& config : branched_configs()) {  // without one the field, which has not learned, is read
       SCOPED_TRACE(precision + ("\n" + config));
       Session session = open_text(config + "runtime: {device: cuda, precision: " + precision + "}\n", registry);
-      const std::unique_ptr<RaySource> rays = session.make_ray_source();
-      Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule,
-                      session.config.train.steps);
-      trainer.advance_many(5);
+      Trainer trainer(session);
+      trainer.advance(5);
       trainer.collect();
       ParamStore<float>& store = session.pipeline->store();
       const auto others = [&] {
@@ -732,7 +730,7 @@ TEST_F(CudaPoints, TellRegionsApartAndLeaveTheRestAlone) {
       EXPECT_GT(right, lessons.logit.size() * 9 / 10);
       session.pipeline->executor().download(5);
       EXPECT_EQ(others(), before);
-      const StepLosses next = trainer.advance_many(1).back();
+      const StepLosses next = trainer.advance(1).back();
       EXPECT_TRUE(std::isfinite(next.total));
     }
   }

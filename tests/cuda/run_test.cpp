@@ -198,7 +198,7 @@ TEST_F(CudaRun, CheckpointsGoBothWays) {
     Training a(registry, hash_config(), first);
     a.train(40);
     a.trainer.check_storable();
-    write_safetensors(dir / "state.safetensors", a.trainer.state(), {});
+    write_safetensors(dir / "state.safetensors", a.trainer.tensors(), {});
     Training b(registry, hash_config(), second);
     b.trainer.load(TensorFile::read(dir / "state.safetensors"), 40);
     EXPECT_EQ(fingerprint(a.session.pipeline->store()), fingerprint(b.session.pipeline->store()));
@@ -274,7 +274,7 @@ TEST_F(CudaRun, AFaultNamesTensorAndPixelAndChangesNothing) {
     weight->value.data()[0] = std::numeric_limits<float>::quiet_NaN();
     cuda.session.pipeline->executor().upload(40);
     const std::uint32_t before = fingerprint(cuda.session.pipeline->store());
-    EXPECT_HAS(error_of([&] { cuda.trainer.advance_many(8); }), weight->name, "pixel");
+    EXPECT_HAS(error_of([&] { cuda.trainer.advance(8); }), weight->name, "pixel");
     EXPECT_EQ(cuda.trainer.step(), 40);
     cuda.trainer.collect();
     EXPECT_EQ(before, fingerprint(cuda.session.pipeline->store()));
@@ -429,7 +429,7 @@ TEST_F(CudaDevices, TwoDevicesOfAKindGiveTheSameBitsAndTakeOverFromEachOther) {
     b.to(20);
     EXPECT_EQ(a.bits(), b.bits()) << precision;
     const TempDir dir;
-    write_safetensors(dir / "state.safetensors", a.trainer.state(), {});
+    write_safetensors(dir / "state.safetensors", a.trainer.tensors(), {});
     Subject c(hash_config(), second, registry);
     c.trainer.load(TensorFile::read(dir / "state.safetensors"), 20);
     a.to(40);

@@ -114,8 +114,7 @@ std::uint32_t crc(std::string_view text, std::uint32_t before = 0) {
 struct Run {
   explicit Run(const std::string& yaml, Registry& registry) : session(open_text(yaml, registry)) {}
   Session session;
-  std::unique_ptr<RaySource> rays = session.make_ray_source();
-  Trainer trainer{*session.pipeline, *rays, session.config.adam, session.config.schedule};
+  Trainer trainer{session};
   std::uint32_t to(std::int64_t step) {
     while (trainer.step() < step) trainer.advance();
     trainer.collect();
@@ -126,7 +125,7 @@ struct Run {
 // The checkpoint of a run, whose file has nothing but tensors and one fact.
 std::string saved(Run& run, CheckpointStore& store, std::int64_t step) {
   run.to(step);
-  return store.save(step, run.trainer.state(), {{"train_s", "1"}});
+  return store.save(step, run.trainer.tensors(), {{"train_s", "1"}});
 }
 
 std::uint32_t trained(const Golden& golden, Registry& registry) {

@@ -210,9 +210,7 @@ std::string poisoned(std::string yaml) {
 /// A run that stands after `steps` clean steps.
 struct Subject {
   Subject(const std::string& yaml, Registry& registry, int steps)
-      : session(testing_train::open_text(yaml, registry)),
-        rays(session.make_ray_source()),
-        trainer(std::make_unique<Trainer>(*session.pipeline, *rays, session.config.adam, session.config.schedule)) {
+      : session(testing_train::open_text(yaml, registry)), trainer(std::make_unique<Trainer>(session)) {
     poison() = {};
     for (int i = 0; i < steps; ++i) trainer->advance();
   }
@@ -221,7 +219,7 @@ struct Subject {
   /// found without the ray source: the pixel whose ray has the same bits.
   std::string aim(std::int64_t row) {
     BatchBuffers batch;
-    rays->fill(trainer->step(), batch);
+    trainer->rays().fill(trainer->step(), batch);
     const double* o = batch.origin.data() + 3 * row;
     const double* d = batch.direction.data() + 3 * row;
     Poison& p = poison();
@@ -243,7 +241,6 @@ struct Subject {
   }
 
   Session session;
-  std::unique_ptr<RaySource> rays;
   std::unique_ptr<Trainer> trainer;
 };
 
@@ -298,7 +295,7 @@ bool in_window(const Tensor<float>& t, std::int64_t element, std::int64_t step) 
 std::int64_t element_of(Subject& subject, const Tensor<float>& t, bool windowed = true) {
   if (t.spec.role != TensorRole::sparse) return t.size() / 2;
   BatchBuffers batch;
-  subject.rays->fill(subject.trainer->step(), batch);
+  subject.trainer->rays().fill(subject.trainer->step(), batch);
   subject.session.pipeline->gradients(subject.trainer->step(), batch.view(true));
   std::int64_t element = -1;
   for (std::int64_t i = 0; i < t.size() && element < 0; ++i) {
@@ -552,11 +549,12 @@ struct BadRays {
     buffer.height_px = 4;
     buffer.rgb.assign(96, 128);
   }
-  RaySource make(const RayCamera& camera, const Subject& subject) {
+  std::unique_ptr<RaySource> make(const RayCamera& camera, const Subject& subject) {
     RaySourceOptions options{.train = {.rays = 12}, .tile_rays = subject.session.pipeline->tile_rays()};
     stored = StoredFrame(buffer);
-    return RaySource({{camera, &stored, labels.empty() ? nullptr : &labels, "bad_one"}}, {0, 1, 2, 3, 4},
-                     subject.session.limits, options);
+    std::vector<TrainFrame> frames{{camera, &stored, labels.empty() ? nullptr : &labels, "bad_one"}};
+    return std::make_unique<RaySource>(std::move(frames), std::vector<std::int16_t>{0, 1, 2, 3, 4},
+                                       subject.session.limits, options);
   }
   static RayCamera camera() {
     return RayCamera{.camera = {.width_px = 8, .height_px = 4, .fx = 4, .fy = 4, .cx = 4, .cy = 2}};
@@ -568,9 +566,7 @@ TEST(ReadingInjection, RaysOfABadCamera) {
   Subject subject(testing_train::two_pass_config(), registry, 1);
   const auto expect_named = [&](const std::string& site, const RayCamera& camera) {
     BadRays bad;
-    const RaySource source = bad.make(camera, subject);
-    subject.trainer = std::make_unique<Trainer>(*subject.session.pipeline, source, subject.session.config.adam,
-                                                subject.session.config.schedule);
+    subject.trainer = std::make_unique<Trainer>(subject.session, nullptr, bad.make(camera, subject));
     expect_caught(subject, site, {"frame 'bad_one', pixel x ", " of ray ", "nothing was changed"});
   };
   for (const double bad : kBad) {
@@ -596,7 +592,7 @@ TEST(ReadingInjection, ColoursAndSoftLabelsOfABatch) {
     for (const double bad : {kBad[0], kBad[1], kBad[2], -0.5}) {
       if (!soft && bad == -0.5) continue;  // a colour may be any number
       BatchBuffers batch;
-      subject.rays->fill(1, batch);
+      subject.trainer->rays().fill(1, batch);
       const std::int64_t rays = std::ssize(batch.label);
       std::vector<float> rows(static_cast<std::size_t>(rays * classes), 1.0F / static_cast<float>(classes));
       RayBatch view = batch.view(true);
@@ -636,10 +632,11 @@ TEST(DeadDensity, AnEmptySceneIsNoFault) {
   const StoredFrame stored(black);
   const FrameInfo& info = subject.session.scene.info.frames[0];
   RaySourceOptions options{.train = {.rays = 16}, .tile_rays = subject.session.pipeline->tile_rays()};
-  const RaySource source({{{info.camera, info.world_from_camera, false}, &stored, nullptr, ""}}, {},
-                         subject.session.limits, options);
-  Trainer trainer(*subject.session.pipeline, source, subject.session.config.adam, subject.session.config.schedule);
-  for (int i = 0; i < 220; ++i) ASSERT_EQ(trainer.advance().dense_passes, 0U);
+  std::vector<TrainFrame> frames{{{info.camera, info.world_from_camera, false}, &stored, nullptr, ""}};
+  Trainer trainer(
+      subject.session, nullptr,
+      std::make_unique<RaySource>(std::move(frames), std::vector<std::int16_t>{}, subject.session.limits, options));
+  for (int i = 0; i < 220; ++i) ASSERT_EQ(trainer.advance().back().dense_passes, 0U);
 }
 
 // A10: opacity that came in one or two long steps is reported, with a remedy; short steps are not blamed.

@@ -361,8 +361,7 @@ TEST(PointLearner, ChangesSemanticTensorsAloneAndForgetsWhatWasBefore) {
   for (const bool branch : {false, true}) {
     SCOPED_TRACE(branch);
     Session session = open_text(config_of(branch));
-    const auto rays = session.make_ray_source();
-    Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule);
+    Trainer trainer(session);
     for (int i = 0; i < 4; ++i) trainer.advance();
     ParamStore<float>& store = session.pipeline->store();
     const auto copy = [&](bool semantic) {
@@ -653,8 +652,7 @@ TEST(PointPass, RestartedTensorsAreThoseOfTheBeginning) {
     Session session = open_text(yaml), fresh = open_text(yaml);
     ParamStore<float>& store = session.pipeline->store();
     const std::uint32_t start = fingerprint(store);
-    const auto rays = session.make_ray_source();
-    Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule);
+    Trainer trainer(session);
     for (int i = 0; i < 3; ++i) trainer.advance();
     EXPECT_NE(fingerprint(store), start);
     for (Tensor<float>& tensor : store.all()) {

@@ -71,13 +71,13 @@ inline std::string room_config(const std::string& scene = "analytic_room", const
 inline LabelLoopOptions quick_options() { return LabelLoopOptions{.learning = {.steps = 60, .batch = 128}}; }
 
 struct LoopedRoom {
-  std::unique_ptr<Training> training;
+  std::unique_ptr<Trainer> training;
   std::unique_ptr<LabelLoop> loop;
 
   explicit LoopedRoom(std::int64_t steps = 150, const LabelLoopOptions& options = quick_options()) {
     Registry& registry = testing_train::all_plugins();
     training =
-        std::make_unique<Training>(run_config_of(parse_config_text(room_config(), "test.yaml"), registry), registry);
+        std::make_unique<Trainer>(run_config_of(parse_config_text(room_config(), "test.yaml"), registry), registry);
     loop = std::make_unique<LabelLoop>(*training, training->session().drawn_frames(), options);
     train(steps);
   }

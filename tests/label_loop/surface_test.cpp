@@ -375,8 +375,7 @@ class LearnedRoom : public testing::Test {
  protected:
   static void SetUpTestSuite() {
     session_ = new Session(open_text(hash_config(kDepth)));
-    const auto rays = session_->make_ray_source();
-    Trainer trainer(*session_->pipeline, *rays, session_->config.adam, session_->config.schedule);
+    Trainer trainer(*session_);
     while (trainer.step() < 200) trainer.advance();
   }
   static void TearDownTestSuite() { delete session_; }

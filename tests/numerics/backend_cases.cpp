@@ -741,20 +741,19 @@ void kernel_guards(CaseRun& run) {
 void trainer_guards(CaseRun& run) {
   Registry registry = with_room(run.registry());
   Session session = open_room(std::string("scene: {type: box_room}\n") + kHashPass, registry);
-  const auto rays = session.make_ray_source();
   int poisoned = 0;
   for (std::size_t i = 0; i < session.pipeline->store().all().size(); ++i) {
     // A network of its own for each: a run ends with such a step.
     session.pipeline = assemble(make_parts<float>(session.config, registry, session.plan, session.extent), {}, true);
     Tensor<float>& t = session.pipeline->store().all()[i];
     if (!t.learned() || t.spec.role == TensorRole::sparse) continue;
-    Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule);
+    Trainer trainer(session);
     trainer.advance();
     t.value.data()[0] = std::numeric_limits<float>::quiet_NaN();
     session.pipeline->derive(trainer.step());
     const auto state = [&] {
       std::uint32_t crc = 0;
-      for (const TensorRef& tensor : trainer.state()) crc = crc32c(tensor.bytes, crc);
+      for (const TensorRef& tensor : trainer.tensors()) crc = crc32c(tensor.bytes, crc);
       return crc;
     };
     const std::uint32_t before = state();
@@ -1009,11 +1008,10 @@ namespace {
 struct Training {
   Training(const std::string& yaml, const std::string& runtime, Registry& registry)
       : session(open_room("scene: {type: box_room}\n" + yaml + "runtime: {" + runtime + "}\n", registry)),
-        rays(session.make_ray_source()),
-        trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule) {}
+        trainer(session) {}
   StepLosses train(std::int64_t steps) {
     StepLosses last;
-    while (trainer.step() < steps) last = trainer.advance_many(steps - trainer.step()).back();
+    while (trainer.step() < steps) last = trainer.advance(steps - trainer.step()).back();
     trainer.collect();
     return last;
   }
@@ -1033,11 +1031,10 @@ struct Training {
   }
   std::uint32_t state() const {
     std::uint32_t crc = 0;
-    for (const TensorRef& tensor : trainer.state()) crc = crc32c(tensor.bytes, crc);
+    for (const TensorRef& tensor : trainer.tensors()) crc = crc32c(tensor.bytes, crc);
     return crc;
   }
   Session session;
-  std::unique_ptr<RaySource> rays;
   Trainer trainer;
 };
 

@@ -352,11 +352,10 @@ std::string small_checkpoint(const Registry& known) {
       "    direction: {type: spherical_harmonics, degree: 1}\n"
       "    field: {type: tiny_mlp, hidden_width: 8, color_width: 8, color_layers: 1}\ntrain: {rays: 16}\n",
       registry);
-  const auto rays = session.make_ray_source();
-  Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule);
+  Trainer trainer(session);
   for (int step = 0; step < 3; ++step) trainer.advance();
-  return encode_safetensors(trainer.state(), {{"format", "semfield-checkpoint-1"},
-                                              {"config", write_config(resolved_config(session.config))}});
+  return encode_safetensors(trainer.tensors(), {{"format", "semfield-checkpoint-1"},
+                                                {"config", write_config(resolved_config(session.config))}});
 }
 
 bool refused_as_data(const std::string& bytes) {

@@ -603,7 +603,7 @@ void all_void(CaseRun& run) {
   int with = 0, without = 0;
   for (int step = 0; step < 40; ++step) {
     const std::vector<TrainingBox::Kept> before = box.state();
-    const StepLosses losses = box.trainer().advance();
+    const StepLosses losses = box.trainer().advance().back();
     const std::vector<TrainingBox::Kept> after = box.state();
     ++(losses.labelled == 0 ? without : with);
     if (losses.labelled == 0) run.measure(std::abs(losses.semantic), 0, "semantic loss of a step without labels");
@@ -851,7 +851,7 @@ End outcome(CaseRun& run, int seed, const char* bias, std::int64_t& last) {
                               bias, seed));
   bool dense = false;
   try {
-    for (last = 0; last < 200; ++last) dense = box.trainer().advance().dense_passes != 0;
+    for (last = 0; last < 200; ++last) dense = box.trainer().advance().back().dense_passes != 0;
   } catch (const Error& error) {
     const std::string text = error.what();
     run.expect(error.kind() == ErrorKind::failure && text.find("no density") != std::string::npos &&

@@ -118,15 +118,12 @@ std::string grid_config(const std::string& more) {
 }
 
 TrainingBox::TrainingBox(const Registry& registry, const std::string& yaml)
-    : registry_(with_room(registry)),
-      session_(open_room(yaml, registry_)),
-      rays_(session_.make_ray_source()),
-      trainer_(std::make_unique<Trainer>(*session_.pipeline, *rays_, session_.config.adam, session_.config.schedule)) {}
+    : registry_(with_room(registry)), session_(open_room(yaml, registry_)), trainer_(session_) {}
 
 TrainingBox::~TrainingBox() = default;
 
 StepLosses TrainingBox::gradients(std::int64_t step) {
-  rays_->fill(step, batch_);
+  trainer_.rays().fill(step, batch_);
   pipeline().store().zero_gradients();
   return pipeline().gradients(step, batch_.view(pipeline().has_semantics()));
 }

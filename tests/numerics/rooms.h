@@ -44,7 +44,7 @@ class TrainingBox {
 
   Session& session() { return session_; }
   Pipeline<float>& pipeline() { return *session_.pipeline; }
-  Trainer& trainer() { return *trainer_; }
+  Trainer& trainer() { return trainer_; }
   /// Losses and gradients of a step without an update.
   StepLosses gradients(std::int64_t step);
   /// The batch of the last call of gradients.
@@ -62,8 +62,7 @@ class TrainingBox {
   ThreadScope one_thread_{1};  // results do not depend on it, and tiny steps are faster
   Registry registry_;
   Session session_;
-  std::unique_ptr<RaySource> rays_;
-  std::unique_ptr<Trainer> trainer_;
+  Trainer trainer_;
   BatchBuffers batch_;
 };
 

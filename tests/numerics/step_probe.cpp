@@ -43,10 +43,10 @@ int run(const std::string& path, int steps) {
   session.config.runtime.precision = precision;
   // A pipeline that has not stepped yet, so that nothing of the above is in what follows.
   session.pipeline = assemble(make_parts<float>(session.config, registry, session.plan, session.extent), {}, true);
-  Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule);
+  Trainer trainer(session);
   for (int step = 0; step < steps; ++step) trainer.advance();
   std::uint32_t state = 0;
-  for (const TensorRef& tensor : trainer.state()) state = crc32c(tensor.bytes, state);
+  for (const TensorRef& tensor : trainer.tensors()) state = crc32c(tensor.bytes, state);
   const SplitScore score =
       evaluate(*session.pipeline, session.eval_job({0, 1, 2}), session.limits, session.plan.class_of_logit);
   std::printf("%.9g %u\n", score.color.psnr_db().value_or(std::nan("")), state);

@@ -4,7 +4,7 @@
 
 #include "config/config_tree.h"
 #include "plugin/loader.h"
-#include "session/training.h"
+#include "session/trainer.h"
 
 namespace {
 
@@ -38,7 +38,7 @@ int main(int argc, char** argv) {
     const auto open = [&] {
       return semfield::run_config_of(semfield::parse_config_text(kConfig, "drive.cpp"), registry);
     };
-    semfield::Training training(open(), registry, {}, &printer);
+    semfield::Trainer training(open(), registry, {}, &printer);
     if (training.train(3) != 3) return 1;
     training.save(folder + "/drive.safetensors");
     if (training.train(2) != 2) return 1;
@@ -47,7 +47,7 @@ int main(int argc, char** argv) {
     const semfield::SplitScore score = training.evaluate({0});
     std::printf("%d x %d pixels, PSNR %.2f dB\n", picture.width_px, picture.height_px, *score.color.psnr_db());
 
-    semfield::Training again(open(), registry);
+    semfield::Trainer again(open(), registry);
     again.load(folder + "/drive.safetensors");
     if (again.train(2) != 2) return 1;
     const bool same = again.losses().total == training.losses().total;

@@ -178,10 +178,9 @@ void as_leader(int size, const std::string& yaml, const std::function<void(Sessi
 }
 
 StepLosses train(Session& session, std::int64_t steps) {
-  const auto rays = session.make_ray_source();
-  Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule, session.config.train.steps);
+  Trainer trainer(session);
   StepLosses last;
-  while (trainer.step() < steps) last = trainer.advance();
+  while (trainer.step() < steps) last = trainer.advance().back();
   trainer.collect();
   return last;
 }
@@ -244,8 +243,7 @@ struct Mended {
 };
 Mended break_and_mend(Session& session) {
   Mended out;
-  const auto rays = session.make_ray_source();
-  Trainer trainer(*session.pipeline, *rays, session.config.adam, session.config.schedule);
+  Trainer trainer(session);
   for (int i = 0; i < 3; ++i) trainer.advance();
   trainer.collect();
   float& weight = session.pipeline->store().find("fine/field/trunk_1/weight")->value.data()[5];

@@ -9,7 +9,7 @@
 #include "run/run_folder.h"
 #include "run/run_scores.h"
 #include "session/settings/choices.h"
-#include "session/training.h"
+#include "session/trainer.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {
@@ -20,7 +20,7 @@ using namespace testing_train;
 TEST(Resume, AnotherNetworksCheckpointIsRefusedAndNothingChanges) {
   const TempDir dir;
   TestRun wide(hash_config());
-  write_safetensors(dir / "state.safetensors", wide.trainer.state(), {});
+  write_safetensors(dir / "state.safetensors", wide.trainer.tensors(), {});
   std::string narrow_yaml = replaced(hash_config(), "color_width: 32", "color_width: 16");
   TestRun narrow(narrow_yaml);
   const std::uint32_t before = narrow.bits();

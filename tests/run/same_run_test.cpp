@@ -416,11 +416,10 @@ TEST(SelfTraining, ARoundLabelsWhatTheFieldIsSureOfAndNothingElse) {
   const TempDir dir;
   write_packed_config(dir, kSelfTrainingSteps, 0);
   Diagnostics diagnostics;
-  const Session s = open_session(config_in(dir), all_plugins(), {}, diagnostics);
-  const auto rays = s.make_ray_source();
-  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule);
+  Session s = open_session(config_in(dir), all_plugins(), {}, diagnostics);
+  Trainer trainer(s);
   for (int i = 0; i < 30; ++i) trainer.advance();
-  SelfTraining self(s, *rays, dir / "labels");
+  SelfTraining self(s, trainer.rays(), dir / "labels");
   EXPECT_FALSE(self.due(29));
   ASSERT_TRUE(self.due(30));
   EXPECT_EQ(self.steps_until_due(28, 20), 2);
@@ -465,7 +464,7 @@ TEST(SelfTraining, ARoundLabelsWhatTheFieldIsSureOfAndNothingElse) {
 
   // The rays of the next steps carry them.
   BatchBuffers batch;
-  rays->fill(30, batch);
+  trainer.rays().fill(30, batch);
   const std::unique_ptr<RaySource> plain = s.make_ray_source();
   BatchBuffers before;
   plain->fill(30, before);

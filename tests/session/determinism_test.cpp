@@ -8,7 +8,7 @@
 #include "config/compose.h"
 #include "eval/evaluator.h"
 #include "execution/lane_executor.h"
-#include "session/training.h"
+#include "session/trainer.h"
 #include "system/checksum.h"
 #include "tests/session/oracle.h"
 #include "tests/session/step_configs.h"
@@ -45,8 +45,7 @@ TEST(Determinism, AnotherSeedGivesAnotherRun) {
 
 TEST(Determinism, NoMemoryIsRequestedInSteadyState) {
   Session s = open_text(two_pass_config());
-  const auto source = s.make_ray_source();
-  Trainer trainer(*s.pipeline, *source, s.config.adam, s.config.schedule);
+  Trainer trainer(s);
   for (int i = 0; i < 3; ++i) trainer.advance();
   const std::int64_t growths = s.pipeline->lanes().workspace_growths();
   for (int i = 0; i < 10; ++i) trainer.advance();
@@ -86,7 +85,7 @@ TEST(Probability, OfAFrameSumsToOneAndItsLargestIsTheLabelsConfidence) {
                                   with_scene(hash_config(),
                                              "{type: analytic_room, frames: 4, absent_class: 1, labels: "
                                              "{frames: 1}}")}) {
-    Training training(run_config_of(parse_config_text(yaml, "test.yaml"), all_plugins()), all_plugins());
+    Trainer training(run_config_of(parse_config_text(yaml, "test.yaml"), all_plugins()), all_plugins());
     training.train(40);
     const Session& s = training.session();
     const FrameInfo& info = s.scene.info.frames.front();
@@ -207,13 +206,13 @@ Session open_in_unit(const Case& c, double scale) {
 
 Outcome train_in_unit(const Case& c, double scale) {
   Session s = open_in_unit(c, scale);
-  const auto rays = s.make_ray_source();
   constexpr std::int64_t kSteps = 24;
-  Trainer trainer(*s.pipeline, *rays, s.config.adam, s.config.schedule, kSteps);
+  s.config.train.steps = kSteps;
+  Trainer trainer(s);
   Outcome out;
   out.unit_m = s.config.rendering.unit_m;
   while (trainer.step() < kSteps) {
-    const StepLosses losses = trainer.advance();
+    const StepLosses losses = trainer.advance().back();
     for (const double loss : {losses.total, losses.color, losses.semantic}) out.losses.push_back(loss);
     for (std::size_t i = 0; i < s.config.losses.size(); ++i) out.losses.push_back(losses.terms[i]);
   }

@@ -20,20 +20,13 @@ namespace {
 using namespace testing_train;
 
 struct Trained {
+  Trained(const std::string& yaml, const std::vector<std::string>& keep, int steps) : session(open_text(yaml, keep)) {
+    trainer.train(steps);
+  }
   Session session;
-  std::unique_ptr<RaySource> rays;
-  std::unique_ptr<Trainer> trainer;
-  double loss_color = 0;
+  Trainer trainer{session};
 };
-
-Trained train(const std::string& yaml, const std::vector<std::string>& keep, int steps) {
-  Trained run{open_text(yaml, keep), nullptr, nullptr, 0};
-  run.rays = run.session.make_ray_source();
-  run.trainer =
-      std::make_unique<Trainer>(*run.session.pipeline, *run.rays, run.session.config.adam, run.session.config.schedule);
-  for (int i = 0; i < steps; ++i) run.loss_color = run.trainer->advance().color;
-  return run;
-}
+Trained train(const std::string& yaml, const std::vector<std::string>& keep, int steps) { return {yaml, keep, steps}; }
 
 bool left_out(const Session& s, const std::string& component) {
   for (const LeftOut& row : s.plan.left_out) {
@@ -72,7 +65,7 @@ TEST(LeaveOut, WhatNoTensorNeedsIsLeftOutBitwise) {
     expect_shared_tensors_equal(out.session, kept.session);
     if (component != std::string("semantics")) continue;
     EXPECT_TRUE(kept.session.pipeline->has_semantics());
-    EXPECT_EQ(out.loss_color, kept.loss_color);
+    EXPECT_EQ(out.trainer.losses().color, kept.trainer.losses().color);
   }
 }
 
@@ -152,7 +145,7 @@ TEST(LeaveOut, AbsentClassesAreBitwiseTheModelThatMasksThem) {
   masked_from("bias", -1e18F);  // large, and below the magnitude that a step refuses
   kept.session.pipeline->derive(0);
   for (int i = 0; i < 30; ++i) {
-    const StepLosses a = out.trainer->advance(), b = kept.trainer->advance();
+    const StepLosses a = out.trainer.advance().back(), b = kept.trainer.advance().back();
     ASSERT_EQ(a.semantic, b.semantic) << "step " << i;
   }
   for (const Tensor<float>& t : out.session.pipeline->store().all()) {
@@ -442,8 +435,7 @@ TEST(Lanes, ARunThatNamesItsNumberKeepsIt) {
 
 std::size_t scratch_of(const std::string& yaml) {
   Session s = open_text(yaml);
-  const auto source = s.make_ray_source();
-  Trainer trainer(*s.pipeline, *source, s.config.adam, s.config.schedule);
+  Trainer trainer(s);
   for (int i = 0; i < 2; ++i) trainer.advance();
   return s.pipeline->lanes().workspace_bytes();
 }

@@ -10,7 +10,7 @@
 #include "model/camera_corrections.h"
 #include "model/render_rules.h"
 #include "session/settings/choices.h"
-#include "session/training.h"
+#include "session/trainer.h"
 #include "tests/plugin/toy_encoder.h"
 #include "tests/session/oracle.h"
 
@@ -195,7 +195,7 @@ FieldPoints ask(const Session& s, const std::vector<Vec3d>& places, const std::v
 TEST(FieldPoints, AreWhatRaysAreMadeOf) {
   const std::string yaml =
       stratified_config("type: analytic_room", "", "rays: 128, steps: 60, adam: {learning_rate: 0.02}");
-  Training training(run_config_of(parse_config_text(yaml, "test.yaml"), all_plugins()), all_plugins());
+  Trainer training(run_config_of(parse_config_text(yaml, "test.yaml"), all_plugins()), all_plugins());
   training.train(60);
   const Session& s = training.session();
   const Pass<float>& pass = s.pipeline->passes().back();
@@ -246,7 +246,7 @@ TEST(FieldPoints, AreWhatRaysAreMadeOf) {
 
 TEST(FieldPoints, SameBitsInAnyGroupingAndProbabilitiesAreOnes) {
   for (const std::string& yaml : {hash_config(), two_pass_config()}) {
-    Training training(run_config_of(parse_config_text(yaml, "test.yaml"), all_plugins()), all_plugins());
+    Trainer training(run_config_of(parse_config_text(yaml, "test.yaml"), all_plugins()), all_plugins());
     training.train(30);
     const Session& s = training.session();
     const std::vector<Vec3d> places = points_in(s.scene.bounds, 1500), seen = directions(1500);

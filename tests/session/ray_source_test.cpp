@@ -10,7 +10,7 @@
 #include "core/rng.h"
 #include "scene/scene.h"
 #include "session/settings/choices.h"
-#include "session/training.h"
+#include "session/trainer.h"
 #include "tests/session/gradient_hook.h"
 #include "tests/session/oracle.h"
 

@@ -9,7 +9,7 @@
 #include "session/assembly.h"
 #include "session/ray_source.h"
 #include "session/settings/choices.h"
-#include "session/training.h"
+#include "session/trainer.h"
 #include "tests/session/oracle.h"
 
 namespace semfield {

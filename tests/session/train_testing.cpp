@@ -245,7 +245,7 @@ std::uint32_t train_fingerprint(const std::string& yaml, int threads, std::int64
 
 StepLosses TestRun::to(std::int64_t step) {
   StepLosses last;
-  while (trainer.step() < step) last = trainer.advance_many(step - trainer.step()).back();
+  while (trainer.step() < step) last = trainer.advance(step - trainer.step()).back();
   trainer.collect();
   return last;
 }

@@ -29,7 +29,7 @@ Session open_text(const std::string& yaml, Registry& registry, const std::vector
                   Ranks* ranks = nullptr);
 /// The same with all_plugins().
 Session open_text(const std::string& yaml, const std::vector<std::string>& keep = {});
-/// A session with its rays and its trainer.
+/// A session and its trainer.
 struct TestRun {
   TestRun(const std::string& yaml, Registry& registry, const std::vector<std::string>& keep = {})
       : session(open_text(yaml, registry, keep)) {}
@@ -41,8 +41,7 @@ struct TestRun {
   std::uint32_t bits() const;
 
   Session session;
-  std::unique_ptr<RaySource> rays = session.make_ray_source();
-  Trainer trainer{*session.pipeline, *rays, session.config.adam, session.config.schedule, session.config.train.steps};
+  Trainer trainer{session};
 };
 
 /// What the session's list says of the component that it leaves out; throws where it is not left out.

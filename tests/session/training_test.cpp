@@ -1,11 +1,10 @@
 // The public loop: two trainings in two threads, labels that change between steps, saving and going on, cancelling.
 
-#include "session/training.h"
-
 #include <thread>
 
 #include "labels/clicks/click_log.h"
 #include "session/assembly.h"
+#include "session/trainer.h"
 #include "tests/session/train_testing.h"
 
 namespace semfield {
@@ -17,11 +16,11 @@ RunConfig config_of(const std::string& yaml, Registry& registry = all_plugins())
   return run_config_of(parse_config_text(yaml, "test.yaml"), registry);
 }
 
-std::uint32_t bits_of(const Training& training) { return fingerprint(training.session().pipeline->store()); }
+std::uint32_t bits_of(const Trainer& training) { return fingerprint(training.session().pipeline->store()); }
 
 std::uint32_t bits_after(const std::string& yaml, std::int64_t steps) {
   Registry registry = make_registry();
-  Training training(config_of(yaml, registry), registry);
+  Trainer training(config_of(yaml, registry), registry);
   EXPECT_EQ(training.train(steps), steps);
   return bits_of(training);
 }
@@ -50,7 +49,7 @@ void train_telling(const std::string& yaml, std::int64_t steps, Told& told) {
   options.progress = [&told](std::string_view doing, std::size_t, std::size_t) {
     if (told.loading.empty() || told.loading.back() != doing) told.loading.emplace_back(doing);
   };
-  Training training(config_of(yaml, registry), registry, options, &told);
+  Trainer training(config_of(yaml, registry), registry, options, &told);
   EXPECT_EQ(training.train(steps), steps);
   told.bits = bits_of(training);
 }
@@ -96,7 +95,7 @@ TEST(Training, TellsItsListenerAndObeysACancelAfterTheStep) {
       then(step);
     }
   } listener;
-  Training training(config_of(hash_config()), all_plugins(), {}, &listener);
+  Trainer training(config_of(hash_config()), all_plugins(), {}, &listener);
   listener.then = [&](std::int64_t step) {
     if (step == 4) training.cancel();
   };
@@ -110,7 +109,7 @@ TEST(Training, TellsItsListenerAndObeysACancelAfterTheStep) {
 }
 
 TEST(Training, RendersAndEvaluatesBetweenStepsWithoutAChange) {
-  Training training(config_of(hash_config()), all_plugins());
+  Trainer training(config_of(hash_config()), all_plugins());
   training.train(3);
   const FrameInfo& info = training.session().scene.info.frames.front();
   const RenderedFrame wide = training.render(info.camera.resized(20, 10), info.world_from_camera);
@@ -124,7 +123,7 @@ TEST(Training, RendersAndEvaluatesBetweenStepsWithoutAChange) {
 }
 
 // The scene's labels of a frame, turned by one class among those that have a logit.
-std::vector<std::int16_t> turned(const Training& training, int frame) {
+std::vector<std::int16_t> turned(const Trainer& training, int frame) {
   std::vector<std::int16_t> labels = training.session().scene.frames[frame].label.expand();
   const int classes = training.session().classes();
   for (std::int16_t& label : labels) {
@@ -139,9 +138,9 @@ std::string balanced(std::string yaml) {
 
 class SetLabels : public testing::TestWithParam<std::string> {
  protected:
-  std::unique_ptr<Training> open() { return std::make_unique<Training>(config_of(GetParam(), registry_), registry_); }
+  std::unique_ptr<Trainer> open() { return std::make_unique<Trainer>(config_of(GetParam(), registry_), registry_); }
   // Labels of two frames change before step 4 and of one of them again before step 8.
-  void change(Training& training) const {
+  void change(Trainer& training) const {
     const std::vector<int> drawn = training.session().drawn_frames();
     if (training.step() == 4) {
       for (const int frame : {drawn[0], drawn[2]}) training.set_labels(frame, turned(training, frame));
@@ -152,7 +151,7 @@ class SetLabels : public testing::TestWithParam<std::string> {
       training.set_labels(drawn[0], std::move(none));
     }
   }
-  void to(Training& training, std::int64_t step) const {
+  void to(Trainer& training, std::int64_t step) const {
     while (training.step() < step) {
       change(training);
       training.advance();
@@ -194,7 +193,7 @@ TEST_P(SetLabels, TrainsOnThemAndResumesToTheSameBits) {
 
 TEST(Training, LabelsThatCannotTrainAreRefusedAndNothingChanges) {
   std::string yaml = replaced(two_pass_config(), "analytic_room}", "analytic_room, absent_class: 3}");
-  Training training(config_of(yaml), all_plugins());
+  Trainer training(config_of(yaml), all_plugins());
   const int frame = training.session().drawn_frames().front();
   const int test_frame = training.session().scene.frames_of(Split::test).front();
   std::vector<std::int16_t> labels(48 * 36, 0);
@@ -212,14 +211,14 @@ TEST(Training, LabelsThatCannotTrainAreRefusedAndNothingChanges) {
   EXPECT_EQ(bits_of(training), bits_after(yaml, 4));
 
   // As the remedy says.
-  Training kept(config_of(yaml + "runtime: {keep: [semantics, absent_classes]}\n"), all_plugins());
+  Trainer kept(config_of(yaml + "runtime: {keep: [semantics, absent_classes]}\n"), all_plugins());
   kept.set_labels(frame, labels);
   EXPECT_EQ(kept.train(2), 2);
 }
 
 TEST(Training, TheLastLabelCannotBeTakenFromABalancedSource) {
   std::string yaml = replaced(balanced(two_pass_config()), "analytic_room}", "analytic_room, labels: {frames: 1}}");
-  Training training(config_of(yaml), all_plugins());
+  Trainer training(config_of(yaml), all_plugins());
   int labelled = -1;
   for (const int frame : training.session().drawn_frames()) {
     if (!training.session().labels.frames[frame].empty()) labelled = frame;
@@ -243,7 +242,7 @@ TEST(ShippedConfigurations, TheFrequencyTwinOfTheQuickstartTrainsPastItsFirstSte
         SEMFIELD_SOURCE_DIR "/configs/quickstart_frequency.yaml",
         {seed, "train.rays=128", "scene.frames=12", "scene.test_frames=2", "scene.width_px=48", "scene.height_px=36"},
         all_plugins());
-    Training training(std::move(config), all_plugins());
+    Trainer training(std::move(config), all_plugins());
     training.train(1);
     const double first = training.losses().total;
     EXPECT_EQ(training.train(129), 129) << seed;
@@ -295,8 +294,8 @@ struct Room {
     const Session session = open_text(two_pass_config(), registry);
     return session.scene.info.frames[session.drawn_frames().front()].name;
   }
-  std::unique_ptr<Training> open(const std::string& yaml) {
-    return std::make_unique<Training>(run_config_of(parse_config_text(yaml, "test.yaml"), registry), registry);
+  std::unique_ptr<Trainer> open(const std::string& yaml) {
+    return std::make_unique<Trainer>(run_config_of(parse_config_text(yaml, "test.yaml"), registry), registry);
   }
   std::string refusal(const std::string& yaml) {
     return error_of([&] { (void)open(yaml); });
