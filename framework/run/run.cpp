@@ -35,14 +35,6 @@ struct ResumePoint {
   std::int64_t step() const { return facts ? facts->step : 0; }
 };
 
-struct OpenedForTraining {
-  std::optional<RunFolder> folder;  ///< locked; none where the request names none
-  Session session;
-  SceneInputs inputs;
-  ResumePoint point;
-  std::optional<TrainOutcome> ended = {};
-};
-
 namespace {
 
 namespace fs = std::filesystem;
@@ -188,62 +180,6 @@ std::optional<TrainOutcome> ended_run(const RunFolder& folder, const RunConfig& 
   return outcome;
 }
 
-OpenedForTraining open_for_training(RunConfig config, Registry& registry, const TrainRequest& request,
-                                    TrainingListener* listener) {
-  if (request.out_dir.empty() && !config.self_training.at.empty())
-    throw Error(ErrorKind::usage, "run.folder.unnamed",
-                "train.self_training: its rounds are written to the run's folder, and this run has none",
-                "name a folder when the run is opened");
-  // A program's run that has room for classes and a folder keeps its clicks there.
-  LabelParams& labels = config.labels.selection;
-  if (request.driver == Driver::program && labels.clicks.empty() && labels.class_room > 0 && !request.out_dir.empty())
-    labels.clicks = (fs::absolute(request.out_dir) / kClickFile).string();
-  Diagnostics diagnostics;
-  SessionOptions options;
-  options.keep = request.keep;
-  options.probe = true;
-  options.ranks = request.ranks;
-  if (config.report.training_frames > 0) options.depth = DepthKept::all;
-  if (!request.out_dir.empty()) settle_click_file(config.labels, request.out_dir);
-  // A new run's folder is made when nothing can refuse the run any more; a resumed one is locked first.
-  if (!request.resume && !request.out_dir.empty()) RunFolder::require_new(request.out_dir);
-  std::optional<RunFolder> folder;
-  ResumePoint point;
-  if (request.resume) {
-    folder.emplace(RunFolder::resume(request.out_dir));
-    keep_components(config, request.keep);
-    point = find_resume_point(*folder, config, registry, diagnostics);
-    if (request.more.any()) {
-      const std::string before = length_text(config);
-      ask_more(config, request.more, point.step(), point.facts ? point.facts->train_s : 0);
-      point.changed.push_back({"length", before, length_text(config)});
-    }
-    require_scene_places(config, folder->path());
-    require_clicks({point.facts.has_value(), point.facts ? point.facts->clicks : std::nullopt}, config.labels,
-                   folder->path(), diagnostics);
-    if (point.facts) options.trained_classes = point.facts->classes;
-  }
-  const std::size_t before = diagnostics.all().size();
-  Session session = open_session(std::move(config), registry, options, diagnostics);
-  std::string findings;
-  for (std::size_t i = before; i < diagnostics.all().size(); ++i) findings += diagnostics.all()[i].text() + "\n";
-  SceneInputs inputs = scene_inputs(session.scene, session.labels);
-  if (point.facts) compare_with_training(*point.facts, inputs, session, diagnostics);
-  if (listener != nullptr) tell_findings(*listener, diagnostics, session);
-  if (request.out_dir.empty()) return {std::nullopt, std::move(session), std::move(inputs), std::move(point)};
-  if (folder && request.driver == Driver::command) {
-    if (std::optional<TrainOutcome> ended = ended_run(*folder, session.config, point))
-      return {std::move(*folder), std::move(session), std::move(inputs), std::move(point), std::move(ended)};
-  }
-  if (!folder) {
-    (void)run_config_text(session.config, registry);  // what cannot be stored leaves no folder
-    folder.emplace(RunFolder::create(request.out_dir));
-  }
-  write_run_config(*folder, session.config, registry);
-  if (!findings.empty() || fs::exists(folder->findings_path())) write_file_atomic(folder->findings_path(), findings);
-  return {std::move(*folder), std::move(session), std::move(inputs), std::move(point)};
-}
-
 // What the process holds when the first steps are made. Throws Error(unavailable) where it is more than
 // runtime.memory_gb.
 std::size_t memory_of_first_steps(const RunConfig& config) {
@@ -331,53 +267,6 @@ void add_given_scores(MetricsRow& row, const Session& session, const std::vector
 }
 
 }  // namespace
-
-// Rows of metrics.jsonl from the losses of steps: one every report.log_every_steps, with means since the row before.
-class StepRows {
- public:
-  // Borrows; `train_s`: seconds of training so far.
-  StepRows(const Session& session, double train_s) : session_(session), window_start_s_(train_s) {}
-
-  // Steps from `step` to the next row.
-  std::int64_t steps_until_row(std::int64_t step) const {
-    const std::int64_t every = session_.config.report.log_every_steps;
-    return every - step % every;
-  }
-
-  // The row that step `step` completes, if it does. To be called for every step; `train_s` is of now.
-  std::optional<MetricsRow> add(const StepLosses& losses, std::int64_t step, double train_s) {
-    const RunConfig& config = session_.config;
-    mse_sum_ += losses.mse;
-    ++steps_;
-    if (step % config.report.log_every_steps != 0 && step != last_step(config)) return std::nullopt;
-    const double span = std::max(train_s - window_start_s_, 1e-9);
-    MetricsRow row;
-    row.step = step;
-    row.train_s = train_s;
-    row.set("loss", losses.total);
-    row.set("loss_color", losses.color);
-    if (session_.pipeline->has_semantics()) row.set("loss_semantic", losses.semantic);
-    const std::vector<LossEntry>& terms = config.losses;
-    for (std::size_t i = 0; i < terms.size(); ++i) {  // without a value while the term has not begun
-      row.set("loss_" + terms[i].type, (losses.active >> i & 1U) != 0 ? std::optional(losses.terms[i]) : std::nullopt);
-    }
-    row.set("psnr", -10 * std::log10(mse_sum_ / static_cast<double>(steps_)));
-    row.set("rays_per_s", static_cast<double>(steps_ * config.train.rays) / span);
-    row.set("samples_per_ray", static_cast<double>(losses.samples) / static_cast<double>(config.train.rays));
-    mse_sum_ = 0;
-    steps_ = 0;
-    window_start_s_ = train_s;
-    return row;
-  }
-
-  // Seconds that were training and no steps: they do not count for rays_per_s.
-  void leave_out(double seconds) { window_start_s_ += seconds; }
-
- private:
-  const Session& session_;
-  double mse_sum_ = 0, window_start_s_ = 0;
-  std::int64_t steps_ = 0;
-};
 
 // What a run scores: a sample of test frames now and then, test and training frames at its end. A stop signal ends a
 // sample between its frames.
@@ -599,21 +488,8 @@ double RunListener::now_s() { return std::chrono::duration<double>(Clock::now().
 
 Run::Run(RunConfig config, Registry& registry, const TrainRequest& request, RunListener* listener,
          TrainingListener* opening)
-    : Run(open_for_training(std::move(config), registry, request, opening != nullptr ? opening : listener), registry,
-          request, listener) {}
-
-Run::Run(OpenedForTraining opened, Registry& registry, const TrainRequest& request, RunListener* listener)
-    : registry_(registry),
-      listener_(listener != nullptr ? *listener : nobody_),
-      driver_(request.driver),
-      folder_(std::move(opened.folder)),
-      ended_(std::move(opened.ended)),
-      session_(std::move(opened.session)),
-      training_(session_, &listener_, {}, std::move(opened.inputs)),
-      work_(session().work()),
-      self_training_(session(), training_.rays(), folder_ ? folder_->self_labels_path() : ""),
-      annotations_(session().config.labels.clicks) {
-  const ResumePoint& point = opened.point;
+    : registry_(registry), listener_(listener != nullptr ? *listener : nobody_), driver_(request.driver) {
+  const ResumePoint point = open(std::move(config), request, opening != nullptr ? *opening : listener_);
   if (ended_) {
     listener_.note(
         fmt::format("the run has come to its end, {} steps, and nothing of it was changed; to train on: `{}`",
@@ -624,20 +500,20 @@ Run::Run(OpenedForTraining opened, Registry& registry, const TrainRequest& reque
   for (const ConfigDifference& change : point.changed)
     changed_.push_back(fmt::format("step {}: {}", point.step(), change.text()));
   if (folder_) {
-    checkpoints_.emplace(folder_->checkpoints_path(), session().config.report.keep_checkpoints);
-    if (driver_ != Driver::page) self_training_.resume(point.step(), point.facts ? point.facts->self_labels : "");
+    checkpoints_.emplace(folder_->checkpoints_path(), session_.config.report.keep_checkpoints);
+    if (driver_ != Driver::page) self_training_->resume(point.step(), point.facts ? point.facts->self_labels : "");
     write_records(*folder_);
-    if (point.facts) training_.load(point.path);
-    saved_step_ = training_.step();
+    if (point.facts) training_->load(point.path);
+    saved_step_ = training_->step();
     // Rows past the step taken up (all of them, for a run killed before its first checkpoint) are dropped.
-    log_.emplace(MetricsLog::resume(folder_->metrics_path(), training_.step()));
+    log_.emplace(MetricsLog::resume(folder_->metrics_path(), training_->step()));
   }
-  step_rows_ = std::make_unique<StepRows>(session(), training_.train_s());
+  row_start_s_ = training_->train_s();
   if (driver_ != Driver::command) return;
   events_.emplace(folder_->path(), unix_seconds());
-  scores_ = std::make_unique<RunScores>(training_, *folder_, *log_, *events_, listener_);
-  const double every_s = session().config.report.eval_every_s;
-  next_eval_s_ = every_s > 0 ? (std::floor(training_.train_s() / every_s) + 1) * every_s : INFINITY;
+  scores_ = std::make_unique<RunScores>(*training_, *folder_, *log_, *events_, listener_);
+  const double every_s = session_.config.report.eval_every_s;
+  next_eval_s_ = every_s > 0 ? (std::floor(training_->train_s() / every_s) + 1) * every_s : INFINITY;
   if (!request.resume) return;
   for (const ConfigDifference& change : point.changed)
     listener_.note(fmt::format("from step {} on: {}", point.step(), change.text()));
@@ -645,25 +521,84 @@ Run::Run(OpenedForTraining opened, Registry& registry, const TrainRequest& reque
     listener_.note("no checkpoint yet: starting from step 0");
     return;
   }
-  listener_.note(fmt::format("resuming at step {} ({:.1f} s of training) from {}", training_.step(),
-                             training_.train_s(), point.path));
+  listener_.note(fmt::format("resuming at step {} ({:.1f} s of training) from {}", training_->step(),
+                             training_->train_s(), point.path));
   // Its last evaluation may have been cut off, and settings of the page may be others now.
-  if (training_.at_its_end())
+  if (training_->at_its_end())
     listener_.note(
         fmt::format("the run has come to its end, {} steps: it is scored again, not trained; to train on: `{}`",
-                    training_.step(), train_on_words(run_dir(), training_.train_s())));
+                    training_->step(), train_on_words(run_dir(), training_->train_s())));
+}
+
+// Scene, network and folder. A new run's folder is made when nothing can refuse the run any more; a resumed one is
+// locked first.
+ResumePoint Run::open(RunConfig config, const TrainRequest& request, TrainingListener& told) {
+  const std::string& out_dir = request.out_dir;
+  if (out_dir.empty() && !config.self_training.at.empty())
+    throw Error(ErrorKind::usage, "run.folder.unnamed",
+                "train.self_training: its rounds are written to the run's folder, and this run has none",
+                "name a folder when the run is opened");
+  // A program's run that has room for classes and a folder keeps its clicks there.
+  LabelParams& labels = config.labels.selection;
+  if (driver_ == Driver::program && labels.clicks.empty() && labels.class_room > 0 && !out_dir.empty())
+    labels.clicks = (fs::absolute(out_dir) / kClickFile).string();
+  Diagnostics diagnostics;
+  SessionOptions options;
+  options.keep = request.keep;
+  options.probe = true;
+  options.ranks = request.ranks;
+  if (config.report.training_frames > 0) options.depth = DepthKept::all;
+  if (!out_dir.empty()) settle_click_file(config.labels, out_dir);
+  if (!request.resume && !out_dir.empty()) RunFolder::require_new(out_dir);
+  ResumePoint point;
+  if (request.resume) {
+    folder_.emplace(RunFolder::resume(out_dir));
+    keep_components(config, request.keep);
+    point = find_resume_point(*folder_, config, registry_, diagnostics);
+    if (request.more.any()) {
+      const std::string before = length_text(config);
+      ask_more(config, request.more, point.step(), point.facts ? point.facts->train_s : 0);
+      point.changed.push_back({"length", before, length_text(config)});
+    }
+    require_scene_places(config, folder_->path());
+    require_clicks({point.facts.has_value(), point.facts ? point.facts->clicks : std::nullopt}, config.labels,
+                   folder_->path(), diagnostics);
+    if (point.facts) options.trained_classes = point.facts->classes;
+  }
+  const std::size_t before = diagnostics.all().size();
+  session_ = open_session(std::move(config), registry_, options, diagnostics);
+  work_ = session_.work();
+  std::string findings;
+  for (std::size_t i = before; i < diagnostics.all().size(); ++i) findings += diagnostics.all()[i].text() + "\n";
+  SceneInputs inputs = scene_inputs(session_.scene, session_.labels);
+  if (point.facts) compare_with_training(*point.facts, inputs, session_, diagnostics);
+  tell_findings(told, diagnostics, session_);
+  if (folder_ && driver_ == Driver::command) ended_ = ended_run(*folder_, session_.config, point);
+  if (!out_dir.empty() && !folder_) {
+    (void)run_config_text(session_.config, registry_);  // what cannot be stored leaves no folder
+    folder_.emplace(RunFolder::create(out_dir));
+  }
+  if (folder_ && !ended_) {
+    write_run_config(*folder_, session_.config, registry_);
+    if (!findings.empty() || fs::exists(folder_->findings_path()))
+      write_file_atomic(folder_->findings_path(), findings);
+  }
+  training_.emplace(session_, &listener_, nullptr, std::move(inputs));
+  self_training_.emplace(session_, training_->rays(), folder_ ? folder_->self_labels_path() : "");
+  annotations_ = session_.config.labels.clicks;
+  return point;
 }
 
 Run::~Run() = default;
 
 void Run::write_records(const RunFolder& folder) {
-  classes_written_ = named_classes(session().scene.info.classes).to_yaml();
-  if (!session().scene.info.classes.empty()) write_file_atomic(folder.classes_path(), classes_written_);
+  classes_written_ = named_classes(session_.scene.info.classes).to_yaml();
+  if (!session_.scene.info.classes.empty()) write_file_atomic(folder.classes_path(), classes_written_);
   write_left_out(folder, session());
   Environment environment = this_environment();
   environment.threads = thread_count();
-  environment.seed = session().config.runtime.seed;
-  environment.input_hash = training_.inputs().hash();
+  environment.seed = session_.config.runtime.seed;
+  environment.input_hash = training_->inputs().hash();
   // Those of earlier resumes, which the file holds that is about to be written again, and this one's.
   const std::string path = folder.environment_path();
   if (fs::exists(path)) environment.settings_changed = parse_settings_changed(read_text_file(path), path);
@@ -672,37 +607,37 @@ void Run::write_records(const RunFolder& folder) {
     if (std::find(all.begin(), all.end(), line) == all.end()) all.push_back(line);
   }
   for (const PluginEntry* entry : registry_.entries()) environment.modules.push_back(entry->module);
-  const Executor<float>& executor = session().pipeline->executor();
+  const Executor<float>& executor = session_.pipeline->executor();
   environment.more = {
       {"started", fmt::format("{:%Y-%m-%d %H:%M} UTC", fmt::gmtime(std::time(nullptr)))},
       {"device", executor.description()},
       {"matrix products", executor.matrix_products()},
-      {"precision", std::string(precision_name(session().config.runtime.precision))},
+      {"precision", std::string(precision_name(session_.config.runtime.precision))},
   };
   write_file_atomic(path, environment_json(environment));
   if (driver_ != Driver::page) write_label_counts(folder);
 }
 
 void Run::write_label_counts(const RunFolder& folder) const {
-  LabelCounts counts = label_counts(session().manifest, session().scene.info.classes, session().labels.steps);
-  counts.rounds = self_training_.rounds();
+  LabelCounts counts = label_counts(session_.manifest, session_.scene.info.classes, session_.labels.steps);
+  counts.rounds = self_training_->rounds();
   write_file_atomic(folder.labels_path(), label_counts_json(counts));
 }
 
 std::span<const StepLosses> Run::advance(std::int64_t most) {
   const WorkScope scope(work_);
   try {
-    const std::int64_t before = training_.step();
-    if (driver_ != Driver::page && self_training_.due(before)) {
+    const std::int64_t before = training_->step();
+    if (driver_ != Driver::page && self_training_->due(before)) {
       if (!make_round()) return {};
     }
-    const double before_s = training_.train_s();
-    most = std::min(most, step_rows_->steps_until_row(before));
-    if (const std::int64_t end = training_.last_step(); end > before) most = std::min(most, end - before);
-    if (driver_ != Driver::page) most = self_training_.steps_until_due(before, most);
-    const std::span<const StepLosses> made = training_.advance(most);
-    if (training_.take_settled() && folder_) write_run_config(*folder_, session().config, registry_);
-    const double step_s = (training_.train_s() - before_s) / static_cast<double>(made.size());
+    const double before_s = training_->train_s();
+    most = std::min(most, steps_until_row(before));
+    if (const std::int64_t end = training_->last_step(); end > before) most = std::min(most, end - before);
+    if (driver_ != Driver::page) most = self_training_->steps_until_due(before, most);
+    const std::span<const StepLosses> made = training_->advance(most);
+    if (training_->take_settled() && folder_) write_run_config(*folder_, session_.config, registry_);
+    const double step_s = (training_->train_s() - before_s) / static_cast<double>(made.size());
     if (step_s > kStopDeadline_s && !std::exchange(warned_of_slow_steps_, true))
       listener_.note(
           fmt::format("a step takes {:.0f} s: SIGINT and SIGTERM are answered after it, later than the {:.0f} s "
@@ -711,13 +646,13 @@ std::span<const StepLosses> Run::advance(std::int64_t most) {
     for (std::size_t i = 0; i < made.size(); ++i) record(made[i], before + 1 + static_cast<std::int64_t>(i));
     if (folder_ && driver_ != Driver::page) write_rows();
     if (!memory_known_) {
-      const std::size_t bytes = memory_of_first_steps(session().config);
+      const std::size_t bytes = memory_of_first_steps(session_.config);
       memory_known_ = true;
       if (driver_ == Driver::command)
         listener_.note(fmt::format("after the first steps the process holds {} of memory", memory_text(bytes)));
     }
-    if (scores_ && training_.train_s() >= next_eval_s_) {
-      next_eval_s_ += session().config.report.eval_every_s;
+    if (scores_ && training_->train_s() >= next_eval_s_) {
+      next_eval_s_ += session_.config.report.eval_every_s;
       scores_->score_sample();
     }
     if (driver_ != Driver::command) return made;
@@ -729,7 +664,7 @@ std::span<const StepLosses> Run::advance(std::int64_t most) {
     return made;
   } catch (const RankLost&) {
     // On the CPU every step is made by all or not at all. A GPU may wait for ever for the rank that is gone.
-    if (driver_ == Driver::command && session().pipeline->executor().device().kind == Device::cpu && !saved()) save();
+    if (driver_ == Driver::command && session_.pipeline->executor().device().kind == Device::cpu && !saved()) save();
     throw;
   }
 }
@@ -739,17 +674,17 @@ bool Run::make_round() {
   const Clock::time_point start = Clock::now();
   const SelfTraining::Hooks hooks{[this](const ScoreProgress& p) { listener_.scoring(p); },
                                   [this] { return listener_.stop_signal() != 0; }};
-  if (!self_training_.make_round(training_.step(), hooks)) return false;
+  if (!self_training_->make_round(training_->step(), hooks)) return false;
   const double spent_s = seconds_since(start);
-  training_.add_train_s(spent_s);
-  step_rows_->leave_out(spent_s);
-  listener_.note(self_training_.rounds().back().text());
+  training_->add_train_s(spent_s);
+  row_start_s_ += spent_s;  // no steps, which rays_per_s is of
+  listener_.note(self_training_->rounds().back().text());
   write_label_counts(*folder_);
   return true;
 }
 
 void Run::record(const StepLosses& losses, std::int64_t step) {
-  std::optional<MetricsRow> row = step_rows_->add(losses, step, training_.train_s());
+  std::optional<MetricsRow> row = row_of(losses, step);
   if (!row) return;
   listener_.row(*row);
   if (events_)
@@ -759,13 +694,45 @@ void Run::record(const StepLosses& losses, std::int64_t step) {
   if (!folder_ || waiting_.size() < kMostWaiting) waiting_.push_back(*std::move(row));
 }
 
+// Steps from `step` to the next row.
+std::int64_t Run::steps_until_row(std::int64_t step) const {
+  const std::int64_t every = session_.config.report.log_every_steps;
+  return every - step % every;
+}
+
+// The row of metrics.jsonl that a step completes, if it does, with means since the row before.
+std::optional<MetricsRow> Run::row_of(const StepLosses& losses, std::int64_t step) {
+  const RunConfig& config = session_.config;
+  row_mse_ += losses.mse;
+  ++row_steps_;
+  if (step % config.report.log_every_steps != 0 && step != last_step(config)) return std::nullopt;
+  const double train_s = training_->train_s(), span = std::max(train_s - row_start_s_, 1e-9);
+  MetricsRow row;
+  row.step = step;
+  row.train_s = train_s;
+  row.set("loss", losses.total);
+  row.set("loss_color", losses.color);
+  if (session_.pipeline->has_semantics()) row.set("loss_semantic", losses.semantic);
+  const std::vector<LossEntry>& terms = config.losses;
+  for (std::size_t i = 0; i < terms.size(); ++i) {  // without a value while the term has not begun
+    row.set("loss_" + terms[i].type, (losses.active >> i & 1U) != 0 ? std::optional(losses.terms[i]) : std::nullopt);
+  }
+  row.set("psnr", -10 * std::log10(row_mse_ / static_cast<double>(row_steps_)));
+  row.set("rays_per_s", static_cast<double>(row_steps_ * config.train.rays) / span);
+  row.set("samples_per_ray", static_cast<double>(losses.samples) / static_cast<double>(config.train.rays));
+  row_mse_ = 0;
+  row_steps_ = 0;
+  row_start_s_ = train_s;
+  return row;
+}
+
 void Run::report_progress(const StepLosses& losses, const MetricsRow& row) {
-  if (seconds_since(last_progress_) < kProgressEvery_s && !training_.at_its_end()) return;
+  if (seconds_since(last_progress_) < kProgressEvery_s && !training_->at_its_end()) return;
   last_progress_ = Clock::now();
-  const RunConfig& config = session().config;
+  const RunConfig& config = session_.config;
   TrainProgress p;
-  p.step = training_.step();
-  p.steps = training_.last_step();
+  p.step = training_->step();
+  p.steps = training_->last_step();
   p.loss = losses.total;
   for (std::size_t i = 0; i < config.losses.size(); ++i)
     if ((losses.active >> i & 1U) != 0) p.terms.emplace_back(config.losses[i].type, losses.terms[i]);
@@ -775,15 +742,15 @@ void Run::report_progress(const StepLosses& losses, const MetricsRow& row) {
     p.miou_present = scores_->last_miou_present;
     p.scored = scores_->last_part;
   }
-  p.train_s = training_.train_s();
+  p.train_s = training_->train_s();
   const double per_step = p.train_s / static_cast<double>(std::max<std::int64_t>(p.step, 1));
   p.remaining_s = p.steps > 0 ? per_step * static_cast<double>(p.steps - p.step) : end_s(config) - p.train_s;
   listener_.progress(p);
 }
 
 void Run::train_more(const AskedLength& asked) {
-  training_.train_more(asked);
-  if (folder_) write_run_config(*folder_, session().config, registry_);
+  training_->train_more(asked);
+  if (folder_) write_run_config(*folder_, session_.config, registry_);
 }
 
 void Run::write_rows() {
@@ -791,24 +758,24 @@ void Run::write_rows() {
 }
 
 void Run::write_classes() {
-  const std::string classes = named_classes(session().scene.info.classes).to_yaml();
+  const std::string classes = named_classes(session_.scene.info.classes).to_yaml();
   if (!folder_ || classes == classes_written_) return;
   write_file_atomic(folder_->classes_path(), classes);
   classes_written_ = classes;
 }
 
 bool Run::save_is_due() const {
-  const double every_s = session().config.report.checkpoint_every_s;
+  const double every_s = session_.config.report.checkpoint_every_s;
   return every_s > 0 && !saved() && seconds_since(last_save_) >= every_s;
 }
 
 std::string Run::write_checkpoint(CheckpointStore& store, MetricsLog& log) {
-  const std::vector<TensorRef> tensors = training_.state();
+  const std::vector<TensorRef> tensors = training_->state();
   log.sync();  // a checkpoint that outlives a power cut has its rows
-  CheckpointFacts facts = training_.facts();
-  facts.self_labels = self_training_.named();
-  std::string path = store.save(facts.step, tensors, checkpoint_metadata(facts, identity_hash(session().config)));
-  saved_step_ = training_.step();
+  CheckpointFacts facts = training_->facts();
+  facts.self_labels = self_training_->named();
+  std::string path = store.save(facts.step, tensors, checkpoint_metadata(facts, identity_hash(session_.config)));
+  saved_step_ = training_->step();
   last_save_ = Clock::now();
   return path;
 }
@@ -830,8 +797,8 @@ std::string Run::save(const std::string& run_dir) {
 
 std::string Run::save_without_folder(const std::string& place) {
   const bool again = place == saved_in_;
-  (void)run_config_text(session().config, registry_);  // what cannot be stored leaves no folder
-  training_.state();
+  (void)run_config_text(session_.config, registry_);  // what cannot be stored leaves no folder
+  training_->state();
   const RunFolder folder = again ? RunFolder::resume(place) : RunFolder::create(place);
   if (again) {
     const std::vector<CheckpointStore::Entry> there = CheckpointStore::read(folder.checkpoints_path()).list();
@@ -840,18 +807,18 @@ std::string Run::save_without_folder(const std::string& place) {
                   "somebody continued the run in '" + place + "': its newest checkpoint is " + there.front().path,
                   "save this one in another folder");
   }
-  write_run_config(folder, session().config, registry_);
+  write_run_config(folder, session_.config, registry_);
   if (!again) write_records(folder);
   MetricsLog log = MetricsLog::resume(folder.metrics_path(), 0);
   for (const MetricsRow& row : waiting_) log.append(row);
-  CheckpointStore store(folder.checkpoints_path(), session().config.report.keep_checkpoints);
+  CheckpointStore store(folder.checkpoints_path(), session_.config.report.keep_checkpoints);
   last_saved_ = write_checkpoint(store, log);
   saved_in_ = place;
   return last_saved_;
 }
 
 bool Run::apply(const LabelEvent& event) {
-  const LabelConfig& labels = session().config.labels;
+  const LabelConfig& labels = session_.config.labels;
   if (!annotations_ || labels.selection.clicks.empty())
     throw Error(ErrorKind::usage, "labels.clicks.missing", "the run has no file of clicks",
                 "open it with a folder and scene.labels.class_room, or with scene.labels.clicks");
@@ -864,11 +831,11 @@ bool Run::apply(const LabelEvent& event) {
   std::vector<int> frames = annotations_->frames_with_marks();
   for (const int frame : next.frames_with_marks())
     if (std::find(frames.begin(), frames.end(), frame) == frames.end()) frames.push_back(frame);
-  training_.set_clicks(next, frames);
+  training_->set_clicks(next, frames);
   try {
     clicks_->append(event);
   } catch (...) {
-    training_.set_clicks(*annotations_, frames);
+    training_->set_clicks(*annotations_, frames);
     throw;
   }
   annotations_ = std::move(next);
@@ -883,26 +850,26 @@ bool Run::apply(const LabelEvent& event) {
 TrainOutcome Run::finish() {
   SEMFIELD_CHECK(scores_ != nullptr, "Run::finish is for Driver::command alone");
   const WorkScope scope(work_);
-  const double start_s = training_.train_s();
+  const double start_s = training_->train_s();
   TrainOutcome outcome;
   try {
     listener_.stop_waits(true);
-    while (!training_.at_its_end() && !advance(kAllSteps).empty()) {
+    while (!training_->at_its_end() && !advance(kAllSteps).empty()) {
       if (listener_.stop_signal() != 0) break;
     }
-    if (!saved() || training_.step() == 0) save();
+    if (!saved() || training_->step() == 0) save();
     listener_.stop_waits(false);
     outcome.signal = listener_.stop_signal();
     if (outcome.signal == 0) {
       outcome.values = scores_->score_end();
       outcome.scored = scores_->last_part;
     }
-    outcome.step = training_.step();
-    outcome.train_s = training_.train_s();
-    outcome.trained_s = training_.train_s() - start_s;
+    outcome.step = training_->step();
+    outcome.train_s = training_->train_s();
+    outcome.trained_s = training_->train_s() - start_s;
     outcome.run_dir = run_dir();
     outcome.peak_bytes = peak_resident_bytes();
-    if (outcome.signal == 0) outcome.report_path = listener_.write_report(*folder_, session(), scores_->report_frames);
+    if (outcome.signal == 0) outcome.report_path = listener_.write_report(*folder_, session_, scores_->report_frames);
   } catch (Error& error) {
     add_what_is_left(error);
     throw;
@@ -918,7 +885,7 @@ void Run::add_what_is_left(Error& error) const {
   // A save has said it.
   const std::string kept = lost || error.context().empty() ? checkpoints_->kept_text() + "; " : "";
   error.while_doing(fmt::format("training ended at step {} ({}resume with `semfield train --resume {}`{})",
-                                training_.step(), kept, shell_word(run_dir()),
+                                training_->step(), kept, shell_word(run_dir()),
                                 lost ? ", with any number of processes" : ""));
 }
 

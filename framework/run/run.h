@@ -89,9 +89,8 @@ struct TrainOutcome {
 /// A whole run by Driver::command. A null `listener` hears nothing and never stops the run.
 TrainOutcome run_training(RunConfig config, Registry& registry, TrainRequest request, RunListener* listener = nullptr);
 
-struct OpenedForTraining;
+struct ResumePoint;
 class RunScores;
-class StepRows;
 
 /// Steps have the same bits whoever drives, and every verb works on the folder. One thread at a time.
 class Run {
@@ -107,8 +106,8 @@ class Run {
 
   ~Run();
 
-  Trainer& training() { return training_; }
-  const Trainer& training() const { return training_; }
+  Trainer& training() { return *training_; }
+  const Trainer& training() const { return *training_; }
   const Session& session() const { return session_; }
   const std::optional<RunFolder>& folder() const { return folder_; }
   /// The folder, or where a run without one was last saved; "" for neither.
@@ -138,7 +137,7 @@ class Run {
   /// folder or another one, Error(data) where somebody continued the folder, and write_error.
   std::string save(const std::string& run_dir = "");
   /// Whether no step was made since the newest checkpoint, or none at all.
-  bool saved() const { return saved_step_ == training_.step(); }
+  bool saved() const { return saved_step_ == training_->step(); }
   /// Whether report.checkpoint_every_s have passed since the last checkpoint, and steps were made.
   bool save_is_due() const;
 
@@ -152,8 +151,10 @@ class Run {
  private:
   using Clock = std::chrono::steady_clock;
 
-  Run(OpenedForTraining opened, Registry& registry, const TrainRequest& request, RunListener* listener);
+  ResumePoint open(RunConfig config, const TrainRequest& request, TrainingListener& told);
   bool make_round();
+  std::int64_t steps_until_row(std::int64_t step) const;
+  std::optional<MetricsRow> row_of(const StepLosses& losses, std::int64_t step);
   void record(const StepLosses& losses, std::int64_t step);
   void report_progress(const StepLosses& losses, const MetricsRow& row);
   void add_what_is_left(Error& error) const;
@@ -170,11 +171,12 @@ class Run {
   std::optional<RunFolder> folder_;   // locked
   std::optional<TrainOutcome> ended_;
   Session session_;
-  Trainer training_;
   WorkSettings work_;
-  SelfTraining self_training_;
+  std::optional<Trainer> training_;
+  std::optional<SelfTraining> self_training_;
   std::optional<CheckpointStore> checkpoints_;
-  std::unique_ptr<StepRows> step_rows_;
+  double row_mse_ = 0, row_start_s_ = 0;  // since the last row: sum over steps, and where it began
+  std::int64_t row_steps_ = 0;
   std::deque<MetricsRow> waiting_;  // rows to write; without a folder all rows
   std::optional<MetricsLog> log_;
   std::optional<EventWriter> events_;
