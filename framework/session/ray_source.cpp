@@ -3,7 +3,9 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <span>
 
 #include "compute/parallel.h"
 #include "core/check.h"
@@ -13,6 +15,11 @@
 namespace semfield {
 
 static_assert(channel::alpha == kAlphaChannel);
+
+namespace {
+// In the order in which rays stand in a tile.
+constexpr std::array kRayGroups{RayGroup::label_only, RayGroup::labelled, RayGroup::other};
+}  // namespace
 
 std::vector<float>& BatchBuffers::of(std::string_view name) {
   const auto found = std::find_if(more.begin(), more.end(), [&](const Channel& one) { return one.name == name; });
@@ -244,7 +251,7 @@ std::string RaySource::place_of_row(std::int64_t step, std::int64_t row) const {
   const std::int64_t begin = row / options_.tile_rays * options_.tile_rays;
   const std::int64_t end = std::min(begin + options_.tile_rays, options_.train.rays);
   std::int64_t slot = begin;
-  for (const RayGroup group : {RayGroup::label_only, RayGroup::labelled, RayGroup::other}) {
+  for (const RayGroup group : kRayGroups) {
     for (std::int64_t ray = begin; ray < end; ++ray) {
       const Pixel pixel = choose(step, ray);
       if (group_of(ray, label_of(pixel)) == group && slot++ == row) return place_of(pixel);
@@ -278,10 +285,10 @@ float RaySource::depth_of(const BatchBuffers::Choice& choice, double cosine, con
   return t > near_far[0] && t < near_far[1] ? static_cast<float>(t) : 0.0F;
 }
 
-void RaySource::write_row(const BatchBuffers::Choice& choice, std::int64_t row, BatchBuffers& batch) const {
+void RaySource::write_row(const BatchBuffers::Choice& choice, BatchBuffers& batch) const {
   const TrainFrame& frame = frames_[static_cast<std::size_t>(choice.pixel.frame)];
   const std::int32_t width = frame.pixels->width_px, index = choice.pixel.index;
-  const auto s = static_cast<std::size_t>(row);
+  const auto s = static_cast<std::size_t>(choice.row);
   const double cosine = cast_ray(frame.camera, limits_, index % width, index / width, &batch.origin[3 * s],
                                  &batch.direction[3 * s], &batch.near_far[2 * s]);
   for (std::size_t i = 0; i < 3; ++i) {
@@ -314,9 +321,7 @@ void RaySource::write_row(const BatchBuffers::Choice& choice, std::int64_t row, 
   }
 }
 
-// Pieces of tiles, so that a tile that is the whole batch occupies every thread too: choose and count, then write.
 void RaySource::fill(std::int64_t step, BatchBuffers& batch) const {
-  constexpr std::int64_t kPiece = 256;
   const auto n = static_cast<std::size_t>(options_.train.rays);
   batch.origin.resize(3 * n);
   batch.direction.resize(3 * n);
@@ -330,48 +335,34 @@ void RaySource::fill(std::int64_t step, BatchBuffers& batch) const {
     batch.more[i].cols = targets_[i].cols;
     batch.more[i].values.resize(n * static_cast<std::size_t>(targets_[i].cols));
   }
-  const std::int64_t tile_rays = std::min(options_.tile_rays, options_.train.rays);
-  const std::int64_t tiles = (options_.train.rays + tile_rays - 1) / tile_rays;
-  const std::int64_t pieces_each = (tile_rays + kPiece - 1) / kPiece;
-  using Piece = BatchBuffers::Piece;
-  std::vector<Piece>& pieces = batch.pieces;
-  pieces.assign(static_cast<std::size_t>(tiles * pieces_each), {});
-  parallel_for(std::ssize(pieces), [&](std::int64_t i) {
-    Piece& piece = pieces[static_cast<std::size_t>(i)];
-    const std::int64_t tile = i / pieces_each, tile_end = std::min((tile + 1) * tile_rays, options_.train.rays);
-    piece.begin = std::min(tile * tile_rays + i % pieces_each * kPiece, tile_end);
-    piece.end = std::min(piece.begin + kPiece, tile_end);
-    for (std::int64_t ray = piece.begin; ray < piece.end; ++ray) {
-      const Pixel pixel = choose(step, ray);
-      const std::int16_t label = label_of(pixel);
-      const RayGroup group = group_of(ray, label);
-      batch.choices[static_cast<std::size_t>(ray)] = {pixel, label, group};
-      ++piece.count[static_cast<std::size_t>(group)];
-    }
+  // Pieces of the batch, so that a tile that is all of it occupies every thread too.
+  const auto in_pieces = [&](const auto& body) {
+    constexpr std::int64_t kPiece = 256;
+    parallel_for((options_.train.rays + kPiece - 1) / kPiece, [&](std::int64_t piece) {
+      const std::int64_t end = std::min((piece + 1) * kPiece, options_.train.rays);
+      for (std::int64_t ray = piece * kPiece; ray < end; ++ray) body(ray, batch.choices[static_cast<std::size_t>(ray)]);
+    });
+  };
+  in_pieces([&](std::int64_t ray, BatchBuffers::Choice& choice) {
+    choice.pixel = choose(step, ray);
+    choice.label = label_of(choice.pixel);
+    choice.group = group_of(ray, choice.label);
   });
   const bool apart = balanced() && !options_.train.label_rays_teach_color;
-  batch.label_only.assign(apart ? static_cast<std::size_t>(tiles) : 0, 0);
-  batch.tile_rays = tile_rays;
-  for (std::int64_t tile = 0; tile < tiles; ++tile) {
-    const auto of_tile =
-        std::span(pieces).subspan(static_cast<std::size_t>(tile * pieces_each), static_cast<std::size_t>(pieces_each));
-    std::int64_t row = of_tile.front().begin;
-    for (const Piece& piece : of_tile)
-      if (apart) batch.label_only[static_cast<std::size_t>(tile)] += piece.count[0];
-    for (std::size_t group = 0; group < of_tile.front().count.size(); ++group) {
-      for (Piece& piece : of_tile) {
-        piece.row[group] = row;
-        row += piece.count[group];
-      }
+  batch.label_only.clear();
+  batch.tile_rays = std::min(options_.tile_rays, options_.train.rays);
+  for (std::int64_t begin = 0; begin < options_.train.rays; begin += batch.tile_rays) {
+    const std::int64_t count = std::min(batch.tile_rays, options_.train.rays - begin);
+    const auto tile =
+        std::span(batch.choices).subspan(static_cast<std::size_t>(begin), static_cast<std::size_t>(count));
+    std::int64_t row = begin;
+    for (const RayGroup group : kRayGroups) {
+      for (BatchBuffers::Choice& choice : tile)
+        if (choice.group == group) choice.row = row++;
+      if (apart && group == RayGroup::label_only) batch.label_only.push_back(row - begin);
     }
   }
-  parallel_for(std::ssize(pieces), [&](std::int64_t i) {
-    Piece& piece = pieces[static_cast<std::size_t>(i)];
-    for (std::int64_t ray = piece.begin; ray < piece.end; ++ray) {
-      const BatchBuffers::Choice& choice = batch.choices[static_cast<std::size_t>(ray)];
-      write_row(choice, piece.row[static_cast<std::size_t>(choice.group)]++, batch);
-    }
-  });
+  in_pieces([&](std::int64_t, const BatchBuffers::Choice& choice) { write_row(choice, batch); });
 }
 
 }  // namespace semfield

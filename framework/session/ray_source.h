@@ -1,7 +1,6 @@
 // The pixels that a step trains on: addressed by (seed, step, ray), never consumed from a generator.
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -46,14 +45,9 @@ struct BatchBuffers {
     TrainPixel pixel;
     std::int16_t label = 0;
     RayGroup group = RayGroup::other;
+    std::int64_t row = 0;  ///< of the batch
   };
-  struct Piece {
-    std::int64_t begin = 0, end = 0;             // rays
-    std::array<std::int64_t, 3> count{}, row{};  // of each RayGroup: its rays, and where they go
-  };
-  /// Scratch of RaySource::fill: of the rays in the order of their numbers, and of pieces of tiles.
-  std::vector<Choice> choices;
-  std::vector<Piece> pieces;
+  std::vector<Choice> choices;  ///< scratch of RaySource::fill: of the rays in the order of their numbers
   /// Values of the channel, which must be there.
   std::vector<float>& of(std::string_view name);
   RayBatch view(bool with_labels) const;
@@ -115,7 +109,7 @@ class RaySource {
   std::string place_of(const Pixel& pixel) const;
   void soft_label_of(const Pixel& pixel, std::span<float> out) const;
   float depth_of(const BatchBuffers::Choice& choice, double cosine, const double* near_far) const;
-  void write_row(const BatchBuffers::Choice& choice, std::int64_t row, BatchBuffers& batch) const;
+  void write_row(const BatchBuffers::Choice& choice, BatchBuffers& batch) const;
 
   std::vector<TrainFrame> frames_;
   std::vector<std::int16_t> logit_of_class_;
