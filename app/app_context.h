@@ -5,6 +5,7 @@
 #include <memory>
 #include <string>
 
+#include "core/non_copyable.h"
 #include "core/workspace.h"
 #include "execution/ranks/ranks.h"
 #include "plugin/registry.h"
@@ -14,10 +15,8 @@ namespace semfield::app {
 
 namespace fs = std::filesystem;
 
-struct AppContext {
+struct AppContext : NonCopyable {
   AppContext() { work.limits = &limits; }
-  AppContext(const AppContext&) = delete;
-  AppContext& operator=(const AppContext&) = delete;
   /// From now on verbs work with the threads and under the limits of `config`.
   void adopt(const RunConfig& config) {
     work.threads = config.runtime.threads;

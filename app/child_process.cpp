@@ -17,6 +17,7 @@
 #include <thread>
 
 #include "app/signals.h"
+#include "core/non_copyable.h"
 #include "execution/ranks/ranks.h"
 #include "system/files.h"
 
@@ -25,14 +26,12 @@ namespace semfield::app {
 namespace {
 
 // Where a process writes; refused here where it cannot be written, before the process starts.
-class OutputFile {
+class OutputFile : NonCopyable {
  public:
   explicit OutputFile(const std::string& path)
       : descriptor_(open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_APPEND | O_CLOEXEC | O_NOFOLLOW, 0644)) {
     if (descriptor_ < 0) throw write_error("open", path, errno);
   }
-  OutputFile(const OutputFile&) = delete;
-  OutputFile& operator=(const OutputFile&) = delete;
   ~OutputFile() { close(descriptor_); }
   int descriptor() const { return descriptor_; }
 
@@ -156,8 +155,7 @@ std::string program_in_path(const std::string& name) {
   std::istringstream stream(folders == nullptr ? "" : folders);
   for (std::string folder; std::getline(stream, folder, ':');) {
     const std::string candidate = (fs::path(folder.empty() ? "." : folder) / name).string();
-    std::error_code ignored;
-    if (fs::is_regular_file(candidate, ignored) && access(candidate.c_str(), X_OK) == 0) return candidate;
+    if (is_file(candidate) && access(candidate.c_str(), X_OK) == 0) return candidate;
   }
   return {};
 }

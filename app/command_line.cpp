@@ -27,6 +27,7 @@
 #include "plugin/module.h"
 #include "run/run_folder.h"
 #include "session/session.h"
+#include "system/files.h"
 
 namespace semfield::app {
 
@@ -470,8 +471,7 @@ void settle_verb(const Program& program, std::vector<std::string>& words) {
   for (; first < words.size() && words[first].starts_with('-'); first += words[first] == "--plugin" ? 2 : 1)
     known = known && program.app.get_option_no_throw(words[first].substr(0, words[first].find('='))) != nullptr;
   if (first >= words.size() || words[first].empty() || verb_below(program.app, words[first]) != nullptr) return;
-  std::error_code unknown;
-  if (std::filesystem::exists(words[first], unknown)) {
+  if (is_there(words[first])) {
     words.insert(words.begin() + static_cast<std::ptrdiff_t>(first), "inspect");
   } else if (known) {
     throw unknown_verb(program.app, words[first]);

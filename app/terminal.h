@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "app/app_context.h"
+#include "core/non_copyable.h"
 
 namespace semfield::app {
 
@@ -37,7 +38,7 @@ std::string clock_text(double seconds);
 /// "0.1234"; `none` without a value.
 std::string figure_text(const std::optional<double>& value, const char* none = "-");
 
-class ProgressLine {
+class ProgressLine : NonCopyable {
  public:
   /// What a test replaces.
   struct Outside {
@@ -49,8 +50,6 @@ class ProgressLine {
   /// `done_what`: "rendered", followed by "3/40 frames, 0:12 left". Quiet contexts get nothing.
   ProgressLine(const AppContext& context, std::string done_what, std::string unit = "frames");
   ProgressLine(const AppContext& context, std::string done_what, std::string unit, Outside outside);
-  ProgressLine(const ProgressLine&) = delete;
-  ProgressLine& operator=(const ProgressLine&) = delete;
   /// A terminal's line is cleared: what comes next says the result.
   ~ProgressLine() { end(); }
 

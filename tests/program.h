@@ -14,6 +14,7 @@
 #include <stdexcept>
 #include <thread>
 
+#include "core/non_copyable.h"
 #include "core/text.h"
 #include "system/files.h"
 #include "tests/says.h"
@@ -73,7 +74,7 @@ struct Limit {
 
 /// A program that runs beside the test; its output goes to `folder`/stdout and `folder`/stderr. Killed when it is left.
 /// `limit` of the kind RLIMIT_NOFILE, when given, holds for it alone.
-class Process {
+class Process : NonCopyable {
  public:
   Process(const std::string& program, const std::vector<std::string>& words, const std::string& folder,
           const std::vector<std::string>& environment = {}, const std::optional<Limit>& limit = {})
@@ -98,8 +99,6 @@ class Process {
     close(out);
     close(err);
   }
-  Process(const Process&) = delete;
-  Process& operator=(const Process&) = delete;
   ~Process() {
     if (pid_ <= 0) return;
     kill(pid_, SIGKILL);

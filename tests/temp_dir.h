@@ -4,12 +4,13 @@
 #include <filesystem>
 
 #include "core/error.h"
+#include "core/non_copyable.h"
 #include "system/files.h"
 
 namespace semfield {
 
 /// A fresh folder, removed at the end with what is in it.
-class TempDir {
+class TempDir : NonCopyable {
  public:
   TempDir() {
     std::string pattern = (std::filesystem::temp_directory_path() / "semfield_test_XXXXXX").string();
@@ -21,8 +22,6 @@ class TempDir {
     std::error_code ignored;
     std::filesystem::remove_all(path_, ignored);
   }
-  TempDir(const TempDir&) = delete;
-  TempDir& operator=(const TempDir&) = delete;
 
   const std::string& path() const { return path_; }
   std::string operator/(const std::string& name) const { return path_ + "/" + name; }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "compute/parallel.h"
+#include "core/non_copyable.h"
 #include "core/view.h"
 
 namespace semfield {

@@ -15,6 +15,7 @@
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
+#include "core/non_copyable.h"
 #include "core/rng.h"
 #include "model/param_store.h"
 #include "session/assembly.h"
@@ -274,7 +275,7 @@ json parsed(const std::string& line) {
 
 }  // namespace
 
-struct Peer::Process {
+struct Peer::Process : NonCopyable {
   /// Starts `words`, the first of which is the program's file, with pipes to its stdin and stdout; stderr is shared.
   explicit Process(const std::vector<std::string>& words) : name_(words.at(0)) {
     std::array<int, 2> in{}, out{};
@@ -293,8 +294,6 @@ struct Peer::Process {
     kill(pid_, SIGTERM);
     app::code_of_child(pid_);
   }
-  Process(const Process&) = delete;
-  Process& operator=(const Process&) = delete;
 
   /// One line of its output, without the end. Throws Error(unavailable) when it has ended.
   std::string read_line() {

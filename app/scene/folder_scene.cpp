@@ -15,6 +15,7 @@
 #include "app/scene/inspect_report.h"
 #include "compute/parallel.h"
 #include "config/params.h"
+#include "core/non_copyable.h"
 #include "core/text.h"
 #include "eval/image_output.h"
 #include "eval/metrics.h"
@@ -94,7 +95,7 @@ ConfigNode section_of(const Recognised& found) {
 std::string plain_name(const fs::path& path) {
   std::error_code unknown;
   fs::path folder = fs::weakly_canonical(path, unknown);
-  if (fs::is_regular_file(folder, unknown)) {
+  if (is_file(folder)) {
     folder = folder.extension() == ".json" ? folder.parent_path() : folder.replace_extension();
   }
   std::string name = folder.filename().string();
@@ -106,8 +107,7 @@ std::string plain_name(const fs::path& path) {
 }
 
 [[noreturn]] void refuse(const std::string& path, const AppContext& context) {
-  std::error_code unknown;
-  if (!fs::exists(path, unknown))
+  if (!is_there(path))
     throw Error(ErrorKind::no_input, "files.folder.missing", "no folder '" + path + "'", "check the path");
   for (const PluginEntry* entry : context.registry.entries()) {
     const std::string commands =
@@ -123,13 +123,11 @@ std::string plain_name(const fs::path& path) {
 }  // namespace
 
 bool names_a_scene(const std::string& word, const AppContext& context) {
-  std::error_code unknown;
   const fs::path path(word);
-  if (fs::exists(word + ".yaml", unknown)) return false;  // the ending of a configuration may be left out
-  if (fs::is_directory(path, unknown)) return !fs::exists(path / "run.yaml", unknown);
+  if (is_there(word + ".yaml")) return false;  // the ending of a configuration may be left out
+  if (is_folder(path)) return !is_there(path / "run.yaml");
   const std::string extension = path.extension().string();
-  return fs::is_regular_file(path, unknown) && extension != ".yaml" && extension != ".yml" &&
-         !recognised(word, context.registry).empty();
+  return is_file(path) && extension != ".yaml" && extension != ".yml" && !recognised(word, context.registry).empty();
 }
 
 FolderScene find_scene(const std::string& path, const std::string& type, AppContext& context) {
@@ -185,7 +183,7 @@ ConfigNode config_of(const FolderScene& scene, const std::string& preset) {
 namespace {
 
 // A new folder that takes its name when it is complete.
-class UnfinishedFolder {
+class UnfinishedFolder : NonCopyable {
  public:
   explicit UnfinishedFolder(const std::string& name)
       : name_(fs::path(name).lexically_normal()), path_(unfinished(name_)) {
@@ -195,8 +193,6 @@ class UnfinishedFolder {
     std::error_code ignored;
     if (!done_) fs::remove_all(path_, ignored);
   }
-  UnfinishedFolder(const UnfinishedFolder&) = delete;
-  UnfinishedFolder& operator=(const UnfinishedFolder&) = delete;
 
   void add(const std::string& folder) const { create_output_folder(path_ / folder); }
   std::string operator/(const std::string& file) const { return (path_ / file).string(); }

@@ -333,7 +333,7 @@ namespace {
 std::string unused(const std::string& run) {
   std::error_code unknown;
   std::string free = run;
-  for (int number = 2; fs::exists(free, unknown) && !fs::is_empty(free, unknown); ++number)
+  for (int number = 2; is_there(free) && !fs::is_empty(free, unknown); ++number)
     free = run + "_" + std::to_string(number);
   return free;
 }
@@ -371,9 +371,8 @@ std::vector<NextStep> next_of_cameras(bool off, const std::string& scene, const 
 }
 
 std::vector<NextStep> next_of_scene(const std::string& folder, const std::string& name) {
-  std::error_code unknown;
   const std::string file = "configs/" + name + ".yaml";
-  if (fs::exists(file, unknown)) return {{"inspect " + shell_word(file), "the configuration that is there already"}};
+  if (is_there(file)) return {{"inspect " + shell_word(file), "the configuration that is there already"}};
   return {{"init " + shell_word(folder), "writes a configuration, and says what to do with it"}};
 }
 

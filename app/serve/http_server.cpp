@@ -31,6 +31,7 @@
 #include <vector>
 
 #include "core/error.h"
+#include "core/non_copyable.h"
 
 namespace semfield::app {
 
@@ -352,7 +353,7 @@ bool send_all(int socket, std::string_view bytes, int still_ms, Clock::time_poin
 
 }  // namespace
 
-struct HttpServer::Impl {
+struct HttpServer::Impl : NonCopyable {
   enum class At { idle, reading, answering, closing };
 
   // A connection and its thread: a request is read, its response made and sent, then the next one.
@@ -381,8 +382,6 @@ struct HttpServer::Impl {
     }
   }
   ~Impl();
-  Impl(const Impl&) = delete;
-  Impl& operator=(const Impl&) = delete;
 
   Error cannot_start(const std::string& cause) const {
     return {ErrorKind::unavailable, "serve.port.failed",

@@ -10,6 +10,8 @@
 #include <utility>
 #include <vector>
 
+#include "core/non_copyable.h"
+
 namespace semfield::app {
 
 struct HttpRequest {
@@ -106,15 +108,13 @@ struct HttpOptions {
 };
 
 /// Each connection has a thread, so that one that is idle, slow or gone holds up nobody.
-class HttpServer {
+class HttpServer : NonCopyable {
  public:
   /// Listens when it returns. Throws Error(unavailable).
   HttpServer(const HttpOptions& options, HttpHandler handler);
   /// Responses that are being made get a second to be sent; those that take longer are marked as awaited by nobody
   /// (HttpRequest::abandoned), waited for and not sent.
   ~HttpServer();
-  HttpServer(const HttpServer&) = delete;
-  HttpServer& operator=(const HttpServer&) = delete;
 
  private:
   struct Impl;

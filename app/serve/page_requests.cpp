@@ -26,9 +26,8 @@ std::string shown(const Json& value) {
 void check_keys(const Json& map, const std::vector<std::string>& known) {
   for (const auto& item : map.items()) {
     if (std::find(known.begin(), known.end(), item.key()) != known.end()) continue;
-    const std::string near = did_you_mean(item.key(), known);
     refuse_request("unknown key " + shown(Json(item.key())),
-                   near.empty() ? "known: " + join(known) : "did you mean '" + near + "'?");
+                   near_name_remedy(item.key(), known, "known: " + join(known)));
   }
 }
 

@@ -26,6 +26,7 @@
 #include "app/serve/page_requests.h"
 #include "core/check.h"
 #include "core/error.h"
+#include "core/non_copyable.h"
 #include "formats/image_io.h"
 #include "formats/zip_archive.h"
 #include "system/files.h"
@@ -235,12 +236,10 @@ std::int64_t now_ms() {
       .count();
 }
 
-class Counted {
+class Counted : NonCopyable {
  public:
   explicit Counted(std::atomic<int>& count) : count_(count) { ++count_; }
   ~Counted() { --count_; }
-  Counted(const Counted&) = delete;
-  Counted& operator=(const Counted&) = delete;
 
  private:
   std::atomic<int>& count_;
@@ -567,9 +566,8 @@ struct Kept {
 // None: there is no such file, or it holds something else.
 std::optional<Kept> kept_in(const fs::path& run_dir) {
   constexpr std::size_t kMostBytes = 8192;
-  std::error_code unknown;
   const fs::path file = run_dir / "run_id";
-  if (!fs::is_regular_file(file, unknown)) return std::nullopt;
+  if (!is_file(file)) return std::nullopt;
   const std::string text = read_file_start(file.string(), kMostBytes);
   const std::size_t end = text.find('\n');
   if (end != 32 || text.find_first_not_of("0123456789abcdef") != end || !text.ends_with('\n')) return std::nullopt;

@@ -18,6 +18,7 @@
 
 #include "app/serve/http_server.h"
 #include "app/serve/page_requests.h"
+#include "core/non_copyable.h"
 #include "formats/image_io.h"
 #include "serve/label_loop.h"
 #include "serve/label_session.h"
@@ -40,15 +41,13 @@ struct ExportOptions {
 };
 
 /// Exports lie in RUN/export/ID/ and stay there. Two are made side by side, the others wait for their turn.
-class PageExports {
+class PageExports : NonCopyable {
  public:
   /// `save` writes a checkpoint, and returns when it is there; null where nothing trains.
   PageExports(std::function<void()> save, ExportOptions options)
       : save_(std::move(save)), options_(std::move(options)) {}
   /// Ends the processes of exports that are being made.
   ~PageExports();
-  PageExports(const PageExports&) = delete;
-  PageExports& operator=(const PageExports&) = delete;
 
   /// The id of the export that was begun or waits. Throws Error: unavailable where too many wait, write_error for its
   /// folder. `prepare` gets the folder before its program
@@ -138,11 +137,9 @@ std::map<std::string, PageFile> read_page_files(const std::string& folder);
 std::string kept_run_id(const std::string& run_dir);
 
 /// What the labelling page and the viewer have in common: an address with a secret, the places below it, and exports.
-class PageHost {
+class PageHost : NonCopyable {
  public:
   virtual ~PageHost() = default;
-  PageHost(const PageHost&) = delete;
-  PageHost& operator=(const PageHost&) = delete;
 
   /// The address to open.
   std::string url() const { return access_->url(); }

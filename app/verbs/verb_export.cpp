@@ -43,10 +43,7 @@ constexpr long long kPageFaces = 2'000'000;      // about 20 MB
 constexpr std::int64_t kPixelsOfARegion = 4096;  // of an image, for one of the least region that stands by itself
 
 // The stored image of a frame, "" when its dataset has none.
-std::string image_of(const FrameInfo& info) {
-  std::error_code ignored;
-  return std::filesystem::is_regular_file(info.source, ignored) ? info.source : std::string();
-}
+std::string image_of(const FrameInfo& info) { return is_file(info.source) ? info.source : std::string(); }
 
 // What a frame's labels are rendered at, and what becomes of them.
 class Exporter {

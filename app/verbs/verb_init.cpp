@@ -72,8 +72,7 @@ LoadedScene look_at(const FolderScene& found, AppContext& context, Diagnostics& 
 int run(const InitOptions& options, AppContext& context) {
   const FolderScene found = find_scene(options.folder, options.type, context);
   const std::string file = options.out.empty() ? "configs/" + found.name + ".yaml" : options.out;
-  std::error_code unknown;
-  if (!options.replace && fs::exists(file, unknown)) {
+  if (!options.replace && is_there(file)) {
     throw Error(ErrorKind::cannot_create, "files.output.exists", "'" + file + "' is there already",
                 "name another file with --out, or give --replace to overwrite it");
   }

@@ -92,8 +92,7 @@ struct MeshTargets {
 
 // Throws Error(usage) for an ending that is no form.
 MeshTargets mesh_targets(const MeshOptions& options) {
-  std::error_code unknown;
-  const bool folder = options.out.empty() || options.out.ends_with('/') || fs::is_directory(options.out, unknown);
+  const bool folder = options.out.empty() || options.out.ends_with('/') || is_folder(options.out);
   const fs::path into = options.out.empty() ? options.run : options.out;
   MeshTargets targets{folder ? into / "mesh" : into, options.formats};
   std::string ending;  // the longest that is known: "room.splats.ply" is no surface

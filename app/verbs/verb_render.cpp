@@ -33,6 +33,7 @@
 #include "app/terminal.h"
 #include "app/verb.h"
 #include "core/error.h"
+#include "core/non_copyable.h"
 #include "core/text.h"
 #include "eval/channel_query.h"
 #include "eval/evaluator.h"
@@ -184,10 +185,9 @@ const HeadConfig& head_of(const ChannelWishes& wishes, const Session& session) {
   if (wishes.channel.empty())
     throw Error(ErrorKind::usage, "render.channel.unknown", "the run has several channels: " + join(known),
                 "name one with --channel");
-  const std::string near = did_you_mean(wishes.channel, known);
   throw Error(ErrorKind::usage, "render.channel.unknown",
               "--channel: the run has no channel '" + wishes.channel + "'; it has " + join(known),
-              near.empty() ? "" : "did you mean '" + near + "'?");
+              near_name_remedy(wishes.channel, known));
 }
 
 class ChannelOutput {
@@ -316,7 +316,7 @@ std::string video_format(const std::string& path) {
 /// One video. Frames go to ffmpeg as they come, into a temporary file of ours beside `path` (AtomicFile): the file of
 /// that name is replaced when finish() has seen ffmpeg end well and the bytes on the disk. Without finish() ffmpeg is
 /// stopped and nothing stays.
-class VideoWriter {
+class VideoWriter : NonCopyable {
  public:
   /// Throws Error(unavailable) when ffmpeg cannot be started, write_error where no file can be made.
   VideoWriter(const std::string& ffmpeg, const std::string& path, std::int32_t width_px, std::int32_t height_px,
@@ -349,8 +349,6 @@ class VideoWriter {
     kill(pid_, SIGKILL);  // what it has written is thrown away
     wait();
   }
-  VideoWriter(const VideoWriter&) = delete;
-  VideoWriter& operator=(const VideoWriter&) = delete;
 
   /// rgb [height * width * 3]. Throws Error(io) when ffmpeg has ended, with the cause where the disk reports it. The
   /// program ignores SIGPIPE: a dead ffmpeg is an error of write().

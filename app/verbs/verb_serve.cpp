@@ -16,6 +16,7 @@
 #include "app/signals.h"
 #include "app/terminal.h"
 #include "core/error.h"
+#include "core/non_copyable.h"
 #include "core/text.h"
 #include "run/run_folder.h"
 #include "serve/label_session.h"
@@ -92,7 +93,7 @@ PageOptions page_options(const ServeOptions& options, const AppContext& context,
 }
 
 // Does what signals request while the main thread trains.
-class SignalWatch {
+class SignalWatch : NonCopyable {
  public:
   SignalWatch(LabelSession& session, PageServer& server, const AppContext& context)
       : thread_([&] {
@@ -103,8 +104,6 @@ class SignalWatch {
           server.end_waiting();
           session.stop();
         }) {}
-  SignalWatch(const SignalWatch&) = delete;
-  SignalWatch& operator=(const SignalWatch&) = delete;
   ~SignalWatch() {
     ended_ = true;
     thread_.join();

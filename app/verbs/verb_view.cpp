@@ -29,6 +29,7 @@
 #include "app/serve/page_server.h"
 #include "app/signals.h"
 #include "core/error.h"
+#include "core/non_copyable.h"
 #include "eval/channel_query.h"
 #include "eval/image_output.h"
 #include "report/report.h"
@@ -199,7 +200,7 @@ class ViewedRun {
  private:
   // The field for one call; calls take turns in the order in which they come. What a person waits for comes before a
   // mesh, which gives the field back between its views.
-  class Turn {
+  class Turn : NonCopyable {
    public:
     Turn(ViewedRun& run, bool hurried) : run_(run), hurried_(hurried), scope_(run.work_) {
       if (hurried_) ++run_.hurried_;
@@ -209,8 +210,6 @@ class ViewedRun {
       if (hurried_) --run_.hurried_;
       give();
     }
-    Turn(const Turn&) = delete;
-    Turn& operator=(const Turn&) = delete;
     void let_others() {
       while (run_.hurried_ > 0) {
         give();

@@ -8,6 +8,7 @@
 #include <string_view>
 
 #include "compute/gemm.h"
+#include "core/non_copyable.h"
 
 /// Namespace of the variant that is being compiled, isa_avx2 for one; set by the build (cmake/Isa.cmake).
 #ifndef SEMFIELD_ISA

@@ -92,7 +92,7 @@ class Loader {
     fs::path path =
         written.is_absolute() ? written : (fs::path(item.location().file).parent_path() / written).lexically_normal();
     std::error_code unknown;
-    if (!fs::exists(path, unknown) || fs::is_directory(path, unknown)) {
+    if (!is_there(path) || is_folder(path)) {
       const std::string shipped = shipped_config(item.text());
       if (shipped.empty()) {
         const std::string place = shipped_place(item.text());
@@ -154,10 +154,9 @@ std::size_t item_of(const ConfigNode& list, const std::string& segment, const st
   const std::string range = list.items().empty() ? "it is empty" : "0 to " + std::to_string(list.items().size() - 1);
   const std::string expected =
       names.empty() ? "an item's index, " + range : "an item's name (" + join(names) + ") or its index (" + range + ")";
-  const std::string near = did_you_mean(segment, names);
   fail("config.set.key", origin,
        key + " is a list (" + list.location().text() + "): expected " + expected + ", got '" + segment + "'",
-       near.empty() ? "" : "did you mean '" + near + "'?");
+       near_name_remedy(segment, names));
 }
 
 /// `node` with the value set at segments[at...]; `origin` is the override for messages.
@@ -245,11 +244,10 @@ ConfigNode resolve_like(const ConfigNode& root) {
         std::vector<std::string> given;
         std::copy_if(names.begin(), names.end(), std::back_inserter(given),
                      [](const std::string& n) { return !n.empty(); });
-        const std::string near = did_you_mean(like->text(), given);
         fail("config.pass.like", like->location(),
              "like: no earlier pass named '" + like->text() + "'" +
                  (given.empty() ? "; this is the first one with a name" : "; known: " + join(given)),
-             near.empty() ? "" : "did you mean '" + near + "'?");
+             near_name_remedy(like->text(), given));
       }
       resolved = merge_config(items[static_cast<std::size_t>(names.rend() - known) - 1], item.without("like"));
     }
@@ -385,10 +383,9 @@ std::string near_config(const std::string& name, const std::string& own_place) {
 }
 
 std::string find_config(const std::string& name) {
-  std::error_code unknown;
   if (const std::string own = with_ending(name); !own.empty()) return own;
   if (std::string shipped = shipped_config(name); !shipped.empty()) return shipped;
-  if (fs::exists(name, unknown)) return name;  // a folder, which the reader refuses by that name
+  if (is_there(name)) return name;  // a folder, which the reader refuses by that name
   const std::string place = shipped_place(name), near = near_config(name, name);
   throw Error(ErrorKind::no_input, "config.file.missing",
               "no configuration '" + name + "'" +

@@ -448,7 +448,7 @@ ConfigNode parse_config_value(std::string_view yaml, const std::string& origin) 
 
 ConfigNode parse_config_file(const std::string& path) {
   std::error_code unknown;
-  if (std::filesystem::is_directory(path, unknown)) {
+  if (is_folder(path)) {
     throw Error(ErrorKind::no_input, "config.file.folder", "'" + path + "' is a folder, not a config file",
                 std::filesystem::exists(std::filesystem::path(path) / "run.yaml")
                     ? "it is a run, whose configuration is its run.yaml"

@@ -125,6 +125,8 @@ class Diagnostics {
 
 /// The known name closest to `word` by edit distance (at most a third of its length), or "" when none is near.
 std::string did_you_mean(std::string_view word, const std::vector<std::string>& known);
+/// A remedy: "did you mean 'levels'?", or `otherwise` where no known name is near.
+std::string near_name_remedy(std::string_view word, const std::vector<std::string>& known, std::string otherwise = {});
 
 /// "a, b, c" for messages.
 std::string join(const std::vector<std::string>& words, std::string_view separator = ", ");

@@ -277,6 +277,11 @@ std::string did_you_mean(std::string_view word, const std::vector<std::string>& 
   });
 }
 
+std::string near_name_remedy(std::string_view word, const std::vector<std::string>& known, std::string otherwise) {
+  const std::string near = did_you_mean(word, known);
+  return near.empty() ? otherwise : "did you mean '" + near + "'?";
+}
+
 std::string decomposed(std::string_view text) {
   std::string out;
   for (std::size_t i = 0; i < text.size();) {

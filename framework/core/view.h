@@ -12,13 +12,6 @@
 
 namespace semfield {
 
-/// Base of what is not copied.
-struct NonCopyable {
-  NonCopyable() = default;
-  NonCopyable(const NonCopyable&) = delete;
-  NonCopyable& operator=(const NonCopyable&) = delete;
-};
-
 enum class Device : std::uint8_t { cpu, cuda };
 
 /// Borrowed row-major matrix of `rows` x `cols` elements; row r starts at data + r * row_stride (in elements).

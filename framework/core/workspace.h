@@ -9,6 +9,7 @@
 #include <string_view>
 #include <vector>
 
+#include "core/non_copyable.h"
 #include "core/view.h"
 
 namespace semfield {
@@ -37,13 +38,11 @@ class ScratchSum {
 
 /// Bump allocator with a high-water mark. Grows by whole blocks when it must (only in the first step of a shape), and
 /// merges them at the next full release, so a steady state allocates nothing. Not thread-safe: one per thread.
-class Workspace {
+class Workspace : NonCopyable {
  public:
   Workspace() = default;
   explicit Workspace(const BlockSource& source) : source_(source) {}
   ~Workspace();
-  Workspace(const Workspace&) = delete;
-  Workspace& operator=(const Workspace&) = delete;
 
   /// `bytes` of uninitialised memory of the source's device, 64-byte aligned (256 where blocks have a source), valid
   /// until the enclosing Scope ends.

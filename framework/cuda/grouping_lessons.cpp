@@ -2,6 +2,7 @@
 #include <algorithm>
 
 #include "compute/parallel.h"
+#include "core/non_copyable.h"
 #include "cuda/kernels/kernels.h"
 #include "cuda/launch.h"
 #include "cuda/matmul.h"
@@ -13,15 +14,13 @@ namespace {
 
 constexpr std::int64_t kDrawsAtOnce = std::int64_t{1} << 21;  // 16 MB
 
-class Stream {
+class Stream : NonCopyable {
  public:
   Stream() { check(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking), "making a stream"); }
   ~Stream() {
     forget_stream(stream_);
     (void)cudaStreamDestroy(stream_);
   }
-  Stream(const Stream&) = delete;
-  Stream& operator=(const Stream&) = delete;
   cudaStream_t get() const { return stream_; }
 
  private:

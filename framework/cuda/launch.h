@@ -10,6 +10,7 @@
 #include <span>
 #include <string>
 
+#include "core/non_copyable.h"
 #include "core/rng.h"
 #include "core/view.h"
 #include "core/workspace.h"

@@ -8,6 +8,7 @@
 
 #include "core/check.h"
 #include "core/error.h"
+#include "core/quantile.h"
 #include "core/small_math.h"
 #include "formats/image_io.h"
 
@@ -132,13 +133,8 @@ DepthRange robust_depth_range(std::span<const float> depth_m) {
     if (std::isfinite(d) && d > 0) valid.push_back(d);
   }
   if (valid.empty()) return {};
-  const auto at = [&](double share) {
-    const auto rank = static_cast<std::ptrdiff_t>(share * static_cast<double>(valid.size() - 1));
-    std::nth_element(valid.begin(), valid.begin() + rank, valid.end());
-    return static_cast<double>(valid[static_cast<std::size_t>(rank)]);
-  };
-  const double near_m = at(0.02);
-  return {near_m, at(0.98)};
+  const double near_m = quantile(valid, 0.02);
+  return {near_m, quantile(valid, 0.98)};
 }
 
 void write_label_ids(const std::string& path, MapSize size, std::span<const std::int16_t> label,

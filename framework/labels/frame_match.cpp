@@ -291,7 +291,7 @@ std::map<std::string, std::string> match_files(const std::string& folder, const 
     std::vector<fs::path> folders = folders_like(folder, frame.source);
     folders.pop_back();
     for (const fs::path& like : folders) {
-      if (!path.empty() || !fs::is_directory(like, unknown) || !has_file(like.string(), pattern, by_stem)) continue;
+      if (!path.empty() || !is_folder(like) || !has_file(like.string(), pattern, by_stem)) continue;
       path = path_of(like.string(), pattern, by_stem);
       if (fs::equivalent(path, frame.source, unknown)) path.clear();
     }
@@ -362,14 +362,13 @@ FramesFiles::File FramesFiles::of(const FrameInfo& shown, const std::string& wha
 std::vector<std::string> picture_names(const std::vector<FrameInfo>& frames) {
   std::vector<std::vector<std::string>> parts;
   std::map<std::string, int> count;  // of the ends of paths
-  std::error_code unknown;
   const auto end_of = [&](std::size_t f, std::size_t depth) {
     std::vector<std::string> stems = parts[f];
     stems[0] = file_stem(stems[0]);
     return joined(stems, depth);
   };
   for (std::size_t f = 0; f < frames.size(); ++f) {
-    const bool has_file = fs::is_regular_file(frames[f].source, unknown);
+    const bool has_file = is_file(frames[f].source);
     parts.push_back(has_file ? parts_from_end(frames[f].source)
                              : std::vector<std::string>{output_name(frames[f].name) + ".png"});
     for (std::size_t depth = 1; depth <= parts[f].size(); ++depth) ++count[end_of(f, depth)];

@@ -80,21 +80,19 @@ std::string path_of(const std::string& folder, const std::string& pattern, const
   const bool by_number = pattern.find("{number}") != std::string::npos;
   if (by_number && number.empty()) return {};
   std::string path = path_with(number);
-  std::error_code ignored;
-  if (!by_number || std::filesystem::exists(path, ignored)) return path;
+  if (!by_number || is_there(path)) return path;
   // The same number with other zeros before it: "12" for "00012", and the other way round.
   const std::size_t first = std::min(number.find_first_not_of('0'), number.size() - 1);
   for (std::string digits = number.substr(first); digits.size() <= kMostDigits; digits.insert(0, "0")) {
     std::string other = path_with(digits);
-    if (std::filesystem::exists(other, ignored)) return other;
+    if (is_there(other)) return other;
   }
   return path;
 }
 
 bool has_file(const std::string& folder, const std::string& pattern, const FrameInfo& frame) {
-  std::error_code ignored;
   const std::string path = path_of(folder, pattern, frame);
-  return !path.empty() && std::filesystem::is_regular_file(path, ignored);
+  return !path.empty() && is_file(path);
 }
 
 void check_label_shape(std::int64_t width, std::int64_t height, const Camera& frame) {
@@ -107,17 +105,14 @@ void check_label_shape(std::int64_t width, std::int64_t height, const Camera& fr
 }
 
 bool folder_has_cameras(const std::string& path) {
-  std::error_code unknown;
   const std::string cameras = (std::filesystem::path(path).parent_path() / "cameras.json").string();
-  return std::filesystem::is_regular_file(cameras, unknown) &&
-         read_file_start(cameras, 256).find("semfield-cameras-") != std::string::npos;
+  return is_file(cameras) && read_file_start(cameras, 256).find("semfield-cameras-") != std::string::npos;
 }
 
 bool check_folder(const std::string& folder, Diagnostics& diagnostics) {
-  std::error_code ignored;
   if (folder.empty()) {
     diagnostics.error("labels.folder.unnamed", "folder", "no folder is named", "set scene.labels.from.folder");
-  } else if (!std::filesystem::is_directory(folder, ignored)) {
+  } else if (!is_folder(folder)) {
     diagnostics.error("files.folder.missing", "folder", "'" + folder + "' is not a folder", "check the path");
   } else {
     return true;
@@ -197,9 +192,8 @@ std::vector<int> named_frames(const SceneInfo& info, const std::vector<std::stri
   for (const std::string& name : names) {
     const auto found = std::find(known.begin(), known.end(), name);
     if (found == known.end()) {
-      const std::string near = did_you_mean(name, known);
       refuse("scene.frame.unknown", "names: no frame '" + name + "'",
-             near.empty() ? "see `semfield inspect` for the names" : "did you mean '" + near + "'?");
+             near_name_remedy(name, known, "see `semfield inspect` for the names"));
     }
     const auto index = static_cast<std::size_t>(found - known.begin());
     if (info.frames[index].split != Split::train)

@@ -12,6 +12,7 @@
 
 #include "config/params.h"
 #include "core/error.h"
+#include "core/non_copyable.h"
 #include "loading/frame_source.h"
 #include "scene/classes/class_table.h"
 
@@ -127,12 +128,10 @@ bool check_folder(const std::string& folder, Diagnostics& diagnostics);
 bool check_folder(const std::string& folder, const std::string& pattern, Diagnostics& diagnostics);
 
 /// Passes problems on to `diagnostics`, the first 20 of them; the rest are counted in one line at the end.
-class ProblemList {
+class ProblemList : NonCopyable {
  public:
   explicit ProblemList(Diagnostics& diagnostics) : diagnostics_(diagnostics) {}
   ~ProblemList();
-  ProblemList(const ProblemList&) = delete;
-  ProblemList& operator=(const ProblemList&) = delete;
 
   void error(Code code, const std::string& where, const std::string& message, const std::string& remedy);
   /// Runs `body`; an Error that it throws becomes a problem.

@@ -19,6 +19,7 @@
 #include "loading/frame_files.h"
 #include "scene/scene.h"
 #include "system/checksum.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -196,9 +197,8 @@ Annotations read_clicks(const SceneInfo& scene, const LabelConfig& config, Diagn
   const int room = config.selection.class_room;
   Diagnostics found;
   std::vector<LabelEvent> events;
-  std::error_code unknown;
   try {
-    if (!file.empty() && (room == 0 || std::filesystem::exists(file, unknown))) events = read_click_log(file, found);
+    if (!file.empty() && (room == 0 || is_there(file))) events = read_click_log(file, found);
     for (const Diagnostic& d : found.all())
       diagnostics.warning(d.code, "scene.labels.clicks: " + d.where, d.message, d.remedy);
     return replay(scene, room, events, file);

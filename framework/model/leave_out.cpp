@@ -37,11 +37,10 @@ class Planner {
   void refuse_unknown() const {
     for (const std::string& name : keep_) {
       if (std::find(all_.begin(), all_.end(), name) != all_.end()) continue;
-      const std::string near = did_you_mean(name, known_);
       throw Error(
           ErrorKind::usage, "config.keep.unknown",
           fmt::format("--keep {}: no rule leaves out anything of that name (there are: {})", name, join(known_)),
-          near.empty() ? "" : "did you mean '" + near + "'?");
+          near_name_remedy(name, known_));
     }
   }
 

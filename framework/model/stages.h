@@ -8,6 +8,7 @@
 #include "core/error.h"
 #include "core/half.h"
 #include "core/host_device.h"
+#include "core/non_copyable.h"
 #include "core/rng.h"
 #include "model/compositor.h"
 #include "model/optim/adam.h"
@@ -190,7 +191,7 @@ const Stages<Real>& cpu_stages();
 
 /// Stages work on the rows in use while it lives.
 template <class Real>
-class LiveRows {
+class LiveRows : NonCopyable {
  public:
   /// count: device memory; null: all rows.
   LiveRows(const Stages<Real>& stages, const std::int32_t* count) : set_(stages.set_live_rows) {
@@ -201,8 +202,6 @@ class LiveRows {
   ~LiveRows() {
     if (set_ != nullptr) (void)set_(before_);
   }
-  LiveRows(const LiveRows&) = delete;
-  LiveRows& operator=(const LiveRows&) = delete;
 
  private:
   const std::int32_t* (*set_)(const std::int32_t*);

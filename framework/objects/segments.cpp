@@ -324,8 +324,7 @@ class Reading {
 
   void of_panoptic(const std::string& path, const Json& list, const std::map<std::int64_t, std::int16_t>& classes) {
     const fs::path inside = fs::path(path).replace_extension();
-    std::error_code unknown;
-    const fs::path folder = fs::is_directory(inside, unknown) ? inside : fs::path(path).parent_path();
+    const fs::path folder = is_folder(inside) ? inside : fs::path(path).parent_path();
     std::vector<PictureName> pictures;
     for (const Json& item : list) {
       const std::string place = path + ": annotation " + std::to_string(pictures.size() + 1);
@@ -391,16 +390,15 @@ class Reading {
 }  // namespace
 
 SegmentSet read_segments(const std::string& path, const std::string& pattern, const SceneInfo& info) {
-  std::error_code unknown;
   Reading reading(info, path);
-  if (fs::is_directory(path, unknown)) {
+  if (is_folder(path)) {
     if (!pattern.empty()) {
       Diagnostics found;
       check_pattern(pattern, found);
       found.throw_if_errors(ErrorKind::usage, "--pattern:");
     }
     reading.folder(path, pattern);
-  } else if (fs::exists(path, unknown)) {
+  } else if (is_there(path)) {
     reading.file(path);
   } else {
     throw Error(ErrorKind::no_input, "files.read.missing", "no file or folder '" + path + "'",

@@ -154,8 +154,7 @@ void keep_check(const std::string& path, const std::string& broken_law, Diagnost
 
 void load_module(Registry& registry, const std::string& path, const LoadOptions& options) {
   const std::string doing = "cannot load plugin '" + path + "'";
-  std::error_code ignored;
-  if (!fs::is_regular_file(path, ignored)) {
+  if (!is_file(path)) {
     throw Error(ErrorKind::unavailable, "plugin.module.missing", doing + ": there is no such file",
                 "check the path; in a configuration it starts at the file that wrote it");
   }
@@ -188,13 +187,11 @@ void load_listed_module(Registry& registry, const std::string& path) {
   }
   for (const std::string& trusted : trusted_folders()) {
     const std::string file = (fs::path(trusted) / file_name(path)).string();
-    std::error_code none;
-    if (!fs::is_regular_file(file, none)) continue;
+    if (!is_file(file)) continue;
     load_module(registry, file);
     return;
   }
-  std::error_code none;
-  if (!fs::is_regular_file(path, none))
+  if (!is_file(path))
     throw Error(
         ErrorKind::unavailable, "plugin.module.missing", "cannot load plugin '" + path + "': there is no such file",
         "check the path, which starts at the file that wrote it, or name the module where it lies: --plugin FILE");
@@ -209,8 +206,7 @@ void add_cuda_kernels_of_modules(Registry& registry) {
     const fs::path path(module);
     const std::string file =
         (path.parent_path() / (path.stem().string() + "_cuda" + path.extension().string())).string();
-    std::error_code ignored;
-    if (!fs::is_regular_file(file, ignored)) continue;
+    if (!is_file(file)) continue;
     const std::string doing = "cannot load the CUDA kernels '" + file + "' of plugin '" + module + "'";
     const std::string remedy = "build them again against the installed framework, or set runtime.device: cpu";
     void* const library = open_library(file, file, doing, remedy);

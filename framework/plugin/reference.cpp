@@ -91,9 +91,8 @@ std::string plugin_details_text(const Registry& registry, const std::string& nam
     text += details_text(registry, *entry);
   }
   if (!text.empty()) return text;
-  const std::string near = did_you_mean(name, known);
   throw Error(ErrorKind::config, "plugin.name.unknown", "no plugin named '" + name + "'; known: " + join(known),
-              near.empty() ? "" : "did you mean '" + near + "'?");
+              near_name_remedy(name, known));
 }
 
 std::string support_matrix_text(const Registry& registry) {

@@ -61,8 +61,7 @@ const PluginEntry& Registry::get(PluginKind kind, std::string_view name) const {
   const std::vector<std::string> known = names(kind);
   std::string text = "no " + std::string(kind_name(kind)) + " named '" + std::string(name) +
                      "'; known: " + (known.empty() ? "none" : join(known));
-  const std::string near = did_you_mean(name, known);
-  throw Error(ErrorKind::config, "plugin.name.unknown", text, near.empty() ? "" : "did you mean '" + near + "'?");
+  throw Error(ErrorKind::config, "plugin.name.unknown", text, near_name_remedy(name, known));
 }
 
 std::vector<const PluginEntry*> Registry::entries() const {

@@ -13,6 +13,7 @@
 #include <tuple>
 
 #include "config/compose.h"
+#include "config/explain.h"
 #include "config/params.h"
 #include "core/check.h"
 #include "core/error.h"
@@ -64,13 +65,7 @@ class Reader {
   }
 
   void known_keys(const ConfigNode& node, const std::string& path, const std::vector<std::string>& known) {
-    for (const auto& [key, value] : node.entries()) {
-      if (std::find(known.begin(), known.end(), key) != known.end()) continue;
-      const std::string near = did_you_mean(key, known);
-      diagnostics_.error("config.key.unknown", value.key_location().text(),
-                         (path.empty() ? "" : path + ": ") + "unknown key '" + key + "'",
-                         near.empty() ? "known: " + join(known) : "did you mean '" + near + "'?");
-    }
+    refuse_unknown_keys(node, (path.empty() ? "" : path + ": ") + "unknown key", known, diagnostics_);
   }
 
   std::vector<std::string> texts(const ConfigNode& tree, const std::string& key) {
@@ -107,8 +102,7 @@ class Reader {
 
   std::string base_file(const ConfigNode& node) {
     const std::string path = resolve_path(node);
-    std::error_code ignored;
-    if (std::filesystem::is_regular_file(path, ignored)) return path;
+    if (is_file(path)) return path;
     const std::string place = shipped_place(node.text()), shipped = shipped_config(node.text());
     if (shipped.empty())
       error(node, "base: no file '" + path + "'" + (place.empty() ? "" : ", and none '" + place + "'"),

@@ -54,8 +54,7 @@ std::string place_of(const std::string& folder) { return fs::weakly_canonical(fs
 // run.yaml, as the session's configuration is now; nothing is written where the file says so already.
 void write_run_config(const RunFolder& folder, const RunConfig& config, Registry& registry) {
   const std::string text = run_config_text(config, registry);
-  std::error_code unknown;
-  if (std::filesystem::exists(folder.config_path(), unknown) && read_text_file(folder.config_path()) == text) return;
+  if (is_there(folder.config_path()) && read_text_file(folder.config_path()) == text) return;
   write_file_atomic(folder.config_path(), text);
 }
 

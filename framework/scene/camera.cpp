@@ -300,8 +300,7 @@ std::optional<PlacedCamera> read_camera(const Json& node, const std::string& pla
   known.insert(known.end(), {"lens", "near", "far", "world_from_camera"});
   for (const auto& [key, value] : node.items()) {
     if (std::find(known.begin(), known.end(), key) != known.end()) continue;
-    const std::string near = did_you_mean(key, known);
-    error("unknown key '" + key + "'", near.empty() ? "known: " + join(known) : "did you mean '" + near + "'?");
+    error("unknown key '" + key + "'", near_name_remedy(key, known, "known: " + join(known)));
   }
   PlacedCamera out;
   Camera& c = out.camera;

@@ -1,32 +1,14 @@
 // How the cameras of a scene stand to what they photograph: around one place, or any other way.
 #pragma once
 
-#include <algorithm>
-#include <cstddef>
 #include <cstdint>
 #include <functional>
-#include <iterator>
 #include <vector>
 
+#include "core/quantile.h"
 #include "scene/scene.h"
 
 namespace semfield {
-
-/// The middle value, of an even number the upper one; 0 of none.
-template <class T>
-T median_of(std::vector<T> values) {
-  if (values.empty()) return T(0);
-  const auto middle = values.begin() + std::ssize(values) / 2;
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-/// The value of rank floor(share * (n - 1)), share 0 to 1. Reorders `values`, which are not empty.
-template <class T>
-T quantile(std::vector<T>& values, double share) {
-  const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
-  std::nth_element(values.begin(), at, values.end());
-  return *at;
-}
 
 /// Of the turn from one camera to the other, 0 to 180 degrees.
 double angle_deg(const Pose& a, const Pose& b);

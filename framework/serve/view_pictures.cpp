@@ -13,6 +13,7 @@
 #include "compute/parallel.h"
 #include "formats/image_io.h"
 #include "serve/label_loop.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -451,8 +452,7 @@ ViewLabels upsampled(const CoarseLabels& coarse, const StoredFrame& photo) {
 }
 
 std::optional<StoredSize> stored_size_of(const FrameInfo& frame) {
-  std::error_code failed;
-  if (!std::filesystem::is_regular_file(frame.source, failed)) return std::nullopt;
+  if (!is_file(frame.source)) return std::nullopt;
   const ImageSize stored = image_size(frame.source);
   const Camera& camera = frame.camera;
   const double x = static_cast<double>(stored.width_px) / camera.width_px,

@@ -180,7 +180,7 @@ std::string SelfTraining::name_of_labels() const {
 
 void SelfTraining::resume(std::int64_t step, const std::string& named) {
   std::error_code missing;
-  if (fs::is_directory(folder_, missing)) {
+  if (is_folder(folder_)) {
     remove_stale_temporaries(folder_);
     for (const fs::directory_entry& entry : sorted_folder(folder_)) {
       const auto made = step_of_file(entry.path().filename().string());

@@ -472,7 +472,7 @@ void FolderLock::keep_over_exec() const { ::fcntl(descriptor_, F_SETFD, 0); }
 std::string shared_root() {
   std::error_code unknown;
   if (const char* named = std::getenv("SEMFIELD_SHARE"); named != nullptr && *named != '\0') {
-    if (!fs::is_directory(named, unknown))
+    if (!is_folder(named))
       throw Error(ErrorKind::config, "config.environment.value",
                   std::string("environment variable SEMFIELD_SHARE: no folder '") + named + "'",
                   "set it to the folder that holds configs/ and scenes/, or leave it out");
@@ -485,7 +485,7 @@ std::string shared_root() {
   for (int level = 0; level < 3; ++level) {
     folder = folder.parent_path();
     const fs::path share = folder / "share" / "semfield";
-    if (fs::is_directory(share / "configs", unknown)) return share.string();
+    if (is_folder(share / "configs")) return share.string();
   }
   return "";
 }
@@ -493,8 +493,7 @@ std::string shared_root() {
 std::string shared_file(const std::string& relative) {
   const std::string root = shared_root();
   const fs::path path = (fs::path(root) / relative).lexically_normal();
-  std::error_code unknown;
-  if (root.empty() || !fs::exists(path, unknown))
+  if (root.empty() || !is_there(path))
     throw Error(
         ErrorKind::no_input, "files.shared.missing",
         root.empty() ? "no file '" + relative + "', which comes with the program: no folder share/semfield"
@@ -520,8 +519,7 @@ std::vector<fs::directory_entry> sorted_folder(const std::string& folder) {
 std::optional<FileVerdict> read_verdict(const std::string& file, const std::string& version, Diagnostics& notes) {
   try {
     const std::string entry = entry_of(file, version);
-    std::error_code ignored;
-    if (entry.empty() || !std::filesystem::exists(entry, ignored)) return std::nullopt;
+    if (entry.empty() || !is_there(entry)) return std::nullopt;
     // Head, fault, checksum of both: a line each, a fault may have several.
     const std::string text = read_text_file(entry, std::size_t{1} << 20);
     constexpr std::size_t kTail = 9;  // of eight digits and a line's end

@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "core/non_copyable.h"
 #include "core/view.h"
 #include "plugin/parametric.h"
 
@@ -114,13 +115,11 @@ std::string check_gradient(const std::function<double()>& loss, View<double> x, 
 /// Allocates what `component` declares. Values are drawn in fp32 from (seed, tensor name, element), so that a float box
 /// and a double box of one component hold the same numbers.
 template <class Real>
-class TensorBox {
+class TensorBox : NonCopyable {
  public:
   /// Learned tensors start as declared plus uniform noise of +-`noise`, so that zero-initialised layers are exercised
   /// too.
   TensorBox(const Parametric<Real>& component, std::uint64_t seed, double noise = 0.1);
-  TensorBox(const TensorBox&) = delete;
-  TensorBox& operator=(const TensorBox&) = delete;
 
   const Tensors<Real>& tensors() const { return tensors_; }
   /// The same without gradients, as a renderer passes them.

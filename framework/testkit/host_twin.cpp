@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "core/error.h"
+#include "core/non_copyable.h"
 
 namespace semfield::testkit {
 
@@ -19,7 +20,7 @@ constexpr std::size_t kGuardBytes = 256;
 constexpr std::byte kGuard{0xFF};  // NaN in float
 
 /// The device's copies of one call's views, its tensors first.
-class Copies {
+class Copies : NonCopyable {
  public:
   Copies(const char* call, const TwinOptions& options, const Tensors<float>& tensors, Access grads = Access::read,
          Access values = Access::read)
@@ -28,8 +29,6 @@ class Copies {
         calls_(options.calls),
         value_(all(tensors.value, values)),
         grad_(all(tensors.grad, grads)) {}
-  Copies(const Copies&) = delete;
-  Copies& operator=(const Copies&) = delete;
   ~Copies() {
     for (const Copy& copy : copies_) calls_.memory.release(copy.device);
   }

@@ -6,6 +6,7 @@
 #include <memory>
 #include <vector>
 
+#include "core/non_copyable.h"
 #include "execution/device_library.h"
 
 namespace semfield::python {
@@ -37,7 +38,7 @@ struct DlManaged {
 };
 constexpr const char* kFresh = "dltensor";  // a capsule of this name has not been taken up
 
-struct Memory {
+struct Memory : NonCopyable {
   explicit Memory(const std::byte* from, std::size_t size, int ordinal_in) : bytes(size), ordinal(ordinal_in) {
     const DeviceCalls& calls = cuda_library().calls;
     (void)cuda_library().describe(ordinal);  // throws for a device that is not there
@@ -46,8 +47,6 @@ struct Memory {
       if (bytes > 0) calls.to_device(from, data, bytes);
     });
   }
-  Memory(const Memory&) = delete;
-  Memory& operator=(const Memory&) = delete;
   ~Memory() {
     if (data != nullptr) cuda_library().calls.memory.release(data);
   }

@@ -7,6 +7,7 @@
 #include <optional>
 
 #include "core/error.h"
+#include "core/non_copyable.h"
 
 namespace semfield::python {
 
@@ -32,12 +33,10 @@ void end_work();
 
 /// Work of a session without the GIL, while it lives. Once Python ends it throws: SystemExit, which ends a thread in
 /// silence, and Error(usage) on the thread that ends Python.
-class Work {
+class Work : NonCopyable {
  public:
   Work();
   ~Work();
-  Work(const Work&) = delete;
-  Work& operator=(const Work&) = delete;
 
  private:
   struct Entry {

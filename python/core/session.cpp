@@ -7,6 +7,7 @@
 #include <optional>
 
 #include "core/error.h"
+#include "core/non_copyable.h"
 #include "core/workspace.h"
 #include "eval/channel_query.h"
 #include "eval/final_eval.h"
@@ -44,12 +45,10 @@ auto opened(const Open& open) {
 }
 
 // The interrupt that the listener looks at, for the time of one call.
-class OneCall {
+class OneCall : NonCopyable {
  public:
   OneCall(Interrupt*& place, Interrupt* interrupt) : place_(place) { place_ = interrupt; }
   ~OneCall() { place_ = nullptr; }
-  OneCall(const OneCall&) = delete;
-  OneCall& operator=(const OneCall&) = delete;
 
  private:
   Interrupt*& place_;

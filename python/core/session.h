@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "core/non_copyable.h"
 #include "python/core/errors.h"
 #include "run/run.h"
 #include "run/run_scores.h"
@@ -33,11 +34,9 @@ class Notes final : public RunListener {
 /// calls that compute throw Error(usage), and the end of the object gives nothing back. Every call that computes gives
 /// the GIL back; calls from several threads wait for each other. Plugins written in Python take it in turn, so nobody
 /// may hold it while waiting here.
-class PySession {
+class PySession : NonCopyable {
  public:
   ~PySession();
-  PySession(const PySession&) = delete;
-  PySession& operator=(const PySession&) = delete;
   /// A configuration that trains. `scene`: in place of its section, a dict or None.
   static std::unique_ptr<PySession> open(const py::object& config, const py::dict& set, const std::string& run_dir,
                                          const std::vector<std::string>& keep, const py::object& scene);

@@ -6,7 +6,9 @@
 #include <string>
 
 #include "core/error.h"
+#include "core/non_copyable.h"
 #include "plugin/loader.h"
+#include "system/files.h"
 
 namespace {
 
@@ -43,7 +45,7 @@ void add_build_folder() {
   std::error_code unknown;
   const std::filesystem::path folder = std::filesystem::weakly_canonical(
       std::filesystem::path(self.dli_fname).parent_path() / SEMFIELD_PYTHON_BUILD_DIR, unknown);
-  if (!std::filesystem::exists(folder / "semfield" / "__init__.py", unknown)) return;
+  if (!semfield::is_there(folder / "semfield" / "__init__.py")) return;
   PyObject* const path = PySys_GetObject("path");
   PyObject* const word = PyUnicode_FromString(folder.c_str());
   if (path != nullptr && word != nullptr) PyList_Insert(path, 0, word);
@@ -75,11 +77,9 @@ void start_python() {
   PyEval_SaveThread();
 }
 
-struct Gil {
+struct Gil : semfield::NonCopyable {
   Gil() : state(PyGILState_Ensure()) {}
   ~Gil() { PyGILState_Release(state); }
-  Gil(const Gil&) = delete;
-  Gil& operator=(const Gil&) = delete;
   PyGILState_STATE state;
 };
 

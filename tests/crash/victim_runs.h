@@ -5,6 +5,7 @@
 #include <map>
 #include <sstream>
 
+#include "core/non_copyable.h"
 #include "tests/crash/scenarios.h"
 #include "tests/program.h"
 #include "tests/temp_dir.h"
@@ -78,14 +79,12 @@ inline std::vector<std::string> fault_environment(const std::string& folder, con
 }
 
 /// A folder with the state before a save, and the save with a fault in it.
-class Trial {
+class Trial : NonCopyable {
  public:
   explicit Trial(Save what) : what_(what) {
     fs::create_directories(folder_);
     prepare(what, folder_);
   }
-  Trial(const Trial&) = delete;
-  Trial& operator=(const Trial&) = delete;
 
   Result save(const Fault& fault = {}) {
     fs::remove(log_);

@@ -10,6 +10,7 @@
 #include <initializer_list>
 #include <optional>
 
+#include "core/non_copyable.h"
 #include "core/rng.h"
 #include "core/view.h"
 #include "core/workspace.h"
@@ -56,7 +57,7 @@ inline KernelTables tables_of(std::initializer_list<void (*)(KernelTables&)> add
 /// (NaN in float, -1 in integers), and so is a matrix that was given no values: what a kernel must write is seen, and
 /// what it must not write too.
 template <class T>
-class DeviceMatrix {
+class DeviceMatrix : NonCopyable {
  public:
   DeviceMatrix(std::int64_t rows, std::int32_t cols, std::int64_t row_stride = -1)
       : rows_(rows), cols_(cols), stride_(row_stride < 0 ? cols : row_stride) {
@@ -71,8 +72,6 @@ class DeviceMatrix {
       : DeviceMatrix(cols == 0 ? 0 : static_cast<std::int64_t>(values.size()) / cols, cols, row_stride) {
     write(values);
   }
-  DeviceMatrix(const DeviceMatrix&) = delete;
-  DeviceMatrix& operator=(const DeviceMatrix&) = delete;
   ~DeviceMatrix() { (void)cudaFree(data_); }
 
   View<T> view() const { return View<T>(data_, rows_, cols_, stride_, Device::cuda); }
@@ -133,7 +132,7 @@ struct NotedFault {
 };
 
 /// While it lives, launches of this thread go to a stream of its own, with its own step cell, fault cell and arena.
-class DeviceLaunch {
+class DeviceLaunch : NonCopyable {
  public:
   explicit DeviceLaunch(bool check_at_once = false, bool deterministic = false) : cell_(1, 1), fault_(1, 1) {
     cuda::check(cudaStreamCreate(&launch_.stream), "a stream of a test");
@@ -143,8 +142,6 @@ class DeviceLaunch {
     launch_.deterministic = deterministic;
     set_cell({});
   }
-  DeviceLaunch(const DeviceLaunch&) = delete;
-  DeviceLaunch& operator=(const DeviceLaunch&) = delete;
   ~DeviceLaunch() {
     scope_.reset();
     (void)cudaStreamDestroy(launch_.stream);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "core/non_copyable.h"
 #include "core/rng.h"
 #include "cuda/kernels/kernels.h"
 #include "device_fixture.h"
@@ -53,7 +54,7 @@ std::vector<T> with_tail(std::vector<T> values, std::int64_t more, T value) {
 
 // Rays on the device, `unused` rows behind their samples, `gap` columns between rows of matrices; the first `labelled`
 // rays have hidden channels (-1: all of them).
-struct DeviceRays {
+struct DeviceRays : NonCopyable {
   DeviceRays(const RayBuffers<float>& host, std::int64_t unused, int gap, std::int64_t labelled_rays = -1)
       : rows(host.rows() + unused),
         labelled(labelled_rays < 0 ? host.rays() : labelled_rays),
@@ -97,8 +98,6 @@ struct DeviceRays {
     out.hidden = out_hidden.view();
     grad.hidden = g_hidden.read_only();
   }
-  DeviceRays(const DeviceRays&) = delete;
-  DeviceRays& operator=(const DeviceRays&) = delete;
 
   void forward() { cuda::composite_forward(in, out); }
   void backward() {

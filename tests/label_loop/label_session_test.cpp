@@ -10,6 +10,7 @@
 #include <stdexcept>
 #include <thread>
 
+#include "core/non_copyable.h"
 #include "labels/clicks/click_log.h"
 #include "loading/packed_scene.h"
 #include "report/report.h"
@@ -30,7 +31,7 @@ inline std::string session_config(const std::string& scene = "analytic_room, wit
 }
 
 /// run() in a thread from start() on; what it throws is in `ended_with`. Stopped at the end.
-class RunningSession {
+class RunningSession : NonCopyable {
  public:
   RunningSession(const std::string& yaml, const std::string& run_dir, RunListener* listener = nullptr,
                  int class_room = 6)
@@ -39,8 +40,6 @@ class RunningSession {
   RunningSession(RunConfig config, const std::string& run_dir, RunListener* listener = nullptr, int class_room = 6)
       : session(std::move(config), testing_train::all_plugins(), {run_dir, class_room}, listener) {}
   ~RunningSession() { stop(); }
-  RunningSession(const RunningSession&) = delete;
-  RunningSession& operator=(const RunningSession&) = delete;
 
   RunningSession& start() {
     thread_ = std::thread([this] {

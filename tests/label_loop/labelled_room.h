@@ -1,6 +1,7 @@
 // The analytic room while it is labelled: trained shortly with learned geometry, and seen by views of exact distances.
 #pragma once
 
+#include "core/non_copyable.h"
 #include "serve/label_loop.h"
 #include "surface/surface_graph.h"
 #include "testkit/analytic_scene.h"
@@ -19,7 +20,7 @@ inline testkit::AnalyticHit hit_at(const RayCamera& camera, const PixelPlace& pi
 }
 
 /// Views of every frame of the room, at a stride.
-struct SeenRoom {
+struct SeenRoom : NonCopyable {
   SceneInfo info;
   std::vector<StoredFrame> photos;
   std::vector<PoolView> views;
@@ -48,8 +49,6 @@ struct SeenRoom {
       views.push_back(std::move(view));
     }
   }
-  SeenRoom(const SeenRoom&) = delete;
-  SeenRoom& operator=(const SeenRoom&) = delete;
 
  private:
   using AnalyticHit = testkit::AnalyticHit;

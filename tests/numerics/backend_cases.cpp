@@ -14,6 +14,7 @@
 #include "compute/layers.h"
 #include "compute/math_functions.h"
 #include "compute/parallel.h"
+#include "core/non_copyable.h"
 #include "core/rng.h"
 #include "core/text.h"
 #include "datasets/obj_room/mesh_io.h"
@@ -397,7 +398,7 @@ namespace {
 constexpr std::int64_t kTwo31 = std::int64_t{1} << 31;
 
 // Addresses of `bytes` bytes; a page gets memory when it is written.
-class Reserved {
+class Reserved : NonCopyable {
  public:
   explicit Reserved(std::size_t bytes)
       : bytes_(bytes),
@@ -405,8 +406,6 @@ class Reserved {
   ~Reserved() {
     if (there()) ::munmap(memory_, bytes_);
   }
-  Reserved(const Reserved&) = delete;
-  Reserved& operator=(const Reserved&) = delete;
   bool there() const { return memory_ != MAP_FAILED; }
   template <class T>
   T* as() const {
@@ -595,9 +594,8 @@ struct Step {
 std::string probe_path() {
   Dl_info info{};
   if (dladdr(reinterpret_cast<const void*>(&probe_path), &info) == 0 || info.dli_fname == nullptr) return {};
-  std::error_code ignored;
   const auto path = std::filesystem::path(info.dli_fname).parent_path() / "semfield_step_probe";
-  return std::filesystem::exists(path, ignored) ? path.string() : std::string();
+  return is_there(path) ? path.string() : std::string();
 }
 
 std::optional<Step> probe(CaseRun& run, const std::string& program, const std::string& set, const std::string& yaml,
@@ -710,8 +708,7 @@ std::string compile_commands() {
   std::error_code ignored;
   std::filesystem::path folder = std::filesystem::absolute(info.dli_fname, ignored).parent_path();
   for (int up = 0; up < 4 && !folder.empty(); ++up, folder = folder.parent_path()) {
-    if (std::filesystem::is_regular_file(folder / "compile_commands.json", ignored))
-      return read_text_file((folder / "compile_commands.json").string());
+    if (is_file(folder / "compile_commands.json")) return read_text_file((folder / "compile_commands.json").string());
   }
   return {};
 }

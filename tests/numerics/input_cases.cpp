@@ -11,6 +11,7 @@
 #include <stdexcept>
 
 #include "config/config_tree.h"
+#include "core/non_copyable.h"
 #include "core/rng.h"
 #include "eval/metrics.h"
 #include "formats/image_io.h"
@@ -380,7 +381,7 @@ void save(CheckpointStore& store, std::int64_t step, std::size_t values = 2000) 
 }
 
 // Lowers one limit of the process while it lives.
-class LowLimit {
+class LowLimit : NonCopyable {
  public:
   LowLimit(int what, rlim_t value) : what_(what) {
     ::getrlimit(static_cast<__rlimit_resource>(what_), &before_);
@@ -392,8 +393,6 @@ class LowLimit {
     ::setrlimit(static_cast<__rlimit_resource>(what_), &before_);
     ::signal(SIGXFSZ, handler_);
   }
-  LowLimit(const LowLimit&) = delete;
-  LowLimit& operator=(const LowLimit&) = delete;
 
  private:
   int what_;

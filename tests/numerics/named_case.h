@@ -14,12 +14,10 @@
 namespace semfield::numerics {
 
 /// Collects what one case measured. A row without a single check fails, and so does one whose error is NaN.
-class CaseRun {
+class CaseRun : NonCopyable {
  public:
   CaseRun(const Registry& registry, app::NumericsRow blank);
   ~CaseRun();
-  CaseRun(const CaseRun&) = delete;
-  CaseRun& operator=(const CaseRun&) = delete;
 
   const Registry& registry() const { return registry_; }
   /// Opens a row; what follows belongs to it. "fp32", "float64", "bf16", "-".
@@ -67,6 +65,7 @@ struct Case {
   void on_cpu(CaseRun& run);                                      \
   void on_device(CaseRun& run);
 #include "cases.inc"
+#include "core/non_copyable.h"
 #undef CASE
 #undef DEVICE_CASE
 

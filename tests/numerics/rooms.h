@@ -2,6 +2,7 @@
 #pragma once
 
 #include "compute/parallel.h"
+#include "core/non_copyable.h"
 #include "plugin/registry.h"
 #include "session/session.h"
 #include "session/trainer.h"
@@ -34,13 +35,11 @@ std::string small_config(const std::string& more = "");
 /// Hash grid behind an occupancy grid on the same room.
 std::string grid_config(const std::string& more = "");
 
-class TrainingBox {
+class TrainingBox : NonCopyable {
  public:
   /// `registry` with the dataset 'box_room' added. Throws Error(config).
   TrainingBox(const Registry& registry, const std::string& yaml);
   ~TrainingBox();
-  TrainingBox(const TrainingBox&) = delete;
-  TrainingBox& operator=(const TrainingBox&) = delete;
 
   Session& session() { return session_; }
   Pipeline<float>& pipeline() { return *session_.pipeline; }

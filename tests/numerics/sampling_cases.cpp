@@ -3,6 +3,7 @@
 #include <cstring>
 
 #include "compute/isa.h"
+#include "core/non_copyable.h"
 #include "loading/frame_source.h"
 #include "losses/semantic_cross_entropy.h"
 #include "plugins/samplers/importance/importance_kernels.h"
@@ -13,15 +14,13 @@ namespace semfield::numerics {
 
 /// What an earlier pass left on one ray: places and weights.
 template <class Real>
-struct Earlier {
+struct Earlier : NonCopyable {
   Earlier(std::vector<Real> places, std::vector<Real> weights) : t(std::move(places)), weight(std::move(weights)) {
     const auto n = static_cast<std::int64_t>(t.size());
     first = {0, static_cast<std::int32_t>(n)};
     samples = {View<Real>(t.data(), n, 1), View<Real>(t.data(), n, 1), {}, View<std::int32_t>(first.data(), 2, 1), n};
     proposal = {&samples, View<const Real>(weight.data(), n, 1)};
   }
-  Earlier(const Earlier&) = delete;
-  Earlier& operator=(const Earlier&) = delete;
   std::int64_t count() const { return static_cast<std::int64_t>(t.size()); }
   std::vector<Real> t, weight;
   std::vector<std::int32_t> first;

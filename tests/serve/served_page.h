@@ -16,6 +16,7 @@
 #include <string>
 
 #include "app/serve/page_server.h"
+#include "core/non_copyable.h"
 #include "tests/temp_dir.h"
 
 namespace semfield::testing_http {
@@ -37,7 +38,7 @@ struct Answer {
   }
 };
 
-class Connection {
+class Connection : NonCopyable {
  public:
   explicit Connection(int port) : socket_(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
     sockaddr_in place{};
@@ -48,8 +49,6 @@ class Connection {
     const int yes = 1;
     setsockopt(socket_, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
   }
-  Connection(const Connection&) = delete;
-  Connection& operator=(const Connection&) = delete;
   ~Connection() { close(socket_); }
 
   bool open() const { return open_; }

@@ -14,6 +14,7 @@
 
 #include "compute/isa.h"
 #include "compute/layers.h"
+#include "core/non_copyable.h"
 
 namespace semfield::SEMFIELD_ISA {
 namespace {
@@ -341,7 +342,7 @@ class EmulatedTiles {
 #if defined(__x86_64__)
 /// The registers themselves, whole tiles, while it lives. Configured by each product: another library of the process
 /// may have configured them in between.
-class HardwareTiles {
+class HardwareTiles : NonCopyable {
  public:
   HardwareTiles() {
     struct alignas(64) Config {
@@ -353,8 +354,6 @@ class HardwareTiles {
     __asm__ volatile("ldtilecfg %0" ::"m"(kConfig));
   }
   ~HardwareTiles() { __asm__ volatile("tilerelease"); }
-  HardwareTiles(const HardwareTiles&) = delete;
-  HardwareTiles& operator=(const HardwareTiles&) = delete;
 
   // In assembler: the compilers' own functions for these instructions take the number of a tile as a literal.
   template <int kTile>

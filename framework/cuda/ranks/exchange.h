@@ -9,6 +9,7 @@
 #include <span>
 #include <string>
 
+#include "core/non_copyable.h"
 #include "cuda/launch.h"
 #include "execution/ranks/ranks.h"
 

@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "core/error.h"
+#include "core/non_copyable.h"
 #include "core/view.h"
 
 namespace semfield {

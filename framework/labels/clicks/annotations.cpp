@@ -97,9 +97,8 @@ void Annotations::resolve_place(const LabelEvent& event) const {
   if (frame == frame_of_.end()) {
     std::vector<std::string> known;
     for (const FrameShape& f : frames_) known.push_back(f.name);
-    const std::string near = did_you_mean(event.frame, known);
     refuse("scene.frame.unknown", event, "no frame '" + event.frame + "'",
-           near.empty() ? "see `semfield inspect` for the names" : "did you mean '" + near + "'?");
+           near_name_remedy(event.frame, known, "see `semfield inspect` for the names"));
   }
   const FrameShape& shape = frames_[static_cast<std::size_t>(frame->second)];
   if (shape.split != Split::train)

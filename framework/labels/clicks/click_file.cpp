@@ -5,6 +5,7 @@
 #include <filesystem>
 
 #include "core/text.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -67,8 +68,7 @@ void require_clicks(const ClicksTrained& trained, const LabelConfig& labels, con
 ClickLog open_click_log(const LabelConfig& labels, const std::string& run_dir, Diagnostics& diagnostics) {
   const std::string file = labels.click_file();
   const fs::path folder = place_of(file).parent_path();
-  std::error_code unknown;
-  if (folder != place_of(run_dir) && fs::exists(folder / "run.yaml", unknown)) {
+  if (folder != place_of(run_dir) && is_there(folder / "run.yaml")) {
     throw Error(ErrorKind::cannot_create, "labels.clicks.foreign",
                 fmt::format("the clicks in '{}' are those of another run, so none are added to them", file),
                 fmt::format("continue that run, or a copy of its folder; or name a file of this run's own: "

@@ -92,11 +92,10 @@ std::vector<LabelEvent> read_click_log(const std::string& path, Diagnostics& dia
 
 ClickLog ClickLog::open(const std::string& path, Diagnostics& diagnostics) {
   std::string text;
-  std::error_code ignored;
   // What is no file is refused before a lock is made for it.
-  if (std::filesystem::is_directory(path, ignored)) (void)read_text_file(path);
+  if (is_folder(path)) (void)read_text_file(path);
   FolderLock lock = lock_of(path);
-  if (std::filesystem::exists(path, ignored)) text = read_text_file(path, kMostLogBytes);
+  if (is_there(path)) text = read_text_file(path, kMostLogBytes);
   std::vector<LabelEvent> events = parse_click_log(text, path, diagnostics);
   FileDescriptor file = open_for_appending(path);
   if (file < 0) throw write_error("open", path, errno);
@@ -353,9 +352,8 @@ void check_keys(const Json& root, const KindText& kind) {
   known.insert(known.end(), kind.may.begin(), kind.may.end());
   for (const auto& item : root.items()) {
     if (std::find(known.begin(), known.end(), item.key()) != known.end()) continue;
-    const std::string near = did_you_mean(item.key(), known);
     refuse("labels.event.format", "unknown key " + shown(Json(item.key())) + " of a '" + kind.type + "'",
-           near.empty() ? "known: " + join(known) : "did you mean '" + near + "'?");
+           near_name_remedy(item.key(), known, "known: " + join(known)));
   }
 }
 

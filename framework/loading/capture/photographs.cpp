@@ -19,6 +19,7 @@
 #include <span>
 
 #include "compute/parallel.h"
+#include "core/non_copyable.h"
 #include "core/text.h"
 #include "formats/image_io.h"
 #include "loading/frame_files.h"
@@ -383,15 +384,13 @@ constexpr std::size_t kLooks = 8;            // frames of an interval that are l
 constexpr std::size_t kMostSelected = 2000;  // by one call of ffmpeg: a word of a command line holds 128 KiB
 
 // All of a file that may be larger than memory.
-class MappedFile {
+class MappedFile : NonCopyable {
  public:
   explicit MappedFile(const std::string& path) : size_(fs::file_size(path)) {
     if (size_ == 0) return;
     data_ = mmap(nullptr, size_, PROT_READ, MAP_PRIVATE, open_for_reading(path), 0);
     if (data_ == MAP_FAILED) throw std::bad_alloc();
   }
-  MappedFile(const MappedFile&) = delete;
-  MappedFile& operator=(const MappedFile&) = delete;
   ~MappedFile() {
     if (size_ > 0) munmap(data_, size_);
   }

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "core/half.h"
+#include "core/non_copyable.h"
 #include "core/workspace.h"
 #include "plugin/field.h"
 #include "plugin/kernels.h"
@@ -191,11 +192,9 @@ class CountingArena {
     return {reinterpret_cast<T*>(take_bytes(sizeof(T) * static_cast<std::size_t>(rows * cols))), rows, cols};
   }
   std::size_t most() const { return most_; }
-  struct Scope {
+  struct Scope : NonCopyable {
     explicit Scope(CountingArena& of) : arena(of), used(of.used_) {}
     ~Scope() { arena.used_ = used; }
-    Scope(const Scope&) = delete;
-    Scope& operator=(const Scope&) = delete;
     CountingArena& arena;
     std::size_t used;
   };

@@ -168,9 +168,8 @@ ClassEntry yaml_entry(const ConfigNode& item) {
   static const std::vector<std::string> keys{"id", "name", "color", "ignore"};
   for (const auto& [key, value] : item.entries()) {
     if (std::find(keys.begin(), keys.end(), key) == keys.end()) {
-      const std::string near = did_you_mean(key, keys);
       refuse("config.key.unknown", value.location().text(), "unknown key '" + key + "' of a class",
-             near.empty() ? "known: " + join(keys) : "did you mean '" + near + "'?");
+             near_name_remedy(key, keys, "known: " + join(keys)));
     }
   }
   const ConfigNode* id = item.find("id");
@@ -381,8 +380,7 @@ std::int16_t ClassNames::index_of(const std::string& name, const std::string& pl
 }
 
 std::string ClassNames::remedy_for(const std::string& name) const {
-  const std::string near = did_you_mean(name, known_);
-  return near.empty() ? "add the class to the class table, or rename the label" : "did you mean '" + near + "'?";
+  return near_name_remedy(name, known_, "add the class to the class table, or rename the label");
 }
 
 ClassTable table_of_names(const std::vector<std::string>& names) {

@@ -16,6 +16,7 @@
 #include "labels/clicks/click_log.h"
 #include "model/pass.h"
 #include "plugin/loader.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -118,10 +119,9 @@ void describe(ParamVisitor& visit, RuntimeParams& p) {
 
 void validate(const RuntimeParams& p, Diagnostics& diagnostics) {
   if (p.device == "auto" || device_of(p.device)) return;
-  const std::string near = did_you_mean(p.device, {"auto", "cpu", "cuda"});
   diagnostics.error("config.value.choice", "runtime.device",
                     "expected one of auto, cpu, cuda, or cuda:N for GPU N counted from 0, got '" + p.device + "'",
-                    near.empty() ? "write one of them" : "did you mean '" + near + "'?");
+                    near_name_remedy(p.device, {"auto", "cpu", "cuda"}, "write one of them"));
 }
 
 void describe(ParamVisitor& visit, ReportParams& p) {
@@ -314,11 +314,10 @@ void anchor_click_file(const ConfigNode& labels, bool of_a_run, LabelConfig& con
     config.selection.clicks = resolve_path(*value);
     return;
   }
-  std::error_code unknown;
-  if (!fs::is_regular_file(value->location().file, unknown)) return;  // a text that is no file of a run yet
+  if (!is_file(value->location().file)) return;  // a text that is no file of a run yet
   const fs::path folder = fs::absolute(value->location().file).parent_path().lexically_normal(), file = value->text();
   config.run_dir = folder.string();
-  if (file.is_absolute() && file.filename() == kClickFile && fs::exists(folder / kClickFile, unknown))
+  if (file.is_absolute() && file.filename() == kClickFile && is_there(folder / kClickFile))
     config.selection.clicks = kClickFile;
 }
 
@@ -980,9 +979,8 @@ std::vector<FusionMethod> fusion_methods(const std::vector<std::string>& names) 
     const auto found = std::find(known.begin(), known.end(), name);
     if (found == known.end()) {
       const std::vector<std::string> all(known.begin(), known.end());
-      const std::string near = did_you_mean(name, all);
       throw Error(ErrorKind::config, "config.value.choice", "fuse.methods: there is no method '" + name + "'",
-                  near.empty() ? "known: " + join(all) : "did you mean '" + near + "'?");
+                  near_name_remedy(name, all, "known: " + join(all)));
     }
     const auto method = static_cast<FusionMethod>(found - known.begin());
     if (std::find(out.begin(), out.end(), method) == out.end()) out.push_back(method);

@@ -8,6 +8,7 @@
 #include "core/check.h"
 #include "core/text.h"
 #include "system/checksum.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -90,8 +91,7 @@ void require_scene_places(const RunConfig& config, const std::string& run_dir) {
     if (!setting.key.starts_with("scene.") || is_part_of_identity(setting.key)) continue;
     if (setting.key == "scene.labels.clicks") continue;  // which Run opens
     const std::string place = parse_config_value(setting.left, setting.key).text();
-    std::error_code unknown;
-    if (place.empty() || std::filesystem::exists(std::filesystem::path(config.base_dir) / place, unknown)) continue;
+    if (place.empty() || is_there(std::filesystem::path(config.base_dir) / place)) continue;
     throw Error(ErrorKind::no_input, "run.scene.moved",
                 "'" + place + "' is not there, where " + setting.key + " of the run '" + run_dir + "' points",
                 "if the data moved, add --set " + setting.key + "=NEW_PLACE");

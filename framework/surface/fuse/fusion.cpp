@@ -9,6 +9,7 @@
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
+#include "core/quantile.h"
 #include "core/small_math.h"
 #include "scene/classes/class_table.h"
 #include "scene/scene.h"
@@ -260,10 +261,7 @@ double median_depth(std::span<const float> depth_m) {
   for (const float z : depth_m) {
     if (valid_depth(z)) valid.push_back(z);
   }
-  if (valid.empty()) return 1;
-  const auto middle = valid.begin() + static_cast<std::ptrdiff_t>(valid.size() / 2);
-  std::nth_element(valid.begin(), middle, valid.end());
-  return *middle;
+  return valid.empty() ? 1 : median_of(std::move(valid));
 }
 
 }  // namespace

@@ -526,16 +526,15 @@ void read_rule(const ConfigNode& node, ClassRules& out, Diagnostics& diagnostics
       if (entry == nullptr) {
         std::vector<std::string> names;
         for (const ClassEntry& e : out.table.entries()) names.push_back(e.name);
-        const std::string near = did_you_mean(value.text(), names);
         diagnostics.error("labels.class.unknown", value.location().text(), "no class named '" + value.text() + "'",
-                          near.empty() ? "" : "did you mean '" + near + "'?");
+                          near_name_remedy(value.text(), names));
       } else {
         rule.id = entry->id;
       }
     } else {
-      const std::string near = did_you_mean(key, {"object", "group", "material", "class"});
-      diagnostics.error("config.key.unknown", value.location().text(), "unknown key '" + key + "' in a rule",
-                        near.empty() ? "known: object, group, material, class" : "did you mean '" + near + "'?");
+      diagnostics.error(
+          "config.key.unknown", value.location().text(), "unknown key '" + key + "' in a rule",
+          near_name_remedy(key, {"object", "group", "material", "class"}, "known: object, group, material, class"));
     }
   }
   if (!has_class) diagnostics.error("classes.rule.format", where, "the rule names no class", "add class: NAME");

@@ -206,10 +206,9 @@ class RegionNoise final : public Degradation {
     for (int c = 0; c < scene.info.classes.valid_count(); ++c) known.push_back(scene.info.classes.valid(c).name);
     for (const std::string& name : classes) {
       if (std::find(known.begin(), known.end(), name) != known.end()) continue;
-      const std::string near = did_you_mean(name, known);
       throw Error(ErrorKind::data, "labels.class.unknown",
                   std::string(kRegionNoise) + ".classes: the class table has no class '" + name + "'",
-                  near.empty() ? "see `semfield inspect` for the names" : "did you mean '" + near + "'?");
+                  near_name_remedy(name, known, "see `semfield inspect` for the names"));
     }
   }
 

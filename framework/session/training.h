@@ -1,0 +1,150 @@
+// An open configuration that trains: the loop that programs drive, step by step.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "core/non_copyable.h"
+#include "formats/safetensors.h"
+#include "session/checkpoint_facts.h"
+#include "session/ray_source.h"
+#include "session/session.h"
+#include "session/settings/choices.h"
+#include "session/trainer.h"
+
+namespace semfield {
+
+/// What a training reports while it runs; every call comes from the thread that asked for the work.
+class TrainingListener : NonCopyable {
+ public:
+  virtual ~TrainingListener() = default;
+  /// A finding or a choice, as a sentence.
+  virtual void note(const std::string&) {}
+  /// A finding that something may be wrong.
+  virtual void warning(const std::string& text) { note(text); }
+  /// A clock for what steps take; it never runs back.
+  virtual double step_clock_s();
+  /// `step` steps are made; these are the losses of the last of them.
+  virtual void stepped(std::int64_t /*step*/, const StepLosses&) {}
+};
+
+/// Notes of what opening a session found, and of what it chose.
+void tell_findings(TrainingListener& listener, const Diagnostics& diagnostics, const Session& session);
+
+/// Trainings share nothing: several of them train in threads of their own, and each gets the bits that it would get
+/// alone. One training is used by one thread at a time; cancel() alone may come from any.
+class Training {
+ public:
+  /// Opens the scene and builds the network (open_session). `registry` and `listener`, which may be null, must outlive
+  /// the object. Throws Error as open_session does.
+  Training(RunConfig config, Registry& registry, const SessionOptions& options = {},
+           TrainingListener* listener = nullptr);
+  /// The same with a session that was opened as trainable.
+  /// `inputs`: scene_inputs of its scene, where they are known.
+  explicit Training(Session session, TrainingListener* listener = nullptr, std::optional<SceneInputs> inputs = {});
+
+  const Session& session() const { return session_; }
+  const SceneInputs& inputs();
+  /// For rounds of self-training.
+  RaySource& rays() { return *rays_; }
+
+  /// Steps made so far, and the seconds that they took; loading takes up both.
+  std::int64_t step() const { return trainer_.step(); }
+  double train_s() const { return train_s_; }
+  /// Seconds of work between steps that is training too.
+  void add_train_s(double seconds) { train_s_ += seconds; }
+  /// Steps of the run at its end; 0 while they are not settled. A configuration that asks for seconds settles them,
+  /// with the schedule, by the rate of its own steps: session().config then has them.
+  std::int64_t last_step() const;
+  bool at_its_end() const { return last_step() > 0 && step() >= last_step(); }
+  /// ask_more of this training: what it trains from its present step on.
+  void train_more(const AskedLength& asked);
+  /// Whether the length was settled since the last call: run.yaml has to say so before another step is made.
+  bool take_settled() { return std::exchange(settled_, false); }
+
+  /// At least one step and at most `most`: as many as run without waiting in between. Their losses, in order, valid
+  /// until the next call. Errors are Trainer::advance's.
+  std::span<const StepLosses> advance(std::int64_t most = 1);
+  /// `steps` more steps, or fewer after a cancel; returns how many.
+  std::int64_t train(std::int64_t steps);
+  /// Called in every step from the next one on, between backward and Adam (execution/executor.h); null: no longer.
+  void set_gradient_hook(GradientHook<float> hook);
+  /// The train() under way, or the next one, ends after the step that it is in.
+  void cancel() { cancelled_ = true; }
+  /// Of the last step made; zeros before the first.
+  const StepLosses& losses() const { return losses_; }
+
+  /// Any camera at any pose, with the options of render_frame; FrameOptions::classes is the session's.
+  RenderedFrame render(const Camera& camera, const Pose& world_from_camera, const FrameOptions& options = {}) const;
+  /// Scores of frames of the scene, by their numbers.
+  SplitScore evaluate(std::vector<int> frames) const;
+
+  /// From the next step on `frame`, a training frame, has these hard labels: class indices [height * width], kVoid for
+  /// none. Every class must have a logit: classes that the labels had when the session opened have one, and all of the
+  /// class table with runtime.keep: [semantics, absent_classes]. Class weights stay those of the start. A checkpoint
+  /// names the labels that were set, and load() asks for them. Throws Error(data); nothing has changed then.
+  void set_labels(int frame, std::vector<std::int16_t> labels);
+  /// From the next step on these training frames have the labels that the session opened with, without its clicks, and
+  /// `clicks` painted over them; classes have the names that clicks give them. `clicks` grew from
+  /// config.labels.clicks, by events that are in the file scene.labels.clicks: a checkpoint does not name these labels,
+  /// for that file reports them. Throws Error(data) as set_labels; nothing has changed then.
+  void set_clicks(const Annotations& clicks, std::span<const int> frames);
+
+  /// What a checkpoint says of now, but for self-training.
+  CheckpointFacts facts();
+  /// Tensors of now, brought from the device and checked (Trainer::check_storable). Borrowed.
+  std::vector<TensorRef> state();
+  /// A checkpoint, written atomically and read back before it takes its name.
+  void save(const std::string& path);
+  /// Continues from a checkpoint of the same network: the next steps give the bits of the training that was never
+  /// stopped. Throws Error(data) for another network, other classes or other labels set; nothing has changed then.
+  void load(const std::string& path);
+
+ private:
+  std::string set_labels_name() const;
+  void require_drawn(int frame) const;
+  void start_pace();
+  void settle_length();
+  double clock_s() const;
+
+  Session session_;
+  WorkSettings work_;
+  TrainingListener* listener_;
+  std::unique_ptr<RaySource> rays_;
+  Trainer trainer_;
+  StepLosses losses_;
+  double train_s_ = 0;
+  std::optional<Pace> pace_;
+  bool settled_ = false;
+  std::atomic<bool> cancelled_{false};
+  std::optional<EventsKnown> clicks_;  // whose labels train
+  std::vector<bool> was_set_;          // by frame: its labels are those of set_labels
+  std::map<std::string, std::string> modules_;
+  std::optional<SceneInputs> inputs_;
+};
+
+// Poses that are not those given: of training frames, as a run has learned them; of others, fitted to a field that
+// stays as it is. Where held-out cameras are given wrongly too, scores at their given poses say little of the field.
+
+/// Training frames of a session that was opened again get the poses that the checkpoint of its run has learned, with a
+/// note of how far they lie from those given. Nothing happens where the run believed its poses.
+void use_learned_poses(Session& session, const TensorFile& checkpoint, Diagnostics& diagnostics);
+
+struct PoseRefinement {
+  std::int64_t steps = 300;
+  std::int64_t rays = 4096;     ///< of all frames together
+  double learning_rate = 1e-3;  ///< radians and shares of the scene's half size; it falls to a tenth
+};
+
+/// Poses of `frames` under which the session's field shows their photographs best, by the colour loss alone; the same
+/// for a seed. The session has tensors of a run, whose colours it knows. Throws Error.
+std::vector<Pose> refine_poses(Session& session, Registry& registry, const std::vector<int>& frames,
+                               const PoseRefinement& how = {});
+
+}  // namespace semfield
