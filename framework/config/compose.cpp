@@ -37,6 +37,25 @@ bool type_changes(const ConfigNode& base, const ConfigNode& over) {
   return old_type != nullptr && new_type != nullptr && old_type->text() != new_type->text();
 }
 
+void merge_into(ConfigNode& base, const ConfigNode& over) {
+  if (!base.is_map() || !over.is_map() || type_changes(base, over)) {
+    base = over;
+    return;
+  }
+  std::unordered_map<std::string, std::size_t> places;
+  for (const ConfigNode::Entry& entry : base.entries()) places.emplace(entry.first, places.size());
+  for (const ConfigNode::Entry& entry : over.entries()) {
+    const auto [place, is_new] = places.try_emplace(entry.first, base.entries().size());
+    if (is_new) {
+      base.entries().push_back(entry);
+    } else {
+      merge_into(base.entries()[place->second].second, entry.second);
+    }
+  }
+  base.set_location(over.location());
+  base.set_key_location(over.key_location());
+}
+
 // Does what may fail; where somebody collects mistakes, it is noted, and left undone.
 template <class Work>
 void noting(Diagnostics* problems, const Work& work) {
@@ -72,11 +91,12 @@ class Loader {
     if (const ConfigNode* include = local.find("include")) {
       for (const ConfigNode& item : include->is_list() ? include->items() : std::vector<ConfigNode>{*include}) {
         const std::size_t open = open_.size();
-        noting(problems_, [&] { composed = merge_config(composed, load_included(item)); });
+        noting(problems_, [&] { merge_into(composed, load_included(item)); });
         open_.resize(open);
       }
     }
-    return merge_config(composed, local.without("include"));
+    merge_into(composed, local.without("include"));
+    return composed;
   }
 
  private:
@@ -159,33 +179,31 @@ std::size_t item_of(const ConfigNode& list, const std::string& segment, const st
        near_name_remedy(segment, names));
 }
 
-/// `node` with the value set at segments[at...]; `origin` is the override for messages.
-ConfigNode set_at(const ConfigNode& node, const std::vector<std::string>& segments, std::size_t at,
-                  const ConfigNode& value, const Location& origin) {
-  if (at == segments.size()) return merge_config(node, value);
+/// Sets the value at segments[at...] of `node`; `origin` is the override for messages.
+void set_at(ConfigNode& node, const std::vector<std::string>& segments, std::size_t at, const ConfigNode& value,
+            const Location& origin) {
+  if (at == segments.size()) return merge_into(node, value);
   const std::string& segment = segments[at];
   if (node.is_list()) {
     const std::size_t index = item_of(node, segment, "'" + joined(segments, at) + "'", origin);
-    std::vector<ConfigNode> items = node.items();
-    items[index] = set_at(items[index], segments, at + 1, value, origin);
-    return ConfigNode::make_list(std::move(items), node.location()).with_key_location(node.key_location());
+    return set_at(node.items()[index], segments, at + 1, value, origin);
   }
   if (node.is_scalar()) {
     fail("config.set.key", origin,
          "'" + joined(segments, at) + "' is " + kind_text(node) + " (" + node.location().text() + "), it has no key '" +
              segment + "'");
   }
+  const ConfigNode* const old_child = node.find(segment);
+  ConfigNode child = old_child != nullptr ? *old_child : ConfigNode::make_null(origin);
+  set_at(child, segments, at + 1, value, origin);
   // The override is a map of one key at this level: the rule of merging, with its type change, is then the same.
-  const ConfigNode* old_child = node.find(segment);
-  const ConfigNode child = old_child != nullptr
-                               ? set_at(*old_child, segments, at + 1, value, origin)
-                               : set_at(ConfigNode::make_null(origin), segments, at + 1, value, origin);
-  const ConfigNode over = ConfigNode::make_map({{segment, child}}, origin);
-  if (node.is_null() || type_changes(node, over)) return over.with_key_location(node.key_location());
-  return node.with(segment, child);
+  ConfigNode over = ConfigNode::make_map({{segment, child}}, origin);
+  if (!node.is_null() && !type_changes(node, over)) return node.set(segment, std::move(child));
+  over.set_key_location(node.key_location());
+  node = std::move(over);
 }
 
-ConfigNode apply_override(const ConfigNode& root, const ConfigOverride& over) {
+void apply_override(ConfigNode& root, const ConfigOverride& over) {
   const Location& origin = over.value.location();
   std::vector<std::string> segments;
   for (std::size_t begin = 0; begin <= over.key.size();) {
@@ -199,7 +217,7 @@ ConfigNode apply_override(const ConfigNode& root, const ConfigOverride& over) {
   if (segments.size() > 32) fail("config.set.key", origin, "key path longer than 32 levels");
   if (segments[0] == "include")
     fail("config.set.key", origin, "include: files are included by a config, not by an override");
-  return set_at(root, segments, 0, over.value, origin);
+  set_at(root, segments, 0, over.value, origin);
 }
 
 ConfigOverride override_of(const ConfigOverride& node) { return node; }
@@ -213,29 +231,31 @@ ConfigOverride override_of(const std::string& text) {
   return {text.substr(key, equals - key), parse_config_value(std::string_view(text).substr(equals + 1), origin)};
 }
 
+// The list `passes`; none where there is none.
+std::vector<ConfigNode>* passes_of(ConfigNode& root) {
+  ConfigNode* const passes = root.find("passes");
+  return passes != nullptr && passes->is_list() ? &passes->items() : nullptr;
+}
+
 // Every pass has a name, by which overrides can call it.
-ConfigNode with_named_passes(const ConfigNode& root) {
-  const ConfigNode* passes = root.find("passes");
-  if (passes == nullptr || !passes->is_list()) return root;
-  std::vector<ConfigNode> items = passes->items();
-  for (std::size_t i = 0; i < items.size(); ++i) {
-    if (items[i].is_map() && items[i].find("name") == nullptr)
-      items[i] = items[i].with("name", ConfigNode::make_scalar(usual_pass_name(i), false, {}));
+void name_passes(ConfigNode& root) {
+  std::vector<ConfigNode>* const passes = passes_of(root);
+  for (std::size_t i = 0; passes != nullptr && i < passes->size(); ++i) {
+    ConfigNode& pass = (*passes)[i];
+    if (pass.is_map() && pass.find("name") == nullptr)
+      pass.set("name", ConfigNode::make_scalar(usual_pass_name(i), false, {}));
   }
-  return root.with(
-      "passes", ConfigNode::make_list(std::move(items), passes->location()).with_key_location(passes->key_location()));
 }
 
 /// Items of `passes` with `like: NAME`, each merged onto the earlier item of that name.
-ConfigNode resolve_like(const ConfigNode& root) {
-  const ConfigNode* passes = root.find("passes");
-  if (passes == nullptr || !passes->is_list()) return root;
-  std::vector<ConfigNode> items;
+void resolve_like(ConfigNode& root) {
+  std::vector<ConfigNode>* const passes = passes_of(root);
   std::vector<std::string> names;
-  for (const ConfigNode& item : passes->items()) {
-    ConfigNode resolved = item;
-    const ConfigNode* like = item.find("like");
-    if (like != nullptr) {
+  for (std::size_t i = 0; passes != nullptr && i < passes->size(); ++i) {
+    ConfigNode& pass = (*passes)[i];
+    const ConfigNode* name = pass.find("name");
+    const std::string own_name = name != nullptr ? name->text() : std::string();
+    if (const ConfigNode* like = pass.find("like")) {
       if (!like->is_scalar())
         fail("config.value.type", like->location(),
              "like: expected the name of an earlier pass, got " + kind_text(*like));
@@ -249,21 +269,23 @@ ConfigNode resolve_like(const ConfigNode& root) {
                  (given.empty() ? "; this is the first one with a name" : "; known: " + join(given)),
              near_name_remedy(like->text(), given));
       }
-      resolved = merge_config(items[static_cast<std::size_t>(names.rend() - known) - 1], item.without("like"));
+      pass = merge_config((*passes)[static_cast<std::size_t>(names.rend() - known) - 1], pass.without("like"));
     }
-    const ConfigNode* name = item.find("name");
-    names.push_back(name != nullptr ? name->text() : std::string());
-    items.push_back(std::move(resolved));
+    names.push_back(own_name);
   }
-  return root.with(
-      "passes", ConfigNode::make_list(std::move(items), passes->location()).with_key_location(passes->key_location()));
 }
 
 template <class Override>
 ConfigNode with_overrides(ConfigNode root, const std::vector<Override>& overrides, Diagnostics* problems = nullptr) {
-  for (const Override& over : overrides)
-    noting(problems, [&] { root = apply_override(with_named_passes(root), override_of(over)); });
-  return resolve_like(with_named_passes(root));
+  for (const Override& over : overrides) {
+    noting(problems, [&] {
+      name_passes(root);
+      apply_override(root, override_of(over));
+    });
+  }
+  name_passes(root);
+  resolve_like(root);
+  return root;
 }
 
 // The scalar of an item that tells it from the others; null: none does.
@@ -314,20 +336,9 @@ std::string item_key(const ConfigNode& list, std::size_t index) {
 
 std::string usual_pass_name(std::size_t index) { return index == 0 ? "main" : "pass" + std::to_string(index); }
 
-ConfigNode merge_config(const ConfigNode& base, const ConfigNode& over) {
-  if (!base.is_map() || !over.is_map() || type_changes(base, over)) return over;
-  std::vector<ConfigNode::Entry> entries = base.entries();
-  std::unordered_map<std::string_view, std::size_t> places;  // keys of `base`, whose strings outlive this call
-  for (std::size_t i = 0; i < entries.size(); ++i) places.emplace(base.entries()[i].first, i);
-  for (const ConfigNode::Entry& entry : over.entries()) {
-    const auto place = places.find(entry.first);
-    if (place == places.end()) {
-      entries.push_back(entry);
-    } else {
-      entries[place->second].second = merge_config(entries[place->second].second, entry.second);
-    }
-  }
-  return ConfigNode::make_map(std::move(entries), over.location()).with_key_location(over.key_location());
+ConfigNode merge_config(ConfigNode base, const ConfigNode& over) {
+  merge_into(base, over);
+  return base;
 }
 
 ConfigNode compose_config(const std::string& path, const std::vector<std::string>& overrides, Diagnostics* problems) {

@@ -11,7 +11,7 @@ namespace semfield {
 
 /// `over` merged onto `base`: maps merge key by key, lists and scalars replace, and a map whose scalar `type` differs
 /// from the base's is replaced whole.
-ConfigNode merge_config(const ConfigNode& base, const ConfigNode& over);
+ConfigNode merge_config(ConfigNode base, const ConfigNode& over);
 
 /// Loads `path`, a name as find_config takes it, resolves `include:` (a file or a list of files relative to the
 /// including file, else among the shipped configurations; cycles refused), then local keys, then each "a.b=value" of

@@ -1,5 +1,5 @@
-// From YAML text to the immutable tree, strictly. The only user of yaml-cpp: its parser sends events, its nodes are
-// never built.
+// From YAML text to the tree, strictly. The only user of yaml-cpp: its parser sends events, its nodes are never built,
+// since they tell neither anchors nor keys that stand twice.
 #include "config/config_tree.h"
 
 #include <yaml-cpp/eventhandler.h>
@@ -165,8 +165,8 @@ class TreeBuilder final : public YAML::EventHandler {
     if (anchor != 0) refuse_anchor(mark, {});
     Location where = source_.at(mark);
     // The parser puts a missing value where the next token is; the reader looks for it beside its key.
-    if (expects_value() && where.line != stack_.back().key_where.line) where = stack_.back().key_where;
-    add(ConfigNode::make_null(where), where);
+    if (expects_value() && where.line != stack_.back().key->second.line) where = stack_.back().key->second;
+    add(ConfigNode::make_null(std::move(where)));
   }
   void OnScalar(const YAML::Mark& mark, const std::string& tag, YAML::anchor_t anchor,
                 const std::string& value) override {
@@ -174,7 +174,7 @@ class TreeBuilder final : public YAML::EventHandler {
     const Location where = source_.at(mark);
     if (tag == "!" && !source_.quote_closes(mark)) source_.fail("config.yaml.syntax", where, kUnclosedQuote);
     if (value.find('\0') != std::string::npos) source_.fail("config.text.encoding", where, "NUL character in a text");
-    add(ConfigNode::make_scalar(value, tag == "!", where), where);
+    add(ConfigNode::make_scalar(value, tag == "!", where));
   }
   void OnSequenceStart(const YAML::Mark& mark, const std::string& tag, YAML::anchor_t anchor,
                        YAML::EmitterStyle::value) override {
@@ -189,18 +189,14 @@ class TreeBuilder final : public YAML::EventHandler {
 
  private:
   struct Level {
-    bool is_list = false;
-    Location where;
-    std::vector<ConfigNode> items;
-    std::vector<ConfigNode::Entry> entries;
-    std::unordered_set<std::string> keys;
-    bool has_key = false;  // a key has come, its value not yet
-    std::string key;
-    Location key_where;
+    ConfigNode node;  // a list or a map
+    std::unordered_set<std::string> keys = {};
+    std::optional<std::pair<std::string, Location>> key = {};  // one that has come, its value not yet
   };
 
-  bool expects_value() const { return !stack_.empty() && !stack_.back().is_list && stack_.back().has_key; }
-  bool expects_key() const { return !stack_.empty() && !stack_.back().is_list && !stack_.back().has_key; }
+  bool in_map() const { return !stack_.empty() && stack_.back().node.is_map(); }
+  bool expects_value() const { return in_map() && stack_.back().key; }
+  bool expects_key() const { return in_map() && !stack_.back().key; }
 
   [[noreturn]] void refuse_anchor(const YAML::Mark& mark, const std::string& name) const {
     source_.fail("config.yaml.unsupported", source_.at(mark),
@@ -224,56 +220,48 @@ class TreeBuilder final : public YAML::EventHandler {
     }
     if (expects_key())
       source_.fail("config.yaml.syntax", where, "a list or a map where a key should stand (is a bracket left open?)");
-    Level level;
-    level.is_list = is_list;
-    level.where = where;
-    stack_.push_back(std::move(level));
+    stack_.push_back({is_list ? ConfigNode::make_list({}, where) : ConfigNode::make_map({}, where)});
   }
 
   void close() {
-    Level level = std::move(stack_.back());
+    ConfigNode node = std::move(stack_.back().node);
     stack_.pop_back();
-    const Location where = level.where;
-    add(level.is_list ? ConfigNode::make_list(std::move(level.items), where)
-                      : ConfigNode::make_map(std::move(level.entries), where),
-        where);
+    add(std::move(node));
   }
 
-  void add(ConfigNode node, const Location& where) {
+  void add(ConfigNode node) {
     if (stack_.empty()) {
       root_ = std::move(node);
       return;
     }
     Level& level = stack_.back();
-    if (level.is_list) {
-      level.items.push_back(std::move(node));
-    } else if (!level.has_key) {
-      set_key(level, node, where);
+    if (level.node.is_list()) {
+      level.node.items().push_back(std::move(node));
+    } else if (!level.key) {
+      set_key(level, node);
     } else {
-      level.entries.emplace_back(std::move(level.key), node.with_key_location(level.key_where));
-      level.has_key = false;
+      node.set_key_location(std::move(level.key->second));
+      level.node.entries().emplace_back(std::move(level.key->first), std::move(node));
+      level.key.reset();
     }
   }
 
-  void set_key(Level& level, const ConfigNode& node, const Location& where) const {
+  void set_key(Level& level, const ConfigNode& node) const {
+    const Location& where = node.location();
+    const std::string& key = node.text();
     if (!node.is_scalar()) source_.fail("config.yaml.syntax", where, "a key is missing before ':'");
-    if (node.text().empty()) source_.fail("config.yaml.syntax", where, "a key must not be empty");
-    if (node.text().size() > kMaxKeyBytes) source_.fail("config.yaml.syntax", where, "a key longer than 512 bytes");
-    if (node.text() == "<<" && !node.quoted()) {
+    if (key.empty()) source_.fail("config.yaml.syntax", where, "a key must not be empty");
+    if (key.size() > kMaxKeyBytes) source_.fail("config.yaml.syntax", where, "a key longer than 512 bytes");
+    if (key == "<<" && !node.quoted()) {
       source_.fail("config.yaml.unsupported", where, "merge keys are not allowed",
                    "use 'include' or write the values out");
     }
-    if (!level.keys.insert(node.text()).second) {
-      std::string first;
-      for (const ConfigNode::Entry& entry : level.entries) {
-        if (entry.first == node.text()) first = entry.second.key_location().text();
-      }
-      source_.fail("config.key.twice", where, "duplicate key '" + node.text() + "' (first at " + first + ")",
+    if (!level.keys.insert(key).second) {
+      source_.fail("config.key.twice", where,
+                   "duplicate key '" + key + "' (first at " + level.node.find(key)->key_location().text() + ")",
                    "keep one of them");
     }
-    level.key = node.text();
-    level.key_where = where;
-    level.has_key = true;
+    level.key.emplace(key, where);
   }
 
   const Source& source_;
@@ -463,100 +451,71 @@ ConfigNode parse_config_file(const std::string& path) {
   return parse_config_text(read_text_file(path, kMaxBytes), path);
 }
 
-// The immutable configuration tree: building, looking up, comparing.
+// The configuration tree: building, looking up, comparing.
 
 std::string Location::text() const {
   if (line == 0) return file;
   return file + ":" + std::to_string(line) + ":" + std::to_string(column);
 }
 
-struct ConfigNode::Data {
-  Kind kind = Kind::map;
-  bool quoted = false;
-  bool has_key_place = false;
-  std::string text = {};
-  std::vector<ConfigNode> items = {};
-  std::vector<Entry> entries = {};
-  Location where = {};
-  Location key_where = {};
-};
-
-ConfigNode::ConfigNode() {
-  static const auto empty = std::make_shared<const Data>();
-  data_ = empty;
-}
-
-ConfigNode ConfigNode::make_null(Location where) {
-  ConfigNode node;
-  node.data_ = std::make_shared<const Data>(Data{.kind = Kind::null, .where = std::move(where)});
-  return node;
-}
-
 ConfigNode ConfigNode::make_scalar(std::string text, bool quoted, Location where) {
-  ConfigNode node;
-  node.data_ = std::make_shared<const Data>(
-      Data{.kind = Kind::scalar, .quoted = quoted, .text = std::move(text), .where = std::move(where)});
+  ConfigNode node(Kind::scalar, std::move(where));
+  node.text_ = std::move(text);
+  node.quoted_ = quoted;
   return node;
 }
 
 ConfigNode ConfigNode::make_list(std::vector<ConfigNode> items, Location where) {
-  ConfigNode node;
-  node.data_ =
-      std::make_shared<const Data>(Data{.kind = Kind::list, .items = std::move(items), .where = std::move(where)});
+  ConfigNode node(Kind::list, std::move(where));
+  node.items_ = std::move(items);
   return node;
 }
 
 ConfigNode ConfigNode::make_map(std::vector<Entry> entries, Location where) {
-  ConfigNode node;
-  node.data_ =
-      std::make_shared<const Data>(Data{.kind = Kind::map, .entries = std::move(entries), .where = std::move(where)});
-  return node;
-}
-
-ConfigNode::Kind ConfigNode::kind() const { return data_->kind; }
-const Location& ConfigNode::location() const { return data_->where; }
-const Location& ConfigNode::key_location() const { return data_->has_key_place ? data_->key_where : data_->where; }
-const std::string& ConfigNode::text() const { return data_->text; }
-bool ConfigNode::quoted() const { return data_->quoted; }
-const std::vector<ConfigNode>& ConfigNode::items() const { return data_->items; }
-const std::vector<ConfigNode::Entry>& ConfigNode::entries() const { return data_->entries; }
-
-ConfigNode ConfigNode::with_key_location(Location where) const {
-  auto data = std::make_shared<Data>(*data_);
-  data->key_where = std::move(where);
-  data->has_key_place = true;
-  ConfigNode node;
-  node.data_ = std::move(data);
+  ConfigNode node(Kind::map, std::move(where));
+  node.entries_ = std::move(entries);
   return node;
 }
 
 const ConfigNode* ConfigNode::find(std::string_view key) const {
-  for (const Entry& entry : data_->entries) {
+  for (const Entry& entry : entries_) {
     if (entry.first == key) return &entry.second;
   }
   return nullptr;
 }
 
-ConfigNode ConfigNode::with(const std::string& key, ConfigNode value) const {
-  auto data = std::make_shared<Data>(*data_);
-  data->kind = Kind::map;  // setting a key of an empty place makes it a map
-  const auto place =
-      std::find_if(data->entries.begin(), data->entries.end(), [&](const Entry& entry) { return entry.first == key; });
-  if (place != data->entries.end()) {
-    place->second = std::move(value);
+const ConfigNode* ConfigNode::find_path(std::string_view path) const {
+  const std::size_t dot = path.find('.');
+  const ConfigNode* node = find(path.substr(0, dot));
+  return node == nullptr || dot == std::string_view::npos ? node : node->find_path(path.substr(dot + 1));
+}
+
+void ConfigNode::set(const std::string& key, ConfigNode value) {
+  kind_ = Kind::map;
+  if (ConfigNode* const place = find(key)) {
+    *place = std::move(value);
   } else {
-    data->entries.emplace_back(key, std::move(value));
+    entries_.emplace_back(key, std::move(value));
   }
-  ConfigNode node;
-  node.data_ = std::move(data);
+}
+
+void ConfigNode::set_path(std::string_view path, ConfigNode value) {
+  const std::size_t dot = path.find('.');
+  const std::string key(path.substr(0, dot));
+  if (dot == std::string_view::npos) return set(key, std::move(value));
+  if (find(key) == nullptr) set(key, {});
+  find(key)->set_path(path.substr(dot + 1), std::move(value));
+}
+
+ConfigNode ConfigNode::with(const std::string& key, ConfigNode value) const {
+  ConfigNode node = *this;
+  node.set(key, std::move(value));
   return node;
 }
 
 ConfigNode ConfigNode::without(std::string_view key) const {
-  auto data = std::make_shared<Data>(*data_);
-  std::erase_if(data->entries, [&](const Entry& entry) { return entry.first == key; });
-  ConfigNode node;
-  node.data_ = std::move(data);
+  ConfigNode node = *this;
+  std::erase_if(node.entries_, [&](const Entry& entry) { return entry.first == key; });
   return node;
 }
 

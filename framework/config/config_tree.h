@@ -1,8 +1,7 @@
-// The immutable configuration tree: every node knows its file, line and column. config_tree.cpp is the only user of
-// yaml-cpp.
+// The configuration tree: every node knows its file, line and column. config_tree.cpp is the only user of yaml-cpp.
 #pragma once
 
-#include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -18,42 +17,60 @@ struct Location {
   std::string text() const;  ///< "room.yaml:7:5", or the file alone when line is 0
 };
 
-/// Cheap to copy (shared, immutable). A default-constructed node is an empty map without a place.
+/// A value with its place. A default-constructed node is an empty map without a place.
 class ConfigNode {
  public:
   enum class Kind { null, scalar, list, map };
   using Entry = std::pair<std::string, ConfigNode>;
 
-  ConfigNode();
-  static ConfigNode make_null(Location where);
+  static ConfigNode make_null(Location where) { return {Kind::null, std::move(where)}; }
   /// `quoted`: the scalar was written in quotes, so it is text whatever it looks like.
   static ConfigNode make_scalar(std::string text, bool quoted, Location where);
   static ConfigNode make_list(std::vector<ConfigNode> items, Location where);
   static ConfigNode make_map(std::vector<Entry> entries, Location where);
+  ConfigNode() = default;
 
-  Kind kind() const;
-  bool is_map() const { return kind() == Kind::map; }
-  bool is_list() const { return kind() == Kind::list; }
-  bool is_scalar() const { return kind() == Kind::scalar; }
-  bool is_null() const { return kind() == Kind::null; }
-  const Location& location() const;
+  bool is_map() const { return kind_ == Kind::map; }
+  bool is_list() const { return kind_ == Kind::list; }
+  bool is_scalar() const { return kind_ == Kind::scalar; }
+  bool is_null() const { return kind_ == Kind::null; }
+  Kind kind() const { return kind_; }
+  const Location& location() const { return where_; }
+  void set_location(Location where) { where_ = std::move(where); }
   /// Where the key of this map entry was written; the value's own place when it is no entry of a parsed map.
-  const Location& key_location() const;
-  /// A copy that remembers the place of its key.
-  ConfigNode with_key_location(Location where) const;
-  const std::string& text() const;  ///< scalar text; "" for other kinds
-  bool quoted() const;
-  const std::vector<ConfigNode>& items() const;  ///< list items; empty for other kinds
-  const std::vector<Entry>& entries() const;     ///< map entries in file order; empty for other kinds
+  const Location& key_location() const { return key_where_ ? *key_where_ : where_; }
+  void set_key_location(Location where) { key_where_ = std::move(where); }
+  const std::string& text() const { return text_; }  ///< scalar text; "" for other kinds
+  bool quoted() const { return quoted_; }
+  /// List items; empty for other kinds.
+  const std::vector<ConfigNode>& items() const { return items_; }
+  std::vector<ConfigNode>& items() { return items_; }
+  /// Map entries in file order; empty for other kinds.
+  const std::vector<Entry>& entries() const { return entries_; }
+  std::vector<Entry>& entries() { return entries_; }
   /// Entry `key` of a map, or nullptr.
   const ConfigNode* find(std::string_view key) const;
-  /// A copy with `key` set (added at the end or replaced in place).
+  ConfigNode* find(std::string_view key) { return const_cast<ConfigNode*>(std::as_const(*this).find(key)); }
+  /// The node at a path of keys, "train.schedule", or nullptr.
+  const ConfigNode* find_path(std::string_view path) const;
+  /// Adds `key` at the end, or replaces it in place. A node that was no map becomes one.
+  void set(const std::string& key, ConfigNode value);
+  /// The same at a path of keys; maps that are missing are made.
+  void set_path(std::string_view path, ConfigNode value);
+  /// A copy with `key` set, and one without it.
   ConfigNode with(const std::string& key, ConfigNode value) const;
   ConfigNode without(std::string_view key) const;
 
  private:
-  struct Data;
-  std::shared_ptr<const Data> data_;
+  ConfigNode(Kind kind, Location where) : kind_(kind), where_(std::move(where)) {}
+
+  Kind kind_ = Kind::map;
+  bool quoted_ = false;
+  std::string text_;
+  std::vector<ConfigNode> items_;
+  std::vector<Entry> entries_;
+  Location where_;
+  std::optional<Location> key_where_;
 };
 
 /// Parses one YAML file into the tree. Throws Error(config) naming file:line:column for syntax errors, duplicate keys,

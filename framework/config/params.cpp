@@ -16,101 +16,34 @@
 namespace semfield {
 namespace {
 
-// The digits of `text` from `at` on, as many as there are.
-std::size_t skip_digits(std::string_view text, std::size_t at) {
-  while (at < text.size() && is_digit(text[at])) ++at;
-  return at;
-}
-
-// "007", "-010", "00.5": YAML 1.1 reads some of these as octal, YAML 1.2 as decimal, so none is read.
-bool has_leading_zero(std::string_view text) {
-  const std::size_t at = !text.empty() && (text[0] == '-' || text[0] == '+') ? 1 : 0;
-  return at + 1 < text.size() && text[at] == '0' && is_digit(text[at + 1]);
-}
-
-// int = [+-] digits, without leading zeros.
-std::optional<std::int64_t> parse_integer(std::string_view text, std::string& remedy) {
-  const std::size_t at = !text.empty() && (text[0] == '-' || text[0] == '+') ? 1 : 0;
-  if (at == text.size() || skip_digits(text, at) != text.size()) return std::nullopt;
-  if (has_leading_zero(text)) {
+// A number in decimal: [+-] digits, and for a double also a point and an exponent; without leading zeros, since
+// YAML 1.1 reads some such numbers as octal and YAML 1.2 as decimal. None with a remedy, "" where the text is no number
+// at all.
+template <class T>
+std::optional<T> number_of(std::string_view text, std::string& remedy) {
+  constexpr bool kWhole = std::is_integral_v<T>;
+  const std::string_view bare = text.substr(text.starts_with('-') || text.starts_with('+') ? 1 : 0);
+  for (const std::string_view word : {".nan", ".NaN", ".NAN", ".inf", ".Inf", ".INF", "nan", "inf"})
+    if (!kWhole && bare == word) remedy = "only finite numbers are allowed";
+  if (bare.empty() || !(is_digit(bare[0]) || bare[0] == '.')) return std::nullopt;
+  if (text[0] == '+') text = bare;
+  T value{};
+  const auto [end, status] = std::from_chars(text.data(), text.data() + text.size(), value);
+  if (status == std::errc::invalid_argument || end != text.data() + text.size()) return std::nullopt;
+  if (bare.size() > 1 && bare[0] == '0' && is_digit(bare[1])) {
     remedy = "write it without leading zeros";
-    return std::nullopt;
+  } else if (status != std::errc{}) {
+    remedy = kWhole ? "it does not fit 64 bits" : "it is beyond the range of a double";
   }
-  if (text[0] == '+') text.remove_prefix(1);
-  std::int64_t value = 0;
-  if (std::from_chars(text.data(), text.data() + text.size(), value).ec != std::errc{}) {
-    remedy = "it does not fit 64 bits";
-    return std::nullopt;
-  }
-  return value;
+  return remedy.empty() ? std::optional(value) : std::nullopt;
 }
 
-// number = [+-] (digits [. digits] | . digits) [e [+-] digits], finite, without leading zeros.
-std::optional<double> parse_number(std::string_view text, std::string& remedy) {
-  std::size_t at = !text.empty() && (text[0] == '-' || text[0] == '+') ? 1 : 0;
-  const std::size_t whole = skip_digits(text, at);
-  std::size_t digits = whole - at;
-  at = whole;
-  if (at < text.size() && text[at] == '.') {
-    const std::size_t end = skip_digits(text, at + 1);
-    digits += end - at - 1;
-    at = end;
-  }
-  if (digits == 0) {
-    const std::string_view bare = text.substr(!text.empty() && (text[0] == '-' || text[0] == '+') ? 1 : 0);
-    for (const std::string_view word : {".nan", ".NaN", ".NAN", ".inf", ".Inf", ".INF", "nan", "inf"}) {
-      if (bare == word) remedy = "only finite numbers are allowed";
-    }
-    return std::nullopt;
-  }
-  if (at < text.size() && (text[at] == 'e' || text[at] == 'E')) {
-    const std::size_t sign = at + 1 < text.size() && (text[at + 1] == '-' || text[at + 1] == '+') ? 2 : 1;
-    const std::size_t end = skip_digits(text, at + sign);
-    if (end == at + sign) return std::nullopt;
-    at = end;
-  }
-  if (at != text.size()) return std::nullopt;
-  if (has_leading_zero(text)) {
-    remedy = "write it without leading zeros";
-    return std::nullopt;
-  }
-  if (text[0] == '+') text.remove_prefix(1);
-  double value = 0;
-  if (std::from_chars(text.data(), text.data() + text.size(), value).ec != std::errc{} || !std::isfinite(value)) {
-    remedy = "it is beyond the range of a double";
-    return std::nullopt;
-  }
-  return value;
-}
-
-// A choice as a value: the index, and what it indexes.
-struct Choice {
-  int& index;
-  std::span<const std::string_view> names;
-};
-
-// One function for parameters of every type.
-template <class See>
-struct AnyParam final : ParamVisitor {
-  explicit AnyParam(const See& function) : see(function) {}
-  void boolean(const ParamInfo& info, bool& value) override { see(info, value); }
-  void integer(const ParamInfo& info, std::int64_t& value) override { see(info, value); }
-  void real(const ParamInfo& info, double& value) override { see(info, value); }
-  void text(const ParamInfo& info, std::string& value) override { see(info, value); }
-  void choice(const ParamInfo& info, int& value, std::span<const std::string_view> names) override {
-    const Choice choice{value, names};
-    see(info, choice);
-  }
-  void integers(const ParamInfo& info, std::vector<std::int64_t>& value) override { see(info, value); }
-  void reals(const ParamInfo& info, std::vector<double>& value) override { see(info, value); }
-  void texts(const ParamInfo& info, std::vector<std::string>& value) override { see(info, value); }
-  const See& see;
-};
-
-// see(info, value) for every parameter.
+// see(info, value) for every parameter, with a value of its own type.
 template <class See>
 void each_param(const Describe& describe, const See& see) {
-  AnyParam<See> visitor(see);
+  ParamVisitor visitor = [&](const ParamInfo& info, ParamValue value) {
+    std::visit([&](auto* of_type) { see(info, *of_type); }, value);
+  };
   describe(visitor);
 }
 
@@ -118,7 +51,7 @@ std::string type_of(bool) { return "bool"; }
 std::string type_of(std::int64_t) { return "int"; }
 std::string type_of(double) { return "number"; }
 std::string type_of(const std::string&) { return "text"; }
-std::string type_of(const Choice&) { return "choice"; }
+std::string type_of(const ChosenName&) { return "choice"; }
 template <class T>
 std::string type_of(const std::vector<T>&) {
   return "list of " + type_of(T{});
@@ -142,26 +75,25 @@ struct Reader {
     return true;
   }
   bool read(const ConfigNode& node, const std::string& path, const Range& range, std::int64_t& value) {
-    return read_number(node, path, range, parse_integer, value);
+    return read_number(node, path, range, value);
   }
   bool read(const ConfigNode& node, const std::string& path, const Range& range, double& value) {
-    return read_number(node, path, range, parse_number, value);
+    return read_number(node, path, range, value);
   }
   bool read(const ConfigNode& node, const std::string& path, const Range&, std::string& value) {
     if (!node.is_scalar()) return report("config.value.type", node, path, "text", kind_text(node));
     value = node.text();
     return true;
   }
-  bool read(const ConfigNode& node, const std::string& path, const Range&, const Choice& choice) {
+  bool read(const ConfigNode& node, const std::string& path, const Range&, ChosenName& choice) {
     const auto named = std::find(choice.names.begin(), choice.names.end(), node.text());
     if (node.is_scalar() && named != choice.names.end()) {
       choice.index = static_cast<int>(named - choice.names.begin());
       return true;
     }
     const std::vector<std::string> known(choice.names.begin(), choice.names.end());
-    const std::string near = node.is_scalar() ? did_you_mean(node.text(), known) : std::string();
     return report("config.value.choice", node, path, "one of " + join(known), kind_text(node),
-                  near.empty() ? "" : "did you mean '" + near + "'?");
+                  node.is_scalar() ? near_name_remedy(node.text(), known) : "");
   }
   // The list is taken whole or, when an item is wrong, not at all.
   template <class T>
@@ -181,11 +113,10 @@ struct Reader {
   }
 
   template <class T>
-  bool read_number(const ConfigNode& node, const std::string& path, const Range& range,
-                   std::optional<T> (*parse)(std::string_view, std::string&), T& value) {
+  bool read_number(const ConfigNode& node, const std::string& path, const Range& range, T& value) {
     std::string remedy;
     std::optional<T> read;
-    if (node.is_scalar() && !node.quoted()) read = parse(node.text(), remedy);
+    if (node.is_scalar() && !node.quoted()) read = number_of<T>(node.text(), remedy);
     if (!read) {
       if (node.is_scalar() && node.quoted()) remedy = "numbers stand without quotes";
       return report("config.value.type", node, path, type_of(T{}), kind_text(node), remedy);
@@ -211,7 +142,7 @@ ConfigNode node_of(bool value) { return ConfigNode::make_scalar(value ? "true" :
 ConfigNode node_of(std::int64_t value) { return ConfigNode::make_scalar(std::to_string(value), false, {}); }
 ConfigNode node_of(double value) { return ConfigNode::make_scalar(shortest_number(value), false, {}); }
 ConfigNode node_of(const std::string& value) { return ConfigNode::make_scalar(value, !is_plain_text(value), {}); }
-ConfigNode node_of(const Choice& choice) {
+ConfigNode node_of(const ChosenName& choice) {
   SEMFIELD_CHECK(choice.index >= 0 && static_cast<std::size_t>(choice.index) < choice.names.size(),
                  "choice outside its names");
   return node_of(std::string(choice.names[static_cast<std::size_t>(choice.index)]));
@@ -266,10 +197,8 @@ void refuse_unknown_keys(const ConfigNode& map, const std::string& what, const s
                          Diagnostics& diagnostics) {
   for (const auto& [key, value] : map.entries()) {
     if (std::find(known.begin(), known.end(), key) != known.end()) continue;
-    const std::string near = did_you_mean(key, known);
-    std::string remedy = known.empty() ? "there are no keys here" : "known: " + join(known);
-    if (!near.empty()) remedy = "did you mean '" + near + "'?";
-    diagnostics.error("config.key.unknown", value.key_location().text(), what + " '" + key + "'", remedy);
+    diagnostics.error("config.key.unknown", value.key_location().text(), what + " '" + key + "'",
+                      near_name_remedy(key, known, known.empty() ? "there are no keys here" : "known: " + join(known)));
   }
 }
 
@@ -328,7 +257,7 @@ std::vector<ParamDoc> describe_params(const Describe& describe) {
     if (is_type_limit(doc.limits.max, true)) doc.limits.max = std::numeric_limits<double>::infinity();
     doc.range = range_text(doc.limits, true);
     doc.default_value = write_config_inline(node_of(value));
-    if constexpr (std::is_same_v<T, Choice>) doc.choices.assign(value.names.begin(), value.names.end());
+    if constexpr (std::is_same_v<T, ChosenName>) doc.choices.assign(value.names.begin(), value.names.end());
   });
   return docs;
 }

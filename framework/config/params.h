@@ -1,8 +1,9 @@
 // Parameters declared once: name, type, default, range and sentence stand on one line of describe(); reading,
 // validation, help, the reference page, resolved YAML and the JSON schema are visitors over it. No YAML and no template
-// of ours crosses a module border: ParamVisitor is virtual.
+// of ours crosses a module border.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <functional>
@@ -11,6 +12,7 @@
 #include <string>
 #include <string_view>
 #include <type_traits>
+#include <variant>
 #include <vector>
 
 #include "config/config_tree.h"
@@ -30,20 +32,16 @@ struct ParamInfo {
   Range range{};
 };
 
-/// Receives every parameter of a struct in declaration order. A reader assigns, a writer or describer only looks.
-class ParamVisitor {
- public:
-  virtual ~ParamVisitor() = default;
-  virtual void boolean(const ParamInfo& info, bool& value) = 0;
-  virtual void integer(const ParamInfo& info, std::int64_t& value) = 0;
-  virtual void real(const ParamInfo& info, double& value) = 0;
-  virtual void text(const ParamInfo& info, std::string& value) = 0;
-  /// `value` indexes `names`.
-  virtual void choice(const ParamInfo& info, int& value, std::span<const std::string_view> names) = 0;
-  virtual void integers(const ParamInfo& info, std::vector<std::int64_t>& value) = 0;
-  virtual void reals(const ParamInfo& info, std::vector<double>& value) = 0;
-  virtual void texts(const ParamInfo& info, std::vector<std::string>& value) = 0;
+/// A choice: `index` is that of one of the names.
+struct ChosenName {
+  int index = 0;
+  std::span<const std::string_view> names;
 };
+/// A parameter's value.
+using ParamValue = std::variant<bool*, std::int64_t*, double*, std::string*, ChosenName*, std::vector<std::int64_t>*,
+                                std::vector<double>*, std::vector<std::string>*>;
+/// Receives every parameter of a struct in declaration order. A reader assigns, a writer or describer only looks.
+using ParamVisitor = std::function<void(const ParamInfo& info, ParamValue value)>;
 
 /// An enum becomes a choice by its names, in the order of its values from 0 on: SEMFIELD_CHOICES(Enum, "first", ...);
 template <class Enum>
@@ -55,42 +53,22 @@ struct ChoiceNames;
   }
 
 template <class T>
-void visit_param(ParamVisitor& visit, std::string_view name, T& value, std::string_view help, Range range = {}) {
-  const ParamInfo info{name, help, range};
-  if constexpr (std::is_same_v<T, bool>) {
-    visit.boolean(info, value);
-  } else if constexpr (std::is_enum_v<T>) {
-    int index = static_cast<int>(value);
-    visit.choice(info, index, ChoiceNames<T>::names);
-    value = static_cast<T>(index);
-  } else if constexpr (std::is_integral_v<T>) {
-    const double lowest = static_cast<double>(std::numeric_limits<T>::lowest());
-    const double highest = static_cast<double>(std::numeric_limits<T>::max());
-    ParamInfo narrowed = info;  // a value that the field's own type cannot hold is out of range, never wrapped
-    if (narrowed.range.min < lowest) narrowed.range.min = lowest;
-    if (narrowed.range.max > highest) narrowed.range.max = highest;
-    auto wide = static_cast<std::int64_t>(value);
-    visit.integer(narrowed, wide);
-    value = static_cast<T>(wide);
-  } else if constexpr (std::is_floating_point_v<T>) {
-    ParamInfo narrowed = info;
-    if constexpr (sizeof(T) < sizeof(double)) {  // a double that would become infinite in the field is out of range
-      const double highest = static_cast<double>(std::numeric_limits<T>::max());
-      if (narrowed.range.min < -highest) narrowed.range.min = -highest;
-      if (narrowed.range.max > highest) narrowed.range.max = highest;
+void visit_param(const ParamVisitor& visit, std::string_view name, T& value, std::string_view help, Range range = {}) {
+  if constexpr (std::is_enum_v<T>) {
+    ChosenName choice{static_cast<int>(value), ChoiceNames<T>::names};
+    visit({name, help, range}, &choice);
+    value = static_cast<T>(choice.index);
+  } else if constexpr (std::is_arithmetic_v<T> && !std::is_same_v<T, bool>) {
+    // What the field's own type cannot hold is out of range, never wrapped and never infinite.
+    if constexpr (!std::is_same_v<T, double>) {
+      range.min = std::max(range.min, static_cast<double>(std::numeric_limits<T>::lowest()));
+      range.max = std::min(range.max, static_cast<double>(std::numeric_limits<T>::max()));
     }
-    auto wide = static_cast<double>(value);
-    visit.real(narrowed, wide);
+    std::conditional_t<std::is_integral_v<T>, std::int64_t, double> wide = value;
+    visit({name, help, range}, &wide);
     value = static_cast<T>(wide);
-  } else if constexpr (std::is_same_v<T, std::string>) {
-    visit.text(info, value);
-  } else if constexpr (std::is_same_v<T, std::vector<std::int64_t>>) {
-    visit.integers(info, value);
-  } else if constexpr (std::is_same_v<T, std::vector<double>>) {
-    visit.reals(info, value);
   } else {
-    static_assert(std::is_same_v<T, std::vector<std::string>>, "no parameter type for this field");
-    visit.texts(info, value);
+    visit({name, help, range}, &value);
   }
 }
 

@@ -218,63 +218,46 @@ void check_costs(const Field<float>& field, const FieldBuild& build, const LawOp
 
 namespace {
 
-// Names, sentences and defaults of every parameter, and which of them have a closed range.
-class Inspector final : public ParamVisitor {
- public:
-  Failures failures;
-  struct Bounded {
-    std::string name;
-    Range range;
-    bool integer;
-  };
-  std::vector<Bounded> bounded;
-
-  void boolean(const ParamInfo& info, bool&) override { declare(info); }
-  void integer(const ParamInfo& info, std::int64_t& value) override {
-    declare(info);
-    in_range(info, static_cast<double>(value));
-    bounded.push_back({std::string(info.name), info.range, true});
-  }
-  void real(const ParamInfo& info, double& value) override {
-    declare(info);
-    in_range(info, value);
-    bounded.push_back({std::string(info.name), info.range, false});
-  }
-  void text(const ParamInfo& info, std::string&) override { declare(info); }
-  void choice(const ParamInfo& info, int& value, std::span<const std::string_view> names) override {
-    declare(info);
-    if (value < 0 || value >= static_cast<int>(names.size()))
-      note_failure(failures, std::string(info.name), "the default is none of the choices");
-  }
-  void integers(const ParamInfo& info, std::vector<std::int64_t>& value) override {
-    declare(info);
-    for (const std::int64_t element : value) in_range(info, static_cast<double>(element));
-  }
-  void reals(const ParamInfo& info, std::vector<double>& value) override {
-    declare(info);
-    for (const double element : value) in_range(info, element);
-  }
-  void texts(const ParamInfo& info, std::vector<std::string>&) override { declare(info); }
-
- private:
-  void declare(const ParamInfo& info) {
-    const std::string name(info.name);
-    bool snake = !name.empty();
-    for (const char c : name)
-      snake &= (std::islower(static_cast<unsigned char>(c)) != 0) ||
-               (std::isdigit(static_cast<unsigned char>(c)) != 0) || c == '_';
-    if (!snake) failures.push_back("parameter '" + name + "': the name is not snake_case");
-    if (!names_.insert(name).second) failures.push_back("parameter '" + name + "': declared twice");
-    if (info.help.size() < 8) failures.push_back("parameter '" + name + "': no sentence says what it is");
-    if (info.range.min > info.range.max) failures.push_back("parameter '" + name + "': its range is empty");
-  }
-  void in_range(const ParamInfo& info, double value) {
-    if (!(value >= info.range.min && value <= info.range.max)) {
-      failures.push_back("parameter '" + std::string(info.name) + "': the default is outside its range");
-    }
-  }
-  std::set<std::string> names_;
+struct Bounded {
+  std::string name;
+  Range range;
 };
+
+// Names, sentences and defaults of every parameter; those that are one number.
+std::vector<Bounded> inspect(PluginParams& params, Failures& failures) {
+  std::vector<Bounded> numbers;
+  std::set<std::string> names;
+  ParamVisitor visitor = [&](const ParamInfo& info, ParamValue any) {
+    const std::string name(info.name), parameter = "parameter '" + name + "': ";
+    const bool snake = !name.empty() && std::all_of(name.begin(), name.end(), [](unsigned char c) {
+      return std::islower(c) != 0 || std::isdigit(c) != 0 || c == '_';
+    });
+    if (!snake) failures.push_back(parameter + "the name is not snake_case");
+    if (!names.insert(name).second) failures.push_back(parameter + "declared twice");
+    if (info.help.size() < 8) failures.push_back(parameter + "no sentence says what it is");
+    if (info.range.min > info.range.max) failures.push_back(parameter + "its range is empty");
+    const auto in_range = [&](double value) {
+      if (!(value >= info.range.min && value <= info.range.max))
+        failures.push_back(parameter + "the default is outside its range");
+    };
+    std::visit(
+        [&](auto* of_type) {
+          using T = std::decay_t<decltype(*of_type)>;
+          if constexpr (std::is_same_v<T, std::int64_t> || std::is_same_v<T, double>) {
+            in_range(static_cast<double>(*of_type));
+            numbers.push_back({name, info.range});
+          } else if constexpr (std::is_same_v<T, std::vector<std::int64_t>> || std::is_same_v<T, std::vector<double>>) {
+            for (const auto element : *of_type) in_range(static_cast<double>(element));
+          } else if constexpr (std::is_same_v<T, ChosenName>) {
+            if (of_type->index < 0 || of_type->index >= std::ssize(of_type->names))
+              note_failure(failures, name, "the default is none of the choices");
+          }
+        },
+        any);
+  };
+  params.describe(visitor);
+  return numbers;
+}
 
 bool names_parameter(const Failures& refusals, const std::string& name) {
   return std::any_of(refusals.begin(), refusals.end(),
@@ -311,9 +294,7 @@ Failures declaration_laws(const PluginEntry& entry) {
   Failures failures;
   if (entry.summary.size() < 8) failures.push_back("entry: no sentence says what the plugin does");
   const std::unique_ptr<PluginParams> params = entry.new_params();
-  Inspector inspector;
-  params->describe(inspector);
-  append(failures, inspector.failures);
+  const std::vector<Bounded> numbers = inspect(*params, failures);
   Diagnostics diagnostics;
   params->validate(diagnostics);
   for (const Diagnostic& finding : diagnostics.all()) {
@@ -323,7 +304,7 @@ Failures declaration_laws(const PluginEntry& entry) {
   }
   check_config_round_trip(entry, failures);
   check_refusal(entry, "no_such_parameter", "1", failures);
-  for (const Inspector::Bounded& parameter : inspector.bounded) {
+  for (const Bounded& parameter : numbers) {
     check_refusal(entry, parameter.name, "not_a_number", failures);
     const bool reachable = std::isfinite(parameter.range.max) && std::abs(parameter.range.max) < 9e15;
     if (reachable)

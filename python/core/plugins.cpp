@@ -183,9 +183,11 @@ void PythonParams::describe(ParamVisitor& visit) {
           using T = std::decay_t<decltype(value)>;
           if constexpr (std::is_same_v<T, ChoiceValue>) {
             const std::vector<std::string_view> names(value.names.begin(), value.names.end());
-            visit.choice({p.name, p.help, p.range}, value.index, names);
+            ChosenName choice{value.index, names};
+            visit({p.name, p.help, p.range}, &choice);
+            value.index = choice.index;
           } else if constexpr (std::is_same_v<T, std::int64_t>) {
-            visit.integer({p.name, p.help, p.range}, value);
+            visit({p.name, p.help, p.range}, &value);
           } else {
             visit_param(visit, p.name, value, p.help, p.range);
           }

@@ -207,22 +207,20 @@ std::vector<std::string> other_keys(std::string_view path) {
   return keys;
 }
 
-const ConfigNode* find_path(const ConfigNode& tree, std::string_view path) {
-  const ConfigNode* node = &tree;
-  while (node != nullptr && !path.empty()) {
-    const std::size_t dot = path.find('.');
-    node = node->find(path.substr(0, dot));
-    path = dot == std::string_view::npos ? std::string_view() : path.substr(dot + 1);
+// Every plugin of a pass or a branch, as see(key, kind, slot, whether it must be there, sentence): the one list by
+// which they are read, written and documented.
+template <class Pass, class See>
+void each_slot_of(Pass& pass, const See& see) {
+  if constexpr (requires { pass.sampler; }) {
+    see("sampler", PluginKind::sampler, pass.sampler, true, "where along a ray the field is evaluated");
+    see("position", PluginKind::encoder, pass.position, true, "position encoder");
+    see("direction", PluginKind::encoder, pass.direction, false,
+        "direction encoder; leave it out for a view-independent field");
+    see("field", PluginKind::field, pass.field, true, "the network");
+  } else {
+    see("position", PluginKind::encoder, pass.position, true, "position encoder of the branch");
+    see("field", PluginKind::field, pass.field, true, "network of the branch");
   }
-  return node;
-}
-
-ConfigNode with_path(const ConfigNode& tree, const std::string& path, const ConfigNode& value) {
-  const std::size_t dot = path.find('.');
-  if (dot == std::string::npos) return tree.with(path, value);
-  const std::string key = path.substr(0, dot);
-  const ConfigNode* child = tree.find(key);
-  return tree.with(key, with_path(child == nullptr ? ConfigNode() : *child, path.substr(dot + 1), value));
 }
 
 template <class Params>
@@ -236,7 +234,7 @@ Describe described(PluginParams& params) {
 // The list at `path`, with its place; none where nothing is written there, or no list, which is an error.
 const ConfigNode* list_at(const ConfigNode& tree, const std::string& path, const std::string& of,
                           const std::string& remedy, Diagnostics& diagnostics) {
-  const ConfigNode* list = find_path(tree, path);
+  const ConfigNode* list = tree.find_path(path);
   if (list == nullptr || list->is_null()) return nullptr;
   if (list->is_list()) return list;
   diagnostics.error("config.value.type", list->location().text(), path + ": expected a list of " + of, remedy);
@@ -245,7 +243,7 @@ const ConfigNode* list_at(const ConfigNode& tree, const std::string& path, const
 
 // The map at `path`; none where nothing is written there, or no map.
 const ConfigNode* map_at(const ConfigNode& tree, const std::string& path) {
-  const ConfigNode* map = find_path(tree, path);
+  const ConfigNode* map = tree.find_path(path);
   return map != nullptr && map->is_map() ? map : nullptr;
 }
 
@@ -255,7 +253,7 @@ void validate_section(const ConfigNode& tree, const std::string& path, const Par
   Diagnostics relations;
   if constexpr (requires { validate(params, relations); }) validate(params, relations);
   for (const Diagnostic& finding : relations.all()) {
-    const ConfigNode* section = find_path(tree, path);
+    const ConfigNode* section = tree.find_path(path);
     const std::string key = finding.where.substr(std::min(finding.where.rfind('.') + 1, finding.where.size()));
     const ConfigNode* value = section != nullptr && section->is_map() ? section->find(key) : nullptr;
     const ConfigNode& nearest = value != nullptr ? *value : section != nullptr ? *section : tree;
@@ -272,19 +270,18 @@ bool starts_elsewhere(const ConfigNode* value, bool of_a_run) {
 }
 
 // `map` with its paths relative to the file that wrote them, or to the working folder.
-ConfigNode anchored(const ConfigNode& map, std::initializer_list<const char*> keys, bool of_a_run) {
-  ConfigNode out = map;
+ConfigNode anchored(ConfigNode map, std::initializer_list<const char*> keys, bool of_a_run) {
   for (const char* key : keys) {
-    const ConfigNode* value = map.is_map() ? map.find(key) : nullptr;
-    if (!starts_elsewhere(value, of_a_run)) continue;
-    out = out.with(key, ConfigNode::make_scalar(resolve_path(*value), true, value->location()));
+    const ConfigNode* value = map.find(key);
+    if (starts_elsewhere(value, of_a_run))
+      map.set(key, ConfigNode::make_scalar(resolve_path(*value), true, value->location()));
   }
-  return out;
+  return map;
 }
 
 void read_label_steps(const ConfigNode& tree, bool of_a_run, const Registry& registry, LabelConfig& config,
                       Diagnostics& diagnostics) {
-  if (const ConfigNode* from = find_path(tree, "scene.labels.from"); from != nullptr && !from->is_null()) {
+  if (const ConfigNode* from = tree.find_path("scene.labels.from"); from != nullptr && !from->is_null()) {
     const int errors = diagnostics.error_count();
     const PluginSlot slot =
         read_slot(PluginKind::label_reader, anchored(*from, {"folder", "file", "classes"}, of_a_run),
@@ -338,10 +335,11 @@ void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& con
 }
 
 // Runs of 1.0 say no unit: their density is per metre.
-ConfigNode with_former_unit(const ConfigNode& tree) {
+ConfigNode with_former_unit(ConfigNode tree) {
   const ConfigNode* rendering = map_at(tree, "rendering");
-  if (tree.find("base_dir") == nullptr || rendering == nullptr || rendering->find("unit_m") != nullptr) return tree;
-  return with_path(tree, "rendering.unit_m", ConfigNode::make_scalar("1", false, tree.location()));
+  if (tree.find("base_dir") != nullptr && rendering != nullptr && rendering->find("unit_m") == nullptr)
+    tree.set_path("rendering.unit_m", ConfigNode::make_scalar("1", false, tree.location()));
+  return tree;
 }
 
 // False where a module could not be loaded.
@@ -404,25 +402,29 @@ void check_channel(const HeadConfig& head, const std::vector<HeadConfig>& earlie
     if (other.channel == name) refuse("'" + name + "' is made by " + other.key + " already", "keep one of them");
 }
 
-// The keys `position` and `field` of a branch; false where `node` is no map.
-bool read_branch_slots(const ConfigNode& node, const std::string& path, const Registry& registry, PluginSlot& position,
-                       PluginSlot& field, Diagnostics& diagnostics) {
+template <class Pass>
+void read_slots(const ConfigNode& node, const std::string& path, Pass& pass, const Registry& registry,
+                Diagnostics& diagnostics) {
+  each_slot_of(pass, [&](const char* key, PluginKind kind, PluginSlot& slot, bool required, const char*) {
+    const ConfigNode* plugin = node.find(key);
+    if (plugin != nullptr && !plugin->is_null()) {
+      slot = read_slot(kind, *plugin, path + "." + key, registry, diagnostics);
+    } else if (required) {
+      diagnostics.error("config.key.missing", node.location().text(), path + ": key '" + key + "' is missing", {});
+    }
+  });
+}
+
+// {position, field} and the parameters that `own` describes.
+void read_branch(const ConfigNode& node, const std::string& path, BranchConfig& branch, const Describe& own,
+                 const Registry& registry, Diagnostics& diagnostics) {
   if (!node.is_map()) {
     diagnostics.error("config.value.type", node.location().text(), path + ": expected a map {position, field, ...}",
                       {});
-    return false;
+    return;
   }
-  const auto slot = [&](const char* key, PluginKind kind, PluginSlot& out) {
-    const ConfigNode* plugin = node.find(key);
-    if (plugin == nullptr || plugin->is_null()) {
-      diagnostics.error("config.key.missing", node.location().text(), path + ": key '" + key + "' is missing", {});
-      return;
-    }
-    out = read_slot(kind, *plugin, path + "." + key, registry, diagnostics);
-  };
-  slot("position", PluginKind::encoder, position);
-  slot("field", PluginKind::field, field);
-  return true;
+  read_slots(node, path, branch, registry, diagnostics);
+  read_params(node, path, own, diagnostics, {"position", "field"});
 }
 
 HeadConfig read_head(const ConfigNode& item, const std::string& path, const Registry& registry,
@@ -434,16 +436,14 @@ HeadConfig read_head(const ConfigNode& item, const std::string& path, const Regi
   if (head.head.entry == nullptr) return head;
   std::vector<std::string> of_plugin{"type", "branch"};
   for (const ParamDoc& doc : describe_params(described(*head.head.params))) of_plugin.push_back(doc.name);
-  read_params(item, path, described(head), diagnostics, of_plugin);
+  read_params(item, path, described<HeadChannel>(head), diagnostics, of_plugin);
   const ConfigNode* branch = item.find("branch");
   if (branch == nullptr || branch->is_null()) {
     diagnostics.error("config.key.missing", item.location().text(), path + ": key 'branch' is missing",
                       "give the head a network of its own: branch: {position: {type: ...}, field: {type: ...}}");
     return head;
   }
-  const std::string below = path + ".branch";
-  if (read_branch_slots(*branch, below, registry, head.position, head.field, diagnostics))
-    read_params(*branch, below, described(head.rules), diagnostics, {"position", "field"});
+  read_branch(*branch, path + ".branch", head, described(head.rules), registry, diagnostics);
   return head;
 }
 
@@ -512,28 +512,24 @@ void check_heads_of_losses(const RunConfig& config, Diagnostics& diagnostics) {
   }
 }
 
-// {position, field} and the branch's own parameters.
-SemanticBranchConfig read_branch(const ConfigNode& node, const std::string& path, const Registry& registry,
-                                 Diagnostics& diagnostics) {
-  SemanticBranchConfig branch;
-  if (read_branch_slots(node, path, registry, branch.position, branch.field, diagnostics))
-    read_params(node, path, described(branch), diagnostics, {"position", "field"});
-  return branch;
-}
-
 // One branch, or several from which the labels choose: one of them must take labels of any kind.
 std::vector<SemanticBranchConfig> read_branches(const ConfigNode& node, const std::string& path,
                                                 const Registry& registry, Diagnostics& diagnostics) {
   std::vector<SemanticBranchConfig> branches;
+  const auto read = [&](const ConfigNode& item, const std::string& place) {
+    SemanticBranchConfig& branch = branches.emplace_back();
+    read_branch(item, place, branch, described(branch), registry, diagnostics);
+  };
   if (!node.is_list()) {
-    branches.push_back(read_branch(node, path, registry, diagnostics));
+    read(node, path);
     return branches;
   }
   std::array<bool, ChoiceNames<LabelKind>::names.size()> served{};
   constexpr auto kMany = static_cast<std::size_t>(LabelKind::many);
   for (const ConfigNode& item : node.items()) {
-    branches.push_back(read_branch(item, path + "." + item_key(node, branches.size()), registry, diagnostics));
-    branches.back().key = "semantic." + item_key(node, branches.size() - 1);
+    const std::string key = item_key(node, branches.size());
+    read(item, path + "." + key);
+    branches.back().key = "semantic." + key;
     bool& known = served[static_cast<std::size_t>(branches.back().labels)];
     if (known || served[0] || (branches.back().labels == LabelKind::dense && served[kMany]))
       diagnostics.error("config.branch.unreached", item.location().text(),
@@ -571,19 +567,7 @@ void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& co
     }
     refuse_unknown_keys(item, path + ": unknown key", kKeys, diagnostics);
     pass.name = read_text(item, path, "name", usual_pass_name(index), diagnostics);
-    const auto slot = [&](const char* key, PluginKind kind, PluginSlot& out, bool required) {
-      const ConfigNode* node = item.find(key);
-      if (node == nullptr || node->is_null()) {
-        if (required)
-          diagnostics.error("config.key.missing", item.location().text(), path + ": key '" + key + "' is missing", {});
-        return;
-      }
-      out = read_slot(kind, *node, path + "." + key, registry, diagnostics);
-    };
-    slot("sampler", PluginKind::sampler, pass.sampler, true);
-    slot("position", PluginKind::encoder, pass.position, true);
-    slot("direction", PluginKind::encoder, pass.direction, false);
-    slot("field", PluginKind::field, pass.field, true);
+    read_slots(item, path, pass, registry, diagnostics);
     if (const ConfigNode* branch = item.find("semantic"); branch != nullptr && !branch->is_null())
       pass.semantic = read_branches(*branch, path + ".semantic", registry, diagnostics);
     for (const PassConfig& other : config.passes) {
@@ -619,54 +603,52 @@ ConfigNode written(Params params) {
 // {type, every parameter}.
 ConfigNode typed_config(const std::string& type, const Describe& describe) {
   const ConfigNode params = params_to_config(describe);
-  std::vector<ConfigNode::Entry> entries{{"type", ConfigNode::make_scalar(type, false, {})}};
-  entries.insert(entries.end(), params.entries().begin(), params.entries().end());
-  return ConfigNode::make_map(std::move(entries), {});
+  ConfigNode node = ConfigNode::make_map({{"type", ConfigNode::make_scalar(type, false, {})}}, {});
+  node.entries().insert(node.entries().end(), params.entries().begin(), params.entries().end());
+  return node;
 }
 
 ConfigNode slot_config(const PluginSlot& slot) { return typed_config(slot.entry->name, described(*slot.params)); }
 
-ConfigNode branch_config(const ConfigNode& own, const PluginSlot& position, const PluginSlot& field) {
-  return own.with("position", slot_config(position)).with("field", slot_config(field));
+template <class Pass>
+void write_slots(ConfigNode& node, const Pass& pass) {
+  each_slot_of(pass, [&](const char* key, PluginKind, const PluginSlot& slot, bool, const char*) {
+    if (slot.entry != nullptr) node.set(key, slot_config(slot));
+  });
+}
+
+// The parameters that `own` describes, and {position, field}.
+ConfigNode branch_config(const BranchConfig& branch, const Describe& own) {
+  ConfigNode node = params_to_config(own);
+  write_slots(node, branch);
+  return node;
 }
 
 ConfigNode step_config(const std::string& type, LabelStep& step) {
   return typed_config(type, [&](ParamVisitor& visit) { step.describe(visit); });
 }
 
-// Without steps the keys are absent.
-ConfigNode with_label_steps(ConfigNode labels, const LabelConfig& config) {
-  if (config.from.reader) labels = labels.with("from", step_config(config.from.type, *config.from.reader));
-  if (config.degrade.empty()) return labels;
-  return labels.with("degrade", list_of(config.degrade, [](const LabelConfig::Step& step) {
-                       return step_config(step.type, *step.degradation);
-                     }));
-}
-
 ConfigNode head_config(const HeadConfig& head) {
   ConfigNode node = slot_config(head.head);
-  HeadConfig own;  // without its plugins, which describe() does not look at
-  own.channel = head.channel;
-  own.width = head.width;
-  own.source_width = head.source_width;
-  const ConfigNode params = params_to_config(described(own));
-  for (const auto& [key, value] : params.entries()) node = node.with(key, value);
-  return node.with("branch", branch_config(written(head.rules), head.position, head.field));
+  const ConfigNode channel = written<HeadChannel>(head);
+  for (const auto& [key, value] : channel.entries()) node.set(key, value);
+  BranchRules rules = head.rules;
+  node.set("branch", branch_config(head, described(rules)));
+  return node;
 }
 
 ConfigNode pass_config(const PassConfig& pass) {
   ConfigNode node = ConfigNode::make_map({{"name", text_node(pass.name)}}, {});
-  node = node.with("sampler", slot_config(pass.sampler)).with("position", slot_config(pass.position));
-  if (pass.direction.entry != nullptr) node = node.with("direction", slot_config(pass.direction));
-  node = node.with("field", slot_config(pass.field));
-  if (pass.semantic.empty()) return node;
-  const ConfigNode branches = list_of(pass.semantic, [](const SemanticBranchConfig& branch) {
+  write_slots(node, pass);
+  ConfigNode branches = list_of(pass.semantic, [](const SemanticBranchConfig& branch) {
     SemanticBranchConfig own;  // without its plugins
     own.labels = branch.labels;
     own.rules = branch.rules;
-    return branch_config(params_to_config(described(own)), branch.position, branch.field);
+    return branch_config(branch, described(own));
   });
-  return node.with("semantic", branches.items().size() == 1 ? branches.items().front() : branches);
+  if (branches.items().size() == 1) branches = ConfigNode(branches.items().front());
+  if (!pass.semantic.empty()) node.set("semantic", branches);
+  return node;
 }
 
 }  // namespace
@@ -688,7 +670,7 @@ RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnos
     if (std::find(harmless.begin(), harmless.end(), value->text()) == harmless.end())
       diagnostics.error("config.key.gone", value->key_location().text(),
                         fmt::format("{}: {} is gone", gone.section, gone.key), gone.remedy);
-    tree = tree.with(gone.section, section->without(gone.key));
+    tree.set(gone.section, section->without(gone.key));
   }
   config.name = read_text(tree, "", "name", "run", diagnostics);
   config.base_dir = read_text(tree, "", "base_dir", "", diagnostics);
@@ -696,7 +678,7 @@ RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnos
   const bool of_a_run = !config.base_dir.empty();
   read_scene(tree, registry, config, diagnostics);
   each_section(config, [&](const char* path, const char*, auto& params) {
-    const ConfigNode* node = find_path(tree, path);
+    const ConfigNode* node = tree.find_path(path);
     if (node != nullptr && !node->is_null()) read_params(*node, path, described(params), diagnostics, other_keys(path));
   });
   config.schedule.legs = read_legs(tree, diagnostics);
@@ -704,7 +686,7 @@ RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnos
   each_section(config, [&](const char* path, const char*, const auto& params) {
     validate_section(tree, path, params, diagnostics);
   });
-  if (const ConfigNode* method = find_path(tree, "objects.method"); method != nullptr && !method->is_null())
+  if (const ConfigNode* method = tree.find_path("objects.method"); method != nullptr && !method->is_null())
     config.grouping = read_slot(PluginKind::grouping, *method, "objects.method", registry, diagnostics);
   config.heads = read_heads(tree, registry, diagnostics);
   config.losses = read_losses(tree, registry, diagnostics);
@@ -736,27 +718,34 @@ RunConfig load_run_config(const std::string& path, const std::vector<std::string
 }
 
 ConfigNode resolved_config(const RunConfig& config) {
-  ConfigNode tree = ConfigNode::make_map({}, {});
-  tree = tree.with("name", text_node(config.name)).with("base_dir", text_node(config.base_dir));
-  if (config.dataset.entry != nullptr) tree = tree.with("scene", slot_config(config.dataset));
+  ConfigNode tree;
+  tree.set("name", text_node(config.name));
+  tree.set("base_dir", text_node(config.base_dir));
+  if (config.dataset.entry != nullptr) tree.set("scene", slot_config(config.dataset));
   each_section(config, [&](std::string_view path, const char*, const auto& params) {
-    const ConfigNode section = written(params);
-    tree =
-        with_path(tree, std::string(path), path == "scene.labels" ? with_label_steps(section, config.labels) : section);
+    tree.set_path(path, written(params));
+    if (path != "scene.labels") return;
+    const LabelConfig& labels = config.labels;
+    if (labels.from.reader) tree.set_path("scene.labels.from", step_config(labels.from.type, *labels.from.reader));
+    if (!labels.degrade.empty())
+      tree.set_path("scene.labels.degrade", list_of(labels.degrade, [](const LabelConfig::Step& step) {
+                      return step_config(step.type, *step.degradation);
+                    }));
   });
   const std::vector<ScheduleLeg>& legs = config.schedule.legs;
-  if (!legs.empty()) tree = with_path(tree, "train.schedule.legs", list_of(legs, written<ScheduleLeg>));
-  if (config.grouping.entry != nullptr) tree = with_path(tree, "objects.method", slot_config(config.grouping));
-  if (!config.heads.empty()) tree = tree.with("heads", list_of(config.heads, head_config));
+  if (!legs.empty()) tree.set_path("train.schedule.legs", list_of(legs, written<ScheduleLeg>));
+  if (config.grouping.entry != nullptr) tree.set_path("objects.method", slot_config(config.grouping));
+  if (!config.heads.empty()) tree.set("heads", list_of(config.heads, head_config));
   if (!config.losses.empty())
-    tree = tree.with("losses", list_of(config.losses, [](const LossEntry& entry) {
-                       return typed_config(entry.type, described(*entry.params));
-                     }));
-  tree = tree.with("passes", list_of(config.passes, pass_config));
-  return config.plugins.empty() ? tree : tree.with("plugins", list_of(config.plugins, text_node));
+    tree.set("losses", list_of(config.losses, [](const LossEntry& entry) {
+               return typed_config(entry.type, described(*entry.params));
+             }));
+  tree.set("passes", list_of(config.passes, pass_config));
+  if (!config.plugins.empty()) tree.set("plugins", list_of(config.plugins, text_node));
+  return tree;
 }
 
-std::vector<SchemaSection> describe_sections() {
+std::vector<SchemaSection> describe_sections(const Registry* plugins) {
   std::vector<SchemaSection> docs;
   RunConfig defaults;
   each_section(defaults, [&](const char* path, const char* sentence, auto& params) {
@@ -774,13 +763,52 @@ std::vector<SchemaSection> describe_sections() {
   HeadConfig head;
   docs.push_back({"heads[]",
                   "heads in addition to that of class logits: each makes a channel that losses and renderings read",
-                  describe_params(described(head))});
+                  describe_params(described<HeadChannel>(head))});
   docs.push_back({"heads[].branch", "the head's own network, besides its plugins `position` and `field`",
                   describe_params(described(head.rules))});
+  if (plugins == nullptr) return docs;
+  const auto text = [](const char* name, const char* usual, const char* sentence) {
+    return ParamDoc{name, "text", usual, "", sentence, {}};
+  };
+  docs.push_back({"",
+                  "",
+                  {text("name", "", "name of the run and its default folder"),
+                   text("base_dir", "",
+                        "folder at which relative paths start that come from no file; default: the working folder"),
+                   {"plugins",
+                    "list of text",
+                    "[]",
+                    "",
+                    "plugin modules that it needs, by path; see docs/reference/configuration.md for which are loaded",
+                    {}}}});
+  docs.push_back({"passes[]",
+                  "one pass over the rays",
+                  {text("name", "main", "name of the pass, the prefix of its tensors"),
+                   text("like", "", "an earlier pass that this one starts from")}});
+  const auto slot = [&](const std::string& path, PluginKind kind, const char* sentence) {
+    SchemaSection& doc = docs.emplace_back(SchemaSection{path, sentence});
+    for (const PluginEntry* entry : plugins->entries())
+      if (entry->kind == kind)
+        doc.alternatives.push_back({entry->name, entry->summary, describe_params(described(*entry->new_params()))});
+  };
+  const auto slots = [&](const std::string& path, const auto& pass) {
+    each_slot_of(pass, [&](const char* key, PluginKind kind, const PluginSlot&, bool, const char* sentence) {
+      slot(path + "." + key, kind, sentence);
+    });
+  };
+  slot("losses[]", PluginKind::loss, "terms of the loss in addition to colour and semantics; each type once");
+  slot("heads[]", PluginKind::head, "heads in addition to that of class logits");
+  slots("heads[].branch", head);
+  slot("scene.labels.from", PluginKind::label_reader, "label files to train on instead of the dataset's own labels");
+  slot("scene.labels.degrade[]", PluginKind::degradation, "changes of the training labels, in order");
+  slot("objects.method", PluginKind::grouping, "what `semfield objects` learns from segments");
+  slot("scene", PluginKind::dataset, "where frames come from");
+  slots("passes[]", PassConfig());
+  slots("passes[].semantic", branch);
   return docs;
 }
 
-void describe(ParamVisitor& visit, HeadConfig& p) {
+void describe(ParamVisitor& visit, HeadChannel& p) {
   SEMFIELD_PARAM(visit, p, channel,
                  "name of the channel that the head makes, and of the dataset's channel that a loss compares with it");
   SEMFIELD_PARAM(visit, p, width,

@@ -186,12 +186,17 @@ struct PluginSlot {
 enum class LabelKind : std::uint8_t { any, few, noisy, many, dense };
 SEMFIELD_CHOICES(LabelKind, "any", "few", "noisy", "many", "dense");
 
-/// What a pass's semantic branch is beside its plugins (model/render_rules.h).
-struct SemanticBranchConfig {
-  std::string key = "semantic";  ///< below its pass: "semantic.few" when it is one of several
-  LabelKind labels = LabelKind::any;
+/// A network of its own behind a pass.
+struct BranchConfig {
   PluginSlot position, field;
   BranchRules rules;
+};
+void describe(ParamVisitor& visit, BranchRules& rules);
+
+/// What a pass's semantic branch is beside its plugins (model/render_rules.h).
+struct SemanticBranchConfig : BranchConfig {
+  std::string key = "semantic";  ///< below its pass: "semantic.few" when it is one of several
+  LabelKind labels = LabelKind::any;
 };
 /// All but the plugins.
 void describe(ParamVisitor& visit, SemanticBranchConfig& branch);
@@ -205,21 +210,18 @@ struct PassConfig {
   const SemanticBranchConfig* branch() const { return semantic.empty() ? nullptr : &semantic.front(); }
 };
 
-/// A head beside that of class logits, behind a branch of the last pass.
-struct HeadConfig {
-  HeadConfig() { rules.reads_feature = false; }  // so that nothing else is computed otherwise for it
-  std::string key;                               ///< as `--set` takes it: "heads.0"
+struct HeadChannel {
   std::string channel;   ///< that it makes; a dataset's channel of this name is what losses compare it with
   int width = 0;         ///< its columns; 0 until the scene is known
   int source_width = 0;  ///< columns of the dataset's channel, of which it learns principal axes; 0: those it has
-  PluginSlot head;
-  PluginSlot position, field;  ///< of its branch
-  BranchRules rules;
 };
-/// All but the plugins and the branch.
-void describe(ParamVisitor& visit, HeadConfig& head);
-/// Of any branch.
-void describe(ParamVisitor& visit, BranchRules& rules);
+void describe(ParamVisitor& visit, HeadChannel& channel);
+/// A head beside that of class logits, behind a branch of the last pass.
+struct HeadConfig : HeadChannel, BranchConfig {
+  HeadConfig() { rules.reads_feature = false; }  // so that nothing else is computed otherwise for it
+  std::string key;                               ///< as `--set` takes it: "heads.0"
+  PluginSlot head;
+};
 
 struct RunConfig {
   std::string name;
@@ -261,8 +263,8 @@ RunConfig run_config_of(const ConfigNode& tree, Registry& registry);
 /// The resolved configuration: every parameter written out, absolute base_dir; reading it gives the same run.
 ConfigNode resolved_config(const RunConfig& config);
 
-/// Fixed sections by key path, for the schema and the reference.
-std::vector<SchemaSection> describe_sections();
+/// Fixed sections by key path, for the reference; with plugins every key, for the schema.
+std::vector<SchemaSection> describe_sections(const Registry* plugins = nullptr);
 
 /// Columns of a head whose dataset has more for its channel, unless its own `width` says otherwise.
 inline constexpr int kUsualHeadWidth = 64;

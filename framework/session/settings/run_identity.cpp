@@ -65,11 +65,6 @@ bool listed(const List& list, std::string_view key_path) {
   });
 }
 
-// Every setting as `left`.
-std::vector<ConfigDifference> settings_of(const RunConfig& config) {
-  return config_differences(resolved_config(config), ConfigNode::make_map({}, {}));
-}
-
 }  // namespace
 
 bool is_part_of_identity(std::string_view key_path) { return !listed(kFree, key_path); }
@@ -80,17 +75,17 @@ bool may_change_on_resume(std::string_view key_path) {
 
 std::string identity_hash(const RunConfig& config) {
   std::string text;
-  for (const ConfigDifference& value : settings_of(config)) {
-    if (is_part_of_identity(value.key)) text += value.key + ": " + value.left + "\n";
+  for (const ConfigSetting& setting : config_settings(resolved_config(config))) {
+    if (is_part_of_identity(setting.key)) text += setting.key + ": " + setting.value + "\n";
   }
   return hex64(fnv1a64(text));
 }
 
 void require_scene_places(const RunConfig& config, const std::string& run_dir) {
-  for (const ConfigDifference& setting : settings_of(config)) {
+  for (const ConfigSetting& setting : config_settings(resolved_config(config))) {
     if (!setting.key.starts_with("scene.") || is_part_of_identity(setting.key)) continue;
     if (setting.key == "scene.labels.clicks") continue;  // which Run opens
-    const std::string place = parse_config_value(setting.left, setting.key).text();
+    const std::string place = parse_config_value(setting.value, setting.key).text();
     if (place.empty() || is_there(std::filesystem::path(config.base_dir) / place)) continue;
     throw Error(ErrorKind::no_input, "run.scene.moved",
                 "'" + place + "' is not there, where " + setting.key + " of the run '" + run_dir + "' points",
