@@ -231,353 +231,364 @@ Describe described(PluginParams& params) {
   return [&params](ParamVisitor& visit) { params.describe(visit); };
 }
 
-// The list at `path`, with its place; none where nothing is written there, or no list, which is an error.
-const ConfigNode* list_at(const ConfigNode& tree, const std::string& path, const std::string& of,
-                          const std::string& remedy, Diagnostics& diagnostics) {
-  const ConfigNode* list = tree.find_path(path);
-  if (list == nullptr || list->is_null()) return nullptr;
-  if (list->is_list()) return list;
-  diagnostics.error("config.value.type", list->location().text(), path + ": expected a list of " + of, remedy);
-  return nullptr;
+// The node at `path`; none where nothing is written there.
+const ConfigNode* given(const ConfigNode& node, std::string_view path) {
+  const ConfigNode* found = node.find_path(path);
+  return found != nullptr && !found->is_null() ? found : nullptr;
 }
 
-// The map at `path`; none where nothing is written there, or no map.
-const ConfigNode* map_at(const ConfigNode& tree, const std::string& path) {
-  const ConfigNode* map = tree.find_path(path);
-  return map != nullptr && map->is_map() ? map : nullptr;
-}
-
-// Relations between the values of a section; a finding's place is that of its key where the section's map has it.
-template <class Params>
-void validate_section(const ConfigNode& tree, const std::string& path, const Params& params, Diagnostics& diagnostics) {
-  Diagnostics relations;
-  if constexpr (requires { validate(params, relations); }) validate(params, relations);
-  for (const Diagnostic& finding : relations.all()) {
-    const ConfigNode* section = tree.find_path(path);
-    const std::string key = finding.where.substr(std::min(finding.where.rfind('.') + 1, finding.where.size()));
-    const ConfigNode* value = section != nullptr && section->is_map() ? section->find(key) : nullptr;
-    const ConfigNode& nearest = value != nullptr ? *value : section != nullptr ? *section : tree;
-    diagnostics.error(finding.code, nearest.location().text(),
-                      finding.where.empty() ? finding.message : finding.where + ": " + finding.message, finding.remedy);
-  }
-}
-
-// Whether a path has to be made absolute: those of a run.yaml are, or start at its base_dir; --set is always written in
-// the working folder.
-bool starts_elsewhere(const ConfigNode* value, bool of_a_run) {
-  if (value == nullptr || !value->is_scalar() || value->text().empty()) return false;
-  return !of_a_run || value->location().line <= 0;
-}
-
-// `map` with its paths relative to the file that wrote them, or to the working folder.
-ConfigNode anchored(ConfigNode map, std::initializer_list<const char*> keys, bool of_a_run) {
-  for (const char* key : keys) {
-    const ConfigNode* value = map.find(key);
-    if (starts_elsewhere(value, of_a_run))
-      map.set(key, ConfigNode::make_scalar(resolve_path(*value), true, value->location()));
-  }
-  return map;
-}
-
-void read_label_steps(const ConfigNode& tree, bool of_a_run, const Registry& registry, LabelConfig& config,
-                      Diagnostics& diagnostics) {
-  if (const ConfigNode* from = tree.find_path("scene.labels.from"); from != nullptr && !from->is_null()) {
-    const int errors = diagnostics.error_count();
-    const PluginSlot slot =
-        read_slot(PluginKind::label_reader, anchored(*from, {"folder", "file", "classes"}, of_a_run),
-                  "scene.labels.from", registry, diagnostics);
-    if (diagnostics.error_count() == errors) config.from = {slot.entry->name, slot.entry->label_reader(*slot.params)};
-  }
-  const ConfigNode* list = list_at(
-      tree, "scene.labels.degrade", "steps {type, ...}",
-      "write degrade: [{type: TYPE, ...}], TYPE one of " + join(registry.names(PluginKind::degradation)), diagnostics);
-  if (list == nullptr) return;
-  for (const ConfigNode& item : list->items()) {
-    const std::string path = "scene.labels.degrade." + std::to_string(config.degrade.size());
-    const int errors = diagnostics.error_count();
-    const PluginSlot slot = read_slot(PluginKind::degradation, item, path, registry, diagnostics);
-    if (diagnostics.error_count() == errors)
-      config.degrade.push_back({slot.entry->name, slot.entry->degradation(*slot.params)});
-  }
-}
-
-// The path of the key `clicks` becomes absolute. In a run.yaml a relative one starts at the run's folder; an absolute
-// one of the run's own file gives way to that file where it lies next to the run.yaml.
-void anchor_click_file(const ConfigNode& labels, bool of_a_run, LabelConfig& config) {
-  namespace fs = std::filesystem;
-  const ConfigNode* value = labels.find("clicks");
-  if (value == nullptr || !value->is_scalar() || value->text().empty()) return;
-  if (starts_elsewhere(value, of_a_run)) {
-    config.selection.clicks = resolve_path(*value);
-    return;
-  }
-  if (!is_file(value->location().file)) return;  // a text that is no file of a run yet
-  const fs::path folder = fs::absolute(value->location().file).parent_path().lexically_normal(), file = value->text();
-  config.run_dir = folder.string();
-  if (file.is_absolute() && file.filename() == kClickFile && is_there(folder / kClickFile))
-    config.selection.clicks = kClickFile;
-}
-
-void read_scene(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics) {
-  const ConfigNode* scene = tree.find("scene");
-  const bool of_a_run = !config.base_dir.empty();
-  if (scene == nullptr) {
-    diagnostics.error(
-        "config.key.missing", tree.location().text(), "scene: section is missing",
-        "name a dataset: scene: {type: TYPE, ...}, TYPE one of " + join(registry.names(PluginKind::dataset)));
-    return;
-  }
-  // By convention these keys of a scene are paths.
-  config.dataset = read_slot(PluginKind::dataset, anchored(*scene, {"root", "file", "classes"}, of_a_run), "scene",
-                             registry, diagnostics, {"labels", "load"});
-  if (map_at(tree, "scene.labels") != nullptr) read_label_steps(tree, of_a_run, registry, config.labels, diagnostics);
-  if (!of_a_run) config.base_dir = std::filesystem::current_path().string();
-}
-
-// Runs of 1.0 say no unit: their density is per metre.
-ConfigNode with_former_unit(ConfigNode tree) {
-  const ConfigNode* rendering = map_at(tree, "rendering");
-  if (tree.find("base_dir") != nullptr && rendering != nullptr && rendering->find("unit_m") == nullptr)
-    tree.set_path("rendering.unit_m", ConfigNode::make_scalar("1", false, tree.location()));
-  return tree;
-}
-
-// False where a module could not be loaded.
-bool read_modules(const ConfigNode& tree, Registry& registry, RunConfig& config, Diagnostics& diagnostics) {
-  bool loaded = true;
-  if (const ConfigNode* plugins = list_at(tree, "plugins", "module files", {}, diagnostics)) {
-    for (const ConfigNode& item : plugins->items()) {
-      try {
-        load_listed_module(registry, resolve_path(item));
-      } catch (const Error& error) {
-        diagnostics.error(error.code(), item.location().text(), error.message(), error.remedy());
-        loaded = false;
-      }
-    }
-  }
-  config.plugins = registry.module_files();
-  return loaded;
-}
-
-std::vector<ScheduleLeg> read_legs(const ConfigNode& tree, Diagnostics& diagnostics) {
-  const std::string path = "train.schedule.legs";
-  std::vector<ScheduleLeg> legs;
-  const ConfigNode* list = list_at(tree, path, "maps {start, rate, hold_until, end}",
-                                   "`semfield train --resume RUN --time T` writes it", diagnostics);
-  if (list == nullptr) return legs;
-  for (std::size_t i = 0; i < list->items().size(); ++i) {
-    const ConfigNode& item = list->items()[i];
-    const std::string place = path + "." + std::to_string(i);
-    ScheduleLeg leg;
-    const int errors = diagnostics.error_count();
-    read_params(item, place, described(leg), diagnostics);
-    const bool last = i + 1 == list->items().size();
-    if (diagnostics.error_count() == errors &&
-        ((!legs.empty() && leg.start <= legs.back().start) || (leg.end == 0 ? !last : leg.end < leg.start)))
-      diagnostics.error("config.schedule.legs", item.location().text(),
-                        place + ": the leg does not follow on the one before",
-                        "legs start one after the other, and only the last may have no end yet");
-    legs.push_back(leg);
-  }
-  return legs;
-}
-
-// Those that the framework makes or reads itself.
+// Channels that the framework makes or reads itself.
 constexpr std::array kTaken{channel::color,   channel::label,  channel::soft_label, channel::depth, channel::alpha,
                             channel::opacity, channel::weight, channel::sigma,      channel::logits};
 
-void check_channel(const HeadConfig& head, const std::vector<HeadConfig>& earlier, const ConfigNode& item,
-                   Diagnostics& diagnostics) {
-  const auto refuse = [&](const std::string& what, const std::string& remedy) {
-    diagnostics.error("config.head.channel", item.location().text(), head.key + ".channel: " + what, remedy);
-  };
-  const std::string& name = head.channel;
-  const auto allowed = [](char c) { return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || c == '_'; };
-  if (name.empty()) return refuse("the head names no channel", "name the channel that it is to make, as `clip`");
-  if (!std::all_of(name.begin(), name.end(), allowed))
-    refuse("'" + name + "' cannot name a channel", "take small letters, digits and underscores");
-  if (std::find(kTaken.begin(), kTaken.end(), name) != kTaken.end())
-    refuse("'" + name + "' is a channel of the framework", "take another name");
-  for (const HeadConfig& other : earlier)
-    if (other.channel == name) refuse("'" + name + "' is made by " + other.key + " already", "keep one of them");
-}
+// Reads a tree, a map, into a configuration; every fault becomes a finding.
+class Reading {
+ public:
+  Reading(ConfigNode tree, Registry& registry, RunConfig& config, Diagnostics& diagnostics)
+      : tree_(std::move(tree)), registry_(registry), config_(config), diagnostics_(diagnostics) {}
 
-template <class Pass>
-void read_slots(const ConfigNode& node, const std::string& path, Pass& pass, const Registry& registry,
-                Diagnostics& diagnostics) {
-  each_slot_of(pass, [&](const char* key, PluginKind kind, PluginSlot& slot, bool required, const char*) {
-    const ConfigNode* plugin = node.find(key);
-    if (plugin != nullptr && !plugin->is_null()) {
-      slot = read_slot(kind, *plugin, path + "." + key, registry, diagnostics);
-    } else if (required) {
-      diagnostics.error("config.key.missing", node.location().text(), path + ": key '" + key + "' is missing", {});
+  void all() {
+    const ConfigNode* rendering = map_at("rendering");
+    if (tree_.find("base_dir") != nullptr && rendering != nullptr && rendering->find("unit_m") == nullptr)
+      // Runs of 1.0 say no unit: their density is per metre.
+      tree_.set_path("rendering.unit_m", ConfigNode::make_scalar("1", false, tree_.location()));
+    refuse_unknown_keys(tree_, "unknown section", other_keys(""), diagnostics_);
+    refuse_gone_keys();
+    config_.name = read_text(tree_, "", "name", "run", diagnostics_);
+    config_.base_dir = read_text(tree_, "", "base_dir", "", diagnostics_);
+    of_a_run_ = !config_.base_dir.empty();
+    if (!modules()) return;  // every name of theirs would be an error
+    scene();
+    each_section(config_, [&](const char* path, const char*, auto& params) {
+      if (const ConfigNode* node = given(tree_, path))
+        read_params(*node, path, described(params), diagnostics_, other_keys(path));
+    });
+    legs();
+    click_file();
+    each_section(config_, [&](const char* path, const char*, const auto& params) { validate_section(path, params); });
+    if (const ConfigNode* method = given(tree_, "objects.method"))
+      config_.grouping = slot(PluginKind::grouping, *method, "objects.method");
+    heads();
+    losses();
+    check_heads_of_losses();
+    passes();
+    config_.load.contracted = config_.rendering.outside == Outside::contracted;
+  }
+
+ private:
+  void error(Code code, const ConfigNode& node, std::string message, std::string remedy = {}) {
+    diagnostics_.error(code, node.location().text(), std::move(message), std::move(remedy));
+  }
+  PluginSlot slot(PluginKind kind, const ConfigNode& node, const std::string& path,
+                  const std::vector<std::string>& more_keys = {}) {
+    return read_slot(kind, node, path, registry_, diagnostics_, more_keys);
+  }
+  // The same; no entry where anything in it is wrong.
+  PluginSlot sound_slot(PluginKind kind, const ConfigNode& node, const std::string& path) {
+    const int errors = diagnostics_.error_count();
+    PluginSlot read = slot(kind, node, path);
+    return diagnostics_.error_count() == errors ? std::move(read) : PluginSlot();
+  }
+  // The map at `path`; none where nothing is written there, or no map.
+  const ConfigNode* map_at(std::string_view path) const {
+    const ConfigNode* map = tree_.find_path(path);
+    return map != nullptr && map->is_map() ? map : nullptr;
+  }
+  // read(item, its path) for the items of the list at `path`. Nothing may be written there; else it is a list.
+  template <class Read>
+  void each_item(const std::string& path, const std::string& of, const std::string& remedy, const Read& read) {
+    const ConfigNode* list = given(tree_, path);
+    if (list == nullptr) return;
+    if (!list->is_list()) return error("config.value.type", *list, path + ": expected a list of " + of, remedy);
+    for (std::size_t i = 0; i < list->items().size(); ++i) read(list->items()[i], path + "." + std::to_string(i));
+  }
+
+  void refuse_gone_keys() {
+    for (const GoneKey& gone : kGoneKeys) {
+      const ConfigNode* section = map_at(gone.section);
+      const ConfigNode* value = section != nullptr ? section->find(gone.key) : nullptr;
+      if (value == nullptr) continue;
+      const std::vector<std::string_view> harmless = words_of(gone.harmless);
+      if (std::find(harmless.begin(), harmless.end(), value->text()) == harmless.end())
+        diagnostics_.error("config.key.gone", value->key_location().text(),
+                           fmt::format("{}: {} is gone", gone.section, gone.key), gone.remedy);
+      tree_.set(gone.section, section->without(gone.key));
     }
-  });
-}
-
-// {position, field} and the parameters that `own` describes.
-void read_branch(const ConfigNode& node, const std::string& path, BranchConfig& branch, const Describe& own,
-                 const Registry& registry, Diagnostics& diagnostics) {
-  if (!node.is_map()) {
-    diagnostics.error("config.value.type", node.location().text(), path + ": expected a map {position, field, ...}",
-                      {});
-    return;
   }
-  read_slots(node, path, branch, registry, diagnostics);
-  read_params(node, path, own, diagnostics, {"position", "field"});
-}
 
-HeadConfig read_head(const ConfigNode& item, const std::string& path, const Registry& registry,
-                     Diagnostics& diagnostics) {
-  HeadConfig head;
-  head.key = path;
-  head.head =
-      read_slot(PluginKind::head, item, path, registry, diagnostics, {"channel", "width", "source_width", "branch"});
-  if (head.head.entry == nullptr) return head;
-  std::vector<std::string> of_plugin{"type", "branch"};
-  for (const ParamDoc& doc : describe_params(described(*head.head.params))) of_plugin.push_back(doc.name);
-  read_params(item, path, described<HeadChannel>(head), diagnostics, of_plugin);
-  const ConfigNode* branch = item.find("branch");
-  if (branch == nullptr || branch->is_null()) {
-    diagnostics.error("config.key.missing", item.location().text(), path + ": key 'branch' is missing",
-                      "give the head a network of its own: branch: {position: {type: ...}, field: {type: ...}}");
-    return head;
+  // False where a module could not be loaded.
+  bool modules() {
+    bool loaded = true;
+    each_item("plugins", "module files", {}, [&](const ConfigNode& item, const std::string&) {
+      try {
+        load_listed_module(registry_, resolve_path(item));
+      } catch (const Error& fault) {
+        error(fault.code(), item, fault.message(), fault.remedy());
+        loaded = false;
+      }
+    });
+    config_.plugins = registry_.module_files();
+    return loaded;
   }
-  read_branch(*branch, path + ".branch", head, described(head.rules), registry, diagnostics);
-  return head;
-}
 
-// A channel twice is an error, and so is one that the framework makes itself.
-std::vector<HeadConfig> read_heads(const ConfigNode& tree, const Registry& registry, Diagnostics& diagnostics) {
-  std::vector<HeadConfig> heads;
-  const ConfigNode* list = list_at(tree, "heads", "heads {type, channel, branch, ...}",
-                                   "write heads: [{type: TYPE, channel: NAME, branch: {...}}]", diagnostics);
-  if (list == nullptr) return heads;
-  for (std::size_t i = 0; i < list->items().size(); ++i) {
-    const ConfigNode& item = list->items()[i];
-    HeadConfig head = read_head(item, "heads." + std::to_string(i), registry, diagnostics);
-    if (head.head.entry == nullptr) continue;
-    check_channel(head, heads, item, diagnostics);
-    heads.push_back(std::move(head));
+  // Whether a path has to be made absolute: those of a run.yaml are, or start at its base_dir; --set is always written
+  // in the working folder.
+  bool starts_elsewhere(const ConfigNode* value) const {
+    if (value == nullptr || !value->is_scalar() || value->text().empty()) return false;
+    return !of_a_run_ || value->location().line <= 0;
   }
-  if (heads.size() > kMostHeads)
-    diagnostics.error("config.head.limit", list->location().text(),
-                      fmt::format("heads: {} heads, and a pass has at most {}", heads.size(), kMostHeads),
-                      "take some out");
-  return heads;
-}
-
-// A type twice is an error.
-std::vector<LossEntry> read_losses(const ConfigNode& tree, const Registry& registry, Diagnostics& diagnostics) {
-  std::vector<LossEntry> entries;
-  const ConfigNode* list =
-      list_at(tree, "losses", "terms {type, ...}", "write losses: [{type: distortion, weight: 0.002}]", diagnostics);
-  if (list == nullptr) return entries;
-  for (std::size_t i = 0; i < list->items().size(); ++i) {
-    const ConfigNode& item = list->items()[i];
-    const std::string path = "losses." + std::to_string(i);
-    const int errors = diagnostics.error_count();
-    PluginSlot slot = read_slot(PluginKind::loss, item, path, registry, diagnostics);
-    if (diagnostics.error_count() > errors) continue;
-    LossEntry entry{slot.entry->name, slot.entry->loss(*slot.params), std::move(slot.params), item.location().text()};
-    const auto same = std::find_if(entries.begin(), entries.end(),
-                                   [&](const LossEntry& earlier) { return earlier.type == entry.type; });
-    if (same != entries.end()) {
-      diagnostics.error("config.loss.twice", entry.where,
-                        fmt::format("{}: the term '{}' is already at {}", path, entry.type, same->where),
-                        "keep one of them, with the weight that both together should have");
-      continue;
+  // `map` with its paths relative to the file that wrote them, or to the working folder.
+  ConfigNode anchored(ConfigNode map, std::initializer_list<const char*> keys) const {
+    for (const char* key : keys) {
+      const ConfigNode* value = map.find(key);
+      if (starts_elsewhere(value)) map.set(key, ConfigNode::make_scalar(resolve_path(*value), true, value->location()));
     }
-    entries.push_back(std::move(entry));
+    return map;
   }
-  if (entries.size() > kMostLossTerms) {
-    diagnostics.error("config.loss.limit", list->location().text(),
-                      fmt::format("losses: {} terms, and a list holds at most {}", entries.size(), kMostLossTerms),
-                      "take some out");
+
+  void scene() {
+    const ConfigNode* written = tree_.find("scene");
+    if (written == nullptr)
+      return error("config.key.missing", tree_, "scene: section is missing",
+                   "name a dataset: scene: {type: TYPE, ...}, TYPE one of " + one_of(PluginKind::dataset));
+    // By convention these keys of a scene are paths.
+    config_.dataset =
+        slot(PluginKind::dataset, anchored(*written, {"root", "file", "classes"}), "scene", {"labels", "load"});
+    if (map_at("scene.labels") != nullptr) label_steps();
+    if (!of_a_run_) config_.base_dir = std::filesystem::current_path().string();
+  }
+  std::string one_of(PluginKind kind) const { return join(registry_.names(kind)); }
+
+  void label_steps() {
+    LabelConfig& labels = config_.labels;
+    if (const ConfigNode* from = given(tree_, "scene.labels.from")) {
+      const PluginSlot reader =
+          sound_slot(PluginKind::label_reader, anchored(*from, {"folder", "file", "classes"}), "scene.labels.from");
+      if (reader.entry != nullptr) labels.from = {reader.entry->name, reader.entry->label_reader(*reader.params)};
+    }
+    each_item("scene.labels.degrade", "steps {type, ...}",
+              "write degrade: [{type: TYPE, ...}], TYPE one of " + one_of(PluginKind::degradation),
+              [&](const ConfigNode& item, const std::string& path) {
+                const PluginSlot step = sound_slot(PluginKind::degradation, item, path);
+                if (step.entry != nullptr)
+                  labels.degrade.push_back({step.entry->name, step.entry->degradation(*step.params)});
+              });
+  }
+
+  // The path of the key `clicks` becomes absolute. In a run.yaml a relative one starts at the run's folder; an absolute
+  // one of the run's own file gives way to that file where it lies next to the run.yaml.
+  void click_file() {
+    namespace fs = std::filesystem;
+    const ConfigNode* value = tree_.find_path("scene.labels.clicks");
+    if (value == nullptr || !value->is_scalar() || value->text().empty()) return;
+    std::string& clicks = config_.labels.selection.clicks;
+    if (starts_elsewhere(value)) {
+      clicks = resolve_path(*value);
+      return;
+    }
+    const std::string& written_in = value->location().file;
+    if (!is_file(written_in)) return;  // a text that is no file of a run yet
+    const fs::path folder = fs::absolute(written_in).parent_path().lexically_normal(), file = value->text();
+    config_.labels.run_dir = folder.string();
+    if (file.is_absolute() && file.filename() == kClickFile && is_there(folder / kClickFile)) clicks = kClickFile;
+  }
+
+  void legs() {
+    std::vector<ScheduleLeg>& legs = config_.schedule.legs;
+    const ConfigNode* list = given(tree_, "train.schedule.legs");
+    each_item("train.schedule.legs", "maps {start, rate, hold_until, end}",
+              "`semfield train --resume RUN --time T` writes it", [&](const ConfigNode& item, const std::string& path) {
+                ScheduleLeg leg;
+                const int errors = diagnostics_.error_count();
+                read_params(item, path, described(leg), diagnostics_);
+                const bool last = &item == &list->items().back();
+                if (diagnostics_.error_count() == errors &&
+                    ((!legs.empty() && leg.start <= legs.back().start) || (leg.end == 0 ? !last : leg.end < leg.start)))
+                  error("config.schedule.legs", item, path + ": the leg does not follow on the one before",
+                        "legs start one after the other, and only the last may have no end yet");
+                legs.push_back(leg);
+              });
+  }
+
+  // Relations between the values of a section; a finding's place is that of its key where the section's map has it.
+  template <class Params>
+  void validate_section(const std::string& path, const Params& params) {
+    Diagnostics relations;
+    if constexpr (requires { validate(params, relations); }) validate(params, relations);
+    for (const Diagnostic& finding : relations.all()) {
+      const ConfigNode* section = tree_.find_path(path);
+      const std::string key = finding.where.substr(std::min(finding.where.rfind('.') + 1, finding.where.size()));
+      const ConfigNode* value = section != nullptr && section->is_map() ? section->find(key) : nullptr;
+      error(finding.code,
+            value != nullptr     ? *value
+            : section != nullptr ? *section
+                                 : tree_,
+            finding.where.empty() ? finding.message : finding.where + ": " + finding.message, finding.remedy);
+    }
+  }
+
+  template <class Pass>
+  void slots(const ConfigNode& node, const std::string& path, Pass& pass) {
+    each_slot_of(pass, [&](const char* key, PluginKind kind, PluginSlot& of_pass, bool required, const char*) {
+      if (const ConfigNode* plugin = given(node, key)) {
+        of_pass = slot(kind, *plugin, path + "." + key);
+      } else if (required) {
+        error("config.key.missing", node, path + ": key '" + key + "' is missing");
+      }
+    });
+  }
+  // {position, field} and the parameters that `own` describes.
+  void branch(const ConfigNode& node, const std::string& path, BranchConfig& read, const Describe& own) {
+    if (!node.is_map()) return error("config.value.type", node, path + ": expected a map {position, field, ...}");
+    slots(node, path, read);
+    read_params(node, path, own, diagnostics_, {"position", "field"});
+  }
+
+  // A channel twice is an error, and so is one that the framework makes itself.
+  void heads() {
+    each_item("heads", "heads {type, channel, branch, ...}",
+              "write heads: [{type: TYPE, channel: NAME, branch: {...}}]",
+              [&](const ConfigNode& item, const std::string& path) {
+                HeadConfig read = head(item, path);
+                if (read.head.entry == nullptr) return;
+                check_channel(read, item);
+                config_.heads.push_back(std::move(read));
+              });
+    if (config_.heads.size() > kMostHeads)
+      error("config.head.limit", *tree_.find("heads"),
+            fmt::format("heads: {} heads, and a pass has at most {}", config_.heads.size(), kMostHeads),
+            "take some out");
+  }
+  HeadConfig head(const ConfigNode& item, const std::string& path) {
+    HeadConfig read;
+    read.key = path;
+    read.head = slot(PluginKind::head, item, path, {"channel", "width", "source_width", "branch"});
+    if (read.head.entry == nullptr) return read;
+    std::vector<std::string> of_plugin{"type", "branch"};
+    for (const ParamDoc& doc : describe_params(described(*read.head.params))) of_plugin.push_back(doc.name);
+    read_params(item, path, described<HeadChannel>(read), diagnostics_, of_plugin);
+    if (const ConfigNode* own = given(item, "branch")) {
+      branch(*own, path + ".branch", read, described(read.rules));
+    } else {
+      error("config.key.missing", item, path + ": key 'branch' is missing",
+            "give the head a network of its own: branch: {position: {type: ...}, field: {type: ...}}");
+    }
+    return read;
+  }
+  void check_channel(const HeadConfig& head, const ConfigNode& item) {
+    const auto refuse = [&](const std::string& what, const std::string& remedy) {
+      error("config.head.channel", item, head.key + ".channel: " + what, remedy);
+    };
+    const std::string& name = head.channel;
+    const auto allowed = [](char c) { return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || c == '_'; };
+    if (name.empty()) return refuse("the head names no channel", "name the channel that it is to make, as `clip`");
+    if (!std::all_of(name.begin(), name.end(), allowed))
+      refuse("'" + name + "' cannot name a channel", "take small letters, digits and underscores");
+    if (std::find(kTaken.begin(), kTaken.end(), name) != kTaken.end())
+      refuse("'" + name + "' is a channel of the framework", "take another name");
+    for (const HeadConfig& other : config_.heads)
+      if (other.channel == name) refuse("'" + name + "' is made by " + other.key + " already", "keep one of them");
+  }
+
+  // A type twice is an error.
+  void losses() {
+    std::vector<LossEntry>& entries = config_.losses;
+    each_item("losses", "terms {type, ...}", "write losses: [{type: distortion, weight: 0.002}]",
+              [&](const ConfigNode& item, const std::string& path) {
+                PluginSlot term = sound_slot(PluginKind::loss, item, path);
+                if (term.entry == nullptr) return;
+                const auto same = std::find_if(entries.begin(), entries.end(),
+                                               [&](const LossEntry& other) { return other.type == term.entry->name; });
+                if (same != entries.end())
+                  return error("config.loss.twice", item,
+                               fmt::format("{}: the term '{}' is already at {}", path, same->type, same->where),
+                               "keep one of them, with the weight that both together should have");
+                std::shared_ptr<const Loss> loss = term.entry->loss(*term.params);
+                entries.push_back({term.entry->name, loss, std::move(term.params), item.location().text()});
+              });
+    if (entries.size() <= kMostLossTerms) return;
+    error("config.loss.limit", *tree_.find("losses"),
+          fmt::format("losses: {} terms, and a list holds at most {}", entries.size(), kMostLossTerms),
+          "take some out");
     entries.resize(kMostLossTerms);
   }
-  return entries;
-}
-
-// An error for each loss that reads a channel which no head makes.
-void check_heads_of_losses(const RunConfig& config, Diagnostics& diagnostics) {
-  for (const LossEntry& entry : config.losses) {
-    for (const std::string_view name : entry.loss->traits().heads) {
-      const auto makes = [&](const HeadConfig& head) { return head.channel == name; };
-      if (name == channel::logits || std::any_of(config.heads.begin(), config.heads.end(), makes)) continue;
-      diagnostics.error("config.loss.channel", entry.where,
-                        fmt::format("losses: '{}' reads the channel '{}', which no head makes", entry.type, name),
-                        fmt::format("add a head with channel: {} to the list `heads`", name));
+  // An error for each loss that reads a channel which no head makes.
+  void check_heads_of_losses() {
+    for (const LossEntry& entry : config_.losses) {
+      for (const std::string_view name : entry.loss->traits().heads) {
+        const auto makes = [&](const HeadConfig& head) { return head.channel == name; };
+        if (name == channel::logits || std::any_of(config_.heads.begin(), config_.heads.end(), makes)) continue;
+        diagnostics_.error("config.loss.channel", entry.where,
+                           fmt::format("losses: '{}' reads the channel '{}', which no head makes", entry.type, name),
+                           fmt::format("add a head with channel: {} to the list `heads`", name));
+      }
     }
   }
-}
 
-// One branch, or several from which the labels choose: one of them must take labels of any kind.
-std::vector<SemanticBranchConfig> read_branches(const ConfigNode& node, const std::string& path,
-                                                const Registry& registry, Diagnostics& diagnostics) {
-  std::vector<SemanticBranchConfig> branches;
-  const auto read = [&](const ConfigNode& item, const std::string& place) {
-    SemanticBranchConfig& branch = branches.emplace_back();
-    read_branch(item, place, branch, described(branch), registry, diagnostics);
-  };
-  if (!node.is_list()) {
-    read(node, path);
-    return branches;
+  void passes() {
+    const ConfigNode* list = tree_.find("passes");
+    if (list == nullptr || !list->is_list() || list->items().empty())
+      return error("config.value.type", list == nullptr ? tree_ : *list,
+                   "passes: expected a list of at least one pass {name, sampler, position, direction, field}");
+    static const std::vector<std::string> kKeys{"name",      "like",  "sampler", "position",
+                                                "direction", "field", "semantic"};
+    for (std::size_t index = 0; index < list->items().size(); ++index) {
+      const ConfigNode& item = list->items()[index];
+      const std::string path = "passes." + item_key(*list, index);
+      PassConfig pass;
+      pass.key = path;
+      if (!item.is_map()) {
+        error("config.value.type", item, path + ": expected a map {name, sampler, position, direction, field}");
+        continue;
+      }
+      refuse_unknown_keys(item, path + ": unknown key", kKeys, diagnostics_);
+      pass.name = read_text(item, path, "name", usual_pass_name(index), diagnostics_);
+      slots(item, path, pass);
+      if (const ConfigNode* own = given(item, "semantic")) pass.semantic = branches(*own, path + ".semantic");
+      for (const PassConfig& other : config_.passes)
+        if (other.name == pass.name)
+          error("config.pass.twice", item, path + ": name '" + pass.name + "' is taken by an earlier pass");
+      config_.passes.push_back(std::move(pass));
+    }
   }
-  std::array<bool, ChoiceNames<LabelKind>::names.size()> served{};
-  constexpr auto kMany = static_cast<std::size_t>(LabelKind::many);
-  for (const ConfigNode& item : node.items()) {
-    const std::string key = item_key(node, branches.size());
-    read(item, path + "." + key);
-    branches.back().key = "semantic." + key;
-    bool& known = served[static_cast<std::size_t>(branches.back().labels)];
-    if (known || served[0] || (branches.back().labels == LabelKind::dense && served[kMany]))
-      diagnostics.error("config.branch.unreached", item.location().text(),
-                        path + ": an earlier branch takes all labels that this one is for", {});
-    known = true;
+  // One branch, or several from which the labels choose: one of them must take labels of any kind.
+  std::vector<SemanticBranchConfig> branches(const ConfigNode& node, const std::string& path) {
+    std::vector<SemanticBranchConfig> read;
+    const auto add = [&](const ConfigNode& item, const std::string& place) {
+      SemanticBranchConfig& own = read.emplace_back();
+      branch(item, place, own, described(own));
+    };
+    if (!node.is_list()) {
+      add(node, path);
+      return read;
+    }
+    std::array<bool, ChoiceNames<LabelKind>::names.size()> served{};
+    constexpr auto kMany = static_cast<std::size_t>(LabelKind::many);
+    for (const ConfigNode& item : node.items()) {
+      const std::string key = item_key(node, read.size());
+      add(item, path + "." + key);
+      read.back().key = "semantic." + key;
+      bool& known = served[static_cast<std::size_t>(read.back().labels)];
+      if (known || served[0] || (read.back().labels == LabelKind::dense && served[kMany]))
+        error("config.branch.unreached", item, path + ": an earlier branch takes all labels that this one is for");
+      known = true;
+    }
+    for (std::size_t kind = 1; kind < served.size() && !served[0]; ++kind) {
+      const bool among_many = kind == static_cast<std::size_t>(LabelKind::dense) && served[kMany];
+      if (!served[kind] && !among_many)
+        error("config.branch.missing", node,
+              path + ": no branch is for labels: " + std::string(ChoiceNames<LabelKind>::names[kind]),
+              "add one, or let the last one be for labels: any");
+    }
+    return read;
   }
-  for (std::size_t kind = 1; kind < served.size() && !served[0]; ++kind) {
-    const bool among_many = kind == static_cast<std::size_t>(LabelKind::dense) && served[kMany];
-    if (!served[kind] && !among_many)
-      diagnostics.error("config.branch.missing", node.location().text(),
-                        path + ": no branch is for labels: " + std::string(ChoiceNames<LabelKind>::names[kind]),
-                        "add one, or let the last one be for labels: any");
-  }
-  return branches;
-}
 
-void read_passes(const ConfigNode& tree, const Registry& registry, RunConfig& config, Diagnostics& diagnostics) {
-  const ConfigNode* list = tree.find("passes");
-  if (list == nullptr || !list->is_list() || list->items().empty()) {
-    const Location& where = list == nullptr ? tree.location() : list->location();
-    diagnostics.error("config.value.type", where.text(),
-                      "passes: expected a list of at least one pass {name, sampler, position, direction, field}", {});
-    return;
-  }
-  static const std::vector<std::string> kKeys{"name", "like", "sampler", "position", "direction", "field", "semantic"};
-  for (std::size_t index = 0; index < list->items().size(); ++index) {
-    const ConfigNode& item = list->items()[index];
-    const std::string path = "passes." + item_key(*list, index);
-    PassConfig pass;
-    pass.key = path;
-    if (!item.is_map()) {
-      diagnostics.error("config.value.type", item.location().text(),
-                        path + ": expected a map {name, sampler, position, direction, field}", {});
-      continue;
-    }
-    refuse_unknown_keys(item, path + ": unknown key", kKeys, diagnostics);
-    pass.name = read_text(item, path, "name", usual_pass_name(index), diagnostics);
-    read_slots(item, path, pass, registry, diagnostics);
-    if (const ConfigNode* branch = item.find("semantic"); branch != nullptr && !branch->is_null())
-      pass.semantic = read_branches(*branch, path + ".semantic", registry, diagnostics);
-    for (const PassConfig& other : config.passes) {
-      if (other.name == pass.name)
-        diagnostics.error("config.pass.twice", item.location().text(),
-                          path + ": name '" + pass.name + "' is taken by an earlier pass", {});
-    }
-    config.passes.push_back(std::move(pass));
-  }
-}
+  ConfigNode tree_;
+  Registry& registry_;
+  RunConfig& config_;
+  Diagnostics& diagnostics_;
+  bool of_a_run_ = false;
+};
 
 bool is_of_the_written(Code code) {
   return code == "config.key.unknown" || code == "config.value.type" || code == "config.value.range" ||
@@ -660,39 +671,7 @@ RunConfig read_run_config(const ConfigNode& written, Registry& registry, Diagnos
                       "expected a map of sections at the top of the config", {});
     return config;
   }
-  ConfigNode tree = with_former_unit(written);
-  refuse_unknown_keys(tree, "unknown section", other_keys(""), diagnostics);
-  for (const GoneKey& gone : kGoneKeys) {
-    const ConfigNode* section = map_at(tree, gone.section);
-    const ConfigNode* value = section != nullptr ? section->find(gone.key) : nullptr;
-    if (value == nullptr) continue;
-    const std::vector<std::string_view> harmless = words_of(gone.harmless);
-    if (std::find(harmless.begin(), harmless.end(), value->text()) == harmless.end())
-      diagnostics.error("config.key.gone", value->key_location().text(),
-                        fmt::format("{}: {} is gone", gone.section, gone.key), gone.remedy);
-    tree.set(gone.section, section->without(gone.key));
-  }
-  config.name = read_text(tree, "", "name", "run", diagnostics);
-  config.base_dir = read_text(tree, "", "base_dir", "", diagnostics);
-  if (!read_modules(tree, registry, config, diagnostics)) return config;  // every name of theirs would be an error
-  const bool of_a_run = !config.base_dir.empty();
-  read_scene(tree, registry, config, diagnostics);
-  each_section(config, [&](const char* path, const char*, auto& params) {
-    const ConfigNode* node = tree.find_path(path);
-    if (node != nullptr && !node->is_null()) read_params(*node, path, described(params), diagnostics, other_keys(path));
-  });
-  config.schedule.legs = read_legs(tree, diagnostics);
-  if (const ConfigNode* labels = map_at(tree, "scene.labels")) anchor_click_file(*labels, of_a_run, config.labels);
-  each_section(config, [&](const char* path, const char*, const auto& params) {
-    validate_section(tree, path, params, diagnostics);
-  });
-  if (const ConfigNode* method = tree.find_path("objects.method"); method != nullptr && !method->is_null())
-    config.grouping = read_slot(PluginKind::grouping, *method, "objects.method", registry, diagnostics);
-  config.heads = read_heads(tree, registry, diagnostics);
-  config.losses = read_losses(tree, registry, diagnostics);
-  check_heads_of_losses(config, diagnostics);
-  read_passes(tree, registry, config, diagnostics);
-  config.load.contracted = config.rendering.outside == Outside::contracted;
+  Reading(written, registry, config, diagnostics).all();
   return config;
 }
 
