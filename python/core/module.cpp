@@ -7,7 +7,6 @@
 #include "python/core/errors.h"
 #include "python/core/plugins.h"
 #include "python/core/scene_values.h"
-#include "python/core/session.h"
 #include "run/run_folder.h"
 
 namespace semfield::python {

@@ -10,6 +10,7 @@
 #include <set>
 #include <string>
 #include <string_view>
+#include <variant>
 #include <vector>
 
 #include "config/params.h"
@@ -24,10 +25,12 @@
 
 namespace semfield::python {
 
+namespace {
+
 // An object of Python that threads without the GIL may hold and drop.
 using Held = std::shared_ptr<py::object>;
 
-inline Held hold(py::object object) {
+Held hold(py::object object) {
   return {new py::object(std::move(object)), [](py::object* p) {
             if (Py_IsInitialized() == 0) return;  // the process ends: nothing is given back any more
             const py::gil_scoped_acquire gil;
@@ -58,67 +61,17 @@ auto called(const std::string& doing, const Call& call) {
 
 // Learned numbers of components that are written in Python, and arrays that they return.
 
-template <class Real>
-class PythonTensors {
- public:
-  PythonTensors() = default;
-  /// Of `made`, an instance with a dict `tensors` of semfield.Tensor.
-  explicit PythonTensors(const py::object& made) {
-    for (const auto& [tensor, spec] : made.attr("tensors").template cast<py::dict>()) {
-      TensorSpec declared;
-      declared.name = py::str(tensor).template cast<std::string>();
-      declared.rows = spec.attr("rows").template cast<std::int64_t>();
-      declared.cols = spec.attr("cols").template cast<std::int32_t>();
-      declared.init = {spec.attr("low").template cast<double>(), spec.attr("high").template cast<double>()};
-      specs_.push_back(std::move(declared));
-    }
-  }
-
-  void declare(ParamDeclarer& declarer) const {
-    for (const TensorSpec& spec : specs_) declarer.tensor(spec);
-  }
-  py::dict values(const Tensors<Real>& tensors) const {
-    py::dict out;
-    for (std::size_t i = 0; i < specs_.size(); ++i)
-      out[py::str(specs_[i].name)] = borrowed(View<const Real>(tensors.value[i]));
-    return out;
-  }
-  /// What call(gradients by name) returns. Throws Error(failure) where it put another array in the place of one: what
-  /// is not added in place would be lost.
-  template <class Call>
-  py::object with_gradients(const std::string& doing, const Tensors<Real>& tensors, const Call& call) const {
-    py::dict given;
-    for (std::size_t i = 0; i < specs_.size() && i < tensors.grad.size(); ++i)
-      given[py::str(specs_[i].name)] = borrowed(tensors.grad[i]);
-    const py::dict before = given.attr("copy")();
-    const py::object answer = call(given);
-    for (const auto& [name, array] : before) {
-      if (given.contains(name) && py::object(given[name]).is(array)) continue;
-      throw Error(ErrorKind::failure, "plugin.python.gradient",
-                  doing + ": the gradient of '" + py::str(name).cast<std::string>() + "' was replaced",
-                  "add to it in place: grads[name] += ...");
-    }
-    if (given.size() != before.size())
-      throw Error(ErrorKind::failure, "plugin.python.gradient", doing + ": grads got a name that no tensor has",
-                  "declare the tensor in setup");
-    return answer;
-  }
-
- private:
-  std::vector<TensorSpec> specs_;
-};
-
 using Shape = std::vector<py::ssize_t>;
 
-inline std::string shape_text(const py::ssize_t* sizes, std::size_t count) {
+std::string shape_text(const py::ssize_t* sizes, std::size_t count) {
   std::string out;
   for (std::size_t i = 0; i < count; ++i) out += (i == 0 ? "" : ", ") + std::to_string(sizes[i]);
   return "(" + out + (count == 1 ? ",)" : ")");
 }
 
-/// What `doing` ("head 'x'.output") returned, as an array of one of these shapes exactly: NumPy would stretch one row
-/// to all of them. Throws Error(failure) for another shape or type.
-inline py::array real_array(const std::string& doing, const py::handle& answer, const std::vector<Shape>& shapes) {
+// What `doing` ("head 'x'.output") returned, as an array of one of these shapes exactly: NumPy would stretch one row
+// to all of them. Throws Error(failure) for another shape or type.
+py::array real_array(const std::string& doing, const py::handle& answer, const std::vector<Shape>& shapes) {
   const py::array given = py::array::ensure(answer);
   const auto has = [&](const Shape& shape) {
     return std::equal(shape.begin(), shape.end(), given.shape(), given.shape() + given.ndim());
@@ -138,7 +91,7 @@ inline py::array real_array(const std::string& doing, const py::handle& answer, 
   return given;
 }
 
-/// Copies what `doing` returned.
+// Copies what `doing` returned.
 template <class Real>
 void take(const std::string& doing, const py::object& answer, View<Real> to) {
   const py::array given = real_array(doing, answer, {{to.rows, to.cols}});
@@ -146,7 +99,81 @@ void take(const std::string& doing, const py::object& answer, View<Real> to) {
   target[py::ellipsis()] = given;
 }
 
-namespace {
+// An opacity that is None where nothing is known of it.
+template <class Real>
+struct Opacity {
+  View<const Real> view;
+};
+
+// An instance of a class of Python with learned numbers, and its methods: arrays over views, then the tensors by name,
+// then their gradients.
+template <class Real>
+class PythonPart {
+ public:
+  PythonPart() = default;
+  // `made`: has a dict `tensors` of semfield.Tensor. With the GIL.
+  PythonPart(std::string owner, const py::object& made) : owner_(std::move(owner)), instance_(hold(made)) {
+    for (const auto& [tensor, spec] : made.attr("tensors").template cast<py::dict>()) {
+      TensorSpec declared;
+      declared.name = py::str(tensor).template cast<std::string>();
+      declared.rows = spec.attr("rows").template cast<std::int64_t>();
+      declared.cols = spec.attr("cols").template cast<std::int32_t>();
+      declared.init = {spec.attr("low").template cast<double>(), spec.attr("high").template cast<double>()};
+      specs_.push_back(std::move(declared));
+    }
+  }
+
+  void declare(ParamDeclarer& declarer) const {
+    for (const TensorSpec& spec : specs_) declarer.tensor(spec);
+  }
+  template <class... Views>
+  void forward(const char* method, const Tensors<Real>& tensors, View<Real> out, const Views&... views) const {
+    called(owner_ + "." + method, [&](const std::string& doing) {
+      take(doing, instance_->attr(method)(array(views)..., values(tensors)), out);
+    });
+  }
+  // `taken` gets what the method returns. Throws Error(failure) where it put another array in the place of a gradient:
+  // what is not added in place would be lost.
+  template <class Taken, class... Views>
+  void backward(const char* method, const Tensors<Real>& tensors, const Taken& taken, const Views&... views) const {
+    called(owner_ + "." + method, [&](const std::string& doing) {
+      py::dict grads;
+      for (std::size_t i = 0; i < specs_.size() && i < tensors.grad.size(); ++i)
+        grads[py::str(specs_[i].name)] = borrowed(tensors.grad[i]);
+      const py::dict before = grads.attr("copy")();
+      const py::object answer = instance_->attr(method)(array(views)..., values(tensors), grads);
+      for (const auto& [name, given] : before) {
+        if (grads.contains(name) && py::object(grads[name]).is(given)) continue;
+        throw Error(ErrorKind::failure, "plugin.python.gradient",
+                    doing + ": the gradient of '" + py::str(name).template cast<std::string>() + "' was replaced",
+                    "add to it in place: grads[name] += ...");
+      }
+      if (grads.size() != before.size())
+        throw Error(ErrorKind::failure, "plugin.python.gradient", doing + ": grads got a name that no tensor has",
+                    "declare the tensor in setup");
+      taken(doing, answer);
+    });
+  }
+
+ private:
+  static py::object array(const Opacity<Real>& opacity) {
+    return opacity.view.empty() ? py::object(py::none()) : py::object(borrowed(opacity.view));
+  }
+  template <class T>
+  static py::object array(View<T> view) {
+    return borrowed(View<const std::remove_const_t<T>>(view));
+  }
+  py::dict values(const Tensors<Real>& tensors) const {
+    py::dict out;
+    for (std::size_t i = 0; i < specs_.size(); ++i)
+      out[py::str(specs_[i].name)] = borrowed(View<const Real>(tensors.value[i]));
+    return out;
+  }
+
+  std::string owner_;
+  std::vector<TensorSpec> specs_;
+  Held instance_;
+};
 
 // Whole numbers or not, by what the list holds.
 template <class T>
@@ -157,6 +184,62 @@ bool all_are(const py::list& list, const T& is) {
 bool is_whole(const py::handle& value) { return py::isinstance<py::int_>(value) && !py::isinstance<py::bool_>(value); }
 
 bool is_number(const py::handle& value) { return is_whole(value) || py::isinstance<py::float_>(value); }
+
+// One of a list of names.
+struct ChoiceValue {
+  int index = 0;
+  std::vector<std::string> names;
+};
+
+struct PythonParam {
+  std::string name, help;
+  Range range;
+  std::variant<bool, std::int64_t, double, std::string, ChoiceValue, std::vector<std::int64_t>, std::vector<double>,
+               std::vector<std::string>>
+      value;
+};
+
+class PythonParams final : public PluginParams {
+ public:
+  explicit PythonParams(std::vector<PythonParam> params) : params_(std::move(params)) {}
+  void describe(ParamVisitor& visit) override {
+    for (PythonParam& p : params_) {
+      const auto one = [&](auto& value) {
+        using T = std::decay_t<decltype(value)>;
+        if constexpr (std::is_same_v<T, ChoiceValue>) {
+          const std::vector<std::string_view> names(value.names.begin(), value.names.end());
+          ChosenName choice{value.index, names};
+          visit({p.name, p.help, p.range}, &choice);
+          value.index = choice.index;
+        } else if constexpr (std::is_same_v<T, std::int64_t>) {
+          visit({p.name, p.help, p.range}, &value);
+        } else {
+          visit_param(visit, p.name, value, p.help, p.range);
+        }
+      };
+      std::visit(one, p.value);
+    }
+  }
+  void validate(Diagnostics&) const override {}
+  // Name to value; with the GIL.
+  py::dict values() const {
+    py::dict out;
+    for (const PythonParam& p : params_) {
+      const auto one = [](const auto& value) -> py::object {
+        if constexpr (std::is_same_v<std::decay_t<decltype(value)>, ChoiceValue>) {
+          return py::str(value.names[static_cast<std::size_t>(value.index)]);
+        } else {
+          return py::cast(value);
+        }
+      };
+      out[py::str(p.name)] = std::visit(one, p.value);
+    }
+    return out;
+  }
+
+ private:
+  std::vector<PythonParam> params_;
+};
 
 // A default that its own range refuses would be refused where nobody gave it.
 void require_in_range(const PythonParam& param, const std::string& owner) {
@@ -174,44 +257,7 @@ void require_in_range(const PythonParam& param, const std::string& owner) {
   }
 }
 
-}  // namespace
-
-void PythonParams::describe(ParamVisitor& visit) {
-  for (PythonParam& p : params_) {
-    std::visit(
-        [&](auto& value) {
-          using T = std::decay_t<decltype(value)>;
-          if constexpr (std::is_same_v<T, ChoiceValue>) {
-            const std::vector<std::string_view> names(value.names.begin(), value.names.end());
-            ChosenName choice{value.index, names};
-            visit({p.name, p.help, p.range}, &choice);
-            value.index = choice.index;
-          } else if constexpr (std::is_same_v<T, std::int64_t>) {
-            visit({p.name, p.help, p.range}, &value);
-          } else {
-            visit_param(visit, p.name, value, p.help, p.range);
-          }
-        },
-        p.value);
-  }
-}
-
-py::dict PythonParams::values() const {
-  py::dict out;
-  for (const PythonParam& p : params_) {
-    out[py::str(p.name)] = std::visit(
-        [](const auto& value) -> py::object {
-          if constexpr (std::is_same_v<std::decay_t<decltype(value)>, ChoiceValue>) {
-            return py::str(value.names[static_cast<std::size_t>(value.index)]);
-          } else {
-            return py::cast(value);
-          }
-        },
-        p.value);
-  }
-  return out;
-}
-
+// From dicts {name, help, default, low, high, choices}. Throws Error(usage) for a default of no known kind.
 std::vector<PythonParam> params_of(const py::list& declared, const std::string& owner) {
   std::vector<PythonParam> out;
   for (const py::handle row : declared) {
@@ -262,8 +308,6 @@ std::vector<PythonParam> params_of(const py::list& declared, const std::string& 
   return out;
 }
 
-namespace {
-
 template <class Real>
 class PythonHead final : public Head<Real> {
  public:
@@ -276,8 +320,7 @@ class PythonHead final : public Head<Real> {
     called(owner_, [&] {
       const py::object made = type->attr("_made")(params.values(), build.feature_dims, build.width);
       hidden_ = made.attr("hidden_width").template cast<std::int32_t>();
-      tensors_ = PythonTensors<Real>(made);
-      instance_ = hold(made);
+      part_ = PythonPart<Real>(owner_, made);
     });
     if (hidden_ <= 0)
       throw Error(ErrorKind::usage, "plugin.python.declaration", owner_ + ": setup must set hidden_width above 0");
@@ -285,57 +328,37 @@ class PythonHead final : public Head<Real> {
 
   std::int32_t hidden_width() const override { return hidden_; }
   std::int32_t width() const override { return width_; }
-  void declare(ParamDeclarer& declarer) const override { tensors_.declare(declarer); }
+  void declare(ParamDeclarer& declarer) const override { part_.declare(declarer); }
 
   void hidden_forward(const StepContext&, const Tensors<Real>& tensors, View<const Real> feature,
                       View<Real> hidden) const override {
-    called(owner_ + ".hidden", [&](const std::string& doing) {
-      take(doing, instance_->attr("hidden")(borrowed(feature), tensors_.values(tensors)), hidden);
-    });
+    part_.forward("hidden", tensors, hidden, feature);
   }
   void hidden_backward(const StepContext&, const Tensors<Real>& tensors, View<const Real> feature,
                        View<const Real> hidden, View<Real> d_hidden, View<Real> d_feature) const override {
-    called(owner_ + ".hidden_backward", [&](const std::string& doing) {
-      take(doing,
-           tensors_.with_gradients(doing, tensors,
-                                   [&](const py::dict& grads) {
-                                     return instance_->attr("hidden_backward")(borrowed(feature), borrowed(hidden),
-                                                                               borrowed(View<const Real>(d_hidden)),
-                                                                               tensors_.values(tensors), grads);
-                                   }),
-           d_feature);
-    });
+    const auto taken = [&](const std::string& doing, const py::object& answer) { take(doing, answer, d_feature); };
+    part_.backward("hidden_backward", tensors, taken, feature, hidden, d_hidden);
   }
   void output_forward(const StepContext&, const Tensors<Real>& tensors, View<const Real> h, View<const Real> opacity,
                       View<Real> rows) const override {
-    called(owner_ + ".output", [&](const std::string& doing) {
-      take(doing, instance_->attr("output")(borrowed(h), seen(opacity), tensors_.values(tensors)), rows);
-    });
+    part_.forward("output", tensors, rows, h, Opacity<Real>{opacity});
   }
   void output_backward(const StepContext&, const Tensors<Real>& tensors, View<const Real> h, View<const Real> opacity,
                        View<const Real> d_rows, View<Real> d_h, View<Real> d_opacity) const override {
-    called(owner_ + ".output_backward", [&](const std::string& doing) {
-      const py::object answer = tensors_.with_gradients(doing, tensors, [&](const py::dict& grads) {
-        return instance_->attr("output_backward")(borrowed(h), seen(opacity), borrowed(d_rows),
-                                                  tensors_.values(tensors), grads);
-      });
+    const auto taken = [&](const std::string& doing, const py::object& answer) {
       if (!py::isinstance<py::tuple>(answer) || py::len(answer) != 2)
         throw Error(ErrorKind::failure, "plugin.python.shape",
                     doing + ": expected two arrays, dL/dh and dL/d(opacity)");
       take(doing + ", dL/dh", py::object(answer[py::int_(0)]), d_h);
       if (!d_opacity.empty()) take(doing + ", dL/d(opacity)", py::object(answer[py::int_(1)]), d_opacity);
-    });
+    };
+    part_.backward("output_backward", tensors, taken, h, Opacity<Real>{opacity}, d_rows);
   }
 
  private:
-  static py::object seen(View<const Real> opacity) {
-    return opacity.empty() ? py::object(py::none()) : py::object(borrowed(opacity));
-  }
-
   std::string owner_;
   std::int32_t hidden_ = 0, width_ = 0;
-  PythonTensors<Real> tensors_;
-  Held instance_;
+  PythonPart<Real> part_;
 };
 
 class PythonLoss final : public Loss {
@@ -508,37 +531,31 @@ class PythonEncoder final : public Encoder<Real> {
       traits_.in_dims = build.in_dims;
       traits_.out_dims = made.attr("out_dims").template cast<std::int32_t>();
       traits_.domain = domain_of(made.attr("domain").template cast<std::string>(), owner_);
-      tensors_ = PythonTensors<Real>(made);
-      instance_ = hold(made);
+      part_ = PythonPart<Real>(owner_, made);
     });
     if (traits_.out_dims <= 0)
       throw Error(ErrorKind::usage, "plugin.python.declaration", owner_ + ": setup must set out_dims above 0");
   }
 
   EncoderTraits traits() const noexcept override { return traits_; }
-  void declare(ParamDeclarer& declarer) const override { tensors_.declare(declarer); }
+  void declare(ParamDeclarer& declarer) const override { part_.declare(declarer); }
 
  protected:
   void do_forward(const StepContext&, const Tensors<Real>& tensors, View<const double> x, View<Real> y) const override {
-    called(owner_ + ".forward", [&](const std::string& doing) {
-      take(doing, instance_->attr("forward")(borrowed(x), tensors_.values(tensors)), y);
-    });
+    part_.forward("forward", tensors, y, x);
   }
   void do_backward(const StepContext&, const Tensors<Real>& tensors, View<const double> x, View<const Real> dy,
                    View<Real> dx) const override {
-    called(owner_ + ".backward", [&](const std::string& doing) {
-      const py::object answer = tensors_.with_gradients(doing, tensors, [&](const py::dict& grads) {
-        return instance_->attr("backward")(borrowed(x), borrowed(dy), tensors_.values(tensors), grads);
-      });
+    const auto taken = [&](const std::string& doing, const py::object& answer) {
       if (!dx.empty()) take(doing, answer, dx);
-    });
+    };
+    part_.backward("backward", tensors, taken, x, dy);
   }
 
  private:
   std::string owner_;
   EncoderTraits traits_;
-  PythonTensors<Real> tensors_;
-  Held instance_;
+  PythonPart<Real> part_;
 };
 
 class PythonDataset final : public Dataset {
@@ -579,6 +596,32 @@ Base& base() {
     return *fresh;
   }();
   return made;
+}
+
+// Runs a file of Python, whose plugins go into `registry`. Throws Error(unavailable) for a file that raises, or that
+// defines no plugin. To be called with the GIL.
+void load_python_file(Registry& registry, const std::string& path) {
+  const std::string doing = "cannot load plugin '" + path + "'";
+  Registry trial = registry;
+  trial.set_current_module(std::filesystem::path(path).filename().string());
+  const std::size_t before = trial.entries().size();
+  Base& b = base();
+  Registry* const outer = b.loading;
+  b.loading = &trial;
+  try {
+    py::module_::import("semfield.plugins").attr("_run_file")(path);
+  } catch (py::error_already_set& raised) {
+    b.loading = outer;
+    const Error error = error_of(raised, doing);
+    throw Error(ErrorKind::unavailable, error.code(), error.message(), "fix the file, or leave it out");
+  }
+  b.loading = outer;
+  if (trial.entries().size() == before)
+    throw Error(ErrorKind::unavailable, "plugin.module.empty", doing + ": it defines no plugin",
+                "decorate a class with @semfield.encoder(\"name\"), .dataset, .head or .loss");
+  trial.set_current_module({});
+  trial.add_module_file(path);
+  registry = std::move(trial);
 }
 
 void load_file(Registry& registry, const std::string& path) {
@@ -625,12 +668,6 @@ void list_types(const ConfigNode& node, std::set<std::string>& types) {
   }
 }
 
-}  // namespace
-
-Registry& base_registry() { return base().registry; }
-
-namespace {
-
 // What makes a `Made` of the class that was decorated.
 template <class Interface, class Made>
 auto factory(const Held& type, const std::string& name) {
@@ -672,29 +709,7 @@ void add_plugin(const py::dict& declared) {
 
 }  // namespace
 
-void load_python_file(Registry& registry, const std::string& path) {
-  const std::string doing = "cannot load plugin '" + path + "'";
-  Registry trial = registry;
-  trial.set_current_module(std::filesystem::path(path).filename().string());
-  const std::size_t before = trial.entries().size();
-  Base& b = base();
-  Registry* const outer = b.loading;
-  b.loading = &trial;
-  try {
-    py::module_::import("semfield.plugins").attr("_run_file")(path);
-  } catch (py::error_already_set& raised) {
-    b.loading = outer;
-    const Error error = error_of(raised, doing);
-    throw Error(ErrorKind::unavailable, error.code(), error.message(), "fix the file, or leave it out");
-  }
-  b.loading = outer;
-  if (trial.entries().size() == before)
-    throw Error(ErrorKind::unavailable, "plugin.module.empty", doing + ": it defines no plugin",
-                "decorate a class with @semfield.encoder(\"name\"), .dataset, .head or .loss");
-  trial.set_current_module({});
-  trial.add_module_file(path);
-  registry = std::move(trial);
-}
+Registry& base_registry() { return base().registry; }
 
 RunConfig session_config_of(const ConfigNode& tree, Registry& registry) {
   RunConfig config = run_config_of(tree, registry);

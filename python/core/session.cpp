@@ -1,10 +1,14 @@
-#include "python/core/session.h"
-
+// The class Run of semfield._core: a run that trains, or one that was trained. semfield/runs.py derives the users'
+// class from it.
 #include <pybind11/stl.h>
+#include <sys/types.h>
 #include <unistd.h>
 
 #include <csignal>
+#include <memory>
+#include <mutex>
 #include <optional>
+#include <type_traits>
 
 #include "core/error.h"
 #include "core/non_copyable.h"
@@ -17,13 +21,17 @@
 #include "python/core/scene_values.h"
 #include "report/report.h"
 #include "run/run.h"
+#include "run/run_scores.h"
 #include "scene/scene.h"
 
 namespace semfield::python {
 
 namespace {
 
+using namespace pybind11::literals;
+
 constexpr std::size_t kPointsBetweenLooks = 65536;
+constexpr const char* kSplits[] = {"train", "test", "unused"};
 
 template <class T>
 void append(const std::vector<T>& part, std::vector<T>& whole) {
@@ -44,16 +52,6 @@ auto opened(const Open& open) {
   return open();
 }
 
-// The interrupt that the listener looks at, for the time of one call.
-class OneCall : NonCopyable {
- public:
-  OneCall(Interrupt*& place, Interrupt* interrupt) : place_(place) { place_ = interrupt; }
-  ~OneCall() { place_ = nullptr; }
-
- private:
-  Interrupt*& place_;
-};
-
 std::vector<Vec3d> vectors_of(const py::object& value, const char* what) {
   const auto rows = py::array_t<double, py::array::c_style | py::array::forcecast>::ensure(value);
   if (!rows || rows.ndim() != 2 || rows.shape(1) != 3) {
@@ -66,443 +64,399 @@ std::vector<Vec3d> vectors_of(const py::object& value, const char* what) {
   return out;
 }
 
+template <class T>
+py::object or_none(const std::optional<T>& value) {
+  return value ? py::cast(*value) : py::none();
+}
+
 py::dict values_dict(const std::vector<std::pair<std::string, std::optional<double>>>& values) {
   py::dict out;
-  for (const auto& [name, value] : values) out[py::str(name)] = value ? py::object(py::float_(*value)) : py::none();
+  for (const auto& [name, value] : values) out[py::str(name)] = or_none(value);
   return out;
 }
 
-}  // namespace
+// What a run tells, kept for Python.
+class Notes final : public RunListener {
+ public:
+  void note(const std::string& text) override { texts.push_back(text); }
+  void row(const MetricsRow& made) override { rows.push_back(made); }
+  int stop_signal() override { return interrupt != nullptr && interrupt->came() ? SIGINT : 0; }
+  std::vector<std::string> texts;
+  std::vector<MetricsRow> rows;    ///< training rows since the run was opened
+  Interrupt* interrupt = nullptr;  ///< of the call under way
+};
 
-PySession::PySession() : owner_(getpid()), registry_(base_registry()) {}
-
-PySession::~PySession() {
-  if (getpid() == owner_) return;
-  (void)run_.release();  // its threads and files are those of the process that opened it
-  (void)loaded_.release();
-}
-
-void PySession::refuse_fork() const {
-  if (getpid() == owner_) return;
-  throw Error(ErrorKind::usage, "python.session.fork",
-              "this run was opened by process " + std::to_string(owner_) + ", and this is a fork of it, process " +
-                  std::to_string(getpid()),
-              "save the run before the fork and semfield.load its folder here, or open it here");
-}
-
-// Without the GIL, one caller at a time, under the settings of the session's work.
-template <class Call>
-auto PySession::computed(const Call& call) const {
-  refuse_fork();
-  const Work working;
-  const std::lock_guard lock(mutex_);
-  const WorkSettings settings = session().work();
-  const WorkScope scope(settings);
-  return call();
-}
-
-std::unique_ptr<PySession> PySession::open(const py::object& config, const py::dict& set, const std::string& run_dir,
-                                           const std::vector<std::string>& keep, const py::object& scene) {
-  std::unique_ptr<PySession> made(new PySession);
-  ConfigNode tree = composed(config, set);
-  if (!scene.is_none()) tree = with_scene(tree, scene.cast<py::dict>());
-  made->run_ = opened([&] {
-    return std::make_unique<Run>(session_config_of(tree, made->registry_), made->registry_,
-                                 TrainRequest{run_dir, false, keep}, &made->notes_);
-  });
-  return made;
-}
-
-std::unique_ptr<PySession> PySession::resume(const std::string& run_dir, const py::dict& set,
-                                             const std::vector<std::string>& keep) {
-  std::unique_ptr<PySession> made(new PySession);
-  const std::vector<ConfigOverride> overrides = overrides_of(set);
-  made->run_ = opened([&] {
-    const ConfigNode tree = compose_config_with(RunFolder::read(run_dir).config_path(), overrides);
-    return std::make_unique<Run>(session_config_of(tree, made->registry_), made->registry_,
-                                 TrainRequest{run_dir, true, keep}, &made->notes_);
-  });
-  return made;
-}
-
-std::unique_ptr<PySession> PySession::load(const std::string& run_dir, const py::dict& set) {
-  std::unique_ptr<PySession> made(new PySession);
-  std::vector<std::string> overrides;
-  for (const ConfigOverride& o : overrides_of(set)) overrides.push_back(o.key + "=" + write_config_inline(o.value));
-  Diagnostics found;
-  made->loaded_ = opened([&] {
-    return std::make_unique<OpenedRun>(
-        open_run(run_dir, overrides, made->registry_, found, OpenFor::evaluation_of_training_frames));
-  });
-  for (const Diagnostic& finding : folded(found)) made->notes_.note(finding.shown());
-  return made;
-}
-
-Run& PySession::training() {
-  refuse_fork();
-  if (run_) return *run_;
-  throw Error(ErrorKind::usage, "python.session.read_only", "this run was opened to be looked at",
-              "open it with semfield.resume to continue it");
-}
-
-std::vector<std::string> PySession::notes() const {
-  return computed([&] { return notes_.texts; });
-}
-
-py::list PySession::rows() const {
-  py::list out;
-  if (!run_) return out;
-  const std::vector<MetricsRow> rows = computed([&] { return notes_.rows; });
-  for (const MetricsRow& row : rows) {
-    py::dict item = values_dict(row.values);
-    item["step"] = row.step;
-    item["train_s"] = row.train_s;
-    out.append(item);
+// It belongs to the process that opened it: a fork has its memory, but not its threads, and shares its files. There,
+// calls that compute throw Error(usage), and the end of the object gives nothing back. Every call that computes gives
+// the GIL back; calls from several threads wait for each other. Plugins written in Python take it in turn, so nobody
+// may hold it while waiting here.
+class PyRun : NonCopyable {
+ public:
+  // `how`: "open", of a configuration and a new folder or none, with `scene` in place of its section where it is a
+  // dict; "resume", of a folder to go on with; "load", of a folder to look at.
+  PyRun(const std::string& how, const py::object& config, const py::dict& set, const std::string& run_dir,
+        const std::vector<std::string>& keep, const py::object& scene)
+      : owner_(getpid()), registry_(base_registry()) {
+    if (how == "load") {
+      load(run_dir, set);
+    } else {
+      const bool resumes = how == "resume";
+      ConfigNode tree;
+      const std::vector<ConfigOverride> overrides = overrides_of(set);
+      if (!resumes) tree = composed(config, set);
+      if (!scene.is_none()) tree = with_scene(tree, scene.cast<py::dict>());
+      run_ = opened([&] {
+        if (resumes) tree = compose_config_with(RunFolder::read(run_dir).config_path(), overrides);
+        return std::make_unique<Run>(session_config_of(tree, registry_), registry_,
+                                     TrainRequest{run_dir, resumes, keep}, &notes_);
+      });
+    }
+    name_ = session().config.name;
   }
-  return out;
-}
+  ~PyRun() { drop(); }
 
-std::int64_t PySession::steps_left() const {
-  const std::int64_t end = last_step(session().config);
-  return end == 0 ? -1 : std::max<std::int64_t>(0, end - step());
-}
+  // Whoever computes ends first.
+  void close() {
+    std::unique_lock<std::mutex> lock(mutex_, std::defer_lock);
+    if (getpid() == owner_) {
+      const py::gil_scoped_release free;
+      lock.lock();
+    }
+    drop();
+  }
+  bool closed() const { return !run_ && !loaded_; }
+  bool trains() const {
+    (void)session();
+    return run_ != nullptr;
+  }
+  std::int64_t step() const { return run_ ? run_->training().step() : loaded().step; }
+  double train_s() const { return run_ ? run_->training().train_s() : loaded().train_s; }
+  std::string run_dir() const { return run_ ? run_->run_dir() : loaded().run_dir; }
+  py::object config() const { return object_of(resolved_config(session().config)); }
 
-void PySession::train_more(std::int64_t steps, double seconds) {
-  Run& run = training();
-  computed([&] { run.train_more({steps, seconds}); });
-}
+  std::vector<std::string> notes() const {
+    return computed([&] { return notes_.texts; });
+  }
+  py::list history() const {
+    py::list out;
+    for (const MetricsRow& row : computed([&] { return notes_.rows; })) {
+      py::dict item = values_dict(row.values);
+      item["step"] = row.step;
+      item["train_s"] = row.train_s;
+      out.append(item);
+    }
+    return out;
+  }
+  // To the end of the run's length; -1 while it is not settled.
+  std::int64_t steps_left() const {
+    const std::int64_t end = last_step(session().config);
+    return end == 0 ? -1 : std::max<std::int64_t>(0, end - step());
+  }
+  void train_more(std::int64_t steps, double seconds) {
+    computed([&] { training().train_more({steps, seconds}); });
+  }
 
-py::dict PySession::train(std::int64_t steps, bool to_end) {
-  Run& run = training();
-  StepLosses sum;
-  std::int64_t made = 0;
-  std::vector<std::int64_t> active(session().config.losses.size(), 0);
-  Interrupt interrupt;
-  const double before_s = train_s();
-  computed([&] {
-    const OneCall asked(notes_.interrupt, &interrupt);
-    while (made < steps && !interrupt.came() && !(to_end && run.training().at_its_end())) {
-      for (const StepLosses& losses : run.advance(steps - made)) {
-        ++made;
-        sum.total += losses.total;
-        sum.color += losses.color;
-        sum.semantic += losses.semantic;
-        sum.mse += losses.mse;
-        sum.samples += losses.samples;
-        sum.labelled += losses.labelled;
-        sum.correct += losses.correct;
-        for (std::size_t i = 0; i < active.size(); ++i) {
-          if ((losses.active >> i & 1U) == 0) continue;
-          ++active[i];
-          sum.terms[i] += losses.terms[i];
+  // Means over the steps made, which are fewer than asked for after Ctrl-C; then the interrupt is raised, with the run
+  // as after the last step. `to_end`: not beyond the end of the run's length.
+  py::dict train(std::int64_t steps, bool to_end) {
+    StepLosses sum;
+    std::int64_t made = 0;
+    std::vector<std::int64_t> active(session().config.losses.size(), 0);
+    Interrupt interrupt;
+    const double before_s = train_s();
+    computed([&] {
+      Run& run = training();
+      notes_.interrupt = &interrupt;
+      const std::shared_ptr<void> ended(nullptr, [&](void*) { notes_.interrupt = nullptr; });
+      while (made < steps && !interrupt.came() && !(to_end && run.training().at_its_end())) {
+        for (const StepLosses& losses : run.advance(steps - made)) {
+          ++made;
+          sum.total += losses.total;
+          sum.color += losses.color;
+          sum.semantic += losses.semantic;
+          sum.mse += losses.mse;
+          for (std::size_t i = 0; i < active.size(); ++i) {
+            if ((losses.active >> i & 1U) == 0) continue;
+            ++active[i];
+            sum.terms[i] += losses.terms[i];
+          }
         }
       }
-    }
-  });
-  interrupt.raise();
-  py::dict out, terms;
-  const double count = static_cast<double>(std::max<std::int64_t>(made, 1));
-  for (std::size_t i = 0; i < active.size(); ++i)
-    if (active[i] > 0) terms[py::str(session().config.losses[i].type)] = sum.terms[i] / static_cast<double>(active[i]);
-  out["steps"] = made;
-  out["loss"] = sum.total / count;
-  out["color"] = sum.color / count;
-  out["semantic"] = sum.semantic / count;
-  out["mse"] = sum.mse / count;
-  out["samples"] = sum.samples;
-  out["labelled"] = sum.labelled;
-  out["correct"] = sum.correct;
-  out["terms"] = terms;
-  out["seconds"] = train_s() - before_s;
-  return out;
-}
-
-std::string PySession::save(const std::string& run_dir) {
-  Run& run = training();
-  return computed([&] { return run.save(run_dir); });
-}
-
-py::dict PySession::parameters() {
-  Run& run = training();
-  const std::vector<TensorRef> tensors = computed([&] { return run.training().state(); });
-  py::dict out;
-  for (const TensorRef& tensor : tensors) {
-    if (tensor.type != TensorType::f32) continue;
-    std::vector<float> values(tensor.bytes.size() / sizeof(float));
-    std::copy_n(tensor.bytes.data(), tensor.bytes.size(), reinterpret_cast<std::byte*>(values.data()));
-    out[py::str(tensor.name)] = array_of(std::move(values), {tensor.shape.begin(), tensor.shape.end()});
+    });
+    interrupt.raise();
+    py::dict terms;
+    const double count = static_cast<double>(std::max<std::int64_t>(made, 1));
+    for (std::size_t i = 0; i < active.size(); ++i)
+      if (active[i] > 0)
+        terms[py::str(session().config.losses[i].type)] = sum.terms[i] / static_cast<double>(active[i]);
+    return py::dict("steps"_a = made, "loss"_a = sum.total / count, "color"_a = sum.color / count,
+                    "semantic"_a = sum.semantic / count, "mse"_a = sum.mse / count, "terms"_a = terms,
+                    "seconds"_a = train_s() - before_s);
   }
-  return out;
-}
-
-void PySession::set_labels(int frame, const py::object& ids) {
-  Run& run = training();
-  const std::vector<FrameInfo>& frames = session().scene.info.frames;
-  if (frame < 0 || frame >= std::ssize(frames))
-    throw Error(ErrorKind::usage, "python.frame.range",
-                "frame " + std::to_string(frame) + ": there are " + std::to_string(frames.size()));
-  const FrameInfo& info = frames[static_cast<std::size_t>(frame)];
-  std::vector<std::int16_t> labels = indices_of(ids, session().scene.info.classes, info.camera.height_px,
-                                                info.camera.width_px, "labels of frame '" + info.name + "'");
-  computed([&] { run.training().set_labels(frame, std::move(labels)); });
-}
-
-bool PySession::apply(const std::string& event) {
-  Run& run = training();
-  const LabelEvent parsed = parse_label_event(event);
-  return computed([&] { return run.apply(parsed); });
-}
-
-py::dict PySession::annotations() const {
-  py::dict out;
-  py::list marks;
-  const std::optional<Annotations> copy = computed([&]() -> std::optional<Annotations> {
-    if (!run_ || run_->annotations() == nullptr) return std::nullopt;
-    return *run_->annotations();
-  });
-  const Annotations* const all = copy ? &*copy : nullptr;
-  out["room"] = all != nullptr ? all->classes().valid_count() : 0;
-  py::list named;
-  for (int i = 0; all != nullptr && i < all->named_classes(); ++i)
-    if (all->is_named(i)) named.append(all->classes().valid(i).name);
-  out["named"] = named;
-  if (all != nullptr) {
+  std::string save(const std::string& run_dir) {
+    return computed([&] { return training().save(run_dir); });
+  }
+  py::dict parameters() {
+    py::dict out;
+    for (const TensorRef& tensor : computed([&] { return training().training().state(); })) {
+      if (tensor.type != TensorType::f32) continue;
+      std::vector<float> values(tensor.bytes.size() / sizeof(float));
+      std::copy_n(tensor.bytes.data(), tensor.bytes.size(), reinterpret_cast<std::byte*>(values.data()));
+      out[py::str(tensor.name)] = array_of(std::move(values), {tensor.shape.begin(), tensor.shape.end()});
+    }
+    return out;
+  }
+  void set_labels(std::size_t frame, const py::object& ids) {
+    const FrameInfo& info = session().scene.info.frames.at(frame);
+    std::vector<std::int16_t> labels = indices_of(ids, session().scene.info.classes, info.camera.height_px,
+                                                  info.camera.width_px, "labels of frame '" + info.name + "'");
+    computed([&] { training().training().set_labels(static_cast<int>(frame), std::move(labels)); });
+  }
+  bool apply(const std::string& event) {
+    return computed([&] { return training().apply(parse_label_event(event)); });
+  }
+  // Clicks in force, and the names of the classes that have one.
+  py::tuple annotations() const {
+    const std::optional<Annotations> all = computed([&]() -> std::optional<Annotations> {
+      if (!run_ || run_->annotations() == nullptr) return std::nullopt;
+      return *run_->annotations();
+    });
+    py::list named, marks;
+    if (!all) return py::make_tuple(marks, named);
+    for (int i = 0; i < all->named_classes(); ++i)
+      if (all->is_named(i)) named.append(all->classes().valid(i).name);
     for (const Annotations::Mark& mark : all->marks()) {
-      py::dict item;
       py::list points;
       for (const PixelPoint& p : mark.points) points.append(py::make_tuple(p.x, p.y));
-      item["id"] = mark.id;
-      item["frame"] = session().scene.info.frames[static_cast<std::size_t>(mark.frame)].name;
-      item["points"] = points;
-      item["radius_px"] = mark.radius_px;
-      item["class_"] =
-          mark.class_index == kVoid ? py::object(py::none()) : py::str(all->classes().valid(mark.class_index).name);
-      marks.append(item);
+      const bool erases = mark.class_index == kVoid;
+      marks.append(py::dict(
+          "id"_a = mark.id, "frame"_a = session().scene.info.frames[static_cast<std::size_t>(mark.frame)].name,
+          "points"_a = points, "radius_px"_a = mark.radius_px,
+          "class_"_a = erases ? py::object(py::none()) : py::str(all->classes().valid(mark.class_index).name)));
     }
+    return py::make_tuple(marks, named);
   }
-  out["clicks"] = marks;
-  return out;
-}
 
-py::object PySession::channel_axes(const std::string& channel) {
-  const View<const float> axes = session().pipeline->passes().back().axes(channel);
-  if (axes.empty()) return py::none();
-  return array_of(std::vector<float>(axes.data, axes.data + axes.size()), {axes.rows, axes.cols});
-}
-
-py::dict PySession::render(const py::dict& camera, const py::object& pose, int stride, bool probability,
-                           const std::vector<std::string>& channels, int ordinal) {
-  const RayCamera view{camera_of(camera), pose_of(pose, "render"), true};
-  Diagnostics found;
-  check_camera(view.camera, "render", found);
-  found.throw_if_errors(ErrorKind::usage, "");
-  if (stride < 1 || stride > std::min(view.camera.width_px, view.camera.height_px))
-    throw Error(ErrorKind::usage, "usage.value.stride",
-                "stride " + std::to_string(stride) + ": expected 1 to the picture's shorter side");
-  FrameOptions options;
-  options.stride = stride;
-  options.probability = probability;
-  options.classes = session().classes();
-  options.channels = channels;
-  Interrupt interrupt;
-  options.progress = [&](double) {
-    if (interrupt.came()) interrupt.raise();
-  };
-  RenderedFrame frame = computed([&] {
-    return render_frame(*session().pipeline, {view.camera, view.world_from_camera, view.camera.has_distortion()},
-                        session().limits, session().plan.class_of_logit, {}, options);
-  });
-  const py::ssize_t height = frame.height_px, width = frame.width_px;
-  const ClassTable& classes = session().scene.info.classes;
-  py::dict out;
-  out["rgb"] = array_of(std::move(frame.rgb), {height, width, 3});
-  out["depth_m"] = array_of(std::move(frame.depth_m), {height, width});
-  out["opacity"] = array_of(std::move(frame.opacity), {height, width});
-  if (session().pipeline->has_semantics()) {
-    out["label"] = ids_array(frame.label, classes, frame.height_px, frame.width_px);
-    out["entropy"] = array_of(std::move(frame.entropy), {height, width});
-    out["confidence"] = array_of(std::move(frame.confidence), {height, width});
+  // [D, C] of a channel that is learned by its principal axes, else None.
+  py::object channel_axes(const std::string& channel) const {
+    const View<const float> axes = session().pipeline->passes().back().axes(channel);
+    if (axes.empty()) return py::none();
+    return array_of(std::vector<float>(axes.data, axes.data + axes.size()), {axes.rows, axes.cols});
+  }
+  // Maps of a camera, as semfield.View names them: NumPy arrays; with `ordinal` >= 0 DLPack of that CUDA device.
+  py::dict render(const py::dict& camera, const py::object& pose, int stride, bool probability,
+                  const std::vector<std::string>& channels, int ordinal) {
+    const RayCamera view{camera_of(camera), pose_of(pose, "render"), true};
+    Diagnostics found;
+    check_camera(view.camera, "render", found);
+    found.throw_if_errors(ErrorKind::usage, "");
+    if (stride < 1 || stride > std::min(view.camera.width_px, view.camera.height_px))
+      throw Error(ErrorKind::usage, "usage.value.stride",
+                  "stride " + std::to_string(stride) + ": expected 1 to the picture's shorter side");
+    FrameOptions options;
+    options.stride = stride;
+    options.probability = probability;
+    options.classes = session().classes();
+    options.channels = channels;
+    Interrupt interrupt;
+    options.progress = [&](double) {
+      if (interrupt.came()) interrupt.raise();
+    };
+    RenderedFrame frame = computed([&] {
+      return render_frame(*session().pipeline, {view.camera, view.world_from_camera, view.camera.has_distortion()},
+                          session().limits, session().plan.class_of_logit, {}, options);
+    });
+    const py::ssize_t height = frame.height_px, width = frame.width_px;
+    const ClassTable& classes = session().scene.info.classes;
+    const auto map = [&](py::array array) -> py::object {
+      return ordinal < 0 ? py::object(std::move(array)) : on_device(array, ordinal);
+    };
+    const py::none none;
+    py::dict out("rgb"_a = map(array_of(std::move(frame.rgb), {height, width, 3})),
+                 "depth_m"_a = map(array_of(std::move(frame.depth_m), {height, width})),
+                 "opacity"_a = map(array_of(std::move(frame.opacity), {height, width})), "label"_a = none,
+                 "entropy"_a = none, "confidence"_a = none, "probability"_a = none, "channels"_a = py::dict());
+    for (FrameChannel& one : frame.channels) {
+      const py::ssize_t cols = one.cols;
+      out["channels"][py::str(one.name)] = map(array_of(std::move(one.values), {height, width, cols}));
+    }
+    if (!session().pipeline->has_semantics()) return out;
+    out["label"] = map(ids_array(frame.label, classes, frame.height_px, frame.width_px));
+    out["entropy"] = map(array_of(std::move(frame.entropy), {height, width}));
+    out["confidence"] = map(array_of(std::move(frame.confidence), {height, width}));
     if (probability)
-      out["probability"] = array_of(std::move(frame.probability), {height, width, classes.valid_count()});
+      out["probability"] = map(array_of(std::move(frame.probability), {height, width, classes.valid_count()}));
+    return out;
   }
-  for (FrameChannel& one : frame.channels) {
-    const py::ssize_t cols = one.cols;
-    out[py::str("channel " + one.name)] = array_of(std::move(one.values), {height, width, cols});
+  // A name and value each, and the JSON of final_eval.json.
+  py::tuple evaluate(const std::string& split, const std::vector<int>& frames) {
+    if (frames.empty())
+      throw Error(ErrorKind::usage, "scene.split.empty", "the scene has no frames in split '" + split + "'",
+                  "see run.frames");
+    Interrupt interrupt;
+    const SplitScore score = computed([&] {
+      EvalJob job = session().eval_job(frames);
+      job.stop = [&] { return interrupt.came(); };
+      return semfield::evaluate(*session().pipeline, job, session().limits, session().plan.class_of_logit);
+    });
+    interrupt.raise();
+    FinalEval detail = final_eval(score, session().scene.info.classes, split);
+    detail.step = step();
+    detail.train_s = train_s();
+    return py::make_tuple(values_dict(score.values()), final_eval_json(detail));
   }
-  if (ordinal >= 0)
-    for (const auto& item : py::dict(out)) out[item.first] = on_device(item.second.cast<py::array>(), ordinal);
-  return out;
-}
-
-py::tuple PySession::evaluate(const std::string& split, const std::vector<int>& frames) {
-  if (frames.empty())
-    throw Error(ErrorKind::usage, "scene.split.empty", "the scene has no frames in split '" + split + "'",
-                "see run.frames");
-  Interrupt interrupt;
-  const SplitScore score = computed([&] {
-    EvalJob job = session().eval_job(frames);
-    job.stop = [&] { return interrupt.came(); };
-    return semfield::evaluate(*session().pipeline, job, session().limits, session().plan.class_of_logit);
-  });
-  interrupt.raise();
-  FinalEval detail = final_eval(score, session().scene.info.classes, split);
-  detail.step = step();
-  detail.train_s = train_s();
-  return py::make_tuple(values_dict(score.values()), final_eval_json(detail));
-}
-
-py::dict PySession::query(const py::object& positions, const py::object& directions) {
-  const std::vector<Vec3d> places = vectors_of(positions, "positions");
-  const std::vector<Vec3d> seen = directions.is_none() ? std::vector<Vec3d>() : vectors_of(directions, "directions");
-  if (!directions.is_none() && seen.size() != places.size())
-    throw Error(ErrorKind::usage, "python.array.shape",
-                "directions: expected one for each of " + std::to_string(places.size()) + " positions, got " +
-                    std::to_string(seen.size()));
-  const int classes = session().classes();
-  FieldPoints found;
-  Interrupt interrupt;
-  computed([&] {
-    session().pipeline->executor().download(step());
-    for (std::size_t first = 0; first < places.size() && !interrupt.came(); first += kPointsBetweenLooks) {
-      const std::size_t count = std::min(kPointsBetweenLooks, places.size() - first);
-      const auto along = seen.empty() ? std::span<const Vec3d>() : std::span(seen).subspan(first, count);
-      const FieldPoints part = field_at(*session().pipeline, std::span(places).subspan(first, count), along,
-                                        session().limits, session().plan.class_of_logit, classes);
-      append(part.sigma, found.sigma);
-      append(part.rgb, found.rgb);
-      append(part.label, found.label);
-      append(part.probability, found.probability);
-      append(part.entropy, found.entropy);
-    }
-  });
-  interrupt.raise();
-  const auto count = std::ssize(places);
-  py::dict out;
-  out["sigma"] = array_of(std::move(found.sigma), {count});
-  if (!directions.is_none()) out["rgb"] = array_of(std::move(found.rgb), {count, 3});
-  if (session().pipeline->has_semantics()) {
+  // As semfield.Points names them.
+  py::dict query(const py::object& positions, const py::object& directions) {
+    const std::vector<Vec3d> places = vectors_of(positions, "positions");
+    const std::vector<Vec3d> seen = directions.is_none() ? std::vector<Vec3d>() : vectors_of(directions, "directions");
+    if (!directions.is_none() && seen.size() != places.size())
+      throw Error(ErrorKind::usage, "python.array.shape",
+                  "directions: expected one for each of " + std::to_string(places.size()) + " positions, got " +
+                      std::to_string(seen.size()));
+    const int classes = session().classes();
+    FieldPoints found;
+    Interrupt interrupt;
+    computed([&] {
+      session().pipeline->executor().download(step());
+      for (std::size_t first = 0; first < places.size() && !interrupt.came(); first += kPointsBetweenLooks) {
+        const std::size_t count = std::min(kPointsBetweenLooks, places.size() - first);
+        const auto along = seen.empty() ? std::span<const Vec3d>() : std::span(seen).subspan(first, count);
+        const FieldPoints part = field_at(*session().pipeline, std::span(places).subspan(first, count), along,
+                                          session().limits, session().plan.class_of_logit, classes);
+        append(part.sigma, found.sigma);
+        append(part.rgb, found.rgb);
+        append(part.label, found.label);
+        append(part.probability, found.probability);
+        append(part.entropy, found.entropy);
+      }
+    });
+    interrupt.raise();
+    const auto count = std::ssize(places);
+    const py::none none;
+    py::dict out("density"_a = array_of(std::move(found.sigma), {count}), "rgb"_a = none, "label"_a = none,
+                 "probability"_a = none, "entropy"_a = none);
+    if (!directions.is_none()) out["rgb"] = array_of(std::move(found.rgb), {count, 3});
+    if (!session().pipeline->has_semantics()) return out;
     out["label"] =
         ids_array(found.label, session().scene.info.classes, 1, static_cast<std::int32_t>(count)).attr("reshape")(-1);
     out["probability"] = array_of(std::move(found.probability), {count, classes});
     out["entropy"] = array_of(std::move(found.entropy), {count});
+    return out;
   }
-  return out;
-}
 
-// The class Session of semfield._core.
-
-namespace {
-
-constexpr const char* kSplits[] = {"train", "test", "unused"};
-
-py::list frames_of(const PySession& self) {
-  py::list out;
-  for (const FrameInfo& frame : self.session().scene.info.frames) {
-    py::dict item;
-    item["name"] = frame.name;
-    item["split"] = kSplits[static_cast<std::size_t>(frame.split)];
-    item["camera"] = camera_dict(frame.camera);
-    item["pose"] = pose_array(frame.world_from_camera);
-    item["has_depth"] = frame.has_depth;
-    item["has_labels"] = frame.has_labels;
-    item["source"] = frame.source;
-    out.append(item);
+  // As semfield.Frame has them, without pixels; the camera is a dict.
+  py::list frames() const {
+    py::list out;
+    for (const FrameInfo& frame : session().scene.info.frames)
+      out.append(py::dict("name"_a = frame.name, "split"_a = kSplits[static_cast<std::size_t>(frame.split)],
+                          "camera"_a = camera_dict(frame.camera), "pose"_a = pose_array(frame.world_from_camera),
+                          "has_depth"_a = frame.has_depth, "has_labels"_a = frame.has_labels,
+                          "source"_a = frame.source));
+    return out;
   }
-  return out;
-}
-
-py::list session_classes(const PySession& self) {
-  const Session& s = self.session();
-  const std::vector<std::int16_t> logits = s.logit_of_class();
-  py::list out;
-  for (int i = 0; i < s.classes(); ++i) {
-    const ClassEntry& entry = s.scene.info.classes.valid(i);
-    const bool learned = s.plan.semantics && logits[static_cast<std::size_t>(i)] != kVoid;
-    out.append(py::make_tuple(i, entry.id, entry.name, py::cast(entry.color), learned));
+  // As semfield.ClassEntry has them.
+  py::list classes() const {
+    const Session& s = session();
+    const std::vector<std::int16_t> logits = s.logit_of_class();
+    py::list out;
+    for (int i = 0; i < s.classes(); ++i) {
+      const ClassEntry& entry = s.scene.info.classes.valid(i);
+      const bool learned = s.plan.semantics && logits[static_cast<std::size_t>(i)] != kVoid;
+      out.append(py::dict("index"_a = i, "id"_a = entry.id, "name"_a = entry.name,
+                          "color"_a = py::tuple(py::cast(entry.color)), "learned"_a = learned));
+    }
+    return out;
   }
-  return out;
-}
-
-py::dict pixels_of(const PySession& self, int frame) {
-  const Session& s = self.session();
-  const auto f = static_cast<std::size_t>(frame);
-  if (frame < 0 || f >= s.scene.frames.size())
-    throw Error(ErrorKind::usage, "python.frame.range",
-                "frame " + std::to_string(frame) + ": there are " + std::to_string(s.scene.frames.size()));
-  const StoredFrame& stored = s.scene.frames[f];
-  const std::int32_t height = stored.height_px, width = stored.width_px;
-  py::dict out;
-  if (stored.rgb.empty()) return out;
-  out["rgb"] = array_of(std::vector<std::uint8_t>(stored.rgb), {height, width, 3});
-  if (!stored.depth_m.empty()) out["depth_m"] = array_of(stored.depth_m.expand(), {height, width});
-  const ClassTable& classes = s.scene.info.classes;
-  if (!stored.label.empty()) out["labels"] = ids_array(stored.label.expand(), classes, height, width);
-  if (f < s.labels.frames.size() && !s.labels.frames[f].empty()) {
-    const TrainingLabels::Frame& labels = s.labels.frames[f];
-    std::vector<std::int16_t> indices(labels.size());
-    for (std::size_t i = 0; i < indices.size(); ++i) indices[i] = labels[i];
-    out["training_labels"] = ids_array(indices, classes, height, width);
+  // What is known of a frame's pixels: rgb, depth_m, labels, and training_labels.
+  py::dict pixels(std::size_t frame) const {
+    const Session& s = session();
+    const StoredFrame& stored = s.scene.frames.at(frame);
+    const std::int32_t height = stored.height_px, width = stored.width_px;
+    py::dict out;
+    if (stored.rgb.empty()) return out;
+    out["rgb"] = array_of(std::vector<std::uint8_t>(stored.rgb), {height, width, 3});
+    if (!stored.depth_m.empty()) out["depth_m"] = array_of(stored.depth_m.expand(), {height, width});
+    const ClassTable& classes = s.scene.info.classes;
+    if (!stored.label.empty()) out["labels"] = ids_array(stored.label.expand(), classes, height, width);
+    if (frame < s.labels.frames.size() && !s.labels.frames[frame].empty()) {
+      const TrainingLabels::Frame& labels = s.labels.frames[frame];
+      std::vector<std::int16_t> indices(labels.size());
+      for (std::size_t i = 0; i < indices.size(); ++i) indices[i] = labels[i];
+      out["training_labels"] = ids_array(indices, classes, height, width);
+    }
+    return out;
   }
-  return out;
-}
+  // Attributes of semfield.Run.
+  py::dict facts() const {
+    const Session& s = session();
+    const auto& [lo, hi] = s.scene.bounds;
+    std::vector<double> bounds{lo.x, lo.y, lo.z, hi.x, hi.y, hi.z};
+    py::list left_out;
+    for (const LeftOut& part : s.plan.left_out)
+      left_out.append(py::make_tuple(part.component, part.rule, part.evidence, part.saving));
+    return py::dict("name"_a = name_, "bounds"_a = array_of(std::move(bounds), {2, 3}), "near_m"_a = s.limits.near_m,
+                    "far_m"_a = s.limits.far_m, "metric"_a = s.scene.info.metric,
+                    "device"_a = s.pipeline->executor().description(), "has_semantics"_a = s.pipeline->has_semantics(),
+                    "left_out"_a = left_out);
+  }
 
-py::dict facts_of(const PySession& self) {
-  const Session& s = self.session();
-  py::dict out;
-  std::vector<double> bounds{s.scene.bounds.lo.x, s.scene.bounds.lo.y, s.scene.bounds.lo.z,
-                             s.scene.bounds.hi.x, s.scene.bounds.hi.y, s.scene.bounds.hi.z};
-  out["name"] = s.config.name;
-  out["bounds"] = array_of(std::move(bounds), {2, 3});
-  out["near_m"] = s.limits.near_m;
-  out["far_m"] = s.limits.far_m;
-  out["metric"] = s.scene.info.metric;
-  out["device"] = s.pipeline->executor().description();
-  const DeviceId device = s.pipeline->executor().device();
-  out["cuda"] = device.kind == Device::cuda ? device.ordinal : -1;
-  out["has_semantics"] = s.pipeline->has_semantics();
-  py::list left_out;
-  for (const LeftOut& part : s.plan.left_out)
-    left_out.append(py::make_tuple(part.component, part.rule, part.evidence, part.saving));
-  out["left_out"] = left_out;
-  return out;
-}
+ private:
+  void load(const std::string& run_dir, const py::dict& set) {
+    std::vector<std::string> overrides;
+    for (const ConfigOverride& o : overrides_of(set)) overrides.push_back(o.key + "=" + write_config_inline(o.value));
+    Diagnostics found;
+    loaded_ = opened([&] {
+      return std::make_unique<OpenedRun>(
+          open_run(run_dir, overrides, registry_, found, OpenFor::evaluation_of_training_frames));
+    });
+    for (const Diagnostic& finding : folded(found)) notes_.note(finding.shown());
+  }
+  // In a fork its threads and files are those of the process that opened it.
+  void drop() {
+    if (getpid() != owner_) {
+      (void)run_.release();
+      (void)loaded_.release();
+    }
+    run_.reset();
+    loaded_.reset();
+  }
+  const OpenedRun& loaded() const {
+    if (loaded_) return *loaded_;
+    throw Error(ErrorKind::usage, "python.run.closed",
+                "the run '" + name_ + "' is closed; open it again with open, resume or load");
+  }
+  const Session& session() const { return run_ ? run_->session() : loaded().session; }
+  Run& training() {
+    if (run_) return *run_;
+    (void)loaded();
+    throw Error(ErrorKind::usage, "python.session.read_only", "this run was opened to be looked at",
+                "open it with semfield.resume to continue it");
+  }
+  // Without the GIL, one caller at a time, under the settings of the session's work.
+  template <class Call>
+  std::invoke_result_t<Call> computed(const Call& call) const {
+    if (getpid() != owner_)
+      throw Error(ErrorKind::usage, "python.session.fork",
+                  "this run was opened by process " + std::to_string(owner_) + ", and this is a fork of it, process " +
+                      std::to_string(getpid()),
+                  "save the run before the fork and semfield.load its folder here, or open it here");
+    const Work working;
+    const std::lock_guard lock(mutex_);
+    const WorkSettings settings = session().work();
+    const WorkScope scope(settings);
+    return call();
+  }
 
-}  // namespace
-
-void define_session(py::module_& module) {
-  module.def("open", &PySession::open);
-  module.def("resume", &PySession::resume);
-  module.def("load", &PySession::load);
-  module.def("train_run", train_run);
-  py::class_<PySession>(module, "Session")
-      .def_property_readonly("trains", &PySession::trains)
-      .def_property_readonly("step", &PySession::step)
-      .def_property_readonly("train_s", &PySession::train_s)
-      .def_property_readonly("run_dir", &PySession::run_dir)
-      .def("notes", &PySession::notes)
-      .def("rows", &PySession::rows)
-      .def("train", &PySession::train)
-      .def("train_more", &PySession::train_more)
-      .def_property_readonly("steps_left", &PySession::steps_left)
-      .def("save", &PySession::save)
-      .def("parameters", &PySession::parameters)
-      .def("set_labels", &PySession::set_labels)
-      .def("apply", &PySession::apply)
-      .def("annotations", &PySession::annotations)
-      .def("render", &PySession::render)
-      .def("channel_axes", &PySession::channel_axes)
-      .def("evaluate", &PySession::evaluate)
-      .def("query", &PySession::query)
-      .def("frames", frames_of)
-      .def("classes", session_classes)
-      .def("pixels", pixels_of)
-      .def("facts", facts_of)
-      .def("config", [](const PySession& self) { return object_of(resolved_config(self.session().config)); });
-}
+  const pid_t owner_;
+  Registry registry_;  // of its own: plugins that are loaded later leave it alone
+  std::string name_;
+  Notes notes_;
+  mutable std::mutex mutex_;
+  std::unique_ptr<Run> run_;
+  std::unique_ptr<OpenedRun> loaded_;
+};
 
 // `semfield train` as a call.
-
-namespace {
 
 // Tells a function of Python how the run goes, and asks it, and Ctrl-C, whether to stop.
 class Told final : public RunListener {
@@ -513,15 +467,9 @@ class Told final : public RunListener {
   void progress(const TrainProgress& p) override {
     const py::gil_scoped_acquire gil;
     if (progress_.is_none() || raised) return;
-    py::dict now;
-    now["step"] = p.step;
-    now["steps"] = p.steps;
-    now["loss"] = p.loss;
-    now["psnr"] = p.psnr;
-    now["miou_present"] = p.miou_present ? py::object(py::float_(*p.miou_present)) : py::none();
-    now["rays_per_s"] = p.rays_per_s;
-    now["train_s"] = p.train_s;
-    now["remaining_s"] = p.remaining_s;
+    const py::dict now("step"_a = p.step, "steps"_a = p.steps, "loss"_a = p.loss, "psnr"_a = p.psnr,
+                       "miou_present"_a = or_none(p.miou_present), "rays_per_s"_a = p.rays_per_s,
+                       "train_s"_a = p.train_s, "remaining_s"_a = p.remaining_s);
     try {
       progress_(now);
     } catch (py::error_already_set& error) {
@@ -545,8 +493,7 @@ class Told final : public RunListener {
   Interrupt interrupt_;
 };
 
-}  // namespace
-
+// As semfield.Outcome has it. Ctrl-C ends the run with its checkpoint, and is raised then.
 py::dict train_run(const py::object& config, const py::dict& set, const std::string& out, bool resume,
                    const py::object& progress) {
   Registry registry = base_registry();
@@ -559,15 +506,48 @@ py::dict train_run(const py::object& config, const py::dict& set, const std::str
     outcome = run_training(session_config_of(tree, registry), registry, {out, resume, {}}, &told);
   }
   told.raise();
-  py::dict result;
-  result["run_dir"] = outcome.run_dir;
-  result["report"] = outcome.report_path;
-  result["step"] = outcome.step;
-  result["train_s"] = outcome.train_s;
-  result["scores"] = values_dict(outcome.values);
-  result["scored"] = outcome.scored.frames == 0 ? std::string() : outcome.scored.text();
-  result["notes"] = told.notes;
-  return result;
+  return py::dict("run_dir"_a = outcome.run_dir, "report"_a = outcome.report_path, "step"_a = outcome.step,
+                  "train_s"_a = outcome.train_s, "scores"_a = values_dict(outcome.values),
+                  "scored"_a = outcome.scored.frames == 0 ? std::string() : outcome.scored.text(),
+                  "notes"_a = told.notes);
+}
+
+}  // namespace
+
+void define_session(py::module_& module) {
+  module.def("train_run", train_run);
+  py::class_<PyRun>(module, "Run")
+      .def(py::init<const std::string&, const py::object&, const py::dict&, const std::string&,
+                    const std::vector<std::string>&, const py::object&>())
+      .def_property_readonly("step", &PyRun::step, "Steps made so far.")
+      .def_property_readonly("train_s", &PyRun::train_s, "Seconds of training; rendering and scoring do not count.")
+      .def_property_readonly("run_dir", &PyRun::run_dir,
+                             "The run's folder, or the one it was saved in last; \"\" for neither.")
+      .def_property_readonly("notes", &PyRun::notes,
+                             "What opening and training had to say: findings, and what was chosen from the scene.")
+      .def_property_readonly("history", &PyRun::history,
+                             "Rows of training as metrics.jsonl has them, those of this object's steps.")
+      .def_property_readonly("config", &PyRun::config, "The resolved configuration: every parameter.")
+      .def("parameters", &PyRun::parameters,
+           "Every tensor of a checkpoint by name, float32 copies: values, moments and states.")
+      .def("_close", &PyRun::close)
+      .def_property_readonly("_closed", &PyRun::closed)
+      .def_property_readonly("_trains", &PyRun::trains)
+      .def_property_readonly("_steps_left", &PyRun::steps_left)
+      .def("_train", &PyRun::train)
+      .def("_train_more", &PyRun::train_more)
+      .def("_save", &PyRun::save)
+      .def("_set_labels", &PyRun::set_labels)
+      .def("_apply", &PyRun::apply)
+      .def("_annotations", &PyRun::annotations)
+      .def("_render", &PyRun::render)
+      .def("_channel_axes", &PyRun::channel_axes)
+      .def("_evaluate", &PyRun::evaluate)
+      .def("_query", &PyRun::query)
+      .def("_frame_rows", &PyRun::frames)
+      .def("_class_rows", &PyRun::classes)
+      .def("_pixels", &PyRun::pixels)
+      .def("_facts", &PyRun::facts);
 }
 
 }  // namespace semfield::python

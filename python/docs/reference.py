@@ -45,7 +45,7 @@ def signature_of(thing: Any) -> str:
 
 def members_of(cls: type) -> Iterator[Tuple[str, str]]:
     """Heading and docstring of every public method and property, in the order of the source."""
-    for name, value in vars(cls).items():
+    for name, value in ((name, value) for owner in cls.__mro__ for name, value in vars(owner).items()):
         if name.startswith("_"):
             continue
         if isinstance(value, property):

@@ -1,6 +1,6 @@
 // Python within the program: plugins that are files of Python. Loaded when the first such file is asked for.
-#include <Python.h>
 #include <dlfcn.h>
+#include <pybind11/pybind11.h>
 
 #include <filesystem>
 #include <string>
@@ -16,6 +16,8 @@ using semfield::Error;
 using semfield::ErrorKind;
 using semfield::Registry;
 
+namespace py = pybind11;
+
 constexpr const char* kRemedy = "install the package python3-semfield, or build with SEMFIELD_WITH_PYTHON=ON";
 
 // Of semfield._core (python/core/plugins.cpp).
@@ -24,20 +26,6 @@ struct Host {
   const char* (*framework)();
 };
 
-std::string raised_text() {
-  PyObject *type = nullptr, *value = nullptr, *trace = nullptr;
-  PyErr_Fetch(&type, &value, &trace);
-  PyObject* const text = value != nullptr ? PyObject_Str(value) : nullptr;
-  const char* const words = text != nullptr ? PyUnicode_AsUTF8(text) : nullptr;
-  std::string out = words != nullptr ? words : "an error without words";
-  Py_XDECREF(text);
-  Py_XDECREF(type);
-  Py_XDECREF(value);
-  Py_XDECREF(trace);
-  PyErr_Clear();
-  return out;
-}
-
 // In a build folder the package lies beside the framework's; an installed one is where Python looks.
 void add_build_folder() {
   Dl_info self{};
@@ -45,11 +33,8 @@ void add_build_folder() {
   std::error_code unknown;
   const std::filesystem::path folder = std::filesystem::weakly_canonical(
       std::filesystem::path(self.dli_fname).parent_path() / SEMFIELD_PYTHON_BUILD_DIR, unknown);
-  if (!semfield::is_there(folder / "semfield" / "__init__.py")) return;
-  PyObject* const path = PySys_GetObject("path");
-  PyObject* const word = PyUnicode_FromString(folder.c_str());
-  if (path != nullptr && word != nullptr) PyList_Insert(path, 0, word);
-  Py_XDECREF(word);
+  if (semfield::is_there(folder / "semfield" / "__init__.py"))
+    py::module_::import("sys").attr("path").attr("insert")(0, folder.string());
 }
 
 // Extension modules look for Python's functions among those that all libraries share, and this library was loaded for
@@ -77,24 +62,17 @@ void start_python() {
   PyEval_SaveThread();
 }
 
-struct Gil : semfield::NonCopyable {
-  Gil() : state(PyGILState_Ensure()) {}
-  ~Gil() { PyGILState_Release(state); }
-  PyGILState_STATE state;
-};
-
 const Host& host() {
   static const Host& found = []() -> const Host& {
-    PyObject* const core = PyImport_ImportModule("semfield._core");
-    if (core == nullptr)
-      throw Error(ErrorKind::unavailable, "python.module.missing", "Python's module semfield: " + raised_text(),
-                  kRemedy);
-    PyObject* const capsule = PyObject_GetAttrString(core, "_host");
-    const auto* const own =
-        capsule != nullptr ? static_cast<const Host*>(PyCapsule_GetPointer(capsule, "semfield.host")) : nullptr;
-    if (own == nullptr)
-      throw Error(ErrorKind::unavailable, "python.module.missing", "Python's module semfield: " + raised_text(),
-                  kRemedy);
+    const Host* own = nullptr;
+    try {
+      const py::object capsule = py::module_::import("semfield._core").attr("_host");
+      own = static_cast<const Host*>(PyCapsule_GetPointer(capsule.ptr(), "semfield.host"));
+      if (own == nullptr) throw py::error_already_set();
+    } catch (const py::error_already_set& raised) {
+      throw Error(ErrorKind::unavailable, "python.module.missing",
+                  "Python's module semfield: " + py::str(raised.value()).cast<std::string>(), kRemedy);
+    }
     if (own->framework != semfield::abi_tag_of_framework)
       throw Error(ErrorKind::unavailable, "python.module.foreign",
                   "Python's module semfield belongs to another installation of Semfield",
@@ -109,6 +87,6 @@ const Host& host() {
 extern "C" __attribute__((visibility("default"))) void semfield_load_python(Registry& registry,
                                                                             const std::string& path) {
   start_python();
-  const Gil gil;
+  const py::gil_scoped_acquire gil;
   host().load(registry, path);
 }

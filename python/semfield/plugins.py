@@ -15,8 +15,8 @@ from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 import numpy as np
 
 from . import _core
-from .errors import DataError, UsageError
-from .scenes import Frame, PathLike, _class_rows, _floats, _mask, _number
+from .errors import UsageError
+from .scenes import Frame, PathLike, _description, _mask
 
 
 @dataclasses.dataclass(frozen=True)
@@ -293,23 +293,7 @@ class Dataset(_Plugin):
         return made
 
     def _opened(self) -> Dict[str, Any]:
-        frames = []
-        for f in self.frames():
-            for name, c in f.channels.items():
-                shape = tuple(getattr(c, "shape", c))
-                if len(shape) != 3 or min(shape) < 1:
-                    raise DataError(f"frame {f.name!r}: channel {name!r} has the shape {shape}", code="python.array.shape",
-                                    remedy="give rows, columns and numbers of a pixel, each above 0")
-            frames.append({
-                "name": f.name, "source": f.source or f.name, "camera": f.camera._dict(), "pose": f.pose, "split": f.split,
-                "has_depth": bool(f.has_depth), "has_labels": bool(f.has_labels),
-                "channels": {name: tuple(int(n) for n in getattr(c, "shape", c)) for name, c in f.channels.items()},
-            })
-        return {
-            "name": type(self).__name__, "frames": frames, "classes": _class_rows(self.classes()),
-            "bounds": None if self.bounds is None else _floats("bounds", self.bounds), "near": _number("near", self.near),
-            "far": _number("far", self.far), "metric": bool(self.metric),
-        }
+        return _description(type(self).__name__, self.frames(), self.classes(), self.bounds, self.near, self.far, self.metric)
 
     def _read(self, index: int) -> Dict[str, Any]:
         f = self.pixels(index)

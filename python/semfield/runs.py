@@ -181,20 +181,19 @@ class Labels:
     The run must have been opened with `class_room` and `out`, or its configuration names a file of clicks.
     """
 
-    def __init__(self, session: Any, frame: Callable[[Union[str, int]], Dict[str, Any]]) -> None:
-        self._session: Any = session
-        self._frame = frame
+    def __init__(self, run: "Run") -> None:
+        self._run = run
 
     def __repr__(self) -> str:
         return f"Labels(clicks={len(self.clicks)}, classes={self.classes})"
 
     def _apply(self, kind: str, **more: Any) -> str:
-        if self._session.trains and not self._session.config()["scene"]["labels"]["clicks"]:
+        if self._run._trains and not self._run.config["scene"]["labels"]["clicks"]:
             raise UsageError("this run has no place for clicks; open it with class_room= and out=: "
                              "semfield.open(config, out=\"runs/a\", class_room=20)", code="labels.clicks.missing")
         event = {"id": uuid.uuid4().hex, "type": kind, **more}
         try:
-            self._session.apply(json.dumps(event))
+            self._run._apply(json.dumps(event))
         except Error as error:  # the event is the caller's: its id says nothing
             name = f"event '{event['id']}': "
             findings = [f._replace(message=f.message.replace(name, "")) for f in error.findings]
@@ -225,14 +224,13 @@ class Labels:
 
     def add_stroke(self, frame: Union[str, int], points: Sequence[Tuple[float, float]], class_: str, radius_px: float = 0.0) -> str:
         """Names the pixels along a line through `points`, [N, 2] pixels x, y."""
-        known = self._frame(frame)
+        known = self._run._frame(frame)
         at = _floats("points", points)
         if at.ndim != 2 or at.shape[1] != 2 or not np.isfinite(at).all():
             raise UsageError(f"a click is at finite x and y, and a stroke at [N, 2] of them; got {points!r}",
                              code="python.value.type")
-        size = [known["camera"]["width"], known["camera"]["height"]]
-        return self._apply("click", frame=known["name"], size=size, radius=_number("radius_px", radius_px),
-                           points=at.tolist(), **{"class": class_})
+        return self._apply("click", frame=known.name, size=[known.camera.width, known.camera.height],
+                           radius=_number("radius_px", radius_px), points=at.tolist(), **{"class": class_})
 
     def rename_class(self, name: str, new_name: str, color: Optional[Tuple[int, int, int]] = None) -> str:
         """Gives a class that was added another name, or with the same name another colour. Returns the id for undo."""
@@ -246,23 +244,12 @@ class Labels:
     @property
     def clicks(self) -> List[Dict[str, Any]]:
         """Clicks in force: id, frame, points, radius_px, class_ (None: labels are taken away)."""
-        return list(self._session.annotations()["clicks"])
+        return list(self._run._annotations()[0])
 
     @property
     def classes(self) -> List[str]:
         """Names of the classes that have one."""
-        return list(self._session.annotations()["named"])
-
-
-class _Closed:
-    """Stands where the session of a closed run was."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-
-    def __getattr__(self, name: str) -> Any:
-        raise UsageError(f"the run {self._name!r} is closed; open it again with open, resume or load",
-                         code="python.run.closed")
+        return list(self._run._annotations()[1])
 
 
 class Training(Iterator[Step]):
@@ -276,15 +263,15 @@ class Training(Iterator[Step]):
 
     def __next__(self) -> Step:
         self._asked = True
-        session = self._run._session
-        left = session.steps_left if self._left is None else self._left
+        run = self._run
+        left = run._steps_left if self._left is None else self._left
         if left == 0:
             raise StopIteration
-        made = session.train(self._every if left < 0 else min(self._every, left), self._left is None)
+        made = run._train(self._every if left < 0 else min(self._every, left), self._left is None)
         if self._left is not None:
             self._left -= made["steps"]
         mse = max(made["mse"], 1e-300)
-        return Step(session.step, session.train_s, made["loss"], made["color"], made["semantic"], -10 * float(np.log10(mse)),
+        return Step(run.step, run.train_s, made["loss"], made["color"], made["semantic"], -10 * float(np.log10(mse)),
                     made["terms"], made["steps"] / max(made["seconds"], 1e-9))
 
     def last(self) -> Optional[Step]:
@@ -303,11 +290,10 @@ class Training(Iterator[Step]):
                           "write `for step in run.train(...)`, or `run.train(...).last()`", RuntimeWarning, stacklevel=2)
 
 
-class Run:
+class Run(_core.Run):
     """A scene and its field. Made by `open`, `resume` or `load`; ends with `close`, or ``with``.
 
     Attributes:
-        labels: clicks and classes, a `Labels`.
         name: of the configuration.
         bounds: [2, 3] float64, lowest and highest corner of the content, world.
         near_m: least distance along rays that is looked at, metres.
@@ -318,27 +304,28 @@ class Run:
         has_semantics: whether the field has classes.
     """
 
-    def __init__(self, session: Any) -> None:
-        self._session: Any = session
-        self._frames: List[Dict[str, Any]] = session.frames()
-        self.labels = Labels(session, self._frame)
-        facts = session.facts()
-        self.name: str = facts["name"]
-        self.bounds: np.ndarray[Any, Any] = facts["bounds"]
-        self.near_m: float = facts["near_m"]
-        self.far_m: float = facts["far_m"]
-        self.metric: bool = facts["metric"]
-        self.device: str = facts["device"]
-        self.left_out: List[Tuple[str, str, str, str]] = facts["left_out"]
-        self.has_semantics: bool = facts["has_semantics"]
+    name: str
+    bounds: np.ndarray[Any, Any]
+    near_m: float
+    far_m: float
+    metric: bool
+    device: str
+    left_out: List[Tuple[str, str, str, str]]
+    has_semantics: bool
+
+    def __init__(self, how: str, config: Any, set: Optional[Mapping[str, Any]], run_dir: PathLike, keep: Sequence[str],
+                 scene: Optional[Scene] = None) -> None:
+        super().__init__(how, config, dict(set or {}), os.fspath(run_dir), [keep] if isinstance(keep, str) else list(keep),
+                         None if scene is None else scene.config())
+        self._frames = [Frame(camera=Camera(**row.pop("camera")), **row) for row in self._frame_rows()]
+        vars(self).update(self._facts())
         # A temporary file lives as long as a run of it.
         self._scene: Optional[Scene] = _temporary.get(str(self.config["scene"].get("file", "")))
 
     def close(self) -> None:
         """Gives back memory and the folder's lock; the run is of no use afterwards. Also at the end of ``with``."""
-        if not isinstance(self._session, _Closed):
-            self._session = self.labels._session = _Closed(self.name)
-            self._scene = None
+        self._close()
+        self._scene = None
 
     def __enter__(self) -> "Run":
         return self
@@ -347,7 +334,7 @@ class Run:
         self.close()
 
     def __repr__(self) -> str:
-        if isinstance(self._session, _Closed):
+        if self._closed:
             return f"Run({self.name!r}, closed)"
         where = f", run_dir={self.run_dir!r}" if self.run_dir else ""
         return f"Run({self.name!r}, step={self.step}, frames={len(self._frames)}, device={self.device!r}{where})"
@@ -356,49 +343,19 @@ class Run:
         raise TypeError("a Run cannot be pickled: save it, run.save(folder), and semfield.load(folder) in the other process")
 
     @property
-    def step(self) -> int:
-        """Steps made so far."""
-        return int(self._session.step)
-
-    @property
-    def train_s(self) -> float:
-        """Seconds of training; rendering and scoring do not count."""
-        return float(self._session.train_s)
-
-    @property
-    def run_dir(self) -> str:
-        """The run's folder, or the one it was saved in last; "" for neither."""
-        return str(self._session.run_dir)
-
-    @property
-    def notes(self) -> List[str]:
-        """What opening and training had to say: findings, and what was chosen from the scene."""
-        return list(self._session.notes())
-
-    @property
-    def history(self) -> List[Dict[str, Any]]:
-        """Rows of training as metrics.jsonl has them, those of this object's steps."""
-        return list(self._session.rows())
-
-    @property
-    def config(self) -> Dict[str, Any]:
-        """The resolved configuration: every parameter."""
-        return dict(self._session.config())
+    def labels(self) -> Labels:
+        """Clicks and classes."""
+        return Labels(self)
 
     @property
     def frames(self) -> List[Frame]:
         """Frames of the scene, without pixels."""
-        return [
-            Frame(name=f["name"], camera=Camera(**f["camera"]), pose=f["pose"].copy(), split=f["split"],
-                  has_labels=f["has_labels"], has_depth=f["has_depth"], source=f["source"])
-            for f in self._frames
-        ]
+        return [dataclasses.replace(f, pose=f.pose.copy()) for f in self._frames]
 
     @property
     def classes(self) -> List[ClassEntry]:
         """The classes that count, in the order of the last axis of probabilities."""
-        return [ClassEntry(id_, name, (color[0], color[1], color[2]), False, index, learned)
-                for index, id_, name, color, learned in self._session.classes()]
+        return [ClassEntry(**row) for row in self._class_rows()]
 
     def _index(self, frame: FrameId) -> int:
         if isinstance(frame, (int, np.integer)):
@@ -406,13 +363,13 @@ class Run:
                 return int(frame)
             raise UsageError(f"frame {frame}: there are {len(self._frames)}, from 0 on", code="python.frame.range")
         for i, f in enumerate(self._frames):
-            if f["name"] == frame:
+            if f.name == frame:
                 return i
-        near = difflib.get_close_matches(str(frame), [f["name"] for f in self._frames], 1)
+        near = difflib.get_close_matches(str(frame), [f.name for f in self._frames], 1)
         raise UsageError(f"the scene has no frame named {frame!r}; " +
                          (f"did you mean {near[0]!r}?" if near else "run.frames has their names"), code="scene.frame.unknown")
 
-    def _frame(self, frame: FrameId) -> Dict[str, Any]:
+    def _frame(self, frame: FrameId) -> Frame:
         return self._frames[self._index(frame)]
 
     def pixels(self, frame: FrameId) -> Frame:
@@ -421,14 +378,13 @@ class Run:
         Depth of training frames is not kept in memory by training.
         """
         index = self._index(frame)
-        found = self._session.pixels(index)
-        known = self.frames[index]
-        known.rgb, known.labels, known.depth_m = found.get("rgb"), found.get("labels"), found.get("depth_m")
-        return known
+        found = self._pixels(index)
+        found.pop("training_labels", None)
+        return dataclasses.replace(self.frames[index], **found)
 
     def training_labels(self, frame: FrameId) -> Optional[np.ndarray[Any, Any]]:
         """[H, W] int32 class ids that train in this frame, -1 for none; None where it has none at all."""
-        found = self._session.pixels(self._index(frame)).get("training_labels")
+        found = self._pixels(self._index(frame)).get("training_labels")
         return None if found is None else np.asarray(found)
 
     def set_labels(self, frame: FrameId, labels: np.ndarray[Any, Any]) -> None:
@@ -438,10 +394,10 @@ class Run:
         ``keep=["semantics", "absent_classes"]``.
         """
         known = self._frame(frame)
-        if known["split"] != "train":
-            raise UsageError(f"frame {known['name']!r} does not train, as its split is {known['split']}: "
+        if known.split != "train":
+            raise UsageError(f"frame {known.name!r} does not train, as its split is {known.split}: "
                              "labels of it would change nothing", code="labels.frame.untrained")
-        self._session.set_labels(self._index(frame), np.asarray(labels))
+        self._set_labels(self._index(frame), np.asarray(labels))
 
     def train(self, steps: Optional[int] = None, every: int = 100) -> Training:
         """Trains, and reports how it goes: ``for step in run.train(3000, every=100): ...``.
@@ -459,7 +415,7 @@ class Run:
         Raises:
             KeyboardInterrupt: after the step under way; the run can continue from there.
         """
-        of_length = self._session.steps_left
+        of_length = self._steps_left
         left = None if steps is None else _whole("train: steps", steps, 0, 2**62)
         if left is None and of_length == 0:
             left = 0
@@ -480,7 +436,7 @@ class Run:
         if (steps is None) == (seconds is None) or not (more or 0 < time_s <= 1e8):
             raise UsageError(f"extend(steps={steps}, seconds={seconds}): expected steps of 1 or more, or seconds above 0",
                              code="python.value.range")
-        self._session.train_more(more, time_s)
+        self._train_more(more, time_s)
 
     def render(
         self,
@@ -509,29 +465,26 @@ class Run:
         if frame is None and pose is None:
             raise UsageError("render: give a pose, or the frame that is meant", code="python.value.missing")
         known = self._frames[0] if frame is None else self._frame(frame)
-        at = _floats("pose", known["pose"] if pose is None else pose)
+        at = _floats("pose", known.pose if pose is None else pose)
         if camera is None:
-            camera = Camera(**known["camera"])
+            camera = known.camera
         if width is not None or height is not None:
             if width is None:
                 width = max(1, round(camera.width * _pixels("render: height", height) / camera.height))
             if height is None:
                 height = max(1, round(camera.height * _pixels("render: width", width) / camera.width))
             camera = camera.resized(width, height)
-        maps = self._session.render(camera._dict(), at, _whole("stride", stride), bool(probability), list(channels),
-                                    ordinal_of(device))
+        maps = self._render(camera._dict(), at, _whole("stride", stride), bool(probability), list(channels), ordinal_of(device))
         whole = np.eye(4)
         whole[:3] = at[:3]
-        return View(maps["rgb"], maps["depth_m"], maps["opacity"], maps.get("label"), maps.get("entropy"),
-                    maps.get("confidence"), maps.get("probability"), camera, whole,
-                    {name: maps[f"channel {name}"] for name in channels})
+        return View(camera=camera, pose=whole, **maps)
 
     def channel_axes(self, channel: str) -> Optional[np.ndarray[Any, Any]]:
         """The principal axes [D, C] of a dataset's channel of D columns that a head learns in C; None: it learns all of them.
 
         A vector of D numbers, such as a word that the channel's model encoded, lies at ``vector @ run.channel_axes(name)``.
         """
-        axes: Optional[np.ndarray[Any, Any]] = self._session.channel_axes(channel)
+        axes: Optional[np.ndarray[Any, Any]] = self._channel_axes(channel)
         return axes
 
     def evaluate(self, split: str = "test", frames: Optional[Sequence[FrameId]] = None) -> Score:
@@ -541,10 +494,10 @@ class Run:
             if not chosen:
                 raise UsageError("evaluate: frames is empty; None means all of the split", code="python.value.missing")
         elif split in ("train", "test"):
-            chosen = [i for i, f in enumerate(self._frames) if f["split"] == split]
+            chosen = [i for i, f in enumerate(self._frames) if f.split == split]
         else:
             raise UsageError(f"split {split!r}: expected train or test", code="scene.split.unknown")
-        values, detail = self._session.evaluate(split, chosen)
+        values, detail = self._evaluate(split, chosen)
         return Score(values, json.loads(detail))
 
     def query(self, positions: Any, directions: Optional[Any] = None) -> Points:
@@ -554,9 +507,8 @@ class Run:
             positions: [N, 3], world.
             directions: [N, 3] unit vectors from the eye to the points; needed for colours.
         """
-        found = self._session.query(_floats("positions", positions),
-                                    None if directions is None else _floats("directions", directions))
-        return Points(found["sigma"], found.get("rgb"), found.get("label"), found.get("probability"), found.get("entropy"))
+        return Points(**self._query(_floats("positions", positions),
+                                    None if directions is None else _floats("directions", directions)))
 
     def objects(self, segments: Optional[PathLike] = None, *, set: Optional[Mapping[str, Any]] = None,  # noqa: A002
                 out: Optional[PathLike] = None, score: bool = False) -> Objects:
@@ -573,10 +525,6 @@ class Run:
         """
         return find_objects(self.run_dir, segments, set, out, score)
 
-    def parameters(self) -> Dict[str, np.ndarray[Any, Any]]:
-        """Every tensor of a checkpoint by name, float32 copies: values, moments and states."""
-        return dict(self._session.parameters())
-
     def save(self, run_dir: PathLike = "") -> str:
         """Writes a checkpoint. Every verb of the program works on the folder, and `resume` continues it.
 
@@ -590,11 +538,7 @@ class Run:
             raise UsageError("the scene is in a temporary file, which is gone when this process ends: "
                              "give it a place, Scene(..., file=\"room.sfpack\"), and open the run with that",
                              code="python.scene.temporary")
-        return str(self._session.save(os.fspath(run_dir)))
-
-
-def _words(words: Sequence[str]) -> List[str]:
-    return [words] if isinstance(words, str) else list(words)
+        return str(self._save(os.fspath(run_dir)))
 
 
 def _config(config: Config) -> Union[str, Dict[str, Any]]:
@@ -628,17 +572,17 @@ def open(  # noqa: A001 - semfield.open, as the program's verbs are words of eve
     settings = dict(set or {})
     if class_room:
         settings.setdefault("scene.labels.class_room", _whole("class_room", class_room))
-    return Run(_core.open(_config(config), settings, os.fspath(out), _words(keep), None if scene is None else scene.config()))
+    return Run("open", _config(config), settings, out, keep, scene)
 
 
 def resume(run_dir: PathLike, set: Optional[Mapping[str, Any]] = None, *, keep: Sequence[str] = ()) -> Run:  # noqa: A002
     """Opens a run's folder to continue it; the next steps have the bits of a run that never stopped."""
-    return Run(_core.resume(os.fspath(run_dir), dict(set or {}), _words(keep)))
+    return Run("resume", None, set, run_dir, keep)
 
 
 def load(run_dir: PathLike, set: Optional[Mapping[str, Any]] = None) -> Run:  # noqa: A002
     """Opens a run's folder to render, score and ask it; nothing in it changes."""
-    return Run(_core.load(os.fspath(run_dir), dict(set or {})))
+    return Run("load", None, set, run_dir, ())
 
 
 def train(
@@ -661,8 +605,7 @@ def train(
     Raises:
         KeyboardInterrupt: after the checkpoint that Ctrl-C leads to.
     """
-    done = _core.train_run(_config(config), dict(set or {}), os.fspath(out), bool(resume), progress)
-    return Outcome(done["run_dir"], done["report"], done["step"], done["train_s"], done["scores"], done["scored"], done["notes"])
+    return Outcome(**_core.train_run(_config(config), dict(set or {}), os.fspath(out), bool(resume), progress))
 
 
 def resolved(config: Config, set: Optional[Mapping[str, Any]] = None) -> Dict[str, Any]:  # noqa: A002

@@ -12,7 +12,7 @@ from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, Union
 import numpy as np
 
 from . import _core
-from .errors import UsageError
+from .errors import DataError, UsageError
 
 PathLike = Union[str, "os.PathLike[str]"]
 
@@ -198,6 +198,25 @@ def _class_rows(classes: Any) -> List[Tuple[int, str, Optional[Tuple[int, int, i
     return rows
 
 
+def _description(name: str, frames: Sequence[Frame], classes: Any, bounds: Any, near: float, far: float, metric: bool) -> Dict[str, Any]:
+    """What the extension reads of a scene whose pixels come one by one."""
+    for f in frames:
+        for channel, c in f.channels.items():
+            shape = tuple(getattr(c, "shape", c))
+            if len(shape) != 3 or min(shape) < 1:
+                raise DataError(f"frame {f.name!r}: channel {channel!r} has the shape {shape}", code="python.array.shape",
+                                remedy="give rows, columns and numbers of a pixel, each above 0")
+    return {
+        "name": name, "classes": _class_rows(classes), "bounds": None if bounds is None else _floats("bounds", bounds),
+        "near": _number("near", near), "far": _number("far", far), "metric": bool(metric),
+        "frames": [{
+            "name": f.name, "source": f.source or f.name, "camera": f.camera._dict(), "pose": f.pose, "split": f.split,
+            "has_depth": bool(f.has_depth), "has_labels": bool(f.has_labels),
+            "channels": {channel: tuple(int(n) for n in getattr(c, "shape", c)) for channel, c in f.channels.items()},
+        } for f in frames],
+    }
+
+
 class Scene:
     """A scene made of arrays, kept in one packed file that every verb of the program reads, too.
 
@@ -269,18 +288,9 @@ class Scene:
         if not held_out <= set(range(count)):
             raise UsageError(f"test: {sorted(held_out - set(range(count)))} are not indices of {count} images",
                              code="python.frame.range")
-        frames = []
-        for i in range(count):
-            frames.append({
-                "name": all_names[i], "source": all_names[i], "camera": all_cameras[i]._dict(), "pose": poses[i],
-                "split": "test" if i in held_out else "train", "has_depth": all_depths[i] is not None,
-                "has_labels": all_labels[i] is not None, "channels": {},
-            })
-        description = {
-            "name": name, "frames": frames, "classes": _class_rows(classes),
-            "bounds": None if bounds is None else _floats("bounds", bounds), "near": _number("near", near),
-            "far": _number("far", far), "metric": bool(metric),
-        }
+        frames = [Frame(all_names[i], all_cameras[i], poses[i], "test" if i in held_out else "train",
+                        has_labels=all_labels[i] is not None, has_depth=all_depths[i] is not None) for i in range(count)]
+        description = _description(name, frames, classes, bounds, near, far, metric)
 
         def read(i: int) -> Dict[str, Any]:
             return {"rgb": np.asarray(images[i]), "labels": all_labels[i], "depth_m": all_depths[i], "mask": _mask(all_masks[i])}
