@@ -15,9 +15,9 @@
 #include <filesystem>
 #include <sstream>
 #include <thread>
+#include <utility>
 
 #include "app/signals.h"
-#include "core/non_copyable.h"
 #include "execution/ranks/ranks.h"
 #include "system/files.h"
 
@@ -26,18 +26,11 @@ namespace semfield::app {
 namespace {
 
 // Where a process writes; refused here where it cannot be written, before the process starts.
-class OutputFile : NonCopyable {
- public:
-  explicit OutputFile(const std::string& path)
-      : descriptor_(open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_APPEND | O_CLOEXEC | O_NOFOLLOW, 0644)) {
-    if (descriptor_ < 0) throw write_error("open", path, errno);
-  }
-  ~OutputFile() { close(descriptor_); }
-  int descriptor() const { return descriptor_; }
-
- private:
-  int descriptor_;
-};
+FileDescriptor output_file(const std::string& path) {
+  FileDescriptor file(open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_APPEND | O_CLOEXEC | O_NOFOLLOW, 0644));
+  if (file < 0) throw write_error("open", path, errno);
+  return file;
+}
 
 }  // namespace
 
@@ -72,6 +65,21 @@ pid_t start_child(const std::vector<std::string>& words, const ChildStreams& str
   return pid;
 }
 
+Pipe open_pipe(const std::string& program) {
+  std::array<int, 2> ends{};
+  if (pipe2(ends.data(), O_CLOEXEC) != 0)
+    throw Error(ErrorKind::unavailable, "system.process.limit", "no pipe to '" + program + "' can be had",
+                "raise the number of open files with `ulimit -n`");
+  return {ends[0], ends[1]};
+}
+
+OwnedChild::~OwnedChild() {
+  if (pid > 0) kill(pid, signal);
+  wait();
+}
+
+int OwnedChild::wait() { return pid > 0 ? code_of_child(std::exchange(pid, -1)) : 0; }
+
 int code_of_child(pid_t pid) {
   int status = 0;
   while (waitpid(pid, &status, 0) < 0 && errno == EINTR) {
@@ -81,37 +89,26 @@ int code_of_child(pid_t pid) {
 
 pid_t start_child(const std::vector<std::string>& words, const ChildFiles& files,
                   const std::function<void()>& in_child) {
-  const OutputFile out(files.out), log(files.log);
-  return start_child(words, ChildStreams{-1, out.descriptor(), log.descriptor()}, in_child);
+  const FileDescriptor out = output_file(files.out), log = output_file(files.log);
+  return start_child(words, ChildStreams{-1, out, log}, in_child);
 }
 
 ChildEnd run_child(const std::vector<std::string>& words) {
-  int ends[2] = {-1, -1};
-  if (pipe2(ends, O_CLOEXEC) != 0)
-    throw Error(ErrorKind::unavailable, "system.process.limit", "no pipe can be had",
-                "raise the number of open files with `ulimit -n`");
-  pid_t pid = 0;
-  try {
-    pid = start_child(words, ChildStreams{-1, ends[1], STDERR_FILENO});
-  } catch (...) {
-    close(ends[0]);
-    close(ends[1]);
-    throw;
-  }
-  close(ends[1]);
+  Pipe pipe = open_pipe(words.front());
+  const pid_t pid = start_child(words, ChildStreams{-1, pipe.write, STDERR_FILENO});
+  pipe.write = -1;
   ChildEnd end;
   bool told = false, open = true;
   while (open) {
-    pollfd reader{ends[0], POLLIN, 0};
+    pollfd reader{pipe.read, POLLIN, 0};
     const int ready = poll(&reader, 1, 100);
     if (stop_signal() != 0 && !told) told = kill(pid, stop_signal()) == 0;
     if (ready <= 0) continue;
     std::array<char, 4096> part{};
-    const ssize_t got = read(ends[0], part.data(), part.size());
+    const ssize_t got = read(pipe.read, part.data(), part.size());
     if (got > 0) end.out.append(part.data(), static_cast<std::size_t>(got));
     open = got > 0 || (got < 0 && errno == EINTR);
   }
-  close(ends[0]);
   end.code = code_of_child(pid);
   return end;
 }

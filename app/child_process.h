@@ -7,6 +7,8 @@
 #include <string>
 #include <vector>
 
+#include "system/files.h"
+
 namespace semfield::app {
 
 /// The file of the running program.
@@ -29,8 +31,27 @@ pid_t start_child(const std::vector<std::string>& words, const ChildFiles& files
                   const std::function<void()>& in_child = {});
 pid_t start_child(const std::vector<std::string>& words, const ChildStreams& streams,
                   const std::function<void()>& in_child = {});
+/// A pipe to or from a child; both ends close when it is started. Throws Error(unavailable), which names the `program`.
+struct Pipe {
+  FileDescriptor read, write;
+};
+Pipe open_pipe(const std::string& program);
+
 /// Waits for it: its exit code, or 128 and the number of the signal that ended it.
 int code_of_child(pid_t pid);
+
+/// A child that this object ends, if it still runs, by a signal.
+struct OwnedChild {
+  explicit OwnedChild(int by) : signal(by) {}
+  ~OwnedChild();
+  OwnedChild(const OwnedChild&) = delete;
+  OwnedChild& operator=(const OwnedChild&) = delete;
+  /// As code_of_child.
+  int wait();
+
+  int signal;
+  pid_t pid = -1;
+};
 
 struct ChildEnd {
   int code = 0;  ///< its exit code, or 128 and the number of the signal that ended it

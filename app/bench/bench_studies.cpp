@@ -1,4 +1,4 @@
-// bench gpu: training steps and frames on a GPU, beside the same steps in PyTorch, as a table or JSON.
+// bench: training steps and frames timed in turn, next to the same steps in PyTorch, as a table or JSON.
 #include "app/bench/bench_studies.h"
 
 #include <fmt/format.h>
@@ -28,212 +28,13 @@ namespace semfield::app {
 
 namespace {
 
-struct GpuRow {
-  std::string name;
-  Spread seconds;
-};
-
-struct GpuResults {
-  std::string about, peer_about;  ///< the device; who answered as peer
-  std::vector<GpuRow> rows;
-
-  std::optional<double> ms(const std::string& name) const {
-    for (const GpuRow& row : rows) {
-      if (row.name == name) return 1e3 * row.seconds.median;
-    }
-    return std::nullopt;
-  }
-  /// Of the peer's fastest mode.
-  std::optional<double> best_peer_ms() const {
-    std::optional<double> best;
-    for (const GpuRow& row : rows) {
-      if (row.name.starts_with("torch paper") && (!best || 1e3 * row.seconds.median < *best))
-        best = 1e3 * row.seconds.median;
-    }
-    return best;
-  }
-  std::optional<double> ratio(const std::string& over, const std::string& under) const {
-    const std::optional<double> a = ms(over), b = ms(under);
-    return a && b ? std::optional<double>(*a / *b) : std::nullopt;
-  }
-};
-
-constexpr std::int64_t kFrameRays = 320 * 240;
-constexpr std::int64_t kHashRays = 8192;  // of 32 samples: 2^18
-constexpr int kPaperSteps = 64, kHashSteps = 128;
-
-/// What cannot be measured is a note. Throws Error(unavailable) without a device.
-class GpuBench {
- public:
-  GpuBench(const BenchGpuOptions& options, AppContext& context) : options_(options), context_(context) {}
-
-  GpuResults run() {
-    results_.about = cuda_library().describe(0);
-    print_note(context_, results_.about);
-    add_step("paper bf16 C=29", paper({"runtime.precision=bf16"}, 29), kPaperSteps);
-    add_step("paper bf16 C=29 deterministic", paper({"runtime.precision=bf16", "runtime.deterministic=true"}, 29),
-             kPaperSteps);
-    for (const int classes : {13, 512, 101, 0}) {
-      add_step(fmt::format("paper bf16 C={}", classes), paper({"runtime.precision=bf16"}, classes), kPaperSteps);
-    }
-    add_step("paper fp32 C=29", paper({}, 29), 8);
-    for (const int classes : {29, 13, 512}) {
-      add_step(fmt::format("hash bf16 C={}", classes), hash({"runtime.precision=bf16"}, classes), kHashSteps);
-    }
-    add_step("hash bf16 C=29 deterministic", hash({"runtime.precision=bf16", "runtime.deterministic=true"}, 29),
-             kHashSteps);
-    add_step("hash fp32 C=29", hash({}, 29), kHashSteps);
-    add_frame("frame 320x240 bf16", paper({"runtime.precision=bf16"}, 29));
-    add_peers();
-    measure();
-    return std::move(results_);
-  }
-
- private:
-  StepCaseOptions paper(std::vector<std::string> set, int classes) const {
-    StepCaseOptions o;
-    o.config = shared_file("configs/paper.yaml");
-    o.set = std::move(set);
-    o.classes = classes;
-    return o;
-  }
-  StepCaseOptions hash(std::vector<std::string> set, int classes) const {
-    StepCaseOptions o;
-    o.config = shared_file("configs/bench/hash_step.yaml");
-    o.set = std::move(set);
-    o.set.insert(o.set.end(), {"passes.0.sampler.samples=32", "passes.0.position.log2_entries=19",
-                               "passes.0.position.finest_resolution=2048"});
-    o.classes = classes;
-    o.rays = kHashRays;
-    return o;
-  }
-
-  std::shared_ptr<StepCase> make(const std::string& name, StepCaseOptions options) {
-    if (!name.starts_with(options_.only)) return nullptr;
-    options.set.push_back("runtime.device=cuda");
-    try {
-      return std::make_shared<StepCase>(options, context_.registry);
-    } catch (const Error& error) {
-      print_note(context_, "not measured: " + name + ": " + error.what());
-      return nullptr;
-    }
-  }
-
-  void add_step(const std::string& name, const StepCaseOptions& options, int steps) {
-    const std::shared_ptr<StepCase> step = make(name, options);
-    if (!step) return;
-    print_note(context_, "warming up: " + name);
-    step->seconds(hardware_threads(), 5);  // sizes arenas, chooses algorithms, captures the graph
-    names_.push_back(name);
-    turns_.emplace_back([step, steps] { return step->seconds(hardware_threads(), steps); });
-  }
-
-  void add_frame(const std::string& name, const StepCaseOptions& options) {
-    const std::shared_ptr<StepCase> step = make(name, options);
-    if (!step) return;
-    step->render_seconds(kFrameRays);
-    names_.push_back(name);
-    turns_.emplace_back([step] { return step->render_seconds(kFrameRays); });
-  }
-
-  void add_peers() {
-    if (!options_.peers) return;
-    try {
-      peer_ = std::make_shared<Peer>(shared_file("studies/peers/semfield_peer.py"), options_.python, hardware_threads(),
-                                     "cuda");
-      results_.peer_about = peer_->description();
-    } catch (const Error& error) {
-      print_note(context_, std::string("no peer: ") + error.what());
-      return;
-    }
-    std::vector<PeerRequest> requests;
-    for (const char* mode : {"fp32", "tf32", "bf16", "bf16_compile"})
-      requests.push_back({"paper", mode, 1024, 29, 0, 10});
-    for (const PeerRequest& request : requests) {
-      const std::string name = "torch " + request.net + " " + request.mode;
-      try {
-        print_note(context_, "warming up: " + name);
-        PeerRequest warm_up = request;
-        warm_up.steps = 5;
-        peer_->measure(warm_up);
-        names_.push_back(name);
-        turns_.emplace_back([peer = peer_, request] { return peer->measure(request).seconds; });
-      } catch (const Error& error) {
-        print_note(context_, "not measured: " + name + ": " + error.what());
-      }
-    }
-  }
-
-  void measure() {
-    print_note(context_, fmt::format("{} rounds of {} measurements", options_.repeats, turns_.size()));
-    const std::vector<Spread> spreads = alternate(turns_, options_.repeats);
-    for (std::size_t i = 0; i < spreads.size(); ++i) results_.rows.push_back({names_[i], spreads[i]});
-  }
-
-  BenchGpuOptions options_;
-  AppContext& context_;
-  std::shared_ptr<Peer> peer_;
-  std::vector<std::string> names_;
-  std::vector<std::function<double()>> turns_;
-  GpuResults results_;
-};
-
-constexpr double kLimit_ms =
-    1.09;  // of the paper step's multiply-adds in bf16 at 790 TFLOP/s, a good product on an H200
-
-std::string text_of(const std::optional<double>& value, int digits) {
-  return value ? fmt::format("{:.{}f}", *value, digits) : "n/a";
-}
-
-int bench_gpu(const BenchGpuOptions& options, AppContext& context) {
-  const GpuResults bench = GpuBench(options, context).run();
-  const std::optional<double> step = bench.ms("paper bf16 C=29"), peer = bench.best_peer_ms();
-  const std::optional<double> frame = bench.ms("frame 320x240 bf16");
-  const std::vector<std::pair<std::string, std::string>> goals{
-      {"step_ms", text_of(step, 3)},
-      {"torch_best_ms", text_of(peer, 2)},
-      {"P5", text_of(step && peer ? std::optional<double>(*peer / *step) : std::nullopt, 2)},
-      {"P6", text_of(step ? std::optional<double>(*step / kLimit_ms) : std::nullopt, 2)},
-      {"P7", text_of(std::max(bench.ratio("paper bf16 C=512", "paper bf16 C=13"),
-                              bench.ratio("hash bf16 C=512", "hash bf16 C=13")),
-                     3)},
-      {"P8", text_of(bench.ratio("paper bf16 C=101", "paper bf16 C=0"), 3)},
-      {"P11", text_of(std::max(bench.ratio("paper bf16 C=29 deterministic", "paper bf16 C=29"),
-                               bench.ratio("hash bf16 C=29 deterministic", "hash bf16 C=29")),
-                      3)},
-      {"frame_fps", text_of(frame ? std::optional<double>(1e3 / *frame) : std::nullopt, 1)},
-      {"hash_ms", text_of(bench.ms("hash bf16 C=29"), 3)}};
-  if (context.json) {
-    Json out{{"device", bench.about}, {"peer", bench.peer_about}};
-    for (const GpuRow& row : bench.rows)
-      out["ms"][row.name] = {1e3 * row.seconds.median, 1e3 * row.seconds.min, 1e3 * row.seconds.max};
-    for (const auto& [name, value] : goals) out["goals"][name] = value;
-    print_json(context, out);
-    return 0;
-  }
-  std::printf("device     %s\n", bench.about.c_str());
-  if (!bench.peer_about.empty()) std::printf("peer       %s\n", bench.peer_about.c_str());
-  std::printf("medians of %d rounds, every measurement once per round\n%-32s %10s  %s\n", options.repeats, "", "ms",
-              "(min .. max)");
-  for (const GpuRow& row : bench.rows) {
-    std::printf("%-32s %10.3f  (%.3f .. %.3f)\n", row.name.c_str(), 1e3 * row.seconds.median, 1e3 * row.seconds.min,
-                1e3 * row.seconds.max);
-  }
-  std::string line = "bench gpu:";
-  for (const auto& [name, value] : goals) line += " " + name + "=" + value;
-  std::printf("%s\n", line.c_str());
-  return 0;
-}
-
-// bench step: whole training steps, the machine's limits and the peer, as a table or one JSON object.
-
-/// A measured training step of ours.
-struct StepRow {
-  std::string net;        ///< paper, hash T=2^15, ...
-  std::string precision;  ///< fp32, bf16
+/// A measured training step or frame, ours or the peer's.
+struct Row {
+  std::string net;        ///< paper, hash T=2^15, ...; in `bench gpu` the measurement's whole name
+  std::string precision;  ///< fp32, bf16; the peer's mode
   int threads = 0, classes = 0;
   std::int64_t rays = 0;
-  Spread seconds;
+  Spread seconds = {};
   double processor = 0;  ///< processor seconds per step, summed over threads; median
   double samples = 0;    ///< a step
   double flop = 0;       ///< of the networks, as executed
@@ -243,108 +44,298 @@ struct StepRow {
   double flops() const { return flop / seconds.median; }
 };
 
-/// A measured training step of the peer's.
-struct PeerRow {
-  std::string net, mode;
-  std::int64_t rays = 0;
-  Spread seconds;
-  double processor = 0;  ///< as above
-  double samples = 0;    ///< a step
-  double rate() const { return samples / seconds.median; }
+/// The row of this name; of those of `bench step` with these numbers too. Null: not measured.
+const Row* find_row(const std::vector<Row>& rows, const std::string& net, const std::string& precision = "",
+                    int classes = 0, int threads = 0) {
+  const auto found = std::find_if(rows.begin(), rows.end(), [&](const Row& row) {
+    return row.net == net && row.precision == precision && row.classes == classes && row.threads == threads;
+  });
+  return found == rows.end() ? nullptr : &*found;
+}
+
+std::optional<double> ratio(const Row* over, const Row* under) {
+  if (over == nullptr || under == nullptr) return std::nullopt;
+  return over->seconds.median / under->seconds.median;
+}
+
+/// Goals by name, in the order of the last line; nullopt: not measured here.
+using Goals = std::vector<std::pair<std::string, std::optional<double>>>;
+
+/// What takes its turn in every round: steps or a frame of ours, or a step of the peer's.
+struct Turn {
+  Row row;
+  std::shared_ptr<StepCase> ours = {};
+  int steps = 1;
+  std::int64_t frame_rays = 0;  ///< of a frame, which is then rendered instead
+  std::optional<PeerRequest> peer = {};
+  std::vector<double> processor = {};
 };
+
+class Bench {
+ public:
+  Bench(const BenchOptions& options, AppContext& context) : context_(context), options_(options) {}
+
+ protected:
+  /// Throws Error(unavailable) without a Python that has torch.
+  void start_peer(const std::string& script, int threads, const char* device) {
+    peer_ = std::make_unique<Peer>(script.empty() ? shared_file("studies/peers/semfield_peer.py") : script,
+                                   options_.python, threads, device);
+    peer_about_ = peer_->description();
+  }
+
+  /// A turn of ours, after `warm_up` steps: memory grows in the first of them alone.
+  Turn turn_of(Row row, const StepCaseOptions& options, int steps, int warm_up) const {
+    Turn turn{std::move(row), std::make_shared<StepCase>(options, context_.registry), steps};
+    turn.row.samples = static_cast<double>(turn.ours->samples_per_step());
+    turn.row.flop = total_flop(turn.ours->work());
+    if (warm_up > 0) turn.ours->seconds(turn.row.threads, warm_up);
+    return turn;
+  }
+
+  double take(Turn& turn) const {
+    if (turn.peer) {
+      const PeerTimes times = peer_->measure(*turn.peer);
+      turn.processor.push_back(times.processor);
+      return times.seconds;
+    }
+    if (turn.frame_rays > 0) return turn.ours->render_seconds(turn.frame_rays);
+    StepCase::start_threads(turn.row.threads);  // a team of another size would count as the step's memory and time
+    const std::int64_t before = allocations_so_far().bytes;
+    const std::clock_t begin = std::clock();
+    const double seconds = turn.ours->seconds(turn.row.threads, turn.steps);
+    const std::clock_t end = std::clock();
+    turn.row.allocated = std::max(turn.row.allocated, allocations_so_far().bytes - before);
+    turn.processor.push_back(static_cast<double>(end - begin) / CLOCKS_PER_SEC / turn.steps);
+    return seconds;
+  }
+
+  /// Every turn once a round, and `more` with them.
+  std::vector<Row> measure(std::vector<Turn> turns, const std::vector<std::function<double()>>& more = {}) const {
+    std::vector<std::function<double()>> calls;
+    for (Turn& turn : turns) calls.emplace_back([this, &turn] { return take(turn); });
+    calls.insert(calls.end(), more.begin(), more.end());
+    const std::vector<Spread> spreads = alternate(calls, options_.repeats);
+    std::vector<Row> rows;
+    for (std::size_t i = 0; i < turns.size(); ++i) {
+      rows.push_back(turns[i].row);
+      rows.back().seconds = spreads[i];
+      if (!turns[i].processor.empty()) rows.back().processor = spread_of(turns[i].processor).median;
+    }
+    return rows;
+  }
+  void say_rounds(std::size_t count) const {
+    print_note(context_, fmt::format("{} rounds of {} measurements", options_.repeats, count));
+  }
+
+  AppContext& context_;
+  std::unique_ptr<Peer> peer_;
+  std::string peer_about_;  ///< what answered
+
+ private:
+  const BenchOptions& options_;
+};
+
+// bench gpu: training steps and frames on a GPU.
+
+constexpr std::int64_t kFrameRays = 320 * 240;
+constexpr double kLimit_ms =
+    1.09;  // of the paper step's multiply-adds in bf16 at 790 TFLOP/s, a good product on an H200
+
+struct GpuCase {
+  const char *net, *precision;
+  int classes, steps;
+  bool deterministic = false;
+};
+
+// Steps of the hash grid have 8192 rays of 32 samples: 2^18.
+constexpr GpuCase kGpuCases[] = {
+    {"paper", "bf16", 29, 64},  {"paper", "bf16", 29, 64, true}, {"paper", "bf16", 13, 64},
+    {"paper", "bf16", 512, 64}, {"paper", "bf16", 101, 64},      {"paper", "bf16", 0, 64},
+    {"paper", "fp32", 29, 8},   {"hash", "bf16", 29, 128},       {"hash", "bf16", 13, 128},
+    {"hash", "bf16", 512, 128}, {"hash", "bf16", 29, 128, true}, {"hash", "fp32", 29, 128}};
+
+StepCaseOptions options_of(const GpuCase& c) {
+  StepCaseOptions o;
+  const bool hash = c.net == std::string_view("hash");
+  o.config = shared_file(hash ? "configs/bench/hash_step.yaml" : "configs/paper.yaml");
+  o.set = {"runtime.device=cuda", std::string("runtime.precision=") + c.precision};
+  if (c.deterministic) o.set.emplace_back("runtime.deterministic=true");
+  o.classes = c.classes;
+  if (!hash) return o;
+  o.set.insert(o.set.end(), {"passes.0.sampler.samples=32", "passes.0.position.log2_entries=19",
+                             "passes.0.position.finest_resolution=2048"});
+  o.rays = 8192;
+  return o;
+}
+
+/// What cannot be measured is a note. Throws Error(unavailable) without a device.
+class GpuBench final : public Bench {
+ public:
+  GpuBench(const BenchGpuOptions& options, AppContext& context) : Bench(options, context), options_(options) {}
+
+  int run() {
+    const std::string about = cuda_library().describe(0);
+    print_note(context_, about);
+    for (const GpuCase& c : kGpuCases) {
+      const std::string name =
+          fmt::format("{} {} C={}{}", c.net, c.precision, c.classes, c.deterministic ? " deterministic" : "");
+      add(name, [&] {
+        print_note(context_, "warming up: " + name);
+        // Sizes arenas, chooses algorithms, captures the graph.
+        turns_.push_back(turn_of({name, "", hardware_threads()}, options_of(c), c.steps, 5));
+      });
+    }
+    add("frame 320x240 bf16", [&] {
+      Turn frame = turn_of({"frame 320x240 bf16", "", hardware_threads()}, options_of(kGpuCases[0]), 1, 0);
+      frame.frame_rays = kFrameRays;
+      take(frame);
+      turns_.push_back(std::move(frame));
+    });
+    if (options_.peers) add_peers();
+    say_rounds(turns_.size());
+    const std::vector<Row> rows = measure(std::move(turns_));
+    print(about, rows, goals_of(rows));
+    return 0;
+  }
+
+ private:
+  template <class Make>
+  void add(const std::string& name, const Make& make) {
+    if (!name.starts_with(options_.only)) return;
+    not_measured_if(name, make);
+  }
+  template <class Make>
+  void not_measured_if(const std::string& name, const Make& make) {
+    try {
+      make();
+    } catch (const Error& error) {
+      print_note(context_, "not measured: " + name + ": " + error.what());
+    }
+  }
+
+  void add_peers() {
+    try {
+      start_peer("", hardware_threads(), "cuda");
+    } catch (const Error& error) {
+      return print_note(context_, std::string("no peer: ") + error.what());
+    }
+    for (const char* mode : {"fp32", "tf32", "bf16", "bf16_compile"}) {
+      const std::string name = std::string("torch paper ") + mode;
+      not_measured_if(name, [&] {
+        print_note(context_, "warming up: " + name);
+        peer_->measure({"paper", mode, 1024, 29, 0, 5});
+        Turn turn{{name, "", hardware_threads()}};
+        turn.peer = {"paper", mode, 1024, 29, 0, 10};
+        turns_.push_back(std::move(turn));
+      });
+    }
+  }
+
+  static std::vector<std::pair<std::string, std::string>> goals_of(const std::vector<Row>& rows) {
+    const auto text = [](const std::optional<double>& value, int digits) {
+      return value ? fmt::format("{:.{}f}", *value, digits) : "n/a";
+    };
+    const auto ms = [&](const char* name) {
+      const Row* row = find(rows, name);
+      return row != nullptr ? std::optional(1e3 * row->seconds.median) : std::nullopt;
+    };
+    const auto over = [&](const char* a, const char* b) { return ratio(find(rows, a), find(rows, b)); };
+    std::optional<double> peer;  // of its fastest mode
+    for (const Row& row : rows) {
+      if (row.net.starts_with("torch paper") && (!peer || 1e3 * row.seconds.median < *peer))
+        peer = 1e3 * row.seconds.median;
+    }
+    const std::optional<double> step = ms("paper bf16 C=29"), frame = ms("frame 320x240 bf16");
+    return {{"step_ms", text(step, 3)},
+            {"torch_best_ms", text(peer, 2)},
+            {"P5", text(step && peer ? std::optional(*peer / *step) : std::nullopt, 2)},
+            {"P6", text(step ? std::optional(*step / kLimit_ms) : std::nullopt, 2)},
+            {"P7",
+             text(std::max(over("paper bf16 C=512", "paper bf16 C=13"), over("hash bf16 C=512", "hash bf16 C=13")), 3)},
+            {"P8", text(over("paper bf16 C=101", "paper bf16 C=0"), 3)},
+            {"P11", text(std::max(over("paper bf16 C=29 deterministic", "paper bf16 C=29"),
+                                  over("hash bf16 C=29 deterministic", "hash bf16 C=29")),
+                         3)},
+            {"frame_fps", text(frame ? std::optional(1e3 / *frame) : std::nullopt, 1)},
+            {"hash_ms", text(ms("hash bf16 C=29"), 3)}};
+  }
+  static const Row* find(const std::vector<Row>& rows, const char* name) {
+    return find_row(rows, name, "", 0, hardware_threads());
+  }
+
+  void print(const std::string& about, const std::vector<Row>& rows,
+             const std::vector<std::pair<std::string, std::string>>& goals) const {
+    if (context_.json) {
+      Json out{{"device", about}, {"peer", peer_about_}};
+      for (const Row& row : rows)
+        out["ms"][row.net] = {1e3 * row.seconds.median, 1e3 * row.seconds.min, 1e3 * row.seconds.max};
+      for (const auto& [name, value] : goals) out["goals"][name] = value;
+      return print_json(context_, out);
+    }
+    std::printf("device     %s\n", about.c_str());
+    if (!peer_about_.empty()) std::printf("peer       %s\n", peer_about_.c_str());
+    std::printf("medians of %d rounds, every measurement once per round\n%-32s %10s  %s\n", options_.repeats, "", "ms",
+                "(min .. max)");
+    for (const Row& row : rows) {
+      std::printf("%-32s %10.3f  (%.3f .. %.3f)\n", row.net.c_str(), 1e3 * row.seconds.median, 1e3 * row.seconds.min,
+                  1e3 * row.seconds.max);
+    }
+    std::string line = "bench gpu:";
+    for (const auto& [name, value] : goals) line += " " + name + "=" + value;
+    std::printf("%s\n", line.c_str());
+  }
+
+  const BenchGpuOptions& options_;
+  std::vector<Turn> turns_;
+};
+
+// bench step: whole training steps, the machine's limits and the peer.
 
 struct BenchStepResults {
   int threads = 0;
   double peak_fp32_one = 0, peak_fp32 = 0;  ///< operations per second on 1 and on `threads` threads
   double peak_bf16_one = 0, peak_bf16 = 0;  ///< 0: the processor has no such instruction
-  std::vector<StepRow> steps;               ///< whole steps, alternating with the peers
-  std::vector<StepRow> classes;             ///< the same networks over C; C = 0: without semantics
-  std::vector<StepRow> scaling;             ///< 1 thread, 2, and `many_threads`
+  std::vector<Row> steps;                   ///< whole steps, alternating with the peers
+  std::vector<Row> classes;                 ///< the same networks over C; C = 0: without semantics
+  std::vector<Row> scaling;                 ///< 1 thread, 2, and `many_threads`
   int many_threads = 0;                     ///< 0: the machine has fewer than 8 cores
-  std::vector<PeerRow> peers;
+  std::vector<Row> peers;
   std::string peer_about, peer_missing;  ///< what answered, or why nothing did
 };
 
-/// Goals by name, in the order of the last line; nullopt: not measured here.
-using Goals = std::vector<std::pair<std::string, std::optional<double>>>;
-
 constexpr int kPaperClasses = 29;
-const std::vector<int> kClassCounts{13, 29, 101, 512, 0};
+constexpr int kClassCounts[] = {13, 29, 101, 512, 0};
 
 /// Sizes of one kind of run. `full` is what the presets say; `tiny` ends in seconds.
 struct Sizes {
   std::int64_t rays = 1024, sweep_rays = 256;
   int coarse = 64, fine = 128;
-  std::vector<std::string> narrow;  ///< overrides of the paper's network
+  std::vector<std::string> narrow = {};  ///< overrides of the paper's network
   int hash_samples = 30, hash_steps = 20;
   double probe_s = 0.05;
 };
+const Sizes kTiny{
+    32, 32, 8,    8, {"semantics.hidden_width=16", "passes.0.field.width=32", "passes.0.field.view_width=16"},
+    8,  2,  0.002};
 
-Sizes sizes_of(const std::string& name) {
-  Sizes s;
-  if (name == "full") return s;
-  if (name != "tiny") throw Error(ErrorKind::usage, "usage.value.choice", "--size " + name + ": expected full or tiny");
-  s.rays = s.sweep_rays = 32;
-  s.coarse = 8;
-  s.fine = 8;
-  s.narrow = {"semantics.hidden_width=16", "passes.0.field.width=32", "passes.0.field.view_width=16"};
-  s.hash_samples = 8;
-  s.hash_steps = 2;
-  s.probe_s = 0.002;
-  return s;
-}
-
-/// A network at one setting: its step, and what a step of it costs.
-class Case {
- public:
-  Case(StepRow row, const StepCaseOptions& options, int steps, AppContext& context)
-      : context_(context), step_(options, context.registry), row_(std::move(row)), steps_(steps) {
-    row_.classes = options.classes;
-    row_.rays = options.rays;
-    row_.samples = static_cast<double>(step_.samples_per_step());
-    row_.flop = total_flop(step_.work());
-    processor_.reserve(1024);        // not while allocations are counted
-    step_.seconds(row_.threads, 1);  // memory grows in the first step alone
-  }
-  double seconds() {
-    StepCase::start_threads(row_.threads);  // a team of another size would count as the step's memory and time
-    const std::int64_t before = allocations_so_far().bytes;
-    const std::clock_t begin = std::clock();
-    const double s = step_.seconds(row_.threads, steps_);
-    processor_.push_back(static_cast<double>(std::clock() - begin) / CLOCKS_PER_SEC / steps_);
-    row_.allocated = std::max(row_.allocated, allocations_so_far().bytes - before);
-    return s;
-  }
-  void warm_up() {
-    seconds();
-    processor_.clear();
-  }
-  StepRow finished(const Spread& spread, double peak) {
-    row_.seconds = spread;
-    row_.processor = spread_of(processor_).median;
-    row_.peak = peak;
-    return row_;
-  }
-  const StepRow& row() const { return row_; }
-
- private:
-  AppContext& context_;
-  StepCase step_;
-  StepRow row_;
-  int steps_;
-  std::vector<double> processor_;
-};
-
-class StepBench {
+class StepBench final : public Bench {
  public:
   StepBench(const BenchStepOptions& options, AppContext& context)
-      : options_(options), context_(context), sizes_(sizes_of(options.size)) {
+      : Bench(options, context), options_(options), sizes_(options.size == "tiny" ? kTiny : Sizes()) {
     results_.threads = options.threads > 0 ? options.threads : hardware_threads();
   }
 
   BenchStepResults run() {
     probe();
-    if (options_.peers) start_peer();
+    if (options_.peers) {
+      try {
+        start_peer(options_.peer_script, results_.threads, "cpu");
+      } catch (const Error& error) {
+        results_.peer_missing = error.what();
+        print_note(context_, "no peer: " + results_.peer_missing);
+      }
+      results_.peer_about = peer_about_;
+    }
     whole_steps();
     class_counts();
     scaling();
@@ -352,43 +343,29 @@ class StepBench {
   }
 
  private:
-  std::unique_ptr<Case> paper(const std::string& precision, int threads, std::int64_t rays, int classes) {
+  Turn paper(const std::string& precision, int threads, std::int64_t rays, int classes) const {
     const Sizes& s = sizes_;
     StepCaseOptions o;
     o.config = shared_file("configs/paper.yaml");
-    o.classes = classes;
     o.rays = rays;
     o.set = {fmt::format("passes.0.sampler.samples={}", s.coarse), fmt::format("passes.1.sampler.samples={}", s.fine)};
     o.set.insert(o.set.end(), s.narrow.begin(), s.narrow.end());
-    add_settings(precision, o);
-    return std::make_unique<Case>(new_row("paper", precision, threads), o, 1, context_);
+    return made("paper", precision, threads, classes, std::move(o), 1);
   }
-
-  std::unique_ptr<Case> hash(const std::string& precision, int threads, int log2_entries, int classes) {
-    const Sizes& s = sizes_;
+  Turn hash(const std::string& precision, int threads, int log2_entries, int classes) const {
     StepCaseOptions o;
     o.config = shared_file("configs/bench/hash_step.yaml");
-    o.classes = classes;
-    o.rays = s.rays;
-    o.set = {fmt::format("passes.0.sampler.samples={}", s.hash_samples),
+    o.rays = sizes_.rays;
+    o.set = {fmt::format("passes.0.sampler.samples={}", sizes_.hash_samples),
              fmt::format("passes.0.position.log2_entries={}", log2_entries)};
-    add_settings(precision, o);
-    return std::make_unique<Case>(new_row(fmt::format("hash T=2^{}", log2_entries), precision, threads), o,
-                                  s.hash_steps, context_);
+    return made(fmt::format("hash T=2^{}", log2_entries), precision, threads, classes, std::move(o), sizes_.hash_steps);
   }
-
-  static StepRow new_row(std::string net, std::string precision, int threads) {
-    StepRow row;
-    row.net = std::move(net);
-    row.precision = std::move(precision);
-    row.threads = threads;
-    return row;
-  }
-
-  void add_settings(const std::string& precision, StepCaseOptions& o) const {
-    o.set.push_back("runtime.device=cpu");
-    o.set.push_back("runtime.precision=" + precision);
+  Turn made(std::string net, const std::string& precision, int threads, int classes, StepCaseOptions o,
+            int steps) const {
+    o.classes = classes;
+    o.set.insert(o.set.end(), {"runtime.device=cpu", "runtime.precision=" + precision});
     o.set.insert(o.set.end(), options_.set.begin(), options_.set.end());
+    return turn_of({std::move(net), precision, threads, classes, o.rays}, o, steps, 1);
   }
 
   void probe() {
@@ -403,104 +380,66 @@ class StepBench {
     results_.peak_bf16 = best([&] { return peak_bf16_flops(n, s); });
   }
 
-  void start_peer() {
-    try {
-      const std::string script =
-          options_.peer_script.empty() ? shared_file("studies/peers/semfield_peer.py") : options_.peer_script;
-      peer_ = std::make_unique<Peer>(script, options_.python, results_.threads);
-      results_.peer_about = peer_->description();
-    } catch (const Error& error) {
-      results_.peer_missing = error.what();
-      print_note(context_, "no peer: " + results_.peer_missing);
+  std::vector<Row> with_peaks(std::vector<Row> rows) const {
+    const BenchStepResults& r = results_;
+    for (Row& row : rows) {
+      const bool one = row.threads == 1, bf16 = row.precision == "bf16";
+      if (one || row.threads == r.threads)
+        row.peak = bf16 ? (one ? r.peak_bf16_one : r.peak_bf16) : (one ? r.peak_fp32_one : r.peak_fp32);
     }
-  }
-
-  double peak(const StepRow& row) const {
-    const bool one = row.threads == 1;
-    if (!one && row.threads != results_.threads) return 0;
-    if (row.precision == "bf16") return one ? results_.peak_bf16_one : results_.peak_bf16;
-    return one ? results_.peak_fp32_one : results_.peak_fp32;
-  }
-
-  /// Runs the cases of one group in turn, with whatever else takes part in each round.
-  std::vector<StepRow> measure(std::vector<std::unique_ptr<Case>> cases) {
-    std::vector<std::function<double()>> turns;
-    for (const auto& c : cases) turns.emplace_back([&c] { return c->seconds(); });
-    const std::vector<Spread> spreads = alternate(turns, options_.repeats);
-    std::vector<StepRow> rows;
-    for (std::size_t i = 0; i < cases.size(); ++i)
-      rows.push_back(cases[i]->finished(spreads[i], peak(cases[i]->row())));
     return rows;
   }
 
   /// Ours and the peer's in turn; the peak once per round, so that clocks that drift meet both.
   void whole_steps() {
-    struct Turn {
-      std::unique_ptr<Case> ours;
-      std::optional<PeerRequest> peer;
-      std::vector<double> processor;  // of the peer
-    };
     std::vector<Turn> turns;
     const int n = results_.threads;
-    for (const std::string& precision : precisions_) {
-      turns.push_back({paper(precision, n, sizes_.rays, kPaperClasses),
-                       PeerRequest{"paper", precision, sizes_.rays, kPaperClasses, 0, 1},
-                       {}});
-    }
-    for (const std::string& precision : precisions_) {
+    for (const std::string precision : {"fp32", "bf16"})
+      add_with_peer(turns, paper(precision, n, sizes_.rays, kPaperClasses),
+                    PeerRequest{"paper", precision, sizes_.rays, kPaperClasses, 0, 1}, 256);
+    for (const std::string precision : {"fp32", "bf16"}) {
       for (const int log2 : {15, 17}) {
-        turns.push_back({hash(precision, n, log2, kPaperClasses), std::nullopt, {}});
-        if (precision == "fp32")
-          turns.back().peer = PeerRequest{"hash", precision, sizes_.rays, kPaperClasses, log2, 1};
+        std::optional<PeerRequest> peer;
+        if (precision == "fp32") peer = PeerRequest{"hash", precision, sizes_.rays, kPaperClasses, log2, 1};
+        add_with_peer(turns, hash(precision, n, log2, kPaperClasses), peer, 30);
       }
     }
-    std::vector<std::function<double()>> calls;
-    for (Turn& turn : turns) {
-      print_note(context_, "warming up: " + turn.ours->row().net + " " + turn.ours->row().precision);
-      turn.ours->warm_up();
-      calls.emplace_back([&turn] { return turn.ours->seconds(); });
-      if (!peer_ || !turn.peer) continue;
-      try {
-        peer_->measure(*turn.peer);
-        calls.emplace_back([this, &turn] {
-          const PeerTimes times = peer_->measure(*turn.peer);
-          turn.processor.push_back(times.processor);
-          return times.seconds;
-        });
-      } catch (const Error& error) {
-        results_.peer_missing += fmt::format("{} {}: {}; ", turn.peer->net, turn.peer->mode, error.what());
-        turn.peer.reset();
-      }
-    }
-    calls.emplace_back([&] { return peak_fp32_flops(n, sizes_.probe_s); });
-    calls.emplace_back([&] { return peak_bf16_flops(n, sizes_.probe_s); });
-    print_note(context_, fmt::format("{} rounds of {} measurements", options_.repeats, calls.size()));
-    const std::vector<Spread> spreads = alternate(calls, options_.repeats);
-    results_.peak_fp32 = std::max(results_.peak_fp32, spreads[spreads.size() - 2].max);
-    results_.peak_bf16 = std::max(results_.peak_bf16, spreads.back().max);
-    auto spread = spreads.begin();
-    for (Turn& turn : turns) {
-      results_.steps.push_back(turn.ours->finished(*spread++, peak(turn.ours->row())));
-      if (peer_ && turn.peer) add_peer_row(*turn.peer, *spread++, spread_of(turn.processor).median);
-    }
+    say_rounds(turns.size() + 2);
+    const auto seen = [](double& peak, double flops) { return peak = std::max(peak, flops), flops; };
+    const std::vector<Row> rows =
+        measure(std::move(turns), {[&] { return seen(results_.peak_fp32, peak_fp32_flops(n, sizes_.probe_s)); },
+                                   [&] { return seen(results_.peak_bf16, peak_bf16_flops(n, sizes_.probe_s)); }});
+    for (const Row& row : with_peaks(rows)) (row.threads == 0 ? results_.peers : results_.steps).push_back(row);
     peer_.reset();
   }
 
-  void add_peer_row(const PeerRequest& r, const Spread& seconds, double processor) {
-    const double samples = static_cast<double>(r.rays) * (r.net == "paper" ? 256 : 30);
-    const std::string net = r.net == "hash" ? fmt::format("hash T=2^{}", r.log2_entries) : r.net;
-    results_.peers.push_back({net, r.mode, r.rays, seconds, processor, samples});
+  void add_with_peer(std::vector<Turn>& turns, Turn ours, const std::optional<PeerRequest>& peer, int samples_of_ray) {
+    print_note(context_, "warming up: " + ours.row.net + " " + ours.row.precision);
+    take(ours);
+    ours.processor.clear();
+    const Row& row = turns.emplace_back(std::move(ours)).row;
+    if (!peer_ || !peer) return;
+    Turn theirs{{row.net, peer->mode, 0, 0, peer->rays}};
+    theirs.row.samples = static_cast<double>(peer->rays * samples_of_ray);
+    theirs.peer = peer;
+    try {
+      take(theirs);
+      theirs.processor.clear();
+      turns.push_back(std::move(theirs));
+    } catch (const Error& error) {
+      results_.peer_missing += fmt::format("{} {}: {}; ", peer->net, peer->mode, error.what());
+    }
   }
 
   void class_counts() {
     print_note(context_, "steps over the number of classes");
-    std::vector<std::unique_ptr<Case>> deep, small;
+    std::vector<Turn> deep, small;
     for (const int classes : kClassCounts) {
       deep.push_back(paper("fp32", results_.threads, sizes_.sweep_rays, classes));
       small.push_back(hash("fp32", results_.threads, 15, classes));
     }
-    results_.classes = measure(std::move(deep));
-    for (StepRow& row : measure(std::move(small))) results_.classes.push_back(std::move(row));
+    results_.classes = with_peaks(measure(std::move(deep)));
+    for (Row& row : with_peaks(measure(std::move(small)))) results_.classes.push_back(std::move(row));
   }
 
   void scaling() {
@@ -512,53 +451,30 @@ class StepBench {
                    (results_.many_threads > 0 ? fmt::format(" and {}", results_.many_threads) : std::string()));
     std::vector<int> counts{1, 2};
     if (results_.many_threads > 0) counts.push_back(results_.many_threads);
-    std::vector<std::unique_ptr<Case>> cases;
-    for (const int threads : counts) cases.push_back(paper("fp32", threads, sizes_.rays, kPaperClasses));
-    for (const int threads : counts) cases.push_back(hash("fp32", threads, 15, kPaperClasses));
-    results_.scaling = measure(std::move(cases));
+    std::vector<Turn> turns;
+    for (const int threads : counts) turns.push_back(paper("fp32", threads, sizes_.rays, kPaperClasses));
+    for (const int threads : counts) turns.push_back(hash("fp32", threads, 15, kPaperClasses));
+    results_.scaling = with_peaks(measure(std::move(turns)));
   }
 
-  BenchStepOptions options_;
-  AppContext& context_;
-  Sizes sizes_;
-  const std::vector<std::string> precisions_{"fp32", "bf16"};
-  std::unique_ptr<Peer> peer_;
+  const BenchStepOptions& options_;
+  const Sizes sizes_;
   BenchStepResults results_;
 };
 
-const StepRow* find_step(const std::vector<StepRow>& rows, const std::string& net, const std::string& precision,
-                         int classes, int threads) {
-  const auto found = std::find_if(rows.begin(), rows.end(), [&](const StepRow& row) {
-    return row.net == net && row.precision == precision && row.classes == classes && row.threads == threads;
-  });
-  return found == rows.end() ? nullptr : &*found;
-}
-
-const PeerRow* find_peer(const BenchStepResults& r, const std::string& net, const std::string& mode) {
-  const auto found = std::find_if(r.peers.begin(), r.peers.end(),
-                                  [&](const PeerRow& row) { return row.net == net && row.mode == mode; });
-  return found == r.peers.end() ? nullptr : &*found;
-}
-
 Goals goals_of(const BenchStepResults& r) {
-  const auto time = [](const auto& row) { return row.seconds.median; };
-  const auto ratio = [&](const auto* over, const auto* under) -> std::optional<double> {
-    if (over == nullptr || under == nullptr) return std::nullopt;
-    return time(*over) / time(*under);
-  };
   const int n = r.threads;
   const auto step = [&](const char* net, const char* precision) {
-    return find_step(r.steps, net, precision, kPaperClasses, n);
+    return find_row(r.steps, net, precision, kPaperClasses, n);
   };
-  const auto of_classes = [&](const char* net, int classes) { return find_step(r.classes, net, "fp32", classes, n); };
+  const auto of_classes = [&](const char* net, int classes) { return find_row(r.classes, net, "fp32", classes, n); };
   // How many times the peer's rate ours is: the same as the ratio of times, in the sizes where both do the same work.
   const auto faster = [&](const char* net, const char* mode) -> std::optional<double> {
-    const StepRow* ours = step(net, mode);
-    const PeerRow* theirs = find_peer(r, net, mode);
+    const Row *ours = step(net, mode), *theirs = find_row(r.peers, net, mode);
     if (ours == nullptr || theirs == nullptr) return std::nullopt;
-    return (ours->samples / time(*ours)) / (theirs->samples / time(*theirs));
+    return ours->rate() / theirs->rate();
   };
-  const StepRow* paper = step("paper", "fp32");
+  const Row* paper = step("paper", "fp32");
   // The worse of the two networks.
   const std::optional<double> p7 = std::max(ratio(of_classes("paper", 512), of_classes("paper", 13)),
                                             ratio(of_classes("hash T=2^15", 512), of_classes("hash T=2^15", 13)));
@@ -569,11 +485,11 @@ Goals goals_of(const BenchStepResults& r) {
           {"P4", paper != nullptr && paper->peak > 0 ? std::optional(paper->flops() / paper->peak) : std::nullopt},
           {"P7", p7},
           {"P8", ratio(of_classes("paper", 101), of_classes("paper", 0))},
-          {"threads2", ratio(find_step(r.scaling, "paper", "fp32", kPaperClasses, 1),
-                             find_step(r.scaling, "paper", "fp32", kPaperClasses, 2))},
+          {"threads2", ratio(find_row(r.scaling, "paper", "fp32", kPaperClasses, 1),
+                             find_row(r.scaling, "paper", "fp32", kPaperClasses, 2))},
           {"P15", r.many_threads == 0 ? std::nullopt
-                                      : ratio(find_step(r.scaling, "paper", "fp32", kPaperClasses, 1),
-                                              find_step(r.scaling, "paper", "fp32", kPaperClasses, r.many_threads))}};
+                                      : ratio(find_row(r.scaling, "paper", "fp32", kPaperClasses, 1),
+                                              find_row(r.scaling, "paper", "fp32", kPaperClasses, r.many_threads))}};
 }
 
 std::string ratio_text(const std::optional<double>& value) {
@@ -581,12 +497,12 @@ std::string ratio_text(const std::optional<double>& value) {
   return *value >= 9.995 ? fmt::format("{:.1f}", *value) : fmt::format("{:.2f}", *value);
 }
 
-void print_rows(const char* title, const std::vector<StepRow>& rows) {
+void print_rows(const char* title, const std::vector<Row>& rows) {
   if (rows.empty()) return;
   std::printf("\n%s\n%-12s %-5s %7s %7s %6s  %10s  %-21s %9s %12s %9s %8s %10s\n", title, "net", "", "threads",
               "classes", "rays", "s per step", "(min .. max)", "core s", "samples/s", "GFLOP/s", "of peak",
               "allocated");
-  for (const StepRow& row : rows) {
+  for (const Row& row : rows) {
     const std::string classes = row.classes == 0 ? "none" : std::to_string(row.classes);
     const std::string range = fmt::format("({:.4f} .. {:.4f})", row.seconds.min, row.seconds.max);
     const std::string share = row.peak > 0 ? fmt::format("{:.2f}", row.flops() / row.peak) : "-";
@@ -599,15 +515,15 @@ void print_rows(const char* title, const std::vector<StepRow>& rows) {
 
 void print_peers(const BenchStepResults& results) {
   if (!results.peer_about.empty()) std::printf("\npeer: %s\n", results.peer_about.c_str());
-  for (const PeerRow& row : results.peers) {
+  for (const Row& row : results.peers) {
     std::printf("%-12s %-5s %6lld rays  %10.4f  (%.4f .. %.4f) %9.4f core s %12.0f samples/s\n", row.net.c_str(),
-                row.mode.c_str(), static_cast<long long>(row.rays), row.seconds.median, row.seconds.min,
+                row.precision.c_str(), static_cast<long long>(row.rays), row.seconds.median, row.seconds.min,
                 row.seconds.max, row.processor, row.rate());
   }
-  for (const StepRow& ours : results.steps) {
-    for (const PeerRow& row : results.peers) {
-      if (row.net == ours.net && row.mode == ours.precision) {
-        std::printf("ours / peer's rate, %s %s: %.2f\n", row.net.c_str(), row.mode.c_str(), ours.rate() / row.rate());
+  for (const Row& ours : results.steps) {
+    for (const Row& row : results.peers) {
+      if (row.net == ours.net && row.precision == ours.precision) {
+        std::printf("ours / peer's rate, %s %s: %.2f\n", row.net.c_str(), row.precision.c_str(), ours.rate() / row.rate());
       }
     }
   }
@@ -634,9 +550,9 @@ void print_table(const BenchStepOptions& options, const BenchStepResults& r) {
 
 Json spread_json(const Spread& s) { return {{"median", s.median}, {"min", s.min}, {"max", s.max}}; }
 
-Json rows_json(const std::vector<StepRow>& rows) {
+Json rows_json(const std::vector<Row>& rows) {
   Json all = Json::array();
-  for (const StepRow& row : rows) {
+  for (const Row& row : rows) {
     all.push_back({{"net", row.net},
                    {"precision", row.precision},
                    {"threads", row.threads},
@@ -665,9 +581,9 @@ Json results_json(const BenchStepOptions& options, const BenchStepResults& r) {
   out["classes"] = rows_json(r.classes);
   out["scaling"] = rows_json(r.scaling);
   out["peers"] = Json::array();
-  for (const PeerRow& row : r.peers) {
+  for (const Row& row : r.peers) {
     out["peers"].push_back({{"net", row.net},
-                            {"mode", row.mode},
+                            {"mode", row.precision},
                             {"rays", row.rays},
                             {"seconds", spread_json(row.seconds)},
                             {"processor_s", row.processor},
@@ -680,7 +596,6 @@ Json results_json(const BenchStepOptions& options, const BenchStepResults& r) {
 }
 
 int bench_step(const BenchStepOptions& options, AppContext& context) {
-  if (options.repeats < 1) throw Error(ErrorKind::usage, "usage.value.range", "--repeats: expected at least 1");
   const BenchStepResults results = StepBench(options, context).run();
   if (context.json) {
     print_json(context, results_json(options, results));
@@ -699,7 +614,7 @@ int bench_step(const BenchStepOptions& options, AppContext& context) {
 // By name, as the program finds them in the library: each measures, prints, and returns the exit code.
 extern "C" int semfield_bench_gpu(const semfield::app::BenchGpuOptions& options, semfield::app::AppContext& context);
 int semfield_bench_gpu(const semfield::app::BenchGpuOptions& options, semfield::app::AppContext& context) {
-  return semfield::app::bench_gpu(options, context);
+  return semfield::app::GpuBench(options, context).run();
 }
 extern "C" int semfield_bench_step(const semfield::app::BenchStepOptions& options, semfield::app::AppContext& context);
 int semfield_bench_step(const semfield::app::BenchStepOptions& options, semfield::app::AppContext& context) {

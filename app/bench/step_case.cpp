@@ -15,7 +15,6 @@
 #include "compute/parallel.h"
 #include "core/check.h"
 #include "core/error.h"
-#include "core/non_copyable.h"
 #include "core/rng.h"
 #include "model/param_store.h"
 #include "session/assembly.h"
@@ -71,157 +70,7 @@ SceneManifest manifest_of(int classes) {
   return manifest;
 }
 
-}  // namespace
-
-struct StepCase::Impl {
-  std::vector<StoredFrame> pixels;
-  std::vector<TrainingLabels::Frame> labels;
-  Session session;  // of random pictures: network and settings alone
-  std::unique_ptr<Trainer> trainer;
-  std::int64_t samples_last = 0, samples_all = 0;
-  std::vector<LayerWork> work;
-  StepLosses losses;
-};
-
-StepCase::StepCase(const StepCaseOptions& options, Registry& registry) : impl_(std::make_unique<Impl>()) {
-  RunConfig& config = impl_->session.config = load_run_config(options.config, options.set, registry);
-  config.train.rays = options.rays;
-  config.train.ray_source = RaySourceKind::all_images;
-  config.adam.learning_rate =
-      0;  // random pictures have no shape to learn: in hundreds of steps their density would die
-  SceneExtent extent;
-  extent.bounds = {{-0.5, -0.5, -0.5}, {0.5, 0.5, 0.5}};
-  extent.near_m = 0.05;
-  extent.far_m = 1;
-  extent.pixel_footprint_m = 0.01;
-  config.runtime.threads = 0;  // `seconds` says how many
-  Diagnostics ignored;
-  const DeviceId device = chosen_device(config, registry, ignored).device;
-  config.runtime.precision = precision_of(config, registry, device);
-  std::unique_ptr<Sampler<float>> last = make_last_sampler(config, registry, extent);
-  const BuildPlan plan = plan_build(manifest_of(options.classes), build_request(config, registry, last->traits()), {});
-  impl_->session.pipeline = assemble(make_parts<float>(config, registry, plan, extent, std::move(last)), {}, true);
-  run_on({device}, config, registry, plan, extent, *impl_->session.pipeline);
-
-  std::int64_t per_ray = 0, all = 0;
-  for (const Pass<float>& pass : impl_->session.pipeline->passes()) {
-    per_ray = pass.capacity_per_ray(per_ray);
-    all += per_ray;
-    for (LayerWork& layer : pass_work(pass.parts(), options.rays, per_ray * options.rays,
-                                      impl_->session.pipeline->options().rules.deferred_class_layer))
-      impl_->work.push_back(std::move(layer));
-  }
-  impl_->samples_last = per_ray * options.rays;
-  impl_->samples_all = all * options.rays;
-
-  RayLimits limits;
-  limits.near_m = extent.near_m;
-  limits.far_m = extent.far_m;
-  limits.bounds = extent.bounds;
-  limits.clip = true;
-  Camera camera;
-  camera.width_px = kWidth;
-  camera.height_px = kHeight;
-  camera.fx = camera.fy = 0.5 * kWidth;
-  camera.cx = 0.5 * kWidth;
-  camera.cy = 0.5 * kHeight;
-  const RandomAddress where{1, 0, stream_id("step_bench/pose")};
-  std::vector<TrainFrame> frames;
-  for (std::uint64_t f = 0; f < kFrames; ++f) impl_->pixels.emplace_back(random_frame(f, options.classes));
-  for (const StoredFrame& frame : impl_->pixels) impl_->labels.push_back({frame.label, {}});
-  for (std::uint64_t f = 0; f < kFrames; ++f) {
-    frames.push_back(
-        {{camera, random_pose(where, f), false}, &impl_->pixels[f], options.classes > 0 ? &impl_->labels[f] : nullptr});
-  }
-  std::vector<std::int16_t> logit_of_class;
-  for (int c = 0; c < options.classes; ++c) logit_of_class.push_back(static_cast<std::int16_t>(c));
-  RaySourceOptions source;
-  source.seed = config.runtime.seed;
-  source.train.rays = options.rays;
-  source.tile_rays = impl_->session.pipeline->executor().tile_rays(options.rays);
-  impl_->trainer = std::make_unique<Trainer>(
-      impl_->session, nullptr,
-      std::make_unique<RaySource>(std::move(frames), std::move(logit_of_class), limits, source));
-}
-
-StepCase::~StepCase() = default;
-StepCase::StepCase(StepCase&&) noexcept = default;
-
-void StepCase::start_threads(int threads) {
-  const int before = thread_count();
-  set_thread_count(threads);
-  parallel_for(threads, [](std::int64_t) {});
-  set_thread_count(before);
-}
-
-double StepCase::seconds(int threads, int steps) {
-  const int before = thread_count();
-  set_thread_count(threads);
-  const auto begin = std::chrono::steady_clock::now();
-  for (std::int64_t done = 0; done < steps;) {
-    const std::span<const StepLosses> made = impl_->trainer->advance(steps - done);
-    impl_->losses = made.back();
-    done += std::ssize(made);
-  }
-  const double elapsed = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-  set_thread_count(before);
-  SEMFIELD_CHECK(impl_->losses.samples == impl_->samples_last, "every ray has all its samples, or the count is wrong");
-  return elapsed / steps;
-}
-
-std::int64_t StepCase::samples_per_step() const { return impl_->samples_all; }
-std::vector<LayerWork> StepCase::work() const { return impl_->work; }
-double StepCase::render_seconds(std::int64_t rays) {
-  std::vector<double> origin, direction, near_far;
-  BatchBuffers batch;
-  for (std::int64_t step = 0; std::ssize(near_far) < 2 * rays; ++step) {
-    impl_->trainer->rays().fill(step, batch);
-    origin.insert(origin.end(), batch.origin.begin(), batch.origin.end());
-    direction.insert(direction.end(), batch.direction.begin(), batch.direction.end());
-    near_far.insert(near_far.end(), batch.near_far.begin(), batch.near_far.end());
-  }
-  const auto n = static_cast<std::size_t>(rays);
-  std::vector<float> color(3 * n), depth(n), entropy(n);
-  std::vector<std::int16_t> label(n);
-  RenderJob<float> job;
-  job.origin = {origin.data(), rays, 3};
-  job.direction = {direction.data(), rays, 3};
-  job.near_far = {near_far.data(), rays, 2};
-  job.color = {color.data(), rays, 3};
-  job.depth = {depth.data(), rays, 1};
-  if (impl_->session.pipeline->has_semantics()) {
-    job.label = {label.data(), rays, 1};
-    job.entropy = {entropy.data(), rays, 1};
-  }
-  const auto begin = std::chrono::steady_clock::now();
-  impl_->session.pipeline->render(job);
-  return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-}
-double StepCase::loss() const { return impl_->losses.total; }
-
-Spread spread_of(std::vector<double> values) {
-  SEMFIELD_CHECK(!values.empty(), "a spread needs a measurement");
-  std::sort(values.begin(), values.end());
-  const std::size_t n = values.size();
-  return {n % 2 == 1 ? values[n / 2] : 0.5 * (values[n / 2 - 1] + values[n / 2]), values.front(), values.back()};
-}
-
-std::vector<Spread> alternate(const std::vector<std::function<double()>>& measurements, int repeats) {
-  std::vector<std::vector<double>> values(measurements.size());
-  for (int round = 0; round < repeats; ++round) {
-    for (std::size_t i = 0; i < measurements.size(); ++i) values[i].push_back(measurements[i]());
-  }
-  std::vector<Spread> spreads;
-  for (std::vector<double>& v : values) spreads.push_back(spread_of(std::move(v)));
-  return spreads;
-}
-
-double total_flop(const std::vector<LayerWork>& layers) {
-  double sum = 0;
-  for (const LayerWork& layer : layers) sum += layer.flop();
-  return sum;
-}
-
+// Of an encoded position that is learned a gradient is wanted.
 std::vector<LayerWork> field_work(const Field<float>& field, std::int64_t rays, std::int64_t samples,
                                   bool position_learns) {
   std::vector<LayerWork> work;
@@ -247,6 +96,140 @@ std::vector<LayerWork> pass_work(const PassParts<float>& parts, std::int64_t ray
   work.push_back({"semantic hidden", static_cast<double>(samples), feature, hidden});
   work.push_back({"semantic class", static_cast<double>(deferred_class_layer ? rays : samples), hidden, classes});
   return work;
+}
+
+}  // namespace
+
+StepCase::StepCase(const StepCaseOptions& options, Registry& registry) {
+  RunConfig& config = session_.config = load_run_config(options.config, options.set, registry);
+  config.train.rays = options.rays;
+  config.train.ray_source = RaySourceKind::all_images;
+  config.adam.learning_rate =
+      0;  // random pictures have no shape to learn: in hundreds of steps their density would die
+  SceneExtent extent;
+  extent.bounds = {{-0.5, -0.5, -0.5}, {0.5, 0.5, 0.5}};
+  extent.near_m = 0.05;
+  extent.far_m = 1;
+  extent.pixel_footprint_m = 0.01;
+  config.runtime.threads = 0;  // `seconds` says how many
+  Diagnostics ignored;
+  const DeviceId device = chosen_device(config, registry, ignored).device;
+  config.runtime.precision = precision_of(config, registry, device);
+  std::unique_ptr<Sampler<float>> last = make_last_sampler(config, registry, extent);
+  const BuildPlan plan = plan_build(manifest_of(options.classes), build_request(config, registry, last->traits()), {});
+  session_.pipeline = assemble(make_parts<float>(config, registry, plan, extent, std::move(last)), {}, true);
+  run_on({device}, config, registry, plan, extent, *session_.pipeline);
+
+  std::int64_t per_ray = 0, all = 0;
+  for (const Pass<float>& pass : session_.pipeline->passes()) {
+    per_ray = pass.capacity_per_ray(per_ray);
+    all += per_ray;
+    for (LayerWork& layer : pass_work(pass.parts(), options.rays, per_ray * options.rays,
+                                      session_.pipeline->options().rules.deferred_class_layer))
+      work_.push_back(std::move(layer));
+  }
+  samples_last_ = per_ray * options.rays;
+  samples_all_ = all * options.rays;
+
+  RayLimits limits;
+  limits.near_m = extent.near_m;
+  limits.far_m = extent.far_m;
+  limits.bounds = extent.bounds;
+  limits.clip = true;
+  Camera camera;
+  camera.width_px = kWidth;
+  camera.height_px = kHeight;
+  camera.fx = camera.fy = 0.5 * kWidth;
+  camera.cx = 0.5 * kWidth;
+  camera.cy = 0.5 * kHeight;
+  const RandomAddress where{1, 0, stream_id("step_bench/pose")};
+  std::vector<TrainFrame> frames;
+  for (std::uint64_t f = 0; f < kFrames; ++f) pixels_.emplace_back(random_frame(f, options.classes));
+  for (const StoredFrame& frame : pixels_) labels_.push_back({frame.label, {}});
+  for (std::uint64_t f = 0; f < kFrames; ++f) {
+    frames.push_back(
+        {{camera, random_pose(where, f), false}, &pixels_[f], options.classes > 0 ? &labels_[f] : nullptr});
+  }
+  std::vector<std::int16_t> logit_of_class;
+  for (int c = 0; c < options.classes; ++c) logit_of_class.push_back(static_cast<std::int16_t>(c));
+  RaySourceOptions source;
+  source.seed = config.runtime.seed;
+  source.train.rays = options.rays;
+  source.tile_rays = session_.pipeline->executor().tile_rays(options.rays);
+  trainer_ = std::make_unique<Trainer>(
+      session_, nullptr, std::make_unique<RaySource>(std::move(frames), std::move(logit_of_class), limits, source));
+}
+
+void StepCase::start_threads(int threads) {
+  const int before = thread_count();
+  set_thread_count(threads);
+  parallel_for(threads, [](std::int64_t) {});
+  set_thread_count(before);
+}
+
+double StepCase::seconds(int threads, int steps) {
+  const int before = thread_count();
+  set_thread_count(threads);
+  const auto begin = std::chrono::steady_clock::now();
+  for (std::int64_t done = 0; done < steps;) {
+    const std::span<const StepLosses> made = trainer_->advance(steps - done);
+    losses_ = made.back();
+    done += std::ssize(made);
+  }
+  const double elapsed = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  set_thread_count(before);
+  SEMFIELD_CHECK(losses_.samples == samples_last_, "every ray has all its samples, or the count is wrong");
+  return elapsed / steps;
+}
+
+double StepCase::render_seconds(std::int64_t rays) {
+  std::vector<double> origin, direction, near_far;
+  BatchBuffers batch;
+  for (std::int64_t step = 0; std::ssize(near_far) < 2 * rays; ++step) {
+    trainer_->rays().fill(step, batch);
+    origin.insert(origin.end(), batch.origin.begin(), batch.origin.end());
+    direction.insert(direction.end(), batch.direction.begin(), batch.direction.end());
+    near_far.insert(near_far.end(), batch.near_far.begin(), batch.near_far.end());
+  }
+  const auto n = static_cast<std::size_t>(rays);
+  std::vector<float> color(3 * n), depth(n), entropy(n);
+  std::vector<std::int16_t> label(n);
+  RenderJob<float> job;
+  job.origin = {origin.data(), rays, 3};
+  job.direction = {direction.data(), rays, 3};
+  job.near_far = {near_far.data(), rays, 2};
+  job.color = {color.data(), rays, 3};
+  job.depth = {depth.data(), rays, 1};
+  if (session_.pipeline->has_semantics()) {
+    job.label = {label.data(), rays, 1};
+    job.entropy = {entropy.data(), rays, 1};
+  }
+  const auto begin = std::chrono::steady_clock::now();
+  session_.pipeline->render(job);
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+}
+
+Spread spread_of(std::vector<double> values) {
+  SEMFIELD_CHECK(!values.empty(), "a spread needs a measurement");
+  std::sort(values.begin(), values.end());
+  const std::size_t n = values.size();
+  return {n % 2 == 1 ? values[n / 2] : 0.5 * (values[n / 2 - 1] + values[n / 2]), values.front(), values.back()};
+}
+
+std::vector<Spread> alternate(const std::vector<std::function<double()>>& measurements, int repeats) {
+  std::vector<std::vector<double>> values(measurements.size());
+  for (int round = 0; round < repeats; ++round) {
+    for (std::size_t i = 0; i < measurements.size(); ++i) values[i].push_back(measurements[i]());
+  }
+  std::vector<Spread> spreads;
+  for (std::vector<double>& v : values) spreads.push_back(spread_of(std::move(v)));
+  return spreads;
+}
+
+double total_flop(const std::vector<LayerWork>& layers) {
+  double sum = 0;
+  for (const LayerWork& layer : layers) sum += layer.flop();
+  return sum;
 }
 
 namespace {
@@ -275,63 +258,16 @@ json parsed(const std::string& line) {
 
 }  // namespace
 
-struct Peer::Process : NonCopyable {
-  /// Starts `words`, the first of which is the program's file, with pipes to its stdin and stdout; stderr is shared.
-  explicit Process(const std::vector<std::string>& words) : name_(words.at(0)) {
-    std::array<int, 2> in{}, out{};
-    const bool piped = pipe2(in.data(), O_CLOEXEC) == 0;
-    if (piped) to_ = in[1];
-    const FileDescriptor its_in(piped ? in[0] : -1);
-    if (!piped || pipe2(out.data(), O_CLOEXEC) != 0)
-      throw Error(ErrorKind::unavailable, "system.process.limit", "no pipe to '" + name_ + "'");
-    from_ = out[0];
-    const FileDescriptor its_out(out[1]);
-    pid_ = app::start_child(words, app::ChildStreams{its_in, its_out, STDERR_FILENO});
-  }
-  ~Process() {
-    to_ = -1;  // the end of its input ends it
-    from_ = -1;
-    kill(pid_, SIGTERM);
-    app::code_of_child(pid_);
-  }
-
-  /// One line of its output, without the end. Throws Error(unavailable) when it has ended.
-  std::string read_line() {
-    std::size_t end = 0;
-    while ((end = pending_.find('\n')) == std::string::npos) {
-      std::array<char, 4096> buffer;
-      const ssize_t got = read(from_, buffer.data(), buffer.size());
-      if (got <= 0) throw Error(ErrorKind::unavailable, "study.peer.failed", "'" + name_ + "' ended without an answer");
-      pending_.append(buffer.data(), static_cast<std::size_t>(got));
-    }
-    std::string line = pending_.substr(0, end);
-    pending_.erase(0, end + 1);
-    return line;
-  }
-  /// Sends a line, waits for the answer.
-  std::string ask(const std::string& line) {
-    const std::string text = line + "\n";
-    for (std::size_t sent = 0; sent < text.size();) {
-      const ssize_t n = write(to_, text.data() + sent, text.size() - sent);
-      if (n <= 0) throw Error(ErrorKind::unavailable, "study.peer.failed", "'" + name_ + "' takes no more requests");
-      sent += static_cast<std::size_t>(n);
-    }
-    return read_line();
-  }
-
- private:
-  std::string name_, pending_;
-  int pid_ = -1;
-  FileDescriptor to_, from_;
-};
-
-Peer::~Peer() = default;
-
-Peer::Peer(const std::string& script, const std::string& python, int threads, const std::string& device) {
-  std::vector<std::string> words{python_with_torch(python), script, "--serve", "--device", device};
+Peer::Peer(const std::string& script, const std::string& python, int threads, const std::string& device)
+    : name_(python_with_torch(python)), child_(SIGTERM) {
+  std::vector<std::string> words{name_, script, "--serve", "--device", device};
   if (device == "cpu") words.insert(words.end(), {"--tuned", "--threads", std::to_string(threads)});
-  process_ = std::make_unique<Process>(words);
-  const json about = parsed(process_->read_line());
+  app::Pipe in = app::open_pipe(name_), out = app::open_pipe(name_);
+  child_.pid = app::start_child(words, app::ChildStreams{in.read, out.write, STDERR_FILENO});
+  to_ = std::move(in.write);
+  from_ = std::move(out.read);
+  out.write = -1;
+  const json about = parsed(read_line());
   description_ = fmt::format("PyTorch {}, {} threads, BLAS {}, allocator {}, ATen {}", about.value("torch", "?"),
                              about.value("threads", 0), about.value("blas", "?"),
                              about.value("preload", "").empty() ? "of the C library" : about.value("preload", ""),
@@ -343,10 +279,29 @@ Peer::Peer(const std::string& script, const std::string& python, int threads, co
   }
 }
 
+std::string Peer::read_line() {
+  std::size_t end = 0;
+  while ((end = pending_.find('\n')) == std::string::npos) {
+    std::array<char, 4096> buffer;
+    const ssize_t got = read(from_, buffer.data(), buffer.size());
+    if (got <= 0) throw Error(ErrorKind::unavailable, "study.peer.failed", "'" + name_ + "' ended without an answer");
+    pending_.append(buffer.data(), static_cast<std::size_t>(got));
+  }
+  std::string line = pending_.substr(0, end);
+  pending_.erase(0, end + 1);
+  return line;
+}
+
 PeerTimes Peer::measure(const PeerRequest& r) {
   const json request{{"net", r.net},         {"mode", r.mode},   {"rays", r.rays},
                      {"classes", r.classes}, {"steps", r.steps}, {"log2_entries", r.log2_entries}};
-  const json answer = parsed(process_->ask(request.dump()));
+  const std::string text = request.dump() + "\n";
+  for (std::size_t sent = 0; sent < text.size();) {
+    const ssize_t n = write(to_, text.data() + sent, text.size() - sent);
+    if (n <= 0) throw Error(ErrorKind::unavailable, "study.peer.failed", "'" + name_ + "' takes no more requests");
+    sent += static_cast<std::size_t>(n);
+  }
+  const json answer = parsed(read_line());
   return {answer.value("seconds", 0.0), answer.value("processor", 0.0)};
 }
 

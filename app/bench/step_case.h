@@ -8,8 +8,12 @@
 #include <string>
 #include <vector>
 
-#include "model/pass.h"
+#include "app/child_process.h"
+#include "core/non_copyable.h"
 #include "plugin/registry.h"
+#include "session/ray_source.h"
+#include "session/trainer.h"
+#include "system/files.h"
 
 namespace semfield {
 
@@ -26,15 +30,6 @@ struct LayerWork {
 };
 double total_flop(const std::vector<LayerWork>& layers);
 
-/// The products of a field; of an encoded position that is learned a gradient is wanted.
-std::vector<LayerWork> field_work(const Field<float>& field, std::int64_t rays, std::int64_t samples,
-                                  bool position_learns);
-
-/// The products of a pass in which every ray has a label: field, semantic branch as if it kept every sample, and head.
-/// An encoding's own arithmetic is not counted.
-std::vector<LayerWork> pass_work(const PassParts<float>& parts, std::int64_t rays, std::int64_t samples,
-                                 bool deferred_class_layer);
-
 struct StepCaseOptions {
   std::string config;            ///< configuration file; its scene is not opened
   std::vector<std::string> set;  ///< overrides, as of --set
@@ -45,12 +40,10 @@ struct StepCaseOptions {
 /// One pipeline with optimiser and a source of rays: eight random pictures (colours and labels uniform) seen by
 /// cameras in the inner half of the cube [-0.5, 0.5]^3 looking anywhere. A step is Trainer's, so what is timed is what
 /// trains.
-class StepCase {
+class StepCase : NonCopyable {
  public:
   /// Throws Error(config).
   StepCase(const StepCaseOptions& options, Registry& registry);
-  ~StepCase();
-  StepCase(StepCase&&) noexcept;
 
   /// Workers for steps on so many threads, so that the next call of seconds() starts none.
   static void start_threads(int threads);
@@ -59,15 +52,21 @@ class StepCase {
   /// Seconds in which `rays` rays are rendered: colour, depth, label and entropy.
   double render_seconds(std::int64_t rays);
   /// Samples that the networks of all passes evaluate in a step.
-  std::int64_t samples_per_step() const;
-  /// The matrix products of a step, pass by pass.
-  std::vector<LayerWork> work() const;
+  std::int64_t samples_per_step() const { return samples_all_; }
+  /// The matrix products of a step, pass by pass: those of a field, of the semantic branch as if it kept every sample,
+  /// and of the head, where every ray has a label. An encoding's own arithmetic is not counted.
+  const std::vector<LayerWork>& work() const { return work_; }
   /// Total loss of the last step.
-  double loss() const;
+  double loss() const { return losses_.total; }
 
  private:
-  struct Impl;
-  std::unique_ptr<Impl> impl_;
+  std::vector<StoredFrame> pixels_;
+  std::vector<TrainingLabels::Frame> labels_;
+  Session session_;  // of random pictures: network and settings alone
+  std::unique_ptr<Trainer> trainer_;
+  std::int64_t samples_last_ = 0, samples_all_ = 0;
+  std::vector<LayerWork> work_;
+  StepLosses losses_;
 };
 
 /// Median and ends of repeated measurements.
@@ -108,12 +107,14 @@ class Peer {
   PeerTimes measure(const PeerRequest& request);
   /// Version, threads and what was tuned, in words.
   const std::string& description() const { return description_; }
-  ~Peer();
 
  private:
-  struct Process;
-  std::unique_ptr<Process> process_;
-  std::string description_;
+  /// One line of its output, without the end. Throws Error(unavailable) when it has ended.
+  std::string read_line();
+
+  std::string name_, description_, pending_;
+  app::OwnedChild child_;
+  FileDescriptor to_, from_;  ///< its stdin and stdout, which end before it
 };
 
 }  // namespace semfield

@@ -20,11 +20,15 @@ int run(const BenchGpuOptions& options, AppContext& context) {
   return run_study("semfield_bench_gpu", options, context);
 }
 
-void words(VerbWords& verb, BenchGpuOptions& options) {
+void shared_words(VerbWords& verb, BenchOptions& options) {
   verb.flag("--peers", options.peers, "alternate with the same steps in PyTorch and print ratios");
-  verb.value("--only NAME", options.only, "measurements whose names begin with this: --only 'paper bf16'");
   verb.value_in("--repeats N", options.repeats, 1, 1000, "rounds; figures are medians of them");
   verb.value("--python PROGRAM", options.python, "interpreter with torch (default: python3)");
+}
+
+void words(VerbWords& verb, BenchGpuOptions& options) {
+  shared_words(verb, options);
+  verb.value("--only NAME", options.only, "measurements whose names begin with this: --only 'paper bf16'");
 }
 
 int run(const BenchStepOptions& options, AppContext& context) {
@@ -32,13 +36,11 @@ int run(const BenchStepOptions& options, AppContext& context) {
 }
 
 void words(VerbWords& verb, BenchStepOptions& options) {
-  verb.flag("--peers", options.peers, "alternate with the same steps in PyTorch and print ratios");
+  shared_words(verb, options);
   verb.value_in("--threads N", options.threads, 1, 4096, "CPU threads (default: every core)");
-  verb.value_in("--repeats N", options.repeats, 1, 1000, "rounds; figures are medians of them");
   verb.choice("--size SIZE", options.size, {"full", "tiny"}, "full, or tiny: narrow networks and few rays, for tests");
   verb.repeated("--set KEY=VALUE", options.set, "override a value of both networks: --set runtime.tile_rays=8");
   verb.value("--peer-script FILE", options.peer_script, "the PyTorch script (default: the shipped one)");
-  verb.value("--python PROGRAM", options.python, "interpreter with torch (default: python3)");
 }
 
 }  // namespace

@@ -1,15 +1,14 @@
 // plugins: lists, parameters, and laws checked in a process of their own, which a plugin may end.
-#include <fcntl.h>
 #include <fmt/format.h>
 #include <sys/prctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <algorithm>
-#include <array>
 #include <cerrno>
 #include <csignal>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <filesystem>
 #include <functional>
@@ -18,6 +17,7 @@
 #include <string>
 
 #include "app/app_context.h"
+#include "app/child_process.h"
 #include "app/json_output.h"
 #include "app/verb.h"
 #include "config/params.h"
@@ -28,41 +28,19 @@
 #include "session/assembly.h"
 #include "system/process.h"
 
+namespace semfield {
+NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(LawRow, kind, name, settings, build, status, found)
+}
+
 namespace semfield::app {
 
 namespace {
 
-// What the two processes say to each other: an object per line. "begun" and "ended" hold a row, "error" an Error;
-// "done" says that every law was checked.
-Json message_of(const LawRow& row) {
-  return {
-      {"kind", static_cast<int>(row.kind)},     {"name", row.name},  {"settings", row.settings}, {"build", row.build},
-      {"status", static_cast<int>(row.status)}, {"found", row.found}};
-}
-
-LawRow row_in(const Json& said) {
-  return {static_cast<PluginKind>(said["kind"].get<int>()),  said["name"], said["settings"], said["build"],
-          static_cast<LawStatus>(said["status"].get<int>()), said["found"]};
-}
-
-Json message_of(const Error& error) {
-  return {{"kind", static_cast<int>(error.kind())},
-          {"code", error.code().text()},
-          {"message", error.message()},
-          {"remedy", error.remedy()},
-          {"context", error.context()}};
-}
-
-Error error_in(const Json& said) {
-  const Code code = Code::parse(said["code"].get<std::string>()).value_or(Code("internal.exception"));
-  Error error(static_cast<ErrorKind>(said["kind"].get<int>()), code, said["message"], said["remedy"]);
-  const std::vector<std::string> context = said["context"];
-  for (auto doing = context.rbegin(); doing != context.rend(); ++doing) error.while_doing(*doing);
-  return error;
-}
-
-void say(int pipe, const char* what, const Json& value) {
-  const std::string line = json_text(Json{{what, value}}) + "\n";
+// What the process that asks the laws says to the one that started it: an object per line. "begun" and "ended" hold a
+// row, "told" the code with which it ends after an error that it printed; "done" says that every law was asked.
+void say(int pipe, const char* what, const nlohmann::json& value) {
+  const std::string line =
+      nlohmann::json{{what, value}}.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
   for (std::size_t at = 0; at < line.size();) {
     const ssize_t written = write(pipe, line.data() + at, line.size() - at);
     if (written < 0 && errno != EINTR) _exit(1);  // nobody listens any more
@@ -70,20 +48,21 @@ void say(int pipe, const char* what, const Json& value) {
   }
 }
 
-[[noreturn]] void ask(int pipe, const std::function<void(LawRequest&)>& laws) {
+// What `laws` throws goes on to main(), which prints it.
+void ask(int pipe, const std::function<void(LawRequest&)>& laws) {
   LawRequest request;
-  request.on_begin = [&](const LawRow& row) { say(pipe, "begun", message_of(row)); };
-  request.on_row = [&](const LawRow& row) { say(pipe, "ended", message_of(row)); };
+  request.on_begin = [&](const LawRow& row) { say(pipe, "begun", row); };
+  request.on_row = [&](const LawRow& row) { say(pipe, "ended", row); };
   try {
     laws(request);
-    say(pipe, "done", true);
   } catch (const Error& error) {
-    say(pipe, "error", message_of(error));
-  } catch (const std::exception& error) {
-    say(pipe, "error", message_of(Error(ErrorKind::internal, "internal.exception", error.what())));
+    say(pipe, "told", static_cast<int>(error.kind()));
+    throw;
+  } catch (const std::exception&) {
+    say(pipe, "told", static_cast<int>(ErrorKind::internal));
+    throw;
   }
-  std::fflush(nullptr);
-  _exit(0);
+  say(pipe, "done", true);
 }
 
 std::string how_it_ended(int status) {
@@ -93,53 +72,48 @@ std::string how_it_ended(int status) {
 
 // Calls `laws` in a process forked from this one, so before any thread is there, and `on_row` here for each row that
 // it tells of. A process that ends before `laws` has returned, whatever its exit code, breaks the law under way: the
-// last row says so. Throws the Error that `laws` throws, and Error(unavailable) for a process that ends before the
-// first law: `file` did not load.
-void ask_laws_apart(const std::string& file, const std::function<void(LawRequest&)>& laws,
-                    const std::function<void(const LawRow&)>& on_row) {
+// last row says so. Returns the code that it told, 0 where it printed no error. Throws Error(unavailable) for a process
+// that ends before the first law: `file` did not load.
+int ask_laws_apart(const std::string& file, const std::function<void(LawRequest&)>& laws,
+                   const std::function<void(const LawRow&)>& on_row) {
   std::fflush(nullptr);
-  std::array<int, 2> ends{-1, -1};
-  const pid_t parent = getpid();
-  const pid_t pid = pipe2(ends.data(), O_CLOEXEC) == 0 ? fork() : -1;
+  Pipe pipe = open_pipe("semfield");
+  const pid_t parent = getpid(), pid = fork();
   if (pid < 0)
     throw Error(ErrorKind::unavailable, "system.process.limit", "no process can be started",
                 "see what limits them: ulimit -a");
   if (pid == 0) {
     prctl(PR_SET_PDEATHSIG, SIGTERM);  // a parent that is killed leaves no child behind
     if (getppid() != parent) _exit(128 + SIGTERM);
-    close(ends[0]);
-    ask(ends[1], laws);
+    pipe.read = -1;
+    ask(pipe.write, laws);
+    std::fflush(nullptr);
+    _exit(0);
   }
-  close(ends[1]);
+  pipe.write = -1;
   std::optional<LawRow> under_way;
-  std::optional<Error> thrown;
+  int told = 0;
   bool begun = false, done = false;
-  const auto hear = [&](const Json& said) {
-    if (said.contains("begun")) under_way = row_in(said["begun"]);
+  std::FILE* const lines = fdopen(dup(pipe.read), "r");
+  char* line = nullptr;
+  for (std::size_t room = 0; getline(&line, &room, lines) > 0;) {
+    const nlohmann::json said = nlohmann::json::parse(line, nullptr, false);
+    if (!said.is_object()) continue;
+    if (said.contains("begun")) under_way = said["begun"].get<LawRow>();
     begun = begun || under_way;
     if (said.contains("ended")) {
       under_way.reset();
-      on_row(row_in(said["ended"]));
+      on_row(said["ended"].get<LawRow>());
     }
-    if (said.contains("error")) thrown = error_in(said["error"]);
+    told = said.value("told", told);
     done = done || said.contains("done");
-  };
-  std::FILE* const lines = fdopen(ends[0], "r");
-  std::string line;
-  for (int c = std::getc(lines); c != EOF; c = std::getc(lines)) {
-    if (c != '\n') {
-      line += static_cast<char>(c);
-      continue;
-    }
-    hear(Json::parse(line));
-    line.clear();
   }
+  std::free(line);
   std::fclose(lines);
   int status = 0;
   while (waitpid(pid, &status, 0) < 0 && errno == EINTR) {
   }
-  if (thrown) throw Error(*thrown);
-  if (done) return;
+  if (done || told != 0) return told;
   if (!begun) {
     throw Error(ErrorKind::unavailable, "plugin.module.ended",
                 "cannot load plugin '" + file + "': " + how_it_ended(status),
@@ -149,6 +123,7 @@ void ask_laws_apart(const std::string& file, const std::function<void(LawRequest
   row.status = LawStatus::failed;
   row.found = {how_it_ended(status) + " before the law was asked to its end"};
   on_row(row);
+  return 0;
 }
 
 Json entry_json(const PluginEntry& entry) {
@@ -167,9 +142,6 @@ Json entry_json(const PluginEntry& entry) {
   }
   return json;
 }
-
-// Byte for byte.
-void print_text(const std::string& text) { std::fwrite(text.data(), 1, text.size(), stdout); }
 
 // Every plugin, or the one of this name.
 void print_plugins_json(const AppContext& context, const std::string& only = {}) {
@@ -252,12 +224,13 @@ void ask_laws(const CheckOptions& options, LawRequest& request) {
 
 int run(const CheckOptions& options, AppContext& context) {
   std::vector<LawRow> rows;
-  ask_laws_apart(
+  const int told = ask_laws_apart(
       options.file, [&](LawRequest& request) { ask_laws(options, request); },
       [&](const LawRow& row) {
         rows.push_back(row);
         if (!context.json) print_row(row);
       });
+  if (told != 0) return told;
   const auto count = [&](LawStatus status) {
     return std::count_if(rows.begin(), rows.end(), [&](const LawRow& row) { return row.status == status; });
   };
@@ -300,7 +273,7 @@ struct ListOptions {
 void print_devices(AppContext& context) {
   add_cuda_kernels(context);
   if (!context.json) {
-    print_text(support_matrix_text(context.registry));
+    std::fputs(support_matrix_text(context.registry).c_str(), stdout);
     return;
   }
   Json plugins = Json::array();
@@ -318,7 +291,7 @@ int run(const ListOptions& options, AppContext& context) {
   } else if (context.json) {
     print_plugins_json(context);
   } else {
-    print_text(plugins_list_text(context.registry));
+    std::fputs(plugins_list_text(context.registry).c_str(), stdout);
   }
   return 0;
 }
@@ -340,7 +313,7 @@ int run(const ShowOptions& options, AppContext& context) {
   if (context.json) {
     print_plugins_json(context, options.name);
   } else {
-    print_text(text);
+    std::fputs(text.c_str(), stdout);
   }
   return 0;
 }

@@ -330,24 +330,11 @@ class VideoWriter : NonCopyable {
         width_px, height_px, fps, video_format(path), file_.descriptor());
     std::vector<std::string> words{ffmpeg};
     for (const std::string_view word : words_of(options)) words.emplace_back(word);
-    std::array<int, 2> ends{};
-    if (pipe2(ends.data(), O_CLOEXEC) != 0)
-      throw Error(ErrorKind::unavailable, "system.process.limit", "cannot open a pipe to ffmpeg");
-    pipe_ = ends[1];
-    try {  // our stdout is for results
-      pid_ = start_child(words, ChildStreams{ends[0], STDERR_FILENO, STDERR_FILENO},
-                         [file = file_.descriptor()] { fcntl(file, F_SETFD, 0); });
-    } catch (...) {
-      close(ends[0]);
-      close(pipe_);
-      throw;
-    }
-    close(ends[0]);
-  }
-  ~VideoWriter() {
-    if (pid_ <= 0) return;
-    kill(pid_, SIGKILL);  // what it has written is thrown away
-    wait();
+    Pipe pipe = open_pipe(ffmpeg);
+    // Our stdout is for results.
+    child_.pid = start_child(words, ChildStreams{pipe.read, STDERR_FILENO, STDERR_FILENO},
+                             [file = file_.descriptor()] { fcntl(file, F_SETFD, 0); });
+    pipe_ = std::move(pipe.write);
   }
 
   /// rgb [height * width * 3]. Throws Error(io) when ffmpeg has ended, with the cause where the disk reports it. The
@@ -380,13 +367,13 @@ class VideoWriter : NonCopyable {
                 "its own message is above; try another file ending, or render images without --video");
   }
   int wait() {
-    if (pipe_ >= 0) close(pipe_);
     pipe_ = -1;
-    return code_of_child(std::exchange(pid_, -1));
+    return child_.wait();
   }
   std::string path_;
   AtomicFile file_;
-  int pid_ = -1, pipe_ = -1;
+  FileDescriptor pipe_;
+  OwnedChild child_{SIGKILL};  // what it has written is thrown away
 };
 
 using FrameSink = std::function<void(const NamedView& view, const RenderedFrame& frame)>;
