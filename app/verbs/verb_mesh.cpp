@@ -55,36 +55,49 @@ struct Coloring {
   std::string suffix;
 };
 
-// Forms of surfaces: ply, obj, glb, html; of points: las, pcd, splat, splats.ply; of maps: npz, bt, ot, pgm. Each is
-// the ending of its files.
-const std::vector<std::string>& known_formats() {
-  static const std::vector<std::string> names{"ply",   "obj",        "glb", "html", "las", "pcd",
-                                              "splat", "splats.ply", "npz", "bt",   "ot",  "pgm"};
+enum class Holds : std::uint8_t { surface, page, points, splats, map };
+
+// Each is called by the ending of its files.
+constexpr std::pair<const char*, Holds> kForms[] = {{"ply", Holds::surface},
+                                                    {"obj", Holds::surface},
+                                                    {"glb", Holds::surface},
+                                                    {"html", Holds::page},
+                                                    {"las", Holds::points},
+                                                    {"pcd", Holds::points},
+                                                    {"splats.ply", Holds::splats},
+                                                    {"splat", Holds::splats},
+                                                    {"npz", Holds::map},
+                                                    {"bt", Holds::map},
+                                                    {"ot", Holds::map},
+                                                    {"pgm", Holds::map}};
+
+std::vector<std::string> known_formats() {
+  std::vector<std::string> names;
+  for (const auto& [name, holds] : kForms) names.emplace_back(name);
   return names;
 }
 
-bool is_among(const std::string& name, const std::vector<std::string>& names) {
-  return std::find(names.begin(), names.end(), name) != names.end();
-}
-
 void check_format(const std::string& name, const std::string& where) {
-  if (is_among(name, known_formats())) return;
-  const std::string near = did_you_mean(name, known_formats());
+  const std::vector<std::string> known = known_formats();
+  if (std::find(known.begin(), known.end(), name) != known.end()) return;
+  const std::string near = did_you_mean(name, known);
   throw Error(ErrorKind::usage, "mesh.format.unknown", where + ": unknown mesh format '" + name + "'",
-              "one of " + join(known_formats()) + (near.empty() ? std::string() : "; did you mean " + near + "?"));
+              "one of " + join(known) + (near.empty() ? std::string() : "; did you mean " + near + "?"));
 }
 
 struct MeshTargets {
   fs::path stem;  ///< path without the form's ending
   std::vector<std::string> formats;
 
-  bool writes(const std::string& format) const { return is_among(format, formats); }
+  bool writes(const std::string& format) const {
+    return std::find(formats.begin(), formats.end(), format) != formats.end();
+  }
+  bool writes(Holds holds) const {
+    return std::any_of(std::begin(kForms), std::end(kForms),
+                       [&](const auto& form) { return form.second == holds && writes(form.first); });
+  }
   /// Whether any form needs triangles.
-  bool surfaces() const { return writes("ply") || writes("obj") || writes("glb") || writes("html"); }
-  /// Whether any but splats is of points.
-  bool points() const { return writes("las") || writes("pcd"); }
-  bool splats() const { return writes("splat") || writes("splats.ply"); }
-  bool maps() const { return writes("npz") || writes("bt") || writes("ot") || writes("pgm"); }
+  bool surfaces() const { return writes(Holds::surface) || writes(Holds::page); }
   std::string file(const std::string& format, const std::string& suffix = "") const {
     return stem.string() + suffix + "." + format;
   }
@@ -201,7 +214,7 @@ class HandOver {
   /// Renders the training views, where a form needs them. Throws Error(usage) for cubes that are too many.
   void look() {
     Session& s = run_.session;
-    if (!wants_points() && !targets_.splats() && !targets_.maps()) return;
+    if (!wants_points() && !targets_.writes(Holds::splats) && !targets_.writes(Holds::map)) return;
     const Box& bounds = s.extent.bounds;
     const std::array<double, 3> background = s.pipeline->options().rules.background();
     PointCloud cloud(spacing_of(options_, bounds, kMeshResolution), background);
@@ -210,31 +223,29 @@ class HandOver {
       const Vec3d margin{edge, edge, edge};
       return VoxelGridPlace::covering({bounds.lo - margin, bounds.hi + margin}, edge);
     };
-    if (targets_.splats())
+    if (targets_.writes(Holds::splats))
       splats.emplace(*s.pipeline, around(spacing_of(options_, bounds, kSplatResolution)), bounds,
                      s.limits.clip && s.config.rendering.far == FarMode::background);
-    if (targets_.maps()) {
+    if (targets_.writes(Holds::map)) {
       const bool usual = !options_.voxel && !options_.resolution && is_in_metres(s.scene.info.metric, bounds.size());
       const double edge = usual ? kMapEdge : spacing_of(options_, bounds, kMapResolution);
       map_.emplace(around(edge));
     }
     const std::vector<int> frames = s.scene.frames_of(Split::train);
+    const std::vector<RayCamera> cameras = training_cameras(s);
     std::vector<SplatView> shown;  // every so many views, which bounds their memory
     std::int64_t pixels_of_all = 0;
-    for (const int f : frames) {
-      const Camera& camera = s.scene.info.frames[static_cast<std::size_t>(f)].camera;
-      pixels_of_all += std::int64_t{camera.width_px} * camera.height_px;
-    }
+    for (const RayCamera& view : cameras) pixels_of_all += std::int64_t{view.camera.width_px} * view.camera.height_px;
     const auto every = static_cast<std::size_t>(1 + pixels_of_all / kFittedPixels);
     ProgressLine progress(context_, "points of", "views");
     for (std::size_t i = 0; i < frames.size(); ++i) {
-      const FrameInfo& info = s.scene.info.frames[static_cast<std::size_t>(frames[i])];
-      const RayCamera camera{info.camera, info.world_from_camera, s.plan.undistortion};
+      const RayCamera& camera = cameras[i];
+      const std::string& name = s.scene.info.frames[static_cast<std::size_t>(frames[i])].name;
       const auto part_done = [&](double share) {
         progress.show(static_cast<double>(i) + share, static_cast<double>(frames.size()));
       };
       const RenderedFrame frame =
-          render_named_frame(*s.pipeline, info.name, camera, s.limits, s.plan.class_of_logit, {}, {1, part_done});
+          render_named_frame(*s.pipeline, name, camera, s.limits, s.plan.class_of_logit, {}, {1, part_done});
       if (splats) splats->add(camera, frame, s.limits);
       if (splats && i % every == 0) shown.push_back({camera, to_bytes(frame.rgb)});
       if (!wants_points() && !map_) continue;
@@ -257,9 +268,30 @@ class HandOver {
       for (PointSet* set : {&points_, &splats_.points})
         set->attributes.color = class_colors(set->attributes, classes());
     }
-    if (targets_.points()) write_points();
-    if (targets_.splats()) write_splats();
-    if (map_) write_maps();
+    for (const std::string& format : known_formats()) {
+      if (!targets_.writes(format)) continue;
+      const std::string path = targets_.file(format);
+      if (format == "las") {
+        write_las(path, points_, classes());
+        add(path, "points");  // readers add the header's offset by themselves
+      } else if (format == "pcd") {
+        const Vec3d offset = offset_of_floats(box_around(points_.positions));
+        write_pcd(path, points_, classes(), offset);
+        add(path, "points", offset);
+      } else if (format == "splats.ply" || format == "splat") {
+        const Vec3d offset = offset_of_floats(box_around(splats_.points.positions));
+        if (format == "splat") write_splat(path, splats_, offset);
+        if (format != "splat") write_splat_ply(path, splats_, classes(), offset);
+        add(path, "splats", offset);
+      } else if (format == "npz") {
+        write_voxels(path, *map_, classes());
+        add_map(path, "voxels");
+      } else if (format == "bt" || format == "ot") {
+        add_map(path, "voxels", write_octomap(path, *map_, classes(), format == "ot"));
+      } else if (format == "pgm") {
+        write_map_of_floor(path);
+      }
+    }
   }
 
   /// A file that was written elsewhere.
@@ -281,59 +313,20 @@ class HandOver {
   }
 
  private:
-  bool wants_points() const { return options_.points || targets_.points(); }
+  bool wants_points() const { return options_.points || targets_.writes(Holds::points); }
   const ClassTable& classes() const { return run_.session.scene.info.classes; }
 
-  void write_points() {
-    const Vec3d offset = offset_of_floats(box_around(points_.positions));
-    if (targets_.writes("las")) {
-      const std::string path = targets_.file("las");
-      write_las(path, points_, classes());
-      add(path, "points");  // readers add the header's offset by themselves
-    }
-    if (targets_.writes("pcd")) {
-      const std::string path = targets_.file("pcd");
-      write_pcd(path, points_, classes(), offset);
-      add(path, "points", offset);
-    }
+  void add_map(const std::string& path, const char* holds, Vec3d offset = {}) {
+    add(path, holds, offset);
+    sidecar_.files.back().edge = map_->place().edge;
   }
-
-  void write_splats() {
-    const Vec3d offset = offset_of_floats(box_around(splats_.points.positions));
-    if (targets_.writes("splats.ply")) {
-      const std::string path = targets_.file("splats.ply");
-      write_splat_ply(path, splats_, classes(), offset);
-      add(path, "splats", offset);
-    }
-    if (targets_.writes("splat")) {
-      const std::string path = targets_.file("splat");
-      write_splat(path, splats_, offset);
-      add(path, "splats", offset);
-    }
-  }
-
-  void write_maps() {
-    const auto add_map = [&](const std::string& path, const char* holds, Vec3d offset) {
-      add(path, holds, offset);
-      sidecar_.files.back().edge = map_->place().edge;
-    };
-    if (targets_.writes("npz")) {
-      write_voxels(targets_.file("npz"), *map_, classes());
-      add_map(targets_.file("npz"), "voxels", {});
-    }
-    for (const char* format : {"bt", "ot"}) {
-      if (!targets_.writes(format)) continue;
-      const std::string path = targets_.file(format);
-      add_map(path, "voxels", write_octomap(path, *map_, classes(), format == std::string("ot")));
-    }
-    if (!targets_.writes("pgm")) return;
+  void write_map_of_floor(const std::string& path) {
     const Costmap map = costmap_of(*map_, sidecar_.up.value_or(Vec3d{}), band_of(options_, metre_));
-    const std::string yaml = write_costmap(targets_.file("pgm"), map);
-    print_note(context_,
-               fmt::format("the floor is at {:.3g} along {}; {} has what lies {:.3g} to {:.3g} above it", map.floor,
-                           axis_text(*sidecar_.up), targets_.file("pgm"), map.band.low, map.band.high));
-    add_map(targets_.file("pgm"), "costmap", {});
-    add_map(yaml, "costmap", {});
+    const std::string yaml = write_costmap(path, map);
+    print_note(context_, fmt::format("the floor is at {:.3g} along {}; {} has what lies {:.3g} to {:.3g} above it",
+                                     map.floor, axis_text(*sidecar_.up), path, map.band.low, map.band.high));
+    add_map(path, "costmap");
+    add_map(yaml, "costmap");
   }
 
   const MeshOptions& options_;
@@ -364,12 +357,11 @@ struct MeshScores {
 };
 
 Json one_json(const MeshScore& score) {
-  Json out{{"complete", score.complete}};
-  out["complete_of_held_out"] = score.complete_of_held_out ? Json(*score.complete_of_held_out) : Json();
-  out["accurate"] = score.accurate;
-  out["f"] = score.f;
-  out["judged"] = score.judged;
-  return out;
+  return {{"complete", score.complete},
+          {"complete_of_held_out", score.complete_of_held_out ? Json(*score.complete_of_held_out) : Json()},
+          {"accurate", score.accurate},
+          {"f", score.f},
+          {"judged", score.judged}};
 }
 
 ScoreShares distances_of(const MeshScores& scores) {
@@ -409,10 +401,11 @@ MeasuredDepth measured_depth(const Session& session, const std::string& run, boo
 }
 
 Json scores_json(const MeshScores& scores) {
-  Json out{{"distances", distances_of(scores)}, {"points", scores.points}, {"held_out_points", scores.held_out_points}};
-  out["mesh"] = one_json(scores.mesh);
-  out["sensor"] = scores.sensor ? one_json(*scores.sensor) : Json();
-  return out;
+  return {{"distances", distances_of(scores)},
+          {"points", scores.points},
+          {"held_out_points", scores.held_out_points},
+          {"mesh", one_json(scores.mesh)},
+          {"sensor", scores.sensor ? one_json(*scores.sensor) : Json()}};
 }
 
 // A table with a line at each end. `metric`: the scene is in metres; distances are shown in centimetres, or else in its
@@ -471,17 +464,6 @@ FoundSurface find_surface(const MeshOptions& options, OpenedRun& run, const AppC
 
 constexpr double kMailMegabytes = 25;  // what a colleague still gets by mail
 
-Vec3d offset_of(const std::string& format, const Surface& surface) {
-  return format == "glb" ? offset_of_floats(box_around(surface.positions)) : Vec3d{};
-}
-
-void write_surface(const std::string& format, const std::string& path, const Surface& surface,
-                   const ClassTable& classes, const GlbLook& look) {
-  if (format == "ply") write_ply(path, surface, classes);
-  if (format == "obj") write_obj(path, surface, classes);
-  if (format == "glb") write_glb(path, surface, classes, look);
-}
-
 // The axis that is upright, and what the cameras say where none is named.
 struct Upright {
   std::optional<Vec3d> known;
@@ -493,16 +475,6 @@ Upright wanted_upright(const MeshOptions& options, const Session& s) {
   const std::optional<Vec3d> up = upright_of(s);
   if (!up) return {up, "the cameras do not tell which way is up: files show +y upright; --up names another axis"};
   return {up, fmt::format("files show {} upright, as the cameras stand; --up names another axis", axis_text(*up))};
-}
-
-void write_page(const MeshTargets& targets, const Surface& surface, const OpenedRun& run, Vec3d up,
-                const AppContext& context) {
-  const std::string path = targets.file("html");
-  write_scene_page(path, surface, run.session.scene.info.classes,
-                   scene_page_of(run.session, run.run_dir, run.step, up));
-  const double megabytes = static_cast<double>(fs::file_size(path)) * 1e-6;
-  print_note(context, fmt::format("{}: {:.1f} MB{}", path, megabytes,
-                                  megabytes > kMailMegabytes ? "; --faces makes it smaller" : ""));
 }
 
 // Surfaces, and the points of --points, in each colouring.
@@ -517,11 +489,17 @@ void write_colored(const MeshOptions& options, const MeshTargets& targets, Surfa
       cloud.attributes.color = class_colors(cloud.attributes, classes);
     }
     for (const std::string& format : targets.formats) {
-      if (format != "ply" && format != "obj" && format != "glb") continue;
       const std::string path = targets.file(format, coloring.suffix);
-      // Photographs hold the light of the room; classes need some to show a form.
-      write_surface(format, path, surface, classes, {up, !coloring.classes, out.objects()});
-      out.add(path, "surface", offset_of(format, surface));
+      if (format == "ply") {
+        write_ply(path, surface, classes);
+      } else if (format == "obj") {
+        write_obj(path, surface, classes);
+      } else if (format == "glb") {  // photographs hold the light of the room; classes need some to show a form
+        write_glb(path, surface, classes, {up, !coloring.classes, out.objects()});
+      } else {
+        continue;
+      }
+      out.add(path, "surface", format == "glb" ? offset_of_floats(box_around(surface.positions)) : Vec3d{});
     }
     if (!options.points) continue;
     const std::string path = targets.file("ply", "_points" + coloring.suffix);
@@ -552,8 +530,12 @@ int run(const MeshOptions& options, AppContext& context) {
   out.look();
   if (upright && !found_up.note.empty()) print_note(context, found_up.note);
   if (targets.writes("html")) {  // has both colourings
-    write_page(targets, found.surface, run, up, context);
-    out.add(targets.file("html"), "page");
+    const std::string path = targets.file("html");
+    write_scene_page(path, found.surface, s.scene.info.classes, scene_page_of(s, run.run_dir, run.step, up));
+    const double megabytes = static_cast<double>(fs::file_size(path)) * 1e-6;
+    print_note(context, fmt::format("{}: {:.1f} MB{}", path, megabytes,
+                                    megabytes > kMailMegabytes ? "; --faces makes it smaller" : ""));
+    out.add(path, "page");
   }
   write_colored(options, targets, found.surface, up, run, out);
   out.write();
