@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <charconv>
 #include <cmath>
 #include <cstddef>
@@ -10,11 +11,13 @@
 #include <map>
 #include <nlohmann/json.hpp>
 #include <set>
+#include <span>
+#include <string_view>
 #include <tuple>
 
 #include "config/compose.h"
-#include "config/explain.h"
 #include "config/params.h"
+#include "config/schema.h"
 #include "core/check.h"
 #include "core/error.h"
 #include "core/view.h"
@@ -29,10 +32,61 @@ namespace semfield {
 namespace {
 
 constexpr std::size_t kMostVariants = 10'000;
+constexpr std::array<std::string_view, 2> kSplits{"test", "train"};
+constexpr std::array<std::string_view, 3> kFusions{"monocular", "bayesian", "average"};
 
-const std::vector<std::string> kExperimentKeys{"name",       "title",   "note",     "split", "metrics",
-                                               "paper",      "x_label", "base",     "set",   "scenes",
-                                               "use_scenes", "seeds",   "variants", "grid"};
+// What is read of a map, and what the schema says of it: parameters, and below them the keys that are none.
+
+void describe_word(ParamVisitor& visit, const ParamInfo& info, std::string& value,
+                   std::span<const std::string_view> names) {
+  const auto found = std::find(names.begin(), names.end(), value);
+  ChosenName choice{found == names.end() ? 0 : static_cast<int>(found - names.begin()), names};
+  visit(info, &choice);
+  value = names[static_cast<std::size_t>(choice.index)];
+}
+
+void describe_number(ParamVisitor& visit, const ParamInfo& info, std::optional<double>& value) {
+  double number = value.value_or(0);
+  visit(info, &number);
+  value = number;
+}
+
+Describe keys_of(Experiment& e) {
+  return [&e](ParamVisitor& visit) {
+    SEMFIELD_PARAM(visit, e, name, "of the experiment, its folder and files; default: the file's name");
+    SEMFIELD_PARAM(visit, e, title, "of table and plot");
+    SEMFIELD_PARAM(visit, e, note, "sentences above the table");
+    describe_word(visit, {"split", "whose frames are scored; default: test"}, e.split, kSplits);
+    SEMFIELD_PARAM(visit, e, metrics,
+                   "columns, by their names in metrics.jsonl, training_... and given_... of training frames; the first "
+                   "is plotted");
+    SEMFIELD_PARAM(visit, e, paper, "what the paper's figures are");
+    SEMFIELD_PARAM(visit, e, x_label, "of the plot");
+    SEMFIELD_PARAM(visit, e, use_scenes, "only these of them");
+    SEMFIELD_PARAM(visit, e, seeds, "each goes to runtime.seed and scene.labels.seed", {0, 4294967295.0});
+  };
+}
+Describe keys_of(SweepScene& scene) {
+  return [&scene](ParamVisitor& visit) { SEMFIELD_PARAM(visit, scene, pack, "all cells read one packed copy"); };
+}
+Describe keys_of(SweepVariant& v) {
+  return [&v](ParamVisitor& visit) {
+    describe_number(visit, {"x", "abscissa of the plot"}, v.x);
+    describe_number(visit, {"paper", "the paper's figure"}, v.paper);
+    SEMFIELD_PARAM(visit, v, objects, "variant in whose run objects are found instead of training");
+  };
+}
+Describe keys_of(FuseCell& fuse) {
+  return [&fuse](ParamVisitor& visit) {
+    describe_word(visit, {"method", "how views are combined"}, fuse.method, kFusions);
+    SEMFIELD_PARAM(visit, fuse, field, "variant whose field gives the depth; else the true depth");
+  };
+}
+
+bool is_given(const ConfigNode& map, std::string_view key) {
+  const ConfigNode* node = map.find(key);
+  return node != nullptr && !node->is_null();
+}
 
 class Reader {
  public:
@@ -40,20 +94,19 @@ class Reader {
 
   Experiment experiment(const ConfigNode& tree, const std::string& fallback_name) {
     Experiment e;
-    known_keys(tree, "", kExperimentKeys);
-    e.name = read_text(tree, "", "name", fallback_name, diagnostics_);
+    e.name = fallback_name;
+    e.seeds = {1};
+    read(tree, "", keys_of(e), {"base", "set", "scenes", "variants", "grid"});
     if (e.name.find('/') != std::string::npos)
       error(*tree.find("name"), "name: '" + e.name + "': files are named after it, so it cannot hold '/'");
-    e.title = read_text(tree, "", "title", e.name, diagnostics_);
-    e.note = read_text(tree, "", "note", "", diagnostics_);
-    e.paper = read_text(tree, "", "paper", "", diagnostics_);
-    e.x_label = read_text(tree, "", "x_label", "", diagnostics_);
-    e.split = read_text(tree, "", "split", "test", diagnostics_);
-    if (e.split != "test" && e.split != "train") error(*tree.find("split"), "split: expected test or train");
-    e.metrics = texts(tree, "metrics");
+    if (!is_given(tree, "title")) e.title = e.name;
     if (e.metrics.empty()) e.metrics = {"miou_present", "total_accuracy"};
+    if (e.seeds.empty()) error(*tree.find("seeds"), "seeds: expected a list of at least one whole number");
+    for (auto seed = e.seeds.begin(); seed != e.seeds.end(); ++seed)
+      if (std::find(e.seeds.begin(), seed, *seed) != seed)
+        error(tree.find("seeds")->items()[static_cast<std::size_t>(seed - e.seeds.begin())],
+              "seeds: " + std::to_string(*seed) + " stands twice");
     e.set = overrides(tree.find("set"), "set");
-    e.seeds = seeds(tree);
     scenes(tree, e);
     variants(tree, e);
     return e;
@@ -64,40 +117,13 @@ class Reader {
     diagnostics_.error("sweep.file.value", node.location().text(), message, remedy);
   }
 
-  void known_keys(const ConfigNode& node, const std::string& path, const std::vector<std::string>& known) {
-    refuse_unknown_keys(node, (path.empty() ? "" : path + ": ") + "unknown key", known, diagnostics_);
-  }
-
-  std::vector<std::string> texts(const ConfigNode& tree, const std::string& key) {
-    std::vector<std::string> out;
-    const ConfigNode* node = tree.find(key);
-    if (node == nullptr || node->is_null()) return out;
-    if (!node->is_list()) error(*node, key + ": expected a list");
-    for (const ConfigNode& item : node->items()) {
-      if (!item.is_scalar()) error(item, key + ": expected a list of words");
-      out.push_back(item.text());
-    }
-    return out;
-  }
-
-  std::optional<double> number(const ConfigNode& map, const std::string& path, const std::string& key) {
-    const ConfigNode* node = map.find(key);
-    if (node == nullptr || node->is_null()) return std::nullopt;
-    double value = 0;
-    const char* end = node->text().data() + node->text().size();
-    const auto read = std::from_chars(node->text().data(), end, value);
-    if (!node->is_scalar() || read.ec != std::errc{} || read.ptr != end) {
-      error(*node, path + "." + key + ": expected a number");
-      return std::nullopt;
-    }
-    return value;
-  }
-
-  bool flag(const ConfigNode& map, const std::string& path, const std::string& key) {
-    const ConfigNode* node = map.find(key);
-    if (node == nullptr || node->is_null()) return false;
-    if (node->text() != "true" && node->text() != "false") error(*node, path + "." + key + ": expected true or false");
-    return node->text() == "true";
+  // A key without a value is one that is not there.
+  void read(const ConfigNode& map, const std::string& path, const Describe& keys,
+            const std::vector<std::string>& other_keys) {
+    ConfigNode given = map;
+    for (const ParamDoc& key : describe_params(keys))
+      if (map.find(key.name) != nullptr && !is_given(map, key.name)) given = given.without(key.name);
+    read_params(given, path, keys, diagnostics_, other_keys);
   }
 
   std::string base_file(const ConfigNode& node) {
@@ -118,23 +144,6 @@ class Reader {
     return out;
   }
 
-  std::vector<std::int64_t> seeds(const ConfigNode& tree) {
-    std::vector<std::int64_t> out;
-    const ConfigNode* node = tree.find("seeds");
-    if (node == nullptr || node->is_null()) return {1};
-    for (const ConfigNode& item : node->items()) {
-      std::int64_t seed = -1;
-      const char* end = item.text().data() + item.text().size();
-      const auto read = std::from_chars(item.text().data(), end, seed);
-      if (read.ec != std::errc{} || read.ptr != end || seed < 0 || seed > 0xFFFFFFFFLL)
-        error(item, "seeds: expected whole numbers from 0 to 4294967295, got '" + item.text() + "'");
-      if (std::find(out.begin(), out.end(), seed) != out.end()) error(item, "seeds: " + item.text() + " stands twice");
-      out.push_back(seed);
-    }
-    if (out.empty()) error(*node, "seeds: expected a list of at least one whole number");
-    return out;
-  }
-
   void scenes(const ConfigNode& tree, Experiment& e) {
     const ConfigNode* base = tree.find("base");
     const ConfigNode* map = tree.find("scenes");
@@ -152,7 +161,7 @@ class Reader {
     }
     std::vector<std::string> names;
     for (const auto& entry : map->entries()) names.push_back(entry.first);
-    const std::vector<std::string> use = texts(tree, "use_scenes");
+    const std::vector<std::string>& use = e.use_scenes;
     for (const std::string& name : use) {
       if (std::find(names.begin(), names.end(), name) == names.end())
         error(*tree.find("use_scenes"), "use_scenes: no scene '" + name + "'; known: " + join(names));
@@ -162,17 +171,16 @@ class Reader {
       const std::string path = "scenes." + name;
       SweepScene scene;
       scene.name = name;
-      if (node.is_map()) known_keys(node, path, {"base", "set", "after", "pack"});
-      const ConfigNode* own = node.is_map() ? node.find("base") : nullptr;
+      read(node, path, keys_of(scene), {"base", "set", "after"});
+      const ConfigNode* own = node.find("base");
       const ConfigNode* file = own != nullptr ? own : base;
       if (file == nullptr || !file->is_scalar()) {
         error(node, path + ": no base configuration", "write base: FILE for the scene or for all");
         continue;
       }
       scene.base = base_file(*file);
-      scene.set = overrides(node.is_map() ? node.find("set") : nullptr, path + ".set");
-      scene.after = overrides(node.is_map() ? node.find("after") : nullptr, path + ".after");
-      scene.pack = flag(node, path, "pack");
+      scene.set = overrides(node.find("set"), path + ".set");
+      scene.after = overrides(node.find("after"), path + ".after");
       e.scenes.push_back(std::move(scene));
     }
   }
@@ -193,26 +201,19 @@ class Reader {
       const std::string path = "variants." + name;
       SweepVariant v;
       v.name = name;
-      if (!node.is_map() && !node.is_null())
-        error(node, path + ": expected a map {base, set, x, paper, fuse, objects}");
-      known_keys(node, path, {"base", "set", "x", "paper", "fuse", "objects"});
+      read(node, path, keys_of(v), {"base", "set", "fuse"});
+      if (!is_given(node, "x")) v.x.reset();
+      if (!is_given(node, "paper")) v.paper.reset();
       if (const ConfigNode* file = node.find("base"); file != nullptr) v.base = base_file(*file);
       v.set = overrides(node.find("set"), path + ".set");
-      v.x = number(node, path, "x");
-      v.paper = number(node, path, "paper");
       if (const ConfigNode* fuse = node.find("fuse"); fuse != nullptr) {
-        known_keys(*fuse, path + ".fuse", {"method", "field"});
-        FuseCell cell;
-        cell.method = read_text(*fuse, path + ".fuse", "method", "", diagnostics_);
-        cell.field = read_text(*fuse, path + ".fuse", "field", "", diagnostics_);
-        static const std::set<std::string> methods{"monocular", "bayesian", "average"};
-        if (!methods.contains(cell.method))
-          error(*fuse, path + ".fuse.method: expected monocular, bayesian or average, got '" + cell.method + "'");
+        FuseCell& cell = v.fuse.emplace();
+        read(*fuse, path + ".fuse", keys_of(cell), {});
+        if (!is_given(*fuse, "method"))
+          error(*fuse, path + ".fuse.method: expected monocular, bayesian or average, got nothing");
         if (!cell.field.empty()) check_field(*map, *fuse, path + ".fuse.field", cell.field);
-        v.fuse = std::move(cell);
       }
       if (const ConfigNode* objects = node.find("objects"); objects != nullptr) {
-        v.objects = read_text(node, path, "objects", "", diagnostics_);
         if (v.fuse) error(*objects, path + ": a row is of 'fuse' or of 'objects'", "make two rows of it");
         check_field(*map, *objects, path + ".objects", v.objects);
       }
@@ -300,89 +301,41 @@ Sweep read_sweep(const std::string& path) {
   return sweep;
 }
 
-// A JSON schema of sweep files.
-
-namespace {
-
 using Json = nlohmann::ordered_json;
 
-Json described(Json schema, const char* sentence) {
-  schema["description"] = sentence;
-  return schema;
-}
-
-// An unquoted number or bool is read as text where text is asked for.
-Json text(const char* sentence) {
-  return described({{"type", Json::array({"string", "number", "boolean"})}}, sentence);
-}
-Json number(const char* sentence) { return described({{"type", "number"}}, sentence); }
-Json list(Json items, const char* sentence) {
-  return described({{"type", "array"}, {"items", std::move(items)}}, sentence);
-}
-Json closed_map(Json properties, const char* sentence) {
-  return described({{"type", Json::array({"object", "null"})},
-                    {"properties", std::move(properties)},
-                    {"additionalProperties", false}},
-                   sentence);
-}
-Json named_maps(Json each, const char* sentence) {
-  return described({{"type", "object"}, {"minProperties", 1}, {"additionalProperties", std::move(each)}}, sentence);
-}
-Json overrides(const char* sentence) { return described({{"type", Json::array({"object", "null"})}}, sentence); }
-
-Json scene_schema() {
-  return closed_map({{"base", text("configuration of this scene, instead of the sweep's")},
-                     {"set", overrides("key paths and values, before the sweep's and the variant's own")},
-                     {"after", overrides("key paths and values, after the variant's own")},
-                     {"pack", {{"type", "boolean"}, {"description", "all cells read one packed copy"}}}},
-                    "a scene");
-}
-
-Json variant_schema() {
-  const Json method =
-      described({{"enum", Json::array({"monocular", "bayesian", "average"})}}, "how views are combined");
-  const Json fuse =
-      closed_map({{"method", method}, {"field", text("variant whose field gives the depth; else the true depth")}},
-                 "fuse labels over views instead of training");
-  return closed_map({{"base", text("configuration instead of the scene's")},
-                     {"set", overrides("key paths and values of this row")},
-                     {"x", number("abscissa of the plot")},
-                     {"paper", number("the paper's figure")},
-                     {"fuse", fuse},
-                     {"objects", text("variant in whose run objects are found instead of training")}},
-                    "a row of the table");
-}
-
-}  // namespace
+// A JSON schema of sweep files.
 
 std::string sweep_schema() {
-  const Json path{{"type", "string"}};
-  const Json seed{{"type", "integer"}, {"minimum", 0}, {"maximum", 4294967295}};
-  const Json values{{"type", "array"}, {"minItems", 1}};
-  const Json properties{
-      {"name", text("of the experiment, its folder and files; default: the file's name")},
-      {"title", text("of table and plot")},
-      {"note", text("sentences above the table")},
-      {"split", described({{"enum", Json::array({"test", "train"})}}, "whose frames are scored; default: test")},
-      {"metrics", list(path,
-                       "columns, by their names in metrics.jsonl, training_... and given_... of training frames; the "
-                       "first is plotted")},
-      {"paper", text("what the paper's figures are")},
-      {"x_label", text("of the plot")},
-      {"base", text("configuration that every cell starts from")},
-      {"set", overrides("key paths and values for every cell, before the variant's own")},
-      {"scenes", named_maps(scene_schema(), "scenes by name; without them the base's own")},
-      {"use_scenes", list(path, "only these of them")},
-      {"seeds", list(seed, "each goes to runtime.seed and scene.labels.seed")},
-      {"variants", named_maps(variant_schema(), "rows by name")},
-      {"grid", named_maps(values, "instead of variants: key paths to lists of values, every combination a row")},
-      {"sweeps", list(path, "instead of all that: such files; the other keys are merged over each")},
-      {"include", described({{"oneOf", Json::array({path, Json{{"type", "array"}, {"items", path}}})}},
-                            "sweep files to start from, relative to this one; later ones win")}};
-  Json schema{{"$schema", "http://json-schema.org/draft-07/schema#"}, {"title", "Semfield sweep"}, {"type", "object"}};
-  schema["properties"] = properties;
-  schema["additionalProperties"] = false;
-  return schema.dump(2) + "\n";
+  const auto section = [](std::string path, std::string sentence, const Describe& keys, std::vector<ParamDoc> more) {
+    SchemaSection out{std::move(path), std::move(sentence), describe_params(keys)};
+    for (ParamDoc& key : out.params) key.default_value.clear();
+    out.params.insert(out.params.end(), more.begin(), more.end());
+    return out;
+  };
+  const auto key = [](const char* name, const char* type, const char* help) {
+    return ParamDoc{name, type, "", "", help, {}};
+  };
+  Experiment e;
+  SweepScene scene;
+  SweepVariant variant;
+  FuseCell fuse;
+  return json_schema_of(
+      "Semfield sweep",
+      {section("", "", keys_of(e),
+               {key("base", "text", "configuration that every cell starts from"),
+                key("set", "map", "key paths and values for every cell, before the variant's own"),
+                key("sweeps", "list of text", "instead of all that: such files; the other keys are merged over each")}),
+       section("scenes.*", "a scene", keys_of(scene),
+               {key("base", "text", "configuration of this scene, instead of the sweep's"),
+                key("set", "map", "key paths and values, before the sweep's and the variant's own"),
+                key("after", "map", "key paths and values, after the variant's own")}),
+       section("variants.*", "a row of the table", keys_of(variant),
+               {key("base", "text", "configuration instead of the scene's"),
+                key("set", "map", "key paths and values of this row")}),
+       section("variants.*.fuse", "fuse labels over views instead of training", keys_of(fuse), {}),
+       {"scenes", "scenes by name; without them the base's own"},
+       {"variants", "rows by name"},
+       {"grid", "instead of variants: key paths to lists of values, every combination a row", {key("*", "list", "")}}});
 }
 
 namespace {

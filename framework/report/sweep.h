@@ -54,6 +54,7 @@ struct Experiment {
   std::vector<std::string> metrics;  ///< of the table, the first one is plotted
   std::string paper;                 ///< where the paper's figures come from: "Tab. 2, mIoU"
   std::string x_label;
+  std::vector<std::string> use_scenes;  ///< names of those that are read; empty: all
   std::vector<SweepScene> scenes;
   std::vector<ConfigOverride> set;  ///< for every variant
   std::vector<SweepVariant> variants;
