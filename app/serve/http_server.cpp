@@ -153,138 +153,111 @@ int HttpRequest::header_count(const std::string& name) const {
       std::count_if(headers.begin(), headers.end(), [&](const auto& h) { return h.first == name; }));
 }
 
-HttpReader::State HttpReader::refuse(int status, const char* complaint) {
-  status_ = status;
-  complaint_ = complaint;
-  pending_.clear();
-  return state_ = State::refused;
-}
+namespace {
 
-// Whether what ends at `end` (npos: not yet) with so many bytes is longer than `most`, however its bytes are cut.
-bool HttpReader::is_above(std::size_t most, std::size_t end, std::size_t ending) const {
-  return end == std::string::npos ? pending_.size() > most + ending - 1 : end > most;
-}
+[[noreturn]] void refuse(int status, const char* complaint) { throw HttpRefusal{status, complaint}; }
 
-HttpReader::State HttpReader::take(std::string_view bytes) {
-  if (state_ == State::refused) return state_;
-  pending_ += bytes;
-  return read();
-}
+}  // namespace
 
-void HttpReader::next() {
-  request_ = {};
-  state_ = State::head;
-  keeps_ = true;
-  expects_continue_ = chunked_ = in_chunk_ = false;
-  left_ = 0;
-  (void)read();
-}
-
-HttpReader::State HttpReader::read() {
-  if (state_ == State::head) {
-    while (pending_.starts_with(kLineEnd)) pending_.erase(0, kLineEnd.size());  // between requests
-    const std::size_t end = pending_.find("\r\n\r\n"), bare = pending_.find("\n\n");
-    if (is_above(kMostHeadBytes, std::min(end, bare), 4)) return refuse(400, "the head of the request is too long");
-    if (bare < end) return refuse(400, "a line of the head does not end as lines of HTTP do");
-    if (end == std::string::npos) return state_;
-    read_head(end);
+HttpRequest HttpReader::read_head() {
+  std::size_t end = std::string::npos;
+  for (;;) {
+    while (unread_.starts_with(kLineEnd)) unread_.erase(0, kLineEnd.size());  // between requests
+    end = unread_.find("\r\n\r\n");
+    const std::size_t bare = unread_.find("\n\n"), ends = std::min(end, bare);
+    if (ends == std::string::npos ? unread_.size() > kMostHeadBytes + 3 : ends > kMostHeadBytes)
+      refuse(400, "the head of the request is too long");
+    if (bare < end) refuse(400, "a line of the head does not end as lines of HTTP do");
+    if (end != std::string::npos) break;
+    more_(unread_);
   }
-  return state_ == State::body ? read_body() : state_;
+  HttpRequest request;
+  const std::string head = unread_.substr(0, end + kLineEnd.size());
+  unread_.erase(0, end + 2 * kLineEnd.size());
+  parse_head(head, request);
+  read_framing(request);
+  return request;
 }
 
-HttpReader::State HttpReader::read_head(std::size_t end) {
-  const std::string head = pending_.substr(0, end + kLineEnd.size());
-  pending_.erase(0, end + 2 * kLineEnd.size());
-  std::string_view rest = head;
+void HttpReader::parse_head(std::string_view head, HttpRequest& request) {
   const auto line = [&] {
-    const std::string_view text = rest.substr(0, rest.find(kLineEnd));
-    rest.remove_prefix(text.size() + kLineEnd.size());
+    const std::string_view text = head.substr(0, head.find(kLineEnd));
+    head.remove_prefix(text.size() + kLineEnd.size());
     return text;
   };
   const std::string_view first = line();
   const std::size_t method = first.find(' '), version = first.rfind(' ');
-  if (method == std::string_view::npos || version == method) return refuse(400, "the request has no address");
+  if (method == std::string_view::npos || version == method) refuse(400, "the request has no address");
   const std::string_view target = first.substr(method + 1, version - method - 1), http = first.substr(version + 1);
   if (!is_token(first.substr(0, method)) || target.empty() || !std::all_of(target.begin(), target.end(), is_visible))
-    return refuse(400, "the first line of the request cannot be read");
-  if (http != "HTTP/1.1" && http != "HTTP/1.0") return refuse(400, "the request is not of HTTP/1.1");
+    refuse(400, "the first line of the request cannot be read");
+  if (http != "HTTP/1.1" && http != "HTTP/1.0") refuse(400, "the request is not of HTTP/1.1");
   keeps_ = http == "HTTP/1.1";
-  request_.method = first.substr(0, method);
-  request_.path = target.substr(0, target.find('?'));
-  if (request_.path.size() < target.size()) request_.query = target.substr(request_.path.size() + 1);
-  while (!rest.empty()) {
+  request.method = first.substr(0, method);
+  request.path = target.substr(0, target.find('?'));
+  if (request.path.size() < target.size()) request.query = target.substr(request.path.size() + 1);
+  while (!head.empty()) {
     const std::string_view text = line();
     const std::size_t colon = text.find(':');
     if (colon == std::string_view::npos || !is_token(text.substr(0, colon)) ||
         !std::all_of(text.begin(), text.end(), is_text))
-      return refuse(400, "a header of the request cannot be read");
-    request_.headers.emplace_back(small_letters(text.substr(0, colon)), trimmed(text.substr(colon + 1)));
+      refuse(400, "a header of the request cannot be read");
+    request.headers.emplace_back(small_letters(text.substr(0, colon)), trimmed(text.substr(colon + 1)));
   }
-  return read_framing();
 }
 
-HttpReader::State HttpReader::read_framing() {
-  const auto lengths = request_.header_count("content-length"), codings = request_.header_count("transfer-encoding");
-  if (lengths + codings > 1) return refuse(400, "the request has two lengths");
-  for (const auto& [name, value] : request_.headers)
+void HttpReader::read_framing(const HttpRequest& request) {
+  const auto lengths = request.header_count("content-length"), codings = request.header_count("transfer-encoding");
+  if (lengths + codings > 1) refuse(400, "the request has two lengths");
+  for (const auto& [name, value] : request.headers)
     if (name == "connection" && has_word(value, "close")) keeps_ = false;
-  expects_continue_ = small_letters(request_.header("expect").value_or("")) == "100-continue";
-  state_ = State::body;
-  if (codings > 0) {
-    if (small_letters(*request_.header("transfer-encoding")) != "chunked")
-      return refuse(400, "the body is encoded in another way than in chunks");
-    chunked_ = true;
-    return state_;
+  expects_continue_ = small_letters(request.header("expect").value_or("")) == "100-continue";
+  chunked_ = codings > 0;
+  if (chunked_ && small_letters(*request.header("transfer-encoding")) != "chunked")
+    refuse(400, "the body is encoded in another way than in chunks");
+  length_ = 0;
+  if (lengths > 0) {
+    const std::string text = *request.header("content-length");
+    if (text.empty() || text.find_first_not_of("0123456789") != std::string::npos)
+      refuse(400, "Content-Length is not a number of bytes");
+    const auto [end, cause] = std::from_chars(text.data(), text.data() + text.size(), length_);
+    if (cause != std::errc() || length_ > most_body_bytes_) refuse(413, "the body is too large");
   }
-  return lengths > 0 ? read_length(*request_.header("content-length")) : state_;
+  whole_ = !chunked_ && length_ == 0;
 }
 
-HttpReader::State HttpReader::read_length(const std::string& text) {
-  if (text.empty() || text.find_first_not_of("0123456789") != std::string::npos)
-    return refuse(400, "Content-Length is not a number of bytes");
-  const auto [end, cause] = std::from_chars(text.data(), text.data() + text.size(), left_);
-  if (cause != std::errc() || left_ > most_body_bytes_) return refuse(413, "the body is too large");
-  return state_;
-}
-
-HttpReader::State HttpReader::read_body() {
-  if (chunked_) return read_chunks();
-  const std::size_t now = std::min(left_, pending_.size());
-  request_.body.append(pending_, 0, now);
-  pending_.erase(0, now);
-  left_ -= now;
-  if (left_ == 0) state_ = State::whole;
-  return state_;
-}
-
-HttpReader::State HttpReader::read_chunks() {
+// So many of the bytes that are next.
+void HttpReader::take(std::size_t bytes, std::string& into) {
   for (;;) {
-    if (in_chunk_) {
-      const std::size_t now = std::min(left_, pending_.size());
-      request_.body.append(pending_, 0, now);
-      pending_.erase(0, now);
-      left_ -= now;
-      if (left_ > 0 || pending_.size() < kLineEnd.size()) return state_;
-      if (!pending_.starts_with(kLineEnd)) return refuse(400, "a chunk of the body has another length than it says");
-      pending_.erase(0, kLineEnd.size());
-      in_chunk_ = false;
-    }
-    const std::size_t end = pending_.find(kLineEnd);
-    if (is_above(kMostChunkLine, end, kLineEnd.size())) return refuse(400, "a chunk's length cannot be read");
-    if (end == std::string::npos) return state_;
-    const auto [digits, cause] = std::from_chars(pending_.data(), pending_.data() + end, left_, 16);
-    if (end == 0 || cause != std::errc() || digits != pending_.data() + end)
-      return refuse(400, "a chunk's length cannot be read");
-    if (left_ > most_body_bytes_ - request_.body.size()) return refuse(413, "the body is too large");
-    if (left_ == 0) {  // the last one; headers behind it are refused
-      if (pending_.size() < end + 2 * kLineEnd.size()) return state_;
-      if (pending_.compare(end, 2 * kLineEnd.size(), "\r\n\r\n") != 0) return refuse(400, "headers follow the body");
-      pending_.erase(0, end + 2 * kLineEnd.size());
-      return state_ = State::whole;
-    }
-    pending_.erase(0, end + kLineEnd.size());
-    in_chunk_ = true;
+    const std::size_t now = std::min(bytes, unread_.size());
+    into.append(unread_, 0, now);
+    unread_.erase(0, now);
+    bytes -= now;
+    if (bytes == 0) return;
+    more_(unread_);
   }
+}
+
+void HttpReader::read_body(HttpRequest& request) {
+  if (!chunked_) take(length_, request.body);
+  for (bool last = !chunked_; !last;) {
+    std::size_t end = 0, size = 0;
+    while ((end = unread_.find(kLineEnd)) == std::string::npos && unread_.size() < kMostChunkLine + kLineEnd.size())
+      more_(unread_);
+    const char* const text = unread_.data();
+    if (end == 0 || end > kMostChunkLine) refuse(400, "a chunk's length cannot be read");
+    const auto [digits, cause] = std::from_chars(text, text + end, size, 16);
+    if (cause != std::errc() || digits != text + end) refuse(400, "a chunk's length cannot be read");
+    if (size > most_body_bytes_ - request.body.size()) refuse(413, "the body is too large");
+    unread_.erase(0, end + kLineEnd.size());
+    take(size, request.body);
+    std::string ending;
+    take(kLineEnd.size(), ending);
+    last = size == 0;
+    if (ending != kLineEnd)
+      refuse(400, last ? "headers follow the body" : "a chunk of the body has another length than it says");
+  }
+  whole_ = true;
 }
 
 namespace {
@@ -358,11 +331,9 @@ struct HttpServer::Impl : NonCopyable {
 
   // A connection and its thread: a request is read, its response made and sent, then the next one.
   struct Peer {
-    Peer(int s, std::size_t most_body_bytes, Clock::time_point until)
-        : socket(s), reader(most_body_bytes), deadline(until) {}
+    Peer(int s, Clock::time_point until) : socket(s), deadline(until) {}
 
     const int socket;
-    HttpReader reader;
     At at = At::idle;  // with these two under the server's lock; the thread alone changes them
     Clock::time_point deadline;
     bool ended = false;  // the socket is closed
@@ -393,8 +364,9 @@ struct HttpServer::Impl : NonCopyable {
   void forget_ended();
   void enter(Peer& peer, At at, int ms);
   void serve(Peer& peer);
-  bool serve_one(Peer& peer);
-  bool respond(Peer& peer, HttpResponse response, bool keep);
+  bool serve_one(Peer& peer, HttpReader& reader);
+  void receive(Peer& peer, std::string& unread);
+  bool respond(Peer& peer, HttpResponse response, bool keep, bool with_body = true);
 
   HttpOptions options;
   HttpHandler handler;
@@ -443,8 +415,7 @@ void HttpServer::Impl::accept_all() {
     if (none_left) continue;
     const int yes = 1;
     setsockopt(fresh, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
-    Peer& peer =
-        peers.emplace_back(fresh, options.most_body_bytes, Clock::now() + std::chrono::milliseconds(options.head_ms));
+    Peer& peer = peers.emplace_back(fresh, Clock::now() + std::chrono::milliseconds(options.head_ms));
     try {
       peer.thread = std::thread([this, &peer] { serve(peer); });
     } catch (const std::system_error&) {
@@ -485,38 +456,46 @@ void HttpServer::Impl::enter(Peer& peer, At at, int ms) {
 }
 
 void HttpServer::Impl::serve(Peer& peer) {
-  for (; serve_one(peer); enter(peer, At::idle, options.head_ms)) peer.reader.next();
+  HttpReader reader(options.most_body_bytes, [&](std::string& unread) { receive(peer, unread); });
+  const auto serves = [&] {
+    try {
+      return serve_one(peer, reader);
+    } catch (const HttpRefusal& refusal) {
+      return refusal.status != 0 && respond(peer, {refusal.status, "text/plain", refusal.complaint + "\n"}, false);
+    }
+  };
+  while (serves()) enter(peer, At::idle, options.head_ms);
   const std::scoped_lock lock(mutex);
   close(peer.socket);
   peer.ended = true;
   changed.notify_all();
 }
 
-// Whether the connection serves another request.
-bool HttpServer::Impl::serve_one(Peer& peer) {
-  HttpReader& reader = peer.reader;
-  HttpRequest& request = reader.request();
-  for (bool admitted = false; !admitted || reader.state() != HttpReader::State::whole;) {
-    if (reader.begun() && peer.at == At::idle) enter(peer, At::reading, options.head_ms);
-    if (reader.state() == HttpReader::State::refused)
-      return respond(peer, {reader.status(), "text/plain", reader.complaint() + "\n"}, false);
-    if (!admitted && reader.state() != HttpReader::State::head) {
-      if (std::optional<HttpResponse> refusal = handler.refuse(request))
-        return respond(peer, std::move(*refusal), reader.keeps());
-      admitted = true;
-      enter(peer, At::reading, options.body_ms);
-      constexpr std::string_view kContinue = "HTTP/1.1 100 Continue\r\n\r\n";
-      if (reader.expects_continue())
-        (void)!::send(peer.socket, kContinue.data(), kContinue.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
-      continue;
-    }
+// Waits for bytes until the peer's deadline.
+void HttpServer::Impl::receive(Peer& peer, std::string& unread) {
+  if (peer.at == At::idle && !unread.empty()) enter(peer, At::reading, options.head_ms);
+  std::array<char, kReadAtOnce> piece;
+  ssize_t got = -1;
+  while (got < 0) {
     if (Clock::now() > peer.deadline || !wait_for(peer.socket, POLLIN, peer.deadline))
-      return peer.at == At::reading && respond(peer, {408, "text/plain", "the request took too long\n"}, false);
-    std::array<char, kReadAtOnce> piece;
-    const ssize_t got = recv(peer.socket, piece.data(), piece.size(), MSG_DONTWAIT);
-    if (got == 0 || (got < 0 && errno != EAGAIN && errno != EINTR)) return false;
-    if (got > 0) reader.take({piece.data(), static_cast<std::size_t>(got)});
+      throw HttpRefusal{peer.at == At::reading ? 408 : 0, "the request took too long"};
+    got = recv(peer.socket, piece.data(), piece.size(), MSG_DONTWAIT);
+    if (got == 0 || (got < 0 && errno != EAGAIN && errno != EINTR)) throw HttpRefusal{};
   }
+  unread.append(piece.data(), static_cast<std::size_t>(got));
+}
+
+// Whether the connection serves another request.
+bool HttpServer::Impl::serve_one(Peer& peer, HttpReader& reader) {
+  HttpRequest request = reader.read_head();
+  const bool with_body = request.method != "HEAD";
+  if (std::optional<HttpResponse> refusal = handler.refuse(request))
+    return respond(peer, std::move(*refusal), reader.keeps(), with_body);
+  enter(peer, At::reading, options.body_ms);
+  constexpr std::string_view kContinue = "HTTP/1.1 100 Continue\r\n\r\n";
+  if (reader.expects_continue())
+    (void)!::send(peer.socket, kContinue.data(), kContinue.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
+  reader.read_body(request);
   enter(peer, At::answering, 0);
   request.gone = [socket = peer.socket] { return wait_for(socket, POLLRDHUP, {}); };
   if (request.abandoned()) return false;
@@ -532,11 +511,11 @@ bool HttpServer::Impl::serve_one(Peer& peer) {
     --answering;
     changed.notify_all();
   }
-  return response && respond(peer, std::move(*response), reader.keeps() && !stopping);
+  return response && respond(peer, std::move(*response), reader.keeps() && !stopping, with_body);
 }
 
 // Sends it; whether the connection serves another request. A file that cannot be read makes the response 404.
-bool HttpServer::Impl::respond(Peer& peer, HttpResponse response, bool keep) {
+bool HttpServer::Impl::respond(Peer& peer, HttpResponse response, bool keep, bool with_body) {
   enter(peer, At::answering, 0);
   std::unique_ptr<std::FILE, int (*)(std::FILE*)> file(nullptr, std::fclose);
   if (!response.file.empty()) {
@@ -550,13 +529,12 @@ bool HttpServer::Impl::respond(Peer& peer, HttpResponse response, bool keep) {
   const Clock::time_point end = Clock::now() + kGrace +
                                 std::chrono::duration_cast<Clock::duration>(
                                     std::chrono::duration<double>(static_cast<double>(bytes) / kLeastBytesPerSecond));
-  const bool body = peer.reader.request().method != "HEAD";
-  if (!send_all(peer.socket, head_text(response, bytes, keep) + (body && !file ? response.body : ""), options.head_ms,
-                end))
+  if (!send_all(peer.socket, head_text(response, bytes, keep) + (with_body && !file ? response.body : ""),
+                options.head_ms, end))
     return false;
   if (file) std::rewind(file.get());
-  std::string piece(file && body ? std::min(bytes, kReadAtOnce) : 0, '\0');
-  for (std::size_t left = file && body ? bytes : 0; left > 0; left -= piece.size()) {
+  std::string piece(file && with_body ? std::min(bytes, kReadAtOnce) : 0, '\0');
+  for (std::size_t left = file && with_body ? bytes : 0; left > 0; left -= piece.size()) {
     piece.resize(std::min(left, piece.size()));
     if (std::fread(piece.data(), 1, piece.size(), file.get()) != piece.size()) return false;
     if (!send_all(peer.socket, piece, options.head_ms, end)) return false;

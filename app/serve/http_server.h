@@ -28,50 +28,38 @@ struct HttpRequest {
   int header_count(const std::string& name) const;
 };
 
-/// HTTP/1.1 [RFC9112], read strictly: what two readers could understand in two ways, such as two lengths of a body, is
-/// refused. It never holds more than a head, a body and what came with them.
+/// Why a request is not read any further.
+struct HttpRefusal {
+  int status = 0;  ///< 0: the connection has ended, so that nobody gets a response
+  std::string complaint{};
+};
+
+/// The requests of one connection, HTTP/1.1 [RFC9112], read strictly: what two readers could understand in two ways,
+/// such as two lengths of a body, is refused. It never holds more than a head, a body and what came with them.
 class HttpReader {
  public:
-  enum class State { head, body, whole, refused };
+  /// `more` adds bytes that come to those that are not read yet, or throws HttpRefusal.
+  HttpReader(std::size_t most_body_bytes, std::function<void(std::string& unread)> more)
+      : most_body_bytes_(most_body_bytes), more_(std::move(more)) {}
 
-  explicit HttpReader(std::size_t most_body_bytes) : most_body_bytes_(most_body_bytes) {}
-
-  /// Bytes that have come. What lies behind the request is kept for next().
-  State take(std::string_view bytes);
-  State state() const { return state_; }
-  /// Something of a request has come.
-  bool begun() const { return state_ != State::head || !pending_.empty(); }
-  /// Its head from State::body on, all of it in State::whole.
-  HttpRequest& request() { return request_; }
-  /// The connection may serve another request.
-  bool keeps() const { return keeps_ && state_ == State::whole; }
+  /// The next request without its body, which read_body() brings. Both throw HttpRefusal.
+  HttpRequest read_head();
+  void read_body(HttpRequest& request);
+  /// The request is read whole, and the connection may serve another one.
+  bool keeps() const { return keeps_ && whole_; }
   /// The client waits for "100 Continue" before it sends the body.
-  bool expects_continue() const { return expects_continue_ && state_ == State::body; }
-  /// Of a refused request: the status, and a sentence.
-  int status() const { return status_; }
-  const std::string& complaint() const { return complaint_; }
-  /// The next request of the connection begins.
-  void next();
+  bool expects_continue() const { return expects_continue_ && !whole_; }
 
  private:
-  State refuse(int status, const char* complaint);
-  bool is_above(std::size_t most, std::size_t end, std::size_t ending) const;
-  State read();
-  State read_head(std::size_t end);
-  State read_framing();
-  State read_length(const std::string& text);
-  State read_body();
-  State read_chunks();
+  void parse_head(std::string_view head, HttpRequest& request);
+  void read_framing(const HttpRequest& request);
+  void take(std::size_t bytes, std::string& into);
 
   std::size_t most_body_bytes_;
-  std::string pending_;  // not read yet
-  HttpRequest request_;
-  State state_ = State::head;
-  bool keeps_ = true, expects_continue_ = false, chunked_ = false;
-  std::size_t left_ = 0;  // of the body or the chunk
-  bool in_chunk_ = false;
-  int status_ = 0;
-  std::string complaint_;
+  std::function<void(std::string&)> more_;
+  std::string unread_;
+  bool keeps_ = true, expects_continue_ = false, chunked_ = false, whole_ = false;
+  std::size_t length_ = 0;  // of the body
 };
 
 struct HttpResponse {

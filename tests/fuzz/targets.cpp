@@ -449,23 +449,27 @@ void fuzz_page(std::string_view bytes) {
 void fuzz_http(std::string_view bytes) {
   constexpr std::size_t kMostBody = 64;
   const auto requests = [&](std::size_t piece) {
-    app::HttpReader reader(kMostBody);
+    std::size_t at = 0;
+    app::HttpReader reader(kMostBody, [&](std::string& unread) {
+      if (at >= bytes.size()) throw app::HttpRefusal{};
+      unread += bytes.substr(at, piece);
+      at += piece;
+    });
     std::string told;
-    for (std::size_t at = 0; at < bytes.size(); at += piece) {
-      reader.take(bytes.substr(at, piece));
-      for (; reader.state() == app::HttpReader::State::whole; reader.next()) {
-        const app::HttpRequest& r = reader.request();
+    try {
+      for (;;) {
+        app::HttpRequest r = reader.read_head();
+        reader.read_body(r);
         promise(r.body.size() <= kMostBody, "a body above its bound");
         promise(r.header_count("content-length") + r.header_count("transfer-encoding") <= 1, "a body of two lengths");
         told += r.method + ' ' + r.path + '?' + r.query + ' ' + (reader.keeps() ? "keeps" : "ends");
         for (const auto& [name, value] : r.headers) told += '\n' + name + ": " + value;
         told += "\n\n" + r.body + '\n';
       }
-      if (reader.state() != app::HttpReader::State::refused) continue;
-      promise(reader.status() == 400 || reader.status() == 413, "a refusal without a status");
-      return told + "refused: " + reader.complaint();
+    } catch (const app::HttpRefusal& refusal) {
+      promise(refusal.status == 0 || refusal.status == 400 || refusal.status == 413, "a refusal without a status");
+      return told + "refused: " + refusal.complaint;
     }
-    return told;
   };
   const std::string whole = requests(std::max<std::size_t>(bytes.size(), 1));
   for (const std::size_t piece : {1, 3, 17})
