@@ -140,13 +140,6 @@ PictureRequest parse_picture_request(std::string_view json) {
   return request;
 }
 
-const char* export_name(ExportKind kind) {
-  return kind == ExportKind::labels ? "labels"
-         : kind == ExportKind::coco ? "coco"
-         : kind == ExportKind::mesh ? "mesh"
-                                    : "film";
-}
-
 ExportRequest parse_export_request(std::string_view json) {
   const Json root = parse_request(json, {"what", "cancel"});
   const auto what = root.find("what"), cancel = root.find("cancel");

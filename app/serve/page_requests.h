@@ -58,7 +58,8 @@ inline constexpr std::int32_t kMostPhotoSide = 65536;   ///< pixels that a reque
 PictureRequest parse_picture_request(std::string_view json);
 
 enum class ExportKind { labels, coco, mesh, film };
-const char* export_name(ExportKind kind);
+inline constexpr std::array kExportNames{"labels", "coco", "mesh", "film"};
+inline const char* export_name(ExportKind kind) { return kExportNames[static_cast<std::size_t>(kind)]; }
 /// What is to be made, or else the id of the export that is to end.
 struct ExportRequest {
   std::optional<ExportKind> what;

@@ -43,11 +43,27 @@ constexpr const char* kLabelEnd = "_label.png";
 constexpr int kSideBySide = 2;        // more would only take the CPU from each other
 constexpr std::size_t kMostOpen = 8;  // that wait or are being made
 
-std::vector<std::string> files_of(ExportKind kind) {
-  if (kind == ExportKind::labels) return {"labels.zip"};
-  if (kind == ExportKind::coco) return {"coco.json"};
-  if (kind == ExportKind::film) return {"video.mp4"};
-  return {"mesh.ply", "mesh.glb", "mesh_classes.ply", "mesh_classes.glb"};
+// The verb of an export, where RUN is the run's folder and TO the export's, and the files that it leaves.
+struct Recipe {
+  const char* begun;
+  std::vector<std::string> files, words;
+};
+
+const Recipe& recipe_of(ExportKind kind) {
+  static const std::array<Recipe, kExportNames.size()> recipes{
+      {{"rendering the labels",
+        {"labels.zip"},
+        {"export", "RUN", "--split", "train", "--format", "png", "--out", "TO"}},
+       {"rendering the labels",
+        {"coco.json"},
+        {"export", "RUN", "--split", "train", "--format", "coco", "--out", "TO/coco.json"}},
+       {"finding the surface",
+        {"mesh.ply", "mesh.glb", "mesh_classes.ply", "mesh_classes.glb"},
+        {"mesh", "RUN", "--format", "ply,glb", "--out", "TO/mesh.ply"}},
+       {"rendering the path",
+        {"video.mp4"},
+        {"render", "RUN", "--trajectory", "TO/path.json", "--video", "--out", "TO/video.mp4"}}}};
+  return recipes[static_cast<std::size_t>(kind)];
 }
 
 std::string type_of_export(const std::string& file) {
@@ -111,14 +127,6 @@ std::vector<ExportState> PageExports::list() const {
   return out;
 }
 
-std::string PageExports::file(const std::string& id, std::uint64_t number) const {
-  const std::scoped_lock lock(mutex_);
-  for (const Export& one : exports_) {
-    if (one.state.id == id && number < one.state.files.size()) return folder_of(id) + "/" + one.state.files[number];
-  }
-  return {};
-}
-
 void PageExports::tell(Export& one, const std::string& state, const std::string& text,
                        const std::vector<std::string>& files) {
   const std::scoped_lock lock(mutex_);
@@ -149,7 +157,7 @@ void PageExports::make(Export& one) {
     if (ends(one)) {
       tell(one, "canceled", "");
     } else {
-      tell(one, "done", "in " + folder, files_of(one.kind));
+      tell(one, "done", "in " + folder, recipe_of(one.kind).files);
     }
   } catch (const std::exception& e) {
     tell(one, ends(one) ? "canceled" : "failed", ends(one) ? "" : e.what());
@@ -159,28 +167,17 @@ void PageExports::make(Export& one) {
   turn_.notify_all();
 }
 
-std::vector<std::string> PageExports::words(ExportKind kind, const std::string& folder) const {
-  const std::string& run = options_.run_dir;
-  std::vector<std::string> words{options_.program};
-  const auto add = [&](std::vector<std::string> more) { words.insert(words.end(), more.begin(), more.end()); };
-  if (kind == ExportKind::labels) add({"export", run, "--split", "train", "--format", "png", "--out", folder});
-  if (kind == ExportKind::coco)
-    add({"export", run, "--split", "train", "--format", "coco", "--out", folder + "/coco.json"});
-  if (kind == ExportKind::mesh) add({"mesh", run, "--format", "ply,glb", "--out", folder + "/mesh.ply"});
-  if (kind == ExportKind::film)
-    add({"render", run, "--trajectory", folder + "/path.json", "--video", "--out", folder + "/video.mp4"});
-  for (const std::string& module : options_.modules) add({"--plugin", module});
-  return words;
-}
-
 void PageExports::run_verb(Export& one) {
   const std::string folder = folder_of(one.state.id), log = folder + "/log.txt";
-  const std::string begun = one.kind == ExportKind::mesh   ? "finding the surface"
-                            : one.kind == ExportKind::film ? "rendering the path"
-                                                           : "rendering the labels";
+  const Recipe& recipe = recipe_of(one.kind);
+  const std::string begun = recipe.begun;
+  std::vector<std::string> words{options_.program};
+  for (const std::string& word : recipe.words)
+    words.push_back(word == "RUN" ? options_.run_dir : word.starts_with("TO") ? folder + word.substr(2) : word);
+  for (const std::string& module : options_.modules) words.insert(words.end(), {"--plugin", module});
   tell(one, "running", begun);
-  const pid_t child = start_child(words(one.kind, folder), {folder + "/output.txt", log},
-                                  [] { setpriority(PRIO_PROCESS, 0, kLowPriority); });
+  const pid_t child =
+      start_child(words, {folder + "/output.txt", log}, [] { setpriority(PRIO_PROCESS, 0, kLowPriority); });
   int status = 0;
   bool asked = false;
   while (waitpid(child, &status, WNOHANG) == 0) {
@@ -208,18 +205,19 @@ void PageExports::pack_labels(const std::string& folder) const {
 }
 
 HttpResponse PageExports::download(const std::string& place) const {
-  const std::size_t slash = place.find('/');
-  const std::string number = slash == std::string::npos ? "" : place.substr(slash + 1);
-  const bool digits = !number.empty() && number.size() < 4 &&
-                      std::all_of(number.begin(), number.end(), [](char c) { return c >= '0' && c <= '9'; });
-  const std::string file = digits ? this->file(place.substr(0, slash), std::stoul(number)) : "";
-  if (file.empty())
-    return {404, "application/json",
-            error_json("serve.export.unknown", "no such file of an export", "the state lists what is done")};
-  HttpResponse response{200, type_of_export(file), ""};
-  response.file = file;
-  response.download_name = file.substr(file.rfind('/') + 1);
-  return response;
+  const std::lock_guard lock(mutex_);
+  for (const Export& one : exports_) {
+    for (std::size_t n = 0; n < one.state.files.size(); ++n) {
+      if (place != fmt::format("{}/{}", one.state.id, n)) continue;
+      const std::string& name = one.state.files[n];
+      HttpResponse response{200, type_of_export(name), ""};
+      response.file = folder_of(one.state.id) + "/" + name;
+      response.download_name = name;
+      return response;
+    }
+  }
+  return {404, "application/json",
+          error_json("serve.export.unknown", "no such file of an export", "the state lists what is done")};
 }
 
 namespace {
@@ -276,12 +274,21 @@ Json view_json(const ViewState& v) {
           {"entropy", v.entropy}, {"ready", v.ready},    {"photo", v.photo},      {"held_out", v.held_out}};
 }
 
+template <class Items, class ToJson>
+Json list(const Items& items, ToJson&& to_json) {
+  Json out = Json::array();
+  for (const auto& item : items) out.push_back(to_json(item));
+  return out;
+}
+
+Json points_json(const std::vector<PixelPoint>& points) {
+  return list(points, [](const PixelPoint& p) { return Json{p.x, p.y}; });
+}
+
 Json mark_json(const Annotations::Mark& mark, const LabelSource& source) {
-  Json points = Json::array();
-  for (const PixelPoint& p : mark.points) points.push_back({p.x, p.y});
   return {{"id", mark.id},
           {"view", source.view_of(mark.frame)},
-          {"points", std::move(points)},
+          {"points", points_json(mark.points)},
           {"radius", mark.radius_px},
           {"fill", mark.fill},
           {"object", mark.object},
@@ -292,13 +299,6 @@ Json proposal_json(const std::optional<ProposalState>& p) {
   if (!p) return nullptr;
   return {
       {"id", p->id}, {"view", p->view}, {"at", {p->at.x, p->at.y}}, {"why", p->why}, {"class_guess", p->class_guess}};
-}
-
-template <class Items, class ToJson>
-Json list(const Items& items, ToJson&& to_json) {
-  Json out = Json::array();
-  for (const auto& item : items) out.push_back(to_json(item));
-  return out;
 }
 
 // `known`: the session's revision that the client has seen, 0 for none: marks and history that are no newer are null.
@@ -484,16 +484,12 @@ std::string kept_token(const std::string& run_dir) {
   return token;
 }
 
-PageAccess::PageAccess(std::string token, std::string address, int port)
-    : token_(std::move(token)), address_(std::move(address)), port_(port) {}
-
-std::string PageAccess::url() const {
-  return "http://" + (address_ == kEveryAddress ? "127.0.0.1" : address_) + ":" + std::to_string(port_) + "/" + token_ +
-         "/";
+std::string PageHost::url() const {
+  return fmt::format("http://{}:{}/{}/", address_ == kEveryAddress ? "127.0.0.1" : address_, port_, token_);
 }
 
 // Takes the same time for every wrong token, so that none can be found byte by byte.
-bool PageAccess::is_token(const std::string& path) const {
+bool PageHost::is_token(const std::string& path) const {
   if (path.size() < token_.size() + 1 || path[0] != '/') return false;
   unsigned differs = 0;
   for (std::size_t i = 0; i < token_.size(); ++i)
@@ -503,7 +499,7 @@ bool PageAccess::is_token(const std::string& path) const {
 
 // A name of somebody else that is made to point here (DNS rebinding) is no host of ours. A server of every address
 // has many, but all are numbers.
-bool PageAccess::is_host(const std::string& host) const {
+bool PageHost::is_host(const std::string& host) const {
   const std::size_t colon = host.rfind(':');
   if (colon == std::string::npos || host.substr(colon + 1) != std::to_string(port_)) return false;
   std::string name = host.substr(0, colon);
@@ -512,13 +508,14 @@ bool PageAccess::is_host(const std::string& host) const {
   return name == "127.0.0.1" || name == "localhost" || name == address_ || (address_ == kEveryAddress && is_ipv4(name));
 }
 
-std::optional<HttpResponse> PageAccess::refuse(const HttpRequest& head) const {
+std::optional<HttpResponse> PageHost::refuse(const HttpRequest& head) const {
   if (!is_token(head.path)) return HttpResponse{404, "text/plain", "not found\n"};
   const std::string host = head.header("host").value_or("");
   if (head.header_count("host") != 1 || !is_host(host))
-    return forbidden("the page is at " + address_ + ":" + std::to_string(port_) +
-                     " alone; a tunnel has to lead there from the same port (ssh -L " + std::to_string(port_) +
-                     ":127.0.0.1:" + std::to_string(port_) + " ...)");
+    return forbidden(
+        fmt::format("the page is at {}:{} alone; a tunnel has to lead there from the same port (ssh -L "
+                    "{}:127.0.0.1:{} ...)",
+                    address_, port_, port_, port_));
   if (const auto origin = head.header("origin"); head.method == "POST" && origin && *origin != "http://" + host)
     return forbidden("a page of another origin may not send");
   const std::string site = head.header("sec-fetch-site").value_or("none");
@@ -598,24 +595,24 @@ std::string kept_run_id(const std::string& run_dir) {
 
 void PageHost::open(std::string token, HttpOptions http, bool next_port, std::map<std::string, Place> places) {
   places_ = std::move(places);
-  http.port = free_port(http.address, http.port, next_port);
-  access_ = std::make_unique<PageAccess>(std::move(token), http.address, http.port);
+  http.port = port_ = free_port(http.address, http.port, next_port);
+  token_ = std::move(token);
+  address_ = http.address;
   HttpHandler handler;
   handler.refuse = [this](const HttpRequest& head) {
     std::optional<HttpResponse> refused;
     const HttpResponse failed = safe_answer([&] {
-      refused = access_->refuse(head);
+      refused = refuse(head);
       return HttpResponse{};
     });
     return failed.status == 200 ? refused : failed;
   };
-  handler.answer = [this](const HttpRequest& request) {
-    return safe_answer([&] { return route(access_->name_of(request.path), request); });
-  };
+  handler.answer = [this](const HttpRequest& request) { return safe_answer([&] { return route(request); }); };
   http_ = std::make_unique<HttpServer>(http, std::move(handler));
 }
 
-HttpResponse PageHost::route(const std::string& name, const HttpRequest& request) {
+HttpResponse PageHost::route(const HttpRequest& request) {
+  const std::string name = request.path.substr(token_.size() + 2);  // below the secret folder
   if (name.starts_with(files_))
     return request.method == "GET" ? exports_.download(name.substr(files_.size())) : wrong_method("GET");
   const auto place = places_.find(name);
@@ -662,17 +659,12 @@ std::vector<std::uint8_t> label_png(std::int32_t width_px, std::int32_t height_p
 }
 
 std::string picture_bytes(const Picture& picture, const std::vector<ClassState>& classes, bool is_spot) {
-  nlohmann::ordered_json facts{{"width", picture.width_px},
-                               {"height", picture.height_px},
-                               {"overlay_revision", picture.overlay_revision},
-                               {"render_ms", picture.render_ms},
-                               {"stale", picture.stale}};
-  facts["marks"] = nlohmann::ordered_json::array();
-  for (const SeenMark& mark : picture.seen) {
-    nlohmann::ordered_json points = nlohmann::ordered_json::array();
-    for (const PixelPoint& p : mark.points) points.push_back({p.x, p.y});
-    facts["marks"].push_back({{"id", mark.id}, {"points", std::move(points)}});
-  }
+  const auto seen_json = [](const SeenMark& mark) {
+    return Json{{"id", mark.id}, {"points", points_json(mark.points)}};
+  };
+  Json facts{
+      {"width", picture.width_px},      {"height", picture.height_px}, {"overlay_revision", picture.overlay_revision},
+      {"render_ms", picture.render_ms}, {"stale", picture.stale},      {"marks", list(picture.seen, seen_json)}};
   if (is_spot) {
     facts["spot"] = nullptr;
     if (picture.spot) facts["spot"] = {{"view", picture.spot->view}, {"at", {picture.spot->at.x, picture.spot->at.y}}};

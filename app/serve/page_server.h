@@ -58,8 +58,6 @@ class PageExports : NonCopyable {
   std::vector<ExportState> list() const;
   /// Grows with every change of the list.
   std::uint64_t changes() const { return changes_; }
-  /// Path of file `number` of an export that is done; "" where there is none.
-  std::string file(const std::string& id, std::uint64_t number) const;
   /// The answer to a request for "ID/NUMBER": that file, or 404.
   HttpResponse download(const std::string& place) const;
 
@@ -74,7 +72,6 @@ class PageExports : NonCopyable {
   void make(Export& one);
   void run_verb(Export& one);
   bool ends(const Export& one) const;
-  std::vector<std::string> words(ExportKind kind, const std::string& folder) const;
   void pack_labels(const std::string& folder) const;
   void tell(Export& one, const std::string& state, const std::string& text, const std::vector<std::string>& files = {});
   std::string folder_of(const std::string& id) const { return options_.run_dir + "/export/" + id; }
@@ -95,28 +92,6 @@ std::string new_token();
 /// The token of a run: made once and kept in `run_dir`/serve_token, for its user alone, so that a page that is open
 /// goes on when the program starts again. One that others may read is replaced. Throws as new_token, and write_error.
 std::string kept_token(const std::string& run_dir);
-
-class PageAccess {
- public:
-  /// `address` and `port`: what the server is bound to.
-  PageAccess(std::string token, std::string address, int port);
-
-  /// None: the request may go on. A wrong token gives 404 without a detail; what follows is for whoever knows the
-  /// token.
-  std::optional<HttpResponse> refuse(const HttpRequest& head) const;
-  /// What a path that was not refused names, below the secret folder: "" or "state".
-  std::string name_of(const std::string& path) const { return path.substr(token_.size() + 2); }
-  int port() const { return port_; }
-  /// The address to open, with the token.
-  std::string url() const;
-
- private:
-  bool is_token(const std::string& path) const;
-  bool is_host(const std::string& host) const;
-
-  std::string token_, address_;
-  int port_;
-};
 
 // The page's own files, read once: what is not in the list is not there.
 
@@ -141,9 +116,9 @@ class PageHost : NonCopyable {
  public:
   virtual ~PageHost() = default;
 
-  /// The address to open.
-  std::string url() const { return access_->url(); }
-  int port() const { return access_->port(); }
+  /// The address to open, with the token.
+  std::string url() const;
+  int port() const { return port_; }
 
  protected:
   struct Place {
@@ -161,11 +136,15 @@ class PageHost : NonCopyable {
   PageExports exports_;
 
  private:
-  HttpResponse route(const std::string& name, const HttpRequest& request);
+  // None: the request may go on. A wrong token gives 404 without a detail; what follows is for whoever knows the token.
+  std::optional<HttpResponse> refuse(const HttpRequest& head) const;
+  bool is_token(const std::string& path) const;
+  bool is_host(const std::string& host) const;
+  HttpResponse route(const HttpRequest& request);
 
-  std::string files_, guide_;
+  std::string files_, guide_, token_, address_;  // address and port: what the server is bound to
+  int port_ = 0;
   std::map<std::string, Place> places_;
-  std::unique_ptr<PageAccess> access_;
   std::unique_ptr<HttpServer> http_;
 };
 
