@@ -71,13 +71,20 @@ void read_request_flag(const Json& root, const char* key, bool& into) {
   into = found->get<bool>();
 }
 
-void read_request_number(const Json& root, const char* key, std::int32_t low, std::int32_t high, std::int32_t& into) {
-  const auto found = root.find(key);
-  if (found == root.end()) return;
-  const bool whole = found->is_number_unsigned() && found->get<std::uint64_t>() <= static_cast<std::uint64_t>(high);
-  if (!whole || found->get<std::int32_t>() < low)
-    refuse_request_value(key, "a whole number from " + std::to_string(low) + " to " + std::to_string(high), *found);
-  into = found->get<std::int32_t>();
+const Json& request_value(const Json& map, const char* key) {
+  const auto found = map.find(key);
+  if (found == map.end()) refuse_request(std::string("key '") + key + "' is missing");
+  return *found;
+}
+
+std::int32_t request_number(const Json& root, const char* key, std::int32_t low, std::int32_t high,
+                            std::optional<std::int32_t> otherwise) {
+  if (otherwise && !root.contains(key)) return *otherwise;
+  const Json& found = request_value(root, key);
+  const bool whole = found.is_number_unsigned() && found.get<std::uint64_t>() <= static_cast<std::uint64_t>(high);
+  if (!whole || found.get<std::int32_t>() < low)
+    refuse_request_value(key, "a whole number from " + std::to_string(low) + " to " + std::to_string(high), found);
+  return found.get<std::int32_t>();
 }
 
 FreeCamera read_request_camera(const Json& map) {
@@ -109,15 +116,13 @@ PictureRequest parse_picture_request(std::string_view json) {
   const Json root =
       parse_request(json, {"client", "view", "camera", "at", "most_px", "color", "labels", "entropy", "full"});
   PictureRequest request;
-  const auto client = root.find("client");
-  if (client == root.end()) refuse_request("key 'client' is missing");
-  const std::string* name = client->get_ptr<const std::string*>();
+  const Json& client = request_value(root, "client");
+  const std::string* name = client.get_ptr<const std::string*>();
   if (name == nullptr || !is_event_id(*name))
-    refuse_request_value("client", "1 to 64 letters of a-z, A-Z, 0-9, '-' and '_'", *client);
+    refuse_request_value("client", "1 to 64 letters of a-z, A-Z, 0-9, '-' and '_'", client);
   request.client = *name;
-  const auto camera = root.find("camera");
-  if (camera != root.end()) request.camera = read_request_camera(*camera);
-  read_request_number(root, "view", 0, 1 << 24, request.view);
+  if (root.contains("camera")) request.camera = read_request_camera(root["camera"]);
+  request.view = request_number(root, "view", 0, 1 << 24, -1);
   if ((request.view >= 0) == request.camera.has_value()) refuse_request("expected either 'view' or 'camera'");
   if (root.contains("at")) {
     if (!request.camera) refuse_request("'at' is a point of a camera's picture, and there is no 'camera'");
@@ -130,7 +135,7 @@ PictureRequest parse_picture_request(std::string_view json) {
         refuse_request(std::string("'") + map + "' and 'at': a question about a point gets no picture");
     return request;
   }
-  read_request_number(root, "most_px", 16, kMostPictureSide, request.most_px);
+  request.most_px = request_number(root, "most_px", 16, kMostPictureSide, 0);
   read_request_flag(root, "color", request.color);
   read_request_flag(root, "labels", request.labels);
   read_request_flag(root, "entropy", request.entropy);

@@ -26,25 +26,30 @@ namespace semfield::app {
 /// A map whose keys, and those of the maps in it, are known and given once.
 Json parse_request(std::string_view text, const std::vector<std::string>& known);
 
+/// The value of a key; a missing one is refused.
+const Json& request_value(const Json& map, const char* key);
 /// What is missing leaves `into` as it is.
 void read_request_flag(const Json& root, const char* key, bool& into);
-void read_request_number(const Json& root, const char* key, std::int32_t low, std::int32_t high, std::int32_t& into);
+/// A whole number; `otherwise` where the key is missing, which without one is refused.
+std::int32_t request_number(const Json& root, const char* key, std::int32_t low, std::int32_t high,
+                            std::optional<std::int32_t> otherwise = {});
 
-/// N numbers of at most this size.
+/// N numbers of at most this size, of the key `key`.
 template <std::size_t N>
-std::array<double, N> request_numbers(const Json& map, const char* key, double most) {
-  const auto found = map.find(key);
-  if (found == map.end()) refuse_request(std::string("key '") + key + "' is missing");
+std::array<double, N> numbers_in(const Json& list, const char* key, double most) {
   const std::string expected = std::to_string(N) + " numbers";
-  if (!found->is_array() || found->size() != N) refuse_request_value(key, expected, *found);
+  if (!list.is_array() || list.size() != N) refuse_request_value(key, expected, list);
   std::array<double, N> out{};
   for (std::size_t i = 0; i < N; ++i) {
-    const Json& value = (*found)[i];
-    if (!value.is_number()) refuse_request_value(key, expected, value);
-    out[i] = value.get<double>();
-    if (!(std::abs(out[i]) <= most)) refuse_request_value(key, expected + " of a size that a scene can have", value);
+    if (!list[i].is_number()) refuse_request_value(key, expected, list[i]);
+    out[i] = list[i].template get<double>();
+    if (!(std::abs(out[i]) <= most)) refuse_request_value(key, expected + " of a size that a scene can have", list[i]);
   }
   return out;
+}
+template <std::size_t N>
+std::array<double, N> request_numbers(const Json& map, const char* key, double most) {
+  return numbers_in<N>(request_value(map, key), key, most);
 }
 
 /// {"position", "rotation", "fov_deg"}: rows of world_from_camera, degrees of the picture's width.

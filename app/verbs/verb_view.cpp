@@ -18,7 +18,6 @@
 #include <functional>
 #include <memory>
 #include <mutex>
-#include <sstream>
 #include <thread>
 
 #include "app/child_process.h"
@@ -335,13 +334,6 @@ constexpr std::int32_t kMostFilmSide = 4096;
 HttpResponse json_text_answer(std::string text) { return {200, "application/json", std::move(text)}; }
 HttpResponse bytes(std::string data) { return {200, "application/octet-stream", std::move(data)}; }
 
-std::int32_t number_in(const Json& root, const char* key, std::int32_t low, std::int32_t high) {
-  if (!root.contains(key)) refuse_request(std::string("key '") + key + "' is missing");
-  std::int32_t value = 0;
-  read_request_number(root, key, low, high, value);
-  return value;
-}
-
 double real_in(const Json& root, const char* key, double low, double high) {
   const auto found = root.find(key);
   if (found == root.end() || !found->is_number() || !(found->get<double>() >= low && found->get<double>() <= high))
@@ -355,30 +347,20 @@ std::string word_in(const Json& root, const char* key) {
   return found->get<std::string>();
 }
 
-// Lines of 12 numbers, rows of world_from_camera.
-CameraSet film_cameras(const std::string& lines, std::int32_t width, std::int32_t height, double fov_deg) {
+// Lists of 12 numbers, rows of world_from_camera.
+CameraSet film_cameras(const Json& lines, std::int32_t width, std::int32_t height, double fov_deg) {
+  if (!lines.is_array() || lines.size() < 2 || lines.size() > kMostFilmFrames)
+    refuse_request_value("path", fmt::format("2 to {} lists of 12 numbers", kMostFilmFrames), lines);
   CameraSet set;
-  std::istringstream in(lines);
-  for (std::string line; std::getline(in, line);) {
-    std::istringstream words(line);
-    PlacedCamera placed{
-        fmt::format("{:05}", set.cameras.size()), FreeCamera{{}, fov_deg}.rays(width, height).camera, {}};
-    for (int k = 0; k < 12; ++k) {
-      double value = 0;
-      if (!(words >> value) || !std::isfinite(value))
-        refuse_request(fmt::format("'path': line {} has not 12 numbers", set.cameras.size() + 1));
-      const int row = k / 4, column = k % 4;
-      if (column == 3) {
-        placed.world_from_camera.t[row] = value;
-      } else {
-        placed.world_from_camera.r[static_cast<std::size_t>(row)][static_cast<std::size_t>(column)] = value;
-      }
+  const Camera camera = FreeCamera{{}, fov_deg}.rays(width, height).camera;
+  for (const Json& line : lines) {
+    PlacedCamera& placed = set.cameras.emplace_back(fmt::format("{:05}", set.cameras.size()), camera, Pose{});
+    const std::array<double, 12> m = numbers_in<12>(line, "path", 1e9);
+    for (std::size_t row = 0; row < 3; ++row) {
+      std::copy_n(&m[4 * row], 3, placed.world_from_camera.r[row].begin());
+      placed.world_from_camera.t[static_cast<int>(row)] = m[4 * row + 3];
     }
-    if (set.cameras.size() >= kMostFilmFrames)
-      refuse_request(fmt::format("'path': more than {} lines", kMostFilmFrames));
-    set.cameras.push_back(std::move(placed));
   }
-  if (set.cameras.size() < 2) refuse_request("'path': fewer than two lines");
   return set;
 }
 
@@ -395,15 +377,14 @@ class ViewServer final : public PageHost {
       return bytes(run(query_number(r.query, "run", 0, 1)).scene(query_number(r.query, "fine", 0, 1) == 1));
     };
     const auto probability = [this](const HttpRequest& r) {
-      return bytes(run(query_number(r.query, "run", 0, 1))
-                       .probability(static_cast<int>(query_number(r.query, "class", 0, 65535)),
-                                    query_number(r.query, "fine", 0, 1) == 1));
+      const auto index = static_cast<int>(query_number(r.query, "class", 0, 65535));
+      return bytes(
+          run(query_number(r.query, "run", 0, 1)).probability(index, query_number(r.query, "fine", 0, 1) == 1));
     };
     const auto point = [this](const HttpRequest& r) {
       const Json root = parse_request(r.body, {"run", "at"});
       const std::array<double, 3> at = request_numbers<3>(root, "at", 1e9);
-      return json_text_answer(
-          run(static_cast<std::uint64_t>(number_in(root, "run", 0, 1))).point({at[0], at[1], at[2]}));
+      return json_text_answer(run_of_request(root).point({at[0], at[1], at[2]}));
     };
     open(new_token(), std::move(http), next_port,
          {{"", {"GET", [page](const HttpRequest&) { return page; }}},
@@ -422,6 +403,9 @@ class ViewServer final : public PageHost {
     if (number >= runs_.size()) refuse_request(fmt::format("run {} is not there", number), "count from 0");
     return *runs_[number];
   }
+  ViewedRun& run_of_request(const Json& root) const {
+    return run(static_cast<std::uint64_t>(request_number(root, "run", 0, 1)));
+  }
 
   HttpResponse get_state() const {
     Json runs = Json::array(), films = Json::array();
@@ -435,23 +419,19 @@ class ViewServer final : public PageHost {
   HttpResponse post_picture(const HttpRequest& request) const {
     const Json root = parse_request(request.body, {"run", "camera", "width", "height", "map", "class", "near", "far"});
     ViewPicture wanted;
-    if (!root.contains("camera")) refuse_request("key 'camera' is missing");
-    wanted.camera = read_request_camera(root["camera"]);
-    wanted.width_px = number_in(root, "width", 1, kMostPictureSide);
-    wanted.height_px = number_in(root, "height", 1, kMostPictureSide);
+    wanted.camera = read_request_camera(request_value(root, "camera"));
+    wanted.width_px = request_number(root, "width", 1, kMostPictureSide);
+    wanted.height_px = request_number(root, "height", 1, kMostPictureSide);
     wanted.map = word_in(root, "map");
     const std::vector<std::string> maps{"photo", "class", "object", "entropy", "depth", "probability"};
     if (std::find(maps.begin(), maps.end(), wanted.map) == maps.end())
       refuse_request_value("map", "photo, class, object, entropy, depth or probability", root["map"]);
-    read_request_number(root, "class", 0, 65535, wanted.class_index);
+    wanted.class_index = request_number(root, "class", 0, 65535, 0);
     if (wanted.map == "depth") {
       wanted.near_m = real_in(root, "near", 0, 1e9);
       wanted.far_m = real_in(root, "far", 0, 1e9);
     }
-    const std::vector<std::uint8_t> jpeg =
-        run(static_cast<std::uint64_t>(number_in(root, "run", 0, 1))).picture(wanted, [&] {
-          return request.abandoned();
-        });
+    const std::vector<std::uint8_t> jpeg = run_of_request(root).picture(wanted, [&] { return request.abandoned(); });
     return {200, "image/jpeg", std::string(jpeg.begin(), jpeg.end())};
   }
 
@@ -469,8 +449,8 @@ class ViewServer final : public PageHost {
   HttpResponse post_film(const HttpRequest& request) {
     const Json root = parse_request(request.body, {"path", "width", "height", "fov_deg"});
     const CameraSet cameras =
-        film_cameras(word_in(root, "path"), number_in(root, "width", 16, kMostFilmSide),
-                     number_in(root, "height", 16, kMostFilmSide), real_in(root, "fov_deg", 1, 170));
+        film_cameras(request_value(root, "path"), request_number(root, "width", 16, kMostFilmSide),
+                     request_number(root, "height", 16, kMostFilmSide), real_in(root, "fov_deg", 1, 170));
     const auto write = [&](const std::string& folder) { write_cameras(folder + "/path.json", cameras); };
     return json_answer({{"id", exports_.start(ExportKind::film, write)}});
   }

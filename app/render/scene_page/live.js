@@ -131,7 +131,7 @@ class Live {
   async film() {
     const hint = byId("path-hint");
     try {
-      await this.ask("film", {path: this.page.path_text(), width: Math.min(1280, canvas.width) & ~1, height: Math.min(1280, canvas.width) * canvas.height / canvas.width & ~1,
+      await this.ask("film", {path: this.page.path_rows(), width: Math.min(1280, canvas.width) & ~1, height: Math.min(1280, canvas.width) * canvas.height / canvas.width & ~1,
         fov_deg: 360 / Math.PI * Math.atan(Math.tan(kAngle / 2) * canvas.width / canvas.height)});
       hint.textContent = "rendering";
       this.look();

@@ -209,16 +209,15 @@ class Page {
       for (let k = 1; k <= per_leg; ++k) out.push(between(this.views[i - 1], this.views[i], k / per_leg));
     return out;
   }
-  /** A line of 12 numbers for each picture: world_from_camera by rows, as `semfield render --trajectory` reads it. */
-  path_text() {
+  /** 12 numbers for each picture: world_from_camera by rows. */
+  path_rows() {
     const now = this.camera.state();
-    const lines = this.path(48).map((state) => {
-      Object.assign(this.camera, state);
-      return this.camera.world_from_camera().flat().map((v) => v.toPrecision(9)).join(" ");
-    });
+    const rows = this.path(48).map((state) => Object.assign(this.camera, state).world_from_camera().flat());
     Object.assign(this.camera, now);
-    return lines.join("\n") + "\n";
+    return rows;
   }
+  /** A line for each, as `semfield render --trajectory` reads it. */
+  path_text() { return this.path_rows().map((row) => row.map((v) => v.toPrecision(9)).join(" ") + "\n").join(""); }
   listen_path() {
     const tell = () => {
       const count = this.views.length;
