@@ -80,21 +80,21 @@ function grouped(value_of) {
 /** Why figures of these runs cannot be ranked, a sentence each. */
 function reasons_against_ranking() {
   const listed = (groups, told) => groups.map(([value, names]) => names.join(", ") + told(value, names)).join("; ");
+  const scene_of = (_, [name]) => {
+    const {scene} = runs.find((run) => run.name === name);
+    return scene ? ` on ${scene}` : "";
+  };
+  const on = (value) => ` on ${value.split("\n")[0]}`;
   const inputs = grouped((run) => fact(run, "input_hash"));
-  const reasons = [];
-  if (inputs.length > 1)
-    reasons.push(
-      "they read different data (another scene, or other frames or sizes of one): " + listed(inputs, (_, [name]) => {
-        const {scene} = runs.find((run) => run.name === name);
-        return scene ? ` on ${scene}` : "";
-      }));
   // Other data have another number of frames; that is no reason of its own.
-  const parts = grouped(
-    (run) =>
-      (inputs.length > 1 && last_row(run) && !sample_text(last_row(run)) ? "all frames" : part_text(last_row(run))));
+  const is_whole = (run) => inputs.length > 1 && last_row(run) && !sample_text(last_row(run));
+  const parts = grouped((run) => (is_whole(run) ? "all frames" : part_text(last_row(run))));
   const frames = grouped((run) => run.eval?.per_frame.map(({frame}) => frame).join("\n"));
   const pixels = grouped((run) => get(last_row(run), "pixels")?.toFixed(0));
-  const on = (value) => ` on ${value.split("\n")[0]}`;
+  const reasons = [];
+  if (inputs.length > 1)
+    reasons.push("they read different data (another scene, or other frames or sizes of one): " +
+      listed(inputs, scene_of));
   if (parts.length > 1)
     reasons.push("their last evaluations scored other parts of the split: " + listed(parts, (value) => ` ${value}`));
   else if (inputs.length < 2 && frames.length > 1)
@@ -115,10 +115,10 @@ function best_of(values, better) {
  * When the evaluations first reached a level: {before, at: seconds, first: at the first one, only: of one}; or null.
  */
 function time_of_level(rows, {key, better}, level) {
-  const known = rows.filter((row) => get(row, key) !== null),
-        i = known.findIndex((row) => better * (get(row, key) - level) >= 0);
-  return i < 0 ? null :
-                 {before: known[i - 1]?.train_s ?? 0, at: known[i].train_s, first: i === 0, only: rows.length === 1};
+  const known = rows.filter((row) => get(row, key) !== null);
+  const i = known.findIndex((row) => better * (get(row, key) - level) >= 0);
+  if (i < 0) return null;
+  return {before: known[i - 1]?.train_s ?? 0, at: known[i].train_s, first: i === 0, only: rows.length === 1};
 }
 /** Index of the run that came first for certain, or -1. */
 const first_for_certain = (times) => times.length < 2 ? -1 : times.findIndex((one, i) => one &&
@@ -130,8 +130,8 @@ const first_for_certain = (times) => times.length < 2 ? -1 : times.findIndex((on
 function time_to_share(points, better, share) {
   const [first, last] = [points[0], points.at(-1)];
   if (points.length < 2 || better * (last.y - first.y) <= 0) return null;
-  const level = first.y + share * (last.y - first.y),
-        i = points.findIndex((p, k) => k > 0 && better * (p.y - level) >= 0);
+  const level = first.y + share * (last.y - first.y);
+  const i = points.findIndex((p, k) => k > 0 && better * (p.y - level) >= 0);
   if (i < 0) return last.x;  // rounding kept the last value a hair from its own level
   const before = points[i - 1], after = points[i], way = after.y - before.y;
   return way === 0 ? before.x : before.x + (level - before.y) / way * (after.x - before.x);
@@ -157,14 +157,19 @@ const grey = (text) => html`<span class="none">${text}</span>`;
 const hint = (...text) => html`<p class="hint after">${text}</p>`;
 const swatch = (color) => html`<span class="sw" style="background:rgb(${color.join(" ")})"></span>`;
 const head = (name, more, kind = "num") => html`<th scope="col" class="${kind}">${name}${small(more)}</th>`;
-const row = (name, cells) => html`<tr><th scope="row">${name}</th>${cells}</tr>`;
+const text_head = (name) => head(name, "", "");
 const cell = (text, more) => html`<td class="num">${text}${small(more)}</td>`;
 const value_cell = (value, digits, is_best) => value === null ?
   html`<td class="num none">–</td>` :
   html`<td class="num${is_best && " best"}">${figure(value, digits)}</td>`;
-const table = (label, heads, rows, kind = "panel ") => html`<div class="${kind}scroll" tabindex="0" role="region"
+/** Cells are Html, or texts of cells. */
+const row = (name, cells) => html`<tr><th scope="row">${name}</th>${
+  [cells].flat(9).map((one) => (one instanceof Html ? one : cell(one)))}</tr>`;
+const scroll = (label, heads, rows, kind) => html`<div class="${kind}scroll" tabindex="0" role="region"
 aria-label="${label}"><table><thead>${heads}</thead><tbody>${rows}</tbody></table></div>`;
-const of_runs = (first, heads) => html`<tr>${head(first, "", "")}${heads}</tr>`;
+/** columns: a name, [name, more], or Html of a head. */
+const table = (label, first, columns, rows, kind = "panel ") => scroll(label, html`<tr>${text_head(first)}${
+  columns.map((one) => (one instanceof Html ? one : head(...[one].flat())))}</tr>`, rows, kind);
 const details = (title, ...parts) => html`<details><summary>${title}</summary>${parts}</details>`;
 const panel = (title, note, ...parts) =>
   html`<figure class="panel"><figcaption>${title}<span>${note}</span></figcaption>${parts}</figure>`;
@@ -193,48 +198,42 @@ src="${png}"><figcaption>${caption}</figcaption></figure>`)}</div></div>`);
 
 // ---- the head: what the runs are, what to mind about them, and their largest figures
 
+function facts_of(run) {
+  const of = run.labels, last = last_row(run), version = fact(run, "version"), device = fact(run, "device");
+  const labelled = of?.classes.length ? ` (${count(of.labelled_frames)} labelled)` : "";
+  const held_out = split === "test" &&
+    (get(last, "split_frames") ?? (sample_text(last) ? null : get(last, "frames")));
+  const frames = [of && `${count(of.train_frames)} training${labelled}`, held_out && `${count(held_out)} test`];
+  return {
+    Scene: run.scene,
+    Frames: frames.filter((text) => text).join(", "),
+    Started: fact(run, "started"),
+    Version: version && `Semfield ${version}`,
+    Device: !device || device === "cpu" ? fact(run, "cpu") : device
+  };
+}
 function facts() {
-  const told = runs.map((run) => {
-    const frames = run.labels ?
-      [`${count(run.labels.train_frames)} training${
-        run.labels.classes.length ? ` (${count(run.labels.labelled_frames)} labelled)` : ""}`] :
-      [];
-    const last = last_row(run),
-          held_out =
-            split === "test" && (get(last, "split_frames") ?? (sample_text(last) ? null : get(last, "frames")));
-    if (held_out) frames.push(`${count(held_out)} test`);
-    const version = fact(run, "version"), device = fact(run, "device");
-    return {
-      Scene: run.scene,
-      Frames: frames.join(", "),
-      Started: fact(run, "started"),
-      Version: version && `Semfield ${version}`,
-      Device: !device || device === "cpu" ? fact(run, "cpu") : device
-    };
-  });
+  const told = runs.map(facts_of);
   const names = Object.keys(told[0]).filter((name) => told.some((of) => of[name]));  // what no run states is left out
   if (!several)
     return names.length > 0 &&
       html`<dl class="facts">${names.map((name) => html`<div><dt>${name}</dt><dd>${told[0][name]}</dd></div>`)}</dl>`;
-  return html`<div class="facts">${table("Runs", of_runs("Run", names.map((name) => head(name, "", ""))),
-    runs.map((run, i) => row(run.name, names.map((name) => html`<td>${told[i][name]}</td>`))))}</div>`;
+  const rows = runs.map((run, i) => row(run.name, names.map((name) => html`<td>${told[i][name]}</td>`)));
+  return html`<div class="facts">${table("Runs", "Run", names.map(text_head), rows)}</div>`;
 }
 function notices() {
   const sampled = runs.filter((run) => sample_text(last_row(run)))
                     .map((run) => (several ? `${run.name}: ` : "") + sample_text(last_row(run)));
   return [
     several && !ranked && `The runs are not ranked: ${unranked.join("; ")}.`,
-    sampled.length > 0 &&
-      `Figures are of a sample of the split “${split}” (${
-        sampled.join(
-          "; ")}); \`semfield eval\` on the run folder scores every pixel, and \`semfield report\` shows that then.`
+    sampled.length > 0 && `Figures are of a sample of the split “${split}” (${sampled.join("; ")}); ` +
+      "`semfield eval` on the run folder scores every pixel, and `semfield report` shows that then."
   ].map((text) => text && html`<p class="notice">${text}</p>`);
 }
 function cards() {
   const card = (label, value, unit, note) => html`<div class="card"><div class="k">${label}</div><div
 class="v">${value}${unit && html`<span class="u">${unit}</span>`}</div><div class="n">${note}</div></div>`;
-  const shown = several && !ranked ?
-    [] :
+  const shown = several && !ranked ? [] :
     ["miou_present", "total_accuracy", "psnr", "psnr_fitted_colors", "psnr_refined_poses", "absrel"];
   const longest = runs.reduce((a, b) => (trained_s(b) > trained_s(a) ? b : a));
   return html`<div class="cards">${shown.map((key) => {
@@ -259,20 +258,18 @@ function figures() {
   const rows = kMetrics.map(({key, label, unit, digits, better, help}) => {
     const values = runs.map((run) => table_value(run, key)), best = ranked ? best_of(values, better) : -1;
     if (values.every((value) => value === null)) return "";
-    return row(
-      [label, unit && [" ", grey(unit)], small(help)], values.map((value, i) => value_cell(value, digits, i === best)));
+    return row([label, unit && [" ", grey(unit)], small(help)],
+      values.map((value, i) => value_cell(value, digits, i === best)));
   });
-  rows.push(row(["Training time", small("evaluation not counted")], runs.map((run) => cell(duration(trained_s(run))))));
-  const sampled = runs.some((run) => sample_text(last_row(run)));
-  const sentence = !runs.some((run) => last_row(run)) ?
-    "No frame was scored: the scene has no test frames, or the run has not come to an evaluation." :
-    `Last evaluation${split ? ` on the split “${split}”` : ""}${
-      sampled ? ", of the sample that the head names" : ""}.` +
-      (!several  ? "" :
-          ranked ? " The best of each row is set in bold." :
-                   " The runs are not ranked; the reason is at the top.");
+  rows.push(row(["Training time", small("evaluation not counted")], runs.map((run) => duration(trained_s(run)))));
+  const sampled = runs.some((run) => sample_text(last_row(run))) ? ", of the sample that the head names" : "";
+  const of_split = (split ? ` on the split “${split}”` : "") + sampled;
+  const rank = !several ? "" : ranked ? " The best of each row is set in bold." :
+                                        " The runs are not ranked; the reason is at the top.";
+  const sentence = runs.some((run) => last_row(run)) ? `Last evaluation${of_split}.${rank}` :
+    "No frame was scored: the scene has no test frames, or the run has not come to an evaluation.";
   return section("figures", "Figures", sentence,
-    html`<div class="figures">${table("Figures", of_runs("Metric", run_heads(true)), rows)}</div>`);
+    html`<div class="figures">${table("Figures", "Metric", run_heads(true), rows)}</div>`);
 }
 
 function classes() {
@@ -287,62 +284,51 @@ function classes() {
       html`<div class="tr">${iou !== null && bar(iou, i)}</div>`)}</span><span class="val">${ious.map((iou) =>
       iou === null ? html`<div class="none">no data</div>` : html`<div>${iou.toFixed(3)}</div>`)}</span></div>`;
   });
-  return bars.length > 0 &&
-    section("classes", "Intersection over union by class",
-      several ? "Bars run from 0 to 1, in the order and colours of the legend." :
-                "Bars run from 0 to 1, in the colours of the label images.",
-      legend(), html`<div class="panel bars">${bars}</div>`);
+  return bars.length > 0 && section("classes", "Intersection over union by class",
+    `Bars run from 0 to 1, in the ${several ? "order and colours of the legend" : "colours of the label images"}.`,
+    legend(), html`<div class="panel bars">${bars}</div>`);
 }
 
 function frames() {
   if (data.strips.length === 0) return "";
   const [first, ...more] = data.strips, entropy = first.images.some(({caption}) => caption === "entropy");
-  return section("frames", "Rendered frames",
-    (entropy ? "Entropy runs over its full range, 0 to ln C; depth is bright where near." :
-               "Depth is bright where near.") +
-      of_first,
-    strips([first]),
-    more.length > 0 &&
-      html`<details class="panel more"><summary>${more.length} more frame${more.length > 1 && "s"}</summary>${
-        strips(more)}</details>`);
+  const sentence = entropy ? "Entropy runs over its full range, 0 to ln C; depth is bright where near." :
+                             "Depth is bright where near.";
+  return section("frames", "Rendered frames", sentence + of_first, strips([first]), more.length > 0 &&
+    html`<details class="panel more"><summary>${more.length} more frame${more.length > 1 && "s"}</summary>${
+      strips(more)}</details>`);
 }
 const scene = () => data.scene &&
   section("scene", "3D", `A coarse mesh${several ? ` of ${runs[0].name}` : ""}. Drag to turn; click it first to zoom.`,
     html`<iframe loading="lazy" title="The scene in three dimensions" srcdoc="${data.scene}"></iframe>`);
 
 function left_out() {
-  const rows = new Map();  // a row that several runs have stands once, with their names
+  const kept = new Map();  // a row that several runs have stands once, with their names
   for (const run of runs)
     for (const one of run.left_out) {
       const key = JSON.stringify(one);
-      rows.set(key, [one, [...(rows.get(key)?.[1] ?? []), run.name]]);
+      kept.set(key, [one, [...(kept.get(key)?.[1] ?? []), run.name]]);
     }
-  return rows.size > 0 &&
-    section("left-out", "Left out, and why",
-      "Parts that this scene does not need were not built. Proof: B, bitwise the same result; C, within a " +
-        "certified bound; S, the same within statistics.",
-      html`<div class="left-out">${
-        table("Left out", of_runs("Component", ["Found here", "Saving", "Proof"].map((name) => head(name, "", ""))),
-          [...rows.values()].map(([one, names]) => row(
-                                   [
-                                     one.component, small(one.rule),
-                                     several && small(names.length === runs.length ? "every run" : names.join(", "))
-                                   ],
-                                   html`<td>${one.evidence}</td><td>${one.saving_estimate}${
-                                     small(one.saving_measured &&
-                                       `measured: ${one.saving_measured}`)}</td><td>${one.proof}</td>`)))}</div>`);
+  const rows = [...kept.values()].map(([one, names]) => row(
+    [one.component, small(one.rule), several && small(names.length === runs.length ? "every run" : names.join(", "))],
+    html`<td>${one.evidence}</td><td>${one.saving_estimate}${
+      small(one.saving_measured && `measured: ${one.saving_measured}`)}</td><td>${one.proof}</td>`));
+  return rows.length > 0 && section("left-out", "Left out, and why",
+    "Parts that this scene does not need were not built. Proof: B, bitwise the same result; C, within a " +
+      "certified bound; S, the same within statistics.",
+    html`<div class="left-out">${
+      table("Left out", "Component", ["Found here", "Saving", "Proof"].map(text_head), rows)}</div>`);
 }
 function setup() {
-  const parts =
-    runs
-      .flatMap(
-        (run) => [run.environment.length > 0 &&
-            details(["Environment", of_run(run)],
-              html`<div class="scroll"><table><tbody>${run.environment.filter(([, value]) => value).map(([
-                key, value
-              ]) => row(key.replaceAll("_", " "), html`<td class="code">${value}</td>`))}</tbody></table></div>`),
-          run.config && details(["Configuration", of_run(run)], html`<pre tabindex="0">${run.config}</pre>`)])
-      .filter((part) => part);
+  const parts = runs.flatMap((run) => {
+    const rows = run.environment.filter(([, value]) => value)
+                   .map(([key, value]) => row(key.replaceAll("_", " "), html`<td class="code">${value}</td>`));
+    return [
+      run.environment.length > 0 && details(["Environment", of_run(run)],
+        html`<div class="scroll"><table><tbody>${rows}</tbody></table></div>`),
+      run.config && details(["Configuration", of_run(run)], html`<pre tabindex="0">${run.config}</pre>`)
+    ];
+  }).filter((part) => part);
   return parts.length > 0 &&
     section("setup", "Set-up", "What it takes to repeat the run.", html`<div class="panel">${parts}</div>`);
 }
@@ -356,11 +342,9 @@ function label_plots(key_of_count, x_label) {
   const counts = runs.filter(has_labels).map((run) => run.labels[key_of_count]), least = Math.min(...counts);
   const log_x = least > 0 && Math.max(...counts) >= 10 * least;
   return ["miou", "total_accuracy"].map((key) => {
-    const series =
-      runs
-        .map(
-          (run, color) => ({name: run.name, color, points: [{x: run.labels?.[key_of_count], y: last_value(run, key)}]}))
-        .filter(({points: [{y}]}, i) => has_labels(runs[i]) && y !== null);
+    const point = (run) => ({x: run.labels?.[key_of_count], y: last_value(run, key)});
+    const series = runs.map((run, color) => ({name: run.name, color, points: [point(run)]}))
+                     .filter(({points: [{y}]}, i) => has_labels(runs[i]) && y !== null);
     const title = metric_of(key).label;
     return series.length > 0 && panel(title, log_x ? "logarithmic number of labels" : "higher is better",
       plot({title, x_label, markers: true, log_x, series}));
@@ -378,58 +362,44 @@ function labels() {
   const rows = known.map((run) => {
     const of = run.labels, taught = of.classes.filter(({pixels}) => pixels > 0).length;
     return row([run.name, small(of.degrade.map(({type}) => type).join(", "))], [
-      cell(`${count(of.labelled_frames)} of ${count(of.train_frames)}`),
+      `${count(of.labelled_frames)} of ${count(of.train_frames)}`,
       cell(count(of.labelled_pixels), `${percent(ratio(of.labelled_pixels, of.train_pixels))} of all`),
-      cell(`${taught} of ${of.classes.length}`),
+      `${taught} of ${of.classes.length}`,
       columns.map(([, , part, key]) => value_cell(last_value(run, key, part), 4))
     ]);
   });
-  const told =
-    runs.flatMap((run) => (run.labels?.degrade ?? []).map(({type, facts}) => [run.name, type, Object.entries(facts)]))
-      .filter(([, , list]) => list.length > 0)
-      .map(([name, type, list]) => hint(`${name}, ${type}: ${list.map((one) => one.join(" ")).join(", ")}.`));
+  const steps = runs.flatMap((run) => (run.labels?.degrade ?? []).map((step) => [run.name, step]));
+  const told = steps.filter(([, {facts}]) => Object.keys(facts).length > 0).map(([name, {type, facts}]) =>
+    hint(`${name}, ${type}: ${Object.entries(facts).map((one) => one.join(" ")).join(", ")}.`));
   const rounds = runs.flatMap((run) => run.rounds.map((text) => hint(`${run.name}, ${text}.`)));
   const plots = known.length > 1 && ranked ? label_plots("labelled_pixels", "labelled pixels in training") : [];
-  return section("labels", known.length > 1 ? "Error against number of labels" : "Labels in training",
-    known.length > 1 ? "One point for each run, at its last evaluation; runs may differ in more than their labels." :
-                       "What the semantic head learned from.",
-    plots.some((one) => one) &&
-      [
-        legend(),
-        choice(
-          "label-frames", "count labelled frames", plots, label_plots("labelled_frames", "labelled frames in training"))
-      ],
-    table("Labels of each run",
-      of_runs("Run",
-        [
-          head("Labelled frames"), head("Labelled pixels"), head("Classes with labels"),
-          columns.map(([name, more]) => head(name, more))
-        ]),
-      rows),
+  const by_frames = () => label_plots("labelled_frames", "labelled frames in training");
+  const [title, sentence] = known.length > 1 ?
+    ["Error against number of labels",
+      "One point for each run, at its last evaluation; runs may differ in more than their labels."] :
+    ["Labels in training", "What the semantic head learned from."];
+  return section("labels", title, sentence,
+    plots.some((one) => one) && [legend(), choice("label-frames", "count labelled frames", plots, by_frames())],
+    table("Labels of each run", "Run", ["Labelled frames", "Labelled pixels", "Classes with labels",
+      ...columns.map(([name, more]) => [name, more])], rows),
     told, rounds,
     missing("Left out, because their folders hold no labels.json (made by an older version):", (run) => !run.labels),
     missing("Left out, because their scenes have no classes:", (run) => run.labels && !has_labels(run)));
 }
 function clicks() {
-  const tables = runs.filter(({clicked}) => clicked).map((run) => {
-    const of = run.clicked;
-    return [
-      hint(several && `${run.name}: `,
-        `${counted(of.clicks, "click")} in ${count(of.clicked_frames)} of ${count(of.frames)} frames, at step ${
-          count(of.step)}.`),
-      table("Classes of the clicks", of_runs("Class", ["Clicks", "Surface", "Sure"].map((name) => head(name))),
-        of.classes.map(
-          (one) => row([swatch(one.color), " ", one.name, grey(` ${one.id}`)],
-            [count(one.clicks), percent(one.area_share), percent(one.confidence)].map((text) => cell(text)))))
-    ];
-  });
-  return tables.length > 0 &&
-    section("clicks", "Clicks",
-      "What was named on the labelling page. Surface: share of what the views show; sure: mean probability of " +
-        "the class there.",
-      tables,
-      data.clicked.length > 0 &&
-        [hint("Frames with the most clicks, which are drawn on the photographs.", of_first), strips(data.clicked)]);
+  const tables = runs.filter(({clicked}) => clicked).map(({name, clicked: of}) => [
+    hint(several && `${name}: `,
+      `${counted(of.clicks, "click")} in ${count(of.clicked_frames)} of ${count(of.frames)} frames, at step ${
+        count(of.step)}.`),
+    table("Classes of the clicks", "Class", ["Clicks", "Surface", "Sure"], of.classes.map((one) =>
+      row([swatch(one.color), " ", one.name, grey(` ${one.id}`)],
+        [count(one.clicks), percent(one.area_share), percent(one.confidence)])))
+  ]);
+  return tables.length > 0 && section("clicks", "Clicks",
+    "What was named on the labelling page. Surface: share of what the views show; sure: mean probability of " +
+      "the class there.",
+    tables, data.clicked.length > 0 &&
+      [hint("Frames with the most clicks, which are drawn on the photographs.", of_first), strips(data.clicked)]);
 }
 
 // ---- what the final evaluation says beside figures
@@ -444,33 +414,28 @@ function confusions_of({classes: all, confusion: {pixels}}) {
   const found = pixels.flatMap((of, t) => of.map((n, p) => ({t, p, n, share: ratio(n, truth[t])})))
                   .filter(({t, p, n}) => t !== p && n > 0);
   const wrong = sum(found.map(({n}) => n));
+  const read_as = ({t, p, n, share}) => html`<li>${swatch(all[t].color)}${all[t].name} read as ${
+    swatch(all[p].color)}${all[p].name}: ${percent(share)} of ${all[t].name}${
+    small(`${px_text(n)}, ${percent(ratio(n, wrong))} of all wrong pixels`)}</li>`;
   // Twice: those that cost most pixels are of large classes, those that hide a class of small ones.
   const list = (title, key) => html`<div><h4>${title}</h4><ul>${
-    [...found].sort((a, b) => b[key] - a[key] || b.n - a.n)
-      .slice(0, kMostConfusions)
-      .map(({t, p, n, share}) => html`<li>${swatch(all[t].color)}${all[t].name} read as ${swatch(all[p].color)}${
-             all[p].name}: ${percent(share)} of ${all[t].name}${
-             small(`${px_text(n)}, ${percent(ratio(n, wrong))} of all wrong pixels`)}</li>`)}</ul></div>`;
-  const shown = all.map((_, i) => i)
-                  .sort((a, b) => truth[b] + predicted[b] - truth[a] - predicted[a])
-                  .slice(0, kMostClasses)
-                  .sort((a, b) => a - b);
+    [...found].sort((a, b) => b[key] - a[key] || b.n - a.n).slice(0, kMostConfusions).map(read_as)}</ul></div>`;
+  const shown = all.map((_, i) => i).sort((a, b) => truth[b] + predicted[b] - truth[a] - predicted[a])
+                  .slice(0, kMostClasses).sort((a, b) => a - b);
   const one = (t, p) => {
     const n = pixels[t][p], share = ratio(n, truth[t]);
+    if (n === 0) return html`<td></td>`;
     // The root shows small fractions; half of full colour keeps the figures legible.
-    return n === 0 ? html`<td></td>` :
-                     html`<td class="${t === p ? "ok" : "no"}" style="--p:${(60 * Math.sqrt(share)).toFixed(0)}%"
+    return html`<td class="${t === p ? "ok" : "no"}" style="--p:${(60 * Math.sqrt(share)).toFixed(0)}%"
 title="${all[t].name} read as ${all[p].name}: ${percent(share)} of ${all[t].name}, ${px_text(n)}">${
-                       share < 0.005 ? "·" : (100 * share).toFixed(0)}</td>`;
+      share < 0.005 ? "·" : (100 * share).toFixed(0)}</td>`;
   };
-  const rows =
-    shown.filter((t) => truth[t] > 0)
-      .map((t) => html`<tr><th scope="row" class="row" title="${all[t].name}">${swatch(all[t].color)}${grey(all[t].id)}
-${all[t].name}</th>${shown.map((p) => one(t, p))}${
-             cell(count(truth[t]))}</tr>`);  // read, but never true: a column alone
+  // A class that is read, but never true, is a column alone.
+  const rows = shown.filter((t) => truth[t] > 0).map((t) => html`<tr><th scope="row" class="row"
+title="${all[t].name}">${swatch(all[t].color)}${grey(all[t].id)}
+${all[t].name}</th>${shown.map((p) => one(t, p))}${cell(count(truth[t]))}</tr>`);
   return [
-    found.length === 0 ?
-      html`<p class="hint">Every scored pixel has its class.</p>` :
+    found.length === 0 ? html`<p class="hint">Every scored pixel has its class.</p>` :
       html`<div class="words">${list("Most pixels", "n")}${list("Largest share of a class", "share")}</div>`,
     html`<div class="scroll" tabindex="0" role="region" aria-label="Confusion matrix"><table
 class="cm"><thead><tr><th scope="col"
@@ -483,66 +448,44 @@ ${all[p].name}</span></th>`)}${head("pixels")}</tr></thead><tbody>${rows}</tbody
 }
 function confusions() {
   const some = runs.filter((run) => run.eval?.confusion.pixels.flat().some((n) => n > 0));
-  return some.length > 0 &&
-    section("confusion", "Confusions",
-      "Which classes are taken for which, over all pixels of the last evaluation. A row holds all pixels of a " +
-        "true class and sums to 100 %; “·” is less than half a per cent.",
-      html`<div class="panel">${
-        some.map((run, i) => several ?
-            html`<details ${i === 0 && "open"}><summary>${run.name}</summary>${confusions_of(run.eval)}</details>` :
-            html`<div class="pad">${confusions_of(run.eval)}</div>`)}</div>`,
-      without_detail());
+  const of_one = (run, i) => several ?
+    html`<details ${i === 0 && "open"}><summary>${run.name}</summary>${confusions_of(run.eval)}</details>` :
+    html`<div class="pad">${confusions_of(run.eval)}</div>`;
+  return some.length > 0 && section("confusion", "Confusions",
+    "Which classes are taken for which, over all pixels of the last evaluation. A row holds all pixels of a " +
+      "true class and sums to 100 %; “·” is less than half a per cent.",
+    html`<div class="panel">${some.map(of_one)}</div>`, without_detail());
 }
 
 function reliability(run, color) {
   const {bins, nonfinite_pixels: lost} = run.eval.reliability, all = sum(bins.map(({pixels}) => pixels));
-  const held =
-    bins.map((bin, i) => ({...bin, from: i / bins.length, to: (i + 1) / bins.length, share: ratio(bin.pixels, all)}))
-      .filter(({pixels}) => pixels > 0);
+  const held = bins.map((bin, i) => ({...bin, range: [i, i + 1].map((k) => k / bins.length)}))
+                 .filter(({pixels}) => pixels > 0);
   const mean = (value_of) => sum(held.map((bin) => bin.pixels * value_of(bin))) / Math.max(1, all);
   const ece = all > 0 && !lost ? mean(({accuracy, confidence}) => Math.abs(accuracy - confidence)) : null;
   const sure = mean(({confidence}) => confidence), right = mean(({accuracy}) => accuracy), lean = sure - right;
-  const means = `Mean confidence ${sure.toFixed(3)}, accuracy ${right.toFixed(3)}`,
-        auroc = run.eval.entropy?.auroc ?? null;
-  const series = {
-    name: run.name,
-    color,
-    points: held.map(({confidence: x, accuracy: y}) => ({x, y})),
-    bars: held.map(({from, to, share, accuracy}) => ({
-      from,
-      to,
-      height: share,
-      text: `confidence ${from.toFixed(2)} to ${to.toFixed(2)}: ${percent(share)} of the pixels, accuracy ${
-        accuracy.toFixed(3)}`
-    }))
-  };
+  const auroc = run.eval.entropy?.auroc ?? null;
+  const to_text = (range) => range.map((v) => v.toFixed(2)).join(" to ");
+  const bars = held.map(({range, pixels, accuracy}) => ({
+    from: range[0], to: range[1], height: ratio(pixels, all),
+    text: `confidence ${to_text(range)}: ${percent(ratio(pixels, all))} of the pixels, accuracy ${accuracy.toFixed(3)}`
+  }));
+  const points = held.map(({confidence: x, accuracy: y}) => ({x, y}));
   const perfect = {name: "perfect calibration", color: 0, points: [{x: 0, y: 0}, {x: 1, y: 1}], reference: true};
+  const drawn = plot({title: "Accuracy", x_label: "confidence", markers: true, end_values: false, x_range: [0, 1],
+    y_range: [0, 1], series: [{name: run.name, color, points, bars}, perfect]});
+  const told = Math.abs(lean) >= 0.0005 &&
+    `: ${lean > 0 ? "over-confident" : "under-confident"} by ${Math.abs(lean).toFixed(3)}`;
+  const rows = held.map(({range, pixels, confidence, accuracy}) => row(to_text(range), [count(pixels),
+    percent(ratio(pixels, all)), confidence.toFixed(3), accuracy.toFixed(3),
+    figure(Math.round(1000 * (accuracy - confidence)) / 1000, 3)]));
   return panel(run.name,
-    ece === null ? `no ECE: ${px_text(lost)} without finite probabilities` : `ECE ${figure(ece, 3)}`, plot({
-      title: "Accuracy",
-      x_label: "confidence",
-      markers: true,
-      end_values: false,
-      x_range: [0, 1],
-      y_range: [0, 1],
-      series: [series, perfect]
-    }),
-    html`<p class="hint note">${means}${
-      Math.abs(lean) >= 0.0005 &&
-      `: ${lean > 0 ? "over-confident" : "under-confident"} by ${Math.abs(lean).toFixed(3)}`}.${
-      auroc !== null &&
-      ` AUROC ${figure(auroc, 3)}: in ${
-        percent(auroc)} of all pairs of a wrong and a right pixel the wrong one has the higher entropy.`}</p>`,
-    details("Bins",
-      table("Reliability bins",
-        of_runs("Confidence",
-          ["Pixels", "Share", "Mean confidence", "Accuracy", "Accuracy − confidence"].map((name) => head(name))),
-        held.map(({from, to, pixels, share, confidence, accuracy}) => row(`${from.toFixed(2)} to ${to.toFixed(2)}`,
-                   [
-                     count(pixels), percent(share), confidence.toFixed(3), accuracy.toFixed(3),
-                     figure(Math.round(1000 * (accuracy - confidence)) / 1000, 3)
-                   ].map((text) => cell(text)))),
-        "")));
+    ece === null ? `no ECE: ${px_text(lost)} without finite probabilities` : `ECE ${figure(ece, 3)}`, drawn,
+    html`<p class="hint note">Mean confidence ${sure.toFixed(3)}, accuracy ${right.toFixed(3)}${told}.${
+      auroc !== null && ` AUROC ${figure(auroc, 3)}: in ${percent(auroc)} of all pairs of a wrong and a right pixel ` +
+        "the wrong one has the higher entropy."}</p>`,
+    details("Bins", table("Reliability bins", "Confidence",
+      ["Pixels", "Share", "Mean confidence", "Accuracy", "Accuracy − confidence"], rows, "")));
 }
 /** Entropy at training poses by what the label was worth, of runs with report.training_frames. */
 function given_table() {
@@ -555,24 +498,22 @@ function given_table() {
   ];
   const some = runs.filter((run) => columns.some(([, , key]) => last_value(run, key, "train") !== null));
   return some.length > 0 && [
-    hint(
-      "Entropy of the pixels of training frames, by the label that they were given. An AUROC of 0.5 is chance; 1 " +
-        "means that entropy separates the two groups."),
-    table("Entropy by the label given", of_runs("Run", columns.map(([name, more]) => head(name, more))),
+    hint("Entropy of the pixels of training frames, by the label that they were given. An AUROC of 0.5 is chance; 1 " +
+      "means that entropy separates the two groups."),
+    table("Entropy by the label given", "Run", columns.map(([name, more]) => [name, more]),
       some.map((run) => row(run.name, columns.map(([, , key]) => value_cell(last_value(run, key, "train"), 3)))))
   ];
 }
 function calibration() {
-  const plots = runs.map((run, i) => run.eval?.reliability.bins.length > 0 && reliability(run, i)),
-        given = given_table();
-  return (given || plots.some((one) => one)) &&
-    section("calibration", "Calibration",
-      "Does a class with probability 0.8 turn out right in 80 % of the cases? Dots: share of right pixels over " +
-        "mean confidence, in 15 bins; on the dotted line it is as sure as it is right, " +
-        "below it too sure. Bars: share of all pixels that a bin holds. ECE is the mean distance from the line, " +
-          "weighted by pixels. AUROC says how well entropy finds wrong pixels: 0.5 is chance, " +
-        "1 is all wrong pixels above all right ones.",
-      html`<div class="plots">${plots}</div>`, given, without_detail());
+  const plots = runs.map((run, i) => run.eval?.reliability.bins.length > 0 && reliability(run, i));
+  const given = given_table();
+  return (given || plots.some((one) => one)) && section("calibration", "Calibration",
+    "Does a class with probability 0.8 turn out right in 80 % of the cases? Dots: share of right pixels over " +
+      "mean confidence, in 15 bins; on the dotted line it is as sure as it is right, " +
+      "below it too sure. Bars: share of all pixels that a bin holds. ECE is the mean distance from the line, " +
+      "weighted by pixels. AUROC says how well entropy finds wrong pixels: 0.5 is chance, " +
+      "1 is all wrong pixels above all right ones.",
+    html`<div class="plots">${plots}</div>`, given, without_detail());
 }
 
 function worst() {
@@ -581,15 +522,12 @@ function worst() {
   const compared = (a, b) => (a < b ? -1 : a > b ? 1 : 0);
   const sorted = (all) =>
     [...all].sort((a, b) => compared(rank(a)[0], rank(b)[0]) || compared(rank(a)[1], rank(b)[1]));
-  const tables =
-    runs.filter((run) => run.eval?.per_frame.length > 0)
-      .map(
-        (run) => details([`Scores of all ${run.eval.per_frame.length} frames`, of_run(run)],
-          table("Scores of frames",
-            of_runs("Frame", ["mIoU (present)", "PSNR, dB", "AbsRel"].map((name) => head(name))),
-            sorted(run.eval.per_frame).map((frame) => row(frame.frame, [["miou_present", 4], ["psnr", 4],
-              ["absrel", 3]].map(([key, digits]) => value_cell(get(frame, key), digits)))),
-            "")));
+  const values = (frame) => [["miou_present", 4], ["psnr", 4], ["absrel", 3]]
+    .map(([key, digits]) => value_cell(get(frame, key), digits));
+  const tables = runs.filter((run) => run.eval?.per_frame.length > 0).map((run) =>
+    details([`Scores of all ${run.eval.per_frame.length} frames`, of_run(run)],
+      table("Scores of frames", "Frame", ["mIoU (present)", "PSNR, dB", "AbsRel"],
+        sorted(run.eval.per_frame).map((frame) => row(frame.frame, values(frame))), "")));
   return data.worst.length + tables.length > 0 && section("worst", "Worst frames",
     data.worst.length > 0 && `The frames with the lowest scores, worst first.${of_first}`, strips(data.worst),
     tables.length > 0 && html`<div class="panel below">${tables}</div>`);
@@ -608,16 +546,8 @@ const kCurves = [
 function all_curves() {
   const terms = new Set(runs.flatMap((run) => run.rows.filter(({kind}) => kind === "train").flatMap(Object.keys))
     .filter((key) => key.startsWith("loss_") && key !== "loss_color" && key !== "loss_semantic"));
-  return [
-    ...kCurves, ...[...terms].map((key) => ({
-      key,
-      title: `Loss: ${key.slice(5)}`,
-      note: "logarithmic, before its weight",
-      trains: true,
-      log_y: true,
-      digits: 3
-    }))
-  ];
+  const note = "logarithmic, before its weight";
+  return [...kCurves, ...[...terms].map((key) => ({...kCurves[0], key, title: `Loss: ${key.slice(5)}`, note}))];
 }
 /** Values over seconds of training. */
 const points_of = (run, {key, trains}) => (trains ? run.rows.filter(({kind}) => kind === "train") : curve_rows(run))
@@ -631,32 +561,25 @@ function common_part() {
 /** What the values at the lines' ends are of. */
 function parts_sentence() {
   const common = common_part();
-  if (common === null)
+  if (common === null) {
+    const part = (row) => (sample_text(row) ? `a sample, ${sample_text(row)}` : "all frames");
+    const of_each = runs.map((run) => [run.name, curve_rows(run)[0]]).filter(([, first]) => first);
     return ` The curves are of different parts of the split: ${
-      runs.map((run) => [run.name, curve_rows(run)[0]])
-        .filter(([, first]) => first)
-        .map(([name, first]) => `${name}: ${sample_text(first) ? `a sample, ${sample_text(first)}` : "all frames"}`)
-        .join("; ")}.`;
-  const last = last_row(runs[0]);
+      of_each.map(([name, first]) => `${name}: ${part(first)}`).join("; ")}.`;
+  }
+  const last = last_row(runs[0]), differs = common && !several && last && sample_text(last) !== common;
   return (common && ` Evaluations while training are of a sample: ${common}.`) +
-    (common && !several && last && sample_text(last) !== common ?
-        ` The figures above are of ${part_text(last)}, so they differ from the ends of the curves.` :
-        "");
+    (differs ? ` The figures above are of ${part_text(last)}, so they differ from the ends of the curves.` : "");
 }
 function curve_plots(unit, x_label, log_x) {
   const part = common_part();
   return all_curves().map((curve) => {
     const series = runs.map((run, color) => {
       const points = points_of(run, curve);
-      const marks = curve.trains ?
-        [] :
-        kShares.map((share) => [share, time_to_share(points, metric_of(curve.key).better, share)])
-          .filter(([, at]) => at !== null)
-          .map(([share, at]) => ({
-            x: at / unit,
-            diamond: share !== kShares[0],
-            text: `${run.name}: ${percent(share)} of the way after ${duration(at)}`
-          }));
+      const time_to = (share) => time_to_share(points, metric_of(curve.key).better, share);
+      const marks = (curve.trains ? [] : kShares.map(time_to)).map((at, i) => at !== null && {
+        x: at / unit, diamond: i > 0, text: `${run.name}: ${percent(kShares[i])} of the way after ${duration(at)}`
+      }).filter((mark) => mark);
       return {name: run.name, color, points: thinned(points, 240).map(({x, y}) => ({x: x / unit, y})), marks};
     });
     if (series.every(({points}) => points.length === 0)) return "";
@@ -666,15 +589,15 @@ function curve_plots(unit, x_label, log_x) {
 }
 function convergence() {
   const curves = kCurves.filter((curve) => !curve.trains && runs.some((run) => points_of(run, curve).length > 0));
-  const rows = runs.map((run) => row(run.name, curves.map((curve) => {
+  const cells_of = (run, curve) => {
     const points = points_of(run, curve), {digits, better} = metric_of(curve.key);
-    return [
-      points.length === 0 ? value_cell(null) :
-                            cell(figure(points.at(-1).y, digits), `from ${figure(points[0].y, digits)}`),
-      kShares.map((share) => time_to_share(points, better, share))
-        .map((at) => (at === null ? value_cell(null) : cell(duration(at))))
-    ];
-  })));
+    const last = points.length === 0 ? value_cell(null) :
+                                       cell(figure(points.at(-1).y, digits), `from ${figure(points[0].y, digits)}`);
+    const times = kShares.map((share) => time_to_share(points, better, share));
+    return [last, times.map((at) => (at === null ? value_cell(null) : cell(duration(at))))];
+  };
+  const groups = curves.map(({key}) => html`<th scope="colgroup" colspan="3" class="grp">${metric_of(key).label}${
+    metric_of(key).unit && `, ${metric_of(key).unit}`}</th>`);
   return curves.length > 0 && [
     html`<h3>Time to the last value</h3><p class="hint">t90 and t95 are the training time at which a curve, read as
 straight
@@ -683,72 +606,62 @@ dip does not count. In the plots: ring and
 diamond. Every run is held against its own last value, so a run that ends low can be quick. A dash: fewer than two
 evaluations, or the last is no better
 than the first.</p>`,
-    table("Time to 90 % and 95 % of the last value",
-      html`<tr><th scope="col" rowspan="2">Run</th>${
-        curves.map(({key}) => html`<th scope="colgroup" colspan="3" class="grp">${metric_of(key).label}${
-                     metric_of(key).unit && `, ${metric_of(key).unit}`}</th>`)}</tr><tr>${
+    scroll("Time to 90 % and 95 % of the last value",
+      html`<tr><th scope="col" rowspan="2">Run</th>${groups}</tr><tr>${
         curves.map(() => ["last", "t90", "t95"].map((name) => head(name)))}</tr>`,
-      rows)
+      runs.map((run) => row(run.name, curves.map((curve) => cells_of(run, curve)))), "panel ")
   ];
 }
 /** When each run first reached the level that the weakest ended at. */
 function common_level() {
   if (!several || !ranked) return "";
-  const curves = runs.map(curve_rows),
-        same = curves.every(
-          (rows) => rows.length > 0 && curves[0].length > 0 && part_text(rows[0]) === part_text(curves[0][0]));
+  const curves = runs.map(curve_rows), [[first]] = curves;
+  const same = curves.every((rows) => rows.length > 0 && first && part_text(rows[0]) === part_text(first));
   const rows_of = same ? curves : runs.map((run) => eval_rows(run));
-  const time = (at, is_best) => at === null ?
-    value_cell(null) :
+  const time = (at, is_best) => at === null ? value_cell(null) :
     html`<td class="num${is_best && " best"}">${at.first && "≤ "}${duration(at.at)}${
       at.first && small(at.only ? "its only evaluation" : "its first evaluation")}</td>`;
   const rows = ["psnr", "miou_present", "absrel"].map(metric_of).map((metric) => {
-    const last = rows_of.map((rows) => get(rows.at(-1), metric.key));
+    const {better, digits, label, unit} = metric, last = rows_of.map((rows) => get(rows.at(-1), metric.key));
     if (!last.every(Number.isFinite)) return "";
-    const level = metric.better > 0 ? Math.min(...last) : Math.max(...last),
-          times = rows_of.map((rows) => time_of_level(rows, metric, level));
-    return row(`${metric.label} ${metric.better > 0 ? "≥" : "≤"} ${figure(level, metric.digits)}${
-                 metric.unit && ` ${metric.unit}`}`,
-      times.map((at, i) => time(at, i === first_for_certain(times))));
+    const level = better > 0 ? Math.min(...last) : Math.max(...last);
+    const times = rows_of.map((rows) => time_of_level(rows, metric, level)), best = first_for_certain(times);
+    return row(`${label} ${better > 0 ? "≥" : "≤"} ${figure(level, digits)}${unit && ` ${unit}`}`,
+      times.map((at, i) => time(at, i === best)));
   }).filter((one) => one);
   return rows.length > 0 && [
     html`<h3>Time to a common level</h3><p class="hint">Training time of the first evaluation at the level that every
 run ended at
 or beyond. A run came there between that evaluation and the one before; “≤” says that there was none before. Bold:
 first for certain.</p>`,
-    table("Time to reach a level", of_runs("Level", run_heads(false)), rows)
+    table("Time to reach a level", "Level", run_heads(false), rows)
   ];
 }
 function curves() {
   const longest = Math.max(...runs.map(trained_s));
-  const [unit, name] = longest <= 600 ? [1, "seconds"] :
-    longest <= 3 * 3600               ? [60, "minutes"] :
-                                        [3600, "hours"],
-               x_label = `${name} of training`;
-  const plots = curve_plots(unit, x_label, false),
-        times = runs.flatMap(({rows}) => rows.map((one) => get(one, "train_s"))).filter((t) => t > 0);
-  const first = times.reduce((a, b) => Math.min(a, b), Infinity),
-        is_long = times.length > 0 && longest >= 10 * first;  // a logarithmic axis shows more
-  return plots.some((one) => one) &&
-    section("curves", "Error against run time",
-      `Time is training alone; evaluation and output are not counted. The number at a line’s end is its last value.${
-        parts_sentence()}`,
-      legend(),
-      is_long ? choice("log-time", "logarithmic time", plots, curve_plots(unit, x_label, true)) :
-                html`<div class="plots">${plots}</div>`,
-      convergence(), common_level());
+  const [unit, name] = longest <= 600 ? [1, "seconds"] : longest <= 3 * 3600 ? [60, "minutes"] : [3600, "hours"];
+  const x_label = `${name} of training`, plots = curve_plots(unit, x_label, false);
+  const times = runs.flatMap(({rows}) => rows.map((one) => get(one, "train_s"))).filter((t) => t > 0);
+  const first = times.reduce((a, b) => Math.min(a, b), Infinity);
+  const is_long = times.length > 0 && longest >= 10 * first;  // a logarithmic axis shows more
+  return plots.some((one) => one) && section("curves", "Error against run time",
+    "Time is training alone; evaluation and output are not counted. The number at a line’s end is its last value." +
+      parts_sentence(),
+    legend(),
+    is_long ? choice("log-time", "logarithmic time", plots, curve_plots(unit, x_label, true)) :
+              html`<div class="plots">${plots}</div>`,
+    convergence(), common_level());
 }
 
 // ---- a sweep
 
 /** `tables`: rows of texts, the heads first; `plot`: as plot() takes it, or null. */
-function experiment({name, title, note, scored, unequal, tables, plot: drawn}) {
-  return section(name, title, note, hint(scored), unequal && html`<p class="notice">Not compared: ${unequal}.</p>`,
-    drawn && [legend(drawn.series.map((one) => one.name)),
-      html`<div class="plots">${panel(drawn.title, "", plot({...drawn, markers: true}))}</div>`],
-    tables.map(([[label, ...columns], ...rows]) => table(label, of_runs(label, columns.map((text) => head(text))),
-      rows.map(([first, ...cells]) => row(first, cells.map((text) => cell(text)))))));
-}
+const experiment = ({name, title, note, scored, unequal, tables, plot: drawn}) => section(name, title, note,
+  hint(scored), unequal && html`<p class="notice">Not compared: ${unequal}.</p>`,
+  drawn && [legend(drawn.series.map((one) => one.name)),
+    html`<div class="plots">${panel(drawn.title, "", plot({...drawn, markers: true}))}</div>`],
+  tables.map(([[label, ...columns], ...rows]) =>
+    table(label, label, columns, rows.map(([first, ...cells]) => row(first, cells)))));
 
 // ---- the page
 
