@@ -156,7 +156,7 @@ void LabelRun::take(const Annotations& annotations) {
   marked_ = sums;
   name_pixels(annotations, changed);
   marks_ = annotations.marks().size();
-  pictures_.set_marks(annotations.marks(), view_of_frame_);
+  pictures_.set_marks(annotations.marks());
   if (!changed.empty() || !loop_.learned()) {
     unlearned_ = true;
     fold_ = 0;
@@ -399,10 +399,9 @@ class Noting final : public RunListener {
   RunListener* told_;
 };
 
-// A run, and what was warned of while it was opened.
-std::pair<std::unique_ptr<Run>, std::vector<std::string>> open_labelling(RunConfig config, Registry& registry,
-                                                                         const LabelSessionOptions& options,
-                                                                         RunListener* listener) {
+// `warnings`: of while it was opened.
+std::unique_ptr<Run> open_labelling(RunConfig config, Registry& registry, const LabelSessionOptions& options,
+                                    RunListener* listener, std::vector<std::string>& warnings) {
   TrainRequest request;
   request.driver = Driver::page;
   request.out_dir = options.run_dir;
@@ -416,38 +415,36 @@ std::pair<std::unique_ptr<Run>, std::vector<std::string>> open_labelling(RunConf
   if (config.cameras.poses == CameraTrust::automatic) config.cameras.poses = CameraTrust::given;
   Noting noting(listener);
   auto run = std::make_unique<Run>(std::move(config), registry, request, listener, &noting);
-  return {std::move(run), std::move(noting.warnings)};
+  warnings = std::move(noting.warnings);
+  return run;
 }
 
 }  // namespace
 
-LabelSession::LabelSession(std::pair<std::unique_ptr<Run>, std::vector<std::string>> opened)
-    : annotations_(*opened.first->annotations()),
+LabelSession::LabelSession(RunConfig config, Registry& registry, const LabelSessionOptions& options,
+                           RunListener* listener)
+    : run_(open_labelling(std::move(config), registry, options, listener, warnings_)),
+      annotations_(*run_.annotations()),
       log_([&] {
         Diagnostics ignored;  // stated when the scene was opened by the file
-        return open_click_log(opened.first->session().config.labels, opened.first->run_dir(), ignored);
+        return open_click_log(opened().config.labels, run_dir(), ignored);
       }()),
       last_event_(Clock::now() - kQuietAfter),
-      last_look_(Clock::now() - kLookedFor),
-      run_(std::move(opened.first)) {
+      last_look_(Clock::now() - kLookedFor) {
   auto first = std::make_shared<LabelState>();
   for (const PoolView& view : run_.loop().views()) {
-    const FrameInfo& info = run_.session().scene.info.frames[static_cast<std::size_t>(view.frame)];
+    const FrameInfo& info = opened().scene.info.frames[static_cast<std::size_t>(view.frame)];
     const std::uint32_t checksum = crc32c(std::as_bytes(std::span(view.photo->rgb)));
     first->views.push_back({info.name, info.camera.width_px, info.camera.height_px, 0, 1, false,
                             fmt::format("{:08x}", checksum), info.split == Split::test});
   }
   first->events = log_.events().size();
-  first->notes = std::move(opened.second);
+  first->notes = warnings_;
   name_classes(*first);
   run_.describe(*first);
   first->revision = 1;
   state_ = std::move(first);
 }
-
-LabelSession::LabelSession(RunConfig config, Registry& registry, const LabelSessionOptions& options,
-                           RunListener* listener)
-    : LabelSession(open_labelling(std::move(config), registry, options, listener)) {}
 
 void LabelSession::poke() {
   poked_ = true;
@@ -497,8 +494,7 @@ void LabelSession::name_classes(LabelState& next) const {
     const auto cls = std::find_if(next.classes.begin(), next.classes.end(),
                                   [&](const ClassState& c) { return c.index == mark.class_index; });
     if (cls != next.classes.end()) ++cls->clicks;
-    for (std::size_t v = 0; v < next.views.size(); ++v)
-      if (run_.loop().views()[v].frame == mark.frame) ++next.views[v].clicks;
+    if (const int view = view_of(mark.frame); view >= 0) ++next.views[static_cast<std::size_t>(view)].clicks;
   }
   next.named = static_cast<int>(next.classes.size());
   next.room = table.valid_count();
@@ -564,12 +560,6 @@ FreeCamera LabelSession::camera_of(int view) const {
   const RayCamera& camera = run_.loop().views().at(static_cast<std::size_t>(view)).camera;
   constexpr double kDegrees = 57.29577951308232;
   return {camera.world_from_camera, 2 * kDegrees * std::atan(camera.camera.width_px / (2 * camera.camera.fx))};
-}
-
-int LabelSession::view_of(int frame) const {
-  const std::vector<PoolView>& views = run_.loop().views();
-  const auto found = std::find_if(views.begin(), views.end(), [&](const PoolView& v) { return v.frame == frame; });
-  return found == views.end() ? -1 : static_cast<int>(found - views.begin());
 }
 
 Image<std::uint8_t> LabelSession::photo(int view, std::int32_t most_px) {
@@ -645,10 +635,16 @@ void LabelSession::take_events() {
   }
   taken_events_ = events;
   run_.take(*now);
+  publish_learned(true, false);
+}
+
+// What `run_` has come to; `labels`: those of views are other ones.
+void LabelSession::publish_learned(bool labels, bool history) {
   publish([&](LabelState& next) {
     run_.describe(next);
-    if (run_.knows_all()) next.overlay_events = events;
-    next.overlay_revision = next.revision + 1;
+    if (run_.knows_all() && taken_events_) next.overlay_events = *taken_events_;
+    if (labels) next.overlay_revision = next.revision + 1;
+    if (history) next.history_revision = next.revision + 1;
   });
 }
 
@@ -757,12 +753,7 @@ void LabelSession::run() {
     }
     untold = untold || busy || overlay;
     if (untold && (overlay || !busy || Clock::now() - published >= kPublishEvery)) {
-      publish([&](LabelState& next) {
-        run_.describe(next);
-        next.history_revision = next.revision + 1;
-        if (run_.knows_all() && taken_events_) next.overlay_events = *taken_events_;
-        if (overlay) next.overlay_revision = next.revision + 1;
-      });
+      publish_learned(overlay, true);
       published = Clock::now();
       untold = false;
     }

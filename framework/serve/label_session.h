@@ -35,7 +35,10 @@ class LabelRun {
 
   const Session& session() const { return training_.session(); }
   const RunFolder& folder() const { return *run_->folder(); }
+  const Annotations* annotations() const { return run_->annotations(); }
   const LabelLoop& loop() const { return loop_; }
+  /// Number of the view that shows a frame of the scene; -1: none.
+  int view_of(int frame) const { return view_of_frame_[static_cast<std::size_t>(frame)]; }
   ViewPictures& pictures() { return pictures_; }
   std::int64_t step() const { return training_.step(); }
 
@@ -147,7 +150,7 @@ class LabelSession final : public LabelSource {
   Picture picture(const PictureRequest& request, const std::function<bool()>& abandoned = {}) override;
   Image<std::uint8_t> photo(int view, std::int32_t most_px) override;
   FreeCamera camera_of(int view) const override;
-  int view_of(int frame) const override;
+  int view_of(int frame) const override { return run_.view_of(frame); }
   void save() override;
 
   // From any thread too:
@@ -177,7 +180,6 @@ class LabelSession final : public LabelSource {
     bool done() const { return made || error; }
   };
 
-  explicit LabelSession(std::pair<std::unique_ptr<Run>, std::vector<std::string>> opened);  // with its warnings
   void poke();
   template <class Change>
   void publish(const Change& change);
@@ -186,11 +188,15 @@ class LabelSession final : public LabelSource {
   std::unique_ptr<Dataset> open_dataset() const;
   // Of the thread that trains: it takes clicks, serves pictures, saves, and publishes the state.
   void take_events();
+  void publish_learned(bool labels, bool history);
   void serve_orders();
   void save_if_wanted();
   template <class Work>
   void attempt(const Work& work);
   void fail(const Error& error);
+
+  std::vector<std::string> warnings_;  // of while the run was opened
+  LabelRun run_;
 
   // Of events. Held while one is stored, so it is never taken by the thread that trains for longer than a copy takes.
   std::mutex events_mutex_;
@@ -211,7 +217,6 @@ class LabelSession final : public LabelSource {
   std::string trouble_told_;
   std::optional<Error> failure_;  // of the thread that trains: it trains no longer, and responds all the same
   Clock::time_point last_event_, last_look_;
-  LabelRun run_;
 
   // Photographs as their files have them, larger than those that train; opened when somebody looks at one closely.
   std::mutex photo_mutex_;

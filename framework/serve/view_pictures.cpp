@@ -7,7 +7,6 @@
 #include <chrono>
 #include <cmath>
 #include <filesystem>
-#include <unordered_map>
 #include <utility>
 
 #include "compute/parallel.h"
@@ -144,8 +143,8 @@ Picture ViewPictures::labels_of_view(const PictureRequest& request) {
   return picture;
 }
 
-std::vector<SeenMark> ViewPictures::seen_by(const RayCamera& camera, const SurfaceDistance& distance, int own) {
-  return places_.seen_by(camera, distance, own, loop_.views(), training_.session().limits, tolerance_m());
+std::vector<SeenMark> ViewPictures::seen_by(const RayCamera& camera, const SurfaceDistance& distance, int own) const {
+  return marks_seen(marks_, camera, distance, own, loop_.views(), training_.session().limits, tolerance_m());
 }
 
 std::vector<SeenMark> ViewPictures::seen_in_picture() {
@@ -261,16 +260,6 @@ PixelPlace pixel_at(const Camera& camera, PixelPoint p) {
           std::clamp(static_cast<std::int32_t>(p.y), 0, camera.height_px - 1)};
 }
 
-std::vector<PixelPlace> some_pixels(const std::vector<PixelPoint>& points) {
-  std::vector<PixelPlace> out;
-  const std::size_t count = std::min(points.size(), kMarkPlaces);
-  for (std::size_t i = 0; i < count; ++i) {
-    const PixelPoint& p = points[i * points.size() / count];
-    out.push_back({static_cast<std::int32_t>(p.x), static_cast<std::int32_t>(p.y)});
-  }
-  return out;
-}
-
 }  // namespace
 
 std::optional<PixelPoint> pixel_of(const RayCamera& camera, Vec3d place) {
@@ -295,42 +284,25 @@ std::optional<PixelPoint> seen_at(const RayCamera& camera, const SurfaceDistance
   return is_seen ? at : std::nullopt;
 }
 
-void MarkPlaces::set(std::span<const Annotations::Mark> marks, std::span<const int> view_of_frame) {
-  std::unordered_map<std::string, Placed*> before;
-  for (Placed& placed : marks_) before.emplace(placed.id, &placed);
-  std::vector<Placed> now;
-  for (const Annotations::Mark& mark : marks) {
-    const int view = view_of_frame[static_cast<std::size_t>(mark.frame)];
-    if (view < 0 || mark.class_index == kVoid) continue;  // what is ignored is so in its own view alone
-    const auto known = before.find(mark.id);
-    if (known != before.end()) {
-      now.push_back(std::move(*known->second));
-    } else {
-      now.push_back({mark.id, view, some_pixels(mark.points), {}, -1});
-    }
-  }
-  marks_ = std::move(now);
-}
-
-std::vector<SeenMark> MarkPlaces::seen_by(const RayCamera& camera, const SurfaceDistance& distance, int own,
-                                          std::span<const PoolView> views, const RayLimits& limits,
-                                          double tolerance_m) {
+std::vector<SeenMark> marks_seen(std::span<const Annotations::Mark> marks, const RayCamera& camera,
+                                 const SurfaceDistance& distance, int own, std::span<const PoolView> views,
+                                 const RayLimits& limits, double tolerance_m) {
   std::vector<SeenMark> seen;
-  for (auto mark = marks_.rbegin(); mark != marks_.rend() && seen.size() < kMostSeen; ++mark) {
-    if (mark->view == own) continue;
-    const PoolView& view = views[static_cast<std::size_t>(mark->view)];
-    if (view.map.empty()) continue;
-    if (mark->step != view.map.step) {
-      mark->step = view.map.step;
-      mark->places.clear();
-      for (const PixelPlace& pixel : mark->pixels) {
-        const double way = static_cast<double>(view.map.at(pixel.column, pixel.row));
-        if (way > 0) mark->places.push_back(point_at(view.camera, limits, pixel, way));
-      }
-    }
+  for (auto mark = marks.rbegin(); mark != marks.rend() && seen.size() < kMostSeen; ++mark) {
+    if (mark->class_index == kVoid) continue;  // what is ignored is so in its own view alone
+    const auto view =
+        std::find_if(views.begin(), views.end(), [&](const PoolView& v) { return v.frame == mark->frame; });
+    if (view == views.end() || view - views.begin() == own || view->map.empty()) continue;
     std::vector<PixelPoint> points;
-    for (const Vec3d& place : mark->places)
-      if (const auto at = seen_at(camera, distance, place, tolerance_m)) points.push_back(*at);
+    const std::size_t count = std::min(mark->points.size(), kMarkPlaces);
+    for (std::size_t i = 0; i < count; ++i) {
+      const PixelPoint& p = mark->points[i * mark->points.size() / count];
+      const PixelPlace pixel{static_cast<std::int32_t>(p.x), static_cast<std::int32_t>(p.y)};
+      const double way = static_cast<double>(view->map.at(pixel.column, pixel.row));
+      if (!(way > 0)) continue;
+      if (const auto at = seen_at(camera, distance, point_at(view->camera, limits, pixel, way), tolerance_m))
+        points.push_back(*at);
+    }
     if (!points.empty()) seen.push_back({mark->id, std::move(points)});
   }
   return seen;

@@ -8,6 +8,7 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "eval/evaluator.h"
@@ -31,26 +32,11 @@ SurfaceDistance distance_in(const SurfaceMap& map);
 std::optional<PixelPoint> seen_at(const RayCamera& camera, const SurfaceDistance& distance, Vec3d place,
                                   double tolerance_m);
 
-/// Where clicks lie on the surface, by the maps of their views: up to eight places of a click.
-class MarkPlaces {
- public:
-  /// `view_of_frame`: numbers in `views` by frame of the scene, -1 for none.
-  void set(std::span<const Annotations::Mark> marks, std::span<const int> view_of_frame);
-  /// The latest clicks, at most 1,000, that a camera sees; those of view `own` are left out (-1: none). Maps that were
-  /// made anew are read anew.
-  std::vector<SeenMark> seen_by(const RayCamera& camera, const SurfaceDistance& distance, int own,
-                                std::span<const PoolView> views, const RayLimits& limits, double tolerance_m);
-
- private:
-  struct Placed {
-    std::string id;
-    int view = -1;
-    std::vector<PixelPlace> pixels;
-    std::vector<Vec3d> places;
-    std::int64_t step = -1;  // of the map that gave the places
-  };
-  std::vector<Placed> marks_;
-};
+/// The latest of the clicks, at most 1,000, that a camera sees; those of view `own` are left out (-1: none). They lie
+/// on the surface of the maps of their views; a stroke has up to eight places there.
+std::vector<SeenMark> marks_seen(std::span<const Annotations::Mark> marks, const RayCamera& camera,
+                                 const SurfaceDistance& distance, int own, std::span<const PoolView> views,
+                                 const RayLimits& limits, double tolerance_m);
 
 /// The view that shows a place of the surface best: from near, in its middle, with nothing before it. Views without a
 /// map see nothing.
@@ -70,9 +56,7 @@ class ViewPictures {
   std::optional<Picture> work(double budget_s);
 
   /// Clicks that pictures of other views and of free cameras show.
-  void set_marks(std::span<const Annotations::Mark> marks, std::span<const int> view_of_frame) {
-    places_.set(marks, view_of_frame);
-  }
+  void set_marks(std::vector<Annotations::Mark> marks) { marks_ = std::move(marks); }
 
   /// A view that is looked at gets a surface of its own at (nearly) every pixel, for about this long. True when the
   /// labels of the view looked at last can be drawn more finely than before.
@@ -88,7 +72,7 @@ class ViewPictures {
   Fine* find_fine(int view);
   Picture labels_of_view(const PictureRequest& request);
   Picture spot_of(const PictureRequest& request);
-  std::vector<SeenMark> seen_by(const RayCamera& camera, const SurfaceDistance& distance, int own);
+  std::vector<SeenMark> seen_by(const RayCamera& camera, const SurfaceDistance& distance, int own) const;
   std::vector<SeenMark> seen_in_picture();
   // How far from the surface what lies on it may seem to be.
   double tolerance_m() const { return 1.5 * loop_.pool().cell_m(); }
@@ -103,7 +87,7 @@ class ViewPictures {
   RayCamera camera_;
   Picture picture_;
   std::int32_t rows_done_ = 0;
-  MarkPlaces places_;
+  std::vector<Annotations::Mark> marks_;
   std::vector<float> distance_m_;  // [rows done * width] of a free camera's picture
   bool shows_labels_ = false;      // something was learned when it began; all of its rows have labels, or none
   double spent_s_ = 0;

@@ -966,9 +966,7 @@ TEST_F(PicturedRoom, ClicksOfOtherViewsAreShownWhereTheyAreSeen) {
   loop->learn(clicks(8));
   const std::vector<Annotations::Mark> marks{{"own", loop->views()[1].frame, {{24.5, 18.5}}, 0, 0},
                                              {"other", loop->views()[2].frame, {{24.5, 18.5}}, 0, 0}};
-  std::vector<int> view_of_frame(training->session().scene.frames.size(), -1);
-  for (int v = 0; v < std::ssize(loop->views()); ++v) view_of_frame[loop->views()[v].frame] = v;
-  pictures.set_marks(marks, view_of_frame);
+  pictures.set_marks(marks);
   const auto ids = [](const Picture& picture) {
     std::string out;
     for (const SeenMark& mark : picture.seen) out += mark.id + " ";

@@ -506,15 +506,11 @@ TEST(SurfaceSight, AClickIsSeenInOtherViewsWhereNothingHidesIt) {
   std::vector<Annotations::Mark> marks;
   for (int k = 0; k < 40; ++k)
     marks.push_back(mark("m" + std::to_string(k), k % 2, {{(17 * k + 5) % 44 + 2.5, (11 * k + 7) % 32 + 2.5}}));
-  std::vector<int> view_of_frame(room.views.size());
-  for (std::size_t v = 0; v < room.views.size(); ++v) view_of_frame[v] = static_cast<int>(v);
-  MarkPlaces places;
-  places.set(marks, view_of_frame);
   int seen = 0, hidden = 0;
   for (int v = 1; v < std::ssize(room.views); ++v) {
     const PoolView& view = room.views[v];
     const std::vector<SeenMark> found =
-        places.seen_by(view.camera, distance_in(view.map), v, room.views, room_limits(), kTolerance_m);
+        marks_seen(marks, view.camera, distance_in(view.map), v, room.views, room_limits(), kTolerance_m);
     for (const Annotations::Mark& m : marks) {
       const auto own = std::find_if(found.begin(), found.end(), [&](const SeenMark& s) { return s.id == m.id; });
       if (m.frame == v) {
@@ -545,27 +541,21 @@ TEST(SurfaceSight, AClickIsSeenInOtherViewsWhereNothingHidesIt) {
 
 TEST(SurfaceSight, PlacesFollowMapsAndMarks) {
   SeenRoom room(1);
-  const std::vector<int> view_of_frame{0, 1, 2, 3, 4, 5};
   const PoolView& view = room.views[1];
-  MarkPlaces places;
-  const auto seen = [&] {
-    return places.seen_by(view.camera, distance_in(view.map), 1, room.views, room_limits(), kTolerance_m);
-  };
   std::vector<Annotations::Mark> marks;
+  const auto seen = [&] {
+    return marks_seen(marks, view.camera, distance_in(view.map), 1, room.views, room_limits(), kTolerance_m);
+  };
   for (double x = 2.5; x < 46; x += 4) marks.push_back(mark("x" + std::to_string(x), 0, {{x, 20.5}}));
-  places.set(marks, view_of_frame);
   const std::size_t first = seen().size();
   ASSERT_GT(first, 0u);
   for (float& way : room.views[0].map.distance_m) way *= 0.4F;  // the geometry is another
   room.views[0].map.step = 7;
   EXPECT_LT(seen().size(), first);
-  marks[0].class_index = kVoid;
   for (Annotations::Mark& m : marks) m.class_index = kVoid;  // what is ignored is so in its own view
-  places.set(marks, view_of_frame);
   EXPECT_TRUE(seen().empty());
   room.views[0].map = {};
   marks[0].class_index = 0;
-  places.set(marks, view_of_frame);
   EXPECT_TRUE(seen().empty()) << "a view without a map";
 }
 
