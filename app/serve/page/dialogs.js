@@ -118,106 +118,83 @@ export function askClass(classes, row, answered) {
   input.select();
 }
 
-const kHelp = [
-  ['Label', [
-    ['click, drag', 'label with the chosen class: a place, a stroke'],
-    ['b', 'brush'],
-    ['p', 'polygon: click corners or drag; enter or the first corner closes it, backspace takes a corner back'],
-    ['x', 'eraser: click or drag over clicks to delete them'],
-    ['del', 'delete the click under the pointer, or the selected one (click it with its own class)'],
-    ['1 ... 9', 'choose a class'],
-    ['shift+1 ... 9', 'give the chosen class this key'],
-    [', .', 'the class before, the next'],
-    ['c', 'choose the class under the pointer'],
-    ['n', 'make a class'],
-    ['a', 'another thing of the chosen class: the next clicks are on it'],
-    ['F2', 'rename, merge or delete the chosen class (or double click)'],
-    ['i', 'ignore: what nobody should label'],
-    ['[ ]', 'smaller brush, larger brush'],
-    ['z, shift+z', 'undo, do again'],
-  ]],
-  ['Proposed click', [
-    ['space', 'go to it; there: label it with the chosen class'],
-    ['g', 'label it with the class that the model guesses'],
-    ['s', 'skip it'],
-  ]],
-  ['Look', [
-    ['wheel, pinch, + -', 'zoom'],
-    ['right drag, two fingers', 'move the picture (alt+drag too)'],
-    ['0', 'fit the picture'],
-    ['arrows', 'the view before, the next'],
-    ['home, end', 'the first view, the last'],
-    ['r', 'photograph or rendered'],
-    ['e', 'labels or entropy'],
-    ['o', 'overlay off and on'],
-    ['t', 'names of clicks off and on'],
-  ]],
-  ['Without a mouse', [
-    ['shift+arrows', 'move a cross over the view (with ctrl: by one pixel)'],
-    ['enter', 'click at the cross'],
-  ]],
-  ['Fly', [
-    ['f', 'fly through the scene; f or esc leaves'],
-    ['w a s d, q e', 'move; down, up (with shift: faster)'],
-    ['click', 'label what is there, in the photograph that shows it best'],
-    ['v', 'go to that photograph, or the nearest'],
-    ['drag, arrows', 'look around'],
-    ['wheel', 'move ahead or back'],
-  ]],
-];
+// What each key of the page does, and what the help says of it.
 
-export function showHelp() {
-  const tables = byId('help-tables');
-  if (!tables.childElementCount) {
-    for (const [title, rows] of kHelp) {
-      const list = make('dl', {}, ...rows.flatMap(([keys, what]) => [make('dt', {}, keys), make('dd', {}, what)]));
-      tables.append(make('section', {}, make('h3', {}, title), list));
-    }
-  }
-  byId('help-dialog').showModal();
+/// [title, [[keys and gestures as the help names them, what they do, actions by the names of nameOfKey], ...]], ...
+function keyTable(page) {
+  const {stage, labeller, settings} = page;
+  const {tools} = stage;
+  const undo = () => page.undo();
+  const redo = () => labeller.redo();
+  const remove = () => page.remove();
+  const each = (keys, act) => Object.fromEntries(keys.map((key, i) => [key, () => act(key, i)]));
+  const kArrows = ['ArrowLeft', 'ArrowUp', 'ArrowRight', 'ArrowDown'];
+  const cross = (held, isFine) => each(kArrows.map((key) => held + key), (_, i) => stage.moveCross(...[[-1, 0], [0, -1], [1, 0], [0, 1]][i], isFine));
+  const give = (digit) => {
+    if (!page.classes.some(({name}) => name === labeller.chosen)) return page.messages.tell('First choose the class for this key.');
+    settings.give(labeller.chosen, digit);
+    page.changed();
+  };
+  const land = () => (page.flight ? page.flights.toPhotograph() : page.messages.tell('v goes from a flight to the nearest photograph; f flies.'));
+  return [
+    ['Label', [
+      ['click, drag', 'label with the chosen class: a place, a stroke'],
+      ['b', 'brush', {b: () => tools.use('brush')}],
+      ['p', 'polygon: click corners or drag; enter or the first corner closes it, backspace takes a corner back',
+       {p: () => tools.use('polygon'), Backspace: () => { if (!tools.takeBack()) remove(); }}],
+      ['x', 'eraser: click or drag over clicks to delete them', {x: () => tools.use('erase')}],
+      ['del', 'delete the click under the pointer, or the selected one (click it with its own class)', {Delete: remove}],
+      ['1 ... 9', 'choose a class', each([...'123456789'], (digit) => page.chooseByKey(digit))],
+      ['shift+1 ... 9', 'give the chosen class this key', each([...'123456789'].map((digit) => `shift+${digit}`), (key) => give(key.at(-1)))],
+      [', .', 'the class before, the next', {',': () => page.neighbourClass(-1), '.': () => page.neighbourClass(1)}],
+      ['c', 'choose the class under the pointer', {c: () => page.chooseSeen()}],
+      ['n', 'make a class', {n: () => page.make()}],
+      ['a', 'another thing of the chosen class: the next clicks are on it', {a: () => labeller.another()}],
+      ['F2', 'rename, merge or delete the chosen class (or double click)', {F2: () => page.change(page.classOf(labeller.chosen))}],
+      ['i', 'ignore: what nobody should label', {i: () => page.choose(labeller.ignore.name)}],
+      ['[ ]', 'smaller brush, larger brush', {'[': () => page.setRadius(settings.radius - 1), ']': () => page.setRadius(settings.radius + 1)}],
+      ['z, shift+z', 'undo, do again', {'z': undo, 'ctrl+z': undo, 'shift+z': redo, 'ctrl+shift+z': redo, 'ctrl+y': redo}],
+    ]],
+    ['Proposed click', [
+      ['space', 'go to it; there: label it with the chosen class', {' ': () => page.space()}],
+      ['g', 'label it with the class that the model guesses', {g: () => page.takeGuess()}],
+      ['s', 'skip it', {s: () => page.skip()}],
+    ]],
+    ['Look', [
+      ['wheel, pinch, + -', 'zoom', {'+': () => stage.zoom(1.25), '=': () => stage.zoom(1.25), '-': () => stage.zoom(0.8)}],
+      ['right drag, two fingers', 'move the picture (alt+drag too)'],
+      ['0', 'fit the picture', {0: () => stage.fit()}],
+      ['arrows', 'the view before, the next', each(kArrows, (_, i) => page.step(i < 2 ? -1 : 1))],
+      ['home, end', 'the first view, the last', {Home: () => page.show(page.strip.shown[0]), End: () => page.show(page.strip.shown.at(-1))}],
+      ['r', 'photograph or rendered', {r: () => page.set(page, {isRendered: !page.isRendered})}],
+      ['e', 'labels or entropy', {e: () => page.set(stage, {kind: stage.kind === 'labels' ? 'entropy' : 'labels', isHidden: false})}],
+      ['o', 'overlay off and on', {o: () => page.set(stage, {isHidden: !stage.isHidden})}],
+      ['t', 'names of clicks off and on', {t: () => { settings.set({names: !settings.names}); page.changed(); }}],
+    ]],
+    ['Without a mouse', [
+      ['shift+arrows', 'move a cross over the view (with ctrl: by one pixel)', {...cross('shift+', false), ...cross('ctrl+shift+', true)}],
+      ['enter', 'click at the cross', {Enter: () => page.enter()}],
+    ]],
+    ['Fly', [
+      ['f', 'fly through the scene; f or esc leaves', {f: () => page.fly(), Escape: () => page.leave()}],
+      ['w a s d, q e', 'move; down, up (with shift: faster)'],
+      ['click', 'label what is there, in the photograph that shows it best'],
+      ['v', 'go to that photograph, or the nearest', {v: land}],
+      ['drag, arrows', 'look around'],
+      ['wheel', 'move ahead or back'],
+    ]],
+  ];
 }
-
-// What each key of the page does; the help in dialogs.js describes it.
 
 /// By the names of nameOfKey.
 export function actionsOf(page) {
-  const {stage, labeller} = page;
-  const actions = {
-    'n': () => page.make(), 'a': () => labeller.another(), 'F2': () => page.change(page.classOf(labeller.chosen)),
-    'z': () => page.undo(), 'ctrl+z': () => page.undo(),
-    'shift+z': () => labeller.redo(), 'ctrl+shift+z': () => labeller.redo(), 'ctrl+y': () => labeller.redo(),
-    ' ': () => page.space(), 'g': () => page.takeGuess(), 's': () => page.skip(),
-    'e': () => page.set(stage, {kind: stage.kind === 'labels' ? 'entropy' : 'labels', isHidden: false}),
-    'r': () => page.set(page, {isRendered: !page.isRendered}),
-    'o': () => page.set(stage, {isHidden: !stage.isHidden}),
-    't': () => { page.settings.set({names: !page.settings.names}); page.changed(); },
-    'c': () => page.chooseSeen(),
-    'b': () => stage.tools.use('brush'), 'p': () => stage.tools.use('polygon'), 'x': () => stage.tools.use('erase'),
-    'i': () => page.choose(labeller.ignore.name), 'Delete': () => page.remove(),
-    'Backspace': () => { if (!stage.tools.takeBack()) page.remove(); },
-    ',': () => page.neighbourClass(-1), '.': () => page.neighbourClass(1),
-    '[': () => page.setRadius(page.settings.radius - 1), ']': () => page.setRadius(page.settings.radius + 1),
-    '+': () => stage.zoom(1.25), '=': () => stage.zoom(1.25), '-': () => stage.zoom(0.8), '0': () => stage.fit(),
-    'f': () => page.fly(), 'v': () => (page.flight ? page.flights.toPhotograph() : page.messages.tell('v goes from a flight to the nearest photograph; f flies.')),
-    'Escape': () => page.leave(), '?': showHelp,
-    'Home': () => page.show(page.strip.shown[0]), 'End': () => page.show(page.strip.shown.at(-1)),
-    'Enter': () => page.enter(),
+  const table = keyTable(page);
+  const help = () => {
+    byId('help-tables').replaceChildren(...table.map(([title, rows]) => make('section', {}, make('h3', {}, title),
+      make('dl', {}, ...rows.flatMap(([keys, what]) => [make('dt', {}, keys), make('dd', {}, what)])))));
+    byId('help-dialog').showModal();
   };
-  for (const [key, step] of [['ArrowLeft', -1], ['ArrowUp', -1], ['ArrowRight', 1], ['ArrowDown', 1]]) {
-    actions[key] = () => page.step(step);
-    const [dx, dy] = key === 'ArrowLeft' || key === 'ArrowRight' ? [step, 0] : [0, step];
-    actions[`shift+${key}`] = () => stage.moveCross(dx, dy, false);
-    actions[`ctrl+shift+${key}`] = () => stage.moveCross(dx, dy, true);
-  }
-  for (const digit of '123456789') {
-    actions[digit] = () => page.chooseByKey(digit);
-    actions[`shift+${digit}`] = () => {
-      if (!page.classes.some(({name}) => name === labeller.chosen)) return page.messages.tell('First choose the class for this key.');
-      page.settings.give(labeller.chosen, digit);
-      page.changed();
-    };
-  }
-  return actions;
+  return Object.assign({'?': help}, ...table.flatMap(([, rows]) => rows.map(([, , actions]) => actions)));
 }
 
 // Keys of the whole page, left to the control that has the focus where it needs them itself.
