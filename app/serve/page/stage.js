@@ -38,6 +38,14 @@ function kept(port, image, screen) {
 
 const kMostLayer_px = 2e6;  // the overlay is drawn at every move of the pointer
 
+/// Adds lines from (x0, y0) to (x1, y1) to the path.
+function lines(context, ends) {
+  for (const [x0, y0, x1, y1] of ends) {
+    context.moveTo(x0, y0);
+    context.lineTo(x1, y1);
+  }
+}
+
 let hatch = null;
 
 /// Stripes for what is ignored, as wide at every zoom; `scale`: of the context.
@@ -47,14 +55,7 @@ function hatchOf(context, scale) {
     const stripes = hatch.getContext('2d');
     stripes.fillStyle = 'rgb(40 40 44)';
     stripes.fillRect(0, 0, 8, 8);
-    stripes.strokeStyle = 'rgb(190 190 190)';
-    stripes.lineWidth = 2.5;
-    for (const at of [-8, 0, 8]) {
-      stripes.beginPath();
-      stripes.moveTo(at - 2, 10);
-      stripes.lineTo(at + 10, -2);
-      stripes.stroke();
-    }
+    for (const at of [-8, 0, 8]) stroked(stripes, 2.5, 'rgb(190 190 190)', () => lines(stripes, [[at - 2, 10, at + 10, -2]]));
   }
   const pattern = context.createPattern(hatch, 'repeat');
   pattern.setTransform(new DOMMatrix().scale(1 / scale));
@@ -87,15 +88,16 @@ export function paintClick(context, {points, radius, color, fill}, style = cssCo
   context.stroke();
 }
 
+function stroked(context, width, style, path) {
+  Object.assign(context, {lineWidth: width, strokeStyle: style});
+  context.beginPath();
+  path();
+  context.stroke();
+}
+
 /// A path drawn in `color` between a light and a dark line, so that it shows on every picture.
 function outlined(context, width, color, path) {
-  for (const [extra, style] of [[4, 'rgb(0 0 0 / 0.75)'], [2, '#fff'], [0, color]]) {
-    context.lineWidth = width + extra;
-    context.strokeStyle = style;
-    context.beginPath();
-    path();
-    context.stroke();
-  }
+  for (const [extra, style] of [[4, 'rgb(0 0 0 / 0.75)'], [2, '#fff'], [0, color]]) stroked(context, width + extra, style, path);
 }
 
 export class ViewCanvas {
@@ -284,25 +286,11 @@ export class ViewCanvas {
       outlined(context, 2, isDoomed ? '#ff6b5e' : '#8ab4f8', () => context.arc(x, y, 11, 0, 2 * Math.PI));
     }
     this.drawDot(x, y, [[6.5, 'rgb(0 0 0 / 0.8)'], [5.5, '#fff'], [4, cssColor(color)]]);
-    if (isIgnore || isDoomed) {
-      context.strokeStyle = isDoomed ? '#ff3b30' : '#111';
-      context.lineWidth = 2;
-      context.beginPath();
-      context.moveTo(x - 3, y - 3);
-      context.lineTo(x + 3, y + 3);
-      if (isDoomed) {
-        context.moveTo(x + 3, y - 3);
-        context.lineTo(x - 3, y + 3);
-      }
-      context.stroke();
-    }
+    const cross = [[x - 3, y - 3, x + 3, y + 3], [x + 3, y - 3, x - 3, y + 3]];
+    if (isIgnore || isDoomed) stroked(context, 2, isDoomed ? '#ff3b30' : '#111', () => lines(context, cross.slice(0, isDoomed ? 2 : 1)));
     if (!saved) {  // a broken ring until the program has it
       context.setLineDash([3, 3]);
-      context.lineWidth = 1.5;
-      context.strokeStyle = '#fff';
-      context.beginPath();
-      context.arc(x, y, 9.5, 0, 2 * Math.PI);
-      context.stroke();
+      stroked(context, 1.5, '#fff', () => context.arc(x, y, 9.5, 0, 2 * Math.PI));
       context.setLineDash([]);
     }
     if (showName && label) this.drawName(label, color, x, y);
@@ -328,12 +316,8 @@ export class ViewCanvas {
 
   /// Four lines about a point of the screen.
   drawTicks(x, y, from, to, width, color) {
-    outlined(this.context, width, color, () => {
-      for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
-        this.context.moveTo(x + dx * from, y + dy * from);
-        this.context.lineTo(x + dx * to, y + dy * to);
-      }
-    });
+    const ticks = [[1, 0], [-1, 0], [0, 1], [0, -1]].map(([dx, dy]) => [x + dx * from, y + dy * from, x + dx * to, y + dy * to]);
+    outlined(this.context, width, color, () => lines(this.context, ticks));
   }
 
   drawRing(at) {
