@@ -6,7 +6,7 @@
 #include <algorithm>
 
 #include "plugin/mlp/mlp.h"
-#include "testkit/field_bench.h"
+#include "testkit/benches.h"
 
 namespace semfield::testkit {
 

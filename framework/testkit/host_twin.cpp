@@ -112,108 +112,163 @@ class Copies : NonCopyable {
   std::vector<View<float>> value_, grad_;
 };
 
-FieldIn<float> inputs_on(Copies& copies, const FieldIn<float>& in) {
-  return {copies.in(in.position), copies.in(in.direction), copies.in(in.ray_of_sample)};
-}
+/// What twins of every kind are.
+template <class Kind>
+class HostTwin : public Kind {
+ public:
+  HostTwin(const Kind& on_device, const TwinOptions& options) : device_(on_device), options_(options) {}
+  void declare(ParamDeclarer& declarer) const final { device_.declare(declarer); }
+  void derive(const StepContext& ctx, const Tensors<float>& tensors) const final {
+    Copies there("derive", options_, tensors, Access::read, Access::write);
+    there.run([&] { device_.derive(ctx, there.tensors()); });
+  }
+  void derive_backward(const StepContext& ctx, const Tensors<float>& tensors) const final {
+    Copies there("derive_backward", options_, tensors, Access::write);
+    there.run([&] { device_.derive_backward(ctx, there.tensors()); });
+  }
+
+ protected:
+  const Kind& device_;
+  TwinOptions options_;
+};
+
+class HostEncoder final : public HostTwin<Encoder<float>> {
+ public:
+  using HostTwin::HostTwin;
+  EncoderTraits traits() const noexcept override { return device_.traits(); }
+  std::size_t scratch_bytes(std::int64_t samples) const noexcept override { return device_.scratch_bytes(samples); }
+
+ protected:
+  void do_forward(const StepContext& ctx, const Tensors<float>& tensors, View<const double> x,
+                  View<float> y) const override {
+    Copies there("encoder.forward", options_, tensors);
+    x = there.in(x), y = there.out(y);
+    there.run([&] { device_.forward(ctx, there.tensors(), x, y); });
+  }
+  void do_backward(const StepContext& ctx, const Tensors<float>& tensors, View<const double> x, View<const float> dy,
+                   View<float> dx) const override {
+    Copies there("encoder.backward", options_, tensors, Access::write);
+    x = there.in(x), dy = there.in(dy), dx = there.out(dx);
+    there.run([&] { device_.backward(ctx, there.tensors(), x, dy, dx); });
+  }
+};
+
+class HostField final : public HostTwin<Field<float>> {
+ public:
+  using HostTwin::HostTwin;
+  FieldTraits traits() const noexcept override { return device_.traits(); }
+  std::size_t saved_bytes(std::int64_t samples, std::int64_t rays) const noexcept override {
+    return device_.saved_bytes(samples, rays);
+  }
+  std::size_t scratch_bytes(std::int64_t samples, std::int64_t rays) const noexcept override {
+    return device_.scratch_bytes(samples, rays);
+  }
+  std::vector<LayerShape> layers() const override { return device_.layers(); }
+  std::int64_t multiply_adds(std::int64_t samples, std::int64_t rays) const override {
+    return device_.multiply_adds(samples, rays);
+  }
+
+ protected:
+  static FieldIn<float> inputs_on(Copies& there, const FieldIn<float>& in) {
+    return {there.in(in.position), there.in(in.direction), there.in(in.ray_of_sample)};
+  }
+  void do_forward(const StepContext& ctx, const Tensors<float>& tensors, const FieldIn<float>& in,
+                  const FieldOut<float>& out, Saved saved) const override {
+    Copies there("field.forward", options_, tensors);
+    const FieldIn<float> inputs = inputs_on(there, in);
+    const FieldOut<float> outputs{there.out(out.sigma), there.out(out.rgb), there.out(out.feature)};
+    saved = there.out(saved);
+    there.run([&] { device_.forward(ctx, there.tensors(), inputs, outputs, saved); });
+  }
+  void do_backward(const StepContext& ctx, const Tensors<float>& tensors, const FieldIn<float>& in,
+                   const FieldOut<float>& out, const FieldGrad<float>& grad, Saved saved,
+                   View<float> d_position) const override {
+    Copies there("field.backward", options_, tensors, Access::write);
+    const FieldIn<float> inputs = inputs_on(there, in);
+    const FieldOut<float> outputs{there.in(out.sigma), there.in(out.rgb), there.in(out.feature)};
+    const FieldGrad<float> gradients{there.in(grad.sigma), there.in(grad.rgb), there.in(grad.feature)};
+    saved = there.out(saved), d_position = there.out(d_position);
+    there.run([&] { device_.backward(ctx, there.tensors(), inputs, outputs, gradients, saved, d_position); });
+  }
+};
+
+class HostHead final : public HostTwin<Head<float>> {
+ public:
+  using HostTwin::HostTwin;
+  std::int32_t hidden_width() const override { return device_.hidden_width(); }
+  std::int32_t width() const override { return device_.width(); }
+  void hidden_forward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> feature,
+                      View<float> hidden) const override {
+    Copies there("head.hidden_forward", options_, tensors);
+    feature = there.in(feature), hidden = there.out(hidden);
+    there.run([&] { device_.hidden_forward(ctx, there.tensors(), feature, hidden); });
+  }
+  void hidden_backward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> feature,
+                       View<const float> hidden, View<float> d_hidden, View<float> d_feature) const override {
+    Copies there("head.hidden_backward", options_, tensors, Access::write);
+    feature = there.in(feature), hidden = there.in(hidden);
+    d_hidden = there.out(d_hidden), d_feature = there.out(d_feature);
+    there.run([&] { device_.hidden_backward(ctx, there.tensors(), feature, hidden, d_hidden, d_feature); });
+  }
+  void output_forward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> h,
+                      View<const float> opacity, View<float> rows) const override {
+    Copies there("head.output_forward", options_, tensors);
+    h = there.in(h), opacity = there.in(opacity), rows = there.out(rows);
+    there.run([&] { device_.output_forward(ctx, there.tensors(), h, opacity, rows); });
+  }
+  void output_backward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> h,
+                       View<const float> opacity, View<const float> d_rows, View<float> d_h,
+                       View<float> d_opacity) const override {
+    Copies there("head.output_backward", options_, tensors, Access::write);
+    h = there.in(h), opacity = there.in(opacity), d_rows = there.in(d_rows);
+    d_h = there.out(d_h), d_opacity = there.out(d_opacity);
+    there.run([&] { device_.output_backward(ctx, there.tensors(), h, opacity, d_rows, d_h, d_opacity); });
+  }
+};
+
+class HostSampler final : public HostTwin<Sampler<float>> {
+ public:
+  using HostTwin::HostTwin;
+  SamplerTraits traits() const noexcept override { return device_.traits(); }
+  std::int64_t capacity(std::int64_t rays, std::int64_t previous_per_ray) const noexcept override {
+    return device_.capacity(rays, previous_per_ray);
+  }
+  void observe(const StepContext&, const Tensors<float>&, const DensityQuery<float>&) const override {
+    throw Error(ErrorKind::internal, "internal.sampler.twin", "a sampler's twin on the host does not observe");
+  }
+
+ protected:
+  void do_sample(const StepContext& ctx, const Tensors<float>& tensors, const Rays<float>& rays,
+                 const Proposal<float>* previous, Samples<float>& out) const override {
+    Copies there("sampler.sample", options_, tensors);
+    const Rays<float> seen{there.in(rays.origin), there.in(rays.direction), there.in(rays.near_far)};
+    Samples<float> drawn{there.out(out.t), there.out(out.delta), there.out(out.ray_of_sample), there.out(out.first), 0};
+    Samples<float> before;
+    Proposal<float> proposal;
+    if (previous != nullptr) {
+      const Samples<float>& given = *previous->samples;
+      before = {there.in(given.t), there.in(given.delta), there.in(given.ray_of_sample), there.in(given.first),
+                given.t.rows};
+      proposal = {&before, there.in(previous->weight, given.t.rows)};
+    }
+    there.run([&] { device_.sample(ctx, there.tensors(), seen, previous != nullptr ? &proposal : nullptr, drawn); });
+    out.count = out.first(rays.origin.rows, 0);
+  }
+};
 
 }  // namespace
 
-void derive_there(const Parametric<float>& component, const TwinOptions& options, const StepContext& ctx,
-                  const Tensors<float>& tensors) {
-  Copies there("derive", options, tensors, Access::read, Access::write);
-  there.run([&] { component.derive(ctx, there.tensors()); });
+std::unique_ptr<Encoder<float>> host_twin(const Encoder<float>& on_device, const TwinOptions& options) {
+  return std::make_unique<HostEncoder>(on_device, options);
 }
-
-void derive_backward_there(const Parametric<float>& component, const TwinOptions& options, const StepContext& ctx,
-                           const Tensors<float>& tensors) {
-  Copies there("derive_backward", options, tensors, Access::write);
-  there.run([&] { component.derive_backward(ctx, there.tensors()); });
+std::unique_ptr<Field<float>> host_twin(const Field<float>& on_device, const TwinOptions& options) {
+  return std::make_unique<HostField>(on_device, options);
 }
-
-void HostEncoder::do_forward(const StepContext& ctx, const Tensors<float>& tensors, View<const double> x,
-                             View<float> y) const {
-  Copies there("encoder.forward", options_, tensors);
-  x = there.in(x), y = there.out(y);
-  there.run([&] { device_.forward(ctx, there.tensors(), x, y); });
+std::unique_ptr<Head<float>> host_twin(const Head<float>& on_device, const TwinOptions& options) {
+  return std::make_unique<HostHead>(on_device, options);
 }
-
-void HostEncoder::do_backward(const StepContext& ctx, const Tensors<float>& tensors, View<const double> x,
-                              View<const float> dy, View<float> dx) const {
-  Copies there("encoder.backward", options_, tensors, Access::write);
-  x = there.in(x), dy = there.in(dy), dx = there.out(dx);
-  there.run([&] { device_.backward(ctx, there.tensors(), x, dy, dx); });
-}
-
-void HostField::do_forward(const StepContext& ctx, const Tensors<float>& tensors, const FieldIn<float>& in,
-                           const FieldOut<float>& out, Saved saved) const {
-  Copies there("field.forward", options_, tensors);
-  const FieldIn<float> inputs = inputs_on(there, in);
-  const FieldOut<float> outputs{there.out(out.sigma), there.out(out.rgb), there.out(out.feature)};
-  saved = there.out(saved);
-  there.run([&] { device_.forward(ctx, there.tensors(), inputs, outputs, saved); });
-}
-
-void HostField::do_backward(const StepContext& ctx, const Tensors<float>& tensors, const FieldIn<float>& in,
-                            const FieldOut<float>& out, const FieldGrad<float>& grad, Saved saved,
-                            View<float> d_position) const {
-  Copies there("field.backward", options_, tensors, Access::write);
-  const FieldIn<float> inputs = inputs_on(there, in);
-  const FieldOut<float> outputs{there.in(out.sigma), there.in(out.rgb), there.in(out.feature)};
-  const FieldGrad<float> gradients{there.in(grad.sigma), there.in(grad.rgb), there.in(grad.feature)};
-  saved = there.out(saved), d_position = there.out(d_position);
-  there.run([&] { device_.backward(ctx, there.tensors(), inputs, outputs, gradients, saved, d_position); });
-}
-
-void HostHead::hidden_forward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> feature,
-                              View<float> hidden) const {
-  Copies there("head.hidden_forward", options_, tensors);
-  feature = there.in(feature), hidden = there.out(hidden);
-  there.run([&] { device_.hidden_forward(ctx, there.tensors(), feature, hidden); });
-}
-
-void HostHead::hidden_backward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> feature,
-                               View<const float> hidden, View<float> d_hidden, View<float> d_feature) const {
-  Copies there("head.hidden_backward", options_, tensors, Access::write);
-  feature = there.in(feature), hidden = there.in(hidden);
-  d_hidden = there.out(d_hidden), d_feature = there.out(d_feature);
-  there.run([&] { device_.hidden_backward(ctx, there.tensors(), feature, hidden, d_hidden, d_feature); });
-}
-
-void HostHead::output_forward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> h,
-                              View<const float> opacity, View<float> rows) const {
-  Copies there("head.output_forward", options_, tensors);
-  h = there.in(h), opacity = there.in(opacity), rows = there.out(rows);
-  there.run([&] { device_.output_forward(ctx, there.tensors(), h, opacity, rows); });
-}
-
-void HostHead::output_backward(const StepContext& ctx, const Tensors<float>& tensors, View<const float> h,
-                               View<const float> opacity, View<const float> d_rows, View<float> d_h,
-                               View<float> d_opacity) const {
-  Copies there("head.output_backward", options_, tensors, Access::write);
-  h = there.in(h), opacity = there.in(opacity), d_rows = there.in(d_rows);
-  d_h = there.out(d_h), d_opacity = there.out(d_opacity);
-  there.run([&] { device_.output_backward(ctx, there.tensors(), h, opacity, d_rows, d_h, d_opacity); });
-}
-
-void HostSampler::observe(const StepContext&, const Tensors<float>&, const DensityQuery<float>&) const {
-  throw Error(ErrorKind::internal, "internal.sampler.twin", "a sampler's twin on the host does not observe");
-}
-
-void HostSampler::do_sample(const StepContext& ctx, const Tensors<float>& tensors, const Rays<float>& rays,
-                            const Proposal<float>* previous, Samples<float>& out) const {
-  Copies there("sampler.sample", options_, tensors);
-  const Rays<float> seen{there.in(rays.origin), there.in(rays.direction), there.in(rays.near_far)};
-  Samples<float> drawn{there.out(out.t), there.out(out.delta), there.out(out.ray_of_sample), there.out(out.first), 0};
-  Samples<float> before;
-  Proposal<float> proposal;
-  if (previous != nullptr) {
-    const Samples<float>& given = *previous->samples;
-    before = {there.in(given.t), there.in(given.delta), there.in(given.ray_of_sample), there.in(given.first),
-              given.t.rows};
-    proposal = {&before, there.in(previous->weight, given.t.rows)};
-  }
-  there.run([&] { device_.sample(ctx, there.tensors(), seen, previous != nullptr ? &proposal : nullptr, drawn); });
-  out.count = out.first(rays.origin.rows, 0);
+std::unique_ptr<Sampler<float>> host_twin(const Sampler<float>& on_device, const TwinOptions& options) {
+  return std::make_unique<HostSampler>(on_device, options);
 }
 
 }  // namespace semfield::testkit

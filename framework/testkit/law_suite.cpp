@@ -10,29 +10,15 @@ namespace semfield::testkit {
 namespace {
 
 /// Plugins that take long (PluginEntry::slow) are asked less often, not less strictly.
-LawOptions options_of(const PluginEntry& entry, int gradient_elements) {
+LawOptions options_of(const PluginEntry& entry) {
   LawOptions options;
-  options.gradient_elements = entry.slow ? 4 : gradient_elements;
+  // Elements of each tensor that central differences check: the more, the cheaper a call is.
+  options.gradient_elements = entry.slow                                                            ? 4
+                              : entry.kind == PluginKind::field                                     ? 6
+                              : entry.kind == PluginKind::encoder || entry.kind == PluginKind::head ? 12
+                                                                                                    : 24;
   if (entry.slow) options.many_rows = 257;
   return options;
-}
-
-Failures laws_of(const PluginEntry& entry, const Encoder<float>& single, const Encoder<double>& oracle,
-                 const EncoderBuild&) {
-  return encoder_laws(single, oracle, options_of(entry, 12));
-}
-Failures laws_of(const PluginEntry& entry, const Field<float>& single, const Field<double>& oracle,
-                 const FieldBuild& build) {
-  return field_laws(single, oracle, build, options_of(entry, 6));
-}
-Failures laws_of(const PluginEntry& entry, const Sampler<float>& single, const Sampler<double>& oracle,
-                 const SamplerBuild& build) {
-  return sampler_laws(single, oracle, build, options_of(entry, 24));
-}
-
-Failures laws_of(const PluginEntry& entry, const Head<float>& single, const Head<double>& oracle,
-                 const HeadBuild& build) {
-  return head_laws(single, oracle, build, options_of(entry, 12));
 }
 
 std::string text_of(const Settings& settings) {
@@ -71,17 +57,14 @@ class Suite {
         const auto alone = [&](const auto& laws) {
           tell({entry->kind, entry->name, text_of(settings), "", LawStatus::passed, {}}, laws);
         };
-        if (entry->kind == PluginKind::encoder) check(*entry, settings, encoder_builds(Device::cpu));
-        if (entry->kind == PluginKind::field)
-          check(*entry, settings, field_builds(registry_, entry->name, Device::cpu));
-        if (entry->kind == PluginKind::sampler) check(*entry, settings, std::vector{sampler_build(Device::cpu)});
-        if (entry->kind == PluginKind::head) check(*entry, settings, head_builds(Device::cpu));
+        with_builds(registry_, entry->kind, entry->name, Device::cpu,
+                    [&](const auto& builds) { check(*entry, settings, builds); });
         if (entry->kind == PluginKind::dataset)
           alone([&] { return dataset_laws(registry_, entry->name, settings, DatasetBuild{request_.folder}); });
         if (entry->kind == PluginKind::loss)
-          alone([&] { return loss_laws(registry_, entry->name, settings, options_of(*entry, 24)); });
+          alone([&] { return loss_laws(registry_, entry->name, settings, options_of(*entry)); });
         if (entry->kind == PluginKind::grouping)
-          alone([&] { return grouping_laws(registry_, entry->name, settings, options_of(*entry, 24)); });
+          alone([&] { return grouping_laws(registry_, entry->name, settings, options_of(*entry)); });
       }
     }
   }
@@ -189,7 +172,7 @@ class Suite {
         continue;
       }
       ++accepted;
-      tell(std::move(row), [&] { return laws_of(entry, *twins.single, *twins.oracle, build); });
+      tell(std::move(row), [&] { return laws_of(*twins.single, *twins.oracle, build, options_of(entry)); });
     }
   }
   const Registry& registry_;

@@ -83,7 +83,7 @@ Failures declaration_laws(const PluginEntry& entry);
 /// Every element written; guards and padding intact; 0, 1, 31, 33 and many rows; stride above cols; rows independent
 /// under permutation and split (same bits); gradients against central differences; gradients accumulate; any thread
 /// count gives the same bits; float agrees with double; a steady state allocates nothing; scratch_bytes is what calls
-/// take.
+/// take, or less than twice that.
 Failures encoder_laws(const Encoder<float>& encoder32, const Encoder<double>& encoder64,
                       const LawOptions& options = {});
 
@@ -100,8 +100,8 @@ Failures field_laws(const Field<float>& field32, const Field<double>& field64, c
 Failures sampler_laws(const Sampler<float>& sampler32, const Sampler<double>& sampler64, const SamplerBuild& build,
                       const LawOptions& options = {});
 
-/// Every element written; the output linear in (activations, opacity), and without an opacity that of 1; gradients
-/// against central differences; gradients accumulate; rows independent (same bits); float agrees with double.
+/// The encoder laws as they apply, and: the output is linear in (activations, opacity), and without an opacity that
+/// of 1.
 Failures head_laws(const Head<float>& head32, const Head<double>& head64, const HeadBuild& build,
                    const LawOptions& options = {});
 
@@ -185,32 +185,51 @@ auto make_twins(const Registry& registry, const std::string& name, const Setting
                (entry.*oracle)(*params, on_cpu, registry.kernels())};
 }
 
+/// The laws of twins of whichever kind.
+inline Failures laws_of(const Encoder<float>& single, const Encoder<double>& oracle, const EncoderBuild&,
+                        const LawOptions& options) {
+  return encoder_laws(single, oracle, options);
+}
+inline Failures laws_of(const Field<float>& single, const Field<double>& oracle, const FieldBuild& build,
+                        const LawOptions& options) {
+  return field_laws(single, oracle, build, options);
+}
+inline Failures laws_of(const Sampler<float>& single, const Sampler<double>& oracle, const SamplerBuild& build,
+                        const LawOptions& options) {
+  return sampler_laws(single, oracle, build, options);
+}
+inline Failures laws_of(const Head<float>& single, const Head<double>& oracle, const HeadBuild& build,
+                        const LawOptions& options) {
+  return head_laws(single, oracle, build, options);
+}
+
+/// body(builds), of a kind that is built for its laws: every way in which the plugin is. Does nothing for other kinds.
+template <class Body>
+void with_builds(const Registry& registry, PluginKind kind, const std::string& name, Device device, const Body& body) {
+  if (kind == PluginKind::encoder) body(encoder_builds(device));
+  if (kind == PluginKind::field) body(field_builds(registry, name, device));
+  if (kind == PluginKind::sampler) body(std::vector{sampler_build(device)});
+  if (kind == PluginKind::head) body(head_builds(device));
+}
+
 /// The laws of a plugin of the registry.
+template <class Build>
+Failures laws_of(const Registry& registry, const std::string& name, const Settings& settings, const Build& build,
+                 const LawOptions& options = {}) {
+  const auto twins = make_twins(registry, name, settings, build);
+  return laws_of(*twins.single, *twins.oracle, build, options);
+}
 inline Failures encoder_laws(const Registry& registry, const std::string& name, const Settings& settings,
                              const EncoderBuild& build, const LawOptions& options = {}) {
-  const auto twins = make_twins(registry, name, settings, build);
-  return encoder_laws(*twins.single, *twins.oracle, options);
+  return laws_of(registry, name, settings, build, options);
 }
 inline Failures field_laws(const Registry& registry, const std::string& name, const Settings& settings,
                            const FieldBuild& build, const LawOptions& options = {}) {
-  const auto twins = make_twins(registry, name, settings, build);
-  return field_laws(*twins.single, *twins.oracle, build, options);
+  return laws_of(registry, name, settings, build, options);
 }
 inline Failures sampler_laws(const Registry& registry, const std::string& name, const Settings& settings,
                              const SamplerBuild& build, const LawOptions& options = {}) {
-  const auto twins = make_twins(registry, name, settings, build);
-  return sampler_laws(*twins.single, *twins.oracle, build, options);
+  return laws_of(registry, name, settings, build, options);
 }
-
-// Laws of what a component says that it costs: scratch memory and matrix products.
-
-/// What a component says that it takes of a workspace may be that much more than what a large batch takes.
-constexpr std::size_t kScratchFactor = 2;
-/// "" or a sentence: `said` is at least `taken` and, for a `large` batch, at most kScratchFactor times as much.
-std::string scratch_failure(std::size_t said, std::size_t taken, bool large);
-
-/// layers() are sound, multiply_adds() is their sum and what compute/gemm.h counts while derive and forward run
-/// (nothing is counted of a field that multiplies by itself); scratch_bytes() bounds what forward and backward take.
-void check_costs(const Field<float>& field, const FieldBuild& build, const LawOptions& options, Failures& failures);
 
 }  // namespace semfield::testkit

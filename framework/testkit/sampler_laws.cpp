@@ -4,7 +4,7 @@
 
 #include "core/rng.h"
 #include "testkit/compare.h"
-#include "testkit/field_bench.h"
+#include "testkit/benches.h"
 #include "testkit/laws.h"
 
 namespace semfield::testkit {

@@ -3,7 +3,7 @@
 #include <cstdlib>
 #include <set>
 
-#include "testkit/field_bench.h"
+#include "testkit/benches.h"
 #include "testkit/host_twin.h"
 #include "tests/conformance/rows.h"
 
@@ -12,39 +12,25 @@ namespace {
 
 std::string name_of(const testing::TestParamInfo<Row>& info) { return info.param.text(); }
 
-class EncoderConformance : public testing::TestWithParam<Row> {};
-TEST_P(EncoderConformance, Laws) {
-  LawOptions options{.gradient_elements = 12};
-  hold_for_any_accepted(linked_registry(), GetParam(), encoder_builds(Device::cpu),
-                        [&](const Encoder<float>& single, const Encoder<double>& oracle, const EncoderBuild&) {
-                          return encoder_laws(single, oracle, options);
-                        });
+class PluginLaws : public testing::TestWithParam<Row> {};
+TEST_P(PluginLaws, Hold) {
+  const Row& row = GetParam();
+  LawOptions options;
+  if (row.kind == PluginKind::encoder) options.gradient_elements = 12;
+  if (row.kind == PluginKind::field) options.gradient_elements = 6;
+  hold_for_any_accepted(linked_registry(), row, [&](const auto& single, const auto& oracle, const auto& build) {
+    return laws_of(single, oracle, build, options);
+  });
+  Failures failures;
+  if (row.kind == PluginKind::loss) failures = loss_laws(linked_registry(), row.name, row.settings);
+  if (row.kind == PluginKind::grouping) failures = grouping_laws(linked_registry(), row.name, row.settings);
+  EXPECT_TRUE(failures.empty()) << to_text(failures);
 }
 
-class FieldConformance : public testing::TestWithParam<Row> {};
-TEST_P(FieldConformance, Laws) {
-  LawOptions options{.gradient_elements = 6};
-  hold_for_any_accepted(linked_registry(), GetParam(), field_builds(linked_registry(), GetParam().name, Device::cpu),
-                        [&](const Field<float>& single, const Field<double>& oracle, const FieldBuild& build) {
-                          return field_laws(single, oracle, build, options);
-                        });
-}
-
-class SamplerConformance : public testing::TestWithParam<Row> {};
-TEST_P(SamplerConformance, Laws) {
-  hold_for_any_accepted(linked_registry(), GetParam(), std::vector{sampler_build(Device::cpu)},
-                        [](const Sampler<float>& single, const Sampler<double>& oracle, const SamplerBuild& build) {
-                          return sampler_laws(single, oracle, build);
-                        });
-}
-
-class HeadConformance : public testing::TestWithParam<Row> {};
-TEST_P(HeadConformance, Laws) {
-  hold_for_any_accepted(linked_registry(), GetParam(), head_builds(Device::cpu),
-                        [](const Head<float>& single, const Head<double>& oracle, const HeadBuild& build) {
-                          return head_laws(single, oracle, build);
-                        });
-}
+INSTANTIATE_TEST_SUITE_P(Linked, PluginLaws,
+                         testing::ValuesIn(rows_of_kinds({PluginKind::encoder, PluginKind::field, PluginKind::sampler,
+                                                          PluginKind::head, PluginKind::loss, PluginKind::grouping})),
+                         name_of);
 
 // The head of class logits is no plugin.
 TEST(HeadOfLogits, KeepsTheLaws) {
@@ -54,25 +40,6 @@ TEST(HeadOfLogits, KeepsTheLaws) {
     EXPECT_TRUE(failures.empty()) << to_text(failures);
   }
 }
-
-class LossConformance : public testing::TestWithParam<Row> {};
-TEST_P(LossConformance, Laws) {
-  const Failures failures = loss_laws(linked_registry(), GetParam().name, GetParam().settings);
-  EXPECT_TRUE(failures.empty()) << to_text(failures);
-}
-
-class GroupingConformance : public testing::TestWithParam<Row> {};
-TEST_P(GroupingConformance, Laws) {
-  const Failures failures = grouping_laws(linked_registry(), GetParam().name, GetParam().settings);
-  EXPECT_TRUE(failures.empty()) << to_text(failures);
-}
-
-INSTANTIATE_TEST_SUITE_P(Linked, EncoderConformance, testing::ValuesIn(rows_of(PluginKind::encoder)), name_of);
-INSTANTIATE_TEST_SUITE_P(Linked, FieldConformance, testing::ValuesIn(rows_of(PluginKind::field)), name_of);
-INSTANTIATE_TEST_SUITE_P(Linked, SamplerConformance, testing::ValuesIn(rows_of(PluginKind::sampler)), name_of);
-INSTANTIATE_TEST_SUITE_P(Linked, HeadConformance, testing::ValuesIn(rows_of(PluginKind::head)), name_of);
-INSTANTIATE_TEST_SUITE_P(Linked, LossConformance, testing::ValuesIn(rows_of(PluginKind::loss)), name_of);
-INSTANTIATE_TEST_SUITE_P(Linked, GroupingConformance, testing::ValuesIn(rows_of(PluginKind::grouping)), name_of);
 
 // Zero cases, or a plugin without a row, is a failure and not a pass.
 TEST(Conformance, EveryRegisteredPluginHasARow) {
@@ -129,33 +96,15 @@ class PretendedDevice : public testing::TestWithParam<Row> {
 };
 
 TEST_P(PretendedDevice, KeepsTheLaws) {
-  const Row& row = GetParam();
-  const TwinOptions twin{pretended(), false};
-  if (row.kind == PluginKind::encoder) {
-    hold_for_any_accepted(linked_registry(), row, encoder_builds(Device::cpu),
-                          [&](const Encoder<float>& single, const Encoder<double>& oracle, const EncoderBuild&) {
-                            return encoder_laws(HostEncoder(single, twin), oracle, options());
-                          });
-  } else if (row.kind == PluginKind::field) {
-    hold_for_any_accepted(linked_registry(), row, field_builds(linked_registry(), row.name, Device::cpu),
-                          [&](const Field<float>& single, const Field<double>& oracle, const FieldBuild& build) {
-                            return field_laws(HostField(single, twin), oracle, build, options());
-                          });
-  } else {
-    hold_for_any_accepted(linked_registry(), row, std::vector{sampler_build(Device::cpu)},
-                          [&](const Sampler<float>& single, const Sampler<double>& oracle, const SamplerBuild& build) {
-                            return sampler_laws(HostSampler(single, twin), oracle, build, options());
-                          });
-  }
+  hold_for_any_accepted(linked_registry(), GetParam(), [](const auto& single, const auto& oracle, const auto& build) {
+    return laws_of(*host_twin(single, {pretended(), false}), oracle, build, options());
+  });
 }
 
+// The first of each encoder, field and sampler.
 std::vector<Row> first_rows() {
-  std::vector<Row> rows;
-  for (const PluginKind kind : {PluginKind::encoder, PluginKind::field, PluginKind::sampler}) {
-    for (const Row& row : rows_of(kind)) {
-      if (row.number == 0) rows.push_back(row);
-    }
-  }
+  std::vector<Row> rows = rows_of_kinds({PluginKind::encoder, PluginKind::field, PluginKind::sampler});
+  std::erase_if(rows, [](const Row& row) { return row.number > 0; });
   return rows;
 }
 INSTANTIATE_TEST_SUITE_P(Linked, PretendedDevice, testing::ValuesIn(first_rows()), name_of);
@@ -191,7 +140,7 @@ std::string words_of(Wrong::Way way, Guarded<float>& y) {
   Guarded<double> x(y.rows(), 3);
   x.fill(1);
   try {
-    HostEncoder(wrong, {pretended(), false}).forward({}, {}, x.view(), y.view());
+    host_twin(wrong, {pretended(), false})->forward({}, {}, x.view(), y.view());
   } catch (const Error& error) {
     return error.message();
   }

@@ -55,6 +55,13 @@ inline std::vector<Row> rows_of(PluginKind kind, Device device) {
   return rows;
 }
 
+inline std::vector<Row> rows_of_kinds(std::initializer_list<PluginKind> kinds, Device device = Device::cpu) {
+  std::vector<Row> rows;
+  for (const PluginKind kind : kinds)
+    for (Row& row : rows_of(kind, device)) rows.push_back(std::move(row));
+  return rows;
+}
+
 // How the plugin of a row is built for its laws, and its twin in double on the CPU.
 
 /// "", or "encoder 'waves' has no cuda kernels": a plugin of the CPU alone is left out of a device's laws by
@@ -65,11 +72,6 @@ inline std::string lacks_kernels(const Registry& registry, PluginKind kind, cons
   return owner + " has no " + std::string(device_name(device)) + " kernels";
 }
 
-template <class Build>
-auto make_twins(const Registry& registry, const Row& row, const Build& build) {
-  return make_twins(registry, row.name, row.settings, build);
-}
-
 /// Ways of building that a factory may refuse with an Error; at least one must be accepted. `laws` gets the twins of
 /// each that is.
 template <class Build, class Laws>
@@ -78,9 +80,9 @@ void hold_for_any_accepted(const Registry& registry, const Row& row, const std::
   int accepted = 0;
   std::string refusals;
   for (const Build& build : builds) {
-    decltype(make_twins(registry, row, build)) twins;
+    decltype(make_twins(registry, row.name, row.settings, build)) twins;
     try {
-      twins = make_twins(registry, row, build);
+      twins = make_twins(registry, row.name, row.settings, build);
     } catch (const Error& error) {
       EXPECT_NE(error.code(), Code("plugin.kernels.missing")) << error.what();
       refusals += std::string(error.what()) + "\n";
@@ -92,6 +94,13 @@ void hold_for_any_accepted(const Registry& registry, const Row& row, const std::
     EXPECT_TRUE(failures.empty()) << to_text(failures);
   }
   EXPECT_GT(accepted, 0) << "every way of building was refused:\n" << refusals;
+}
+
+/// The same for all ways in which a plugin of its kind is built.
+template <class Laws>
+void hold_for_any_accepted(const Registry& registry, const Row& row, const Laws& laws) {
+  with_builds(registry, row.kind, row.name, row.device,
+              [&](const auto& builds) { hold_for_any_accepted(registry, row, builds, laws); });
 }
 
 }  // namespace semfield::testkit

@@ -18,7 +18,7 @@
 #include "plugin/field.h"
 #include "plugin/kernels.h"
 #include "testkit/compare.h"
-#include "testkit/field_bench.h"
+#include "testkit/benches.h"
 
 namespace semfield::testing {
 

@@ -34,7 +34,7 @@
 #include "surface/mesh/marching_cubes.h"
 #include "system/checksum.h"
 #include "system/files.h"
-#include "testkit/field_bench.h"
+#include "testkit/benches.h"
 #include "testkit/host_twin.h"
 #include "testkit/laws.h"
 #include "tests/encoder_box.h"
@@ -828,20 +828,19 @@ EncoderBuild on_device() { return EncoderBuild{.device = Device::cuda}; }
 struct DeviceEncoder {
   DeviceEncoder(const DeviceUnderTest& device, const std::string& name, const testkit::Settings& settings)
       : there(testkit::make_part<float>(device.registry, name, settings, on_device())),
-        here(*there, {device.calls, false}),
-        box(here, 1, 1.0),
+        here(testkit::host_twin(*there, {device.calls, false})),
+        box(*here, 1, 1.0),
         workspace(device.calls.memory) {}
   std::vector<float> forward(const std::vector<double>& x) {
-    const EncoderTraits shape = here.traits();
+    const EncoderTraits shape = here->traits();
     const auto rows = static_cast<std::int64_t>(x.size()) / shape.in_dims;
     std::vector<float> y(static_cast<std::size_t>(rows * shape.out_dims), -99.0F);
-    here.forward(context(), box.tensors(), {x.data(), rows, shape.in_dims}, {y.data(), rows, shape.out_dims});
+    here->forward(context(), box.tensors(), {x.data(), rows, shape.in_dims}, {y.data(), rows, shape.out_dims});
     return y;
   }
   StepContext context() { return StepContext{.workspace = &workspace}; }
 
-  std::unique_ptr<Encoder<float>> there;
-  testkit::HostEncoder here;
+  std::unique_ptr<Encoder<float>> there, here;
   testkit::TensorBox<float> box;
   Workspace workspace;
 };
@@ -869,9 +868,9 @@ std::vector<double> positions(std::int64_t rows) {
 void nan_through_a_field(CaseRun& run, const DeviceUnderTest& device, const std::string& name, Precision precision) {
   FieldBuild build{.device = Device::cuda, .position_dims = 16, .direction_dims = 9, .precision = precision};
   const auto there = testkit::make_part<float>(device.registry, name, {}, build);
-  const testkit::HostField here(*there, {device.calls, false});
+  const std::unique_ptr<Field<float>> here = testkit::host_twin(*there, {device.calls, false});
   testkit::LawOptions options{.scratch = device.calls.memory};
-  testkit::FieldBench<float> sound(here, build, kRows, 0, options), bad(here, build, kRows, 0, options);
+  testkit::FieldBench<float> sound(*here, build, kRows, 0, options), bad(*here, build, kRows, 0, options);
   constexpr std::int64_t kBad = 17;
   bad.position(kBad, 3) = std::numeric_limits<float>::quiet_NaN();
   sound.forward();
@@ -948,7 +947,7 @@ void sines_on_device(CaseRun& run) {
   const std::optional<DeviceUnderTest> device = device_row(run);
   if (!device) return;
   const DeviceEncoder encoder(*device, "frequency", sine_settings());
-  run.measure(worst_sine<float>(encoder.here), 2, "sin and cos, in units of the last place of 1");
+  run.measure(worst_sine<float>(*encoder.here), 2, "sin and cos, in units of the last place of 1");
 }
 
 // Rows of the result lie 600 million elements apart in device memory; only they are brought back.
@@ -968,7 +967,7 @@ void long_index_on_device(CaseRun& run) {
   }
   for (const char* name : {"identity", "frequency"}) {  // without tensors
     DeviceEncoder encoder(*device, name, {});
-    const std::int32_t cols = encoder.here.traits().out_dims;
+    const std::int32_t cols = encoder.here->traits().out_dims;
     const std::vector<float> near = encoder.forward(x);
     const View<float> y(reinterpret_cast<float*>(far), kFew, cols, kStride, Device::cuda);
     const View<const double> x_there(reinterpret_cast<const double*>(given), kFew, 3, 3, Device::cuda);

@@ -9,7 +9,7 @@
 #include "plugins/encoders/hash_grid/hash_grid_kernels.h"
 #include "ray_bench.h"
 #include "rooms.h"
-#include "testkit/field_bench.h"
+#include "testkit/benches.h"
 #include "tests/encoder_box.h"
 
 #if defined(SEMFIELD_HAS_QUADMATH)

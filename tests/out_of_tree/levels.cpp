@@ -41,7 +41,7 @@ int check_device(Registry& registry, const std::string& folder) {
   options.gradient_elements = 2;
   options.scratch = cuda_library().calls.memory;
   const testkit::Failures failures =
-      testkit::encoder_laws(testkit::HostEncoder(*there, {cuda_library().calls, false}), *oracle, options);
+      testkit::encoder_laws(*testkit::host_twin(*there, {cuda_library().calls, false}), *oracle, options);
   std::printf("cuda: laws on the device, %zu failures\n%s", failures.size(), testkit::to_text(failures).c_str());
   return failures.empty() ? 0 : 1;
 }

@@ -53,8 +53,8 @@ TEST(EncoderLaws, HoldForASoundEncoder) { EXPECT_EQ(encoder_laws_of("none"), "")
 
 INSTANTIATE_TEST_SUITE_P(Encoder, BrokenPlugin,
                          testing::ValuesIn(cases_of(encoder_laws_of,
-                                                    {{"skip_last_row", "every output written"},
-                                                     {"write_past_cols", "outputs stay inside"},
+                                                    {{"skip_last_row", "every y written"},
+                                                     {"write_past_cols", "y stays inside"},
                                                      {"wrong_dx", "gradient of x"},
                                                      {"wrong_table_gradient", "gradient of table"},
                                                      {"assign_gradient", "gradients accumulate"},

@@ -14,7 +14,7 @@
 #include "plugin/loader.h"
 #include "plugin/reference.h"
 #include "testkit/compare.h"
-#include "testkit/field_bench.h"
+#include "testkit/benches.h"
 #include "tests/plugin/toy_encoder.h"
 #include "tests/says.h"
 

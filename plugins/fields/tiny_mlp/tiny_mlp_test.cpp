@@ -5,7 +5,7 @@
 
 #include "plugin/registry.h"
 #include "testkit/compare.h"
-#include "testkit/field_bench.h"
+#include "testkit/benches.h"
 #include "testkit/laws.h"
 #include "tests/plain_network.h"
 #include "tests/says.h"
