@@ -139,6 +139,14 @@ def mean_of(values):
     return f"{mean} ± {half_width(values):.{digits}f} ({len(values)})"
 
 
+def data_rows(data):
+    """The same of a list of rows, or of groups of runs."""
+    groups = ((i, [row]) for i, row in enumerate(data)) if isinstance(data, list) else data["rows"].items()
+    for group, runs in groups:
+        for run in runs:
+            yield from ((group, key, value) for key, value in run.items() if not isinstance(value, (dict, list)))
+
+
 def rows_of(root, words):
     """(name of the row, column, value) of files of data; words are names of files and filters KEY=VALUE|VALUE."""
     filters = dict(word.split("=") for word in words if "=" in word)
@@ -150,22 +158,18 @@ def rows_of(root, words):
                         many = "|" in filters.get("experiment", "")
                         yield row["variant"], row["metric"] + (f", {row['experiment']}" if many else ""), float(row["value"])
             continue
-        data = read_json(root, name)
-        groups = ((i, [row]) for i, row in enumerate(data)) if isinstance(data, list) else data["rows"].items()
-        for group, runs in groups:
-            for run in runs:
-                yield from ((group, key, value) for key, value in run.items() if not isinstance(value, (dict, list)))
+        yield from data_rows(read_json(root, name))
 
 
-def table_of(root, files, columns):
+def table_of(rows, columns):
     cells = {}
-    for row, column, value in rows_of(root, files):
+    for row, column, value in rows:
         cells.setdefault(row, {}).setdefault(column, []).append(value)
     found = list(dict.fromkeys(column for row in cells.values() for column in row))
     shown = [column for asked in columns for column in found if column == asked or column.startswith(asked + ", ")]
     lost = [asked for asked in columns if not any(column.split(", ")[0] == asked for column in shown)]
     if lost:
-        raise SystemExit(f"docs_parts: {' '.join(files)} has no {', '.join(lost)}")
+        raise SystemExit(f"docs_parts: no data have {', '.join(lost)}")
     named = isinstance(next(iter(cells)), str)
     out = f"|{' |' * named} {' | '.join(shown)} |\n|{'---|' * (named + len(shown))}\n"
     for name, row in cells.items():
@@ -194,7 +198,7 @@ def sources_table(root):
 
 
 def filled(root, text):
-    return MARK.sub(lambda m: table_of(root, m["files"].split(), m["columns"].split()) if m["files"] else sources_table(root), text)
+    return MARK.sub(lambda m: table_of(rows_of(root, m["files"].split()), m["columns"].split()) if m["files"] else sources_table(root), text)
 
 
 # The page of all codes of errors and findings, from the sources.
@@ -231,91 +235,78 @@ BEFORE = re.compile(r"(?:ErrorKind::(?P<kind>\w+),|kind\(\),|\b(?P<call>refuse\w
 # A function that takes a code and throws an error of one kind.
 WRAPPER = re.compile(r"\b(\w+)(?: = \[&\])?\(Code code,[^;]*?\{\s+(?:throw|return) Error\(ErrorKind::(\w+), code,", re.S)
 LITERAL = r'"(?:[^"\\\n]|\\.)*"'
-CPP = re.compile(rf'//[^\n]*|R"(\w*)\(.*?\)\1"|(?P<text>{LITERAL})|(?<!\w)\'(?:[^\'\\]|\\.)+\'', re.S)
-PYTHON = re.compile(rf'#[^\n]*|""".*?"""|(?P<text>{LITERAL})|\'(?:[^\'\\\n]|\\.)*\'', re.S)
+# Comments and literals that are no sentences, of C++ and of Python.
+NOTHING = (re.compile(rf'({LITERAL})|R"(\w*)\(.*?\)\2"|//[^\n]*|(?<!\w)\'(?:[^\'\\]|\\.)+\'', re.S),
+           re.compile(rf'(?<!")({LITERAL})(?!")|""".*?"""|#[^\n]*', re.S))
+TOKEN = re.compile(rf"{LITERAL}|[()\[\]{{}};,]")
 
 
-class Source:
-    """A file: its text, the same without comments and insides of literals, and the places of the literals."""
+def arguments(text):
+    """Texts of the arguments behind a code."""
+    depth, begin = 0, None
+    for token in TOKEN.finditer(text):
+        depth += (token[0] in "([{") - (token[0] in ")]}")
+        ends = depth < 0 or token[0] == ";"
+        if ends or depth == 0 and token[0] == ",":
+            if begin is not None:
+                yield text[begin:token.start()]
+            begin = token.end()
+        if ends:
+            return
 
-    def __init__(self, text, python):
-        self.text, self.python = text, python
-        tokens = list((PYTHON if python else CPP).finditer(text))
-        self.literals = [token.span() for token in tokens if token["text"]]
-        self.blank = (PYTHON if python else CPP).sub(lambda m: re.sub(r"[^\n]", " ", m[0]), text)
-        self.wrappers = dict(WRAPPER.findall(text))
 
-    def arguments(self, at):
-        """Places of the arguments behind the one that ends at `at`."""
-        depth, begin, places = 0, None, []
-        while at < len(self.blank) and depth >= 0 and self.blank[at] != ";":
-            c = self.blank[at]
-            depth += (c in "([{") - (c in ")]}")
-            if depth < 0 or depth == 0 and c == ",":
-                places += [] if begin is None else [(begin, at)]
-                begin = at + 1
-            at += 1
-        return places
+def sentence_of(text, before, python):
+    """The literals of an argument, or of the variable that it names, as a sentence, values as …; "" where there are none."""
+    made = re.fullmatch(r"\s*[a-z]\w*", text) and before.rpartition(f" {text.strip()} = ")
+    text, out, last = made[2].partition(";")[0] if made and made[1] else text, "", 0
+    for literal in re.finditer(LITERAL, text):
+        between = text[last:literal.start()]
+        if out and re.search(r"\?|(?<!:):(?!:)", between):
+            break
+        glued = not re.sub(r"fmt::format\(|std::string\(|\b[fr]?$", "", between).strip()
+        out += ("" if glued else "…") + literal[0][1:-1]
+        last = literal.end()
+    out += "…" if out and "{" not in out and re.search(r"\w", re.sub(LITERAL, "", text[last:])) else ""
+    out = re.sub(r"\{[^{}]*\}" if python else r"\{(?::[^{}]*)?\}", "…", out.replace("{{", "{").replace("}}", "}").replace("\\n", " ").replace("\\", ""))
+    out = re.sub(r"^(?:…?[.:;,]? ?)+", "", " ".join(out.split()))
+    if not re.search(r"[a-z]{2,}.* |: …", out):
+        return ""
+    return out if len(out) <= LONGEST_SENTENCE else out[:LONGEST_SENTENCE].rsplit(" ", 1)[0] + " …"
 
-    def sentence(self, begin, end):
-        """The literals of an argument, or of the variable that it names, as a sentence, values as …; "" where there are none."""
-        name = self.blank[begin:end].strip()
-        made = [m.end() for m in re.finditer(rf"\b{name} = ", self.blank[:begin])] if re.fullmatch(r"[a-z]\w*", name) else []
-        if made:
-            begin, end = made[-1], self.blank.index(";", made[-1])
-        out, last = "", begin
-        for start, stop in self.literals:
-            if start < begin or stop > end:
-                continue
-            between = self.blank[last:start]
-            if re.search(r"\?|(?<!:):(?!:)", between) and out:
-                break
-            glued = not re.sub(r"fmt::format\(|std::string\(|\b[fr]?$", "", between).strip()
-            out += ("" if glued else "…") + self.text[start + 1:stop - 1]
-            last = stop
-        if out and "{" not in out and re.search(r"\w", self.blank[last:end]):
-            out += "…"
-        out = re.sub(r"\{[^{}]*\}" if self.python else r"\{(?::[^{}]*)?\}", "…", out.replace("{{", "{").replace("}}", "}").replace("\\n", " ").replace("\\", ""))
-        out = re.sub(r"^(?:…?[.:;,]? ?)+", "", " ".join(out.split()))
-        if not re.search(r"[a-z]{2,}.* |: …", out):
-            return ""
-        return out if len(out) <= LONGEST_SENTENCE else out[:LONGEST_SENTENCE].rsplit(" ", 1)[0] + " …"
 
-    def use(self, start, end, wrappers):
-        """How what has the code ends (an exit code, a class of Python, "in a list", "warning", "note", "HTTP"; None: said elsewhere), and its
-        sentence; None where no code is expected."""
-        before = BEFORE.search(self.text[max(0, start - 120):start])
-        if not before:
-            return None
-        if self.python:
-            raised = list(re.finditer(r"raise (\w+)\(", self.blank[:start]))
-            return (f"`{raised[-1][1]}`", self.sentence(raised[-1].end(), start)) if raised else (None, "")
-        call = before["call"]
-        places = self.arguments(end)[1:2] if call in ("error", "warning", "note") else self.arguments(end)[:2 if call else 1]
-        said = next(filter(None, (self.sentence(*place) for place in places)), "")
-        if call in ("warning", "note", "error_json"):
-            return call.replace("error_json", "HTTP"), said
-        kind = before["kind"] or self.wrappers.get(call) or (call not in ("report", "error") and wrappers.get(call))
-        if call is None and not kind and self.text[:start].endswith("return "):
-            kind = (re.search(r"ErrorKind::(\w+)", self.text[start:]) or [None, None])[1]
-        return (str(EXIT_CODES[kind]) if kind else IN_A_LIST if call else None), said
+def use_of(before, behind, python, wrappers):
+    """How what has the code ends (an exit code, a class of Python, "in a list", "warning", "note", "HTTP"; None: said elsewhere), and its
+    sentence; None where no code is expected. `before` and `behind` are the texts around it."""
+    match = BEFORE.search(before[-120:])
+    if not match:
+        return None
+    if python:
+        *_, raised = [None, *re.finditer(r"raise (\w+)\(", before)]
+        return (f"`{raised[1]}`", sentence_of(before[raised.end():], "", True)) if raised else (None, "")
+    call, kind = match["call"], match["kind"] or wrappers.get(match["call"])
+    places = list(arguments(behind))[1 if call in ("error", "warning", "note") else 0:2 if call else 1]
+    said = next(filter(None, (sentence_of(place, before, False) for place in places)), "")
+    if call in ("warning", "note", "error_json"):
+        return call.replace("error_json", "HTTP"), said
+    if call is None and not kind and before.endswith("return "):
+        kind = (re.search(r"ErrorKind::(\w+)", behind) or [None, None])[1]
+    return (str(EXIT_CODES[kind]) if kind else IN_A_LIST if call else None), said
 
 
 def collect(root):
     """{code: (endings, sentence)}"""
-    codes, sources, wrappers = {}, [], {}
+    codes, sources, shared = {}, [], {}
     for path in sorted(os.path.join(where, name) for folder in FOLDERS for where, _, names in os.walk(os.path.join(root, folder)) for name in names):
         if path.endswith((".cpp", ".h", ".cu", ".py")) and not path.endswith("_test.cpp") and "/tests/" not in path[len(root) + 1:].removeprefix("tests"):
-            with open(path, encoding="utf-8") as file:
-                text = file.read()
-            if CODE.search(text) or "(Code code" in text:
-                sources.append(Source(text, path.endswith(".py")))
-                wrappers.update(sources[-1].wrappers if path.endswith(".h") else {})
-    for source in sources:
-        for start, end in source.literals:
-            code = CODE.fullmatch(source.text, start, end)
-            found = code and source.use(start, end, wrappers)
-            if found:
+            python = path.endswith(".py")
+            with open(path, encoding="utf-8") as file:  # without comments and literals that are no sentences
+                text = NOTHING[python].sub(lambda m: m[1] or " ", file.read())
+            sources.append((text, python, dict(WRAPPER.findall(text))))
+            shared.update(sources[-1][2] if path.endswith(".h") else {})
+    shared = {call: kind for call, kind in shared.items() if call not in ("report", "error")}
+    for text, python, own in sources:
+        for code in CODE.finditer(text):
+            if found := use_of(text[:code.start()], text[code.end():], python, {**shared, **own}):
                 endings, sentence = codes.get(code[1], (set(), ""))
                 codes[code[1]] = (endings | {found[0]} - {None}, sentence or found[1])
     return codes

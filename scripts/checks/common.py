@@ -1,8 +1,11 @@
-"""What the steps of scripts/release_check share: commands with their errors, folders, arguments and the last line."""
+"""What the steps of scripts/release_check share: their words, commands with their errors, folders and the last line."""
 import argparse
 import contextlib
+import datetime
+import inspect
 import json
 import pathlib
+import re
 import subprocess
 import sys
 import tempfile
@@ -10,6 +13,10 @@ import tempfile
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 BUILD = ROOT / "build" / "release"
 QUICKSTART = ROOT / "configs" / "quickstart.yaml"
+# Of words that several steps have.
+HELP = {"build": "folder of the build that is measured", "keep": "FOLDER in which to leave what was made",
+        "run": "run folder"}
+wrongs = []  # what check() found
 
 
 class Failed(RuntimeError):
@@ -17,7 +24,24 @@ class Failed(RuntimeError):
 
 
 def say(text):
-    print(f"release_check: {text}", file=sys.stderr, flush=True)
+    print(f"{pathlib.Path(sys.argv[0]).name}: {text}", file=sys.stderr, flush=True)
+
+
+def check(good, text):
+    """Says what is wrong, which the exit code counts; whether it is good."""
+    if not good:
+        wrongs.append(text)
+        say(f"WRONG: {text}")
+    return good
+
+
+def attempt(*parts):
+    """Calls each; one that fails leaves its figures out and does not end the others."""
+    for part in parts:
+        try:
+            part()
+        except Failed as failed:
+            say(str(failed))
 
 
 def run(*words, **more):
@@ -41,25 +65,20 @@ def read_pictures(pattern, pixels):
                text=None, encoding=None)
 
 
-def write_pictures(pattern, raw, width, height, pixels, *filters):
+def write_pictures(pattern, raw, width, height, pixels):
     run("ffmpeg", "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", pixels, "-s", f"{width}x{height}",
-        "-i", "-", *filters, "-start_number", "0", pattern, input=raw, text=None, encoding=None)
+        "-i", "-", "-start_number", "0", pattern, input=raw, text=None, encoding=None)
 
 
-def commit():
+def source(command, n, environment=None, device="CPU"):
+    """Where a figure comes from, as docs/evidence wants it; `environment` is a run's environment.json."""
     git = ["git", "-C", ROOT, "rev-parse", "--short", "HEAD"]
-    return subprocess.run(git, capture_output=True, text=True).stdout.strip() or "unknown"
-
-
-def parser_of(step):
-    """A parser of the step's words, whose help is what the function says of itself."""
-    return argparse.ArgumentParser(prog=f"release_check {step.__name__}", description=step.__doc__,
-                                   formatter_class=argparse.RawDescriptionHelpFormatter)
-
-
-def add_build(parser):
-    parser.add_argument("--build", type=pathlib.Path, default=BUILD, metavar="FOLDER",
-                        help="folder of the build that is measured (default: build/release)")
+    if environment:
+        ran = json.loads(environment.read_text())
+        device = ran.get("device", "cpu").split(",")[0]
+        device = f"{ran['cpu']}, {ran['threads']} threads" if device == "cpu" else device
+    return {"date": datetime.date.today().isoformat(), "device": device, "command": command, "n": n,
+            "commit": subprocess.run(git, capture_output=True, text=True).stdout.strip() or "unknown"}
 
 
 @contextlib.contextmanager
@@ -71,7 +90,66 @@ def work_folder(keep=None):
         yield folder
 
 
-def print_line(name, figures, formats):
-    """The last line: `name: key=value ...`, each value in the format of its key; n/a where none is known."""
-    shown = (format(figures[key], form) if figures.get(key) is not None else "n/a" for key, form in formats.items())
-    print(f"{name}: " + " ".join(f"{key}={value}" for key, value in zip(formats, shown)))
+def some_of(names):
+    """Reads a list with commas of some of the names."""
+    def read(text):
+        if not set(text.split(",")) <= set(names):
+            raise argparse.ArgumentTypeError(f"they are {', '.join(names)}")
+        return text.split(",")
+    return read
+
+
+def arguments(step, program, about):
+    """A parser of the words that a step's signature declares: parameters are words and keywords are options, an
+    annotation is the help, a default names the type, of which a tuple of names is for some of them. A word without a
+    default is a path."""
+    parser = argparse.ArgumentParser(prog=program, description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for one in inspect.signature(step).parameters.values():
+        default, name = one.default, one.name.rstrip("_").replace("_", "-")
+        more = {"help": HELP.get(one.name, "") if one.annotation is one.empty else one.annotation, "metavar": name.upper()}
+        if one.kind is one.VAR_POSITIONAL:
+            more["nargs"] = "*"
+        elif default is one.empty:
+            more["type"] = pathlib.Path
+        elif default is False:
+            more = {"help": more["help"], "action": "store_true"}
+        elif isinstance(default, tuple) and isinstance(default[0], str):
+            more.update(type=some_of(default), default=list(default))
+            more["help"] += f" (default: {','.join(default)})"
+        else:
+            values = default if isinstance(default, tuple) else (default,)
+            more.update(default=default, type=str if default is None else type(values[0]))
+            more.update({"nargs": len(values)} if values is default else {} if one.kind is one.KEYWORD_ONLY else {"nargs": "?"})
+            more["help"] += "" if default in (None, "") else f" (default: {default})"
+        dash = "" if one.kind is not one.KEYWORD_ONLY else "--" if len(name) > 1 else "-"
+        parser.add_argument(dash + name, **more, **({"dest": one.name} if dash else {}))
+    return parser
+
+
+def call(step, words, line, program):
+    """Calls a step with words of the command line and prints its last line; the exit code.
+
+    `line` has `key:format` of each figure that the step returns, and perhaps a bound, `key:format<=3`. n/a is what was
+    not measured."""
+    last = "\n\nThe last line is `%s: %s`." % (step.__name__, re.sub(r":\S*", "=...", line)) if line else ""
+    bounds = re.findall(r"(\w+):[^<>\s]*([<>]=\S+)", line)
+    last += " It fails beyond " + ", ".join(map("".join, bounds)) + "." if bounds else ""
+    given = vars(arguments(step, program, step.__doc__ + last).parse_args(words))
+    plain = []
+    for one in inspect.signature(step).parameters.values():
+        if one.kind is one.VAR_POSITIONAL:
+            plain += given.pop(one.name)
+        elif one.kind is not one.KEYWORD_ONLY:
+            plain.append(given.pop(one.name))
+    found = step(*plain, **given)
+    if isinstance(found, dict):
+        shown = []
+        for key, form, bound in re.findall(r"(\w+):([^<>\s]*)(\S*)", line):
+            value = found.get(key)
+            shown.append(f"{key}={'n/a' if value is None else format(value, form)}")
+            if bound and value is not None:
+                good = value <= float(bound[2:]) if bound[0] == "<" else value >= float(bound[2:])
+                check(good, f"{key} is {value}, which has to be {bound}")
+        print(f"{step.__name__}: " + " ".join(shown))
+        found = 0
+    return found or int(bool(wrongs))

@@ -32,24 +32,17 @@ cmake --build --preset package --parallel "$(nproc)" &&
 cpack --config build/package/CPackConfig.cmake -B build/package/packages"""
 
 
-def add_systems(parser):
-    parser.add_argument("--folder", default=f"/var/tmp/semfield_{parser.prog.split()[-1]}",
-                        help="where systems and logs lie (default: %(default)s)")
-    parser.add_argument("--mirror", metavar="URL", help="of Debian's packages (default: that of this machine's apt)")
-    parser.add_argument("--ccache", metavar="FOLDER", help="the compiler's cache in the systems (default: none)")
-
-
 def need(program, packages):
     if not shutil.which(program):
         common.run("sh", "-c", f"apt-get update -qq && {NO_QUESTIONS} {packages}")
 
 
 class Systems:
-    def __init__(self, options):
+    def __init__(self, folder, mirror, ccache):
         if os.geteuid() != 0:
             raise common.Failed("chroots need root; run it as root")
         need("debootstrap", "debootstrap")
-        self.mirror = options.mirror or (common.run(
+        self.mirror = mirror or (common.run(
             "apt-get", "indextargets", "--format", "$(REPO_URI)", "Created-By: Packages", "Origin: Debian",
             "Label: Debian").splitlines() or [None])[0]
         if self.mirror is None:
@@ -58,8 +51,8 @@ class Systems:
         proxies = common.run("apt-config", "shell", "http_proxy", "Acquire::http::Proxy", "https_proxy",
                              "Acquire::https::Proxy")
         self.environment = {**os.environ, **dict(word.split("=", 1) for word in shlex.split(proxies))}
-        self.folder = pathlib.Path(options.folder).resolve()
-        self.ccache = options.ccache and pathlib.Path(options.ccache).resolve()
+        self.folder = folder.resolve()
+        self.ccache = ccache and pathlib.Path(ccache).resolve()
         for folder in filter(None, (self.folder, self.ccache)):
             folder.mkdir(parents=True, exist_ok=True)
         self.lock = open(self.folder / "lock", "w", encoding="utf-8")
@@ -67,6 +60,11 @@ class Systems:
             fcntl.flock(self.lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise common.Failed(f"another run works in {self.folder}") from None
+
+    def begin_log(self, suite):
+        self.log = self.folder / f"{suite}.log"
+        self.log.write_text("")
+        return self.log
 
     def make(self, suite, name):
         """The bare system `name`, which is made where it is not there."""
@@ -94,9 +92,9 @@ class Systems:
         common.run("cp", "-a", system, self.folder / name)
         return self.folder / name
 
-    def inside(self, system, command, log):
-        """Exit code of the command in the system; what it prints goes to the end of `log`."""
-        with open(log, "a", encoding="utf-8") as file:
+    def inside(self, system, command):
+        """Exit code of the command in the system; what it prints goes to the end of the log."""
+        with open(self.log, "a", encoding="utf-8") as file:
             words = ["unshare", "--mount", "--pid", "--fork", "--kill-child", "bash", "-c", INSIDE, "inside", system,
                      self.ccache or "", command]
             more = {"stdin": subprocess.DEVNULL, "stdout": file, "stderr": file}
@@ -112,35 +110,30 @@ def clone_head(system):
     common.run("git", "-C", to, "checkout", "-q", "--force", "--detach", "FETCH_HEAD")
 
 
-def bare(words):
+STEPS = {"build": "./scripts/setup", "demo": "./scripts/demo", "test": "./scripts/test"}
+
+
+def bare(*suites: "default: bookworm trixie", steps: "which, in this order" = ("demo", "test"),
+         ctest: 'for ctest, e.g. --ctest="-R Isa"' = "",
+         keep: "leave systems and builds; the next run starts from there" = False,
+         folder: "of systems and logs" = pathlib.Path("/var/tmp/semfield_bare"), mirror=None, ccache=None):
     """Shows that README's two commands work on bare machines: makes bare Debian systems, clones the checkout's HEAD
 into each and runs ./scripts/demo and ./scripts/test there. As root, on Debian.
 
 The last line of each suite names exit code, tests and warnings of the compiler. SUITE.log has what the steps printed,
 and SUITE.STEP.log what the tools of its build did."""
-    commands = {"build": "./scripts/setup", "demo": "./scripts/demo", "test": "./scripts/test"}
-    parser = common.parser_of(bare)
-    parser.add_argument("suites", nargs="*", metavar="SUITE", help="default: bookworm trixie")
-    parser.add_argument("--steps", default="demo test", help="which of build, demo and test, in this order")
-    parser.add_argument("--ctest", default="", metavar="ARGUMENTS", help='for ctest, e.g. --ctest="-R Isa"')
-    parser.add_argument("--keep", action="store_true", help="leave systems and builds; the next run starts from there")
-    add_systems(parser)
-    options = parser.parse_args(words)
-    for step in options.steps.split():
-        if step not in commands:
-            parser.error(f"--steps: '{step}' is none of {', '.join(commands)}")
-    systems, worst = Systems(options), 0
-    for suite in options.suites or ["bookworm", "trixie"]:
-        log, code, warnings, begin = systems.folder / f"{suite}.log", 0, 0, time.monotonic()
-        if not options.keep:
+    systems = Systems(folder, mirror, ccache)
+    for suite in suites or ("bookworm", "trixie"):
+        code, warnings, begin = 0, 0, time.monotonic()
+        if not keep:
             systems.remove(systems.folder / suite)
-        log.write_text("")
+        log = systems.begin_log(suite)
         system = systems.make(suite, suite)
         clone_head(system)
-        for step in options.steps.split():
-            command = f"{commands[step]} {options.ctest if step == 'test' else ''}"
+        for step in steps:
+            command = f"{STEPS[step]} {ctest if step == 'test' else ''}"
             common.say(f"{suite}: {command}; what it prints: {log}")
-            code = systems.inside(system, f"cd semfield && {command}", log)
+            code = systems.inside(system, f"cd semfield && {command}")
             tools = system / "root/semfield/build/setup.log"
             built = tools.read_text(errors="replace") if tools.exists() else ""
             (systems.folder / f"{suite}.{step}.log").write_text(built)
@@ -153,149 +146,106 @@ and SUITE.STEP.log what the tools of its build did."""
         # ctest says "99% tests passed, 2 tests failed out of 1300".
         counts = re.findall(r"^\d+% tests passed, (\d+) tests? failed out of (\d+)", text, re.M)
         failed, tests = counts[-1] if counts else (0, 0)
-        if not options.keep:
+        if not keep:
             systems.remove(system)
         print(f"bare: {suite} exit={code} tests={tests} failed={failed} skipped={text.count('***Skipped')} "
               f"warnings={warnings} minutes={(time.monotonic() - begin) / 60:.0f}", flush=True)
-        worst = max(worst, code != 0)
-    return int(worst)
+        common.check(code == 0, f"{suite}: see {log}")
 
 
-class Packages:
-    """Builds, installs, uses and purges the packages; what is wrong is said and counted."""
-
-    def __init__(self, systems, suite):
-        self.systems, self.suite, self.log = systems, suite, systems.folder / f"{suite}.log"
-        self.log.write_text("")
-        self.figures, self.wrongs = {}, 0
-
-    def check(self, good, text):
-        if not good:
-            self.wrongs += 1
-            common.say(f"WRONG: {text}")
-        return good
-
-    def inside(self, command, system=None):
-        return self.systems.inside(system or self.system, command, self.log) == 0
-
-    def printed(self):
-        return self.log.read_text(errors="replace")
-
-    def build(self):
-        """On this machine if it has the suite, else of HEAD in a system of that suite, with its compiler and Python."""
-        if f"VERSION_CODENAME={self.suite}\n" in pathlib.Path("/etc/os-release").read_text():
-            common.run("bash", "-c", BUILD, cwd=common.ROOT)
-            return common.ROOT / "build/package/packages"
-        builder = self.systems.make(self.suite, f"{self.suite}.builder")
-        clone_head(builder)
-        more = re.search('SEMFIELD_MORE_PACKAGES="[^"]*', (common.ROOT / "scripts" / "test").read_text())[0]
-        more += ' dpkg-dev file"'
-        if not self.inside(f"cd semfield && {more} SEMFIELD_PRESET=package ./scripts/setup && {BUILD}", builder):
-            raise common.Failed("the packages cannot be built")
-        return builder / "root/semfield/build/package/packages"
-
-    def lintian(self, files):
-        names = {common.run("dpkg-deb", "-f", file, "Package").strip() for file in files}
-        self.figures["deb"] = len(files)
-        for name in ("semfield", "libsemfield-dev", "python3-semfield"):
-            self.check(name in names, f"there is no package {name}")
-        words = ["lintian", "--allow-root", "--tag-display-limit", "0", *files]
-        found = subprocess.run(words, capture_output=True, text=True).stdout
-        common.say("lintian: " + found)
-        self.figures["lintian_errors"] = len(re.findall("^E:", found, re.M))
-        self.check(self.figures["lintian_errors"] == 0, "lintian names errors")
-
-    def listing(self):
-        """Files of the system."""
-        words = " -o ".join(f"-path ./{path}" for path in UNWATCHED)
-        found = common.run("sh", "-c", rf"find . -xdev \( {words} \) -prune -o -print", cwd=self.system)
-        return set(found.splitlines())
-
-    def demo(self):
-        """As a user without rights, in an empty folder, without a network: the shipped files are only read."""
-        self.inside("cd /home/guest && mkdir empty && chown guest empty && cd empty && unshare --net setpriv "
-                    "--reuid=guest --regid=guest --clear-groups env HOME=/home/guest semfield demo")
-        found = re.findall(r"^demo: miou_present=([0-9.]+) ", self.printed(), re.M)
-        self.figures["demo_miou"] = float(found[-1]) if found else None
-        self.check(found and 0.6 < float(found[-1]) < 1, f"the demo has no mIoU above 0.6: {found}")
-
-    def python(self):
-        self.check(self.inside("python3 -c 'import semfield; print(semfield.__file__)'"), "import semfield fails")
-        # In a copy of the system, since the tools of the tests leave traces of their own.
-        tests = self.systems.copy(self.system, f"{self.suite}.tests")
-        checkout = tests / "root" / "checkout"
-        for name in ("tests/python", "examples", "scenes", "configs", "docs", "python/docs"):
-            shutil.copytree(common.ROOT / name, checkout / name)
-        self.check(self.inside(f"{NO_QUESTIONS} python3-pytest python3-nbconvert python3-ipykernel mypy", tests),
-                   "the tools of the tests cannot be installed")
-        # A shell in the background ignores SIGINT, and so would the tests of Ctrl-C.
-        self.check(self.inside("cd checkout && SEMFIELD_TEST_INSTALLED=1 SEMFIELD_PROGRAM=/usr/bin/semfield "
-                               "PYTHONDONTWRITEBYTECODE=1 env --default-signal=INT "
-                               "python3 -m pytest -rs -p no:cacheprovider tests/python", tests),
-                   "tests of the Python module fail")
-        self.systems.remove(tests)
-        text = self.printed()
-        number = lambda pattern: sum(map(int, re.findall(pattern, text, re.M)))
-        collected, passed = number(r"collected (\d+) item"), number(r"^=+ .*?(\d+) passed.* =+$")
-        self.figures.update(python_tests=collected, passed=passed)
-        # A skip is no pass; one without a CUDA device is none of the packages' fault either.
-        no_device = number(r"^SKIPPED \[(\d+)\] .*no CUDA device")
-        self.check(passed + no_device == collected > 0,
-                   f"of {collected} tests of the Python module {passed} pass, and {no_device} have no CUDA device")
-
-    def install(self, files):
-        base = self.systems.make(self.suite, f"{self.suite}.base")
-        self.system = self.systems.copy(base, self.suite)
-        (self.system / "root/packages").mkdir()
-        for file in files:
-            shutil.copy(file, self.system / "root/packages")
-        self.check(self.inside("apt-get update && useradd -m guest"), "apt-get update or useradd fails")
-        self.inside(r"dpkg-query -W -f '${Package}\n' | sort >/root/packages.before")
-        before = self.listing()
-        if self.check(self.inside(f"{NO_QUESTIONS} ./packages/*.deb"), "the packages cannot be installed"):
-            self.demo()
-            self.python()
-            # With all that came with them: autoremove would keep what a package of the bare system suggests or takes as
-            # one of two (apt of Debian 13).
-            self.check(self.inside("apt-get purge -y $(dpkg-query -W -f '${Package}\\n' | sort | "
-                                   "comm -13 /root/packages.before -)"), "apt-get purge fails")
-            after = self.listing()
-            self.check(not after - before, f"the removal leaves: {sorted(after - before)[:20]}")
-            self.check(not before - after, f"the removal took what was there before: {sorted(before - after)[:20]}")
-        self.systems.remove(self.system)
-
-    def links(self):
-        done = subprocess.run([common.ROOT / "scripts" / "docs_check"], capture_output=True, text=True)
-        found = re.findall(r"^docs: .*links_broken=(\d+) ", done.stdout, re.M)
-        self.figures["links_broken"] = int(found[-1]) if found else None
-        self.check(done.returncode == 0 and found == ["0"],
-                   f"links of the documents: {done.stdout[-800:]}{done.stderr[-800:]}")
+def build_packages(systems, suite):
+    """On this machine if it has the suite, else of HEAD in a system of that suite, with its compiler and Python."""
+    if f"VERSION_CODENAME={suite}\n" in pathlib.Path("/etc/os-release").read_text():
+        common.run("bash", "-c", BUILD, cwd=common.ROOT)
+        return common.ROOT / "build/package/packages"
+    builder = systems.make(suite, f"{suite}.builder")
+    clone_head(builder)
+    more = re.search('SEMFIELD_MORE_PACKAGES="[^"]*', (common.ROOT / "scripts" / "test").read_text())[0]
+    more += ' dpkg-dev file"'
+    if systems.inside(builder, f"cd semfield && {more} SEMFIELD_PRESET=package ./scripts/setup && {BUILD}") != 0:
+        raise common.Failed("the packages cannot be built")
+    return builder / "root/semfield/build/package/packages"
 
 
-def package(words):
+def lintian(files):
+    """Number of errors that it names."""
+    need("lintian", "dpkg-dev lintian")
+    names = {common.run("dpkg-deb", "-f", file, "Package").strip() for file in files}
+    for name in ("semfield", "libsemfield-dev", "python3-semfield"):
+        common.check(name in names, f"there is no package {name}")
+    words = ["lintian", "--allow-root", "--tag-display-limit", "0", *files]
+    found = subprocess.run(words, capture_output=True, text=True).stdout
+    common.say("lintian: " + found)
+    return len(re.findall("^E:", found, re.M))
+
+
+def files_of(system):
+    words = " -o ".join(f"-path ./{path}" for path in UNWATCHED)
+    found = common.run("sh", "-c", rf"find . -xdev \( {words} \) -prune -o -print", cwd=system)
+    return set(found.splitlines())
+
+
+def test_python(systems, suite, system):
+    """Figures of the tests of the Python module, in a copy of the system, since their tools leave traces."""
+    tests = systems.copy(system, f"{suite}.tests")
+    for name in ("tests/python", "examples", "scenes", "configs", "docs", "python/docs"):
+        shutil.copytree(common.ROOT / name, tests / "root" / "checkout" / name)
+    code = systems.inside(tests, f"{NO_QUESTIONS} python3-pytest python3-nbconvert python3-ipykernel mypy")
+    common.check(code == 0, "the tools of the tests cannot be installed")
+    # A shell in the background ignores SIGINT, and so would the tests of Ctrl-C.
+    code = systems.inside(tests, "cd checkout && SEMFIELD_TEST_INSTALLED=1 SEMFIELD_PROGRAM=/usr/bin/semfield "
+                                 "PYTHONDONTWRITEBYTECODE=1 env --default-signal=INT "
+                                 "python3 -m pytest -rs -p no:cacheprovider tests/python")
+    common.check(code == 0, "tests of the Python module fail")
+    systems.remove(tests)
+    text = systems.log.read_text(errors="replace")
+    number = lambda pattern: sum(map(int, re.findall(pattern, text, re.M)))
+    collected, passed = number(r"collected (\d+) item"), number(r"^=+ .*?(\d+) passed.* =+$")
+    # A skip is no pass; one without a CUDA device is none of the packages' fault either.
+    no_device = number(r"^SKIPPED \[(\d+)\] .*no CUDA device")
+    common.check(passed + no_device == collected > 0,
+                 f"of {collected} tests of the Python module {passed} pass, and {no_device} have no CUDA device")
+    return {"python_tests": collected, "passed": passed}
+
+
+def package(suite: "of Debian" = "bookworm", *, packages: "FOLDER of packages to check; none are built" = None,
+            folder: "of systems and logs" = pathlib.Path("/var/tmp/semfield_package"), mirror=None, ccache=None):
     """Shows that the Debian packages work: builds them, looks at them with lintian, installs them by apt alone in a
 bare Debian system, runs `semfield demo` there in an empty folder without a network, imports the Python module and runs
 its tests, purges the packages, and compares the files of the system with those before. As root, on Debian.
 
 Another suite than this machine's builds its packages in a system of its own. What the steps print is in
-FOLDER/SUITE.log. The last line is `package: deb=... lintian_errors=... demo_miou=... python_tests=... passed=...
-links_broken=...`."""
-    parser = common.parser_of(package)
-    parser.add_argument("suite", nargs="?", default="bookworm", metavar="SUITE", help="default: %(default)s")
-    parser.add_argument("--packages", type=pathlib.Path, metavar="FOLDER", help="check those there; none are built")
-    add_systems(parser)
-    options = parser.parse_args(words)
-    check = Packages(Systems(options), options.suite)
-    try:
-        need("lintian", "dpkg-dev lintian")
-        files = sorted((options.packages or check.build()).resolve().glob("*.deb"))
-        check.lintian(files)
-        check.install(files)
-        check.links()
-    except (common.Failed, OSError) as failed:
-        check.check(False, failed)
-    if check.wrongs:
-        common.say(f"{check.wrongs} things are wrong; what the steps printed: {check.log}")
-    common.print_line("package", check.figures, {**dict.fromkeys(("deb", "lintian_errors"), "d"), "demo_miou": "",
-                                                 **dict.fromkeys(("python_tests", "passed", "links_broken"), "d")})
-    return 1 if check.wrongs else 0
+FOLDER/SUITE.log."""
+    systems = Systems(folder, mirror, ccache)
+    log = systems.begin_log(suite)
+    files = sorted(pathlib.Path(packages or build_packages(systems, suite)).resolve().glob("*.deb"))
+    figures = {"deb": len(files), "lintian_errors": lintian(files)}
+    system = systems.copy(systems.make(suite, f"{suite}.base"), suite)
+    (system / "root/packages").mkdir()
+    for file in files:
+        shutil.copy(file, system / "root/packages")
+
+    def succeeds(command, fault):
+        return common.check(systems.inside(system, command) == 0, f"{fault}; what the steps printed: {log}")
+
+    succeeds("apt-get update && useradd -m guest", "apt-get update or useradd fails")
+    systems.inside(system, r"dpkg-query -W -f '${Package}\n' | sort >/root/packages.before")
+    before = files_of(system)
+    if succeeds(f"{NO_QUESTIONS} ./packages/*.deb", "the packages cannot be installed"):
+        # As a user without rights, in an empty folder, without a network: the shipped files are only read.
+        succeeds("cd /home/guest && mkdir empty && chown guest empty && cd empty && unshare --net setpriv --reuid=guest "
+                 "--regid=guest --clear-groups env HOME=/home/guest semfield demo", "the demo fails")
+        found = re.findall(r"^demo: miou_present=([0-9.]+) ", log.read_text(errors="replace"), re.M)
+        figures["demo_miou"] = float(found[-1]) if found else 0
+        common.check(0.6 < figures["demo_miou"] < 1, "the demo has no mIoU above 0.6")
+        succeeds("python3 -c 'import semfield; print(semfield.__file__)'", "import semfield fails")
+        figures.update(test_python(systems, suite, system))
+        # With all that came with them: autoremove would keep what a package of the bare system suggests or takes as
+        # one of two (apt of Debian 13).
+        succeeds("apt-get purge -y $(dpkg-query -W -f '${Package}\\n' | sort | comm -13 /root/packages.before -)",
+                 "apt-get purge fails")
+        after = files_of(system)
+        common.check(not after - before, f"the removal leaves: {sorted(after - before)[:20]}")
+        common.check(not before - after, f"the removal took what was there before: {sorted(before - after)[:20]}")
+    systems.remove(system)
+    return figures

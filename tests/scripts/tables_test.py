@@ -35,14 +35,14 @@ def check_objects(folder):
     (folder / "bin" / "semfield").chmod(0o755)
     words = ("object_tables", folder, "--build", folder, "--out", folder / "out")
     lines = lines_of(*words, "--cpu")
-    assert lines[-1] == ("objects: exact_pq=0.700 degraded_pq=0.400 assignment_pq=0.600 peer_pq=n/a replica_pq=n/a "
+    assert lines[-1] == ("object_tables: exact_pq=0.700 degraded_pq=0.400 assignment_pq=0.600 peer_pq=n/a replica_pq=n/a "
                          "seconds_gpu=n/a peer_seconds=n/a cpu_pq=0.700 cpu_seconds=7.000 miou_change=0.000 "
                          "psnr_change=0.000 count_error=0.100"), lines[-1]
     # Three seeds a hundredth apart: 4.303 * 0.01 / sqrt(3).
-    assert any(line.startswith("| living | exact | 0.900 ± 0.025 |") for line in lines), lines
+    assert any(line.startswith("| living/exact | 0.900 ± 0.025 (3) |") for line in lines), lines
     (folder / "class" / "note").write_text("LEARNS")
     assert "miou_change=n/a psnr_change=n/a" in lines_of(*words)[-1], "a run that was changed was not noticed"
-    assert run(*words, "--only", "attic").returncode == 1
+    assert run(*words, "--only", "attic").returncode == 2
 
     # The file says where its figures come from, and keeps those of the same commit and device alone.
     kept = folder / "objects.json"

@@ -1,4 +1,4 @@
-"""Breaks of own data. The scene is the shipped room in two formats."""
+"""Breaks of own data, and what `semfield inspect` says of them: the step `drill` of scripts/release_check, which is the test of that name."""
 import collections
 import json
 import math
@@ -11,36 +11,50 @@ import subprocess
 
 import numpy as np
 
-from . import common
+from checks import common
 
 OPENGL = [1, -1, -1, 1]  # what the columns of a pose with OpenCV's camera axes are multiplied by for OpenGL's
-
-
-def quaternion(pose):
-    """x, y, z, w of a rotation: the eigenvector of the eigenvalue 1 of this matrix [Bar-Itzhack 2000]."""
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = pose[:3, :3]
-    matrix = np.array([[xx - yy - zz, xy + yx, xz + zx, zy - yz], [xy + yx, yy - xx - zz, yz + zy, xz - zx],
-                       [xz + zx, yz + zy, zz - xx - yy, yx - xy], [zy - yz, xz - zx, yx - xy, xx + yy + zz]])
-    return np.linalg.eigh(matrix)[1][:, -1].tolist()
+KINDS = {"transforms_json": OPENGL, "replica": [1, 1, 1, 1]}  # axes of each format of the shipped room
 
 
 class Scene:
-    """One format of the room in a folder of its own. Poses are OpenCV camera-to-world."""
+    """One format of the shipped room in a folder of its own. Poses are OpenCV camera-to-world."""
 
-    def __init__(self, source, folder):
-        self.source, self.folder, self.config = source, folder, folder.with_suffix(".yaml")
+    def __init__(self, source, folder, kind="transforms_json"):
+        self.source, self.folder, self.kind, self.axes = source, folder, kind, KINDS[kind]
+        self.config = folder.with_suffix(".yaml")
         shutil.copytree(source, folder)
         self.poses = np.loadtxt(folder / "traj_w_c.txt").reshape(-1, 4, 4)
-        self.width, self.height = map(int, (folder / "intrinsics.txt").read_text().split()[:2])
+        self.lens = np.loadtxt(folder / "intrinsics.txt")[:6]
+        self.width, self.height = map(int, self.lens[:2])
         self.label_pattern = folder / "semantic_class" / "semantic_class_%d.png"
-        self.write()
+        self.restore()
 
     def image(self, i, ending=".png"):
         return self.folder / "rgb" / f"rgb_{i}{ending}"
 
     def restore(self):
-        shutil.copytree(self.source / "rgb", self.folder / "rgb", dirs_exist_ok=True)
+        shutil.copytree(self.source, self.folder, dirs_exist_ok=True)
+        self.label_key, self.image_ending, self.settings = "label_path", ".png", ""
+        self.intrinsics = {"camera_angle_x": math.pi / 2}
         self.write()
+
+    def write(self, poses=None):
+        """The index and the configuration. Poses have the format's axes, or are places and quaternions x, y, z, w."""
+        poses = self.poses * self.axes if poses is None else poses
+        if self.kind == "replica":
+            np.savetxt(self.folder / "traj_w_c.txt", poses.reshape(len(poses), -1), fmt="%.17g")
+        else:
+            frames = [{"file_path": f"rgb/rgb_{i}{self.image_ending}", "depth_path": f"depth/depth_{i}.png",
+                       self.label_key: f"semantic_class/semantic_class_{i}.png",
+                       **({"transform_matrix": pose} if len(pose) == 4 else
+                          {"translation": pose[:3], "rotation": pose[6:] + pose[3:6]})}
+                      for i, pose in enumerate(poses.tolist())]
+            index = {**self.intrinsics, "depth_unit_m": 0.001, "classes": "classes.yaml", "frames": frames}
+            (self.folder / "transforms.json").write_text(json.dumps(index, indent=1))
+        preset = common.ROOT / "configs" / "presets" / "room.yaml"
+        self.config.write_text(f"include: {json.dumps(str(preset))}\nscene:\n  type: {self.kind}\n"
+                               f"  root: {json.dumps(str(self.folder))}\n{self.settings}")
 
     def pictures(self, pattern, pixels, channels):
         raw = np.frombuffer(common.read_pictures(pattern, pixels), np.uint8)
@@ -53,77 +67,17 @@ class Scene:
         height, width = labels.shape[1:3]
         common.write_pictures(self.label_pattern, labels.astype(np.uint8).tobytes(), width, height, pixels)
 
-    def write_config(self, more=""):
-        preset = common.ROOT / "configs" / "presets" / "room.yaml"
-        self.config.write_text(f"include: {json.dumps(str(preset))}\nscene:\n  type: {self.kind}\n"
-                               f"  root: {json.dumps(str(self.folder))}\n{more}")
-
-
-class Replica(Scene):
-    kind = "replica"
-    axes = [1, 1, 1, 1]
-    label_setting = ""
-
-    def write_rows(self, rows):
-        np.savetxt(self.folder / "traj_w_c.txt", rows, fmt="%.17g")
-        self.write_config(self.label_setting)
-
-    def write(self, poses=None):
-        self.write_rows((self.poses if poses is None else poses).reshape(-1, 16))
-
-    def write_one(self):
-        self.write(self.poses[:1])
-        for i in range(1, len(self.poses)):
-            self.image(i).unlink()
-
-    def write_quaternions(self):
-        self.write_rows([pose[:3, 3].tolist() + quaternion(pose) for pose in self.poses])
-
-    def misname_key(self):
-        self.label_setting = "  lable_dir: semantic_class\n"
-        self.write()
-
-    def rename_key(self, line):
-        wrong, right = re.search(r"unknown key '(\w+)'; did you mean '(\w+)'\?", line).groups()
-        self.label_setting = self.label_setting.replace(wrong, right)
-        self.write()
-
-
-class TransformsJson(Scene):
-    kind = "transforms_json"
-    axes = OPENGL
-    label_key, image_ending = "label_path", ".png"
-    intrinsics = {"camera_angle_x": math.pi / 2}
-
-    def write_frames(self, places):
-        frames = [{"file_path": f"rgb/rgb_{i}{self.image_ending}", "depth_path": f"depth/depth_{i}.png",
-                   self.label_key: f"semantic_class/semantic_class_{i}.png", **place} for i, place in enumerate(places)]
-        index = {**self.intrinsics, "depth_unit_m": 0.001, "frames": frames}
-        (self.folder / "transforms.json").write_text(json.dumps(index, indent=1))
-        self.write_config()
-
-    def write(self, poses=None):
-        poses = self.poses * OPENGL if poses is None else poses
-        self.write_frames([{"transform_matrix": pose.tolist()} for pose in poses])
-
-    def write_one(self):
-        self.write(self.poses[:1] * OPENGL)
-
-    def write_quaternions(self):
-        self.write_frames({"translation": pose[:3, 3].tolist(), "rotation": [w, x, y, z]}
-                          for pose in self.poses for x, y, z, w in [quaternion(pose)])
-
-    def misname_key(self):
-        self.label_key = "label"
-        self.write()
-
-    def rename_key(self, line):
-        raise AssertionError("the remedy is a setting")
-
 
 def missing_image(scene):
     for i in (3, 5):
         scene.image(i).unlink()
+
+
+def misnamed_key(scene):
+    if scene.kind == "replica":
+        scene.settings = "  lable_dir: semantic_class\n"
+    scene.label_key = "label"
+    scene.write()
 
 
 def millimetres(scene):
@@ -144,6 +98,16 @@ def unknown_ids(scene):
     labels = scene.labels()
     labels[:, 0, :2] = 213, 207
     scene.write_labels(labels)
+
+
+def quaternions(scene):
+    scene.write(np.array([[*pose[:3, 3], 0, 0, 0, 1] for pose in scene.poses]))
+
+
+def one_frame(scene):
+    scene.write(scene.poses[:1] * scene.axes)
+    for i in range(1, len(scene.poses)):
+        scene.image(i).unlink()
 
 
 def misnamed_extension(scene):
@@ -184,14 +148,10 @@ def rename_files(scene, line):
         scene.image(i, pathlib.Path(wrong).suffix).rename(scene.image(i, pathlib.Path(right).suffix))
 
 
-def matrices_again(scene, line):
-    assert "camera-to-world matri" in line, line
+def rename_key(scene, line):
+    wrong, right = re.search(r"unknown key '(\w+)'; did you mean '(\w+)'\?", line).groups()
+    scene.settings = scene.settings.replace(wrong, right)
     scene.write()
-
-
-def frames_again(scene, line):
-    assert "give two frames at least" in line, line
-    scene.restore()
 
 
 def state_size(scene, line):
@@ -200,23 +160,11 @@ def state_size(scene, line):
     scene.write()
 
 
-def turn_back(scene, line):
-    assert "EXIF orientation says (8)" in line and "mogrify -auto-orient" in line, line
-    scene.image_ending = ".png"
-    scene.restore()
-
-
-def undistorted(scene, line):
-    assert "undistort the images" in line, line
-    del scene.intrinsics["camera_model"]
-    scene.write()
-
-
-# Name, what breaks the scene, what a line has to say, and what is done where the remedy is no setting.
+# Name, what breaks the scene, what a line has to say; and where the remedy is no setting, what is done, or what the line
+# has to say before the data are put right.
 BREAKS = [
     ("missing image", missing_image, r"colour image '.*' is missing", None),
-    ("misnamed key", lambda scene: scene.misname_key(), r"key '(label|lable_dir)'.*'label_(path|dir)'",
-     lambda scene, line: scene.rename_key(line)),
+    ("misnamed key", misnamed_key, r"key '(label|lable_dir)'.*'label_(path|dir)'", rename_key),
     ("OpenGL axes", lambda scene: scene.write(scene.poses * scene.axes * OPENGL), r"OpenGL|OpenCV", None),
     ("inverse poses", lambda scene: scene.write(np.linalg.inv(scene.poses * scene.axes)), r"world-to-camera", None),
     ("millimetres", millimetres, r"millimetres", None),
@@ -224,17 +172,18 @@ BREAKS = [
      r"label image '.*' is \d+ x \d+ pixels, the camera \d+ x \d+", None),
     ("RGB labels", rgb_labels, r"label image '.*' has 3 channels: it is a picture in colours", None),
     ("unknown ids", unknown_ids, r"label ids 207 .*213 .* are not in the class table", None),
-    ("quaternions", lambda scene: scene.write_quaternions(), r"quaternion", matrices_again),
+    ("quaternions", quaternions, r"quaternion", "camera-to-world matri"),
     ("black labels", lambda scene: scene.write_labels(0 * scene.labels()), r"void in every pixel", None),
-    ("one frame", lambda scene: scene.write_one(), r"the only frame of the scene", frames_again),
+    ("one frame", one_frame, r"the only frame of the scene", "give two frames at least"),
     ("misnamed extension", misnamed_extension, r"'.*\.png' is missing, but there is '.*\.jpg'", rename_files),
 ]
 # Of the format that states its intrinsics.
 BREAKS_OF_INTRINSICS = [
     ("intrinsics of a larger image", intrinsics_of_larger_images, r"the middle of an image 2 times as large",
      state_size),
-    ("images turned by EXIF", turned_images, r"turned as the file's EXIF orientation says", turn_back),
-    ("a lens that is not known", unknown_lens, r"camera model 'FISHEYE624' is not supported", undistorted),
+    ("images turned by EXIF", turned_images, r"turned as the file's EXIF orientation says",
+     r"EXIF orientation says \(8\).*mogrify -auto-orient"),
+    ("a lens that is not known", unknown_lens, r"camera model 'FISHEYE624' is not supported", "undistort the images"),
 ]
 
 
@@ -250,9 +199,12 @@ def remedied(program, scene, line, by_hand):
     """Does what the line says; whether inspect then passes, and what it said."""
     # Shell words: quoted texts, in which an apostrophe is '\'', or anything without spaces.
     settings = [shlex.split(word)[0] for word in re.findall(r"--set ((?:'[^']*'|\\'|[^\s'])+)", line)]
-    if not settings:
-        if by_hand is None:
-            return False, ["the line names no setting"]
+    if not settings and by_hand is None:
+        return False, ["the line names no setting"]
+    if not settings and isinstance(by_hand, str):
+        assert re.search(by_hand, line), line
+        scene.restore()
+    elif not settings:
         by_hand(scene, line)
     code, problems, lines = inspect(program, scene, settings)
     print(f"  remedy: {shlex.join(settings) or 'by hand'} -> inspect ends with {code}")
@@ -273,32 +225,25 @@ def play(program, scene, name, spoil, named_by, by_hand):
     return {"breaks": 1, "named": named, "right_remedy": right, "repeated_lines": repeated}
 
 
-def drill(words):
-    """Breaks own data in twelve ways in each of two formats, and in three of one, and looks at what `semfield inspect`
-says.
+def shipped_room(program, out, frames, test_frames, width):
+    size = {"frames": frames, "test_frames": test_frames, "width_px": width, "height_px": width * 3 // 4}
+    common.run(program, "capture", common.QUICKSTART, "--out", out, "--quiet",
+               *(f"--set=scene.{key}={value}" for key, value in size.items()))
 
-A break counts as named when one line says what it is, its remedy as right when doing what that line says - a setting,
-a renamed file or key - makes inspect pass. The last line is `drill: breaks=... named=... right_remedy=...
-repeated_lines=...`."""
-    parser = common.parser_of(drill)
-    parser.add_argument("--program", type=pathlib.Path, default=common.BUILD / "bin" / "semfield", metavar="FILE")
-    parser.add_argument("--quick", action="store_true", help="fewer and smaller frames")
-    parser.add_argument("--keep", metavar="FOLDER", help="leave the scenes there")
-    options = parser.parse_args(words)
-    program, counts = options.program.resolve(), collections.Counter()
-    frames, width = (24, 80) if options.quick else (60, 160)
-    with common.work_folder(options.keep) as folder:
-        sizes = {"frames": frames, "test_frames": 0, "width_px": width, "height_px": width * 3 // 4}
-        common.run(program, "capture", common.QUICKSTART, "--out", folder / "room",
-                   *(f"--set=scene.{key}={value}" for key, value in sizes.items()))
-        for kind in (TransformsJson, Replica):
-            code, problems, lines = inspect(program, kind(folder / "room", folder / f"{kind.kind}_sound"))
+
+def drill(*, program: "of the check" = common.BUILD / "bin" / "semfield", quick: "fewer and smaller frames" = False,
+          keep=None):
+    """Breaks own data in twelve ways in each of two formats, and in three of one, and looks at what `semfield inspect`
+says. A break counts as named when one line says what it is, its remedy as right when doing what that line says - a
+setting, a renamed file or key - makes inspect pass."""
+    program, counts = program.resolve(), collections.Counter()
+    with common.work_folder(keep) as folder:
+        shipped_room(program, folder / "room", 24 if quick else 60, 0, 80 if quick else 160)
+        for kind in KINDS:
+            code, problems, lines = inspect(program, Scene(folder / "room", folder / f"{kind}_sound", kind))
             if code != 0 or problems:
-                raise common.Failed(f"{kind.kind}: refused before anything is broken:\n" + "\n".join(lines))
-            for name, *how in BREAKS + (BREAKS_OF_INTRINSICS if kind is TransformsJson else []):
-                scene = kind(folder / "room", folder / f"{kind.kind}_{name.replace(' ', '_')}")
+                raise common.Failed(f"{kind}: refused before anything is broken:\n" + "\n".join(lines))
+            for name, *how in BREAKS + (BREAKS_OF_INTRINSICS if kind == "transforms_json" else []):
+                scene = Scene(folder / "room", folder / f"{kind}_{name.replace(' ', '_')}", kind)
                 counts.update(play(program, scene, name, *how))
-    common.print_line("drill", counts, dict.fromkeys(("breaks", "named", "right_remedy", "repeated_lines"), "d"))
-    played = 2 * len(BREAKS) + len(BREAKS_OF_INTRINSICS)
-    good = counts["breaks"] == counts["named"] == counts["right_remedy"] == played and counts["repeated_lines"] == 0
-    return 0 if good else 1
+    return counts
