@@ -34,15 +34,18 @@ LabelEvent click(const std::string& id, const std::string& name, PixelPoint at, 
       .id = id, .frame = frame, .width_px = 8, .height_px = 6, .points = {at}, .radius_px = radius, .class_name = name};
 }
 
-LabelEvent add(const std::string& id, const std::string& name) {
-  return LabelEvent{.id = id, .kind = LabelEventKind::add_class, .class_name = name};
+LabelEvent of_class(LabelEventKind kind, const std::string& id, const std::string& name, const std::string& to = "") {
+  return LabelEvent{.id = id, .kind = kind, .class_name = name, .new_name = to};
 }
-
+LabelEvent add(const std::string& id, const std::string& name) { return of_class(LabelEventKind::add_class, id, name); }
 LabelEvent rename(const std::string& id, const std::string& from, const std::string& to) {
-  LabelEvent event = add(id, from);
-  event.kind = LabelEventKind::change_class;
-  event.new_name = to;
-  return event;
+  return of_class(LabelEventKind::change_class, id, from, to);
+}
+LabelEvent merge(const std::string& id, const std::string& from, const std::string& into) {
+  return of_class(LabelEventKind::merge_class, id, from, into);
+}
+LabelEvent remove_class(const std::string& id, const std::string& name) {
+  return of_class(LabelEventKind::delete_class, id, name);
 }
 
 LabelEvent undo(const std::string& id, const std::string& of) {
@@ -80,18 +83,6 @@ std::string refusal(Annotations& annotations, const LabelEvent& event) {
   EXPECT_EQ(annotations.classes().to_yaml(), classes);
   EXPECT_EQ(ids(annotations.marks()), marks);
   return applied;
-}
-
-LabelEvent merge(const std::string& id, const std::string& from, const std::string& into) {
-  LabelEvent event = rename(id, from, into);
-  event.kind = LabelEventKind::merge_class;
-  return event;
-}
-
-LabelEvent remove_class(const std::string& id, const std::string& name) {
-  LabelEvent event = add(id, name);
-  event.kind = LabelEventKind::delete_class;
-  return event;
 }
 
 // What label events add up to: classes that keep their places, clicks in order, undo and redo, and what they paint.
@@ -369,50 +360,41 @@ std::string click_with(const std::string& from, const std::string& to) {
 }
 
 TEST(LabelEvent, EveryKindIsReadAndWritten) {
-  const LabelEvent click = parse_label_event(kClick);
-  EXPECT_EQ(click.id, "a1-17");
-  EXPECT_EQ(click.kind, LabelEventKind::click);
-  EXPECT_EQ(click.unix_ms, 0);
-  EXPECT_EQ(click.frame, "rgb_12");
-  EXPECT_EQ(click.width_px, 320);
-  EXPECT_EQ(click.height_px, 240);
-  EXPECT_EQ(click.points, (std::vector<PixelPoint>{{12.5, 33}}));
-  EXPECT_EQ(click.radius_px, 4);
-  EXPECT_EQ(click.class_name, "chair");
-  const LabelEvent made = parse_label_event(R"({"id":"b","type":"class","name":"chair","color":[200,30,0]})");
-  EXPECT_EQ(made.kind, LabelEventKind::add_class);
-  EXPECT_EQ(made.class_name, "chair");
-  EXPECT_EQ(made.color, (std::array<std::uint8_t, 3>{200, 30, 0}));
-  const LabelEvent renamed = parse_label_event(R"({"id":"c","type":"rename","class":"chair","name":"armchair"})");
-  EXPECT_EQ(renamed.kind, LabelEventKind::change_class);
-  EXPECT_EQ(renamed.class_name + ">" + renamed.new_name, "chair>armchair");
-  EXPECT_FALSE(renamed.color.has_value());
-  EXPECT_EQ(parse_label_event(R"({"id":"d","type":"undo","of":"a1-17"})").of, "a1-17");
-  const LabelEvent skip = parse_label_event(R"({"id":"e","type":"skip","frame":"f","size":[4,3],"points":[[4,3]]})");
-  EXPECT_EQ(skip.kind, LabelEventKind::skip);
-  EXPECT_EQ(skip.points, (std::vector<PixelPoint>{{4, 3}}));
-  const LabelEvent merged = parse_label_event(R"({"id":"f","type":"merge","class":"stool","into":"chair"})");
-  EXPECT_EQ(merged.kind, LabelEventKind::merge_class);
-  EXPECT_EQ(merged.class_name + ">" + merged.new_name, "stool>chair");
-  const LabelEvent deleted = parse_label_event(R"({"id":"g","type":"delete","class":"stool"})");
-  EXPECT_EQ(deleted.kind, LabelEventKind::delete_class);
-  EXPECT_EQ(deleted.class_name, "stool");
-  const LabelEvent outline =
-      parse_label_event(click_with(R"([[12.5,33.0]],"radius":4)", R"([[1,1],[9,1],[9,5]],"radius":0,"fill":true)"));
-  EXPECT_TRUE(outline.fill);
-  EXPECT_FALSE(click.fill);
-  const LabelEvent another = parse_label_event(click_with(R"("class":"chair")", R"("class":"chair","object":2)"));
-  EXPECT_EQ(another.object, 2);
-  EXPECT_EQ(click.object, 0);
-  EXPECT_LACKS(label_event_json(click), "object", "fill");  // an older program reads it, too
-
-  for (LabelEvent event : {click, made, renamed, skip, merged, deleted, outline, another,
-                           parse_label_event(R"({"id":"d","type":"undo","of":"q"})")}) {
-    EXPECT_EQ(parse_label_event(label_event_json(event)), event) << label_event_json(event);
-    event.unix_ms = 1790000000123;
-    EXPECT_EQ(parse_label_event(label_event_json(event)), event) << label_event_json(event);
-    EXPECT_EQ(label_event_json(event).find('\n'), std::string::npos);
+  using K = LabelEventKind;
+  const LabelEvent click{.id = "a1-17",
+                         .frame = "rgb_12",
+                         .width_px = 320,
+                         .height_px = 240,
+                         .points = {{12.5, 33}},
+                         .radius_px = 4,
+                         .class_name = "chair"};
+  LabelEvent outline = click, another = click;
+  outline.points = {{1, 1}, {9, 1}, {9, 5}};
+  outline.radius_px = 0;
+  outline.fill = true;
+  another.object = 2;
+  const LabelEvent skip{.id = "e", .kind = K::skip, .frame = "f", .width_px = 4, .height_px = 3, .points = {{4, 3}}};
+  LabelEvent red = add("b", "chair");
+  red.color = {{200, 30, 0}};
+  const std::pair<std::string, LabelEvent> kinds[] = {
+      {kClick, click},
+      {click_with(R"([[12.5,33.0]],"radius":4)", R"([[1,1],[9,1],[9,5]],"radius":0,"fill":true)"), outline},
+      {click_with(R"("class":"chair")", R"("class":"chair","object":2)"), another},
+      {R"({"id":"b","type":"class","name":"chair","color":[200,30,0]})", red},
+      {R"({"id":"c","type":"rename","class":"chair","name":"armchair"})", rename("c", "chair", "armchair")},
+      {R"({"id":"d","type":"undo","of":"a1-17"})", undo("d", "a1-17")},
+      {R"({"id":"e","type":"skip","frame":"f","size":[4,3],"points":[[4,3]]})", skip},
+      {R"({"id":"f","type":"merge","class":"stool","into":"chair"})", merge("f", "stool", "chair")},
+      {R"({"id":"g","type":"delete","class":"stool"})", remove_class("g", "stool")}};
+  for (auto [json, event] : kinds) {
+    EXPECT_EQ(parse_label_event(json), event) << json;
+    for (const std::int64_t ms : {std::int64_t{0}, std::int64_t{1790000000123}}) {
+      event.unix_ms = ms;
+      EXPECT_EQ(parse_label_event(label_event_json(event)), event) << label_event_json(event);
+      EXPECT_EQ(label_event_json(event).find('\n'), std::string::npos);
+    }
   }
+  EXPECT_LACKS(label_event_json(click), "object", "fill");  // an older program reads it, too
 }
 
 TEST(LabelEvent, EveryBitOfANumberAndOfANameComesBack) {
@@ -736,24 +718,30 @@ std::string event_ids(const std::vector<LabelEvent>& events) {
   return out;
 }
 
-TEST(ClickLog, KeepsWhatIsAppended) {
-  const std::string path = fresh_folder("click_log_test") + "/clicks.jsonl";
+// The log of a folder of its own, with one event.
+struct OneEvent {
+  const std::string folder = fresh_folder("click_log_test"), path = folder + "/clicks.jsonl";
   Diagnostics diagnostics;
-  {
-    ClickLog log = ClickLog::open(path, diagnostics);
-    EXPECT_TRUE(std::filesystem::exists(path));
-    EXPECT_TRUE(log.events().empty());
+  ClickLog log = ClickLog::open(path, diagnostics);
+  OneEvent() {
+    EXPECT_TRUE(std::filesystem::exists(path) && log.events().empty());
     log.append(undo("1", "x"));
-    EXPECT_EQ(read_text_file(path), line("1"));
-    ClickLog moved = std::move(log);
+  }
+};
+
+TEST(ClickLog, KeepsWhatIsAppended) {
+  OneEvent c;
+  EXPECT_EQ(read_text_file(c.path), line("1"));
+  {
+    ClickLog moved = std::move(c.log);
     moved.append(undo("2", "x"));
     EXPECT_EQ(event_ids(moved.events()), "1 2 ");
   }
-  ClickLog again = ClickLog::open(path, diagnostics);
+  ClickLog again = ClickLog::open(c.path, c.diagnostics);
   again.append(undo("3", "2"));
   EXPECT_EQ(event_ids(again.events()), "1 2 3 ");
-  EXPECT_EQ(read_click_log(path, diagnostics), again.events());
-  EXPECT_EQ(all_said(diagnostics), "");
+  EXPECT_EQ(read_click_log(c.path, c.diagnostics), again.events());
+  EXPECT_EQ(all_said(c.diagnostics), "");
 }
 
 TEST(ClickLog, CutsATornLineAndSaysSo) {
@@ -795,10 +783,8 @@ TEST(ClickLog, RefusesOtherBadLinesAndChangesNothing) {
 }
 
 TEST(ClickLog, AFailedAppendLeavesTheFileAndALaterOneSucceeds) {
-  const std::string path = fresh_folder("click_log_test") + "/clicks.jsonl";
-  Diagnostics diagnostics;
-  ClickLog log = ClickLog::open(path, diagnostics);
-  log.append(undo("1", "x"));
+  OneEvent c;
+  auto& [folder, path, diagnostics, log] = c;
   rlimit before{};
   ASSERT_EQ(getrlimit(RLIMIT_FSIZE, &before), 0);
   const auto handler = std::signal(SIGXFSZ, SIG_IGN);
@@ -816,10 +802,8 @@ TEST(ClickLog, AFailedAppendLeavesTheFileAndALaterOneSucceeds) {
 }
 
 TEST(ClickLog, ASecondWriterIsRefusedAndTold) {
-  const std::string folder = fresh_folder("click_log_test"), path = folder + "/clicks.jsonl";
-  Diagnostics diagnostics;
-  ClickLog log = ClickLog::open(path, diagnostics);
-  log.append(undo("1", "x"));
+  OneEvent c;
+  auto& [folder, path, diagnostics, log] = c;
   std::filesystem::create_symlink(path, folder + "/link.jsonl");
   for (const std::string& name : {path, folder + "/link.jsonl", folder + "/./clicks.jsonl"}) {
     const std::string error = error_of([&] { (void)ClickLog::open(name, diagnostics); });
@@ -835,10 +819,8 @@ TEST(ClickLog, ASecondWriterIsRefusedAndTold) {
 
 // A program that takes no lock: its lines stay, and nothing is appended behind them or cut off with them.
 TEST(ClickLog, WhatAnotherProgramWroteIsNeitherCutOffNorBuiltUpon) {
-  const std::string path = fresh_folder("click_log_test") + "/clicks.jsonl";
-  Diagnostics diagnostics;
-  ClickLog log = ClickLog::open(path, diagnostics);
-  log.append(undo("1", "x"));
+  OneEvent c;
+  auto& [folder, path, diagnostics, log] = c;
   for (const std::string& theirs : {line("1") + line("2"), line("1").substr(4), std::string()}) {
     testing_room::plain_write(path, theirs);
     const std::string error = error_of([&] { log.append(undo("3", "x")); });

@@ -67,6 +67,7 @@ std::uint32_t train_fingerprint(const std::string& yaml, int threads, std::int64
 class HookListener final : public RunListener {
  public:
   std::function<void(const TrainProgress&)> on_progress;
+  std::function<void(std::int64_t)> on_step;
   std::function<void(const ScoreProgress&)> on_scoring;
   std::function<void(const std::string&)> on_note;
   std::function<int()> on_stop_signal;
@@ -77,6 +78,9 @@ class HookListener final : public RunListener {
   std::string notes;     ///< a line each, where on_note is null
 
   void progress(const TrainProgress& p) override;
+  void stepped(std::int64_t step, const StepLosses&) override {
+    if (on_step) on_step(step);
+  }
   void scoring(const ScoreProgress& p) override;
   void note(const std::string& text) override;
   int stop_signal() override;
