@@ -38,6 +38,16 @@ function(semfield_add_test)
   gtest_discover_tests(${ARG_NAME} NO_PRETTY_VALUES DISCOVERY_TIMEOUT 60 PROPERTIES ${properties})
 endfunction()
 
+# semfield_add_program_test(NAME FILE.py [NAME=VALUE ...]): a test in Python that runs the program (tests/program.py), with these in its environment.
+function(semfield_add_program_test name file)
+  find_package(Python3 COMPONENTS Interpreter)
+  if(Python3_Interpreter_FOUND)
+    add_test(NAME ${name} COMMAND ${Python3_EXECUTABLE} -B ${CMAKE_CURRENT_SOURCE_DIR}/${file})
+    set_tests_properties(${name} PROPERTIES TIMEOUT 1200 ENVIRONMENT
+      "SEMFIELD_BINARY=$<TARGET_FILE:semfield_app>;SEMFIELD_CACHE=off;OMP_WAIT_POLICY=passive;CUDA_VISIBLE_DEVICES=;${ARGN}")
+  endif()
+endfunction()
+
 # semfield_test_every_isa(name): runs the whole program once more for each weaker instruction set of the build that the configuring machine has.
 function(semfield_test_every_isa name)
   set(cpu_flags "")

@@ -6,6 +6,7 @@ import pathlib
 import re
 import shutil
 import subprocess
+import sys
 import time
 
 from . import common
@@ -114,11 +115,14 @@ busy machine, every instruction set. One line a condition, names of failed tests
 
 def run_test(build, program, cases, **settings):
     """Runs cases of a test program of the build with SEMFIELD_... settings; its exit code."""
-    path = build / "tests" / program
+    is_python = program.endswith(".py")
+    path = common.ROOT / "tests" / program if is_python else build / "tests" / program
     if not path.exists():
         raise common.Failed(f"there is no {path}; build it with ./scripts/test")
+    words = [sys.executable, path, "-k", cases] if is_python else [path, f"--gtest_filter={cases}"]
+    settings = {"BINARY": build / "bin/semfield", "CACHE": "off", **settings}
     environment = {**os.environ, **{f"SEMFIELD_{key}": str(value) for key, value in settings.items()}}
-    return subprocess.run(["nice", path, f"--gtest_filter={cases}"], env=environment).returncode
+    return subprocess.run(["nice", *words], env=environment).returncode
 
 
 def torture(kills: "how many" = 1000, calls: "how many" = None, *, build=common.BUILD):
@@ -134,7 +138,7 @@ def sweep_torture(kills: "how many" = 100, *, build=common.BUILD):
     """Starts two processes of one sweep in its folder and kills them at random moments, by SIGKILL and SIGTERM, until
 so many are killed. No finished result may be lost or changed, every exit code is a documented one, and the run to the
 end gives the figures of a sweep left alone. Builds nothing: run ./scripts/test first."""
-    return run_test(build, "sweep/sweep_verb_test", "SweepTorture.*", SWEEP_KILLS=kills)
+    return run_test(build, "sweep/sweep_verb_test.py", "lose_no_result", SWEEP_KILLS=kills)
 
 
 def soak(hours: "how many" = 2.0, *, keep=None, threads: "of the training; 0: all" = 0, build=common.BUILD):
