@@ -106,8 +106,8 @@ class ModuleTrust(ModuleCase):
         run, module = self.dir / "run", probe("sound")
         self.ok(self.run_words("train", self.base, "--out", run, "--plugin", module))
         self.has((run / "run.yaml").read_text(), "probe_sound.so")
-        for verb in (("eval", run), ("render", run), ("export", run, "--out", self.dir / "labels.json"), ("train",
-                                                                                                          "--resume", run)):
+        for verb in (("eval", run), ("render", run), ("export", run, "--out", self.dir / "labels.json"),
+                     ("train", "--resume", run)):
             self.ended(self.run_words(*verb), 78, f"add --plugin {module}")
             self.assertFalse(self.ran, f"{verb[0]} ran code that a run folder names")
             self.ok(self.run_words(*verb, "--plugin", self.module))

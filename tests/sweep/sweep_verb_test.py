@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""`semfield sweep` as a program: cells in parallel, tables, going on after a kill, processes that share a folder by hand
-or under mpirun. SEMFIELD_MPIRUN and SEMFIELD_MPIRUN_RECOVERY name Open MPI's program and its flag of recovery."""
+"""`semfield sweep` as a program: cells in parallel, tables, going on after a kill, processes that share a folder by
+hand or under mpirun. SEMFIELD_MPIRUN and SEMFIELD_MPIRUN_RECOVERY name Open MPI's program and its flag of recovery."""
 
 import fcntl
 import json
@@ -106,8 +106,8 @@ class Sweep(SweepCase):
         self.assertTrue(any('"step":200' in rows for rows in self.cells("run/metrics.jsonl").values()))
 
     def test_ctrl_c_of_a_terminal_lets_cells_save(self):
-        """A terminal sends it to every process of the group: a cell must not take it as its first signal and the sweep's as
-        the second, which ends at once."""
+        """A terminal sends it to every process of the group: a cell must not take it as its first signal and the sweep's
+        as the second, which ends at once."""
         self.sweep(100_000)
         sweep = self.start(PROGRAM, *self.words("--jobs", 2), program="/usr/bin/setsid")
         self.assertTrue(until(lambda: len(self.begun()) == 2), sweep.err())
