@@ -52,7 +52,7 @@ BatchShape shape_of(const RayBatch& batch) {
   shape.rays = batch.origin.rows;
   shape.tiles = batch.label_only.empty() ? 0 : batch.label_only.rows;
   shape.tile_rays = batch.tile_rays;
-  shape.labels = !batch.targets.label.empty();
+  shape.labels = batch.targets.label.cols > 0;  // a layout of a shape has no data
   for (const auto& one : batch.targets.more) {
     SEMFIELD_CHECK(one.name.size() < BatchShape::kNameBytes, "the name of a channel has at most 31 characters");
     BatchShape::Channel& to = shape.more[static_cast<std::size_t>(shape.channels++)];
